@@ -1,0 +1,50 @@
+//! The images a reconstruction starts from.
+
+use serde::{Deserialize, Serialize};
+use std::path::PathBuf;
+
+/// One input image: upright, on disk.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct Frame {
+    /// Name in models and reports: a plain file name or a relative path without `..`.
+    pub name: String,
+    /// Where the upright pixels lie.
+    pub path: PathBuf,
+    /// Width, pixels.
+    pub width: u32,
+    /// Height, pixels.
+    pub height: u32,
+    /// 8-bit mask of the same size, white = keep.
+    pub mask: Option<PathBuf>,
+    /// Presentation time, seconds from the start of the video.
+    pub time_s: Option<f64>,
+    /// Index in the source video, or in the sorted folder.
+    pub source_index: usize,
+    /// Focal length known beforehand (EXIF), pixels.
+    pub focal_prior_px: Option<f64>,
+    /// Frames with the same group were taken by one physical camera with one setting.
+    pub camera_group: u32,
+}
+
+/// The frames in order (time for videos, sorted names for folders).
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct FrameSet {
+    /// The frames.
+    pub frames: Vec<Frame>,
+    /// Whether the order is the order of time (a video).
+    pub is_video: bool,
+    /// What was found out or left out on the way, for the report: one sentence each.
+    pub notes: Vec<String>,
+}
+
+impl FrameSet {
+    /// Number of frames.
+    pub fn len(&self) -> usize {
+        self.frames.len()
+    }
+
+    /// Whether there are none.
+    pub fn is_empty(&self) -> bool {
+        self.frames.is_empty()
+    }
+}

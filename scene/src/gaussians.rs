@@ -1,0 +1,64 @@
+//! A cloud of 3D Gaussians: the parameters that are trained, stored and rendered.
+
+use glam::{Quat, Vec3};
+use serde::{Deserialize, Serialize};
+
+/// Zeroth-order spherical-harmonic constant `1 / (2 √π)`.
+pub const SH_C0: f32 = 0.282_094_79;
+
+/// N Gaussians as arrays; all have the same spherical-harmonic degree.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct Gaussians {
+    /// [N] centres, world frame, scene units.
+    pub means: Vec<Vec3>,
+    /// [N] natural logarithms of the three standard deviations along the local axes.
+    pub log_scales: Vec<Vec3>,
+    /// [N] local to world; need not be unit (normalised on use; zero norm means identity).
+    pub rotations: Vec<Quat>,
+    /// [N] opacity = 1 / (1 + exp(−logit)).
+    pub opacity_logits: Vec<f32>,
+    /// [N × K × 3], K = (degree + 1)²; coefficient-major: `sh[(i·K + k)·3 + channel]`; rgb = 0.5 + Σ Y_k sh_k, clamped at 0.
+    pub sh: Vec<f32>,
+    /// 0 to 3.
+    pub sh_degree: u32,
+}
+
+impl Gaussians {
+    /// Number of Gaussians.
+    pub fn len(&self) -> usize {
+        self.means.len()
+    }
+
+    /// Whether there are none.
+    pub fn is_empty(&self) -> bool {
+        self.means.is_empty()
+    }
+
+    /// Coefficients a channel, K = (degree + 1)².
+    pub fn sh_coefficients(&self) -> usize {
+        (self.sh_degree as usize + 1).pow(2)
+    }
+
+    /// Opacity of Gaussian `i`, in (0, 1).
+    pub fn opacity(&self, i: usize) -> f32 {
+        1.0 / (1.0 + (-self.opacity_logits[i]).exp())
+    }
+
+    /// Whether the arrays agree in length; the message says which does not.
+    pub fn validate(&self) -> Result<(), String> {
+        let n = self.len();
+        let expected = [
+            ("log_scales", self.log_scales.len(), n),
+            ("rotations", self.rotations.len(), n),
+            ("opacity_logits", self.opacity_logits.len(), n),
+            ("sh", self.sh.len(), n * self.sh_coefficients() * 3),
+        ];
+        if self.sh_degree > 3 {
+            return Err(format!("spherical-harmonic degree {} is above 3", self.sh_degree));
+        }
+        match expected.into_iter().find(|(_, found, needed)| found != needed) {
+            Some((what, found, needed)) => Err(format!("{n} gaussians need {needed} {what}, found {found}")),
+            None => Ok(()),
+        }
+    }
+}

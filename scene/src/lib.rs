@@ -1,0 +1,31 @@
+//! The types that cross the borders between stages, the geometry they need and the files they are kept in.
+//!
+//! # Conventions
+//! | thing | convention |
+//! |---|---|
+//! | pose | `cam_from_world`: `x_cam = R x_world + t`; variables are named `target_from_source` |
+//! | axes | right-handed; camera x right, y down, z forward (COLMAP, OpenCV) |
+//! | pixel | (0, 0) is the image corner, the first pixel's centre is (0.5, 0.5) (COLMAP) |
+//! | quaternion | Hamilton, unit; files hold w x y z, glam holds x y z w: converted at the file border only |
+//! | units | pixels `_px`, seconds `_s`, radians in code, degrees `_deg` in config and reports, scene units otherwise |
+//! | numbers | f64 here and in `sfm`; f32 in splat's production backends |
+//! | colour | 8-bit sRGB in files; splats are trained on sRGB values in [0, 1] |
+//! | gaussians | scale = exp(log_scale), opacity = sigmoid(logit), rgb = 0.5 + C0 sh0 + … |
+//! | masks | white = keep, black = ignore (COLMAP) |
+
+pub mod camera;
+pub mod features;
+pub mod frames;
+pub mod gaussians;
+pub mod pose;
+pub mod progress;
+pub mod reconstruction;
+pub mod rng;
+
+pub use camera::{Camera, CameraModel};
+pub use features::{Features, Keypoint, TwoViewGeometry, TwoViewKind};
+pub use frames::{Frame, FrameSet};
+pub use gaussians::Gaussians;
+pub use pose::Pose;
+pub use progress::{Cancelled, Progress};
+pub use reconstruction::{Observation, PosedImage, Reconstruction, ScenePoint, TrackElement};

@@ -1,0 +1,74 @@
+//! How a stage says how far it is, and how it is told to stop.
+
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+
+/// The user asked to stop (Ctrl-C); what was finished is kept.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+#[error("cancelled")]
+pub struct Cancelled;
+
+/// What shows progress to a person: a bar, plain lines, or nothing.
+pub trait ProgressSink: Send + Sync {
+    /// A new piece of work of `total` steps (0 where unknown) begins.
+    fn begin(&self, what: &str, total: u64);
+    /// `done` steps of the present work are done; `detail` is a short figure to show beside (may be empty).
+    fn update(&self, done: u64, detail: &str);
+    /// A sentence for the user (shown with `-v`).
+    fn note(&self, message: &str);
+}
+
+struct Silent;
+
+impl ProgressSink for Silent {
+    fn begin(&self, _: &str, _: u64) {}
+    fn update(&self, _: u64, _: &str) {}
+    fn note(&self, _: &str) {}
+}
+
+/// The last argument of every stage. Shared between threads.
+pub struct Progress {
+    sink: Box<dyn ProgressSink>,
+    cancel: &'static AtomicBool,
+    done: AtomicU64,
+}
+
+impl Progress {
+    /// Shows through `sink`; stops when `cancel` turns true.
+    pub fn new(sink: Box<dyn ProgressSink>, cancel: &'static AtomicBool) -> Self {
+        Self { sink, cancel, done: AtomicU64::new(0) }
+    }
+
+    /// Shows nothing and never stops.
+    pub fn silent() -> Self {
+        static NEVER: AtomicBool = AtomicBool::new(false);
+        Self::new(Box::new(Silent), &NEVER)
+    }
+
+    /// A new piece of work of `total` steps (0 where unknown) begins.
+    pub fn begin(&self, what: &str, total: usize) {
+        self.done.store(0, Ordering::Relaxed);
+        self.sink.begin(what, total as u64);
+    }
+
+    /// One step more is done; an error if the user asked to stop.
+    pub fn tick(&self) -> Result<(), Cancelled> {
+        self.tick_with("")
+    }
+
+    /// One step more is done, with a figure to show beside; an error if the user asked to stop.
+    pub fn tick_with(&self, detail: &str) -> Result<(), Cancelled> {
+        let done = self.done.fetch_add(1, Ordering::Relaxed) + 1;
+        self.sink.update(done, detail);
+        self.check()
+    }
+
+    /// An error if the user asked to stop.
+    pub fn check(&self) -> Result<(), Cancelled> {
+        if self.cancel.load(Ordering::Relaxed) { Err(Cancelled) } else { Ok(()) }
+    }
+
+    /// A sentence for the user (shown with `-v`).
+    pub fn note(&self, message: &str) {
+        self.sink.note(message);
+    }
+}
