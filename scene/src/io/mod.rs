@@ -1,0 +1,1 @@
+//! The file formats: COLMAP models, `transforms.json`, splats.

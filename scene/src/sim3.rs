@@ -1,0 +1,1 @@
+//! Similarity transforms and the robust alignment of two reconstructions.

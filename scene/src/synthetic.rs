@@ -1,0 +1,1 @@
+//! Exact synthetic scenes for tests and benches.

@@ -1,0 +1,45 @@
+//! What can go wrong, and what the user can do about it.
+
+use scene::Cancelled;
+use std::path::PathBuf;
+
+/// An error of structure from motion. "No model found" is not one: it is a value of the result.
+#[derive(Debug, thiserror::Error)]
+pub enum SfmError {
+    /// The user asked to stop.
+    #[error(transparent)]
+    Cancelled(#[from] Cancelled),
+    /// An image or mask could not be read.
+    #[error("cannot read {path}: {reason}; remove it from the input or export it again as PNG or JPEG")]
+    UnreadableImage {
+        /// The file.
+        path: PathBuf,
+        /// What the decoder said.
+        reason: String,
+    },
+    /// An image or mask has another size than its frame says.
+    #[error("{path} is {found_width}×{found_height}, expected {width}×{height}; masks and images must agree in size")]
+    SizeMismatch {
+        /// The file.
+        path: PathBuf,
+        /// Width found.
+        found_width: u32,
+        /// Height found.
+        found_height: u32,
+        /// Width expected.
+        width: u32,
+        /// Height expected.
+        height: u32,
+    },
+    /// Too few images to begin with.
+    #[error("{found} image(s) given, at least {needed} are needed; film from more sides")]
+    TooFewImages {
+        /// How many there are.
+        found: usize,
+        /// How many are needed.
+        needed: usize,
+    },
+    /// The native solver reported a failure that is not "no convergence".
+    #[error("bundle adjustment failed: {0}; please report this with run.json")]
+    Solver(String),
+}
