@@ -18,7 +18,9 @@ pub enum SfmError {
         reason: String,
     },
     /// An image or mask has another size than its frame says.
-    #[error("{path} is {found_width}×{found_height}, expected {width}×{height}; masks and images must agree in size")]
+    #[error(
+        "{path} is {found_width}×{found_height}, expected {width}×{height}; masks and images must agree in size"
+    )]
     SizeMismatch {
         /// The file.
         path: PathBuf,
@@ -38,6 +40,24 @@ pub enum SfmError {
         found: usize,
         /// How many are needed.
         needed: usize,
+    },
+    /// `--intrinsics` fits no camera model.
+    #[error(
+        "--intrinsics has {given} numbers, which do not fit {model}; give f,cx,cy or fx,fy,cx,cy, or name the model with --camera-model"
+    )]
+    BadIntrinsics {
+        /// How many numbers were given.
+        given: usize,
+        /// The model they were meant for.
+        model: String,
+    },
+    /// A file could not be written.
+    #[error("cannot write {path}: {reason}; check that the disk has room and the folder can be written")]
+    CannotWrite {
+        /// The file.
+        path: PathBuf,
+        /// What the system said.
+        reason: String,
     },
     /// The native solver reported a failure that is not "no convergence".
     #[error("bundle adjustment failed: {0}; please report this with run.json")]

@@ -2,11 +2,14 @@
 
 pub mod bundle;
 pub mod ceres;
+pub mod config;
 pub mod error;
 pub mod incremental;
 pub mod matching;
 pub mod pairs;
+pub mod pipeline;
 pub mod ransac;
+pub mod result;
 pub mod selection;
 pub mod sift;
 pub mod solvers;
@@ -15,4 +18,8 @@ pub mod triangulation;
 pub mod two_view;
 pub mod undistort;
 
+pub use config::{CameraModelChoice, CameraSharing, SfmConfig};
 pub use error::SfmError;
+pub use pipeline::reconstruct;
+pub use result::{Decision, PoseDeviation, SfmResult, SfmStats, StepTime, Uncertainty};
+pub use undistort::undistort;

@@ -1,0 +1,101 @@
+//! What structure from motion hands back.
+
+use scene::{Camera, Features, Reconstruction, TwoViewGeometry};
+use serde::{Deserialize, Serialize};
+use std::collections::BTreeMap;
+
+/// Something the evidence decided, for `run.json` and the report.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct Decision {
+    /// What was to be decided.
+    pub what: String,
+    /// What was chosen.
+    pub chosen: String,
+    /// The figures that decided, one sentence or a small table.
+    pub evidence: String,
+}
+
+/// Cost of one step.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct StepTime {
+    /// Name of the step.
+    pub step: String,
+    /// Wall-clock time, seconds.
+    pub wall_s: f64,
+    /// User and system time of the process, seconds (0 where the platform does not tell).
+    pub cpu_s: f64,
+}
+
+/// Counts and costs.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct SfmStats {
+    /// Images given.
+    pub images: usize,
+    /// Images with a pose.
+    pub registered: usize,
+    /// Features over all images.
+    pub features: usize,
+    /// Image pairs that were matched.
+    pub pairs_matched: usize,
+    /// Image pairs that passed verification.
+    pub pairs_verified: usize,
+    /// Points of the model.
+    pub points: usize,
+    /// Sightings of the model's points.
+    pub observations: usize,
+    /// Mean sightings a point.
+    pub mean_track_length: f64,
+    /// Root mean square of the reprojection error over sightings, pixels.
+    pub reprojection_rms_px: f64,
+    /// Median reprojection error over sightings, pixels.
+    pub reprojection_median_px: f64,
+    /// Cost of each step, in order.
+    pub steps: Vec<StepTime>,
+}
+
+/// Standard deviations of a pose from the final adjustment.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct PoseDeviation {
+    /// Of the rotation about the camera's x, y and z axes, radians.
+    pub rotation: [f64; 3],
+    /// Of the camera centre along the world's axes, scene units.
+    pub centre: [f64; 3],
+}
+
+/// Standard deviations from the final adjustment (gauge: first camera and the scale fixed).
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct Uncertainty {
+    /// By camera number: one per parameter, 0 for those held constant.
+    pub cameras: BTreeMap<u32, Vec<f64>>,
+    /// By image number.
+    pub images: BTreeMap<u32, PoseDeviation>,
+    /// Robust standard deviation of one residual coordinate, pixels.
+    pub sigma_px: f64,
+}
+
+/// What [`crate::reconstruct`] found.
+#[derive(Clone, Debug, Default)]
+pub struct SfmResult {
+    /// The model; `None` where the images carry none. Image number = 1 + index of the frame.
+    pub reconstruction: Option<Reconstruction>,
+    /// Why there is no model (empty where there is one).
+    pub reason: String,
+    /// Frames without a pose: name, and why.
+    pub missing: Vec<(String, String)>,
+    /// Smaller models that could not be joined to the largest.
+    pub other_models: Vec<Reconstruction>,
+    /// Registered images that hang by a thread: name, and why.
+    pub weak_images: Vec<(String, String)>,
+    /// What the evidence decided.
+    pub decisions: Vec<Decision>,
+    /// Standard deviations of poses and intrinsics.
+    pub uncertainty: Option<Uncertainty>,
+    /// Counts and costs.
+    pub stats: SfmStats,
+    /// One per frame: intrinsics as they were before the model was solved (for the database).
+    pub initial_cameras: Vec<Camera>,
+    /// One per frame.
+    pub features: Vec<Features>,
+    /// Verified pairs.
+    pub geometries: Vec<TwoViewGeometry>,
+}
