@@ -1,0 +1,129 @@
+//! Helper programs (`ffprobe`, `ffmpeg`): run to the end, never longer than allowed, stopped on cancel.
+
+use crate::PreprocessError;
+use scene::Progress;
+use std::io::Read;
+use std::path::Path;
+use std::process::{Child, Command, Stdio};
+use std::thread::JoinHandle;
+use std::time::{Duration, Instant};
+
+/// The most text kept from each stream of a helper program, bytes.
+const OUTPUT_LIMIT: u64 = 256 << 20;
+
+/// What a finished program said.
+pub(crate) struct Output {
+    /// Exit status 0.
+    pub success: bool,
+    /// Standard output.
+    pub stdout: String,
+    /// Standard error.
+    pub stderr: String,
+}
+
+impl Output {
+    /// Last line of standard error without the demuxer's address prefix.
+    pub fn reason(&self) -> String {
+        let line = self.stderr.lines().rev().find(|l| !l.trim().is_empty()).unwrap_or("no message");
+        let line = line.rsplit_once("] ").map_or(line, |(_, rest)| rest);
+        line.rsplit_once(": ").map_or(line, |(_, rest)| rest).trim().to_owned()
+    }
+}
+
+/// A running helper program whose output is being collected; killed when dropped.
+pub(crate) struct Running {
+    tool: &'static str,
+    child: Child,
+    stdout: Option<JoinHandle<String>>,
+    stderr: Option<JoinHandle<String>>,
+    started: Instant,
+}
+
+impl Running {
+    /// Starts `tool`; `collect_stdout` is false where the caller reads the pipe itself ([`Running::take_stdout`]).
+    pub fn start(tool: &'static str, args: &[&std::ffi::OsStr], collect_stdout: bool) -> Result<Self, PreprocessError> {
+        let mut command = Command::new(tool);
+        command.args(args).stdin(Stdio::null()).stdout(Stdio::piped()).stderr(Stdio::piped());
+        let mut child =
+            command.spawn().map_err(|e| PreprocessError::MissingTool { tool, reason: e.to_string() })?;
+        let stdout = if collect_stdout { child.stdout.take().map(collect) } else { None };
+        let stderr = child.stderr.take().map(collect);
+        Ok(Self { tool, child, stdout, stderr, started: Instant::now() })
+    }
+
+    /// The standard output pipe, where it is not collected.
+    pub fn take_stdout(&mut self) -> Option<std::process::ChildStdout> {
+        self.child.stdout.take()
+    }
+
+    /// Waits for the end, at most `limit` from the start.
+    pub fn finish(mut self, input: &Path, limit: Duration, progress: &Progress) -> Result<Output, PreprocessError> {
+        let mut pause = Duration::from_millis(1);
+        let status = loop {
+            progress.check()?;
+            if let Some(status) = self.child.try_wait().map_err(PreprocessError::io(input))? {
+                break status;
+            }
+            if self.started.elapsed() > limit {
+                let seconds = limit.as_secs();
+                return Err(PreprocessError::Timeout { tool: self.tool, path: input.to_owned(), seconds });
+            }
+            std::thread::sleep(pause);
+            pause = (pause * 2).min(Duration::from_millis(20));
+        };
+        let text = |handle: Option<JoinHandle<String>>| handle.and_then(|h| h.join().ok()).unwrap_or_default();
+        let (stdout, stderr) = (text(self.stdout.take()), text(self.stderr.take()));
+        Ok(Output { success: status.success(), stdout, stderr })
+    }
+}
+
+impl Drop for Running {
+    fn drop(&mut self) {
+        // Errors mean that it has ended already.
+        let _ = self.child.kill();
+        let _ = self.child.wait();
+    }
+}
+
+/// Reads a pipe to its end on a thread of its own, so that the program never blocks on a full pipe.
+fn collect(mut pipe: impl Read + Send + 'static) -> JoinHandle<String> {
+    std::thread::spawn(move || {
+        let mut bytes = Vec::new();
+        let read = (&mut pipe).take(OUTPUT_LIMIT).read_to_end(&mut bytes);
+        if read.is_ok() {
+            // Beyond the limit: drain, or the program would wait for ever.
+            let _ = std::io::copy(&mut pipe, &mut std::io::sink());
+        }
+        String::from_utf8_lossy(&bytes).into_owned()
+    })
+}
+
+/// Runs a program to its end.
+pub(crate) fn run(
+    tool: &'static str,
+    args: &[&std::ffi::OsStr],
+    input: &Path,
+    limit: Duration,
+    progress: &Progress,
+) -> Result<Output, PreprocessError> {
+    Running::start(tool, args, true)?.finish(input, limit, progress)
+}
+
+/// First line of `tool -version`, shortened to the version.
+fn version_of(tool: &'static str) -> Result<String, String> {
+    let args = [std::ffi::OsStr::new("-version")];
+    let output = run(tool, &args, Path::new(tool), Duration::from_secs(10), &Progress::silent());
+    let output = output.map_err(|e| e.to_string())?;
+    let line = output.stdout.lines().next().unwrap_or_default();
+    line.split_whitespace().nth(2).map(str::to_owned).ok_or_else(|| format!("unexpected answer: {line}"))
+}
+
+/// Versions of what this stage calls: OpenCV, ffprobe, ffmpeg; an error says what is missing.
+pub fn versions() -> Vec<(String, Result<String, String>)> {
+    let opencv = opencv::core::get_version_string().map_err(|e| e.to_string());
+    vec![
+        ("OpenCV".to_owned(), opencv),
+        ("ffprobe".to_owned(), version_of("ffprobe")),
+        ("ffmpeg".to_owned(), version_of("ffmpeg")),
+    ]
+}
