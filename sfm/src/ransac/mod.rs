@@ -1,1 +1,188 @@
-//! ransac
+//! One locally optimised RANSAC loop for every model.
+
+mod absolute_pose;
+mod essential;
+mod fundamental;
+mod homography;
+
+pub use absolute_pose::{AbsolutePoseEstimator, estimate_absolute_pose};
+pub use essential::{EssentialEstimator, EssentialModel};
+pub use fundamental::FundamentalEstimator;
+pub use homography::HomographyEstimator;
+
+use rand::Rng as _;
+use scene::rng::rng;
+
+/// A model that can be found from a minimal sample, scored and refined.
+pub trait Estimator {
+    /// What is estimated.
+    type Model: Clone;
+    /// Data that a minimal sample holds.
+    fn sample_size(&self) -> usize;
+    /// Data in all.
+    fn num_data(&self) -> usize;
+    /// Appends the models that fit the sample (`sample_size` different indices); none is an answer.
+    fn solve(&self, sample: &[usize], models: &mut Vec<Self::Model>);
+    /// Squared residual of a datum, in the unit of the threshold squared; not NaN.
+    fn residual_sq(&self, model: &Self::Model, i: usize) -> f64;
+    /// A better model from its inliers, if there is one.
+    fn refine(&self, model: &Self::Model, inliers: &[usize]) -> Option<Self::Model>;
+}
+
+/// How long to search, and what counts as an inlier.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct RansacConfig {
+    /// Largest residual of an inlier, in the estimator's unit.
+    pub threshold: f64,
+    /// Probability with which at least one sample without outliers shall have been drawn.
+    pub confidence: f64,
+    /// Samples drawn at least.
+    pub min_iterations: usize,
+    /// Samples drawn at most.
+    pub max_iterations: usize,
+    /// A model with fewer inliers is none. It also bounds the search: a model with as many inliers is found with
+    /// the given confidence, and smaller ones are not waited for.
+    pub min_inliers: usize,
+    /// The user's seed.
+    pub seed: u64,
+}
+
+impl Default for RansacConfig {
+    fn default() -> Self {
+        Self { threshold: 4.0, confidence: 0.9999, min_iterations: 30, max_iterations: 5000, min_inliers: 8, seed: 0 }
+    }
+}
+
+/// The best model found.
+#[derive(Clone, Debug)]
+pub struct RansacResult<M> {
+    /// The model, refined on its inliers.
+    pub model: M,
+    /// Data within the threshold, ascending.
+    pub inliers: Vec<usize>,
+    /// Truncated quadratic cost `Σ min(r², T²)` over all data.
+    pub score: f64,
+    /// Samples drawn.
+    pub iterations: usize,
+}
+
+/// Finds the model of least truncated quadratic cost (MSAC: Torr & Zisserman 2000): random minimal samples,
+/// each new best refined on its inliers while that helps (LO-RANSAC: Chum, Matas & Kittler 2003), stop when
+/// enough samples have been drawn for the inlier ratio found. Candidates that exceed the best cost are dropped
+/// half-way. The result depends on the data, the configuration and `stream_index` only. `None` if no model has
+/// `min_inliers`.
+pub fn ransac<E: Estimator>(estimator: &E, config: &RansacConfig, stream_index: u64) -> Option<RansacResult<E::Model>> {
+    let (n, k) = (estimator.num_data(), estimator.sample_size());
+    if n < k.max(config.min_inliers) || !(config.threshold > 0.0) {
+        return None;
+    }
+    let mut random = rng(config.seed, "ransac", stream_index);
+    let mut search = Search::new(estimator, config.threshold, n);
+    let hopeless = needed_samples(config.min_inliers.max(k) as f64 / n as f64, k, config.confidence);
+    let mut limit = config.max_iterations.min(hopeless.max(config.min_iterations));
+    let mut sample = vec![0; k];
+    let mut models = Vec::with_capacity(10);
+    let mut iterations = 0;
+    while iterations < limit {
+        iterations += 1;
+        draw(&mut random, n, &mut sample);
+        models.clear();
+        estimator.solve(&sample, &mut models);
+        let mut improved = false;
+        for model in &models {
+            improved |= search.consider(model);
+        }
+        if improved {
+            search.optimise(4);
+            let ratio = search.inliers.len() as f64 / n as f64;
+            let needed = needed_samples(ratio, k, config.confidence);
+            limit = limit.min(needed.max(config.min_iterations));
+        }
+    }
+    search.optimise(10);
+    let (model, mut inliers) = (search.best?, search.inliers);
+    inliers.sort_unstable();
+    (inliers.len() >= config.min_inliers).then_some(RansacResult { model, inliers, score: search.score, iterations })
+}
+
+/// Samples after which one without outliers has been drawn with the given confidence.
+fn needed_samples(inlier_ratio: f64, sample_size: usize, confidence: f64) -> usize {
+    let good = inlier_ratio.clamp(0.0, 1.0).powi(sample_size as i32);
+    if good >= 1.0 {
+        return 1;
+    }
+    // A float beyond the range of usize becomes its largest value.
+    ((1.0 - confidence).max(1e-12).ln() / (-good).ln_1p()).ceil() as usize
+}
+
+/// Fills `sample` with different indices below `n`.
+fn draw(random: &mut scene::rng::Rng, n: usize, sample: &mut [usize]) {
+    for i in 0..sample.len() {
+        sample[i] = loop {
+            let candidate = random.random_range(0..n);
+            if !sample[..i].contains(&candidate) {
+                break candidate;
+            }
+        };
+    }
+}
+
+struct Search<'a, E: Estimator> {
+    estimator: &'a E,
+    limit_sq: f64,
+    /// A fixed pseudo-random order of the data, so that dropping half-way sees a fair mixture.
+    order: Vec<usize>,
+    best: Option<E::Model>,
+    score: f64,
+    inliers: Vec<usize>,
+    scratch: Vec<usize>,
+}
+
+impl<'a, E: Estimator> Search<'a, E> {
+    fn new(estimator: &'a E, threshold: f64, n: usize) -> Self {
+        let mut random = rng(0, "ransac order", n as u64);
+        let mut order: Vec<usize> = (0..n).collect();
+        for i in (1..n).rev() {
+            order.swap(i, random.random_range(0..=i));
+        }
+        let limit_sq = threshold * threshold;
+        let (inliers, scratch) = (Vec::with_capacity(n), Vec::with_capacity(n));
+        // A model in which nothing is an inlier is no model.
+        let score = limit_sq * n as f64;
+        Self { estimator, limit_sq, order, best: None, score, inliers, scratch }
+    }
+
+    /// Takes the model as the best if it is; its inliers are then in `inliers`.
+    fn consider(&mut self, model: &E::Model) -> bool {
+        self.scratch.clear();
+        let mut cost = 0.0;
+        for &i in &self.order {
+            let r = self.estimator.residual_sq(model, i);
+            if r < self.limit_sq {
+                cost += r;
+                self.scratch.push(i);
+            } else {
+                cost += self.limit_sq;
+            }
+            if cost >= self.score {
+                return false;
+            }
+        }
+        self.score = cost;
+        self.best = Some(model.clone());
+        std::mem::swap(&mut self.inliers, &mut self.scratch);
+        true
+    }
+
+    /// Refines the best model on its inliers while the cost falls, `rounds` times at most.
+    fn optimise(&mut self, rounds: usize) {
+        for _ in 0..rounds {
+            let before = self.score;
+            let Some(best) = &self.best else { return };
+            let Some(refined) = self.estimator.refine(best, &self.inliers) else { return };
+            if !self.consider(&refined) || self.score > before * (1.0 - 1e-4) {
+                return;
+            }
+        }
+    }
+}

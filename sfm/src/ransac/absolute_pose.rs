@@ -1,0 +1,81 @@
+//! Camera poses for the RANSAC loop.
+
+use super::{Estimator, RansacConfig, RansacResult, ransac};
+use crate::solvers::{AbsoluteRefinement, p3p, refine_absolute};
+use glam::{DVec2, DVec3};
+use scene::{Camera, Pose};
+
+/// Finds the pose of a calibrated camera. The threshold is in pixels, the residual the reprojection error.
+pub struct AbsolutePoseEstimator {
+    pixels: Vec<DVec2>,
+    rays: Vec<DVec3>,
+    points: Vec<DVec3>,
+    focal: f64,
+    loss_scale: f64,
+}
+
+impl AbsolutePoseEstimator {
+    /// For ideal (undistorted) pixels from the principal point, the world points they see and the focal length in
+    /// pixels. Refinement uses a robust loss of width `loss_scale` px.
+    pub fn new(pixels: Vec<DVec2>, points: Vec<DVec3>, focal: f64, loss_scale: f64) -> Self {
+        let rays = pixels.iter().map(|p| (*p / focal).extend(1.0).normalize()).collect();
+        Self { pixels, rays, points, focal, loss_scale }
+    }
+}
+
+impl Estimator for AbsolutePoseEstimator {
+    type Model = Pose;
+
+    fn sample_size(&self) -> usize {
+        3
+    }
+
+    fn num_data(&self) -> usize {
+        self.pixels.len().min(self.points.len())
+    }
+
+    fn solve(&self, sample: &[usize], models: &mut Vec<Pose>) {
+        let Ok(sample) = <[usize; 3]>::try_from(sample) else { return };
+        models.extend(p3p(&sample.map(|i| self.rays[i]), &sample.map(|i| self.points[i])));
+    }
+
+    #[inline]
+    fn residual_sq(&self, pose: &Pose, i: usize) -> f64 {
+        let x = pose.transform(self.points[i]);
+        if x.z > 0.0 {
+            (x.truncate() * (self.focal / x.z)).distance_squared(self.pixels[i])
+        } else {
+            f64::INFINITY
+        }
+    }
+
+    fn refine(&self, pose: &Pose, inliers: &[usize]) -> Option<Pose> {
+        let start = AbsoluteRefinement { pose: *pose, focal: self.focal };
+        let refined =
+            refine_absolute(start, &self.pixels, &self.points, inliers, false, self.loss_scale, 8);
+        Some(refined.pose)
+    }
+}
+
+/// `cam_from_world` of a camera from pixels and the world points they see; the inliers are indices into both.
+/// Pairs with a number that is not finite are outliers. The threshold of `config` is in pixels.
+pub fn estimate_absolute_pose(
+    camera: &Camera,
+    pixels: &[DVec2],
+    points: &[DVec3],
+    config: &RansacConfig,
+    stream_index: u64,
+) -> Option<RansacResult<Pose>> {
+    let focal = camera.mean_focal();
+    let usable: Vec<usize> = (0..pixels.len().min(points.len()))
+        .filter(|&i| pixels[i].is_finite() && points[i].is_finite())
+        .collect();
+    let ideal = usable.iter().map(|&i| camera.unproject(pixels[i]) * focal).collect();
+    let world = usable.iter().map(|&i| points[i]).collect();
+    let estimator = AbsolutePoseEstimator::new(ideal, world, focal, config.threshold / 4.0);
+    let mut result = ransac(&estimator, config, stream_index)?;
+    for inlier in &mut result.inliers {
+        *inlier = usable[*inlier];
+    }
+    Some(result)
+}

@@ -1,0 +1,187 @@
+//! Essential matrices of five ray pairs.
+
+use super::linalg::{mat3_from_rows, null_space};
+use super::polynomial::real_roots;
+use glam::DMat3;
+use glam::DVec3;
+
+type Linear = [f64; 4]; // x y z 1
+type Quadratic = [f64; 10]; // x² xy y² xz yz z² x y z 1
+type Cubic = [f64; 20]; // x³ y³ x²y xy² x²z x² y²z y² xyz xy | xz² xz x yz² yz y z³ z² z 1
+
+/// Essential matrices with `b_iᵀ E a_i = 0` (at most ten, Frobenius norm √2): none where the five pairs do not
+/// determine finitely many. Rays of any length, camera frames. Nistér, "An Efficient Solution to the Five-Point
+/// Relative Pose Problem", PAMI 2004 (§3.1–3.2.3; roots by [`real_roots`] instead of Sturm chains). Not refined.
+pub fn essential_5pt(a: &[DVec3; 5], b: &[DVec3; 5]) -> Vec<DMat3> {
+    let rows: [[f64; 9]; 5] = std::array::from_fn(|i| {
+        let (a, b) = (a[i].normalize_or_zero().to_array(), b[i].normalize_or_zero().to_array());
+        std::array::from_fn(|k| b[k / 3] * a[k % 3])
+    });
+    let basis: [[f64; 9]; 4] = null_space(&rows);
+    let Some(eliminated) = eliminate(constraints(&basis)) else { return Vec::new() };
+    let b_matrix = polynomial_matrix(&eliminated);
+    let roots = real_roots(&determinant(&b_matrix));
+    let mut result = Vec::with_capacity(roots.len());
+    for &z in roots.iter() {
+        let Some((x, y)) = solve_xy(&b_matrix, z) else { continue };
+        let e: [f64; 9] = std::array::from_fn(|k| x * basis[0][k] + y * basis[1][k] + z * basis[2][k] + basis[3][k]);
+        let norm = e.iter().map(|v| v * v).sum::<f64>().sqrt();
+        if norm.is_finite() && norm > 0.0 {
+            result.push(mat3_from_rows(&e) * (std::f64::consts::SQRT_2 / norm));
+        }
+    }
+    result
+}
+
+fn times(a: &Linear, b: &Linear) -> Quadratic {
+    [
+        a[0] * b[0],
+        a[0] * b[1] + a[1] * b[0],
+        a[1] * b[1],
+        a[0] * b[2] + a[2] * b[0],
+        a[1] * b[2] + a[2] * b[1],
+        a[2] * b[2],
+        a[0] * b[3] + a[3] * b[0],
+        a[1] * b[3] + a[3] * b[1],
+        a[2] * b[3] + a[3] * b[2],
+        a[3] * b[3],
+    ]
+}
+
+fn times_linear(q: &Quadratic, l: &Linear) -> Cubic {
+    [
+        q[0] * l[0],
+        q[2] * l[1],
+        q[0] * l[1] + q[1] * l[0],
+        q[1] * l[1] + q[2] * l[0],
+        q[0] * l[2] + q[3] * l[0],
+        q[0] * l[3] + q[6] * l[0],
+        q[2] * l[2] + q[4] * l[1],
+        q[2] * l[3] + q[7] * l[1],
+        q[1] * l[2] + q[3] * l[1] + q[4] * l[0],
+        q[1] * l[3] + q[6] * l[1] + q[7] * l[0],
+        q[3] * l[2] + q[5] * l[0],
+        q[3] * l[3] + q[6] * l[2] + q[8] * l[0],
+        q[6] * l[3] + q[9] * l[0],
+        q[4] * l[2] + q[5] * l[1],
+        q[4] * l[3] + q[7] * l[2] + q[8] * l[1],
+        q[7] * l[3] + q[9] * l[1],
+        q[5] * l[2],
+        q[5] * l[3] + q[8] * l[2],
+        q[8] * l[3] + q[9] * l[2],
+        q[9] * l[3],
+    ]
+}
+
+fn add<const N: usize>(a: &mut [f64; N], b: &[f64; N], factor: f64) {
+    for (a, b) in a.iter_mut().zip(b) {
+        *a += factor * b;
+    }
+}
+
+/// The ten cubics `E Eᵀ E − ½ tr(E Eᵀ) E = 0` and `det E = 0` in the coordinates of the null space.
+fn constraints(basis: &[[f64; 9]; 4]) -> [Cubic; 10] {
+    let e: [Linear; 9] = std::array::from_fn(|k| std::array::from_fn(|j| basis[j][k]));
+    let mut lambda = [[[0.0; 10]; 3]; 3];
+    for i in 0..3 {
+        for j in 0..=i {
+            let mut sum = [0.0; 10];
+            for k in 0..3 {
+                add(&mut sum, &times(&e[3 * i + k], &e[3 * j + k]), 1.0);
+            }
+            lambda[i][j] = sum;
+            lambda[j][i] = sum;
+        }
+    }
+    let mut trace = [0.0; 10];
+    for (i, row) in lambda.iter().enumerate() {
+        add(&mut trace, &row[i], 0.5);
+    }
+    for (i, row) in lambda.iter_mut().enumerate() {
+        add(&mut row[i], &trace, -1.0);
+    }
+    let mut result = [[0.0; 20]; 10];
+    for i in 0..3 {
+        for j in 0..3 {
+            for k in 0..3 {
+                add(&mut result[3 * i + j], &times_linear(&lambda[i][k], &e[3 * k + j]), 1.0);
+            }
+        }
+    }
+    for (k, (p, q)) in [(0, (1, 2)), (1, (2, 0)), (2, (0, 1))] {
+        let mut minor = times(&e[3 + p], &e[6 + q]);
+        add(&mut minor, &times(&e[3 + q], &e[6 + p]), -1.0);
+        add(&mut result[9], &times_linear(&minor, &e[k]), 1.0);
+    }
+    result
+}
+
+/// Gaussian elimination of the first ten monomials with partial pivoting; only the last six rows are reduced
+/// above the diagonal, for only they are used. `None` where the system is singular.
+fn eliminate(mut m: [Cubic; 10]) -> Option<[Cubic; 10]> {
+    let scale = m.iter().flatten().fold(0.0_f64, |s, x| s.max(x.abs()));
+    for i in 0..10 {
+        let pivot = (i..10).max_by(|&p, &q| m[p][i].abs().total_cmp(&m[q][i].abs()))?;
+        m.swap(i, pivot);
+        let p = m[i][i];
+        if !(p.abs() > 1e-13 * scale) {
+            return None;
+        }
+        for x in &mut m[i][i..] {
+            *x /= p;
+        }
+        let row = m[i];
+        let first = if i < 4 { i + 1 } else { 4 };
+        for (r, other) in m.iter_mut().enumerate().skip(first) {
+            let factor = other[i];
+            if r != i && factor != 0.0 {
+                for (x, y) in other[i..].iter_mut().zip(&row[i..]) {
+                    *x -= factor * y;
+                }
+            }
+        }
+    }
+    Some(m)
+}
+
+/// The 3 × 3 matrix `B(z)` with `B (x, y, 1)ᵀ = 0`: coefficients ascending in z, of degree 3, 3 and 4.
+fn polynomial_matrix(m: &[Cubic; 10]) -> [[[f64; 5]; 3]; 3] {
+    std::array::from_fn(|r| {
+        // Rows 4, 6, 8 lead with x²z, y²z, xyz; rows 5, 7, 9 with x², y², xy: (first) − z (second).
+        let (p, q) = (&m[4 + 2 * r], &m[5 + 2 * r]);
+        let cubic = |i: usize| [p[i + 2], p[i + 1] - q[i + 2], p[i] - q[i + 1], -q[i], 0.0];
+        [cubic(10), cubic(13), [p[19], p[18] - q[19], p[17] - q[18], p[16] - q[17], -q[16]]]
+    })
+}
+
+fn multiply_add(a: &[f64], b: &[f64], sign: f64, out: &mut [f64; 11]) {
+    for (i, a) in a.iter().enumerate() {
+        for (j, b) in b.iter().enumerate() {
+            out[i + j] += sign * a * b;
+        }
+    }
+}
+
+/// `det B(z)`, degree 10, ascending.
+fn determinant(b: &[[[f64; 5]; 3]; 3]) -> [f64; 11] {
+    let mut result = [0.0; 11];
+    for (k, (p, q)) in [(0, (1, 2)), (1, (2, 0)), (2, (0, 1))] {
+        let mut minor = [0.0; 11];
+        multiply_add(&b[p][0][..4], &b[q][1][..4], 1.0, &mut minor);
+        multiply_add(&b[q][0][..4], &b[p][1][..4], -1.0, &mut minor);
+        multiply_add(&minor[..7], &b[k][2], 1.0, &mut result);
+    }
+    result
+}
+
+/// The null vector `(x, y, 1)` of `B(z)`: the longest cross product of two of its rows.
+fn solve_xy(b: &[[[f64; 5]; 3]; 3], z: f64) -> Option<(f64, f64)> {
+    let rows: [DVec3; 3] = std::array::from_fn(|r| {
+        let value = |c: usize| b[r][c].iter().rev().fold(0.0, |sum, a| sum * z + a);
+        DVec3::new(value(0), value(1), value(2)).normalize_or_zero()
+    });
+    let crosses = [rows[0].cross(rows[1]), rows[1].cross(rows[2]), rows[2].cross(rows[0])];
+    let n = crosses.into_iter().max_by(|p, q| p.length_squared().total_cmp(&q.length_squared()))?;
+    let (x, y) = (n.x / n.z, n.y / n.z);
+    (x.is_finite() && y.is_finite()).then_some((x, y))
+}

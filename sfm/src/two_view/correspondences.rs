@@ -1,0 +1,106 @@
+//! The matches of a pair as points that solvers can use.
+
+use glam::{DMat3, DVec2, DVec3};
+use scene::{Camera, Features};
+use std::collections::HashSet;
+
+/// One-to-one matches with finite points.
+pub struct Correspondences {
+    /// (feature of a, feature of b).
+    pub matches: Vec<[u32; 2]>,
+    /// Ideal (undistorted) pixels from the principal point, image a.
+    pub a: Vec<DVec2>,
+    /// The same of image b.
+    pub b: Vec<DVec2>,
+    /// Mean focal lengths, pixels.
+    pub focal: [f64; 2],
+    /// Principal points, pixels.
+    pub principal: [DVec2; 2],
+    /// The larger image side, pixels: the unit that makes points of the order of 1.
+    pub size: f64,
+}
+
+impl Correspondences {
+    /// Of the matches whose features exist, are finite and are not taken by an earlier match.
+    pub fn new(
+        features_a: &Features,
+        features_b: &Features,
+        camera_a: &Camera,
+        camera_b: &Camera,
+        matches: &[[u32; 2]],
+    ) -> Self {
+        let focal = [camera_a.mean_focal(), camera_b.mean_focal()];
+        let sides = [camera_a.width, camera_a.height, camera_b.width, camera_b.height];
+        let mut result = Self {
+            matches: Vec::with_capacity(matches.len()),
+            a: Vec::with_capacity(matches.len()),
+            b: Vec::with_capacity(matches.len()),
+            focal,
+            principal: [camera_a.principal_point(), camera_b.principal_point()],
+            size: f64::from(sides.into_iter().max().unwrap_or(1).max(1)),
+        };
+        let (mut seen_a, mut seen_b) = (HashSet::new(), HashSet::new());
+        for &[i, j] in matches {
+            let (Some(p), Some(q)) = (features_a.keypoints.get(i as usize), features_b.keypoints.get(j as usize))
+            else {
+                continue;
+            };
+            let p = camera_a.unproject(p.position()) * focal[0];
+            let q = camera_b.unproject(q.position()) * focal[1];
+            if p.is_finite() && q.is_finite() && seen_a.insert(i) && seen_b.insert(j) {
+                result.matches.push([i, j]);
+                result.a.push(p);
+                result.b.push(q);
+            }
+        }
+        result
+    }
+
+    /// How many there are.
+    pub fn len(&self) -> usize {
+        self.matches.len()
+    }
+
+    /// Rays of match `i`, `z = 1`, camera frames.
+    pub fn rays(&self, i: usize) -> (DVec3, DVec3) {
+        ((self.a[i] / self.focal[0]).extend(1.0), (self.b[i] / self.focal[1]).extend(1.0))
+    }
+
+    /// The points divided by [`Correspondences::size`].
+    pub fn scaled(&self) -> (Vec<DVec2>, Vec<DVec2>) {
+        (self.a.iter().map(|p| *p / self.size).collect(), self.b.iter().map(|p| *p / self.size).collect())
+    }
+
+    /// Takes pixels of a (0) or b (1) to the scaled points.
+    fn scaled_from_pixels(&self, image: usize) -> DMat3 {
+        let (s, t) = (1.0 / self.size, -self.principal[image] / self.size);
+        DMat3::from_cols(DVec3::X * s, DVec3::Y * s, t.extend(1.0))
+    }
+
+    /// A fundamental matrix of scaled points as one of pixels, unit norm.
+    pub fn fundamental_to_pixels(&self, f: &DMat3) -> DMat3 {
+        unit(self.scaled_from_pixels(1).transpose() * *f * self.scaled_from_pixels(0))
+    }
+
+    /// A homography of scaled points as one of pixels, unit norm.
+    pub fn homography_to_pixels(&self, h: &DMat3) -> DMat3 {
+        unit(self.scaled_from_pixels(1).inverse() * *h * self.scaled_from_pixels(0))
+    }
+
+    /// A homography of scaled points as one of normalised coordinates.
+    pub fn homography_to_rays(&self, h: &DMat3) -> DMat3 {
+        let diagonal = |s: f64| DMat3::from_diagonal(DVec3::new(s, s, 1.0));
+        diagonal(self.size / self.focal[1]) * *h * diagonal(self.focal[0] / self.size)
+    }
+
+    /// A fundamental matrix of scaled points as the matrix that is essential if the focal lengths are right.
+    pub fn fundamental_to_rays(&self, f: &DMat3) -> DMat3 {
+        let diagonal = |s: f64| DMat3::from_diagonal(DVec3::new(s, s, 1.0));
+        unit(diagonal(self.focal[1] / self.size) * *f * diagonal(self.focal[0] / self.size))
+    }
+}
+
+fn unit(m: DMat3) -> DMat3 {
+    let norm = m.to_cols_array().iter().map(|v| v * v).sum::<f64>().sqrt();
+    m * (1.0 / norm)
+}
