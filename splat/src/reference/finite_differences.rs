@@ -14,12 +14,21 @@ pub(super) fn random_scene(seed: u64, n: usize, sh_degree: u32) -> (Parameters, 
     for _ in 0..n {
         p.means.push(DVec3::new(real(-0.9, 0.9), real(-0.7, 0.7), real(-0.6, 0.6)));
         p.log_scales.push(DVec3::new(real(-4.0, -1.0), real(-4.0, -1.0), real(-4.0, -1.0)));
-        p.rotations.push(DQuat::from_xyzw(real(-1.0, 1.0), real(-1.0, 1.0), real(-1.0, 1.0), real(-1.0, 1.0)));
+        p.rotations.push(DQuat::from_xyzw(
+            real(-1.0, 1.0),
+            real(-1.0, 1.0),
+            real(-1.0, 1.0),
+            real(-1.0, 1.0),
+        ));
         p.opacity_logits.push(real(-4.0, 4.0));
         let stride = p.sh_stride();
         p.sh.extend((0..stride).map(|_| real(-0.5, 0.5)));
     }
-    let rotation = DMat3::from_quat(DQuat::from_scaled_axis(DVec3::new(real(-0.3, 0.3), real(-0.3, 0.3), real(-3.0, 3.0))));
+    let rotation = DMat3::from_quat(DQuat::from_scaled_axis(DVec3::new(
+        real(-0.3, 0.3),
+        real(-0.3, 0.3),
+        real(-3.0, 3.0),
+    )));
     let view = View {
         rotation,
         translation: DVec3::new(real(-0.2, 0.2), real(-0.2, 0.2), 2.0),
@@ -48,7 +57,9 @@ fn evaluate(p: &Parameters, view: &View, options: &Options, w: &ImageGradient) -
     let mut sum = 0.0;
     let mut cut_offs = Vec::new();
     for i in 0..view.pixels() {
-        sum += w.rgb[i].dot(r.picture.rgb[i]) + w.alpha[i] * r.picture.alpha[i] + w.depth[i] * r.picture.depth[i];
+        sum += w.rgb[i].dot(r.picture.rgb[i])
+            + w.alpha[i] * r.picture.alpha[i]
+            + w.depth[i] * r.picture.depth[i];
         let centre = DVec2::new((i % view.width) as f64 + 0.5, (i / view.width) as f64 + 0.5);
         let (list, _) = contributions(&r.projected, &r.order, centre);
         let fnv = |h: u64, v: u64| (h ^ v).wrapping_mul(0x0100_0000_01b3);
@@ -115,7 +126,12 @@ fn check_scene(seed: u64, sh_degree: u32, options: &Options) {
         let turned = |h: f64| evaluate(&p, &view.moved(h * unit, DVec3::ZERO), options, &w);
         let shifted = |h: f64| evaluate(&p, &view.moved(DVec3::ZERO, h * unit), options, &w);
         agrees(&turned, g.pose.omega[axis], 1e-3 * largest, &format!("seed {seed} pose rotation {axis}"));
-        agrees(&shifted, g.pose.translation[axis], 1e-3 * largest, &format!("seed {seed} pose translation {axis}"));
+        agrees(
+            &shifted,
+            g.pose.translation[axis],
+            1e-3 * largest,
+            &format!("seed {seed} pose translation {axis}"),
+        );
     }
 }
 
@@ -153,7 +169,8 @@ fn gradients_beyond_the_jacobian_limits_are_finite_differences_too() {
     for (i, mean) in p.means.iter_mut().enumerate() {
         // Along the image's border and well outside it, large enough to reach in.
         let turn = i as f64 * 0.52;
-        *mean = view.rotation.transpose() * DVec3::new(1.1 * turn.cos(), 1.0 * turn.sin(), 0.1 * (i % 4) as f64 + 0.011 * i as f64);
+        *mean = view.rotation.transpose()
+            * DVec3::new(1.1 * turn.cos(), 1.0 * turn.sin(), 0.1 * (i % 4) as f64 + 0.011 * i as f64);
         p.log_scales[i] = DVec3::new(-1.0, -0.6, -0.8);
         p.opacity_logits[i] = -1.0;
     }
@@ -170,7 +187,8 @@ fn gradients_beyond_the_jacobian_limits_are_finite_differences_too() {
                 moved.means[i][axis] += h;
                 evaluate(&moved, &view, &options, &w)
             };
-            checked += usize::from(agrees(&at, g.parameters.means[i][axis], 1e-2, &format!("mean {i} {axis}")));
+            checked +=
+                usize::from(agrees(&at, g.parameters.means[i][axis], 1e-2, &format!("mean {i} {axis}")));
         }
     }
     assert!(checked > 20, "{checked}");

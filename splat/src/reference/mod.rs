@@ -19,6 +19,8 @@
 //! - Kingma, Ba, "Adam", ICLR 2015.
 //! - Ye, Li, Liu, Qiao, Dou, "AbsGS", ACM MM 2024: sums of absolute screen-space gradients.
 
+pub mod adam;
+pub mod loss;
 pub mod project;
 pub mod rasterise;
 pub mod render;

@@ -124,9 +124,19 @@ fn forward(g: &Geometry, view: &View, options: &Options) -> Option<Forward> {
 
 /// From `d` = ∂L/∂[`Projected`] to ∂L/∂[`Geometry`] and ∂L/∂pose (the colour's part of both is in [`super::sh`]).
 /// All zero where [`project`] gives nothing.
-pub fn project_backward(g: &Geometry, view: &View, options: &Options, d: &Projected) -> (Geometry, PoseGradient) {
+pub fn project_backward(
+    g: &Geometry,
+    view: &View,
+    options: &Options,
+    d: &Projected,
+) -> (Geometry, PoseGradient) {
     let Some(f) = forward(g, view, options) else {
-        let zero = Geometry { mean: DVec3::ZERO, log_scale: DVec3::ZERO, rotation: DQuat::from_xyzw(0.0, 0.0, 0.0, 0.0), logit: 0.0 };
+        let zero = Geometry {
+            mean: DVec3::ZERO,
+            log_scale: DVec3::ZERO,
+            rotation: DQuat::from_xyzw(0.0, 0.0, 0.0, 0.0),
+            logit: 0.0,
+        };
         return (zero, PoseGradient::default());
     };
     let d_cov = conic_backward(&f, options, d);

@@ -133,8 +133,11 @@ pub fn rasterise_backward(
         let alpha = 1.0 - transmittance;
         let total: f64 = list.iter().map(|c| c.transmittance * c.alpha * depth_of(projected, c)).sum();
         // depth = D / alpha
-        let (d_depth, d_alpha) =
-            if list.is_empty() { (0.0, 0.0) } else { (d.depth[i] / alpha, d.alpha[i] - d.depth[i] * total / (alpha * alpha)) };
+        let (d_depth, d_alpha) = if list.is_empty() {
+            (0.0, 0.0)
+        } else {
+            (d.depth[i] / alpha, d.alpha[i] - d.depth[i] * total / (alpha * alpha))
+        };
         // What lies behind the present Gaussian, back to front.
         let (mut behind_rgb, mut behind_depth) = (transmittance * background, 0.0);
         for c in list.iter().rev() {
@@ -162,7 +165,12 @@ fn depth_of(projected: &[Option<Projected>], c: &Contribution) -> f64 {
 }
 
 /// α = o exp(−power): its derivatives with respect to opacity, conic and centre.
-fn add_alpha(gradient: &mut RasteriseGradient, projected: &[Option<Projected>], c: &Contribution, dl_dalpha: f64) {
+fn add_alpha(
+    gradient: &mut RasteriseGradient,
+    projected: &[Option<Projected>],
+    c: &Contribution,
+    dl_dalpha: f64,
+) {
     let Some(g) = projected[c.gaussian] else { return };
     let out = &mut gradient.projected[c.gaussian];
     let d = c.offset;

@@ -55,7 +55,12 @@ pub struct Gradients {
 
 /// Geometry of Gaussian `i`.
 pub fn geometry(p: &Parameters, i: usize) -> Geometry {
-    Geometry { mean: p.means[i], log_scale: p.log_scales[i], rotation: p.rotations[i], logit: p.opacity_logits[i] }
+    Geometry {
+        mean: p.means[i],
+        log_scale: p.log_scales[i],
+        rotation: p.rotations[i],
+        logit: p.opacity_logits[i],
+    }
 }
 
 /// What the camera sees.
@@ -73,7 +78,13 @@ pub fn render(p: &Parameters, view: &View, options: &Options) -> Rendered {
 }
 
 /// From ∂L/∂picture to ∂L/∂parameters and ∂L/∂pose.
-pub fn backward(p: &Parameters, view: &View, options: &Options, r: &Rendered, d: &ImageGradient) -> Gradients {
+pub fn backward(
+    p: &Parameters,
+    view: &View,
+    options: &Options,
+    r: &Rendered,
+    d: &ImageGradient,
+) -> Gradients {
     let on_screen = rasterise_backward(&r.projected, &r.colours, &r.order, view, options.background, d);
     let mut parameters = Parameters::zeros_like(p);
     let mut pose = PoseGradient::default();
@@ -81,7 +92,8 @@ pub fn backward(p: &Parameters, view: &View, options: &Options, r: &Rendered, d:
     for &i in &r.order {
         let (g, pose_i) = project_backward(&geometry(p, i), view, options, &on_screen.projected[i]);
         let d_sh = &mut parameters.sh[i * stride..(i + 1) * stride];
-        let through_colour = sh_backward(p.sh_of(i), options.sh_degree, p.means[i], position, on_screen.colours[i], d_sh);
+        let through_colour =
+            sh_backward(p.sh_of(i), options.sh_degree, p.means[i], position, on_screen.colours[i], d_sh);
         parameters.means[i] = g.mean + through_colour;
         parameters.log_scales[i] = g.log_scale;
         parameters.rotations[i] = g.rotation;

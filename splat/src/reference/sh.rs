@@ -83,7 +83,10 @@ pub fn sh_backward(
     let direction = offset.normalize_or_zero();
     let (y, dy) = (basis(direction), basis_gradient(direction));
     let mut d_direction = DVec3::ZERO;
-    let used = coefficients.chunks_exact(3).zip(d_coefficients.chunks_exact_mut(3)).take((degree as usize + 1).pow(2));
+    let used = coefficients
+        .chunks_exact(3)
+        .zip(d_coefficients.chunks_exact_mut(3))
+        .take((degree as usize + 1).pow(2));
     for (k, (c, dc)) in used.enumerate() {
         d_direction += dy[k] * d.dot(DVec3::from_slice(c));
         for channel in 0..3 {
