@@ -1,11 +1,11 @@
 //! Frames of a video in order, each with its index and time: OpenCV first, an `ffmpeg` pipe where OpenCV
 //! cannot do it (HDR, a stream that is not the first, damage that OpenCV stops at).
 
-use crate::hdr::ToneMap;
-use crate::probe::{file_url, Transfer, VideoInfo};
-use crate::tool::Running;
 use crate::PreprocessError;
-use opencv::core::{Mat, CV_8UC3};
+use crate::hdr::ToneMap;
+use crate::probe::{Transfer, VideoInfo, file_url};
+use crate::tool::Running;
+use opencv::core::{CV_8UC3, Mat};
 use opencv::prelude::*;
 use opencv::videoio::{self, VideoCapture};
 use scene::Progress;
@@ -57,13 +57,19 @@ impl OpenCvSource {
     pub fn open(path: &Path, info: &VideoInfo) -> Result<Option<Self>, PreprocessError> {
         let url = file_url(path);
         let Some(name) = url.to_str() else { return Ok(None) };
+        crate::quiet::silence();
         let mut capture = VideoCapture::from_file(name, videoio::CAP_FFMPEG)?;
         if !capture.is_opened()? {
             return Ok(None);
         }
         // OpenCV 4.6 turns 90° and 270° the wrong way round: frames are turned by us.
         capture.set(videoio::CAP_PROP_ORIENTATION_AUTO, 0.0)?;
-        Ok(Some(Self { capture, times_s: info.times_s.clone(), stream_start_s: info.stream_start_s, next_index: 0 }))
+        Ok(Some(Self {
+            capture,
+            times_s: info.times_s.clone(),
+            stream_start_s: info.stream_start_s,
+            next_index: 0,
+        }))
     }
 
     fn next(&mut self) -> Result<Option<Decoded>, PreprocessError> {
@@ -72,9 +78,11 @@ impl OpenCvSource {
             return Ok(None);
         }
         let position_s = self.capture.get(videoio::CAP_PROP_POS_MSEC)? / 1000.0;
-        let index = if position_s > 0.0 { self.index_at(position_s + self.stream_start_s) } else { self.next_index };
+        let index =
+            if position_s > 0.0 { self.index_at(position_s + self.stream_start_s) } else { self.next_index };
         self.next_index = index + 1;
-        let time_s = self.times_s.get(index).copied().unwrap_or_else(|| self.times_s.last().copied().unwrap_or(0.0));
+        let time_s =
+            self.times_s.get(index).copied().unwrap_or_else(|| self.times_s.last().copied().unwrap_or(0.0));
         Ok(Some(Decoded { index, time_s, bgr }))
     }
 
@@ -107,7 +115,19 @@ impl PipeSource {
         let (url, map) = (file_url(path), format!("0:{}", info.stream));
         let size = format!("{}x{}", info.size.0, info.size.1);
         let before = ["-nostdin", "-v", "quiet", "-noautorotate", "-i"].map(OsStr::new);
-        let after = ["-map", &map, "-fps_mode", "passthrough", "-s", &size, "-f", "rawvideo", "-pix_fmt", format, "-"];
+        let after = [
+            "-map",
+            &map,
+            "-fps_mode",
+            "passthrough",
+            "-s",
+            &size,
+            "-f",
+            "rawvideo",
+            "-pix_fmt",
+            format,
+            "-",
+        ];
         let args = [&before[..], &[url.as_os_str()], &after.map(OsStr::new)[..]].concat();
         let mut running = Running::start("ffmpeg", &args, false)?;
         let reason = "its output cannot be read".to_owned();
@@ -143,14 +163,20 @@ impl DamageCheck {
     /// Starts `ffmpeg` on the stream; deblocking is left out, as damage shows before it.
     pub fn start(path: &Path, stream: usize) -> Result<Self, PreprocessError> {
         let (url, map) = (file_url(path), format!("0:{stream}"));
-        let before = ["-nostdin", "-v", "error", "-threads", "1", "-skip_loop_filter", "all", "-i"].map(OsStr::new);
+        let before =
+            ["-nostdin", "-v", "error", "-threads", "1", "-skip_loop_filter", "all", "-i"].map(OsStr::new);
         let after = ["-map", &map, "-f", "null", "-"].map(OsStr::new);
         let args = [&before[..], &[url.as_os_str()], &after[..]].concat();
         Ok(Self { running: Running::start("ffmpeg", &args, true)? })
     }
 
     /// The decoder's complaints: how many, and the last.
-    pub fn finish(self, path: &Path, limit: Duration, progress: &Progress) -> Result<Option<(usize, String)>, PreprocessError> {
+    pub fn finish(
+        self,
+        path: &Path,
+        limit: Duration,
+        progress: &Progress,
+    ) -> Result<Option<(usize, String)>, PreprocessError> {
         let output = self.running.finish(path, limit, progress)?;
         let count = output.stderr.lines().filter(|l| !l.trim().is_empty()).count();
         Ok((count > 0).then(|| (count, output.reason())))

@@ -94,7 +94,9 @@ pub enum PreprocessError {
     #[error("{0}")]
     Config(String),
     /// A program that is needed is not installed.
-    #[error("{tool} is not installed or does not start ({reason}); `apt-get install ffmpeg` or run `make setup`")]
+    #[error(
+        "{tool} is not installed or does not start ({reason}); `apt-get install ffmpeg` or run `make setup`"
+    )]
     MissingTool {
         /// Its name.
         tool: &'static str,

@@ -68,7 +68,13 @@ fn remove(folder: &Path) -> Result<(), PreprocessError> {
 }
 
 /// Writes 8-bit grey, RGB or RGBA samples as PNG, compressed fast.
-pub(crate) fn write_png(path: &Path, samples: &[u8], width: u32, height: u32, colour: ExtendedColorType) -> Result<(), PreprocessError> {
+pub(crate) fn write_png(
+    path: &Path,
+    samples: &[u8],
+    width: u32,
+    height: u32,
+    colour: ExtendedColorType,
+) -> Result<(), PreprocessError> {
     let file = std::fs::File::create(path).map_err(PreprocessError::io(path))?;
     let mut writer = BufWriter::with_capacity(1 << 18, file);
     PngEncoder::new_with_quality(&mut writer, CompressionType::Fast, FilterType::Adaptive)

@@ -1,7 +1,7 @@
 //! From a decoded frame to an upright one with square pixels and the right colours; sharpness and likeness.
 
-use crate::probe::{Turn, VideoInfo};
 use crate::PreprocessError;
+use crate::probe::{Turn, VideoInfo};
 use image::RgbImage;
 use opencv::core::{self, Mat, Size};
 use opencv::imgproc;
@@ -57,7 +57,12 @@ pub(crate) fn turned(image: &Mat, turn: Turn) -> Result<Mat, PreprocessError> {
 /// Upright sRGB of a decoded frame: colour matrix, square pixels, size, turn.
 /// `correct_matrix`: the frame was converted by the Rec. 601 matrix although it is coded by Rec. 709 (OpenCV
 /// ignores the stream's matrix).
-pub(crate) fn finished(bgr: &Mat, info: &VideoInfo, max_size: u32, correct_matrix: bool) -> Result<RgbImage, PreprocessError> {
+pub(crate) fn finished(
+    bgr: &Mat,
+    info: &VideoInfo,
+    max_size: u32,
+    correct_matrix: bool,
+) -> Result<RgbImage, PreprocessError> {
     let (w, h) = (bgr.cols() as u32, bgr.rows() as u32);
     let square = if (info.pixel_aspect - 1.0).abs() < 0.005 {
         (w, h)
@@ -144,7 +149,7 @@ impl Look {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use opencv::core::{Scalar, Vec3b, CV_8UC3};
+    use opencv::core::{CV_8UC3, Scalar, Vec3b};
 
     fn chart(gain: f32, blur: i32) -> Mat {
         let mut m = Mat::new_rows_cols_with_default(240, 320, CV_8UC3, Scalar::all(0.0)).unwrap();
@@ -169,7 +174,8 @@ mod tests {
         let blurred = Look::of(&chart(1.0, 7)).unwrap().sharpness;
         assert!((dark / sharp - 1.0).abs() < 0.1, "{dark} {sharp}");
         assert!(blurred < 0.5 * sharp && blurred < 0.5 * dark, "{blurred} {sharp}");
-        let black = Look::of(&Mat::new_rows_cols_with_default(48, 64, CV_8UC3, Scalar::all(0.0)).unwrap()).unwrap();
+        let black =
+            Look::of(&Mat::new_rows_cols_with_default(48, 64, CV_8UC3, Scalar::all(0.0)).unwrap()).unwrap();
         assert_eq!(black.sharpness, 0.0);
     }
 
@@ -184,7 +190,8 @@ mod tests {
     fn the_matrix_correction_undoes_the_wrong_decoding() {
         // Y, Cb, Cr of a saturated green in Rec. 709, decoded by 601, must come back.
         let (y, cb, cr) = (0.7152 * 180.0, -0.7152 * 180.0 / 1.8556, -0.7152 * 180.0 / 1.5748);
-        let wrong = [y + 1.402 * cr, y - 0.344_14 * cb - 0.714_14 * cr, y + 1.772 * cb].map(|v: f32| v.round().clamp(0.0, 255.0) as u8);
+        let wrong = [y + 1.402 * cr, y - 0.344_14 * cb - 0.714_14 * cr, y + 1.772 * cb]
+            .map(|v: f32| v.round().clamp(0.0, 255.0) as u8);
         let right = rec709_from_rec601(wrong);
         assert!(right[1].abs_diff(180) <= 3, "{right:?} from {wrong:?}");
         assert_eq!(rec709_from_rec601([90, 90, 90]), [90, 90, 90]);

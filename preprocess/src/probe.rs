@@ -1,7 +1,7 @@
 //! What a video container says about itself, from `ffprobe`.
 
-use crate::tool::{self, Output};
 use crate::PreprocessError;
+use crate::tool::{self, Output};
 use scene::Progress;
 use serde_json::Value;
 use std::ffi::{OsStr, OsString};
@@ -52,6 +52,10 @@ pub(crate) struct VideoInfo {
     pub is_bt709: bool,
     /// Whether chroma is coded by the Rec. 2020 matrix.
     pub is_bt2020: bool,
+    /// Whether any stream of the container is encrypted.
+    pub encrypted: bool,
+    /// Frames that the header announces and the container does not hold.
+    pub missing: usize,
     /// Presentation times of all frames in order, seconds from the start of the container.
     pub times_s: Vec<f64>,
     /// Time of the stream's first frame by its header, seconds from the start of the container.
@@ -69,7 +73,8 @@ pub(crate) fn file_url(path: &Path) -> OsString {
 pub(crate) fn probe(path: &Path, progress: &Progress) -> Result<VideoInfo, PreprocessError> {
     check_file(path)?;
     let url = file_url(path);
-    let args = ["-v", "error", "-print_format", "json", "-show_streams", "-show_format", "-i"].map(OsStr::new);
+    let args =
+        ["-v", "error", "-print_format", "json", "-show_streams", "-show_format", "-i"].map(OsStr::new);
     let args = [&args[..], &[url.as_os_str()]].concat();
     let output = tool::run("ffprobe", &args, path, HEADER_LIMIT, progress)?;
     let json: Value = serde_json::from_str(&output.stdout).unwrap_or(Value::Null);
@@ -79,18 +84,36 @@ pub(crate) fn probe(path: &Path, progress: &Progress) -> Result<VideoInfo, Prepr
     };
     let mut info = choose_stream(path, streams)?;
     let origin = number(&json["format"]["start_time"]).unwrap_or(0.0);
-    info.times_s = packet_times(path, &info, origin, progress)?;
+    let (times, hidden) = packet_times(path, &info, origin, progress)?;
+    info.missing = info.missing.saturating_sub(times.len() + hidden);
+    info.times_s = times;
     info.stream_start_s -= origin;
     Ok(info)
 }
 
 /// Presentation times of what the decoder really puts out: decodes the whole stream.
-pub(crate) fn decoded_times(path: &Path, stream: usize, limit: Duration, progress: &Progress) -> Result<Vec<f64>, PreprocessError> {
+pub(crate) fn decoded_times(
+    path: &Path,
+    stream: usize,
+    limit: Duration,
+    progress: &Progress,
+) -> Result<Vec<f64>, PreprocessError> {
     let (url, stream) = (file_url(path), stream.to_string());
-    let args = ["-v", "quiet", "-select_streams", &stream, "-show_entries", "frame=best_effort_timestamp_time:format=start_time", "-of", "compact=p=0", "-i"];
+    let args = [
+        "-v",
+        "quiet",
+        "-select_streams",
+        &stream,
+        "-show_entries",
+        "frame=best_effort_timestamp_time:format=start_time",
+        "-of",
+        "compact=p=0",
+        "-i",
+    ];
     let args = [&args.map(OsStr::new)[..], &[url.as_os_str()]].concat();
     let output = tool::run("ffprobe", &args, path, limit, progress)?;
-    let field = |line: &str, key: &str| line.split('|').find_map(|f| f.strip_prefix(key)?.parse::<f64>().ok());
+    let field =
+        |line: &str, key: &str| line.split('|').find_map(|f| f.strip_prefix(key)?.parse::<f64>().ok());
     let origin = output.stdout.lines().rev().find_map(|l| field(l, "start_time=")).unwrap_or(0.0);
     let mut times = Vec::new();
     for line in output.stdout.lines().filter(|l| l.contains("best_effort_timestamp_time=")) {
@@ -104,14 +127,24 @@ pub(crate) fn decoded_times(path: &Path, stream: usize, limit: Duration, progres
 fn check_file(path: &Path) -> Result<(), PreprocessError> {
     let meta = match std::fs::metadata(path) {
         Ok(meta) => meta,
-        Err(e) if e.kind() == std::io::ErrorKind::NotFound => return Err(PreprocessError::NotFound { path: path.to_owned() }),
+        Err(e) if e.kind() == std::io::ErrorKind::NotFound => {
+            return Err(PreprocessError::NotFound { path: path.to_owned() });
+        }
         Err(e) => return Err(PreprocessError::io(path)(e)),
     };
     if meta.is_dir() {
-        return Err(PreprocessError::WrongKind { path: path.to_owned(), found: "a folder", expected: "a video file" });
+        return Err(PreprocessError::WrongKind {
+            path: path.to_owned(),
+            found: "a folder",
+            expected: "a video file",
+        });
     }
     if !meta.is_file() {
-        return Err(PreprocessError::WrongKind { path: path.to_owned(), found: "a device or pipe", expected: "a video file" });
+        return Err(PreprocessError::WrongKind {
+            path: path.to_owned(),
+            found: "a device or pipe",
+            expected: "a video file",
+        });
     }
     if meta.len() == 0 {
         return Err(PreprocessError::EmptyFile { path: path.to_owned() });
@@ -125,12 +158,12 @@ fn choose_stream(path: &Path, streams: &[Value]) -> Result<VideoInfo, Preprocess
     let Some(stream) = streams.iter().filter(is_video).find(|s| !is_picture(s)) else {
         let mut kinds: Vec<_> = streams.iter().filter_map(|s| s["codec_type"].as_str()).collect();
         kinds.dedup();
-        let found = if kinds.is_empty() { "no stream".to_owned() } else { format!("only {}", kinds.join(", ")) };
+        let found =
+            if kinds.is_empty() { "no stream".to_owned() } else { format!("only {}", kinds.join(", ")) };
         return Err(PreprocessError::NoVideoStream { path: path.to_owned(), found });
     };
     let side_data = stream["side_data_list"].as_array().map(Vec::as_slice).unwrap_or_default();
-    let is_encrypted = |d: &Value| d["side_data_type"].as_str().is_some_and(|t| t.starts_with("Encryption"));
-    if side_data.iter().any(is_encrypted) || stream["codec_tag_string"] == "encv" {
+    if is_encrypted(stream) || stream["codec_tag_string"] == "encv" {
         return Err(PreprocessError::Encrypted { path: path.to_owned() });
     }
     let dimension = |key: &str| stream[key].as_u64().and_then(|v| u32::try_from(v).ok()).unwrap_or(0);
@@ -156,9 +189,16 @@ fn choose_stream(path: &Path, streams: &[Value]) -> Result<VideoInfo, Preprocess
         transfer,
         is_bt709: matrix == "bt709" || (size.1.min(size.0) >= 720 && matches!(matrix, "" | "unknown")),
         is_bt2020: matrix.starts_with("bt2020"),
+        encrypted: streams.iter().any(is_encrypted),
+        missing: number(&stream["nb_frames"]).map_or(0, |n| n as usize),
         times_s: Vec::new(),
         stream_start_s: number(&stream["start_time"]).unwrap_or(0.0),
     })
+}
+
+fn is_encrypted(stream: &Value) -> bool {
+    let side_data = stream["side_data_list"].as_array().map(Vec::as_slice).unwrap_or_default();
+    side_data.iter().any(|d| d["side_data_type"].as_str().is_some_and(|t| t.starts_with("Encryption")))
 }
 
 fn number(value: &Value) -> Option<f64> {
@@ -185,7 +225,9 @@ fn display_turn(side_data: &[Value]) -> (Turn, Option<f64>) {
         .unwrap_or_default()
         .lines()
         .filter_map(|line| line.split_once(':'))
-        .flat_map(|(_, numbers)| numbers.split_whitespace().filter_map(|n| n.parse().ok()).collect::<Vec<f64>>())
+        .flat_map(|(_, numbers)| {
+            numbers.split_whitespace().filter_map(|n| n.parse().ok()).collect::<Vec<f64>>()
+        })
         .collect();
     if rows.len() < 5 {
         return (Turn::default(), None);
@@ -210,22 +252,38 @@ fn display_turn(side_data: &[Value]) -> (Turn, Option<f64>) {
     (Turn { mirror: mirror && !off_grid, quarters }, off_grid.then_some(degrees))
 }
 
-fn packet_times(path: &Path, info: &VideoInfo, origin: f64, progress: &Progress) -> Result<Vec<f64>, PreprocessError> {
+fn packet_times(
+    path: &Path,
+    info: &VideoInfo,
+    origin: f64,
+    progress: &Progress,
+) -> Result<(Vec<f64>, usize), PreprocessError> {
     let (url, stream) = (file_url(path), info.stream.to_string());
-    let args = ["-v", "error", "-select_streams", &stream, "-show_entries", "packet=pts_time,dts_time,duration_time,flags", "-of", "compact=p=0", "-i"];
+    let args = [
+        "-v",
+        "error",
+        "-select_streams",
+        &stream,
+        "-show_entries",
+        "packet=pts_time,dts_time,duration_time,flags",
+        "-of",
+        "compact=p=0",
+        "-i",
+    ];
     let args = [&args.map(OsStr::new)[..], &[url.as_os_str()]].concat();
     let output = tool::run("ffprobe", &args, path, PACKETS_LIMIT, progress)?;
     Ok(parse_packets(&output, origin))
 }
 
 /// Packets marked `D` lie outside the edit list and are never shown. Where a time stamp is missing, the
-/// decoding time serves, else the last time and duration.
-fn parse_packets(output: &Output, origin: f64) -> Vec<f64> {
-    let (mut times, mut next) = (Vec::new(), 0.0);
+/// decoding time serves, else the last time and duration. Returns the times in order and how many are never shown.
+fn parse_packets(output: &Output, origin: f64) -> (Vec<f64>, usize) {
+    let (mut times, mut hidden, mut next) = (Vec::new(), 0, 0.0);
     for line in output.stdout.lines() {
         let field = |key: &str| line.split('|').find_map(|f| f.strip_prefix(key)?.strip_prefix('='));
         let seconds = |key: &str| field(key).and_then(|v| v.parse::<f64>().ok());
         if field("flags").is_none_or(|f| f.contains('D')) {
+            hidden += 1;
             continue;
         }
         let time = seconds("pts_time").or_else(|| seconds("dts_time")).map_or(next, |t| t - origin);
@@ -233,7 +291,7 @@ fn parse_packets(output: &Output, origin: f64) -> Vec<f64> {
         times.push(time);
     }
     times.sort_by(f64::total_cmp);
-    times
+    (times, hidden)
 }
 
 #[cfg(test)]
@@ -241,7 +299,10 @@ mod tests {
     use super::*;
 
     fn turn_of(matrix: [i32; 4]) -> Turn {
-        let text = format!("\n00000000: {} {} 0\n00000001: {} {} 0\n00000002: 0 0 1073741824\n", matrix[0], matrix[1], matrix[2], matrix[3]);
+        let text = format!(
+            "\n00000000: {} {} 0\n00000001: {} {} 0\n00000002: 0 0 1073741824\n",
+            matrix[0], matrix[1], matrix[2], matrix[3]
+        );
         display_turn(&[serde_json::json!({"side_data_type": "Display Matrix", "displaymatrix": text})]).0
     }
 
@@ -259,6 +320,6 @@ mod tests {
     fn packets_outside_the_edit_list_are_not_counted() {
         let stdout = "pts_time=0.2|flags=K_\npts_time=0.1|flags=KD\npts_time=0.0|flags=__\npts_time=N/A|dts_time=0.3|flags=__\n";
         let output = Output { success: true, stdout: stdout.to_owned(), stderr: String::new() };
-        assert_eq!(parse_packets(&output, 0.0), [0.0, 0.2, 0.3]);
+        assert_eq!(parse_packets(&output, 0.0), (vec![0.0, 0.2, 0.3], 1));
     }
 }

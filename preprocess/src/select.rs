@@ -1,6 +1,6 @@
 //! Which frames of a video compete with each other: one of each bucket is taken.
 
-use crate::config::{FrameConfig, DEFAULT_FRAMES};
+use crate::config::{DEFAULT_FRAMES, FrameConfig};
 
 /// How much of its sharpness a frame loses at the border of its bucket, so that equals are evenly spaced.
 const BORDER_LOSS: f64 = 0.2;
@@ -31,7 +31,8 @@ impl Plan {
     pub fn new(times_s: &[f64], config: &FrameConfig) -> Self {
         let start = config.start.unwrap_or(f64::NEG_INFINITY) - 1e-6;
         let end = config.end.unwrap_or(f64::INFINITY) + 1e-6;
-        let inside: Vec<usize> = (0..times_s.len()).filter(|&i| times_s[i] >= start && times_s[i] <= end).collect();
+        let inside: Vec<usize> =
+            (0..times_s.len()).filter(|&i| times_s[i] >= start && times_s[i] <= end).collect();
         let mut buckets = vec![None; times_s.len()];
         let (Some(&first), Some(&last)) = (inside.first(), inside.last()) else {
             return Self { buckets, len: 0, candidates: 0, end: 0 };
@@ -91,7 +92,8 @@ mod tests {
         assert_eq!(Plan::new(&times(300, 30.0), &fps).len, 20);
         let all = FrameConfig { frames: Some(500), ..FrameConfig::default() };
         assert_eq!(Plan::new(&times(7, 30.0), &all).len, 7);
-        let range = FrameConfig { every: Some(1), start: Some(1.0), end: Some(2.0), ..FrameConfig::default() };
+        let range =
+            FrameConfig { every: Some(1), start: Some(1.0), end: Some(2.0), ..FrameConfig::default() };
         let plan = Plan::new(&times(300, 30.0), &range);
         assert_eq!((plan.len, plan.slot(29), plan.end), (31, None, 61));
         assert_eq!(Plan::new(&[], &range).len, 0);

@@ -41,7 +41,11 @@ pub(crate) struct Running {
 
 impl Running {
     /// Starts `tool`; `collect_stdout` is false where the caller reads the pipe itself ([`Running::take_stdout`]).
-    pub fn start(tool: &'static str, args: &[&std::ffi::OsStr], collect_stdout: bool) -> Result<Self, PreprocessError> {
+    pub fn start(
+        tool: &'static str,
+        args: &[&std::ffi::OsStr],
+        collect_stdout: bool,
+    ) -> Result<Self, PreprocessError> {
         let mut command = Command::new(tool);
         command.args(args).stdin(Stdio::null()).stdout(Stdio::piped()).stderr(Stdio::piped());
         let mut child =
@@ -57,7 +61,12 @@ impl Running {
     }
 
     /// Waits for the end, at most `limit` from the start.
-    pub fn finish(mut self, input: &Path, limit: Duration, progress: &Progress) -> Result<Output, PreprocessError> {
+    pub fn finish(
+        mut self,
+        input: &Path,
+        limit: Duration,
+        progress: &Progress,
+    ) -> Result<Output, PreprocessError> {
         let mut pause = Duration::from_millis(1);
         let status = loop {
             progress.check()?;
@@ -71,7 +80,8 @@ impl Running {
             std::thread::sleep(pause);
             pause = (pause * 2).min(Duration::from_millis(20));
         };
-        let text = |handle: Option<JoinHandle<String>>| handle.and_then(|h| h.join().ok()).unwrap_or_default();
+        let text =
+            |handle: Option<JoinHandle<String>>| handle.and_then(|h| h.join().ok()).unwrap_or_default();
         let (stdout, stderr) = (text(self.stdout.take()), text(self.stderr.take()));
         Ok(Output { success: status.success(), stdout, stderr })
     }

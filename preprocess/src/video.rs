@@ -1,7 +1,7 @@
 //! From a video to upright, sharp, distinct frames.
 
 use crate::decode::{DamageCheck, Decoded, OpenCvSource, PipeSource, Source};
-use crate::output::{write_png, Staging};
+use crate::output::{Staging, write_png};
 use crate::pixels::{self, Look};
 use crate::probe::{self, Transfer, VideoInfo};
 use crate::select::{Plan, Slot};
@@ -12,7 +12,7 @@ use scene::{Frame, FrameSet, Progress};
 use std::path::Path;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{Receiver, SyncSender};
-use std::sync::{mpsc, Mutex};
+use std::sync::{Mutex, mpsc};
 use std::time::Duration;
 
 /// Time a helper program may take for one whole decoding.
@@ -23,7 +23,12 @@ const WRITERS: usize = 2;
 /// presentation). Frames are upright (display matrix), have square pixels and SDR colours; `time_s` is the
 /// presentation time from the start of the container. One frame of each bucket of time is taken, the sharpest,
 /// unless it shows the same as the one before. Damage that decoders pass over in silence is told in the notes.
-pub fn video_frames(input: &Path, out: &Path, config: &FrameConfig, progress: &Progress) -> Result<FrameSet, PreprocessError> {
+pub fn video_frames(
+    input: &Path,
+    out: &Path,
+    config: &FrameConfig,
+    progress: &Progress,
+) -> Result<FrameSet, PreprocessError> {
     config.validate()?;
     let info = probe::probe(input, progress)?;
     let job = Job { input, config, progress, staging: Staging::new(out)?, failed: AtomicBool::new(false) };
@@ -47,11 +52,14 @@ pub fn video_frames(input: &Path, out: &Path, config: &FrameConfig, progress: &P
         }
     }
     let complaints = if taken.stopped_early { None } else { check.finish(input, DECODE_LIMIT, progress)? };
+    if taken.frames.is_empty() && info.encrypted {
+        return Err(PreprocessError::Encrypted { path: input.to_owned() });
+    }
     if taken.frames.is_empty() {
         let reason = complaints.map_or_else(|| "the decoder gives no picture".to_owned(), |c| c.1);
         return Err(PreprocessError::NothingDecodes { path: input.to_owned(), expected, reason });
     }
-    notes.extend(taken.notes(&info, expected, complaints));
+    notes.extend(taken.notes(expected + info.missing, complaints));
     let frames = job.publish(taken)?;
     Ok(FrameSet { frames, is_video: true, notes })
 }
@@ -127,7 +135,12 @@ impl Job<'_> {
     }
 
     /// Decodes to the end and hands the chosen frames to the writers.
-    fn select(&self, mut source: Source, plan: &Plan, send: &SyncSender<Decoded>) -> Result<Taken, PreprocessError> {
+    fn select(
+        &self,
+        mut source: Source,
+        plan: &Plan,
+        send: &SyncSender<Decoded>,
+    ) -> Result<Taken, PreprocessError> {
         let mut taken = Taken::new(plan.candidates);
         let (mut best, mut last): (Option<Best>, Option<Look>) = (None, None);
         let mut size = None;
@@ -161,7 +174,8 @@ impl Job<'_> {
             }
             let look = Look::of(&frame.bgr)?;
             let score = look.sharpness * slot.weight;
-            if best.as_ref().is_some_and(|b| b.slot.bucket != slot.bucket) && !flush(best.take(), &mut taken) {
+            if best.as_ref().is_some_and(|b| b.slot.bucket != slot.bucket) && !flush(best.take(), &mut taken)
+            {
                 break;
             }
             if best.as_ref().is_none_or(|b| score > b.score) {
@@ -173,7 +187,13 @@ impl Job<'_> {
     }
 
     /// Writes frames until there are no more; after an error it only drains the queue, so that nobody waits.
-    fn write(&self, receive: &Mutex<Receiver<Decoded>>, written: &Mutex<Vec<Frame>>, info: &VideoInfo, correct_matrix: bool) -> Result<(), PreprocessError> {
+    fn write(
+        &self,
+        receive: &Mutex<Receiver<Decoded>>,
+        written: &Mutex<Vec<Frame>>,
+        info: &VideoInfo,
+        correct_matrix: bool,
+    ) -> Result<(), PreprocessError> {
         let mut result = Ok(());
         loop {
             let job = receive.lock().unwrap_or_else(|e| e.into_inner()).recv();
@@ -191,13 +211,32 @@ impl Job<'_> {
         }
     }
 
-    fn write_one(&self, frame: &Decoded, info: &VideoInfo, correct_matrix: bool) -> Result<Frame, PreprocessError> {
+    fn write_one(
+        &self,
+        frame: &Decoded,
+        info: &VideoInfo,
+        correct_matrix: bool,
+    ) -> Result<Frame, PreprocessError> {
         let image = pixels::finished(&frame.bgr, info, self.config.max_size, correct_matrix)?;
         let name = format!("frame_{:06}.png", frame.index);
         let (width, height) = image.dimensions();
-        write_png(&self.staging.path("images", &name), image.as_raw(), width, height, ExtendedColorType::Rgb8)?;
+        write_png(
+            &self.staging.path("images", &name),
+            image.as_raw(),
+            width,
+            height,
+            ExtendedColorType::Rgb8,
+        )?;
         let path = self.staging.final_path("images", &name);
-        Ok(Frame { name, path, width, height, time_s: Some(frame.time_s), source_index: frame.index, ..Frame::default() })
+        Ok(Frame {
+            name,
+            path,
+            width,
+            height,
+            time_s: Some(frame.time_s),
+            source_index: frame.index,
+            ..Frame::default()
+        })
     }
 
     fn publish(self, taken: Taken) -> Result<Vec<Frame>, PreprocessError> {
@@ -218,16 +257,34 @@ impl Job<'_> {
 
 impl Taken {
     fn new(candidates: usize) -> Self {
-        Self { frames: Vec::new(), decoded: 0, candidates, duplicates: 0, resized: 0, last_time_s: 0.0, stopped_early: false }
+        Self {
+            frames: Vec::new(),
+            decoded: 0,
+            candidates,
+            duplicates: 0,
+            resized: 0,
+            last_time_s: 0.0,
+            stopped_early: false,
+        }
     }
 
-    fn notes(&self, info: &VideoInfo, expected: usize, complaints: Option<(usize, String)>) -> Vec<String> {
-        let mut notes = vec![format!("{} frames taken of {}, the sharpest of each stretch of time", self.frames.len(), self.candidates)];
+    fn notes(&self, expected: usize, complaints: Option<(usize, String)>) -> Vec<String> {
+        let mut notes = vec![format!(
+            "{} frames taken of {}, the sharpest of each stretch of time",
+            self.frames.len(),
+            self.candidates
+        )];
         if self.duplicates > 0 {
-            notes.push(format!("{} frames left out because they show the same as the one before", self.duplicates));
+            notes.push(format!(
+                "{} frames left out because they show the same as the one before",
+                self.duplicates
+            ));
         }
         if self.resized > 0 {
-            notes.push(format!("{} frames left out because the picture size changes inside the video", self.resized));
+            notes.push(format!(
+                "{} frames left out because the picture size changes inside the video",
+                self.resized
+            ));
         }
         if !self.stopped_early && self.decoded < expected {
             notes.push(format!(
@@ -236,8 +293,7 @@ impl Taken {
             ));
         }
         if let Some((count, last)) = complaints {
-            let first = info.times_s.first().copied().unwrap_or(0.0);
-            notes.push(format!("the decoder reports damage in {count} places between {first:.2} s and the end ({last}): pictures there may be smeared"));
+            notes.push(format!("the decoder complains {count} times about damage (last: {last}): some pictures may be smeared"));
         }
         notes
     }
@@ -249,13 +305,21 @@ impl VideoInfo {
         let mut notes = Vec::new();
         if self.turn != probe::Turn::default() {
             let mirror = if self.turn.mirror { "mirrored and " } else { "" };
-            notes.push(format!("{mirror}turned by {}° clockwise, as the video's display matrix asks", 90 * u32::from(self.turn.quarters)));
+            notes.push(format!(
+                "{mirror}turned by {}° clockwise, as the video's display matrix asks",
+                90 * u32::from(self.turn.quarters)
+            ));
         }
         if let Some(degrees) = self.odd_rotation {
-            notes.push(format!("the display matrix asks for a rotation by {degrees:.1}°, which is no quarter turn: ignored"));
+            notes.push(format!(
+                "the display matrix asks for a rotation by {degrees:.1}°, which is no quarter turn: ignored"
+            ));
         }
         if (self.pixel_aspect - 1.0).abs() >= 0.005 {
-            notes.push(format!("pixels are {:.3} times as wide as high: the frames were stretched to square pixels", self.pixel_aspect));
+            notes.push(format!(
+                "pixels are {:.3} times as wide as high: the frames were stretched to square pixels",
+                self.pixel_aspect
+            ));
         }
         match self.transfer {
             Transfer::Sdr => {}
@@ -267,7 +331,11 @@ impl VideoInfo {
         if let (Some(&longest), Some(&usual)) = (gaps.last(), gaps.get(gaps.len() / 2))
             && longest > 1.5 * usual
         {
-            notes.push(format!("uneven time stamps: frames follow every {:.1} ms, the longest gap is {:.1} ms", usual * 1e3, longest * 1e3));
+            notes.push(format!(
+                "uneven time stamps: frames follow every {:.1} ms, the longest gap is {:.1} ms",
+                usual * 1e3,
+                longest * 1e3
+            ));
         }
         notes
     }

@@ -2,8 +2,8 @@
 
 mod common;
 
-use common::{shared, Scratch};
-use preprocess::{video_frames, FrameConfig, PreprocessError};
+use common::{Scratch, shared};
+use preprocess::{FrameConfig, PreprocessError, video_frames};
 use scene::progress::{Progress, ProgressSink};
 use std::path::Path;
 use std::process::Command;
@@ -14,7 +14,12 @@ fn config(frames: usize) -> FrameConfig {
 }
 
 fn ffmpeg(args: &[&str], output: &Path) {
-    let run = Command::new("ffmpeg").args(["-nostdin", "-v", "error", "-y"]).args(args).arg(output).status().unwrap();
+    let run = Command::new("ffmpeg")
+        .args(["-nostdin", "-v", "error", "-y"])
+        .args(args)
+        .arg(output)
+        .status()
+        .unwrap();
     assert!(run.success(), "ffmpeg {args:?}");
 }
 
@@ -25,7 +30,8 @@ fn rgb(path: &Path) -> image::RgbImage {
 /// PSNR of two images of one size, dB.
 fn psnr(a: &image::RgbImage, b: &image::RgbImage) -> f64 {
     assert_eq!(a.dimensions(), b.dimensions());
-    let sum: f64 = a.as_raw().iter().zip(b.as_raw()).map(|(a, b)| (f64::from(*a) - f64::from(*b)).powi(2)).sum();
+    let sum: f64 =
+        a.as_raw().iter().zip(b.as_raw()).map(|(a, b)| (f64::from(*a) - f64::from(*b)).powi(2)).sum();
     10.0 * (255.0_f64.powi(2) * a.as_raw().len() as f64 / sum.max(1e-9)).log10()
 }
 
@@ -33,23 +39,59 @@ fn psnr(a: &image::RgbImage, b: &image::RgbImage) -> f64 {
 fn a_rotated_phone_video_comes_out_upright_with_the_times_of_its_frames() {
     let Some(video) = shared("phone_video/checkerboard_rotated.mp4") else { return };
     let out = Scratch::new("rotated");
-    let every = FrameConfig { every: Some(1), duplicate_levels: 0.0, end: Some(2.0), max_size: 640, ..FrameConfig::default() };
+    let every = FrameConfig {
+        every: Some(1),
+        duplicate_levels: 0.0,
+        end: Some(2.0),
+        max_size: 640,
+        ..FrameConfig::default()
+    };
     let set = video_frames(&video, &out.0, &every, &Progress::silent()).unwrap();
     let probe = Command::new("ffprobe")
-        .args(["-v", "error", "-select_streams", "v:0", "-show_entries", "frame=pts_time", "-of", "csv=p=0", "-read_intervals", "%+3"])
+        .args([
+            "-v",
+            "error",
+            "-select_streams",
+            "v:0",
+            "-show_entries",
+            "frame=pts_time",
+            "-of",
+            "csv=p=0",
+            "-read_intervals",
+            "%+3",
+        ])
         .arg(&video)
         .output()
         .unwrap();
-    let times: Vec<f64> = String::from_utf8(probe.stdout).unwrap().lines().filter_map(|l| l.trim_end_matches(',').parse().ok()).collect();
+    let times: Vec<f64> = String::from_utf8(probe.stdout)
+        .unwrap()
+        .lines()
+        .filter_map(|l| l.trim_end_matches(',').parse().ok())
+        .collect();
     assert!(set.len() > 50);
     for frame in &set.frames {
         let time = frame.time_s.unwrap();
-        assert!((time - times[frame.source_index]).abs() < 1e-6, "{} {time} {}", frame.name, times[frame.source_index]);
+        assert!(
+            (time - times[frame.source_index]).abs() < 1e-6,
+            "{} {time} {}",
+            frame.name,
+            times[frame.source_index]
+        );
         assert_eq!((frame.width, frame.height), (360, 640), "portrait");
     }
     // ffmpeg turns by the display matrix and gets it right.
     let reference = out.0.join("reference.png");
-    ffmpeg(&["-i", video.to_str().unwrap(), "-vf", "select=eq(n\\,20),scale=360:640:flags=area", "-frames:v", "1"], &reference);
+    ffmpeg(
+        &[
+            "-i",
+            video.to_str().unwrap(),
+            "-vf",
+            "select=eq(n\\,20),scale=360:640:flags=area",
+            "-frames:v",
+            "1",
+        ],
+        &reference,
+    );
     let ours = set.frames.iter().find(|f| f.source_index == 20).unwrap();
     let value = psnr(&rgb(&ours.path), &rgb(&reference));
     assert!(value > 32.0, "{value} dB");
@@ -66,7 +108,12 @@ fn time_stamps_are_right_across_the_gap_and_to_the_last_frame() {
     let gaps: Vec<f64> = times.windows(2).map(|w| w[1] - w[0]).collect();
     assert_eq!(gaps.iter().filter(|g| (**g - 1.0 / 15.0).abs() < 1e-4).count(), 1, "one gap of 66.7 ms");
     assert_eq!(gaps.iter().filter(|g| (**g - 1.0 / 30.0).abs() < 1e-4).count(), 413);
-    assert!((times[0] - 0.066_667).abs() < 1e-5 && (times[414] - 13.9).abs() < 0.05, "{} {}", times[0], times[414]);
+    assert!(
+        (times[0] - 0.066_667).abs() < 1e-5 && (times[414] - 13.9).abs() < 0.05,
+        "{} {}",
+        times[0],
+        times[414]
+    );
     assert!(set.notes.iter().any(|n| n.contains("66.7 ms")), "{:?}", set.notes);
 }
 
@@ -84,9 +131,16 @@ fn a_phone_orbit_gives_as_many_frames_as_asked_for() {
     let select = format!("select=eq(n\\,{})", ours.source_index);
     ffmpeg(&["-i", video.to_str().unwrap(), "-vf", &select, "-frames:v", "1"], &reference);
     let (ours, reference) = (rgb(&ours.path), rgb(&reference));
-    let mean = |i: &image::RgbImage, c: usize| i.pixels().map(|p| f64::from(p[c])).sum::<f64>() / f64::from(i.width() * i.height());
+    let mean = |i: &image::RgbImage, c: usize| {
+        i.pixels().map(|p| f64::from(p[c])).sum::<f64>() / f64::from(i.width() * i.height())
+    };
     for c in 0..3 {
-        assert!((mean(&ours, c) - mean(&reference, c)).abs() < 1.0, "channel {c}: {} {}", mean(&ours, c), mean(&reference, c));
+        assert!(
+            (mean(&ours, c) - mean(&reference, c)).abs() < 1.0,
+            "channel {c}: {} {}",
+            mean(&ours, c),
+            mean(&reference, c)
+        );
     }
     assert!(psnr(&ours, &reference) > 38.0, "{}", psnr(&ours, &reference));
 }
@@ -110,11 +164,16 @@ fn every_bad_file_ends_in_frames_or_in_an_error_that_names_it() {
     for path in names {
         let name = path.file_name().unwrap().to_str().unwrap().to_owned();
         let out = Scratch::new("bad");
+        let start = std::time::Instant::now();
         let result = video_frames(&path, &out.0, &config(5), &Progress::silent());
-        println!("{name}: {}", match &result {
-            Ok(set) => format!("{} frames {:?}", set.len(), set.notes),
-            Err(e) => e.to_string(),
-        });
+        println!(
+            "{name} ({:.2} s): {}",
+            start.elapsed().as_secs_f64(),
+            match &result {
+                Ok(set) => format!("{} frames {:?}", set.len(), set.notes),
+                Err(e) => e.to_string(),
+            }
+        );
         match result {
             Ok(set) => assert!(!set.is_empty() && out.list("images").len() == set.len()),
             Err(e) => {
@@ -128,7 +187,8 @@ fn every_bad_file_ends_in_frames_or_in_an_error_that_names_it() {
 #[test]
 fn what_is_no_video_is_refused_by_kind() {
     let out = Scratch::new("kinds");
-    let try_path = |path: &Path| video_frames(path, &out.0.join("out"), &config(5), &Progress::silent()).unwrap_err();
+    let try_path =
+        |path: &Path| video_frames(path, &out.0.join("out"), &config(5), &Progress::silent()).unwrap_err();
     assert!(matches!(try_path(&out.0), PreprocessError::WrongKind { .. }));
     assert!(matches!(try_path(&out.0.join("none.mp4")), PreprocessError::NotFound { .. }));
     assert!(matches!(try_path(Path::new("/dev/null")), PreprocessError::WrongKind { .. }));
@@ -150,13 +210,30 @@ fn what_is_no_video_is_refused_by_kind() {
 fn damage_in_the_middle_is_told_and_what_can_be_read_is_kept() {
     let out = Scratch::new("damage");
     let whole = out.0.join("whole.mp4");
-    ffmpeg(&["-f", "lavfi", "-i", "testsrc2=size=320x240:rate=30:duration=3", "-g", "15", "-movflags", "+faststart"], &whole);
+    ffmpeg(
+        &[
+            "-f",
+            "lavfi",
+            "-i",
+            "testsrc2=size=320x240:rate=30:duration=3",
+            "-g",
+            "15",
+            "-movflags",
+            "+faststart",
+        ],
+        &whole,
+    );
     let mut bytes = std::fs::read(&whole).unwrap();
     let truncated = out.0.join("truncated.mp4");
     std::fs::write(&truncated, &bytes[..bytes.len() * 6 / 10]).unwrap();
     let set = video_frames(&truncated, &out.0.join("a"), &config(30), &Progress::silent()).unwrap();
     assert!(set.notes.iter().any(|n| n.contains("damage")), "{:?}", set.notes);
-    assert!(set.len() > 10 && set.len() < 30, "{} {:?}", set.len(), set.notes);
+    assert!(
+        set.len() > 10 && set.frames.last().unwrap().time_s.unwrap() < 2.0,
+        "{} {:?}",
+        set.len(),
+        set.notes
+    );
     let length = bytes.len();
     bytes[length / 2..length / 2 + 3000].iter_mut().enumerate().for_each(|(i, b)| *b = (i * 97 % 251) as u8);
     let scratched = out.0.join("scratched.mp4");
@@ -171,7 +248,18 @@ fn hdr_video_is_brought_down_and_stretched_pixels_are_made_square() {
     let out = Scratch::new("hdr");
     let hlg = out.0.join("hlg.mp4");
     let colours = ["-color_primaries", "bt2020", "-color_trc", "arib-std-b67", "-colorspace", "bt2020nc"];
-    let source = ["-f", "lavfi", "-i", "testsrc2=size=160x120:rate=10:duration=1", "-c:v", "libx265", "-x265-params", "log-level=none", "-pix_fmt", "yuv420p10le"];
+    let source = [
+        "-f",
+        "lavfi",
+        "-i",
+        "testsrc2=size=160x120:rate=10:duration=1",
+        "-c:v",
+        "libx265",
+        "-x265-params",
+        "log-level=none",
+        "-pix_fmt",
+        "yuv420p10le",
+    ];
     ffmpeg(&[&source[..], &colours[..]].concat(), &hlg);
     let set = video_frames(&hlg, &out.0.join("a"), &config(5), &Progress::silent()).unwrap();
     assert!(set.notes.iter().any(|n| n.contains("HLG")), "{:?}", set.notes);
@@ -192,8 +280,26 @@ fn a_still_picture_is_one_frame_and_the_sharp_frame_of_each_stretch_wins() {
     assert!(set.notes.iter().any(|n| n.contains("same as the one before")), "{:?}", set.notes);
     // Blurred except for every seventh frame.
     let blurred = out.0.join("blurred.mp4");
-    ffmpeg(&["-f", "lavfi", "-i", "testsrc2=size=320x240:rate=30:duration=2", "-vf", "boxblur=4:enable='mod(n\\,7)'", "-crf", "12"], &blurred);
-    let set = video_frames(&blurred, &out.0.join("b"), &FrameConfig { every: Some(7), ..FrameConfig::default() }, &Progress::silent()).unwrap();
+    ffmpeg(
+        &[
+            "-f",
+            "lavfi",
+            "-i",
+            "testsrc2=size=320x240:rate=30:duration=2",
+            "-vf",
+            "boxblur=4:enable='mod(n\\,7)'",
+            "-crf",
+            "12",
+        ],
+        &blurred,
+    );
+    let set = video_frames(
+        &blurred,
+        &out.0.join("b"),
+        &FrameConfig { every: Some(7), ..FrameConfig::default() },
+        &Progress::silent(),
+    )
+    .unwrap();
     let sharp = set.frames.iter().filter(|f| f.source_index % 7 == 0).count();
     assert!(sharp >= set.len() - 1 && set.len() >= 8, "{sharp} of {}", set.len());
 }

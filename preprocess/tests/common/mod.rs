@@ -4,7 +4,8 @@ use std::path::{Path, PathBuf};
 
 /// `../shared/data/name`, or `None` with a loud word where it is missing (a failure in CI).
 pub fn shared(name: &str) -> Option<PathBuf> {
-    let root = std::env::var_os("SAT_RECON_SHARED").map_or_else(|| Path::new(env!("CARGO_MANIFEST_DIR")).join("../../shared"), PathBuf::from);
+    let root = std::env::var_os("SAT_RECON_SHARED")
+        .map_or_else(|| Path::new(env!("CARGO_MANIFEST_DIR")).join("../../shared"), PathBuf::from);
     let path = root.join("data").join(name);
     if path.exists() {
         return Some(path);
