@@ -1,1 +1,436 @@
-//! bundle
+//! Bundle adjustment: poses, intrinsics and points that fit all sightings best.
+//!
+//! The scene is moved to its median and scaled to unit size before it is solved, so that units and the place of the
+//! origin do not matter (Triggs et al., "Bundle adjustment: a modern synthesis", 1999, on scaling and gauge).
+
+use crate::SfmError;
+use crate::ceres::{self, BundleInput, BundleState};
+use glam::{DQuat, DVec2, DVec3};
+use scene::{Camera, Pose, Progress, Reconstruction, TrackElement};
+use std::collections::{BTreeMap, BTreeSet};
+
+/// How residuals are weighed.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub enum Loss {
+    /// `r²`
+    #[default]
+    Squared,
+    /// Quadratic up to the scale, then linear.
+    Huber(f64),
+    /// `2 s² (√(1 + r²/s²) − 1)`
+    SoftL1(f64),
+    /// `s² log(1 + r²/s²)`
+    Cauchy(f64),
+}
+
+/// When to stop, and how to weigh residuals.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct SolveOptions {
+    /// Loss; its scale in standard deviations of the observations.
+    pub loss: Loss,
+    /// Most iterations.
+    pub max_iterations: u32,
+    /// Relative decrease of the cost at which to stop.
+    pub function_tolerance: f64,
+    /// Relative change of the parameters at which to stop.
+    pub parameter_tolerance: f64,
+}
+
+impl Default for SolveOptions {
+    fn default() -> Self {
+        Self { loss: Loss::Squared, max_iterations: 50, function_tolerance: 1e-8, parameter_tolerance: 1e-10 }
+    }
+}
+
+/// One sighting of a point by a pose.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct BundleObservation {
+    /// Index of the pose.
+    pub pose: u32,
+    /// Index of the point.
+    pub point: u32,
+    /// Measured pixel.
+    pub pixel: DVec2,
+    /// Standard deviation of each coordinate, pixels.
+    pub sigma_px: f64,
+}
+
+/// What is known of an intrinsic parameter beforehand.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct IntrinsicsPrior {
+    /// Index of the camera.
+    pub camera: usize,
+    /// Index of the parameter, in the model's order.
+    pub parameter: usize,
+    /// Expected value.
+    pub mean: f64,
+    /// Standard deviation.
+    pub sigma: f64,
+}
+
+/// An adjustment in plain arrays.
+#[derive(Clone, Debug, Default)]
+pub struct BundleProblem {
+    /// Cameras.
+    pub cameras: Vec<Camera>,
+    /// For each camera, which of its parameters are solved for.
+    pub camera_free: Vec<Vec<bool>>,
+    /// Priors on intrinsics.
+    pub priors: Vec<IntrinsicsPrior>,
+    /// `cam_from_world`.
+    pub poses: Vec<Pose>,
+    /// Camera of each pose.
+    pub pose_camera: Vec<u32>,
+    /// Which poses are held.
+    pub pose_constant: Vec<bool>,
+    /// Points, world frame.
+    pub points: Vec<DVec3>,
+    /// Which points are held.
+    pub point_constant: Vec<bool>,
+    /// Sightings.
+    pub observations: Vec<BundleObservation>,
+}
+
+/// What an adjustment did.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct BundleSummary {
+    /// Root mean square of the weighted residual length before (robust cost).
+    pub initial_rms: f64,
+    /// The same after.
+    pub final_rms: f64,
+    /// Iterations taken.
+    pub iterations: u32,
+    /// Sightings used (those behind their camera are left out).
+    pub observations: usize,
+    /// Whether a tolerance was met.
+    pub converged: bool,
+    /// Whether the result was taken over.
+    pub usable: bool,
+}
+
+/// Covariances from the normal equations, for observations with the given standard deviations.
+#[derive(Clone, Debug, Default)]
+pub struct BundleCovariance {
+    /// For each camera: row-major over its parameters, 0 where held.
+    pub cameras: Vec<Vec<f64>>,
+    /// For each pose: standard deviations of the rotation about the camera's axes (radians) and of the camera centre
+    /// along the world's axes; 0 where held.
+    pub poses: Vec<[f64; 6]>,
+}
+
+impl BundleProblem {
+    /// Minimises in place. An unusable result leaves everything as it was (`usable` is false then).
+    pub fn solve(&mut self, options: &SolveOptions, progress: &Progress) -> Result<BundleSummary, SfmError> {
+        let frame = Normalisation::of(self);
+        let input = self.input(options, &frame);
+        if input.weights.is_empty() {
+            return Ok(BundleSummary::default());
+        }
+        let mut state = self.state(&frame);
+        let outcome = ceres::solve(&input, &mut state, progress)?;
+        let m = input.weights.len();
+        let rms = |cost: f64| (2.0 * cost / m as f64).max(0.0).sqrt();
+        let numbers = [&state.intrinsics, &state.poses, &state.points];
+        let finite = numbers.iter().all(|values| values.iter().all(|v| v.is_finite()));
+        let usable = outcome.usable && finite && outcome.final_cost <= outcome.initial_cost;
+        if usable {
+            self.take(&state, &frame);
+        }
+        Ok(BundleSummary {
+            initial_rms: rms(outcome.initial_cost),
+            final_rms: rms(outcome.final_cost),
+            iterations: outcome.iterations,
+            observations: m,
+            converged: outcome.converged,
+            usable,
+        })
+    }
+
+    /// Standard deviations of poses and intrinsics; `None` where the sightings do not determine them.
+    pub fn covariance(&self, options: &SolveOptions) -> Result<Option<BundleCovariance>, SfmError> {
+        let frame = Normalisation::of(self);
+        let input = self.input(options, &frame);
+        if input.weights.is_empty() {
+            return Ok(None);
+        }
+        let Some((of_poses, of_cameras)) = ceres::covariance(&input, &self.state(&frame))? else { return Ok(None) };
+        let mut cameras = Vec::new();
+        let mut rest = of_cameras.as_slice();
+        for camera in &self.cameras {
+            let (own, others) = rest.split_at(camera.params.len().pow(2));
+            cameras.push(own.to_vec());
+            rest = others;
+        }
+        let poses = self.poses.iter().zip(of_poses.chunks_exact(36));
+        let poses = poses.map(|(pose, c)| pose_deviation(&frame.pose_in(pose), c, frame.scale)).collect();
+        Ok(Some(BundleCovariance { cameras, poses }))
+    }
+
+    fn state(&self, frame: &Normalisation) -> BundleState {
+        let pose = |p: &Pose| {
+            let Pose { rotation: q, translation: t } = frame.pose_in(p);
+            [q.x, q.y, q.z, q.w, t.x, t.y, t.z]
+        };
+        BundleState {
+            intrinsics: self.cameras.iter().flat_map(|c| c.params.iter().copied()).collect(),
+            poses: self.poses.iter().flat_map(pose).collect(),
+            points: self.points.iter().flat_map(|&x| frame.point_in(x).to_array()).collect(),
+        }
+    }
+
+    fn take(&mut self, state: &BundleState, frame: &Normalisation) {
+        let mut values = state.intrinsics.iter();
+        for camera in &mut self.cameras {
+            camera.params.iter_mut().zip(&mut values).for_each(|(p, v)| *p = *v);
+        }
+        for ((pose, p), constant) in self.poses.iter_mut().zip(state.poses.chunks_exact(7)).zip(&self.pose_constant) {
+            if !constant {
+                let moved = Pose::new(DQuat::from_slice(p), DVec3::from_slice(&p[4..]));
+                *pose = frame.pose_out(&moved);
+            }
+        }
+        for ((x, p), constant) in self.points.iter_mut().zip(state.points.chunks_exact(3)).zip(&self.point_constant) {
+            if !constant {
+                *x = frame.point_out(DVec3::from_slice(p));
+            }
+        }
+    }
+
+    fn input(&self, options: &SolveOptions, frame: &Normalisation) -> BundleInput {
+        let mut offset = 0;
+        let mut input = BundleInput {
+            pose_camera: self.pose_camera.clone(),
+            pose_held: self.held_poses(frame),
+            point_held: self.point_constant.iter().map(|&c| u8::from(c)).collect(),
+            max_iterations: options.max_iterations as i32,
+            function_tolerance: options.function_tolerance,
+            parameter_tolerance: options.parameter_tolerance,
+            ..BundleInput::default()
+        };
+        (input.loss, input.loss_scale) = match options.loss {
+            Loss::Squared => (0, 1.0),
+            Loss::Huber(s) => (1, s),
+            Loss::SoftL1(s) => (2, s),
+            Loss::Cauchy(s) => (3, s),
+        };
+        input.free_poses = input.pose_held.iter().filter(|&&h| h != 7).count();
+        for (camera, free) in self.cameras.iter().zip(&self.camera_free) {
+            input.camera_models.push(camera.model.colmap_id());
+            input.camera_offsets.push(offset);
+            offset += camera.params.len();
+            input.intrinsics_free.extend(free.iter().map(|&f| u8::from(f)));
+        }
+        input.prior_mean = vec![0.0; offset];
+        input.prior_sigma = vec![0.0; offset];
+        for prior in &self.priors {
+            let i = input.camera_offsets[prior.camera] + prior.parameter;
+            (input.prior_mean[i], input.prior_sigma[i]) = (prior.mean, prior.sigma);
+        }
+        for o in &self.observations {
+            let x = self.poses[o.pose as usize].transform(self.points[o.point as usize]);
+            if x.z > 1e-9 * frame.scale && o.sigma_px > 0.0 {
+                input.observation_pose.push(o.pose);
+                input.observation_point.push(o.point);
+                input.pixels.extend(o.pixel.to_array());
+                input.weights.push(1.0 / o.sigma_px);
+            }
+        }
+        input
+    }
+
+    /// Gauge: where fewer than two poses and no points are constant, the first pose is held, and that coordinate of the
+    /// farthest pose's translation that changes most with the scale.
+    fn held_poses(&self, frame: &Normalisation) -> Vec<u8> {
+        let mut held: Vec<u8> = self.pose_constant.iter().map(|&c| if c { 7 } else { 0 }).collect();
+        let constant = held.iter().filter(|&&h| h == 7).count();
+        if constant >= 2 || held.len() < 2 || self.point_constant.iter().filter(|&&c| c).count() >= 3 {
+            return held;
+        }
+        let first = held.iter().position(|&h| h == 7).unwrap_or(0);
+        held[first] = 7;
+        let centre = frame.pose_in(&self.poses[first]).centre();
+        let baselines = self.poses.iter().map(|p| {
+            let p = frame.pose_in(p);
+            p.rotation * (p.centre() - centre)
+        });
+        let farthest = baselines.enumerate().filter(|(i, _)| *i != first);
+        if let Some((i, baseline)) = farthest.max_by(|a, b| a.1.length().total_cmp(&b.1.length())) {
+            held[i] = 1 + baseline.abs().max_position() as u8;
+        }
+        held
+    }
+}
+
+/// Standard deviations of rotation and centre from a covariance over (ω, t) in the normalised scene:
+/// `c = −Rᵀ t`, so `δc = −Rᵀ (δt + t × δω)`.
+fn pose_deviation(pose: &Pose, covariance: &[f64], scale: f64) -> [f64; 6] {
+    let back = -pose.matrix().transpose();
+    let t = pose.translation;
+    let columns: [DVec3; 6] = std::array::from_fn(|k| {
+        let axis = DVec3::from_array(std::array::from_fn(|i| f64::from(i == k % 3)));
+        back * if k < 3 { t.cross(axis) } else { axis }
+    });
+    std::array::from_fn(|i| {
+        if i < 3 {
+            return covariance[i * 6 + i].max(0.0).sqrt();
+        }
+        let row: [f64; 6] = std::array::from_fn(|k| columns[k][i - 3]);
+        let sum: f64 = (0..36).map(|n| row[n / 6] * covariance[n] * row[n % 6]).sum();
+        sum.max(0.0).sqrt() * scale
+    })
+}
+
+/// Moves the scene's median to the origin and scales the median distance from it to 1.
+struct Normalisation {
+    centre: DVec3,
+    scale: f64,
+}
+
+impl Normalisation {
+    fn of(problem: &BundleProblem) -> Self {
+        let median = |mut values: Vec<f64>| {
+            let middle = values.len() / 2;
+            if values.is_empty() { 0.0 } else { *values.select_nth_unstable_by(middle, f64::total_cmp).1 }
+        };
+        let finite: Vec<DVec3> = problem.points.iter().copied().filter(|x| x.is_finite()).collect();
+        let axis = |i: usize| median(finite.iter().map(|x| x[i]).collect());
+        let centre = DVec3::new(axis(0), axis(1), axis(2));
+        let spread = |all: Vec<DVec3>| median(all.iter().map(|x| (*x - centre).length()).collect());
+        let scale = spread(finite).max(spread(problem.poses.iter().map(Pose::centre).collect()) * 1e-3);
+        Self { centre, scale: if scale > 0.0 && scale.is_finite() { scale } else { 1.0 } }
+    }
+
+    fn point_in(&self, x: DVec3) -> DVec3 {
+        (x - self.centre) / self.scale
+    }
+
+    fn point_out(&self, x: DVec3) -> DVec3 {
+        x * self.scale + self.centre
+    }
+
+    fn pose_in(&self, pose: &Pose) -> Pose {
+        Pose { rotation: pose.rotation, translation: pose.transform(self.centre) / self.scale }
+    }
+
+    fn pose_out(&self, pose: &Pose) -> Pose {
+        Pose { rotation: pose.rotation, translation: pose.translation * self.scale - pose.rotation * self.centre }
+    }
+}
+
+/// What [`adjust`] solves for.
+#[derive(Clone, Debug)]
+pub struct BundleOptions {
+    /// When to stop, and the loss (its scale in pixels).
+    pub solve: SolveOptions,
+    /// Whether focal lengths are solved for.
+    pub refine_focal: bool,
+    /// Whether principal points are.
+    pub refine_principal_point: bool,
+    /// Whether distortion is.
+    pub refine_distortion: bool,
+    /// Numbers of images whose pose is held.
+    pub constant_images: BTreeSet<u32>,
+    /// Numbers of cameras whose intrinsics are held.
+    pub constant_cameras: BTreeSet<u32>,
+    /// Images to adjust; `None`: all. Points seen elsewhere too are held by those sightings' constant poses.
+    pub only_images: Option<BTreeSet<u32>>,
+}
+
+impl Default for BundleOptions {
+    fn default() -> Self {
+        Self {
+            solve: SolveOptions::default(),
+            refine_focal: true,
+            refine_principal_point: false,
+            refine_distortion: true,
+            constant_images: BTreeSet::new(),
+            constant_cameras: BTreeSet::new(),
+            only_images: None,
+        }
+    }
+}
+
+/// Which parameters of a camera are solved for.
+pub fn free_parameters(camera: &Camera, focal: bool, principal_point: bool, distortion: bool) -> Vec<bool> {
+    let n = camera.model.num_focals();
+    (0..camera.params.len()).map(|i| if i < n { focal } else if i < n + 2 { principal_point } else { distortion }).collect()
+}
+
+/// Adjusts a model in place and refreshes the points' mean errors.
+///
+/// With `only_images`, the points these images see are adjusted with them, and every other image that sees such a point
+/// takes part with a constant pose.
+pub fn adjust(
+    model: &mut Reconstruction,
+    options: &BundleOptions,
+    progress: &Progress,
+) -> Result<BundleSummary, SfmError> {
+    let (mut problem, point_ids) = problem_of(model, options);
+    let summary = problem.solve(&options.solve, progress)?;
+    for (camera, solved) in model.cameras.values_mut().zip(&problem.cameras) {
+        camera.params.clone_from(&solved.params);
+    }
+    for (image, pose) in model.images.values_mut().zip(&problem.poses) {
+        image.pose = *pose;
+    }
+    for (id, position) in point_ids.iter().zip(&problem.points) {
+        if let Some(point) = model.points.get_mut(id) {
+            point.position = *position;
+        }
+    }
+    refresh_errors(model);
+    Ok(summary)
+}
+
+/// The adjustment of a whole model, and the numbers of its points in the problem's order.
+pub fn problem_of(model: &Reconstruction, options: &BundleOptions) -> (BundleProblem, Vec<u64>) {
+    let cameras: BTreeMap<u32, u32> = model.cameras.keys().copied().zip(0..).collect();
+    let poses: BTreeMap<u32, u32> = model.images.keys().copied().zip(0..).collect();
+    let adjusted = |image: &u32| options.only_images.as_ref().is_none_or(|only| only.contains(image));
+    let mut problem = BundleProblem {
+        cameras: model.cameras.values().cloned().collect(),
+        camera_free: model
+            .cameras
+            .values()
+            .map(|c| {
+                let free = !options.constant_cameras.contains(&c.id);
+                let BundleOptions { refine_focal, refine_principal_point, refine_distortion, .. } = *options;
+                free_parameters(c, free && refine_focal, free && refine_principal_point, free && refine_distortion)
+            })
+            .collect(),
+        poses: model.images.values().map(|i| i.pose).collect(),
+        pose_camera: model.images.values().map(|i| cameras.get(&i.camera).copied().unwrap_or(0)).collect(),
+        pose_constant: model.images.keys().map(|i| !adjusted(i) || options.constant_images.contains(i)).collect(),
+        ..BundleProblem::default()
+    };
+    let mut ids = Vec::new();
+    for (id, point) in &model.points {
+        if !point.track.iter().any(|e| adjusted(&e.image)) {
+            continue;
+        }
+        let index = ids.len() as u32;
+        let sighting = |e: &TrackElement| {
+            let pixel = model.images.get(&e.image)?.observations.get(e.observation as usize)?.pixel;
+            Some(BundleObservation { pose: *poses.get(&e.image)?, point: index, pixel, sigma_px: 1.0 })
+        };
+        problem.observations.extend(point.track.iter().filter_map(sighting));
+        problem.points.push(point.position);
+        ids.push(*id);
+    }
+    problem.point_constant = vec![false; ids.len()];
+    (problem, ids)
+}
+
+fn refresh_errors(model: &mut Reconstruction) {
+    let error = |point| {
+        let point: &scene::ScenePoint = point;
+        let errors: Vec<f64> =
+            point.track.iter().filter_map(|e| model.residual(point, e)).map(DVec2::length).collect();
+        errors.iter().sum::<f64>() / errors.len().max(1) as f64
+    };
+    let errors: Vec<f64> = model.points.values().map(error).collect();
+    model.points.values_mut().zip(errors).for_each(|(p, e)| p.error_px = e);
+}
+
+#[cfg(test)]
+mod tests;

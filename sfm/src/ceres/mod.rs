@@ -1,1 +1,178 @@
-//! ceres
+//! The one border to Ceres. Plain numbers cross it; everything is checked here first, because a failed check
+//! inside Ceres would end the process.
+
+use crate::SfmError;
+use scene::Progress;
+
+/// What Ceres asks between iterations.
+pub(crate) struct Monitor<'a>(&'a Progress);
+
+fn is_cancelled(monitor: &Monitor<'_>) -> bool {
+    monitor.0.check().is_err()
+}
+
+#[cxx::bridge(namespace = "sat_recon")]
+mod ffi {
+    /// A bundle adjustment problem apart from the values that change. P poses, N points, M observations.
+    #[derive(Clone, Debug, Default)]
+    pub struct BundleInput {
+        /// COLMAP model number of each camera.
+        pub camera_models: Vec<i32>,
+        /// Index of each camera's first parameter in the arrays over intrinsics.
+        pub camera_offsets: Vec<usize>,
+        /// 1 where an intrinsic parameter is solved for.
+        pub intrinsics_free: Vec<u8>,
+        /// Mean of the prior of each intrinsic parameter.
+        pub prior_mean: Vec<f64>,
+        /// Its standard deviation; 0: no prior.
+        pub prior_sigma: Vec<f64>,
+        /// [P] camera of each pose.
+        pub pose_camera: Vec<u32>,
+        /// [P] 0: free, 1 to 3: that coordinate of the translation is held, 7: constant.
+        pub pose_held: Vec<u8>,
+        /// How many poses are not constant.
+        pub free_poses: usize,
+        /// [N] 1: constant.
+        pub point_held: Vec<u8>,
+        /// [M] pose of each observation.
+        pub observation_pose: Vec<u32>,
+        /// [M] point of each observation.
+        pub observation_point: Vec<u32>,
+        /// [M × 2] measured pixels.
+        pub pixels: Vec<f64>,
+        /// [M] 1 / standard deviation of each observation, px⁻¹.
+        pub weights: Vec<f64>,
+        /// 0: squared, 1: Huber, 2: soft L1, 3: Cauchy.
+        pub loss: i32,
+        /// Where the robust loss bends, in standard deviations.
+        pub loss_scale: f64,
+        /// Most iterations.
+        pub max_iterations: i32,
+        /// Relative decrease of the cost at which to stop.
+        pub function_tolerance: f64,
+        /// Relative change of the parameters at which to stop.
+        pub parameter_tolerance: f64,
+    }
+
+    /// What became of it.
+    #[derive(Clone, Debug, Default)]
+    pub struct BundleOutcome {
+        /// ½ Σ ρ before.
+        pub initial_cost: f64,
+        /// ½ Σ ρ after.
+        pub final_cost: f64,
+        /// Iterations taken.
+        pub iterations: u32,
+        /// Whether the result is better than nothing.
+        pub usable: bool,
+        /// Whether a tolerance was met.
+        pub converged: bool,
+        /// Whether the user asked to stop.
+        pub cancelled: bool,
+        /// Ceres' own words.
+        pub message: String,
+    }
+
+    extern "Rust" {
+        type Monitor<'a>;
+        fn is_cancelled(monitor: &Monitor<'_>) -> bool;
+    }
+
+    unsafe extern "C++" {
+        include!("bundle.h");
+        fn solve_bundle(
+            input: &BundleInput,
+            intrinsics: &mut [f64],
+            poses: &mut [f64],
+            points: &mut [f64],
+            monitor: &Monitor<'_>,
+        ) -> Result<BundleOutcome>;
+        fn bundle_covariance(
+            input: &BundleInput,
+            intrinsics: &[f64],
+            poses: &[f64],
+            points: &[f64],
+            pose_covariance: &mut [f64],
+            camera_covariance: &mut [f64],
+        ) -> Result<bool>;
+    }
+}
+
+pub(crate) use ffi::{BundleInput, BundleOutcome};
+
+/// The numbers that change: see [`BundleInput`] for P and N.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct BundleState {
+    /// The cameras' parameters, one camera after the other.
+    pub intrinsics: Vec<f64>,
+    /// [P × 7] quaternion x y z w, translation.
+    pub poses: Vec<f64>,
+    /// [N × 3].
+    pub points: Vec<f64>,
+}
+
+/// Minimises; `state` holds the result. Not finite or inconsistent input is an error, not a crash.
+pub(crate) fn solve(
+    input: &BundleInput,
+    state: &mut BundleState,
+    progress: &Progress,
+) -> Result<BundleOutcome, SfmError> {
+    check(input, state)?;
+    let BundleState { intrinsics, poses, points } = state;
+    let outcome = ffi::solve_bundle(input, intrinsics, poses, points, &Monitor(progress))
+        .map_err(|e| SfmError::Solver(e.to_string()))?;
+    if outcome.cancelled {
+        progress.check()?;
+    }
+    Ok(outcome)
+}
+
+/// Covariances of poses [P × 36] and of each camera's parameters, for observations of unit noise; `None` where the
+/// problem does not determine them.
+pub(crate) fn covariance(
+    input: &BundleInput,
+    state: &BundleState,
+) -> Result<Option<(Vec<f64>, Vec<f64>)>, SfmError> {
+    check(input, state)?;
+    let mut of_poses = vec![0.0; input.pose_held.len() * 36];
+    let sizes = input.camera_models.iter().map(|&m| num_params(m));
+    let mut of_cameras = vec![0.0; sizes.map(|n| n * n).sum()];
+    let BundleState { intrinsics, poses, points } = state;
+    let done = ffi::bundle_covariance(input, intrinsics, poses, points, &mut of_poses, &mut of_cameras)
+        .map_err(|e| SfmError::Solver(e.to_string()))?;
+    Ok(done.then_some((of_poses, of_cameras)))
+}
+
+fn num_params(model: i32) -> usize {
+    scene::CameraModel::from_colmap_id(model).map_or(0, scene::CameraModel::num_params)
+}
+
+fn check(input: &BundleInput, state: &BundleState) -> Result<(), SfmError> {
+    let (poses, points, observations) = (input.pose_held.len(), input.point_held.len(), input.weights.len());
+    let end = input.camera_offsets.iter().zip(&input.camera_models).map(|(o, &m)| o + num_params(m)).max();
+    let intrinsics = end.unwrap_or(0);
+    let shapes = state.poses.len() == poses * 7
+        && state.points.len() == points * 3
+        && state.intrinsics.len() == intrinsics
+        && input.intrinsics_free.len() == intrinsics
+        && input.prior_mean.len() == intrinsics
+        && input.prior_sigma.len() == intrinsics
+        && input.pose_camera.len() == poses
+        && input.observation_pose.len() == observations
+        && input.observation_point.len() == observations
+        && input.pixels.len() == observations * 2
+        && input.camera_models.iter().all(|&m| num_params(m) > 0);
+    let inside = |indices: &[u32], n: usize| indices.iter().all(|&i| (i as usize) < n);
+    let indices = inside(&input.observation_pose, poses)
+        && inside(&input.observation_point, points)
+        && inside(&input.pose_camera, input.camera_models.len());
+    let finite = [&state.intrinsics, &state.poses, &state.points, &input.pixels, &input.weights, &input.prior_sigma]
+        .iter()
+        .all(|values| values.iter().all(|v| v.is_finite()));
+    match (shapes && indices, finite, observations) {
+        (false, _, _) => Err(SfmError::Solver("the problem is inconsistent".to_owned())),
+        (_, false, _) => Err(SfmError::Solver("a number is not finite".to_owned())),
+        (_, _, 0) => Err(SfmError::Solver("there are no observations".to_owned())),
+        _ => Ok(()),
+    }
+}
