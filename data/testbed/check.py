@@ -1,0 +1,75 @@
+"""Checks the truth of a case against itself: the mesh, through the true poses and lens, must
+fall on the true mattes and the true depths.
+
+    python3 check.py CASE FOLDER
+
+Silhouettes come from points spread densely over the mesh; prints the worst and the mean
+intersection over union and the median depth difference. Fails below 0.97 or above 1 mm.
+"""
+
+import sys
+
+import numpy as np
+
+import cases
+from imagefiles import read_png
+
+
+def read_mesh(path):
+    """Vertices [N, 3] and triangles [M, 3] of a mesh.ply written by render.py."""
+    data = open(path, "rb").read()
+    end = data.index(b"end_header\n") + len(b"end_header\n")
+    counts = {w[1]: int(w[2]) for w in (line.split() for line in data[:end].decode().splitlines()) if w[0] == "element"}
+    vertices = np.frombuffer(data, "<f4", 3 * counts["vertex"], end).reshape(-1, 3).astype(float)
+    face = np.frombuffer(data, [("n", "u1"), ("v", "<i4", 3)], counts["face"], end + vertices.size * 4)
+    return vertices, face["v"]
+
+
+def spread(vertices, triangles, count, rng):
+    """Random points on the surface, by area."""
+    a, b, c = (vertices[triangles[:, k]] for k in range(3))
+    area = np.linalg.norm(np.cross(b - a, c - a), axis=1)
+    k = rng.choice(len(area), count, p=area / area.sum())
+    u, v = rng.random((2, count, 1))
+    flip = u + v > 1
+    u, v = np.where(flip, 1 - u, u), np.where(flip, 1 - v, v)
+    return a[k] + u * (b - a)[k] + v * (c - a)[k]
+
+
+def nearest_depth(lens, R, t, points):
+    """Depth of the nearest point in each pixel, infinity where there is none."""
+    uv, z = cases.project(lens, R, t, points)
+    u, v = np.floor(uv).astype(int).T
+    inside = (u >= 0) & (v >= 0) & (u < lens.width) & (v < lens.height) & (z > 0)
+    depth = np.full(lens.width * lens.height, np.inf)
+    np.minimum.at(depth, v[inside] * lens.width + u[inside], z[inside])
+    return depth.reshape(lens.height, lens.width)
+
+
+def main():
+    case, folder = cases.CASES[sys.argv[1]], sys.argv[2]
+    shot = cases.SHOTS[case.shot]
+    points = spread(*read_mesh(f"{folder}/mesh.ply"), 3_000_000, np.random.default_rng(1))
+    overlaps, differences = [], []
+    for i in range(0, shot.frames, case.depth_every * max(1, shot.frames // 108)):
+        R, t = cases.camera_from_satellite(shot, i)
+        depth = nearest_depth(shot.lens, R, t, points)
+        stem = f"frame_{i:06d}" if case.video_fps else f"still_{i:03d}"
+        matte = read_png(f"{folder}/mattes/{stem}.png").astype(float) / 255
+        pole = read_png(f"{folder}/pole/{stem}.png").astype(float) / 255
+        free = pole < 0.02  # the pole hides the satellite in places and the mesh has no pole
+        a, b = np.isfinite(depth) & free, (matte > 0.3) & free
+        overlaps.append((a & b).sum() / (a | b).sum())
+        stored = read_png(f"{folder}/depth/{stem}.png") / 1e4
+        both = (stored > 0) & np.isfinite(depth)
+        differences.append(np.median(np.abs(stored - depth)[both]))
+    print(
+        f"{case.name}: {len(overlaps)} frames, silhouette IoU min {min(overlaps):.4f} mean {np.mean(overlaps):.4f}, "
+        f"depth differs by {1e3 * max(differences):.2f} mm (worst frame's median)"
+    )
+    if min(overlaps) < 0.97 or max(differences) > 1e-3:
+        raise SystemExit(f"{case.name}: the truth does not agree with the mesh")
+
+
+if __name__ == "__main__":
+    main()
