@@ -1,1 +1,204 @@
-//! sift
+//! Scale-invariant features: SIFT (Lowe, "Distinctive Image Features from Scale-Invariant Keypoints", IJCV 2004)
+//! with RootSIFT descriptors (Arandjelović and Zisserman, CVPR 2012) and thresholds that follow each image's own
+//! range and noise, so that a dark image is not an empty one.
+
+mod blur;
+mod config;
+mod describe;
+mod detect;
+mod noise;
+mod pyramid;
+mod spread;
+
+pub use config::{Doubling, SiftConfig};
+
+use crate::SfmError;
+use blur::Plane;
+use describe::DescriptorTables;
+use image::GrayImage;
+use noise::ImageStatistics;
+use pyramid::Octave;
+use rayon::prelude::*;
+use scene::{Features, FloatImage, Frame, FrameSet, Keypoint, Progress};
+use std::path::Path;
+
+/// The smallest side of an octave that is still searched, samples.
+const MIN_OCTAVE_SIDE: usize = 16;
+
+/// An oriented keypoint in the samples of its octave and level, with what selection needs.
+#[derive(Clone, Copy, Debug)]
+struct Candidate {
+    keypoint: Keypoint,
+    strength: f32,
+    octave: u32,
+    level: u32,
+    x: f32,
+    y: f32,
+    sigma: f32,
+}
+
+/// Features of a one-channel image with values in [0, 1] (samples that are not finite count as 0).
+///
+/// `mask` (white = keep; any size, stretched over the image) drops keypoints that lie in black; it never changes
+/// the pixels, so it makes no edges. Positions and scales are in input pixels, the first pixel's centre at 0.5.
+pub fn extract(image: &FloatImage, mask: Option<&GrayImage>, config: &SiftConfig) -> Features {
+    let work = working_image(image, config.max_feature_size);
+    if work.width < MIN_OCTAVE_SIDE || work.height < MIN_OCTAVE_SIDE {
+        return Features::default();
+    }
+    // Working pixels to input pixels.
+    let ratio = [image.width as f32 / work.width as f32, image.height as f32 / work.height as f32];
+    let keep = |x: f32, y: f32| match mask {
+        None => true,
+        Some(mask) if mask.width() == 0 || mask.height() == 0 => true,
+        Some(mask) => {
+            let column = (x / work.width as f32 * mask.width() as f32).max(0.0) as u32;
+            let row = (y / work.height as f32 * mask.height() as f32).max(0.0) as u32;
+            mask.get_pixel(column.min(mask.width() - 1), row.min(mask.height() - 1)).0[0] >= 128
+        }
+    };
+    let statistics = ImageStatistics::measure(&work, |x, y| keep(x as f32 + 0.5, y as f32 + 0.5));
+    let octaves = scale_space(&work, config);
+    let mut candidates = Vec::new();
+    for (index, octave) in octaves.iter().enumerate() {
+        candidates.extend(octave_candidates(octave, index, &statistics, config, &keep));
+    }
+    let size = [work.width as f32, work.height as f32];
+    let chosen = spread::strongest_everywhere(&candidates, config.max_features, size);
+    describe_all(&octaves, &chosen, ratio)
+}
+
+/// The image as a finite plane, reduced where its longer side is above `max_side`.
+fn working_image(image: &FloatImage, max_side: usize) -> Plane {
+    let channels = image.channels.max(1);
+    let data = image.data.chunks_exact(channels).map(|p| if p[0].is_finite() { p[0] } else { 0.0 }).collect();
+    let plane = Plane { width: image.width, height: image.height, data };
+    let longest = image.width.max(image.height);
+    if longest <= max_side.max(1) {
+        return plane;
+    }
+    let scale = max_side.max(1) as f64 / longest as f64;
+    let side = |n: usize| ((n as f64 * scale).round() as usize).max(1);
+    blur::reduce(&plane, side(image.width), side(image.height))
+}
+
+fn scale_space(work: &Plane, config: &SiftConfig) -> Vec<Octave> {
+    let mut octaves: Vec<Octave> = Vec::new();
+    while octaves.len() < config.octaves.max(1) {
+        let mut octave = Octave::default();
+        match octaves.last() {
+            None => {
+                octave.first(work, config.doubles(work.width, work.height), config.scales_per_octave, 1.0)
+            }
+            Some(finer) => octave.next_of(finer),
+        }
+        if octave.levels[0].width.min(octave.levels[0].height) < MIN_OCTAVE_SIDE {
+            break;
+        }
+        octaves.push(octave);
+    }
+    octaves
+}
+
+/// Oriented keypoints of one octave, positions in working pixels.
+fn octave_candidates(
+    octave: &Octave,
+    index: usize,
+    statistics: &ImageStatistics,
+    config: &SiftConfig,
+    keep: impl Fn(f32, f32) -> bool,
+) -> Vec<Candidate> {
+    let threshold = |level: usize| {
+        let (fine, coarse) = (octave.sigma(level as f32), octave.sigma(level as f32 + 1.0));
+        let noise = statistics.dog_noise(fine * octave.step, coarse * octave.step);
+        (config.contrast_threshold * statistics.range).max(config.noise_threshold * noise)
+    };
+    let mut candidates = Vec::new();
+    for found in detect::extrema(octave, config.edge_threshold, threshold) {
+        let (x, y) = (octave.origin + found.x * octave.step, octave.origin + found.y * octave.step);
+        if !keep(x, y) {
+            continue;
+        }
+        let level = (found.level.round().max(1.0) as usize).min(octave.scales);
+        let sigma = octave.sigma(found.level);
+        let angles = if config.upright {
+            vec![0.0]
+        } else {
+            describe::orientations(&octave.levels[level], found.x, found.y, sigma, config.max_orientations)
+        };
+        candidates.extend(angles.into_iter().map(|angle| Candidate {
+            keypoint: Keypoint { x, y, scale: sigma * octave.step, angle },
+            strength: found.response.abs(),
+            octave: index as u32,
+            level: level as u32,
+            x: found.x,
+            y: found.y,
+            sigma,
+        }));
+    }
+    candidates
+}
+
+fn describe_all(octaves: &[Octave], chosen: &[Candidate], ratio: [f32; 2]) -> Features {
+    let tables = DescriptorTables::default();
+    let mut features = Features {
+        keypoints: Vec::with_capacity(chosen.len()),
+        descriptors: vec![0; chosen.len() * Features::DIM],
+    };
+    for (c, out) in chosen.iter().zip(features.descriptors.chunks_exact_mut(Features::DIM)) {
+        let level = &octaves[c.octave as usize].levels[c.level as usize];
+        describe::describe(&tables, level, c.x, c.y, c.sigma, c.keypoint.angle, out);
+        features.keypoints.push(Keypoint {
+            x: c.keypoint.x * ratio[0],
+            y: c.keypoint.y * ratio[1],
+            scale: c.keypoint.scale * (ratio[0] * ratio[1]).sqrt(),
+            angle: c.keypoint.angle,
+        });
+    }
+    features
+}
+
+/// Features of every frame, in their order; images are read from disk here. The same for any number of threads.
+pub fn extract_all(
+    frames: &FrameSet,
+    config: &SiftConfig,
+    progress: &Progress,
+) -> Result<Vec<Features>, SfmError> {
+    progress.begin("features", frames.len());
+    let one = |frame: &Frame| {
+        progress.check()?;
+        let luma = load_luma(frame)?;
+        let mask = frame.mask.as_deref().map(|path| load_mask(path, frame)).transpose()?;
+        let features = extract(&luma, mask.as_ref(), config);
+        progress.tick_with(&format!("{} in {}", features.len(), frame.name))?;
+        Ok(features)
+    };
+    frames.frames.par_iter().with_max_len(1).map(one).collect()
+}
+
+fn load_luma(frame: &Frame) -> Result<FloatImage, SfmError> {
+    let image = open(&frame.path)?.to_rgb8();
+    check_size(&frame.path, image.dimensions(), frame)?;
+    Ok(FloatImage::luma(&image))
+}
+
+fn load_mask(path: &Path, frame: &Frame) -> Result<GrayImage, SfmError> {
+    let mask = open(path)?.to_luma8();
+    check_size(path, mask.dimensions(), frame)?;
+    Ok(mask)
+}
+
+fn open(path: &Path) -> Result<image::DynamicImage, SfmError> {
+    let unreadable = |reason: String| SfmError::UnreadableImage { path: path.to_owned(), reason };
+    let reader = image::ImageReader::open(path).map_err(|e| unreadable(e.to_string()))?;
+    let reader = reader.with_guessed_format().map_err(|e| unreadable(e.to_string()))?;
+    reader.decode().map_err(|e| unreadable(e.to_string()))
+}
+
+fn check_size(path: &Path, (found_width, found_height): (u32, u32), frame: &Frame) -> Result<(), SfmError> {
+    if (found_width, found_height) == (frame.width, frame.height) {
+        return Ok(());
+    }
+    let (width, height) = (frame.width, frame.height);
+    Err(SfmError::SizeMismatch { path: path.to_owned(), found_width, found_height, width, height })
+}

@@ -1,0 +1,87 @@
+//! Best and second-best partners of all descriptors of two images, from both sides in one sweep.
+//!
+//! Dot products are formed tile by tile and compared at once; no distance is ever stored. Every kernel gives the
+//! same result: integers are exact, and among equals the lowest index stays.
+
+use super::prepared::{DIM, PreparedFeatures};
+
+/// No partner above the floor.
+pub(super) const NONE: u32 = u32::MAX;
+
+/// For each descriptor of one image: its two largest dot products with the other image's, and the best one's index.
+#[derive(Clone, Debug)]
+pub(super) struct TopTwo {
+    /// Largest, `dot − 32768`.
+    pub best: Vec<i16>,
+    /// Second largest, `dot − 32768`.
+    pub second: Vec<i16>,
+    /// Index of the best, or [`NONE`].
+    pub index: Vec<u32>,
+}
+
+impl TopTwo {
+    /// `len` descriptors (rounded up so that whole vectors can be read); nothing up to `floor` is looked at.
+    fn new(len: usize, floor: u16) -> Self {
+        let padded = len.next_multiple_of(32);
+        let floor = biased(floor);
+        Self { best: vec![floor; padded], second: vec![floor; padded], index: vec![NONE; padded] }
+    }
+
+    #[inline(always)]
+    pub fn offer(&mut self, i: usize, dot: i16, partner: u32) {
+        if dot > self.best[i] {
+            self.second[i] = self.best[i];
+            self.best[i] = dot;
+            self.index[i] = partner;
+        } else if dot > self.second[i] {
+            self.second[i] = dot;
+        }
+    }
+}
+
+#[inline(always)]
+fn biased(dot: u16) -> i16 {
+    (dot ^ 0x8000) as i16
+}
+
+/// The dot product behind a biased number.
+pub(super) fn unbiased(dot: i16) -> u16 {
+    (dot as u16) ^ 0x8000
+}
+
+/// The two best partners above `floor`, seen from `a` and from `b`.
+pub(super) fn top_two(a: &PreparedFeatures, b: &PreparedFeatures, floor: u16) -> (TopTwo, TopTwo) {
+    let mut rows = TopTwo::new(a.len(), floor);
+    let mut columns = TopTwo::new(b.len(), floor);
+    #[cfg(target_arch = "x86_64")]
+    if std::arch::is_x86_feature_detected!("avx2") {
+        // SAFETY: the processor has AVX2.
+        unsafe { super::avx2::sweep(a, b, &mut rows, &mut columns) };
+        return (rows, columns);
+    }
+    portable(a, b, &mut rows, &mut columns);
+    (rows, columns)
+}
+
+/// Plain loops that the compiler turns into what the target's baseline offers (SSE2, NEON).
+fn portable(a: &PreparedFeatures, b: &PreparedFeatures, rows: &mut TopTwo, columns: &mut TopTwo) {
+    for j0 in (0..b.len()).step_by(256) {
+        for i in 0..a.len() {
+            let left: &[u8; DIM] = match a.row(i).try_into() {
+                Ok(row) => row,
+                Err(_) => continue,
+            };
+            for j in j0..(j0 + 256).min(b.len()) {
+                let dot: u32 =
+                    left.iter().zip(b.row(j)).map(|(&x, &y)| u32::from(u16::from(x) * u16::from(y))).sum();
+                let dot = biased(dot as u16);
+                if dot > rows.second[i] {
+                    rows.offer(i, dot, j as u32);
+                }
+                if dot > columns.second[j] {
+                    columns.offer(j, dot, i as u32);
+                }
+            }
+        }
+    }
+}

@@ -1,0 +1,75 @@
+//! Matching of descriptors: exhaustive, with the ratio test and the mutual test (Lowe 2004, section 7.1).
+
+#[cfg(target_arch = "x86_64")]
+mod avx2;
+mod config;
+mod kernel;
+mod prepared;
+
+pub use config::MatchConfig;
+pub use prepared::PreparedFeatures;
+
+use crate::SfmError;
+use kernel::{NONE, TopTwo, unbiased};
+use prepared::{dot_at_distance, squared_distance};
+use rayon::prelude::*;
+use scene::{Features, Progress};
+
+/// Matches (feature of a, feature of b), sorted by the feature of a.
+pub fn match_features(a: &Features, b: &Features, config: &MatchConfig) -> Vec<[u32; 2]> {
+    match_prepared(&PreparedFeatures::new(a), &PreparedFeatures::new(b), config)
+}
+
+/// [`match_features`] of descriptors that are prepared already.
+pub fn match_prepared(a: &PreparedFeatures, b: &PreparedFeatures, config: &MatchConfig) -> Vec<[u32; 2]> {
+    if a.is_empty() || b.is_empty() || config.match_ratio <= 0.0 {
+        return Vec::new();
+    }
+    // A second-best farther away than this rejects nobody, so it need not be known.
+    let floor = dot_at_distance(config.match_max_distance / config.match_ratio.min(1.0));
+    let (rows, columns) = kernel::top_two(a, b, floor);
+    let ratio2 = config.match_ratio * config.match_ratio;
+    let max2 = config.match_max_distance * config.match_max_distance;
+    let distinct = |side: &TopTwo, i: usize| {
+        let (best, second) = (unbiased(side.best[i]), unbiased(side.second[i]));
+        let d2 = squared_distance(best);
+        d2 <= max2 && d2 < ratio2 * squared_distance(second)
+    };
+    let mut matches = Vec::new();
+    for i in 0..a.len() {
+        let j = rows.index[i];
+        if j == NONE || !distinct(&rows, i) {
+            continue;
+        }
+        let mutual = columns.index[j as usize] == i as u32 && distinct(&columns, j as usize);
+        if mutual || config.one_way_matches {
+            matches.push([i as u32, j]);
+        }
+    }
+    matches
+}
+
+/// The matches of one pair of images: `(a, b, matches)`.
+pub type PairMatches = (usize, usize, Vec<[u32; 2]>);
+
+/// Matches of every pair, in the order of `pairs`; pairs that name a missing image have none. The same for any
+/// number of threads.
+pub fn match_pairs(
+    features: &[Features],
+    pairs: &[(usize, usize)],
+    config: &MatchConfig,
+    progress: &Progress,
+) -> Result<Vec<PairMatches>, SfmError> {
+    progress.begin("matching", pairs.len());
+    let prepared: Vec<PreparedFeatures> = features.par_iter().map(PreparedFeatures::new).collect();
+    let one = |&(a, b): &(usize, usize)| {
+        progress.check()?;
+        let matches = match (prepared.get(a), prepared.get(b)) {
+            (Some(left), Some(right)) => match_prepared(left, right, config),
+            _ => Vec::new(),
+        };
+        progress.tick()?;
+        Ok((a, b, matches))
+    };
+    pairs.par_iter().map(one).collect()
+}

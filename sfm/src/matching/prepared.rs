@@ -1,0 +1,78 @@
+//! Descriptors laid out for the matching kernels.
+
+use scene::Features;
+
+/// Length of a prepared descriptor; with it any dot product of two of them fits 16 bits without sign.
+pub(super) const NORM: f32 = 250.0;
+/// Descriptors a panel.
+pub(super) const PANEL: usize = 16;
+/// Bytes of a descriptor.
+pub(super) const DIM: usize = Features::DIM;
+
+/// The descriptors of one image, scaled to length 250 and rounded to 7 bits: RootSIFT loses less than 2 % of a
+/// unit by it, and two products of 7-bit numbers fit a signed 16-bit word, which is what the processor multiplies
+/// fastest. Made once an image.
+#[derive(Clone, Debug, Default)]
+pub struct PreparedFeatures {
+    /// Number of descriptors.
+    len: usize,
+    /// [len padded to a multiple of 16 × 128], row-major; padding is zero.
+    rows: Vec<u8>,
+    /// The same in panels of 16 descriptors: [panel × 64 × 16 × 2], two consecutive components of each in turn.
+    panels: Vec<u8>,
+}
+
+impl PreparedFeatures {
+    /// From descriptors of any length (they are normalised here).
+    pub fn new(features: &Features) -> Self {
+        let len = features.len();
+        let padded = len.next_multiple_of(PANEL);
+        let mut rows = vec![0; padded * DIM];
+        for (row, descriptor) in rows.chunks_exact_mut(DIM).zip(features.descriptors.chunks_exact(DIM)) {
+            let norm = descriptor.iter().map(|&d| f32::from(d).powi(2)).sum::<f32>().sqrt();
+            let scale = if norm > 0.0 { NORM / norm } else { 0.0 };
+            for (r, &d) in row.iter_mut().zip(descriptor) {
+                *r = (f32::from(d) * scale).round().min(127.0) as u8;
+            }
+        }
+        let mut panels = vec![0; rows.len()];
+        for (panel, sixteen) in panels.chunks_exact_mut(PANEL * DIM).zip(rows.chunks_exact(PANEL * DIM)) {
+            for (lane, row) in sixteen.chunks_exact(DIM).enumerate() {
+                for (k, pair) in row.chunks_exact(2).enumerate() {
+                    panel[(k * PANEL + lane) * 2..][..2].copy_from_slice(pair);
+                }
+            }
+        }
+        Self { len, rows, panels }
+    }
+
+    /// Number of descriptors.
+    pub fn len(&self) -> usize {
+        self.len
+    }
+
+    /// Whether there are none.
+    pub fn is_empty(&self) -> bool {
+        self.len == 0
+    }
+
+    /// Descriptor `i`.
+    pub(super) fn row(&self, i: usize) -> &[u8] {
+        &self.rows[i * DIM..(i + 1) * DIM]
+    }
+
+    /// All panels.
+    pub(super) fn panels(&self) -> &[u8] {
+        &self.panels
+    }
+}
+
+/// Squared Euclidean distance of the unit vectors behind a dot product of prepared descriptors.
+pub(super) fn squared_distance(dot: u16) -> f32 {
+    (2.0 - 2.0 * f32::from(dot) / (NORM * NORM)).max(0.0)
+}
+
+/// The dot product that belongs to a distance of unit vectors, rounded down; 0 from √2 on.
+pub(super) fn dot_at_distance(distance: f32) -> u16 {
+    ((1.0 - distance * distance / 2.0) * NORM * NORM).clamp(0.0, 65535.0) as u16
+}

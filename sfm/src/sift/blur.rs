@@ -1,0 +1,239 @@
+//! Separable Gaussian filters on planes of f32, borders replicated.
+//!
+//! One portable source, compiled twice: for AVX2 where the machine has it and for the baseline. Products and
+//! sums are kept apart (no fused multiply-add), so both give the same bits.
+
+/// A row-major plane.
+#[derive(Clone, Debug, Default)]
+pub struct Plane {
+    /// Columns.
+    pub width: usize,
+    /// Rows.
+    pub height: usize,
+    /// [height × width].
+    pub data: Vec<f32>,
+}
+
+impl Plane {
+    /// Gives the plane that size; what it holds then is not defined.
+    pub fn resize(&mut self, width: usize, height: usize) {
+        self.width = width;
+        self.height = height;
+        self.data.resize(width * height, 0.0);
+    }
+
+    /// Row `y`.
+    #[inline(always)]
+    pub fn row(&self, y: usize) -> &[f32] {
+        &self.data[y * self.width..(y + 1) * self.width]
+    }
+
+    /// The sample at column `x`, row `y`.
+    #[inline(always)]
+    pub fn at(&self, x: usize, y: usize) -> f32 {
+        self.data[y * self.width + x]
+    }
+}
+
+/// Half of a symmetric, normalised, sampled Gaussian: `[centre, ±1, ±2, …]`, cut at 4σ.
+pub fn half_kernel(sigma: f32) -> Vec<f32> {
+    let radius = (4.0 * sigma).ceil().max(1.0) as usize;
+    let g = |i: usize| (-0.5 * (i as f64 / f64::from(sigma)).powi(2)).exp();
+    let sum = g(0) + 2.0 * (1..=radius).map(g).sum::<f64>();
+    (0..=radius).map(|i| (g(i) / sum) as f32).collect()
+}
+
+/// Compiles the body for AVX2 beside the baseline and chooses when called.
+macro_rules! dispatch {
+    ($(#[$meta:meta])* $vis:vis fn $name:ident($($arg:ident: $ty:ty),* $(,)?) $(-> $ret:ty)? $body:block) => {
+        $(#[$meta])*
+        $vis fn $name($($arg: $ty),*) $(-> $ret)? {
+            #[inline(always)]
+            fn source_code($($arg: $ty),*) $(-> $ret)? $body
+            #[cfg(target_arch = "x86_64")]
+            {
+                #[target_feature(enable = "avx2")]
+                fn avx2($($arg: $ty),*) $(-> $ret)? {
+                    source_code($($arg),*)
+                }
+                if std::arch::is_x86_feature_detected!("avx2") {
+                    // SAFETY: the processor has AVX2.
+                    return unsafe { avx2($($arg),*) };
+                }
+            }
+            source_code($($arg),*)
+        }
+    };
+}
+pub(crate) use dispatch;
+
+dispatch! {
+    /// `out[x] = Σ_k kernel[|k|] (rows k above and below)`: the vertical pass of one row.
+    fn vertical(source: &Plane, y: usize, kernel: &[f32], out: &mut [f32]) {
+        let centre = source.row(y);
+        let out = &mut out[..centre.len()];
+        let k0 = kernel[0];
+        for (o, c) in out.iter_mut().zip(centre) {
+            *o = k0 * c;
+        }
+        let last = source.height - 1;
+        let mut pairs = kernel.iter().enumerate().skip(1);
+        // Two taps a sweep halve the traffic through `out`.
+        while let Some((i, &ki)) = pairs.next() {
+            let above = source.row(y.saturating_sub(i));
+            let below = source.row((y + i).min(last));
+            if let Some((j, &kj)) = pairs.next() {
+                let above2 = source.row(y.saturating_sub(j));
+                let below2 = source.row((y + j).min(last));
+                for ((((o, a), b), c), d) in out.iter_mut().zip(above).zip(below).zip(above2).zip(below2) {
+                    *o += ki * (a + b) + kj * (c + d);
+                }
+            } else {
+                for ((o, a), b) in out.iter_mut().zip(above).zip(below) {
+                    *o += ki * (a + b);
+                }
+            }
+        }
+    }
+}
+
+dispatch! {
+    /// The horizontal pass of one row; `padded` holds `radius` replicated samples on both sides.
+    fn horizontal(padded: &[f32], kernel: &[f32], out: &mut [f32]) {
+        let radius = kernel.len() - 1;
+        let n = out.len();
+        const LANES: usize = 16;
+        let blocks = n / LANES;
+        for block in 0..blocks {
+            let at = block * LANES + radius;
+            let mut sum = [0.0_f32; LANES];
+            for (s, v) in sum.iter_mut().zip(&padded[at..at + LANES]) {
+                *s = kernel[0] * v;
+            }
+            for (i, k) in kernel.iter().enumerate().skip(1) {
+                let left = &padded[at - i..at - i + LANES];
+                let right = &padded[at + i..at + i + LANES];
+                for ((s, l), r) in sum.iter_mut().zip(left).zip(right) {
+                    *s += k * (l + r);
+                }
+            }
+            out[block * LANES..(block + 1) * LANES].copy_from_slice(&sum);
+        }
+        for x in blocks * LANES..n {
+            let at = x + radius;
+            let mut sum = kernel[0] * padded[at];
+            for (i, k) in kernel.iter().enumerate().skip(1) {
+                sum += k * (padded[at - i] + padded[at + i]);
+            }
+            out[x] = sum;
+        }
+    }
+}
+
+/// Blurs `source` by σ pixels into `out` (resized).
+pub fn gaussian_blur(source: &Plane, sigma: f32, out: &mut Plane) {
+    out.resize(source.width, source.height);
+    if source.data.is_empty() {
+        return;
+    }
+    let kernel = half_kernel(sigma);
+    let (w, radius) = (source.width, kernel.len() - 1);
+    let mut padded = vec![0.0; w + 2 * radius];
+    for y in 0..source.height {
+        vertical(source, y, &kernel, &mut padded[radius..radius + w]);
+        let (first, last) = (padded[radius], padded[radius + w - 1]);
+        padded[..radius].fill(first);
+        padded[radius + w..].fill(last);
+        horizontal(&padded, &kernel, &mut out.data[y * w..(y + 1) * w]);
+    }
+}
+
+/// Twice the size, blurred by σ input pixels on the way: output sample `i` lies at input position `i/2 − 1/4`
+/// (sample indices), so both phases are Gaussian sums of the same width and neither is favoured.
+pub fn gaussian_double(source: &Plane, sigma: f32, out: &mut Plane) {
+    out.resize(source.width * 2, source.height * 2);
+    if source.data.is_empty() {
+        return;
+    }
+    let radius = (4.0 * sigma).ceil().max(1.0) as isize + 1;
+    let taps = phase_kernel(sigma, radius);
+    let (w, h) = (source.width, source.height);
+    let mut line = vec![0.0; w];
+    for y in 0..2 * h {
+        line.fill(0.0);
+        let phase = y % 2;
+        for (k, tap) in (-radius..=radius).zip(&taps[phase]) {
+            let row = source.row((y as isize / 2 + k).clamp(0, h as isize - 1) as usize);
+            for (o, v) in line.iter_mut().zip(row) {
+                *o += tap * v;
+            }
+        }
+        let target = &mut out.data[y * 2 * w..(y + 1) * 2 * w];
+        for (x, pair) in target.chunks_exact_mut(2).enumerate() {
+            let mut sums = [0.0; 2];
+            for (k, (even, odd)) in (-radius..=radius).zip(taps[0].iter().zip(&taps[1])) {
+                let v = line[(x as isize + k).clamp(0, w as isize - 1) as usize];
+                sums[0] += even * v;
+                sums[1] += odd * v;
+            }
+            pair.copy_from_slice(&sums);
+        }
+    }
+}
+
+/// Weights of input samples `i + k`, `k = −radius..=radius`, for output samples `2i` (at −1/4) and `2i + 1` (at +1/4).
+fn phase_kernel(sigma: f32, radius: isize) -> [Vec<f32>; 2] {
+    [-0.25, 0.25].map(|shift: f64| {
+        let g: Vec<f64> = (-radius..=radius)
+            .map(|k| (-0.5 * ((k as f64 - shift) / f64::from(sigma)).powi(2)).exp())
+            .collect();
+        let sum: f64 = g.iter().sum();
+        g.iter().map(|v| (v / sum) as f32).collect()
+    })
+}
+
+/// Every second sample, beginning with the first.
+pub fn halve(source: &Plane, out: &mut Plane) {
+    let (w, h) = (source.width.div_ceil(2), source.height.div_ceil(2));
+    out.resize(w, h);
+    for y in 0..h {
+        let row = source.row(2 * y);
+        for (o, v) in out.data[y * w..(y + 1) * w].iter_mut().zip(row.iter().step_by(2)) {
+            *o = *v;
+        }
+    }
+}
+
+/// Area-averaged reduction to `width × height` (not larger than the source).
+pub fn reduce(source: &Plane, width: usize, height: usize) -> Plane {
+    let columns = area_weights(source.width, width);
+    let rows = area_weights(source.height, height);
+    let mut out = Plane { width, height, data: vec![0.0; width * height] };
+    let mut line = vec![0.0_f32; source.width];
+    for (y, (first, weights)) in rows.iter().enumerate() {
+        line.fill(0.0);
+        for (k, weight) in weights.iter().enumerate() {
+            for (o, v) in line.iter_mut().zip(source.row(first + k)) {
+                *o += weight * v;
+            }
+        }
+        for (x, (first, weights)) in columns.iter().enumerate() {
+            out.data[y * width + x] = weights.iter().zip(&line[*first..]).map(|(w, v)| w * v).sum();
+        }
+    }
+    out
+}
+
+/// For each of `to` cells: the first of `from` samples it covers, and the shares it takes of them.
+fn area_weights(from: usize, to: usize) -> Vec<(usize, Vec<f32>)> {
+    let step = from as f64 / to as f64;
+    (0..to)
+        .map(|i| {
+            let (lo, hi) = (i as f64 * step, ((i + 1) as f64 * step).min(from as f64));
+            let first = (lo as usize).min(from - 1);
+            let last = (hi.ceil() as usize).clamp(first + 1, from);
+            let share = |k: usize| (hi.min((k + 1) as f64) - lo.max(k as f64)).max(0.0) / step;
+            (first, (first..last).map(|k| share(k) as f32).collect())
+        })
+        .collect()
+}

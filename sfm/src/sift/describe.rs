@@ -1,0 +1,237 @@
+//! Orientation and descriptor of a keypoint (Lowe 2004, sections 5 and 6; Arandjelović and Zisserman 2012).
+
+use super::blur::{Plane, dispatch};
+use std::f32::consts::{PI, TAU};
+
+const ORIENTATION_BINS: usize = 36;
+/// A further orientation needs this share of the strongest one (Lowe 2004, section 5).
+const PEAK_RATIO: f32 = 0.8;
+/// Spatial bins a side, and orientations a bin.
+const SPATIAL: usize = 4;
+const ANGLES: usize = 8;
+/// Width of a spatial bin in σ of the keypoint.
+const BIN_SIGMAS: f32 = 3.0;
+/// Samples a spatial bin and side.
+const SAMPLES: usize = 4;
+/// Samples a side: the 4 bins and half a bin around them, where interpolation still reaches.
+const GRID: usize = (SPATIAL + 1) * SAMPLES;
+/// One more on each side for central differences.
+const PATCH: usize = GRID + 2;
+
+/// `atan2(y, x)`, error below 1e-5 rad, without branches, so that loops over it become vector code.
+/// Minimax polynomial of atan on [0, 1] (Abramowitz and Stegun 4.4.49).
+#[inline(always)]
+fn fast_atan2(y: f32, x: f32) -> f32 {
+    let (ax, ay) = (x.abs(), y.abs());
+    let (low, high) = if ax < ay { (ax, ay) } else { (ay, ax) };
+    let t = low / (high + f32::MIN_POSITIVE);
+    let s = t * t;
+    let p = 0.002_866_225_7 * s - 0.016_165_737;
+    let p = p * s + 0.042_909_615;
+    let p = p * s - 0.075_289_64;
+    let p = p * s + 0.106_562_64;
+    let p = p * s - 0.142_089_0;
+    let p = p * s + 0.199_935_51;
+    let p = p * s - 0.333_331_45;
+    let a = p * s * t + t;
+    let a = if ax < ay { PI / 2.0 - a } else { a };
+    let a = if x < 0.0 { PI - a } else { a };
+    if y < 0.0 { -a } else { a }
+}
+
+/// Dominant directions of the gradient around a keypoint, strongest first, radians in (−π, π].
+/// `x, y, sigma`: samples of the level.
+pub fn orientations(level: &Plane, x: f32, y: f32, sigma: f32, most: usize) -> Vec<f32> {
+    let mut histogram = [0.0; ORIENTATION_BINS];
+    orientation_histogram(level, x, y, 1.5 * sigma, &mut histogram);
+    for _ in 0..2 {
+        let before = histogram;
+        for (i, h) in histogram.iter_mut().enumerate() {
+            let (l, r) = ((i + ORIENTATION_BINS - 1) % ORIENTATION_BINS, (i + 1) % ORIENTATION_BINS);
+            *h = 0.25 * before[l] + 0.5 * before[i] + 0.25 * before[r];
+        }
+    }
+    let top = histogram.iter().fold(0.0_f32, |m, &v| m.max(v));
+    if top <= 0.0 {
+        return Vec::new();
+    }
+    let mut peaks = Vec::new();
+    for i in 0..ORIENTATION_BINS {
+        let l = histogram[(i + ORIENTATION_BINS - 1) % ORIENTATION_BINS];
+        let (v, r) = (histogram[i], histogram[(i + 1) % ORIENTATION_BINS]);
+        if v > l && v >= r && v >= PEAK_RATIO * top {
+            let bin = i as f32 + 0.5 * (l - r) / (l - 2.0 * v + r);
+            let angle = bin * TAU / ORIENTATION_BINS as f32;
+            peaks.push((v, if angle > PI { angle - TAU } else { angle }));
+        }
+    }
+    peaks.sort_by(|a, b| b.0.total_cmp(&a.0));
+    peaks.truncate(most.max(1));
+    peaks.into_iter().map(|(_, angle)| angle).collect()
+}
+
+dispatch! {
+    /// Gradient magnitudes by direction, Gaussian-weighted with `sigma_w`, shared between the two nearest bins.
+    fn orientation_histogram(level: &Plane, x: f32, y: f32, sigma_w: f32, histogram: &mut [f32; ORIENTATION_BINS]) {
+        const CHUNK: usize = 16;
+        let radius = 3.0 * sigma_w;
+        let (first_x, last_x) = clipped(x, radius, level.width);
+        let (first_y, last_y) = clipped(y, radius, level.height);
+        let scale = -0.5 / (sigma_w * sigma_w);
+        let bins = ORIENTATION_BINS as f32;
+        let column_weights: Vec<f32> = (first_x..=last_x).map(|c| (scale * (c as f32 - x).powi(2)).exp()).collect();
+        for row in first_y..=last_y {
+            let dy = row as f32 - y;
+            let row_weight = (scale * dy * dy).exp();
+            let (above, here, below) = (level.row(row - 1), level.row(row), level.row(row + 1));
+            let mut column = first_x;
+            while column <= last_x {
+                let n = CHUNK.min(last_x + 1 - column);
+                let mut weights = [0.0_f32; CHUNK];
+                let mut angles = [0.0_f32; CHUNK];
+                let (right, left) = (&here[column + 1..column + 1 + n], &here[column - 1..column - 1 + n]);
+                let (down, up) = (&below[column..column + n], &above[column..column + n]);
+                let column_weight = &column_weights[column - first_x..column - first_x + n];
+                for i in 0..n {
+                    let (gx, gy) = (right[i] - left[i], down[i] - up[i]);
+                    weights[i] = (gx * gx + gy * gy).sqrt() * column_weight[i] * row_weight;
+                    angles[i] = (fast_atan2(gy, gx) + TAU) * (bins / TAU);
+                }
+                for i in 0..n {
+                    let dx = (column + i) as f32 - x;
+                    if dx * dx + dy * dy <= radius * radius {
+                        let floor = angles[i] as usize;
+                        let share = angles[i] - floor as f32;
+                        histogram[floor % ORIENTATION_BINS] += weights[i] * (1.0 - share);
+                        histogram[(floor + 1) % ORIENTATION_BINS] += weights[i] * share;
+                    }
+                }
+                column += n;
+            }
+        }
+    }
+}
+
+/// First and last index within `radius` of `centre` that have neighbours on both sides.
+#[inline(always)]
+fn clipped(centre: f32, radius: f32, size: usize) -> (usize, usize) {
+    let first = (centre - radius).ceil().max(1.0) as usize;
+    let last = ((centre + radius).floor().max(1.0) as usize).min(size.saturating_sub(2));
+    (first, last)
+}
+
+/// Weights that every descriptor shares.
+#[derive(Clone, Debug)]
+pub struct DescriptorTables {
+    /// [GRID] Gaussian weight along one axis; σ is half the descriptor's width.
+    gaussian: [f32; GRID],
+    /// [GRID] lower spatial bin (−1: outside) and the share that goes to it; the rest goes to the next bin.
+    bins: [(isize, f32); GRID],
+}
+
+impl Default for DescriptorTables {
+    fn default() -> Self {
+        let at = |i: usize| (i as f32 - (GRID as f32 - 1.0) / 2.0) / SAMPLES as f32; // bins from the centre
+        Self {
+            gaussian: std::array::from_fn(|i| (-0.5 * (at(i) / (SPATIAL as f32 / 2.0)).powi(2)).exp()),
+            bins: std::array::from_fn(|i| {
+                let position = at(i) + (SPATIAL as f32 - 1.0) / 2.0;
+                (position.floor() as isize, 1.0 - (position - position.floor()))
+            }),
+        }
+    }
+}
+
+dispatch! {
+    /// RootSIFT of the neighbourhood, 128 bytes (see `scene::Features::descriptors`). `x, y, sigma`: samples of the
+    /// level. The neighbourhood is read on a grid turned by `angle` and spaced by a share of σ, so that the
+    /// weights of all samples are the same for every keypoint.
+    pub fn describe(
+        tables: &DescriptorTables, level: &Plane, x: f32, y: f32, sigma: f32, angle: f32, out: &mut [u8],
+    ) {
+        let mut patch = [[0.0_f32; PATCH]; PATCH];
+        sample_patch(level, x, y, sigma * BIN_SIGMAS / SAMPLES as f32, angle, &mut patch);
+        let mut histogram = [[[0.0_f32; ANGLES]; SPATIAL]; SPATIAL];
+        for row in 0..GRID {
+            let (mut magnitude, mut direction) = ([0.0_f32; GRID], [0.0_f32; GRID]);
+            for i in 0..GRID {
+                let gx = patch[row + 1][i + 2] - patch[row + 1][i];
+                let gy = patch[row + 2][i + 1] - patch[row][i + 1];
+                magnitude[i] = (gx * gx + gy * gy).sqrt() * tables.gaussian[i];
+                direction[i] = fast_atan2(gy, gx) * (ANGLES as f32 / TAU);
+            }
+            // One spare bin on each side takes what falls outside.
+            let mut line = [[0.0_f32; ANGLES]; SPATIAL + 2];
+            for i in 0..GRID {
+                let (bin, share) = tables.bins[i];
+                let bin = (bin + 1) as usize;
+                let mut soft = [0.0_f32; ANGLES];
+                for (k, s) in soft.iter_mut().enumerate() {
+                    let d = (direction[i] - k as f32).abs();
+                    let wrapped = (ANGLES as f32 - d).abs();
+                    let d = if wrapped < d { wrapped } else { d };
+                    let weight = 1.0 - d;
+                    *s = if weight > 0.0 { weight * magnitude[i] } else { 0.0 };
+                }
+                for k in 0..ANGLES {
+                    line[bin][k] += share * soft[k];
+                    line[bin + 1][k] += (1.0 - share) * soft[k];
+                }
+            }
+            let (bin, share) = tables.bins[row];
+            for (target, weight) in [(bin, share), (bin + 1, 1.0 - share)] {
+                if (0..SPATIAL as isize).contains(&target) {
+                    let weight = weight * tables.gaussian[row];
+                    for (h, l) in histogram[target as usize].iter_mut().zip(&line[1..=SPATIAL]) {
+                        for (h, l) in h.iter_mut().zip(l) {
+                            *h += weight * l;
+                        }
+                    }
+                }
+            }
+        }
+        quantise(histogram.as_flattened().as_flattened(), out);
+    }
+}
+
+/// Bilinear samples at `(x, y) + R(angle) spacing (i, j)`, centred; positions beyond the border take its value.
+#[inline(always)]
+fn sample_patch(level: &Plane, x: f32, y: f32, spacing: f32, angle: f32, patch: &mut [[f32; PATCH]; PATCH]) {
+    let (s, c) = (angle.sin() * spacing, angle.cos() * spacing);
+    let (max_x, max_y) = ((level.width - 1) as f32, (level.height - 1) as f32);
+    let half = (PATCH as f32 - 1.0) / 2.0;
+    for (j, row) in patch.iter_mut().enumerate() {
+        let v = j as f32 - half;
+        let mut index = [0_u32; PATCH];
+        let mut share = [(0.0_f32, 0.0_f32); PATCH];
+        for i in 0..PATCH {
+            let u = i as f32 - half;
+            let px = (x + c * u - s * v).max(0.0).min(max_x - 1e-3);
+            let py = (y + s * u + c * v).max(0.0).min(max_y - 1e-3);
+            let (ix, iy) = (px as u32, py as u32);
+            index[i] = iy * level.width as u32 + ix;
+            share[i] = (px - ix as f32, py - iy as f32);
+        }
+        for i in 0..PATCH {
+            let at = index[i] as usize;
+            let (top, bottom) =
+                (&level.data[at..at + 2], &level.data[at + level.width..at + level.width + 2]);
+            let (fx, fy) = share[i];
+            let upper = top[0] + fx * (top[1] - top[0]);
+            let lower = bottom[0] + fx * (bottom[1] - bottom[0]);
+            row[i] = upper + fy * (lower - upper);
+        }
+    }
+}
+
+/// Unit length, clamped at 0.2, unit length again (Lowe 2004, section 6.1), then `round(512 √(h / Σh))`.
+#[inline(always)]
+fn quantise(histogram: &[f32], out: &mut [u8]) {
+    let norm = histogram.iter().map(|h| h * h).sum::<f32>().sqrt();
+    let clamp = 0.2 * norm;
+    let sum: f32 = histogram.iter().map(|h| h.min(clamp)).sum();
+    let scale = if sum > 0.0 { 1.0 / sum } else { 0.0 };
+    for (o, h) in out.iter_mut().zip(histogram) {
+        *o = (512.0 * (h.min(clamp) * scale).sqrt()).round().min(255.0) as u8;
+    }
+}

@@ -1,0 +1,32 @@
+//! Which keypoints stay when there are too many: the strongest of every part of the image.
+
+use super::Candidate;
+
+/// Cells a side of the grid over the image.
+const CELLS: usize = 16;
+
+/// At most `most` candidates: first the strongest of every cell, then the second of every cell, and so on, stronger
+/// ones first within a round. The result is in the order of the input.
+pub fn strongest_everywhere(candidates: &[Candidate], most: usize, size: [f32; 2]) -> Vec<Candidate> {
+    if candidates.len() <= most {
+        return candidates.to_vec();
+    }
+    let cell = |v: f32, side: f32| ((v / side * CELLS as f32).max(0.0) as usize).min(CELLS - 1);
+    let mut order: Vec<usize> = (0..candidates.len()).collect();
+    order.sort_by(|&a, &b| candidates[b].strength.total_cmp(&candidates[a].strength).then(a.cmp(&b)));
+    let mut taken = vec![0_u32; CELLS * CELLS];
+    let mut ranked: Vec<(u32, usize)> = order
+        .into_iter()
+        .map(|i| {
+            let k = &candidates[i].keypoint;
+            let count = &mut taken[cell(k.y, size[1]) * CELLS + cell(k.x, size[0])];
+            *count += 1;
+            (*count, i)
+        })
+        .collect();
+    ranked.sort_by_key(|&(round, _)| round); // stable: strength decides within a round
+    ranked.truncate(most);
+    let mut kept: Vec<usize> = ranked.into_iter().map(|(_, i)| i).collect();
+    kept.sort_unstable();
+    kept.into_iter().map(|i| candidates[i]).collect()
+}
