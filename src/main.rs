@@ -1,1 +1,27 @@
-fn main() {}
+//! The program: parses, runs one command, turns its outcome into an exit code.
+//!
+//! Exit codes: 0 all well, 2 no model, 3 a partial model, 1 anything else.
+
+use sat_recon::{Outcome, config, run};
+use std::process::ExitCode;
+
+fn main() -> ExitCode {
+    match config::parse(std::env::args().collect()) {
+        Ok(Ok(parsed)) => match run(parsed) {
+            Ok(Outcome::Done) => ExitCode::SUCCESS,
+            Ok(Outcome::NoModel) => ExitCode::from(2),
+            Ok(Outcome::Partial) => ExitCode::from(3),
+            Err(error) => fail(&error),
+        },
+        Ok(Err(usage)) => {
+            let _ = usage.print(); // to a closed pipe there is nothing to say
+            if usage.use_stderr() { ExitCode::from(1) } else { ExitCode::SUCCESS }
+        }
+        Err(error) => fail(&error),
+    }
+}
+
+fn fail(error: &anyhow::Error) -> ExitCode {
+    eprintln!("error: {error:#}");
+    ExitCode::from(1)
+}

@@ -1,0 +1,61 @@
+# Everything is reached from here: `make demo` and `make test` set up what is missing.
+SHELL := /bin/bash
+.SHELLFLAGS := -eu -o pipefail -c
+.DEFAULT_GOAL := help
+
+PACKAGES := pkg-config clang libclang-dev libopencv-dev libceres-dev ffmpeg mesa-vulkan-drivers
+CACHE := $(or $(XDG_CACHE_HOME),$(HOME)/.cache)/sat-recon
+# In CI the checkout is fresh each time: the build products live in the user's cache.
+ifneq ($(CI),)
+export CARGO_TARGET_DIR ?= $(CACHE)/target
+endif
+TARGET := $(or $(CARGO_TARGET_DIR),target)
+SAT_RECON := $(TARGET)/release/sat-recon
+VENV := $(CACHE)/venv
+SHARED := $(or $(SAT_RECON_SHARED),../shared)
+
+.PHONY: help setup build demo test lint bench compare oracle testbed
+help:  ## this list
+	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed 's/:.*##/\t/' | expand -t 12
+
+setup:  ## install what is missing (Debian packages; as root or with sudo)
+	@tools/setup.sh $(PACKAGES)
+
+build: setup  ## build the release binary
+	cargo build --release --locked
+
+demo: build  ## video to splat on the sample in data/, then say what to open
+	$(SAT_RECON) data/sample/orbit.mp4 -o out/demo --quality draft
+	@echo; echo "Open out/demo/report.html in a browser; the splat is out/demo/splat.ply"
+
+test: setup  ## every test (real data is looked for in ../shared/data)
+	cargo test --workspace --locked
+
+lint: setup  ## formatting, clippy, file and function lengths, borders between crates
+	@tools/lint.sh
+
+bench: build  ## the tables of docs/benchmarks.md on real data (slow)
+	@tools/setup.sh python3 colmap; python3 tools/bench.py $(SAT_RECON) $(SHARED) --out build/bench
+
+compare: build $(VENV)/pycolmap  ## our poses beside COLMAP 3.8 and 4.2.1 on the same images (slow)
+	@tools/setup.sh colmap
+	@$(VENV)/bin/python tools/compare.py $(SAT_RECON) $(SHARED) --out build/compare
+
+oracle: $(VENV)/oracle  ## regenerate the fixtures that other libraries computed (downloads several GB)
+	@for script in tests/oracle/*.py; do echo "$$script"; $(VENV)/bin/python $$script; done
+
+testbed: setup  ## render the simulated captures with Blender (slow)
+	@tools/setup.sh blender
+	bash data/testbed/make.sh build/testbed
+
+$(VENV)/bin/python:
+	@tools/setup.sh python3-venv
+	python3 -m venv $(VENV)
+
+$(VENV)/pycolmap: $(VENV)/bin/python
+	$(VENV)/bin/pip install -q numpy pillow scipy pycolmap==4.2.1
+	touch $@
+
+$(VENV)/oracle: $(VENV)/bin/python
+	$(VENV)/bin/pip install -q numpy pillow scipy scikit-image opencv-python-headless torch==2.15.* kornia==0.9.* lpips==0.1.4
+	touch $@

@@ -1,0 +1,176 @@
+//! The command line: what can be said to sat-recon.
+
+use clap::{Args, Parser, Subcommand, ValueEnum};
+use serde::Serialize;
+use std::path::PathBuf;
+
+/// Camera poses, a sparse cloud and a 3D Gaussian splat from a video or photos of an object.
+///
+/// `sat-recon INPUT` is short for `sat-recon run INPUT`.
+#[derive(Parser, Debug)]
+#[command(version, propagate_version = true, args_override_self = true, infer_subcommands = false)]
+pub struct Cli {
+    /// What to do.
+    #[command(subcommand)]
+    pub command: Command,
+    /// Flags of every command.
+    #[command(flatten)]
+    pub global: Global,
+}
+
+/// Flags that every command understands.
+#[derive(Args, Clone, Debug)]
+pub struct Global {
+    /// A TOML file of flags, placed before the typed ones (`iterations = 2000` is `--iterations 2000`)
+    #[arg(long, global = true, value_name = "FILE", help_heading = "General")]
+    pub config: Option<PathBuf>,
+    /// Worker threads (default: one a core); results do not depend on it
+    #[arg(long, global = true, value_name = "N", help_heading = "General")]
+    pub threads: Option<usize>,
+    /// Print the result as JSON on standard output
+    #[arg(long, global = true, help_heading = "General")]
+    pub json: bool,
+    /// Say nothing but errors
+    #[arg(short, long, global = true, conflicts_with = "verbose", help_heading = "General")]
+    pub quiet: bool,
+    /// Say what was found out on the way
+    #[arg(short, long, global = true, help_heading = "General")]
+    pub verbose: bool,
+}
+
+/// The commands. Those from `frames` to `report` are one pipeline stopped early.
+#[derive(Subcommand, Debug)]
+pub enum Command {
+    /// From a video, a folder of photos or a posed data set to a splat and a report
+    Run(Box<PipelineArgs>),
+    /// Only choose and write the frames (and masks)
+    Frames(Box<PipelineArgs>),
+    /// Up to camera poses and the sparse cloud
+    Sfm(Box<PipelineArgs>),
+    /// Up to the trained splat
+    Train(Box<PipelineArgs>),
+    /// Up to the metrics of the held-out views
+    Eval(Box<PipelineArgs>),
+    /// Everything, and write report.html anew
+    Report(Box<PipelineArgs>),
+    /// Render a trained splat along the input cameras, an orbit or a spiral
+    Render(RenderArgs),
+    /// Write a result in another format
+    Export(ExportArgs),
+    /// Our poses beside COLMAP's or a ground truth's
+    Compare(CompareArgs),
+    /// What is installed, which adapters there are, and what will be slow
+    Doctor,
+}
+
+/// What the pipeline's commands take.
+#[derive(Args, Clone, Debug, Serialize)]
+pub struct PipelineArgs {
+    /// A video, a folder of photos, a COLMAP data set, a transforms.json, or a former output folder (its input and flags are used again)
+    pub input: PathBuf,
+    /// Output folder (default: the input's name with `_recon`, in the current folder)
+    #[arg(short, long, value_name = "OUT", help_heading = "General")]
+    pub output: Option<PathBuf>,
+    /// Preset: places flags before the configuration file's and the typed ones
+    #[arg(long, value_enum, default_value_t = splat::Quality::Balanced, help_heading = "General")]
+    pub quality: splat::Quality,
+    /// Seed of all randomness
+    #[arg(long, default_value_t = 0, help_heading = "General")]
+    pub seed: u64,
+    /// Solve the poses even where the input brings its own
+    #[arg(long, help_heading = "General")]
+    pub ignore_poses: bool,
+    /// Write the models as text too
+    #[arg(long, help_heading = "General")]
+    pub text: bool,
+    /// Choice of frames.
+    #[command(flatten)]
+    pub frames: preprocess::FrameConfig,
+    /// Structure from motion.
+    #[command(flatten)]
+    pub sfm: sfm::SfmConfig,
+    /// What the splat is trained on.
+    #[command(flatten)]
+    pub dataset: splat::DatasetConfig,
+    /// Training.
+    #[command(flatten)]
+    pub train: splat::TrainConfig,
+}
+
+/// The path of a rendered camera.
+#[derive(ValueEnum, Clone, Copy, Debug, PartialEq, Eq)]
+pub enum CameraPath {
+    /// The input cameras
+    Input,
+    /// The held-out input cameras
+    Test,
+    /// A circle through the input cameras' mean height and distance
+    Orbit,
+    /// A circle that rises and falls
+    Spiral,
+}
+
+/// What a rendered picture shows.
+#[derive(ValueEnum, Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Channel {
+    /// Colour
+    Color,
+    /// Expected depth, near bright
+    Depth,
+    /// Coverage
+    Alpha,
+    /// Surface direction from depth, as colour
+    Normals,
+}
+
+/// What `render` takes.
+#[derive(Args, Clone, Debug)]
+pub struct RenderArgs {
+    /// A former output folder
+    pub run: PathBuf,
+    /// A folder for PNG files, or a file ending in .mp4
+    #[arg(short, long, value_name = "OUT")]
+    pub output: PathBuf,
+    /// Where the camera goes
+    #[arg(long, value_enum, default_value_t = CameraPath::Orbit)]
+    pub path: CameraPath,
+    /// What to show
+    #[arg(long, value_enum, default_value_t = Channel::Color)]
+    pub channel: Channel,
+    /// Pictures along an orbit or spiral
+    #[arg(long, default_value_t = 120, value_parser = clap::value_parser!(u32).range(1..=100_000))]
+    pub count: u32,
+    /// Frames a second of an mp4
+    #[arg(long, default_value_t = 30.0)]
+    pub fps: f64,
+    /// Background colour, red green blue in [0, 1]
+    #[arg(long, num_args = 3, default_values_t = [0.0, 0.0, 0.0])]
+    pub background: Vec<f32>,
+}
+
+/// What `export` takes.
+#[derive(Args, Clone, Debug)]
+pub struct ExportArgs {
+    /// A former output folder, or a splat file
+    pub input: PathBuf,
+    /// The file or folder to write; its ending says the format: .ply (3DGS order), .splat, .spz, .glb, .json (transforms), or a folder (COLMAP model, --text for text)
+    #[arg(short, long, value_name = "OUT")]
+    pub output: PathBuf,
+    /// Write a COLMAP model as text
+    #[arg(long)]
+    pub text: bool,
+}
+
+/// What `compare` takes.
+#[derive(Args, Clone, Debug)]
+pub struct CompareArgs {
+    /// Former output folders, or COLMAP models
+    #[arg(required = true)]
+    pub runs: Vec<PathBuf>,
+    /// Ground truth: Middlebury *_par.txt, a folder of *.camera, a COLMAP model, or a transforms.json
+    #[arg(long)]
+    pub truth: Option<PathBuf>,
+    /// Run Debian's COLMAP on the same frames and show it beside
+    #[arg(long)]
+    pub colmap: bool,
+}

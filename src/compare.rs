@@ -1,0 +1,167 @@
+//! `compare`: models beside each other and beside a ground truth; COLMAP on the same frames.
+
+use crate::Outcome;
+use crate::cli::CompareArgs;
+use crate::terminal::Verbosity;
+use anyhow::{Context, Result, bail};
+use scene::Reconstruction;
+use scene::sim3::{AUC_THRESHOLDS_DEG, PoseErrors, compare_poses};
+use serde::Serialize;
+use std::collections::{BTreeMap, BTreeSet};
+use std::path::{Path, PathBuf};
+use std::process::{Command, Stdio};
+
+/// One line of the table.
+#[derive(Debug, Default, Serialize)]
+struct Row {
+    name: String,
+    registered: usize,
+    total: usize,
+    points: usize,
+    reprojection_px: f64,
+    auc: Option<BTreeMap<String, f64>>,
+    rotation_median_deg: Option<f64>,
+    rotation_max_deg: Option<f64>,
+    centre_median_pct: Option<f64>,
+    centre_max_pct: Option<f64>,
+    focal_err_pct: Option<f64>,
+}
+
+/// Prints a line for each model.
+pub fn run(args: &CompareArgs, verbosity: Verbosity, json: bool) -> Result<Outcome> {
+    let truth = args.truth.as_deref().map(read_truth).transpose()?;
+    let mut rows = Vec::new();
+    for run in &args.runs {
+        let path = model_folder(run);
+        let model = scene::io::read_model(&path)?;
+        let asked = frame_names(run);
+        rows.push(row(run.display().to_string(), &model, truth.as_ref(), asked.as_ref()));
+        if args.colmap {
+            for (i, folder) in run_colmap(run, verbosity)?.iter().enumerate() {
+                let model = scene::io::read_model(folder)?;
+                rows.push(row(format!("COLMAP model {i} of {}", run.display()), &model, truth.as_ref(), asked.as_ref()));
+            }
+        }
+    }
+    if json {
+        println!("{}", serde_json::to_string_pretty(&rows)?);
+    } else {
+        print_table(&rows);
+    }
+    Ok(Outcome::Done)
+}
+
+/// A ground truth in any of its formats.
+fn read_truth(path: &Path) -> Result<Reconstruction> {
+    let is_json = path.extension().is_some_and(|e| e.eq_ignore_ascii_case("json"));
+    if is_json { Ok(scene::io::read_transforms(path)?.reconstruction) } else { Ok(scene::io::read_truth(path)?) }
+}
+
+fn model_folder(run: &Path) -> PathBuf {
+    let inner = run.join("sparse/0");
+    if inner.is_dir() { inner } else { run.to_path_buf() }
+}
+
+/// The frames that a run was given, without extension: those it did not register count as failures.
+fn frame_names(run: &Path) -> Option<BTreeSet<String>> {
+    let frames: crate::stage::Finished<scene::FrameSet> =
+        serde_json::from_slice(&std::fs::read(run.join(".stages/frames.json")).ok()?).ok()?;
+    Some(frames.value.frames.iter().map(|f| stem(&f.name)).collect())
+}
+
+fn stem(name: &str) -> String {
+    Path::new(name).file_stem().map(|s| s.to_string_lossy().into_owned()).unwrap_or_default()
+}
+
+fn row(name: String, model: &Reconstruction, truth: Option<&Reconstruction>, asked: Option<&BTreeSet<String>>) -> Row {
+    let errors = model.reprojection_errors();
+    let total = asked.map_or(model.images.len(), BTreeSet::len);
+    let mut row = Row {
+        name,
+        registered: model.images.len(),
+        total,
+        points: model.points.len(),
+        reprojection_px: errors.iter().sum::<f64>() / errors.len().max(1) as f64,
+        ..Row::default()
+    };
+    if let Some(truth) = truth {
+        let mut truth = truth.clone();
+        if let Some(asked) = asked {
+            truth.images.retain(|_, image| asked.contains(&stem(&image.name)));
+        }
+        fill(&mut row, &compare_poses(model, &truth));
+    }
+    row
+}
+
+fn fill(row: &mut Row, errors: &PoseErrors) {
+    row.registered = errors.registered;
+    row.total = errors.total;
+    row.auc = errors.auc.map(|auc| AUC_THRESHOLDS_DEG.iter().map(f64::to_string).zip(auc).collect());
+    row.rotation_median_deg = errors.rotation_deg.as_ref().map(|s| s.median);
+    row.rotation_max_deg = errors.rotation_deg.as_ref().map(|s| s.max);
+    row.centre_median_pct = errors.centre_pct.as_ref().map(|s| s.median);
+    row.centre_max_pct = errors.centre_pct.as_ref().map(|s| s.max);
+    row.focal_err_pct = errors.focal_err_pct;
+}
+
+fn print_table(rows: &[Row]) {
+    println!("| model | registered | points | px | AUC@1 / 3 / 5 / 10 | rotation median / max | centre median / max, % | focal, % |");
+    println!("|---|---|---|---|---|---|---|---|");
+    for row in rows {
+        let number = |v: Option<f64>, digits: usize| v.map_or("–".to_owned(), |v| format!("{v:.digits$}"));
+        let auc = row.auc.as_ref().map_or("–".to_owned(), |auc| {
+            let at = |t: &f64| format!("{:.1}", auc.get(&t.to_string()).copied().unwrap_or(0.0));
+            AUC_THRESHOLDS_DEG.iter().map(at).collect::<Vec<_>>().join(" / ")
+        });
+        println!(
+            "| {} | {} of {} | {} | {:.2} | {auc} | {}° / {}° | {} / {} | {} |",
+            row.name,
+            row.registered,
+            row.total,
+            row.points,
+            row.reprojection_px,
+            number(row.rotation_median_deg, 3),
+            number(row.rotation_max_deg, 3),
+            number(row.centre_median_pct, 3),
+            number(row.centre_max_pct, 3),
+            number(row.focal_err_pct, 2)
+        );
+    }
+}
+
+/// Runs the installed COLMAP with its defaults (one camera, no GPU) on the frames of a run; its models.
+fn run_colmap(run: &Path, verbosity: Verbosity) -> Result<Vec<PathBuf>> {
+    let images = run.join("images");
+    if !images.is_dir() {
+        bail!("{} has no images/ for COLMAP to run on; name an output folder of sat-recon", run.display());
+    }
+    let folder = run.join(".stages/colmap");
+    if folder.exists() {
+        std::fs::remove_dir_all(&folder).with_context(|| format!("cannot clear {}", folder.display()))?;
+    }
+    let sparse = folder.join("sparse");
+    std::fs::create_dir_all(&sparse).with_context(|| format!("cannot make {}", sparse.display()))?;
+    let database = folder.join("database.db");
+    let steps: [(&str, Vec<(&str, &Path)>, Vec<&str>); 3] = [
+        ("feature_extractor", vec![("--image_path", &images)], vec!["--ImageReader.single_camera", "1", "--SiftExtraction.use_gpu", "0"]),
+        ("exhaustive_matcher", vec![], vec!["--SiftMatching.use_gpu", "0"]),
+        ("mapper", vec![("--image_path", &images), ("--output_path", &sparse)], vec![]),
+    ];
+    for (step, paths, flags) in steps {
+        if verbosity > Verbosity::Quiet {
+            eprintln!("colmap {step}");
+        }
+        let mut command = Command::new("colmap");
+        command.arg(step).arg("--database_path").arg(&database).args(flags).env("QT_QPA_PLATFORM", "offscreen");
+        for (flag, path) in paths {
+            command.arg(flag).arg(path);
+        }
+        let status = command.stdout(Stdio::null()).stderr(Stdio::null()).status();
+        let status = status.context("colmap is not installed (Debian: apt-get install colmap)")?;
+        anyhow::ensure!(status.success(), "colmap {step} failed on {}", images.display());
+    }
+    let mut models: Vec<PathBuf> = std::fs::read_dir(&sparse)?.filter_map(|e| Some(e.ok()?.path())).collect();
+    models.sort();
+    Ok(models)
+}

@@ -1,0 +1,227 @@
+//! Where flags come from: preset, then former run, then configuration file, then what was typed; later ones win.
+
+use crate::cli::{Cli, Command, PipelineArgs};
+use anyhow::{Context, Result, bail};
+use clap::{CommandFactory, FromArgMatches};
+use serde::{Deserialize, Serialize};
+use splat::Quality;
+use std::path::{Path, PathBuf};
+
+/// What a run folder remembers of how it was made (`.stages/args.json`).
+#[derive(Clone, Debug, Serialize, Deserialize)]
+pub struct Recorded {
+    /// The input, absolute.
+    pub input: PathBuf,
+    /// Configuration-file and typed flags, without input and output.
+    pub flags: Vec<String>,
+}
+
+/// Flags without a value that may stand before the command.
+const BARE_GLOBALS: [&str; 5] = ["-v", "--verbose", "-q", "--quiet", "--json"];
+
+/// The preset's flags (`balanced` is the flags' defaults).
+fn preset(quality: Quality) -> Vec<String> {
+    quality.flags().iter().map(|(flag, value)| format!("--{flag}={value}")).collect()
+}
+
+/// `sat-recon INPUT` is `sat-recon run INPUT`: puts the command in where none stands.
+pub fn with_command(mut argv: Vec<String>) -> Vec<String> {
+    let command = Cli::command();
+    let mut i = 1;
+    while let Some(arg) = argv.get(i) {
+        match arg.as_str() {
+            "--config" | "--threads" => i += 2,
+            a if BARE_GLOBALS.contains(&a) || a.starts_with("--config=") || a.starts_with("--threads=") => i += 1,
+            "help" | "-h" | "--help" | "-V" | "--version" => return argv,
+            a if command.find_subcommand(a).is_some() => return argv,
+            _ => break,
+        }
+    }
+    if argv.len() > 1 {
+        argv.insert(i.min(argv.len()), "run".into());
+    }
+    argv
+}
+
+/// The command line with everything that goes before the typed flags.
+pub struct Parsed {
+    /// What is to be done.
+    pub cli: Cli,
+    /// What to remember in the run folder.
+    pub recorded: Option<Recorded>,
+    /// What the preset placed, for the user.
+    pub preset: Vec<String>,
+}
+
+/// Parses; usage errors are clap's, everything else names the file.
+pub fn parse(argv: Vec<String>) -> Result<std::result::Result<Parsed, clap::Error>> {
+    let argv = with_command(argv);
+    let first = match parse_argv(&argv) {
+        Ok(cli) => cli,
+        Err(error) => return Ok(Err(error)),
+    };
+    let file_flags = match &first.global.config {
+        Some(path) => flags_of_file(path)?,
+        None => Vec::new(),
+    };
+    let Some(args) = pipeline_args(&first.command) else {
+        return Ok(insert_and_parse(&argv, &file_flags).map(|cli| Parsed { cli, recorded: None, preset: vec![] }));
+    };
+    let former = former_run(&args.input)?;
+    let typed = typed_flags(&argv, &args.input);
+    let mut before: Vec<String> = former.as_ref().map(|f| f.flags.clone()).unwrap_or_default();
+    before.extend(file_flags.iter().cloned());
+
+    let quality = match insert_and_parse(&argv, &before) {
+        Ok(cli) => pipeline_args(&cli.command).map_or(Quality::Balanced, |a| a.quality),
+        Err(error) => return Ok(Err(error)),
+    };
+    let preset = preset(quality);
+    let mut all = preset.clone();
+    all.extend(before.iter().cloned());
+    let mut cli = match insert_and_parse(&argv, &all) {
+        Ok(cli) => cli,
+        Err(error) => return Ok(Err(error)),
+    };
+    let mut recorded = None;
+    if let Some(resolved) = pipeline_args_mut(&mut cli.command) {
+        resolved.output = args.output.clone();
+        if let Some(former) = &former {
+            resolved.output.get_or_insert_with(|| args.input.clone());
+            resolved.input = former.input.clone();
+        }
+        before.extend(typed);
+        let input = std::path::absolute(&resolved.input).unwrap_or_else(|_| resolved.input.clone());
+        recorded = Some(Recorded { input, flags: before });
+    }
+    Ok(Ok(Parsed { cli, recorded, preset }))
+}
+
+fn parse_argv(argv: &[String]) -> std::result::Result<Cli, clap::Error> {
+    Cli::from_arg_matches(&Cli::command().try_get_matches_from(argv)?)
+}
+
+fn insert_and_parse(argv: &[String], flags: &[String]) -> std::result::Result<Cli, clap::Error> {
+    let command = Cli::command();
+    let at = argv.iter().skip(1).position(|a| command.find_subcommand(a).is_some()).map_or(1, |i| i + 2);
+    let mut all = argv[..at.min(argv.len())].to_vec();
+    all.extend(flags.iter().cloned());
+    all.extend(argv[at.min(argv.len())..].iter().cloned());
+    parse_argv(&all)
+}
+
+fn pipeline_args(command: &Command) -> Option<&PipelineArgs> {
+    match command {
+        Command::Run(a) | Command::Frames(a) | Command::Sfm(a) | Command::Train(a) | Command::Eval(a) | Command::Report(a) => {
+            Some(a)
+        }
+        _ => None,
+    }
+}
+
+fn pipeline_args_mut(command: &mut Command) -> Option<&mut PipelineArgs> {
+    match command {
+        Command::Run(a) | Command::Frames(a) | Command::Sfm(a) | Command::Train(a) | Command::Eval(a) | Command::Report(a) => {
+            Some(a)
+        }
+        _ => None,
+    }
+}
+
+/// What stands after the command, without the input and the flags that belong to one call.
+fn typed_flags(argv: &[String], input: &Path) -> Vec<String> {
+    let command = Cli::command();
+    let after = argv.iter().skip(1).position(|a| command.find_subcommand(a).is_some()).map_or(1, |i| i + 2);
+    let mut flags: Vec<String> = argv[after.min(argv.len())..].to_vec();
+    if let Some(i) = flags.iter().rposition(|a| Path::new(a) == input) {
+        flags.remove(i);
+    }
+    let mut kept = Vec::new();
+    let mut skip = false;
+    for flag in flags {
+        if std::mem::take(&mut skip) {
+            continue;
+        }
+        match flag.as_str() {
+            "-o" | "--output" | "--config" | "--threads" => skip = true,
+            f if BARE_GLOBALS.contains(&f) => {}
+            f if ["-o", "--output=", "--config=", "--threads="].iter().any(|p| f.starts_with(p)) => {}
+            _ => kept.push(flag),
+        }
+    }
+    kept
+}
+
+fn former_run(input: &Path) -> Result<Option<Recorded>> {
+    let path = input.join(".stages").join("args.json");
+    if !path.is_file() {
+        return Ok(None);
+    }
+    let text = std::fs::read(&path).with_context(|| format!("cannot read {}", path.display()))?;
+    let recorded = serde_json::from_slice(&text)
+        .with_context(|| format!("{} is damaged; delete it and name the video or photos again", path.display()))?;
+    Ok(Some(recorded))
+}
+
+/// `key = value` is `--key value`, `key = true` is `--key`; tables only group.
+fn flags_of_file(path: &Path) -> Result<Vec<String>> {
+    let text = std::fs::read_to_string(path).with_context(|| format!("cannot read {}", path.display()))?;
+    let table: toml::Table = text.parse().with_context(|| format!("{} is not valid TOML", path.display()))?;
+    let mut flags = Vec::new();
+    collect(&table, path, &mut flags)?;
+    Ok(flags)
+}
+
+fn collect(table: &toml::Table, path: &Path, flags: &mut Vec<String>) -> Result<()> {
+    for (key, value) in table {
+        let name = key.replace('_', "-");
+        match value {
+            toml::Value::Table(inner) => collect(inner, path, flags)?,
+            toml::Value::Boolean(true) => flags.push(format!("--{name}")),
+            toml::Value::Boolean(false) => {}
+            toml::Value::String(s) => flags.push(format!("--{name}={s}")),
+            toml::Value::Integer(_) | toml::Value::Float(_) => flags.push(format!("--{name}={value}")),
+            _ => bail!("{}: {key} must be a string, a number, true or false", path.display()),
+        }
+    }
+    Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn argv(text: &str) -> Vec<String> {
+        text.split_whitespace().map(str::to_owned).collect()
+    }
+
+    #[test]
+    fn an_input_alone_means_run() {
+        assert_eq!(with_command(argv("sat-recon video.mp4"))[1], "run");
+        assert_eq!(with_command(argv("sat-recon -v --threads 2 video.mp4"))[4], "run");
+        assert_eq!(with_command(argv("sat-recon frames video.mp4"))[1], "frames");
+        assert_eq!(with_command(argv("sat-recon --help")), argv("sat-recon --help"));
+    }
+
+    #[test]
+    fn typed_flags_win_over_the_file_and_the_file_over_the_preset() {
+        let file = std::env::temp_dir().join(format!("sat-recon-config-{}.toml", std::process::id()));
+        std::fs::write(&file, "seed = 7\nquality = \"fast\"\n").unwrap();
+        let line = format!("sat-recon video.mp4 --config {}", file.display());
+        let seed = |line: &str| match parse(argv(line)).unwrap().unwrap().cli.command {
+            Command::Run(args) => (args.seed, args.quality),
+            other => panic!("{other:?}"),
+        };
+        assert_eq!(seed(&line), (7, Quality::Fast));
+        assert_eq!(seed(&format!("{line} --seed 3 --quality best")), (3, Quality::Best));
+        std::fs::remove_file(file).unwrap();
+    }
+
+    #[test]
+    fn an_unknown_key_in_the_file_is_a_usage_error() {
+        let file = std::env::temp_dir().join(format!("sat-recon-bad-{}.toml", std::process::id()));
+        std::fs::write(&file, "sed = 7\n").unwrap();
+        assert!(parse(argv(&format!("sat-recon video.mp4 --config {}", file.display()))).unwrap().is_err());
+        std::fs::remove_file(file).unwrap();
+    }
+}

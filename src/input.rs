@@ -1,0 +1,122 @@
+//! What the input is: a video, photos, or images that bring their poses.
+
+use anyhow::{Context, Result, bail};
+use scene::{FrameSet, Reconstruction};
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+
+/// The input, looked at but not yet read.
+#[derive(Clone, Debug)]
+pub enum Input {
+    /// A file that is to be decoded.
+    Video(PathBuf),
+    /// A folder of photos.
+    Photos(PathBuf),
+    /// Images with a COLMAP model or a `transforms.json`.
+    Posed {
+        /// Folder of the images.
+        images: PathBuf,
+        /// COLMAP model folder or `transforms.json`.
+        model: PathBuf,
+    },
+}
+
+impl Input {
+    /// Looks at `path`; poses that lie beside the images are left alone with `ignore_poses`.
+    pub fn detect(path: &Path, ignore_poses: bool) -> Result<Self> {
+        let meta = std::fs::metadata(path).with_context(|| format!("cannot read {}", path.display()))?;
+        if meta.is_file() {
+            let is_json = path.extension().is_some_and(|e| e.eq_ignore_ascii_case("json"));
+            if !is_json {
+                return Ok(Self::Video(path.to_path_buf()));
+            }
+            let folder = path.parent().unwrap_or(Path::new(".")).to_path_buf();
+            let images = if folder.join("images").is_dir() { folder.join("images") } else { folder };
+            return Ok(Self::Posed { images, model: path.to_path_buf() });
+        }
+        let images = if path.join("images").is_dir() { path.join("images") } else { path.to_path_buf() };
+        if !ignore_poses && let Some(model) = posed_model(path) {
+            return Ok(Self::Posed { images, model });
+        }
+        Ok(Self::Photos(images))
+    }
+
+    /// The folder or file whose content the frames come from.
+    pub fn source(&self) -> &Path {
+        match self {
+            Self::Video(path) | Self::Photos(path) | Self::Posed { images: path, .. } => path,
+        }
+    }
+}
+
+fn posed_model(folder: &Path) -> Option<PathBuf> {
+    let is_model = |p: &Path| p.join("cameras.bin").is_file() || p.join("cameras.txt").is_file();
+    let models = [folder.join("sparse/0"), folder.join("sparse"), folder.to_path_buf()];
+    let transforms = folder.join("transforms.json");
+    models.into_iter().find(|p| is_model(p)).or_else(|| transforms.is_file().then_some(transforms))
+}
+
+/// Reads the poses that came with the images and gives each posed image the name of its frame.
+pub fn import_poses(model: &Path, frames: &FrameSet) -> Result<Reconstruction> {
+    let mut reconstruction = if model.is_dir() {
+        scene::io::read_model(model)?
+    } else {
+        scene::io::read_transforms(model)?.reconstruction
+    };
+    let mut by_name = BTreeMap::new();
+    for frame in &frames.frames {
+        by_name.entry(stem(&frame.name)).or_insert(frame);
+        by_name.insert(frame.name.clone(), frame);
+    }
+    let mut sizes: BTreeMap<u32, (u32, u32)> = BTreeMap::new();
+    let mut missing = Vec::new();
+    for image in reconstruction.images.values_mut() {
+        let file = image.name.rsplit('/').next().unwrap_or(&image.name).to_owned();
+        let found = [image.name.clone(), file.clone(), stem(&file)].iter().find_map(|n| by_name.get(n).copied());
+        let Some(frame) = found else {
+            missing.push(image.name.clone());
+            continue;
+        };
+        image.name.clone_from(&frame.name);
+        let size = (frame.width, frame.height);
+        if *sizes.entry(image.camera).or_insert(size) != size {
+            bail!("images of camera {} differ in size ({} is {}×{})", image.camera, frame.name, size.0, size.1);
+        }
+    }
+    if let Some(first) = missing.first() {
+        bail!(
+            "{} of the {} images that {} names are not among the photos (first: {first}); put them beside it",
+            missing.len(),
+            reconstruction.images.len(),
+            model.display()
+        );
+    }
+    for (id, (width, height)) in sizes {
+        fit_camera(&mut reconstruction, id, width, height)?;
+    }
+    reconstruction.validate().map_err(|e| anyhow::anyhow!("{}: {e}", model.display()))?;
+    Ok(reconstruction)
+}
+
+fn stem(name: &str) -> String {
+    Path::new(name).with_extension("").to_string_lossy().into_owned()
+}
+
+/// Scales a camera (and its keypoints) to the size of the frames on disk; another aspect ratio is an error.
+fn fit_camera(reconstruction: &mut Reconstruction, id: u32, width: u32, height: u32) -> Result<()> {
+    let Some(camera) = reconstruction.cameras.get_mut(&id) else { return Ok(()) };
+    if (camera.width, camera.height) == (width, height) {
+        return Ok(());
+    }
+    let (sx, sy) = (f64::from(width) / f64::from(camera.width), f64::from(height) / f64::from(camera.height));
+    if (sx / sy - 1.0).abs() > 0.01 {
+        bail!("camera {id} is {}×{} but its images are {width}×{height}", camera.width, camera.height);
+    }
+    *camera = camera.scaled(width, height);
+    for image in reconstruction.images.values_mut().filter(|image| image.camera == id) {
+        for observation in &mut image.observations {
+            observation.pixel *= glam::DVec2::new(sx, sy);
+        }
+    }
+    Ok(())
+}

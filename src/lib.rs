@@ -1,0 +1,64 @@
+//! sat-recon, wired together: the stages of `preprocess`, `sfm` and `splat` as one resumable pipeline.
+
+pub mod cli;
+pub mod compare;
+pub mod config;
+pub mod doctor;
+pub mod evaluate;
+pub mod export;
+pub mod input;
+pub mod pipeline;
+pub mod render;
+pub mod report;
+pub mod stage;
+pub mod terminal;
+
+use anyhow::Result;
+use cli::Command;
+use pipeline::Until;
+use terminal::Verbosity;
+
+/// How a command ended, when it did not fail.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Outcome {
+    /// All well.
+    Done,
+    /// No model could be found.
+    NoModel,
+    /// A model that lacks some of the frames.
+    Partial,
+}
+
+/// Runs the command.
+pub fn run(parsed: config::Parsed) -> Result<Outcome> {
+    let global = parsed.cli.global.clone();
+    let verbosity = match (global.quiet, global.verbose) {
+        (true, _) => Verbosity::Quiet,
+        (_, true) => Verbosity::Verbose,
+        _ => Verbosity::Normal,
+    };
+    if let Some(threads) = global.threads {
+        anyhow::ensure!(threads > 0, "--threads must be at least 1");
+        rayon::ThreadPoolBuilder::new().num_threads(threads).build_global()?;
+    }
+    terminal::install_ctrl_c()?;
+    let until = match &parsed.cli.command {
+        Command::Frames(_) => Until::Frames,
+        Command::Sfm(_) => Until::Sfm,
+        Command::Train(_) => Until::Train,
+        Command::Eval(_) => Until::Eval,
+        _ => Until::Report,
+    };
+    match parsed.cli.command {
+        Command::Run(args) | Command::Frames(args) | Command::Sfm(args) | Command::Train(args) | Command::Eval(args) | Command::Report(args) => {
+            if verbosity > Verbosity::Quiet && !parsed.preset.is_empty() {
+                eprintln!("--quality {:?} sets {}", args.quality, parsed.preset.join(" "));
+            }
+            pipeline::Pipeline::new(*args, parsed.recorded, verbosity, global.json)?.run(until)
+        }
+        Command::Render(args) => render::run(&args, verbosity),
+        Command::Export(args) => export::run(&args),
+        Command::Compare(args) => compare::run(&args, verbosity, global.json),
+        Command::Doctor => doctor::run(global.json),
+    }
+}

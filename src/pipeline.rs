@@ -1,0 +1,398 @@
+//! The pipeline: frames, poses, undistortion, splat, evaluation, report, each resumable.
+
+use crate::Outcome;
+use crate::cli::PipelineArgs;
+use crate::config::Recorded;
+use crate::evaluate::{self, Evaluation};
+use crate::input::{self, Input};
+use crate::report;
+use crate::stage::{Cost, Stages, describe_input, fingerprint, write_json};
+use crate::terminal::{CANCELLED, TerminalSink, Verbosity};
+use anyhow::{Context, Result, bail};
+use scene::io::ply::CloudPoint;
+use scene::io::TransformsOptions;
+use scene::{FrameSet, Progress, Reconstruction};
+use serde::{Deserialize, Serialize};
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+
+/// Where to stop.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub enum Until {
+    /// After the frames.
+    Frames,
+    /// After the poses.
+    Sfm,
+    /// After the training.
+    Train,
+    /// After the metrics.
+    Eval,
+    /// After the report.
+    Report,
+}
+
+/// What is known of the poses, for the following stages and the report.
+#[derive(Clone, Debug, Default, Serialize, Deserialize)]
+pub struct PoseSummary {
+    /// Images with a pose.
+    pub registered: usize,
+    /// Images given.
+    pub total: usize,
+    /// Triangulated points.
+    pub points: usize,
+    /// Mean reprojection error over sightings, pixels.
+    pub mean_error_px: f64,
+    /// Whether the poses came with the input.
+    pub imported: bool,
+    /// Why there is no model.
+    pub no_model: Option<String>,
+    /// Images without a pose, and why.
+    pub missing: Vec<(String, String)>,
+    /// What was decided: what, choice, evidence.
+    pub decisions: Vec<[String; 3]>,
+    /// Figures by step.
+    pub figures: Vec<(String, f64)>,
+}
+
+/// What is known of the splat.
+#[derive(Clone, Debug, Default, Serialize, Deserialize)]
+pub struct SplatSummary {
+    /// Number of Gaussians.
+    pub gaussians: usize,
+    /// Spherical-harmonic degree.
+    pub sh_degree: u32,
+    /// Loss and PSNR against time.
+    pub curve: Vec<splat::train::CurvePoint>,
+    /// What was decided: what, choice, evidence.
+    pub decisions: Vec<[String; 3]>,
+}
+
+/// All that a run knows, for `run.json` and the report.
+#[derive(Clone, Debug, Serialize)]
+pub struct RunRecord {
+    /// Program version.
+    pub version: &'static str,
+    /// Versions of what it is built on.
+    pub libraries: Vec<(String, String)>,
+    /// The resolved configuration.
+    pub config: PipelineArgs,
+    /// Cost of each stage, in order.
+    pub costs: Vec<(String, Cost)>,
+    /// The frames.
+    pub frames: Option<FrameSet>,
+    /// The poses.
+    pub poses: Option<PoseSummary>,
+    /// The splat.
+    pub splat: Option<SplatSummary>,
+    /// The metrics.
+    pub evaluation: Option<Evaluation>,
+}
+
+/// One run into one output folder.
+pub struct Pipeline {
+    args: PipelineArgs,
+    input: Input,
+    out: PathBuf,
+    stages: Stages,
+    verbosity: Verbosity,
+    json: bool,
+    record: RunRecord,
+}
+
+impl Pipeline {
+    /// Looks at the input and opens the output folder.
+    pub fn new(args: PipelineArgs, recorded: Option<Recorded>, verbosity: Verbosity, json: bool) -> Result<Self> {
+        let input = Input::detect(&args.input, args.ignore_poses)?;
+        let out = args.output.clone().unwrap_or_else(|| default_output(&args.input));
+        if out.is_file() {
+            bail!("{} is a file; name a folder with -o", out.display());
+        }
+        let stages = Stages::open(&out)?;
+        if let Some(recorded) = recorded {
+            write_json(&stages.path("args.json"), &recorded)?;
+        }
+        let record = RunRecord {
+            version: env!("CARGO_PKG_VERSION"),
+            libraries: crate::doctor::library_versions(),
+            config: args.clone(),
+            costs: Vec::new(),
+            frames: None,
+            poses: None,
+            splat: None,
+            evaluation: None,
+        };
+        Ok(Self { args, input, out, stages, verbosity, json, record })
+    }
+
+    /// Runs the stages that are not current, as far as `until`.
+    pub fn run(mut self, until: Until) -> Result<Outcome> {
+        let (frames, frames_print) = self.frames()?;
+        self.record.frames = Some(frames.clone());
+        let mut outcome = Outcome::Done;
+        if until >= Until::Sfm {
+            let (poses, poses_print) = self.poses(&frames, &frames_print)?;
+            self.record.poses = Some(poses.clone());
+            if poses.no_model.is_some() {
+                outcome = Outcome::NoModel;
+            } else {
+                outcome = if poses.missing.is_empty() { Outcome::Done } else { Outcome::Partial };
+                if until >= Until::Train {
+                    self.splat(&frames, &poses_print, until)?;
+                }
+            }
+        }
+        if until >= Until::Report || (until >= Until::Sfm && outcome == Outcome::NoModel) {
+            report::write(&self.out, &self.record).context("cannot write the report")?;
+        }
+        write_json(&self.out.join("run.json"), &self.record)?;
+        self.say_result(until)?;
+        Ok(outcome)
+    }
+
+    fn progress(&self, stage: &str) -> Progress {
+        Progress::new(Box::new(TerminalSink::new(self.verbosity, self.stages.log(stage))), &CANCELLED)
+    }
+
+    fn say(&self, line: &str) {
+        if self.verbosity > Verbosity::Quiet {
+            eprintln!("{line}");
+        }
+    }
+
+    fn finish(&mut self, stage: &str, cost: Cost, ran: bool, line: &str) {
+        let spent = if ran { format!("{:.1} s, {:.1} CPU s, {:.0} MiB", cost.wall_s, cost.cpu_s, cost.peak_mib) } else { "as before".into() };
+        self.say(&format!("{stage:<9} {line} ({spent})"));
+        self.record.costs.push((stage.to_owned(), cost));
+    }
+
+    fn frames(&mut self) -> Result<(FrameSet, String)> {
+        let source = self.input.source();
+        let print = fingerprint(&("frames", 1, &self.args.frames, describe_input(source)?))?;
+        if self.stages.current::<FrameSet>("frames", &print).is_none() {
+            self.refuse_foreign_folder()?;
+        }
+        let (finished, ran) = self.stages.run("frames", &print, || {
+            let progress = self.progress("frames");
+            let frames = match &self.input {
+                Input::Video(path) => preprocess::video_frames(path, &self.out, &self.args.frames, &progress)?,
+                Input::Photos(path) | Input::Posed { images: path, .. } => {
+                    preprocess::photo_frames(path, &self.out, &self.args.frames, &progress)?
+                }
+            };
+            Ok(relative_to(frames, &self.out))
+        })?;
+        let frames = absolute_in(finished.value, &self.out);
+        let sizes = frames.frames.first().map_or(String::new(), |f| format!(", {}×{}", f.width, f.height));
+        self.finish("frames", finished.cost, ran, &format!("{}{sizes}", frames.len()));
+        for note in &frames.notes {
+            self.say(&format!("          {note}"));
+        }
+        Ok((frames, print))
+    }
+
+    /// A folder that holds something that no run of ours made is not written over.
+    fn refuse_foreign_folder(&self) -> Result<()> {
+        for name in ["images", "sparse", "masks"] {
+            let path = self.out.join(name);
+            if path.exists() && self.stages.last::<FrameSet>("frames").is_none() && std::fs::read_dir(&path)?.next().is_some() {
+                bail!("{} holds files that sat-recon did not write; choose another folder with -o", path.display());
+            }
+        }
+        Ok(())
+    }
+
+    fn poses(&mut self, frames: &FrameSet, frames_print: &str) -> Result<(PoseSummary, String)> {
+        let print = match &self.input {
+            Input::Posed { model, .. } => fingerprint(&("import", 1, frames_print, describe_input(model)?, self.args.text))?,
+            _ => fingerprint(&("sfm", 1, frames_print, &self.args.sfm, self.args.seed, self.args.text))?,
+        };
+        let (finished, ran) = self.stages.run("sfm", &print, || {
+            let progress = self.progress("sfm");
+            let (reconstruction, mut summary) = match &self.input {
+                Input::Posed { model, .. } => {
+                    let summary = PoseSummary { imported: true, ..PoseSummary::default() };
+                    (Some(input::import_poses(model, frames)?), summary)
+                }
+                _ => self.solve_poses(frames, &progress)?,
+            };
+            summary.total = frames.len();
+            if let Some(reconstruction) = &reconstruction {
+                let errors = reconstruction.reprojection_errors();
+                summary.registered = reconstruction.images.len();
+                summary.points = reconstruction.points.len();
+                summary.mean_error_px = errors.iter().sum::<f64>() / errors.len().max(1) as f64;
+                self.write_model(reconstruction, frames)?;
+            }
+            Ok(summary)
+        })?;
+        let poses = finished.value;
+        let line = match &poses.no_model {
+            Some(reason) => format!("no model: {reason}"),
+            None => format!(
+                "{} of {} images{}, {} points, {:.2} px",
+                poses.registered,
+                poses.total,
+                if poses.imported { " (poses of the input)" } else { "" },
+                poses.points,
+                poses.mean_error_px
+            ),
+        };
+        self.finish("poses", finished.cost, ran, &line);
+        for [what, chosen, evidence] in &poses.decisions {
+            self.say(&format!("          {what}: {chosen} ({evidence})"));
+        }
+        for (name, why) in &poses.missing {
+            self.say(&format!("          missing {name}: {why}"));
+        }
+        Ok((poses, print))
+    }
+
+    fn solve_poses(&self, frames: &FrameSet, progress: &Progress) -> Result<(Option<Reconstruction>, PoseSummary)> {
+        let mut config = self.args.sfm.clone();
+        config.seed = self.args.seed;
+        let result = sfm::reconstruct(frames, &config, progress)?;
+        let summary = PoseSummary {
+            no_model: result.reconstruction.is_none().then(|| result.reason.clone()),
+            missing: result.missing.clone(),
+            decisions: result.decisions.iter().map(|d| [d.what.clone(), d.chosen.clone(), d.evidence.clone()]).collect(),
+            figures: figures(&result.stats),
+            ..PoseSummary::default()
+        };
+        Ok((result.reconstruction, summary))
+    }
+
+    fn write_model(&self, reconstruction: &Reconstruction, frames: &FrameSet) -> Result<()> {
+        let target = self.out.join("sparse").join("0");
+        scene::io::atomic::replace_folder(&target, |folder| {
+            scene::io::write_model_bin(reconstruction, folder)?;
+            if self.args.text {
+                scene::io::write_model_txt(reconstruction, folder)?;
+            }
+            Ok::<(), scene::io::IoError>(())
+        })?;
+        let mask_of = |f: &scene::Frame| Some(f.mask.as_ref()?.strip_prefix(&self.out).ok()?.to_string_lossy().into_owned());
+        let masks: BTreeMap<String, String> =
+            frames.frames.iter().filter_map(|f| Some((f.name.clone(), mask_of(f)?))).collect();
+        let points: Vec<CloudPoint> =
+            reconstruction.points.values().map(|p| CloudPoint { position: p.position, rgb: p.rgb }).collect();
+        let cloud = "sparse_points.ply";
+        scene::io::ply::write_points_ply(&self.out.join(cloud), &points)?;
+        let options = TransformsOptions {
+            image_folder: "images".into(),
+            masks: reconstruction.images.values().filter_map(|i| Some((i.id, masks.get(&i.name)?.clone()))).collect(),
+            ply_file_path: Some(cloud.into()),
+        };
+        scene::io::write_transforms(&self.out.join("transforms.json"), reconstruction, &options)?;
+        Ok(())
+    }
+
+    fn splat(&mut self, frames: &FrameSet, poses_print: &str, until: Until) -> Result<()> {
+        let training_set = self.out.join("undistorted");
+        let print = fingerprint(&("undistort", 1, poses_print))?;
+        let (finished, ran) = self.stages.run("undistort", &print, || {
+            let progress = self.progress("undistort");
+            let reconstruction = scene::io::read_model(&self.out.join("sparse/0"))?;
+            sfm::undistort::undistort(frames, &reconstruction, &training_set, &progress)?;
+            Ok(0_u32)
+        })?;
+        self.finish("undistort", finished.cost, ran, "images for training");
+
+        let print = fingerprint(&("train", 1, &print, &self.args.dataset, &self.args.train, self.args.seed))?;
+        let (finished, ran) = self.stages.run("train", &print, || self.train(&training_set, &print))?;
+        let splat = finished.value;
+        self.finish("train", finished.cost, ran, &format!("{} gaussians, SH degree {}", splat.gaussians, splat.sh_degree));
+        self.record.splat = Some(splat);
+        if until < Until::Eval {
+            return Ok(());
+        }
+        let print = fingerprint(&("eval", 1, &print))?;
+        let (finished, ran) = self.stages.run("eval", &print, || {
+            let progress = self.progress("eval");
+            evaluate::evaluate(&self.out, &self.args.dataset, &progress)
+        })?;
+        let evaluation = finished.value;
+        self.finish("eval", finished.cost, ran, &evaluation.sentence());
+        self.record.evaluation = Some(evaluation);
+        Ok(())
+    }
+
+    fn train(&self, training_set: &Path, print: &str) -> Result<SplatSummary> {
+        let progress = self.progress("train");
+        let checkpoints = self.stages.path("train");
+        let owner = checkpoints.join("fingerprint");
+        if std::fs::read_to_string(&owner).ok().as_deref() != Some(print) {
+            match std::fs::remove_dir_all(&checkpoints) {
+                Err(e) if e.kind() != std::io::ErrorKind::NotFound => return Err(e).context("cannot clear old checkpoints"),
+                _ => {}
+            }
+            std::fs::create_dir_all(&checkpoints)?;
+            crate::stage::write_whole(&owner, print.as_bytes())?;
+        }
+        let dataset = evaluate::load_dataset(training_set, &self.args.dataset, &progress)?;
+        let mut config = self.args.train.clone();
+        config.seed = self.args.seed;
+        let result = splat::train::train(&dataset, &config, Some(&checkpoints), &progress)?;
+        scene::io::ply::write_splat_ply(&self.out.join("splat.ply"), &result.gaussians)?;
+        let summary = SplatSummary {
+            gaussians: result.gaussians.len(),
+            sh_degree: result.gaussians.sh_degree,
+            curve: result.curve,
+            decisions: result.decisions.iter().map(|d| [d.subject.clone(), d.choice.clone(), d.evidence.clone()]).collect(),
+        };
+        let _ = std::fs::remove_dir_all(&checkpoints); // the splat is written: the checkpoint has done its work
+        Ok(summary)
+    }
+
+    fn say_result(&self, until: Until) -> Result<()> {
+        if self.json {
+            println!("{}", serde_json::to_string_pretty(&self.record)?);
+        }
+        let what = match until {
+            Until::Frames => "images/",
+            Until::Sfm => "sparse/0, transforms.json",
+            Until::Train => "splat.ply",
+            Until::Eval => "eval/metrics.json, splat.ply",
+            Until::Report => "report.html, splat.ply, sparse/0",
+        };
+        self.say(&format!("in {}: {what}", self.out.display()));
+        Ok(())
+    }
+}
+
+fn figures(stats: &sfm::SfmStats) -> Vec<(String, f64)> {
+    let mut figures = vec![
+        ("features".to_owned(), stats.features as f64),
+        ("pairs matched".to_owned(), stats.pairs_matched as f64),
+        ("pairs verified".to_owned(), stats.pairs_verified as f64),
+        ("sightings".to_owned(), stats.observations as f64),
+        ("mean track length".to_owned(), stats.mean_track_length),
+        ("reprojection rms, px".to_owned(), stats.reprojection_rms_px),
+        ("reprojection median, px".to_owned(), stats.reprojection_median_px),
+    ];
+    figures.extend(stats.steps.iter().map(|s| (format!("{}, CPU s", s.step), s.cpu_s)));
+    figures
+}
+
+fn default_output(input: &Path) -> PathBuf {
+    let absolute = std::path::absolute(input).unwrap_or_else(|_| input.to_path_buf());
+    let stem = absolute.file_stem().map_or_else(|| "scene".into(), |s| s.to_string_lossy().into_owned());
+    PathBuf::from(format!("{stem}_recon"))
+}
+
+/// The output folder can be moved: what is remembered of it are relative paths.
+fn relative_to(mut frames: FrameSet, out: &Path) -> FrameSet {
+    let shorten = |p: &Path| p.strip_prefix(out).map_or_else(|_| p.to_path_buf(), Path::to_path_buf);
+    for frame in &mut frames.frames {
+        frame.path = shorten(&frame.path);
+        frame.mask = frame.mask.as_deref().map(shorten);
+    }
+    frames
+}
+
+fn absolute_in(mut frames: FrameSet, out: &Path) -> FrameSet {
+    for frame in &mut frames.frames {
+        frame.path = out.join(&frame.path);
+        frame.mask = frame.mask.as_deref().map(|m| out.join(m));
+    }
+    frames
+}

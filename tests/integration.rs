@@ -1,0 +1,10 @@
+//! Black-box tests of the program: one binary, so that it links once.
+
+mod integration {
+    pub mod bad_input;
+    pub mod cli;
+    pub mod end_to_end;
+    pub mod real_data;
+    pub mod resume;
+    pub mod support;
+}

@@ -1,0 +1,45 @@
+//! The command line itself.
+
+use super::support::{expect_code, folder, sat_recon, text};
+
+#[test]
+fn help_names_every_command_and_ends_well() {
+    let said = expect_code(&["--help"], 0);
+    for command in ["run", "frames", "sfm", "train", "render", "eval", "report", "export", "compare", "doctor"] {
+        assert!(said.contains(command), "{command} is not in the help");
+    }
+    assert!(expect_code(&["--version"], 0).contains(env!("CARGO_PKG_VERSION")));
+}
+
+#[test]
+fn no_arguments_and_unknown_flags_are_usage_errors_with_exit_code_1() {
+    expect_code(&[], 1);
+    expect_code(&["video.mp4", "--no-such-flag"], 1);
+    expect_code(&["train", "video.mp4", "--sh-degree", "4"], 1);
+}
+
+#[test]
+fn doctor_prints_versions_and_valid_json() {
+    assert!(expect_code(&["doctor"], 0).contains("OpenCV"));
+    let output = sat_recon(&["doctor", "--json"]);
+    let rows: serde_json::Value = serde_json::from_slice(&output.stdout).expect("JSON");
+    assert!(rows.as_array().is_some_and(|rows| rows.len() > 3));
+}
+
+#[test]
+fn a_configuration_file_is_flags_and_its_mistakes_are_named() {
+    let dir = folder("config");
+    let file = dir.join("flags.toml");
+    std::fs::write(&file, "no_such_flag = 3\n").unwrap();
+    assert!(expect_code(&["missing.mp4", "--config", text(&file)], 1).contains("--no-such-flag"));
+    std::fs::write(&file, "seed = [1]\n").unwrap();
+    assert!(expect_code(&["missing.mp4", "--config", text(&file)], 1).contains("seed"));
+    assert!(expect_code(&["missing.mp4", "--config", text(&dir.join("none.toml"))], 1).contains("none.toml"));
+    std::fs::remove_dir_all(dir).unwrap();
+}
+
+#[test]
+fn a_preset_says_what_it_changes() {
+    let said = expect_code(&["missing.mp4", "--quality", "draft"], 1);
+    assert!(said.contains("--iterations"), "{said}");
+}

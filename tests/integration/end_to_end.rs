@@ -1,0 +1,117 @@
+//! From a video file alone to poses, a splat, metrics and a report, on the sample that the project ships.
+
+use super::support::{expect_code, folder, json, sample, text};
+use std::path::Path;
+use std::process::Command;
+use std::sync::OnceLock;
+
+/// Small enough for a test, real all the way: 36 frames of the sample at 320 pixels, 600 steps.
+pub const SMALL: [&str; 8] = ["--frames", "36", "--max-size", "320", "--iterations", "600", "--max-gaussians", "20000"];
+
+/// One run that several tests look at.
+fn finished_run() -> &'static Path {
+    static RUN: OnceLock<std::path::PathBuf> = OnceLock::new();
+    RUN.get_or_init(|| {
+        let out = folder("end_to_end").join("out");
+        let input = sample("sample/orbit.mp4");
+        expect_code(&[&[text(&input), "-o", text(&out), "--text"][..], &SMALL].concat(), 0);
+        out
+    })
+}
+
+#[test]
+fn a_video_becomes_poses_a_splat_metrics_and_a_report() {
+    let out = finished_run();
+    for file in ["sparse/0/images.bin", "sparse/0/images.txt", "transforms.json", "splat.ply", "eval/metrics.json", "run.json"] {
+        assert!(out.join(file).is_file(), "{file} is missing");
+    }
+    let run = json(&out.join("run.json"));
+    assert_eq!(run["poses"]["registered"], run["poses"]["total"]);
+    let mean = &run["evaluation"]["mean"];
+    assert!(mean["psnr"].as_f64().unwrap() > 22.0, "{mean}");
+    assert!(mean["ssim"].as_f64().unwrap() > 0.6, "{mean}");
+}
+
+#[test]
+fn the_poses_of_the_sample_agree_with_its_truth() {
+    let out = finished_run();
+    let said = expect_code(&["compare", text(out), "--truth", text(&sample("sample/truth")), "--json"], 0);
+    let start = said.find('[').unwrap();
+    let rows: serde_json::Value = serde_json::from_str(&said[start..]).unwrap();
+    assert!(rows[0]["auc"]["5"].as_f64().unwrap() > 85.0, "{said}");
+}
+
+#[test]
+fn the_report_is_one_file_with_everything_in_it() {
+    let report = std::fs::read_to_string(finished_run().join("report.html")).unwrap();
+    for part in ["<h2>Frames", "<h2>Poses", "<h2>Splat", "<h2>Held-out views", "<svg", "data:image/jpeg;base64,"] {
+        assert!(report.contains(part), "{part} is missing");
+    }
+    assert!(!report.contains("src=\"http") && !report.contains("href=\"http"), "nothing may be fetched");
+}
+
+#[test]
+fn a_second_run_does_nothing_and_a_changed_flag_only_what_depends_on_it() {
+    let out = finished_run();
+    let before = std::fs::metadata(out.join("splat.ply")).unwrap().modified().unwrap();
+    let said = expect_code(&["run", text(out)], 0);
+    assert_eq!(said.matches("as before").count(), 5, "{said}");
+    assert_eq!(std::fs::metadata(out.join("splat.ply")).unwrap().modified().unwrap(), before);
+}
+
+#[test]
+fn colmap_reads_the_model() {
+    let model = finished_run().join("sparse/0");
+    let analyzed = Command::new("colmap").args(["model_analyzer", "--path", text(&model)]).env("QT_QPA_PLATFORM", "offscreen").output();
+    let Ok(analyzed) = analyzed else {
+        assert!(std::env::var_os("CI").is_none(), "CI must have colmap ('make test' installs it)");
+        return eprintln!("SKIPPED: colmap is not installed");
+    };
+    let said = format!("{}{}", String::from_utf8_lossy(&analyzed.stdout), String::from_utf8_lossy(&analyzed.stderr));
+    assert!(analyzed.status.success() && said.contains("Registered images: 36"), "{said}");
+    let ply = folder("model_converter").join("points.ply");
+    let converted = Command::new("colmap")
+        .args(["model_converter", "--input_path", text(&model), "--output_path", text(&ply), "--output_type", "PLY"])
+        .env("QT_QPA_PLATFORM", "offscreen")
+        .status()
+        .unwrap();
+    assert!(converted.success() && std::fs::metadata(&ply).unwrap().len() > 1000);
+}
+
+#[test]
+fn a_trained_splat_is_rendered_along_every_path_and_exported() {
+    let out = finished_run();
+    let dir = folder("render");
+    expect_code(&["render", text(out), "-o", text(&dir.join("test")), "--path", "test"], 0);
+    assert_eq!(std::fs::read_dir(dir.join("test")).unwrap().count(), 5);
+    for channel in ["color", "depth", "alpha", "normals"] {
+        let target = dir.join(channel);
+        expect_code(&["render", text(out), "-o", text(&target), "--count", "2", "--channel", channel], 0);
+        let picture = image::open(target.join("00001.png")).unwrap().to_rgb8();
+        let (low, high) = picture.as_raw().iter().fold((255, 0), |(l, h), &v| (v.min(l), v.max(h)));
+        assert!(high > low, "{channel} shows nothing");
+    }
+    let film = dir.join("spiral.mp4");
+    expect_code(&["render", text(out), "-o", text(&film), "--path", "spiral", "--count", "4"], 0);
+    assert!(std::fs::metadata(&film).unwrap().len() > 500);
+    expect_code(&["export", text(out), "-o", text(&dir.join("copy.ply"))], 0);
+    assert_eq!(std::fs::read(dir.join("copy.ply")).unwrap(), std::fs::read(out.join("splat.ply")).unwrap());
+    expect_code(&["export", text(out), "-o", text(&dir.join("model")), "--text"], 0);
+    assert!(dir.join("model/points3D.txt").is_file());
+}
+
+#[test]
+fn the_output_folder_is_a_data_set_that_we_read_as_any_other() {
+    let out = finished_run();
+    let again = folder("as_dataset").join("out");
+    let copy = folder("as_dataset_in");
+    for part in ["images", "sparse/0"] {
+        std::fs::create_dir_all(copy.join(part)).unwrap();
+        for entry in std::fs::read_dir(out.join("undistorted").join(part)).unwrap() {
+            let path = entry.unwrap().path();
+            std::fs::copy(&path, copy.join(part).join(path.file_name().unwrap())).unwrap();
+        }
+    }
+    let said = expect_code(&["sfm", text(&copy), "-o", text(&again)], 0);
+    assert!(said.contains("poses of the input"), "{said}");
+}

@@ -1,0 +1,64 @@
+//! Real captures with truth: each figure is one the product promises.
+
+use super::support::{expect_code, folder, json, shared, text};
+use std::path::Path;
+
+fn poses(name: &str, input: &Path, flags: &[&str], code: i32) -> std::path::PathBuf {
+    let out = folder(name).join("out");
+    expect_code(&[&["sfm", text(input), "-o", text(&out)][..], flags].concat(), code);
+    out
+}
+
+fn errors(out: &Path, truth: &Path) -> serde_json::Value {
+    let said = expect_code(&["compare", text(out), "--truth", text(truth), "--json"], 0);
+    let start = said.find('[').unwrap();
+    serde_json::from_str::<serde_json::Value>(&said[start..]).unwrap()[0].clone()
+}
+
+#[test]
+fn temple_ring_is_one_model_with_accurate_poses() {
+    let (Some(images), Some(truth)) = (shared("temple_ring/images"), shared("temple_ring/cameras_par.txt")) else { return };
+    let errors = errors(&poses("temple", &images, &[], 0), &truth);
+    assert_eq!(errors["registered"], 47, "{errors}");
+    assert!(errors["auc"]["5"].as_f64().unwrap() >= 78.0, "{errors}");
+    assert!(errors["centre_median_pct"].as_f64().unwrap() <= 0.10, "{errors}");
+}
+
+#[test]
+fn fountain_is_one_model_with_accurate_poses() {
+    let (Some(images), Some(truth)) = (shared("fountain_p11/images"), shared("fountain_p11/gt_dense_cameras")) else { return };
+    let errors = errors(&poses("fountain", &images, &["--max-size", "1024"], 0), &truth);
+    assert_eq!(errors["registered"], 11, "{errors}");
+    assert!(errors["auc"]["5"].as_f64().unwrap() >= 85.0, "{errors}");
+}
+
+#[test]
+fn a_phone_video_becomes_one_model() {
+    let Some(video) = shared("phone_video/can_orbit.mp4") else { return };
+    let out = poses("can", &video, &["--frames", "40", "--max-size", "640"], 0);
+    let run = json(&out.join("run.json"));
+    assert_eq!(run["poses"]["registered"], run["poses"]["total"]);
+}
+
+#[test]
+fn given_poses_are_used_and_solving_is_skipped() {
+    let Some(lego) = shared("lego400") else { return };
+    let out = poses("lego", &lego, &[], 0);
+    let run = json(&out.join("run.json"));
+    assert_eq!(run["poses"]["imported"], true);
+    assert_eq!(run["poses"]["registered"], 100);
+    assert!(out.join("masks").is_dir(), "the alpha channel becomes masks");
+}
+
+#[test]
+fn photos_are_turned_as_their_exif_says() {
+    let Some(photos) = shared("exif_orientation") else { return };
+    let out = folder("exif").join("out");
+    expect_code(&["frames", text(&photos), "-o", text(&out)], 0);
+    for entry in std::fs::read_dir(out.join("images")).unwrap() {
+        let path = entry.unwrap().path();
+        let (w, h) = image::image_dimensions(&path).unwrap();
+        let is_portrait = path.file_name().unwrap().to_string_lossy().starts_with("Portrait");
+        assert_eq!(h > w, is_portrait, "{} is {w}×{h}", path.display());
+    }
+}

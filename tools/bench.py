@@ -1,0 +1,155 @@
+#!/usr/bin/env python3
+"""Runs sat-recon on the real captures and prints the tables of docs/benchmarks.md.
+
+    bench.py SAT_RECON SHARED --out FOLDER [--only NAME ...] [--no-colmap]
+
+Poses are judged by `sat-recon compare --truth`, which computes what COLMAP's benchmark papers use: the area under
+the recall curve over all image pairs. COLMAP 3.8 runs on the same images in the same call where it is installed.
+Costs are CPU seconds (user and system, subprocesses included) and peak resident memory.
+"""
+import argparse
+import json
+import os
+import resource
+import shutil
+import subprocess
+import sys
+import time
+
+POSES = [
+    # name, input below SHARED/data, truth below SHARED/data, flags
+    ("temple_ring", "temple_ring/images", "temple_ring/cameras_par.txt", []),
+    ("fountain_p11", "fountain_p11/images", "fountain_p11/gt_dense_cameras", []),
+    ("fox", "fox/images", "fox/transforms.json", []),
+    ("oxford_dino", "oxford_dino/images", None, []),
+    ("can_orbit", "phone_video/can_orbit.mp4", None, []),
+]
+SPLATS = [
+    ("lego400", "lego400", []),
+    ("fox_undistorted_640", "fox_undistorted_640", []),
+    ("temple_ring", "temple_ring/images", []),
+    ("can_orbit", "phone_video/can_orbit.mp4", []),
+]
+
+
+def measured(command, **options):
+    """Runs a command; returns exit code, wall seconds, CPU seconds and peak MiB of its processes."""
+    before = resource.getrusage(resource.RUSAGE_CHILDREN)
+    begun = time.time()
+    process = subprocess.Popen(command, **options)
+    _, status, usage = os.wait4(process.pid, 0)
+    wall = time.time() - begun
+    after = resource.getrusage(resource.RUSAGE_CHILDREN)
+    cpu = after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
+    return os.waitstatus_to_exitcode(status), wall, cpu, usage.ru_maxrss / 1024
+
+
+def run_json(command):
+    return json.loads(subprocess.run(command, check=True, capture_output=True, text=True).stdout)
+
+
+def pose_errors(binary, model, truth):
+    return run_json([binary, "compare", model, "--truth", truth, "--json"])[0]
+
+
+def pose_row(name, tool, record, cpu, wall, peak):
+    auc = "–"
+    angles = centres = "–"
+    if record.get("auc"):
+        auc = " / ".join(f"{record['auc'][t]:.1f}" for t in ("1", "3", "5", "10"))
+        angles = f"{record['rotation_median_deg']:.3f}°"
+        centres = f"{record['centre_median_pct']:.3f} / {record['centre_max_pct']:.3f}"
+    print(f"| {name} | {tool} | {record['registered']} of {record['total']} | {auc} | {angles} | {centres} "
+          f"| {cpu:.1f} | {wall:.1f} | {peak:.0f} |", flush=True)
+
+
+def bench_poses(binary, shared, out, only, colmap):
+    print("\n## Poses\n\n| input | tool | registered | AUC@1 / 3 / 5 / 10 | rotation median | centre median / max, % "
+          "| CPU s | wall s | peak MiB |\n|---|---|---|---|---|---|---|---|---|")
+    for name, source, truth, flags in POSES:
+        if only and name not in only:
+            continue
+        folder = os.path.join(out, "poses", name)
+        shutil.rmtree(folder, ignore_errors=True)
+        source = os.path.join(shared, "data", source)
+        truth = truth and os.path.join(shared, "data", truth)
+        code, wall, cpu, peak = measured([binary, "sfm", source, "-o", folder, "-q", "--ignore-poses", *flags])
+        with open(os.path.join(folder, "run.json")) as file:
+            run = json.load(file)
+        record = dict(registered=run["poses"]["registered"], total=run["poses"]["total"])
+        if truth and code in (0, 3):
+            record |= pose_errors(binary, os.path.join(folder, "sparse", "0"), truth)
+        pose_row(name, "sat-recon", record, cpu, wall, peak)
+        if colmap and truth and shutil.which("colmap"):
+            bench_colmap(binary, name, os.path.join(folder, "images"), truth, os.path.join(out, "colmap", name))
+
+
+def bench_colmap(binary, name, images, truth, folder):
+    """Debian's COLMAP 3.8 with its defaults, one camera, on the CPU."""
+    shutil.rmtree(folder, ignore_errors=True)
+    os.makedirs(os.path.join(folder, "sparse"))
+    environment = dict(os.environ, QT_QPA_PLATFORM="offscreen")
+    database = os.path.join(folder, "database.db")
+    steps = [
+        ["feature_extractor", "--image_path", images, "--ImageReader.single_camera", "1", "--SiftExtraction.use_gpu", "0"],
+        ["exhaustive_matcher", "--SiftMatching.use_gpu", "0"],
+        ["mapper", "--image_path", images, "--output_path", os.path.join(folder, "sparse")],
+    ]
+    total_cpu = total_wall = most = 0.0
+    with open(os.path.join(folder, "log"), "w") as log:
+        for step in steps:
+            command = ["colmap", step[0], "--database_path", database, *step[1:]]
+            code, wall, cpu, peak = measured(command, env=environment, stdout=log, stderr=log)
+            total_cpu, total_wall, most = total_cpu + cpu, total_wall + wall, max(most, peak)
+            if code != 0:
+                print(f"colmap {step[0]} failed, see {folder}/log", file=sys.stderr)
+                return
+    models = sorted(os.listdir(os.path.join(folder, "sparse")))
+    records = [pose_errors(binary, os.path.join(folder, "sparse", m), truth) for m in models]
+    if records:
+        best = max(records, key=lambda r: r["registered"])
+        pose_row(name, "COLMAP 3.8", best, total_cpu, total_wall, most)
+
+
+def bench_splats(binary, shared, out, only):
+    print("\n## Splats (every 8th view held out)\n\n| input | quality | gaussians | PSNR | SSIM | worst view | train CPU s "
+          "| train wall s | peak MiB |\n|---|---|---|---|---|---|---|---|---|")
+    for name, source, flags in SPLATS:
+        if only and name not in only:
+            continue
+        for quality in ("fast", "balanced"):
+            folder = os.path.join(out, "splats", name + "-" + quality)
+            shutil.rmtree(folder, ignore_errors=True)
+            source_path = os.path.join(shared, "data", source)
+            code, *_ = measured([binary, source_path, "-o", folder, "-q", "--quality", quality, *flags])
+            if code not in (0, 3):
+                print(f"| {name} | {quality} | failed with exit code {code} |")
+                continue
+            with open(os.path.join(folder, "run.json")) as file:
+                run = json.load(file)
+            cost = dict(run["costs"])["train"]
+            worst = min(v["metrics"]["psnr"] for v in run["evaluation"]["views"])
+            mean = run["evaluation"]["mean"]
+            print(f"| {name} | {quality} | {run['splat']['gaussians']} | {mean['psnr']:.2f} | {mean['ssim']:.4f} | {worst:.2f} "
+                  f"| {cost['cpu_s']:.0f} | {cost['wall_s']:.0f} | {cost['peak_mib']:.0f} |", flush=True)
+
+
+def main():
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("binary")
+    parser.add_argument("shared")
+    parser.add_argument("--out", required=True)
+    parser.add_argument("--only", nargs="*", help="names of inputs")
+    parser.add_argument("--tables", nargs="*", default=["poses", "splats"], choices=["poses", "splats"])
+    parser.add_argument("--no-colmap", action="store_true")
+    args = parser.parse_args()
+    if not os.path.isdir(os.path.join(args.shared, "data")):
+        sys.exit(f"{args.shared}/data is missing: the benchmarks need the real captures")
+    if "poses" in args.tables:
+        bench_poses(args.binary, args.shared, args.out, args.only, not args.no_colmap)
+    if "splats" in args.tables:
+        bench_splats(args.binary, args.shared, args.out, args.only)
+
+
+if __name__ == "__main__":
+    main()

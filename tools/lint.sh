@@ -1,0 +1,27 @@
+#!/usr/bin/env bash
+# Formatting, clippy, lengths of files and functions, and the borders between the crates.
+set -euo pipefail
+cd "$(dirname "$0")/.."
+fail=0
+complain() { echo "lint: $1" >&2; fail=1; }
+
+cargo fmt --all -- --check || complain "run 'cargo fmt --all'"
+cargo clippy --workspace --all-targets --locked -- -D warnings || complain "clippy has something to say"
+
+while read -r lines file; do
+  [ "$lines" -gt 500 ] && complain "$file has $lines lines; 500 is the most"
+done < <(git ls-files '*.rs' '*.wgsl' '*.cc' '*.h' '*.py' '*.sh' '*.js' '*.ts' | xargs wc -l | grep -v ' total$')
+
+# The stage crates know `scene` and nothing of each other; native libraries stay in their corner.
+for crate in scene preprocess sfm splat; do
+  for other in preprocess sfm splat sat_recon; do
+    [ "$crate" = "$other" ] && continue
+    git grep -nE "\b$other::|^$other\b.*workspace" -- "$crate/src" "$crate/Cargo.toml" && complain "$crate must not know $other"
+  done
+done
+git grep -nE '\bopencv::' -- 'scene/*.rs' 'sfm/*.rs' 'splat/*.rs' 'src/*.rs' && complain "opencv belongs to preprocess"
+git grep -nE '\bcxx::' -- '*.rs' ':!sfm/src/ceres' ':!sfm/build.rs' && complain "cxx belongs to sfm/src/ceres"
+git grep -nE '\bwgpu::' -- '*.rs' ':!splat/src/gpu' && complain "wgpu belongs to splat/src/gpu"
+git grep -nE 'todo!\(|unimplemented!\(|dbg!\(|#\[ignore' -- '*.rs' && complain "something was left undone"
+git grep -nE 'println!|print!\(|eprintln!' -- 'scene/src' 'preprocess/src' 'sfm/src' 'splat/src' && complain "libraries never print"
+exit $fail
