@@ -1,1 +1,26 @@
-//! splat
+//! Gaussian splatting: from posed images to Gaussians, and from Gaussians to images.
+//!
+//! The trainer works in a normalised frame (cameras within about one unit of the origin, [`Dataset`]); results
+//! come back in the world frame of the reconstruction. Backends share the kernels' names and their image formation:
+//! `reference` is the specification in f64, `cpu` the production path.
+
+pub mod backend;
+pub mod checkpoint;
+pub mod config;
+pub mod cpu;
+pub mod dataset;
+pub mod densify;
+pub mod error;
+pub mod init;
+pub mod model;
+pub mod reference;
+pub mod render;
+pub mod schedule;
+pub mod train;
+
+pub use backend::{Backend, PinholeView};
+pub use config::{Quality, TrainConfig};
+pub use dataset::{AlphaMode, Dataset, DatasetConfig, View};
+pub use error::SplatError;
+pub use render::{RenderOptions, RenderOutput, Renderer, render_view};
+pub use train::{CurvePoint, Decision, TrainResult, train};

@@ -1,0 +1,137 @@
+//! What a backend does: hold the Gaussians, render them, take a training step, say what it saw.
+
+use crate::model::Model;
+use crate::{RenderOptions, RenderOutput, SplatError};
+use glam::{Mat3, Vec3};
+
+/// A pinhole camera and its pose in the frame of the Gaussians, f32.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct PinholeView {
+    /// Rotation `cam_from_world`.
+    pub rotation: Mat3,
+    /// Translation of `cam_from_world`.
+    pub translation: Vec3,
+    /// Focal lengths, pixels.
+    pub focal: [f32; 2],
+    /// Principal point, pixels (pixel centres at + 0.5).
+    pub centre: [f32; 2],
+    /// Width, pixels.
+    pub width: usize,
+    /// Height, pixels.
+    pub height: usize,
+}
+
+impl PinholeView {
+    /// Where the camera stands.
+    pub fn position(&self) -> Vec3 {
+        -(self.rotation.transpose() * self.translation)
+    }
+
+    /// The view at a resolution of `1 / 2^level`, sizes rounded down (at least 1), scaled about the image corner.
+    pub fn at_level(&self, level: u32) -> Self {
+        let (width, height) = (crate::dataset::level_size(self.width, level), crate::dataset::level_size(self.height, level));
+        let (sx, sy) = (width as f32 / self.width as f32, height as f32 / self.height as f32);
+        Self {
+            focal: [self.focal[0] * sx, self.focal[1] * sy],
+            centre: [self.centre[0] * sx, self.centre[1] * sy],
+            width,
+            height,
+            ..*self
+        }
+    }
+}
+
+/// What a training step is compared with: 8-bit pixels at the view's size.
+#[derive(Clone, Copy, Debug)]
+pub struct Target<'a> {
+    /// [height × width × 3] sRGB, straight (not premultiplied).
+    pub rgb: &'a [u8],
+    /// [height × width] weight or coverage, white = keep.
+    pub mask: Option<&'a [u8]>,
+    /// Whether the mask is coverage (the background shows through) or a weight (0 = ignored).
+    pub transparent: bool,
+}
+
+/// Adam's step sizes for one step.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct LearningRates {
+    /// Means, normalised scene units.
+    pub mean: f32,
+    /// Logarithms of the scales.
+    pub log_scale: f32,
+    /// Quaternions.
+    pub rotation: f32,
+    /// Opacity logits.
+    pub opacity: f32,
+    /// Spherical harmonics of degree 0.
+    pub sh0: f32,
+    /// Higher spherical harmonics.
+    pub sh_rest: f32,
+}
+
+/// One training step.
+#[derive(Clone, Copy, Debug)]
+pub struct StepInput<'a> {
+    /// The camera.
+    pub view: &'a PinholeView,
+    /// What it should show.
+    pub target: Target<'a>,
+    /// Near plane, antialiasing, background, spherical-harmonic degree in use.
+    pub options: RenderOptions,
+    /// Step sizes.
+    pub rates: LearningRates,
+    /// Weight of D-SSIM against L1.
+    pub lambda_dssim: f32,
+    /// Weight of the mean opacity of the visible Gaussians in the loss.
+    pub opacity_penalty: f32,
+    /// Weight of the mean scale of the visible Gaussians in the loss.
+    pub scale_penalty: f32,
+}
+
+/// What a step saw.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct StepOutput {
+    /// `(1 − λ) L1 + λ D-SSIM`.
+    pub loss: f32,
+    /// Mean squared error over the pixels that count.
+    pub mse: f32,
+    /// Gaussians that touch a tile.
+    pub visible: usize,
+    /// Gaussian–tile pairs.
+    pub pairs: usize,
+    /// Gaussians whose gradient was not finite (left unchanged).
+    pub non_finite: usize,
+}
+
+/// Seconds spent in each kernel since the backend was made.
+#[derive(Clone, Copy, Debug, Default, PartialEq, serde::Serialize, serde::Deserialize)]
+pub struct KernelTimes {
+    /// Projection and colour.
+    pub project: f64,
+    /// Depth sort and binning.
+    pub sort: f64,
+    /// Rasterisation.
+    pub forward: f64,
+    /// Loss and its gradient.
+    pub loss: f64,
+    /// Rasterisation backward.
+    pub backward: f64,
+    /// Projection backward and Adam.
+    pub optimise: f64,
+}
+
+/// A place where Gaussians are rendered and trained. All work on the same [`Model`] layout.
+pub trait Backend {
+    /// Takes the parameters and moments.
+    fn upload(&mut self, model: Model);
+    /// The present parameters and moments.
+    fn model(&self) -> &Model;
+    /// For changes between steps (densification, pruning).
+    fn model_mut(&mut self) -> &mut Model;
+    /// Renders the Gaussians.
+    fn render(&mut self, view: &PinholeView, options: &RenderOptions) -> RenderOutput;
+    /// Forward, loss, backward and Adam.
+    fn step(&mut self, input: &StepInput) -> Result<StepOutput, SplatError>;
+    /// Time by kernel.
+    fn times(&self) -> KernelTimes;
+}

@@ -1,0 +1,179 @@
+//! Training interrupted and resumed: Gaussians, moments, statistics and the place in the schedule.
+//!
+//! File: magic, length of the header (u64, little endian), header (JSON), arrays of f32 (little endian) in the order
+//! of `arrays`. Written beside its target and renamed, so that what exists is whole.
+
+use crate::SplatError;
+use crate::cpu::optimise::Statistics;
+use crate::model::{Model, padded};
+use crate::train::{CurvePoint, Decision};
+use serde::{Deserialize, Serialize};
+use std::io::Write;
+use std::path::{Path, PathBuf};
+
+const MAGIC: &[u8; 8] = b"SPLATCK1";
+
+/// Name of the file in the checkpoint folder.
+pub const FILE: &str = "training.checkpoint";
+
+/// The place in the schedule.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct State {
+    /// Steps done.
+    pub iteration: u32,
+    /// Position in the schedule, [0, 1].
+    pub position: f64,
+    /// Seconds spent so far.
+    pub seconds: f64,
+    /// What the run was told, as JSON: another configuration starts afresh.
+    pub fingerprint: String,
+    /// The curve so far.
+    pub curve: Vec<CurvePoint>,
+    /// The decisions so far.
+    pub decisions: Vec<Decision>,
+    /// Loss and squared error averaged since the last point of the curve, and how many steps.
+    pub pending: [f64; 3],
+}
+
+#[derive(Serialize, Deserialize)]
+struct Header {
+    state: State,
+    len: usize,
+    sh_degree: u32,
+}
+
+/// A checkpoint in memory.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Checkpoint {
+    /// Place in the schedule.
+    pub state: State,
+    /// Gaussians and moments.
+    pub model: Model,
+    /// Sums since the last densification.
+    pub statistics: Statistics,
+}
+
+/// All arrays of a checkpoint, in file order.
+fn arrays<'a>(model: &'a mut Model, statistics: &'a mut Statistics) -> Vec<&'a mut Vec<f32>> {
+    let Model { geometry, geometry_m, geometry_v, sh, sh_m, sh_v, steps, .. } = model;
+    let mut all: Vec<&mut Vec<f32>> = Vec::new();
+    all.extend(geometry.iter_mut().chain(geometry_m).chain(geometry_v));
+    all.extend([sh, sh_m, sh_v, steps]);
+    all.extend([&mut statistics.gradient, &mut statistics.visible, &mut statistics.weight, &mut statistics.radius]);
+    all
+}
+
+impl Checkpoint {
+    /// Writes into the folder (created if missing), atomically.
+    pub fn write(&mut self, folder: &Path) -> Result<(), SplatError> {
+        let path = folder.join(FILE);
+        let failed = |source| SplatError::CheckpointWrite { path: path.clone(), source };
+        let header = Header { state: self.state.clone(), len: self.model.len, sh_degree: self.model.sh_degree };
+        let header = serde_json::to_vec(&header).map_err(|e| failed(e.into()))?;
+        std::fs::create_dir_all(folder).map_err(failed)?;
+        let partial = folder.join(format!("{FILE}.partial"));
+        let mut write = || -> std::io::Result<()> {
+            let mut file = std::io::BufWriter::new(std::fs::File::create(&partial)?);
+            file.write_all(MAGIC)?;
+            file.write_all(&(header.len() as u64).to_le_bytes())?;
+            file.write_all(&header)?;
+            for array in arrays(&mut self.model, &mut self.statistics) {
+                for value in array.iter() {
+                    file.write_all(&value.to_le_bytes())?;
+                }
+            }
+            file.into_inner().map_err(|e| e.into_error())?.sync_all()?;
+            std::fs::rename(&partial, &path)
+        };
+        write().map_err(|source| SplatError::CheckpointWrite { path: path.clone(), source })
+    }
+
+    /// Reads the folder's checkpoint; `None` if there is none or it belongs to another configuration.
+    pub fn read(folder: &Path, fingerprint: &str) -> Result<Option<Self>, SplatError> {
+        let path = folder.join(FILE);
+        let bytes = match std::fs::read(&path) {
+            Ok(bytes) => bytes,
+            Err(e) if e.kind() == std::io::ErrorKind::NotFound => return Ok(None),
+            Err(e) => return Err(unusable(&path, e)),
+        };
+        let checkpoint = parse(&bytes).map_err(|reason| unusable(&path, reason))?;
+        Ok((checkpoint.state.fingerprint == fingerprint).then_some(checkpoint))
+    }
+}
+
+fn unusable(path: &Path, reason: impl ToString) -> SplatError {
+    SplatError::CheckpointRead { path: PathBuf::from(path), reason: reason.to_string() }
+}
+
+fn parse(bytes: &[u8]) -> Result<Checkpoint, String> {
+    let short = || "it is cut short".to_owned();
+    let rest = bytes.strip_prefix(MAGIC.as_slice()).ok_or("it is not a checkpoint of this version")?;
+    let (length, rest) = rest.split_first_chunk::<8>().ok_or_else(short)?;
+    let length = usize::try_from(u64::from_le_bytes(*length)).map_err(|e| e.to_string())?;
+    let (header, mut rest) = rest.split_at_checked(length).ok_or_else(short)?;
+    let header: Header = serde_json::from_slice(header).map_err(|e| e.to_string())?;
+    if header.sh_degree > 3 || header.len > rest.len() {
+        return Err(short());
+    }
+    let mut model = Model { len: header.len, sh_degree: header.sh_degree, ..Model::default() };
+    let mut statistics = Statistics::default();
+    let (planes, sh) = (padded(model.len), model.len * model.sh_stride());
+    for (index, array) in arrays(&mut model, &mut statistics).into_iter().enumerate() {
+        let length = if (33..36).contains(&index) { sh } else { planes };
+        let (own, next) = rest.split_at_checked(length * 4).ok_or_else(short)?;
+        *array = own.as_chunks::<4>().0.iter().map(|&b| f32::from_le_bytes(b)).collect();
+        rest = next;
+    }
+    if rest.is_empty() { Ok(Checkpoint { state: header.state, model, statistics }) } else { Err("it is too long".to_owned()) }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use glam::{Quat, Vec3};
+    use scene::Gaussians;
+
+    fn example() -> Checkpoint {
+        let n = 37;
+        let gaussians = Gaussians {
+            means: (0..n).map(|i| Vec3::new(i as f32, -0.0, f32::MIN_POSITIVE)).collect(),
+            log_scales: vec![Vec3::splat(-3.5); n],
+            rotations: vec![Quat::IDENTITY; n],
+            opacity_logits: vec![f32::NAN; n],
+            sh: (0..n * 12).map(|i| i as f32 * 0.1).collect(),
+            sh_degree: 1,
+        };
+        let model = Model::from_gaussians(&gaussians);
+        let mut statistics = Statistics::default();
+        statistics.reset(n);
+        let state = State { iteration: 7, position: 0.1 + 0.2, fingerprint: "x".to_owned(), ..State::default() };
+        Checkpoint { state, model, statistics }
+    }
+
+    #[test]
+    fn a_checkpoint_comes_back_bit_for_bit() {
+        let folder = std::env::temp_dir().join(format!("splat-checkpoint-{}", std::process::id()));
+        let mut checkpoint = example();
+        checkpoint.write(&folder).unwrap();
+        let mut read = Checkpoint::read(&folder, "x").unwrap().unwrap();
+        assert_eq!(read.state, checkpoint.state);
+        let bits = |c: &mut Checkpoint| -> Vec<u32> {
+            arrays(&mut c.model, &mut c.statistics).into_iter().flat_map(|a| a.iter().map(|v| v.to_bits()).collect::<Vec<_>>()).collect()
+        };
+        assert_eq!(bits(&mut read), bits(&mut checkpoint));
+        assert!(Checkpoint::read(&folder, "y").unwrap().is_none(), "another configuration starts afresh");
+        std::fs::remove_dir_all(&folder).unwrap();
+    }
+
+    #[test]
+    fn a_damaged_checkpoint_is_refused() {
+        let folder = std::env::temp_dir().join(format!("splat-damaged-{}", std::process::id()));
+        example().write(&folder).unwrap();
+        let bytes = std::fs::read(folder.join(FILE)).unwrap();
+        for cut in [0, 4, 12, 40, bytes.len() - 1] {
+            assert!(parse(&bytes[..cut]).is_err(), "{cut}");
+        }
+        assert!(parse(&[bytes.as_slice(), &[0]].concat()).is_err());
+        std::fs::remove_dir_all(&folder).unwrap();
+    }
+}

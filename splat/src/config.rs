@@ -1,0 +1,144 @@
+//! What training can be told.
+
+use clap::{Args, ValueEnum};
+use serde::{Deserialize, Serialize};
+
+/// How much time to spend for how much quality: presets of [`TrainConfig`].
+#[derive(ValueEnum, Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Quality {
+    /// A first look
+    Draft,
+    /// Good enough to judge a capture
+    Fast,
+    /// The default
+    Balanced,
+    /// As good as it gets here
+    Best,
+}
+
+impl Quality {
+    /// The flags this preset places before the typed ones.
+    pub fn flags(self) -> &'static [(&'static str, &'static str)] {
+        match self {
+            Self::Draft => &[("iterations", "1000"), ("max-gaussians", "30000"), ("sh-degree", "1")],
+            Self::Fast => &[("iterations", "3000"), ("max-gaussians", "60000"), ("sh-degree", "2")],
+            Self::Balanced => &[],
+            Self::Best => &[("iterations", "30000"), ("max-gaussians", "400000")],
+        }
+    }
+}
+
+/// Training of the Gaussians. The defaults are the preset `balanced`.
+#[derive(Args, Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct TrainConfig {
+    /// Training steps; one view each
+    #[arg(long, default_value_t = ITERATIONS, help_heading = "Splat")]
+    pub iterations: u32,
+    /// Wall time for training (90, 60s, 5m, 1h): the schedule fits itself into it and --iterations is not used
+    #[arg(long, value_parser = parse_duration, value_name = "TIME", help_heading = "Splat")]
+    pub time_limit: Option<f64>,
+    /// Never more Gaussians than this
+    #[arg(long, default_value_t = MAX_GAUSSIANS, help_heading = "Splat")]
+    pub max_gaussians: usize,
+    /// Highest spherical-harmonic degree, 0 to 3
+    #[arg(long, default_value_t = 3, value_parser = clap::value_parser!(u32).range(0..=3), help_heading = "Splat")]
+    pub sh_degree: u32,
+    /// Weight of D-SSIM against L1, in [0, 1] (3DGS paper: 0.2)
+    #[arg(long, default_value_t = LAMBDA_DSSIM, help_heading = "Splat")]
+    pub lambda_dssim: f32,
+    /// Begin at 1/2^N of the resolution
+    #[arg(long, default_value_t = 2, value_parser = clap::value_parser!(u32).range(0..=4), help_heading = "Splat")]
+    pub coarse_levels: u32,
+    /// Factor on every learning rate
+    #[arg(long, default_value_t = 1.0, help_heading = "Splat")]
+    pub learning_rate: f32,
+    /// Scale opacity with the 2D low-pass (Mip-Splatting), against aliasing
+    #[arg(long, help_heading = "Splat")]
+    pub antialias: bool,
+    /// Steps between checkpoints (0: only when stopped)
+    #[arg(long, default_value_t = CHECKPOINT_EVERY, help_heading = "Splat")]
+    pub checkpoint_every: u32,
+    /// Seed of all randomness (the command line has one for all stages)
+    #[arg(skip)]
+    pub seed: u64,
+}
+
+const ITERATIONS: u32 = 7000;
+const MAX_GAUSSIANS: usize = 150_000;
+const LAMBDA_DSSIM: f32 = 0.2;
+const CHECKPOINT_EVERY: u32 = 1000;
+
+impl Default for TrainConfig {
+    fn default() -> Self {
+        Self {
+            iterations: ITERATIONS,
+            time_limit: None,
+            max_gaussians: MAX_GAUSSIANS,
+            sh_degree: 3,
+            lambda_dssim: LAMBDA_DSSIM,
+            coarse_levels: 2,
+            learning_rate: 1.0,
+            antialias: false,
+            checkpoint_every: CHECKPOINT_EVERY,
+            seed: 0,
+        }
+    }
+}
+
+/// Seconds from `90`, `60s`, `1.5m` or `2h`.
+pub fn parse_duration(text: &str) -> Result<f64, String> {
+    let (number, unit) = match text.trim().strip_suffix(['s', 'm', 'h']) {
+        Some(number) => (number, text.trim().chars().last()),
+        None => (text.trim(), None),
+    };
+    let factor = match unit {
+        Some('m') => 60.0,
+        Some('h') => 3600.0,
+        _ => 1.0,
+    };
+    match number.parse::<f64>() {
+        Ok(value) if value.is_finite() && value > 0.0 => Ok(value * factor),
+        _ => Err(format!("{text:?} is not a duration such as 90, 60s, 5m or 1h")),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use clap::Parser;
+
+    #[derive(Parser)]
+    struct Cli {
+        #[command(flatten)]
+        train: TrainConfig,
+    }
+
+    #[test]
+    fn the_defaults_of_the_command_line_are_those_of_the_library() {
+        let parsed = Cli::try_parse_from(["x"]).unwrap().train;
+        assert_eq!(parsed, TrainConfig::default());
+    }
+
+    #[test]
+    fn every_preset_is_understood_by_the_command_line() {
+        for quality in Quality::value_variants() {
+            let mut arguments = vec!["x".to_owned()];
+            for (flag, value) in quality.flags() {
+                arguments.extend([format!("--{flag}"), (*value).to_owned()]);
+            }
+            assert!(Cli::try_parse_from(&arguments).is_ok(), "{quality:?}");
+        }
+    }
+
+    #[test]
+    fn durations_have_units_and_nonsense_is_refused() {
+        assert_eq!(parse_duration("60s"), Ok(60.0));
+        assert_eq!(parse_duration("1.5m"), Ok(90.0));
+        assert_eq!(parse_duration("2h"), Ok(7200.0));
+        assert_eq!(parse_duration("45"), Ok(45.0));
+        for bad in ["", "s", "-3", "0", "NaN", "inf", "5d"] {
+            assert!(parse_duration(bad).is_err(), "{bad:?}");
+        }
+    }
+}

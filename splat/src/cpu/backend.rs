@@ -1,0 +1,182 @@
+//! [`Backend`] on the CPU.
+
+use super::loss::{LossInput, Shape};
+use super::optimise::{SharedModel, SharedPlane, Sink, Statistics};
+use super::project::{CameraConstants, Parameters};
+use super::simd::Isa;
+use super::workspace::Workspace;
+use crate::backend::{Backend, KernelTimes, StepInput, StepOutput};
+use crate::model::{GEOMETRY, Model, padded};
+use crate::{PinholeView, RenderOptions, RenderOutput, SplatError};
+use scene::FloatImage;
+use std::time::Instant;
+
+/// Near plane where the options leave it open, normalised units.
+pub const DEFAULT_NEAR: f32 = 0.01;
+
+/// The CPU backend.
+pub struct CpuBackend {
+    isa: Isa,
+    model: Model,
+    /// What the steps since the last reset saw.
+    pub statistics: Statistics,
+    work: Workspace,
+    times: KernelTimes,
+}
+
+/// dL/d(parameters) in the layout of [`Model`].
+#[derive(Clone, Debug, Default)]
+pub struct Gradients {
+    /// By plane.
+    pub geometry: [Vec<f32>; GEOMETRY],
+    /// [N × K × 3].
+    pub sh: Vec<f32>,
+}
+
+impl Default for CpuBackend {
+    fn default() -> Self {
+        Self::new(Isa::best())
+    }
+}
+
+impl CpuBackend {
+    /// An empty backend that uses the instruction set.
+    pub fn new(isa: Isa) -> Self {
+        let (statistics, work) = (Statistics::default(), Workspace::default());
+        Self { isa, model: Model::default(), statistics, work, times: KernelTimes::default() }
+    }
+
+    fn camera(&self, view: &PinholeView, options: &RenderOptions) -> CameraConstants {
+        let degree = options.sh_degree.unwrap_or(3).min(self.model.sh_degree);
+        CameraConstants::new(view, options, options.near.unwrap_or(DEFAULT_NEAR), degree)
+    }
+
+    fn forward(&mut self, view: &PinholeView, camera: &CameraConstants, options: &RenderOptions, depth: bool) {
+        let clock = Instant::now();
+        let n = self.model.len;
+        self.work.project(self.isa, Parameters::of(&self.model), n, camera);
+        self.times.project += clock.elapsed().as_secs_f64();
+        let clock = Instant::now();
+        let work = &mut self.work;
+        work.bins.fill(&work.keys, &work.records, view.width, view.height);
+        self.times.sort += clock.elapsed().as_secs_f64();
+        let clock = Instant::now();
+        work.resize(Shape { width: view.width, height: view.height });
+        work.forward(self.isa, options.background, depth);
+        self.times.forward += clock.elapsed().as_secs_f64();
+    }
+
+    /// dL/d(parameters) where dL/d(colour) is `gradient` ([height × width × 3]).
+    pub fn gradients(&mut self, view: &PinholeView, options: &RenderOptions, gradient: &[f32]) -> Gradients {
+        let camera = self.camera(view, options);
+        self.forward(view, &camera, options, false);
+        let stride = self.work.shape.stride();
+        for (c, plane) in self.work.gradient.iter_mut().enumerate() {
+            plane.fill(0.0);
+            for (i, pixel) in gradient.chunks_exact(3).enumerate() {
+                plane[i / view.width * stride + i % view.width] = pixel[c];
+            }
+        }
+        self.work.backward(self.isa);
+        let n = padded(self.model.len);
+        let mut out = Gradients { geometry: std::array::from_fn(|_| vec![0.0; n]), sh: vec![0.0; self.model.sh.len()] };
+        let planes = out.geometry.each_mut().map(|p| SharedPlane(p.as_mut_ptr()));
+        let sh = SharedPlane(out.sh.as_mut_ptr());
+        let unused = SharedPlane(std::ptr::null_mut());
+        let shared = SharedModel { geometry: [planes; 3], sh: [sh; 3], steps: unused, statistics: [unused; 4] };
+        self.work.optimise(self.isa, Parameters::of(&self.model), shared, &camera, Sink::Gradients, [0.0; 2]);
+        out
+    }
+
+    /// The loss of the last rendering against a target, and dL/d(colour) into the workspace.
+    fn loss(&mut self, input: &StepInput) -> super::loss::LossValue {
+        self.work.set_target(&input.target, input.options.background);
+        let weighted = input.target.mask.is_some() && !input.target.transparent;
+        let work = &mut self.work;
+        let loss = LossInput {
+            shape: work.shape,
+            rgb: &work.rgb,
+            target: &work.target,
+            weight: weighted.then_some(work.weight.as_slice()),
+            lambda: input.lambda_dssim,
+        };
+        work.loss.run(self.isa, &loss, &mut work.gradient)
+    }
+
+    fn shared(&mut self) -> SharedModel {
+        let planes = |p: &mut [Vec<f32>; GEOMETRY]| p.each_mut().map(|p| SharedPlane(p.as_mut_ptr()));
+        let m = &mut self.model;
+        let s = &mut self.statistics;
+        let plane = |p: &mut Vec<f32>| SharedPlane(p.as_mut_ptr());
+        SharedModel {
+            geometry: [planes(&mut m.geometry), planes(&mut m.geometry_m), planes(&mut m.geometry_v)],
+            sh: [plane(&mut m.sh), plane(&mut m.sh_m), plane(&mut m.sh_v)],
+            steps: plane(&mut m.steps),
+            statistics: [plane(&mut s.gradient), plane(&mut s.visible), plane(&mut s.weight), plane(&mut s.radius)],
+        }
+    }
+}
+
+impl Backend for CpuBackend {
+    fn upload(&mut self, model: Model) {
+        self.statistics.reset(model.len);
+        self.model = model;
+    }
+
+    fn model(&self) -> &Model {
+        &self.model
+    }
+
+    fn model_mut(&mut self) -> &mut Model {
+        &mut self.model
+    }
+
+    fn render(&mut self, view: &PinholeView, options: &RenderOptions) -> RenderOutput {
+        let camera = self.camera(view, options);
+        self.forward(view, &camera, options, true);
+        let (w, h, stride) = (view.width, view.height, self.work.shape.stride());
+        let mut out = RenderOutput {
+            rgb: FloatImage::zeros(w, h, 3),
+            alpha: FloatImage::zeros(w, h, 1),
+            depth: FloatImage::zeros(w, h, 1),
+        };
+        for i in 0..w * h {
+            let at = i / w * stride + i % w;
+            for c in 0..3 {
+                out.rgb.data[i * 3 + c] = self.work.rgb[c][at];
+            }
+            let alpha = 1.0 - self.work.transmittance[at];
+            out.alpha.data[i] = alpha;
+            out.depth.data[i] = if alpha > 0.0 { self.work.depth[at] / alpha } else { 0.0 };
+        }
+        out
+    }
+
+    fn step(&mut self, input: &StepInput) -> Result<StepOutput, SplatError> {
+        if self.statistics.gradient.len() != padded(self.model.len) {
+            self.statistics.reset(self.model.len);
+        }
+        let camera = self.camera(input.view, &input.options);
+        self.forward(input.view, &camera, &input.options, false);
+        let clock = Instant::now();
+        let value = self.loss(input);
+        self.times.loss += clock.elapsed().as_secs_f64();
+        let clock = Instant::now();
+        self.work.backward(self.isa);
+        self.times.backward += clock.elapsed().as_secs_f64();
+        let clock = Instant::now();
+        let visible = self.work.bins.order.len();
+        let share = 1.0 / visible.max(1) as f32;
+        let penalties = [input.opacity_penalty * share, input.scale_penalty * share];
+        let (parameters, shared) = (Parameters::of(&self.model), self.shared());
+        let non_finite =
+            self.work.optimise(self.isa, parameters, shared, &camera, Sink::Adam(input.rates), penalties);
+        self.times.optimise += clock.elapsed().as_secs_f64();
+        let pairs = self.work.bins.list.len();
+        Ok(StepOutput { loss: value.loss, mse: value.mse, visible, pairs, non_finite })
+    }
+
+    fn times(&self) -> KernelTimes {
+        self.times
+    }
+}

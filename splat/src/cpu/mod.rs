@@ -1,0 +1,19 @@
+//! The production backend: f32, 16 × 16 tiles over rayon, SIMD across pixels (rasterisation, loss) and across
+//! Gaussians (projection, optimiser). Results do not depend on the number of threads: every sum has a fixed order.
+
+pub mod bin;
+pub mod loss;
+pub mod optimise;
+pub mod project;
+pub mod raster;
+pub mod sh;
+pub mod simd;
+#[cfg(target_arch = "aarch64")]
+pub mod simd_neon;
+#[cfg(target_arch = "x86_64")]
+pub mod simd_x86;
+
+mod backend;
+mod workspace;
+
+pub use backend::{CpuBackend, DEFAULT_NEAR, Gradients};

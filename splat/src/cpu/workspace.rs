@@ -1,0 +1,200 @@
+//! The buffers of a view and the kernels run over them in parallel.
+
+use super::bin::{Bins, TILE};
+use super::loss::{LossBuffers, Shape};
+use super::optimise::{Optimise, SharedModel, SharedPlane, Sink, optimise};
+use super::project::{CULLED, CameraConstants, Parameters, Project, Record, project};
+use super::raster::{Backward, Forward, PIXELS, SUMS, Tile, backward, forward};
+use super::simd::Isa;
+use crate::backend::Target;
+use rayon::prelude::*;
+
+/// Gaussians a task projects or optimises.
+const CHUNK: usize = 512;
+
+/// Everything that lives between the kernels of a step. Kept between steps, so that nothing is allocated in the loop.
+#[derive(Debug, Default)]
+pub struct Workspace {
+    pub records: Vec<Record>,
+    pub keys: Vec<u32>,
+    pub bins: Bins,
+    pub shape: Shape,
+    pub rgb: [Vec<f32>; 3],
+    pub transmittance: Vec<f32>,
+    pub depth: Vec<f32>,
+    pub used: Vec<u32>,
+    pub target: [Vec<f32>; 3],
+    pub weight: Vec<f32>,
+    pub gradient: [Vec<f32>; 3],
+    pub sums: Vec<[f32; SUMS]>,
+    pub loss: LossBuffers,
+}
+
+impl Workspace {
+    /// project, sort, bin.
+    pub fn project(&mut self, isa: Isa, parameters: Parameters, n: usize, camera: &CameraConstants) {
+        self.records.resize(n, Record::default());
+        self.keys.resize(n, CULLED);
+        let chunks = self.records.par_chunks_mut(CHUNK).zip(self.keys.par_chunks_mut(CHUNK)).enumerate();
+        chunks.for_each(|(chunk, (records, keys))| {
+            project(isa, &mut Project { parameters, camera, start: chunk * CHUNK, records, keys });
+        });
+    }
+
+    /// Sizes the planes for an image.
+    pub fn resize(&mut self, shape: Shape) {
+        self.shape = shape;
+        let plane = shape.plane();
+        for planes in [&mut self.rgb, &mut self.target, &mut self.gradient] {
+            planes.iter_mut().for_each(|p| p.resize(plane, 0.0));
+        }
+        self.transmittance.resize(plane, 1.0);
+        self.used.resize(plane / PIXELS, 0);
+    }
+
+    /// Rasterises all tiles.
+    pub fn forward(&mut self, isa: Isa, background: [f32; 3], with_depth: bool) {
+        if with_depth {
+            self.depth.resize(self.shape.plane(), 0.0);
+        }
+        let (shape, records, bins) = (self.shape, &self.records, &self.bins);
+        let rgb = self.rgb.each_mut().map(|p| SharedPlane(p.as_mut_ptr()));
+        let transmittance = SharedPlane(self.transmittance.as_mut_ptr());
+        let depth = with_depth.then_some(SharedPlane(self.depth.as_mut_ptr()));
+        self.used.par_iter_mut().enumerate().for_each(|(t, used)| {
+            let tile = shape.tile(t);
+            let list = &bins.list[bins.offsets[t] as usize..bins.offsets[t + 1] as usize];
+            let (mut colour, mut clear, mut far) = ([[0.0; PIXELS]; 3], [1.0; PIXELS], [0.0; PIXELS]);
+            let mut a = Forward {
+                records,
+                list,
+                tile,
+                background,
+                rgb: &mut colour,
+                transmittance: &mut clear,
+                depth: depth.map(|_| &mut far),
+                used: 0,
+            };
+            forward(isa, &mut a);
+            *used = a.used as u32;
+            // Tiles do not overlap, so every task writes pixels of its own.
+            unsafe {
+                for (plane, values) in rgb.iter().zip(&colour) {
+                    scatter(values, plane, &tile);
+                }
+                scatter(&clear, &transmittance, &tile);
+                if let Some(depth) = &depth {
+                    scatter(&far, depth, &tile);
+                }
+            }
+        });
+    }
+
+    /// Target planes (and weights) from 8-bit pixels, composed over the background where masks mean transparency.
+    pub fn set_target(&mut self, target: &Target, background: [f32; 3]) {
+        let (shape, stride) = (self.shape, self.shape.stride());
+        let weighted = target.mask.is_some() && !target.transparent;
+        if weighted {
+            self.weight.resize(shape.plane(), 0.0);
+        }
+        const BYTE: f32 = 1.0 / 255.0;
+        for y in 0..shape.height {
+            for x in 0..shape.width {
+                let (from, to) = (y * shape.width + x, y * stride + x);
+                let m = target.mask.map_or(1.0, |mask| f32::from(mask[from]) * BYTE);
+                for c in 0..3 {
+                    let value = f32::from(target.rgb[from * 3 + c]) * BYTE;
+                    let behind = if weighted { self.rgb[c][to] } else { background[c] };
+                    // A pixel of weight 0 equals its rendering, so that its neighbours' SSIM does not see it.
+                    self.target[c][to] = if weighted && m > 0.0 { value } else { behind + m * (value - behind) };
+                }
+                if weighted {
+                    self.weight[to] = m;
+                }
+            }
+        }
+    }
+
+    /// Gradients of all pairs from `self.gradient`.
+    pub fn backward(&mut self, isa: Isa) {
+        let (shape, records, bins, used) = (self.shape, &self.records, &self.bins, &self.used);
+        let (rgb, gradient) = (&self.rgb, &self.gradient);
+        self.sums.resize(bins.list.len(), [0.0; SUMS]);
+        let mut slices: Vec<(usize, &mut [[f32; SUMS]])> = Vec::with_capacity(used.len());
+        let mut rest = self.sums.as_mut_slice();
+        for t in 0..used.len() {
+            let (own, next) = rest.split_at_mut((bins.offsets[t + 1] - bins.offsets[t]) as usize);
+            slices.push((t, own));
+            rest = next;
+        }
+        slices.into_par_iter().for_each(|(t, sums)| {
+            let used = used[t] as usize;
+            sums[used..].fill([0.0; SUMS]);
+            if used == 0 {
+                return;
+            }
+            let tile = shape.tile(t);
+            let local: [[f32; PIXELS]; 3] = std::array::from_fn(|c| gather(&gradient[c], &tile));
+            let mut remaining = [0.0; PIXELS];
+            for (colour, gradient) in rgb.iter().zip(&local) {
+                let colour = gather(colour, &tile);
+                for i in 0..PIXELS {
+                    remaining[i] += colour[i] * gradient[i];
+                }
+            }
+            let begin = bins.offsets[t] as usize;
+            let list = &bins.list[begin..begin + used];
+            let sums = &mut sums[..used];
+            backward(isa, &mut Backward { records, list, tile, gradient: &local, remaining: &mut remaining, sums });
+        });
+    }
+
+    /// project backward and Adam (or plain gradients); returns how many gradients were not finite.
+    pub fn optimise(
+        &self,
+        isa: Isa,
+        parameters: Parameters,
+        shared: SharedModel,
+        camera: &CameraConstants,
+        sink: Sink,
+        penalties: [f32; 2],
+    ) -> usize {
+        let n = self.keys.len();
+        let run = |chunk: usize| {
+            let start = chunk * CHUNK;
+            let mut a = Optimise {
+                parameters,
+                shared,
+                camera,
+                bins: &self.bins,
+                keys: &self.keys,
+                sums: &self.sums,
+                start,
+                end: (start + CHUNK).min(n),
+                sink,
+                opacity_penalty: penalties[0],
+                scale_penalty: penalties[1],
+                non_finite: 0,
+            };
+            optimise(isa, &mut a);
+            a.non_finite
+        };
+        (0..n.div_ceil(CHUNK)).into_par_iter().map(run).sum()
+    }
+}
+
+/// # Safety
+/// `plane` covers the tile and no other task writes its pixels.
+unsafe fn scatter(values: &[f32; PIXELS], plane: &SharedPlane, tile: &Tile) {
+    for (y, row) in values.chunks_exact(TILE).enumerate() {
+        unsafe { std::ptr::copy_nonoverlapping(row.as_ptr(), plane.0.add(tile.row(y)), TILE) };
+    }
+}
+
+fn gather(plane: &[f32], tile: &Tile) -> [f32; PIXELS] {
+    let mut out = [0.0; PIXELS];
+    for (y, row) in out.chunks_exact_mut(TILE).enumerate() {
+        row.copy_from_slice(&plane[tile.row(y)..tile.row(y) + TILE]);
+    }
+    out
+}

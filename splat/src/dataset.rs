@@ -1,0 +1,299 @@
+//! The images in memory and the normalised frame in which the trainer works.
+
+use crate::{PinholeView, SplatError};
+use clap::{Args, ValueEnum};
+use glam::{DMat3, DVec3, Mat3, Vec3};
+use rayon::prelude::*;
+use scene::{Camera, CameraModel, Gaussians, PosedImage, Progress, Reconstruction};
+use serde::{Deserialize, Serialize};
+use std::path::{Path, PathBuf};
+
+/// What a mask or an alpha channel means in training.
+#[derive(ValueEnum, Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum AlphaMode {
+    /// Nothing is there: the background shows through
+    Transparent,
+    /// Anything may be there: the pixels do not count
+    Ignore,
+}
+
+/// What the splat is trained on.
+#[derive(Args, Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct DatasetConfig {
+    /// What masks and alpha channels mean in training
+    #[arg(long, value_enum, default_value_t = AlphaMode::Transparent, help_heading = "Splat")]
+    pub alpha: AlphaMode,
+    /// Hold out every Nth view by sorted name for evaluation (0: none)
+    #[arg(long, default_value_t = TEST_EVERY, value_name = "N", help_heading = "Splat")]
+    pub test_every: usize,
+}
+
+const TEST_EVERY: usize = 8;
+
+impl Default for DatasetConfig {
+    fn default() -> Self {
+        Self { alpha: AlphaMode::Transparent, test_every: TEST_EVERY }
+    }
+}
+
+/// The pixels of a view at one resolution.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Pixels {
+    /// Width.
+    pub width: usize,
+    /// Height.
+    pub height: usize,
+    /// [height × width × 3] sRGB, straight (not premultiplied) where there is a mask.
+    pub rgb: Vec<u8>,
+    /// [height × width] mask or alpha, white = keep.
+    pub mask: Option<Vec<u8>>,
+}
+
+/// A posed image.
+#[derive(Clone, Debug)]
+pub struct View {
+    /// File name in the model.
+    pub name: String,
+    /// The camera as the model has it.
+    pub camera: Camera,
+    /// The pose as the model has it (`cam_from_world`, world frame).
+    pub pose: scene::Pose,
+    /// The camera and pose in the normalised frame.
+    pub view: PinholeView,
+    /// Pixels at full, half, quarter … resolution.
+    pub levels: Vec<Pixels>,
+    /// Whether it is held out.
+    pub held_out: bool,
+}
+
+/// `x_normalised = scale · (x_world − centre)`: the cameras' mean centre becomes the origin and the farthest
+/// camera lies at distance 1 (with one camera: the points' median distance is 1).
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Normalisation {
+    /// World frame, scene units.
+    pub centre: DVec3,
+    /// Normalised units a scene unit.
+    pub scale: f64,
+}
+
+/// Everything training needs.
+#[derive(Clone, Debug)]
+pub struct Dataset {
+    /// Sorted by name.
+    pub views: Vec<View>,
+    /// The sparse cloud in the normalised frame.
+    pub points: Vec<(Vec3, [u8; 3])>,
+    /// Normalised from world.
+    pub normalisation: Normalisation,
+    /// What masks mean.
+    pub alpha: AlphaMode,
+}
+
+/// Length of a side at `1 / 2^level` of the resolution, at least 1 pixel.
+pub fn level_size(full: usize, level: u32) -> usize {
+    (full >> level).max(1)
+}
+
+/// Resolutions kept of each view: full to 1/8.
+pub const LEVELS: u32 = 4;
+
+impl Dataset {
+    /// Loads the images of a reconstruction (PINHOLE or SIMPLE_PINHOLE cameras), with the masks of `mask_dir`
+    /// (`a.png`, `a.jpg.png` or `a.mask.png` for `a.jpg`) or, failing that, the images' alpha channels.
+    pub fn load(
+        image_dir: &Path,
+        mask_dir: Option<&Path>,
+        model: &Reconstruction,
+        config: &DatasetConfig,
+        progress: &Progress,
+    ) -> Result<Self, SplatError> {
+        let mut images: Vec<&PosedImage> = model.images.values().collect();
+        images.sort_by(|a, b| a.name.cmp(&b.name));
+        progress.begin("load images", images.len());
+        let normalisation = Normalisation::of(model);
+        let load = |(index, image): (usize, &&PosedImage)| -> Result<View, SplatError> {
+            let camera = pinhole_camera(model, image)?;
+            let pixels = load_pixels(image_dir, mask_dir, image, camera)?;
+            progress.tick()?;
+            Ok(View {
+                name: image.name.clone(),
+                camera: camera.clone(),
+                pose: image.pose,
+                view: normalisation.view(camera, &image.pose),
+                levels: pyramid(pixels),
+                held_out: config.test_every > 0 && index % config.test_every == 0,
+            })
+        };
+        let mut views = images.par_iter().enumerate().map(load).collect::<Result<Vec<_>, _>>()?;
+        if views.len() == 1 {
+            views[0].held_out = false;
+        }
+        if views.iter().all(|v| v.held_out) {
+            return Err(SplatError::TooFewViews(0));
+        }
+        if let Some(folder) = mask_dir
+            && views.iter().all(|v| v.levels[0].mask.is_none())
+        {
+            return Err(SplatError::NoMasks { images: views.len(), folder: folder.to_owned() });
+        }
+        let points = model.points.values().map(|p| (normalisation.point(p.position), p.rgb)).collect();
+        Ok(Self { views, points, normalisation, alpha: config.alpha })
+    }
+
+    /// Indices of the views to train on.
+    pub fn training_views(&self) -> Vec<usize> {
+        (0..self.views.len()).filter(|&i| !self.views[i].held_out).collect()
+    }
+
+    /// Whether a background shows through somewhere.
+    pub fn is_transparent(&self) -> bool {
+        self.alpha == AlphaMode::Transparent && self.views.iter().any(|v| v.levels[0].mask.is_some())
+    }
+}
+
+impl Normalisation {
+    /// Of a reconstruction: from its cameras, from its points where the cameras stand at one place.
+    pub fn of(model: &Reconstruction) -> Self {
+        let centres: Vec<DVec3> = model.images.values().map(|i| i.pose.centre()).collect();
+        let n = centres.len().max(1) as f64;
+        let centre = centres.iter().sum::<DVec3>() / n;
+        let radius = centres.iter().map(|c| c.distance(centre)).fold(0.0, f64::max);
+        let mut distances: Vec<f64> = model.points.values().map(|p| p.position.distance(centre)).collect();
+        distances.sort_by(f64::total_cmp);
+        let median = distances.get(distances.len() / 2).copied().unwrap_or(1.0);
+        let size = if radius > 0.02 * median { radius } else { median };
+        let scale = if size > 0.0 && size.is_finite() { 1.0 / size } else { 1.0 };
+        Self { centre, scale }
+    }
+
+    /// A point of the world.
+    pub fn point(&self, x: DVec3) -> Vec3 {
+        ((x - self.centre) * self.scale).as_vec3()
+    }
+
+    /// A camera of the world (pinhole).
+    pub fn view(&self, camera: &Camera, pose: &scene::Pose) -> PinholeView {
+        let r = pose.matrix();
+        let (f, c) = (camera.focal().as_vec2(), camera.principal_point().as_vec2());
+        PinholeView {
+            rotation: mat3(r),
+            translation: ((r * self.centre + pose.translation) * self.scale).as_vec3(),
+            focal: f.to_array(),
+            centre: c.to_array(),
+            width: camera.width as usize,
+            height: camera.height as usize,
+        }
+    }
+
+    /// Gaussians of the normalised frame in the world.
+    pub fn to_world(&self, mut g: Gaussians) -> Gaussians {
+        let shift = self.scale.ln() as f32;
+        for mean in &mut g.means {
+            *mean = (mean.as_dvec3() / self.scale + self.centre).as_vec3();
+        }
+        g.log_scales.iter_mut().for_each(|s| *s -= Vec3::splat(shift));
+        g
+    }
+
+    /// Gaussians of the world in the normalised frame.
+    pub fn to_normalised(&self, mut g: Gaussians) -> Gaussians {
+        let shift = self.scale.ln() as f32;
+        g.means.iter_mut().for_each(|mean| *mean = self.point(mean.as_dvec3()));
+        g.log_scales.iter_mut().for_each(|s| *s += Vec3::splat(shift));
+        g
+    }
+}
+
+fn mat3(m: DMat3) -> Mat3 {
+    Mat3::from_cols(m.x_axis.as_vec3(), m.y_axis.as_vec3(), m.z_axis.as_vec3())
+}
+
+fn pinhole_camera<'a>(model: &'a Reconstruction, image: &PosedImage) -> Result<&'a Camera, SplatError> {
+    let Some(camera) = model.cameras.get(&image.camera) else {
+        return Err(SplatError::NotPinhole { name: image.name.clone(), camera: image.camera, model: "missing" });
+    };
+    match camera.model {
+        CameraModel::Pinhole | CameraModel::SimplePinhole => Ok(camera),
+        _ if camera.distortion().iter().all(|&k| k == 0.0) => Ok(camera),
+        other => Err(SplatError::NotPinhole { name: image.name.clone(), camera: camera.id, model: other.name() }),
+    }
+}
+
+fn load_pixels(
+    image_dir: &Path,
+    mask_dir: Option<&Path>,
+    image: &PosedImage,
+    camera: &Camera,
+) -> Result<Pixels, SplatError> {
+    let relative = Path::new(scene::io::safe_name(&image.name)?);
+    let loaded = scene::io::load_image(&image_dir.join(relative))?;
+    let found = loaded.rgb.dimensions();
+    let expected = (camera.width, camera.height);
+    if found != expected {
+        return Err(SplatError::ImageSize { name: image.name.clone(), found, expected });
+    }
+    let mask = match mask_dir.and_then(|dir| mask_path(dir, relative)) {
+        Some(path) => {
+            let mask = scene::io::load_mask(&path)?;
+            if mask.dimensions() != expected {
+                let name = format!("the mask of {}", image.name);
+                return Err(SplatError::ImageSize { name, found: mask.dimensions(), expected });
+            }
+            Some(mask.into_raw())
+        }
+        None => loaded.alpha.map(|a| a.into_raw()).filter(|a| a.iter().any(|&v| v < 255)),
+    };
+    Ok(Pixels { width: found.0 as usize, height: found.1 as usize, rgb: loaded.rgb.into_raw(), mask })
+}
+
+/// The mask of an image in the namings in use: `a.png`, `a.jpg.png`, `a.mask.png`, or the same name.
+fn mask_path(dir: &Path, relative: &Path) -> Option<PathBuf> {
+    let name = relative.to_string_lossy().into_owned();
+    let stem = relative.with_extension("").to_string_lossy().into_owned();
+    [format!("{name}.png"), format!("{stem}.png"), format!("{stem}.mask.png"), name]
+        .iter()
+        .map(|n| dir.join(n))
+        .find(|p| p.is_file())
+}
+
+fn pyramid(full: Pixels) -> Vec<Pixels> {
+    let mut levels = vec![full];
+    for level in 1..LEVELS {
+        let next = shrink(&levels[0], level);
+        levels.push(next);
+    }
+    levels
+}
+
+/// Area average over blocks of 2^level pixels; colours weighted with the mask, so that what is transparent does
+/// not bleed in.
+fn shrink(full: &Pixels, level: u32) -> Pixels {
+    let (width, height) = (level_size(full.width, level), level_size(full.height, level));
+    let mut rgb = Vec::with_capacity(width * height * 3);
+    let mut mask = full.mask.as_ref().map(|_| Vec::with_capacity(width * height));
+    for y in 0..height {
+        let rows = y * full.height / height..((y + 1) * full.height / height).max(y * full.height / height + 1);
+        for x in 0..width {
+            let columns = x * full.width / width..((x + 1) * full.width / width).max(x * full.width / width + 1);
+            let (mut sum, mut weight, mut plain, mut count) = ([0u32; 3], 0u32, [0u32; 3], 0u32);
+            for i in rows.clone().flat_map(|r| columns.clone().map(move |c| r * full.width + c)) {
+                let w = full.mask.as_ref().map_or(255, |m| u32::from(m[i]));
+                weight += w;
+                count += 1;
+                for c in 0..3 {
+                    sum[c] += w * u32::from(full.rgb[i * 3 + c]);
+                    plain[c] += u32::from(full.rgb[i * 3 + c]);
+                }
+            }
+            for c in 0..3 {
+                let (s, w) = if weight > 0 { (sum[c], weight) } else { (plain[c], count) };
+                rgb.push(((s + w / 2) / w) as u8);
+            }
+            if let Some(mask) = &mut mask {
+                mask.push(((weight + count / 2) / count) as u8);
+            }
+        }
+    }
+    Pixels { width, height, rgb, mask }
+}

@@ -1,0 +1,177 @@
+//! The parameters in training: planes of f32, Adam's moments beside them.
+
+use glam::{Quat, Vec3};
+use scene::Gaussians;
+use serde::{Deserialize, Serialize};
+
+/// Planes are padded to a multiple of this, so that a vector load never leaves them.
+pub const LANE_PAD: usize = 16;
+
+/// Number of geometric parameters of a Gaussian.
+pub const GEOMETRY: usize = 11;
+
+/// First plane of the mean (x, y, z).
+pub const MEAN: usize = 0;
+/// First plane of the logarithms of the scales (x, y, z).
+pub const LOG_SCALE: usize = 3;
+/// First plane of the quaternion (w, x, y, z).
+pub const ROTATION: usize = 6;
+/// Plane of the opacity logit.
+pub const OPACITY: usize = 10;
+
+/// Geometric parameters: plane p of Gaussian i is `planes[p][i]`.
+pub type Planes = [Vec<f32>; GEOMETRY];
+
+/// N Gaussians in training. Invariant: every plane has `padded(len)` entries, every SH array `len · 3K`.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct Model {
+    /// Number of Gaussians.
+    pub len: usize,
+    /// Spherical-harmonic degree held (0 to 3).
+    pub sh_degree: u32,
+    /// Mean, log-scale, quaternion, logit.
+    pub geometry: Planes,
+    /// First moments of the geometry.
+    pub geometry_m: Planes,
+    /// Second moments of the geometry.
+    pub geometry_v: Planes,
+    /// [N × K × 3] spherical harmonics, coefficient-major.
+    pub sh: Vec<f32>,
+    /// First moments of the spherical harmonics.
+    pub sh_m: Vec<f32>,
+    /// Second moments of the spherical harmonics.
+    pub sh_v: Vec<f32>,
+    /// Steps in which the Gaussian was visible, that is Adam's clock.
+    pub steps: Vec<f32>,
+}
+
+/// `n` rounded up to whole vectors.
+pub fn padded(n: usize) -> usize {
+    n.div_ceil(LANE_PAD) * LANE_PAD
+}
+
+impl Model {
+    /// From Gaussians, moments zero.
+    pub fn from_gaussians(g: &Gaussians) -> Self {
+        let mut model = Self { sh_degree: g.sh_degree, ..Self::default() };
+        let k = g.sh_coefficients() * 3;
+        for i in 0..g.len() {
+            model.push(&Self::row(g.means[i], g.log_scales[i], g.rotations[i], g.opacity_logits[i]), &g.sh[i * k..(i + 1) * k]);
+        }
+        model.pad();
+        model
+    }
+
+    /// The geometric parameters of one Gaussian in the order of the planes.
+    pub fn row(mean: Vec3, log_scale: Vec3, q: Quat, logit: f32) -> [f32; GEOMETRY] {
+        [mean.x, mean.y, mean.z, log_scale.x, log_scale.y, log_scale.z, q.w, q.x, q.y, q.z, logit]
+    }
+
+    /// As Gaussians, in the same frame.
+    pub fn to_gaussians(&self) -> Gaussians {
+        let g = &self.geometry;
+        let vec = |p: usize, i: usize| Vec3::new(g[p][i], g[p + 1][i], g[p + 2][i]);
+        let n = 0..self.len;
+        Gaussians {
+            means: n.clone().map(|i| vec(MEAN, i)).collect(),
+            log_scales: n.clone().map(|i| vec(LOG_SCALE, i)).collect(),
+            rotations: n
+                .clone()
+                .map(|i| Quat::from_xyzw(g[ROTATION + 1][i], g[ROTATION + 2][i], g[ROTATION + 3][i], g[ROTATION][i]))
+                .collect(),
+            opacity_logits: g[OPACITY][..self.len].to_vec(),
+            sh: self.sh.clone(),
+            sh_degree: self.sh_degree,
+        }
+    }
+
+    /// SH values of one Gaussian, 3K.
+    pub fn sh_stride(&self) -> usize {
+        (self.sh_degree as usize + 1).pow(2) * 3
+    }
+
+    /// Mean of Gaussian `i`.
+    pub fn mean(&self, i: usize) -> Vec3 {
+        Vec3::new(self.geometry[MEAN][i], self.geometry[MEAN + 1][i], self.geometry[MEAN + 2][i])
+    }
+
+    /// Appends a Gaussian with zero moments. [`Model::pad`] must follow before the next step.
+    fn push(&mut self, row: &[f32; GEOMETRY], sh: &[f32]) {
+        for (p, &value) in row.iter().enumerate() {
+            for (plane, value) in [(&mut self.geometry[p], value), (&mut self.geometry_m[p], 0.0), (&mut self.geometry_v[p], 0.0)] {
+                plane.truncate(self.len);
+                plane.push(value);
+            }
+        }
+        self.steps.truncate(self.len);
+        self.steps.push(0.0);
+        self.sh.extend_from_slice(sh);
+        self.sh_m.resize(self.sh.len(), 0.0);
+        self.sh_v.resize(self.sh.len(), 0.0);
+        self.len += 1;
+    }
+
+    /// Appends Gaussians with zero moments; SH are those of `parents` (present Gaussians).
+    pub fn append(&mut self, rows: &[([f32; GEOMETRY], usize)]) {
+        let k = self.sh_stride();
+        for (row, parent) in rows {
+            let sh: Vec<f32> = self.sh[parent * k..(parent + 1) * k].to_vec();
+            self.push(row, &sh);
+        }
+        self.pad();
+    }
+
+    /// Keeps the Gaussians in `order` (indices into the present ones), in that order.
+    pub fn select(&mut self, order: &[u32]) {
+        let k = self.sh_stride();
+        for planes in [&mut self.geometry, &mut self.geometry_m, &mut self.geometry_v] {
+            for plane in planes.iter_mut() {
+                *plane = order.iter().map(|&i| plane[i as usize]).collect();
+            }
+        }
+        self.steps = order.iter().map(|&i| self.steps[i as usize]).collect();
+        for values in [&mut self.sh, &mut self.sh_m, &mut self.sh_v] {
+            *values = order.iter().flat_map(|&i| values[i as usize * k..(i as usize + 1) * k].iter().copied()).collect();
+        }
+        self.len = order.len();
+        self.pad();
+    }
+
+    /// Raises (new coefficients zero) or lowers the spherical-harmonic degree.
+    pub fn set_sh_degree(&mut self, degree: u32) {
+        let old = self.sh_stride();
+        self.sh_degree = degree.min(3);
+        let new = self.sh_stride();
+        if new == old {
+            return;
+        }
+        for values in [&mut self.sh, &mut self.sh_m, &mut self.sh_v] {
+            let mut grown = vec![0.0; self.len * new];
+            for (to, from) in grown.chunks_exact_mut(new).zip(values.chunks_exact(old)) {
+                let n = old.min(new);
+                to[..n].copy_from_slice(&from[..n]);
+            }
+            *values = grown;
+        }
+    }
+
+    /// Forgets the moments of Gaussian `i`.
+    pub fn reset_moments(&mut self, i: usize) {
+        for p in 0..GEOMETRY {
+            self.geometry_m[p][i] = 0.0;
+            self.geometry_v[p][i] = 0.0;
+        }
+        let k = self.sh_stride();
+        self.sh_m[i * k..(i + 1) * k].fill(0.0);
+        self.sh_v[i * k..(i + 1) * k].fill(0.0);
+        self.steps[i] = 0.0;
+    }
+
+    fn pad(&mut self) {
+        let n = padded(self.len);
+        for planes in [&mut self.geometry, &mut self.geometry_m, &mut self.geometry_v] {
+            planes.iter_mut().for_each(|plane| plane.resize(n, 0.0));
+        }
+        self.steps.resize(n, 0.0);
+    }
+}

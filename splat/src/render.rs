@@ -1,0 +1,88 @@
+//! From Gaussians to images.
+
+use crate::backend::Backend;
+use crate::cpu::CpuBackend;
+use crate::dataset::Normalisation;
+use crate::model::Model;
+use crate::SplatError;
+use glam::DVec3;
+use scene::{Camera, FloatImage, Gaussians, Pose};
+use serde::{Deserialize, Serialize};
+
+/// How to render.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct RenderOptions {
+    /// Colour behind everything, sRGB values in [0, 1].
+    pub background: [f32; 3],
+    /// Gaussians nearer than this are not drawn, scene units (default: a hundredth of the Gaussians' spread).
+    pub near: Option<f32>,
+    /// Scale opacity with the 2D low-pass (Mip-Splatting); as in training.
+    pub antialias: bool,
+    /// Use spherical harmonics up to this degree only.
+    pub sh_degree: Option<u32>,
+}
+
+/// A rendered view.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct RenderOutput {
+    /// Three channels, over the background; not limited to 1.
+    pub rgb: FloatImage,
+    /// One channel, coverage in [0, 1].
+    pub alpha: FloatImage,
+    /// One channel, expected depth (camera z, scene units), 0 where nothing was drawn.
+    pub depth: FloatImage,
+}
+
+/// Renders many views of the same Gaussians.
+pub struct Renderer {
+    backend: CpuBackend,
+    frame: Normalisation,
+}
+
+impl Renderer {
+    /// Prepares the Gaussians, in a frame in which their spread is 1, so that scenes of any unit render alike.
+    pub fn new(gaussians: &Gaussians) -> Result<Self, SplatError> {
+        gaussians.validate().map_err(SplatError::InvalidGaussians)?;
+        let frame = spread(gaussians);
+        let mut backend = CpuBackend::default();
+        backend.upload(Model::from_gaussians(&frame.to_normalised(gaussians.clone())));
+        Ok(Self { backend, frame })
+    }
+
+    /// Renders a view; the camera must be PINHOLE, SIMPLE_PINHOLE or without distortion.
+    pub fn render(&mut self, camera: &Camera, pose: &Pose, options: &RenderOptions) -> Result<RenderOutput, SplatError> {
+        if camera.distortion().iter().any(|&k| k != 0.0) {
+            let name = "the view".to_owned();
+            return Err(SplatError::NotPinhole { name, camera: camera.id, model: camera.model.name() });
+        }
+        let near = options.near.map(|n| n * self.frame.scale as f32);
+        let view = self.frame.view(camera, pose);
+        let mut out = self.backend.render(&view, &RenderOptions { near, ..*options });
+        let unit = (1.0 / self.frame.scale) as f32;
+        out.depth.data.iter_mut().for_each(|z| *z *= unit);
+        Ok(out)
+    }
+}
+
+/// Renders one view.
+pub fn render_view(
+    gaussians: &Gaussians,
+    camera: &Camera,
+    pose: &Pose,
+    options: &RenderOptions,
+) -> Result<RenderOutput, SplatError> {
+    Renderer::new(gaussians)?.render(camera, pose, options)
+}
+
+/// Median centre and median distance from it.
+fn spread(g: &Gaussians) -> Normalisation {
+    let median = |mut values: Vec<f64>| -> f64 {
+        values.retain(|v| v.is_finite());
+        let middle = values.len() / 2;
+        if values.is_empty() { 0.0 } else { *values.select_nth_unstable_by(middle, f64::total_cmp).1 }
+    };
+    let axis = |a: usize| median(g.means.iter().map(|m| f64::from(m[a])).collect());
+    let centre = DVec3::new(axis(0), axis(1), axis(2));
+    let distance = median(g.means.iter().map(|m| m.as_dvec3().distance(centre)).collect());
+    Normalisation { centre, scale: if distance > 0.0 { 1.0 / distance } else { 1.0 } }
+}

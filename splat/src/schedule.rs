@@ -1,0 +1,82 @@
+//! What changes as training goes on: resolution, step sizes, spherical-harmonic degree. Everything is a function of the
+//! position in the schedule, 0 at the start and 1 at the end, so that a schedule of any length ends converged.
+
+use crate::backend::LearningRates;
+use crate::TrainConfig;
+use crate::checkpoint::State;
+
+/// Part of the schedule after which training runs at full resolution.
+const FULL_RESOLUTION_FROM: f64 = 0.5;
+/// Part of the schedule in which Gaussians are added.
+pub const DENSIFY_UNTIL: f64 = 0.6;
+/// From here on the higher degrees of the spherical harmonics come in, one after the other.
+const SH_FROM: [f64; 3] = [0.2, 0.35, 0.5];
+
+/// Level (0: full resolution) at a position, with `levels` coarser ones to pass through.
+pub fn level(position: f64, levels: u32) -> u32 {
+    let share = (position / FULL_RESOLUTION_FROM).min(1.0);
+    let passed = (share * f64::from(levels)).floor() as u32;
+    levels - passed.min(levels)
+}
+
+/// Degree in use at a position.
+pub fn sh_degree(position: f64, highest: u32) -> u32 {
+    (SH_FROM.iter().filter(|&&from| position >= from).count() as u32).min(highest)
+}
+
+/// Step sizes at a position (normalised scene units for the means).
+pub fn rates(position: f64, config: &TrainConfig) -> LearningRates {
+    let decay = |first: f32, last: f32| (first * (last / first).powf(position as f32)) * config.learning_rate;
+    LearningRates {
+        mean: decay(4e-4, 4e-6),
+        log_scale: decay(1e-2, 2e-3),
+        rotation: decay(2e-3, 5e-4),
+        opacity: decay(5e-2, 1e-2),
+        sh0: decay(1e-2, 1e-3),
+        sh_rest: decay(5e-4, 1e-4),
+    }
+}
+
+/// Turns steps into positions: evenly with --iterations; with --time-limit so that the steps still to come, at the cost
+/// measured so far, end when the time does.
+#[derive(Clone, Debug, Default)]
+pub struct Pace {
+    /// Mean seconds of a step at each level, 0 where not yet seen.
+    cost: [f64; 8],
+}
+
+/// Cost of a step of the next finer level where it was not yet seen.
+const FINER: f64 = 2.5;
+
+impl Pace {
+    /// The position after a step at `level` that took `spent` seconds.
+    pub fn advance(&mut self, state: &State, config: &TrainConfig, level: u32, spent: f64) -> f64 {
+        let Some(limit) = config.time_limit else {
+            return f64::from(state.iteration) / f64::from(config.iterations.max(1));
+        };
+        let slot = &mut self.cost[level as usize % 8];
+        *slot = if *slot > 0.0 { *slot + 0.05 * (spent - *slot) } else { spent };
+        let left = limit - state.seconds;
+        if left <= 0.0 {
+            return 1.0;
+        }
+        // Seconds that the rest of the schedule would take with a step for every unit of position.
+        let (mut ahead, mut last) = (0.0, spent);
+        const PARTS: u32 = 64;
+        let width = (1.0 - state.position) / f64::from(PARTS);
+        let mut previous = level;
+        for part in 0..PARTS {
+            let at = state.position + (f64::from(part) + 0.5) * width;
+            let next = self::level(at, config.coarse_levels);
+            if next != previous {
+                let seen = self.cost[next as usize % 8];
+                last = if seen > 0.0 { seen } else { last * FINER };
+                previous = next;
+            } else if part == 0 {
+                last = *self.cost.get(next as usize).filter(|c| **c > 0.0).unwrap_or(&spent);
+            }
+            ahead += last * width;
+        }
+        (state.position + ahead / left).min(1.0).max(state.position + 1e-7)
+    }
+}

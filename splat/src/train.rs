@@ -1,0 +1,252 @@
+//! The training loop.
+
+use crate::backend::{Backend, KernelTimes, StepInput, Target};
+use crate::checkpoint::{Checkpoint, State};
+use crate::cpu::CpuBackend;
+use crate::dataset::AlphaMode;
+use crate::init::initial_gaussians;
+use crate::model::Model;
+use crate::schedule::{self, Pace};
+use crate::{Dataset, RenderOptions, SplatError, TrainConfig, densify};
+use rand::Rng as _;
+use rand::seq::SliceRandom as _;
+use scene::{Gaussians, Progress};
+use serde::{Deserialize, Serialize};
+use std::path::Path;
+use std::time::Instant;
+
+/// A point of the training curve: means over the steps since the point before.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct CurvePoint {
+    /// Steps done.
+    pub iteration: u32,
+    /// Seconds spent.
+    pub seconds: f64,
+    /// Loss of the training views.
+    pub loss: f32,
+    /// PSNR of the training views at the resolution in use, dB.
+    pub psnr: f32,
+    /// Gaussians.
+    pub gaussians: usize,
+}
+
+/// Something training decided by itself, for the report.
+#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Decision {
+    /// What was decided on.
+    pub subject: String,
+    /// What was chosen.
+    pub choice: String,
+    /// Why.
+    pub evidence: String,
+}
+
+/// What training yields.
+#[derive(Clone, Debug, Default)]
+pub struct TrainResult {
+    /// World frame.
+    pub gaussians: Gaussians,
+    /// Loss and PSNR over time.
+    pub curve: Vec<CurvePoint>,
+    /// What was decided and why.
+    pub decisions: Vec<Decision>,
+    /// Wall seconds by kernel.
+    pub timings: KernelTimes,
+    /// Steps done.
+    pub iterations: u32,
+    /// How to render the result as training saw it.
+    pub render: RenderOptions,
+}
+
+/// Steps between points of the curve.
+const CURVE_EVERY: u32 = 50;
+
+struct Trainer<'a> {
+    dataset: &'a Dataset,
+    config: &'a TrainConfig,
+    backend: CpuBackend,
+    state: State,
+    pace: Pace,
+    views: Vec<usize>,
+}
+
+/// Trains Gaussians on the views that are not held out. With `checkpoint_dir`, continues from the checkpoint there if it
+/// belongs to the same configuration, and leaves one when cancelled; stopping and resuming changes no bit of the result
+/// (with --time-limit the number of steps depends on the machine's speed).
+pub fn train(
+    dataset: &Dataset,
+    config: &TrainConfig,
+    checkpoint_dir: Option<&Path>,
+    progress: &Progress,
+) -> Result<TrainResult, SplatError> {
+    check(config)?;
+    let mut trainer = Trainer::new(dataset, config, checkpoint_dir)?;
+    progress.begin("train", if config.time_limit.is_some() { 0 } else { config.iterations as usize });
+    let saved = |trainer: &mut Trainer| -> Result<(), SplatError> {
+        checkpoint_dir.map_or(Ok(()), |folder| trainer.checkpoint().write(folder))
+    };
+    while trainer.state.position < 1.0 {
+        trainer.step()?;
+        let point = trainer.state.curve.last().copied().unwrap_or_default();
+        let detail = format!("{:.2} dB, {} gaussians", point.psnr, trainer.backend.model().len);
+        if let Err(cancelled) = progress.tick_with(&detail) {
+            saved(&mut trainer)?;
+            return Err(cancelled.into());
+        }
+        let every = config.checkpoint_every;
+        if every > 0 && trainer.state.iteration.is_multiple_of(every) {
+            saved(&mut trainer)?;
+        }
+    }
+    saved(&mut trainer)?;
+    Ok(trainer.finish())
+}
+
+fn check(config: &TrainConfig) -> Result<(), SplatError> {
+    let wrong = |flag, value: String, expected| Err(SplatError::Config { flag, value, expected });
+    if !(0.0..=1.0).contains(&config.lambda_dssim) {
+        return wrong("--lambda-dssim", config.lambda_dssim.to_string(), "a number in [0, 1]");
+    }
+    if !(config.learning_rate.is_finite() && config.learning_rate > 0.0) {
+        return wrong("--learning-rate", config.learning_rate.to_string(), "a positive number");
+    }
+    if config.max_gaussians == 0 {
+        return wrong("--max-gaussians", "0".to_owned(), "at least 1");
+    }
+    if config.iterations == 0 && config.time_limit.is_none() {
+        return wrong("--iterations", "0".to_owned(), "at least 1");
+    }
+    Ok(())
+}
+
+impl<'a> Trainer<'a> {
+    fn new(dataset: &'a Dataset, config: &'a TrainConfig, folder: Option<&Path>) -> Result<Self, SplatError> {
+        let views = dataset.training_views();
+        if views.is_empty() {
+            return Err(SplatError::TooFewViews(0));
+        }
+        let fingerprint = format!("{config:?} {:?} {}", dataset.normalisation, dataset.views.len());
+        let mut backend = CpuBackend::default();
+        let resumed = folder.map_or(Ok(None), |f| Checkpoint::read(f, &fingerprint))?;
+        let state = match resumed {
+            Some(checkpoint) => {
+                backend.upload(checkpoint.model);
+                backend.statistics = checkpoint.statistics;
+                checkpoint.state
+            }
+            None => {
+                backend.upload(Model::from_gaussians(&initial_gaussians(dataset, config.max_gaussians, config.seed)?));
+                State { fingerprint, ..State::default() }
+            }
+        };
+        Ok(Self { dataset, config, backend, state, pace: Pace::default(), views })
+    }
+
+    fn checkpoint(&self) -> Checkpoint {
+        Checkpoint {
+            state: self.state.clone(),
+            model: self.backend.model().clone(),
+            statistics: self.backend.statistics.clone(),
+        }
+    }
+
+    /// The view of a step: a fresh permutation of all views each time round.
+    fn view_of_step(&self) -> usize {
+        let n = self.views.len();
+        let (round, at) = (self.state.iteration as usize / n, self.state.iteration as usize % n);
+        let mut order = self.views.clone();
+        order.shuffle(&mut scene::rng::rng(self.config.seed, "views", round as u64));
+        order[at]
+    }
+
+    fn options(&self) -> RenderOptions {
+        let mut rng = scene::rng::rng(self.config.seed, "background", u64::from(self.state.iteration));
+        let transparent = self.dataset.is_transparent();
+        RenderOptions {
+            background: if transparent { std::array::from_fn(|_| rng.random_range(0.0..1.0)) } else { [0.0; 3] },
+            near: None,
+            antialias: self.config.antialias,
+            sh_degree: None,
+        }
+    }
+
+    fn step(&mut self) -> Result<(), SplatError> {
+        let clock = Instant::now();
+        let position = self.state.position;
+        let degree = schedule::sh_degree(position, self.config.sh_degree);
+        if self.backend.model().sh_degree < degree {
+            self.backend.model_mut().set_sh_degree(degree);
+        }
+        let view = &self.dataset.views[self.view_of_step()];
+        let level = schedule::level(position, self.config.coarse_levels).min(view.levels.len() as u32 - 1);
+        let (camera, pixels) = (view.view.at_level(level), &view.levels[level as usize]);
+        let output = self.backend.step(&StepInput {
+            view: &camera,
+            target: Target {
+                rgb: &pixels.rgb,
+                mask: pixels.mask.as_deref(),
+                transparent: self.dataset.alpha == AlphaMode::Transparent,
+            },
+            options: self.options(),
+            rates: schedule::rates(position, self.config),
+            lambda_dssim: self.config.lambda_dssim,
+            opacity_penalty: 0.0,
+            scale_penalty: 0.0,
+        })?;
+        self.state.iteration += 1;
+        let iteration = self.state.iteration;
+        if !output.loss.is_finite() {
+            return Err(SplatError::Diverged { iteration, reason: "the loss is not finite; lower --learning-rate".to_owned() });
+        }
+        if iteration.is_multiple_of(densify::EVERY) && position < schedule::DENSIFY_UNTIL {
+            self.densify();
+        }
+        for (sum, value) in self.state.pending.iter_mut().zip([output.loss, output.mse, 1.0]) {
+            *sum += f64::from(value);
+        }
+        let spent = clock.elapsed().as_secs_f64();
+        self.state.seconds += spent;
+        self.state.position = self.pace.advance(&self.state, self.config, level, spent);
+        if iteration.is_multiple_of(CURVE_EVERY) || self.state.position >= 1.0 {
+            self.note_curve();
+        }
+        Ok(())
+    }
+
+    fn densify(&mut self) {
+        let statistics = std::mem::take(&mut self.backend.statistics);
+        let model = self.backend.model_mut();
+        let room = self.config.max_gaussians.saturating_sub(model.len).min(model.len / 10 + 100);
+        densify::densify(model, &statistics, room, densify::GRADIENT, self.config.seed, self.state.iteration);
+        let n = model.len;
+        self.backend.statistics = statistics;
+        self.backend.statistics.reset(n);
+    }
+
+    fn note_curve(&mut self) {
+        let [loss, mse, n] = std::mem::take(&mut self.state.pending);
+        if n > 0.0 {
+            let psnr = -10.0 * (mse / n).max(1e-12).log10();
+            self.state.curve.push(CurvePoint {
+                iteration: self.state.iteration,
+                seconds: self.state.seconds,
+                loss: (loss / n) as f32,
+                psnr: psnr as f32,
+                gaussians: self.backend.model().len,
+            });
+        }
+    }
+
+    fn finish(self) -> TrainResult {
+        let timings = self.backend.times();
+        let near = crate::cpu::DEFAULT_NEAR / self.dataset.normalisation.scale as f32;
+        TrainResult {
+            gaussians: self.dataset.normalisation.to_world(self.backend.model().to_gaussians()),
+            curve: self.state.curve,
+            decisions: self.state.decisions,
+            timings,
+            iterations: self.state.iteration,
+            render: RenderOptions { near: Some(near), antialias: self.config.antialias, ..RenderOptions::default() },
+        }
+    }
+}
