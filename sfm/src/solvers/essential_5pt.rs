@@ -1,7 +1,7 @@
 //! Essential matrices of five ray pairs.
 
 use super::linalg::{mat3_from_rows, null_space};
-use super::polynomial::real_roots;
+use super::polynomial::real_roots_with_tolerance;
 use glam::DMat3;
 use glam::DVec3;
 
@@ -11,16 +11,16 @@ type Cubic = [f64; 20]; // x³ y³ x²y xy² x²z x² y²z y² xyz xy | xz² xz 
 
 /// Essential matrices with `b_iᵀ E a_i = 0` (at most ten, Frobenius norm √2): none where the five pairs do not
 /// determine finitely many. Rays of any length, camera frames. Nistér, "An Efficient Solution to the Five-Point
-/// Relative Pose Problem", PAMI 2004 (§3.1–3.2.3; roots by [`real_roots`] instead of Sturm chains). Not refined.
+/// Relative Pose Problem", PAMI 2004 (§3.1–3.2.3; roots by [`super::polynomial::real_roots`] instead of Sturm chains). Not refined.
 pub fn essential_5pt(a: &[DVec3; 5], b: &[DVec3; 5]) -> Vec<DMat3> {
     let rows: [[f64; 9]; 5] = std::array::from_fn(|i| {
         let (a, b) = (a[i].normalize_or_zero().to_array(), b[i].normalize_or_zero().to_array());
         std::array::from_fn(|k| b[k / 3] * a[k % 3])
     });
-    let basis: [[f64; 9]; 4] = null_space(&rows);
-    let Some(eliminated) = eliminate(constraints(&basis)) else { return Vec::new() };
+    let Some((basis, eliminated)) = best_elimination(null_space(&rows)) else { return Vec::new() };
     let b_matrix = polynomial_matrix(&eliminated);
-    let roots = real_roots(&determinant(&b_matrix));
+    // Planes give double roots; the tolerance is the error that elimination leaves in the coefficients.
+    let roots = real_roots_with_tolerance(&determinant(&b_matrix), 1e-11);
     let mut result = Vec::with_capacity(roots.len());
     for &z in roots.iter() {
         let Some((x, y)) = solve_xy(&b_matrix, z) else { continue };
@@ -116,10 +116,32 @@ fn constraints(basis: &[[f64; 9]; 4]) -> [Cubic; 10] {
     result
 }
 
+/// Eliminates with the basis as it is, or, where a pivot is small (the determinant of `B(z)` would cancel to
+/// noise), with the basis vectors in another order. The basis used and the reduced system.
+fn best_elimination(mut basis: [[f64; 9]; 4]) -> Option<([[f64; 9]; 4], [Cubic; 10])> {
+    const GOOD_PIVOT: f64 = 2e-3;
+    let mut best = None;
+    let mut best_pivot = 0.0;
+    for _ in 0..4 {
+        if let Some((eliminated, pivot)) = eliminate(constraints(&basis))
+            && pivot > best_pivot
+        {
+            best = Some((basis, eliminated));
+            best_pivot = pivot;
+        }
+        if best_pivot > GOOD_PIVOT {
+            break;
+        }
+        basis.rotate_left(1);
+    }
+    best
+}
+
 /// Gaussian elimination of the first ten monomials with partial pivoting; only the last six rows are reduced
-/// above the diagonal, for only they are used. `None` where the system is singular.
-fn eliminate(mut m: [Cubic; 10]) -> Option<[Cubic; 10]> {
+/// above the diagonal, for only they are used. With the smallest pivot; `None` where the system is singular.
+fn eliminate(mut m: [Cubic; 10]) -> Option<([Cubic; 10], f64)> {
     let scale = m.iter().flatten().fold(0.0_f64, |s, x| s.max(x.abs()));
+    let mut smallest = f64::INFINITY;
     for i in 0..10 {
         let pivot = (i..10).max_by(|&p, &q| m[p][i].abs().total_cmp(&m[q][i].abs()))?;
         m.swap(i, pivot);
@@ -127,6 +149,7 @@ fn eliminate(mut m: [Cubic; 10]) -> Option<[Cubic; 10]> {
         if !(p.abs() > 1e-13 * scale) {
             return None;
         }
+        smallest = smallest.min(p.abs());
         for x in &mut m[i][i..] {
             *x /= p;
         }
@@ -141,7 +164,7 @@ fn eliminate(mut m: [Cubic; 10]) -> Option<[Cubic; 10]> {
             }
         }
     }
-    Some(m)
+    Some((m, smallest))
 }
 
 /// The 3 × 3 matrix `B(z)` with `B (x, y, 1)ᵀ = 0`: coefficients ascending in z, of degree 3, 3 and 4.
@@ -184,4 +207,97 @@ fn solve_xy(b: &[[[f64; 5]; 3]; 3], z: f64) -> Option<(f64, f64)> {
     let n = crosses.into_iter().max_by(|p, q| p.length_squared().total_cmp(&q.length_squared()))?;
     let (x, y) = (n.x / n.z, n.y / n.z);
     (x.is_finite() && y.is_finite()).then_some((x, y))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::solvers::testing::{Shape, TwoViews, array, two_views};
+    use crate::solvers::{essential_from_pose, pose_from_essential};
+    use scene::pose::rotation_angle;
+
+    fn solve(s: &TwoViews) -> Vec<DMat3> {
+        let (a, b): (Vec<_>, Vec<_>) = s.a.iter().zip(&s.b).map(|(a, b)| (a.extend(1.0), b.extend(1.0))).unzip();
+        essential_5pt(&array(&a), &array(&b))
+    }
+
+    fn distance(e: &DMat3, truth: &DMat3) -> f64 {
+        let unit = |m: &DMat3| *m * (1.0 / m.to_cols_array().iter().map(|v| v * v).sum::<f64>().sqrt());
+        let (e, t) = (unit(e), unit(truth));
+        let norm = |m: DMat3| m.to_cols_array().iter().map(|v| v * v).sum::<f64>().sqrt();
+        norm(e - t).min(norm(e + t))
+    }
+
+    fn best(s: &TwoViews) -> f64 {
+        let truth = essential_from_pose(&s.b_from_a);
+        solve(s).iter().map(|e| distance(e, &truth)).fold(f64::INFINITY, f64::min)
+    }
+
+    #[test]
+    fn recovers_the_essential_matrix_from_five_exact_pairs_in_any_unit() {
+        let mut errors: Vec<f64> = Vec::new();
+        for seed in 0..100 {
+            for unit in [1e-6, 1.0, 1e6] {
+                let error = best(&two_views(seed, 5, Shape::General, unit));
+                assert!(error < 1e-4, "seed {seed} unit {unit}: {error}");
+                errors.push(error);
+            }
+        }
+        errors.sort_by(f64::total_cmp);
+        assert!(errors[errors.len() / 2] < 1e-10, "median {}", errors[errors.len() / 2]);
+    }
+
+    #[test]
+    fn a_plane_does_not_confuse_it() {
+        for seed in 0..100 {
+            let error = best(&two_views(seed, 5, Shape::Plane, 1.0));
+            assert!(error < 1e-3, "seed {seed}: {error}");
+        }
+    }
+
+    #[test]
+    fn every_solution_is_an_essential_matrix_through_the_pairs() {
+        for seed in 0..100 {
+            let s = two_views(seed, 5, Shape::General, 1.0);
+            for e in solve(&s) {
+                let (_, values, _) = crate::solvers::linalg::svd3(&e);
+                assert!((values.x - values.y).abs() < 1e-4 && values.z < 1e-4, "seed {seed}: {values}");
+                for (a, b) in s.a.iter().zip(&s.b) {
+                    assert!(b.extend(1.0).dot(e * a.extend(1.0)).abs() < 1e-10, "seed {seed}");
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn degenerate_pairs_give_finite_matrices_or_none() {
+        for seed in 0..100 {
+            for shape in [Shape::Line, Shape::NoBaseline, Shape::Infinity] {
+                let found = solve(&two_views(seed, 5, shape, 1.0));
+                assert!(found.iter().all(|e| e.is_finite()), "seed {seed} {shape:?}");
+            }
+        }
+        let same = [DVec3::Z; 5];
+        assert!(essential_5pt(&same, &same).iter().all(|e| e.is_finite()));
+        let nan = [DVec3::NAN; 5];
+        assert!(essential_5pt(&nan, &same).is_empty());
+        assert!(essential_5pt(&[DVec3::ZERO; 5], &same).iter().all(|e| e.is_finite()));
+        let infinite = [DVec3::splat(f64::INFINITY); 5];
+        assert!(essential_5pt(&infinite, &same).iter().all(|e| e.is_finite()));
+    }
+
+    #[test]
+    fn its_pose_is_the_true_one() {
+        for seed in 0..100 {
+            let s = two_views(seed, 30, Shape::General, 1.0);
+            let rays: Vec<_> = s.a.iter().zip(&s.b).map(|(a, b)| (a.extend(1.0), b.extend(1.0))).collect();
+            let truth = essential_from_pose(&s.b_from_a);
+            let found = solve(&s);
+            let e = found.iter().min_by(|p, q| distance(p, &truth).total_cmp(&distance(q, &truth))).unwrap();
+            let (pose, votes) = pose_from_essential(e, &rays).unwrap();
+            assert_eq!(votes.in_front, 30, "seed {seed}");
+            assert!(rotation_angle(pose.rotation, s.b_from_a.rotation) < 1e-4, "seed {seed}");
+            assert!(crate::solvers::testing::angle(pose.translation, s.b_from_a.translation) < 1e-3, "seed {seed}");
+        }
+    }
 }

@@ -35,3 +35,57 @@ pub fn fundamental_7pt(a: &[DVec2; 7], b: &[DVec2; 7]) -> Vec<DMat3> {
     }
     result
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::solvers::testing::{Shape, TwoViews, array, two_views};
+    use crate::solvers::{Normaliser, sampson_sq};
+
+    /// Largest Sampson distance of all pairs under the best solution of the first seven, relative to the extent.
+    fn best(s: &TwoViews) -> f64 {
+        let (na, nb) = (Normaliser::of(s.a.iter().copied()).unwrap(), Normaliser::of(s.b.iter().copied()).unwrap());
+        let a: Vec<DVec2> = s.a.iter().map(|p| na.apply(*p)).collect();
+        let b: Vec<DVec2> = s.b.iter().map(|p| nb.apply(*p)).collect();
+        let worst = |f: &DMat3| a.iter().zip(&b).map(|(a, b)| sampson_sq(f, *a, *b)).fold(0.0, f64::max).sqrt();
+        fundamental_7pt(&array(&a), &array(&b)).iter().map(worst).fold(f64::INFINITY, f64::min)
+    }
+
+    #[test]
+    fn explains_all_other_exact_pairs_in_any_unit() {
+        let mut errors = Vec::new();
+        for seed in 0..100 {
+            for unit in [1e-6, 1.0, 1e6] {
+                let error = best(&two_views(seed, 30, Shape::General, unit));
+                assert!(error < 1e-5, "seed {seed} unit {unit}: {error}");
+                errors.push(error);
+            }
+        }
+        errors.sort_by(f64::total_cmp);
+        assert!(errors[errors.len() / 2] < 1e-11, "median {}", errors[errors.len() / 2]);
+    }
+
+    #[test]
+    fn solutions_are_singular_and_pass_through_the_sample() {
+        for seed in 0..100 {
+            for shape in [Shape::General, Shape::Plane, Shape::Line, Shape::NoBaseline, Shape::Infinity] {
+                let s = two_views(seed, 7, shape, 1.0);
+                for f in fundamental_7pt(&array(&s.a), &array(&s.b)) {
+                    assert!(f.is_finite() && f.determinant().abs() < 1e-9, "seed {seed} {shape:?}");
+                    for (a, b) in s.a.iter().zip(&s.b) {
+                        let c = b.extend(1.0).dot(f * a.extend(1.0));
+                        assert!(c.abs() < 1e-9, "seed {seed} {shape:?}: {c}");
+                    }
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn senseless_points_give_no_senseless_matrix() {
+        let zero = [DVec2::ZERO; 7];
+        for bad in [DVec2::NAN, DVec2::INFINITY, DVec2::splat(1e300), DVec2::ZERO] {
+            assert!(fundamental_7pt(&[bad; 7], &zero).iter().all(|f| f.is_finite()), "{bad}");
+        }
+    }
+}

@@ -67,3 +67,52 @@ fn unit(h: DMat3) -> Option<DMat3> {
     let h = h * (h.determinant().signum() / norm);
     (h.is_finite() && h.determinant() > 0.0).then_some(h)
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::solvers::testing::{Shape, array, two_views};
+    use crate::solvers::transfer_sq;
+
+    #[test]
+    fn transfers_all_other_points_of_the_plane_far_from_the_origin_and_in_any_unit() {
+        for seed in 0..100 {
+            for (scale, shift) in [(1.0, 0.0), (1e-6, 0.0), (1e6, 0.0), (1e3, 1e7)] {
+                let s = two_views(seed, 30, Shape::Plane, 1.0);
+                let change = |p: &DVec2| *p * scale + DVec2::splat(shift);
+                let a: Vec<DVec2> = s.a.iter().map(change).collect();
+                let b: Vec<DVec2> = s.b.iter().map(change).collect();
+                let minimal = homography_4pt(&array(&a), &array(&b));
+                for h in [minimal, homography_dlt(&a, &b)] {
+                    let h = h.unwrap_or_else(|| panic!("seed {seed} scale {scale}"));
+                    let worst = a.iter().zip(&b).map(|(a, b)| transfer_sq(&h, *a, *b)).fold(0.0, f64::max).sqrt();
+                    assert!(worst < 1e-5 * scale + 1e-6 * shift / 1e5, "seed {seed} {scale} {shift}: {worst}");
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn collinear_and_senseless_points_have_none() {
+        for seed in 0..100 {
+            let s = two_views(seed, 8, Shape::Line, 1.0);
+            assert!(homography_4pt(&array(&s.a), &array(&s.b)).is_none(), "seed {seed}");
+            assert!(homography_dlt(&s.a, &s.b).is_none(), "seed {seed}");
+        }
+        let square = [DVec2::ZERO, DVec2::X, DVec2::Y, DVec2::ONE];
+        for bad in [DVec2::NAN, DVec2::INFINITY, DVec2::splat(1e300), DVec2::ZERO] {
+            assert!(homography_4pt(&[bad; 4], &square).is_none(), "{bad}");
+            assert!(homography_dlt(&[bad; 8], &[DVec2::ONE; 8]).is_none(), "{bad}");
+        }
+        assert!(homography_dlt(&square[..3], &square[..3]).is_none());
+    }
+
+    #[test]
+    fn refuses_a_plane_seen_from_behind() {
+        let square = [DVec2::ZERO, DVec2::X, DVec2::Y, DVec2::ONE];
+        let mirrored = square.map(|p| DVec2::new(-p.x, p.y));
+        assert!(homography_4pt(&square, &mirrored).is_none());
+        let crossed = [square[0], square[1], square[3], square[2]];
+        assert!(homography_4pt(&square, &crossed).is_none());
+    }
+}

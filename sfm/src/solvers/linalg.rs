@@ -164,10 +164,6 @@ pub fn skew(v: DVec3) -> DMat3 {
     DMat3::from_cols(DVec3::new(0.0, v.z, -v.y), DVec3::new(-v.z, 0.0, v.x), DVec3::new(v.y, -v.x, 0.0))
 }
 
-/// `a bᵀ`.
-pub fn outer(a: DVec3, b: DVec3) -> DMat3 {
-    DMat3::from_cols(a * b.x, a * b.y, a * b.z)
-}
 
 /// The matrix whose rows, one after another, are the nine numbers.
 pub fn mat3_from_rows(m: &[f64; 9]) -> DMat3 {
@@ -228,7 +224,7 @@ mod tests {
             let mut m = DMat3::from_cols_array(&std::array::from_fn(|_| r.random_range(-1.0..1.0)));
             match seed % 5 {
                 1 => m.y_axis = m.x_axis * 2.0,
-                2 => m = outer(m.x_axis, m.y_axis),
+                2 => m = DMat3::from_cols(m.x_axis, m.x_axis * 0.5, m.x_axis * -3.0),
                 3 => m *= 1e-12,
                 4 => m *= 1e12,
                 _ => {}

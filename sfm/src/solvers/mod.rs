@@ -12,6 +12,8 @@ pub mod p3p;
 pub mod polynomial;
 pub mod refine_absolute;
 pub mod refine_relative;
+#[cfg(test)]
+pub(crate) mod testing;
 
 pub use decompose::{
     Cheirality, PlanarMotion, cheirality, motions_from_homography, pose_from_essential, poses_from_essential,

@@ -162,3 +162,80 @@ fn polish(start: DVec3, squared: &[f64; 3], cosines: &[f64; 3]) -> Option<DVec3>
     // Squares of depths cancel in the equations: the tolerance grows with them.
     (error < 1e-9 * (1.0 + best.length_squared()) && best.min_element() > 0.0).then_some(best)
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::solvers::testing::{rotation, two_views, Shape};
+    use rand::Rng as _;
+    use scene::pose::rotation_angle;
+    use scene::rng::rng;
+
+    fn exact(seed: u64, unit: f64, offset: DVec3) -> (Pose, [DVec3; 3], [DVec3; 3]) {
+        let mut r = rng(seed, "p3p", 0);
+        let camera: [DVec3; 3] = std::array::from_fn(|_| {
+            DVec3::new(r.random_range(-1.0..1.0), r.random_range(-1.0..1.0), r.random_range(1.0..6.0)) * unit
+        });
+        let rotation = rotation(&mut r, 3.0);
+        let pose = Pose::from_centre(rotation, offset + DVec3::new(0.3, -2.0, 1.0) * unit);
+        let inverse = pose.inverse();
+        // The centre is kept exactly: the translation of a far camera is rounded.
+        let points = camera.map(|x| inverse.rotation * x + inverse.translation);
+        (pose, camera.map(|x| x.normalize()), points)
+    }
+
+    #[test]
+    fn recovers_the_pose_from_three_exact_points_in_any_unit() {
+        for unit in [1e-6, 1.0, 1e6] {
+            for seed in 0..1000 {
+                let (truth, rays, points) = exact(seed, unit, DVec3::ZERO);
+                let poses = p3p(&rays, &points);
+                assert!(poses.len() <= 4);
+                let error = poses
+                    .iter()
+                    .map(|p| rotation_angle(p.rotation, truth.rotation) + p.centre().distance(truth.centre()) / unit)
+                    .fold(f64::INFINITY, f64::min);
+                assert!(error < 1e-5, "seed {seed} unit {unit}: {error}");
+            }
+        }
+    }
+
+    #[test]
+    fn every_pose_sees_the_points_along_the_rays() {
+        for seed in 0..1000 {
+            let (_, rays, points) = exact(seed, 1.0, DVec3::ZERO);
+            for pose in p3p(&rays, &points) {
+                for (ray, point) in rays.iter().zip(&points) {
+                    let x = pose.transform(*point);
+                    assert!(x.normalize().dot(*ray) > 1.0 - 1e-12, "seed {seed}");
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn coordinates_around_ten_million_cost_only_their_rounding() {
+        for seed in 0..100 {
+            let (truth, rays, points) = exact(seed, 1.0, DVec3::new(1e7, -1e7, 1e7));
+            let error = p3p(&rays, &points)
+                .iter()
+                .map(|p| rotation_angle(p.rotation, truth.rotation))
+                .fold(f64::INFINITY, f64::min);
+            assert!(error < 1e-3, "seed {seed}: {error}");
+        }
+    }
+
+    #[test]
+    fn collinear_coincident_and_senseless_points_give_none() {
+        let rays = [DVec3::Z, DVec3::new(0.1, 0.0, 1.0).normalize(), DVec3::new(0.2, 0.0, 1.0).normalize()];
+        for seed in 0..100 {
+            let line = two_views(seed, 3, Shape::Line, 1.0).points;
+            assert!(p3p(&rays, &[line[0], line[1], line[2]]).is_empty(), "seed {seed}");
+        }
+        for bad in [DVec3::NAN, DVec3::INFINITY, DVec3::ZERO, DVec3::splat(1e300)] {
+            assert!(p3p(&rays, &[bad; 3]).is_empty(), "{bad}");
+            assert!(p3p(&[bad; 3], &[DVec3::X, DVec3::Y, DVec3::Z]).iter().all(Pose::is_finite), "{bad}");
+        }
+        assert!(p3p(&[DVec3::Z; 3], &[DVec3::X, DVec3::Y, DVec3::Z]).is_empty());
+    }
+}

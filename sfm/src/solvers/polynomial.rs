@@ -33,6 +33,12 @@ impl std::ops::Deref for Roots {
 /// Finding for Graphics", 2022): the extrema are the roots of the derivative, found in the same way. Empty for
 /// constants and for coefficients that are not finite.
 pub fn real_roots(c: &[f64]) -> Roots {
+    real_roots_with_tolerance(c, 1e-14)
+}
+
+/// Like [`real_roots`]; an extremum counts as a double root where the value is below `tolerance` times the sum
+/// of the absolute terms: the relative error of the coefficients.
+pub fn real_roots_with_tolerance(c: &[f64], tolerance: f64) -> Roots {
     let mut roots = Roots::default();
     let scale = c.iter().fold(0.0_f64, |m, x| m.max(x.abs()));
     if c.len() < 2 || c.len() > MAX_DEGREE + 1 || scale == 0.0 || !c.iter().all(|x| x.is_finite()) {
@@ -45,10 +51,10 @@ pub fn real_roots(c: &[f64]) -> Roots {
         forward[i] = x / scale;
         reversed[n - 1 - i] = x / scale;
     }
-    for &x in roots_in_unit_interval(&forward[..n]).iter() {
+    for &x in roots_in_unit_interval(&forward[..n], tolerance).iter() {
         roots.push(x);
     }
-    for &y in roots_in_unit_interval(&reversed[..n]).iter() {
+    for &y in roots_in_unit_interval(&reversed[..n], tolerance).iter() {
         if y.abs() < 1.0 && y.abs() > 1e-300 {
             roots.push(1.0 / y);
         }
@@ -81,7 +87,7 @@ fn evaluate(c: &[f64], x: f64) -> f64 {
 }
 
 /// Roots of `c` within [−1, 1]. `c` has at least two coefficients.
-fn roots_in_unit_interval(c: &[f64]) -> Roots {
+fn roots_in_unit_interval(c: &[f64], tolerance: f64) -> Roots {
     let degree = c.len() - 1;
     // derivatives[k] is the k-th derivative up to a factor; its coefficients are used to degree − k.
     let mut derivatives = [[0.0; MAX_DEGREE + 1]; MAX_DEGREE + 1];
@@ -95,13 +101,14 @@ fn roots_in_unit_interval(c: &[f64]) -> Roots {
     for k in (0..degree).rev() {
         let p = &derivatives[k][..=degree - k];
         let slope = (degree - k > 1).then(|| &derivatives[k + 1][..degree - k]);
-        roots = refine_level(p, slope, (degree - k) as f64, &roots, k == 0);
+        roots = refine_level(p, slope, (degree - k) as f64, &roots, (k == 0).then_some(tolerance));
     }
     roots
 }
 
 /// Roots of `p` in [−1, 1] between its `extrema`; `slope · factor` is its derivative (`None`: p is linear).
-fn refine_level(p: &[f64], slope: Option<&[f64]>, factor: f64, extrema: &Roots, last: bool) -> Roots {
+/// Extrema that are zero within `double` count too, where it is given.
+fn refine_level(p: &[f64], slope: Option<&[f64]>, factor: f64, extrema: &Roots, double: Option<f64>) -> Roots {
     let mut roots = Roots::default();
     let (mut left, mut at_left) = (-1.0, evaluate(p, -1.0));
     for i in 0..=extrema.len {
@@ -109,7 +116,7 @@ fn refine_level(p: &[f64], slope: Option<&[f64]>, factor: f64, extrema: &Roots, 
         let at_right = evaluate(p, right);
         if (at_left < 0.0) != (at_right < 0.0) {
             roots.push(bracketed_root(p, slope, factor, (left, right), at_left < 0.0));
-        } else if last && i < extrema.len && touches_zero(p, right, at_right) {
+        } else if i < extrema.len && double.is_some_and(|t| at_right.abs() <= t * magnitude(p, right)) {
             roots.push(right);
         }
         (left, at_left) = (right, at_right);
@@ -117,10 +124,9 @@ fn refine_level(p: &[f64], slope: Option<&[f64]>, factor: f64, extrema: &Roots, 
     roots
 }
 
-/// Whether an extremum is zero up to rounding: a double root.
-fn touches_zero(p: &[f64], x: f64, value: f64) -> bool {
-    let magnitude = p.iter().rev().fold(0.0, |sum, c| sum * x.abs() + c.abs());
-    value.abs() <= 1e-14 * magnitude
+/// `Σ |cᵢ xⁱ|`.
+fn magnitude(p: &[f64], x: f64) -> f64 {
+    p.iter().rev().fold(0.0, |sum, c| sum * x.abs() + c.abs())
 }
 
 /// The one root between two points of opposite sign: Newton's method kept inside a shrinking bracket.
