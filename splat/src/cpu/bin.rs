@@ -112,11 +112,14 @@ impl Bins {
 
 /// Half-open range of tiles that `centre ± extent` overlaps.
 fn tile_span(centre: f32, extent: f32, tiles: usize) -> [usize; 2] {
-    let size = TILE as f32;
-    // A float to integer cast saturates, so that negative and huge values stay in range.
-    let low = ((centre - extent) / size).floor() as usize;
-    let high = ((centre + extent) / size).floor() as usize;
+    let (low, high) = (tile_of(centre - extent), tile_of(centre + extent));
     [low.min(tiles), (high + 1).min(tiles)]
+}
+
+/// Tile of a pixel coordinate; negative ones count as 0.
+fn tile_of(pixel: f32) -> usize {
+    // Truncation is the floor of what is not negative, without a call to floor; the cast saturates.
+    (pixel * (1.0 / TILE as f32)) as u32 as usize
 }
 
 /// Half-open range of tiles in row `ty` that the ellipse `alpha ≥ 1/255` overlaps: the row's band cuts the convex
@@ -138,9 +141,7 @@ fn row_span(g: &Record, ty: usize, tiles: usize) -> [usize; 2] {
     }
     // Rounding of the ellipse's rim must not lose a pixel.
     let slack = 0.01 + 1e-4 * g.extent_x;
-    let size = TILE as f32;
-    let first = ((g.x + left - slack) / size).floor() as usize;
-    let last = ((g.x + right + slack) / size).floor() as usize;
+    let (first, last) = (tile_of(g.x + left - slack), tile_of(g.x + right + slack));
     let [x0, x1] = tile_span(g.x, g.extent_x, tiles);
     [first.clamp(x0, x1), (last + 1).clamp(x0, x1)]
 }
@@ -164,6 +165,7 @@ mod tests {
             extent_y: (reach * conic[0] / det).sqrt(),
             ..Record::default()
         }
+        .with_chords()
     }
 
     #[test]

@@ -6,7 +6,7 @@
 
 use super::bin::TILE;
 use super::raster::Tile;
-use super::simd::{Isa, Simd, simd_kernel};
+use super::simd::{Isa, Simd, array, simd_kernel};
 use rayon::prelude::*;
 use std::cell::RefCell;
 
@@ -173,10 +173,10 @@ struct Statistics<'a, 'b> {
 #[inline(always)]
 unsafe fn across<S: Simd>(src: *const f32, x: usize, w: &[S; RADIUS + 1]) -> S {
     unsafe {
-        let at = |offset: usize| S::load(src.add(x + offset).sub(RADIUS));
-        let mut sum = at(5).mul(w[5]);
+        let first = src.add(x).sub(RADIUS);
+        let mut sum = S::load(first.add(RADIUS)).mul(w[RADIUS]);
         for k in 0..RADIUS {
-            sum = at(k).add(at(10 - k)).fma(w[k], sum);
+            sum = S::load(first.add(k)).add(S::load(first.add(2 * RADIUS - k))).fma(w[k], sum);
         }
         sum
     }
@@ -187,25 +187,34 @@ fn statistics_generic<S: Simd>(a: &mut Statistics) {
     let shape = a.input.shape;
     let (line, stride) = (shape.line(), shape.stride());
     let y1 = (a.y0 + BAND).min(shape.height);
-    let w: [S; RADIUS + 1] = std::array::from_fn(|k| S::splat(a.window[k]));
-    let full: [S; TAPS] = a.window.map(S::splat);
-    LINES.with_borrow_mut(|buffer| {
-        // Four bordered input lines (x, y, x² + y², xy), then a ring of 11 filtered lines for each.
-        buffer.clear();
-        buffer.resize(line * 4 + stride * 4 * TAPS, 0.0);
-        let (input, ring) = buffer.split_at_mut(line * 4);
-        let mut next = a.y0.saturating_sub(RADIUS);
-        for y in a.y0..y1 {
-            while next <= (y + RADIUS).min(shape.height - 1) {
-                let slot = next % TAPS * stride * 4;
-                unsafe { filter_line::<S>(a, next, input, &mut ring[slot..slot + stride * 4], &w) };
-                next += 1;
-            }
-            let first = y.saturating_sub(RADIUS);
-            let last = (y + RADIUS).min(shape.height - 1);
-            a.sum += unsafe { similarity_line::<S>(a, y, first..last + 1, ring, &full) };
+    let (w, full) = taps::<S>(a.window);
+    // Four bordered input lines (x, y, x² + y², xy), then a ring of 11 filtered lines for each.
+    let mut buffer = LINES.take();
+    buffer.clear();
+    buffer.resize(line * 4 + stride * 4 * TAPS, 0.0);
+    let (input, ring) = buffer.split_at_mut(line * 4);
+    let mut next = a.y0.saturating_sub(RADIUS);
+    for y in a.y0..y1 {
+        while next <= (y + RADIUS).min(shape.height - 1) {
+            let slot = next % TAPS * stride * 4;
+            unsafe { filter_line::<S>(a, next, input, &mut ring[slot..slot + stride * 4], &w) };
+            next += 1;
         }
-    });
+        let first = y.saturating_sub(RADIUS);
+        let last = (y + RADIUS).min(shape.height - 1);
+        a.sum += unsafe { similarity_line::<S>(a, y, first..last + 1, ring, &full) };
+    }
+    LINES.set(buffer);
+}
+
+/// The window's first half and the whole, in every lane.
+#[inline(always)]
+fn taps<S: Simd>(window: &[f32; TAPS]) -> ([S; RADIUS + 1], [S; TAPS]) {
+    let mut full = [S::splat(0.0); TAPS];
+    for (tap, &w) in full.iter_mut().zip(window) {
+        *tap = S::splat(w);
+    }
+    ([full[0], full[1], full[2], full[3], full[4], full[5]], full)
 }
 
 /// Filters line `y` of colour, target and their products across.
@@ -245,7 +254,8 @@ unsafe fn similarity_line<S: Simd>(
     let (line, stride, width) = (shape.line(), shape.stride(), shape.width);
     let (c1, c2, one, two) = (S::splat(C1), S::splat(C2), S::splat(1.0), S::splat(2.0));
     let mut sum = S::splat(0.0);
-    let out: [*mut f32; 3] = std::array::from_fn(|m| unsafe { a.maps[m].as_mut_ptr().add((y - a.y0) * line + BORDER) });
+    let at = (y - a.y0) * line + BORDER;
+    let out = array!(m in 3 => unsafe { a.maps[m].as_mut_ptr().add(at) });
     for i in (0..stride).step_by(S::LANES) {
         unsafe {
             let mut e = [S::splat(0.0); 4];
@@ -298,27 +308,26 @@ fn gradient_generic<S: Simd>(a: &mut Gradient) {
     let shape = a.input.shape;
     let (line, stride) = (shape.line(), shape.stride());
     let y1 = (a.y0 + BAND).min(shape.height);
-    let w: [S; RADIUS + 1] = std::array::from_fn(|k| S::splat(a.window[k]));
-    let full: [S; TAPS] = a.window.map(S::splat);
+    let (w, full) = taps::<S>(a.window);
     a.out.fill(0.0);
-    LINES.with_borrow_mut(|buffer| {
-        buffer.clear();
-        buffer.resize(line * 3, 0.0);
-        for y in a.y0..y1 {
-            let rows = y.saturating_sub(RADIUS)..(y + RADIUS).min(shape.height - 1) + 1;
-            for map in 0..if a.input.lambda > 0.0 { 3 } else { 0 } {
-                for i in (0..stride).step_by(S::LANES) {
-                    let mut sum = S::splat(0.0);
-                    for r in rows.clone() {
-                        let p = unsafe { S::load(a.maps[map].as_ptr().add(r * line + BORDER + i)) };
-                        sum = p.fma(full[r + RADIUS - y], sum);
-                    }
-                    unsafe { sum.store(buffer.as_mut_ptr().add(map * line + BORDER + i)) };
+    let mut buffer = LINES.take();
+    buffer.clear();
+    buffer.resize(line * 3, 0.0);
+    for y in a.y0..y1 {
+        let rows = y.saturating_sub(RADIUS)..(y + RADIUS).min(shape.height - 1) + 1;
+        for map in 0..if a.input.lambda > 0.0 { 3 } else { 0 } {
+            for i in (0..stride).step_by(S::LANES) {
+                let mut sum = S::splat(0.0);
+                for r in rows.clone() {
+                    let p = unsafe { S::load(a.maps[map].as_ptr().add(r * line + BORDER + i)) };
+                    sum = p.fma(full[r + RADIUS - y], sum);
                 }
+                unsafe { sum.store(buffer.as_mut_ptr().add(map * line + BORDER + i)) };
             }
-            unsafe { gradient_line::<S>(a, y, buffer, &w) };
         }
-    });
+        unsafe { gradient_line::<S>(a, y, &buffer, &w) };
+    }
+    LINES.set(buffer);
 }
 
 #[inline(always)]

@@ -5,16 +5,18 @@
 //! that the others keep parameters and moments as they are instead of drifting on stale momentum.
 
 use super::bin::Bins;
-use super::project::{CULLED, CameraConstants, LOG_SCALE_LIMIT, Parameters, Projection, colour, dot3, project_lanes};
+use super::project::{CULLED, CameraConstants, LOG_SCALE_LIMIT, Parameters, Projection, camera_rows, colour, dot3, project_lanes, twice};
 use super::raster::SUMS;
 use super::sh;
-use super::simd::{Simd, simd_kernel};
+use super::simd::{Simd, array, simd_kernel};
 use crate::backend::LearningRates;
 use crate::model::{GEOMETRY, LOG_SCALE, MEAN, OPACITY, ROTATION};
 use glam::Vec3;
 
 const BETA1: f32 = 0.9;
 const BETA2: f32 = 0.999;
+const LN_BETA1: f32 = -0.105_360_516;
+const LN_BETA2: f32 = -0.001_000_500_3;
 const EPSILON: f32 = 1e-15;
 /// Moments below this are set to zero, so that no denormal numbers slow the loop.
 const TINY_MOMENT: f32 = 1e-18;
@@ -150,12 +152,11 @@ unsafe fn geometry_gradient<S: Simd>(
     penalties: [f32; 2],
     log_scales: [S; 3],
 ) -> [S; GEOMETRY] {
-    let (zero, one, two, half) = (S::splat(0.0), S::splat(1.0), S::splat(2.0), S::splat(0.5));
-    let neg = |v: S| zero.sub(v);
+    let (zero, one, half) = (S::splat(0.0), S::splat(1.0), S::splat(0.5));
     let [v, vdx, vdy, vdxx, vdxy, vdyy] = [sums[0], sums[1], sums[2], sums[3], sums[4], sums[5]];
     // Centre on the screen: power = ½ dᵀ conic d.
-    let gx = neg(p.conic[0].mul(vdx).add(p.conic[1].mul(vdy)));
-    let gy = neg(p.conic[1].mul(vdx).add(p.conic[2].mul(vdy)));
+    let gx = zero.sub(p.conic[0].mul(vdx).add(p.conic[1].mul(vdy)));
+    let gy = zero.sub(p.conic[1].mul(vdx).add(p.conic[2].mul(vdy)));
     // Conic → Σ': dΣ' = −conic · dConic · conic, with dConic = −½ Σ v d dᵀ.
     let (k0, k1, k2) = (p.conic[0], p.conic[1], p.conic[2]);
     let (h0, h1, h2) = (half.mul(vdxx), half.mul(vdxy), half.mul(vdyy));
@@ -173,29 +174,26 @@ unsafe fn geometry_gradient<S: Simd>(
         let scale = half.mul(v).keep(usable);
         let inverse = one.div(S::select(usable, det, one));
         s_xx = s_xx.add(scale.mul(b_yy.mul(inverse).sub(k0)));
-        s_xy = s_xy.add(scale.mul(neg(b_xy).mul(inverse).sub(k1)));
+        s_xy = s_xy.add(scale.mul(zero.sub(b_xy).mul(inverse).sub(k1)));
         s_yy = s_yy.add(scale.mul(b_xx.mul(inverse).sub(k2)));
     }
     // Σ' = A Aᵀ with A = J W R S: dA = 2 dΣ' A (symmetric form).
-    let d_a: [[S; 3]; 2] = std::array::from_fn(|r| {
-        std::array::from_fn(|k| {
-            let (own, other) = if r == 0 { (s_xx, s_xy) } else { (s_yy, s_xy) };
-            two.mul(own.mul(p.jwm[r][k]).add(other.mul(p.jwm[1 - r][k])))
-        })
+    let own = [s_xx, s_yy];
+    let d_a = array!(r in 2 => {
+        array!(k in 3 => twice(own[r].mul(p.jwm[r][k]).add(s_xy.mul(p.jwm[1 - r][k]))))
     });
     // A = (J W) M, M = R S.
-    let d_jw: [[S; 3]; 2] = std::array::from_fn(|r| {
-        std::array::from_fn(|j| dot3(d_a[r], std::array::from_fn(|k| p.rotation[j][k].mul(p.scale[k]))))
-    });
-    let d_m: [[S; 3]; 3] = std::array::from_fn(|j| {
-        std::array::from_fn(|k| p.jw[0][j].mul(d_a[0][k]).add(p.jw[1][j].mul(d_a[1][k])))
+    let m = array!(j in 3 => array!(k in 3 => p.rotation[j][k].mul(p.scale[k])));
+    let d_jw = array!(r in 2 => array!(j in 3 => dot3(d_a[r], m[j])));
+    let d_m = array!(j in 3 => {
+        array!(k in 3 => p.jw[0][j].mul(d_a[0][k]).add(p.jw[1][j].mul(d_a[1][k])))
     });
     let limit = S::splat(LOG_SCALE_LIMIT);
-    let d_scale: [S; 3] = std::array::from_fn(|k| {
+    let d_scale = array!(k in 3 => {
         let column = dot3([d_m[0][k], d_m[1][k], d_m[2][k]], [p.rotation[0][k], p.rotation[1][k], p.rotation[2][k]]);
         column.add(S::splat(penalties[1])).mul(p.scale[k]).keep(log_scales[k].abs().lt(limit))
     });
-    let d_r: [[S; 3]; 3] = std::array::from_fn(|j| std::array::from_fn(|k| d_m[j][k].mul(p.scale[k])));
+    let d_r = array!(j in 3 => array!(k in 3 => d_m[j][k].mul(p.scale[k])));
     let d_q = quaternion_gradient(p, &d_r);
     let d_mean = mean_gradient(c, p, [gx, gy], &d_jw);
     let slope = one.sub(p.sigmoid);
@@ -222,20 +220,20 @@ fn quaternion_gradient<S: Simd>(p: &Projection<S>, d: &[[S; 3]; 3]) -> [S; 4] {
     let g_y = two.mul(w.mul(b).add(x.mul(e)).add(z.mul(g)).sub(two.mul(y).mul(d[0][0].add(d[2][2]))));
     let g_z = two.mul(w.mul(c).add(x.mul(f)).add(y.mul(g)).sub(two.mul(z).mul(d[0][0].add(d[1][1]))));
     let along = g_w.mul(w).add(dot3([g_x, g_y, g_z], [x, y, z]));
-    let project = |g: S, q: S| g.sub(along.mul(q)).mul(p.inv_norm);
-    [project(g_w, w), project(g_x, x), project(g_y, y), project(g_z, z)]
+    let g = [g_w, g_x, g_y, g_z];
+    array!(k in 4 => g[k].sub(along.mul(p.q[k])).mul(p.inv_norm))
 }
 
 /// Through the pixel position and the Jacobian to the camera frame, then to the world.
 #[inline(always)]
 fn mean_gradient<S: Simd>(c: &CameraConstants, p: &Projection<S>, g: [S; 2], d_jw: &[[S; 3]; 2]) -> [S; 3] {
     let zero = S::splat(0.0);
+    let rows = camera_rows::<S>(c);
     let mut camera = [zero; 3];
     for a in 0..2 {
         let f = S::splat(c.focal[a]).mul(p.inv_z);
-        let (own, depth) = (c.r[a].map(S::splat), c.r[2].map(S::splat));
-        let d_diagonal = dot3(d_jw[a], own);
-        let d_last = dot3(d_jw[a], depth);
+        let d_diagonal = dot3(d_jw[a], rows[a]);
+        let d_last = dot3(d_jw[a], rows[2]);
         // J_aa = f/z, J_az = −(f/z) u with u = x/z (limited).
         let u = p.xc[a].mul(p.inv_z);
         let scaled = f.mul(p.inv_z);
@@ -245,28 +243,36 @@ fn mean_gradient<S: Simd>(c: &CameraConstants, p: &Projection<S>, g: [S; 2], d_j
         let by_z = from_jacobian.add(from_limited).mul(scaled).sub(g[a].mul(f).mul(u));
         camera[2] = camera[2].add(by_z);
     }
-    std::array::from_fn(|k| {
-        dot3([S::splat(c.r[0][k]), S::splat(c.r[1][k]), S::splat(c.r[2][k])], camera)
-    })
+    array!(k in 3 => dot3([rows[0][k], rows[1][k], rows[2][k]], camera))
 }
 
 #[inline(always)]
 unsafe fn optimise_block<S: Simd>(a: &mut Optimise, block: usize, lanes: &[[f32; 16]; SUMS], alive: &[f32; 16]) {
     let p = unsafe { project_lanes::<S>(&a.parameters, block, a.camera) };
-    let sums: [S; SUMS] = std::array::from_fn(|k| unsafe { S::load(lanes[k].as_ptr()) });
+    let mut sums = [S::splat(0.0); SUMS];
+    for (sum, lane) in sums.iter_mut().zip(lanes) {
+        *sum = unsafe { S::load(lane.as_ptr()) };
+    }
     let mut by_direction = [[0.0f32; 16]; 3];
+    let corrections = match a.sink {
+        Sink::Adam(_) => unsafe { bias_corrections::<S>(a.shared.steps.0.add(block)) },
+        Sink::Gradients => [S::splat(1.0); 2],
+    };
+    let mut correction = [[1.0f32; 16]; 2];
+    for (lanes, c) in correction.iter_mut().zip(corrections) {
+        unsafe { c.store(lanes.as_mut_ptr()) };
+    }
     for lane in 0..S::LANES {
         if alive[lane] > 0.0 {
             let rgb = [lanes[6][lane], lanes[7][lane], lanes[8][lane]];
-            let g = unsafe { colour_step(a, block + lane, rgb) };
+            let g = unsafe { colour_step(a, block + lane, rgb, [correction[0][lane], correction[1][lane]]) };
             for (plane, value) in by_direction.iter_mut().zip(g.to_array()) {
                 plane[lane] = value;
             }
         }
     }
-    let by_direction = std::array::from_fn(|k: usize| unsafe { S::load(by_direction[k].as_ptr()) });
-    let log_scale = |k: usize| unsafe { a.parameters.lanes::<S>(LOG_SCALE + k, block) };
-    let log_scales = [log_scale(0), log_scale(1), log_scale(2)];
+    let by_direction = array!(k in 3 => unsafe { S::load(by_direction[k].as_ptr()) });
+    let log_scales = array!(k in 3 => unsafe { a.parameters.lanes::<S>(LOG_SCALE + k, block) });
     let penalties = [a.opacity_penalty, a.scale_penalty];
     let gradient = unsafe { geometry_gradient::<S>(a.camera, &p, &sums, by_direction, penalties, log_scales) };
     let alive = unsafe { S::load(alive.as_ptr()) };
@@ -283,21 +289,38 @@ unsafe fn optimise_block<S: Simd>(a: &mut Optimise, block: usize, lanes: &[[f32;
             }
         }
         Sink::Adam(rates) => unsafe {
-            adam_block::<S>(a, block, &gradient, finite, &rates);
+            adam_block::<S>(a, block, &gradient, finite, corrections, &rates);
             note_statistics::<S>(a, block, &p, &sums, finite);
         },
     }
 }
 
+/// `1 / (1 − β₁ᵗ)` and `1 / (1 − β₂ᵗ)` of the step that the clocks are about to take.
+/// # Safety
+/// `clock` points to LANES values.
 #[inline(always)]
-unsafe fn adam_block<S: Simd>(a: &Optimise, block: usize, gradient: &[S; GEOMETRY], on: S::Mask, rates: &LearningRates) {
+unsafe fn bias_corrections<S: Simd>(clock: *const f32) -> [S; 2] {
+    let one = S::splat(1.0);
+    let t = unsafe { S::load(clock) }.add(one);
+    let c1 = one.sub(t.mul(S::splat(LN_BETA1)).exp());
+    let c2 = one.sub(t.mul(S::splat(LN_BETA2)).exp());
+    [one.div(c1), one.div(c2)]
+}
+
+#[inline(always)]
+unsafe fn adam_block<S: Simd>(
+    a: &Optimise,
+    block: usize,
+    gradient: &[S; GEOMETRY],
+    on: S::Mask,
+    [c1, c2]: [S; 2],
+    rates: &LearningRates,
+) {
     let (zero, one) = (S::splat(0.0), S::splat(1.0));
     unsafe {
         let clock = a.shared.steps.0.add(block);
         let t = S::load(clock).add(one);
         S::select(on, t, S::load(clock)).store(clock);
-        let correction = |beta: f32| one.sub(t.mul(S::splat(beta.ln())).exp());
-        let (c1, c2) = (one.div(correction(BETA1)), one.div(correction(BETA2)));
         for (k, &g) in gradient.iter().enumerate() {
             let rate = match k {
                 0..LOG_SCALE => rates.mean,
@@ -305,7 +328,7 @@ unsafe fn adam_block<S: Simd>(a: &Optimise, block: usize, gradient: &[S; GEOMETR
                 ROTATION..OPACITY => rates.rotation,
                 _ => rates.opacity,
             };
-            let [value, m, v] = [0, 1, 2].map(|s: usize| a.shared.geometry[s][k].0.add(block));
+            let [value, m, v] = array!(s in 3 => a.shared.geometry[s][k].0.add(block));
             let g = g.keep(on);
             let m1 = S::load(m).mul(S::splat(BETA1)).add(g.mul(S::splat(1.0 - BETA1)));
             let v1 = S::load(v).mul(S::splat(BETA2)).add(g.mul(g).mul(S::splat(1.0 - BETA2)));
@@ -340,7 +363,7 @@ unsafe fn note_statistics<S: Simd>(a: &Optimise, block: usize, p: &Projection<S>
 /// # Safety
 /// No other task works on `i`.
 #[inline(always)]
-unsafe fn colour_step(a: &Optimise, i: usize, d_rgb: [f32; 3]) -> Vec3 {
+unsafe fn colour_step(a: &Optimise, i: usize, d_rgb: [f32; 3], corrections: [f32; 2]) -> Vec3 {
     let stride = a.parameters.sh_stride;
     let degree = a.camera.sh_degree;
     let (mean, coefficients) = unsafe { (a.parameters.mean(i), a.parameters.sh(i)) };
@@ -367,8 +390,7 @@ unsafe fn colour_step(a: &Optimise, i: usize, d_rgb: [f32; 3]) -> Vec3 {
                 }
             }
             Sink::Adam(rates) => {
-                let t = *a.shared.steps.0.add(i) + 1.0;
-                adam_colour([slice(0), slice(1), slice(2)], &basis, d_rgb, t, &rates);
+                adam_colour([slice(0), slice(1), slice(2)], &basis, d_rgb, corrections, &rates);
             }
         }
     }
@@ -380,10 +402,9 @@ fn adam_colour(
     [value, m, v]: [&mut [f32]; 3],
     basis: &[f32; sh::MAX_COEFFICIENTS],
     d_rgb: [f32; 3],
-    t: f32,
+    [c1, c2]: [f32; 2],
     rates: &LearningRates,
 ) {
-    let (c1, c2) = (1.0 / (1.0 - BETA1.powf(t)), 1.0 / (1.0 - BETA2.powf(t)));
     let mut gradient = [0.0f32; sh::MAX_COEFFICIENTS * 3];
     for (out, y) in gradient.chunks_exact_mut(3).zip(basis) {
         out.copy_from_slice(&d_rgb.map(|d| d * y));

@@ -5,7 +5,7 @@
 //! `Σ' = J W Σ Wᵀ Jᵀ + 0.3 I` (Zwicker et al., EWA splatting, 2002; the 0.3 px² low-pass: Kerbl et al. 2023).
 
 use super::sh;
-use super::simd::{Simd, simd_kernel};
+use super::simd::{Simd, array, simd_kernel};
 use crate::model::{GEOMETRY, LOG_SCALE, MEAN, Model, OPACITY, ROTATION};
 use crate::{PinholeView, RenderOptions};
 use glam::Vec3;
@@ -22,7 +22,7 @@ pub const LOG_SCALE_LIMIT: f32 = 20.0;
 /// A Gaussian on the screen. Exponents are of base 2: `alpha = 2^(log2_opacity − power)`,
 /// `power = half_xx dx² + xy dx dy + half_yy dy²`.
 #[derive(Clone, Copy, Debug, Default)]
-#[repr(C)]
+#[repr(C, align(64))]
 pub struct Record {
     /// Centre, pixels.
     pub x: f32,
@@ -44,6 +44,27 @@ pub struct Record {
     pub extent_x: f32,
     /// Half its height.
     pub extent_y: f32,
+    /// conic xy / yy: the chord at `dx` is centred on `dy = −slope dx`.
+    pub slope: f32,
+    /// (Half the height of the chord at dx = 0)², px².
+    pub chord: f32,
+    /// det conic / yy²: half the height of the chord at `dx` is `√(chord − bend dx²)`.
+    pub bend: f32,
+    /// −dx of the ellipse's highest point, that is `extent_y · xy / xx`.
+    pub tilt: f32,
+}
+
+impl Record {
+    /// Fills the last four fields from the others.
+    pub fn with_chords(mut self) -> Self {
+        let (a, b, c) = (2.0 * self.half_xx, self.xy, 2.0 * self.half_yy);
+        let reach = 2.0 * (self.log2_opacity + LOG2_255);
+        self.slope = b / c;
+        self.chord = reach / c;
+        self.bend = (a * c - b * b).max(0.0) / (c * c);
+        self.tilt = b / a * self.extent_y;
+        self
+    }
 }
 
 /// The camera as the kernels use it.
@@ -186,12 +207,23 @@ pub struct Projection<S: Simd> {
     pub valid: S::Mask,
 }
 
+/// The camera's rotation in every lane.
+#[inline(always)]
+pub fn camera_rows<S: Simd>(c: &CameraConstants) -> [[S; 3]; 3] {
+    array!(a in 3 => array!(k in 3 => S::splat(c.r[a][k])))
+}
+
+/// `2 v`.
+#[inline(always)]
+pub fn twice<S: Simd>(v: S) -> S {
+    v.add(v)
+}
+
 /// The rotation matrix of a unit quaternion (w, x, y, z).
 #[inline(always)]
 fn rotation_matrix<S: Simd>(q: [S; 4]) -> [[S; 3]; 3] {
     let [w, x, y, z] = q;
-    let (one, two) = (S::splat(1.0), S::splat(2.0));
-    let twice = |a: S| a.mul(two);
+    let one = S::splat(1.0);
     let (xx, yy, zz) = (x.mul(x), y.mul(y), z.mul(z));
     let (xy, xz, yz) = (x.mul(y), x.mul(z), y.mul(z));
     let (wx, wy, wz) = (w.mul(x), w.mul(y), w.mul(z));
@@ -213,39 +245,37 @@ pub fn dot3<S: Simd>(a: [S; 3], b: [S; 3]) -> S {
 /// `i + LANES` is within the padded planes.
 #[inline(always)]
 pub unsafe fn project_lanes<S: Simd>(model: &Parameters, i: usize, c: &CameraConstants) -> Projection<S> {
-    let plane = |p: usize| unsafe { model.lanes::<S>(p, i) };
+    macro_rules! plane {
+        ($p:expr) => {
+            unsafe { model.lanes::<S>($p, i) }
+        };
+    }
     let (zero, one) = (S::splat(0.0), S::splat(1.0));
-    let mu = [plane(MEAN), plane(MEAN + 1), plane(MEAN + 2)];
-    let row = |a: usize| c.r[a].map(S::splat);
-    let camera = |a: usize| dot3(row(a), mu).add(S::splat(c.t[a]));
-    let xc = [camera(0), camera(1), camera(2)];
+    let mu = [plane!(MEAN), plane!(MEAN + 1), plane!(MEAN + 2)];
+    let rows = camera_rows::<S>(c);
+    let xc = array!(a in 3 => dot3(rows[a], mu).add(S::splat(c.t[a])));
     let in_front = xc[2].ge(S::splat(c.near));
     let inv_z = one.div(S::select(in_front, xc[2], one));
 
-    let raw: [S; 4] = [plane(ROTATION), plane(ROTATION + 1), plane(ROTATION + 2), plane(ROTATION + 3)];
+    let raw = array!(k in 4 => plane!(ROTATION + k));
     let norm2 = raw[0].fma(raw[0], raw[1].fma(raw[1], raw[2].fma(raw[2], raw[3].mul(raw[3]))));
     let has_norm = norm2.ge(S::splat(1e-30));
     let inv_norm = one.div(S::select(has_norm, norm2, one).sqrt()).keep(has_norm);
     let q = [S::select(has_norm, raw[0].mul(inv_norm), one), raw[1].mul(inv_norm), raw[2].mul(inv_norm), raw[3].mul(inv_norm)];
     let rotation = rotation_matrix(q);
     let limit = S::splat(LOG_SCALE_LIMIT);
-    let sigma = |a: usize| plane(LOG_SCALE + a).max(zero.sub(limit)).min(limit).exp();
-    let scale = [sigma(0), sigma(1), sigma(2)];
+    let scale = array!(a in 3 => plane!(LOG_SCALE + a).max(zero.sub(limit)).min(limit).exp());
 
     let ratio = [xc[0].mul(inv_z), xc[1].mul(inv_z)];
-    let clamp = |a: usize| ratio[a].max(S::splat(c.low[a])).min(S::splat(c.high[a]));
-    let limited = [clamp(0), clamp(1)];
-    let free = |a: usize| S::and(ratio[a].ge(S::splat(c.low[a])), S::splat(c.high[a]).ge(ratio[a]));
-    let jacobian_row = |a: usize| {
+    let limited = array!(a in 2 => ratio[a].max(S::splat(c.low[a])).min(S::splat(c.high[a])));
+    let free = array!(a in 2 => S::and(ratio[a].ge(S::splat(c.low[a])), S::splat(c.high[a]).ge(ratio[a])));
+    let jw = array!(a in 2 => {
         let f = S::splat(c.focal[a]).mul(inv_z);
-        let (own, depth) = (row(a), row(2));
-        std::array::from_fn(|k| f.mul(own[k].sub(limited[a].mul(depth[k]))))
-    };
-    let jw: [[S; 3]; 2] = [jacobian_row(0), jacobian_row(1)];
-    let times_m = |r: [S; 3]| -> [S; 3] {
-        std::array::from_fn(|k| dot3(r, [rotation[0][k], rotation[1][k], rotation[2][k]]).mul(scale[k]))
-    };
-    let jwm = [times_m(jw[0]), times_m(jw[1])];
+        array!(k in 3 => f.mul(rows[a][k].sub(limited[a].mul(rows[2][k]))))
+    });
+    let jwm = array!(r in 2 => {
+        array!(k in 3 => dot3(jw[r], [rotation[0][k], rotation[1][k], rotation[2][k]]).mul(scale[k]))
+    });
     let (xx, xy, yy) = (dot3(jwm[0], jwm[0]), dot3(jwm[0], jwm[1]), dot3(jwm[1], jwm[1]));
     let low_pass = S::splat(LOW_PASS);
     let cov = [xx.add(low_pass), xy, yy.add(low_pass)];
@@ -254,7 +284,7 @@ pub unsafe fn project_lanes<S: Simd>(model: &Parameters, i: usize, c: &CameraCon
     let good = S::and(det.ge(S::splat(1e-20)), S::splat(1e30).ge(det));
     let inv_det = one.div(S::select(good, det, one));
     let conic = [cov[2].mul(inv_det), zero.sub(xy).mul(inv_det), cov[0].mul(inv_det)];
-    let sigmoid = one.div(one.add(zero.sub(plane(OPACITY)).exp()));
+    let sigmoid = one.div(one.add(zero.sub(plane!(OPACITY)).exp()));
     let det_ratio = xx.mul(yy).sub(xy.mul(xy)).mul(inv_det).max(zero);
     let opacity = if c.antialias { sigmoid.mul(det_ratio.sqrt()) } else { sigmoid };
     let visible = opacity.ge(S::splat(1.0 / 255.0));
@@ -262,7 +292,7 @@ pub unsafe fn project_lanes<S: Simd>(model: &Parameters, i: usize, c: &CameraCon
         xc,
         inv_z,
         limited,
-        free: [free(0), free(1)],
+        free,
         rotation,
         q,
         inv_norm,
@@ -343,7 +373,9 @@ fn project_generic<S: Simd>(a: &mut Project) {
                 depth: depth[lane],
                 extent_x,
                 extent_y,
-            };
+                ..Record::default()
+            }
+            .with_chords();
         }
     }
 }

@@ -6,7 +6,7 @@
 
 use super::bin::TILE;
 use super::project::{LOG2_255, Record};
-use super::simd::{Simd, simd_kernel};
+use super::simd::{Simd, array, simd_kernel};
 
 /// Pixels of a tile.
 pub const PIXELS: usize = TILE * TILE;
@@ -44,18 +44,35 @@ impl Tile {
     }
 }
 
-/// Rows and columns of the tile that the Gaussian's box covers, as half-open ranges; columns in whole vectors.
+/// Pixels of a tile whose centres lie in `low ..= high` (relative to the tile's first pixel corner), half-open.
 #[inline(always)]
-fn cover<S: Simd>(g: &Record, tile: &Tile) -> [usize; 4] {
-    let span = |centre: f32, extent: f32, origin: usize| {
-        // The pixel centre lies at + 0.5; the small slack keeps pixels on the rim.
-        let low = (centre - extent - origin as f32 - 0.51).ceil().max(0.0) as usize;
-        let high = (centre + extent - origin as f32 + 0.51).floor().max(0.0) as usize;
-        [low.min(TILE), high.min(TILE)]
-    };
-    let [x0, x1] = span(g.x, g.extent_x, tile.x);
-    let [y0, y1] = span(g.y, g.extent_y, tile.y);
-    [x0 / S::LANES, x1.div_ceil(S::LANES), y0, y1]
+fn pixels(low: f32, high: f32) -> [usize; 2] {
+    // Truncation is the floor of what is not negative; 0.51 instead of 0.5 keeps pixels on the rim.
+    let clamp = |v: f32| (if v > 0.0 { if v < TILE as f32 { v } else { TILE as f32 } } else { 0.0 }) as i32 as usize;
+    [clamp(low + 0.49), clamp(high + 0.51)]
+}
+
+/// Columns of vectors that the Gaussian's box covers, half-open.
+#[inline(always)]
+fn columns<S: Simd>(g: &Record, tile: &Tile) -> [usize; 2] {
+    let x = g.x - tile.x as f32;
+    let [x0, x1] = pixels(x - g.extent_x, x + g.extent_x);
+    [x0 / S::LANES, x1.div_ceil(S::LANES)]
+}
+
+/// Rows that the ellipse covers within the column of vectors at `x`, half-open: between the lowest and the highest
+/// point of the part of the ellipse above the column.
+#[inline(always)]
+fn rows<S: Simd>(g: &Record, tile: &Tile, x: usize) -> [usize; 2] {
+    // Offsets here are pixel − centre; the ellipse's lowest and highest points lie at ± tilt.
+    let left = (tile.x + x) as f32 + 0.5 - g.x;
+    let right = left + (S::LANES - 1) as f32;
+    let clamp = |dx: f32| if dx < left { left } else if dx > right { right } else { dx };
+    let (high_x, low_x) = (clamp(-g.tilt), clamp(g.tilt));
+    let (high, low) = (g.chord - g.bend * high_x * high_x, g.chord - g.bend * low_x * low_x);
+    let root = |v: f32| if v > 0.0 { v.sqrt() } else { 0.0 };
+    let y = g.y - tile.y as f32;
+    pixels(y - g.slope * low_x - root(low), y - g.slope * high_x + root(high))
 }
 
 /// Exponents of a Gaussian along a column of vectors: `power = dy (dy half_yy + dx xy) + dx² half_xx`.
@@ -134,10 +151,11 @@ fn forward_loop<S: Simd, const DEPTH: bool>(a: &mut Forward, depth: &mut [f32; P
             return;
         }
         let g = unsafe { a.records.get_unchecked(i as usize) };
-        let [x0, x1, y0, y1] = cover::<S>(g, &a.tile);
+        let [x0, x1] = columns::<S>(g, &a.tile);
         let (log2_opacity, threshold) = (S::splat(g.log2_opacity), S::splat(-LOG2_255));
         for column in x0..x1 {
             let x = column * S::LANES;
+            let [y0, y1] = rows::<S>(g, &a.tile, x);
             let power = Column::<S>::new(g, a.tile.x + x);
             for y in y0..y1 {
                 // All offsets stay inside the arrays of 256: x + LANES ≤ 16, y < 16.
@@ -215,12 +233,13 @@ fn backward_generic<S: Simd>(a: &mut Backward) {
     let grad: [*const f32; 3] = [a.gradient[0].as_ptr(), a.gradient[1].as_ptr(), a.gradient[2].as_ptr()];
     for (&i, sums) in a.list.iter().zip(a.sums.iter_mut()) {
         let g = unsafe { a.records.get_unchecked(i as usize) };
-        let [x0, x1, y0, y1] = cover::<S>(g, &a.tile);
+        let [x0, x1] = columns::<S>(g, &a.tile);
         let (log2_opacity, threshold) = (S::splat(g.log2_opacity), S::splat(-LOG2_255));
-        let rgb = g.rgb.map(S::splat);
+        let rgb = array!(c in 3 => S::splat(g.rgb[c]));
         let mut total = [zero; SUMS];
         for column in x0..x1 {
             let x = column * S::LANES;
+            let [y0, y1] = rows::<S>(g, &a.tile, x);
             let power = Column::<S>::new(g, a.tile.x + x);
             let (mut v0, mut v1, mut v2) = (zero, zero, zero);
             for y in y0..y1 {

@@ -143,6 +143,21 @@ impl Isa {
     }
 }
 
+/// `array!(k in 3 => f(k))` is `[f(0), f(1), f(2)]` without a closure: closures are functions of their own, which the
+/// compiler may leave without the instruction set of the kernel around them.
+macro_rules! array {
+    ($k:ident in 2 => $e:expr) => {
+        [{ let $k: usize = 0; $e }, { let $k: usize = 1; $e }]
+    };
+    ($k:ident in 3 => $e:expr) => {
+        [{ let $k: usize = 0; $e }, { let $k: usize = 1; $e }, { let $k: usize = 2; $e }]
+    };
+    ($k:ident in 4 => $e:expr) => {
+        [{ let $k: usize = 0; $e }, { let $k: usize = 1; $e }, { let $k: usize = 2; $e }, { let $k: usize = 3; $e }]
+    };
+}
+pub(crate) use array;
+
 /// `simd_kernel!(pub fn name(arguments: &mut Type) = generic::<_>)`: `name(isa, arguments)` runs `generic::<S>(arguments)` compiled
 /// for the instruction set.
 macro_rules! simd_kernel {

@@ -120,15 +120,12 @@ impl Workspace {
         let (shape, records, bins, used) = (self.shape, &self.records, &self.bins, &self.used);
         let (rgb, gradient) = (&self.rgb, &self.gradient);
         self.sums.resize(bins.list.len(), [0.0; SUMS]);
-        let mut slices: Vec<(usize, &mut [[f32; SUMS]])> = Vec::with_capacity(used.len());
-        let mut rest = self.sums.as_mut_slice();
-        for t in 0..used.len() {
-            let (own, next) = rest.split_at_mut((bins.offsets[t + 1] - bins.offsets[t]) as usize);
-            slices.push((t, own));
-            rest = next;
-        }
-        slices.into_par_iter().for_each(|(t, sums)| {
+        let all = SharedSums(self.sums.as_mut_ptr());
+        (0..used.len()).into_par_iter().for_each(|t| {
             let used = used[t] as usize;
+            let (begin, end) = (bins.offsets[t] as usize, bins.offsets[t + 1] as usize);
+            // The tiles' ranges do not overlap, so every task writes pairs of its own.
+            let sums = unsafe { all.slice(begin, end) };
             sums[used..].fill([0.0; SUMS]);
             if used == 0 {
                 return;
@@ -142,7 +139,6 @@ impl Workspace {
                     remaining[i] += colour[i] * gradient[i];
                 }
             }
-            let begin = bins.offsets[t] as usize;
             let list = &bins.list[begin..begin + used];
             let sums = &mut sums[..used];
             backward(isa, &mut Backward { records, list, tile, gradient: &local, remaining: &mut remaining, sums });
@@ -180,6 +176,22 @@ impl Workspace {
             a.non_finite
         };
         (0..n.div_ceil(CHUNK)).into_par_iter().map(run).sum()
+    }
+}
+
+/// The pairs' sums, of which every task writes its own range.
+#[derive(Clone, Copy)]
+struct SharedSums(*mut [f32; SUMS]);
+// Ranges of different tasks do not overlap.
+unsafe impl Send for SharedSums {}
+unsafe impl Sync for SharedSums {}
+
+impl SharedSums {
+    /// # Safety
+    /// Within the array, and nobody else uses the range meanwhile.
+    #[allow(clippy::mut_from_ref)]
+    unsafe fn slice(&self, begin: usize, end: usize) -> &mut [[f32; SUMS]] {
+        unsafe { std::slice::from_raw_parts_mut(self.0.add(begin), end - begin) }
     }
 }
 

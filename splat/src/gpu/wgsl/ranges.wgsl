@@ -1,0 +1,26 @@
+// ranges: where each tile's pairs begin and end.
+// in: keys [pairs] tiles, ascending · out: ranges [tiles] half-open (cleared before)
+
+@group(0) @binding(0) var<uniform> frame: Frame;
+@group(0) @binding(1) var<storage, read> counters: array<u32>;
+@group(0) @binding(2) var<storage, read> keys: array<u32>;
+@group(0) @binding(3) var<storage, read_write> ranges: array<vec2<u32>>;
+
+@compute @workgroup_size(256)
+fn main(@builtin(workgroup_id) group: vec3<u32>, @builtin(num_workgroups) groups: vec3<u32>, @builtin(local_invocation_index) local: u32) {
+    let i = group_number(group, groups) * 256u + local;
+    let n = min(counters[PAIRS], frame.pair_capacity);
+    if (i >= n) {
+        return;
+    }
+    let tile = keys[i];
+    if (tile >= frame.tiles.x * frame.tiles.y) {
+        return;
+    }
+    if (i == 0u || keys[i - 1u] != tile) {
+        ranges[tile].x = i;
+    }
+    if (i + 1u == n || keys[i + 1u] != tile) {
+        ranges[tile].y = i + 1u;
+    }
+}
