@@ -20,8 +20,13 @@ fn main() {
 /// Where Eigen's headers lie: pkg-config's answer, else Debian's folder.
 fn eigen_includes() -> Vec<PathBuf> {
     let output = Command::new("pkg-config").args(["--cflags-only-I", "eigen3"]).output();
-    let flags = output.ok().filter(|o| o.status.success()).map(|o| String::from_utf8_lossy(&o.stdout).into_owned());
-    let found: Vec<PathBuf> =
-        flags.iter().flat_map(|f| f.split_whitespace()).filter_map(|f| f.strip_prefix("-I")).map(PathBuf::from).collect();
+    let flags =
+        output.ok().filter(|o| o.status.success()).map(|o| String::from_utf8_lossy(&o.stdout).into_owned());
+    let found: Vec<PathBuf> = flags
+        .iter()
+        .flat_map(|f| f.split_whitespace())
+        .filter_map(|f| f.strip_prefix("-I"))
+        .map(PathBuf::from)
+        .collect();
     if found.is_empty() { vec![PathBuf::from("/usr/include/eigen3")] } else { found }
 }

@@ -153,7 +153,9 @@ impl BundleProblem {
         if input.weights.is_empty() {
             return Ok(None);
         }
-        let Some((of_poses, of_cameras)) = ceres::covariance(&input, &self.state(&frame))? else { return Ok(None) };
+        let Some((of_poses, of_cameras)) = ceres::covariance(&input, &self.state(&frame))? else {
+            return Ok(None);
+        };
         let mut cameras = Vec::new();
         let mut rest = of_cameras.as_slice();
         for camera in &self.cameras {
@@ -183,13 +185,17 @@ impl BundleProblem {
         for camera in &mut self.cameras {
             camera.params.iter_mut().zip(&mut values).for_each(|(p, v)| *p = *v);
         }
-        for ((pose, p), constant) in self.poses.iter_mut().zip(state.poses.chunks_exact(7)).zip(&self.pose_constant) {
+        for ((pose, p), constant) in
+            self.poses.iter_mut().zip(state.poses.chunks_exact(7)).zip(&self.pose_constant)
+        {
             if !constant {
                 let moved = Pose::new(DQuat::from_slice(p), DVec3::from_slice(&p[4..]));
                 *pose = frame.pose_out(&moved);
             }
         }
-        for ((x, p), constant) in self.points.iter_mut().zip(state.points.chunks_exact(3)).zip(&self.point_constant) {
+        for ((x, p), constant) in
+            self.points.iter_mut().zip(state.points.chunks_exact(3)).zip(&self.point_constant)
+        {
             if !constant {
                 *x = frame.point_out(DVec3::from_slice(p));
             }
@@ -313,7 +319,10 @@ impl Normalisation {
     }
 
     fn pose_out(&self, pose: &Pose) -> Pose {
-        Pose { rotation: pose.rotation, translation: pose.translation * self.scale - pose.rotation * self.centre }
+        Pose {
+            rotation: pose.rotation,
+            translation: pose.translation * self.scale - pose.rotation * self.centre,
+        }
     }
 }
 
@@ -353,7 +362,17 @@ impl Default for BundleOptions {
 /// Which parameters of a camera are solved for.
 pub fn free_parameters(camera: &Camera, focal: bool, principal_point: bool, distortion: bool) -> Vec<bool> {
     let n = camera.model.num_focals();
-    (0..camera.params.len()).map(|i| if i < n { focal } else if i < n + 2 { principal_point } else { distortion }).collect()
+    (0..camera.params.len())
+        .map(|i| {
+            if i < n {
+                focal
+            } else if i < n + 2 {
+                principal_point
+            } else {
+                distortion
+            }
+        })
+        .collect()
 }
 
 /// Adjusts a model in place and refreshes the points' mean errors.
@@ -395,12 +414,21 @@ pub fn problem_of(model: &Reconstruction, options: &BundleOptions) -> (BundlePro
             .map(|c| {
                 let free = !options.constant_cameras.contains(&c.id);
                 let BundleOptions { refine_focal, refine_principal_point, refine_distortion, .. } = *options;
-                free_parameters(c, free && refine_focal, free && refine_principal_point, free && refine_distortion)
+                free_parameters(
+                    c,
+                    free && refine_focal,
+                    free && refine_principal_point,
+                    free && refine_distortion,
+                )
             })
             .collect(),
         poses: model.images.values().map(|i| i.pose).collect(),
         pose_camera: model.images.values().map(|i| cameras.get(&i.camera).copied().unwrap_or(0)).collect(),
-        pose_constant: model.images.keys().map(|i| !adjusted(i) || options.constant_images.contains(i)).collect(),
+        pose_constant: model
+            .images
+            .keys()
+            .map(|i| !adjusted(i) || options.constant_images.contains(i))
+            .collect(),
         ..BundleProblem::default()
     };
     let mut ids = Vec::new();

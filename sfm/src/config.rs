@@ -2,6 +2,10 @@
 
 use crate::SfmError;
 use crate::incremental::MapperConfig;
+use crate::matching::MatchConfig;
+use crate::pairs::PairConfig;
+use crate::sift::SiftConfig;
+use crate::two_view::TwoViewConfig;
 use scene::CameraModel;
 use serde::{Deserialize, Serialize};
 
@@ -70,6 +74,18 @@ pub struct SfmConfig {
     /// Which images share intrinsics
     #[arg(long, value_enum, default_value_t = CameraSharing::Group, help_heading = "Structure from motion")]
     pub cameras: CameraSharing,
+    /// Features.
+    #[command(flatten)]
+    pub sift: SiftConfig,
+    /// Choice of pairs.
+    #[command(flatten)]
+    pub pairs: PairConfig,
+    /// Matching.
+    #[command(flatten)]
+    pub matching: MatchConfig,
+    /// Verification of pairs.
+    #[command(flatten)]
+    pub two_view: TwoViewConfig,
     /// The mapper.
     #[command(flatten)]
     pub mapper: MapperConfig,

@@ -50,8 +50,7 @@ pub fn build_tracks(features: &[Features], geometries: &[TwoViewGeometry]) -> Tr
     for [a, b] in edges {
         forest.join(a, b);
     }
-    let mut tracks =
-        Tracks { of: features.iter().map(|f| vec![NONE; f.len()]).collect(), views: Vec::new() };
+    let mut tracks = Tracks { of: features.iter().map(|f| vec![NONE; f.len()]).collect(), views: Vec::new() };
     for root in 0..nodes {
         let members = &forest.members[root];
         if forest.parent[root] as usize != root || members.len() < 2 {
@@ -72,7 +71,10 @@ pub fn build_tracks(features: &[Features], geometries: &[TwoViewGeometry]) -> Tr
 
 fn edges_by_support(places: &[Vec<u32>], start: &[usize], geometries: &[TwoViewGeometry]) -> Vec<[u32; 2]> {
     let node = |image: usize, feature: u32| {
-        places.get(image).and_then(|p| p.get(feature as usize)).map(|&first| (start[image] + first as usize) as u32)
+        places
+            .get(image)
+            .and_then(|p| p.get(feature as usize))
+            .map(|&first| (start[image] + first as usize) as u32)
     };
     let mut edges: Vec<([u32; 2], usize)> = Vec::new();
     for g in geometries {

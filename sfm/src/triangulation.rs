@@ -64,7 +64,8 @@ pub fn nearest_to_rays<'a>(views: impl Iterator<Item = &'a View<'a>> + Clone) ->
     let origin = views.clone().map(|v| v.centre).sum::<DVec3>() / n.max(1) as f64;
     let (mut a, mut b) = (DMat3::ZERO, DVec3::ZERO);
     for view in views {
-        let across = DMat3::IDENTITY - DMat3::from_cols(view.ray * view.ray.x, view.ray * view.ray.y, view.ray * view.ray.z);
+        let across = DMat3::IDENTITY
+            - DMat3::from_cols(view.ray * view.ray.x, view.ray * view.ray.y, view.ray * view.ray.z);
         a += across;
         b += across * (view.centre - origin);
     }
@@ -114,11 +115,7 @@ fn linearise(view: &View<'_>, x: DVec3) -> Option<([f64; 2], [DVec3; 2])> {
     let local = view.pose.transform(x);
     let residual = view.camera.project(local)? - view.pixel;
     let (u, focal) = (local.truncate() / local.z, view.camera.focal());
-    let scale = if u.length_squared() > 1e-18 {
-        view.camera.distort(u).length() / u.length()
-    } else {
-        1.0
-    };
+    let scale = if u.length_squared() > 1e-18 { view.camera.distort(u).length() / u.length() } else { 1.0 };
     let back = view.pose.rotation.conjugate();
     let row = |axis: DVec3, f: f64, u: f64| back * ((axis - DVec3::Z * u) * (scale * f / local.z));
     Some((residual.to_array(), [row(DVec3::X, focal.x, u.x), row(DVec3::Y, focal.y, u.y)]))
@@ -217,7 +214,8 @@ mod tests {
         let x = DVec3::new(0.1, 0.2, -0.3);
         let mut views = ring(&camera, 9, 1.0, x);
         for i in [0, 3, 4, 7] {
-            views[i] = View::new(&views[i].pose, &camera, views[i].pixel + DVec2::new(30.0 + 9.0 * i as f64, -50.0));
+            views[i] =
+                View::new(&views[i].pose, &camera, views[i].pixel + DVec2::new(30.0 + 9.0 * i as f64, -50.0));
         }
         let found = triangulate(&views, &GATES).unwrap();
         assert_eq!(found.inliers, vec![1, 2, 5, 6, 8]);
@@ -231,8 +229,10 @@ mod tests {
         let still = [View::new(&pose, &camera, DVec2::splat(100.0)); 3];
         assert!(triangulate(&still, &GATES).is_none());
         let beside = Pose::from_centre(glam::DQuat::IDENTITY, DVec3::X);
-        let parallel =
-            [View::new(&pose, &camera, DVec2::splat(100.0)), View::new(&beside, &camera, DVec2::splat(100.0))];
+        let parallel = [
+            View::new(&pose, &camera, DVec2::splat(100.0)),
+            View::new(&beside, &camera, DVec2::splat(100.0)),
+        ];
         assert!(triangulate(&parallel, &GATES).is_none());
         let diverging = [
             View::new(&pose, &camera, DVec2::new(100.0, 240.0)),

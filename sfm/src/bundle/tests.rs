@@ -168,7 +168,10 @@ fn standard_deviations_match_the_scatter_of_repeated_measurements() {
     }
     let measured = scatter.map(|s: f64| (s / runs as f64).sqrt());
     for (m, predicted) in measured.iter().zip([focal_sd, pose_sd[0], pose_sd[4]]) {
-        assert!((0.75..1.33).contains(&(m / predicted)), "measured {measured:?}, predicted {focal_sd} {pose_sd:?}");
+        assert!(
+            (0.75..1.33).contains(&(m / predicted)),
+            "measured {measured:?}, predicted {focal_sd} {pose_sd:?}"
+        );
     }
 }
 

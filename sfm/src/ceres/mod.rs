@@ -166,9 +166,10 @@ fn check(input: &BundleInput, state: &BundleState) -> Result<(), SfmError> {
     let indices = inside(&input.observation_pose, poses)
         && inside(&input.observation_point, points)
         && inside(&input.pose_camera, input.camera_models.len());
-    let finite = [&state.intrinsics, &state.poses, &state.points, &input.pixels, &input.weights, &input.prior_sigma]
-        .iter()
-        .all(|values| values.iter().all(|v| v.is_finite()));
+    let finite =
+        [&state.intrinsics, &state.poses, &state.points, &input.pixels, &input.weights, &input.prior_sigma]
+            .iter()
+            .all(|values| values.iter().all(|v| v.is_finite()));
     match (shapes && indices, finite, observations) {
         (false, _, _) => Err(SfmError::Solver("the problem is inconsistent".to_owned())),
         (_, false, _) => Err(SfmError::Solver("a number is not finite".to_owned())),

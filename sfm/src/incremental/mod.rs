@@ -1,35 +1,144 @@
 //! Incremental mapping: one image after the other, adjusted as the model grows (Schönberger & Frahm, CVPR 2016).
 
-use serde::{Deserialize, Serialize};
+pub(crate) mod adjust;
+pub(crate) mod growth;
+pub(crate) mod initial;
+pub(crate) mod resection;
+pub(crate) mod state;
 
-/// Largest reprojection error of a sighting that is kept, pixels.
-const MAX_REPROJECTION_PX: f64 = 4.0;
-/// Smallest triangulation angle of a point that is kept, degrees.
-const MIN_ANGLE_DEG: f64 = 1.5;
-/// Fewest inliers with which an image is registered.
-const MIN_INLIERS: usize = 15;
+use crate::SfmError;
+use adjust::plausible;
+use growth::{Knowledge, grow, settle};
+use initial::{rank_pairs, start};
+use resection::FOCAL_FACTORS;
+use scene::{Camera, Progress, TwoViewGeometry};
+use serde::{Deserialize, Serialize};
+use state::{Input, State};
 
 /// Configuration of the mapper.
 #[derive(clap::Args, Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default)]
 pub struct MapperConfig {
     /// Largest reprojection error of a sighting that is kept, pixels
-    #[arg(long, default_value_t = MAX_REPROJECTION_PX, help_heading = "Structure from motion")]
+    #[arg(long, default_value_t = Self::default().max_reprojection_px, help_heading = "Mapping")]
     pub max_reprojection_px: f64,
     /// Smallest triangulation angle of a point that is kept, degrees
-    #[arg(long, default_value_t = MIN_ANGLE_DEG, help_heading = "Structure from motion")]
+    #[arg(long, default_value_t = Self::default().min_angle_deg, help_heading = "Mapping")]
     pub min_angle_deg: f64,
     /// Fewest point sightings with which an image is registered
-    #[arg(long, default_value_t = MIN_INLIERS, help_heading = "Structure from motion")]
+    #[arg(long, default_value_t = Self::default().min_sightings, help_heading = "Mapping")]
     pub min_sightings: usize,
+    /// Smallest share of an image's sightings that must agree with its pose
+    #[arg(long, default_value_t = Self::default().min_sighting_ratio, help_heading = "Mapping")]
+    pub min_sighting_ratio: f64,
+    /// How many first pairs are tried before the best model is taken
+    #[arg(long, default_value_t = Self::default().starts, help_heading = "Mapping")]
+    pub starts: usize,
 }
 
 impl Default for MapperConfig {
     fn default() -> Self {
         Self {
-            max_reprojection_px: MAX_REPROJECTION_PX,
-            min_angle_deg: MIN_ANGLE_DEG,
-            min_sightings: MIN_INLIERS,
+            max_reprojection_px: 4.0,
+            min_angle_deg: 1.5,
+            min_sightings: 15,
+            min_sighting_ratio: 0.25,
+            starts: 3,
         }
     }
+}
+
+/// Images of the small models that are compared before one is grown.
+const SMALL: usize = 5;
+
+/// The best model that grows from some first pair among `geometries`; `None` where none does.
+pub(crate) fn map(
+    input: &Input<'_>,
+    cameras: &[Camera],
+    known: &[Knowledge],
+    geometries: &[TwoViewGeometry],
+    progress: &Progress,
+) -> Result<Option<State>, SfmError> {
+    let images = input.keypoints.len();
+    let mut best: Option<State> = None;
+    let mut used = vec![false; images];
+    let ranked = rank_pairs(geometries);
+    let mut tries = 0;
+    for pair in ranked {
+        let g = &geometries[pair];
+        if tries >= input.config.starts {
+            break;
+        }
+        // Another start from where a model has grown would grow the same one.
+        if used[g.a] && used[g.b] {
+            continue;
+        }
+        tries += 1;
+        used[g.a] = true;
+        used[g.b] = true;
+        let Some(mut state) = begin(input, cameras, known, g, progress)? else { continue };
+        let starts = starts_of(cameras, known, &state);
+        grow(&mut state, input, known, &starts, images, progress)?;
+        settle(&mut state, input, known, &starts, progress)?;
+        state.order.iter().for_each(|&i| used[i] = true);
+        if best.as_ref().is_none_or(|b| value(&state) > value(b)) {
+            best = Some(state);
+        }
+        if best.as_ref().is_some_and(|b| b.registered() * 10 >= images * 9) {
+            break;
+        }
+    }
+    Ok(best.filter(|b| b.registered() >= 2))
+}
+
+/// Models are compared by images, then by sightings.
+fn value(state: &State) -> (usize, usize) {
+    (state.registered(), state.live().map(|(_, p)| p.views.len()).sum())
+}
+
+/// What priors and repairs refer to: the start's intrinsics where they were known, the small model's where not.
+fn starts_of(cameras: &[Camera], known: &[Knowledge], state: &State) -> Vec<Camera> {
+    let start = |i: usize| {
+        if known[i].focal_sigma.is_some() || known[i].fixed { &cameras[i] } else { &state.cameras[i] }
+    };
+    (0..cameras.len()).map(|i| start(i).clone()).collect()
+}
+
+/// The small model from a pair; where a focal length is unknown, the one of several whose model explains most.
+fn begin(
+    input: &Input<'_>,
+    cameras: &[Camera],
+    known: &[Knowledge],
+    geometry: &TwoViewGeometry,
+    progress: &Progress,
+) -> Result<Option<State>, SfmError> {
+    let unknown = |image: usize| {
+        let k = &known[input.camera_of[image]];
+        !k.fixed && k.focal_sigma.is_none()
+    };
+    let search = unknown(geometry.a) || unknown(geometry.b);
+    let factors: &[f64] = if search { &FOCAL_FACTORS } else { &[1.0] };
+    let mut best: Option<(f64, State)> = None;
+    for factor in factors {
+        let mut scaled = cameras.to_vec();
+        for (camera, k) in scaled.iter_mut().zip(known) {
+            if !k.fixed && k.focal_sigma.is_none() {
+                let focals = camera.model.num_focals();
+                camera.params[..focals].iter_mut().for_each(|f| *f *= factor);
+            }
+        }
+        let Some(mut state) = start(input, &scaled, geometry, progress)? else { continue };
+        grow(&mut state, input, known, &scaled, SMALL, progress)?;
+        let score = agreement(&state, input);
+        if state.cameras.iter().all(plausible) && best.as_ref().is_none_or(|(s, _)| score > *s) {
+            best = Some((score, state));
+        }
+    }
+    Ok(best.map(|(_, state)| state))
+}
+
+/// `Σ max(0, 1 − e²/T²)` over all sightings.
+fn agreement(state: &State, input: &Input<'_>) -> f64 {
+    let limit = input.config.max_reprojection_px;
+    state.errors(input).iter().map(|e| (1.0 - (e / limit).powi(2)).max(0.0)).sum()
 }

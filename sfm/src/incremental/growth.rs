@@ -1,0 +1,169 @@
+//! Growing a model image by image.
+
+use super::adjust::{Adjustment, adjust, plausible};
+use super::resection::{next_images, resect};
+use super::state::{Input, State};
+use crate::SfmError;
+use crate::bundle::{IntrinsicsPrior, free_parameters};
+use scene::{Camera, Progress};
+
+/// Images from which on distortion is solved for while the model grows.
+const IMAGES_FOR_DISTORTION: usize = 6;
+/// Images up to which the whole model is adjusted after each registration.
+const IMAGES_FOR_LOCAL: usize = 60;
+/// Images that move in a local adjustment.
+const LOCAL_IMAGES: usize = 8;
+/// Points an image contributes to an adjustment while the model grows.
+const POINTS_PER_IMAGE: usize = 100;
+
+/// What is known of a camera.
+#[derive(Clone, Debug)]
+pub(crate) struct Knowledge {
+    /// Nothing is to be solved for.
+    pub fixed: bool,
+    /// Standard deviation of the focal length known beforehand, as a share of it.
+    pub focal_sigma: Option<f64>,
+}
+
+/// Which intrinsics are free with `images` images in the model, and what holds them.
+pub(crate) fn freedom(
+    cameras: &[Camera],
+    known: &[Knowledge],
+    starts: &[Camera],
+    images: usize,
+) -> (Vec<Vec<bool>>, Vec<IntrinsicsPrior>) {
+    let distortion = images >= IMAGES_FOR_DISTORTION;
+    let free = cameras.iter().zip(known).map(|(c, k)| {
+        let free = !k.fixed && images > 2;
+        free_parameters(c, free, false, free && distortion)
+    });
+    let mut priors = Vec::new();
+    for (camera, (start, k)) in starts.iter().zip(known).enumerate() {
+        let focals = start.model.num_focals();
+        if let (Some(share), false) = (k.focal_sigma, k.fixed) {
+            let prior = |parameter: usize| {
+                let mean = start.params[parameter];
+                IntrinsicsPrior { camera, parameter, mean, sigma: share * mean }
+            };
+            priors.extend((0..focals).map(prior));
+        }
+        // Distortion of ordinary lenses is a few per cent at the corner; this matters only where the views say nothing.
+        let relative = start.mean_focal() / f64::from(start.width.max(start.height));
+        let mild =
+            |parameter| IntrinsicsPrior { camera, parameter, mean: 0.0, sigma: 0.5 * relative * relative };
+        priors.extend((focals + 2..start.params.len()).map(mild));
+    }
+    (free.collect(), priors)
+}
+
+/// Registers images until `most` are in, or none can be added.
+pub(crate) fn grow(
+    state: &mut State,
+    input: &Input<'_>,
+    known: &[Knowledge],
+    starts: &[Camera],
+    most: usize,
+    progress: &Progress,
+) -> Result<(), SfmError> {
+    let mut tried = vec![0usize; state.poses.len()];
+    let mut last_full = state.registered();
+    let mut fresh = false;
+    while state.registered() < most {
+        progress.check()?;
+        let mut candidates = next_images(state, input);
+        candidates.retain(|&(i, n)| n > tried[i]);
+        let next = candidates.into_iter().find_map(|(image, n)| {
+            let camera = input.camera_of[image];
+            let unseen = !state.order.iter().any(|&i| input.camera_of[i] == camera);
+            let search = unseen && !known[camera].fixed && known[camera].focal_sigma.is_none();
+            tried[image] = n;
+            resect(state, input, image, search).map(|r| (image, r))
+        });
+        let Some((image, found)) = next else {
+            if fresh {
+                break;
+            }
+            // A last effort: everything triangulated and adjusted, then the images that failed once more.
+            settle(state, input, known, starts, progress)?;
+            (fresh, last_full) = (true, state.registered());
+            tried.fill(0);
+            continue;
+        };
+        fresh = false;
+        if let Some(focal) = found.focal {
+            let camera = &mut state.cameras[input.camera_of[image]];
+            let focals = camera.model.num_focals();
+            camera.params[..focals].fill(focal);
+        }
+        state.register(image, found.pose);
+        state.grow_image(input, image);
+        let images = state.registered();
+        let full = images <= IMAGES_FOR_LOCAL || images as f64 > 1.08 * last_full as f64;
+        if full {
+            last_full = images;
+        }
+        let (free, priors) = freedom(&state.cameras, known, starts, images);
+        let mut what = Adjustment::growing(free, priors);
+        what.points_per_image = (images > 6).then_some(POINTS_PER_IMAGE);
+        if !full {
+            what.moving = Some(neighbours(state, image, LOCAL_IMAGES));
+            what.free = state.cameras.iter().map(|c| vec![false; c.params.len()]).collect();
+        }
+        adjust(state, input, &what, progress)?;
+        repair(state, known, starts);
+        state.filter(input, input.config.max_reprojection_px);
+        if state.sightings(image) < input.config.min_sightings {
+            state.unregister(image);
+        } else {
+            progress.tick_with(&format!("{images} images"))?;
+        }
+    }
+    Ok(())
+}
+
+/// Triangulates, adjusts and filters the whole model a few times.
+pub(crate) fn settle(
+    state: &mut State,
+    input: &Input<'_>,
+    known: &[Knowledge],
+    starts: &[Camera],
+    progress: &Progress,
+) -> Result<(), SfmError> {
+    for _ in 0..3 {
+        let added = state.grow_all(input);
+        let (free, priors) = freedom(&state.cameras, known, starts, state.registered());
+        let what = Adjustment::growing(free, priors);
+        adjust(state, input, &what, progress)?;
+        repair(state, known, starts);
+        let gone = state.filter(input, input.config.max_reprojection_px);
+        let all: usize = state.live().map(|(_, p)| p.views.len()).sum();
+        if (added + gone) * 100 < all {
+            break;
+        }
+    }
+    Ok(())
+}
+
+/// Puts intrinsics that ran away back to their start.
+fn repair(state: &mut State, known: &[Knowledge], starts: &[Camera]) {
+    for ((camera, k), start) in state.cameras.iter_mut().zip(known).zip(starts) {
+        if !k.fixed && !plausible(camera) {
+            camera.params.clone_from(&start.params);
+        }
+    }
+}
+
+/// The image and those registered images that share most points with it.
+fn neighbours(state: &State, image: usize, count: usize) -> Vec<usize> {
+    let mut shared = vec![0usize; state.poses.len()];
+    for (_, point) in state.live() {
+        if point.views.iter().any(|v| v[0] as usize == image) {
+            point.views.iter().for_each(|v| shared[v[0] as usize] += 1);
+        }
+    }
+    shared[image] = usize::MAX;
+    let mut ranked: Vec<usize> = (0..shared.len()).filter(|&i| shared[i] > 0).collect();
+    ranked.sort_by_key(|&i| (std::cmp::Reverse(shared[i]), i));
+    ranked.truncate(count);
+    ranked
+}

@@ -1,0 +1,254 @@
+//! The growing model: poses, points and who sees what.
+
+use super::MapperConfig;
+use crate::tracks::{NONE, Tracks};
+use crate::triangulation::{Gates, View, refine_point, triangulate, widest_angle};
+use glam::{DVec2, DVec3};
+use scene::{Camera, Pose};
+
+/// What does not change while a model grows.
+pub(crate) struct Input<'a> {
+    /// For each image its keypoints' positions.
+    pub keypoints: &'a [Vec<DVec2>],
+    /// Keypoints joined over images.
+    pub tracks: &'a Tracks,
+    /// For each image the index of its camera.
+    pub camera_of: &'a [usize],
+    /// The user's choices.
+    pub config: &'a MapperConfig,
+    /// Seed of all randomness.
+    pub seed: u64,
+}
+
+/// A point of the growing model.
+#[derive(Clone, Debug)]
+pub(crate) struct MapPoint {
+    /// World frame.
+    pub position: DVec3,
+    /// The track it stems from.
+    pub track: u32,
+    /// (image, feature), no image twice.
+    pub views: Vec<[u32; 2]>,
+}
+
+/// The growing model.
+#[derive(Clone, Debug)]
+pub(crate) struct State {
+    /// Intrinsics, by camera index.
+    pub cameras: Vec<Camera>,
+    /// `cam_from_world` of the registered images.
+    pub poses: Vec<Option<Pose>>,
+    /// Points; removed ones leave a hole.
+    pub points: Vec<Option<MapPoint>>,
+    /// For each image and feature its point, or [`NONE`].
+    pub point_of: Vec<Vec<u32>>,
+    /// For each track its points.
+    pub of_track: Vec<Vec<u32>>,
+    /// Images in the order in which they were registered.
+    pub order: Vec<usize>,
+}
+
+impl State {
+    pub fn new(input: &Input<'_>, cameras: Vec<Camera>) -> Self {
+        Self {
+            cameras,
+            poses: vec![None; input.keypoints.len()],
+            points: Vec::new(),
+            point_of: input.keypoints.iter().map(|k| vec![NONE; k.len()]).collect(),
+            of_track: vec![Vec::new(); input.tracks.views.len()],
+            order: Vec::new(),
+        }
+    }
+
+    pub fn gates(input: &Input<'_>) -> Gates {
+        let config = input.config;
+        Gates { max_error_px: config.max_reprojection_px, min_angle: config.min_angle_deg.to_radians() }
+    }
+
+    /// Registers (or moves) an image.
+    pub fn register(&mut self, image: usize, pose: Pose) {
+        if self.poses[image].is_none() {
+            self.order.push(image);
+        }
+        self.poses[image] = Some(pose);
+    }
+
+    /// Takes an image and its sightings out.
+    pub fn unregister(&mut self, image: usize) {
+        self.poses[image] = None;
+        self.order.retain(|&i| i != image);
+        for feature in 0..self.point_of[image].len() {
+            self.drop_view([image as u32, feature as u32]);
+        }
+    }
+
+    pub fn registered(&self) -> usize {
+        self.order.len()
+    }
+
+    /// The points that exist, with their numbers.
+    pub fn live(&self) -> impl Iterator<Item = (u32, &MapPoint)> {
+        self.points.iter().zip(0u32..).filter_map(|(p, id)| p.as_ref().map(|p| (id, p)))
+    }
+
+    pub fn view<'a>(&'a self, input: &Input<'_>, [image, feature]: [u32; 2]) -> Option<View<'a>> {
+        let image = image as usize;
+        let camera = &self.cameras[input.camera_of[image]];
+        Some(View::new(self.poses[image].as_ref()?, camera, input.keypoints[image][feature as usize]))
+    }
+
+    /// Squared reprojection error of a sighting, without the ray that [`View`] computes.
+    pub fn error_sq(&self, input: &Input<'_>, [image, feature]: [u32; 2], x: DVec3) -> f64 {
+        let image = image as usize;
+        let Some(pose) = &self.poses[image] else { return f64::INFINITY };
+        let projected = self.cameras[input.camera_of[image]].project(pose.transform(x));
+        projected.map_or(f64::INFINITY, |p| p.distance_squared(input.keypoints[image][feature as usize]))
+    }
+
+    fn add_view(&mut self, point: u32, view: [u32; 2]) {
+        if let Some(p) = &mut self.points[point as usize] {
+            p.views.push(view);
+            self.point_of[view[0] as usize][view[1] as usize] = point;
+        }
+    }
+
+    /// Takes a sighting away; a point left with fewer than two goes too.
+    pub fn drop_view(&mut self, view: [u32; 2]) {
+        let point = std::mem::replace(&mut self.point_of[view[0] as usize][view[1] as usize], NONE);
+        if point == NONE {
+            return;
+        }
+        if let Some(p) = &mut self.points[point as usize] {
+            p.views.retain(|v| *v != view);
+            if p.views.len() < 2 {
+                self.drop_point(point);
+            }
+        }
+    }
+
+    pub fn drop_point(&mut self, point: u32) {
+        if let Some(p) = self.points[point as usize].take() {
+            for [image, feature] in p.views {
+                self.point_of[image as usize][feature as usize] = NONE;
+            }
+            self.of_track[p.track as usize].retain(|&q| q != point);
+        }
+    }
+
+    /// Extends a track's points to registered images that agree with them, and triangulates what is left over.
+    /// Returns how many sightings were added.
+    pub fn grow_track(&mut self, input: &Input<'_>, track: u32) -> usize {
+        let loose: Vec<[u32; 2]> = input.tracks.views[track as usize]
+            .iter()
+            .copied()
+            .filter(|v| {
+                self.poses[v[0] as usize].is_some() && self.point_of[v[0] as usize][v[1] as usize] == NONE
+            })
+            .collect();
+        if loose.is_empty() {
+            return 0;
+        }
+        let limit = input.config.max_reprojection_px.powi(2);
+        let (mut rest, mut added) = (Vec::new(), 0);
+        for view in loose {
+            let fits = |p: &u32| {
+                self.points[*p as usize]
+                    .as_ref()
+                    .is_some_and(|x| self.error_sq(input, view, x.position) < limit)
+            };
+            match self.of_track[track as usize].iter().copied().find(fits) {
+                Some(point) => {
+                    self.add_view(point, view);
+                    added += 1;
+                }
+                None => rest.push(view),
+            }
+        }
+        if rest.len() >= 2 {
+            added += self.triangulate_views(input, track, &rest);
+        }
+        added
+    }
+
+    fn triangulate_views(&mut self, input: &Input<'_>, track: u32, loose: &[[u32; 2]]) -> usize {
+        let views: Vec<View<'_>> = loose.iter().filter_map(|v| self.view(input, *v)).collect();
+        let Some(found) = triangulate(&views, &Self::gates(input)) else { return 0 };
+        let point = self.points.len() as u32;
+        self.points.push(Some(MapPoint { position: found.position, track, views: Vec::new() }));
+        self.of_track[track as usize].push(point);
+        for &i in &found.inliers {
+            self.add_view(point, loose[i]);
+        }
+        found.inliers.len()
+    }
+
+    /// [`State::grow_track`] for every track that an image sees.
+    pub fn grow_image(&mut self, input: &Input<'_>, image: usize) -> usize {
+        let tracks: Vec<u32> = input.tracks.of[image].iter().copied().filter(|&t| t != NONE).collect();
+        tracks.into_iter().map(|t| self.grow_track(input, t)).sum()
+    }
+
+    /// [`State::grow_track`] for every track.
+    pub fn grow_all(&mut self, input: &Input<'_>) -> usize {
+        (0..input.tracks.views.len() as u32).map(|t| self.grow_track(input, t)).sum()
+    }
+
+    /// Moves points to their least-squares place for the present poses; `held` says which stay.
+    pub fn refine_points(&mut self, input: &Input<'_>, held: impl Fn(u32) -> bool) {
+        for id in 0..self.points.len() as u32 {
+            let Some(point) = self.points[id as usize].as_ref().filter(|_| !held(id)) else { continue };
+            let views: Vec<View<'_>> = point.views.iter().filter_map(|v| self.bare_view(input, *v)).collect();
+            let position = refine_point(point.position, views.iter(), 3);
+            if let Some(p) = &mut self.points[id as usize] {
+                p.position = position;
+            }
+        }
+    }
+
+    /// A view whose ray is not needed.
+    fn bare_view<'a>(&'a self, input: &Input<'_>, [image, feature]: [u32; 2]) -> Option<View<'a>> {
+        let pose = self.poses[image as usize]?;
+        let camera = &self.cameras[input.camera_of[image as usize]];
+        let pixel = input.keypoints[image as usize][feature as usize];
+        Some(View { pose, camera, pixel, centre: DVec3::ZERO, ray: DVec3::ZERO })
+    }
+
+    /// Drops sightings with a larger error than `max_error_px` or behind the camera, and points seen under too small
+    /// an angle. Returns how many sightings went.
+    pub fn filter(&mut self, input: &Input<'_>, max_error_px: f64) -> usize {
+        let (limit, min_angle) = (max_error_px * max_error_px, input.config.min_angle_deg.to_radians());
+        let centres: Vec<DVec3> =
+            self.poses.iter().map(|p| p.as_ref().map_or(DVec3::NAN, Pose::centre)).collect();
+        let mut gone = 0;
+        for id in 0..self.points.len() as u32 {
+            let Some(point) = &self.points[id as usize] else { continue };
+            let x = point.position;
+            let bad: Vec<[u32; 2]> =
+                point.views.iter().copied().filter(|v| !(self.error_sq(input, *v, x) <= limit)).collect();
+            gone += bad.len();
+            for view in bad {
+                self.drop_view(view);
+            }
+            let Some(point) = &self.points[id as usize] else { continue };
+            let angle = widest_angle(x, point.views.iter().map(|v| centres[v[0] as usize]));
+            if angle < min_angle {
+                gone += point.views.len();
+                self.drop_point(id);
+            }
+        }
+        gone
+    }
+
+    /// All residual lengths, pixels.
+    pub fn errors(&self, input: &Input<'_>) -> Vec<f64> {
+        let of_point = |p: &MapPoint| -> Vec<f64> {
+            p.views.iter().map(|v| self.error_sq(input, *v, p.position).sqrt()).collect()
+        };
+        self.live().flat_map(|(_, p)| of_point(p)).collect()
+    }
+
+    /// How many sightings of points an image has.
+    pub fn sightings(&self, image: usize) -> usize {
+        self.point_of[image].iter().filter(|&&p| p != NONE).count()
+    }
+}
