@@ -45,11 +45,14 @@ pub struct RansacConfig {
     pub min_inliers: usize,
     /// The user's seed.
     pub seed: u64,
+    /// Whether the data are sorted, the most trustworthy first. Every other sample is then drawn from a growing
+    /// head of the list (after PROSAC: Chum & Matas, CVPR 2005), the rest from all data.
+    pub best_first: bool,
 }
 
 impl Default for RansacConfig {
     fn default() -> Self {
-        Self { threshold: 4.0, confidence: 0.9999, min_iterations: 30, max_iterations: 5000, min_inliers: 8, seed: 0 }
+        Self { threshold: 4.0, confidence: 0.9999, min_iterations: 30, max_iterations: 5000, min_inliers: 8, seed: 0, best_first: false }
     }
 }
 
@@ -85,7 +88,8 @@ pub fn ransac<E: Estimator>(estimator: &E, config: &RansacConfig, stream_index: 
     let mut iterations = 0;
     while iterations < limit {
         iterations += 1;
-        draw(&mut random, n, &mut sample);
+        let head = if config.best_first && iterations % 2 == 1 { growing_head(iterations, k, n) } else { n };
+        draw(&mut random, head, &mut sample);
         models.clear();
         estimator.solve(&sample, &mut models);
         let mut improved = false;
@@ -113,6 +117,13 @@ fn needed_samples(inlier_ratio: f64, sample_size: usize, confidence: f64) -> usi
     }
     // A float beyond the range of usize becomes its largest value.
     ((1.0 - confidence).max(1e-12).ln() / (-good).ln_1p()).ceil() as usize
+}
+
+/// How many of the most trustworthy data are drawn from: twice a sample at first, all after 500 samples.
+fn growing_head(iteration: usize, sample_size: usize, n: usize) -> usize {
+    const ALL_AFTER: usize = 500;
+    let first = (2 * sample_size).min(n);
+    (first + (n - first) * iteration / ALL_AFTER).min(n)
 }
 
 /// Fills `sample` with different indices below `n`.
@@ -186,3 +197,6 @@ impl<'a, E: Estimator> Search<'a, E> {
         }
     }
 }
+
+#[cfg(test)]
+mod tests;

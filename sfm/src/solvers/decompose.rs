@@ -99,3 +99,66 @@ pub fn motions_from_homography(h: &DMat3, rays: &[DVec3]) -> Vec<PlanarMotion> {
     }
     result
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::solvers::essential_from_pose;
+    use crate::solvers::testing::{Shape, angle, two_views};
+    use scene::pose::rotation_angle;
+
+    #[test]
+    fn cheirality_picks_the_true_pose_of_four() {
+        for seed in 0..100 {
+            let s = two_views(seed, 20, Shape::General, 1.0);
+            let rays: Vec<_> = s.a.iter().zip(&s.b).map(|(a, b)| (a.extend(1.0), b.extend(1.0))).collect();
+            for sign in [1.0, -3.0] {
+                let e = essential_from_pose(&s.b_from_a) * sign;
+                let (pose, votes) = pose_from_essential(&e, &rays).unwrap();
+                assert_eq!(votes.in_front, 20, "seed {seed}");
+                assert!(rotation_angle(pose.rotation, s.b_from_a.rotation) < 1e-9, "seed {seed}");
+                assert!(angle(pose.translation, s.b_from_a.translation) < 1e-9, "seed {seed}");
+            }
+        }
+    }
+
+    #[test]
+    fn one_of_the_motions_of_a_homography_is_the_true_one() {
+        for seed in 0..100 {
+            let s = two_views(seed, 30, Shape::Plane, 1.0);
+            let h = crate::solvers::homography_dlt(&s.a, &s.b).unwrap();
+            let rays: Vec<DVec3> = s.a.iter().map(|p| p.extend(1.0)).collect();
+            let motions = motions_from_homography(&h, &rays);
+            assert!(motions.len() <= 4, "seed {seed}");
+            let error = motions
+                .iter()
+                .map(|m| {
+                    rotation_angle(m.b_from_a.rotation, s.b_from_a.rotation)
+                        + angle(m.b_from_a.translation, s.b_from_a.translation)
+                })
+                .fold(f64::INFINITY, f64::min);
+            assert!(error < 1e-6, "seed {seed}: {error}");
+        }
+    }
+
+    #[test]
+    fn a_rotation_is_a_homography_without_translation() {
+        for seed in 0..100 {
+            let s = two_views(seed, 30, Shape::NoBaseline, 1.0);
+            let motions = motions_from_homography(&(s.b_from_a.matrix() * 2.0), &[DVec3::Z]);
+            assert_eq!(motions.len(), 1, "seed {seed}");
+            assert_eq!(motions[0].b_from_a.translation, DVec3::ZERO, "seed {seed}");
+            assert!(rotation_angle(motions[0].b_from_a.rotation, s.b_from_a.rotation) < 1e-7, "seed {seed}");
+        }
+    }
+
+    #[test]
+    fn senseless_matrices_have_no_pose() {
+        for bad in [DMat3::ZERO, DMat3::NAN, DMat3::from_cols(DVec3::INFINITY, DVec3::X, DVec3::Y)] {
+            assert!(poses_from_essential(&bad).is_none());
+            assert!(pose_from_essential(&bad, &[(DVec3::Z, DVec3::Z)]).is_none());
+            assert!(motions_from_homography(&bad, &[DVec3::Z]).is_empty());
+        }
+        assert!(pose_from_essential(&DMat3::IDENTITY, &[]).is_none());
+    }
+}

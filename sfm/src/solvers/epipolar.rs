@@ -43,3 +43,41 @@ pub fn ray_depths(b_from_a: &Pose, ray_a: DVec3, ray_b: DVec3) -> Option<(f64, f
     let t = b_from_a.translation;
     Some((ray_b.cross(t).dot(n) / n2, a.cross(t).dot(n) / n2))
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::solvers::testing::{Shape, two_views};
+
+    #[test]
+    fn exact_pairs_have_no_error_and_true_depths() {
+        for seed in 0..100 {
+            let s = two_views(seed, 10, Shape::General, 1.0);
+            let e = essential_from_pose(&s.b_from_a);
+            for i in 0..10 {
+                assert!(sampson_sq(&e, s.a[i], s.b[i]) < 1e-24, "seed {seed}");
+                let (a, b) = ray_depths(&s.b_from_a, s.a[i].extend(1.0), s.b[i].extend(1.0)).unwrap();
+                assert!((a - s.points[i].z).abs() < 1e-7, "seed {seed}");
+                assert!((b - s.b_from_a.transform(s.points[i]).z).abs() < 1e-7, "seed {seed}");
+            }
+        }
+    }
+
+    #[test]
+    fn a_small_shift_costs_its_distance_from_the_epipolar_line() {
+        // Sideways motion: lines are rows, both images share the error, so half of the squared offset remains.
+        let e = essential_from_pose(&Pose { translation: DVec3::X, ..Pose::IDENTITY });
+        let error = sampson_sq(&e, DVec2::new(0.1, 0.2), DVec2::new(0.3, 0.2 + 1e-3));
+        assert!((error - 0.5e-6).abs() < 1e-12, "{error}");
+    }
+
+    #[test]
+    fn parallel_rays_and_vanishing_gradients_have_no_answer() {
+        let pose = Pose { translation: DVec3::X, ..Pose::IDENTITY };
+        assert!(ray_depths(&pose, DVec3::Z, DVec3::Z).is_none());
+        assert!(ray_depths(&pose, DVec3::NAN, DVec3::Z).is_none());
+        assert_eq!(sampson_sq(&DMat3::ZERO, DVec2::ZERO, DVec2::ZERO), f64::INFINITY);
+        assert_eq!(sampson_sq(&DMat3::NAN, DVec2::ZERO, DVec2::ZERO), f64::INFINITY);
+        assert_eq!(transfer_sq(&(DMat3::IDENTITY * -1.0), DVec2::ZERO, DVec2::ZERO), f64::INFINITY);
+    }
+}

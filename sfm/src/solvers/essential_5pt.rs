@@ -261,7 +261,7 @@ mod tests {
             let s = two_views(seed, 5, Shape::General, 1.0);
             for e in solve(&s) {
                 let (_, values, _) = crate::solvers::linalg::svd3(&e);
-                assert!((values.x - values.y).abs() < 1e-4 && values.z < 1e-4, "seed {seed}: {values}");
+                assert!((values.x - values.y).abs() < 1e-3 && values.z < 1e-3, "seed {seed}: {values}");
                 for (a, b) in s.a.iter().zip(&s.b) {
                     assert!(b.extend(1.0).dot(e * a.extend(1.0)).abs() < 1e-10, "seed {seed}");
                 }

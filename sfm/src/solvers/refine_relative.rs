@@ -103,3 +103,66 @@ fn sampson_normal<const D: usize>(f: &DMat3, tangents: &[DMat3; D], pairs: Pairs
     }
     normal
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::solvers::sampson_sq;
+    use crate::solvers::testing::{Shape, angle, normal, two_views, unit_vector};
+    use scene::pose::rotation_angle;
+    use scene::rng::rng;
+
+    const FOCAL: f64 = 700.0;
+
+    fn pixels(points: &[DVec2], noise: f64, seed: u64) -> Vec<DVec2> {
+        let mut r = rng(seed, "noise", points.len() as u64);
+        points.iter().map(|p| *p * FOCAL + DVec2::new(normal(&mut r), normal(&mut r)) * noise).collect()
+    }
+
+    #[test]
+    fn returns_to_the_exact_pose_from_a_few_degrees_away() {
+        for seed in 0..100 {
+            let s = two_views(seed, 60, Shape::General, 1.0);
+            let (a, b) = (pixels(&s.a, 0.0, 0), pixels(&s.b, 0.0, 0));
+            let mut r = rng(seed, "start", 0);
+            let turn = |axis: DVec3, amount: f64| DQuat::from_scaled_axis(axis * amount);
+            let start = Pose::new(
+                turn(unit_vector(&mut r), 0.03) * s.b_from_a.rotation,
+                turn(unit_vector(&mut r), 0.05) * s.b_from_a.translation,
+            );
+            let all: Vec<usize> = (0..60).collect();
+            let pairs = Pairs { a: &a, b: &b, indices: &all };
+            let found = refine_relative(&start, [FOCAL; 2], pairs, FOCAL, 50);
+            assert!(rotation_angle(found.rotation, s.b_from_a.rotation) < 1e-6, "seed {seed}");
+            assert!(angle(found.translation, s.b_from_a.translation) < 1e-5, "seed {seed}");
+        }
+    }
+
+    #[test]
+    fn a_refined_fundamental_matrix_fits_noisy_pairs_no_worse_than_the_linear_one() {
+        for seed in 0..100 {
+            let s = two_views(seed, 60, Shape::General, 1.0);
+            let (a, b) = (pixels(&s.a, 0.5, 2 * seed), pixels(&s.b, 0.5, 2 * seed + 1));
+            let (a, b): (Vec<DVec2>, Vec<DVec2>) = a.iter().zip(&b).map(|(a, b)| (*a / FOCAL, *b / FOCAL)).unzip();
+            let linear = crate::solvers::fundamental_8pt(&a, &b, None).unwrap();
+            let all: Vec<usize> = (0..60).collect();
+            let refined = refine_fundamental(&linear, Pairs { a: &a, b: &b, indices: &all }, 1.0, 20).unwrap();
+            let cost = |f: &DMat3| a.iter().zip(&b).map(|(a, b)| sampson_sq(f, *a, *b)).sum::<f64>().sqrt() * FOCAL;
+            assert!(cost(&refined) <= cost(&linear) * (1.0 + 1e-9), "seed {seed}");
+            assert!(cost(&refined) < 0.6 * 60f64.sqrt(), "seed {seed}: {}", cost(&refined));
+            assert!(refined.determinant().abs() < 1e-12, "seed {seed}");
+        }
+    }
+
+    #[test]
+    fn senseless_pairs_return_the_start() {
+        let start = Pose::new(DQuat::IDENTITY, DVec3::X);
+        let (a, b) = ([DVec2::NAN; 6], [DVec2::ZERO; 6]);
+        let pairs = Pairs { a: &a, b: &b, indices: &[0, 1, 2, 3, 4, 5] };
+        assert_eq!(refine_relative(&start, [FOCAL; 2], pairs, 1.0, 10), start);
+        let still = Pose::IDENTITY; // no baseline: nothing to refine
+        assert_eq!(refine_relative(&still, [FOCAL; 2], pairs, 1.0, 10), still);
+        assert!(refine_fundamental(&DMat3::ZERO, pairs, 1.0, 10).is_none());
+        assert!(refine_fundamental(&DMat3::NAN, pairs, 1.0, 10).is_none());
+    }
+}

@@ -48,7 +48,9 @@ pub fn rotation(r: &mut Rng, max_angle: f64) -> DQuat {
 /// `n` points seen by two cameras that both look at them from about five units of `unit`.
 pub fn two_views(seed: u64, n: usize, shape: Shape, unit: f64) -> TwoViews {
     let mut r = rng(seed, "two views", 0);
-    let turn = rotation(&mut r, 0.5);
+    // An axis across the view, so that there is a baseline.
+    let axis = DVec3::new(r.random_range(-1.0..1.0), 1.0, r.random_range(-0.5..0.5)).normalize();
+    let turn = DQuat::from_axis_angle(axis, r.random_range(0.15..0.5));
     let centre = DVec3::new(0.0, 0.0, 5.0);
     // Camera b turns about the middle of the scene, so that it sees it too.
     let mut translation = centre - turn * centre + 0.3 * unit_vector(&mut r);

@@ -18,6 +18,8 @@ pub struct Correspondences {
     pub principal: [DVec2; 2],
     /// The larger image side, pixels: the unit that makes points of the order of 1.
     pub size: f64,
+    /// Whether the matches are sorted by the distance of their descriptors, the most similar first.
+    pub best_first: bool,
 }
 
 impl Correspondences {
@@ -38,9 +40,12 @@ impl Correspondences {
             focal,
             principal: [camera_a.principal_point(), camera_b.principal_point()],
             size: f64::from(sides.into_iter().max().unwrap_or(1).max(1)),
+            best_first: false,
         };
         let (mut seen_a, mut seen_b) = (HashSet::new(), HashSet::new());
-        for &[i, j] in matches {
+        let sorted = most_similar_first(features_a, features_b, matches);
+        result.best_first = sorted.is_some();
+        for &[i, j] in sorted.as_deref().unwrap_or(matches) {
             let (Some(p), Some(q)) = (features_a.keypoints.get(i as usize), features_b.keypoints.get(j as usize))
             else {
                 continue;
@@ -54,6 +59,16 @@ impl Correspondences {
             }
         }
         result
+    }
+
+    /// Only these, in this order.
+    pub fn subset(&self, indices: &[usize]) -> Self {
+        Self {
+            matches: indices.iter().map(|&i| self.matches[i]).collect(),
+            a: indices.iter().map(|&i| self.a[i]).collect(),
+            b: indices.iter().map(|&i| self.b[i]).collect(),
+            ..*self
+        }
     }
 
     /// How many there are.
@@ -98,6 +113,24 @@ impl Correspondences {
         let diagonal = |s: f64| DMat3::from_diagonal(DVec3::new(s, s, 1.0));
         unit(diagonal(self.focal[1] / self.size) * *f * diagonal(self.focal[0] / self.size))
     }
+}
+
+/// The matches by descending similarity of their descriptors; `None` where a descriptor is missing.
+fn most_similar_first(a: &Features, b: &Features, matches: &[[u32; 2]]) -> Option<Vec<[u32; 2]>> {
+    let has_descriptor = |features: &Features, i: u32| {
+        let start = i as usize * Features::DIM;
+        (i as usize) < features.len() && start + Features::DIM <= features.descriptors.len()
+    };
+    if matches.is_empty() || !matches.iter().all(|&[i, j]| has_descriptor(a, i) && has_descriptor(b, j)) {
+        return None;
+    }
+    let distance = |&[i, j]: &[u32; 2]| -> u32 {
+        let pairs = a.descriptor(i as usize).iter().zip(b.descriptor(j as usize));
+        pairs.map(|(p, q)| u32::from(p.abs_diff(*q)).pow(2)).sum()
+    };
+    let mut sorted = matches.to_vec();
+    sorted.sort_by_cached_key(|m| (distance(m), *m));
+    Some(sorted)
 }
 
 fn unit(m: DMat3) -> DMat3 {

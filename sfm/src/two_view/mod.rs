@@ -1,11 +1,17 @@
 //! Geometric verification of image pairs: which matches agree with one rigid motion, and which.
 
+mod chance;
 mod correspondences;
+mod gric;
 mod models;
+mod pose;
+mod static_matches;
 
 use crate::SfmError;
+use crate::solvers::{sampson_sq, transfer_sq};
 use correspondences::Correspondences;
 use models::Models;
+use static_matches::StaticMatches;
 use rayon::prelude::*;
 use scene::{Camera, Features, Progress, TwoViewGeometry, TwoViewKind};
 use serde::{Deserialize, Serialize};
@@ -32,6 +38,9 @@ pub struct TwoViewConfig {
     /// Matches that move by less than this between the images may be a watermark, pixels.
     #[arg(long, default_value_t = Self::default().static_px, help_heading = "Verification")]
     pub static_px: f64,
+    /// Pairs whose agreement random matches would reach more often than 10 to this power are dropped.
+    #[arg(long, default_value_t = Self::default().max_log10_false_alarms, allow_hyphen_values = true, help_heading = "Verification")]
+    pub max_log10_false_alarms: f64,
 }
 
 impl Default for TwoViewConfig {
@@ -43,14 +52,16 @@ impl Default for TwoViewConfig {
             verify_confidence: 0.9999,
             max_samples: 3000,
             static_px: 1.5,
+            max_log10_false_alarms: -2.0,
         }
     }
 }
 
 /// Finds the motion that explains the matches of images `a` and `b`: an essential matrix where the focal lengths
 /// can be trusted as far as this pair tells (it keeps at least 95 % of the fundamental matrix's inliers), else a
-/// fundamental matrix; a homography where that explains nearly as much (a plane, or a rotation without
-/// baseline). Matches that are not finite, out of range or not one-to-one are dropped. All matrices refer to
+/// fundamental matrix; a homography where that is the better description (a plane, or a rotation without
+/// baseline). Matches that stay in place while others move (watermark, dust, the background of a turntable) are
+/// dropped; where nothing else agrees the pair is a [`TwoViewKind::Watermark`]. Matches that are not finite, out of range or not one-to-one are dropped. All matrices refer to
 /// ideal (undistorted) pixels. [`TwoViewKind::Degenerate`] with no inliers where nothing is found.
 #[allow(clippy::too_many_arguments)] // two of everything
 pub fn verify_pair(
@@ -76,14 +87,58 @@ pub fn verify_pair(
         median_angle: 0.0,
     };
     let all = Correspondences::new(features_a, features_b, camera_a, camera_b, matches);
-    if all.len() < config.min_inliers.max(8) {
-        return none;
-    }
+    let parts = StaticMatches::of(&all, config);
     let stream = ((a as u64) << 32) ^ b as u64;
-    match Models::find(&all, config, seed, stream) {
-        Some(models) => models.choose(&all, config, none),
-        None => none,
+    let verify = |some: &Correspondences| {
+        let enough = some.len() >= config.min_inliers.max(8);
+        let models = if enough { Models::find(some, config, seed, stream) } else { None };
+        let believed =
+            models.filter(|m| m.log10_false_alarms(some, config.max_error_px) < config.max_log10_false_alarms);
+        believed.map(|m| m.choose(some, config, none.clone())).filter(|g| g.kind != TwoViewKind::Degenerate)
+    };
+    if !parts.suspicious {
+        return verify(&all).unwrap_or(none);
     }
+    // The static matches agree with each other perfectly and would win: only what moves is asked.
+    let watermark = || TwoViewGeometry {
+        kind: TwoViewKind::Watermark,
+        inliers: parts.still.iter().map(|&i| all.matches[i]).collect(),
+        ..none.clone()
+    };
+    let moving = verify(&all.subset(&parts.moving));
+    moving.unwrap_or_else(|| if parts.still.len() >= config.min_inliers { watermark() } else { none.clone() })
+}
+
+/// Adds matches found later (along epipolar lines, say) to a verified pair: those that fit its model within the
+/// error bound are verified anew together with the old inliers. The old geometry where that loses inliers.
+pub fn merge_guided(
+    geometry: &TwoViewGeometry,
+    features: [&Features; 2],
+    cameras: [&Camera; 2],
+    more: &[[u32; 2]],
+    config: &TwoViewConfig,
+    seed: u64,
+) -> TwoViewGeometry {
+    let limit = config.max_error_px * config.max_error_px;
+    let fits = |&[i, j]: &[u32; 2]| {
+        let (Some(p), Some(q)) =
+            (features[0].keypoints.get(i as usize), features[1].keypoints.get(j as usize))
+        else {
+            return false;
+        };
+        let p = cameras[0].unproject(p.position()) * cameras[0].focal() + cameras[0].principal_point();
+        let q = cameras[1].unproject(q.position()) * cameras[1].focal() + cameras[1].principal_point();
+        match (geometry.f, geometry.h) {
+            (Some(f), _) => sampson_sq(&f, p, q) < limit,
+            (None, Some(h)) => transfer_sq(&h, p, q) < limit,
+            (None, None) => false,
+        }
+    };
+    let mut union = geometry.inliers.clone();
+    union.extend(more.iter().filter(|m| fits(m)));
+    let (a, b) = (geometry.a, geometry.b);
+    let merged = verify_pair(a, b, features[0], features[1], cameras[0], cameras[1], &union, config, seed);
+    if merged.inliers.len() >= geometry.inliers.len() { merged } else { geometry.clone() }
 }
 
 /// Verifies pairs over all threads. `cameras` holds one camera a frame. The result is sorted by `(a, b)`, does
@@ -120,3 +175,6 @@ pub fn verify_pairs(
     verified.sort_by_key(|g| (g.a, g.b));
     Ok(verified)
 }
+
+#[cfg(test)]
+mod tests;
