@@ -1,0 +1,222 @@
+//! The soft matte of one frame, given the light of the empty screen.
+
+use super::colour::{Key, LINEAR, dot, luminance};
+use super::field::Field;
+use super::filters::{box_mean, components, dilate, erode, smooth};
+
+/// Radius of the neighbourhood from which the colour of the foreground is learnt, pixels.
+const REACH: usize = 3;
+/// Least departure from the screen (share of its colour difference) that counts.
+const MIN_DEPARTURE: f32 = 0.06;
+/// A region that nowhere departs by this much is a shadow or noise.
+const MIN_PEAK: f32 = 0.30;
+/// Chroma of 4:2:0 video is blurred: standard deviation of alpha from chroma at an edge.
+const CHROMA_ERROR: f32 = 0.20;
+/// The same for luma.
+const LUMA_ERROR: f32 = 0.04;
+
+/// Planes of one frame and scratch, kept between frames.
+#[derive(Default)]
+pub(crate) struct Workspace {
+    /// Linear red, green, blue.
+    pub image: [Vec<f32>; 3],
+    /// The same of the empty screen.
+    pub screen: [Vec<f32>; 3],
+    /// Share of the screen's colour difference: 1 on the screen, 0 on the object.
+    share: Vec<f32>,
+    smoothed: Vec<f32>,
+    /// Foreground colour of the neighbourhood.
+    pub around: [Vec<f32>; 3],
+    weights: Vec<f32>,
+    spread: Vec<f32>,
+    rows: Vec<f32>,
+    mean: Vec<f32>,
+    not_screen: Vec<u8>,
+    /// The matte, 0 to 1.
+    pub alpha: Vec<f32>,
+    /// Pixels that are neither surely screen nor surely object.
+    pub band: Vec<u8>,
+}
+
+/// What the screen of this frame was like.
+#[derive(Clone, Copy, Debug, Default)]
+pub(crate) struct Noise {
+    share: f32,
+    luma: f32,
+    chroma: f32,
+}
+
+impl Workspace {
+    /// Solves the matte of a frame into `self.alpha`. `texture`: factor on the screen's light by pixel (may be empty).
+    pub fn solve(&mut self, rgb: &[u8], width: usize, key: &Key, field: &Field, texture: &[f32]) {
+        self.load(rgb, width, key, field, texture);
+        smooth(&self.share, width, &mut self.smoothed);
+        let noise = self.noise();
+        let threshold = 1.0 - MIN_DEPARTURE.max(5.0 * noise.share);
+        let seeds: Vec<u8> =
+            self.smoothed.iter().map(|s| u8::from(*s < threshold || *s > 2.0 - threshold + 0.1)).collect();
+        let mut not_screen = dilate(&seeds, width, 2);
+        self.drop_faint_regions(&mut not_screen, width);
+        let solid: Vec<u8> = self.smoothed.iter().map(|s| u8::from(*s < 0.5)).collect();
+        let core = erode(&solid, width, 2);
+        self.band.clear();
+        self.band.extend(not_screen.iter().zip(&core).map(|(n, c)| u8::from(*n != 0 && *c == 0)));
+        self.learn_foreground(&not_screen, width);
+        self.alpha.clear();
+        self.alpha.extend(core.iter().map(|c| f32::from(*c)));
+        self.solve_band(noise);
+        self.not_screen = not_screen;
+    }
+
+    /// Pixels far from everything that departs from the screen.
+    pub fn surely_screen(&self) -> Vec<u8> {
+        self.not_screen.iter().map(|v| u8::from(*v == 0)).collect()
+    }
+
+    fn load(&mut self, rgb: &[u8], width: usize, key: &Key, field: &Field, texture: &[f32]) {
+        let n = rgb.len() / 3;
+        for plane in self.image.iter_mut().chain(&mut self.screen).chain([&mut self.share]) {
+            plane.clear();
+            plane.resize(n, 0.0);
+        }
+        let (table, mut row) = (&*LINEAR, Vec::new());
+        for (y, line) in rgb.chunks_exact(3 * width).enumerate() {
+            field.row(y, width, &mut row);
+            for (x, (p, light)) in line.chunks_exact(3).zip(&row).enumerate() {
+                let i = y * width + x;
+                let linear = [table[usize::from(p[0])], table[usize::from(p[1])], table[usize::from(p[2])]];
+                let gain = texture.get(i).copied().unwrap_or(1.0);
+                for c in 0..3 {
+                    self.image[c][i] = linear[c];
+                    self.screen[c][i] = light[c] * gain;
+                }
+                self.share[i] = key.difference(linear) / (light[3] * gain + 1e-6);
+            }
+        }
+    }
+
+    fn pixel(&self, i: usize) -> [f32; 3] {
+        [self.image[0][i], self.image[1][i], self.image[2][i]]
+    }
+
+    fn light(&self, i: usize) -> [f32; 3] {
+        [self.screen[0][i], self.screen[1][i], self.screen[2][i]]
+    }
+
+    /// Spread of the empty screen: of the smoothed share by its lower half-width, of luma and chroma by mean square.
+    fn noise(&self) -> Noise {
+        let mut samples: Vec<f32> = self
+            .smoothed
+            .iter()
+            .step_by(7)
+            .filter(|s| (0.8..1.2).contains(*s))
+            .map(|s| (s - 1.0).abs())
+            .collect();
+        let share = 1.4826 * super::detect::quantile(&mut samples, 0.5);
+        let (mut luma, mut chroma, mut n) = (0.0, 0.0, 1e-6);
+        for i in
+            (0..self.share.len()).step_by(7).filter(|i| (self.smoothed[*i] - 1.0).abs() < 3.0 * share + 0.01)
+        {
+            let (p, b) = (self.pixel(i), self.light(i));
+            let delta = [p[0] - b[0], p[1] - b[1], p[2] - b[2]];
+            luma += luminance(delta).powi(2);
+            chroma += squared(chroma_of(delta));
+            n += 1.0;
+        }
+        Noise { share, luma: luma / n, chroma: chroma / n }
+    }
+
+    fn drop_faint_regions(&self, mask: &mut [u8], width: usize) {
+        let (labels, sizes) = components(mask, width);
+        let mut peak = vec![0.0_f32; sizes.len()];
+        for (label, s) in labels.iter().zip(&self.smoothed) {
+            let departure = 1.0 - s;
+            if departure > peak[*label as usize] {
+                peak[*label as usize] = departure;
+            }
+        }
+        for (m, label) in mask.iter_mut().zip(&labels) {
+            if peak[*label as usize] < MIN_PEAK {
+                *m = 0;
+            }
+        }
+    }
+
+    /// Mean foreground colour around every pixel, purer pixels counting more, and the variance of its luma.
+    fn learn_foreground(&mut self, not_screen: &[u8], width: usize) {
+        let n = self.share.len();
+        for plane in self.around.iter_mut().chain([&mut self.weights, &mut self.spread]) {
+            plane.clear();
+            plane.resize(n, 0.0);
+        }
+        for i in (0..n).filter(|i| not_screen[*i] != 0) {
+            let s = self.smoothed[i].max(self.share[i]).clamp(0.0, 1.0);
+            let t = 1.0 - s;
+            let weight = t * t * t;
+            let mut colour = [0.0; 3];
+            for c in 0..3 {
+                // t · (un-premultiplied colour) = I − s B
+                let value = self.image[c][i] - s * self.screen[c][i];
+                self.around[c][i] = weight * if value > 0.0 { value } else { 0.0 };
+                colour[c] = if t > 1e-3 { self.around[c][i] / (weight * t) } else { 0.0 };
+            }
+            self.weights[i] = weight * t;
+            let y = luminance(colour);
+            self.spread[i] = weight * t * y * y;
+        }
+        for plane in self.around.iter_mut().chain([&mut self.weights, &mut self.spread]) {
+            box_mean(plane, width, REACH, &mut self.rows, &mut self.mean);
+            std::mem::swap(plane, &mut self.mean);
+        }
+        for i in 0..n {
+            let w = self.weights[i];
+            let scale = if w > 1e-9 { 1.0 / w } else { 0.0 };
+            let colour = [0, 1, 2].map(|c| self.around[c][i] * scale);
+            let y = luminance(colour);
+            self.spread[i] = (self.spread[i] * scale - y * y).max(0.0);
+            (0..3).for_each(|c| self.around[c][i] = colour[c]);
+        }
+    }
+
+    /// Alpha as the place of the pixel between screen and foreground, from chroma and from luma, each weighed by
+    /// how well it can tell (inverse variance).
+    fn solve_band(&mut self, noise: Noise) {
+        for i in (0..self.share.len()).filter(|i| self.band[*i] != 0) {
+            let b = self.light(i);
+            let from_share = (1.0 - self.share[i]).clamp(0.0, 1.0);
+            if self.weights[i] < 1e-6 {
+                self.alpha[i] = from_share;
+                continue;
+            }
+            let p = self.pixel(i);
+            let f = [self.around[0][i], self.around[1][i], self.around[2][i]];
+            let (pd, fd) = ([p[0] - b[0], p[1] - b[1], p[2] - b[2]], [f[0] - b[0], f[1] - b[1], f[2] - b[2]]);
+            let (pc, fc) = (chroma_of(pd), chroma_of(fd));
+            let (py, fy) = (luminance(pd), luminance(fd));
+            let (c2, y2) = (squared(fc), fy * fy);
+            let weight_c = c2 / (noise.chroma + CHROMA_ERROR * CHROMA_ERROR * c2 + 1e-9);
+            let weight_y = y2 / (noise.luma + self.spread[i] + LUMA_ERROR * LUMA_ERROR * y2 + 1e-9);
+            let alpha_c = (dot(pc, fc) / (c2 + 1e-9)).clamp(0.0, 1.0);
+            let alpha_y = (py * fy / (y2 + 1e-9)).clamp(0.0, 1.0);
+            let alpha = (weight_c * alpha_c + weight_y * alpha_y) / (weight_c + weight_y + 1e-9);
+            self.alpha[i] = if alpha < 0.03 {
+                0.0
+            } else if alpha > 0.97 {
+                1.0
+            } else {
+                alpha
+            };
+        }
+    }
+}
+
+#[inline(always)]
+fn chroma_of(rgb: [f32; 3]) -> [f32; 3] {
+    let mean = (rgb[0] + rgb[1] + rgb[2]) / 3.0;
+    [rgb[0] - mean, rgb[1] - mean, rgb[2] - mean]
+}
+
+#[inline(always)]
+fn squared(v: [f32; 3]) -> f32 {
+    dot(v, v)
+}

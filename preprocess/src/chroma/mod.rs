@@ -1,0 +1,100 @@
+//! Chroma key: a soft matte and the colour of the foreground alone, for a screen of any hue under uneven light.
+
+mod alpha;
+mod colour;
+mod config;
+mod detect;
+mod field;
+mod filters;
+mod regions;
+mod spill;
+mod still;
+
+pub use config::{Background, KeyConfig, MatteMode};
+
+use alpha::Workspace;
+use colour::{Key, hue_distance, hue_saturation_value};
+use config::KeyChoice;
+use field::Field;
+use image::{GrayImage, RgbImage};
+use still::Still;
+
+/// A screen that was found, ready to key frames.
+#[derive(Clone, Debug)]
+pub struct Keyer {
+    key: Key,
+    mode: MatteMode,
+    keep_pole: bool,
+    still: Option<Still>,
+    /// Why this key: one sentence.
+    pub evidence: String,
+}
+
+/// Longest side of the pictures in which a screen is looked for, pixels.
+pub const THUMBNAIL_SIDE: u32 = 160;
+
+impl Keyer {
+    /// Looks for a screen in thumbnails ([`THUMBNAIL_SIDE`] long) of some frames. `Err` holds the evidence against one.
+    pub fn find(
+        thumbnails: &[RgbImage],
+        config: &KeyConfig,
+    ) -> Result<Result<Self, String>, crate::PreprocessError> {
+        let choice = config.choice()?;
+        if choice == KeyChoice::Off {
+            return Ok(Err("keying is off".to_owned()));
+        }
+        let found = detect::detect(thumbnails, choice);
+        let (mode, keep_pole) = (config.matte, config.keep_pole);
+        Ok(match found.key {
+            Some(key) => Ok(Self { key, mode, keep_pole, still: None, evidence: found.evidence }),
+            None => Err(found.evidence),
+        })
+    }
+
+    /// Learns from frames of a video, where the camera stands still: the screen's folds, what lies beside it, the pole.
+    /// Returns what was found out.
+    pub fn learn(&mut self, frames: &[RgbImage]) -> Option<String> {
+        self.still = if self.mode == MatteMode::Soft { Still::learn(frames, &self.key) } else { None };
+        let still = self.still.as_ref()?;
+        Some(format!(
+            "the camera stands still: {:.1} % of the picture is neither screen nor moving and is {}",
+            100.0 * still.share,
+            if self.keep_pole { "kept inside the screen" } else { "cut" }
+        ))
+    }
+
+    /// Matte (white = object) and foreground colours of one frame.
+    pub fn matte(&self, image: &RgbImage, scratch: &mut Scratch) -> (GrayImage, RgbImage) {
+        let (width, height) = image.dimensions();
+        let field = Field::fit(image.as_raw(), width as usize, &self.key);
+        let (alpha, colours) = match (self.mode, field) {
+            (MatteMode::Soft, Some(field)) => {
+                let still = self
+                    .still
+                    .as_ref()
+                    .filter(|s| s.width == width as usize && s.things.len() * 3 == image.len());
+                let texture = still.map_or(&[][..], |s| &s.texture);
+                scratch.0.solve(image.as_raw(), width as usize, &self.key, &field, texture);
+                regions::clean(&mut scratch.0, image.as_raw(), width as usize, still, self.keep_pole);
+                let alpha = scratch.0.alpha.iter().map(|a| (a * 255.0 + 0.5) as u8).collect();
+                (alpha, spill::foreground(&scratch.0, &self.key))
+            }
+            _ => (self.plain(image), image.as_raw().clone()),
+        };
+        let matte = GrayImage::from_raw(width, height, alpha).unwrap_or_default();
+        (matte, RgbImage::from_raw(width, height, colours).unwrap_or_default())
+    }
+
+    /// The usual rule: what has the key's hue and some saturation is background.
+    fn plain(&self, image: &RgbImage) -> Vec<u8> {
+        let is_screen = |rgb: [u8; 3]| {
+            let (hue, saturation, value) = hue_saturation_value(rgb);
+            saturation > 0.3 && value > 0.1 && hue_distance(hue, self.key.hue) < 35.0
+        };
+        image.pixels().map(|p| if is_screen(p.0) { 0 } else { 255 }).collect()
+    }
+}
+
+/// Memory kept between frames; one a thread.
+#[derive(Default)]
+pub struct Scratch(Workspace);

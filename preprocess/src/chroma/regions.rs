@@ -1,0 +1,168 @@
+//! What a matte looks like as a whole: the screen's outline, garbage beside it, still things, holes, specks.
+
+use super::alpha::Workspace;
+use super::filters::{components, erode};
+use super::still::{Still, departure};
+
+/// Objects smaller than this share of the largest are specks.
+const SPECK_SHARE: f32 = 0.01;
+/// Specks are also smaller than this, pixels.
+const SPECK_PIXELS: usize = 24;
+/// Enclosed holes larger than this share of the picture are never closed.
+const HOLE_SHARE: f32 = 0.01;
+/// A hole is one if its mean colour is the screen's up to this share of it: where the screen is seen in other
+/// frames at the same place, where nothing is known, and where it is never seen otherwise.
+const HOLE_TOLERANCE: (f32, f32, f32) = (0.06, 0.04, 0.025);
+/// Departure from a still thing, 8-bit levels, at which something else surely stands before it.
+const BEFORE_LEVELS: (i32, i32) = (12, 28);
+
+/// Cleans `work.alpha` in place.
+pub(crate) fn clean(work: &mut Workspace, rgb: &[u8], width: usize, still: Option<&Still>, keep_pole: bool) {
+    let inside = hull(&work.surely_screen(), width);
+    remove_garbage(work, rgb, still, keep_pole, &inside);
+    close_reflections(work, width, still);
+    remove_specks(work, width);
+}
+
+fn remove_garbage(work: &mut Workspace, rgb: &[u8], still: Option<&Still>, keep_pole: bool, inside: &[bool]) {
+    for (i, alpha) in work.alpha.iter_mut().enumerate() {
+        let thing = still.and_then(|s| s.things[i]);
+        let is_garbage = !inside[i];
+        match thing {
+            Some(colour) if is_garbage || !keep_pole => {
+                let p = [rgb[3 * i], rgb[3 * i + 1], rgb[3 * i + 2]];
+                let (low, high) = BEFORE_LEVELS;
+                let before = (departure(p, colour) - low) as f32 / (high - low) as f32;
+                *alpha = alpha.min(before.clamp(0.0, 1.0));
+            }
+            None if is_garbage => *alpha = 0.0,
+            _ => {}
+        }
+    }
+}
+
+/// Convex hull of the pixels that are surely screen (all of the picture where there are hardly any).
+fn hull(screen: &[u8], width: usize) -> Vec<bool> {
+    let solid = erode(screen, width, 3);
+    let mut points: Vec<(i64, i64)> = Vec::new();
+    for (y, row) in solid.chunks_exact(width).enumerate() {
+        if let (Some(a), Some(b)) = (row.iter().position(|v| *v != 0), row.iter().rposition(|v| *v != 0)) {
+            points.extend([(y as i64, a as i64), (y as i64, b as i64)]);
+        }
+    }
+    if points.len() < 8 {
+        return vec![true; screen.len()];
+    }
+    let turn =
+        |o: (i64, i64), a: (i64, i64), b: (i64, i64)| (a.0 - o.0) * (b.1 - o.1) - (a.1 - o.1) * (b.0 - o.0);
+    let chain = |side: i64| {
+        let mut chain: Vec<(i64, i64)> = Vec::new();
+        for &p in &points {
+            // Of the two points of a row only the one on this side can lie on the chain.
+            while chain.len() >= 2 && side * turn(chain[chain.len() - 2], chain[chain.len() - 1], p) >= 0 {
+                chain.pop();
+            }
+            chain.push(p);
+        }
+        chain
+    };
+    let (left, right) = (chain(-1), chain(1));
+    let mut inside = vec![false; screen.len()];
+    for (y, row) in inside.chunks_exact_mut(width).enumerate() {
+        if let (Some(a), Some(b)) = (at(&left, y as i64), at(&right, y as i64)) {
+            let (a, b) = (a.min(b).floor().max(0.0) as usize, a.max(b).ceil() as usize);
+            row[a..=b.min(width - 1)].fill(true);
+        }
+    }
+    inside
+}
+
+/// Where a chain of points with rising rows crosses row `y`.
+fn at(chain: &[(i64, i64)], y: i64) -> Option<f64> {
+    let i = chain.windows(2).position(|w| w[0].0 <= y && y <= w[1].0)?;
+    let (a, b) = (chain[i], chain[i + 1]);
+    let t = if b.0 > a.0 { (y - a.0) as f64 / (b.0 - a.0) as f64 } else { 0.0 };
+    Some(a.1 as f64 + t * (b.1 - a.1) as f64)
+}
+
+/// Foil mirrors the screen: an enclosed patch that looks like screen but not exactly like the screen at this place
+/// is a part of the object.
+fn close_reflections(work: &mut Workspace, width: usize, still: Option<&Still>) {
+    let open: Vec<u8> = work.alpha.iter().map(|a| u8::from(*a < 0.5)).collect();
+    let (labels, sizes) = components(&open, width);
+    let height = labels.len() / width;
+    let mut enclosed: Vec<bool> =
+        sizes.iter().map(|s| *s > 0 && (*s as f32) < HOLE_SHARE * labels.len() as f32).collect();
+    for x in 0..width {
+        enclosed[labels[x] as usize] = false;
+        enclosed[labels[(height - 1) * width + x] as usize] = false;
+    }
+    for y in 0..height {
+        enclosed[labels[y * width] as usize] = false;
+        enclosed[labels[y * width + width - 1] as usize] = false;
+    }
+    enclosed[0] = false;
+    let mut sums = vec![[0.0_f32; 8]; sizes.len()];
+    for (i, label) in labels.iter().enumerate().filter(|(_, l)| enclosed[**l as usize]) {
+        let sum = &mut sums[*label as usize];
+        // The rim is mixed with the object and says nothing.
+        let weight = if work.alpha[i] < 0.05 { 1.0 } else { 1e-3 };
+        for c in 0..3 {
+            sum[c] += weight * work.image[c][i];
+            sum[3 + c] += weight * work.screen[c][i];
+        }
+        sum[6] += still.map_or(0.0, |s| if s.outside[i] { 0.0 } else { 1.0 });
+        sum[7] += 1.0;
+    }
+    let closed: Vec<bool> = sums
+        .iter()
+        .zip(&enclosed)
+        .map(|(s, enclosed)| {
+            let light = s[3] + s[4] + s[5];
+            let difference = (0..3).map(|c| (s[c] - s[3 + c]).abs()).sum::<f32>() / light.max(1e-9);
+            let tolerance = match still {
+                None => HOLE_TOLERANCE.1,
+                Some(_) if s[6] > 0.5 * s[7] => HOLE_TOLERANCE.0,
+                Some(_) => HOLE_TOLERANCE.2,
+            };
+            *enclosed && difference > tolerance
+        })
+        .collect();
+    for (alpha, label) in work.alpha.iter_mut().zip(&labels) {
+        if closed[*label as usize] {
+            *alpha = 1.0;
+        }
+    }
+}
+
+fn remove_specks(work: &mut Workspace, width: usize) {
+    let solid: Vec<u8> = work.alpha.iter().map(|a| u8::from(*a > 0.02)).collect();
+    let (labels, sizes) = components(&solid, width);
+    let largest = sizes.iter().copied().max().unwrap_or(0);
+    let least = ((SPECK_SHARE * largest as f32) as usize).max(SPECK_PIXELS.min(largest));
+    for (alpha, label) in work.alpha.iter_mut().zip(&labels) {
+        if sizes[*label as usize] < least {
+            *alpha = 0.0;
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_hull_bridges_the_object_and_leaves_out_what_is_beside_the_screen() {
+        let (width, height) = (80, 60);
+        let screen: Vec<u8> = (0..width * height)
+            .map(|i| {
+                let (x, y) = (i % width, i / width);
+                u8::from((10..70).contains(&x) && (5..55).contains(&y) && !(30..50).contains(&x))
+            })
+            .collect();
+        let inside = hull(&screen, width);
+        assert!(inside[30 * width + 40] && inside[20 * width + 20]);
+        assert!(!inside[30 * width + 3] && !inside[2 * width + 40] && !inside[58 * width + 40]);
+        assert!(hull(&vec![0; 4800], width).iter().all(|v| *v));
+    }
+}

@@ -1,0 +1,187 @@
+//! Mattes and cleaned images for a whole capture.
+
+use crate::PreprocessError;
+use crate::chroma::{Background, KeyConfig, Keyer, Scratch, THUMBNAIL_SIDE};
+use crate::output::{Staging, write_png};
+use crate::pixels::fitted;
+use image::{ExtendedColorType, GrayImage, Rgb, RgbImage};
+use rayon::prelude::*;
+use scene::io::{load_mask, load_rgb, resize_area};
+use scene::{Frame, FrameSet, Progress};
+use std::path::Path;
+
+/// Frames from which screen, light and still parts are learnt.
+const SAMPLES: usize = 24;
+/// Frames on a contact sheet at most, and the longest side of each, pixels.
+const SHEET: (usize, u32) = (48, 200);
+
+/// Cuts the object out of its screen: soft 8-bit mattes in `out/masks` (white = keep), images without spill in
+/// `out/images`, both whole or not at all. Where no screen is found (or `--key off`) the frames come back as they
+/// are, with the evidence in the notes. Masks that the frames already have are kept: a pixel stays as far as both allow.
+pub fn matte_frames(
+    frames: &FrameSet,
+    out: &Path,
+    config: &KeyConfig,
+    progress: &Progress,
+) -> Result<FrameSet, PreprocessError> {
+    let mut result = frames.clone();
+    if frames.is_empty() {
+        return Ok(result);
+    }
+    progress.begin("screen", SAMPLES.min(frames.len()));
+    let samples = samples(frames, progress)?;
+    let thumbnails: Vec<RgbImage> = samples.iter().map(thumbnail).collect();
+    let mut keyer = match Keyer::find(&thumbnails, config)? {
+        Ok(keyer) => keyer,
+        Err(evidence) => {
+            result.notes.push(format!("no matte: {evidence}"));
+            return Ok(result);
+        }
+    };
+    result.notes.push(format!("matte: {}", keyer.evidence));
+    if frames.is_video {
+        result.notes.extend(keyer.learn(&samples));
+    }
+    drop(samples);
+    let staging = Staging::new(out)?;
+    staging.make("masks")?;
+    progress.begin("mattes", frames.len());
+    let job = Job { keyer: &keyer, staging: &staging, background: config.background };
+    let done: Result<Vec<(Frame, f32)>, PreprocessError> = frames
+        .frames
+        .par_iter()
+        .map_init(Scratch::default, |scratch, frame| {
+            progress.tick()?;
+            job.one(frame, scratch)
+        })
+        .collect();
+    let done = done?;
+    progress.check()?;
+    staging.publish(&["images", "masks"], &[])?;
+    let empty: Vec<&str> =
+        done.iter().filter(|(_, share)| *share < 1e-4).map(|(f, _)| f.name.as_str()).collect();
+    if !empty.is_empty() {
+        result.notes.push(format!(
+            "{} mattes are empty: {}",
+            empty.len(),
+            empty[..empty.len().min(5)].join(", ")
+        ));
+    }
+    let share = done.iter().map(|(_, share)| share).sum::<f32>() / done.len() as f32;
+    result.notes.push(format!("the object covers {:.1} % of the mean frame", 100.0 * share));
+    result.frames = done.into_iter().map(|(frame, _)| frame).collect();
+    Ok(result)
+}
+
+/// Some frames spread evenly; of videos all have one size, of photos those that have the size of the first.
+fn samples(frames: &FrameSet, progress: &Progress) -> Result<Vec<RgbImage>, PreprocessError> {
+    let count = SAMPLES.min(frames.len());
+    let chosen: Vec<&Frame> = (0..count).map(|i| &frames.frames[i * frames.len() / count]).collect();
+    chosen
+        .par_iter()
+        .map(|frame| {
+            progress.tick()?;
+            load_rgb(&frame.path).map_err(PreprocessError::image(&frame.path))
+        })
+        .collect()
+}
+
+fn thumbnail(image: &RgbImage) -> RgbImage {
+    let (w, h) = fitted(image.width(), image.height(), THUMBNAIL_SIDE);
+    resize_area(image, w, h)
+}
+
+struct Job<'a> {
+    keyer: &'a Keyer,
+    staging: &'a Staging,
+    background: Background,
+}
+
+impl Job<'_> {
+    /// Writes matte and image of one frame; returns its new entry and the share of the picture that is kept.
+    fn one(&self, frame: &Frame, scratch: &mut Scratch) -> Result<(Frame, f32), PreprocessError> {
+        let image = load_rgb(&frame.path).map_err(PreprocessError::image(&frame.path))?;
+        let (width, height) = image.dimensions();
+        let (mut matte, colours) = self.keyer.matte(&image, scratch);
+        if let Some(path) = &frame.mask {
+            let mask = load_mask(path).map_err(PreprocessError::image(path))?;
+            if mask.dimensions() == matte.dimensions() {
+                matte.iter_mut().zip(mask.iter()).for_each(|(m, k)| *m = (*m).min(*k));
+            }
+        }
+        let stem = frame.name.rsplit_once('.').map_or(frame.name.as_str(), |(stem, _)| stem);
+        let name = format!("{stem}.png");
+        write_png(&self.staging.path("masks", &name), matte.as_raw(), width, height, ExtendedColorType::L8)?;
+        let (samples, colour) = composed(&image, &matte, &colours, self.background);
+        write_png(&self.staging.path("images", &name), &samples, width, height, colour)?;
+        let share = matte.iter().map(|v| f32::from(*v) / 255.0).sum::<f32>() / matte.len().max(1) as f32;
+        let path = self.staging.final_path("images", &name);
+        let mask = Some(self.staging.final_path("masks", &name));
+        Ok((Frame { name, path, mask, ..frame.clone() }, share))
+    }
+}
+
+fn composed(
+    image: &RgbImage,
+    matte: &GrayImage,
+    colours: &RgbImage,
+    background: Background,
+) -> (Vec<u8>, ExtendedColorType) {
+    let pixels = image.pixels().zip(matte.iter()).zip(colours.pixels());
+    match background {
+        Background::Transparent => {
+            let rgba = pixels.flat_map(|((_, a), f)| [f[0], f[1], f[2], *a]).collect();
+            (rgba, ExtendedColorType::Rgba8)
+        }
+        Background::Black => {
+            let dim = |v: u8, a: u8| ((u16::from(v) * u16::from(a) + 127) / 255) as u8;
+            (pixels.flat_map(|((_, a), f)| f.0.map(|v| dim(v, *a))).collect(), ExtendedColorType::Rgb8)
+        }
+        Background::Keep => {
+            let rgb = pixels.flat_map(|((p, a), f)| if *a > 0 { f.0 } else { p.0 }).collect();
+            (rgb, ExtendedColorType::Rgb8)
+        }
+    }
+}
+
+/// Writes a sheet of small frames, each over a checkerboard where its mask is black, so that a person sees at a
+/// glance what is kept. At most 48 frames, spread evenly.
+pub fn contact_sheet(frames: &FrameSet, path: &Path) -> Result<(), PreprocessError> {
+    let count = frames.len().min(SHEET.0);
+    if count == 0 {
+        return Err(PreprocessError::Config("there is no frame to put on a contact sheet".to_owned()));
+    }
+    let chosen: Vec<&Frame> = (0..count).map(|i| &frames.frames[i * frames.len() / count]).collect();
+    let tiles: Result<Vec<RgbImage>, PreprocessError> = chosen.par_iter().map(|frame| tile(frame)).collect();
+    let tiles = tiles?;
+    let (w, h) = tiles.iter().fold((1, 1), |(w, h), t| (t.width().max(w), t.height().max(h)));
+    let columns = (count as f32 * 1.4 * h as f32 / w as f32).sqrt().ceil().clamp(1.0, count as f32) as u32;
+    let rows = (count as u32).div_ceil(columns);
+    let mut sheet = RgbImage::from_pixel(columns * (w + 4) + 4, rows * (h + 4) + 4, Rgb([24, 24, 24]));
+    for (i, tile) in tiles.iter().enumerate() {
+        let (column, row) = (i as u32 % columns, i as u32 / columns);
+        image::imageops::replace(
+            &mut sheet,
+            tile,
+            i64::from(4 + column * (w + 4)),
+            i64::from(4 + row * (h + 4)),
+        );
+    }
+    write_png(path, sheet.as_raw(), sheet.width(), sheet.height(), ExtendedColorType::Rgb8)
+}
+
+fn tile(frame: &Frame) -> Result<RgbImage, PreprocessError> {
+    let image = load_rgb(&frame.path).map_err(PreprocessError::image(&frame.path))?;
+    let (w, h) = fitted(image.width(), image.height(), SHEET.1);
+    let mut small = resize_area(&image, w, h);
+    if let Some(path) = &frame.mask {
+        let mask = load_mask(path).map_err(PreprocessError::image(path))?;
+        let mask = resize_area(&mask, w, h);
+        for (x, y, p) in small.enumerate_pixels_mut() {
+            let a = u32::from(mask.get_pixel(x, y)[0]);
+            let board = if (x / 8 + y / 8) % 2 == 0 { 150 } else { 110 };
+            p.0 = p.0.map(|v| ((u32::from(v) * a + board * (255 - a)) / 255) as u8);
+        }
+    }
+    Ok(small)
+}
