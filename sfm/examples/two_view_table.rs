@@ -24,15 +24,35 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     let n = frames.frames.len();
     let pairs: Vec<(usize, usize)> = (0..n).flat_map(|a| (a + 1..n).map(move |b| (a, b))).collect();
     let matches = match_pairs(&features, &pairs, &MatchConfig::default(), &progress)?;
-    println!("{n} images, {} features, {} pairs", features.iter().map(Features::len).sum::<usize>(), pairs.len());
-    let guessed: Vec<Camera> = frames.frames.iter().map(|f| {
-        let focal = 1.2 * f64::from(f.width.max(f.height));
-        Camera::centred(1, CameraModel::SimplePinhole, f.width, f.height, focal)
-    }).collect();
-    let known: Vec<Camera> = frames.frames.iter().zip(&truth).map(|(f, (_, k, _))| {
-        let params = vec![k.x_axis.x, k.y_axis.y, k.z_axis.x, k.z_axis.y];
-        Camera { id: 1, model: CameraModel::Pinhole, width: f.width, height: f.height, params, has_prior_focal: true }
-    }).collect();
+    println!(
+        "{n} images, {} features, {} pairs",
+        features.iter().map(Features::len).sum::<usize>(),
+        pairs.len()
+    );
+    let guessed: Vec<Camera> = frames
+        .frames
+        .iter()
+        .map(|f| {
+            let focal = 1.2 * f64::from(f.width.max(f.height));
+            Camera::centred(1, CameraModel::SimplePinhole, f.width, f.height, focal)
+        })
+        .collect();
+    let known: Vec<Camera> = frames
+        .frames
+        .iter()
+        .zip(&truth)
+        .map(|(f, (_, k, _))| {
+            let params = vec![k.x_axis.x, k.y_axis.y, k.z_axis.x, k.z_axis.y];
+            Camera {
+                id: 1,
+                model: CameraModel::Pinhole,
+                width: f.width,
+                height: f.height,
+                params,
+                has_prior_focal: true,
+            }
+        })
+        .collect();
     for (name, cameras) in [("focal length guessed (1.2 × the larger side)", guessed), ("true K", known)] {
         table(name, &features, &cameras, &matches, &truth)?;
     }
@@ -51,9 +71,12 @@ fn table(
     let verified =
         verify_pairs(features, cameras, matches.clone(), &TwoViewConfig::default(), 0, &Progress::silent())?;
     println!("\n{name}: {} pairs verified in {:.2} CPU s", verified.len(), cpu_seconds() - start);
-    println!("views apart   pairs verified  calibrated F planar panoramic  inliers  rotation error median 90 %  translation");
+    println!(
+        "views apart   pairs verified  calibrated F planar panoramic  inliers  rotation error median 90 %  translation"
+    );
     for (low, high) in [(0.0, 10.0), (10.0, 20.0), (20.0, 30.0), (30.0, 40.0), (40.0, 60.0), (60.0, 181.0)] {
-        let apart = |a: usize, b: usize| rotation_angle(truth[a].2.rotation, truth[b].2.rotation).to_degrees();
+        let apart =
+            |a: usize, b: usize| rotation_angle(truth[a].2.rotation, truth[b].2.rotation).to_degrees();
         let inside = |a: usize, b: usize| (low..high).contains(&apart(a, b));
         let all = matches.iter().filter(|(a, b, _)| inside(*a, *b)).count();
         let here: Vec<&TwoViewGeometry> = verified.iter().filter(|g| inside(g.a, g.b)).collect();

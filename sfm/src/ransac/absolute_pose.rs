@@ -51,8 +51,7 @@ impl Estimator for AbsolutePoseEstimator {
 
     fn refine(&self, pose: &Pose, inliers: &[usize]) -> Option<Pose> {
         let start = AbsoluteRefinement { pose: *pose, focal: self.focal };
-        let refined =
-            refine_absolute(start, &self.pixels, &self.points, inliers, false, self.loss_scale, 8);
+        let refined = refine_absolute(start, &self.pixels, &self.points, inliers, false, self.loss_scale, 8);
         Some(refined.pose)
     }
 }

@@ -2,7 +2,9 @@
 
 use super::Estimator;
 use super::fundamental::is_oriented;
-use crate::solvers::{Pairs, essential_5pt, essential_from_pose, pose_from_essential, refine_relative, sampson_sq};
+use crate::solvers::{
+    Pairs, essential_5pt, essential_from_pose, pose_from_essential, refine_relative, sampson_sq,
+};
 use glam::{DMat3, DVec2, DVec3};
 
 /// An essential matrix and the same for pixels.

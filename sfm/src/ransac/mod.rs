@@ -52,7 +52,15 @@ pub struct RansacConfig {
 
 impl Default for RansacConfig {
     fn default() -> Self {
-        Self { threshold: 4.0, confidence: 0.9999, min_iterations: 30, max_iterations: 5000, min_inliers: 8, seed: 0, best_first: false }
+        Self {
+            threshold: 4.0,
+            confidence: 0.9999,
+            min_iterations: 30,
+            max_iterations: 5000,
+            min_inliers: 8,
+            seed: 0,
+            best_first: false,
+        }
     }
 }
 
@@ -74,7 +82,11 @@ pub struct RansacResult<M> {
 /// enough samples have been drawn for the inlier ratio found. Candidates that exceed the best cost are dropped
 /// half-way. The result depends on the data, the configuration and `stream_index` only. `None` if no model has
 /// `min_inliers`.
-pub fn ransac<E: Estimator>(estimator: &E, config: &RansacConfig, stream_index: u64) -> Option<RansacResult<E::Model>> {
+pub fn ransac<E: Estimator>(
+    estimator: &E,
+    config: &RansacConfig,
+    stream_index: u64,
+) -> Option<RansacResult<E::Model>> {
     let (n, k) = (estimator.num_data(), estimator.sample_size());
     if n < k.max(config.min_inliers) || !(config.threshold > 0.0) {
         return None;
@@ -106,7 +118,12 @@ pub fn ransac<E: Estimator>(estimator: &E, config: &RansacConfig, stream_index: 
     search.optimise(10);
     let (model, mut inliers) = (search.best?, search.inliers);
     inliers.sort_unstable();
-    (inliers.len() >= config.min_inliers).then_some(RansacResult { model, inliers, score: search.score, iterations })
+    (inliers.len() >= config.min_inliers).then_some(RansacResult {
+        model,
+        inliers,
+        score: search.score,
+        iterations,
+    })
 }
 
 /// Samples after which one without outliers has been drawn with the given confidence.

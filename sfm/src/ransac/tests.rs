@@ -85,7 +85,10 @@ fn essential_fundamental_and_homography_survive_outliers() {
         let mut r = rng(seed, "outliers", 0);
         let mut spoil = |points: &[DVec2]| {
             let mut all: Vec<DVec2> = points.iter().map(|p| *p * FOCAL).collect();
-            all.extend((0..outliers).map(|_| DVec2::new(r.random_range(-320.0..320.0), r.random_range(-240.0..240.0))));
+            all.extend(
+                (0..outliers)
+                    .map(|_| DVec2::new(r.random_range(-320.0..320.0), r.random_range(-240.0..240.0))),
+            );
             all
         };
         let (a, b) = (spoil(&general.a), spoil(&general.b));

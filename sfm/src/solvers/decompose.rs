@@ -78,7 +78,10 @@ pub fn motions_from_homography(h: &DMat3, rays: &[DVec3]) -> Vec<PlanarMotion> {
     let (s1, s3) = (s.x / s.y, s.z / s.y);
     if s1 - s3 < 1e-9 {
         let rotation = u * v.transpose();
-        return vec![PlanarMotion { b_from_a: Pose::from_matrix(rotation, DVec3::ZERO), normal: DVec3::ZERO }];
+        return vec![PlanarMotion {
+            b_from_a: Pose::from_matrix(rotation, DVec3::ZERO),
+            normal: DVec3::ZERO,
+        }];
     }
     let v = v * v.determinant().signum();
     let span = (s1 * s1 - s3 * s3).sqrt();

@@ -10,10 +10,8 @@ use scene::Pose;
 #[inline]
 pub fn sampson_sq(f: &DMat3, a: DVec2, b: DVec2) -> f64 {
     let fa = f.x_axis * a.x + f.y_axis * a.y + f.z_axis;
-    let (bx, by) = (
-        f.x_axis.x * b.x + f.x_axis.y * b.y + f.x_axis.z,
-        f.y_axis.x * b.x + f.y_axis.y * b.y + f.y_axis.z,
-    );
+    let (bx, by) =
+        (f.x_axis.x * b.x + f.x_axis.y * b.y + f.x_axis.z, f.y_axis.x * b.x + f.y_axis.y * b.y + f.y_axis.z);
     let c = fa.x * b.x + fa.y * b.y + fa.z;
     let gradient = fa.x * fa.x + fa.y * fa.y + bx * bx + by * by;
     if gradient > 0.0 { c * c / gradient } else { f64::INFINITY }

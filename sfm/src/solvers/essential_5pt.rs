@@ -24,7 +24,8 @@ pub fn essential_5pt(a: &[DVec3; 5], b: &[DVec3; 5]) -> Vec<DMat3> {
     let mut result = Vec::with_capacity(roots.len());
     for &z in roots.iter() {
         let Some((x, y)) = solve_xy(&b_matrix, z) else { continue };
-        let e: [f64; 9] = std::array::from_fn(|k| x * basis[0][k] + y * basis[1][k] + z * basis[2][k] + basis[3][k]);
+        let e: [f64; 9] =
+            std::array::from_fn(|k| x * basis[0][k] + y * basis[1][k] + z * basis[2][k] + basis[3][k]);
         let norm = e.iter().map(|v| v * v).sum::<f64>().sqrt();
         if norm.is_finite() && norm > 0.0 {
             result.push(mat3_from_rows(&e) * (std::f64::consts::SQRT_2 / norm));
@@ -217,7 +218,8 @@ mod tests {
     use scene::pose::rotation_angle;
 
     fn solve(s: &TwoViews) -> Vec<DMat3> {
-        let (a, b): (Vec<_>, Vec<_>) = s.a.iter().zip(&s.b).map(|(a, b)| (a.extend(1.0), b.extend(1.0))).unzip();
+        let (a, b): (Vec<_>, Vec<_>) =
+            s.a.iter().zip(&s.b).map(|(a, b)| (a.extend(1.0), b.extend(1.0))).unzip();
         essential_5pt(&array(&a), &array(&b))
     }
 
@@ -297,7 +299,10 @@ mod tests {
             let (pose, votes) = pose_from_essential(e, &rays).unwrap();
             assert_eq!(votes.in_front, 30, "seed {seed}");
             assert!(rotation_angle(pose.rotation, s.b_from_a.rotation) < 1e-4, "seed {seed}");
-            assert!(crate::solvers::testing::angle(pose.translation, s.b_from_a.translation) < 1e-3, "seed {seed}");
+            assert!(
+                crate::solvers::testing::angle(pose.translation, s.b_from_a.translation) < 1e-3,
+                "seed {seed}"
+            );
         }
     }
 }

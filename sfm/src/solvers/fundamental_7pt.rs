@@ -44,10 +44,12 @@ mod tests {
 
     /// Largest Sampson distance of all pairs under the best solution of the first seven, relative to the extent.
     fn best(s: &TwoViews) -> f64 {
-        let (na, nb) = (Normaliser::of(s.a.iter().copied()).unwrap(), Normaliser::of(s.b.iter().copied()).unwrap());
+        let (na, nb) =
+            (Normaliser::of(s.a.iter().copied()).unwrap(), Normaliser::of(s.b.iter().copied()).unwrap());
         let a: Vec<DVec2> = s.a.iter().map(|p| na.apply(*p)).collect();
         let b: Vec<DVec2> = s.b.iter().map(|p| nb.apply(*p)).collect();
-        let worst = |f: &DMat3| a.iter().zip(&b).map(|(a, b)| sampson_sq(f, *a, *b)).fold(0.0, f64::max).sqrt();
+        let worst =
+            |f: &DMat3| a.iter().zip(&b).map(|(a, b)| sampson_sq(f, *a, *b)).fold(0.0, f64::max).sqrt();
         fundamental_7pt(&array(&a), &array(&b)).iter().map(worst).fold(f64::INFINITY, f64::min)
     }
 

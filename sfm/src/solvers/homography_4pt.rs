@@ -27,7 +27,10 @@ fn translation(t: DVec2) -> DMat3 {
 fn projective_basis(p: &[DVec2; 4]) -> Option<(DMat3, DVec3)> {
     let m = DMat3::from_cols(p[0].extend(1.0), p[1].extend(1.0), p[2].extend(1.0));
     let area = m.determinant();
-    let size = (p[1] - p[0]).length_squared().max((p[2] - p[0]).length_squared()).max((p[3] - p[0]).length_squared());
+    let size = (p[1] - p[0])
+        .length_squared()
+        .max((p[2] - p[0]).length_squared())
+        .max((p[3] - p[0]).length_squared());
     let q = p[3].extend(1.0);
     let parts = DVec3::new(
         DMat3::from_cols(q, m.y_axis, m.z_axis).determinant(),
@@ -85,8 +88,12 @@ mod tests {
                 let minimal = homography_4pt(&array(&a), &array(&b));
                 for h in [minimal, homography_dlt(&a, &b)] {
                     let h = h.unwrap_or_else(|| panic!("seed {seed} scale {scale}"));
-                    let worst = a.iter().zip(&b).map(|(a, b)| transfer_sq(&h, *a, *b)).fold(0.0, f64::max).sqrt();
-                    assert!(worst < 1e-5 * scale + 1e-6 * shift / 1e5, "seed {seed} {scale} {shift}: {worst}");
+                    let worst =
+                        a.iter().zip(&b).map(|(a, b)| transfer_sq(&h, *a, *b)).fold(0.0, f64::max).sqrt();
+                    assert!(
+                        worst < 1e-5 * scale + 1e-6 * shift / 1e5,
+                        "seed {seed} {scale} {shift}: {worst}"
+                    );
                 }
             }
         }

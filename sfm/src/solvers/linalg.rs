@@ -50,7 +50,8 @@ pub fn symmetric_eigen<const N: usize>(matrix: &[[f64; N]; N]) -> ([f64; N], [[f
     }
     let scale: f64 = a.iter().flatten().map(|x| x * x).sum();
     for _ in 0..30 {
-        let off: f64 = (0..N).flat_map(|p| (p + 1..N).map(move |q| (p, q))).map(|(p, q)| a[p][q] * a[p][q]).sum();
+        let off: f64 =
+            (0..N).flat_map(|p| (p + 1..N).map(move |q| (p, q))).map(|(p, q)| a[p][q] * a[p][q]).sum();
         if off <= 1e-34 * scale || !off.is_finite() {
             break;
         }
@@ -164,7 +165,6 @@ pub fn skew(v: DVec3) -> DMat3 {
     DMat3::from_cols(DVec3::new(0.0, v.z, -v.y), DVec3::new(-v.z, 0.0, v.x), DVec3::new(v.y, -v.x, 0.0))
 }
 
-
 /// The matrix whose rows, one after another, are the nine numbers.
 pub fn mat3_from_rows(m: &[f64; 9]) -> DMat3 {
     DMat3::from_cols_array(m).transpose()
@@ -180,7 +180,8 @@ mod tests {
     fn null_vectors_are_orthonormal_and_orthogonal_to_every_row() {
         for seed in 0..100 {
             let mut r = rng(seed, "null", 0);
-            let mut a: [[f64; 9]; 5] = std::array::from_fn(|_| std::array::from_fn(|_| r.random_range(-1.0..1.0)));
+            let mut a: [[f64; 9]; 5] =
+                std::array::from_fn(|_| std::array::from_fn(|_| r.random_range(-1.0..1.0)));
             if seed % 3 == 0 {
                 a[3] = a[1]; // dependent rows
             }

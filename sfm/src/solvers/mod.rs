@@ -8,6 +8,8 @@ pub mod fundamental_8pt;
 pub mod homography_4pt;
 pub(crate) mod levenberg;
 pub(crate) mod linalg;
+#[cfg(test)]
+mod oracle_tests;
 pub mod p3p;
 pub mod polynomial;
 pub mod refine_absolute;

@@ -86,7 +86,9 @@ fn depths(squared: &[f64; 3], cosines: &[f64; 3]) -> Vec<DVec3> {
             if !(direction.min_element() > 0.0 && value > 0.0) {
                 continue;
             }
-            let Some(depths) = polish(direction * (squared[k] / value).sqrt(), squared, cosines) else { continue };
+            let Some(depths) = polish(direction * (squared[k] / value).sqrt(), squared, cosines) else {
+                continue;
+            };
             if !found.iter().any(|f| f.distance(depths) < 1e-9 * depths.length()) {
                 found.push(depths);
             }
@@ -166,7 +168,7 @@ fn polish(start: DVec3, squared: &[f64; 3], cosines: &[f64; 3]) -> Option<DVec3>
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::solvers::testing::{rotation, two_views, Shape};
+    use crate::solvers::testing::{Shape, rotation, two_views};
     use rand::Rng as _;
     use scene::pose::rotation_angle;
     use scene::rng::rng;
@@ -193,7 +195,10 @@ mod tests {
                 assert!(poses.len() <= 4);
                 let error = poses
                     .iter()
-                    .map(|p| rotation_angle(p.rotation, truth.rotation) + p.centre().distance(truth.centre()) / unit)
+                    .map(|p| {
+                        rotation_angle(p.rotation, truth.rotation)
+                            + p.centre().distance(truth.centre()) / unit
+                    })
                     .fold(f64::INFINITY, f64::min);
                 assert!(error < 1e-5, "seed {seed} unit {unit}: {error}");
             }

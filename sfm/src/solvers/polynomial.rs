@@ -108,7 +108,13 @@ fn roots_in_unit_interval(c: &[f64], tolerance: f64) -> Roots {
 
 /// Roots of `p` in [−1, 1] between its `extrema`; `slope · factor` is its derivative (`None`: p is linear).
 /// Extrema that are zero within `double` count too, where it is given.
-fn refine_level(p: &[f64], slope: Option<&[f64]>, factor: f64, extrema: &Roots, double: Option<f64>) -> Roots {
+fn refine_level(
+    p: &[f64],
+    slope: Option<&[f64]>,
+    factor: f64,
+    extrema: &Roots,
+    double: Option<f64>,
+) -> Roots {
     let mut roots = Roots::default();
     let (mut left, mut at_left) = (-1.0, evaluate(p, -1.0));
     for i in 0..=extrema.len {
@@ -139,7 +145,11 @@ fn bracketed_root(p: &[f64], slope: Option<&[f64]>, factor: f64, bracket: (f64, 
         if value == 0.0 {
             return x;
         }
-        if (value < 0.0) == rises { low = x } else { high = x }
+        if (value < 0.0) == rises {
+            low = x
+        } else {
+            high = x
+        }
         let newton = x - value / (factor * evaluate(slope, x));
         let next = if newton > low && newton < high { newton } else { 0.5 * (low + high) };
         if (next - x).abs() <= 1e-16 + 2e-16 * x.abs() {
@@ -180,7 +190,8 @@ mod tests {
         for seed in 0..100 {
             let mut r = rng(seed, "roots", 0);
             let degree = 2 + seed as usize % 9;
-            let mut truth: Vec<f64> = (0..degree).map(|i| i as f64 - 4.3 + r.random_range(0.0..0.5)).collect();
+            let mut truth: Vec<f64> =
+                (0..degree).map(|i| i as f64 - 4.3 + r.random_range(0.0..0.5)).collect();
             let found = sorted(&real_roots(&from_roots(&truth)));
             truth.sort_by(f64::total_cmp);
             assert_eq!(found.len(), truth.len(), "seed {seed}");

@@ -82,7 +82,8 @@ mod tests {
             let unit = [1e-6, 1.0, 1e6][seed as usize % 3];
             let focal = [128.0, 700.0, 32_000.0][seed as usize / 3 % 3];
             let truth = Pose::new(rotation(&mut r, 2.0), DVec3::new(0.1, 0.2, 5.0) * unit);
-            let points: Vec<DVec3> = (0..50).map(|_| unit_vector(&mut r) * unit * r.random_range(0.5..2.0)).collect();
+            let points: Vec<DVec3> =
+                (0..50).map(|_| unit_vector(&mut r) * unit * r.random_range(0.5..2.0)).collect();
             let project = |x: DVec3| x.truncate() / x.z * focal;
             let pixels: Vec<DVec2> = points.iter().map(|p| project(truth.transform(*p))).collect();
             let turn = DQuat::from_scaled_axis(unit_vector(&mut r) * 0.02);
@@ -93,7 +94,15 @@ mod tests {
             assert!((found.focal / focal - 1.0).abs() < 1e-6, "seed {seed}: {}", found.focal / focal);
             assert!(rotation_angle(found.pose.rotation, truth.rotation) < 1e-6, "seed {seed}");
             assert!(found.pose.translation.distance(truth.translation) < 1e-5 * unit, "seed {seed}");
-            let fixed = refine_absolute(AbsoluteRefinement { focal, ..start }, &pixels, &points, &all, false, focal, 50);
+            let fixed = refine_absolute(
+                AbsoluteRefinement { focal, ..start },
+                &pixels,
+                &points,
+                &all,
+                false,
+                focal,
+                50,
+            );
             assert_eq!(fixed.focal, focal, "seed {seed}");
             assert!(fixed.pose.translation.distance(truth.translation) < 1e-6 * unit, "seed {seed}");
         }
@@ -126,6 +135,9 @@ mod tests {
         let (pixels, points) = ([DVec2::NAN; 5], [DVec3::new(0.0, 0.0, 1.0); 5]);
         assert_eq!(refine_absolute(start, &pixels, &points, &[0, 1, 2, 3, 4], true, 1.0, 10), start);
         let behind = [DVec3::new(0.0, 0.0, -1.0); 5];
-        assert_eq!(refine_absolute(start, &[DVec2::ZERO; 5], &behind, &[0, 1, 2, 3, 4], false, 1.0, 10), start);
+        assert_eq!(
+            refine_absolute(start, &[DVec2::ZERO; 5], &behind, &[0, 1, 2, 3, 4], false, 1.0, 10),
+            start
+        );
     }
 }

@@ -19,7 +19,13 @@ pub struct Pairs<'a> {
 /// The relative pose (unit translation) near `b_from_a` that minimises Cauchy's loss, of width `scale`, of the
 /// Sampson error. Points: ideal pixels from the principal point; `focal`: pixels, of a and of b. Five unknowns:
 /// a rotation vector and two on the sphere of translations. The start is returned where nothing is better.
-pub fn refine_relative(b_from_a: &Pose, focal: [f64; 2], pairs: Pairs, scale: f64, max_iterations: usize) -> Pose {
+pub fn refine_relative(
+    b_from_a: &Pose,
+    focal: [f64; 2],
+    pairs: Pairs,
+    scale: f64,
+    max_iterations: usize,
+) -> Pose {
     let inverse = focal.map(|f| DMat3::from_diagonal(DVec3::new(1.0 / f, 1.0 / f, 1.0)));
     let evaluate = |pose: &Pose| {
         let (r, t) = (pose.matrix(), pose.translation);
@@ -33,7 +39,8 @@ pub fn refine_relative(b_from_a: &Pose, focal: [f64; 2], pairs: Pairs, scale: f6
     let moved = |pose: &Pose, step: &[f64; 5]| {
         let (u, v) = pose.translation.any_orthonormal_pair();
         Pose {
-            rotation: (DQuat::from_scaled_axis(DVec3::new(step[0], step[1], step[2])) * pose.rotation).normalize(),
+            rotation: (DQuat::from_scaled_axis(DVec3::new(step[0], step[1], step[2])) * pose.rotation)
+                .normalize(),
             translation: (pose.translation + u * step[3] + v * step[4]).normalize(),
         }
     };
@@ -143,11 +150,14 @@ mod tests {
         for seed in 0..100 {
             let s = two_views(seed, 60, Shape::General, 1.0);
             let (a, b) = (pixels(&s.a, 0.5, 2 * seed), pixels(&s.b, 0.5, 2 * seed + 1));
-            let (a, b): (Vec<DVec2>, Vec<DVec2>) = a.iter().zip(&b).map(|(a, b)| (*a / FOCAL, *b / FOCAL)).unzip();
+            let (a, b): (Vec<DVec2>, Vec<DVec2>) =
+                a.iter().zip(&b).map(|(a, b)| (*a / FOCAL, *b / FOCAL)).unzip();
             let linear = crate::solvers::fundamental_8pt(&a, &b, None).unwrap();
             let all: Vec<usize> = (0..60).collect();
-            let refined = refine_fundamental(&linear, Pairs { a: &a, b: &b, indices: &all }, 1.0, 20).unwrap();
-            let cost = |f: &DMat3| a.iter().zip(&b).map(|(a, b)| sampson_sq(f, *a, *b)).sum::<f64>().sqrt() * FOCAL;
+            let refined =
+                refine_fundamental(&linear, Pairs { a: &a, b: &b, indices: &all }, 1.0, 20).unwrap();
+            let cost =
+                |f: &DMat3| a.iter().zip(&b).map(|(a, b)| sampson_sq(f, *a, *b)).sum::<f64>().sqrt() * FOCAL;
             assert!(cost(&refined) <= cost(&linear) * (1.0 + 1e-9), "seed {seed}");
             assert!(cost(&refined) < 0.6 * 60f64.sqrt(), "seed {seed}: {}", cost(&refined));
             assert!(refined.determinant().abs() < 1e-12, "seed {seed}");

@@ -61,7 +61,8 @@ pub fn two_views(seed: u64, n: usize, shape: Shape, unit: f64) -> TwoViews {
     let direction = DVec3::new(1.0, r.random_range(-1.0..1.0), r.random_range(-1.0..1.0));
     let points: Vec<DVec3> = (0..n)
         .map(|_| {
-            let offset = DVec3::new(r.random_range(-1.5..1.5), r.random_range(-1.5..1.5), r.random_range(-1.5..1.5));
+            let offset =
+                DVec3::new(r.random_range(-1.5..1.5), r.random_range(-1.5..1.5), r.random_range(-1.5..1.5));
             match shape {
                 Shape::General | Shape::NoBaseline => centre + offset,
                 Shape::Plane => centre + offset - normal * normal.dot(offset),

@@ -67,7 +67,8 @@ mod tests {
 
     #[test]
     fn many_close_inliers_are_meaningful_and_few_among_many_are_not() {
-        let inliers = |k: usize, n: usize| (0..n).map(|i| if i < k { 1.0 } else { 1e4 }).collect::<Vec<f64>>();
+        let inliers =
+            |k: usize, n: usize| (0..n).map(|i| if i < k { 1.0 } else { 1e4 }).collect::<Vec<f64>>();
         let alarms = |k, n| log10_false_alarms(&inliers(k, n), &points(n), Constraint::Line, 7, 3.0, 4.0);
         assert!(alarms(50, 60) < -30.0);
         assert!(alarms(20, 25) < -3.0);

@@ -46,7 +46,8 @@ impl Correspondences {
         let sorted = most_similar_first(features_a, features_b, matches);
         result.best_first = sorted.is_some();
         for &[i, j] in sorted.as_deref().unwrap_or(matches) {
-            let (Some(p), Some(q)) = (features_a.keypoints.get(i as usize), features_b.keypoints.get(j as usize))
+            let (Some(p), Some(q)) =
+                (features_a.keypoints.get(i as usize), features_b.keypoints.get(j as usize))
             else {
                 continue;
             };

@@ -11,10 +11,10 @@ use crate::SfmError;
 use crate::solvers::{sampson_sq, transfer_sq};
 use correspondences::Correspondences;
 use models::Models;
-use static_matches::StaticMatches;
 use rayon::prelude::*;
 use scene::{Camera, Features, Progress, TwoViewGeometry, TwoViewKind};
 use serde::{Deserialize, Serialize};
+use static_matches::StaticMatches;
 
 /// How pairs are verified.
 #[derive(clap::Args, Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -92,8 +92,8 @@ pub fn verify_pair(
     let verify = |some: &Correspondences| {
         let enough = some.len() >= config.min_inliers.max(8);
         let models = if enough { Models::find(some, config, seed, stream) } else { None };
-        let believed =
-            models.filter(|m| m.log10_false_alarms(some, config.max_error_px) < config.max_log10_false_alarms);
+        let believed = models
+            .filter(|m| m.log10_false_alarms(some, config.max_error_px) < config.max_log10_false_alarms);
         believed.map(|m| m.choose(some, config, none.clone())).filter(|g| g.kind != TwoViewKind::Degenerate)
     };
     if !parts.suspicious {
@@ -165,9 +165,8 @@ pub fn verify_pairs(
                 pairs.iter_mut().for_each(|p| p.reverse());
             }
             let (a, b) = (a.min(b), a.max(b));
-            let geometry = verify_pair(
-                a, b, &features[a], &features[b], &cameras[a], &cameras[b], &pairs, config, seed,
-            );
+            let geometry =
+                verify_pair(a, b, &features[a], &features[b], &cameras[a], &cameras[b], &pairs, config, seed);
             Ok((geometry.inliers.len() >= config.min_inliers).then_some(geometry))
         })
         .collect();

@@ -6,7 +6,8 @@ use super::correspondences::Correspondences;
 use super::gric::{gric, noise};
 use super::pose::{best_pose, median_angle, pure_rotation};
 use crate::ransac::{
-    EssentialEstimator, EssentialModel, FundamentalEstimator, HomographyEstimator, RansacConfig, RansacResult, ransac,
+    EssentialEstimator, EssentialModel, FundamentalEstimator, HomographyEstimator, RansacConfig,
+    RansacResult, ransac,
 };
 use crate::solvers::{sampson_sq, transfer_sq};
 use glam::{DMat3, DVec3};
@@ -55,7 +56,12 @@ impl Models {
     }
 
     /// The model that explains the matches best, with its pose.
-    pub fn choose(self, all: &Correspondences, config: &TwoViewConfig, none: TwoViewGeometry) -> TwoViewGeometry {
+    pub fn choose(
+        self,
+        all: &Correspondences,
+        config: &TwoViewConfig,
+        none: TwoViewGeometry,
+    ) -> TwoViewGeometry {
         let mut result = none;
         let n_e = self.essential.as_ref().map_or(0, |m| m.inliers.len()) as f64;
         let n_f = self.fundamental.as_ref().map_or(0, |m| m.inliers.len()) as f64;
@@ -119,7 +125,9 @@ impl Models {
         let (a, b) = all.scaled();
         let unit = all.size * all.size;
         let epipolar: Vec<f64> = match (&self.essential, &self.fundamental) {
-            (Some(m), _) if trusted => (0..all.len()).map(|i| sampson_sq(&m.model.f, all.a[i], all.b[i])).collect(),
+            (Some(m), _) if trusted => {
+                (0..all.len()).map(|i| sampson_sq(&m.model.f, all.a[i], all.b[i])).collect()
+            }
             (_, Some(m)) => (0..all.len()).map(|i| unit * sampson_sq(&m.model, a[i], b[i])).collect(),
             _ => return true,
         };

@@ -3,7 +3,8 @@
 use super::correspondences::Correspondences;
 use crate::solvers::linalg::svd3;
 use crate::solvers::{
-    Pairs, cheirality, essential_from_pose, motions_from_homography, pose_from_essential, refine_relative, sampson_sq,
+    Pairs, cheirality, essential_from_pose, motions_from_homography, pose_from_essential, refine_relative,
+    sampson_sq,
 };
 use glam::{DMat3, DQuat, DVec3};
 use scene::Pose;
@@ -60,7 +61,8 @@ pub fn pure_rotation(all: &Correspondences, inliers: &[usize], h: &DMat3) -> Opt
     let mut best: Option<(f64, DQuat)> = None;
     for factor in [0.5, 0.6, 0.7, 0.84, 1.0, 1.2, 1.4, 1.7, 2.0] {
         let diagonal = |s: f64| DMat3::from_diagonal(DVec3::new(s, s, 1.0));
-        let (to_b, from_a) = (diagonal(factor * all.focal[1] / all.size), diagonal(all.size / (factor * all.focal[0])));
+        let (to_b, from_a) =
+            (diagonal(factor * all.focal[1] / all.size), diagonal(all.size / (factor * all.focal[0])));
         let mut correlation = DMat3::ZERO;
         for &i in inliers {
             let a = (all.a[i] / (factor * all.focal[0])).extend(1.0).normalize();

@@ -38,7 +38,12 @@ fn pair(seed: u64, n: usize, outliers: usize, shape: Shape, noise_px: f64) -> Pa
         b.push(DVec2::new(r.random_range(0.0..640.0), r.random_range(0.0..480.0)));
     }
     let matches = (0..a.len() as u32).map(|i| [i, i]).collect();
-    Pair { features: [features_at(&a), features_at(&b)], cameras: [camera(), camera()], matches, truth: s.b_from_a }
+    Pair {
+        features: [features_at(&a), features_at(&b)],
+        cameras: [camera(), camera()],
+        matches,
+        truth: s.b_from_a,
+    }
 }
 
 fn verify(p: &Pair) -> TwoViewGeometry {
@@ -72,7 +77,8 @@ fn a_focal_length_that_is_thirty_percent_off_still_verifies_the_pair() {
     for seed in 0..20 {
         let mut p = pair(seed, 100, 40, Shape::General, 0.5);
         for factor in [0.7, 1.3] {
-            p.cameras = [(); 2].map(|()| Camera::centred(1, CameraModel::SimplePinhole, 640, 480, FOCAL * factor));
+            p.cameras =
+                [(); 2].map(|()| Camera::centred(1, CameraModel::SimplePinhole, 640, 480, FOCAL * factor));
             let g = verify(&p);
             assert!(g.inliers.len() >= 90, "seed {seed} × {factor}: {:?} {}", g.kind, g.inliers.len());
             assert!(g.b_from_a.is_some(), "seed {seed} × {factor}");
@@ -101,7 +107,11 @@ fn a_watermark_does_not_win_over_what_moves() {
         let mut p = pair(seed, 60, 20, Shape::General, 0.3);
         let mut r = rng(seed, "watermark", 0);
         for _ in 0..90 {
-            let at = Keypoint { x: r.random_range(5.0..200.0), y: r.random_range(5.0..60.0), ..Keypoint::default() };
+            let at = Keypoint {
+                x: r.random_range(5.0..200.0),
+                y: r.random_range(5.0..60.0),
+                ..Keypoint::default()
+            };
             p.matches.push([p.features[0].len() as u32, p.features[1].len() as u32]);
             p.features[0].keypoints.push(at);
             p.features[1].keypoints.push(Keypoint { x: at.x + 0.2, ..at });
@@ -144,9 +154,13 @@ fn senseless_input_is_degenerate_and_never_panics() {
     for bad in [f32::NAN, f32::INFINITY, f32::MAX] {
         let keypoint = Keypoint { x: bad, y: bad, scale: 1.0, angle: 0.0 };
         let features = || Features { keypoints: vec![keypoint; 50], descriptors: Vec::new() };
-        let g = verify(&Pair { features: [features(), p.features[1].clone()], ..pair(0, 50, 0, Shape::General, 0.0) });
+        let g = verify(&Pair {
+            features: [features(), p.features[1].clone()],
+            ..pair(0, 50, 0, Shape::General, 0.0)
+        });
         assert!(g.b_from_a.is_none_or(|pose| pose.is_finite()), "{bad}");
-        let same = verify(&Pair { features: [features(), features()], ..pair(0, 50, 0, Shape::General, 0.0) });
+        let same =
+            verify(&Pair { features: [features(), features()], ..pair(0, 50, 0, Shape::General, 0.0) });
         assert!(same.b_from_a.is_none_or(|pose| pose.is_finite()), "{bad}");
     }
     let line = verify(&pair(3, 50, 0, Shape::Line, 0.0));
@@ -173,7 +187,11 @@ fn extreme_focal_lengths_are_verified() {
             let [a, b] = &p.features;
             let g = verify_pair(0, 1, a, b, &p.cameras[0], &p.cameras[1], &p.matches, &config, 1);
             assert!(g.inliers.len() >= 95, "seed {seed} × {widths}: {:?} {}", g.kind, g.inliers.len());
-            assert!(rotation_error(&g, &p.truth) < 2.0, "seed {seed} × {widths}: {}", rotation_error(&g, &p.truth));
+            assert!(
+                rotation_error(&g, &p.truth) < 2.0,
+                "seed {seed} × {widths}: {}",
+                rotation_error(&g, &p.truth)
+            );
         }
     }
 }
