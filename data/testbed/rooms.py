@@ -86,7 +86,8 @@ def lit_room(_shot):
         a = 2 * math.pi * k / 9 + 0.2 * rng.random()
         size = [0.05 + 0.07 * rng.random() for _ in range(3)]
         thing = m.patches(f"block {k}", [0.2 + 0.8 * rng.random() for _ in range(3)], scale=45)
-        s.box("block", size, (0.5 * math.sin(a), 0.5 * math.cos(a), -0.34 + size[2] / 2), thing, turn_deg=(0, 0, 90 * rng.random()))
+        at = (0.5 * math.sin(a), 0.5 * math.cos(a), -0.34 + size[2] / 2)
+        s.box("block", size, at, thing, turn_deg=(0, 0, 90 * rng.random()))
     pole = _pole(-0.34, m.plain("pole", (0.12, 0.12, 0.13), 0.4, 0.5))
     _world((0.35, 0.37, 0.42))
     _light("AREA", "lamp", 55, (1.2, -0.9, 2.2), (0, 0, -0.2), 1.2, (1.0, 0.95, 0.88))
