@@ -16,7 +16,7 @@ pub(super) const DIM: usize = Features::DIM;
 pub struct PreparedFeatures {
     /// Number of descriptors.
     len: usize,
-    /// [len padded to a multiple of 16 × 128], row-major; padding is zero.
+    /// [len padded to a multiple of 32 × 128], row-major; padding is zero.
     rows: Vec<u8>,
     /// The same in panels of 16 descriptors: [panel × 64 × 16 × 2], two consecutive components of each in turn.
     panels: Vec<u8>,
@@ -26,7 +26,7 @@ impl PreparedFeatures {
     /// From descriptors of any length (they are normalised here).
     pub fn new(features: &Features) -> Self {
         let len = features.len();
-        let padded = len.next_multiple_of(PANEL);
+        let padded = len.next_multiple_of(2 * PANEL);
         let mut rows = vec![0; padded * DIM];
         for (row, descriptor) in rows.chunks_exact_mut(DIM).zip(features.descriptors.chunks_exact(DIM)) {
             let norm = descriptor.iter().map(|&d| f32::from(d).powi(2)).sum::<f32>().sqrt();

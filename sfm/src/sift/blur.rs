@@ -158,25 +158,45 @@ pub fn gaussian_double(source: &Plane, sigma: f32, out: &mut Plane) {
     let radius = (4.0 * sigma).ceil().max(1.0) as isize + 1;
     let taps = phase_kernel(sigma, radius);
     let (w, h) = (source.width, source.height);
-    let mut line = vec![0.0; w];
+    let pad = radius as usize;
+    let mut line = vec![0.0; w + 2 * pad];
+    let (mut even, mut odd) = (vec![0.0; w], vec![0.0; w]);
     for y in 0..2 * h {
-        line.fill(0.0);
-        let phase = y % 2;
-        for (k, tap) in (-radius..=radius).zip(&taps[phase]) {
-            let row = source.row((y as isize / 2 + k).clamp(0, h as isize - 1) as usize);
-            for (o, v) in line.iter_mut().zip(row) {
-                *o += tap * v;
-            }
-        }
+        let rows: Vec<&[f32]> = (-radius..=radius)
+            .map(|k| source.row((y as isize / 2 + k).clamp(0, h as isize - 1) as usize))
+            .collect();
+        weigh_rows(&rows, &taps[y % 2], &mut line[pad..pad + w]);
+        let (first, last) = (line[pad], line[pad + w - 1]);
+        line[..pad].fill(first);
+        line[pad + w..].fill(last);
+        let shifted: Vec<&[f32]> = (0..=2 * pad).map(|k| &line[k..k + w]).collect();
+        weigh_rows(&shifted, &taps[0], &mut even);
+        weigh_rows(&shifted, &taps[1], &mut odd);
         let target = &mut out.data[y * 2 * w..(y + 1) * 2 * w];
-        for (x, pair) in target.chunks_exact_mut(2).enumerate() {
-            let mut sums = [0.0; 2];
-            for (k, (even, odd)) in (-radius..=radius).zip(taps[0].iter().zip(&taps[1])) {
-                let v = line[(x as isize + k).clamp(0, w as isize - 1) as usize];
-                sums[0] += even * v;
-                sums[1] += odd * v;
+        for ((pair, e), o) in target.chunks_exact_mut(2).zip(&even).zip(&odd) {
+            pair.copy_from_slice(&[*e, *o]);
+        }
+    }
+}
+
+dispatch! {
+    /// `out[x] = Σ_k weights[k] rows[k][x]`, sixteen samples in registers at a time.
+    fn weigh_rows(rows: &[&[f32]], weights: &[f32], out: &mut [f32]) {
+        const LANES: usize = 16;
+        let n = out.len();
+        let (blocks, rest) = out.as_chunks_mut::<LANES>();
+        for (b, block) in blocks.iter_mut().enumerate() {
+            let mut sum = [0.0_f32; LANES];
+            for (row, w) in rows.iter().zip(weights) {
+                for (s, v) in sum.iter_mut().zip(&row[b * LANES..(b + 1) * LANES]) {
+                    *s += w * v;
+                }
             }
-            pair.copy_from_slice(&sums);
+            *block = sum;
+        }
+        let start = n - rest.len();
+        for (i, o) in rest.iter_mut().enumerate() {
+            *o = rows.iter().zip(weights).map(|(row, w)| w * row[start + i]).sum();
         }
     }
 }

@@ -17,6 +17,8 @@ const SAMPLES: usize = 4;
 const GRID: usize = (SPATIAL + 1) * SAMPLES;
 /// One more on each side for central differences.
 const PATCH: usize = GRID + 2;
+/// Samples a row, whole vectors.
+const WIDE: usize = 24;
 
 /// `atan2(y, x)`, error below 1e-5 rad, without branches, so that loops over it become vector code.
 /// Minimax polynomial of atan on [0, 1] (Abramowitz and Stegun 4.4.49).
@@ -123,8 +125,8 @@ fn clipped(centre: f32, radius: f32, size: usize) -> (usize, usize) {
 /// Weights that every descriptor shares.
 #[derive(Clone, Debug)]
 pub struct DescriptorTables {
-    /// [GRID] Gaussian weight along one axis; σ is half the descriptor's width.
-    gaussian: [f32; GRID],
+    /// [WIDE] Gaussian weight along one axis; σ is half the descriptor's width.
+    gaussian: [f32; WIDE],
     /// [GRID] lower spatial bin (−1: outside) and the share that goes to it; the rest goes to the next bin.
     bins: [(isize, f32); GRID],
 }
@@ -149,12 +151,12 @@ dispatch! {
     pub fn describe(
         tables: &DescriptorTables, level: &Plane, x: f32, y: f32, sigma: f32, angle: f32, out: &mut [u8],
     ) {
-        let mut patch = [[0.0_f32; PATCH]; PATCH];
+        let mut patch = [[0.0_f32; WIDE + 2]; PATCH];
         sample_patch(level, x, y, sigma * BIN_SIGMAS / SAMPLES as f32, angle, &mut patch);
         let mut histogram = [[[0.0_f32; ANGLES]; SPATIAL]; SPATIAL];
         for row in 0..GRID {
-            let (mut magnitude, mut direction) = ([0.0_f32; GRID], [0.0_f32; GRID]);
-            for i in 0..GRID {
+            let (mut magnitude, mut direction) = ([0.0_f32; WIDE], [0.0_f32; WIDE]);
+            for i in 0..WIDE {
                 let gx = patch[row + 1][i + 2] - patch[row + 1][i];
                 let gy = patch[row + 2][i + 1] - patch[row][i + 1];
                 magnitude[i] = (gx * gx + gy * gy).sqrt() * tables.gaussian[i];
@@ -196,32 +198,47 @@ dispatch! {
 
 /// Bilinear samples at `(x, y) + R(angle) spacing (i, j)`, centred; positions beyond the border take its value.
 #[inline(always)]
-fn sample_patch(level: &Plane, x: f32, y: f32, spacing: f32, angle: f32, patch: &mut [[f32; PATCH]; PATCH]) {
+fn sample_patch(
+    level: &Plane,
+    x: f32,
+    y: f32,
+    spacing: f32,
+    angle: f32,
+    patch: &mut [[f32; WIDE + 2]; PATCH],
+) {
     let (s, c) = (angle.sin() * spacing, angle.cos() * spacing);
-    let (max_x, max_y) = ((level.width - 1) as f32, (level.height - 1) as f32);
+    // Just inside the last sample, so that both neighbours exist.
+    let (max_x, max_y) = (level.width as f32 - 1.001, level.height as f32 - 1.001);
     let half = (PATCH as f32 - 1.0) / 2.0;
+    let width = level.width as i32;
+    let data = &level.data[..level.width * level.height];
     for (j, row) in patch.iter_mut().enumerate() {
         let v = j as f32 - half;
-        let mut index = [0_u32; PATCH];
-        let mut share = [(0.0_f32, 0.0_f32); PATCH];
-        for i in 0..PATCH {
+        let (x0, y0) = (x - s * v, y + c * v);
+        let (mut index, mut fx, mut fy) = ([0_i32; WIDE], [0.0_f32; WIDE], [0.0_f32; WIDE]);
+        for i in 0..WIDE {
             let u = i as f32 - half;
-            let px = (x + c * u - s * v).max(0.0).min(max_x - 1e-3);
-            let py = (y + s * u + c * v).max(0.0).min(max_y - 1e-3);
-            let (ix, iy) = (px as u32, py as u32);
-            index[i] = iy * level.width as u32 + ix;
-            share[i] = (px - ix as f32, py - iy as f32);
+            let px = clamp(x0 + c * u, max_x);
+            let py = clamp(y0 + s * u, max_y);
+            let (ix, iy) = (px as i32, py as i32);
+            index[i] = iy * width + ix;
+            fx[i] = px - ix as f32;
+            fy[i] = py - iy as f32;
         }
         for i in 0..PATCH {
             let at = index[i] as usize;
-            let (top, bottom) =
-                (&level.data[at..at + 2], &level.data[at + level.width..at + level.width + 2]);
-            let (fx, fy) = share[i];
-            let upper = top[0] + fx * (top[1] - top[0]);
-            let lower = bottom[0] + fx * (bottom[1] - bottom[0]);
-            row[i] = upper + fy * (lower - upper);
+            let (top, bottom) = (&data[at..at + 2], &data[at + level.width..at + level.width + 2]);
+            let upper = top[0] + fx[i] * (top[1] - top[0]);
+            let lower = bottom[0] + fx[i] * (bottom[1] - bottom[0]);
+            row[i] = upper + fy[i] * (lower - upper);
         }
     }
+}
+
+#[inline(always)]
+fn clamp(v: f32, max: f32) -> f32 {
+    let v = if v > 0.0 { v } else { 0.0 };
+    if v < max { v } else { max }
 }
 
 /// Unit length, clamped at 0.2, unit length again (Lowe 2004, section 6.1), then `round(512 √(h / Σh))`.

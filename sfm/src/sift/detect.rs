@@ -20,6 +20,8 @@ pub struct Extremum {
 const BORDER: usize = 5;
 /// A first look takes samples with this share of the threshold: interpolation can only raise them.
 const FIRST_LOOK: f32 = 0.8;
+/// Samples that are looked at together.
+const LANES: usize = 32;
 /// How often the quadratic may move on to a neighbouring sample.
 const MAX_MOVES: usize = 5;
 
@@ -74,37 +76,49 @@ dispatch! {
 dispatch! {
     /// Columns at which the middle one of nine rows (three layers of three) is above or below all 26 neighbours.
     fn scan_row(rows: &[&[f32]; 9], threshold: f32, candidates: &mut Vec<u32>) {
-        const LANES: usize = 16;
         let n = rows[4].len();
         let middle = rows[4];
         let mut at = BORDER;
         while at < n - BORDER {
             let lanes = LANES.min(n - BORDER - at);
-            let mut any = false;
-            if lanes == LANES {
-                let v: &[f32] = &middle[at..at + LANES];
-                let (l, r) = (&middle[at - 1..at - 1 + LANES], &middle[at + 1..at + 1 + LANES]);
-                let (a, b) = (&rows[3][at..at + LANES], &rows[5][at..at + LANES]);
-                let (f, c) = (&rows[1][at..at + LANES], &rows[7][at..at + LANES]);
-                let mut hits = 0_u32;
-                for i in 0..LANES {
-                    let high = v[i] > threshold
-                        && v[i] >= l[i] && v[i] >= r[i] && v[i] >= a[i] && v[i] >= b[i] && v[i] >= f[i] && v[i] >= c[i];
-                    let low = v[i] < -threshold
-                        && v[i] <= l[i] && v[i] <= r[i] && v[i] <= a[i] && v[i] <= b[i] && v[i] <= f[i] && v[i] <= c[i];
-                    hits |= u32::from(high | low);
-                }
-                any = hits != 0;
+            if lanes < LANES {
+                candidates.extend((at..at + lanes).filter(|&x| middle[x].abs() > threshold && is_extremum(rows, x)).map(|x| x as u32));
+                break;
             }
-            if any || lanes < LANES {
-                for x in at..at + lanes {
-                    if middle[x].abs() > threshold && is_extremum(rows, x) {
-                        candidates.push(x as u32);
-                    }
+            let v: &[f32; LANES] = lanes_of(middle, at);
+            let mut strong = 0_u32;
+            for v in v {
+                strong |= u32::from(v.abs() > threshold);
+            }
+            if strong != 0 {
+                // Four neighbours are asked at once; the few that pass meet all 26.
+                let (left, right) = (lanes_of(middle, at - 1), lanes_of(middle, at + 1));
+                let (above, below) = (lanes_of(rows[3], at), lanes_of(rows[5], at));
+                let mut hits = [0_u32; LANES];
+                let mut any = 0;
+                for i in 0..LANES {
+                    let high = u32::from(v[i] >= left[i]) & u32::from(v[i] >= right[i])
+                        & u32::from(v[i] >= above[i]) & u32::from(v[i] >= below[i]) & u32::from(v[i] > threshold);
+                    let low = u32::from(v[i] <= left[i]) & u32::from(v[i] <= right[i])
+                        & u32::from(v[i] <= above[i]) & u32::from(v[i] <= below[i]) & u32::from(v[i] < -threshold);
+                    hits[i] = high | low;
+                    any |= hits[i];
+                }
+                if any != 0 {
+                    candidates.extend((0..LANES).filter(|&i| hits[i] != 0 && is_extremum(rows, at + i)).map(|i| (at + i) as u32));
                 }
             }
             at += lanes;
         }
+    }
+}
+
+/// [`LANES`] samples from `at` on (a place within the row).
+#[inline(always)]
+fn lanes_of(row: &[f32], at: usize) -> &[f32; LANES] {
+    match row[at..].first_chunk() {
+        Some(lanes) => lanes,
+        None => &[0.0; LANES],
     }
 }
 
