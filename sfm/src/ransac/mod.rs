@@ -88,7 +88,7 @@ pub fn ransac<E: Estimator>(
     stream_index: u64,
 ) -> Option<RansacResult<E::Model>> {
     let (n, k) = (estimator.num_data(), estimator.sample_size());
-    if n < k.max(config.min_inliers) || !(config.threshold > 0.0) {
+    if n < k.max(config.min_inliers) || config.threshold.is_nan() || config.threshold <= 0.0 {
         return None;
     }
     let mut random = rng(config.seed, "ransac", stream_index);

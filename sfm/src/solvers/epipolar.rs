@@ -35,11 +35,9 @@ pub fn ray_depths(b_from_a: &Pose, ray_a: DVec3, ray_b: DVec3) -> Option<(f64, f
     let a = b_from_a.rotation * ray_a;
     let n = a.cross(ray_b);
     let n2 = n.length_squared();
-    if !(n2 > 1e-24 * a.length_squared() * ray_b.length_squared()) {
-        return None;
-    }
     let t = b_from_a.translation;
-    Some((ray_b.cross(t).dot(n) / n2, a.cross(t).dot(n) / n2))
+    let crossing = n2 > 1e-24 * a.length_squared() * ray_b.length_squared();
+    crossing.then(|| (ray_b.cross(t).dot(n) / n2, a.cross(t).dot(n) / n2))
 }
 
 #[cfg(test)]

@@ -147,7 +147,7 @@ fn eliminate(mut m: [Cubic; 10]) -> Option<([Cubic; 10], f64)> {
         let pivot = (i..10).max_by(|&p, &q| m[p][i].abs().total_cmp(&m[q][i].abs()))?;
         m.swap(i, pivot);
         let p = m[i][i];
-        if !(p.abs() > 1e-13 * scale) {
+        if p.is_nan() || p.abs() <= 1e-13 * scale {
             return None;
         }
         smallest = smallest.min(p.abs());

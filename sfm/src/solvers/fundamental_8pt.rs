@@ -53,7 +53,7 @@ pub fn fundamental_8pt(a: &[DVec2], b: &[DVec2], weights: Option<&[f64]>) -> Opt
         accumulate(&mut m, &row, weight);
     }
     let (values, vectors) = symmetric_eigen(&m);
-    if !(values[1] > 1e-14 * values[8]) {
+    if values[1].is_nan() || values[1] <= 1e-14 * values[8] {
         return None; // a family of solutions: too few independent pairs, or all on a plane
     }
     let f = nearest_rank2(&mat3_from_rows(&vectors[0]))?;

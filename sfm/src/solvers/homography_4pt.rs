@@ -57,7 +57,7 @@ pub fn homography_dlt(a: &[DVec2], b: &[DVec2]) -> Option<DMat3> {
         accumulate(&mut m, &[0.0, 0.0, 0.0, p.x, p.y, 1.0, -q.y * p.x, -q.y * p.y, -q.y], 1.0);
     }
     let (values, vectors) = symmetric_eigen(&m);
-    if !(values[1] > 1e-12 * values[8]) {
+    if values[1].is_nan() || values[1] <= 1e-12 * values[8] {
         return None;
     }
     let back = DMat3::from_diagonal(DVec3::new(1.0 / nb.scale, 1.0 / nb.scale, 1.0));

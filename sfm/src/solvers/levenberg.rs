@@ -21,8 +21,8 @@ impl<const D: usize> Normal<D> {
         for i in 0..D {
             let wg = weight * gradient[i];
             self.jtr[i] += wg * residual;
-            for j in 0..=i {
-                self.jtj[i][j] += wg * gradient[j];
+            for (cell, g) in self.jtj[i].iter_mut().zip(&gradient[..=i]) {
+                *cell += wg * g;
             }
         }
     }
@@ -55,11 +55,8 @@ pub fn minimise<const D: usize, S: Clone>(
     let mut lambda = 1e-4;
     for _ in 0..max_iterations {
         let mut damped = normal.jtj;
-        for i in 0..D {
-            for j in 0..i {
-                damped[j][i] = damped[i][j];
-            }
-            damped[i][i] += lambda * damped[i][i] + f64::MIN_POSITIVE;
+        for (i, row) in damped.iter_mut().enumerate() {
+            row[i] += lambda * row[i] + f64::MIN_POSITIVE; // solve_spd reads the lower triangle only
         }
         let step = solve_spd(&damped, &normal.jtr.map(|x| -x));
         let trial = step.map(|step| moved(&best, &step));

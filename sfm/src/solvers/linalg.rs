@@ -75,10 +75,10 @@ fn rotate<const N: usize>(a: &mut [[f64; N]; N], v: &mut [[f64; N]; N], p: usize
     let t = if tau >= 0.0 { 1.0 } else { -1.0 } / (tau.abs() + (1.0 + tau * tau).sqrt());
     let c = 1.0 / (1.0 + t * t).sqrt();
     let s = t * c;
-    for k in 0..N {
-        let (x, y) = (a[k][p], a[k][q]);
-        a[k][p] = c * x - s * y;
-        a[k][q] = s * x + c * y;
+    for row in a.iter_mut() {
+        let (x, y) = (row[p], row[q]);
+        row[p] = c * x - s * y;
+        row[q] = s * x + c * y;
     }
     let (low, high) = a.split_at_mut(q);
     turn(&mut low[p], &mut high[0], c, s);
@@ -92,7 +92,8 @@ fn turn<const N: usize>(x: &mut [f64; N], y: &mut [f64; N], c: f64, s: f64) {
     }
 }
 
-/// Solution of `a x = b` for a symmetric positive definite `a`: Cholesky. `None` where it is not.
+/// Solution of `a x = b` for a symmetric positive definite `a`, of which only the lower triangle is read: Cholesky.
+/// `None` where it is not.
 pub fn solve_spd<const N: usize>(a: &[[f64; N]; N], b: &[f64; N]) -> Option<[f64; N]> {
     let mut l = [[0.0; N]; N];
     for i in 0..N {
@@ -197,6 +198,7 @@ mod tests {
     }
 
     #[test]
+    #[allow(clippy::needless_range_loop)] // rows and columns at once
     fn eigenvectors_rebuild_the_matrix() {
         for seed in 0..100 {
             let mut r = rng(seed, "eigen", 0);

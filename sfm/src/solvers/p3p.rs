@@ -14,7 +14,8 @@ pub fn p3p(rays: &[DVec3; 3], points: &[DVec3; 3]) -> Vec<Pose> {
     let unit = rays.map(DVec3::normalize_or_zero);
     let sides = [points[0] - points[1], points[0] - points[2], points[1] - points[2]];
     let size = sides.iter().fold(0.0_f64, |m, s| m.max(s.length()));
-    if !(size > 0.0 && size.is_finite()) || !unit.iter().all(|r| r.length_squared() > 0.5) {
+    let sensible = size > 0.0 && size.is_finite() && unit.iter().all(|r| r.length_squared() > 0.5);
+    if !sensible {
         return poses;
     }
     let normal = (sides[0] / size).cross(sides[1] / size);
@@ -156,7 +157,7 @@ fn polish(start: DVec3, squared: &[f64; 3], cosines: &[f64; 3]) -> Option<DVec3>
         );
         let next = l - transposed.transpose().inverse() * residual(l) * 0.5;
         let next_error = residual(next).length();
-        if !(next_error < error) {
+        if next_error.is_nan() || next_error >= error {
             break;
         }
         (best, error) = (next, next_error);

@@ -36,7 +36,7 @@ pub fn refine_absolute(
         let mut normal = Normal::<7>::new();
         for &i in &used {
             let x = state.pose.transform(points[i]);
-            if !(x.z > 0.0) {
+            if x.z.is_nan() || x.z <= 0.0 {
                 return None;
             }
             let (u, v) = (x.x / x.z, x.y / x.z);

@@ -90,7 +90,7 @@ fn sampson_normal<const D: usize>(f: &DMat3, tangents: &[DMat3; D], pairs: Pairs
         let (fa, fb) = ((*f * a).truncate(), (ft * b).truncate());
         let c = b.dot(*f * a);
         let d = fa.length_squared() + fb.length_squared();
-        if !(d > 0.0) {
+        if d.is_nan() || d <= 0.0 {
             continue;
         }
         let root = d.sqrt();
