@@ -125,21 +125,22 @@ fn clipped(centre: f32, radius: f32, size: usize) -> (usize, usize) {
 /// Weights that every descriptor shares.
 #[derive(Clone, Debug)]
 pub struct DescriptorTables {
-    /// [WIDE] Gaussian weight along one axis; σ is half the descriptor's width.
+    /// [WIDE] Gaussian weight along one axis (0 beyond the grid); σ is half the descriptor's width.
     gaussian: [f32; WIDE],
-    /// [GRID] lower spatial bin (−1: outside) and the share that goes to it; the rest goes to the next bin.
-    bins: [(isize, f32); GRID],
+    /// [2 SAMPLES] linear share of the samples `SAMPLES b ..` in spatial bin `b`.
+    share: [f32; 2 * SAMPLES],
 }
 
 impl Default for DescriptorTables {
     fn default() -> Self {
-        let at = |i: usize| (i as f32 - (GRID as f32 - 1.0) / 2.0) / SAMPLES as f32; // bins from the centre
+        let bins_from = |i: usize, centre: f32| (i as f32 - centre) / SAMPLES as f32;
+        let gaussian = |i: usize| {
+            let r = bins_from(i, (GRID as f32 - 1.0) / 2.0) / (SPATIAL as f32 / 2.0);
+            if i < GRID { (-0.5 * r * r).exp() } else { 0.0 }
+        };
         Self {
-            gaussian: std::array::from_fn(|i| (-0.5 * (at(i) / (SPATIAL as f32 / 2.0)).powi(2)).exp()),
-            bins: std::array::from_fn(|i| {
-                let position = at(i) + (SPATIAL as f32 - 1.0) / 2.0;
-                (position.floor() as isize, 1.0 - (position - position.floor()))
-            }),
+            gaussian: std::array::from_fn(gaussian),
+            share: std::array::from_fn(|i| 1.0 - bins_from(i, SAMPLES as f32 - 0.5).abs()),
         }
     }
 }
@@ -153,46 +154,47 @@ dispatch! {
     ) {
         let mut patch = [[0.0_f32; WIDE + 2]; PATCH];
         sample_patch(level, x, y, sigma * BIN_SIGMAS / SAMPLES as f32, angle, &mut patch);
-        let mut histogram = [[[0.0_f32; ANGLES]; SPATIAL]; SPATIAL];
+        // Pooled over rows first: the columns stay apart, so that every step is a vector of columns.
+        let mut pooled = [[[0.0_f32; WIDE]; ANGLES]; SPATIAL];
         for row in 0..GRID {
             let (mut magnitude, mut direction) = ([0.0_f32; WIDE], [0.0_f32; WIDE]);
+            let weight = tables.gaussian[row];
             for i in 0..WIDE {
                 let gx = patch[row + 1][i + 2] - patch[row + 1][i];
                 let gy = patch[row + 2][i + 1] - patch[row][i + 1];
-                magnitude[i] = (gx * gx + gy * gy).sqrt() * tables.gaussian[i];
+                magnitude[i] = (gx * gx + gy * gy).sqrt() * tables.gaussian[i] * weight;
                 direction[i] = fast_atan2(gy, gx) * (ANGLES as f32 / TAU);
             }
-            // One spare bin on each side takes what falls outside.
-            let mut line = [[0.0_f32; ANGLES]; SPATIAL + 2];
-            for i in 0..GRID {
-                let (bin, share) = tables.bins[i];
-                let bin = (bin + 1) as usize;
-                let mut soft = [0.0_f32; ANGLES];
-                for (k, s) in soft.iter_mut().enumerate() {
-                    let d = (direction[i] - k as f32).abs();
-                    let wrapped = (ANGLES as f32 - d).abs();
-                    let d = if wrapped < d { wrapped } else { d };
-                    let weight = 1.0 - d;
-                    *s = if weight > 0.0 { weight * magnitude[i] } else { 0.0 };
+            // Each row lies in one or two spatial bins.
+            let last = (row / SAMPLES).min(SPATIAL - 1);
+            let first = (row / SAMPLES).saturating_sub(1);
+            for angle in 0..ANGLES {
+                let mut soft = [0.0_f32; WIDE];
+                for i in 0..WIDE {
+                    let d = (direction[i] - angle as f32).abs();
+                    let around = (ANGLES as f32 - d).abs();
+                    let d = if around < d { around } else { d };
+                    let near = if d < 1.0 { 1.0 - d } else { 0.0 };
+                    soft[i] = near * magnitude[i];
                 }
-                for k in 0..ANGLES {
-                    line[bin][k] += share * soft[k];
-                    line[bin + 1][k] += (1.0 - share) * soft[k];
-                }
-            }
-            let (bin, share) = tables.bins[row];
-            for (target, weight) in [(bin, share), (bin + 1, 1.0 - share)] {
-                if (0..SPATIAL as isize).contains(&target) {
-                    let weight = weight * tables.gaussian[row];
-                    for (h, l) in histogram[target as usize].iter_mut().zip(&line[1..=SPATIAL]) {
-                        for (h, l) in h.iter_mut().zip(l) {
-                            *h += weight * l;
-                        }
+                for bin in first..=last {
+                    let share = tables.share[row - bin * SAMPLES];
+                    for (p, s) in pooled[bin][angle].iter_mut().zip(&soft) {
+                        *p += share * s;
                     }
                 }
             }
         }
-        quantise(histogram.as_flattened().as_flattened(), out);
+        let mut histogram = [0.0_f32; SPATIAL * SPATIAL * ANGLES];
+        for (line, histogram) in pooled.iter().zip(histogram.chunks_exact_mut(SPATIAL * ANGLES)) {
+            for (angle, columns) in line.iter().enumerate() {
+                for bin in 0..SPATIAL {
+                    let support = &columns[bin * SAMPLES..(bin + 2) * SAMPLES];
+                    histogram[bin * ANGLES + angle] = support.iter().zip(&tables.share).map(|(c, s)| c * s).sum();
+                }
+            }
+        }
+        quantise(&histogram, out);
     }
 }
 
