@@ -71,3 +71,41 @@ pub(super) fn accumulate<const N: usize>(m: &mut [[f64; N]; N], row: &[f64; N], 
         }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::solvers::sampson_sq;
+    use crate::solvers::testing::{Shape, two_views};
+
+    #[test]
+    fn fits_exact_pairs_far_from_the_origin_and_in_any_unit() {
+        for seed in 0..100 {
+            for (scale, shift) in [(1.0, 0.0), (1e-6, 0.0), (1e6, 0.0), (1e3, 1e7)] {
+                let s = two_views(seed, 30, Shape::General, 1.0);
+                let change = |p: &DVec2| *p * scale + DVec2::splat(shift);
+                let a: Vec<DVec2> = s.a.iter().map(change).collect();
+                let b: Vec<DVec2> = s.b.iter().map(change).collect();
+                let f =
+                    fundamental_8pt(&a, &b, None).unwrap_or_else(|| panic!("seed {seed} {scale} {shift}"));
+                let worst = a.iter().zip(&b).map(|(a, b)| sampson_sq(&f, *a, *b)).fold(0.0, f64::max).sqrt();
+                let rounding = 1e-7 * shift; // f of pixels around 1e7 keeps half of the digits
+                assert!(worst < 1e-7 * scale + rounding, "seed {seed} {scale} {shift}: {worst}");
+            }
+        }
+    }
+
+    #[test]
+    fn planes_lines_and_senseless_points_have_none() {
+        for seed in 0..100 {
+            for shape in [Shape::Plane, Shape::Line] {
+                let s = two_views(seed, 30, shape, 1.0);
+                assert!(fundamental_8pt(&s.a, &s.b, None).is_none(), "seed {seed} {shape:?}");
+            }
+        }
+        for bad in [DVec2::NAN, DVec2::INFINITY, DVec2::ZERO] {
+            assert!(fundamental_8pt(&[bad; 9], &[DVec2::ONE; 9], None).is_none(), "{bad}");
+        }
+        assert!(fundamental_8pt(&[], &[], None).is_none());
+    }
+}

@@ -2,10 +2,13 @@
 
 mod chance;
 mod correspondences;
+mod focal;
 mod gric;
 mod models;
 mod pose;
 mod static_matches;
+
+pub use focal::{focal_evidence, likely_focal_factor};
 
 use crate::SfmError;
 use crate::solvers::{sampson_sq, transfer_sq};

@@ -240,3 +240,26 @@ fn merging_guided_matches_keeps_the_good_and_drops_the_rest() {
     let unchanged = merge_guided(&geometry, features, cameras, &[[999, 999]], &TwoViewConfig::default(), 1);
     assert_eq!(unchanged.inliers, geometry.inliers);
 }
+
+#[test]
+fn many_pairs_tell_the_focal_length_that_one_cannot() {
+    let factors = [0.4, 0.5, 0.63, 0.8, 1.0, 1.25, 1.6, 2.0, 2.5];
+    for wrong in [0.5, 1.0, 2.0] {
+        let guess = Camera::centred(1, CameraModel::SimplePinhole, 640, 480, FOCAL * wrong);
+        let (mut features, mut geometries) = (Vec::new(), Vec::new());
+        for seed in 0..30 {
+            let p = pair(seed, 150, 20, Shape::General, 0.3);
+            let [a, b] = p.features;
+            let i = features.len();
+            let config = TwoViewConfig::default();
+            geometries.push(verify_pair(i, i + 1, &a, &b, &guess, &guess, &p.matches, &config, 1));
+            features.extend([a, b]);
+        }
+        let cameras = vec![guess; features.len()];
+        let evidence = focal_evidence(&features, &cameras, &geometries, &factors);
+        let factor = likely_focal_factor(&factors, &evidence).unwrap();
+        assert!((factor * wrong - 1.0).abs() < 0.3, "guess × {wrong}: {factor} {evidence:?}");
+    }
+    assert!(focal_evidence(&[], &[], &[], &factors).is_empty());
+    assert!(likely_focal_factor(&factors, &[]).is_none());
+}
