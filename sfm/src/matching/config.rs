@@ -12,6 +12,9 @@ pub struct MatchConfig {
     /// Largest distance of matched descriptors (unit vectors: 0 is equal, 1.41 unrelated).
     #[arg(long, default_value_t = Self::default().match_max_distance, help_heading = "Matching")]
     pub match_max_distance: f32,
+    /// The same ratio along known epipolar lines, where fewer rivals remain.
+    #[arg(long, default_value_t = Self::default().guided_ratio, help_heading = "Matching")]
+    pub guided_ratio: f32,
     /// Keeps matches that are the best from one side only.
     #[arg(long, default_value_t = Self::default().one_way_matches, help_heading = "Matching")]
     pub one_way_matches: bool,
@@ -19,6 +22,6 @@ pub struct MatchConfig {
 
 impl Default for MatchConfig {
     fn default() -> Self {
-        Self { match_ratio: 0.8, match_max_distance: 0.7, one_way_matches: false }
+        Self { match_ratio: 0.8, match_max_distance: 0.7, guided_ratio: 0.9, one_way_matches: false }
     }
 }

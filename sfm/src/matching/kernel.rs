@@ -3,7 +3,8 @@
 //! Dot products are formed tile by tile and compared at once; no distance is ever stored. Every kernel gives the
 //! same result: integers are exact, and among equals the lowest index stays.
 
-use super::prepared::{DIM, PreparedFeatures};
+use super::prepared::PreparedFeatures;
+use crate::sift::dispatch;
 
 /// No partner above the floor.
 pub(super) const NONE: u32 = u32::MAX;
@@ -49,39 +50,39 @@ pub(super) fn unbiased(dot: i16) -> u16 {
     (dot as u16) ^ 0x8000
 }
 
-/// The two best partners above `floor`, seen from `a` and from `b`.
+/// The two best partners above `floor`, seen from `a` and from `b`, by the fastest kernel of this machine.
 pub(super) fn top_two(a: &PreparedFeatures, b: &PreparedFeatures, floor: u16) -> (TopTwo, TopTwo) {
-    let mut rows = TopTwo::new(a.len(), floor);
-    let mut columns = TopTwo::new(b.len(), floor);
     #[cfg(target_arch = "x86_64")]
     if std::arch::is_x86_feature_detected!("avx2") {
+        let (mut rows, mut columns) = (TopTwo::new(a.len(), floor), TopTwo::new(b.len(), floor));
         // SAFETY: the processor has AVX2.
         unsafe { super::avx2::sweep(a, b, &mut rows, &mut columns) };
         return (rows, columns);
     }
-    portable(a, b, &mut rows, &mut columns);
-    (rows, columns)
+    portable_top_two(a, b, floor)
 }
 
-/// Plain loops that the compiler turns into what the target's baseline offers (SSE2, NEON).
-fn portable(a: &PreparedFeatures, b: &PreparedFeatures, rows: &mut TopTwo, columns: &mut TopTwo) {
+dispatch! {
+    /// Dot product of two prepared descriptors, modulo 2¹⁶ as in every kernel.
+    pub(super) fn dot(x: &[u8], y: &[u8]) -> u16 {
+        let sum: u32 = x.iter().zip(y).map(|(&x, &y)| u32::from(u16::from(x) * u16::from(y))).sum();
+        sum as u16
+    }
+}
+
+/// [`top_two`] in plain loops, which the compiler turns into what the target's baseline offers (SSE2, NEON).
+pub(super) fn portable_top_two(a: &PreparedFeatures, b: &PreparedFeatures, floor: u16) -> (TopTwo, TopTwo) {
+    let (mut rows, mut columns) = (TopTwo::new(a.len(), floor), TopTwo::new(b.len(), floor));
     for j0 in (0..b.len()).step_by(256) {
         for i in 0..a.len() {
-            let left: &[u8; DIM] = match a.row(i).try_into() {
-                Ok(row) => row,
-                Err(_) => continue,
-            };
             for j in j0..(j0 + 256).min(b.len()) {
-                let dot: u32 =
-                    left.iter().zip(b.row(j)).map(|(&x, &y)| u32::from(u16::from(x) * u16::from(y))).sum();
-                let dot = biased(dot as u16);
-                if dot > rows.second[i] {
+                let dot = biased(dot(a.row(i), b.row(j)));
+                if dot > rows.second[i] || dot > columns.second[j] {
                     rows.offer(i, dot, j as u32);
-                }
-                if dot > columns.second[j] {
                     columns.offer(j, dot, i as u32);
                 }
             }
         }
     }
+    (rows, columns)
 }

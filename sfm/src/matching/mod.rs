@@ -1,12 +1,16 @@
-//! Matching of descriptors: exhaustive, with the ratio test and the mutual test (Lowe 2004, section 7.1).
+//! Matching of descriptors: exhaustive or along known epipolar lines, with the ratio test and the mutual test (Lowe 2004, section 7.1).
 
 #[cfg(target_arch = "x86_64")]
 mod avx2;
 mod config;
+mod guided;
 mod kernel;
 mod prepared;
+#[cfg(test)]
+mod tests;
 
 pub use config::MatchConfig;
+pub use guided::{guided_match, guided_match_prepared};
 pub use prepared::PreparedFeatures;
 
 use crate::SfmError;

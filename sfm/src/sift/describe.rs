@@ -4,6 +4,8 @@ use super::blur::{Plane, dispatch};
 use std::f32::consts::{PI, TAU};
 
 const ORIENTATION_BINS: usize = 36;
+/// How often the histogram is smoothed by (1, 2, 1)/4.
+const SMOOTHINGS: usize = 2;
 /// A further orientation needs this share of the strongest one (Lowe 2004, section 5).
 const PEAK_RATIO: f32 = 0.8;
 /// Spatial bins a side, and orientations a bin.
@@ -46,7 +48,7 @@ fn fast_atan2(y: f32, x: f32) -> f32 {
 pub fn orientations(level: &Plane, x: f32, y: f32, sigma: f32, most: usize) -> Vec<f32> {
     let mut histogram = [0.0; ORIENTATION_BINS];
     orientation_histogram(level, x, y, 1.5 * sigma, &mut histogram);
-    for _ in 0..2 {
+    for _ in 0..SMOOTHINGS {
         let before = histogram;
         for (i, h) in histogram.iter_mut().enumerate() {
             let (l, r) = ((i + ORIENTATION_BINS - 1) % ORIENTATION_BINS, (i + 1) % ORIENTATION_BINS);

@@ -9,7 +9,10 @@ mod detect;
 mod noise;
 mod pyramid;
 mod spread;
+#[cfg(test)]
+mod tests;
 
+pub(crate) use blur::dispatch;
 pub use config::{Doubling, SiftConfig};
 
 use crate::SfmError;
