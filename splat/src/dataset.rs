@@ -257,7 +257,8 @@ fn mask_path(dir: &Path, relative: &Path) -> Option<PathBuf> {
         .find(|p| p.is_file())
 }
 
-fn pyramid(full: Pixels) -> Vec<Pixels> {
+/// Full, half, quarter … resolution.
+pub(crate) fn pyramid(full: Pixels) -> Vec<Pixels> {
     let mut levels = vec![full];
     for level in 1..LEVELS {
         let next = shrink(&levels[0], level);

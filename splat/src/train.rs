@@ -250,3 +250,6 @@ impl<'a> Trainer<'a> {
         }
     }
 }
+
+#[cfg(test)]
+mod tests;
