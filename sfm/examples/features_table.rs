@@ -199,6 +199,9 @@ fn main() -> AnyResult<()> {
     let mut config = SiftConfig::default();
     config.contrast_threshold = env("CONTRAST").unwrap_or(config.contrast_threshold);
     config.noise_threshold = env("NOISE").unwrap_or(config.noise_threshold);
+    let mut matching = MatchConfig::default();
+    matching.match_max_distance = env("MAX_DISTANCE").unwrap_or(matching.match_max_distance);
+    matching.match_ratio = env("RATIO").unwrap_or(matching.match_ratio);
     println!("set            features   /image      step pairs  matches  correct precision median px");
     let only = std::env::var("ONLY").ok();
     for truth in [temple(&data)?, fountain(&data)?] {
@@ -213,7 +216,7 @@ fn main() -> AnyResult<()> {
             cpu_seconds() - cpu,
             wall.elapsed().as_secs_f64()
         );
-        judge(&truth, "ours", &features, &MatchConfig::default(), shift);
+        judge(&truth, "ours", &features, &matching, shift);
         for who in ["opencv", "colmap"] {
             let Some(folder) = others.as_ref().map(|o| o.join(truth.name).join(who)).filter(|f| f.is_dir())
             else {
@@ -225,7 +228,7 @@ fn main() -> AnyResult<()> {
                 .iter()
                 .map(|f| read_features(&folder.join(format!("{}.bin", f.name))))
                 .collect::<AnyResult<_>>()?;
-            judge(&truth, who, &features, &MatchConfig::default(), shift);
+            judge(&truth, who, &features, &matching, shift);
         }
     }
     Ok(())

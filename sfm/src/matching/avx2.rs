@@ -3,6 +3,9 @@
 //! `vpmaddubsw` multiplies 32 pairs of 7-bit numbers and adds them two by two without overflow; sums wrap modulo
 //! 2¹⁶ and begin at −32768, so that the unsigned dot product is compared as a signed number.
 
+// Tiles are small squares: rows and vectors are counted, not iterated.
+#![allow(clippy::needless_range_loop)]
+
 use super::kernel::TopTwo;
 use super::prepared::{DIM, PANEL, PreparedFeatures};
 use std::arch::x86_64::*;

@@ -1,5 +1,8 @@
 //! Extrema of the difference of Gaussians, located below the pixel (Lowe 2004, sections 3.1 and 4).
 
+// Loops over several arrays at once are written with an index: the form the compiler vectorises.
+#![allow(clippy::needless_range_loop)]
+
 use super::blur::dispatch;
 use super::pyramid::Octave;
 

@@ -22,6 +22,7 @@ use image::GrayImage;
 use noise::ImageStatistics;
 use pyramid::Octave;
 use rayon::prelude::*;
+use scene::io::load::{load_mask, load_rgb};
 use scene::{Features, FloatImage, Frame, FrameSet, Keypoint, Progress};
 use std::path::Path;
 
@@ -64,7 +65,7 @@ pub fn extract(image: &FloatImage, mask: Option<&GrayImage>, config: &SiftConfig
     let octaves = scale_space(&work, config);
     let mut candidates = Vec::new();
     for (index, octave) in octaves.iter().enumerate() {
-        candidates.extend(octave_candidates(octave, index, &statistics, config, &keep));
+        candidates.extend(octave_candidates(octave, index, &statistics, config, keep));
     }
     let size = [work.width as f32, work.height as f32];
     let chosen = spread::strongest_everywhere(&candidates, config.max_features, size);
@@ -171,7 +172,7 @@ pub fn extract_all(
     let one = |frame: &Frame| {
         progress.check()?;
         let luma = load_luma(frame)?;
-        let mask = frame.mask.as_deref().map(|path| load_mask(path, frame)).transpose()?;
+        let mask = frame.mask.as_deref().map(|path| read_mask(path, frame)).transpose()?;
         let features = extract(&luma, mask.as_ref(), config);
         progress.tick_with(&format!("{} in {}", features.len(), frame.name))?;
         Ok(features)
@@ -180,22 +181,19 @@ pub fn extract_all(
 }
 
 fn load_luma(frame: &Frame) -> Result<FloatImage, SfmError> {
-    let image = open(&frame.path)?.to_rgb8();
+    let image = load_rgb(&frame.path).map_err(|e| unreadable(&frame.path, &e))?;
     check_size(&frame.path, image.dimensions(), frame)?;
     Ok(FloatImage::luma(&image))
 }
 
-fn load_mask(path: &Path, frame: &Frame) -> Result<GrayImage, SfmError> {
-    let mask = open(path)?.to_luma8();
+fn read_mask(path: &Path, frame: &Frame) -> Result<GrayImage, SfmError> {
+    let mask = load_mask(path).map_err(|e| unreadable(path, &e))?;
     check_size(path, mask.dimensions(), frame)?;
     Ok(mask)
 }
 
-fn open(path: &Path) -> Result<image::DynamicImage, SfmError> {
-    let unreadable = |reason: String| SfmError::UnreadableImage { path: path.to_owned(), reason };
-    let reader = image::ImageReader::open(path).map_err(|e| unreadable(e.to_string()))?;
-    let reader = reader.with_guessed_format().map_err(|e| unreadable(e.to_string()))?;
-    reader.decode().map_err(|e| unreadable(e.to_string()))
+fn unreadable(path: &Path, reason: &impl ToString) -> SfmError {
+    SfmError::UnreadableImage { path: path.to_owned(), reason: reason.to_string() }
 }
 
 fn check_size(path: &Path, (found_width, found_height): (u32, u32), frame: &Frame) -> Result<(), SfmError> {
