@@ -4,9 +4,12 @@ mod clock;
 mod export;
 mod setup;
 
+use crate::incremental::finish::{decide, polish, uncertainty};
 use crate::incremental::state::{Input, State};
 use crate::tracks::{build_tracks, positions};
-use crate::{Decision, SfmConfig, SfmError, SfmResult, incremental, matching, pairs, sift, two_view};
+use crate::{
+    Decision, SfmConfig, SfmError, SfmResult, Uncertainty, incremental, matching, pairs, sift, two_view,
+};
 use clock::Clock;
 use scene::{Features, FrameSet, Progress, TwoViewGeometry};
 use setup::Setup;
@@ -57,10 +60,12 @@ pub fn reconstruct(
     Ok(result)
 }
 
-/// A model, and what it refers to.
+/// A model, and what was learned with it.
 pub(crate) struct Solved {
     state: State,
     keypoints: Vec<Vec<glam::DVec2>>,
+    decision: Decision,
+    uncertainty: Option<Uncertainty>,
 }
 
 fn solve(
@@ -80,8 +85,16 @@ fn solve(
         config: &config.mapper,
         seed: config.seed,
     };
-    let state = incremental::map(&input, &setup.cameras, &setup.known, geometries, progress)?;
-    Ok(state.map(|state| Solved { state, keypoints }))
+    let Some(mut state) = incremental::map(&input, &setup.cameras, &setup.known, geometries, progress)?
+    else {
+        return Ok(None);
+    };
+    let starts = incremental::starts_of(&setup.cameras, &setup.known, &state);
+    let named = config.camera_model.model();
+    let (intrinsics, decision) = decide(&state, &input, &setup.known, &starts, named, progress)?;
+    polish(&mut state, &input, &setup.known, &starts, intrinsics, progress)?;
+    let uncertainty = uncertainty(&state, &input, &setup.known, &starts, intrinsics)?;
+    Ok(Some(Solved { state, keypoints, decision, uncertainty }))
 }
 
 fn pairs_decision(pairs: usize, images: usize, geometries: &[TwoViewGeometry]) -> Decision {

@@ -1,1 +1,304 @@
-//! selection
+//! The evidence decides the camera model: sightings that took no part in the adjustment, and BIC.
+//!
+//! Candidates are compared on the same sightings: each is adjusted without the held-out ones, which then say how well
+//! it predicts (paired by image), while BIC (Schwarz 1978) on the robust cost over the measured noise says whether the
+//! parameters pay for themselves. Both must agree, and the normal equations must determine what was freed.
+
+use crate::bundle::{BundleObservation, BundleProblem, IntrinsicsPrior, Loss, SolveOptions, free_parameters};
+use crate::{Decision, SfmError};
+use scene::{Camera, CameraModel, Progress};
+
+/// Standard deviation of a principal point from the image centre, in longer image sides (lenses and crops of real
+/// cameras).
+const PRINCIPAL_POINT_SIGMA: f64 = 0.03;
+/// Largest standard deviation of a focal length that counts as determined, as a share of it.
+const DETERMINED_FOCAL: f64 = 0.02;
+/// Largest standard deviation of a principal point that counts as determined, in longer image sides.
+const DETERMINED_POINT: f64 = 0.01;
+/// Residuals beyond so many standard deviations count as this much.
+const TRUNCATION: f64 = 4.0;
+
+/// What is solved for.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Intrinsics {
+    /// Camera model.
+    pub model: CameraModel,
+    /// Whether the principal point is free.
+    pub principal_point: bool,
+}
+
+impl Intrinsics {
+    fn describe(self) -> String {
+        format!(
+            "{}, principal point {}",
+            self.model.name(),
+            if self.principal_point { "free" } else { "at the centre" }
+        )
+    }
+
+    /// Free parameters of one camera.
+    pub fn free(self, camera: &Camera) -> Vec<bool> {
+        free_parameters(camera, true, self.principal_point, true)
+    }
+}
+
+/// The camera in another model: shared parameters are taken over, new ones are zero; two focal lengths become their
+/// mean.
+pub fn converted(camera: &Camera, model: CameraModel) -> Camera {
+    let mut params = match (camera.model.num_focals(), model.num_focals()) {
+        (2, 2) => camera.params[..2].to_vec(),
+        (_, n) => vec![camera.mean_focal(); n],
+    };
+    params.extend(camera.principal_point().to_array());
+    let distortion = camera.distortion().iter().copied();
+    params.extend(distortion.take(model.num_params() - params.len()));
+    params.resize(model.num_params(), 0.0);
+    Camera { model, params, ..camera.clone() }
+}
+
+/// The prior of a free principal point.
+pub fn principal_point_priors(index: usize, camera: &Camera) -> [IntrinsicsPrior; 2] {
+    let (w, h) = (f64::from(camera.width), f64::from(camera.height));
+    let prior = |k: usize, mean: f64| IntrinsicsPrior {
+        camera: index,
+        parameter: camera.model.num_focals() + k,
+        mean,
+        sigma: PRINCIPAL_POINT_SIGMA * w.max(h),
+    };
+    [prior(0, w / 2.0), prior(1, h / 2.0)]
+}
+
+/// A candidate after its adjustment.
+struct Trial {
+    intrinsics: Intrinsics,
+    problem: BundleProblem,
+    bic: f64,
+    /// For each pose the mean truncated squared held-out error in units of the noise; NaN where it has none.
+    by_pose: Vec<f64>,
+    /// Root mean square of the held-out error, pixels.
+    held_out_px: f64,
+    determined: bool,
+    note: String,
+}
+
+/// Chooses for all cameras of `problem` that are not `fixed`. `named`: the user's model, which stays.
+/// The problem's points and poses are those of a finished adjustment; nothing in it is changed.
+pub fn choose(
+    problem: &BundleProblem,
+    fixed: &[bool],
+    named: Option<CameraModel>,
+    progress: &Progress,
+) -> Result<(Intrinsics, Decision), SfmError> {
+    let start = Intrinsics { model: named.unwrap_or(CameraModel::SimpleRadial), principal_point: false };
+    let mut decision = Decision {
+        what: "camera model".to_owned(),
+        chosen: start.describe(),
+        evidence: "too few sightings to choose by".to_owned(),
+    };
+    let (training, held_out) = split(problem);
+    if problem.poses.len() < 3 || held_out.len() < 100 || fixed.iter().all(|&f| f) {
+        return Ok((start, decision));
+    }
+    let sigma = noise(problem);
+    let context = Context { training, held_out, sigma, fixed, progress };
+    let mut best = context.trial(problem, start)?;
+    let mut lines = vec![best.line()];
+    let mut consider = |intrinsics: Intrinsics, best: &mut Trial| -> Result<bool, SfmError> {
+        let trial = context.trial(&best.problem, intrinsics)?;
+        let simpler = parameters(intrinsics) < parameters(best.intrinsics);
+        let (gain, error) = gain(&best.by_pose, &trial.by_pose);
+        let better = if simpler {
+            gain > -error && trial.bic < best.bic + 10.0
+        } else {
+            gain > 2.0 * error && trial.bic < best.bic && trial.determined
+        };
+        lines.push(format!(
+            "{} (gain {gain:.4} ± {error:.4}){}",
+            trial.line(),
+            if better { ": taken" } else { "" }
+        ));
+        if better {
+            *best = trial;
+        }
+        Ok(better)
+    };
+    consider(Intrinsics { principal_point: true, ..best.intrinsics }, &mut best)?;
+    if named.is_none() {
+        let with = |best: &Trial, model| Intrinsics { model, ..best.intrinsics };
+        if !consider(with(&best, CameraModel::SimplePinhole), &mut best)?
+            && consider(with(&best, CameraModel::Radial), &mut best)?
+        {
+            consider(with(&best, CameraModel::Opencv), &mut best)?;
+        } else if best.intrinsics.model == CameraModel::SimplePinhole {
+            consider(with(&best, CameraModel::Pinhole), &mut best)?;
+        }
+        if !best.intrinsics.principal_point {
+            consider(Intrinsics { principal_point: true, ..best.intrinsics }, &mut best)?;
+        }
+    }
+    decision.chosen = best.intrinsics.describe();
+    decision.evidence = format!("noise {sigma:.3} px; {}", lines.join("; "));
+    Ok((best.intrinsics, decision))
+}
+
+fn parameters(intrinsics: Intrinsics) -> usize {
+    intrinsics.model.num_params() - if intrinsics.principal_point { 0 } else { 2 }
+}
+
+struct Context<'a> {
+    training: Vec<BundleObservation>,
+    held_out: Vec<BundleObservation>,
+    sigma: f64,
+    fixed: &'a [bool],
+    progress: &'a Progress,
+}
+
+impl Context<'_> {
+    fn trial(&self, from: &BundleProblem, intrinsics: Intrinsics) -> Result<Trial, SfmError> {
+        let mut problem = from.clone();
+        problem.observations.clone_from(&self.training);
+        problem.observations.iter_mut().for_each(|o| o.sigma_px = self.sigma);
+        apply(&mut problem, intrinsics, self.fixed);
+        let options = SolveOptions {
+            loss: Loss::Cauchy(2.0),
+            max_iterations: 25,
+            function_tolerance: 1e-6,
+            ..SolveOptions::default()
+        };
+        let summary = problem.solve(&options, self.progress)?;
+        let n = problem.observations.len() as f64;
+        let cameras = self.fixed.iter().filter(|&&f| !f).count();
+        // `final_rms² n` is twice the robust cost, which stands for −2 log likelihood.
+        let bic = summary.final_rms.powi(2) * n + (parameters(intrinsics) * cameras) as f64 * (2.0 * n).ln();
+        let (determined, note) = self.determined(&problem, &options, intrinsics)?;
+        let errors: Vec<(u32, f64)> =
+            self.held_out.iter().map(|o| (o.pose, error_sq(&problem, o) / self.sigma.powi(2))).collect();
+        let mut sums = vec![(0.0, 0usize); problem.poses.len()];
+        for (pose, e) in &errors {
+            sums[*pose as usize].0 += e.min(TRUNCATION * TRUNCATION);
+            sums[*pose as usize].1 += 1;
+        }
+        let by_pose: Vec<f64> =
+            sums.iter().map(|(s, n)| if *n > 0 { s / *n as f64 } else { f64::NAN }).collect();
+        let all: f64 = sums.iter().map(|s| s.0).sum::<f64>() / errors.len().max(1) as f64;
+        let held_out_px = all.sqrt() * self.sigma;
+        let bic = if summary.usable { bic } else { f64::INFINITY };
+        Ok(Trial { intrinsics, problem, bic, by_pose, held_out_px, determined, note })
+    }
+
+    /// Whether the normal equations pin down what was freed.
+    fn determined(
+        &self,
+        problem: &BundleProblem,
+        options: &SolveOptions,
+        intrinsics: Intrinsics,
+    ) -> Result<(bool, String), SfmError> {
+        let Some(covariance) = problem.covariance(options)? else {
+            return Ok((false, "undetermined".to_owned()));
+        };
+        let (mut determined, mut note) = (true, String::new());
+        for ((camera, c), fixed) in problem.cameras.iter().zip(&covariance.cameras).zip(self.fixed) {
+            if *fixed {
+                continue;
+            }
+            let n = camera.params.len();
+            let deviation = |i: usize| c[i * n + i].max(0.0).sqrt();
+            let focals = camera.model.num_focals();
+            let focal = (0..focals).map(|i| deviation(i) / camera.params[i].abs()).fold(0.0, f64::max);
+            let point =
+                deviation(focals).max(deviation(focals + 1)) / f64::from(camera.width.max(camera.height));
+            determined &=
+                focal < DETERMINED_FOCAL && (!intrinsics.principal_point || point < DETERMINED_POINT);
+            if note.is_empty() {
+                let shown: Vec<String> =
+                    (0..n).map(|i| format!("{:.4}±{:.4}", camera.params[i], deviation(i))).collect();
+                note = shown.join(" ");
+            }
+        }
+        Ok((determined, note))
+    }
+}
+
+impl Trial {
+    fn line(&self) -> String {
+        format!(
+            "{}: held out {:.4} px, BIC {:.0}, {}",
+            self.intrinsics.describe(),
+            self.held_out_px,
+            self.bic,
+            self.note
+        )
+    }
+}
+
+/// Gives every camera that is not fixed the chosen model, freedom and priors.
+pub fn apply(problem: &mut BundleProblem, intrinsics: Intrinsics, fixed: &[bool]) {
+    let old: Vec<Camera> = problem.cameras.clone();
+    let mut priors = Vec::new();
+    for (i, camera) in problem.cameras.iter_mut().enumerate() {
+        if fixed[i] {
+            problem.camera_free[i] = vec![false; camera.params.len()];
+            continue;
+        }
+        *camera = converted(&old[i], intrinsics.model);
+        problem.camera_free[i] = intrinsics.free(camera);
+        // Priors on focal lengths hold in every model; those on distortion are replaced.
+        let focal = |p: &&IntrinsicsPrior| p.camera == i && p.parameter < old[i].model.num_focals();
+        if let Some(p) = problem.priors.iter().find(focal) {
+            priors
+                .extend((0..camera.model.num_focals()).map(|parameter| IntrinsicsPrior { parameter, ..*p }));
+        }
+        if intrinsics.principal_point {
+            priors.extend(principal_point_priors(i, camera));
+        }
+    }
+    problem.priors = priors;
+}
+
+/// Of every other point that is seen at least three times, one sighting is held out.
+fn split(problem: &BundleProblem) -> (Vec<BundleObservation>, Vec<BundleObservation>) {
+    let mut views = vec![0usize; problem.points.len()];
+    problem.observations.iter().for_each(|o| views[o.point as usize] += 1);
+    let mut seen = vec![0usize; problem.points.len()];
+    let (mut training, mut held_out) = (Vec::new(), Vec::new());
+    for o in &problem.observations {
+        let point = o.point as usize;
+        // Which sighting of the point it is, so that all images give some.
+        let turn = seen[point] == (point / 2) % views[point].max(1);
+        seen[point] += 1;
+        if views[point] >= 3 && point.is_multiple_of(2) && turn {
+            held_out.push(*o)
+        } else {
+            training.push(*o)
+        }
+    }
+    (training, held_out)
+}
+
+fn error_sq(problem: &BundleProblem, o: &BundleObservation) -> f64 {
+    let camera = &problem.cameras[problem.pose_camera[o.pose as usize] as usize];
+    let projected =
+        camera.project(problem.poses[o.pose as usize].transform(problem.points[o.point as usize]));
+    projected.map_or(f64::INFINITY, |p| p.distance_squared(o.pixel))
+}
+
+/// Robust standard deviation of one residual coordinate, pixels: the median squared length of a two-dimensional
+/// normal residual is 2 ln 2 σ².
+pub fn noise(problem: &BundleProblem) -> f64 {
+    let mut errors: Vec<f64> = problem.observations.iter().map(|o| error_sq(problem, o)).collect();
+    if errors.is_empty() {
+        return 1.0;
+    }
+    let middle = errors.len() / 2;
+    let median = *errors.select_nth_unstable_by(middle, f64::total_cmp).1;
+    (median / (2.0 * std::f64::consts::LN_2)).sqrt().max(1e-3)
+}
+
+/// Mean decrease from `old` to `new` over poses, and its standard error.
+fn gain(old: &[f64], new: &[f64]) -> (f64, f64) {
+    let differences: Vec<f64> = old.iter().zip(new).map(|(a, b)| a - b).filter(|d| d.is_finite()).collect();
+    let n = differences.len().max(2) as f64;
+    let mean = differences.iter().sum::<f64>() / n;
+    let variance = differences.iter().map(|d| (d - mean).powi(2)).sum::<f64>() / (n - 1.0);
+    (mean, (variance / n).sqrt())
+}

@@ -114,7 +114,8 @@ fn transfer(source: &Path, target: &Path, old: &Camera, new: &Camera) -> Result<
     }
     let unreadable = |reason: String| SfmError::UnreadableImage { path: source.to_owned(), reason };
     let reader = image::ImageReader::open(source).and_then(|r| r.with_guessed_format());
-    let decoded = reader.map_err(|e| unreadable(e.to_string()))?.decode().map_err(|e| unreadable(e.to_string()))?;
+    let decoded =
+        reader.map_err(|e| unreadable(e.to_string()))?.decode().map_err(|e| unreadable(e.to_string()))?;
     if (decoded.width(), decoded.height()) != (old.width, old.height) {
         return Err(SfmError::SizeMismatch {
             path: source.to_owned(),

@@ -225,7 +225,7 @@ ceres::Solver::Options MakeOptions(const BundleInput &input) {
   options.num_threads = 1;  // sums over threads would depend on their order
   options.dense_linear_algebra_library_type = ceres::EIGEN;
   options.sparse_linear_algebra_library_type = ceres::EIGEN_SPARSE;
-  options.use_nonmonotonic_steps = false;
+  options.initial_trust_region_radius = 1e8;  // starts are good and some directions (focal length against depth) are flat
   const std::size_t free_poses = input.free_poses;
   options.linear_solver_type = free_poses <= 60 ? ceres::DENSE_SCHUR : ceres::SPARSE_SCHUR;
   return options;

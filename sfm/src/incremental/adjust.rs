@@ -32,17 +32,6 @@ impl Adjustment {
         };
         Self { free, priors, moving: None, points_per_image: None, solve }
     }
-
-    /// At the end: to convergence.
-    pub fn finishing(free: Vec<Vec<bool>>, priors: Vec<IntrinsicsPrior>) -> Self {
-        let solve = SolveOptions {
-            loss: Loss::SoftL1(1.0),
-            max_iterations: 60,
-            function_tolerance: 1e-6,
-            ..SolveOptions::default()
-        };
-        Self { free, priors, moving: None, points_per_image: None, solve }
-    }
 }
 
 /// The adjustment as plain arrays, with the numbers of its points and the images of its poses.

@@ -14,7 +14,7 @@ const IMAGES_FOR_LOCAL: usize = 60;
 /// Images that move in a local adjustment.
 const LOCAL_IMAGES: usize = 8;
 /// Points an image contributes to an adjustment while the model grows.
-const POINTS_PER_IMAGE: usize = 100;
+const POINTS_PER_IMAGE: usize = 60;
 
 /// What is known of a camera.
 #[derive(Clone, Debug)]
@@ -104,7 +104,7 @@ pub(crate) fn grow(
         }
         let (free, priors) = freedom(&state.cameras, known, starts, images);
         let mut what = Adjustment::growing(free, priors);
-        what.points_per_image = (images > 6).then_some(POINTS_PER_IMAGE);
+        what.points_per_image = Some(if images > 6 { POINTS_PER_IMAGE } else { 3 * POINTS_PER_IMAGE });
         if !full {
             what.moving = Some(neighbours(state, image, LOCAL_IMAGES));
             what.free = state.cameras.iter().map(|c| vec![false; c.params.len()]).collect();
@@ -132,7 +132,8 @@ pub(crate) fn settle(
     for _ in 0..3 {
         let added = state.grow_all(input);
         let (free, priors) = freedom(&state.cameras, known, starts, state.registered());
-        let what = Adjustment::growing(free, priors);
+        let mut what = Adjustment::growing(free, priors);
+        what.points_per_image = Some(4 * POINTS_PER_IMAGE);
         adjust(state, input, &what, progress)?;
         repair(state, known, starts);
         let gone = state.filter(input, input.config.max_reprojection_px);

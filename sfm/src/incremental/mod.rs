@@ -1,6 +1,7 @@
 //! Incremental mapping: one image after the other, adjusted as the model grows (Schönberger & Frahm, CVPR 2016).
 
 pub(crate) mod adjust;
+pub(crate) mod finish;
 pub(crate) mod growth;
 pub(crate) mod initial;
 pub(crate) mod resection;
@@ -97,7 +98,7 @@ fn value(state: &State) -> (usize, usize) {
 }
 
 /// What priors and repairs refer to: the start's intrinsics where they were known, the small model's where not.
-fn starts_of(cameras: &[Camera], known: &[Knowledge], state: &State) -> Vec<Camera> {
+pub(crate) fn starts_of(cameras: &[Camera], known: &[Knowledge], state: &State) -> Vec<Camera> {
     let start = |i: usize| {
         if known[i].focal_sigma.is_some() || known[i].fixed { &cameras[i] } else { &state.cameras[i] }
     };

@@ -33,6 +33,8 @@ pub(super) fn fill(
             result.missing.push((frame.name.clone(), why_missing(result, i)));
         }
     }
+    result.decisions.push(solved.decision);
+    result.uncertainty = solved.uncertainty;
     result.reconstruction = Some(model);
     Ok(())
 }
