@@ -326,19 +326,21 @@ mod tests {
 
     #[test]
     fn the_exponential_is_accurate_on_every_instruction_set() {
-        let mut worst = 0.0f64;
         for isa in Isa::available() {
             for step in 0..2000 {
                 let input: [f32; 16] = std::array::from_fn(|i| (step * 16 + i) as f32 * 0.0025 - 40.0);
                 let mut output = [0.0; 16];
                 exp(isa, &mut Exp { input: &input, output: &mut output });
-                for (x, y) in input.iter().zip(output) {
-                    let truth = f64::from(*x).exp();
-                    worst = worst.max((f64::from(y) - truth).abs() / truth / (1.0 + f64::from(x.abs())));
-                }
+                assert!(input.iter().zip(output).all(|(&x, y)| is_exponential(x, y)), "{isa:?} {input:?} {output:?}");
             }
         }
-        assert!(worst < 3e-7, "{worst}");
+    }
+
+    /// Apart from the test, because LLVM 22 crashes when it vectorises the two loops as one.
+    #[inline(never)]
+    fn is_exponential(x: f32, y: f32) -> bool {
+        let truth = f64::from(x).exp();
+        (f64::from(y) - truth).abs() / truth < 3e-7 * (1.0 + f64::from(x.abs()))
     }
 
     #[test]
