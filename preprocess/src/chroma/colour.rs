@@ -116,7 +116,7 @@ mod tests {
     fn the_difference_of_a_green_key_is_that_of_vlahos() {
         let key = Key::new([0.0, 0.6, 0.0], 1.0 / 3f32.sqrt()).unwrap();
         let scale = key.difference([0.0, 1.0, 0.0]);
-        for rgb in [[0.2, 0.7, 0.1], [0.5, 0.4, 0.9], [0.3, 0.3, 0.3], [0.0, 0.5, 0.45]] {
+        for rgb in [[0.2_f32, 0.7, 0.1], [0.5, 0.4, 0.9], [0.3, 0.3, 0.3], [0.0, 0.5, 0.45]] {
             let vlahos = rgb[1] - rgb[0].max(rgb[2]);
             assert!((key.difference(rgb) / scale - vlahos).abs() < 1e-6, "{rgb:?}");
         }

@@ -3,6 +3,7 @@
 mod alpha;
 mod colour;
 mod config;
+mod dark;
 mod detect;
 mod field;
 mod filters;
@@ -22,7 +23,8 @@ use still::Still;
 /// A screen that was found, ready to key frames.
 #[derive(Clone, Debug)]
 pub struct Keyer {
-    key: Key,
+    /// `None`: a dark room, keyed by light.
+    key: Option<Key>,
     mode: MatteMode,
     keep_pole: bool,
     still: Option<Still>,
@@ -43,10 +45,14 @@ impl Keyer {
         if choice == KeyChoice::Off {
             return Ok(Err("keying is off".to_owned()));
         }
-        let found = detect::detect(thumbnails, choice);
         let (mode, keep_pole) = (config.matte, config.keep_pole);
+        if choice == KeyChoice::Black {
+            let evidence = "keyed by light, before a dark room".to_owned();
+            return Ok(Ok(Self { key: None, mode, keep_pole, still: None, evidence }));
+        }
+        let found = detect::detect(thumbnails, choice);
         Ok(match found.key {
-            Some(key) => Ok(Self { key, mode, keep_pole, still: None, evidence: found.evidence }),
+            Some(key) => Ok(Self { key: Some(key), mode, keep_pole, still: None, evidence: found.evidence }),
             None => Err(found.evidence),
         })
     }
@@ -54,7 +60,8 @@ impl Keyer {
     /// Learns from frames of a video, where the camera stands still: the screen's folds, what lies beside it, the pole.
     /// Returns what was found out.
     pub fn learn(&mut self, frames: &[RgbImage]) -> Option<String> {
-        self.still = if self.mode == MatteMode::Soft { Still::learn(frames, &self.key) } else { None };
+        self.still =
+            self.key.filter(|_| self.mode == MatteMode::Soft).and_then(|key| Still::learn(frames, &key));
         let still = self.still.as_ref()?;
         Some(format!(
             "the camera stands still: {:.1} % of the picture is neither screen nor moving and is {}",
@@ -66,33 +73,42 @@ impl Keyer {
     /// Matte (white = object) and foreground colours of one frame.
     pub fn matte(&self, image: &RgbImage, scratch: &mut Scratch) -> (GrayImage, RgbImage) {
         let (width, height) = image.dimensions();
-        let field = Field::fit(image.as_raw(), width as usize, &self.key);
-        let (alpha, colours) = match (self.mode, field) {
-            (MatteMode::Soft, Some(field)) => {
-                let still = self
-                    .still
-                    .as_ref()
-                    .filter(|s| s.width == width as usize && s.things.len() * 3 == image.len());
-                let texture = still.map_or(&[][..], |s| &s.texture);
-                scratch.0.solve(image.as_raw(), width as usize, &self.key, &field, texture);
-                regions::clean(&mut scratch.0, image.as_raw(), width as usize, still, self.keep_pole);
-                let alpha = scratch.0.alpha.iter().map(|a| (a * 255.0 + 0.5) as u8).collect();
-                (alpha, spill::foreground(&scratch.0, &self.key))
+        let (alpha, colours) = match &self.key {
+            None => (dark::matte(image.as_raw(), width as usize), image.as_raw().clone()),
+            Some(key) => {
+                let field = if self.mode == MatteMode::Soft {
+                    Field::fit(image.as_raw(), width as usize, key)
+                } else {
+                    None
+                };
+                match field {
+                    Some(field) => self.soft(image, key, &field, scratch),
+                    None => (plain(image, key), image.as_raw().clone()),
+                }
             }
-            _ => (self.plain(image), image.as_raw().clone()),
         };
         let matte = GrayImage::from_raw(width, height, alpha).unwrap_or_default();
         (matte, RgbImage::from_raw(width, height, colours).unwrap_or_default())
     }
 
-    /// The usual rule: what has the key's hue and some saturation is background.
-    fn plain(&self, image: &RgbImage) -> Vec<u8> {
-        let is_screen = |rgb: [u8; 3]| {
-            let (hue, saturation, value) = hue_saturation_value(rgb);
-            saturation > 0.3 && value > 0.1 && hue_distance(hue, self.key.hue) < 35.0
-        };
-        image.pixels().map(|p| if is_screen(p.0) { 0 } else { 255 }).collect()
+    fn soft(&self, image: &RgbImage, key: &Key, field: &Field, scratch: &mut Scratch) -> (Vec<u8>, Vec<u8>) {
+        let (rgb, width) = (image.as_raw(), image.width() as usize);
+        let still = self.still.as_ref().filter(|s| s.width == width && s.things.len() * 3 == rgb.len());
+        let texture = still.map_or(&[][..], |s| &s.texture);
+        scratch.0.solve(rgb, width, key, field, texture);
+        regions::clean(&mut scratch.0, rgb, width, still, self.keep_pole);
+        let alpha = scratch.0.alpha.iter().map(|a| (a * 255.0 + 0.5) as u8).collect();
+        (alpha, spill::foreground(&scratch.0, key))
     }
+}
+
+/// The usual rule: what has the key's hue and some saturation is background.
+fn plain(image: &RgbImage, key: &Key) -> Vec<u8> {
+    let is_screen = |rgb: [u8; 3]| {
+        let (hue, saturation, value) = hue_saturation_value(rgb);
+        saturation > 0.3 && value > 0.1 && hue_distance(hue, key.hue) < 35.0
+    };
+    image.pixels().map(|p| if is_screen(p.0) { 0 } else { 255 }).collect()
 }
 
 /// Memory kept between frames; one a thread.

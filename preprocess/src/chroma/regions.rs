@@ -12,7 +12,9 @@ const SPECK_PIXELS: usize = 24;
 const HOLE_SHARE: f32 = 0.01;
 /// A hole is one if its mean colour is the screen's up to this share of it: where the screen is seen in other
 /// frames at the same place, where nothing is known, and where it is never seen otherwise.
-const HOLE_TOLERANCE: (f32, f32, f32) = (0.06, 0.04, 0.025);
+const HOLE_TOLERANCE: (f32, f32, f32) = (0.10, 0.08, 0.025);
+/// Pixels of pure screen colour that a hole needs for this to be said.
+const HOLE_PIXELS: f32 = 9.0;
 /// Departure from a still thing, 8-bit levels, at which something else surely stands before it.
 const BEFORE_LEVELS: (i32, i32) = (12, 28);
 
@@ -105,13 +107,15 @@ fn close_reflections(work: &mut Workspace, width: usize, still: Option<&Still>) 
     let mut sums = vec![[0.0_f32; 8]; sizes.len()];
     for (i, label) in labels.iter().enumerate().filter(|(_, l)| enclosed[**l as usize]) {
         let sum = &mut sums[*label as usize];
-        // The rim is mixed with the object and says nothing.
-        let weight = if work.alpha[i] < 0.05 { 1.0 } else { 1e-3 };
-        for c in 0..3 {
-            sum[c] += weight * work.image[c][i];
-            sum[3 + c] += weight * work.screen[c][i];
-        }
         sum[6] += still.map_or(0.0, |s| if s.outside[i] { 0.0 } else { 1.0 });
+        // The rim is mixed with the object and says nothing.
+        if work.alpha[i] > 0.02 {
+            continue;
+        }
+        for c in 0..3 {
+            sum[c] += work.image[c][i];
+            sum[3 + c] += work.screen[c][i];
+        }
         sum[7] += 1.0;
     }
     let closed: Vec<bool> = sums
@@ -125,7 +129,7 @@ fn close_reflections(work: &mut Workspace, width: usize, still: Option<&Still>) 
                 Some(_) if s[6] > 0.5 * s[7] => HOLE_TOLERANCE.0,
                 Some(_) => HOLE_TOLERANCE.2,
             };
-            *enclosed && difference > tolerance
+            *enclosed && s[7] >= HOLE_PIXELS && difference > tolerance
         })
         .collect();
     for (alpha, label) in work.alpha.iter_mut().zip(&labels) {

@@ -1,0 +1,92 @@
+//! Luma key: a lit object in a dark room.
+
+use super::detect::quantile;
+use super::filters::{components, dilate, smooth};
+
+/// The object is brighter than the room by this many spreads of the room's light, and by as many 8-bit levels.
+const SPREADS: f32 = 6.0;
+const LEVELS: f32 = 8.0;
+/// Parts smaller than this share of the largest are lamps and reflections.
+const PART_SHARE: f32 = 0.02;
+
+/// Matte of 8-bit sRGB by light. The room's level is the lower half of the picture's values; dark parts that the
+/// object encloses belong to it.
+pub(crate) fn matte(rgb: &[u8], width: usize) -> Vec<u8> {
+    let light: Vec<f32> = rgb.chunks_exact(3).map(|p| f32::from(p[0].max(p[1]).max(p[2]))).collect();
+    let mut smoothed = Vec::new();
+    smooth(&light, width, &mut smoothed);
+    let mut sample: Vec<f32> = smoothed.iter().step_by(5).copied().collect();
+    let level = quantile(&mut sample, 0.3);
+    let spread = 1.5 * (level - quantile(&mut sample, 0.05));
+    let low = level + (SPREADS * spread).max(LEVELS);
+    let high = 1.5 * low + LEVELS;
+    let bright: Vec<u8> = smoothed.iter().map(|v| u8::from(*v > 0.5 * (low + high))).collect();
+    let mut keep = largest(&bright, width);
+    close_enclosed(&mut keep, width);
+    let near = dilate(&keep, width, 2);
+    let soft = |i: usize| (255.0 * ((smoothed[i] - low) / (high - low)).clamp(0.0, 1.0)) as u8;
+    (0..light.len())
+        .map(|i| {
+            if keep[i] != 0 {
+                255
+            } else if near[i] != 0 {
+                soft(i)
+            } else {
+                0
+            }
+        })
+        .collect()
+}
+
+fn largest(mask: &[u8], width: usize) -> Vec<u8> {
+    let (labels, sizes) = components(mask, width);
+    let least = (PART_SHARE * sizes.iter().copied().max().unwrap_or(0) as f32) as usize;
+    labels.iter().map(|l| u8::from(*l != 0 && sizes[*l as usize] > least)).collect()
+}
+
+fn close_enclosed(mask: &mut [u8], width: usize) {
+    let open: Vec<u8> = mask.iter().map(|v| u8::from(*v == 0)).collect();
+    let (labels, sizes) = components(&open, width);
+    let height = mask.len() / width;
+    let mut outside = vec![false; sizes.len()];
+    for i in (0..mask.len())
+        .filter(|i| i % width == 0 || i % width == width - 1 || *i < width || i / width == height - 1)
+    {
+        outside[labels[i] as usize] = true;
+    }
+    // Large openings are gaps between parts, not dark surfaces.
+    let most = mask.len() / 500;
+    for (m, label) in mask.iter_mut().zip(&labels) {
+        if *label != 0 && !outside[*label as usize] && sizes[*label as usize] < most {
+            *m = 1;
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_lit_object_is_cut_from_a_dark_room_and_keeps_its_dark_spots() {
+        let (width, height) = (120, 90);
+        let rgb: Vec<u8> = (0..width * height)
+            .flat_map(|i| {
+                let (x, y) = (i % width, i / width);
+                let inside = (30..90).contains(&x) && (20..70).contains(&y);
+                let spot = (50..52).contains(&x) && (40..42).contains(&y);
+                let v = if spot {
+                    6
+                } else if inside {
+                    120
+                } else {
+                    4 + (i * 7 % 3) as u8
+                };
+                [v, v, v / 2]
+            })
+            .collect();
+        let matte = matte(&rgb, width);
+        assert_eq!((matte[45 * width + 60], matte[41 * width + 51], matte[5 * width + 5]), (255, 255, 0));
+        assert!(super::matte(&vec![0; 300], 10).iter().all(|v| *v == 0));
+    }
+}

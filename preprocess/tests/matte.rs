@@ -1,0 +1,200 @@
+//! Mattes of a simulated screen against their truth, and captures that have no screen.
+
+mod common;
+#[path = "common/screen.rs"]
+#[allow(dead_code)]
+mod screen;
+
+use common::{Scratch, shared};
+use image::{GrayImage, Rgb, RgbImage};
+use preprocess::chroma::{Background, MatteMode};
+use preprocess::{
+    FrameConfig, KeyConfig, PreprocessError, contact_sheet, matte_frames, photo_frames, video_frames,
+};
+use scene::{FrameSet, Progress};
+use screen::{LIGHTS, Light, Score, Shot, cut_outs, encode, film, score};
+use std::path::Path;
+
+fn matte(set: &FrameSet, out: &Path, config: &KeyConfig) -> Result<FrameSet, PreprocessError> {
+    matte_frames(set, out, config, &Progress::silent())
+}
+
+fn filmed(cut_outs: &[image::RgbaImage], light: Light, folder: &Path) -> (Vec<Shot>, FrameSet) {
+    let shots: Vec<Shot> = cut_outs.iter().enumerate().map(|(i, c)| film(c, light, i as u64)).collect();
+    encode(&shots, &folder.join("video.mp4"));
+    let all = FrameConfig { every: Some(1), duplicate_levels: 0.0, ..FrameConfig::default() };
+    let set =
+        video_frames(&folder.join("video.mp4"), &folder.join("frames"), &all, &Progress::silent()).unwrap();
+    (shots, set)
+}
+
+#[test]
+fn mattes_of_a_noisy_screen_with_spill_meet_their_truth() {
+    for (name, step) in [("lego400", 25), ("temple_ring", 16)] {
+        let Some(folder) = shared(name) else { return };
+        let cut_outs = cut_outs(&folder, step);
+        for light in LIGHTS {
+            let dir = Scratch::new(&format!("matte-{name}-{}", light.gain));
+            let (shots, set) = filmed(&cut_outs, light, &dir.0);
+            let keyed = matte(&set, &dir.0.join("out"), &KeyConfig::default()).unwrap();
+            let scores: Vec<Score> = keyed
+                .frames
+                .iter()
+                .zip(&shots)
+                .map(|(f, s)| {
+                    score(
+                        &image::open(f.mask.as_ref().unwrap()).unwrap().to_luma8(),
+                        &image::open(&f.path).unwrap().to_rgb8(),
+                        s,
+                    )
+                })
+                .collect();
+            let s = Score::mean(&scores);
+            println!("{name} {}: {s:?} {:?}", light.name, keyed.notes);
+            assert!(
+                s.iou >= 0.98 && s.alpha_error <= 0.01 && s.boundary_f >= 0.95 && s.spill <= 2.0,
+                "{name} {}: {s:?}",
+                light.name
+            );
+        }
+    }
+}
+
+#[test]
+fn captures_without_a_screen_come_back_untouched_with_the_evidence() {
+    let small = FrameConfig { max_size: 320, ..FrameConfig::default() };
+    for name in ["fox", "temple_ring", "fountain_p11"] {
+        let Some(folder) = shared(name) else { return };
+        let dir = Scratch::new(&format!("off-{name}"));
+        let set = photo_frames(&folder, &dir.0.join("in"), &small, &Progress::silent()).unwrap();
+        let out = matte(&set, &dir.0.join("out"), &KeyConfig::default()).unwrap();
+        println!("{name}: {:?}", out.notes);
+        assert_eq!(out.frames, set.frames, "{name}");
+        assert!(out.notes.last().unwrap().contains("no screen") && !dir.0.join("out").exists());
+    }
+    for name in ["can_orbit", "checkerboard_rotated"] {
+        let Some(video) = shared(&format!("phone_video/{name}.mp4")) else { return };
+        let dir = Scratch::new(&format!("off-{name}"));
+        let config = FrameConfig { frames: Some(12), end: Some(6.0), ..small.clone() };
+        let set = video_frames(&video, &dir.0.join("in"), &config, &Progress::silent()).unwrap();
+        let out = matte(&set, &dir.0.join("out"), &KeyConfig::default()).unwrap();
+        println!("{name}: {:?}", out.notes);
+        assert_eq!(out.frames, set.frames, "{name}: {:?}", out.notes);
+    }
+}
+
+#[test]
+fn real_screens_are_found_whatever_their_hue() {
+    for (name, share) in [("plane", 2.0..25.0), ("shark", 1.0..25.0), ("lion_olive_key", 10.0..50.0)] {
+        let Some(video) = shared(&format!("greenscreen/{name}.mp4")) else { return };
+        let dir = Scratch::new(&format!("screen-{name}"));
+        let config = FrameConfig { frames: Some(12), max_size: 640, ..FrameConfig::default() };
+        let set = video_frames(&video, &dir.0.join("in"), &config, &Progress::silent()).unwrap();
+        let out = matte(
+            &set,
+            &dir.0.join("out"),
+            &KeyConfig { background: Background::Black, ..KeyConfig::default() },
+        )
+        .unwrap();
+        println!("{name}: {:?}", out.notes);
+        let kept: f64 = out
+            .frames
+            .iter()
+            .map(|f| mean(&image::open(f.mask.as_ref().unwrap()).unwrap().to_luma8()))
+            .sum::<f64>()
+            / out.len() as f64;
+        assert!(share.contains(&(100.0 * kept)), "{name}: {kept}");
+        contact_sheet(&out, &dir.0.join("sheet.png")).unwrap();
+        assert!(image::open(dir.0.join("sheet.png")).unwrap().width() > 200);
+    }
+}
+
+fn mean(mask: &GrayImage) -> f64 {
+    mask.iter().map(|v| f64::from(*v) / 255.0).sum::<f64>() / mask.len() as f64
+}
+
+/// Photos of a green wall with a grey box, a rod two pixels thick and garbage at the right.
+fn painted(dir: &Path, count: u32) -> FrameSet {
+    std::fs::create_dir_all(dir).unwrap();
+    for i in 0..count {
+        let image = RgbImage::from_fn(320, 240, |x, y| {
+            let noise = ((x * 73 + y * 151 + i * 37) % 5) as u8;
+            let shade = 150 + (x / 8) as u8 + noise;
+            if x >= 290 {
+                Rgb([90, 70 + noise, 110])
+            } else if (120..180).contains(&x) && (80..160).contains(&y) {
+                Rgb([120 + noise, 118, 125])
+            } else if (60 + i..62 + i).contains(&x) && (60..200).contains(&y)
+                || (60..120).contains(&x) && (118..120).contains(&y)
+            {
+                Rgb([40, 38, 42])
+            } else {
+                Rgb([30, shade, 50])
+            }
+        });
+        image.save(dir.join(format!("{i:02}.png"))).unwrap();
+    }
+    photo_frames(dir, &dir.with_extension("out"), &FrameConfig::default(), &Progress::silent()).unwrap()
+}
+
+#[test]
+fn thin_rods_stay_and_garbage_beside_the_screen_goes() {
+    let dir = Scratch::new("rods");
+    let set = painted(&dir.0.join("in"), 3);
+    let out = matte(&set, &dir.0.join("out"), &KeyConfig::default()).unwrap();
+    let mask = image::open(out.frames[1].mask.as_ref().unwrap()).unwrap().to_luma8();
+    let rod = (62..198).map(|y| mask.get_pixel(61, y)[0].max(mask.get_pixel(62, y)[0])).min().unwrap();
+    assert!(rod > 200, "{rod}");
+    assert!(mask.get_pixel(150, 120)[0] == 255 && mask.get_pixel(20, 20)[0] == 0);
+    let garbage = (5..235).map(|y| mask.get_pixel(310, y)[0]).max().unwrap();
+    assert_eq!(garbage, 0);
+}
+
+#[test]
+fn modes_and_backgrounds_do_what_they_say() {
+    let dir = Scratch::new("modes");
+    let set = painted(&dir.0.join("in"), 2);
+    let run = |key: &str, matte_mode, background| {
+        let config = KeyConfig { key: key.to_owned(), matte: matte_mode, background, ..KeyConfig::default() };
+        matte(&set, &dir.0.join("out"), &config)
+    };
+    let out = run("green", MatteMode::Plain, Background::Black).unwrap();
+    let mask = image::open(out.frames[0].mask.as_ref().unwrap()).unwrap().to_luma8();
+    assert!(mask.iter().all(|v| *v == 0 || *v == 255), "hard");
+    assert_eq!(image::open(&out.frames[0].path).unwrap().to_rgb8().get_pixel(20, 20).0, [0, 0, 0]);
+    let out = run("auto", MatteMode::Soft, Background::Transparent).unwrap();
+    let image = image::open(&out.frames[0].path).unwrap();
+    assert_eq!((image.color(), image.to_rgba8().get_pixel(20, 20)[3]), (image::ColorType::Rgba8, 0));
+    let out = run("auto", MatteMode::Soft, Background::Keep).unwrap();
+    assert_eq!(
+        image::open(&out.frames[0].path).unwrap().to_rgb8().get_pixel(20, 20),
+        image::open(&set.frames[0].path).unwrap().to_rgb8().get_pixel(20, 20)
+    );
+    assert_eq!(run("off", MatteMode::Soft, Background::Keep).unwrap().frames, set.frames);
+    assert!(run("blue", MatteMode::Soft, Background::Keep).unwrap().notes.iter().any(|n| n.contains("no ")));
+    assert!(run("grene", MatteMode::Soft, Background::Keep).is_err());
+    assert!(contact_sheet(&FrameSet::default(), &dir.0.join("x.png")).is_err());
+}
+
+#[test]
+fn black_white_and_tiny_frames_do_no_harm() {
+    let dir = Scratch::new("extremes");
+    for (i, (size, shade)) in
+        [((1, 1), 0), ((3, 50), 255), ((40, 30), 0), ((64, 64), 128)].into_iter().enumerate()
+    {
+        let folder = dir.0.join(format!("{i}"));
+        std::fs::create_dir_all(&folder).unwrap();
+        RgbImage::from_pixel(size.0, size.1, Rgb([shade, 255 - shade / 2, 10]))
+            .save(folder.join("a.png"))
+            .unwrap();
+        let set =
+            photo_frames(&folder, &dir.0.join("in"), &FrameConfig::default(), &Progress::silent()).unwrap();
+        for key in ["auto", "green", "black", "#ff0000"] {
+            let out =
+                matte(&set, &dir.0.join("out"), &KeyConfig { key: key.to_owned(), ..KeyConfig::default() })
+                    .unwrap();
+            assert_eq!(out.len(), 1, "{key}");
+        }
+    }
+    assert!(matte(&FrameSet::default(), &dir.0.join("out"), &KeyConfig::default()).unwrap().is_empty());
+}
