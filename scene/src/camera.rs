@@ -21,7 +21,8 @@ pub enum CameraModel {
 
 impl CameraModel {
     /// Every model, in the order of COLMAP's numbers.
-    pub const ALL: [Self; 5] = [Self::SimplePinhole, Self::Pinhole, Self::SimpleRadial, Self::Radial, Self::Opencv];
+    pub const ALL: [Self; 5] =
+        [Self::SimplePinhole, Self::Pinhole, Self::SimpleRadial, Self::Radial, Self::Opencv];
 
     /// COLMAP's name of the model.
     pub fn name(self) -> &'static str {
@@ -181,7 +182,8 @@ impl Camera {
 
     /// The camera of the same image at another size (pixels scale about the image corner).
     pub fn scaled(&self, width: u32, height: u32) -> Self {
-        let s = DVec2::new(f64::from(width) / f64::from(self.width), f64::from(height) / f64::from(self.height));
+        let s =
+            DVec2::new(f64::from(width) / f64::from(self.width), f64::from(height) / f64::from(self.height));
         let mut camera = Self { width, height, ..self.clone() };
         let n = self.model.num_focals();
         camera.params[0] *= if n == 1 { (s.x + s.y) / 2.0 } else { s.x };
@@ -208,7 +210,8 @@ mod tests {
                 *p = k;
             }
             for i in 0..100 {
-                let x = DVec3::new(f64::from(i % 10) * 0.1 - 0.45, f64::from(i / 10) * 0.08 - 0.36, 1.0) * 3.0;
+                let x =
+                    DVec3::new(f64::from(i % 10) * 0.1 - 0.45, f64::from(i / 10) * 0.08 - 0.36, 1.0) * 3.0;
                 let pixel = camera.project(x).unwrap();
                 let u = camera.unproject(pixel);
                 assert!((u - x.truncate() / x.z).length() < 1e-10, "{model:?} {x}");

@@ -35,7 +35,8 @@ impl FloatImage {
 
     /// Luma (Rec. 601 weights on sRGB values) of 8-bit sRGB.
     pub fn luma(image: &RgbImage) -> Self {
-        let luma = |p: &[u8]| (0.299 * f32::from(p[0]) + 0.587 * f32::from(p[1]) + 0.114 * f32::from(p[2])) / 255.0;
+        let luma =
+            |p: &[u8]| (0.299 * f32::from(p[0]) + 0.587 * f32::from(p[1]) + 0.114 * f32::from(p[2])) / 255.0;
         let data = image.as_raw().chunks_exact(3).map(luma).collect();
         Self { width: image.width() as usize, height: image.height() as usize, channels: 1, data }
     }
@@ -51,7 +52,11 @@ impl FloatImage {
         let byte = |v: f32| (v.clamp(0.0, 1.0) * 255.0).round() as u8;
         RgbImage::from_fn(self.width as u32, self.height as u32, |x, y| {
             let p = self.pixel(x as usize, y as usize);
-            image::Rgb([byte(p[0]), byte(p[if self.channels > 1 { 1 } else { 0 }]), byte(p[self.channels - 1])])
+            image::Rgb([
+                byte(p[0]),
+                byte(p[if self.channels > 1 { 1 } else { 0 }]),
+                byte(p[self.channels - 1]),
+            ])
         })
     }
 }

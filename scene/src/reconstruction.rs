@@ -68,7 +68,10 @@ impl Reconstruction {
     pub fn validate(&self) -> Result<(), String> {
         for image in self.images.values() {
             if !self.cameras.contains_key(&image.camera) {
-                return Err(format!("image {} refers to camera {}, which is missing", image.name, image.camera));
+                return Err(format!(
+                    "image {} refers to camera {}, which is missing",
+                    image.name, image.camera
+                ));
             }
             if !image.pose.is_finite() {
                 return Err(format!("image {} has a pose that is not finite", image.name));
@@ -77,7 +80,10 @@ impl Reconstruction {
                 if let Some(id) = observation.point
                     && !self.points.contains_key(&id)
                 {
-                    return Err(format!("keypoint {i} of {} refers to point {id}, which is missing", image.name));
+                    return Err(format!(
+                        "keypoint {i} of {} refers to point {id}, which is missing",
+                        image.name
+                    ));
                 }
             }
         }
@@ -94,7 +100,10 @@ impl Reconstruction {
                     .get(&element.image)
                     .and_then(|image| image.observations.get(element.observation as usize));
                 if seen.and_then(|o| o.point) != Some(*id) {
-                    return Err(format!("point {id} and image {} disagree about keypoint {}", element.image, element.observation));
+                    return Err(format!(
+                        "point {id} and image {} disagree about keypoint {}",
+                        element.image, element.observation
+                    ));
                 }
             }
         }

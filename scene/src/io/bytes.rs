@@ -45,11 +45,9 @@ impl<'a> ByteReader<'a> {
     }
 
     read_le!(u8, u8);
-    read_le!(u16, u16);
     read_le!(u32, u32);
     read_le!(i32, i32);
     read_le!(u64, u64);
-    read_le!(f32, f32);
     read_le!(f64, f64);
 
     /// N doubles.

@@ -9,13 +9,22 @@ mod bytes;
 mod colmap_bin;
 mod colmap_txt;
 mod error;
+pub mod exif;
+pub mod load;
 mod model;
 mod name;
+pub mod ply;
+pub mod transforms;
+pub mod truth;
 
 pub use atomic::{replace_folder, write_atomic};
 pub use error::IoError;
+pub use load::{ImageInfo, LoadedImage, image_info, load_image, load_mask, load_rgb, resize_area};
 pub use model::{find_model, has_model, read_model, write_model_bin, write_model_txt};
 pub use name::{UnsafeName, safe_name};
+pub use ply::{CloudPoint, read_points_ply, read_splat_ply, write_points_ply, write_splat_ply};
+pub use transforms::{TransformsFile, TransformsFrame, TransformsOptions, read_transforms, write_transforms};
+pub use truth::read_truth;
 
 /// A fresh folder for a test.
 #[cfg(test)]

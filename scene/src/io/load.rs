@@ -1,0 +1,242 @@
+//! Images from disk: upright, 8-bit, within limits; and what their headers say.
+
+use super::error::IoError;
+use super::exif::ExifCamera;
+use image::metadata::Orientation;
+use image::{DynamicImage, GrayImage, ImageBuffer, ImageDecoder, ImageReader, Limits, Pixel, RgbImage};
+use std::fs::File;
+use std::io::BufReader;
+use std::path::Path;
+
+/// The longest side that is decoded, pixels.
+const MAX_SIDE: u32 = 65_535;
+/// The most decoded bytes of one image.
+const MAX_BYTES: u64 = 1 << 30;
+
+/// An upright 8-bit image.
+#[derive(Clone, Debug)]
+pub struct LoadedImage {
+    /// Colour as stored (not multiplied by alpha).
+    pub rgb: RgbImage,
+    /// Alpha, where the file has a channel for it: 255 = opaque.
+    pub alpha: Option<GrayImage>,
+}
+
+/// What the header of an image says.
+#[derive(Clone, Debug, PartialEq)]
+pub struct ImageInfo {
+    /// Width of the upright image, pixels.
+    pub width: u32,
+    /// Height of the upright image, pixels.
+    pub height: u32,
+    /// Whether it has an alpha channel.
+    pub has_alpha: bool,
+    /// What EXIF says.
+    pub exif: ExifCamera,
+    /// Focal length according to EXIF, pixels of this image.
+    pub focal_prior_px: Option<f64>,
+}
+
+fn image_error(path: &Path) -> impl Fn(image::ImageError) -> IoError + '_ {
+    |error| match error {
+        image::ImageError::IoError(source) if source.kind() == std::io::ErrorKind::NotFound => {
+            IoError::File { action: "read", path: path.into(), source }
+        }
+        error => IoError::Image {
+            path: path.into(),
+            message: format!("{error}; convert it to an 8-bit PNG or JPEG"),
+        },
+    }
+}
+
+fn open(path: &Path) -> Result<ImageReader<BufReader<File>>, IoError> {
+    let reader = ImageReader::open(path).map_err(IoError::file("read", path))?;
+    let mut reader = reader.with_guessed_format().map_err(IoError::file("read", path))?;
+    let mut limits = Limits::no_limits();
+    limits.max_image_width = Some(MAX_SIDE);
+    limits.max_image_height = Some(MAX_SIDE);
+    limits.max_alloc = Some(MAX_BYTES);
+    reader.limits(limits);
+    Ok(reader)
+}
+
+fn check_size(path: &Path, decoder: &impl ImageDecoder) -> Result<(), IoError> {
+    let (w, h) = decoder.dimensions();
+    if w == 0 || h == 0 || w > MAX_SIDE || h > MAX_SIDE || decoder.total_bytes() > MAX_BYTES {
+        let message =
+            format!("{w} × {h} pixels; accepted are 1 to {MAX_SIDE} a side and {MAX_BYTES} decoded bytes");
+        return Err(IoError::Image { path: path.into(), message });
+    }
+    Ok(())
+}
+
+/// The EXIF orientation; damaged metadata counts as none.
+fn orientation(decoder: &mut impl ImageDecoder) -> Orientation {
+    decoder.orientation().unwrap_or(Orientation::NoTransforms)
+}
+
+fn decode(path: &Path) -> Result<DynamicImage, IoError> {
+    let mut decoder = open(path)?.into_decoder().map_err(image_error(path))?;
+    check_size(path, &decoder)?;
+    let turn = orientation(&mut decoder);
+    let mut image = DynamicImage::from_decoder(decoder).map_err(image_error(path))?;
+    image.apply_orientation(turn);
+    Ok(image)
+}
+
+/// An image of any bit depth and channel count as 8-bit colour and alpha, turned upright as EXIF says.
+pub fn load_image(path: &Path) -> Result<LoadedImage, IoError> {
+    let image = decode(path)?;
+    let alpha = image.color().has_alpha().then(|| {
+        let rgba = image.to_rgba8();
+        let values = rgba.pixels().map(|p| p.0[3]).collect();
+        GrayImage::from_raw(rgba.width(), rgba.height(), values).unwrap_or_default()
+    });
+    Ok(LoadedImage { rgb: image.into_rgb8(), alpha })
+}
+
+/// The colours of an image, 8 bits, upright; alpha is left out, not multiplied in.
+pub fn load_rgb(path: &Path) -> Result<RgbImage, IoError> {
+    Ok(decode(path)?.into_rgb8())
+}
+
+/// A mask: grey value times alpha, 8 bits, upright; white = keep.
+pub fn load_mask(path: &Path) -> Result<GrayImage, IoError> {
+    let image = decode(path)?;
+    if !image.color().has_alpha() {
+        return Ok(image.into_luma8());
+    }
+    let both = image.into_luma_alpha8();
+    let product = |p: &image::LumaA<u8>| ((u16::from(p.0[0]) * u16::from(p.0[1]) + 127) / 255) as u8;
+    let values = both.pixels().map(product).collect();
+    Ok(GrayImage::from_raw(both.width(), both.height(), values).unwrap_or_default())
+}
+
+/// Size, alpha and EXIF of an image without decoding its pixels.
+pub fn image_info(path: &Path) -> Result<ImageInfo, IoError> {
+    let mut decoder = open(path)?.into_decoder().map_err(image_error(path))?;
+    check_size(path, &decoder)?;
+    let exif = decoder.exif_metadata().ok().flatten().map(|c| ExifCamera::parse(&c)).unwrap_or_default();
+    let (mut width, mut height) = decoder.dimensions();
+    if turns_sideways(orientation(&mut decoder)) {
+        std::mem::swap(&mut width, &mut height);
+    }
+    let focal_prior_px = exif.focal_px(width, height);
+    Ok(ImageInfo { width, height, has_alpha: decoder.color_type().has_alpha(), exif, focal_prior_px })
+}
+
+fn turns_sideways(orientation: Orientation) -> bool {
+    use Orientation::{Rotate90, Rotate90FlipH, Rotate270, Rotate270FlipH};
+    matches!(orientation, Rotate90 | Rotate270 | Rotate90FlipH | Rotate270FlipH)
+}
+
+/// For each target pixel along one axis: the first source pixel and the weights (summing to 1) of its box.
+fn boxes(from: u32, to: u32) -> Vec<(usize, Vec<f32>)> {
+    let scale = f64::from(from) / f64::from(to);
+    let span = |i: u32| {
+        let (a, b) = (f64::from(i) * scale, (f64::from(i + 1) * scale).min(f64::from(from)));
+        let first = (a as usize).min(from as usize - 1);
+        let last = (b.ceil() as usize).clamp(first + 1, from as usize);
+        let overlap = |j: usize| (b.min(j as f64 + 1.0) - a.max(j as f64)).max(0.0);
+        let total: f64 = (first..last).map(overlap).sum();
+        (first, (first..last).map(|j| (overlap(j) / total) as f32).collect())
+    };
+    (0..to).map(span).collect()
+}
+
+/// The image at another size: every target pixel is the mean of the source over its own area (exact for any
+/// ratio; sRGB values, not linear light). Sizes of 0 become 1.
+pub fn resize_area<P: Pixel<Subpixel = u8>>(
+    image: &ImageBuffer<P, Vec<u8>>,
+    width: u32,
+    height: u32,
+) -> ImageBuffer<P, Vec<u8>> {
+    let (width, height) = (width.max(1), height.max(1));
+    if (width, height) == image.dimensions() || image.is_empty() {
+        return image.clone();
+    }
+    let channels = P::CHANNEL_COUNT as usize;
+    let stride = image.width() as usize * channels;
+    let columns = boxes(image.width(), width);
+    let mut out = ImageBuffer::new(width, height);
+    let mut sums = vec![0.0_f32; stride];
+    let target_stride = width as usize * channels;
+    for ((first, weights), target) in
+        boxes(image.height(), height).iter().zip(out.chunks_exact_mut(target_stride))
+    {
+        sums.fill(0.0);
+        for (row, &weight) in image.as_raw()[first * stride..].chunks_exact(stride).zip(weights) {
+            sums.iter_mut().zip(row).for_each(|(s, &v)| *s += weight * f32::from(v));
+        }
+        for ((first, weights), pixel) in columns.iter().zip(target.chunks_exact_mut(channels)) {
+            for (c, value) in pixel.iter_mut().enumerate() {
+                let source = sums[first * channels + c..].iter().step_by(channels);
+                *value = (source.zip(weights).map(|(s, w)| s * w).sum::<f32>() + 0.5) as u8;
+            }
+        }
+    }
+    out
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::io::test_folder;
+
+    #[test]
+    fn area_resizing_averages_boxes_exactly() {
+        let image = RgbImage::from_fn(6, 4, |x, y| image::Rgb([(x * 40) as u8, (y * 60) as u8, 7]));
+        let half = resize_area(&image, 3, 2);
+        assert_eq!(half.get_pixel(1, 0).0, [100, 30, 7]);
+        let odd = resize_area(&image, 4, 4); // boxes 1.5 wide: (0 + 40/2) / 1.5 …
+        assert_eq!(odd.get_pixel(0, 3).0, [13, 180, 7]);
+        assert_eq!(resize_area(&image, 1, 1).get_pixel(0, 0).0, [100, 90, 7]);
+        assert_eq!(resize_area(&image, 12, 8).get_pixel(11, 7), image.get_pixel(5, 3));
+        assert_eq!(resize_area(&image, 0, 2).dimensions(), (1, 2));
+    }
+
+    #[test]
+    fn sixteen_bit_grey_and_alpha_become_eight_bit_colour() {
+        let dir = test_folder("load");
+        let path = dir.join("grey16.png");
+        image::ImageBuffer::<image::Luma<u16>, _>::from_pixel(3, 2, image::Luma([0x8080]))
+            .save(&path)
+            .unwrap();
+        assert_eq!(load_rgb(&path).unwrap().get_pixel(2, 1).0, [128; 3]);
+        assert!(load_image(&path).unwrap().alpha.is_none());
+        let path = dir.join("rgba.png");
+        image::RgbaImage::from_pixel(3, 2, image::Rgba([200, 100, 50, 51])).save(&path).unwrap();
+        let loaded = load_image(&path).unwrap();
+        assert_eq!(loaded.rgb.get_pixel(0, 0).0, [200, 100, 50]);
+        assert_eq!(loaded.alpha.unwrap().get_pixel(0, 0).0, [51]);
+        let path = dir.join("mask.png");
+        image::GrayAlphaImage::from_pixel(2, 2, image::LumaA([100, 51])).save(&path).unwrap();
+        assert_eq!(load_mask(&path).unwrap().get_pixel(0, 0).0, [20]);
+        assert!(image_info(&path).unwrap().has_alpha);
+    }
+
+    #[test]
+    fn an_image_that_claims_to_be_enormous_is_refused_quickly() {
+        let path = test_folder("bomb").join("bomb.png");
+        image::GrayImage::new(4, 4).save(&path).unwrap();
+        let mut bytes = std::fs::read(&path).unwrap();
+        for (side, at) in [(60_000u32, 16), (60_000, 20)] {
+            bytes[at..at + 4].copy_from_slice(&side.to_be_bytes());
+        }
+        let crc = crc32(&bytes[12..29]);
+        bytes[29..33].copy_from_slice(&crc.to_be_bytes());
+        std::fs::write(&path, &bytes).unwrap();
+        assert!(matches!(load_rgb(&path), Err(IoError::Image { .. })));
+        std::fs::write(&path, b"not an image").unwrap();
+        assert!(load_rgb(&path).is_err() && image_info(&path).is_err());
+        assert!(
+            load_rgb(&path.with_file_name("none.png")).unwrap_err().to_string().starts_with("cannot read")
+        );
+    }
+
+    fn crc32(data: &[u8]) -> u32 {
+        !data.iter().fold(!0u32, |crc, &b| {
+            (0..8).fold(crc ^ u32::from(b), |c, _| if c & 1 == 1 { (c >> 1) ^ 0xedb8_8320 } else { c >> 1 })
+        })
+    }
+}

@@ -1,1 +1,0 @@
-//! Similarity transforms and the robust alignment of two reconstructions.

@@ -1,1 +1,0 @@
-//! Exact synthetic scenes for tests and benches.
