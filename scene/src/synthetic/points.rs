@@ -273,7 +273,7 @@ mod tests {
                     );
                     let errors = scene.truth.reprojection_errors();
                     assert!(
-                        errors.len() > 900 && errors.iter().all(|&e| e < 1e-9),
+                        errors.len() > 600 && errors.iter().all(|&e| e < 1e-9),
                         "{shape:?} {path:?} {unit}"
                     );
                     assert!(scene.matches(0, 1).len() > 50);
