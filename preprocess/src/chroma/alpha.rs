@@ -13,11 +13,11 @@ const MIN_PEAK: f32 = 0.30;
 /// Weight of a mixed pixel beside a solid one when the foreground's colour is learnt.
 const MIXED_WEIGHT: f32 = 0.05;
 /// Chroma of 4:2:0 video is blurred: standard deviation of alpha from chroma at an edge.
-const CHROMA_ERROR: f32 = 0.20;
+const CHROMA_ERROR: f32 = 0.15;
 /// The same for luma.
-const LUMA_ERROR: f32 = 0.15;
+const LUMA_ERROR: f32 = 0.20;
 /// The object's rim is lit by the screen and mixes with its blur: alpha falls short by this factor there.
-const RIM_GAIN: f32 = 1.22;
+const RIM_GAIN: f32 = 1.25;
 /// Smoothing has made the edge this much too soft.
 const EDGE_CONTRAST: f32 = 1.15;
 
