@@ -1,4 +1,8 @@
 //! Matching of descriptors: exhaustive or along known epipolar lines, with the ratio test and the mutual test (Lowe 2004, section 7.1).
+//!
+//! No pair is skipped after a look at its coarsest features: on `temple_ring` the 300 largest of each image, asked
+//! for five matches, would spare half of the unrelated pairs, but lose one in eight of those with 30 to 60 matches,
+//! which hold wide steps together.
 
 #[cfg(target_arch = "x86_64")]
 mod avx2;

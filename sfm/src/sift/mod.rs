@@ -46,6 +46,16 @@ struct Candidate {
 /// `mask` (white = keep; any size, stretched over the image) drops keypoints that lie in black; it never changes
 /// the pixels, so it makes no edges. Positions and scales are in input pixels, the first pixel's centre at 0.5.
 pub fn extract(image: &FloatImage, mask: Option<&GrayImage>, config: &SiftConfig) -> Features {
+    extract_with(&mut Vec::new(), image, mask, config)
+}
+
+/// [`extract`] in memory that the next image uses again.
+fn extract_with(
+    octaves: &mut Vec<Octave>,
+    image: &FloatImage,
+    mask: Option<&GrayImage>,
+    config: &SiftConfig,
+) -> Features {
     let work = working_image(image, config.max_feature_size);
     if work.width < MIN_OCTAVE_SIDE || work.height < MIN_OCTAVE_SIDE {
         return Features::default();
@@ -62,14 +72,14 @@ pub fn extract(image: &FloatImage, mask: Option<&GrayImage>, config: &SiftConfig
         }
     };
     let statistics = ImageStatistics::measure(&work, |x, y| keep(x as f32 + 0.5, y as f32 + 0.5));
-    let octaves = scale_space(&work, config);
+    let octaves = scale_space(octaves, &work, config);
     let mut candidates = Vec::new();
     for (index, octave) in octaves.iter().enumerate() {
         candidates.extend(octave_candidates(octave, index, &statistics, config, keep));
     }
     let size = [work.width as f32, work.height as f32];
     let chosen = spread::strongest_everywhere(&candidates, config.max_features, size);
-    describe_all(&octaves, &chosen, ratio)
+    describe_all(octaves, &chosen, ratio)
 }
 
 /// The image as a finite plane, reduced where its longer side is above `max_side`.
@@ -86,22 +96,24 @@ fn working_image(image: &FloatImage, max_side: usize) -> Plane {
     blur::reduce(&plane, side(image.width), side(image.height))
 }
 
-fn scale_space(work: &Plane, config: &SiftConfig) -> Vec<Octave> {
-    let mut octaves: Vec<Octave> = Vec::new();
-    while octaves.len() < config.octaves.max(1) {
-        let mut octave = Octave::default();
-        match octaves.last() {
+/// The scale space of an image, built in `octaves`; the part of them that is in use.
+fn scale_space<'a>(octaves: &'a mut Vec<Octave>, work: &Plane, config: &SiftConfig) -> &'a [Octave] {
+    octaves.resize_with(config.octaves.max(1), Octave::default);
+    let mut used = 0;
+    while used < octaves.len() {
+        let (finer, rest) = octaves.split_at_mut(used);
+        match finer.last() {
             None => {
-                octave.first(work, config.doubles(work.width, work.height), config.scales_per_octave, 1.0)
+                rest[0].first(work, config.doubles(work.width, work.height), config.scales_per_octave, 1.0)
             }
-            Some(finer) => octave.next_of(finer),
+            Some(finer) => rest[0].next_of(finer),
         }
-        if octave.levels[0].width.min(octave.levels[0].height) < MIN_OCTAVE_SIDE {
+        if rest[0].levels[0].width.min(rest[0].levels[0].height) < MIN_OCTAVE_SIDE {
             break;
         }
-        octaves.push(octave);
+        used += 1;
     }
-    octaves
+    &octaves[..used]
 }
 
 /// Oriented keypoints of one octave, positions in working pixels.
@@ -169,15 +181,15 @@ pub fn extract_all(
     progress: &Progress,
 ) -> Result<Vec<Features>, SfmError> {
     progress.begin("features", frames.len());
-    let one = |frame: &Frame| {
+    let one = |octaves: &mut Vec<Octave>, frame: &Frame| {
         progress.check()?;
         let luma = load_luma(frame)?;
         let mask = frame.mask.as_deref().map(|path| read_mask(path, frame)).transpose()?;
-        let features = extract(&luma, mask.as_ref(), config);
+        let features = extract_with(octaves, &luma, mask.as_ref(), config);
         progress.tick_with(&format!("{} in {}", features.len(), frame.name))?;
         Ok(features)
     };
-    frames.frames.par_iter().with_max_len(1).map(one).collect()
+    frames.frames.par_iter().with_max_len(1).map_init(Vec::new, one).collect()
 }
 
 fn load_luma(frame: &Frame) -> Result<FloatImage, SfmError> {
