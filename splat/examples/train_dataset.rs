@@ -57,29 +57,45 @@ fn main() -> Result<(), Box<dyn Error>> {
     if let Some(quality) = Cli::try_parse().ok().and_then(|c| c.quality) {
         let flags = quality.flags().iter().flat_map(|(f, v)| [format!("--{f}"), (*v).to_owned()]);
         let typed = arguments.clone();
-        arguments.extend(flags.collect::<Vec<_>>().chunks(2).filter(|f| !typed.contains(&f[0])).flatten().cloned());
+        arguments.extend(
+            flags.collect::<Vec<_>>().chunks(2).filter(|f| !typed.contains(&f[0])).flatten().cloned(),
+        );
     }
     let mut cli = Cli::parse_from(arguments);
     cli.train.seed = cli.seed;
     static NEVER: AtomicBool = AtomicBool::new(false);
     let progress = Progress::new(Box::new(Plain), &NEVER);
     let model = read(&cli.dataset)?;
-    let images = if cli.dataset.join("sparse").is_dir() { cli.dataset.join("images") } else { cli.dataset.clone() };
+    let images =
+        if cli.dataset.join("sparse").is_dir() { cli.dataset.join("images") } else { cli.dataset.clone() };
     let clock = Instant::now();
     let dataset = Dataset::load(&images, cli.masks.as_deref(), &model, &cli.data, &progress)?;
-    println!("{} views, {} points, loaded in {:.2} s", dataset.views.len(), dataset.points.len(), clock.elapsed().as_secs_f64());
+    println!(
+        "{} views, {} points, loaded in {:.2} s",
+        dataset.views.len(),
+        dataset.points.len(),
+        clock.elapsed().as_secs_f64()
+    );
     let (clock, cpu) = (Instant::now(), cpu_seconds());
     let result = train(&dataset, &cli.train, cli.checkpoint.as_deref(), &progress)?;
     let (wall, cpu) = (clock.elapsed().as_secs_f64(), cpu_seconds() - cpu);
     for point in result.curve.iter().step_by((result.curve.len() / 12).max(1)) {
-        println!("  {:6} {:7.2} s  loss {:.4}  {:.2} dB  {} gaussians", point.iteration, point.seconds, point.loss, point.psnr, point.gaussians);
+        println!(
+            "  {:6} {:7.2} s  loss {:.4}  {:.2} dB  {} gaussians",
+            point.iteration, point.seconds, point.loss, point.psnr, point.gaussians
+        );
     }
     result.decisions.iter().for_each(|d| println!("  {}: {} ({})", d.subject, d.choice, d.evidence));
     let t = &result.timings;
     let steps = f64::from(result.iterations) / 1e3;
     println!(
         "ms a step: project {:.2} sort {:.2} forward {:.2} loss {:.2} backward {:.2} optimise {:.2}",
-        t.project / steps, t.sort / steps, t.forward / steps, t.loss / steps, t.backward / steps, t.optimise / steps
+        t.project / steps,
+        t.sort / steps,
+        t.forward / steps,
+        t.loss / steps,
+        t.backward / steps,
+        t.optimise / steps
     );
     std::fs::create_dir_all(&cli.out)?;
     scene::io::write_splat_ply(&cli.out.join("splat.ply"), &result.gaussians)?;
@@ -88,7 +104,14 @@ fn main() -> Result<(), Box<dyn Error>> {
     let least = scores.iter().map(|s| s[0]).fold(f64::INFINITY, f64::min);
     println!(
         "RESULT psnr {:.3} ssim {:.4} min {:.2} | {} gaussians {} steps | wall {:.1} s cpu {:.1} s | peak {} MiB",
-        mean(0), mean(1), least, result.gaussians.len(), result.iterations, wall, cpu, peak_mib()
+        mean(0),
+        mean(1),
+        least,
+        result.gaussians.len(),
+        result.iterations,
+        wall,
+        cpu,
+        peak_mib()
     );
     Ok(())
 }
@@ -100,7 +123,12 @@ fn read(folder: &Path) -> Result<Reconstruction, Box<dyn Error>> {
     }
 }
 
-fn evaluate(cli: &Cli, dataset: &Dataset, gaussians: &scene::Gaussians, options: &RenderOptions) -> Result<Vec<[f64; 2]>, Box<dyn Error>> {
+fn evaluate(
+    cli: &Cli,
+    dataset: &Dataset,
+    gaussians: &scene::Gaussians,
+    options: &RenderOptions,
+) -> Result<Vec<[f64; 2]>, Box<dyn Error>> {
     let mut renderer = Renderer::new(gaussians)?;
     let options = RenderOptions { background: [cli.ground; 3], ..*options };
     let (mut scores, mut spent) = (Vec::new(), 0.0);
@@ -117,7 +145,8 @@ fn evaluate(cli: &Cli, dataset: &Dataset, gaussians: &scene::Gaussians, options:
             let byte = |c: usize| f32::from(pixels.rgb[i * 3 + c]) * a + 255.0 * cli.ground * (1.0 - a);
             Rgb([0, 1, 2].map(|c| byte(c).round() as u8))
         });
-        let score = [scene::metrics::psnr(&photo, &rendered, None)?, scene::metrics::ssim(&photo, &rendered, None)?];
+        let score =
+            [scene::metrics::psnr(&photo, &rendered, None)?, scene::metrics::ssim(&photo, &rendered, None)?];
         println!("  {} {:.2} dB {:.4}", view.name, score[0], score[1]);
         scores.push(score);
         if !cli.no_pictures {

@@ -29,7 +29,8 @@ impl PinholeView {
 
     /// The view at a resolution of `1 / 2^level`, sizes rounded down (at least 1), scaled about the image corner.
     pub fn at_level(&self, level: u32) -> Self {
-        let (width, height) = (crate::dataset::level_size(self.width, level), crate::dataset::level_size(self.height, level));
+        let (width, height) =
+            (crate::dataset::level_size(self.width, level), crate::dataset::level_size(self.height, level));
         let (sx, sy) = (width as f32 / self.width as f32, height as f32 / self.height as f32);
         Self {
             focal: [self.focal[0] * sx, self.focal[1] * sy],

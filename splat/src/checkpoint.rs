@@ -59,7 +59,12 @@ fn arrays<'a>(model: &'a mut Model, statistics: &'a mut Statistics) -> Vec<&'a m
     let mut all: Vec<&mut Vec<f32>> = Vec::new();
     all.extend(geometry.iter_mut().chain(geometry_m).chain(geometry_v));
     all.extend([sh, sh_m, sh_v, steps]);
-    all.extend([&mut statistics.gradient, &mut statistics.visible, &mut statistics.weight, &mut statistics.radius]);
+    all.extend([
+        &mut statistics.gradient,
+        &mut statistics.visible,
+        &mut statistics.weight,
+        &mut statistics.radius,
+    ]);
     all
 }
 
@@ -68,7 +73,8 @@ impl Checkpoint {
     pub fn write(&mut self, folder: &Path) -> Result<(), SplatError> {
         let path = folder.join(FILE);
         let failed = |source| SplatError::CheckpointWrite { path: path.clone(), source };
-        let header = Header { state: self.state.clone(), len: self.model.len, sh_degree: self.model.sh_degree };
+        let header =
+            Header { state: self.state.clone(), len: self.model.len, sh_degree: self.model.sh_degree };
         let header = serde_json::to_vec(&header).map_err(|e| failed(e.into()))?;
         std::fs::create_dir_all(folder).map_err(failed)?;
         let partial = folder.join(format!("{FILE}.partial"));
@@ -124,7 +130,11 @@ fn parse(bytes: &[u8]) -> Result<Checkpoint, String> {
         *array = own.as_chunks::<4>().0.iter().map(|&b| f32::from_le_bytes(b)).collect();
         rest = next;
     }
-    if rest.is_empty() { Ok(Checkpoint { state: header.state, model, statistics }) } else { Err("it is too long".to_owned()) }
+    if rest.is_empty() {
+        Ok(Checkpoint { state: header.state, model, statistics })
+    } else {
+        Err("it is too long".to_owned())
+    }
 }
 
 #[cfg(test)]
@@ -146,7 +156,8 @@ mod tests {
         let model = Model::from_gaussians(&gaussians);
         let mut statistics = Statistics::default();
         statistics.reset(n);
-        let state = State { iteration: 7, position: 0.1 + 0.2, fingerprint: "x".to_owned(), ..State::default() };
+        let state =
+            State { iteration: 7, position: 0.1 + 0.2, fingerprint: "x".to_owned(), ..State::default() };
         Checkpoint { state, model, statistics }
     }
 
@@ -158,7 +169,10 @@ mod tests {
         let mut read = Checkpoint::read(&folder, "x").unwrap().unwrap();
         assert_eq!(read.state, checkpoint.state);
         let bits = |c: &mut Checkpoint| -> Vec<u32> {
-            arrays(&mut c.model, &mut c.statistics).into_iter().flat_map(|a| a.iter().map(|v| v.to_bits()).collect::<Vec<_>>()).collect()
+            arrays(&mut c.model, &mut c.statistics)
+                .into_iter()
+                .flat_map(|a| a.iter().map(|v| v.to_bits()).collect::<Vec<_>>())
+                .collect()
         };
         assert_eq!(bits(&mut read), bits(&mut checkpoint));
         assert!(Checkpoint::read(&folder, "y").unwrap().is_none(), "another configuration starts afresh");

@@ -21,10 +21,10 @@ impl Quality {
     /// The flags this preset places before the typed ones.
     pub fn flags(self) -> &'static [(&'static str, &'static str)] {
         match self {
-            Self::Draft => &[("iterations", "1000"), ("max-gaussians", "30000"), ("sh-degree", "1")],
-            Self::Fast => &[("iterations", "3000"), ("max-gaussians", "60000"), ("sh-degree", "2")],
+            Self::Draft => &[("iterations", "500"), ("max-gaussians", "30000"), ("sh-degree", "2")],
+            Self::Fast => &[("iterations", "1500"), ("max-gaussians", "60000")],
             Self::Balanced => &[],
-            Self::Best => &[("iterations", "30000"), ("max-gaussians", "400000")],
+            Self::Best => &[("iterations", "15000"), ("max-gaussians", "400000")],
         }
     }
 }
@@ -64,7 +64,7 @@ pub struct TrainConfig {
     pub seed: u64,
 }
 
-const ITERATIONS: u32 = 7000;
+const ITERATIONS: u32 = 4000;
 const MAX_GAUSSIANS: usize = 150_000;
 const LAMBDA_DSSIM: f32 = 0.2;
 const CHECKPOINT_EVERY: u32 = 1000;

@@ -211,12 +211,18 @@ fn mat3(m: DMat3) -> Mat3 {
 
 fn pinhole_camera<'a>(model: &'a Reconstruction, image: &PosedImage) -> Result<&'a Camera, SplatError> {
     let Some(camera) = model.cameras.get(&image.camera) else {
-        return Err(SplatError::NotPinhole { name: image.name.clone(), camera: image.camera, model: "missing" });
+        return Err(SplatError::NotPinhole {
+            name: image.name.clone(),
+            camera: image.camera,
+            model: "missing",
+        });
     };
     match camera.model {
         CameraModel::Pinhole | CameraModel::SimplePinhole => Ok(camera),
         _ if camera.distortion().iter().all(|&k| k == 0.0) => Ok(camera),
-        other => Err(SplatError::NotPinhole { name: image.name.clone(), camera: camera.id, model: other.name() }),
+        other => {
+            Err(SplatError::NotPinhole { name: image.name.clone(), camera: camera.id, model: other.name() })
+        }
     }
 }
 
@@ -274,9 +280,11 @@ fn shrink(full: &Pixels, level: u32) -> Pixels {
     let mut rgb = Vec::with_capacity(width * height * 3);
     let mut mask = full.mask.as_ref().map(|_| Vec::with_capacity(width * height));
     for y in 0..height {
-        let rows = y * full.height / height..((y + 1) * full.height / height).max(y * full.height / height + 1);
+        let rows =
+            y * full.height / height..((y + 1) * full.height / height).max(y * full.height / height + 1);
         for x in 0..width {
-            let columns = x * full.width / width..((x + 1) * full.width / width).max(x * full.width / width + 1);
+            let columns =
+                x * full.width / width..((x + 1) * full.width / width).max(x * full.width / width + 1);
             let (mut sum, mut weight, mut plain, mut count) = ([0u32; 3], 0u32, [0u32; 3], 0u32);
             for i in rows.clone().flat_map(|r| columns.clone().map(move |c| r * full.width + c)) {
                 let w = full.mask.as_ref().map_or(255, |m| u32::from(m[i]));

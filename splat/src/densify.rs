@@ -26,7 +26,14 @@ pub struct Densified {
 }
 
 /// Adds up to `room` Gaussians, those with the greatest mean screen gradient first, and removes the transparent.
-pub fn densify(model: &mut Model, statistics: &Statistics, room: usize, threshold: f32, seed: u64, iteration: u32) -> Densified {
+pub fn densify(
+    model: &mut Model,
+    statistics: &Statistics,
+    room: usize,
+    threshold: f32,
+    seed: u64,
+    iteration: u32,
+) -> Densified {
     let mut done = Densified::default();
     let mut candidates: Vec<(f32, u32)> = (0..model.len)
         .filter(|&i| statistics.visible[i] > 0.0)

@@ -16,7 +16,9 @@ pub enum SplatError {
     #[error("the model names an image outside its folder: {0}")]
     ImageName(#[from] scene::io::UnsafeName),
     /// An image and its camera disagree about the size.
-    #[error("{name} is {found:?} pixels but its camera says {expected:?}; undistort or scale the images to the model")]
+    #[error(
+        "{name} is {found:?} pixels but its camera says {expected:?}; undistort or scale the images to the model"
+    )]
     ImageSize {
         /// The image.
         name: String,
@@ -26,7 +28,9 @@ pub enum SplatError {
         expected: (u32, u32),
     },
     /// A camera with distortion.
-    #[error("camera {camera} of {name} is {model}; training and rendering need PINHOLE: undistort the images first")]
+    #[error(
+        "camera {camera} of {name} is {model}; training and rendering need PINHOLE: undistort the images first"
+    )]
     NotPinhole {
         /// The image, or "the view".
         name: String,

@@ -2,8 +2,8 @@
 
 mod nearest;
 
-use crate::dataset::{Dataset, View};
 use crate::SplatError;
+use crate::dataset::{Dataset, View};
 use glam::{DMat3, DVec3, Quat, Vec3};
 use nearest::mean_square_distance;
 use rand::Rng as _;
@@ -18,7 +18,8 @@ const CANDIDATES: usize = 400_000;
 /// Gaussians at the sparse cloud's points or, without any, at random points inside the masks' visual hull (or the
 /// cameras' common frustum). Isotropic; the scale is the root mean square distance to the three nearest neighbours.
 pub fn initial_gaussians(dataset: &Dataset, max: usize, seed: u64) -> Result<Gaussians, SplatError> {
-    let mut points: Vec<(Vec3, [u8; 3])> = dataset.points.iter().filter(|(p, _)| p.is_finite()).copied().collect();
+    let mut points: Vec<(Vec3, [u8; 3])> =
+        dataset.points.iter().filter(|(p, _)| p.is_finite()).copied().collect();
     if points.len() < 16 {
         points = random_points(dataset, max.min(RANDOM_POINTS), seed);
     }

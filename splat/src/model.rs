@@ -56,7 +56,10 @@ impl Model {
         let mut model = Self { sh_degree: g.sh_degree, ..Self::default() };
         let k = g.sh_coefficients() * 3;
         for i in 0..g.len() {
-            model.push(&Self::row(g.means[i], g.log_scales[i], g.rotations[i], g.opacity_logits[i]), &g.sh[i * k..(i + 1) * k]);
+            model.push(
+                &Self::row(g.means[i], g.log_scales[i], g.rotations[i], g.opacity_logits[i]),
+                &g.sh[i * k..(i + 1) * k],
+            );
         }
         model.pad();
         model
@@ -77,7 +80,14 @@ impl Model {
             log_scales: n.clone().map(|i| vec(LOG_SCALE, i)).collect(),
             rotations: n
                 .clone()
-                .map(|i| Quat::from_xyzw(g[ROTATION + 1][i], g[ROTATION + 2][i], g[ROTATION + 3][i], g[ROTATION][i]))
+                .map(|i| {
+                    Quat::from_xyzw(
+                        g[ROTATION + 1][i],
+                        g[ROTATION + 2][i],
+                        g[ROTATION + 3][i],
+                        g[ROTATION][i],
+                    )
+                })
                 .collect(),
             opacity_logits: g[OPACITY][..self.len].to_vec(),
             sh: self.sh.clone(),
@@ -98,7 +108,11 @@ impl Model {
     /// Appends a Gaussian with zero moments. [`Model::pad`] must follow before the next step.
     fn push(&mut self, row: &[f32; GEOMETRY], sh: &[f32]) {
         for (p, &value) in row.iter().enumerate() {
-            for (plane, value) in [(&mut self.geometry[p], value), (&mut self.geometry_m[p], 0.0), (&mut self.geometry_v[p], 0.0)] {
+            for (plane, value) in [
+                (&mut self.geometry[p], value),
+                (&mut self.geometry_m[p], 0.0),
+                (&mut self.geometry_v[p], 0.0),
+            ] {
                 plane.truncate(self.len);
                 plane.push(value);
             }
@@ -131,7 +145,10 @@ impl Model {
         }
         self.steps = order.iter().map(|&i| self.steps[i as usize]).collect();
         for values in [&mut self.sh, &mut self.sh_m, &mut self.sh_v] {
-            *values = order.iter().flat_map(|&i| values[i as usize * k..(i as usize + 1) * k].iter().copied()).collect();
+            *values = order
+                .iter()
+                .flat_map(|&i| values[i as usize * k..(i as usize + 1) * k].iter().copied())
+                .collect();
         }
         self.len = order.len();
         self.pad();

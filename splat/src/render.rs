@@ -1,10 +1,10 @@
 //! From Gaussians to images.
 
+use crate::SplatError;
 use crate::backend::Backend;
 use crate::cpu::CpuBackend;
 use crate::dataset::Normalisation;
 use crate::model::Model;
-use crate::SplatError;
 use glam::DVec3;
 use scene::{Camera, FloatImage, Gaussians, Pose};
 use serde::{Deserialize, Serialize};
@@ -50,7 +50,12 @@ impl Renderer {
     }
 
     /// Renders a view; the camera must be PINHOLE, SIMPLE_PINHOLE or without distortion.
-    pub fn render(&mut self, camera: &Camera, pose: &Pose, options: &RenderOptions) -> Result<RenderOutput, SplatError> {
+    pub fn render(
+        &mut self,
+        camera: &Camera,
+        pose: &Pose,
+        options: &RenderOptions,
+    ) -> Result<RenderOutput, SplatError> {
         if camera.distortion().iter().any(|&k| k != 0.0) {
             let name = "the view".to_owned();
             return Err(SplatError::NotPinhole { name, camera: camera.id, model: camera.model.name() });

@@ -135,7 +135,11 @@ impl<'a> Trainer<'a> {
                 checkpoint.state
             }
             None => {
-                backend.upload(Model::from_gaussians(&initial_gaussians(dataset, config.max_gaussians, config.seed)?));
+                backend.upload(Model::from_gaussians(&initial_gaussians(
+                    dataset,
+                    config.max_gaussians,
+                    config.seed,
+                )?));
                 State { fingerprint, ..State::default() }
             }
         };
@@ -163,7 +167,11 @@ impl<'a> Trainer<'a> {
         let mut rng = scene::rng::rng(self.config.seed, "background", u64::from(self.state.iteration));
         let transparent = self.dataset.is_transparent();
         RenderOptions {
-            background: if transparent { std::array::from_fn(|_| rng.random_range(0.0..1.0)) } else { [0.0; 3] },
+            background: if transparent {
+                std::array::from_fn(|_| rng.random_range(0.0..1.0))
+            } else {
+                [0.0; 3]
+            },
             near: None,
             antialias: self.config.antialias,
             sh_degree: None,
@@ -188,7 +196,7 @@ impl<'a> Trainer<'a> {
                 transparent: self.dataset.alpha == AlphaMode::Transparent,
             },
             options: self.options(),
-            rates: schedule::rates(position, self.config),
+            rates: schedule::rates(position, Pace::steps(&self.state, self.config), self.config),
             lambda_dssim: self.config.lambda_dssim,
             opacity_penalty: 0.0,
             scale_penalty: 0.0,
@@ -196,7 +204,10 @@ impl<'a> Trainer<'a> {
         self.state.iteration += 1;
         let iteration = self.state.iteration;
         if !output.loss.is_finite() {
-            return Err(SplatError::Diverged { iteration, reason: "the loss is not finite; lower --learning-rate".to_owned() });
+            return Err(SplatError::Diverged {
+                iteration,
+                reason: "the loss is not finite; lower --learning-rate".to_owned(),
+            });
         }
         if iteration.is_multiple_of(densify::EVERY) && position < schedule::DENSIFY_UNTIL {
             self.densify();
@@ -246,7 +257,11 @@ impl<'a> Trainer<'a> {
             decisions: self.state.decisions,
             timings,
             iterations: self.state.iteration,
-            render: RenderOptions { near: Some(near), antialias: self.config.antialias, ..RenderOptions::default() },
+            render: RenderOptions {
+                near: Some(near),
+                antialias: self.config.antialias,
+                ..RenderOptions::default()
+            },
         }
     }
 }

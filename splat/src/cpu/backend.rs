@@ -51,7 +51,13 @@ impl CpuBackend {
         CameraConstants::new(view, options, options.near.unwrap_or(DEFAULT_NEAR), degree)
     }
 
-    fn forward(&mut self, view: &PinholeView, camera: &CameraConstants, options: &RenderOptions, depth: bool) {
+    fn forward(
+        &mut self,
+        view: &PinholeView,
+        camera: &CameraConstants,
+        options: &RenderOptions,
+        depth: bool,
+    ) {
         let clock = Instant::now();
         let n = self.model.len;
         self.work.project(self.isa, Parameters::of(&self.model), n, camera);
@@ -79,11 +85,13 @@ impl CpuBackend {
         }
         self.work.backward(self.isa);
         let n = padded(self.model.len);
-        let mut out = Gradients { geometry: std::array::from_fn(|_| vec![0.0; n]), sh: vec![0.0; self.model.sh.len()] };
+        let mut out =
+            Gradients { geometry: std::array::from_fn(|_| vec![0.0; n]), sh: vec![0.0; self.model.sh.len()] };
         let planes = out.geometry.each_mut().map(|p| SharedPlane(p.as_mut_ptr()));
         let sh = SharedPlane(out.sh.as_mut_ptr());
         let unused = SharedPlane(std::ptr::null_mut());
-        let shared = SharedModel { geometry: [planes; 3], sh: [sh; 3], steps: unused, statistics: [unused; 4] };
+        let shared =
+            SharedModel { geometry: [planes; 3], sh: [sh; 3], steps: unused, statistics: [unused; 4] };
         self.work.optimise(self.isa, Parameters::of(&self.model), shared, &camera, Sink::Gradients, [0.0; 2]);
         out
     }
@@ -112,7 +120,12 @@ impl CpuBackend {
             geometry: [planes(&mut m.geometry), planes(&mut m.geometry_m), planes(&mut m.geometry_v)],
             sh: [plane(&mut m.sh), plane(&mut m.sh_m), plane(&mut m.sh_v)],
             steps: plane(&mut m.steps),
-            statistics: [plane(&mut s.gradient), plane(&mut s.visible), plane(&mut s.weight), plane(&mut s.radius)],
+            statistics: [
+                plane(&mut s.gradient),
+                plane(&mut s.visible),
+                plane(&mut s.weight),
+                plane(&mut s.radius),
+            ],
         }
     }
 }

@@ -179,8 +179,7 @@ mod tests {
             let g = record(80.0 + 90.0 * f(2.1), 60.0 + 70.0 * f(3.3), conic, 0.01 + 0.98 * f(0.77).abs());
             let mut bins = Bins::default();
             bins.fill(&[1], &[g], 160, 120);
-            let touched: Vec<usize> =
-                (0..80).filter(|&t| bins.offsets[t + 1] > bins.offsets[t]).collect();
+            let touched: Vec<usize> = (0..80).filter(|&t| bins.offsets[t + 1] > bins.offsets[t]).collect();
             for (y, x) in (0..120).flat_map(|y| (0..160).map(move |x| (y, x))) {
                 let (dx, dy) = (g.x - x as f32 - 0.5, g.y - y as f32 - 0.5);
                 let power = g.half_xx * dx * dx + g.xy * dx * dy + g.half_yy * dy * dy;

@@ -50,7 +50,13 @@ impl Shape {
     pub fn tile(&self, t: usize) -> Tile {
         let tiles_x = self.stride() / TILE;
         let (x, y) = (t % tiles_x * TILE, t / tiles_x * TILE);
-        Tile { x, y, width: TILE.min(self.width - x), height: TILE.min(self.height - y), stride: self.stride() }
+        Tile {
+            x,
+            y,
+            width: TILE.min(self.width - x),
+            height: TILE.min(self.height - y),
+            stride: self.stride(),
+        }
     }
 
     fn line(&self) -> usize {
@@ -111,7 +117,8 @@ impl LossBuffers {
         let scale = if count > 0.0 { (1.0 / (3.0 * count)) as f32 } else { 0.0 };
         let ssim: f64 = if input.lambda > 0.0 {
             let window = &self.window;
-            let mut tasks: Vec<_> = self.maps.chunks_mut(3).enumerate().flat_map(|(c, maps)| split(c, maps, &shape)).collect();
+            let mut tasks: Vec<_> =
+                self.maps.chunks_mut(3).enumerate().flat_map(|(c, maps)| split(c, maps, &shape)).collect();
             let partial: Vec<f64> = tasks
                 .par_iter_mut()
                 .map(|(channel, y0, maps)| {
@@ -129,10 +136,13 @@ impl LossBuffers {
         let partial: Vec<[f64; 2]> = gradient
             .par_iter_mut()
             .enumerate()
-            .flat_map(|(channel, plane)| plane.par_chunks_mut(line).take(bands).enumerate().map(move |(b, out)| (channel, b, out)))
+            .flat_map(|(channel, plane)| {
+                plane.par_chunks_mut(line).take(bands).enumerate().map(move |(b, out)| (channel, b, out))
+            })
             .map(|(channel, band, out)| {
                 let maps = &maps[channel * 3..channel * 3 + 3];
-                let mut a = Gradient { input, channel, y0: band * BAND, maps, window, scale, out, l1: 0.0, l2: 0.0 };
+                let mut a =
+                    Gradient { input, channel, y0: band * BAND, maps, window, scale, out, l1: 0.0, l2: 0.0 };
                 gradient_rows(isa, &mut a);
                 [a.l1, a.l2]
             })
@@ -151,7 +161,11 @@ fn rows(shape: &Shape) -> impl Iterator<Item = std::ops::Range<usize>> + use<> {
 }
 
 /// The bands of a channel's three map planes: (channel, first row, map rows).
-fn split<'a>(channel: usize, maps: &'a mut [Vec<f32>], shape: &Shape) -> Vec<(usize, usize, [&'a mut [f32]; 3])> {
+fn split<'a>(
+    channel: usize,
+    maps: &'a mut [Vec<f32>],
+    shape: &Shape,
+) -> Vec<(usize, usize, [&'a mut [f32]; 3])> {
     let line = shape.line() * BAND;
     let [a, b, c] = maps else { return Vec::new() };
     let parts = a.chunks_mut(line).zip(b.chunks_mut(line)).zip(c.chunks_mut(line));
@@ -219,7 +233,13 @@ fn taps<S: Simd>(window: &[f32; TAPS]) -> ([S; RADIUS + 1], [S; TAPS]) {
 
 /// Filters line `y` of colour, target and their products across.
 #[inline(always)]
-unsafe fn filter_line<S: Simd>(a: &Statistics, y: usize, input: &mut [f32], out: &mut [f32], w: &[S; RADIUS + 1]) {
+unsafe fn filter_line<S: Simd>(
+    a: &Statistics,
+    y: usize,
+    input: &mut [f32],
+    out: &mut [f32],
+    w: &[S; RADIUS + 1],
+) {
     let shape = a.input.shape;
     let (line, stride, width) = (shape.line(), shape.stride(), shape.width);
     let row = y * stride..y * stride + width;

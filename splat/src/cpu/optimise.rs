@@ -5,7 +5,10 @@
 //! that the others keep parameters and moments as they are instead of drifting on stale momentum.
 
 use super::bin::Bins;
-use super::project::{CULLED, CameraConstants, LOG_SCALE_LIMIT, Parameters, Projection, camera_rows, colour, dot3, project_lanes, twice};
+use super::project::{
+    CULLED, CameraConstants, LOG_SCALE_LIMIT, Parameters, Projection, camera_rows, colour, dot3,
+    project_lanes, twice,
+};
 use super::raster::SUMS;
 use super::sh;
 use super::simd::{Simd, array, simd_kernel};
@@ -247,7 +250,12 @@ fn mean_gradient<S: Simd>(c: &CameraConstants, p: &Projection<S>, g: [S; 2], d_j
 }
 
 #[inline(always)]
-unsafe fn optimise_block<S: Simd>(a: &mut Optimise, block: usize, lanes: &[[f32; 16]; SUMS], alive: &[f32; 16]) {
+unsafe fn optimise_block<S: Simd>(
+    a: &mut Optimise,
+    block: usize,
+    lanes: &[[f32; 16]; SUMS],
+    alive: &[f32; 16],
+) {
     let p = unsafe { project_lanes::<S>(&a.parameters, block, a.camera) };
     let mut sums = [S::splat(0.0); SUMS];
     for (sum, lane) in sums.iter_mut().zip(lanes) {
@@ -274,7 +282,8 @@ unsafe fn optimise_block<S: Simd>(a: &mut Optimise, block: usize, lanes: &[[f32;
     let by_direction = array!(k in 3 => unsafe { S::load(by_direction[k].as_ptr()) });
     let log_scales = array!(k in 3 => unsafe { a.parameters.lanes::<S>(LOG_SCALE + k, block) });
     let penalties = [a.opacity_penalty, a.scale_penalty];
-    let gradient = unsafe { geometry_gradient::<S>(a.camera, &p, &sums, by_direction, penalties, log_scales) };
+    let gradient =
+        unsafe { geometry_gradient::<S>(a.camera, &p, &sums, by_direction, penalties, log_scales) };
     let alive = unsafe { S::load(alive.as_ptr()) };
     let mut finite = alive.ge(S::splat(0.5));
     for g in gradient {
@@ -344,7 +353,13 @@ unsafe fn adam_block<S: Simd>(
 }
 
 #[inline(always)]
-unsafe fn note_statistics<S: Simd>(a: &Optimise, block: usize, p: &Projection<S>, sums: &[S; SUMS], on: S::Mask) {
+unsafe fn note_statistics<S: Simd>(
+    a: &Optimise,
+    block: usize,
+    p: &Projection<S>,
+    sums: &[S; SUMS],
+    on: S::Mask,
+) {
     let c = a.camera;
     unsafe {
         let [gradient, visible, weight, radius] = a.shared.statistics.map(|plane| plane.0.add(block));

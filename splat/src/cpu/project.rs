@@ -261,7 +261,12 @@ pub unsafe fn project_lanes<S: Simd>(model: &Parameters, i: usize, c: &CameraCon
     let norm2 = raw[0].fma(raw[0], raw[1].fma(raw[1], raw[2].fma(raw[2], raw[3].mul(raw[3]))));
     let has_norm = norm2.ge(S::splat(1e-30));
     let inv_norm = one.div(S::select(has_norm, norm2, one).sqrt()).keep(has_norm);
-    let q = [S::select(has_norm, raw[0].mul(inv_norm), one), raw[1].mul(inv_norm), raw[2].mul(inv_norm), raw[3].mul(inv_norm)];
+    let q = [
+        S::select(has_norm, raw[0].mul(inv_norm), one),
+        raw[1].mul(inv_norm),
+        raw[2].mul(inv_norm),
+        raw[3].mul(inv_norm),
+    ];
     let rotation = rotation_matrix(q);
     let limit = S::splat(LOG_SCALE_LIMIT);
     let scale = array!(a in 3 => plane!(LOG_SCALE + a).max(zero.sub(limit)).min(limit).exp());
@@ -350,9 +355,13 @@ fn project_generic<S: Simd>(a: &mut Project) {
             let column = |k: usize| lanes[k][lane];
             let log2_opacity = column(5).log2();
             let reach = 2.0 * std::f32::consts::LN_2 * (log2_opacity + LOG2_255);
-            let (extent_x, extent_y) = ((reach * column(6)).max(0.0).sqrt(), (reach * column(7)).max(0.0).sqrt());
+            let (extent_x, extent_y) =
+                ((reach * column(6)).max(0.0).sqrt(), (reach * column(7)).max(0.0).sqrt());
             let (x, y) = (column(0), column(1));
-            let inside = x + extent_x > 0.0 && x - extent_x < c.size[0] && y + extent_y > 0.0 && y - extent_y < c.size[1];
+            let inside = x + extent_x > 0.0
+                && x - extent_x < c.size[0]
+                && y + extent_y > 0.0
+                && y - extent_y < c.size[1];
             if bits & (1 << lane) == 0 || !inside {
                 a.keys[block + lane] = CULLED;
                 continue;

@@ -48,7 +48,8 @@ impl Tile {
 #[inline(always)]
 fn pixels(low: f32, high: f32) -> [usize; 2] {
     // Truncation is the floor of what is not negative; 0.51 instead of 0.5 keeps pixels on the rim.
-    let clamp = |v: f32| (if v > 0.0 { if v < TILE as f32 { v } else { TILE as f32 } } else { 0.0 }) as i32 as usize;
+    let clamp =
+        |v: f32| (if v > 0.0 { if v < TILE as f32 { v } else { TILE as f32 } } else { 0.0 }) as i32 as usize;
     [clamp(low + 0.49), clamp(high + 0.51)]
 }
 
@@ -67,7 +68,15 @@ fn rows<S: Simd>(g: &Record, tile: &Tile, x: usize) -> [usize; 2] {
     // Offsets here are pixel − centre; the ellipse's lowest and highest points lie at ± tilt.
     let left = (tile.x + x) as f32 + 0.5 - g.x;
     let right = left + (S::LANES - 1) as f32;
-    let clamp = |dx: f32| if dx < left { left } else if dx > right { right } else { dx };
+    let clamp = |dx: f32| {
+        if dx < left {
+            left
+        } else if dx > right {
+            right
+        } else {
+            dx
+        }
+    };
     let (high_x, low_x) = (clamp(-g.tilt), clamp(g.tilt));
     let (high, low) = (g.chord - g.bend * high_x * high_x, g.chord - g.bend * low_x * low_x);
     let root = |v: f32| if v > 0.0 { v.sqrt() } else { 0.0 };
@@ -259,7 +268,8 @@ fn backward_generic<S: Simd>(a: &mut Backward) {
                     let next = t.mul(clear);
                     let drawn = S::and(valid, next.ge(min_t));
                     let weight = t.mul(alpha).keep(drawn);
-                    let gradient = [S::load(grad[0].add(at)), S::load(grad[1].add(at)), S::load(grad[2].add(at))];
+                    let gradient =
+                        [S::load(grad[0].add(at)), S::load(grad[1].add(at)), S::load(grad[2].add(at))];
                     for c in 0..3 {
                         total[6 + c] = weight.fma(gradient[c], total[6 + c]);
                     }

@@ -61,17 +61,20 @@ pub fn basis_gradient(dir: Vec3, degree: u32, w: &[f32; MAX_COEFFICIENTS]) -> Ve
         return g;
     }
     let (xx, yy, zz) = (x * x, y * y, z * z);
-    g.x += C3[0] * 6.0 * x * y * w[9] + C3[1] * y * z * w[10] - 2.0 * C3[2] * x * y * w[11]
+    g.x += C3[0] * 6.0 * x * y * w[9] + C3[1] * y * z * w[10]
+        - 2.0 * C3[2] * x * y * w[11]
         - 6.0 * C3[3] * x * z * w[12]
         + C3[4] * (4.0 * zz - 3.0 * xx - yy) * w[13]
         + 2.0 * C3[5] * x * z * w[14]
         + 3.0 * C3[6] * (xx - yy) * w[15];
-    g.y += 3.0 * C3[0] * (xx - yy) * w[9] + C3[1] * x * z * w[10] + C3[2] * (4.0 * zz - xx - 3.0 * yy) * w[11]
-        - 6.0 * C3[3] * y * z * w[12]
-        - 2.0 * C3[4] * x * y * w[13]
-        - 2.0 * C3[5] * y * z * w[14]
-        - 6.0 * C3[6] * x * y * w[15];
-    g.z += C3[1] * x * y * w[10] + 8.0 * C3[2] * y * z * w[11]
+    g.y +=
+        3.0 * C3[0] * (xx - yy) * w[9] + C3[1] * x * z * w[10] + C3[2] * (4.0 * zz - xx - 3.0 * yy) * w[11]
+            - 6.0 * C3[3] * y * z * w[12]
+            - 2.0 * C3[4] * x * y * w[13]
+            - 2.0 * C3[5] * y * z * w[14]
+            - 6.0 * C3[6] * x * y * w[15];
+    g.z += C3[1] * x * y * w[10]
+        + 8.0 * C3[2] * y * z * w[11]
         + C3[3] * (6.0 * zz - 3.0 * xx - 3.0 * yy) * w[12]
         + 8.0 * C3[4] * x * z * w[13]
         + C3[5] * (xx - yy) * w[14];
@@ -112,7 +115,8 @@ mod tests {
                 basis(Vec3::new(r * a.cos(), r * a.sin(), z), 3, &mut y);
                 for (row, &a) in gram.iter_mut().zip(&y) {
                     for (g, &b) in row.iter_mut().zip(&y) {
-                        *g += f64::from(a) * f64::from(b) * 4.0 * std::f64::consts::PI / f64::from(rings * steps);
+                        *g += f64::from(a) * f64::from(b) * 4.0 * std::f64::consts::PI
+                            / f64::from(rings * steps);
                     }
                 }
             }

@@ -94,7 +94,8 @@ pub unsafe trait Simd: Copy {
 
 /// Adding 1.5·2^23 rounds to an integer in the low bits of the mantissa.
 const MAGIC: f32 = 12_582_912.0;
-const EXP2: [f32; 6] = [1.000_000_1, 0.693_146_97, 0.240_221_2, 0.055_507_133, 0.009_675_542, 0.001_327_647_2];
+const EXP2: [f32; 6] =
+    [1.000_000_1, 0.693_146_97, 0.240_221_2, 0.055_507_133, 0.009_675_542, 0.001_327_647_2];
 
 /// An instruction set that this machine has.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -331,7 +332,10 @@ mod tests {
                 let input: [f32; 16] = std::array::from_fn(|i| (step * 16 + i) as f32 * 0.0025 - 40.0);
                 let mut output = [0.0; 16];
                 exp(isa, &mut Exp { input: &input, output: &mut output });
-                assert!(input.iter().zip(output).all(|(&x, y)| is_exponential(x, y)), "{isa:?} {input:?} {output:?}");
+                assert!(
+                    input.iter().zip(output).all(|(&x, y)| is_exponential(x, y)),
+                    "{isa:?} {input:?} {output:?}"
+                );
             }
         }
     }
@@ -345,7 +349,24 @@ mod tests {
 
     #[test]
     fn the_exponential_of_anything_is_finite_and_never_nan_for_numbers() {
-        let input = [-f32::INFINITY, f32::INFINITY, 1e30, -1e30, 0.0, -0.0, 1e-40, 87.0, -87.0, 88.0, 1., 2., 3., 4., 5., 6.];
+        let input = [
+            -f32::INFINITY,
+            f32::INFINITY,
+            1e30,
+            -1e30,
+            0.0,
+            -0.0,
+            1e-40,
+            87.0,
+            -87.0,
+            88.0,
+            1.,
+            2.,
+            3.,
+            4.,
+            5.,
+            6.,
+        ];
         for isa in Isa::available() {
             let mut output = [0.0; 16];
             exp(isa, &mut Exp { input: &input, output: &mut output });

@@ -106,7 +106,8 @@ impl Workspace {
                     let value = f32::from(target.rgb[from * 3 + c]) * BYTE;
                     let behind = if weighted { self.rgb[c][to] } else { background[c] };
                     // A pixel of weight 0 equals its rendering, so that its neighbours' SSIM does not see it.
-                    self.target[c][to] = if weighted && m > 0.0 { value } else { behind + m * (value - behind) };
+                    self.target[c][to] =
+                        if weighted && m > 0.0 { value } else { behind + m * (value - behind) };
                 }
                 if weighted {
                     self.weight[to] = m;
@@ -141,7 +142,10 @@ impl Workspace {
             }
             let list = &bins.list[begin..begin + used];
             let sums = &mut sums[..used];
-            backward(isa, &mut Backward { records, list, tile, gradient: &local, remaining: &mut remaining, sums });
+            backward(
+                isa,
+                &mut Backward { records, list, tile, gradient: &local, remaining: &mut remaining, sums },
+            );
         });
     }
 

@@ -25,7 +25,9 @@ fn arrange(points: &[Vec3], order: &mut [u32], level: usize) {
         return;
     }
     let (middle, axis) = (order.len() / 2, level % 3);
-    order.select_nth_unstable_by(middle, |&a, &b| points[a as usize][axis].total_cmp(&points[b as usize][axis]));
+    order.select_nth_unstable_by(middle, |&a, &b| {
+        points[a as usize][axis].total_cmp(&points[b as usize][axis])
+    });
     let (low, high) = order.split_at_mut(middle);
     arrange(points, low, level + 1);
     arrange(points, &mut high[1..], level + 1);
@@ -61,7 +63,9 @@ mod tests {
 
     #[test]
     fn agrees_with_brute_force() {
-        let points: Vec<Vec3> = (0..500).map(|i| Vec3::new((i as f32 * 1.3).sin(), (i as f32 * 0.7).cos(), (i as f32 * 2.9).sin())).collect();
+        let points: Vec<Vec3> = (0..500)
+            .map(|i| Vec3::new((i as f32 * 1.3).sin(), (i as f32 * 0.7).cos(), (i as f32 * 2.9).sin()))
+            .collect();
         for (p, &found) in points.iter().zip(&mean_square_distance(&points)) {
             let mut all: Vec<f32> = points.iter().map(|q| q.distance_squared(*p)).collect();
             all.sort_by(f32::total_cmp);

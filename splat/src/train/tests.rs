@@ -39,7 +39,8 @@ fn dataset(views: usize, transparent: bool) -> Dataset {
         let pose = Pose::look_at(eye, DVec3::ZERO, DVec3::Z);
         let pinhole = normalisation.view(&camera, &pose);
         let picture = backend.render(&pinhole, &RenderOptions::default());
-        let mask = transparent.then(|| picture.alpha.data.iter().map(|a| (a * 255.0).round() as u8).collect());
+        let mask =
+            transparent.then(|| picture.alpha.data.iter().map(|a| (a * 255.0).round() as u8).collect());
         let straight = |(i, v): (usize, &f32)| {
             let a = if transparent { picture.alpha.data[i / 3].max(1e-3) } else { 1.0 };
             (v / a * 255.0).round().clamp(0.0, 255.0) as u8
@@ -156,9 +157,12 @@ fn one_view_and_ten_times_the_learning_rates_stay_finite() {
 
 #[test]
 fn empty_masks_and_saturated_pictures_are_survived() {
-    for (value, cover, alpha) in
-        [(255, 0, AlphaMode::Transparent), (255, 0, AlphaMode::Ignore), (255, 255, AlphaMode::Ignore), (0, 255, AlphaMode::Transparent)]
-    {
+    for (value, cover, alpha) in [
+        (255, 0, AlphaMode::Transparent),
+        (255, 0, AlphaMode::Ignore),
+        (255, 255, AlphaMode::Ignore),
+        (0, 255, AlphaMode::Transparent),
+    ] {
         let mut dataset = dataset(3, true);
         dataset.alpha = alpha;
         for pixels in dataset.views.iter_mut().flat_map(|v| &mut v.levels) {

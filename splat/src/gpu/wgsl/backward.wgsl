@@ -1,11 +1,11 @@
 // backward: dL/d(colour) of a tile's pixels -> sums for each of its Gaussians, replayed front to back.
-// in: records · owners · values · ranges · used · image · gradient [H * W] dL/d(rgb)
-// out: sums [pairs][12], at the pair's number, so that a Gaussian's pairs lie side by side and no atomics are needed:
+// in: records · owners · values · ranges · used · image · gradient [3][H * W] dL/d(rgb)
+// out: sums [pairs][10], at the pair's number, so that a Gaussian's pairs lie side by side and no atomics are needed:
 //      with v = alpha dL/d(alpha), d = xy - pixel: v, v dx, v dy, v dx^2, v dx dy, v dy^2, T alpha dL/d(rgb) (3), T alpha
 //
 // Eight Gaussians at a time: each thread follows its pixel and leaves T alpha and v of each of the eight in `left`;
-// then 32 threads a Gaussian add up eight pixels (half a row) each; then one thread a sum adds up the 32.
-// dL/d(alpha) = T rgb . g - behind / (1 - alpha), behind = g . (what lies behind, the background too): Kerbl 2023.
+// then 32 threads a Gaussian add up eight pixels of a column each; then one thread a sum adds up the 32.
+// v = alpha (T rgb . g - behind / (1 - alpha)), behind = g . (what lies behind, the background too): Kerbl 2023.
 
 @group(0) @binding(0) var<uniform> frame: Frame;
 @group(0) @binding(1) var<storage, read> records: array<vec4<f32>>;
@@ -14,23 +14,132 @@
 @group(0) @binding(4) var<storage, read> ranges: array<vec2<u32>>;
 @group(0) @binding(5) var<storage, read> used: array<u32>;
 @group(0) @binding(6) var<storage, read> image: array<vec4<f32>>;
-@group(0) @binding(7) var<storage, read> gradient: array<vec4<f32>>;
+@group(0) @binding(7) var<storage, read> gradient: array<f32>;
 @group(0) @binding(8) var<storage, read_write> sums: array<f32>;
 
-const EIGHT: u32 = 8u;
-const SUMS: u32 = 12u;
+const SUMS: u32 = 10u;
 
-var<workgroup> batch: array<array<vec4<f32>, 3>, 8>;
-var<workgroup> pairs: array<u32, 8>;
-// [Gaussian][pixel] (T alpha, v); then reused as [sum][thread] partial sums.
-var<workgroup> left: array<vec2<f32>, 1408>;
-var<workgroup> bounds: vec3<u32>;
+// First T alpha [8][256], then v [8][256]; afterwards partial sums [10][256].
+var<workgroup> left: array<f32, 4096>;
 
-// Rows of 8 pixels are spread by one entry, so that threads of a group meet different banks.
-fn slot(k: u32, pixel: u32) -> u32 {
-    return k * 176u + pixel;
+fn gradient_at(pixel: vec2<u32>) -> vec3<f32> {
+    if (pixel.x >= frame.size.x || pixel.y >= frame.size.y) {
+        return vec3<f32>(0.0);
+    }
+    let at = pixel.y * frame.size.x + pixel.x;
+    let plane = frame.size.x * frame.size.y;
+    return vec3<f32>(gradient[at], gradient[plane + at], gradient[2u * plane + at]);
 }
 
-@compute @workgroup_size(128)
-fn main() {
+// One pixel past up to eight Gaussians from position `first`; `behind` and the transmittance are kept between calls.
+fn follow(first: u32, count: u32, local: u32, centre: vec2<f32>, g: vec3<f32>, state: ptr<function, vec2<f32>>, finished: ptr<function, bool>) {
+    for (var k = 0u; k < 8u; k++) {
+        var weight = 0.0;
+        var v = 0.0;
+        if (k < count && !*finished) {
+            let i = owners[values[first + k]];
+            let a = records[3u * i];
+            let b = records[3u * i + 1u];
+            let d = a.xy - centre;
+            let power = 0.5 * (a.z * d.x * d.x + b.x * d.y * d.y) + a.w * d.x * d.y;
+            let raw = b.y * exp(-power);
+            let alpha = min(MAX_ALPHA, raw);
+            if (!(power < 0.0 || alpha < MIN_ALPHA)) {
+                let t = (*state).x;
+                let next = t * (1.0 - alpha);
+                if (next < MIN_TRANSMITTANCE) {
+                    *finished = true;
+                } else {
+                    weight = t * alpha;
+                    let own = weight * dot(records[3u * i + 2u].xyz, g);
+                    let behind = (*state).y - own;
+                    v = select(0.0, own - alpha * behind / (1.0 - alpha), raw <= MAX_ALPHA);
+                    *state = vec2<f32>(next, behind);
+                }
+            }
+        }
+        left[k * 256u + local] = weight;
+        left[2048u + k * 256u + local] = v;
+    }
+}
+
+@compute @workgroup_size(256)
+fn main(@builtin(workgroup_id) group: vec3<u32>, @builtin(num_workgroups) groups: vec3<u32>, @builtin(local_invocation_index) local: u32) {
+    let tile = group_number(group, groups);
+    // The last "tile" holds pairs that belong nowhere: their sums become zero.
+    var range = vec2<u32>(0u);
+    var end = 0u;
+    if (tile <= frame.tiles.x * frame.tiles.y) {
+        range = ranges[tile];
+        end = range.x + used[tile];
+    }
+    let corner = vec2<u32>(tile % frame.tiles.x, tile / frame.tiles.x) * TILE;
+    let pixel = corner + vec2<u32>(local % TILE, local / TILE);
+    let inside = pixel.x < frame.size.x && pixel.y < frame.size.y;
+    let g = gradient_at(pixel);
+    var state = vec2<f32>(1.0, 0.0);
+    if (inside) {
+        state.y = dot(image[pixel.y * frame.size.x + pixel.x].xyz, g);
+    }
+    var finished = !inside;
+
+    // In the second part the thread adds up eight pixels of one column, two rows apart, for Gaussian local / 32.
+    let lane = local % 32u;
+    let column = corner + vec2<u32>(lane % TILE, lane / TILE);
+    var column_gradient: array<vec3<f32>, 8>;
+    for (var j = 0u; j < 8u; j++) {
+        column_gradient[j] = gradient_at(column + vec2<u32>(0u, 2u * j));
+    }
+
+    for (var first = range.x; first < end; first += 8u) {
+        let count = min(8u, end - first);
+        follow(first, count, local, vec2<f32>(pixel) + 0.5, g, &state, &finished);
+        workgroupBarrier();
+
+        let k = local / 32u;
+        var xy = vec2<f32>(0.0);
+        if (k < count) {
+            xy = records[3u * owners[values[first + k]]].xy;
+        }
+        let d = xy - (vec2<f32>(column) + 0.5);
+        var s = vec3<f32>(0.0);   // v, v dy, v dy^2
+        var rgb = vec3<f32>(0.0);
+        var total = 0.0;
+        for (var j = 0u; j < 8u; j++) {
+            let at = k * 256u + j * 32u + lane;
+            let weight = left[at];
+            let v = left[2048u + at];
+            let dy = d.y - f32(2u * j);
+            s += v * vec3<f32>(1.0, dy, dy * dy);
+            rgb += weight * column_gradient[j];
+            total += weight;
+        }
+        workgroupBarrier();
+        left[local] = s.x;
+        left[256u + local] = s.x * d.x;
+        left[512u + local] = s.y;
+        left[768u + local] = s.x * d.x * d.x;
+        left[1024u + local] = s.y * d.x;
+        left[1280u + local] = s.z;
+        left[1536u + local] = rgb.x;
+        left[1792u + local] = rgb.y;
+        left[2048u + local] = rgb.z;
+        left[2304u + local] = total;
+        workgroupBarrier();
+        let which = local / SUMS;
+        if (which < count) {
+            var sum = 0.0;
+            for (var j = 0u; j < 32u; j++) {
+                sum += left[(local % SUMS) * 256u + which * 32u + (j + local) % 32u];
+            }
+            sums[values[first + which] * SUMS + local % SUMS] = sum;
+        }
+        workgroupBarrier();
+    }
+    // What no pixel reached.
+    for (var i = end + local; i < range.y; i += 256u) {
+        for (var s = 0u; s < SUMS; s++) {
+            sums[values[i] * SUMS + s] = 0.0;
+        }
+    }
 }

@@ -1,5 +1,5 @@
 // ranges: where each tile's pairs begin and end.
-// in: keys [pairs] tiles, ascending · out: ranges [tiles] half-open (cleared before)
+// in: keys [pairs] tiles, ascending · out: ranges [tiles + 1] half-open (cleared before); the last one: pairs of no tile
 
 @group(0) @binding(0) var<uniform> frame: Frame;
 @group(0) @binding(1) var<storage, read> counters: array<u32>;
@@ -14,9 +14,6 @@ fn main(@builtin(workgroup_id) group: vec3<u32>, @builtin(num_workgroups) groups
         return;
     }
     let tile = keys[i];
-    if (tile >= frame.tiles.x * frame.tiles.y) {
-        return;
-    }
     if (i == 0u || keys[i - 1u] != tile) {
         ranges[tile].x = i;
     }
