@@ -29,6 +29,7 @@ demo: build  ## video to splat on the sample in data/, then say what to open
 	@echo; echo "Open out/demo/report.html in a browser; the splat is out/demo/splat.ply"
 
 test: setup  ## every test (real data is looked for in ../shared/data)
+	@tools/setup.sh colmap
 	cargo test --workspace --locked
 
 lint: setup  ## formatting, clippy, file and function lengths, borders between crates

@@ -39,7 +39,12 @@ pub fn run(args: &CompareArgs, verbosity: Verbosity, json: bool) -> Result<Outco
         if args.colmap {
             for (i, folder) in run_colmap(run, verbosity)?.iter().enumerate() {
                 let model = scene::io::read_model(folder)?;
-                rows.push(row(format!("COLMAP model {i} of {}", run.display()), &model, truth.as_ref(), asked.as_ref()));
+                rows.push(row(
+                    format!("COLMAP model {i} of {}", run.display()),
+                    &model,
+                    truth.as_ref(),
+                    asked.as_ref(),
+                ));
             }
         }
     }
@@ -54,7 +59,11 @@ pub fn run(args: &CompareArgs, verbosity: Verbosity, json: bool) -> Result<Outco
 /// A ground truth in any of its formats.
 fn read_truth(path: &Path) -> Result<Reconstruction> {
     let is_json = path.extension().is_some_and(|e| e.eq_ignore_ascii_case("json"));
-    if is_json { Ok(scene::io::read_transforms(path)?.reconstruction) } else { Ok(scene::io::read_truth(path)?) }
+    if is_json {
+        Ok(scene::io::read_transforms(path)?.reconstruction)
+    } else {
+        Ok(scene::io::read_truth(path)?)
+    }
 }
 
 fn model_folder(run: &Path) -> PathBuf {
@@ -73,7 +82,12 @@ fn stem(name: &str) -> String {
     Path::new(name).file_stem().map(|s| s.to_string_lossy().into_owned()).unwrap_or_default()
 }
 
-fn row(name: String, model: &Reconstruction, truth: Option<&Reconstruction>, asked: Option<&BTreeSet<String>>) -> Row {
+fn row(
+    name: String,
+    model: &Reconstruction,
+    truth: Option<&Reconstruction>,
+    asked: Option<&BTreeSet<String>>,
+) -> Row {
     let errors = model.reprojection_errors();
     let total = asked.map_or(model.images.len(), BTreeSet::len);
     let mut row = Row {
@@ -106,7 +120,9 @@ fn fill(row: &mut Row, errors: &PoseErrors) {
 }
 
 fn print_table(rows: &[Row]) {
-    println!("| model | registered | points | px | AUC@1 / 3 / 5 / 10 | rotation median / max | centre median / max, % | focal, % |");
+    println!(
+        "| model | registered | points | px | AUC@1 / 3 / 5 / 10 | rotation median / max | centre median / max, % | focal, % |"
+    );
     println!("|---|---|---|---|---|---|---|---|");
     for row in rows {
         let number = |v: Option<f64>, digits: usize| v.map_or("–".to_owned(), |v| format!("{v:.digits$}"));
@@ -144,7 +160,11 @@ fn run_colmap(run: &Path, verbosity: Verbosity) -> Result<Vec<PathBuf>> {
     std::fs::create_dir_all(&sparse).with_context(|| format!("cannot make {}", sparse.display()))?;
     let database = folder.join("database.db");
     let steps: [(&str, Vec<(&str, &Path)>, Vec<&str>); 3] = [
-        ("feature_extractor", vec![("--image_path", &images)], vec!["--ImageReader.single_camera", "1", "--SiftExtraction.use_gpu", "0"]),
+        (
+            "feature_extractor",
+            vec![("--image_path", &images)],
+            vec!["--ImageReader.single_camera", "1", "--SiftExtraction.use_gpu", "0"],
+        ),
         ("exhaustive_matcher", vec![], vec!["--SiftMatching.use_gpu", "0"]),
         ("mapper", vec![("--image_path", &images), ("--output_path", &sparse)], vec![]),
     ];
@@ -153,7 +173,12 @@ fn run_colmap(run: &Path, verbosity: Verbosity) -> Result<Vec<PathBuf>> {
             eprintln!("colmap {step}");
         }
         let mut command = Command::new("colmap");
-        command.arg(step).arg("--database_path").arg(&database).args(flags).env("QT_QPA_PLATFORM", "offscreen");
+        command
+            .arg(step)
+            .arg("--database_path")
+            .arg(&database)
+            .args(flags)
+            .env("QT_QPA_PLATFORM", "offscreen");
         for (flag, path) in paths {
             command.arg(flag).arg(path);
         }

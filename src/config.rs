@@ -31,7 +31,9 @@ pub fn with_command(mut argv: Vec<String>) -> Vec<String> {
     while let Some(arg) = argv.get(i) {
         match arg.as_str() {
             "--config" | "--threads" => i += 2,
-            a if BARE_GLOBALS.contains(&a) || a.starts_with("--config=") || a.starts_with("--threads=") => i += 1,
+            a if BARE_GLOBALS.contains(&a) || a.starts_with("--config=") || a.starts_with("--threads=") => {
+                i += 1
+            }
             "help" | "-h" | "--help" | "-V" | "--version" => return argv,
             a if command.find_subcommand(a).is_some() => return argv,
             _ => break,
@@ -65,7 +67,11 @@ pub fn parse(argv: Vec<String>) -> Result<std::result::Result<Parsed, clap::Erro
         None => Vec::new(),
     };
     let Some(args) = pipeline_args(&first.command) else {
-        return Ok(insert_and_parse(&argv, &file_flags).map(|cli| Parsed { cli, recorded: None, preset: vec![] }));
+        return Ok(insert_and_parse(&argv, &file_flags).map(|cli| Parsed {
+            cli,
+            recorded: None,
+            preset: vec![],
+        }));
     };
     let former = former_run(&args.input)?;
     let typed = typed_flags(&argv, &args.input);
@@ -112,18 +118,24 @@ fn insert_and_parse(argv: &[String], flags: &[String]) -> std::result::Result<Cl
 
 fn pipeline_args(command: &Command) -> Option<&PipelineArgs> {
     match command {
-        Command::Run(a) | Command::Frames(a) | Command::Sfm(a) | Command::Train(a) | Command::Eval(a) | Command::Report(a) => {
-            Some(a)
-        }
+        Command::Run(a)
+        | Command::Frames(a)
+        | Command::Sfm(a)
+        | Command::Train(a)
+        | Command::Eval(a)
+        | Command::Report(a) => Some(a),
         _ => None,
     }
 }
 
 fn pipeline_args_mut(command: &mut Command) -> Option<&mut PipelineArgs> {
     match command {
-        Command::Run(a) | Command::Frames(a) | Command::Sfm(a) | Command::Train(a) | Command::Eval(a) | Command::Report(a) => {
-            Some(a)
-        }
+        Command::Run(a)
+        | Command::Frames(a)
+        | Command::Sfm(a)
+        | Command::Train(a)
+        | Command::Eval(a)
+        | Command::Report(a) => Some(a),
         _ => None,
     }
 }
@@ -158,8 +170,9 @@ fn former_run(input: &Path) -> Result<Option<Recorded>> {
         return Ok(None);
     }
     let text = std::fs::read(&path).with_context(|| format!("cannot read {}", path.display()))?;
-    let recorded = serde_json::from_slice(&text)
-        .with_context(|| format!("{} is damaged; delete it and name the video or photos again", path.display()))?;
+    let recorded = serde_json::from_slice(&text).with_context(|| {
+        format!("{} is damaged; delete it and name the video or photos again", path.display())
+    })?;
     Ok(Some(recorded))
 }
 

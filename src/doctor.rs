@@ -18,6 +18,7 @@ pub fn run(json: bool) -> Result<Outcome> {
     ];
     rows.push(("memory".to_owned(), memory().unwrap_or_else(|| "unknown".into())));
     rows.extend(library_versions());
+    rows.push(("Vulkan drivers".to_owned(), vulkan_drivers()));
     rows.push(("COLMAP (for compare --colmap)".to_owned(), program_version("colmap")));
     if json {
         println!("{}", serde_json::to_string_pretty(&rows)?);
@@ -54,7 +55,30 @@ fn memory() -> Option<String> {
     let kib = |key: &str| -> Option<f64> {
         info.lines().find(|l| l.starts_with(key))?.split_whitespace().nth(1)?.parse().ok()
     };
-    Some(format!("{:.1} GiB, {:.1} GiB free", kib("MemTotal:")? / 1048576.0, kib("MemAvailable:")? / 1048576.0))
+    Some(format!(
+        "{:.1} GiB, {:.1} GiB free",
+        kib("MemTotal:")? / 1048576.0,
+        kib("MemAvailable:")? / 1048576.0
+    ))
+}
+
+/// The installed Vulkan drivers (the loader's manifests); this version trains and renders on the CPU.
+fn vulkan_drivers() -> String {
+    let folders = ["/usr/share/vulkan/icd.d", "/etc/vulkan/icd.d", "/usr/local/share/vulkan/icd.d"];
+    let mut names: Vec<String> = folders
+        .iter()
+        .filter_map(|folder| std::fs::read_dir(folder).ok())
+        .flatten()
+        .filter_map(|entry| Some(entry.ok()?.path().file_stem()?.to_string_lossy().into_owned()))
+        .filter(|name| name.contains("icd"))
+        .collect();
+    names.sort();
+    names.dedup();
+    if names.is_empty() {
+        "none (not needed: training and rendering run on the CPU)".into()
+    } else {
+        names.join(", ")
+    }
 }
 
 fn program_version(program: &str) -> String {
@@ -75,6 +99,7 @@ fn advice(cores: usize, rows: &[(String, String)]) -> Vec<String> {
     if instruction_set() == "x86-64 without AVX2" {
         lines.push("no AVX2: training and matching run several times slower".into());
     }
+    lines.push("training and rendering run on the CPU; no graphics adapter is used".into());
     for (name, value) in rows {
         if value.starts_with("missing") {
             lines.push(format!("{name} is missing: 'make setup' installs it"));

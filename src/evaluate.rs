@@ -77,7 +77,8 @@ pub fn evaluate(out: &Path, config: &DatasetConfig, progress: &Progress) -> Resu
     let gaussians = scene::io::ply::read_splat_ply(&out.join("splat.ply"))?;
     let held_out: Vec<&View> = dataset.views.iter().filter(|v| v.held_out).collect();
     let mut renderer = Renderer::new(&gaussians)?;
-    let mut evaluation = Evaluation { protocol: protocol(config, &dataset, held_out.len()), ..Evaluation::default() };
+    let mut evaluation =
+        Evaluation { protocol: protocol(config, &dataset, held_out.len()), ..Evaluation::default() };
     progress.begin("evaluate", held_out.len());
     let mut frame_times = Vec::new();
     scene::io::replace_folder(&out.join("eval"), |folder| -> Result<()> {
@@ -111,7 +112,13 @@ fn plain(name: &str) -> String {
     stem.chars().map(|c| if c.is_ascii_alphanumeric() || "-_.".contains(c) { c } else { '_' }).collect()
 }
 
-fn compare_view(renderer: &mut Renderer, view: &View, dataset: &Dataset, folder: &Path, picture: &str) -> Result<(Metrics, f64)> {
+fn compare_view(
+    renderer: &mut Renderer,
+    view: &View,
+    dataset: &Dataset,
+    folder: &Path,
+    picture: &str,
+) -> Result<(Metrics, f64)> {
     let options = RenderOptions::default();
     renderer.render(&view.camera, &view.pose, &options)?; // warm-up
     let begun = Instant::now();
@@ -148,7 +155,8 @@ fn target(view: &View, transparent: bool) -> Result<(RgbImage, Option<GrayImage>
 }
 
 fn mean<'a>(all: impl Iterator<Item = &'a Metrics> + Clone) -> Metrics {
-    let average = |values: Vec<f64>| (!values.is_empty()).then(|| values.iter().sum::<f64>() / values.len() as f64);
+    let average =
+        |values: Vec<f64>| (!values.is_empty()).then(|| values.iter().sum::<f64>() / values.len() as f64);
     Metrics {
         psnr: average(all.clone().map(|m| m.psnr).collect()).unwrap_or(0.0),
         ssim: average(all.clone().map(|m| m.ssim).collect()).unwrap_or(0.0),

@@ -7,18 +7,27 @@ use std::path::Path;
 
 /// Writes a splat or a model.
 pub fn run(args: &ExportArgs) -> Result<Outcome> {
-    let ending = args.output.extension().map(|e| e.to_string_lossy().to_ascii_lowercase()).unwrap_or_default();
+    let ending =
+        args.output.extension().map(|e| e.to_string_lossy().to_ascii_lowercase()).unwrap_or_default();
     match ending.as_str() {
         "ply" => {
             let splat = if args.input.is_dir() { args.input.join("splat.ply") } else { args.input.clone() };
             let gaussians = scene::io::read_splat_ply(&splat)?;
             scene::io::write_splat_ply(&args.output, &gaussians)?;
         }
-        "json" => scene::io::write_transforms(&args.output, &read_model(&args.input)?, &scene::io::TransformsOptions::default())?,
+        "json" => scene::io::write_transforms(
+            &args.output,
+            &read_model(&args.input)?,
+            &scene::io::TransformsOptions::default(),
+        )?,
         "" => {
             let model = read_model(&args.input)?;
             scene::io::replace_folder(&args.output, |folder| {
-                if args.text { scene::io::write_model_txt(&model, folder) } else { scene::io::write_model_bin(&model, folder) }
+                if args.text {
+                    scene::io::write_model_txt(&model, folder)
+                } else {
+                    scene::io::write_model_bin(&model, folder)
+                }
             })?;
         }
         other => bail!("no format is known by the ending .{other}; see 'sat-recon export --help'"),

@@ -72,7 +72,8 @@ pub fn import_poses(model: &Path, frames: &FrameSet) -> Result<Reconstruction> {
     let mut missing = Vec::new();
     for image in reconstruction.images.values_mut() {
         let file = image.name.rsplit('/').next().unwrap_or(&image.name).to_owned();
-        let found = [image.name.clone(), file.clone(), stem(&file)].iter().find_map(|n| by_name.get(n).copied());
+        let found =
+            [image.name.clone(), file.clone(), stem(&file)].iter().find_map(|n| by_name.get(n).copied());
         let Some(frame) = found else {
             missing.push(image.name.clone());
             continue;
@@ -80,7 +81,13 @@ pub fn import_poses(model: &Path, frames: &FrameSet) -> Result<Reconstruction> {
         image.name.clone_from(&frame.name);
         let size = (frame.width, frame.height);
         if *sizes.entry(image.camera).or_insert(size) != size {
-            bail!("images of camera {} differ in size ({} is {}×{})", image.camera, frame.name, size.0, size.1);
+            bail!(
+                "images of camera {} differ in size ({} is {}×{})",
+                image.camera,
+                frame.name,
+                size.0,
+                size.1
+            );
         }
     }
     if let Some(first) = missing.first() {

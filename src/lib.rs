@@ -50,9 +50,15 @@ pub fn run(parsed: config::Parsed) -> Result<Outcome> {
         _ => Until::Report,
     };
     match parsed.cli.command {
-        Command::Run(args) | Command::Frames(args) | Command::Sfm(args) | Command::Train(args) | Command::Eval(args) | Command::Report(args) => {
+        Command::Run(args)
+        | Command::Frames(args)
+        | Command::Sfm(args)
+        | Command::Train(args)
+        | Command::Eval(args)
+        | Command::Report(args) => {
             if verbosity > Verbosity::Quiet && !parsed.preset.is_empty() {
-                eprintln!("--quality {:?} sets {}", args.quality, parsed.preset.join(" "));
+                let name = format!("{:?}", args.quality).to_lowercase();
+                eprintln!("--quality {name} sets {}", parsed.preset.join(" "));
             }
             pipeline::Pipeline::new(*args, parsed.recorded, verbosity, global.json)?.run(until)
         }

@@ -9,8 +9,8 @@ use crate::report;
 use crate::stage::{Cost, Stages, describe_input, fingerprint, write_json};
 use crate::terminal::{CANCELLED, TerminalSink, Verbosity};
 use anyhow::{Context, Result, bail};
-use scene::io::ply::CloudPoint;
 use scene::io::TransformsOptions;
+use scene::io::ply::CloudPoint;
 use scene::{FrameSet, Progress, Reconstruction};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
@@ -101,7 +101,12 @@ pub struct Pipeline {
 
 impl Pipeline {
     /// Looks at the input and opens the output folder.
-    pub fn new(args: PipelineArgs, recorded: Option<Recorded>, verbosity: Verbosity, json: bool) -> Result<Self> {
+    pub fn new(
+        args: PipelineArgs,
+        recorded: Option<Recorded>,
+        verbosity: Verbosity,
+        json: bool,
+    ) -> Result<Self> {
         let input = Input::detect(&args.input, args.ignore_poses)?;
         let out = args.output.clone().unwrap_or_else(|| default_output(&args.input));
         if out.is_file() {
@@ -160,7 +165,11 @@ impl Pipeline {
     }
 
     fn finish(&mut self, stage: &str, cost: Cost, ran: bool, line: &str) {
-        let spent = if ran { format!("{:.1} s, {:.1} CPU s, {:.0} MiB", cost.wall_s, cost.cpu_s, cost.peak_mib) } else { "as before".into() };
+        let spent = if ran {
+            format!("{:.1} s, {:.1} CPU s, {:.0} MiB", cost.wall_s, cost.cpu_s, cost.peak_mib)
+        } else {
+            "as before".into()
+        };
         self.say(&format!("{stage:<9} {line} ({spent})"));
         self.record.costs.push((stage.to_owned(), cost));
     }
@@ -171,10 +180,12 @@ impl Pipeline {
         if self.stages.current::<FrameSet>("frames", &print).is_none() {
             self.refuse_foreign_folder()?;
         }
-        let (finished, ran) = self.stages.run("frames", &print, || {
+        let (finished, ran) = self.stages.run("frames", &print, &[self.out.join("images")], || {
             let progress = self.progress("frames");
             let frames = match &self.input {
-                Input::Video(path) => preprocess::video_frames(path, &self.out, &self.args.frames, &progress)?,
+                Input::Video(path) => {
+                    preprocess::video_frames(path, &self.out, &self.args.frames, &progress)?
+                }
                 Input::Photos(path) | Input::Posed { images: path, .. } => {
                     preprocess::photo_frames(path, &self.out, &self.args.frames, &progress)?
                 }
@@ -194,8 +205,14 @@ impl Pipeline {
     fn refuse_foreign_folder(&self) -> Result<()> {
         for name in ["images", "sparse", "masks"] {
             let path = self.out.join(name);
-            if path.exists() && self.stages.last::<FrameSet>("frames").is_none() && std::fs::read_dir(&path)?.next().is_some() {
-                bail!("{} holds files that sat-recon did not write; choose another folder with -o", path.display());
+            if path.exists()
+                && self.stages.last::<FrameSet>("frames").is_none()
+                && std::fs::read_dir(&path)?.next().is_some()
+            {
+                bail!(
+                    "{} holds files that sat-recon did not write; choose another folder with -o",
+                    path.display()
+                );
             }
         }
         Ok(())
@@ -203,10 +220,19 @@ impl Pipeline {
 
     fn poses(&mut self, frames: &FrameSet, frames_print: &str) -> Result<(PoseSummary, String)> {
         let print = match &self.input {
-            Input::Posed { model, .. } => fingerprint(&("import", 1, frames_print, describe_input(model)?, self.args.text))?,
+            Input::Posed { model, .. } => {
+                fingerprint(&("import", 1, frames_print, describe_input(model)?, self.args.text))?
+            }
             _ => fingerprint(&("sfm", 1, frames_print, &self.args.sfm, self.args.seed, self.args.text))?,
         };
-        let (finished, ran) = self.stages.run("sfm", &print, || {
+        let known: Option<PoseSummary> = self.stages.current("sfm", &print).map(|f| f.value);
+        let has_model = known.is_none_or(|k| k.no_model.is_none());
+        let model = if has_model {
+            vec![self.out.join("sparse/0"), self.out.join("transforms.json")]
+        } else {
+            vec![]
+        };
+        let (finished, ran) = self.stages.run("sfm", &print, &model, || {
             let progress = self.progress("sfm");
             let (reconstruction, mut summary) = match &self.input {
                 Input::Posed { model, .. } => {
@@ -239,7 +265,9 @@ impl Pipeline {
         };
         self.finish("poses", finished.cost, ran, &line);
         for [what, chosen, evidence] in &poses.decisions {
-            self.say(&format!("          {what}: {chosen} ({evidence})"));
+            let detail =
+                if self.verbosity == Verbosity::Verbose { format!(" ({evidence})") } else { String::new() };
+            self.say(&format!("          {what}: {chosen}{detail}"));
         }
         for (name, why) in &poses.missing {
             self.say(&format!("          missing {name}: {why}"));
@@ -247,14 +275,22 @@ impl Pipeline {
         Ok((poses, print))
     }
 
-    fn solve_poses(&self, frames: &FrameSet, progress: &Progress) -> Result<(Option<Reconstruction>, PoseSummary)> {
+    fn solve_poses(
+        &self,
+        frames: &FrameSet,
+        progress: &Progress,
+    ) -> Result<(Option<Reconstruction>, PoseSummary)> {
         let mut config = self.args.sfm.clone();
         config.seed = self.args.seed;
         let result = sfm::reconstruct(frames, &config, progress)?;
         let summary = PoseSummary {
             no_model: result.reconstruction.is_none().then(|| result.reason.clone()),
             missing: result.missing.clone(),
-            decisions: result.decisions.iter().map(|d| [d.what.clone(), d.chosen.clone(), d.evidence.clone()]).collect(),
+            decisions: result
+                .decisions
+                .iter()
+                .map(|d| [d.what.clone(), d.chosen.clone(), d.evidence.clone()])
+                .collect(),
             figures: figures(&result.stats),
             ..PoseSummary::default()
         };
@@ -270,7 +306,9 @@ impl Pipeline {
             }
             Ok::<(), scene::io::IoError>(())
         })?;
-        let mask_of = |f: &scene::Frame| Some(f.mask.as_ref()?.strip_prefix(&self.out).ok()?.to_string_lossy().into_owned());
+        let mask_of = |f: &scene::Frame| {
+            Some(f.mask.as_ref()?.strip_prefix(&self.out).ok()?.to_string_lossy().into_owned())
+        };
         let masks: BTreeMap<String, String> =
             frames.frames.iter().filter_map(|f| Some((f.name.clone(), mask_of(f)?))).collect();
         let points: Vec<CloudPoint> =
@@ -279,7 +317,11 @@ impl Pipeline {
         scene::io::ply::write_points_ply(&self.out.join(cloud), &points)?;
         let options = TransformsOptions {
             image_folder: "images".into(),
-            masks: reconstruction.images.values().filter_map(|i| Some((i.id, masks.get(&i.name)?.clone()))).collect(),
+            masks: reconstruction
+                .images
+                .values()
+                .filter_map(|i| Some((i.id, masks.get(&i.name)?.clone())))
+                .collect(),
             ply_file_path: Some(cloud.into()),
         };
         scene::io::write_transforms(&self.out.join("transforms.json"), reconstruction, &options)?;
@@ -289,27 +331,40 @@ impl Pipeline {
     fn splat(&mut self, frames: &FrameSet, poses_print: &str, until: Until) -> Result<()> {
         let training_set = self.out.join("undistorted");
         let print = fingerprint(&("undistort", 1, poses_print))?;
-        let (finished, ran) = self.stages.run("undistort", &print, || {
-            let progress = self.progress("undistort");
-            let reconstruction = scene::io::read_model(&self.out.join("sparse/0"))?;
-            sfm::undistort::undistort(frames, &reconstruction, &training_set, &progress)?;
-            Ok(0_u32)
-        })?;
+        let (finished, ran) = self.stages.run(
+            "undistort",
+            &print,
+            &[training_set.join("sparse/0"), training_set.join("images")],
+            || {
+                let progress = self.progress("undistort");
+                let reconstruction = scene::io::read_model(&self.out.join("sparse/0"))?;
+                sfm::undistort::undistort(frames, &reconstruction, &training_set, &progress)?;
+                Ok(0_u32)
+            },
+        )?;
         self.finish("undistort", finished.cost, ran, "images for training");
 
         let print = fingerprint(&("train", 1, &print, &self.args.dataset, &self.args.train, self.args.seed))?;
-        let (finished, ran) = self.stages.run("train", &print, || self.train(&training_set, &print))?;
+        let (finished, ran) = self
+            .stages
+            .run("train", &print, &[self.out.join("splat.ply")], || self.train(&training_set, &print))?;
         let splat = finished.value;
-        self.finish("train", finished.cost, ran, &format!("{} gaussians, SH degree {}", splat.gaussians, splat.sh_degree));
+        self.finish(
+            "train",
+            finished.cost,
+            ran,
+            &format!("{} gaussians, SH degree {}", splat.gaussians, splat.sh_degree),
+        );
         self.record.splat = Some(splat);
         if until < Until::Eval {
             return Ok(());
         }
         let print = fingerprint(&("eval", 1, &print))?;
-        let (finished, ran) = self.stages.run("eval", &print, || {
-            let progress = self.progress("eval");
-            evaluate::evaluate(&self.out, &self.args.dataset, &progress)
-        })?;
+        let (finished, ran) =
+            self.stages.run("eval", &print, &[self.out.join("eval/metrics.json")], || {
+                let progress = self.progress("eval");
+                evaluate::evaluate(&self.out, &self.args.dataset, &progress)
+            })?;
         let evaluation = finished.value;
         self.finish("eval", finished.cost, ran, &evaluation.sentence());
         self.record.evaluation = Some(evaluation);
@@ -322,7 +377,9 @@ impl Pipeline {
         let owner = checkpoints.join("fingerprint");
         if std::fs::read_to_string(&owner).ok().as_deref() != Some(print) {
             match std::fs::remove_dir_all(&checkpoints) {
-                Err(e) if e.kind() != std::io::ErrorKind::NotFound => return Err(e).context("cannot clear old checkpoints"),
+                Err(e) if e.kind() != std::io::ErrorKind::NotFound => {
+                    return Err(e).context("cannot clear old checkpoints");
+                }
                 _ => {}
             }
             std::fs::create_dir_all(&checkpoints)?;
@@ -337,7 +394,11 @@ impl Pipeline {
             gaussians: result.gaussians.len(),
             sh_degree: result.gaussians.sh_degree,
             curve: result.curve,
-            decisions: result.decisions.iter().map(|d| [d.subject.clone(), d.choice.clone(), d.evidence.clone()]).collect(),
+            decisions: result
+                .decisions
+                .iter()
+                .map(|d| [d.subject.clone(), d.choice.clone(), d.evidence.clone()])
+                .collect(),
         };
         let _ = std::fs::remove_dir_all(&checkpoints); // the splat is written: the checkpoint has done its work
         Ok(summary)

@@ -46,9 +46,12 @@ fn camera_path(model: &Reconstruction, args: &RenderArgs) -> Result<Vec<View>> {
     images.sort_by(|a, b| a.name.cmp(&b.name));
     let first = images.first().context("the model has no images")?;
     let camera = model.cameras.get(&first.camera).context("the model has no camera")?.clone();
-    let input = images.iter().enumerate().filter(|(i, _)| args.path == CameraPath::Input || i % TEST_EVERY == 0);
+    let input =
+        images.iter().enumerate().filter(|(i, _)| args.path == CameraPath::Input || i % TEST_EVERY == 0);
     if matches!(args.path, CameraPath::Input | CameraPath::Test) {
-        let views = input.filter_map(|(_, image)| Some((image.name.clone(), model.cameras.get(&image.camera)?.clone(), image.pose)));
+        let views = input.filter_map(|(_, image)| {
+            Some((image.name.clone(), model.cameras.get(&image.camera)?.clone(), image.pose))
+        });
         return Ok(views.collect());
     }
     let ring = Ring::fit(images.iter().map(|i| &i.pose))?;
@@ -91,7 +94,10 @@ impl Ring {
         let radius = poses.clone().map(|p| flat(p.centre()).length()).sum::<f64>() / n;
         let start = poses.clone().map(|p| flat(p.centre())).next().and_then(DVec3::try_normalize);
         let start = start.unwrap_or_else(|| up.any_orthonormal_vector());
-        anyhow::ensure!(radius.is_finite() && radius > 0.0, "the cameras do not go round anything; render --path input instead");
+        anyhow::ensure!(
+            radius.is_finite() && radius > 0.0,
+            "the cameras do not go round anything; render --path input instead"
+        );
         Ok(Self { focus, up, start, radius, height })
     }
 
@@ -113,7 +119,15 @@ fn picture(output: &RenderOutput, channel: Channel, camera: &Camera) -> RgbImage
         Channel::Color => output.rgb.to_rgb8(),
         Channel::Alpha => RgbImage::from_fn(w, h, |x, y| grey(output.alpha.data[at(x, y)])),
         Channel::Depth => {
-            let seen = || output.depth.data.iter().zip(&output.alpha.data).filter(|(d, a)| **a > 0.5 && d.is_finite()).map(|(d, _)| *d);
+            let seen = || {
+                output
+                    .depth
+                    .data
+                    .iter()
+                    .zip(&output.alpha.data)
+                    .filter(|(d, a)| **a > 0.5 && d.is_finite())
+                    .map(|(d, _)| *d)
+            };
             let (near, far) = (seen().fold(f32::INFINITY, f32::min), seen().fold(0.0, f32::max));
             let shade = |i: usize| {
                 let (d, a) = (output.depth.data[i], output.alpha.data[i]);
@@ -129,12 +143,16 @@ fn normal_colour(output: &RenderOutput, camera: &Camera, x: u32, y: u32) -> imag
     let point = |x: u32, y: u32| {
         let i = (y * camera.width + x) as usize;
         let d = f64::from(output.depth.data[i]);
-        (output.alpha.data[i] > 0.5).then(|| camera.unproject(glam::DVec2::new(f64::from(x) + 0.5, f64::from(y) + 0.5)).extend(1.0) * d)
+        (output.alpha.data[i] > 0.5).then(|| {
+            camera.unproject(glam::DVec2::new(f64::from(x) + 0.5, f64::from(y) + 0.5)).extend(1.0) * d
+        })
     };
     if x + 1 >= camera.width || y + 1 >= camera.height {
         return image::Rgb([0; 3]);
     }
-    let (Some(p), Some(px), Some(py)) = (point(x, y), point(x + 1, y), point(x, y + 1)) else { return image::Rgb([0; 3]) };
+    let (Some(p), Some(px), Some(py)) = (point(x, y), point(x + 1, y), point(x, y + 1)) else {
+        return image::Rgb([0; 3]);
+    };
     let n = (py - p).cross(px - p).normalize_or_zero();
     let byte = |v: f64| ((v * 0.5 + 0.5).clamp(0.0, 1.0) * 255.0).round() as u8;
     image::Rgb([byte(n.x), byte(-n.y), byte(-n.z)])
@@ -159,7 +177,9 @@ impl Sink {
     fn put(&mut self, name: &str, picture: &RgbImage) -> Result<()> {
         match self {
             Self::Folder(folder) => {
-                let file = folder.join(Path::new(name).with_extension("png").file_name().context("a view without a name")?);
+                let file = folder.join(
+                    Path::new(name).with_extension("png").file_name().context("a view without a name")?,
+                );
                 picture.save(&file).with_context(|| format!("cannot write {}", file.display()))
             }
             Self::Video { child, path, fps, size } => {
@@ -167,7 +187,10 @@ impl Sink {
                     *size = picture.dimensions();
                     *child = Some(start_ffmpeg(&partial(path), *fps, *size)?);
                 }
-                anyhow::ensure!(picture.dimensions() == *size, "the views differ in size; render to a folder instead");
+                anyhow::ensure!(
+                    picture.dimensions() == *size,
+                    "the views differ in size; render to a folder instead"
+                );
                 let stdin = child.as_mut().and_then(|c| c.stdin.as_mut()).context("ffmpeg takes no input")?;
                 stdin.write_all(picture.as_raw()).context("ffmpeg stopped early")
             }
@@ -189,8 +212,31 @@ fn partial(path: &Path) -> std::path::PathBuf {
 
 fn start_ffmpeg(path: &Path, fps: f64, (w, h): (u32, u32)) -> Result<std::process::Child> {
     Command::new("ffmpeg")
-        .args(["-v", "error", "-y", "-f", "rawvideo", "-pix_fmt", "rgb24", "-s", &format!("{w}x{h}"), "-r", &fps.to_string(), "-i", "-"])
-        .args(["-vf", "pad=ceil(iw/2)*2:ceil(ih/2)*2", "-c:v", "libx264", "-crf", "16", "-pix_fmt", "yuv420p"])
+        .args([
+            "-v",
+            "error",
+            "-y",
+            "-f",
+            "rawvideo",
+            "-pix_fmt",
+            "rgb24",
+            "-s",
+            &format!("{w}x{h}"),
+            "-r",
+            &fps.to_string(),
+            "-i",
+            "-",
+        ])
+        .args([
+            "-vf",
+            "pad=ceil(iw/2)*2:ceil(ih/2)*2",
+            "-c:v",
+            "libx264",
+            "-crf",
+            "16",
+            "-pix_fmt",
+            "yuv420p",
+        ])
         .arg(path)
         .stdin(Stdio::piped())
         .spawn()

@@ -63,15 +63,18 @@ impl Stages {
         serde_json::from_slice(&std::fs::read(self.path(&format!("{name}.json"))).ok()?).ok()
     }
 
-    /// Runs `work` unless its result is there and current; remembers the result when it is complete.
-    /// The second value says whether it ran.
+    /// Runs `work` unless its result is current and its `outputs` are there; remembers the result when it is
+    /// complete. The second value says whether it ran.
     pub fn run<T: Serialize + DeserializeOwned>(
         &self,
         name: &str,
         fingerprint: &str,
+        outputs: &[PathBuf],
         work: impl FnOnce() -> Result<T>,
     ) -> Result<(Finished<T>, bool)> {
-        if let Some(finished) = self.current(name, fingerprint) {
+        if let Some(finished) = self.current(name, fingerprint)
+            && outputs.iter().all(|path| path.exists())
+        {
             return Ok((finished, false));
         }
         let meter = Meter::start();
@@ -92,9 +95,12 @@ pub fn describe_input(path: &Path) -> Result<Vec<(String, u64, u128)>> {
     let mut found = Vec::new();
     let mut folders = vec![path.to_path_buf()];
     while let Some(current) = folders.pop() {
-        let meta = std::fs::metadata(&current).with_context(|| format!("cannot read {}", current.display()))?;
+        let meta =
+            std::fs::metadata(&current).with_context(|| format!("cannot read {}", current.display()))?;
         if meta.is_dir() {
-            for entry in std::fs::read_dir(&current).with_context(|| format!("cannot list {}", current.display()))? {
+            for entry in
+                std::fs::read_dir(&current).with_context(|| format!("cannot list {}", current.display()))?
+            {
                 let entry = entry?;
                 if !entry.file_type()?.is_symlink() && !entry.file_name().to_string_lossy().starts_with('.') {
                     folders.push(entry.path());
@@ -102,7 +108,11 @@ pub fn describe_input(path: &Path) -> Result<Vec<(String, u64, u128)>> {
             }
         } else {
             let changed = meta.modified().ok().and_then(|t| t.duration_since(std::time::UNIX_EPOCH).ok());
-            found.push((current.to_string_lossy().into_owned(), meta.len(), changed.map_or(0, |d| d.as_nanos())));
+            found.push((
+                current.to_string_lossy().into_owned(),
+                meta.len(),
+                changed.map_or(0, |d| d.as_nanos()),
+            ));
         }
     }
     found.sort();
@@ -170,7 +180,7 @@ mod tests {
         let mut runs = 0;
         for (print, expected) in [("a", 1), ("a", 1), ("b", 2)] {
             let (finished, _) = stages
-                .run("frames", print, || {
+                .run("frames", print, &[], || {
                     runs += 1;
                     Ok(runs)
                 })
@@ -181,10 +191,27 @@ mod tests {
     }
 
     #[test]
+    fn a_stage_whose_output_was_deleted_runs_again() {
+        let folder = std::env::temp_dir().join(format!("sat-recon-deleted-{}", std::process::id()));
+        let stages = Stages::open(&folder).unwrap();
+        let output = folder.join("splat.ply");
+        for expected in [true, false, true] {
+            let made = output.clone();
+            let (_, ran) =
+                stages.run("train", "a", &[output.clone()], || Ok(std::fs::write(made, "x")?)).unwrap();
+            assert_eq!(ran, expected);
+            if !ran {
+                std::fs::remove_file(&output).unwrap();
+            }
+        }
+        std::fs::remove_dir_all(folder).unwrap();
+    }
+
+    #[test]
     fn a_failed_stage_leaves_nothing_to_skip_to() {
         let folder = std::env::temp_dir().join(format!("sat-recon-failed-{}", std::process::id()));
         let stages = Stages::open(&folder).unwrap();
-        assert!(stages.run::<u32>("sfm", "a", || anyhow::bail!("no")).is_err());
+        assert!(stages.run::<u32>("sfm", "a", &[], || anyhow::bail!("no")).is_err());
         assert!(stages.current::<u32>("sfm", "a").is_none());
         std::fs::remove_dir_all(folder).unwrap();
     }

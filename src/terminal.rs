@@ -109,7 +109,11 @@ impl ProgressSink for TerminalSink {
             state.last_line = Instant::now();
             let rate = done as f64 / state.begun.elapsed().as_secs_f64().max(1e-9);
             let of = if state.total > 0 { format!("/{}", state.total) } else { String::new() };
-            let eta = if state.total > done { format!(", {:.0} s left", (state.total - done) as f64 / rate) } else { String::new() };
+            let eta = if state.total > done {
+                format!(", {:.0} s left", (state.total - done) as f64 / rate)
+            } else {
+                String::new()
+            };
             eprintln!("{}: {done}{of}, {rate:.1}/s{eta} {detail}", state.what);
         }
     }

@@ -1,7 +1,7 @@
 #!/usr/bin/env python3
 """Runs sat-recon on the real captures and prints the tables of docs/benchmarks.md.
 
-    bench.py SAT_RECON SHARED --out FOLDER [--only NAME ...] [--no-colmap]
+    bench.py SAT_RECON SHARED --out FOLDER [--only NAME ...] [--colmap NAME ...]
 
 Poses are judged by `sat-recon compare --truth`, which computes what COLMAP's benchmark papers use: the area under
 the recall curve over all image pairs. COLMAP 3.8 runs on the same images in the same call where it is installed.
@@ -80,7 +80,7 @@ def bench_poses(binary, shared, out, only, colmap):
         if truth and code in (0, 3):
             record |= pose_errors(binary, os.path.join(folder, "sparse", "0"), truth)
         pose_row(name, "sat-recon", record, cpu, wall, peak)
-        if colmap and truth and shutil.which("colmap"):
+        if name in colmap and truth and shutil.which("colmap"):
             bench_colmap(binary, name, os.path.join(folder, "images"), truth, os.path.join(out, "colmap", name))
 
 
@@ -111,13 +111,13 @@ def bench_colmap(binary, name, images, truth, folder):
         pose_row(name, "COLMAP 3.8", best, total_cpu, total_wall, most)
 
 
-def bench_splats(binary, shared, out, only):
+def bench_splats(binary, shared, out, only, qualities):
     print("\n## Splats (every 8th view held out)\n\n| input | quality | gaussians | PSNR | SSIM | worst view | train CPU s "
           "| train wall s | peak MiB |\n|---|---|---|---|---|---|---|---|---|")
     for name, source, flags in SPLATS:
         if only and name not in only:
             continue
-        for quality in ("fast", "balanced"):
+        for quality in qualities:
             folder = os.path.join(out, "splats", name + "-" + quality)
             shutil.rmtree(folder, ignore_errors=True)
             source_path = os.path.join(shared, "data", source)
@@ -141,14 +141,15 @@ def main():
     parser.add_argument("--out", required=True)
     parser.add_argument("--only", nargs="*", help="names of inputs")
     parser.add_argument("--tables", nargs="*", default=["poses", "splats"], choices=["poses", "splats"])
-    parser.add_argument("--no-colmap", action="store_true")
+    parser.add_argument("--colmap", nargs="*", default=["temple_ring"], help="inputs on which COLMAP 3.8 runs too")
+    parser.add_argument("--quality", nargs="*", default=["fast", "balanced"])
     args = parser.parse_args()
     if not os.path.isdir(os.path.join(args.shared, "data")):
         sys.exit(f"{args.shared}/data is missing: the benchmarks need the real captures")
     if "poses" in args.tables:
-        bench_poses(args.binary, args.shared, args.out, args.only, not args.no_colmap)
+        bench_poses(args.binary, args.shared, args.out, args.only, args.colmap)
     if "splats" in args.tables:
-        bench_splats(args.binary, args.shared, args.out, args.only)
+        bench_splats(args.binary, args.shared, args.out, args.only, args.quality)
 
 
 if __name__ == "__main__":

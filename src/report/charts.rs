@@ -55,20 +55,26 @@ pub fn camera_map(reconstruction: &Reconstruction, from_above: bool) -> Result<S
     let scale = padded(centres.iter().map(|c| c.0.0));
     let arrow = (scale.end - scale.start) * 0.06;
     let step = (reconstruction.points.len() / 3000).max(1);
-    let mut points: Vec<_> = reconstruction.points.values().step_by(step).map(|p| (flat(p.position), p.rgb)).collect();
+    let mut points: Vec<_> =
+        reconstruction.points.values().step_by(step).map(|p| (flat(p.position), p.rgb)).collect();
     let reach = points_reach(&points, &centres.iter().map(|c| c.0).collect::<Vec<_>>());
     points.retain(|(p, _)| p.0.abs() <= reach && p.1.abs() <= reach);
     let all: Vec<_> = centres.iter().map(|c| c.0).chain(points.iter().map(|p| p.0)).collect();
     let (x, y) = equal_axes(&all);
     svg(|area| {
-        let mut chart = ChartBuilder::on(area).margin(8).build_cartesian_2d(x, y).map_err(|e| anyhow!("{e}"))?;
+        let mut chart =
+            ChartBuilder::on(area).margin(8).build_cartesian_2d(x, y).map_err(|e| anyhow!("{e}"))?;
         let dots = points.iter().map(|(p, c)| Circle::new(*p, 1, RGBColor(c[0], c[1], c[2]).filled()));
         chart.draw_series(dots).map_err(|e| anyhow!("{e}"))?;
         for (centre, pose) in &centres {
             let tip = flat(pose.centre() + pose.view_direction() * arrow);
-            chart.draw_series([PathElement::new(vec![*centre, tip], BLUE.stroke_width(2))]).map_err(|e| anyhow!("{e}"))?;
+            chart
+                .draw_series([PathElement::new(vec![*centre, tip], BLUE.stroke_width(2))])
+                .map_err(|e| anyhow!("{e}"))?;
         }
-        chart.draw_series(centres.iter().map(|c| Circle::new(c.0, 3, BLUE.filled()))).map_err(|e| anyhow!("{e}"))?;
+        chart
+            .draw_series(centres.iter().map(|c| Circle::new(c.0, 3, BLUE.filled())))
+            .map_err(|e| anyhow!("{e}"))?;
         Ok(())
     })
 }
@@ -92,13 +98,16 @@ fn principal_frame(reconstruction: &Reconstruction) -> glam::DMat3 {
         covariance += glam::DMat3::from_cols(d * d.x, d * d.y, d * d.z);
     }
     let first = power_iteration(covariance, glam::DVec3::new(1.0, 0.3, 0.1));
-    let rest = covariance - glam::DMat3::from_cols(first * first.x, first * first.y, first * first.z) * (covariance * first).dot(first);
+    let rest = covariance
+        - glam::DMat3::from_cols(first * first.x, first * first.y, first * first.z)
+            * (covariance * first).dot(first);
     let start = first.any_orthonormal_vector();
     let second = power_iteration(rest, start);
     let second = (second - first * first.dot(second)).try_normalize().unwrap_or(start);
     let mut third = first.cross(second);
     // Up in most pictures is up in the side view.
-    let up: glam::DVec3 = reconstruction.images.values().map(|i| i.pose.rotation.conjugate() * -glam::DVec3::Y).sum();
+    let up: glam::DVec3 =
+        reconstruction.images.values().map(|i| i.pose.rotation.conjugate() * -glam::DVec3::Y).sum();
     if third.dot(up) < 0.0 {
         third = -third;
     }
@@ -135,7 +144,11 @@ pub fn error_histogram(errors: &[f64]) -> Result<String> {
     })
 }
 
-type Chart<'a, 'b> = ChartContext<'a, SVGBackend<'b>, Cartesian2d<plotters::coord::types::RangedCoordf64, plotters::coord::types::RangedCoordf64>>;
+type Chart<'a, 'b> = ChartContext<
+    'a,
+    SVGBackend<'b>,
+    Cartesian2d<plotters::coord::types::RangedCoordf64, plotters::coord::types::RangedCoordf64>,
+>;
 
 fn axes<'a, 'b>(
     area: &'a DrawingArea<SVGBackend<'b>, plotters::coord::Shift>,

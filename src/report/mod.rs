@@ -76,7 +76,14 @@ fn frames(html: &mut String, record: &RunRecord) -> Result<()> {
     let Some(frames) = &record.frames else { return Ok(()) };
     write!(html, "<h2>Frames</h2><p>{} frames used", frames.len())?;
     if let (Some(first), Some(last)) = (frames.frames.first(), frames.frames.last()) {
-        write!(html, ", {}×{}, from {} to {}", first.width, first.height, escape(&first.name), escape(&last.name))?;
+        write!(
+            html,
+            ", {}×{}, from {} to {}",
+            first.width,
+            first.height,
+            escape(&first.name),
+            escape(&last.name)
+        )?;
         if let (Some(a), Some(b)) = (first.time_s, last.time_s) {
             write!(html, " ({a:.2} s to {b:.2} s)")?;
         }
@@ -96,7 +103,10 @@ fn list(html: &mut String, items: impl Iterator<Item = String>) -> Result<()> {
 }
 
 fn decisions(html: &mut String, decisions: &[[String; 3]]) -> Result<()> {
-    list(html, decisions.iter().map(|d| format!("{}: <b>{}</b> – {}", escape(&d[0]), escape(&d[1]), escape(&d[2]))))
+    list(
+        html,
+        decisions.iter().map(|d| format!("{}: <b>{}</b> – {}", escape(&d[0]), escape(&d[1]), escape(&d[2]))),
+    )
 }
 
 fn figure(html: &mut String, svg: &str, caption: &str) -> Result<()> {
@@ -110,7 +120,10 @@ fn poses(html: &mut String, out: &Path, poses: &PoseSummary) -> Result<()> {
         write!(html, "<p>{} of {} images, {} points.</p>", poses.registered, poses.total, poses.points)?;
     }
     decisions(html, &poses.decisions)?;
-    list(html, poses.missing.iter().map(|(name, why)| format!("no pose for {}: {}", escape(name), escape(why))))?;
+    list(
+        html,
+        poses.missing.iter().map(|(name, why)| format!("no pose for {}: {}", escape(name), escape(why))),
+    )?;
     if poses.no_model.is_some() {
         return Ok(());
     }
@@ -120,7 +133,11 @@ fn poses(html: &mut String, out: &Path, poses: &PoseSummary) -> Result<()> {
     figure(html, &charts::camera_map(&model, false)?, "The same from the side")?;
     let errors = model.reprojection_errors();
     if !errors.is_empty() {
-        figure(html, &charts::error_histogram(&errors)?, "Reprojection error (the last bar holds all above)")?;
+        figure(
+            html,
+            &charts::error_histogram(&errors)?,
+            "Reprojection error (the last bar holds all above)",
+        )?;
     }
     html.push_str("</div><div class=\"scroll\"><table><tr><th>camera<th>model<th>size<th>parameters</tr>");
     for camera in model.cameras.values() {
@@ -143,8 +160,16 @@ fn splat(html: &mut String, splat: &SplatSummary) -> Result<()> {
     write!(html, "<h2>Splat</h2><p>{} gaussians, SH degree {}.</p>", splat.gaussians, splat.sh_degree)?;
     decisions(html, &splat.decisions)?;
     html.push_str("<div class=\"row\">");
-    figure(html, &charts::training_curve(&splat.curve, "loss", |p| f64::from(p.loss))?, "Loss of the training views")?;
-    figure(html, &charts::training_curve(&splat.curve, "PSNR, dB", |p| f64::from(p.psnr))?, "PSNR of the training views")?;
+    figure(
+        html,
+        &charts::training_curve(&splat.curve, "loss", |p| f64::from(p.loss))?,
+        "Loss of the training views",
+    )?;
+    figure(
+        html,
+        &charts::training_curve(&splat.curve, "PSNR, dB", |p| f64::from(p.psnr))?,
+        "PSNR of the training views",
+    )?;
     html.push_str("</div>");
     Ok(())
 }
@@ -154,8 +179,11 @@ fn evaluation(html: &mut String, out: &Path, evaluation: &Evaluation) -> Result<
     html.push_str(
         "<div class=\"scroll\"><table><tr><th>view<th class=n>PSNR<th class=n>SSIM<th class=n>PSNR in mask<th class=n>SSIM in mask</tr>",
     );
-    for (name, m) in evaluation.views.iter().map(|v| (v.name.as_str(), &v.metrics)).chain([("mean", &evaluation.mean)]) {
-        let optional = |v: Option<f64>, digits: usize| v.map_or("–".to_owned(), |v| format!("{v:.digits$}"));
+    for (name, m) in
+        evaluation.views.iter().map(|v| (v.name.as_str(), &v.metrics)).chain([("mean", &evaluation.mean)])
+    {
+        let optional =
+            |v: Option<f64>, digits: usize| v.map_or("–".to_owned(), |v| format!("{v:.digits$}"));
         write!(
             html,
             "<tr><td>{}<td class=n>{:.2}<td class=n>{:.4}<td class=n>{}<td class=n>{}</tr>",
@@ -171,7 +199,11 @@ fn evaluation(html: &mut String, out: &Path, evaluation: &Evaluation) -> Result<
         html.push_str("<div class=\"triple\">");
         for (kind, picture) in triple(&out.join("eval"), &view.picture)? {
             let code = base64::engine::general_purpose::STANDARD.encode(jpeg(&picture)?);
-            write!(html, "<img loading=lazy alt=\"{kind} of {}\" src=\"data:image/jpeg;base64,{code}\">", escape(&view.name))?;
+            write!(
+                html,
+                "<img loading=lazy alt=\"{kind} of {}\" src=\"data:image/jpeg;base64,{code}\">",
+                escape(&view.name)
+            )?;
         }
         html.push_str("</div>");
     }
@@ -205,9 +237,15 @@ fn jpeg(picture: &RgbImage) -> Result<Vec<u8>> {
 }
 
 fn costs(html: &mut String, record: &RunRecord) -> Result<()> {
-    html.push_str("<h2>Cost</h2><table><tr><th>stage<th class=n>wall s<th class=n>CPU s<th class=n>peak MiB</tr>");
+    html.push_str(
+        "<h2>Cost</h2><table><tr><th>stage<th class=n>wall s<th class=n>CPU s<th class=n>peak MiB</tr>",
+    );
     for (stage, cost) in &record.costs {
-        write!(html, "<tr><td>{stage}<td class=n>{:.1}<td class=n>{:.1}<td class=n>{:.0}</tr>", cost.wall_s, cost.cpu_s, cost.peak_mib)?;
+        write!(
+            html,
+            "<tr><td>{stage}<td class=n>{:.1}<td class=n>{:.1}<td class=n>{:.0}</tr>",
+            cost.wall_s, cost.cpu_s, cost.peak_mib
+        )?;
     }
     write!(html, "</table><p>sat-recon {}, seed {}", record.version, record.config.seed)?;
     for (name, version) in &record.libraries {

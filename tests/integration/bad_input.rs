@@ -36,7 +36,9 @@ fn a_missing_input_is_named() {
 #[test]
 fn empty_and_non_video_files_are_refused_by_name() {
     let dir = folder("nonvideo");
-    for (name, content) in [("empty.mp4", &b""[..]), ("text.mp4", b"this is no video\n"), ("zeros.mov", &[0; 4096])] {
+    for (name, content) in
+        [("empty.mp4", &b""[..]), ("text.mp4", b"this is no video\n"), ("zeros.mov", &[0; 4096])]
+    {
         let path = dir.join(name);
         std::fs::write(&path, content).unwrap();
         assert!(run(&path, 1).contains(name), "{name}");
@@ -84,7 +86,8 @@ fn posed(name: &str, names: [&str; 2]) -> std::path::PathBuf {
     std::fs::create_dir_all(dir.join("images")).unwrap();
     noise_image(8, 64, 48).save(dir.join("images/a.png")).unwrap();
     std::fs::write(model.join("cameras.txt"), "1 PINHOLE 64 48 60 60 32 24\n").unwrap();
-    let lines: Vec<String> = names.iter().enumerate().map(|(i, n)| format!("{} 1 0 0 0 0 0 {i} 1 {n}\n\n", i + 1)).collect();
+    let lines: Vec<String> =
+        names.iter().enumerate().map(|(i, n)| format!("{} 1 0 0 0 0 0 {i} 1 {n}\n\n", i + 1)).collect();
     std::fs::write(model.join("images.txt"), lines.concat()).unwrap();
     std::fs::write(model.join("points3D.txt"), "").unwrap();
     dir

@@ -5,7 +5,9 @@ use super::support::{expect_code, folder, sat_recon, text};
 #[test]
 fn help_names_every_command_and_ends_well() {
     let said = expect_code(&["--help"], 0);
-    for command in ["run", "frames", "sfm", "train", "render", "eval", "report", "export", "compare", "doctor"] {
+    for command in
+        ["run", "frames", "sfm", "train", "render", "eval", "report", "export", "compare", "doctor"]
+    {
         assert!(said.contains(command), "{command} is not in the help");
     }
     assert!(expect_code(&["--version"], 0).contains(env!("CARGO_PKG_VERSION")));

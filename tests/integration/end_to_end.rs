@@ -6,7 +6,8 @@ use std::process::Command;
 use std::sync::OnceLock;
 
 /// Small enough for a test, real all the way: 36 frames of the sample at 320 pixels, 600 steps.
-pub const SMALL: [&str; 8] = ["--frames", "36", "--max-size", "320", "--iterations", "600", "--max-gaussians", "20000"];
+pub const SMALL: [&str; 8] =
+    ["--frames", "36", "--max-size", "320", "--iterations", "600", "--max-gaussians", "20000"];
 
 /// One run that several tests look at.
 fn finished_run() -> &'static Path {
@@ -22,7 +23,14 @@ fn finished_run() -> &'static Path {
 #[test]
 fn a_video_becomes_poses_a_splat_metrics_and_a_report() {
     let out = finished_run();
-    for file in ["sparse/0/images.bin", "sparse/0/images.txt", "transforms.json", "splat.ply", "eval/metrics.json", "run.json"] {
+    for file in [
+        "sparse/0/images.bin",
+        "sparse/0/images.txt",
+        "transforms.json",
+        "splat.ply",
+        "eval/metrics.json",
+        "run.json",
+    ] {
         assert!(out.join(file).is_file(), "{file} is missing");
     }
     let run = json(&out.join("run.json"));
@@ -35,7 +43,8 @@ fn a_video_becomes_poses_a_splat_metrics_and_a_report() {
 #[test]
 fn the_poses_of_the_sample_agree_with_its_truth() {
     let out = finished_run();
-    let said = expect_code(&["compare", text(out), "--truth", text(&sample("sample/truth")), "--json"], 0);
+    let said =
+        expect_code(&["compare", text(out), "--truth", text(&sample("sample/orbit_truth")), "--json"], 0);
     let start = said.find('[').unwrap();
     let rows: serde_json::Value = serde_json::from_str(&said[start..]).unwrap();
     assert!(rows[0]["auc"]["5"].as_f64().unwrap() > 85.0, "{said}");
@@ -44,7 +53,9 @@ fn the_poses_of_the_sample_agree_with_its_truth() {
 #[test]
 fn the_report_is_one_file_with_everything_in_it() {
     let report = std::fs::read_to_string(finished_run().join("report.html")).unwrap();
-    for part in ["<h2>Frames", "<h2>Poses", "<h2>Splat", "<h2>Held-out views", "<svg", "data:image/jpeg;base64,"] {
+    for part in
+        ["<h2>Frames", "<h2>Poses", "<h2>Splat", "<h2>Held-out views", "<svg", "data:image/jpeg;base64,"]
+    {
         assert!(report.contains(part), "{part} is missing");
     }
     assert!(!report.contains("src=\"http") && !report.contains("href=\"http"), "nothing may be fetched");
@@ -62,16 +73,28 @@ fn a_second_run_does_nothing_and_a_changed_flag_only_what_depends_on_it() {
 #[test]
 fn colmap_reads_the_model() {
     let model = finished_run().join("sparse/0");
-    let analyzed = Command::new("colmap").args(["model_analyzer", "--path", text(&model)]).env("QT_QPA_PLATFORM", "offscreen").output();
+    let analyzed = Command::new("colmap")
+        .args(["model_analyzer", "--path", text(&model)])
+        .env("QT_QPA_PLATFORM", "offscreen")
+        .output();
     let Ok(analyzed) = analyzed else {
         assert!(std::env::var_os("CI").is_none(), "CI must have colmap ('make test' installs it)");
         return eprintln!("SKIPPED: colmap is not installed");
     };
-    let said = format!("{}{}", String::from_utf8_lossy(&analyzed.stdout), String::from_utf8_lossy(&analyzed.stderr));
+    let said =
+        format!("{}{}", String::from_utf8_lossy(&analyzed.stdout), String::from_utf8_lossy(&analyzed.stderr));
     assert!(analyzed.status.success() && said.contains("Registered images: 36"), "{said}");
     let ply = folder("model_converter").join("points.ply");
     let converted = Command::new("colmap")
-        .args(["model_converter", "--input_path", text(&model), "--output_path", text(&ply), "--output_type", "PLY"])
+        .args([
+            "model_converter",
+            "--input_path",
+            text(&model),
+            "--output_path",
+            text(&ply),
+            "--output_type",
+            "PLY",
+        ])
         .env("QT_QPA_PLATFORM", "offscreen")
         .status()
         .unwrap();

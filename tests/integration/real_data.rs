@@ -17,7 +17,10 @@ fn errors(out: &Path, truth: &Path) -> serde_json::Value {
 
 #[test]
 fn temple_ring_is_one_model_with_accurate_poses() {
-    let (Some(images), Some(truth)) = (shared("temple_ring/images"), shared("temple_ring/cameras_par.txt")) else { return };
+    let (Some(images), Some(truth)) = (shared("temple_ring/images"), shared("temple_ring/cameras_par.txt"))
+    else {
+        return;
+    };
     let errors = errors(&poses("temple", &images, &[], 0), &truth);
     assert_eq!(errors["registered"], 47, "{errors}");
     assert!(errors["auc"]["5"].as_f64().unwrap() >= 78.0, "{errors}");
@@ -26,7 +29,11 @@ fn temple_ring_is_one_model_with_accurate_poses() {
 
 #[test]
 fn fountain_is_one_model_with_accurate_poses() {
-    let (Some(images), Some(truth)) = (shared("fountain_p11/images"), shared("fountain_p11/gt_dense_cameras")) else { return };
+    let (Some(images), Some(truth)) =
+        (shared("fountain_p11/images"), shared("fountain_p11/gt_dense_cameras"))
+    else {
+        return;
+    };
     let errors = errors(&poses("fountain", &images, &["--max-size", "1024"], 0), &truth);
     assert_eq!(errors["registered"], 11, "{errors}");
     assert!(errors["auc"]["5"].as_f64().unwrap() >= 85.0, "{errors}");

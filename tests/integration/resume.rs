@@ -5,8 +5,18 @@ use std::path::Path;
 use std::process::{Child, Command, Stdio};
 use std::time::{Duration, Instant};
 
-const TINY: [&str; 10] =
-    ["--frames", "20", "--max-size", "240", "--iterations", "400", "--max-gaussians", "10000", "--checkpoint-every", "50"];
+const TINY: [&str; 10] = [
+    "--frames",
+    "20",
+    "--max-size",
+    "240",
+    "--iterations",
+    "400",
+    "--max-gaussians",
+    "10000",
+    "--checkpoint-every",
+    "50",
+];
 
 fn start(input: &Path, out: &Path) -> Child {
     Command::new(env!("CARGO_BIN_EXE_sat-recon"))
@@ -52,7 +62,11 @@ fn killed_in_every_stage_a_run_ends_with_the_same_splat() {
     }
     expect_code(&["run", text(&out)], 0);
     for file in ["splat.ply", "sparse/0/images.bin", "sparse/0/points3D.bin"] {
-        assert_eq!(std::fs::read(out.join(file)).unwrap(), std::fs::read(whole.join(file)).unwrap(), "{file}");
+        assert_eq!(
+            std::fs::read(out.join(file)).unwrap(),
+            std::fs::read(whole.join(file)).unwrap(),
+            "{file}"
+        );
     }
     std::fs::remove_dir_all(dir).unwrap();
 }
@@ -79,7 +93,8 @@ fn ctrl_c_in_training_keeps_a_checkpoint_and_the_next_run_goes_on() {
 #[test]
 fn a_full_disk_is_reported_and_leaves_no_half_written_file() {
     let dir = folder("full");
-    let mounted = Command::new("mount").args(["-t", "tmpfs", "-o", "size=300k", "tmpfs", text(&dir)]).output();
+    let mounted =
+        Command::new("mount").args(["-t", "tmpfs", "-o", "size=300k", "tmpfs", text(&dir)]).output();
     if !mounted.is_ok_and(|m| m.status.success()) {
         return eprintln!("SKIPPED: mounting a small file system needs privileges");
     }

@@ -11,7 +11,8 @@ pub fn sat_recon(arguments: &[&str]) -> Output {
 /// Runs the program and demands an exit code; what it said is in the failure message.
 pub fn expect_code(arguments: &[&str], code: i32) -> String {
     let output = sat_recon(arguments);
-    let said = format!("{}{}", String::from_utf8_lossy(&output.stdout), String::from_utf8_lossy(&output.stderr));
+    let said =
+        format!("{}{}", String::from_utf8_lossy(&output.stdout), String::from_utf8_lossy(&output.stderr));
     assert_eq!(output.status.code(), Some(code), "sat-recon {}: {said}", arguments.join(" "));
     said
 }
@@ -31,7 +32,8 @@ pub fn text(path: &Path) -> &str {
 
 /// A file or folder of the real data; `None` (said loudly) where the data is missing, a failure in CI.
 pub fn shared(relative: &str) -> Option<PathBuf> {
-    let root = std::env::var_os("SAT_RECON_SHARED").map_or_else(|| Path::new(env!("CARGO_MANIFEST_DIR")).join("../shared"), PathBuf::from);
+    let root = std::env::var_os("SAT_RECON_SHARED")
+        .map_or_else(|| Path::new(env!("CARGO_MANIFEST_DIR")).join("../shared"), PathBuf::from);
     let path = root.join("data").join(relative);
     if path.exists() {
         return Some(path);
@@ -48,5 +50,6 @@ pub fn sample(relative: &str) -> PathBuf {
 
 /// JSON of a file.
 pub fn json(path: &Path) -> serde_json::Value {
-    serde_json::from_slice(&std::fs::read(path).unwrap_or_else(|e| panic!("{}: {e}", path.display()))).expect("JSON")
+    serde_json::from_slice(&std::fs::read(path).unwrap_or_else(|e| panic!("{}: {e}", path.display())))
+        .expect("JSON")
 }
