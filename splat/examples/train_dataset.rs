@@ -43,7 +43,7 @@ impl ProgressSink for Plain {
         eprintln!("{what}: {total}");
     }
     fn update(&self, done: u64, detail: &str) {
-        if done % 500 == 0 && !detail.is_empty() {
+        if done.is_multiple_of(500) && !detail.is_empty() {
             eprintln!("  {done}: {detail}");
         }
     }

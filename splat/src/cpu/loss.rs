@@ -189,8 +189,8 @@ unsafe fn across<S: Simd>(src: *const f32, x: usize, w: &[S; RADIUS + 1]) -> S {
     unsafe {
         let first = src.add(x).sub(RADIUS);
         let mut sum = S::load(first.add(RADIUS)).mul(w[RADIUS]);
-        for k in 0..RADIUS {
-            sum = S::load(first.add(k)).add(S::load(first.add(2 * RADIUS - k))).fma(w[k], sum);
+        for (k, &tap) in w[..RADIUS].iter().enumerate() {
+            sum = S::load(first.add(k)).add(S::load(first.add(2 * RADIUS - k))).fma(tap, sum);
         }
         sum
     }

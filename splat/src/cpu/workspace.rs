@@ -102,9 +102,9 @@ impl Workspace {
             for x in 0..shape.width {
                 let (from, to) = (y * shape.width + x, y * stride + x);
                 let m = target.mask.map_or(1.0, |mask| f32::from(mask[from]) * BYTE);
-                for c in 0..3 {
+                for (c, &behind) in background.iter().enumerate() {
                     let value = f32::from(target.rgb[from * 3 + c]) * BYTE;
-                    let behind = if weighted { self.rgb[c][to] } else { background[c] };
+                    let behind = if weighted { self.rgb[c][to] } else { behind };
                     // A pixel of weight 0 equals its rendering, so that its neighbours' SSIM does not see it.
                     self.target[c][to] =
                         if weighted && m > 0.0 { value } else { behind + m * (value - behind) };

@@ -76,7 +76,7 @@ fn held_out_psnr(dataset: &Dataset, result: &TrainResult) -> f64 {
             sum.1 += 1.0;
         }
     }
-    -10.0 * (sum.0 / sum.1 as f64).log10()
+    -10.0 * (sum.0 / sum.1).log10()
 }
 
 fn folder(name: &str) -> PathBuf {
