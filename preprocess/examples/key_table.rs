@@ -89,7 +89,12 @@ fn keyed(frames: &[RgbImage], matte: MatteMode, light: Light) -> Vec<(GrayImage,
         let count = (repeats * frames.len()) as f64;
         let (wall, cpu) = (start.elapsed().as_secs_f64() / count, (cpu_seconds() - cpu) / count);
         eprintln!("{} light: {}", light.name, keyer.evidence);
-        eprintln!("    {:.1} CPU ms a frame; {:.0} frames a second on {} threads", 1e3 * cpu, 1.0 / wall, rayon::current_num_threads());
+        eprintln!(
+            "    {:.1} CPU ms a frame; {:.0} frames a second on {} threads",
+            1e3 * cpu,
+            1.0 / wall,
+            rayon::current_num_threads()
+        );
     }
     result
 }
@@ -114,7 +119,10 @@ fn chromakey(video: &Path, frames: &[RgbImage], light: Light, similarity: f64) -
 /// User and system time of this process (Linux: clock ticks of 10 ms).
 fn cpu_seconds() -> f64 {
     let stat = std::fs::read_to_string("/proc/self/stat").unwrap_or_default();
-    let fields = stat.rsplit_once(')').map(|(_, rest)| rest.split_whitespace().collect::<Vec<_>>()).unwrap_or_default();
+    let fields = stat
+        .rsplit_once(')')
+        .map(|(_, rest)| rest.split_whitespace().collect::<Vec<_>>())
+        .unwrap_or_default();
     let ticks = |i: usize| fields.get(i).and_then(|f| f.parse::<f64>().ok()).unwrap_or(0.0);
     (ticks(11) + ticks(12)) / 100.0
 }

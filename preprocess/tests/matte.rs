@@ -171,7 +171,9 @@ fn modes_and_backgrounds_do_what_they_say() {
         image::open(&set.frames[0].path).unwrap().to_rgb8().get_pixel(20, 20)
     );
     assert_eq!(run("off", MatteMode::Soft, Background::Keep).unwrap().frames, set.frames);
-    assert!(run("blue", MatteMode::Soft, Background::Keep).unwrap().notes.iter().any(|n| n.contains("no ")));
+    assert!(
+        run("#00ffff", MatteMode::Soft, Background::Keep).unwrap().notes.iter().any(|n| n.contains("no "))
+    );
     assert!(run("grene", MatteMode::Soft, Background::Keep).is_err());
     assert!(contact_sheet(&FrameSet::default(), &dir.0.join("x.png")).is_err());
 }

@@ -2,7 +2,7 @@
 
 use super::colour::{Key, LINEAR, dot, luminance};
 use super::field::Field;
-use super::filters::{box_mean, components, dilate, erode, smooth};
+use super::filters::{Rect, box_sum, components, dilate, erode, smooth};
 
 /// Radius of the neighbourhood from which the colour of the foreground is learnt, pixels.
 const REACH: usize = 3;
@@ -69,7 +69,7 @@ impl Workspace {
         self.band.extend(not_screen.iter().zip(&core).map(|(n, c)| u8::from(*n != 0 && *c == 0)));
         let interior = erode(&solid, width, 1);
         self.learn_foreground(&not_screen, &interior);
-        self.average_foreground(width);
+        self.average_foreground(width, &Rect::around(&not_screen, width, REACH));
         self.alpha.clear();
         self.alpha.extend(core.iter().map(|c| f32::from(*c)));
         self.solve_band(noise, width);
@@ -177,16 +177,14 @@ impl Workspace {
         }
     }
 
-    /// Turns the weighted sums of [`Self::learn_foreground`] into means over the neighbourhood.
-    fn average_foreground(&mut self, width: usize) {
-        let n = self.share.len();
+    /// Turns the weighted sums of [`Self::learn_foreground`] into means over the neighbourhood, in the band.
+    fn average_foreground(&mut self, width: usize, rect: &Rect) {
         for plane in self.around.iter_mut().chain([&mut self.weights, &mut self.spread]) {
-            box_mean(plane, width, REACH, &mut self.rows, &mut self.mean);
-            std::mem::swap(plane, &mut self.mean);
+            box_sum(plane, width, rect, REACH, &mut self.rows);
         }
-        for i in 0..n {
+        for i in (0..self.share.len()).filter(|i| self.band[*i] != 0) {
             let w = self.weights[i];
-            let scale = if w > 1e-9 { 1.0 / w } else { 0.0 };
+            let scale = if w > 1e-5 { 1.0 / w } else { 0.0 };
             let colour = [0, 1, 2].map(|c| self.around[c][i] * scale);
             let y = luminance(colour);
             self.spread[i] = (self.spread[i] * scale - y * y).max(0.0);
@@ -200,13 +198,13 @@ impl Workspace {
     fn solve_band(&mut self, noise: Noise, width: usize) {
         for i in (0..self.share.len()).filter(|i| self.band[*i] != 0) {
             self.alpha[i] =
-                if self.weights[i] < 1e-6 { 1.0 - self.share[i] } else { self.alpha_from_chroma(i) }
+                if self.weights[i] < 1e-5 { 1.0 - self.share[i] } else { self.alpha_from_chroma(i) }
                     .clamp(-0.2, 1.2);
         }
         smooth(&self.alpha, width, &mut self.mean);
         for i in (0..self.share.len()).filter(|i| self.band[*i] != 0) {
             let alpha = self.mean[i].clamp(0.0, 1.0);
-            let alpha = if self.weights[i] < 1e-6 { alpha } else { self.with_luma(i, alpha, noise) };
+            let alpha = if self.weights[i] < 1e-5 { alpha } else { self.with_luma(i, alpha, noise) };
             let alpha = (alpha * RIM_GAIN - 0.5) * EDGE_CONTRAST + 0.5;
             self.alpha[i] = if alpha < 0.03 {
                 0.0

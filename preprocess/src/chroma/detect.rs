@@ -14,7 +14,7 @@ const HUE_WINDOW: f32 = 15.0;
 const MIN_COVERAGE: (f32, f32) = (0.12, 0.05);
 /// A screen is smooth: median relative step of value between neighbours in a picture of 160 pixels.
 const MAX_ROUGHNESS: f32 = 0.03;
-/// Wood, skin, brick and lamp light have these hues; a screen of such a colour must be purer and smoother.
+/// Wood, skin, brick and lamp light have these hues: a screen of such a colour is only taken if it is named.
 const NATURAL_HUES: (f32, f32) = (-30.0, 68.0);
 
 /// What was found, and why.
@@ -37,11 +37,10 @@ pub(crate) fn detect(thumbnails: &[RgbImage], choice: KeyChoice) -> Detection {
     };
     let found = Statistics::of(thumbnails, hue);
     let natural = (hue - NATURAL_HUES.0).rem_euclid(360.0) <= NATURAL_HUES.1 - NATURAL_HUES.0;
-    let strict = if natural { 3.0 } else { 1.0 };
-    let is_screen = found.coverage >= MIN_COVERAGE.0 * strict
-        && found.low_coverage >= MIN_COVERAGE.1 * strict
-        && found.roughness <= MAX_ROUGHNESS / strict
-        && (!natural || found.saturation >= 0.6);
+    let is_screen = found.coverage >= MIN_COVERAGE.0
+        && found.low_coverage >= MIN_COVERAGE.1
+        && found.roughness <= MAX_ROUGHNESS
+        && !natural;
     let figures = format!(
         "hue {hue:.0}°, {:.0} % of the median frame ({:.0} % of the worst), saturation {:.2}, roughness {:.1} %",
         100.0 * found.coverage,
@@ -54,7 +53,17 @@ pub(crate) fn detect(thumbnails: &[RgbImage], choice: KeyChoice) -> Detection {
         Some(key) if is_screen || (forced && found.coverage > 0.01) => {
             Detection { key: Some(key), evidence: format!("screen found: {figures}") }
         }
-        _ => Detection { key: None, evidence: format!("no screen: the most frequent colour has {figures}") },
+        _ => Detection {
+            key: None,
+            evidence: format!(
+                "no screen: the most frequent colour has {figures}{}",
+                if natural {
+                    " and is one of wood, skin and lamp light (name it with --key to use it)"
+                } else {
+                    ""
+                }
+            ),
+        },
     }
 }
 

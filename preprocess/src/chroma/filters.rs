@@ -1,45 +1,62 @@
 //! Small image filters on float and byte planes, row-major; windows are cut at the border.
 
-/// Mean over windows of `(2r + 1)²`, into `out`; `rows` is scratch of the same size.
-pub(crate) fn box_mean(plane: &[f32], width: usize, r: usize, rows: &mut Vec<f32>, out: &mut Vec<f32>) {
-    let height = plane.len() / width;
-    rows.clear();
-    rows.resize(plane.len(), 0.0);
-    out.clear();
-    out.resize(plane.len(), 0.0);
-    for (source, target) in plane.chunks_exact(width).zip(rows.chunks_exact_mut(width)) {
-        let mut sum: f32 = source[..r.min(width)].iter().sum();
-        for x in 0..width {
-            if x + r < width {
-                sum += source[x + r];
+/// A part of a picture: columns and rows.
+#[derive(Clone, Debug, PartialEq)]
+pub(crate) struct Rect {
+    /// Columns.
+    pub x: std::ops::Range<usize>,
+    /// Rows.
+    pub y: std::ops::Range<usize>,
+}
+
+impl Rect {
+    /// The smallest around the non-zero part of a mask, grown by `margin`, within the picture.
+    pub fn around(mask: &[u8], width: usize, margin: usize) -> Self {
+        let (mut x, mut y) = (width..0, usize::MAX..0);
+        for (row, line) in mask.chunks_exact(width).enumerate() {
+            if let (Some(a), Some(b)) =
+                (line.iter().position(|v| *v != 0), line.iter().rposition(|v| *v != 0))
+            {
+                x = x.start.min(a)..x.end.max(b + 1);
+                y = y.start.min(row)..row + 1;
             }
-            if x > r {
-                sum -= source[x - r - 1];
-            }
-            let count = (x + r).min(width - 1) + 1 - x.saturating_sub(r);
-            target[x] = sum / count as f32;
         }
-    }
-    let mut sums = vec![0.0_f32; width];
-    for y in 0..r.min(height) {
-        add(&mut sums, &rows[y * width..][..width], 1.0);
-    }
-    for y in 0..height {
-        if y + r < height {
-            add(&mut sums, &rows[(y + r) * width..][..width], 1.0);
+        if y.end == 0 {
+            return Self { x: 0..0, y: 0..0 };
         }
-        if y > r {
-            add(&mut sums, &rows[(y - r - 1) * width..][..width], -1.0);
-        }
-        let scale = 1.0 / ((y + r).min(height - 1) + 1 - y.saturating_sub(r)) as f32;
-        for (o, s) in out[y * width..][..width].iter_mut().zip(&sums) {
-            *o = s * scale;
+        let height = mask.len() / width;
+        Self {
+            x: x.start.saturating_sub(margin)..(x.end + margin).min(width),
+            y: y.start.saturating_sub(margin)..(y.end + margin).min(height),
         }
     }
 }
 
-fn add(sums: &mut [f32], row: &[f32], sign: f32) {
-    sums.iter_mut().zip(row).for_each(|(s, v)| *s += sign * v);
+/// Sums over windows of `(2r + 1)²` that lie in `rect` (outside of it values count as 0), in place; `scratch` is reused.
+pub(crate) fn box_sum(plane: &mut [f32], width: usize, rect: &Rect, r: usize, scratch: &mut Vec<f32>) {
+    let (w, h) = (rect.x.len(), rect.y.len());
+    scratch.clear();
+    scratch.resize(w * h, 0.0);
+    for (y, target) in rect.y.clone().zip(scratch.chunks_exact_mut(w.max(1))) {
+        let source = &plane[y * width + rect.x.start..][..w];
+        target.copy_from_slice(source);
+        for d in 1..=r.min(w.saturating_sub(1)) {
+            add(&mut target[d..], source);
+            add(target, &source[d..]);
+        }
+    }
+    // Summed anew for every row: a running sum would leave rounding errors larger than the smallest weights.
+    for y in 0..h {
+        let target = &mut plane[(rect.y.start + y) * width + rect.x.start..][..w];
+        target.fill(0.0);
+        for row in scratch[y.saturating_sub(r) * w..(y + r + 1).min(h) * w].chunks_exact(w) {
+            add(target, row);
+        }
+    }
+}
+
+fn add(sums: &mut [f32], row: &[f32]) {
+    sums.iter_mut().zip(row).for_each(|(s, v)| *s += v);
 }
 
 /// Binomial 3 × 3 smoothing; the border repeats.
@@ -89,53 +106,44 @@ pub(crate) fn erode(mask: &[u8], width: usize, r: usize) -> Vec<u8> {
 }
 
 /// Connected regions (8 neighbours) of the non-zero part: a label for every pixel (0 outside) and, by label, the
-/// number of pixels; element 0 is unused.
+/// number of pixels; element 0 is unused. Works on runs of pixels: rows are joined where runs touch.
 pub(crate) fn components(mask: &[u8], width: usize) -> (Vec<u32>, Vec<usize>) {
     let mut labels = vec![0_u32; mask.len()];
     let mut parent = vec![0_u32];
-    for i in 0..mask.len() {
-        if mask[i] == 0 {
-            continue;
-        }
-        let (x, y) = (i % width, i / width);
-        let mut label = 0;
-        let mut join = |other: u32, parent: &mut Vec<u32>| {
-            if other == 0 {
-                return;
+    // Runs of the whole picture: first pixel, end, label; and those of the row above.
+    let mut runs: Vec<(usize, usize, u32)> = Vec::new();
+    let mut above = 0..0;
+    for (y, row) in mask.chunks_exact(width).enumerate() {
+        let (first, base) = (runs.len(), y * width);
+        let (mut x, mut candidate) = (0, above.start);
+        while let Some(start) = row[x..].iter().position(|v| *v != 0).map(|d| x + d) {
+            x = row[start..].iter().position(|v| *v == 0).map_or(width, |d| start + d);
+            // Runs above that end before this one's left neighbour can touch none of the later ones either.
+            while candidate < above.end && runs[candidate].1 + width < base + start {
+                candidate += 1;
             }
-            let other = root(parent, other);
+            let mut label = 0;
+            let touching = runs[candidate..above.end].iter().take_while(|r| r.0 + width <= base + x);
+            for &(_, _, other) in touching {
+                let other = root(&mut parent, other);
+                if label != 0 && label != other {
+                    parent[label.max(other) as usize] = label.min(other);
+                }
+                label = if label == 0 { other } else { label.min(other) };
+            }
             if label == 0 {
-                label = other;
-            } else if label != other {
-                let (low, high) = (label.min(other), label.max(other));
-                parent[high as usize] = low;
-                label = low;
+                label = parent.len() as u32;
+                parent.push(label);
             }
-        };
-        if x > 0 {
-            join(labels[i - 1], &mut parent);
+            runs.push((base + start, base + x, label));
         }
-        if y > 0 {
-            join(labels[i - width], &mut parent);
-            if x > 0 {
-                join(labels[i - width - 1], &mut parent);
-            }
-            if x + 1 < width {
-                join(labels[i - width + 1], &mut parent);
-            }
-        }
-        if label == 0 {
-            label = parent.len() as u32;
-            parent.push(label);
-        }
-        labels[i] = label;
+        above = first..runs.len();
     }
     let mut sizes = vec![0; parent.len()];
-    for l in &mut labels {
-        if *l != 0 {
-            *l = root(&mut parent, *l);
-            sizes[*l as usize] += 1;
-        }
+    for (start, end, label) in runs {
+        let label = root(&mut parent, label);
+        labels[start..end].fill(label);
+        sizes[label as usize] += end - start;
     }
     (labels, sizes)
 }
@@ -153,19 +161,23 @@ mod tests {
     use super::*;
 
     #[test]
-    fn box_means_are_exact_to_the_border() {
-        let plane: Vec<f32> = (0..35).map(|i| ((i * 7) % 11) as f32).collect();
-        let (mut rows, mut out) = (Vec::new(), Vec::new());
+    fn box_sums_are_exact_to_the_border_of_their_rectangle() {
+        let plane: Vec<f32> = (0..63).map(|i| ((i * 7) % 11) as f32).collect();
+        let rect = Rect { x: 1..8, y: 1..6 };
         for r in [0, 1, 2, 9] {
-            box_mean(&plane, 7, r, &mut rows, &mut out);
+            let mut out = plane.clone();
+            box_sum(&mut out, 9, &rect, r, &mut Vec::new());
             for (i, o) in out.iter().enumerate() {
-                let (x, y) = (i % 7, i / 7);
-                let near = |j: &usize| (j % 7).abs_diff(x) <= r && (j / 7).abs_diff(y) <= r;
-                let window: Vec<f32> = (0..35).filter(near).map(|j| plane[j]).collect();
-                let mean = window.iter().sum::<f32>() / window.len() as f32;
-                assert!((o - mean).abs() < 1e-5, "r {r} pixel {i}: {o} {mean}");
+                let (x, y) = (i % 9, i / 9);
+                let is_in = |j: usize| rect.x.contains(&(j % 9)) && rect.y.contains(&(j / 9));
+                let near = |j: &usize| is_in(*j) && (j % 9).abs_diff(x) <= r && (j / 9).abs_diff(y) <= r;
+                let wanted =
+                    if is_in(i) { (0..63).filter(near).map(|j| plane[j]).sum::<f32>() } else { plane[i] };
+                assert!((o - wanted).abs() < 1e-4, "r {r} pixel {i}: {o} {wanted}");
             }
         }
+        assert_eq!(Rect::around(&[0, 0, 0, 0, 1, 0, 0, 0, 0], 3, 1), Rect { x: 0..3, y: 0..3 });
+        box_sum(&mut [1.0], 1, &Rect::around(&[0], 1, 3), 3, &mut Vec::new());
     }
 
     #[test]
@@ -182,5 +194,14 @@ mod tests {
         // A spiral is one region although its arms get different labels at first.
         let spiral = [1, 0, 1, 1, 0, 1, 1, 1, 1].to_vec();
         assert_eq!(components(&spiral, 3).1.iter().filter(|s| **s > 0).count(), 1);
+        // Corners touch; a gap of one does not.
+        assert_eq!(
+            components(&[1, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, 0], 4).1.iter().filter(|s| **s > 0).count(),
+            1
+        );
+        assert_eq!(
+            components(&[1, 0, 0, 1, 0, 0, 0, 0, 0, 1, 1, 0], 4).1.iter().filter(|s| **s > 0).count(),
+            3
+        );
     }
 }

@@ -66,7 +66,11 @@ impl Keyer {
         Some(format!(
             "the camera stands still: {:.1} % of the picture is neither screen nor moving and is {}",
             100.0 * still.share,
-            if self.keep_pole { "kept inside the screen" } else { "cut" }
+            if self.keep_pole || !still.has_pole {
+                "cut beside the screen"
+            } else {
+                "cut (before the screen: the pole)"
+            }
         ))
     }
 

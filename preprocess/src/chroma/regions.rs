@@ -27,11 +27,12 @@ pub(crate) fn clean(work: &mut Workspace, rgb: &[u8], width: usize, still: Optio
 }
 
 fn remove_garbage(work: &mut Workspace, rgb: &[u8], still: Option<&Still>, keep_pole: bool, inside: &[bool]) {
+    let cuts_pole = !keep_pole && still.is_some_and(|s| s.has_pole);
     for (i, alpha) in work.alpha.iter_mut().enumerate() {
         let thing = still.and_then(|s| s.things[i]);
         let is_garbage = !inside[i];
         match thing {
-            Some(colour) if is_garbage || !keep_pole => {
+            Some(colour) if is_garbage || cuts_pole => {
                 let p = [rgb[3 * i], rgb[3 * i + 1], rgb[3 * i + 2]];
                 let (low, high) = BEFORE_LEVELS;
                 let before = (departure(p, colour) - low) as f32 / (high - low) as f32;
@@ -44,7 +45,7 @@ fn remove_garbage(work: &mut Workspace, rgb: &[u8], still: Option<&Still>, keep_
 }
 
 /// Convex hull of the pixels that are surely screen (all of the picture where there are hardly any).
-fn hull(screen: &[u8], width: usize) -> Vec<bool> {
+pub(crate) fn hull(screen: &[u8], width: usize) -> Vec<bool> {
     let solid = erode(screen, width, 3);
     let mut points: Vec<(i64, i64)> = Vec::new();
     for (y, row) in solid.chunks_exact(width).enumerate() {
