@@ -82,11 +82,11 @@ fn solve(
         keypoints: &keypoints,
         tracks: &tracks,
         camera_of: &setup.camera_of,
+        geometries,
         config: &config.mapper,
         seed: config.seed,
     };
-    let Some(mut state) = incremental::map(&input, &setup.cameras, &setup.known, geometries, progress)?
-    else {
+    let Some(mut state) = incremental::map(&input, &setup.cameras, &setup.known, progress)? else {
         return Ok(None);
     };
     let starts = incremental::starts_of(&setup.cameras, &setup.known, &state);
@@ -124,3 +124,6 @@ fn why_no_model(features: &[Features], geometries: &[TwoViewGeometry]) -> String
         geometries.len()
     )
 }
+
+#[cfg(test)]
+mod tests;

@@ -15,6 +15,9 @@ const PRINCIPAL_POINT_SIGMA: f64 = 0.03;
 const DETERMINED_FOCAL: f64 = 0.02;
 /// Largest standard deviation of a principal point that counts as determined, in longer image sides.
 const DETERMINED_POINT: f64 = 0.01;
+/// A decrease of BIC that needs no significant held-out gain beside it; neighbouring residuals are not independent, so
+/// the textbook's 10 would be far too little.
+const CLEAR_BIC: f64 = 150.0;
 /// Residuals beyond so many standard deviations count as this much.
 const TRUNCATION: f64 = 4.0;
 
@@ -110,7 +113,8 @@ pub fn choose(
         let better = if simpler {
             gain > -error && trial.bic < best.bic + 10.0
         } else {
-            gain > 2.0 * error && trial.bic < best.bic && trial.determined
+            let clear = trial.bic < best.bic - CLEAR_BIC || (gain > 2.0 * error && trial.bic < best.bic);
+            gain > 0.0 && clear && trial.determined
         };
         lines.push(format!(
             "{} (gain {gain:.4} ± {error:.4}){}",

@@ -1,7 +1,8 @@
 //! Growing a model image by image.
 
 use super::adjust::{Adjustment, adjust, plausible};
-use super::resection::{next_images, resect};
+use super::bridge::bridge;
+use super::resection::{Resection, next_images, resect};
 use super::state::{Input, State};
 use crate::SfmError;
 use crate::bundle::{IntrinsicsPrior, free_parameters};
@@ -68,6 +69,7 @@ pub(crate) fn grow(
     let mut tried = vec![0usize; state.poses.len()];
     let mut last_full = state.registered();
     let mut fresh = false;
+    let mut bridged = vec![false; state.poses.len()];
     while state.registered() < most {
         progress.check()?;
         let mut candidates = next_images(state, input);
@@ -78,6 +80,11 @@ pub(crate) fn grow(
             let search = unseen && !known[camera].fixed && known[camera].focal_sigma.is_none();
             tried[image] = n;
             resect(state, input, image, search).map(|r| (image, r))
+        });
+        let next = next.or_else(|| {
+            let (image, pose) = bridge(state, input, &bridged)?;
+            bridged[image] = true;
+            Some((image, Resection { pose, focal: None }))
         });
         let Some((image, found)) = next else {
             if fresh {

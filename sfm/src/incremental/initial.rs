@@ -54,7 +54,11 @@ pub(crate) fn start(
 
 /// `b_from_a` with unit translation from the pair's fundamental matrix (else its essential matrix or its pose) and the
 /// present focal lengths, refined on the inliers.
-fn relative_pose(input: &Input<'_>, [ca, cb]: [&Camera; 2], geometry: &TwoViewGeometry) -> Option<Pose> {
+pub(super) fn relative_pose(
+    input: &Input<'_>,
+    [ca, cb]: [&Camera; 2],
+    geometry: &TwoViewGeometry,
+) -> Option<Pose> {
     let (fa, fb) = (ca.mean_focal(), cb.mean_focal());
     let pixel = |image: usize, feature: u32| input.keypoints[image].get(feature as usize).copied();
     let pairs: Vec<(DVec2, DVec2)> = geometry

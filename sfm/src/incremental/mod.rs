@@ -1,6 +1,7 @@
 //! Incremental mapping: one image after the other, adjusted as the model grows (Schönberger & Frahm, CVPR 2016).
 
 pub(crate) mod adjust;
+pub(crate) mod bridge;
 pub(crate) mod finish;
 pub(crate) mod growth;
 pub(crate) mod initial;
@@ -49,6 +50,8 @@ impl Default for MapperConfig {
     }
 }
 
+/// Share of an image's verified matches that must agree with its pose.
+const MIN_CONSISTENT: f64 = 0.3;
 /// Images of the small models that are compared before one is grown.
 const SMALL: usize = 5;
 
@@ -57,9 +60,9 @@ pub(crate) fn map(
     input: &Input<'_>,
     cameras: &[Camera],
     known: &[Knowledge],
-    geometries: &[TwoViewGeometry],
     progress: &Progress,
 ) -> Result<Option<State>, SfmError> {
+    let geometries = input.geometries;
     let images = input.keypoints.len();
     let mut best: Option<State> = None;
     let mut used = vec![false; images];
@@ -81,6 +84,7 @@ pub(crate) fn map(
         let starts = starts_of(cameras, known, &state);
         grow(&mut state, input, known, &starts, images, progress)?;
         settle(&mut state, input, known, &starts, progress)?;
+        expel(&mut state, input);
         state.order.iter().for_each(|&i| used[i] = true);
         if best.as_ref().is_none_or(|b| value(&state) > value(b)) {
             best = Some(state);
@@ -90,6 +94,17 @@ pub(crate) fn map(
         }
     }
     Ok(best.filter(|b| b.registered() >= 2))
+}
+
+/// Takes out images whose pose most of their verified matches contradict, or that see too little.
+pub(crate) fn expel(state: &mut State, input: &Input<'_>) {
+    let doubtful = |image: &usize| {
+        let (agreeing, all) = bridge::consistency(state, input, *image);
+        let few = state.sightings(*image) < input.config.min_sightings;
+        few || (all >= 2 * input.config.min_sightings && (agreeing as f64) < MIN_CONSISTENT * all as f64)
+    };
+    let wrong: Vec<usize> = state.order.iter().copied().filter(doubtful).collect();
+    wrong.into_iter().for_each(|image| state.unregister(image));
 }
 
 /// Models are compared by images, then by sightings.

@@ -4,7 +4,7 @@ use super::MapperConfig;
 use crate::tracks::{NONE, Tracks};
 use crate::triangulation::{Gates, View, refine_point, triangulate, widest_angle};
 use glam::{DVec2, DVec3};
-use scene::{Camera, Pose};
+use scene::{Camera, Pose, TwoViewGeometry};
 
 /// What does not change while a model grows.
 pub(crate) struct Input<'a> {
@@ -14,6 +14,8 @@ pub(crate) struct Input<'a> {
     pub tracks: &'a Tracks,
     /// For each image the index of its camera.
     pub camera_of: &'a [usize],
+    /// Verified pairs.
+    pub geometries: &'a [TwoViewGeometry],
     /// The user's choices.
     pub config: &'a MapperConfig,
     /// Seed of all randomness.
