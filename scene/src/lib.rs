@@ -24,6 +24,7 @@ pub mod pose;
 pub mod progress;
 pub mod reconstruction;
 pub mod rng;
+pub mod sh;
 pub mod sim3;
 pub mod synthetic;
 

@@ -45,7 +45,7 @@ fn an_alpha_channel_is_found_in_the_lego_scene() {
     let loaded = load_image(&dir.join("r_0.png")).unwrap();
     let alpha = loaded.alpha.unwrap();
     assert_eq!((alpha.dimensions(), alpha.get_pixel(0, 0).0[0]), ((400, 400), 0));
-    assert!(alpha.iter().any(|&a| a == 255));
+    assert!(alpha.contains(&255));
 }
 
 #[test]

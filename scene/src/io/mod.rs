@@ -14,6 +14,7 @@ pub mod load;
 mod model;
 mod name;
 pub mod ply;
+pub mod splats;
 pub mod transforms;
 pub mod truth;
 
@@ -23,6 +24,7 @@ pub use load::{ImageInfo, LoadedImage, image_info, load_image, load_mask, load_r
 pub use model::{find_model, has_model, read_model, write_model_bin, write_model_txt};
 pub use name::{UnsafeName, safe_name};
 pub use ply::{CloudPoint, read_points_ply, read_splat_ply, write_points_ply, write_splat_ply};
+pub use splats::{SplatFormat, read_splat, write_splat};
 pub use transforms::{TransformsFile, TransformsFrame, TransformsOptions, read_transforms, write_transforms};
 pub use truth::read_truth;
 

@@ -11,6 +11,9 @@ use super::error::IoError;
 use header::{Element, Encoding, Kind, Scalar};
 use std::path::Path;
 
+/// Takes the number of a row and its values.
+type EachRow<'a> = dyn FnMut(usize, &[f64]) -> Result<(), IoError> + 'a;
+
 /// A parsed header and the bytes after it.
 pub(crate) struct Ply<'a> {
     pub path: &'a Path,
@@ -82,7 +85,7 @@ impl<'a> Ply<'a> {
         element: &Element,
         body: &mut &[u8],
         columns: &[usize],
-        each: &mut dyn FnMut(usize, &[f64]) -> Result<(), IoError>,
+        each: &mut EachRow,
     ) -> Result<(), IoError> {
         let n = element.count as usize;
         let mut values = vec![0.0; columns.len()];
@@ -146,3 +149,6 @@ impl<'a> Ply<'a> {
         word.parse().map_err(|_| IoError::format(self.path, format!("expected a number, found {word:?}")))
     }
 }
+
+#[cfg(test)]
+pub(crate) use splat::tests::random_gaussians as test_gaussians;

@@ -1,0 +1,135 @@
+//! Splat formats other than the 3DGS `.ply`: `.splat`, compressed `.ply`, `.spz`, `.ksplat`, glTF.
+//!
+//! All but `.ply` lose precision. `.spz` and glTF have y up; clouds are turned by half a turn about x on the
+//! way, so that a capture with y down stands upright there.
+
+mod compressed;
+mod glb;
+mod ksplat;
+mod plain;
+mod spz;
+
+pub use compressed::{read_compressed_ply, write_compressed_ply};
+pub use glb::{read_splat_glb, write_splat_glb};
+pub use ksplat::read_ksplat;
+pub use plain::{read_dot_splat, write_dot_splat};
+pub use spz::{read_spz, write_spz};
+
+use super::error::IoError;
+use super::ply::{read_splat_ply, write_splat_ply};
+use crate::Gaussians;
+use crate::sim3::Sim3;
+use glam::{DQuat, Quat, Vec3};
+use std::path::Path;
+
+/// Opacity logits of 8-bit alpha stay within ±8 (0.0003 to 0.9997).
+const LOGIT_LIMIT: f32 = 8.0;
+
+/// What is known of one Gaussian while a file is read.
+struct Item<'a> {
+    mean: Vec3,
+    log_scale: Vec3,
+    rotation: Quat,
+    /// In [0, 1].
+    opacity: f32,
+    /// `K × 3`.
+    sh: &'a [f32],
+}
+
+/// Adds a Gaussian, or says which one is not finite.
+fn push(path: &Path, g: &mut Gaussians, item: &Item) -> Result<(), IoError> {
+    let finite = item.mean.is_finite()
+        && !item.log_scale.is_nan()
+        && item.rotation.is_finite()
+        && item.opacity.is_finite()
+        && item.sh.iter().all(|v| v.is_finite());
+    if !finite {
+        return Err(IoError::not_finite(path, format!("a number of gaussian {}", g.len())));
+    }
+    g.means.push(item.mean);
+    g.log_scales.push(item.log_scale.clamp(Vec3::splat(-40.0), Vec3::splat(40.0)));
+    g.rotations.push(item.rotation);
+    g.opacity_logits.push((item.opacity / (1.0 - item.opacity)).ln().clamp(-LOGIT_LIMIT, LOGIT_LIMIT));
+    g.sh.extend_from_slice(item.sh);
+    Ok(())
+}
+
+/// A value in [0, 1] as a byte.
+fn unit_byte(v: f32) -> u8 {
+    (v.clamp(0.0, 1.0) * 255.0).round() as u8
+}
+
+/// Unit quaternion; identity for zero length.
+fn unit(q: Quat) -> Quat {
+    if q.length_squared() > 0.0 && q.is_finite() { q.normalize() } else { Quat::IDENTITY }
+}
+
+/// Half a turn about x: y and z change sign. Its own inverse.
+fn turn_upright(g: &mut Gaussians) {
+    g.transform(&Sim3 { rotation: DQuat::from_xyzw(1.0, 0.0, 0.0, 0.0), ..Sim3::IDENTITY });
+}
+
+/// The formats, by file name.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum SplatFormat {
+    /// 3DGS `.ply`.
+    Ply,
+    /// PlayCanvas `.compressed.ply`.
+    CompressedPly,
+    /// `.splat`.
+    Splat,
+    /// Niantic `.spz`.
+    Spz,
+    /// `.ksplat` (read only).
+    Ksplat,
+    /// glTF `.glb` with KHR_gaussian_splatting.
+    Glb,
+}
+
+impl SplatFormat {
+    /// The format a file name asks for.
+    pub fn of(path: &Path) -> Option<Self> {
+        let name = path.file_name()?.to_str()?.to_ascii_lowercase();
+        let formats = [
+            (".compressed.ply", Self::CompressedPly),
+            (".ply", Self::Ply),
+            (".splat", Self::Splat),
+            (".spz", Self::Spz),
+            (".ksplat", Self::Ksplat),
+            (".glb", Self::Glb),
+        ];
+        formats.into_iter().find(|(ending, _)| name.ends_with(ending)).map(|f| f.1)
+    }
+}
+
+fn unknown(path: &Path, formats: &str) -> IoError {
+    IoError::format(path, format!("no splat format is known by this name; use {formats}"))
+}
+
+/// Reads a splat in the format its name says (`.ply` may be compressed).
+pub fn read_splat(path: &Path) -> Result<Gaussians, IoError> {
+    match SplatFormat::of(path) {
+        Some(SplatFormat::Ply | SplatFormat::CompressedPly) if compressed::is_compressed(path)? => {
+            read_compressed_ply(path)
+        }
+        Some(SplatFormat::Ply | SplatFormat::CompressedPly) => read_splat_ply(path),
+        Some(SplatFormat::Splat) => read_dot_splat(path),
+        Some(SplatFormat::Spz) => read_spz(path),
+        Some(SplatFormat::Ksplat) => read_ksplat(path),
+        Some(SplatFormat::Glb) => read_splat_glb(path),
+        None => Err(unknown(path, ".ply, .splat, .spz, .ksplat or .glb")),
+    }
+}
+
+/// Writes a splat in the format its name says.
+pub fn write_splat(path: &Path, g: &Gaussians) -> Result<(), IoError> {
+    g.validate().map_err(|message| IoError::format(path, message))?;
+    match SplatFormat::of(path) {
+        Some(SplatFormat::Ply) => write_splat_ply(path, g),
+        Some(SplatFormat::CompressedPly) => write_compressed_ply(path, g),
+        Some(SplatFormat::Splat) => write_dot_splat(path, g),
+        Some(SplatFormat::Spz) => write_spz(path, g),
+        Some(SplatFormat::Glb) => write_splat_glb(path, g),
+        Some(SplatFormat::Ksplat) | None => Err(unknown(path, ".ply, .compressed.ply, .splat, .spz or .glb")),
+    }
+}
