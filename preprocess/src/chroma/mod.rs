@@ -62,7 +62,7 @@ impl Keyer {
     pub fn learn(&mut self, frames: &[RgbImage]) -> Option<String> {
         self.still =
             self.key.filter(|_| self.mode == MatteMode::Soft).and_then(|key| Still::learn(frames, &key));
-        let still = self.still.as_ref()?;
+        let still = self.still.as_ref().filter(|s| s.share > 1e-3)?;
         Some(format!(
             "the camera stands still: {:.1} % of the picture is neither screen nor moving and is {}",
             100.0 * still.share,

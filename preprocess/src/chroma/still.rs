@@ -94,7 +94,7 @@ impl Still {
             still.things.iter().zip(&before_screen).filter(|(t, b)| t.is_some() && **b).count();
         still.has_pole =
             (still_inside as f32) < POLE_SHARE * others_inside(frames, &fields, key, &before_screen, width);
-        still.share = still_count as f32 / n as f32;
+        still.share = still.things.iter().filter(|t| t.is_some()).count() as f32 / n as f32;
         is_standing.then_some(still)
     }
 }
