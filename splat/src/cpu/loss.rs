@@ -377,7 +377,8 @@ unsafe fn gradient_line<S: Simd>(a: &mut Gradient, y: usize, buffer: &[f32], w: 
             l1 = difference.abs().fma(weight, l1);
             l2 = difference.mul(difference).fma(weight, l2);
             let sign = S::select(difference.lt(zero), zero.sub(one), one.keep(zero.lt(difference)));
-            let g = sign.mul(l1_scale).mul(weight).add(ssim.mul(ssim_scale).mul(weight));
+            // The maps carry the weights of the windows' centres; the pixel's own only says whether it counts.
+            let g = sign.mul(l1_scale).mul(weight).add(ssim.mul(ssim_scale).keep(zero.lt(weight)));
             g.store(a.out.as_mut_ptr().add((y - a.y0) * stride + i));
         }
     }

@@ -293,6 +293,10 @@ pub unsafe fn project_lanes<S: Simd>(model: &Parameters, i: usize, c: &CameraCon
     let det_ratio = xx.mul(yy).sub(xy.mul(xy)).mul(inv_det).max(zero);
     let opacity = if c.antialias { sigmoid.mul(det_ratio.sqrt()) } else { sigmoid };
     let visible = opacity.ge(S::splat(1.0 / 255.0));
+    // A log-scale that is not a number passes the limits above; it must not be drawn.
+    let lowest = S::splat(f32::NEG_INFINITY);
+    let shaped = S::and(plane!(LOG_SCALE + 1).ge(lowest), plane!(LOG_SCALE + 2).ge(lowest));
+    let visible = S::and(visible, S::and(plane!(LOG_SCALE).ge(lowest), shaped));
     Projection {
         xc,
         inv_z,

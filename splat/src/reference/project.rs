@@ -200,10 +200,10 @@ fn conic_backward(f: &Forward, options: &Options, d: &Projected) -> DVec3 {
     d_cov
 }
 
-/// q/|q|; identity where the norm is zero.
+/// q/|q|; identity where the norm is zero; not a number where q is none, so that nothing is drawn.
 fn normalised(q: DQuat) -> DQuat {
     let norm = q.length();
-    if norm > 0.0 { q / norm } else { DQuat::IDENTITY }
+    if norm == 0.0 { DQuat::IDENTITY } else { q / norm }
 }
 
 /// Rotation matrix of a unit quaternion, written out because its derivative is taken term by term.

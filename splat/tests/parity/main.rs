@@ -1,0 +1,9 @@
+//! Every backend against the f64 reference: kernel by kernel, whole pictures, whole gradients, whole training steps,
+//! and what happens at the extremes. The tests are generic over [`subject::Subject`].
+
+mod extremes;
+mod kernels;
+mod pictures;
+mod scenes;
+mod steps;
+mod subject;
