@@ -1,6 +1,7 @@
 // Bundle adjustment by Ceres with analytic Jacobians. See bundle.h for the shapes.
 #include "bundle.h"
 
+#include <algorithm>
 #include <ceres/ceres.h>
 #include <glog/logging.h>
 
@@ -236,6 +237,11 @@ ceres::Solver::Options MakeOptions(const BundleInput &input) {
 BundleOutcome solve_bundle(const BundleInput &input, rust::Slice<double> intrinsics, rust::Slice<double> poses,
                            rust::Slice<double> points, const Monitor &monitor) {
   FLAGS_minloglevel = 3;  // glog would write Ceres' warnings to stderr
+  // Ceres orders the blocks of a group by address: in one allocation their order does not depend on the heap.
+  std::vector<double> together(intrinsics.begin(), intrinsics.end());
+  together.insert(together.end(), poses.begin(), poses.end());
+  double *const intrinsics_at = together.data();
+  double *const poses_at = together.data() + intrinsics.size();
   const std::unique_ptr<ceres::LossFunction> loss = MakeLoss(input);
   ceres::Problem::Options ownership;
   ownership.cost_function_ownership = ceres::DO_NOT_TAKE_OWNERSHIP;
@@ -251,15 +257,15 @@ BundleOutcome solve_bundle(const BundleInput &input, rust::Slice<double> intrins
     const std::size_t pose = input.observation_pose[i], point = input.observation_point[i];
     const std::size_t camera = input.pose_camera[pose];
     costs.emplace_back(input.camera_models[camera], input.pixels.data() + 2 * i, input.weights[i]);
-    double *const blocks[3] = {poses.data() + kPoseSize * pose, points.data() + 3 * point,
-                               intrinsics.data() + input.camera_offsets[camera]};
+    double *const blocks[3] = {poses_at + kPoseSize * pose, points.data() + 3 * point,
+                               intrinsics_at + input.camera_offsets[camera]};
     problem.AddResidualBlock(&costs.back(), loss.get(), blocks, 3);
     ordering->AddElementToGroup(blocks[0], 1);
     ordering->AddElementToGroup(blocks[1], 0);
     ordering->AddElementToGroup(blocks[2], 1);
   }
   for (std::size_t i = 0; i < input.pose_held.size(); ++i) {
-    double *block = poses.data() + kPoseSize * i;
+    double *block = poses_at + kPoseSize * i;
     if (!problem.HasParameterBlock(block)) continue;
     if (input.pose_held[i] == 7) {
       problem.SetParameterBlockConstant(block);
@@ -271,13 +277,15 @@ BundleOutcome solve_bundle(const BundleInput &input, rust::Slice<double> intrins
     double *block = points.data() + 3 * i;
     if (input.point_held[i] != 0 && problem.HasParameterBlock(block)) problem.SetParameterBlockConstant(block);
   }
-  AddCameras(input, intrinsics.data(), priors, problem);
+  AddCameras(input, intrinsics_at, priors, problem);
   ceres::Solver::Options options = MakeOptions(input);
   options.linear_solver_ordering = ordering;
   Watch watch(monitor);
   options.callbacks.push_back(&watch);
   ceres::Solver::Summary summary;
   ceres::Solve(options, &problem, &summary);
+  std::copy(intrinsics_at, poses_at, intrinsics.begin());
+  std::copy(poses_at, together.data() + together.size(), poses.begin());
   BundleOutcome outcome;
   outcome.initial_cost = summary.initial_cost;
   outcome.final_cost = summary.final_cost;
