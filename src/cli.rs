@@ -86,6 +86,9 @@ pub struct PipelineArgs {
     /// Choice of frames.
     #[command(flatten)]
     pub frames: preprocess::FrameConfig,
+    /// Cutting the object out of a screen.
+    #[command(flatten)]
+    pub key: preprocess::KeyConfig,
     /// Structure from motion.
     #[command(flatten)]
     pub sfm: sfm::SfmConfig,

@@ -176,7 +176,7 @@ impl Pipeline {
 
     fn frames(&mut self) -> Result<(FrameSet, String)> {
         let source = self.input.source();
-        let print = fingerprint(&("frames", 1, &self.args.frames, describe_input(source)?))?;
+        let print = fingerprint(&("frames", 1, &self.args.frames, &self.args.key, describe_input(source)?))?;
         if self.stages.current::<FrameSet>("frames", &print).is_none() {
             self.refuse_foreign_folder()?;
         }
@@ -189,6 +189,11 @@ impl Pipeline {
                 Input::Photos(path) | Input::Posed { images: path, .. } => {
                     preprocess::photo_frames(path, &self.out, &self.args.frames, &progress)?
                 }
+            };
+            let frames = if self.args.key.key == "off" {
+                frames
+            } else {
+                preprocess::matte_frames(&frames, &self.out, &self.args.key, &progress)?
             };
             Ok(relative_to(frames, &self.out))
         })?;

@@ -197,8 +197,9 @@ mod tests {
         let output = folder.join("splat.ply");
         for expected in [true, false, true] {
             let made = output.clone();
-            let (_, ran) =
-                stages.run("train", "a", &[output.clone()], || Ok(std::fs::write(made, "x")?)).unwrap();
+            let (_, ran) = stages
+                .run("train", "a", std::slice::from_ref(&output), || Ok(std::fs::write(made, "x")?))
+                .unwrap();
             assert_eq!(ran, expected);
             if !ran {
                 std::fs::remove_file(&output).unwrap();

@@ -77,7 +77,7 @@ fn keyed(frames: &[RgbImage], matte: MatteMode, light: Light) -> Vec<(GrayImage,
     let thumbnails: Vec<RgbImage> =
         frames.iter().map(|f| resize_area(f, THUMBNAIL_SIDE, THUMBNAIL_SIDE * HEIGHT / WIDTH)).collect();
     // The screen is the same in all frames, but the camera is taken for moving: nothing is learnt over time.
-    let config = KeyConfig { matte, ..KeyConfig::default() };
+    let config = KeyConfig { matte, ..KeyConfig::with_key("auto") };
     let keyer = Keyer::find(&thumbnails, &config).expect("config").expect("a screen");
     let (start, cpu) = (Instant::now(), cpu_seconds());
     let repeats = if matte == MatteMode::Soft { 6 } else { 1 };

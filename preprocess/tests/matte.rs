@@ -36,7 +36,7 @@ fn mattes_of_a_noisy_screen_with_spill_meet_their_truth() {
         for light in LIGHTS {
             let dir = Scratch::new(&format!("matte-{name}-{}", light.gain));
             let (shots, set) = filmed(&cut_outs, light, &dir.0);
-            let keyed = matte(&set, &dir.0.join("out"), &KeyConfig::default()).unwrap();
+            let keyed = matte(&set, &dir.0.join("out"), &KeyConfig::with_key("auto")).unwrap();
             let scores: Vec<Score> = keyed
                 .frames
                 .iter()
@@ -67,7 +67,7 @@ fn captures_without_a_screen_come_back_untouched_with_the_evidence() {
         let Some(folder) = shared(name) else { return };
         let dir = Scratch::new(&format!("off-{name}"));
         let set = photo_frames(&folder, &dir.0.join("in"), &small, &Progress::silent()).unwrap();
-        let out = matte(&set, &dir.0.join("out"), &KeyConfig::default()).unwrap();
+        let out = matte(&set, &dir.0.join("out"), &KeyConfig::with_key("auto")).unwrap();
         println!("{name}: {:?}", out.notes);
         assert_eq!(out.frames, set.frames, "{name}");
         assert!(out.notes.last().unwrap().contains("no screen") && !dir.0.join("out").exists());
@@ -77,7 +77,7 @@ fn captures_without_a_screen_come_back_untouched_with_the_evidence() {
         let dir = Scratch::new(&format!("off-{name}"));
         let config = FrameConfig { frames: Some(12), end: Some(6.0), ..small.clone() };
         let set = video_frames(&video, &dir.0.join("in"), &config, &Progress::silent()).unwrap();
-        let out = matte(&set, &dir.0.join("out"), &KeyConfig::default()).unwrap();
+        let out = matte(&set, &dir.0.join("out"), &KeyConfig::with_key("auto")).unwrap();
         println!("{name}: {:?}", out.notes);
         assert_eq!(out.frames, set.frames, "{name}: {:?}", out.notes);
     }
@@ -93,7 +93,7 @@ fn real_screens_are_found_whatever_their_hue() {
         let out = matte(
             &set,
             &dir.0.join("out"),
-            &KeyConfig { background: Background::Black, ..KeyConfig::default() },
+            &KeyConfig { background: Background::Black, ..KeyConfig::with_key("auto") },
         )
         .unwrap();
         println!("{name}: {:?}", out.notes);
@@ -141,7 +141,7 @@ fn painted(dir: &Path, count: u32) -> FrameSet {
 fn thin_rods_stay_and_garbage_beside_the_screen_goes() {
     let dir = Scratch::new("rods");
     let set = painted(&dir.0.join("in"), 3);
-    let out = matte(&set, &dir.0.join("out"), &KeyConfig::default()).unwrap();
+    let out = matte(&set, &dir.0.join("out"), &KeyConfig::with_key("auto")).unwrap();
     let mask = image::open(out.frames[1].mask.as_ref().unwrap()).unwrap().to_luma8();
     let rod = (62..198).map(|y| mask.get_pixel(61, y)[0].max(mask.get_pixel(62, y)[0])).min().unwrap();
     assert!(rod > 200, "{rod}");
@@ -198,5 +198,7 @@ fn black_white_and_tiny_frames_do_no_harm() {
             assert_eq!(out.len(), 1, "{key}");
         }
     }
-    assert!(matte(&FrameSet::default(), &dir.0.join("out"), &KeyConfig::default()).unwrap().is_empty());
+    assert!(
+        matte(&FrameSet::default(), &dir.0.join("out"), &KeyConfig::with_key("auto")).unwrap().is_empty()
+    );
 }

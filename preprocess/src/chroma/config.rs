@@ -25,7 +25,7 @@ pub enum MatteMode {
     Plain,
 }
 
-const DEFAULT_KEY: &str = "auto";
+const DEFAULT_KEY: &str = "off";
 
 /// How the object is cut out of a green (blue, …) screen.
 #[derive(clap::Args, Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -70,6 +70,11 @@ pub(crate) enum KeyChoice {
 }
 
 impl KeyConfig {
+    /// The defaults with another `--key`.
+    pub fn with_key(key: &str) -> Self {
+        Self { key: key.to_owned(), ..Self::default() }
+    }
+
     /// Reads the text of `--key`.
     pub(crate) fn choice(&self) -> Result<KeyChoice, PreprocessError> {
         match self.key.as_str() {

@@ -12,7 +12,8 @@ pub(crate) struct Rect {
 impl Rect {
     /// The smallest around the non-zero part of a mask, grown by `margin`, within the picture.
     pub fn around(mask: &[u8], width: usize, margin: usize) -> Self {
-        let (mut x, mut y) = (width..0, usize::MAX..0);
+        let mut x = std::ops::Range { start: width, end: 0 }; // empty until a pixel is seen
+        let mut y = std::ops::Range { start: usize::MAX, end: 0 };
         for (row, line) in mask.chunks_exact(width).enumerate() {
             if let (Some(a), Some(b)) =
                 (line.iter().position(|v| *v != 0), line.iter().rposition(|v| *v != 0))

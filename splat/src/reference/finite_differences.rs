@@ -198,7 +198,7 @@ fn gradients_beyond_the_jacobian_limits_are_finite_differences_too() {
 fn rotations_are_used_by_direction_and_their_gradient_has_no_radial_part() {
     let (p, view) = random_scene(9, 20, 0);
     let mut scaled = p.clone();
-    scaled.rotations.iter_mut().for_each(|q| *q = *q * 1e3);
+    scaled.rotations.iter_mut().for_each(|q| *q *= 1e3);
     let options = Options::default();
     let (a, b) = (render(&p, &view, &options), render(&scaled, &view, &options));
     assert!(a.picture.rgb.iter().zip(&b.picture.rgb).all(|(x, y)| (*x - *y).length() < 1e-12));
