@@ -22,9 +22,6 @@ pub(crate) struct Ply<'a> {
     body: &'a [u8],
 }
 
-/// Takes the number of a row and its wanted columns.
-type RowVisitor<'v> = dyn FnMut(usize, &[f64]) -> Result<(), IoError> + 'v;
-
 impl<'a> Ply<'a> {
     /// Parses the header; counts are checked when an element is read.
     pub fn parse(path: &'a Path, data: &'a [u8]) -> Result<Self, IoError> {
@@ -88,11 +85,7 @@ impl<'a> Ply<'a> {
         element: &Element,
         body: &mut &[u8],
         columns: &[usize],
-<<<<<<< HEAD
         each: &mut EachRow,
-=======
-        each: &mut RowVisitor<'_>,
->>>>>>> 4f7e831 (Chroma key by flag; lints of the whole workspace)
     ) -> Result<(), IoError> {
         let n = element.count as usize;
         let mut values = vec![0.0; columns.len()];
