@@ -78,7 +78,7 @@ def bench_poses(binary, shared, out, only, colmap):
             run = json.load(file)
         record = dict(registered=run["poses"]["registered"], total=run["poses"]["total"])
         if truth and code in (0, 3):
-            record |= pose_errors(binary, os.path.join(folder, "sparse", "0"), truth)
+            record |= pose_errors(binary, folder, truth)
         pose_row(name, "sat-recon", record, cpu, wall, peak)
         if name in colmap and truth and shutil.which("colmap"):
             bench_colmap(binary, name, os.path.join(folder, "images"), truth, os.path.join(out, "colmap", name))
