@@ -156,7 +156,7 @@ pub struct RenderArgs {
 pub struct ExportArgs {
     /// A former output folder, or a splat file
     pub input: PathBuf,
-    /// The file or folder to write; its ending says the format: .ply (3DGS order), .splat, .spz, .glb, .json (transforms), or a folder (COLMAP model, --text for text)
+    /// The file or folder to write; its ending says the format: .ply (3DGS order), .compressed.ply, .splat, .spz, .glb (these also read, and .ksplat), .json (transforms), or a folder (COLMAP model, --text for text)
     #[arg(short, long, value_name = "OUT")]
     pub output: PathBuf,
     /// Write a COLMAP model as text

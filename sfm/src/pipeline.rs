@@ -5,6 +5,7 @@ mod export;
 mod setup;
 
 use crate::incremental::finish::{decide, polish, uncertainty};
+use crate::incremental::folds;
 use crate::incremental::state::{Input, State};
 use crate::tracks::{build_tracks, positions};
 use crate::{
@@ -50,7 +51,7 @@ pub fn reconstruct(
     result.stats.features = result.features.iter().map(Features::len).sum();
     result.stats.pairs_verified = result.geometries.len();
     result.decisions.push(pairs_decision(pairs.len(), frames.len(), &result.geometries));
-    let model = solve(config, &setup, &result.features, &result.geometries, progress)?;
+    let model = solve(config, &setup, &result.features, &result.geometries, frames.is_video, progress)?;
     clock.lap("mapping", &mut result.stats.steps);
     match model {
         Some(model) => export::fill(&mut result, frames, &setup, model, progress)?,
@@ -64,7 +65,7 @@ pub fn reconstruct(
 pub(crate) struct Solved {
     state: State,
     keypoints: Vec<Vec<glam::DVec2>>,
-    decision: Decision,
+    decisions: Vec<Decision>,
     uncertainty: Option<Uncertainty>,
 }
 
@@ -73,12 +74,13 @@ fn solve(
     setup: &Setup,
     features: &[Features],
     geometries: &[TwoViewGeometry],
+    is_video: bool,
     progress: &Progress,
 ) -> Result<Option<Solved>, SfmError> {
     progress.begin("mapping", features.len());
     let keypoints: Vec<_> = features.iter().map(positions).collect();
     let tracks = build_tracks(features, geometries);
-    let input = Input {
+    let mut input = Input {
         keypoints: &keypoints,
         tracks: &tracks,
         camera_of: &setup.camera_of,
@@ -89,12 +91,25 @@ fn solve(
     let Some(mut state) = incremental::map(&input, &setup.cameras, &setup.known, progress)? else {
         return Ok(None);
     };
+    let mut decisions = Vec::new();
+    let (kept, tracks);
+    if let Some(plausible) = folds::unfolded(&state, &input, is_video) {
+        kept = plausible.iter().map(|&i| geometries[i].clone()).collect::<Vec<_>>();
+        tracks = build_tracks(features, &kept);
+        let whole = Input { tracks: &tracks, geometries: &kept, ..input };
+        let second = incremental::map(&whole, &setup.cameras, &setup.known, progress)?;
+        if let Some(second) = second.filter(|s| folds::better(s, &state, &input, is_video)) {
+            decisions.push(folds::decision(&second, &state, &input, kept.len(), is_video));
+            (state, input) = (second, whole);
+        }
+    }
     let starts = incremental::starts_of(&setup.cameras, &setup.known, &state);
     let named = config.camera_model.model();
     let (intrinsics, decision) = decide(&state, &input, &setup.known, &starts, named, progress)?;
     polish(&mut state, &input, &setup.known, &starts, intrinsics, progress)?;
     let uncertainty = uncertainty(&state, &input, &setup.known, &starts, intrinsics)?;
-    Ok(Some(Solved { state, keypoints, decision, uncertainty }))
+    decisions.push(decision);
+    Ok(Some(Solved { state, keypoints, decisions, uncertainty }))
 }
 
 fn pairs_decision(pairs: usize, images: usize, geometries: &[TwoViewGeometry]) -> Decision {

@@ -119,6 +119,13 @@ fn a_trained_splat_is_rendered_along_every_path_and_exported() {
     assert!(std::fs::metadata(&film).unwrap().len() > 500);
     expect_code(&["export", text(out), "-o", text(&dir.join("copy.ply"))], 0);
     assert_eq!(std::fs::read(dir.join("copy.ply")).unwrap(), std::fs::read(out.join("splat.ply")).unwrap());
+    for name in ["web.splat", "web.spz", "web.glb", "web.compressed.ply"] {
+        let written = dir.join(name);
+        expect_code(&["export", text(out), "-o", text(&written)], 0);
+        expect_code(&["export", text(&written), "-o", text(&dir.join("back.ply"))], 0);
+        let splat = |path: &Path| scene::io::read_splat(path).unwrap().len();
+        assert_eq!(splat(&dir.join("back.ply")), splat(&out.join("splat.ply")), "{name}");
+    }
     expect_code(&["export", text(out), "-o", text(&dir.join("model")), "--text"], 0);
     assert!(dir.join("model/points3D.txt").is_file());
 }

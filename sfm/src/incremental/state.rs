@@ -7,6 +7,7 @@ use glam::{DVec2, DVec3};
 use scene::{Camera, Pose, TwoViewGeometry};
 
 /// What does not change while a model grows.
+#[derive(Clone, Copy)]
 pub(crate) struct Input<'a> {
     /// For each image its keypoints' positions.
     pub keypoints: &'a [Vec<DVec2>],
