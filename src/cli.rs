@@ -98,6 +98,9 @@ pub struct PipelineArgs {
     /// Training.
     #[command(flatten)]
     pub train: splat::TrainConfig,
+    /// Evaluation.
+    #[command(flatten)]
+    pub eval: crate::evaluate::EvalConfig,
 }
 
 /// The path of a rendered camera.
@@ -167,9 +170,13 @@ pub struct ExportArgs {
 /// What `compare` takes.
 #[derive(Args, Clone, Debug)]
 pub struct CompareArgs {
-    /// Former output folders, or COLMAP models
+    /// Former output folders, or COLMAP models; METHOD:CASE=FOLDER names a run in the tables, or a folder of another
+    /// tool's renders (pictures named like the held-out views of a run of the same case)
     #[arg(required = true)]
-    pub runs: Vec<PathBuf>,
+    pub runs: Vec<String>,
+    /// Also write the tables of quality, training and rendering cost into this folder: Markdown, CSV, LaTeX, JSON
+    #[arg(long, value_name = "FOLDER")]
+    pub tables: Option<PathBuf>,
     /// Ground truth: Middlebury *_par.txt, a folder of *.camera, a COLMAP model, or a transforms.json
     #[arg(long)]
     pub truth: Option<PathBuf>,
