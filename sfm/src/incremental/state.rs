@@ -19,6 +19,8 @@ pub(crate) struct Input<'a> {
     pub geometries: &'a [TwoViewGeometry],
     /// The user's choices.
     pub config: &'a MapperConfig,
+    /// Whether images may have been turned on their way (photos, not the frames of a video).
+    pub may_be_turned: bool,
     /// Seed of all randomness.
     pub seed: u64,
 }
