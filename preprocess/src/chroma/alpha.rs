@@ -3,6 +3,7 @@
 use super::colour::{Key, LINEAR, dot, luminance};
 use super::field::Field;
 use super::filters::{Rect, box_sum, components, dilate, erode, smooth};
+use super::still::Still;
 
 /// Radius of the neighbourhood from which the colour of the foreground is learnt, pixels.
 const REACH: usize = 3;
@@ -29,14 +30,18 @@ pub(crate) struct Workspace {
     /// The same of the empty screen.
     pub screen: [Vec<f32>; 3],
     /// Share of the screen's colour difference: 1 on the screen, 0 on the object.
-    share: Vec<f32>,
-    smoothed: Vec<f32>,
+    pub share: Vec<f32>,
+    pub smoothed: Vec<f32>,
+    /// Light of all channels as a share of the screen's.
+    pub total: Vec<f32>,
+    /// Screen in whatever light: far enough from the object that it cannot be mixed with it.
+    pub shaded: Vec<u8>,
     /// Foreground colour of the neighbourhood.
     pub around: [Vec<f32>; 3],
     weights: Vec<f32>,
     spread: Vec<f32>,
     rows: Vec<f32>,
-    mean: Vec<f32>,
+    pub mean: Vec<f32>,
     not_screen: Vec<u8>,
     /// The matte, 0 to 1.
     pub alpha: Vec<f32>,
@@ -53,14 +58,19 @@ pub(crate) struct Noise {
 }
 
 impl Workspace {
-    /// Solves the matte of a frame into `self.alpha`. `texture`: factor on the screen's light by pixel (may be empty).
-    pub fn solve(&mut self, rgb: &[u8], width: usize, key: &Key, field: &Field, texture: &[f32]) {
-        self.load(rgb, width, key, field, texture);
+    /// Solves the matte of the loaded frame into `self.alpha`.
+    pub fn solve(&mut self, width: usize) {
         smooth(&self.share, width, &mut self.smoothed);
+        self.take_out_shadows(width);
         let noise = self.noise();
         let threshold = 1.0 - MIN_DEPARTURE.max(5.0 * noise.share);
-        let seeds: Vec<u8> =
-            self.smoothed.iter().map(|s| u8::from(*s < threshold || *s > 2.0 - threshold + 0.1)).collect();
+        let departs = |s: &f32| *s < threshold || *s > 2.0 - threshold + 0.1;
+        let seeds: Vec<u8> = self
+            .smoothed
+            .iter()
+            .zip(&self.shaded)
+            .map(|(s, shaded)| u8::from(*shaded == 0 && departs(s)))
+            .collect();
         let mut not_screen = dilate(&seeds, width, 2);
         self.drop_faint_regions(&mut not_screen, width);
         let solid: Vec<u8> = self.smoothed.iter().map(|s| u8::from(*s < 0.5)).collect();
@@ -81,26 +91,43 @@ impl Workspace {
         self.not_screen.iter().map(|v| u8::from(*v == 0)).collect()
     }
 
-    fn load(&mut self, rgb: &[u8], width: usize, key: &Key, field: &Field, texture: &[f32]) {
-        let n = rgb.len() / 3;
-        for plane in self.image.iter_mut().chain(&mut self.screen).chain([&mut self.share]) {
-            plane.clear();
-            plane.resize(n, 0.0);
-        }
+    /// Loads a frame and the light of the empty screen of its own.
+    pub fn load_before_field(&mut self, rgb: &[u8], width: usize, key: &Key, field: &Field) {
+        self.make_room(rgb.len() / 3);
         let (table, mut row) = (&*LINEAR, Vec::new());
         for (y, line) in rgb.chunks_exact(3 * width).enumerate() {
             field.row(y, width, &mut row);
             for (x, (p, light)) in line.chunks_exact(3).zip(&row).enumerate() {
-                let i = y * width + x;
                 let linear = [table[usize::from(p[0])], table[usize::from(p[1])], table[usize::from(p[2])]];
-                let gain = texture.get(i).copied().unwrap_or(1.0);
-                for c in 0..3 {
-                    self.image[c][i] = linear[c];
-                    self.screen[c][i] = light[c] * gain;
-                }
-                self.share[i] = key.difference(linear) / (light[3] * gain + 1e-6);
+                self.put(y * width + x, linear, [light[0], light[1], light[2]], key);
             }
         }
+    }
+
+    /// Loads a frame of a camera that stands still.
+    pub fn load_before_plate(&mut self, rgb: &[u8], key: &Key, still: &Still) {
+        self.make_room(rgb.len() / 3);
+        let table = &*LINEAR;
+        for (i, p) in rgb.chunks_exact(3).enumerate() {
+            let linear = [table[usize::from(p[0])], table[usize::from(p[1])], table[usize::from(p[2])]];
+            self.put(i, linear, [still.plate[0][i], still.plate[1][i], still.plate[2][i]], key);
+        }
+    }
+
+    fn make_room(&mut self, n: usize) {
+        for plane in self.image.iter_mut().chain(&mut self.screen).chain([&mut self.share, &mut self.total]) {
+            plane.resize(n, 0.0);
+        }
+    }
+
+    #[inline(always)]
+    fn put(&mut self, i: usize, linear: [f32; 3], light: [f32; 3], key: &Key) {
+        for c in 0..3 {
+            self.image[c][i] = linear[c];
+            self.screen[c][i] = light[c];
+        }
+        self.share[i] = key.difference(linear) / (key.difference(light) + 1e-6);
+        self.total[i] = (linear[0] + linear[1] + linear[2]) / (light[0] + light[1] + light[2] + 1e-6);
     }
 
     fn pixel(&self, i: usize) -> [f32; 3] {

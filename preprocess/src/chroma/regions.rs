@@ -15,13 +15,23 @@ const HOLE_SHARE: f32 = 0.01;
 const HOLE_TOLERANCE: (f32, f32, f32) = (0.10, 0.08, 0.025);
 /// Pixels of pure screen colour that a hole needs for this to be said.
 const HOLE_PIXELS: f32 = 9.0;
+/// Share of an object that is seen before the screen, at least.
+const BEFORE_SHARE: f32 = 0.2;
 /// Departure from a still thing, 8-bit levels, at which something else surely stands before it.
 const BEFORE_LEVELS: (i32, i32) = (12, 28);
 
 /// Cleans `work.alpha` in place.
 pub(crate) fn clean(work: &mut Workspace, rgb: &[u8], width: usize, still: Option<&Still>, keep_pole: bool) {
-    let inside = hull(&work.surely_screen(), width);
-    remove_garbage(work, rgb, still, keep_pole, &inside);
+    let own;
+    let inside = match still {
+        Some(still) => &still.before_screen,
+        None => {
+            own = hull(&work.surely_screen(), width);
+            &own
+        }
+    };
+    remove_garbage(work, rgb, still, keep_pole, inside);
+    remove_what_lies_beside(work, width, inside);
     close_reflections(work, width, still);
     remove_specks(work, width);
 }
@@ -40,6 +50,22 @@ fn remove_garbage(work: &mut Workspace, rgb: &[u8], still: Option<&Still>, keep_
             }
             None if is_garbage => *alpha = 0.0,
             _ => {}
+        }
+    }
+}
+
+/// What hardly reaches before the screen is no part of the object.
+fn remove_what_lies_beside(work: &mut Workspace, width: usize, inside: &[bool]) {
+    let solid: Vec<u8> = work.alpha.iter().map(|a| u8::from(*a > 0.02)).collect();
+    let (labels, sizes) = components(&solid, width);
+    let mut before = vec![0_usize; sizes.len()];
+    for (label, inside) in labels.iter().zip(inside) {
+        before[*label as usize] += usize::from(*inside);
+    }
+    for (alpha, label) in work.alpha.iter_mut().zip(&labels) {
+        let label = *label as usize;
+        if (before[label] as f32) < BEFORE_SHARE * sizes[label] as f32 {
+            *alpha = 0.0;
         }
     }
 }
