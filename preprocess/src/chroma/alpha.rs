@@ -12,16 +12,19 @@ const MIN_DEPARTURE: f32 = 0.06;
 /// A region that nowhere departs by this much is a shadow or noise.
 const MIN_PEAK: f32 = 0.30;
 /// Weight of a mixed pixel beside a solid one when the foreground's colour is learnt.
-const MIXED_WEIGHT: f32 = 0.05;
+static MIXED_WEIGHT: std::sync::LazyLock<f32> = std::sync::LazyLock::new(|| tune("MIXED_WEIGHT", 0.05));
 /// Chroma of 4:2:0 video is blurred: standard deviation of alpha from chroma at an edge.
-const CHROMA_ERROR: f32 = 0.15;
+static CHROMA_ERROR: std::sync::LazyLock<f32> = std::sync::LazyLock::new(|| tune("CHROMA_ERROR", 0.15));
 /// The same for luma.
-const LUMA_ERROR: f32 = 0.20;
+static LUMA_ERROR: std::sync::LazyLock<f32> = std::sync::LazyLock::new(|| tune("LUMA_ERROR", 0.2));
 /// The object's rim is lit by the screen and mixes with its blur: alpha falls short by this factor there.
-const RIM_GAIN: f32 = 1.25;
+static RIM_GAIN: std::sync::LazyLock<f32> = std::sync::LazyLock::new(|| tune("RIM_GAIN", 1.25));
 /// Smoothing has made the edge this much too soft.
-const EDGE_CONTRAST: f32 = 1.15;
+static EDGE_CONTRAST: std::sync::LazyLock<f32> = std::sync::LazyLock::new(|| tune("EDGE_CONTRAST", 1.15));
 
+static THIN_GAIN: std::sync::LazyLock<f32> = std::sync::LazyLock::new(|| tune("THIN_GAIN", 1.0));
+static THIN_FLOOR: std::sync::LazyLock<f32> = std::sync::LazyLock::new(|| tune("THIN_FLOOR", 0.0));
+pub(crate) fn tune(name: &str, v: f32) -> f32 { std::env::var(name).ok().and_then(|s| s.parse().ok()).unwrap_or(v) }
 /// Planes of one frame and scratch, kept between frames.
 #[derive(Default)]
 pub(crate) struct Workspace {
@@ -34,6 +37,8 @@ pub(crate) struct Workspace {
     pub smoothed: Vec<f32>,
     /// Light of all channels as a share of the screen's.
     pub total: Vec<f32>,
+    /// What always stands there, other than the screen.
+    pub still: Vec<u8>,
     /// Screen in whatever light: far enough from the object that it cannot be mixed with it.
     pub shaded: Vec<u8>,
     /// Foreground colour of the neighbourhood.
@@ -104,13 +109,22 @@ impl Workspace {
         }
     }
 
-    /// Loads a frame of a camera that stands still.
-    pub fn load_before_plate(&mut self, rgb: &[u8], key: &Key, still: &Still) {
+    /// Loads a frame of a camera that stands still; what always stands there counts as screen.
+    pub fn load_before_plate(&mut self, rgb: &[u8], key: &Key, still: &Still, keep_pole: bool) {
         self.make_room(rgb.len() / 3);
         let table = &*LINEAR;
         for (i, p) in rgb.chunks_exact(3).enumerate() {
             let linear = [table[usize::from(p[0])], table[usize::from(p[1])], table[usize::from(p[2])]];
             self.put(i, linear, [still.plate[0][i], still.plate[1][i], still.plate[2][i]], key);
+            if still.things[i].is_none() && !still.pole[i] {
+                continue;
+            }
+            let likeness = still.likeness(i, [p[0], p[1], p[2]], keep_pole);
+            if likeness > 0.0 {
+                (0..3).for_each(|c| self.screen[c][i] += likeness * (linear[c] - self.screen[c][i]));
+                self.share[i] += likeness * (1.0 - self.share[i]);
+                self.still[i] = 1;
+            }
         }
     }
 
@@ -118,6 +132,8 @@ impl Workspace {
         for plane in self.image.iter_mut().chain(&mut self.screen).chain([&mut self.share, &mut self.total]) {
             plane.resize(n, 0.0);
         }
+        self.still.clear();
+        self.still.resize(n, 0);
     }
 
     #[inline(always)]
@@ -186,10 +202,12 @@ impl Workspace {
             plane.clear();
             plane.resize(n, 0.0);
         }
+        self.still.clear();
+        self.still.resize(n, 0);
         for i in (0..n).filter(|i| not_screen[*i] != 0) {
             let s = if solid[i] != 0 { 0.0 } else { self.smoothed[i].max(self.share[i]).clamp(0.0, 1.0) };
             let t = 1.0 - s;
-            let weight = if solid[i] != 0 { 1.0 } else { MIXED_WEIGHT * t * t * t };
+            let weight = if solid[i] != 0 { 1.0 } else { *MIXED_WEIGHT * t * t * t };
             let mut colour = [0.0; 3];
             for (c, v) in colour.iter_mut().enumerate() {
                 // t · (un-premultiplied colour) = I − s B
@@ -198,6 +216,7 @@ impl Workspace {
                 self.around[c][i] = weight * value;
                 *v = if t > 1e-3 { value / t } else { 0.0 };
             }
+            let t = if solid[i] != 0 || t > *THIN_FLOOR { t } else { *THIN_FLOOR };
             self.weights[i] = weight * t;
             let y = luminance(colour);
             self.spread[i] = weight * t * y * y;
@@ -225,14 +244,15 @@ impl Workspace {
     fn solve_band(&mut self, noise: Noise, width: usize) {
         for i in (0..self.share.len()).filter(|i| self.band[*i] != 0) {
             self.alpha[i] =
-                if self.weights[i] < 1e-5 { 1.0 - self.share[i] } else { self.alpha_from_chroma(i) }
+                (if self.weights[i] < 1e-5 { 1.0 - self.share[i] } else { self.alpha_from_chroma(i) }
+                * if self.weights[i] < 0.5 { *THIN_GAIN } else { 1.0 })
                     .clamp(-0.2, 1.2);
         }
         smooth(&self.alpha, width, &mut self.mean);
         for i in (0..self.share.len()).filter(|i| self.band[*i] != 0) {
             let alpha = self.mean[i].clamp(0.0, 1.0);
             let alpha = if self.weights[i] < 1e-5 { alpha } else { self.with_luma(i, alpha, noise) };
-            let alpha = (alpha * RIM_GAIN - 0.5) * EDGE_CONTRAST + 0.5;
+            let alpha = (alpha * *RIM_GAIN - 0.5) * *EDGE_CONTRAST + 0.5;
             self.alpha[i] = if alpha < 0.03 {
                 0.0
             } else if alpha > 0.97 {
@@ -255,8 +275,8 @@ impl Workspace {
         let fd = [self.around[0][i] - b[0], self.around[1][i] - b[1], self.around[2][i] - b[2]];
         let (c2, fy) = (squared(chroma_of(fd)), luminance(fd));
         let y2 = fy * fy;
-        let weight_c = c2 / (noise.chroma + CHROMA_ERROR * CHROMA_ERROR * c2 + 1e-9);
-        let weight_y = y2 / (noise.luma + self.spread[i] + LUMA_ERROR * LUMA_ERROR * y2 + 1e-9);
+        let weight_c = c2 / (noise.chroma + *CHROMA_ERROR * *CHROMA_ERROR * c2 + 1e-9);
+        let weight_y = y2 / (noise.luma + self.spread[i] + *LUMA_ERROR * *LUMA_ERROR * y2 + 1e-9);
         let py = luminance([p[0] - b[0], p[1] - b[1], p[2] - b[2]]);
         let alpha_y = (py * fy / (y2 + 1e-9)).clamp(0.0, 1.0);
         (weight_c * alpha_c + weight_y * alpha_y) / (weight_c + weight_y + 1e-9)

@@ -26,8 +26,10 @@ impl Workspace {
         smooth(&self.smoothed, width, &mut twice);
         let candidates: Vec<u8> = twice
             .iter()
-            .zip(&total)
-            .map(|(s, t)| u8::from((*s > RANGE.start) & (*s < RANGE.end) & (*s > PURITY * t)))
+            .zip(total.iter().zip(&self.still))
+            .map(|(s, (t, still))| {
+                u8::from((*s > RANGE.start) & (*s < RANGE.end) & (*s > PURITY * t) & (*still == 0))
+            })
             .collect();
         self.mean = total;
         self.shaded = dilate(&erode(&candidates, width, OPENING), width, OPENING);
@@ -43,6 +45,9 @@ impl Workspace {
         for y in 0..height {
             light.row(y, width, &mut row);
             let line = y * width..(y + 1) * width;
+            for (k, _) in row.iter_mut().zip(&self.still[line.clone()]).filter(|(_, still)| **still != 0) {
+                *k = [1.0];
+            }
             for plane in &mut self.screen {
                 plane[line.clone()].iter_mut().zip(&row).for_each(|(v, k)| *v *= k[0]);
             }

@@ -92,14 +92,14 @@ impl Keyer {
         let (rgb, width, work) = (image.as_raw(), image.width() as usize, &mut scratch.0);
         let still = self.still.as_ref().filter(|s| s.width == width && s.things.len() * 3 == rgb.len());
         match still {
-            Some(still) => work.load_before_plate(rgb, key, still),
+            Some(still) => work.load_before_plate(rgb, key, still, self.keep_pole),
             None => match Field::fit(rgb, width, key) {
                 Some(field) => work.load_before_field(rgb, width, key, &field),
                 None => return (plain(image, key), rgb.clone()),
             },
         }
         work.solve(width);
-        regions::clean(work, rgb, width, still, self.keep_pole);
+        regions::clean(work, width, still, self.keep_pole);
         let alpha = work.alpha.iter().map(|a| (a * 255.0 + 0.5) as u8).collect();
         (alpha, spill::foreground(work, key))
     }

@@ -1,7 +1,7 @@
 //! What stands still in front of a camera that does not move: texture of the screen, things beside it, the pole.
 
 use super::colour::{Key, LINEAR};
-use super::filters::components;
+use super::filters::{components, dilate, erode};
 use super::grid::Sums;
 use image::RgbImage;
 
@@ -19,8 +19,15 @@ const PLATE_CELL: usize = 8;
 const STILL_SHARE: f32 = 0.6;
 /// Difference up to which samples agree, 8-bit levels of the largest channel.
 const STILL_LEVELS: i32 = 9;
-/// Change of light between samples of a still thing, as a factor on 8-bit values.
-const STILL_LIGHT: (f32, f32) = (0.65, 1.25);
+/// Change of light between most samples of a still thing, as a factor on 8-bit values.
+const STILL_LIGHT: (f32, f32) = (0.75, 1.25);
+/// Change of light on a still thing in any frame.
+const ANY_LIGHT: (f32, f32) = (0.55, 1.5);
+/// Departure from a still thing, 8-bit levels, at which something else surely stands before it.
+const BEFORE_LEVELS: (i32, i32) = (12, 28);
+/// A pole hides the screen in at least this share of the samples and is at most this wide (share of the longer side).
+const ALWAYS_SHARE: f32 = 0.85;
+const POLE_WIDTH: f32 = 0.03;
 /// Still things cover less than this share of what is seen before the screen, else the object itself stands still.
 const POLE_SHARE: f32 = 0.4;
 /// Share of the picture beside the screen that must be still for the camera to count as standing.
@@ -35,6 +42,8 @@ pub(crate) struct Still {
     pub plate: [Vec<f32>; 3],
     /// Colour of what stands still and is no screen; `None` elsewhere.
     pub things: Vec<Option<[u8; 3]>>,
+    /// Before the screen: narrow, always there in whatever light, joined to what stands still.
+    pub pole: Vec<bool>,
     /// Pixels where the screen is never seen.
     pub outside: Vec<bool>,
     /// Convex hull of the pixels where it is.
@@ -75,13 +84,13 @@ impl Still {
                 }
             }
             other_counts[i] = others.len() as u32;
+            still.things[i] = agreed(&mut others, frames.len());
             if lights.len() as f32 >= needed {
                 still.outside[i] = false;
                 let lit = lit_mean(&mut lights);
                 (0..3).for_each(|c| still.plate[c][i] = lit[c]);
             } else {
                 other_count += 1;
-                still.things[i] = agreed(&mut others, frames.len());
                 still_count += usize::from(still.things[i].is_some());
             }
         }
@@ -92,6 +101,7 @@ impl Still {
         let seen: Vec<u8> = still.outside.iter().map(|o| u8::from(!o)).collect();
         still.before_screen = super::regions::hull(&seen, width);
         still.forget_islands();
+        still.find_pole(&other_counts, frames.len());
         let before = |i: &usize| still.before_screen[*i];
         let still_inside = (0..n).filter(before).filter(|i| still.things[*i].is_some()).count();
         let others_inside = (0..n).filter(before).map(|i| other_counts[i] as usize).sum::<usize>();
@@ -116,6 +126,58 @@ impl Still {
             }
         }
         Some(())
+    }
+}
+
+impl Still {
+    /// What hides the screen in nearly all samples, is narrow, and joins the still things below or beside it.
+    fn find_pole(&mut self, other_counts: &[u32], frames: usize) {
+        let width = self.width;
+        let always: Vec<u8> =
+            other_counts.iter().map(|c| u8::from(*c as f32 >= ALWAYS_SHARE * frames as f32)).collect();
+        let radius = self.pole_radius();
+        let wide = dilate(&erode(&always, width, radius), width, radius);
+        let narrow: Vec<u8> = (0..always.len())
+            .map(|i| {
+                let is_thing = self.things[i].is_some();
+                u8::from(is_thing || (always[i] != 0 && wide[i] == 0 && self.before_screen[i]))
+            })
+            .collect();
+        let (labels, sizes) = components(&narrow, width);
+        let mut joined = vec![false; sizes.len()];
+        for (thing, label) in self.things.iter().zip(&labels).filter(|(t, _)| t.is_some()) {
+            joined[*label as usize] |= thing.is_some();
+        }
+        self.pole = (0..narrow.len())
+            .map(|i| narrow[i] != 0 && wide[i] == 0 && self.before_screen[i] && joined[labels[i] as usize])
+            .collect();
+    }
+
+    /// Half the width that a pole can have, pixels.
+    pub fn pole_radius(&self) -> usize {
+        ((POLE_WIDTH * self.width.max(self.outside.len() / self.width) as f32) as usize / 2).max(2)
+    }
+
+    /// Whether the pole is to be cut off.
+    pub fn cuts_pole(&self, keep_pole: bool) -> bool {
+        self.has_pole && !keep_pole
+    }
+
+    /// How surely the pixel shows what always stands there, 0 to 1.
+    pub fn likeness(&self, i: usize, rgb: [u8; 3], keep_pole: bool) -> f32 {
+        if self.before_screen[i] && !self.cuts_pole(keep_pole) {
+            return 0.0;
+        }
+        if self.pole[i] {
+            return 1.0;
+        }
+        match self.things[i] {
+            Some(thing) => {
+                let (low, high) = BEFORE_LEVELS;
+                (1.0 - (departure(rgb, thing) - low) as f32 / (high - low) as f32).clamp(0.0, 1.0)
+            }
+            None => 0.0,
+        }
     }
 }
 
@@ -171,15 +233,19 @@ fn agreed(samples: &mut [[u8; 3]], frames: usize) -> Option<[u8; 3]> {
         let mid = samples.len() / 2;
         samples.select_nth_unstable_by_key(mid, |s| s[c]).1[c]
     });
-    let agreeing = samples.iter().filter(|s| departure(**s, median) <= STILL_LEVELS).count();
+    let agreeing = samples.iter().filter(|s| departure_in(**s, median, STILL_LIGHT) <= STILL_LEVELS).count();
     (agreeing >= needed).then_some(median)
 }
 
 /// Largest difference of a channel, 8-bit levels, from a still thing under the light that fits best.
-pub(crate) fn departure(seen: [u8; 3], thing: [u8; 3]) -> i32 {
+fn departure(seen: [u8; 3], thing: [u8; 3]) -> i32 {
+    departure_in(seen, thing, ANY_LIGHT)
+}
+
+fn departure_in(seen: [u8; 3], thing: [u8; 3], range: (f32, f32)) -> i32 {
     let (a, b) = (seen.map(f32::from), thing.map(f32::from));
     let fit = super::colour::dot(a, b) / super::colour::dot(b, b).max(1.0);
-    let light = fit.clamp(STILL_LIGHT.0, STILL_LIGHT.1);
+    let light = fit.clamp(range.0, range.1);
     (0..3).map(|c| (a[c] - light * b[c]).abs() as i32).max().unwrap_or(0)
 }
 
