@@ -14,6 +14,12 @@ use std::time::Instant;
 /// Near plane where the options leave it open, normalised units.
 pub const DEFAULT_NEAR: f32 = 0.01;
 
+/// Wall time since the first call.
+fn wall_seconds() -> f64 {
+    static START: std::sync::OnceLock<Instant> = std::sync::OnceLock::new();
+    START.get_or_init(Instant::now).elapsed().as_secs_f64()
+}
+
 /// The CPU backend.
 pub struct CpuBackend {
     isa: Isa,
@@ -22,6 +28,7 @@ pub struct CpuBackend {
     pub statistics: Statistics,
     work: Workspace,
     times: KernelTimes,
+    clock: fn() -> f64,
 }
 
 /// dL/d(parameters) in the layout of [`Model`].
@@ -43,7 +50,19 @@ impl CpuBackend {
     /// An empty backend that uses the instruction set.
     pub fn new(isa: Isa) -> Self {
         let (statistics, work) = (Statistics::default(), Workspace::default());
-        Self { isa, model: Model::default(), statistics, work, times: KernelTimes::default() }
+        let times = KernelTimes::default();
+        Self { isa, model: Model::default(), statistics, work, times, clock: wall_seconds }
+    }
+
+    /// Measures kernels with another clock (seconds), such as the CPU time of the process.
+    pub fn set_clock(&mut self, clock: fn() -> f64) {
+        self.clock = clock;
+    }
+
+    /// Seconds since `mark`, which moves to now.
+    fn lap(&self, mark: &mut f64) -> f64 {
+        let before = std::mem::replace(mark, (self.clock)());
+        *mark - before
     }
 
     fn camera(&self, view: &PinholeView, options: &RenderOptions) -> CameraConstants {
@@ -58,18 +77,17 @@ impl CpuBackend {
         options: &RenderOptions,
         depth: bool,
     ) {
-        let clock = Instant::now();
+        let mut mark = (self.clock)();
         let n = self.model.len;
         self.work.project(self.isa, Parameters::of(&self.model), n, camera);
-        self.times.project += clock.elapsed().as_secs_f64();
-        let clock = Instant::now();
+        self.times.project += self.lap(&mut mark);
         let work = &mut self.work;
         work.bins.fill(&work.keys, &work.records, view.width, view.height);
-        self.times.sort += clock.elapsed().as_secs_f64();
-        let clock = Instant::now();
+        self.times.sort += self.lap(&mut mark);
+        let work = &mut self.work;
         work.resize(Shape { width: view.width, height: view.height });
         work.forward(self.isa, options.background, depth);
-        self.times.forward += clock.elapsed().as_secs_f64();
+        self.times.forward += self.lap(&mut mark);
     }
 
     /// dL/d(parameters) where dL/d(colour) is `gradient` ([height × width × 3]).
@@ -171,20 +189,18 @@ impl Backend for CpuBackend {
         }
         let camera = self.camera(input.view, &input.options);
         self.forward(input.view, &camera, &input.options, false);
-        let clock = Instant::now();
+        let mut mark = (self.clock)();
         let value = self.loss(input);
-        self.times.loss += clock.elapsed().as_secs_f64();
-        let clock = Instant::now();
+        self.times.loss += self.lap(&mut mark);
         self.work.backward(self.isa);
-        self.times.backward += clock.elapsed().as_secs_f64();
-        let clock = Instant::now();
+        self.times.backward += self.lap(&mut mark);
         let visible = self.work.bins.order.len();
         let share = 1.0 / visible.max(1) as f32;
         let penalties = [input.opacity_penalty * share, input.scale_penalty * share];
         let (parameters, shared) = (Parameters::of(&self.model), self.shared());
         let non_finite =
             self.work.optimise(self.isa, parameters, shared, &camera, Sink::Adam(input.rates), penalties);
-        self.times.optimise += clock.elapsed().as_secs_f64();
+        self.times.optimise += self.lap(&mut mark);
         let pairs = self.work.bins.list.len();
         Ok(StepOutput { loss: value.loss, mse: value.mse, visible, pairs, non_finite })
     }

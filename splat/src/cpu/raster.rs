@@ -48,9 +48,21 @@ impl Tile {
 #[inline(always)]
 fn pixels(low: f32, high: f32) -> [usize; 2] {
     // Truncation is the floor of what is not negative; 0.51 instead of 0.5 keeps pixels on the rim.
-    let clamp =
-        |v: f32| (if v > 0.0 { if v < TILE as f32 { v } else { TILE as f32 } } else { 0.0 }) as i32 as usize;
+    // NaN becomes 0, so that the cast is always within range.
+    let clamp = |v: f32| unsafe { least(most(v, 0.0), TILE as f32).to_int_unchecked::<i32>() as usize };
     [clamp(low + 0.49), clamp(high + 0.51)]
+}
+
+/// The larger; `b` where either is NaN. One instruction, unlike `f32::max`.
+#[inline(always)]
+fn most(a: f32, b: f32) -> f32 {
+    if a > b { a } else { b }
+}
+
+/// The smaller; `b` where either is NaN. One instruction, unlike `f32::min`.
+#[inline(always)]
+fn least(a: f32, b: f32) -> f32 {
+    if a < b { a } else { b }
 }
 
 /// Columns of vectors that the Gaussian's box covers, half-open.
@@ -68,18 +80,10 @@ fn rows<S: Simd>(g: &Record, tile: &Tile, x: usize) -> [usize; 2] {
     // Offsets here are pixel − centre; the ellipse's lowest and highest points lie at ± tilt.
     let left = (tile.x + x) as f32 + 0.5 - g.x;
     let right = left + (S::LANES - 1) as f32;
-    let clamp = |dx: f32| {
-        if dx < left {
-            left
-        } else if dx > right {
-            right
-        } else {
-            dx
-        }
-    };
+    let clamp = |dx: f32| least(most(dx, left), right);
     let (high_x, low_x) = (clamp(-g.tilt), clamp(g.tilt));
     let (high, low) = (g.chord - g.bend * high_x * high_x, g.chord - g.bend * low_x * low_x);
-    let root = |v: f32| if v > 0.0 { v.sqrt() } else { 0.0 };
+    let root = |v: f32| most(v, 0.0).sqrt();
     let y = g.y - tile.y as f32;
     pixels(y - g.slope * low_x - root(low), y - g.slope * high_x + root(high))
 }
@@ -160,8 +164,10 @@ fn forward_loop<S: Simd, const DEPTH: bool>(a: &mut Forward, depth: &mut [f32; P
             return;
         }
         let g = unsafe { a.records.get_unchecked(i as usize) };
+        prefetch::<S>(a.records, a.list, index);
         let [x0, x1] = columns::<S>(g, &a.tile);
         let (log2_opacity, threshold) = (S::splat(g.log2_opacity), S::splat(-LOG2_255));
+        let colours = array!(c in 3 => S::splat(g.rgb[c]));
         for column in x0..x1 {
             let x = column * S::LANES;
             let [y0, y1] = rows::<S>(g, &a.tile, x);
@@ -182,9 +188,9 @@ fn forward_loop<S: Simd, const DEPTH: bool>(a: &mut Forward, depth: &mut [f32; P
                     let next = t.mul(one.sub(alpha));
                     let drawn = S::and(valid, next.ge(min_t));
                     let weight = t.mul(alpha).keep(drawn);
-                    for (plane, colour) in rgb.iter().zip(g.rgb) {
+                    for (plane, colour) in rgb.iter().zip(colours) {
                         let c = plane.add(at);
-                        weight.fma(S::splat(colour), S::load(c)).store(c);
+                        weight.fma(colour, S::load(c)).store(c);
                     }
                     if DEPTH {
                         let d = depth.as_mut_ptr().add(at);
@@ -198,6 +204,15 @@ fn forward_loop<S: Simd, const DEPTH: bool>(a: &mut Forward, depth: &mut [f32; P
         }
     }
     a.used = a.list.len();
+}
+
+/// Fetches the record that comes a few places after `index`: records lie in no order of the tile's.
+#[inline(always)]
+fn prefetch<S: Simd>(records: &[Record], list: &[u32], index: usize) {
+    const AHEAD: usize = 6;
+    if let Some(&next) = list.get(index + AHEAD) {
+        S::prefetch(unsafe { records.as_ptr().add(next as usize) }.cast());
+    }
 }
 
 /// Whether all pixels are finished.
@@ -240,8 +255,9 @@ fn backward_generic<S: Simd>(a: &mut Backward) {
     let t_plane = transmittance.as_mut_ptr();
     let rest = a.remaining.as_mut_ptr();
     let grad: [*const f32; 3] = [a.gradient[0].as_ptr(), a.gradient[1].as_ptr(), a.gradient[2].as_ptr()];
-    for (&i, sums) in a.list.iter().zip(a.sums.iter_mut()) {
+    for (index, (&i, sums)) in a.list.iter().zip(a.sums.iter_mut()).enumerate() {
         let g = unsafe { a.records.get_unchecked(i as usize) };
+        prefetch::<S>(a.records, a.list, index);
         let [x0, x1] = columns::<S>(g, &a.tile);
         let (log2_opacity, threshold) = (S::splat(g.log2_opacity), S::splat(-LOG2_255));
         let rgb = array!(c in 3 => S::splat(g.rgb[c]));
