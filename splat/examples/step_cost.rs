@@ -6,6 +6,7 @@
 use clap::Parser;
 use scene::{Camera, CameraModel, Progress};
 use splat::backend::{Backend, KernelTimes, LearningRates, StepInput, Target};
+use splat::clock::cpu_seconds;
 use splat::cpu::CpuBackend;
 use splat::model::Model;
 use splat::{AlphaMode, Dataset, DatasetConfig, RenderOptions, Renderer, TrainConfig, train};
@@ -40,10 +41,12 @@ fn main() -> Result<()> {
         Some(path) => scene::io::read_model(&path)?,
         None => scene::io::read_transforms(&cli.dataset.join("transforms.json"))?.reconstruction,
     };
-    let images = Some(cli.dataset.join("images")).filter(|p| p.is_dir() && cli.dataset.join("sparse").is_dir());
+    let images =
+        Some(cli.dataset.join("images")).filter(|p| p.is_dir() && cli.dataset.join("sparse").is_dir());
     let images = images.unwrap_or(cli.dataset.clone());
     let dataset = Dataset::load(&images, None, &model, &DatasetConfig::default(), &Progress::silent())?;
-    let config = TrainConfig { iterations: cli.warm_up, max_gaussians: cli.gaussians, ..TrainConfig::default() };
+    let config =
+        TrainConfig { iterations: cli.warm_up, max_gaussians: cli.gaussians, ..TrainConfig::default() };
     let result = train(&dataset, &config, None, &Progress::silent())?;
     let normalised = Model::from_gaussians(&dataset.normalisation.to_normalised(result.gaussians.clone()));
     println!(
@@ -101,19 +104,19 @@ fn steps(cli: &Cli, dataset: &Dataset, model: &Model, threads: usize) -> Result<
     println!(
         "step, {threads} threads: {:.1} CPU ms (project {:.2} sort {:.2} forward {:.2} loss {:.2} backward {:.2} optimise {:.2}), {} pairs, {} visible",
         m.iter().sum::<f64>(),
-        m[0], m[1], m[2], m[3], m[4], m[5],
+        m[0],
+        m[1],
+        m[2],
+        m[3],
+        m[4],
+        m[5],
         pairs / cli.steps,
         visible / cli.steps
     );
     Ok(())
 }
 
-fn frames(
-    cli: &Cli,
-    dataset: &Dataset,
-    gaussians: &scene::Gaussians,
-    threads: usize,
-) -> Result<()> {
+fn frames(cli: &Cli, dataset: &Dataset, gaussians: &scene::Gaussians, threads: usize) -> Result<()> {
     let mut renderer = Renderer::new(gaussians)?;
     let (mut walls, mut cpu) = (Vec::new(), 0.0);
     for k in 0..cli.steps + 3 {
@@ -122,7 +125,8 @@ fn frames(
         }
         let view = &dataset.views[k % dataset.views.len()];
         // The narrower side keeps its angle.
-        let scale = (f64::from(cli.width) / view.view.width as f64).max(f64::from(cli.height) / view.view.height as f64);
+        let scale = (f64::from(cli.width) / view.view.width as f64)
+            .max(f64::from(cli.height) / view.view.height as f64);
         let focal = scale * f64::from(view.view.focal[0]);
         let camera = Camera::centred(1, CameraModel::Pinhole, cli.width, cli.height, focal);
         let clock = Instant::now();
@@ -157,14 +161,4 @@ fn difference(now: &KernelTimes, then: &KernelTimes) -> [f64; 6] {
 fn median(mut values: Vec<f64>) -> f64 {
     values.sort_by(f64::total_cmp);
     values.get(values.len() / 2).copied().unwrap_or(0.0)
-}
-
-/// User and system time of all threads of this process, seconds (the scheduler's count, ns).
-fn cpu_seconds() -> f64 {
-    let Ok(tasks) = std::fs::read_dir("/proc/self/task") else { return 0.0 };
-    let of = |path: PathBuf| -> f64 {
-        let text = std::fs::read_to_string(path.join("schedstat")).unwrap_or_default();
-        text.split_whitespace().next().and_then(|v| v.parse::<f64>().ok()).unwrap_or(0.0)
-    };
-    tasks.filter_map(|t| t.ok()).map(|t| of(t.path())).sum::<f64>() / 1e9
 }

@@ -5,20 +5,13 @@ use super::optimise::{SharedModel, SharedPlane, Sink, Statistics};
 use super::project::{CameraConstants, Parameters};
 use super::simd::Isa;
 use super::workspace::Workspace;
-use crate::backend::{Backend, KernelTimes, StepInput, StepOutput};
+use crate::backend::{Backend, KernelTimes, StepInput, StepOutput, Target};
 use crate::model::{GEOMETRY, Model, padded};
 use crate::{PinholeView, RenderOptions, RenderOutput, SplatError};
 use scene::FloatImage;
-use std::time::Instant;
 
 /// Near plane where the options leave it open, normalised units.
 pub const DEFAULT_NEAR: f32 = 0.01;
-
-/// Wall time since the first call.
-fn wall_seconds() -> f64 {
-    static START: std::sync::OnceLock<Instant> = std::sync::OnceLock::new();
-    START.get_or_init(Instant::now).elapsed().as_secs_f64()
-}
 
 /// The CPU backend.
 pub struct CpuBackend {
@@ -51,7 +44,12 @@ impl CpuBackend {
     pub fn new(isa: Isa) -> Self {
         let (statistics, work) = (Statistics::default(), Workspace::default());
         let times = KernelTimes::default();
-        Self { isa, model: Model::default(), statistics, work, times, clock: wall_seconds }
+        Self { isa, model: Model::default(), statistics, work, times, clock: crate::clock::wall_seconds }
+    }
+
+    /// Whether the statistics sum |dL/dxy| over pixels (AbsGS) instead of taking the norm of the sum.
+    pub fn set_magnitudes(&mut self, on: bool) {
+        self.work.magnitudes = on;
     }
 
     /// Measures kernels with another clock (seconds), such as the CPU time of the process.
@@ -112,6 +110,23 @@ impl CpuBackend {
             SharedModel { geometry: [planes; 3], sh: [sh; 3], steps: unused, statistics: [unused; 4] };
         self.work.optimise(self.isa, Parameters::of(&self.model), shared, &camera, Sink::Gradients, [0.0; 2]);
         out
+    }
+
+    /// Mean squared error of a picture against a target, over its pixels that count; statistics stay as they are.
+    pub fn mean_square_error(&mut self, view: &PinholeView, target: &Target, options: &RenderOptions) -> f64 {
+        let camera = self.camera(view, options);
+        self.forward(view, &camera, options, false);
+        self.work.set_target(target, options.background);
+        let weighted = target.mask.is_some() && !target.transparent;
+        let work = &mut self.work;
+        let input = LossInput {
+            shape: work.shape,
+            rgb: &work.rgb,
+            target: &work.target,
+            weight: weighted.then_some(work.weight.as_slice()),
+            lambda: 0.0,
+        };
+        f64::from(work.loss.run(self.isa, &input, &mut work.gradient).mse)
     }
 
     /// The loss of the last rendering against a target, and dL/d(colour) into the workspace.

@@ -243,12 +243,19 @@ pub struct Backward<'a> {
     /// `Σ_channels C · dL/dC` of the finished picture (background included).
     pub remaining: &'a mut [f32; PIXELS],
     /// Out, for each of `list`: with `v = α dL/dα`, `d` = centre − pixel:
-    /// Σ v, Σ v dx, Σ v dy, Σ v dx², Σ v dx dy, Σ v dy², Σ T α dL/dC (3), Σ T α, Σ |v| |dx|-wise magnitudes (2).
+    /// Σ v, Σ v dx, Σ v dy, Σ v dx², Σ v dx dy, Σ v dy², Σ T α dL/dC (3), Σ T α, Σ |v (conic d)| by component (2).
     pub sums: &'a mut [[f32; SUMS]],
+    /// Whether the last two are wanted; they are 0 otherwise.
+    pub magnitudes: bool,
 }
 
 #[inline(always)]
 fn backward_generic<S: Simd>(a: &mut Backward) {
+    if a.magnitudes { backward_loop::<S, true>(a) } else { backward_loop::<S, false>(a) }
+}
+
+#[inline(always)]
+fn backward_loop<S: Simd, const MAGNITUDES: bool>(a: &mut Backward) {
     let (zero, one) = (S::splat(0.0), S::splat(1.0));
     let (max_alpha, min_t) = (S::splat(MAX_ALPHA), S::splat(MIN_TRANSMITTANCE));
     let mut transmittance = a.tile.start();
@@ -267,6 +274,7 @@ fn backward_generic<S: Simd>(a: &mut Backward) {
             let [y0, y1] = rows::<S>(g, &a.tile, x);
             let power = Column::<S>::new(g, a.tile.x + x);
             let (mut v0, mut v1, mut v2) = (zero, zero, zero);
+            let slope = power.dx.mul(S::splat(2.0 * g.half_xx));
             for y in y0..y1 {
                 let at = y * TILE + x;
                 unsafe {
@@ -300,6 +308,13 @@ fn backward_generic<S: Simd>(a: &mut Backward) {
                     v0 = v0.add(v);
                     v1 = v1.add(vdy);
                     v2 = vdy.fma(S::splat(dy), v2);
+                    if MAGNITUDES {
+                        let size = v.abs();
+                        let across = slope.add(S::splat(g.xy * dy)).abs();
+                        let down = power.linear.add(S::splat(2.0 * g.half_yy * dy)).abs();
+                        total[10] = size.fma(across, total[10]);
+                        total[11] = size.fma(down, total[11]);
+                    }
                     let stopped = S::select(valid, zero.sub(t), t);
                     S::select(drawn, next, stopped).store(t_plane.add(at));
                 }
