@@ -6,6 +6,7 @@
 
 pub mod backend;
 pub mod checkpoint;
+pub mod clock;
 pub mod config;
 pub mod cpu;
 pub mod dataset;
@@ -19,7 +20,7 @@ pub mod schedule;
 pub mod train;
 
 pub use backend::{Backend, PinholeView};
-pub use config::{Quality, TrainConfig};
+pub use config::{Quality, Recipe, Selection, TrainConfig};
 pub use dataset::{AlphaMode, Dataset, DatasetConfig, View};
 pub use error::SplatError;
 pub use render::{RenderOptions, RenderOutput, Renderer, render_view};
