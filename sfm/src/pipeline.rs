@@ -132,13 +132,7 @@ fn solve(
     let uncertainty = uncertainty(&state, &input, &setup.known, &starts, verdict.intrinsics)?;
     lap("covariance");
     decisions.extend(verdict.decisions);
-    let mut solved = Solved {
-        state,
-        camera_of: setup.camera_of.clone(),
-        keypoints,
-        decisions,
-        uncertainty,
-    };
+    let mut solved = Solved { state, camera_of: setup.camera_of.clone(), keypoints, decisions, uncertainty };
     turn::back(&mut solved, &turned);
     Ok(Some(solved))
 }

@@ -24,7 +24,9 @@ static EDGE_CONTRAST: std::sync::LazyLock<f32> = std::sync::LazyLock::new(|| tun
 
 static THIN_GAIN: std::sync::LazyLock<f32> = std::sync::LazyLock::new(|| tune("THIN_GAIN", 1.0));
 static THIN_FLOOR: std::sync::LazyLock<f32> = std::sync::LazyLock::new(|| tune("THIN_FLOOR", 0.0));
-pub(crate) fn tune(name: &str, v: f32) -> f32 { std::env::var(name).ok().and_then(|s| s.parse().ok()).unwrap_or(v) }
+pub(crate) fn tune(name: &str, v: f32) -> f32 {
+    std::env::var(name).ok().and_then(|s| s.parse().ok()).unwrap_or(v)
+}
 /// Planes of one frame and scratch, kept between frames.
 #[derive(Default)]
 pub(crate) struct Workspace {
@@ -245,8 +247,8 @@ impl Workspace {
         for i in (0..self.share.len()).filter(|i| self.band[*i] != 0) {
             self.alpha[i] =
                 (if self.weights[i] < 1e-5 { 1.0 - self.share[i] } else { self.alpha_from_chroma(i) }
-                * if self.weights[i] < 0.5 { *THIN_GAIN } else { 1.0 })
-                    .clamp(-0.2, 1.2);
+                    * if self.weights[i] < 0.5 { *THIN_GAIN } else { 1.0 })
+                .clamp(-0.2, 1.2);
         }
         smooth(&self.alpha, width, &mut self.mean);
         for i in (0..self.share.len()).filter(|i| self.band[*i] != 0) {
