@@ -13,13 +13,13 @@ const page = await browser.newPage();
 const errors = [];
 page.on("console", (m) => { if (m.type() === "error") errors.push(m.text()); });
 page.on("pageerror", (e) => errors.push(String(e)));
-const { width, height } = { width: 800, height: 600 };
+const { width, height } = { width: 400, height: 320 };
 await page.setViewport({ width, height });
 await page.goto(address, { timeout: 120000 });
 await page.waitForFunction("window.satRecon && (satRecon.ready || satRecon.errors.length > 0)", { timeout: 120000 });
 const shot = async () => {
   // Sorting and drawing follow each other for a few frames.
-  await new Promise((r) => setTimeout(r, 3000));
+  await new Promise((r) => setTimeout(r, 1500));
   return page.evaluate("document.querySelector('canvas').toDataURL('image/png')");
 };
 const free = await shot();
