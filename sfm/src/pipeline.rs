@@ -15,6 +15,11 @@ use clock::Clock;
 use scene::{Features, FrameSet, Progress, TwoViewGeometry};
 use setup::Setup;
 
+/// Other images that hold an image firmly, and the matches each must share with it. What is held by less gains by
+/// matches along its epipolar lines; what is held by more loses, for those are less exact.
+const TIES: usize = 2;
+const STRONG_TIE: usize = 300;
+
 /// Camera poses, intrinsics and a sparse cloud from images alone.
 ///
 /// Features, pairs, matches, verification, incremental mapping, guided re-matching and the final adjustment.
@@ -48,6 +53,17 @@ pub fn reconstruct(
         progress,
     )?;
     clock.lap("verification", &mut result.stats.steps);
+    let loose = weakly_tied(frames.len(), &result.geometries);
+    result.geometries = two_view::match_along_lines(
+        &result.features,
+        &result.initial_cameras,
+        std::mem::take(&mut result.geometries),
+        (&config.matching, &config.two_view),
+        |g| loose[g.a] || loose[g.b],
+        config.seed,
+        progress,
+    )?;
+    clock.lap("guided matching", &mut result.stats.steps);
     result.stats.features = result.features.iter().map(Features::len).sum();
     result.stats.pairs_verified = result.geometries.len();
     result.decisions.push(pairs_decision(pairs.len(), frames.len(), &result.geometries));
@@ -126,6 +142,16 @@ fn solve(
     };
     turn::back(&mut solved, &turned);
     Ok(Some(solved))
+}
+
+/// Images that fewer than [`TIES`] others share [`STRONG_TIE`] matches with.
+fn weakly_tied(images: usize, geometries: &[TwoViewGeometry]) -> Vec<bool> {
+    let mut ties = vec![0; images];
+    for g in geometries.iter().filter(|g| g.inliers.len() >= STRONG_TIE) {
+        ties[g.a] += 1;
+        ties[g.b] += 1;
+    }
+    ties.into_iter().map(|n| n < TIES).collect()
 }
 
 fn pairs_decision(pairs: usize, images: usize, geometries: &[TwoViewGeometry]) -> Decision {
