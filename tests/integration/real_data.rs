@@ -30,12 +30,12 @@ fn temple_ring_is_one_model_with_accurate_poses() {
 }
 
 #[test]
-fn every_third_and_fourth_image_of_the_temple_are_enough() {
+fn every_third_fourth_and_fifth_image_of_the_temple_are_enough() {
     let (Some(images), Some(truth)) = (shared("temple_ring/images"), shared("temple_ring/cameras_par.txt"))
     else {
         return;
     };
-    for (every, registered) in [(3, 16), (4, 12)] {
+    for (every, registered, centre_pct) in [(3, 16, 1.0), (4, 12, 1.0), (5, 10, 5.0)] {
         let some = folder(&format!("temple-every-{every}"));
         let mut names: Vec<_> = std::fs::read_dir(&images).unwrap().map(|e| e.unwrap().file_name()).collect();
         names.sort();
@@ -44,7 +44,7 @@ fn every_third_and_fourth_image_of_the_temple_are_enough() {
         }
         let errors = errors(&poses(&format!("temple-{every}"), &some, &[], 0), &truth);
         assert_eq!(errors["registered"], registered, "{errors}");
-        assert!(errors["centre_max_pct"].as_f64().unwrap() <= 1.0, "{errors}");
+        assert!(errors["centre_max_pct"].as_f64().unwrap() <= centre_pct, "{errors}");
     }
 }
 

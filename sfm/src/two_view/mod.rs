@@ -7,8 +7,10 @@ mod gric;
 mod models;
 mod pose;
 mod static_matches;
+mod wide;
 
 pub use focal::{focal_evidence, likely_focal_factor};
+pub use wide::second_look;
 
 use crate::SfmError;
 use crate::matching::{MatchConfig, PreparedFeatures, guided_match_prepared};
