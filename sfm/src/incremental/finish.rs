@@ -106,7 +106,7 @@ pub(crate) fn polish(
         let limit = (FINAL_SIGMAS * sigma).clamp(FINAL_LEAST_PX, input.config.max_reprojection_px);
         let gone = state.filter(input, limit);
         let added = if round < 2 { state.grow_all(input) } else { 0 };
-        if round > 0 && (gone + added) * 500 < selected.problem.observations.len() {
+        if round > 0 && (gone + added) * 200 < selected.problem.observations.len() {
             break;
         }
     }
@@ -130,8 +130,8 @@ fn prepare(
     let most = (LAST_EFFORT / selected.problem.observations.len().max(1)).clamp(6, 30);
     let options = SolveOptions {
         loss: Loss::Cauchy(2.0),
-        max_iterations: if points_per_image.is_some() { 40 } else { most as u32 },
-        function_tolerance: if points_per_image.is_some() { 1e-6 } else { 2e-5 },
+        max_iterations: if points_per_image.is_some() { 15 } else { most as u32 },
+        function_tolerance: if points_per_image.is_some() { 1e-5 } else { 2e-5 },
         ..SolveOptions::default()
     };
     (selected, options)
