@@ -6,8 +6,8 @@ mod setup;
 mod turn;
 
 use crate::incremental::finish::{decide, polish, uncertainty};
-use crate::incremental::folds;
 use crate::incremental::state::{Input, State};
+use crate::incremental::{depths, folds};
 use crate::tracks::{Tracks, build_tracks, positions};
 use crate::{
     Decision, SfmConfig, SfmError, SfmResult, Uncertainty, incremental, matching, pairs, sift, two_view,
@@ -209,6 +209,7 @@ fn solve(
     turn::poses(&mut state, &turned);
     (input.keypoints, input.geometries) = (&upright, &upright_geometries);
     polish(&mut state, &input, &setup.known, &starts, verdict.intrinsics, progress)?;
+    depths::drop_lonely(&mut state, &input);
     lap("final adjustment");
     let uncertainty = uncertainty(&state, &input, &setup.known, &starts, verdict.intrinsics)?;
     lap("covariance");

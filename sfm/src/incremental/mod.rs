@@ -2,6 +2,7 @@
 
 pub(crate) mod adjust;
 pub(crate) mod bridge;
+pub(crate) mod depths;
 pub(crate) mod finish;
 pub(crate) mod folds;
 pub(crate) mod growth;
