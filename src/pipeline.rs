@@ -48,6 +48,9 @@ pub struct PoseSummary {
     pub no_model: Option<String>,
     /// Images without a pose, and why.
     pub missing: Vec<(String, String)>,
+    /// Images whose pose hangs by a thread, and why.
+    #[serde(default)]
+    pub weak: Vec<(String, String)>,
     /// What was decided: what, choice, evidence.
     pub decisions: Vec<[String; 3]>,
     /// Figures by step.
@@ -277,6 +280,9 @@ impl Pipeline {
         for (name, why) in &poses.missing {
             self.say(&format!("          missing {name}: {why}"));
         }
+        for (name, why) in &poses.weak {
+            self.say(&format!("          weak    {name}: {why}"));
+        }
         Ok((poses, print))
     }
 
@@ -291,6 +297,7 @@ impl Pipeline {
         let summary = PoseSummary {
             no_model: result.reconstruction.is_none().then(|| result.reason.clone()),
             missing: result.missing.clone(),
+            weak: result.weak_images.clone(),
             decisions: result
                 .decisions
                 .iter()

@@ -204,11 +204,11 @@ fn solve(
     let verdict = decide(&state, &input, &setup.known, &starts, named, progress)?;
     lap("camera model");
     // From here on every image is the way up that its sensor was.
-    let turned = verdict.turned.unwrap_or_else(|| vec![false; features.len()]);
+    let turned = verdict.turned.clone().unwrap_or_else(|| vec![false; features.len()]);
     let (upright, upright_geometries) = turn::inputs(&input, &setup.cameras, &turned);
     turn::poses(&mut state, &turned);
     (input.keypoints, input.geometries) = (&upright, &upright_geometries);
-    polish(&mut state, &input, &setup.known, &starts, verdict.intrinsics, progress)?;
+    polish(&mut state, &input, &setup.known, &starts, &verdict, progress)?;
     depths::drop_lonely(&mut state, &input);
     lap("final adjustment");
     let uncertainty = uncertainty(&state, &input, &setup.known, &starts, verdict.intrinsics)?;

@@ -82,8 +82,6 @@ pub struct SfmResult {
     pub reason: String,
     /// Frames without a pose: name, and why.
     pub missing: Vec<(String, String)>,
-    /// Smaller models that could not be joined to the largest.
-    pub other_models: Vec<Reconstruction>,
     /// Registered images that hang by a thread: name, and why.
     pub weak_images: Vec<(String, String)>,
     /// What the evidence decided.

@@ -95,6 +95,8 @@ pub struct Choice {
     pub by_pose: Vec<(f64, usize)>,
     /// For the report.
     pub decision: Decision,
+    /// The problem's cameras, poses and points as the chosen model has them.
+    pub problem: BundleProblem,
 }
 
 /// Chooses for all cameras of `problem` that are not `fixed`. `named`: the user's model, which stays. `principal_point`: that
@@ -115,7 +117,8 @@ pub fn choose(
     };
     let (training, held_out) = split(problem);
     if problem.poses.len() < 3 || held_out.len() < 100 || fixed.iter().all(|&f| f) {
-        return Ok(Choice { intrinsics: start, bic: f64::NAN, by_pose: Vec::new(), decision });
+        let problem = problem.clone();
+        return Ok(Choice { intrinsics: start, bic: f64::NAN, by_pose: Vec::new(), decision, problem });
     }
     let context = Context { training, held_out, sigma, fixed, progress };
     let mut best = context.trial(problem, start)?;
@@ -161,7 +164,13 @@ pub fn choose(
     }
     decision.chosen = best.intrinsics.describe();
     decision.evidence = format!("noise {sigma:.3} px; {}", lines.join("; "));
-    Ok(Choice { intrinsics: best.intrinsics, bic: best.bic, by_pose: best.by_pose, decision })
+    Ok(Choice {
+        intrinsics: best.intrinsics,
+        bic: best.bic,
+        by_pose: best.by_pose,
+        decision,
+        problem: best.problem,
+    })
 }
 
 /// Which of several ways to turn images (see [`crate::turned`]) the sightings support, with the choice that goes with it:

@@ -124,6 +124,7 @@ fn poses(html: &mut String, out: &Path, poses: &PoseSummary) -> Result<()> {
         html,
         poses.missing.iter().map(|(name, why)| format!("no pose for {}: {}", escape(name), escape(why))),
     )?;
+    list(html, poses.weak.iter().map(|(name, why)| format!("{} is weak: {}", escape(name), escape(why))))?;
     if poses.no_model.is_some() {
         return Ok(());
     }

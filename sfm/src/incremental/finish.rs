@@ -26,6 +26,8 @@ pub(crate) struct Verdict {
     /// For each image whether it was turned by half a turn against the others of its camera.
     pub turned: Option<Vec<bool>>,
     pub decisions: Vec<Decision>,
+    /// The part of the model that the decision was based on, adjusted with what was decided (images turned).
+    pub adjusted: Selected,
 }
 
 /// Decides on the camera model of a model that has been adjusted.
@@ -40,20 +42,21 @@ pub(crate) fn decide(
     let (free, priors) = freedom(&state.cameras, known, starts, state.registered());
     let mut what = Adjustment::growing(free, priors);
     what.points_per_image = Some(part_of(state, SIGHTINGS));
-    let Selected { problem, images, .. } = select(state, input, &what);
+    let Selected { problem, images, points } = select(state, input, &what);
     let (fixed, sigma) = (fixed(known), noise(&problem));
     let choice = choose(&problem, &fixed, named, false, sigma, progress)?;
-    let none = |choice: Choice, mut decisions: Vec<Decision>| {
+    let verdict = |choice: Choice, turned, mut decisions: Vec<Decision>| {
         decisions.push(choice.decision);
-        Verdict { intrinsics: choice.intrinsics, turned: None, decisions }
+        let adjusted = Selected { problem: choice.problem, images: images.clone(), points: points.clone() };
+        Verdict { intrinsics: choice.intrinsics, turned, decisions, adjusted }
     };
     if !input.may_be_turned {
-        return Ok(none(choice, Vec::new()));
+        return Ok(verdict(choice, None, Vec::new()));
     }
     let more = Adjustment { points_per_image: Some(part_of(state, SIGHTINGS_TURNED)), ..what };
     let suspects = suspects(&select(state, input, &more).problem, &fixed, progress)?;
     if suspects.is_empty() {
-        return Ok(none(choice, Vec::new()));
+        return Ok(verdict(choice, None, Vec::new()));
     }
     let ways: Vec<_> = suspects.iter().map(|s| turn_problem(&problem, s)).collect();
     let (better, evidence) = choose_turned(&choice, &ways, &fixed, named, sigma, progress)?;
@@ -63,13 +66,12 @@ pub(crate) fn decide(
         chosen: format!("0 of {}", images.len()),
         evidence: format!("the principal points of {} images might be mirrored: {evidence}", count(0)),
     };
-    let Some((way, better)) = better else { return Ok(none(choice, vec![decision])) };
+    let Some((way, better)) = better else { return Ok(verdict(choice, None, vec![decision])) };
     decision.chosen = format!("{} of {}", count(way), images.len());
     decision.evidence = format!("their principal points are mirrored: {evidence}");
     let mut turned = vec![false; input.keypoints.len()];
     images.iter().zip(&suspects[way]).for_each(|(&image, &t)| turned[image] = t);
-    let decisions = vec![decision, better.decision];
-    Ok(Verdict { intrinsics: better.intrinsics, turned: Some(turned), decisions })
+    Ok(verdict(better, Some(turned), vec![decision]))
 }
 
 /// Points an image contributes where a part of them is enough.
@@ -81,36 +83,38 @@ fn fixed(known: &[Knowledge]) -> Vec<bool> {
     known.iter().map(|k| k.fixed).collect()
 }
 
-/// Triangulates, adjusts to convergence and filters with the chosen intrinsics.
+/// Takes over the adjusted part, then triangulates, adjusts to convergence and filters with the chosen intrinsics.
 pub(crate) fn polish(
     state: &mut State,
     input: &Input<'_>,
     known: &[Knowledge],
     starts: &[Camera],
-    intrinsics: Intrinsics,
+    verdict: &Verdict,
     progress: &Progress,
 ) -> Result<(), SfmError> {
-    for round in 0..3 {
-        // The intrinsics settle on a part of the points; then all of them need few iterations.
-        let part = (round == 0).then_some(2 * part_of(state, SIGHTINGS));
-        let (mut selected, options) = prepare(state, input, known, starts, intrinsics, part);
+    take(state, &verdict.adjusted);
+    state.refine_points(input, |_| false);
+    trim(state, input, &verdict.adjusted);
+    for _ in 0..2 {
+        let added = state.grow_all(input);
+        let (mut selected, options) = prepare(state, input, known, starts, verdict.intrinsics);
         let summary = selected.problem.solve(&options, progress)?;
         if !summary.usable {
             break;
         }
         take(state, &selected);
-        if part.is_some() {
-            state.refine_points(input, |_| false);
-        }
-        let sigma = noise(&selected.problem);
-        let limit = (FINAL_SIGMAS * sigma).clamp(FINAL_LEAST_PX, input.config.max_reprojection_px);
-        let gone = state.filter(input, limit);
-        let added = if round < 2 { state.grow_all(input) } else { 0 };
-        if round > 0 && (gone + added) * 200 < selected.problem.observations.len() {
+        let gone = trim(state, input, &selected);
+        if (added + gone) * 200 < selected.problem.observations.len() {
             break;
         }
     }
     Ok(())
+}
+
+/// Drops sightings that lie outside the noise of an adjustment; how many.
+fn trim(state: &mut State, input: &Input<'_>, selected: &Selected) -> usize {
+    let limit = FINAL_SIGMAS * noise(&selected.problem);
+    state.filter(input, limit.clamp(FINAL_LEAST_PX, input.config.max_reprojection_px))
 }
 
 fn prepare(
@@ -119,19 +123,17 @@ fn prepare(
     known: &[Knowledge],
     starts: &[Camera],
     intrinsics: Intrinsics,
-    points_per_image: Option<usize>,
 ) -> (Selected, SolveOptions) {
     let (free, priors) = freedom(&state.cameras, known, starts, usize::MAX);
-    let what = Adjustment { points_per_image, ..Adjustment::growing(free, priors) };
-    let mut selected = select(state, input, &what);
+    let mut selected = select(state, input, &Adjustment::growing(free, priors));
     apply(&mut selected.problem, intrinsics, &fixed(known));
     let sigma = noise(&selected.problem);
     selected.problem.observations.iter_mut().for_each(|o| o.sigma_px = sigma);
     let most = (LAST_EFFORT / selected.problem.observations.len().max(1)).clamp(6, 30);
     let options = SolveOptions {
         loss: Loss::Cauchy(2.0),
-        max_iterations: if points_per_image.is_some() { 15 } else { most as u32 },
-        function_tolerance: if points_per_image.is_some() { 1e-5 } else { 2e-5 },
+        max_iterations: most as u32,
+        function_tolerance: 2e-5,
         ..SolveOptions::default()
     };
     (selected, options)
@@ -145,7 +147,7 @@ pub(crate) fn uncertainty(
     starts: &[Camera],
     intrinsics: Intrinsics,
 ) -> Result<Option<Uncertainty>, SfmError> {
-    let (selected, options) = prepare(state, input, known, starts, intrinsics, None);
+    let (selected, options) = prepare(state, input, known, starts, intrinsics);
     let Some(covariance) = selected.problem.covariance(&options)? else { return Ok(None) };
     let sigma_px = noise(&selected.problem);
     let mut result = Uncertainty { sigma_px, ..Uncertainty::default() };

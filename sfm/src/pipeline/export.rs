@@ -2,10 +2,16 @@
 
 use super::Solved;
 use crate::tracks::NONE;
-use crate::{SfmError, SfmResult};
+use crate::{SfmError, SfmResult, Uncertainty};
 use glam::DVec2;
 use rayon::prelude::*;
 use scene::{FrameSet, Observation, PosedImage, Progress, Reconstruction, ScenePoint, TrackElement};
+
+/// Fewer sightings than this are a thread to hang by.
+const FEW_SIGHTINGS: usize = 30;
+/// A rotation is uncertain if its standard deviation is above this (degrees) and so many times the usual one.
+const WEAK_ROTATION_DEG: f64 = 0.1;
+const WEAK_FACTOR: f64 = 5.0;
 
 /// Fills in the model, its statistics and what is missing.
 pub(super) fn fill(
@@ -31,10 +37,35 @@ pub(super) fn fill(
             result.missing.push((frame.name.clone(), why_missing(result, i)));
         }
     }
+    result.weak_images = weak_images(&model, solved.uncertainty.as_ref());
     result.decisions.extend(solved.decisions);
     result.uncertainty = solved.uncertainty;
     result.reconstruction = Some(model);
     Ok(())
+}
+
+/// Images with few sightings, or with a rotation far less certain than that of most.
+fn weak_images(model: &Reconstruction, uncertainty: Option<&Uncertainty>) -> Vec<(String, String)> {
+    let rotation = |id: &u32| {
+        let d = uncertainty?.images.get(id)?.rotation;
+        Some(d.iter().fold(0.0_f64, |most, r| most.max(*r)).to_degrees())
+    };
+    let mut all: Vec<f64> = model.images.keys().filter_map(rotation).collect();
+    all.sort_unstable_by(f64::total_cmp);
+    let usual = all.get(all.len() / 2).copied().unwrap_or(0.0);
+    let weak = |image: &PosedImage| {
+        let sightings = image.observations.iter().filter(|o| o.point.is_some()).count();
+        let deviation = rotation(&image.id).unwrap_or(0.0);
+        let why = if sightings < FEW_SIGHTINGS {
+            format!("only {sightings} points hold its pose")
+        } else if deviation > WEAK_ROTATION_DEG.max(WEAK_FACTOR * usual) {
+            format!("its rotation is known to {deviation:.2}° only (most images: {usual:.2}°)")
+        } else {
+            return None;
+        };
+        Some((image.name.clone(), why))
+    };
+    model.images.values().filter_map(weak).collect()
 }
 
 fn why_missing(result: &SfmResult, image: usize) -> String {
@@ -114,4 +145,33 @@ fn colour(model: &mut Reconstruction, frames: &FrameSet, progress: &Progress) ->
         }
     }
     Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::PoseDeviation;
+    use scene::Pose;
+
+    #[test]
+    fn images_that_hang_by_a_thread_are_named() {
+        let mut model = Reconstruction::default();
+        let mut uncertainty = Uncertainty::default();
+        for id in 1..=7 {
+            let sightings = if id == 3 { 20 } else { 200 };
+            let observations = (0..300)
+                .map(|i| Observation { pixel: DVec2::ZERO, point: (i < sightings).then_some(i) })
+                .collect();
+            let name = format!("{id}.png");
+            model.images.insert(id, PosedImage { id, camera: 1, name, pose: Pose::IDENTITY, observations });
+            let sigma = if id == 5 { 0.02 } else { 0.001 };
+            let deviation = PoseDeviation { rotation: [sigma, 0.0005, 0.0005], centre: [0.0; 3] };
+            uncertainty.images.insert(id, deviation);
+        }
+        let names = |u: Option<&Uncertainty>| {
+            weak_images(&model, u).into_iter().map(|(name, _)| name).collect::<Vec<String>>()
+        };
+        assert_eq!(names(Some(&uncertainty)), ["3.png", "5.png"]);
+        assert_eq!(names(None), ["3.png"]);
+    }
 }
