@@ -5,6 +5,7 @@ use crate::incremental::MapperConfig;
 use crate::matching::MatchConfig;
 use crate::pairs::PairConfig;
 use crate::sift::SiftConfig;
+use crate::single_axis::MotionConfig;
 use crate::two_view::TwoViewConfig;
 use scene::CameraModel;
 use serde::{Deserialize, Serialize};
@@ -74,6 +75,9 @@ pub struct SfmConfig {
     /// Which images share intrinsics
     #[arg(long, value_enum, default_value_t = CameraSharing::Group, help_heading = "Structure from motion")]
     pub cameras: CameraSharing,
+    /// The motion.
+    #[command(flatten)]
+    pub motion: MotionConfig,
     /// Features.
     #[command(flatten)]
     pub sift: SiftConfig,

@@ -12,6 +12,7 @@ pub mod ransac;
 pub mod result;
 pub mod selection;
 pub mod sift;
+pub mod single_axis;
 pub mod solvers;
 pub mod tracks;
 pub mod triangulation;

@@ -6,6 +6,7 @@ mod setup;
 
 use crate::incremental::finish::{decide, polish, uncertainty};
 use crate::incremental::state::{Input, State};
+use crate::single_axis::{Free, Job, consider};
 use crate::tracks::{build_tracks, positions};
 use crate::{
     Decision, SfmConfig, SfmError, SfmResult, Uncertainty, incremental, matching, pairs, sift, two_view,
@@ -25,6 +26,7 @@ pub fn reconstruct(
     progress: &Progress,
 ) -> Result<SfmResult, SfmError> {
     let setup = Setup::new(frames, config)?;
+    config.motion.validate()?;
     progress.check()?;
     if frames.len() < 2 {
         return Err(SfmError::TooFewImages { found: frames.len(), needed: 2 });
@@ -64,7 +66,7 @@ pub fn reconstruct(
 pub(crate) struct Solved {
     state: State,
     keypoints: Vec<Vec<glam::DVec2>>,
-    decision: Decision,
+    decisions: Vec<Decision>,
     uncertainty: Option<Uncertainty>,
 }
 
@@ -93,8 +95,28 @@ fn solve(
     let named = config.camera_model.model();
     let (intrinsics, decision) = decide(&state, &input, &setup.known, &starts, named, progress)?;
     polish(&mut state, &input, &setup.known, &starts, intrinsics, progress)?;
+    let job = Job {
+        input: &input,
+        cameras: &setup.cameras,
+        known: &setup.known,
+        starts: &starts,
+        named,
+        config: &config.motion,
+        progress,
+    };
+    let motion = consider(&job, Some(&Free { state: &state, intrinsics }))?;
+    if let Some(turned) = motion.taken {
+        let decisions = turned.decisions.into_iter().chain(motion.decision).collect();
+        return Ok(Some(Solved {
+            state: turned.state,
+            keypoints,
+            decisions,
+            uncertainty: turned.uncertainty,
+        }));
+    }
     let uncertainty = uncertainty(&state, &input, &setup.known, &starts, intrinsics)?;
-    Ok(Some(Solved { state, keypoints, decision, uncertainty }))
+    let decisions = std::iter::once(decision).chain(motion.decision).collect();
+    Ok(Some(Solved { state, keypoints, decisions, uncertainty }))
 }
 
 fn pairs_decision(pairs: usize, images: usize, geometries: &[TwoViewGeometry]) -> Decision {

@@ -4,7 +4,9 @@
 //! it predicts (paired by image), while BIC (Schwarz 1978) on the robust cost over the measured noise says whether the
 //! parameters pay for themselves. Both must agree, and the normal equations must determine what was freed.
 
-use crate::bundle::{BundleObservation, BundleProblem, IntrinsicsPrior, Loss, SolveOptions, free_parameters};
+use crate::bundle::{
+    Adjustable, BundleObservation, BundleProblem, IntrinsicsPrior, Loss, SolveOptions, free_parameters,
+};
 use crate::{Decision, SfmError};
 use scene::{Camera, CameraModel, Progress};
 
@@ -72,9 +74,9 @@ pub fn principal_point_priors(index: usize, camera: &Camera) -> [IntrinsicsPrior
 }
 
 /// A candidate after its adjustment.
-struct Trial {
+struct Trial<P> {
     intrinsics: Intrinsics,
-    problem: BundleProblem,
+    problem: P,
     bic: f64,
     /// For each pose the mean truncated squared held-out error in units of the noise; NaN where it has none.
     by_pose: Vec<f64>,
@@ -86,8 +88,8 @@ struct Trial {
 
 /// Chooses for all cameras of `problem` that are not `fixed`. `named`: the user's model, which stays.
 /// The problem's points and poses are those of a finished adjustment; nothing in it is changed.
-pub fn choose(
-    problem: &BundleProblem,
+pub fn choose<P: Adjustable>(
+    problem: &P,
     fixed: &[bool],
     named: Option<CameraModel>,
     progress: &Progress,
@@ -98,15 +100,15 @@ pub fn choose(
         chosen: start.describe(),
         evidence: "too few sightings to choose by".to_owned(),
     };
-    let (training, held_out) = split(problem);
-    if problem.poses.len() < 3 || held_out.len() < 100 || fixed.iter().all(|&f| f) {
+    let (training, held_out) = split(problem.bundle());
+    if problem.bundle().poses.len() < 3 || held_out.len() < 100 || fixed.iter().all(|&f| f) {
         return Ok((start, decision));
     }
-    let sigma = noise(problem);
+    let sigma = noise(problem.bundle());
     let context = Context { training, held_out, sigma, fixed, progress };
     let mut best = context.trial(problem, start)?;
     let mut lines = vec![best.line()];
-    let mut consider = |intrinsics: Intrinsics, best: &mut Trial| -> Result<bool, SfmError> {
+    let mut consider = |intrinsics: Intrinsics, best: &mut Trial<P>| -> Result<bool, SfmError> {
         let trial = context.trial(&best.problem, intrinsics)?;
         let simpler = parameters(intrinsics) < parameters(best.intrinsics);
         let (gain, error) = gain(&best.by_pose, &trial.by_pose);
@@ -128,7 +130,7 @@ pub fn choose(
     };
     consider(Intrinsics { principal_point: true, ..best.intrinsics }, &mut best)?;
     if named.is_none() {
-        let with = |best: &Trial, model| Intrinsics { model, ..best.intrinsics };
+        let with = |best: &Trial<P>, model| Intrinsics { model, ..best.intrinsics };
         if !consider(with(&best, CameraModel::SimplePinhole), &mut best)?
             && consider(with(&best, CameraModel::Radial), &mut best)?
         {
@@ -158,26 +160,28 @@ struct Context<'a> {
 }
 
 impl Context<'_> {
-    fn trial(&self, from: &BundleProblem, intrinsics: Intrinsics) -> Result<Trial, SfmError> {
+    fn trial<P: Adjustable>(&self, from: &P, intrinsics: Intrinsics) -> Result<Trial<P>, SfmError> {
         let mut problem = from.clone();
-        problem.observations.clone_from(&self.training);
-        problem.observations.iter_mut().for_each(|o| o.sigma_px = self.sigma);
-        apply(&mut problem, intrinsics, self.fixed);
+        let bundle = problem.bundle_mut();
+        bundle.observations.clone_from(&self.training);
+        bundle.observations.iter_mut().for_each(|o| o.sigma_px = self.sigma);
+        apply(bundle, intrinsics, self.fixed);
         let options = SolveOptions {
             loss: Loss::Cauchy(2.0),
             max_iterations: 25,
             function_tolerance: 1e-6,
             ..SolveOptions::default()
         };
-        let summary = problem.solve(&options, self.progress)?;
-        let n = problem.observations.len() as f64;
+        let summary = problem.minimise(&options, self.progress)?;
+        let bundle = problem.bundle();
+        let n = bundle.observations.len() as f64;
         let cameras = self.fixed.iter().filter(|&&f| !f).count();
         // `final_rms² n` is twice the robust cost, which stands for −2 log likelihood.
         let bic = summary.final_rms.powi(2) * n + (parameters(intrinsics) * cameras) as f64 * (2.0 * n).ln();
         let (determined, note) = self.determined(&problem, &options, intrinsics)?;
         let errors: Vec<(u32, f64)> =
-            self.held_out.iter().map(|o| (o.pose, error_sq(&problem, o) / self.sigma.powi(2))).collect();
-        let mut sums = vec![(0.0, 0usize); problem.poses.len()];
+            self.held_out.iter().map(|o| (o.pose, error_sq(bundle, o) / self.sigma.powi(2))).collect();
+        let mut sums = vec![(0.0, 0usize); bundle.poses.len()];
         for (pose, e) in &errors {
             sums[*pose as usize].0 += e.min(TRUNCATION * TRUNCATION);
             sums[*pose as usize].1 += 1;
@@ -191,17 +195,17 @@ impl Context<'_> {
     }
 
     /// Whether the normal equations pin down what was freed.
-    fn determined(
+    fn determined<P: Adjustable>(
         &self,
-        problem: &BundleProblem,
+        problem: &P,
         options: &SolveOptions,
         intrinsics: Intrinsics,
     ) -> Result<(bool, String), SfmError> {
-        let Some(covariance) = problem.covariance(options)? else {
+        let Some(covariance) = problem.intrinsics_covariance(options)? else {
             return Ok((false, "undetermined".to_owned()));
         };
         let (mut determined, mut note) = (true, String::new());
-        for ((camera, c), fixed) in problem.cameras.iter().zip(&covariance.cameras).zip(self.fixed) {
+        for ((camera, c), fixed) in problem.bundle().cameras.iter().zip(&covariance).zip(self.fixed) {
             if *fixed {
                 continue;
             }
@@ -223,7 +227,7 @@ impl Context<'_> {
     }
 }
 
-impl Trial {
+impl<P> Trial<P> {
     fn line(&self) -> String {
         format!(
             "{}: held out {:.4} px, BIC {:.0}, {}",
@@ -260,7 +264,7 @@ pub fn apply(problem: &mut BundleProblem, intrinsics: Intrinsics, fixed: &[bool]
 }
 
 /// Of every other point that is seen at least three times, one sighting is held out.
-fn split(problem: &BundleProblem) -> (Vec<BundleObservation>, Vec<BundleObservation>) {
+pub(crate) fn split(problem: &BundleProblem) -> (Vec<BundleObservation>, Vec<BundleObservation>) {
     let mut views = vec![0usize; problem.points.len()];
     problem.observations.iter().for_each(|o| views[o.point as usize] += 1);
     let mut seen = vec![0usize; problem.points.len()];
@@ -279,7 +283,7 @@ fn split(problem: &BundleProblem) -> (Vec<BundleObservation>, Vec<BundleObservat
     (training, held_out)
 }
 
-fn error_sq(problem: &BundleProblem, o: &BundleObservation) -> f64 {
+pub(crate) fn error_sq(problem: &BundleProblem, o: &BundleObservation) -> f64 {
     let camera = &problem.cameras[problem.pose_camera[o.pose as usize] as usize];
     let projected =
         camera.project(problem.poses[o.pose as usize].transform(problem.points[o.point as usize]));
@@ -299,7 +303,7 @@ pub fn noise(problem: &BundleProblem) -> f64 {
 }
 
 /// Mean decrease from `old` to `new` over poses, and its standard error.
-fn gain(old: &[f64], new: &[f64]) -> (f64, f64) {
+pub(crate) fn gain(old: &[f64], new: &[f64]) -> (f64, f64) {
     let differences: Vec<f64> = old.iter().zip(new).map(|(a, b)| a - b).filter(|d| d.is_finite()).collect();
     let n = differences.len().max(2) as f64;
     let mean = differences.iter().sum::<f64>() / n;

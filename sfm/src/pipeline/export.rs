@@ -33,7 +33,7 @@ pub(super) fn fill(
             result.missing.push((frame.name.clone(), why_missing(result, i)));
         }
     }
-    result.decisions.push(solved.decision);
+    result.decisions.extend(solved.decisions);
     result.uncertainty = solved.uncertainty;
     result.reconstruction = Some(model);
     Ok(())
