@@ -2,6 +2,7 @@
 
 use crate::SfmError;
 use crate::incremental::MapperConfig;
+use crate::klt::KltConfig;
 use crate::matching::MatchConfig;
 use crate::pairs::PairConfig;
 use crate::sift::SiftConfig;
@@ -78,6 +79,9 @@ pub struct SfmConfig {
     /// The motion.
     #[command(flatten)]
     pub motion: MotionConfig,
+    /// Points followed through videos.
+    #[command(flatten)]
+    pub klt: KltConfig,
     /// Features.
     #[command(flatten)]
     pub sift: SiftConfig,

@@ -5,6 +5,7 @@ pub mod ceres;
 pub mod config;
 pub mod error;
 pub mod incremental;
+pub mod klt;
 pub mod matching;
 pub mod pairs;
 pub mod pipeline;

@@ -6,10 +6,11 @@ mod setup;
 
 use crate::incremental::finish::{decide, polish, uncertainty};
 use crate::incremental::state::{Input, State};
-use crate::single_axis::{Free, Job, consider};
+use crate::single_axis::{Free, Job, Motion, Turned, VideoJob, VideoModel, consider, solve_video};
 use crate::tracks::{build_tracks, positions};
 use crate::{
-    Decision, SfmConfig, SfmError, SfmResult, Uncertainty, incremental, matching, pairs, sift, two_view,
+    Decision, SfmConfig, SfmError, SfmResult, Uncertainty, incremental, matching, pairs, sift, single_axis,
+    two_view,
 };
 use clock::Clock;
 use scene::{Features, FrameSet, Progress, TwoViewGeometry};
@@ -34,6 +35,29 @@ pub fn reconstruct(
     let mut clock = Clock::start();
     let mut result = SfmResult { initial_cameras: setup.of_frames(), ..SfmResult::default() };
     result.stats.images = frames.len();
+    let motion = config.motion.motion;
+    let mut tried = None;
+    if frames.is_video && matches!(motion, Motion::Auto | Motion::SingleAxis) {
+        let job = VideoJob {
+            frames,
+            config,
+            cameras: &setup.cameras,
+            camera_of: &setup.camera_of,
+            known: &setup.known,
+            progress,
+        };
+        let solved = solve_video(&job)?;
+        clock.lap("turn", &mut result.stats.steps);
+        match solved {
+            Ok((model, decision)) => {
+                let solved = turned(&mut result, model, decision);
+                export::fill(&mut result, frames, &setup, solved, progress)?;
+                clock.lap("points", &mut result.stats.steps);
+                return Ok(result);
+            }
+            Err(why) => tried = Some(why),
+        }
+    }
     result.features = sift::extract_all(frames, &config.sift, progress)?;
     clock.lap("features", &mut result.stats.steps);
     let pairs = pairs::choose_pairs(frames, &result.features, &config.pairs);
@@ -59,7 +83,29 @@ pub fn reconstruct(
         None => result.reason = why_no_model(&result.features, &result.geometries),
     }
     clock.lap("points", &mut result.stats.steps);
+    if let Some(why) = tried {
+        note_attempt(&mut result.decisions, why);
+    }
     Ok(result)
+}
+
+/// Takes a turn's features, matches and decisions over; what is left is its model.
+fn turned(result: &mut SfmResult, model: VideoModel, decision: Decision) -> Solved {
+    result.stats.pairs_matched = model.matched;
+    result.stats.pairs_verified = model.geometries.len();
+    result.stats.features = model.keypoints.iter().map(Vec::len).sum();
+    (result.features, result.geometries) = (model.features, model.geometries);
+    let state = model.turned.state;
+    let decisions = std::iter::once(decision).chain(model.turned.decisions).collect();
+    Solved { state, keypoints: model.keypoints, decisions, uncertainty: model.turned.uncertainty }
+}
+
+/// Says beside the decision on the motion what the search along the video came to.
+fn note_attempt(decisions: &mut Vec<Decision>, why: String) {
+    match decisions.iter_mut().find(|d| d.what == "motion") {
+        Some(d) => d.evidence = format!("{}; along the video: {why}", d.evidence),
+        None => decisions.push(single_axis::decision("free", format!("along the video: {why}"))),
+    }
 }
 
 /// A model, and what was learned with it.
@@ -88,31 +134,32 @@ fn solve(
         config: &config.mapper,
         seed: config.seed,
     };
-    let Some(mut state) = incremental::map(&input, &setup.cameras, &setup.known, progress)? else {
-        return Ok(None);
-    };
-    let starts = incremental::starts_of(&setup.cameras, &setup.known, &state);
     let named = config.camera_model.model();
-    let (intrinsics, decision) = decide(&state, &input, &setup.known, &starts, named, progress)?;
-    polish(&mut state, &input, &setup.known, &starts, intrinsics, progress)?;
-    let job = Job {
+    let job = |starts| Job {
         input: &input,
         cameras: &setup.cameras,
         known: &setup.known,
-        starts: &starts,
+        starts,
         named,
         config: &config.motion,
         progress,
     };
-    let motion = consider(&job, Some(&Free { state: &state, intrinsics }))?;
+    let done = |turned: Turned, motion: Option<Decision>, keypoints: Vec<Vec<glam::DVec2>>| Solved {
+        state: turned.state,
+        keypoints,
+        decisions: motion.into_iter().chain(turned.decisions).collect(),
+        uncertainty: turned.uncertainty,
+    };
+    let Some(mut state) = incremental::map(&input, &setup.cameras, &setup.known, progress)? else {
+        let motion = consider(&job(&setup.cameras), None)?;
+        return Ok(motion.taken.map(|turned| done(turned, motion.decision, keypoints.clone())));
+    };
+    let starts = incremental::starts_of(&setup.cameras, &setup.known, &state);
+    let (intrinsics, decision) = decide(&state, &input, &setup.known, &starts, named, progress)?;
+    polish(&mut state, &input, &setup.known, &starts, intrinsics, progress)?;
+    let motion = consider(&job(&starts), Some(&Free { state: &state, intrinsics }))?;
     if let Some(turned) = motion.taken {
-        let decisions = turned.decisions.into_iter().chain(motion.decision).collect();
-        return Ok(Some(Solved {
-            state: turned.state,
-            keypoints,
-            decisions,
-            uncertainty: turned.uncertainty,
-        }));
+        return Ok(Some(done(turned, motion.decision, keypoints.clone())));
     }
     let uncertainty = uncertainty(&state, &input, &setup.known, &starts, intrinsics)?;
     let decisions = std::iter::once(decision).chain(motion.decision).collect();

@@ -12,7 +12,7 @@ use scene::{Camera, CameraModel, Progress};
 
 /// Standard deviation of a principal point from the image centre, in longer image sides (lenses and crops of real
 /// cameras).
-const PRINCIPAL_POINT_SIGMA: f64 = 0.03;
+pub(crate) const PRINCIPAL_POINT_SIGMA: f64 = 0.03;
 /// Largest standard deviation of a focal length that counts as determined, as a share of it.
 const DETERMINED_FOCAL: f64 = 0.02;
 /// Largest standard deviation of a principal point that counts as determined, in longer image sides.
@@ -30,20 +30,29 @@ pub struct Intrinsics {
     pub model: CameraModel,
     /// Whether the principal point is free.
     pub principal_point: bool,
+    /// The coordinate of it (0: x, 1: y) that is held all the same.
+    pub held: Option<usize>,
 }
 
 impl Intrinsics {
-    fn describe(self) -> String {
-        format!(
-            "{}, principal point {}",
-            self.model.name(),
-            if self.principal_point { "free" } else { "at the centre" }
-        )
+    /// In words.
+    pub fn describe(self) -> String {
+        let point = match (self.principal_point, self.held) {
+            (false, _) => "at the centre",
+            (true, None) => "free",
+            (true, Some(0)) => "free in y",
+            (true, Some(_)) => "free in x",
+        };
+        format!("{}, principal point {point}", self.model.name())
     }
 
     /// Free parameters of one camera.
     pub fn free(self, camera: &Camera) -> Vec<bool> {
-        free_parameters(camera, true, self.principal_point, true)
+        let mut free = free_parameters(camera, true, self.principal_point, true);
+        if let Some(k) = self.held {
+            free[camera.model.num_focals() + k] = false;
+        }
+        free
     }
 }
 
@@ -94,7 +103,8 @@ pub fn choose<P: Adjustable>(
     named: Option<CameraModel>,
     progress: &Progress,
 ) -> Result<(Intrinsics, Decision), SfmError> {
-    let start = Intrinsics { model: named.unwrap_or(CameraModel::SimpleRadial), principal_point: false };
+    let model = named.unwrap_or(CameraModel::SimpleRadial);
+    let start = Intrinsics { model, principal_point: false, held: None };
     let mut decision = Decision {
         what: "camera model".to_owned(),
         chosen: start.describe(),

@@ -5,18 +5,28 @@
 
 mod config;
 mod evidence;
+mod extend;
+mod intrinsics;
+mod material;
 mod model;
+mod photos;
 pub mod problem;
+mod seed;
+#[cfg(test)]
+mod tests;
 pub mod turn;
+mod video;
 
 pub use config::{Motion, MotionConfig};
+pub(crate) use video::{VideoJob, VideoModel, solve_video};
 
 use crate::incremental::adjust::Adjustment;
 use crate::incremental::growth::Knowledge;
 use crate::incremental::state::{Input, State};
-use crate::selection::{Intrinsics, choose};
+use crate::selection::Intrinsics;
 use crate::{Decision, PoseDeviation, SfmError, Uncertainty};
 use evidence::Comparison;
+use intrinsics::choose_for_turn;
 use model::{AxisModel, Context};
 use scene::{Camera, CameraModel, Progress};
 use turn::Turn;
@@ -25,6 +35,9 @@ use turn::Turn;
 const POINTS_TO_CHOOSE: usize = 150;
 /// Farthest that free poses may be from a turn for one to be tried: tilt (radians) and slip (radii).
 const FARTHEST: [f64; 2] = [0.1, 0.2];
+
+/// Share of the images with which the general model needs no other start.
+const WHOLE: f64 = 0.9;
 
 /// The general model, as the general solver left it.
 pub(crate) struct Free<'a> {
@@ -58,14 +71,28 @@ pub(crate) struct Job<'a> {
     pub progress: &'a Progress,
 }
 
+impl Job<'_> {
+    pub(crate) fn context<'a>(&'a self, relations: &'a [problem::Relation]) -> Context<'a> {
+        Context {
+            input: self.input,
+            known: self.known,
+            starts: self.starts,
+            relations,
+            progress: self.progress,
+        }
+    }
+}
+
+/// The decision on the motion.
+pub(crate) fn decision(chosen: &str, evidence: String) -> Decision {
+    Decision { what: "motion".to_owned(), chosen: chosen.to_owned(), evidence }
+}
+
 /// Looks whether the images show a turn about one axis, as far as the configuration asks for it.
 pub(crate) fn consider(job: &Job<'_>, free: Option<&Free<'_>>) -> Result<Outcome, SfmError> {
     let motion = job.config.motion;
-    let decision = |chosen: &str, evidence: String| {
-        Some(Decision { what: "motion".to_owned(), chosen: chosen.to_owned(), evidence })
-    };
     let nothing =
-        |chosen: &str, evidence: String| Outcome { taken: None, decision: decision(chosen, evidence) };
+        |chosen: &str, evidence: String| Outcome { taken: None, decision: Some(decision(chosen, evidence)) };
     if motion == Motion::Free {
         return Ok(nothing("free", "asked for".to_owned()));
     }
@@ -75,43 +102,58 @@ pub(crate) fn consider(job: &Job<'_>, free: Option<&Free<'_>>) -> Result<Outcome
             format!("{} cameras took the images: none stood still", job.cameras.len()),
         ));
     }
-    let Some(free) = free else { return Ok(Outcome { taken: None, decision: None }) };
-    let Some((turn, misfit)) = Turn::of_poses(&free.state.poses) else {
-        return Ok(nothing("free", "the poses do not turn".to_owned()));
-    };
-    let far = format!(
-        "the axes of the free poses' rotations are {:.2}° apart, their places {:.2} % of the radius",
-        misfit.tilt.to_degrees(),
-        100.0 * misfit.slip
-    );
-    if motion != Motion::SingleAxis && (misfit.tilt > FARTHEST[0] || misfit.slip > FARTHEST[1]) {
-        return Ok(nothing("free", far));
+    let images = job.input.keypoints.len();
+    let from_free = free.and_then(|f| Turn::of_poses(&f.state.poses));
+    let mut far = "the general solver has no poses that turn".to_owned();
+    if let Some((_, misfit)) = &from_free {
+        far = format!(
+            "the axes of the free poses' rotations are {:.2}° apart, their places {:.2} % of the radius",
+            misfit.tilt.to_degrees(),
+            100.0 * misfit.slip
+        );
     }
-    let context = Context {
-        input: job.input,
-        known: job.known,
-        starts: job.starts,
-        relations: &[],
-        progress: job.progress,
+    let near = from_free
+        .filter(|(_, m)| motion == Motion::SingleAxis || (m.tilt <= FARTHEST[0] && m.slip <= FARTHEST[1]));
+    let registered = free.map_or(0, |f| f.state.registered());
+    let whole = registered as f64 >= WHOLE * images as f64;
+    let context = job.context(&[]);
+    let mut solved = match (near, free) {
+        (Some((turn, _)), Some(f)) => adjust_and_choose(&context, job, &f.state.cameras, turn)?,
+        _ if whole => return Ok(nothing("free", far)),
+        _ => None,
     };
-    let Some((mut model, intrinsics, camera)) = solve(&context, job, &free.state.cameras, turn)? else {
+    // Where the general solver left images out, a turn may take them in.
+    if !whole && let Some(model) = photos::from_photos(job)? {
+        let more = solved.as_ref().is_none_or(|s| model.state.registered() > s.0.state.registered());
+        if more {
+            let found = format!("{} images grew from three of them under one axis", model.state.registered());
+            far = format!("{far}; {found}");
+            let cameras = model.state.cameras.clone();
+            solved = adjust_and_choose(&context, job, &cameras, model.turn)?.or(solved);
+        }
+    }
+    let Some((mut model, intrinsics, camera)) = solved else {
         return Ok(nothing("free", format!("{far}; no model about one axis stands")));
     };
-    let comparison = Comparison::of(&model, Some(free.state), &context, free.intrinsics)?;
+    // The general model's sightings, unless it has fewer images.
+    let base = free.filter(|f| f.state.registered() >= model.state.registered());
+    let freedom = base.map_or(intrinsics, |f| f.intrinsics);
+    let comparison = Comparison::of(&model, base.map(|f| f.state), &context, freedom)?;
     let evidence = match &comparison {
         Some(c) => format!("{far}; {}", c.describe()),
         None => format!("{far}; too few sightings to compare"),
     };
-    let single = motion == Motion::SingleAxis || comparison.is_some_and(|c| c.favours_single());
+    let fewer = model.state.registered() < registered;
+    let single = motion == Motion::SingleAxis || (!fewer && comparison.is_some_and(|c| c.favours_single()));
     if !single {
         return Ok(nothing("free", evidence));
     }
     let turned = finish(&mut model, &context, job, intrinsics, camera)?;
-    Ok(Outcome { taken: Some(turned), decision: decision("single-axis", evidence) })
+    Ok(Outcome { taken: Some(turned), decision: Some(decision("single-axis", evidence)) })
 }
 
 /// The model about one axis from a first guess; `None` where none stands.
-fn solve(
+pub(crate) fn adjust_and_choose(
     context: &Context<'_>,
     job: &Job<'_>,
     cameras: &[Camera],
@@ -126,13 +168,13 @@ fn solve(
     let what = Adjustment { points_per_image: Some(POINTS_TO_CHOOSE), ..Adjustment::growing(free, priors) };
     let (problem, _) = model.problem(context, &what);
     let fixed: Vec<bool> = context.known.iter().map(|k| k.fixed).collect();
-    let (intrinsics, decision) = choose(&problem, &fixed, job.named, context.progress)?;
+    let (intrinsics, decision) = choose_for_turn(&problem, &fixed, job.named, context.progress)?;
     model.polish(context, intrinsics)?;
     Ok(Some((model, intrinsics, decision)))
 }
 
 /// Figures of the finished model, and the world frame.
-fn finish(
+pub(crate) fn finish(
     model: &mut AxisModel,
     context: &Context<'_>,
     job: &Job<'_>,

@@ -82,11 +82,22 @@ impl AxisModel {
     /// Adjusts, filters and triangulates a few times; robustly, with focal length and distortion free. `false` where
     /// it ends in nonsense.
     pub fn settle(&mut self, context: &Context<'_>, rounds: usize) -> Result<bool, SfmError> {
+        self.settle_with(context, rounds, POINTS_PER_IMAGE, self.state.registered())
+    }
+
+    /// [`AxisModel::settle`] with so many points an image; `images` stands for how many images the general solver
+    /// would need to free as much of the intrinsics.
+    pub fn settle_with(
+        &mut self,
+        context: &Context<'_>,
+        rounds: usize,
+        points_per_image: usize,
+        images: usize,
+    ) -> Result<bool, SfmError> {
         for _ in 0..rounds {
-            let (free, priors) =
-                freedom(&self.state.cameras, context.known, context.starts, self.state.registered());
+            let (free, priors) = freedom(&self.state.cameras, context.known, context.starts, images);
             let mut what = Adjustment::growing(free, priors);
-            what.points_per_image = Some(POINTS_PER_IMAGE);
+            what.points_per_image = Some(points_per_image);
             let (mut problem, selected) = self.problem(context, &what);
             let summary = problem.solve(&what.solve, context.progress)?;
             if !summary.usable || !problem.bundle.cameras.iter().all(plausible) {
