@@ -142,6 +142,7 @@ fn solve(
         starts,
         named,
         config: &config.motion,
+        features: &[],
         progress,
     };
     let done = |turned: Turned, motion: Option<Decision>, keypoints: Vec<Vec<glam::DVec2>>| Solved {

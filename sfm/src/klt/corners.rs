@@ -6,8 +6,8 @@ use image::GrayImage;
 
 /// Half the side of the square over which gradients are summed, pixels.
 const BLOCK: usize = 3;
-/// A corner's smaller eigenvalue is at least this share of the image's strongest.
-const SHARE: f32 = 0.003;
+/// A corner's smaller eigenvalue is at least this share of the strongest that the mask keeps.
+const SHARE: f32 = 0.0005;
 /// Pixels about a corner that the mask must keep in all directions.
 const MARGIN: i64 = 3;
 
@@ -37,7 +37,7 @@ pub(super) fn corners(
         return Vec::new();
     }
     let strength = strengths(level);
-    let strongest = strength.iter().copied().fold(0.0, f32::max);
+    let mut strongest = 0.0;
     let mut found: Vec<(f32, usize)> = Vec::new();
     for y in border..h - border {
         for x in border..w - border {
@@ -52,10 +52,12 @@ pub(super) fn corners(
                 .enumerate()
                 .all(|(k, &n)| if k < 4 { s > strength[n] } else { s >= strength[n] });
             if peak && inside(mask, x as i64, y as i64, w, h) {
+                strongest = s.max(strongest);
                 found.push((s, i));
             }
         }
     }
+    found.retain(|(s, _)| *s > SHARE * strongest);
     found.sort_by(|a, b| b.0.total_cmp(&a.0).then(a.1.cmp(&b.1)));
     let mut grid = Grid::new(w, h, distance);
     taken.iter().for_each(|p| grid.add(*p));

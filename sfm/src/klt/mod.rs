@@ -3,16 +3,18 @@
 
 mod corners;
 mod pyramid;
+mod reference;
 mod register;
 #[cfg(test)]
 mod tests;
 
 use crate::SfmError;
 use corners::{corners, kept};
-use glam::DVec2;
+use glam::{DMat2, DVec2};
 use image::GrayImage;
 use pyramid::Pyramid;
 use rayon::prelude::*;
+use reference::{Reference, Warp};
 use register::follow;
 use scene::io::load::{load_mask, load_rgb};
 use scene::{FloatImage, Frame, FrameSet, Progress};
@@ -35,12 +37,14 @@ pub struct KltConfig {
 
 impl Default for KltConfig {
     fn default() -> Self {
-        Self { track_points: 600, track_distance_px: 6.0, track_return_px: 0.4 }
+        Self { track_points: 600, track_distance_px: 5.0, track_return_px: 0.4 }
     }
 }
 
 /// Levels of the pyramids: windows reach about 7 · 2³ pixels.
 const LEVELS: usize = 4;
+/// Least correlation of a window with the track's first one.
+const CORRELATION: f64 = 0.85;
 /// Frames that are read at once.
 const BATCH: usize = 8;
 
@@ -92,10 +96,27 @@ pub fn track_images(images: &[FloatImage], config: &KltConfig) -> Vec<KltTrack> 
     tracker.finish()
 }
 
+/// A track that goes on, with its first window and how that lies in the last frame.
+struct Live {
+    track: KltTrack,
+    reference: Reference,
+    shape: DMat2,
+}
+
+/// What became of a point in the next frame.
+enum Step {
+    /// Its first window was found again.
+    On(Warp),
+    /// Its first window shows too little of it by now: another track begins with that of the last frame.
+    Anew(Reference, Warp),
+    /// It is gone.
+    Lost,
+}
+
 struct Tracker<'a> {
     config: &'a KltConfig,
     last: Option<Picture>,
-    live: Vec<KltTrack>,
+    live: Vec<Live>,
     done: Vec<KltTrack>,
 }
 
@@ -106,49 +127,74 @@ impl<'a> Tracker<'a> {
 
     fn advance(&mut self, frame: usize, next: Picture) {
         if let Some(last) = self.last.take() {
-            let found: Vec<Option<DVec2>> =
-                self.live.par_iter().map(|t| self.follow_one(&last, &next, t)).collect();
+            let found: Vec<Step> = self.live.par_iter().map(|t| self.follow_one(&last, &next, t)).collect();
             let mut taken: Vec<DVec2> = Vec::new();
-            for (mut track, place) in std::mem::take(&mut self.live).into_iter().zip(found) {
+            for (mut live, step) in std::mem::take(&mut self.live).into_iter().zip(found) {
                 // Two tracks that run into each other are one point or an occlusion: the older one goes on.
-                let free = |p: &DVec2| taken.iter().all(|q| q.distance_squared(*p) > 4.0);
-                match place.filter(free) {
-                    Some(p) => {
-                        track.positions.push(p);
-                        taken.push(p);
-                        self.live.push(track);
+                let mut free = |w: &Warp| {
+                    let free = taken.iter().all(|q| q.distance_squared(w.place) > 4.0);
+                    taken.extend(free.then_some(w.place));
+                    free
+                };
+                match step {
+                    Step::On(warp) if free(&warp) => {
+                        live.track.positions.push(warp.place);
+                        live.shape = warp.shape;
+                        self.live.push(live);
                     }
-                    None => self.done.push(track),
+                    Step::Anew(reference, warp) if free(&warp) => {
+                        let start = live.track.positions.last().copied().unwrap_or(warp.place);
+                        self.done.push(live.track);
+                        let track = KltTrack { first: frame - 1, positions: vec![start, warp.place] };
+                        self.live.push(Live { track, reference, shape: warp.shape });
+                    }
+                    _ => self.done.push(live.track),
                 }
             }
         }
         let wanted = self.config.track_points.saturating_sub(self.live.len());
         if wanted > 0 {
-            let taken: Vec<DVec2> = self.live.iter().filter_map(|t| t.positions.last().copied()).collect();
+            let taken: Vec<DVec2> =
+                self.live.iter().filter_map(|t| t.track.positions.last().copied()).collect();
             let level = &next.pyramid.levels[0];
             let new = corners(level, next.mask.as_ref(), &taken, self.config.track_distance_px, wanted);
-            self.live.extend(new.into_iter().map(|p| KltTrack { first: frame, positions: vec![p] }));
+            self.live.extend(new.into_iter().filter_map(|p| {
+                let reference = Reference::new(level, p)?;
+                let track = KltTrack { first: frame, positions: vec![p] };
+                Some(Live { track, reference, shape: DMat2::IDENTITY })
+            }));
         }
         self.last = Some(next);
     }
 
-    fn follow_one(&self, last: &Picture, next: &Picture, track: &KltTrack) -> Option<DVec2> {
-        let p = *track.positions.last()?;
-        let before = track.positions.len().checked_sub(2).map(|i| track.positions[i]);
+    fn follow_one(&self, last: &Picture, next: &Picture, live: &Live) -> Step {
+        let positions = &live.track.positions;
+        let Some(&p) = positions.last() else { return Step::Lost };
+        let before = positions.len().checked_sub(2).map(|i| positions[i]);
         let guess = before.map_or(p, |b| p + (p - b));
         let found = follow(&last.pyramid, &next.pyramid, p, guess)
-            .or_else(|| (guess != p).then(|| follow(&last.pyramid, &next.pyramid, p, p)).flatten())?;
-        let level = &next.pyramid.levels[0];
-        let (x, y) = (found.x.floor() as i64, found.y.floor() as i64);
-        if !kept(next.mask.as_ref(), x, y, level.width, level.height) {
-            return None;
+            .or_else(|| (guess != p).then(|| follow(&last.pyramid, &next.pyramid, p, p)).flatten());
+        let Some(found) = found else { return Step::Lost };
+        let back = follow(&next.pyramid, &last.pyramid, found, p);
+        if back.is_none_or(|b| !(b.distance(p) <= self.config.track_return_px)) {
+            return Step::Lost;
         }
-        let back = follow(&next.pyramid, &last.pyramid, found, p)?;
-        (back.distance(p) <= self.config.track_return_px).then_some(found)
+        let level = &next.pyramid.levels[0];
+        let find = |reference: &Reference, shape: DMat2| {
+            let (warp, correlation) = reference.find(level, Warp { shape, place: found })?;
+            let (x, y) = (warp.place.x.floor() as i64, warp.place.y.floor() as i64);
+            let kept = kept(next.mask.as_ref(), x, y, level.width, level.height);
+            (correlation >= CORRELATION && kept).then_some(warp)
+        };
+        if let Some(warp) = find(&live.reference, live.shape) {
+            return Step::On(warp);
+        }
+        let anew = Reference::new(&last.pyramid.levels[0], p);
+        anew.and_then(|r| find(&r, DMat2::IDENTITY).map(|w| Step::Anew(r, w))).unwrap_or(Step::Lost)
     }
 
     fn finish(mut self) -> Vec<KltTrack> {
-        self.done.append(&mut self.live);
+        self.done.extend(self.live.into_iter().map(|l| l.track));
         self.done.retain(|t| t.positions.len() >= 3);
         self.done.sort_by(|a, b| {
             let key = |t: &KltTrack| (t.first, t.positions[0].y, t.positions[0].x);

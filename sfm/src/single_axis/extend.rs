@@ -17,6 +17,8 @@ const LIMIT_PX: f64 = 4.0;
 const MOST: usize = 400;
 /// Turn after which the model is adjusted again, radians.
 const ADJUST_EVERY: f64 = 0.35;
+/// Frames in a row that may be given the angle that the rate says.
+const BRIDGE: usize = 12;
 /// Range of angles from which on distortion is solved for, and the focal length, radians.
 const RANGE_FOR: [f64; 2] = [2.0, 1.0];
 
@@ -117,27 +119,40 @@ impl AxisModel {
         let mut turned_since = 0.0;
         let mut passed: Vec<usize> = vec![from];
         let mut back = limit;
+        let mut bridged = 0;
         for &frame in frames {
             context.progress.check()?;
             let angle = |f: usize| self.turn.angles[f].unwrap_or(0.0);
             if passed.len() > 6 {
                 back = passed[passed.len() - 7];
             }
-            let rate = (angle(last) - angle(back)) / (times[last] - times[back]);
+            let newest = passed[passed.len() - 1];
+            let rate = (angle(newest) - angle(back)) / (times[newest] - times[back]);
             let expected = rate * (times[frame] - times[last]);
             let expected = if expected.is_finite() { expected } else { 0.0 };
             let seen = sightings(self, context, frame);
             let least = context.input.config.min_sightings;
+            let start = angle(last) + expected;
             if seen.len() < least {
+                if bridged < BRIDGE {
+                    bridged += 1;
+                    self.bridge(context, frame, start);
+                    last = frame;
+                }
                 continue;
             }
-            let start = angle(last) + expected;
             let span = (0.7 * expected.abs()).max(0.02);
             let camera = &self.state.cameras[context.input.camera_of[frame]];
             let found = resect_angle(camera, &self.turn.axis, &seen, start, span);
             if found.inliers < least || found.inliers * 4 < found.asked {
+                if bridged < BRIDGE {
+                    bridged += 1;
+                    self.bridge(context, frame, start);
+                    last = frame;
+                }
                 continue;
             }
+            bridged = 0;
             turned_since += (found.angle - angle(last)).abs();
             self.register(frame, found.angle);
             self.state.grow_image(context.input, frame);
@@ -152,6 +167,13 @@ impl AxisModel {
         }
         self.adjust_rough(context)?;
         Ok(())
+    }
+
+    /// Gives a frame that sees too little of the model the angle that the rate says; what it sees with its neighbours
+    /// goes on from there.
+    fn bridge(&mut self, context: &Context<'_>, frame: usize, angle: f64) {
+        self.register(frame, angle);
+        self.state.grow_image(context.input, frame);
     }
 
     /// Gives a frame its angle.

@@ -3,7 +3,7 @@
 
 use super::problem::TurnProblem;
 use crate::bundle::{Loss, SolveOptions};
-use crate::selection::{Intrinsics, PRINCIPAL_POINT_SIGMA, apply, choose, noise};
+use crate::selection::{Intrinsics, PRINCIPAL_POINT_SIGMA, apply, choose};
 use crate::{Decision, SfmError};
 use glam::DVec3;
 use scene::{CameraModel, Progress};
@@ -13,7 +13,8 @@ const DETERMINED: f64 = 0.2;
 /// An axis leans at most so much (tangent) in the image where one coordinate is across it.
 const LEAN: f64 = 0.5;
 
-/// Camera model and freedom by evidence; the principal point across the axis where it is determined.
+/// Camera model and freedom by evidence; the principal point across the axis where it is determined. The sightings of
+/// `problem` have their standard deviations.
 pub(crate) fn choose_for_turn(
     problem: &TurnProblem,
     fixed: &[bool],
@@ -21,52 +22,84 @@ pub(crate) fn choose_for_turn(
     progress: &Progress,
 ) -> Result<(Intrinsics, Decision), SfmError> {
     let (chosen, mut decision) = choose(problem, fixed, named, progress)?;
-    let Some(along) = along_axis(problem).filter(|_| !chosen.principal_point && !fixed[0]) else {
+    if fixed[0] {
         return Ok((chosen, decision));
-    };
-    let partial = Intrinsics { principal_point: true, held: Some(along), ..chosen };
-    let mut costs = Vec::new();
-    let mut deviation = None;
-    for intrinsics in [chosen, partial] {
-        let mut trial = problem.clone();
-        apply(&mut trial.bundle, intrinsics, fixed);
-        let sigma = noise(&trial.bundle);
-        trial.bundle.observations.iter_mut().for_each(|o| o.sigma_px = sigma);
+    }
+    let trial = Trials { problem, fixed, progress };
+    let Some(mut best) = trial.of(chosen)? else { return Ok((chosen, decision)) };
+    let mut notes = Vec::new();
+    if let Some(along) = along_axis(problem).filter(|_| !chosen.principal_point) {
+        let partial = Intrinsics { principal_point: true, held: Some(along), ..chosen };
+        if let Some(found) = trial.of(partial)? {
+            let camera = &problem.bundle.cameras[0];
+            let before = PRINCIPAL_POINT_SIGMA * f64::from(camera.width.max(camera.height));
+            let (value, sd) = found.values[found.focals + 1 - along];
+            let taken = sd < DETERMINED * before && found.bic < best.bic + 10.0;
+            let verdict = if taken { "determined, the other coordinate is held" } else { "held" };
+            let (name, gain) = (["x", "y"][1 - along], found.bic - best.bic);
+            let what = "principal point across the axis";
+            notes.push(format!("{what}: {name} = {value:.2} ± {sd:.2} px, BIC {gain:+.0}: {verdict}"));
+            if taken {
+                best = found;
+            }
+        }
+    }
+    // Distortion once more: it takes up what a wrong principal point leaves.
+    for model in [CameraModel::SimpleRadial, CameraModel::Radial] {
+        let more = model.num_params() > best.intrinsics.model.num_params();
+        if named.is_some() || !more || best.intrinsics.model.num_focals() > 1 {
+            continue;
+        }
+        let Some(found) = trial.of(Intrinsics { model, ..best.intrinsics })? else { continue };
+        let gain = found.bic - best.bic;
+        notes.push(format!("{}: BIC {gain:+.0}{}", model.name(), if gain < 0.0 { ", taken" } else { "" }));
+        if gain < 0.0 {
+            best = found;
+        }
+    }
+    decision.chosen = best.intrinsics.describe();
+    decision.evidence = format!("{}; under one axis: {}", decision.evidence, notes.join(", "));
+    Ok((best.intrinsics, decision))
+}
+
+struct Trials<'a> {
+    problem: &'a TurnProblem,
+    fixed: &'a [bool],
+    progress: &'a Progress,
+}
+
+/// An adjusted candidate.
+struct Tried {
+    intrinsics: Intrinsics,
+    bic: f64,
+    focals: usize,
+    /// Parameters of the camera with their standard deviations.
+    values: Vec<(f64, f64)>,
+}
+
+impl Trials<'_> {
+    fn of(&self, intrinsics: Intrinsics) -> Result<Option<Tried>, SfmError> {
+        let mut trial = self.problem.clone();
+        apply(&mut trial.bundle, intrinsics, self.fixed);
         let options = SolveOptions {
             loss: Loss::Cauchy(2.0),
             max_iterations: 30,
             function_tolerance: 1e-7,
             ..SolveOptions::default()
         };
-        let summary = trial.solve(&options, progress)?;
+        let summary = trial.solve(&options, self.progress)?;
+        let Some(covariance) = trial.covariance(&options)?.filter(|_| summary.usable) else {
+            return Ok(None);
+        };
+        let camera = &trial.bundle.cameras[0];
+        let n = camera.params.len();
+        let free = intrinsics.free(camera).iter().filter(|f| **f).count() as f64;
         let sightings = summary.observations as f64;
-        costs.push(
-            summary.final_rms.powi(2) * sightings
-                + if intrinsics == partial { (2.0 * sightings).ln() } else { 0.0 },
-        );
-        if intrinsics == partial && summary.usable {
-            let camera = &trial.bundle.cameras[0];
-            let (n, i) = (camera.params.len(), camera.model.num_focals() + 1 - along);
-            let variance = trial.covariance(&options)?.map(|c| c.cameras[0][i * n + i]);
-            deviation = variance.map(|v| (camera.params[i], v.max(0.0).sqrt()));
-        }
+        let bic = summary.final_rms.powi(2) * sightings + free * (2.0 * sightings).ln();
+        let deviation = |i: usize| covariance.cameras[0][i * n + i].max(0.0).sqrt();
+        let values = (0..n).map(|i| (camera.params[i], deviation(i))).collect();
+        Ok(Some(Tried { intrinsics, bic, focals: camera.model.num_focals(), values }))
     }
-    let camera = &problem.bundle.cameras[0];
-    let before = PRINCIPAL_POINT_SIGMA * f64::from(camera.width.max(camera.height));
-    let name = ["x", "y"][1 - along];
-    let Some((value, sd)) = deviation else { return Ok((chosen, decision)) };
-    let taken = sd < DETERMINED * before && costs[1] < costs[0] + 10.0;
-    let verdict = if taken { "determined, the other coordinate is held" } else { "not determined, held" };
-    decision.evidence = format!(
-        "{}; principal point {name} across the axis {value:.2} ± {sd:.2} px, BIC {:+.0}: {verdict}",
-        decision.evidence,
-        costs[1] - costs[0]
-    );
-    if !taken {
-        return Ok((chosen, decision));
-    }
-    decision.chosen = partial.describe();
-    Ok((partial, decision))
 }
 
 /// The image coordinate (0: x, 1: y) along which the axis lies; `None` where it leans or is seen end on.

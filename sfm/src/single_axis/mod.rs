@@ -12,6 +12,7 @@ mod model;
 mod photos;
 pub mod problem;
 mod seed;
+mod smoothness;
 #[cfg(test)]
 mod tests;
 pub mod turn;
@@ -23,7 +24,7 @@ pub(crate) use video::{VideoJob, VideoModel, solve_video};
 use crate::incremental::adjust::Adjustment;
 use crate::incremental::growth::Knowledge;
 use crate::incremental::state::{Input, State};
-use crate::selection::Intrinsics;
+use crate::selection::{Intrinsics, converted};
 use crate::{Decision, PoseDeviation, SfmError, Uncertainty};
 use evidence::Comparison;
 use intrinsics::choose_for_turn;
@@ -32,7 +33,7 @@ use scene::{Camera, CameraModel, Progress};
 use turn::Turn;
 
 /// Points an image contributes to the choice of the camera model.
-const POINTS_TO_CHOOSE: usize = 150;
+const POINTS_TO_CHOOSE: usize = 250;
 /// Farthest that free poses may be from a turn for one to be tried: tilt (radians) and slip (radii).
 const FARTHEST: [f64; 2] = [0.1, 0.2];
 
@@ -68,6 +69,7 @@ pub(crate) struct Job<'a> {
     pub starts: &'a [Camera],
     pub named: Option<CameraModel>,
     pub config: &'a MotionConfig,
+    pub features: &'a [usize],
     pub progress: &'a Progress,
 }
 
@@ -78,6 +80,7 @@ impl Job<'_> {
             known: self.known,
             starts: self.starts,
             relations,
+            features: self.features,
             progress: self.progress,
         }
     }
@@ -159,14 +162,18 @@ pub(crate) fn adjust_and_choose(
     cameras: &[Camera],
     turn: Turn,
 ) -> Result<Option<(AxisModel, Intrinsics, Decision)>, SfmError> {
-    let mut model = AxisModel::new(context.input, cameras.to_vec(), turn);
+    // In the model that the priors refer to, until the evidence has spoken.
+    let same = |(camera, start): (&Camera, &Camera)| converted(camera, start.model);
+    let cameras = cameras.iter().zip(context.starts).map(same).collect();
+    let mut model = AxisModel::new(context.input, cameras, turn);
     if !model.settle(context, 5)? {
         return Ok(None);
     }
     let (free, priors) =
         crate::incremental::growth::freedom(&model.state.cameras, context.known, context.starts, usize::MAX);
     let what = Adjustment { points_per_image: Some(POINTS_TO_CHOOSE), ..Adjustment::growing(free, priors) };
-    let (problem, _) = model.problem(context, &what);
+    let (mut problem, selected) = model.problem(context, &what);
+    model.weigh(context, &mut problem.bundle, &selected);
     let fixed: Vec<bool> = context.known.iter().map(|k| k.fixed).collect();
     let (intrinsics, decision) = choose_for_turn(&problem, &fixed, job.named, context.progress)?;
     model.polish(context, intrinsics)?;

@@ -1,13 +1,13 @@
 //! A growing model whose poses are a turn: triangulated, adjusted and filtered under the constraint.
 
 use super::problem::{Relation, TurnCovariance, TurnProblem};
-use super::turn::Turn;
+use super::turn::{Turn, median};
 use crate::SfmError;
-use crate::bundle::{Loss, SolveOptions};
+use crate::bundle::{BundleProblem, Loss, SolveOptions};
 use crate::incremental::adjust::{Adjustment, Selected, plausible, select, take};
 use crate::incremental::growth::{Knowledge, freedom};
 use crate::incremental::state::{Input, State};
-use crate::selection::{Intrinsics, apply, noise};
+use crate::selection::{Intrinsics, apply, error_sq, noise};
 use scene::{Camera, Progress};
 
 /// Points an image contributes while the model settles.
@@ -36,6 +36,9 @@ pub(crate) struct Context<'a> {
     pub starts: &'a [Camera],
     /// What is known of the angles, by frame.
     pub relations: &'a [Relation],
+    /// For each frame how many of its keypoints, the first ones, are features; the others are followed points, which
+    /// are measured otherwise. Empty where all are features.
+    pub features: &'a [usize],
     /// Says how far it is, and when to stop.
     pub progress: &'a Progress,
 }
@@ -130,8 +133,7 @@ impl AxisModel {
         let (mut problem, selected) = self.problem(context, &what);
         let fixed: Vec<bool> = context.known.iter().map(|k| k.fixed).collect();
         apply(&mut problem.bundle, intrinsics, &fixed);
-        let sigma = noise(&problem.bundle);
-        problem.bundle.observations.iter_mut().for_each(|o| o.sigma_px = sigma);
+        self.weigh(context, &mut problem.bundle, &selected);
         let options = SolveOptions {
             loss: Loss::Cauchy(2.0),
             max_iterations: 30,
@@ -139,6 +141,34 @@ impl AxisModel {
             ..SolveOptions::default()
         };
         (problem, selected, options)
+    }
+
+    /// Gives features and followed points each the noise that their residuals show, `r² ≈ 2 ln 2 σ²` at the median,
+    /// corrected for what the points' three coordinates take up.
+    pub fn weigh(&self, context: &Context<'_>, bundle: &mut BundleProblem, selected: &Selected) {
+        let points = selected.points.iter().filter_map(|&id| self.state.points[id as usize].as_ref());
+        let kind = |[frame, feature]: [u32; 2]| {
+            usize::from(context.features.get(frame as usize).is_some_and(|&n| feature as usize >= n))
+        };
+        let kinds: Vec<usize> = points.flat_map(|p| p.views.iter().map(|v| kind(*v))).collect();
+        if kinds.len() != bundle.observations.len() {
+            let sigma = noise(bundle);
+            bundle.observations.iter_mut().for_each(|o| o.sigma_px = sigma);
+            return;
+        }
+        let mut views = vec![0usize; bundle.points.len()];
+        bundle.observations.iter().for_each(|o| views[o.point as usize] += 1);
+        let sigmas: [f64; 2] = std::array::from_fn(|k| {
+            let own = || bundle.observations.iter().zip(&kinds).filter(move |(_, kind)| **kind == k);
+            let errors: Vec<f64> = own().map(|(o, _)| error_sq(bundle, o)).collect();
+            let n = 2.0 * errors.len() as f64;
+            let taken: f64 = own().map(|(o, _)| 3.0 / views[o.point as usize] as f64).sum();
+            let freedom = ((n - taken) / n.max(1.0)).clamp(0.1, 1.0);
+            (median(errors) / (2.0 * std::f64::consts::LN_2) / freedom).sqrt().max(1e-3)
+        });
+        for (o, kind) in bundle.observations.iter_mut().zip(&kinds) {
+            o.sigma_px = sigmas[*kind];
+        }
     }
 
     /// Adjusts to convergence with the chosen intrinsics, triangulates and filters at the level of the noise.

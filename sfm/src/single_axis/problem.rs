@@ -47,6 +47,8 @@ pub struct TurnCovariance {
     pub axis: [f64; 2],
     /// Of the angles, radians; 0 where held.
     pub angles: Vec<f64>,
+    /// [P × P] joint covariance of the angles, radians².
+    pub joint: Vec<f64>,
 }
 
 impl TurnProblem {
@@ -116,7 +118,9 @@ impl TurnProblem {
             rest = others;
         }
         let angles = (0..self.angles.len()).map(|i| deviation(3 + i)).collect();
-        Ok(Some(TurnCovariance { cameras, axis: [deviation(0), deviation(1)], angles }))
+        let n = self.angles.len();
+        let joint = (0..n * n).map(|k| of_turn[(3 + k / n) * size + 3 + k % n]).collect();
+        Ok(Some(TurnCovariance { cameras, axis: [deviation(0), deviation(1)], angles, joint }))
     }
 
     /// The poses' standard deviations in the shape that free poses have: rotation about the camera's axes and centre.

@@ -114,6 +114,7 @@ fn solve(table: &Turntable, mut tracks: Vec<KltTrack>) -> Result<(AxisModel, Opt
         starts: &starts,
         named: None,
         config: &config.motion,
+        features: &[],
         progress: &progress,
     };
     let context = job.context(&[]);

@@ -4,8 +4,8 @@ use super::evidence::Comparison;
 use super::extend::resect_angle;
 use super::material::{KeyFrames, Material, drop_still};
 use super::model::{AxisModel, Context};
-use super::problem::Relation;
 use super::seed::{KEYS, KeyPair, Seed, explained, seeds, steady};
+use super::smoothness::{known_rate, learnt};
 use super::turn::{Turn, median, wrapped};
 use super::{Job, Motion, Turned, adjust_and_choose, decision, finish};
 use crate::incremental::growth::Knowledge;
@@ -74,6 +74,7 @@ pub(crate) fn solve_video(job: &VideoJob<'_>) -> Result<Result<(VideoModel, Deci
     let keys = KeyFrames::new(job.frames, &model, &config.sift, &config.matching, job.progress)?;
     let Closed { material, turn, cameras, seam } = job.close(&keys, &tracks, model)?;
     let input = job.input(&material);
+    let counts: Vec<usize> = keys.features.iter().map(Features::len).collect();
     let free_job = Job {
         input: &input,
         cameras: job.cameras,
@@ -81,9 +82,12 @@ pub(crate) fn solve_video(job: &VideoJob<'_>) -> Result<Result<(VideoModel, Deci
         starts: &cameras,
         named: config.camera_model.model(),
         config: &config.motion,
+        features: &counts,
         progress: job.progress,
     };
-    let relations = job.known_rate(&turn);
+    let times = job.times();
+    let rate = config.motion.known_rate.map(f64::to_radians);
+    let relations = rate.map_or(Vec::new(), |r| known_rate(&turn.angles, &times, r));
     let mut context = free_job.context(&relations);
     let Some((mut model, intrinsics, camera)) = adjust_and_choose(&context, &free_job, &cameras, turn)?
     else {
@@ -97,13 +101,17 @@ pub(crate) fn solve_video(job: &VideoJob<'_>) -> Result<Result<(VideoModel, Deci
     if config.motion.motion == Motion::Auto && !single {
         return Ok(Err(format!("one axis was tried: {registered} of {n} frames; {evidence}")));
     }
-    let (relations, learnt) = job.smoothness(&model, &context, intrinsics)?.unzip();
+    let smooth = match model.covariance(&context, intrinsics)? {
+        Some((_, images, c)) if rate.is_none() => learnt(&model.turn.angles, &times, &images, &c),
+        _ => None,
+    };
+    let (relations, smooth) = smooth.unzip();
     if let Some(relations) = &relations {
         context.relations = relations;
         model.polish(&context, intrinsics)?;
     }
     let mut turned = finish(&mut model, &context, &free_job, intrinsics, camera)?;
-    turned.decisions.extend(learnt);
+    turned.decisions.extend(smooth);
     Ok(Ok((job.done(turned, material, keys), decision("single-axis", evidence))))
 }
 
@@ -193,7 +201,7 @@ impl VideoJob<'_> {
     }
 
     fn context<'a>(&'a self, input: &'a Input<'a>, starts: &'a [Camera]) -> Context<'a> {
-        Context { input, known: self.known, starts, relations: &[], progress: self.progress }
+        Context { input, known: self.known, starts, relations: &[], features: &[], progress: self.progress }
     }
 
     /// Camera and turn of a seed; frames between key frames get angles in between.
@@ -275,78 +283,6 @@ impl VideoJob<'_> {
         }
         let found = resect_angle(&model.state.cameras[0], &model.turn.axis, &seen, b, SEAM_SPAN);
         (found.inliers >= 8 && found.inliers * 2 >= found.asked).then(|| (wrapped(found.angle - b), b - a))
-    }
-
-    /// What `--known-rate` says of the angles.
-    fn known_rate(&self, turn: &Turn) -> Vec<Relation> {
-        let Some(rate) = self.config.motion.known_rate else { return Vec::new() };
-        let times = self.times();
-        let known: Vec<usize> = (0..times.len()).filter(|&f| turn.angles[f].is_some()).collect();
-        let angle = |f: usize| turn.angles[f].unwrap_or(0.0);
-        let sense = match (known.first(), known.last()) {
-            (Some(&f), Some(&l)) => (angle(l) - angle(f)).signum(),
-            _ => 1.0,
-        };
-        let step = |w: &[usize]| {
-            let target = sense * rate.abs().to_radians() * (times[w[1]] - times[w[0]]);
-            Relation {
-                frames: [Some(w[0] as u32), Some(w[1] as u32), None],
-                coefficients: [-1.0, 1.0, 0.0],
-                target,
-                sigma: (0.01 * target.abs()).max(1e-9),
-            }
-        };
-        known.windows(2).map(step).collect()
-    }
-
-    /// A prior on changes of the rate, as strong as the angles found without it say: their second differences scatter
-    /// by what the rate really does and by what they are uncertain of. `None` where there are too few frames.
-    fn smoothness(
-        &self,
-        model: &AxisModel,
-        context: &Context<'_>,
-        intrinsics: crate::selection::Intrinsics,
-    ) -> Result<Option<(Vec<Relation>, Decision)>, SfmError> {
-        let times = self.times();
-        let known: Vec<usize> = (0..times.len()).filter(|&f| model.turn.angles[f].is_some()).collect();
-        if known.len() < 10 || self.config.motion.known_rate.is_some() {
-            return Ok(None);
-        }
-        let Some((_, images, covariance)) = model.covariance(context, intrinsics)? else { return Ok(None) };
-        let angle = |f: usize| model.turn.angles[f].unwrap_or(0.0);
-        let mut relations: Vec<Relation> = Vec::new();
-        let (mut found, mut uncertain) = (Vec::new(), Vec::new());
-        for w in known.windows(3) {
-            let (p, q) = (times[w[1]] - times[w[0]], times[w[2]] - times[w[1]]);
-            // The middle angle against the one in between by time.
-            let share = p / (p + q);
-            let coefficients = [-(1.0 - share), 1.0, -share];
-            let bend: f64 = w.iter().zip(coefficients).map(|(&f, c)| c * angle(f)).sum();
-            found.push(bend * bend);
-            let sd = |f: usize| images.binary_search(&f).map_or(0.0, |i| covariance.angles[i]);
-            uncertain.push(w.iter().zip(coefficients).map(|(&f, c)| (c * sd(f)).powi(2)).sum::<f64>());
-            relations.push(Relation {
-                frames: w.iter().map(|&f| Some(f as u32)).collect::<Vec<_>>().try_into().unwrap_or([None; 3]),
-                coefficients,
-                target: 0.0,
-                sigma: 0.0,
-            });
-        }
-        // 0.455: the median of a squared standard normal number.
-        let scatter = median(found) / 0.455;
-        let noise = median(uncertain);
-        let sigma = (scatter - noise).max(0.1 * scatter).max(1e-14).sqrt();
-        relations.iter_mut().for_each(|r| r.sigma = sigma);
-        let decision = Decision {
-            what: "smoothness of the turn".to_owned(),
-            chosen: format!("{:.4}° a frame", sigma.to_degrees()),
-            evidence: format!(
-                "each angle is {:.4}° off the mean of its neighbours, of which {:.4}° are their uncertainty",
-                scatter.sqrt().to_degrees(),
-                noise.sqrt().to_degrees()
-            ),
-        };
-        Ok(Some((relations, decision)))
     }
 }
 
