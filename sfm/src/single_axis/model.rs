@@ -136,7 +136,7 @@ impl AxisModel {
         self.weigh(context, &mut problem.bundle, &selected);
         let options = SolveOptions {
             loss: Loss::Cauchy(2.0),
-            max_iterations: 30,
+            max_iterations: if points_per_image.is_some() { 12 } else { 20 },
             function_tolerance: 1e-7,
             ..SolveOptions::default()
         };

@@ -28,10 +28,12 @@ pub(crate) fn known_rate(angles: &[Option<f64>], times: &[f64], rate: f64) -> Ve
     known.windows(2).map(step).collect()
 }
 
-/// A prior on the bend of the angles (each against the one that its neighbours give by time), with the strength under
-/// which the angles found without it are most likely: `D θ̂ ~ N(0, κ D C Dᵀ + q I)` with the angles' covariance C and the
-/// bends' variance q (type II maximum likelihood, MacKay 1992). C is known up to a factor, which is found with q: noise of
-/// the angles and changes of the rate have different spectra. `None` where there are too few frames.
+/// What the angles that were found without a prior say of the motion.
+///
+/// Two motions are compared by how likely they make the angles' bends b (each angle against the one that its neighbours
+/// give by time), `b ~ N(0, κ D C Dᵀ + s² P)` with the angles' covariance C: a steady rate with jitter, `P = D Dᵀ`, and a
+/// rate that wanders, `P = I` (type II maximum likelihood, MacKay 1992). C is known up to a factor κ, which is found
+/// with s: noise and motion have different spectra. `None` where there are too few frames.
 pub(crate) fn learnt(
     angles: &[Option<f64>],
     times: &[f64],
@@ -42,74 +44,135 @@ pub(crate) fn learnt(
     if n < FEWEST || covariance.joint.len() != n * n {
         return None;
     }
-    let mut rows: Vec<(usize, [f64; 3])> = Vec::new();
-    let mut relations = Vec::new();
-    let mut bends = Vec::new();
-    for i in 0..n - 2 {
-        let f = [images[i], images[i + 1], images[i + 2]];
-        let share = (times[f[1]] - times[f[0]]) / (times[f[2]] - times[f[0]]);
-        let coefficients = [share - 1.0, 1.0, -share];
-        bends.push((0..3).map(|k| coefficients[k] * angles[f[k]].unwrap_or(0.0)).sum::<f64>());
-        rows.push((i, coefficients));
-        let frames = f.map(|f| Some(f as u32));
-        relations.push(Relation { frames, coefficients, target: 0.0, sigma: 1.0 });
+    let found: Vec<f64> = images.iter().map(|&f| angles[f].unwrap_or(0.0)).collect();
+    let when: Vec<f64> = images.iter().map(|&f| times[f]).collect();
+    let rows: Vec<[f64; 3]> = when
+        .windows(3)
+        .map(|t| (t[1] - t[0]) / (t[2] - t[0]))
+        .map(|share| [share - 1.0, 1.0, -share])
+        .collect();
+    let bends: Vec<f64> =
+        rows.iter().zip(found.windows(3)).map(|(c, w)| (0..3).map(|k| c[k] * w[k]).sum()).collect();
+    let of_noise = bend_covariance(&rows, |i, k| covariance.joint[i * n + k]);
+    let jitter = bend_covariance(&rows, |i, k| f64::from(u8::from(i == k)));
+    let m = bends.len();
+    let wander: Vec<f64> = (0..m * m).map(|k| f64::from(u8::from(k % (m + 1) == 0))).collect();
+    let mut best: Option<(f64, bool, f64, f64)> = None;
+    for (steady, motion) in [(true, &jitter), (false, &wander)] {
+        for excess in EXCESS {
+            for s in (0..=STRENGTHS.1).map(|k| STRENGTHS.0 * f64::from(1 << k)) {
+                let sum: Vec<f64> =
+                    of_noise.iter().zip(motion).map(|(a, p)| excess * a + s * s * p).collect();
+                let Some(likely) = log_likelihood(sum, &bends) else { continue };
+                if best.is_none_or(|(l, ..)| likely > l) {
+                    best = Some((likely, steady, excess, s));
+                }
+            }
+        }
     }
-    let of_bends = bend_covariance(&rows, &covariance.joint, n);
-    let strengths = || (0..=STRENGTHS.1).map(|k| STRENGTHS.0 * f64::from(1 << k));
-    let candidates = EXCESS.iter().flat_map(|&excess| strengths().map(move |s| (excess, s)));
-    let scored = candidates
-        .filter_map(|(excess, s)| Some((log_likelihood(&of_bends, &bends, excess, s * s)?, excess, s)));
-    let (_, excess, bend) = scored.max_by(|a, b| a.0.total_cmp(&b.0))?;
+    let (_, steady, excess, s) = best?;
     // The sightings weigh by their own noise, so the prior does by the same measure.
-    relations.iter_mut().for_each(|r| r.sigma = bend / excess.sqrt());
-    let rms = |values: f64| (values / bends.len() as f64).sqrt().to_degrees();
+    let sigma = s / excess.sqrt();
+    let relations = if steady {
+        let joint: Vec<f64> = covariance.joint.iter().map(|c| c * excess).collect();
+        steady_relations(&found, &when, images, joint, s, sigma)?
+    } else {
+        let relation = |(c, f): (&[f64; 3], &[usize])| Relation {
+            frames: [0, 1, 2].map(|k| Some(f[k] as u32)),
+            coefficients: *c,
+            target: 0.0,
+            sigma,
+        };
+        rows.iter().zip(images.windows(3)).map(relation).collect()
+    };
+    let rms = |sum: f64| (sum / m as f64).sqrt().to_degrees();
     let evidence = format!(
         "each angle is {:.4}° off what its neighbours give, {:.4}° would come from independent noise alone; variance of the noise × {excess}",
         rms(bends.iter().map(|b| b * b).sum()),
-        rms((0..bends.len()).map(|i| of_bends[i * bends.len() + i]).sum()),
+        rms((0..m).map(|i| of_noise[i * m + i]).sum()),
     );
-    let chosen = format!("bends of {:.4}° a frame expected", bend.to_degrees());
-    Some((relations, Decision { what: "smoothness of the turn".to_owned(), chosen, evidence }))
+    let chosen = match steady {
+        true => format!("steady, jitter of {:.4}°", s.to_degrees()),
+        false => format!("rate wanders, bends of {:.4}° a frame", s.to_degrees()),
+    };
+    Some((relations, Decision { what: "rate of the turn".to_owned(), chosen, evidence }))
 }
 
-/// `D C Dᵀ`; row i of D has three coefficients from column `rows[i].0` on.
-fn bend_covariance(rows: &[(usize, [f64; 3])], joint: &[f64], n: usize) -> Vec<f64> {
-    let m = rows.len();
-    let mut out = vec![0.0; m * m];
-    for (i, (at, c)) in rows.iter().enumerate() {
-        for (k, (to, d)) in rows.iter().enumerate() {
-            let term = |a: usize, b: usize| c[a] * d[b] * joint[(at + a) * n + to + b];
-            out[i * m + k] = (0..3).map(|a| (0..3).map(|b| term(a, b)).sum::<f64>()).sum();
-        }
+/// Every angle against the line through all of them, `θ = α + ω t`, fitted under their covariance and the jitter.
+fn steady_relations(
+    found: &[f64],
+    when: &[f64],
+    images: &[usize],
+    mut joint: Vec<f64>,
+    jitter: f64,
+    sigma: f64,
+) -> Option<Vec<Relation>> {
+    let n = found.len();
+    (0..n).for_each(|i| joint[i * (n + 1)] += jitter * jitter);
+    let l = cholesky(joint, n)?;
+    let since: Vec<f64> = when.iter().map(|t| t - when[0]).collect();
+    let [one, time, angle] = [&vec![1.0; n], &since, &found.to_vec()].map(|v| whiten(&l, v));
+    let dot = |a: &[f64], b: &[f64]| a.iter().zip(b).map(|(x, y)| x * y).sum::<f64>();
+    let (a, b, c) = (dot(&one, &one), dot(&one, &time), dot(&time, &time));
+    let (p, q) = (dot(&one, &angle), dot(&time, &angle));
+    let determinant = a * c - b * b;
+    let (alpha, rate) = ((c * p - b * q) / determinant, (a * q - b * p) / determinant);
+    if !(alpha.is_finite() && rate.is_finite()) {
+        return None;
     }
-    out
+    let relation = |i: usize| Relation {
+        frames: [Some(images[0] as u32), Some(images[i] as u32), None],
+        coefficients: [-1.0, 1.0, 0.0],
+        target: alpha + rate * since[i] - found[0],
+        sigma,
+    };
+    Some((1..n).map(relation).collect())
 }
 
-/// `−½ (ln |S| + bᵀ S⁻¹ b)` of `S = κ A + q I`, by Cholesky's factors; `None` where S is not positive definite.
-fn log_likelihood(a: &[f64], b: &[f64], excess: f64, q: f64) -> Option<f64> {
+/// `D A Dᵀ`; row i of D has three coefficients from column i on.
+fn bend_covariance(rows: &[[f64; 3]], a: impl Fn(usize, usize) -> f64) -> Vec<f64> {
+    let m = rows.len();
+    let term = |i: usize, k: usize| -> f64 {
+        let products = (0..9).map(|j| rows[i][j / 3] * rows[k][j % 3] * a(i + j / 3, k + j % 3));
+        products.sum()
+    };
+    (0..m * m).map(|k| term(k / m, k % m)).collect()
+}
+
+/// `−½ (ln |S| + bᵀ S⁻¹ b)`; `None` where S is not positive definite.
+fn log_likelihood(s: Vec<f64>, b: &[f64]) -> Option<f64> {
     let n = b.len();
-    let mut l: Vec<f64> = a.iter().map(|v| v * excess).collect();
-    (0..n).for_each(|i| l[i * n + i] += q);
-    let mut whitened = b.to_vec();
-    let mut sum = 0.0;
+    let l = cholesky(s, n)?;
+    let whitened = whiten(&l, b);
+    let logs: f64 = (0..n).map(|i| 2.0 * l[i * (n + 1)].ln()).sum();
+    Some(-0.5 * (logs + whitened.iter().map(|v| v * v).sum::<f64>()))
+}
+
+/// Cholesky's lower factor of a symmetric matrix (what is above its diagonal has no meaning).
+fn cholesky(mut s: Vec<f64>, n: usize) -> Option<Vec<f64>> {
     for i in 0..n {
         for k in 0..=i {
-            let dot: f64 = l[i * n..i * n + k].iter().zip(&l[k * n..k * n + k]).map(|(x, y)| x * y).sum();
-            let rest = l[i * n + k] - dot;
-            if i == k {
-                if !(rest > 0.0) {
-                    return None;
-                }
-                l[i * n + i] = rest.sqrt();
-            } else {
-                l[i * n + k] = rest / l[k * n + k];
-            }
+            let (a, b) = (&s[i * n..i * n + k], &s[k * n..k * n + k]);
+            let rest = s[i * n + k] - a.iter().zip(b).map(|(x, y)| x * y).sum::<f64>();
+            s[i * n + k] = match i == k {
+                true if !(rest > 0.0) => return None,
+                true => rest.sqrt(),
+                false => rest / s[k * n + k],
+            };
         }
-        let dot: f64 = (0..i).map(|j| l[i * n + j] * whitened[j]).sum();
-        whitened[i] = (whitened[i] - dot) / l[i * n + i];
-        sum += 2.0 * l[i * n + i].ln() + whitened[i] * whitened[i];
     }
-    Some(-0.5 * sum)
+    Some(s)
+}
+
+/// `L⁻¹ v`.
+fn whiten(l: &[f64], v: &[f64]) -> Vec<f64> {
+    let n = v.len();
+    let mut out: Vec<f64> = Vec::with_capacity(n);
+    for i in 0..n {
+        let dot: f64 = l[i * n..i * n + i].iter().zip(&out).map(|(a, b)| a * b).sum();
+        out.push((v[i] - dot) / l[i * n + i]);
+    }
+    out
 }
 
 #[cfg(test)]
@@ -118,34 +181,44 @@ mod tests {
     use crate::solvers::testing::normal;
     use scene::rng::rng;
 
-    /// Angles whose rate wanders by `bend` a frame, measured with independent errors of `noise`.
-    fn learn(bend: f64, noise: f64, thought: f64, seed: u64) -> f64 {
+    /// Angles whose rate wanders by `bend` a frame about a steady one, with independent `jitter`, measured with
+    /// independent errors of `noise` where `thought` is what they are believed to be.
+    fn learn(bend: f64, jitter: f64, noise: f64, thought: f64, seed: u64) -> (Vec<Relation>, Decision) {
         let mut r = rng(seed, "rate", 0);
         let (mut angle, mut rate) = (0.0, 0.05);
-        let angles: Vec<Option<f64>> = (0..150)
+        let angles: Vec<Option<f64>> = (0..120)
             .map(|_| {
                 angle += rate;
                 rate += 2.0 * bend * normal(&mut r); // a bend is half a second difference
-                Some(angle + noise * normal(&mut r))
+                Some(angle + jitter * normal(&mut r) + noise * normal(&mut r))
             })
             .collect();
-        let times: Vec<f64> = (0..150).map(f64::from).collect();
-        let images: Vec<usize> = (0..150).collect();
-        let mut joint = vec![0.0; 150 * 150];
-        (0..150).for_each(|i| joint[i * 151] = thought * thought);
+        let times: Vec<f64> = (0..120).map(f64::from).collect();
+        let images: Vec<usize> = (0..120).collect();
+        let mut joint = vec![0.0; 120 * 120];
+        (0..120).for_each(|i| joint[i * 121] = thought * thought);
         let covariance = TurnCovariance { joint, ..TurnCovariance::default() };
-        learnt(&angles, &times, &images, &covariance).unwrap().0[0].sigma
+        learnt(&angles, &times, &images, &covariance).unwrap()
     }
 
     #[test]
-    fn the_strength_of_the_prior_is_that_of_the_motion_and_not_of_the_noise() {
-        for seed in 0..5 {
-            let wild = learn(2e-3, 1e-4, 1e-4, seed);
-            assert!((0.5e-3..4e-3).contains(&wild), "{wild}");
-            let noisy = learn(2e-5, 1e-3, 1e-3, seed);
-            assert!(noisy < 1.5e-4, "{noisy}");
-            let noisier = learn(2e-5, 1e-3, 3e-4, seed);
-            assert!(noisier < 1.5e-4, "{noisier}: the noise is three times what was thought");
+    fn a_wandering_rate_is_told_from_noise() {
+        for seed in 0..3 {
+            let (relations, decision) = learn(2e-3, 0.0, 1e-4, 1e-4, seed);
+            let sigma = relations[0].sigma;
+            assert!(decision.chosen.starts_with("rate wanders"), "{decision:?}");
+            assert!((0.5e-3..4e-3).contains(&sigma), "{sigma}");
+        }
+    }
+
+    #[test]
+    fn a_steady_rate_is_found_through_noise_that_is_larger_than_thought() {
+        for (seed, thought) in [(0, 1e-3), (1, 1e-3), (2, 3e-4)] {
+            let (relations, decision) = learn(0.0, 1e-5, 1e-3, thought, seed);
+            let worst = relations.iter().zip(1..).map(|(r, i)| r.target - 0.05 * f64::from(i));
+            let spread = worst.clone().fold(f64::MIN, f64::max) - worst.fold(f64::MAX, f64::min);
+            assert!(relations[0].sigma < 6e-4, "{decision:?}");
+            assert!(!decision.chosen.starts_with("steady") || spread < 1e-3, "{spread} {decision:?}");
         }
     }
 
