@@ -14,22 +14,25 @@ SAT_RECON := $(TARGET)/release/sat-recon
 VENV := $(CACHE)/venv
 SHARED := $(or $(SAT_RECON_SHARED),../shared)
 
-.PHONY: help setup build demo test lint bench compare oracle testbed
+.PHONY: help setup viewer build demo test lint bench compare oracle testbed
 help:  ## this list
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed 's/:.*##/\t/' | expand -t 12
 
 setup:  ## install what is missing (Debian packages; as root or with sudo)
 	@tools/setup.sh $(PACKAGES)
 
-build: setup  ## build the release binary
+viewer:  ## bundle the web viewer (needs Node.js; without it everything else is still built)
+	@tools/viewer.sh
+
+build: setup viewer  ## build the release binary
 	cargo build --release --locked
 
 demo: build  ## video to splat on the sample in data/, then say what to open
 	$(SAT_RECON) data/sample/orbit.mp4 -o out/demo --quality draft
 	@echo; echo "Open out/demo/report.html in a browser; the splat is out/demo/splat.ply"
 
-test: setup  ## every test (real data is looked for in ../shared/data)
-	@tools/setup.sh colmap
+test: setup viewer  ## every test (real data is looked for in ../shared/data)
+	@tools/setup.sh colmap chromium
 	cargo test --workspace --locked
 
 lint: setup  ## formatting, clippy, file and function lengths, borders between crates
@@ -43,7 +46,7 @@ compare: build $(VENV)/pycolmap  ## our poses beside COLMAP 3.8 and 4.2.1 on the
 	@$(VENV)/bin/python tools/compare.py $(SAT_RECON) $(SHARED) --out build/compare
 
 oracle: $(VENV)/oracle  ## regenerate the fixtures that other libraries computed (downloads several GB)
-	@for script in tests/oracle/*.py; do echo "$$script"; $(VENV)/bin/python $$script; done
+	@for script in tests/oracle/*.py; do echo "$$script"; $(VENV)/bin/python $$script $(SHARED)/data build/oracle; done
 
 testbed: setup  ## render the simulated captures with Blender (slow)
 	@tools/setup.sh blender
@@ -58,5 +61,5 @@ $(VENV)/pycolmap: $(VENV)/bin/python
 	touch $@
 
 $(VENV)/oracle: $(VENV)/bin/python
-	$(VENV)/bin/pip install -q numpy pillow scipy scikit-image opencv-python-headless torch==2.15.* kornia==0.9.* lpips==0.1.4
+	$(VENV)/bin/pip install -q numpy pillow scipy scikit-image opencv-python-headless torch==2.15.* kornia==0.9.* lpips==0.1.4 torchvision safetensors pycolmap==4.2.1
 	touch $@

@@ -18,7 +18,7 @@ pub fn run(json: bool) -> Result<Outcome> {
     ];
     rows.push(("memory".to_owned(), memory().unwrap_or_else(|| "unknown".into())));
     rows.extend(library_versions());
-    rows.push(("Vulkan drivers".to_owned(), vulkan_drivers()));
+    rows.push(graphics(&splat::adapters()));
     rows.push(("COLMAP (for compare --colmap)".to_owned(), program_version("colmap")));
     if json {
         println!("{}", serde_json::to_string_pretty(&rows)?);
@@ -62,7 +62,16 @@ fn memory() -> Option<String> {
     ))
 }
 
-/// The installed Vulkan drivers (the loader's manifests); this version trains and renders on the CPU.
+/// The graphics adapters by name and kind; where none can be opened, the installed drivers.
+fn graphics(adapters: &[splat::Adapter]) -> (String, String) {
+    if adapters.is_empty() {
+        return ("Vulkan drivers".to_owned(), vulkan_drivers());
+    }
+    let names: Vec<String> = adapters.iter().map(ToString::to_string).collect();
+    ("graphics adapters".to_owned(), names.join("; "))
+}
+
+/// The installed Vulkan drivers (the loader's manifests).
 fn vulkan_drivers() -> String {
     let folders = ["/usr/share/vulkan/icd.d", "/etc/vulkan/icd.d", "/usr/local/share/vulkan/icd.d"];
     let mut names: Vec<String> = folders
@@ -77,7 +86,7 @@ fn vulkan_drivers() -> String {
     if names.is_empty() {
         "none (not needed: training and rendering run on the CPU)".into()
     } else {
-        names.join(", ")
+        format!("{}, but none of them finds an adapter", names.join(", "))
     }
 }
 

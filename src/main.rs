@@ -6,6 +6,7 @@ use sat_recon::{Outcome, config, run};
 use std::process::ExitCode;
 
 fn main() -> ExitCode {
+    quiet_drivers();
     match config::parse(std::env::args().collect()) {
         Ok(Ok(parsed)) => match run(parsed) {
             Ok(Outcome::Done) => ExitCode::SUCCESS,
@@ -18,6 +19,15 @@ fn main() -> ExitCode {
             if usage.use_stderr() { ExitCode::from(1) } else { ExitCode::SUCCESS }
         }
         Err(error) => fail(&error),
+    }
+}
+
+/// Keeps Mesa's device-select layer, which asks the desktop for its favourite adapter, from complaining on standard
+/// error where there is no desktop.
+fn quiet_drivers() {
+    if std::env::var_os("XDG_RUNTIME_DIR").is_none() {
+        // No other thread runs yet that could read the environment.
+        unsafe { std::env::set_var("NODEVICE_SELECT", "1") };
     }
 }
 

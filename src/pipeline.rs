@@ -364,11 +364,11 @@ impl Pipeline {
         if until < Until::Eval {
             return Ok(());
         }
-        let print = fingerprint(&("eval", 1, &print))?;
+        let print = fingerprint(&("eval", 2, &print, &self.args.eval))?;
         let (finished, ran) =
             self.stages.run("eval", &print, &[self.out.join("eval/metrics.json")], || {
                 let progress = self.progress("eval");
-                evaluate::evaluate(&self.out, &self.args.dataset, &progress)
+                evaluate::evaluate(&self.out, &self.args.dataset, &self.args.eval, &progress)
             })?;
         let evaluation = finished.value;
         self.finish("eval", finished.cost, ran, &evaluation.sentence());

@@ -17,6 +17,7 @@ pub mod single_axis;
 pub mod solvers;
 pub mod tracks;
 pub mod triangulation;
+pub mod turned;
 pub mod two_view;
 pub mod undistort;
 

@@ -3,18 +3,30 @@
 mod clock;
 mod export;
 mod setup;
+mod turn;
 
 use crate::incremental::finish::{decide, polish, uncertainty};
+use crate::incremental::folds;
 use crate::incremental::state::{Input, State};
 use crate::single_axis::{Free, Job, Motion, Turned, VideoJob, VideoModel, consider, solve_video};
-use crate::tracks::{build_tracks, positions};
+use crate::tracks::{Tracks, build_tracks, positions};
 use crate::{
     Decision, SfmConfig, SfmError, SfmResult, Uncertainty, incremental, matching, pairs, sift, single_axis,
     two_view,
 };
 use clock::Clock;
-use scene::{Features, FrameSet, Progress, TwoViewGeometry};
+use scene::{Camera, Features, FrameSet, Progress, TwoViewGeometry};
 use setup::Setup;
+use std::collections::BTreeSet;
+
+/// Other images that hold an image firmly, and the matches each must share with it. What is held by less gains by
+/// matches along its epipolar lines; what is held by more loses, for those are less exact.
+const TIES: usize = 2;
+const STRONG_TIE: usize = 300;
+
+/// Images up to which pairs are looked at a second time where some image found no pose, and how often.
+const SECOND_LOOK_UP_TO: usize = 200;
+const SECOND_LOOKS: usize = 2;
 
 /// Camera poses, intrinsics and a sparse cloud from images alone.
 ///
@@ -35,29 +47,18 @@ pub fn reconstruct(
     let mut clock = Clock::start();
     let mut result = SfmResult { initial_cameras: setup.of_frames(), ..SfmResult::default() };
     result.stats.images = frames.len();
-    let motion = config.motion.motion;
-    let mut tried = None;
-    if frames.is_video && matches!(motion, Motion::Auto | Motion::SingleAxis) {
-        let job = VideoJob {
-            frames,
-            config,
-            cameras: &setup.cameras,
-            camera_of: &setup.camera_of,
-            known: &setup.known,
-            progress,
-        };
-        let solved = solve_video(&job)?;
-        clock.lap("turn", &mut result.stats.steps);
-        match solved {
-            Ok((model, decision)) => {
-                let solved = turned(&mut result, model, decision);
-                export::fill(&mut result, frames, &setup, solved, progress)?;
-                clock.lap("points", &mut result.stats.steps);
-                return Ok(result);
-            }
-            Err(why) => tried = Some(why),
+    let tried = match along_video(frames, config, &setup, progress)? {
+        Some(Ok((model, decision))) => {
+            clock.lap("turn", &mut result.stats.steps);
+            let solved = turned(&mut result, &setup, model, decision);
+            export::fill(&mut result, frames, solved, progress)?;
+            clock.lap("points", &mut result.stats.steps);
+            return Ok(result);
         }
-    }
+        Some(Err(why)) => Some(why),
+        None => None,
+    };
+    clock.lap("turn", &mut result.stats.steps);
     result.features = sift::extract_all(frames, &config.sift, progress)?;
     clock.lap("features", &mut result.stats.steps);
     let pairs = pairs::choose_pairs(frames, &result.features, &config.pairs);
@@ -73,13 +74,25 @@ pub fn reconstruct(
         progress,
     )?;
     clock.lap("verification", &mut result.stats.steps);
+    let loose = weakly_tied(frames.len(), &result.geometries);
+    result.geometries = two_view::match_along_lines(
+        &result.features,
+        &result.initial_cameras,
+        std::mem::take(&mut result.geometries),
+        (&config.matching, &config.two_view),
+        |g| loose[g.a] || loose[g.b],
+        config.seed,
+        progress,
+    )?;
+    clock.lap("guided matching", &mut result.stats.steps);
     result.stats.features = result.features.iter().map(Features::len).sum();
     result.stats.pairs_verified = result.geometries.len();
     result.decisions.push(pairs_decision(pairs.len(), frames.len(), &result.geometries));
-    let model = solve(config, &setup, &result.features, &result.geometries, progress)?;
-    clock.lap("mapping", &mut result.stats.steps);
+    let mut lap = |step: &str| clock.lap(step, &mut result.stats.steps);
+    let given = Given { config, setup: &setup, is_video: frames.is_video, features: &result.features };
+    let model = solve(&given, &mut result.geometries, &mut lap, progress)?;
     match model {
-        Some(model) => export::fill(&mut result, frames, &setup, model, progress)?,
+        Some(model) => export::fill(&mut result, frames, model, progress)?,
         None => result.reason = why_no_model(&result.features, &result.geometries),
     }
     clock.lap("points", &mut result.stats.steps);
@@ -89,15 +102,42 @@ pub fn reconstruct(
     Ok(result)
 }
 
+/// Looks for something that turns about one axis before the camera of a video; `None` where that is not asked for.
+fn along_video(
+    frames: &FrameSet,
+    config: &SfmConfig,
+    setup: &Setup,
+    progress: &Progress,
+) -> Result<Option<Result<(VideoModel, Decision), String>>, SfmError> {
+    if !frames.is_video || !matches!(config.motion.motion, Motion::Auto | Motion::SingleAxis) {
+        return Ok(None);
+    }
+    let (cameras, camera_of, known) = (&setup.cameras, &setup.camera_of, &setup.known);
+    solve_video(&VideoJob { frames, config, cameras, camera_of, known, progress }).map(Some)
+}
+
 /// Takes a turn's features, matches and decisions over; what is left is its model.
-fn turned(result: &mut SfmResult, model: VideoModel, decision: Decision) -> Solved {
+fn turned(result: &mut SfmResult, setup: &Setup, model: VideoModel, decision: Decision) -> Solved {
     result.stats.pairs_matched = model.matched;
     result.stats.pairs_verified = model.geometries.len();
     result.stats.features = model.keypoints.iter().map(Vec::len).sum();
     (result.features, result.geometries) = (model.features, model.geometries);
-    let state = model.turned.state;
-    let decisions = std::iter::once(decision).chain(model.turned.decisions).collect();
-    Solved { state, keypoints: model.keypoints, decisions, uncertainty: model.turned.uncertainty }
+    of_turn(setup, model.turned, Some(decision), model.keypoints)
+}
+
+fn of_turn(
+    setup: &Setup,
+    turned: Turned,
+    motion: Option<Decision>,
+    keypoints: Vec<Vec<glam::DVec2>>,
+) -> Solved {
+    Solved {
+        state: turned.state,
+        camera_of: setup.camera_of.clone(),
+        keypoints,
+        decisions: motion.into_iter().chain(turned.decisions).collect(),
+        uncertainty: turned.uncertainty,
+    }
 }
 
 /// Says beside the decision on the motion what the search along the video came to.
@@ -110,33 +150,107 @@ fn note_attempt(decisions: &mut Vec<Decision>, why: String) {
 
 /// A model, and what was learned with it.
 pub(crate) struct Solved {
+    /// In the frames of the images as they are.
     state: State,
+    /// For each image the camera of `state`.
+    camera_of: Vec<usize>,
     keypoints: Vec<Vec<glam::DVec2>>,
     decisions: Vec<Decision>,
     uncertainty: Option<Uncertainty>,
 }
 
-fn solve(
-    config: &SfmConfig,
-    setup: &Setup,
-    features: &[Features],
+/// What is known before the first pose.
+struct Given<'a> {
+    config: &'a SfmConfig,
+    setup: &'a Setup,
+    is_video: bool,
+    features: &'a [Features],
+}
+
+impl<'a> Given<'a> {
+    fn input(
+        &self,
+        keypoints: &'a [Vec<glam::DVec2>],
+        tracks: &'a Tracks,
+        geometries: &'a [TwoViewGeometry],
+    ) -> Input<'a> {
+        Input {
+            keypoints,
+            tracks,
+            camera_of: &self.setup.camera_of,
+            geometries,
+            config: &self.config.mapper,
+            may_be_turned: !self.is_video,
+            seed: self.config.seed,
+        }
+    }
+}
+
+/// A model that has grown, with what it has grown from.
+fn grown(
+    given: &Given<'_>,
+    keypoints: &[Vec<glam::DVec2>],
     geometries: &[TwoViewGeometry],
     progress: &Progress,
+) -> Result<Option<(State, Tracks)>, SfmError> {
+    let tracks = build_tracks(given.features, geometries);
+    let state = incremental::map(
+        &given.input(keypoints, &tracks, geometries),
+        &given.setup.cameras,
+        &given.setup.known,
+        progress,
+    )?;
+    Ok(state.map(|state| (state, tracks)))
+}
+
+/// Pairs that did not pass are looked at again with the solved intrinsics. The model that grows from all pairs then,
+/// where it is no smaller; `None` where no pair passes.
+fn second_attempt(
+    given: &Given<'_>,
+    keypoints: &[Vec<glam::DVec2>],
+    geometries: &mut Vec<TwoViewGeometry>,
+    first: &State,
+    progress: &Progress,
+) -> Result<Option<(State, Tracks)>, SfmError> {
+    let Given { config, setup, features, .. } = *given;
+    let images = features.len();
+    let passed: BTreeSet<(usize, usize)> = geometries.iter().map(|g| (g.a, g.b)).collect();
+    let all = (0..images).flat_map(|a| (a + 1..images).map(move |b| (a, b)));
+    let pairs: Vec<(usize, usize)> = all.filter(|p| !passed.contains(p)).collect();
+    let cameras: Vec<Camera> = setup.camera_of.iter().map(|&c| first.cameras[c].clone()).collect();
+    let wide = two_view::second_look(features, &cameras, &pairs, &config.matching, config.seed, progress)?;
+    if wide.is_empty() {
+        return Ok(None);
+    }
+    let configs = (&config.matching, &config.two_view);
+    let wide =
+        two_view::match_along_lines(features, &cameras, wide, configs, |_| true, config.seed, progress)?;
+    let mut more = geometries.clone();
+    more.extend(wide);
+    more.sort_by_key(|g| (g.a, g.b));
+    let second = grown(given, keypoints, &more, progress)?;
+    let larger = second.filter(|(state, _)| state.registered() >= first.registered());
+    if larger.is_some() {
+        *geometries = more;
+    }
+    Ok(larger)
+}
+
+/// `lap` is told the name of each step when it is done; pairs that were found on the way are added to `geometries`.
+fn solve(
+    given: &Given<'_>,
+    geometries: &mut Vec<TwoViewGeometry>,
+    lap: &mut dyn FnMut(&str),
+    progress: &Progress,
 ) -> Result<Option<Solved>, SfmError> {
+    let Given { config, setup, features, .. } = *given;
     progress.begin("mapping", features.len());
     let keypoints: Vec<_> = features.iter().map(positions).collect();
-    let tracks = build_tracks(features, geometries);
-    let input = Input {
-        keypoints: &keypoints,
-        tracks: &tracks,
-        camera_of: &setup.camera_of,
-        geometries,
-        config: &config.mapper,
-        seed: config.seed,
-    };
+    let mapped = grown(given, &keypoints, geometries, progress)?;
+    lap("mapping");
     let named = config.camera_model.model();
-    let job = |starts| Job {
-        input: &input,
+    let job = |input, starts| Job {
+        input,
         cameras: &setup.cameras,
         known: &setup.known,
         starts,
@@ -145,26 +259,86 @@ fn solve(
         features: &[],
         progress,
     };
-    let done = |turned: Turned, motion: Option<Decision>, keypoints: Vec<Vec<glam::DVec2>>| Solved {
-        state: turned.state,
-        keypoints,
-        decisions: motion.into_iter().chain(turned.decisions).collect(),
-        uncertainty: turned.uncertainty,
+    let Some((mut state, mut tracks)) = mapped else {
+        let tracks = build_tracks(features, geometries);
+        let input = given.input(&keypoints, &tracks, geometries);
+        let motion = consider(&job(&input, &setup.cameras), None)?;
+        return Ok(motion.taken.map(|t| of_turn(setup, t, motion.decision, keypoints.clone())));
     };
-    let Some(mut state) = incremental::map(&input, &setup.cameras, &setup.known, progress)? else {
-        let motion = consider(&job(&setup.cameras), None)?;
-        return Ok(motion.taken.map(|turned| done(turned, motion.decision, keypoints.clone())));
-    };
-    let starts = incremental::starts_of(&setup.cameras, &setup.known, &state);
-    let (intrinsics, decision) = decide(&state, &input, &setup.known, &starts, named, progress)?;
-    polish(&mut state, &input, &setup.known, &starts, intrinsics, progress)?;
-    let motion = consider(&job(&starts), Some(&Free { state: &state, intrinsics }))?;
-    if let Some(turned) = motion.taken {
-        return Ok(Some(done(turned, motion.decision, keypoints.clone())));
+    let mut decisions = Vec::new();
+    if let Some((unfolded, decision)) = unfold(given, &keypoints, geometries, (&state, &tracks), progress)? {
+        (state, tracks) = unfolded;
+        decisions.push(decision);
     }
-    let uncertainty = uncertainty(&state, &input, &setup.known, &starts, intrinsics)?;
-    let decisions = std::iter::once(decision).chain(motion.decision).collect();
-    Ok(Some(Solved { state, keypoints, decisions, uncertainty }))
+    lap("repeated structure");
+    if state.registered() < features.len() && features.len() <= SECOND_LOOK_UP_TO {
+        for _ in 0..SECOND_LOOKS {
+            let Some(next) = second_attempt(given, &keypoints, geometries, &state, progress)? else { break };
+            (state, tracks) = next;
+        }
+    }
+    lap("second attempt");
+    let mut input = given.input(&keypoints, &tracks, geometries);
+    let starts = incremental::starts_of(&setup.cameras, &setup.known, &state);
+    let verdict = decide(&state, &input, &setup.known, &starts, named, progress)?;
+    lap("camera model");
+    // From here on every image is the way up that its sensor was.
+    let turned = verdict.turned.unwrap_or_else(|| vec![false; features.len()]);
+    let (upright, upright_geometries) = turn::inputs(&input, &setup.cameras, &turned);
+    turn::poses(&mut state, &turned);
+    (input.keypoints, input.geometries) = (&upright, &upright_geometries);
+    polish(&mut state, &input, &setup.known, &starts, verdict.intrinsics, progress)?;
+    lap("final adjustment");
+    // Images that were turned on their way have cameras of their own: no turn before one camera.
+    if !turned.contains(&true) {
+        let free = Free { state: &state, intrinsics: verdict.intrinsics };
+        let motion = consider(&job(&input, &starts), Some(&free))?;
+        lap("motion");
+        if let Some(t) = motion.taken {
+            decisions.extend(motion.decision);
+            let mut solved = of_turn(setup, t, None, keypoints.clone());
+            solved.decisions.splice(0..0, decisions);
+            return Ok(Some(solved));
+        }
+        decisions.extend(motion.decision);
+    }
+    let uncertainty = uncertainty(&state, &input, &setup.known, &starts, verdict.intrinsics)?;
+    lap("covariance");
+    decisions.extend(verdict.decisions);
+    let mut solved = Solved { state, camera_of: setup.camera_of.clone(), keypoints, decisions, uncertainty };
+    turn::back(&mut solved, &turned);
+    Ok(Some(solved))
+}
+
+/// Images that fewer than [`TIES`] others share [`STRONG_TIE`] matches with.
+fn weakly_tied(images: usize, geometries: &[TwoViewGeometry]) -> Vec<bool> {
+    let mut ties = vec![0; images];
+    for g in geometries.iter().filter(|g| g.inliers.len() >= STRONG_TIE) {
+        ties[g.a] += 1;
+        ties[g.b] += 1;
+    }
+    ties.into_iter().map(|n| n < TIES).collect()
+}
+
+/// Where repeated structure has folded the model: the model without the pairs that cannot be true, and what was
+/// found. Those pairs are taken out of `geometries`.
+fn unfold(
+    given: &Given<'_>,
+    keypoints: &[Vec<glam::DVec2>],
+    geometries: &mut Vec<TwoViewGeometry>,
+    (state, tracks): (&State, &Tracks),
+    progress: &Progress,
+) -> Result<Option<((State, Tracks), Decision)>, SfmError> {
+    let input = given.input(keypoints, tracks, geometries);
+    let Some(plausible) = folds::unfolded(state, &input, given.is_video) else { return Ok(None) };
+    let kept: Vec<TwoViewGeometry> = plausible.iter().map(|&i| geometries[i].clone()).collect();
+    let Some(second) = grown(given, keypoints, &kept, progress)? else { return Ok(None) };
+    if !folds::better(&second.0, state, &input, given.is_video) {
+        return Ok(None);
+    }
+    let decision = folds::decision(&second.0, state, &input, kept.len(), given.is_video);
+    *geometries = kept;
+    Ok(Some((second, decision)))
 }
 
 fn pairs_decision(pairs: usize, images: usize, geometries: &[TwoViewGeometry]) -> Decision {

@@ -4,9 +4,7 @@
 //! it predicts (paired by image), while BIC (Schwarz 1978) on the robust cost over the measured noise says whether the
 //! parameters pay for themselves. Both must agree, and the normal equations must determine what was freed.
 
-use crate::bundle::{
-    Adjustable, BundleObservation, BundleProblem, IntrinsicsPrior, Loss, SolveOptions, free_parameters,
-};
+use crate::bundle::{BundleObservation, BundleProblem, IntrinsicsPrior, Loss, SolveOptions, free_parameters};
 use crate::{Decision, SfmError};
 use scene::{Camera, CameraModel, Progress};
 
@@ -20,6 +18,8 @@ const DETERMINED_POINT: f64 = 0.01;
 /// A decrease of BIC that needs no significant held-out gain beside it; neighbouring residuals are not independent, so
 /// the textbook's 10 would be far too little.
 const CLEAR_BIC: f64 = 150.0;
+/// The same for images that were turned, which are only suspected on clear evidence from more sightings.
+const TURNED_BIC: f64 = 50.0;
 /// Residuals beyond so many standard deviations count as this much.
 const TRUNCATION: f64 = 4.0;
 
@@ -83,50 +83,62 @@ pub fn principal_point_priors(index: usize, camera: &Camera) -> [IntrinsicsPrior
 }
 
 /// A candidate after its adjustment.
-struct Trial<P> {
+struct Trial {
     intrinsics: Intrinsics,
-    problem: P,
+    problem: BundleProblem,
     bic: f64,
-    /// For each pose the mean truncated squared held-out error in units of the noise; NaN where it has none.
-    by_pose: Vec<f64>,
+    /// For each pose the sum of truncated squared held-out errors in units of the noise, and their number.
+    by_pose: Vec<(f64, usize)>,
     /// Root mean square of the held-out error, pixels.
     held_out_px: f64,
-    determined: bool,
-    note: String,
 }
 
-/// Chooses for all cameras of `problem` that are not `fixed`. `named`: the user's model, which stays.
-/// The problem's points and poses are those of a finished adjustment; nothing in it is changed.
-pub fn choose<P: Adjustable>(
-    problem: &P,
+/// The chosen camera model and how well it does.
+#[derive(Clone, Debug)]
+pub struct Choice {
+    /// What is to be solved for.
+    pub intrinsics: Intrinsics,
+    /// BIC of the chosen model; not finite where there was nothing to choose by.
+    pub bic: f64,
+    /// For each pose the sum of truncated squared held-out errors in units of the noise, and their number.
+    pub by_pose: Vec<(f64, usize)>,
+    /// For the report.
+    pub decision: Decision,
+}
+
+/// Chooses for all cameras of `problem` that are not `fixed`. `named`: the user's model, which stays. `principal_point`: that
+/// it is free already. `sigma`: noise of the sightings, pixels. The problem's points and poses are those of a finished adjustment; nothing in it is changed.
+pub fn choose(
+    problem: &BundleProblem,
     fixed: &[bool],
     named: Option<CameraModel>,
+    principal_point: bool,
+    sigma: f64,
     progress: &Progress,
-) -> Result<(Intrinsics, Decision), SfmError> {
+) -> Result<Choice, SfmError> {
     let model = named.unwrap_or(CameraModel::SimpleRadial);
-    let start = Intrinsics { model, principal_point: false, held: None };
+    let start = Intrinsics { model, principal_point, held: None };
     let mut decision = Decision {
         what: "camera model".to_owned(),
         chosen: start.describe(),
         evidence: "too few sightings to choose by".to_owned(),
     };
-    let (training, held_out) = split(problem.bundle());
-    if problem.bundle().poses.len() < 3 || held_out.len() < 100 || fixed.iter().all(|&f| f) {
-        return Ok((start, decision));
+    let (training, held_out) = split(problem);
+    if problem.poses.len() < 3 || held_out.len() < 100 || fixed.iter().all(|&f| f) {
+        return Ok(Choice { intrinsics: start, bic: f64::NAN, by_pose: Vec::new(), decision });
     }
-    let sigma = noise(problem.bundle());
     let context = Context { training, held_out, sigma, fixed, progress };
     let mut best = context.trial(problem, start)?;
     let mut lines = vec![best.line()];
-    let mut consider = |intrinsics: Intrinsics, best: &mut Trial<P>| -> Result<bool, SfmError> {
+    let mut consider = |intrinsics: Intrinsics, best: &mut Trial| -> Result<bool, SfmError> {
         let trial = context.trial(&best.problem, intrinsics)?;
         let simpler = parameters(intrinsics) < parameters(best.intrinsics);
         let (gain, error) = gain(&best.by_pose, &trial.by_pose);
         let better = if simpler {
-            gain > -error && trial.bic < best.bic + 10.0
+            gain > error && trial.bic < best.bic
         } else {
             let clear = trial.bic < best.bic - CLEAR_BIC || (gain > 2.0 * error && trial.bic < best.bic);
-            gain > 0.0 && clear && trial.determined
+            gain > 0.0 && clear && context.determined(&trial)?
         };
         lines.push(format!(
             "{} (gain {gain:.4} ± {error:.4}){}",
@@ -138,9 +150,13 @@ pub fn choose<P: Adjustable>(
         }
         Ok(better)
     };
-    consider(Intrinsics { principal_point: true, ..best.intrinsics }, &mut best)?;
+    let with = |best: &Trial, model| Intrinsics { model, ..best.intrinsics };
+    let freed = |best: &Trial| Intrinsics { principal_point: true, ..best.intrinsics };
+    if !start.principal_point {
+        consider(freed(&best), &mut best)?;
+    }
     if named.is_none() {
-        let with = |best: &Trial<P>, model| Intrinsics { model, ..best.intrinsics };
+        let doubted = best.intrinsics;
         if !consider(with(&best, CameraModel::SimplePinhole), &mut best)?
             && consider(with(&best, CameraModel::Radial), &mut best)?
         {
@@ -148,13 +164,47 @@ pub fn choose<P: Adjustable>(
         } else if best.intrinsics.model == CameraModel::SimplePinhole {
             consider(with(&best, CameraModel::Pinhole), &mut best)?;
         }
-        if !best.intrinsics.principal_point {
-            consider(Intrinsics { principal_point: true, ..best.intrinsics }, &mut best)?;
+        // With another model the principal point is another question.
+        if !best.intrinsics.principal_point && best.intrinsics != doubted {
+            consider(freed(&best), &mut best)?;
         }
     }
     decision.chosen = best.intrinsics.describe();
     decision.evidence = format!("noise {sigma:.3} px; {}", lines.join("; "));
-    Ok((best.intrinsics, decision))
+    Ok(Choice { intrinsics: best.intrinsics, bic: best.bic, by_pose: best.by_pose, decision })
+}
+
+/// Which of several ways to turn images (see [`crate::turned`]) the sightings support, with the choice that goes with it:
+/// a free principal point that predicts better than the untouched images' best model and pays for itself and for one
+/// bit an image. `None` where the evidence is not clear. The text says what was found.
+pub fn choose_turned(
+    untouched: &Choice,
+    ways: &[BundleProblem],
+    fixed: &[bool],
+    named: Option<CameraModel>,
+    sigma: f64,
+    progress: &Progress,
+) -> Result<(Option<(usize, Choice)>, String), SfmError> {
+    let free = Intrinsics { principal_point: true, ..untouched.intrinsics };
+    let mut least: Option<(f64, usize)> = None;
+    for (way, problem) in ways.iter().enumerate() {
+        let (training, held_out) = split(problem);
+        let bic = Context { training, held_out, sigma, fixed, progress }.trial(problem, free)?.bic;
+        if least.is_none_or(|(b, _)| bic < b) {
+            least = Some((bic, way));
+        }
+    }
+    let Some((_, way)) = least else { return Ok((None, "no way to turn them".to_owned())) };
+    let choice = choose(&ways[way], fixed, named, true, sigma, progress)?;
+    let bits = 2.0 * std::f64::consts::LN_2 * ways[way].poses.len() as f64;
+    let (gain, error) = gain(&untouched.by_pose, &choice.by_pose);
+    let evidence = format!(
+        "BIC {:.0} against {:.0} as they are, held-out gain {gain:.4} ± {error:.4}",
+        choice.bic + bits,
+        untouched.bic
+    );
+    let better = choice.bic + bits < untouched.bic - TURNED_BIC && gain > -error;
+    Ok((better.then_some((way, choice)), evidence))
 }
 
 fn parameters(intrinsics: Intrinsics) -> usize {
@@ -170,81 +220,64 @@ struct Context<'a> {
 }
 
 impl Context<'_> {
-    fn trial<P: Adjustable>(&self, from: &P, intrinsics: Intrinsics) -> Result<Trial<P>, SfmError> {
+    fn trial(&self, from: &BundleProblem, intrinsics: Intrinsics) -> Result<Trial, SfmError> {
         let mut problem = from.clone();
-        let bundle = problem.bundle_mut();
-        bundle.observations.clone_from(&self.training);
-        bundle.observations.iter_mut().for_each(|o| o.sigma_px = self.sigma);
-        apply(bundle, intrinsics, self.fixed);
-        let options = SolveOptions {
-            loss: Loss::Cauchy(2.0),
-            max_iterations: 25,
-            function_tolerance: 1e-6,
-            ..SolveOptions::default()
-        };
-        let summary = problem.minimise(&options, self.progress)?;
-        let bundle = problem.bundle();
-        let n = bundle.observations.len() as f64;
+        problem.observations.clone_from(&self.training);
+        problem.observations.iter_mut().for_each(|o| o.sigma_px = self.sigma);
+        apply(&mut problem, intrinsics, self.fixed);
+        let summary = problem.solve(&options(), self.progress)?;
+        let n = problem.observations.len() as f64;
         let cameras = self.fixed.iter().filter(|&&f| !f).count();
         // `final_rms² n` is twice the robust cost, which stands for −2 log likelihood.
         let bic = summary.final_rms.powi(2) * n + (parameters(intrinsics) * cameras) as f64 * (2.0 * n).ln();
-        let (determined, note) = self.determined(&problem, &options, intrinsics)?;
         let errors: Vec<(u32, f64)> =
-            self.held_out.iter().map(|o| (o.pose, error_sq(bundle, o) / self.sigma.powi(2))).collect();
-        let mut sums = vec![(0.0, 0usize); bundle.poses.len()];
+            self.held_out.iter().map(|o| (o.pose, error_sq(&problem, o) / self.sigma.powi(2))).collect();
+        let mut sums = vec![(0.0, 0usize); problem.poses.len()];
         for (pose, e) in &errors {
             sums[*pose as usize].0 += e.min(TRUNCATION * TRUNCATION);
             sums[*pose as usize].1 += 1;
         }
-        let by_pose: Vec<f64> =
-            sums.iter().map(|(s, n)| if *n > 0 { s / *n as f64 } else { f64::NAN }).collect();
         let all: f64 = sums.iter().map(|s| s.0).sum::<f64>() / errors.len().max(1) as f64;
         let held_out_px = all.sqrt() * self.sigma;
         let bic = if summary.usable { bic } else { f64::INFINITY };
-        Ok(Trial { intrinsics, problem, bic, by_pose, held_out_px, determined, note })
+        Ok(Trial { intrinsics, problem, bic, by_pose: sums, held_out_px })
     }
 
     /// Whether the normal equations pin down what was freed.
-    fn determined<P: Adjustable>(
-        &self,
-        problem: &P,
-        options: &SolveOptions,
-        intrinsics: Intrinsics,
-    ) -> Result<(bool, String), SfmError> {
-        let Some(covariance) = problem.intrinsics_covariance(options)? else {
-            return Ok((false, "undetermined".to_owned()));
-        };
-        let (mut determined, mut note) = (true, String::new());
-        for ((camera, c), fixed) in problem.bundle().cameras.iter().zip(&covariance).zip(self.fixed) {
-            if *fixed {
-                continue;
-            }
+    fn determined(&self, trial: &Trial) -> Result<bool, SfmError> {
+        let Some(covariance) = trial.problem.covariance(&options())? else { return Ok(false) };
+        let free = trial.problem.cameras.iter().zip(&covariance.cameras).zip(self.fixed);
+        Ok(free.filter(|(_, fixed)| !**fixed).all(|((camera, c), _)| {
             let n = camera.params.len();
             let deviation = |i: usize| c[i * n + i].max(0.0).sqrt();
             let focals = camera.model.num_focals();
             let focal = (0..focals).map(|i| deviation(i) / camera.params[i].abs()).fold(0.0, f64::max);
             let point =
                 deviation(focals).max(deviation(focals + 1)) / f64::from(camera.width.max(camera.height));
-            determined &=
-                focal < DETERMINED_FOCAL && (!intrinsics.principal_point || point < DETERMINED_POINT);
-            if note.is_empty() {
-                let shown: Vec<String> =
-                    (0..n).map(|i| format!("{:.4}±{:.4}", camera.params[i], deviation(i))).collect();
-                note = shown.join(" ");
-            }
-        }
-        Ok((determined, note))
+            focal < DETERMINED_FOCAL && (!trial.intrinsics.principal_point || point < DETERMINED_POINT)
+        }))
     }
 }
 
-impl<P> Trial<P> {
+fn options() -> SolveOptions {
+    SolveOptions {
+        loss: Loss::Cauchy(2.0),
+        max_iterations: 25,
+        function_tolerance: 2e-5,
+        ..SolveOptions::default()
+    }
+}
+
+impl Trial {
     fn line(&self) -> String {
+        let params = self.problem.cameras.first().map_or(&[][..], |c| &c.params);
+        let shown: Vec<String> = params.iter().map(|p| format!("{p:.4}")).collect();
         format!(
             "{}: held out {:.4} px, BIC {:.0}, {}",
             self.intrinsics.describe(),
             self.held_out_px,
             self.bic,
-            self.note
+            shown.join(" ")
         )
     }
 }
@@ -312,11 +345,12 @@ pub fn noise(problem: &BundleProblem) -> f64 {
     (median / (2.0 * std::f64::consts::LN_2)).sqrt().max(1e-3)
 }
 
-/// Mean decrease from `old` to `new` over poses, and its standard error.
-pub(crate) fn gain(old: &[f64], new: &[f64]) -> (f64, f64) {
-    let differences: Vec<f64> = old.iter().zip(new).map(|(a, b)| a - b).filter(|d| d.is_finite()).collect();
-    let n = differences.len().max(2) as f64;
-    let mean = differences.iter().sum::<f64>() / n;
-    let variance = differences.iter().map(|d| (d - mean).powi(2)).sum::<f64>() / (n - 1.0);
-    (mean, (variance / n).sqrt())
+/// Mean decrease of the error of a sighting from `old` to `new`, and its standard error: the sightings of a pose are
+/// not independent of each other, those of different poses are.
+pub(crate) fn gain(old: &[(f64, usize)], new: &[(f64, usize)]) -> (f64, f64) {
+    let all = old.iter().map(|o| o.1).sum::<usize>().max(1) as f64;
+    let mean = old.iter().zip(new).map(|(o, n)| o.0 - n.0).sum::<f64>() / all;
+    let excess = |(o, n): (&(f64, usize), &(f64, usize))| (o.0 - n.0 - mean * o.1 as f64).powi(2);
+    let variance: f64 = old.iter().zip(new).map(excess).sum();
+    (mean, variance.sqrt() / all)
 }

@@ -62,6 +62,67 @@ pub struct TrainConfig {
     /// Seed of all randomness (the command line has one for all stages)
     #[arg(skip)]
     pub seed: u64,
+    /// How the trainer goes about it (chosen by the `ablation` example)
+    #[arg(skip)]
+    pub recipe: Recipe,
+}
+
+/// By what Gaussians are chosen to be split.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub enum Selection {
+    /// Norm of the mean screen gradient (Kerbl et al. 2023)
+    Gradient,
+    /// The same of its absolute values over the pixels, which do not cancel (Ye et al., AbsGS, 2024)
+    #[default]
+    AbsoluteGradient,
+    /// Drawn in proportion to opacity; two of them look as the one did (Kheradmand et al., 3DGS as MCMC, 2024)
+    Opacity,
+}
+
+/// The trainer's own choices. No flags: each was chosen by switching it off (docs/benchmarks.md, example `ablation`).
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Recipe {
+    /// Gaussians follow a plan from the first to [`crate::schedule::gaussians_at_end`]; otherwise a tenth more each 100
+    /// steps where the screen gradient is above a threshold (about as 3DGS does it).
+    pub planned_growth: bool,
+    /// Where the background shows through, Gaussians that hardly any view has in its picture are removed.
+    pub remove_unseen: bool,
+    /// Where Gaussians are added.
+    pub selection: Selection,
+    /// Gaussians at the end of growth for each step of the schedule.
+    pub gaussians_a_step: f64,
+    /// Position in the schedule from which training runs at full resolution.
+    pub full_resolution_from: f64,
+    /// The same for half the resolution.
+    pub half_resolution_from: f64,
+    /// Part of the schedule in which Gaussians are added.
+    pub densify_until: f64,
+    /// Spherical-harmonic degree and number of Gaussians grow only while a validation split gains by it.
+    pub evidence: bool,
+    /// Gains by view and channel are modelled where they explain enough of the residuals.
+    pub exposure: bool,
+    /// Gaussians that the pictures do not miss are removed near the end.
+    pub prune_redundant: bool,
+    /// --time-limit counts CPU time of the process instead of wall time: for comparisons on a busy machine (Linux).
+    pub cpu_time: bool,
+}
+
+impl Default for Recipe {
+    fn default() -> Self {
+        Self {
+            planned_growth: true,
+            remove_unseen: true,
+            selection: Selection::AbsoluteGradient,
+            gaussians_a_step: 50.0,
+            full_resolution_from: 0.6,
+            half_resolution_from: 0.2,
+            densify_until: 0.7,
+            evidence: true,
+            exposure: true,
+            prune_redundant: true,
+            cpu_time: false,
+        }
+    }
 }
 
 const ITERATIONS: u32 = 4000;
@@ -82,6 +143,7 @@ impl Default for TrainConfig {
             antialias: false,
             checkpoint_every: CHECKPOINT_EVERY,
             seed: 0,
+            recipe: Recipe::default(),
         }
     }
 }

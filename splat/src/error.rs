@@ -74,6 +74,24 @@ pub enum SplatError {
         /// Why.
         reason: String,
     },
+    /// No graphics adapter of the wanted name, or none at all.
+    #[error(
+        "no graphics adapter matches {wanted:?} (present: {present}); use --backend cpu, or see 'sat-recon doctor'"
+    )]
+    NoAdapter {
+        /// What was asked for.
+        wanted: String,
+        /// What there is.
+        present: String,
+    },
+    /// The graphics adapter failed.
+    #[error("graphics adapter {adapter}: {reason}; try again, lower --max-gaussians, or use --backend cpu")]
+    Gpu {
+        /// Its name.
+        adapter: String,
+        /// What the driver said.
+        reason: String,
+    },
     /// A checkpoint cannot be written.
     #[error("cannot write the checkpoint {path}: {source}")]
     CheckpointWrite {

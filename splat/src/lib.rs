@@ -2,15 +2,19 @@
 //!
 //! The trainer works in a normalised frame (cameras within about one unit of the origin, [`Dataset`]); results
 //! come back in the world frame of the reconstruction. Backends share the kernels' names and their image formation:
-//! `reference` is the specification in f64, `cpu` the production path.
+//! `reference` is the specification in f64, `cpu` the production path, `gpu` the same on graphics adapters.
 
+pub mod adapter;
 pub mod backend;
 pub mod checkpoint;
+pub mod clock;
 pub mod config;
 pub mod cpu;
 pub mod dataset;
 pub mod densify;
 pub mod error;
+#[cfg(feature = "gpu")]
+pub mod gpu;
 pub mod init;
 pub mod model;
 pub mod reference;
@@ -18,8 +22,9 @@ pub mod render;
 pub mod schedule;
 pub mod train;
 
+pub use adapter::{Adapter, AdapterKind, adapters};
 pub use backend::{Backend, PinholeView};
-pub use config::{Quality, TrainConfig};
+pub use config::{Quality, Recipe, Selection, TrainConfig};
 pub use dataset::{AlphaMode, Dataset, DatasetConfig, View};
 pub use error::SplatError;
 pub use render::{RenderOptions, RenderOutput, Renderer, render_view};

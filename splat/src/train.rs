@@ -1,7 +1,13 @@
 //! The training loop.
 
+mod decide;
+mod exposure;
+
+pub use decide::Findings;
+
 use crate::backend::{Backend, KernelTimes, StepInput, Target};
 use crate::checkpoint::{Checkpoint, State};
+use crate::config::Selection;
 use crate::cpu::CpuBackend;
 use crate::dataset::AlphaMode;
 use crate::init::initial_gaussians;
@@ -13,7 +19,6 @@ use rand::seq::SliceRandom as _;
 use scene::{Gaussians, Progress};
 use serde::{Deserialize, Serialize};
 use std::path::Path;
-use std::time::Instant;
 
 /// A point of the training curve: means over the steps since the point before.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
@@ -67,7 +72,11 @@ struct Trainer<'a> {
     backend: CpuBackend,
     state: State,
     pace: Pace,
+    clock: fn() -> f64,
+    /// Training views.
     views: Vec<usize>,
+    /// Those of them that only judge until growth ends.
+    validation: Vec<usize>,
 }
 
 /// Trains Gaussians on the views that are not held out. With `checkpoint_dir`, continues from the checkpoint there if it
@@ -87,6 +96,7 @@ pub fn train(
     };
     while trainer.state.position < 1.0 {
         trainer.step()?;
+        trainer.decide();
         let point = trainer.state.curve.last().copied().unwrap_or_default();
         let detail = format!("{:.2} dB, {} gaussians", point.psnr, trainer.backend.model().len);
         if let Err(cancelled) = progress.tick_with(&detail) {
@@ -125,8 +135,12 @@ impl<'a> Trainer<'a> {
         if views.is_empty() {
             return Err(SplatError::TooFewViews(0));
         }
+        let clock =
+            if config.recipe.cpu_time { crate::clock::cpu_seconds } else { crate::clock::wall_seconds };
+        let begun = clock();
         let fingerprint = format!("{config:?} {:?} {}", dataset.normalisation, dataset.views.len());
         let mut backend = CpuBackend::default();
+        backend.set_magnitudes(config.recipe.selection == Selection::AbsoluteGradient);
         let resumed = folder.map_or(Ok(None), |f| Checkpoint::read(f, &fingerprint))?;
         let state = match resumed {
             Some(checkpoint) => {
@@ -135,15 +149,13 @@ impl<'a> Trainer<'a> {
                 checkpoint.state
             }
             None => {
-                backend.upload(Model::from_gaussians(&initial_gaussians(
-                    dataset,
-                    config.max_gaussians,
-                    config.seed,
-                )?));
-                State { fingerprint, ..State::default() }
+                let first = initial_gaussians(dataset, config.max_gaussians, config.seed)?;
+                backend.upload(Model::from_gaussians(&first));
+                State { fingerprint, first: first.len(), seconds: clock() - begun, ..State::default() }
             }
         };
-        Ok(Self { dataset, config, backend, state, pace: Pace::default(), views })
+        let validation = if config.recipe.evidence { decide::validation(&views) } else { Vec::new() };
+        Ok(Self { dataset, config, backend, state, pace: Pace::default(), clock, views, validation })
     }
 
     fn checkpoint(&self) -> Checkpoint {
@@ -154,11 +166,13 @@ impl<'a> Trainer<'a> {
         }
     }
 
-    /// The view of a step: a fresh permutation of all views each time round.
+    /// The view of a step: a fresh permutation of all views each time round; those that judge only once they are done.
     fn view_of_step(&self) -> usize {
-        let n = self.views.len();
-        let (round, at) = (self.state.iteration as usize / n, self.state.iteration as usize % n);
+        let judging = self.state.position < self.config.recipe.densify_until;
         let mut order = self.views.clone();
+        order.retain(|v| !judging || !self.validation.contains(v));
+        let n = order.len();
+        let (round, at) = (self.state.iteration as usize / n, self.state.iteration as usize % n);
         order.shuffle(&mut scene::rng::rng(self.config.seed, "views", round as u64));
         order[at]
     }
@@ -179,15 +193,18 @@ impl<'a> Trainer<'a> {
     }
 
     fn step(&mut self) -> Result<(), SplatError> {
-        let clock = Instant::now();
+        let begun = (self.clock)();
         let position = self.state.position;
-        let degree = schedule::sh_degree(position, self.config.sh_degree);
+        let highest = self.config.sh_degree.min(self.state.findings.sh_limit.unwrap_or(3));
+        let degree = schedule::sh_degree(position, highest);
         if self.backend.model().sh_degree < degree {
             self.backend.model_mut().set_sh_degree(degree);
         }
-        let view = &self.dataset.views[self.view_of_step()];
-        let level = schedule::level(position, self.config.coarse_levels).min(view.levels.len() as u32 - 1);
+        let chosen = self.view_of_step();
+        let view = &self.dataset.views[chosen];
+        let level = self.level().min(view.levels.len() as u32 - 1);
         let (camera, pixels) = (view.view.at_level(level), &view.levels[level as usize]);
+        self.backend.set_gain(self.gain(chosen));
         let output = self.backend.step(&StepInput {
             view: &camera,
             target: Target {
@@ -196,7 +213,7 @@ impl<'a> Trainer<'a> {
                 transparent: self.dataset.alpha == AlphaMode::Transparent,
             },
             options: self.options(),
-            rates: schedule::rates(position, Pace::steps(&self.state, self.config), self.config),
+            rates: schedule::rates(position, self.pace.steps(&self.state, self.config), self.config),
             lambda_dssim: self.config.lambda_dssim,
             opacity_penalty: 0.0,
             scale_penalty: 0.0,
@@ -209,13 +226,14 @@ impl<'a> Trainer<'a> {
                 reason: "the loss is not finite; lower --learning-rate".to_owned(),
             });
         }
-        if iteration.is_multiple_of(densify::EVERY) && position < schedule::DENSIFY_UNTIL {
+        if schedule::is_round(iteration, position, self.state.last_round, &self.config.recipe) {
+            self.state.last_round = (iteration, position);
             self.densify();
         }
         for (sum, value) in self.state.pending.iter_mut().zip([output.loss, output.mse, 1.0]) {
             *sum += f64::from(value);
         }
-        let spent = clock.elapsed().as_secs_f64();
+        let spent = (self.clock)() - begun;
         self.state.seconds += spent;
         self.state.position = self.pace.advance(&self.state, self.config, level, spent);
         if iteration.is_multiple_of(CURVE_EVERY) || self.state.position >= 1.0 {
@@ -224,11 +242,32 @@ impl<'a> Trainer<'a> {
         Ok(())
     }
 
+    /// Level in use now (0: full resolution), if the view has it.
+    fn level(&self) -> u32 {
+        schedule::level(self.state.position, self.config.coarse_levels, &self.config.recipe)
+    }
+
     fn densify(&mut self) {
+        let recipe = &self.config.recipe;
         let statistics = std::mem::take(&mut self.backend.statistics);
+        let (now, max) = (self.backend.model().len, self.config.max_gaussians);
+        let (wanted, threshold) = if recipe.planned_growth {
+            let steps = self.pace.steps(&self.state, self.config);
+            let last = schedule::gaussians_at_end(self.state.first, steps, self.config);
+            let last = self.state.findings.gaussians_limit.map_or(last, |limit| last.min(limit));
+            (schedule::gaussians(self.state.position, self.state.first, last, recipe), 0.0)
+        } else {
+            ((now + now / 10 + 100).min(max), densify::GRADIENT)
+        };
+        let room = wanted.min(max).saturating_sub(now);
+        let (seed, iteration, selection) = (self.config.seed, self.state.iteration, recipe.selection);
+        let remove_unseen = recipe.remove_unseen && self.dataset.is_transparent();
         let model = self.backend.model_mut();
-        let room = self.config.max_gaussians.saturating_sub(model.len).min(model.len / 10 + 100);
-        densify::densify(model, &statistics, room, densify::GRADIENT, self.config.seed, self.state.iteration);
+        densify::densify(model, &statistics, room, threshold, selection, seed, iteration);
+        if remove_unseen {
+            let views: Vec<_> = self.views.iter().map(|&v| self.dataset.views[v].view).collect();
+            self.state.findings.unseen += densify::prune_unseen(model, &views);
+        }
         let n = model.len;
         self.backend.statistics = statistics;
         self.backend.statistics.reset(n);
@@ -248,13 +287,14 @@ impl<'a> Trainer<'a> {
         }
     }
 
-    fn finish(self) -> TrainResult {
+    fn finish(mut self) -> TrainResult {
         let timings = self.backend.times();
+        let decisions = self.decisions();
         let near = crate::cpu::DEFAULT_NEAR / self.dataset.normalisation.scale as f32;
         TrainResult {
             gaussians: self.dataset.normalisation.to_world(self.backend.model().to_gaussians()),
             curve: self.state.curve,
-            decisions: self.state.decisions,
+            decisions,
             timings,
             iterations: self.state.iteration,
             render: RenderOptions {

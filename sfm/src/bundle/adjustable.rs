@@ -1,10 +1,10 @@
-//! Adjustments that the choice of a camera model can be made by.
+//! What adjustments of any motion have in common.
 
 use super::{BundleProblem, BundleSummary, SolveOptions};
 use crate::SfmError;
 use scene::Progress;
 
-/// What the choice of the camera model needs of an adjustment.
+/// An adjustment of some motion.
 pub trait Adjustable: Clone {
     /// Cameras, points, sightings.
     fn bundle(&self) -> &BundleProblem;
@@ -12,8 +12,6 @@ pub trait Adjustable: Clone {
     fn bundle_mut(&mut self) -> &mut BundleProblem;
     /// Minimises in place.
     fn minimise(&mut self, options: &SolveOptions, progress: &Progress) -> Result<BundleSummary, SfmError>;
-    /// Covariance of each camera's parameters.
-    fn intrinsics_covariance(&self, options: &SolveOptions) -> Result<Option<Vec<Vec<f64>>>, SfmError>;
 }
 
 impl Adjustable for BundleProblem {
@@ -25,8 +23,5 @@ impl Adjustable for BundleProblem {
     }
     fn minimise(&mut self, options: &SolveOptions, progress: &Progress) -> Result<BundleSummary, SfmError> {
         self.solve(options, progress)
-    }
-    fn intrinsics_covariance(&self, options: &SolveOptions) -> Result<Option<Vec<Vec<f64>>>, SfmError> {
-        Ok(self.covariance(options)?.map(|c| c.cameras))
     }
 }

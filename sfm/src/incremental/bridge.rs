@@ -15,6 +15,9 @@ const PAIRS: usize = 4;
 const MATCHES: usize = 200;
 /// Fewest points that settle the distance.
 const MIN_POINTS: usize = 4;
+/// Fewest points that settle it by agreeing on it among themselves, and how far they may be from their median.
+const MIN_SCALES: usize = 5;
+const SCALE_SPREAD: f64 = 0.12;
 /// Fewest matches with other images that settle it.
 const MIN_MATCHES: usize = 15;
 
@@ -39,27 +42,43 @@ impl Link<'_> {
 
 /// The pairs that tie an image to registered ones, strongest first.
 fn links<'a>(state: &State, input: &Input<'a>, image: usize) -> Vec<Link<'a>> {
-    let mut found = Vec::new();
-    for geometry in input.geometries.iter().filter(|g| g.a == image || g.b == image) {
-        let other = if geometry.a == image { geometry.b } else { geometry.a };
-        let Some(pose) = state.poses[other] else { continue };
-        let cameras = [other, image].map(|i| &state.cameras[input.camera_of[i]]);
-        let focal = cameras.map(|c| c.mean_focal());
-        let step = geometry.inliers.len().div_ceil(MATCHES).max(1);
-        let ends = geometry
-            .inliers
-            .iter()
-            .step_by(step)
-            .map(|m| if geometry.a == image { [m[1], m[0]] } else { *m });
-        let ideal = |i: usize, image: usize, feature: u32| {
-            let pixel = input.keypoints[image].get(feature as usize)?;
-            Some(cameras[i].unproject(*pixel) * focal[i])
-        };
-        let matches = ends.filter_map(|m| Some((ideal(0, other, m[0])?, ideal(1, image, m[1])?))).collect();
-        found.push(Link { geometry, other: pose, focal, matches });
-    }
+    let of_image = input.geometries.iter().filter(|g| g.a == image || g.b == image);
+    let mut found: Vec<Link<'a>> = of_image.filter_map(|g| link(state, input, g, image)).collect();
     found.sort_by_key(|l| (std::cmp::Reverse(l.geometry.inliers.len()), l.geometry.a, l.geometry.b));
     found
+}
+
+/// What a pair says of `image`, one of its two; `None` where the other one is not registered.
+fn link<'a>(
+    state: &State,
+    input: &Input<'a>,
+    geometry: &'a TwoViewGeometry,
+    image: usize,
+) -> Option<Link<'a>> {
+    let other = if geometry.a == image { geometry.b } else { geometry.a };
+    let pose = state.poses[other]?;
+    let cameras = [other, image].map(|i| &state.cameras[input.camera_of[i]]);
+    let focal = cameras.map(|c| c.mean_focal());
+    let step = geometry.inliers.len().div_ceil(MATCHES).max(1);
+    let ends =
+        geometry.inliers.iter().step_by(step).map(|m| if geometry.a == image { [m[1], m[0]] } else { *m });
+    let ideal = |i: usize, image: usize, feature: u32| {
+        let pixel = input.keypoints[image].get(feature as usize)?;
+        Some(cameras[i].unproject(*pixel) * focal[i])
+    };
+    let matches = ends.filter_map(|m| Some((ideal(0, other, m[0])?, ideal(1, image, m[1])?))).collect();
+    Some(Link { geometry, other: pose, focal, matches })
+}
+
+/// Matches of a pair: (agreeing with the model's poses, all); `None` where an image is not registered.
+pub(crate) fn agreement(
+    state: &State,
+    input: &Input<'_>,
+    geometry: &TwoViewGeometry,
+) -> Option<(usize, usize)> {
+    let pose = state.poses[geometry.b]?;
+    let link = link(state, input, geometry, geometry.b)?;
+    Some((link.agreeing(&pose, 2.0 * input.config.max_reprojection_px), link.matches.len()))
 }
 
 /// Matches of an image with registered ones: (agreeing with its pose, all).
@@ -122,6 +141,8 @@ fn pose_from_links(state: &State, input: &Input<'_>, image: usize, links: &[Link
     for (i, link) in links.iter().take(PAIRS).enumerate() {
         let Some(line) = line_of(state, input, image, link) else { continue };
         let mut scales: Vec<f64> = seen.iter().filter_map(|(u, x)| scale_from_point(&line, *u, *x)).collect();
+        let common = common_scale(&scales);
+        scales.extend(common);
         let others = || links.iter().enumerate().filter(move |(k, _)| *k != i).map(|(_, l)| l);
         scales.extend(others().filter_map(|l| scale_from_pair(&line, l)));
         for s in scales.into_iter().filter(|s| s.is_finite() && *s > 0.0) {
@@ -131,14 +152,25 @@ fn pose_from_links(state: &State, input: &Input<'_>, image: usize, links: &[Link
             let all: usize = others().map(|l| l.matches.len()).sum();
             let by_points = points >= MIN_POINTS && points * 10 >= seen.len() * 3;
             let by_pairs = agreeing >= MIN_MATCHES && agreeing * 10 >= all * 6;
+            // Rotation and direction of the pair may be off by more pixels than the distance by per cent.
+            let by_scale = common == Some(s);
             let contradicted = all >= 2 * MIN_MATCHES && agreeing * 10 < all * 4;
             let score = 3 * points + agreeing;
-            if (by_points || by_pairs) && !contradicted && best.is_none_or(|(b, _)| score > b) {
+            if (by_points || by_pairs || by_scale) && !contradicted && best.is_none_or(|(b, _)| score > b) {
                 best = Some((score, pose));
             }
         }
     }
     best.map(|(_, pose)| pose)
+}
+
+/// The distance on which nearly all points agree to some per cent: wrong matches scatter over orders of magnitude.
+fn common_scale(scales: &[f64]) -> Option<f64> {
+    let mut sorted = scales.to_vec();
+    sorted.sort_unstable_by(f64::total_cmp);
+    let middle = *sorted.get(sorted.len() / 2)?;
+    let agreeing = sorted.iter().filter(|s| (*s / middle - 1.0).abs() < SCALE_SPREAD).count();
+    (middle > 0.0 && agreeing >= MIN_SCALES && agreeing * 10 >= sorted.len() * 8).then_some(middle)
 }
 
 /// The poses that one pair allows.
@@ -173,4 +205,20 @@ fn scale_from_pair(line: &Line, link: &Link<'_>) -> Option<f64> {
     let mut scales: Vec<f64> = link.matches.iter().map(scale).filter(|s| s.is_finite()).collect();
     scales.sort_unstable_by(f64::total_cmp);
     scales.get(scales.len() / 2).copied()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_distance_is_settled_by_points_that_agree_and_by_nothing_else() {
+        assert_eq!(common_scale(&[1.0, 1.05, 0.97, 1.02, 0.99]), Some(1.0));
+        assert_eq!(common_scale(&[1.0, 1.05, 0.97, 1.02, 0.99, 40.0]), Some(1.02));
+        assert_eq!(common_scale(&[1.0, 1.05, 0.97, 1.02]), None, "too few");
+        assert_eq!(common_scale(&[1.0, 1.05, 0.97, 1.02, 0.99, 40.0, 0.1]), None, "two of seven disagree");
+        assert_eq!(common_scale(&[-1.0; 9]), None, "behind");
+        assert_eq!(common_scale(&[0.3, 0.6, 1.2, 2.5, 5.0, 9.0]), None);
+        assert_eq!(common_scale(&[]), None);
+    }
 }

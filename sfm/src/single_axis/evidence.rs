@@ -25,8 +25,8 @@ pub(crate) struct Verdict {
     pub parameters: usize,
     /// Root mean square of the held-out error, pixels (truncated at four standard deviations).
     pub held_out_px: f64,
-    /// For each pose the mean truncated squared held-out error in units of the noise.
-    by_pose: Vec<f64>,
+    /// For each pose the sum of truncated squared held-out errors in units of the noise, and their number.
+    by_pose: Vec<(f64, usize)>,
 }
 
 /// Both assumptions on the same sightings.
@@ -177,9 +177,7 @@ impl Trial<'_> {
             sums[o.pose as usize].0 += error.min(TRUNCATION * TRUNCATION);
             sums[o.pose as usize].1 += 1;
         }
-        let mean = |(sum, n): &(f64, usize)| if *n > 0 { sum / *n as f64 } else { f64::NAN };
-        let by_pose = sums.iter().map(mean).collect();
         let all: f64 = sums.iter().map(|s| s.0).sum::<f64>() / self.held_out.len().max(1) as f64;
-        Ok(Verdict { bic, parameters, held_out_px: all.sqrt() * self.sigma, by_pose })
+        Ok(Verdict { bic, parameters, held_out_px: all.sqrt() * self.sigma, by_pose: sums })
     }
 }

@@ -3,7 +3,7 @@
 
 use super::problem::TurnProblem;
 use crate::bundle::{Loss, SolveOptions};
-use crate::selection::{Intrinsics, PRINCIPAL_POINT_SIGMA, apply, choose};
+use crate::selection::{Intrinsics, PRINCIPAL_POINT_SIGMA, apply};
 use crate::{Decision, SfmError};
 use glam::DVec3;
 use scene::{CameraModel, Progress};
@@ -21,14 +21,17 @@ pub(crate) fn choose_for_turn(
     named: Option<CameraModel>,
     progress: &Progress,
 ) -> Result<(Intrinsics, Decision), SfmError> {
-    let (chosen, mut decision) = choose(problem, fixed, named, progress)?;
-    if fixed[0] {
-        return Ok((chosen, decision));
-    }
+    let model = named.unwrap_or(CameraModel::SimpleRadial);
+    let chosen = Intrinsics { model, principal_point: false, held: None };
+    let mut decision =
+        Decision { what: "camera model".to_owned(), chosen: chosen.describe(), ..Decision::default() };
     let trial = Trials { problem, fixed, progress };
-    let Some(mut best) = trial.of(chosen)? else { return Ok((chosen, decision)) };
+    let Some(mut best) = trial.of(chosen)?.filter(|_| !fixed[0]) else {
+        decision.evidence = "known, or not determined".to_owned();
+        return Ok((chosen, decision));
+    };
     let mut notes = Vec::new();
-    if let Some(along) = along_axis(problem).filter(|_| !chosen.principal_point) {
+    if let Some(along) = along_axis(problem) {
         let partial = Intrinsics { principal_point: true, held: Some(along), ..chosen };
         if let Some(found) = trial.of(partial)? {
             let camera = &problem.bundle.cameras[0];
@@ -58,7 +61,8 @@ pub(crate) fn choose_for_turn(
         }
     }
     decision.chosen = best.intrinsics.describe();
-    decision.evidence = format!("{}; under one axis: {}", decision.evidence, notes.join(", "));
+    let values: Vec<String> = best.values.iter().map(|(v, sd)| format!("{v:.4}±{sd:.4}")).collect();
+    decision.evidence = format!("{}; {}", notes.join(", "), values.join(" "));
     Ok((best.intrinsics, decision))
 }
 

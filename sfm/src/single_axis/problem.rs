@@ -204,7 +204,4 @@ impl Adjustable for TurnProblem {
     fn minimise(&mut self, options: &SolveOptions, progress: &Progress) -> Result<BundleSummary, SfmError> {
         self.solve(options, progress)
     }
-    fn intrinsics_covariance(&self, options: &SolveOptions) -> Result<Option<Vec<Vec<f64>>>, SfmError> {
-        Ok(self.covariance(options)?.map(|c| c.cameras))
-    }
 }

@@ -123,6 +123,7 @@ impl VideoJob<'_> {
             camera_of: self.camera_of,
             geometries: &[],
             config: &self.config.mapper,
+            may_be_turned: false,
             seed: self.config.seed,
         }
     }

@@ -28,6 +28,10 @@ pub struct Workspace {
     pub gradient: [Vec<f32>; 3],
     pub sums: Vec<[f32; SUMS]>,
     pub loss: LossBuffers,
+    /// Targets are divided by this.
+    pub gain: Option<[f32; 3]>,
+    /// Whether backward sums magnitudes for the statistics.
+    pub magnitudes: bool,
 }
 
 impl Workspace {
@@ -98,12 +102,13 @@ impl Workspace {
             self.weight.resize(shape.plane(), 0.0);
         }
         const BYTE: f32 = 1.0 / 255.0;
+        let unit = self.gain.map_or([BYTE; 3], |gain| gain.map(|g| BYTE / g));
         for y in 0..shape.height {
             for x in 0..shape.width {
                 let (from, to) = (y * shape.width + x, y * stride + x);
                 let m = target.mask.map_or(1.0, |mask| f32::from(mask[from]) * BYTE);
                 for (c, &behind) in background.iter().enumerate() {
-                    let value = f32::from(target.rgb[from * 3 + c]) * BYTE;
+                    let value = f32::from(target.rgb[from * 3 + c]) * unit[c];
                     let behind = if weighted { self.rgb[c][to] } else { behind };
                     // A pixel of weight 0 equals its rendering, so that its neighbours' SSIM does not see it.
                     self.target[c][to] =
@@ -121,6 +126,7 @@ impl Workspace {
         let (shape, records, bins, used) = (self.shape, &self.records, &self.bins, &self.used);
         let (rgb, gradient) = (&self.rgb, &self.gradient);
         self.sums.resize(bins.list.len(), [0.0; SUMS]);
+        let magnitudes = self.magnitudes;
         let all = SharedSums(self.sums.as_mut_ptr());
         (0..used.len()).into_par_iter().for_each(|t| {
             let used = used[t] as usize;
@@ -144,7 +150,15 @@ impl Workspace {
             let sums = &mut sums[..used];
             backward(
                 isa,
-                &mut Backward { records, list, tile, gradient: &local, remaining: &mut remaining, sums },
+                &mut Backward {
+                    records,
+                    list,
+                    tile,
+                    gradient: &local,
+                    remaining: &mut remaining,
+                    sums,
+                    magnitudes,
+                },
             );
         });
     }
@@ -174,6 +188,7 @@ impl Workspace {
                 sink,
                 opacity_penalty: penalties[0],
                 scale_penalty: penalties[1],
+                magnitudes: self.magnitudes,
                 non_finite: 0,
             };
             optimise(isa, &mut a);

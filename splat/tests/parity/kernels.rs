@@ -58,7 +58,9 @@ fn loss_and_its_gradient_agree_with_and_without_weights() {
             let n = size[0] * size[1];
             let mut rng = scene::rng::rng(seed, "parity loss", 0);
             let mut random = |n: usize| -> Vec<f32> { (0..n).map(|_| rng.random_range(0.0..1.0)).collect() };
-            let (x, y, w) = (random(n * 3), random(n * 3), random(n));
+            let byte = |v: f32| (v * 255.0).round() / 255.0;
+            let x = random(n * 3);
+            let [y, w] = [n * 3, n].map(|n| random(n).into_iter().map(byte).collect::<Vec<f32>>());
             let binary: Vec<f32> = w.iter().map(|&v| f32::from(u8::from(v > 0.4))).collect();
             let fraction: Vec<f32> = w.iter().map(|&v| if v > 0.4 { v } else { 0.0 }).collect();
             for (weight, lambda) in

@@ -2,6 +2,8 @@
 //! and what happens at the extremes. The tests are generic over [`subject::Subject`].
 
 mod extremes;
+#[cfg(feature = "gpu")]
+mod gpu;
 mod kernels;
 mod pictures;
 mod scenes;

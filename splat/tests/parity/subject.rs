@@ -28,9 +28,13 @@ pub struct Gradient {
 /// A backend under test.
 pub trait Subject {
     fn name(&self) -> String;
+    /// How many of `steps` steps it is worth to take: an emulated adapter is slow.
+    fn affordable(&self, steps: usize) -> usize {
+        steps
+    }
     /// Kernels project and sh: [N], nothing where culled (a backend may also cull what lies outside the picture).
     fn project(&mut self, g: &Gaussians, view: &PinholeView, options: &RenderOptions) -> Vec<Option<Seen>>;
-    /// Kernel loss: loss, mean squared error and dL/d(colour) [H × W × 3].
+    /// Kernel loss: loss, mean squared error and dL/d(colour) [H × W × 3]. Targets and weights are multiples of 1/255.
     fn loss(
         &mut self,
         size: [usize; 2],
@@ -54,10 +58,12 @@ pub trait Subject {
 
 /// Everyone who is tested here.
 pub fn subjects() -> Vec<Box<dyn Subject>> {
-    Isa::available()
-        .into_iter()
-        .map(|isa| Box::new(Cpu { isa, backend: CpuBackend::new(isa) }) as Box<dyn Subject>)
-        .collect()
+    let cpu = |isa| Box::new(Cpu { isa, backend: CpuBackend::new(isa) }) as Box<dyn Subject>;
+    #[allow(unused_mut)]
+    let mut all: Vec<_> = Isa::available().into_iter().map(cpu).collect();
+    #[cfg(feature = "gpu")]
+    all.push(Box::new(crate::gpu::Adapter));
+    all
 }
 
 struct Cpu {

@@ -29,7 +29,9 @@ struct Frame {
     rate_opacity: f32,
     rate_sh0: f32,
     rate_sh_rest: f32,
-    spare: f32,
+    spare0: u32,
+    spare1: u32,
+    spare2: u32,
 }
 
 const ANTIALIAS: u32 = 1u;

@@ -1,0 +1,228 @@
+//! The kernels: their sources, what they are bound to, and their pipelines, made once.
+
+use super::context::Gpu;
+use super::layout::{Frame, ScanJob, SortJob};
+use crate::SplatError;
+
+/// What a binding is.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Slot {
+    /// A uniform of so many bytes.
+    Uniform(usize),
+    /// A buffer that is read.
+    Read,
+    /// A buffer that is written, and perhaps read.
+    Write,
+}
+
+use Slot::{Read, Uniform, Write};
+
+/// A WGSL module.
+#[derive(Clone, Copy, Debug)]
+pub struct Source {
+    /// File name without extension.
+    pub name: &'static str,
+    /// The files that make it up, in order.
+    pub parts: &'static [&'static str],
+    /// Bindings 0, 1, … of group 0.
+    pub slots: &'static [Slot],
+    /// Entry points.
+    pub entries: &'static [&'static str],
+}
+
+const FRAME: &str = include_str!("wgsl/frame.wgsl");
+const SH: &str = include_str!("wgsl/sh.wgsl");
+const PROJECTION: &str = include_str!("wgsl/projection.wgsl");
+const VIEW: Slot = Uniform(size_of::<Frame>());
+
+/// All modules, in the order of a step.
+pub const SOURCES: [Source; 10] = [
+    Source {
+        name: "project",
+        parts: &[FRAME, SH, PROJECTION, include_str!("wgsl/project.wgsl")],
+        slots: &[VIEW, Read, Read, Write, Write, Write],
+        entries: &["main"],
+    },
+    Source {
+        name: "scan",
+        parts: &[FRAME, include_str!("wgsl/scan.wgsl")],
+        slots: &[Uniform(size_of::<ScanJob>()), Write, Write, Write],
+        entries: &["reduce", "spine", "sweep"],
+    },
+    Source {
+        name: "compact",
+        parts: &[FRAME, include_str!("wgsl/compact.wgsl")],
+        slots: &[VIEW, Read, Read, Read, Write, Write],
+        entries: &["main"],
+    },
+    Source {
+        name: "sort",
+        parts: &[FRAME, include_str!("wgsl/sort.wgsl")],
+        slots: &[Uniform(size_of::<SortJob>()), Read, Write, Read, Read, Write, Write],
+        entries: &["histogram", "scatter"],
+    },
+    Source {
+        name: "pairs",
+        parts: &[FRAME, include_str!("wgsl/pairs.wgsl")],
+        slots: &[VIEW, Read, Read, Read, Read, Write, Write, Write, Write],
+        entries: &["count", "emit"],
+    },
+    Source {
+        name: "ranges",
+        parts: &[FRAME, include_str!("wgsl/ranges.wgsl")],
+        slots: &[VIEW, Read, Read, Write],
+        entries: &["main"],
+    },
+    Source {
+        name: "rasterise",
+        parts: &[FRAME, include_str!("wgsl/rasterise.wgsl")],
+        slots: &[VIEW, Read, Read, Read, Read, Write, Write, Write],
+        entries: &["main"],
+    },
+    Source {
+        name: "loss",
+        parts: &[FRAME, include_str!("wgsl/loss.wgsl")],
+        slots: &[VIEW, Read, Read, Write, Write, Write, Write],
+        entries: &["statistics", "differentiate", "total"],
+    },
+    Source {
+        name: "backward",
+        parts: &[FRAME, include_str!("wgsl/backward.wgsl")],
+        slots: &[VIEW, Read, Read, Read, Read, Read, Read, Read, Write],
+        entries: &["main"],
+    },
+    Source {
+        name: "optimise",
+        parts: &[FRAME, SH, PROJECTION, include_str!("wgsl/optimise.wgsl")],
+        slots: &[VIEW, Write, Write, Write, Write, Read, Read, Write],
+        entries: &["main"],
+    },
+];
+
+impl Source {
+    /// The whole module.
+    pub fn text(&self) -> String {
+        self.parts.concat()
+    }
+}
+
+/// A module's layout and its pipelines, in the order of its entry points.
+pub struct Module {
+    name: &'static str,
+    layout: wgpu::BindGroupLayout,
+    pipelines: Vec<wgpu::ComputePipeline>,
+}
+
+impl Module {
+    fn new(gpu: &Gpu, source: &Source) -> Self {
+        let device = &gpu.device;
+        let entries: Vec<wgpu::BindGroupLayoutEntry> = (0..)
+            .zip(source.slots)
+            .map(|(binding, slot)| wgpu::BindGroupLayoutEntry {
+                binding,
+                visibility: wgpu::ShaderStages::COMPUTE,
+                ty: wgpu::BindingType::Buffer {
+                    ty: match slot {
+                        Uniform(_) => wgpu::BufferBindingType::Uniform,
+                        Read => wgpu::BufferBindingType::Storage { read_only: true },
+                        Write => wgpu::BufferBindingType::Storage { read_only: false },
+                    },
+                    has_dynamic_offset: false,
+                    min_binding_size: None,
+                },
+                count: None,
+            })
+            .collect();
+        let descriptor = wgpu::BindGroupLayoutDescriptor { label: Some(source.name), entries: &entries };
+        let layout = device.create_bind_group_layout(&descriptor);
+        let pipeline_layout = device.create_pipeline_layout(&wgpu::PipelineLayoutDescriptor {
+            label: Some(source.name),
+            bind_group_layouts: &[Some(&layout)],
+            immediate_size: 0,
+        });
+        let shader = device.create_shader_module(wgpu::ShaderModuleDescriptor {
+            label: Some(source.name),
+            source: wgpu::ShaderSource::Wgsl(source.text().into()),
+        });
+        let pipeline = |entry: &&str| {
+            device.create_compute_pipeline(&wgpu::ComputePipelineDescriptor {
+                label: Some(source.name),
+                layout: Some(&pipeline_layout),
+                module: &shader,
+                entry_point: Some(entry),
+                // Every kernel writes its shared memory before it reads it.
+                compilation_options: wgpu::PipelineCompilationOptions {
+                    zero_initialize_workgroup_memory: false,
+                    ..Default::default()
+                },
+                cache: None,
+            })
+        };
+        let pipelines = source.entries.iter().map(pipeline).collect();
+        Self { name: source.name, layout, pipelines }
+    }
+
+    /// Binds buffers to the module's bindings, in order.
+    pub fn bind(&self, gpu: &Gpu, bindings: &[wgpu::BindingResource]) -> wgpu::BindGroup {
+        let entries: Vec<wgpu::BindGroupEntry> = (0..)
+            .zip(bindings)
+            .map(|(binding, resource)| wgpu::BindGroupEntry { binding, resource: resource.clone() })
+            .collect();
+        gpu.device.create_bind_group(&wgpu::BindGroupDescriptor {
+            label: Some(self.name),
+            layout: &self.layout,
+            entries: &entries,
+        })
+    }
+
+    /// Runs entry point `entry` in `groups` groups, `layers` times in z.
+    pub fn run(
+        &self,
+        pass: &mut wgpu::ComputePass,
+        entry: usize,
+        bound: &wgpu::BindGroup,
+        groups: u32,
+        layers: u32,
+    ) {
+        // No dimension may have more than 65,535 groups; the kernels fold y into their number.
+        let width = groups.min(65_535);
+        let height = if width == 0 { 0 } else { groups.div_ceil(width) };
+        pass.set_pipeline(&self.pipelines[entry]);
+        pass.set_bind_group(0, bound, &[]);
+        pass.dispatch_workgroups(width, height, layers);
+    }
+}
+
+/// All pipelines.
+pub struct Kernels {
+    /// Gaussians to the screen.
+    pub project: Module,
+    /// Prefix sums: reduce, spine, sweep.
+    pub scan: Module,
+    /// The seen ones.
+    pub compact: Module,
+    /// Radix sort: histogram, scatter.
+    pub sort: Module,
+    /// Gaussian-tile pairs: count, emit.
+    pub pairs: Module,
+    /// Where tiles begin.
+    pub ranges: Module,
+    /// Pixels.
+    pub rasterise: Module,
+    /// Loss: statistics, differentiate, total.
+    pub loss: Module,
+    /// Rasterise backward.
+    pub backward: Module,
+    /// Project backward and Adam.
+    pub optimise: Module,
+}
+
+impl Kernels {
+    /// Compiles all of them.
+    pub fn new(gpu: &Gpu) -> Result<Self, SplatError> {
+        let [project, scan, compact, sort, pairs, ranges, rasterise, loss, backward, optimise] =
+            SOURCES.each_ref().map(|source| Module::new(gpu, source));
+        gpu.check()?;
+        Ok(Self { project, scan, compact, sort, pairs, ranges, rasterise, loss, backward, optimise })
+    }
+}
