@@ -5,10 +5,17 @@ use std::process::Command;
 
 fn main() {
     println!("cargo:rerun-if-changed=src/ceres/mod.rs");
-    println!("cargo:rerun-if-changed=src/ceres/bundle.cc");
-    println!("cargo:rerun-if-changed=src/ceres/bundle.h");
+    for file in ["bundle.cc", "bundle.h", "turn.cc", "turn.h", "blocks.h", "normal.h"] {
+        println!("cargo:rerun-if-changed=src/ceres/{file}");
+    }
     let mut build = cxx_build::bridge("src/ceres/mod.rs");
-    build.file("src/ceres/bundle.cc").include("src/ceres").std("c++17").opt_level(2).define("NDEBUG", None);
+    build
+        .file("src/ceres/bundle.cc")
+        .file("src/ceres/turn.cc")
+        .include("src/ceres")
+        .std("c++17")
+        .opt_level(2)
+        .define("NDEBUG", None);
     for directory in eigen_includes() {
         build.flag("-isystem").flag(directory.to_string_lossy().as_ref());
     }

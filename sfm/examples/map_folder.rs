@@ -13,6 +13,12 @@ struct Cli {
     /// Seed of all randomness.
     #[arg(long, default_value_t = 0)]
     seed: u64,
+    /// The images are the frames of a video in the order of their names.
+    #[arg(long)]
+    video: bool,
+    /// Folder of masks, white = keep, in the order of the images.
+    #[arg(long)]
+    mask_folder: Option<PathBuf>,
     /// Worker threads.
     #[arg(long)]
     threads: Option<usize>,
@@ -29,18 +35,13 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     if let Some(n) = cli.threads {
         rayon::ThreadPoolBuilder::new().num_threads(n).build_global()?;
     }
-    let mut paths: Vec<PathBuf> =
-        std::fs::read_dir(&cli.images)?.filter_map(|e| Some(e.ok()?.path())).collect();
-    paths.retain(|p| {
-        p.extension()
-            .is_some_and(|e| ["png", "jpg", "jpeg"].contains(&e.to_string_lossy().to_lowercase().as_str()))
-    });
-    paths.sort();
-    let mut frames = FrameSet::default();
-    for (i, path) in paths.into_iter().enumerate() {
+    let masks = cli.mask_folder.as_deref().map(pictures).transpose()?.unwrap_or_default();
+    let mut frames = FrameSet { is_video: cli.video, ..FrameSet::default() };
+    for (i, path) in pictures(&cli.images)?.into_iter().enumerate() {
         let (width, height) = image::image_dimensions(&path)?;
         let name = path.file_name().map(|n| n.to_string_lossy().into_owned()).unwrap_or_default();
-        frames.frames.push(Frame { name, path, width, height, source_index: i, ..Frame::default() });
+        let mask = masks.get(i).cloned();
+        frames.frames.push(Frame { name, path, mask, width, height, source_index: i, ..Frame::default() });
     }
     let result = sfm::reconstruct(&frames, &cli.sfm, &Progress::silent())?;
     for s in &result.stats.steps {
@@ -85,4 +86,15 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     std::fs::create_dir_all(&cli.out)?;
     scene::io::write_model_bin(model, &cli.out)?;
     Ok(())
+}
+
+/// PNG and JPEG files of a folder, sorted.
+fn pictures(folder: &std::path::Path) -> std::io::Result<Vec<PathBuf>> {
+    let mut paths: Vec<PathBuf> = std::fs::read_dir(folder)?.filter_map(|e| Some(e.ok()?.path())).collect();
+    let kinds = ["png", "jpg", "jpeg"];
+    paths.retain(|p| {
+        p.extension().is_some_and(|e| kinds.contains(&e.to_string_lossy().to_lowercase().as_str()))
+    });
+    paths.sort();
+    Ok(paths)
 }

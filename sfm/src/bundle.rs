@@ -3,6 +3,10 @@
 //! The scene is moved to its median and scaled to unit size before it is solved, so that units and the place of the
 //! origin do not matter (Triggs et al., "Bundle adjustment: a modern synthesis", 1999, on scaling and gauge).
 
+mod adjustable;
+
+pub use adjustable::Adjustable;
+
 use crate::SfmError;
 use crate::ceres::{self, BundleInput, BundleState};
 use glam::{DQuat, DVec2, DVec3};
@@ -213,7 +217,7 @@ impl BundleProblem {
         }
     }
 
-    fn input(&self, options: &SolveOptions, frame: &Normalisation) -> BundleInput {
+    pub(crate) fn input(&self, options: &SolveOptions, frame: &Normalisation) -> BundleInput {
         let mut offset = 0;
         let mut input = BundleInput {
             pose_camera: self.pose_camera.clone(),
@@ -298,9 +302,11 @@ fn pose_deviation(pose: &Pose, covariance: &[f64], scale: f64) -> [f64; 6] {
 }
 
 /// Moves the scene's median to the origin and scales the median distance from it to 1.
-struct Normalisation {
-    centre: DVec3,
-    scale: f64,
+pub(crate) struct Normalisation {
+    /// What becomes the origin.
+    pub centre: DVec3,
+    /// What becomes 1.
+    pub scale: f64,
 }
 
 impl Normalisation {

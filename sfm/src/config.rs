@@ -2,9 +2,11 @@
 
 use crate::SfmError;
 use crate::incremental::MapperConfig;
+use crate::klt::KltConfig;
 use crate::matching::MatchConfig;
 use crate::pairs::PairConfig;
 use crate::sift::SiftConfig;
+use crate::single_axis::MotionConfig;
 use crate::two_view::TwoViewConfig;
 use scene::CameraModel;
 use serde::{Deserialize, Serialize};
@@ -74,6 +76,12 @@ pub struct SfmConfig {
     /// Which images share intrinsics
     #[arg(long, value_enum, default_value_t = CameraSharing::Group, help_heading = "Structure from motion")]
     pub cameras: CameraSharing,
+    /// The motion.
+    #[command(flatten)]
+    pub motion: MotionConfig,
+    /// Points followed through videos.
+    #[command(flatten)]
+    pub klt: KltConfig,
     /// Features.
     #[command(flatten)]
     pub sift: SiftConfig,

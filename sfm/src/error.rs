@@ -51,6 +51,14 @@ pub enum SfmError {
         /// The model they were meant for.
         model: String,
     },
+    /// A flag's number cannot be meant.
+    #[error("{flag} {value} is not a positive number")]
+    BadNumber {
+        /// The flag.
+        flag: &'static str,
+        /// What was given.
+        value: f64,
+    },
     /// A file could not be written.
     #[error("cannot write {path}: {reason}; check that the disk has room and the folder can be written")]
     CannotWrite {

@@ -8,9 +8,11 @@ mod turn;
 use crate::incremental::finish::{decide, polish, uncertainty};
 use crate::incremental::state::{Input, State};
 use crate::incremental::{depths, folds};
+use crate::single_axis::{Free, Job, Motion, Turned, VideoJob, VideoModel, consider, solve_video};
 use crate::tracks::{Tracks, build_tracks, positions};
 use crate::{
-    Decision, SfmConfig, SfmError, SfmResult, Uncertainty, incremental, matching, pairs, sift, two_view,
+    Decision, SfmConfig, SfmError, SfmResult, Uncertainty, incremental, matching, pairs, sift, single_axis,
+    two_view,
 };
 use clock::Clock;
 use scene::{Camera, Features, FrameSet, Progress, TwoViewGeometry};
@@ -37,6 +39,7 @@ pub fn reconstruct(
     progress: &Progress,
 ) -> Result<SfmResult, SfmError> {
     let setup = Setup::new(frames, config)?;
+    config.motion.validate()?;
     progress.check()?;
     if frames.len() < 2 {
         return Err(SfmError::TooFewImages { found: frames.len(), needed: 2 });
@@ -44,6 +47,18 @@ pub fn reconstruct(
     let mut clock = Clock::start();
     let mut result = SfmResult { initial_cameras: setup.of_frames(), ..SfmResult::default() };
     result.stats.images = frames.len();
+    let tried = match along_video(frames, config, &setup, progress)? {
+        Some(Ok((model, decision))) => {
+            clock.lap("turn", &mut result.stats.steps);
+            let solved = turned(&mut result, &setup, model, decision);
+            export::fill(&mut result, frames, solved, progress)?;
+            clock.lap("points", &mut result.stats.steps);
+            return Ok(result);
+        }
+        Some(Err(why)) => Some(why),
+        None => None,
+    };
+    clock.lap("turn", &mut result.stats.steps);
     result.features = sift::extract_all(frames, &config.sift, progress)?;
     clock.lap("features", &mut result.stats.steps);
     let pairs = pairs::choose_pairs(frames, &result.features, &config.pairs);
@@ -81,7 +96,56 @@ pub fn reconstruct(
         None => result.reason = why_no_model(&result.features, &result.geometries),
     }
     clock.lap("points", &mut result.stats.steps);
+    if let Some(why) = tried {
+        note_attempt(&mut result.decisions, why);
+    }
     Ok(result)
+}
+
+/// Looks for something that turns about one axis before the camera of a video; `None` where that is not asked for.
+fn along_video(
+    frames: &FrameSet,
+    config: &SfmConfig,
+    setup: &Setup,
+    progress: &Progress,
+) -> Result<Option<Result<(VideoModel, Decision), String>>, SfmError> {
+    if !frames.is_video || !matches!(config.motion.motion, Motion::Auto | Motion::SingleAxis) {
+        return Ok(None);
+    }
+    let (cameras, camera_of, known) = (&setup.cameras, &setup.camera_of, &setup.known);
+    solve_video(&VideoJob { frames, config, cameras, camera_of, known, progress }).map(Some)
+}
+
+/// Takes a turn's features, matches and decisions over; what is left is its model.
+fn turned(result: &mut SfmResult, setup: &Setup, model: VideoModel, decision: Decision) -> Solved {
+    result.stats.pairs_matched = model.matched;
+    result.stats.pairs_verified = model.geometries.len();
+    result.stats.features = model.keypoints.iter().map(Vec::len).sum();
+    (result.features, result.geometries) = (model.features, model.geometries);
+    of_turn(setup, model.turned, Some(decision), model.keypoints)
+}
+
+fn of_turn(
+    setup: &Setup,
+    turned: Turned,
+    motion: Option<Decision>,
+    keypoints: Vec<Vec<glam::DVec2>>,
+) -> Solved {
+    Solved {
+        state: turned.state,
+        camera_of: setup.camera_of.clone(),
+        keypoints,
+        decisions: motion.into_iter().chain(turned.decisions).collect(),
+        uncertainty: turned.uncertainty,
+    }
+}
+
+/// Says beside the decision on the motion what the search along the video came to.
+fn note_attempt(decisions: &mut Vec<Decision>, why: String) {
+    match decisions.iter_mut().find(|d| d.what == "motion") {
+        Some(d) => d.evidence = format!("{}; along the video: {why}", d.evidence),
+        None => decisions.push(single_axis::decision("free", format!("along the video: {why}"))),
+    }
 }
 
 /// A model, and what was learned with it.
@@ -184,7 +248,23 @@ fn solve(
     let keypoints: Vec<_> = features.iter().map(positions).collect();
     let mapped = grown(given, &keypoints, geometries, progress)?;
     lap("mapping");
-    let Some((mut state, mut tracks)) = mapped else { return Ok(None) };
+    let named = config.camera_model.model();
+    let job = |input, starts| Job {
+        input,
+        cameras: &setup.cameras,
+        known: &setup.known,
+        starts,
+        named,
+        config: &config.motion,
+        features: &[],
+        progress,
+    };
+    let Some((mut state, mut tracks)) = mapped else {
+        let tracks = build_tracks(features, geometries);
+        let input = given.input(&keypoints, &tracks, geometries);
+        let motion = consider(&job(&input, &setup.cameras), None)?;
+        return Ok(motion.taken.map(|t| of_turn(setup, t, motion.decision, keypoints.clone())));
+    };
     let mut decisions = Vec::new();
     if let Some((unfolded, decision)) = unfold(given, &keypoints, geometries, (&state, &tracks), progress)? {
         (state, tracks) = unfolded;
@@ -200,7 +280,6 @@ fn solve(
     lap("second attempt");
     let mut input = given.input(&keypoints, &tracks, geometries);
     let starts = incremental::starts_of(&setup.cameras, &setup.known, &state);
-    let named = config.camera_model.model();
     let verdict = decide(&state, &input, &setup.known, &starts, named, progress)?;
     lap("camera model");
     // From here on every image is the way up that its sensor was.
@@ -211,6 +290,19 @@ fn solve(
     polish(&mut state, &input, &setup.known, &starts, &verdict, progress)?;
     depths::drop_lonely(&mut state, &input);
     lap("final adjustment");
+    // Images that were turned on their way have cameras of their own: no turn before one camera.
+    if !turned.contains(&true) {
+        let free = Free { state: &state, intrinsics: verdict.intrinsics };
+        let motion = consider(&job(&input, &starts), Some(&free))?;
+        lap("motion");
+        if let Some(t) = motion.taken {
+            decisions.extend(motion.decision);
+            let mut solved = of_turn(setup, t, None, keypoints.clone());
+            solved.decisions.splice(0..0, decisions);
+            return Ok(Some(solved));
+        }
+        decisions.extend(motion.decision);
+    }
     let uncertainty = uncertainty(&state, &input, &setup.known, &starts, verdict.intrinsics)?;
     lap("covariance");
     decisions.extend(verdict.decisions);

@@ -10,7 +10,7 @@ use scene::{Camera, CameraModel, Progress};
 
 /// Standard deviation of a principal point from the image centre, in longer image sides (lenses and crops of real
 /// cameras).
-const PRINCIPAL_POINT_SIGMA: f64 = 0.03;
+pub(crate) const PRINCIPAL_POINT_SIGMA: f64 = 0.03;
 /// Largest standard deviation of a focal length that counts as determined, as a share of it.
 const DETERMINED_FOCAL: f64 = 0.02;
 /// Largest standard deviation of a principal point that counts as determined, in longer image sides.
@@ -30,20 +30,29 @@ pub struct Intrinsics {
     pub model: CameraModel,
     /// Whether the principal point is free.
     pub principal_point: bool,
+    /// The coordinate of it (0: x, 1: y) that is held all the same.
+    pub held: Option<usize>,
 }
 
 impl Intrinsics {
-    fn describe(self) -> String {
-        format!(
-            "{}, principal point {}",
-            self.model.name(),
-            if self.principal_point { "free" } else { "at the centre" }
-        )
+    /// In words.
+    pub fn describe(self) -> String {
+        let point = match (self.principal_point, self.held) {
+            (false, _) => "at the centre",
+            (true, None) => "free",
+            (true, Some(0)) => "free in y",
+            (true, Some(_)) => "free in x",
+        };
+        format!("{}, principal point {point}", self.model.name())
     }
 
     /// Free parameters of one camera.
     pub fn free(self, camera: &Camera) -> Vec<bool> {
-        free_parameters(camera, true, self.principal_point, true)
+        let mut free = free_parameters(camera, true, self.principal_point, true);
+        if let Some(k) = self.held {
+            free[camera.model.num_focals() + k] = false;
+        }
+        free
     }
 }
 
@@ -109,7 +118,8 @@ pub fn choose(
     sigma: f64,
     progress: &Progress,
 ) -> Result<Choice, SfmError> {
-    let start = Intrinsics { model: named.unwrap_or(CameraModel::SimpleRadial), principal_point };
+    let model = named.unwrap_or(CameraModel::SimpleRadial);
+    let start = Intrinsics { model, principal_point, held: None };
     let mut decision = Decision {
         what: "camera model".to_owned(),
         chosen: start.describe(),
@@ -306,7 +316,7 @@ pub fn apply(problem: &mut BundleProblem, intrinsics: Intrinsics, fixed: &[bool]
 }
 
 /// Of every other point that is seen at least three times, one sighting is held out.
-fn split(problem: &BundleProblem) -> (Vec<BundleObservation>, Vec<BundleObservation>) {
+pub(crate) fn split(problem: &BundleProblem) -> (Vec<BundleObservation>, Vec<BundleObservation>) {
     let mut views = vec![0usize; problem.points.len()];
     problem.observations.iter().for_each(|o| views[o.point as usize] += 1);
     let mut seen = vec![0usize; problem.points.len()];
@@ -325,7 +335,7 @@ fn split(problem: &BundleProblem) -> (Vec<BundleObservation>, Vec<BundleObservat
     (training, held_out)
 }
 
-fn error_sq(problem: &BundleProblem, o: &BundleObservation) -> f64 {
+pub(crate) fn error_sq(problem: &BundleProblem, o: &BundleObservation) -> f64 {
     let camera = &problem.cameras[problem.pose_camera[o.pose as usize] as usize];
     let projected =
         camera.project(problem.poses[o.pose as usize].transform(problem.points[o.point as usize]));
@@ -346,7 +356,7 @@ pub fn noise(problem: &BundleProblem) -> f64 {
 
 /// Mean decrease of the error of a sighting from `old` to `new`, and its standard error: the sightings of a pose are
 /// not independent of each other, those of different poses are.
-fn gain(old: &[(f64, usize)], new: &[(f64, usize)]) -> (f64, f64) {
+pub(crate) fn gain(old: &[(f64, usize)], new: &[(f64, usize)]) -> (f64, f64) {
     let all = old.iter().map(|o| o.1).sum::<usize>().max(1) as f64;
     let mean = old.iter().zip(new).map(|(o, n)| o.0 - n.0).sum::<f64>() / all;
     let excess = |(o, n): (&(f64, usize), &(f64, usize))| (o.0 - n.0 - mean * o.1 as f64).powi(2);

@@ -73,6 +73,29 @@ mod ffi {
         pub message: String,
     }
 
+    /// A motion about one axis: a bundle adjustment whose poses are `D_i (R Z(θ_i) X + t)`. P frames.
+    #[derive(Clone, Debug, Default)]
+    pub struct TurnInput {
+        /// Cameras, points, observations and options; its `pose_held` is not used.
+        pub bundle: BundleInput,
+        /// Whether R and t are held.
+        pub axis_held: bool,
+        /// [3 × 3] column-major: R turns about the first two (unit, across the axis), t moves along the third.
+        pub axis_basis: Vec<f64>,
+        /// [P] 1: the angle is held.
+        pub angle_held: Vec<u8>,
+        /// [K × 3] frames of each relation `Σ c θ = target`; u32::MAX: only two.
+        pub relation_angles: Vec<u32>,
+        /// [K × 3] its coefficients.
+        pub relation_coefficients: Vec<f64>,
+        /// [K] what the sum should be.
+        pub relation_targets: Vec<f64>,
+        /// [K] 1 / standard deviation.
+        pub relation_weights: Vec<f64>,
+        /// [2] standard deviations of the offsets D: radians and scene units; 0: they are held.
+        pub offset_sigma: Vec<f64>,
+    }
+
     extern "Rust" {
         type Monitor<'a>;
         fn is_cancelled(monitor: &Monitor<'_>) -> bool;
@@ -80,6 +103,7 @@ mod ffi {
 
     unsafe extern "C++" {
         include!("bundle.h");
+        include!("turn.h");
         fn solve_bundle(
             input: &BundleInput,
             intrinsics: &mut [f64],
@@ -95,6 +119,26 @@ mod ffi {
             pose_covariance: &mut [f64],
             camera_covariance: &mut [f64],
         ) -> Result<bool>;
+        fn solve_turn(
+            input: &TurnInput,
+            intrinsics: &mut [f64],
+            axis: &mut [f64],
+            angles: &mut [f64],
+            offsets: &mut [f64],
+            points: &mut [f64],
+            monitor: &Monitor<'_>,
+        ) -> Result<BundleOutcome>;
+        #[allow(clippy::too_many_arguments)]
+        fn turn_covariance(
+            input: &TurnInput,
+            intrinsics: &[f64],
+            axis: &[f64],
+            angles: &[f64],
+            offsets: &[f64],
+            points: &[f64],
+            turn_covariance: &mut [f64],
+            camera_covariance: &mut [f64],
+        ) -> Result<bool>;
         fn camera_information(
             input: &BundleInput,
             intrinsics: &[f64],
@@ -105,7 +149,9 @@ mod ffi {
     }
 }
 
-pub(crate) use ffi::{BundleInput, BundleOutcome};
+pub(crate) mod turn;
+
+pub(crate) use ffi::{BundleInput, BundleOutcome, TurnInput};
 
 /// The numbers that change: see [`BundleInput`] for P and N.
 #[derive(Clone, Debug, Default)]

@@ -1,0 +1,206 @@
+//! Tracks through the frames of a video: corners followed from frame to frame, kept where following back returns to the
+//! start (forward-backward check: Kalal, Mikolajczyk & Matas, ICPR 2010).
+
+mod corners;
+mod pyramid;
+mod reference;
+mod register;
+#[cfg(test)]
+mod tests;
+
+use crate::SfmError;
+use corners::{corners, kept};
+use glam::{DMat2, DVec2};
+use image::GrayImage;
+use pyramid::Pyramid;
+use rayon::prelude::*;
+use reference::{Reference, Warp};
+use register::follow;
+use scene::io::load::{load_mask, load_rgb};
+use scene::{FloatImage, Frame, FrameSet, Progress};
+use serde::{Deserialize, Serialize};
+
+/// Settings of the tracker.
+#[derive(clap::Args, Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default)]
+pub struct KltConfig {
+    /// Points that are followed at once
+    #[arg(long, default_value_t = Self::default().track_points, help_heading = "Motion")]
+    pub track_points: usize,
+    /// Least distance of a new point from the others, pixels
+    #[arg(long, default_value_t = Self::default().track_distance_px, help_heading = "Motion")]
+    pub track_distance_px: f64,
+    /// Farthest from its start that a point followed forth and back may end, pixels
+    #[arg(long, default_value_t = Self::default().track_return_px, help_heading = "Motion")]
+    pub track_return_px: f64,
+}
+
+impl Default for KltConfig {
+    fn default() -> Self {
+        Self { track_points: 600, track_distance_px: 5.0, track_return_px: 0.4 }
+    }
+}
+
+/// Levels of the pyramids: windows reach about 7 · 2³ pixels.
+const LEVELS: usize = 4;
+/// Least correlation of a window with the track's first one.
+const CORRELATION: f64 = 0.85;
+/// Frames that are read at once.
+const BATCH: usize = 8;
+
+/// A point followed through consecutive frames.
+#[derive(Clone, Debug, PartialEq)]
+pub struct KltTrack {
+    /// The first frame.
+    pub first: usize,
+    /// Its place there and in the frames after it, pixels.
+    pub positions: Vec<DVec2>,
+}
+
+struct Picture {
+    pyramid: Pyramid,
+    mask: Option<GrayImage>,
+}
+
+fn read(frame: &Frame) -> Result<Picture, SfmError> {
+    let unreadable = |path: &std::path::Path, e: scene::io::IoError| SfmError::UnreadableImage {
+        path: path.to_owned(),
+        reason: e.to_string(),
+    };
+    let rgb = load_rgb(&frame.path).map_err(|e| unreadable(&frame.path, e))?;
+    let mask = frame.mask.as_deref().map(|p| load_mask(p).map_err(|e| unreadable(p, e))).transpose()?;
+    Ok(Picture { pyramid: Pyramid::new(&FloatImage::luma(&rgb), LEVELS), mask })
+}
+
+/// Follows corners through all frames of a video, in their order; tracks of at least three frames. Corners in the black
+/// of a mask are neither begun nor followed. Does not depend on the number of threads.
+pub fn track(frames: &FrameSet, config: &KltConfig, progress: &Progress) -> Result<Vec<KltTrack>, SfmError> {
+    progress.begin("tracks", frames.len());
+    let mut tracker = Tracker::new(config);
+    for (batch, some) in frames.frames.chunks(BATCH).enumerate() {
+        let pictures: Result<Vec<Picture>, SfmError> = some.par_iter().map(read).collect();
+        for (k, picture) in pictures?.into_iter().enumerate() {
+            tracker.advance(batch * BATCH + k, picture);
+            progress.tick()?;
+        }
+    }
+    Ok(tracker.finish())
+}
+
+/// [`track`] for images in memory.
+pub fn track_images(images: &[FloatImage], config: &KltConfig) -> Vec<KltTrack> {
+    let mut tracker = Tracker::new(config);
+    for (i, image) in images.iter().enumerate() {
+        tracker.advance(i, Picture { pyramid: Pyramid::new(image, LEVELS), mask: None });
+    }
+    tracker.finish()
+}
+
+/// A track that goes on, with its first window and how that lies in the last frame.
+struct Live {
+    track: KltTrack,
+    reference: Reference,
+    shape: DMat2,
+}
+
+/// What became of a point in the next frame.
+enum Step {
+    /// Its first window was found again.
+    On(Warp),
+    /// Its first window shows too little of it by now: another track begins with that of the last frame.
+    Anew(Reference, Warp),
+    /// It is gone.
+    Lost,
+}
+
+struct Tracker<'a> {
+    config: &'a KltConfig,
+    last: Option<Picture>,
+    live: Vec<Live>,
+    done: Vec<KltTrack>,
+}
+
+impl<'a> Tracker<'a> {
+    fn new(config: &'a KltConfig) -> Self {
+        Self { config, last: None, live: Vec::new(), done: Vec::new() }
+    }
+
+    fn advance(&mut self, frame: usize, next: Picture) {
+        if let Some(last) = self.last.take() {
+            let found: Vec<Step> = self.live.par_iter().map(|t| self.follow_one(&last, &next, t)).collect();
+            let mut taken: Vec<DVec2> = Vec::new();
+            for (mut live, step) in std::mem::take(&mut self.live).into_iter().zip(found) {
+                // Two tracks that run into each other are one point or an occlusion: the older one goes on.
+                let mut free = |w: &Warp| {
+                    let free = taken.iter().all(|q| q.distance_squared(w.place) > 4.0);
+                    taken.extend(free.then_some(w.place));
+                    free
+                };
+                match step {
+                    Step::On(warp) if free(&warp) => {
+                        live.track.positions.push(warp.place);
+                        live.shape = warp.shape;
+                        self.live.push(live);
+                    }
+                    Step::Anew(reference, warp) if free(&warp) => {
+                        let start = live.track.positions.last().copied().unwrap_or(warp.place);
+                        self.done.push(live.track);
+                        let track = KltTrack { first: frame - 1, positions: vec![start, warp.place] };
+                        self.live.push(Live { track, reference, shape: warp.shape });
+                    }
+                    _ => self.done.push(live.track),
+                }
+            }
+        }
+        let wanted = self.config.track_points.saturating_sub(self.live.len());
+        if wanted > 0 {
+            let taken: Vec<DVec2> =
+                self.live.iter().filter_map(|t| t.track.positions.last().copied()).collect();
+            let level = &next.pyramid.levels[0];
+            let new = corners(level, next.mask.as_ref(), &taken, self.config.track_distance_px, wanted);
+            self.live.extend(new.into_iter().filter_map(|p| {
+                let reference = Reference::new(level, p)?;
+                let track = KltTrack { first: frame, positions: vec![p] };
+                Some(Live { track, reference, shape: DMat2::IDENTITY })
+            }));
+        }
+        self.last = Some(next);
+    }
+
+    fn follow_one(&self, last: &Picture, next: &Picture, live: &Live) -> Step {
+        let positions = &live.track.positions;
+        let Some(&p) = positions.last() else { return Step::Lost };
+        let before = positions.len().checked_sub(2).map(|i| positions[i]);
+        let guess = before.map_or(p, |b| p + (p - b));
+        let found = follow(&last.pyramid, &next.pyramid, p, guess)
+            .or_else(|| (guess != p).then(|| follow(&last.pyramid, &next.pyramid, p, p)).flatten());
+        let Some(found) = found else { return Step::Lost };
+        let back = follow(&next.pyramid, &last.pyramid, found, p);
+        if back.is_none_or(|b| !(b.distance(p) <= self.config.track_return_px)) {
+            return Step::Lost;
+        }
+        let level = &next.pyramid.levels[0];
+        let find = |reference: &Reference, shape: DMat2| {
+            let (warp, correlation) = reference.find(level, Warp { shape, place: found })?;
+            let (x, y) = (warp.place.x.floor() as i64, warp.place.y.floor() as i64);
+            let kept = kept(next.mask.as_ref(), x, y, level.width, level.height);
+            (correlation >= CORRELATION && kept).then_some(warp)
+        };
+        if let Some(warp) = find(&live.reference, live.shape) {
+            return Step::On(warp);
+        }
+        let anew = Reference::new(&last.pyramid.levels[0], p);
+        anew.and_then(|r| find(&r, DMat2::IDENTITY).map(|w| Step::Anew(r, w))).unwrap_or(Step::Lost)
+    }
+
+    fn finish(mut self) -> Vec<KltTrack> {
+        self.done.extend(self.live.into_iter().map(|l| l.track));
+        self.done.retain(|t| t.positions.len() >= 3);
+        self.done.sort_by(|a, b| {
+            let key = |t: &KltTrack| (t.first, t.positions[0].y, t.positions[0].x);
+            let (a, b) = (key(a), key(b));
+            a.0.cmp(&b.0).then(a.1.total_cmp(&b.1)).then(a.2.total_cmp(&b.2))
+        });
+        self.done
+    }
+}

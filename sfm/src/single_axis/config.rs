@@ -1,0 +1,58 @@
+//! What a user can say about the motion.
+
+use crate::SfmError;
+use serde::{Deserialize, Serialize};
+
+/// How object and camera move against each other.
+#[derive(clap::ValueEnum, Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Motion {
+    /// The evidence decides
+    #[default]
+    Auto,
+    /// The object turns about one axis before a camera that stands still: one angle a frame
+    SingleAxis,
+    /// The camera goes round on a circle, with small motions of its own
+    Orbit,
+    /// Nothing is assumed
+    Free,
+}
+
+impl Motion {
+    /// Name in reports; the flag's value.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Auto => "auto",
+            Self::SingleAxis => "single-axis",
+            Self::Orbit => "orbit",
+            Self::Free => "free",
+        }
+    }
+}
+
+/// Configuration of the motion.
+#[derive(clap::Args, Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(default)]
+pub struct MotionConfig {
+    /// How object and camera move against each other
+    #[arg(long, value_enum, default_value_t = Motion::Auto, help_heading = "Motion")]
+    pub motion: Motion,
+    /// Rate at which the object of a video turns, where it is known (the sign does not matter)
+    #[arg(long, value_name = "DEG_PER_S", help_heading = "Motion")]
+    pub known_rate: Option<f64>,
+    /// Distance of the camera from the axis, where it is known: the model is in metres then
+    #[arg(long, value_name = "METRES", help_heading = "Motion")]
+    pub known_distance: Option<f64>,
+}
+
+impl MotionConfig {
+    /// Refuses what cannot be meant.
+    pub fn validate(&self) -> Result<(), SfmError> {
+        let bad = |flag: &'static str, value: f64| Err(SfmError::BadNumber { flag, value });
+        match (self.known_rate, self.known_distance) {
+            (Some(rate), _) if !(rate.is_finite() && rate != 0.0) => bad("--known-rate", rate),
+            (_, Some(d)) if !(d.is_finite() && d > 0.0) => bad("--known-distance", d),
+            _ => Ok(()),
+        }
+    }
+}

@@ -1,0 +1,119 @@
+//! Which intrinsics a turn determines. One axis says little about the principal point along the axis (a tilt of the
+//! axis does nearly the same), but something about its coordinate across.
+
+use super::problem::TurnProblem;
+use crate::bundle::{Loss, SolveOptions};
+use crate::selection::{Intrinsics, PRINCIPAL_POINT_SIGMA, apply};
+use crate::{Decision, SfmError};
+use glam::DVec3;
+use scene::{CameraModel, Progress};
+
+/// A coordinate whose standard deviation is this share of what it was before is determined.
+const DETERMINED: f64 = 0.2;
+/// An axis leans at most so much (tangent) in the image where one coordinate is across it.
+const LEAN: f64 = 0.5;
+
+/// Camera model and freedom by evidence; the principal point across the axis where it is determined. The sightings of
+/// `problem` have their standard deviations.
+pub(crate) fn choose_for_turn(
+    problem: &TurnProblem,
+    fixed: &[bool],
+    named: Option<CameraModel>,
+    progress: &Progress,
+) -> Result<(Intrinsics, Decision), SfmError> {
+    let model = named.unwrap_or(CameraModel::SimpleRadial);
+    let chosen = Intrinsics { model, principal_point: false, held: None };
+    let mut decision =
+        Decision { what: "camera model".to_owned(), chosen: chosen.describe(), ..Decision::default() };
+    let trial = Trials { problem, fixed, progress };
+    let Some(mut best) = trial.of(chosen)?.filter(|_| !fixed[0]) else {
+        decision.evidence = "known, or not determined".to_owned();
+        return Ok((chosen, decision));
+    };
+    let mut notes = Vec::new();
+    if let Some(along) = along_axis(problem) {
+        let partial = Intrinsics { principal_point: true, held: Some(along), ..chosen };
+        if let Some(found) = trial.of(partial)? {
+            let camera = &problem.bundle.cameras[0];
+            let before = PRINCIPAL_POINT_SIGMA * f64::from(camera.width.max(camera.height));
+            let (value, sd) = found.values[found.focals + 1 - along];
+            let taken = sd < DETERMINED * before && found.bic < best.bic + 10.0;
+            let verdict = if taken { "determined, the other coordinate is held" } else { "held" };
+            let (name, gain) = (["x", "y"][1 - along], found.bic - best.bic);
+            let what = "principal point across the axis";
+            notes.push(format!("{what}: {name} = {value:.2} ± {sd:.2} px, BIC {gain:+.0}: {verdict}"));
+            if taken {
+                best = found;
+            }
+        }
+    }
+    // Distortion once more: it takes up what a wrong principal point leaves.
+    for model in [CameraModel::SimpleRadial, CameraModel::Radial] {
+        let more = model.num_params() > best.intrinsics.model.num_params();
+        if named.is_some() || !more || best.intrinsics.model.num_focals() > 1 {
+            continue;
+        }
+        let Some(found) = trial.of(Intrinsics { model, ..best.intrinsics })? else { continue };
+        let gain = found.bic - best.bic;
+        notes.push(format!("{}: BIC {gain:+.0}{}", model.name(), if gain < 0.0 { ", taken" } else { "" }));
+        if gain < 0.0 {
+            best = found;
+        }
+    }
+    decision.chosen = best.intrinsics.describe();
+    let values: Vec<String> = best.values.iter().map(|(v, sd)| format!("{v:.4}±{sd:.4}")).collect();
+    decision.evidence = format!("{}; {}", notes.join(", "), values.join(" "));
+    Ok((best.intrinsics, decision))
+}
+
+struct Trials<'a> {
+    problem: &'a TurnProblem,
+    fixed: &'a [bool],
+    progress: &'a Progress,
+}
+
+/// An adjusted candidate.
+struct Tried {
+    intrinsics: Intrinsics,
+    bic: f64,
+    focals: usize,
+    /// Parameters of the camera with their standard deviations.
+    values: Vec<(f64, f64)>,
+}
+
+impl Trials<'_> {
+    fn of(&self, intrinsics: Intrinsics) -> Result<Option<Tried>, SfmError> {
+        let mut trial = self.problem.clone();
+        apply(&mut trial.bundle, intrinsics, self.fixed);
+        let options = SolveOptions {
+            loss: Loss::Cauchy(2.0),
+            max_iterations: 30,
+            function_tolerance: 1e-7,
+            ..SolveOptions::default()
+        };
+        let summary = trial.solve(&options, self.progress)?;
+        let Some(covariance) = trial.covariance(&options)?.filter(|_| summary.usable) else {
+            return Ok(None);
+        };
+        let camera = &trial.bundle.cameras[0];
+        let n = camera.params.len();
+        let free = intrinsics.free(camera).iter().filter(|f| **f).count() as f64;
+        let sightings = summary.observations as f64;
+        let bic = summary.final_rms.powi(2) * sightings + free * (2.0 * sightings).ln();
+        let deviation = |i: usize| covariance.cameras[0][i * n + i].max(0.0).sqrt();
+        let values = (0..n).map(|i| (camera.params[i], deviation(i))).collect();
+        Ok(Some(Tried { intrinsics, bic, focals: camera.model.num_focals(), values }))
+    }
+}
+
+/// The image coordinate (0: x, 1: y) along which the axis lies; `None` where it leans or is seen end on.
+fn along_axis(problem: &TurnProblem) -> Option<usize> {
+    let z = problem.axis.rotation * DVec3::Z;
+    let (x, y) = (z.x.abs(), z.y.abs());
+    match () {
+        _ if x.max(y) < 0.3 => None,
+        _ if x < LEAN * y => Some(1),
+        _ if y < LEAN * x => Some(0),
+        _ => None,
+    }
+}

@@ -1,0 +1,232 @@
+//! Objects that turn about one axis before a camera that stands still: modelled as one axis (direction and place), one
+//! angle a frame, shared intrinsics and points, instead of six numbers a frame.
+//!
+//! Fitzgibbon, Cross & Zisserman, "Automatic 3D model construction for turn-table sequences" (SMILE 1998).
+
+mod config;
+mod evidence;
+mod extend;
+mod intrinsics;
+mod material;
+mod model;
+mod photos;
+pub mod problem;
+mod seed;
+mod smoothness;
+#[cfg(test)]
+mod tests;
+pub mod turn;
+mod video;
+
+pub use config::{Motion, MotionConfig};
+pub(crate) use video::{VideoJob, VideoModel, solve_video};
+
+use crate::incremental::adjust::Adjustment;
+use crate::incremental::growth::Knowledge;
+use crate::incremental::state::{Input, State};
+use crate::selection::{Intrinsics, converted};
+use crate::{Decision, PoseDeviation, SfmError, Uncertainty};
+use evidence::Comparison;
+use intrinsics::choose_for_turn;
+use model::{AxisModel, Context};
+use scene::{Camera, CameraModel, Progress};
+use turn::Turn;
+
+/// Points an image contributes to the choice of the camera model.
+const POINTS_TO_CHOOSE: usize = 250;
+/// Farthest that free poses may be from a turn for one to be tried: tilt (radians) and slip (radii).
+const FARTHEST: [f64; 2] = [0.1, 0.2];
+
+/// Share of the images with which the general model needs no other start.
+const WHOLE: f64 = 0.9;
+
+/// The general model, as the general solver left it.
+pub(crate) struct Free<'a> {
+    /// Poses, points, cameras.
+    pub state: &'a State,
+    /// Its camera model.
+    pub intrinsics: Intrinsics,
+}
+
+/// A model under the constraint of one axis, and what was learned with it.
+pub(crate) struct Turned {
+    pub state: State,
+    pub decisions: Vec<Decision>,
+    pub uncertainty: Option<Uncertainty>,
+}
+
+/// What the search for a turn came to: the model, if it is to be taken, and why.
+pub(crate) struct Outcome {
+    pub taken: Option<Turned>,
+    pub decision: Option<Decision>,
+}
+
+/// Everything the search needs beside the models.
+pub(crate) struct Job<'a> {
+    pub input: &'a Input<'a>,
+    pub cameras: &'a [Camera],
+    pub known: &'a [Knowledge],
+    pub starts: &'a [Camera],
+    pub named: Option<CameraModel>,
+    pub config: &'a MotionConfig,
+    pub features: &'a [usize],
+    pub progress: &'a Progress,
+}
+
+impl Job<'_> {
+    pub(crate) fn context<'a>(&'a self, relations: &'a [problem::Relation]) -> Context<'a> {
+        Context {
+            input: self.input,
+            known: self.known,
+            starts: self.starts,
+            relations,
+            features: self.features,
+            progress: self.progress,
+        }
+    }
+}
+
+/// The decision on the motion.
+pub(crate) fn decision(chosen: &str, evidence: String) -> Decision {
+    Decision { what: "motion".to_owned(), chosen: chosen.to_owned(), evidence }
+}
+
+/// Looks whether the images show a turn about one axis, as far as the configuration asks for it.
+pub(crate) fn consider(job: &Job<'_>, free: Option<&Free<'_>>) -> Result<Outcome, SfmError> {
+    let motion = job.config.motion;
+    let nothing =
+        |chosen: &str, evidence: String| Outcome { taken: None, decision: Some(decision(chosen, evidence)) };
+    if motion == Motion::Free {
+        return Ok(nothing("free", "asked for".to_owned()));
+    }
+    if job.cameras.len() != 1 {
+        return Ok(nothing(
+            "free",
+            format!("{} cameras took the images: none stood still", job.cameras.len()),
+        ));
+    }
+    let images = job.input.keypoints.len();
+    let from_free = free.and_then(|f| Turn::of_poses(&f.state.poses));
+    let mut far = "the general solver has no poses that turn".to_owned();
+    if let Some((_, misfit)) = &from_free {
+        far = format!(
+            "the axes of the free poses' rotations are {:.2}° apart, their places {:.2} % of the radius",
+            misfit.tilt.to_degrees(),
+            100.0 * misfit.slip
+        );
+    }
+    let near = from_free
+        .filter(|(_, m)| motion == Motion::SingleAxis || (m.tilt <= FARTHEST[0] && m.slip <= FARTHEST[1]));
+    let registered = free.map_or(0, |f| f.state.registered());
+    let whole = registered as f64 >= WHOLE * images as f64;
+    let context = job.context(&[]);
+    let mut solved = match (near, free) {
+        (Some((turn, _)), Some(f)) => adjust_and_choose(&context, job, &f.state.cameras, turn)?,
+        _ if whole => return Ok(nothing("free", far)),
+        _ => None,
+    };
+    // Where the general solver left images out, a turn may take them in.
+    if !whole && let Some(model) = photos::from_photos(job)? {
+        let more = solved.as_ref().is_none_or(|s| model.state.registered() > s.0.state.registered());
+        if more {
+            let found = format!("{} images grew from three of them under one axis", model.state.registered());
+            far = format!("{far}; {found}");
+            let cameras = model.state.cameras.clone();
+            solved = adjust_and_choose(&context, job, &cameras, model.turn)?.or(solved);
+        }
+    }
+    let Some((mut model, intrinsics, camera)) = solved else {
+        return Ok(nothing("free", format!("{far}; no model about one axis stands")));
+    };
+    // The general model's sightings, unless it has fewer images.
+    let base = free.filter(|f| f.state.registered() >= model.state.registered());
+    let freedom = base.map_or(intrinsics, |f| f.intrinsics);
+    let comparison = Comparison::of(&model, base.map(|f| f.state), &context, freedom)?;
+    let evidence = match &comparison {
+        Some(c) => format!("{far}; {}", c.describe()),
+        None => format!("{far}; too few sightings to compare"),
+    };
+    let fewer = model.state.registered() < registered;
+    let single = motion == Motion::SingleAxis || (!fewer && comparison.is_some_and(|c| c.favours_single()));
+    if !single {
+        return Ok(nothing("free", evidence));
+    }
+    let turned = finish(&mut model, &context, job, intrinsics, camera)?;
+    Ok(Outcome { taken: Some(turned), decision: Some(decision("single-axis", evidence)) })
+}
+
+/// The model about one axis from a first guess; `None` where none stands.
+pub(crate) fn adjust_and_choose(
+    context: &Context<'_>,
+    job: &Job<'_>,
+    cameras: &[Camera],
+    turn: Turn,
+) -> Result<Option<(AxisModel, Intrinsics, Decision)>, SfmError> {
+    // In the model that the priors refer to, until the evidence has spoken.
+    let same = |(camera, start): (&Camera, &Camera)| converted(camera, start.model);
+    let cameras = cameras.iter().zip(context.starts).map(same).collect();
+    let mut model = AxisModel::new(context.input, cameras, turn);
+    if !model.settle(context, 5)? {
+        return Ok(None);
+    }
+    let (free, priors) =
+        crate::incremental::growth::freedom(&model.state.cameras, context.known, context.starts, usize::MAX);
+    let what = Adjustment { points_per_image: Some(POINTS_TO_CHOOSE), ..Adjustment::growing(free, priors) };
+    let (mut problem, selected) = model.problem(context, &what);
+    model.weigh(context, &mut problem.bundle, &selected);
+    let fixed: Vec<bool> = context.known.iter().map(|k| k.fixed).collect();
+    let (intrinsics, decision) = choose_for_turn(&problem, &fixed, job.named, context.progress)?;
+    model.polish(context, intrinsics)?;
+    Ok(Some((model, intrinsics, decision)))
+}
+
+/// Figures of the finished model, and the world frame.
+pub(crate) fn finish(
+    model: &mut AxisModel,
+    context: &Context<'_>,
+    job: &Job<'_>,
+    intrinsics: Intrinsics,
+    camera: Decision,
+) -> Result<Turned, SfmError> {
+    model.orient(job.config.known_distance.unwrap_or(1.0));
+    let mut uncertainty = None;
+    let mut decisions = vec![camera];
+    if let Some((problem, images, covariance)) = model.covariance(context, intrinsics)? {
+        let mut result =
+            Uncertainty { sigma_px: crate::selection::noise(&problem.bundle), ..Uncertainty::default() };
+        for (camera, c) in problem.bundle.cameras.iter().zip(&covariance.cameras) {
+            let n = camera.params.len();
+            result.cameras.insert(camera.id, (0..n).map(|i| c[i * n + i].max(0.0).sqrt()).collect());
+        }
+        for (&image, d) in images.iter().zip(&problem.pose_deviations(&covariance)) {
+            let deviation = PoseDeviation { rotation: [d[0], d[1], d[2]], centre: [d[3], d[4], d[5]] };
+            result.images.insert(image as u32 + 1, deviation);
+        }
+        decisions.push(axis_decision(model, &covariance));
+        uncertainty = Some(result);
+    }
+    Ok(Turned { state: model.state.clone(), decisions, uncertainty })
+}
+
+fn axis_decision(model: &AxisModel, covariance: &problem::TurnCovariance) -> Decision {
+    let z = model.turn.direction();
+    let angles: Vec<f64> = model.turn.angles.iter().flatten().map(|a| a.to_degrees()).collect();
+    let steps: Vec<f64> =
+        angles.windows(2).map(|w| turn::wrapped((w[1] - w[0]).to_radians()).to_degrees()).collect();
+    let mean = steps.iter().sum::<f64>() / steps.len().max(1) as f64;
+    let spread = steps.iter().map(|s| (s - mean).powi(2)).sum::<f64>() / steps.len().max(1) as f64;
+    let worst = covariance.angles.iter().copied().fold(0.0, f64::max).to_degrees();
+    Decision {
+        what: "axis".to_owned(),
+        chosen: format!("({:.4}, {:.4}, {:.4}) in the camera's frame", z.x, z.y, z.z),
+        evidence: format!(
+            "standard deviations: tilt {:.4}° and {:.4}°, angles at most {:.4}°; steps {:.3}° ± {:.3}° over {} frames",
+            covariance.axis[0].to_degrees(),
+            covariance.axis[1].to_degrees(),
+            worst,
+            mean,
+            spread.sqrt(),
+            angles.len()
+        ),
+    }
+}

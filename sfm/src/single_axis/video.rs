@@ -1,0 +1,333 @@
+//! Turns in videos: tracks, a seed, growth along the frames, the seam of a whole turn, the last adjustment.
+
+use super::evidence::Comparison;
+use super::extend::resect_angle;
+use super::material::{KeyFrames, Material, drop_still};
+use super::model::{AxisModel, Context};
+use super::seed::{KEYS, KeyPair, Seed, explained, seeds, steady};
+use super::smoothness::{known_rate, learnt};
+use super::turn::{Turn, median, wrapped};
+use super::{Job, Motion, Turned, adjust_and_choose, decision, finish};
+use crate::incremental::growth::Knowledge;
+use crate::incremental::resection::FOCAL_FACTORS;
+use crate::incremental::state::Input;
+use crate::klt::{KltTrack, track};
+use crate::{Decision, SfmConfig, SfmError};
+use glam::DVec2;
+use scene::{Camera, Features, FrameSet, Progress, TwoViewGeometry};
+
+/// Motion between two key frames of the seed, as a share of the longer image side.
+const KEY_MOTION: f64 = 0.012;
+/// Least share of the matches that a seed must explain.
+const EXPLAINED: f64 = 0.5;
+/// Least share of the frames that must get an angle where the evidence decides.
+const REGISTERED: f64 = 0.8;
+/// Whole turns are closed where the first and the last frame are at least so far apart, radians.
+const SEAM_FROM: f64 = 5.2;
+/// Search for the error of a closed turn, radians to either side.
+const SEAM_SPAN: f64 = 0.2;
+
+/// What a video is solved with.
+pub(crate) struct VideoJob<'a> {
+    pub frames: &'a FrameSet,
+    pub config: &'a SfmConfig,
+    pub cameras: &'a [Camera],
+    pub camera_of: &'a [usize],
+    pub known: &'a [Knowledge],
+    pub progress: &'a Progress,
+}
+
+/// A model about one axis with the keypoints it refers to.
+pub(crate) struct VideoModel {
+    pub turned: Turned,
+    pub keypoints: Vec<Vec<DVec2>>,
+    pub features: Vec<Features>,
+    pub geometries: Vec<TwoViewGeometry>,
+    pub matched: usize,
+}
+
+/// Followed points and features together, and the turn they are to be adjusted from.
+struct Closed {
+    material: Material,
+    turn: Turn,
+    cameras: Vec<Camera>,
+    /// What was found at the seam, for the report.
+    seam: String,
+}
+
+/// The model of a video in which something turns about one axis; else the reason why it is none.
+pub(crate) fn solve_video(job: &VideoJob<'_>) -> Result<Result<(VideoModel, Decision), String>, SfmError> {
+    if job.cameras.len() != 1 || job.frames.len() < 4 {
+        return Ok(Err("fewer than four frames, or more than one camera".to_owned()));
+    }
+    let mut tracks = track(job.frames, &job.config.klt, job.progress)?;
+    let still = drop_still(&mut tracks);
+    let note = format!("{} points were followed, {still} more stand still", tracks.len());
+    let n = job.frames.len();
+    let material = Material::of_klt(&tracks, n);
+    let input = job.input(&material);
+    let model = match job.grow(&input, &tracks)? {
+        Ok(model) => model,
+        Err(why) => return Ok(Err(format!("{note}; {why}"))),
+    };
+    let config = job.config;
+    let keys = KeyFrames::new(job.frames, &model, &config.sift, &config.matching, job.progress)?;
+    let Closed { material, turn, cameras, seam } = job.close(&keys, &tracks, model)?;
+    let input = job.input(&material);
+    let counts: Vec<usize> = keys.features.iter().map(Features::len).collect();
+    let free_job = Job {
+        input: &input,
+        cameras: job.cameras,
+        known: job.known,
+        starts: &cameras,
+        named: config.camera_model.model(),
+        config: &config.motion,
+        features: &counts,
+        progress: job.progress,
+    };
+    let times = job.times();
+    let rate = config.motion.known_rate.map(f64::to_radians);
+    let relations = rate.map_or(Vec::new(), |r| known_rate(&turn.angles, &times, r));
+    let mut context = free_job.context(&relations);
+    let Some((mut model, intrinsics, camera)) = adjust_and_choose(&context, &free_job, &cameras, turn)?
+    else {
+        return Ok(Err(format!("{note}; the tracks and key frames do not agree on one axis")));
+    };
+    let comparison = Comparison::of(&model, None, &context, intrinsics)?;
+    let figures = comparison.as_ref().map_or("too few sightings to compare".to_owned(), Comparison::describe);
+    let evidence = format!("{note}; {seam}; {figures}");
+    let registered = model.state.registered();
+    let single = comparison.is_some_and(|c| c.favours_single()) && registered as f64 >= REGISTERED * n as f64;
+    if config.motion.motion == Motion::Auto && !single {
+        return Ok(Err(format!("one axis was tried: {registered} of {n} frames; {evidence}")));
+    }
+    let smooth = match model.covariance(&context, intrinsics)? {
+        Some((_, images, c)) if rate.is_none() => learnt(&model.turn.angles, &times, &images, &c),
+        _ => None,
+    };
+    let (relations, smooth) = smooth.unzip();
+    if let Some(relations) = &relations {
+        context.relations = relations;
+        model.polish(&context, intrinsics)?;
+    }
+    let mut turned = finish(&mut model, &context, &free_job, intrinsics, camera)?;
+    turned.decisions.extend(smooth);
+    Ok(Ok((job.done(turned, material, keys), decision("single-axis", evidence))))
+}
+
+impl VideoJob<'_> {
+    pub(crate) fn input<'a>(&'a self, material: &'a Material) -> Input<'a> {
+        Input {
+            keypoints: &material.keypoints,
+            tracks: &material.tracks,
+            camera_of: self.camera_of,
+            geometries: &[],
+            config: &self.config.mapper,
+            may_be_turned: false,
+            seed: self.config.seed,
+        }
+    }
+
+    fn done(&self, turned: Turned, material: Material, keys: KeyFrames) -> VideoModel {
+        let mut geometries = keys.near;
+        geometries.extend(keys.seam);
+        geometries.sort_by_key(|g| (g.a, g.b));
+        VideoModel {
+            turned,
+            keypoints: material.keypoints,
+            features: keys.features,
+            geometries,
+            matched: keys.matched,
+        }
+    }
+
+    /// Presentation times, or the frames' numbers where they are not known.
+    fn times(&self) -> Vec<f64> {
+        let times: Vec<f64> = self.frames.frames.iter().filter_map(|f| f.time_s).collect();
+        let ascending = times.windows(2).all(|w| w[1] > w[0]);
+        if times.len() == self.frames.len() && ascending {
+            times
+        } else {
+            (0..self.frames.len()).map(|i| i as f64).collect()
+        }
+    }
+
+    /// From followed points alone: the best seed, grown over the whole video.
+    pub(crate) fn grow(
+        &self,
+        input: &Input<'_>,
+        tracks: &[KltTrack],
+    ) -> Result<Result<AxisModel, String>, SfmError> {
+        let n = self.frames.len();
+        let Some(stride) = stride(tracks, n, self.cameras[0].width.max(self.cameras[0].height)) else {
+            return Ok(Err("nothing moves enough".to_owned()));
+        };
+        let keys = KEYS.min((n - 1) / stride + 1);
+        let Some((first, pairs)) = window(tracks, n, stride, keys, &self.cameras[0]) else {
+            return Ok(Err("no points last long enough".to_owned()));
+        };
+        let guess = self.cameras[0].mean_focal();
+        let known = self.known[0].fixed || self.known[0].focal_sigma.is_some();
+        let focals: Vec<f64> =
+            if known { vec![guess] } else { FOCAL_FACTORS.iter().map(|f| f * guess).collect() };
+        let found = seeds(&pairs, keys, &steady(), &focals, guess, known);
+        let best = found.first().map_or(0.0, |s| explained(&pairs, s));
+        if best < EXPLAINED {
+            return Ok(Err(format!("one axis explains {:.0} % of their motion at most", 100.0 * best)));
+        }
+        let mut chosen: Option<(f64, AxisModel, Vec<Camera>)> = None;
+        for seed in &found {
+            let (cameras, turn) = self.of_seed(seed, first, stride, keys);
+            let Some(turn) = turn else { continue };
+            let context = self.context(input, &cameras);
+            let mut model = AxisModel::new(input, cameras.clone(), turn);
+            if !model.settle_with(&context, 3, 100, 2)? {
+                continue;
+            }
+            let score = model.agreement(input);
+            if chosen.as_ref().is_none_or(|(best, ..)| score > *best) {
+                chosen = Some((score, model, cameras));
+            }
+        }
+        let Some((_, mut model, cameras)) = chosen else {
+            return Ok(Err("no seed gives points".to_owned()));
+        };
+        let context = self.context(input, &cameras);
+        model.extend(&context, &self.times())?;
+        let registered = model.state.registered();
+        if registered < 3 {
+            return Ok(Err("the seed does not grow".to_owned()));
+        }
+        Ok(Ok(model))
+    }
+
+    fn context<'a>(&'a self, input: &'a Input<'a>, starts: &'a [Camera]) -> Context<'a> {
+        Context { input, known: self.known, starts, relations: &[], features: &[], progress: self.progress }
+    }
+
+    /// Camera and turn of a seed; frames between key frames get angles in between.
+    fn of_seed(&self, seed: &Seed, first: usize, stride: usize, keys: usize) -> (Vec<Camera>, Option<Turn>) {
+        let mut cameras = self.cameras.to_vec();
+        if !self.known[0].fixed {
+            let focals = cameras[0].model.num_focals();
+            cameras[0].params[..focals].fill(seed.focal);
+        }
+        let mut angles = vec![None; self.frames.len()];
+        for k in 0..keys - 1 {
+            for i in 0..=stride {
+                let share = i as f64 / stride as f64;
+                angles[first + k * stride + i] =
+                    Some(seed.angles[k] + share * (seed.angles[k + 1] - seed.angles[k]));
+            }
+        }
+        (cameras, Turn::new(seed.direction(), seed.place(), angles))
+    }
+
+    /// Joins followed points and features; where a whole turn brings first and last frames together, the angles are
+    /// stretched so that it closes.
+    fn close(&self, keys: &KeyFrames, tracks: &[KltTrack], model: AxisModel) -> Result<Closed, SfmError> {
+        let open = Material::of_both(&keys.features, &keys.near, tracks);
+        let input = self.input(&open);
+        let cameras = model.state.cameras.clone();
+        let context = self.context(&input, &cameras);
+        let mut joined = AxisModel::new(&input, cameras.clone(), model.turn.clone());
+        joined.settle_with(&context, 2, 60, joined.freedom_by_range())?;
+        let angles: Vec<f64> = joined.turn.angles.iter().flatten().copied().collect();
+        let range =
+            angles.iter().copied().fold(f64::MIN, f64::max) - angles.iter().copied().fold(f64::MAX, f64::min);
+        if range < SEAM_FROM || keys.seam.is_empty() {
+            let text = format!("{:.1}° were turned, no seam", range.to_degrees());
+            let cameras = joined.state.cameras;
+            return Ok(Closed { material: open, turn: joined.turn, cameras, seam: text });
+        }
+        let gaps: Vec<(f64, f64)> =
+            keys.seam.iter().filter_map(|g| self.seam_error(&joined, &context, g)).collect();
+        let middle = median(gaps.iter().map(|g| g.0).collect());
+        let agreeing: Vec<&(f64, f64)> = gaps.iter().filter(|g| (g.0 - middle).abs() < 0.01).collect();
+        if agreeing.len() < 2 || agreeing.len() * 2 < gaps.len() {
+            let text = format!("{:.1}° were turned, the seam is not seen", range.to_degrees());
+            let cameras = joined.state.cameras;
+            return Ok(Closed { material: open, turn: joined.turn, cameras, seam: text });
+        }
+        let stretch = agreeing.iter().map(|g| g.0 / g.1).sum::<f64>() / agreeing.len() as f64;
+        joined.turn.angles.iter_mut().flatten().for_each(|a| *a *= 1.0 + stretch);
+        let mut geometries = keys.near.clone();
+        geometries.extend(keys.seam.iter().cloned());
+        let text = format!(
+            "{:.1}° were turned, {} pairs across the seam closed it by {:.2}°",
+            range.to_degrees(),
+            agreeing.len(),
+            (stretch * range).abs().to_degrees()
+        );
+        let material = Material::of_both(&keys.features, &geometries, tracks);
+        Ok(Closed { material, turn: joined.turn, cameras: joined.state.cameras, seam: text })
+    }
+
+    /// By how much the angle between two frames on either side of the seam is too small, and that angle: points that
+    /// the one sees, found in the other.
+    fn seam_error(
+        &self,
+        model: &AxisModel,
+        context: &Context<'_>,
+        g: &TwoViewGeometry,
+    ) -> Option<(f64, f64)> {
+        let (a, b) = (model.turn.angles[g.a]?, model.turn.angles[g.b]?);
+        let place = |m: &[u32; 2]| {
+            let track = context.input.tracks.of[g.a][m[0] as usize];
+            let point = *model.state.of_track.get(track as usize)?.first()?;
+            let x = model.state.points[point as usize].as_ref()?.position;
+            Some((context.input.keypoints[g.b][m[1] as usize], x))
+        };
+        let seen: Vec<_> = g.inliers.iter().filter_map(place).collect();
+        if seen.len() < 8 {
+            return None;
+        }
+        let found = resect_angle(&model.state.cameras[0], &model.turn.axis, &seen, b, SEAM_SPAN);
+        (found.inliers >= 8 && found.inliers * 2 >= found.asked).then(|| (wrapped(found.angle - b), b - a))
+    }
+}
+
+/// The fewest frames over which the tracks move by [`KEY_MOTION`].
+fn stride(tracks: &[KltTrack], frames: usize, side: u32) -> Option<usize> {
+    let wanted = KEY_MOTION * f64::from(side);
+    (1..=((frames - 1) / 2).max(1)).find(|&s| {
+        let moves = |t: &KltTrack| -> Vec<f64> {
+            t.positions.windows(s + 1).step_by(s).map(|w| w[0].distance(w[s])).collect()
+        };
+        let all: Vec<f64> = tracks.iter().flat_map(moves).collect();
+        all.len() >= 20 && median(all) >= wanted
+    })
+}
+
+/// The window of key frames that share most tracks, and their matches.
+fn window(
+    tracks: &[KltTrack],
+    frames: usize,
+    stride: usize,
+    keys: usize,
+    camera: &Camera,
+) -> Option<(usize, Vec<KeyPair>)> {
+    let span = (keys - 1) * stride;
+    if keys < 3 || span >= frames {
+        return None;
+    }
+    let ideal = |p: DVec2| camera.unproject(p) * camera.mean_focal();
+    let pairs_at = |first: usize| -> Vec<KeyPair> {
+        let pair = |i: usize, k: usize| {
+            let (a, b) = (first + i * stride, first + k * stride);
+            let at =
+                |t: &KltTrack, f: usize| f.checked_sub(t.first).and_then(|d| t.positions.get(d)).copied();
+            let both = |t: &KltTrack| Some([ideal(at(t, a)?), ideal(at(t, b)?)]);
+            KeyPair { keys: [i, k], points: tracks.iter().filter_map(both).collect() }
+        };
+        (0..keys)
+            .flat_map(|i| (i + 1..keys.min(i + 4)).map(move |k| (i, k)))
+            .map(|(i, k)| pair(i, k))
+            .collect()
+    };
+    let score = |pairs: &[KeyPair]| pairs.iter().map(|p| p.points.len().min(100)).sum::<usize>();
+    let starts = (0..frames - span).step_by(stride);
+    let best = starts.map(|s| (s, pairs_at(s))).max_by_key(|(s, p)| (score(p), std::cmp::Reverse(*s)))?;
+    let (first, pairs) = best;
+    Some((first, pairs.into_iter().filter(|p| p.points.len() >= 8).collect()))
+}
