@@ -35,12 +35,12 @@ fn rows() -> Vec<Row> {
         row("as it is", |_| {}),
         row("Gaussians that hardly any view sees stay", |c| c.recipe.remove_unseen = false),
         row("growth by a tenth above a threshold", |c| c.recipe.planned_growth = false),
-        row("chosen by gradient", |c| c.recipe.selection = Selection::Gradient),
+        row("chosen by absolute gradient", |c| c.recipe.selection = Selection::AbsoluteGradient),
         row("chosen by opacity (3DGS-MCMC, no noise)", |c| c.recipe.selection = Selection::Opacity),
         row("half as many Gaussians", |c| c.recipe.gaussians_a_step *= 0.5),
         row("twice as many Gaussians", |c| c.recipe.gaussians_a_step *= 2.0),
-        row("full resolution later (0.4, 0.8)", |c| {
-            (c.recipe.half_resolution_from, c.recipe.full_resolution_from) = (0.4, 0.8);
+        row("full resolution earlier (0.2, 0.6)", |c| {
+            (c.recipe.half_resolution_from, c.recipe.full_resolution_from) = (0.2, 0.6);
         }),
         row("full resolution throughout", |c| c.coarse_levels = 0),
         row("no validation views", |c| c.recipe.evidence = false),

@@ -71,9 +71,9 @@ pub struct TrainConfig {
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub enum Selection {
     /// Norm of the mean screen gradient (Kerbl et al. 2023)
+    #[default]
     Gradient,
     /// The same of its absolute values over the pixels, which do not cancel (Ye et al., AbsGS, 2024)
-    #[default]
     AbsoluteGradient,
     /// Drawn in proportion to opacity; two of them look as the one did (Kheradmand et al., 3DGS as MCMC, 2024)
     Opacity,
@@ -89,7 +89,7 @@ pub struct Recipe {
     pub remove_unseen: bool,
     /// Where Gaussians are added.
     pub selection: Selection,
-    /// Gaussians at the end of growth for each step of the schedule.
+    /// Gaussians at the end of growth for each step of the schedule, where there are views enough.
     pub gaussians_a_step: f64,
     /// Position in the schedule from which training runs at full resolution.
     pub full_resolution_from: f64,
@@ -112,10 +112,10 @@ impl Default for Recipe {
         Self {
             planned_growth: true,
             remove_unseen: true,
-            selection: Selection::AbsoluteGradient,
+            selection: Selection::Gradient,
             gaussians_a_step: 50.0,
-            full_resolution_from: 0.6,
-            half_resolution_from: 0.2,
+            full_resolution_from: 0.8,
+            half_resolution_from: 0.4,
             densify_until: 0.7,
             evidence: true,
             exposure: true,

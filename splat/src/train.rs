@@ -253,7 +253,7 @@ impl<'a> Trainer<'a> {
         let (now, max) = (self.backend.model().len, self.config.max_gaussians);
         let (wanted, threshold) = if recipe.planned_growth {
             let steps = self.pace.steps(&self.state, self.config);
-            let last = schedule::gaussians_at_end(self.state.first, steps, self.config);
+            let last = schedule::gaussians_at_end(self.state.first, steps, self.views.len(), self.config);
             let last = self.state.findings.gaussians_limit.map_or(last, |limit| last.min(limit));
             (schedule::gaussians(self.state.position, self.state.first, last, recipe), 0.0)
         } else {

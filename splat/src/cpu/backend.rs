@@ -8,6 +8,7 @@ use super::workspace::Workspace;
 use crate::backend::{Backend, KernelTimes, StepInput, StepOutput, Target};
 use crate::model::{GEOMETRY, Model, padded};
 use crate::{PinholeView, RenderOptions, RenderOutput, SplatError};
+use rayon::prelude::*;
 use scene::FloatImage;
 
 /// Near plane where the options leave it open, normalised units.
@@ -220,15 +221,23 @@ impl Backend for CpuBackend {
             alpha: FloatImage::zeros(w, h, 1),
             depth: FloatImage::zeros(w, h, 1),
         };
-        for i in 0..w * h {
-            let at = i / w * stride + i % w;
-            for c in 0..3 {
-                out.rgb.data[i * 3 + c] = self.work.rgb[c][at];
-            }
-            let alpha = 1.0 - self.work.transmittance[at];
-            out.alpha.data[i] = alpha;
-            out.depth.data[i] = if alpha > 0.0 { self.work.depth[at] / alpha } else { 0.0 };
-        }
+        let work = &self.work;
+        let rows = out.rgb.data.par_chunks_mut(3 * w.max(1)).zip(out.alpha.data.par_chunks_mut(w.max(1)));
+        rows.zip(out.depth.data.par_chunks_mut(w.max(1))).enumerate().for_each(
+            |(y, ((rgb, alphas), depths))| {
+                let row = y * stride..y * stride + w;
+                let planes = work.rgb.each_ref().map(|plane| &plane[row.clone()]);
+                let (clear, far) = (&work.transmittance[row.clone()], &work.depth[row]);
+                for x in 0..w {
+                    for c in 0..3 {
+                        rgb[x * 3 + c] = planes[c][x];
+                    }
+                    let alpha = 1.0 - clear[x];
+                    alphas[x] = alpha;
+                    depths[x] = if alpha > 0.0 { far[x] / alpha } else { 0.0 };
+                }
+            },
+        );
         out
     }
 

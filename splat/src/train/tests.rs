@@ -269,7 +269,7 @@ fn exposure_is_modelled_where_views_differ_in_it_and_only_there() {
 
 #[test]
 fn degree_and_count_are_judged_by_training_views_and_resuming_repeats_the_judgement() {
-    let dataset = dataset(36, false);
+    let dataset = dataset(72, false);
     let whole = train(&dataset, &config(230), None, &Progress::silent()).unwrap();
     assert!(!choice(&whole, "harmonic").is_empty() && !choice(&whole, "number").is_empty());
     for stop in [70, 150] {
