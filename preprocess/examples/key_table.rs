@@ -93,7 +93,16 @@ fn filmed_case(case: &Path) -> Capture {
         .collect();
     let light = if name.starts_with("case3") { "10 %" } else { "100 %" };
     let screen = *frames[0].get_pixel(WIDTH / 5, HEIGHT / 4);
-    Capture { name, light, video: case.join("video.mp4"), frames, shots, screen: screen.0, stands: true, folder }
+    Capture {
+        name,
+        light,
+        video: case.join("video.mp4"),
+        frames,
+        shots,
+        screen: screen.0,
+        stands: true,
+        folder,
+    }
 }
 
 type Mattes = Vec<(GrayImage, RgbImage)>;
@@ -173,7 +182,11 @@ fn keyed(capture: &Capture, matte: MatteMode) -> (Mattes, f64) {
     if matte == MatteMode::Soft {
         eprintln!("{} at {} light: {}", capture.name, capture.light, keyer.evidence);
         let threads = rayon::current_num_threads();
-        eprintln!("    {:.1} CPU ms a frame; {:.0} frames a second on {threads} threads", 1e3 * cpu, 1.0 / wall);
+        eprintln!(
+            "    {:.1} CPU ms a frame; {:.0} frames a second on {threads} threads",
+            1e3 * cpu,
+            1.0 / wall
+        );
     }
     (result, 1e3 * cpu)
 }
