@@ -179,7 +179,7 @@ impl Pipeline {
 
     fn frames(&mut self) -> Result<(FrameSet, String)> {
         let source = self.input.source();
-        let print = fingerprint(&("frames", 1, &self.args.frames, &self.args.key, describe_input(source)?))?;
+        let print = fingerprint(&("frames", 2, &self.args.frames, &self.args.key, describe_input(source)?))?;
         if self.stages.current::<FrameSet>("frames", &print).is_none() {
             self.refuse_foreign_folder()?;
         }
@@ -198,6 +198,9 @@ impl Pipeline {
             } else {
                 preprocess::matte_frames(&frames, &self.out, &self.args.key, &progress)?
             };
+            if frames.frames.iter().any(|f| f.mask.is_some()) {
+                preprocess::contact_sheet(&frames, &self.out.join("mattes.png"))?;
+            }
             Ok(relative_to(frames, &self.out))
         })?;
         let frames = absolute_in(finished.value, &self.out);

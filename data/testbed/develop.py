@@ -27,17 +27,24 @@ class LensMap:
         u, v = np.meshgrid(np.arange(2 * lens.width) / 2 + 0.25, np.arange(2 * lens.height) / 2 + 0.25)
         x, y = cases.undistort(lens, u, v)
         # Pixel (0, 0) is the corner: sample k of the render lies at k + 0.5.
-        self.x = np.clip(f * x + width / 2 - 0.5, 0, width - 1.001)
-        self.y = np.clip(f * y + height / 2 - 0.5, 0, height - 1.001)
-        self.r2 = (x * x + y * y)[::2, ::2]
+        x = np.clip(f * x + width / 2 - 0.5, 0, width - 1.001)
+        y = np.clip(f * y + height / 2 - 0.5, 0, height - 1.001)
+        left, top = np.floor(x).astype(np.int64), np.floor(y).astype(np.int64)
+        a, b = x - left, y - top
+        # Corner of the cell as a flat index, weights of its four corners; the four points of a pixel together.
+        corner = top * width + left
+        weights = np.stack([(1 - a) * (1 - b), a * (1 - b), (1 - a) * b, a * b])
+        points = [(j, i) for j in range(2) for i in range(2)]
+        self.corner = np.concatenate([corner[j::2, i::2].ravel() for j, i in points])
+        self.weights = np.concatenate([weights[:, j::2, i::2].reshape(4, -1) for j, i in points], 1) / 4
+        self.weights = self.weights.astype(np.float32)[..., None]
+        self.steps = (0, 1, width, width + 1)
+        self.r2 = ((u - lens.cx) ** 2 + (v - lens.cy) ** 2)[::2, ::2] / lens.f**2
 
     def __call__(self, image):
-        x0, y0 = np.floor(self.x).astype(int), np.floor(self.y).astype(int)
-        a, b = (self.x - x0)[..., None], (self.y - y0)[..., None]
-        top = image[y0, x0] * (1 - a) + image[y0, x0 + 1] * a
-        low = image[y0 + 1, x0] * (1 - a) + image[y0 + 1, x0 + 1] * a
-        fine = top * (1 - b) + low * b
-        return (fine[::2, ::2] + fine[1::2, ::2] + fine[::2, 1::2] + fine[1::2, 1::2]) / 4
+        flat = image.reshape(-1, image.shape[2]).astype(np.float32)
+        seen = sum(w * flat[self.corner + step] for w, step in zip(self.weights, self.steps))
+        return seen.reshape(4, *self.r2.shape, -1).sum(axis=0)
 
 
 def ratio(back, base):

@@ -12,6 +12,8 @@ use std::path::Path;
 
 /// Frames from which screen, light and still parts are learnt.
 const SAMPLES: usize = 24;
+/// A frame of which less is kept shows no object.
+const EMPTY_SHARE: f32 = 1e-4;
 /// Frames on a contact sheet at most, and the longest side of each, pixels.
 const SHEET: (usize, u32) = (48, 200);
 
@@ -57,9 +59,13 @@ pub fn matte_frames(
         .collect();
     let done = done?;
     progress.check()?;
-    staging.publish(&["images", "masks"], &[])?;
     let empty: Vec<&str> =
-        done.iter().filter(|(_, share)| *share < 1e-4).map(|(f, _)| f.name.as_str()).collect();
+        done.iter().filter(|(_, share)| *share < EMPTY_SHARE).map(|(f, _)| f.name.as_str()).collect();
+    if config.key == "auto" && 2 * empty.len() > done.len() {
+        result.notes.push(format!("no matte: nothing stands before the screen in {} frames", empty.len()));
+        return Ok(result);
+    }
+    staging.publish(&["images", "masks"], &[])?;
     if !empty.is_empty() {
         result.notes.push(format!(
             "{} mattes are empty: {}",

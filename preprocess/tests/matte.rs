@@ -63,7 +63,7 @@ fn mattes_of_a_noisy_screen_with_spill_meet_their_truth() {
 #[test]
 fn captures_without_a_screen_come_back_untouched_with_the_evidence() {
     let small = FrameConfig { max_size: 320, ..FrameConfig::default() };
-    for name in ["fox", "temple_ring", "fountain_p11"] {
+    for name in ["fox", "temple_ring", "fountain_p11", "oxford_dino"] {
         let Some(folder) = shared(name) else { return };
         let dir = Scratch::new(&format!("off-{name}"));
         let set = photo_frames(&folder, &dir.0.join("in"), &small, &Progress::silent()).unwrap();
@@ -176,6 +176,30 @@ fn modes_and_backgrounds_do_what_they_say() {
     );
     assert!(run("grene", MatteMode::Soft, Background::Keep).is_err());
     assert!(contact_sheet(&FrameSet::default(), &dir.0.join("x.png")).is_err());
+}
+
+#[test]
+fn a_screen_before_which_nothing_stands_is_left_alone_and_one_frame_is_enough_for_a_matte() {
+    let dir = Scratch::new("nothing");
+    let folder = dir.0.join("in");
+    std::fs::create_dir_all(&folder).unwrap();
+    for i in 0..3 {
+        let noise = |x: u32, y: u32| ((x * 31 + y * 17 + i) % 4) as u8;
+        let image = RgbImage::from_fn(160, 120, |x, y| Rgb([25, 150 + noise(x, y), 45]));
+        image.save(folder.join(format!("{i}.png"))).unwrap();
+    }
+    let load = |from: &str| {
+        let to = dir.0.join(format!("{from}.out"));
+        photo_frames(&dir.0.join(from), &to, &FrameConfig::default(), &Progress::silent()).unwrap()
+    };
+    let set = load("in");
+    let out = matte(&set, &dir.0.join("out"), &KeyConfig::default()).unwrap();
+    assert_eq!(out.frames, set.frames, "{:?}", out.notes);
+    assert!(out.notes.last().unwrap().contains("nothing stands before the screen"), "{:?}", out.notes);
+    let one = painted(&dir.0.join("one"), 1);
+    let out = matte(&one, &dir.0.join("out1"), &KeyConfig::default()).unwrap();
+    let mask = image::open(out.frames[0].mask.as_ref().unwrap()).unwrap().to_luma8();
+    assert!(mask.get_pixel(150, 120)[0] == 255 && mask.get_pixel(20, 20)[0] == 0);
 }
 
 #[test]

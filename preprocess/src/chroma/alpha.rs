@@ -12,21 +12,23 @@ const MIN_DEPARTURE: f32 = 0.06;
 /// A region that nowhere departs by this much is a shadow or noise.
 const MIN_PEAK: f32 = 0.30;
 /// Weight of a mixed pixel beside a solid one when the foreground's colour is learnt.
-static MIXED_WEIGHT: std::sync::LazyLock<f32> = std::sync::LazyLock::new(|| tune("MIXED_WEIGHT", 0.05));
+const MIXED_WEIGHT: f32 = 0.05;
 /// Chroma of 4:2:0 video is blurred: standard deviation of alpha from chroma at an edge.
-static CHROMA_ERROR: std::sync::LazyLock<f32> = std::sync::LazyLock::new(|| tune("CHROMA_ERROR", 0.15));
+const CHROMA_ERROR: f32 = 0.15;
 /// The same for luma.
-static LUMA_ERROR: std::sync::LazyLock<f32> = std::sync::LazyLock::new(|| tune("LUMA_ERROR", 0.2));
+const LUMA_ERROR: f32 = 0.20;
 /// The object's rim is lit by the screen and mixes with its blur: alpha falls short by this factor there.
-static RIM_GAIN: std::sync::LazyLock<f32> = std::sync::LazyLock::new(|| tune("RIM_GAIN", 1.25));
+const RIM_GAIN: f32 = 1.1;
 /// Smoothing has made the edge this much too soft.
-static EDGE_CONTRAST: std::sync::LazyLock<f32> = std::sync::LazyLock::new(|| tune("EDGE_CONTRAST", 1.15));
+const EDGE_CONTRAST: f32 = 1.15;
 
-static THIN_GAIN: std::sync::LazyLock<f32> = std::sync::LazyLock::new(|| tune("THIN_GAIN", 1.0));
-static THIN_FLOOR: std::sync::LazyLock<f32> = std::sync::LazyLock::new(|| tune("THIN_FLOOR", 0.0));
-pub(crate) fn tune(name: &str, v: f32) -> f32 {
-    std::env::var(name).ok().and_then(|s| s.parse().ok()).unwrap_or(v)
-}
+/// Where nothing around is solid (rods), chroma is spread over more than the object is wide: alpha from it falls short
+/// by this factor, and the colour is not taken out of more than this share of the screen.
+const THIN_GAIN: f32 = 1.3;
+const THIN_FLOOR: f32 = 0.7;
+/// Weight of colours around from which on something solid is near.
+const SOLID_WEIGHT: f32 = 0.5;
+
 /// Planes of one frame and scratch, kept between frames.
 #[derive(Default)]
 pub(crate) struct Workspace {
@@ -125,6 +127,7 @@ impl Workspace {
             if likeness > 0.0 {
                 (0..3).for_each(|c| self.screen[c][i] += likeness * (linear[c] - self.screen[c][i]));
                 self.share[i] += likeness * (1.0 - self.share[i]);
+                self.total[i] += likeness * (1.0 - self.total[i]);
                 self.still[i] = 1;
             }
         }
@@ -209,7 +212,7 @@ impl Workspace {
         for i in (0..n).filter(|i| not_screen[*i] != 0) {
             let s = if solid[i] != 0 { 0.0 } else { self.smoothed[i].max(self.share[i]).clamp(0.0, 1.0) };
             let t = 1.0 - s;
-            let weight = if solid[i] != 0 { 1.0 } else { *MIXED_WEIGHT * t * t * t };
+            let weight = if solid[i] != 0 { 1.0 } else { MIXED_WEIGHT * t * t * t };
             let mut colour = [0.0; 3];
             for (c, v) in colour.iter_mut().enumerate() {
                 // t · (un-premultiplied colour) = I − s B
@@ -218,7 +221,7 @@ impl Workspace {
                 self.around[c][i] = weight * value;
                 *v = if t > 1e-3 { value / t } else { 0.0 };
             }
-            let t = if solid[i] != 0 || t > *THIN_FLOOR { t } else { *THIN_FLOOR };
+            let t = if solid[i] != 0 || t > THIN_FLOOR { t } else { THIN_FLOOR };
             self.weights[i] = weight * t;
             let y = luminance(colour);
             self.spread[i] = weight * t * y * y;
@@ -245,16 +248,13 @@ impl Workspace {
     /// costs no detail and removes the steps.
     fn solve_band(&mut self, noise: Noise, width: usize) {
         for i in (0..self.share.len()).filter(|i| self.band[*i] != 0) {
-            self.alpha[i] =
-                (if self.weights[i] < 1e-5 { 1.0 - self.share[i] } else { self.alpha_from_chroma(i) }
-                    * if self.weights[i] < 0.5 { *THIN_GAIN } else { 1.0 })
-                .clamp(-0.2, 1.2);
+            self.alpha[i] = self.first_alpha(i).clamp(-0.2, 1.2);
         }
         smooth(&self.alpha, width, &mut self.mean);
         for i in (0..self.share.len()).filter(|i| self.band[*i] != 0) {
             let alpha = self.mean[i].clamp(0.0, 1.0);
             let alpha = if self.weights[i] < 1e-5 { alpha } else { self.with_luma(i, alpha, noise) };
-            let alpha = (alpha * *RIM_GAIN - 0.5) * *EDGE_CONTRAST + 0.5;
+            let alpha = (alpha * RIM_GAIN - 0.5) * EDGE_CONTRAST + 0.5;
             self.alpha[i] = if alpha < 0.03 {
                 0.0
             } else if alpha > 0.97 {
@@ -263,6 +263,12 @@ impl Workspace {
                 alpha
             };
         }
+    }
+
+    fn first_alpha(&self, i: usize) -> f32 {
+        let weight = self.weights[i];
+        let alpha = if weight < 1e-5 { 1.0 - self.share[i] } else { self.alpha_from_chroma(i) };
+        if weight < SOLID_WEIGHT { THIN_GAIN * alpha } else { alpha }
     }
 
     fn alpha_from_chroma(&self, i: usize) -> f32 {
@@ -277,8 +283,8 @@ impl Workspace {
         let fd = [self.around[0][i] - b[0], self.around[1][i] - b[1], self.around[2][i] - b[2]];
         let (c2, fy) = (squared(chroma_of(fd)), luminance(fd));
         let y2 = fy * fy;
-        let weight_c = c2 / (noise.chroma + *CHROMA_ERROR * *CHROMA_ERROR * c2 + 1e-9);
-        let weight_y = y2 / (noise.luma + self.spread[i] + *LUMA_ERROR * *LUMA_ERROR * y2 + 1e-9);
+        let weight_c = c2 / (noise.chroma + CHROMA_ERROR * CHROMA_ERROR * c2 + 1e-9);
+        let weight_y = y2 / (noise.luma + self.spread[i] + LUMA_ERROR * LUMA_ERROR * y2 + 1e-9);
         let py = luminance([p[0] - b[0], p[1] - b[1], p[2] - b[2]]);
         let alpha_y = (py * fy / (y2 + 1e-9)).clamp(0.0, 1.0);
         (weight_c * alpha_c + weight_y * alpha_y) / (weight_c + weight_y + 1e-9)

@@ -84,16 +84,6 @@ impl Key {
     pub fn difference(&self, rgb: [f32; 3]) -> f32 {
         dot(self.along, rgb) - self.wedge * dot(self.across, rgb).abs()
     }
-
-    /// The same for 8-bit sRGB.
-    #[inline(always)]
-    pub fn difference_of(&self, rgb: [u8; 3]) -> f32 {
-        self.difference([
-            LINEAR[usize::from(rgb[0])],
-            LINEAR[usize::from(rgb[1])],
-            LINEAR[usize::from(rgb[2])],
-        ])
-    }
 }
 
 /// Scalar product.

@@ -25,7 +25,7 @@ pub enum MatteMode {
     Plain,
 }
 
-const DEFAULT_KEY: &str = "off";
+const DEFAULT_KEY: &str = "auto";
 
 /// How the object is cut out of a green (blue, …) screen.
 #[derive(clap::Args, Clone, Debug, PartialEq, Serialize, Deserialize)]

@@ -14,6 +14,8 @@ const HUE_WINDOW: f32 = 15.0;
 const MIN_COVERAGE: (f32, f32) = (0.12, 0.05);
 /// A screen is smooth: median relative step of value between neighbours in a picture of 160 pixels.
 const MAX_ROUGHNESS: f32 = 0.03;
+/// A screen is saturated (median of its pixels); a grey-blue wall or table is not taken for one unless it is named.
+const MIN_SCREEN_SATURATION: f32 = 0.5;
 /// Wood, skin, brick and lamp light have these hues: a screen of such a colour is only taken if it is named.
 const NATURAL_HUES: (f32, f32) = (-30.0, 68.0);
 
@@ -40,6 +42,7 @@ pub(crate) fn detect(thumbnails: &[RgbImage], choice: KeyChoice) -> Detection {
     let is_screen = found.coverage >= MIN_COVERAGE.0
         && found.low_coverage >= MIN_COVERAGE.1
         && found.roughness <= MAX_ROUGHNESS
+        && found.saturation >= MIN_SCREEN_SATURATION
         && !natural;
     let figures = format!(
         "hue {hue:.0}°, {:.0} % of the median frame ({:.0} % of the worst), saturation {:.2}, roughness {:.1} %",
@@ -194,8 +197,13 @@ mod tests {
             let key = found.key.unwrap_or_else(|| panic!("{screen:?}: {}", found.evidence));
             assert!(hue_distance(key.hue, hue_saturation_value(screen).0) < 4.0, "{screen:?} {}", key.hue);
         }
-        for (screen, share) in [([30, 190, 60], 4), ([90, 85, 88], 70), ([180, 120, 70], 70), ([0, 0, 0], 90)]
-        {
+        for (screen, share) in [
+            ([30, 190, 60], 4),
+            ([90, 85, 88], 70),
+            ([180, 120, 70], 70),
+            ([0, 0, 0], 90),
+            ([82, 90, 150], 80),
+        ] {
             let found = detect(&[frame(screen, share)], KeyChoice::Auto);
             assert!(found.key.is_none(), "{screen:?}: {}", found.evidence);
         }

@@ -26,7 +26,7 @@ const ANY_LIGHT: (f32, f32) = (0.55, 1.5);
 /// Departure from a still thing, 8-bit levels, at which something else surely stands before it.
 const BEFORE_LEVELS: (i32, i32) = (12, 28);
 /// A pole hides the screen in at least this share of the samples and is at most this wide (share of the longer side).
-const ALWAYS_SHARE: f32 = 0.85;
+const ALWAYS_SHARE: f32 = 0.7;
 const POLE_WIDTH: f32 = 0.03;
 /// Still things cover less than this share of what is seen before the screen, else the object itself stands still.
 const POLE_SHARE: f32 = 0.4;
@@ -72,7 +72,7 @@ impl Still {
         let (mut lights, mut others) = (Vec::new(), Vec::new());
         let (mut other_counts, mut still_count, mut other_count) = (vec![0_u32; n], 0_usize, 0_usize);
         let needed = (SCREEN_SHARE * frames.len() as f32).max(2.0);
-        for i in 0..n {
+        for (i, other_count_here) in other_counts.iter_mut().enumerate() {
             lights.clear();
             others.clear();
             for frame in frames {
@@ -83,7 +83,7 @@ impl Still {
                     None => others.push(p),
                 }
             }
-            other_counts[i] = others.len() as u32;
+            *other_count_here = others.len() as u32;
             still.things[i] = agreed(&mut others, frames.len());
             if lights.len() as f32 >= needed {
                 still.outside[i] = false;
