@@ -24,8 +24,8 @@ use std::collections::BTreeSet;
 const TIES: usize = 2;
 const STRONG_TIE: usize = 300;
 
-/// Images up to which pairs are looked at a second time where some image found no pose, and how often.
-const SECOND_LOOK_UP_TO: usize = 200;
+/// Images up to which pairs are looked at a second time where some image found no pose (about 40 ms a pair), and how often.
+const SECOND_LOOK_UP_TO: usize = 30;
 const SECOND_LOOKS: usize = 2;
 
 /// Camera poses, intrinsics and a sparse cloud from images alone.
