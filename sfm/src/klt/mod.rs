@@ -108,7 +108,7 @@ enum Step {
     /// Its first window was found again.
     On(Warp),
     /// Its first window shows too little of it by now: another track begins with that of the last frame.
-    Anew(Reference, Warp),
+    Anew(Box<Reference>, Warp),
     /// It is gone.
     Lost,
 }
@@ -146,7 +146,7 @@ impl<'a> Tracker<'a> {
                         let start = live.track.positions.last().copied().unwrap_or(warp.place);
                         self.done.push(live.track);
                         let track = KltTrack { first: frame - 1, positions: vec![start, warp.place] };
-                        self.live.push(Live { track, reference, shape: warp.shape });
+                        self.live.push(Live { track, reference: *reference, shape: warp.shape });
                     }
                     _ => self.done.push(live.track),
                 }
@@ -190,7 +190,7 @@ impl<'a> Tracker<'a> {
             return Step::On(warp);
         }
         let anew = Reference::new(&last.pyramid.levels[0], p);
-        anew.and_then(|r| find(&r, DMat2::IDENTITY).map(|w| Step::Anew(r, w))).unwrap_or(Step::Lost)
+        anew.and_then(|r| find(&r, DMat2::IDENTITY).map(|w| Step::Anew(Box::new(r), w))).unwrap_or(Step::Lost)
     }
 
     fn finish(mut self) -> Vec<KltTrack> {

@@ -76,11 +76,11 @@ impl Template {
             }
             let m = mean(&window);
             let (mut power, mut bx, mut by) = (0.0f32, 0.0f32, 0.0f32);
-            for i in 0..SIDE * SIDE {
-                let v = window[i] - m;
+            for ((w, gx), gy) in window.iter().zip(&self.gx).zip(&self.gy) {
+                let v = w - m;
                 power += v * v;
-                bx += self.gx[i] * v;
-                by += self.gy[i] * v;
+                bx += gx * v;
+                by += gy * v;
             }
             if !(power > 0.0) {
                 return None;

@@ -159,11 +159,10 @@ impl TurnProblem {
         for camera in &mut self.bundle.cameras {
             camera.params.iter_mut().zip(&mut values).for_each(|(p, v)| *p = *v);
         }
-        let pose = |p: &[f64]| Pose::new(DQuat::from_slice(p), DVec3::from_slice(&p[4..]) * scale);
-        self.axis = pose(&state.axis);
+        self.axis = scaled_pose(&state.axis, scale);
         self.angles.clone_from(&state.angles);
         if self.offset_sigma.is_some() {
-            self.offsets = state.offsets.chunks_exact(7).map(pose).collect();
+            self.offsets = state.offsets.chunks_exact(7).map(|p| scaled_pose(p, scale)).collect();
         }
         for (x, p) in self.bundle.points.iter_mut().zip(state.points.chunks_exact(3)) {
             *x = DVec3::from_slice(p) * scale;
@@ -192,6 +191,11 @@ impl TurnProblem {
         }
         input
     }
+}
+
+/// A pose from quaternion and translation, its translation multiplied by `scale`.
+fn scaled_pose(numbers: &[f64], scale: f64) -> Pose {
+    Pose::new(DQuat::from_slice(numbers), DVec3::from_slice(&numbers[4..]) * scale)
 }
 
 impl Adjustable for TurnProblem {
