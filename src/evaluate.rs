@@ -5,7 +5,7 @@ use anyhow::{Context, Result};
 use image::{GrayImage, RgbImage};
 use scene::{Progress, metrics};
 use serde::{Deserialize, Serialize};
-use splat::{Dataset, DatasetConfig, RenderOptions, Renderer, View};
+use splat::{Dataset, DatasetConfig, DeviceConfig, RenderOptions, Renderer, View};
 use std::path::Path;
 use std::time::Instant;
 
@@ -42,6 +42,9 @@ pub struct Evaluation {
     pub views: Vec<ViewMetrics>,
     /// Mean over the views.
     pub mean: Metrics,
+    /// What rendered, in words.
+    #[serde(default)]
+    pub renderer: String,
     /// Median frames a second over the held-out views, each rendered after a warm-up.
     pub frames_per_second: f64,
 }
@@ -72,13 +75,21 @@ pub fn load_dataset(training_set: &Path, config: &DatasetConfig, progress: &Prog
 }
 
 /// Renders the held-out views, compares them with the photos, writes `OUT/eval`.
-pub fn evaluate(out: &Path, config: &DatasetConfig, progress: &Progress) -> Result<Evaluation> {
+pub fn evaluate(
+    out: &Path,
+    config: &DatasetConfig,
+    device: &DeviceConfig,
+    progress: &Progress,
+) -> Result<Evaluation> {
     let dataset = load_dataset(&out.join("undistorted"), config, progress)?;
     let gaussians = scene::io::ply::read_splat_ply(&out.join("splat.ply"))?;
     let held_out: Vec<&View> = dataset.views.iter().filter(|v| v.held_out).collect();
-    let mut renderer = Renderer::new(&gaussians)?;
-    let mut evaluation =
-        Evaluation { protocol: protocol(config, &dataset, held_out.len()), ..Evaluation::default() };
+    let (mut renderer, device) = Renderer::on(device, &gaussians)?;
+    let mut evaluation = Evaluation {
+        protocol: protocol(config, &dataset, held_out.len()),
+        renderer: device.choice,
+        ..Evaluation::default()
+    };
     progress.begin("evaluate", held_out.len());
     let mut frame_times = Vec::new();
     scene::io::replace_folder(&out.join("eval"), |folder| -> Result<()> {

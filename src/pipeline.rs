@@ -368,7 +368,7 @@ impl Pipeline {
         let (finished, ran) =
             self.stages.run("eval", &print, &[self.out.join("eval/metrics.json")], || {
                 let progress = self.progress("eval");
-                evaluate::evaluate(&self.out, &self.args.dataset, &progress)
+                evaluate::evaluate(&self.out, &self.args.dataset, &self.args.train.device, &progress)
             })?;
         let evaluation = finished.value;
         self.finish("eval", finished.cost, ran, &evaluation.sentence());

@@ -1,5 +1,6 @@
 //! What a backend does: hold the Gaussians, render them, take a training step, say what it saw.
 
+use crate::cpu::optimise::Statistics;
 use crate::model::Model;
 use crate::{RenderOptions, RenderOutput, SplatError};
 use glam::{Mat3, Vec3};
@@ -123,14 +124,22 @@ pub struct KernelTimes {
 
 /// A place where Gaussians are rendered and trained. All work on the same [`Model`] layout.
 pub trait Backend {
-    /// Takes the parameters and moments.
-    fn upload(&mut self, model: Model);
-    /// The present parameters and moments.
-    fn model(&self) -> &Model;
-    /// For changes between steps (densification, pruning).
-    fn model_mut(&mut self) -> &mut Model;
+    /// What it runs on, in words.
+    fn name(&self) -> String;
+    /// Takes parameters, moments, and what the steps since the last change saw.
+    fn upload(&mut self, model: Model, statistics: Statistics) -> Result<(), SplatError>;
+    /// The present parameters, moments and statistics.
+    fn download(&mut self) -> Result<(Model, Statistics), SplatError>;
+    /// Changes between steps: densification, pruning, another spherical-harmonic degree.
+    fn edit(&mut self, change: &mut dyn FnMut(&mut Model, &mut Statistics)) -> Result<(), SplatError>;
+    /// Gaussians held.
+    fn gaussians(&self) -> usize;
+    /// Spherical-harmonic degree held.
+    fn sh_degree(&self) -> u32;
+    /// The most Gaussians of a degree that can be trained on views of so many pixels, and what limits them.
+    fn capacity(&self, sh_degree: u32, pixels: usize) -> Option<(usize, String)>;
     /// Renders the Gaussians.
-    fn render(&mut self, view: &PinholeView, options: &RenderOptions) -> RenderOutput;
+    fn render(&mut self, view: &PinholeView, options: &RenderOptions) -> Result<RenderOutput, SplatError>;
     /// Forward, loss, backward and Adam.
     fn step(&mut self, input: &StepInput) -> Result<StepOutput, SplatError>;
     /// Time by kernel.

@@ -1,5 +1,6 @@
 //! What training can be told.
 
+use crate::device::DeviceConfig;
 use clap::{Args, ValueEnum};
 use serde::{Deserialize, Serialize};
 
@@ -62,6 +63,9 @@ pub struct TrainConfig {
     /// Seed of all randomness (the command line has one for all stages)
     #[arg(skip)]
     pub seed: u64,
+    /// Where to train.
+    #[command(flatten)]
+    pub device: DeviceConfig,
 }
 
 const ITERATIONS: u32 = 4000;
@@ -82,6 +86,7 @@ impl Default for TrainConfig {
             antialias: false,
             checkpoint_every: CHECKPOINT_EVERY,
             seed: 0,
+            device: DeviceConfig::default(),
         }
     }
 }

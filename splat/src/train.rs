@@ -2,7 +2,7 @@
 
 use crate::backend::{Backend, KernelTimes, StepInput, Target};
 use crate::checkpoint::{Checkpoint, State};
-use crate::cpu::CpuBackend;
+use crate::cpu::optimise::Statistics;
 use crate::dataset::AlphaMode;
 use crate::init::initial_gaussians;
 use crate::model::Model;
@@ -64,7 +64,9 @@ const CURVE_EVERY: u32 = 50;
 struct Trainer<'a> {
     dataset: &'a Dataset,
     config: &'a TrainConfig,
-    backend: CpuBackend,
+    backend: Box<dyn Backend>,
+    /// The configured number of Gaussians, or what the device can hold.
+    max_gaussians: usize,
     state: State,
     pace: Pace,
     views: Vec<usize>,
@@ -83,12 +85,12 @@ pub fn train(
     let mut trainer = Trainer::new(dataset, config, checkpoint_dir)?;
     progress.begin("train", if config.time_limit.is_some() { 0 } else { config.iterations as usize });
     let saved = |trainer: &mut Trainer| -> Result<(), SplatError> {
-        checkpoint_dir.map_or(Ok(()), |folder| trainer.checkpoint().write(folder))
+        checkpoint_dir.map_or(Ok(()), |folder| trainer.checkpoint()?.write(folder))
     };
     while trainer.state.position < 1.0 {
         trainer.step()?;
         let point = trainer.state.curve.last().copied().unwrap_or_default();
-        let detail = format!("{:.2} dB, {} gaussians", point.psnr, trainer.backend.model().len);
+        let detail = format!("{:.2} dB, {} gaussians", point.psnr, trainer.backend.gaussians());
         if let Err(cancelled) = progress.tick_with(&detail) {
             saved(&mut trainer)?;
             return Err(cancelled.into());
@@ -99,7 +101,7 @@ pub fn train(
         }
     }
     saved(&mut trainer)?;
-    Ok(trainer.finish())
+    trainer.finish()
 }
 
 fn check(config: &TrainConfig) -> Result<(), SplatError> {
@@ -126,32 +128,41 @@ impl<'a> Trainer<'a> {
             return Err(SplatError::TooFewViews(0));
         }
         let fingerprint = format!("{config:?} {:?} {}", dataset.normalisation, dataset.views.len());
-        let mut backend = CpuBackend::default();
+        let (mut backend, decision) = crate::device::open(&config.device)?;
+        let pixels = dataset.views.iter().map(|v| v.view.width * v.view.height).max().unwrap_or(0);
+        let room = backend.capacity(config.sh_degree, pixels);
+        let max_gaussians = room.as_ref().map_or(config.max_gaussians, |r| r.0.min(config.max_gaussians));
+        if max_gaussians == 0 {
+            let (flag, expected) =
+                ("--vram-limit", "enough for the pictures and some Gaussians; scale the pictures down");
+            let value = config.device.vram_limit.map_or("not given".to_owned(), |mib| mib.to_string());
+            return Err(SplatError::Config { flag, value, expected });
+        }
         let resumed = folder.map_or(Ok(None), |f| Checkpoint::read(f, &fingerprint))?;
         let state = match resumed {
             Some(checkpoint) => {
-                backend.upload(checkpoint.model);
-                backend.statistics = checkpoint.statistics;
+                backend.upload(checkpoint.model, checkpoint.statistics)?;
                 checkpoint.state
             }
             None => {
-                backend.upload(Model::from_gaussians(&initial_gaussians(
-                    dataset,
-                    config.max_gaussians,
-                    config.seed,
-                )?));
-                State { fingerprint, ..State::default() }
+                let gaussians = initial_gaussians(dataset, max_gaussians, config.seed)?;
+                let mut statistics = Statistics::default();
+                statistics.reset(gaussians.len());
+                backend.upload(Model::from_gaussians(&gaussians), statistics)?;
+                let mut decisions = vec![decision];
+                if let Some((room, why)) = room.filter(|r| r.0 < config.max_gaussians) {
+                    let (subject, choice) = ("most gaussians".to_owned(), room.to_string());
+                    decisions.push(Decision { subject, choice, evidence: why });
+                }
+                State { fingerprint, decisions, ..State::default() }
             }
         };
-        Ok(Self { dataset, config, backend, state, pace: Pace::default(), views })
+        Ok(Self { dataset, config, backend, max_gaussians, state, pace: Pace::default(), views })
     }
 
-    fn checkpoint(&self) -> Checkpoint {
-        Checkpoint {
-            state: self.state.clone(),
-            model: self.backend.model().clone(),
-            statistics: self.backend.statistics.clone(),
-        }
+    fn checkpoint(&mut self) -> Result<Checkpoint, SplatError> {
+        let (model, statistics) = self.backend.download()?;
+        Ok(Checkpoint { state: self.state.clone(), model, statistics })
     }
 
     /// The view of a step: a fresh permutation of all views each time round.
@@ -182,8 +193,8 @@ impl<'a> Trainer<'a> {
         let clock = Instant::now();
         let position = self.state.position;
         let degree = schedule::sh_degree(position, self.config.sh_degree);
-        if self.backend.model().sh_degree < degree {
-            self.backend.model_mut().set_sh_degree(degree);
+        if self.backend.sh_degree() < degree {
+            self.backend.edit(&mut |model, _| model.set_sh_degree(degree))?;
         }
         let view = &self.dataset.views[self.view_of_step()];
         let level = schedule::level(position, self.config.coarse_levels).min(view.levels.len() as u32 - 1);
@@ -210,7 +221,7 @@ impl<'a> Trainer<'a> {
             });
         }
         if iteration.is_multiple_of(densify::EVERY) && position < schedule::DENSIFY_UNTIL {
-            self.densify();
+            self.densify()?;
         }
         for (sum, value) in self.state.pending.iter_mut().zip([output.loss, output.mse, 1.0]) {
             *sum += f64::from(value);
@@ -224,14 +235,13 @@ impl<'a> Trainer<'a> {
         Ok(())
     }
 
-    fn densify(&mut self) {
-        let statistics = std::mem::take(&mut self.backend.statistics);
-        let model = self.backend.model_mut();
-        let room = self.config.max_gaussians.saturating_sub(model.len).min(model.len / 10 + 100);
-        densify::densify(model, &statistics, room, densify::GRADIENT, self.config.seed, self.state.iteration);
-        let n = model.len;
-        self.backend.statistics = statistics;
-        self.backend.statistics.reset(n);
+    fn densify(&mut self) -> Result<(), SplatError> {
+        let (most, seed, iteration) = (self.max_gaussians, self.config.seed, self.state.iteration);
+        self.backend.edit(&mut |model, statistics| {
+            let room = most.saturating_sub(model.len).min(model.len / 10 + 100);
+            densify::densify(model, statistics, room, densify::GRADIENT, seed, iteration);
+            statistics.reset(model.len);
+        })
     }
 
     fn note_curve(&mut self) {
@@ -243,16 +253,17 @@ impl<'a> Trainer<'a> {
                 seconds: self.state.seconds,
                 loss: (loss / n) as f32,
                 psnr: psnr as f32,
-                gaussians: self.backend.model().len,
+                gaussians: self.backend.gaussians(),
             });
         }
     }
 
-    fn finish(self) -> TrainResult {
+    fn finish(mut self) -> Result<TrainResult, SplatError> {
+        let (model, _) = self.backend.download()?;
         let timings = self.backend.times();
         let near = crate::cpu::DEFAULT_NEAR / self.dataset.normalisation.scale as f32;
-        TrainResult {
-            gaussians: self.dataset.normalisation.to_world(self.backend.model().to_gaussians()),
+        Ok(TrainResult {
+            gaussians: self.dataset.normalisation.to_world(model.to_gaussians()),
             curve: self.state.curve,
             decisions: self.state.decisions,
             timings,
@@ -262,7 +273,7 @@ impl<'a> Trainer<'a> {
                 antialias: self.config.antialias,
                 ..RenderOptions::default()
             },
-        }
+        })
     }
 }
 

@@ -1,12 +1,14 @@
 //! The backend: uploads, frames, steps, downloads.
 
 use super::bound::{Bound, Stage};
-use super::buffers::{Buffers, REPORT, Sizes, tiles};
+use super::buffers::{Buffers, Limit, REPORT, Sizes, capacity, tiles};
 use super::context::Gpu;
 use super::kernels::Kernels;
-use super::layout::{BLOCK, CLOCK, COUNTERS, COVERAGE, Frame, NON_FINITE, PAIRS, VISIBLE, WEIGHTED};
+use super::layout::{
+    BLOCK, CLOCK, COUNTERS, COVERAGE, Frame, NON_FINITE, PAIRS, PLANES, STATISTICS, VISIBLE, WEIGHTED,
+};
 use crate::adapter::Adapter;
-use crate::backend::{KernelTimes, StepInput, StepOutput, Target};
+use crate::backend::{Backend, KernelTimes, StepInput, StepOutput, Target};
 use crate::cpu::DEFAULT_NEAR;
 use crate::cpu::optimise::Statistics;
 use crate::cpu::project::CameraConstants;
@@ -26,10 +28,11 @@ pub struct GpuBackend {
     sh_degree: u32,
     pub(super) buffers: Option<(Buffers, Bound)>,
     /// The model as uploaded, while the device has no moments.
-    untrained: Option<Model>,
+    untrained: Option<(Model, Statistics)>,
     report: wgpu::Buffer,
     stamps: Option<(wgpu::QuerySet, wgpu::Buffer)>,
     times: KernelTimes,
+    limit: Option<u64>,
 }
 
 /// What comes back from the device after a step.
@@ -53,8 +56,8 @@ impl Report {
 }
 
 impl GpuBackend {
-    /// Opens an adapter (see [`Gpu::open`]) and compiles the kernels.
-    pub fn open(name: Option<&str>) -> Result<Self, SplatError> {
+    /// Opens an adapter (see [`Gpu::open`]) and compiles the kernels. `limit`: bytes of its memory that may be used.
+    pub fn open(name: Option<&str>, limit: Option<u64>) -> Result<Self, SplatError> {
         let gpu = Gpu::open(name)?;
         let kernels = Kernels::new(&gpu)?;
         let stamps = gpu.device.features().contains(wgpu::Features::TIMESTAMP_QUERY).then(|| {
@@ -88,6 +91,7 @@ impl GpuBackend {
             report,
             stamps,
             times: KernelTimes::default(),
+            limit,
         })
     }
 
@@ -96,43 +100,9 @@ impl GpuBackend {
         &self.gpu.adapter
     }
 
-    /// Gaussians held.
-    pub fn len(&self) -> usize {
-        self.sizes.n
-    }
-
-    /// Whether it holds none.
-    pub fn is_empty(&self) -> bool {
-        self.sizes.n == 0
-    }
-
-    /// Spherical-harmonic degree held.
-    pub fn sh_degree(&self) -> u32 {
-        self.sh_degree
-    }
-
-    /// Time by kernel.
-    pub fn times(&self) -> KernelTimes {
-        self.times
-    }
-
     /// Bytes allocated on the device, by buffer.
     pub fn memory(&self) -> Vec<(&'static str, u64)> {
         if self.buffers.is_some() { Buffers::plan(&self.sizes) } else { Vec::new() }
-    }
-
-    /// Takes parameters, moments and statistics (none: zero).
-    pub fn upload(&mut self, model: Model, statistics: Option<&Statistics>) -> Result<(), SplatError> {
-        let sizes = Sizes { n: model.len, sh_stride: model.sh_stride(), ..self.sizes };
-        self.sh_degree = model.sh_degree;
-        self.resize(sizes)?;
-        if self.sizes.training {
-            self.write_model(&model, statistics);
-        } else {
-            self.write_parameters(&model);
-            self.untrained = Some(model);
-        }
-        Ok(())
     }
 
     fn write_parameters(&self, model: &Model) {
@@ -144,7 +114,7 @@ impl GpuBackend {
         self.gpu.write(&b.sh, 0, &model.sh);
     }
 
-    fn write_model(&self, model: &Model, statistics: Option<&Statistics>) {
+    fn write_model(&self, model: &Model, s: &Statistics) {
         self.write_parameters(model);
         let Some((b, _)) = &self.buffers else { return };
         let plane = 4 * padded(model.len) as u64;
@@ -156,58 +126,11 @@ impl GpuBackend {
         let pairs = model.sh_m.chunks_exact(stride).zip(model.sh_v.chunks_exact(stride));
         let both: Vec<f32> = pairs.flat_map(|(m, v)| m.iter().chain(v).copied()).collect();
         self.gpu.write(&b.sh_moments, 0, &both);
-        let zero = Statistics::default();
-        let s = statistics.unwrap_or(&zero);
         for (p, values) in (0..).zip([&s.gradient, &s.visible, &s.weight, &s.radius]) {
             let mut values = values.clone();
             values.resize(padded(model.len), 0.0);
             self.gpu.write(&b.statistics, p * plane, &values);
         }
-    }
-
-    /// Parameters, moments and statistics.
-    pub fn download(&self) -> Result<(Model, Statistics), SplatError> {
-        let n = self.sizes.n;
-        let stride = padded(n);
-        if let Some(model) = &self.untrained {
-            let mut statistics = Statistics::default();
-            statistics.reset(n);
-            return Ok((model.clone(), statistics));
-        }
-        let Some((b, _)) = &self.buffers else { return Ok(Default::default()) };
-        let read = |buffer: &wgpu::Buffer, p: usize| -> Result<Vec<f32>, SplatError> {
-            self.gpu.read(buffer, 4 * (p * stride) as u64, stride)
-        };
-        let planes = |first: usize| -> Result<[Vec<f32>; GEOMETRY], SplatError> {
-            let mut out: [Vec<f32>; GEOMETRY] = Default::default();
-            for (p, plane) in out.iter_mut().enumerate() {
-                *plane = read(&b.geometry, first + p)?;
-            }
-            Ok(out)
-        };
-        let sh_stride = self.sizes.sh_stride;
-        let both: Vec<f32> = self.gpu.read(&b.sh_moments, 0, n * 2 * sh_stride)?;
-        let half = |k: usize| -> Vec<f32> {
-            both.chunks_exact(sh_stride).skip(k).step_by(2).flatten().copied().collect()
-        };
-        let model = Model {
-            len: n,
-            sh_degree: self.sh_degree,
-            geometry: planes(0)?,
-            geometry_m: planes(GEOMETRY)?,
-            geometry_v: planes(2 * GEOMETRY)?,
-            sh: self.gpu.read(&b.sh, 0, n * sh_stride)?,
-            sh_m: half(0),
-            sh_v: half(1),
-            steps: read(&b.geometry, CLOCK)?,
-        };
-        let statistics = Statistics {
-            gradient: read(&b.statistics, 0)?,
-            visible: read(&b.statistics, 1)?,
-            weight: read(&b.statistics, 2)?,
-            radius: read(&b.statistics, 3)?,
-        };
-        Ok((model, statistics))
     }
 
     /// Buffers of at least these sizes. What stays of the same size keeps its contents.
@@ -234,8 +157,8 @@ impl GpuBackend {
     pub(super) fn prepare(&mut self, view: &PinholeView, training: bool) -> Result<(), SplatError> {
         let (pixels, tiles) = (view.width * view.height, tiles(view.width, view.height));
         self.resize(Sizes { pixels, tiles, training, ..self.sizes })?;
-        if training && let Some(model) = self.untrained.take() {
-            self.write_model(&model, None);
+        if training && let Some((model, statistics)) = self.untrained.take() {
+            self.write_model(&model, &statistics);
         }
         Ok(())
     }
@@ -308,12 +231,103 @@ impl GpuBackend {
         }
     }
 
-    /// Renders the Gaussians.
-    pub fn render(
-        &mut self,
-        view: &PinholeView,
-        options: &RenderOptions,
-    ) -> Result<RenderOutput, SplatError> {
+    /// Puts the target on the device; returns the flags of its mask and the sum of its weights.
+    pub(super) fn set_target(&self, target: &Target) -> (u32, f64) {
+        let pixels = target.rgb.chunks_exact(3);
+        let count = pixels.len();
+        let rgba: Vec<[u8; 4]> = match target.mask {
+            Some(mask) => pixels.zip(mask).map(|(c, &m)| [c[0], c[1], c[2], m]).collect(),
+            None => pixels.map(|c| [c[0], c[1], c[2], 255]).collect(),
+        };
+        if let Some((b, _)) = &self.buffers {
+            self.gpu.write(&b.goal, 0, &rgba);
+        }
+        match target.mask {
+            Some(_) if target.transparent => (COVERAGE, count as f64),
+            Some(mask) => (WEIGHTED, mask.iter().map(|&m| u64::from(m)).sum::<u64>() as f64 / 255.0),
+            None => (0, count as f64),
+        }
+    }
+}
+
+impl Backend for GpuBackend {
+    fn name(&self) -> String {
+        self.gpu.adapter.to_string()
+    }
+
+    fn upload(&mut self, model: Model, statistics: Statistics) -> Result<(), SplatError> {
+        let sizes = Sizes { n: model.len, sh_stride: model.sh_stride(), ..self.sizes };
+        self.sh_degree = model.sh_degree;
+        self.resize(sizes)?;
+        if self.sizes.training {
+            self.write_model(&model, &statistics);
+        } else {
+            self.write_parameters(&model);
+            self.untrained = Some((model, statistics));
+        }
+        Ok(())
+    }
+
+    fn download(&mut self) -> Result<(Model, Statistics), SplatError> {
+        let n = self.sizes.n;
+        let stride = padded(n);
+        if let Some(held) = &self.untrained {
+            return Ok(held.clone());
+        }
+        let Some((b, _)) = &self.buffers else { return Ok(Default::default()) };
+        let all: Vec<f32> = self.gpu.read(&b.geometry, 0, PLANES as usize * stride)?;
+        let plane = |p: usize| all[p * stride..(p + 1) * stride].to_vec();
+        let planes = |first: usize| std::array::from_fn(|p| plane(first + p));
+        let sh_stride = self.sizes.sh_stride;
+        let both: Vec<f32> = self.gpu.read(&b.sh_moments, 0, n * 2 * sh_stride)?;
+        let half = |k: usize| -> Vec<f32> {
+            both.chunks_exact(sh_stride).skip(k).step_by(2).flatten().copied().collect()
+        };
+        let model = Model {
+            len: n,
+            sh_degree: self.sh_degree,
+            geometry: planes(0),
+            geometry_m: planes(GEOMETRY),
+            geometry_v: planes(2 * GEOMETRY),
+            sh: self.gpu.read(&b.sh, 0, n * sh_stride)?,
+            sh_m: half(0),
+            sh_v: half(1),
+            steps: plane(CLOCK),
+        };
+        let seen: Vec<f32> = self.gpu.read(&b.statistics, 0, STATISTICS as usize * stride)?;
+        let plane = |p: usize| seen[p * stride..(p + 1) * stride].to_vec();
+        let [gradient, visible, weight, radius] = std::array::from_fn(plane);
+        let statistics = Statistics { gradient, visible, weight, radius };
+        Ok((model, statistics))
+    }
+
+    fn edit(&mut self, change: &mut dyn FnMut(&mut Model, &mut Statistics)) -> Result<(), SplatError> {
+        let (mut model, mut statistics) = self.download()?;
+        change(&mut model, &mut statistics);
+        self.upload(model, statistics)
+    }
+
+    fn gaussians(&self) -> usize {
+        self.sizes.n
+    }
+
+    fn sh_degree(&self) -> u32 {
+        self.sh_degree
+    }
+
+    fn capacity(&self, sh_degree: u32, pixels: usize) -> Option<(usize, String)> {
+        let largest = self.gpu.largest_buffer();
+        let (most, limit) = capacity(3 * (sh_degree as usize + 1).pow(2), pixels, largest, self.limit);
+        Some((
+            most,
+            match limit {
+                Limit::Binding => format!("a buffer of {} may have {} MiB", self.gpu.adapter, largest >> 20),
+                Limit::Memory => format!("--vram-limit {}", self.limit.unwrap_or(0) >> 20),
+            },
+        ))
+    }
+
+    fn render(&mut self, view: &PinholeView, options: &RenderOptions) -> Result<RenderOutput, SplatError> {
         self.prepare(view, false)?;
         self.run(self.frame_of(view, options), Stage::Project..=Stage::Forward)?;
         let (w, h) = (view.width, view.height);
@@ -332,26 +346,7 @@ impl GpuBackend {
         Ok(out)
     }
 
-    /// Puts the target on the device; returns the flags of its mask and the sum of its weights.
-    pub(super) fn set_target(&self, target: &Target) -> (u32, f64) {
-        let pixels = target.rgb.chunks_exact(3);
-        let count = pixels.len();
-        let rgba: Vec<[u8; 4]> = match target.mask {
-            Some(mask) => pixels.zip(mask).map(|(c, &m)| [c[0], c[1], c[2], m]).collect(),
-            None => pixels.map(|c| [c[0], c[1], c[2], 255]).collect(),
-        };
-        if let Some((b, _)) = &self.buffers {
-            self.gpu.write(&b.goal, 0, &rgba);
-        }
-        match target.mask {
-            Some(_) if target.transparent => (COVERAGE, count as f64),
-            Some(mask) => (WEIGHTED, mask.iter().map(|&m| u64::from(m)).sum::<u64>() as f64 / 255.0),
-            None => (0, count as f64),
-        }
-    }
-
-    /// Forward, loss, backward and Adam.
-    pub fn step(&mut self, input: &StepInput) -> Result<StepOutput, SplatError> {
+    fn step(&mut self, input: &StepInput) -> Result<StepOutput, SplatError> {
         self.prepare(input.view, true)?;
         let (flags, weights) = self.set_target(&input.target);
         let inverse = if weights > 0.0 { 1.0 / (3.0 * weights) } else { 0.0 };
@@ -380,5 +375,9 @@ impl GpuBackend {
             pairs: counter(PAIRS),
             non_finite: counter(NON_FINITE),
         })
+    }
+
+    fn times(&self) -> KernelTimes {
+        self.times
     }
 }
