@@ -43,7 +43,7 @@ compare: build $(VENV)/pycolmap  ## our poses beside COLMAP 3.8 and 4.2.1 on the
 	@$(VENV)/bin/python tools/compare.py $(SAT_RECON) $(SHARED) --out build/compare
 
 oracle: $(VENV)/oracle  ## regenerate the fixtures that other libraries computed (downloads several GB)
-	@for script in tests/oracle/*.py; do echo "$$script"; $(VENV)/bin/python $$script; done
+	@for script in tests/oracle/*.py; do echo "$$script"; $(VENV)/bin/python $$script $(SHARED)/data build/oracle; done
 
 testbed: setup  ## render the simulated captures with Blender (slow)
 	@tools/setup.sh blender
@@ -58,5 +58,5 @@ $(VENV)/pycolmap: $(VENV)/bin/python
 	touch $@
 
 $(VENV)/oracle: $(VENV)/bin/python
-	$(VENV)/bin/pip install -q numpy pillow scipy scikit-image opencv-python-headless torch==2.15.* kornia==0.9.* lpips==0.1.4
+	$(VENV)/bin/pip install -q numpy pillow scipy scikit-image opencv-python-headless torch==2.15.* kornia==0.9.* lpips==0.1.4 torchvision safetensors pycolmap==4.2.1
 	touch $@

@@ -98,6 +98,9 @@ pub struct PipelineArgs {
     /// Training.
     #[command(flatten)]
     pub train: splat::TrainConfig,
+    /// Evaluation.
+    #[command(flatten)]
+    pub eval: crate::evaluate::EvalConfig,
 }
 
 /// The path of a rendered camera.
@@ -159,7 +162,7 @@ pub struct RenderArgs {
 pub struct ExportArgs {
     /// A former output folder, or a splat file
     pub input: PathBuf,
-    /// The file or folder to write; its ending says the format: .ply (3DGS order), .splat, .spz, .glb, .json (transforms), or a folder (COLMAP model, --text for text)
+    /// The file or folder to write; its ending says the format: .ply (3DGS order), .compressed.ply, .splat, .spz, .glb (these also read, and .ksplat), .json (transforms), or a folder (COLMAP model, --text for text)
     #[arg(short, long, value_name = "OUT")]
     pub output: PathBuf,
     /// Write a COLMAP model as text
@@ -170,9 +173,13 @@ pub struct ExportArgs {
 /// What `compare` takes.
 #[derive(Args, Clone, Debug)]
 pub struct CompareArgs {
-    /// Former output folders, or COLMAP models
+    /// Former output folders, or COLMAP models; METHOD:CASE=FOLDER names a run in the tables, or a folder of another
+    /// tool's renders (pictures named like the held-out views of a run of the same case)
     #[arg(required = true)]
-    pub runs: Vec<PathBuf>,
+    pub runs: Vec<String>,
+    /// Also write the tables of quality, training and rendering cost into this folder: Markdown, CSV, LaTeX, JSON
+    #[arg(long, value_name = "FOLDER")]
+    pub tables: Option<PathBuf>,
     /// Ground truth: Middlebury *_par.txt, a folder of *.camera, a COLMAP model, or a transforms.json
     #[arg(long)]
     pub truth: Option<PathBuf>,

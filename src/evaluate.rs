@@ -1,13 +1,27 @@
 //! Metrics of the held-out views, after the 8-bit round trip.
 
+pub mod speed;
+
 use crate::stage::write_json;
 use anyhow::{Context, Result};
 use image::{GrayImage, RgbImage};
+use scene::lpips::{Backbone, Lpips};
 use scene::{Progress, metrics};
 use serde::{Deserialize, Serialize};
+use speed::RenderingCost;
 use splat::{Dataset, DatasetConfig, DeviceConfig, RenderOptions, Renderer, View};
-use std::path::Path;
-use std::time::Instant;
+use std::path::{Path, PathBuf};
+
+/// How the held-out views are judged.
+#[derive(clap::Args, Clone, Debug, Serialize, Deserialize)]
+pub struct EvalConfig {
+    /// Weights for LPIPS, a .safetensors file of AlexNet's or VGG-16's made by tools/lpips_weights.py; may be given for each
+    #[arg(long, value_name = "FILE", help_heading = "Evaluation")]
+    pub lpips_weights: Vec<PathBuf>,
+    /// How often the held-out views are rendered to measure frames per second
+    #[arg(long, default_value_t = 15, value_parser = clap::value_parser!(u32).range(1..=1000), help_heading = "Evaluation")]
+    pub fps_loops: u32,
+}
 
 /// Image quality of one view, or means over views.
 #[derive(Clone, Copy, Debug, Default, Serialize, Deserialize)]
@@ -20,6 +34,18 @@ pub struct Metrics {
     pub psnr_mask: Option<f64>,
     /// SSIM over the windows centred inside the mask.
     pub ssim_mask: Option<f64>,
+    /// LPIPS with AlexNet, full frame; `None` without weights.
+    #[serde(default)]
+    pub lpips_alex: Option<f64>,
+    /// LPIPS with VGG-16, full frame.
+    #[serde(default)]
+    pub lpips_vgg: Option<f64>,
+    /// LPIPS with AlexNet inside the mask.
+    #[serde(default)]
+    pub lpips_alex_mask: Option<f64>,
+    /// LPIPS with VGG-16 inside the mask.
+    #[serde(default)]
+    pub lpips_vgg_mask: Option<f64>,
 }
 
 /// One held-out view.
@@ -45,8 +71,9 @@ pub struct Evaluation {
     /// What rendered, in words.
     #[serde(default)]
     pub renderer: String,
-    /// Median frames a second over the held-out views, each rendered after a warm-up.
-    pub frames_per_second: f64,
+    /// Speed and memory of rendering the held-out views.
+    #[serde(default)]
+    pub rendering: RenderingCost,
 }
 
 impl Evaluation {
@@ -61,7 +88,7 @@ impl Evaluation {
             self.mean.psnr,
             self.mean.ssim,
             self.views.len(),
-            self.frames_per_second
+            self.rendering.frames_per_second
         )
     }
 }
@@ -77,44 +104,57 @@ pub fn load_dataset(training_set: &Path, config: &DatasetConfig, progress: &Prog
 /// Renders the held-out views, compares them with the photos, writes `OUT/eval`.
 pub fn evaluate(
     out: &Path,
-    config: &DatasetConfig,
+    dataset: &DatasetConfig,
+    config: &EvalConfig,
     device: &DeviceConfig,
     progress: &Progress,
 ) -> Result<Evaluation> {
-    let dataset = load_dataset(&out.join("undistorted"), config, progress)?;
+    let networks: Vec<Lpips> =
+        config.lpips_weights.iter().map(|path| Ok(Lpips::load(path)?)).collect::<Result<_>>()?;
     let gaussians = scene::io::ply::read_splat_ply(&out.join("splat.ply"))?;
+    let (mut renderer, chosen) = Renderer::on(device, &gaussians)?;
+    let cameras = speed::held_out_cameras(&out.join("undistorted"), dataset)?;
+    let rendering = speed::measure(&mut renderer, &cameras, config.fps_loops, progress)?;
+    let config = dataset;
+    let dataset = load_dataset(&out.join("undistorted"), config, progress)?;
     let held_out: Vec<&View> = dataset.views.iter().filter(|v| v.held_out).collect();
-    let (mut renderer, device) = Renderer::on(device, &gaussians)?;
-    let mut evaluation = Evaluation {
-        protocol: protocol(config, &dataset, held_out.len()),
-        renderer: device.choice,
-        ..Evaluation::default()
-    };
+    let protocol = protocol(config, &dataset, held_out.len(), &rendering, &networks);
+    let mut evaluation = Evaluation { protocol, rendering, renderer: chosen.choice, ..Evaluation::default() };
     progress.begin("evaluate", held_out.len());
-    let mut frame_times = Vec::new();
     scene::io::replace_folder(&out.join("eval"), |folder| -> Result<()> {
         for (i, view) in held_out.iter().enumerate() {
             let picture = format!("{i:03}_{}.png", plain(&view.name));
-            let (metrics, seconds) = compare_view(&mut renderer, view, &dataset, folder, &picture)?;
-            frame_times.push(seconds);
+            let metrics = compare_view(&mut renderer, view, &dataset, &networks, folder, &picture)?;
             evaluation.views.push(ViewMetrics { name: view.name.clone(), picture, metrics });
             progress.tick_with(&format!("{:.2} dB", metrics.psnr))?;
         }
         evaluation.mean = mean(evaluation.views.iter().map(|v| &v.metrics));
-        frame_times.sort_by(f64::total_cmp);
-        evaluation.frames_per_second = frame_times.get(frame_times.len() / 2).map_or(0.0, |t| 1.0 / t);
         write_json(&folder.join("metrics.json"), &evaluation)
     })?;
     Ok(evaluation)
 }
 
-fn protocol(config: &DatasetConfig, dataset: &Dataset, views: usize) -> String {
+fn protocol(
+    config: &DatasetConfig,
+    dataset: &Dataset,
+    views: usize,
+    rendering: &RenderingCost,
+    networks: &[Lpips],
+) -> String {
+    let lpips = if networks.is_empty() {
+        "LPIPS not measured (no --lpips-weights given)".to_owned()
+    } else {
+        let names: Vec<&str> = networks.iter().map(|n| n.backbone.name()).collect();
+        format!("LPIPS 0.1 ({}) at full resolution, no resize", names.join(", "))
+    };
     let ground = if dataset.is_transparent() { ", both over black where the mask is black" } else { "" };
     format!(
         "{views} of {} views held out of training (every {}th by sorted name, beginning with the first); PSNR and SSIM \
-         (11×11 Gaussian window, σ 1.5) of 8-bit renders against the undistorted photos at full resolution{ground}.",
+         (11×11 Gaussian window, σ 1.5) of 8-bit renders against the undistorted photos at full resolution{ground}; {lpips}. \
+         Frames per second: the held-out views rendered {} times after a warm-up, mean of the median five.",
         dataset.views.len(),
-        config.test_every
+        config.test_every,
+        rendering.loops
     )
 }
 
@@ -127,28 +167,34 @@ fn compare_view(
     renderer: &mut Renderer,
     view: &View,
     dataset: &Dataset,
+    networks: &[Lpips],
     folder: &Path,
     picture: &str,
-) -> Result<(Metrics, f64)> {
-    let options = RenderOptions::default();
-    renderer.render(&view.camera, &view.pose, &options)?; // warm-up
-    let begun = Instant::now();
-    let output = renderer.render(&view.camera, &view.pose, &options)?;
-    let seconds = begun.elapsed().as_secs_f64();
+) -> Result<Metrics> {
+    let output = renderer.render(&view.camera, &view.pose, &RenderOptions::default())?;
     let render = output.rgb.to_rgb8();
     let (photo, mask) = target(view, dataset.is_transparent())?;
-    let metrics = Metrics {
+    let mut metrics = Metrics {
         psnr: metrics::psnr(&render, &photo, None)?,
         ssim: metrics::ssim(&render, &photo, None)?,
         psnr_mask: mask.as_ref().and_then(|m| metrics::psnr(&render, &photo, Some(m)).ok()),
         ssim_mask: mask.as_ref().and_then(|m| metrics::ssim(&render, &photo, Some(m)).ok()),
+        ..Metrics::default()
     };
+    for network in networks {
+        let full = Some(network.distance(&render, &photo, None)?);
+        let inside = mask.as_ref().and_then(|m| network.distance(&render, &photo, Some(m)).ok());
+        match network.backbone {
+            Backbone::Alex => (metrics.lpips_alex, metrics.lpips_alex_mask) = (full, inside),
+            Backbone::Vgg => (metrics.lpips_vgg, metrics.lpips_vgg_mask) = (full, inside),
+        }
+    }
     for (kind, image) in [("renders", &render), ("photos", &photo)] {
         std::fs::create_dir_all(folder.join(kind))?;
         let path = folder.join(kind).join(picture);
         image.save(&path).with_context(|| format!("cannot write {}", path.display()))?;
     }
-    Ok((metrics, seconds))
+    Ok(metrics)
 }
 
 /// The photo as it is compared, and its mask.
@@ -168,10 +214,15 @@ fn target(view: &View, transparent: bool) -> Result<(RgbImage, Option<GrayImage>
 fn mean<'a>(all: impl Iterator<Item = &'a Metrics> + Clone) -> Metrics {
     let average =
         |values: Vec<f64>| (!values.is_empty()).then(|| values.iter().sum::<f64>() / values.len() as f64);
+    let optional = |pick: fn(&Metrics) -> Option<f64>| average(all.clone().filter_map(pick).collect());
     Metrics {
-        psnr: average(all.clone().map(|m| m.psnr).collect()).unwrap_or(0.0),
-        ssim: average(all.clone().map(|m| m.ssim).collect()).unwrap_or(0.0),
-        psnr_mask: average(all.clone().filter_map(|m| m.psnr_mask).collect()),
-        ssim_mask: average(all.filter_map(|m| m.ssim_mask).collect()),
+        psnr: optional(|m| Some(m.psnr)).unwrap_or(0.0),
+        ssim: optional(|m| Some(m.ssim)).unwrap_or(0.0),
+        psnr_mask: optional(|m| m.psnr_mask),
+        ssim_mask: optional(|m| m.ssim_mask),
+        lpips_alex: optional(|m| m.lpips_alex),
+        lpips_vgg: optional(|m| m.lpips_vgg),
+        lpips_alex_mask: optional(|m| m.lpips_alex_mask),
+        lpips_vgg_mask: optional(|m| m.lpips_vgg_mask),
     }
 }

@@ -3,6 +3,7 @@
 use crate::Outcome;
 use crate::cli::ExportArgs;
 use anyhow::{Context, Result, bail};
+use scene::io::{SplatFormat, read_splat, write_splat};
 use std::path::Path;
 
 /// Writes a splat or a model.
@@ -10,10 +11,9 @@ pub fn run(args: &ExportArgs) -> Result<Outcome> {
     let ending =
         args.output.extension().map(|e| e.to_string_lossy().to_ascii_lowercase()).unwrap_or_default();
     match ending.as_str() {
-        "ply" => {
+        _ if SplatFormat::of(&args.output).is_some() => {
             let splat = if args.input.is_dir() { args.input.join("splat.ply") } else { args.input.clone() };
-            let gaussians = scene::io::read_splat_ply(&splat)?;
-            scene::io::write_splat_ply(&args.output, &gaussians)?;
+            write_splat(&args.output, &read_splat(&splat)?)?;
         }
         "json" => scene::io::write_transforms(
             &args.output,

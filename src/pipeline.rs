@@ -364,11 +364,12 @@ impl Pipeline {
         if until < Until::Eval {
             return Ok(());
         }
-        let print = fingerprint(&("eval", 1, &print))?;
+        let print = fingerprint(&("eval", 2, &print, &self.args.eval))?;
         let (finished, ran) =
             self.stages.run("eval", &print, &[self.out.join("eval/metrics.json")], || {
                 let progress = self.progress("eval");
-                evaluate::evaluate(&self.out, &self.args.dataset, &self.args.train.device, &progress)
+                let args = &self.args;
+                evaluate::evaluate(&self.out, &args.dataset, &args.eval, &args.train.device, &progress)
             })?;
         let evaluation = finished.value;
         self.finish("eval", finished.cost, ran, &evaluation.sentence());

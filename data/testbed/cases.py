@@ -95,7 +95,7 @@ SHOTS = {
         Shot("orbit", "dark_room", "orbit", 36, STILL_LENS, 2.5, 0.55, layers="moving", samples=16,
              back_samples=5, back_density=0.8),
         Shot("yaw", "green_screen", "yaw", 216, VIDEO_LENS, 1.524, 0.20, shutter=0.12, shake=0.0, layers="static",
-             samples=9, density=1.05, back_samples=6, back_density=0.22, clean_samples=14),
+             samples=20, density=1.05, back_samples=16, back_density=0.3, clean_samples=64),
     )
 }
 
@@ -105,7 +105,7 @@ CASES = {
         Case("demo", "demo", 1.0, 1.0, 1.0, 12000, 3.0, video_fps=12.0, crf=22),
         Case("case1", "orbit", 0.1, 1.0, 2.0, 1500, 4.0),
         Case("case2", "orbit", 1.0, 1.0, 1.0, 6000, 3.0),
-        Case("case3", "yaw", 0.1, 0.6, 2.0, 1500, 4.0, video_fps=6.0, crf=23),
+        Case("case3", "yaw", 0.1, 0.6, 2.0, 1500, 4.0, video_fps=6.0, crf=28),
         Case("case4", "yaw", 1.0, 0.6, 1.0, 6000, 3.0, video_fps=6.0),
     )
 }

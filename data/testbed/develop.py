@@ -1,8 +1,8 @@
 """The phone: turns a shot's linear renders into the picture a phone would have stored, with truth.
 
-    python3 develop.py CASE RENDERS FOLDER [--frames N]
+    python3 develop.py CASE RENDERS FOLDER [--every K]
 
-RENDERS is the folder render.py wrote. In order: layers joined, lamp and room mixed, lens distortion and
+RENDERS is the folder render.py wrote; with K only every K-th frame is filmed, at a K-th of the rate. In order: layers joined, lamp and room mixed, lens distortion and
 off-centre principal point (resampling), vignetting, exposure, photon and read noise in linear
 light, clipping, sRGB, 8 bits, then H.264 4:2:0 or JPEG. The truth goes through the same lens.
 """
@@ -40,6 +40,17 @@ class LensMap:
         return (fine[::2, ::2] + fine[1::2, ::2] + fine[::2, 1::2] + fine[1::2, 1::2]) / 4
 
 
+def ratio(back, base):
+    """Change of light that the satellite brings: 0 in its shadow, a little over 1 where it reflects.
+
+    Few samples leave single bright pixels: the median of 3 x 3 takes them out, and what the
+    satellite adds is limited to two fifths."""
+    wide = np.pad((back + 1e-4) / (base + 1e-4), ((1, 1), (1, 1), (0, 0)), mode="edge")
+    height, width = base.shape[:2]
+    around = [wide[y : y + height, x : x + width] for y in range(3) for x in range(3)]
+    return np.clip(np.median(around, axis=0), 0.0, 1.4)
+
+
 class Renders:
     """The layers of a shot, joined and seen through the lens: light without noise, and truth."""
 
@@ -67,7 +78,7 @@ class Renders:
         back = self.read("back", i)
         if self.shot.layers == "moving":
             return self.maps["back"](self.mix(back)), self.maps["back"](back["truth"])
-        changed = {g: (back[g] + 1e-4) / (self.base[g] + 1e-4) for g in ("lamp", "room")}
+        changed = {g: ratio(back[g], self.base[g]) for g in ("lamp", "room")}
         return self.mix({g: self.clean[g] * self.maps["back"](changed[g]) for g in changed}), self.clean["truth"]
 
     def __getitem__(self, i):
@@ -126,31 +137,31 @@ def quaternion(R):
     return np.array([w, x, y, z]) * (1 if w >= 0 else -1)
 
 
-def write_model(case, shot, folder):
-    """The true poses as a COLMAP text model without points, and the true angles of a yaw."""
+def write_model(case, shot, frames, folder):
+    """The true poses of `frames` as a COLMAP text model without points, and the true angles of a yaw."""
     os.makedirs(f"{folder}/sparse", exist_ok=True)
     with open(f"{folder}/sparse/cameras.txt", "w") as file:
         file.write(f"# the true camera\n1 {shot.lens.colmap()}\n")
     with open(f"{folder}/sparse/images.txt", "w") as file:
         file.write("# the true poses, camera from satellite: id qw qx qy qz tx ty tz camera name\n")
-        for i in range(shot.frames):
+        for k, i in enumerate(frames):
             R, t = cases.camera_from_satellite(shot, i)
             numbers = " ".join(f"{x:.12g}" for x in (*quaternion(R), *t))
-            file.write(f"{i + 1} {numbers} 1 {frame_name(case, i)}\n\n")
+            file.write(f"{k + 1} {numbers} 1 {frame_name(case, k)}\n\n")
     with open(f"{folder}/sparse/points3D.txt", "w") as file:
         file.write("# none: the shape is in mesh.ply\n")
     if shot.path == "yaw":
         with open(f"{folder}/angles_deg.txt", "w") as file:
             file.write("# turn of the satellite about +z in each frame, degrees\n")
-            file.writelines(f"{np.degrees(cases.yaw_angle(shot, i)):.9f}\n" for i in range(shot.frames))
+            file.writelines(f"{np.degrees(cases.yaw_angle(shot, i)):.9f}\n" for i in frames)
 
 
-def encoder(case, shot, folder):
+def encoder(case, shot, every, folder):
     """ffmpeg reading raw RGB: a video (H.264, 4:2:0, BT.709) or JPEG stills."""
     source = f"ffmpeg -y -v error -f rawvideo -pix_fmt rgb24 -s {shot.lens.width}x{shot.lens.height}"
     if case.video_fps:
         rest = (
-            f"-r {case.video_fps} -i - -vf scale=out_color_matrix=bt709:out_range=tv -c:v libx264 -preset slow"
+            f"-r {case.video_fps / every:g} -i - -vf scale=out_color_matrix=bt709:out_range=tv -c:v libx264 -preset slow"
             f" -crf {case.crf} -pix_fmt yuv420p -colorspace bt709 -color_primaries bt709 -color_trc iec61966-2-1"
             f" -color_range tv -bf 2 -g 48 -threads 1 -fflags +bitexact -flags:v +bitexact -movflags +faststart {folder}/video.mp4"
         )
@@ -164,23 +175,24 @@ def main():
     parser.add_argument("case", choices=sorted(cases.CASES))
     parser.add_argument("renders")
     parser.add_argument("folder")
-    parser.add_argument("--every", type=int, default=1, help="only every k-th frame, for a quick look")
+    parser.add_argument("--every", type=int, default=1, help="film only every k-th frame")
     options = parser.parse_args()
     case, folder = cases.CASES[options.case], options.folder
     shot = cases.SHOTS[case.shot]
     for part in ("mattes", "pole", "depth") + (() if case.video_fps else ("images",)):
         os.makedirs(f"{folder}/{part}", exist_ok=True)
     renders = Renders(shot, case, options.renders)
-    sink = encoder(case, shot, folder)
-    for i in range(0, shot.frames, options.every):
+    sink = encoder(case, shot, options.every, folder)
+    frames = range(0, shot.frames, options.every)
+    for k, i in enumerate(frames):
         light, truth = renders[i]
         picture = sensor(light, case, renders.r2, np.random.default_rng([i, len(case.name), ord(case.name[-1])]))
         sink.stdin.write(picture.tobytes())
-        write_truth(truth, case, shot, i, folder)
+        write_truth(truth, case, shot, k, folder)
     sink.stdin.close()
     if sink.wait() != 0:
         raise SystemExit("ffmpeg failed")
-    write_model(case, shot, folder)
+    write_model(case, shot, frames, folder)
     shutil.copy(f"{options.renders}/mesh.ply", f"{folder}/mesh.ply")
 
 

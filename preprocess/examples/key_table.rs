@@ -1,6 +1,8 @@
 //! Prints how well mattes of a simulated green screen are recovered, beside simpler ways.
 //!
-//! `cargo run --release -p preprocess --example key_table` (needs `../shared/data`, or SAT_RECON_SHARED).
+//! `cargo run --release -p preprocess --example key_table [-- CASE...]`: the named cases of the test bed (folders with
+//! `video.mp4` and `mattes/`), or cut-outs of `../shared/data` (or SAT_RECON_SHARED) before a simulated screen.
+//! KEY_TABLE_BRIEF: only ours. KEY_TABLE_DUMP: a folder for pictures of the worst frame.
 
 #[path = "../tests/common/screen.rs"]
 mod screen;
@@ -19,93 +21,182 @@ use std::time::Instant;
 fn main() {
     let root = std::env::var_os("SAT_RECON_SHARED")
         .map_or_else(|| Path::new(env!("CARGO_MANIFEST_DIR")).join("../../shared"), PathBuf::from);
-    println!("| capture | light | way | IoU | mean alpha error | boundary F, 1 px | spill, levels of 255 |");
-    println!("|---|---|---|---|---|---|---|");
+    let cases: Vec<PathBuf> = std::env::args_os().skip(1).map(PathBuf::from).collect();
+    println!(
+        "| capture | light | way | IoU | mean alpha error | boundary F, 1 px | spill, levels of 255 | rods kept | inside lost | kept beside | CPU ms a frame |"
+    );
+    println!("|---|---|---|---|---|---|---|---|---|---|---|");
+    for case in &cases {
+        rows(&filmed_case(case));
+    }
+    if !cases.is_empty() {
+        return;
+    }
     for (name, step) in [("lego400", 8), ("temple_ring", 6)] {
         let cut_outs = cut_outs(&root.join("data").join(name), step);
         for light in LIGHTS {
-            rows(name, light, &cut_outs);
+            rows(&composited(name, light, &cut_outs));
         }
     }
 }
 
-fn rows(name: &str, light: Light, cut_outs: &[image::RgbaImage]) {
-    let folder = std::env::temp_dir().join(format!("key_table_{}", std::process::id()));
+/// A video with true mattes of some of its frames.
+struct Capture {
+    name: String,
+    light: &'static str,
+    video: PathBuf,
+    frames: Vec<RgbImage>,
+    /// Frames of which the truth is known, with it.
+    shots: Vec<(usize, Shot)>,
+    /// Colour of the screen for ffmpeg, 8-bit sRGB.
+    screen: [u8; 3],
+    /// The camera stands still, so the screen may be learnt over time.
+    stands: bool,
+    folder: PathBuf,
+}
+
+fn decoded(video: &Path, folder: &Path) -> Vec<RgbImage> {
+    let all = FrameConfig { every: Some(1), duplicate_levels: 0.0, ..FrameConfig::default() };
+    let set = video_frames(video, &folder.join("out"), &all, &Progress::silent()).expect("frames");
+    set.frames.par_iter().map(|f| load_rgb(&f.path).expect("frame")).collect()
+}
+
+fn scratch(name: &str) -> PathBuf {
+    let folder = std::env::temp_dir().join(format!("key_table_{name}_{}", std::process::id()));
     std::fs::create_dir_all(&folder).expect("a temporary folder");
+    folder
+}
+
+fn composited(name: &str, light: Light, cut_outs: &[image::RgbaImage]) -> Capture {
+    let folder = scratch(name);
     let shots: Vec<Shot> = cut_outs.iter().enumerate().map(|(i, c)| film(c, light, i as u64)).collect();
     let video = folder.join("video.mp4");
     encode(&shots, &video);
-    let all = FrameConfig { every: Some(1), duplicate_levels: 0.0, ..FrameConfig::default() };
-    let set = video_frames(&video, &folder.join("out"), &all, &Progress::silent()).expect("frames");
-    let frames: Vec<RgbImage> = set.frames.iter().map(|f| load_rgb(&f.path).expect("frame")).collect();
+    let frames = decoded(&video, &folder);
     assert_eq!(frames.len(), shots.len());
-    let print = |way: &str, mattes: &[(GrayImage, RgbImage)]| {
-        let scores: Vec<Score> = mattes.iter().zip(&shots).map(|((m, c), s)| score(m, c, s)).collect();
-        let s = Score::mean(&scores);
-        println!(
-            "| {name} | {} | {way} | {:.4} | {:.4} | {:.4} | {:.2} |",
-            light.name, s.iou, s.alpha_error, s.boundary_f, s.spill
-        );
-    };
-    print("ours", &keyed(&frames, MatteMode::Soft, light));
-    if std::env::var_os("KEY_TABLE_BRIEF").is_some() {
-        std::fs::remove_dir_all(&folder).expect("clean up");
-        return;
-    }
-    print("green to black", &keyed(&frames, MatteMode::Plain, light));
-    let best = [0.01, 0.02, 0.03, 0.05, 0.08, 0.12, 0.16]
-        .map(|similarity| chromakey(&video, &frames, light, similarity));
-    let iou = |mattes: &[(GrayImage, RgbImage)]| {
-        mattes.iter().zip(&shots).map(|((m, c), s)| score(m, c, s).iou).sum::<f64>()
-    };
-    if let Some(best) = best.iter().max_by(|a, b| iou(a).total_cmp(&iou(b))) {
-        print("ffmpeg chromakey (best of 7)", best);
-    }
-    if let Some(dump) = std::env::var_os("KEY_TABLE_DUMP") {
-        let dump = PathBuf::from(dump);
-        let (matte, colours) = &keyed(&frames[..1], MatteMode::Soft, light)[0];
-        let stem = format!("{name}_{}", light.gain);
-        frames[0].save(dump.join(format!("{stem}_frame.png"))).expect("dump");
-        matte.save(dump.join(format!("{stem}_matte.png"))).expect("dump");
-        colours.save(dump.join(format!("{stem}_colours.png"))).expect("dump");
-        shots[0].alpha.save(dump.join(format!("{stem}_true.png"))).expect("dump");
-    }
-    std::fs::remove_dir_all(&folder).expect("clean up");
+    let screen = SCREEN.map(|c| screen::to_srgb(c * light.gain));
+    let shots = shots.into_iter().enumerate().collect();
+    Capture { name: name.to_owned(), light: light.name, video, frames, shots, screen, stands: false, folder }
 }
 
-fn keyed(frames: &[RgbImage], matte: MatteMode, light: Light) -> Vec<(GrayImage, RgbImage)> {
+/// A case of the test bed: `video.mp4` and `mattes/frame_NNNNNN.png`. Its foreground has no green of its own, so all
+/// that is left counts as spill.
+fn filmed_case(case: &Path) -> Capture {
+    let name = case.file_name().expect("a folder").to_string_lossy().into_owned();
+    let folder = scratch(&name);
+    let frames = decoded(&case.join("video.mp4"), &folder);
+    let shots = (0..frames.len())
+        .filter_map(|i| {
+            let alpha = image::open(case.join(format!("mattes/frame_{i:06}.png"))).ok()?.to_luma8();
+            Some((i, Shot { filmed: frames[i].clone(), alpha, clean: RgbImage::new(WIDTH, HEIGHT) }))
+        })
+        .collect();
+    let light = if name.starts_with("case3") { "10 %" } else { "100 %" };
+    let screen = *frames[0].get_pixel(WIDTH / 5, HEIGHT / 4);
+    Capture {
+        name,
+        light,
+        video: case.join("video.mp4"),
+        frames,
+        shots,
+        screen: screen.0,
+        stands: true,
+        folder,
+    }
+}
+
+type Mattes = Vec<(GrayImage, RgbImage)>;
+
+fn rows(capture: &Capture) {
+    let scores = |mattes: &Mattes| {
+        Score::mean(
+            &capture.shots.iter().map(|(i, s)| score(&mattes[*i].0, &mattes[*i].1, s)).collect::<Vec<_>>(),
+        )
+    };
+    let print = |way: &str, mattes: &Mattes, cost: Option<f64>| {
+        let s = scores(mattes);
+        println!(
+            "| {} | {} | {way} | {:.4} | {:.4} | {:.4} | {:.2} | {:.3} | {:.4} | {:.4} | {} |",
+            capture.name,
+            capture.light,
+            s.iou,
+            s.alpha_error,
+            s.boundary_f,
+            s.spill,
+            s.thin,
+            s.holes,
+            s.garbage,
+            cost.map_or(String::new(), |ms| format!("{ms:.1}"))
+        );
+    };
+    let (ours, cost) = keyed(capture, MatteMode::Soft);
+    print("ours", &ours, Some(cost));
+    dump(capture, &ours);
+    if std::env::var_os("KEY_TABLE_BRIEF").is_none() {
+        let (plain, cost) = keyed(capture, MatteMode::Plain);
+        print("green to black", &plain, Some(cost));
+        let best = [0.01, 0.02, 0.03, 0.05, 0.08, 0.12, 0.16]
+            .map(|similarity| chromakey(capture, similarity))
+            .into_iter()
+            .max_by(|a, b| scores(a).iou.total_cmp(&scores(b).iou));
+        print("ffmpeg chromakey (best of 7)", &best.expect("seven"), None);
+    }
+    std::fs::remove_dir_all(&capture.folder).expect("clean up");
+}
+
+/// Pictures to look at, into the folder KEY_TABLE_DUMP: the worst frame.
+fn dump(capture: &Capture, mattes: &Mattes) {
+    let Some(folder) = std::env::var_os("KEY_TABLE_DUMP").map(PathBuf::from) else { return };
+    let iou = |(i, s): &&(usize, Shot)| score(&mattes[*i].0, &mattes[*i].1, s).iou;
+    let Some((i, shot)) = capture.shots.iter().min_by(|a, b| iou(a).total_cmp(&iou(b))) else { return };
+    let stem = format!("{}_{}", capture.name, capture.light.replace(" %", ""));
+    println!("worst of {stem}: frame {i}");
+    let save = |what: &str| folder.join(format!("{stem}_{what}.png"));
+    capture.frames[*i].save(save("frame")).expect("dump");
+    mattes[*i].0.save(save("matte")).expect("dump");
+    mattes[*i].1.save(save("colours")).expect("dump");
+    shot.alpha.save(save("true")).expect("dump");
+}
+
+/// Mattes of all frames and what one cost, CPU ms.
+fn keyed(capture: &Capture, matte: MatteMode) -> (Mattes, f64) {
+    let frames = &capture.frames;
     let thumbnails: Vec<RgbImage> =
         frames.iter().map(|f| resize_area(f, THUMBNAIL_SIDE, THUMBNAIL_SIDE * HEIGHT / WIDTH)).collect();
-    // The screen is the same in all frames, but the camera is taken for moving: nothing is learnt over time.
     let config = KeyConfig { matte, ..KeyConfig::with_key("auto") };
-    let keyer = Keyer::find(&thumbnails, &config).expect("config").expect("a screen");
+    let mut keyer = Keyer::find(&thumbnails, &config).expect("config").expect("a screen");
+    if capture.stands {
+        let samples: Vec<RgbImage> = frames.iter().step_by(frames.len().div_ceil(24)).cloned().collect();
+        let cpu = cpu_seconds();
+        let found = keyer.learn(&samples);
+        eprintln!("learnt in {:.2} CPU s: {}", cpu_seconds() - cpu, found.unwrap_or_default());
+    }
     let (start, cpu) = (Instant::now(), cpu_seconds());
-    let repeats = if matte == MatteMode::Soft { 6 } else { 1 };
+    let repeats = if matte == MatteMode::Soft { 200_usize.div_ceil(frames.len()) } else { 1 };
     let mut result = Vec::new();
     for _ in 0..repeats {
         result = frames.par_iter().map_init(Scratch::default, |scratch, f| keyer.matte(f, scratch)).collect();
     }
+    let count = (repeats * frames.len()) as f64;
+    let (wall, cpu) = (start.elapsed().as_secs_f64() / count, (cpu_seconds() - cpu) / count);
     if matte == MatteMode::Soft {
-        let count = (repeats * frames.len()) as f64;
-        let (wall, cpu) = (start.elapsed().as_secs_f64() / count, (cpu_seconds() - cpu) / count);
-        eprintln!("{} light: {}", light.name, keyer.evidence);
+        eprintln!("{} at {} light: {}", capture.name, capture.light, keyer.evidence);
+        let threads = rayon::current_num_threads();
         eprintln!(
-            "    {:.1} CPU ms a frame; {:.0} frames a second on {} threads",
+            "    {:.1} CPU ms a frame; {:.0} frames a second on {threads} threads",
             1e3 * cpu,
-            1.0 / wall,
-            rayon::current_num_threads()
+            1.0 / wall
         );
     }
-    result
+    (result, 1e3 * cpu)
 }
 
-fn chromakey(video: &Path, frames: &[RgbImage], light: Light, similarity: f64) -> Vec<(GrayImage, RgbImage)> {
-    let colour: Vec<String> =
-        SCREEN.iter().map(|c| format!("{:02x}", screen::to_srgb(c * light.gain))).collect();
+fn chromakey(capture: &Capture, similarity: f64) -> Mattes {
+    let colour: Vec<String> = capture.screen.iter().map(|c| format!("{c:02x}")).collect();
     let filter = format!("chromakey=0x{}:{similarity}:0.06,format=rgba", colour.concat());
     let output = Command::new("ffmpeg")
         .args(["-nostdin", "-v", "error", "-i"])
-        .arg(video)
+        .arg(&capture.video)
         .args(["-vf", &filter, "-f", "rawvideo", "-"])
         .output()
         .expect("ffmpeg");
@@ -113,7 +204,8 @@ fn chromakey(video: &Path, frames: &[RgbImage], light: Light, similarity: f64) -
     let matte = |frame: &[u8]| {
         GrayImage::from_raw(WIDTH, HEIGHT, frame.chunks_exact(4).map(|p| p[3]).collect()).expect("size")
     };
-    output.stdout.chunks_exact(bytes).zip(frames).map(|(f, original)| (matte(f), original.clone())).collect()
+    let frames = output.stdout.chunks_exact(bytes).zip(&capture.frames);
+    frames.map(|(f, original)| (matte(f), original.clone())).collect()
 }
 
 /// User and system time of this process (Linux: clock ticks of 10 ms).

@@ -19,6 +19,7 @@ pub mod frames;
 pub mod gaussians;
 pub mod image;
 pub mod io;
+pub mod lpips;
 pub mod metrics;
 pub mod pose;
 pub mod progress;

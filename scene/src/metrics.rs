@@ -28,7 +28,12 @@ pub enum MetricsError {
     EmptyMask,
 }
 
-fn check(a: &RgbImage, b: &RgbImage, mask: Option<&GrayImage>, needed: u32) -> Result<(), MetricsError> {
+pub(crate) fn check(
+    a: &RgbImage,
+    b: &RgbImage,
+    mask: Option<&GrayImage>,
+    needed: u32,
+) -> Result<(), MetricsError> {
     let (width, height) = a.dimensions();
     for (w, h) in [Some(b.dimensions()), mask.map(GrayImage::dimensions)].into_iter().flatten() {
         if (w, h) != (width, height) {

@@ -168,6 +168,17 @@ impl BundleProblem {
         Ok(Some(BundleCovariance { cameras, poses }))
     }
 
+    /// Information (inverse covariance) of all free intrinsics jointly after poses and points are eliminated, row-major
+    /// over the free parameters of all cameras in their order, without the priors; `None` where that cannot be done.
+    pub fn intrinsics_information(&self, options: &SolveOptions) -> Result<Option<Vec<f64>>, SfmError> {
+        let frame = Normalisation::of(self);
+        let input = self.input(options, &frame);
+        if input.weights.is_empty() {
+            return Ok(None);
+        }
+        ceres::camera_information(&input, &self.state(&frame))
+    }
+
     fn state(&self, frame: &Normalisation) -> BundleState {
         let pose = |p: &Pose| {
             let Pose { rotation: q, translation: t } = frame.pose_in(p);

@@ -15,6 +15,7 @@ pub mod sift;
 pub mod solvers;
 pub mod tracks;
 pub mod triangulation;
+pub mod turned;
 pub mod two_view;
 pub mod undistort;
 

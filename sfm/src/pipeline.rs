@@ -3,8 +3,10 @@
 mod clock;
 mod export;
 mod setup;
+mod turn;
 
 use crate::incremental::finish::{decide, polish, uncertainty};
+use crate::incremental::folds;
 use crate::incremental::state::{Input, State};
 use crate::tracks::{build_tracks, positions};
 use crate::{
@@ -50,10 +52,11 @@ pub fn reconstruct(
     result.stats.features = result.features.iter().map(Features::len).sum();
     result.stats.pairs_verified = result.geometries.len();
     result.decisions.push(pairs_decision(pairs.len(), frames.len(), &result.geometries));
-    let model = solve(config, &setup, &result.features, &result.geometries, progress)?;
-    clock.lap("mapping", &mut result.stats.steps);
+    let mut lap = |step: &str| clock.lap(step, &mut result.stats.steps);
+    let given = Given { config, setup: &setup, is_video: frames.is_video, features: &result.features };
+    let model = solve(&given, &result.geometries, &mut lap, progress)?;
     match model {
-        Some(model) => export::fill(&mut result, frames, &setup, model, progress)?,
+        Some(model) => export::fill(&mut result, frames, model, progress)?,
         None => result.reason = why_no_model(&result.features, &result.geometries),
     }
     clock.lap("points", &mut result.stats.steps);
@@ -62,39 +65,76 @@ pub fn reconstruct(
 
 /// A model, and what was learned with it.
 pub(crate) struct Solved {
+    /// In the frames of the images as they are.
     state: State,
+    /// For each image the camera of `state`.
+    camera_of: Vec<usize>,
     keypoints: Vec<Vec<glam::DVec2>>,
-    decision: Decision,
+    decisions: Vec<Decision>,
     uncertainty: Option<Uncertainty>,
 }
 
+/// What is known before the first pose.
+struct Given<'a> {
+    config: &'a SfmConfig,
+    setup: &'a Setup,
+    is_video: bool,
+    features: &'a [Features],
+}
+
+/// `lap` is told the name of each step when it is done.
 fn solve(
-    config: &SfmConfig,
-    setup: &Setup,
-    features: &[Features],
+    given: &Given<'_>,
     geometries: &[TwoViewGeometry],
+    lap: &mut dyn FnMut(&str),
     progress: &Progress,
 ) -> Result<Option<Solved>, SfmError> {
+    let Given { config, setup, is_video, features } = *given;
     progress.begin("mapping", features.len());
     let keypoints: Vec<_> = features.iter().map(positions).collect();
     let tracks = build_tracks(features, geometries);
-    let input = Input {
+    let mut input = Input {
         keypoints: &keypoints,
         tracks: &tracks,
         camera_of: &setup.camera_of,
         geometries,
         config: &config.mapper,
+        may_be_turned: !is_video,
         seed: config.seed,
     };
-    let Some(mut state) = incremental::map(&input, &setup.cameras, &setup.known, progress)? else {
-        return Ok(None);
-    };
+    let mapped = incremental::map(&input, &setup.cameras, &setup.known, progress)?;
+    lap("mapping");
+    let Some(mut state) = mapped else { return Ok(None) };
+    let mut decisions = Vec::new();
+    let (kept, kept_tracks);
+    if let Some(plausible) = folds::unfolded(&state, &input, is_video) {
+        kept = plausible.iter().map(|&i| geometries[i].clone()).collect::<Vec<_>>();
+        kept_tracks = build_tracks(features, &kept);
+        let whole = Input { tracks: &kept_tracks, geometries: &kept, ..input };
+        let second = incremental::map(&whole, &setup.cameras, &setup.known, progress)?;
+        if let Some(second) = second.filter(|s| folds::better(s, &state, &input, is_video)) {
+            decisions.push(folds::decision(&second, &state, &input, kept.len(), is_video));
+            (state, input) = (second, whole);
+        }
+    }
+    lap("repeated structure");
     let starts = incremental::starts_of(&setup.cameras, &setup.known, &state);
     let named = config.camera_model.model();
-    let (intrinsics, decision) = decide(&state, &input, &setup.known, &starts, named, progress)?;
-    polish(&mut state, &input, &setup.known, &starts, intrinsics, progress)?;
-    let uncertainty = uncertainty(&state, &input, &setup.known, &starts, intrinsics)?;
-    Ok(Some(Solved { state, keypoints, decision, uncertainty }))
+    let verdict = decide(&state, &input, &setup.known, &starts, named, progress)?;
+    lap("camera model");
+    // From here on every image is the way up that its sensor was.
+    let turned = verdict.turned.unwrap_or_else(|| vec![false; features.len()]);
+    let (upright, upright_geometries) = turn::inputs(&input, &setup.cameras, &turned);
+    turn::poses(&mut state, &turned);
+    (input.keypoints, input.geometries) = (&upright, &upright_geometries);
+    polish(&mut state, &input, &setup.known, &starts, verdict.intrinsics, progress)?;
+    lap("final adjustment");
+    let uncertainty = uncertainty(&state, &input, &setup.known, &starts, verdict.intrinsics)?;
+    lap("covariance");
+    decisions.extend(verdict.decisions);
+    let mut solved = Solved { state, camera_of: setup.camera_of.clone(), keypoints, decisions, uncertainty };
+    turn::back(&mut solved, &turned);
+    Ok(Some(solved))
 }
 
 fn pairs_decision(pairs: usize, images: usize, geometries: &[TwoViewGeometry]) -> Decision {

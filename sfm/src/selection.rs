@@ -76,22 +76,36 @@ struct Trial {
     intrinsics: Intrinsics,
     problem: BundleProblem,
     bic: f64,
-    /// For each pose the mean truncated squared held-out error in units of the noise; NaN where it has none.
-    by_pose: Vec<f64>,
+    /// For each pose the sum of truncated squared held-out errors in units of the noise, and their number.
+    by_pose: Vec<(f64, usize)>,
     /// Root mean square of the held-out error, pixels.
     held_out_px: f64,
     determined: bool,
     note: String,
 }
 
-/// Chooses for all cameras of `problem` that are not `fixed`. `named`: the user's model, which stays.
-/// The problem's points and poses are those of a finished adjustment; nothing in it is changed.
+/// The chosen camera model and how well it does.
+#[derive(Clone, Debug)]
+pub struct Choice {
+    /// What is to be solved for.
+    pub intrinsics: Intrinsics,
+    /// BIC of the chosen model; not finite where there was nothing to choose by.
+    pub bic: f64,
+    /// For each pose the sum of truncated squared held-out errors in units of the noise, and their number.
+    pub by_pose: Vec<(f64, usize)>,
+    /// For the report.
+    pub decision: Decision,
+}
+
+/// Chooses for all cameras of `problem` that are not `fixed`. `named`: the user's model, which stays. `sigma`: noise of
+/// the sightings, pixels. The problem's points and poses are those of a finished adjustment; nothing in it is changed.
 pub fn choose(
     problem: &BundleProblem,
     fixed: &[bool],
     named: Option<CameraModel>,
+    sigma: f64,
     progress: &Progress,
-) -> Result<(Intrinsics, Decision), SfmError> {
+) -> Result<Choice, SfmError> {
     let start = Intrinsics { model: named.unwrap_or(CameraModel::SimpleRadial), principal_point: false };
     let mut decision = Decision {
         what: "camera model".to_owned(),
@@ -100,9 +114,8 @@ pub fn choose(
     };
     let (training, held_out) = split(problem);
     if problem.poses.len() < 3 || held_out.len() < 100 || fixed.iter().all(|&f| f) {
-        return Ok((start, decision));
+        return Ok(Choice { intrinsics: start, bic: f64::NAN, by_pose: Vec::new(), decision });
     }
-    let sigma = noise(problem);
     let context = Context { training, held_out, sigma, fixed, progress };
     let mut best = context.trial(problem, start)?;
     let mut lines = vec![best.line()];
@@ -142,7 +155,30 @@ pub fn choose(
     }
     decision.chosen = best.intrinsics.describe();
     decision.evidence = format!("noise {sigma:.3} px; {}", lines.join("; "));
-    Ok((best.intrinsics, decision))
+    Ok(Choice { intrinsics: best.intrinsics, bic: best.bic, by_pose: best.by_pose, decision })
+}
+
+/// The choice with some images turned (see [`crate::turned`]) where the evidence is clear: a free principal point that
+/// predicts better than the untouched images' best model and pays for itself and for one bit an image.
+pub fn choose_turned(
+    untouched: &Choice,
+    problem: &BundleProblem,
+    fixed: &[bool],
+    named: Option<CameraModel>,
+    sigma: f64,
+    progress: &Progress,
+) -> Result<(Option<Choice>, String), SfmError> {
+    let choice = choose(problem, fixed, named, sigma, progress)?;
+    let bits = 2.0 * std::f64::consts::LN_2 * problem.poses.len() as f64;
+    let (gain, error) = gain(&untouched.by_pose, &choice.by_pose);
+    let evidence = format!(
+        "BIC {:.0} against {:.0} as they are, held-out gain {gain:.4} ± {error:.4}",
+        choice.bic + bits,
+        untouched.bic
+    );
+    let better =
+        choice.intrinsics.principal_point && choice.bic + bits < untouched.bic - CLEAR_BIC && gain > error;
+    Ok((better.then_some(choice), evidence))
 }
 
 fn parameters(intrinsics: Intrinsics) -> usize {
@@ -182,12 +218,10 @@ impl Context<'_> {
             sums[*pose as usize].0 += e.min(TRUNCATION * TRUNCATION);
             sums[*pose as usize].1 += 1;
         }
-        let by_pose: Vec<f64> =
-            sums.iter().map(|(s, n)| if *n > 0 { s / *n as f64 } else { f64::NAN }).collect();
         let all: f64 = sums.iter().map(|s| s.0).sum::<f64>() / errors.len().max(1) as f64;
         let held_out_px = all.sqrt() * self.sigma;
         let bic = if summary.usable { bic } else { f64::INFINITY };
-        Ok(Trial { intrinsics, problem, bic, by_pose, held_out_px, determined, note })
+        Ok(Trial { intrinsics, problem, bic, by_pose: sums, held_out_px, determined, note })
     }
 
     /// Whether the normal equations pin down what was freed.
@@ -298,11 +332,12 @@ pub fn noise(problem: &BundleProblem) -> f64 {
     (median / (2.0 * std::f64::consts::LN_2)).sqrt().max(1e-3)
 }
 
-/// Mean decrease from `old` to `new` over poses, and its standard error.
-fn gain(old: &[f64], new: &[f64]) -> (f64, f64) {
-    let differences: Vec<f64> = old.iter().zip(new).map(|(a, b)| a - b).filter(|d| d.is_finite()).collect();
-    let n = differences.len().max(2) as f64;
-    let mean = differences.iter().sum::<f64>() / n;
-    let variance = differences.iter().map(|d| (d - mean).powi(2)).sum::<f64>() / (n - 1.0);
-    (mean, (variance / n).sqrt())
+/// Mean decrease of the error of a sighting from `old` to `new`, and its standard error: the sightings of a pose are
+/// not independent of each other, those of different poses are.
+fn gain(old: &[(f64, usize)], new: &[(f64, usize)]) -> (f64, f64) {
+    let all = old.iter().map(|o| o.1).sum::<usize>().max(1) as f64;
+    let mean = old.iter().zip(new).map(|(o, n)| o.0 - n.0).sum::<f64>() / all;
+    let excess = |(o, n): (&(f64, usize), &(f64, usize))| (o.0 - n.0 - mean * o.1 as f64).powi(2);
+    let variance: f64 = old.iter().zip(new).map(excess).sum();
+    (mean, variance.sqrt() / all)
 }

@@ -142,6 +142,15 @@ pub trait Backend {
     fn render(&mut self, view: &PinholeView, options: &RenderOptions) -> Result<RenderOutput, SplatError>;
     /// Forward, loss, backward and Adam.
     fn step(&mut self, input: &StepInput) -> Result<StepOutput, SplatError>;
+    /// Mean squared error of a picture against a target, over its pixels that count; statistics stay as they are.
+    fn mean_square_error(
+        &mut self,
+        view: &PinholeView,
+        target: &Target,
+        options: &RenderOptions,
+    ) -> Result<f64, SplatError>;
+    /// Whether the statistics sum |dL/dxy| over pixels (AbsGS) instead of taking the norm of the sum.
+    fn set_magnitudes(&mut self, on: bool) -> Result<(), SplatError>;
     /// Time by kernel.
     fn times(&self) -> KernelTimes;
 }

@@ -6,7 +6,7 @@
 use crate::SplatError;
 use crate::cpu::optimise::Statistics;
 use crate::model::{Model, padded};
-use crate::train::{CurvePoint, Decision};
+use crate::train::{CurvePoint, Decision, Findings};
 use serde::{Deserialize, Serialize};
 use std::io::Write;
 use std::path::{Path, PathBuf};
@@ -33,6 +33,12 @@ pub struct State {
     pub decisions: Vec<Decision>,
     /// Loss and squared error averaged since the last point of the curve, and how many steps.
     pub pending: [f64; 3],
+    /// Gaussians at the start.
+    pub first: usize,
+    /// Step and position of the last round of densification.
+    pub last_round: (u32, f64),
+    /// What was found out on the way.
+    pub findings: Findings,
 }
 
 #[derive(Serialize, Deserialize)]

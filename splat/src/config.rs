@@ -66,6 +66,61 @@ pub struct TrainConfig {
     /// Where to train.
     #[command(flatten)]
     pub device: DeviceConfig,
+    /// How the trainer goes about it (chosen by the `ablation` example)
+    #[arg(skip)]
+    pub recipe: Recipe,
+}
+
+/// By what Gaussians are chosen to be split.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub enum Selection {
+    /// Norm of the mean screen gradient (Kerbl et al. 2023)
+    #[default]
+    Gradient,
+    /// The same of its absolute values over the pixels, which do not cancel (Ye et al., AbsGS, 2024)
+    AbsoluteGradient,
+    /// Drawn in proportion to opacity; two of them look as the one did (Kheradmand et al., 3DGS as MCMC, 2024)
+    Opacity,
+}
+
+/// The trainer's own choices. No flags: each was chosen by switching it off (docs/benchmarks.md, example `ablation`).
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Recipe {
+    /// Gaussians follow a plan from the first to [`crate::schedule::gaussians_at_end`]; otherwise a tenth more each 100
+    /// steps where the screen gradient is above a threshold (about as 3DGS does it).
+    pub planned_growth: bool,
+    /// Where the background shows through, Gaussians that hardly any view has in its picture are removed.
+    pub remove_unseen: bool,
+    /// Where Gaussians are added.
+    pub selection: Selection,
+    /// Position in the schedule from which training runs at full resolution.
+    pub full_resolution_from: f64,
+    /// The same for half the resolution.
+    pub half_resolution_from: f64,
+    /// Part of the schedule in which Gaussians are added.
+    pub densify_until: f64,
+    /// Spherical-harmonic degree and number of Gaussians grow only while a validation split gains by it.
+    pub evidence: bool,
+    /// Gaussians that the pictures do not miss are removed near the end.
+    pub prune_redundant: bool,
+    /// --time-limit counts CPU time of the process instead of wall time: for comparisons on a busy machine (Linux).
+    pub cpu_time: bool,
+}
+
+impl Default for Recipe {
+    fn default() -> Self {
+        Self {
+            planned_growth: true,
+            remove_unseen: true,
+            selection: Selection::Gradient,
+            full_resolution_from: 0.5,
+            half_resolution_from: 0.15,
+            densify_until: 0.7,
+            evidence: true,
+            prune_redundant: true,
+            cpu_time: false,
+        }
+    }
 }
 
 const ITERATIONS: u32 = 4000;
@@ -87,6 +142,7 @@ impl Default for TrainConfig {
             checkpoint_every: CHECKPOINT_EVERY,
             seed: 0,
             device: DeviceConfig::default(),
+            recipe: Recipe::default(),
         }
     }
 }

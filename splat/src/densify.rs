@@ -1,62 +1,59 @@
 //! Adding Gaussians where the picture pulls at them, removing those that do nothing.
 
+use crate::PinholeView;
+use crate::config::Selection;
 use crate::cpu::optimise::Statistics;
 use crate::model::{GEOMETRY, LOG_SCALE, MEAN, Model, OPACITY, ROTATION};
 use glam::{Quat, Vec3};
 use rand::Rng as _;
+use rayon::prelude::*;
 
-/// Steps between rounds.
-pub const EVERY: u32 = 100;
-/// Mean screen gradient (units of half the image) above which a Gaussian is worth another (3DGS paper: 2e-4).
+/// Mean screen gradient (units of half the image) above which a Gaussian is worth another (3DGS paper: 2e-4); only
+/// without a plan of growth.
 pub const GRADIENT: f32 = 2e-4;
 /// Opacity below which a Gaussian is removed.
 const MIN_OPACITY: f32 = 0.005;
-/// Gaussians larger than this on the screen (fraction of the larger side, 3 σ) are always split, never cloned.
-const SPLIT_RADIUS: f32 = 0.008;
+/// Gaussians that fewer views than this have in their picture are removed where the background shows through.
+const LEAST_VIEWS: usize = 5;
 
-/// What a round of densification did.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct Densified {
-    /// Copied in place.
-    pub cloned: usize,
-    /// Replaced by two smaller ones.
-    pub split: usize,
-    /// Removed.
-    pub pruned: usize,
-}
-
-/// Adds up to `room` Gaussians, those with the greatest mean screen gradient first, and removes the transparent.
+/// Splits up to `room` Gaussians, chosen by `selection` (gradients above `threshold`), and removes the transparent.
 pub fn densify(
     model: &mut Model,
     statistics: &Statistics,
     room: usize,
     threshold: f32,
+    selection: Selection,
     seed: u64,
     iteration: u32,
-) -> Densified {
-    let mut done = Densified::default();
+) {
+    let rng = |i: u32| scene::rng::rng(seed, "densify", (u64::from(iteration) << 32) | u64::from(i));
+    let opacity = |i: usize| 1.0 / (1.0 + (-model.geometry[OPACITY][i]).exp());
+    let score = |i: usize| match selection {
+        Selection::Gradient | Selection::AbsoluteGradient => statistics.gradient[i] / statistics.visible[i],
+        // Drawing without replacement in proportion to the weights: the greatest u^(1/w) (Efraimidis and Spirakis 2006).
+        Selection::Opacity => {
+            rng(i as u32).random_range(1e-6f32..1.0).powf(1.0 / opacity(i).max(1e-6)) + threshold
+        }
+    };
     let mut candidates: Vec<(f32, u32)> = (0..model.len)
         .filter(|&i| statistics.visible[i] > 0.0)
-        .map(|i| (statistics.gradient[i] / statistics.visible[i], i as u32))
+        .map(|i| (score(i), i as u32))
         .filter(|c| c.0 > threshold)
         .collect();
     candidates.sort_by(|a, b| b.0.total_cmp(&a.0).then(a.1.cmp(&b.1)));
     candidates.truncate(room);
     let mut added = Vec::with_capacity(candidates.len());
     for &(_, i) in &candidates {
-        let i = i as usize;
-        let mut rng = scene::rng::rng(seed, "densify", (u64::from(iteration) << 32) | i as u64);
-        if statistics.radius[i] > SPLIT_RADIUS {
-            added.push((split(model, i, &mut rng), i));
-            done.split += 1;
+        let (mut rng, i) = (rng(i), i as usize);
+        let other = if selection == Selection::Opacity {
+            double(model, i, &mut rng)
         } else {
-            added.push((row(model, i), i));
-            done.cloned += 1;
-        }
+            split(model, i, &mut rng)
+        };
+        added.push((other, i));
     }
     model.append(&added);
-    done.pruned = prune(model);
-    done
+    prune(model);
 }
 
 fn row(model: &Model, i: usize) -> [f32; GEOMETRY] {
@@ -66,8 +63,7 @@ fn row(model: &Model, i: usize) -> [f32; GEOMETRY] {
 /// Halves Gaussian `i` along its longest axis: one half stays, the other is returned.
 fn split(model: &mut Model, i: usize, rng: &mut scene::rng::Rng) -> [f32; GEOMETRY] {
     let g = |p: usize| model.geometry[p][i];
-    let q = Quat::from_xyzw(g(ROTATION + 1), g(ROTATION + 2), g(ROTATION + 3), g(ROTATION));
-    let q = if q.length_squared() > 1e-20 { q.normalize() } else { Quat::IDENTITY };
+    let q = orientation(model, i);
     let logs = [g(LOG_SCALE), g(LOG_SCALE + 1), g(LOG_SCALE + 2)];
     let longest = (0..3).max_by(|&a, &b| logs[a].total_cmp(&logs[b])).unwrap_or(0);
     let mut axis = Vec3::ZERO;
@@ -86,6 +82,33 @@ fn split(model: &mut Model, i: usize, rng: &mut scene::rng::Rng) -> [f32; GEOMET
     other
 }
 
+/// Makes two Gaussians that together look as one did (Kheradmand et al. 2024, equation 9), the second at a place drawn
+/// from the first.
+fn double(model: &mut Model, i: usize, rng: &mut scene::rng::Rng) -> [f32; GEOMETRY] {
+    let old = (1.0 / (1.0 + (-model.geometry[OPACITY][i]).exp())).clamp(1e-4, 0.9999);
+    let new = 1.0 - (1.0 - old).sqrt();
+    let shrink = (old / (2.0 * new - new * new * std::f32::consts::FRAC_1_SQRT_2)).ln();
+    model.geometry[OPACITY][i] = (new / (1.0 - new)).ln();
+    let q = orientation(model, i);
+    let mut offset = Vec3::ZERO;
+    for k in 0..3 {
+        model.geometry[LOG_SCALE + k][i] += shrink;
+        // Sum of three uniform numbers: nearly normal, variance 1.
+        let normal: f32 = (0..3).map(|_| rng.random_range(-1.0f32..1.0)).sum();
+        offset[k] = model.geometry[LOG_SCALE + k][i].clamp(-20.0, 20.0).exp() * normal;
+    }
+    model.reset_moments(i);
+    let (mut other, place) = (row(model, i), model.mean(i) + q * offset);
+    other[MEAN..MEAN + 3].copy_from_slice(&place.to_array());
+    other
+}
+
+fn orientation(model: &Model, i: usize) -> Quat {
+    let g = |p: usize| model.geometry[p][i];
+    let q = Quat::from_xyzw(g(ROTATION + 1), g(ROTATION + 2), g(ROTATION + 3), g(ROTATION));
+    if q.length_squared() > 1e-20 { q.normalize() } else { Quat::IDENTITY }
+}
+
 /// Removes Gaussians that are transparent, too large or not finite; returns how many.
 pub fn prune(model: &mut Model) -> usize {
     let floor = (MIN_OPACITY / (1.0 - MIN_OPACITY)).ln();
@@ -96,6 +119,28 @@ pub fn prune(model: &mut Model) -> usize {
         })
         .map(|i| i as u32)
         .collect();
+    let removed = model.len - keep.len();
+    if removed > 0 && !keep.is_empty() {
+        model.select(&keep);
+        return removed;
+    }
+    0
+}
+
+/// Removes Gaussians whose centre hardly any view has in its picture; returns how many. No other view contradicts them,
+/// so that they settle just before a camera, explain its picture, and hang in the air in pictures from elsewhere.
+pub fn prune_unseen(model: &mut Model, views: &[PinholeView]) -> usize {
+    let least = LEAST_VIEWS.min(views.len() / 8);
+    let seen = |i: u32| {
+        let x = model.mean(i as usize);
+        let has = |v: &&PinholeView| {
+            let c = v.rotation * x + v.translation;
+            let [px, py] = [v.focal[0] * c.x + v.centre[0] * c.z, v.focal[1] * c.y + v.centre[1] * c.z];
+            c.z > 0.0 && px >= 0.0 && py >= 0.0 && px < v.width as f32 * c.z && py < v.height as f32 * c.z
+        };
+        views.iter().filter(has).take(least).count() >= least
+    };
+    let keep: Vec<u32> = (0..model.len as u32).into_par_iter().filter(|&i| seen(i)).collect();
     let removed = model.len - keep.len();
     if removed > 0 && !keep.is_empty() {
         model.select(&keep);

@@ -7,6 +7,7 @@
 pub mod adapter;
 pub mod backend;
 pub mod checkpoint;
+pub mod clock;
 pub mod config;
 pub mod cpu;
 pub mod dataset;
@@ -24,7 +25,7 @@ pub mod train;
 
 pub use adapter::{Adapter, AdapterKind, adapters};
 pub use backend::{Backend, PinholeView};
-pub use config::{Quality, TrainConfig};
+pub use config::{Quality, Recipe, Selection, TrainConfig};
 pub use dataset::{AlphaMode, Dataset, DatasetConfig, View};
 pub use device::{BackendChoice, DeviceConfig};
 pub use error::SplatError;

@@ -1,31 +1,55 @@
 //! What changes as training goes on: resolution, step sizes, spherical-harmonic degree. Everything is a function of the
 //! position in the schedule, 0 at the start and 1 at the end, so that a schedule of any length ends converged.
 
-use crate::TrainConfig;
 use crate::backend::LearningRates;
 use crate::checkpoint::State;
+use crate::config::{Recipe, TrainConfig};
 
-/// Part of the schedule after which training runs at full resolution. A step at a quarter of the resolution costs an
-/// eighth of a full one.
-const FULL_RESOLUTION_FROM: f64 = 0.8;
-/// Part of the schedule after which training runs at half the resolution.
-const HALF_RESOLUTION_FROM: f64 = 0.4;
-/// Part of the schedule in which Gaussians are added.
-pub const DENSIFY_UNTIL: f64 = 0.6;
 /// From here on the higher degrees of the spherical harmonics come in, one after the other.
-const SH_FROM: [f64; 3] = [0.2, 0.35, 0.5];
+pub const SH_FROM: [f64; 3] = [0.2, 0.35, 0.5];
 
 /// Level (0: full resolution) at a position, with `levels` coarser ones to pass through.
-pub fn level(position: f64, levels: u32) -> u32 {
-    let passed = if position >= FULL_RESOLUTION_FROM {
+pub fn level(position: f64, levels: u32, recipe: &Recipe) -> u32 {
+    let half = recipe.half_resolution_from;
+    let passed = if position >= recipe.full_resolution_from {
         levels
-    } else if position >= HALF_RESOLUTION_FROM || levels == 0 {
+    } else if position >= half || levels == 0 {
         levels.saturating_sub(1)
     } else {
         // The levels coarser than a half share what comes before.
-        (position / HALF_RESOLUTION_FROM * f64::from(levels - 1)).floor() as u32
+        (position / half * f64::from(levels - 1)).floor() as u32
     };
     levels - passed
+}
+
+/// Gaussians at the end of growth for each step of the schedule, [`gaussians_at_end`].
+const GAUSSIANS_A_STEP: f64 = 50.0;
+
+/// How many Gaussians a schedule of `steps` steps grows to from `first`: more steps can settle more Gaussians.
+pub fn gaussians_at_end(first: usize, steps: f64, config: &TrainConfig) -> usize {
+    ((steps * GAUSSIANS_A_STEP) as usize).min(config.max_gaussians).max(first)
+}
+
+/// Gaussians wanted at a position: from `first` evenly to `last` at the end of densification.
+pub fn gaussians(position: f64, first: usize, last: usize, recipe: &Recipe) -> usize {
+    let done = (position / recipe.densify_until).clamp(0.0, 1.0);
+    first + (last.saturating_sub(first) as f64 * done).round() as usize
+}
+
+/// Rounds of densification in a schedule that is long enough.
+const ROUNDS: f64 = 40.0;
+/// Steps between rounds at least: fewer do not tell where Gaussians are missing.
+const LEAST_STEPS: u32 = 50;
+
+/// Whether a round of densification is due, `last` being step and position of the one before.
+pub fn is_round(iteration: u32, position: f64, last: (u32, f64), recipe: &Recipe) -> bool {
+    if position >= recipe.densify_until {
+        return false;
+    }
+    if !recipe.planned_growth {
+        return iteration.is_multiple_of(100);
+    }
+    iteration >= last.0 + LEAST_STEPS && position >= last.1 + recipe.densify_until / ROUNDS
 }
 
 /// Degree in use at a position.
@@ -61,6 +85,8 @@ pub fn rates(position: f64, steps: f64, config: &TrainConfig) -> LearningRates {
 pub struct Pace {
     /// Mean seconds of a step at each level, 0 where not yet seen.
     cost: [f64; 8],
+    /// What the last step added to the position.
+    stride: f64,
 }
 
 /// Cost of a step of the next finer level where it was not yet seen.
@@ -68,9 +94,9 @@ const FINER: f64 = 2.5;
 
 impl Pace {
     /// How many steps the whole schedule will have, as far as can be told.
-    pub fn steps(state: &State, config: &TrainConfig) -> f64 {
+    pub fn steps(&self, state: &State, config: &TrainConfig) -> f64 {
         match config.time_limit {
-            Some(_) if state.position > 0.0 => f64::from(state.iteration) / state.position,
+            Some(_) if self.stride > 0.0 => f64::from(state.iteration) + (1.0 - state.position) / self.stride,
             Some(_) => f64::from(TUNED_STEPS),
             None => f64::from(config.iterations),
         }
@@ -87,23 +113,27 @@ impl Pace {
         if left <= 0.0 {
             return 1.0;
         }
-        // Seconds that the rest of the schedule would take with a step for every unit of position.
-        let (mut ahead, mut last) = (0.0, spent);
+        let next = state.position + self.ahead(state.position, config, level) / left;
+        let next = next.min(1.0).max(state.position + 1e-7);
+        self.stride = next - state.position;
+        next
+    }
+
+    /// Seconds that the rest of the schedule would take with a step for every unit of position.
+    fn ahead(&self, position: f64, config: &TrainConfig, level: u32) -> f64 {
         const PARTS: u32 = 64;
-        let width = (1.0 - state.position) / f64::from(PARTS);
-        let mut previous = level;
+        let width = (1.0 - position) / f64::from(PARTS);
+        let (mut sum, mut last, mut previous) = (0.0, self.cost[level as usize % 8], level);
         for part in 0..PARTS {
-            let at = state.position + (f64::from(part) + 0.5) * width;
-            let next = self::level(at, config.coarse_levels);
+            let at = position + (f64::from(part) + 0.5) * width;
+            let next = self::level(at, config.coarse_levels, &config.recipe);
             if next != previous {
                 let seen = self.cost[next as usize % 8];
                 last = if seen > 0.0 { seen } else { last * FINER };
                 previous = next;
-            } else if part == 0 {
-                last = *self.cost.get(next as usize).filter(|c| **c > 0.0).unwrap_or(&spent);
             }
-            ahead += last * width;
+            sum += last * width;
         }
-        (state.position + ahead / left).min(1.0).max(state.position + 1e-7)
+        sum
     }
 }

@@ -1,7 +1,12 @@
 //! The training loop.
 
+mod decide;
+
+pub use decide::Findings;
+
 use crate::backend::{Backend, KernelTimes, StepInput, Target};
 use crate::checkpoint::{Checkpoint, State};
+use crate::config::Selection;
 use crate::cpu::optimise::Statistics;
 use crate::dataset::AlphaMode;
 use crate::init::initial_gaussians;
@@ -13,7 +18,6 @@ use rand::seq::SliceRandom as _;
 use scene::{Gaussians, Progress};
 use serde::{Deserialize, Serialize};
 use std::path::Path;
-use std::time::Instant;
 
 /// A point of the training curve: means over the steps since the point before.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
@@ -69,7 +73,11 @@ struct Trainer<'a> {
     max_gaussians: usize,
     state: State,
     pace: Pace,
+    clock: fn() -> f64,
+    /// Training views.
     views: Vec<usize>,
+    /// Those of them that only judge until growth ends.
+    validation: Vec<usize>,
 }
 
 /// Trains Gaussians on the views that are not held out. With `checkpoint_dir`, continues from the checkpoint there if it
@@ -89,6 +97,7 @@ pub fn train(
     };
     while trainer.state.position < 1.0 {
         trainer.step()?;
+        trainer.decide()?;
         let point = trainer.state.curve.last().copied().unwrap_or_default();
         let detail = format!("{:.2} dB, {} gaussians", point.psnr, trainer.backend.gaussians());
         if let Err(cancelled) = progress.tick_with(&detail) {
@@ -127,6 +136,9 @@ impl<'a> Trainer<'a> {
         if views.is_empty() {
             return Err(SplatError::TooFewViews(0));
         }
+        let clock =
+            if config.recipe.cpu_time { crate::clock::cpu_seconds } else { crate::clock::wall_seconds };
+        let begun = clock();
         let fingerprint = format!("{config:?} {:?} {}", dataset.normalisation, dataset.views.len());
         let (mut backend, decision) = crate::device::open(&config.device)?;
         let pixels = dataset.views.iter().map(|v| v.view.width * v.view.height).max().unwrap_or(0);
@@ -138,6 +150,7 @@ impl<'a> Trainer<'a> {
             let value = config.device.vram_limit.map_or("not given".to_owned(), |mib| mib.to_string());
             return Err(SplatError::Config { flag, value, expected });
         }
+        backend.set_magnitudes(config.recipe.selection == Selection::AbsoluteGradient)?;
         let resumed = folder.map_or(Ok(None), |f| Checkpoint::read(f, &fingerprint))?;
         let state = match resumed {
             Some(checkpoint) => {
@@ -145,19 +158,22 @@ impl<'a> Trainer<'a> {
                 checkpoint.state
             }
             None => {
-                let gaussians = initial_gaussians(dataset, max_gaussians, config.seed)?;
+                let first = initial_gaussians(dataset, max_gaussians, config.seed)?;
                 let mut statistics = Statistics::default();
-                statistics.reset(gaussians.len());
-                backend.upload(Model::from_gaussians(&gaussians), statistics)?;
+                statistics.reset(first.len());
+                backend.upload(Model::from_gaussians(&first), statistics)?;
                 let mut decisions = vec![decision];
                 if let Some((room, why)) = room.filter(|r| r.0 < config.max_gaussians) {
                     let (subject, choice) = ("most gaussians".to_owned(), room.to_string());
                     decisions.push(Decision { subject, choice, evidence: why });
                 }
-                State { fingerprint, decisions, ..State::default() }
+                let (first, seconds) = (first.len(), clock() - begun);
+                State { fingerprint, first, seconds, decisions, ..State::default() }
             }
         };
-        Ok(Self { dataset, config, backend, max_gaussians, state, pace: Pace::default(), views })
+        let validation = if config.recipe.evidence { decide::validation(&views) } else { Vec::new() };
+        let pace = Pace::default();
+        Ok(Self { dataset, config, backend, max_gaussians, state, pace, clock, views, validation })
     }
 
     fn checkpoint(&mut self) -> Result<Checkpoint, SplatError> {
@@ -165,11 +181,13 @@ impl<'a> Trainer<'a> {
         Ok(Checkpoint { state: self.state.clone(), model, statistics })
     }
 
-    /// The view of a step: a fresh permutation of all views each time round.
+    /// The view of a step: a fresh permutation of all views each time round; those that judge only once they are done.
     fn view_of_step(&self) -> usize {
-        let n = self.views.len();
-        let (round, at) = (self.state.iteration as usize / n, self.state.iteration as usize % n);
+        let judging = self.state.position < self.config.recipe.densify_until;
         let mut order = self.views.clone();
+        order.retain(|v| !judging || !self.validation.contains(v));
+        let n = order.len();
+        let (round, at) = (self.state.iteration as usize / n, self.state.iteration as usize % n);
         order.shuffle(&mut scene::rng::rng(self.config.seed, "views", round as u64));
         order[at]
     }
@@ -190,14 +208,15 @@ impl<'a> Trainer<'a> {
     }
 
     fn step(&mut self) -> Result<(), SplatError> {
-        let clock = Instant::now();
+        let begun = (self.clock)();
         let position = self.state.position;
-        let degree = schedule::sh_degree(position, self.config.sh_degree);
+        let highest = self.config.sh_degree.min(self.state.findings.sh_limit.unwrap_or(3));
+        let degree = schedule::sh_degree(position, highest);
         if self.backend.sh_degree() < degree {
             self.backend.edit(&mut |model, _| model.set_sh_degree(degree))?;
         }
         let view = &self.dataset.views[self.view_of_step()];
-        let level = schedule::level(position, self.config.coarse_levels).min(view.levels.len() as u32 - 1);
+        let level = self.level().min(view.levels.len() as u32 - 1);
         let (camera, pixels) = (view.view.at_level(level), &view.levels[level as usize]);
         let output = self.backend.step(&StepInput {
             view: &camera,
@@ -207,7 +226,7 @@ impl<'a> Trainer<'a> {
                 transparent: self.dataset.alpha == AlphaMode::Transparent,
             },
             options: self.options(),
-            rates: schedule::rates(position, Pace::steps(&self.state, self.config), self.config),
+            rates: schedule::rates(position, self.pace.steps(&self.state, self.config), self.config),
             lambda_dssim: self.config.lambda_dssim,
             opacity_penalty: 0.0,
             scale_penalty: 0.0,
@@ -220,13 +239,14 @@ impl<'a> Trainer<'a> {
                 reason: "the loss is not finite; lower --learning-rate".to_owned(),
             });
         }
-        if iteration.is_multiple_of(densify::EVERY) && position < schedule::DENSIFY_UNTIL {
+        if schedule::is_round(iteration, position, self.state.last_round, &self.config.recipe) {
+            self.state.last_round = (iteration, position);
             self.densify()?;
         }
         for (sum, value) in self.state.pending.iter_mut().zip([output.loss, output.mse, 1.0]) {
             *sum += f64::from(value);
         }
-        let spent = clock.elapsed().as_secs_f64();
+        let spent = (self.clock)() - begun;
         self.state.seconds += spent;
         self.state.position = self.pace.advance(&self.state, self.config, level, spent);
         if iteration.is_multiple_of(CURVE_EVERY) || self.state.position >= 1.0 {
@@ -235,13 +255,36 @@ impl<'a> Trainer<'a> {
         Ok(())
     }
 
+    /// Level in use now (0: full resolution), if the view has it.
+    fn level(&self) -> u32 {
+        schedule::level(self.state.position, self.config.coarse_levels, &self.config.recipe)
+    }
+
     fn densify(&mut self) -> Result<(), SplatError> {
-        let (most, seed, iteration) = (self.max_gaussians, self.config.seed, self.state.iteration);
+        let recipe = &self.config.recipe;
+        let (now, max) = (self.backend.gaussians(), self.max_gaussians);
+        let (wanted, threshold) = if recipe.planned_growth {
+            let steps = self.pace.steps(&self.state, self.config);
+            let last = schedule::gaussians_at_end(self.state.first, steps, self.config);
+            let last = self.state.findings.gaussians_limit.map_or(last, |limit| last.min(limit));
+            (schedule::gaussians(self.state.position, self.state.first, last, recipe), 0.0)
+        } else {
+            ((now + now / 10 + 100).min(max), densify::GRADIENT)
+        };
+        let room = wanted.min(max).saturating_sub(now);
+        let (seed, iteration, selection) = (self.config.seed, self.state.iteration, recipe.selection);
+        let remove_unseen = recipe.remove_unseen && self.dataset.is_transparent();
+        let views: Vec<_> = self.views.iter().map(|&v| self.dataset.views[v].view).collect();
+        let mut unseen = 0;
         self.backend.edit(&mut |model, statistics| {
-            let room = most.saturating_sub(model.len).min(model.len / 10 + 100);
-            densify::densify(model, statistics, room, densify::GRADIENT, seed, iteration);
+            densify::densify(model, statistics, room, threshold, selection, seed, iteration);
+            if remove_unseen {
+                unseen = densify::prune_unseen(model, &views);
+            }
             statistics.reset(model.len);
-        })
+        })?;
+        self.state.findings.unseen += unseen;
+        Ok(())
     }
 
     fn note_curve(&mut self) {
@@ -261,11 +304,12 @@ impl<'a> Trainer<'a> {
     fn finish(mut self) -> Result<TrainResult, SplatError> {
         let (model, _) = self.backend.download()?;
         let timings = self.backend.times();
+        let decisions = self.decisions();
         let near = crate::cpu::DEFAULT_NEAR / self.dataset.normalisation.scale as f32;
         Ok(TrainResult {
             gaussians: self.dataset.normalisation.to_world(model.to_gaussians()),
             curve: self.state.curve,
-            decisions: self.state.decisions,
+            decisions,
             timings,
             iterations: self.state.iteration,
             render: RenderOptions {

@@ -2,7 +2,7 @@
 
 mod charts;
 
-use crate::evaluate::Evaluation;
+use crate::evaluate::{Evaluation, Metrics};
 use crate::pipeline::{PoseSummary, RunRecord, SplatSummary};
 use crate::stage::write_whole;
 use anyhow::Result;
@@ -176,25 +176,37 @@ fn splat(html: &mut String, splat: &SplatSummary) -> Result<()> {
 
 fn evaluation(html: &mut String, out: &Path, evaluation: &Evaluation) -> Result<()> {
     write!(html, "<h2>Held-out views</h2><p>{}</p>", escape(&evaluation.protocol))?;
-    html.push_str(
-        "<div class=\"scroll\"><table><tr><th>view<th class=n>PSNR<th class=n>SSIM<th class=n>PSNR in mask<th class=n>SSIM in mask</tr>",
-    );
-    for (name, m) in
-        evaluation.views.iter().map(|v| (v.name.as_str(), &v.metrics)).chain([("mean", &evaluation.mean)])
-    {
-        let optional =
-            |v: Option<f64>, digits: usize| v.map_or("–".to_owned(), |v| format!("{v:.digits$}"));
-        write!(
-            html,
-            "<tr><td>{}<td class=n>{:.2}<td class=n>{:.4}<td class=n>{}<td class=n>{}</tr>",
-            escape(name),
-            m.psnr,
-            m.ssim,
-            optional(m.psnr_mask, 2),
-            optional(m.ssim_mask, 4)
-        )?;
+    let columns = [
+        ("PSNR", 2, (|m| Some(m.psnr)) as fn(&Metrics) -> Option<f64>),
+        ("SSIM", 4, |m| Some(m.ssim)),
+        ("PSNR in mask", 2, |m| m.psnr_mask),
+        ("SSIM in mask", 4, |m| m.ssim_mask),
+        ("LPIPS alex", 4, |m| m.lpips_alex),
+        ("LPIPS vgg", 4, |m| m.lpips_vgg),
+    ];
+    let shown: Vec<_> = columns.iter().filter(|(_, _, pick)| pick(&evaluation.mean).is_some()).collect();
+    html.push_str("<div class=\"scroll\"><table><tr><th>view");
+    for (name, ..) in &shown {
+        write!(html, "<th class=n>{name}")?;
     }
-    html.push_str("</table></div><p>Photo, render, difference ×4:</p>");
+    html.push_str("</tr>");
+    let views = evaluation.views.iter().map(|v| (v.name.as_str(), &v.metrics));
+    for (name, metrics) in views.chain([("mean", &evaluation.mean)]) {
+        write!(html, "<tr><td>{}", escape(name))?;
+        for (_, digits, pick) in &shown {
+            let value = pick(metrics).map_or("–".to_owned(), |v| format!("{v:.digits$}"));
+            write!(html, "<td class=n>{value}")?;
+        }
+        html.push_str("</tr>");
+    }
+    html.push_str("</table></div>");
+    let cost = &evaluation.rendering;
+    write!(
+        html,
+        "<p>Rendering: {:.1} frames/s; a frame takes {:.1} ms (median), 95 % at most {:.1}, 99 % at most {:.1}; \
+         {:.0} MiB.</p><p>Photo, render, difference ×4:</p>",
+        cost.frames_per_second, cost.frame_ms_median, cost.frame_ms_p95, cost.frame_ms_p99, cost.peak_mib
+    )?;
     for view in &evaluation.views {
         html.push_str("<div class=\"triple\">");
         for (kind, picture) in triple(&out.join("eval"), &view.picture)? {

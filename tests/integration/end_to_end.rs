@@ -119,6 +119,13 @@ fn a_trained_splat_is_rendered_along_every_path_and_exported() {
     assert!(std::fs::metadata(&film).unwrap().len() > 500);
     expect_code(&["export", text(out), "-o", text(&dir.join("copy.ply"))], 0);
     assert_eq!(std::fs::read(dir.join("copy.ply")).unwrap(), std::fs::read(out.join("splat.ply")).unwrap());
+    for name in ["web.splat", "web.spz", "web.glb", "web.compressed.ply"] {
+        let written = dir.join(name);
+        expect_code(&["export", text(out), "-o", text(&written)], 0);
+        expect_code(&["export", text(&written), "-o", text(&dir.join("back.ply"))], 0);
+        let splat = |path: &Path| scene::io::read_splat(path).unwrap().len();
+        assert_eq!(splat(&dir.join("back.ply")), splat(&out.join("splat.ply")), "{name}");
+    }
     expect_code(&["export", text(out), "-o", text(&dir.join("model")), "--text"], 0);
     assert!(dir.join("model/points3D.txt").is_file());
 }
@@ -137,4 +144,24 @@ fn the_output_folder_is_a_data_set_that_we_read_as_any_other() {
     }
     let said = expect_code(&["sfm", text(&copy), "-o", text(&again)], 0);
     assert!(said.contains("poses of the input"), "{said}");
+}
+
+#[test]
+fn runs_and_the_renders_of_other_tools_stand_in_the_tables_of_a_paper() {
+    let out = finished_run();
+    let target = folder("tables").join("tables");
+    let renders = out.join("eval/renders");
+    let run = format!("ours:orbit={}", text(out));
+    let other = format!("other:orbit={}", text(&renders));
+    let said = expect_code(&["compare", &run, &other, "--tables", text(&target)], 0);
+    let tables = json(&target.join("tables.json"));
+    let quality = &tables[0]["values"];
+    let psnr = |method: usize| quality[method][0][0].as_f64().unwrap();
+    assert!((psnr(0) - psnr(1)).abs() < 1e-9, "{said}");
+    assert!(json(&out.join("eval/metrics.json"))["rendering"]["frames_per_second"].as_f64().unwrap() > 1.0);
+    for file in ["tables.md", "tables.csv", "tables.tex"] {
+        let text = std::fs::read_to_string(target.join(file)).unwrap();
+        assert!(text.contains("ours") && text.contains("training cost"), "{file}: {text}");
+    }
+    expect_code(&["compare", "other:nowhere=/nowhere"], 1);
 }

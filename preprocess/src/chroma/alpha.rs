@@ -3,6 +3,7 @@
 use super::colour::{Key, LINEAR, dot, luminance};
 use super::field::Field;
 use super::filters::{Rect, box_sum, components, dilate, erode, smooth};
+use super::still::Still;
 
 /// Radius of the neighbourhood from which the colour of the foreground is learnt, pixels.
 const REACH: usize = 3;
@@ -11,16 +12,21 @@ const MIN_DEPARTURE: f32 = 0.06;
 /// A region that nowhere departs by this much is a shadow or noise.
 const MIN_PEAK: f32 = 0.30;
 /// Weight of a mixed pixel beside a solid one when the foreground's colour is learnt.
-const MIXED_WEIGHT: f32 = 0.05;
+static MIXED_WEIGHT: std::sync::LazyLock<f32> = std::sync::LazyLock::new(|| tune("MIXED_WEIGHT", 0.05));
 /// Chroma of 4:2:0 video is blurred: standard deviation of alpha from chroma at an edge.
-const CHROMA_ERROR: f32 = 0.15;
+static CHROMA_ERROR: std::sync::LazyLock<f32> = std::sync::LazyLock::new(|| tune("CHROMA_ERROR", 0.15));
 /// The same for luma.
-const LUMA_ERROR: f32 = 0.20;
+static LUMA_ERROR: std::sync::LazyLock<f32> = std::sync::LazyLock::new(|| tune("LUMA_ERROR", 0.2));
 /// The object's rim is lit by the screen and mixes with its blur: alpha falls short by this factor there.
-const RIM_GAIN: f32 = 1.25;
+static RIM_GAIN: std::sync::LazyLock<f32> = std::sync::LazyLock::new(|| tune("RIM_GAIN", 1.25));
 /// Smoothing has made the edge this much too soft.
-const EDGE_CONTRAST: f32 = 1.15;
+static EDGE_CONTRAST: std::sync::LazyLock<f32> = std::sync::LazyLock::new(|| tune("EDGE_CONTRAST", 1.15));
 
+static THIN_GAIN: std::sync::LazyLock<f32> = std::sync::LazyLock::new(|| tune("THIN_GAIN", 1.0));
+static THIN_FLOOR: std::sync::LazyLock<f32> = std::sync::LazyLock::new(|| tune("THIN_FLOOR", 0.0));
+pub(crate) fn tune(name: &str, v: f32) -> f32 {
+    std::env::var(name).ok().and_then(|s| s.parse().ok()).unwrap_or(v)
+}
 /// Planes of one frame and scratch, kept between frames.
 #[derive(Default)]
 pub(crate) struct Workspace {
@@ -29,14 +35,20 @@ pub(crate) struct Workspace {
     /// The same of the empty screen.
     pub screen: [Vec<f32>; 3],
     /// Share of the screen's colour difference: 1 on the screen, 0 on the object.
-    share: Vec<f32>,
-    smoothed: Vec<f32>,
+    pub share: Vec<f32>,
+    pub smoothed: Vec<f32>,
+    /// Light of all channels as a share of the screen's.
+    pub total: Vec<f32>,
+    /// What always stands there, other than the screen.
+    pub still: Vec<u8>,
+    /// Screen in whatever light: far enough from the object that it cannot be mixed with it.
+    pub shaded: Vec<u8>,
     /// Foreground colour of the neighbourhood.
     pub around: [Vec<f32>; 3],
     weights: Vec<f32>,
     spread: Vec<f32>,
     rows: Vec<f32>,
-    mean: Vec<f32>,
+    pub mean: Vec<f32>,
     not_screen: Vec<u8>,
     /// The matte, 0 to 1.
     pub alpha: Vec<f32>,
@@ -53,14 +65,19 @@ pub(crate) struct Noise {
 }
 
 impl Workspace {
-    /// Solves the matte of a frame into `self.alpha`. `texture`: factor on the screen's light by pixel (may be empty).
-    pub fn solve(&mut self, rgb: &[u8], width: usize, key: &Key, field: &Field, texture: &[f32]) {
-        self.load(rgb, width, key, field, texture);
+    /// Solves the matte of the loaded frame into `self.alpha`.
+    pub fn solve(&mut self, width: usize) {
         smooth(&self.share, width, &mut self.smoothed);
+        self.take_out_shadows(width);
         let noise = self.noise();
         let threshold = 1.0 - MIN_DEPARTURE.max(5.0 * noise.share);
-        let seeds: Vec<u8> =
-            self.smoothed.iter().map(|s| u8::from(*s < threshold || *s > 2.0 - threshold + 0.1)).collect();
+        let departs = |s: &f32| *s < threshold || *s > 2.0 - threshold + 0.1;
+        let seeds: Vec<u8> = self
+            .smoothed
+            .iter()
+            .zip(&self.shaded)
+            .map(|(s, shaded)| u8::from(*shaded == 0 && departs(s)))
+            .collect();
         let mut not_screen = dilate(&seeds, width, 2);
         self.drop_faint_regions(&mut not_screen, width);
         let solid: Vec<u8> = self.smoothed.iter().map(|s| u8::from(*s < 0.5)).collect();
@@ -81,26 +98,54 @@ impl Workspace {
         self.not_screen.iter().map(|v| u8::from(*v == 0)).collect()
     }
 
-    fn load(&mut self, rgb: &[u8], width: usize, key: &Key, field: &Field, texture: &[f32]) {
-        let n = rgb.len() / 3;
-        for plane in self.image.iter_mut().chain(&mut self.screen).chain([&mut self.share]) {
-            plane.clear();
-            plane.resize(n, 0.0);
-        }
+    /// Loads a frame and the light of the empty screen of its own.
+    pub fn load_before_field(&mut self, rgb: &[u8], width: usize, key: &Key, field: &Field) {
+        self.make_room(rgb.len() / 3);
         let (table, mut row) = (&*LINEAR, Vec::new());
         for (y, line) in rgb.chunks_exact(3 * width).enumerate() {
             field.row(y, width, &mut row);
             for (x, (p, light)) in line.chunks_exact(3).zip(&row).enumerate() {
-                let i = y * width + x;
                 let linear = [table[usize::from(p[0])], table[usize::from(p[1])], table[usize::from(p[2])]];
-                let gain = texture.get(i).copied().unwrap_or(1.0);
-                for c in 0..3 {
-                    self.image[c][i] = linear[c];
-                    self.screen[c][i] = light[c] * gain;
-                }
-                self.share[i] = key.difference(linear) / (light[3] * gain + 1e-6);
+                self.put(y * width + x, linear, [light[0], light[1], light[2]], key);
             }
         }
+    }
+
+    /// Loads a frame of a camera that stands still; what always stands there counts as screen.
+    pub fn load_before_plate(&mut self, rgb: &[u8], key: &Key, still: &Still, keep_pole: bool) {
+        self.make_room(rgb.len() / 3);
+        let table = &*LINEAR;
+        for (i, p) in rgb.chunks_exact(3).enumerate() {
+            let linear = [table[usize::from(p[0])], table[usize::from(p[1])], table[usize::from(p[2])]];
+            self.put(i, linear, [still.plate[0][i], still.plate[1][i], still.plate[2][i]], key);
+            if still.things[i].is_none() && !still.pole[i] {
+                continue;
+            }
+            let likeness = still.likeness(i, [p[0], p[1], p[2]], keep_pole);
+            if likeness > 0.0 {
+                (0..3).for_each(|c| self.screen[c][i] += likeness * (linear[c] - self.screen[c][i]));
+                self.share[i] += likeness * (1.0 - self.share[i]);
+                self.still[i] = 1;
+            }
+        }
+    }
+
+    fn make_room(&mut self, n: usize) {
+        for plane in self.image.iter_mut().chain(&mut self.screen).chain([&mut self.share, &mut self.total]) {
+            plane.resize(n, 0.0);
+        }
+        self.still.clear();
+        self.still.resize(n, 0);
+    }
+
+    #[inline(always)]
+    fn put(&mut self, i: usize, linear: [f32; 3], light: [f32; 3], key: &Key) {
+        for c in 0..3 {
+            self.image[c][i] = linear[c];
+            self.screen[c][i] = light[c];
+        }
+        self.share[i] = key.difference(linear) / (key.difference(light) + 1e-6);
+        self.total[i] = (linear[0] + linear[1] + linear[2]) / (light[0] + light[1] + light[2] + 1e-6);
     }
 
     fn pixel(&self, i: usize) -> [f32; 3] {
@@ -159,10 +204,12 @@ impl Workspace {
             plane.clear();
             plane.resize(n, 0.0);
         }
+        self.still.clear();
+        self.still.resize(n, 0);
         for i in (0..n).filter(|i| not_screen[*i] != 0) {
             let s = if solid[i] != 0 { 0.0 } else { self.smoothed[i].max(self.share[i]).clamp(0.0, 1.0) };
             let t = 1.0 - s;
-            let weight = if solid[i] != 0 { 1.0 } else { MIXED_WEIGHT * t * t * t };
+            let weight = if solid[i] != 0 { 1.0 } else { *MIXED_WEIGHT * t * t * t };
             let mut colour = [0.0; 3];
             for (c, v) in colour.iter_mut().enumerate() {
                 // t · (un-premultiplied colour) = I − s B
@@ -171,6 +218,7 @@ impl Workspace {
                 self.around[c][i] = weight * value;
                 *v = if t > 1e-3 { value / t } else { 0.0 };
             }
+            let t = if solid[i] != 0 || t > *THIN_FLOOR { t } else { *THIN_FLOOR };
             self.weights[i] = weight * t;
             let y = luminance(colour);
             self.spread[i] = weight * t * y * y;
@@ -198,14 +246,15 @@ impl Workspace {
     fn solve_band(&mut self, noise: Noise, width: usize) {
         for i in (0..self.share.len()).filter(|i| self.band[*i] != 0) {
             self.alpha[i] =
-                if self.weights[i] < 1e-5 { 1.0 - self.share[i] } else { self.alpha_from_chroma(i) }
-                    .clamp(-0.2, 1.2);
+                (if self.weights[i] < 1e-5 { 1.0 - self.share[i] } else { self.alpha_from_chroma(i) }
+                    * if self.weights[i] < 0.5 { *THIN_GAIN } else { 1.0 })
+                .clamp(-0.2, 1.2);
         }
         smooth(&self.alpha, width, &mut self.mean);
         for i in (0..self.share.len()).filter(|i| self.band[*i] != 0) {
             let alpha = self.mean[i].clamp(0.0, 1.0);
             let alpha = if self.weights[i] < 1e-5 { alpha } else { self.with_luma(i, alpha, noise) };
-            let alpha = (alpha * RIM_GAIN - 0.5) * EDGE_CONTRAST + 0.5;
+            let alpha = (alpha * *RIM_GAIN - 0.5) * *EDGE_CONTRAST + 0.5;
             self.alpha[i] = if alpha < 0.03 {
                 0.0
             } else if alpha > 0.97 {
@@ -228,8 +277,8 @@ impl Workspace {
         let fd = [self.around[0][i] - b[0], self.around[1][i] - b[1], self.around[2][i] - b[2]];
         let (c2, fy) = (squared(chroma_of(fd)), luminance(fd));
         let y2 = fy * fy;
-        let weight_c = c2 / (noise.chroma + CHROMA_ERROR * CHROMA_ERROR * c2 + 1e-9);
-        let weight_y = y2 / (noise.luma + self.spread[i] + LUMA_ERROR * LUMA_ERROR * y2 + 1e-9);
+        let weight_c = c2 / (noise.chroma + *CHROMA_ERROR * *CHROMA_ERROR * c2 + 1e-9);
+        let weight_y = y2 / (noise.luma + self.spread[i] + *LUMA_ERROR * *LUMA_ERROR * y2 + 1e-9);
         let py = luminance([p[0] - b[0], p[1] - b[1], p[2] - b[2]]);
         let alpha_y = (py * fy / (y2 + 1e-9)).clamp(0.0, 1.0);
         (weight_c * alpha_c + weight_y * alpha_y) / (weight_c + weight_y + 1e-9)

@@ -1,19 +1,16 @@
 //! The light of the empty screen at every pixel: a smooth field through what is surely screen.
 
 use super::colour::{Key, LINEAR};
+use super::grid::{Grid, Sums};
 
 /// Side of a cell, pixels.
 const CELL: usize = 16;
 /// Pixels that a cell needs to count.
-const NEEDED: usize = 24;
+const NEEDED: u32 = 24;
 
 /// Linear colour and colour difference of the screen, on a coarse grid, interpolated between.
 #[derive(Clone, Debug)]
-pub(crate) struct Field {
-    cells: Vec<[f32; 4]>,
-    columns: usize,
-    rows: usize,
-}
+pub(crate) struct Field(Grid<4>);
 
 impl Field {
     /// From the confident screen pixels of one frame; `None` where there are none.
@@ -43,8 +40,7 @@ impl Field {
         mut accept: impl FnMut([f32; 3], usize, usize) -> Option<f32>,
     ) -> Option<Self> {
         let height = rgb.len() / 3 / width;
-        let (columns, rows) = (width.div_ceil(CELL), height.div_ceil(CELL));
-        let mut sums = vec![([0.0_f32; 4], 0_usize); columns * rows];
+        let mut sums = Sums::new(width, height, CELL);
         for (y, line) in rgb.chunks_exact(3 * width).enumerate() {
             // Every second pixel of every second row tells enough.
             if y % 2 == 1 {
@@ -54,86 +50,18 @@ impl Field {
                 let linear =
                     [LINEAR[usize::from(p[0])], LINEAR[usize::from(p[1])], LINEAR[usize::from(p[2])]];
                 if let Some(d) = accept(linear, x, y) {
-                    let (sum, count) = &mut sums[y / CELL * columns + x / CELL];
-                    for (s, v) in sum.iter_mut().zip([linear[0], linear[1], linear[2], d]) {
-                        *s += v;
-                    }
-                    *count += 1;
+                    sums.add(x, y, [linear[0], linear[1], linear[2], d]);
                 }
             }
         }
-        let mean = |(sum, n): &([f32; 4], usize)| (*n >= NEEDED).then(|| sum.map(|v| v / *n as f32));
-        let known: Vec<Option<[f32; 4]>> = sums.iter().map(mean).collect();
-        known.iter().any(Option::is_some).then(|| Self { cells: filled(known, columns), columns, rows })
+        let rounds = 2 * (width + height) / CELL;
+        sums.filled(NEEDED, rounds).map(Self)
     }
 
     /// Red, green, blue and colour difference of the screen along a row of pixels.
     pub fn row(&self, y: usize, width: usize, out: &mut Vec<[f32; 4]>) {
-        out.clear();
-        let position = |i: usize, n: usize| {
-            let p = ((i as f32 + 0.5) / CELL as f32 - 0.5).clamp(0.0, (n - 1) as f32);
-            let low = (p as usize).min(n.saturating_sub(2));
-            (low, p - low as f32)
-        };
-        let (top, ty) = position(y, self.rows);
-        let bottom = (top + 1).min(self.rows - 1);
-        let column = |c: usize| {
-            let (a, b) = (&self.cells[top * self.columns + c], &self.cells[bottom * self.columns + c]);
-            [0, 1, 2, 3].map(|k| a[k] + ty * (b[k] - a[k]))
-        };
-        let line: Vec<[f32; 4]> = (0..self.columns).map(column).collect();
-        out.extend((0..width).map(|x| {
-            let (left, tx) = position(x, self.columns);
-            let (a, b) = (&line[left], &line[(left + 1).min(self.columns - 1)]);
-            [
-                a[0] + tx * (b[0] - a[0]),
-                a[1] + tx * (b[1] - a[1]),
-                a[2] + tx * (b[2] - a[2]),
-                a[3] + tx * (b[3] - a[3]),
-            ]
-        }));
+        self.0.row(y, width, out);
     }
-}
-
-/// Unknown cells get the mean of known neighbours, layer by layer, and are then relaxed (discrete Laplace equation).
-fn filled(mut cells: Vec<Option<[f32; 4]>>, columns: usize) -> Vec<[f32; 4]> {
-    let rows = cells.len() / columns;
-    let fixed: Vec<bool> = cells.iter().map(Option::is_some).collect();
-    let neighbours = |i: usize| {
-        let (x, y) = (i % columns, i / columns);
-        let left = (x > 0).then(|| i - 1);
-        let right = (x + 1 < columns).then(|| i + 1);
-        let up = (y > 0).then(|| i - columns);
-        let down = (y + 1 < rows).then(|| i + columns);
-        [left, right, up, down].into_iter().flatten()
-    };
-    while cells.iter().any(Option::is_none) {
-        let next: Vec<_> = (0..cells.len())
-            .map(|i| cells[i].or_else(|| mean_of(neighbours(i).filter_map(|j| cells[j]))))
-            .collect();
-        if next.iter().filter(|c| c.is_some()).count() == cells.iter().filter(|c| c.is_some()).count() {
-            break;
-        }
-        cells = next;
-    }
-    let mut cells: Vec<[f32; 4]> = cells.into_iter().map(Option::unwrap_or_default).collect();
-    for _ in 0..2 * (columns + rows) {
-        for i in (0..cells.len()).filter(|i| !fixed[*i]) {
-            if let Some(mean) = mean_of(neighbours(i).map(|j| cells[j])) {
-                cells[i] = mean;
-            }
-        }
-    }
-    cells
-}
-
-fn mean_of(values: impl Iterator<Item = [f32; 4]>) -> Option<[f32; 4]> {
-    let (mut sum, mut n) = ([0.0; 4], 0.0);
-    for v in values {
-        (0..4).for_each(|k| sum[k] += v[k]);
-        n += 1.0;
-    }
-    (n > 0.0).then(|| sum.map(|s| s / n))
 }
 
 #[cfg(test)]

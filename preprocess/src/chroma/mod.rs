@@ -7,6 +7,8 @@ mod dark;
 mod detect;
 mod field;
 mod filters;
+mod grid;
+mod light;
 mod regions;
 mod spill;
 mod still;
@@ -79,30 +81,27 @@ impl Keyer {
         let (width, height) = image.dimensions();
         let (alpha, colours) = match &self.key {
             None => (dark::matte(image.as_raw(), width as usize), image.as_raw().clone()),
-            Some(key) => {
-                let field = if self.mode == MatteMode::Soft {
-                    Field::fit(image.as_raw(), width as usize, key)
-                } else {
-                    None
-                };
-                match field {
-                    Some(field) => self.soft(image, key, &field, scratch),
-                    None => (plain(image, key), image.as_raw().clone()),
-                }
-            }
+            Some(key) if self.mode == MatteMode::Plain => (plain(image, key), image.as_raw().clone()),
+            Some(key) => self.soft(image, key, scratch),
         };
         let matte = GrayImage::from_raw(width, height, alpha).unwrap_or_default();
         (matte, RgbImage::from_raw(width, height, colours).unwrap_or_default())
     }
 
-    fn soft(&self, image: &RgbImage, key: &Key, field: &Field, scratch: &mut Scratch) -> (Vec<u8>, Vec<u8>) {
-        let (rgb, width) = (image.as_raw(), image.width() as usize);
+    fn soft(&self, image: &RgbImage, key: &Key, scratch: &mut Scratch) -> (Vec<u8>, Vec<u8>) {
+        let (rgb, width, work) = (image.as_raw(), image.width() as usize, &mut scratch.0);
         let still = self.still.as_ref().filter(|s| s.width == width && s.things.len() * 3 == rgb.len());
-        let texture = still.map_or(&[][..], |s| &s.texture);
-        scratch.0.solve(rgb, width, key, field, texture);
-        regions::clean(&mut scratch.0, rgb, width, still, self.keep_pole);
-        let alpha = scratch.0.alpha.iter().map(|a| (a * 255.0 + 0.5) as u8).collect();
-        (alpha, spill::foreground(&scratch.0, key))
+        match still {
+            Some(still) => work.load_before_plate(rgb, key, still, self.keep_pole),
+            None => match Field::fit(rgb, width, key) {
+                Some(field) => work.load_before_field(rgb, width, key, &field),
+                None => return (plain(image, key), rgb.clone()),
+            },
+        }
+        work.solve(width);
+        regions::clean(work, width, still, self.keep_pole);
+        let alpha = work.alpha.iter().map(|a| (a * 255.0 + 0.5) as u8).collect();
+        (alpha, spill::foreground(work, key))
     }
 }
 

@@ -1,8 +1,8 @@
 //! What a matte looks like as a whole: the screen's outline, garbage beside it, still things, holes, specks.
 
 use super::alpha::Workspace;
-use super::filters::{components, erode};
-use super::still::{Still, departure};
+use super::filters::{components, dilate, erode};
+use super::still::Still;
 
 /// Objects smaller than this share of the largest are specks.
 const SPECK_SHARE: f32 = 0.01;
@@ -15,31 +15,55 @@ const HOLE_SHARE: f32 = 0.01;
 const HOLE_TOLERANCE: (f32, f32, f32) = (0.10, 0.08, 0.025);
 /// Pixels of pure screen colour that a hole needs for this to be said.
 const HOLE_PIXELS: f32 = 9.0;
-/// Departure from a still thing, 8-bit levels, at which something else surely stands before it.
-const BEFORE_LEVELS: (i32, i32) = (12, 28);
+/// Share of an object that is seen before the screen, at least.
+const BEFORE_SHARE: f32 = 0.2;
 
 /// Cleans `work.alpha` in place.
-pub(crate) fn clean(work: &mut Workspace, rgb: &[u8], width: usize, still: Option<&Still>, keep_pole: bool) {
-    let inside = hull(&work.surely_screen(), width);
-    remove_garbage(work, rgb, still, keep_pole, &inside);
+pub(crate) fn clean(work: &mut Workspace, width: usize, still: Option<&Still>, keep_pole: bool) {
+    let own;
+    let inside = match still {
+        Some(still) => &still.before_screen,
+        None => {
+            own = hull(&work.surely_screen(), width);
+            &own
+        }
+    };
+    for (i, alpha) in work.alpha.iter_mut().enumerate() {
+        // Beside the screen only what is learnt can tell the object from the room.
+        if !inside[i] && still.is_none_or(|s| s.things[i].is_none()) {
+            *alpha = 0.0;
+        }
+    }
+    if let Some(still) = still.filter(|s| s.cuts_pole(keep_pole)) {
+        restore_before_pole(work, width, still);
+    }
+    remove_what_lies_beside(work, width, inside);
     close_reflections(work, width, still);
     remove_specks(work, width);
 }
 
-fn remove_garbage(work: &mut Workspace, rgb: &[u8], still: Option<&Still>, keep_pole: bool, inside: &[bool]) {
-    let cuts_pole = !keep_pole && still.is_some_and(|s| s.has_pole);
-    for (i, alpha) in work.alpha.iter_mut().enumerate() {
-        let thing = still.and_then(|s| s.things[i]);
-        let is_garbage = !inside[i];
-        match thing {
-            Some(colour) if is_garbage || cuts_pole => {
-                let p = [rgb[3 * i], rgb[3 * i + 1], rgb[3 * i + 2]];
-                let (low, high) = BEFORE_LEVELS;
-                let before = (departure(p, colour) - low) as f32 / (high - low) as f32;
-                *alpha = alpha.min(before.clamp(0.0, 1.0));
-            }
-            None if is_garbage => *alpha = 0.0,
-            _ => {}
+/// What is seen on both sides of the pole is seen before it too.
+fn restore_before_pole(work: &mut Workspace, width: usize, still: &Still) {
+    let radius = still.pole_radius() + 1;
+    let solid: Vec<u8> = work.alpha.iter().map(|a| u8::from(*a > 0.5)).collect();
+    let closed = erode(&dilate(&solid, width, radius), width, radius);
+    for i in (0..closed.len()).filter(|i| still.pole[*i] && closed[*i] != 0) {
+        work.alpha[i] = 1.0;
+    }
+}
+
+/// What hardly reaches before the screen is no part of the object.
+fn remove_what_lies_beside(work: &mut Workspace, width: usize, inside: &[bool]) {
+    let solid: Vec<u8> = work.alpha.iter().map(|a| u8::from(*a > 0.02)).collect();
+    let (labels, sizes) = components(&solid, width);
+    let mut before = vec![0_usize; sizes.len()];
+    for (label, inside) in labels.iter().zip(inside) {
+        before[*label as usize] += usize::from(*inside);
+    }
+    for (alpha, label) in work.alpha.iter_mut().zip(&labels) {
+        let label = *label as usize;
+        if (before[label] as f32) < BEFORE_SHARE * sizes[label] as f32 {
+            *alpha = 0.0;
         }
     }
 }

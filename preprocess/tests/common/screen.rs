@@ -177,6 +177,12 @@ pub struct Score {
     pub boundary_f: f64,
     /// Left-over colour difference in the edge band, 8-bit levels.
     pub spill: f64,
+    /// Share of the parts up to four pixels thick that is kept.
+    pub thin: f64,
+    /// Share of the solid inside that is lost.
+    pub holes: f64,
+    /// Share of the picture that is kept although it is far from the object.
+    pub garbage: f64,
 }
 
 impl Score {
@@ -188,6 +194,9 @@ impl Score {
             alpha_error: mean(|s| s.alpha_error),
             boundary_f: mean(|s| s.boundary_f),
             spill: mean(|s| s.spill),
+            thin: mean(|s| s.thin),
+            holes: mean(|s| s.holes),
+            garbage: mean(|s| s.garbage),
         }
     }
 }
@@ -204,7 +213,34 @@ pub fn score(matte: &GrayImage, colours: &RgbImage, shot: &Shot) -> Score {
         alpha_error: error / a.len() as f64,
         boundary_f: boundary_f(&a, &b),
         spill: spill(matte, colours, shot, &b),
+        thin: thin(&a, &b),
+        holes: share(&a, &grown(&b, 3, false), false),
+        garbage: {
+            let close = grown(&b, 4, true);
+            (0..a.len()).filter(|i| a[*i] && !close[*i]).count() as f64 / a.len() as f64
+        },
     }
+}
+
+/// Share of `mask` where `a` equals `wanted`; 1 or 0 of an empty mask, whichever is good.
+fn share(a: &[bool], mask: &[bool], wanted: bool) -> f64 {
+    let all = mask.iter().filter(|m| **m).count();
+    if all == 0 {
+        return f64::from(u8::from(wanted));
+    }
+    (0..a.len()).filter(|i| mask[*i] && a[*i] == wanted).count() as f64 / all as f64
+}
+
+/// The mask with `wanted = true` grown, with `false` shrunk by `r` pixels.
+fn grown(mask: &[bool], r: i32, wanted: bool) -> Vec<bool> {
+    (0..mask.len()).map(|i| near(mask, i, r, wanted) == wanted).collect()
+}
+
+/// Share kept of what an opening with a square of five pixels takes away: rods, seen within one pixel.
+fn thin(a: &[bool], truth: &[bool]) -> f64 {
+    let opened = grown(&grown(truth, 2, false), 2, true);
+    let rods: Vec<bool> = (0..truth.len()).map(|i| truth[i] && !opened[i]).collect();
+    share(&grown(a, 1, true), &rods, true)
 }
 
 fn inside(matte: &GrayImage) -> Vec<bool> {

@@ -20,6 +20,7 @@ pub mod truth;
 
 pub use atomic::{replace_folder, write_atomic};
 pub use error::IoError;
+pub(crate) use error::read_file;
 pub use load::{ImageInfo, LoadedImage, image_info, load_image, load_mask, load_rgb, resize_area};
 pub use model::{find_model, has_model, read_model, write_model_bin, write_model_txt};
 pub use name::{UnsafeName, safe_name};

@@ -403,14 +403,10 @@ void AddObservation(const BundleInput &input, const Columns &columns, const cere
   rows.by_point.push_back(weight * by_point);
 }
 
-}  // namespace
-
-bool bundle_covariance(const BundleInput &input, rust::Slice<const double> intrinsics, rust::Slice<const double> poses,
-                       rust::Slice<const double> points, rust::Slice<double> pose_covariance,
-                       rust::Slice<double> camera_covariance) {
-  const Columns columns = MakeColumns(input);
+// JᵀJ over the columns with all points eliminated; priors are not in it.
+Eigen::MatrixXd ReducedNormal(const BundleInput &input, const Columns &columns, rust::Slice<const double> intrinsics,
+                              rust::Slice<const double> poses, rust::Slice<const double> points) {
   const std::unique_ptr<ceres::LossFunction> loss = MakeLoss(input);
-  if (columns.size == 0) return false;
   std::vector<std::vector<std::size_t>> of_point(input.point_held.size());
   for (std::size_t i = 0; i < input.observation_point.size(); ++i) of_point[input.observation_point[i]].push_back(i);
   Eigen::MatrixXd normal = Eigen::MatrixXd::Zero(columns.size, columns.size);
@@ -424,6 +420,17 @@ bool bundle_covariance(const BundleInput &input, rust::Slice<const double> intri
     }
     if (!rows.at.empty()) Eliminate(rows, input.point_held[point] != 0, normal);
   }
+  return normal;
+}
+
+}  // namespace
+
+bool bundle_covariance(const BundleInput &input, rust::Slice<const double> intrinsics, rust::Slice<const double> poses,
+                       rust::Slice<const double> points, rust::Slice<double> pose_covariance,
+                       rust::Slice<double> camera_covariance) {
+  const Columns columns = MakeColumns(input);
+  if (columns.size == 0) return false;
+  Eigen::MatrixXd normal = ReducedNormal(input, columns, intrinsics, poses, points);
   for (std::size_t c = 0; c < columns.camera.size(); ++c)
     for (std::size_t i = 0; i < columns.camera[c].size(); ++i) {
       const double sigma = input.prior_sigma[input.camera_offsets[c] + i];
@@ -444,6 +451,30 @@ bool bundle_covariance(const BundleInput &input, rust::Slice<const double> intri
     CopyBlock(covariance, camera, camera_covariance.data() + offset);
     offset += camera.size() * camera.size();
   }
+  return true;
+}
+
+bool camera_information(const BundleInput &input, rust::Slice<const double> intrinsics, rust::Slice<const double> poses,
+                        rust::Slice<const double> points, rust::Slice<double> information) {
+  const Columns columns = MakeColumns(input);
+  const Eigen::MatrixXd normal = ReducedNormal(input, columns, intrinsics, poses, points);
+  int of_poses = 0;  // the columns of the poses come first
+  for (const std::vector<int> &pose : columns.pose)
+    for (const int column : pose) of_poses += column >= 0 ? 1 : 0;
+  const int rest = columns.size - of_poses;
+  if (rest <= 0 || information.size() != static_cast<std::size_t>(rest) * rest) return false;
+  Eigen::MatrixXd marginal = normal.bottomRightCorner(rest, rest);
+  if (of_poses > 0) {
+    const Eigen::VectorXd scale =
+        normal.diagonal().head(of_poses).cwiseMax(1e-300).cwiseSqrt().cwiseInverse();
+    const Eigen::LLT<Eigen::MatrixXd> factor(scale.asDiagonal() * normal.topLeftCorner(of_poses, of_poses) *
+                                             scale.asDiagonal());
+    if (factor.info() != Eigen::Success) return false;
+    const Eigen::MatrixXd cross = scale.asDiagonal() * normal.topRightCorner(of_poses, rest);
+    marginal -= cross.transpose() * factor.solve(cross);
+  }
+  if (!marginal.allFinite()) return false;
+  Eigen::Map<Eigen::MatrixXd>(information.data(), rest, rest) = marginal;
   return true;
 }
 

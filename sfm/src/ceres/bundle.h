@@ -28,4 +28,11 @@ bool bundle_covariance(const BundleInput &input, rust::Slice<const double> intri
                        rust::Slice<const double> points, rust::Slice<double> pose_covariance,
                        rust::Slice<double> camera_covariance);
 
+// Information (inverse covariance, for unit noise) of all free intrinsics jointly after points and poses are eliminated;
+// priors are not in it.
+//   information [F × F]  symmetric, over the free parameters of all cameras in their order
+// Returns false where the poses cannot be eliminated.
+bool camera_information(const BundleInput &input, rust::Slice<const double> intrinsics, rust::Slice<const double> poses,
+                        rust::Slice<const double> points, rust::Slice<double> information);
+
 }  // namespace sat_recon

@@ -95,6 +95,13 @@ mod ffi {
             pose_covariance: &mut [f64],
             camera_covariance: &mut [f64],
         ) -> Result<bool>;
+        fn camera_information(
+            input: &BundleInput,
+            intrinsics: &[f64],
+            poses: &[f64],
+            points: &[f64],
+            information: &mut [f64],
+        ) -> Result<bool>;
     }
 }
 
@@ -141,6 +148,21 @@ pub(crate) fn covariance(
     let done = ffi::bundle_covariance(input, intrinsics, poses, points, &mut of_poses, &mut of_cameras)
         .map_err(|e| SfmError::Solver(e.to_string()))?;
     Ok(done.then_some((of_poses, of_cameras)))
+}
+
+/// Joint information of all free intrinsics, [F × F] (without their priors); `None` where poses and points cannot be
+/// eliminated.
+pub(crate) fn camera_information(
+    input: &BundleInput,
+    state: &BundleState,
+) -> Result<Option<Vec<f64>>, SfmError> {
+    check(input, state)?;
+    let free = input.intrinsics_free.iter().filter(|&&f| f != 0).count();
+    let mut information = vec![0.0; free * free];
+    let BundleState { intrinsics, poses, points } = state;
+    let done = ffi::camera_information(input, intrinsics, poses, points, &mut information)
+        .map_err(|e| SfmError::Solver(e.to_string()))?;
+    Ok(done.then_some(information))
 }
 
 fn num_params(model: i32) -> usize {

@@ -39,27 +39,43 @@ impl Link<'_> {
 
 /// The pairs that tie an image to registered ones, strongest first.
 fn links<'a>(state: &State, input: &Input<'a>, image: usize) -> Vec<Link<'a>> {
-    let mut found = Vec::new();
-    for geometry in input.geometries.iter().filter(|g| g.a == image || g.b == image) {
-        let other = if geometry.a == image { geometry.b } else { geometry.a };
-        let Some(pose) = state.poses[other] else { continue };
-        let cameras = [other, image].map(|i| &state.cameras[input.camera_of[i]]);
-        let focal = cameras.map(|c| c.mean_focal());
-        let step = geometry.inliers.len().div_ceil(MATCHES).max(1);
-        let ends = geometry
-            .inliers
-            .iter()
-            .step_by(step)
-            .map(|m| if geometry.a == image { [m[1], m[0]] } else { *m });
-        let ideal = |i: usize, image: usize, feature: u32| {
-            let pixel = input.keypoints[image].get(feature as usize)?;
-            Some(cameras[i].unproject(*pixel) * focal[i])
-        };
-        let matches = ends.filter_map(|m| Some((ideal(0, other, m[0])?, ideal(1, image, m[1])?))).collect();
-        found.push(Link { geometry, other: pose, focal, matches });
-    }
+    let of_image = input.geometries.iter().filter(|g| g.a == image || g.b == image);
+    let mut found: Vec<Link<'a>> = of_image.filter_map(|g| link(state, input, g, image)).collect();
     found.sort_by_key(|l| (std::cmp::Reverse(l.geometry.inliers.len()), l.geometry.a, l.geometry.b));
     found
+}
+
+/// What a pair says of `image`, one of its two; `None` where the other one is not registered.
+fn link<'a>(
+    state: &State,
+    input: &Input<'a>,
+    geometry: &'a TwoViewGeometry,
+    image: usize,
+) -> Option<Link<'a>> {
+    let other = if geometry.a == image { geometry.b } else { geometry.a };
+    let pose = state.poses[other]?;
+    let cameras = [other, image].map(|i| &state.cameras[input.camera_of[i]]);
+    let focal = cameras.map(|c| c.mean_focal());
+    let step = geometry.inliers.len().div_ceil(MATCHES).max(1);
+    let ends =
+        geometry.inliers.iter().step_by(step).map(|m| if geometry.a == image { [m[1], m[0]] } else { *m });
+    let ideal = |i: usize, image: usize, feature: u32| {
+        let pixel = input.keypoints[image].get(feature as usize)?;
+        Some(cameras[i].unproject(*pixel) * focal[i])
+    };
+    let matches = ends.filter_map(|m| Some((ideal(0, other, m[0])?, ideal(1, image, m[1])?))).collect();
+    Some(Link { geometry, other: pose, focal, matches })
+}
+
+/// Matches of a pair: (agreeing with the model's poses, all); `None` where an image is not registered.
+pub(crate) fn agreement(
+    state: &State,
+    input: &Input<'_>,
+    geometry: &TwoViewGeometry,
+) -> Option<(usize, usize)> {
+    let pose = state.poses[geometry.b]?;
+    let link = link(state, input, geometry, geometry.b)?;
+    Some((link.agreeing(&pose, 2.0 * input.config.max_reprojection_px), link.matches.len()))
 }
 
 /// Matches of an image with registered ones: (agreeing with its pose, all).

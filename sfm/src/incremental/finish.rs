@@ -4,16 +4,27 @@ use super::adjust::{Adjustment, Selected, select, take};
 use super::growth::{Knowledge, freedom};
 use super::state::{Input, State};
 use crate::bundle::{Loss, SolveOptions};
-use crate::selection::{Intrinsics, apply, choose, noise};
+use crate::selection::{Intrinsics, apply, choose, choose_turned, noise};
+use crate::turned::{suspect, turn_problem};
 use crate::{Decision, PoseDeviation, SfmError, Uncertainty};
 use scene::{Camera, CameraModel, Progress};
 
 /// Sightings that the choice of the camera model is based on, and the first round of the last adjustment.
 const SIGHTINGS: usize = 6000;
+/// The same for the question whether images were turned.
+const SIGHTINGS_TURNED: usize = 20_000;
 /// Sightings farther off than so many standard deviations of the noise are dropped at the end.
 const FINAL_SIGMAS: f64 = 8.0;
 /// They are never held to less than this, pixels.
 const FINAL_LEAST_PX: f64 = 1.0;
+
+/// What the evidence says about the cameras.
+pub(crate) struct Verdict {
+    pub intrinsics: Intrinsics,
+    /// For each image whether it was turned by half a turn against the others of its camera.
+    pub turned: Option<Vec<bool>>,
+    pub decisions: Vec<Decision>,
+}
 
 /// Decides on the camera model of a model that has been adjusted.
 pub(crate) fn decide(
@@ -23,17 +34,44 @@ pub(crate) fn decide(
     starts: &[Camera],
     named: Option<CameraModel>,
     progress: &Progress,
-) -> Result<(Intrinsics, Decision), SfmError> {
+) -> Result<Verdict, SfmError> {
     let (free, priors) = freedom(&state.cameras, known, starts, state.registered());
     let mut what = Adjustment::growing(free, priors);
-    what.points_per_image = Some(part_of(state));
-    let Selected { problem, .. } = select(state, input, &what);
-    choose(&problem, &fixed(known), named, progress)
+    what.points_per_image = Some(part_of(state, SIGHTINGS));
+    let Selected { problem, images, .. } = select(state, input, &what);
+    let (fixed, sigma) = (fixed(known), noise(&problem));
+    let choice = choose(&problem, &fixed, named, sigma, progress)?;
+    let suspects = if input.may_be_turned {
+        let more = Adjustment { points_per_image: Some(part_of(state, SIGHTINGS_TURNED)), ..what };
+        suspect(&select(state, input, &more).problem, &fixed, progress)?
+    } else {
+        None
+    };
+    let Some(suspects) = suspects else {
+        return Ok(Verdict { intrinsics: choice.intrinsics, turned: None, decisions: vec![choice.decision] });
+    };
+    let other = turn_problem(&problem, &suspects);
+    let (better, evidence) = choose_turned(&choice, &other, &fixed, named, sigma, progress)?;
+    let mut turned = vec![false; input.keypoints.len()];
+    images.iter().zip(&suspects).for_each(|(&image, &t)| turned[image] = t);
+    let count = suspects.iter().filter(|t| **t).count();
+    let taken = better.is_some();
+    let decision = Decision {
+        what: "images turned by half a turn".to_owned(),
+        chosen: format!("{} of {}", if taken { count } else { 0 }, images.len()),
+        evidence: format!("the principal points of {count} images may be mirrored: {evidence}"),
+    };
+    let choice = better.unwrap_or(choice);
+    Ok(Verdict {
+        intrinsics: choice.intrinsics,
+        turned: taken.then_some(turned),
+        decisions: vec![decision, choice.decision],
+    })
 }
 
 /// Points an image contributes where a part of them is enough.
-fn part_of(state: &State) -> usize {
-    (SIGHTINGS / state.registered().max(1)).clamp(50, 1000)
+fn part_of(state: &State, sightings: usize) -> usize {
+    (sightings / state.registered().max(1)).clamp(50, 1000)
 }
 
 fn fixed(known: &[Knowledge]) -> Vec<bool> {
@@ -51,7 +89,7 @@ pub(crate) fn polish(
 ) -> Result<(), SfmError> {
     for round in 0..3 {
         // The intrinsics settle on a part of the points; then all of them need few iterations.
-        let part = (round == 0).then_some(2 * part_of(state));
+        let part = (round == 0).then_some(2 * part_of(state, SIGHTINGS));
         let (mut selected, options) = prepare(state, input, known, starts, intrinsics, part);
         let summary = selected.problem.solve(&options, progress)?;
         if !summary.usable {

@@ -3,6 +3,7 @@
 pub(crate) mod adjust;
 pub(crate) mod bridge;
 pub(crate) mod finish;
+pub(crate) mod folds;
 pub(crate) mod growth;
 pub(crate) mod initial;
 pub(crate) mod resection;

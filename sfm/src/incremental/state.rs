@@ -7,6 +7,7 @@ use glam::{DVec2, DVec3};
 use scene::{Camera, Pose, TwoViewGeometry};
 
 /// What does not change while a model grows.
+#[derive(Clone, Copy)]
 pub(crate) struct Input<'a> {
     /// For each image its keypoints' positions.
     pub keypoints: &'a [Vec<DVec2>],
@@ -18,6 +19,8 @@ pub(crate) struct Input<'a> {
     pub geometries: &'a [TwoViewGeometry],
     /// The user's choices.
     pub config: &'a MapperConfig,
+    /// Whether images may have been turned on their way (photos, not the frames of a video).
+    pub may_be_turned: bool,
     /// Seed of all randomness.
     pub seed: u64,
 }

@@ -23,7 +23,7 @@ pub(super) struct TopTwo {
 impl TopTwo {
     /// `len` descriptors (rounded up so that whole vectors can be read); nothing up to `floor` is looked at.
     fn new(len: usize, floor: u16) -> Self {
-        let padded = len.next_multiple_of(32);
+        let padded = len.next_multiple_of(64);
         let floor = biased(floor);
         Self { best: vec![floor; padded], second: vec![floor; padded], index: vec![NONE; padded] }
     }
@@ -50,14 +50,30 @@ pub(super) fn unbiased(dot: i16) -> u16 {
     (dot as u16) ^ 0x8000
 }
 
+/// Components that the fastest kernel of this machine takes at once.
+pub(super) fn best_group() -> usize {
+    #[cfg(target_arch = "x86_64")]
+    if std::arch::is_x86_feature_detected!("avx512bw") && std::arch::is_x86_feature_detected!("avx512vnni") {
+        return 4;
+    }
+    2
+}
+
 /// The two best partners above `floor`, seen from `a` and from `b`, by the fastest kernel of this machine.
 pub(super) fn top_two(a: &PreparedFeatures, b: &PreparedFeatures, floor: u16) -> (TopTwo, TopTwo) {
     #[cfg(target_arch = "x86_64")]
-    if std::arch::is_x86_feature_detected!("avx2") {
+    {
         let (mut rows, mut columns) = (TopTwo::new(a.len(), floor), TopTwo::new(b.len(), floor));
-        // SAFETY: the processor has AVX2.
-        unsafe { super::avx2::sweep(a, b, &mut rows, &mut columns) };
-        return (rows, columns);
+        if b.group() == 4 && best_group() == 4 {
+            // SAFETY: the processor has AVX-512 with VNNI.
+            unsafe { super::avx512::sweep(a, b, &mut rows, &mut columns) };
+            return (rows, columns);
+        }
+        if b.group() == 2 && std::arch::is_x86_feature_detected!("avx2") {
+            // SAFETY: the processor has AVX2.
+            unsafe { super::avx2::sweep(a, b, &mut rows, &mut columns) };
+            return (rows, columns);
+        }
     }
     portable_top_two(a, b, floor)
 }

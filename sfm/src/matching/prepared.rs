@@ -16,17 +16,25 @@ pub(super) const DIM: usize = Features::DIM;
 pub struct PreparedFeatures {
     /// Number of descriptors.
     len: usize,
-    /// [len padded to a multiple of 32 × 128], row-major; padding is zero.
+    /// [len padded to a multiple of 64 × 128], row-major; padding is zero.
     rows: Vec<u8>,
-    /// The same in panels of 16 descriptors: [panel × 64 × 16 × 2], two consecutive components of each in turn.
+    /// The same in panels of 16 descriptors: [panel × 128 / group × 16 × group], `group` consecutive components of
+    /// each in turn.
     panels: Vec<u8>,
+    /// 2 or 4: how many components the kernel multiplies and adds at once.
+    group: usize,
 }
 
 impl PreparedFeatures {
     /// From descriptors of any length (they are normalised here).
     pub fn new(features: &Features) -> Self {
+        Self::grouped(features, super::kernel::best_group())
+    }
+
+    /// For a kernel that takes `group` components at once.
+    pub(super) fn grouped(features: &Features, group: usize) -> Self {
         let len = features.len();
-        let padded = len.next_multiple_of(2 * PANEL);
+        let padded = len.next_multiple_of(4 * PANEL);
         let mut rows = vec![0; padded * DIM];
         for (row, descriptor) in rows.chunks_exact_mut(DIM).zip(features.descriptors.chunks_exact(DIM)) {
             let norm = descriptor.iter().map(|&d| f32::from(d).powi(2)).sum::<f32>().sqrt();
@@ -38,12 +46,12 @@ impl PreparedFeatures {
         let mut panels = vec![0; rows.len()];
         for (panel, sixteen) in panels.chunks_exact_mut(PANEL * DIM).zip(rows.chunks_exact(PANEL * DIM)) {
             for (lane, row) in sixteen.chunks_exact(DIM).enumerate() {
-                for (k, pair) in row.chunks_exact(2).enumerate() {
-                    panel[(k * PANEL + lane) * 2..][..2].copy_from_slice(pair);
+                for (k, some) in row.chunks_exact(group).enumerate() {
+                    panel[(k * PANEL + lane) * group..][..group].copy_from_slice(some);
                 }
             }
         }
-        Self { len, rows, panels }
+        Self { len, rows, panels, group }
     }
 
     /// Number of descriptors.
@@ -59,6 +67,11 @@ impl PreparedFeatures {
     /// Descriptor `i`.
     pub(super) fn row(&self, i: usize) -> &[u8] {
         &self.rows[i * DIM..(i + 1) * DIM]
+    }
+
+    /// How many components lie together in the panels.
+    pub(super) fn group(&self) -> usize {
+        self.group
     }
 
     /// All panels.

@@ -1,7 +1,6 @@
 //! The solved model as the types that cross borders.
 
 use super::Solved;
-use super::setup::Setup;
 use crate::tracks::NONE;
 use crate::{SfmError, SfmResult};
 use glam::DVec2;
@@ -12,11 +11,10 @@ use scene::{FrameSet, Observation, PosedImage, Progress, Reconstruction, ScenePo
 pub(super) fn fill(
     result: &mut SfmResult,
     frames: &FrameSet,
-    setup: &Setup,
     solved: Solved,
     progress: &Progress,
 ) -> Result<(), SfmError> {
-    let mut model = convert(&solved, frames, setup);
+    let mut model = convert(&solved, frames);
     colour(&mut model, frames, progress)?;
     let mut errors = model.reprojection_errors();
     let stats = &mut result.stats;
@@ -33,7 +31,7 @@ pub(super) fn fill(
             result.missing.push((frame.name.clone(), why_missing(result, i)));
         }
     }
-    result.decisions.push(solved.decision);
+    result.decisions.extend(solved.decisions);
     result.uncertainty = solved.uncertainty;
     result.reconstruction = Some(model);
     Ok(())
@@ -54,7 +52,7 @@ fn why_missing(result: &SfmResult, image: usize) -> String {
 }
 
 /// Image number = index of the frame + 1; points are numbered from 1 in the order in which they were found.
-fn convert(solved: &Solved, frames: &FrameSet, setup: &Setup) -> Reconstruction {
+fn convert(solved: &Solved, frames: &FrameSet) -> Reconstruction {
     let state = &solved.state;
     let mut model = Reconstruction::default();
     let mut number = vec![0u64; state.points.len()];
@@ -63,7 +61,7 @@ fn convert(solved: &Solved, frames: &FrameSet, setup: &Setup) -> Reconstruction 
     }
     for (image, pose) in state.poses.iter().enumerate() {
         let Some(pose) = pose else { continue };
-        let camera = &state.cameras[setup.camera_of[image]];
+        let camera = &state.cameras[solved.camera_of[image]];
         model.cameras.insert(camera.id, camera.clone());
         let point = |p: u32| (p != NONE).then(|| number[p as usize]);
         let keypoints = solved.keypoints[image].iter().zip(&state.point_of[image]);

@@ -57,7 +57,7 @@ pub struct SiftConfig {
 impl Default for SiftConfig {
     fn default() -> Self {
         Self {
-            max_features: 8192,
+            max_features: 4096,
             doubling: Doubling::Auto,
             doubling_limit_mp: 3.0,
             max_feature_size: 3200,

@@ -5,11 +5,10 @@ use super::optimise::{SharedModel, SharedPlane, Sink, Statistics};
 use super::project::{CameraConstants, Parameters};
 use super::simd::Isa;
 use super::workspace::Workspace;
-use crate::backend::{Backend, KernelTimes, StepInput, StepOutput};
+use crate::backend::{Backend, KernelTimes, StepInput, StepOutput, Target};
 use crate::model::{GEOMETRY, Model, padded};
 use crate::{PinholeView, RenderOptions, RenderOutput, SplatError};
 use scene::FloatImage;
-use std::time::Instant;
 
 /// Near plane where the options leave it open, normalised units.
 pub const DEFAULT_NEAR: f32 = 0.01;
@@ -22,6 +21,7 @@ pub struct CpuBackend {
     pub statistics: Statistics,
     work: Workspace,
     times: KernelTimes,
+    clock: fn() -> f64,
 }
 
 /// dL/d(parameters) in the layout of [`Model`].
@@ -43,7 +43,24 @@ impl CpuBackend {
     /// An empty backend that uses the instruction set.
     pub fn new(isa: Isa) -> Self {
         let (statistics, work) = (Statistics::default(), Workspace::default());
-        Self { isa, model: Model::default(), statistics, work, times: KernelTimes::default() }
+        let times = KernelTimes::default();
+        Self { isa, model: Model::default(), statistics, work, times, clock: crate::clock::wall_seconds }
+    }
+
+    /// Whether the statistics sum |dL/dxy| over pixels (AbsGS) instead of taking the norm of the sum.
+    pub fn set_magnitudes(&mut self, on: bool) {
+        self.work.magnitudes = on;
+    }
+
+    /// Measures kernels with another clock (seconds), such as the CPU time of the process.
+    pub fn set_clock(&mut self, clock: fn() -> f64) {
+        self.clock = clock;
+    }
+
+    /// Seconds since `mark`, which moves to now.
+    fn lap(&self, mark: &mut f64) -> f64 {
+        let before = std::mem::replace(mark, (self.clock)());
+        *mark - before
     }
 
     fn camera(&self, view: &PinholeView, options: &RenderOptions) -> CameraConstants {
@@ -58,18 +75,17 @@ impl CpuBackend {
         options: &RenderOptions,
         depth: bool,
     ) {
-        let clock = Instant::now();
+        let mut mark = (self.clock)();
         let n = self.model.len;
         self.work.project(self.isa, Parameters::of(&self.model), n, camera);
-        self.times.project += clock.elapsed().as_secs_f64();
-        let clock = Instant::now();
+        self.times.project += self.lap(&mut mark);
         let work = &mut self.work;
         work.bins.fill(&work.keys, &work.records, view.width, view.height);
-        self.times.sort += clock.elapsed().as_secs_f64();
-        let clock = Instant::now();
+        self.times.sort += self.lap(&mut mark);
+        let work = &mut self.work;
         work.resize(Shape { width: view.width, height: view.height });
         work.forward(self.isa, options.background, depth);
-        self.times.forward += clock.elapsed().as_secs_f64();
+        self.times.forward += self.lap(&mut mark);
     }
 
     /// dL/d(parameters) where dL/d(colour) is `gradient` ([height × width × 3]).
@@ -94,6 +110,23 @@ impl CpuBackend {
             SharedModel { geometry: [planes; 3], sh: [sh; 3], steps: unused, statistics: [unused; 4] };
         self.work.optimise(self.isa, Parameters::of(&self.model), shared, &camera, Sink::Gradients, [0.0; 2]);
         out
+    }
+
+    /// Mean squared error of a picture against a target, over its pixels that count; statistics stay as they are.
+    pub fn mean_square_error(&mut self, view: &PinholeView, target: &Target, options: &RenderOptions) -> f64 {
+        let camera = self.camera(view, options);
+        self.forward(view, &camera, options, false);
+        self.work.set_target(target, options.background);
+        let weighted = target.mask.is_some() && !target.transparent;
+        let work = &mut self.work;
+        let input = LossInput {
+            shape: work.shape,
+            rgb: &work.rgb,
+            target: &work.target,
+            weight: weighted.then_some(work.weight.as_slice()),
+            lambda: 0.0,
+        };
+        f64::from(work.loss.run(self.isa, &input, &mut work.gradient).mse)
     }
 
     /// The loss of the last rendering against a target, and dL/d(colour) into the workspace.
@@ -207,22 +240,34 @@ impl Backend for CpuBackend {
         }
         let camera = self.camera(input.view, &input.options);
         self.forward(input.view, &camera, &input.options, false);
-        let clock = Instant::now();
+        let mut mark = (self.clock)();
         let value = self.loss(input);
-        self.times.loss += clock.elapsed().as_secs_f64();
-        let clock = Instant::now();
+        self.times.loss += self.lap(&mut mark);
         self.work.backward(self.isa);
-        self.times.backward += clock.elapsed().as_secs_f64();
-        let clock = Instant::now();
+        self.times.backward += self.lap(&mut mark);
         let visible = self.work.bins.order.len();
         let share = 1.0 / visible.max(1) as f32;
         let penalties = [input.opacity_penalty * share, input.scale_penalty * share];
         let (parameters, shared) = (Parameters::of(&self.model), self.shared());
         let non_finite =
             self.work.optimise(self.isa, parameters, shared, &camera, Sink::Adam(input.rates), penalties);
-        self.times.optimise += clock.elapsed().as_secs_f64();
+        self.times.optimise += self.lap(&mut mark);
         let pairs = self.work.bins.list.len();
         Ok(StepOutput { loss: value.loss, mse: value.mse, visible, pairs, non_finite })
+    }
+
+    fn mean_square_error(
+        &mut self,
+        view: &PinholeView,
+        target: &Target,
+        options: &RenderOptions,
+    ) -> Result<f64, SplatError> {
+        Ok(Self::mean_square_error(self, view, target, options))
+    }
+
+    fn set_magnitudes(&mut self, on: bool) -> Result<(), SplatError> {
+        Self::set_magnitudes(self, on);
+        Ok(())
     }
 
     fn times(&self) -> KernelTimes {

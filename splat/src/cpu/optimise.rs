@@ -102,6 +102,8 @@ pub struct Optimise<'a> {
     pub opacity_penalty: f32,
     /// Added to dL/dscale of visible Gaussians.
     pub scale_penalty: f32,
+    /// Whether statistics use the sums of magnitudes.
+    pub magnitudes: bool,
     /// Out: Gaussians whose gradient was not finite.
     pub non_finite: usize,
 }
@@ -365,7 +367,15 @@ unsafe fn note_statistics<S: Simd>(
         let [gradient, visible, weight, radius] = a.shared.statistics.map(|plane| plane.0.add(block));
         let gx = p.conic[0].mul(sums[1]).add(p.conic[1].mul(sums[2])).mul(S::splat(0.5 * c.size[0]));
         let gy = p.conic[1].mul(sums[1]).add(p.conic[2].mul(sums[2])).mul(S::splat(0.5 * c.size[1]));
-        let norm = gx.fma(gx, gy.mul(gy)).sqrt();
+        let mut norm = gx.fma(gx, gy.mul(gy)).sqrt();
+        if a.magnitudes {
+            const LN_2: f32 = std::f32::consts::LN_2;
+            let (mx, my) = (
+                sums[10].mul(S::splat(0.5 * LN_2 * c.size[0])),
+                sums[11].mul(S::splat(0.5 * LN_2 * c.size[1])),
+            );
+            norm = mx.fma(mx, my.mul(my)).sqrt();
+        }
         S::load(gradient).add(norm.keep(on)).store(gradient);
         S::load(visible).add(S::splat(1.0).keep(on)).store(visible);
         S::load(weight).max(sums[9].keep(on)).store(weight);

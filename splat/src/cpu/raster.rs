@@ -48,9 +48,21 @@ impl Tile {
 #[inline(always)]
 fn pixels(low: f32, high: f32) -> [usize; 2] {
     // Truncation is the floor of what is not negative; 0.51 instead of 0.5 keeps pixels on the rim.
-    let clamp =
-        |v: f32| (if v > 0.0 { if v < TILE as f32 { v } else { TILE as f32 } } else { 0.0 }) as i32 as usize;
+    // NaN becomes 0, so that the cast is always within range.
+    let clamp = |v: f32| unsafe { least(most(v, 0.0), TILE as f32).to_int_unchecked::<i32>() as usize };
     [clamp(low + 0.49), clamp(high + 0.51)]
+}
+
+/// The larger; `b` where either is NaN. One instruction, unlike `f32::max`.
+#[inline(always)]
+fn most(a: f32, b: f32) -> f32 {
+    if a > b { a } else { b }
+}
+
+/// The smaller; `b` where either is NaN. One instruction, unlike `f32::min`.
+#[inline(always)]
+fn least(a: f32, b: f32) -> f32 {
+    if a < b { a } else { b }
 }
 
 /// Columns of vectors that the Gaussian's box covers, half-open.
@@ -68,18 +80,10 @@ fn rows<S: Simd>(g: &Record, tile: &Tile, x: usize) -> [usize; 2] {
     // Offsets here are pixel − centre; the ellipse's lowest and highest points lie at ± tilt.
     let left = (tile.x + x) as f32 + 0.5 - g.x;
     let right = left + (S::LANES - 1) as f32;
-    let clamp = |dx: f32| {
-        if dx < left {
-            left
-        } else if dx > right {
-            right
-        } else {
-            dx
-        }
-    };
+    let clamp = |dx: f32| least(most(dx, left), right);
     let (high_x, low_x) = (clamp(-g.tilt), clamp(g.tilt));
     let (high, low) = (g.chord - g.bend * high_x * high_x, g.chord - g.bend * low_x * low_x);
-    let root = |v: f32| if v > 0.0 { v.sqrt() } else { 0.0 };
+    let root = |v: f32| most(v, 0.0).sqrt();
     let y = g.y - tile.y as f32;
     pixels(y - g.slope * low_x - root(low), y - g.slope * high_x + root(high))
 }
@@ -160,8 +164,10 @@ fn forward_loop<S: Simd, const DEPTH: bool>(a: &mut Forward, depth: &mut [f32; P
             return;
         }
         let g = unsafe { a.records.get_unchecked(i as usize) };
+        prefetch::<S>(a.records, a.list, index);
         let [x0, x1] = columns::<S>(g, &a.tile);
         let (log2_opacity, threshold) = (S::splat(g.log2_opacity), S::splat(-LOG2_255));
+        let colours = array!(c in 3 => S::splat(g.rgb[c]));
         for column in x0..x1 {
             let x = column * S::LANES;
             let [y0, y1] = rows::<S>(g, &a.tile, x);
@@ -182,9 +188,9 @@ fn forward_loop<S: Simd, const DEPTH: bool>(a: &mut Forward, depth: &mut [f32; P
                     let next = t.mul(one.sub(alpha));
                     let drawn = S::and(valid, next.ge(min_t));
                     let weight = t.mul(alpha).keep(drawn);
-                    for (plane, colour) in rgb.iter().zip(g.rgb) {
+                    for (plane, colour) in rgb.iter().zip(colours) {
                         let c = plane.add(at);
-                        weight.fma(S::splat(colour), S::load(c)).store(c);
+                        weight.fma(colour, S::load(c)).store(c);
                     }
                     if DEPTH {
                         let d = depth.as_mut_ptr().add(at);
@@ -198,6 +204,15 @@ fn forward_loop<S: Simd, const DEPTH: bool>(a: &mut Forward, depth: &mut [f32; P
         }
     }
     a.used = a.list.len();
+}
+
+/// Fetches the record that comes a few places after `index`: records lie in no order of the tile's.
+#[inline(always)]
+fn prefetch<S: Simd>(records: &[Record], list: &[u32], index: usize) {
+    const AHEAD: usize = 6;
+    if let Some(&next) = list.get(index + AHEAD) {
+        S::prefetch(unsafe { records.as_ptr().add(next as usize) }.cast());
+    }
 }
 
 /// Whether all pixels are finished.
@@ -228,20 +243,28 @@ pub struct Backward<'a> {
     /// `Σ_channels C · dL/dC` of the finished picture (background included).
     pub remaining: &'a mut [f32; PIXELS],
     /// Out, for each of `list`: with `v = α dL/dα`, `d` = centre − pixel:
-    /// Σ v, Σ v dx, Σ v dy, Σ v dx², Σ v dx dy, Σ v dy², Σ T α dL/dC (3), Σ T α, Σ |v| |dx|-wise magnitudes (2).
+    /// Σ v, Σ v dx, Σ v dy, Σ v dx², Σ v dx dy, Σ v dy², Σ T α dL/dC (3), Σ T α, Σ |v (conic d)| by component (2).
     pub sums: &'a mut [[f32; SUMS]],
+    /// Whether the last two are wanted; they are 0 otherwise.
+    pub magnitudes: bool,
 }
 
 #[inline(always)]
 fn backward_generic<S: Simd>(a: &mut Backward) {
+    if a.magnitudes { backward_loop::<S, true>(a) } else { backward_loop::<S, false>(a) }
+}
+
+#[inline(always)]
+fn backward_loop<S: Simd, const MAGNITUDES: bool>(a: &mut Backward) {
     let (zero, one) = (S::splat(0.0), S::splat(1.0));
     let (max_alpha, min_t) = (S::splat(MAX_ALPHA), S::splat(MIN_TRANSMITTANCE));
     let mut transmittance = a.tile.start();
     let t_plane = transmittance.as_mut_ptr();
     let rest = a.remaining.as_mut_ptr();
     let grad: [*const f32; 3] = [a.gradient[0].as_ptr(), a.gradient[1].as_ptr(), a.gradient[2].as_ptr()];
-    for (&i, sums) in a.list.iter().zip(a.sums.iter_mut()) {
+    for (index, (&i, sums)) in a.list.iter().zip(a.sums.iter_mut()).enumerate() {
         let g = unsafe { a.records.get_unchecked(i as usize) };
+        prefetch::<S>(a.records, a.list, index);
         let [x0, x1] = columns::<S>(g, &a.tile);
         let (log2_opacity, threshold) = (S::splat(g.log2_opacity), S::splat(-LOG2_255));
         let rgb = array!(c in 3 => S::splat(g.rgb[c]));
@@ -251,6 +274,7 @@ fn backward_generic<S: Simd>(a: &mut Backward) {
             let [y0, y1] = rows::<S>(g, &a.tile, x);
             let power = Column::<S>::new(g, a.tile.x + x);
             let (mut v0, mut v1, mut v2) = (zero, zero, zero);
+            let slope = power.dx.mul(S::splat(2.0 * g.half_xx));
             for y in y0..y1 {
                 let at = y * TILE + x;
                 unsafe {
@@ -284,6 +308,13 @@ fn backward_generic<S: Simd>(a: &mut Backward) {
                     v0 = v0.add(v);
                     v1 = v1.add(vdy);
                     v2 = vdy.fma(S::splat(dy), v2);
+                    if MAGNITUDES {
+                        let size = v.abs();
+                        let across = slope.add(S::splat(g.xy * dy)).abs();
+                        let down = power.linear.add(S::splat(2.0 * g.half_yy * dy)).abs();
+                        total[10] = size.fma(across, total[10]);
+                        total[11] = size.fma(down, total[11]);
+                    }
                     let stopped = S::select(valid, zero.sub(t), t);
                     S::select(drawn, next, stopped).store(t_plane.add(at));
                 }

@@ -65,6 +65,10 @@ pub unsafe trait Simd: Copy {
     /// Sum of the lanes in a fixed order.
     fn sum(self) -> f32;
 
+    /// Asks for the cache line at `p` to be fetched, where the machine can; any address will do.
+    #[inline(always)]
+    fn prefetch(_p: *const u8) {}
+
     /// 0, 1, 2 …
     #[inline(always)]
     fn iota() -> Self {

@@ -13,6 +13,10 @@ unsafe impl Simd for Avx2 {
     const LANES: usize = 8;
 
     #[inline(always)]
+    fn prefetch(p: *const u8) {
+        unsafe { _mm_prefetch::<_MM_HINT_T0>(p.cast()) }
+    }
+    #[inline(always)]
     fn splat(v: f32) -> Self {
         Self(unsafe { _mm256_set1_ps(v) })
     }
@@ -122,6 +126,10 @@ unsafe impl Simd for Avx512 {
     type Mask = __mmask16;
     const LANES: usize = 16;
 
+    #[inline(always)]
+    fn prefetch(p: *const u8) {
+        unsafe { _mm_prefetch::<_MM_HINT_T0>(p.cast()) }
+    }
     #[inline(always)]
     fn splat(v: f32) -> Self {
         Self(unsafe { _mm512_set1_ps(v) })

@@ -28,6 +28,8 @@ pub struct Workspace {
     pub gradient: [Vec<f32>; 3],
     pub sums: Vec<[f32; SUMS]>,
     pub loss: LossBuffers,
+    /// Whether backward sums magnitudes for the statistics.
+    pub magnitudes: bool,
 }
 
 impl Workspace {
@@ -121,6 +123,7 @@ impl Workspace {
         let (shape, records, bins, used) = (self.shape, &self.records, &self.bins, &self.used);
         let (rgb, gradient) = (&self.rgb, &self.gradient);
         self.sums.resize(bins.list.len(), [0.0; SUMS]);
+        let magnitudes = self.magnitudes;
         let all = SharedSums(self.sums.as_mut_ptr());
         (0..used.len()).into_par_iter().for_each(|t| {
             let used = used[t] as usize;
@@ -144,7 +147,15 @@ impl Workspace {
             let sums = &mut sums[..used];
             backward(
                 isa,
-                &mut Backward { records, list, tile, gradient: &local, remaining: &mut remaining, sums },
+                &mut Backward {
+                    records,
+                    list,
+                    tile,
+                    gradient: &local,
+                    remaining: &mut remaining,
+                    sums,
+                    magnitudes,
+                },
             );
         });
     }
@@ -174,6 +185,7 @@ impl Workspace {
                 sink,
                 opacity_penalty: penalties[0],
                 scale_penalty: penalties[1],
+                magnitudes: self.magnitudes,
                 non_finite: 0,
             };
             optimise(isa, &mut a);

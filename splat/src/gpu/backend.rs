@@ -377,6 +377,27 @@ impl Backend for GpuBackend {
         })
     }
 
+    fn mean_square_error(
+        &mut self,
+        view: &PinholeView,
+        target: &Target,
+        options: &RenderOptions,
+    ) -> Result<f64, SplatError> {
+        self.prepare(view, true)?;
+        let (flags, weights) = self.set_target(target);
+        let frame = self.frame_of(view, options);
+        let frame = Frame { flags: frame.flags | flags, ..frame };
+        let report = self.run(frame, Stage::Project..=Stage::Loss)?;
+        Ok(f64::from(report.loss(weights, 0.0).1))
+    }
+
+    fn set_magnitudes(&mut self, on: bool) -> Result<(), SplatError> {
+        if on {
+            return Err(self.gpu.error("sums of absolute gradients are computed by the processor only"));
+        }
+        Ok(())
+    }
+
     fn times(&self) -> KernelTimes {
         self.times
     }

@@ -205,3 +205,39 @@ fn nonsense_is_refused_with_the_flag_to_change() {
         assert!(error.to_string().contains(flag), "{error}");
     }
 }
+
+#[test]
+fn points_at_one_place_on_the_cameras_or_far_away_do_not_stop_training() {
+    let ordinary = dataset(12, false);
+    let eye = ordinary.views[1].view.position();
+    for (what, place) in [("one place", Vec3::ZERO), ("a camera", eye), ("far away", Vec3::splat(1e6))] {
+        let mut dataset = ordinary.clone();
+        dataset.points = vec![(place, [128; 3]); 2000];
+        // Half of them where the object is, so that there is something to learn from.
+        let good = ordinary.points.iter().copied();
+        dataset.points.extend(good);
+        let result =
+            train(&dataset, &TrainConfig { max_gaussians: 3000, ..config(200) }, None, &Progress::silent());
+        let result = result.unwrap_or_else(|e| panic!("{what}: {e}"));
+        assert!(result.gaussians.means.iter().all(|m| m.is_finite()), "{what}");
+        let psnr = held_out_psnr(&dataset, &result);
+        assert!(psnr > 20.0, "{what}: {psnr:.2} dB");
+    }
+}
+
+#[test]
+fn one_view_with_an_empty_mask_among_others_does_no_harm() {
+    let psnr = |empty: bool| {
+        let mut dataset = dataset(24, false);
+        dataset.alpha = AlphaMode::Ignore;
+        if empty {
+            for pixels in &mut dataset.views[7].levels {
+                pixels.rgb.fill(255);
+                pixels.mask = Some(vec![0; pixels.width * pixels.height]);
+            }
+        }
+        held_out_psnr(&dataset, &train(&dataset, &config(300), None, &Progress::silent()).unwrap())
+    };
+    let (without, with) = (psnr(false), psnr(true));
+    assert!(with > without - 1.0, "{without:.2} dB, with an empty mask {with:.2} dB");
+}

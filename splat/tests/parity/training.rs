@@ -2,6 +2,7 @@
 
 use crate::scenes::ordinary;
 use glam::{DVec3, Vec3};
+use rand::Rng;
 use scene::{Camera, CameraModel, Gaussians, Pose, Progress};
 use splat::dataset::{Normalisation, Pixels, pyramid};
 use splat::{
@@ -19,8 +20,10 @@ fn dataset(truth: &Gaussians, count: usize) -> Dataset {
         let eye = 3.0 * DVec3::new(angle.cos(), angle.sin(), 0.3 * (3.0 * angle).sin()).normalize();
         let pose = Pose::look_at(eye, DVec3::ZERO, DVec3::Z);
         let picture = renderer.render(&camera, &pose, &RenderOptions::default()).unwrap();
-        let byte = |v: &f32| (v * 255.0).round().clamp(0.0, 255.0) as u8;
-        let rgb = picture.rgb.data.iter().map(byte).collect();
+        // Noise, as photos have it: what is left when the scene is learnt does not hang on single gaussians.
+        let mut rng = scene::rng::rng(9, "parity noise", k as u64);
+        let mut byte = |v: &f32| (v * 255.0 + rng.random_range(-16.0..16.0)).round().clamp(0.0, 255.0) as u8;
+        let rgb = picture.rgb.data.iter().map(&mut byte).collect();
         View {
             name: format!("{k:03}.png"),
             camera: camera.clone(),
@@ -65,19 +68,21 @@ fn held_out_psnr(dataset: &Dataset, result: &TrainResult) -> f64 {
 fn two_hundred_steps_with_densification_end_where_the_processors_do() {
     let truth = ordinary(41, 150, 0);
     let dataset = dataset(&truth, 16);
-    // Both are rounded differently, and what is rounded differently drifts apart: single held-out views by tenths of a
-    // decibel, the mean over all steps of the last quarter hardly.
+    // What is rounded differently drifts apart: held-out views by tenths of a decibel, the steps of the last quarter
+    // hardly.
     let mut ends = [0.0; 2];
     for seed in [0, 1] {
         let both = [BackendChoice::Cpu, BackendChoice::Gpu].map(|b| trained(&dataset, b, seed));
         let [a, b] = both.each_ref().map(|r| held_out_psnr(&dataset, r));
-        assert!(a > 26.0 && (a - b).abs() < 0.7, "held out, seed {seed}: {a:.3} dB and {b:.3} dB");
+        assert!(a > 24.0 && (a - b).abs() < 0.7, "held out, seed {seed}: {a:.3} dB and {b:.3} dB");
         let [n, m] = both.each_ref().map(|r| r.gaussians.len());
         assert!(n > 160 && n.abs_diff(m) * 50 < n, "seed {seed}: {n} and {m} gaussians");
+        println!("seed {seed}: held out {a:.3} {b:.3} dB, {n} and {m} gaussians");
         for (end, result) in ends.iter_mut().zip(&both) {
             *end += f64::from(result.curve.last().unwrap().psnr) / 2.0;
         }
     }
     let [cpu, gpu] = ends;
+    println!("trained {cpu:.3} {gpu:.3} dB");
     assert!((cpu - gpu).abs() < 0.1, "processor {cpu:.3} dB, adapter {gpu:.3} dB");
 }

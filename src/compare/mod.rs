@@ -1,7 +1,11 @@
-//! `compare`: models beside each other and beside a ground truth; COLMAP on the same frames.
+//! `compare`: models beside each other and beside a ground truth, COLMAP on the same frames, and the tables of papers.
+
+mod runs;
+mod tables;
 
 use crate::Outcome;
 use crate::cli::CompareArgs;
+use crate::stage::{write_json, write_whole};
 use crate::terminal::Verbosity;
 use anyhow::{Context, Result, bail};
 use scene::Reconstruction;
@@ -27,12 +31,16 @@ struct Row {
     focal_err_pct: Option<f64>,
 }
 
-/// Prints a line for each model.
+/// Prints a line for each model, then the tables of the runs that were evaluated.
 pub fn run(args: &CompareArgs, verbosity: Verbosity, json: bool) -> Result<Outcome> {
     let truth = args.truth.as_deref().map(read_truth).transpose()?;
     let mut rows = Vec::new();
-    for run in &args.runs {
+    let named: Vec<runs::Named> = args.runs.iter().map(|text| runs::Named::parse(text)).collect();
+    for runs::Named { label, path: run } in &named {
         let path = model_folder(run);
+        if label.is_some() && !scene::io::has_model(&path) {
+            continue; // renders of another tool
+        }
         let model = scene::io::read_model(&path)?;
         let asked = frame_names(run);
         rows.push(row(run.display().to_string(), &model, truth.as_ref(), asked.as_ref()));
@@ -53,7 +61,29 @@ pub fn run(args: &CompareArgs, verbosity: Verbosity, json: bool) -> Result<Outco
     } else {
         print_table(&rows);
     }
+    let tables = runs::tables(&runs::entries(&named)?);
+    if !json {
+        tables.iter().for_each(|table| println!("\n{}", table.markdown()));
+    }
+    if let Some(folder) = &args.tables {
+        write_tables(folder, &tables)?;
+    }
     Ok(Outcome::Done)
+}
+
+/// The tables as `tables.{md,csv,tex,json}`.
+fn write_tables(folder: &Path, tables: &[tables::Table]) -> Result<()> {
+    anyhow::ensure!(!tables.is_empty(), "none of the runs was evaluated: run sat-recon eval on them first");
+    std::fs::create_dir_all(folder).with_context(|| format!("cannot make {}", folder.display()))?;
+    let all = |form: fn(&tables::Table) -> String| tables.iter().map(form).collect::<Vec<_>>().join("\n");
+    for (name, text) in [
+        ("tables.md", all(tables::Table::markdown)),
+        ("tables.csv", all(tables::Table::csv)),
+        ("tables.tex", all(tables::Table::latex)),
+    ] {
+        write_whole(&folder.join(name), text.as_bytes())?;
+    }
+    write_json(&folder.join("tables.json"), &tables)
 }
 
 /// A ground truth in any of its formats.

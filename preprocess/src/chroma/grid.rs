@@ -1,0 +1,138 @@
+//! Values known at some pixels, spread to all: means in square cells, gaps filled from around, interpolated between.
+
+/// A coarse picture of `C` channels over a fine one.
+#[derive(Clone, Debug)]
+pub(crate) struct Grid<const C: usize> {
+    cells: Vec<[f32; C]>,
+    columns: usize,
+    rows: usize,
+    side: usize,
+}
+
+/// Sums from which a [`Grid`] is made.
+pub(crate) struct Sums<const C: usize> {
+    sums: Vec<([f32; C], u32)>,
+    columns: usize,
+    side: usize,
+}
+
+impl<const C: usize> Sums<C> {
+    /// Empty cells of `side` pixels over a picture.
+    pub fn new(width: usize, height: usize, side: usize) -> Self {
+        let (columns, rows) = (width.div_ceil(side), height.div_ceil(side));
+        Self { sums: vec![([0.0; C], 0); columns * rows], columns, side }
+    }
+
+    /// Counts a pixel.
+    #[inline(always)]
+    pub fn add(&mut self, x: usize, y: usize, value: [f32; C]) {
+        let (sum, count) = &mut self.sums[y / self.side * self.columns + x / self.side];
+        for (s, v) in sum.iter_mut().zip(value) {
+            *s += v;
+        }
+        *count += 1;
+    }
+
+    /// Means of the cells that hold at least `needed` pixels; the others are filled from their neighbours, layer by
+    /// layer, and relaxed `rounds` times (discrete Laplace equation). `None` where no cell is known.
+    pub fn filled(self, needed: u32, rounds: usize) -> Option<Grid<C>> {
+        let mean = |(sum, n): &([f32; C], u32)| (*n >= needed).then(|| sum.map(|v| v / *n as f32));
+        let known: Vec<Option<[f32; C]>> = self.sums.iter().map(mean).collect();
+        known.iter().any(Option::is_some).then(|| Grid {
+            rows: known.len() / self.columns,
+            cells: filled(known, self.columns, rounds),
+            columns: self.columns,
+            side: self.side,
+        })
+    }
+}
+
+impl<const C: usize> Grid<C> {
+    /// The values along a row of pixels.
+    pub fn row(&self, y: usize, width: usize, out: &mut Vec<[f32; C]>) {
+        out.clear();
+        let position = |i: usize, n: usize| {
+            let p = ((i as f32 + 0.5) / self.side as f32 - 0.5).clamp(0.0, (n - 1) as f32);
+            let low = (p as usize).min(n.saturating_sub(2));
+            (low, p - low as f32)
+        };
+        let (top, ty) = position(y, self.rows);
+        let bottom = (top + 1).min(self.rows - 1);
+        let column = |c: usize| {
+            let (a, b) = (&self.cells[top * self.columns + c], &self.cells[bottom * self.columns + c]);
+            std::array::from_fn::<f32, C, _>(|k| a[k] + ty * (b[k] - a[k]))
+        };
+        let line: Vec<[f32; C]> = (0..self.columns).map(column).collect();
+        out.extend((0..width).map(|x| {
+            let (left, tx) = position(x, self.columns);
+            let (a, b) = (&line[left], &line[(left + 1).min(self.columns - 1)]);
+            std::array::from_fn(|k| a[k] + tx * (b[k] - a[k]))
+        }));
+    }
+}
+
+fn filled<const C: usize>(mut cells: Vec<Option<[f32; C]>>, columns: usize, rounds: usize) -> Vec<[f32; C]> {
+    let rows = cells.len() / columns;
+    let gaps: Vec<usize> = (0..cells.len()).filter(|i| cells[*i].is_none()).collect();
+    let neighbours = |i: usize| {
+        let (x, y) = (i % columns, i / columns);
+        let left = (x > 0).then(|| i - 1);
+        let right = (x + 1 < columns).then(|| i + 1);
+        let up = (y > 0).then(|| i - columns);
+        let down = (y + 1 < rows).then(|| i + columns);
+        [left, right, up, down].into_iter().flatten()
+    };
+    let mut open = gaps.clone();
+    while !open.is_empty() {
+        let layer: Vec<(usize, [f32; C])> = open
+            .iter()
+            .filter_map(|i| Some((*i, mean_of(neighbours(*i).filter_map(|j| cells[j]))?)))
+            .collect();
+        if layer.is_empty() {
+            break;
+        }
+        layer.iter().for_each(|(i, value)| cells[*i] = Some(*value));
+        open.retain(|i| cells[*i].is_none());
+    }
+    let mut cells: Vec<[f32; C]> = cells.into_iter().map(|c| c.unwrap_or([0.0; C])).collect();
+    for _ in 0..rounds {
+        for i in &gaps {
+            if let Some(mean) = mean_of(neighbours(*i).map(|j| cells[j])) {
+                cells[*i] = mean;
+            }
+        }
+    }
+    cells
+}
+
+fn mean_of<const C: usize>(values: impl Iterator<Item = [f32; C]>) -> Option<[f32; C]> {
+    let (mut sum, mut n) = ([0.0; C], 0.0);
+    for v in values {
+        (0..C).for_each(|k| sum[k] += v[k]);
+        n += 1.0;
+    }
+    (n > 0.0).then(|| sum.map(|s| s / n))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_slope_is_carried_over_a_gap_and_an_empty_picture_gives_nothing() {
+        let (width, height) = (128, 64);
+        let mut sums = Sums::<1>::new(width, height, 8);
+        for y in 0..height {
+            for x in (0..width).filter(|x| !(40..80).contains(x)) {
+                sums.add(x, y, [x as f32]);
+            }
+        }
+        let grid = sums.filled(8, 200).unwrap();
+        let mut row = Vec::new();
+        grid.row(30, width, &mut row);
+        for x in [10, 50, 60, 70, 110] {
+            assert!((row[x][0] - x as f32).abs() < 1.5, "{x}: {}", row[x][0]);
+        }
+        assert!(Sums::<2>::new(9, 9, 8).filled(1, 5).is_none());
+    }
+}

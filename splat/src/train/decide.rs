@@ -1,0 +1,215 @@
+//! What training decides by evidence: the spherical-harmonic degree and the number of Gaussians by a validation split
+//! of the training views (never the views held out for evaluation), and which Gaussians the pictures do not miss.
+
+use super::{Decision, Trainer};
+use crate::backend::Target;
+use crate::cpu::optimise::Statistics;
+use crate::schedule::{self, SH_FROM};
+use crate::{RenderOptions, SplatError};
+use serde::{Deserialize, Serialize};
+
+/// One training view in this many judges while Gaussians and degrees are added, and is trained on afterwards.
+const VALIDATION_EVERY: usize = 12;
+/// With fewer training views than this all are needed for training.
+const VALIDATION_FROM: usize = 24;
+/// Part of the schedule between a degree's beginning and its judgement.
+const DEGREE_TRIAL: f64 = 0.1;
+/// What a degree must gain, dB: it costs time in every step and memory for ever.
+const DEGREE_GAIN: f64 = 0.02;
+/// Looks at the growth of the number of Gaussians, evenly over the densification.
+const LOOKS: f64 = 8.0;
+/// What the validation views must gain from look to look, dB, for growth to go on.
+const GROWTH_GAIN: f64 = 0.02;
+/// Position at which redundant Gaussians are removed; what follows lets the others close the gaps.
+const PRUNE_AT: f64 = 0.9;
+/// What removing them may cost before that, dB.
+const PRUNE_LOSS: f64 = 0.05;
+/// Training views that judge the removal.
+const PRUNE_VIEWS: usize = 8;
+
+/// What was found out on the way.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct Findings {
+    /// Degree above which the validation views gained nothing.
+    pub sh_limit: Option<u32>,
+    /// Degrees judged so far.
+    pub degrees_judged: u32,
+    /// Number of Gaussians at which growth stopped paying.
+    pub gaussians_limit: Option<usize>,
+    /// Looks at the growth so far, and what the last one saw: level, PSNR (dB), Gaussians.
+    pub looks: u32,
+    /// What the last look saw: level, PSNR (dB), Gaussians.
+    pub last_look: Option<(u32, f64, usize)>,
+    /// Gaussians removed because hardly any view has them in its picture.
+    pub unseen: usize,
+    /// Whether redundant Gaussians were looked for.
+    pub pruned: bool,
+}
+
+/// The training views that judge: none where all are needed.
+pub fn validation(views: &[usize]) -> Vec<usize> {
+    if views.len() < VALIDATION_FROM {
+        return Vec::new();
+    }
+    views.iter().skip(VALIDATION_EVERY / 2).step_by(VALIDATION_EVERY).copied().collect()
+}
+
+impl Trainer<'_> {
+    /// Looks whether something is to be decided at this place of the schedule.
+    pub(super) fn decide(&mut self) -> Result<(), SplatError> {
+        let begun = (self.clock)();
+        if !self.validation.is_empty() && self.state.position < self.config.recipe.densify_until {
+            self.judge_degree()?;
+            self.judge_growth()?;
+        }
+        if self.config.recipe.prune_redundant
+            && !self.state.findings.pruned
+            && self.state.position >= PRUNE_AT
+        {
+            self.state.findings.pruned = true;
+            self.prune_redundant()?;
+        }
+        self.state.seconds += (self.clock)() - begun;
+        Ok(())
+    }
+
+    fn note(&mut self, subject: &str, choice: String, evidence: String) {
+        self.state.decisions.push(Decision { subject: subject.to_owned(), choice, evidence });
+    }
+
+    /// PSNR of views at a level with spherical harmonics up to a degree, dB.
+    fn psnr(&mut self, views: &[usize], level: u32, sh_degree: Option<u32>) -> Result<f64, SplatError> {
+        let mut sum = 0.0;
+        for &v in views {
+            let view = &self.dataset.views[v];
+            let level = level.min(view.levels.len() as u32 - 1);
+            let pixels = &view.levels[level as usize];
+            let target = Target {
+                rgb: &pixels.rgb,
+                mask: pixels.mask.as_deref(),
+                transparent: self.dataset.is_transparent(),
+            };
+            let options =
+                RenderOptions { antialias: self.config.antialias, sh_degree, ..RenderOptions::default() };
+            sum += self.backend.mean_square_error(&view.view.at_level(level), &target, &options)?;
+        }
+        Ok(-10.0 * (sum / views.len().max(1) as f64).max(1e-12).log10())
+    }
+
+    /// A degree that was in use for a while stays if the validation views are better for it.
+    fn judge_degree(&mut self) -> Result<(), SplatError> {
+        let judged = self.state.findings.degrees_judged;
+        let Some(from) = SH_FROM.get(judged as usize).filter(|_| judged < self.config.sh_degree) else {
+            return Ok(());
+        };
+        if self.state.findings.sh_limit.is_some() || self.state.position < from + DEGREE_TRIAL {
+            return Ok(());
+        }
+        let (views, level, degree) = (self.validation.clone(), self.level(), judged + 1);
+        let with = self.psnr(&views, level, Some(degree))?;
+        let without = self.psnr(&views, level, Some(judged))?;
+        self.state.findings.degrees_judged = degree;
+        let evidence = format!(
+            "{} validation views: {with:.2} dB with degree {degree}, {without:.2} dB with its coefficients left out",
+            views.len()
+        );
+        if with - without < DEGREE_GAIN {
+            self.state.findings.sh_limit = Some(judged);
+            self.backend.edit(&mut |model, _| model.set_sh_degree(judged))?;
+            self.note("spherical-harmonic degree", judged.to_string(), evidence);
+        } else if degree == self.config.sh_degree {
+            self.note("spherical-harmonic degree", degree.to_string(), evidence);
+        }
+        Ok(())
+    }
+
+    /// Growth ends where the validation views stop gaining by it.
+    fn judge_growth(&mut self) -> Result<(), SplatError> {
+        let step = self.config.recipe.densify_until / LOOKS;
+        if self.state.findings.gaussians_limit.is_some()
+            || self.state.position < step * f64::from(self.state.findings.looks + 1)
+        {
+            return Ok(());
+        }
+        let (views, level, now) = (self.validation.clone(), self.level(), self.backend.gaussians());
+        let psnr = self.psnr(&views, level, None)?;
+        self.state.findings.looks += 1;
+        if let Some((before_level, before, then)) = self.state.findings.last_look
+            && before_level == level
+            && now > then
+            && psnr < before + GROWTH_GAIN
+        {
+            self.state.findings.gaussians_limit = Some(now);
+            let evidence = format!(
+                "validation views went from {before:.2} dB with {then} Gaussians to {psnr:.2} dB with {now}"
+            );
+            self.note("number of Gaussians", format!("growth ended at {now}"), evidence);
+        }
+        self.state.findings.last_look = Some((level, psnr, now));
+        Ok(())
+    }
+
+    /// Removes as many of the Gaussians that cover least as may go at a loss of [`PRUNE_LOSS`].
+    fn prune_redundant(&mut self) -> Result<(), SplatError> {
+        let views: Vec<usize> =
+            self.views.iter().copied().step_by(self.views.len().div_ceil(PRUNE_VIEWS).max(1)).collect();
+        let before = self.psnr(&views, 0, None)?;
+        let (whole, statistics) = self.backend.download()?;
+        let weight = &statistics.weight;
+        if weight.len() < whole.len {
+            return Ok(());
+        }
+        let mut order: Vec<u32> = (0..whole.len as u32).collect();
+        order.sort_by(|&a, &b| weight[b as usize].total_cmp(&weight[a as usize]).then(a.cmp(&b)));
+        let keep = |count: usize| {
+            let mut kept = order[..count].to_vec();
+            kept.sort_unstable();
+            kept
+        };
+        // The loss grows with what is removed: bisection.
+        let (mut good, mut bad) = (whole.len, whole.len / 3);
+        while good > bad + whole.len / 64 + 1 {
+            let middle = (good + bad) / 2;
+            let mut part = whole.clone();
+            part.select(&keep(middle));
+            self.backend.upload(part, Statistics::default())?;
+            if self.psnr(&views, 0, None)? >= before - PRUNE_LOSS { good = middle } else { bad = middle }
+        }
+        let kept = keep(good);
+        let (n, mut model, mut statistics) = (whole.len, whole, statistics);
+        if good < n {
+            model.select(&kept);
+            statistics.reset(good);
+        }
+        self.backend.upload(model, statistics)?;
+        let after = self.psnr(&views, 0, None)?;
+        self.note(
+            "redundant Gaussians",
+            format!("{} of {n} removed", n - good),
+            format!(
+                "{} training views: {before:.2} dB before, {after:.2} dB after, then trained on",
+                views.len()
+            ),
+        );
+        Ok(())
+    }
+
+    /// All decisions, with what is only known at the end.
+    pub(super) fn decisions(&mut self) -> Vec<Decision> {
+        let findings = self.state.findings.clone();
+        let n = self.backend.gaussians();
+        if let (None, Some((_, psnr, then))) = (findings.gaussians_limit, findings.last_look) {
+            let evidence = format!("validation views still gained at {then} Gaussians ({psnr:.2} dB)");
+            self.note("number of Gaussians", format!("{n}, as planned"), evidence);
+        }
+        if findings.unseen > 0 {
+            let evidence =
+                "hardly any view has them in its picture, so that none contradicts them".to_owned();
+            self.note("Gaussians in the air", format!("{} removed", findings.unseen), evidence);
+        }
+        std::mem::take(&mut self.state.decisions)
+    }
+}
+
+/// The schedule's constants fit together: degrees are judged while there are views to judge them.
+const _: () = assert!(SH_FROM[2] + DEGREE_TRIAL < 0.7 && schedule::SH_FROM.len() == 3);
