@@ -140,6 +140,14 @@ pub trait Backend {
     fn capacity(&self, sh_degree: u32, pixels: usize) -> Option<(usize, String)>;
     /// Renders the Gaussians.
     fn render(&mut self, view: &PinholeView, options: &RenderOptions) -> Result<RenderOutput, SplatError>;
+    /// Renders and leaves the picture where it is, as for a display.
+    fn render_only(&mut self, view: &PinholeView, options: &RenderOptions) -> Result<(), SplatError> {
+        self.render(view, options).map(|_| ())
+    }
+    /// Bytes allocated on a device, by buffer; nothing where everything lies in the host's memory.
+    fn memory(&self) -> Vec<(&'static str, u64)> {
+        Vec::new()
+    }
     /// Forward, loss, backward and Adam.
     fn step(&mut self, input: &StepInput) -> Result<StepOutput, SplatError>;
     /// Mean squared error of a picture against a target, over its pixels that count; statistics stay as they are.

@@ -100,11 +100,6 @@ impl GpuBackend {
         &self.gpu.adapter
     }
 
-    /// Bytes allocated on the device, by buffer.
-    pub fn memory(&self) -> Vec<(&'static str, u64)> {
-        if self.buffers.is_some() { Buffers::plan(&self.sizes) } else { Vec::new() }
-    }
-
     fn write_parameters(&self, model: &Model) {
         let Some((b, _)) = &self.buffers else { return };
         let plane = 4 * padded(model.len) as u64;
@@ -145,6 +140,11 @@ impl GpuBackend {
             training: needed.training || self.sizes.training,
             ..needed
         };
+        let total: u64 = Buffers::plan(&sizes).iter().map(|b| b.1).sum();
+        if let Some(limit) = self.limit.filter(|&limit| total > limit) {
+            let (needed, limit) = (total >> 20, limit >> 20);
+            return Err(self.gpu.error(format!("{needed} MiB are needed and --vram-limit allows {limit}")));
+        }
         let old = self.buffers.take().map(|(buffers, _)| buffers);
         let buffers = Buffers::new(&self.gpu, &sizes, old)?;
         let bound = Bound::new(&self.gpu, &self.kernels, &buffers, &sizes);
@@ -328,8 +328,7 @@ impl Backend for GpuBackend {
     }
 
     fn render(&mut self, view: &PinholeView, options: &RenderOptions) -> Result<RenderOutput, SplatError> {
-        self.prepare(view, false)?;
-        self.run(self.frame_of(view, options), Stage::Project..=Stage::Forward)?;
+        self.render_only(view, options)?;
         let (w, h) = (view.width, view.height);
         let mut out = RenderOutput {
             rgb: FloatImage::zeros(w, h, 3),
@@ -375,6 +374,15 @@ impl Backend for GpuBackend {
             pairs: counter(PAIRS),
             non_finite: counter(NON_FINITE),
         })
+    }
+
+    fn render_only(&mut self, view: &PinholeView, options: &RenderOptions) -> Result<(), SplatError> {
+        self.prepare(view, false)?;
+        self.run(self.frame_of(view, options), Stage::Project..=Stage::Forward).map(|_| ())
+    }
+
+    fn memory(&self) -> Vec<(&'static str, u64)> {
+        if self.buffers.is_some() { Buffers::plan(&self.sizes) } else { Vec::new() }
     }
 
     fn mean_square_error(

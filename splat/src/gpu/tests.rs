@@ -122,6 +122,7 @@ fn a_model_that_fits_the_limits_is_found_and_one_more_gaussian_does_not_fit() {
         assert!(n > 1000 && within(n) && !within(n + 1), "{sh_stride} {largest} {memory:?}: {n}");
         assert_eq!(limit, expected, "{sh_stride} {largest} {memory:?}");
     }
+    assert_eq!(capacity(48, 640 * 480, 128 * MIB, None).0, 349_525);
     let (none, _) = capacity(48, 1920 * 1080, 128 * MIB, Some(16 * MIB));
     assert_eq!(none, 0);
 }

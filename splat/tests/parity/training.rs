@@ -65,6 +65,21 @@ fn held_out_psnr(dataset: &Dataset, result: &TrainResult) -> f64 {
 }
 
 #[test]
+fn a_limit_on_the_adapters_memory_means_fewer_gaussians_and_says_so() {
+    let dataset = dataset(&ordinary(41, 30, 0), 4);
+    let run = |vram_limit, max_gaussians| {
+        let device = DeviceConfig { backend: BackendChoice::Gpu, vram_limit: Some(vram_limit), gpu: None };
+        let config = TrainConfig { iterations: 3, max_gaussians, device, ..TrainConfig::default() };
+        train(&dataset, &config, None, &Progress::silent())
+    };
+    let said = |r: &TrainResult| r.decisions.iter().any(|d| d.evidence.contains("--vram-limit 16"));
+    assert!(said(&run(16, 150_000).unwrap()));
+    assert!(!said(&run(16, 1000).unwrap()));
+    let error = run(0, 1000).unwrap_err().to_string();
+    assert!(error.contains("--vram-limit"), "{error}");
+}
+
+#[test]
 fn two_hundred_steps_with_densification_end_where_the_processors_do() {
     let truth = ordinary(41, 150, 0);
     let dataset = dataset(&truth, 16);
