@@ -14,22 +14,25 @@ SAT_RECON := $(TARGET)/release/sat-recon
 VENV := $(CACHE)/venv
 SHARED := $(or $(SAT_RECON_SHARED),../shared)
 
-.PHONY: help setup build demo test lint bench bench-gpu compare oracle testbed
+.PHONY: help setup viewer build demo test lint bench bench-gpu compare oracle testbed
 help:  ## this list
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed 's/:.*##/\t/' | expand -t 12
 
 setup:  ## install what is missing (Debian packages; as root or with sudo)
 	@tools/setup.sh $(PACKAGES)
 
-build: setup  ## build the release binary
+viewer:  ## bundle the web viewer (needs Node.js; without it everything else is still built)
+	@tools/viewer.sh
+
+build: setup viewer  ## build the release binary
 	cargo build --release --locked
 
 demo: build  ## video to splat on the sample in data/, then say what to open
 	$(SAT_RECON) data/sample/orbit.mp4 -o out/demo --quality draft
 	@echo; echo "Open out/demo/report.html in a browser; the splat is out/demo/splat.ply"
 
-test: setup  ## every test (real data is looked for in ../shared/data)
-	@tools/setup.sh colmap
+test: setup viewer  ## every test (real data is looked for in ../shared/data)
+	@tools/setup.sh colmap chromium
 	cargo test --workspace --locked
 
 lint: setup  ## formatting, clippy, file and function lengths, borders between crates

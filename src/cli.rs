@@ -59,6 +59,8 @@ pub enum Command {
     Export(ExportArgs),
     /// Our poses beside COLMAP's or a ground truth's
     Compare(CompareArgs),
+    /// Look at a trained splat in a browser, served to this machine alone
+    View(ViewArgs),
     /// What is installed, which adapters there are, and what will be slow
     Doctor,
 }
@@ -162,9 +164,12 @@ pub struct RenderArgs {
 pub struct ExportArgs {
     /// A former output folder, or a splat file
     pub input: PathBuf,
-    /// The file or folder to write; its ending says the format: .ply (3DGS order), .compressed.ply, .splat, .spz, .glb (these also read, and .ksplat), .json (transforms), or a folder (COLMAP model, --text for text)
-    #[arg(short, long, value_name = "OUT")]
-    pub output: PathBuf,
+    /// The file or folder to write; its ending says the format: .html (a page to open in a browser), .ply (3DGS order), .compressed.ply, .splat, .spz, .glb (these also read, and .ksplat), .json (transforms), or a folder (COLMAP model, --text for text)
+    #[arg(short, long, value_name = "OUT", required_unless_present = "html")]
+    pub output: Option<PathBuf>,
+    /// One self-contained page that opens from disk (default output: RUN/view.html)
+    #[arg(long)]
+    pub html: bool,
     /// Write a COLMAP model as text
     #[arg(long)]
     pub text: bool,
@@ -186,4 +191,14 @@ pub struct CompareArgs {
     /// Run Debian's COLMAP on the same frames and show it beside
     #[arg(long)]
     pub colmap: bool,
+}
+
+/// What `view` takes.
+#[derive(Args, Clone, Debug)]
+pub struct ViewArgs {
+    /// A former output folder
+    pub run: PathBuf,
+    /// Port on 127.0.0.1 (0: any that is free)
+    #[arg(long, default_value_t = 0)]
+    pub port: u16,
 }

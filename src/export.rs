@@ -8,21 +8,23 @@ use std::path::Path;
 
 /// Writes a splat or a model.
 pub fn run(args: &ExportArgs) -> Result<Outcome> {
-    let ending =
-        args.output.extension().map(|e| e.to_string_lossy().to_ascii_lowercase()).unwrap_or_default();
+    let default = args.input.join("view.html");
+    let output = args.output.as_deref().unwrap_or(&default);
+    let ending = output.extension().map(|e| e.to_string_lossy().to_ascii_lowercase()).unwrap_or_default();
     match ending.as_str() {
-        _ if SplatFormat::of(&args.output).is_some() => {
+        _ if args.html || ending == "html" => crate::view::write_page(&args.input, output)?,
+        _ if SplatFormat::of(output).is_some() => {
             let splat = if args.input.is_dir() { args.input.join("splat.ply") } else { args.input.clone() };
-            write_splat(&args.output, &read_splat(&splat)?)?;
+            write_splat(output, &read_splat(&splat)?)?;
         }
         "json" => scene::io::write_transforms(
-            &args.output,
+            output,
             &read_model(&args.input)?,
             &scene::io::TransformsOptions::default(),
         )?,
         "" => {
             let model = read_model(&args.input)?;
-            scene::io::replace_folder(&args.output, |folder| {
+            scene::io::replace_folder(output, |folder| {
                 if args.text {
                     scene::io::write_model_txt(&model, folder)
                 } else {
@@ -32,7 +34,7 @@ pub fn run(args: &ExportArgs) -> Result<Outcome> {
         }
         other => bail!("no format is known by the ending .{other}; see 'sat-recon export --help'"),
     }
-    eprintln!("wrote {}", args.output.display());
+    eprintln!("wrote {}", output.display());
     Ok(Outcome::Done)
 }
 

@@ -12,6 +12,7 @@ pub mod render;
 pub mod report;
 pub mod stage;
 pub mod terminal;
+pub mod view;
 
 use anyhow::Result;
 use cli::Command;
@@ -65,6 +66,7 @@ pub fn run(parsed: config::Parsed) -> Result<Outcome> {
         Command::Render(args) => render::run(&args, verbosity),
         Command::Export(args) => export::run(&args),
         Command::Compare(args) => compare::run(&args, verbosity, global.json),
+        Command::View(args) => view::server::run(&args, verbosity == Verbosity::Quiet),
         Command::Doctor => doctor::run(global.json),
     }
 }

@@ -7,4 +7,5 @@ mod integration {
     pub mod real_data;
     pub mod resume;
     pub mod support;
+    pub mod viewer;
 }

@@ -24,6 +24,13 @@ POSES = [
     ("oxford_dino", "oxford_dino/images", None, []),
     ("can_orbit", "phone_video/can_orbit.mp4", None, []),
 ]
+# Harder copies of temple_ring, made by SHARED/tools/degrade.py (which needs numpy, pillow and scipy).
+VARIANTS = [
+    ("every 2nd image", "--every 2"), ("every 3rd image", "--every 3"), ("every 4th image", "--every 4"),
+    ("every 5th image", "--every 5"), ("masked to black", "--mask"), ("masked, x 0.1, 8 bit", "--mask --gain 0.1"),
+    ("masked, x 0.1 + noise 3", "--mask --gain 0.1 --noise 3"), ("masked, x 0.1 + noise 3, x 10", "--mask --gain 0.1 --noise 3 --regain 10"),
+    ("masked, x 0.25 + noise 3", "--mask --gain 0.25 --noise 3"), ("x 2, clipped", "--gain 2"), ("x 4, clipped", "--gain 4"),
+]
 SPLATS = [
     ("lego400", "lego400", []),
     ("fox_undistorted_640", "fox_undistorted_640", []),
@@ -84,6 +91,27 @@ def bench_poses(binary, shared, out, only, colmap):
             bench_colmap(binary, name, os.path.join(folder, "images"), truth, os.path.join(out, "colmap", name))
 
 
+def bench_variants(binary, shared, out, only):
+    print("\n## temple_ring, made harder\n\n| input | tool | registered | AUC@1 / 3 / 5 / 10 | rotation median | centre median / max, % "
+          "| CPU s | wall s | peak MiB |\n|---|---|---|---|---|---|---|---|---|")
+    truth = os.path.join(shared, "data/temple_ring/cameras_par.txt")
+    for i, (name, options) in enumerate(VARIANTS):
+        if only and name not in only:
+            continue
+        images, folder = (os.path.join(out, part, str(i)) for part in ("inputs", "variants"))
+        for path in (images, folder):
+            shutil.rmtree(path, ignore_errors=True)
+        subprocess.run([sys.executable, os.path.join(shared, "tools/degrade.py"), os.path.join(shared, "data/temple_ring/images"),
+                        images, *options.split()], check=True, stdout=subprocess.DEVNULL)
+        code, wall, cpu, peak = measured([binary, "sfm", images, "-o", folder, "-q"])
+        with open(os.path.join(folder, "run.json")) as file:
+            poses = json.load(file)["poses"]
+        record = dict(registered=poses["registered"], total=poses["total"])
+        if code in (0, 3):
+            record |= pose_errors(binary, folder, truth)
+        pose_row(name, "sat-recon", record, cpu, wall, peak)
+
+
 def bench_colmap(binary, name, images, truth, folder):
     """Debian's COLMAP 3.8 with its defaults, one camera, on the CPU."""
     shutil.rmtree(folder, ignore_errors=True)
@@ -140,7 +168,7 @@ def main():
     parser.add_argument("shared")
     parser.add_argument("--out", required=True)
     parser.add_argument("--only", nargs="*", help="names of inputs")
-    parser.add_argument("--tables", nargs="*", default=["poses", "splats"], choices=["poses", "splats"])
+    parser.add_argument("--tables", nargs="*", default=["poses", "variants", "splats"], choices=["poses", "variants", "splats"])
     parser.add_argument("--colmap", nargs="*", default=["temple_ring"], help="inputs on which COLMAP 3.8 runs too")
     parser.add_argument("--quality", nargs="*", default=["fast", "balanced"])
     args = parser.parse_args()
@@ -148,6 +176,8 @@ def main():
         sys.exit(f"{args.shared}/data is missing: the benchmarks need the real captures")
     if "poses" in args.tables:
         bench_poses(args.binary, args.shared, args.out, args.only, args.colmap)
+    if "variants" in args.tables:
+        bench_variants(args.binary, args.shared, args.out, args.only)
     if "splats" in args.tables:
         bench_splats(args.binary, args.shared, args.out, args.only, args.quality)
 

@@ -16,6 +16,9 @@ struct Cli {
     /// Worker threads.
     #[arg(long)]
     threads: Option<usize>,
+    /// Prints the verified pairs.
+    #[arg(long)]
+    pairs: bool,
     #[command(flatten)]
     sfm: sfm::SfmConfig,
 }
@@ -49,6 +52,13 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     }
     for (name, why) in result.missing.iter().chain(&result.weak_images) {
         println!("{name}: {why}");
+    }
+    if cli.pairs {
+        let name = |i: usize| frames.frames[i].name.as_str();
+        for g in &result.geometries {
+            let angle = g.median_angle.to_degrees();
+            println!("{} {} {:?} {} matches, {angle:.1} deg", name(g.a), name(g.b), g.kind, g.inliers.len());
+        }
     }
     let Some(model) = &result.reconstruction else {
         println!("no model: {}", result.reason);

@@ -8,13 +8,23 @@ mod turn;
 use crate::incremental::finish::{decide, polish, uncertainty};
 use crate::incremental::folds;
 use crate::incremental::state::{Input, State};
-use crate::tracks::{build_tracks, positions};
+use crate::tracks::{Tracks, build_tracks, positions};
 use crate::{
     Decision, SfmConfig, SfmError, SfmResult, Uncertainty, incremental, matching, pairs, sift, two_view,
 };
 use clock::Clock;
-use scene::{Features, FrameSet, Progress, TwoViewGeometry};
+use scene::{Camera, Features, FrameSet, Progress, TwoViewGeometry};
 use setup::Setup;
+use std::collections::BTreeSet;
+
+/// Other images that hold an image firmly, and the matches each must share with it. What is held by less gains by
+/// matches along its epipolar lines; what is held by more loses, for those are less exact.
+const TIES: usize = 2;
+const STRONG_TIE: usize = 300;
+
+/// Images up to which pairs are looked at a second time where some image found no pose, and how often.
+const SECOND_LOOK_UP_TO: usize = 200;
+const SECOND_LOOKS: usize = 2;
 
 /// Camera poses, intrinsics and a sparse cloud from images alone.
 ///
@@ -49,12 +59,23 @@ pub fn reconstruct(
         progress,
     )?;
     clock.lap("verification", &mut result.stats.steps);
+    let loose = weakly_tied(frames.len(), &result.geometries);
+    result.geometries = two_view::match_along_lines(
+        &result.features,
+        &result.initial_cameras,
+        std::mem::take(&mut result.geometries),
+        (&config.matching, &config.two_view),
+        |g| loose[g.a] || loose[g.b],
+        config.seed,
+        progress,
+    )?;
+    clock.lap("guided matching", &mut result.stats.steps);
     result.stats.features = result.features.iter().map(Features::len).sum();
     result.stats.pairs_verified = result.geometries.len();
     result.decisions.push(pairs_decision(pairs.len(), frames.len(), &result.geometries));
     let mut lap = |step: &str| clock.lap(step, &mut result.stats.steps);
     let given = Given { config, setup: &setup, is_video: frames.is_video, features: &result.features };
-    let model = solve(&given, &result.geometries, &mut lap, progress)?;
+    let model = solve(&given, &mut result.geometries, &mut lap, progress)?;
     match model {
         Some(model) => export::fill(&mut result, frames, model, progress)?,
         None => result.reason = why_no_model(&result.features, &result.geometries),
@@ -82,42 +103,102 @@ struct Given<'a> {
     features: &'a [Features],
 }
 
-/// `lap` is told the name of each step when it is done.
+impl<'a> Given<'a> {
+    fn input(
+        &self,
+        keypoints: &'a [Vec<glam::DVec2>],
+        tracks: &'a Tracks,
+        geometries: &'a [TwoViewGeometry],
+    ) -> Input<'a> {
+        Input {
+            keypoints,
+            tracks,
+            camera_of: &self.setup.camera_of,
+            geometries,
+            config: &self.config.mapper,
+            may_be_turned: !self.is_video,
+            seed: self.config.seed,
+        }
+    }
+}
+
+/// A model that has grown, with what it has grown from.
+fn grown(
+    given: &Given<'_>,
+    keypoints: &[Vec<glam::DVec2>],
+    geometries: &[TwoViewGeometry],
+    progress: &Progress,
+) -> Result<Option<(State, Tracks)>, SfmError> {
+    let tracks = build_tracks(given.features, geometries);
+    let state = incremental::map(
+        &given.input(keypoints, &tracks, geometries),
+        &given.setup.cameras,
+        &given.setup.known,
+        progress,
+    )?;
+    Ok(state.map(|state| (state, tracks)))
+}
+
+/// Pairs that did not pass are looked at again with the solved intrinsics. The model that grows from all pairs then,
+/// where it is no smaller; `None` where no pair passes.
+fn second_attempt(
+    given: &Given<'_>,
+    keypoints: &[Vec<glam::DVec2>],
+    geometries: &mut Vec<TwoViewGeometry>,
+    first: &State,
+    progress: &Progress,
+) -> Result<Option<(State, Tracks)>, SfmError> {
+    let Given { config, setup, features, .. } = *given;
+    let images = features.len();
+    let passed: BTreeSet<(usize, usize)> = geometries.iter().map(|g| (g.a, g.b)).collect();
+    let all = (0..images).flat_map(|a| (a + 1..images).map(move |b| (a, b)));
+    let pairs: Vec<(usize, usize)> = all.filter(|p| !passed.contains(p)).collect();
+    let cameras: Vec<Camera> = setup.camera_of.iter().map(|&c| first.cameras[c].clone()).collect();
+    let wide = two_view::second_look(features, &cameras, &pairs, &config.matching, config.seed, progress)?;
+    if wide.is_empty() {
+        return Ok(None);
+    }
+    let configs = (&config.matching, &config.two_view);
+    let wide =
+        two_view::match_along_lines(features, &cameras, wide, configs, |_| true, config.seed, progress)?;
+    let mut more = geometries.clone();
+    more.extend(wide);
+    more.sort_by_key(|g| (g.a, g.b));
+    let second = grown(given, keypoints, &more, progress)?;
+    let larger = second.filter(|(state, _)| state.registered() >= first.registered());
+    if larger.is_some() {
+        *geometries = more;
+    }
+    Ok(larger)
+}
+
+/// `lap` is told the name of each step when it is done; pairs that were found on the way are added to `geometries`.
 fn solve(
     given: &Given<'_>,
-    geometries: &[TwoViewGeometry],
+    geometries: &mut Vec<TwoViewGeometry>,
     lap: &mut dyn FnMut(&str),
     progress: &Progress,
 ) -> Result<Option<Solved>, SfmError> {
-    let Given { config, setup, is_video, features } = *given;
+    let Given { config, setup, features, .. } = *given;
     progress.begin("mapping", features.len());
     let keypoints: Vec<_> = features.iter().map(positions).collect();
-    let tracks = build_tracks(features, geometries);
-    let mut input = Input {
-        keypoints: &keypoints,
-        tracks: &tracks,
-        camera_of: &setup.camera_of,
-        geometries,
-        config: &config.mapper,
-        may_be_turned: !is_video,
-        seed: config.seed,
-    };
-    let mapped = incremental::map(&input, &setup.cameras, &setup.known, progress)?;
+    let mapped = grown(given, &keypoints, geometries, progress)?;
     lap("mapping");
-    let Some(mut state) = mapped else { return Ok(None) };
+    let Some((mut state, mut tracks)) = mapped else { return Ok(None) };
     let mut decisions = Vec::new();
-    let (kept, kept_tracks);
-    if let Some(plausible) = folds::unfolded(&state, &input, is_video) {
-        kept = plausible.iter().map(|&i| geometries[i].clone()).collect::<Vec<_>>();
-        kept_tracks = build_tracks(features, &kept);
-        let whole = Input { tracks: &kept_tracks, geometries: &kept, ..input };
-        let second = incremental::map(&whole, &setup.cameras, &setup.known, progress)?;
-        if let Some(second) = second.filter(|s| folds::better(s, &state, &input, is_video)) {
-            decisions.push(folds::decision(&second, &state, &input, kept.len(), is_video));
-            (state, input) = (second, whole);
-        }
+    if let Some((unfolded, decision)) = unfold(given, &keypoints, geometries, (&state, &tracks), progress)? {
+        (state, tracks) = unfolded;
+        decisions.push(decision);
     }
     lap("repeated structure");
+    if state.registered() < features.len() && features.len() <= SECOND_LOOK_UP_TO {
+        for _ in 0..SECOND_LOOKS {
+            let Some(next) = second_attempt(given, &keypoints, geometries, &state, progress)? else { break };
+            (state, tracks) = next;
+        }
+    }
+    lap("second attempt");
+    let mut input = given.input(&keypoints, &tracks, geometries);
     let starts = incremental::starts_of(&setup.cameras, &setup.known, &state);
     let named = config.camera_model.model();
     let verdict = decide(&state, &input, &setup.known, &starts, named, progress)?;
@@ -135,6 +216,37 @@ fn solve(
     let mut solved = Solved { state, camera_of: setup.camera_of.clone(), keypoints, decisions, uncertainty };
     turn::back(&mut solved, &turned);
     Ok(Some(solved))
+}
+
+/// Images that fewer than [`TIES`] others share [`STRONG_TIE`] matches with.
+fn weakly_tied(images: usize, geometries: &[TwoViewGeometry]) -> Vec<bool> {
+    let mut ties = vec![0; images];
+    for g in geometries.iter().filter(|g| g.inliers.len() >= STRONG_TIE) {
+        ties[g.a] += 1;
+        ties[g.b] += 1;
+    }
+    ties.into_iter().map(|n| n < TIES).collect()
+}
+
+/// Where repeated structure has folded the model: the model without the pairs that cannot be true, and what was
+/// found. Those pairs are taken out of `geometries`.
+fn unfold(
+    given: &Given<'_>,
+    keypoints: &[Vec<glam::DVec2>],
+    geometries: &mut Vec<TwoViewGeometry>,
+    (state, tracks): (&State, &Tracks),
+    progress: &Progress,
+) -> Result<Option<((State, Tracks), Decision)>, SfmError> {
+    let input = given.input(keypoints, tracks, geometries);
+    let Some(plausible) = folds::unfolded(state, &input, given.is_video) else { return Ok(None) };
+    let kept: Vec<TwoViewGeometry> = plausible.iter().map(|&i| geometries[i].clone()).collect();
+    let Some(second) = grown(given, keypoints, &kept, progress)? else { return Ok(None) };
+    if !folds::better(&second.0, state, &input, given.is_video) {
+        return Ok(None);
+    }
+    let decision = folds::decision(&second.0, state, &input, kept.len(), given.is_video);
+    *geometries = kept;
+    Ok(Some((second, decision)))
 }
 
 fn pairs_decision(pairs: usize, images: usize, geometries: &[TwoViewGeometry]) -> Decision {

@@ -18,6 +18,8 @@ const DETERMINED_POINT: f64 = 0.01;
 /// A decrease of BIC that needs no significant held-out gain beside it; neighbouring residuals are not independent, so
 /// the textbook's 10 would be far too little.
 const CLEAR_BIC: f64 = 150.0;
+/// The same for images that were turned, which are only suspected on clear evidence from more sightings.
+const TURNED_BIC: f64 = 50.0;
 /// Residuals beyond so many standard deviations count as this much.
 const TRUNCATION: f64 = 4.0;
 
@@ -80,8 +82,6 @@ struct Trial {
     by_pose: Vec<(f64, usize)>,
     /// Root mean square of the held-out error, pixels.
     held_out_px: f64,
-    determined: bool,
-    note: String,
 }
 
 /// The chosen camera model and how well it does.
@@ -97,16 +97,17 @@ pub struct Choice {
     pub decision: Decision,
 }
 
-/// Chooses for all cameras of `problem` that are not `fixed`. `named`: the user's model, which stays. `sigma`: noise of
-/// the sightings, pixels. The problem's points and poses are those of a finished adjustment; nothing in it is changed.
+/// Chooses for all cameras of `problem` that are not `fixed`. `named`: the user's model, which stays. `principal_point`: that
+/// it is free already. `sigma`: noise of the sightings, pixels. The problem's points and poses are those of a finished adjustment; nothing in it is changed.
 pub fn choose(
     problem: &BundleProblem,
     fixed: &[bool],
     named: Option<CameraModel>,
+    principal_point: bool,
     sigma: f64,
     progress: &Progress,
 ) -> Result<Choice, SfmError> {
-    let start = Intrinsics { model: named.unwrap_or(CameraModel::SimpleRadial), principal_point: false };
+    let start = Intrinsics { model: named.unwrap_or(CameraModel::SimpleRadial), principal_point };
     let mut decision = Decision {
         what: "camera model".to_owned(),
         chosen: start.describe(),
@@ -124,10 +125,10 @@ pub fn choose(
         let simpler = parameters(intrinsics) < parameters(best.intrinsics);
         let (gain, error) = gain(&best.by_pose, &trial.by_pose);
         let better = if simpler {
-            gain > -error && trial.bic < best.bic + 10.0
+            gain > error && trial.bic < best.bic
         } else {
             let clear = trial.bic < best.bic - CLEAR_BIC || (gain > 2.0 * error && trial.bic < best.bic);
-            gain > 0.0 && clear && trial.determined
+            gain > 0.0 && clear && context.determined(&trial)?
         };
         lines.push(format!(
             "{} (gain {gain:.4} ± {error:.4}){}",
@@ -139,9 +140,13 @@ pub fn choose(
         }
         Ok(better)
     };
-    consider(Intrinsics { principal_point: true, ..best.intrinsics }, &mut best)?;
+    let with = |best: &Trial, model| Intrinsics { model, ..best.intrinsics };
+    let freed = |best: &Trial| Intrinsics { principal_point: true, ..best.intrinsics };
+    if !start.principal_point {
+        consider(freed(&best), &mut best)?;
+    }
     if named.is_none() {
-        let with = |best: &Trial, model| Intrinsics { model, ..best.intrinsics };
+        let doubted = best.intrinsics;
         if !consider(with(&best, CameraModel::SimplePinhole), &mut best)?
             && consider(with(&best, CameraModel::Radial), &mut best)?
         {
@@ -149,8 +154,9 @@ pub fn choose(
         } else if best.intrinsics.model == CameraModel::SimplePinhole {
             consider(with(&best, CameraModel::Pinhole), &mut best)?;
         }
-        if !best.intrinsics.principal_point {
-            consider(Intrinsics { principal_point: true, ..best.intrinsics }, &mut best)?;
+        // With another model the principal point is another question.
+        if !best.intrinsics.principal_point && best.intrinsics != doubted {
+            consider(freed(&best), &mut best)?;
         }
     }
     decision.chosen = best.intrinsics.describe();
@@ -158,27 +164,37 @@ pub fn choose(
     Ok(Choice { intrinsics: best.intrinsics, bic: best.bic, by_pose: best.by_pose, decision })
 }
 
-/// The choice with some images turned (see [`crate::turned`]) where the evidence is clear: a free principal point that
-/// predicts better than the untouched images' best model and pays for itself and for one bit an image.
+/// Which of several ways to turn images (see [`crate::turned`]) the sightings support, with the choice that goes with it:
+/// a free principal point that predicts better than the untouched images' best model and pays for itself and for one
+/// bit an image. `None` where the evidence is not clear. The text says what was found.
 pub fn choose_turned(
     untouched: &Choice,
-    problem: &BundleProblem,
+    ways: &[BundleProblem],
     fixed: &[bool],
     named: Option<CameraModel>,
     sigma: f64,
     progress: &Progress,
-) -> Result<(Option<Choice>, String), SfmError> {
-    let choice = choose(problem, fixed, named, sigma, progress)?;
-    let bits = 2.0 * std::f64::consts::LN_2 * problem.poses.len() as f64;
+) -> Result<(Option<(usize, Choice)>, String), SfmError> {
+    let free = Intrinsics { principal_point: true, ..untouched.intrinsics };
+    let mut least: Option<(f64, usize)> = None;
+    for (way, problem) in ways.iter().enumerate() {
+        let (training, held_out) = split(problem);
+        let bic = Context { training, held_out, sigma, fixed, progress }.trial(problem, free)?.bic;
+        if least.is_none_or(|(b, _)| bic < b) {
+            least = Some((bic, way));
+        }
+    }
+    let Some((_, way)) = least else { return Ok((None, "no way to turn them".to_owned())) };
+    let choice = choose(&ways[way], fixed, named, true, sigma, progress)?;
+    let bits = 2.0 * std::f64::consts::LN_2 * ways[way].poses.len() as f64;
     let (gain, error) = gain(&untouched.by_pose, &choice.by_pose);
     let evidence = format!(
         "BIC {:.0} against {:.0} as they are, held-out gain {gain:.4} ± {error:.4}",
         choice.bic + bits,
         untouched.bic
     );
-    let better =
-        choice.intrinsics.principal_point && choice.bic + bits < untouched.bic - CLEAR_BIC && gain > error;
-    Ok((better.then_some(choice), evidence))
+    let better = choice.bic + bits < untouched.bic - TURNED_BIC && gain > -error;
+    Ok((better.then_some((way, choice)), evidence))
 }
 
 fn parameters(intrinsics: Intrinsics) -> usize {
@@ -199,18 +215,11 @@ impl Context<'_> {
         problem.observations.clone_from(&self.training);
         problem.observations.iter_mut().for_each(|o| o.sigma_px = self.sigma);
         apply(&mut problem, intrinsics, self.fixed);
-        let options = SolveOptions {
-            loss: Loss::Cauchy(2.0),
-            max_iterations: 25,
-            function_tolerance: 1e-6,
-            ..SolveOptions::default()
-        };
-        let summary = problem.solve(&options, self.progress)?;
+        let summary = problem.solve(&options(), self.progress)?;
         let n = problem.observations.len() as f64;
         let cameras = self.fixed.iter().filter(|&&f| !f).count();
         // `final_rms² n` is twice the robust cost, which stands for −2 log likelihood.
         let bic = summary.final_rms.powi(2) * n + (parameters(intrinsics) * cameras) as f64 * (2.0 * n).ln();
-        let (determined, note) = self.determined(&problem, &options, intrinsics)?;
         let errors: Vec<(u32, f64)> =
             self.held_out.iter().map(|o| (o.pose, error_sq(&problem, o) / self.sigma.powi(2))).collect();
         let mut sums = vec![(0.0, 0usize); problem.poses.len()];
@@ -221,50 +230,44 @@ impl Context<'_> {
         let all: f64 = sums.iter().map(|s| s.0).sum::<f64>() / errors.len().max(1) as f64;
         let held_out_px = all.sqrt() * self.sigma;
         let bic = if summary.usable { bic } else { f64::INFINITY };
-        Ok(Trial { intrinsics, problem, bic, by_pose: sums, held_out_px, determined, note })
+        Ok(Trial { intrinsics, problem, bic, by_pose: sums, held_out_px })
     }
 
     /// Whether the normal equations pin down what was freed.
-    fn determined(
-        &self,
-        problem: &BundleProblem,
-        options: &SolveOptions,
-        intrinsics: Intrinsics,
-    ) -> Result<(bool, String), SfmError> {
-        let Some(covariance) = problem.covariance(options)? else {
-            return Ok((false, "undetermined".to_owned()));
-        };
-        let (mut determined, mut note) = (true, String::new());
-        for ((camera, c), fixed) in problem.cameras.iter().zip(&covariance.cameras).zip(self.fixed) {
-            if *fixed {
-                continue;
-            }
+    fn determined(&self, trial: &Trial) -> Result<bool, SfmError> {
+        let Some(covariance) = trial.problem.covariance(&options())? else { return Ok(false) };
+        let free = trial.problem.cameras.iter().zip(&covariance.cameras).zip(self.fixed);
+        Ok(free.filter(|(_, fixed)| !**fixed).all(|((camera, c), _)| {
             let n = camera.params.len();
             let deviation = |i: usize| c[i * n + i].max(0.0).sqrt();
             let focals = camera.model.num_focals();
             let focal = (0..focals).map(|i| deviation(i) / camera.params[i].abs()).fold(0.0, f64::max);
             let point =
                 deviation(focals).max(deviation(focals + 1)) / f64::from(camera.width.max(camera.height));
-            determined &=
-                focal < DETERMINED_FOCAL && (!intrinsics.principal_point || point < DETERMINED_POINT);
-            if note.is_empty() {
-                let shown: Vec<String> =
-                    (0..n).map(|i| format!("{:.4}±{:.4}", camera.params[i], deviation(i))).collect();
-                note = shown.join(" ");
-            }
-        }
-        Ok((determined, note))
+            focal < DETERMINED_FOCAL && (!trial.intrinsics.principal_point || point < DETERMINED_POINT)
+        }))
+    }
+}
+
+fn options() -> SolveOptions {
+    SolveOptions {
+        loss: Loss::Cauchy(2.0),
+        max_iterations: 25,
+        function_tolerance: 2e-5,
+        ..SolveOptions::default()
     }
 }
 
 impl Trial {
     fn line(&self) -> String {
+        let params = self.problem.cameras.first().map_or(&[][..], |c| &c.params);
+        let shown: Vec<String> = params.iter().map(|p| format!("{p:.4}")).collect();
         format!(
             "{}: held out {:.4} px, BIC {:.0}, {}",
             self.intrinsics.describe(),
             self.held_out_px,
             self.bic,
-            self.note
+            shown.join(" ")
         )
     }
 }

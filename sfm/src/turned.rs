@@ -18,7 +18,9 @@ const MOST_IMAGES: usize = 300;
 const GAIN_PER_IMAGE: f64 = 4.0;
 const GAIN: f64 = 100.0;
 /// Share of what principal points for all images would gain that two groups must gain.
-const EXPLAINED: f64 = 0.7;
+const EXPLAINED: f64 = 0.6;
+/// Ways to split the images that are handed on: on a ring with gaps several are nearly as good.
+const MOST_SPLITS: usize = 4;
 /// Directions along which the principal points are split at first.
 const DIRECTIONS: usize = 8;
 
@@ -80,17 +82,17 @@ pub fn turn_problem(problem: &BundleProblem, turned: &[bool]) -> BundleProblem {
     result
 }
 
-/// Which poses of an adjusted problem are likely those of images that were turned; `None` where one principal point a
-/// camera does as well. The larger group of a camera counts as not turned.
+/// Which poses of an adjusted problem may be those of images that were turned: some assignments, the likeliest first;
+/// none where one principal point a camera does as well. The larger group of a camera counts as not turned.
 ///
 /// Every image gets a principal point `c + δᵢ` of its own. Their joint information, after poses and points are
-/// eliminated, says what any assignment of signs `δᵢ = ±d` costs; the best one is found by local search.
-pub fn suspect(
+/// eliminated, says what any assignment of signs `δᵢ = ±d` costs; good ones are found by local search.
+pub fn suspects(
     problem: &BundleProblem,
     fixed: &[bool],
     progress: &Progress,
-) -> Result<Option<Vec<bool>>, SfmError> {
-    let mut turned = vec![false; problem.poses.len()];
+) -> Result<Vec<Vec<bool>>, SfmError> {
+    let mut found: Vec<Vec<bool>> = Vec::new();
     for (camera, held) in fixed.iter().enumerate() {
         let of_camera = |&p: &usize| problem.pose_camera[p] as usize == camera;
         let poses: Vec<usize> = (0..problem.poses.len()).filter(of_camera).collect();
@@ -98,11 +100,17 @@ pub fn suspect(
             continue;
         }
         let Some(quadratic) = Quadratic::measure(problem, camera, &poses, progress)? else { continue };
-        for (&pose, negative) in poses.iter().zip(quadratic.split()) {
-            turned[pose] = negative;
+        let splits = quadratic.splits();
+        // The best of this camera go with the best of the others.
+        let none = vec![false; problem.poses.len()];
+        found.resize(found.len().max(splits.len()), found.first().cloned().unwrap_or(none));
+        for (k, turned) in found.iter_mut().enumerate() {
+            if let Some(split) = splits.get(k).or(splits.first()) {
+                poses.iter().zip(split).for_each(|(&pose, &t)| turned[pose] = t);
+            }
         }
     }
-    Ok(turned.contains(&true).then_some(turned))
+    Ok(found)
 }
 
 /// Twice the negative log likelihood of offsets `δ` of the images' principal points, up to a constant:
@@ -199,26 +207,50 @@ impl Quadratic {
         (h, g)
     }
 
-    /// Flips single images while that raises the gain; the gain reached.
-    fn climb(&self, signs: &mut [f64]) -> f64 {
+    /// For each image all images by how strongly their offsets are tied to its own, itself first.
+    fn neighbours(&self) -> Vec<Vec<usize>> {
+        let strength = |i: usize| self.block(i, i)[0] + self.block(i, i)[2];
+        let of = |i: usize| {
+            let tie = |k: usize| {
+                let [xx, xy, yy] = self.block(i, k);
+                (xx.abs() + 2.0 * xy.abs() + yy.abs()) / strength(k).max(f64::MIN_POSITIVE).sqrt()
+            };
+            let mut others: Vec<(f64, usize)> = (0..self.len()).map(|k| (tie(k), k)).collect();
+            others.sort_by(|a, b| (b.1 == i).cmp(&(a.1 == i)).then(b.0.total_cmp(&a.0)).then(a.1.cmp(&b.1)));
+            others.into_iter().map(|(_, k)| k).collect()
+        };
+        (0..self.len()).map(of).collect()
+    }
+
+    /// Flips images, alone and with their neighbours, while that raises the gain; the gain reached.
+    fn climb(&self, signs: &mut [f64], neighbours: &[Vec<usize>]) -> f64 {
+        let n = signs.len();
         let (mut h, mut g) = self.sums(signs);
         let mut best = self.gain(h, g);
         loop {
             let mut improved = false;
-            for i in 0..signs.len() {
-                // Row i of Σ sᵢ sₖ Hᵢₖ without the diagonal changes its sign, on both sides of the diagonal.
-                let mut row = [0.0; 3];
-                for (k, s) in signs.iter().enumerate().filter(|(k, _)| *k != i) {
-                    let block = self.block(i, k);
-                    (0..3).for_each(|c| row[c] += signs[i] * s * block[c]);
+            for of_image in neighbours {
+                // The sums after the first 1, 2, 3 … of them are flipped, one after the other.
+                let (mut flipped, mut h_now, mut g_now) = (signs.to_vec(), h, g);
+                let mut found = None;
+                for (count, &i) in of_image.iter().take(n.div_ceil(2)).enumerate() {
+                    let mut row = [0.0; 3];
+                    for (k, s) in flipped.iter().enumerate().filter(|(k, _)| *k != i) {
+                        let block = self.block(i, k);
+                        (0..3).for_each(|c| row[c] += flipped[i] * s * block[c]);
+                    }
+                    // Row i of Σ sᵢ sₖ Hᵢₖ without the diagonal changes its sign, on both sides of the diagonal.
+                    (0..3).for_each(|c| h_now[c] -= 4.0 * row[c]);
+                    g_now -= 2.0 * flipped[i] * DVec2::new(self.gradient[2 * i], self.gradient[2 * i + 1]);
+                    flipped[i] = -flipped[i];
+                    let gain = self.gain(h_now, g_now);
+                    if gain > best * (1.0 + 1e-9) + 1e-9 {
+                        (best, found) = (gain, Some((count, h_now, g_now)));
+                    }
                 }
-                let flipped: [f64; 3] = std::array::from_fn(|c| h[c] - 4.0 * row[c]);
-                let slope = DVec2::new(self.gradient[2 * i], self.gradient[2 * i + 1]);
-                let g_flipped = g - 2.0 * signs[i] * slope;
-                let gain = self.gain(flipped, g_flipped);
-                if gain > best * (1.0 + 1e-9) + 1e-9 {
-                    (h, g, best) = (flipped, g_flipped, gain);
-                    signs[i] = -signs[i];
+                if let Some((count, h_found, g_found)) = found {
+                    of_image[..=count].iter().for_each(|&i| signs[i] = -signs[i]);
+                    (h, g) = (h_found, g_found);
                     improved = true;
                 }
             }
@@ -228,13 +260,14 @@ impl Quadratic {
         }
     }
 
-    /// For each image whether it belongs to the smaller of two groups; none does where one group does as well.
-    fn split(&self) -> Vec<bool> {
+    /// For each image whether it belongs to the smaller of two groups: the best ways to split them, best first; none
+    /// where one group does as well.
+    fn splits(&self) -> Vec<Vec<bool>> {
         let n = self.len();
-        let together = vec![1.0; n];
-        let (h, g) = self.sums(&together);
+        let (h, g) = self.sums(&vec![1.0; n]);
         let alone = self.gain(h, g);
-        let mut best = (alone, together);
+        let neighbours = self.neighbours();
+        let mut found: Vec<(f64, Vec<bool>)> = Vec::new();
         for direction in 0..DIRECTIONS {
             let u = DVec2::from_angle(std::f64::consts::PI * direction as f64 / DIRECTIONS as f64);
             let along: Vec<f64> = self.offsets.iter().map(|d| d.dot(u)).collect();
@@ -243,22 +276,22 @@ impl Quadratic {
             for middle in [0.0, sorted[n / 4], sorted[n / 2], sorted[3 * n / 4]] {
                 let mut signs: Vec<f64> =
                     along.iter().map(|a| if *a >= middle { 1.0 } else { -1.0 }).collect();
-                let gain = self.climb(&mut signs);
-                if gain > best.0 {
-                    best = (gain, signs);
-                }
+                let gain = self.climb(&mut signs, &neighbours);
+                let negative = signs.iter().filter(|s| **s < 0.0).count();
+                // Of two groups of a size the one without the first image is the smaller.
+                let smaller =
+                    if 2 * negative < n || (2 * negative == n && signs[0] > 0.0) { -1.0 } else { 1.0 };
+                found.push((gain, signs.iter().map(|s| *s == smaller).collect()));
             }
         }
-        let negative = best.1.iter().filter(|s| **s < 0.0).count();
+        found.sort_by(|a, b| b.0.total_cmp(&a.0).then_with(|| a.1.cmp(&b.1)));
+        found.dedup_by(|a, b| a.1 == b.1);
         // What a principal point for every image would gain: if two groups are the truth, they gain most of it.
         let flat = self.offsets.iter().flat_map(|d| d.to_array());
         let each: f64 = flat.zip(&self.gradient).map(|(d, g)| d * g).sum();
-        let gain = best.0 - alone;
-        if gain < GAIN + GAIN_PER_IMAGE * n as f64 || gain < EXPLAINED * (each - alone) {
-            return vec![false; n];
-        }
-        let minority = if 2 * negative <= n { -1.0 } else { 1.0 };
-        best.1.iter().map(|s| *s == minority).collect()
+        let least = (GAIN + GAIN_PER_IMAGE * n as f64).max(EXPLAINED * (each - alone));
+        found.retain(|(gain, split)| gain - alone >= least && split.contains(&true));
+        found.into_iter().take(MOST_SPLITS).map(|(_, split)| split).collect()
     }
 }
 

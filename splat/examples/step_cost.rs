@@ -45,8 +45,10 @@ fn main() -> Result<()> {
         Some(cli.dataset.join("images")).filter(|p| p.is_dir() && cli.dataset.join("sparse").is_dir());
     let images = images.unwrap_or(cli.dataset.clone());
     let dataset = Dataset::load(&images, None, &model, &DatasetConfig::default(), &Progress::silent())?;
-    let config =
+    let mut config =
         TrainConfig { iterations: cli.warm_up, max_gaussians: cli.gaussians, ..TrainConfig::default() };
+    config.recipe.prune_redundant = false;
+    config.recipe.prune_redundant = false;
     let result = train(&dataset, &config, None, &Progress::silent())?;
     let normalised = Model::from_gaussians(&dataset.normalisation.to_normalised(result.gaussians.clone()));
     println!(

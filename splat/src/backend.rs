@@ -159,6 +159,28 @@ pub trait Backend {
     ) -> Result<f64, SplatError>;
     /// Whether the statistics sum |dL/dxy| over pixels (AbsGS) instead of taking the norm of the sum.
     fn set_magnitudes(&mut self, on: bool) -> Result<(), SplatError>;
+    /// The gain of the view to come: its photo shows the scene times this, so that targets are divided by it.
+    fn set_gain(&mut self, gain: Option<[f32; 3]>);
+    /// Sums over the pixels that count, by channel: Σ r t, Σ r², Σ t² of the rendering r and the photo t (no gain).
+    fn products(
+        &mut self,
+        view: &PinholeView,
+        target: &Target,
+        options: &RenderOptions,
+    ) -> Result<[[f64; 3]; 3], SplatError> {
+        let rgb = self.render(view, options)?.rgb;
+        let mut sums = [[0.0; 3]; 3];
+        for (i, &r) in rgb.data.iter().enumerate() {
+            let m = target.mask.map_or(1.0, |m| f64::from(m[i / 3]) / 255.0);
+            let (r, photo) = (f64::from(r), f64::from(target.rgb[i]) / 255.0);
+            let behind = f64::from(options.background[i % 3]);
+            let (w, t) = if target.transparent { (1.0, behind + m * (photo - behind)) } else { (m, photo) };
+            for (sum, product) in sums.iter_mut().zip([r * t, r * r, t * t]) {
+                sum[i % 3] += w * product;
+            }
+        }
+        Ok(sums)
+    }
     /// Time by kernel.
     fn times(&self) -> KernelTimes;
 }

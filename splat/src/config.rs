@@ -75,9 +75,9 @@ pub struct TrainConfig {
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub enum Selection {
     /// Norm of the mean screen gradient (Kerbl et al. 2023)
-    #[default]
     Gradient,
     /// The same of its absolute values over the pixels, which do not cancel (Ye et al., AbsGS, 2024)
+    #[default]
     AbsoluteGradient,
     /// Drawn in proportion to opacity; two of them look as the one did (Kheradmand et al., 3DGS as MCMC, 2024)
     Opacity,
@@ -93,6 +93,8 @@ pub struct Recipe {
     pub remove_unseen: bool,
     /// Where Gaussians are added.
     pub selection: Selection,
+    /// Gaussians at the end of growth for each step of the schedule.
+    pub gaussians_a_step: f64,
     /// Position in the schedule from which training runs at full resolution.
     pub full_resolution_from: f64,
     /// The same for half the resolution.
@@ -101,6 +103,8 @@ pub struct Recipe {
     pub densify_until: f64,
     /// Spherical-harmonic degree and number of Gaussians grow only while a validation split gains by it.
     pub evidence: bool,
+    /// Gains by view and channel are modelled where they explain enough of the residuals.
+    pub exposure: bool,
     /// Gaussians that the pictures do not miss are removed near the end.
     pub prune_redundant: bool,
     /// --time-limit counts CPU time of the process instead of wall time: for comparisons on a busy machine (Linux).
@@ -112,11 +116,13 @@ impl Default for Recipe {
         Self {
             planned_growth: true,
             remove_unseen: true,
-            selection: Selection::Gradient,
-            full_resolution_from: 0.5,
-            half_resolution_from: 0.15,
+            selection: Selection::AbsoluteGradient,
+            gaussians_a_step: 50.0,
+            full_resolution_from: 0.6,
+            half_resolution_from: 0.2,
             densify_until: 0.7,
             evidence: true,
+            exposure: true,
             prune_redundant: true,
             cpu_time: false,
         }

@@ -148,3 +148,44 @@ pub fn prune_unseen(model: &mut Model, views: &[PinholeView]) -> usize {
     }
     0
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use glam::Mat3;
+    use scene::Gaussians;
+
+    #[test]
+    fn what_hangs_before_one_camera_is_removed_and_what_all_see_stays() {
+        // Cameras on a ring look down on the origin from distance 1.
+        let view = |k: usize| {
+            let (s, c) = (k as f32 / 40.0 * std::f32::consts::TAU).sin_cos();
+            let eye = Vec3::new(c, s, 1.0).normalize();
+            let (z, x) = (-eye, Vec3::new(-s, c, 0.0));
+            let rotation = Mat3::from_cols(x, z.cross(x), z).transpose();
+            let translation = -(rotation * eye);
+            PinholeView {
+                rotation,
+                translation,
+                focal: [60.0; 2],
+                centre: [24.0, 20.0],
+                width: 48,
+                height: 40,
+            }
+        };
+        let views: Vec<_> = (0..40).map(view).collect();
+        let means = vec![Vec3::ZERO, views[3].position() * 0.97, Vec3::new(0.1, -0.1, 0.05)];
+        let n = means.len();
+        let mut model = Model::from_gaussians(&Gaussians {
+            means,
+            log_scales: vec![Vec3::splat(-4.0); n],
+            rotations: vec![Quat::IDENTITY; n],
+            opacity_logits: vec![0.0; n],
+            sh: vec![0.0; 3 * n],
+            sh_degree: 0,
+        });
+        assert_eq!(prune_unseen(&mut model, &views), 1);
+        assert_eq!((model.len, model.mean(0), model.mean(1)), (2, Vec3::ZERO, Vec3::new(0.1, -0.1, 0.05)));
+        assert_eq!(prune_unseen(&mut model, &views[..3]), 0, "too few views to tell");
+    }
+}

@@ -22,12 +22,9 @@ pub fn level(position: f64, levels: u32, recipe: &Recipe) -> u32 {
     levels - passed
 }
 
-/// Gaussians at the end of growth for each step of the schedule, [`gaussians_at_end`].
-const GAUSSIANS_A_STEP: f64 = 50.0;
-
 /// How many Gaussians a schedule of `steps` steps grows to from `first`: more steps can settle more Gaussians.
 pub fn gaussians_at_end(first: usize, steps: f64, config: &TrainConfig) -> usize {
-    ((steps * GAUSSIANS_A_STEP) as usize).min(config.max_gaussians).max(first)
+    ((steps * config.recipe.gaussians_a_step) as usize).min(config.max_gaussians).max(first)
 }
 
 /// Gaussians wanted at a position: from `first` evenly to `last` at the end of densification.

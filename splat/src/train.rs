@@ -1,6 +1,7 @@
 //! The training loop.
 
 mod decide;
+mod exposure;
 
 pub use decide::Findings;
 
@@ -215,9 +216,11 @@ impl<'a> Trainer<'a> {
         if self.backend.sh_degree() < degree {
             self.backend.edit(&mut |model, _| model.set_sh_degree(degree))?;
         }
-        let view = &self.dataset.views[self.view_of_step()];
+        let chosen = self.view_of_step();
+        let view = &self.dataset.views[chosen];
         let level = self.level().min(view.levels.len() as u32 - 1);
         let (camera, pixels) = (view.view.at_level(level), &view.levels[level as usize]);
+        self.backend.set_gain(self.gain(chosen));
         let output = self.backend.step(&StepInput {
             view: &camera,
             target: Target {

@@ -10,7 +10,7 @@ pub const SMALL: [&str; 8] =
     ["--frames", "36", "--max-size", "320", "--iterations", "600", "--max-gaussians", "20000"];
 
 /// One run that several tests look at.
-fn finished_run() -> &'static Path {
+pub fn finished_run() -> &'static Path {
     static RUN: OnceLock<std::path::PathBuf> = OnceLock::new();
     RUN.get_or_init(|| {
         let out = folder("end_to_end").join("out");

@@ -23,8 +23,29 @@ fn temple_ring_is_one_model_with_accurate_poses() {
     };
     let errors = errors(&poses("temple", &images, &[], 0), &truth);
     assert_eq!(errors["registered"], 47, "{errors}");
-    assert!(errors["auc"]["5"].as_f64().unwrap() >= 78.0, "{errors}");
-    assert!(errors["centre_median_pct"].as_f64().unwrap() <= 0.10, "{errors}");
+    // Sixteen of the photos were turned by half a turn: without finding that out AUC@1 is 20.
+    assert!(errors["auc"]["1"].as_f64().unwrap() >= 75.0, "{errors}");
+    assert!(errors["auc"]["5"].as_f64().unwrap() >= 95.0, "{errors}");
+    assert!(errors["centre_median_pct"].as_f64().unwrap() <= 0.05, "{errors}");
+}
+
+#[test]
+fn every_third_fourth_and_fifth_image_of_the_temple_are_enough() {
+    let (Some(images), Some(truth)) = (shared("temple_ring/images"), shared("temple_ring/cameras_par.txt"))
+    else {
+        return;
+    };
+    for (every, registered, centre_pct) in [(3, 16, 1.0), (4, 12, 1.0), (5, 10, 5.0)] {
+        let some = folder(&format!("temple-every-{every}"));
+        let mut names: Vec<_> = std::fs::read_dir(&images).unwrap().map(|e| e.unwrap().file_name()).collect();
+        names.sort();
+        for name in names.into_iter().step_by(every) {
+            std::fs::copy(images.join(&name), some.join(&name)).unwrap();
+        }
+        let errors = errors(&poses(&format!("temple-{every}"), &some, &[], 0), &truth);
+        assert_eq!(errors["registered"], registered, "{errors}");
+        assert!(errors["centre_max_pct"].as_f64().unwrap() <= centre_pct, "{errors}");
+    }
 }
 
 #[test]

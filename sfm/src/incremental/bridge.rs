@@ -15,6 +15,9 @@ const PAIRS: usize = 4;
 const MATCHES: usize = 200;
 /// Fewest points that settle the distance.
 const MIN_POINTS: usize = 4;
+/// Fewest points that settle it by agreeing on it among themselves, and how far they may be from their median.
+const MIN_SCALES: usize = 5;
+const SCALE_SPREAD: f64 = 0.12;
 /// Fewest matches with other images that settle it.
 const MIN_MATCHES: usize = 15;
 
@@ -138,6 +141,8 @@ fn pose_from_links(state: &State, input: &Input<'_>, image: usize, links: &[Link
     for (i, link) in links.iter().take(PAIRS).enumerate() {
         let Some(line) = line_of(state, input, image, link) else { continue };
         let mut scales: Vec<f64> = seen.iter().filter_map(|(u, x)| scale_from_point(&line, *u, *x)).collect();
+        let common = common_scale(&scales);
+        scales.extend(common);
         let others = || links.iter().enumerate().filter(move |(k, _)| *k != i).map(|(_, l)| l);
         scales.extend(others().filter_map(|l| scale_from_pair(&line, l)));
         for s in scales.into_iter().filter(|s| s.is_finite() && *s > 0.0) {
@@ -147,14 +152,25 @@ fn pose_from_links(state: &State, input: &Input<'_>, image: usize, links: &[Link
             let all: usize = others().map(|l| l.matches.len()).sum();
             let by_points = points >= MIN_POINTS && points * 10 >= seen.len() * 3;
             let by_pairs = agreeing >= MIN_MATCHES && agreeing * 10 >= all * 6;
+            // Rotation and direction of the pair may be off by more pixels than the distance by per cent.
+            let by_scale = common == Some(s);
             let contradicted = all >= 2 * MIN_MATCHES && agreeing * 10 < all * 4;
             let score = 3 * points + agreeing;
-            if (by_points || by_pairs) && !contradicted && best.is_none_or(|(b, _)| score > b) {
+            if (by_points || by_pairs || by_scale) && !contradicted && best.is_none_or(|(b, _)| score > b) {
                 best = Some((score, pose));
             }
         }
     }
     best.map(|(_, pose)| pose)
+}
+
+/// The distance on which nearly all points agree to some per cent: wrong matches scatter over orders of magnitude.
+fn common_scale(scales: &[f64]) -> Option<f64> {
+    let mut sorted = scales.to_vec();
+    sorted.sort_unstable_by(f64::total_cmp);
+    let middle = *sorted.get(sorted.len() / 2)?;
+    let agreeing = sorted.iter().filter(|s| (*s / middle - 1.0).abs() < SCALE_SPREAD).count();
+    (middle > 0.0 && agreeing >= MIN_SCALES && agreeing * 10 >= sorted.len() * 8).then_some(middle)
 }
 
 /// The poses that one pair allows.
@@ -189,4 +205,20 @@ fn scale_from_pair(line: &Line, link: &Link<'_>) -> Option<f64> {
     let mut scales: Vec<f64> = link.matches.iter().map(scale).filter(|s| s.is_finite()).collect();
     scales.sort_unstable_by(f64::total_cmp);
     scales.get(scales.len() / 2).copied()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_distance_is_settled_by_points_that_agree_and_by_nothing_else() {
+        assert_eq!(common_scale(&[1.0, 1.05, 0.97, 1.02, 0.99]), Some(1.0));
+        assert_eq!(common_scale(&[1.0, 1.05, 0.97, 1.02, 0.99, 40.0]), Some(1.02));
+        assert_eq!(common_scale(&[1.0, 1.05, 0.97, 1.02]), None, "too few");
+        assert_eq!(common_scale(&[1.0, 1.05, 0.97, 1.02, 0.99, 40.0, 0.1]), None, "two of seven disagree");
+        assert_eq!(common_scale(&[-1.0; 9]), None, "behind");
+        assert_eq!(common_scale(&[0.3, 0.6, 1.2, 2.5, 5.0, 9.0]), None);
+        assert_eq!(common_scale(&[]), None);
+    }
 }

@@ -4,8 +4,8 @@ use super::adjust::{Adjustment, Selected, select, take};
 use super::growth::{Knowledge, freedom};
 use super::state::{Input, State};
 use crate::bundle::{Loss, SolveOptions};
-use crate::selection::{Intrinsics, apply, choose, choose_turned, noise};
-use crate::turned::{suspect, turn_problem};
+use crate::selection::{Choice, Intrinsics, apply, choose, choose_turned, noise};
+use crate::turned::{suspects, turn_problem};
 use crate::{Decision, PoseDeviation, SfmError, Uncertainty};
 use scene::{Camera, CameraModel, Progress};
 
@@ -13,6 +13,8 @@ use scene::{Camera, CameraModel, Progress};
 const SIGHTINGS: usize = 6000;
 /// The same for the question whether images were turned.
 const SIGHTINGS_TURNED: usize = 20_000;
+/// Iterations times sightings that the last adjustment may take: points creep on long after poses stand.
+const LAST_EFFORT: usize = 300_000;
 /// Sightings farther off than so many standard deviations of the noise are dropped at the end.
 const FINAL_SIGMAS: f64 = 8.0;
 /// They are never held to less than this, pixels.
@@ -40,33 +42,34 @@ pub(crate) fn decide(
     what.points_per_image = Some(part_of(state, SIGHTINGS));
     let Selected { problem, images, .. } = select(state, input, &what);
     let (fixed, sigma) = (fixed(known), noise(&problem));
-    let choice = choose(&problem, &fixed, named, sigma, progress)?;
-    let suspects = if input.may_be_turned {
-        let more = Adjustment { points_per_image: Some(part_of(state, SIGHTINGS_TURNED)), ..what };
-        suspect(&select(state, input, &more).problem, &fixed, progress)?
-    } else {
-        None
+    let choice = choose(&problem, &fixed, named, false, sigma, progress)?;
+    let none = |choice: Choice, mut decisions: Vec<Decision>| {
+        decisions.push(choice.decision);
+        Verdict { intrinsics: choice.intrinsics, turned: None, decisions }
     };
-    let Some(suspects) = suspects else {
-        return Ok(Verdict { intrinsics: choice.intrinsics, turned: None, decisions: vec![choice.decision] });
-    };
-    let other = turn_problem(&problem, &suspects);
-    let (better, evidence) = choose_turned(&choice, &other, &fixed, named, sigma, progress)?;
-    let mut turned = vec![false; input.keypoints.len()];
-    images.iter().zip(&suspects).for_each(|(&image, &t)| turned[image] = t);
-    let count = suspects.iter().filter(|t| **t).count();
-    let taken = better.is_some();
-    let decision = Decision {
+    if !input.may_be_turned {
+        return Ok(none(choice, Vec::new()));
+    }
+    let more = Adjustment { points_per_image: Some(part_of(state, SIGHTINGS_TURNED)), ..what };
+    let suspects = suspects(&select(state, input, &more).problem, &fixed, progress)?;
+    if suspects.is_empty() {
+        return Ok(none(choice, Vec::new()));
+    }
+    let ways: Vec<_> = suspects.iter().map(|s| turn_problem(&problem, s)).collect();
+    let (better, evidence) = choose_turned(&choice, &ways, &fixed, named, sigma, progress)?;
+    let count = |way: usize| suspects[way].iter().filter(|t| **t).count();
+    let mut decision = Decision {
         what: "images turned by half a turn".to_owned(),
-        chosen: format!("{} of {}", if taken { count } else { 0 }, images.len()),
-        evidence: format!("the principal points of {count} images may be mirrored: {evidence}"),
+        chosen: format!("0 of {}", images.len()),
+        evidence: format!("the principal points of {} images might be mirrored: {evidence}", count(0)),
     };
-    let choice = better.unwrap_or(choice);
-    Ok(Verdict {
-        intrinsics: choice.intrinsics,
-        turned: taken.then_some(turned),
-        decisions: vec![decision, choice.decision],
-    })
+    let Some((way, better)) = better else { return Ok(none(choice, vec![decision])) };
+    decision.chosen = format!("{} of {}", count(way), images.len());
+    decision.evidence = format!("their principal points are mirrored: {evidence}");
+    let mut turned = vec![false; input.keypoints.len()];
+    images.iter().zip(&suspects[way]).for_each(|(&image, &t)| turned[image] = t);
+    let decisions = vec![decision, better.decision];
+    Ok(Verdict { intrinsics: better.intrinsics, turned: Some(turned), decisions })
 }
 
 /// Points an image contributes where a part of them is enough.
@@ -103,7 +106,7 @@ pub(crate) fn polish(
         let limit = (FINAL_SIGMAS * sigma).clamp(FINAL_LEAST_PX, input.config.max_reprojection_px);
         let gone = state.filter(input, limit);
         let added = if round < 2 { state.grow_all(input) } else { 0 };
-        if round > 0 && (gone + added) * 500 < selected.problem.observations.len() {
+        if round > 0 && (gone + added) * 200 < selected.problem.observations.len() {
             break;
         }
     }
@@ -124,10 +127,11 @@ fn prepare(
     apply(&mut selected.problem, intrinsics, &fixed(known));
     let sigma = noise(&selected.problem);
     selected.problem.observations.iter_mut().for_each(|o| o.sigma_px = sigma);
+    let most = (LAST_EFFORT / selected.problem.observations.len().max(1)).clamp(6, 30);
     let options = SolveOptions {
         loss: Loss::Cauchy(2.0),
-        max_iterations: if points_per_image.is_some() { 40 } else { 15 },
-        function_tolerance: 1e-6,
+        max_iterations: if points_per_image.is_some() { 15 } else { most as u32 },
+        function_tolerance: if points_per_image.is_some() { 1e-5 } else { 2e-5 },
         ..SolveOptions::default()
     };
     (selected, options)

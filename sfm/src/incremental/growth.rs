@@ -10,7 +10,9 @@ use scene::{Camera, Progress};
 
 /// Images from which on distortion is solved for while the model grows.
 const IMAGES_FOR_DISTORTION: usize = 6;
-/// Images up to which the whole model is adjusted after each registration.
+/// Images up to which the model is adjusted after each registration; then after more and more of them.
+const IMAGES_FOR_EACH: usize = 12;
+/// Images up to which it is the whole model that is adjusted.
 const IMAGES_FOR_LOCAL: usize = 60;
 /// Images that move in a local adjustment.
 const LOCAL_IMAGES: usize = 8;
@@ -69,6 +71,7 @@ pub(crate) fn grow(
     let mut tried = vec![0usize; state.poses.len()];
     let mut last_full = state.registered();
     let mut fresh = false;
+    let mut due = 0;
     let mut bridged = vec![false; state.poses.len()];
     while state.registered() < most {
         progress.check()?;
@@ -109,6 +112,12 @@ pub(crate) fn grow(
         if full {
             last_full = images;
         }
+        // A few images more do not bend a model that stands; the next adjustment takes them along.
+        if images > IMAGES_FOR_EACH && images < IMAGES_FOR_LOCAL && images < most && images < due {
+            progress.tick_with(&format!("{images} images"))?;
+            continue;
+        }
+        due = images + 1 + images / IMAGES_FOR_EACH;
         let (free, priors) = freedom(&state.cameras, known, starts, images);
         let mut what = Adjustment::growing(free, priors);
         what.points_per_image = Some(if images > 6 { POINTS_PER_IMAGE } else { 3 * POINTS_PER_IMAGE });

@@ -22,6 +22,6 @@ pub struct MatchConfig {
 
 impl Default for MatchConfig {
     fn default() -> Self {
-        Self { match_ratio: 0.8, match_max_distance: 0.5, guided_ratio: 0.9, one_way_matches: false }
+        Self { match_ratio: 0.8, match_max_distance: 0.5, guided_ratio: 0.8, one_way_matches: false }
     }
 }

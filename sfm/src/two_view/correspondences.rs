@@ -98,6 +98,12 @@ impl Correspondences {
         unit(self.scaled_from_pixels(1).transpose() * *f * self.scaled_from_pixels(0))
     }
 
+    /// A fundamental matrix of ideal pixels from the principal point as one of pixels, unit norm.
+    pub fn ideal_to_pixels(&self, f: &DMat3) -> DMat3 {
+        let from = |p: DVec2| DMat3::from_cols(DVec3::X, DVec3::Y, (-p).extend(1.0));
+        unit(from(self.principal[1]).transpose() * *f * from(self.principal[0]))
+    }
+
     /// A homography of scaled points as one of pixels, unit norm.
     pub fn homography_to_pixels(&self, h: &DMat3) -> DMat3 {
         unit(self.scaled_from_pixels(1).inverse() * *h * self.scaled_from_pixels(0))

@@ -7,10 +7,13 @@ mod gric;
 mod models;
 mod pose;
 mod static_matches;
+mod wide;
 
 pub use focal::{focal_evidence, likely_focal_factor};
+pub use wide::second_look;
 
 use crate::SfmError;
+use crate::matching::{MatchConfig, PreparedFeatures, guided_match_prepared};
 use crate::solvers::{sampson_sq, transfer_sq};
 use correspondences::Correspondences;
 use models::Models;
@@ -18,6 +21,9 @@ use rayon::prelude::*;
 use scene::{Camera, Features, Progress, TwoViewGeometry, TwoViewKind};
 use serde::{Deserialize, Serialize};
 use static_matches::StaticMatches;
+
+/// Half-width of the band along an epipolar line in which partners are sought, pixels.
+const GUIDED_PX: f64 = 1.0;
 
 /// How pairs are verified.
 #[derive(clap::Args, Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -142,6 +148,34 @@ pub fn merge_guided(
     let (a, b) = (geometry.a, geometry.b);
     let merged = verify_pair(a, b, features[0], features[1], cameras[0], cameras[1], &union, config, seed);
     if merged.inliers.len() >= geometry.inliers.len() { merged } else { geometry.clone() }
+}
+
+/// Seeks more matches of verified pairs along their epipolar lines, over all threads; `wanted` says of which pairs.
+/// The same for any number of threads.
+pub fn match_along_lines(
+    features: &[Features],
+    cameras: &[Camera],
+    geometries: Vec<TwoViewGeometry>,
+    (matching, verification): (&MatchConfig, &TwoViewConfig),
+    wanted: impl Fn(&TwoViewGeometry) -> bool + Sync,
+    seed: u64,
+    progress: &Progress,
+) -> Result<Vec<TwoViewGeometry>, SfmError> {
+    if !geometries.iter().any(&wanted) {
+        return Ok(geometries);
+    }
+    progress.begin("guided matching", geometries.len());
+    let prepared: Vec<PreparedFeatures> = features.par_iter().map(PreparedFeatures::new).collect();
+    let one = |g: TwoViewGeometry| {
+        progress.tick()?;
+        let epipolar = matches!(g.kind, TwoViewKind::Calibrated | TwoViewKind::Uncalibrated);
+        let Some(f) = g.f.filter(|_| epipolar && wanted(&g)) else { return Ok(g) };
+        let side = |i: usize| (&features[i], &prepared[i]);
+        let more = guided_match_prepared(side(g.a), side(g.b), &f, GUIDED_PX, matching);
+        let (features, cameras) = ([&features[g.a], &features[g.b]], [&cameras[g.a], &cameras[g.b]]);
+        Ok(merge_guided(&g, features, cameras, &more, verification, seed))
+    };
+    geometries.into_par_iter().map(one).collect()
 }
 
 /// Verifies pairs over all threads. `cameras` holds one camera a frame. The result is sorted by `(a, b)`, does

@@ -242,6 +242,34 @@ fn merging_guided_matches_keeps_the_good_and_drops_the_rest() {
 }
 
 #[test]
+fn with_known_intrinsics_few_matches_are_a_pair_and_random_ones_are_not() {
+    let look = |seed: u64, n: usize, outliers: usize| {
+        let mut p = pair(seed, n, outliers, Shape::General, 0.3);
+        let mut r = rng(seed, "descriptors", 0);
+        let descriptors: Vec<u8> =
+            (0..p.matches.len() * Features::DIM).map(|_| r.random_range(0..90)).collect();
+        p.features.iter_mut().for_each(|f| f.descriptors.clone_from(&descriptors));
+        let matching = MatchConfig::default();
+        let found = second_look(&p.features, &p.cameras, &[(0, 1)], &matching, 1, &Progress::silent());
+        (found.unwrap(), p.truth)
+    };
+    for seed in 0..10 {
+        let (found, truth) = look(seed, 22, 14);
+        assert_eq!(found.len(), 1, "seed {seed}");
+        assert!(found[0].inliers.iter().filter(|m| m[0] < 22).count() >= 18, "seed {seed}");
+        assert!(
+            rotation_error(&found[0], &truth) < 2.0,
+            "seed {seed}: {}",
+            rotation_error(&found[0], &truth)
+        );
+        let [a, b] =
+            [0, 1].map(|i| pair(seed, 22, 14, Shape::General, 0.3).features[i].keypoints[3].position());
+        assert!(sampson_sq(&found[0].f.unwrap(), a, b) < 4.0, "F refers to pixels, seed {seed}");
+        assert!(look(seed, 0, 36).0.is_empty(), "seed {seed}");
+    }
+}
+
+#[test]
 fn many_pairs_tell_the_focal_length_that_one_cannot() {
     let factors = [0.4, 0.5, 0.63, 0.8, 1.0, 1.25, 1.6, 2.0, 2.5];
     for wrong in [0.5, 1.0, 2.0] {

@@ -129,6 +129,40 @@ impl CpuBackend {
         f64::from(work.loss.run(self.isa, &input, &mut work.gradient).mse)
     }
 
+    /// Sums over the pixels that count, by channel: Σ r t, Σ r², Σ t² of the rendering r and the photo t (no gain).
+    pub fn products(
+        &mut self,
+        view: &PinholeView,
+        target: &Target,
+        options: &RenderOptions,
+    ) -> [[f64; 3]; 3] {
+        self.set_gain(None);
+        let camera = self.camera(view, options);
+        self.forward(view, &camera, options, false);
+        self.work.set_target(target, options.background);
+        let weighted = target.mask.is_some() && !target.transparent;
+        let (work, stride) = (&self.work, self.work.shape.stride());
+        let mut sums = [[0.0; 3]; 3];
+        for (c, (r, t)) in work.rgb.iter().zip(&work.target).enumerate() {
+            for y in 0..view.height {
+                let row = y * stride..y * stride + view.width;
+                for i in row {
+                    let w = if weighted { f64::from(work.weight[i]) } else { 1.0 };
+                    let (r, t) = (f64::from(r[i]), f64::from(t[i]));
+                    sums[0][c] += w * r * t;
+                    sums[1][c] += w * r * r;
+                    sums[2][c] += w * t * t;
+                }
+            }
+        }
+        sums
+    }
+
+    /// The gain of the view to come: its photo shows the scene times this, so that targets are divided by it.
+    pub fn set_gain(&mut self, gain: Option<[f32; 3]>) {
+        self.work.gain = gain;
+    }
+
     /// The loss of the last rendering against a target, and dL/d(colour) into the workspace.
     fn loss(&mut self, input: &StepInput) -> super::loss::LossValue {
         self.work.set_target(&input.target, input.options.background);
@@ -263,6 +297,19 @@ impl Backend for CpuBackend {
         options: &RenderOptions,
     ) -> Result<f64, SplatError> {
         Ok(Self::mean_square_error(self, view, target, options))
+    }
+
+    fn set_gain(&mut self, gain: Option<[f32; 3]>) {
+        Self::set_gain(self, gain);
+    }
+
+    fn products(
+        &mut self,
+        view: &PinholeView,
+        target: &Target,
+        options: &RenderOptions,
+    ) -> Result<[[f64; 3]; 3], SplatError> {
+        Ok(Self::products(self, view, target, options))
     }
 
     fn set_magnitudes(&mut self, on: bool) -> Result<(), SplatError> {

@@ -28,6 +28,8 @@ pub struct Workspace {
     pub gradient: [Vec<f32>; 3],
     pub sums: Vec<[f32; SUMS]>,
     pub loss: LossBuffers,
+    /// Targets are divided by this.
+    pub gain: Option<[f32; 3]>,
     /// Whether backward sums magnitudes for the statistics.
     pub magnitudes: bool,
 }
@@ -100,12 +102,13 @@ impl Workspace {
             self.weight.resize(shape.plane(), 0.0);
         }
         const BYTE: f32 = 1.0 / 255.0;
+        let unit = self.gain.map_or([BYTE; 3], |gain| gain.map(|g| BYTE / g));
         for y in 0..shape.height {
             for x in 0..shape.width {
                 let (from, to) = (y * shape.width + x, y * stride + x);
                 let m = target.mask.map_or(1.0, |mask| f32::from(mask[from]) * BYTE);
                 for (c, &behind) in background.iter().enumerate() {
-                    let value = f32::from(target.rgb[from * 3 + c]) * BYTE;
+                    let value = f32::from(target.rgb[from * 3 + c]) * unit[c];
                     let behind = if weighted { self.rgb[c][to] } else { behind };
                     // A pixel of weight 0 equals its rendering, so that its neighbours' SSIM does not see it.
                     self.target[c][to] =

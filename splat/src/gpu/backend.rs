@@ -5,7 +5,8 @@ use super::buffers::{Buffers, Limit, REPORT, Sizes, capacity, tiles};
 use super::context::Gpu;
 use super::kernels::Kernels;
 use super::layout::{
-    BLOCK, CLOCK, COUNTERS, COVERAGE, Frame, NON_FINITE, PAIRS, PLANES, STATISTICS, VISIBLE, WEIGHTED,
+    BLOCK, CLOCK, COUNTERS, COVERAGE, Frame, MAGNITUDES, NON_FINITE, PAIRS, PLANES, STATISTICS, VISIBLE,
+    WEIGHTED,
 };
 use crate::adapter::Adapter;
 use crate::backend::{Backend, KernelTimes, StepInput, StepOutput, Target};
@@ -33,6 +34,8 @@ pub struct GpuBackend {
     stamps: Option<(wgpu::QuerySet, wgpu::Buffer)>,
     times: KernelTimes,
     limit: Option<u64>,
+    gain: Option<[f32; 3]>,
+    magnitudes: u32,
 }
 
 /// What comes back from the device after a step.
@@ -92,6 +95,8 @@ impl GpuBackend {
             stamps,
             times: KernelTimes::default(),
             limit,
+            gain: None,
+            magnitudes: 0,
         })
     }
 
@@ -168,8 +173,10 @@ impl GpuBackend {
         let near = options.near.unwrap_or(DEFAULT_NEAR);
         let camera = CameraConstants::new(view, options, near, degree);
         let [r, g, b] = options.background;
+        let [ur, ug, ub] = self.gain.unwrap_or([1.0; 3]).map(f32::recip);
         Frame {
             background: [r, g, b, 0.0],
+            unit: [ur, ug, ub, 1.0],
             n: self.sizes.n as u32,
             stride: padded(self.sizes.n.max(1)) as u32,
             sh_stride: self.sizes.sh_stride as u32,
@@ -351,7 +358,7 @@ impl Backend for GpuBackend {
         let inverse = if weights > 0.0 { 1.0 / (3.0 * weights) } else { 0.0 };
         let frame = self.frame_of(input.view, &input.options);
         let frame = Frame {
-            flags: frame.flags | flags,
+            flags: frame.flags | flags | self.magnitudes,
             lambda: input.lambda_dssim,
             inv_count: inverse as f32,
             opacity_penalty: input.opacity_penalty,
@@ -399,10 +406,12 @@ impl Backend for GpuBackend {
         Ok(f64::from(report.loss(weights, 0.0).1))
     }
 
+    fn set_gain(&mut self, gain: Option<[f32; 3]>) {
+        self.gain = gain;
+    }
+
     fn set_magnitudes(&mut self, on: bool) -> Result<(), SplatError> {
-        if on {
-            return Err(self.gpu.error("sums of absolute gradients are computed by the processor only"));
-        }
+        self.magnitudes = if on { MAGNITUDES } else { 0 };
         Ok(())
     }
 

@@ -83,9 +83,9 @@ buffers!(
     /// [34][stride].
     geometry: (if s.training { PLANES as usize } else { 11 }) * padded(s.n.max(1)),
     /// [N][sh_stride].
-    sh: s.n.max(1) * s.sh_stride,
+    sh: s.n.max(1) * s.sh_stride.max(3),
     /// [N][2][sh_stride].
-    sh_moments: if s.training { s.n.max(1) * 2 * s.sh_stride } else { 1 },
+    sh_moments: if s.training { s.n.max(1) * 2 * s.sh_stride.max(3) } else { 1 },
     /// [4][stride].
     statistics: if s.training { STATISTICS as usize * padded(s.n.max(1)) } else { 1 },
     /// [N][3] vec4.
@@ -120,7 +120,7 @@ buffers!(
     pairs_b: s.pairs,
     /// [pairs].
     owners: s.pairs,
-    /// [pairs][10].
+    /// [pairs][12].
     sums: if s.training { s.pairs * SUMS as usize } else { 1 },
     /// [tiles + 1] vec2.
     ranges: 2 * (s.tiles + 1),

@@ -20,6 +20,8 @@ const DEGREE_GAIN: f64 = 0.02;
 const LOOKS: f64 = 8.0;
 /// What the validation views must gain from look to look, dB, for growth to go on.
 const GROWTH_GAIN: f64 = 0.02;
+/// Looks in a row without such a gain after which growth ends.
+const PATIENCE: u32 = 2;
 /// Position at which redundant Gaussians are removed; what follows lets the others close the gaps.
 const PRUNE_AT: f64 = 0.9;
 /// What removing them may cost before that, dB.
@@ -36,12 +38,20 @@ pub struct Findings {
     pub degrees_judged: u32,
     /// Number of Gaussians at which growth stopped paying.
     pub gaussians_limit: Option<usize>,
-    /// Looks at the growth so far, and what the last one saw: level, PSNR (dB), Gaussians.
+    /// Looks at the growth so far.
     pub looks: u32,
-    /// What the last look saw: level, PSNR (dB), Gaussians.
-    pub last_look: Option<(u32, f64, usize)>,
+    /// What the last look saw: PSNR (dB), Gaussians.
+    pub last_look: Option<(f64, usize)>,
+    /// The best look at the present resolution: level, PSNR (dB), Gaussians.
+    pub best_look: Option<(u32, f64, usize)>,
+    /// Looks since then.
+    pub idle_looks: u32,
     /// Gaussians removed because hardly any view has them in its picture.
     pub unseen: usize,
+    /// Looks for gains so far.
+    pub exposure_looks: u32,
+    /// Gains of the training views, where exposure is modelled.
+    pub gains: Vec<[f32; 3]>,
     /// Whether redundant Gaussians were looked for.
     pub pruned: bool,
 }
@@ -62,6 +72,9 @@ impl Trainer<'_> {
             self.judge_degree()?;
             self.judge_growth()?;
         }
+        if self.config.recipe.exposure {
+            self.judge_exposure()?;
+        }
         if self.config.recipe.prune_redundant
             && !self.state.findings.pruned
             && self.state.position >= PRUNE_AT
@@ -73,7 +86,7 @@ impl Trainer<'_> {
         Ok(())
     }
 
-    fn note(&mut self, subject: &str, choice: String, evidence: String) {
+    pub(super) fn note(&mut self, subject: &str, choice: String, evidence: String) {
         self.state.decisions.push(Decision { subject: subject.to_owned(), choice, evidence });
     }
 
@@ -91,6 +104,7 @@ impl Trainer<'_> {
             };
             let options =
                 RenderOptions { antialias: self.config.antialias, sh_degree, ..RenderOptions::default() };
+            self.backend.set_gain(self.gain(v));
             sum += self.backend.mean_square_error(&view.view.at_level(level), &target, &options)?;
         }
         Ok(-10.0 * (sum / views.len().max(1) as f64).max(1e-12).log10())
@@ -134,18 +148,26 @@ impl Trainer<'_> {
         let (views, level, now) = (self.validation.clone(), self.level(), self.backend.gaussians());
         let psnr = self.psnr(&views, level, None)?;
         self.state.findings.looks += 1;
-        if let Some((before_level, before, then)) = self.state.findings.last_look
-            && before_level == level
-            && now > then
-            && psnr < before + GROWTH_GAIN
-        {
+        // Validation of a moving target is noisy: growth ends when two looks in a row are no better than the best.
+        let best = match self.state.findings.best_look {
+            Some(best) if best.0 == level => best,
+            _ => (level, f64::NEG_INFINITY, now),
+        };
+        if psnr >= best.1 + GROWTH_GAIN {
+            self.state.findings.best_look = Some((level, psnr, now));
+            self.state.findings.idle_looks = 0;
+        } else {
+            self.state.findings.idle_looks += 1;
+        }
+        if self.state.findings.idle_looks >= PATIENCE && now > best.2 {
             self.state.findings.gaussians_limit = Some(now);
             let evidence = format!(
-                "validation views went from {before:.2} dB with {then} Gaussians to {psnr:.2} dB with {now}"
+                "validation views had {:.2} dB with {} Gaussians and have {psnr:.2} dB with {now}",
+                best.1, best.2
             );
             self.note("number of Gaussians", format!("growth ended at {now}"), evidence);
         }
-        self.state.findings.last_look = Some((level, psnr, now));
+        self.state.findings.last_look = Some((psnr, now));
         Ok(())
     }
 
@@ -198,8 +220,9 @@ impl Trainer<'_> {
     pub(super) fn decisions(&mut self) -> Vec<Decision> {
         let findings = self.state.findings.clone();
         let n = self.backend.gaussians();
-        if let (None, Some((_, psnr, then))) = (findings.gaussians_limit, findings.last_look) {
-            let evidence = format!("validation views still gained at {then} Gaussians ({psnr:.2} dB)");
+        if let (None, Some((psnr, then))) = (findings.gaussians_limit, findings.last_look) {
+            let evidence =
+                format!("validation views did not stop gaining ({psnr:.2} dB with {then} Gaussians)");
             self.note("number of Gaussians", format!("{n}, as planned"), evidence);
         }
         if findings.unseen > 0 {

@@ -124,7 +124,7 @@ fn the_same_seed_gives_the_same_bytes_on_one_and_two_threads() {
 fn stopping_and_resuming_changes_no_bit() {
     let dataset = dataset(8, false);
     let whole = train(&dataset, &config(230), None, &Progress::silent()).unwrap();
-    for stop in [1, 99, 100, 101, 229] {
+    for stop in [1, 99, 100, 101, 206, 207, 208, 229] {
         let folder = folder(&format!("resume-{stop}"));
         let flag: &'static AtomicBool = Box::leak(Box::new(AtomicBool::new(false)));
         let progress = Progress::new(Box::new(StopAt(stop, flag)), flag);
@@ -240,4 +240,63 @@ fn one_view_with_an_empty_mask_among_others_does_no_harm() {
     };
     let (without, with) = (psnr(false), psnr(true));
     assert!(with > without - 1.0, "{without:.2} dB, with an empty mask {with:.2} dB");
+}
+
+fn choice<'a>(result: &'a TrainResult, subject: &str) -> &'a str {
+    &result.decisions.iter().find(|d| d.subject.contains(subject)).expect(subject).choice
+}
+
+#[test]
+fn exposure_is_modelled_where_views_differ_in_it_and_only_there() {
+    let even = dataset(24, false);
+    let mut uneven = even.clone();
+    for (k, view) in uneven.views.iter_mut().enumerate().filter(|(_, v)| !v.held_out) {
+        let gain = [0.7, 1.0, 1.35][k % 3];
+        for byte in view.levels.iter_mut().flat_map(|l| &mut l.rgb) {
+            *byte = (f32::from(*byte) * gain).round().min(255.0) as u8;
+        }
+    }
+    let run = |data: &Dataset, exposure: bool| {
+        let mut config = config(400);
+        config.recipe.exposure = exposure;
+        train(data, &config, None, &Progress::silent()).unwrap()
+    };
+    let (on, off) = (run(&uneven, true), run(&uneven, false));
+    assert_eq!(choice(&on, "exposure"), "modelled");
+    assert_eq!(choice(&run(&even, true), "exposure"), "not modelled");
+    let (on, off) = (held_out_psnr(&even, &on), held_out_psnr(&even, &off));
+    assert!(on > off + 0.5, "{off:.2} dB without, {on:.2} dB with exposure");
+}
+
+#[test]
+fn degree_and_count_are_judged_by_training_views_and_resuming_repeats_the_judgement() {
+    let dataset = dataset(36, false);
+    let whole = train(&dataset, &config(230), None, &Progress::silent()).unwrap();
+    assert!(!choice(&whole, "harmonic").is_empty() && !choice(&whole, "number").is_empty());
+    for stop in [70, 150] {
+        let folder = folder(&format!("judged-{stop}"));
+        let flag: &'static AtomicBool = Box::leak(Box::new(AtomicBool::new(false)));
+        let progress = Progress::new(Box::new(StopAt(stop, flag)), flag);
+        assert!(train(&dataset, &config(230), Some(&folder), &progress).is_err());
+        let resumed = train(&dataset, &config(230), Some(&folder), &Progress::silent()).unwrap();
+        assert_eq!(resumed.gaussians, whole.gaussians, "stop at {stop}");
+        assert_eq!(resumed.decisions, whole.decisions, "stop at {stop}");
+        std::fs::remove_dir_all(&folder).unwrap();
+    }
+}
+
+#[test]
+fn redundant_gaussians_go_and_the_picture_stays() {
+    let mut dataset = dataset(24, false);
+    let copies: Vec<_> = dataset.points.iter().map(|(p, c)| (*p * 1.02, *c)).collect();
+    dataset.points.extend(copies);
+    let run = |prune: bool| {
+        let mut config = config(400);
+        config.recipe.prune_redundant = prune;
+        train(&dataset, &config, None, &Progress::silent()).unwrap()
+    };
+    let (all, few) = (run(false), run(true));
+    assert!(few.gaussians.len() < all.gaussians.len());
+    let (all, few) = (held_out_psnr(&dataset, &all), held_out_psnr(&dataset, &few));
+    assert!(few > all - 0.1, "{all:.2} dB with all, {few:.2} dB with fewer");
 }

@@ -4,7 +4,10 @@ use crate::scenes::ordinary;
 use glam::{DVec3, Vec3};
 use rand::Rng;
 use scene::{Camera, CameraModel, Gaussians, Pose, Progress};
+use splat::backend::Target;
+use splat::cpu::optimise::Statistics;
 use splat::dataset::{Normalisation, Pixels, pyramid};
+use splat::model::Model;
 use splat::{
     AlphaMode, BackendChoice, Dataset, DeviceConfig, RenderOptions, Renderer, TrainConfig, TrainResult, View,
     train,
@@ -100,4 +103,34 @@ fn two_hundred_steps_with_densification_end_where_the_processors_do() {
     let [cpu, gpu] = ends;
     println!("trained {cpu:.3} {gpu:.3} dB");
     assert!((cpu - gpu).abs() < 0.1, "processor {cpu:.3} dB, adapter {gpu:.3} dB");
+}
+
+#[test]
+fn gains_and_what_they_are_found_by_agree_with_the_processors() {
+    let truth = ordinary(43, 120, 1);
+    let dataset = dataset(&ordinary(44, 60, 0), 3);
+    let view = &dataset.views[1];
+    let all = [BackendChoice::Cpu, BackendChoice::Gpu].map(|backend| {
+        let device = DeviceConfig { backend, ..DeviceConfig::default() };
+        let (mut backend, _) = splat::device::open(&device).unwrap();
+        backend.upload(Model::from_gaussians(&truth), Statistics::default()).unwrap();
+        let mask: Vec<u8> = (0..64 * 48).map(|i| (i * 7 % 256) as u8).collect();
+        let options = RenderOptions { background: [0.2, 0.5, 0.9], ..RenderOptions::default() };
+        let mut found = Vec::new();
+        for (mask, transparent) in [(None, false), (Some(&mask[..]), false), (Some(&mask[..]), true)] {
+            let target = Target { rgb: &view.levels[0].rgb, mask, transparent };
+            found.extend(backend.products(&view.view, &target, &options).unwrap().into_iter().flatten());
+            for gain in [None, Some([0.8, 1.1, 1.3])] {
+                backend.set_gain(gain);
+                found.push(backend.mean_square_error(&view.view, &target, &options).unwrap());
+            }
+            backend.set_gain(None);
+        }
+        found
+    });
+    for (k, (a, b)) in all[0].iter().zip(&all[1]).enumerate() {
+        assert!((a - b).abs() < 1e-4 * a.abs() + 1e-7, "figure {k}: {a} and {b}");
+    }
+    // A gain changes what is compared.
+    assert!((all[0][9] - all[0][10]).abs() > 1e-4, "{:?}", &all[0][9..11]);
 }

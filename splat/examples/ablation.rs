@@ -1,0 +1,147 @@
+//! What each choice of the trainer is worth: the same data set trained within the same CPU time with one choice changed.
+//! `cargo run --release -p splat --example ablation -- DATASET_DIR --budget 20s,60s [--only TEXT]` prints a table of PSNR on
+//! the held-out views (8-bit renders, transparent pixels over black).
+
+use clap::Parser;
+use image::{Rgb, RgbImage};
+use scene::Progress;
+use splat::{Dataset, DatasetConfig, RenderOptions, Renderer, Selection, TrainConfig, TrainResult, train};
+use std::path::PathBuf;
+
+type Result<T> = std::result::Result<T, Box<dyn std::error::Error + Send + Sync>>;
+
+#[derive(Parser)]
+struct Cli {
+    dataset: PathBuf,
+    /// CPU time of each training, one column each
+    #[arg(long, value_delimiter = ',', value_parser = splat::config::parse_duration, default_value = "20s")]
+    budget: Vec<f64>,
+    /// Only rows whose name contains this
+    #[arg(long, default_value = "")]
+    only: String,
+    /// Instead of the rows of docs/benchmarks.md: NAME=VALUE of numeric choices, to be compared with the defaults
+    #[arg(long)]
+    set: Vec<String>,
+    #[command(flatten)]
+    data: DatasetConfig,
+}
+
+/// Name of the row, what it changes.
+type Row = (String, Box<dyn Fn(&mut TrainConfig)>);
+
+fn rows() -> Vec<Row> {
+    let row = |name: &str, change: fn(&mut TrainConfig)| -> Row { (name.to_owned(), Box::new(change)) };
+    vec![
+        row("as it is", |_| {}),
+        row("Gaussians that hardly any view sees stay", |c| c.recipe.remove_unseen = false),
+        row("growth by a tenth above a threshold", |c| c.recipe.planned_growth = false),
+        row("chosen by gradient", |c| c.recipe.selection = Selection::Gradient),
+        row("chosen by opacity (3DGS-MCMC, no noise)", |c| c.recipe.selection = Selection::Opacity),
+        row("half as many Gaussians", |c| c.recipe.gaussians_a_step *= 0.5),
+        row("twice as many Gaussians", |c| c.recipe.gaussians_a_step *= 2.0),
+        row("full resolution later (0.4, 0.8)", |c| {
+            (c.recipe.half_resolution_from, c.recipe.full_resolution_from) = (0.4, 0.8);
+        }),
+        row("full resolution throughout", |c| c.coarse_levels = 0),
+        row("no validation views", |c| c.recipe.evidence = false),
+        row("no exposure", |c| c.recipe.exposure = false),
+        row("no exposure", |c| c.recipe.exposure = false),
+        row("nothing removed at the end", |c| c.recipe.prune_redundant = false),
+        row("spherical harmonics of degree 0", |c| c.sh_degree = 0),
+        row("L1 alone", |c| c.lambda_dssim = 0.0),
+        row("opacity scaled with the low-pass", |c| c.antialias = true),
+    ]
+}
+
+fn chosen(text: &str) -> Result<Row> {
+    let pairs: Vec<(String, f64)> = text
+        .split(',')
+        .map(|pair| pair.split_once('=').and_then(|(k, v)| Some((k.to_owned(), v.parse().ok()?))))
+        .collect::<Option<_>>()
+        .ok_or("--set wants NAME=NUMBER[,NAME=NUMBER]")?;
+    for (name, _) in &pairs {
+        slot(&mut TrainConfig::default(), name).ok_or(format!("no choice is named {name}"))?;
+    }
+    Ok((
+        text.to_owned(),
+        Box::new(move |c| {
+            for (name, value) in &pairs {
+                if let Some(place) = slot(c, name) {
+                    *place = *value;
+                }
+            }
+        }),
+    ))
+}
+
+fn slot<'a>(c: &'a mut TrainConfig, name: &str) -> Option<&'a mut f64> {
+    Some(match name {
+        "gaussians" => &mut c.recipe.gaussians_a_step,
+        "full" => &mut c.recipe.full_resolution_from,
+        "half" => &mut c.recipe.half_resolution_from,
+        "until" => &mut c.recipe.densify_until,
+        _ => return None,
+    })
+}
+
+fn main() -> Result<()> {
+    let cli = Cli::parse();
+    let model = match scene::io::find_model(&cli.dataset) {
+        Some(path) => scene::io::read_model(&path)?,
+        None => scene::io::read_transforms(&cli.dataset.join("transforms.json"))?.reconstruction,
+    };
+    let images = Some(cli.dataset.join("images")).filter(|_| cli.dataset.join("sparse").is_dir());
+    let images = images.unwrap_or(cli.dataset.clone());
+    let dataset = Dataset::load(&images, None, &model, &cli.data, &Progress::silent())?;
+    let rows = if cli.set.is_empty() {
+        rows()
+    } else {
+        let mut some = vec![rows().swap_remove(0)];
+        some.extend(cli.set.iter().map(|text| chosen(text)).collect::<Result<Vec<_>>>()?);
+        some
+    };
+    println!("| | {} |", cli.budget.iter().map(|b| format!("{b} CPU s")).collect::<Vec<_>>().join(" | "));
+    println!("|---|{}", "---|".repeat(cli.budget.len()));
+    for (name, change) in rows.iter().filter(|r| r.0.contains(&cli.only)) {
+        print!("| {name} |");
+        for &budget in &cli.budget {
+            let mut config =
+                TrainConfig { time_limit: Some(budget), max_gaussians: 400_000, ..TrainConfig::default() };
+            config.recipe.cpu_time = true;
+            change(&mut config);
+            let result = train(&dataset, &config, None, &Progress::silent())?;
+            for d in &result.decisions {
+                eprintln!("{name}: {}: {} ({})", d.subject, d.choice, d.evidence);
+            }
+            let (mean, least) = psnr(&dataset, &result)?;
+            print!(
+                " {mean:.2} dB (worst {least:.2}; {} steps, {} k) |",
+                result.iterations,
+                result.gaussians.len() / 1000
+            );
+            use std::io::Write;
+            std::io::stdout().flush()?;
+        }
+        println!();
+    }
+    Ok(())
+}
+
+/// Mean and least PSNR over the held-out views.
+fn psnr(dataset: &Dataset, result: &TrainResult) -> Result<(f64, f64)> {
+    let mut renderer = Renderer::new(&result.gaussians)?;
+    let mut scores = Vec::new();
+    for view in dataset.views.iter().filter(|v| v.held_out) {
+        let options = RenderOptions { background: [0.0; 3], ..result.render };
+        let rendered = renderer.render(&view.camera, &view.pose, &options)?.rgb.to_rgb8();
+        let pixels = &view.levels[0];
+        let photo = RgbImage::from_fn(rendered.width(), rendered.height(), |x, y| {
+            let i = y as usize * pixels.width + x as usize;
+            let a = pixels.mask.as_ref().map_or(1.0, |m| f32::from(m[i]) / 255.0);
+            Rgb([0, 1, 2].map(|c| (f32::from(pixels.rgb[i * 3 + c]) * a).round() as u8))
+        });
+        scores.push(scene::metrics::psnr(&photo, &rendered, None)?);
+    }
+    let mean = scores.iter().sum::<f64>() / scores.len().max(1) as f64;
+    Ok((mean, scores.iter().copied().fold(f64::INFINITY, f64::min)))
+}

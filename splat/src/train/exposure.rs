@@ -1,0 +1,109 @@
+//! Gains by view and channel, where the residuals ask for them: a camera that meters each picture anew.
+
+use super::Trainer;
+use crate::backend::Target;
+use crate::{RenderOptions, SplatError};
+
+/// Positions of the schedule at which gains are looked for (the first) and measured again.
+const LOOKS: [f64; 5] = [0.25, 0.4, 0.55, 0.7, 0.85];
+/// Part of the squared error that gains must explain.
+const EXPLAINED: f64 = 0.1;
+/// Gains stay within this and its inverse.
+const LARGEST: f64 = 2.0;
+
+/// What a view's pixels say, by channel: Σ r t, Σ r², Σ t² of rendering r and photo t.
+pub type Products = [[f64; 3]; 3];
+
+/// Least-squares gains by view and channel, their geometric mean over the views 1 in every channel (the colours of the
+/// scene carry the mean), and the part of the squared error that they explain.
+pub fn gains(views: &[Products]) -> (Vec<[f32; 3]>, f64) {
+    let raw = |p: &Products, c: usize| {
+        let gain = if p[1][c] > 0.0 { p[0][c] / p[1][c] } else { 1.0 };
+        if gain.is_finite() { gain.clamp(1.0 / LARGEST, LARGEST) } else { 1.0 }
+    };
+    let n = views.len().max(1) as f64;
+    let mean: [f64; 3] =
+        std::array::from_fn(|c| (views.iter().map(|p| raw(p, c).ln()).sum::<f64>() / n).exp());
+    let (mut before, mut after) = (0.0, 0.0);
+    let mut all = Vec::with_capacity(views.len());
+    for p in views {
+        let own: [f64; 3] = std::array::from_fn(|c| raw(p, c) / mean[c]);
+        for (c, g) in own.iter().enumerate() {
+            let [rt, rr, tt] = [p[0][c], p[1][c], p[2][c]];
+            before += tt - 2.0 * rt + rr;
+            after += tt - 2.0 * g * rt + g * g * rr;
+        }
+        all.push(own.map(|g| g as f32));
+    }
+    (all, if before > 0.0 { 1.0 - after / before } else { 0.0 })
+}
+
+impl Trainer<'_> {
+    /// Looks for gains at their places in the schedule.
+    pub(super) fn judge_exposure(&mut self) -> Result<(), SplatError> {
+        let looks = self.state.findings.exposure_looks;
+        let due = LOOKS.get(looks as usize).is_some_and(|&at| self.state.position >= at);
+        if !due || (looks > 0 && self.state.findings.gains.is_empty()) {
+            return Ok(());
+        }
+        self.state.findings.exposure_looks += 1;
+        if self.views.len() < 3 {
+            return Ok(());
+        }
+        let level = self.level();
+        let transparent = self.dataset.is_transparent();
+        let mut products = Vec::with_capacity(self.views.len());
+        for &v in &self.views {
+            let view = &self.dataset.views[v];
+            let level = level.min(view.levels.len() as u32 - 1);
+            let pixels = &view.levels[level as usize];
+            let target = Target { rgb: &pixels.rgb, mask: pixels.mask.as_deref(), transparent };
+            let options = RenderOptions { antialias: self.config.antialias, ..RenderOptions::default() };
+            products.push(self.backend.products(&view.view.at_level(level), &target, &options)?);
+        }
+        let (found, explained) = gains(&products);
+        let spread = |f: fn(f32, f32) -> f32, start| found.iter().flatten().copied().fold(start, f);
+        if looks == 0 {
+            let evidence = format!(
+                "gains of {:.2} to {:.2} by view and channel would explain {:.1} % of the squared error (needed: {:.0} %)",
+                spread(f32::min, f32::INFINITY),
+                spread(f32::max, 0.0),
+                100.0 * explained,
+                100.0 * EXPLAINED
+            );
+            let on = explained >= EXPLAINED;
+            self.note("exposure by view", if on { "modelled" } else { "not modelled" }.to_owned(), evidence);
+            if !on {
+                return Ok(());
+            }
+        }
+        self.state.findings.gains = found;
+        Ok(())
+    }
+
+    /// The gain of a training view: its photo shows the scene times this.
+    pub(super) fn gain(&self, view: usize) -> Option<[f32; 3]> {
+        let place = self.views.binary_search(&view).ok()?;
+        self.state.findings.gains.get(place).copied()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn gains_are_found_up_to_their_mean_and_none_where_there_are_none() {
+        let truth = [0.8, 1.0, 1.25];
+        let view = |g: f64| -> Products { [[10.0 * g; 3], [10.0; 3], [10.0 * g * g; 3]] };
+        let (found, explained) = gains(&truth.map(view));
+        for (f, t) in found.iter().zip(truth) {
+            assert!(f.iter().all(|v| (f64::from(*v) - t).abs() < 1e-6), "{found:?}");
+        }
+        assert!((explained - 1.0).abs() < 1e-9);
+        let noise: Products = [[10.0; 3], [10.0; 3], [11.0; 3]];
+        assert!(gains(&[noise; 4]).1.abs() < 1e-9);
+        let black: Products = [[0.0; 3]; 3];
+        assert_eq!(gains(&[black; 3]), (vec![[1.0; 3]; 3], 0.0));
+    }
+}
