@@ -154,6 +154,9 @@ pub struct RenderArgs {
     /// Background colour, red green blue in [0, 1]
     #[arg(long, num_args = 3, default_values_t = [0.0, 0.0, 0.0])]
     pub background: Vec<f32>,
+    /// Where to render.
+    #[command(flatten)]
+    pub device: splat::DeviceConfig,
 }
 
 /// What `export` takes.

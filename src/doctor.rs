@@ -18,7 +18,8 @@ pub fn run(json: bool) -> Result<Outcome> {
     ];
     rows.push(("memory".to_owned(), memory().unwrap_or_else(|| "unknown".into())));
     rows.extend(library_versions());
-    rows.push(graphics(&splat::adapters()));
+    let adapters = splat::adapters();
+    rows.push(graphics(&adapters));
     rows.push(("COLMAP (for compare --colmap)".to_owned(), program_version("colmap")));
     if json {
         println!("{}", serde_json::to_string_pretty(&rows)?);
@@ -26,7 +27,7 @@ pub fn run(json: bool) -> Result<Outcome> {
         for (name, value) in &rows {
             println!("{name:<32} {value}");
         }
-        for line in advice(cores, &rows) {
+        for line in advice(cores, &rows, &adapters) {
             println!("note: {line}");
         }
     }
@@ -100,7 +101,7 @@ fn program_version(program: &str) -> String {
     }
 }
 
-fn advice(cores: usize, rows: &[(String, String)]) -> Vec<String> {
+fn advice(cores: usize, rows: &[(String, String)], adapters: &[splat::Adapter]) -> Vec<String> {
     let mut lines = Vec::new();
     if cores < 2 {
         lines.push("one core: matching and training take twice as long as on two".into());
@@ -108,7 +109,10 @@ fn advice(cores: usize, rows: &[(String, String)]) -> Vec<String> {
     if instruction_set() == "x86-64 without AVX2" {
         lines.push("no AVX2: training and matching run several times slower".into());
     }
-    lines.push("training and rendering run on the CPU; no graphics adapter is used".into());
+    match adapters.iter().find(|a| a.kind.is_hardware()) {
+        Some(adapter) => lines.push(format!("the splat is trained and rendered on {}", adapter.name)),
+        None => lines.push("no graphics card: the splat is trained and rendered on the CPU".into()),
+    }
     for (name, value) in rows {
         if value.starts_with("missing") {
             lines.push(format!("{name} is missing: 'make setup' installs it"));

@@ -9,7 +9,7 @@ use scene::lpips::{Backbone, Lpips};
 use scene::{Progress, metrics};
 use serde::{Deserialize, Serialize};
 use speed::RenderingCost;
-use splat::{Dataset, DatasetConfig, RenderOptions, Renderer, View};
+use splat::{Dataset, DatasetConfig, DeviceConfig, RenderOptions, Renderer, View};
 use std::path::{Path, PathBuf};
 
 /// How the held-out views are judged.
@@ -68,6 +68,9 @@ pub struct Evaluation {
     pub views: Vec<ViewMetrics>,
     /// Mean over the views.
     pub mean: Metrics,
+    /// What rendered, in words.
+    #[serde(default)]
+    pub renderer: String,
     /// Speed and memory of rendering the held-out views.
     #[serde(default)]
     pub rendering: RenderingCost,
@@ -103,19 +106,20 @@ pub fn evaluate(
     out: &Path,
     dataset: &DatasetConfig,
     config: &EvalConfig,
+    device: &DeviceConfig,
     progress: &Progress,
 ) -> Result<Evaluation> {
     let networks: Vec<Lpips> =
         config.lpips_weights.iter().map(|path| Ok(Lpips::load(path)?)).collect::<Result<_>>()?;
     let gaussians = scene::io::ply::read_splat_ply(&out.join("splat.ply"))?;
-    let mut renderer = Renderer::new(&gaussians)?;
+    let (mut renderer, chosen) = Renderer::on(device, &gaussians)?;
     let cameras = speed::held_out_cameras(&out.join("undistorted"), dataset)?;
     let rendering = speed::measure(&mut renderer, &cameras, config.fps_loops, progress)?;
     let config = dataset;
     let dataset = load_dataset(&out.join("undistorted"), config, progress)?;
     let held_out: Vec<&View> = dataset.views.iter().filter(|v| v.held_out).collect();
     let protocol = protocol(config, &dataset, held_out.len(), &rendering, &networks);
-    let mut evaluation = Evaluation { protocol, rendering, ..Evaluation::default() };
+    let mut evaluation = Evaluation { protocol, rendering, renderer: chosen.choice, ..Evaluation::default() };
     progress.begin("evaluate", held_out.len());
     scene::io::replace_folder(&out.join("eval"), |folder| -> Result<()> {
         for (i, view) in held_out.iter().enumerate() {

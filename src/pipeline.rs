@@ -378,7 +378,8 @@ impl Pipeline {
         let (finished, ran) =
             self.stages.run("eval", &print, &[self.out.join("eval/metrics.json")], || {
                 let progress = self.progress("eval");
-                evaluate::evaluate(&self.out, &self.args.dataset, &self.args.eval, &progress)
+                let args = &self.args;
+                evaluate::evaluate(&self.out, &args.dataset, &args.eval, &args.train.device, &progress)
             })?;
         let evaluation = finished.value;
         self.finish("eval", finished.cost, ran, &evaluation.sentence());

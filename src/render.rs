@@ -22,7 +22,7 @@ pub fn run(args: &RenderArgs, verbosity: Verbosity) -> Result<Outcome> {
     let options = RenderOptions { background: [r, g, b], ..RenderOptions::default() };
     let progress = Progress::new(Box::new(TerminalSink::new(verbosity, None)), &CANCELLED);
     progress.begin("render", views.len());
-    let mut renderer = splat::Renderer::new(&gaussians)?;
+    let (mut renderer, device) = splat::Renderer::on(&args.device, &gaussians)?;
     let mut sink = Sink::open(&args.output, args.fps)?;
     for (name, camera, pose) in &views {
         let output = renderer.render(camera, pose, &options)?;
@@ -31,7 +31,7 @@ pub fn run(args: &RenderArgs, verbosity: Verbosity) -> Result<Outcome> {
     }
     sink.finish()?;
     if verbosity > Verbosity::Quiet {
-        eprintln!("{} pictures in {}", views.len(), args.output.display());
+        eprintln!("{} pictures in {}, by: {}", views.len(), args.output.display(), device.choice);
     }
     Ok(Outcome::Done)
 }

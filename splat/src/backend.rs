@@ -1,5 +1,6 @@
 //! What a backend does: hold the Gaussians, render them, take a training step, say what it saw.
 
+use crate::cpu::optimise::Statistics;
 use crate::model::Model;
 use crate::{RenderOptions, RenderOutput, SplatError};
 use glam::{Mat3, Vec3};
@@ -123,16 +124,63 @@ pub struct KernelTimes {
 
 /// A place where Gaussians are rendered and trained. All work on the same [`Model`] layout.
 pub trait Backend {
-    /// Takes the parameters and moments.
-    fn upload(&mut self, model: Model);
-    /// The present parameters and moments.
-    fn model(&self) -> &Model;
-    /// For changes between steps (densification, pruning).
-    fn model_mut(&mut self) -> &mut Model;
+    /// What it runs on, in words.
+    fn name(&self) -> String;
+    /// Takes parameters, moments, and what the steps since the last change saw.
+    fn upload(&mut self, model: Model, statistics: Statistics) -> Result<(), SplatError>;
+    /// The present parameters, moments and statistics.
+    fn download(&mut self) -> Result<(Model, Statistics), SplatError>;
+    /// Changes between steps: densification, pruning, another spherical-harmonic degree.
+    fn edit(&mut self, change: &mut dyn FnMut(&mut Model, &mut Statistics)) -> Result<(), SplatError>;
+    /// Gaussians held.
+    fn gaussians(&self) -> usize;
+    /// Spherical-harmonic degree held.
+    fn sh_degree(&self) -> u32;
+    /// The most Gaussians of a degree that can be trained on views of so many pixels, and what limits them.
+    fn capacity(&self, sh_degree: u32, pixels: usize) -> Option<(usize, String)>;
     /// Renders the Gaussians.
-    fn render(&mut self, view: &PinholeView, options: &RenderOptions) -> RenderOutput;
+    fn render(&mut self, view: &PinholeView, options: &RenderOptions) -> Result<RenderOutput, SplatError>;
+    /// Renders and leaves the picture where it is, as for a display.
+    fn render_only(&mut self, view: &PinholeView, options: &RenderOptions) -> Result<(), SplatError> {
+        self.render(view, options).map(|_| ())
+    }
+    /// Bytes allocated on a device, by buffer; nothing where everything lies in the host's memory.
+    fn memory(&self) -> Vec<(&'static str, u64)> {
+        Vec::new()
+    }
     /// Forward, loss, backward and Adam.
     fn step(&mut self, input: &StepInput) -> Result<StepOutput, SplatError>;
+    /// Mean squared error of a picture against a target, over its pixels that count; statistics stay as they are.
+    fn mean_square_error(
+        &mut self,
+        view: &PinholeView,
+        target: &Target,
+        options: &RenderOptions,
+    ) -> Result<f64, SplatError>;
+    /// Whether the statistics sum |dL/dxy| over pixels (AbsGS) instead of taking the norm of the sum.
+    fn set_magnitudes(&mut self, on: bool) -> Result<(), SplatError>;
+    /// The gain of the view to come: its photo shows the scene times this, so that targets are divided by it.
+    fn set_gain(&mut self, gain: Option<[f32; 3]>);
+    /// Sums over the pixels that count, by channel: Σ r t, Σ r², Σ t² of the rendering r and the photo t (no gain).
+    fn products(
+        &mut self,
+        view: &PinholeView,
+        target: &Target,
+        options: &RenderOptions,
+    ) -> Result<[[f64; 3]; 3], SplatError> {
+        let rgb = self.render(view, options)?.rgb;
+        let mut sums = [[0.0; 3]; 3];
+        for (i, &r) in rgb.data.iter().enumerate() {
+            let m = target.mask.map_or(1.0, |m| f64::from(m[i / 3]) / 255.0);
+            let (r, photo) = (f64::from(r), f64::from(target.rgb[i]) / 255.0);
+            let behind = f64::from(options.background[i % 3]);
+            let (w, t) = if target.transparent { (1.0, behind + m * (photo - behind)) } else { (m, photo) };
+            for (sum, product) in sums.iter_mut().zip([r * t, r * r, t * t]) {
+                sum[i % 3] += w * product;
+            }
+        }
+        Ok(sums)
+    }
     /// Time by kernel.
     fn times(&self) -> KernelTimes;
 }

@@ -1,5 +1,6 @@
 //! What training can be told.
 
+use crate::device::DeviceConfig;
 use clap::{Args, ValueEnum};
 use serde::{Deserialize, Serialize};
 
@@ -62,6 +63,9 @@ pub struct TrainConfig {
     /// Seed of all randomness (the command line has one for all stages)
     #[arg(skip)]
     pub seed: u64,
+    /// Where to train.
+    #[command(flatten)]
+    pub device: DeviceConfig,
     /// How the trainer goes about it (chosen by the `ablation` example)
     #[arg(skip)]
     pub recipe: Recipe,
@@ -143,6 +147,7 @@ impl Default for TrainConfig {
             antialias: false,
             checkpoint_every: CHECKPOINT_EVERY,
             seed: 0,
+            device: DeviceConfig::default(),
             recipe: Recipe::default(),
         }
     }

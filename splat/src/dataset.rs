@@ -264,7 +264,7 @@ fn mask_path(dir: &Path, relative: &Path) -> Option<PathBuf> {
 }
 
 /// Full, half, quarter … resolution.
-pub(crate) fn pyramid(full: Pixels) -> Vec<Pixels> {
+pub fn pyramid(full: Pixels) -> Vec<Pixels> {
     let mut levels = vec![full];
     for level in 1..LEVELS {
         let next = shrink(&levels[0], level);

@@ -12,6 +12,7 @@ pub mod config;
 pub mod cpu;
 pub mod dataset;
 pub mod densify;
+pub mod device;
 pub mod error;
 #[cfg(feature = "gpu")]
 pub mod gpu;
@@ -26,6 +27,7 @@ pub use adapter::{Adapter, AdapterKind, adapters};
 pub use backend::{Backend, PinholeView};
 pub use config::{Quality, Recipe, Selection, TrainConfig};
 pub use dataset::{AlphaMode, Dataset, DatasetConfig, View};
+pub use device::{BackendChoice, DeviceConfig};
 pub use error::SplatError;
 pub use render::{RenderOptions, RenderOutput, Renderer, render_view};
 pub use train::{CurvePoint, Decision, TrainResult, train};

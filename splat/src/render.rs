@@ -2,9 +2,11 @@
 
 use crate::SplatError;
 use crate::backend::Backend;
-use crate::cpu::CpuBackend;
+use crate::cpu::optimise::Statistics;
 use crate::dataset::Normalisation;
+use crate::device::{BackendChoice, DeviceConfig};
 use crate::model::Model;
+use crate::train::Decision;
 use glam::DVec3;
 use scene::{Camera, FloatImage, Gaussians, Pose};
 use serde::{Deserialize, Serialize};
@@ -35,18 +37,26 @@ pub struct RenderOutput {
 
 /// Renders many views of the same Gaussians.
 pub struct Renderer {
-    backend: CpuBackend,
+    backend: Box<dyn Backend>,
     frame: Normalisation,
 }
 
 impl Renderer {
-    /// Prepares the Gaussians, in a frame in which their spread is 1, so that scenes of any unit render alike.
+    /// On the processor; see [`Renderer::on`].
     pub fn new(gaussians: &Gaussians) -> Result<Self, SplatError> {
+        let device = DeviceConfig { backend: BackendChoice::Cpu, ..DeviceConfig::default() };
+        Ok(Self::on(&device, gaussians)?.0)
+    }
+
+    /// Prepares the Gaussians, in a frame in which their spread is 1, so that scenes of any unit render alike; says where
+    /// they will be rendered.
+    pub fn on(device: &DeviceConfig, gaussians: &Gaussians) -> Result<(Self, Decision), SplatError> {
         gaussians.validate().map_err(SplatError::InvalidGaussians)?;
         let frame = spread(gaussians);
-        let mut backend = CpuBackend::default();
-        backend.upload(Model::from_gaussians(&frame.to_normalised(gaussians.clone())));
-        Ok(Self { backend, frame })
+        let (mut backend, decision) = crate::device::open(device)?;
+        let model = Model::from_gaussians(&frame.to_normalised(gaussians.clone()));
+        backend.upload(model, Statistics::default())?;
+        Ok((Self { backend, frame }, decision))
     }
 
     /// Renders a view; the camera must be PINHOLE, SIMPLE_PINHOLE or without distortion.
@@ -62,7 +72,7 @@ impl Renderer {
         }
         let near = options.near.map(|n| n * self.frame.scale as f32);
         let view = self.frame.view(camera, pose);
-        let mut out = self.backend.render(&view, &RenderOptions { near, ..*options });
+        let mut out = self.backend.render(&view, &RenderOptions { near, ..*options })?;
         let unit = (1.0 / self.frame.scale) as f32;
         out.depth.data.iter_mut().for_each(|z| *z *= unit);
         Ok(out)

@@ -8,7 +8,7 @@ pub use decide::Findings;
 use crate::backend::{Backend, KernelTimes, StepInput, Target};
 use crate::checkpoint::{Checkpoint, State};
 use crate::config::Selection;
-use crate::cpu::CpuBackend;
+use crate::cpu::optimise::Statistics;
 use crate::dataset::AlphaMode;
 use crate::init::initial_gaussians;
 use crate::model::Model;
@@ -69,7 +69,9 @@ const CURVE_EVERY: u32 = 50;
 struct Trainer<'a> {
     dataset: &'a Dataset,
     config: &'a TrainConfig,
-    backend: CpuBackend,
+    backend: Box<dyn Backend>,
+    /// The configured number of Gaussians, or what the device can hold.
+    max_gaussians: usize,
     state: State,
     pace: Pace,
     clock: fn() -> f64,
@@ -92,13 +94,13 @@ pub fn train(
     let mut trainer = Trainer::new(dataset, config, checkpoint_dir)?;
     progress.begin("train", if config.time_limit.is_some() { 0 } else { config.iterations as usize });
     let saved = |trainer: &mut Trainer| -> Result<(), SplatError> {
-        checkpoint_dir.map_or(Ok(()), |folder| trainer.checkpoint().write(folder))
+        checkpoint_dir.map_or(Ok(()), |folder| trainer.checkpoint()?.write(folder))
     };
     while trainer.state.position < 1.0 {
         trainer.step()?;
-        trainer.decide();
+        trainer.decide()?;
         let point = trainer.state.curve.last().copied().unwrap_or_default();
-        let detail = format!("{:.2} dB, {} gaussians", point.psnr, trainer.backend.model().len);
+        let detail = format!("{:.2} dB, {} gaussians", point.psnr, trainer.backend.gaussians());
         if let Err(cancelled) = progress.tick_with(&detail) {
             saved(&mut trainer)?;
             return Err(cancelled.into());
@@ -109,7 +111,7 @@ pub fn train(
         }
     }
     saved(&mut trainer)?;
-    Ok(trainer.finish())
+    trainer.finish()
 }
 
 fn check(config: &TrainConfig) -> Result<(), SplatError> {
@@ -139,31 +141,45 @@ impl<'a> Trainer<'a> {
             if config.recipe.cpu_time { crate::clock::cpu_seconds } else { crate::clock::wall_seconds };
         let begun = clock();
         let fingerprint = format!("{config:?} {:?} {}", dataset.normalisation, dataset.views.len());
-        let mut backend = CpuBackend::default();
-        backend.set_magnitudes(config.recipe.selection == Selection::AbsoluteGradient);
+        let (mut backend, decision) = crate::device::open(&config.device)?;
+        let pixels = dataset.views.iter().map(|v| v.view.width * v.view.height).max().unwrap_or(0);
+        let room = backend.capacity(config.sh_degree, pixels);
+        let max_gaussians = room.as_ref().map_or(config.max_gaussians, |r| r.0.min(config.max_gaussians));
+        if max_gaussians == 0 {
+            let (flag, expected) =
+                ("--vram-limit", "enough for the pictures and some Gaussians; scale the pictures down");
+            let value = config.device.vram_limit.map_or("not given".to_owned(), |mib| mib.to_string());
+            return Err(SplatError::Config { flag, value, expected });
+        }
+        backend.set_magnitudes(config.recipe.selection == Selection::AbsoluteGradient)?;
         let resumed = folder.map_or(Ok(None), |f| Checkpoint::read(f, &fingerprint))?;
         let state = match resumed {
             Some(checkpoint) => {
-                backend.upload(checkpoint.model);
-                backend.statistics = checkpoint.statistics;
+                backend.upload(checkpoint.model, checkpoint.statistics)?;
                 checkpoint.state
             }
             None => {
-                let first = initial_gaussians(dataset, config.max_gaussians, config.seed)?;
-                backend.upload(Model::from_gaussians(&first));
-                State { fingerprint, first: first.len(), seconds: clock() - begun, ..State::default() }
+                let first = initial_gaussians(dataset, max_gaussians, config.seed)?;
+                let mut statistics = Statistics::default();
+                statistics.reset(first.len());
+                backend.upload(Model::from_gaussians(&first), statistics)?;
+                let mut decisions = vec![decision];
+                if let Some((room, why)) = room.filter(|r| r.0 < config.max_gaussians) {
+                    let (subject, choice) = ("most gaussians".to_owned(), room.to_string());
+                    decisions.push(Decision { subject, choice, evidence: why });
+                }
+                let (first, seconds) = (first.len(), clock() - begun);
+                State { fingerprint, first, seconds, decisions, ..State::default() }
             }
         };
         let validation = if config.recipe.evidence { decide::validation(&views) } else { Vec::new() };
-        Ok(Self { dataset, config, backend, state, pace: Pace::default(), clock, views, validation })
+        let pace = Pace::default();
+        Ok(Self { dataset, config, backend, max_gaussians, state, pace, clock, views, validation })
     }
 
-    fn checkpoint(&self) -> Checkpoint {
-        Checkpoint {
-            state: self.state.clone(),
-            model: self.backend.model().clone(),
-            statistics: self.backend.statistics.clone(),
-        }
+    fn checkpoint(&mut self) -> Result<Checkpoint, SplatError> {
+        let (model, statistics) = self.backend.download()?;
+        Ok(Checkpoint { state: self.state.clone(), model, statistics })
     }
 
     /// The view of a step: a fresh permutation of all views each time round; those that judge only once they are done.
@@ -197,8 +213,8 @@ impl<'a> Trainer<'a> {
         let position = self.state.position;
         let highest = self.config.sh_degree.min(self.state.findings.sh_limit.unwrap_or(3));
         let degree = schedule::sh_degree(position, highest);
-        if self.backend.model().sh_degree < degree {
-            self.backend.model_mut().set_sh_degree(degree);
+        if self.backend.sh_degree() < degree {
+            self.backend.edit(&mut |model, _| model.set_sh_degree(degree))?;
         }
         let chosen = self.view_of_step();
         let view = &self.dataset.views[chosen];
@@ -228,7 +244,7 @@ impl<'a> Trainer<'a> {
         }
         if schedule::is_round(iteration, position, self.state.last_round, &self.config.recipe) {
             self.state.last_round = (iteration, position);
-            self.densify();
+            self.densify()?;
         }
         for (sum, value) in self.state.pending.iter_mut().zip([output.loss, output.mse, 1.0]) {
             *sum += f64::from(value);
@@ -247,10 +263,9 @@ impl<'a> Trainer<'a> {
         schedule::level(self.state.position, self.config.coarse_levels, &self.config.recipe)
     }
 
-    fn densify(&mut self) {
+    fn densify(&mut self) -> Result<(), SplatError> {
         let recipe = &self.config.recipe;
-        let statistics = std::mem::take(&mut self.backend.statistics);
-        let (now, max) = (self.backend.model().len, self.config.max_gaussians);
+        let (now, max) = (self.backend.gaussians(), self.max_gaussians);
         let (wanted, threshold) = if recipe.planned_growth {
             let steps = self.pace.steps(&self.state, self.config);
             let last = schedule::gaussians_at_end(self.state.first, steps, self.views.len(), self.config);
@@ -262,15 +277,17 @@ impl<'a> Trainer<'a> {
         let room = wanted.min(max).saturating_sub(now);
         let (seed, iteration, selection) = (self.config.seed, self.state.iteration, recipe.selection);
         let remove_unseen = recipe.remove_unseen && self.dataset.is_transparent();
-        let model = self.backend.model_mut();
-        densify::densify(model, &statistics, room, threshold, selection, seed, iteration);
-        if remove_unseen {
-            let views: Vec<_> = self.views.iter().map(|&v| self.dataset.views[v].view).collect();
-            self.state.findings.unseen += densify::prune_unseen(model, &views);
-        }
-        let n = model.len;
-        self.backend.statistics = statistics;
-        self.backend.statistics.reset(n);
+        let views: Vec<_> = self.views.iter().map(|&v| self.dataset.views[v].view).collect();
+        let mut unseen = 0;
+        self.backend.edit(&mut |model, statistics| {
+            densify::densify(model, statistics, room, threshold, selection, seed, iteration);
+            if remove_unseen {
+                unseen = densify::prune_unseen(model, &views);
+            }
+            statistics.reset(model.len);
+        })?;
+        self.state.findings.unseen += unseen;
+        Ok(())
     }
 
     fn note_curve(&mut self) {
@@ -282,17 +299,18 @@ impl<'a> Trainer<'a> {
                 seconds: self.state.seconds,
                 loss: (loss / n) as f32,
                 psnr: psnr as f32,
-                gaussians: self.backend.model().len,
+                gaussians: self.backend.gaussians(),
             });
         }
     }
 
-    fn finish(mut self) -> TrainResult {
+    fn finish(mut self) -> Result<TrainResult, SplatError> {
+        let (model, _) = self.backend.download()?;
         let timings = self.backend.times();
         let decisions = self.decisions();
         let near = crate::cpu::DEFAULT_NEAR / self.dataset.normalisation.scale as f32;
-        TrainResult {
-            gaussians: self.dataset.normalisation.to_world(self.backend.model().to_gaussians()),
+        Ok(TrainResult {
+            gaussians: self.dataset.normalisation.to_world(model.to_gaussians()),
             curve: self.state.curve,
             decisions,
             timings,
@@ -302,7 +320,7 @@ impl<'a> Trainer<'a> {
                 antialias: self.config.antialias,
                 ..RenderOptions::default()
             },
-        }
+        })
     }
 }
 

@@ -198,21 +198,20 @@ impl CpuBackend {
     }
 }
 
-impl Backend for CpuBackend {
-    fn upload(&mut self, model: Model) {
+impl CpuBackend {
+    /// Takes parameters and moments; statistics begin anew.
+    pub fn upload(&mut self, model: Model) {
         self.statistics.reset(model.len);
         self.model = model;
     }
 
-    fn model(&self) -> &Model {
+    /// The present parameters and moments.
+    pub fn model(&self) -> &Model {
         &self.model
     }
 
-    fn model_mut(&mut self) -> &mut Model {
-        &mut self.model
-    }
-
-    fn render(&mut self, view: &PinholeView, options: &RenderOptions) -> RenderOutput {
+    /// Renders the Gaussians.
+    pub fn render(&mut self, view: &PinholeView, options: &RenderOptions) -> RenderOutput {
         let camera = self.camera(view, options);
         self.forward(view, &camera, options, true);
         let (w, h, stride) = (view.width, view.height, self.work.shape.stride());
@@ -240,6 +239,43 @@ impl Backend for CpuBackend {
         );
         out
     }
+}
+
+impl Backend for CpuBackend {
+    fn name(&self) -> String {
+        format!("processor, {:?}", self.isa.kind())
+    }
+
+    fn upload(&mut self, model: Model, statistics: Statistics) -> Result<(), SplatError> {
+        self.model = model;
+        self.statistics = statistics;
+        Ok(())
+    }
+
+    fn download(&mut self) -> Result<(Model, Statistics), SplatError> {
+        Ok((self.model.clone(), self.statistics.clone()))
+    }
+
+    fn edit(&mut self, change: &mut dyn FnMut(&mut Model, &mut Statistics)) -> Result<(), SplatError> {
+        change(&mut self.model, &mut self.statistics);
+        Ok(())
+    }
+
+    fn gaussians(&self) -> usize {
+        self.model.len
+    }
+
+    fn sh_degree(&self) -> u32 {
+        self.model.sh_degree
+    }
+
+    fn capacity(&self, _: u32, _: usize) -> Option<(usize, String)> {
+        None
+    }
+
+    fn render(&mut self, view: &PinholeView, options: &RenderOptions) -> Result<RenderOutput, SplatError> {
+        Ok(Self::render(self, view, options))
+    }
 
     fn step(&mut self, input: &StepInput) -> Result<StepOutput, SplatError> {
         if self.statistics.gradient.len() != padded(self.model.len) {
@@ -261,6 +297,33 @@ impl Backend for CpuBackend {
         self.times.optimise += self.lap(&mut mark);
         let pairs = self.work.bins.list.len();
         Ok(StepOutput { loss: value.loss, mse: value.mse, visible, pairs, non_finite })
+    }
+
+    fn mean_square_error(
+        &mut self,
+        view: &PinholeView,
+        target: &Target,
+        options: &RenderOptions,
+    ) -> Result<f64, SplatError> {
+        Ok(Self::mean_square_error(self, view, target, options))
+    }
+
+    fn set_gain(&mut self, gain: Option<[f32; 3]>) {
+        Self::set_gain(self, gain);
+    }
+
+    fn products(
+        &mut self,
+        view: &PinholeView,
+        target: &Target,
+        options: &RenderOptions,
+    ) -> Result<[[f64; 3]; 3], SplatError> {
+        Ok(Self::products(self, view, target, options))
+    }
+
+    fn set_magnitudes(&mut self, on: bool) -> Result<(), SplatError> {
+        Self::set_magnitudes(self, on);
+        Ok(())
     }
 
     fn times(&self) -> KernelTimes {

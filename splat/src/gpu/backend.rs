@@ -1,12 +1,15 @@
 //! The backend: uploads, frames, steps, downloads.
 
 use super::bound::{Bound, Stage};
-use super::buffers::{Buffers, REPORT, Sizes, tiles};
+use super::buffers::{Buffers, Limit, REPORT, Sizes, capacity, tiles};
 use super::context::Gpu;
 use super::kernels::Kernels;
-use super::layout::{BLOCK, CLOCK, COUNTERS, COVERAGE, Frame, NON_FINITE, PAIRS, VISIBLE, WEIGHTED};
+use super::layout::{
+    BLOCK, CLOCK, COUNTERS, COVERAGE, Frame, MAGNITUDES, NON_FINITE, PAIRS, PLANES, STATISTICS, VISIBLE,
+    WEIGHTED,
+};
 use crate::adapter::Adapter;
-use crate::backend::{KernelTimes, StepInput, StepOutput, Target};
+use crate::backend::{Backend, KernelTimes, StepInput, StepOutput, Target};
 use crate::cpu::DEFAULT_NEAR;
 use crate::cpu::optimise::Statistics;
 use crate::cpu::project::CameraConstants;
@@ -26,10 +29,13 @@ pub struct GpuBackend {
     sh_degree: u32,
     pub(super) buffers: Option<(Buffers, Bound)>,
     /// The model as uploaded, while the device has no moments.
-    untrained: Option<Model>,
+    untrained: Option<(Model, Statistics)>,
     report: wgpu::Buffer,
     stamps: Option<(wgpu::QuerySet, wgpu::Buffer)>,
     times: KernelTimes,
+    limit: Option<u64>,
+    gain: Option<[f32; 3]>,
+    magnitudes: u32,
 }
 
 /// What comes back from the device after a step.
@@ -53,8 +59,8 @@ impl Report {
 }
 
 impl GpuBackend {
-    /// Opens an adapter (see [`Gpu::open`]) and compiles the kernels.
-    pub fn open(name: Option<&str>) -> Result<Self, SplatError> {
+    /// Opens an adapter (see [`Gpu::open`]) and compiles the kernels. `limit`: bytes of its memory that may be used.
+    pub fn open(name: Option<&str>, limit: Option<u64>) -> Result<Self, SplatError> {
         let gpu = Gpu::open(name)?;
         let kernels = Kernels::new(&gpu)?;
         let stamps = gpu.device.features().contains(wgpu::Features::TIMESTAMP_QUERY).then(|| {
@@ -88,51 +94,15 @@ impl GpuBackend {
             report,
             stamps,
             times: KernelTimes::default(),
+            limit,
+            gain: None,
+            magnitudes: 0,
         })
     }
 
     /// What it runs on.
     pub fn adapter(&self) -> &Adapter {
         &self.gpu.adapter
-    }
-
-    /// Gaussians held.
-    pub fn len(&self) -> usize {
-        self.sizes.n
-    }
-
-    /// Whether it holds none.
-    pub fn is_empty(&self) -> bool {
-        self.sizes.n == 0
-    }
-
-    /// Spherical-harmonic degree held.
-    pub fn sh_degree(&self) -> u32 {
-        self.sh_degree
-    }
-
-    /// Time by kernel.
-    pub fn times(&self) -> KernelTimes {
-        self.times
-    }
-
-    /// Bytes allocated on the device, by buffer.
-    pub fn memory(&self) -> Vec<(&'static str, u64)> {
-        if self.buffers.is_some() { Buffers::plan(&self.sizes) } else { Vec::new() }
-    }
-
-    /// Takes parameters, moments and statistics (none: zero).
-    pub fn upload(&mut self, model: Model, statistics: Option<&Statistics>) -> Result<(), SplatError> {
-        let sizes = Sizes { n: model.len, sh_stride: model.sh_stride(), ..self.sizes };
-        self.sh_degree = model.sh_degree;
-        self.resize(sizes)?;
-        if self.sizes.training {
-            self.write_model(&model, statistics);
-        } else {
-            self.write_parameters(&model);
-            self.untrained = Some(model);
-        }
-        Ok(())
     }
 
     fn write_parameters(&self, model: &Model) {
@@ -144,7 +114,7 @@ impl GpuBackend {
         self.gpu.write(&b.sh, 0, &model.sh);
     }
 
-    fn write_model(&self, model: &Model, statistics: Option<&Statistics>) {
+    fn write_model(&self, model: &Model, s: &Statistics) {
         self.write_parameters(model);
         let Some((b, _)) = &self.buffers else { return };
         let plane = 4 * padded(model.len) as u64;
@@ -156,58 +126,11 @@ impl GpuBackend {
         let pairs = model.sh_m.chunks_exact(stride).zip(model.sh_v.chunks_exact(stride));
         let both: Vec<f32> = pairs.flat_map(|(m, v)| m.iter().chain(v).copied()).collect();
         self.gpu.write(&b.sh_moments, 0, &both);
-        let zero = Statistics::default();
-        let s = statistics.unwrap_or(&zero);
         for (p, values) in (0..).zip([&s.gradient, &s.visible, &s.weight, &s.radius]) {
             let mut values = values.clone();
             values.resize(padded(model.len), 0.0);
             self.gpu.write(&b.statistics, p * plane, &values);
         }
-    }
-
-    /// Parameters, moments and statistics.
-    pub fn download(&self) -> Result<(Model, Statistics), SplatError> {
-        let n = self.sizes.n;
-        let stride = padded(n);
-        if let Some(model) = &self.untrained {
-            let mut statistics = Statistics::default();
-            statistics.reset(n);
-            return Ok((model.clone(), statistics));
-        }
-        let Some((b, _)) = &self.buffers else { return Ok(Default::default()) };
-        let read = |buffer: &wgpu::Buffer, p: usize| -> Result<Vec<f32>, SplatError> {
-            self.gpu.read(buffer, 4 * (p * stride) as u64, stride)
-        };
-        let planes = |first: usize| -> Result<[Vec<f32>; GEOMETRY], SplatError> {
-            let mut out: [Vec<f32>; GEOMETRY] = Default::default();
-            for (p, plane) in out.iter_mut().enumerate() {
-                *plane = read(&b.geometry, first + p)?;
-            }
-            Ok(out)
-        };
-        let sh_stride = self.sizes.sh_stride;
-        let both: Vec<f32> = self.gpu.read(&b.sh_moments, 0, n * 2 * sh_stride)?;
-        let half = |k: usize| -> Vec<f32> {
-            both.chunks_exact(sh_stride).skip(k).step_by(2).flatten().copied().collect()
-        };
-        let model = Model {
-            len: n,
-            sh_degree: self.sh_degree,
-            geometry: planes(0)?,
-            geometry_m: planes(GEOMETRY)?,
-            geometry_v: planes(2 * GEOMETRY)?,
-            sh: self.gpu.read(&b.sh, 0, n * sh_stride)?,
-            sh_m: half(0),
-            sh_v: half(1),
-            steps: read(&b.geometry, CLOCK)?,
-        };
-        let statistics = Statistics {
-            gradient: read(&b.statistics, 0)?,
-            visible: read(&b.statistics, 1)?,
-            weight: read(&b.statistics, 2)?,
-            radius: read(&b.statistics, 3)?,
-        };
-        Ok((model, statistics))
     }
 
     /// Buffers of at least these sizes. What stays of the same size keeps its contents.
@@ -222,6 +145,11 @@ impl GpuBackend {
             training: needed.training || self.sizes.training,
             ..needed
         };
+        let total: u64 = Buffers::plan(&sizes).iter().map(|b| b.1).sum();
+        if let Some(limit) = self.limit.filter(|&limit| total > limit) {
+            let (needed, limit) = (total >> 20, limit >> 20);
+            return Err(self.gpu.error(format!("{needed} MiB are needed and --vram-limit allows {limit}")));
+        }
         let old = self.buffers.take().map(|(buffers, _)| buffers);
         let buffers = Buffers::new(&self.gpu, &sizes, old)?;
         let bound = Bound::new(&self.gpu, &self.kernels, &buffers, &sizes);
@@ -234,8 +162,8 @@ impl GpuBackend {
     pub(super) fn prepare(&mut self, view: &PinholeView, training: bool) -> Result<(), SplatError> {
         let (pixels, tiles) = (view.width * view.height, tiles(view.width, view.height));
         self.resize(Sizes { pixels, tiles, training, ..self.sizes })?;
-        if training && let Some(model) = self.untrained.take() {
-            self.write_model(&model, None);
+        if training && let Some((model, statistics)) = self.untrained.take() {
+            self.write_model(&model, &statistics);
         }
         Ok(())
     }
@@ -245,8 +173,10 @@ impl GpuBackend {
         let near = options.near.unwrap_or(DEFAULT_NEAR);
         let camera = CameraConstants::new(view, options, near, degree);
         let [r, g, b] = options.background;
+        let [ur, ug, ub] = self.gain.unwrap_or([1.0; 3]).map(f32::recip);
         Frame {
             background: [r, g, b, 0.0],
+            unit: [ur, ug, ub, 1.0],
             n: self.sizes.n as u32,
             stride: padded(self.sizes.n.max(1)) as u32,
             sh_stride: self.sizes.sh_stride as u32,
@@ -308,30 +238,6 @@ impl GpuBackend {
         }
     }
 
-    /// Renders the Gaussians.
-    pub fn render(
-        &mut self,
-        view: &PinholeView,
-        options: &RenderOptions,
-    ) -> Result<RenderOutput, SplatError> {
-        self.prepare(view, false)?;
-        self.run(self.frame_of(view, options), Stage::Project..=Stage::Forward)?;
-        let (w, h) = (view.width, view.height);
-        let mut out = RenderOutput {
-            rgb: FloatImage::zeros(w, h, 3),
-            alpha: FloatImage::zeros(w, h, 1),
-            depth: FloatImage::zeros(w, h, 1),
-        };
-        let Some((b, _)) = &self.buffers else { return Ok(out) };
-        let image: Vec<[f32; 4]> = self.gpu.read(&b.image, 0, w * h)?;
-        for (i, [red, green, blue, clear]) in image.into_iter().enumerate() {
-            out.rgb.data[3 * i..3 * i + 3].copy_from_slice(&[red, green, blue]);
-            out.alpha.data[i] = 1.0 - clear;
-        }
-        out.depth.data = self.gpu.read(&b.depth, 0, w * h)?;
-        Ok(out)
-    }
-
     /// Puts the target on the device; returns the flags of its mask and the sum of its weights.
     pub(super) fn set_target(&self, target: &Target) -> (u32, f64) {
         let pixels = target.rgb.chunks_exact(3);
@@ -349,15 +255,110 @@ impl GpuBackend {
             None => (0, count as f64),
         }
     }
+}
 
-    /// Forward, loss, backward and Adam.
-    pub fn step(&mut self, input: &StepInput) -> Result<StepOutput, SplatError> {
+impl Backend for GpuBackend {
+    fn name(&self) -> String {
+        self.gpu.adapter.to_string()
+    }
+
+    fn upload(&mut self, model: Model, statistics: Statistics) -> Result<(), SplatError> {
+        let sizes = Sizes { n: model.len, sh_stride: model.sh_stride(), ..self.sizes };
+        self.sh_degree = model.sh_degree;
+        self.resize(sizes)?;
+        if self.sizes.training {
+            self.write_model(&model, &statistics);
+        } else {
+            self.write_parameters(&model);
+            self.untrained = Some((model, statistics));
+        }
+        Ok(())
+    }
+
+    fn download(&mut self) -> Result<(Model, Statistics), SplatError> {
+        let n = self.sizes.n;
+        let stride = padded(n);
+        if let Some(held) = &self.untrained {
+            return Ok(held.clone());
+        }
+        let Some((b, _)) = &self.buffers else { return Ok(Default::default()) };
+        let all: Vec<f32> = self.gpu.read(&b.geometry, 0, PLANES as usize * stride)?;
+        let plane = |p: usize| all[p * stride..(p + 1) * stride].to_vec();
+        let planes = |first: usize| std::array::from_fn(|p| plane(first + p));
+        let sh_stride = self.sizes.sh_stride;
+        let both: Vec<f32> = self.gpu.read(&b.sh_moments, 0, n * 2 * sh_stride)?;
+        let half = |k: usize| -> Vec<f32> {
+            both.chunks_exact(sh_stride).skip(k).step_by(2).flatten().copied().collect()
+        };
+        let model = Model {
+            len: n,
+            sh_degree: self.sh_degree,
+            geometry: planes(0),
+            geometry_m: planes(GEOMETRY),
+            geometry_v: planes(2 * GEOMETRY),
+            sh: self.gpu.read(&b.sh, 0, n * sh_stride)?,
+            sh_m: half(0),
+            sh_v: half(1),
+            steps: plane(CLOCK),
+        };
+        let seen: Vec<f32> = self.gpu.read(&b.statistics, 0, STATISTICS as usize * stride)?;
+        let plane = |p: usize| seen[p * stride..(p + 1) * stride].to_vec();
+        let [gradient, visible, weight, radius] = std::array::from_fn(plane);
+        let statistics = Statistics { gradient, visible, weight, radius };
+        Ok((model, statistics))
+    }
+
+    fn edit(&mut self, change: &mut dyn FnMut(&mut Model, &mut Statistics)) -> Result<(), SplatError> {
+        let (mut model, mut statistics) = self.download()?;
+        change(&mut model, &mut statistics);
+        self.upload(model, statistics)
+    }
+
+    fn gaussians(&self) -> usize {
+        self.sizes.n
+    }
+
+    fn sh_degree(&self) -> u32 {
+        self.sh_degree
+    }
+
+    fn capacity(&self, sh_degree: u32, pixels: usize) -> Option<(usize, String)> {
+        let largest = self.gpu.largest_buffer();
+        let (most, limit) = capacity(3 * (sh_degree as usize + 1).pow(2), pixels, largest, self.limit);
+        Some((
+            most,
+            match limit {
+                Limit::Binding => format!("a buffer of {} may have {} MiB", self.gpu.adapter, largest >> 20),
+                Limit::Memory => format!("--vram-limit {}", self.limit.unwrap_or(0) >> 20),
+            },
+        ))
+    }
+
+    fn render(&mut self, view: &PinholeView, options: &RenderOptions) -> Result<RenderOutput, SplatError> {
+        self.render_only(view, options)?;
+        let (w, h) = (view.width, view.height);
+        let mut out = RenderOutput {
+            rgb: FloatImage::zeros(w, h, 3),
+            alpha: FloatImage::zeros(w, h, 1),
+            depth: FloatImage::zeros(w, h, 1),
+        };
+        let Some((b, _)) = &self.buffers else { return Ok(out) };
+        let image: Vec<[f32; 4]> = self.gpu.read(&b.image, 0, w * h)?;
+        for (i, [red, green, blue, clear]) in image.into_iter().enumerate() {
+            out.rgb.data[3 * i..3 * i + 3].copy_from_slice(&[red, green, blue]);
+            out.alpha.data[i] = 1.0 - clear;
+        }
+        out.depth.data = self.gpu.read(&b.depth, 0, w * h)?;
+        Ok(out)
+    }
+
+    fn step(&mut self, input: &StepInput) -> Result<StepOutput, SplatError> {
         self.prepare(input.view, true)?;
         let (flags, weights) = self.set_target(&input.target);
         let inverse = if weights > 0.0 { 1.0 / (3.0 * weights) } else { 0.0 };
         let frame = self.frame_of(input.view, &input.options);
         let frame = Frame {
-            flags: frame.flags | flags,
+            flags: frame.flags | flags | self.magnitudes,
             lambda: input.lambda_dssim,
             inv_count: inverse as f32,
             opacity_penalty: input.opacity_penalty,
@@ -380,5 +381,41 @@ impl GpuBackend {
             pairs: counter(PAIRS),
             non_finite: counter(NON_FINITE),
         })
+    }
+
+    fn render_only(&mut self, view: &PinholeView, options: &RenderOptions) -> Result<(), SplatError> {
+        self.prepare(view, false)?;
+        self.run(self.frame_of(view, options), Stage::Project..=Stage::Forward).map(|_| ())
+    }
+
+    fn memory(&self) -> Vec<(&'static str, u64)> {
+        if self.buffers.is_some() { Buffers::plan(&self.sizes) } else { Vec::new() }
+    }
+
+    fn mean_square_error(
+        &mut self,
+        view: &PinholeView,
+        target: &Target,
+        options: &RenderOptions,
+    ) -> Result<f64, SplatError> {
+        self.prepare(view, true)?;
+        let (flags, weights) = self.set_target(target);
+        let frame = self.frame_of(view, options);
+        let frame = Frame { flags: frame.flags | flags, ..frame };
+        let report = self.run(frame, Stage::Project..=Stage::Loss)?;
+        Ok(f64::from(report.loss(weights, 0.0).1))
+    }
+
+    fn set_gain(&mut self, gain: Option<[f32; 3]>) {
+        self.gain = gain;
+    }
+
+    fn set_magnitudes(&mut self, on: bool) -> Result<(), SplatError> {
+        self.magnitudes = if on { MAGNITUDES } else { 0 };
+        Ok(())
+    }
+
+    fn times(&self) -> KernelTimes {
+        self.times
     }
 }

@@ -83,9 +83,9 @@ buffers!(
     /// [34][stride].
     geometry: (if s.training { PLANES as usize } else { 11 }) * padded(s.n.max(1)),
     /// [N][sh_stride].
-    sh: s.n.max(1) * s.sh_stride,
+    sh: s.n.max(1) * s.sh_stride.max(3),
     /// [N][2][sh_stride].
-    sh_moments: if s.training { s.n.max(1) * 2 * s.sh_stride } else { 1 },
+    sh_moments: if s.training { s.n.max(1) * 2 * s.sh_stride.max(3) } else { 1 },
     /// [4][stride].
     statistics: if s.training { STATISTICS as usize * padded(s.n.max(1)) } else { 1 },
     /// [N][3] vec4.
@@ -120,7 +120,7 @@ buffers!(
     pairs_b: s.pairs,
     /// [pairs].
     owners: s.pairs,
-    /// [pairs][10].
+    /// [pairs][12].
     sums: if s.training { s.pairs * SUMS as usize } else { 1 },
     /// [tiles + 1] vec2.
     ranges: 2 * (s.tiles + 1),
@@ -142,14 +142,45 @@ buffers!(
     result: 4,
 );
 
-/// Bytes that a model and its training need: by Gaussian, by pair, by pixel.
-pub fn bytes_each(sh_stride: usize) -> [u64; 3] {
-    let total = |n: usize, pairs: usize, pixels: usize| -> u64 {
-        let sizes = Sizes { n, sh_stride, pairs, pixels, tiles: pixels / 256, training: true };
-        Buffers::plan(&sizes).iter().map(|b| b.1).sum()
+/// What keeps a model from being larger.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Limit {
+    /// The largest buffer.
+    Binding,
+    /// The memory that may be used.
+    Memory,
+}
+
+/// Tiles that a Gaussian touches, reckoned generously: room for its pairs.
+const PAIRS_EACH: usize = 8;
+
+/// The most Gaussians that can be trained on pictures of so many pixels, where no buffer may have more than `largest` bytes
+/// and all of them together no more than `memory`; and which of the two it is.
+pub fn capacity(sh_stride: usize, pixels: usize, largest: u64, memory: Option<u64>) -> (usize, Limit) {
+    let fits = |n: usize| -> Option<Limit> {
+        let sizes = Sizes {
+            n,
+            sh_stride,
+            pairs: PAIRS_EACH * n,
+            pixels,
+            tiles: pixels.div_ceil(128),
+            training: true,
+        };
+        let plan = Buffers::plan(&sizes);
+        if plan.iter().any(|b| b.1 > largest) {
+            return Some(Limit::Binding);
+        }
+        let total: u64 = plan.iter().map(|b| b.1).sum();
+        memory.filter(|&m| total > m).map(|_| Limit::Memory)
     };
-    const M: usize = 1 << 20;
-    let base = total(M, M, M);
-    [total(2 * M, M, M) - base, total(M, 2 * M, M) - base, total(M, M, 2 * M) - base]
-        .map(|bytes| bytes.div_ceil(M as u64))
+    // The greatest n that fits lies in low .. high.
+    let (mut low, mut high, mut limit) = (0usize, 1usize << 27, Limit::Binding);
+    while high - low > 1 {
+        let middle = low + (high - low) / 2;
+        match fits(middle) {
+            None => low = middle,
+            Some(reason) => (high, limit) = (middle, reason),
+        }
+    }
+    (low, limit)
 }

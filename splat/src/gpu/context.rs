@@ -114,6 +114,12 @@ impl Gpu {
 }
 
 impl Gpu {
+    /// Bytes that a buffer may have so that a kernel can see all of it.
+    pub fn largest_buffer(&self) -> u64 {
+        let limits = self.device.limits();
+        limits.max_storage_buffer_binding_size.min(limits.max_buffer_size)
+    }
+
     /// A storage buffer of `bytes` (that can also be copied and be a uniform); `old` where it has that size already.
     pub fn buffer(
         &self,
@@ -124,8 +130,7 @@ impl Gpu {
         if let Some(old) = old.filter(|o| o.size() == bytes) {
             return Ok(old);
         }
-        let limits = self.device.limits();
-        let most = limits.max_storage_buffer_binding_size.min(limits.max_buffer_size);
+        let most = self.largest_buffer();
         if bytes > most {
             return Err(self.error(format!(
                 "{name} needs {} MiB, but a buffer may have {} MiB",
@@ -136,7 +141,7 @@ impl Gpu {
         let scope = self.device.push_error_scope(wgpu::ErrorFilter::OutOfMemory);
         let mut usage =
             wgpu::BufferUsages::STORAGE | wgpu::BufferUsages::COPY_SRC | wgpu::BufferUsages::COPY_DST;
-        if bytes <= limits.max_uniform_buffer_binding_size {
+        if bytes <= self.device.limits().max_uniform_buffer_binding_size {
             usage |= wgpu::BufferUsages::UNIFORM;
         }
         let buffer = self.device.create_buffer(&wgpu::BufferDescriptor {

@@ -11,6 +11,8 @@ pub const WEIGHTED: u32 = 2;
 pub const COVERAGE: u32 = 4;
 /// Gradients are written in place of moving parameters.
 pub const PLAIN_GRADIENT: u32 = 8;
+/// Statistics sum |dL/dxy| over pixels.
+pub const MAGNITUDES: u32 = 16;
 
 /// Entries of the counters: Gaussians seen, pairs needed, gradients that are not finite, sums nobody reads.
 pub const COUNTERS: usize = 4;
@@ -30,7 +32,7 @@ pub const GROUP: u32 = 256;
 /// Side of a tile, pixels.
 pub const TILE: u32 = 16;
 /// Sums of backward for a pair.
-pub const SUMS: u32 = 10;
+pub const SUMS: u32 = 12;
 /// Planes of the geometry: parameters, first and second moments, clock.
 pub const PLANES: u32 = 34;
 /// Plane of the clock.
@@ -69,6 +71,8 @@ shared_struct!(
         position: [f32; 4],
         /// Background colour.
         background: [f32; 4],
+        /// Targets are multiplied by this: the inverse of the view's gain.
+        unit: [f32; 4],
         /// Focal lengths, pixels.
         focal: [f32; 2],
         /// Principal point, pixels.

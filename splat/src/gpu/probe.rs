@@ -100,10 +100,8 @@ impl GpuBackend {
         let frame = Frame { flags: frame.flags | PLAIN_GRADIENT, ..frame };
         self.run(frame, Stage::Backward..=Stage::Optimise)?;
         let Some((b, _)) = &self.buffers else { return Ok(Gradients::default()) };
-        let mut geometry: [Vec<f32>; GEOMETRY] = Default::default();
-        for (p, values) in (0..).zip(&mut geometry) {
-            *values = self.gpu.read(&b.geometry, first_moments + p * plane, padded(n))?;
-        }
+        let all: Vec<f32> = self.gpu.read(&b.geometry, first_moments, GEOMETRY * padded(n))?;
+        let geometry = std::array::from_fn(|p| all[p * padded(n)..(p + 1) * padded(n)].to_vec());
         let stride = self.sizes.sh_stride;
         let both: Vec<f32> = self.gpu.read(&b.sh_moments, 0, n * 2 * stride)?;
         let sh = both.chunks_exact(stride).step_by(2).flatten().copied().collect();

@@ -1,6 +1,7 @@
 //! What can be checked of the kernels without an adapter: naga accepts every module, the structs and the bindings of
 //! both sides agree, and no stage has more storage buffers than every adapter allows.
 
+use super::buffers::{Buffers, Limit, Sizes, capacity};
 use super::kernels::{SOURCES, Slot};
 use super::layout::{Frame, ScanJob, SortJob};
 use naga::valid::{Capabilities, ValidationFlags, Validator};
@@ -97,4 +98,31 @@ fn no_group_needs_more_shared_memory_than_every_adapter_has() {
             .sum();
         assert!(shared <= 16384, "{} shares {shared} bytes", source.name);
     }
+}
+
+#[test]
+fn a_model_that_fits_the_limits_is_found_and_one_more_gaussian_does_not_fit() {
+    const MIB: u64 = 1 << 20;
+    for (sh_stride, largest, memory, expected) in [
+        (48, 128 * MIB, None, Limit::Binding),
+        (3, 128 * MIB, None, Limit::Binding),
+        (48, 2047 * MIB, Some(500 * MIB), Limit::Memory),
+        (48, 128 * MIB, Some(64 * MIB), Limit::Memory),
+    ] {
+        let (n, limit) = capacity(sh_stride, 640 * 480, largest, memory);
+        let plan = |n: usize| {
+            let (pixels, pairs) = (640 * 480, 8 * n);
+            Buffers::plan(&Sizes { n, sh_stride, pairs, pixels, tiles: 2400, training: true })
+        };
+        let within = |n: usize| {
+            let plan = plan(n);
+            plan.iter().all(|b| b.1 <= largest)
+                && memory.is_none_or(|m| plan.iter().map(|b| b.1).sum::<u64>() <= m)
+        };
+        assert!(n > 1000 && within(n) && !within(n + 1), "{sh_stride} {largest} {memory:?}: {n}");
+        assert_eq!(limit, expected, "{sh_stride} {largest} {memory:?}");
+    }
+    assert_eq!(capacity(48, 640 * 480, 128 * MIB, None).0, 349_525);
+    let (none, _) = capacity(48, 1920 * 1080, 128 * MIB, Some(16 * MIB));
+    assert_eq!(none, 0);
 }

@@ -2,9 +2,10 @@
 //! of the training views (never the views held out for evaluation), and which Gaussians the pictures do not miss.
 
 use super::{Decision, Trainer};
-use crate::RenderOptions;
-use crate::backend::{Backend, Target};
+use crate::backend::Target;
+use crate::cpu::optimise::Statistics;
 use crate::schedule::{self, SH_FROM};
+use crate::{RenderOptions, SplatError};
 use serde::{Deserialize, Serialize};
 
 /// One training view in this many judges while Gaussians and degrees are added, and is trained on afterwards.
@@ -65,23 +66,24 @@ pub fn validation(views: &[usize]) -> Vec<usize> {
 
 impl Trainer<'_> {
     /// Looks whether something is to be decided at this place of the schedule.
-    pub(super) fn decide(&mut self) {
+    pub(super) fn decide(&mut self) -> Result<(), SplatError> {
         let begun = (self.clock)();
         if !self.validation.is_empty() && self.state.position < self.config.recipe.densify_until {
-            self.judge_degree();
-            self.judge_growth();
+            self.judge_degree()?;
+            self.judge_growth()?;
         }
         if self.config.recipe.exposure {
-            self.judge_exposure();
+            self.judge_exposure()?;
         }
         if self.config.recipe.prune_redundant
             && !self.state.findings.pruned
             && self.state.position >= PRUNE_AT
         {
             self.state.findings.pruned = true;
-            self.prune_redundant();
+            self.prune_redundant()?;
         }
         self.state.seconds += (self.clock)() - begun;
+        Ok(())
     }
 
     pub(super) fn note(&mut self, subject: &str, choice: String, evidence: String) {
@@ -89,7 +91,7 @@ impl Trainer<'_> {
     }
 
     /// PSNR of views at a level with spherical harmonics up to a degree, dB.
-    fn psnr(&mut self, views: &[usize], level: u32, sh_degree: Option<u32>) -> f64 {
+    fn psnr(&mut self, views: &[usize], level: u32, sh_degree: Option<u32>) -> Result<f64, SplatError> {
         let mut sum = 0.0;
         for &v in views {
             let view = &self.dataset.views[v];
@@ -103,23 +105,23 @@ impl Trainer<'_> {
             let options =
                 RenderOptions { antialias: self.config.antialias, sh_degree, ..RenderOptions::default() };
             self.backend.set_gain(self.gain(v));
-            sum += self.backend.mean_square_error(&view.view.at_level(level), &target, &options);
+            sum += self.backend.mean_square_error(&view.view.at_level(level), &target, &options)?;
         }
-        -10.0 * (sum / views.len().max(1) as f64).max(1e-12).log10()
+        Ok(-10.0 * (sum / views.len().max(1) as f64).max(1e-12).log10())
     }
 
     /// A degree that was in use for a while stays if the validation views are better for it.
-    fn judge_degree(&mut self) {
+    fn judge_degree(&mut self) -> Result<(), SplatError> {
         let judged = self.state.findings.degrees_judged;
         let Some(from) = SH_FROM.get(judged as usize).filter(|_| judged < self.config.sh_degree) else {
-            return;
+            return Ok(());
         };
         if self.state.findings.sh_limit.is_some() || self.state.position < from + DEGREE_TRIAL {
-            return;
+            return Ok(());
         }
         let (views, level, degree) = (self.validation.clone(), self.level(), judged + 1);
-        let with = self.psnr(&views, level, Some(degree));
-        let without = self.psnr(&views, level, Some(judged));
+        let with = self.psnr(&views, level, Some(degree))?;
+        let without = self.psnr(&views, level, Some(judged))?;
         self.state.findings.degrees_judged = degree;
         let evidence = format!(
             "{} validation views: {with:.2} dB with degree {degree}, {without:.2} dB with its coefficients left out",
@@ -127,23 +129,24 @@ impl Trainer<'_> {
         );
         if with - without < DEGREE_GAIN {
             self.state.findings.sh_limit = Some(judged);
-            self.backend.model_mut().set_sh_degree(judged);
+            self.backend.edit(&mut |model, _| model.set_sh_degree(judged))?;
             self.note("spherical-harmonic degree", judged.to_string(), evidence);
         } else if degree == self.config.sh_degree {
             self.note("spherical-harmonic degree", degree.to_string(), evidence);
         }
+        Ok(())
     }
 
     /// Growth ends where the validation views stop gaining by it.
-    fn judge_growth(&mut self) {
+    fn judge_growth(&mut self) -> Result<(), SplatError> {
         let step = self.config.recipe.densify_until / LOOKS;
         if self.state.findings.gaussians_limit.is_some()
             || self.state.position < step * f64::from(self.state.findings.looks + 1)
         {
-            return;
+            return Ok(());
         }
-        let (views, level, now) = (self.validation.clone(), self.level(), self.backend.model().len);
-        let psnr = self.psnr(&views, level, None);
+        let (views, level, now) = (self.validation.clone(), self.level(), self.backend.gaussians());
+        let psnr = self.psnr(&views, level, None)?;
         self.state.findings.looks += 1;
         // Validation of a moving target is noisy: growth ends when two looks in a row are no better than the best.
         let best = match self.state.findings.best_look {
@@ -165,17 +168,18 @@ impl Trainer<'_> {
             self.note("number of Gaussians", format!("growth ended at {now}"), evidence);
         }
         self.state.findings.last_look = Some((psnr, now));
+        Ok(())
     }
 
     /// Removes as many of the Gaussians that cover least as may go at a loss of [`PRUNE_LOSS`].
-    fn prune_redundant(&mut self) {
+    fn prune_redundant(&mut self) -> Result<(), SplatError> {
         let views: Vec<usize> =
             self.views.iter().copied().step_by(self.views.len().div_ceil(PRUNE_VIEWS).max(1)).collect();
-        let before = self.psnr(&views, 0, None);
-        let whole = self.backend.model().clone();
-        let weight = self.backend.statistics.weight.clone();
+        let before = self.psnr(&views, 0, None)?;
+        let (whole, statistics) = self.backend.download()?;
+        let weight = &statistics.weight;
         if weight.len() < whole.len {
-            return;
+            return Ok(());
         }
         let mut order: Vec<u32> = (0..whole.len as u32).collect();
         order.sort_by(|&a, &b| weight[b as usize].total_cmp(&weight[a as usize]).then(a.cmp(&b)));
@@ -188,18 +192,19 @@ impl Trainer<'_> {
         let (mut good, mut bad) = (whole.len, whole.len / 3);
         while good > bad + whole.len / 64 + 1 {
             let middle = (good + bad) / 2;
-            self.backend.model_mut().clone_from(&whole);
-            self.backend.model_mut().select(&keep(middle));
-            if self.psnr(&views, 0, None) >= before - PRUNE_LOSS { good = middle } else { bad = middle }
+            let mut part = whole.clone();
+            part.select(&keep(middle));
+            self.backend.upload(part, Statistics::default())?;
+            if self.psnr(&views, 0, None)? >= before - PRUNE_LOSS { good = middle } else { bad = middle }
         }
         let kept = keep(good);
-        *self.backend.model_mut() = whole;
-        let n = self.backend.model().len;
+        let (n, mut model, mut statistics) = (whole.len, whole, statistics);
         if good < n {
-            self.backend.model_mut().select(&kept);
-            self.backend.statistics.reset(good);
+            model.select(&kept);
+            statistics.reset(good);
         }
-        let after = self.psnr(&views, 0, None);
+        self.backend.upload(model, statistics)?;
+        let after = self.psnr(&views, 0, None)?;
         self.note(
             "redundant Gaussians",
             format!("{} of {n} removed", n - good),
@@ -208,12 +213,13 @@ impl Trainer<'_> {
                 views.len()
             ),
         );
+        Ok(())
     }
 
     /// All decisions, with what is only known at the end.
     pub(super) fn decisions(&mut self) -> Vec<Decision> {
         let findings = self.state.findings.clone();
-        let n = self.backend.model().len;
+        let n = self.backend.gaussians();
         if let (None, Some((psnr, then))) = (findings.gaussians_limit, findings.last_look) {
             let evidence =
                 format!("validation views did not stop gaining ({psnr:.2} dB with {then} Gaussians)");

@@ -1,8 +1,8 @@
 //! Gains by view and channel, where the residuals ask for them: a camera that meters each picture anew.
 
 use super::Trainer;
-use crate::RenderOptions;
 use crate::backend::Target;
+use crate::{RenderOptions, SplatError};
 
 /// Positions of the schedule at which gains are looked for (the first) and measured again.
 const LOOKS: [f64; 5] = [0.25, 0.4, 0.55, 0.7, 0.85];
@@ -40,15 +40,15 @@ pub fn gains(views: &[Products]) -> (Vec<[f32; 3]>, f64) {
 
 impl Trainer<'_> {
     /// Looks for gains at their places in the schedule.
-    pub(super) fn judge_exposure(&mut self) {
+    pub(super) fn judge_exposure(&mut self) -> Result<(), SplatError> {
         let looks = self.state.findings.exposure_looks;
         let due = LOOKS.get(looks as usize).is_some_and(|&at| self.state.position >= at);
         if !due || (looks > 0 && self.state.findings.gains.is_empty()) {
-            return;
+            return Ok(());
         }
         self.state.findings.exposure_looks += 1;
         if self.views.len() < 3 {
-            return;
+            return Ok(());
         }
         let level = self.level();
         let transparent = self.dataset.is_transparent();
@@ -59,7 +59,7 @@ impl Trainer<'_> {
             let pixels = &view.levels[level as usize];
             let target = Target { rgb: &pixels.rgb, mask: pixels.mask.as_deref(), transparent };
             let options = RenderOptions { antialias: self.config.antialias, ..RenderOptions::default() };
-            products.push(self.backend.products(&view.view.at_level(level), &target, &options));
+            products.push(self.backend.products(&view.view.at_level(level), &target, &options)?);
         }
         let (found, explained) = gains(&products);
         let spread = |f: fn(f32, f32) -> f32, start| found.iter().flatten().copied().fold(start, f);
@@ -74,10 +74,11 @@ impl Trainer<'_> {
             let on = explained >= EXPLAINED;
             self.note("exposure by view", if on { "modelled" } else { "not modelled" }.to_owned(), evidence);
             if !on {
-                return;
+                return Ok(());
             }
         }
         self.state.findings.gains = found;
+        Ok(())
     }
 
     /// The gain of a training view: its photo shows the scene times this.

@@ -1,6 +1,7 @@
 //! Training of a small synthetic scene.
 
 use super::*;
+use crate::cpu::CpuBackend;
 use crate::dataset::{Normalisation, Pixels, View};
 use glam::{DVec3, Quat, Vec3};
 use scene::progress::ProgressSink;

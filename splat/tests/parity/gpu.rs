@@ -3,7 +3,8 @@
 use crate::subject::{Gradient, Seen, Subject};
 use glam::{Mat3, Vec3};
 use scene::Gaussians;
-use splat::backend::{StepInput, StepOutput, Target};
+use splat::backend::{Backend, StepInput, StepOutput, Target};
+use splat::cpu::optimise::Statistics;
 use splat::gpu::GpuBackend;
 use splat::model::Model;
 use splat::{PinholeView, RenderOptions, RenderOutput};
@@ -14,7 +15,8 @@ pub struct Adapter;
 
 fn device() -> MutexGuard<'static, GpuBackend> {
     static DEVICE: OnceLock<Mutex<GpuBackend>> = OnceLock::new();
-    let open = || Mutex::new(GpuBackend::open(None).expect("an adapter; mesa-vulkan-drivers brings one"));
+    let open =
+        || Mutex::new(GpuBackend::open(None, None).expect("an adapter; mesa-vulkan-drivers brings one"));
     DEVICE.get_or_init(open).lock().unwrap_or_else(|poisoned| poisoned.into_inner())
 }
 
@@ -33,7 +35,7 @@ impl Subject for Adapter {
 
     fn project(&mut self, g: &Gaussians, view: &PinholeView, options: &RenderOptions) -> Vec<Option<Seen>> {
         let mut gpu = device();
-        gpu.upload(Model::from_gaussians(g), None).unwrap();
+        gpu.upload(Model::from_gaussians(g), Statistics::default()).unwrap();
         let all = gpu.projected(view, options).unwrap();
         let seen = |s: splat::gpu::OnScreen| Seen {
             xy: s.xy,
@@ -62,7 +64,7 @@ impl Subject for Adapter {
 
     fn render(&mut self, g: &Gaussians, view: &PinholeView, options: &RenderOptions) -> RenderOutput {
         let mut gpu = device();
-        gpu.upload(Model::from_gaussians(g), None).unwrap();
+        gpu.upload(Model::from_gaussians(g), Statistics::default()).unwrap();
         gpu.render(view, options).unwrap()
     }
 
@@ -74,14 +76,14 @@ impl Subject for Adapter {
         d: &[f32],
     ) -> Gradient {
         let mut gpu = device();
-        gpu.upload(Model::from_gaussians(g), None).unwrap();
+        gpu.upload(Model::from_gaussians(g), Statistics::default()).unwrap();
         let out = gpu.gradients(view, options, d).unwrap();
         Gradient { geometry: out.geometry, sh: out.sh }
     }
 
     fn step(&mut self, model: &mut Model, input: &StepInput) -> StepOutput {
         let mut gpu = device();
-        gpu.upload(std::mem::take(model), None).unwrap();
+        gpu.upload(std::mem::take(model), Statistics::default()).unwrap();
         let out = gpu.step(input).unwrap();
         *model = gpu.download().unwrap().0;
         out

@@ -9,3 +9,5 @@ mod pictures;
 mod scenes;
 mod steps;
 mod subject;
+#[cfg(feature = "gpu")]
+mod training;

@@ -1,7 +1,8 @@
 // backward: dL/d(colour) of a tile's pixels -> sums for each of its Gaussians, replayed front to back.
 // in: records · owners · values · ranges · used · image · gradient [3][H * W] dL/d(rgb)
-// out: sums [pairs][10], at the pair's number, so that a Gaussian's pairs lie side by side and no atomics are needed:
-//      with v = alpha dL/d(alpha), d = xy - pixel: v, v dx, v dy, v dx^2, v dx dy, v dy^2, T alpha dL/d(rgb) (3), T alpha
+// out: sums [pairs][12], at the pair's number, so that a Gaussian's pairs lie side by side and no atomics are needed:
+//      with v = alpha dL/d(alpha), d = xy - pixel: v, v dx, v dy, v dx^2, v dx dy, v dy^2, T alpha dL/d(rgb) (3), T alpha,
+//      |v (conic d)| by component (2)
 //
 // Eight Gaussians at a time: each thread follows its pixel and leaves T alpha and v of each of the eight in `left`;
 // then 32 threads a Gaussian add up eight pixels of a column each; then one thread a sum adds up the 32.
@@ -17,9 +18,9 @@
 @group(0) @binding(7) var<storage, read> gradient: array<f32>;
 @group(0) @binding(8) var<storage, read_write> sums: array<f32>;
 
-const SUMS: u32 = 10u;
+const SUMS: u32 = 12u;
 
-// First T alpha [8][256], then v [8][256]; afterwards partial sums [10][256].
+// First T alpha [8][256], then v [8][256]; afterwards partial sums [12][256].
 var<workgroup> left: array<f32, 4096>;
 
 fn gradient_at(pixel: vec2<u32>) -> vec3<f32> {
@@ -97,14 +98,18 @@ fn main(@builtin(workgroup_id) group: vec3<u32>, @builtin(num_workgroups) groups
         workgroupBarrier();
 
         let k = local / 32u;
-        var xy = vec2<f32>(0.0);
+        var a = vec4<f32>(0.0);
+        var yy = 0.0;
         if (k < count) {
-            xy = records[3u * owners[values[first + k]]].xy;
+            let i = owners[values[first + k]];
+            a = records[3u * i];
+            yy = records[3u * i + 1u].x;
         }
-        let d = xy - (vec2<f32>(column) + 0.5);
+        let d = a.xy - (vec2<f32>(column) + 0.5);
         var s = vec3<f32>(0.0);   // v, v dy, v dy^2
         var rgb = vec3<f32>(0.0);
         var total = 0.0;
+        var magnitude = vec2<f32>(0.0);
         for (var j = 0u; j < 8u; j++) {
             let at = k * 256u + j * 32u + lane;
             let weight = left[at];
@@ -113,6 +118,7 @@ fn main(@builtin(workgroup_id) group: vec3<u32>, @builtin(num_workgroups) groups
             s += v * vec3<f32>(1.0, dy, dy * dy);
             rgb += weight * column_gradient[j];
             total += weight;
+            magnitude += abs(v) * abs(vec2<f32>(a.z * d.x + a.w * dy, a.w * d.x + yy * dy));
         }
         workgroupBarrier();
         left[local] = s.x;
@@ -125,6 +131,8 @@ fn main(@builtin(workgroup_id) group: vec3<u32>, @builtin(num_workgroups) groups
         left[1792u + local] = rgb.y;
         left[2048u + local] = rgb.z;
         left[2304u + local] = total;
+        left[2560u + local] = magnitude.x;
+        left[2816u + local] = magnitude.y;
         workgroupBarrier();
         let which = local / SUMS;
         if (which < count) {

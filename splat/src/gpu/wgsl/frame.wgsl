@@ -6,6 +6,7 @@ struct Frame {
     row2: vec4<f32>,
     position: vec4<f32>,    // camera centre, world
     background: vec4<f32>,
+    unit: vec4<f32>,        // targets are multiplied by this: the inverse of the view's gain
     focal: vec2<f32>,       // px
     centre: vec2<f32>,      // principal point, px
     low: vec2<f32>,         // limits of x/z and y/z in the Jacobian
@@ -17,7 +18,7 @@ struct Frame {
     pair_capacity: u32,     // Gaussian-tile pairs that the buffers hold
     sh_stride: u32,         // SH values held for a Gaussian, 3 (degree + 1)^2
     sh_used: u32,           // SH coefficients a channel in use
-    flags: u32,             // ANTIALIAS | WEIGHTED | COVERAGE | PLAIN_GRADIENT
+    flags: u32,             // ANTIALIAS | WEIGHTED | COVERAGE | PLAIN_GRADIENT | MAGNITUDES
     near: f32,
     lambda: f32,            // weight of D-SSIM
     inv_count: f32,         // 1 / (3 * sum of the weights), 0 where there are none
@@ -38,6 +39,7 @@ const ANTIALIAS: u32 = 1u;
 const WEIGHTED: u32 = 2u;        // alpha of the target is a weight, 0 = ignored
 const COVERAGE: u32 = 4u;        // alpha of the target is coverage, the background shows through
 const PLAIN_GRADIENT: u32 = 8u;  // optimise writes gradients in place of moving parameters
+const MAGNITUDES: u32 = 16u;      // statistics sum |dL/dxy| over pixels
 
 const TILE: u32 = 16u;
 const MIN_ALPHA: f32 = 0.00392156862745098;

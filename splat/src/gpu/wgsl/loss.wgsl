@@ -43,7 +43,7 @@ fn sample(pixel: vec2<i32>, channel: u32) -> Sample {
     let at = u32(pixel.y) * frame.size.x + u32(pixel.x);
     let x = image[at][channel];
     let goal_rgba = unpack4x8unorm(goal[at]);
-    var s = Sample(x, goal_rgba[channel], 1.0);
+    var s = Sample(x, goal_rgba[channel] * frame.unit[channel], 1.0);
     if ((frame.flags & WEIGHTED) != 0u) {
         s.weight = goal_rgba.w;
         // What is ignored is taken to be as rendered, so that its neighbours' windows see no difference.

@@ -1,5 +1,5 @@
 // optimise: project backward and Adam, fused: sums of `backward` -> parameters moved one step.
-// in: sums [pairs][10] · spans [N] (first, end) of the Gaussian's pairs · counters
+// in: sums [pairs][12] · spans [N] (first, end) of the Gaussian's pairs · counters
 // in, out: geometry [34][stride]: 11 planes of parameters, 11 of first and 11 of second moments, the clock
 //          sh [N][sh_stride] · sh_moments [N][2][sh_stride] first and second
 //          statistics [4][stride]: sum of |dL/dxy| in half images, steps seen, greatest sum of T alpha, greatest radius
@@ -15,7 +15,7 @@
 @group(0) @binding(6) var<storage, read> spans: array<vec2<u32>>;
 @group(0) @binding(7) var<storage, read_write> counters: array<atomic<u32>>;
 
-const SUMS: u32 = 10u;
+const SUMS: u32 = 12u;
 const BETA1: f32 = 0.9;
 const BETA2: f32 = 0.999;
 const LOG_BETA1: f32 = -0.10536052;
@@ -126,7 +126,7 @@ fn main(@builtin(workgroup_id) group: vec3<u32>, @builtin(num_workgroups) groups
         return;
     }
     let span = spans[i];
-    var s: array<f32, 10>;
+    var s: array<f32, 12>;
     for (var pair = span.x; pair < span.y; pair++) {
         for (var k = 0u; k < SUMS; k++) {
             s[k] += sums[pair * SUMS + k];
@@ -188,7 +188,8 @@ fn main(@builtin(workgroup_id) group: vec3<u32>, @builtin(num_workgroups) groups
         geometry[v] = moved.z;
     }
     let half = 0.5 * vec2<f32>(frame.size);
-    statistics[i] += length(d_xy * half);
+    let gradient = select(d_xy, vec2<f32>(s[10], s[11]), (frame.flags & MAGNITUDES) != 0u);
+    statistics[i] += length(gradient * half);
     statistics[frame.stride + i] += 1.0;
     statistics[2u * frame.stride + i] = max(statistics[2u * frame.stride + i], s[9]);
     let radius = 3.0 * sqrt(max(p.cov.x, p.cov.z)) / f32(max(frame.size.x, frame.size.y));

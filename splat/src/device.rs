@@ -1,0 +1,110 @@
+//! Where to compute: chosen by flags, or by what this machine has.
+
+use crate::backend::Backend;
+use crate::cpu::CpuBackend;
+use crate::train::Decision;
+use crate::{SplatError, adapters};
+use clap::{Args, ValueEnum};
+use serde::{Deserialize, Serialize};
+
+/// The choice of backend.
+#[derive(ValueEnum, Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum BackendChoice {
+    /// A graphics card where there is one, else the processor
+    #[default]
+    Auto,
+    /// The processor
+    Cpu,
+    /// A graphics adapter, hardware first; an emulated one will do
+    Gpu,
+}
+
+/// Where training and rendering run.
+#[derive(Args, Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct DeviceConfig {
+    /// Where the splat is trained and rendered
+    #[arg(long, value_enum, default_value_t = BackendChoice::Auto, help_heading = "Splat")]
+    pub backend: BackendChoice,
+    /// Use the graphics adapter whose name contains this ('sat-recon doctor' lists them)
+    #[arg(long, value_name = "NAME", help_heading = "Splat")]
+    pub gpu: Option<String>,
+    /// Never use more of the graphics adapter's memory than this, MiB: fewer Gaussians if need be
+    #[arg(long, value_name = "MIB", value_parser = clap::value_parser!(u64).range(16..), help_heading = "Splat")]
+    pub vram_limit: Option<u64>,
+}
+
+/// Opens what the configuration asks for, and says what was chosen and why.
+pub fn open(config: &DeviceConfig) -> Result<(Box<dyn Backend>, Decision), SplatError> {
+    let wanted = config.backend == BackendChoice::Gpu || config.gpu.is_some();
+    let processor = |evidence: String| -> Result<(Box<dyn Backend>, Decision), SplatError> {
+        let backend = CpuBackend::default();
+        let choice = Backend::name(&backend);
+        Ok((Box::new(backend), Decision { subject: "backend".to_owned(), choice, evidence }))
+    };
+    if config.backend == BackendChoice::Cpu {
+        return processor("asked for".to_owned());
+    }
+    if !wanted {
+        let Some(best) = adapters().into_iter().find(|a| a.kind.is_hardware()) else {
+            return processor("no graphics card here".to_owned());
+        };
+        return match adapter(config, Some(&best.name), "the first graphics card") {
+            Ok(opened) => Ok(opened),
+            Err(why) => processor(why.to_string()),
+        };
+    }
+    adapter(config, config.gpu.as_deref(), "asked for")
+}
+
+#[cfg(feature = "gpu")]
+fn adapter(
+    config: &DeviceConfig,
+    name: Option<&str>,
+    evidence: &str,
+) -> Result<(Box<dyn Backend>, Decision), SplatError> {
+    let backend = crate::gpu::GpuBackend::open(name, config.vram_limit.map(|mib| mib << 20))?;
+    let choice = Backend::name(&backend);
+    let decision = Decision { subject: "backend".to_owned(), choice, evidence: evidence.to_owned() };
+    Ok((Box::new(backend), decision))
+}
+
+#[cfg(not(feature = "gpu"))]
+fn adapter(
+    _: &DeviceConfig,
+    name: Option<&str>,
+    _: &str,
+) -> Result<(Box<dyn Backend>, Decision), SplatError> {
+    let present = "none: this program was built without the feature gpu".to_owned();
+    Err(SplatError::NoAdapter { wanted: name.unwrap_or("any").to_owned(), present })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn config(backend: BackendChoice, gpu: Option<&str>) -> DeviceConfig {
+        DeviceConfig { backend, gpu: gpu.map(str::to_owned), vram_limit: None }
+    }
+
+    #[test]
+    fn the_processor_is_never_played_by_an_emulated_adapter() {
+        let (backend, decision) = open(&config(BackendChoice::Auto, None)).unwrap();
+        assert_eq!(backend.name(), decision.choice);
+        let hardware = adapters().iter().any(|a| a.kind.is_hardware());
+        assert_eq!(decision.choice.starts_with("processor"), !hardware, "{decision:?}");
+        let (_, decision) = open(&config(BackendChoice::Cpu, Some("anything"))).unwrap();
+        assert!(decision.choice.starts_with("processor"), "{decision:?}");
+    }
+
+    #[test]
+    fn an_adapter_that_is_not_there_is_an_error_that_names_those_that_are() {
+        let Err(error) = open(&config(BackendChoice::Auto, Some("no such adapter"))) else {
+            panic!("it was opened");
+        };
+        assert!(error.to_string().contains("no such adapter"), "{error}");
+        for adapter in adapters() {
+            assert!(error.to_string().contains(&adapter.name), "{error}");
+        }
+    }
+}
