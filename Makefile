@@ -27,8 +27,8 @@ viewer:  ## bundle the web viewer (needs Node.js; without it everything else is 
 build: setup viewer  ## build the release binary
 	cargo build --release --locked
 
-demo: build  ## video to splat on the sample in data/, then say what to open
-	$(SAT_RECON) data/sample/orbit.mp4 -o out/demo --quality draft
+demo: build  ## a satellite that yaws before a green screen: video to splat, then say what to open
+	$(SAT_RECON) data/testbed/case3/video.mp4 -o out/demo --quality draft
 	@echo; echo "Open out/demo/report.html in a browser; the splat is out/demo/splat.ply"
 
 test: setup viewer  ## every test (real data is looked for in ../shared/data)
