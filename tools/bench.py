@@ -16,6 +16,7 @@ import subprocess
 import sys
 import time
 
+TESTBED = os.path.join(os.path.dirname(os.path.abspath(__file__)), "../data/testbed")
 POSES = [
     # name, input below SHARED/data, truth below SHARED/data, flags
     ("temple_ring", "temple_ring/images", "temple_ring/cameras_par.txt", []),
@@ -23,6 +24,7 @@ POSES = [
     ("fox", "fox/images", "fox/transforms.json", []),
     ("oxford_dino", "oxford_dino/images", None, []),
     ("can_orbit", "phone_video/can_orbit.mp4", None, []),
+    ("yaw, 10 % light (case 3)", os.path.join(TESTBED, "case3/video.mp4"), os.path.join(TESTBED, "case3/sparse"), []),
 ]
 # Harder copies of temple_ring, made by SHARED/tools/degrade.py (which needs numpy, pillow and scipy).
 VARIANTS = [
@@ -36,6 +38,7 @@ SPLATS = [
     ("fox_undistorted_640", "fox_undistorted_640", []),
     ("temple_ring", "temple_ring/images", []),
     ("can_orbit", "phone_video/can_orbit.mp4", []),
+    ("yaw, 10 % light (case 3)", os.path.join(TESTBED, "case3/video.mp4"), []),
 ]
 
 

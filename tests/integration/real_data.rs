@@ -1,6 +1,6 @@
 //! Real captures with truth: each figure is one the product promises.
 
-use super::support::{expect_code, folder, json, shared, text};
+use super::support::{expect_code, folder, json, sample, shared, text};
 use std::path::Path;
 
 fn poses(name: &str, input: &Path, flags: &[&str], code: i32) -> std::path::PathBuf {
@@ -88,5 +88,33 @@ fn photos_are_turned_as_their_exif_says() {
         let (w, h) = image::image_dimensions(&path).unwrap();
         let is_portrait = path.file_name().unwrap().to_string_lossy().starts_with("Portrait");
         assert_eq!(h > w, is_portrait, "{} is {w}×{h}", path.display());
+    }
+}
+
+#[test]
+fn a_satellite_that_yaws_before_a_green_screen_is_keyed_and_posed_from_the_video_alone() {
+    let case = sample("testbed/case3");
+    let out = poses("yaw", &case.join("video.mp4"), &["--frames", "48"], 0);
+    let errors = errors(&out, &case.join("sparse"));
+    assert_eq!(errors["registered"], 48, "{errors}");
+    assert!(errors["centre_median_pct"].as_f64().unwrap() <= 0.2, "{errors}");
+    assert!(errors["auc"]["5"].as_f64().unwrap() >= 75.0, "{errors}");
+    let decisions = json(&out.join("run.json"))["poses"]["decisions"].to_string();
+    assert!(decisions.contains("single-axis"), "{decisions}");
+    assert!(out.join("mattes.png").is_file());
+}
+
+#[test]
+fn a_can_that_is_printed_twice_does_not_fold_the_orbit_around_it() {
+    let Some(video) = shared("phone_video/can_orbit.mp4") else { return };
+    let out = poses("can", &video, &["--frames", "60", "--max-size", "640"], 0);
+    let model = scene::io::read_model(&out.join("sparse/0")).unwrap();
+    assert!(model.images.len() >= 57, "{} images", model.images.len());
+    let mut images: Vec<_> = model.images.values().collect();
+    images.sort_by(|a, b| a.name.cmp(&b.name));
+    // A folded model jumps by half a turn between neighbouring frames.
+    for pair in images.windows(2) {
+        let turned = pair[0].pose.rotation.angle_between(pair[1].pose.rotation).to_degrees();
+        assert!(turned < 60.0, "{turned}° between {} and {}", pair[0].name, pair[1].name);
     }
 }
