@@ -193,7 +193,9 @@ impl Pipeline {
                     preprocess::photo_frames(path, &self.out, &self.args.frames, &progress)?
                 }
             };
-            let frames = if self.args.key.key == "off" {
+            // Who brings masks has cut the object out already.
+            let cut = self.args.key.key == "auto" && frames.frames.iter().any(|f| f.mask.is_some());
+            let frames = if cut || self.args.key.key == "off" {
                 frames
             } else {
                 preprocess::matte_frames(&frames, &self.out, &self.args.key, &progress)?

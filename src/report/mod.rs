@@ -102,11 +102,19 @@ fn list(html: &mut String, items: impl Iterator<Item = String>) -> Result<()> {
     Ok(())
 }
 
+/// Evidence longer than this is folded away.
+const LONG_EVIDENCE: usize = 200;
+
 fn decisions(html: &mut String, decisions: &[[String; 3]]) -> Result<()> {
-    list(
-        html,
-        decisions.iter().map(|d| format!("{}: <b>{}</b> – {}", escape(&d[0]), escape(&d[1]), escape(&d[2]))),
-    )
+    let item = |d: &[String; 3]| {
+        let [what, chosen, evidence] = [&d[0], &d[1], &d[2]].map(|t| escape(t));
+        if evidence.len() <= LONG_EVIDENCE {
+            return format!("{what}: <b>{chosen}</b> – {evidence}");
+        }
+        let figures = evidence.split("; ").map(|part| format!("<li>{part}</li>")).collect::<String>();
+        format!("{what}: <b>{chosen}</b><details><summary>evidence</summary><ul>{figures}</ul></details>")
+    };
+    list(html, decisions.iter().map(item))
 }
 
 fn figure(html: &mut String, svg: &str, caption: &str) -> Result<()> {
