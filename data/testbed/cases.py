@@ -105,7 +105,7 @@ CASES = {
         Case("demo", "demo", 1.0, 1.0, 1.0, 12000, 3.0, video_fps=12.0, crf=22),
         Case("case1", "orbit", 0.1, 1.0, 2.0, 1500, 4.0),
         Case("case2", "orbit", 1.0, 1.0, 1.0, 6000, 3.0),
-        Case("case3", "yaw", 0.1, 0.6, 2.0, 1500, 4.0, video_fps=6.0, crf=28),
+        Case("case3", "yaw", 0.1, 0.6, 2.0, 1500, 4.0, video_fps=6.0, crf=23),
         Case("case4", "yaw", 1.0, 0.6, 1.0, 6000, 3.0, video_fps=6.0),
     )
 }
