@@ -107,7 +107,7 @@ fn a_satellite_that_yaws_before_a_green_screen_is_keyed_and_posed_from_the_video
 #[test]
 fn a_can_that_is_printed_twice_does_not_fold_the_orbit_around_it() {
     let Some(video) = shared("phone_video/can_orbit.mp4") else { return };
-    let out = poses("can", &video, &["--frames", "60", "--max-size", "640"], 0);
+    let out = poses("can-unfolded", &video, &["--frames", "60", "--max-size", "640"], 0);
     let model = scene::io::read_model(&out.join("sparse/0")).unwrap();
     assert!(model.images.len() >= 57, "{} images", model.images.len());
     let mut images: Vec<_> = model.images.values().collect();
