@@ -54,7 +54,7 @@ oracle: $(VENV)/oracle  ## regenerate the fixtures that other libraries computed
 	@for script in tests/oracle/*.py; do echo "$$script"; $(VENV)/bin/python $$script $(SHARED)/data build/oracle; done
 
 testbed: setup  ## render the simulated captures with Blender (slow)
-	@tools/setup.sh blender
+	@tools/setup.sh blender python3-numpy ffmpeg
 	bash data/testbed/make.sh build/testbed
 
 $(VENV)/bin/python:
