@@ -89,6 +89,7 @@ fn steps(cli: &Cli, dataset: &Dataset, model: &Model, threads: usize) -> Result<
                 rgb: &pixels.rgb,
                 mask: pixels.mask.as_deref(),
                 transparent: dataset.alpha == AlphaMode::Transparent,
+                photo: None,
             },
             options: RenderOptions::default(),
             rates: LearningRates::default(),

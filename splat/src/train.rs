@@ -5,7 +5,7 @@ mod exposure;
 
 pub use decide::Findings;
 
-use crate::backend::{Backend, KernelTimes, StepInput, Target};
+use crate::backend::{Backend, KernelTimes, Round, StepInput, StepOutput, Target};
 use crate::checkpoint::{Checkpoint, State};
 use crate::config::Selection;
 use crate::cpu::optimise::Statistics;
@@ -74,6 +74,8 @@ struct Trainer<'a> {
     max_gaussians: usize,
     state: State,
     pace: Pace,
+    /// Seconds and steps since steps were last reported, and seconds of a step before that.
+    lap: (f64, u32, f64),
     clock: fn() -> f64,
     /// Training views.
     views: Vec<usize>,
@@ -174,10 +176,12 @@ impl<'a> Trainer<'a> {
         };
         let validation = if config.recipe.evidence { decide::validation(&views) } else { Vec::new() };
         let pace = Pace::default();
-        Ok(Self { dataset, config, backend, max_gaussians, state, pace, clock, views, validation })
+        let lap = (0.0, 0, 0.0);
+        Ok(Self { dataset, config, backend, max_gaussians, state, pace, lap, clock, views, validation })
     }
 
     fn checkpoint(&mut self) -> Result<Checkpoint, SplatError> {
+        self.settle()?;
         let (model, statistics) = self.backend.download()?;
         Ok(Checkpoint { state: self.state.clone(), model, statistics })
     }
@@ -214,19 +218,20 @@ impl<'a> Trainer<'a> {
         let highest = self.config.sh_degree.min(self.state.findings.sh_limit.unwrap_or(3));
         let degree = schedule::sh_degree(position, highest);
         if self.backend.sh_degree() < degree {
-            self.backend.edit(&mut |model, _| model.set_sh_degree(degree))?;
+            self.backend.set_sh_degree(degree)?;
         }
         let chosen = self.view_of_step();
         let view = &self.dataset.views[chosen];
         let level = self.level().min(view.levels.len() as u32 - 1);
         let (camera, pixels) = (view.view.at_level(level), &view.levels[level as usize]);
         self.backend.set_gain(self.gain(chosen));
-        let output = self.backend.step(&StepInput {
+        let outputs = self.backend.advance(&StepInput {
             view: &camera,
             target: Target {
                 rgb: &pixels.rgb,
                 mask: pixels.mask.as_deref(),
                 transparent: self.dataset.alpha == AlphaMode::Transparent,
+                photo: Some(chosen as u32),
             },
             options: self.options(),
             rates: schedule::rates(position, self.pace.steps(&self.state, self.config), self.config),
@@ -236,26 +241,59 @@ impl<'a> Trainer<'a> {
         })?;
         self.state.iteration += 1;
         let iteration = self.state.iteration;
-        if !output.loss.is_finite() {
-            return Err(SplatError::Diverged {
-                iteration,
-                reason: "the loss is not finite; lower --learning-rate".to_owned(),
-            });
-        }
+        self.note_steps(&outputs)?;
         if schedule::is_round(iteration, position, self.state.last_round, &self.config.recipe) {
             self.state.last_round = (iteration, position);
             self.densify()?;
         }
-        for (sum, value) in self.state.pending.iter_mut().zip([output.loss, output.mse, 1.0]) {
-            *sum += f64::from(value);
-        }
         let spent = (self.clock)() - begun;
         self.state.seconds += spent;
-        self.state.position = self.pace.advance(&self.state, self.config, level, spent);
+        let cost = self.cost(spent, !outputs.is_empty());
+        self.state.position = self.pace.advance(&self.state, self.config, level, cost);
         if iteration.is_multiple_of(CURVE_EVERY) || self.state.position >= 1.0 {
+            self.settle()?;
             self.note_curve();
         }
         Ok(())
+    }
+
+    /// What a step costs. A device reports several at a time: those that were only begun seem to cost nothing and the last
+    /// one everything, so that the mean over the report counts.
+    fn cost(&mut self, spent: f64, reported: bool) -> f64 {
+        let (seconds, steps, mean) = self.lap;
+        self.lap = (seconds + spent, steps + 1, mean);
+        if reported {
+            self.lap = (0.0, 0, (seconds + spent) / f64::from(steps + 1));
+            return self.lap.2;
+        }
+        if mean > 0.0 { mean } else { spent }
+    }
+
+    /// Adds up what steps saw.
+    fn note_steps(&mut self, outputs: &[StepOutput]) -> Result<(), SplatError> {
+        for output in outputs {
+            if !output.loss.is_finite() {
+                let reason = "the loss is not finite; lower --learning-rate".to_owned();
+                return Err(SplatError::Diverged { iteration: self.state.iteration, reason });
+            }
+            for (sum, value) in self.state.pending.iter_mut().zip([output.loss, output.mse, 1.0]) {
+                *sum += f64::from(value);
+            }
+        }
+        Ok(())
+    }
+
+    /// Waits for steps that were only begun.
+    fn settle(&mut self) -> Result<(), SplatError> {
+        let begun = (self.clock)();
+        let outputs = self.backend.settle()?;
+        let spent = (self.clock)() - begun;
+        self.state.seconds += spent;
+        self.lap.0 += spent;
+        if !outputs.is_empty() {
+            self.lap = (0.0, 0, self.lap.0 / f64::from(self.lap.1.max(1)));
+        }
+        self.note_steps(&outputs)
     }
 
     /// Level in use now (0: full resolution), if the view has it.
@@ -278,14 +316,9 @@ impl<'a> Trainer<'a> {
         let (seed, iteration, selection) = (self.config.seed, self.state.iteration, recipe.selection);
         let remove_unseen = recipe.remove_unseen && self.dataset.is_transparent();
         let views: Vec<_> = self.views.iter().map(|&v| self.dataset.views[v].view).collect();
-        let mut unseen = 0;
-        self.backend.edit(&mut |model, statistics| {
-            densify::densify(model, statistics, room, threshold, selection, seed, iteration);
-            if remove_unseen {
-                unseen = densify::prune_unseen(model, &views);
-            }
-            statistics.reset(model.len);
-        })?;
+        let remove_unseen = remove_unseen.then_some(views.as_slice());
+        let unseen =
+            self.backend.densify(&Round { room, threshold, selection, seed, iteration, remove_unseen })?;
         self.state.findings.unseen += unseen;
         Ok(())
     }

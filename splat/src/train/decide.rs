@@ -101,6 +101,7 @@ impl Trainer<'_> {
                 rgb: &pixels.rgb,
                 mask: pixels.mask.as_deref(),
                 transparent: self.dataset.is_transparent(),
+                photo: Some(v as u32),
             };
             let options =
                 RenderOptions { antialias: self.config.antialias, sh_degree, ..RenderOptions::default() };
@@ -129,7 +130,7 @@ impl Trainer<'_> {
         );
         if with - without < DEGREE_GAIN {
             self.state.findings.sh_limit = Some(judged);
-            self.backend.edit(&mut |model, _| model.set_sh_degree(judged))?;
+            self.backend.set_sh_degree(judged)?;
             self.note("spherical-harmonic degree", judged.to_string(), evidence);
         } else if degree == self.config.sh_degree {
             self.note("spherical-harmonic degree", degree.to_string(), evidence);
@@ -230,6 +231,7 @@ impl Trainer<'_> {
                 "hardly any view has them in its picture, so that none contradicts them".to_owned();
             self.note("Gaussians in the air", format!("{} removed", findings.unseen), evidence);
         }
+        self.state.decisions.extend(self.backend.remarks());
         std::mem::take(&mut self.state.decisions)
     }
 }

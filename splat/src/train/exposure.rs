@@ -57,7 +57,8 @@ impl Trainer<'_> {
             let view = &self.dataset.views[v];
             let level = level.min(view.levels.len() as u32 - 1);
             let pixels = &view.levels[level as usize];
-            let target = Target { rgb: &pixels.rgb, mask: pixels.mask.as_deref(), transparent };
+            let target =
+                Target { rgb: &pixels.rgb, mask: pixels.mask.as_deref(), transparent, photo: Some(v as u32) };
             let options = RenderOptions { antialias: self.config.antialias, ..RenderOptions::default() };
             products.push(self.backend.products(&view.view.at_level(level), &target, &options)?);
         }
