@@ -85,6 +85,15 @@ pub struct PipelineArgs {
     /// Write the models as text too
     #[arg(long, help_heading = "General")]
     pub text: bool,
+    /// Take features, matches and camera groups from this database.db of COLMAP's (images are known by their names)
+    #[arg(long, value_name = "FILE", help_heading = "Structure from motion")]
+    pub database: Option<PathBuf>,
+    /// Of --database take the features only, and match them anew
+    #[arg(long, requires = "database", help_heading = "Structure from motion")]
+    pub rematch: bool,
+    /// Write OUT/database.db too: features, matches and verified pairs, on which COLMAP's mappers run
+    #[arg(long, help_heading = "Structure from motion")]
+    pub colmap_database: bool,
     /// Choice of frames.
     #[command(flatten)]
     pub frames: preprocess::FrameConfig,
@@ -164,7 +173,7 @@ pub struct RenderArgs {
 pub struct ExportArgs {
     /// A former output folder, or a splat file
     pub input: PathBuf,
-    /// The file or folder to write; its ending says the format: .html (a page to open in a browser), .ply (3DGS order), .compressed.ply, .splat, .spz, .glb (these also read, and .ksplat), .json (transforms), or a folder (COLMAP model, --text for text)
+    /// The file or folder to write; its ending says the format: .html (a page to open in a browser), .ply (3DGS order), .compressed.ply, .splat, .spz, .glb (these also read, and .ksplat), .json (transforms), .db (COLMAP's database, of a run with --colmap-database), or a folder (COLMAP model, --text for text)
     #[arg(short, long, value_name = "OUT", required_unless_present = "html")]
     pub output: Option<PathBuf>,
     /// One self-contained page that opens from disk (default output: RUN/view.html)

@@ -3,6 +3,7 @@
 pub mod cli;
 pub mod compare;
 pub mod config;
+pub mod database;
 pub mod doctor;
 pub mod evaluate;
 pub mod export;

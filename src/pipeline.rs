@@ -3,6 +3,7 @@
 use crate::Outcome;
 use crate::cli::PipelineArgs;
 use crate::config::Recorded;
+use crate::database;
 use crate::evaluate::{self, Evaluation};
 use crate::input::{self, Input};
 use crate::report;
@@ -234,17 +235,30 @@ impl Pipeline {
     fn poses(&mut self, frames: &FrameSet, frames_print: &str) -> Result<(PoseSummary, String)> {
         let print = match &self.input {
             Input::Posed { model, .. } => {
+                database::refuse(&self.args)?;
                 fingerprint(&("import", 1, frames_print, describe_input(model)?, self.args.text))?
             }
-            _ => fingerprint(&("sfm", 1, frames_print, &self.args.sfm, self.args.seed, self.args.text))?,
+            _ => {
+                let database = database::print(&self.args)?;
+                fingerprint(&(
+                    "sfm",
+                    2,
+                    frames_print,
+                    &self.args.sfm,
+                    self.args.seed,
+                    self.args.text,
+                    database,
+                ))?
+            }
         };
         let known: Option<PoseSummary> = self.stages.current("sfm", &print).map(|f| f.value);
         let has_model = known.is_none_or(|k| k.no_model.is_none());
-        let model = if has_model {
+        let mut model = if has_model {
             vec![self.out.join("sparse/0"), self.out.join("transforms.json")]
         } else {
             vec![]
         };
+        model.extend(self.args.colmap_database.then(|| self.out.join("database.db")));
         let (finished, ran) = self.stages.run("sfm", &print, &model, || {
             let progress = self.progress("sfm");
             let (reconstruction, mut summary) = match &self.input {
@@ -296,9 +310,7 @@ impl Pipeline {
         frames: &FrameSet,
         progress: &Progress,
     ) -> Result<(Option<Reconstruction>, PoseSummary)> {
-        let mut config = self.args.sfm.clone();
-        config.seed = self.args.seed;
-        let result = sfm::reconstruct(frames, &config, progress)?;
+        let result = database::solve(&self.args, frames, progress)?;
         let summary = PoseSummary {
             no_model: result.reconstruction.is_none().then(|| result.reason.clone()),
             missing: result.missing.clone(),
@@ -311,7 +323,8 @@ impl Pipeline {
             figures: figures(&result.stats),
             ..PoseSummary::default()
         };
-        Ok((result.reconstruction, summary))
+        let reconstruction = database::write(&self.args, &self.out, result, frames)?;
+        Ok((reconstruction, summary))
     }
 
     fn write_model(&self, reconstruction: &Reconstruction, frames: &FrameSet) -> Result<()> {

@@ -115,31 +115,34 @@ def bench_variants(binary, shared, out, only):
         pose_row(name, "sat-recon", record, cpu, wall, peak)
 
 
-def bench_colmap(binary, name, images, truth, folder):
-    """Debian's COLMAP 3.8 with its defaults, one camera, on the CPU."""
+def bench_colmap(binary, name, images, truth, folder, masks=None, database=None):
+    """Debian's COLMAP 3.8 with its defaults, one camera, on the CPU; its mapper alone where a database is given.
+    The folder of its largest model."""
     shutil.rmtree(folder, ignore_errors=True)
     os.makedirs(os.path.join(folder, "sparse"))
     environment = dict(os.environ, QT_QPA_PLATFORM="offscreen")
-    database = os.path.join(folder, "database.db")
+    given, database = database, database or os.path.join(folder, "database.db")
     steps = [
-        ["feature_extractor", "--image_path", images, "--ImageReader.single_camera", "1", "--SiftExtraction.use_gpu", "0"],
+        ["feature_extractor", "--image_path", images, "--ImageReader.single_camera", "1", "--SiftExtraction.use_gpu", "0",
+         *(["--ImageReader.mask_path", masks] if masks else [])],
         ["exhaustive_matcher", "--SiftMatching.use_gpu", "0"],
         ["mapper", "--image_path", images, "--output_path", os.path.join(folder, "sparse")],
     ]
+    tool = "COLMAP 3.8" + (" on our database" if given else ", inside the masks" if masks else "")
     total_cpu = total_wall = most = 0.0
     with open(os.path.join(folder, "log"), "w") as log:
-        for step in steps:
+        for step in steps[2:] if given else steps:
             command = ["colmap", step[0], "--database_path", database, *step[1:]]
             code, wall, cpu, peak = measured(command, env=environment, stdout=log, stderr=log)
             total_cpu, total_wall, most = total_cpu + cpu, total_wall + wall, max(most, peak)
-            if code != 0:
+            if code != 0 and step[0] != "mapper":  # which fails where it finds no model
                 print(f"colmap {step[0]} failed, see {folder}/log", file=sys.stderr)
-                return
-    models = sorted(os.listdir(os.path.join(folder, "sparse")))
-    records = [pose_errors(binary, os.path.join(folder, "sparse", m), truth) for m in models]
-    if records:
-        best = max(records, key=lambda r: r["registered"])
-        pose_row(name, "COLMAP 3.8", best, total_cpu, total_wall, most)
+                return None
+    models = [os.path.join(folder, "sparse", m) for m in sorted(os.listdir(os.path.join(folder, "sparse")))]
+    records = [pose_errors(binary, m, truth) | {"model": m} for m in models]
+    best = max(records, key=lambda r: r["registered"], default=dict(registered=0)) | {"total": len(os.listdir(images))}
+    pose_row(name, tool, best, total_cpu, total_wall, most)
+    return best.get("model")
 
 
 def bench_splats(binary, shared, out, only, qualities):

@@ -23,6 +23,6 @@ pub mod undistort;
 
 pub use config::{CameraModelChoice, CameraSharing, SfmConfig};
 pub use error::SfmError;
-pub use pipeline::reconstruct;
+pub use pipeline::{Supplied, reconstruct, reconstruct_from};
 pub use result::{Decision, PoseDeviation, SfmResult, SfmStats, StepTime, Uncertainty};
 pub use undistort::undistort;

@@ -38,6 +38,16 @@ pub fn reconstruct(
     config: &SfmConfig,
     progress: &Progress,
 ) -> Result<SfmResult, SfmError> {
+    reconstruct_from(None, frames, config, progress)
+}
+
+/// [`reconstruct`] from features (and matches) that were found before, by whatever tool.
+pub fn reconstruct_from(
+    supplied: Option<Supplied>,
+    frames: &FrameSet,
+    config: &SfmConfig,
+    progress: &Progress,
+) -> Result<SfmResult, SfmError> {
     let setup = Setup::new(frames, config)?;
     config.motion.validate()?;
     progress.check()?;
@@ -47,7 +57,8 @@ pub fn reconstruct(
     let mut clock = Clock::start();
     let mut result = SfmResult { initial_cameras: setup.of_frames(), ..SfmResult::default() };
     result.stats.images = frames.len();
-    let tried = match along_video(frames, config, &setup, progress)? {
+    let turn = if supplied.is_none() { along_video(frames, config, &setup, progress)? } else { None };
+    let tried = match turn {
         Some(Ok((model, decision))) => {
             clock.lap("turn", &mut result.stats.steps);
             let solved = turned(&mut result, &setup, model, decision);
@@ -59,11 +70,23 @@ pub fn reconstruct(
         None => None,
     };
     clock.lap("turn", &mut result.stats.steps);
-    result.features = sift::extract_all(frames, &config.sift, progress)?;
+    let Supplied { features, matches } = supplied.unwrap_or_default();
+    result.features = match features {
+        Some(features) => features,
+        None => sift::extract_all(frames, &config.sift, progress)?,
+    };
     clock.lap("features", &mut result.stats.steps);
-    let pairs = pairs::choose_pairs(frames, &result.features, &config.pairs);
-    result.stats.pairs_matched = pairs.len();
-    let matches = matching::match_pairs(&result.features, &pairs, &config.matching, progress)?;
+    let matches = match matches {
+        Some(matches) => matches,
+        None => {
+            let pairs = pairs::choose_pairs(frames, &result.features, &config.pairs);
+            matching::match_pairs(&result.features, &pairs, &config.matching, progress)?
+        }
+    };
+    result.stats.pairs_matched = matches.len();
+    if config.keep_matches {
+        result.matches.clone_from(&matches);
+    }
     clock.lap("matching", &mut result.stats.steps);
     result.geometries = two_view::verify_pairs(
         &result.features,
@@ -87,7 +110,7 @@ pub fn reconstruct(
     clock.lap("guided matching", &mut result.stats.steps);
     result.stats.features = result.features.iter().map(Features::len).sum();
     result.stats.pairs_verified = result.geometries.len();
-    result.decisions.push(pairs_decision(pairs.len(), frames.len(), &result.geometries));
+    result.decisions.push(pairs_decision(result.stats.pairs_matched, frames.len(), &result.geometries));
     let mut lap = |step: &str| clock.lap(step, &mut result.stats.steps);
     let given = Given { config, setup: &setup, is_video: frames.is_video, features: &result.features };
     let model = solve(&given, &mut result.geometries, &mut lap, progress)?;
@@ -100,6 +123,15 @@ pub fn reconstruct(
         note_attempt(&mut result.decisions, why);
     }
     Ok(result)
+}
+
+/// What is known before the images are looked at.
+#[derive(Clone, Debug, Default)]
+pub struct Supplied {
+    /// One per frame, each with a descriptor (zeros where there is none: it matches nothing) a keypoint.
+    pub features: Option<Vec<Features>>,
+    /// Matches before verification; without them the features are matched.
+    pub matches: Option<Vec<matching::PairMatches>>,
 }
 
 /// Looks for something that turns about one axis before the camera of a video; `None` where that is not asked for.

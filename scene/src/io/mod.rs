@@ -7,6 +7,7 @@
 pub mod atomic;
 mod bytes;
 mod colmap_bin;
+pub mod colmap_db;
 mod colmap_txt;
 mod error;
 pub mod exif;
@@ -19,6 +20,8 @@ pub mod transforms;
 pub mod truth;
 
 pub use atomic::{replace_folder, write_atomic};
+#[cfg(feature = "colmap-db")]
+pub use colmap_db::{read_database, write_database};
 pub use error::IoError;
 pub(crate) use error::read_file;
 pub use load::{ImageInfo, LoadedImage, image_info, load_image, load_mask, load_rgb, resize_area};
