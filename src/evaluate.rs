@@ -2,7 +2,8 @@
 
 pub mod speed;
 
-use crate::stage::write_json;
+use crate::pipeline::SplatSummary;
+use crate::stage::{Stages, write_json};
 use anyhow::{Context, Result};
 use image::{GrayImage, RgbImage};
 use scene::lpips::{Backbone, Lpips};
@@ -101,6 +102,12 @@ pub fn load_dataset(training_set: &Path, config: &DatasetConfig, progress: &Prog
     Ok(Dataset::load(&training_set.join("images"), masks.as_deref(), &model, config, progress)?)
 }
 
+/// Whether the splat of a run was trained with --antialias.
+pub fn trained_with_antialias(out: &Path) -> Result<bool> {
+    let trained = Stages::open(out)?.last::<SplatSummary>("train");
+    Ok(trained.is_some_and(|finished| finished.value.antialias))
+}
+
 /// Renders the held-out views, compares them with the photos, writes `OUT/eval`.
 pub fn evaluate(
     out: &Path,
@@ -113,6 +120,7 @@ pub fn evaluate(
         config.lpips_weights.iter().map(|path| Ok(Lpips::load(path)?)).collect::<Result<_>>()?;
     let gaussians = scene::io::ply::read_splat_ply(&out.join("splat.ply"))?;
     let (mut renderer, chosen) = Renderer::on(device, &gaussians)?;
+    renderer.antialias = trained_with_antialias(out)?;
     let cameras = speed::held_out_cameras(&out.join("undistorted"), dataset)?;
     let rendering = speed::measure(&mut renderer, &cameras, config.fps_loops, progress)?;
     let config = dataset;

@@ -65,6 +65,9 @@ pub struct SplatSummary {
     pub gaussians: usize,
     /// Spherical-harmonic degree.
     pub sh_degree: u32,
+    /// Whether it was trained (and is to be rendered) with --antialias.
+    #[serde(default)]
+    pub antialias: bool,
     /// Loss and PSNR against time.
     pub curve: Vec<splat::train::CurvePoint>,
     /// What was decided: what, choice, evidence.
@@ -134,7 +137,12 @@ impl Pipeline {
     }
 
     /// Runs the stages that are not current, as far as `until`.
-    pub fn run(mut self, until: Until) -> Result<Outcome> {
+    pub fn run(self, until: Until) -> Result<Outcome> {
+        Ok(self.run_recorded(until)?.0)
+    }
+
+    /// The same, and all that the run knows.
+    pub fn run_recorded(mut self, until: Until) -> Result<(Outcome, RunRecord)> {
         let (frames, frames_print) = self.frames()?;
         self.record.frames = Some(frames.clone());
         let mut outcome = Outcome::Done;
@@ -155,7 +163,7 @@ impl Pipeline {
         }
         write_json(&self.out.join("run.json"), &self.record)?;
         self.say_result(until)?;
-        Ok(outcome)
+        Ok((outcome, self.record))
     }
 
     fn progress(&self, stage: &str) -> Progress {
@@ -416,14 +424,17 @@ impl Pipeline {
             std::fs::create_dir_all(&checkpoints)?;
             crate::stage::write_whole(&owner, print.as_bytes())?;
         }
+        let begun = std::time::Instant::now();
         let dataset = evaluate::load_dataset(training_set, &self.args.dataset, &progress)?;
         let mut config = self.args.train.clone();
         config.seed = self.args.seed;
+        config.seconds_gone = begun.elapsed().as_secs_f64();
         let result = splat::train::train(&dataset, &config, Some(&checkpoints), &progress)?;
         scene::io::ply::write_splat_ply(&self.out.join("splat.ply"), &result.gaussians)?;
         let summary = SplatSummary {
             gaussians: result.gaussians.len(),
             sh_degree: result.gaussians.sh_degree,
+            antialias: config.antialias,
             curve: result.curve,
             decisions: result
                 .decisions

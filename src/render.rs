@@ -23,6 +23,7 @@ pub fn run(args: &RenderArgs, verbosity: Verbosity) -> Result<Outcome> {
     let progress = Progress::new(Box::new(TerminalSink::new(verbosity, None)), &CANCELLED);
     progress.begin("render", views.len());
     let (mut renderer, device) = splat::Renderer::on(&args.device, &gaussians)?;
+    renderer.antialias = crate::evaluate::trained_with_antialias(&args.run)?;
     let mut sink = Sink::open(&args.output, args.fps)?;
     for (name, camera, pose) in &views {
         let output = renderer.render(camera, pose, &options)?;

@@ -2,6 +2,7 @@
 
 mod decide;
 mod exposure;
+mod prune;
 
 pub use decide::Findings;
 
@@ -12,7 +13,7 @@ use crate::cpu::optimise::Statistics;
 use crate::dataset::AlphaMode;
 use crate::init::initial_gaussians;
 use crate::model::Model;
-use crate::schedule::{self, Pace};
+use crate::schedule;
 use crate::{Dataset, RenderOptions, SplatError, TrainConfig, densify};
 use rand::Rng as _;
 use rand::seq::SliceRandom as _;
@@ -73,14 +74,17 @@ struct Trainer<'a> {
     /// The configured number of Gaussians, or what the device can hold.
     max_gaussians: usize,
     state: State,
-    pace: Pace,
     /// Seconds and steps since steps were last reported, and seconds of a step before that.
     lap: (f64, u32, f64),
     clock: fn() -> f64,
+    /// The clock when `state.seconds` was last brought up to date.
+    mark: f64,
     /// Training views.
     views: Vec<usize>,
     /// Those of them that only judge until growth ends.
     validation: Vec<usize>,
+    /// The order of the views in a round, and which round that is.
+    order: (Option<(bool, usize)>, Vec<usize>),
 }
 
 /// Trains Gaussians on the views that are not held out. With `checkpoint_dir`, continues from the checkpoint there if it
@@ -101,6 +105,7 @@ pub fn train(
     while trainer.state.position < 1.0 {
         trainer.step()?;
         trainer.decide()?;
+        trainer.note_time();
         let point = trainer.state.curve.last().copied().unwrap_or_default();
         let detail = format!("{:.2} dB, {} gaussians", point.psnr, trainer.backend.gaussians());
         if let Err(cancelled) = progress.tick_with(&detail) {
@@ -142,7 +147,8 @@ impl<'a> Trainer<'a> {
         let clock =
             if config.recipe.cpu_time { crate::clock::cpu_seconds } else { crate::clock::wall_seconds };
         let begun = clock();
-        let fingerprint = format!("{config:?} {:?} {}", dataset.normalisation, dataset.views.len());
+        let told = TrainConfig { seconds_gone: 0.0, ..config.clone() };
+        let fingerprint = format!("{told:?} {:?} {}", dataset.normalisation, dataset.views.len());
         let (mut backend, decision) = crate::device::open(&config.device)?;
         let pixels = dataset.views.iter().map(|v| v.view.width * v.view.height).max().unwrap_or(0);
         let room = backend.capacity(config.sh_degree, pixels);
@@ -155,7 +161,7 @@ impl<'a> Trainer<'a> {
         }
         backend.set_magnitudes(config.recipe.selection == Selection::AbsoluteGradient)?;
         let resumed = folder.map_or(Ok(None), |f| Checkpoint::read(f, &fingerprint))?;
-        let state = match resumed {
+        let mut state = match resumed {
             Some(checkpoint) => {
                 backend.upload(checkpoint.model, checkpoint.statistics)?;
                 checkpoint.state
@@ -170,14 +176,20 @@ impl<'a> Trainer<'a> {
                     let (subject, choice) = ("most gaussians".to_owned(), room.to_string());
                     decisions.push(Decision { subject, choice, evidence: why });
                 }
-                let (first, seconds) = (first.len(), clock() - begun);
-                State { fingerprint, first, seconds, decisions, ..State::default() }
+                State { fingerprint, first: first.len(), decisions, ..State::default() }
             }
         };
+        // A part of the limit went by before training could begin; more so where it was interrupted.
+        state.seconds += config.seconds_gone;
         let validation = if config.recipe.evidence { decide::validation(&views) } else { Vec::new() };
-        let pace = Pace::default();
-        let lap = (0.0, 0, 0.0);
-        Ok(Self { dataset, config, backend, max_gaussians, state, pace, lap, clock, views, validation })
+        let (mark, order, lap) = (begun, (None, Vec::new()), (0.0, 0, 0.0));
+        Ok(Self { dataset, config, backend, max_gaussians, state, lap, clock, mark, views, validation, order })
+    }
+
+    /// Adds to the time spent what has gone by since the last call.
+    fn note_time(&mut self) {
+        let now = (self.clock)();
+        self.state.seconds += now - std::mem::replace(&mut self.mark, now);
     }
 
     fn checkpoint(&mut self) -> Result<Checkpoint, SplatError> {
@@ -187,14 +199,17 @@ impl<'a> Trainer<'a> {
     }
 
     /// The view of a step: a fresh permutation of all views each time round; those that judge only once they are done.
-    fn view_of_step(&self) -> usize {
+    fn view_of_step(&mut self) -> usize {
         let judging = self.state.position < self.config.recipe.densify_until;
-        let mut order = self.views.clone();
-        order.retain(|v| !judging || !self.validation.contains(v));
-        let n = order.len();
+        let n = self.views.len() - if judging { self.validation.len() } else { 0 };
         let (round, at) = (self.state.iteration as usize / n, self.state.iteration as usize % n);
-        order.shuffle(&mut scene::rng::rng(self.config.seed, "views", round as u64));
-        order[at]
+        if self.order.0 != Some((judging, round)) {
+            let mut order = self.views.clone();
+            order.retain(|v| !judging || !self.validation.contains(v));
+            order.shuffle(&mut scene::rng::rng(self.config.seed, "views", round as u64));
+            self.order = (Some((judging, round)), order);
+        }
+        self.order.1[at]
     }
 
     fn options(&self) -> RenderOptions {
@@ -234,10 +249,10 @@ impl<'a> Trainer<'a> {
                 photo: Some(chosen as u32),
             },
             options: self.options(),
-            rates: schedule::rates(position, self.pace.steps(&self.state, self.config), self.config),
+            rates: schedule::rates(position, self.state.pace.steps(&self.state, self.config), self.config),
             lambda_dssim: self.config.lambda_dssim,
-            opacity_penalty: 0.0,
-            scale_penalty: 0.0,
+            opacity_penalty: self.config.recipe.opacity_penalty as f32,
+            scale_penalty: self.config.recipe.scale_penalty as f32,
         })?;
         self.state.iteration += 1;
         let iteration = self.state.iteration;
@@ -246,10 +261,11 @@ impl<'a> Trainer<'a> {
             self.state.last_round = (iteration, position);
             self.densify()?;
         }
-        let spent = (self.clock)() - begun;
-        self.state.seconds += spent;
-        let cost = self.cost(spent, !outputs.is_empty());
-        self.state.position = self.pace.advance(&self.state, self.config, level, cost);
+        self.note_time();
+        let cost = self.cost(self.mark - begun, !outputs.is_empty());
+        let mut pace = self.state.pace.clone();
+        self.state.position = pace.advance(&self.state, self.config, level, cost);
+        self.state.pace = pace;
         if iteration.is_multiple_of(CURVE_EVERY) || self.state.position >= 1.0 {
             self.settle()?;
             self.note_curve();
@@ -287,9 +303,8 @@ impl<'a> Trainer<'a> {
     fn settle(&mut self) -> Result<(), SplatError> {
         let begun = (self.clock)();
         let outputs = self.backend.settle()?;
-        let spent = (self.clock)() - begun;
-        self.state.seconds += spent;
-        self.lap.0 += spent;
+        self.note_time();
+        self.lap.0 += self.mark - begun;
         if !outputs.is_empty() {
             self.lap = (0.0, 0, self.lap.0 / f64::from(self.lap.1.max(1)));
         }
@@ -305,7 +320,7 @@ impl<'a> Trainer<'a> {
         let recipe = &self.config.recipe;
         let (now, max) = (self.backend.gaussians(), self.max_gaussians);
         let (wanted, threshold) = if recipe.planned_growth {
-            let steps = self.pace.steps(&self.state, self.config);
+            let steps = self.state.pace.steps(&self.state, self.config);
             let last = schedule::gaussians_at_end(self.state.first, steps, self.views.len(), self.config);
             let last = self.state.findings.gaussians_limit.map_or(last, |limit| last.min(limit));
             (schedule::gaussians(self.state.position, self.state.first, last, recipe), 0.0)
