@@ -1,7 +1,7 @@
 //! `compare`: models beside each other and beside a ground truth, COLMAP on the same frames, and the tables of papers.
 
-mod runs;
-mod tables;
+pub mod runs;
+pub mod tables;
 
 use crate::Outcome;
 use crate::cli::CompareArgs;
@@ -56,17 +56,21 @@ pub fn run(args: &CompareArgs, verbosity: Verbosity, json: bool) -> Result<Outco
             }
         }
     }
+    let networks = crate::evaluate::load_networks(&args.lpips_weights)?;
+    let entries = runs::entries(&named, &networks)?;
+    let beside: Vec<_> = args.beside.iter().map(|path| runs::read_tables(path)).collect::<Result<_>>()?;
+    let tables = runs::tables(&entries, &beside.concat());
     if json {
         println!("{}", serde_json::to_string_pretty(&rows)?);
     } else {
-        print_table(&rows);
-    }
-    let tables = runs::tables(&runs::entries(&named)?);
-    if !json {
+        println!("{}", pose_table(&rows));
         tables.iter().for_each(|table| println!("\n{}", table.markdown()));
     }
     if let Some(folder) = &args.tables {
         write_tables(folder, &tables)?;
+    }
+    if let Some(file) = &args.report {
+        crate::report::write_comparison(file, &entries, &pose_cells(&rows), &tables)?;
     }
     Ok(Outcome::Done)
 }
@@ -149,31 +153,47 @@ fn fill(row: &mut Row, errors: &PoseErrors) {
     row.focal_err_pct = errors.focal_err_pct;
 }
 
-fn print_table(rows: &[Row]) {
-    println!(
-        "| model | registered | points | px | AUC@1 / 3 / 5 / 10 | rotation median / max | centre median / max, % | focal, % |"
-    );
-    println!("|---|---|---|---|---|---|---|---|");
-    for row in rows {
-        let number = |v: Option<f64>, digits: usize| v.map_or("–".to_owned(), |v| format!("{v:.digits$}"));
+/// Heading and rows of the table of poses.
+pub type Cells = (Vec<&'static str>, Vec<Vec<String>>);
+
+fn pose_cells(rows: &[Row]) -> Cells {
+    let heads = vec![
+        "model",
+        "registered",
+        "points",
+        "px",
+        "AUC@1 / 3 / 5 / 10",
+        "rotation median / max",
+        "centre median / max, %",
+        "focal, %",
+    ];
+    let number = |v: Option<f64>, digits: usize| v.map_or("–".to_owned(), |v| format!("{v:.digits$}"));
+    let cells = |row: &Row| {
         let auc = row.auc.as_ref().map_or("–".to_owned(), |auc| {
             let at = |t: &f64| format!("{:.1}", auc.get(&t.to_string()).copied().unwrap_or(0.0));
             AUC_THRESHOLDS_DEG.iter().map(at).collect::<Vec<_>>().join(" / ")
         });
-        println!(
-            "| {} | {} of {} | {} | {:.2} | {auc} | {}° / {}° | {} / {} | {} |",
-            row.name,
-            row.registered,
-            row.total,
-            row.points,
-            row.reprojection_px,
-            number(row.rotation_median_deg, 3),
-            number(row.rotation_max_deg, 3),
-            number(row.centre_median_pct, 3),
-            number(row.centre_max_pct, 3),
-            number(row.focal_err_pct, 2)
-        );
-    }
+        let degrees = [row.rotation_median_deg, row.rotation_max_deg].map(|v| number(v, 3));
+        let centres = [row.centre_median_pct, row.centre_max_pct].map(|v| number(v, 3));
+        vec![
+            row.name.clone(),
+            format!("{} of {}", row.registered, row.total),
+            row.points.to_string(),
+            format!("{:.2}", row.reprojection_px),
+            auc,
+            format!("{}° / {}°", degrees[0], degrees[1]),
+            centres.join(" / "),
+            number(row.focal_err_pct, 2),
+        ]
+    };
+    (heads, rows.iter().map(cells).collect())
+}
+
+fn pose_table(rows: &[Row]) -> String {
+    let (heads, rows) = pose_cells(rows);
+    let line = |cells: &[String]| format!("| {} |", cells.join(" | "));
+    let heading = [format!("| {} |", heads.join(" | ")), format!("|{}", "---|".repeat(heads.len()))];
+    heading.into_iter().chain(rows.iter().map(|r| line(r))).collect::<Vec<_>>().join("\n")
 }
 
 /// Runs the installed COLMAP with its defaults (one camera, no GPU) on the frames of a run; its models.
