@@ -14,7 +14,7 @@ SAT_RECON := $(TARGET)/release/sat-recon
 VENV := $(CACHE)/venv
 SHARED := $(or $(SAT_RECON_SHARED),../shared)
 
-.PHONY: help setup viewer build demo test lint bench bench-gpu compare oracle testbed
+.PHONY: help setup viewer build demo test lint bench tables bench-gpu compare oracle testbed
 help:  ## this list
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed 's/:.*##/\t/' | expand -t 12
 
@@ -40,6 +40,9 @@ lint: setup  ## formatting, clippy, file and function lengths, borders between c
 
 bench: build  ## the tables of docs/benchmarks.md on real data (slow)
 	@tools/setup.sh python3 colmap; python3 tools/bench.py $(SAT_RECON) $(SHARED) --out build/bench
+
+tables: build  ## the paper's three tables for our own method, its rows beside them (slow)
+	@tools/setup.sh python3; python3 tools/paper_tables.py $(SAT_RECON) $(SHARED) --out build/tables
 
 bench-gpu: setup  ## what needs a graphics card, in under ten minutes, as JSON (a small dry run without one)
 	@tools/setup.sh python3

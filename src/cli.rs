@@ -196,6 +196,15 @@ pub struct CompareArgs {
     /// Also write the tables of quality, training and rendering cost into this folder: Markdown, CSV, LaTeX, JSON
     #[arg(long, value_name = "FOLDER")]
     pub tables: Option<PathBuf>,
+    /// Also write a page that shows the runs beside each other
+    #[arg(long, value_name = "FILE.html")]
+    pub report: Option<PathBuf>,
+    /// Tables that --tables wrote earlier (tables.json), or published figures in that form, to stand in the tables too
+    #[arg(long, value_name = "FILE.json")]
+    pub beside: Vec<PathBuf>,
+    /// Weights for LPIPS of other tools' renders, as for `eval`
+    #[arg(long, value_name = "FILE")]
+    pub lpips_weights: Vec<PathBuf>,
     /// Ground truth: Middlebury *_par.txt, a folder of *.camera, a COLMAP model, or a transforms.json
     #[arg(long)]
     pub truth: Option<PathBuf>,

@@ -1,5 +1,7 @@
 //! The pipeline: frames, poses, undistortion, splat, evaluation, report, each resumable.
 
+mod folder;
+
 use crate::Outcome;
 use crate::cli::PipelineArgs;
 use crate::config::Recorded;
@@ -10,6 +12,7 @@ use crate::report;
 use crate::stage::{Cost, Stages, describe_input, fingerprint, write_json};
 use crate::terminal::{CANCELLED, TerminalSink, Verbosity};
 use anyhow::{Context, Result, bail};
+use folder::{absolute_in, default_output, relative_to};
 use scene::io::TransformsOptions;
 use scene::io::ply::CloudPoint;
 use scene::{FrameSet, Progress, Reconstruction};
@@ -93,6 +96,10 @@ pub struct RunRecord {
     pub splat: Option<SplatSummary>,
     /// The metrics.
     pub evaluation: Option<Evaluation>,
+    /// What was decided by the evidence, or stands as configured, topic by topic.
+    pub decisions: Vec<report::decisions::Shown>,
+    /// The report's traffic light.
+    pub verdict: Vec<report::verdict::Light>,
 }
 
 /// One run into one output folder.
@@ -132,6 +139,8 @@ impl Pipeline {
             poses: None,
             splat: None,
             evaluation: None,
+            decisions: Vec::new(),
+            verdict: Vec::new(),
         };
         Ok(Self { args, input, out, stages, verbosity, json, record })
     }
@@ -143,6 +152,9 @@ impl Pipeline {
 
     /// The same, and all that the run knows.
     pub fn run_recorded(mut self, until: Until) -> Result<(Outcome, RunRecord)> {
+        if until >= Until::Eval {
+            evaluate::load_networks(&self.args.eval.lpips_weights)?; // before hours of work, not after
+        }
         let (frames, frames_print) = self.frames()?;
         self.record.frames = Some(frames.clone());
         let mut outcome = Outcome::Done;
@@ -158,6 +170,7 @@ impl Pipeline {
                 }
             }
         }
+        report::judge(&self.out, &mut self.record)?;
         if until >= Until::Report || (until >= Until::Sfm && outcome == Outcome::NoModel) {
             report::write(&self.out, &self.record).context("cannot write the report")?;
         }
@@ -397,7 +410,11 @@ impl Pipeline {
         if until < Until::Eval {
             return Ok(());
         }
-        let print = fingerprint(&("eval", 2, &print, &self.args.eval))?;
+        let print = fingerprint(&("eval", 3, &print, &self.args.eval))?;
+        let known = self.stages.current::<Evaluation>("eval", &print);
+        if known.is_some_and(|k| !k.value.is_whole(&self.out)) {
+            self.stages.forget("eval"); // a picture is missing
+        }
         let (finished, ran) =
             self.stages.run("eval", &print, &[self.out.join("eval/metrics.json")], || {
                 let progress = self.progress("eval");
@@ -449,6 +466,10 @@ impl Pipeline {
     fn say_result(&self, until: Until) -> Result<()> {
         if self.json {
             println!("{}", serde_json::to_string_pretty(&self.record)?);
+        } else if let (Until::Eval, Some(evaluation)) = (until, &self.record.evaluation)
+            && self.verbosity > Verbosity::Quiet
+        {
+            println!("{}", evaluation.markdown());
         }
         let what = match until {
             Until::Frames => "images/",
@@ -474,28 +495,4 @@ fn figures(stats: &sfm::SfmStats) -> Vec<(String, f64)> {
     ];
     figures.extend(stats.steps.iter().map(|s| (format!("{}, CPU s", s.step), s.cpu_s)));
     figures
-}
-
-fn default_output(input: &Path) -> PathBuf {
-    let absolute = std::path::absolute(input).unwrap_or_else(|_| input.to_path_buf());
-    let stem = absolute.file_stem().map_or_else(|| "scene".into(), |s| s.to_string_lossy().into_owned());
-    PathBuf::from(format!("{stem}_recon"))
-}
-
-/// The output folder can be moved: what is remembered of it are relative paths.
-fn relative_to(mut frames: FrameSet, out: &Path) -> FrameSet {
-    let shorten = |p: &Path| p.strip_prefix(out).map_or_else(|_| p.to_path_buf(), Path::to_path_buf);
-    for frame in &mut frames.frames {
-        frame.path = shorten(&frame.path);
-        frame.mask = frame.mask.as_deref().map(shorten);
-    }
-    frames
-}
-
-fn absolute_in(mut frames: FrameSet, out: &Path) -> FrameSet {
-    for frame in &mut frames.frames {
-        frame.path = out.join(&frame.path);
-        frame.mask = frame.mask.as_deref().map(|m| out.join(m));
-    }
-    frames
 }

@@ -63,6 +63,11 @@ impl Stages {
         serde_json::from_slice(&std::fs::read(self.path(&format!("{name}.json"))).ok()?).ok()
     }
 
+    /// Has the stage run anew the next time.
+    pub fn forget(&self, name: &str) {
+        let _ = std::fs::remove_file(self.path(&format!("{name}.json"))); // what is not there is forgotten
+    }
+
     /// Runs `work` unless its result is current and its `outputs` are there; remembers the result when it is
     /// complete. The second value says whether it ran.
     pub fn run<T: Serialize + DeserializeOwned>(

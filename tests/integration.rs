@@ -1,6 +1,7 @@
 //! Black-box tests of the program: one binary, so that it links once.
 
 mod integration {
+    pub mod bad_files;
     pub mod bad_input;
     pub mod cli;
     pub mod colmap;
