@@ -39,6 +39,7 @@ lint: setup  ## formatting, clippy, file and function lengths, borders between c
 	@tools/lint.sh
 
 bench: build  ## the tables of docs/benchmarks.md on real data (slow)
+	cargo build --release --locked --workspace --example ring_growth
 	@tools/setup.sh python3 colmap; python3 tools/bench.py $(SAT_RECON) $(SHARED) --out build/bench
 
 bench-gpu: setup  ## what needs a graphics card, in under ten minutes, as JSON (a small dry run without one)

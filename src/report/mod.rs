@@ -3,7 +3,7 @@
 mod charts;
 
 use crate::evaluate::{Evaluation, Metrics};
-use crate::pipeline::{PoseSummary, RunRecord, SplatSummary};
+use crate::pipeline::{Deviations, PoseSummary, RunRecord, SplatSummary};
 use crate::stage::write_whole;
 use anyhow::Result;
 use base64::Engine as _;
@@ -150,7 +150,12 @@ fn poses(html: &mut String, out: &Path, poses: &PoseSummary) -> Result<()> {
     }
     html.push_str("</div><div class=\"scroll\"><table><tr><th>camera<th>model<th>size<th>parameters</tr>");
     for camera in model.cameras.values() {
-        let params: Vec<String> = camera.params.iter().map(|p| format!("{p:.5}")).collect();
+        let sigma = poses.deviations.as_ref().and_then(|d| d.cameras.get(&camera.id));
+        let param = |(i, p): (usize, &f64)| match sigma.and_then(|s| s.get(i)).filter(|s| **s > 0.0) {
+            Some(s) => format!("{p:.5} ± {s:.2}"),
+            None => format!("{p:.5}"),
+        };
+        let params: Vec<String> = camera.params.iter().enumerate().map(param).collect();
         write!(
             html,
             "<tr><td>{}<td>{}<td>{}×{}<td>{}</tr>",
@@ -162,6 +167,29 @@ fn poses(html: &mut String, out: &Path, poses: &PoseSummary) -> Result<()> {
         )?;
     }
     html.push_str("</table></div>");
+    poses.deviations.as_ref().map_or(Ok(()), |d| deviations(html, d))
+}
+
+/// Standard deviations of all poses, folded away under what is usual.
+fn deviations(html: &mut String, d: &Deviations) -> Result<()> {
+    let largest = |v: &[f64; 3]| v.iter().fold(0.0_f64, |m, x| m.max(*x));
+    let mut rotations: Vec<f64> = d.images.iter().map(|i| largest(&i.rotation_deg)).collect();
+    rotations.sort_unstable_by(f64::total_cmp);
+    let Some(worst) = rotations.last() else { return Ok(()) };
+    write!(
+        html,
+        "<details><summary>Rotations are known to {:.4}° (median; worst {worst:.4}°) for sightings known to {:.2} px</summary>\
+         <div class=\"scroll\"><table><tr><th>image<th>σ rotation x, y, z, °<th>σ centre x, y, z, scene units</tr>",
+        rotations[rotations.len() / 2],
+        d.sigma_px
+    )?;
+    for image in &d.images {
+        let [x, y, z] = image.rotation_deg;
+        let [a, b, c] = image.centre;
+        let name = escape(&image.name);
+        write!(html, "<tr><td>{name}<td>{x:.4}, {y:.4}, {z:.4}<td>{a:.2e}, {b:.2e}, {c:.2e}</tr>")?;
+    }
+    html.push_str("</table></div></details>");
     Ok(())
 }
 
