@@ -39,6 +39,7 @@ lint: setup  ## formatting, clippy, file and function lengths, borders between c
 	@tools/lint.sh
 
 bench: build  ## the tables of docs/benchmarks.md on real data (slow)
+	cargo build --release --locked --workspace --example ring_growth
 	@tools/setup.sh python3 colmap; python3 tools/bench.py $(SAT_RECON) $(SHARED) --out build/bench
 
 tables: build  ## the paper's three tables for our own method, its rows beside them (slow)

@@ -55,10 +55,49 @@ pub struct PoseSummary {
     /// Images whose pose hangs by a thread, and why.
     #[serde(default)]
     pub weak: Vec<(String, String)>,
+    /// Standard deviations from the final adjustment.
+    #[serde(default)]
+    pub deviations: Option<Deviations>,
     /// What was decided: what, choice, evidence.
     pub decisions: Vec<[String; 3]>,
     /// Figures by step.
     pub figures: Vec<(String, f64)>,
+}
+
+/// Standard deviations of poses and intrinsics (gauge: first camera and the scale fixed).
+#[derive(Clone, Debug, Default, Serialize, Deserialize)]
+pub struct Deviations {
+    /// Robust standard deviation of one residual coordinate, pixels.
+    pub sigma_px: f64,
+    /// By camera number: one a parameter, 0 for those held.
+    pub cameras: BTreeMap<u32, Vec<f64>>,
+    /// By image.
+    pub images: Vec<ImageDeviation>,
+}
+
+/// Standard deviations of one image's pose.
+#[derive(Clone, Debug, Default, Serialize, Deserialize)]
+pub struct ImageDeviation {
+    /// File name.
+    pub name: String,
+    /// Of the rotation about the camera's x, y and z axes, degrees.
+    pub rotation_deg: [f64; 3],
+    /// Of the camera centre along the world's axes, scene units.
+    pub centre: [f64; 3],
+}
+
+impl Deviations {
+    fn of(uncertainty: &sfm::Uncertainty, model: &Reconstruction) -> Self {
+        let image = |(id, d): (&u32, &sfm::PoseDeviation)| {
+            let name = model.images.get(id)?.name.clone();
+            Some(ImageDeviation { name, rotation_deg: d.rotation.map(f64::to_degrees), centre: d.centre })
+        };
+        Self {
+            sigma_px: uncertainty.sigma_px,
+            cameras: uncertainty.cameras.clone(),
+            images: uncertainty.images.iter().filter_map(image).collect(),
+        }
+    }
 }
 
 /// What is known of the splat.
@@ -336,6 +375,11 @@ impl Pipeline {
             no_model: result.reconstruction.is_none().then(|| result.reason.clone()),
             missing: result.missing.clone(),
             weak: result.weak_images.clone(),
+            deviations: result
+                .uncertainty
+                .as_ref()
+                .zip(result.reconstruction.as_ref())
+                .map(|(u, model)| Deviations::of(u, model)),
             decisions: result
                 .decisions
                 .iter()

@@ -5,6 +5,7 @@ mod integration {
     pub mod bad_input;
     pub mod cli;
     pub mod colmap;
+    pub mod determinism;
     pub mod end_to_end;
     pub mod real_data;
     pub mod resume;

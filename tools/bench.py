@@ -16,6 +16,8 @@ import subprocess
 import sys
 import time
 
+import bench_sfm
+
 TESTBED = os.path.join(os.path.dirname(os.path.abspath(__file__)), "../data/testbed")
 POSES = [
     # name, input below SHARED/data, truth below SHARED/data, flags
@@ -40,6 +42,8 @@ SPLATS = [
     ("can_orbit", "phone_video/can_orbit.mp4", []),
     ("yaw, 10 % light (case 3)", os.path.join(TESTBED, "case3/video.mp4"), []),
 ]
+
+TABLES = ["poses", "variants", "dino", "quality", "rings", "splats"]
 
 
 def measured(command, **options):
@@ -174,7 +178,10 @@ def main():
     parser.add_argument("shared")
     parser.add_argument("--out", required=True)
     parser.add_argument("--only", nargs="*", help="names of inputs")
-    parser.add_argument("--tables", nargs="*", default=["poses", "variants", "splats"], choices=["poses", "variants", "splats"])
+    parser.add_argument("--tables", nargs="*", default=TABLES, choices=TABLES)
+    parser.add_argument("--rings", nargs="*", type=int, default=[100, 300, 1000], help="images of the simulated rings")
+    parser.add_argument("--examples", help="folder with the example ring_growth (default: beside SAT_RECON)")
+    parser.add_argument("--plot", help="where the SVG of speed against accuracy goes (default: below --out)")
     parser.add_argument("--colmap", nargs="*", default=["temple_ring"], help="inputs on which COLMAP 3.8 runs too")
     parser.add_argument("--quality", nargs="*", default=["fast", "balanced"])
     args = parser.parse_args()
@@ -184,6 +191,16 @@ def main():
         bench_poses(args.binary, args.shared, args.out, args.only, args.colmap)
     if "variants" in args.tables:
         bench_variants(args.binary, args.shared, args.out, args.only)
+    here = sys.modules[__name__]
+    if "dino" in args.tables:
+        bench_sfm.bench_dino(here, args.binary, args.shared, args.out)
+    if "quality" in args.tables:
+        os.makedirs(args.out, exist_ok=True)
+        plot = args.plot or os.path.join(args.out, "speed_accuracy.svg")
+        bench_sfm.bench_quality(here, args.binary, args.shared, args.out, plot)
+    if "rings" in args.tables:
+        examples = args.examples or os.path.join(os.path.dirname(args.binary), "examples")
+        bench_sfm.bench_growth(here, os.path.join(examples, "ring_growth"), args.rings)
     if "splats" in args.tables:
         bench_splats(args.binary, args.shared, args.out, args.only, args.quality)
 

@@ -3,7 +3,7 @@
 use super::charts::{self, Series};
 use super::html::{self, escape, figure, folded};
 use super::verdict;
-use crate::pipeline::{PoseSummary, RunRecord};
+use crate::pipeline::{Deviations, PoseSummary, RunRecord};
 use anyhow::Result;
 use base64::Engine as _;
 use base64::engine::general_purpose::STANDARD;
@@ -64,7 +64,10 @@ pub fn section(
     }
     reprojection(html, poses, model, &errors)?;
     html.push_str("</div>");
-    cameras(html, model);
+    cameras(html, poses, model);
+    if let Some(known) = &poses.deviations {
+        deviations(html, known);
+    }
     figures(html, poses);
     Ok(())
 }
@@ -187,14 +190,39 @@ fn reprojection(
     Ok(())
 }
 
-fn cameras(html: &mut String, model: &Reconstruction) {
+fn cameras(html: &mut String, poses: &PoseSummary, model: &Reconstruction) {
     let row = |camera: &scene::Camera| {
-        let params: Vec<String> = camera.params.iter().map(|p| format!("{p:.5}")).collect();
+        let sigma = poses.deviations.as_ref().and_then(|d| d.cameras.get(&camera.id));
+        let param = |(i, p): (usize, &f64)| match sigma.and_then(|s| s.get(i)).filter(|s| **s > 0.0) {
+            Some(s) => format!("{p:.5} ± {s:.2}"),
+            None => format!("{p:.5}"),
+        };
+        let params: Vec<String> = camera.params.iter().enumerate().map(param).collect();
         let size = format!("{}×{}", camera.width, camera.height);
         vec![camera.id.to_string(), camera.model.name().to_owned(), size, params.join(", ")]
     };
     let rows: Vec<Vec<String>> = model.cameras.values().map(row).collect();
     html::table(html, &["camera", "model", "size", "parameters"], &rows);
+}
+
+/// Standard deviations of all poses, folded away under what is usual.
+fn deviations(html: &mut String, known: &Deviations) {
+    let largest = |v: &[f64; 3]| v.iter().fold(0.0_f64, |m, x| m.max(*x));
+    let mut rotations: Vec<f64> = known.images.iter().map(|i| largest(&i.rotation_deg)).collect();
+    rotations.sort_unstable_by(f64::total_cmp);
+    let Some(worst) = rotations.last() else { return };
+    *html += &format!(
+        "<details><summary>Rotations are known to {:.4}° (median; worst {worst:.4}°) for sightings known to {:.2} px</summary>",
+        rotations[rotations.len() / 2],
+        known.sigma_px
+    );
+    let row = |image: &crate::pipeline::ImageDeviation| {
+        let rotation = image.rotation_deg.map(|v| format!("{v:.4}")).join(", ");
+        vec![escape(&image.name), rotation, image.centre.map(|v| format!("{v:.2e}")).join(", ")]
+    };
+    let rows: Vec<Vec<String>> = known.images.iter().map(row).collect();
+    html::table(html, &["image", "σ rotation x, y, z, °", "σ centre x, y, z, scene units"], &rows);
+    html.push_str("</details>");
 }
 
 fn figures(html: &mut String, poses: &PoseSummary) {
