@@ -41,6 +41,22 @@ def best_model(binary, folder, truth):
     return max(records, key=lambda r: r["registered"], default=dict(registered=0, total=0))
 
 
+def run_pycolmap(args, mapper):
+    """For bench.py's table of turns: a function of images and folder that returns the folder of models and the CPU s."""
+    def run(images, folder):
+        images = os.path.abspath(images)
+        command = [sys.executable, __file__, args.binary, args.shared, "--out", args.out, "--pycolmap", images, folder]
+        with open(os.devnull, "w") as null:
+            code, _, cpu, _ = bench.measured(command, stdout=null, stderr=null)
+        if code != 0:
+            return folder, cpu
+        others = {"incremental": "global", "global": "incremental"}
+        with open(os.path.join(folder, others[mapper] + ".cpu")) as file:
+            cpu -= float(file.read())
+        return os.path.join(folder, mapper), cpu
+    return run
+
+
 def main():
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("binary")
@@ -71,6 +87,9 @@ def main():
         for mapper, other in (("incremental", "global"), ("global", "incremental")):
             record = best_model(args.binary, os.path.join(folder, mapper), os.path.join(args.shared, "data", truth))
             bench.pose_row(name, f"COLMAP 4.2.1 {mapper}", record, cpu - costs[other], wall, peak)
+    tools = [("COLMAP 3.8", lambda images, folder: bench.run_colmap(images, folder)[:2])]
+    tools += [(f"COLMAP 4.2.1 {m}", run_pycolmap(args, m)) for m in ("incremental", "global")]
+    bench.bench_turns(args.binary, args.shared, args.out, args.only, tools)
 
 
 if __name__ == "__main__":
