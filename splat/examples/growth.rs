@@ -72,7 +72,7 @@ fn step(cli: &Cli, n: usize, w: usize, h: usize, size: usize) -> Result<Row> {
         let view = camera(k, w as u32, h as u32);
         let out = backend.step(&StepInput {
             view: &Normalisation { centre: DVec3::ZERO, scale: 1.0 }.view(&view.0, &view.1),
-            target: Target { rgb: &rgb, mask: None, transparent: false },
+            target: Target { rgb: &rgb, mask: None, transparent: false, photo: None },
             options: RenderOptions::default(),
             rates: LearningRates::default(),
             lambda_dssim: 0.2,
