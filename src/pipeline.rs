@@ -389,7 +389,8 @@ impl Pipeline {
         if until < Until::Eval {
             return Ok(());
         }
-        let print = fingerprint(&("eval", 2, &print, &self.args.eval))?;
+        let mesh = self.args.eval.mesh.mesh.as_deref().map(describe_input).transpose()?;
+        let print = fingerprint(&("eval", 3, &print, &self.args.eval, mesh))?;
         let (finished, ran) =
             self.stages.run("eval", &print, &[self.out.join("eval/metrics.json")], || {
                 let progress = self.progress("eval");

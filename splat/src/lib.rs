@@ -21,6 +21,7 @@ pub mod model;
 pub mod reference;
 pub mod render;
 pub mod schedule;
+pub mod surface;
 pub mod train;
 
 pub use adapter::{Adapter, AdapterKind, adapters};

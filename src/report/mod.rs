@@ -209,6 +209,9 @@ fn evaluation(html: &mut String, out: &Path, evaluation: &Evaluation) -> Result<
         html.push_str("</tr>");
     }
     html.push_str("</table></div>");
+    if let Some(geometry) = &evaluation.geometry {
+        html.push_str(&geometry.html());
+    }
     let cost = &evaluation.rendering;
     write!(
         html,
