@@ -109,7 +109,7 @@ fn check(accessor: &gltf::Accessor, bytes: usize) -> Result<(), String> {
     let step = view.stride().unwrap_or(size).max(size);
     let inside = step.checked_mul(accessor.count().saturating_sub(1)).and_then(|n| n.checked_add(size));
     let end = inside.and_then(|n| n.checked_add(accessor.offset())).unwrap_or(usize::MAX);
-    let last = view.offset().checked_add(view.length()).unwrap_or(usize::MAX);
+    let last = view.offset().saturating_add(view.length());
     if end > view.length() || last > bytes {
         return Err(format!("accessor {number} reaches beyond the file's {bytes} bytes"));
     }
