@@ -59,6 +59,8 @@ pub enum Command {
     Export(ExportArgs),
     /// Our poses beside COLMAP's or a ground truth's
     Compare(CompareArgs),
+    /// Quality against time: trains at several presets and time limits, draws the curve
+    Bench(BenchArgs),
     /// Look at a trained splat in a browser, served to this machine alone
     View(ViewArgs),
     /// What is installed, which adapters there are, and what will be slow
@@ -194,12 +196,46 @@ pub struct CompareArgs {
     /// Also write the tables of quality, training and rendering cost into this folder: Markdown, CSV, LaTeX, JSON
     #[arg(long, value_name = "FOLDER")]
     pub tables: Option<PathBuf>,
+    /// Also write a page that shows the runs beside each other
+    #[arg(long, value_name = "FILE.html")]
+    pub report: Option<PathBuf>,
+    /// Tables that --tables wrote earlier (tables.json), or published figures in that form, to stand in the tables too
+    #[arg(long, value_name = "FILE.json")]
+    pub beside: Vec<PathBuf>,
+    /// Weights for LPIPS of other tools' renders, as for `eval`
+    #[arg(long, value_name = "FILE")]
+    pub lpips_weights: Vec<PathBuf>,
     /// Ground truth: Middlebury *_par.txt, a folder of *.camera, a COLMAP model, or a transforms.json
     #[arg(long)]
     pub truth: Option<PathBuf>,
     /// Run Debian's COLMAP on the same frames and show it beside
     #[arg(long)]
     pub colmap: bool,
+}
+
+/// What `bench` takes.
+#[derive(Args, Clone, Debug)]
+pub struct BenchArgs {
+    /// What `run` takes: a video, a folder of photos, a posed data set
+    pub input: PathBuf,
+    /// Output folder (default: the input's name with `_bench`, in the current folder)
+    #[arg(short, long, value_name = "OUT")]
+    pub output: Option<PathBuf>,
+    /// Presets to measure
+    #[arg(long, value_enum, value_delimiter = ',', default_values = ["draft", "fast", "balanced", "best"], value_name = "LIST")]
+    pub qualities: Vec<splat::Quality>,
+    /// Time limits to measure, such as 30s,60s,5m
+    #[arg(long, value_delimiter = ',', value_parser = splat::config::parse_duration, value_name = "LIST")]
+    pub times: Vec<f64>,
+    /// Only the time limits, no presets
+    #[arg(long)]
+    pub only_times: bool,
+    /// Figures of other tools to draw beside, instead of those that come with the program (same format as data/bench/peers.json)
+    #[arg(long, value_name = "FILE")]
+    pub peers: Option<PathBuf>,
+    /// Flags of `run`, after `--`
+    #[arg(last = true, value_name = "FLAGS")]
+    pub flags: Vec<String>,
 }
 
 /// What `view` takes.

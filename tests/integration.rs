@@ -1,9 +1,11 @@
 //! Black-box tests of the program: one binary, so that it links once.
 
 mod integration {
+    pub mod bad_files;
     pub mod bad_input;
     pub mod cli;
     pub mod colmap;
+    pub mod determinism;
     pub mod end_to_end;
     pub mod real_data;
     pub mod resume;

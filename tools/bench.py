@@ -10,11 +10,15 @@ Costs are CPU seconds (user and system, subprocesses included) and peak resident
 import argparse
 import json
 import os
+import random
 import resource
 import shutil
 import subprocess
 import sys
 import time
+
+import bench_sfm
+import turntable
 
 TESTBED = os.path.join(os.path.dirname(os.path.abspath(__file__)), "../data/testbed")
 POSES = [
@@ -33,6 +37,12 @@ VARIANTS = [
     ("masked, x 0.1 + noise 3", "--mask --gain 0.1 --noise 3"), ("masked, x 0.1 + noise 3, x 10", "--mask --gain 0.1 --noise 3 --regain 10"),
     ("masked, x 0.25 + noise 3", "--mask --gain 0.25 --noise 3"), ("x 2, clipped", "--gain 2"), ("x 4, clipped", "--gain 4"),
 ]
+# Turns about one axis: name, video below the test bed, truth. `make testbed` renders case 4.
+RENDERED = os.path.join(TESTBED, "../../build/testbed")
+TURNS = [
+    ("yaw, 10 % light (case 3)", os.path.join(TESTBED, "case3")),
+    ("yaw, 100 % light (case 4)", os.path.join(RENDERED, "case4")),
+]
 SPLATS = [
     ("lego400", "lego400", []),
     ("fox_undistorted_640", "fox_undistorted_640", []),
@@ -40,6 +50,8 @@ SPLATS = [
     ("can_orbit", "phone_video/can_orbit.mp4", []),
     ("yaw, 10 % light (case 3)", os.path.join(TESTBED, "case3/video.mp4"), []),
 ]
+
+TABLES = ["poses", "variants", "dino", "turns", "quality", "rings", "splats"]
 
 
 def measured(command, **options):
@@ -115,9 +127,9 @@ def bench_variants(binary, shared, out, only):
         pose_row(name, "sat-recon", record, cpu, wall, peak)
 
 
-def bench_colmap(binary, name, images, truth, folder, masks=None, database=None):
-    """Debian's COLMAP 3.8 with its defaults, one camera, on the CPU; its mapper alone where a database is given.
-    The folder of its largest model."""
+def run_colmap(images, folder, masks=None, database=None):
+    """Debian's COLMAP 3.8 with its defaults, one camera, on the CPU; its mapper alone where a database is given:
+    (folder of models, CPU s, wall s, peak MiB)."""
     shutil.rmtree(folder, ignore_errors=True)
     os.makedirs(os.path.join(folder, "sparse"))
     environment = dict(os.environ, QT_QPA_PLATFORM="offscreen")
@@ -128,7 +140,6 @@ def bench_colmap(binary, name, images, truth, folder, masks=None, database=None)
         ["exhaustive_matcher", "--SiftMatching.use_gpu", "0"],
         ["mapper", "--image_path", images, "--output_path", os.path.join(folder, "sparse")],
     ]
-    tool = "COLMAP 3.8" + (" on our database" if given else ", inside the masks" if masks else "")
     total_cpu = total_wall = most = 0.0
     with open(os.path.join(folder, "log"), "w") as log:
         for step in steps[2:] if given else steps:
@@ -137,12 +148,91 @@ def bench_colmap(binary, name, images, truth, folder, masks=None, database=None)
             total_cpu, total_wall, most = total_cpu + cpu, total_wall + wall, max(most, peak)
             if code != 0 and step[0] != "mapper":  # which fails where it finds no model
                 print(f"colmap {step[0]} failed, see {folder}/log", file=sys.stderr)
-                return None
-    models = [os.path.join(folder, "sparse", m) for m in sorted(os.listdir(os.path.join(folder, "sparse")))]
+                break
+    return os.path.join(folder, "sparse"), total_cpu, total_wall, most
+
+
+def bench_colmap(binary, name, images, truth, folder, masks=None, database=None):
+    """A row of COLMAP 3.8; the folder of its largest model."""
+    sparse, cpu, wall, peak = run_colmap(images, folder, masks, database)
+    tool = "COLMAP 3.8" + (" on our database" if database else ", inside the masks" if masks else "")
+    models = [os.path.join(sparse, m) for m in sorted(os.listdir(sparse))]
     records = [pose_errors(binary, m, truth) | {"model": m} for m in models]
     best = max(records, key=lambda r: r["registered"], default=dict(registered=0)) | {"total": len(os.listdir(images))}
-    pose_row(name, tool, best, total_cpu, total_wall, most)
+    pose_row(name, tool, best, cpu, wall, peak)
     return best.get("model")
+
+
+def turn_row(name, tool, model, truth, total, cpu):
+    """One line of the table of turns; `model`: a folder, or None where there is none."""
+    try:
+        poses = turntable.read_poses(turntable.model_folder(model))
+    except (SystemExit, OSError):
+        poses = {}
+    record, _ = turntable.judge(poses, {n: truth[n] for n in total}, len(total))
+    if "angle_rms_deg" not in record:
+        print(f"| {name} | {tool} | {record['registered']} of {record['total']} | – | – | – | – | {cpu:.1f} |", flush=True)
+        return
+    print(f"| {name} | {tool} | {record['registered']} of {record['total']} | {record['angle_rms_deg']:.4f}° / {record['angle_max_deg']:.4f}° "
+          f"| {record['axis_tilt_deg']:.3f}° | {record['centre_median_pct']:.3f} / {record['centre_max_pct']:.3f} "
+          f"| {record['closing_deg']:+.4f}° | {cpu:.1f} |", flush=True)
+
+
+def bench_turns(binary, shared, out, only, tools):
+    print("\n## Turns about one axis\n\n| input | tool | registered | angles RMS / max | tilt of the axis "
+          "| centre median / max, % of the radius | closing error | CPU s |\n|---|---|---|---|---|---|---|---|")
+    for name, case in TURNS:
+        if (only and name not in only) or not os.path.isfile(os.path.join(case, "video.mp4")):
+            continue
+        truth = turntable.read_poses(os.path.join(case, "sparse"))
+        video, folder = os.path.join(case, "video.mp4"), os.path.join(out, "turns", os.path.basename(case))
+        shutil.rmtree(folder, ignore_errors=True)
+        known = ["--camera-model", "RADIAL", "--intrinsics", true_intrinsics(case)]
+        for tool, flags in (("sat-recon", []), ("sat-recon, intrinsics known", known)):
+            _, _, cpu, _ = measured([binary, "sfm", video, "-o", os.path.join(folder, tool), "-q", *flags])
+            frames = [os.path.splitext(f)[0] for f in sorted(os.listdir(os.path.join(folder, tool, "images")))]
+            turn_row(name, tool, os.path.join(folder, tool), truth, frames, cpu)
+        subprocess.run([binary, "frames", video, "-o", os.path.join(folder, "raw"), "-q", "--key", "off"], check=True)
+        for kind, images in (("raw", os.path.join(folder, "raw/images")), ("mattes", os.path.join(folder, "sat-recon/images"))):
+            for tool, run in tools:
+                models, cpu = run(images, os.path.join(folder, f"{tool} {kind}"))
+                turn_row(name, f"{tool}, {kind}", models, truth, frames, cpu)
+    bench_steps(binary, shared, out, only)
+
+
+def true_intrinsics(case):
+    with open(os.path.join(case, "sparse/cameras.txt")) as file:
+        line = [line for line in file if not line.startswith("#")][0]
+    return ",".join(line.split()[4:])
+
+
+def bench_steps(binary, shared, out, only):
+    """oxford_dino, whose steps are 10 degrees: in its order, and with names that shuffle it."""
+    images = os.path.join(shared, "data/oxford_dino/images")
+    print("\n| input | registered | motion | steps | standard deviation | CPU s |\n|---|---|---|---|---|---|")
+    names = sorted(os.listdir(images))
+    order = random.Random(7).sample(range(len(names)), len(names))
+    for name, mix in (("oxford_dino", False), ("oxford_dino, shuffled", True)):
+        if only and name not in only:
+            continue
+        folder = os.path.join(out, "turns", name)
+        shutil.rmtree(folder, ignore_errors=True)
+        source = images
+        if mix:
+            source = os.path.join(folder, "photos")
+            os.makedirs(source)
+            for k, i in enumerate(order):
+                shutil.copy(os.path.join(images, names[i]), os.path.join(source, f"{k:03d}-{names[i]}"))
+        code, _, cpu, _ = measured([binary, "sfm", source, "-o", os.path.join(folder, "out"), "-q"])
+        with open(os.path.join(folder, "out/run.json")) as file:
+            poses = json.load(file)["poses"]
+        motion = next((d[1] for d in poses["decisions"] if d[0] == "motion"), "–")
+        if code not in (0, 3):
+            print(f"| {name} | 0 of {len(names)} | {motion} | – | – | {cpu:.1f} |", flush=True)
+            continue
+        record = turntable.steps(turntable.read_poses(turntable.model_folder(os.path.join(folder, "out"))), mix)
+        print(f"| {name} | {record['registered']} of {len(names)} | {motion} | {record['step_mean_deg']:.4f}° "
+              f"| {record['step_sd_deg']:.4f}° | {cpu:.1f} |", flush=True)
 
 
 def bench_splats(binary, shared, out, only, qualities):
@@ -174,7 +264,10 @@ def main():
     parser.add_argument("shared")
     parser.add_argument("--out", required=True)
     parser.add_argument("--only", nargs="*", help="names of inputs")
-    parser.add_argument("--tables", nargs="*", default=["poses", "variants", "splats"], choices=["poses", "variants", "splats"])
+    parser.add_argument("--tables", nargs="*", default=TABLES, choices=TABLES)
+    parser.add_argument("--rings", nargs="*", type=int, default=[100, 300, 1000], help="images of the simulated rings")
+    parser.add_argument("--examples", help="folder with the example ring_growth (default: beside SAT_RECON)")
+    parser.add_argument("--plot", help="where the SVG of speed against accuracy goes (default: below --out)")
     parser.add_argument("--colmap", nargs="*", default=["temple_ring"], help="inputs on which COLMAP 3.8 runs too")
     parser.add_argument("--quality", nargs="*", default=["fast", "balanced"])
     args = parser.parse_args()
@@ -184,6 +277,20 @@ def main():
         bench_poses(args.binary, args.shared, args.out, args.only, args.colmap)
     if "variants" in args.tables:
         bench_variants(args.binary, args.shared, args.out, args.only)
+    here = sys.modules[__name__]
+    if "dino" in args.tables:
+        bench_sfm.bench_dino(here, args.binary, args.shared, args.out)
+    if "quality" in args.tables:
+        os.makedirs(args.out, exist_ok=True)
+        plot = args.plot or os.path.join(args.out, "speed_accuracy.svg")
+        bench_sfm.bench_quality(here, args.binary, args.shared, args.out, plot)
+    if "rings" in args.tables:
+        examples = args.examples or os.path.join(os.path.dirname(args.binary), "examples")
+        bench_sfm.bench_growth(here, os.path.join(examples, "ring_growth"), args.rings)
+    if "turns" in args.tables:
+        colmap = lambda images, folder: run_colmap(images, folder)[:2]
+        tools = [("COLMAP 3.8", colmap)] if shutil.which("colmap") else []
+        bench_turns(args.binary, args.shared, args.out, args.only, tools)
     if "splats" in args.tables:
         bench_splats(args.binary, args.shared, args.out, args.only, args.quality)
 

@@ -130,6 +130,22 @@ def on_our_database(binary, shared, out, name, source, truth, flags):
             agreement(shared, f"{name}: {tool} on our database", model, os.path.join(run, "sparse/0"))
 
 
+def run_pycolmap(args, mapper):
+    """For bench.py's table of turns: a function of images and folder that returns the folder of models and the CPU s."""
+    def run(images, folder):
+        shutil.rmtree(folder, ignore_errors=True)
+        os.makedirs(folder)
+        command = [sys.executable, __file__, args.binary, "", "--out", "", "--pycolmap", os.path.abspath(images), folder, "", ""]
+        with open(os.path.join(folder, "log"), "w") as log:
+            code, _, cpu, _ = bench.measured(command, stdout=log, stderr=log)
+        if code != 0:
+            return folder, cpu
+        with open(os.path.join(folder, "costs.json")) as file:
+            costs = json.load(file)
+        return os.path.join(folder, mapper), costs["features and matches"] + costs[mapper]
+    return run
+
+
 def main():
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("binary")
@@ -158,6 +174,9 @@ def main():
                 colmap_421(args.binary, name, images, truth, os.path.join(args.out, "pycolmap", folder), masks=how)
         if "database" in args.tools:
             on_our_database(args.binary, args.shared, args.out, name, source, truth, flags)
+    tools = [("COLMAP 3.8", lambda images, folder: bench.run_colmap(images, folder)[:2])]
+    tools += [(f"COLMAP 4.2.1 {m}", run_pycolmap(args, m)) for m in MAPPERS]
+    bench.bench_turns(args.binary, args.shared, args.out, args.only, tools)
 
 
 if __name__ == "__main__":

@@ -18,6 +18,7 @@ pub mod error;
 pub mod gpu;
 pub mod init;
 pub mod model;
+pub mod pace;
 pub mod reference;
 pub mod render;
 pub mod schedule;

@@ -16,8 +16,14 @@ use scene::{Camera, Gaussians, Pose};
 const TILE: usize = 16;
 
 /// Camera z, scene units, at which the transmittance along each pixel's ray falls to one half or below (the depth of the
-/// Gaussian that brings it there), [height × width]; `None` where it never does. The camera must be without distortion.
-pub fn median_depth(gaussians: &Gaussians, camera: &Camera, pose: &Pose, near: f64) -> Vec<Option<f64>> {
+/// Gaussian that brings it there), [height × width]; `None` where it never does. The camera must be without distortion; `antialias` as in training.
+pub fn median_depth(
+    gaussians: &Gaussians,
+    camera: &Camera,
+    pose: &Pose,
+    near: f64,
+    antialias: bool,
+) -> Vec<Option<f64>> {
     let view = View {
         rotation: DMat3::from_quat(pose.rotation),
         translation: pose.translation,
@@ -27,7 +33,7 @@ pub fn median_depth(gaussians: &Gaussians, camera: &Camera, pose: &Pose, near: f
         height: camera.height as usize,
     };
     let parameters = Parameters::from_gaussians(gaussians);
-    let options = Options { near, ..Options::default() };
+    let options = Options { near, antialias, ..Options::default() };
     let projected: Vec<Option<Projected>> = (0..parameters.len())
         .into_par_iter()
         .map(|i| project(&geometry(&parameters, i), &view, &options).filter(|p| p.opacity >= MIN_ALPHA))
@@ -164,7 +170,7 @@ mod tests {
         for seed in 0..5 {
             let gaussians = cloud(seed, 60);
             let pose = Pose::look_at(DVec3::new(0.4, -0.3, 0.1), DVec3::new(0.0, 0.0, 6.0), -DVec3::Y);
-            let depth = median_depth(&gaussians, &camera, &pose, 0.01);
+            let depth = median_depth(&gaussians, &camera, &pose, 0.01, false);
             let view = View {
                 rotation: DMat3::from_quat(pose.rotation),
                 translation: pose.translation,
@@ -245,7 +251,7 @@ mod tests {
                 g.sh.extend([0.0; 3]);
             }
         }
-        let points = points_of(&median_depth(&g, &camera, &pose, 0.01), &camera, &pose);
+        let points = points_of(&median_depth(&g, &camera, &pose, 0.01, false), &camera, &pose);
         assert!(points.len() > 2500, "{}", points.len());
         // A pixel takes the depth of a Gaussian's centre, which on a sheet seen aslant is not quite its own.
         assert!(points.iter().all(|p| (p.z - 4.0).abs() < 0.05), "{points:?}");

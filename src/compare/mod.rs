@@ -1,8 +1,8 @@
 //! `compare`: models beside each other and beside a ground truth, COLMAP on the same frames, and the tables of papers.
 
 mod colmap;
-mod runs;
-mod tables;
+pub mod runs;
+pub mod tables;
 
 use crate::Outcome;
 use crate::cli::CompareArgs;
@@ -69,17 +69,21 @@ pub fn run(args: &CompareArgs, verbosity: Verbosity, json: bool) -> Result<Outco
         let models = colmap::run(colmap, run, frames.as_ref(), verbosity)?;
         rows.extend(beside(&models, &model, truth.as_ref(), asked.as_ref())?);
     }
+    let networks = crate::evaluate::load_networks(&args.lpips_weights)?;
+    let entries = runs::entries(&named, &networks)?;
+    let beside: Vec<_> = args.beside.iter().map(|path| runs::read_tables(path)).collect::<Result<_>>()?;
+    let tables = runs::tables(&entries, &beside.concat());
     if json {
         println!("{}", serde_json::to_string_pretty(&rows)?);
     } else {
-        print_table(&rows);
-    }
-    let tables = runs::tables(&runs::entries(&named)?);
-    if !json {
+        println!("{}", pose_table(&rows));
         tables.iter().for_each(|table| println!("\n{}", table.markdown()));
     }
     if let Some(folder) = &args.tables {
         write_tables(folder, &tables)?;
+    }
+    if let Some(file) = &args.report {
+        crate::report::write_comparison(file, &entries, &pose_cells(&rows), &tables)?;
     }
     Ok(Outcome::Done)
 }
@@ -217,43 +221,59 @@ fn fill(row: &mut Row, errors: &PoseErrors) {
     row.focal_err_pct = errors.focal_err_pct;
 }
 
-fn print_table(rows: &[Row]) {
-    println!(
-        "| model | registered | points | px | AUC@1 / 3 / 5 / 10 | rotation median / max | centre median / max, % | focal, % | CPU s | peak MiB |"
-    );
-    println!("|---|---|---|---|---|---|---|---|---|---|");
-    for row in rows {
-        let number = |v: Option<f64>, digits: usize| v.map_or("–".to_owned(), |v| format!("{v:.digits$}"));
+/// Heading and rows of the table of poses.
+pub type Cells = (Vec<&'static str>, Vec<Vec<String>>);
+
+fn pose_cells(rows: &[Row]) -> Cells {
+    let heads = vec![
+        "model",
+        "registered",
+        "points",
+        "px",
+        "AUC@1 / 3 / 5 / 10",
+        "rotation median / max",
+        "centre median / max, %",
+        "focal, %",
+        "CPU s",
+        "peak MiB",
+    ];
+    let number = |v: Option<f64>, digits: usize| v.map_or("–".to_owned(), |v| format!("{v:.digits$}"));
+    let cells = |row: &Row| {
         let auc = row.auc.as_ref().map_or("–".to_owned(), |auc| {
             let at = |t: &f64| format!("{:.1}", auc.get(&t.to_string()).copied().unwrap_or(0.0));
             AUC_THRESHOLDS_DEG.iter().map(at).collect::<Vec<_>>().join(" / ")
         });
-        println!(
-            "| {} | {} of {} | {} | {:.2} | {auc} | {}° / {}° | {} / {} | {} | {} | {} |",
-            row.name,
-            row.registered,
-            row.total,
-            row.points,
-            row.reprojection_px,
-            number(row.rotation_median_deg, 3),
-            number(row.rotation_max_deg, 3),
-            number(row.centre_median_pct, 3),
-            number(row.centre_max_pct, 3),
+        let degrees = [row.rotation_median_deg, row.rotation_max_deg].map(|v| number(v, 3));
+        let centres = [row.centre_median_pct, row.centre_max_pct].map(|v| number(v, 3));
+        vec![
+            row.name.clone(),
+            format!("{} of {}", row.registered, row.total),
+            row.points.to_string(),
+            format!("{:.2}", row.reprojection_px),
+            auc,
+            format!("{}° / {}°", degrees[0], degrees[1]),
+            centres.join(" / "),
             number(row.focal_err_pct, 2),
             number(row.cpu_s, 1),
-            number(row.peak_mib, 0)
-        );
-    }
-    for row in rows {
-        let Some(a) = &row.agreement else { continue };
-        println!(
-            "\n{} against ours, after alignment: {} common images, rotation median {:.3}° (max {:.3}°), centres median {:.3} % (max {:.3} %) of the extent.",
-            row.name,
-            a.common,
-            a.rotation_median_deg,
-            a.rotation_max_deg,
-            a.centre_median_pct,
-            a.centre_max_pct
-        );
-    }
+            number(row.peak_mib, 0),
+        ]
+    };
+    (heads, rows.iter().map(cells).collect())
+}
+
+fn pose_table(rows: &[Row]) -> String {
+    let (heads, cells) = pose_cells(rows);
+    let line = |cells: &[String]| format!("| {} |", cells.join(" | "));
+    let heading = [format!("| {} |", heads.join(" | ")), format!("|{}", "---|".repeat(heads.len()))];
+    let lines = heading.into_iter().chain(cells.iter().map(|r| line(r)));
+    lines.chain(rows.iter().filter_map(agreement_line)).collect::<Vec<_>>().join("\n")
+}
+
+/// How far a model lies from the run whose frames it was given.
+fn agreement_line(row: &Row) -> Option<String> {
+    let a = row.agreement.as_ref()?;
+    Some(format!(
+        "\n{} against ours, after alignment: {} common images, rotation median {:.3}° (max {:.3}°), centres median {:.3} % (max {:.3} %) of the extent.",
+        row.name, a.common, a.rotation_median_deg, a.rotation_max_deg, a.centre_median_pct, a.centre_max_pct
+    ))
 }

@@ -111,7 +111,7 @@ pub fn measure(
     out: &Path,
     config: &MeshConfig,
     dataset: &Dataset,
-    gaussians: &Gaussians,
+    (gaussians, antialias): (&Gaussians, bool),
     progress: &Progress,
 ) -> Result<Option<Geometry>> {
     let floaters_pct = outside_hull(gaussians, dataset).map(|share| 100.0 * share);
@@ -145,7 +145,7 @@ pub fn measure(
     };
     let cloud = judge(model.points.values().map(|p| p.position).collect());
     let voxel = VOXEL_PCT / 100.0 * size / mesh_from_model.scale;
-    let splat = judge(surface_points(&views, gaussians, voxel, progress)?);
+    let splat = judge(surface_points(&views, (gaussians, antialias), voxel, progress)?);
     let seen = 100.0 * surface.len() as f64 / SAMPLES as f64;
     let protocol = format!(
         "{aligned}; distances in % of the mesh's size ({size:.4} units); of the mesh the {seen:.1} % that the views see ({SAMPLES} \
@@ -190,7 +190,7 @@ fn box_around(mesh: &Mesh, margin: f64) -> impl Fn(DVec3) -> bool + use<> {
 /// Points at half transmittance as the views see them, one (the mean) a cube of side `voxel`.
 fn surface_points(
     views: &[(&Camera, Pose)],
-    gaussians: &Gaussians,
+    (gaussians, antialias): (&Gaussians, bool),
     voxel: f64,
     progress: &Progress,
 ) -> Result<Vec<DVec3>> {
@@ -200,7 +200,7 @@ fn surface_points(
     for k in 0..count {
         let (camera, pose) = &views[k * views.len() / count];
         let near = 0.01 * median_distance(gaussians, pose.centre());
-        let depth = median_depth(gaussians, camera, pose, near);
+        let depth = median_depth(gaussians, camera, pose, near, antialias);
         for p in points_of(&depth, camera, pose) {
             let cube = (p / voxel).floor().to_array().map(|v| v as i64);
             let sum = cubes.entry(cube).or_default();

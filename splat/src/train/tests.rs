@@ -142,9 +142,11 @@ fn a_time_limit_is_kept_and_the_schedule_reaches_its_end() {
     let dataset = dataset(8, false);
     let limited = TrainConfig { time_limit: Some(1.0), ..config(7000) };
     let result = train(&dataset, &limited, None, &Progress::silent()).unwrap();
+    // How many steps fit depends on what else the machine does (`pace` is tested with machines of all kinds).
     let last = result.curve.last().unwrap();
-    assert!(last.seconds > 0.5 && last.seconds < 2.0, "{} s", last.seconds);
-    assert!(result.iterations > 20, "{} steps", result.iterations);
+    let step = last.seconds / f64::from(result.iterations);
+    assert!(last.seconds > 0.9 && last.seconds < 3.0 + 4.0 * step, "{} s", last.seconds);
+    assert_eq!(last.iteration, result.iterations);
 }
 
 #[test]
@@ -298,5 +300,5 @@ fn redundant_gaussians_go_and_the_picture_stays() {
     let (all, few) = (run(false), run(true));
     assert!(few.gaussians.len() < all.gaussians.len());
     let (all, few) = (held_out_psnr(&dataset, &all), held_out_psnr(&dataset, &few));
-    assert!(few > all - 0.1, "{all:.2} dB with all, {few:.2} dB with fewer");
+    assert!(few > all - 0.05, "{all:.2} dB with all, {few:.2} dB with fewer");
 }
