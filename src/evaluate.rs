@@ -1,5 +1,6 @@
 //! Metrics of the held-out views, after the 8-bit round trip.
 
+pub mod geometry;
 pub mod metrics;
 pub mod speed;
 mod table;
@@ -7,6 +8,7 @@ mod table;
 use crate::pipeline::SplatSummary;
 use crate::stage::{Stages, write_json};
 use anyhow::{Context, Result};
+use geometry::{Geometry, MeshConfig};
 use image::{GrayImage, RgbImage};
 use metrics::Metrics;
 use scene::Progress;
@@ -25,6 +27,10 @@ pub struct EvalConfig {
     /// How often the held-out views are rendered to measure frames per second
     #[arg(long, default_value_t = 15, value_parser = clap::value_parser!(u32).range(1..=1000), help_heading = "Evaluation")]
     pub fps_loops: u32,
+    /// The true shape.
+    #[command(flatten)]
+    #[serde(default)]
+    pub mesh: MeshConfig,
 }
 
 /// One held-out view.
@@ -77,6 +83,9 @@ pub struct Evaluation {
     /// Speed and memory of rendering the held-out views.
     #[serde(default)]
     pub rendering: RenderingCost,
+    /// Shape, where there is a mesh or a matte to judge it by.
+    #[serde(default)]
+    pub geometry: Option<Geometry>,
 }
 
 impl ViewMetrics {
@@ -100,9 +109,10 @@ impl Evaluation {
         if self.views.is_empty() {
             return "no held-out views".into();
         }
+        let shape = self.geometry.as_ref().map_or(String::new(), |g| format!("; {}", g.sentence()));
         let worst = self.views.iter().map(|v| v.metrics.psnr).fold(f64::INFINITY, f64::min);
         format!(
-            "PSNR {:.2} dB (worst view {worst:.2}), SSIM {:.4} on {} held-out views, {:.0} frames/s",
+            "PSNR {:.2} dB (worst view {worst:.2}), SSIM {:.4} on {} held-out views, {:.0} frames/s{shape}",
             self.mean.psnr,
             self.mean.ssim,
             self.views.len(),
@@ -144,11 +154,14 @@ pub fn evaluate(
     renderer.antialias = trained_with_antialias(out)?;
     let cameras = speed::held_out_cameras(&out.join("undistorted"), dataset)?;
     let rendering = speed::measure(&mut renderer, &cameras, config.fps_loops, progress)?;
+    let mesh = &config.mesh;
     let config = dataset;
     let dataset = load_dataset(&out.join("undistorted"), config, progress)?;
+    let geometry = geometry::measure(out, mesh, &dataset, (&gaussians, renderer.antialias), progress)?;
     let held_out: Vec<&View> = dataset.views.iter().filter(|v| v.held_out).collect();
     let protocol = protocol(config, &dataset, held_out.len(), &rendering, &networks);
-    let mut evaluation = Evaluation { protocol, rendering, renderer: chosen.choice, ..Evaluation::default() };
+    let mut evaluation =
+        Evaluation { protocol, rendering, geometry, renderer: chosen.choice, ..Evaluation::default() };
     progress.begin("evaluate", held_out.len());
     scene::io::replace_folder(&out.join("eval"), |folder| -> Result<()> {
         for (i, view) in held_out.iter().enumerate() {

@@ -454,7 +454,8 @@ impl Pipeline {
         if until < Until::Eval {
             return Ok(());
         }
-        let print = fingerprint(&("eval", 3, &print, &self.args.eval))?;
+        let mesh = self.args.eval.mesh.mesh.as_deref().map(describe_input).transpose()?;
+        let print = fingerprint(&("eval", 4, &print, &self.args.eval, mesh))?;
         let known = self.stages.current::<Evaluation>("eval", &print);
         if known.is_some_and(|k| !k.value.is_whole(&self.out)) {
             self.stages.forget("eval"); // a picture is missing

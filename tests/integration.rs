@@ -9,6 +9,7 @@ mod integration {
     pub mod end_to_end;
     pub mod real_data;
     pub mod resume;
+    pub mod shapes;
     pub mod support;
     pub mod viewer;
 }

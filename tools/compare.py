@@ -61,7 +61,7 @@ def colmap_421(binary, name, images, truth, folder, masks=None, database=None):
     """Rows of both mappers; the folder of the incremental mapper's best model."""
     shutil.rmtree(folder, ignore_errors=True)
     os.makedirs(folder)
-    command = [sys.executable, __file__, binary, "", "--out", "", "--pycolmap", images, folder, masks or "", database or ""]
+    command = [sys.executable, os.path.abspath(__file__), binary, "", "--out", "", "--pycolmap", images, folder, masks or "", database or ""]
     with open(os.path.join(folder, "log"), "w") as log:
         code, wall, _, peak = bench.measured(command, stdout=log, stderr=log)
     how = " on our database" if database else ", inside the masks" if masks else ""

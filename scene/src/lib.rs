@@ -17,6 +17,7 @@ pub mod camera;
 pub mod features;
 pub mod frames;
 pub mod gaussians;
+pub mod geometry;
 pub mod image;
 pub mod io;
 pub mod lpips;

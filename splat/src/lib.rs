@@ -22,6 +22,7 @@ pub mod pace;
 pub mod reference;
 pub mod render;
 pub mod schedule;
+pub mod surface;
 pub mod train;
 
 pub use adapter::{Adapter, AdapterKind, adapters};

@@ -274,11 +274,6 @@ fn agreement_line(row: &Row) -> Option<String> {
     let a = row.agreement.as_ref()?;
     Some(format!(
         "\n{} against ours, after alignment: {} common images, rotation median {:.3}° (max {:.3}°), centres median {:.3} % (max {:.3} %) of the extent.",
-        row.name,
-        a.common,
-        a.rotation_median_deg,
-        a.rotation_max_deg,
-        a.centre_median_pct,
-        a.centre_max_pct
+        row.name, a.common, a.rotation_median_deg, a.rotation_max_deg, a.centre_median_pct, a.centre_max_pct
     ))
 }

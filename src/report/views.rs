@@ -46,6 +46,7 @@ pub fn held_out(html: &mut String, out: &Path, evaluation: &Evaluation) -> Resul
     let rows: Vec<Vec<String>> = evaluation.rows().into_iter().map(row).collect();
     html::table(html, &heads, &rows);
     *html += &format!("<p>{}</p>", escape(&evaluation.rendering.sentence()));
+    *html += &evaluation.geometry.as_ref().map_or(String::new(), |g| g.html());
     pictures(html, out, evaluation)
 }
 
