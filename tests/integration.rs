@@ -3,6 +3,7 @@
 mod integration {
     pub mod bad_files;
     pub mod bad_input;
+    pub mod bench;
     pub mod cli;
     pub mod colmap;
     pub mod determinism;

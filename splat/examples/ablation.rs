@@ -51,6 +51,7 @@ fn rows() -> Vec<Row> {
         row("nothing removed at the end", |c| c.recipe.prune_redundant = false),
         row("spherical harmonics of degree 0", |c| c.sh_degree = 0),
         row("L1 alone", |c| c.lambda_dssim = 0.0),
+        row("a quarter of D-SSIM's weight", |c| c.lambda_dssim *= 0.25),
         row("opacity scaled with the low-pass", |c| c.antialias = true),
     ]
 }

@@ -22,6 +22,11 @@ const GROWTH_GAIN: f64 = 0.02;
 /// Looks in a row without such a gain after which growth ends.
 const PATIENCE: u32 = 2;
 
+/// Steps of a schedule with a time limit from which on it pays to look for anything.
+const LEAST_STEPS: f64 = 300.0;
+/// Steps that must be left of it when redundant Gaussians are looked for, which costs as much as thirty steps.
+const LEAST_STEPS_LEFT: f64 = 60.0;
+
 /// What was found out on the way.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Findings {
@@ -58,8 +63,14 @@ pub fn validation(views: &[usize]) -> Vec<usize> {
 }
 
 impl Trainer<'_> {
-    /// Looks whether something is to be decided at this place of the schedule.
+    /// Looks whether something is to be decided at this place of the schedule. Nothing is where the steps that a time
+    /// limit leaves are too few to pay for it, and nothing at the schedule's end.
     pub(super) fn decide(&mut self) -> Result<(), SplatError> {
+        let steps = self.state.pace.steps(&self.state, self.config);
+        let limited = self.config.time_limit.is_some();
+        if self.state.position >= 1.0 || (limited && steps < LEAST_STEPS) {
+            return Ok(());
+        }
         if !self.validation.is_empty() && self.state.position < self.config.recipe.densify_until {
             self.judge_degree()?;
             self.judge_growth()?;
@@ -70,6 +81,7 @@ impl Trainer<'_> {
         if self.config.recipe.prune_redundant
             && !self.state.findings.pruned
             && self.state.position >= self.config.recipe.prune_at
+            && (!limited || steps - f64::from(self.state.iteration) >= LEAST_STEPS_LEFT)
         {
             self.state.findings.pruned = true;
             self.prune_redundant()?;

@@ -150,6 +150,15 @@ fn a_time_limit_is_kept_and_the_schedule_reaches_its_end() {
 }
 
 #[test]
+fn a_limit_that_is_over_at_once_ends_after_one_step_and_judges_nothing() {
+    let limited = TrainConfig { time_limit: Some(1e-6), ..config(7000) };
+    let result = train(&dataset(24, false), &limited, None, &Progress::silent()).unwrap();
+    assert_eq!(result.iterations, 1);
+    // The choice of the backend comes before the first step.
+    assert!(result.decisions.len() <= 1, "{:?}", result.decisions);
+}
+
+#[test]
 fn one_view_and_ten_times_the_learning_rates_stay_finite() {
     let dataset = dataset(1, false);
     let wild = TrainConfig { learning_rate: 10.0, ..config(1000) };
