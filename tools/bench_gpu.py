@@ -167,7 +167,7 @@ def measure(args, record, left, work):
             record["gpu"].append({"missing": name})
             continue
         folders.append(folder)
-        record["gpu"].append(call(ours + ["--dataset", folder, "--curve"] + steps + small, min(left(), 90)))
+        record["gpu"].append(call(ours + ["--dataset", folder, "--curve"] + steps + small, min(left(), 240 if dry else 90)))
     # gsplat and the processor share what is left.
     script = os.path.join(os.path.dirname(os.path.abspath(__file__)), "bench_gpu_gsplat.py")
     exported = [os.path.join(work, "export", os.path.basename(f)) for f in folders]
