@@ -45,10 +45,11 @@ bench: build  ## the tables of docs/benchmarks.md on real data (slow)
 tables: build  ## the paper's three tables for our own method, its rows beside them (slow)
 	@tools/setup.sh python3; python3 tools/paper_tables.py $(SAT_RECON) $(SHARED) --out build/tables
 
-bench-gpu: setup  ## what needs a graphics card, in under ten minutes, as JSON (a small dry run without one)
+# --workspace: alone the crate would resolve to fewer features of its dependencies, and wgpu would be compiled again.
+bench-gpu: build  ## what needs a graphics card, in under ten minutes, as JSON (a small dry run without one)
 	@tools/setup.sh python3
-	cargo build --release --locked -p splat --example bench_gpu
-	python3 tools/bench_gpu.py $(TARGET)/release/examples/bench_gpu $(SHARED) --out build/bench_gpu.json
+	cargo build --release --locked --workspace --example bench_gpu
+	python3 tools/bench_gpu.py $(TARGET)/release/examples/bench_gpu $(SHARED) --out build/bench_gpu.json --sat-recon $(SAT_RECON)
 
 compare: build $(VENV)/pycolmap  ## our poses beside COLMAP 3.8 and 4.2.1 on the same images (slow)
 	@tools/setup.sh colmap

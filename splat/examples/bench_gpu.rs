@@ -8,8 +8,6 @@
 
 #[path = "bench_gpu/export.rs"]
 mod export;
-#[path = "bench_gpu/roof.rs"]
-mod roof;
 
 use clap::Parser;
 use glam::{DVec3, Quat, Vec3};
@@ -19,6 +17,7 @@ use serde_json::{Value, json};
 use splat::backend::{Backend, KernelTimes, LearningRates, StepInput, Target};
 use splat::cpu::optimise::Statistics;
 use splat::dataset::Normalisation;
+use splat::gpu::{Gpu, Opening};
 use splat::model::Model;
 use splat::{Dataset, DatasetConfig, RenderOptions, Renderer, TrainConfig, TrainResult, train};
 use std::error::Error;
@@ -42,6 +41,9 @@ struct Cli {
     /// Measure what the adapter moves and computes at best
     #[arg(long)]
     roof: bool,
+    /// Score no more held-out views than this
+    #[arg(long, default_value_t = usize::MAX, hide_default_value = true)]
+    score: usize,
     /// Repetitions of each picture and step
     #[arg(long, default_value_t = 50)]
     repeat: usize,
@@ -61,7 +63,8 @@ fn main() -> Result<()> {
     }
     let (backend, decision) = splat::device::open(&cli.train.device)?;
     drop(backend);
-    let roof = if cli.roof { roof::measure(&cli.train.device)? } else { Value::Null };
+    let opening = Opening { name: cli.train.device.gpu.clone(), ..Opening::default() };
+    let roof = if cli.roof { Some(splat::gpu::roof(&Gpu::open(&opening)?)?) } else { None };
     let synthetic: Vec<Value> = cli.synthetic.iter().map(|s| synthetic(&cli, s)).collect::<Result<_>>()?;
     let mut datasets = Vec::new();
     for folder in &cli.dataset {
@@ -69,7 +72,7 @@ fn main() -> Result<()> {
         let all = if cli.curve.is_empty() { vec![cli.train.iterations] } else { cli.curve.clone() };
         for iterations in all {
             let config = TrainConfig { iterations, ..cli.train.clone() };
-            datasets.push(trained(&name_of(folder), &dataset, &config)?);
+            datasets.push(trained(&name_of(folder), &dataset, &config, cli.score)?);
         }
     }
     let record = json!({
@@ -207,12 +210,12 @@ fn load(folder: &Path) -> Result<Dataset> {
 }
 
 /// Trains, and scores the held-out views as they are shown: 8 bits, over black, full resolution.
-fn trained(name: &str, dataset: &Dataset, config: &TrainConfig) -> Result<Value> {
+fn trained(name: &str, dataset: &Dataset, config: &TrainConfig, views: usize) -> Result<Value> {
     let clock = Instant::now();
     let begun = splat::clock::cpu_seconds();
     let result = train(dataset, config, None, &Progress::silent())?;
     let (wall, cpu) = (clock.elapsed().as_secs_f64(), splat::clock::cpu_seconds() - begun);
-    let (psnr, picture_ms) = scored(dataset, config, &result)?;
+    let (psnr, picture_ms) = scored(dataset, config, &result, views)?;
     let curve: Vec<Value> = result
         .curve
         .iter()
@@ -227,10 +230,15 @@ fn trained(name: &str, dataset: &Dataset, config: &TrainConfig) -> Result<Value>
     }))
 }
 
-fn scored(dataset: &Dataset, config: &TrainConfig, result: &TrainResult) -> Result<(Vec<f64>, Option<f64>)> {
+fn scored(
+    dataset: &Dataset,
+    config: &TrainConfig,
+    result: &TrainResult,
+    views: usize,
+) -> Result<(Vec<f64>, Option<f64>)> {
     let (mut renderer, _) = Renderer::on(&config.device, &result.gaussians)?;
     let (mut psnr, mut spent) = (Vec::new(), Vec::new());
-    for view in dataset.views.iter().filter(|v| v.held_out) {
+    for view in dataset.views.iter().filter(|v| v.held_out).take(views) {
         let mut render = || renderer.render(&view.camera, &view.pose, &result.render);
         render()?; // warm-up
         let clock = Instant::now();

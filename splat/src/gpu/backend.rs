@@ -86,7 +86,7 @@ impl GpuBackend {
 
     /// Pages of the model, and photos that stay on the device.
     pub fn held(&self) -> [usize; 2] {
-        [self.pages.as_ref().map_or(0, |p| p.list.len()), self.photos.len()]
+        [self.pages.as_ref().map_or(0, |p| p.list.len()), self.photos.count()]
     }
 
     /// Room for Gaussians, pairs and pixels. What stays of the same size keeps its contents.
@@ -106,6 +106,20 @@ impl GpuBackend {
         self.sizes = sizes;
         self.bind(buffers);
         self.gpu.check()
+    }
+
+    /// The same, but where there is no memory for it everything stays as it is: `false`.
+    pub(super) fn try_resize(&mut self, sizes: Sizes) -> Result<bool, SplatError> {
+        let before = self.sizes;
+        match self.resize(sizes) {
+            Ok(()) => Ok(true),
+            Err(_) if self.gpu.check().is_ok() => {
+                self.sizes = before;
+                self.screen = None;
+                self.resize(before).map(|()| false)
+            }
+            Err(error) => Err(error),
+        }
     }
 
     /// Binds the kernels anew: after a change of the model's buffers or the view's.
@@ -129,7 +143,7 @@ impl GpuBackend {
     }
 
     /// Room for `n` Gaussians and some that will come, unless there is room already.
-    fn roomy(&self, n: usize) -> usize {
+    pub(super) fn roomy(&self, n: usize) -> usize {
         let more = if n <= self.sizes.room { self.sizes.room } else { n + n / 4 };
         let plan = Buffers::plan(&Sizes { room: more, ..self.sizes });
         let largest = plan.iter().map(|b| b.1).max().unwrap_or(0);
@@ -230,14 +244,8 @@ impl GpuBackend {
         let allowed = |pairs: &usize| limit.is_none_or(|limit| total(*pairs) + others <= limit);
         let tried = [wanted, most.next_multiple_of(BLOCK as usize).min(largest)];
         for pairs in tried.into_iter().filter(|&p| p > before.pairs).filter(allowed) {
-            match self.resize(Sizes { pairs, ..before }) {
-                Ok(()) => return Ok(()),
-                Err(_) if self.gpu.check().is_ok() => {
-                    self.sizes = before;
-                    self.screen = None;
-                    self.resize(before)?;
-                }
-                Err(error) => return Err(error),
+            if self.try_resize(Sizes { pairs, ..before })? {
+                return Ok(());
             }
         }
         if most > self.sizes.pairs {
@@ -299,7 +307,7 @@ impl GpuBackend {
         let stays = photo.shelf.is_some();
         let stages = Stage::Project..=Stage::Optimise;
         self.submit(Pending { frame, stages, photo: Some(photo), step: Some(input.lambda_dssim) });
-        if !stays || self.flight.len() >= self.window {
+        if !stays || self.flight.count() >= self.window {
             self.settle_all()?;
             self.window = (2 * self.window).min(WINDOW);
         }
@@ -413,7 +421,7 @@ impl Backend for GpuBackend {
         let frame = self.frame_of(view, options);
         let stages = Stage::Project..=Stage::Forward;
         self.submit(Pending { frame, stages, photo: None, step: None });
-        if self.flight.len() >= self.window {
+        if self.flight.count() >= self.window {
             self.settle_all()?;
             self.window = (2 * self.window).min(WINDOW);
         }

@@ -3,7 +3,7 @@
 
 use super::backend::GpuBackend;
 use super::bound::scan;
-use super::buffers::blocks;
+use super::buffers::{Sizes, blocks};
 use super::layout::{DensifyJob, DensifyView, HalveJob, NON_FINITE, ScanJob, VISIBLE};
 use crate::SplatError;
 use crate::backend::Round;
@@ -15,15 +15,22 @@ impl GpuBackend {
     /// Carries the round out; how many were removed because hardly any view has them. Nothing, and nothing has changed,
     /// where the host has to do it: another selection, no moments yet, or nothing would be left.
     pub(super) fn densify_here(&mut self, round: &Round) -> Result<Option<usize>, SplatError> {
+        let n = self.pages.as_ref().filter(|p| p.training).map_or(0, |p| p.n);
+        if round.selection == Selection::Opacity || n == 0 {
+            return Ok(None);
+        }
+        let wanted = round.room.min(n);
+        let more = Sizes { room: self.roomy(n + wanted), ..self.sizes };
+        let room = if self.try_resize(more)? {
+            wanted
+        } else {
+            self.no_room(n);
+            self.sizes.room.saturating_sub(n).min(wanted)
+        };
         let (Some(pages), Some((buffers, bound))) = (self.pages.as_mut(), self.screen.as_ref()) else {
             return Ok(None);
         };
-        if round.selection == Selection::Opacity || !pages.training || pages.n == 0 {
-            return Ok(None);
-        }
         let (gpu, kernels) = (&self.gpu, &self.kernels);
-        let n = pages.n;
-        let room = round.room.min(n);
         let views = round.remove_unseen.unwrap_or(&[]);
         let job = DensifyJob {
             n: n as u32,
@@ -106,7 +113,7 @@ impl GpuBackend {
         let evidence = format!("there was no memory for more on {}", self.gpu.adapter);
         self.remarks.push(Decision {
             subject,
-            choice: format!("rounds were left out, first at {n} Gaussians"),
+            choice: format!("cut short, first at {n} Gaussians"),
             evidence,
         });
     }

@@ -99,7 +99,7 @@ impl Flight {
     }
 
     /// Steps under way.
-    pub fn len(&self) -> usize {
+    pub fn count(&self) -> usize {
         self.pending.len()
     }
 

@@ -14,10 +14,12 @@ pub mod pages;
 pub mod photos;
 pub mod pipelines;
 mod probe;
+mod roof;
 
 pub use backend::GpuBackend;
 pub use context::{Gpu, Opening, adapters};
 pub use probe::OnScreen;
+pub use roof::{Roof, measure as roof};
 
 #[cfg(test)]
 mod tests;

@@ -5,8 +5,8 @@ use super::layout::{COVERAGE, WEIGHTED};
 use crate::backend::Target;
 use std::collections::HashMap;
 
-/// Bytes of a buffer that photos share.
-const SHELF: u64 = 32 << 20;
+/// Bytes of the first buffer that photos share, and of the largest; each is twice the one before.
+const SHELVES: [u64; 2] = [1 << 20, 64 << 20];
 
 /// Where a photo lies, and what its mask means.
 #[derive(Clone)]
@@ -41,7 +41,7 @@ impl Photos {
     }
 
     /// How many lie here.
-    pub fn len(&self) -> usize {
+    pub fn count(&self) -> usize {
         self.held.len()
     }
 
@@ -67,7 +67,8 @@ impl Photos {
     fn room(&mut self, gpu: &Gpu, bytes: u64, budget: Option<u64>) -> Option<(wgpu::Buffer, u64)> {
         let fits = self.shelves.last().is_some_and(|shelf| self.used + bytes <= shelf.size());
         if !fits {
-            let size = SHELF.min(gpu.largest_buffer()).min(budget.unwrap_or(SHELF)).max(bytes);
+            let size = self.shelves.last().map_or(SHELVES[0], |last| (2 * last.size()).min(SHELVES[1]));
+            let size = size.min(gpu.largest_buffer()).min(budget.unwrap_or(size)).max(bytes);
             if self.full || budget.is_some_and(|most| self.memory() + size > most) {
                 self.full = true;
                 return None;

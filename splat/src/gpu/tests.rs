@@ -65,12 +65,36 @@ fn structs_of_both_sides_have_the_same_fields_at_the_same_offsets() {
     ] {
         let source = SOURCES.iter().find(|s| s.name == source).unwrap();
         let module = parse(&source.text(false), source.name);
-        let (_, found) = module.types.iter().find(|(_, t)| t.name.as_deref() == Some(name)).unwrap();
-        let TypeInner::Struct { members, span } = &found.inner else { panic!("{name} is no struct") };
-        let members: Vec<(&str, usize)> =
-            members.iter().map(|m| (m.name.as_deref().unwrap(), m.offset as usize)).collect();
+        let (members, span) = members(&module, name);
+        let members: Vec<(&str, usize)> = members.iter().map(|m| (m.0.as_str(), m.1)).collect();
         assert_eq!(members, fields, "{name}");
-        assert_eq!(*span as usize, size, "{name}");
+        assert_eq!(span, size, "{name}");
+    }
+}
+
+/// Names and offsets of a struct's fields as naga lays them out, and its size.
+fn members(module: &Module, name: &str) -> (Vec<(String, usize)>, usize) {
+    let (_, found) = module.types.iter().find(|(_, t)| t.name.as_deref() == Some(name)).unwrap();
+    let TypeInner::Struct { members, span } = &found.inner else { panic!("{name} is no struct") };
+    let field = |m: &naga::StructMember| (m.name.clone().unwrap(), m.offset as usize);
+    (members.iter().map(field).collect(), *span as usize)
+}
+
+#[test]
+fn fields_in_another_order_or_of_another_width_are_noticed() {
+    let source = SOURCES.iter().find(|s| s.name == "project").unwrap();
+    let right = source.text(false);
+    let fields: Vec<(String, usize)> = Frame::FIELDS.iter().map(|f| (f.0.to_owned(), f.1)).collect();
+    assert_eq!(members(&parse(&right, "right"), "Frame"), (fields.clone(), size_of::<Frame>()));
+    for (old, new) in [
+        ("    lambda: f32, ", "    lambda: vec2<f32>, "),
+        ("    near: f32,\n    lambda: f32,", "    lambda: f32,\n    near: f32,"),
+    ] {
+        let wrong = right.replacen(old, new, 1);
+        assert_ne!(wrong, right, "{old}");
+        let module = naga::front::wgsl::parse_str(&wrong).unwrap();
+        let found = members(&module, "Frame");
+        assert_ne!(found, (fields.clone(), size_of::<Frame>()), "{new}");
     }
 }
 

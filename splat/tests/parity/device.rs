@@ -223,6 +223,22 @@ fn pairs_for_which_there_is_no_room_are_left_out_aloud() {
 }
 
 #[test]
+fn growth_for_which_there_is_no_room_ends_aloud() {
+    // Bindings of 64 KiB hold the records of 2,048 Gaussians.
+    let (g, photos) = (ordinary(69, 1900, 0), photos(1));
+    let mut gpu = uploaded(small(), &g);
+    gpu.step(&input(&photos[0], None)).unwrap();
+    let selection = Selection::Gradient;
+    let round = Round { room: 600, threshold: 0.0, selection, seed: 1, iteration: 1, remove_unseen: None };
+    gpu.densify(&round).unwrap();
+    assert!(gpu.gaussians() > 1700 && gpu.gaussians() <= 2048, "{}", gpu.gaussians());
+    let remarks = gpu.remarks();
+    assert!(remarks.iter().any(|r| r.choice.contains("1900")), "{remarks:?}");
+    let out = gpu.step(&input(&photos[0], None)).unwrap();
+    assert!(out.loss.is_finite() && out.visible > 500, "{out:?}");
+}
+
+#[test]
 fn a_lost_device_is_an_error_and_not_the_end_of_the_program() {
     let (g, photos) = (ordinary(68, 50, 0), photos(1));
     let mut gpu = uploaded(Opening::default(), &g);

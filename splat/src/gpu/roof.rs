@@ -1,9 +1,7 @@
 //! What an adapter moves and computes at best, measured: the floors that kernels are held against.
 
-use super::Result;
-use serde_json::{Value, json};
-use splat::DeviceConfig;
-use splat::gpu::{Gpu, Opening};
+use super::context::Gpu;
+use crate::SplatError;
 use std::time::Instant;
 
 /// Each thread: 16 chains of fused multiply-adds, `ROUNDS` long.
@@ -21,14 +19,22 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>) {
 ";
 const ROUNDS: f64 = 256.0;
 
-/// Bytes a second of a copy (read and written), operations a second of f32 (a fused multiply-add is two).
-pub fn measure(device: &DeviceConfig) -> Result<Value> {
-    let gpu = Gpu::open(&Opening { name: device.gpu.clone(), ..Opening::default() })?;
+/// What an adapter does at best.
+#[derive(Clone, Copy, Debug, serde::Serialize)]
+pub struct Roof {
+    /// Of a copy: read and written.
+    pub bytes_a_second: f64,
+    /// Of f32; a fused multiply-add is two.
+    pub flop_a_second: f64,
+}
+
+/// Measures it, in about a second on a card.
+pub fn measure(gpu: &Gpu) -> Result<Roof, SplatError> {
     let hardware = gpu.adapter.kind.is_hardware();
-    let bytes: u64 = if hardware { 1 << 30 } else { 1 << 24 }.min(gpu.largest_buffer() / 4 * 4);
+    let bytes: u64 = (if hardware { 1u64 << 30 } else { 1 << 24 }).min(gpu.largest_buffer() / 4 * 4);
     let [from, to] = [gpu.buffer("from", bytes, None)?, gpu.buffer("to", bytes, None)?];
     let copies = if hardware { 20 } else { 2 };
-    let copied = best(&gpu, &mut |encoder| {
+    let copied = best(gpu, &mut |encoder| {
         for _ in 0..copies {
             encoder.copy_buffer_to_buffer(&from, 0, &to, 0, bytes);
         }
@@ -52,21 +58,19 @@ pub fn measure(device: &DeviceConfig) -> Result<Value> {
         entries: &[wgpu::BindGroupEntry { binding: 0, resource: out.as_entire_binding() }],
     });
     let groups: u32 = if hardware { 60_000 } else { 60 };
-    let computed = best(&gpu, &mut |encoder| {
+    let computed = best(gpu, &mut |encoder| {
         let mut pass = encoder.begin_compute_pass(&Default::default());
         pass.set_pipeline(&pipeline);
         pass.set_bind_group(0, &bound, &[]);
         pass.dispatch_workgroups(groups, 1, 1);
     })?;
     let operations = f64::from(groups) * 256.0 * ROUNDS * 16.0 * 2.0;
-    Ok(json!({
-        "bytes_a_second": 2.0 * bytes as f64 * f64::from(copies) / copied,
-        "flop_a_second": operations / computed,
-    }))
+    let bytes_a_second = 2.0 * bytes as f64 * f64::from(copies) / copied;
+    Ok(Roof { bytes_a_second, flop_a_second: operations / computed })
 }
 
 /// Seconds of the fastest of five submissions.
-fn best(gpu: &Gpu, encode: &mut dyn FnMut(&mut wgpu::CommandEncoder)) -> Result<f64> {
+fn best(gpu: &Gpu, encode: &mut dyn FnMut(&mut wgpu::CommandEncoder)) -> Result<f64, SplatError> {
     let mut least = f64::INFINITY;
     for _ in 0..5 {
         let mut encoder = gpu.device.create_command_encoder(&Default::default());
