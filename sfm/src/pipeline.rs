@@ -123,7 +123,7 @@ struct Job<'a> {
 /// From `result.features` to a model without colours.
 fn from_features(
     result: &mut SfmResult,
-    matches: Option<Vec<matching::PairMatches>>,
+    matches: Option<Vec<crate::matching::PairMatches>>,
     job: &Job<'_>,
     clock: &mut Clock,
 ) -> Result<(), SfmError> {
@@ -179,7 +179,7 @@ pub struct Supplied {
     /// One per frame, each with a descriptor (zeros where there is none: it matches nothing) a keypoint.
     pub features: Option<Vec<Features>>,
     /// Matches before verification; without them the features are matched.
-    pub matches: Option<Vec<matching::PairMatches>>,
+    pub matches: Option<Vec<crate::matching::PairMatches>>,
 }
 
 /// Looks for something that turns about one axis before the camera of a video; `None` where that is not asked for.
