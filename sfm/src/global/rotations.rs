@@ -147,17 +147,13 @@ fn solve(images: usize, root: usize, system: &[(usize, usize, DVec3, f64)]) -> V
         if !alpha.is_finite() {
             break;
         }
-        for i in 0..images {
-            x[i] += p[i] * alpha;
-            r[i] -= q[i] * alpha;
-        }
+        x.iter_mut().zip(&p).for_each(|(x, p)| *x += *p * alpha);
+        r.iter_mut().zip(&q).for_each(|(r, q)| *r -= *q * alpha);
         z = precondition(&r);
         let next = dot(&r, &z);
         let beta = next / rz;
         rz = next;
-        for i in 0..images {
-            p[i] = z[i] + p[i] * beta;
-        }
+        p.iter_mut().zip(&z).for_each(|(p, z)| *p = *z + *p * beta);
     }
     x
 }
