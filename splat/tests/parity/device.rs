@@ -192,8 +192,8 @@ fn kernels_with_subgroup_operations_agree_with_those_without() {
     let options = RenderOptions::default();
     // Integers are sorted and added up exactly, whoever does it.
     assert_eq!(gpu.render(&photos[0].0, &options).unwrap(), other.render(&photos[0].0, &options).unwrap());
-    for k in 0..2 {
-        let [a, b] = [&mut gpu, &mut other].map(|b| b.step(&input(&photos[k], None)).unwrap());
+    for photo in &photos {
+        let [a, b] = [&mut gpu, &mut other].map(|b| b.step(&input(photo, None)).unwrap());
         assert_eq!((a.visible, a.pairs), (b.visible, b.pairs));
         assert!((a.loss - b.loss).abs() < 1e-4 * a.loss, "{a:?} {b:?}");
     }
