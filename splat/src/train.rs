@@ -183,7 +183,19 @@ impl<'a> Trainer<'a> {
         state.seconds += config.seconds_gone;
         let validation = if config.recipe.evidence { decide::validation(&views) } else { Vec::new() };
         let (mark, order, lap) = (begun, (None, Vec::new()), (0.0, 0, 0.0));
-        Ok(Self { dataset, config, backend, max_gaussians, state, lap, clock, mark, views, validation, order })
+        Ok(Self {
+            dataset,
+            config,
+            backend,
+            max_gaussians,
+            state,
+            lap,
+            clock,
+            mark,
+            views,
+            validation,
+            order,
+        })
     }
 
     /// Adds to the time spent what has gone by since the last call.
