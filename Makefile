@@ -14,7 +14,7 @@ SAT_RECON := $(TARGET)/release/sat-recon
 VENV := $(CACHE)/venv
 SHARED := $(or $(SAT_RECON_SHARED),../shared)
 
-.PHONY: help setup viewer build demo test lint bench bench-gpu compare oracle testbed
+.PHONY: help setup viewer build demo test lint bench tables bench-gpu compare oracle testbed
 help:  ## this list
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed 's/:.*##/\t/' | expand -t 12
 
@@ -39,12 +39,17 @@ lint: setup  ## formatting, clippy, file and function lengths, borders between c
 	@tools/lint.sh
 
 bench: build  ## the tables of docs/benchmarks.md on real data (slow)
+	cargo build --release --locked --workspace --example ring_growth
 	@tools/setup.sh python3 colmap; python3 tools/bench.py $(SAT_RECON) $(SHARED) --out build/bench
 
-bench-gpu: setup  ## what needs a graphics card, in under ten minutes, as JSON (a small dry run without one)
+tables: build  ## the paper's three tables for our own method, its rows beside them (slow)
+	@tools/setup.sh python3; python3 tools/paper_tables.py $(SAT_RECON) $(SHARED) --out build/tables
+
+# --workspace: alone the crate would resolve to fewer features of its dependencies, and wgpu would be compiled again.
+bench-gpu: build  ## what needs a graphics card, in under ten minutes, as JSON (a small dry run without one)
 	@tools/setup.sh python3
-	cargo build --release --locked -p splat --example bench_gpu
-	python3 tools/bench_gpu.py $(TARGET)/release/examples/bench_gpu $(SHARED) --out build/bench_gpu.json
+	cargo build --release --locked --workspace --example bench_gpu
+	python3 tools/bench_gpu.py $(TARGET)/release/examples/bench_gpu $(SHARED) --out build/bench_gpu.json --sat-recon $(SAT_RECON)
 
 compare: build $(VENV)/pycolmap  ## our poses beside COLMAP 3.8 and 4.2.1 on the same images (slow)
 	@tools/setup.sh colmap
@@ -54,7 +59,7 @@ oracle: $(VENV)/oracle  ## regenerate the fixtures that other libraries computed
 	@for script in tests/oracle/*.py; do echo "$$script"; $(VENV)/bin/python $$script $(SHARED)/data build/oracle; done
 
 testbed: setup  ## render the simulated captures with Blender (slow)
-	@tools/setup.sh blender
+	@tools/setup.sh blender python3-numpy ffmpeg
 	bash data/testbed/make.sh build/testbed
 
 $(VENV)/bin/python:

@@ -5,13 +5,16 @@ use std::process::Command;
 
 fn main() {
     println!("cargo:rerun-if-changed=src/ceres/mod.rs");
-    for file in ["bundle.cc", "bundle.h", "turn.cc", "turn.h", "blocks.h", "normal.h"] {
+    for file in
+        ["bundle.cc", "bundle.h", "turn.cc", "turn.h", "position.cc", "position.h", "blocks.h", "normal.h"]
+    {
         println!("cargo:rerun-if-changed=src/ceres/{file}");
     }
     let mut build = cxx_build::bridge("src/ceres/mod.rs");
     build
         .file("src/ceres/bundle.cc")
         .file("src/ceres/turn.cc")
+        .file("src/ceres/position.cc")
         .include("src/ceres")
         .std("c++17")
         .opt_level(2)

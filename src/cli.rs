@@ -59,6 +59,8 @@ pub enum Command {
     Export(ExportArgs),
     /// Our poses beside COLMAP's or a ground truth's
     Compare(CompareArgs),
+    /// Quality against time: trains at several presets and time limits, draws the curve
+    Bench(BenchArgs),
     /// Look at a trained splat in a browser, served to this machine alone
     View(ViewArgs),
     /// What is installed, which adapters there are, and what will be slow
@@ -85,6 +87,15 @@ pub struct PipelineArgs {
     /// Write the models as text too
     #[arg(long, help_heading = "General")]
     pub text: bool,
+    /// Take features, matches and camera groups from this database.db of COLMAP's (images are known by their names)
+    #[arg(long, value_name = "FILE", help_heading = "Structure from motion")]
+    pub database: Option<PathBuf>,
+    /// Of --database take the features only, and match them anew
+    #[arg(long, requires = "database", help_heading = "Structure from motion")]
+    pub rematch: bool,
+    /// Write OUT/database.db too: features, matches and verified pairs, on which COLMAP's mappers run
+    #[arg(long, help_heading = "Structure from motion")]
+    pub colmap_database: bool,
     /// Choice of frames.
     #[command(flatten)]
     pub frames: preprocess::FrameConfig,
@@ -164,7 +175,7 @@ pub struct RenderArgs {
 pub struct ExportArgs {
     /// A former output folder, or a splat file
     pub input: PathBuf,
-    /// The file or folder to write; its ending says the format: .html (a page to open in a browser), .ply (3DGS order), .compressed.ply, .splat, .spz, .glb (these also read, and .ksplat), .json (transforms), or a folder (COLMAP model, --text for text)
+    /// The file or folder to write; its ending says the format: .html (a page to open in a browser), .ply (3DGS order), .compressed.ply, .splat, .spz, .glb (these also read, and .ksplat), .json (transforms), .db (COLMAP's database, of a run with --colmap-database), or a folder (COLMAP model, --text for text)
     #[arg(short, long, value_name = "OUT", required_unless_present = "html")]
     pub output: Option<PathBuf>,
     /// One self-contained page that opens from disk (default output: RUN/view.html)
@@ -185,12 +196,46 @@ pub struct CompareArgs {
     /// Also write the tables of quality, training and rendering cost into this folder: Markdown, CSV, LaTeX, JSON
     #[arg(long, value_name = "FOLDER")]
     pub tables: Option<PathBuf>,
+    /// Also write a page that shows the runs beside each other
+    #[arg(long, value_name = "FILE.html")]
+    pub report: Option<PathBuf>,
+    /// Tables that --tables wrote earlier (tables.json), or published figures in that form, to stand in the tables too
+    #[arg(long, value_name = "FILE.json")]
+    pub beside: Vec<PathBuf>,
+    /// Weights for LPIPS of other tools' renders, as for `eval`
+    #[arg(long, value_name = "FILE")]
+    pub lpips_weights: Vec<PathBuf>,
     /// Ground truth: Middlebury *_par.txt, a folder of *.camera, a COLMAP model, or a transforms.json
     #[arg(long)]
     pub truth: Option<PathBuf>,
     /// Run Debian's COLMAP on the same frames and show it beside
     #[arg(long)]
     pub colmap: bool,
+}
+
+/// What `bench` takes.
+#[derive(Args, Clone, Debug)]
+pub struct BenchArgs {
+    /// What `run` takes: a video, a folder of photos, a posed data set
+    pub input: PathBuf,
+    /// Output folder (default: the input's name with `_bench`, in the current folder)
+    #[arg(short, long, value_name = "OUT")]
+    pub output: Option<PathBuf>,
+    /// Presets to measure
+    #[arg(long, value_enum, value_delimiter = ',', default_values = ["draft", "fast", "balanced", "best"], value_name = "LIST")]
+    pub qualities: Vec<splat::Quality>,
+    /// Time limits to measure, such as 30s,60s,5m
+    #[arg(long, value_delimiter = ',', value_parser = splat::config::parse_duration, value_name = "LIST")]
+    pub times: Vec<f64>,
+    /// Only the time limits, no presets
+    #[arg(long)]
+    pub only_times: bool,
+    /// Figures of other tools to draw beside, instead of those that come with the program (same format as data/bench/peers.json)
+    #[arg(long, value_name = "FILE")]
+    pub peers: Option<PathBuf>,
+    /// Flags of `run`, after `--`
+    #[arg(last = true, value_name = "FLAGS")]
+    pub flags: Vec<String>,
 }
 
 /// What `view` takes.

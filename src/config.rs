@@ -19,9 +19,14 @@ pub struct Recorded {
 /// Flags without a value that may stand before the command.
 const BARE_GLOBALS: [&str; 5] = ["-v", "--verbose", "-q", "--quiet", "--json"];
 
-/// The preset's flags (`balanced` is the flags' defaults).
+/// The preset's flags (`balanced` is the flags' defaults): those of the poses, then those of the splat.
 fn preset(quality: Quality) -> Vec<String> {
-    quality.flags().iter().map(|(flag, value)| format!("--{flag}={value}")).collect()
+    let poses: &[(&str, &str)] = match quality {
+        Quality::Draft => &[("doubling", "never"), ("max-features", "2048")],
+        Quality::Fast | Quality::Balanced => &[],
+        Quality::Best => &[("max-features", "8192")],
+    };
+    poses.iter().chain(quality.flags()).map(|(flag, value)| format!("--{flag}={value}")).collect()
 }
 
 /// `sat-recon INPUT` is `sat-recon run INPUT`: puts the command in where none stands.

@@ -1,12 +1,18 @@
 //! Metrics of the held-out views, after the 8-bit round trip.
 
+pub mod geometry;
+pub mod metrics;
 pub mod speed;
+mod table;
 
-use crate::stage::write_json;
+use crate::pipeline::SplatSummary;
+use crate::stage::{Stages, write_json};
 use anyhow::{Context, Result};
+use geometry::{Geometry, MeshConfig};
 use image::{GrayImage, RgbImage};
-use scene::lpips::{Backbone, Lpips};
-use scene::{Progress, metrics};
+use metrics::Metrics;
+use scene::Progress;
+use scene::lpips::Lpips;
 use serde::{Deserialize, Serialize};
 use speed::RenderingCost;
 use splat::{Dataset, DatasetConfig, DeviceConfig, RenderOptions, Renderer, View};
@@ -21,31 +27,10 @@ pub struct EvalConfig {
     /// How often the held-out views are rendered to measure frames per second
     #[arg(long, default_value_t = 15, value_parser = clap::value_parser!(u32).range(1..=1000), help_heading = "Evaluation")]
     pub fps_loops: u32,
-}
-
-/// Image quality of one view, or means over views.
-#[derive(Clone, Copy, Debug, Default, Serialize, Deserialize)]
-pub struct Metrics {
-    /// Peak signal-to-noise ratio, dB, full frame.
-    pub psnr: f64,
-    /// Structural similarity, full frame.
-    pub ssim: f64,
-    /// PSNR over the pixels inside the mask.
-    pub psnr_mask: Option<f64>,
-    /// SSIM over the windows centred inside the mask.
-    pub ssim_mask: Option<f64>,
-    /// LPIPS with AlexNet, full frame; `None` without weights.
+    /// The true shape.
+    #[command(flatten)]
     #[serde(default)]
-    pub lpips_alex: Option<f64>,
-    /// LPIPS with VGG-16, full frame.
-    #[serde(default)]
-    pub lpips_vgg: Option<f64>,
-    /// LPIPS with AlexNet inside the mask.
-    #[serde(default)]
-    pub lpips_alex_mask: Option<f64>,
-    /// LPIPS with VGG-16 inside the mask.
-    #[serde(default)]
-    pub lpips_vgg_mask: Option<f64>,
+    pub mesh: MeshConfig,
 }
 
 /// One held-out view.
@@ -59,6 +44,24 @@ pub struct ViewMetrics {
     pub metrics: Metrics,
 }
 
+/// What a part of the held-out views stay below.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+pub struct Percentile {
+    /// How many of the views, per cent.
+    pub percent: u32,
+    /// Each figure by itself.
+    pub metrics: Metrics,
+}
+
+/// Views that training saw, judged like the held-out ones: how much better they are is what was learnt by heart.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+pub struct TrainingViews {
+    /// How many were judged.
+    pub views: usize,
+    /// Their mean (without LPIPS).
+    pub mean: Metrics,
+}
+
 /// What `eval/metrics.json` holds.
 #[derive(Clone, Debug, Default, Serialize, Deserialize)]
 pub struct Evaluation {
@@ -68,23 +71,48 @@ pub struct Evaluation {
     pub views: Vec<ViewMetrics>,
     /// Mean over the views.
     pub mean: Metrics,
+    /// Percentiles over the views.
+    #[serde(default)]
+    pub percentiles: Vec<Percentile>,
+    /// Views of the training, judged alike.
+    #[serde(default)]
+    pub training: Option<TrainingViews>,
     /// What rendered, in words.
     #[serde(default)]
     pub renderer: String,
     /// Speed and memory of rendering the held-out views.
     #[serde(default)]
     pub rendering: RenderingCost,
+    /// Shape, where there is a mesh or a matte to judge it by.
+    #[serde(default)]
+    pub geometry: Option<Geometry>,
+}
+
+impl ViewMetrics {
+    /// Its picture of a kind (`photos`, `renders`) in a run folder. Names in files stay inside their folder.
+    pub fn picture(&self, run: &Path, kind: &str) -> Result<PathBuf> {
+        let path = run.join("eval").join(kind).join(scene::io::safe_name(&self.picture)?);
+        anyhow::ensure!(path.is_file(), "{} is missing; run sat-recon eval again", path.display());
+        Ok(path)
+    }
 }
 
 impl Evaluation {
+    /// Whether all of its pictures are in the run folder.
+    pub fn is_whole(&self, run: &Path) -> bool {
+        let has = |v: &ViewMetrics| ["photos", "renders"].iter().all(|kind| v.picture(run, kind).is_ok());
+        self.views.iter().all(has)
+    }
+
     /// The figures in a few words.
     pub fn sentence(&self) -> String {
         if self.views.is_empty() {
             return "no held-out views".into();
         }
+        let shape = self.geometry.as_ref().map_or(String::new(), |g| format!("; {}", g.sentence()));
         let worst = self.views.iter().map(|v| v.metrics.psnr).fold(f64::INFINITY, f64::min);
         format!(
-            "PSNR {:.2} dB (worst view {worst:.2}), SSIM {:.4} on {} held-out views, {:.0} frames/s",
+            "PSNR {:.2} dB (worst view {worst:.2}), SSIM {:.4} on {} held-out views, {:.0} frames/s{shape}",
             self.mean.psnr,
             self.mean.ssim,
             self.views.len(),
@@ -101,6 +129,17 @@ pub fn load_dataset(training_set: &Path, config: &DatasetConfig, progress: &Prog
     Ok(Dataset::load(&training_set.join("images"), masks.as_deref(), &model, config, progress)?)
 }
 
+/// Whether the splat of a run was trained with --antialias.
+pub fn trained_with_antialias(out: &Path) -> Result<bool> {
+    let trained = Stages::open(out)?.last::<SplatSummary>("train");
+    Ok(trained.is_some_and(|finished| finished.value.antialias))
+}
+
+/// The networks of the weights that were given.
+pub fn load_networks(weights: &[PathBuf]) -> Result<Vec<Lpips>> {
+    weights.iter().map(|path| Ok(Lpips::load(path)?)).collect()
+}
+
 /// Renders the held-out views, compares them with the photos, writes `OUT/eval`.
 pub fn evaluate(
     out: &Path,
@@ -109,29 +148,57 @@ pub fn evaluate(
     device: &DeviceConfig,
     progress: &Progress,
 ) -> Result<Evaluation> {
-    let networks: Vec<Lpips> =
-        config.lpips_weights.iter().map(|path| Ok(Lpips::load(path)?)).collect::<Result<_>>()?;
+    let networks = load_networks(&config.lpips_weights)?;
     let gaussians = scene::io::ply::read_splat_ply(&out.join("splat.ply"))?;
     let (mut renderer, chosen) = Renderer::on(device, &gaussians)?;
+    renderer.antialias = trained_with_antialias(out)?;
     let cameras = speed::held_out_cameras(&out.join("undistorted"), dataset)?;
     let rendering = speed::measure(&mut renderer, &cameras, config.fps_loops, progress)?;
+    let mesh = &config.mesh;
     let config = dataset;
     let dataset = load_dataset(&out.join("undistorted"), config, progress)?;
+    let geometry = geometry::measure(out, mesh, &dataset, (&gaussians, renderer.antialias), progress)?;
     let held_out: Vec<&View> = dataset.views.iter().filter(|v| v.held_out).collect();
     let protocol = protocol(config, &dataset, held_out.len(), &rendering, &networks);
-    let mut evaluation = Evaluation { protocol, rendering, renderer: chosen.choice, ..Evaluation::default() };
+    let mut evaluation =
+        Evaluation { protocol, rendering, geometry, renderer: chosen.choice, ..Evaluation::default() };
     progress.begin("evaluate", held_out.len());
     scene::io::replace_folder(&out.join("eval"), |folder| -> Result<()> {
         for (i, view) in held_out.iter().enumerate() {
             let picture = format!("{i:03}_{}.png", plain(&view.name));
-            let metrics = compare_view(&mut renderer, view, &dataset, &networks, folder, &picture)?;
+            let compared = Compared::of(&mut renderer, view, &dataset)?;
+            let metrics = compared.judge(&networks)?;
+            compared.write(folder, &picture)?;
             evaluation.views.push(ViewMetrics { name: view.name.clone(), picture, metrics });
             progress.tick_with(&format!("{:.2} dB", metrics.psnr))?;
         }
-        evaluation.mean = mean(evaluation.views.iter().map(|v| &v.metrics));
+        let all: Vec<Metrics> = evaluation.views.iter().map(|v| v.metrics).collect();
+        evaluation.mean = Metrics::mean(&all);
+        let percentile = |percent| Percentile { percent, metrics: Metrics::percentile(&all, percent) };
+        evaluation.percentiles = if all.is_empty() { vec![] } else { PERCENTS.map(percentile).to_vec() };
+        evaluation.training = training_views(&mut renderer, &dataset, all.len(), progress)?;
         write_json(&folder.join("metrics.json"), &evaluation)
     })?;
     Ok(evaluation)
+}
+
+/// Percentiles that are told.
+const PERCENTS: [u32; 3] = [5, 50, 95];
+
+/// Judges training views, as many as are held out, spread evenly.
+fn training_views(
+    renderer: &mut Renderer,
+    dataset: &Dataset,
+    most: usize,
+    progress: &Progress,
+) -> Result<Option<TrainingViews>> {
+    let training = dataset.training_views();
+    let mut all = Vec::new();
+    for &index in training.iter().step_by(training.len().div_ceil(most.max(1)).max(1)) {
+        progress.check()?;
+        all.push(Compared::of(renderer, &dataset.views[index], dataset)?.judge(&[])?);
+    }
+    Ok((most > 0 && !all.is_empty()).then(|| TrainingViews { views: all.len(), mean: Metrics::mean(&all) }))
 }
 
 fn protocol(
@@ -145,13 +212,17 @@ fn protocol(
         "LPIPS not measured (no --lpips-weights given)".to_owned()
     } else {
         let names: Vec<&str> = networks.iter().map(|n| n.backbone.name()).collect();
-        format!("LPIPS 0.1 ({}) at full resolution, no resize", names.join(", "))
+        format!(
+            "LPIPS 0.1 ({}; trained linear layers, no resize; inside the mask each layer is averaged over the mask)",
+            names.join(", ")
+        )
     };
     let ground = if dataset.is_transparent() { ", both over black where the mask is black" } else { "" };
     format!(
         "{views} of {} views held out of training (every {}th by sorted name, beginning with the first); PSNR and SSIM \
-         (11×11 Gaussian window, σ 1.5) of 8-bit renders against the undistorted photos at full resolution{ground}; {lpips}. \
-         Frames per second: the held-out views rendered {} times after a warm-up, mean of the median five.",
+         (11×11 Gaussian window, σ 1.5, per channel, windows inside the image) of 8-bit renders against the undistorted \
+         photos at full resolution, no resize{ground}; inside the mask: pixels, and windows centred on pixels, that it keeps; \
+         {lpips}. Frames per second: the held-out views rendered {} times after a warm-up, mean of the median five.",
         dataset.views.len(),
         config.test_every,
         rendering.loops
@@ -163,38 +234,38 @@ fn plain(name: &str) -> String {
     stem.chars().map(|c| if c.is_ascii_alphanumeric() || "-_.".contains(c) { c } else { '_' }).collect()
 }
 
-fn compare_view(
-    renderer: &mut Renderer,
-    view: &View,
-    dataset: &Dataset,
-    networks: &[Lpips],
-    folder: &Path,
-    picture: &str,
-) -> Result<Metrics> {
-    let output = renderer.render(&view.camera, &view.pose, &RenderOptions::default())?;
-    let render = output.rgb.to_rgb8();
-    let (photo, mask) = target(view, dataset.is_transparent())?;
-    let mut metrics = Metrics {
-        psnr: metrics::psnr(&render, &photo, None)?,
-        ssim: metrics::ssim(&render, &photo, None)?,
-        psnr_mask: mask.as_ref().and_then(|m| metrics::psnr(&render, &photo, Some(m)).ok()),
-        ssim_mask: mask.as_ref().and_then(|m| metrics::ssim(&render, &photo, Some(m)).ok()),
-        ..Metrics::default()
-    };
-    for network in networks {
-        let full = Some(network.distance(&render, &photo, None)?);
-        let inside = mask.as_ref().and_then(|m| network.distance(&render, &photo, Some(m)).ok());
-        match network.backbone {
-            Backbone::Alex => (metrics.lpips_alex, metrics.lpips_alex_mask) = (full, inside),
-            Backbone::Vgg => (metrics.lpips_vgg, metrics.lpips_vgg_mask) = (full, inside),
+/// A photo as it is compared, its mask, and its render.
+struct Compared {
+    render: RgbImage,
+    photo: RgbImage,
+    mask: Option<GrayImage>,
+}
+
+impl Compared {
+    fn of(renderer: &mut Renderer, view: &View, dataset: &Dataset) -> Result<Self> {
+        let output = renderer.render(&view.camera, &view.pose, &RenderOptions::default())?;
+        let (photo, mask) = target(view, dataset.is_transparent())?;
+        Ok(Self { render: output.rgb.to_rgb8(), photo, mask })
+    }
+
+    fn judge(&self, networks: &[Lpips]) -> Result<Metrics> {
+        Metrics::judge(&self.render, &self.photo, self.mask.as_ref(), networks)
+    }
+
+    /// Into `renders`, `photos` and, where there is one, `masks`.
+    fn write(&self, folder: &Path, picture: &str) -> Result<()> {
+        let path = |kind: &str| -> Result<PathBuf> {
+            std::fs::create_dir_all(folder.join(kind))?;
+            Ok(folder.join(kind).join(picture))
+        };
+        let failed = || format!("cannot write {picture} into {}", folder.display());
+        self.render.save(path("renders")?).with_context(failed)?;
+        self.photo.save(path("photos")?).with_context(failed)?;
+        if let Some(mask) = &self.mask {
+            mask.save(path("masks")?).with_context(failed)?;
         }
+        Ok(())
     }
-    for (kind, image) in [("renders", &render), ("photos", &photo)] {
-        std::fs::create_dir_all(folder.join(kind))?;
-        let path = folder.join(kind).join(picture);
-        image.save(&path).with_context(|| format!("cannot write {}", path.display()))?;
-    }
-    Ok(metrics)
 }
 
 /// The photo as it is compared, and its mask.
@@ -209,20 +280,4 @@ fn target(view: &View, transparent: bool) -> Result<(RgbImage, Option<GrayImage>
         }
     }
     Ok((RgbImage::from_raw(w, h, rgb).context("a view without pixels")?, mask))
-}
-
-fn mean<'a>(all: impl Iterator<Item = &'a Metrics> + Clone) -> Metrics {
-    let average =
-        |values: Vec<f64>| (!values.is_empty()).then(|| values.iter().sum::<f64>() / values.len() as f64);
-    let optional = |pick: fn(&Metrics) -> Option<f64>| average(all.clone().filter_map(pick).collect());
-    Metrics {
-        psnr: optional(|m| Some(m.psnr)).unwrap_or(0.0),
-        ssim: optional(|m| Some(m.ssim)).unwrap_or(0.0),
-        psnr_mask: optional(|m| m.psnr_mask),
-        ssim_mask: optional(|m| m.ssim_mask),
-        lpips_alex: optional(|m| m.lpips_alex),
-        lpips_vgg: optional(|m| m.lpips_vgg),
-        lpips_alex_mask: optional(|m| m.lpips_alex_mask),
-        lpips_vgg_mask: optional(|m| m.lpips_vgg_mask),
-    }
 }

@@ -22,6 +22,16 @@ pub fn run(args: &ExportArgs) -> Result<Outcome> {
             &read_model(&args.input)?,
             &scene::io::TransformsOptions::default(),
         )?,
+        "db" => {
+            let database = args.input.join("database.db");
+            if !database.is_file() {
+                bail!(
+                    "{0} has no database.db; 'sat-recon sfm {0} --colmap-database' writes it",
+                    args.input.display()
+                );
+            }
+            scene::io::write_database(output, &scene::io::read_database(&database)?)?;
+        }
         "" => {
             let model = read_model(&args.input)?;
             scene::io::replace_folder(output, |folder| {

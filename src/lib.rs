@@ -1,8 +1,10 @@
 //! sat-recon, wired together: the stages of `preprocess`, `sfm` and `splat` as one resumable pipeline.
 
+pub mod bench;
 pub mod cli;
 pub mod compare;
 pub mod config;
+pub mod database;
 pub mod doctor;
 pub mod evaluate;
 pub mod export;
@@ -66,6 +68,7 @@ pub fn run(parsed: config::Parsed) -> Result<Outcome> {
         Command::Render(args) => render::run(&args, verbosity),
         Command::Export(args) => export::run(&args),
         Command::Compare(args) => compare::run(&args, verbosity, global.json),
+        Command::Bench(args) => bench::run(&args, &global, verbosity),
         Command::View(args) => view::server::run(&args, verbosity == Verbosity::Quiet),
         Command::Doctor => doctor::run(global.json),
     }

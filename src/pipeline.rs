@@ -1,14 +1,18 @@
 //! The pipeline: frames, poses, undistortion, splat, evaluation, report, each resumable.
 
+mod folder;
+
 use crate::Outcome;
 use crate::cli::PipelineArgs;
 use crate::config::Recorded;
+use crate::database;
 use crate::evaluate::{self, Evaluation};
 use crate::input::{self, Input};
 use crate::report;
 use crate::stage::{Cost, Stages, describe_input, fingerprint, write_json};
 use crate::terminal::{CANCELLED, TerminalSink, Verbosity};
 use anyhow::{Context, Result, bail};
+use folder::{absolute_in, default_output, relative_to};
 use scene::io::TransformsOptions;
 use scene::io::ply::CloudPoint;
 use scene::{FrameSet, Progress, Reconstruction};
@@ -51,10 +55,49 @@ pub struct PoseSummary {
     /// Images whose pose hangs by a thread, and why.
     #[serde(default)]
     pub weak: Vec<(String, String)>,
+    /// Standard deviations from the final adjustment.
+    #[serde(default)]
+    pub deviations: Option<Deviations>,
     /// What was decided: what, choice, evidence.
     pub decisions: Vec<[String; 3]>,
     /// Figures by step.
     pub figures: Vec<(String, f64)>,
+}
+
+/// Standard deviations of poses and intrinsics (gauge: first camera and the scale fixed).
+#[derive(Clone, Debug, Default, Serialize, Deserialize)]
+pub struct Deviations {
+    /// Robust standard deviation of one residual coordinate, pixels.
+    pub sigma_px: f64,
+    /// By camera number: one a parameter, 0 for those held.
+    pub cameras: BTreeMap<u32, Vec<f64>>,
+    /// By image.
+    pub images: Vec<ImageDeviation>,
+}
+
+/// Standard deviations of one image's pose.
+#[derive(Clone, Debug, Default, Serialize, Deserialize)]
+pub struct ImageDeviation {
+    /// File name.
+    pub name: String,
+    /// Of the rotation about the camera's x, y and z axes, degrees.
+    pub rotation_deg: [f64; 3],
+    /// Of the camera centre along the world's axes, scene units.
+    pub centre: [f64; 3],
+}
+
+impl Deviations {
+    fn of(uncertainty: &sfm::Uncertainty, model: &Reconstruction) -> Self {
+        let image = |(id, d): (&u32, &sfm::PoseDeviation)| {
+            let name = model.images.get(id)?.name.clone();
+            Some(ImageDeviation { name, rotation_deg: d.rotation.map(f64::to_degrees), centre: d.centre })
+        };
+        Self {
+            sigma_px: uncertainty.sigma_px,
+            cameras: uncertainty.cameras.clone(),
+            images: uncertainty.images.iter().filter_map(image).collect(),
+        }
+    }
 }
 
 /// What is known of the splat.
@@ -64,6 +107,9 @@ pub struct SplatSummary {
     pub gaussians: usize,
     /// Spherical-harmonic degree.
     pub sh_degree: u32,
+    /// Whether it was trained (and is to be rendered) with --antialias.
+    #[serde(default)]
+    pub antialias: bool,
     /// Loss and PSNR against time.
     pub curve: Vec<splat::train::CurvePoint>,
     /// What was decided: what, choice, evidence.
@@ -89,6 +135,10 @@ pub struct RunRecord {
     pub splat: Option<SplatSummary>,
     /// The metrics.
     pub evaluation: Option<Evaluation>,
+    /// What was decided by the evidence, or stands as configured, topic by topic.
+    pub decisions: Vec<report::decisions::Shown>,
+    /// The report's traffic light.
+    pub verdict: Vec<report::verdict::Light>,
 }
 
 /// One run into one output folder.
@@ -128,12 +178,22 @@ impl Pipeline {
             poses: None,
             splat: None,
             evaluation: None,
+            decisions: Vec::new(),
+            verdict: Vec::new(),
         };
         Ok(Self { args, input, out, stages, verbosity, json, record })
     }
 
     /// Runs the stages that are not current, as far as `until`.
-    pub fn run(mut self, until: Until) -> Result<Outcome> {
+    pub fn run(self, until: Until) -> Result<Outcome> {
+        Ok(self.run_recorded(until)?.0)
+    }
+
+    /// The same, and all that the run knows.
+    pub fn run_recorded(mut self, until: Until) -> Result<(Outcome, RunRecord)> {
+        if until >= Until::Eval {
+            evaluate::load_networks(&self.args.eval.lpips_weights)?; // before hours of work, not after
+        }
         let (frames, frames_print) = self.frames()?;
         self.record.frames = Some(frames.clone());
         let mut outcome = Outcome::Done;
@@ -149,12 +209,13 @@ impl Pipeline {
                 }
             }
         }
+        report::judge(&self.out, &mut self.record)?;
         if until >= Until::Report || (until >= Until::Sfm && outcome == Outcome::NoModel) {
             report::write(&self.out, &self.record).context("cannot write the report")?;
         }
         write_json(&self.out.join("run.json"), &self.record)?;
         self.say_result(until)?;
-        Ok(outcome)
+        Ok((outcome, self.record))
     }
 
     fn progress(&self, stage: &str) -> Progress {
@@ -234,17 +295,30 @@ impl Pipeline {
     fn poses(&mut self, frames: &FrameSet, frames_print: &str) -> Result<(PoseSummary, String)> {
         let print = match &self.input {
             Input::Posed { model, .. } => {
+                database::refuse(&self.args)?;
                 fingerprint(&("import", 1, frames_print, describe_input(model)?, self.args.text))?
             }
-            _ => fingerprint(&("sfm", 1, frames_print, &self.args.sfm, self.args.seed, self.args.text))?,
+            _ => {
+                let database = database::print(&self.args)?;
+                fingerprint(&(
+                    "sfm",
+                    2,
+                    frames_print,
+                    &self.args.sfm,
+                    self.args.seed,
+                    self.args.text,
+                    database,
+                ))?
+            }
         };
         let known: Option<PoseSummary> = self.stages.current("sfm", &print).map(|f| f.value);
         let has_model = known.is_none_or(|k| k.no_model.is_none());
-        let model = if has_model {
+        let mut model = if has_model {
             vec![self.out.join("sparse/0"), self.out.join("transforms.json")]
         } else {
             vec![]
         };
+        model.extend(self.args.colmap_database.then(|| self.out.join("database.db")));
         let (finished, ran) = self.stages.run("sfm", &print, &model, || {
             let progress = self.progress("sfm");
             let (reconstruction, mut summary) = match &self.input {
@@ -296,13 +370,16 @@ impl Pipeline {
         frames: &FrameSet,
         progress: &Progress,
     ) -> Result<(Option<Reconstruction>, PoseSummary)> {
-        let mut config = self.args.sfm.clone();
-        config.seed = self.args.seed;
-        let result = sfm::reconstruct(frames, &config, progress)?;
+        let result = database::solve(&self.args, frames, progress)?;
         let summary = PoseSummary {
             no_model: result.reconstruction.is_none().then(|| result.reason.clone()),
             missing: result.missing.clone(),
             weak: result.weak_images.clone(),
+            deviations: result
+                .uncertainty
+                .as_ref()
+                .zip(result.reconstruction.as_ref())
+                .map(|(u, model)| Deviations::of(u, model)),
             decisions: result
                 .decisions
                 .iter()
@@ -311,7 +388,8 @@ impl Pipeline {
             figures: figures(&result.stats),
             ..PoseSummary::default()
         };
-        Ok((result.reconstruction, summary))
+        let reconstruction = database::write(&self.args, &self.out, result, frames)?;
+        Ok((reconstruction, summary))
     }
 
     fn write_model(&self, reconstruction: &Reconstruction, frames: &FrameSet) -> Result<()> {
@@ -376,7 +454,12 @@ impl Pipeline {
         if until < Until::Eval {
             return Ok(());
         }
-        let print = fingerprint(&("eval", 2, &print, &self.args.eval))?;
+        let mesh = self.args.eval.mesh.mesh.as_deref().map(describe_input).transpose()?;
+        let print = fingerprint(&("eval", 4, &print, &self.args.eval, mesh))?;
+        let known = self.stages.current::<Evaluation>("eval", &print);
+        if known.is_some_and(|k| !k.value.is_whole(&self.out)) {
+            self.stages.forget("eval"); // a picture is missing
+        }
         let (finished, ran) =
             self.stages.run("eval", &print, &[self.out.join("eval/metrics.json")], || {
                 let progress = self.progress("eval");
@@ -403,14 +486,17 @@ impl Pipeline {
             std::fs::create_dir_all(&checkpoints)?;
             crate::stage::write_whole(&owner, print.as_bytes())?;
         }
+        let begun = std::time::Instant::now();
         let dataset = evaluate::load_dataset(training_set, &self.args.dataset, &progress)?;
         let mut config = self.args.train.clone();
         config.seed = self.args.seed;
+        config.seconds_gone = begun.elapsed().as_secs_f64();
         let result = splat::train::train(&dataset, &config, Some(&checkpoints), &progress)?;
         scene::io::ply::write_splat_ply(&self.out.join("splat.ply"), &result.gaussians)?;
         let summary = SplatSummary {
             gaussians: result.gaussians.len(),
             sh_degree: result.gaussians.sh_degree,
+            antialias: config.antialias,
             curve: result.curve,
             decisions: result
                 .decisions
@@ -425,6 +511,10 @@ impl Pipeline {
     fn say_result(&self, until: Until) -> Result<()> {
         if self.json {
             println!("{}", serde_json::to_string_pretty(&self.record)?);
+        } else if let (Until::Eval, Some(evaluation)) = (until, &self.record.evaluation)
+            && self.verbosity > Verbosity::Quiet
+        {
+            println!("{}", evaluation.markdown());
         }
         let what = match until {
             Until::Frames => "images/",
@@ -450,28 +540,4 @@ fn figures(stats: &sfm::SfmStats) -> Vec<(String, f64)> {
     ];
     figures.extend(stats.steps.iter().map(|s| (format!("{}, CPU s", s.step), s.cpu_s)));
     figures
-}
-
-fn default_output(input: &Path) -> PathBuf {
-    let absolute = std::path::absolute(input).unwrap_or_else(|_| input.to_path_buf());
-    let stem = absolute.file_stem().map_or_else(|| "scene".into(), |s| s.to_string_lossy().into_owned());
-    PathBuf::from(format!("{stem}_recon"))
-}
-
-/// The output folder can be moved: what is remembered of it are relative paths.
-fn relative_to(mut frames: FrameSet, out: &Path) -> FrameSet {
-    let shorten = |p: &Path| p.strip_prefix(out).map_or_else(|_| p.to_path_buf(), Path::to_path_buf);
-    for frame in &mut frames.frames {
-        frame.path = shorten(&frame.path);
-        frame.mask = frame.mask.as_deref().map(shorten);
-    }
-    frames
-}
-
-fn absolute_in(mut frames: FrameSet, out: &Path) -> FrameSet {
-    for frame in &mut frames.frames {
-        frame.path = out.join(&frame.path);
-        frame.mask = frame.mask.as_deref().map(|m| out.join(m));
-    }
-    frames
 }

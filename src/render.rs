@@ -23,6 +23,7 @@ pub fn run(args: &RenderArgs, verbosity: Verbosity) -> Result<Outcome> {
     let progress = Progress::new(Box::new(TerminalSink::new(verbosity, None)), &CANCELLED);
     progress.begin("render", views.len());
     let (mut renderer, device) = splat::Renderer::on(&args.device, &gaussians)?;
+    renderer.antialias = crate::evaluate::trained_with_antialias(&args.run)?;
     let mut sink = Sink::open(&args.output, args.fps)?;
     for (name, camera, pose) in &views {
         let output = renderer.render(camera, pose, &options)?;
@@ -36,18 +37,25 @@ pub fn run(args: &RenderArgs, verbosity: Verbosity) -> Result<Outcome> {
     Ok(Outcome::Done)
 }
 
-/// Held out where nothing else was said.
-const TEST_EVERY: usize = 8;
-
 type View = (String, Camera, Pose);
+
+/// What the run held out, as its record says; the defaults where it says nothing.
+fn dataset_config(run: &Path) -> splat::DatasetConfig {
+    let record = std::fs::read(run.join("run.json")).ok();
+    let record: Option<serde_json::Value> = record.and_then(|text| serde_json::from_slice(&text).ok());
+    record.and_then(|mut r| serde_json::from_value(r["config"]["dataset"].take()).ok()).unwrap_or_default()
+}
 
 fn camera_path(model: &Reconstruction, args: &RenderArgs) -> Result<Vec<View>> {
     let mut images: Vec<_> = model.images.values().collect();
     images.sort_by(|a, b| a.name.cmp(&b.name));
     let first = images.first().context("the model has no images")?;
     let camera = model.cameras.get(&first.camera).context("the model has no camera")?.clone();
-    let input =
-        images.iter().enumerate().filter(|(i, _)| args.path == CameraPath::Input || i % TEST_EVERY == 0);
+    let (dataset, count) = (dataset_config(&args.run), images.len());
+    let input = images
+        .iter()
+        .enumerate()
+        .filter(|(i, _)| args.path == CameraPath::Input || dataset.holds_out(*i, count));
     if matches!(args.path, CameraPath::Input | CameraPath::Test) {
         let views = input.filter_map(|(_, image)| {
             Some((image.name.clone(), model.cameras.get(&image.camera)?.clone(), image.pose))

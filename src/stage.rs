@@ -63,6 +63,11 @@ impl Stages {
         serde_json::from_slice(&std::fs::read(self.path(&format!("{name}.json"))).ok()?).ok()
     }
 
+    /// Has the stage run anew the next time.
+    pub fn forget(&self, name: &str) {
+        let _ = std::fs::remove_file(self.path(&format!("{name}.json"))); // what is not there is forgotten
+    }
+
     /// Runs `work` unless its result is current and its `outputs` are there; remembers the result when it is
     /// complete. The second value says whether it ran.
     pub fn run<T: Serialize + DeserializeOwned>(
@@ -138,6 +143,7 @@ pub struct Meter {
 impl Meter {
     /// Begins; the kernel's peak of resident memory is set back where it can be.
     pub fn start() -> Self {
+        give_back_memory();
         let _ = std::fs::write("/proc/self/clear_refs", "5"); // not on every kernel: then the peak is the process's
         Self { begun: Instant::now(), cpu_s: cpu_seconds() }
     }
@@ -149,6 +155,15 @@ impl Meter {
             cpu_s: cpu_seconds() - self.cpu_s,
             peak_mib: peak_mib().unwrap_or(0.0),
         }
+    }
+}
+
+/// Returns memory that earlier stages have freed to the system, which glibc keeps otherwise.
+fn give_back_memory() {
+    #[cfg(all(target_os = "linux", target_env = "gnu"))]
+    // Takes the allocator's own locks; any thread may call it at any time.
+    unsafe {
+        nix::libc::malloc_trim(0);
     }
 }
 

@@ -1,11 +1,16 @@
 //! Black-box tests of the program: one binary, so that it links once.
 
 mod integration {
+    pub mod bad_files;
     pub mod bad_input;
+    pub mod bench;
     pub mod cli;
+    pub mod colmap;
+    pub mod determinism;
     pub mod end_to_end;
     pub mod real_data;
     pub mod resume;
+    pub mod shapes;
     pub mod support;
     pub mod viewer;
 }

@@ -17,6 +17,7 @@ import subprocess
 import sys
 import time
 
+import bench_sfm
 import turntable
 
 TESTBED = os.path.join(os.path.dirname(os.path.abspath(__file__)), "../data/testbed")
@@ -50,8 +51,7 @@ SPLATS = [
     ("yaw, 10 % light (case 3)", os.path.join(TESTBED, "case3/video.mp4"), []),
 ]
 
-
-TABLES = ["poses", "variants", "turns", "splats"]
+TABLES = ["poses", "variants", "dino", "turns", "quality", "rings", "splats"]
 
 
 def measured(command, **options):
@@ -127,35 +127,40 @@ def bench_variants(binary, shared, out, only):
         pose_row(name, "sat-recon", record, cpu, wall, peak)
 
 
-def run_colmap(images, folder):
-    """Debian's COLMAP 3.8 with its defaults, one camera, on the CPU: (folder of models, CPU s, wall s, peak MiB)."""
+def run_colmap(images, folder, masks=None, database=None):
+    """Debian's COLMAP 3.8 with its defaults, one camera, on the CPU; its mapper alone where a database is given:
+    (folder of models, CPU s, wall s, peak MiB)."""
     shutil.rmtree(folder, ignore_errors=True)
     os.makedirs(os.path.join(folder, "sparse"))
     environment = dict(os.environ, QT_QPA_PLATFORM="offscreen")
-    database = os.path.join(folder, "database.db")
+    given, database = database, database or os.path.join(folder, "database.db")
     steps = [
-        ["feature_extractor", "--image_path", images, "--ImageReader.single_camera", "1", "--SiftExtraction.use_gpu", "0"],
+        ["feature_extractor", "--image_path", images, "--ImageReader.single_camera", "1", "--SiftExtraction.use_gpu", "0",
+         *(["--ImageReader.mask_path", masks] if masks else [])],
         ["exhaustive_matcher", "--SiftMatching.use_gpu", "0"],
         ["mapper", "--image_path", images, "--output_path", os.path.join(folder, "sparse")],
     ]
     total_cpu = total_wall = most = 0.0
     with open(os.path.join(folder, "log"), "w") as log:
-        for step in steps:
+        for step in steps[2:] if given else steps:
             command = ["colmap", step[0], "--database_path", database, *step[1:]]
             code, wall, cpu, peak = measured(command, env=environment, stdout=log, stderr=log)
             total_cpu, total_wall, most = total_cpu + cpu, total_wall + wall, max(most, peak)
-            if code != 0:
+            if code != 0 and step[0] != "mapper":  # which fails where it finds no model
                 print(f"colmap {step[0]} failed, see {folder}/log", file=sys.stderr)
                 break
     return os.path.join(folder, "sparse"), total_cpu, total_wall, most
 
 
-def bench_colmap(binary, name, images, truth, folder):
-    sparse, cpu, wall, peak = run_colmap(images, folder)
-    records = [pose_errors(binary, os.path.join(sparse, m), truth) for m in sorted(os.listdir(sparse))]
-    if records:
-        best = max(records, key=lambda r: r["registered"])
-        pose_row(name, "COLMAP 3.8", best, cpu, wall, peak)
+def bench_colmap(binary, name, images, truth, folder, masks=None, database=None):
+    """A row of COLMAP 3.8; the folder of its largest model."""
+    sparse, cpu, wall, peak = run_colmap(images, folder, masks, database)
+    tool = "COLMAP 3.8" + (" on our database" if database else ", inside the masks" if masks else "")
+    models = [os.path.join(sparse, m) for m in sorted(os.listdir(sparse))]
+    records = [pose_errors(binary, m, truth) | {"model": m} for m in models]
+    best = max(records, key=lambda r: r["registered"], default=dict(registered=0)) | {"total": len(os.listdir(images))}
+    pose_row(name, tool, best, cpu, wall, peak)
+    return best.get("model")
 
 
 def turn_row(name, tool, model, truth, total, cpu):
@@ -260,6 +265,9 @@ def main():
     parser.add_argument("--out", required=True)
     parser.add_argument("--only", nargs="*", help="names of inputs")
     parser.add_argument("--tables", nargs="*", default=TABLES, choices=TABLES)
+    parser.add_argument("--rings", nargs="*", type=int, default=[100, 300, 1000], help="images of the simulated rings")
+    parser.add_argument("--examples", help="folder with the example ring_growth (default: beside SAT_RECON)")
+    parser.add_argument("--plot", help="where the SVG of speed against accuracy goes (default: below --out)")
     parser.add_argument("--colmap", nargs="*", default=["temple_ring"], help="inputs on which COLMAP 3.8 runs too")
     parser.add_argument("--quality", nargs="*", default=["fast", "balanced"])
     args = parser.parse_args()
@@ -269,6 +277,16 @@ def main():
         bench_poses(args.binary, args.shared, args.out, args.only, args.colmap)
     if "variants" in args.tables:
         bench_variants(args.binary, args.shared, args.out, args.only)
+    here = sys.modules[__name__]
+    if "dino" in args.tables:
+        bench_sfm.bench_dino(here, args.binary, args.shared, args.out)
+    if "quality" in args.tables:
+        os.makedirs(args.out, exist_ok=True)
+        plot = args.plot or os.path.join(args.out, "speed_accuracy.svg")
+        bench_sfm.bench_quality(here, args.binary, args.shared, args.out, plot)
+    if "rings" in args.tables:
+        examples = args.examples or os.path.join(os.path.dirname(args.binary), "examples")
+        bench_sfm.bench_growth(here, os.path.join(examples, "ring_growth"), args.rings)
     if "turns" in args.tables:
         colmap = lambda images, folder: run_colmap(images, folder)[:2]
         tools = [("COLMAP 3.8", colmap)] if shutil.which("colmap") else []

@@ -7,6 +7,7 @@ complain() { echo "lint: $1" >&2; fail=1; }
 
 cargo fmt --all -- --check || complain "run 'cargo fmt --all'"
 cargo clippy --workspace --all-targets --locked -- -D warnings || complain "clippy has something to say"
+RUSTDOCFLAGS="-D warnings" cargo doc --workspace --no-deps --locked --quiet || complain "the documentation has warnings"
 
 while read -r lines file; do
   [ "$lines" -gt 500 ] && complain "$file has $lines lines; 500 is the most"

@@ -1,14 +1,14 @@
 """Checks the truth of a case against itself: the mesh, through the true poses and lens, must
 fall on the true mattes and the true depths.
 
-    python3 check.py CASE FOLDER
+    python3 check.py CASE FOLDER [--every K]
 
 Silhouettes come from points spread densely over the mesh; prints the worst and the mean
 intersection over union and the median depth difference in pixel footprints (the nearest point
 in a pixel lies in front of the pixel's mean). Fails below 0.97 or above 1.
 """
 
-import sys
+import argparse
 
 import numpy as np
 
@@ -48,14 +48,20 @@ def nearest_depth(lens, R, t, points):
 
 
 def main():
-    case, folder = cases.CASES[sys.argv[1]], sys.argv[2]
+    parser = argparse.ArgumentParser()
+    parser.add_argument("case", choices=sorted(cases.CASES))
+    parser.add_argument("folder")
+    parser.add_argument("--every", type=int, default=1, help="as it was filmed")
+    options = parser.parse_args()
+    case, folder = cases.CASES[options.case], options.folder
     shot = cases.SHOTS[case.shot]
+    filmed = range(0, shot.frames, options.every)
     points = spread(*read_mesh(f"{folder}/mesh.ply"), 3_000_000, np.random.default_rng(1))
     overlaps, differences = [], []
-    for i in range(0, shot.frames, case.depth_every * max(1, shot.frames // 108)):
-        R, t = cases.camera_from_satellite(shot, i)
+    for k in range(0, len(filmed), case.depth_every * max(1, len(filmed) // 108)):
+        R, t = cases.camera_from_satellite(shot, filmed[k])
         depth = nearest_depth(shot.lens, R, t, points)
-        stem = f"frame_{i:06d}" if case.video_fps else f"still_{i:03d}"
+        stem = f"frame_{k:06d}" if case.video_fps else f"still_{k:03d}"
         matte = read_png(f"{folder}/mattes/{stem}.png").astype(float) / 255
         pole = read_png(f"{folder}/pole/{stem}.png").astype(float) / 255
         free = pole < 0.02  # the pole hides the satellite in places and the mesh has no pole

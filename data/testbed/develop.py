@@ -1,10 +1,11 @@
 """The phone: turns a shot's linear renders into the picture a phone would have stored, with truth.
 
-    python3 develop.py CASE RENDERS FOLDER [--every K]
+    python3 develop.py CASE RENDERS FOLDER [--every K] [--blue]
 
-RENDERS is the folder render.py wrote; with K only every K-th frame is filmed, at a K-th of the rate. In order: layers joined, lamp and room mixed, lens distortion and
-off-centre principal point (resampling), vignetting, exposure, photon and read noise in linear
-light, clipping, sRGB, 8 bits, then H.264 4:2:0 or JPEG. The truth goes through the same lens.
+RENDERS is the folder render.py wrote; with K only every K-th frame is filmed, at a K-th of the rate. In order: layers
+joined, lamp and room mixed, lens distortion and off-centre principal point (resampling), vignetting, exposure, photon
+and read noise in linear light, clipping, sRGB, 8 bits, then H.264 4:2:0 or JPEG. The truth goes through the same lens.
+With --blue, green and blue light are exchanged before the sensor: the screen is blue, and other colours are others too.
 """
 
 import argparse
@@ -183,6 +184,7 @@ def main():
     parser.add_argument("renders")
     parser.add_argument("folder")
     parser.add_argument("--every", type=int, default=1, help="film only every k-th frame")
+    parser.add_argument("--blue", action="store_true", help="exchange green and blue light")
     options = parser.parse_args()
     case, folder = cases.CASES[options.case], options.folder
     shot = cases.SHOTS[case.shot]
@@ -193,6 +195,7 @@ def main():
     frames = range(0, shot.frames, options.every)
     for k, i in enumerate(frames):
         light, truth = renders[i]
+        light = light[..., [0, 2, 1]] if options.blue else light
         picture = sensor(light, case, renders.r2, np.random.default_rng([i, len(case.name), ord(case.name[-1])]))
         sink.stdin.write(picture.tobytes())
         write_truth(truth, case, shot, k, folder)

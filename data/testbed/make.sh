@@ -1,7 +1,9 @@
 #!/usr/bin/env bash
 # Renders the simulated captures and their truth.
 #   bash data/testbed/make.sh FOLDER [CASE...]       cases: demo case1 case2 case3 case4 (all)
-#   OBJECT=model.glb ... films a glTF model in the mock-up's place
+#   OBJECT=model.glb ... films a glTF model in the mock-up's place (into another FOLDER)
+#   EVERY=K ... renders and films only every K-th frame of the shot, at a K-th of the rate
+#   BLUE=1 ... exchanges green and blue in the light that reaches the sensor: a blue screen, another mock-up
 # Frames that exist are kept: stop it and start it again at will. Needs blender, python3-numpy
 # (Debian's, which is also what Debian's Blender uses) and ffmpeg. Uses one thread.
 set -euo pipefail
@@ -11,6 +13,7 @@ out=${1:?usage: make.sh FOLDER [CASE...]}
 shift
 [ $# -gt 0 ] || set -- demo case1 case2 case3 case4
 python=/usr/bin/python3
+every=${EVERY:-1}
 
 for tool in blender ffmpeg "$python"; do
     command -v "$tool" >/dev/null || { echo "$tool is missing: apt-get install blender ffmpeg python3" >&2; exit 1; }
@@ -22,10 +25,10 @@ for name in "$@"; do
     mkdir -p "$out/renders/$shot" "$out/$name"
     echo "$name: rendering the shot '$shot'"
     nice -n 19 blender -b -t 1 --python-exit-code 1 --python "$here/render.py" -- \
-        "$shot" "$out/renders/$shot" ${OBJECT:+--object "$OBJECT"} >"$out/renders/$shot/blender.log" 2>&1 ||
+        "$shot" "$out/renders/$shot" --frames "::$every" ${OBJECT:+--object "$OBJECT"} >"$out/renders/$shot/blender.log" 2>&1 ||
         { tail -20 "$out/renders/$shot/blender.log" >&2; exit 1; }
-    "$python" "$here/develop.py" "$name" "$out/renders/$shot" "$out/$name"
-    "$python" "$here/check.py" "$name" "$out/$name"
+    "$python" "$here/develop.py" "$name" "$out/renders/$shot" "$out/$name" --every "$every" ${BLUE:+--blue}
+    "$python" "$here/check.py" "$name" "$out/$name" --every "$every"
 done
 echo "processor seconds spent on rendering, all runs:"
 awk '{ s[FILENAME] += $3; n[FILENAME]++ } END { for (f in s) printf "  %s: %.0f s, %d renders\n", f, s[f], n[f] }' "$out"/renders/*/cpu_s.txt

@@ -25,6 +25,8 @@ import materials  # noqa: E402
 import rooms  # noqa: E402
 import satellite  # noqa: E402
 
+STRIDES = (12, 4, 2, 1)
+
 
 def arguments():
     parser = argparse.ArgumentParser()
@@ -183,13 +185,13 @@ def yaw(root, shot):
     root.rotation_euler = (0, 0, 0)
 
 
-def render(scene, shot, eye, vertices, folder, name, part):
-    """One layer's frames, with the processor seconds of each in cpu_s.txt."""
+def render(scene, shot, eye, vertices, folder, name, wanted):
+    """One layer's frames as far as they are missing, with the processor seconds of each in cpu_s.txt."""
     os.makedirs(f"{folder}/{name}", exist_ok=True)
     spent = time.process_time()
     frames, _, density = cases.layers(shot)[name]
     scene.render.use_border = False
-    for i in range(frames)[part] if frames > 1 else (0,):
+    for i in wanted if frames > 1 else (0,):
         target = os.path.abspath(f"{folder}/{name}/{i:04d}.exr")
         if os.path.exists(target):
             continue
@@ -222,9 +224,11 @@ def main():
     if shot.path == "yaw":
         yaw(root, shot)
     part = slice(*(int(x) if x else None for x in options.frames.split(":")))
-    for name in [options.layer] if options.layer else cases.layers(shot):
-        set_layer(scene, shot, eye, set(descendants(root)), name)
-        render(scene, shot, eye, vertices, options.folder, name, part)
+    # Coarse to fine, so that a part of the shot can be developed (`--every`) long before all of it is there.
+    for stride in STRIDES:
+        for name in [options.layer] if options.layer else cases.layers(shot):
+            set_layer(scene, shot, eye, set(descendants(root)), name)
+            render(scene, shot, eye, vertices, options.folder, name, range(shot.frames)[part][::stride])
 
 
 main()

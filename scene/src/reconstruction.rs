@@ -124,6 +124,19 @@ impl Reconstruction {
         residuals.map(|r| r.length()).collect()
     }
 
+    /// Reprojection errors by image number, pixels; images without a sighting are left out.
+    pub fn reprojection_errors_by_image(&self) -> BTreeMap<u32, Vec<f64>> {
+        let mut errors: BTreeMap<u32, Vec<f64>> = BTreeMap::new();
+        for point in self.points.values() {
+            for element in &point.track {
+                if let Some(residual) = self.residual(point, element) {
+                    errors.entry(element.image).or_default().push(residual.length());
+                }
+            }
+        }
+        errors
+    }
+
     /// Image by file name.
     pub fn image_named(&self, name: &str) -> Option<&PosedImage> {
         self.images.values().find(|image| image.name == name)

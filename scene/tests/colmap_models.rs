@@ -82,6 +82,34 @@ fn real_models_are_read_and_project_where_they_say() {
 }
 
 #[test]
+fn models_with_rigs_and_frames_are_read_in_both_forms() {
+    // Made by tests/oracle/rigs.py with COLMAP 4.2.1.
+    let dir = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/fixtures/rigs");
+    assert!(dir.join("rigs.bin").is_file() && dir.join("text/frames.txt").is_file());
+    let poses: serde_json::Value =
+        serde_json::from_slice(&fs::read(dir.join("poses.json")).unwrap()).unwrap();
+    for folder in [dir.clone(), dir.join("text")] {
+        let model = read_model(&folder).unwrap();
+        assert_eq!((model.cameras.len(), model.images.len(), model.points.len()), (2, 6, 20));
+        assert!(model.reprojection_errors().iter().all(|e| *e < 1e-3), "the scene is exact");
+        for image in model.images.values() {
+            let said = &poses[&image.name];
+            let number = |key: &str, i: usize| said[key][i].as_f64().unwrap();
+            let q = DQuat::from_xyzw(
+                number("quat_wxyz", 1),
+                number("quat_wxyz", 2),
+                number("quat_wxyz", 3),
+                number("quat_wxyz", 0),
+            );
+            let t = DVec3::new(number("translation", 0), number("translation", 1), number("translation", 2));
+            assert_eq!(said["camera"], image.camera);
+            assert!(image.pose.rotation.dot(q).abs() > 1.0 - 1e-12, "{}", image.name);
+            assert!(image.pose.translation.distance(t) < 1e-9, "{}", image.name);
+        }
+    }
+}
+
+#[test]
 fn names_that_lead_out_of_the_folder_are_refused() {
     for bad in ["../x.png", "/etc/passwd", "a\\b.png"] {
         let dir = folder("names");

@@ -1,9 +1,9 @@
-//! Features and matches judged by the true epipolar geometry, ours beside others'.
+//! Features and matches judged by known homographies and by the true epipolar geometry, ours beside others'.
 //!
 //! `cargo run --release -p sfm --example features_table [-- FOLDER]`; FOLDER holds what `tests/oracle/sift.py` wrote
 //! (features of OpenCV and COLMAP of the same images). Data: `../shared/data` or `$SAT_RECON_SHARED/data`.
 
-use glam::{DMat3, DVec3};
+use glam::{DMat3, DVec2, DVec3};
 use rayon::prelude::*;
 use scene::{Features, Frame, FrameSet, Keypoint, Progress};
 use sfm::matching::{MatchConfig, PreparedFeatures, match_prepared};
@@ -168,6 +168,86 @@ fn judge(truth: &Truth, who: &str, features: &[Features], config: &MatchConfig, 
     );
 }
 
+/// Features that a homography moves into the other image, and those that are found there again: the repeatability of
+/// Mikolajczyk and Schmid (IJCV 2004), and how many matches are right.
+fn judge_homography(case: &str, who: &str, features: &[Features; 2], h: &DMat3, size: (u32, u32)) {
+    const SCALE_RATIO: f32 = 1.5;
+    let inside = |p: DVec2| {
+        (8.0..f64::from(size.0) - 8.0).contains(&p.x) && (8.0..f64::from(size.1) - 8.0).contains(&p.y)
+    };
+    let apply = |h: &DMat3, p: DVec2| {
+        let q = *h * p.extend(1.0);
+        q.truncate() / q.z
+    };
+    let back = h.inverse();
+    let common = |f: &Features, m: &DMat3| {
+        let seen = f.keypoints.iter().filter(|k| inside(apply(m, k.position())));
+        first_at_places(seen.copied().collect())
+    };
+    let (a, b) = (common(&features[0], h), common(&features[1], &back));
+    let grow = |p: DVec2| {
+        let step = 0.5;
+        apply(h, p + DVec2::X * step).distance(apply(h, p - DVec2::X * step)) as f32
+    };
+    let again = a.iter().filter(|k| {
+        let (p, scale) = (apply(h, k.position()), k.scale * grow(k.position()));
+        let ratio = |o: &Keypoint| (o.scale / scale).max(scale / o.scale);
+        b.iter().any(|o| o.position().distance(p) < CORRECT_PX && ratio(o) < SCALE_RATIO)
+    });
+    let repeated = again.count();
+    let [fa, fb] = features;
+    let matches =
+        match_prepared(&PreparedFeatures::new(fa), &PreparedFeatures::new(fb), &MatchConfig::default());
+    let mut errors: Vec<f64> = matches
+        .iter()
+        .map(|m| {
+            apply(h, fa.keypoints[m[0] as usize].position()).distance(fb.keypoints[m[1] as usize].position())
+        })
+        .filter(|e| *e < CORRECT_PX)
+        .collect();
+    errors.sort_by(f64::total_cmp);
+    println!(
+        "| {case} | {who} | {} / {} | {:.1} % | {} | {:.1} % | {:.3} |",
+        a.len(),
+        b.len(),
+        100.0 * repeated as f64 / a.len().min(b.len()).max(1) as f64,
+        matches.len(),
+        100.0 * errors.len() as f64 / matches.len().max(1) as f64,
+        errors.get(errors.len() / 2).copied().unwrap_or(f64::NAN)
+    );
+}
+
+/// One keypoint a place: SIFT repeats one for each of its orientations.
+fn first_at_places(mut keypoints: Vec<Keypoint>) -> Vec<Keypoint> {
+    keypoints.sort_by(|a, b| a.x.total_cmp(&b.x).then(a.y.total_cmp(&b.y)));
+    keypoints.dedup_by_key(|k| (k.x, k.y));
+    keypoints
+}
+
+fn homographies(folder: &Path, config: &SiftConfig) -> AnyResult<()> {
+    let mut cases: Vec<PathBuf> = std::fs::read_dir(folder)?.filter_map(|e| Some(e.ok()?.path())).collect();
+    cases.sort();
+    println!(
+        "| photo and change | features of | in both views, a / b | repeatability | matches | precision | median px |"
+    );
+    println!("|---|---|---|---|---|---|---|");
+    for case in &cases {
+        let name = case.file_name().map(|n| n.to_string_lossy().into_owned()).unwrap_or_default();
+        let h = row_major(&numbers(&std::fs::read_to_string(case.join("h.txt"))?));
+        let frames =
+            ["a.png", "b.png"].iter().map(|side| frame(case.join(side))).collect::<AnyResult<Vec<_>>>()?;
+        let size = (frames[0].width, frames[0].height);
+        let ours = extract_all(&FrameSet { frames, ..FrameSet::default() }, config, &Progress::silent())?;
+        let [a, b] = &ours[..] else { continue };
+        judge_homography(&name, "sat-recon", &[a.clone(), b.clone()], &h, size);
+        for who in ["opencv", "colmap"] {
+            let read = |side: &str| read_features(&case.join(who).join(side));
+            judge_homography(&name, who, &[read("a.png.bin")?, read("b.png.bin")?], &h, size);
+        }
+    }
+    Ok(())
+}
+
 /// User and system time of this process, seconds.
 fn cpu_seconds() -> f64 {
     let stat = std::fs::read_to_string("/proc/self/stat").unwrap_or_default();
@@ -202,6 +282,9 @@ fn main() -> AnyResult<()> {
     let mut matching = MatchConfig::default();
     matching.match_max_distance = env("MAX_DISTANCE").unwrap_or(matching.match_max_distance);
     matching.match_ratio = env("RATIO").unwrap_or(matching.match_ratio);
+    if let Some(folder) = others.as_ref().map(|o| o.join("homography")).filter(|f| f.is_dir()) {
+        homographies(&folder, &config)?;
+    }
     println!("set            features   /image      step pairs  matches  correct precision median px");
     let only = std::env::var("ONLY").ok();
     for truth in [temple(&data)?, fountain(&data)?] {

@@ -67,6 +67,9 @@ pub struct SfmConfig {
     /// Seed of all randomness (set from the program's `--seed`).
     #[arg(skip)]
     pub seed: u64,
+    /// Whether the matches before verification are handed back too.
+    #[arg(skip)]
+    pub keep_matches: bool,
     /// Camera model to solve for
     #[arg(long, value_enum, default_value_t = CameraModelChoice::Auto, help_heading = "Structure from motion")]
     pub camera_model: CameraModelChoice,

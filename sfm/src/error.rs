@@ -41,6 +41,14 @@ pub enum SfmError {
         /// How many are needed.
         needed: usize,
     },
+    /// Features were handed in for another number of frames.
+    #[error("{features} sets of features for {frames} frames; there must be one a frame")]
+    FeaturesMismatch {
+        /// Sets of features.
+        features: usize,
+        /// Frames.
+        frames: usize,
+    },
     /// `--intrinsics` fits no camera model.
     #[error(
         "--intrinsics has {given} numbers, which do not fit {model}; give f,cx,cy or fx,fy,cx,cy, or name the model with --camera-model"

@@ -4,8 +4,10 @@ pub mod bundle;
 pub mod ceres;
 pub mod config;
 pub mod error;
+mod global;
 pub mod incremental;
 pub mod klt;
+pub mod mapper;
 pub mod matching;
 pub mod pairs;
 pub mod pipeline;
@@ -23,6 +25,6 @@ pub mod undistort;
 
 pub use config::{CameraModelChoice, CameraSharing, SfmConfig};
 pub use error::SfmError;
-pub use pipeline::reconstruct;
+pub use pipeline::{Supplied, reconstruct, reconstruct_features, reconstruct_from};
 pub use result::{Decision, PoseDeviation, SfmResult, SfmStats, StepTime, Uncertainty};
 pub use undistort::undistort;

@@ -1,18 +1,18 @@
 //! From frames to a model: the order of the steps, and what each costs.
 
 mod clock;
+mod densify;
 mod export;
 mod setup;
 mod turn;
 
-use crate::incremental::finish::{decide, polish, uncertainty};
+use crate::incremental::finish::{converge, decide, noise_of, polish, uncertainty};
 use crate::incremental::state::{Input, State};
 use crate::incremental::{depths, folds};
-use crate::single_axis::{Free, Job, Motion, Turned, VideoJob, VideoModel, consider, solve_video};
+use crate::single_axis::{self, Free, Motion, Turned, VideoJob, VideoModel, consider, solve_video};
 use crate::tracks::{Tracks, build_tracks, positions};
 use crate::{
-    Decision, SfmConfig, SfmError, SfmResult, Uncertainty, incremental, matching, pairs, sift, single_axis,
-    two_view,
+    Decision, SfmConfig, SfmError, SfmResult, Uncertainty, incremental, mapper, pairs, sift, two_view,
 };
 use clock::Clock;
 use scene::{Camera, Features, FrameSet, Progress, TwoViewGeometry};
@@ -23,6 +23,9 @@ use std::collections::BTreeSet;
 /// matches along its epipolar lines; what is held by more loses, for those are less exact.
 const TIES: usize = 2;
 const STRONG_TIE: usize = 300;
+
+/// Power of a keypoint's scale with which its standard deviation grows.
+const SPREAD_BY_SCALE: f32 = 1.0;
 
 /// Images up to which pairs are looked at a second time where some image found no pose (about 40 ms a pair), and how often.
 const SECOND_LOOK_UP_TO: usize = 30;
@@ -38,20 +41,25 @@ pub fn reconstruct(
     config: &SfmConfig,
     progress: &Progress,
 ) -> Result<SfmResult, SfmError> {
-    let setup = Setup::new(frames, config)?;
-    config.motion.validate()?;
-    progress.check()?;
-    if frames.len() < 2 {
-        return Err(SfmError::TooFewImages { found: frames.len(), needed: 2 });
-    }
+    reconstruct_from(None, frames, config, progress)
+}
+
+/// [`reconstruct`] from features (and matches) that were found before, by whatever tool.
+pub fn reconstruct_from(
+    supplied: Option<Supplied>,
+    frames: &FrameSet,
+    config: &SfmConfig,
+    progress: &Progress,
+) -> Result<SfmResult, SfmError> {
+    let (setup, mut result) = begin(frames, config, progress)?;
     let mut clock = Clock::start();
-    let mut result = SfmResult { initial_cameras: setup.of_frames(), ..SfmResult::default() };
-    result.stats.images = frames.len();
-    let tried = match along_video(frames, config, &setup, progress)? {
+    let turn = if supplied.is_none() { along_video(frames, config, &setup, progress)? } else { None };
+    let tried = match turn {
         Some(Ok((model, decision))) => {
             clock.lap("turn", &mut result.stats.steps);
             let solved = turned(&mut result, &setup, model, decision);
             export::fill(&mut result, frames, solved, progress)?;
+            export::colour(&mut result, frames, progress)?;
             clock.lap("points", &mut result.stats.steps);
             return Ok(result);
         }
@@ -59,11 +67,76 @@ pub fn reconstruct(
         None => None,
     };
     clock.lap("turn", &mut result.stats.steps);
-    result.features = sift::extract_all(frames, &config.sift, progress)?;
+    let Supplied { features, matches } = supplied.unwrap_or_default();
+    result.features = match features {
+        Some(features) => features,
+        None => sift::extract_all(frames, &config.sift, progress)?,
+    };
     clock.lap("features", &mut result.stats.steps);
-    let pairs = pairs::choose_pairs(frames, &result.features, &config.pairs);
-    result.stats.pairs_matched = pairs.len();
-    let matches = matching::match_pairs(&result.features, &pairs, &config.matching, progress)?;
+    let job = Job { frames, config, setup: &setup, progress };
+    from_features(&mut result, matches, &job, &mut clock)?;
+    export::colour(&mut result, frames, progress)?;
+    clock.lap("colours", &mut result.stats.steps);
+    if let Some(why) = tried {
+        note_attempt(&mut result.decisions, why);
+    }
+    Ok(result)
+}
+
+/// [`reconstruct`] of features that are known already, one set a frame: no image is read, points stay grey.
+pub fn reconstruct_features(
+    frames: &FrameSet,
+    features: Vec<Features>,
+    config: &SfmConfig,
+    progress: &Progress,
+) -> Result<SfmResult, SfmError> {
+    let (setup, mut result) = begin(frames, config, progress)?;
+    if features.len() != frames.len() {
+        return Err(SfmError::FeaturesMismatch { features: features.len(), frames: frames.len() });
+    }
+    result.features = features;
+    let job = Job { frames, config, setup: &setup, progress };
+    from_features(&mut result, None, &job, &mut Clock::start())?;
+    Ok(result)
+}
+
+fn begin(frames: &FrameSet, config: &SfmConfig, progress: &Progress) -> Result<(Setup, SfmResult), SfmError> {
+    let setup = Setup::new(frames, config)?;
+    config.motion.validate()?;
+    progress.check()?;
+    if frames.len() < 2 {
+        return Err(SfmError::TooFewImages { found: frames.len(), needed: 2 });
+    }
+    let mut result = SfmResult { initial_cameras: setup.of_frames(), ..SfmResult::default() };
+    result.stats.images = frames.len();
+    Ok((setup, result))
+}
+
+/// What is asked for.
+struct Job<'a> {
+    frames: &'a FrameSet,
+    config: &'a SfmConfig,
+    setup: &'a Setup,
+    progress: &'a Progress,
+}
+
+/// From `result.features` to a model without colours.
+fn from_features(
+    result: &mut SfmResult,
+    matches: Option<Vec<crate::matching::PairMatches>>,
+    job: &Job<'_>,
+    clock: &mut Clock,
+) -> Result<(), SfmError> {
+    let Job { frames, config, setup, progress } = *job;
+    let matches = match matches {
+        Some(matches) => matches,
+        None => pairs::match_related(frames, &result.features, &config.pairs, &config.matching, progress)?,
+    };
+    let matched = matches.len();
+    result.stats.pairs_matched = matched;
+    if config.keep_matches {
+        result.matches.clone_from(&matches);
+    }
     clock.lap("matching", &mut result.stats.steps);
     result.geometries = two_view::verify_pairs(
         &result.features,
@@ -87,19 +160,26 @@ pub fn reconstruct(
     clock.lap("guided matching", &mut result.stats.steps);
     result.stats.features = result.features.iter().map(Features::len).sum();
     result.stats.pairs_verified = result.geometries.len();
-    result.decisions.push(pairs_decision(pairs.len(), frames.len(), &result.geometries));
+    result.decisions.push(pairs_decision(matched, frames.len(), &result.geometries));
     let mut lap = |step: &str| clock.lap(step, &mut result.stats.steps);
-    let given = Given { config, setup: &setup, is_video: frames.is_video, features: &result.features };
+    let spreads = result.features.iter().map(spreads).collect();
+    let given = Given { config, setup, is_video: frames.is_video, features: &result.features, spreads };
     let model = solve(&given, &mut result.geometries, &mut lap, progress)?;
     match model {
-        Some(model) => export::fill(&mut result, frames, model, progress)?,
+        Some(model) => export::fill(result, frames, model, progress)?,
         None => result.reason = why_no_model(&result.features, &result.geometries),
     }
     clock.lap("points", &mut result.stats.steps);
-    if let Some(why) = tried {
-        note_attempt(&mut result.decisions, why);
-    }
-    Ok(result)
+    Ok(())
+}
+
+/// What is known before the images are looked at.
+#[derive(Clone, Debug, Default)]
+pub struct Supplied {
+    /// One per frame, each with a descriptor (zeros where there is none: it matches nothing) a keypoint.
+    pub features: Option<Vec<Features>>,
+    /// Matches before verification; without them the features are matched.
+    pub matches: Option<Vec<crate::matching::PairMatches>>,
 }
 
 /// Looks for something that turns about one axis before the camera of a video; `None` where that is not asked for.
@@ -159,23 +239,31 @@ pub(crate) struct Solved {
     uncertainty: Option<Uncertainty>,
 }
 
+/// Standard deviations of an image's keypoints, 1 for the finest: blurred structure is found less exactly (Zeisl et al.,
+/// "Estimation of Location Uncertainty for Scale Invariant Feature Points", BMVC 2009).
+fn spreads(features: &Features) -> Vec<f32> {
+    features.keypoints.iter().map(|k| k.scale.max(1.0).powf(SPREAD_BY_SCALE)).collect()
+}
+
 /// What is known before the first pose.
 struct Given<'a> {
     config: &'a SfmConfig,
     setup: &'a Setup,
     is_video: bool,
     features: &'a [Features],
+    spreads: Vec<Vec<f32>>,
 }
 
 impl<'a> Given<'a> {
     fn input(
-        &self,
+        &'a self,
         keypoints: &'a [Vec<glam::DVec2>],
         tracks: &'a Tracks,
         geometries: &'a [TwoViewGeometry],
     ) -> Input<'a> {
         Input {
             keypoints,
+            spreads: &self.spreads,
             tracks,
             camera_of: &self.setup.camera_of,
             geometries,
@@ -186,21 +274,24 @@ impl<'a> Given<'a> {
     }
 }
 
-/// A model that has grown, with what it has grown from.
+/// A model that has grown, with what it has grown from and which mapper made it, where there was a choice.
+struct Grown {
+    state: State,
+    tracks: Tracks,
+    mapper: Option<Decision>,
+}
+
 fn grown(
     given: &Given<'_>,
     keypoints: &[Vec<glam::DVec2>],
     geometries: &[TwoViewGeometry],
     progress: &Progress,
-) -> Result<Option<(State, Tracks)>, SfmError> {
+) -> Result<Option<Grown>, SfmError> {
     let tracks = build_tracks(given.features, geometries);
-    let state = incremental::map(
-        &given.input(keypoints, &tracks, geometries),
-        &given.setup.cameras,
-        &given.setup.known,
-        progress,
-    )?;
-    Ok(state.map(|state| (state, tracks)))
+    let (cameras, known) = (&given.setup.cameras, &given.setup.known);
+    let (state, mapper) =
+        mapper::map(&given.input(keypoints, &tracks, geometries), cameras, known, progress)?;
+    Ok(state.map(|state| Grown { state, tracks, mapper }))
 }
 
 /// Pairs that did not pass are looked at again with the solved intrinsics. The model that grows from all pairs then,
@@ -211,7 +302,7 @@ fn second_attempt(
     geometries: &mut Vec<TwoViewGeometry>,
     first: &State,
     progress: &Progress,
-) -> Result<Option<(State, Tracks)>, SfmError> {
+) -> Result<Option<Grown>, SfmError> {
     let Given { config, setup, features, .. } = *given;
     let images = features.len();
     let passed: BTreeSet<(usize, usize)> = geometries.iter().map(|g| (g.a, g.b)).collect();
@@ -229,7 +320,7 @@ fn second_attempt(
     more.extend(wide);
     more.sort_by_key(|g| (g.a, g.b));
     let second = grown(given, keypoints, &more, progress)?;
-    let larger = second.filter(|(state, _)| state.registered() >= first.registered());
+    let larger = second.filter(|g| g.state.registered() >= first.registered());
     if larger.is_some() {
         *geometries = more;
     }
@@ -249,7 +340,7 @@ fn solve(
     let mapped = grown(given, &keypoints, geometries, progress)?;
     lap("mapping");
     let named = config.camera_model.model();
-    let job = |input, starts| Job {
+    let job = |input, starts| single_axis::Job {
         input,
         cameras: &setup.cameras,
         known: &setup.known,
@@ -259,25 +350,28 @@ fn solve(
         features: &[],
         progress,
     };
-    let Some((mut state, mut tracks)) = mapped else {
+    let Some(mut model) = mapped else {
         let tracks = build_tracks(features, geometries);
         let input = given.input(&keypoints, &tracks, geometries);
         let motion = consider(&job(&input, &setup.cameras), None)?;
         return Ok(motion.taken.map(|t| of_turn(setup, t, motion.decision, keypoints.clone())));
     };
     let mut decisions = Vec::new();
-    if let Some((unfolded, decision)) = unfold(given, &keypoints, geometries, (&state, &tracks), progress)? {
-        (state, tracks) = unfolded;
+    if let Some((unfolded, decision)) = unfold(given, &keypoints, geometries, &model, progress)? {
+        model = unfolded;
         decisions.push(decision);
     }
     lap("repeated structure");
-    if state.registered() < features.len() && features.len() <= SECOND_LOOK_UP_TO {
+    if model.state.registered() < features.len() && features.len() <= SECOND_LOOK_UP_TO {
         for _ in 0..SECOND_LOOKS {
-            let Some(next) = second_attempt(given, &keypoints, geometries, &state, progress)? else { break };
-            (state, tracks) = next;
+            let next = second_attempt(given, &keypoints, geometries, &model.state, progress)?;
+            let Some(next) = next else { break };
+            model = next;
         }
     }
     lap("second attempt");
+    let Grown { mut state, tracks, mapper } = model;
+    decisions.extend(mapper);
     let mut input = given.input(&keypoints, &tracks, geometries);
     let starts = incremental::starts_of(&setup.cameras, &setup.known, &state);
     let verdict = decide(&state, &input, &setup.known, &starts, named, progress)?;
@@ -288,8 +382,15 @@ fn solve(
     turn::poses(&mut state, &turned);
     (input.keypoints, input.geometries) = (&upright, &upright_geometries);
     polish(&mut state, &input, &setup.known, &starts, &verdict, progress)?;
-    depths::drop_lonely(&mut state, &input);
     lap("final adjustment");
+    let denser = densify::along_the_model(given, &input, &state, noise_of(&state, &input), progress)?;
+    if let Some((geometries, tracks)) = &denser {
+        (input.geometries, input.tracks) = (geometries, tracks);
+        state = densify::regrown(&state, &input);
+        converge(&mut state, &input, &setup.known, &starts, verdict.intrinsics, progress)?;
+    }
+    depths::drop_lonely(&mut state, &input);
+    lap("denser tracks");
     // Images that were turned on their way have cameras of their own: no turn before one camera.
     if !turned.contains(&true) {
         let free = Free { state: &state, intrinsics: verdict.intrinsics };
@@ -327,17 +428,17 @@ fn unfold(
     given: &Given<'_>,
     keypoints: &[Vec<glam::DVec2>],
     geometries: &mut Vec<TwoViewGeometry>,
-    (state, tracks): (&State, &Tracks),
+    Grown { state, tracks, .. }: &Grown,
     progress: &Progress,
-) -> Result<Option<((State, Tracks), Decision)>, SfmError> {
+) -> Result<Option<(Grown, Decision)>, SfmError> {
     let input = given.input(keypoints, tracks, geometries);
     let Some(plausible) = folds::unfolded(state, &input, given.is_video) else { return Ok(None) };
     let kept: Vec<TwoViewGeometry> = plausible.iter().map(|&i| geometries[i].clone()).collect();
     let Some(second) = grown(given, keypoints, &kept, progress)? else { return Ok(None) };
-    if !folds::better(&second.0, state, &input, given.is_video) {
+    if !folds::better(&second.state, state, &input, given.is_video) {
         return Ok(None);
     }
-    let decision = folds::decision(&second.0, state, &input, kept.len(), given.is_video);
+    let decision = folds::decision(&second.state, state, &input, kept.len(), given.is_video);
     *geometries = kept;
     Ok(Some((second, decision)))
 }

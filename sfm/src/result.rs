@@ -94,6 +94,8 @@ pub struct SfmResult {
     pub initial_cameras: Vec<Camera>,
     /// One per frame.
     pub features: Vec<Features>,
+    /// Matches before verification, where [`crate::SfmConfig::keep_matches`] asks for them.
+    pub matches: Vec<crate::matching::PairMatches>,
     /// Verified pairs.
     pub geometries: Vec<TwoViewGeometry>,
 }

@@ -138,7 +138,7 @@ pub fn choose(
         let simpler = parameters(intrinsics) < parameters(best.intrinsics);
         let (gain, error) = gain(&best.by_pose, &trial.by_pose);
         let better = if simpler {
-            gain > error && trial.bic < best.bic
+            gain > -error && trial.bic < best.bic
         } else {
             let clear = trial.bic < best.bic - CLEAR_BIC || (gain > 2.0 * error && trial.bic < best.bic);
             gain > 0.0 && clear && context.determined(&trial)?
@@ -232,15 +232,18 @@ impl Context<'_> {
     fn trial(&self, from: &BundleProblem, intrinsics: Intrinsics) -> Result<Trial, SfmError> {
         let mut problem = from.clone();
         problem.observations.clone_from(&self.training);
-        problem.observations.iter_mut().for_each(|o| o.sigma_px = self.sigma);
+        problem.observations.iter_mut().for_each(|o| o.sigma_px *= self.sigma);
         apply(&mut problem, intrinsics, self.fixed);
         let summary = problem.solve(&options(), self.progress)?;
         let n = problem.observations.len() as f64;
         let cameras = self.fixed.iter().filter(|&&f| !f).count();
         // `final_rms² n` is twice the robust cost, which stands for −2 log likelihood.
         let bic = summary.final_rms.powi(2) * n + (parameters(intrinsics) * cameras) as f64 * (2.0 * n).ln();
-        let errors: Vec<(u32, f64)> =
-            self.held_out.iter().map(|o| (o.pose, error_sq(&problem, o) / self.sigma.powi(2))).collect();
+        let errors: Vec<(u32, f64)> = self
+            .held_out
+            .iter()
+            .map(|o| (o.pose, error_sq(&problem, o) / (o.sigma_px * self.sigma).powi(2)))
+            .collect();
         let mut sums = vec![(0.0, 0usize); problem.poses.len()];
         for (pose, e) in &errors {
             sums[*pose as usize].0 += e.min(TRUNCATION * TRUNCATION);
@@ -345,7 +348,25 @@ pub(crate) fn error_sq(problem: &BundleProblem, o: &BundleObservation) -> f64 {
 /// Robust standard deviation of one residual coordinate, pixels: the median squared length of a two-dimensional
 /// normal residual is 2 ln 2 σ².
 pub fn noise(problem: &BundleProblem) -> f64 {
-    let mut errors: Vec<f64> = problem.observations.iter().map(|o| error_sq(problem, o)).collect();
+    median_noise(problem.observations.iter().map(|o| error_sq(problem, o)).collect())
+}
+
+/// [`noise`] in units of the sightings' own standard deviations. Of short tracks it is too small, for a point takes up
+/// 3 of the 2 n coordinates of its n sightings; that keeps the robust loss tight where tracks are short and many wrong.
+pub fn noise_in_units(problem: &BundleProblem) -> f64 {
+    let error = |o: &BundleObservation| error_sq(problem, o) / o.sigma_px.powi(2);
+    median_noise(problem.observations.iter().map(error).collect())
+}
+
+/// What [`noise_in_units`] is to be multiplied by to be the noise of the sightings, not of the residuals: the root of
+/// coordinates over redundancy.
+pub fn redundancy(problem: &BundleProblem) -> f64 {
+    let coordinates = 2 * problem.observations.len();
+    let unknowns = 3 * problem.points.len() + 6 * problem.poses.len();
+    (coordinates as f64 / coordinates.saturating_sub(unknowns).max(1) as f64).sqrt()
+}
+
+fn median_noise(mut errors: Vec<f64>) -> f64 {
     if errors.is_empty() {
         return 1.0;
     }

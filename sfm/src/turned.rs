@@ -6,7 +6,7 @@
 
 use crate::SfmError;
 use crate::bundle::{BundleObservation, BundleProblem, IntrinsicsPrior, Loss, SolveOptions};
-use crate::selection::{noise, principal_point_priors};
+use crate::selection::{noise_in_units, principal_point_priors};
 use glam::{DMat3, DQuat, DVec2, DVec3};
 use scene::{Camera, CameraModel, Pose, Progress, TwoViewGeometry};
 
@@ -19,8 +19,9 @@ const GAIN_PER_IMAGE: f64 = 4.0;
 const GAIN: f64 = 100.0;
 /// Share of what principal points for all images would gain that two groups must gain.
 const EXPLAINED: f64 = 0.6;
-/// Ways to split the images that are handed on: on a ring with gaps several are nearly as good.
+/// Ways to split the images that are handed on: on a ring with gaps several are nearly as good as the best.
 const MOST_SPLITS: usize = 4;
+const NEARLY_AS_GOOD: f64 = 0.9;
 /// Directions along which the principal points are split at first.
 const DIRECTIONS: usize = 8;
 
@@ -151,8 +152,8 @@ impl Quadratic {
             };
             each.priors.extend([at(0), at(1)]);
         }
-        let sigma = noise(problem);
-        each.observations.iter_mut().for_each(|o| o.sigma_px = sigma);
+        let sigma = noise_in_units(problem);
+        each.observations.iter_mut().for_each(|o| o.sigma_px *= sigma);
         let options = SolveOptions {
             loss: Loss::Cauchy(2.0),
             max_iterations: 6,
@@ -290,7 +291,8 @@ impl Quadratic {
         let flat = self.offsets.iter().flat_map(|d| d.to_array());
         let each: f64 = flat.zip(&self.gradient).map(|(d, g)| d * g).sum();
         let least = (GAIN + GAIN_PER_IMAGE * n as f64).max(EXPLAINED * (each - alone));
-        found.retain(|(gain, split)| gain - alone >= least && split.contains(&true));
+        let nearly = found.first().map_or(0.0, |(best, _)| NEARLY_AS_GOOD * (best - alone));
+        found.retain(|(gain, split)| gain - alone >= least.max(nearly) && split.contains(&true));
         found.into_iter().take(MOST_SPLITS).map(|(_, split)| split).collect()
     }
 }

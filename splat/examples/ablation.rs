@@ -16,6 +16,9 @@ struct Cli {
     /// CPU time of each training, one column each
     #[arg(long, value_delimiter = ',', value_parser = splat::config::parse_duration, default_value = "20s")]
     budget: Vec<f64>,
+    /// Instead of a time: so many steps, one column each
+    #[arg(long, value_delimiter = ',')]
+    steps: Vec<u32>,
     /// Only rows whose name contains this
     #[arg(long, default_value = "")]
     only: String,
@@ -45,10 +48,10 @@ fn rows() -> Vec<Row> {
         row("full resolution throughout", |c| c.coarse_levels = 0),
         row("no validation views", |c| c.recipe.evidence = false),
         row("no exposure", |c| c.recipe.exposure = false),
-        row("no exposure", |c| c.recipe.exposure = false),
         row("nothing removed at the end", |c| c.recipe.prune_redundant = false),
         row("spherical harmonics of degree 0", |c| c.sh_degree = 0),
         row("L1 alone", |c| c.lambda_dssim = 0.0),
+        row("a quarter of D-SSIM's weight", |c| c.lambda_dssim *= 0.25),
         row("opacity scaled with the low-pass", |c| c.antialias = true),
     ]
 }
@@ -80,6 +83,10 @@ fn slot<'a>(c: &'a mut TrainConfig, name: &str) -> Option<&'a mut f64> {
         "full" => &mut c.recipe.full_resolution_from,
         "half" => &mut c.recipe.half_resolution_from,
         "until" => &mut c.recipe.densify_until,
+        "prune-at" => &mut c.recipe.prune_at,
+        "prune-loss" => &mut c.recipe.prune_loss,
+        "opacity" => &mut c.recipe.opacity_penalty,
+        "scale" => &mut c.recipe.scale_penalty,
         _ => return None,
     })
 }
@@ -100,24 +107,31 @@ fn main() -> Result<()> {
         some.extend(cli.set.iter().map(|text| chosen(text)).collect::<Result<Vec<_>>>()?);
         some
     };
-    println!("| | {} |", cli.budget.iter().map(|b| format!("{b} CPU s")).collect::<Vec<_>>().join(" | "));
-    println!("|---|{}", "---|".repeat(cli.budget.len()));
+    let columns: Vec<Column> = match &cli.steps[..] {
+        [] => cli.budget.iter().map(|&b| Column::Seconds(b)).collect(),
+        steps => steps.iter().map(|&n| Column::Steps(n)).collect(),
+    };
+    println!("| | {} |", columns.iter().map(Column::name).collect::<Vec<_>>().join(" | "));
+    println!("|---|{}", "---|".repeat(columns.len()));
     for (name, change) in rows.iter().filter(|r| r.0.contains(&cli.only)) {
         print!("| {name} |");
-        for &budget in &cli.budget {
-            let mut config =
-                TrainConfig { time_limit: Some(budget), max_gaussians: 400_000, ..TrainConfig::default() };
-            config.recipe.cpu_time = true;
+        for column in &columns {
+            let mut config = column.config();
             change(&mut config);
+            let cpu = splat::clock::cpu_seconds();
             let result = train(&dataset, &config, None, &Progress::silent())?;
+            let cpu = splat::clock::cpu_seconds() - cpu;
             for d in &result.decisions {
                 eprintln!("{name}: {}: {} ({})", d.subject, d.choice, d.evidence);
             }
-            let (mean, least) = psnr(&dataset, &result)?;
+            let score = score(&dataset, &result)?;
             print!(
-                " {mean:.2} dB (worst {least:.2}; {} steps, {} k) |",
+                " {:.2} dB {:.4} (worst {:.2}; {} steps, {:.1} k, {cpu:.0} s) |",
+                score.psnr,
+                score.ssim,
+                score.least,
                 result.iterations,
-                result.gaussians.len() / 1000
+                result.gaussians.len() as f64 / 1e3
             );
             use std::io::Write;
             std::io::stdout().flush()?;
@@ -127,8 +141,39 @@ fn main() -> Result<()> {
     Ok(())
 }
 
-/// Mean and least PSNR over the held-out views.
-fn psnr(dataset: &Dataset, result: &TrainResult) -> Result<(f64, f64)> {
+/// How long each row is trained.
+enum Column {
+    Seconds(f64),
+    Steps(u32),
+}
+
+impl Column {
+    fn name(&self) -> String {
+        match self {
+            Self::Seconds(s) => format!("{s} CPU s"),
+            Self::Steps(n) => format!("{n} steps"),
+        }
+    }
+
+    fn config(&self) -> TrainConfig {
+        let mut config = TrainConfig { max_gaussians: 400_000, ..TrainConfig::default() };
+        config.recipe.cpu_time = true;
+        match self {
+            Self::Seconds(s) => config.time_limit = Some(*s),
+            Self::Steps(n) => config.iterations = *n,
+        }
+        config
+    }
+}
+
+/// Over the held-out views.
+struct Score {
+    psnr: f64,
+    ssim: f64,
+    least: f64,
+}
+
+fn score(dataset: &Dataset, result: &TrainResult) -> Result<Score> {
     let mut renderer = Renderer::new(&result.gaussians)?;
     let mut scores = Vec::new();
     for view in dataset.views.iter().filter(|v| v.held_out) {
@@ -140,8 +185,15 @@ fn psnr(dataset: &Dataset, result: &TrainResult) -> Result<(f64, f64)> {
             let a = pixels.mask.as_ref().map_or(1.0, |m| f32::from(m[i]) / 255.0);
             Rgb([0, 1, 2].map(|c| (f32::from(pixels.rgb[i * 3 + c]) * a).round() as u8))
         });
-        scores.push(scene::metrics::psnr(&photo, &rendered, None)?);
+        scores.push([
+            scene::metrics::psnr(&photo, &rendered, None)?,
+            scene::metrics::ssim(&photo, &rendered, None)?,
+        ]);
     }
-    let mean = scores.iter().sum::<f64>() / scores.len().max(1) as f64;
-    Ok((mean, scores.iter().copied().fold(f64::INFINITY, f64::min)))
+    let mean = |k: usize| scores.iter().map(|s| s[k]).sum::<f64>() / scores.len().max(1) as f64;
+    Ok(Score {
+        psnr: mean(0),
+        ssim: mean(1),
+        least: scores.iter().map(|s| s[0]).fold(f64::INFINITY, f64::min),
+    })
 }

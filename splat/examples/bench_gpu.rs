@@ -1,8 +1,13 @@
 //! What `make bench-gpu` measures, as JSON on standard output:
-//! `cargo run --release -p splat --example bench_gpu -- [--backend gpu] [--gpu NAME] [--synthetic N:WxH ...] [--dataset DIR ...]`.
+//! `bench_gpu [--backend gpu] [--gpu NAME] [--synthetic N:WxH ...] [--dataset DIR ...] [--roof] [--export FOLDER]`.
 //!
-//! Synthetic scenes: time of a picture and of a training step, by kernel, with the bytes that each kernel has to move.
-//! Data sets (`images/` with `sparse/0`, or a `transforms.json`): training, held-out PSNR, pictures a second.
+//! Synthetic scenes: time of a picture and of a training step, by kernel, with the bytes that each kernel has to move and
+//! the operations it has to do. Data sets (`images/` with `sparse/0`, or a `transforms.json`): training, held-out PSNR over
+//! time, pictures a second. `--roof`: what the adapter moves and computes at best. `--export`: a data set for another
+//! trainer.
+
+#[path = "bench_gpu/export.rs"]
+mod export;
 
 use clap::Parser;
 use glam::{DVec3, Quat, Vec3};
@@ -12,8 +17,9 @@ use serde_json::{Value, json};
 use splat::backend::{Backend, KernelTimes, LearningRates, StepInput, Target};
 use splat::cpu::optimise::Statistics;
 use splat::dataset::Normalisation;
+use splat::gpu::{Gpu, Opening};
 use splat::model::Model;
-use splat::{Dataset, DatasetConfig, RenderOptions, Renderer, TrainConfig, train};
+use splat::{Dataset, DatasetConfig, RenderOptions, Renderer, TrainConfig, TrainResult, train};
 use std::error::Error;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
@@ -26,6 +32,18 @@ struct Cli {
     /// Data sets to train on
     #[arg(long, num_args = 1..)]
     dataset: Vec<PathBuf>,
+    /// Train on each data set with each of these numbers of steps (default: --iterations)
+    #[arg(long, num_args = 1..)]
+    curve: Vec<u32>,
+    /// Write the data sets there for another trainer, and train nothing
+    #[arg(long)]
+    export: Option<PathBuf>,
+    /// Measure what the adapter moves and computes at best
+    #[arg(long)]
+    roof: bool,
+    /// Score no more held-out views than this
+    #[arg(long, default_value_t = usize::MAX, hide_default_value = true)]
+    score: usize,
     /// Repetitions of each picture and step
     #[arg(long, default_value_t = 50)]
     repeat: usize,
@@ -37,19 +55,40 @@ type Result<T> = std::result::Result<T, Box<dyn Error>>;
 
 fn main() -> Result<()> {
     let cli = Cli::parse();
+    if let Some(folder) = &cli.export {
+        for dataset in &cli.dataset {
+            export::export(&load(dataset)?, &cli.train, &folder.join(name_of(dataset)))?;
+        }
+        return Ok(());
+    }
     let (backend, decision) = splat::device::open(&cli.train.device)?;
     drop(backend);
+    let opening = Opening { name: cli.train.device.gpu.clone(), ..Opening::default() };
+    let roof = if cli.roof { Some(splat::gpu::roof(&Gpu::open(&opening)?)?) } else { None };
     let synthetic: Vec<Value> = cli.synthetic.iter().map(|s| synthetic(&cli, s)).collect::<Result<_>>()?;
-    let datasets: Vec<Value> = cli.dataset.iter().map(|d| dataset(&cli, d)).collect::<Result<_>>()?;
+    let mut datasets = Vec::new();
+    for folder in &cli.dataset {
+        let dataset = load(folder)?;
+        let all = if cli.curve.is_empty() { vec![cli.train.iterations] } else { cli.curve.clone() };
+        for iterations in all {
+            let config = TrainConfig { iterations, ..cli.train.clone() };
+            datasets.push(trained(&name_of(folder), &dataset, &config, cli.score)?);
+        }
+    }
     let record = json!({
         "backend": decision.choice,
         "why": decision.evidence,
         "adapters": splat::adapters(),
+        "roof": roof,
         "synthetic": synthetic,
         "datasets": datasets,
     });
     println!("{}", serde_json::to_string_pretty(&record)?);
     Ok(())
+}
+
+fn name_of(folder: &Path) -> String {
+    folder.file_name().map_or_else(|| "data".to_owned(), |n| n.to_string_lossy().into_owned())
 }
 
 /// Gaussians in a ball, sized so that each covers about as much of the picture as in trained scenes.
@@ -81,13 +120,10 @@ fn synthetic(cli: &Cli, text: &str) -> Result<Value> {
     let options = RenderOptions::default();
     let picture = backend.render(&view, &options)?;
     let rgb: Vec<u8> = picture.rgb.to_rgb8().into_raw();
-    let target = Target { rgb: &rgb, mask: None, transparent: false };
-    let forward = repeat(cli.repeat, backend.as_mut(), &mut |b| {
-        b.render_only(&view, &options).map(|_| ()).map_err(Into::into)
-    })?;
+    let forward = repeat(cli.repeat, backend.as_mut(), &mut |b| Ok(b.render_only(&view, &options)?))?;
     let input = StepInput {
         view: &view,
-        target,
+        target: Target { rgb: &rgb, mask: None, transparent: false, photo: Some(0) },
         options,
         // Nothing moves far, so that every step does the same work.
         rates: LearningRates { mean: 1e-9, ..LearningRates::default() },
@@ -95,51 +131,62 @@ fn synthetic(cli: &Cli, text: &str) -> Result<Value> {
         opacity_penalty: 0.0,
         scale_penalty: 0.0,
     };
-    let mut seen = Default::default();
-    let step = repeat(cli.repeat, backend.as_mut(), &mut |b| {
-        seen = b.step(&input)?;
-        Ok(())
-    })?;
+    let step = repeat(cli.repeat, backend.as_mut(), &mut |b| Ok(b.advance(&input).map(|_| ())?))?;
+    let seen = backend.step(&input)?;
+    let (visible, pairs, pixels) = (seen.visible as f64, seen.pairs as f64, f64::from(w * h));
     Ok(json!({
         "gaussians": n, "size": [w, h], "visible": seen.visible, "pairs": seen.pairs,
         "forward": forward, "step": step, "memory_mib": mib(&backend.memory()),
-        "bytes": floors(seen.visible as f64, seen.pairs as f64, n as f64, f64::from(w * h)),
+        "bytes": bytes(visible, pairs, n as f64, pixels), "flop": operations(visible, pairs),
+        "remarks": backend.remarks(),
     }))
 }
 
 /// Bytes that each kernel has to read and write at least, whatever the cache does.
-fn floors(visible: f64, pairs: f64, n: f64, pixels: f64) -> Value {
+fn bytes(visible: f64, pairs: f64, n: f64, pixels: f64) -> Value {
     let parameters = 4.0 * (11.0 + 48.0);
     json!({
-        "project": n * 44.0 + visible * (4.0 * 48.0 + 48.0),
-        "sort": visible * 8.0 * 2.0 * 8.0 + pairs * 8.0 * 2.0 * 4.0,
-        "forward": pairs * 52.0 + pixels * 20.0,
-        "loss": pixels * (16.0 + 4.0 + 12.0 + 2.0 * 36.0),
-        "backward": pairs * (52.0 + 40.0) + pixels * 28.0,
-        "optimise": pairs * 40.0 + visible * parameters * 6.0,
+        "project": n * (44.0 + 12.0) + visible * (4.0 * 48.0 + 48.0),
+        // Eight passes by depth, four by tile: keys and values are read and written; then boxes, pairs, owners.
+        "sort": visible * (8.0 * 20.0 + 3.0 * 40.0) + pairs * (4.0 * 20.0 + 28.0),
+        "forward": pairs * (8.0 + 48.0) + pixels * 20.0,
+        "loss": pixels * (16.0 + 4.0 + 36.0) + pixels * (16.0 + 4.0 + 36.0 + 16.0),
+        "backward": pairs * (8.0 + 48.0 + 48.0) + pixels * 16.0,
+        "optimise": pairs * 48.0 + visible * (8.0 + parameters * 6.0 + 16.0 * 2.0),
     })
 }
 
-/// Median wall milliseconds of a call, and milliseconds by kernel.
+/// Operations (an addition or a multiplication is one) of each kernel where a pair reaches all of its tile's 256 pixels,
+/// which is more than what early ends leave: pixels finish, and only the pairs looked at count.
+fn operations(visible: f64, pairs: f64) -> Value {
+    json!({
+        "project": visible * 500.0,
+        "forward": pairs * 256.0 * 22.0,
+        "backward": pairs * 256.0 * (32.0 + 26.0),
+        "optimise": visible * 1500.0,
+    })
+}
+
+/// Wall milliseconds of a call in a row of calls that ends when all are done, and milliseconds by kernel.
 fn repeat(
     count: usize,
     backend: &mut dyn Backend,
     call: &mut dyn FnMut(&mut dyn Backend) -> Result<()>,
 ) -> Result<Value> {
-    for _ in 0..3.min(count) {
+    for _ in 0..count.min(20) {
         call(backend)?; // warm-up
     }
+    backend.settle()?;
     let start = backend.times();
-    let mut spent = Vec::new();
+    let clock = Instant::now();
     for _ in 0..count {
-        let clock = Instant::now();
         call(backend)?;
-        spent.push(clock.elapsed().as_secs_f64() * 1e3);
     }
-    spent.sort_by(f64::total_cmp);
+    backend.settle()?;
+    let spent = clock.elapsed().as_secs_f64() * 1e3 / count as f64;
     let ms = |pick: fn(&KernelTimes) -> f64| (pick(&backend.times()) - pick(&start)) * 1e3 / count as f64;
     Ok(json!({
-        "ms": spent[count / 2],
+        "ms": spent,
         "kernels_ms": {
             "project": ms(|t| t.project), "sort": ms(|t| t.sort), "forward": ms(|t| t.forward),
             "loss": ms(|t| t.loss), "backward": ms(|t| t.backward), "optimise": ms(|t| t.optimise),
@@ -151,8 +198,7 @@ fn mib(buffers: &[(&str, u64)]) -> f64 {
     buffers.iter().map(|b| b.1 as f64).sum::<f64>() / f64::from(1 << 20)
 }
 
-fn dataset(cli: &Cli, folder: &Path) -> Result<Value> {
-    let progress = Progress::silent();
+fn load(folder: &Path) -> Result<Dataset> {
     let (model, images) = match scene::io::find_model(folder) {
         Some(path) => (scene::io::read_model(&path)?, folder.join("images")),
         None => {
@@ -160,36 +206,53 @@ fn dataset(cli: &Cli, folder: &Path) -> Result<Value> {
             (file.reconstruction, folder.to_path_buf())
         }
     };
-    let dataset = Dataset::load(&images, None, &model, &DatasetConfig::default(), &progress)?;
-    let result = train(&dataset, &cli.train, None, &progress)?;
-    let (mut renderer, _) = Renderer::on(&cli.train.device, &result.gaussians)?;
+    Ok(Dataset::load(&images, None, &model, &DatasetConfig::default(), &Progress::silent())?)
+}
+
+/// Trains, and scores the held-out views as they are shown: 8 bits, over black, full resolution.
+fn trained(name: &str, dataset: &Dataset, config: &TrainConfig, views: usize) -> Result<Value> {
+    let clock = Instant::now();
+    let begun = splat::clock::cpu_seconds();
+    let result = train(dataset, config, None, &Progress::silent())?;
+    let (wall, cpu) = (clock.elapsed().as_secs_f64(), splat::clock::cpu_seconds() - begun);
+    let (psnr, picture_ms) = scored(dataset, config, &result, views)?;
+    let curve: Vec<Value> = result
+        .curve
+        .iter()
+        .map(|p| json!({"iteration": p.iteration, "seconds": p.seconds, "psnr": p.psnr, "gaussians": p.gaussians}))
+        .collect();
+    let mean = psnr.iter().sum::<f64>() / psnr.len().max(1) as f64;
+    Ok(json!({
+        "name": name, "iterations": result.iterations, "gaussians": result.gaussians.len(),
+        "seconds": wall, "cpu_seconds": cpu, "psnr_held_out": mean,
+        "psnr_worst": psnr.iter().copied().fold(f64::INFINITY, f64::min),
+        "picture_ms": picture_ms, "kernels_s": result.timings, "curve": curve, "decisions": result.decisions,
+    }))
+}
+
+fn scored(
+    dataset: &Dataset,
+    config: &TrainConfig,
+    result: &TrainResult,
+    views: usize,
+) -> Result<(Vec<f64>, Option<f64>)> {
+    let (mut renderer, _) = Renderer::on(&config.device, &result.gaussians)?;
     let (mut psnr, mut spent) = (Vec::new(), Vec::new());
-    for view in dataset.views.iter().filter(|v| v.held_out) {
+    for view in dataset.views.iter().filter(|v| v.held_out).take(views) {
         let mut render = || renderer.render(&view.camera, &view.pose, &result.render);
         render()?; // warm-up
         let clock = Instant::now();
         let picture = render()?.rgb.to_rgb8();
         spent.push(clock.elapsed().as_secs_f64() * 1e3);
         let pixels = &view.levels[0];
-        let ground = |(i, &v): (usize, &u8)| {
+        let over_black = |(i, &v): (usize, &u8)| {
             let m = pixels.mask.as_ref().map_or(255, |m| u32::from(m[i / 3]));
             ((u32::from(v) * m + 127) / 255) as u8
         };
-        let photo = pixels.rgb.iter().enumerate().map(ground).collect();
+        let photo = pixels.rgb.iter().enumerate().map(over_black).collect();
         let photo = image::RgbImage::from_raw(pixels.width as u32, pixels.height as u32, photo);
         psnr.push(metrics::psnr(&picture, &photo.ok_or("a picture of another size")?, None)?);
     }
     spent.sort_by(f64::total_cmp);
-    let curve: Vec<Value> = result
-        .curve
-        .iter()
-        .map(|p| json!({"iteration": p.iteration, "seconds": p.seconds, "psnr": p.psnr, "gaussians": p.gaussians}))
-        .collect();
-    Ok(json!({
-        "name": folder.file_name().map(|n| n.to_string_lossy().into_owned()),
-        "iterations": result.iterations, "gaussians": result.gaussians.len(),
-        "seconds": result.curve.last().map(|p| p.seconds),
-        "psnr_held_out": psnr.iter().sum::<f64>() / psnr.len().max(1) as f64,
-        "picture_ms": spent.get(spent.len() / 2), "kernels_s": result.timings, "curve": curve,
-    }))
+    Ok((psnr, spent.get(spent.len() / 2).copied()))
 }

@@ -1,13 +1,15 @@
 //! What a training step and a rendered frame cost, by stage:
 //! `cargo run --release -p splat --example step_cost -- DATASET_DIR [--gaussians N] [--width W --height H]`.
 //! Trains briefly so that the Gaussians lie as in training, then repeats full-resolution steps that move nothing.
-//! CPU ms are of all threads of the process (Linux).
+//! CPU ms are of all threads of the process (Linux). Beside each stage stands the share of what the machine could do: the
+//! stage's own arithmetic (or its bytes) at the rate of a loop that does nothing else (`splat::cpu::limits`).
 
 use clap::Parser;
 use scene::{Camera, CameraModel, Progress};
 use splat::backend::{Backend, KernelTimes, LearningRates, StepInput, Target};
 use splat::clock::cpu_seconds;
-use splat::cpu::CpuBackend;
+use splat::cpu::simd::Isa;
+use splat::cpu::{CpuBackend, limits};
 use splat::model::Model;
 use splat::{AlphaMode, Dataset, DatasetConfig, RenderOptions, Renderer, TrainConfig, train};
 use std::path::PathBuf;
@@ -48,7 +50,6 @@ fn main() -> Result<()> {
     let mut config =
         TrainConfig { iterations: cli.warm_up, max_gaussians: cli.gaussians, ..TrainConfig::default() };
     config.recipe.prune_redundant = false;
-    config.recipe.prune_redundant = false;
     let result = train(&dataset, &config, None, &Progress::silent())?;
     let normalised = Model::from_gaussians(&dataset.normalisation.to_normalised(result.gaussians.clone()));
     println!(
@@ -59,9 +60,15 @@ fn main() -> Result<()> {
         dataset.views[0].view.width,
         dataset.views[0].view.height
     );
+    let machine = Machine { operations: limits::multiply_adds(Isa::best()), bytes: limits::bytes() };
+    println!(
+        "one core: {:.1} G multiply-adds of f32 a second, {:.1} GB copied (read and written) a second",
+        machine.operations / 1e9,
+        machine.bytes / 1e9
+    );
     for threads in [1, 2] {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build()?;
-        pool.install(|| steps(&cli, &dataset, &normalised, threads))?;
+        pool.install(|| steps(&cli, &dataset, &normalised, threads, &machine))?;
     }
     for threads in [1, 2] {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build()?;
@@ -70,12 +77,34 @@ fn main() -> Result<()> {
     Ok(())
 }
 
-fn steps(cli: &Cli, dataset: &Dataset, model: &Model, threads: usize) -> Result<()> {
+/// What a core can do at most in a second.
+struct Machine {
+    /// Vector operations, times lanes.
+    operations: f64,
+    /// Bytes read and written.
+    bytes: f64,
+}
+
+/// Vector operations (loads and stores apart) that forward and backward spend on a Gaussian and a pixel, counted in
+/// `cpu/raster.rs`: exponent, 2^x, alpha, transmittance, colour; the gradient's sums beside.
+const FORWARD_OPERATIONS: f64 = 27.0;
+const BACKWARD_OPERATIONS: f64 = 45.0;
+/// Bytes of a pixel that the loss reads and writes: three planes each of picture and target twice, nine maps written and
+/// read, three planes of the gradient.
+const LOSS_BYTES: f64 = 4.0 * (2.0 * 6.0 + 2.0 * 9.0 + 3.0);
+/// Bytes of a Gaussian that project reads (geometry, colour) and writes (a record and a key).
+const PROJECT_BYTES: f64 = 4.0 * (11.0 + 48.0) + 68.0;
+/// Bytes of a visible Gaussian that optimise reads and writes: parameters, two moments, clock, statistics.
+const OPTIMISE_BYTES: f64 = 2.0 * 4.0 * (3.0 * (11.0 + 48.0) + 5.0);
+/// Bytes of a pair that backward writes and optimise reads.
+const SUM_BYTES: f64 = 48.0;
+
+fn steps(cli: &Cli, dataset: &Dataset, model: &Model, threads: usize, machine: &Machine) -> Result<()> {
     let mut backend = CpuBackend::default();
     backend.upload(model.clone());
     backend.set_clock(cpu_seconds);
     let views = dataset.training_views();
-    let (mut pairs, mut visible) = (0, 0);
+    let (mut pairs, mut visible, mut touched, mut pixels_seen) = (0, 0, 0, 0);
     let mut start = KernelTimes::default();
     for k in 0..cli.steps + 3 {
         let view = &dataset.views[views[k % views.len()]];
@@ -89,6 +118,7 @@ fn steps(cli: &Cli, dataset: &Dataset, model: &Model, threads: usize) -> Result<
                 rgb: &pixels.rgb,
                 mask: pixels.mask.as_deref(),
                 transparent: dataset.alpha == AlphaMode::Transparent,
+                photo: None,
             },
             options: RenderOptions::default(),
             rates: LearningRates::default(),
@@ -99,6 +129,8 @@ fn steps(cli: &Cli, dataset: &Dataset, model: &Model, threads: usize) -> Result<
         if k >= 3 {
             pairs += out.pairs;
             visible += out.visible;
+            touched += backend.gaussian_pixels();
+            pixels_seen += pixels.width * pixels.height;
         }
     }
     let n = cli.steps as f64;
@@ -114,6 +146,25 @@ fn steps(cli: &Cli, dataset: &Dataset, model: &Model, threads: usize) -> Result<
         m[5],
         pairs / cli.steps,
         visible / cli.steps
+    );
+    let (touched, pairs, visible) = (touched as f64 / n, pairs as f64 / n, visible as f64 / n);
+    let arithmetic = |operations: f64| 1e3 * operations * touched / machine.operations;
+    let traffic = |bytes: f64| 1e3 * bytes / machine.bytes;
+    println!(
+        "    limits: {touched:.0} gaussian-pixels; forward {:.3} ns each (arithmetic {:.3}: {:.0} %), backward {:.3} ns (arithmetic {:.3}: {:.0} %)",
+        1e6 * m[2] / touched,
+        1e9 * FORWARD_OPERATIONS / machine.operations,
+        100.0 * arithmetic(FORWARD_OPERATIONS) / m[2],
+        1e6 * m[4] / touched,
+        1e9 * BACKWARD_OPERATIONS / machine.operations,
+        100.0 * arithmetic(BACKWARD_OPERATIONS) / m[4]
+    );
+    println!(
+        "    bandwidth: project {:.0} %, loss {:.0} %, backward {:.0} %, optimise {:.0} %",
+        100.0 * traffic(PROJECT_BYTES * model.len as f64) / m[0],
+        100.0 * traffic(LOSS_BYTES * pixels_seen as f64 / n) / m[3],
+        100.0 * traffic(SUM_BYTES * pairs) / m[4],
+        100.0 * traffic(OPTIMISE_BYTES * visible + SUM_BYTES * pairs) / m[5]
     );
     Ok(())
 }

@@ -1,8 +1,10 @@
 //! What a backend does: hold the Gaussians, render them, take a training step, say what it saw.
 
+use crate::config::Selection;
 use crate::cpu::optimise::Statistics;
 use crate::model::Model;
-use crate::{RenderOptions, RenderOutput, SplatError};
+use crate::train::Decision;
+use crate::{RenderOptions, RenderOutput, SplatError, densify};
 use glam::{Mat3, Vec3};
 
 /// A pinhole camera and its pose in the frame of the Gaussians, f32.
@@ -52,6 +54,8 @@ pub struct Target<'a> {
     pub mask: Option<&'a [u8]>,
     /// Whether the mask is coverage (the background shows through) or a weight (0 = ignored).
     pub transparent: bool,
+    /// Number of the photo: the same number and size always have the same pixels, so that a device may keep them.
+    pub photo: Option<u32>,
 }
 
 /// Adam's step sizes for one step.
@@ -88,6 +92,23 @@ pub struct StepInput<'a> {
     pub opacity_penalty: f32,
     /// Weight of the mean scale of the visible Gaussians in the loss.
     pub scale_penalty: f32,
+}
+
+/// A round of densification.
+#[derive(Clone, Copy, Debug)]
+pub struct Round<'a> {
+    /// Gaussians that may be added.
+    pub room: usize,
+    /// Mean screen gradient above which a Gaussian is split.
+    pub threshold: f32,
+    /// By what they are chosen.
+    pub selection: Selection,
+    /// Of training.
+    pub seed: u64,
+    /// Of training.
+    pub iteration: u32,
+    /// Views of which some must have a Gaussian in their picture, where those that hardly any has are removed.
+    pub remove_unseen: Option<&'a [PinholeView]>,
 }
 
 /// What a step saw.
@@ -132,6 +153,14 @@ pub trait Backend {
     fn download(&mut self) -> Result<(Model, Statistics), SplatError>;
     /// Changes between steps: densification, pruning, another spherical-harmonic degree.
     fn edit(&mut self, change: &mut dyn FnMut(&mut Model, &mut Statistics)) -> Result<(), SplatError>;
+    /// A round of densification; statistics begin anew. How many were removed because hardly any view has them.
+    fn densify(&mut self, round: &Round) -> Result<usize, SplatError> {
+        densify_by_edit(self, round)
+    }
+    /// Another spherical-harmonic degree: new coefficients are zero.
+    fn set_sh_degree(&mut self, degree: u32) -> Result<(), SplatError> {
+        self.edit(&mut |model, _| model.set_sh_degree(degree))
+    }
     /// Gaussians held.
     fn gaussians(&self) -> usize;
     /// Spherical-harmonic degree held.
@@ -150,6 +179,18 @@ pub trait Backend {
     }
     /// Forward, loss, backward and Adam.
     fn step(&mut self, input: &StepInput) -> Result<StepOutput, SplatError>;
+    /// Takes a step or begins it: what those steps saw that have ended since this was last asked, oldest first.
+    fn advance(&mut self, input: &StepInput) -> Result<Vec<StepOutput>, SplatError> {
+        self.step(input).map(|output| vec![output])
+    }
+    /// Waits for the steps that were begun: what those saw that was not yet told.
+    fn settle(&mut self) -> Result<Vec<StepOutput>, SplatError> {
+        Ok(Vec::new())
+    }
+    /// What had to be done otherwise than asked for, and why; each is told once.
+    fn remarks(&mut self) -> Vec<Decision> {
+        Vec::new()
+    }
     /// Mean squared error of a picture against a target, over its pixels that count; statistics stay as they are.
     fn mean_square_error(
         &mut self,
@@ -183,4 +224,18 @@ pub trait Backend {
     }
     /// Time by kernel.
     fn times(&self) -> KernelTimes;
+}
+
+/// A round of densification by the host.
+pub fn densify_by_edit<B: Backend + ?Sized>(backend: &mut B, round: &Round) -> Result<usize, SplatError> {
+    let mut unseen = 0;
+    backend.edit(&mut |model, statistics| {
+        let (room, threshold) = (round.room, round.threshold);
+        densify::densify(model, statistics, room, threshold, round.selection, round.seed, round.iteration);
+        if let Some(views) = round.remove_unseen {
+            unseen = densify::prune_unseen(model, views);
+        }
+        statistics.reset(model.len);
+    })?;
+    Ok(unseen)
 }

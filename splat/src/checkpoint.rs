@@ -6,6 +6,7 @@
 use crate::SplatError;
 use crate::cpu::optimise::Statistics;
 use crate::model::{Model, padded};
+use crate::pace::Pace;
 use crate::train::{CurvePoint, Decision, Findings};
 use serde::{Deserialize, Serialize};
 use std::io::Write;
@@ -39,6 +40,9 @@ pub struct State {
     pub last_round: (u32, f64),
     /// What was found out on the way.
     pub findings: Findings,
+    /// What steps cost and how far each one goes.
+    #[serde(default)]
+    pub pace: Pace,
 }
 
 #[derive(Serialize, Deserialize)]

@@ -66,6 +66,10 @@ pub struct TrainConfig {
     /// Where to train.
     #[command(flatten)]
     pub device: DeviceConfig,
+    /// Seconds of the time limit that went by before training began, such as for loading the images.
+    #[arg(skip)]
+    #[serde(skip)]
+    pub seconds_gone: f64,
     /// How the trainer goes about it (chosen by the `ablation` example)
     #[arg(skip)]
     pub recipe: Recipe,
@@ -107,6 +111,14 @@ pub struct Recipe {
     pub exposure: bool,
     /// Gaussians that the pictures do not miss are removed near the end.
     pub prune_redundant: bool,
+    /// Position in the schedule at which that is done; what follows lets the others close the gaps.
+    pub prune_at: f64,
+    /// What removing them may cost the training views before that, dB.
+    pub prune_loss: f64,
+    /// Weight of the mean opacity of what a view shows in the loss.
+    pub opacity_penalty: f64,
+    /// Weight of the mean scale of what a view shows in the loss.
+    pub scale_penalty: f64,
     /// --time-limit counts CPU time of the process instead of wall time: for comparisons on a busy machine (Linux).
     pub cpu_time: bool,
 }
@@ -124,6 +136,10 @@ impl Default for Recipe {
             evidence: true,
             exposure: true,
             prune_redundant: true,
+            prune_at: 0.9,
+            prune_loss: 0.05,
+            opacity_penalty: 0.0,
+            scale_penalty: 0.0,
             cpu_time: false,
         }
     }
@@ -148,6 +164,7 @@ impl Default for TrainConfig {
             checkpoint_every: CHECKPOINT_EVERY,
             seed: 0,
             device: DeviceConfig::default(),
+            seconds_gone: 0.0,
             recipe: Recipe::default(),
         }
     }

@@ -37,6 +37,13 @@ impl Default for DatasetConfig {
     }
 }
 
+impl DatasetConfig {
+    /// Whether the view with this place among all, sorted by name, is held out (a view that is alone is not).
+    pub fn holds_out(&self, index: usize, views: usize) -> bool {
+        self.test_every > 0 && views > 1 && index.is_multiple_of(self.test_every)
+    }
+}
+
 /// The pixels of a view at one resolution.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Pixels {
@@ -122,13 +129,10 @@ impl Dataset {
                 pose: image.pose,
                 view: normalisation.view(camera, &image.pose),
                 levels: pyramid(pixels),
-                held_out: config.test_every > 0 && index % config.test_every == 0,
+                held_out: config.holds_out(index, images.len()),
             })
         };
-        let mut views = images.par_iter().enumerate().map(load).collect::<Result<Vec<_>, _>>()?;
-        if views.len() == 1 {
-            views[0].held_out = false;
-        }
+        let views = images.par_iter().enumerate().map(load).collect::<Result<Vec<_>, _>>()?;
         if views.iter().all(|v| v.held_out) {
             return Err(SplatError::TooFewViews(0));
         }

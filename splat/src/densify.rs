@@ -12,7 +12,7 @@ use rayon::prelude::*;
 /// without a plan of growth.
 pub const GRADIENT: f32 = 2e-4;
 /// Opacity below which a Gaussian is removed.
-const MIN_OPACITY: f32 = 0.005;
+pub const MIN_OPACITY: f32 = 0.005;
 /// Gaussians that fewer views than this have in their picture are removed where the background shows through.
 const LEAST_VIEWS: usize = 5;
 
@@ -127,10 +127,15 @@ pub fn prune(model: &mut Model) -> usize {
     0
 }
 
+/// How many of so many views must have a Gaussian in their picture.
+pub fn least_views(views: usize) -> usize {
+    LEAST_VIEWS.min(views / 8)
+}
+
 /// Removes Gaussians whose centre hardly any view has in its picture; returns how many. No other view contradicts them,
 /// so that they settle just before a camera, explain its picture, and hang in the air in pictures from elsewhere.
 pub fn prune_unseen(model: &mut Model, views: &[PinholeView]) -> usize {
-    let least = LEAST_VIEWS.min(views.len() / 8);
+    let least = least_views(views.len());
     let seen = |i: u32| {
         let x = model.mean(i as usize);
         let has = |v: &&PinholeView| {

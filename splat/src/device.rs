@@ -63,7 +63,9 @@ fn adapter(
     name: Option<&str>,
     evidence: &str,
 ) -> Result<(Box<dyn Backend>, Decision), SplatError> {
-    let backend = crate::gpu::GpuBackend::open(name, config.vram_limit.map(|mib| mib << 20))?;
+    let (name, memory) = (name.map(str::to_owned), config.vram_limit.map(|mib| mib << 20));
+    let opening = crate::gpu::Opening { name, memory, ..Default::default() };
+    let backend = crate::gpu::GpuBackend::open(&opening)?;
     let choice = Backend::name(&backend);
     let decision = Decision { subject: "backend".to_owned(), choice, evidence: evidence.to_owned() };
     Ok((Box::new(backend), decision))

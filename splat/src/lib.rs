@@ -18,9 +18,11 @@ pub mod error;
 pub mod gpu;
 pub mod init;
 pub mod model;
+pub mod pace;
 pub mod reference;
 pub mod render;
 pub mod schedule;
+pub mod surface;
 pub mod train;
 
 pub use adapter::{Adapter, AdapterKind, adapters};

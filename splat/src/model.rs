@@ -154,6 +154,30 @@ impl Model {
         self.pad();
     }
 
+    /// The Gaussians in `order` to be drawn: parameters without moments (zeros, which take no memory until written).
+    pub fn drawn(&self, order: &[u32]) -> Self {
+        let (k, n) = (self.sh_stride(), padded(order.len()));
+        let zeros = |n: usize| -> Planes { std::array::from_fn(|_| vec![0.0; n]) };
+        let mut some = Self {
+            len: order.len(),
+            sh_degree: self.sh_degree,
+            geometry: zeros(n),
+            geometry_m: zeros(n),
+            geometry_v: zeros(n),
+            sh: Vec::with_capacity(order.len() * k),
+            sh_m: vec![0.0; order.len() * k],
+            sh_v: vec![0.0; order.len() * k],
+            steps: vec![0.0; n],
+        };
+        for (to, from) in some.geometry.iter_mut().zip(&self.geometry) {
+            to.iter_mut().zip(order).for_each(|(v, &i)| *v = from[i as usize]);
+        }
+        for &i in order {
+            some.sh.extend_from_slice(&self.sh[i as usize * k..(i as usize + 1) * k]);
+        }
+        some
+    }
+
     /// Raises (new coefficients zero) or lowers the spherical-harmonic degree.
     pub fn set_sh_degree(&mut self, degree: u32) {
         let old = self.sh_stride();

@@ -39,6 +39,8 @@ pub struct RenderOutput {
 pub struct Renderer {
     backend: Box<dyn Backend>,
     frame: Normalisation,
+    /// Whether the Gaussians were trained with [`RenderOptions::antialias`]: then every picture has it.
+    pub antialias: bool,
 }
 
 impl Renderer {
@@ -56,7 +58,7 @@ impl Renderer {
         let (mut backend, decision) = crate::device::open(device)?;
         let model = Model::from_gaussians(&frame.to_normalised(gaussians.clone()));
         backend.upload(model, Statistics::default())?;
-        Ok((Self { backend, frame }, decision))
+        Ok((Self { backend, frame, antialias: false }, decision))
     }
 
     /// Renders a view; the camera must be PINHOLE, SIMPLE_PINHOLE or without distortion.
@@ -72,7 +74,8 @@ impl Renderer {
         }
         let near = options.near.map(|n| n * self.frame.scale as f32);
         let view = self.frame.view(camera, pose);
-        let mut out = self.backend.render(&view, &RenderOptions { near, ..*options })?;
+        let antialias = options.antialias || self.antialias;
+        let mut out = self.backend.render(&view, &RenderOptions { near, antialias, ..*options })?;
         let unit = (1.0 / self.frame.scale) as f32;
         out.depth.data.iter_mut().for_each(|z| *z *= unit);
         Ok(out)

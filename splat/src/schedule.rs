@@ -2,7 +2,6 @@
 //! position in the schedule, 0 at the start and 1 at the end, so that a schedule of any length ends converged.
 
 use crate::backend::LearningRates;
-use crate::checkpoint::State;
 use crate::config::{Recipe, TrainConfig};
 
 /// From here on the higher degrees of the spherical harmonics come in, one after the other.
@@ -65,7 +64,7 @@ pub fn sh_degree(position: f64, highest: u32) -> u32 {
 }
 
 /// Steps for which the step sizes were measured; the last ones are lowered where there are more.
-const TUNED_STEPS: f32 = 500.0;
+pub const TUNED_STEPS: f32 = 500.0;
 
 /// Step sizes at a position of a schedule of `steps` steps (normalised scene units for the means).
 ///
@@ -83,64 +82,5 @@ pub fn rates(position: f64, steps: f64, config: &TrainConfig) -> LearningRates {
         opacity: decay(0.12, 0.03, 0.5),
         sh0: decay(5e-2, 7e-3, 0.9),
         sh_rest: decay(5e-3, 1e-3, 0.5),
-    }
-}
-
-/// Turns steps into positions: evenly with --iterations; with --time-limit so that the steps still to come, at the cost
-/// measured so far, end when the time does.
-#[derive(Clone, Debug, Default)]
-pub struct Pace {
-    /// Mean seconds of a step at each level, 0 where not yet seen.
-    cost: [f64; 8],
-    /// What the last step added to the position.
-    stride: f64,
-}
-
-/// Cost of a step of the next finer level where it was not yet seen.
-const FINER: f64 = 2.5;
-
-impl Pace {
-    /// How many steps the whole schedule will have, as far as can be told.
-    pub fn steps(&self, state: &State, config: &TrainConfig) -> f64 {
-        match config.time_limit {
-            Some(_) if self.stride > 0.0 => f64::from(state.iteration) + (1.0 - state.position) / self.stride,
-            Some(_) => f64::from(TUNED_STEPS),
-            None => f64::from(config.iterations),
-        }
-    }
-
-    /// The position after a step at `level` that took `spent` seconds.
-    pub fn advance(&mut self, state: &State, config: &TrainConfig, level: u32, spent: f64) -> f64 {
-        let Some(limit) = config.time_limit else {
-            return f64::from(state.iteration) / f64::from(config.iterations.max(1));
-        };
-        let slot = &mut self.cost[level as usize % 8];
-        *slot = if *slot > 0.0 { *slot + 0.05 * (spent - *slot) } else { spent };
-        let left = limit - state.seconds;
-        if left <= 0.0 {
-            return 1.0;
-        }
-        let next = state.position + self.ahead(state.position, config, level) / left;
-        let next = next.min(1.0).max(state.position + 1e-7);
-        self.stride = next - state.position;
-        next
-    }
-
-    /// Seconds that the rest of the schedule would take with a step for every unit of position.
-    fn ahead(&self, position: f64, config: &TrainConfig, level: u32) -> f64 {
-        const PARTS: u32 = 64;
-        let width = (1.0 - position) / f64::from(PARTS);
-        let (mut sum, mut last, mut previous) = (0.0, self.cost[level as usize % 8], level);
-        for part in 0..PARTS {
-            let at = position + (f64::from(part) + 0.5) * width;
-            let next = self::level(at, config.coarse_levels, &config.recipe);
-            if next != previous {
-                let seen = self.cost[next as usize % 8];
-                last = if seen > 0.0 { seen } else { last * FINER };
-                previous = next;
-            }
-            sum += last * width;
-        }
-        sum
     }
 }

@@ -2,17 +2,18 @@
 
 mod decide;
 mod exposure;
+mod prune;
 
 pub use decide::Findings;
 
-use crate::backend::{Backend, KernelTimes, StepInput, Target};
+use crate::backend::{Backend, KernelTimes, Round, StepInput, StepOutput, Target};
 use crate::checkpoint::{Checkpoint, State};
 use crate::config::Selection;
 use crate::cpu::optimise::Statistics;
 use crate::dataset::AlphaMode;
 use crate::init::initial_gaussians;
 use crate::model::Model;
-use crate::schedule::{self, Pace};
+use crate::schedule;
 use crate::{Dataset, RenderOptions, SplatError, TrainConfig, densify};
 use rand::Rng as _;
 use rand::seq::SliceRandom as _;
@@ -73,12 +74,17 @@ struct Trainer<'a> {
     /// The configured number of Gaussians, or what the device can hold.
     max_gaussians: usize,
     state: State,
-    pace: Pace,
+    /// Seconds and steps since steps were last reported, and seconds of a step before that.
+    lap: (f64, u32, f64),
     clock: fn() -> f64,
+    /// The clock when `state.seconds` was last brought up to date.
+    mark: f64,
     /// Training views.
     views: Vec<usize>,
     /// Those of them that only judge until growth ends.
     validation: Vec<usize>,
+    /// The order of the views in a round, and which round that is.
+    order: (Option<(bool, usize)>, Vec<usize>),
 }
 
 /// Trains Gaussians on the views that are not held out. With `checkpoint_dir`, continues from the checkpoint there if it
@@ -99,6 +105,7 @@ pub fn train(
     while trainer.state.position < 1.0 {
         trainer.step()?;
         trainer.decide()?;
+        trainer.note_time();
         let point = trainer.state.curve.last().copied().unwrap_or_default();
         let detail = format!("{:.2} dB, {} gaussians", point.psnr, trainer.backend.gaussians());
         if let Err(cancelled) = progress.tick_with(&detail) {
@@ -140,7 +147,8 @@ impl<'a> Trainer<'a> {
         let clock =
             if config.recipe.cpu_time { crate::clock::cpu_seconds } else { crate::clock::wall_seconds };
         let begun = clock();
-        let fingerprint = format!("{config:?} {:?} {}", dataset.normalisation, dataset.views.len());
+        let told = TrainConfig { seconds_gone: 0.0, ..config.clone() };
+        let fingerprint = format!("{told:?} {:?} {}", dataset.normalisation, dataset.views.len());
         let (mut backend, decision) = crate::device::open(&config.device)?;
         let pixels = dataset.views.iter().map(|v| v.view.width * v.view.height).max().unwrap_or(0);
         let room = backend.capacity(config.sh_degree, pixels);
@@ -153,7 +161,7 @@ impl<'a> Trainer<'a> {
         }
         backend.set_magnitudes(config.recipe.selection == Selection::AbsoluteGradient)?;
         let resumed = folder.map_or(Ok(None), |f| Checkpoint::read(f, &fingerprint))?;
-        let state = match resumed {
+        let mut state = match resumed {
             Some(checkpoint) => {
                 backend.upload(checkpoint.model, checkpoint.statistics)?;
                 checkpoint.state
@@ -168,29 +176,52 @@ impl<'a> Trainer<'a> {
                     let (subject, choice) = ("most gaussians".to_owned(), room.to_string());
                     decisions.push(Decision { subject, choice, evidence: why });
                 }
-                let (first, seconds) = (first.len(), clock() - begun);
-                State { fingerprint, first, seconds, decisions, ..State::default() }
+                State { fingerprint, first: first.len(), decisions, ..State::default() }
             }
         };
+        // A part of the limit went by before training could begin; more so where it was interrupted.
+        state.seconds += config.seconds_gone;
         let validation = if config.recipe.evidence { decide::validation(&views) } else { Vec::new() };
-        let pace = Pace::default();
-        Ok(Self { dataset, config, backend, max_gaussians, state, pace, clock, views, validation })
+        let (mark, order, lap) = (begun, (None, Vec::new()), (0.0, 0, 0.0));
+        Ok(Self {
+            dataset,
+            config,
+            backend,
+            max_gaussians,
+            state,
+            lap,
+            clock,
+            mark,
+            views,
+            validation,
+            order,
+        })
+    }
+
+    /// Adds to the time spent what has gone by since the last call.
+    fn note_time(&mut self) {
+        let now = (self.clock)();
+        self.state.seconds += now - std::mem::replace(&mut self.mark, now);
     }
 
     fn checkpoint(&mut self) -> Result<Checkpoint, SplatError> {
+        self.settle()?;
         let (model, statistics) = self.backend.download()?;
         Ok(Checkpoint { state: self.state.clone(), model, statistics })
     }
 
     /// The view of a step: a fresh permutation of all views each time round; those that judge only once they are done.
-    fn view_of_step(&self) -> usize {
+    fn view_of_step(&mut self) -> usize {
         let judging = self.state.position < self.config.recipe.densify_until;
-        let mut order = self.views.clone();
-        order.retain(|v| !judging || !self.validation.contains(v));
-        let n = order.len();
+        let n = self.views.len() - if judging { self.validation.len() } else { 0 };
         let (round, at) = (self.state.iteration as usize / n, self.state.iteration as usize % n);
-        order.shuffle(&mut scene::rng::rng(self.config.seed, "views", round as u64));
-        order[at]
+        if self.order.0 != Some((judging, round)) {
+            let mut order = self.views.clone();
+            order.retain(|v| !judging || !self.validation.contains(v));
+            order.shuffle(&mut scene::rng::rng(self.config.seed, "views", round as u64));
+            self.order = (Some((judging, round)), order);
+        }
+        self.order.1[at]
     }
 
     fn options(&self) -> RenderOptions {
@@ -214,48 +245,82 @@ impl<'a> Trainer<'a> {
         let highest = self.config.sh_degree.min(self.state.findings.sh_limit.unwrap_or(3));
         let degree = schedule::sh_degree(position, highest);
         if self.backend.sh_degree() < degree {
-            self.backend.edit(&mut |model, _| model.set_sh_degree(degree))?;
+            self.backend.set_sh_degree(degree)?;
         }
         let chosen = self.view_of_step();
         let view = &self.dataset.views[chosen];
         let level = self.level().min(view.levels.len() as u32 - 1);
         let (camera, pixels) = (view.view.at_level(level), &view.levels[level as usize]);
         self.backend.set_gain(self.gain(chosen));
-        let output = self.backend.step(&StepInput {
+        let outputs = self.backend.advance(&StepInput {
             view: &camera,
             target: Target {
                 rgb: &pixels.rgb,
                 mask: pixels.mask.as_deref(),
                 transparent: self.dataset.alpha == AlphaMode::Transparent,
+                photo: Some(chosen as u32),
             },
             options: self.options(),
-            rates: schedule::rates(position, self.pace.steps(&self.state, self.config), self.config),
+            rates: schedule::rates(position, self.state.pace.steps(&self.state, self.config), self.config),
             lambda_dssim: self.config.lambda_dssim,
-            opacity_penalty: 0.0,
-            scale_penalty: 0.0,
+            opacity_penalty: self.config.recipe.opacity_penalty as f32,
+            scale_penalty: self.config.recipe.scale_penalty as f32,
         })?;
         self.state.iteration += 1;
         let iteration = self.state.iteration;
-        if !output.loss.is_finite() {
-            return Err(SplatError::Diverged {
-                iteration,
-                reason: "the loss is not finite; lower --learning-rate".to_owned(),
-            });
-        }
+        self.note_steps(&outputs)?;
         if schedule::is_round(iteration, position, self.state.last_round, &self.config.recipe) {
             self.state.last_round = (iteration, position);
             self.densify()?;
         }
-        for (sum, value) in self.state.pending.iter_mut().zip([output.loss, output.mse, 1.0]) {
-            *sum += f64::from(value);
-        }
-        let spent = (self.clock)() - begun;
-        self.state.seconds += spent;
-        self.state.position = self.pace.advance(&self.state, self.config, level, spent);
+        self.note_time();
+        let cost = self.cost(self.mark - begun, !outputs.is_empty());
+        let mut pace = self.state.pace.clone();
+        self.state.position = pace.advance(&self.state, self.config, level, cost);
+        self.state.pace = pace;
         if iteration.is_multiple_of(CURVE_EVERY) || self.state.position >= 1.0 {
+            self.settle()?;
             self.note_curve();
         }
         Ok(())
+    }
+
+    /// What a step costs. A device reports several at a time: those that were only begun seem to cost nothing and the last
+    /// one everything, so that the mean over the report counts.
+    fn cost(&mut self, spent: f64, reported: bool) -> f64 {
+        let (seconds, steps, mean) = self.lap;
+        self.lap = (seconds + spent, steps + 1, mean);
+        if reported {
+            self.lap = (0.0, 0, (seconds + spent) / f64::from(steps + 1));
+            return self.lap.2;
+        }
+        if mean > 0.0 { mean } else { spent }
+    }
+
+    /// Adds up what steps saw.
+    fn note_steps(&mut self, outputs: &[StepOutput]) -> Result<(), SplatError> {
+        for output in outputs {
+            if !output.loss.is_finite() {
+                let reason = "the loss is not finite; lower --learning-rate".to_owned();
+                return Err(SplatError::Diverged { iteration: self.state.iteration, reason });
+            }
+            for (sum, value) in self.state.pending.iter_mut().zip([output.loss, output.mse, 1.0]) {
+                *sum += f64::from(value);
+            }
+        }
+        Ok(())
+    }
+
+    /// Waits for steps that were only begun.
+    fn settle(&mut self) -> Result<(), SplatError> {
+        let begun = (self.clock)();
+        let outputs = self.backend.settle()?;
+        self.note_time();
+        self.lap.0 += self.mark - begun;
+        if !outputs.is_empty() {
+            self.lap = (0.0, 0, self.lap.0 / f64::from(self.lap.1.max(1)));
+        }
+        self.note_steps(&outputs)
     }
 
     /// Level in use now (0: full resolution), if the view has it.
@@ -267,7 +332,7 @@ impl<'a> Trainer<'a> {
         let recipe = &self.config.recipe;
         let (now, max) = (self.backend.gaussians(), self.max_gaussians);
         let (wanted, threshold) = if recipe.planned_growth {
-            let steps = self.pace.steps(&self.state, self.config);
+            let steps = self.state.pace.steps(&self.state, self.config);
             let last = schedule::gaussians_at_end(self.state.first, steps, self.views.len(), self.config);
             let last = self.state.findings.gaussians_limit.map_or(last, |limit| last.min(limit));
             (schedule::gaussians(self.state.position, self.state.first, last, recipe), 0.0)
@@ -278,14 +343,9 @@ impl<'a> Trainer<'a> {
         let (seed, iteration, selection) = (self.config.seed, self.state.iteration, recipe.selection);
         let remove_unseen = recipe.remove_unseen && self.dataset.is_transparent();
         let views: Vec<_> = self.views.iter().map(|&v| self.dataset.views[v].view).collect();
-        let mut unseen = 0;
-        self.backend.edit(&mut |model, statistics| {
-            densify::densify(model, statistics, room, threshold, selection, seed, iteration);
-            if remove_unseen {
-                unseen = densify::prune_unseen(model, &views);
-            }
-            statistics.reset(model.len);
-        })?;
+        let remove_unseen = remove_unseen.then_some(views.as_slice());
+        let unseen =
+            self.backend.densify(&Round { room, threshold, selection, seed, iteration, remove_unseen })?;
         self.state.findings.unseen += unseen;
         Ok(())
     }

@@ -1,19 +1,19 @@
 //! `compare`: models beside each other and beside a ground truth, COLMAP on the same frames, and the tables of papers.
 
-mod runs;
-mod tables;
+mod colmap;
+pub mod runs;
+pub mod tables;
 
 use crate::Outcome;
 use crate::cli::CompareArgs;
 use crate::stage::{write_json, write_whole};
 use crate::terminal::Verbosity;
-use anyhow::{Context, Result, bail};
-use scene::Reconstruction;
+use anyhow::{Context, Result};
 use scene::sim3::{AUC_THRESHOLDS_DEG, PoseErrors, compare_poses};
+use scene::{FrameSet, Reconstruction};
 use serde::Serialize;
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
-use std::process::{Command, Stdio};
 
 /// One line of the table.
 #[derive(Debug, Default, Serialize)]
@@ -29,11 +29,29 @@ struct Row {
     centre_median_pct: Option<f64>,
     centre_max_pct: Option<f64>,
     focal_err_pct: Option<f64>,
+    /// Of solving the poses: CPU seconds and peak memory.
+    cpu_s: Option<f64>,
+    peak_mib: Option<f64>,
+    /// Against the run whose frames COLMAP was given, after alignment.
+    agreement: Option<Agreement>,
+}
+
+/// How far two models of the same images differ.
+#[derive(Debug, Serialize)]
+struct Agreement {
+    /// Images with a pose in both.
+    common: usize,
+    rotation_median_deg: f64,
+    rotation_max_deg: f64,
+    /// Per cent of the extent of the run's camera centres.
+    centre_median_pct: f64,
+    centre_max_pct: f64,
 }
 
 /// Prints a line for each model, then the tables of the runs that were evaluated.
 pub fn run(args: &CompareArgs, verbosity: Verbosity, json: bool) -> Result<Outcome> {
     let truth = args.truth.as_deref().map(read_truth).transpose()?;
+    let colmap = args.colmap.then(colmap::installed).transpose()?;
     let mut rows = Vec::new();
     let named: Vec<runs::Named> = args.runs.iter().map(|text| runs::Named::parse(text)).collect();
     for runs::Named { label, path: run } in &named {
@@ -42,31 +60,30 @@ pub fn run(args: &CompareArgs, verbosity: Verbosity, json: bool) -> Result<Outco
             continue; // renders of another tool
         }
         let model = scene::io::read_model(&path)?;
-        let asked = frame_names(run);
-        rows.push(row(run.display().to_string(), &model, truth.as_ref(), asked.as_ref()));
-        if args.colmap {
-            for (i, folder) in run_colmap(run, verbosity)?.iter().enumerate() {
-                let model = scene::io::read_model(folder)?;
-                rows.push(row(
-                    format!("COLMAP model {i} of {}", run.display()),
-                    &model,
-                    truth.as_ref(),
-                    asked.as_ref(),
-                ));
-            }
-        }
+        let frames = frames_of(run);
+        let asked = frames.as_ref().map(names);
+        let mut ours = row(run.display().to_string(), &model, truth.as_ref(), asked.as_ref());
+        (ours.cpu_s, ours.peak_mib) = cost(run).unzip();
+        rows.push(ours);
+        let Some(colmap) = &colmap else { continue };
+        let models = colmap::run(colmap, run, frames.as_ref(), verbosity)?;
+        rows.extend(beside(&models, &model, truth.as_ref(), asked.as_ref())?);
     }
+    let networks = crate::evaluate::load_networks(&args.lpips_weights)?;
+    let entries = runs::entries(&named, &networks)?;
+    let beside: Vec<_> = args.beside.iter().map(|path| runs::read_tables(path)).collect::<Result<_>>()?;
+    let tables = runs::tables(&entries, &beside.concat());
     if json {
         println!("{}", serde_json::to_string_pretty(&rows)?);
     } else {
-        print_table(&rows);
-    }
-    let tables = runs::tables(&runs::entries(&named)?);
-    if !json {
+        println!("{}", pose_table(&rows));
         tables.iter().for_each(|table| println!("\n{}", table.markdown()));
     }
     if let Some(folder) = &args.tables {
         write_tables(folder, &tables)?;
+    }
+    if let Some(file) = &args.report {
+        crate::report::write_comparison(file, &entries, &pose_cells(&rows), &tables)?;
     }
     Ok(Outcome::Done)
 }
@@ -101,11 +118,66 @@ fn model_folder(run: &Path) -> PathBuf {
     if inner.is_dir() { inner } else { run.to_path_buf() }
 }
 
-/// The frames that a run was given, without extension: those it did not register count as failures.
-fn frame_names(run: &Path) -> Option<BTreeSet<String>> {
-    let frames: crate::stage::Finished<scene::FrameSet> =
+/// COLMAP's models of the frames of a run, the largest first; one empty line where it found none.
+fn beside(
+    models: &colmap::Models,
+    ours: &Reconstruction,
+    truth: Option<&Reconstruction>,
+    asked: Option<&BTreeSet<String>>,
+) -> Result<Vec<Row>> {
+    let mut rows = Vec::new();
+    for folder in &models.folders {
+        let model = scene::io::read_model(folder)?;
+        let mut row = row(models.name.clone(), &model, truth, asked);
+        row.agreement = agreement(&compare_poses(&model, ours));
+        rows.push(row);
+    }
+    if rows.is_empty() {
+        let name = format!("{}: no model", models.name);
+        rows.push(row(name, &Reconstruction::default(), truth, asked));
+    }
+    rows.sort_by_key(|row| std::cmp::Reverse(row.registered));
+    for (i, row) in rows.iter_mut().enumerate() {
+        (row.cpu_s, row.peak_mib) = (Some(models.spent.cpu_s), Some(models.spent.peak_mib));
+        if i > 0 {
+            row.name = format!("{}, model {}", models.name, i + 1);
+        }
+    }
+    Ok(rows)
+}
+
+fn agreement(errors: &PoseErrors) -> Option<Agreement> {
+    let (rotation, centre) = (errors.rotation_deg.as_ref()?, errors.centre_pct.as_ref()?);
+    Some(Agreement {
+        common: errors.registered,
+        rotation_median_deg: rotation.median,
+        rotation_max_deg: rotation.max,
+        centre_median_pct: centre.median,
+        centre_max_pct: centre.max,
+    })
+}
+
+/// CPU seconds and peak MiB of the stage that solved the poses of a run.
+fn cost(run: &Path) -> Option<(f64, f64)> {
+    let record: serde_json::Value =
+        serde_json::from_slice(&std::fs::read(run.join("run.json")).ok()?).ok()?;
+    if record["poses"]["imported"] == true {
+        return None;
+    }
+    let cost = &record["costs"].as_array()?.iter().find(|c| c[0] == "poses")?[1];
+    Some((cost["cpu_s"].as_f64()?, cost["peak_mib"].as_f64()?))
+}
+
+/// The frames that a run was given.
+fn frames_of(run: &Path) -> Option<FrameSet> {
+    let frames: crate::stage::Finished<FrameSet> =
         serde_json::from_slice(&std::fs::read(run.join(".stages/frames.json")).ok()?).ok()?;
-    Some(frames.value.frames.iter().map(|f| stem(&f.name)).collect())
+    Some(frames.value)
+}
+
+/// Their names without extension: those that were not registered count as failures.
+fn names(frames: &FrameSet) -> BTreeSet<String> {
+    frames.frames.iter().map(|f| stem(&f.name)).collect()
 }
 
 fn stem(name: &str) -> String {
@@ -149,74 +221,59 @@ fn fill(row: &mut Row, errors: &PoseErrors) {
     row.focal_err_pct = errors.focal_err_pct;
 }
 
-fn print_table(rows: &[Row]) {
-    println!(
-        "| model | registered | points | px | AUC@1 / 3 / 5 / 10 | rotation median / max | centre median / max, % | focal, % |"
-    );
-    println!("|---|---|---|---|---|---|---|---|");
-    for row in rows {
-        let number = |v: Option<f64>, digits: usize| v.map_or("–".to_owned(), |v| format!("{v:.digits$}"));
+/// Heading and rows of the table of poses.
+pub type Cells = (Vec<&'static str>, Vec<Vec<String>>);
+
+fn pose_cells(rows: &[Row]) -> Cells {
+    let heads = vec![
+        "model",
+        "registered",
+        "points",
+        "px",
+        "AUC@1 / 3 / 5 / 10",
+        "rotation median / max",
+        "centre median / max, %",
+        "focal, %",
+        "CPU s",
+        "peak MiB",
+    ];
+    let number = |v: Option<f64>, digits: usize| v.map_or("–".to_owned(), |v| format!("{v:.digits$}"));
+    let cells = |row: &Row| {
         let auc = row.auc.as_ref().map_or("–".to_owned(), |auc| {
             let at = |t: &f64| format!("{:.1}", auc.get(&t.to_string()).copied().unwrap_or(0.0));
             AUC_THRESHOLDS_DEG.iter().map(at).collect::<Vec<_>>().join(" / ")
         });
-        println!(
-            "| {} | {} of {} | {} | {:.2} | {auc} | {}° / {}° | {} / {} | {} |",
-            row.name,
-            row.registered,
-            row.total,
-            row.points,
-            row.reprojection_px,
-            number(row.rotation_median_deg, 3),
-            number(row.rotation_max_deg, 3),
-            number(row.centre_median_pct, 3),
-            number(row.centre_max_pct, 3),
-            number(row.focal_err_pct, 2)
-        );
-    }
+        let degrees = [row.rotation_median_deg, row.rotation_max_deg].map(|v| number(v, 3));
+        let centres = [row.centre_median_pct, row.centre_max_pct].map(|v| number(v, 3));
+        vec![
+            row.name.clone(),
+            format!("{} of {}", row.registered, row.total),
+            row.points.to_string(),
+            format!("{:.2}", row.reprojection_px),
+            auc,
+            format!("{}° / {}°", degrees[0], degrees[1]),
+            centres.join(" / "),
+            number(row.focal_err_pct, 2),
+            number(row.cpu_s, 1),
+            number(row.peak_mib, 0),
+        ]
+    };
+    (heads, rows.iter().map(cells).collect())
 }
 
-/// Runs the installed COLMAP with its defaults (one camera, no GPU) on the frames of a run; its models.
-fn run_colmap(run: &Path, verbosity: Verbosity) -> Result<Vec<PathBuf>> {
-    let images = run.join("images");
-    if !images.is_dir() {
-        bail!("{} has no images/ for COLMAP to run on; name an output folder of sat-recon", run.display());
-    }
-    let folder = run.join(".stages/colmap");
-    if folder.exists() {
-        std::fs::remove_dir_all(&folder).with_context(|| format!("cannot clear {}", folder.display()))?;
-    }
-    let sparse = folder.join("sparse");
-    std::fs::create_dir_all(&sparse).with_context(|| format!("cannot make {}", sparse.display()))?;
-    let database = folder.join("database.db");
-    let steps: [(&str, Vec<(&str, &Path)>, Vec<&str>); 3] = [
-        (
-            "feature_extractor",
-            vec![("--image_path", &images)],
-            vec!["--ImageReader.single_camera", "1", "--SiftExtraction.use_gpu", "0"],
-        ),
-        ("exhaustive_matcher", vec![], vec!["--SiftMatching.use_gpu", "0"]),
-        ("mapper", vec![("--image_path", &images), ("--output_path", &sparse)], vec![]),
-    ];
-    for (step, paths, flags) in steps {
-        if verbosity > Verbosity::Quiet {
-            eprintln!("colmap {step}");
-        }
-        let mut command = Command::new("colmap");
-        command
-            .arg(step)
-            .arg("--database_path")
-            .arg(&database)
-            .args(flags)
-            .env("QT_QPA_PLATFORM", "offscreen");
-        for (flag, path) in paths {
-            command.arg(flag).arg(path);
-        }
-        let status = command.stdout(Stdio::null()).stderr(Stdio::null()).status();
-        let status = status.context("colmap is not installed (Debian: apt-get install colmap)")?;
-        anyhow::ensure!(status.success(), "colmap {step} failed on {}", images.display());
-    }
-    let mut models: Vec<PathBuf> = std::fs::read_dir(&sparse)?.filter_map(|e| Some(e.ok()?.path())).collect();
-    models.sort();
-    Ok(models)
+fn pose_table(rows: &[Row]) -> String {
+    let (heads, cells) = pose_cells(rows);
+    let line = |cells: &[String]| format!("| {} |", cells.join(" | "));
+    let heading = [format!("| {} |", heads.join(" | ")), format!("|{}", "---|".repeat(heads.len()))];
+    let lines = heading.into_iter().chain(cells.iter().map(|r| line(r)));
+    lines.chain(rows.iter().filter_map(agreement_line)).collect::<Vec<_>>().join("\n")
+}
+
+/// How far a model lies from the run whose frames it was given.
+fn agreement_line(row: &Row) -> Option<String> {
+    let a = row.agreement.as_ref()?;
+    Some(format!(
+        "\n{} against ours, after alignment: {} common images, rotation median {:.3}° (max {:.3}°), centres median {:.3} % (max {:.3} %) of the extent.",
+        row.name, a.common, a.rotation_median_deg, a.rotation_max_deg, a.centre_median_pct, a.centre_max_pct
+    ))
 }

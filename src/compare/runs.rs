@@ -1,17 +1,38 @@
 //! Runs (and renders of other tools) as entries of the tables.
 
 use super::tables::{Column, Table};
-use crate::evaluate::{Evaluation, Metrics};
+use crate::evaluate::Evaluation;
+use crate::evaluate::metrics::{FIGURES, Metrics};
 use anyhow::{Context, Result, bail};
-use scene::metrics;
+use image::RgbImage;
+use scene::lpips::Lpips;
 use serde_json::Value;
 use std::path::{Path, PathBuf};
+
+/// A held-out view as one method shows it.
+#[derive(Clone, Debug)]
+pub struct EntryView {
+    /// Image name.
+    pub name: String,
+    /// How near it comes to the photo.
+    pub metrics: Metrics,
+    /// The picture.
+    pub render: PathBuf,
+    /// The photo.
+    pub photo: PathBuf,
+}
 
 /// What one method gave on one case.
 #[derive(Clone, Debug)]
 pub struct Entry {
-    method: String,
-    case: String,
+    /// Row.
+    pub method: String,
+    /// Column group.
+    pub case: String,
+    /// Its run folder; `None` for renders of another tool.
+    pub run: Option<PathBuf>,
+    /// The held-out views.
+    pub views: Vec<EntryView>,
     quality: Metrics,
     training: [Option<f64>; 4],
     rendering: [Option<f64>; 4],
@@ -43,54 +64,31 @@ impl Named {
     }
 }
 
-const fn column(name: &'static str, digits: usize, more_is_better: bool) -> Column {
-    Column { name, digits, more_is_better }
-}
+/// Name, digits behind the point, whether more is better.
+type Heading = (&'static str, usize, bool);
 
-const QUALITY: [Column; 8] = [
-    column("PSNR", 2, true),
-    column("SSIM", 4, true),
-    column("LPIPS alex", 4, false),
-    column("LPIPS vgg", 4, false),
-    column("PSNR in mask", 2, true),
-    column("SSIM in mask", 4, true),
-    column("LPIPS alex in mask", 4, false),
-    column("LPIPS vgg in mask", 4, false),
-];
-const TRAINING: [Column; 4] = [
-    column("wall s", 1, false),
-    column("CPU s", 1, false),
-    column("peak MiB", 0, false),
-    column("gaussians", 0, false),
-];
-const RENDERING: [Column; 4] = [
-    column("FPS", 1, true),
-    column("median ms", 2, false),
-    column("95 % ms", 2, false),
-    column("peak MiB", 0, false),
-];
+const TRAINING: [Heading; 4] =
+    [("wall s", 1, false), ("CPU s", 1, false), ("peak MiB", 0, false), ("gaussians", 0, false)];
+const RENDERING: [Heading; 4] =
+    [("FPS", 1, true), ("median ms", 2, false), ("95 % ms", 2, false), ("peak MiB", 0, false)];
 
 /// The entries of all that can be evaluated: runs with metrics first, then folders of renders, which are compared
 /// with the photos of a run of the same case.
-pub fn entries(inputs: &[Named]) -> Result<Vec<Entry>> {
+pub fn entries(inputs: &[Named], networks: &[Lpips]) -> Result<Vec<Entry>> {
     let is_run = |n: &&Named| n.path.join("run.json").is_file();
-    let runs: Vec<&Named> = inputs.iter().filter(is_run).collect();
-    let mut found: Vec<(Entry, &Path)> = Vec::new();
-    for named in &runs {
-        if let Some(entry) = of_run(named)? {
-            found.push((entry, &named.path));
-        }
+    let mut all: Vec<Entry> = Vec::new();
+    for named in inputs.iter().filter(is_run) {
+        all.extend(of_run(named)?);
     }
-    let mut all: Vec<Entry> = found.iter().map(|(e, _)| e.clone()).collect();
     for named in inputs.iter().filter(|n| !is_run(n)) {
         let Some((method, case)) = &named.label else { continue };
-        let Some((_, run)) = found.iter().find(|(e, _)| e.case == *case) else {
+        let Some(run) = all.iter().find(|e| e.case == *case && e.run.is_some()) else {
             bail!(
                 "{}: no run of the case '{case}' was given to compare these renders with",
                 named.path.display()
             );
         };
-        all.push(of_renders(method, case, &named.path, run)?);
+        all.push(of_renders(method, run, &named.path, networks)?);
     }
     Ok(all)
 }
@@ -109,10 +107,11 @@ fn of_run(named: &Named) -> Result<Option<Entry>> {
     let run = read_json(&named.path.join("run.json"))?;
     let evaluation: Evaluation = serde_json::from_value(read_json(&path)?)
         .with_context(|| format!("{} is damaged; run sat-recon eval again", path.display()))?;
-    for view in &evaluation.views {
-        let render = named.path.join("eval/renders").join(&view.picture);
-        anyhow::ensure!(render.is_file(), "{} is missing; run sat-recon eval again", render.display());
-    }
+    let view = |v: &crate::evaluate::ViewMetrics| -> Result<EntryView> {
+        let [render, photo] = ["renders", "photos"].map(|kind| v.picture(&named.path, kind));
+        Ok(EntryView { name: v.name.clone(), metrics: v.metrics, render: render?, photo: photo? })
+    };
+    let views = evaluation.views.iter().map(view).collect::<Result<Vec<_>>>()?;
     let text = |path: &str| run.pointer(path).and_then(Value::as_str).unwrap_or("").to_owned();
     let number = |v: Option<&Value>| v.and_then(Value::as_f64);
     let costs = run["costs"].as_array().and_then(|c| c.iter().find(|c| c[0] == "train")).map(|c| &c[1]);
@@ -131,6 +130,8 @@ fn of_run(named: &Named) -> Result<Option<Entry>> {
     Ok(Some(Entry {
         method,
         case,
+        run: Some(named.path.clone()),
+        views,
         quality: evaluation.mean,
         training,
         rendering: [r.frames_per_second, r.frame_ms_median, r.frame_ms_p95, r.peak_mib].map(Some),
@@ -138,28 +139,48 @@ fn of_run(named: &Named) -> Result<Option<Entry>> {
 }
 
 /// Renders of another tool: pictures named like the views, of the size of the photos.
-fn of_renders(method: &str, case: &str, folder: &Path, run: &Path) -> Result<Entry> {
-    let evaluation: Evaluation = serde_json::from_value(read_json(&run.join("eval/metrics.json"))?)?;
-    let (mut psnr, mut ssim) = (Vec::new(), Vec::new());
-    for view in &evaluation.views {
-        let stem = |name: &str| Path::new(name).file_stem().map(|s| s.to_string_lossy().into_owned());
-        let names = [stem(&view.name), stem(&view.picture)];
-        let file = names.into_iter().flatten().flat_map(|n| [format!("{n}.png"), format!("{n}.jpg")]);
-        let Some(file) = file.map(|f| folder.join(f)).find(|f| f.is_file()) else {
-            bail!("{} holds no render of the view {}", folder.display(), view.name);
+fn of_renders(method: &str, run: &Entry, folder: &Path, networks: &[Lpips]) -> Result<Entry> {
+    let mut views = Vec::new();
+    for view in &run.views {
+        let stem = |path: &Path| path.file_stem().map(|s| s.to_string_lossy().into_owned());
+        let names = [stem(Path::new(&view.name)), stem(&view.render)];
+        let file =
+            names.into_iter().flatten().flat_map(|n| ["png", "jpg", "jpeg"].map(|e| format!("{n}.{e}")));
+        let Some(render) = file.map(|f| folder.join(f)).find(|f| f.is_file()) else {
+            bail!("{} holds no render of the view {} (as .png or .jpg)", folder.display(), view.name);
         };
-        let (render, photo) =
-            (scene::io::load_rgb(&file)?, scene::io::load_rgb(&run.join("eval/photos").join(&view.picture))?);
-        psnr.push(metrics::psnr(&render, &photo, None).with_context(|| file.display().to_string())?);
-        ssim.push(metrics::ssim(&render, &photo, None).with_context(|| file.display().to_string())?);
+        let mask = run.run.as_deref().zip(view.photo.file_name()).map(|(r, n)| r.join("eval/masks").join(n));
+        let mask = mask.filter(|m| m.is_file()).map(|m| scene::io::load_mask(&m)).transpose()?;
+        let (picture, photo) = (over_black(&render)?, scene::io::load_rgb(&view.photo)?);
+        let metrics = Metrics::judge(&picture, &photo, mask.as_ref(), networks)
+            .with_context(|| render.display().to_string())?;
+        views.push(EntryView { metrics, render, ..view.clone() });
     }
-    let mean = |v: Vec<f64>| v.iter().sum::<f64>() / v.len().max(1) as f64;
-    let quality = Metrics { psnr: mean(psnr), ssim: mean(ssim), ..Metrics::default() };
-    Ok(Entry { method: method.into(), case: case.into(), quality, training: [None; 4], rendering: [None; 4] })
+    let all: Vec<Metrics> = views.iter().map(|v| v.metrics).collect();
+    Ok(Entry {
+        method: method.into(),
+        case: run.case.clone(),
+        run: None,
+        views,
+        quality: Metrics::mean(&all),
+        training: [None; 4],
+        rendering: [None; 4],
+    })
 }
 
-/// Quality, training cost and rendering cost; tables without a number are left out.
-pub fn tables(entries: &[Entry]) -> Vec<Table> {
+/// A render with an alpha channel lies over black, as our own do.
+fn over_black(path: &Path) -> Result<RgbImage> {
+    let mut picture = scene::io::load_image(path)?;
+    if let Some(alpha) = &picture.alpha {
+        for (pixel, a) in picture.rgb.pixels_mut().zip(alpha.as_raw()) {
+            pixel.0 = pixel.0.map(|v| ((u32::from(v) * u32::from(*a) + 127) / 255) as u8);
+        }
+    }
+    Ok(picture.rgb)
+}
+
+/// Quality, training cost and rendering cost with what earlier tables hold; tables without a number are left out.
+pub fn tables(entries: &[Entry], beside: &[Table]) -> Vec<Table> {
     let names = |pick: fn(&Entry) -> &String| {
         let mut names: Vec<String> = Vec::new();
         entries.iter().for_each(|e| {
@@ -170,36 +191,45 @@ pub fn tables(entries: &[Entry]) -> Vec<Table> {
         names
     };
     let (methods, cases) = (names(|e| &e.method), names(|e| &e.case));
-    let build = |title, columns: &[Column], values: &dyn Fn(&Entry) -> Vec<Option<f64>>| {
-        let mut table = Table::new(title, &methods, &cases, columns);
+    let build = |title: &str, headings: Vec<Heading>, values: &dyn Fn(&Entry) -> Vec<Option<f64>>| {
+        let column = |(name, digits, more_is_better): Heading| Column {
+            name: name.to_owned(),
+            digits,
+            more_is_better,
+        };
+        let columns: Vec<Column> = headings.into_iter().map(column).collect();
+        let mut table = Table::new(title, &methods, &cases, &columns);
         for entry in entries {
             let place = |all: &[String], name: &String| all.iter().position(|n| n == name);
             if let (Some(m), Some(c)) = (place(&methods, &entry.method), place(&cases, &entry.case)) {
                 table.values[m][c] = values(entry);
             }
         }
+        beside.iter().filter(|b| b.title == title).for_each(|b| table.merge(b));
         table.without_empty_columns()
     };
-    let quality = |e: &Entry| {
-        let q = &e.quality;
-        let (psnr, ssim) = (Some(q.psnr), Some(q.ssim));
-        vec![
-            psnr,
-            ssim,
-            q.lpips_alex,
-            q.lpips_vgg,
-            q.psnr_mask,
-            q.ssim_mask,
-            q.lpips_alex_mask,
-            q.lpips_vgg_mask,
-        ]
-    };
+    let quality = FIGURES.iter().map(|f| (f.name, f.digits, f.more_is_better)).collect();
     let all = [
-        build("quality", &QUALITY, &quality),
-        build("training cost", &TRAINING, &|e| e.training.to_vec()),
-        build("rendering cost", &RENDERING, &|e| e.rendering.to_vec()),
+        build("quality", quality, &|e| FIGURES.iter().map(|f| (f.of)(&e.quality)).collect()),
+        build("training cost", TRAINING.to_vec(), &|e| e.training.to_vec()),
+        build("rendering cost", RENDERING.to_vec(), &|e| e.rendering.to_vec()),
     ];
     all.into_iter().filter(|t| !t.is_empty()).collect()
+}
+
+/// Tables that `--tables` wrote, or figures that were published.
+pub fn read_tables(path: &Path) -> Result<Vec<Table>> {
+    let tables: Vec<Table> = serde_json::from_value(read_json(path)?)
+        .with_context(|| format!("{} holds no tables as --tables writes them", path.display()))?;
+    for table in &tables {
+        anyhow::ensure!(
+            table.is_whole(),
+            "{}: the table '{}' does not have a number for each of its methods, cases and columns",
+            path.display(),
+            table.title
+        );
+    }
+    Ok(tables)
 }
 
 #[cfg(test)]

@@ -1,13 +1,13 @@
 //! Tables as in papers: methods as rows, cases as column groups, the best of each column in bold.
 
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 use std::fmt::Write as _;
 
 /// A column of every case.
-#[derive(Clone, Copy, Debug, Serialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Column {
     /// Heading, with its unit.
-    pub name: &'static str,
+    pub name: String,
     /// Digits behind the point.
     pub digits: usize,
     /// Whether more is better.
@@ -15,10 +15,10 @@ pub struct Column {
 }
 
 /// Numbers by method, case and column.
-#[derive(Clone, Debug, Serialize)]
+#[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct Table {
     /// What it is about.
-    pub title: &'static str,
+    pub title: String,
     /// Rows.
     pub methods: Vec<String>,
     /// Column groups.
@@ -27,13 +27,59 @@ pub struct Table {
     pub columns: Vec<Column>,
     /// [methods × cases × columns].
     pub values: Vec<Vec<Vec<Option<f64>>>>,
+    /// Methods whose numbers were published, not measured here: they stand beside the others and are never the best.
+    #[serde(default)]
+    pub published: Vec<String>,
 }
 
 impl Table {
     /// A table without numbers.
-    pub fn new(title: &'static str, methods: &[String], cases: &[String], columns: &[Column]) -> Self {
+    pub fn new(title: &str, methods: &[String], cases: &[String], columns: &[Column]) -> Self {
         let values = vec![vec![vec![None; columns.len()]; cases.len()]; methods.len()];
-        Self { title, methods: methods.to_vec(), cases: cases.to_vec(), columns: columns.to_vec(), values }
+        let (methods, cases, columns) = (methods.to_vec(), cases.to_vec(), columns.to_vec());
+        Self { title: title.to_owned(), methods, cases, columns, values, published: Vec::new() }
+    }
+
+    /// Whether there is a row of cases for every method and a number or none for every column of them.
+    pub fn is_whole(&self) -> bool {
+        let row = |cases: &Vec<Vec<_>>| {
+            cases.len() == self.cases.len() && cases.iter().all(|c| c.len() == self.columns.len())
+        };
+        self.values.len() == self.methods.len() && self.values.iter().all(row)
+    }
+
+    /// Takes in another table's numbers (which must be whole); methods, cases and columns that are new come last.
+    pub fn merge(&mut self, other: &Self) {
+        let place = |all: &mut Vec<String>, name: &String| {
+            all.iter().position(|n| n == name).unwrap_or_else(|| {
+                all.push(name.clone());
+                all.len() - 1
+            })
+        };
+        let methods: Vec<usize> = other.methods.iter().map(|m| place(&mut self.methods, m)).collect();
+        let cases: Vec<usize> = other.cases.iter().map(|c| place(&mut self.cases, c)).collect();
+        let column = |column: &Column| {
+            self.columns.iter().position(|c| c.name == column.name).unwrap_or_else(|| {
+                self.columns.push(column.clone());
+                self.columns.len() - 1
+            })
+        };
+        let columns: Vec<usize> = other.columns.iter().map(column).collect();
+        self.values.resize(self.methods.len(), Vec::new());
+        for method in &mut self.values {
+            method.resize(self.cases.len(), Vec::new());
+            method.iter_mut().for_each(|case| case.resize(self.columns.len(), None));
+        }
+        for (m, row) in methods.iter().zip(&other.values) {
+            for (c, values) in cases.iter().zip(row) {
+                for (k, value) in columns.iter().zip(values).filter(|(_, v)| v.is_some()) {
+                    self.values[*m][*c][*k] = *value;
+                }
+            }
+        }
+        let new = other.published.iter().filter(|p| !self.published.contains(p)).cloned();
+        let new: Vec<String> = new.collect();
+        self.published.extend(new);
     }
 
     /// Whether there is no number in it.
@@ -46,21 +92,24 @@ impl Table {
         let used: Vec<usize> = (0..self.columns.len())
             .filter(|&c| self.values.iter().flatten().any(|row| row[c].is_some()))
             .collect();
-        self.columns = used.iter().map(|&c| self.columns[c]).collect();
+        self.columns = used.iter().map(|&c| self.columns[c].clone()).collect();
         for row in self.values.iter_mut().flatten() {
             *row = used.iter().map(|&c| row[c]).collect();
         }
         self
     }
 
-    /// The number as it is shown, and whether none in its column is better (with two methods at least).
+    /// The number as it is shown, and whether none that was measured in its column is better (two at least).
     fn cell(&self, method: usize, case: usize, column: usize) -> (String, bool) {
         let Some(value) = self.values[method][case][column] else { return ("–".into(), false) };
-        let Column { digits, more_is_better, .. } = self.columns[column];
+        let Column { digits, more_is_better, .. } = self.columns[column].clone();
         let shown = |v: f64| format!("{v:.digits$}");
-        let others: Vec<f64> = self.values.iter().filter_map(|m| m[case][column]).collect();
+        let is_published = |m: usize| self.published.contains(&self.methods[m]);
+        let measured = (0..self.methods.len()).filter(|&m| !is_published(m));
+        let others: Vec<f64> = measured.filter_map(|m| self.values[m][case][column]).collect();
         let best = others.iter().copied().reduce(if more_is_better { f64::max } else { f64::min });
-        let is_best = others.len() > 1 && best.is_some_and(|b| shown(b) == shown(value));
+        let is_best =
+            others.len() > 1 && !is_published(method) && best.is_some_and(|b| shown(b) == shown(value));
         (shown(value), is_best)
     }
 
@@ -89,10 +138,28 @@ impl Table {
         text
     }
 
+    /// For a page.
+    pub fn html(&self, escape: impl Fn(&str) -> String) -> String {
+        let width = self.columns.len();
+        let mut text = format!("<h3>{}</h3><div class=\"scroll\"><table><tr><th>", escape(&self.title));
+        for case in &self.cases {
+            let _ = write!(text, "<th class=n colspan={width}>{}", escape(case));
+        }
+        text += "</tr><tr><th>method";
+        for column in self.cases.iter().flat_map(|_| &self.columns) {
+            let _ = write!(text, "<th class=n>{}", escape(&column.name));
+        }
+        for (m, method) in self.methods.iter().enumerate() {
+            let cells = self.row(m, |t| format!("<b>{t}</b>")).join("<td class=n>");
+            let _ = write!(text, "</tr><tr><td>{}<td class=n>{cells}", escape(method));
+        }
+        text + "</tr></table></div>"
+    }
+
     /// One line a method and case.
     pub fn csv(&self) -> String {
         let quoted = |t: &str| format!("\"{}\"", t.replace('"', "\"\""));
-        let names: Vec<String> = self.columns.iter().map(|c| quoted(c.name)).collect();
+        let names: Vec<String> = self.columns.iter().map(|c| quoted(&c.name)).collect();
         let mut text = format!("table,method,case,{}\n", names.join(","));
         for (method, values) in self.methods.iter().zip(&self.values) {
             for (case, row) in self.cases.iter().zip(values) {
@@ -118,7 +185,7 @@ impl Table {
         }
         text += " \\\\\nmethod";
         for _ in &self.cases {
-            self.columns.iter().for_each(|c| text += &format!(" & {}", escape_latex(c.name)));
+            self.columns.iter().for_each(|c| text += &format!(" & {}", escape_latex(&c.name)));
         }
         text += " \\\\\n\\midrule\n";
         for (m, method) in self.methods.iter().enumerate() {
@@ -144,7 +211,7 @@ mod tests {
     use super::*;
 
     fn table() -> Table {
-        let column = |name, more_is_better| Column { name, digits: 2, more_is_better };
+        let column = |name: &str, more_is_better| Column { name: name.to_owned(), digits: 2, more_is_better };
         let names = ["a_b".to_owned(), "c".to_owned()];
         let mut table = Table::new(
             "quality",
@@ -164,6 +231,29 @@ mod tests {
             "{text}"
         );
         assert!(!text.contains("none"), "{text}");
+    }
+
+    #[test]
+    fn published_numbers_stand_beside_the_measured_ones_and_are_never_the_best() {
+        let column = |name: &str| Column { name: name.to_owned(), digits: 0, more_is_better: true };
+        let mut paper = Table::new(
+            "quality",
+            &["paper".into()],
+            &["one".into(), "two".into()],
+            &[column("VRAM"), column("PSNR")],
+        );
+        paper.values = vec![vec![vec![Some(9.0), Some(99.0)], vec![None, Some(7.0)]]];
+        paper.published = vec!["paper".into()];
+        assert!(paper.is_whole());
+        let mut all = table();
+        all.merge(&paper);
+        assert!(all.is_whole());
+        let text = all.markdown();
+        assert!(text.contains("one VRAM") && text.contains("two PSNR"), "{text}");
+        assert!(text.contains("| paper | 99.00 | – | 9 | 7.00 | – | – |"), "{text}");
+        assert!(text.contains("| c | **31.00** | 6.00 | – | – | – | – |"), "{text}");
+        paper.values[0].pop();
+        assert!(!paper.is_whole());
     }
 
     #[test]

@@ -29,14 +29,24 @@ pub struct RenderingCost {
     pub peak_mib: f64,
 }
 
+impl RenderingCost {
+    /// The figures in a sentence.
+    pub fn sentence(&self) -> String {
+        format!(
+            "Rendering: {:.1} frames/s; a frame takes {:.1} ms (median), 95 % at most {:.1}, 99 % at most {:.1}; {:.0} MiB.",
+            self.frames_per_second, self.frame_ms_median, self.frame_ms_p95, self.frame_ms_p99, self.peak_mib
+        )
+    }
+}
+
 /// Cameras and poses of the views that are held out of training.
 pub fn held_out_cameras(training_set: &Path, config: &DatasetConfig) -> Result<Vec<(Camera, Pose)>> {
     let model = scene::io::read_model(&training_set.join("sparse/0"))?;
     let mut images: Vec<_> = model.images.values().collect();
     images.sort_by(|a, b| a.name.cmp(&b.name));
-    let every = config.test_every.max(1);
-    let chosen = images.iter().step_by(every).filter(|_| config.test_every > 0);
-    Ok(chosen.filter_map(|i| Some((model.cameras.get(&i.camera)?.clone(), i.pose))).collect())
+    let count = images.len();
+    let chosen = images.iter().enumerate().filter(|(i, _)| config.holds_out(*i, count));
+    Ok(chosen.filter_map(|(_, i)| Some((model.cameras.get(&i.camera)?.clone(), i.pose))).collect())
 }
 
 /// Renders the views `loops` times.

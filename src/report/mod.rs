@@ -1,277 +1,143 @@
 //! `report.html`: one file, no network, readable on a phone.
 
 mod charts;
+mod comparison;
+pub mod decisions;
+mod html;
+mod poses;
+pub mod verdict;
+mod views;
 
-use crate::evaluate::{Evaluation, Metrics};
-use crate::pipeline::{PoseSummary, RunRecord, SplatSummary};
+pub use comparison::write as write_comparison;
+
+use crate::pipeline::RunRecord;
 use crate::stage::write_whole;
 use anyhow::Result;
-use base64::Engine as _;
-use image::RgbImage;
-use std::fmt::Write as _;
+use html::escape;
+use scene::Reconstruction;
+use serde_json::Value;
 use std::path::Path;
+use verdict::{Level, Light};
 
-/// Writes `OUT/report.html` from what the run knows and what lies in the folder.
-pub fn write(out: &Path, record: &RunRecord) -> Result<()> {
-    let mut html = String::new();
-    let name = record.config.input.file_name().map_or_else(|| "scene".into(), |n| n.to_string_lossy());
-    let name = escape(&name);
-    write!(
-        html,
-        "<!doctype html><html lang=\"en\"><meta charset=\"utf-8\"><meta name=\"viewport\" content=\"width=device-width\">\
-         <title>{name} – sat-recon</title><style>{}</style><body><h1>{name}</h1>",
-        include_str!("style.css")
-    )?;
-    verdict(&mut html, record)?;
-    frames(&mut html, record)?;
-    if let Some(poses) = &record.poses {
-        self::poses(&mut html, out, poses)?;
-    }
-    if let Some(splat) = &record.splat {
-        self::splat(&mut html, splat)?;
-    }
-    if let Some(evaluation) = &record.evaluation {
-        self::evaluation(&mut html, out, evaluation)?;
-    }
-    costs(&mut html, record)?;
-    html.push_str("</body></html>");
-    write_whole(&out.join("report.html"), html.as_bytes())
-}
-
-/// Text that may come from file names, made safe for HTML.
-fn escape(text: &str) -> String {
-    text.replace('&', "&amp;").replace('<', "&lt;").replace('>', "&gt;").replace('"', "&quot;")
-}
-
-fn verdict(html: &mut String, record: &RunRecord) -> Result<()> {
-    let mut reasons = Vec::new();
-    let mut class = "good";
-    match &record.poses {
-        Some(PoseSummary { no_model: Some(reason), .. }) => {
-            class = "bad";
-            reasons.push(format!("no model: {}", escape(reason)));
-        }
-        Some(poses) => {
-            if poses.registered < poses.total {
-                class = "fair";
-            }
-            reasons.push(format!("{} of {} frames have a pose", poses.registered, poses.total));
-            reasons.push(format!("mean reprojection error {:.2} px", poses.mean_error_px));
-        }
-        None => reasons.push("poses not solved yet".into()),
-    }
-    if let Some(evaluation) = &record.evaluation {
-        reasons.push(escape(&evaluation.sentence()));
-        if evaluation.mean.psnr < 20.0 {
-            class = "bad";
-        } else if evaluation.mean.psnr < 25.0 && class == "good" {
-            class = "fair";
-        }
-    }
-    write!(html, "<p class=\"verdict {class}\">{}.</p>", reasons.join(" · "))?;
+/// Sets the record's decisions and verdict, from what the run knows and what lies in the folder.
+pub fn judge(out: &Path, record: &mut RunRecord) -> Result<()> {
+    record.decisions = decisions::shown(record);
+    record.verdict = verdict::verdict(record, model(out, record)?.as_ref(), geometry(out, record).as_ref());
     Ok(())
 }
 
-fn frames(html: &mut String, record: &RunRecord) -> Result<()> {
+/// Writes `OUT/report.html` of a run that was judged.
+pub fn write(out: &Path, record: &RunRecord) -> Result<()> {
+    let (model, geometry) = (model(out, record)?, geometry(out, record));
+    let body = body(out, record, model.as_ref(), geometry.as_ref())?;
+    let page = html::page(&format!("{} – sat-recon", title(record)), &body);
+    write_whole(&out.join("report.html"), page.as_bytes())
+}
+
+/// The solved poses, if there are any.
+fn model(out: &Path, record: &RunRecord) -> Result<Option<Reconstruction>> {
+    let has_model = record.poses.as_ref().is_some_and(|p| p.no_model.is_none());
+    Ok(has_model.then(|| scene::io::read_model(&out.join("sparse/0"))).transpose()?)
+}
+
+/// What the evaluation says of the shape, if it was measured.
+fn geometry(out: &Path, record: &RunRecord) -> Option<Value> {
+    record.evaluation.as_ref()?;
+    let text = std::fs::read(out.join("eval/metrics.json")).ok()?;
+    serde_json::from_slice::<Value>(&text).ok()?.get_mut("geometry").map(Value::take).filter(Value::is_object)
+}
+
+/// The input's name and that of the folder it lies in.
+fn title(record: &RunRecord) -> String {
+    let input = &record.config.input;
+    let name = |path: Option<&Path>| Some(path?.file_name()?.to_string_lossy().into_owned());
+    let names: Vec<String> = [name(input.parent()), name(Some(input))].into_iter().flatten().collect();
+    names.join("/")
+}
+
+fn body(
+    out: &Path,
+    record: &RunRecord,
+    model: Option<&Reconstruction>,
+    geometry: Option<&Value>,
+) -> Result<String> {
+    let mut html = format!("<h1>{}</h1>", escape(&title(record)));
+    html += &lights(&record.verdict);
+    html += &decisions::section(record);
+    frames(&mut html, out, record)?;
+    if let Some(poses) = &record.poses {
+        poses::section(&mut html, record, poses, model)?;
+    }
+    if let Some(splat) = &record.splat {
+        views::training(&mut html, splat)?;
+    }
+    if let Some(evaluation) = &record.evaluation {
+        views::held_out(&mut html, out, evaluation)?;
+    }
+    if let Some(geometry) = geometry {
+        views::geometry(&mut html, geometry);
+    }
+    costs(&mut html, record);
+    Ok(html)
+}
+
+/// The traffic light with its reasons.
+fn lights(lights: &[Light]) -> String {
+    let overall = verdict::overall(lights);
+    let word = match overall {
+        Level::Good => "All well",
+        Level::Fair => "Usable, with doubts",
+        Level::Bad => "Not to be relied on",
+        Level::Unknown => "Not judged yet",
+    };
+    let item = |l: &Light| {
+        let [what, reason] = [&l.what, &l.reason].map(|t| escape(t));
+        format!("<li class=\"{}\"><b>{what}</b>: {reason}</li>", l.level.class())
+    };
+    let items: String = lights.iter().map(item).collect();
+    format!("<div class=\"verdict {}\"><b>{word}</b><ul class=\"lights\">{items}</ul></div>", overall.class())
+}
+
+/// Longest side of the sheet of mattes, pixels.
+const SHEET_SIZE: u32 = 1200;
+
+fn frames(html: &mut String, out: &Path, record: &RunRecord) -> Result<()> {
     let Some(frames) = &record.frames else { return Ok(()) };
-    write!(html, "<h2>Frames</h2><p>{} frames used", frames.len())?;
+    *html += &format!("<h2>Frames</h2><p>{} frames used", frames.len());
     if let (Some(first), Some(last)) = (frames.frames.first(), frames.frames.last()) {
-        write!(
-            html,
-            ", {}×{}, from {} to {}",
-            first.width,
-            first.height,
-            escape(&first.name),
-            escape(&last.name)
-        )?;
+        let names = [&first.name, &last.name].map(|n| escape(n));
+        *html += &format!(", {}×{}, from {} to {}", first.width, first.height, names[0], names[1]);
         if let (Some(a), Some(b)) = (first.time_s, last.time_s) {
-            write!(html, " ({a:.2} s to {b:.2} s)")?;
+            *html += &format!(" ({a:.2} s to {b:.2} s)");
         }
     }
     let masks = frames.frames.iter().filter(|f| f.mask.is_some()).count();
-    write!(html, "; {masks} with a mask.</p>")?;
-    list(html, frames.notes.iter().map(|n| escape(n)))?;
-    Ok(())
-}
-
-fn list(html: &mut String, items: impl Iterator<Item = String>) -> Result<()> {
-    let items: Vec<String> = items.map(|i| format!("<li>{i}</li>")).collect();
-    if !items.is_empty() {
-        write!(html, "<ul>{}</ul>", items.concat())?;
+    *html += &format!("; {masks} with a matte.</p>");
+    html::list(html, frames.notes.iter().map(|n| escape(n)));
+    let sheet = out.join("mattes.png");
+    if masks > 0 && sheet.is_file() {
+        let picture = html::picture(&sheet, SHEET_SIZE)?;
+        *html += &format!("<img class=\"mattes\" alt=\"mattes\" {picture}>");
     }
     Ok(())
 }
 
-/// Evidence longer than this is folded away.
-const LONG_EVIDENCE: usize = 200;
-
-fn decisions(html: &mut String, decisions: &[[String; 3]]) -> Result<()> {
-    let item = |d: &[String; 3]| {
-        let [what, chosen, evidence] = [&d[0], &d[1], &d[2]].map(|t| escape(t));
-        if evidence.len() <= LONG_EVIDENCE {
-            return format!("{what}: <b>{chosen}</b> – {evidence}");
-        }
-        let figures = evidence.split("; ").map(|part| format!("<li>{part}</li>")).collect::<String>();
-        format!("{what}: <b>{chosen}</b><details><summary>evidence</summary><ul>{figures}</ul></details>")
+fn costs(html: &mut String, record: &RunRecord) {
+    html.push_str("<h2>Cost</h2>");
+    let row = |(stage, cost): &(String, crate::stage::Cost)| {
+        let numbers =
+            [format!("{:.1}", cost.wall_s), format!("{:.1}", cost.cpu_s), format!("{:.0}", cost.peak_mib)];
+        [escape(stage)].into_iter().chain(numbers).collect::<Vec<String>>()
     };
-    list(html, decisions.iter().map(item))
-}
-
-fn figure(html: &mut String, svg: &str, caption: &str) -> Result<()> {
-    write!(html, "<figure>{svg}<figcaption>{caption}</figcaption></figure>")?;
-    Ok(())
-}
-
-fn poses(html: &mut String, out: &Path, poses: &PoseSummary) -> Result<()> {
-    html.push_str("<h2>Poses</h2>");
-    if poses.no_model.is_none() {
-        write!(html, "<p>{} of {} images, {} points.</p>", poses.registered, poses.total, poses.points)?;
-    }
-    decisions(html, &poses.decisions)?;
-    list(
-        html,
-        poses.missing.iter().map(|(name, why)| format!("no pose for {}: {}", escape(name), escape(why))),
-    )?;
-    list(html, poses.weak.iter().map(|(name, why)| format!("{} is weak: {}", escape(name), escape(why))))?;
-    if poses.no_model.is_some() {
-        return Ok(());
-    }
-    let model = scene::io::read_model(&out.join("sparse/0"))?;
-    html.push_str("<div class=\"row\">");
-    figure(html, &charts::camera_map(&model, true)?, "Cameras and points along the ring's axis")?;
-    figure(html, &charts::camera_map(&model, false)?, "The same from the side")?;
-    let errors = model.reprojection_errors();
-    if !errors.is_empty() {
-        figure(
-            html,
-            &charts::error_histogram(&errors)?,
-            "Reprojection error (the last bar holds all above)",
-        )?;
-    }
-    html.push_str("</div><div class=\"scroll\"><table><tr><th>camera<th>model<th>size<th>parameters</tr>");
-    for camera in model.cameras.values() {
-        let params: Vec<String> = camera.params.iter().map(|p| format!("{p:.5}")).collect();
-        write!(
-            html,
-            "<tr><td>{}<td>{}<td>{}×{}<td>{}</tr>",
-            camera.id,
-            camera.model.name(),
-            camera.width,
-            camera.height,
-            params.join(", ")
-        )?;
-    }
-    html.push_str("</table></div>");
-    Ok(())
-}
-
-fn splat(html: &mut String, splat: &SplatSummary) -> Result<()> {
-    write!(html, "<h2>Splat</h2><p>{} gaussians, SH degree {}.</p>", splat.gaussians, splat.sh_degree)?;
-    decisions(html, &splat.decisions)?;
-    html.push_str("<div class=\"row\">");
-    figure(
-        html,
-        &charts::training_curve(&splat.curve, "loss", |p| f64::from(p.loss))?,
-        "Loss of the training views",
-    )?;
-    figure(
-        html,
-        &charts::training_curve(&splat.curve, "PSNR, dB", |p| f64::from(p.psnr))?,
-        "PSNR of the training views",
-    )?;
-    html.push_str("</div>");
-    Ok(())
-}
-
-fn evaluation(html: &mut String, out: &Path, evaluation: &Evaluation) -> Result<()> {
-    write!(html, "<h2>Held-out views</h2><p>{}</p>", escape(&evaluation.protocol))?;
-    let columns = [
-        ("PSNR", 2, (|m| Some(m.psnr)) as fn(&Metrics) -> Option<f64>),
-        ("SSIM", 4, |m| Some(m.ssim)),
-        ("PSNR in mask", 2, |m| m.psnr_mask),
-        ("SSIM in mask", 4, |m| m.ssim_mask),
-        ("LPIPS alex", 4, |m| m.lpips_alex),
-        ("LPIPS vgg", 4, |m| m.lpips_vgg),
-    ];
-    let shown: Vec<_> = columns.iter().filter(|(_, _, pick)| pick(&evaluation.mean).is_some()).collect();
-    html.push_str("<div class=\"scroll\"><table><tr><th>view");
-    for (name, ..) in &shown {
-        write!(html, "<th class=n>{name}")?;
-    }
-    html.push_str("</tr>");
-    let views = evaluation.views.iter().map(|v| (v.name.as_str(), &v.metrics));
-    for (name, metrics) in views.chain([("mean", &evaluation.mean)]) {
-        write!(html, "<tr><td>{}", escape(name))?;
-        for (_, digits, pick) in &shown {
-            let value = pick(metrics).map_or("–".to_owned(), |v| format!("{v:.digits$}"));
-            write!(html, "<td class=n>{value}")?;
-        }
-        html.push_str("</tr>");
-    }
-    html.push_str("</table></div>");
-    let cost = &evaluation.rendering;
-    write!(
-        html,
-        "<p>Rendering: {:.1} frames/s; a frame takes {:.1} ms (median), 95 % at most {:.1}, 99 % at most {:.1}; \
-         {:.0} MiB.</p><p>Photo, render, difference ×4:</p>",
-        cost.frames_per_second, cost.frame_ms_median, cost.frame_ms_p95, cost.frame_ms_p99, cost.peak_mib
-    )?;
-    for view in &evaluation.views {
-        html.push_str("<div class=\"triple\">");
-        for (kind, picture) in triple(&out.join("eval"), &view.picture)? {
-            let code = base64::engine::general_purpose::STANDARD.encode(jpeg(&picture)?);
-            write!(
-                html,
-                "<img loading=lazy alt=\"{kind} of {}\" src=\"data:image/jpeg;base64,{code}\">",
-                escape(&view.name)
-            )?;
-        }
-        html.push_str("</div>");
-    }
-    Ok(())
-}
-
-/// Longest side of a picture in the report, pixels.
-const PICTURE_SIZE: u32 = 480;
-
-/// Photo, render and four times their difference, small enough for a report.
-fn triple(folder: &Path, picture: &str) -> Result<[(&'static str, RgbImage); 3]> {
-    let load = |kind: &str| -> Result<RgbImage> {
-        let image = scene::io::load_rgb(&folder.join(kind).join(picture))?;
-        let (w, h) = image.dimensions();
-        let scale = (f64::from(PICTURE_SIZE) / f64::from(w.max(h))).min(1.0);
-        let small = |v: u32| ((f64::from(v) * scale).round() as u32).max(1);
-        Ok(scene::io::resize_area(&image, small(w), small(h)))
-    };
-    let (photo, render) = (load("photos")?, load("renders")?);
-    let difference = RgbImage::from_fn(photo.width(), photo.height(), |x, y| {
-        let (a, b) = (photo.get_pixel(x, y), render.get_pixel(x, y));
-        image::Rgb(std::array::from_fn(|c| a[c].abs_diff(b[c]).saturating_mul(4)))
-    });
-    Ok([("photo", photo), ("render", render), ("difference", difference)])
-}
-
-fn jpeg(picture: &RgbImage) -> Result<Vec<u8>> {
-    let mut bytes = Vec::new();
-    picture.write_with_encoder(image::codecs::jpeg::JpegEncoder::new_with_quality(&mut bytes, 85))?;
-    Ok(bytes)
-}
-
-fn costs(html: &mut String, record: &RunRecord) -> Result<()> {
-    html.push_str(
-        "<h2>Cost</h2><table><tr><th>stage<th class=n>wall s<th class=n>CPU s<th class=n>peak MiB</tr>",
+    let rows: Vec<Vec<String>> = record.costs.iter().map(row).collect();
+    html::table(html, &["stage", "wall s", "CPU s", "peak MiB"], &rows);
+    let libraries: String = record
+        .libraries
+        .iter()
+        .map(|(name, version)| format!(", {} {}", escape(name), escape(version)))
+        .collect();
+    *html += &format!(
+        "<p><small>sat-recon {}, seed {}{libraries}.</small></p>",
+        record.version, record.config.seed
     );
-    for (stage, cost) in &record.costs {
-        write!(
-            html,
-            "<tr><td>{stage}<td class=n>{:.1}<td class=n>{:.1}<td class=n>{:.0}</tr>",
-            cost.wall_s, cost.cpu_s, cost.peak_mib
-        )?;
-    }
-    write!(html, "</table><p>sat-recon {}, seed {}", record.version, record.config.seed)?;
-    for (name, version) in &record.libraries {
-        write!(html, ", {} {}", escape(name), escape(version))?;
-    }
-    html.push_str(".</p>");
-    Ok(())
 }

@@ -8,7 +8,7 @@ use anyhow::{Context, Result, bail};
 use base64::Engine as _;
 use base64::engine::general_purpose::STANDARD;
 use glam::DVec3;
-use scene::Reconstruction;
+use scene::{Gaussians, Reconstruction};
 use serde::Serialize;
 use std::path::{Path, PathBuf};
 
@@ -63,11 +63,14 @@ pub struct ViewScene {
 }
 
 /// A finished run, as far as it is looked at.
+#[derive(Debug)]
 pub struct Run {
     /// Its folder.
     pub folder: PathBuf,
     /// PINHOLE cameras that the splat was trained with.
     pub model: Reconstruction,
+    /// The splat, which no browser should be handed unread.
+    pub gaussians: Gaussians,
 }
 
 impl Run {
@@ -79,14 +82,21 @@ impl Run {
         }
         let model = scene::io::read_model(&folder.join("undistorted/sparse/0"))?;
         anyhow::ensure!(!model.images.is_empty(), "{} has no cameras", folder.display());
-        Ok(Self { folder: folder.to_path_buf(), model })
+        let gaussians = scene::io::read_splat_ply(&splat)?;
+        Ok(Self { folder: folder.to_path_buf(), model, gaussians })
     }
 
     /// The training image of the camera with this number in the page.
     pub fn photo(&self, index: usize) -> Option<PathBuf> {
         let image = self.model.images.values().nth(index)?;
         let name = scene::io::safe_name(&image.name).ok()?;
-        Some(self.folder.join("undistorted/images").join(name)).filter(|p| p.is_file())
+        self.inside(&format!("undistorted/images/{name}"))
+    }
+
+    /// A file of the run, if it lies in the run's folder: a link that leads out of it is none.
+    pub fn inside(&self, name: &str) -> Option<PathBuf> {
+        let path = self.folder.join(name).canonicalize().ok()?;
+        (path.is_file() && path.starts_with(self.folder.canonicalize().ok()?)).then_some(path)
     }
 
     fn scene(&self, splat: Splat, photo: impl Fn(usize) -> Option<String>) -> ViewScene {

@@ -54,7 +54,7 @@ fn answer(request: Request, run: &Run, page: &str, port: u16) -> std::io::Result
     }
     match route(request.url()) {
         Answer::Page => request.respond(of_kind(Response::from_string(page), "text/html; charset=utf-8")),
-        Answer::Splat => file(request, Some(run.folder.join("splat.ply")), "application/octet-stream"),
+        Answer::Splat => file(request, run.inside("splat.ply"), "application/octet-stream"),
         Answer::Photo(index) => file(request, run.photo(index), "application/octet-stream"),
         Answer::Nothing => request.respond(Response::from_string("not found").with_status_code(404)),
     }
@@ -80,8 +80,10 @@ fn route(url: &str) -> Answer {
     match url.split('?').next().unwrap_or("") {
         "/" => Answer::Page,
         "/splat.ply" => Answer::Splat,
-        path => match path.strip_prefix("/photo/").map(str::parse) {
-            Some(Ok(index)) => Answer::Photo(index),
+        path => match path.strip_prefix("/photo/") {
+            Some(digits) if digits.bytes().all(|b| b.is_ascii_digit()) => {
+                digits.parse().map_or(Answer::Nothing, Answer::Photo)
+            }
             _ => Answer::Nothing,
         },
     }
@@ -96,9 +98,17 @@ mod tests {
         assert_eq!(route("/"), Answer::Page);
         assert_eq!(route("/splat.ply?x=1"), Answer::Splat);
         assert_eq!(route("/photo/3"), Answer::Photo(3));
-        for url in
-            ["/../etc/passwd", "/photo/..%2f1", "/photo/-1", "//etc", "/photo/1/../2", "/splat.ply/", ""]
-        {
+        for url in [
+            "/../etc/passwd",
+            "/photo/..%2f1",
+            "/photo/-1",
+            "/photo/+1",
+            "/photo/",
+            "//etc",
+            "/photo/1/../2",
+            "/splat.ply/",
+            "",
+        ] {
             assert_eq!(route(url), Answer::Nothing, "{url}");
         }
     }

@@ -6,7 +6,7 @@ use super::support::{expect_code, folder, sat_recon, text};
 fn help_names_every_command_and_ends_well() {
     let said = expect_code(&["--help"], 0);
     for command in
-        ["run", "frames", "sfm", "train", "render", "eval", "report", "export", "compare", "doctor"]
+        ["run", "frames", "sfm", "train", "render", "eval", "report", "export", "compare", "bench", "doctor"]
     {
         assert!(said.contains(command), "{command} is not in the help");
     }

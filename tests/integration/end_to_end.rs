@@ -52,13 +52,66 @@ fn the_poses_of_the_sample_agree_with_its_truth() {
 
 #[test]
 fn the_report_is_one_file_with_everything_in_it() {
-    let report = std::fs::read_to_string(finished_run().join("report.html")).unwrap();
-    for part in
-        ["<h2>Frames", "<h2>Poses", "<h2>Splat", "<h2>Held-out views", "<svg", "data:image/jpeg;base64,"]
-    {
+    let out = finished_run();
+    let report = std::fs::read_to_string(out.join("report.html")).unwrap();
+    for part in [
+        "class=\"verdict",
+        "<h2>What was decided",
+        "<h3>Camera model",
+        "<h3>Motion",
+        "<h3>Background",
+        "<h3>SH degree",
+        "<h3>Number of Gaussians",
+        "<h3>Exposure",
+        "<h3>Light",
+        "<h2>Frames",
+        "<h2>Poses",
+        "id=\"poses-data\"",
+        "Angle about the axis",
+        "Reprojection error of each image",
+        "<h2>Splat",
+        "<h2>Held-out views",
+        "class=\"slider\"",
+        "<svg",
+        "data:image/jpeg;base64,",
+    ] {
         assert!(report.contains(part), "{part} is missing");
     }
     assert!(!report.contains("src=\"http") && !report.contains("href=\"http"), "nothing may be fetched");
+    assert!(report.len() < 6 << 20, "{} bytes are too many for a phone", report.len());
+    let run = json(&out.join("run.json"));
+    let lights = run["verdict"].as_array().unwrap();
+    for what in [
+        "frames with a pose",
+        "loop",
+        "reprojection error",
+        "weak frames",
+        "held-out views",
+        "overfitting",
+        "floaters",
+    ] {
+        assert!(lights.iter().any(|l| l["what"] == what), "{what}: {lights:?}");
+    }
+    let overfitting = lights.iter().find(|l| l["what"] == "overfitting").unwrap();
+    assert_ne!(overfitting["level"], "unknown", "training views are judged: {overfitting}");
+}
+
+#[test]
+fn eval_prints_the_protocol_and_a_line_for_each_view() {
+    let said = expect_code(&["eval", text(finished_run())], 0);
+    for part in [
+        "11×11 Gaussian window",
+        "no resize",
+        "every 8th",
+        "| view | PSNR | SSIM |",
+        "median five",
+        "50 % of the views below",
+        "mean of the held-out views",
+    ] {
+        assert!(said.contains(part), "{part}: {said}");
+    }
+    let views = json(&finished_run().join("eval/metrics.json"))["views"].as_array().unwrap().len();
+    assert_eq!(said.lines().filter(|l| l.starts_with("| frame")).count(), views, "{said}");
 }
 
 #[test]
@@ -153,7 +206,30 @@ fn runs_and_the_renders_of_other_tools_stand_in_the_tables_of_a_paper() {
     let renders = out.join("eval/renders");
     let run = format!("ours:orbit={}", text(out));
     let other = format!("other:orbit={}", text(&renders));
-    let said = expect_code(&["compare", &run, &other, "--tables", text(&target)], 0);
+    let page = target.with_file_name("runs.html");
+    let published = target.with_file_name("published.json");
+    std::fs::write(
+        &published,
+        r#"[{"title":"quality","methods":["paper"],"cases":["orbit"],"published":["paper"],
+            "columns":[{"name":"PSNR","digits":2,"more_is_better":true}],"values":[[[99.0]]]}]"#,
+    )
+    .unwrap();
+    let beside = ["--beside", text(&published)];
+    let files = ["--tables", text(&target), "--report", text(&page)];
+    let said = expect_code(&[&["compare", &run, &other][..], &beside, &files].concat(), 0);
+    assert!(said.contains("| paper | 99.00 |"), "{said}");
+    let html = std::fs::read_to_string(&page).unwrap();
+    for part in [
+        "ours, orbit",
+        "class=\"verdict",
+        "<h3>quality",
+        "99.00",
+        "<h2>Decisions",
+        "class=\"slider\"",
+        "<svg",
+    ] {
+        assert!(html.contains(part), "{part} is missing in the comparison");
+    }
     let tables = json(&target.join("tables.json"));
     let quality = &tables[0]["values"];
     let psnr = |method: usize| quality[method][0][0].as_f64().unwrap();

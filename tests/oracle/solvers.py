@@ -44,6 +44,7 @@ def p3p(rng):
 def essential(rng):
     _, a, b, _, _ = scene(rng, 5)
     stack, _ = cv2.findEssentialMat(a, b, np.eye(3), method=cv2.RANSAC, prob=0.999, threshold=1e-3)
+    check_kornia_essential(a, b, rows(stack))
     return {"a": a.tolist(), "b": b.tolist(), "solutions": rows(stack)}
 
 
@@ -106,6 +107,23 @@ def check_kornia(a, b, f):
     unit = lambda m: m / np.linalg.norm(m)
     distance = min(np.linalg.norm(unit(f) - unit(other)), np.linalg.norm(unit(f) + unit(other)))
     assert distance < 1e-6, f"kornia and OpenCV disagree by {distance}"
+
+
+def check_kornia_essential(a, b, solutions):
+    """Each of OpenCV's five-point solutions is among kornia's, where kornia is installed."""
+    try:
+        from kornia.geometry.epipolar.essential import run_5point
+        import torch
+    except ImportError:
+        return
+    as_tensor = lambda v: torch.tensor(v[None])
+    found = run_5point(as_tensor(a), as_tensor(b), torch.ones(1, 5, dtype=torch.float64)).numpy().reshape(-1, 3, 3)
+    unit = lambda m: m / np.linalg.norm(m)
+    found = [unit(m) for m in found if np.isfinite(m).all() and np.linalg.norm(m) > 0]
+    for s in solutions:
+        s = unit(np.reshape(s, (3, 3)))
+        distance = min((min(np.linalg.norm(s - m), np.linalg.norm(s + m)) for m in found), default=np.inf)
+        assert distance < 1e-4, f"kornia and OpenCV disagree by {distance}"
 
 
 def main():

@@ -6,7 +6,9 @@ const DIRECTIONS = { KeyW: [0, 0, -1], KeyS: [0, 0, 1], KeyA: [-1, 0, 0], KeyD: 
 export class Flight {
   constructor(camera, controls, radius, moved) {
     Object.assign(this, { camera, controls, moved, speed: radius * 0.5, held: new Set() });
-    window.addEventListener("keydown", (e) => { if (DIRECTIONS[e.code]) this.held.add(e.code); this.fast = e.shiftKey; });
+    // In the panel, letters choose and sliders move.
+    const flies = (e) => DIRECTIONS[e.code] && !(e.ctrlKey || e.metaKey || e.altKey) && !/^(SELECT|INPUT)$/.test(e.target.tagName);
+    window.addEventListener("keydown", (e) => { if (flies(e)) this.held.add(e.code); this.fast = e.shiftKey; });
     window.addEventListener("keyup", (e) => { this.held.delete(e.code); this.fast = e.shiftKey; });
     window.addEventListener("blur", () => this.held.clear());
   }

@@ -139,16 +139,14 @@ function loop(now) {
   requestAnimationFrame(loop);
 }
 
-state.goTo = goTo;
-state.orbit = (radians) => { leaveView(); controls._rotateLeft?.(radians); state.dirty = true; };
+state.pose = () => ({ position: camera.position.toArray(), target: controls.target.toArray() });
 window.addEventListener("resize", resize);
 start();
 requestAnimationFrame(loop);
-const begun = performance.now();
 loadSplat(data, camera).then((loaded) => {
   splat = loaded;
   scene.add(splat.mesh);
-  state.loadMs = performance.now() - begun;
+  state.loadMs = performance.now(); // since the address was opened
   state.ready = true;
   state.dirty = true;
   document.getElementById("status").textContent = "";

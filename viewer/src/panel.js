@@ -14,6 +14,7 @@ export function buildPanel(data, act) {
   const step = (by) => act.view(Number(select.value) < 0 ? 0 : Number(select.value) + by);
   const toggle = (name, text, on) => {
     const box = make("input", { type: "checkbox", checked: on, onchange: () => act.toggle(name, box.checked) });
+    box.dataset.part = name;
     return make("label", {}, box, text);
   };
   const opacity = make("input", { type: "range", min: 0, max: 1, step: 0.01, value: 0, title: "Photo over the splat" });

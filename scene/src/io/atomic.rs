@@ -54,6 +54,26 @@ pub fn write_atomic(
     Ok(())
 }
 
+/// [`write_atomic`] for writers that want a path: `write` makes a file of the given name, which does not exist yet.
+#[cfg(feature = "colmap-db")]
+pub(crate) fn write_file_atomic(
+    path: &Path,
+    write: impl FnOnce(&Path) -> io::Result<()>,
+) -> Result<(), IoError> {
+    create_parent(path)?;
+    let temporary = beside(path, "tmp");
+    let result = write(&temporary).and_then(|()| {
+        File::open(&temporary)?.sync_all()?;
+        fs::rename(&temporary, path)
+    });
+    if result.is_err() {
+        let _ = fs::remove_file(&temporary);
+    }
+    result.map_err(IoError::file("write", path))?;
+    sync_parent(path);
+    Ok(())
+}
+
 /// Fills a new folder through `fill` and puts it in the place of `path` when that succeeded; what was there
 /// before is removed only then.
 pub fn replace_folder<E: From<IoError>>(

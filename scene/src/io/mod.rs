@@ -7,10 +7,12 @@
 pub mod atomic;
 mod bytes;
 mod colmap_bin;
+pub mod colmap_db;
 mod colmap_txt;
 mod error;
 pub mod exif;
 pub mod load;
+mod mesh;
 mod model;
 mod name;
 pub mod ply;
@@ -19,9 +21,12 @@ pub mod transforms;
 pub mod truth;
 
 pub use atomic::{replace_folder, write_atomic};
+#[cfg(feature = "colmap-db")]
+pub use colmap_db::{read_database, write_database};
 pub use error::IoError;
 pub(crate) use error::read_file;
 pub use load::{ImageInfo, LoadedImage, image_info, load_image, load_mask, load_rgb, resize_area};
+pub use mesh::read_mesh;
 pub use model::{find_model, has_model, read_model, write_model_bin, write_model_txt};
 pub use name::{UnsafeName, safe_name};
 pub use ply::{CloudPoint, read_points_ply, read_splat_ply, write_points_ply, write_splat_ply};

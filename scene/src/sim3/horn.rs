@@ -25,7 +25,7 @@ pub fn nearest_rotation(m: DMat3) -> DQuat {
 }
 
 /// Cyclic Jacobi rotations (Golub and Van Loan, section 8.5) on a symmetric 4×4 matrix.
-fn largest_eigenvector(mut a: [[f64; 4]; 4]) -> [f64; 4] {
+pub(crate) fn largest_eigenvector(mut a: [[f64; 4]; 4]) -> [f64; 4] {
     let mut v = [[0.0; 4]; 4]; // columns become the eigenvectors
     (0..4).for_each(|i| v[i][i] = 1.0);
     for _ in 0..30 {

@@ -76,10 +76,13 @@ BundleOutcome solve_bundle(const BundleInput &input, rust::Slice<double> intrins
     double *const blocks[3] = {poses_at + kPoseSize * pose, points.data() + 3 * point,
                                intrinsics_at + input.camera_offsets[camera]};
     problem.AddResidualBlock(&costs.back(), loss.get(), blocks, 3);
-    ordering->AddElementToGroup(blocks[0], 1);
-    ordering->AddElementToGroup(blocks[1], 0);
-    ordering->AddElementToGroup(blocks[2], 1);
   }
+  const auto group = [&](double *block, int number) {
+    if (problem.HasParameterBlock(block)) ordering->AddElementToGroup(block, number);
+  };
+  for (std::size_t i = 0; i < input.point_held.size(); ++i) group(points.data() + 3 * i, 0);
+  for (std::size_t i = 0; i < input.pose_held.size(); ++i) group(poses_at + kPoseSize * i, 1);
+  for (const std::size_t offset : input.camera_offsets) group(intrinsics_at + offset, 1);
   for (std::size_t i = 0; i < input.pose_held.size(); ++i) {
     double *block = poses_at + kPoseSize * i;
     if (!problem.HasParameterBlock(block)) continue;

@@ -96,6 +96,23 @@ mod ffi {
         pub offset_sigma: Vec<f64>,
     }
 
+    /// Bearings from P cameras to N points, M of them; rotations are known.
+    #[derive(Clone, Debug, Default)]
+    pub struct PositionInput {
+        /// [M] camera of each bearing.
+        pub observation_camera: Vec<u32>,
+        /// [M] point of each bearing.
+        pub observation_point: Vec<u32>,
+        /// [M × 3] unit bearings, world frame.
+        pub directions: Vec<f64>,
+        /// Where Huber's loss bends (1: a bearing of unit length).
+        pub loss_scale: f64,
+        /// Most iterations.
+        pub max_iterations: i32,
+        /// Relative decrease of the cost at which to stop.
+        pub function_tolerance: f64,
+    }
+
     extern "Rust" {
         type Monitor<'a>;
         fn is_cancelled(monitor: &Monitor<'_>) -> bool;
@@ -104,6 +121,14 @@ mod ffi {
     unsafe extern "C++" {
         include!("bundle.h");
         include!("turn.h");
+        include!("position.h");
+        fn solve_positions(
+            input: &PositionInput,
+            centres: &mut [f64],
+            points: &mut [f64],
+            scales: &mut [f64],
+            monitor: &Monitor<'_>,
+        ) -> Result<BundleOutcome>;
         fn solve_bundle(
             input: &BundleInput,
             intrinsics: &mut [f64],
@@ -151,7 +176,34 @@ mod ffi {
 
 pub(crate) mod turn;
 
-pub(crate) use ffi::{BundleInput, BundleOutcome, TurnInput};
+pub(crate) use ffi::{BundleInput, BundleOutcome, PositionInput, TurnInput};
+
+/// Camera centres [P × 3] and points [N × 3] that agree with the bearings, from any start; both hold the result.
+/// `false` where it is of no use.
+pub(crate) fn positions(
+    input: &PositionInput,
+    centres: &mut [f64],
+    points: &mut [f64],
+    progress: &Progress,
+) -> Result<bool, SfmError> {
+    let count = input.observation_camera.len();
+    let inside =
+        |indices: &[u32], n: usize| indices.len() == count && indices.iter().all(|&i| (i as usize) < n);
+    let shapes = inside(&input.observation_camera, centres.len() / 3)
+        && inside(&input.observation_point, points.len() / 3)
+        && input.directions.len() == 3 * count;
+    let finite = |values: &[f64]| values.iter().all(|v| v.is_finite());
+    if count == 0 || !shapes || !finite(centres) || !finite(points) || !finite(&input.directions) {
+        return Err(SfmError::Solver("the bearings are inconsistent".to_owned()));
+    }
+    let mut scales = vec![1.0; count];
+    let outcome = ffi::solve_positions(input, centres, points, &mut scales, &Monitor(progress))
+        .map_err(|e| SfmError::Solver(e.to_string()))?;
+    if outcome.cancelled {
+        progress.check()?;
+    }
+    Ok(outcome.usable && finite(centres) && finite(points))
+}
 
 /// The numbers that change: see [`BundleInput`] for P and N.
 #[derive(Clone, Debug, Default)]

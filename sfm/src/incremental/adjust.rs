@@ -56,7 +56,13 @@ pub(crate) fn adjust(
     take(state, &selected);
     if what.points_per_image.is_some() {
         let chosen: Vec<bool> = mark(state.points.len(), &selected.points);
-        state.refine_points(input, |id| chosen[id as usize]);
+        match &what.moving {
+            Some(moved) => {
+                let touched = state.seen_by(moved).into_iter().filter(|&id| !chosen[id as usize]);
+                touched.for_each(|id| state.refine_point(input, id));
+            }
+            None => state.refine_points(input, |id| chosen[id as usize]),
+        }
     }
     Ok(summary.final_rms)
 }
@@ -86,17 +92,14 @@ pub(crate) fn select(state: &State, input: &Input<'_>, what: &Adjustment) -> Sel
     images.sort_unstable();
     let index: HashMap<usize, u32> = images.iter().copied().zip(0..).collect();
     let moves = |image: usize| what.moving.as_ref().is_none_or(|m| m.contains(&image));
-    let mut points: Vec<u32> = match what.points_per_image {
-        Some(wanted) => covering_points(state, wanted),
+    let candidates: Vec<u32> = match &what.moving {
+        Some(moving) => state.seen_by(moving),
         None => state.live().map(|(id, _)| id).collect(),
     };
-    if what.moving.is_some() {
-        let touched = |id: &u32| {
-            let point = state.points[*id as usize].as_ref();
-            point.is_some_and(|p| p.views.iter().any(|v| moves(v[0] as usize)))
-        };
-        points.retain(touched);
-    }
+    let points = match what.points_per_image {
+        Some(wanted) => covering_points(state, candidates, wanted, moves),
+        None => candidates,
+    };
     let pose = |&i: &usize| state.poses[i].unwrap_or(Pose::IDENTITY);
     let mut problem = BundleProblem {
         cameras: state.cameras.clone(),
@@ -114,22 +117,29 @@ pub(crate) fn select(state: &State, input: &Input<'_>, what: &Adjustment) -> Sel
         for &[image, feature] in &point.views {
             let Some(&pose) = index.get(&(image as usize)) else { continue };
             let pixel = input.keypoints[image as usize][feature as usize];
-            problem.observations.push(BundleObservation { pose, point: number, pixel, sigma_px: 1.0 });
+            let sigma_px = input.spreads.get(image as usize).map_or(1.0, |s| f64::from(s[feature as usize]));
+            problem.observations.push(BundleObservation { pose, point: number, pixel, sigma_px });
         }
     }
     problem.point_constant = vec![false; problem.points.len()];
     Selected { problem, points, images }
 }
 
-/// The longest tracks first, until every image sees `wanted` of the chosen points or has no more.
-fn covering_points(state: &State, wanted: usize) -> Vec<u32> {
-    let mut ranked: Vec<(usize, u32)> = state.live().map(|(id, p)| (p.views.len(), id)).collect();
+/// The longest tracks first, until every image that `moves` sees `wanted` of the chosen points or has no more.
+fn covering_points(
+    state: &State,
+    candidates: Vec<u32>,
+    wanted: usize,
+    moves: impl Fn(usize) -> bool,
+) -> Vec<u32> {
+    let views = |id: u32| state.points[id as usize].as_ref().map_or(0, |p| p.views.len());
+    let mut ranked: Vec<(usize, u32)> = candidates.into_iter().map(|id| (views(id), id)).collect();
     ranked.sort_unstable_by_key(|&(n, id)| (std::cmp::Reverse(n), id));
     let mut seen = vec![0usize; state.poses.len()];
     let mut chosen = Vec::new();
     for (_, id) in ranked {
         let Some(point) = &state.points[id as usize] else { continue };
-        if point.views.iter().any(|v| seen[v[0] as usize] < wanted) {
+        if point.views.iter().any(|v| seen[v[0] as usize] < wanted && moves(v[0] as usize)) {
             point.views.iter().for_each(|v| seen[v[0] as usize] += 1);
             chosen.push(id);
         }

@@ -3,8 +3,8 @@
 use super::adjust::{Adjustment, Selected, select, take};
 use super::growth::{Knowledge, freedom};
 use super::state::{Input, State};
-use crate::bundle::{Loss, SolveOptions};
-use crate::selection::{Choice, Intrinsics, apply, choose, choose_turned, noise};
+use crate::bundle::{BundleProblem, Loss, SolveOptions};
+use crate::selection::{Choice, Intrinsics, apply, choose, choose_turned, noise_in_units, redundancy};
 use crate::turned::{suspects, turn_problem};
 use crate::{Decision, PoseDeviation, SfmError, Uncertainty};
 use scene::{Camera, CameraModel, Progress};
@@ -43,7 +43,7 @@ pub(crate) fn decide(
     let mut what = Adjustment::growing(free, priors);
     what.points_per_image = Some(part_of(state, SIGHTINGS));
     let Selected { problem, images, points } = select(state, input, &what);
-    let (fixed, sigma) = (fixed(known), noise(&problem));
+    let (fixed, sigma) = (fixed(known), noise_in_units(&problem));
     let choice = choose(&problem, &fixed, named, false, sigma, progress)?;
     let verdict = |choice: Choice, turned, mut decisions: Vec<Decision>| {
         decisions.push(choice.decision);
@@ -94,16 +94,28 @@ pub(crate) fn polish(
 ) -> Result<(), SfmError> {
     take(state, &verdict.adjusted);
     state.refine_points(input, |_| false);
-    trim(state, input, &verdict.adjusted);
+    trim(state, input, &verdict.adjusted.problem);
+    converge(state, input, known, starts, verdict.intrinsics, progress)
+}
+
+/// Triangulates, adjusts and filters until little changes.
+pub(crate) fn converge(
+    state: &mut State,
+    input: &Input<'_>,
+    known: &[Knowledge],
+    starts: &[Camera],
+    intrinsics: Intrinsics,
+    progress: &Progress,
+) -> Result<(), SfmError> {
     for _ in 0..2 {
         let added = state.grow_all(input);
-        let (mut selected, options) = prepare(state, input, known, starts, verdict.intrinsics);
+        let (mut selected, options) = prepare(state, input, known, starts, intrinsics);
         let summary = selected.problem.solve(&options, progress)?;
         if !summary.usable {
             break;
         }
         take(state, &selected);
-        let gone = trim(state, input, &selected);
+        let gone = trim(state, input, &selected.problem);
         if (added + gone) * 200 < selected.problem.observations.len() {
             break;
         }
@@ -111,9 +123,15 @@ pub(crate) fn polish(
     Ok(())
 }
 
+/// Standard deviation of a residual coordinate of the model as it is, pixels.
+pub(crate) fn noise_of(state: &State, input: &Input<'_>) -> f64 {
+    let free = state.cameras.iter().map(|c| vec![false; c.params.len()]).collect();
+    noise_in_units(&select(state, input, &Adjustment::growing(free, Vec::new())).problem)
+}
+
 /// Drops sightings that lie outside the noise of an adjustment; how many.
-fn trim(state: &mut State, input: &Input<'_>, selected: &Selected) -> usize {
-    let limit = FINAL_SIGMAS * noise(&selected.problem);
+fn trim(state: &mut State, input: &Input<'_>, problem: &BundleProblem) -> usize {
+    let limit = FINAL_SIGMAS * noise_in_units(problem);
     state.filter(input, limit.clamp(FINAL_LEAST_PX, input.config.max_reprojection_px))
 }
 
@@ -127,8 +145,8 @@ fn prepare(
     let (free, priors) = freedom(&state.cameras, known, starts, usize::MAX);
     let mut selected = select(state, input, &Adjustment::growing(free, priors));
     apply(&mut selected.problem, intrinsics, &fixed(known));
-    let sigma = noise(&selected.problem);
-    selected.problem.observations.iter_mut().for_each(|o| o.sigma_px = sigma);
+    let sigma = noise_in_units(&selected.problem);
+    selected.problem.observations.iter_mut().for_each(|o| o.sigma_px *= sigma);
     let most = (LAST_EFFORT / selected.problem.observations.len().max(1)).clamp(6, 30);
     let options = SolveOptions {
         loss: Loss::Cauchy(2.0),
@@ -149,14 +167,17 @@ pub(crate) fn uncertainty(
 ) -> Result<Option<Uncertainty>, SfmError> {
     let (selected, options) = prepare(state, input, known, starts, intrinsics);
     let Some(covariance) = selected.problem.covariance(&options)? else { return Ok(None) };
-    let sigma_px = noise(&selected.problem);
-    let mut result = Uncertainty { sigma_px, ..Uncertainty::default() };
+    let factor = redundancy(&selected.problem);
+    // The problem's observations are already in units of the noise.
+    let mut result = Uncertainty { sigma_px: factor * noise_of(state, input), ..Uncertainty::default() };
     for (camera, c) in selected.problem.cameras.iter().zip(&covariance.cameras) {
         let n = camera.params.len();
-        result.cameras.insert(camera.id, (0..n).map(|i| c[i * n + i].max(0.0).sqrt()).collect());
+        let deviation = |i: usize| factor * c[i * n + i].max(0.0).sqrt();
+        result.cameras.insert(camera.id, (0..n).map(deviation).collect());
     }
     for (&image, d) in selected.images.iter().zip(&covariance.poses) {
-        let deviation = PoseDeviation { rotation: [d[0], d[1], d[2]], centre: [d[3], d[4], d[5]] };
+        let [a, b, c, x, y, z] = d.map(|v| factor * v);
+        let deviation = PoseDeviation { rotation: [a, b, c], centre: [x, y, z] };
         result.images.insert(image as u32 + 1, deviation);
     }
     Ok(Some(result))

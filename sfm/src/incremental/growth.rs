@@ -6,6 +6,7 @@ use super::resection::{Resection, next_images, resect};
 use super::state::{Input, State};
 use crate::SfmError;
 use crate::bundle::{IntrinsicsPrior, free_parameters};
+use crate::tracks::NONE;
 use scene::{Camera, Progress};
 
 /// Images from which on distortion is solved for while the model grows.
@@ -127,7 +128,10 @@ pub(crate) fn grow(
         }
         adjust(state, input, &what, progress)?;
         repair(state, known, starts);
-        state.filter(input, input.config.max_reprojection_px);
+        match &what.moving {
+            Some(moved) => state.filter_seen_by(input, input.config.max_reprojection_px, moved),
+            None => state.filter(input, input.config.max_reprojection_px),
+        };
         if state.sightings(image) < input.config.min_sightings {
             state.unregister(image);
         } else {
@@ -173,10 +177,9 @@ fn repair(state: &mut State, known: &[Knowledge], starts: &[Camera]) {
 /// The image and those registered images that share most points with it.
 fn neighbours(state: &State, image: usize, count: usize) -> Vec<usize> {
     let mut shared = vec![0usize; state.poses.len()];
-    for (_, point) in state.live() {
-        if point.views.iter().any(|v| v[0] as usize == image) {
-            point.views.iter().for_each(|v| shared[v[0] as usize] += 1);
-        }
+    let seen = state.point_of[image].iter().filter(|&&id| id != NONE);
+    for point in seen.filter_map(|&id| state.points[id as usize].as_ref()) {
+        point.views.iter().for_each(|v| shared[v[0] as usize] += 1);
     }
     shared[image] = usize::MAX;
     let mut ranked: Vec<usize> = (0..shared.len()).filter(|&i| shared[i] > 0).collect();

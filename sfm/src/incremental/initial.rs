@@ -54,7 +54,7 @@ pub(crate) fn start(
 
 /// `b_from_a` with unit translation from the pair's fundamental matrix (else its essential matrix or its pose) and the
 /// present focal lengths, refined on the inliers.
-pub(super) fn relative_pose(
+pub(crate) fn relative_pose(
     input: &Input<'_>,
     [ca, cb]: [&Camera; 2],
     geometry: &TwoViewGeometry,

@@ -7,10 +7,12 @@ pub(crate) mod finish;
 pub(crate) mod folds;
 pub(crate) mod growth;
 pub(crate) mod initial;
+pub(crate) mod merge;
 pub(crate) mod resection;
 pub(crate) mod state;
 
 use crate::SfmError;
+use crate::mapper::MapperChoice;
 use adjust::plausible;
 use growth::{Knowledge, grow, settle};
 use initial::{rank_pairs, start};
@@ -35,6 +37,9 @@ pub struct MapperConfig {
     /// Smallest share of an image's sightings that must agree with its pose
     #[arg(long, default_value_t = Self::default().min_sighting_ratio, help_heading = "Mapping")]
     pub min_sighting_ratio: f64,
+    /// How a model is made from verified pairs
+    #[arg(long, value_enum, default_value_t = MapperChoice::Auto, help_heading = "Mapping")]
+    pub mapper: MapperChoice,
     /// How many first pairs are tried before the best model is taken
     #[arg(long, default_value_t = Self::default().starts, help_heading = "Mapping")]
     pub starts: usize,
@@ -47,6 +52,7 @@ impl Default for MapperConfig {
             min_angle_deg: 1.5,
             min_sightings: 15,
             min_sighting_ratio: 0.25,
+            mapper: MapperChoice::Auto,
             starts: 3,
         }
     }
@@ -57,7 +63,8 @@ const MIN_CONSISTENT: f64 = 0.3;
 /// Images of the small models that are compared before one is grown.
 const SMALL: usize = 5;
 
-/// The best model that grows from some first pair among `geometries`; `None` where none does.
+/// The best model that grows from some first pair among `geometries`, joined by what others have beyond it where they
+/// share points; `None` where none grows.
 pub(crate) fn map(
     input: &Input<'_>,
     cameras: &[Camera],
@@ -66,7 +73,7 @@ pub(crate) fn map(
 ) -> Result<Option<State>, SfmError> {
     let geometries = input.geometries;
     let images = input.keypoints.len();
-    let mut best: Option<State> = None;
+    let mut models: Vec<State> = Vec::new();
     let mut used = vec![false; images];
     let ranked = rank_pairs(geometries);
     let mut tries = 0;
@@ -88,14 +95,38 @@ pub(crate) fn map(
         settle(&mut state, input, known, &starts, progress)?;
         expel(&mut state, input);
         state.order.iter().for_each(|&i| used[i] = true);
-        if best.as_ref().is_none_or(|b| value(&state) > value(b)) {
-            best = Some(state);
-        }
-        if best.as_ref().is_some_and(|b| b.registered() * 10 >= images * 9) {
+        let done = state.registered() * 10 >= images * 9;
+        models.push(state);
+        if done {
             break;
         }
     }
-    Ok(best.filter(|b| b.registered() >= 2))
+    // The best comes first; of equals the earlier one.
+    models.sort_by_key(|m| std::cmp::Reverse(value(m)));
+    let mut models = models.into_iter();
+    let Some(mut best) = models.next() else { return Ok(None) };
+    for other in models {
+        if let Some(whole) = merge::join(&best, &other, input, (cameras, known), progress)? {
+            best = whole;
+        }
+    }
+    Ok((best.registered() >= 2).then_some(best))
+}
+
+/// The small model of the best first pair that gives one; its intrinsics are about right.
+pub(crate) fn sketch(
+    input: &Input<'_>,
+    cameras: &[Camera],
+    known: &[Knowledge],
+    progress: &Progress,
+) -> Result<Option<State>, SfmError> {
+    for pair in rank_pairs(input.geometries).into_iter().take(input.config.starts.max(1)) {
+        let begun = begin(input, cameras, known, &input.geometries[pair], progress)?;
+        if begun.is_some() {
+            return Ok(begun);
+        }
+    }
+    Ok(None)
 }
 
 /// Takes out images whose pose most of their verified matches contradict, or that see too little.

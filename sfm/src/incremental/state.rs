@@ -11,6 +11,8 @@ use scene::{Camera, Pose, TwoViewGeometry};
 pub(crate) struct Input<'a> {
     /// For each image its keypoints' positions.
     pub keypoints: &'a [Vec<DVec2>],
+    /// For each image the standard deviation of each keypoint relative to the others'; where it is empty, all are 1.
+    pub spreads: &'a [Vec<f32>],
     /// Keypoints joined over images.
     pub tracks: &'a Tracks,
     /// For each image the index of its camera.
@@ -175,6 +177,19 @@ impl State {
         added
     }
 
+    /// Gives a track a point at a known place, seen by all registered images of the track.
+    pub fn place(&mut self, input: &Input<'_>, track: u32, position: DVec3) {
+        let point = self.points.len() as u32;
+        self.points.push(Some(MapPoint { position, track, views: Vec::new() }));
+        self.of_track[track as usize].push(point);
+        for &[image, feature] in &input.tracks.views[track as usize] {
+            if self.poses[image as usize].is_some() && self.point_of[image as usize][feature as usize] == NONE
+            {
+                self.add_view(point, [image, feature]);
+            }
+        }
+    }
+
     fn triangulate_views(&mut self, input: &Input<'_>, track: u32, loose: &[[u32; 2]]) -> usize {
         let views: Vec<View<'_>> = loose.iter().filter_map(|v| self.view(input, *v)).collect();
         let Some(found) = triangulate(&views, &Self::gates(input)) else { return 0 };
@@ -200,14 +215,26 @@ impl State {
 
     /// Moves points to their least-squares place for the present poses; `held` says which stay.
     pub fn refine_points(&mut self, input: &Input<'_>, held: impl Fn(u32) -> bool) {
-        for id in 0..self.points.len() as u32 {
-            let Some(point) = self.points[id as usize].as_ref().filter(|_| !held(id)) else { continue };
-            let views: Vec<View<'_>> = point.views.iter().filter_map(|v| self.bare_view(input, *v)).collect();
-            let position = refine_point(point.position, views.iter(), 3);
-            if let Some(p) = &mut self.points[id as usize] {
-                p.position = position;
-            }
+        (0..self.points.len() as u32).filter(|&id| !held(id)).for_each(|id| self.refine_point(input, id));
+    }
+
+    /// Moves one point to its least-squares place for the present poses.
+    pub fn refine_point(&mut self, input: &Input<'_>, id: u32) {
+        let Some(point) = self.points[id as usize].as_ref() else { return };
+        let views: Vec<View<'_>> = point.views.iter().filter_map(|v| self.bare_view(input, *v)).collect();
+        let position = refine_point(point.position, views.iter(), 3);
+        if let Some(p) = &mut self.points[id as usize] {
+            p.position = position;
         }
+    }
+
+    /// The points that some of these images see, ascending.
+    pub fn seen_by(&self, images: &[usize]) -> Vec<u32> {
+        let all = images.iter().flat_map(|&i| self.point_of[i].iter().copied());
+        let mut ids: Vec<u32> = all.filter(|&id| id != NONE).collect();
+        ids.sort_unstable();
+        ids.dedup();
+        ids
     }
 
     /// A view whose ray is not needed.
@@ -221,11 +248,25 @@ impl State {
     /// Drops sightings with a larger error than `max_error_px` or behind the camera, and points seen under too small
     /// an angle. Returns how many sightings went.
     pub fn filter(&mut self, input: &Input<'_>, max_error_px: f64) -> usize {
+        self.filter_points(input, max_error_px, 0..self.points.len() as u32)
+    }
+
+    /// [`State::filter`] of the points that some of these images see.
+    pub fn filter_seen_by(&mut self, input: &Input<'_>, max_error_px: f64, images: &[usize]) -> usize {
+        self.filter_points(input, max_error_px, self.seen_by(images).into_iter())
+    }
+
+    fn filter_points(
+        &mut self,
+        input: &Input<'_>,
+        max_error_px: f64,
+        points: impl Iterator<Item = u32>,
+    ) -> usize {
         let (limit, min_angle) = (max_error_px * max_error_px, input.config.min_angle_deg.to_radians());
         let centres: Vec<DVec3> =
             self.poses.iter().map(|p| p.as_ref().map_or(DVec3::NAN, Pose::centre)).collect();
         let mut gone = 0;
-        for id in 0..self.points.len() as u32 {
+        for id in points {
             let Some(point) = &self.points[id as usize] else { continue };
             let x = point.position;
             let bad: Vec<[u32; 2]> =

@@ -70,8 +70,18 @@ pub fn match_pairs(
     config: &MatchConfig,
     progress: &Progress,
 ) -> Result<Vec<PairMatches>, SfmError> {
-    progress.begin("matching", pairs.len());
     let prepared: Vec<PreparedFeatures> = features.par_iter().map(PreparedFeatures::new).collect();
+    match_prepared_pairs(&prepared, pairs, config, progress)
+}
+
+/// [`match_pairs`] of descriptors that are prepared already.
+pub fn match_prepared_pairs(
+    prepared: &[PreparedFeatures],
+    pairs: &[(usize, usize)],
+    config: &MatchConfig,
+    progress: &Progress,
+) -> Result<Vec<PairMatches>, SfmError> {
+    progress.begin("matching", pairs.len());
     let one = |&(a, b): &(usize, usize)| {
         progress.check()?;
         let matches = match (prepared.get(a), prepared.get(b)) {

@@ -20,8 +20,8 @@ pub(super) fn fill(
     solved: Solved,
     progress: &Progress,
 ) -> Result<(), SfmError> {
-    let mut model = convert(&solved, frames);
-    colour(&mut model, frames, progress)?;
+    progress.check()?;
+    let model = convert(&solved, frames);
     let mut errors = model.reprojection_errors();
     let stats = &mut result.stats;
     stats.registered = model.images.len();
@@ -113,8 +113,9 @@ fn convert(solved: &Solved, frames: &FrameSet) -> Reconstruction {
     model
 }
 
-/// Mean colour of the pixels at which a point is seen.
-fn colour(model: &mut Reconstruction, frames: &FrameSet, progress: &Progress) -> Result<(), SfmError> {
+/// Gives every point the mean colour of the pixels at which it is seen.
+pub(super) fn colour(result: &mut SfmResult, frames: &FrameSet, progress: &Progress) -> Result<(), SfmError> {
+    let Some(model) = &mut result.reconstruction else { return Ok(()) };
     progress.begin("colours", model.images.len());
     type Samples = Vec<(u64, [u8; 3])>;
     let images: Vec<&PosedImage> = model.images.values().collect();

@@ -120,6 +120,7 @@ pub(crate) fn solve_video(job: &VideoJob<'_>) -> Result<Result<(VideoModel, Deci
 impl VideoJob<'_> {
     pub(crate) fn input<'a>(&'a self, material: &'a Material) -> Input<'a> {
         Input {
+            spreads: &[],
             keypoints: &material.keypoints,
             tracks: &material.tracks,
             camera_of: self.camera_of,

@@ -58,6 +58,11 @@ impl CpuBackend {
         self.clock = clock;
     }
 
+    /// Gaussian–pixel pairs that the last picture took, with the unused lanes of vectors.
+    pub fn gaussian_pixels(&self) -> u64 {
+        self.work.gaussian_pixels(self.isa)
+    }
+
     /// Seconds since `mark`, which moves to now.
     fn lap(&self, mark: &mut f64) -> f64 {
         let before = std::mem::replace(mark, (self.clock)());

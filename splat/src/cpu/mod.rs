@@ -2,6 +2,7 @@
 //! Gaussians (projection, optimiser). Results do not depend on the number of threads: every sum has a fixed order.
 
 pub mod bin;
+pub mod limits;
 pub mod loss;
 pub mod optimise;
 pub mod project;

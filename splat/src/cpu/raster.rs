@@ -206,6 +206,35 @@ fn forward_loop<S: Simd, const DEPTH: bool>(a: &mut Forward, depth: &mut [f32; P
     a.used = a.list.len();
 }
 
+/// Arguments of [`visit`].
+pub struct Visit<'a> {
+    /// Of all Gaussians.
+    pub records: &'a [Record],
+    /// What forward looked at of the tile's list.
+    pub list: &'a [u32],
+    /// The tile.
+    pub tile: Tile,
+    /// Out: pixels (lanes of vectors) that [`forward`] evaluates for them.
+    pub pixels: u64,
+}
+
+#[inline(always)]
+fn visit_generic<S: Simd>(a: &mut Visit) {
+    for &i in a.list {
+        let g = &a.records[i as usize];
+        let [x0, x1] = columns::<S>(g, &a.tile);
+        for column in x0..x1 {
+            let [y0, y1] = rows::<S>(g, &a.tile, column * S::LANES);
+            a.pixels += (y1.saturating_sub(y0) * S::LANES) as u64;
+        }
+    }
+}
+
+simd_kernel!(
+    /// Counts the work of a tile.
+    pub fn visit(arguments: &mut Visit) = visit_generic
+);
+
 /// Fetches the record that comes a few places after `index`: records lie in no order of the tile's.
 #[inline(always)]
 fn prefetch<S: Simd>(records: &[Record], list: &[u32], index: usize) {

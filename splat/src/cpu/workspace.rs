@@ -4,7 +4,7 @@ use super::bin::{Bins, TILE};
 use super::loss::{LossBuffers, Shape};
 use super::optimise::{Optimise, SharedModel, SharedPlane, Sink, optimise};
 use super::project::{CULLED, CameraConstants, Parameters, Project, Record, project};
-use super::raster::{Backward, Forward, PIXELS, SUMS, Tile, backward, forward};
+use super::raster::{Backward, Forward, PIXELS, SUMS, Tile, Visit, backward, forward, visit};
 use super::simd::Isa;
 use crate::backend::Target;
 use rayon::prelude::*;
@@ -92,6 +92,18 @@ impl Workspace {
                 }
             }
         });
+    }
+
+    /// Gaussian–pixel pairs that the last [`Workspace::forward`] evaluated.
+    pub fn gaussian_pixels(&self, isa: Isa) -> u64 {
+        let of = |(t, &used): (usize, &u32)| {
+            let begin = self.bins.offsets[t] as usize;
+            let list = &self.bins.list[begin..begin + used as usize];
+            let mut a = Visit { records: &self.records, list, tile: self.shape.tile(t), pixels: 0 };
+            visit(isa, &mut a);
+            a.pixels
+        };
+        self.used.iter().enumerate().map(of).sum()
     }
 
     /// Target planes (and weights) from 8-bit pixels, composed over the background where masks mean transparency.

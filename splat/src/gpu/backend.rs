@@ -1,102 +1,76 @@
 //! The backend: uploads, frames, steps, downloads.
 
 use super::bound::{Bound, Stage};
-use super::buffers::{Buffers, Limit, REPORT, Sizes, capacity, tiles};
-use super::context::Gpu;
+use super::buffers::{Buffers, Limit, PHOTOS, Sizes, capacity, most_pairs, tiles};
+use super::context::{Gpu, Opening};
+use super::flight::{Flight, Pending, Report, WINDOW};
 use super::kernels::Kernels;
-use super::layout::{
-    BLOCK, CLOCK, COUNTERS, COVERAGE, Frame, MAGNITUDES, NON_FINITE, PAIRS, PLANES, STATISTICS, VISIBLE,
-    WEIGHTED,
-};
+use super::layout::{BLOCK, Frame, HALT, MAGNITUDES, NON_FINITE, TRUNCATE, VISIBLE};
+use super::pages::Pages;
+use super::photos::{Photo, Photos};
 use crate::adapter::Adapter;
-use crate::backend::{Backend, KernelTimes, StepInput, StepOutput, Target};
+use crate::backend::{Backend, KernelTimes, Round, StepInput, StepOutput, Target};
 use crate::cpu::DEFAULT_NEAR;
 use crate::cpu::optimise::Statistics;
 use crate::cpu::project::CameraConstants;
-use crate::model::{GEOMETRY, Model, padded};
+use crate::model::Model;
+use crate::train::Decision;
 use crate::{PinholeView, RenderOptions, RenderOutput, SplatError};
 use scene::FloatImage;
 use std::ops::RangeInclusive;
 
-/// Time stamps of a step: begin and end of each stage.
-const STAMPS: usize = 2 * Stage::ALL.len();
+/// What lies on the device for the view, and how the kernels are bound to it and to the model.
+pub(super) type Screen = (Buffers, Bound);
 
 /// The GPU backend. The model lives on the device; a copy stays on the host only until the first step.
 pub struct GpuBackend {
     pub(super) gpu: Gpu,
-    kernels: Kernels,
+    pub(super) kernels: Kernels,
     pub(super) sizes: Sizes,
     sh_degree: u32,
-    pub(super) buffers: Option<(Buffers, Bound)>,
+    pub(super) pages: Option<Pages>,
+    pub(super) screen: Option<Screen>,
     /// The model as uploaded, while the device has no moments.
     untrained: Option<(Model, Statistics)>,
-    report: wgpu::Buffer,
-    stamps: Option<(wgpu::QuerySet, wgpu::Buffer)>,
-    times: KernelTimes,
+    photos: Photos,
+    flight: Flight,
+    /// Steps that may be under way: few after a change, in case its pairs need room.
+    window: usize,
+    /// What steps saw that nobody asked for yet.
+    done: Vec<StepOutput>,
+    /// What had to be done otherwise than asked for.
+    pub(super) remarks: Vec<Decision>,
     limit: Option<u64>,
     gain: Option<[f32; 3]>,
     magnitudes: u32,
-}
-
-/// What comes back from the device after a step.
-#[derive(Clone, Copy, Debug, Default)]
-pub(super) struct Report {
-    counters: [u32; COUNTERS],
-    /// Sums of w S, w |C − G|, w (C − G)².
-    sums: [f32; 4],
-}
-
-impl Report {
-    /// Loss and mean squared error over a sum of weights.
-    pub(super) fn loss(&self, weights: f64, lambda: f32) -> (f32, f32) {
-        if weights <= 0.0 {
-            return (0.0, 0.0);
-        }
-        let [similarity, l1, mse, _] = self.sums.map(|sum| f64::from(sum) / (3.0 * weights));
-        let lambda = f64::from(lambda);
-        (((1.0 - lambda) * l1 + lambda * (1.0 - similarity)) as f32, mse as f32)
-    }
+    /// [`TRUNCATE`] once there is no room for all pairs.
+    truncate: u32,
 }
 
 impl GpuBackend {
-    /// Opens an adapter (see [`Gpu::open`]) and compiles the kernels. `limit`: bytes of its memory that may be used.
-    pub fn open(name: Option<&str>, limit: Option<u64>) -> Result<Self, SplatError> {
-        let gpu = Gpu::open(name)?;
+    /// Opens an adapter and compiles the kernels.
+    pub fn open(opening: &Opening) -> Result<Self, SplatError> {
+        let gpu = Gpu::open(opening)?;
         let kernels = Kernels::new(&gpu)?;
-        let stamps = gpu.device.features().contains(wgpu::Features::TIMESTAMP_QUERY).then(|| {
-            let set = gpu.device.create_query_set(&wgpu::QuerySetDescriptor {
-                label: None,
-                ty: wgpu::QueryType::Timestamp,
-                count: STAMPS as u32,
-            });
-            let buffer = gpu.device.create_buffer(&wgpu::BufferDescriptor {
-                label: Some("stamps"),
-                size: 8 * STAMPS as u64,
-                usage: wgpu::BufferUsages::QUERY_RESOLVE | wgpu::BufferUsages::COPY_SRC,
-                mapped_at_creation: false,
-            });
-            (set, buffer)
-        });
-        let report = gpu.device.create_buffer(&wgpu::BufferDescriptor {
-            label: Some("report"),
-            size: REPORT + 8 * STAMPS as u64,
-            usage: wgpu::BufferUsages::MAP_READ | wgpu::BufferUsages::COPY_DST,
-            mapped_at_creation: false,
-        });
+        let flight = Flight::new(&gpu)?;
         gpu.check()?;
         Ok(Self {
             gpu,
             kernels,
             sizes: Sizes::default(),
             sh_degree: 0,
-            buffers: None,
+            pages: None,
+            screen: None,
             untrained: None,
-            report,
-            stamps,
-            times: KernelTimes::default(),
-            limit,
+            photos: Photos::default(),
+            flight,
+            window: 1,
+            done: Vec::new(),
+            remarks: Vec::new(),
+            limit: opening.memory,
             gain: None,
             magnitudes: 0,
+            truncate: 0,
         })
     }
 
@@ -105,67 +79,94 @@ impl GpuBackend {
         &self.gpu.adapter
     }
 
-    fn write_parameters(&self, model: &Model) {
-        let Some((b, _)) = &self.buffers else { return };
-        let plane = 4 * padded(model.len) as u64;
-        for (p, values) in (0..).zip(&model.geometry) {
-            self.gpu.write(&b.geometry, p * plane, values);
-        }
-        self.gpu.write(&b.sh, 0, &model.sh);
+    /// The device itself.
+    pub fn gpu(&self) -> &Gpu {
+        &self.gpu
     }
 
-    fn write_model(&self, model: &Model, s: &Statistics) {
-        self.write_parameters(model);
-        let Some((b, _)) = &self.buffers else { return };
-        let plane = 4 * padded(model.len) as u64;
-        let moments = model.geometry_m.iter().chain(&model.geometry_v).chain([&model.steps]);
-        for (p, values) in (GEOMETRY as u64..).zip(moments) {
-            self.gpu.write(&b.geometry, p * plane, values);
-        }
-        let stride = model.sh_stride();
-        let pairs = model.sh_m.chunks_exact(stride).zip(model.sh_v.chunks_exact(stride));
-        let both: Vec<f32> = pairs.flat_map(|(m, v)| m.iter().chain(v).copied()).collect();
-        self.gpu.write(&b.sh_moments, 0, &both);
-        for (p, values) in (0..).zip([&s.gradient, &s.visible, &s.weight, &s.radius]) {
-            let mut values = values.clone();
-            values.resize(padded(model.len), 0.0);
-            self.gpu.write(&b.statistics, p * plane, &values);
-        }
+    /// Pages of the model, and photos that stay on the device.
+    pub fn held(&self) -> [usize; 2] {
+        [self.pages.as_ref().map_or(0, |p| p.list.len()), self.photos.count()]
     }
 
-    /// Buffers of at least these sizes. What stays of the same size keeps its contents.
-    fn resize(&mut self, needed: Sizes) -> Result<(), SplatError> {
-        if self.buffers.is_some() && self.sizes.hold(&needed) {
+    /// Room for Gaussians, pairs and pixels. What stays of the same size keeps its contents.
+    pub(super) fn resize(&mut self, needed: Sizes) -> Result<(), SplatError> {
+        if self.screen.is_some() && self.sizes.hold(&needed) {
             return Ok(());
         }
         let sizes = Sizes {
+            room: needed.room.max(self.sizes.room),
             pairs: needed.pairs.max(self.sizes.pairs).max(BLOCK as usize),
             pixels: needed.pixels.max(self.sizes.pixels).max(1),
             tiles: needed.tiles.max(self.sizes.tiles).max(1),
             training: needed.training || self.sizes.training,
-            ..needed
         };
-        let total: u64 = Buffers::plan(&sizes).iter().map(|b| b.1).sum();
-        if let Some(limit) = self.limit.filter(|&limit| total > limit) {
-            let (needed, limit) = (total >> 20, limit >> 20);
-            return Err(self.gpu.error(format!("{needed} MiB are needed and --vram-limit allows {limit}")));
-        }
-        let old = self.buffers.take().map(|(buffers, _)| buffers);
+        let old = self.screen.take().map(|(buffers, _)| buffers);
         let buffers = Buffers::new(&self.gpu, &sizes, old)?;
-        let bound = Bound::new(&self.gpu, &self.kernels, &buffers, &sizes);
-        self.buffers = Some((buffers, bound));
         self.sizes = sizes;
+        self.bind(buffers);
         self.gpu.check()
+    }
+
+    /// The same, but where there is no memory for it everything stays as it is: `false`.
+    pub(super) fn try_resize(&mut self, sizes: Sizes) -> Result<bool, SplatError> {
+        let before = self.sizes;
+        match self.resize(sizes) {
+            Ok(()) => Ok(true),
+            Err(_) if self.gpu.check().is_ok() => {
+                self.sizes = before;
+                self.screen = None;
+                self.resize(before).map(|()| false)
+            }
+            Err(error) => Err(error),
+        }
+    }
+
+    /// Binds the kernels anew: after a change of the model's buffers or the view's.
+    pub(super) fn bind(&mut self, buffers: Buffers) {
+        if let Some(pages) = &self.pages {
+            let bound = Bound::new(&self.gpu, &self.kernels, &buffers, pages, &self.sizes);
+            self.screen = Some((buffers, bound));
+        }
+    }
+
+    /// The model in other pages: more or fewer Gaussians, another degree.
+    pub(super) fn turn(&mut self, pages: Pages) -> Result<(), SplatError> {
+        let room = pages.n;
+        self.pages = Some(pages);
+        // Bound to the old pages.
+        if let Some((buffers, _)) = self.screen.take() {
+            self.bind(buffers);
+        }
+        self.window = 1;
+        self.resize(Sizes { room: self.roomy(room), ..self.sizes })
+    }
+
+    /// Room for `n` Gaussians and some that will come, unless there is room already.
+    pub(super) fn roomy(&self, n: usize) -> usize {
+        let more = if n <= self.sizes.room { self.sizes.room } else { n + n / 4 };
+        let plan = Buffers::plan(&Sizes { room: more, ..self.sizes });
+        let largest = plan.iter().map(|b| b.1).max().unwrap_or(0);
+        let total: u64 = plan.iter().map(|b| b.1).sum();
+        let fits = largest <= self.gpu.largest_buffer() && self.limit.is_none_or(|limit| total < limit / 2);
+        if fits { more } else { n.max(self.sizes.room) }
     }
 
     /// Makes room for a view, and for moments before the first step.
     pub(super) fn prepare(&mut self, view: &PinholeView, training: bool) -> Result<(), SplatError> {
         let (pixels, tiles) = (view.width * view.height, tiles(view.width, view.height));
-        self.resize(Sizes { pixels, tiles, training, ..self.sizes })?;
         if training && let Some((model, statistics)) = self.untrained.take() {
-            self.write_model(&model, &statistics);
+            self.settle_all()?;
+            let pages = Pages::new(&self.gpu, model.len, model.sh_stride(), true)?;
+            pages.upload(&self.gpu, &model, &statistics);
+            self.turn(pages)?;
         }
-        Ok(())
+        let needed = Sizes { pixels, tiles, training, ..self.sizes };
+        if self.screen.is_none() || !self.sizes.hold(&needed) {
+            self.settle_all()?;
+            self.window = 1;
+        }
+        self.resize(needed)
     }
 
     pub(super) fn frame_of(&self, view: &PinholeView, options: &RenderOptions) -> Frame {
@@ -174,86 +175,153 @@ impl GpuBackend {
         let camera = CameraConstants::new(view, options, near, degree);
         let [r, g, b] = options.background;
         let [ur, ug, ub] = self.gain.unwrap_or([1.0; 3]).map(f32::recip);
+        let (n, sh_stride) = self.pages.as_ref().map_or((0, 3), |p| (p.n, p.sh_stride));
         Frame {
             background: [r, g, b, 0.0],
             unit: [ur, ug, ub, 1.0],
-            n: self.sizes.n as u32,
-            stride: padded(self.sizes.n.max(1)) as u32,
-            sh_stride: self.sizes.sh_stride as u32,
+            n: n as u32,
+            sh_stride: sh_stride as u32,
             ..Frame::of_camera(&camera)
         }
     }
 
-    /// Runs the stages; again with more room where the pairs did not fit (nothing has moved then).
-    pub(super) fn run(&mut self, frame: Frame, stages: RangeInclusive<Stage>) -> Result<Report, SplatError> {
+    fn submit(&mut self, mut step: Pending) {
+        step.frame.pair_capacity = self.sizes.pairs as u32;
+        step.frame.flags |= self.truncate;
+        if let Some((buffers, bound)) = &self.screen {
+            self.flight.submit(&self.gpu, &self.kernels, (buffers, bound), step);
+        }
+    }
+
+    /// Waits for the steps under way and notes what they saw. Where pairs did not fit nothing has moved: those steps are
+    /// repeated with more room, or without the farthest pairs where there is no more. Returns the last one's report.
+    pub(super) fn settle_all(&mut self) -> Result<Report, SplatError> {
+        let mut last = Report::default();
         loop {
-            let frame = Frame { pair_capacity: self.sizes.pairs as u32, ..frame };
-            let Some((b, bound)) = &self.buffers else { return Ok(Report::default()) };
-            self.gpu.write(&b.frame, 0, &[frame]);
-            let mut encoder = self.gpu.device.create_command_encoder(&Default::default());
-            let [x, y] = frame.tiles;
-            let stamps = self.stamps.as_ref().map(|s| &s.0);
-            bound.encode(&self.kernels, b, &mut encoder, stages.clone(), x * y, stamps);
-            encoder.copy_buffer_to_buffer(&b.counters, 0, &self.report, 0, 4 * COUNTERS as u64);
-            encoder.copy_buffer_to_buffer(&b.result, 0, &self.report, 4 * COUNTERS as u64, 16);
-            if let Some((set, buffer)) = &self.stamps {
-                let (first, last) = (2 * *stages.start() as u32, 2 * *stages.end() as u32 + 2);
-                encoder.resolve_query_set(set, first..last, buffer, 0);
-                encoder.copy_buffer_to_buffer(buffer, 0, &self.report, REPORT, 8 * u64::from(last - first));
+            let finished = self.flight.collect(&self.gpu)?;
+            let most = finished.iter().map(|(_, report)| report.pairs()).max().unwrap_or(0);
+            let mut again = Vec::new();
+            for (step, report) in finished {
+                let overfull = report.pairs() > step.frame.pair_capacity as usize;
+                let halted = *step.stages.end() == Stage::Optimise && report.counters[HALT as usize] != 0;
+                if (overfull && step.frame.flags & TRUNCATE == 0) || halted {
+                    again.push(step);
+                    continue;
+                }
+                last = report;
+                if let (Some(lambda), Some(photo)) = (step.step, &step.photo) {
+                    let (loss, mse) = report.loss(photo.weights, lambda);
+                    let counter = |k: u32| report.counters[k as usize] as usize;
+                    let (visible, non_finite) = (counter(VISIBLE), counter(NON_FINITE));
+                    self.done.push(StepOutput { loss, mse, visible, pairs: report.pairs(), non_finite });
+                }
             }
-            self.gpu.queue.submit([encoder.finish()]);
-            let mut bytes = [0u8; REPORT as usize + 8 * STAMPS];
-            self.gpu.fetch(&self.report, &mut bytes)?;
-            let (numbers, stamps) = bytes.split_at(REPORT as usize);
-            let words: [u32; REPORT as usize / 4] =
-                std::array::from_fn(|k| bytemuck::pod_read_unaligned(&numbers[4 * k..4 * k + 4]));
-            let report = Report {
-                counters: std::array::from_fn(|k| words[k]),
-                sums: std::array::from_fn(|k| f32::from_bits(words[COUNTERS + k])),
-            };
-            self.note_times(&stages, stamps);
-            let needed = report.counters[PAIRS as usize] as usize;
-            if needed <= self.sizes.pairs {
-                return Ok(report);
+            if most > self.sizes.pairs / 8 * 7 {
+                self.widen(most)?;
             }
-            let pairs = (needed + needed / 4).next_multiple_of(BLOCK as usize);
-            self.resize(Sizes { pairs, ..self.sizes })?;
+            if again.is_empty() {
+                return Ok(last);
+            }
+            self.window = 1;
+            if let Some((buffers, _)) = &self.screen {
+                self.gpu.write(&buffers.counters, 4 * u64::from(HALT), &[0u32]);
+            }
+            again.into_iter().for_each(|step| self.submit(step));
         }
     }
 
-    fn note_times(&mut self, stages: &RangeInclusive<Stage>, stamps: &[u8]) {
-        if self.stamps.is_none() {
-            return;
+    /// Room for `most` pairs and some more; where there is none, the farthest will not be drawn.
+    fn widen(&mut self, most: usize) -> Result<(), SplatError> {
+        if self.truncate != 0 {
+            return Ok(());
         }
-        let unit = f64::from(self.gpu.queue.get_timestamp_period()) * 1e-9;
-        let t = &mut self.times;
-        let slots =
-            [&mut t.project, &mut t.sort, &mut t.forward, &mut t.loss, &mut t.backward, &mut t.optimise];
-        let used = slots.into_iter().skip(*stages.start() as usize);
-        for (slot, pair) in
-            used.zip(stamps.chunks_exact(16)).take(*stages.end() as usize + 1 - *stages.start() as usize)
-        {
-            let [begin, end]: [u64; 2] = bytemuck::pod_read_unaligned(pair);
-            *slot += end.saturating_sub(begin) as f64 * unit;
+        let largest = most_pairs(self.gpu.largest_buffer());
+        let wanted = (most + most / 2).next_multiple_of(BLOCK as usize).min(largest);
+        let model: u64 = self.pages.as_ref().map_or(0, |p| p.memory().iter().map(|b| b.1).sum());
+        let others = model + self.photos.memory();
+        let (before, limit) = (self.sizes, self.limit);
+        let total = |pairs| Buffers::plan(&Sizes { pairs, ..before }).iter().map(|b| b.1).sum::<u64>();
+        let allowed = |pairs: &usize| limit.is_none_or(|limit| total(*pairs) + others <= limit);
+        let tried = [wanted, most.next_multiple_of(BLOCK as usize).min(largest)];
+        for pairs in tried.into_iter().filter(|&p| p > before.pairs).filter(allowed) {
+            if self.try_resize(Sizes { pairs, ..before })? {
+                return Ok(());
+            }
         }
+        if most > self.sizes.pairs {
+            self.truncate = TRUNCATE;
+            self.remarks.push(Decision {
+                subject: "pairs of Gaussians and tiles".to_owned(),
+                choice: format!("at most {}, the nearest", self.sizes.pairs),
+                evidence: format!(
+                    "a view needs {most}, for which there is no memory on {}",
+                    self.gpu.adapter
+                ),
+            });
+        }
+        Ok(())
     }
 
-    /// Puts the target on the device; returns the flags of its mask and the sum of its weights.
-    pub(super) fn set_target(&self, target: &Target) -> (u32, f64) {
-        let pixels = target.rgb.chunks_exact(3);
-        let count = pixels.len();
-        let rgba: Vec<[u8; 4]> = match target.mask {
-            Some(mask) => pixels.zip(mask).map(|(c, &m)| [c[0], c[1], c[2], m]).collect(),
-            None => pixels.map(|c| [c[0], c[1], c[2], 255]).collect(),
+    /// Runs the stages and waits for them.
+    pub(super) fn run(
+        &mut self,
+        frame: Frame,
+        stages: RangeInclusive<Stage>,
+        photo: Option<Photo>,
+    ) -> Result<Report, SplatError> {
+        self.settle_all()?;
+        self.submit(Pending { frame, stages, photo, step: None });
+        self.settle_all()
+    }
+
+    /// Puts the target on the device, if it is not there yet.
+    pub(super) fn place(&mut self, target: &Target) -> Option<Photo> {
+        let budget = self.limit.map(|limit| (limit as f64 * PHOTOS) as u64);
+        let (buffers, _) = self.screen.as_ref()?;
+        Some(self.photos.place(&self.gpu, &buffers.goal, target, budget))
+    }
+
+    fn begin(&mut self, input: &StepInput) -> Result<(), SplatError> {
+        self.prepare(input.view, true)?;
+        let resident = input.target.photo.is_some();
+        if !resident {
+            self.settle_all()?; // the goal is overwritten
+        }
+        let Some(photo) = self.place(&input.target) else { return Ok(()) };
+        let inverse = if photo.weights > 0.0 { 1.0 / (3.0 * photo.weights) } else { 0.0 };
+        let frame = self.frame_of(input.view, &input.options);
+        let frame = Frame {
+            flags: frame.flags | photo.flags | self.magnitudes,
+            lambda: input.lambda_dssim,
+            inv_count: inverse as f32,
+            opacity_penalty: input.opacity_penalty,
+            scale_penalty: input.scale_penalty,
+            rate_mean: input.rates.mean,
+            rate_log_scale: input.rates.log_scale,
+            rate_rotation: input.rates.rotation,
+            rate_opacity: input.rates.opacity,
+            rate_sh0: input.rates.sh0,
+            rate_sh_rest: input.rates.sh_rest,
+            ..frame
         };
-        if let Some((b, _)) = &self.buffers {
-            self.gpu.write(&b.goal, 0, &rgba);
+        let stays = photo.shelf.is_some();
+        let stages = Stage::Project..=Stage::Optimise;
+        self.submit(Pending { frame, stages, photo: Some(photo), step: Some(input.lambda_dssim) });
+        if !stays || self.flight.count() >= self.window {
+            self.settle_all()?;
+            self.window = (2 * self.window).min(WINDOW);
         }
-        match target.mask {
-            Some(_) if target.transparent => (COVERAGE, count as f64),
-            Some(mask) => (WEIGHTED, mask.iter().map(|&m| u64::from(m)).sum::<u64>() as f64 / 255.0),
-            None => (0, count as f64),
-        }
+        Ok(())
+    }
+
+    /// Lets the host change the model.
+    fn edit_on_host(
+        &mut self,
+        change: &mut dyn FnMut(&mut Model, &mut Statistics),
+    ) -> Result<(), SplatError> {
+        let (mut model, mut statistics) = self.download()?;
+        change(&mut model, &mut statistics);
+        self.upload(model, statistics)
     }
 }
 
@@ -263,59 +331,54 @@ impl Backend for GpuBackend {
     }
 
     fn upload(&mut self, model: Model, statistics: Statistics) -> Result<(), SplatError> {
-        let sizes = Sizes { n: model.len, sh_stride: model.sh_stride(), ..self.sizes };
+        self.settle_all()?;
         self.sh_degree = model.sh_degree;
-        self.resize(sizes)?;
-        if self.sizes.training {
-            self.write_model(&model, &statistics);
-        } else {
-            self.write_parameters(&model);
-            self.untrained = Some((model, statistics));
-        }
-        Ok(())
+        let training = self.sizes.training;
+        self.pages = None; // its memory may be needed
+        let pages = Pages::new(&self.gpu, model.len, model.sh_stride(), training)?;
+        pages.upload(&self.gpu, &model, &statistics);
+        self.untrained = (!training).then_some((model, statistics));
+        self.turn(pages)
     }
 
     fn download(&mut self) -> Result<(Model, Statistics), SplatError> {
-        let n = self.sizes.n;
-        let stride = padded(n);
+        self.settle_all()?;
         if let Some(held) = &self.untrained {
             return Ok(held.clone());
         }
-        let Some((b, _)) = &self.buffers else { return Ok(Default::default()) };
-        let all: Vec<f32> = self.gpu.read(&b.geometry, 0, PLANES as usize * stride)?;
-        let plane = |p: usize| all[p * stride..(p + 1) * stride].to_vec();
-        let planes = |first: usize| std::array::from_fn(|p| plane(first + p));
-        let sh_stride = self.sizes.sh_stride;
-        let both: Vec<f32> = self.gpu.read(&b.sh_moments, 0, n * 2 * sh_stride)?;
-        let half = |k: usize| -> Vec<f32> {
-            both.chunks_exact(sh_stride).skip(k).step_by(2).flatten().copied().collect()
-        };
-        let model = Model {
-            len: n,
-            sh_degree: self.sh_degree,
-            geometry: planes(0),
-            geometry_m: planes(GEOMETRY),
-            geometry_v: planes(2 * GEOMETRY),
-            sh: self.gpu.read(&b.sh, 0, n * sh_stride)?,
-            sh_m: half(0),
-            sh_v: half(1),
-            steps: plane(CLOCK),
-        };
-        let seen: Vec<f32> = self.gpu.read(&b.statistics, 0, STATISTICS as usize * stride)?;
-        let plane = |p: usize| seen[p * stride..(p + 1) * stride].to_vec();
-        let [gradient, visible, weight, radius] = std::array::from_fn(plane);
-        let statistics = Statistics { gradient, visible, weight, radius };
-        Ok((model, statistics))
+        self.pages.as_ref().map_or_else(|| Ok(Default::default()), |p| p.download(&self.gpu, self.sh_degree))
     }
 
     fn edit(&mut self, change: &mut dyn FnMut(&mut Model, &mut Statistics)) -> Result<(), SplatError> {
-        let (mut model, mut statistics) = self.download()?;
-        change(&mut model, &mut statistics);
-        self.upload(model, statistics)
+        self.edit_on_host(change)
+    }
+
+    fn densify(&mut self, round: &Round) -> Result<usize, SplatError> {
+        self.settle_all()?;
+        match self.densify_here(round)? {
+            Some(unseen) => Ok(unseen),
+            None => crate::backend::densify_by_edit(self, round),
+        }
+    }
+
+    fn set_sh_degree(&mut self, degree: u32) -> Result<(), SplatError> {
+        self.settle_all()?;
+        let stride = 3 * (degree.min(3) as usize + 1).pow(2);
+        let turned = match (&self.pages, &self.untrained) {
+            (Some(pages), None) => pages.with_sh_stride(&self.gpu, stride)?,
+            _ => None,
+        };
+        match turned {
+            Some(pages) => {
+                self.sh_degree = degree.min(3);
+                self.turn(pages)
+            }
+            None => self.edit_on_host(&mut |model, _| model.set_sh_degree(degree)),
+        }
     }
 
     fn gaussians(&self) -> usize {
-        self.sizes.n
+        self.pages.as_ref().map_or(0, |p| p.n)
     }
 
     fn sh_degree(&self) -> u32 {
@@ -336,13 +399,14 @@ impl Backend for GpuBackend {
 
     fn render(&mut self, view: &PinholeView, options: &RenderOptions) -> Result<RenderOutput, SplatError> {
         self.render_only(view, options)?;
+        self.settle_all()?;
         let (w, h) = (view.width, view.height);
         let mut out = RenderOutput {
             rgb: FloatImage::zeros(w, h, 3),
             alpha: FloatImage::zeros(w, h, 1),
             depth: FloatImage::zeros(w, h, 1),
         };
-        let Some((b, _)) = &self.buffers else { return Ok(out) };
+        let Some((b, _)) = &self.screen else { return Ok(out) };
         let image: Vec<[f32; 4]> = self.gpu.read(&b.image, 0, w * h)?;
         for (i, [red, green, blue, clear]) in image.into_iter().enumerate() {
             out.rgb.data[3 * i..3 * i + 3].copy_from_slice(&[red, green, blue]);
@@ -352,44 +416,42 @@ impl Backend for GpuBackend {
         Ok(out)
     }
 
-    fn step(&mut self, input: &StepInput) -> Result<StepOutput, SplatError> {
-        self.prepare(input.view, true)?;
-        let (flags, weights) = self.set_target(&input.target);
-        let inverse = if weights > 0.0 { 1.0 / (3.0 * weights) } else { 0.0 };
-        let frame = self.frame_of(input.view, &input.options);
-        let frame = Frame {
-            flags: frame.flags | flags | self.magnitudes,
-            lambda: input.lambda_dssim,
-            inv_count: inverse as f32,
-            opacity_penalty: input.opacity_penalty,
-            scale_penalty: input.scale_penalty,
-            rate_mean: input.rates.mean,
-            rate_log_scale: input.rates.log_scale,
-            rate_rotation: input.rates.rotation,
-            rate_opacity: input.rates.opacity,
-            rate_sh0: input.rates.sh0,
-            rate_sh_rest: input.rates.sh_rest,
-            ..frame
-        };
-        let report = self.run(frame, Stage::Project..=Stage::Optimise)?;
-        let (loss, mse) = report.loss(weights, input.lambda_dssim);
-        let counter = |k: u32| report.counters[k as usize] as usize;
-        Ok(StepOutput {
-            loss,
-            mse,
-            visible: counter(VISIBLE),
-            pairs: counter(PAIRS),
-            non_finite: counter(NON_FINITE),
-        })
-    }
-
     fn render_only(&mut self, view: &PinholeView, options: &RenderOptions) -> Result<(), SplatError> {
         self.prepare(view, false)?;
-        self.run(self.frame_of(view, options), Stage::Project..=Stage::Forward).map(|_| ())
+        let frame = self.frame_of(view, options);
+        let stages = Stage::Project..=Stage::Forward;
+        self.submit(Pending { frame, stages, photo: None, step: None });
+        if self.flight.count() >= self.window {
+            self.settle_all()?;
+            self.window = (2 * self.window).min(WINDOW);
+        }
+        Ok(())
     }
 
     fn memory(&self) -> Vec<(&'static str, u64)> {
-        if self.buffers.is_some() { Buffers::plan(&self.sizes) } else { Vec::new() }
+        let mut all = self.pages.as_ref().map_or_else(Vec::new, Pages::memory);
+        if self.screen.is_some() {
+            all.extend(Buffers::plan(&self.sizes));
+        }
+        all.push(("photos", self.photos.memory()));
+        all
+    }
+
+    fn step(&mut self, input: &StepInput) -> Result<StepOutput, SplatError> {
+        self.begin(input)?;
+        self.settle_all()?;
+        // Earlier steps' outputs are left to those who ask for them.
+        self.done.pop().ok_or_else(|| self.gpu.error("a step was not taken"))
+    }
+
+    fn advance(&mut self, input: &StepInput) -> Result<Vec<StepOutput>, SplatError> {
+        self.begin(input)?;
+        Ok(std::mem::take(&mut self.done))
+    }
+
+    fn settle(&mut self) -> Result<Vec<StepOutput>, SplatError> {
+        self.settle_all()?;
+        Ok(std::mem::take(&mut self.done))
     }
 
     fn mean_square_error(
@@ -399,11 +461,28 @@ impl Backend for GpuBackend {
         options: &RenderOptions,
     ) -> Result<f64, SplatError> {
         self.prepare(view, true)?;
-        let (flags, weights) = self.set_target(target);
-        let frame = self.frame_of(view, options);
-        let frame = Frame { flags: frame.flags | flags, ..frame };
-        let report = self.run(frame, Stage::Project..=Stage::Loss)?;
+        self.settle_all()?;
+        let Some(photo) = self.place(target) else { return Ok(0.0) };
+        let (frame, weights) = (self.frame_of(view, options), photo.weights);
+        let frame = Frame { flags: frame.flags | photo.flags, ..frame };
+        let report = self.run(frame, Stage::Project..=Stage::Loss, Some(photo))?;
         Ok(f64::from(report.loss(weights, 0.0).1))
+    }
+
+    fn products(
+        &mut self,
+        view: &PinholeView,
+        target: &Target,
+        options: &RenderOptions,
+    ) -> Result<[[f64; 3]; 3], SplatError> {
+        self.set_gain(None);
+        self.prepare(view, true)?;
+        self.settle_all()?;
+        let Some(photo) = self.place(target) else { return Ok([[0.0; 3]; 3]) };
+        let frame = self.frame_of(view, options);
+        let frame = Frame { flags: frame.flags | photo.flags, ..frame };
+        let report = self.run(frame, Stage::Project..=Stage::Products, Some(photo))?;
+        Ok(std::array::from_fn(|k| std::array::from_fn(|c| f64::from(report.sums[c][k]))))
     }
 
     fn set_gain(&mut self, gain: Option<[f32; 3]>) {
@@ -416,6 +495,10 @@ impl Backend for GpuBackend {
     }
 
     fn times(&self) -> KernelTimes {
-        self.times
+        self.flight.times
+    }
+
+    fn remarks(&mut self) -> Vec<Decision> {
+        std::mem::take(&mut self.remarks)
     }
 }

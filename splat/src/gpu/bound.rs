@@ -3,7 +3,8 @@
 use super::buffers::{Buffers, JOB, JOBS, Sizes, blocks};
 use super::context::Gpu;
 use super::kernels::{Kernels, Module};
-use super::layout::{GROUP, PAIRS, SPARE, ScanJob, SortJob, VISIBLE};
+use super::layout::{BLOCK, CLEARED, GROUP, PAIRS, SPARE, ScanJob, SortJob, VISIBLE};
+use super::pages::Pages;
 use std::ops::RangeInclusive;
 
 /// Passes of the sort by depth: 32 bits, four at a time.
@@ -20,7 +21,9 @@ pub enum Stage {
     Sort,
     /// Pixels.
     Forward,
-    /// Loss and its gradient.
+    /// Sums that gains are found by; only after Forward, in place of what follows.
+    Products,
+    /// Loss and its gradient, which takes the picture's place.
     Loss,
     /// Pixels to pairs.
     Backward,
@@ -30,25 +33,55 @@ pub enum Stage {
 
 impl Stage {
     /// All of them.
-    pub const ALL: [Self; 6] =
-        [Self::Project, Self::Sort, Self::Forward, Self::Loss, Self::Backward, Self::Optimise];
+    pub const ALL: [Self; 7] = [
+        Self::Project,
+        Self::Sort,
+        Self::Forward,
+        Self::Products,
+        Self::Loss,
+        Self::Backward,
+        Self::Optimise,
+    ];
+
+    /// Its place in a step; products are where the loss would be.
+    pub fn number(self) -> u32 {
+        match self {
+            Self::Project => 0,
+            Self::Sort => 1,
+            Self::Forward => 2,
+            Self::Products | Self::Loss => 3,
+            Self::Backward => 4,
+            Self::Optimise => 5,
+        }
+    }
+
+    /// What is run of a range.
+    pub fn of(range: &RangeInclusive<Self>) -> impl Iterator<Item = Self> + use<> {
+        let (first, last) = (*range.start(), *range.end());
+        Self::ALL
+            .into_iter()
+            .filter(move |s| (first..=last).contains(s) && (*s != Self::Products || last == *s))
+    }
 }
 
 /// The bind groups; valid as long as the buffers are.
 pub struct Bound {
-    project: wgpu::BindGroup,
+    /// By page: project, optimise, and for how many Gaussians.
+    pages: Vec<(wgpu::BindGroup, Option<wgpu::BindGroup>, u32)>,
     scan_flags: wgpu::BindGroup,
     scan_counts: wgpu::BindGroup,
     scan_depth_table: wgpu::BindGroup,
     scan_tile_table: wgpu::BindGroup,
     compact: wgpu::BindGroup,
-    by_depth: Vec<wgpu::BindGroup>,
+    pub(super) by_depth: Vec<wgpu::BindGroup>,
     by_tile: Vec<wgpu::BindGroup>,
     pairs: wgpu::BindGroup,
     ranges: wgpu::BindGroup,
     rasterise: wgpu::BindGroup,
-    training: Option<[wgpu::BindGroup; 3]>,
-    sizes: Sizes,
+    training: Option<[wgpu::BindGroup; 2]>,
+    /// Gaussians, and room for pairs.
+    n: u32,
+    pairs_room: u32,
 }
 
 /// Places jobs in the buffer of jobs.
@@ -71,7 +104,7 @@ impl<'a> Jobs<'a> {
 
 impl Bound {
     /// Binds everything and writes the jobs of scan and sort.
-    pub fn new(gpu: &Gpu, kernels: &Kernels, b: &Buffers, sizes: &Sizes) -> Self {
+    pub fn new(gpu: &Gpu, kernels: &Kernels, b: &Buffers, pages: &Pages, sizes: &Sizes) -> Self {
         let group = |module: &Module, buffers: &[&wgpu::Buffer]| {
             let resources: Vec<_> = buffers.iter().map(|b| b.as_entire_binding()).collect();
             module.bind(gpu, &resources)
@@ -82,7 +115,7 @@ impl Bound {
             let rest = [data, &b.block_sums, &b.counters].map(|b| b.as_entire_binding());
             kernels.scan.bind(gpu, &[&[job][..], &rest[..]].concat())
         };
-        let (n, depth_blocks, tile_blocks) = (sizes.n as u32, blocks(sizes.n), blocks(sizes.pairs));
+        let (n, depth_blocks, tile_blocks) = (pages.n as u32, blocks(pages.n), blocks(sizes.pairs));
         let scan_flags = scan(n, VISIBLE, &b.flags);
         let scan_counts = scan(n, PAIRS, &b.counts);
         let scan_depth_table = scan(16 * depth_blocks, SPARE, &b.table);
@@ -104,30 +137,26 @@ impl Bound {
             .collect();
         let f = &b.frame;
         let training = sizes.training.then(|| {
-            [
-                group(&kernels.loss, &[f, &b.image, &b.goal, &b.maps, &b.gradient, &b.partial, &b.result]),
-                group(
-                    &kernels.backward,
-                    &[
-                        f,
-                        &b.records,
-                        &b.owners,
-                        &b.pairs_a,
-                        &b.ranges,
-                        &b.used,
-                        &b.image,
-                        &b.gradient,
-                        &b.sums,
-                    ],
-                ),
-                group(
-                    &kernels.optimise,
-                    &[f, &b.geometry, &b.sh, &b.sh_moments, &b.statistics, &b.sums, &b.spans, &b.counters],
-                ),
-            ]
+            let loss = [f, &b.image, &b.goal, &b.by_mean, &b.by_square, &b.by_product, &b.partial, &b.result];
+            let backward =
+                [f, &b.records, &b.colours, &b.sorted, &b.ranges, &b.image, &b.sums_a, &b.sums_b, &b.sums_c];
+            [group(&kernels.loss, &loss), group(&kernels.backward, &backward)]
         });
+        let page = |p: &super::pages::Page| {
+            let project = [f, &p.uniform, &p.geometry, &p.sh, &b.records, &b.colours, &b.boxes, &b.flags];
+            let optimise = || {
+                let model = [f, &p.uniform, &p.geometry, &p.sh, &p.moments];
+                let rest = [&b.sums_a, &b.sums_b, &b.sums_c, &b.spans, &b.counters];
+                group(&kernels.optimise, &[&model[..], &rest[..]].concat())
+            };
+            (
+                group(&kernels.project, &project),
+                (sizes.training && pages.training).then(optimise),
+                p.job.count,
+            )
+        };
         Self {
-            project: group(&kernels.project, &[f, &b.geometry, &b.sh, &b.records, &b.boxes, &b.flags]),
+            pages: pages.list.iter().map(page).collect(),
             scan_flags,
             scan_counts,
             scan_depth_table,
@@ -152,13 +181,17 @@ impl Bound {
                     &b.spans,
                 ],
             ),
-            ranges: group(&kernels.ranges, &[f, &b.counters, &b.tile_keys_a, &b.ranges]),
+            ranges: group(
+                &kernels.ranges,
+                &[f, &b.counters, &b.tile_keys_a, &b.pairs_a, &b.owners, &b.ranges, &b.sorted],
+            ),
             rasterise: group(
                 &kernels.rasterise,
-                &[f, &b.records, &b.owners, &b.pairs_a, &b.ranges, &b.image, &b.depth, &b.used],
+                &[f, &b.records, &b.colours, &b.sorted, &b.ranges, &b.image, &b.depth],
             ),
             training,
-            sizes: *sizes,
+            n,
+            pairs_room: sizes.pairs as u32,
         }
     }
 
@@ -170,23 +203,21 @@ impl Bound {
         encoder: &mut wgpu::CommandEncoder,
         stages: RangeInclusive<Stage>,
         tiles: u32,
-        stamps: Option<&wgpu::QuerySet>,
+        stamps: Option<(&wgpu::QuerySet, u32)>,
     ) {
         if stages.contains(&Stage::Project) {
-            for buffer in [&buffers.counters, &buffers.ranges, &buffers.used, &buffers.spans] {
-                encoder.clear_buffer(buffer, 0, None);
-            }
+            encoder.clear_buffer(&buffers.counters, 0, Some(4 * CLEARED as u64));
+            encoder.clear_buffer(&buffers.ranges, 0, None);
+            encoder.clear_buffer(&buffers.spans, 0, None);
         }
-        for (k, stage) in (0..).zip(Stage::ALL) {
-            if !stages.contains(&stage) {
-                continue;
-            }
+        for stage in Stage::of(&stages) {
+            let k = stage.number();
             let mut pass = encoder.begin_compute_pass(&wgpu::ComputePassDescriptor {
                 label: None,
-                timestamp_writes: stamps.map(|query_set| wgpu::ComputePassTimestampWrites {
+                timestamp_writes: stamps.map(|(query_set, first)| wgpu::ComputePassTimestampWrites {
                     query_set,
-                    beginning_of_pass_write_index: Some(2 * k),
-                    end_of_pass_write_index: Some(2 * k + 1),
+                    beginning_of_pass_write_index: Some(first + 2 * k),
+                    end_of_pass_write_index: Some(first + 2 * k + 1),
                 }),
             });
             self.stage(kernels, &mut pass, stage, tiles);
@@ -194,53 +225,86 @@ impl Bound {
     }
 
     fn stage(&self, kernels: &Kernels, pass: &mut wgpu::ComputePass, stage: Stage, tiles: u32) {
-        let groups = (self.sizes.n as u32).div_ceil(GROUP);
+        let groups = self.n.div_ceil(GROUP);
         match (stage, &self.training) {
             (Stage::Project, _) => {
-                kernels.project.run(pass, 0, &self.project, groups, 1);
+                for (project, _, count) in &self.pages {
+                    kernels.project.run(pass, 0, project, count.div_ceil(GROUP), 1);
+                }
             }
             (Stage::Sort, _) => self.sort(kernels, pass, groups, tiles),
             (Stage::Forward, _) => kernels.rasterise.run(pass, 0, &self.rasterise, tiles, 1),
-            (Stage::Loss, Some([loss, ..])) => {
+            (Stage::Loss, Some([loss, _])) => {
                 kernels.loss.run(pass, 0, loss, tiles, 3);
-                kernels.loss.run(pass, 1, loss, tiles, 3);
-                kernels.loss.run(pass, 2, loss, 1, 1);
+                kernels.loss.run(pass, 1, loss, tiles, 1);
+                kernels.loss.run(pass, 4, loss, 1, 1);
+            }
+            (Stage::Products, Some([loss, _])) => {
+                kernels.loss.run(pass, 2, loss, tiles, 3);
+                kernels.loss.run(pass, 3, loss, 1, 3);
             }
             // One more than there are tiles: the pairs that belong to none.
-            (Stage::Backward, Some([_, backward, _])) => {
+            (Stage::Backward, Some([_, backward])) => {
                 kernels.backward.run(pass, 0, backward, tiles + 1, 1);
             }
-            (Stage::Optimise, Some([.., optimise])) => kernels.optimise.run(pass, 0, optimise, groups, 1),
+            (Stage::Optimise, Some(_)) => {
+                for (_, optimise, count) in &self.pages {
+                    if let Some(optimise) = optimise {
+                        kernels.optimise.run(pass, 0, optimise, count.div_ceil(GROUP), 1);
+                    }
+                }
+            }
             (_, None) => {}
         }
     }
 
-    fn sort(&self, kernels: &Kernels, pass: &mut wgpu::ComputePass, groups: u32, tiles: u32) {
-        let scan = |pass: &mut wgpu::ComputePass, bound: &wgpu::BindGroup, n: u32| {
-            let blocks = blocks(n as usize);
-            for (entry, groups) in [blocks, 1, blocks].into_iter().enumerate() {
-                kernels.scan.run(pass, entry, bound, groups, 1);
-            }
-        };
-        let radix = |pass: &mut wgpu::ComputePass, bound: &wgpu::BindGroup, table, blocks: u32| {
-            kernels.sort.run(pass, 0, bound, blocks, 1);
-            scan(pass, table, 16 * blocks);
-            kernels.sort.run(pass, 1, bound, blocks, 1);
-        };
-        let n = self.sizes.n as u32;
-        scan(pass, &self.scan_flags, n);
-        kernels.compact.run(pass, 0, &self.compact, groups, 1);
+    /// Sorts the first `n` keys of `depth_keys_a` with their values in `order_a`, n being counter [`VISIBLE`].
+    pub(super) fn sort_by_key(&self, kernels: &Kernels, pass: &mut wgpu::ComputePass) {
         for bound in &self.by_depth {
-            radix(pass, bound, &self.scan_depth_table, blocks(self.sizes.n));
+            radix(kernels, pass, bound, &self.scan_depth_table, blocks(self.n as usize));
         }
+    }
+
+    fn sort(&self, kernels: &Kernels, pass: &mut wgpu::ComputePass, groups: u32, tiles: u32) {
+        scan(kernels, pass, &self.scan_flags, self.n);
+        kernels.compact.run(pass, 0, &self.compact, groups, 1);
+        self.sort_by_key(kernels, pass);
         kernels.pairs.run(pass, 0, &self.pairs, groups, 1);
-        scan(pass, &self.scan_counts, n);
+        scan(kernels, pass, &self.scan_counts, self.n);
         kernels.pairs.run(pass, 1, &self.pairs, groups, 1);
         for bound in &self.by_tile[..tile_passes(tiles)] {
-            radix(pass, bound, &self.scan_tile_table, blocks(self.sizes.pairs));
+            radix(kernels, pass, bound, &self.scan_tile_table, blocks(self.pairs_room as usize));
         }
-        kernels.ranges.run(pass, 0, &self.ranges, (self.sizes.pairs as u32).div_ceil(GROUP), 1);
+        kernels.ranges.run(pass, 0, &self.ranges, self.pairs_room.div_ceil(GROUP), 1);
     }
+}
+
+/// Values up to which one group scans all of them: a dispatch of three costs more.
+const WHOLE: u32 = 4 * BLOCK;
+
+/// Prefix sums of `n` values.
+pub fn scan(kernels: &Kernels, pass: &mut wgpu::ComputePass, bound: &wgpu::BindGroup, n: u32) {
+    if n <= WHOLE {
+        kernels.scan.run(pass, 3, bound, 1, 1);
+        return;
+    }
+    let blocks = blocks(n as usize);
+    for (entry, groups) in [blocks, 1, blocks].into_iter().enumerate() {
+        kernels.scan.run(pass, entry, bound, groups, 1);
+    }
+}
+
+/// One pass of the radix sort.
+fn radix(
+    kernels: &Kernels,
+    pass: &mut wgpu::ComputePass,
+    bound: &wgpu::BindGroup,
+    table: &wgpu::BindGroup,
+    blocks: u32,
+) {
+    kernels.sort.run(pass, 0, bound, blocks, 1);
+    scan(kernels, pass, table, 16 * blocks);
+    kernels.sort.run(pass, 1, bound, blocks, 1);
 }
 
 /// Passes that the numbers 0 to `tiles` need, made even so that the result lies where it began.

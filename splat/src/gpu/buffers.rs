@@ -1,24 +1,22 @@
-//! What lies on the device: the model, the view's intermediate results, the picture and its target.
+//! What lies on the device beside the model (`pages`): the view's intermediate results, the picture and its target.
 
 use super::context::Gpu;
-use super::layout::{BLOCK, COUNTERS, Frame, PLANES, STATISTICS, SUMS, TILE};
+use super::layout::{BLOCK, COUNTERS, Frame, TILE};
+use super::pages;
 use crate::SplatError;
-use crate::model::padded;
 
 /// Bytes of a job of scan or sort in the buffer of jobs: the strictest alignment of uniforms.
 pub const JOB: u64 = 256;
 /// Jobs: four scans, eight passes by depth, eight by tile.
 pub const JOBS: u64 = 20;
-/// Bytes that a step reads back: counters, the loss's sums.
-pub const REPORT: u64 = 4 * COUNTERS as u64 + 16;
+/// Bytes that a step reports: counters, the loss's sums.
+pub const REPORT: u64 = 4 * COUNTERS as u64 + 48;
 
 /// Sizes that the buffers must have.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Sizes {
     /// Gaussians.
-    pub n: usize,
-    /// SH values of a Gaussian.
-    pub sh_stride: usize,
+    pub room: usize,
     /// Gaussian-tile pairs.
     pub pairs: usize,
     /// Pixels.
@@ -32,7 +30,7 @@ pub struct Sizes {
 impl Sizes {
     /// Whether buffers of these sizes serve a view that needs `other`.
     pub fn hold(&self, other: &Self) -> bool {
-        (self.n, self.sh_stride) == (other.n, other.sh_stride)
+        self.room >= other.room
             && self.pairs >= other.pairs
             && self.pixels >= other.pixels
             && self.tiles >= other.tiles
@@ -80,36 +78,30 @@ buffers!(
     jobs: (JOB * JOBS / 4) as usize,
     /// [`COUNTERS`] numbers.
     counters: COUNTERS,
-    /// [34][stride].
-    geometry: (if s.training { PLANES as usize } else { 11 }) * padded(s.n.max(1)),
-    /// [N][sh_stride].
-    sh: s.n.max(1) * s.sh_stride.max(3),
-    /// [N][2][sh_stride].
-    sh_moments: if s.training { s.n.max(1) * 2 * s.sh_stride.max(3) } else { 1 },
-    /// [4][stride].
-    statistics: if s.training { STATISTICS as usize * padded(s.n.max(1)) } else { 1 },
-    /// [N][3] vec4.
-    records: s.n.max(1) * 12,
+    /// [N][2] vec4.
+    records: s.room.max(1) * 8,
+    /// [N] vec4.
+    colours: s.room.max(1) * 4,
     /// [N] vec2.
-    boxes: s.n.max(1) * 2,
+    boxes: s.room.max(1) * 2,
     /// [N] flags, then positions.
-    flags: s.n.max(1),
+    flags: s.room.max(1),
     /// [N].
-    depth_keys_a: s.n.max(1),
+    depth_keys_a: s.room.max(1),
     /// [N].
-    depth_keys_b: s.n.max(1),
+    depth_keys_b: s.room.max(1),
     /// [N].
-    order_a: s.n.max(1),
+    order_a: s.room.max(1),
     /// [N].
-    order_b: s.n.max(1),
+    order_b: s.room.max(1),
     /// [N] tiles of the Gaussian of each rank, then where its pairs begin.
-    counts: s.n.max(1),
+    counts: s.room.max(1),
     /// [N] vec2.
-    spans: s.n.max(1) * 2,
+    spans: s.room.max(1) * 2,
     /// Sums of blocks within a scan.
-    block_sums: blocks(16 * blocks(s.n.max(s.pairs)) as usize).max(blocks(s.n)) as usize,
+    block_sums: blocks(16 * blocks(s.room.max(s.pairs)) as usize).max(blocks(s.room)) as usize,
     /// [16][blocks].
-    table: 16 * blocks(s.n.max(s.pairs)) as usize,
+    table: 16 * blocks(s.room.max(s.pairs)) as usize,
     /// [pairs].
     tile_keys_a: s.pairs,
     /// [pairs].
@@ -120,27 +112,42 @@ buffers!(
     pairs_b: s.pairs,
     /// [pairs].
     owners: s.pairs,
-    /// [pairs][12].
-    sums: if s.training { s.pairs * SUMS as usize } else { 1 },
-    /// [tiles + 1] vec2.
-    ranges: 2 * (s.tiles + 1),
-    /// [tiles + 1].
-    used: s.tiles + 1,
+    /// [pairs] vec2.
+    sorted: 2 * s.pairs,
+    /// [pairs] vec4.
+    sums_a: if s.training { 4 * s.pairs } else { 4 },
+    /// [pairs] vec4.
+    sums_b: if s.training { 4 * s.pairs } else { 4 },
+    /// [pairs] vec4.
+    sums_c: if s.training { 4 * s.pairs } else { 4 },
+    /// [tiles + 1] vec4.
+    ranges: 4 * (s.tiles + 1),
     /// [H × W] vec4.
     image: s.pixels * 4,
     /// [H × W].
     depth: s.pixels,
     /// [H × W] rgba, 8 bits each.
     goal: if s.training { s.pixels } else { 1 },
-    /// [9][H × W].
-    maps: if s.training { 9 * s.pixels } else { 1 },
     /// [3][H × W].
-    gradient: if s.training { 3 * s.pixels } else { 1 },
+    by_mean: if s.training { 3 * s.pixels } else { 1 },
+    /// [3][H × W].
+    by_square: if s.training { 3 * s.pixels } else { 1 },
+    /// [3][H × W].
+    by_product: if s.training { 3 * s.pixels } else { 1 },
     /// [3 tiles] vec4.
     partial: if s.training { 12 * s.tiles } else { 4 },
-    /// vec4.
-    result: 4,
+    /// [3] vec4.
+    result: 12,
 );
+
+/// Bytes of a pair in the largest buffer of pairs.
+const PAIR: u64 = 16;
+
+/// The most pairs that buffers of `largest` bytes hold: whole blocks.
+pub fn most_pairs(largest: u64) -> usize {
+    let most = (largest / PAIR).min(u64::from(u32::MAX / 2)) as usize;
+    (most / BLOCK as usize * BLOCK as usize).max(BLOCK as usize)
+}
 
 /// What keeps a model from being larger.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -151,17 +158,18 @@ pub enum Limit {
     Memory,
 }
 
-/// Tiles that a Gaussian touches, reckoned generously: room for its pairs.
+/// Tiles that a Gaussian touches, reckoned generously: room for its pairs. Where there is less, the farthest are not drawn.
 const PAIRS_EACH: usize = 8;
+/// Part of the memory that photos may stay in; where they do not fit they are sent anew in every step.
+pub const PHOTOS: f64 = 0.25;
 
 /// The most Gaussians that can be trained on pictures of so many pixels, where no buffer may have more than `largest` bytes
 /// and all of them together no more than `memory`; and which of the two it is.
 pub fn capacity(sh_stride: usize, pixels: usize, largest: u64, memory: Option<u64>) -> (usize, Limit) {
     let fits = |n: usize| -> Option<Limit> {
         let sizes = Sizes {
-            n,
-            sh_stride,
-            pairs: PAIRS_EACH * n,
+            room: n,
+            pairs: (PAIRS_EACH * n).clamp(BLOCK as usize, most_pairs(largest)),
             pixels,
             tiles: pixels.div_ceil(128),
             training: true,
@@ -170,8 +178,9 @@ pub fn capacity(sh_stride: usize, pixels: usize, largest: u64, memory: Option<u6
         if plan.iter().any(|b| b.1 > largest) {
             return Some(Limit::Binding);
         }
-        let total: u64 = plan.iter().map(|b| b.1).sum();
-        memory.filter(|&m| total > m).map(|_| Limit::Memory)
+        let each = pages::bytes_each(sh_stride, true) + pages::bytes_twice(sh_stride);
+        let total = plan.iter().map(|b| b.1).sum::<u64>() + each * n as u64;
+        memory.filter(|&m| total as f64 > m as f64 * (1.0 - PHOTOS)).map(|_| Limit::Memory)
     };
     // The greatest n that fits lies in low .. high.
     let (mut low, mut high, mut limit) = (0usize, 1usize << 27, Limit::Binding);

@@ -1,5 +1,6 @@
 //! Adapters and devices.
 
+use super::pipelines::Pipelines;
 use crate::SplatError;
 use crate::adapter::{Adapter, AdapterKind};
 use std::sync::{Arc, Mutex};
@@ -52,6 +53,47 @@ fn describe(adapter: &wgpu::Adapter) -> Adapter {
     }
 }
 
+/// What to open, and what of it to use.
+#[derive(Clone, Debug, Default)]
+pub struct Opening {
+    /// The first adapter whose name contains this (any case); the first at all without.
+    pub name: Option<String>,
+    /// Bytes of its memory that may be used.
+    pub memory: Option<u64>,
+    /// Kernels without subgroup operations even where the adapter has them.
+    pub plain: bool,
+    /// No more than every adapter has (the defaults of WebGPU: eight storage buffers a stage, 16 KiB shared), and no binding
+    /// larger than this.
+    pub binding: Option<u64>,
+}
+
+/// Subgroups of these sizes neither span two Gaussians of `backward` nor are too short to bring anything.
+const SUBGROUP_SIZES: std::ops::RangeInclusive<u32> = 4..=32;
+
+/// Counts the threads whose lane or subgroup is not the one that their number in the group says.
+pub const LANES: &str = "
+@group(0) @binding(0) var<storage, read_write> wrong: atomic<u32>;
+@compute @workgroup_size(256)
+fn main(@builtin(local_invocation_index) local: u32, @builtin(subgroup_invocation_id) lane: u32, @builtin(subgroup_size) lanes: u32) {
+    let first = subgroupBroadcastFirst(local);
+    if (local % lanes != lane || first != local - lane || lanes < 4u || lanes > 32u) {
+        atomicAdd(&wrong, 1u);
+    }
+}
+";
+
+/// What to ask of an adapter: all that it has, or what every adapter has.
+fn limits(adapter: &wgpu::Adapter, binding: Option<u64>) -> wgpu::Limits {
+    let Some(binding) = binding else { return adapter.limits() };
+    wgpu::Limits {
+        max_storage_buffer_binding_size: binding,
+        max_buffer_size: binding,
+        max_uniform_buffer_binding_size: binding.min(wgpu::Limits::default().max_uniform_buffer_binding_size),
+        ..wgpu::Limits::default()
+    }
+    .or_worse_values_from(&adapter.limits())
+}
+
 /// An open adapter.
 pub struct Gpu {
     /// Makes buffers and pipelines.
@@ -60,25 +102,35 @@ pub struct Gpu {
     pub queue: wgpu::Queue,
     /// What it is.
     pub adapter: Adapter,
+    /// Whether kernels use subgroup operations.
+    pub subgroups: bool,
+    /// Pipelines kept between runs.
+    pub pipelines: Option<Pipelines>,
     failure: Arc<Mutex<Option<String>>>,
 }
 
 impl Gpu {
-    /// Opens the first adapter whose name contains `name` (any case), or simply the first, with all that it can do.
-    pub fn open(name: Option<&str>) -> Result<Self, SplatError> {
-        let wanted = name.unwrap_or_default().to_lowercase();
+    /// Opens an adapter with all that it can do that is of use.
+    pub fn open(opening: &Opening) -> Result<Self, SplatError> {
+        let wanted = opening.name.clone().unwrap_or_default().to_lowercase();
         let all = enumerate();
         let found = all.iter().find(|a| a.get_info().name.to_lowercase().contains(&wanted));
         let Some(found) = found else {
             let present: Vec<String> = all.iter().map(|a| describe(a).to_string()).collect();
             let present = if present.is_empty() { "none".to_owned() } else { present.join(", ") };
-            return Err(SplatError::NoAdapter { wanted: name.unwrap_or("any").to_owned(), present });
+            let wanted = opening.name.clone().unwrap_or_else(|| "any".to_owned());
+            return Err(SplatError::NoAdapter { wanted, present });
         };
-        let adapter = describe(found);
+        let (adapter, info) = (describe(found), found.get_info());
+        let mut useful = wgpu::Features::TIMESTAMP_QUERY | wgpu::Features::PIPELINE_CACHE;
+        let sizes = info.subgroup_min_size..=info.subgroup_max_size;
+        if !opening.plain && [sizes.start(), sizes.end()].iter().all(|s| SUBGROUP_SIZES.contains(s)) {
+            useful |= wgpu::Features::SUBGROUP;
+        }
         let descriptor = wgpu::DeviceDescriptor {
             label: Some("splat"),
-            required_features: found.features() & wgpu::Features::TIMESTAMP_QUERY,
-            required_limits: found.limits(),
+            required_features: found.features() & useful,
+            required_limits: limits(found, opening.binding),
             memory_hints: wgpu::MemoryHints::MemoryUsage,
             ..Default::default()
         };
@@ -98,7 +150,41 @@ impl Gpu {
                 note(&slot, format!("the device was lost: {text}"));
             }
         });
-        Ok(Self { device, queue, adapter, failure })
+        let pipelines = Pipelines::open(&device, &info);
+        let mut gpu = Self { device, queue, adapter, subgroups: false, pipelines, failure };
+        gpu.subgroups = gpu.device.features().contains(wgpu::Features::SUBGROUP) && gpu.lanes_in_order()?;
+        Ok(gpu)
+    }
+
+    /// Whether the lanes of subgroups are the threads of a group in order, as the kernels take them to be. No
+    /// specification says so; hence a look.
+    fn lanes_in_order(&self) -> Result<bool, SplatError> {
+        let module = self.device.create_shader_module(wgpu::ShaderModuleDescriptor {
+            label: Some("lanes"),
+            source: wgpu::ShaderSource::Wgsl(LANES.into()),
+        });
+        let pipeline = self.device.create_compute_pipeline(&wgpu::ComputePipelineDescriptor {
+            label: Some("lanes"),
+            layout: None,
+            module: &module,
+            entry_point: Some("main"),
+            compilation_options: wgpu::PipelineCompilationOptions::default(),
+            cache: self.pipelines.as_ref().map(Pipelines::cache),
+        });
+        let wrong = self.buffer("lanes", 4, None)?;
+        let bound = self.device.create_bind_group(&wgpu::BindGroupDescriptor {
+            label: Some("lanes"),
+            layout: &pipeline.get_bind_group_layout(0),
+            entries: &[wgpu::BindGroupEntry { binding: 0, resource: wrong.as_entire_binding() }],
+        });
+        let mut encoder = self.device.create_command_encoder(&Default::default());
+        let mut pass = encoder.begin_compute_pass(&Default::default());
+        pass.set_pipeline(&pipeline);
+        pass.set_bind_group(0, &bound, &[]);
+        pass.dispatch_workgroups(4, 1, 1);
+        drop(pass);
+        self.queue.submit([encoder.finish()]);
+        Ok(self.read::<u32>(&wrong, 0, 1)?[0] == 0)
     }
 
     /// An error if anything went wrong since the device was opened.
@@ -154,6 +240,20 @@ impl Gpu {
             Some(_) => Err(self.error(format!("no memory for {name} ({} MiB)", bytes >> 20))),
             None => Ok(buffer),
         }
+    }
+
+    /// A uniform that stays as it is.
+    pub fn uniform<T: bytemuck::Pod>(&self, value: T) -> Result<wgpu::Buffer, SplatError> {
+        let buffer = self.buffer("uniform", size_of::<T>() as u64, None)?;
+        self.write(&buffer, 0, &[value]);
+        Ok(buffer)
+    }
+
+    /// Waits until all that was submitted is done, so that what it used can be freed.
+    pub fn wait(&self) -> Result<(), SplatError> {
+        let waited = self.device.poll(wgpu::PollType::wait_indefinitely());
+        self.check()?;
+        waited.map(|_| ()).map_err(|e| self.error(e.to_string()))
     }
 
     /// Writes `data` from byte `at` on.

@@ -1,7 +1,7 @@
 //! The kernels: their sources, what they are bound to, and their pipelines, made once.
 
 use super::context::Gpu;
-use super::layout::{Frame, ScanJob, SortJob};
+use super::layout::{DensifyJob, Frame, GROUP, GatherJob, HalveJob, PageJob, ScanJob, SortJob};
 use crate::SplatError;
 
 /// What a binding is.
@@ -33,21 +33,23 @@ pub struct Source {
 const FRAME: &str = include_str!("wgsl/frame.wgsl");
 const SH: &str = include_str!("wgsl/sh.wgsl");
 const PROJECTION: &str = include_str!("wgsl/projection.wgsl");
+const SPLIT: &str = include_str!("wgsl/split.wgsl");
 const VIEW: Slot = Uniform(size_of::<Frame>());
+const PAGE: Slot = Uniform(size_of::<PageJob>());
 
 /// All modules, in the order of a step.
-pub const SOURCES: [Source; 10] = [
+pub const SOURCES: [Source; 13] = [
     Source {
         name: "project",
         parts: &[FRAME, SH, PROJECTION, include_str!("wgsl/project.wgsl")],
-        slots: &[VIEW, Read, Read, Write, Write, Write],
+        slots: &[VIEW, PAGE, Read, Read, Write, Write, Write, Write],
         entries: &["main"],
     },
     Source {
         name: "scan",
         parts: &[FRAME, include_str!("wgsl/scan.wgsl")],
         slots: &[Uniform(size_of::<ScanJob>()), Write, Write, Write],
-        entries: &["reduce", "spine", "sweep"],
+        entries: &["reduce", "spine", "sweep", "whole"],
     },
     Source {
         name: "compact",
@@ -70,39 +72,78 @@ pub const SOURCES: [Source; 10] = [
     Source {
         name: "ranges",
         parts: &[FRAME, include_str!("wgsl/ranges.wgsl")],
-        slots: &[VIEW, Read, Read, Write],
+        slots: &[VIEW, Read, Read, Read, Read, Write, Write],
         entries: &["main"],
     },
     Source {
         name: "rasterise",
         parts: &[FRAME, include_str!("wgsl/rasterise.wgsl")],
-        slots: &[VIEW, Read, Read, Read, Read, Write, Write, Write],
+        slots: &[VIEW, Read, Read, Read, Write, Write, Write],
         entries: &["main"],
     },
     Source {
         name: "loss",
         parts: &[FRAME, include_str!("wgsl/loss.wgsl")],
-        slots: &[VIEW, Read, Read, Write, Write, Write, Write],
-        entries: &["statistics", "differentiate", "total"],
+        slots: &[VIEW, Write, Read, Write, Write, Write, Write, Write],
+        entries: &["statistics", "differentiate", "products", "total_products", "total"],
     },
     Source {
         name: "backward",
         parts: &[FRAME, include_str!("wgsl/backward.wgsl")],
-        slots: &[VIEW, Read, Read, Read, Read, Read, Read, Read, Write],
+        slots: &[VIEW, Read, Read, Read, Read, Read, Write, Write, Write],
         entries: &["main"],
     },
     Source {
         name: "optimise",
         parts: &[FRAME, SH, PROJECTION, include_str!("wgsl/optimise.wgsl")],
-        slots: &[VIEW, Write, Write, Write, Write, Read, Read, Write],
+        slots: &[VIEW, PAGE, Write, Write, Write, Read, Read, Read, Read, Write],
+        entries: &["main"],
+    },
+    Source {
+        name: "densify",
+        parts: &[FRAME, SPLIT, include_str!("wgsl/densify.wgsl")],
+        slots: &[Uniform(size_of::<DensifyJob>()), Read, Write, Write, Write, Write, Read, Write, Write],
+        entries: &["score", "choose", "judge", "place"],
+    },
+    Source {
+        name: "gather",
+        parts: &[FRAME, include_str!("wgsl/gather.wgsl")],
+        slots: &[Uniform(size_of::<GatherJob>()), Read, Read, Write],
+        entries: &["main"],
+    },
+    Source {
+        name: "halve",
+        parts: &[FRAME, SPLIT, include_str!("wgsl/halve.wgsl")],
+        slots: &[Uniform(size_of::<HalveJob>()), Read, Write],
         entries: &["main"],
     },
 ];
 
 impl Source {
-    /// The whole module.
-    pub fn text(&self) -> String {
-        self.parts.concat()
+    /// The whole module, for adapters with subgroup operations or without: lines between `//#if subgroups`, `//#else` and
+    /// `//#endif` are chosen, and where the subgroup's numbers are arguments they are put in or left out.
+    pub fn text(&self, subgroups: bool) -> String {
+        let (mut text, mut kept) = (String::new(), true);
+        for line in self.parts.iter().flat_map(|part| part.lines()) {
+            match line.trim() {
+                "//#if subgroups" => kept = subgroups,
+                "//#else" => kept = !subgroups,
+                "//#endif" => kept = true,
+                // Dropped lines stay as empty ones, so that messages name the right line.
+                _ if kept => text.push_str(line),
+                _ => {}
+            }
+            text.push('\n');
+        }
+        let (arguments, passed) = if subgroups {
+            (
+                ", @builtin(subgroup_invocation_id) subgroup_lane: u32, @builtin(subgroup_size) lanes: u32",
+                ", subgroup_lane, lanes",
+            )
+        } else {
+            ("", "")
+        };
+        text.replace("/*lanes*/", arguments).replace("/*use lanes*/", passed)
     }
 }
 
@@ -140,10 +181,16 @@ impl Module {
             bind_group_layouts: &[Some(&layout)],
             immediate_size: 0,
         });
-        let shader = device.create_shader_module(wgpu::ShaderModuleDescriptor {
+        let descriptor = wgpu::ShaderModuleDescriptor {
             label: Some(source.name),
-            source: wgpu::ShaderSource::Wgsl(source.text().into()),
-        });
+            source: wgpu::ShaderSource::Wgsl(source.text(gpu.subgroups).into()),
+        };
+        // Sound because the kernels are ours: every index is held below the length that it is bound with by a test in the
+        // kernel, every loop has an end that does not depend on floats, no divisor is zero. What naga would add else is a
+        // limit on every access to shared memory and a counter in every loop, the innermost ones too.
+        let shader = unsafe {
+            device.create_shader_module_trusted(descriptor, wgpu::ShaderRuntimeChecks::unchecked())
+        };
         let pipeline = |entry: &&str| {
             device.create_compute_pipeline(&wgpu::ComputePipelineDescriptor {
                 label: Some(source.name),
@@ -155,7 +202,7 @@ impl Module {
                     zero_initialize_workgroup_memory: false,
                     ..Default::default()
                 },
-                cache: None,
+                cache: gpu.pipelines.as_ref().map(|p| p.cache()),
             })
         };
         let pipelines = source.entries.iter().map(pipeline).collect();
@@ -173,6 +220,21 @@ impl Module {
             layout: &self.layout,
             entries: &entries,
         })
+    }
+
+    /// Binds buffers and runs an entry point for so many threads: for what happens rarely.
+    pub fn once(
+        &self,
+        gpu: &Gpu,
+        encoder: &mut wgpu::CommandEncoder,
+        entry: usize,
+        buffers: &[&wgpu::Buffer],
+        threads: u32,
+    ) {
+        let resources: Vec<_> = buffers.iter().map(|b| b.as_entire_binding()).collect();
+        let bound = self.bind(gpu, &resources);
+        let mut pass = encoder.begin_compute_pass(&Default::default());
+        self.run(&mut pass, entry, &bound, threads.div_ceil(GROUP), 1);
     }
 
     /// Runs entry point `entry` in `groups` groups, `layers` times in z.
@@ -215,14 +277,50 @@ pub struct Kernels {
     pub backward: Module,
     /// Project backward and Adam.
     pub optimise: Module,
+    /// Densification: score, choose, judge, place.
+    pub densify: Module,
+    /// Planes from the old model to the new one.
+    pub gather: Module,
+    /// Halves of split Gaussians.
+    pub halve: Module,
 }
 
 impl Kernels {
     /// Compiles all of them.
     pub fn new(gpu: &Gpu) -> Result<Self, SplatError> {
-        let [project, scan, compact, sort, pairs, ranges, rasterise, loss, backward, optimise] =
-            SOURCES.each_ref().map(|source| Module::new(gpu, source));
+        let [
+            project,
+            scan,
+            compact,
+            sort,
+            pairs,
+            ranges,
+            rasterise,
+            loss,
+            backward,
+            optimise,
+            densify,
+            gather,
+            halve,
+        ] = SOURCES.each_ref().map(|source| Module::new(gpu, source));
         gpu.check()?;
-        Ok(Self { project, scan, compact, sort, pairs, ranges, rasterise, loss, backward, optimise })
+        if let Some(pipelines) = &gpu.pipelines {
+            pipelines.store();
+        }
+        Ok(Self {
+            project,
+            scan,
+            compact,
+            sort,
+            pairs,
+            ranges,
+            rasterise,
+            loss,
+            backward,
+            optimise,
+            densify,
+            gather,
+            halve,
+        })
     }
 }

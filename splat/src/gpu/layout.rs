@@ -13,9 +13,13 @@ pub const COVERAGE: u32 = 4;
 pub const PLAIN_GRADIENT: u32 = 8;
 /// Statistics sum |dL/dxy| over pixels.
 pub const MAGNITUDES: u32 = 16;
+/// Pairs beyond the buffers are left out.
+pub const TRUNCATE: u32 = 32;
 
-/// Entries of the counters: Gaussians seen, pairs needed, gradients that are not finite, sums nobody reads.
-pub const COUNTERS: usize = 4;
+/// Entries of the counters: Gaussians seen, pairs needed, gradients that are not finite, sums nobody reads, halt.
+pub const COUNTERS: usize = 8;
+/// Entries that every step begins with at zero.
+pub const CLEARED: usize = 4;
 /// Counter of the Gaussians that are seen.
 pub const VISIBLE: u32 = 0;
 /// Counter of the pairs that are needed.
@@ -24,6 +28,8 @@ pub const PAIRS: u32 = 1;
 pub const NON_FINITE: u32 = 2;
 /// Where totals go that nobody reads.
 pub const SPARE: u32 = 3;
+/// Counter that is not zero once a step was not taken because its pairs did not fit: later ones wait for its repetition.
+pub const HALT: u32 = 4;
 
 /// Gaussians or keys a block of scan and sort holds.
 pub const BLOCK: u32 = 2048;
@@ -31,14 +37,12 @@ pub const BLOCK: u32 = 2048;
 pub const GROUP: u32 = 256;
 /// Side of a tile, pixels.
 pub const TILE: u32 = 16;
-/// Sums of backward for a pair.
-pub const SUMS: u32 = 12;
-/// Planes of the geometry: parameters, first and second moments, clock.
-pub const PLANES: u32 = 34;
+/// Planes of the geometry: parameters, first and second moments, clock, statistics.
+pub const PLANES: usize = 38;
 /// Plane of the clock.
 pub const CLOCK: usize = 33;
-/// Planes of the statistics.
-pub const STATISTICS: u32 = 4;
+/// First plane of the statistics.
+pub const STATISTICS: usize = 34;
 
 /// A field as the WGSL must have it: name and offset.
 pub type Field = (&'static str, usize);
@@ -87,8 +91,6 @@ shared_struct!(
         tiles: [u32; 2],
         /// Gaussians.
         n: u32,
-        /// Entries of a plane of parameters.
-        stride: u32,
         /// Pairs that the buffers hold.
         pair_capacity: u32,
         /// SH values held for a Gaussian.
@@ -119,6 +121,120 @@ shared_struct!(
         rate_sh0: f32,
         /// Of the other SH.
         rate_sh_rest: f32,
+        /// Nothing.
+        spare0: u32,
+        /// Nothing.
+        spare1: u32,
+        /// Nothing.
+        spare2: u32,
+        /// Nothing.
+        spare3: u32,
+    }
+);
+
+shared_struct!(
+    /// A page of the model: projection.wgsl.
+    PageJob {
+        /// Number of its first Gaussian.
+        first: u32,
+        /// Gaussians.
+        count: u32,
+        /// Entries of a plane.
+        stride: u32,
+        /// Nothing.
+        spare: u32,
+    }
+);
+
+shared_struct!(
+    /// A round of densification, seen from a page: densify.wgsl.
+    DensifyJob {
+        /// The page.
+        page_first: u32,
+        /// Its Gaussians.
+        page_count: u32,
+        /// Entries of its planes.
+        page_stride: u32,
+        /// Gaussians of all pages.
+        n: u32,
+        /// Gaussians that may be added.
+        room: u32,
+        /// Views that are counted.
+        views: u32,
+        /// Views that must have a Gaussian in their picture.
+        least: u32,
+        /// Of training, for the random numbers.
+        iteration: u32,
+        /// Of training, for the random numbers.
+        seed: u32,
+        /// Mean screen gradient of candidates.
+        threshold: f32,
+        /// Logit below which a Gaussian is removed.
+        floor: f32,
+        /// Nothing.
+        spare: u32,
+    }
+);
+
+shared_struct!(
+    /// A camera of densify.wgsl.
+    DensifyView {
+        /// First row of R of `x_cam = R x + t`, t in w.
+        row0: [f32; 4],
+        /// Second row.
+        row1: [f32; 4],
+        /// Third row.
+        row2: [f32; 4],
+        /// Focal lengths, principal point, pixels.
+        lens: [f32; 4],
+        /// Width and height, pixels.
+        size: [f32; 4],
+    }
+);
+
+shared_struct!(
+    /// From a page of the old model to one of the new: gather.wgsl.
+    GatherJob {
+        /// The new page.
+        first: u32,
+        /// Its Gaussians.
+        count: u32,
+        /// Entries of its planes.
+        stride: u32,
+        /// The old page.
+        old_first: u32,
+        /// Its Gaussians.
+        old_count: u32,
+        /// Entries of its planes.
+        old_stride: u32,
+        /// Planes.
+        planes: u32,
+        /// From this plane on halves of split Gaussians begin at zero.
+        clear_fresh: u32,
+        /// From this plane on all do.
+        clear_all: u32,
+        /// Nothing.
+        spare0: u32,
+        /// Nothing.
+        spare1: u32,
+        /// Nothing.
+        spare2: u32,
+    }
+);
+
+shared_struct!(
+    /// A page whose halves of split Gaussians take their places: halve.wgsl.
+    HalveJob {
+        /// The page.
+        first: u32,
+        /// Its Gaussians.
+        count: u32,
+        /// Entries of its planes.
+        stride: u32,
+        /// Of training, for the random numbers.
+        iteration: u32,
+        /// Of training, for the random numbers.
+        seed: u32,
         /// Nothing.
         spare0: u32,
         /// Nothing.

@@ -3,9 +3,9 @@
 use super::backend::GpuBackend;
 use super::bound::Stage;
 use super::layout::{Frame, PLAIN_GRADIENT};
-use crate::backend::Target;
+use crate::backend::{Backend, Target};
 use crate::cpu::Gradients;
-use crate::model::{GEOMETRY, padded};
+use crate::model::GEOMETRY;
 use crate::{PinholeView, RenderOptions, SplatError};
 
 /// A Gaussian on the screen.
@@ -31,21 +31,21 @@ impl GpuBackend {
         options: &RenderOptions,
     ) -> Result<Vec<Option<OnScreen>>, SplatError> {
         self.prepare(view, false)?;
-        self.run(self.frame_of(view, options), Stage::Project..=Stage::Project)?;
-        let Some((b, _)) = &self.buffers else { return Ok(Vec::new()) };
-        let n = self.sizes.n;
+        self.run(self.frame_of(view, options), Stage::Project..=Stage::Project, None)?;
+        let (Some((b, _)), n) = (&self.screen, self.gaussians()) else { return Ok(Vec::new()) };
         let flags: Vec<u32> = self.gpu.read(&b.flags, 0, n)?;
-        let records: Vec<[f32; 12]> = self.gpu.read(&b.records, 0, n)?;
-        let seen = |(r, &flag): (&[f32; 12], &u32)| {
+        let records: Vec<[f32; 8]> = self.gpu.read(&b.records, 0, n)?;
+        let colours: Vec<[f32; 4]> = self.gpu.read(&b.colours, 0, n)?;
+        let seen = |((r, c), &flag): ((&[f32; 8], &[f32; 4]), &u32)| {
             (flag == 1).then(|| OnScreen {
                 xy: [r[0], r[1]],
                 conic: [r[2], r[3], r[4]],
                 opacity: r[5],
                 depth: r[6],
-                rgb: [r[8], r[9], r[10]],
+                rgb: [c[0], c[1], c[2]],
             })
         };
-        Ok(records.iter().zip(&flags).map(seen).collect())
+        Ok(records.iter().zip(&colours).zip(&flags).map(seen).collect())
     }
 
     /// Kernel loss of a picture [H × W × 3]: loss, mean squared error, dL/d(colour) [H × W × 3].
@@ -57,20 +57,22 @@ impl GpuBackend {
         lambda: f32,
     ) -> Result<(f32, f32, Vec<f32>), SplatError> {
         self.prepare(view, true)?;
-        let (flags, weights) = self.set_target(target);
+        self.settle_all()?;
+        let Some(photo) = self.place(target) else { return Ok((0.0, 0.0, Vec::new())) };
+        let (flags, weights) = (photo.flags, photo.weights);
         let pixels = view.width * view.height;
         let image: Vec<[f32; 4]> = picture.chunks_exact(3).map(|c| [c[0], c[1], c[2], 0.0]).collect();
         let inv_count = if weights > 0.0 { (1.0 / (3.0 * weights)) as f32 } else { 0.0 };
         let frame = self.frame_of(view, &RenderOptions::default());
-        if let Some((b, _)) = &self.buffers {
+        if let Some((b, _)) = &self.screen {
             self.gpu.write(&b.image, 0, &image);
         }
         let frame = Frame { flags, lambda, inv_count, ..frame };
-        let report = self.run(frame, Stage::Loss..=Stage::Loss)?;
+        let report = self.run(frame, Stage::Loss..=Stage::Loss, Some(photo))?;
         let (loss, mse) = report.loss(weights, lambda);
-        let Some((b, _)) = &self.buffers else { return Ok((loss, mse, Vec::new())) };
-        let planes: Vec<f32> = self.gpu.read(&b.gradient, 0, 3 * pixels)?;
-        let gradient = (0..3 * pixels).map(|i| planes[i % 3 * pixels + i / 3]).collect();
+        let Some((b, _)) = &self.screen else { return Ok((loss, mse, Vec::new())) };
+        let gradient: Vec<[f32; 4]> = self.gpu.read(&b.image, 0, pixels)?;
+        let gradient = gradient.iter().flat_map(|g| g[..3].to_vec()).collect();
         Ok((loss, mse, gradient))
     }
 
@@ -83,28 +85,27 @@ impl GpuBackend {
     ) -> Result<Gradients, SplatError> {
         self.prepare(view, true)?;
         let frame = self.frame_of(view, options);
-        self.run(frame, Stage::Project..=Stage::Forward)?;
-        let (n, pixels) = (self.sizes.n, view.width * view.height);
-        let plane = 4 * padded(n) as u64;
-        let first_moments = GEOMETRY as u64 * plane;
-        if let Some((b, _)) = &self.buffers {
-            let planes: Vec<f32> = (0..3 * pixels).map(|i| gradient[i % pixels * 3 + i / pixels]).collect();
-            self.gpu.write(&b.gradient, 0, &planes);
-            let mut encoder = self.gpu.device.create_command_encoder(&Default::default());
-            if n > 0 {
-                encoder.clear_buffer(&b.geometry, first_moments, Some(first_moments));
-            }
-            encoder.clear_buffer(&b.sh_moments, 0, None);
-            self.gpu.queue.submit([encoder.finish()]);
+        self.run(frame, Stage::Project..=Stage::Forward, None)?;
+        let pixels = view.width * view.height;
+        let (Some((b, _)), Some(pages)) = (&self.screen, &self.pages) else {
+            return Ok(Gradients::default());
+        };
+        // What the loss leaves in the picture's place: dL/dC and C · dL/dC.
+        let image: Vec<[f32; 4]> = self.gpu.read(&b.image, 0, pixels)?;
+        let weighted =
+            |(c, g): (&[f32; 4], &[f32])| [g[0], g[1], g[2], g[0] * c[0] + g[1] * c[1] + g[2] * c[2]];
+        let gradient: Vec<[f32; 4]> = image.iter().zip(gradient.chunks_exact(3)).map(weighted).collect();
+        self.gpu.write(&b.image, 0, &gradient);
+        let mut encoder = self.gpu.device.create_command_encoder(&Default::default());
+        for page in &pages.list {
+            let moments = 4 * GEOMETRY as u64 * u64::from(page.job.stride);
+            encoder.clear_buffer(&page.geometry, moments, Some(moments));
+            encoder.clear_buffer(&page.moments, 0, None);
         }
+        self.gpu.queue.submit([encoder.finish()]);
         let frame = Frame { flags: frame.flags | PLAIN_GRADIENT, ..frame };
-        self.run(frame, Stage::Backward..=Stage::Optimise)?;
-        let Some((b, _)) = &self.buffers else { return Ok(Gradients::default()) };
-        let all: Vec<f32> = self.gpu.read(&b.geometry, first_moments, GEOMETRY * padded(n))?;
-        let geometry = std::array::from_fn(|p| all[p * padded(n)..(p + 1) * padded(n)].to_vec());
-        let stride = self.sizes.sh_stride;
-        let both: Vec<f32> = self.gpu.read(&b.sh_moments, 0, n * 2 * stride)?;
-        let sh = both.chunks_exact(stride).step_by(2).flatten().copied().collect();
-        Ok(Gradients { geometry, sh })
+        self.run(frame, Stage::Backward..=Stage::Optimise, None)?;
+        let (model, _) = self.download()?;
+        Ok(Gradients { geometry: model.geometry_m, sh: model.sh_m })
     }
 }

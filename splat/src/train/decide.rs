@@ -3,7 +3,6 @@
 
 use super::{Decision, Trainer};
 use crate::backend::Target;
-use crate::cpu::optimise::Statistics;
 use crate::schedule::{self, SH_FROM};
 use crate::{RenderOptions, SplatError};
 use serde::{Deserialize, Serialize};
@@ -22,12 +21,11 @@ const LOOKS: f64 = 8.0;
 const GROWTH_GAIN: f64 = 0.02;
 /// Looks in a row without such a gain after which growth ends.
 const PATIENCE: u32 = 2;
-/// Position at which redundant Gaussians are removed; what follows lets the others close the gaps.
-const PRUNE_AT: f64 = 0.9;
-/// What removing them may cost before that, dB.
-const PRUNE_LOSS: f64 = 0.05;
-/// Training views that judge the removal.
-const PRUNE_VIEWS: usize = 8;
+
+/// Steps of a schedule with a time limit from which on it pays to look for anything.
+const LEAST_STEPS: f64 = 300.0;
+/// Steps that must be left of it when redundant Gaussians are looked for, which costs as much as thirty steps.
+const LEAST_STEPS_LEFT: f64 = 60.0;
 
 /// What was found out on the way.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
@@ -65,9 +63,14 @@ pub fn validation(views: &[usize]) -> Vec<usize> {
 }
 
 impl Trainer<'_> {
-    /// Looks whether something is to be decided at this place of the schedule.
+    /// Looks whether something is to be decided at this place of the schedule. Nothing is where the steps that a time
+    /// limit leaves are too few to pay for it, and nothing at the schedule's end.
     pub(super) fn decide(&mut self) -> Result<(), SplatError> {
-        let begun = (self.clock)();
+        let steps = self.state.pace.steps(&self.state, self.config);
+        let limited = self.config.time_limit.is_some();
+        if self.state.position >= 1.0 || (limited && steps < LEAST_STEPS) {
+            return Ok(());
+        }
         if !self.validation.is_empty() && self.state.position < self.config.recipe.densify_until {
             self.judge_degree()?;
             self.judge_growth()?;
@@ -77,12 +80,12 @@ impl Trainer<'_> {
         }
         if self.config.recipe.prune_redundant
             && !self.state.findings.pruned
-            && self.state.position >= PRUNE_AT
+            && self.state.position >= self.config.recipe.prune_at
+            && (!limited || steps - f64::from(self.state.iteration) >= LEAST_STEPS_LEFT)
         {
             self.state.findings.pruned = true;
             self.prune_redundant()?;
         }
-        self.state.seconds += (self.clock)() - begun;
         Ok(())
     }
 
@@ -91,7 +94,12 @@ impl Trainer<'_> {
     }
 
     /// PSNR of views at a level with spherical harmonics up to a degree, dB.
-    fn psnr(&mut self, views: &[usize], level: u32, sh_degree: Option<u32>) -> Result<f64, SplatError> {
+    pub(super) fn psnr(
+        &mut self,
+        views: &[usize],
+        level: u32,
+        sh_degree: Option<u32>,
+    ) -> Result<f64, SplatError> {
         let mut sum = 0.0;
         for &v in views {
             let view = &self.dataset.views[v];
@@ -101,6 +109,7 @@ impl Trainer<'_> {
                 rgb: &pixels.rgb,
                 mask: pixels.mask.as_deref(),
                 transparent: self.dataset.is_transparent(),
+                photo: Some(v as u32),
             };
             let options =
                 RenderOptions { antialias: self.config.antialias, sh_degree, ..RenderOptions::default() };
@@ -129,7 +138,7 @@ impl Trainer<'_> {
         );
         if with - without < DEGREE_GAIN {
             self.state.findings.sh_limit = Some(judged);
-            self.backend.edit(&mut |model, _| model.set_sh_degree(judged))?;
+            self.backend.set_sh_degree(judged)?;
             self.note("spherical-harmonic degree", judged.to_string(), evidence);
         } else if degree == self.config.sh_degree {
             self.note("spherical-harmonic degree", degree.to_string(), evidence);
@@ -171,51 +180,6 @@ impl Trainer<'_> {
         Ok(())
     }
 
-    /// Removes as many of the Gaussians that cover least as may go at a loss of [`PRUNE_LOSS`].
-    fn prune_redundant(&mut self) -> Result<(), SplatError> {
-        let views: Vec<usize> =
-            self.views.iter().copied().step_by(self.views.len().div_ceil(PRUNE_VIEWS).max(1)).collect();
-        let before = self.psnr(&views, 0, None)?;
-        let (whole, statistics) = self.backend.download()?;
-        let weight = &statistics.weight;
-        if weight.len() < whole.len {
-            return Ok(());
-        }
-        let mut order: Vec<u32> = (0..whole.len as u32).collect();
-        order.sort_by(|&a, &b| weight[b as usize].total_cmp(&weight[a as usize]).then(a.cmp(&b)));
-        let keep = |count: usize| {
-            let mut kept = order[..count].to_vec();
-            kept.sort_unstable();
-            kept
-        };
-        // The loss grows with what is removed: bisection.
-        let (mut good, mut bad) = (whole.len, whole.len / 3);
-        while good > bad + whole.len / 64 + 1 {
-            let middle = (good + bad) / 2;
-            let mut part = whole.clone();
-            part.select(&keep(middle));
-            self.backend.upload(part, Statistics::default())?;
-            if self.psnr(&views, 0, None)? >= before - PRUNE_LOSS { good = middle } else { bad = middle }
-        }
-        let kept = keep(good);
-        let (n, mut model, mut statistics) = (whole.len, whole, statistics);
-        if good < n {
-            model.select(&kept);
-            statistics.reset(good);
-        }
-        self.backend.upload(model, statistics)?;
-        let after = self.psnr(&views, 0, None)?;
-        self.note(
-            "redundant Gaussians",
-            format!("{} of {n} removed", n - good),
-            format!(
-                "{} training views: {before:.2} dB before, {after:.2} dB after, then trained on",
-                views.len()
-            ),
-        );
-        Ok(())
-    }
-
     /// All decisions, with what is only known at the end.
     pub(super) fn decisions(&mut self) -> Vec<Decision> {
         let findings = self.state.findings.clone();
@@ -230,6 +194,7 @@ impl Trainer<'_> {
                 "hardly any view has them in its picture, so that none contradicts them".to_owned();
             self.note("Gaussians in the air", format!("{} removed", findings.unseen), evidence);
         }
+        self.state.decisions.extend(self.backend.remarks());
         std::mem::take(&mut self.state.decisions)
     }
 }

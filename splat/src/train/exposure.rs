@@ -8,6 +8,8 @@ use crate::{RenderOptions, SplatError};
 const LOOKS: [f64; 5] = [0.25, 0.4, 0.55, 0.7, 0.85];
 /// Part of the squared error that gains must explain.
 const EXPLAINED: f64 = 0.1;
+/// Views from which the first look tells whether there is something to model.
+const SAMPLE: usize = 48;
 /// Gains stay within this and its inverse.
 const LARGEST: f64 = 2.0;
 
@@ -50,20 +52,11 @@ impl Trainer<'_> {
         if self.views.len() < 3 {
             return Ok(());
         }
-        let level = self.level();
-        let transparent = self.dataset.is_transparent();
-        let mut products = Vec::with_capacity(self.views.len());
-        for &v in &self.views {
-            let view = &self.dataset.views[v];
-            let level = level.min(view.levels.len() as u32 - 1);
-            let pixels = &view.levels[level as usize];
-            let target = Target { rgb: &pixels.rgb, mask: pixels.mask.as_deref(), transparent };
-            let options = RenderOptions { antialias: self.config.antialias, ..RenderOptions::default() };
-            products.push(self.backend.products(&view.view.at_level(level), &target, &options)?);
-        }
-        let (found, explained) = gains(&products);
-        let spread = |f: fn(f32, f32) -> f32, start| found.iter().flatten().copied().fold(start, f);
+        // The first look judges by some of the views: what it costs must not grow with their number.
+        let every = if looks == 0 { self.views.len().div_ceil(SAMPLE) } else { 1 };
+        let (mut found, explained) = gains(&self.products_of_views(every)?);
         if looks == 0 {
+            let spread = |f: fn(f32, f32) -> f32, start| found.iter().flatten().copied().fold(start, f);
             let evidence = format!(
                 "gains of {:.2} to {:.2} by view and channel would explain {:.1} % of the squared error (needed: {:.0} %)",
                 spread(f32::min, f32::INFINITY),
@@ -76,9 +69,29 @@ impl Trainer<'_> {
             if !on {
                 return Ok(());
             }
+            if every > 1 {
+                found = gains(&self.products_of_views(1)?).0;
+            }
         }
         self.state.findings.gains = found;
         Ok(())
+    }
+
+    /// What each `every`-th training view says at the resolution in use.
+    fn products_of_views(&mut self, every: usize) -> Result<Vec<Products>, SplatError> {
+        let level = self.level();
+        let transparent = self.dataset.is_transparent();
+        let mut products = Vec::with_capacity(self.views.len().div_ceil(every));
+        for &v in self.views.iter().step_by(every) {
+            let view = &self.dataset.views[v];
+            let level = level.min(view.levels.len() as u32 - 1);
+            let pixels = &view.levels[level as usize];
+            let target =
+                Target { rgb: &pixels.rgb, mask: pixels.mask.as_deref(), transparent, photo: Some(v as u32) };
+            let options = RenderOptions { antialias: self.config.antialias, ..RenderOptions::default() };
+            products.push(self.backend.products(&view.view.at_level(level), &target, &options)?);
+        }
+        Ok(products)
     }
 
     /// The gain of a training view: its photo shows the scene times this.

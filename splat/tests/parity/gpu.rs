@@ -5,7 +5,7 @@ use glam::{Mat3, Vec3};
 use scene::Gaussians;
 use splat::backend::{Backend, StepInput, StepOutput, Target};
 use splat::cpu::optimise::Statistics;
-use splat::gpu::GpuBackend;
+use splat::gpu::{GpuBackend, Opening};
 use splat::model::Model;
 use splat::{PinholeView, RenderOptions, RenderOutput};
 use std::sync::{Mutex, MutexGuard, OnceLock};
@@ -15,8 +15,9 @@ pub struct Adapter;
 
 fn device() -> MutexGuard<'static, GpuBackend> {
     static DEVICE: OnceLock<Mutex<GpuBackend>> = OnceLock::new();
-    let open =
-        || Mutex::new(GpuBackend::open(None, None).expect("an adapter; mesa-vulkan-drivers brings one"));
+    let open = || {
+        Mutex::new(GpuBackend::open(&Opening::default()).expect("an adapter; mesa-vulkan-drivers brings one"))
+    };
     DEVICE.get_or_init(open).lock().unwrap_or_else(|poisoned| poisoned.into_inner())
 }
 
@@ -56,7 +57,7 @@ impl Subject for Adapter {
         lambda: f32,
     ) -> (f32, f32, Vec<f32>) {
         let (target, mask) = (bytes(target), weight.map(bytes));
-        let target = Target { rgb: &target, mask: mask.as_deref(), transparent: false };
+        let target = Target { rgb: &target, mask: mask.as_deref(), transparent: false, photo: None };
         let (rotation, translation) = (Mat3::IDENTITY, Vec3::ZERO);
         let view = PinholeView { rotation, translation, focal: [1.0; 2], centre: [0.0; 2], width, height };
         device().loss(&view, rgb, &target, lambda).unwrap()

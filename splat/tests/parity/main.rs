@@ -1,6 +1,8 @@
 //! Every backend against the f64 reference: kernel by kernel, whole pictures, whole gradients, whole training steps,
 //! and what happens at the extremes. The tests are generic over [`subject::Subject`].
 
+#[cfg(feature = "gpu")]
+mod device;
 mod extremes;
 #[cfg(feature = "gpu")]
 mod gpu;

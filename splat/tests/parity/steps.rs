@@ -12,7 +12,7 @@ use splat::reference::loss::{Loss, loss, over_background};
 use splat::reference::{ImageGradient, Parameters, backward, render};
 use splat::{PinholeView, RenderOptions};
 
-const RATES: LearningRates =
+pub const RATES: LearningRates =
     LearningRates { mean: 2e-3, log_scale: 1e-2, rotation: 2e-3, opacity: 5e-2, sh0: 5e-3, sh_rest: 5e-4 };
 
 /// 8-bit pixels and a mask.
@@ -42,7 +42,12 @@ impl Goal {
     ) -> StepInput<'a> {
         StepInput {
             view,
-            target: Target { rgb: &self.rgb, mask: self.mask.as_deref(), transparent: self.transparent },
+            target: Target {
+                rgb: &self.rgb,
+                mask: self.mask.as_deref(),
+                transparent: self.transparent,
+                photo: None,
+            },
             options,
             rates,
             lambda_dssim: 0.2,

@@ -119,7 +119,7 @@ fn gains_and_what_they_are_found_by_agree_with_the_processors() {
         let options = RenderOptions { background: [0.2, 0.5, 0.9], ..RenderOptions::default() };
         let mut found = Vec::new();
         for (mask, transparent) in [(None, false), (Some(&mask[..]), false), (Some(&mask[..]), true)] {
-            let target = Target { rgb: &view.levels[0].rgb, mask, transparent };
+            let target = Target { rgb: &view.levels[0].rgb, mask, transparent, photo: None };
             found.extend(backend.products(&view.view, &target, &options).unwrap().into_iter().flatten());
             for gain in [None, Some([0.8, 1.1, 1.3])] {
                 backend.set_gain(gain);

@@ -58,6 +58,46 @@ impl<'a> Ply<'a> {
         ))
     }
 
+    /// Calls `each(row, items)` for every row of the element, with the items of its list that has one of the names.
+    pub fn lists(
+        &self,
+        element: &str,
+        names: &[&str],
+        mut each: impl FnMut(usize, &[f64]) -> Result<(), IoError>,
+    ) -> Result<(), IoError> {
+        let mut body = self.body;
+        for candidate in &self.elements {
+            self.check_room(candidate, body)?;
+            if candidate.name != element {
+                self.walk(candidate, &mut body, &[], &mut |_, _| Ok(()))?;
+                continue;
+            }
+            let mut found = false;
+            let mut items = Vec::new();
+            for row in 0..candidate.count as usize {
+                for property in &candidate.properties {
+                    match property.kind {
+                        Kind::Scalar(t) => drop(self.next(t, &mut body)?),
+                        Kind::List(count, item) => {
+                            items.clear();
+                            self.list(count, item, &mut body, &mut items)?;
+                            if names.contains(&property.name.as_str()) {
+                                found = true;
+                                each(row, &items)?;
+                            }
+                        }
+                    }
+                }
+            }
+            if found || candidate.count == 0 {
+                return Ok(());
+            }
+        }
+        let message =
+            format!("expected an element '{element}' with a list {}, found none", names.join(" or "));
+        Err(IoError::format(self.path, message))
+    }
+
     fn column(&self, element: &Element, name: &str) -> Result<usize, IoError> {
         let found =
             element.properties.iter().position(|p| p.name == name && matches!(p.kind, Kind::Scalar(_)));
@@ -106,7 +146,7 @@ impl<'a> Ply<'a> {
             for (value, property) in all.iter_mut().zip(&element.properties) {
                 *value = match property.kind {
                     Kind::Scalar(t) => self.next(t, body)?,
-                    Kind::List(count, item) => self.skip_list(count, item, body)?,
+                    Kind::List(count, item) => self.list(count, item, body, &mut Vec::new())?,
                 };
             }
             values.iter_mut().zip(columns).for_each(|(v, &c)| *v = all[c]);
@@ -115,13 +155,20 @@ impl<'a> Ply<'a> {
         Ok(())
     }
 
-    fn skip_list(&self, count: Scalar, item: Scalar, body: &mut &[u8]) -> Result<f64, IoError> {
+    /// Appends the items of a list; their number.
+    fn list(
+        &self,
+        count: Scalar,
+        item: Scalar,
+        body: &mut &[u8],
+        items: &mut Vec<f64>,
+    ) -> Result<f64, IoError> {
         let n = self.next(count, body)?;
         if !(0.0..=body.len() as f64).contains(&n) {
             return Err(self.cut_off());
         }
         for _ in 0..n as usize {
-            self.next(item, body)?;
+            items.push(self.next(item, body)?);
         }
         Ok(n)
     }

@@ -1,35 +1,47 @@
 // backward: dL/d(colour) of a tile's pixels -> sums for each of its Gaussians, replayed front to back.
-// in: records · owners · values · ranges · used · image · gradient [3][H * W] dL/d(rgb)
-// out: sums [pairs][12], at the pair's number, so that a Gaussian's pairs lie side by side and no atomics are needed:
-//      with v = alpha dL/d(alpha), d = xy - pixel: v, v dx, v dy, v dx^2, v dx dy, v dy^2, T alpha dL/d(rgb) (3), T alpha,
+// in: records · colours · sorted [pairs] (Gaussian, pair number) by tile · ranges [tiles] (begin, end, used, -)
+//      gradient [H * W] (dL/d(rgb), C . dL/d(rgb) of the pixel's colour C)
+// out: sums [pairs][12] in three arrays of four, at the pair's number, so that a Gaussian's pairs lie side by side and no
+//      atomics are needed: with v = alpha dL/d(alpha), d = xy - pixel: v, v dx, v dy, v dx^2, v dx dy, v dy^2, T alpha dL/d(rgb) (3), T alpha,
 //      |v (conic d)| by component (2)
 //
 // Eight Gaussians at a time: each thread follows its pixel and leaves T alpha and v of each of the eight in `left`;
-// then 32 threads a Gaussian add up eight pixels of a column each; then one thread a sum adds up the 32.
+// then 32 threads a Gaussian add up eight pixels of a column each; then the 32 are added up, across the subgroup where
+// the adapter has such operations, and by one thread a sum where not.
 // v = alpha (T rgb . g - behind / (1 - alpha)), behind = g . (what lies behind, the background too): Kerbl 2023.
 
 @group(0) @binding(0) var<uniform> frame: Frame;
 @group(0) @binding(1) var<storage, read> records: array<vec4<f32>>;
-@group(0) @binding(2) var<storage, read> owners: array<u32>;
-@group(0) @binding(3) var<storage, read> values: array<u32>;
-@group(0) @binding(4) var<storage, read> ranges: array<vec2<u32>>;
-@group(0) @binding(5) var<storage, read> used: array<u32>;
-@group(0) @binding(6) var<storage, read> image: array<vec4<f32>>;
-@group(0) @binding(7) var<storage, read> gradient: array<f32>;
-@group(0) @binding(8) var<storage, read_write> sums: array<f32>;
+@group(0) @binding(2) var<storage, read> colours: array<vec4<f32>>;
+@group(0) @binding(3) var<storage, read> sorted: array<vec2<u32>>;
+@group(0) @binding(4) var<storage, read> ranges: array<vec4<u32>>;
+@group(0) @binding(5) var<storage, read> gradient: array<vec4<f32>>;
+@group(0) @binding(6) var<storage, read_write> sums_a: array<f32>;
+@group(0) @binding(7) var<storage, read_write> sums_b: array<f32>;
+@group(0) @binding(8) var<storage, read_write> sums_c: array<f32>;
 
 const SUMS: u32 = 12u;
 
 // First T alpha [8][256], then v [8][256]; afterwards partial sums [12][256].
 var<workgroup> left: array<f32, 4096>;
 
-fn gradient_at(pixel: vec2<u32>) -> vec3<f32> {
+fn gradient_at(pixel: vec2<u32>) -> vec4<f32> {
     if (pixel.x >= frame.size.x || pixel.y >= frame.size.y) {
-        return vec3<f32>(0.0);
+        return vec4<f32>(0.0);
     }
-    let at = pixel.y * frame.size.x + pixel.x;
-    let plane = frame.size.x * frame.size.y;
-    return vec3<f32>(gradient[at], gradient[plane + at], gradient[2u * plane + at]);
+    return gradient[pixel.y * frame.size.x + pixel.x];
+}
+
+// Sum number `which` of a pair.
+fn put(pair: u32, which: u32, sum: f32) {
+    let at = 4u * pair + which % 4u;
+    if (which < 4u) {
+        sums_a[at] = sum;
+    } else if (which < 8u) {
+        sums_b[at] = sum;
+    } else {
+        sums_c[at] = sum;
+    }
 }
 
 // One pixel past up to eight Gaussians from position `first`; `behind` and the transmittance are kept between calls.
@@ -38,9 +50,9 @@ fn follow(first: u32, count: u32, local: u32, centre: vec2<f32>, g: vec3<f32>, s
         var weight = 0.0;
         var v = 0.0;
         if (k < count && !*finished) {
-            let i = owners[values[first + k]];
-            let a = records[3u * i];
-            let b = records[3u * i + 1u];
+            let i = sorted[first + k].x;
+            let a = records[2u * i];
+            let b = records[2u * i + 1u];
             let d = a.xy - centre;
             let power = 0.5 * (a.z * d.x * d.x + b.x * d.y * d.y) + a.w * d.x * d.y;
             let raw = b.y * exp(-power);
@@ -52,7 +64,7 @@ fn follow(first: u32, count: u32, local: u32, centre: vec2<f32>, g: vec3<f32>, s
                     *finished = true;
                 } else {
                     weight = t * alpha;
-                    let own = weight * dot(records[3u * i + 2u].xyz, g);
+                    let own = weight * dot(colours[i].xyz, g);
                     let behind = (*state).y - own;
                     v = select(0.0, own - alpha * behind / (1.0 - alpha), raw <= MAX_ALPHA);
                     *state = vec2<f32>(next, behind);
@@ -65,23 +77,21 @@ fn follow(first: u32, count: u32, local: u32, centre: vec2<f32>, g: vec3<f32>, s
 }
 
 @compute @workgroup_size(256)
-fn main(@builtin(workgroup_id) group: vec3<u32>, @builtin(num_workgroups) groups: vec3<u32>, @builtin(local_invocation_index) local: u32) {
+fn main(@builtin(workgroup_id) group: vec3<u32>, @builtin(num_workgroups) groups: vec3<u32>, @builtin(local_invocation_index) local: u32/*lanes*/) {
     let tile = group_number(group, groups);
     // The last "tile" holds pairs that belong nowhere: their sums become zero.
     var range = vec2<u32>(0u);
     var end = 0u;
     if (tile <= frame.tiles.x * frame.tiles.y) {
-        range = ranges[tile];
-        end = range.x + used[tile];
+        let own = ranges[tile];
+        range = own.xy;
+        end = own.x + own.z;
     }
     let corner = vec2<u32>(tile % frame.tiles.x, tile / frame.tiles.x) * TILE;
     let pixel = corner + vec2<u32>(local % TILE, local / TILE);
     let inside = pixel.x < frame.size.x && pixel.y < frame.size.y;
     let g = gradient_at(pixel);
-    var state = vec2<f32>(1.0, 0.0);
-    if (inside) {
-        state.y = dot(image[pixel.y * frame.size.x + pixel.x].xyz, g);
-    }
+    var state = vec2<f32>(1.0, g.w);
     var finished = !inside;
 
     // In the second part the thread adds up eight pixels of one column, two rows apart, for Gaussian local / 32.
@@ -89,21 +99,21 @@ fn main(@builtin(workgroup_id) group: vec3<u32>, @builtin(num_workgroups) groups
     let column = corner + vec2<u32>(lane % TILE, lane / TILE);
     var column_gradient: array<vec3<f32>, 8>;
     for (var j = 0u; j < 8u; j++) {
-        column_gradient[j] = gradient_at(column + vec2<u32>(0u, 2u * j));
+        column_gradient[j] = gradient_at(column + vec2<u32>(0u, 2u * j)).xyz;
     }
 
     for (var first = range.x; first < end; first += 8u) {
         let count = min(8u, end - first);
-        follow(first, count, local, vec2<f32>(pixel) + 0.5, g, &state, &finished);
+        follow(first, count, local, vec2<f32>(pixel) + 0.5, g.xyz, &state, &finished);
         workgroupBarrier();
 
         let k = local / 32u;
         var a = vec4<f32>(0.0);
         var yy = 0.0;
         if (k < count) {
-            let i = owners[values[first + k]];
-            a = records[3u * i];
-            yy = records[3u * i + 1u].x;
+            let i = sorted[first + k].x;
+            a = records[2u * i];
+            yy = records[2u * i + 1u].x;
         }
         let d = a.xy - (vec2<f32>(column) + 0.5);
         var s = vec3<f32>(0.0);   // v, v dy, v dy^2
@@ -120,19 +130,36 @@ fn main(@builtin(workgroup_id) group: vec3<u32>, @builtin(num_workgroups) groups
             total += weight;
             magnitude += abs(v) * abs(vec2<f32>(a.z * d.x + a.w * dy, a.w * d.x + yy * dy));
         }
+        var all = array<f32, 12>(
+            s.x, s.x * d.x, s.y, s.x * d.x * d.x, s.y * d.x, s.z,
+            rgb.x, rgb.y, rgb.z, total, magnitude.x, magnitude.y,
+        );
+//#if subgroups
+        // At most 32 lanes (the host sees to it), so that no subgroup spans two Gaussians.
+        for (var n = 0u; n < SUMS; n++) {
+            all[n] = subgroupAdd(all[n]);
+        }
         workgroupBarrier();
-        left[local] = s.x;
-        left[256u + local] = s.x * d.x;
-        left[512u + local] = s.y;
-        left[768u + local] = s.x * d.x * d.x;
-        left[1024u + local] = s.y * d.x;
-        left[1280u + local] = s.z;
-        left[1536u + local] = rgb.x;
-        left[1792u + local] = rgb.y;
-        left[2048u + local] = rgb.z;
-        left[2304u + local] = total;
-        left[2560u + local] = magnitude.x;
-        left[2816u + local] = magnitude.y;
+        if (subgroup_lane == 0u) {
+            for (var n = 0u; n < SUMS; n++) {
+                left[(local / lanes) * SUMS + n] = all[n];
+            }
+        }
+        workgroupBarrier();
+        let which = local / SUMS;
+        if (which < count) {
+            let parts = 32u / lanes;
+            var sum = 0.0;
+            for (var j = 0u; j < parts; j++) {
+                sum += left[(which * parts + j) * SUMS + local % SUMS];
+            }
+            put(sorted[first + which].y, local % SUMS, sum);
+        }
+//#else
+        workgroupBarrier();
+        for (var n = 0u; n < SUMS; n++) {
+            left[n * 256u + local] = all[n];
+        }
         workgroupBarrier();
         let which = local / SUMS;
         if (which < count) {
@@ -140,14 +167,15 @@ fn main(@builtin(workgroup_id) group: vec3<u32>, @builtin(num_workgroups) groups
             for (var j = 0u; j < 32u; j++) {
                 sum += left[(local % SUMS) * 256u + which * 32u + (j + local) % 32u];
             }
-            sums[values[first + which] * SUMS + local % SUMS] = sum;
+            put(sorted[first + which].y, local % SUMS, sum);
         }
+//#endif
         workgroupBarrier();
     }
     // What no pixel reached.
     for (var i = end + local; i < range.y; i += 256u) {
         for (var s = 0u; s < SUMS; s++) {
-            sums[values[i] * SUMS + s] = 0.0;
+            put(sorted[i].y, s, 0.0);
         }
     }
 }

@@ -16,6 +16,6 @@ fn main(@builtin(workgroup_id) group: vec3<u32>, @builtin(num_workgroups) groups
         return;
     }
     let at = positions[i];
-    keys[at] = bitcast<u32>(records[3u * i + 1u].z);
+    keys[at] = bitcast<u32>(records[2u * i + 1u].z);
     values[at] = i;
 }

@@ -14,11 +14,10 @@ struct Frame {
     size: vec2<u32>,        // px
     tiles: vec2<u32>,
     n: u32,                 // Gaussians
-    stride: u32,            // entries of a plane of parameters, >= n
     pair_capacity: u32,     // Gaussian-tile pairs that the buffers hold
     sh_stride: u32,         // SH values held for a Gaussian, 3 (degree + 1)^2
     sh_used: u32,           // SH coefficients a channel in use
-    flags: u32,             // ANTIALIAS | WEIGHTED | COVERAGE | PLAIN_GRADIENT | MAGNITUDES
+    flags: u32,             // the bits below
     near: f32,
     lambda: f32,            // weight of D-SSIM
     inv_count: f32,         // 1 / (3 * sum of the weights), 0 where there are none
@@ -33,6 +32,7 @@ struct Frame {
     spare0: u32,
     spare1: u32,
     spare2: u32,
+    spare3: u32,
 }
 
 const ANTIALIAS: u32 = 1u;
@@ -40,6 +40,7 @@ const WEIGHTED: u32 = 2u;        // alpha of the target is a weight, 0 = ignored
 const COVERAGE: u32 = 4u;        // alpha of the target is coverage, the background shows through
 const PLAIN_GRADIENT: u32 = 8u;  // optimise writes gradients in place of moving parameters
 const MAGNITUDES: u32 = 16u;      // statistics sum |dL/dxy| over pixels
+const TRUNCATE: u32 = 32u;        // pairs beyond the buffers are left out, the farthest Gaussians' first
 
 const TILE: u32 = 16u;
 const MIN_ALPHA: f32 = 0.00392156862745098;
@@ -51,6 +52,7 @@ const NOWHERE: u32 = 0xffffffffu;
 const VISIBLE: u32 = 0u;
 const PAIRS: u32 = 1u;       // pairs that are needed; drawn only as far as the buffers reach
 const NON_FINITE: u32 = 2u;  // Gaussians whose gradient was not finite
+const HALT: u32 = 4u;        // a step was not taken: those after it are not either, so that the host can repeat them in order
 
 // A dispatch of more than 65,535 groups is folded into two dimensions.
 fn group_number(group: vec3<u32>, groups: vec3<u32>) -> u32 {

@@ -1,17 +1,20 @@
-// loss: L = (1 - lambda) mean |C - G| + lambda (1 - SSIM) and dL/dC, in three dispatches (the first two for each of
-// the three channels in z): statistics, gradient, total. Equations and sources: reference/loss.rs.
+// loss: L = (1 - lambda) mean |C - G| + lambda (1 - SSIM) and dL/dC, in three dispatches: statistics (each of the three
+// channels in z), differentiate, total. And for gains: products (channels in z), total_products. Equations and sources: reference/loss.rs.
 // in: image [H * W] · goal [H * W] 8-bit rgb and mask
-// out: maps [9][H * W] w dS/d(mu_x, E x^2, E xy) of each channel · gradient [3][H * W]
-//      partial [groups][4]: sums of w S, w |C - G|, w (C - G)^2 · result [4]: their totals
+// out: by_mean, by_square, by_product [3][H * W] w dS/d(mu_x), w dS/d(E x^2), w dS/d(E xy) of each channel
+//      image [H * W] becomes (dL/dC, C . dL/dC), which is all that backward needs of the picture
+//      partial [3][tiles] vec4: sums of w S, w |C - G|, w (C - G)^2 · result[0]: their totals
+//      after products: partial and result[channel] sums of w C G, w C^2, w G^2
 // A group filters a tile of 16 x 16 with the 26 x 26 pixels around it, across and then down, in shared memory.
 
 @group(0) @binding(0) var<uniform> frame: Frame;
-@group(0) @binding(1) var<storage, read> image: array<vec4<f32>>;
+@group(0) @binding(1) var<storage, read_write> image: array<vec4<f32>>;
 @group(0) @binding(2) var<storage, read> goal: array<u32>;
-@group(0) @binding(3) var<storage, read_write> maps: array<f32>;
-@group(0) @binding(4) var<storage, read_write> gradient: array<f32>;
-@group(0) @binding(5) var<storage, read_write> partial: array<vec4<f32>>;
-@group(0) @binding(6) var<storage, read_write> result: array<vec4<f32>>;
+@group(0) @binding(3) var<storage, read_write> by_mean: array<f32>;
+@group(0) @binding(4) var<storage, read_write> by_square: array<f32>;
+@group(0) @binding(5) var<storage, read_write> by_product: array<f32>;
+@group(0) @binding(6) var<storage, read_write> partial: array<vec4<f32>>;
+@group(0) @binding(7) var<storage, read_write> result: array<vec4<f32>>;
 
 const C1: f32 = 0.0001;
 const C2: f32 = 0.0009;
@@ -103,10 +106,10 @@ fn statistics(@builtin(workgroup_id) group: vec3<u32>, @builtin(num_workgroups) 
     let inside = pixel.x < i32(frame.size.x) && pixel.y < i32(frame.size.y);
     if (inside) {
         let plane = frame.size.x * frame.size.y;
-        let at = 3u * channel * plane + u32(pixel.y) * frame.size.x + u32(pixel.x);
-        maps[at] = own.weight * (2.0 * my * (a2 - a1) + 2.0 * mx * similarity * (b1 - b2)) * inverse;
-        maps[at + plane] = -own.weight * similarity * b1 * inverse;
-        maps[at + 2u * plane] = own.weight * 2.0 * a1 * inverse;
+        let at = channel * plane + u32(pixel.y) * frame.size.x + u32(pixel.x);
+        by_mean[at] = own.weight * (2.0 * my * (a2 - a1) + 2.0 * mx * similarity * (b1 - b2)) * inverse;
+        by_square[at] = -own.weight * similarity * b1 * inverse;
+        by_product[at] = own.weight * 2.0 * a1 * inverse;
     }
     let difference = own.x - own.y;
     let sum = group_sum(local, own.weight * vec4<f32>(similarity, abs(difference), difference * difference, 0.0));
@@ -115,20 +118,17 @@ fn statistics(@builtin(workgroup_id) group: vec3<u32>, @builtin(num_workgroups) 
     }
 }
 
-@compute @workgroup_size(256)
-fn differentiate(@builtin(workgroup_id) group: vec3<u32>, @builtin(num_workgroups) groups: vec3<u32>, @builtin(local_invocation_index) local: u32) {
-    let channel = group.z;
-    let tile = group_number(group, groups);
-    let corner = vec2<i32>(vec2<u32>(tile % frame.tiles.x, tile / frame.tiles.x) * TILE);
+// dS/dC of a channel at the thread's pixel: the maps, filtered.
+fn similarity_gradient(corner: vec2<i32>, local: u32, channel: u32, own: Sample) -> f32 {
     let plane = frame.size.x * frame.size.y;
     for (var i = local; i < HALO; i += 256u) {
         let pixel = corner + vec2<i32>(i32(i % SIDE), i32(i / SIDE)) - i32(RADIUS);
         halo[i] = vec2<f32>(0.0);
         halo_third[i] = 0.0;
         if (pixel.x >= 0 && pixel.y >= 0 && pixel.x < i32(frame.size.x) && pixel.y < i32(frame.size.y)) {
-            let at = 3u * channel * plane + u32(pixel.y) * frame.size.x + u32(pixel.x);
-            halo[i] = vec2<f32>(maps[at], maps[at + plane]);
-            halo_third[i] = maps[at + 2u * plane];
+            let at = channel * plane + u32(pixel.y) * frame.size.x + u32(pixel.x);
+            halo[i] = vec2<f32>(by_mean[at], by_square[at]);
+            halo_third[i] = by_product[at];
         }
     }
     workgroupBarrier();
@@ -145,12 +145,48 @@ fn differentiate(@builtin(workgroup_id) group: vec3<u32>, @builtin(num_workgroup
     for (var k = 0u; k < 11u; k++) {
         by += window(k) * across[local + k * TILE];
     }
+    workgroupBarrier();
+    return by.x + 2.0 * own.x * by.y + own.y * by.z;
+}
+
+@compute @workgroup_size(256)
+fn differentiate(@builtin(workgroup_id) group: vec3<u32>, @builtin(num_workgroups) groups: vec3<u32>, @builtin(local_invocation_index) local: u32) {
+    let tile = group_number(group, groups);
+    let corner = vec2<i32>(vec2<u32>(tile % frame.tiles.x, tile / frame.tiles.x) * TILE);
     let pixel = corner + vec2<i32>(i32(local % TILE), i32(local / TILE));
-    if (tile < frame.tiles.x * frame.tiles.y && pixel.x < i32(frame.size.x) && pixel.y < i32(frame.size.y)) {
+    var out = vec4<f32>(0.0);
+    for (var channel = 0u; channel < 3u; channel++) {
         let own = sample(pixel, channel);
-        let by_ssim = by.x + 2.0 * own.x * by.y + own.y * by.z;
+        let by_ssim = similarity_gradient(corner, local, channel, own);
         let g = (1.0 - frame.lambda) * own.weight * sign(own.x - own.y) - frame.lambda * by_ssim;
-        gradient[channel * plane + u32(pixel.y) * frame.size.x + u32(pixel.x)] = select(0.0, g * frame.inv_count, own.weight > 0.0);
+        out[channel] = select(0.0, g * frame.inv_count, own.weight > 0.0);
+        out.w += out[channel] * own.x;
+    }
+    if (tile < frame.tiles.x * frame.tiles.y && pixel.x < i32(frame.size.x) && pixel.y < i32(frame.size.y)) {
+        image[u32(pixel.y) * frame.size.x + u32(pixel.x)] = out;
+    }
+}
+
+@compute @workgroup_size(256)
+fn products(@builtin(workgroup_id) group: vec3<u32>, @builtin(num_workgroups) groups: vec3<u32>, @builtin(local_invocation_index) local: u32) {
+    let tile = group_number(group, groups);
+    let corner = vec2<i32>(vec2<u32>(tile % frame.tiles.x, tile / frame.tiles.x) * TILE);
+    let own = sample(corner + vec2<i32>(i32(local % TILE), i32(local / TILE)), group.z);
+    let sum = group_sum(local, own.weight * vec4<f32>(own.x * own.y, own.x * own.x, own.y * own.y, 0.0));
+    if (local == 0u && tile < frame.tiles.x * frame.tiles.y) {
+        partial[tile * 3u + group.z] = sum;
+    }
+}
+
+@compute @workgroup_size(256)
+fn total_products(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index) local: u32) {
+    var sum = vec4<f32>(0.0);
+    for (var i = local; i < frame.tiles.x * frame.tiles.y; i += 256u) {
+        sum += partial[3u * i + group.z];
+    }
+    let all = group_sum(local, sum);
+    if (local == 0u) {
+        result[group.z] = all;
     }
 }
 

@@ -1,21 +1,22 @@
 // optimise: project backward and Adam, fused: sums of `backward` -> parameters moved one step.
-// in: sums [pairs][12] · spans [N] (first, end) of the Gaussian's pairs · counters
-// in, out: geometry [34][stride]: 11 planes of parameters, 11 of first and 11 of second moments, the clock
-//          sh [N][sh_stride] · sh_moments [N][2][sh_stride] first and second
-//          statistics [4][stride]: sum of |dL/dxy| in half images, steps seen, greatest sum of T alpha, greatest radius
+// in: sums [pairs][12] in three arrays of four · spans [N] (first, end) of the Gaussian's pairs · counters
+// in, out, of a page: geometry [38][stride]: 11 planes of parameters, 11 of first and 11 of second moments, the clock, and
+//          four of statistics: sum of |dL/dxy| in half images, steps seen, greatest sum of T alpha, greatest radius
+//          sh [3K][stride] · sh_moments [2][3K][stride] first and second
 // With PLAIN_GRADIENT the gradients take the place of the first moments and nothing moves.
 // Equations and sources: reference/project.rs, reference/adam.rs. The clock counts the steps in which a Gaussian was seen.
 
 @group(0) @binding(0) var<uniform> frame: Frame;
-@group(0) @binding(1) var<storage, read_write> geometry: array<f32>;
-@group(0) @binding(2) var<storage, read_write> sh: array<f32>;
-@group(0) @binding(3) var<storage, read_write> sh_moments: array<f32>;
-@group(0) @binding(4) var<storage, read_write> statistics: array<f32>;
-@group(0) @binding(5) var<storage, read> sums: array<f32>;
-@group(0) @binding(6) var<storage, read> spans: array<vec2<u32>>;
-@group(0) @binding(7) var<storage, read_write> counters: array<atomic<u32>>;
+@group(0) @binding(1) var<uniform> page: Page;
+@group(0) @binding(2) var<storage, read_write> geometry: array<f32>;
+@group(0) @binding(3) var<storage, read_write> sh: array<f32>;
+@group(0) @binding(4) var<storage, read_write> sh_moments: array<f32>;
+@group(0) @binding(5) var<storage, read> sums_a: array<vec4<f32>>;
+@group(0) @binding(6) var<storage, read> sums_b: array<vec4<f32>>;
+@group(0) @binding(7) var<storage, read> sums_c: array<vec4<f32>>;
+@group(0) @binding(8) var<storage, read> spans: array<vec2<u32>>;
+@group(0) @binding(9) var<storage, read_write> counters: array<atomic<u32>>;
 
-const SUMS: u32 = 12u;
 const BETA1: f32 = 0.9;
 const BETA2: f32 = 0.999;
 const LOG_BETA1: f32 = -0.10536052;
@@ -24,6 +25,7 @@ const EPSILON: f32 = 1e-15;
 const TINY_MOMENT: f32 = 1e-18;
 const TINY_SQUARE: f32 = 1e-30;
 const CLOCK: u32 = 33u;
+const STATISTICS: u32 = 34u;
 
 // 1 / (1 - beta^t), from the logarithm: exact enough where beta^t is close to 1.
 fn unbias(t: f32, log_beta: f32) -> f32 {
@@ -88,54 +90,60 @@ fn rate_of(k: u32) -> f32 {
 }
 
 // Moves the SH (or writes their gradient); returns dL/dmean through the direction.
-fn colour_step(i: u32, mean: vec3<f32>, d_rgb: vec3<f32>, c1: f32, c2: f32) -> vec3<f32> {
+fn colour_step(l: u32, mean: vec3<f32>, d_rgb: vec3<f32>, c1: f32, c2: f32) -> vec3<f32> {
     let offset = mean - frame.position.xyz;
     let d = direction(offset);
     var basis = sh_basis(d);
     var basis_gradient = sh_basis_gradient(d);
-    let first = i * frame.sh_stride;
-    let rgb = sh_colour(first, &basis);
+    let rgb = sh_colour(l, &basis);
     let open = select(vec3<f32>(0.0), d_rgb, rgb > vec3<f32>(0.0));
     var by_direction = vec3<f32>(0.0);
     for (var k = 0u; k < frame.sh_used; k++) {
         for (var c = 0u; c < 3u; c++) {
-            let at = first + 3u * k + c;
-            let m = 2u * first + 3u * k + c;
-            let v = m + frame.sh_stride;
+            let at = (3u * k + c) * page.stride + l;
+            let v = at + frame.sh_stride * page.stride;
             by_direction += basis_gradient[k] * (sh[at] * open[c]);
             let g = basis[k] * open[c];
             if ((frame.flags & PLAIN_GRADIENT) != 0u) {
-                sh_moments[m] = g;
+                sh_moments[at] = g;
             } else {
-                let moved = adam(sh[at], g, sh_moments[m], sh_moments[v], select(frame.rate_sh_rest, frame.rate_sh0, k == 0u), c1, c2);
+                let moved = adam(sh[at], g, sh_moments[at], sh_moments[v], select(frame.rate_sh_rest, frame.rate_sh0, k == 0u), c1, c2);
                 sh[at] = moved.x;
-                sh_moments[m] = moved.y;
+                sh_moments[at] = moved.y;
                 sh_moments[v] = moved.z;
             }
         }
     }
-    let l = length(offset);
-    return select(vec3<f32>(0.0), (by_direction - d * dot(d, by_direction)) / max(l, 1e-30), l > 0.0);
+    let far = length(offset);
+    return select(vec3<f32>(0.0), (by_direction - d * dot(d, by_direction)) / max(far, 1e-30), far > 0.0);
 }
 
 @compute @workgroup_size(256)
 fn main(@builtin(workgroup_id) group: vec3<u32>, @builtin(num_workgroups) groups: vec3<u32>, @builtin(local_invocation_index) local: u32) {
-    let i = group_number(group, groups) * 256u + local;
-    // Where the buffers were too small the step is not taken; the host enlarges them and repeats it.
-    if (i >= frame.n || atomicLoad(&counters[PAIRS]) > frame.pair_capacity) {
+    let l = group_number(group, groups) * 256u + local;
+    // Where the buffers were too small the step is not taken, nor those after it; the host enlarges them and repeats it,
+    // or says that they cannot be larger.
+    let overfull = atomicLoad(&counters[PAIRS]) > frame.pair_capacity && (frame.flags & TRUNCATE) == 0u;
+    if (overfull) {
+        atomicStore(&counters[HALT], 1u);
+    }
+    if (l >= page.count || overfull || atomicLoad(&counters[HALT]) != 0u) {
         return;
     }
-    let span = spans[i];
-    var s: array<f32, 12>;
+    let span = spans[page.first + l];
+    var sa = vec4<f32>(0.0);
+    var sb = vec4<f32>(0.0);
+    var sc = vec4<f32>(0.0);
     for (var pair = span.x; pair < span.y; pair++) {
-        for (var k = 0u; k < SUMS; k++) {
-            s[k] += sums[pair * SUMS + k];
-        }
+        sa += sums_a[pair];
+        sb += sums_b[pair];
+        sc += sums_c[pair];
     }
+    let s = array<f32, 12>(sa.x, sa.y, sa.z, sa.w, sb.x, sb.y, sb.z, sb.w, sc.x, sc.y, sc.z, sc.w);
     if (s[9] <= 0.0) {
         return; // touches no pixel
     }
-    var p = project_gaussian(i);
+    var p = project_gaussian(l);
     let d_xy = -vec2<f32>(p.conic.x * s[1] + p.conic.y * s[2], p.conic.y * s[1] + p.conic.z * s[2]);
     let d_cov = covariance_gradient(&p, s[0], vec3<f32>(s[3], s[4], s[5]));
     let da = 2.0 * d_cov.x * p.a + d_cov.y * p.b;
@@ -157,31 +165,29 @@ fn main(@builtin(workgroup_id) group: vec3<u32>, @builtin(num_workgroups) groups
     for (var k = 0u; k < 11u; k++) {
         good = good && is_finite(g[k]) && abs(g[k]) < 1e18;
     }
-    for (var k = 6u; k < 9u; k++) {
-        good = good && is_finite(s[k]);
-    }
+    good = good && is_finite(s[6]) && is_finite(s[7]) && is_finite(s[8]);
     if (!good) {
         atomicAdd(&counters[NON_FINITE], 1u);
         return;
     }
-    let t = geometry[CLOCK * frame.stride + i] + 1.0;
+    let t = plane(CLOCK, l) + 1.0;
     let c1 = unbias(t, LOG_BETA1);
     let c2 = unbias(t, LOG_BETA2);
-    let by_direction = colour_step(i, vec3<f32>(plane(0u, i), plane(1u, i), plane(2u, i)), vec3<f32>(s[6], s[7], s[8]), c1, c2);
+    let by_direction = colour_step(l, vec3<f32>(plane(0u, l), plane(1u, l), plane(2u, l)), vec3<f32>(s[6], s[7], s[8]), c1, c2);
     for (var k = 0u; k < 3u; k++) {
         g[k] += by_direction[k];
     }
     if ((frame.flags & PLAIN_GRADIENT) != 0u) {
         for (var k = 0u; k < 11u; k++) {
-            geometry[(11u + k) * frame.stride + i] = g[k];
+            geometry[(11u + k) * page.stride + l] = g[k];
         }
         return;
     }
-    geometry[CLOCK * frame.stride + i] = t;
+    geometry[CLOCK * page.stride + l] = t;
     for (var k = 0u; k < 11u; k++) {
-        let at = k * frame.stride + i;
-        let m = at + 11u * frame.stride;
-        let v = m + 11u * frame.stride;
+        let at = k * page.stride + l;
+        let m = at + 11u * page.stride;
+        let v = m + 11u * page.stride;
         let moved = adam(geometry[at], g[k], geometry[m], geometry[v], rate_of(k), c1, c2);
         geometry[at] = moved.x;
         geometry[m] = moved.y;
@@ -189,9 +195,10 @@ fn main(@builtin(workgroup_id) group: vec3<u32>, @builtin(num_workgroups) groups
     }
     let half = 0.5 * vec2<f32>(frame.size);
     let gradient = select(d_xy, vec2<f32>(s[10], s[11]), (frame.flags & MAGNITUDES) != 0u);
-    statistics[i] += length(gradient * half);
-    statistics[frame.stride + i] += 1.0;
-    statistics[2u * frame.stride + i] = max(statistics[2u * frame.stride + i], s[9]);
+    let at = STATISTICS * page.stride + l;
+    geometry[at] += length(gradient * half);
+    geometry[at + page.stride] += 1.0;
+    geometry[at + 2u * page.stride] = max(geometry[at + 2u * page.stride], s[9]);
     let radius = 3.0 * sqrt(max(p.cov.x, p.cov.z)) / f32(max(frame.size.x, frame.size.y));
-    statistics[3u * frame.stride + i] = max(statistics[3u * frame.stride + i], radius);
+    geometry[at + 3u * page.stride] = max(geometry[at + 3u * page.stride], radius);
 }

@@ -45,8 +45,8 @@ fn count(@builtin(workgroup_id) group: vec3<u32>, @builtin(num_workgroups) group
     var sum = 0u;
     if (rank < counters[VISIBLE]) {
         let i = order[rank];
-        let a = records[3u * i];
-        let b = records[3u * i + 1u];
+        let a = records[2u * i];
+        let b = records[2u * i + 1u];
         let box = boxes[i];
         for (var y = box.x >> 16u; y < (box.y >> 16u); y++) {
             for (var x = box.x & 0xffffu; x < (box.y & 0xffffu); x++) {
@@ -64,8 +64,8 @@ fn emit(@builtin(workgroup_id) group: vec3<u32>, @builtin(num_workgroups) groups
         return;
     }
     let i = order[rank];
-    let a = records[3u * i];
-    let b = records[3u * i + 1u];
+    let a = records[2u * i];
+    let b = records[2u * i + 1u];
     let box = boxes[i];
     var at = counts[rank];
     var end = counters[PAIRS];

@@ -1,5 +1,14 @@
-// projection: Gaussian -> screen, shared by project and optimise. Needs `geometry`: 11 planes of `frame.stride`
+// projection: Gaussian -> screen, shared by project and optimise. Needs `page` and `geometry`: 11 planes of `page.stride`
 // (mean x y z, log-scale x y z, quaternion w x y z, logit). Equations and sources: reference/project.rs.
+// The model lies in pages, so that no binding is larger than the adapter allows: Gaussian i is entry i - page.first of its
+// page, and a kernel runs once a page.
+
+struct Page {
+    first: u32,    // number of its first Gaussian
+    count: u32,    // Gaussians
+    stride: u32,   // entries of a plane, >= count
+    spare: u32,
+}
 
 const LOW_PASS: f32 = 0.3;
 const MAX_LOG_SCALE: f32 = 20.0;
@@ -27,8 +36,8 @@ struct Projection {
     seen: bool,
 }
 
-fn plane(k: u32, i: u32) -> f32 {
-    return geometry[k * frame.stride + i];
+fn plane(k: u32, l: u32) -> f32 {
+    return geometry[k * page.stride + l];
 }
 
 fn rotation_matrix(q: vec4<f32>) -> mat3x3<f32> {
@@ -41,27 +50,27 @@ fn rotation_matrix(q: vec4<f32>) -> mat3x3<f32> {
 }
 
 // Whether the 11 parameters are numbers; an infinite logit or log-scale is one.
-fn usable(i: u32) -> bool {
+fn usable(l: u32) -> bool {
     var good = true;
     for (var k = 0u; k < 11u; k++) {
-        let v = plane(k, i);
+        let v = plane(k, l);
         let number = (bitcast<u32>(v) & 0x7fffffffu) <= 0x7f800000u;
         good = good && number && (is_finite(v) || k == 10u || (k >= 3u && k < 6u));
     }
     return good;
 }
 
-fn project_gaussian(i: u32) -> Projection {
+fn project_gaussian(l: u32) -> Projection {
     var p: Projection;
-    let mean = vec4<f32>(plane(0u, i), plane(1u, i), plane(2u, i), 1.0);
+    let mean = vec4<f32>(plane(0u, l), plane(1u, l), plane(2u, l), 1.0);
     p.x = vec3<f32>(dot(frame.row0, mean), dot(frame.row1, mean), dot(frame.row2, mean));
-    let in_front = usable(i) && p.x.z >= frame.near && is_finite(p.x.x) && is_finite(p.x.y) && is_finite(p.x.z);
+    let in_front = usable(l) && p.x.z >= frame.near && is_finite(p.x.x) && is_finite(p.x.y) && is_finite(p.x.z);
     let inv_z = 1.0 / select(1.0, p.x.z, in_front);
     p.uv = p.x.xy * inv_z;
     p.limited = clamp(p.uv, frame.low, frame.high);
 
     // Scaled first, so that the norm neither vanishes nor overflows.
-    let raw = vec4<f32>(plane(6u, i), plane(7u, i), plane(8u, i), plane(9u, i));
+    let raw = vec4<f32>(plane(6u, l), plane(7u, l), plane(8u, l), plane(9u, l));
     let largest = max(max(abs(raw.x), abs(raw.y)), max(abs(raw.z), abs(raw.w)));
     let directed = largest >= 1e-30;
     let level = raw / select(1.0, largest, directed);
@@ -69,7 +78,7 @@ fn project_gaussian(i: u32) -> Projection {
     p.q = select(vec4<f32>(1.0, 0.0, 0.0, 0.0), level / norm, directed);
     p.inv_norm = select(0.0, 1.0 / (norm * largest), directed);
     p.rotation = rotation_matrix(p.q);
-    p.log_scale = vec3<f32>(plane(3u, i), plane(4u, i), plane(5u, i));
+    p.log_scale = vec3<f32>(plane(3u, l), plane(4u, l), plane(5u, l));
     p.scale = exp(clamp(p.log_scale, vec3<f32>(-MAX_LOG_SCALE), vec3<f32>(MAX_LOG_SCALE)));
 
     let f = frame.focal * inv_z;
@@ -85,7 +94,7 @@ fn project_gaussian(i: u32) -> Projection {
     let good = is_finite(p.det) && p.det < 1e30;
     p.conic = vec3<f32>(p.cov.z, -p.cov.y, p.cov.x) / select(1.0, p.det, good);
 
-    p.sigmoid = 1.0 / (1.0 + exp(-clamp(plane(10u, i), -80.0, 80.0)));
+    p.sigmoid = 1.0 / (1.0 + exp(-clamp(plane(10u, l), -80.0, 80.0)));
     let rho = select(1.0, sqrt(p.det_sharp / select(1.0, p.det, good)), (frame.flags & ANTIALIAS) != 0u);
     p.opacity = p.sigmoid * rho;
     p.xy = p.uv * frame.focal + frame.centre;

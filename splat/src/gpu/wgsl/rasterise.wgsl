@@ -1,16 +1,15 @@
 // rasterise: the Gaussians of a tile -> its pixels, front to back.
-// in: records · owners · values [pairs] pair numbers by tile · ranges [tiles]
-// out: image [H * W] (rgb over the background, transmittance) · depth [H * W] expected z · used [tiles] pairs looked at
+// in: records · colours · sorted [pairs] (Gaussian, pair number) by tile · ranges [tiles] (begin, end, -, -)
+// out: image [H * W] (rgb over the background, transmittance) · depth [H * W] expected z · ranges.z: pairs looked at
 // C = sum of T alpha rgb + T background (Kerbl 2023, eq. 3); skip alpha < 1/255, stop before T < 1e-4.
 
 @group(0) @binding(0) var<uniform> frame: Frame;
 @group(0) @binding(1) var<storage, read> records: array<vec4<f32>>;
-@group(0) @binding(2) var<storage, read> owners: array<u32>;
-@group(0) @binding(3) var<storage, read> values: array<u32>;
-@group(0) @binding(4) var<storage, read> ranges: array<vec2<u32>>;
+@group(0) @binding(2) var<storage, read> colours: array<vec4<f32>>;
+@group(0) @binding(3) var<storage, read> sorted: array<vec2<u32>>;
+@group(0) @binding(4) var<storage, read_write> ranges: array<vec4<u32>>;
 @group(0) @binding(5) var<storage, read_write> image: array<vec4<f32>>;
 @group(0) @binding(6) var<storage, read_write> depth: array<f32>;
-@group(0) @binding(7) var<storage, read_write> used: array<u32>;
 
 const BATCH: u32 = 256u;
 
@@ -30,7 +29,7 @@ fn main(@builtin(workgroup_id) group: vec3<u32>, @builtin(num_workgroups) groups
     let centre = vec2<f32>(pixel) + 0.5;
     var range = vec2<u32>(0u);
     if (real) {
-        range = ranges[tile];
+        range = ranges[tile].xy;
     }
     var t = 1.0;
     var rgb = vec3<f32>(0.0);
@@ -49,10 +48,10 @@ fn main(@builtin(workgroup_id) group: vec3<u32>, @builtin(num_workgroups) groups
             atomicAdd(&open, 1u);
         }
         if (first + local < range.y) {
-            let i = owners[values[first + local]];
-            batch_a[local] = records[3u * i];
-            batch_b[local] = records[3u * i + 1u];
-            batch_c[local] = records[3u * i + 2u];
+            let i = sorted[first + local].x;
+            batch_a[local] = records[2u * i];
+            batch_b[local] = records[2u * i + 1u];
+            batch_c[local] = colours[i];
         }
         workgroupBarrier();
         if (local == 0u) {
@@ -93,6 +92,6 @@ fn main(@builtin(workgroup_id) group: vec3<u32>, @builtin(num_workgroups) groups
         depth[at] = select(0.0, far / max(1.0 - t, 1e-30), t < 1.0);
     }
     if (local == 0u && real) {
-        used[tile] = atomicLoad(&last);
+        ranges[tile].z = atomicLoad(&last);
     }
 }

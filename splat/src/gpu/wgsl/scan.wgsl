@@ -1,4 +1,5 @@
-// scan: exclusive prefix sums of u32, in place, in three dispatches: reduce, spine, sweep.
+// scan: exclusive prefix sums of u32, in place, in three dispatches: reduce, spine, sweep; or in one, whole, by one group
+// where there are few values.
 // in, out: data [n] · sums [ceil(n / 2048)] · counters[job.total] becomes the sum of all.
 // Blelloch 1990, "Prefix Sums and Their Applications"; blocks of 2,048, 8 values a thread.
 
@@ -18,8 +19,27 @@ const EACH: u32 = 8u;
 const BLOCK: u32 = 2048u;
 
 var<workgroup> partial: array<u32, 256>;
+var<workgroup> group_total: u32;
 
-// Inclusive sums of `value` over the group's 256 threads.
+// Inclusive sums of `value` over the group's 256 threads; their total goes to `group_total`.
+//#if subgroups
+fn group_scan(local: u32, subgroup_lane: u32, lanes: u32, value: u32) -> u32 {
+    let own = subgroupInclusiveAdd(value);
+    if (subgroup_lane == lanes - 1u) {
+        partial[local / lanes] = own;
+    }
+    workgroupBarrier();
+    var sum = own;
+    for (var k = 0u; k < local / lanes; k++) {
+        sum += partial[k];
+    }
+    if (local == 255u) {
+        group_total = sum;
+    }
+    workgroupBarrier();
+    return sum;
+}
+//#else
 fn group_scan(local: u32, value: u32) -> u32 {
     var sum = value;
     partial[local] = sum;
@@ -34,8 +54,13 @@ fn group_scan(local: u32, value: u32) -> u32 {
         partial[local] = sum;
         workgroupBarrier();
     }
+    if (local == 255u) {
+        group_total = sum;
+    }
+    workgroupBarrier();
     return sum;
 }
+//#endif
 
 fn read(i: u32) -> u32 {
     if (i < job.n) {
@@ -45,21 +70,21 @@ fn read(i: u32) -> u32 {
 }
 
 @compute @workgroup_size(256)
-fn reduce(@builtin(workgroup_id) group: vec3<u32>, @builtin(num_workgroups) groups: vec3<u32>, @builtin(local_invocation_index) local: u32) {
+fn reduce(@builtin(workgroup_id) group: vec3<u32>, @builtin(num_workgroups) groups: vec3<u32>, @builtin(local_invocation_index) local: u32/*lanes*/) {
     let block = group_number(group, groups);
     let first = block * BLOCK + local * EACH;
     var sum = 0u;
     for (var k = 0u; k < EACH; k++) {
         sum += read(first + k);
     }
-    let inclusive = group_scan(local, sum);
+    let inclusive = group_scan(local/*use lanes*/, sum);
     if (local == 255u && block * BLOCK < job.n) {
         sums[block] = inclusive;
     }
 }
 
 @compute @workgroup_size(256)
-fn spine(@builtin(local_invocation_index) local: u32) {
+fn spine(@builtin(local_invocation_index) local: u32/*lanes*/) {
     let blocks = (job.n + BLOCK - 1u) / BLOCK;
     var carry = 0u;
     for (var first = 0u; first < blocks; first += 256u) {
@@ -68,11 +93,11 @@ fn spine(@builtin(local_invocation_index) local: u32) {
         if (i < blocks) {
             value = sums[i];
         }
-        let inclusive = group_scan(local, value);
+        let inclusive = group_scan(local/*use lanes*/, value);
         if (i < blocks) {
             sums[i] = carry + inclusive - value;
         }
-        carry += partial[255];
+        carry += group_total;
         workgroupBarrier();
     }
     if (local == 0u) {
@@ -81,14 +106,14 @@ fn spine(@builtin(local_invocation_index) local: u32) {
 }
 
 @compute @workgroup_size(256)
-fn sweep(@builtin(workgroup_id) group: vec3<u32>, @builtin(num_workgroups) groups: vec3<u32>, @builtin(local_invocation_index) local: u32) {
+fn sweep(@builtin(workgroup_id) group: vec3<u32>, @builtin(num_workgroups) groups: vec3<u32>, @builtin(local_invocation_index) local: u32/*lanes*/) {
     let block = group_number(group, groups);
     let first = block * BLOCK + local * EACH;
     var sum = 0u;
     for (var k = 0u; k < EACH; k++) {
         sum += read(first + k);
     }
-    var running = group_scan(local, sum) - sum;
+    var running = group_scan(local/*use lanes*/, sum) - sum;
     if (block * BLOCK < job.n) {
         running += sums[block];
     }
@@ -99,5 +124,31 @@ fn sweep(@builtin(workgroup_id) group: vec3<u32>, @builtin(num_workgroups) group
             data[i] = running;
             running += value;
         }
+    }
+}
+
+@compute @workgroup_size(256)
+fn whole(@builtin(local_invocation_index) local: u32/*lanes*/) {
+    var carry = 0u;
+    for (var first = 0u; first < job.n; first += BLOCK) {
+        var values: array<u32, 8>;
+        var sum = 0u;
+        for (var k = 0u; k < EACH; k++) {
+            values[k] = read(first + local * EACH + k);
+            sum += values[k];
+        }
+        var running = carry + group_scan(local/*use lanes*/, sum) - sum;
+        carry += group_total;
+        for (var k = 0u; k < EACH; k++) {
+            let i = first + local * EACH + k;
+            if (i < job.n) {
+                data[i] = running;
+                running += values[k];
+            }
+        }
+        workgroupBarrier();
+    }
+    if (local == 0u) {
+        counters[job.total] = carry;
     }
 }

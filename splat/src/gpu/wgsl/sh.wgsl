@@ -30,12 +30,12 @@ fn sh_basis_gradient(d: vec3<f32>) -> array<vec3<f32>, 16> {
     );
 }
 
-// 0.5 + sum of Y_k sh_k, not limited; `first` is where the Gaussian's values begin in `sh`.
-fn sh_colour(first: u32, basis: ptr<function, array<f32, 16>>) -> vec3<f32> {
+// 0.5 + sum of Y_k sh_k, not limited, of the page's Gaussian l; `sh` holds planes (coefficient, channel) of the page.
+fn sh_colour(l: u32, basis: ptr<function, array<f32, 16>>) -> vec3<f32> {
     var rgb = vec3<f32>(0.5);
     for (var k = 0u; k < frame.sh_used; k++) {
-        let at = first + 3u * k;
-        rgb += (*basis)[k] * vec3<f32>(sh[at], sh[at + 1u], sh[at + 2u]);
+        let at = 3u * k * page.stride + l;
+        rgb += (*basis)[k] * vec3<f32>(sh[at], sh[at + page.stride], sh[at + 2u * page.stride]);
     }
     return rgb;
 }

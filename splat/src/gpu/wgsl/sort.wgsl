@@ -26,7 +26,7 @@ const EACH: u32 = 8u;
 const BLOCK: u32 = 2048u;
 
 var<workgroup> digits: array<atomic<u32>, 16>;
-// Counts of 16 digits, two to a word of 16 bits each, scanned over the threads: [word][thread].
+// Counts of 16 digits, two to a word of 16 bits each, scanned over the threads: [word][thread], or [word][subgroup].
 var<workgroup> ranks: array<array<u32, 256>, 8>;
 
 fn digit_of(key: u32) -> u32 {
@@ -58,7 +58,7 @@ fn histogram(@builtin(workgroup_id) group: vec3<u32>, @builtin(num_workgroups) g
 }
 
 @compute @workgroup_size(256)
-fn scatter(@builtin(workgroup_id) group: vec3<u32>, @builtin(num_workgroups) groups: vec3<u32>, @builtin(local_invocation_index) local: u32) {
+fn scatter(@builtin(workgroup_id) group: vec3<u32>, @builtin(num_workgroups) groups: vec3<u32>, @builtin(local_invocation_index) local: u32/*lanes*/) {
     let block = group_number(group, groups);
     let n = count();
     let first = block * BLOCK + local * EACH;
@@ -72,11 +72,25 @@ fn scatter(@builtin(workgroup_id) group: vec3<u32>, @builtin(num_workgroups) gro
             own[digit / 2u] += 1u << (16u * (digit & 1u));
         }
     }
+    var sums = own;
+//#if subgroups
+    for (var w = 0u; w < 8u; w++) {
+        sums[w] = subgroupInclusiveAdd(own[w]);
+        if (subgroup_lane == lanes - 1u) {
+            ranks[w][local / lanes] = sums[w];
+        }
+    }
+    workgroupBarrier();
+    for (var w = 0u; w < 8u; w++) {
+        for (var k = 0u; k < local / lanes; k++) {
+            sums[w] += ranks[w][k];
+        }
+    }
+//#else
     for (var w = 0u; w < 8u; w++) {
         ranks[w][local] = own[w];
     }
     workgroupBarrier();
-    var sums = own;
     for (var step = 1u; step < 256u; step *= 2u) {
         var left: array<u32, 8>;
         if (local >= step) {
@@ -91,6 +105,7 @@ fn scatter(@builtin(workgroup_id) group: vec3<u32>, @builtin(num_workgroups) gro
         }
         workgroupBarrier();
     }
+//#endif
     for (var w = 0u; w < 8u; w++) {
         sums[w] -= own[w];
     }

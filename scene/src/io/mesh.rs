@@ -1,0 +1,217 @@
+//! Triangle meshes from PLY, OBJ and binary glTF.
+
+use super::error::{IoError, read_file};
+use super::ply::Ply;
+use crate::geometry::Mesh;
+use glam::{DMat4, DVec3, Mat4};
+use gltf::mesh::Mode;
+use std::collections::BTreeSet;
+use std::path::Path;
+
+/// Reads a mesh; the ending says the format: `.ply`, `.obj`, `.glb` (its scene, with the transforms of its nodes).
+/// Polygons become fans of triangles. Colours, normals and materials are left out.
+pub fn read_mesh(path: &Path) -> Result<Mesh, IoError> {
+    let ending = path.extension().map(|e| e.to_string_lossy().to_ascii_lowercase()).unwrap_or_default();
+    let mesh = match ending.as_str() {
+        "ply" => read_ply(path)?,
+        "obj" => read_obj(path)?,
+        "glb" => read_glb(path)?,
+        _ => return Err(IoError::format(path, "expected a mesh that ends in .ply, .obj or .glb")),
+    };
+    mesh.validate().map_err(|m| IoError::format(path, format!("no usable mesh: {m}")))?;
+    Ok(mesh)
+}
+
+fn read_ply(path: &Path) -> Result<Mesh, IoError> {
+    let data = read_file(path)?;
+    let ply = Ply::parse(path, &data)?;
+    let mut mesh = Mesh::default();
+    ply.rows("vertex", &["x", "y", "z"], |_, v| {
+        mesh.vertices.push(DVec3::from_slice(v));
+        Ok(())
+    })?;
+    ply.lists("face", &["vertex_indices", "vertex_index"], |row, indices| {
+        let whole = indices.iter().all(|i| i.fract() == 0.0 && (0.0..f64::from(u32::MAX)).contains(i));
+        if !whole {
+            return Err(IoError::format(path, format!("face {row} names no vertices")));
+        }
+        let indices: Vec<u32> = indices.iter().map(|i| *i as u32).collect();
+        fan(&indices, &mut mesh.triangles);
+        Ok(())
+    })?;
+    Ok(mesh)
+}
+
+fn fan(polygon: &[u32], triangles: &mut Vec<[u32; 3]>) {
+    for pair in polygon.windows(2).skip(1) {
+        triangles.push([polygon[0], pair[0], pair[1]]);
+    }
+}
+
+fn read_obj(path: &Path) -> Result<Mesh, IoError> {
+    let data = read_file(path)?;
+    let options = tobj::LoadOptions {
+        triangulate: true,
+        ignore_points: true,
+        ignore_lines: true,
+        ..Default::default()
+    };
+    // Materials are another file, which is not looked for.
+    let loaded = tobj::load_obj_buf(&mut data.as_slice(), &options, |_| Ok(Default::default()));
+    let (models, _) = loaded.map_err(|e| IoError::format(path, format!("not a readable OBJ file: {e}")))?;
+    let mut mesh = Mesh::default();
+    for model in models {
+        let first = mesh.vertices.len() as u32;
+        let (positions, _) = model.mesh.positions.as_chunks::<3>();
+        mesh.vertices.extend(positions.iter().map(|p| DVec3::from_array(p.map(f64::from))));
+        let (triangles, _) = model.mesh.indices.as_chunks::<3>();
+        mesh.triangles.extend(triangles.iter().map(|t| t.map(|i| i.saturating_add(first))));
+    }
+    Ok(mesh)
+}
+
+fn read_glb(path: &Path) -> Result<Mesh, IoError> {
+    let data = read_file(path)?;
+    let bad = |message: String| IoError::format(path, format!("not a readable binary glTF file: {message}"));
+    let file = gltf::Gltf::from_slice(&data).map_err(|e| bad(e.to_string()))?;
+    let blob = file.blob.as_deref().unwrap_or_default();
+    for accessor in file.accessors() {
+        check(&accessor, blob.len()).map_err(bad)?;
+    }
+    let mut mesh = Mesh::default();
+    let scene = file.default_scene().or_else(|| file.scenes().next());
+    let scene = scene.ok_or_else(|| bad("it has no scene".to_owned()))?;
+    let mut open: Vec<(gltf::Node, DMat4)> = scene.nodes().map(|n| (n, DMat4::IDENTITY)).collect();
+    let mut seen = BTreeSet::new();
+    while let Some((node, parent)) = open.pop() {
+        if !seen.insert(node.index()) {
+            return Err(bad(format!("node {} hangs in two places", node.index())));
+        }
+        let world = parent * Mat4::from_cols_array_2d(&node.transform().matrix()).as_dmat4();
+        for primitive in node.mesh().iter().flat_map(gltf::Mesh::primitives) {
+            add(&primitive, blob, &world, &mut mesh).map_err(bad)?;
+        }
+        open.extend(node.children().map(|child| (child, world)));
+    }
+    Ok(mesh)
+}
+
+/// Whether all of an accessor lies in the file.
+fn check(accessor: &gltf::Accessor, bytes: usize) -> Result<(), String> {
+    let number = accessor.index();
+    let Some(view) = accessor.view().filter(|_| accessor.sparse().is_none()) else {
+        return Err(format!("accessor {number} is sparse or without data, which is not supported"));
+    };
+    if !matches!(view.buffer().source(), gltf::buffer::Source::Bin) {
+        return Err("its data lies in another file; export it as one .glb".to_owned());
+    }
+    let size = accessor.size();
+    let step = view.stride().unwrap_or(size).max(size);
+    let inside = step.checked_mul(accessor.count().saturating_sub(1)).and_then(|n| n.checked_add(size));
+    let end = inside.and_then(|n| n.checked_add(accessor.offset())).unwrap_or(usize::MAX);
+    let last = view.offset().saturating_add(view.length());
+    if end > view.length() || last > bytes {
+        return Err(format!("accessor {number} reaches beyond the file's {bytes} bytes"));
+    }
+    Ok(())
+}
+
+fn add(primitive: &gltf::Primitive, blob: &[u8], world: &DMat4, mesh: &mut Mesh) -> Result<(), String> {
+    if !matches!(primitive.mode(), Mode::Triangles | Mode::TriangleStrip | Mode::TriangleFan) {
+        return Ok(()); // points and lines have no surface
+    }
+    let reader = primitive.reader(|_| Some(blob));
+    let positions = reader.read_positions().ok_or("a primitive has no positions")?;
+    let first = mesh.vertices.len() as u32;
+    mesh.vertices.extend(positions.map(|p| world.transform_point3(DVec3::from_array(p.map(f64::from)))));
+    let count = mesh.vertices.len() as u32 - first;
+    let indices: Vec<u32> = match reader.read_indices() {
+        Some(indices) => indices.into_u32().map(|i| i.saturating_add(first)).collect(),
+        None => (first..first + count).collect(),
+    };
+    match primitive.mode() {
+        Mode::Triangles => mesh.triangles.extend(indices.as_chunks::<3>().0),
+        Mode::TriangleFan => fan(&indices, &mut mesh.triangles),
+        _ => mesh.triangles.extend(indices.windows(3).map(|t| [t[0], t[1], t[2]])),
+    }
+    Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::io::test_folder;
+    use std::fs;
+
+    fn written(name: &str, bytes: &[u8]) -> std::path::PathBuf {
+        let path = test_folder(&format!("mesh_{}", name.replace('.', "_"))).join(name);
+        fs::write(&path, bytes).unwrap();
+        path
+    }
+
+    const PLY: &str = "ply\nformat ascii 1.0\nelement vertex 4\nproperty float x\nproperty float y\nproperty float z\n\
+        element face 1\nproperty uchar red\nproperty list uchar int vertex_indices\nend_header\n\
+        0 0 0\n2 0 0\n2 2 0\n0 2 0\n9 4 0 1 2 3\n";
+
+    #[test]
+    fn a_square_is_the_same_mesh_in_ply_and_obj() {
+        let ply = read_mesh(&written("square.ply", PLY.as_bytes())).unwrap();
+        assert_eq!(ply.triangles, [[0, 1, 2], [0, 2, 3]]);
+        assert_eq!(ply.area(), 4.0);
+        let obj = b"mtllib none.mtl\nv 0 0 0\nv 2 0 0\nv 2 2 0\nv 0 2 0\nf 1 2 3 4\n";
+        let obj = read_mesh(&written("square.obj", obj)).unwrap();
+        assert_eq!((obj.area(), obj.triangles.len()), (4.0, 2));
+    }
+
+    /// A triangle with legs 1 and 2, moved by 5 and scaled by 3, as binary glTF; `count` of its positions as said.
+    fn glb(count: u32, nodes: &str) -> Vec<u8> {
+        let positions: [f32; 9] = [0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 2.0, 0.0];
+        let blob: Vec<u8> = positions.iter().flat_map(|v| v.to_le_bytes()).collect();
+        let mut json = format!(
+            r#"{{"asset":{{"version":"2.0"}},"scene":0,"scenes":[{{"nodes":[0]}}],"nodes":{nodes},
+            "meshes":[{{"primitives":[{{"attributes":{{"POSITION":0}}}}]}}],"buffers":[{{"byteLength":36}}],
+            "bufferViews":[{{"buffer":0,"byteLength":36}}],"accessors":[{{"bufferView":0,"componentType":5126,
+            "count":{count},"type":"VEC3","min":[0,0,0],"max":[1,2,0]}}]}}"#
+        );
+        while json.len() % 4 != 0 {
+            json.push(' ');
+        }
+        let chunk =
+            |kind: &[u8; 4], data: &[u8]| [&(data.len() as u32).to_le_bytes()[..], kind, data].concat();
+        let body = [chunk(b"JSON", json.as_bytes()), chunk(b"BIN\0", &blob)].concat();
+        let length = (12 + body.len() as u32).to_le_bytes();
+        [&b"glTF"[..], &2_u32.to_le_bytes(), &length, &body].concat()
+    }
+
+    #[test]
+    fn the_nodes_of_a_glb_move_its_triangles_and_lies_are_refused() {
+        let nodes = r#"[{"translation":[5,0,0],"children":[1]},{"scale":[3,3,3],"mesh":0}]"#;
+        let path = written("triangle.glb", &glb(3, nodes));
+        let mesh = read_mesh(&path).unwrap();
+        assert_eq!((mesh.area(), mesh.corners(0)[1]), (9.0, DVec3::new(8.0, 0.0, 0.0)));
+        fs::write(&path, glb(1_000_000, nodes)).unwrap();
+        assert!(read_mesh(&path).unwrap_err().to_string().contains("beyond the file"));
+        let cycle = r#"[{"children":[1]},{"children":[0],"mesh":0}]"#;
+        fs::write(&path, glb(3, cycle)).unwrap();
+        assert!(read_mesh(&path).unwrap_err().to_string().contains("two places"));
+        let whole = glb(3, nodes);
+        for length in 0..whole.len() {
+            fs::write(&path, &whole[..length]).unwrap();
+            assert!(read_mesh(&path).is_err(), "cut to {length} bytes");
+        }
+    }
+
+    #[test]
+    fn meshes_that_name_what_is_not_there_are_refused() {
+        for (from, to) in
+            [("9 4 0 1 2 3", "9 4 0 1 2 4"), ("9 4 0 1 2 3", "9 4 0 1 -2 3"), ("2 2 0", "2 nan 0")]
+        {
+            assert!(read_mesh(&written("bad.ply", PLY.replace(from, to).as_bytes())).is_err(), "{to}");
+        }
+        let huge = PLY.replace("element face 1", "element face 4000000000");
+        assert!(matches!(read_mesh(&written("huge.ply", huge.as_bytes())), Err(IoError::Truncated { .. })));
+        assert!(read_mesh(&written("cloud.ply", PLY.replace("9 4 0 1 2 3", "9 0").as_bytes())).is_err());
+        assert!(read_mesh(&written("far.obj", b"v 0 0 0\nf 1 2 3\n")).is_err());
+        assert!(read_mesh(&written("mesh.stl", b"solid")).unwrap_err().to_string().contains(".ply"));
+    }
+}

@@ -1,0 +1,100 @@
+//! Which mapper's model is taken: the incremental one's, the global one's, or the one that the sightings bear out.
+
+use crate::global;
+use crate::incremental::bridge::agreement;
+use crate::incremental::growth::Knowledge;
+use crate::incremental::state::{Input, State};
+use crate::{Decision, SfmError, incremental};
+use scene::{Camera, Progress};
+use serde::{Deserialize, Serialize};
+
+/// How a model is made from verified pairs.
+#[derive(clap::ValueEnum, Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum MapperChoice {
+    /// Image by image; where that leaves images out, all at once too, and the better model is taken
+    #[default]
+    Auto,
+    /// Image by image
+    Incremental,
+    /// All rotations, then all positions at once
+    Global,
+}
+
+/// Share of the images that can be tied together below which a model is doubted.
+const COMPLETE: f64 = 0.95;
+/// How much more of the verified matches a model must agree with to be taken instead of the incremental one.
+const BETTER: f64 = 1.02;
+
+/// The model of all images that can be tied together; what was decided, where there was a choice.
+pub(crate) fn map(
+    input: &Input<'_>,
+    cameras: &[Camera],
+    known: &[Knowledge],
+    progress: &Progress,
+) -> Result<(Option<State>, Option<Decision>), SfmError> {
+    let choice = input.config.mapper;
+    if choice == MapperChoice::Global {
+        let started = incremental::sketch(input, cameras, known, progress)?;
+        let Some(start) = started else { return Ok((None, None)) };
+        let model = global::map(input, &start.cameras, known, progress)?;
+        let said = model.as_ref().map(|m| report(input, "global", &[("global", m)]));
+        return Ok((model, said));
+    }
+    let Some(first) = incremental::map(input, cameras, known, progress)? else { return Ok((None, None)) };
+    let complete = first.registered() as f64 >= COMPLETE * reachable(input) as f64;
+    if choice == MapperChoice::Incremental || complete {
+        return Ok((Some(first), None));
+    }
+    let Some(second) = global::map(input, &first.cameras, known, progress)? else {
+        return Ok((Some(first), None));
+    };
+    let [a, b] = [&first, &second].map(|s| borne_out(s, input).0 as f64);
+    let taken = if b > BETTER * a { "global" } else { "incremental" };
+    let decision = report(input, taken, &[("incremental", &first), ("global", &second)]);
+    Ok((Some(if taken == "global" { second } else { first }), Some(decision)))
+}
+
+/// Images in the largest part of the graph of verified pairs.
+fn reachable(input: &Input<'_>) -> usize {
+    let n = input.keypoints.len();
+    let mut part: Vec<usize> = (0..n).collect();
+    fn find(part: &mut [usize], mut i: usize) -> usize {
+        while part[i] != i {
+            part[i] = part[part[i]];
+            i = part[i];
+        }
+        i
+    }
+    for g in input.geometries {
+        let (a, b) = (find(&mut part, g.a), find(&mut part, g.b));
+        part[a.max(b)] = a.min(b);
+    }
+    let mut sizes = vec![0; n];
+    (0..n).for_each(|i| sizes[find(&mut part, i)] += 1);
+    sizes.into_iter().max().unwrap_or(0)
+}
+
+/// Matches of all verified pairs: (those that agree with a model, all); of pairs without two poses none agrees.
+fn borne_out(state: &State, input: &Input<'_>) -> (usize, usize) {
+    let mut sums = (0, 0);
+    for g in input.geometries {
+        let (agreeing, all) = agreement(state, input, g).unwrap_or((0, g.inliers.len().min(200)));
+        sums.0 += agreeing;
+        sums.1 += all;
+    }
+    sums
+}
+
+fn report(input: &Input<'_>, taken: &str, models: &[(&str, &State)]) -> Decision {
+    let one = |(name, state): &(&str, &State)| {
+        let (agreeing, all) = borne_out(state, input);
+        let images = state.registered();
+        format!("{name}: {images} images, {agreeing} of {all} sampled matches of verified pairs agree")
+    };
+    Decision {
+        what: "mapper".to_owned(),
+        chosen: taken.to_owned(),
+        evidence: models.iter().map(one).collect::<Vec<_>>().join("; "),
+    }
+}

@@ -1,0 +1,178 @@
+//! Turns steps into positions of the schedule: evenly with --iterations; with --time-limit so that the steps still to
+//! come, at the cost measured so far, end when the time does. Reads no clock: what is spent is told.
+
+use crate::checkpoint::State;
+use crate::config::TrainConfig;
+use crate::schedule::{TUNED_STEPS, level};
+use serde::{Deserialize, Serialize};
+
+/// The pace of a training. Part of its checkpoint, so that a resumed one knows what steps cost.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct Pace {
+    /// Mean seconds of a step at each level, 0 where not yet seen.
+    cost: [f64; 8],
+    /// What the last step added to the position.
+    stride: f64,
+}
+
+/// Cost of a step of the next finer level where it was not yet seen.
+const FINER: f64 = 2.5;
+/// Weight of a new step in the mean cost.
+const NEW: f64 = 0.05;
+/// A step that took longer than this many mean ones tells of the machine, not of the steps to come.
+const STALL: f64 = 4.0;
+
+impl Pace {
+    /// How many steps the whole schedule will have, as far as can be told.
+    pub fn steps(&self, state: &State, config: &TrainConfig) -> f64 {
+        match config.time_limit {
+            Some(_) if self.stride > 0.0 => f64::from(state.iteration) + (1.0 - state.position) / self.stride,
+            Some(_) => f64::from(TUNED_STEPS),
+            None => f64::from(config.iterations),
+        }
+    }
+
+    /// The position after a step at `level` that took `spent` seconds; `state.seconds` are gone of the limit.
+    pub fn advance(&mut self, state: &State, config: &TrainConfig, level: u32, spent: f64) -> f64 {
+        let Some(limit) = config.time_limit else {
+            return f64::from(state.iteration) / f64::from(config.iterations.max(1));
+        };
+        let slot = &mut self.cost[level as usize % 8];
+        *slot = if *slot > 0.0 { *slot + NEW * (spent.min(STALL * *slot) - *slot) } else { spent };
+        let left = limit - state.seconds;
+        if left <= 0.0 {
+            return 1.0;
+        }
+        let next = state.position + self.ahead(state.position, config, level) / left;
+        let next = next.min(1.0).max(state.position + 1e-7);
+        self.stride = next - state.position;
+        next
+    }
+
+    /// Seconds that the rest of the schedule would take with a step for every unit of position.
+    fn ahead(&self, position: f64, config: &TrainConfig, now: u32) -> f64 {
+        const PARTS: u32 = 64;
+        let width = (1.0 - position) / f64::from(PARTS);
+        let (mut sum, mut last, mut previous) = (0.0, self.cost[now as usize % 8], now);
+        for part in 0..PARTS {
+            let at = position + (f64::from(part) + 0.5) * width;
+            let next = level(at, config.coarse_levels, &config.recipe);
+            if next != previous {
+                let seen = self.cost[next as usize % 8];
+                last = if seen > 0.0 { seen } else { last * FINER };
+                previous = next;
+            }
+            sum += last * width;
+        }
+        sum
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use rand::Rng as _;
+
+    /// A machine whose clock this is: a step costs what `cost(level, position, seconds gone)` says.
+    struct Outcome {
+        seconds: f64,
+        steps: u32,
+        /// Steps at full resolution.
+        full: u32,
+        /// Greatest step of the position after the first tenth of the schedule.
+        stride: f64,
+        /// Position when the last step began.
+        last: f64,
+    }
+
+    fn run(limit: f64, mut cost: impl FnMut(u32, f64, f64) -> f64) -> Outcome {
+        let config = TrainConfig { time_limit: Some(limit), ..TrainConfig::default() };
+        let (mut pace, mut state) = (Pace::default(), State::default());
+        let mut out = Outcome { seconds: 0.0, steps: 0, full: 0, stride: 0.0, last: 0.0 };
+        while state.position < 1.0 {
+            let now = level(state.position, config.coarse_levels, &config.recipe);
+            let spent = cost(now, state.position, state.seconds);
+            state.iteration += 1;
+            state.seconds += spent;
+            let next = pace.advance(&state, &config, now, spent);
+            assert!(next > state.position, "the position must move");
+            if state.position > 0.1 {
+                out.stride = out.stride.max(next - state.position);
+            }
+            out.last = state.position;
+            state.position = next;
+            out.full += u32::from(now == 0);
+            out.steps += 1;
+        }
+        out.seconds = state.seconds;
+        out
+    }
+
+    /// Four times the pixels cost 2.5 times as much, and the Gaussians grow threefold on the way.
+    fn idle(level: u32, position: f64) -> f64 {
+        0.03 * 0.4f64.powi(level as i32) * (1.0 + 2.0 * position.min(0.7))
+    }
+
+    fn check(what: &str, limit: f64, out: &Outcome) {
+        let Outcome { seconds, steps, full, stride, last } = out;
+        let said = format!(
+            "{what}: {seconds:.2} of {limit} s, {steps} steps, {full} at full size, stride {stride:.4}"
+        );
+        assert!((seconds / limit - 1.0).abs() < 0.01, "{said}");
+        // Full resolution has a fifth of the schedule; no part of the schedule is jumped over, least of all its end.
+        assert!(*full * 20 > *steps && *last > 0.99, "{said}, last {last:.4}");
+        assert!(*stride < 12.0 / f64::from(*steps), "{said}");
+    }
+
+    #[test]
+    fn the_schedule_fits_into_any_limit_on_an_idle_machine() {
+        for limit in [10.0, 30.0, 60.0, 300.0] {
+            check("idle", limit, &run(limit, |level, position, _| idle(level, position)));
+        }
+    }
+
+    #[test]
+    fn the_schedule_contracts_when_the_machine_gets_busy_and_stretches_when_it_is_free_again() {
+        let limit = 60.0;
+        let quiet = run(limit, |level, position, _| idle(level, position));
+        let busy = |from: f64, to: f64, factor: f64| {
+            run(limit, |level, position, gone| {
+                idle(level, position) * if (from..to).contains(&gone) { factor } else { 1.0 }
+            })
+        };
+        for (what, out) in [
+            ("three times slower from the middle", busy(30.0, 1e9, 3.0)),
+            ("three times slower up to the middle", busy(0.0, 30.0, 3.0)),
+            ("eight times slower for ten seconds", busy(20.0, 30.0, 8.0)),
+        ] {
+            check(what, limit, &out);
+            assert!(out.steps < quiet.steps, "{what}: {} steps, {} when idle", out.steps, quiet.steps);
+        }
+    }
+
+    #[test]
+    fn steps_of_uneven_cost_and_a_machine_that_stalls_do_not_break_the_schedule() {
+        let limit = 60.0;
+        let mut rng = scene::rng::rng(1, "uneven steps", 0);
+        let noisy = run(limit, |level, position, _| idle(level, position) * rng.random_range(0.3..3.0));
+        check("uneven", limit, &noisy);
+        let mut stalls = 0;
+        let stalled = run(limit, |level, position, gone| {
+            let stall = gone > 15.0 * f64::from(stalls + 1) && stalls < 3;
+            stalls += i32::from(stall);
+            idle(level, position) + if stall { 5.0 } else { 0.0 }
+        });
+        assert_eq!(stalls, 3);
+        check("three stalls of five seconds", limit, &stalled);
+    }
+
+    #[test]
+    fn iterations_are_walked_evenly() {
+        let config = TrainConfig { iterations: 4, ..TrainConfig::default() };
+        let mut pace = Pace::default();
+        let at = |iteration| State { iteration, ..State::default() };
+        let walked: Vec<f64> = (1..=4).map(|i| pace.advance(&at(i), &config, 0, 1.0)).collect();
+        assert_eq!(walked, [0.25, 0.5, 0.75, 1.0]);
+        assert_eq!(pace.steps(&at(2), &config), 4.0);
+    }
+}

@@ -1,0 +1,259 @@
+//! The surface of Gaussians: the depth at which a ray is half absorbed.
+//!
+//! Expected depth, which renderers give, lies between two surfaces at every edge and is drawn towards whatever shines
+//! through; the median does not. Scalar f64, on the kernels of [`crate::reference`], with tiles: it is for judging, not
+//! for drawing.
+
+use crate::dataset::{Dataset, Pixels};
+use crate::reference::project::{MIN_ALPHA, Projected, project};
+use crate::reference::render::geometry;
+use crate::reference::sort::sort;
+use crate::reference::{Options, Parameters, View, rasterise};
+use glam::{DMat3, DVec2, DVec3};
+use rayon::prelude::*;
+use scene::{Camera, Gaussians, Pose};
+
+const TILE: usize = 16;
+
+/// Camera z, scene units, at which the transmittance along each pixel's ray falls to one half or below (the depth of the
+/// Gaussian that brings it there), [height × width]; `None` where it never does. The camera must be without distortion; `antialias` as in training.
+pub fn median_depth(
+    gaussians: &Gaussians,
+    camera: &Camera,
+    pose: &Pose,
+    near: f64,
+    antialias: bool,
+) -> Vec<Option<f64>> {
+    let view = View {
+        rotation: DMat3::from_quat(pose.rotation),
+        translation: pose.translation,
+        focal: camera.focal(),
+        centre: camera.principal_point(),
+        width: camera.width as usize,
+        height: camera.height as usize,
+    };
+    let parameters = Parameters::from_gaussians(gaussians);
+    let options = Options { near, antialias, ..Options::default() };
+    let projected: Vec<Option<Projected>> = (0..parameters.len())
+        .into_par_iter()
+        .map(|i| project(&geometry(&parameters, i), &view, &options).filter(|p| p.opacity >= MIN_ALPHA))
+        .collect();
+    let order = sort(&projected);
+    let tiles = (view.width.div_ceil(TILE), view.height.div_ceil(TILE));
+    let lists = lists(&projected, &order, tiles);
+    let mut depth = vec![None; view.pixels()];
+    depth.par_chunks_mut(TILE * view.width).enumerate().for_each(|(row, band)| {
+        for (i, out) in band.iter_mut().enumerate() {
+            let (x, y) = (i % view.width, row * TILE + i / view.width);
+            let list = &lists[row * tiles.0 + x / TILE];
+            *out = half_way(&projected, list, DVec2::new(x as f64 + 0.5, y as f64 + 0.5));
+        }
+    });
+    depth
+}
+
+/// The Gaussians that touch each tile, nearest first.
+fn lists(projected: &[Option<Projected>], order: &[usize], (columns, rows): (usize, usize)) -> Vec<Vec<u32>> {
+    let mut lists = vec![Vec::new(); columns * rows];
+    for &i in order {
+        let Some(g) = projected[i] else { continue };
+        let half = g.half_extent();
+        let tile = |v: f64, most: usize| ((v / TILE as f64).max(0.0) as usize).min(most);
+        let (low, high) = (g.xy - half, g.xy + half);
+        if !low.is_finite() || !high.is_finite() || high.min_element() < 0.0 {
+            continue;
+        }
+        if low.x >= (columns * TILE) as f64 || low.y >= (rows * TILE) as f64 {
+            continue;
+        }
+        for y in tile(low.y, rows - 1)..=tile(high.y, rows - 1) {
+            for x in tile(low.x, columns - 1)..=tile(high.x, columns - 1) {
+                lists[y * columns + x].push(i as u32);
+            }
+        }
+    }
+    lists
+}
+
+fn half_way(projected: &[Option<Projected>], list: &[u32], p: DVec2) -> Option<f64> {
+    let mut transmittance = 1.0;
+    for g in list.iter().filter_map(|&i| projected[i as usize]) {
+        let d = g.xy - p;
+        let power = 0.5 * (g.conic.x * d.x * d.x + g.conic.z * d.y * d.y) + g.conic.y * d.x * d.y;
+        let alpha = (g.opacity * (-power).exp()).min(rasterise::MAX_ALPHA);
+        if power < 0.0 || alpha.is_nan() || alpha < MIN_ALPHA {
+            continue;
+        }
+        transmittance *= 1.0 - alpha;
+        if transmittance <= 0.5 {
+            return Some(g.depth);
+        }
+    }
+    None
+}
+
+/// The points of a depth map, world frame.
+pub fn points_of(depth: &[Option<f64>], camera: &Camera, pose: &Pose) -> Vec<DVec3> {
+    let width = camera.width as usize;
+    let world_from_cam = pose.inverse();
+    let point = |(i, z): (usize, &Option<f64>)| {
+        let pixel = DVec2::new((i % width) as f64 + 0.5, (i / width) as f64 + 0.5);
+        let ray = (pixel - camera.principal_point()) / camera.focal();
+        z.map(|z| world_from_cam.transform(ray.extend(1.0) * z))
+    };
+    depth.iter().enumerate().filter_map(point).collect()
+}
+
+/// A Gaussian is outside a silhouette if no pixel within this of its centre is inside, pixels.
+const HULL_MARGIN_PX: i64 = 2;
+
+/// Share of the Gaussians' opacity whose centres lie outside the visual hull: black in the mask of some view that has them
+/// in its frame. Held-out views count too. `None` where no view has a mask, or nothing is opaque.
+pub fn outside_hull(gaussians: &Gaussians, dataset: &Dataset) -> Option<f64> {
+    if !dataset.is_transparent()
+        || dataset.views.iter().all(|v| v.levels.first().is_none_or(|l| l.mask.is_none()))
+    {
+        return None;
+    }
+    let opacity = |i: usize| f64::from(gaussians.opacity(i));
+    let all: f64 = (0..gaussians.len()).map(opacity).sum();
+    let is_out = |i: &usize| {
+        let x = gaussians.means[*i].as_dvec3();
+        dataset.views.iter().any(|view| {
+            let pixels = view.levels.first();
+            pixels.is_some_and(|p| is_black(p, view.camera.project(view.pose.transform(x))))
+        })
+    };
+    let outside: f64 = (0..gaussians.len()).into_par_iter().filter(is_out).map(opacity).sum();
+    (all > 0.0).then_some(outside / all)
+}
+
+/// Whether the mask is black all around a pixel of the frame.
+fn is_black(pixels: &Pixels, at: Option<DVec2>) -> bool {
+    let (Some(mask), Some(at)) = (&pixels.mask, at) else { return false };
+    let (w, h) = (pixels.width as i64, pixels.height as i64);
+    let (x, y) = (at.x.floor() as i64, at.y.floor() as i64);
+    if !(0..w).contains(&x) || !(0..h).contains(&y) {
+        return false;
+    }
+    let m = HULL_MARGIN_PX;
+    let white =
+        |(x, y): (i64, i64)| (0..w).contains(&x) && (0..h).contains(&y) && mask[(y * w + x) as usize] > 0;
+    !(y - m..=y + m).flat_map(|y| (x - m..=x + m).map(move |x| (x, y))).any(white)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::reference::{self, rasterise::contributions};
+    use glam::{Quat, Vec3};
+    use rand::Rng;
+    use scene::CameraModel;
+
+    fn cloud(seed: u64, n: usize) -> Gaussians {
+        let mut r = scene::rng::rng(seed, "surface", 0);
+        let mut g = Gaussians { sh_degree: 0, ..Gaussians::default() };
+        for _ in 0..n {
+            let mut v = |a: f32, b: f32| r.random_range(a..b);
+            g.means.push(Vec3::new(v(-2.0, 2.0), v(-2.0, 2.0), v(3.0, 9.0)));
+            g.log_scales.push(Vec3::new(v(-3.0, -0.5), v(-3.0, -0.5), v(-3.0, -0.5)));
+            g.rotations.push(Quat::from_xyzw(v(-1.0, 1.0), v(-1.0, 1.0), v(-1.0, 1.0), 1.0));
+            g.opacity_logits.push(v(-3.0, 3.0));
+            g.sh.extend([0.0; 3]);
+        }
+        g
+    }
+
+    #[test]
+    fn the_median_is_where_the_specification_is_half_absorbed() {
+        let camera = Camera::centred(1, CameraModel::Pinhole, 50, 37, 40.0);
+        for seed in 0..5 {
+            let gaussians = cloud(seed, 60);
+            let pose = Pose::look_at(DVec3::new(0.4, -0.3, 0.1), DVec3::new(0.0, 0.0, 6.0), -DVec3::Y);
+            let depth = median_depth(&gaussians, &camera, &pose, 0.01, false);
+            let view = View {
+                rotation: DMat3::from_quat(pose.rotation),
+                translation: pose.translation,
+                focal: camera.focal(),
+                centre: camera.principal_point(),
+                width: 50,
+                height: 37,
+            };
+            let p = Parameters::from_gaussians(&gaussians);
+            let whole = reference::render(&p, &view, &Options::default());
+            let mut found = 0;
+            for (i, z) in depth.iter().enumerate() {
+                let centre = DVec2::new((i % 50) as f64 + 0.5, (i / 50) as f64 + 0.5);
+                let (list, _) = contributions(&whole.projected, &whole.order, centre);
+                let half = list.iter().find(|c| c.transmittance * (1.0 - c.alpha) <= 0.5);
+                let expected = half.and_then(|c| whole.projected[c.gaussian]).map(|g| g.depth);
+                assert_eq!(*z, expected, "seed {seed}, pixel {i}");
+                found += usize::from(z.is_some());
+            }
+            assert!((50..50 * 37).contains(&found), "{found}");
+        }
+    }
+
+    #[test]
+    fn opacity_outside_the_silhouettes_is_counted() {
+        let pixels = |black_from: usize| Pixels {
+            width: 40,
+            height: 30,
+            rgb: vec![0; 3600],
+            mask: Some((0..1200).map(|i| if i % 40 < black_from { 255 } else { 0 }).collect()),
+        };
+        let camera = Camera::centred(1, CameraModel::Pinhole, 40, 30, 40.0);
+        let view = |black_from: usize| crate::View {
+            name: String::new(),
+            camera: camera.clone(),
+            pose: Pose::IDENTITY,
+            view: crate::PinholeView {
+                rotation: glam::Mat3::IDENTITY,
+                translation: Vec3::ZERO,
+                focal: [40.0; 2],
+                centre: [20.0, 15.0],
+                width: 40,
+                height: 30,
+            },
+            levels: vec![pixels(black_from)],
+            held_out: false,
+        };
+        let mut dataset = Dataset {
+            views: vec![view(40), view(20)],
+            points: Vec::new(),
+            normalisation: crate::dataset::Normalisation { centre: DVec3::ZERO, scale: 1.0 },
+            alpha: crate::AlphaMode::Transparent,
+        };
+        let mut g = cloud(0, 4);
+        // In the white half, in the margin beside it, in the black half, outside the frame.
+        for (mean, x) in g.means.iter_mut().zip([10.5, 21.5, 30.5, 60.0]) {
+            *mean = Vec3::new((x - 20.0) / 40.0, 0.0, 1.0);
+        }
+        g.opacity_logits = vec![0.0, 1.0, 2.0, 0.0];
+        let all: f64 = (0..4).map(|i| f64::from(g.opacity(i))).sum();
+        let share = outside_hull(&g, &dataset).unwrap();
+        assert!((share - f64::from(g.opacity(2)) / all).abs() < 1e-12, "{share}");
+        dataset.views.iter_mut().for_each(|v| v.levels[0].mask = None);
+        assert_eq!(outside_hull(&g, &dataset), None);
+    }
+
+    #[test]
+    fn an_opaque_sheet_gives_points_on_itself() {
+        let camera = Camera::centred(1, CameraModel::Pinhole, 64, 48, 60.0);
+        let pose = Pose::look_at(DVec3::new(0.5, 0.2, -1.0), DVec3::new(0.0, 0.0, 4.0), -DVec3::Y);
+        let mut g = Gaussians { sh_degree: 0, ..Gaussians::default() };
+        for i in 0..100 {
+            for j in 0..100 {
+                g.means.push(Vec3::new(i as f32 * 0.06 - 3.0, j as f32 * 0.06 - 3.0, 4.0));
+                g.log_scales.push(Vec3::new(0.06_f32.ln(), 0.06_f32.ln(), 1e-3_f32.ln()));
+                g.rotations.push(Quat::IDENTITY);
+                g.opacity_logits.push(4.0);
+                g.sh.extend([0.0; 3]);
+            }
+        }
+        let points = points_of(&median_depth(&g, &camera, &pose, 0.01, false), &camera, &pose);
+        assert!(points.len() > 2500, "{}", points.len());
+        // A pixel takes the depth of a Gaussian's centre, which on a sheet seen aslant is not quite its own.
+        assert!(points.iter().all(|p| (p.z - 4.0).abs() < 0.05), "{points:?}");
+    }
+}

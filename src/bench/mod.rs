@@ -1,0 +1,213 @@
+//! `bench`: quality against time. The same input trained at several presets and time limits; a table, JSON and charts
+//! of PSNR, SSIM (and LPIPS) against wall time, CPU time, Gaussians and memory, what is known of other tools beside.
+
+mod charts;
+mod peers;
+
+use crate::Outcome;
+use crate::cli::BenchArgs;
+use crate::config;
+use crate::pipeline::{Pipeline, RunRecord, Until};
+use crate::stage::{Stages, describe_input, fingerprint, write_json, write_whole};
+use crate::terminal::Verbosity;
+use anyhow::{Context, Result, bail};
+use serde::{Deserialize, Serialize};
+use std::path::{Path, PathBuf};
+
+/// One training, measured: ours or another tool's.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct Point {
+    /// The tool.
+    pub method: String,
+    /// What it was told.
+    pub setting: String,
+    /// Wall time of training (images loaded, splat written), s.
+    #[serde(default)]
+    pub wall_s: Option<f64>,
+    /// CPU time of training, user and system, s.
+    #[serde(default)]
+    pub cpu_s: Option<f64>,
+    /// Gaussians at the end.
+    #[serde(default)]
+    pub gaussians: Option<usize>,
+    /// Peak resident memory of training, MiB.
+    #[serde(default)]
+    pub peak_mib: Option<f64>,
+    /// Mean over the held-out views, dB.
+    pub psnr: f64,
+    /// The worst held-out view, dB.
+    #[serde(default)]
+    pub psnr_worst: Option<f64>,
+    /// Mean over the held-out views.
+    #[serde(default)]
+    pub ssim: Option<f64>,
+    /// Mean over the held-out views (AlexNet, or VGG-16 where only that was given).
+    #[serde(default)]
+    pub lpips: Option<f64>,
+}
+
+/// What `bench.json` holds.
+#[derive(Debug, Serialize)]
+struct Sweep {
+    version: &'static str,
+    input: PathBuf,
+    cores: usize,
+    flags: Vec<String>,
+    protocol: String,
+    points: Vec<Point>,
+    peers: Vec<Point>,
+    peers_source: Option<String>,
+}
+
+/// A preset, or a time limit.
+enum Setting {
+    Quality(splat::Quality),
+    Limit(f64),
+}
+
+impl Setting {
+    /// The flags that say it. A limit has the preset `best` for what is not time: it bounds nothing else.
+    fn flags(&self) -> Vec<String> {
+        match self {
+            Self::Quality(quality) => vec![format!("--quality={}", name(*quality))],
+            Self::Limit(seconds) => vec!["--quality=best".into(), format!("--time-limit={seconds}")],
+        }
+    }
+
+    fn name(&self) -> String {
+        match self {
+            Self::Quality(quality) => name(*quality),
+            Self::Limit(seconds) => format!("{seconds} s"),
+        }
+    }
+}
+
+fn name(quality: splat::Quality) -> String {
+    format!("{quality:?}").to_lowercase()
+}
+
+/// Measures all points (those that an earlier call measured are kept), writes `bench.json` and `bench.svg`.
+pub fn run(args: &BenchArgs, global: &crate::cli::Global, verbosity: Verbosity) -> Result<Outcome> {
+    let presets = args.qualities.iter().filter(|_| !args.only_times);
+    let mut settings: Vec<Setting> = presets.map(|q| Setting::Quality(*q)).collect();
+    settings.extend(args.times.iter().map(|t| Setting::Limit(*t)));
+    if settings.is_empty() {
+        bail!("nothing to measure: --only-times needs --times");
+    }
+    let out = args.output.clone().unwrap_or_else(|| default_output(&args.input));
+    let stages = Stages::open(&out)?;
+    let mut sweep = Sweep {
+        version: env!("CARGO_PKG_VERSION"),
+        input: args.input.clone(),
+        cores: std::thread::available_parallelism().map_or(1, usize::from),
+        flags: args.flags.clone(),
+        protocol: String::new(),
+        points: Vec::new(),
+        peers: Vec::new(),
+        peers_source: None,
+    };
+    if let Some((peers, source)) = peers::of(&args.input, args.peers.as_deref())? {
+        (sweep.peers, sweep.peers_source) = (peers, Some(source));
+    }
+    for setting in &settings {
+        let told: Vec<String> = setting.flags().into_iter().chain(args.flags.iter().cloned()).collect();
+        let print = fingerprint(&("bench", 1, sweep.version, &told, describe_input(&args.input)?))?;
+        let stage = format!("bench-{}", setting.name().replace(' ', ""));
+        let (finished, ran) = stages
+            .run(&stage, &print, &[], || measure(&args.input, &out, &setting.name(), &told, verbosity))?;
+        if verbosity > Verbosity::Quiet {
+            eprintln!("{} ({})", row(&finished.value.0), if ran { "measured" } else { "as before" });
+        }
+        sweep.points.push(finished.value.0);
+        sweep.protocol = finished.value.1;
+        write_json(&out.join("bench.json"), &sweep)?;
+    }
+    write_whole(&out.join("bench.svg"), charts::draw(&sweep.points, &sweep.peers)?.as_bytes())?;
+    if global.json {
+        println!("{}", serde_json::to_string_pretty(&sweep)?);
+    } else {
+        print_table(&sweep);
+    }
+    if verbosity > Verbosity::Quiet {
+        eprintln!("in {}: bench.svg, bench.json", out.display());
+    }
+    Ok(Outcome::Done)
+}
+
+/// Trains with the flags and evaluates, into the folder that all points share: frames and poses are made once.
+fn measure(
+    input: &Path,
+    out: &Path,
+    setting: &str,
+    flags: &[String],
+    verbosity: Verbosity,
+) -> Result<(Point, String)> {
+    let text = |path: &Path| path.to_str().map(str::to_owned).context("the path is not UTF-8");
+    let mut argv = vec!["sat-recon".to_owned(), "eval".into(), text(input)?, "-o".into(), text(out)?];
+    argv.extend(flags.iter().cloned());
+    let parsed = match config::parse(argv)? {
+        Ok(parsed) => parsed,
+        Err(usage) => bail!("{usage}"),
+    };
+    let crate::cli::Command::Eval(args) = parsed.cli.command else { bail!("only flags may follow --") };
+    let pipeline = Pipeline::new(*args, parsed.recorded, verbosity, false)?;
+    let (outcome, record) = pipeline.run_recorded(Until::Eval)?;
+    if outcome == Outcome::NoModel {
+        bail!("no poses were found, so that there is nothing to train on");
+    }
+    point(setting, &record)
+}
+
+fn point(setting: &str, record: &RunRecord) -> Result<(Point, String)> {
+    let (Some(splat), Some(evaluation)) = (&record.splat, &record.evaluation) else {
+        bail!("the run ended before it was evaluated");
+    };
+    if evaluation.views.is_empty() {
+        bail!("no views are held out; --test-every must not be 0");
+    }
+    let cost = record.costs.iter().find(|(stage, _)| stage == "train").map(|(_, cost)| cost);
+    let mean = &evaluation.mean;
+    let worst = evaluation.views.iter().map(|v| v.metrics.psnr).fold(f64::INFINITY, f64::min);
+    let point = Point {
+        method: "sat-recon".into(),
+        setting: setting.to_owned(),
+        wall_s: cost.map(|c| c.wall_s),
+        cpu_s: cost.map(|c| c.cpu_s),
+        gaussians: Some(splat.gaussians),
+        peak_mib: cost.map(|c| c.peak_mib).filter(|&mib| mib > 0.0),
+        psnr: mean.psnr,
+        psnr_worst: Some(worst),
+        ssim: Some(mean.ssim),
+        lpips: mean.lpips_alex.or(mean.lpips_vgg),
+    };
+    Ok((point, evaluation.protocol.clone()))
+}
+
+fn row(p: &Point) -> String {
+    let number = |v: Option<f64>, digits: usize| v.map_or("–".to_owned(), |v| format!("{v:.digits$}"));
+    format!(
+        "| {} | {} | {} | {} | {} | {} | {:.2} | {} | {} | {} |",
+        p.method,
+        p.setting,
+        number(p.wall_s, 1),
+        number(p.cpu_s, 1),
+        p.gaussians.map_or("–".to_owned(), |n| n.to_string()),
+        number(p.peak_mib, 0),
+        p.psnr,
+        number(p.psnr_worst, 2),
+        number(p.ssim, 4),
+        number(p.lpips, 4)
+    )
+}
+
+fn print_table(sweep: &Sweep) {
+    println!("| tool | setting | wall s | CPU s | gaussians | peak MiB | PSNR | worst view | SSIM | LPIPS |");
+    println!("|---|---|---|---|---|---|---|---|---|---|");
+    sweep.points.iter().chain(&sweep.peers).for_each(|p| println!("{}", row(p)));
+}
+
+fn default_output(input: &Path) -> PathBuf {
+    let absolute = std::path::absolute(input).unwrap_or_else(|_| input.to_path_buf());
+    let stem = absolute.file_stem().map_or_else(|| "scene".into(), |s| s.to_string_lossy().into_owned());
+    PathBuf::from(format!("{stem}_bench"))
+}

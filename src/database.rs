@@ -1,0 +1,203 @@
+//! COLMAP's `database.db` at the border of the solver: what it supplies, and what a run leaves for it.
+
+use crate::cli::PipelineArgs;
+use crate::stage::describe_input;
+use anyhow::{Context, Result, bail};
+use scene::io::colmap_db::{Database, DatabaseImage, ImagePair};
+use scene::{
+    Camera, Features, Frame, FrameSet, Keypoint, Progress, Reconstruction, TwoViewGeometry, TwoViewKind,
+};
+use sfm::{Decision, SfmResult, Supplied};
+use std::collections::BTreeMap;
+use std::path::Path;
+
+/// What a stage's fingerprint says of databases.
+pub fn print(args: &PipelineArgs) -> Result<impl serde::Serialize + use<>> {
+    let input = args.database.as_deref().map(describe_input).transpose()?;
+    Ok((input, args.rematch, args.colmap_database))
+}
+
+/// An error where a database is read or asked for, but nothing is solved.
+pub fn refuse(args: &PipelineArgs) -> Result<()> {
+    if args.database.is_some() || args.colmap_database {
+        bail!(
+            "the poses of {} are used as they are, without features: add --ignore-poses",
+            args.input.display()
+        );
+    }
+    Ok(())
+}
+
+/// Solves the poses, from `--database` where there is one.
+pub fn solve(args: &PipelineArgs, frames: &FrameSet, progress: &Progress) -> Result<SfmResult> {
+    let mut config = args.sfm.clone();
+    (config.seed, config.keep_matches) = (args.seed, args.colmap_database);
+    let Some(path) = &args.database else { return Ok(sfm::reconstruct(frames, &config, progress)?) };
+    let mut frames = frames.clone();
+    let (supplied, evidence) = read(path, &mut frames, args.rematch)?;
+    let mut result = sfm::reconstruct_from(Some(supplied), &frames, &config, progress)?;
+    let (what, chosen) = ("features".to_owned(), "from the database".to_owned());
+    result.decisions.insert(0, Decision { what, chosen, evidence });
+    Ok(result)
+}
+
+/// Writes `OUT/database.db` where that is asked for; the model.
+pub fn write(
+    args: &PipelineArgs,
+    out: &Path,
+    result: SfmResult,
+    frames: &FrameSet,
+) -> Result<Option<Reconstruction>> {
+    if !args.colmap_database {
+        return Ok(result.reconstruction);
+    }
+    let model = result.reconstruction.clone();
+    scene::io::write_database(&out.join("database.db"), &contents(result, frames))?;
+    Ok(model)
+}
+
+/// Two frames are a pair of a followed video where they share so many points.
+const FEWEST_SHARED: usize = 15;
+
+/// Features (and matches, unless `rematch`) of the frames, and a sentence on what was found. Images are known by name,
+/// or by name without ending. Camera groups and known focal lengths are put into `frames`; keypoints are scaled where
+/// the frames were.
+fn read(path: &Path, frames: &mut FrameSet, rematch: bool) -> Result<(Supplied, String)> {
+    let database = scene::io::read_database(path)?;
+    let mut features = vec![Features::default(); frames.len()];
+    let mut frame_of: BTreeMap<u32, usize> = BTreeMap::new();
+    for (i, frame) in frames.frames.iter_mut().enumerate() {
+        let Some((id, image)) = find(&database, &frame.name) else { continue };
+        let camera = &database.cameras[&image.camera];
+        features[i] =
+            fitted(image, camera, frame).with_context(|| format!("cannot use {}", path.display()))?;
+        frame.camera_group = camera.id;
+        frame_of.insert(id, i);
+    }
+    let found = frame_of.len();
+    if found < 2 {
+        let first = database.images.values().next().map_or("no images", |i| &i.name);
+        bail!(
+            "{} names {found} of the {} frames (it begins with {first}; the frames with {}): is it of other images?",
+            path.display(),
+            frames.len(),
+            frames.frames.first().map_or("none", |f| &f.name)
+        );
+    }
+    let described = features.iter().any(|f| !f.descriptors.is_empty());
+    let matches = if rematch { None } else { matches(&database, &frame_of) };
+    if matches.is_none() && !described {
+        bail!(
+            "{} has neither descriptors nor matches of the frames: run COLMAP's matcher on it first",
+            path.display()
+        );
+    }
+    for f in &mut features {
+        f.descriptors.resize(f.len() * Features::DIM, 0);
+    }
+    let keypoints: usize = features.iter().map(Features::len).sum();
+    let pairs =
+        matches.as_ref().map_or("matched anew".to_owned(), |m| format!("matches of {} pairs", m.len()));
+    let sentence = format!("{keypoints} features of {found} of {} frames; {pairs}", frames.len());
+    Ok((Supplied { features: Some(features), matches }, sentence))
+}
+
+fn find<'a>(database: &'a Database, name: &str) -> Option<(u32, &'a DatabaseImage)> {
+    let stem = |n: &str| Path::new(n).with_extension("");
+    let by = |same: &dyn Fn(&str) -> bool| {
+        database.images.iter().find(|(_, image)| same(&image.name)).map(|(id, image)| (*id, image))
+    };
+    by(&|n| n == name).or_else(|| by(&|n| stem(n) == stem(name)))
+}
+
+/// The features of an image in the pixels of its frame.
+fn fitted(image: &DatabaseImage, camera: &Camera, frame: &mut Frame) -> Result<Features> {
+    let sx = f64::from(frame.width) / f64::from(camera.width);
+    let sy = f64::from(frame.height) / f64::from(camera.height);
+    if (sx / sy - 1.0).abs() > 0.01 {
+        let (w, h) = (camera.width, camera.height);
+        bail!("{} is {w}×{h} there, but {}×{} here: was it turned?", image.name, frame.width, frame.height);
+    }
+    if camera.has_prior_focal {
+        frame.focal_prior_px = Some(camera.mean_focal() * sx);
+    }
+    let mut features = image.features.clone();
+    if (sx, sy) != (1.0, 1.0) {
+        for k in &mut features.keypoints {
+            (k.x, k.y) = (k.x * sx as f32, k.y * sy as f32);
+            k.scale *= (sx * sy).sqrt() as f32;
+        }
+    }
+    Ok(features)
+}
+
+/// Matches as they were before verification, or where none were kept the verified ones; none at all where there are none
+/// of the frames.
+fn matches(database: &Database, frame_of: &BTreeMap<u32, usize>) -> Option<Vec<sfm::matching::PairMatches>> {
+    let of_frames = |(a, b): ImagePair, m: &[[u32; 2]]| {
+        let (a, b) = (*frame_of.get(&a)?, *frame_of.get(&b)?);
+        (!m.is_empty()).then(|| (a, b, m.to_vec()))
+    };
+    let raw: Vec<_> = database.matches.iter().filter_map(|(p, m)| of_frames(*p, m)).collect();
+    let verified = || database.geometries.iter().filter_map(|(p, g)| of_frames(*p, &g.inliers)).collect();
+    let chosen = if raw.is_empty() { verified() } else { raw };
+    (!chosen.is_empty()).then_some(chosen)
+}
+
+/// What COLMAP is to find: cameras as they were solved (with their focal lengths marked as known) or else as they were
+/// assumed, features, matches and verified pairs. Image number = 1 + index of the frame, as in the model.
+///
+/// Of a followed video the features are those of the key frames and after them the followed points (without
+/// descriptors), the pairs all frames that share points: keypoints are numbered as in the model.
+fn contents(result: SfmResult, frames: &FrameSet) -> Database {
+    let SfmResult { reconstruction, initial_cameras, mut features, matches, geometries, .. } = result;
+    let model = reconstruction.unwrap_or_default();
+    let mut database = Database::default();
+    for (id, camera) in &model.cameras {
+        database.cameras.insert(*id, Camera { has_prior_focal: true, ..camera.clone() });
+    }
+    let number = |(a, b): (usize, usize)| (a as u32 + 1, b as u32 + 1);
+    database.matches = matches.into_iter().map(|(a, b, m)| (number((a, b)), m)).collect();
+    database.geometries = geometries.into_iter().map(|g| (number((g.a, g.b)), g)).collect();
+    features.resize(frames.len(), Features::default());
+    let mut followed = false;
+    for (i, (frame, mut features)) in frames.frames.iter().zip(features).enumerate() {
+        let posed = model.images.get(&(i as u32 + 1));
+        let more = posed.map_or(&[][..], |p| p.observations.get(features.len()..).unwrap_or(&[]));
+        followed |= !more.is_empty();
+        let point =
+            |pixel: glam::DVec2| Keypoint { x: pixel.x as f32, y: pixel.y as f32, scale: 1.0, angle: 0.0 };
+        features.keypoints.extend(more.iter().map(|o| point(o.pixel)));
+        features.descriptors.resize(features.len() * Features::DIM, 0);
+        let assumed = &initial_cameras[i];
+        let camera = posed.map_or(assumed.id, |p| p.camera);
+        database.cameras.entry(camera).or_insert_with(|| assumed.clone());
+        database.images.insert(i as u32 + 1, DatabaseImage { name: frame.name.clone(), camera, features });
+    }
+    if followed {
+        database.geometries = shared_points(&model);
+        database.matches = database.geometries.iter().map(|(p, g)| (*p, g.inliers.clone())).collect();
+    }
+    database
+}
+
+/// Pairs of images that see the same points, with those sightings as matches.
+fn shared_points(model: &Reconstruction) -> BTreeMap<ImagePair, TwoViewGeometry> {
+    let mut matches: BTreeMap<ImagePair, Vec<[u32; 2]>> = BTreeMap::new();
+    for point in model.points.values() {
+        for (i, a) in point.track.iter().enumerate() {
+            for b in &point.track[i + 1..] {
+                let (a, b) = if a.image < b.image { (a, b) } else { (b, a) };
+                matches.entry((a.image, b.image)).or_default().push([a.observation, b.observation]);
+            }
+        }
+    }
+    matches.retain(|(a, b), m| a != b && m.len() >= FEWEST_SHARED);
+    let geometry = |((a, b), inliers): (ImagePair, Vec<[u32; 2]>)| {
+        let kind = TwoViewKind::Calibrated;
+        let (f, e, h, b_from_a) = (None, None, None, None);
+        let (first, second) = (a as usize - 1, b as usize - 1);
+        ((a, b), TwoViewGeometry { a: first, b: second, kind, inliers, f, e, h, b_from_a, median_angle: 0.0 })
+    };
+    matches.into_iter().map(geometry).collect()
+}

@@ -1,0 +1,220 @@
+//! Geometry of a splat: against a true mesh where one is given, against the silhouettes where there are any.
+
+use anyhow::{Context, Result};
+use glam::DVec3;
+use scene::geometry::{GeometryErrors, Mesh, compare_points, seen_by};
+use scene::sim3::{Sim3, robust_alignment};
+use scene::{Camera, Gaussians, Pose, Progress, Reconstruction};
+use serde::{Deserialize, Serialize};
+use splat::Dataset;
+use splat::surface::{median_depth, outside_hull, points_of};
+use std::collections::{BTreeMap, HashMap};
+use std::path::{Path, PathBuf};
+
+/// The true shape.
+#[derive(clap::Args, Clone, Debug, Default, Serialize, Deserialize)]
+pub struct MeshConfig {
+    /// True shape of the object (.ply, .obj, .glb): accuracy, completeness, F-score and Chamfer distance of the cloud and the splat
+    #[arg(long, value_name = "FILE", help_heading = "Evaluation")]
+    pub mesh: Option<PathBuf>,
+    /// True cameras in the frame of --mesh (as for compare --truth); the model is moved onto their centres (default: it is in that frame)
+    #[arg(long, value_name = "TRUTH", requires = "mesh", help_heading = "Evaluation")]
+    pub mesh_truth: Option<PathBuf>,
+}
+
+/// How the shape was judged, and what came of it.
+#[derive(Clone, Debug, Default, Serialize, Deserialize)]
+pub struct Geometry {
+    /// How it was measured.
+    pub protocol: String,
+    /// The sparse cloud against the mesh.
+    pub cloud: Option<GeometryErrors>,
+    /// The surface at which the splat is half opaque, from the input views, against the mesh.
+    pub surface: Option<GeometryErrors>,
+    /// Share of the splat's opacity outside the visual hull of the mattes, per cent.
+    pub floaters_pct: Option<f64>,
+}
+
+/// What counts as near, per cent of the mesh's size.
+const THRESHOLD_PCT: f64 = 1.0;
+/// Points on the mesh.
+const SAMPLES: usize = 200_000;
+/// Depth maps that are joined to a surface.
+const DEPTH_MAPS: usize = 36;
+/// Points of the surface are one a cube of this side, per cent of the mesh's size.
+const VOXEL_PCT: f64 = 0.25;
+/// Of a scene without mattes only what lies so near the mesh's box is judged, per cent of its size.
+const CROP_PCT: f64 = 5.0;
+/// A surface hides another if it lies before it by more than this, per cent of the size.
+const SLACK_PCT: f64 = 0.5;
+
+impl Geometry {
+    /// The figures in a few words.
+    pub fn sentence(&self) -> String {
+        let errors = |name: &str, e: &Option<GeometryErrors>| {
+            e.map(|e| {
+                format!(
+                    "{name} F-score {:.1} % (precision {:.1}, recall {:.1}) at {} %, Chamfer {:.3} %",
+                    e.f_score_pct, e.precision_pct, e.recall_pct, e.threshold_pct, e.chamfer_pct
+                )
+            })
+        };
+        let floaters = self.floaters_pct.map(|f| format!("{f:.2} % of the opacity outside the silhouettes"));
+        [errors("cloud", &self.cloud), errors("surface", &self.surface), floaters]
+            .into_iter()
+            .flatten()
+            .collect::<Vec<_>>()
+            .join("; ")
+    }
+
+    /// For the report: a table where there is a mesh, and a sentence.
+    pub fn html(&self) -> String {
+        let mut html = format!("<h3>Shape</h3><p>{}</p>", self.protocol);
+        if self.cloud.is_some() || self.surface.is_some() {
+            html.push_str(
+                "<div class=\"scroll\"><table><tr><th><th class=n>sparse cloud<th class=n>splat</tr>",
+            );
+            for [what, cloud, surface] in self.rows() {
+                html.push_str(&format!("<tr><td>{what}<td class=n>{cloud}<td class=n>{surface}</tr>"));
+            }
+            html.push_str("</table></div>");
+        }
+        if let Some(share) = self.floaters_pct {
+            html.push_str(&format!("<p>{share:.2} % of the opacity lies outside the silhouettes.</p>"));
+        }
+        html
+    }
+
+    /// Rows of a table: quantity, cloud, surface.
+    fn rows(&self) -> Vec<[String; 3]> {
+        let row = |name: &str, pick: fn(&GeometryErrors) -> f64| {
+            let cell = |e: &Option<GeometryErrors>| {
+                e.as_ref().map_or("–".to_owned(), |e| format!("{:.3}", pick(e)))
+            };
+            [name.to_owned(), cell(&self.cloud), cell(&self.surface)]
+        };
+        vec![
+            row("accuracy, mean, % of the size", |e| e.accuracy_mean_pct),
+            row("accuracy, median", |e| e.accuracy_median_pct),
+            row("completeness, mean", |e| e.completeness_mean_pct),
+            row("completeness, median", |e| e.completeness_median_pct),
+            row("precision at 1 %, %", |e| e.precision_pct),
+            row("recall at 1 %, %", |e| e.recall_pct),
+            row("F-score at 1 %, %", |e| e.f_score_pct),
+            row("Chamfer distance, %", |e| e.chamfer_pct),
+        ]
+    }
+}
+
+/// Judges the model in `out` and its splat. `None` where there is neither a mesh nor a matte.
+pub fn measure(
+    out: &Path,
+    config: &MeshConfig,
+    dataset: &Dataset,
+    (gaussians, antialias): (&Gaussians, bool),
+    progress: &Progress,
+) -> Result<Option<Geometry>> {
+    let floaters_pct = outside_hull(gaussians, dataset).map(|share| 100.0 * share);
+    let Some(path) = &config.mesh else {
+        let protocol =
+            "opacity of Gaussians whose centre is black in the mask of a view, 2 px allowed".to_owned();
+        return Ok(floaters_pct.map(|_| Geometry { protocol, floaters_pct, ..Geometry::default() }));
+    };
+    let mesh = scene::io::read_mesh(path)?;
+    let model = scene::io::read_model(&out.join("undistorted/sparse/0"))?;
+    let (mesh_from_model, aligned) = match &config.mesh_truth {
+        Some(truth) => align(&model, truth)?,
+        None => (Sim3::IDENTITY, "in the mesh's own frame".to_owned()),
+    };
+    let views: Vec<(&Camera, Pose)> = dataset.views.iter().map(|v| (&v.camera, v.pose)).collect();
+    let moved: Vec<(&Camera, Pose)> =
+        views.iter().map(|(c, p)| (*c, mesh_from_model.transform_pose(p))).collect();
+    let size = mesh.size();
+    let surface = seen_by(&mesh.sample(SAMPLES, 0), &mesh, &moved, SLACK_PCT / 100.0 * size);
+    anyhow::ensure!(
+        !surface.is_empty(),
+        "no camera sees the mesh {}: are the frames the same? --mesh-truth names true cameras in its frame",
+        path.display()
+    );
+    let cropped = !dataset.is_transparent();
+    let judge = |points: Vec<DVec3>| {
+        let points = points.into_iter().map(|p| mesh_from_model.transform(p));
+        let inside = box_around(&mesh, CROP_PCT / 100.0 * size);
+        let points: Vec<DVec3> = points.filter(|p| !cropped || inside(*p)).collect();
+        compare_points(&points, &mesh, &surface, THRESHOLD_PCT)
+    };
+    let cloud = judge(model.points.values().map(|p| p.position).collect());
+    let voxel = VOXEL_PCT / 100.0 * size / mesh_from_model.scale;
+    let splat = judge(surface_points(&views, (gaussians, antialias), voxel, progress)?);
+    let seen = 100.0 * surface.len() as f64 / SAMPLES as f64;
+    let protocol = format!(
+        "{aligned}; distances in % of the mesh's size ({size:.4} units); of the mesh the {seen:.1} % that the views see ({SAMPLES} \
+         samples); surface: depths at half transmittance of {} views, one point a cube of {VOXEL_PCT} %{}",
+        views.len().min(DEPTH_MAPS),
+        if cropped {
+            format!("; points farther than {CROP_PCT} % from the mesh's box are left out")
+        } else {
+            String::new()
+        }
+    );
+    Ok(Some(Geometry { protocol, cloud, surface: splat, floaters_pct }))
+}
+
+/// Onto the true camera centres; and how well that went.
+fn align(model: &Reconstruction, truth: &Path) -> Result<(Sim3, String)> {
+    let truth = scene::io::read_truth(truth)?;
+    let stem = |name: &str| Path::new(name).file_stem().map(|s| s.to_string_lossy().into_owned());
+    let by_name: BTreeMap<_, _> = truth.images.values().map(|i| (stem(&i.name), i.pose.centre())).collect();
+    let pairs = model.images.values().filter_map(|i| Some((i.pose.centre(), *by_name.get(&stem(&i.name))?)));
+    let (ours, theirs): (Vec<DVec3>, Vec<DVec3>) = pairs.unzip();
+    let found = robust_alignment(&ours, &theirs).with_context(|| {
+        format!("{} of the images are among the true cameras, and at least 3 are needed", ours.len())
+    })?;
+    let extent = theirs.iter().map(|c| c.distance(theirs[0])).fold(0.0, f64::max);
+    let mut off: Vec<f64> =
+        ours.iter().zip(&theirs).map(|(a, b)| found.0.transform(*a).distance(*b)).collect();
+    off.sort_by(f64::total_cmp);
+    let median = 100.0 * off[off.len() / 2] / extent;
+    Ok((
+        found.0,
+        format!("aligned by {} true camera centres (median {median:.3} % of their extent)", ours.len()),
+    ))
+}
+
+fn box_around(mesh: &Mesh, margin: f64) -> impl Fn(DVec3) -> bool + use<> {
+    let low = mesh.vertices.iter().fold(DVec3::INFINITY, |a, v| a.min(*v)) - margin;
+    let high = mesh.vertices.iter().fold(DVec3::NEG_INFINITY, |a, v| a.max(*v)) + margin;
+    move |p| p.cmpge(low).all() && p.cmple(high).all()
+}
+
+/// Points at half transmittance as the views see them, one (the mean) a cube of side `voxel`.
+fn surface_points(
+    views: &[(&Camera, Pose)],
+    (gaussians, antialias): (&Gaussians, bool),
+    voxel: f64,
+    progress: &Progress,
+) -> Result<Vec<DVec3>> {
+    let count = views.len().min(DEPTH_MAPS);
+    progress.begin("surface", count);
+    let mut cubes: HashMap<[i64; 3], (DVec3, f64)> = HashMap::new();
+    for k in 0..count {
+        let (camera, pose) = &views[k * views.len() / count];
+        let near = 0.01 * median_distance(gaussians, pose.centre());
+        let depth = median_depth(gaussians, camera, pose, near, antialias);
+        for p in points_of(&depth, camera, pose) {
+            let cube = (p / voxel).floor().to_array().map(|v| v as i64);
+            let sum = cubes.entry(cube).or_default();
+            *sum = (sum.0 + p, sum.1 + 1.0);
+        }
+        progress.tick()?;
+    }
+    let mut points: Vec<([i64; 3], DVec3)> = cubes.into_iter().map(|(c, (sum, n))| (c, sum / n)).collect();
+    points.sort_by_key(|(cube, _)| *cube); // the same order every time
+    Ok(points.into_iter().map(|(_, p)| p).collect())
+}
+
+fn median_distance(gaussians: &Gaussians, from: DVec3) -> f64 {
+    let mut all: Vec<f64> = gaussians.means.iter().map(|m| m.as_dvec3().distance(from)).collect();
+    let middle = all.len() / 2;
+    if all.is_empty() { 1.0 } else { *all.select_nth_unstable_by(middle, f64::total_cmp).1 }
+}

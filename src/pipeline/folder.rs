@@ -1,0 +1,30 @@
+//! The output folder: its name, and what is remembered of the files in it.
+
+use scene::FrameSet;
+use std::path::{Path, PathBuf};
+
+/// The output folder of an input: its name with `_recon`, in the current folder.
+pub fn default_output(input: &Path) -> PathBuf {
+    let absolute = std::path::absolute(input).unwrap_or_else(|_| input.to_path_buf());
+    let stem = absolute.file_stem().map_or_else(|| "scene".into(), |s| s.to_string_lossy().into_owned());
+    PathBuf::from(format!("{stem}_recon"))
+}
+
+/// The output folder can be moved: what is remembered of it are relative paths.
+pub fn relative_to(mut frames: FrameSet, out: &Path) -> FrameSet {
+    let shorten = |p: &Path| p.strip_prefix(out).map_or_else(|_| p.to_path_buf(), Path::to_path_buf);
+    for frame in &mut frames.frames {
+        frame.path = shorten(&frame.path);
+        frame.mask = frame.mask.as_deref().map(shorten);
+    }
+    frames
+}
+
+/// The remembered frames where the output folder lies now.
+pub fn absolute_in(mut frames: FrameSet, out: &Path) -> FrameSet {
+    for frame in &mut frames.frames {
+        frame.path = out.join(&frame.path);
+        frame.mask = frame.mask.as_deref().map(|m| out.join(m));
+    }
+    frames
+}

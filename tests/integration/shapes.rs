@@ -1,0 +1,26 @@
+//! Shapes judged against a true mesh.
+
+use super::support::{expect_code, folder, json, sample, text};
+
+#[test]
+fn the_mock_up_is_judged_against_its_mesh_and_a_wrong_frame_is_named() {
+    let case = sample("testbed/case3");
+    let out = folder("shapes").join("out");
+    let (video, mesh, truth) = (case.join("video.mp4"), case.join("mesh.ply"), case.join("sparse"));
+    let flags = ["--frames", "30", "--max-size", "320", "--iterations", "400", "--max-gaussians", "8000"];
+    let train = [&["train", text(&video), "-o", text(&out), "-q"][..], &flags].concat();
+    expect_code(&train, 0);
+    let said = expect_code(&["eval", text(&out), "--mesh", text(&mesh), "--mesh-truth", text(&truth)], 0);
+    assert!(said.contains("surface F-score"), "{said}");
+    let geometry = &json(&out.join("eval/metrics.json"))["geometry"];
+    let at = |what: &str, key: &str| geometry[what][key].as_f64().unwrap();
+    assert!(at("cloud", "points") > 200.0 && at("cloud", "precision_pct") > 50.0, "{geometry}");
+    assert!(at("surface", "recall_pct") > 30.0 && at("surface", "chamfer_pct") < 5.0, "{geometry}");
+    assert!(geometry["floaters_pct"].as_f64().unwrap() < 50.0, "{geometry}");
+    // A mesh that is somewhere else is not silently given a score of 0.
+    let far = folder("shapes-far").join("far.obj");
+    std::fs::write(&far, "v 0 0 1000\nv 1 0 1000\nv 0 1 1000\nf 1 2 3\n").unwrap();
+    assert!(expect_code(&["eval", text(&out), "--mesh", text(&far)], 1).contains("no camera sees the mesh"));
+    std::fs::write(&far, "v 0 0 0\nf 1 2 3\n").unwrap();
+    assert!(expect_code(&["eval", text(&out), "--mesh", text(&far)], 1).contains("far.obj"));
+}
