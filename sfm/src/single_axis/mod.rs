@@ -6,6 +6,8 @@
 mod config;
 mod evidence;
 mod extend;
+#[cfg(test)]
+mod extreme_tests;
 mod intrinsics;
 mod material;
 mod model;
@@ -151,7 +153,7 @@ pub(crate) fn consider(job: &Job<'_>, free: Option<&Free<'_>>) -> Result<Outcome
     if !single {
         return Ok(nothing("free", evidence));
     }
-    let turned = finish(&mut model, &context, job, intrinsics, camera)?;
+    let turned = finish(&mut model, &context, job, intrinsics, (camera, 1.0))?;
     Ok(Outcome { taken: Some(turned), decision: Some(decision("single-axis", evidence)) })
 }
 
@@ -180,13 +182,14 @@ pub(crate) fn adjust_and_choose(
     Ok(Some((model, intrinsics, decision)))
 }
 
-/// Figures of the finished model, and the world frame.
+/// Figures of the finished model, and the world frame. `excess`: factor on variances that the noise of single sightings
+/// gives, for the axis.
 pub(crate) fn finish(
     model: &mut AxisModel,
     context: &Context<'_>,
     job: &Job<'_>,
     intrinsics: Intrinsics,
-    camera: Decision,
+    (camera, excess): (Decision, f64),
 ) -> Result<Turned, SfmError> {
     model.orient(job.config.known_distance.unwrap_or(1.0));
     let mut uncertainty = None;
@@ -202,13 +205,13 @@ pub(crate) fn finish(
             let deviation = PoseDeviation { rotation: [d[0], d[1], d[2]], centre: [d[3], d[4], d[5]] };
             result.images.insert(image as u32 + 1, deviation);
         }
-        decisions.push(axis_decision(model, &covariance));
+        decisions.push(axis_decision(model, &covariance, excess.sqrt()));
         uncertainty = Some(result);
     }
     Ok(Turned { state: model.state.clone(), decisions, uncertainty })
 }
 
-fn axis_decision(model: &AxisModel, covariance: &problem::TurnCovariance) -> Decision {
+fn axis_decision(model: &AxisModel, covariance: &problem::TurnCovariance, factor: f64) -> Decision {
     let z = model.turn.direction();
     let angles: Vec<f64> = model.turn.angles.iter().flatten().map(|a| a.to_degrees()).collect();
     let steps: Vec<f64> =
@@ -220,9 +223,10 @@ fn axis_decision(model: &AxisModel, covariance: &problem::TurnCovariance) -> Dec
         what: "axis".to_owned(),
         chosen: format!("({:.4}, {:.4}, {:.4}) in the camera's frame", z.x, z.y, z.z),
         evidence: format!(
-            "standard deviations: tilt {:.4}° and {:.4}°, angles at most {:.4}°; steps {:.3}° ± {:.3}° over {} frames",
-            covariance.axis[0].to_degrees(),
-            covariance.axis[1].to_degrees(),
+            "standard deviations: tilt {:.4}° sideways and {:.4}° towards the camera, angles at most {:.4}°; \
+             steps {:.3}° ± {:.3}° over {} frames",
+            factor * covariance.axis[0].to_degrees(),
+            factor * covariance.axis[1].to_degrees(),
             worst,
             mean,
             spread.sqrt(),
