@@ -28,7 +28,7 @@ const STRONG_TIE: usize = 300;
 const SPREAD_BY_SCALE: f32 = 1.0;
 
 /// Images up to which pairs are looked at a second time where some image found no pose (about 40 ms a pair), and how often.
-const SECOND_LOOK_UP_TO: usize = 40;
+const SECOND_LOOK_UP_TO: usize = 30;
 const SECOND_LOOKS: usize = 2;
 
 /// Camera poses, intrinsics and a sparse cloud from images alone.

@@ -139,6 +139,8 @@ function loop(now) {
   requestAnimationFrame(loop);
 }
 
+state.goTo = goTo;
+state.orbit = (radians) => { leaveView(); controls._rotateLeft?.(radians); state.dirty = true; };
 state.pose = () => ({ position: camera.position.toArray(), target: controls.target.toArray() });
 window.addEventListener("resize", resize);
 start();

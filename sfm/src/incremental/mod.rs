@@ -38,7 +38,7 @@ pub struct MapperConfig {
     #[arg(long, default_value_t = Self::default().min_sighting_ratio, help_heading = "Mapping")]
     pub min_sighting_ratio: f64,
     /// How a model is made from verified pairs
-    #[arg(long, value_enum, default_value_t = MapperChoice::Auto, help_heading = "Mapping")]
+    #[arg(long, value_enum, default_value_t = MapperChoice::Incremental, help_heading = "Mapping")]
     pub mapper: MapperChoice,
     /// How many first pairs are tried before the best model is taken
     #[arg(long, default_value_t = Self::default().starts, help_heading = "Mapping")]
@@ -52,7 +52,7 @@ impl Default for MapperConfig {
             min_angle_deg: 1.5,
             min_sightings: 15,
             min_sighting_ratio: 0.25,
-            mapper: MapperChoice::Auto,
+            mapper: MapperChoice::Incremental,
             starts: 3,
         }
     }

@@ -10,12 +10,8 @@ use super::pages::Pages;
 use super::photos::{Photo, Photos};
 use crate::adapter::Adapter;
 use crate::backend::{Backend, KernelTimes, Round, StepInput, StepOutput, Target};
-use crate::cpu::DEFAULT_NEAR;
-use crate::cpu::optimise::Statistics;
-use crate::cpu::project::CameraConstants;
-use crate::model::Model;
-use crate::train::Decision;
-use crate::{PinholeView, RenderOptions, RenderOutput, SplatError};
+use crate::cpu::{DEFAULT_NEAR, optimise::Statistics, project::CameraConstants};
+use crate::{PinholeView, RenderOptions, RenderOutput, SplatError, model::Model, train::Decision};
 use scene::FloatImage;
 use std::ops::RangeInclusive;
 

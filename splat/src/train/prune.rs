@@ -136,10 +136,10 @@ mod tests {
         };
         let all: Vec<u32> = (0..n as u32).collect();
         let whole = picture(&all);
-        for i in 0..n {
+        for (i, &energy) in estimated.iter().enumerate() {
             let others: Vec<u32> = all.iter().copied().filter(|&k| k as usize != i).collect();
             let exact: f32 = picture(&others).iter().zip(&whole).map(|(a, b)| (a - b).powi(2)).sum();
-            let found = estimated[i] / DRAWS as f32;
+            let found = energy / DRAWS as f32;
             assert!((found / exact - 1.0).abs() < 0.3, "gaussian {i}: {found} for {exact}");
         }
     }

@@ -1,0 +1,115 @@
+//! What a run remembers of its stages: `run.json`, and what later stages and the report read.
+
+use crate::cli::PipelineArgs;
+use crate::evaluate::Evaluation;
+use crate::report;
+use crate::stage::Cost;
+use scene::{FrameSet, Reconstruction};
+use serde::{Deserialize, Serialize};
+use std::collections::BTreeMap;
+
+/// What is known of the poses, for the following stages and the report.
+#[derive(Clone, Debug, Default, Serialize, Deserialize)]
+pub struct PoseSummary {
+    /// Images with a pose.
+    pub registered: usize,
+    /// Images given.
+    pub total: usize,
+    /// Triangulated points.
+    pub points: usize,
+    /// Mean reprojection error over sightings, pixels.
+    pub mean_error_px: f64,
+    /// Whether the poses came with the input.
+    pub imported: bool,
+    /// Why there is no model.
+    pub no_model: Option<String>,
+    /// Images without a pose, and why.
+    pub missing: Vec<(String, String)>,
+    /// Images whose pose hangs by a thread, and why.
+    #[serde(default)]
+    pub weak: Vec<(String, String)>,
+    /// Standard deviations from the final adjustment.
+    #[serde(default)]
+    pub deviations: Option<Deviations>,
+    /// What was decided: what, choice, evidence.
+    pub decisions: Vec<[String; 3]>,
+    /// Figures by step.
+    pub figures: Vec<(String, f64)>,
+}
+
+/// Standard deviations of poses and intrinsics (gauge: first camera and the scale fixed).
+#[derive(Clone, Debug, Default, Serialize, Deserialize)]
+pub struct Deviations {
+    /// Robust standard deviation of one residual coordinate, pixels.
+    pub sigma_px: f64,
+    /// By camera number: one a parameter, 0 for those held.
+    pub cameras: BTreeMap<u32, Vec<f64>>,
+    /// By image.
+    pub images: Vec<ImageDeviation>,
+}
+
+/// Standard deviations of one image's pose.
+#[derive(Clone, Debug, Default, Serialize, Deserialize)]
+pub struct ImageDeviation {
+    /// File name.
+    pub name: String,
+    /// Of the rotation about the camera's x, y and z axes, degrees.
+    pub rotation_deg: [f64; 3],
+    /// Of the camera centre along the world's axes, scene units.
+    pub centre: [f64; 3],
+}
+
+impl Deviations {
+    pub(super) fn of(uncertainty: &sfm::Uncertainty, model: &Reconstruction) -> Self {
+        let image = |(id, d): (&u32, &sfm::PoseDeviation)| {
+            let name = model.images.get(id)?.name.clone();
+            Some(ImageDeviation { name, rotation_deg: d.rotation.map(f64::to_degrees), centre: d.centre })
+        };
+        Self {
+            sigma_px: uncertainty.sigma_px,
+            cameras: uncertainty.cameras.clone(),
+            images: uncertainty.images.iter().filter_map(image).collect(),
+        }
+    }
+}
+
+/// What is known of the splat.
+#[derive(Clone, Debug, Default, Serialize, Deserialize)]
+pub struct SplatSummary {
+    /// Number of Gaussians.
+    pub gaussians: usize,
+    /// Spherical-harmonic degree.
+    pub sh_degree: u32,
+    /// Whether it was trained (and is to be rendered) with --antialias.
+    #[serde(default)]
+    pub antialias: bool,
+    /// Loss and PSNR against time.
+    pub curve: Vec<splat::train::CurvePoint>,
+    /// What was decided: what, choice, evidence.
+    pub decisions: Vec<[String; 3]>,
+}
+
+/// All that a run knows, for `run.json` and the report.
+#[derive(Clone, Debug, Serialize)]
+pub struct RunRecord {
+    /// Program version.
+    pub version: &'static str,
+    /// Versions of what it is built on.
+    pub libraries: Vec<(String, String)>,
+    /// The resolved configuration.
+    pub config: PipelineArgs,
+    /// Cost of each stage, in order.
+    pub costs: Vec<(String, Cost)>,
+    /// The frames.
+    pub frames: Option<FrameSet>,
+    /// The poses.
+    pub poses: Option<PoseSummary>,
+    /// The splat.
+    pub splat: Option<SplatSummary>,
+    /// The metrics.
+    pub evaluation: Option<Evaluation>,
+    /// What was decided by the evidence, or stands as configured, topic by topic.
+    pub decisions: Vec<report::decisions::Shown>,
+    /// The report's traffic light.
+    pub verdict: Vec<report::verdict::Light>,
+}
