@@ -9,13 +9,13 @@ pub const SH_C0: f32 = 0.282_094_79;
 /// N Gaussians as arrays; all have the same spherical-harmonic degree.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Gaussians {
-    /// [N] centres, world frame, scene units.
+    /// \[N\] centres, world frame, scene units.
     pub means: Vec<Vec3>,
-    /// [N] natural logarithms of the three standard deviations along the local axes.
+    /// \[N\] natural logarithms of the three standard deviations along the local axes.
     pub log_scales: Vec<Vec3>,
-    /// [N] local to world; need not be unit (normalised on use; zero norm means identity).
+    /// \[N\] local to world; need not be unit (normalised on use; zero norm means identity).
     pub rotations: Vec<Quat>,
-    /// [N] opacity = 1 / (1 + exp(−logit)).
+    /// \[N\] opacity = 1 / (1 + exp(−logit)).
     pub opacity_logits: Vec<f32>,
     /// [N × K × 3], K = (degree + 1)²; coefficient-major: `sh[(i·K + k)·3 + channel]`; rgb = 0.5 + Σ Y_k sh_k, clamped at 0.
     pub sh: Vec<f32>,

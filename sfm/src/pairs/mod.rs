@@ -1,7 +1,7 @@
 //! Which pairs of images are matched at all.
 //!
 //! Small sets: every pair. Larger ones: neighbours in time (videos) and, for every image, those that look most alike
-//! ([`likeness`]); from there on along the matches themselves, for what matches a common third image may match too
+//! (`likeness`); from there on along the matches themselves, for what matches a common third image may match too
 //! (Agarwal et al., "Building Rome in a Day", ICCV 2009: query expansion). So true pairs are found whatever the
 //! likeness says of them, and what cannot match is not tried.
 

@@ -1,5 +1,5 @@
 //! sort and bin: Gaussians by depth, then by tile.
-//! in: `keys` [N] depth bits, `records` [N]. out: [`Bins`]: for each 16 × 16 tile the Gaussians that can reach it, front to back.
+//! in: `keys` \[N\] depth bits, `records` \[N\]. out: [`Bins`]: for each 16 × 16 tile the Gaussians that can reach it, front to back.
 //!
 //! One radix sort a view by depth (ties by index), then a stable counting sort by tile.
 
@@ -19,9 +19,9 @@ pub struct Bins {
     pub order: Vec<u32>,
     /// [tiles + 1] where the tile's pairs begin in `list`.
     pub offsets: Vec<u32>,
-    /// [pairs] Gaussian numbers by tile, front to back.
+    /// \[pairs\] Gaussian numbers by tile, front to back.
     pub list: Vec<u32>,
-    /// [pairs] by Gaussian in the order of `order`: position of the pair in `list`.
+    /// \[pairs\] by Gaussian in the order of `order`: position of the pair in `list`.
     pub positions: Vec<u32>,
     /// [N + 1 beyond the visible]: (begin, end) of the Gaussian's pairs in `positions`; equal where it has none.
     pub ranges: Vec<[u32; 2]>,

@@ -1,5 +1,5 @@
 //! loss: `(1 − λ) mean|C − G| + λ (1 − SSIM)` and its gradient dL/dC.
-//! in: colour and target as [3] planes (rows padded to whole tiles), optional weights. out: gradient planes, loss, squared error.
+//! in: colour and target as \[3\] planes (rows padded to whole tiles), optional weights. out: gradient planes, loss, squared error.
 //!
 //! SSIM: Wang et al. 2004, 11 × 11 Gaussian window with σ = 1.5, zero padding, per channel. The window is separable;
 //! gradients go back through the same (symmetric) window.

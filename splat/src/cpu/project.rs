@@ -1,6 +1,6 @@
 //! project: Gaussian i → screen.
-//! in: means, log-scales, quaternions (w x y z), logits as planes [11][N]; camera.
-//! out: `records` [N] of [`Record`], `keys` [N] depth bits or [`CULLED`].
+//! in: means, log-scales, quaternions (w x y z), logits as planes \[11\]\[N\]; camera.
+//! out: `records` \[N\] of [`Record`], `keys` \[N\] depth bits or [`CULLED`].
 //!
 //! `Σ' = J W Σ Wᵀ Jᵀ + 0.3 I` (Zwicker et al., EWA splatting, 2002; the 0.3 px² low-pass: Kerbl et al. 2023).
 

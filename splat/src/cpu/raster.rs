@@ -119,7 +119,7 @@ pub struct Forward<'a> {
     pub tile: Tile,
     /// Colour behind everything.
     pub background: [f32; 3],
-    /// Out: [3] planes of the colour, composed over the background, the tile's 256 pixels row by row.
+    /// Out: \[3\] planes of the colour, composed over the background, the tile's 256 pixels row by row.
     pub rgb: &'a mut [[f32; PIXELS]; 3],
     /// Out: transmittance.
     pub transmittance: &'a mut [f32; PIXELS],
@@ -267,7 +267,7 @@ pub struct Backward<'a> {
     pub list: &'a [u32],
     /// The tile.
     pub tile: Tile,
-    /// dL/dC, [3] planes.
+    /// dL/dC, \[3\] planes.
     pub gradient: &'a [[f32; PIXELS]; 3],
     /// `Σ_channels C · dL/dC` of the finished picture (background included).
     pub remaining: &'a mut [f32; PIXELS],

@@ -1,13 +1,13 @@
 //! Vectors of f32 with one source for every instruction set.
 //!
-//! A kernel is written once, generic over [`Simd`] and `#[inline(always)]`; [`simd_kernel!`] makes the wrappers that
+//! A kernel is written once, generic over [`Simd`] and `#[inline(always)]`; `simd_kernel!` makes the wrappers that
 //! carry `#[target_feature]`, so that the intrinsics inline into code compiled for them, and picks one at run time.
 
 /// A vector of `LANES` f32.
 ///
 /// # Safety
 /// Values may only be made where the instruction set of the type is present. That holds for code reached through
-/// [`simd_kernel!`], because an [`Isa`] exists only if it was detected.
+/// `simd_kernel!`, because an [`Isa`] exists only if it was detected.
 pub unsafe trait Simd: Copy {
     /// Result of a comparison.
     type Mask: Copy;

@@ -78,47 +78,47 @@ buffers!(
     jobs: (JOB * JOBS / 4) as usize,
     /// [`COUNTERS`] numbers.
     counters: COUNTERS,
-    /// [N][2] vec4.
+    /// \[N\]\[2\] vec4.
     records: s.room.max(1) * 8,
-    /// [N] vec4.
+    /// \[N\] vec4.
     colours: s.room.max(1) * 4,
-    /// [N] vec2.
+    /// \[N\] vec2.
     boxes: s.room.max(1) * 2,
-    /// [N] flags, then positions.
+    /// \[N\] flags, then positions.
     flags: s.room.max(1),
-    /// [N].
+    /// \[N\].
     depth_keys_a: s.room.max(1),
-    /// [N].
+    /// \[N\].
     depth_keys_b: s.room.max(1),
-    /// [N].
+    /// \[N\].
     order_a: s.room.max(1),
-    /// [N].
+    /// \[N\].
     order_b: s.room.max(1),
-    /// [N] tiles of the Gaussian of each rank, then where its pairs begin.
+    /// \[N\] tiles of the Gaussian of each rank, then where its pairs begin.
     counts: s.room.max(1),
-    /// [N] vec2.
+    /// \[N\] vec2.
     spans: s.room.max(1) * 2,
     /// Sums of blocks within a scan.
     block_sums: blocks(16 * blocks(s.room.max(s.pairs)) as usize).max(blocks(s.room)) as usize,
     /// [16][blocks].
     table: 16 * blocks(s.room.max(s.pairs)) as usize,
-    /// [pairs].
+    /// \[pairs\].
     tile_keys_a: s.pairs,
-    /// [pairs].
+    /// \[pairs\].
     tile_keys_b: s.pairs,
-    /// [pairs].
+    /// \[pairs\].
     pairs_a: s.pairs,
-    /// [pairs].
+    /// \[pairs\].
     pairs_b: s.pairs,
-    /// [pairs].
+    /// \[pairs\].
     owners: s.pairs,
-    /// [pairs] vec2.
+    /// \[pairs\] vec2.
     sorted: 2 * s.pairs,
-    /// [pairs] vec4.
+    /// \[pairs\] vec4.
     sums_a: if s.training { 4 * s.pairs } else { 4 },
-    /// [pairs] vec4.
+    /// \[pairs\] vec4.
     sums_b: if s.training { 4 * s.pairs } else { 4 },
-    /// [pairs] vec4.
+    /// \[pairs\] vec4.
     sums_c: if s.training { 4 * s.pairs } else { 4 },
     /// [tiles + 1] vec4.
     ranges: 4 * (s.tiles + 1),
@@ -136,7 +136,7 @@ buffers!(
     by_product: if s.training { 3 * s.pixels } else { 1 },
     /// [3 tiles] vec4.
     partial: if s.training { 12 * s.tiles } else { 4 },
-    /// [3] vec4.
+    /// \[3\] vec4.
     result: 12,
 );
 

@@ -17,11 +17,11 @@ pub struct Page {
     pub job: PageJob,
     /// [`PageJob`] for the kernels.
     pub uniform: wgpu::Buffer,
-    /// [38][stride], or [11][stride] where nothing is trained.
+    /// \[38\]\[stride\], or \[11\]\[stride\] where nothing is trained.
     pub geometry: wgpu::Buffer,
-    /// [3K][stride].
+    /// \[3K\]\[stride\].
     pub sh: wgpu::Buffer,
-    /// [2][3K][stride] first and second moments.
+    /// \[2\]\[3K\]\[stride\] first and second moments.
     pub moments: wgpu::Buffer,
 }
 

@@ -24,7 +24,7 @@ pub struct OnScreen {
 }
 
 impl GpuBackend {
-    /// Kernel project: [N], nothing where a Gaussian is not seen.
+    /// Kernel project: \[N\], nothing where a Gaussian is not seen.
     pub fn projected(
         &mut self,
         view: &PinholeView,

@@ -40,7 +40,7 @@ pub struct Moments {
     pub m: Parameters,
     /// Decaying mean of its square.
     pub v: Parameters,
-    /// [N] steps in which the Gaussian was seen.
+    /// \[N\] steps in which the Gaussian was seen.
     pub clock: Vec<u32>,
 }
 

@@ -2,7 +2,7 @@
 //!
 //! A cloud of N Gaussians is projected to the screen ([`project`]), coloured ([`sh`]), put in order of depth
 //! ([`sort`]) and composited over a background ([`rasterise`]); the picture is compared with a target ([`loss`]) and
-//! the parameters are moved against the gradient ([`adam`]). [`render`] chains the first four, in both directions.
+//! the parameters are moved against the gradient ([`adam`]). [`mod@render`] chains the first four, in both directions.
 //! The other backends have the same kernels under the same names and are held to this one by `tests/parity.rs`.
 //!
 //! Nothing here is fast and nothing is approximate: there are no tiles, every pixel looks at every Gaussian.
@@ -38,13 +38,13 @@ use scene::Gaussians;
 /// N Gaussians in f64, laid out as [`scene::Gaussians`]; also the gradient with respect to them.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Parameters {
-    /// [N] μ, world frame, scene units.
+    /// \[N\] μ, world frame, scene units.
     pub means: Vec<DVec3>,
-    /// [N] natural logarithms of the standard deviations along the local axes.
+    /// \[N\] natural logarithms of the standard deviations along the local axes.
     pub log_scales: Vec<DVec3>,
-    /// [N] local to world, any norm (normalised on use; zero means identity).
+    /// \[N\] local to world, any norm (normalised on use; zero means identity).
     pub rotations: Vec<DQuat>,
-    /// [N] opacity = 1 / (1 + exp(−logit)).
+    /// \[N\] opacity = 1 / (1 + exp(−logit)).
     pub opacity_logits: Vec<f64>,
     /// [N × K × 3] coefficient-major, K = (degree + 1)².
     pub sh: Vec<f64>,
@@ -127,7 +127,7 @@ impl View {
         self.width * self.height
     }
 
-    /// The view with a small motion in the camera frame after its pose: x_cam ← exp([ω]×) x_cam + v.
+    /// The view with a small motion in the camera frame after its pose: x_cam ← exp(\[ω\]×) x_cam + v.
     pub fn moved(&self, omega: DVec3, v: DVec3) -> Self {
         let rotation = DMat3::from_quat(DQuat::from_scaled_axis(omega));
         Self { rotation: rotation * self.rotation, translation: rotation * self.translation + v, ..*self }

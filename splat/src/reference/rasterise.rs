@@ -1,6 +1,6 @@
 //! rasterise: Gaussians in order of depth → picture.
 //!
-//! in: [N] [`Projected`], [N] rgb, order, background · out: rgb [H × W], alpha [H × W], depth [H × W]
+//! in: \[N\] [`Projected`], \[N\] rgb, order, background · out: rgb [H × W], alpha [H × W], depth [H × W]
 //!
 //! ```text
 //! for each pixel centre p, T = 1, for each Gaussian i in order:
@@ -74,7 +74,7 @@ fn pixel_centre(i: usize, view: &View) -> DVec2 {
     DVec2::new((i % view.width) as f64 + 0.5, (i / view.width) as f64 + 0.5)
 }
 
-/// The picture. `projected` and `colours` [N], `order` as [`super::sort`] gives it.
+/// The picture. `projected` and `colours` \[N\], `order` as [`super::sort`] gives it.
 pub fn rasterise(
     projected: &[Option<Projected>],
     colours: &[DVec3],
@@ -102,13 +102,13 @@ pub fn rasterise(
 /// ∂L/∂ what [`rasterise`] takes.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct RasteriseGradient {
-    /// [N] with respect to the projected Gaussians.
+    /// \[N\] with respect to the projected Gaussians.
     pub projected: Vec<Projected>,
-    /// [N] with respect to their colours.
+    /// \[N\] with respect to their colours.
     pub colours: Vec<DVec3>,
-    /// [N] Σ over pixels of |∂L/∂xy|, by component (AbsGS): gradients of opposite pixels do not cancel.
+    /// \[N\] Σ over pixels of |∂L/∂xy|, by component (AbsGS): gradients of opposite pixels do not cancel.
     pub xy_abs: Vec<DVec2>,
-    /// [N] in how many pixels the Gaussian is composited.
+    /// \[N\] in how many pixels the Gaussian is composited.
     pub pixels: Vec<u32>,
 }
 

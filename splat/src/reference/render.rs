@@ -10,9 +10,9 @@ use glam::{DVec2, DVec3};
 /// A picture and what it was made of.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Rendered {
-    /// [N] on the screen; nothing where culled.
+    /// \[N\] on the screen; nothing where culled.
     pub projected: Vec<Option<Projected>>,
-    /// [N] rgb as seen from the camera (black where culled).
+    /// \[N\] rgb as seen from the camera (black where culled).
     pub colours: Vec<DVec3>,
     /// Indices of the Gaussians that are seen, nearest first.
     pub order: Vec<usize>,
@@ -45,11 +45,11 @@ pub struct Gradients {
     pub parameters: Parameters,
     /// With respect to the camera.
     pub pose: PoseGradient,
-    /// [N] with respect to the centre on the screen, a px: its norm drives densification (Kerbl 2023, section 5.2).
+    /// \[N\] with respect to the centre on the screen, a px: its norm drives densification (Kerbl 2023, section 5.2).
     pub xy: Vec<DVec2>,
-    /// [N] the same with absolute values summed over pixels (AbsGS).
+    /// \[N\] the same with absolute values summed over pixels (AbsGS).
     pub xy_abs: Vec<DVec2>,
-    /// [N] in how many pixels the Gaussian is composited.
+    /// \[N\] in how many pixels the Gaussian is composited.
     pub pixels: Vec<u32>,
 }
 

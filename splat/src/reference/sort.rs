@@ -1,6 +1,6 @@
 //! sort: the order in which Gaussians are composited.
 //!
-//! in: [N] [`Projected`] or nothing · out: indices of those that are seen, nearest first, ties by index.
+//! in: \[N\] [`Projected`] or nothing · out: indices of those that are seen, nearest first, ties by index.
 
 use super::project::Projected;
 
