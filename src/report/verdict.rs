@@ -88,7 +88,7 @@ pub fn verdict(record: &RunRecord, model: Option<&Reconstruction>, geometry: Opt
 
 /// Share of the opacity that lies outside the visual hull of the mattes.
 fn floaters(geometry: Option<&Value>) -> Light {
-    match geometry.and_then(|g| g.pointer("/floaters/share")).and_then(Value::as_f64) {
+    match geometry.and_then(|g| g.get("floaters_pct")).and_then(Value::as_f64).map(|pct| pct / 100.0) {
         Some(share) => {
             let reason =
                 format!("{:.2} % of the opacity lies outside the mattes' visual hull", 100.0 * share);
