@@ -13,7 +13,7 @@ struct Cli {
     /// Seed of all randomness.
     #[arg(long, default_value_t = 0)]
     seed: u64,
-    /// The images are the frames of a video in the order of their names.
+    /// The images are the frames of a video in the order of their names, taken at the times that the names' numbers are.
     #[arg(long)]
     video: bool,
     /// Folder of masks, white = keep, in the order of the images.
@@ -41,7 +41,18 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         let (width, height) = image::image_dimensions(&path)?;
         let name = path.file_name().map(|n| n.to_string_lossy().into_owned()).unwrap_or_default();
         let mask = masks.get(i).cloned();
-        frames.frames.push(Frame { name, path, mask, width, height, source_index: i, ..Frame::default() });
+        let digits: String = name.chars().filter(char::is_ascii_digit).collect();
+        let time_s = digits.parse().ok().filter(|_| cli.video);
+        frames.frames.push(Frame {
+            name,
+            path,
+            mask,
+            width,
+            height,
+            time_s,
+            source_index: i,
+            ..Frame::default()
+        });
     }
     let result = sfm::reconstruct(&frames, &cli.sfm, &Progress::silent())?;
     for s in &result.stats.steps {

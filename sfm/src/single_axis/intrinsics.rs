@@ -1,5 +1,11 @@
-//! Which intrinsics a turn determines. One axis says little about the principal point along the axis (a tilt of the
-//! axis does nearly the same), but something about its coordinate across.
+//! Which intrinsics a turn determines.
+//!
+//! Without distortion, and with the axis in the plane of the optical axis, a tilt of the axis, the focal length and the
+//! principal point along the axis can change together without changing any image: planes across the axis are seen as
+//! they are, but the scale along it is only known up to a projectivity (Fitzgibbon, Cross & Zisserman 1998, section 4).
+//! What breaks this is distortion, whose centre is the principal point, and an axis beside the image centre; what is
+//! known beforehand does the rest. So the principal point has a prior and is free where the sightings say more than that;
+//! distortion is free with it, for it must not stand for a wrong centre.
 
 use super::problem::TurnProblem;
 use crate::bundle::{Loss, SolveOptions};
@@ -13,8 +19,8 @@ const DETERMINED: f64 = 0.2;
 /// An axis leans at most so much (tangent) in the image where one coordinate is across it.
 const LEAN: f64 = 0.5;
 
-/// Camera model and freedom by evidence; the principal point across the axis where it is determined. The sightings of
-/// `problem` have their standard deviations.
+/// Camera model and freedom by evidence; the principal point where it is determined. The sightings of `problem` have
+/// their standard deviations.
 pub(crate) fn choose_for_turn(
     problem: &TurnProblem,
     fixed: &[bool],
@@ -34,14 +40,21 @@ pub(crate) fn choose_for_turn(
     if let Some(along) = along_axis(problem) {
         let partial = Intrinsics { principal_point: true, held: Some(along), ..chosen };
         if let Some(found) = trial.of(partial)? {
-            let camera = &problem.bundle.cameras[0];
-            let before = PRINCIPAL_POINT_SIGMA * f64::from(camera.width.max(camera.height));
-            let (value, sd) = found.values[found.focals + 1 - along];
-            let taken = sd < DETERMINED * before && found.bic < best.bic + 10.0;
-            let verdict = if taken { "determined, the other coordinate is held" } else { "held" };
-            let (name, gain) = (["x", "y"][1 - along], found.bic - best.bic);
             let what = "principal point across the axis";
-            notes.push(format!("{what}: {name} = {value:.2} ± {sd:.2} px, BIC {gain:+.0}: {verdict}"));
+            let (taken, note) = trial.verdict(what, &found, 1 - along, (best.bic, 10.0));
+            notes.push(note);
+            if taken {
+                best = found;
+            }
+        }
+        // Along the axis it is seen by distortion alone, which has to be free in full.
+        let model = if named.is_none() { CameraModel::Radial } else { model };
+        let whole = Intrinsics { model, principal_point: true, held: None };
+        if best.intrinsics.principal_point
+            && let Some(found) = trial.of(whole)?
+        {
+            let (taken, note) = trial.verdict("along it", &found, along, (best.bic, 30.0));
+            notes.push(note);
             if taken {
                 best = found;
             }
@@ -82,6 +95,19 @@ struct Tried {
 }
 
 impl Trials<'_> {
+    /// Whether a coordinate of the principal point (0: x, 1: y) is determined, and what is to be said of it. `bic`: of
+    /// what is there without, and by how much it may grow (a prior needs no evidence, but must not contradict it).
+    fn verdict(&self, what: &str, found: &Tried, coordinate: usize, bic: (f64, f64)) -> (bool, String) {
+        let camera = &self.problem.bundle.cameras[0];
+        let before = PRINCIPAL_POINT_SIGMA * f64::from(camera.width.max(camera.height));
+        let (value, sd) = found.values[found.focals + coordinate];
+        let gain = found.bic - bic.0;
+        let taken = sd < DETERMINED * before && gain < bic.1;
+        let verdict = if taken { "determined" } else { "held" };
+        let name = ["x", "y"][coordinate];
+        (taken, format!("{what}: {name} = {value:.2} ± {sd:.2} px, BIC {gain:+.0}: {verdict}"))
+    }
+
     fn of(&self, intrinsics: Intrinsics) -> Result<Option<Tried>, SfmError> {
         let mut trial = self.problem.clone();
         apply(&mut trial.bundle, intrinsics, self.fixed);

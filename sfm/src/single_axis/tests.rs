@@ -15,15 +15,15 @@ use scene::rng::rng;
 use scene::{Frame, FrameSet, Pose};
 
 /// A sphere of points that turns before a camera that looks down on it.
-struct Turntable {
-    camera: Camera,
-    turn: Turn,
-    points: Vec<DVec3>,
-    poses: Vec<Pose>,
+pub(super) struct Turntable {
+    pub camera: Camera,
+    pub turn: Turn,
+    pub points: Vec<DVec3>,
+    pub poses: Vec<Pose>,
 }
 
 impl Turntable {
-    fn new(frames: usize, step_deg: f64, seed: u64) -> Self {
+    pub fn new(frames: usize, step_deg: f64, seed: u64) -> Self {
         let mut r = rng(seed, "turntable", 0);
         let mut camera = Camera::centred(1, CameraModel::SimpleRadial, 640, 480, 700.0);
         camera.params[3] = -0.05;
@@ -45,7 +45,7 @@ impl Turntable {
     }
 
     /// Runs of frames in which a point is seen.
-    fn tracks(&self, noise_px: f64, seed: u64) -> Vec<KltTrack> {
+    pub fn tracks(&self, noise_px: f64, seed: u64) -> Vec<KltTrack> {
         let mut r = rng(seed, "track noise", 0);
         let mut tracks = Vec::new();
         for x in &self.points {
@@ -66,7 +66,7 @@ impl Turntable {
     }
 
     /// Largest error of an angle against the truth, radians; all frames must have one.
-    fn worst_angle(&self, model: &AxisModel) -> f64 {
+    pub fn worst_angle(&self, model: &AxisModel) -> f64 {
         let found: Vec<f64> =
             model.turn.angles.iter().map(|a| a.expect("every frame has an angle")).collect();
         let sense = if model.turn.direction().dot(self.turn.direction()) < 0.0 { -1.0 } else { 1.0 };
@@ -76,7 +76,7 @@ impl Turntable {
     }
 }
 
-fn video(frames: usize) -> FrameSet {
+pub(super) fn video(frames: usize) -> FrameSet {
     let frame = |i: usize| Frame {
         name: format!("{i:03}.png"),
         width: 640,
@@ -88,11 +88,24 @@ fn video(frames: usize) -> FrameSet {
 }
 
 /// Follows the whole path from tracks to the adjusted model.
-fn solve(table: &Turntable, mut tracks: Vec<KltTrack>) -> Result<(AxisModel, Option<Comparison>), String> {
+pub(super) fn solve(
+    table: &Turntable,
+    tracks: Vec<KltTrack>,
+) -> Result<(AxisModel, Option<Comparison>), String> {
+    solve_from(table, tracks, Camera::centred(1, CameraModel::SimpleRadial, 640, 480, 768.0), false)
+}
+
+/// The same from some intrinsics, which may be known.
+pub(super) fn solve_from(
+    table: &Turntable,
+    mut tracks: Vec<KltTrack>,
+    camera: Camera,
+    fixed: bool,
+) -> Result<(AxisModel, Option<Comparison>), String> {
     let frames = video(table.poses.len());
     let (config, progress) = (SfmConfig::default(), Progress::silent());
-    let cameras = [Camera::centred(1, CameraModel::SimpleRadial, 640, 480, 768.0)];
-    let known = [Knowledge { fixed: false, focal_sigma: None }];
+    let cameras = [camera];
+    let known = [Knowledge { fixed, focal_sigma: None }];
     let camera_of = vec![0; frames.len()];
     drop_still(&mut tracks);
     let job = VideoJob {
@@ -120,7 +133,7 @@ fn solve(table: &Turntable, mut tracks: Vec<KltTrack>) -> Result<(AxisModel, Opt
     let context = job.context(&[]);
     let solved = adjust_and_choose(&context, &job, &starts, grown.turn).unwrap();
     let (model, intrinsics, _) = solved.ok_or("no model")?;
-    let comparison = Comparison::of(&model, None, &context, intrinsics).unwrap();
+    let comparison = Comparison::of(Some(&model), &model.state, &context, intrinsics).unwrap();
     Ok((model, comparison))
 }
 
@@ -211,7 +224,7 @@ fn what_does_not_turn_is_no_model() {
 }
 
 /// All points of the table in all frames in which they are seen, in scenes of any unit.
-fn problem(table: &Turntable, unit: f64, noise_px: f64, seed: u64) -> TurnProblem {
+pub(super) fn problem(table: &Turntable, unit: f64, noise_px: f64, seed: u64) -> TurnProblem {
     let mut r = rng(seed, "pixels", 0);
     let n = table.poses.len();
     let mut bundle = BundleProblem {

@@ -93,7 +93,7 @@ pub(crate) fn solve_video(job: &VideoJob<'_>) -> Result<Result<(VideoModel, Deci
     else {
         return Ok(Err(format!("{note}; the tracks and key frames do not agree on one axis")));
     };
-    let comparison = Comparison::of(&model, None, &context, intrinsics)?;
+    let comparison = Comparison::of(Some(&model), &model.state, &context, intrinsics)?;
     let figures = comparison.as_ref().map_or("too few sightings to compare".to_owned(), Comparison::describe);
     let evidence = format!("{note}; {seam}; {figures}");
     let registered = model.state.registered();
@@ -101,17 +101,19 @@ pub(crate) fn solve_video(job: &VideoJob<'_>) -> Result<Result<(VideoModel, Deci
     if config.motion.motion == Motion::Auto && !single {
         return Ok(Err(format!("one axis was tried: {registered} of {n} frames; {evidence}")));
     }
-    let smooth = match model.covariance(&context, intrinsics)? {
+    let motion = match model.covariance(&context, intrinsics)? {
         Some((_, images, c)) if rate.is_none() => learnt(&model.turn.angles, &times, &images, &c),
         _ => None,
     };
-    let (relations, smooth) = smooth.unzip();
-    if let Some(relations) = &relations {
-        context.relations = relations;
+    let (held, loose) = motion.as_ref().map(|l| (l.held(), l.loose())).unwrap_or_default();
+    if motion.is_some() {
+        context.relations = &held;
         model.polish(&context, intrinsics)?;
+        context.relations = &loose;
     }
-    let mut turned = finish(&mut model, &context, &free_job, intrinsics, camera)?;
-    turned.decisions.extend(smooth);
+    let excess = motion.as_ref().map_or(1.0, |l| l.excess);
+    let mut turned = finish(&mut model, &context, &free_job, intrinsics, (camera, excess))?;
+    turned.decisions.extend(motion.map(|l| l.decision));
     Ok(Ok((job.done(turned, material, keys), decision("single-axis", evidence))))
 }
 
