@@ -353,7 +353,7 @@ fn solve(
     let Some(mut model) = mapped else {
         let tracks = build_tracks(features, geometries);
         let input = given.input(&keypoints, &tracks, geometries);
-        let motion = consider(&job(&input, &setup.cameras), None)?;
+        let motion = consider(&job(&input, &setup.cameras), None, true)?;
         return Ok(motion.taken.map(|t| of_turn(setup, t, motion.decision, keypoints.clone())));
     };
     let mut decisions = Vec::new();
@@ -391,19 +391,18 @@ fn solve(
     }
     depths::drop_lonely(&mut state, &input);
     lap("denser tracks");
-    // Images that were turned on their way have cameras of their own: no turn before one camera.
-    if !turned.contains(&true) {
-        let free = Free { state: &state, intrinsics: verdict.intrinsics };
-        let motion = consider(&job(&input, &starts), Some(&free))?;
-        lap("motion");
-        if let Some(t) = motion.taken {
-            decisions.extend(motion.decision);
-            let mut solved = of_turn(setup, t, None, keypoints.clone());
-            solved.decisions.splice(0..0, decisions);
-            return Ok(Some(solved));
-        }
+    // Images that were turned on their way get cameras of their own in the end: no turn before one camera.
+    let free = Free { state: &state, intrinsics: verdict.intrinsics };
+    let motion = consider(&job(&input, &starts), Some(&free), !turned.contains(&true))?;
+    lap("motion");
+    if let Some(t) = motion.taken {
         decisions.extend(motion.decision);
+        let mut solved = of_turn(setup, t, None, keypoints.clone());
+        solved.decisions.splice(0..0, decisions);
+        return Ok(Some(solved));
     }
+    decisions.extend(motion.decision);
+    state = motion.circled.unwrap_or(state);
     let uncertainty = uncertainty(&state, &input, &setup.known, &starts, verdict.intrinsics)?;
     lap("covariance");
     decisions.extend(verdict.decisions);

@@ -1,6 +1,7 @@
-//! Single axis or free: the same sightings, adjusted under both assumptions, decide.
+//! Single axis, orbit or free: the same sightings, adjusted under each assumption, decide.
 
 use super::model::{AxisModel, Context};
+use super::orbit;
 use super::problem::TurnProblem;
 use crate::SfmError;
 use crate::bundle::{Adjustable, BundleObservation, BundleProblem, Loss, SolveOptions};
@@ -15,13 +16,26 @@ use scene::Progress;
 const SIGHTINGS: usize = 6000;
 /// Residuals beyond so many standard deviations count as this much.
 const TRUNCATION: f64 = 4.0;
+/// Poses farther from a circle than this are no orbit: tilt (radians) and slip (radii).
+const FARTHEST_ORBIT: [f64; 2] = [0.35, 0.5];
+/// A held-out error that is larger by so many standard errors, and by this factor, speaks against a motion.
+const WORSE: (f64, f64) = (3.0, 1.02);
+
+/// A motion that was tried.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Tried {
+    Single,
+    Orbit,
+    Free,
+}
 
 /// What one assumption yields on the common sightings.
 #[derive(Clone, Debug)]
 pub(crate) struct Verdict {
-    /// Robust cost over the noise plus `k ln n`.
+    pub motion: Tried,
+    /// Robust cost over the noise, and what is expected of small motions, plus `k ln n`.
     pub bic: f64,
-    /// Parameters of the motion.
+    /// Parameters of the motion k; of small motions the effective number.
     pub parameters: usize,
     /// Root mean square of the held-out error, pixels (truncated at four standard deviations).
     pub held_out_px: f64,
@@ -29,31 +43,44 @@ pub(crate) struct Verdict {
     by_pose: Vec<(f64, usize)>,
 }
 
-/// Both assumptions on the same sightings.
+impl Verdict {
+    fn line(&self) -> String {
+        let name = match self.motion {
+            Tried::Single => "single axis",
+            Tried::Orbit => "orbit",
+            Tried::Free => "free",
+        };
+        format!(
+            "{name}: {} parameters of motion, BIC {:.0}, held out {:.3} px",
+            self.parameters, self.bic, self.held_out_px
+        )
+    }
+}
+
+/// All assumptions on the same sightings, the simplest first; the last is the free motion.
 #[derive(Clone, Debug)]
 pub(crate) struct Comparison {
-    /// One axis.
-    pub single: Verdict,
-    /// Six numbers a frame.
-    pub free: Verdict,
+    pub verdicts: Vec<Verdict>,
     /// Standard deviation of one residual coordinate under the free motion, pixels.
     pub sigma_px: f64,
-    /// Decrease of the held-out squared error, in units of the noise, that the free motion brings; its standard error.
-    pub gain: (f64, f64),
+    /// Standard deviations of an orbit's small motions: rotation (radians), translation (radii).
+    pub orbit_sigma: [f64; 2],
+    /// Logarithm of the evidence for an orbit against free poses.
+    pub orbit_evidence: f64,
     /// Images that took part.
     pub images: usize,
 }
 
 impl Comparison {
-    /// Adjusts the sightings of `base` (some model of the same images; the turn's own where there is none) under both
-    /// assumptions. `None` where there are too few.
+    /// Adjusts the sightings of `base` (some model of the same images) under each assumption; one axis where there is a
+    /// model about one. `None` where there are too few sightings.
     pub fn of(
-        single: &AxisModel,
-        base: Option<&State>,
+        single: Option<&AxisModel>,
+        base: &State,
         context: &Context<'_>,
         intrinsics: Intrinsics,
     ) -> Result<Option<Self>, SfmError> {
-        let (turn, free) = pair(single, base.unwrap_or(&single.state), context, intrinsics);
+        let (turn, mut free) = problems(single, base, context, intrinsics);
         let (training, held_out) = split(&free);
         let images = free.poses.len();
         if images < 3 || held_out.len() < 50 {
@@ -67,52 +94,92 @@ impl Comparison {
         };
         let mut trial =
             Trial { training, held_out, options, sigma: noise(&free), progress: context.progress };
-        let mut free = free;
         trial.adjust(&mut free)?;
         trial.sigma = noise(&free);
-        let free = trial.verdict(&mut free, 6 * images - 7)?;
-        let mut turn = turn;
-        trial.adjust(&mut turn)?;
-        let single = trial.verdict(&mut turn, images + 2)?;
-        let gain = gain(&single.by_pose, &free.by_pose);
-        Ok(Some(Self { single, free, sigma_px: trial.sigma, gain, images }))
+        let of_free = trial.verdict(Tried::Free, &mut free, 6 * images - 7)?;
+        let mut verdicts = Vec::new();
+        if let Some(mut turn) = turn {
+            verdicts.push(trial.verdict(Tried::Single, &mut turn, images + 2)?);
+        }
+        let mut comparison = Self {
+            verdicts,
+            sigma_px: trial.sigma,
+            orbit_sigma: [0.0; 2],
+            orbit_evidence: f64::NEG_INFINITY,
+            images,
+        };
+        if let Some((orbit, sigma, gain)) = trial.orbit(&free)? {
+            let cost = |v: &Verdict| v.bic - v.parameters as f64 * trial.price();
+            comparison.orbit_evidence = 0.5 * (gain - cost(&orbit) + cost(&of_free));
+            comparison.orbit_sigma = sigma;
+            comparison.verdicts.push(orbit);
+        }
+        comparison.verdicts.push(of_free);
+        Ok(Some(comparison))
+    }
+
+    fn of_motion(&self, motion: Tried) -> Option<&Verdict> {
+        self.verdicts.iter().find(|v| v.motion == motion)
+    }
+
+    /// One axis where its BIC is less than that of free poses and an orbit with less does not predict clearly better; else
+    /// an orbit where the evidence is for one; else free. What predicts clearly worse than free poses is out.
+    pub fn choice(&self) -> Tried {
+        let Some(free) = self.of_motion(Tried::Free) else { return Tried::Free };
+        let orbit = self.of_motion(Tried::Orbit).filter(|v| self.orbit_evidence > 0.0 && !worse(v, free));
+        let single = self.of_motion(Tried::Single).filter(|v| v.bic < free.bic && !worse(v, free));
+        match (single, orbit) {
+            (Some(s), Some(o)) if o.bic < s.bic && worse(s, o) => Tried::Orbit,
+            (Some(_), _) => Tried::Single,
+            (None, Some(_)) => Tried::Orbit,
+            (None, None) => Tried::Free,
+        }
     }
 
     /// Whether one axis is the better description.
     pub fn favours_single(&self) -> bool {
-        self.single.bic < self.free.bic
+        self.choice() == Tried::Single
     }
 
     /// The figures.
     pub fn describe(&self) -> String {
-        let line = |name: &str, v: &Verdict| {
-            format!(
-                "{name}: {} parameters of motion, BIC {:.0}, held out {:.3} px",
-                v.parameters, v.bic, v.held_out_px
-            )
-        };
-        format!(
-            "{} images, noise {:.3} px; {}; {} (held-out gain of free {:.3} ± {:.3})",
-            self.images,
-            self.sigma_px,
-            line("single axis", &self.single),
-            line("free", &self.free),
-            self.gain.0,
-            self.gain.1
-        )
+        let mut text = format!("{} images, noise {:.3} px", self.images, self.sigma_px);
+        let free = self.of_motion(Tried::Free);
+        for verdict in &self.verdicts {
+            text += &format!("; {}", verdict.line());
+            if let Some(free) = free.filter(|_| verdict.motion != Tried::Free) {
+                let (gain, error) = gain(&verdict.by_pose, &free.by_pose);
+                text += &format!(" (held-out gain of free {gain:.3} ± {error:.3})");
+            }
+            if verdict.motion == Tried::Orbit {
+                let [turns, shifts] = self.orbit_sigma;
+                text += &format!(
+                    ", motions of {:.3}° and {:.3} % of the radius",
+                    turns.to_degrees(),
+                    100.0 * shifts
+                );
+            }
+        }
+        text
     }
 }
 
-/// The adjustments of both assumptions over the images that both models have.
-fn pair(
-    single: &AxisModel,
+/// Whether the held-out error of `a` is clearly larger than that of `b`.
+fn worse(a: &Verdict, b: &Verdict) -> bool {
+    let (gain, error) = gain(&a.by_pose, &b.by_pose);
+    gain > WORSE.0 * error && a.held_out_px > WORSE.1 * b.held_out_px
+}
+
+/// The adjustments of one axis and of free poses over the images that both models have.
+fn problems(
+    single: Option<&AxisModel>,
     base: &State,
     context: &Context<'_>,
     intrinsics: Intrinsics,
-) -> (TurnProblem, BundleProblem) {
+) -> (Option<TurnProblem>, BundleProblem) {
     let mut common = base.clone();
     for image in 0..common.poses.len() {
-        if common.poses[image].is_some() && single.turn.angles[image].is_none() {
+        if common.poses[image].is_some() && single.is_some_and(|s| s.turn.angles[image].is_none()) {
             common.unregister(image);
         }
     }
@@ -121,13 +188,16 @@ fn pair(
     what.points_per_image = Some((SIGHTINGS / common.registered().max(1)).clamp(50, 1000));
     let Selected { mut problem, images, .. } = select(&common, context.input, &what);
     let fixed: Vec<bool> = context.known.iter().map(|k| k.fixed).collect();
-    let mut turning = problem.clone();
-    turning.cameras.clone_from(&single.state.cameras);
+    let turn = single.map(|single| {
+        let mut turning = problem.clone();
+        turning.cameras.clone_from(&single.state.cameras);
+        apply(&mut turning, intrinsics, &fixed);
+        let angles = images.iter().map(|&i| single.turn.angles[i].unwrap_or(0.0)).collect();
+        let mut turn = TurnProblem::new(turning, single.turn.axis, angles);
+        retriangulate(&mut turn.bundle);
+        turn
+    });
     apply(&mut problem, intrinsics, &fixed);
-    apply(&mut turning, intrinsics, &fixed);
-    let angles = images.iter().map(|&i| single.turn.angles[i].unwrap_or(0.0)).collect();
-    let mut turn = TurnProblem::new(turning, single.turn.axis, angles);
-    retriangulate(&mut turn.bundle);
     (turn, problem)
 }
 
@@ -167,10 +237,43 @@ impl Trial<'_> {
         Ok(if summary.usable { cost + worst * missing as f64 } else { f64::INFINITY })
     }
 
-    fn verdict<P: Adjustable>(&self, problem: &mut P, parameters: usize) -> Result<Verdict, SfmError> {
-        let cost = self.adjust(problem)?;
-        let bic = cost + parameters as f64 * (2.0 * self.training.len() as f64).ln();
-        let bundle = problem.bundle();
+    /// What a parameter costs without a prior.
+    fn price(&self) -> f64 {
+        (2.0 * self.training.len() as f64).ln()
+    }
+
+    fn verdict<P: Adjustable>(
+        &self,
+        motion: Tried,
+        problem: &mut P,
+        parameters: usize,
+    ) -> Result<Verdict, SfmError> {
+        let bic = self.adjust(problem)? + parameters as f64 * self.price();
+        Ok(self.held_out(motion, problem.bundle(), bic, parameters))
+    }
+
+    /// An orbit from adjusted free poses, the strength of its small motions, and what they gain by not being free (see
+    /// [`orbit::occam`]).
+    fn orbit(&self, free: &BundleProblem) -> Result<Option<(Verdict, [f64; 2], f64)>, SfmError> {
+        let Some((mut problem, misfit)) = orbit::of_free(free) else { return Ok(None) };
+        if !(misfit.tilt < FARTHEST_ORBIT[0] && misfit.slip < FARTHEST_ORBIT[1]) {
+            return Ok(None);
+        }
+        let Some(known) = free.covariance(&self.options)? else { return Ok(None) };
+        let mut cost = f64::INFINITY;
+        let mut sigma = [0.0; 2];
+        for _ in 0..2 {
+            sigma = orbit::strengths(&problem);
+            problem.offset_sigma = Some(sigma);
+            cost = self.adjust(&mut problem)?;
+        }
+        let (effective, gain) = orbit::occam(&problem, sigma, &known);
+        let parameters = problem.angles.len() + 2 + effective.round() as usize;
+        let bic = cost + parameters as f64 * self.price();
+        Ok(Some((self.held_out(Tried::Orbit, &problem.bundle, bic, parameters), sigma, gain)))
+    }
+
+    fn held_out(&self, motion: Tried, bundle: &BundleProblem, bic: f64, parameters: usize) -> Verdict {
         let mut sums = vec![(0.0, 0usize); bundle.poses.len()];
         for o in &self.held_out {
             let error = error_sq(bundle, o) / self.sigma.powi(2);
@@ -178,6 +281,6 @@ impl Trial<'_> {
             sums[o.pose as usize].1 += 1;
         }
         let all: f64 = sums.iter().map(|s| s.0).sum::<f64>() / self.held_out.len().max(1) as f64;
-        Ok(Verdict { bic, parameters, held_out_px: all.sqrt() * self.sigma, by_pose: sums })
+        Verdict { motion, bic, parameters, held_out_px: all.sqrt() * self.sigma, by_pose: sums }
     }
 }

@@ -11,6 +11,9 @@ mod extreme_tests;
 mod intrinsics;
 mod material;
 mod model;
+#[cfg(test)]
+mod motion_tests;
+mod orbit;
 mod photos;
 pub mod problem;
 mod seed;
@@ -28,7 +31,7 @@ use crate::incremental::growth::Knowledge;
 use crate::incremental::state::{Input, State};
 use crate::selection::{Intrinsics, converted};
 use crate::{Decision, PoseDeviation, SfmError, Uncertainty};
-use evidence::Comparison;
+use evidence::{Comparison, Tried};
 use intrinsics::choose_for_turn;
 use model::{AxisModel, Context};
 use scene::{Camera, CameraModel, Progress};
@@ -57,10 +60,20 @@ pub(crate) struct Turned {
     pub uncertainty: Option<Uncertainty>,
 }
 
-/// What the search for a turn came to: the model, if it is to be taken, and why.
+/// What the search for a turn or an orbit came to.
 pub(crate) struct Outcome {
+    /// The model about one axis, if it is to be taken.
     pub taken: Option<Turned>,
+    /// The general model, adjusted once more with its cameras near a circle, if that is to be taken.
+    pub circled: Option<State>,
+    /// Why.
     pub decision: Option<Decision>,
+}
+
+impl Outcome {
+    fn free(evidence: String) -> Self {
+        Self { taken: None, circled: None, decision: Some(decision("free", evidence)) }
+    }
 }
 
 /// Everything the search needs beside the models.
@@ -93,68 +106,102 @@ pub(crate) fn decision(chosen: &str, evidence: String) -> Decision {
     Decision { what: "motion".to_owned(), chosen: chosen.to_owned(), evidence }
 }
 
-/// Looks whether the images show a turn about one axis, as far as the configuration asks for it.
-pub(crate) fn consider(job: &Job<'_>, free: Option<&Free<'_>>) -> Result<Outcome, SfmError> {
+/// Looks whether the images show a turn about one axis or an orbit, as far as the configuration asks for it. `upright`:
+/// no image was turned on its way here.
+pub(crate) fn consider(job: &Job<'_>, free: Option<&Free<'_>>, upright: bool) -> Result<Outcome, SfmError> {
     let motion = job.config.motion;
-    let nothing =
-        |chosen: &str, evidence: String| Outcome { taken: None, decision: Some(decision(chosen, evidence)) };
     if motion == Motion::Free {
-        return Ok(nothing("free", "asked for".to_owned()));
+        return Ok(Outcome::free("asked for".to_owned()));
     }
     if job.cameras.len() != 1 {
-        return Ok(nothing(
-            "free",
-            format!("{} cameras took the images: none stood still", job.cameras.len()),
-        ));
+        let evidence = format!("{} cameras took the images: none stood still", job.cameras.len());
+        return Ok(Outcome::free(evidence));
     }
-    let images = job.input.keypoints.len();
+    let mut notes = Vec::new();
+    let solved = if upright && motion != Motion::Orbit { one_axis(job, free, &mut notes)? } else { None };
+    let registered = free.map_or(0, |f| f.state.registered());
+    let context = job.context(&[]);
+    // The general model's sightings, unless it has fewer images.
+    let single = solved.as_ref().map(|s| &s.0);
+    let base = free.filter(|f| single.is_none_or(|s| f.state.registered() >= s.state.registered()));
+    let Some(state) = base.map(|f| f.state).or(single.map(|s| &s.state)) else {
+        notes.push("no model about one axis stands".to_owned());
+        return Ok(Outcome::free(notes.join("; ")));
+    };
+    let freedom = base.map(|f| f.intrinsics).or(solved.as_ref().map(|s| s.1));
+    let comparison = match freedom {
+        Some(freedom) => Comparison::of(single, state, &context, freedom)?,
+        None => None,
+    };
+    notes.push(comparison.as_ref().map_or("too few sightings to compare".to_owned(), Comparison::describe));
+    let choice = comparison.as_ref().map_or(Tried::Free, Comparison::choice);
+    let evidence = notes.join("; ");
+    let fewer = single.is_some_and(|s| s.state.registered() < registered);
+    match solved {
+        Some((mut model, intrinsics, camera))
+            if motion == Motion::SingleAxis || (choice == Tried::Single && !fewer) =>
+        {
+            let turned = finish(&mut model, &context, job, intrinsics, (camera, 1.0))?;
+            let decision = Some(decision("single-axis", evidence));
+            Ok(Outcome { taken: Some(turned), circled: None, decision })
+        }
+        _ => match (base, comparison) {
+            (Some(free), Some(c)) if choice == Tried::Orbit || motion == Motion::Orbit => {
+                on_a_circle(&context, free, &c, evidence)
+            }
+            _ => Ok(Outcome::free(evidence)),
+        },
+    }
+}
+
+/// The general model as an orbit: adjusted once more, its cameras near the circle.
+fn on_a_circle(
+    context: &Context<'_>,
+    free: &Free<'_>,
+    comparison: &Comparison,
+    evidence: String,
+) -> Result<Outcome, SfmError> {
+    let circled = match comparison.orbit_sigma[0] > 0.0 {
+        true => orbit::adjusted(free.state, context, free.intrinsics, comparison.orbit_sigma)?,
+        false => None,
+    };
+    Ok(Outcome { taken: None, circled, decision: Some(decision("orbit", evidence)) })
+}
+
+/// A model about one axis, from the free poses where they turn, else from three images; what was found is noted.
+fn one_axis(
+    job: &Job<'_>,
+    free: Option<&Free<'_>>,
+    notes: &mut Vec<String>,
+) -> Result<Option<(AxisModel, Intrinsics, Decision)>, SfmError> {
+    let single = job.config.motion == Motion::SingleAxis;
     let from_free = free.and_then(|f| Turn::of_poses(&f.state.poses));
-    let mut far = "the general solver has no poses that turn".to_owned();
-    if let Some((_, misfit)) = &from_free {
-        far = format!(
+    notes.push(match &from_free {
+        Some((_, misfit)) => format!(
             "the axes of the free poses' rotations are {:.2}° apart, their places {:.2} % of the radius",
             misfit.tilt.to_degrees(),
             100.0 * misfit.slip
-        );
-    }
-    let near = from_free
-        .filter(|(_, m)| motion == Motion::SingleAxis || (m.tilt <= FARTHEST[0] && m.slip <= FARTHEST[1]));
+        ),
+        None => "the general solver has no poses that turn".to_owned(),
+    });
+    let near = from_free.filter(|(_, m)| single || (m.tilt <= FARTHEST[0] && m.slip <= FARTHEST[1]));
     let registered = free.map_or(0, |f| f.state.registered());
-    let whole = registered as f64 >= WHOLE * images as f64;
+    let whole = registered as f64 >= WHOLE * job.input.keypoints.len() as f64;
     let context = job.context(&[]);
     let mut solved = match (near, free) {
         (Some((turn, _)), Some(f)) => adjust_and_choose(&context, job, &f.state.cameras, turn)?,
-        _ if whole => return Ok(nothing("free", far)),
         _ => None,
     };
     // Where the general solver left images out, a turn may take them in.
     if !whole && let Some(model) = photos::from_photos(job)? {
         let more = solved.as_ref().is_none_or(|s| model.state.registered() > s.0.state.registered());
         if more {
-            let found = format!("{} images grew from three of them under one axis", model.state.registered());
-            far = format!("{far}; {found}");
+            notes.push(format!("{} images grew from three of them under one axis", model.state.registered()));
             let cameras = model.state.cameras.clone();
             solved = adjust_and_choose(&context, job, &cameras, model.turn)?.or(solved);
         }
     }
-    let Some((mut model, intrinsics, camera)) = solved else {
-        return Ok(nothing("free", format!("{far}; no model about one axis stands")));
-    };
-    // The general model's sightings, unless it has fewer images.
-    let base = free.filter(|f| f.state.registered() >= model.state.registered());
-    let freedom = base.map_or(intrinsics, |f| f.intrinsics);
-    let comparison = Comparison::of(&model, base.map(|f| f.state), &context, freedom)?;
-    let evidence = match &comparison {
-        Some(c) => format!("{far}; {}", c.describe()),
-        None => format!("{far}; too few sightings to compare"),
-    };
-    let fewer = model.state.registered() < registered;
-    let single = motion == Motion::SingleAxis || (!fewer && comparison.is_some_and(|c| c.favours_single()));
-    if !single {
-        return Ok(nothing("free", evidence));
-    }
-    let turned = finish(&mut model, &context, job, intrinsics, (camera, 1.0))?;
-    Ok(Outcome { taken: Some(turned), decision: Some(decision("single-axis", evidence)) })
+    Ok(solved)
 }
 
 /// The model about one axis from a first guess; `None` where none stands.

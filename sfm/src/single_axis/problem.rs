@@ -60,6 +60,16 @@ impl TurnProblem {
         problem
     }
 
+    /// The poses of `bundle` as a turn with offsets.
+    pub fn with_offsets(bundle: BundleProblem, axis: Pose, angles: Vec<f64>) -> Self {
+        let offset = |(pose, angle): (&Pose, &f64)| pose.compose(&turned(&axis, *angle).inverse());
+        let offsets = bundle.poses.iter().zip(&angles).map(offset).collect();
+        let mut problem = Self::new(bundle, axis, angles);
+        problem.offsets = offsets;
+        problem.refresh();
+        problem
+    }
+
     /// Distance of the camera from the axis.
     pub fn radius(&self) -> f64 {
         let (z, t) = (self.axis.rotation * DVec3::Z, self.axis.translation);

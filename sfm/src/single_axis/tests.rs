@@ -133,7 +133,7 @@ pub(super) fn solve_from(
     let context = job.context(&[]);
     let solved = adjust_and_choose(&context, &job, &starts, grown.turn).unwrap();
     let (model, intrinsics, _) = solved.ok_or("no model")?;
-    let comparison = Comparison::of(&model, None, &context, intrinsics).unwrap();
+    let comparison = Comparison::of(Some(&model), &model.state, &context, intrinsics).unwrap();
     Ok((model, comparison))
 }
 

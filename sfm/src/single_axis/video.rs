@@ -93,7 +93,7 @@ pub(crate) fn solve_video(job: &VideoJob<'_>) -> Result<Result<(VideoModel, Deci
     else {
         return Ok(Err(format!("{note}; the tracks and key frames do not agree on one axis")));
     };
-    let comparison = Comparison::of(&model, None, &context, intrinsics)?;
+    let comparison = Comparison::of(Some(&model), &model.state, &context, intrinsics)?;
     let figures = comparison.as_ref().map_or("too few sightings to compare".to_owned(), Comparison::describe);
     let evidence = format!("{note}; {seam}; {figures}");
     let registered = model.state.registered();

@@ -1,0 +1,97 @@
+//! A camera that goes round on a circle with small motions of its own: a turn whose frames have offsets that are about
+//! as large as they turn out to be.
+
+use super::model::{AxisModel, Context};
+use super::problem::TurnProblem;
+use super::turn::{Turn, TurnMisfit, median};
+use crate::SfmError;
+use crate::bundle::{BundleCovariance, BundleProblem};
+use crate::incremental::state::State;
+use crate::selection::Intrinsics;
+use glam::DVec3;
+use scene::Pose;
+
+/// Offsets are at least about so large, radians and radii: less is none.
+const LEAST: f64 = 1e-6;
+
+/// Free poses as a turn with offsets, in the turntable's frame, and how far they are from a pure turn. `None` where they
+/// do not turn.
+pub(crate) fn of_free(free: &BundleProblem) -> Option<(TurnProblem, TurnMisfit)> {
+    let poses: Vec<Option<Pose>> = free.poses.iter().copied().map(Some).collect();
+    let (turn, misfit) = Turn::of_poses(&poses)?;
+    let table_from_world = turn.pose(0)?.inverse().compose(free.poses.first()?);
+    let mut bundle = free.clone();
+    moved(&table_from_world, bundle.poses.iter_mut(), bundle.points.iter_mut());
+    let angles = turn.angles.iter().map(|a| a.unwrap_or(0.0)).collect();
+    Some((TurnProblem::with_offsets(bundle, turn.axis, angles), misfit))
+}
+
+/// Takes poses and points into another frame.
+fn moved<'a>(
+    new_from_old: &Pose,
+    poses: impl Iterator<Item = &'a mut Pose>,
+    points: impl Iterator<Item = &'a mut DVec3>,
+) {
+    let back = new_from_old.inverse();
+    poses.for_each(|p| *p = p.compose(&back));
+    points.for_each(|x| *x = new_from_old.transform(*x));
+}
+
+/// Root mean square of the offsets' coordinates: rotations, radians, and translations, radii.
+pub(crate) fn strengths(problem: &TurnProblem) -> [f64; 2] {
+    let n = 3.0 * problem.offsets.len().max(1) as f64;
+    let turns: f64 = problem.offsets.iter().map(|o| 4.0 * o.rotation.xyz().length_squared()).sum();
+    let shifts: f64 = problem.offsets.iter().map(|o| o.translation.length_squared()).sum();
+    [(turns / n).sqrt().max(LEAST), ((shifts / n).sqrt() / problem.radius()).max(LEAST)]
+}
+
+/// The effective number of the offsets, `Σ σ²/(σ² + s²)` with the standard deviations s to which the sightings know a free
+/// pose, and by how much twice the logarithm of the evidence grows because they are not free: `Σ ln (1 + 1/s²) − ln (1 +
+/// σ²/s²)`, the widths of what is expected of a pose that may be anywhere within a radius and a radian, and of one near the
+/// circle, over what is found (Occam factors: MacKay 1992). The angle stands for one of a pose's six numbers.
+pub(crate) fn occam(problem: &TurnProblem, sigma: [f64; 2], known: &BundleCovariance) -> (f64, f64) {
+    let of = |part: std::ops::Range<usize>| {
+        median(known.poses.iter().flat_map(|d| d[part.clone()].to_vec()).filter(|d| *d > 0.0).collect())
+    };
+    let seen = [of(0..3), of(3..6) / problem.radius()];
+    let count = 2.5 * problem.offsets.len() as f64;
+    let (mut effective, mut gain) = (0.0, 0.0);
+    for (sigma, seen) in sigma.into_iter().zip(seen) {
+        let s2 = seen.max(1e-12).powi(2);
+        let ratio = sigma * sigma / s2;
+        effective += count * ratio / (1.0 + ratio);
+        gain += count * ((1.0 + 1.0 / s2).ln() - (1.0 + ratio).ln());
+    }
+    (effective, gain)
+}
+
+/// The model adjusted once more with offsets from a circle of about this strength; `None` where that comes to nothing.
+pub(crate) fn adjusted(
+    state: &State,
+    context: &Context<'_>,
+    intrinsics: Intrinsics,
+    sigma: [f64; 2],
+) -> Result<Option<State>, SfmError> {
+    let Some((turn, _)) = Turn::of_poses(&state.poses) else { return Ok(None) };
+    let first = state.poses.iter().position(Option::is_some).unwrap_or(0);
+    let (Some(new), Some(old)) = (turn.pose(first), state.poses[first]) else { return Ok(None) };
+    let mut state = state.clone();
+    let points = state.points.iter_mut().flatten().map(|p| &mut p.position);
+    moved(&new.inverse().compose(&old), state.poses.iter_mut().flatten(), points);
+    let free: Vec<Option<Pose>> = state.poses.clone();
+    let mut model = AxisModel { state, turn };
+    let (mut problem, selected, options) = model.prepare(context, intrinsics, None);
+    problem.bundle.poses = selected.images.iter().filter_map(|&i| free[i]).collect();
+    // The noise is that of the free poses; against the pure turn it would look larger.
+    model.weigh(context, &mut problem.bundle, &selected);
+    let mut problem = TurnProblem {
+        offset_sigma: Some(sigma),
+        ..TurnProblem::with_offsets(problem.bundle, problem.axis, problem.angles)
+    };
+    let summary = problem.solve(&options, context.progress)?;
+    if !summary.usable {
+        return Ok(None);
+    }
+    model.take(problem, selected);
+    Ok(Some(model.state))
+}
