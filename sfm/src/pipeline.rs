@@ -1,5 +1,6 @@
 //! From frames to a model: the order of the steps, and what each costs.
 
+mod blurred;
 mod clock;
 mod densify;
 mod export;
@@ -28,7 +29,7 @@ const STRONG_TIE: usize = 300;
 const SPREAD_BY_SCALE: f32 = 1.0;
 
 /// Images up to which pairs are looked at a second time where some image found no pose (about 40 ms a pair), and how often.
-const SECOND_LOOK_UP_TO: usize = 30;
+const SECOND_LOOK_UP_TO: usize = 40;
 const SECOND_LOOKS: usize = 2;
 
 /// Camera poses, intrinsics and a sparse cloud from images alone.
@@ -68,12 +69,13 @@ pub fn reconstruct_from(
     };
     clock.lap("turn", &mut result.stats.steps);
     let Supplied { features, matches } = supplied.unwrap_or_default();
+    let own = features.is_none();
     result.features = match features {
         Some(features) => features,
         None => sift::extract_all(frames, &config.sift, progress)?,
     };
     clock.lap("features", &mut result.stats.steps);
-    let job = Job { frames, config, setup: &setup, progress };
+    let job = Job { frames, config, setup: &setup, more_features: own, progress };
     from_features(&mut result, matches, &job, &mut clock)?;
     export::colour(&mut result, frames, progress)?;
     clock.lap("colours", &mut result.stats.steps);
@@ -95,7 +97,7 @@ pub fn reconstruct_features(
         return Err(SfmError::FeaturesMismatch { features: features.len(), frames: frames.len() });
     }
     result.features = features;
-    let job = Job { frames, config, setup: &setup, progress };
+    let job = Job { frames, config, setup: &setup, more_features: false, progress };
     from_features(&mut result, None, &job, &mut Clock::start())?;
     Ok(result)
 }
@@ -117,6 +119,8 @@ struct Job<'a> {
     frames: &'a FrameSet,
     config: &'a SfmConfig,
     setup: &'a Setup,
+    /// Whether more features may be taken from the images.
+    more_features: bool,
     progress: &'a Progress,
 }
 
@@ -127,7 +131,7 @@ fn from_features(
     job: &Job<'_>,
     clock: &mut Clock,
 ) -> Result<(), SfmError> {
-    let Job { frames, config, setup, progress } = *job;
+    let Job { frames, config, setup, progress, .. } = *job;
     let matches = match matches {
         Some(matches) => matches,
         None => pairs::match_related(frames, &result.features, &config.pairs, &config.matching, progress)?,
@@ -141,13 +145,22 @@ fn from_features(
     result.geometries = two_view::verify_pairs(
         &result.features,
         &result.initial_cameras,
-        matches,
+        matches.clone(),
         &config.two_view,
         config.seed,
         progress,
     )?;
     clock.lap("verification", &mut result.stats.steps);
-    let loose = weakly_tied(frames.len(), &result.geometries);
+    let mut loose = weakly_tied(frames.len(), &result.geometries);
+    if job.more_features && loose.contains(&true) {
+        let more = blurred::enrich(&result.features, &matches, &result.geometries, &loose, job)?;
+        if let Some(more) = more {
+            (result.features, result.geometries) = (more.features, more.geometries);
+            result.decisions.push(more.decision);
+            loose = weakly_tied(frames.len(), &result.geometries);
+        }
+        clock.lap("blurred features", &mut result.stats.steps);
+    }
     result.geometries = two_view::match_along_lines(
         &result.features,
         &result.initial_cameras,

@@ -49,6 +49,9 @@ pub struct SiftConfig {
     /// Most orientations a keypoint gets.
     #[arg(long, default_value_t = Self::default().max_orientations, help_heading = "Features")]
     pub max_orientations: usize,
+    /// Blurs images before features are searched, pixels: what is lost in noise at full sharpness may match then.
+    #[arg(long, default_value_t = Self::default().pre_blur, help_heading = "Features")]
+    pub pre_blur: f32,
     /// Leaves every feature upright (for cameras that do not roll).
     #[arg(long, default_value_t = Self::default().upright, help_heading = "Features")]
     pub upright: bool,
@@ -67,6 +70,7 @@ impl Default for SiftConfig {
             noise_threshold: 4.0,
             edge_threshold: 10.0,
             max_orientations: 2,
+            pre_blur: 0.0,
             upright: false,
         }
     }

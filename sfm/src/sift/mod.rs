@@ -71,15 +71,23 @@ fn extract_with(
             mask.get_pixel(column.min(mask.width() - 1), row.min(mask.height() - 1)).0[0] >= 128
         }
     };
-    let statistics = ImageStatistics::measure(&work, |x, y| keep(x as f32 + 0.5, y as f32 + 0.5));
-    let octaves = scale_space(octaves, &work, config);
+    let mut statistics = ImageStatistics::measure(&work, |x, y| keep(x as f32 + 0.5, y as f32 + 0.5));
+    let mut blurred = Plane::default();
+    let source = if config.pre_blur > 0.0 {
+        blur::gaussian_blur(&work, config.pre_blur, &mut blurred);
+        statistics.pre_blur = config.pre_blur;
+        &blurred
+    } else {
+        &work
+    };
+    let octaves = scale_space(octaves, source, config);
     let mut candidates = Vec::new();
     for (index, octave) in octaves.iter().enumerate() {
         candidates.extend(octave_candidates(octave, index, &statistics, config, keep));
     }
     let size = [work.width as f32, work.height as f32];
     let chosen = spread::strongest_everywhere(&candidates, config.max_features, size);
-    describe_all(octaves, &chosen, ratio)
+    describe_all(octaves, &chosen, ratio, config.pre_blur.max(0.0))
 }
 
 /// The image as a finite plane, reduced where its longer side is above `max_side`.
@@ -155,7 +163,8 @@ fn octave_candidates(
     candidates
 }
 
-fn describe_all(octaves: &[Octave], chosen: &[Candidate], ratio: [f32; 2]) -> Features {
+/// `pre_blur`: what the image was blurred by before, working pixels; it adds to the keypoints' scales.
+fn describe_all(octaves: &[Octave], chosen: &[Candidate], ratio: [f32; 2], pre_blur: f32) -> Features {
     let tables = DescriptorTables::default();
     let mut features = Features {
         keypoints: Vec::with_capacity(chosen.len()),
@@ -167,7 +176,7 @@ fn describe_all(octaves: &[Octave], chosen: &[Candidate], ratio: [f32; 2]) -> Fe
         features.keypoints.push(Keypoint {
             x: c.keypoint.x * ratio[0],
             y: c.keypoint.y * ratio[1],
-            scale: c.keypoint.scale * (ratio[0] * ratio[1]).sqrt(),
+            scale: c.keypoint.scale.hypot(pre_blur) * (ratio[0] * ratio[1]).sqrt(),
             angle: c.keypoint.angle,
         });
     }

@@ -17,21 +17,24 @@ pub struct ImageStatistics {
     pub range: f32,
     /// Standard deviation of the noise of a pixel.
     pub noise: f32,
+    /// Standard deviation of the blur that was given to the image after its noise was measured, pixels.
+    pub pre_blur: f32,
 }
 
 impl ImageStatistics {
     /// Of the pixels for which `keep(x, y)` holds.
     pub fn measure(image: &Plane, keep: impl Fn(usize, usize) -> bool) -> Self {
-        Self { range: brightness_range(image, &keep), noise: noise_sigma(image, &keep) }
+        Self { range: brightness_range(image, &keep), noise: noise_sigma(image, &keep), pre_blur: 0.0 }
     }
 
     /// Standard deviation that the noise has in a difference of Gaussians of blurs `fine` and `coarse` (pixels of
-    /// the image): the image's own blur is no filter, so it is taken off, and for white noise
+    /// the image): the image's own blur is no filter, so it is taken off, `pre_blur` is one, and for white noise
     /// `‖G_a − G_b‖² = (1/a² + 1/b² − 4/(a² + b²)) / 4π`.
     pub fn dog_noise(&self, fine: f32, coarse: f32) -> f32 {
         let own = NOMINAL_BLUR * NOMINAL_BLUR;
-        let a = (fine * fine - own).max(0.05);
-        let b = (coarse * coarse - own).max(0.05);
+        let before = self.pre_blur * self.pre_blur;
+        let a = (fine * fine - own).max(0.05) + before;
+        let b = (coarse * coarse - own).max(0.05) + before;
         let power = (1.0 / a + 1.0 / b - 4.0 / (a + b)) / (4.0 * std::f32::consts::PI);
         self.noise * power.max(0.0).sqrt()
     }
