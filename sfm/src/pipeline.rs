@@ -1,5 +1,6 @@
 //! From frames to a model: the order of the steps, and what each costs.
 
+mod attempts;
 mod blurred;
 mod clock;
 mod densify;
@@ -7,18 +8,18 @@ mod export;
 mod setup;
 mod turn;
 
+use crate::incremental::depths;
 use crate::incremental::finish::{converge, decide, noise_of, polish, uncertainty};
 use crate::incremental::state::{Input, State};
-use crate::incremental::{depths, folds};
 use crate::single_axis::{self, Free, Motion, Turned, VideoJob, VideoModel, consider, solve_video};
 use crate::tracks::{Tracks, build_tracks, positions};
 use crate::{
     Decision, SfmConfig, SfmError, SfmResult, Uncertainty, incremental, mapper, pairs, sift, two_view,
 };
+use attempts::{on_a_ring, second_attempt, unfold};
 use clock::Clock;
 use scene::{Camera, Features, FrameSet, Progress, TwoViewGeometry};
 use setup::Setup;
-use std::collections::BTreeSet;
 
 /// Other images that hold an image firmly, and the matches each must share with it. What is held by less gains by
 /// matches along its epipolar lines; what is held by more loses, for those are less exact.
@@ -285,6 +286,24 @@ impl<'a> Given<'a> {
             seed: self.config.seed,
         }
     }
+
+    fn job<'b>(
+        &'b self,
+        input: &'b Input<'b>,
+        starts: &'b [Camera],
+        progress: &'b Progress,
+    ) -> single_axis::Job<'b> {
+        single_axis::Job {
+            input,
+            cameras: &self.setup.cameras,
+            known: &self.setup.known,
+            starts,
+            named: self.config.camera_model.model(),
+            config: &self.config.motion,
+            features: &[],
+            progress,
+        }
+    }
 }
 
 /// A model that has grown, with what it has grown from and which mapper made it, where there was a choice.
@@ -307,39 +326,6 @@ fn grown(
     Ok(state.map(|state| Grown { state, tracks, mapper }))
 }
 
-/// Pairs that did not pass are looked at again with the solved intrinsics. The model that grows from all pairs then,
-/// where it is no smaller; `None` where no pair passes.
-fn second_attempt(
-    given: &Given<'_>,
-    keypoints: &[Vec<glam::DVec2>],
-    geometries: &mut Vec<TwoViewGeometry>,
-    first: &State,
-    progress: &Progress,
-) -> Result<Option<Grown>, SfmError> {
-    let Given { config, setup, features, .. } = *given;
-    let images = features.len();
-    let passed: BTreeSet<(usize, usize)> = geometries.iter().map(|g| (g.a, g.b)).collect();
-    let all = (0..images).flat_map(|a| (a + 1..images).map(move |b| (a, b)));
-    let pairs: Vec<(usize, usize)> = all.filter(|p| !passed.contains(p)).collect();
-    let cameras: Vec<Camera> = setup.camera_of.iter().map(|&c| first.cameras[c].clone()).collect();
-    let wide = two_view::second_look(features, &cameras, &pairs, &config.matching, config.seed, progress)?;
-    if wide.is_empty() {
-        return Ok(None);
-    }
-    let configs = (&config.matching, &config.two_view);
-    let wide =
-        two_view::match_along_lines(features, &cameras, wide, configs, |_| true, config.seed, progress)?;
-    let mut more = geometries.clone();
-    more.extend(wide);
-    more.sort_by_key(|g| (g.a, g.b));
-    let second = grown(given, keypoints, &more, progress)?;
-    let larger = second.filter(|g| g.state.registered() >= first.registered());
-    if larger.is_some() {
-        *geometries = more;
-    }
-    Ok(larger)
-}
-
 /// `lap` is told the name of each step when it is done; pairs that were found on the way are added to `geometries`.
 fn solve(
     given: &Given<'_>,
@@ -352,21 +338,10 @@ fn solve(
     let keypoints: Vec<_> = features.iter().map(positions).collect();
     let mapped = grown(given, &keypoints, geometries, progress)?;
     lap("mapping");
-    let named = config.camera_model.model();
-    let job = |input, starts| single_axis::Job {
-        input,
-        cameras: &setup.cameras,
-        known: &setup.known,
-        starts,
-        named,
-        config: &config.motion,
-        features: &[],
-        progress,
-    };
     let Some(mut model) = mapped else {
         let tracks = build_tracks(features, geometries);
         let input = given.input(&keypoints, &tracks, geometries);
-        let motion = consider(&job(&input, &setup.cameras), None, true)?;
+        let motion = consider(&given.job(&input, &setup.cameras, progress), None, true)?;
         return Ok(motion.taken.map(|t| of_turn(setup, t, motion.decision, keypoints.clone())));
     };
     let mut decisions = Vec::new();
@@ -375,18 +350,27 @@ fn solve(
         decisions.push(decision);
     }
     lap("repeated structure");
-    if model.state.registered() < features.len() && features.len() <= SECOND_LOOK_UP_TO {
+    let mut completed = on_a_ring(given, &keypoints, &model, geometries, progress)?;
+    lap("ring");
+    let standing = completed.as_ref().map_or(model.state.registered(), |c| c.0.registered());
+    if standing < features.len() && features.len() <= SECOND_LOOK_UP_TO {
         for _ in 0..SECOND_LOOKS {
             let next = second_attempt(given, &keypoints, geometries, &model.state, progress)?;
             let Some(next) = next else { break };
             model = next;
         }
+        completed = on_a_ring(given, &keypoints, &model, geometries, progress)?;
     }
     lap("second attempt");
     let Grown { mut state, tracks, mapper } = model;
     decisions.extend(mapper);
+    if let Some((whole, decision)) = completed {
+        state = whole;
+        decisions.push(decision);
+    }
     let mut input = given.input(&keypoints, &tracks, geometries);
     let starts = incremental::starts_of(&setup.cameras, &setup.known, &state);
+    let named = config.camera_model.model();
     let verdict = decide(&state, &input, &setup.known, &starts, named, progress)?;
     lap("camera model");
     // From here on every image is the way up that its sensor was.
@@ -406,7 +390,7 @@ fn solve(
     lap("denser tracks");
     // Images that were turned on their way get cameras of their own in the end: no turn before one camera.
     let free = Free { state: &state, intrinsics: verdict.intrinsics };
-    let motion = consider(&job(&input, &starts), Some(&free), !turned.contains(&true))?;
+    let motion = consider(&given.job(&input, &starts, progress), Some(&free), !turned.contains(&true))?;
     lap("motion");
     if let Some(t) = motion.taken {
         decisions.extend(motion.decision);
@@ -432,27 +416,6 @@ fn weakly_tied(images: usize, geometries: &[TwoViewGeometry]) -> Vec<bool> {
         ties[g.b] += 1;
     }
     ties.into_iter().map(|n| n < TIES).collect()
-}
-
-/// Where repeated structure has folded the model: the model without the pairs that cannot be true, and what was
-/// found. Those pairs are taken out of `geometries`.
-fn unfold(
-    given: &Given<'_>,
-    keypoints: &[Vec<glam::DVec2>],
-    geometries: &mut Vec<TwoViewGeometry>,
-    Grown { state, tracks, .. }: &Grown,
-    progress: &Progress,
-) -> Result<Option<(Grown, Decision)>, SfmError> {
-    let input = given.input(keypoints, tracks, geometries);
-    let Some(plausible) = folds::unfolded(state, &input, given.is_video) else { return Ok(None) };
-    let kept: Vec<TwoViewGeometry> = plausible.iter().map(|&i| geometries[i].clone()).collect();
-    let Some(second) = grown(given, keypoints, &kept, progress)? else { return Ok(None) };
-    if !folds::better(&second.state, state, &input, given.is_video) {
-        return Ok(None);
-    }
-    let decision = folds::decision(&second.state, state, &input, kept.len(), given.is_video);
-    *geometries = kept;
-    Ok(Some((second, decision)))
 }
 
 fn pairs_decision(pairs: usize, images: usize, geometries: &[TwoViewGeometry]) -> Decision {

@@ -108,6 +108,12 @@ pub struct Choice {
     pub problem: BundleProblem,
 }
 
+/// What is solved for before the evidence has spoken; `named`: the user's model.
+pub fn before_the_choice(named: Option<CameraModel>) -> Intrinsics {
+    let model = named.unwrap_or(CameraModel::SimpleRadial);
+    Intrinsics { model, principal_point: false, held: None }
+}
+
 /// Chooses for all cameras of `problem` that are not `fixed`. `named`: the user's model, which stays. `principal_point`: that
 /// it is free already. `sigma`: noise of the sightings, pixels. The problem's points and poses are those of a finished adjustment; nothing in it is changed.
 pub fn choose(
@@ -118,8 +124,7 @@ pub fn choose(
     sigma: f64,
     progress: &Progress,
 ) -> Result<Choice, SfmError> {
-    let model = named.unwrap_or(CameraModel::SimpleRadial);
-    let start = Intrinsics { model, principal_point, held: None };
+    let start = Intrinsics { principal_point, ..before_the_choice(named) };
     let mut decision = Decision {
         what: "camera model".to_owned(),
         chosen: start.describe(),

@@ -16,6 +16,7 @@ mod motion_tests;
 mod orbit;
 mod photos;
 pub mod problem;
+pub(crate) mod ring;
 mod seed;
 mod smoothness;
 #[cfg(test)]
@@ -27,6 +28,7 @@ pub use config::{Motion, MotionConfig};
 pub(crate) use video::{VideoJob, VideoModel, solve_video};
 
 use crate::incremental::adjust::Adjustment;
+use crate::incremental::finish::noise_of;
 use crate::incremental::growth::Knowledge;
 use crate::incremental::state::{Input, State};
 use crate::selection::{Intrinsics, converted};
@@ -37,10 +39,18 @@ use model::{AxisModel, Context};
 use scene::{Camera, CameraModel, Progress};
 use turn::Turn;
 
+/// Points an image contributes to a first look.
+const POINTS_ROUGH: usize = 50;
 /// Points an image contributes to the choice of the camera model.
 const POINTS_TO_CHOOSE: usize = 250;
 /// Farthest that free poses may be from a turn for one to be tried: tilt (radians) and slip (radii).
 const FARTHEST: [f64; 2] = [0.1, 0.2];
+
+/// Adjustments near a circle: sightings that fit the first one take part in the next.
+const CIRCLE_ROUNDS: usize = 2;
+
+/// One axis is not looked at further where it leaves so many times the residuals of free poses.
+const HOPELESS: f64 = 3.0;
 
 /// Share of the images with which the general model needs no other start.
 const WHOLE: f64 = 0.9;
@@ -161,10 +171,16 @@ fn on_a_circle(
     comparison: &Comparison,
     evidence: String,
 ) -> Result<Outcome, SfmError> {
-    let circled = match comparison.orbit_sigma[0] > 0.0 {
-        true => orbit::adjusted(free.state, context, free.intrinsics, comparison.orbit_sigma)?,
-        false => None,
-    };
+    let mut circled: Option<State> = None;
+    for _ in 0..CIRCLE_ROUNDS {
+        let from = circled.as_ref().unwrap_or(free.state);
+        let Some(mut next) = orbit::adjusted(from, context, free.intrinsics, comparison.orbit_sigma)? else {
+            break;
+        };
+        next.filter(context.input, context.input.config.max_reprojection_px);
+        next.grow_all(context.input);
+        circled = Some(next);
+    }
     Ok(Outcome { taken: None, circled, decision: Some(decision("orbit", evidence)) })
 }
 
@@ -189,7 +205,17 @@ fn one_axis(
     let whole = registered as f64 >= WHOLE * job.input.keypoints.len() as f64;
     let context = job.context(&[]);
     let mut solved = match (near, free) {
-        (Some((turn, _)), Some(f)) => adjust_and_choose(&context, job, &f.state.cameras, turn)?,
+        (Some((turn, _)), Some(f)) => {
+            let free_px = noise_of(f.state, job.input);
+            let axis_px = rough_noise(&context, &f.state.cameras, turn.clone())?;
+            if !single && whole && axis_px > HOPELESS * free_px {
+                notes.push(format!(
+                    "one axis leaves residuals of {axis_px:.2} px, free poses of {free_px:.2} px"
+                ));
+                return Ok(None);
+            }
+            adjust_and_choose(&context, job, &f.state.cameras, turn)?
+        }
         _ => None,
     };
     // Where the general solver left images out, a turn may take them in.
@@ -202,6 +228,15 @@ fn one_axis(
         }
     }
     Ok(solved)
+}
+
+/// Standard deviation of a residual that one axis leaves after a short adjustment, pixels.
+fn rough_noise(context: &Context<'_>, cameras: &[Camera], turn: Turn) -> Result<f64, SfmError> {
+    let same = |(camera, start): (&Camera, &Camera)| converted(camera, start.model);
+    let cameras = cameras.iter().zip(context.starts).map(same).collect();
+    let mut model = AxisModel::new(context.input, cameras, turn);
+    let stands = model.settle_with(context, 1, POINTS_ROUGH, model.state.registered())?;
+    Ok(if stands { noise_of(&model.state, context.input) } else { f64::INFINITY })
 }
 
 /// The model about one axis from a first guess; `None` where none stands.

@@ -1,0 +1,81 @@
+//! Other models than the one that grew first: from more pairs, from fewer, with images in their places on a ring.
+
+use super::{Given, Grown, grown};
+use crate::incremental::state::State;
+use crate::incremental::{self, folds};
+use crate::single_axis::{Motion, ring};
+use crate::{Decision, SfmError, selection, two_view};
+use scene::{Camera, Progress, TwoViewGeometry};
+use std::collections::BTreeSet;
+
+/// Pairs that did not pass are looked at again with the solved intrinsics. The model that grows from all pairs then,
+/// where it is no smaller; `None` where no pair passes.
+pub(super) fn second_attempt(
+    given: &Given<'_>,
+    keypoints: &[Vec<glam::DVec2>],
+    geometries: &mut Vec<TwoViewGeometry>,
+    first: &State,
+    progress: &Progress,
+) -> Result<Option<Grown>, SfmError> {
+    let Given { config, setup, features, .. } = *given;
+    let images = features.len();
+    let passed: BTreeSet<(usize, usize)> = geometries.iter().map(|g| (g.a, g.b)).collect();
+    let all = (0..images).flat_map(|a| (a + 1..images).map(move |b| (a, b)));
+    let pairs: Vec<(usize, usize)> = all.filter(|p| !passed.contains(p)).collect();
+    let cameras: Vec<Camera> = setup.camera_of.iter().map(|&c| first.cameras[c].clone()).collect();
+    let wide = two_view::second_look(features, &cameras, &pairs, &config.matching, config.seed, progress)?;
+    if wide.is_empty() {
+        return Ok(None);
+    }
+    let configs = (&config.matching, &config.two_view);
+    let wide =
+        two_view::match_along_lines(features, &cameras, wide, configs, |_| true, config.seed, progress)?;
+    let mut more = geometries.clone();
+    more.extend(wide);
+    more.sort_by_key(|g| (g.a, g.b));
+    let second = grown(given, keypoints, &more, progress)?;
+    let larger = second.filter(|g| g.state.registered() >= first.registered());
+    if larger.is_some() {
+        *geometries = more;
+    }
+    Ok(larger)
+}
+
+/// The model with the images that a ring of cameras misses, where it is one and one camera took it.
+pub(super) fn on_a_ring(
+    given: &Given<'_>,
+    keypoints: &[Vec<glam::DVec2>],
+    Grown { state, tracks, .. }: &Grown,
+    geometries: &[TwoViewGeometry],
+    progress: &Progress,
+) -> Result<Option<(State, Decision)>, SfmError> {
+    let Given { config, setup, .. } = *given;
+    if config.motion.motion == Motion::Free || setup.cameras.len() != 1 {
+        return Ok(None);
+    }
+    let starts = incremental::starts_of(&setup.cameras, &setup.known, state);
+    let intrinsics = selection::before_the_choice(config.camera_model.model());
+    let input = given.input(keypoints, tracks, geometries);
+    ring::completed(state, &given.job(&input, &starts, progress).context(&[]), intrinsics)
+}
+
+/// Where repeated structure has folded the model: the model without the pairs that cannot be true, and what was
+/// found. Those pairs are taken out of `geometries`.
+pub(super) fn unfold(
+    given: &Given<'_>,
+    keypoints: &[Vec<glam::DVec2>],
+    geometries: &mut Vec<TwoViewGeometry>,
+    Grown { state, tracks, .. }: &Grown,
+    progress: &Progress,
+) -> Result<Option<(Grown, Decision)>, SfmError> {
+    let input = given.input(keypoints, tracks, geometries);
+    let Some(plausible) = folds::unfolded(state, &input, given.is_video) else { return Ok(None) };
+    let kept: Vec<TwoViewGeometry> = plausible.iter().map(|&i| geometries[i].clone()).collect();
+    let Some(second) = grown(given, keypoints, &kept, progress)? else { return Ok(None) };
+    if !folds::better(&second.state, state, &input, given.is_video) {
+        return Ok(None);
+    }
+    let decision = folds::decision(&second.state, state, &input, kept.len(), given.is_video);
+    *geometries = kept;
+    Ok(Some((second, decision)))
+}
