@@ -19,7 +19,7 @@ const DETERMINED_POINT: f64 = 0.01;
 /// the textbook's 10 would be far too little.
 const CLEAR_BIC: f64 = 150.0;
 /// The same for images that were turned, which are only suspected on clear evidence from more sightings.
-const TURNED_BIC: f64 = 50.0;
+const TURNED_BIC: f64 = 80.0;
 /// Residuals beyond so many standard deviations count as this much.
 const TRUNCATION: f64 = 4.0;
 

@@ -9,8 +9,11 @@ use std::collections::BTreeMap;
 
 /// Blur of the second set, pixels.
 const BLUR: f32 = 1.4;
-/// Factor by which the matches of loosely tied pairs must grow for the second set to be kept.
-const WORTH: f64 = 1.1;
+/// Share of the images that must be loosely tied for a second set to be looked for.
+const SHARE: f64 = 0.5;
+/// Factor by which the matches of loosely tied pairs must grow for it to be kept: where both sets find the same spots they
+/// are half as many again, and nothing is won.
+const WORTH: f64 = 2.0;
 
 /// Features of both sets (the first set's keep their numbers), and the pairs verified with both.
 pub(super) struct Richer {
@@ -29,6 +32,10 @@ pub(super) fn enrich(
     job: &Job<'_>,
 ) -> Result<Option<Richer>, SfmError> {
     let Job { frames, config, setup, progress, .. } = *job;
+    let count_loose = loose.iter().filter(|l| **l).count();
+    if (count_loose as f64) < SHARE * loose.len() as f64 {
+        return Ok(None);
+    }
     let sift = sift::SiftConfig { pre_blur: BLUR.hypot(config.sift.pre_blur), ..config.sift.clone() };
     let coarse = sift::extract_all(frames, &sift, progress)?;
     let of_loose = |a: usize, b: usize| loose[a] || loose[b];
@@ -52,7 +59,7 @@ pub(super) fn enrich(
     all.sort_by_key(|g| (g.a, g.b));
     let decision = Decision {
         what: "features of blurred images".to_owned(),
-        chosen: format!("for {} of {} images", loose.iter().filter(|l| **l).count(), loose.len()),
+        chosen: format!("for {count_loose} of {} images", loose.len()),
         evidence: format!(
             "they share few matches with others; with features of images blurred by {BLUR} px these are {after} instead of {before}"
         ),

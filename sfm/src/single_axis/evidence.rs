@@ -16,8 +16,6 @@ use scene::Progress;
 const SIGHTINGS: usize = 6000;
 /// Residuals beyond so many standard deviations count as this much.
 const TRUNCATION: f64 = 4.0;
-/// Poses farther from a circle than this are no orbit: tilt (radians) and slip (radii).
-const FARTHEST_ORBIT: [f64; 2] = [0.35, 0.5];
 /// A held-out error that is larger by so many standard errors, and by this factor, speaks against a motion.
 const WORSE: (f64, f64) = (3.0, 1.02);
 
@@ -256,7 +254,7 @@ impl Trial<'_> {
     /// [`orbit::occam`]).
     fn orbit(&self, free: &BundleProblem) -> Result<Option<(Verdict, [f64; 2], f64)>, SfmError> {
         let Some((mut problem, misfit)) = orbit::of_free(free) else { return Ok(None) };
-        if !(misfit.tilt < FARTHEST_ORBIT[0] && misfit.slip < FARTHEST_ORBIT[1]) {
+        if !orbit::near(&misfit) {
             return Ok(None);
         }
         let Some(known) = free.covariance(&self.options)? else { return Ok(None) };

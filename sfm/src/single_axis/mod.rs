@@ -138,6 +138,10 @@ pub(crate) fn consider(job: &Job<'_>, free: Option<&Free<'_>>, upright: bool) ->
         notes.push("no model about one axis stands".to_owned());
         return Ok(Outcome::free(notes.join("; ")));
     };
+    if solved.is_none() && motion == Motion::Auto && !orbit::possible(state) {
+        notes.push("the poses are on no circle".to_owned());
+        return Ok(Outcome::free(notes.join("; ")));
+    }
     let freedom = base.map(|f| f.intrinsics).or(solved.as_ref().map(|s| s.1));
     let comparison = match freedom {
         Some(freedom) => Comparison::of(single, state, &context, freedom)?,

@@ -11,6 +11,8 @@ use crate::selection::Intrinsics;
 use glam::DVec3;
 use scene::Pose;
 
+/// Poses farther from a circle than this are no orbit: tilt (radians) and slip (radii).
+const FARTHEST: [f64; 2] = [0.1, 0.2];
 /// Offsets are at least about so large, radians and radii: less is none.
 const LEAST: f64 = 1e-6;
 /// The median length of a vector of three normal coordinates, and the median deviation of one, in standard deviations.
@@ -33,6 +35,16 @@ pub(crate) fn of_free(free: &BundleProblem) -> Option<(TurnProblem, TurnMisfit)>
     moved(&table_from_world, bundle.poses.iter_mut(), bundle.points.iter_mut());
     let angles = turn.angles.iter().map(|a| a.unwrap_or(0.0)).collect();
     Some((TurnProblem::with_offsets(bundle, turn.axis, angles), misfit))
+}
+
+/// Whether the poses are near enough to a circle for an orbit to be tried.
+pub(crate) fn possible(state: &State) -> bool {
+    Turn::of_poses(&state.poses).is_some_and(|(_, misfit)| near(&misfit))
+}
+
+/// Whether free poses are near enough to a turn.
+pub(crate) fn near(misfit: &TurnMisfit) -> bool {
+    misfit.tilt < FARTHEST[0] && misfit.slip < FARTHEST[1]
 }
 
 /// Takes poses and points into another frame.
