@@ -176,11 +176,18 @@ pub struct ExportArgs {
     /// A former output folder, or a splat file
     pub input: PathBuf,
     /// The file or folder to write; its ending says the format: .html (a page to open in a browser), .ply (3DGS order), .compressed.ply, .splat, .spz, .glb (these also read, and .ksplat), .json (transforms), .db (COLMAP's database, of a run with --colmap-database), or a folder (COLMAP model, --text for text)
-    #[arg(short, long, value_name = "OUT", required_unless_present = "html")]
+    #[arg(short, long, value_name = "OUT", required_unless_present_any = ["html", "mesh"])]
     pub output: Option<PathBuf>,
     /// One self-contained page that opens from disk (default output: RUN/view.html)
     #[arg(long)]
     pub html: bool,
+    /// A triangle mesh: the splat's surface as the input cameras see it, fused, with colours; .ply or .glb (default output: RUN/mesh.ply)
+    #[arg(long, conflicts_with = "html")]
+    pub mesh: bool,
+    /// Most voxels along the longest side of the object from which --mesh is made (fewer where they would be smaller than 1.5 pixels)
+    #[arg(long, default_value_t = splat::fusion::DEFAULT_RESOLUTION, requires = "mesh", value_name = "N",
+          value_parser = clap::value_parser!(u32).range(16..=2048))]
+    pub mesh_resolution: u32,
     /// Write a COLMAP model as text
     #[arg(long)]
     pub text: bool,

@@ -2,16 +2,19 @@
 
 use crate::Outcome;
 use crate::cli::ExportArgs;
+use crate::terminal::{CANCELLED, TerminalSink, Verbosity};
 use anyhow::{Context, Result, bail};
+use scene::Progress;
 use scene::io::{SplatFormat, read_splat, write_splat};
 use std::path::Path;
 
 /// Writes a splat or a model.
-pub fn run(args: &ExportArgs) -> Result<Outcome> {
-    let default = args.input.join("view.html");
+pub fn run(args: &ExportArgs, verbosity: Verbosity) -> Result<Outcome> {
+    let default = args.input.join(if args.mesh { "mesh.ply" } else { "view.html" });
     let output = args.output.as_deref().unwrap_or(&default);
     let ending = output.extension().map(|e| e.to_string_lossy().to_ascii_lowercase()).unwrap_or_default();
     match ending.as_str() {
+        _ if args.mesh => write_mesh(args, output, verbosity)?,
         _ if args.html || ending == "html" => crate::view::write_page(&args.input, output)?,
         _ if SplatFormat::of(output).is_some() => {
             let splat = if args.input.is_dir() { args.input.join("splat.ply") } else { args.input.clone() };
@@ -46,6 +49,32 @@ pub fn run(args: &ExportArgs) -> Result<Outcome> {
     }
     eprintln!("wrote {}", output.display());
     Ok(Outcome::Done)
+}
+
+/// The surface of a run's splat as its input cameras see it.
+fn write_mesh(args: &ExportArgs, output: &Path, verbosity: Verbosity) -> Result<()> {
+    let ending = output.extension().map(|e| e.to_string_lossy().to_ascii_lowercase());
+    if !matches!(ending.as_deref(), Some("ply" | "glb")) {
+        bail!("{}: a mesh is written as .ply or .glb", output.display());
+    }
+    let splat = args.input.join("splat.ply");
+    if !splat.is_file() {
+        bail!("{} is missing; --mesh needs the output folder of a run with a splat", splat.display());
+    }
+    let gaussians = scene::io::read_splat_ply(&splat)?;
+    let progress = Progress::new(Box::new(TerminalSink::new(verbosity, None)), &CANCELLED);
+    let config = crate::render::dataset_config(&args.input);
+    let dataset = crate::evaluate::load_dataset(&args.input.join("undistorted"), &config, &progress)?;
+    let antialias = crate::evaluate::trained_with_antialias(&args.input)?;
+    let mesh = splat::fusion::fused_mesh(&gaussians, &dataset, antialias, args.mesh_resolution, &progress)?;
+    if mesh.triangles.is_empty() {
+        bail!("{} has no surface: nowhere do its cameras see it half opaque", splat.display());
+    }
+    scene::io::write_mesh(output, &mesh)?;
+    if verbosity > Verbosity::Quiet {
+        eprintln!("{} vertices, {} triangles", mesh.vertices.len(), mesh.triangles.len());
+    }
+    Ok(())
 }
 
 fn read_model(input: &Path) -> Result<scene::Reconstruction> {

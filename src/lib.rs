@@ -66,7 +66,7 @@ pub fn run(parsed: config::Parsed) -> Result<Outcome> {
             pipeline::Pipeline::new(*args, parsed.recorded, verbosity, global.json)?.run(until)
         }
         Command::Render(args) => render::run(&args, verbosity),
-        Command::Export(args) => export::run(&args),
+        Command::Export(args) => export::run(&args, verbosity),
         Command::Compare(args) => compare::run(&args, verbosity, global.json),
         Command::Bench(args) => bench::run(&args, &global, verbosity),
         Command::View(args) => view::server::run(&args, verbosity == Verbosity::Quiet),

@@ -40,7 +40,7 @@ pub fn run(args: &RenderArgs, verbosity: Verbosity) -> Result<Outcome> {
 type View = (String, Camera, Pose);
 
 /// What the run held out, as its record says; the defaults where it says nothing.
-fn dataset_config(run: &Path) -> splat::DatasetConfig {
+pub(crate) fn dataset_config(run: &Path) -> splat::DatasetConfig {
     let record = std::fs::read(run.join("run.json")).ok();
     let record: Option<serde_json::Value> = record.and_then(|text| serde_json::from_slice(&text).ok());
     record.and_then(|mut r| serde_json::from_value(r["config"]["dataset"].take()).ok()).unwrap_or_default()

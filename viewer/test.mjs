@@ -1,33 +1,189 @@
-// Opens the viewer in headless Chromium and looks at it: node test.mjs CHROMIUM ADDRESS OUT.png [CAMERA]
-// Prints JSON: load time, errors, and where the canvas was saved. `puppeteer-core` drives the browser.
+// Uses the viewer in headless Chromium as a person would: node test.mjs CHROMIUM ADDRESS FOLDER [CAMERA | load]
+// Prints JSON: what worked, how long loading took, what the console said. The canvas seen from the camera goes to
+// FOLDER/view.png. With `load` it only loads. `puppeteer-core` drives the browser.
 import fs from "node:fs";
+import path from "node:path";
 import puppeteer from "puppeteer-core";
 
-const [chromium, address, out, camera = "0"] = process.argv.slice(2);
+const [chromium, address, folder, what = "0"] = process.argv.slice(2);
 const browser = await puppeteer.launch({
   executablePath: chromium,
-  args: ["--no-sandbox", "--disable-dev-shm-usage", "--disable-background-networking",
-    "--enable-unsafe-swiftshader"],
+  args: ["--no-sandbox", "--disable-dev-shm-usage", "--disable-background-networking", "--disable-component-update",
+    "--disable-sync", "--no-first-run", "--enable-unsafe-swiftshader"],
 });
 const page = await browser.newPage();
 const errors = [];
 page.on("console", (m) => { if (m.type() === "error") errors.push(m.text()); });
 page.on("pageerror", (e) => errors.push(String(e)));
-const { width, height } = { width: 400, height: 320 };
-await page.setViewport({ width, height });
+page.on("request", (r) => { if (/^https?:/.test(r.url()) && !r.url().startsWith(new URL(address).origin)) errors.push(`fetches ${r.url()}`); });
+await page.setViewport({ width: 400, height: 320 });
+// Without the glide after every movement, whose hundred frames take minutes where a processor draws them.
+await page.emulateMediaFeatures([{ name: "prefers-reduced-motion", value: "reduce" }]);
+const client = await page.createCDPSession();
+await client.send("Browser.setDownloadBehavior", { behavior: "allow", downloadPath: folder });
 await page.goto(address, { timeout: 120000 });
 await page.waitForFunction("window.satRecon && (satRecon.ready || satRecon.errors.length > 0)", { timeout: 120000 });
-const shot = async () => {
-  // Sorting and drawing follow each other for a few frames.
-  await new Promise((r) => setTimeout(r, 1500));
-  return page.evaluate("document.querySelector('canvas').toDataURL('image/png')");
-};
-const free = await shot();
-await page.evaluate(`satRecon.goTo(${Number(camera)})`);
-const view = await shot();
-fs.writeFileSync(out, Buffer.from(view.split(",")[1], "base64"));
-await page.evaluate("satRecon.orbit(0.5)");
-const turned = await shot();
-const state = await page.evaluate("({ loadMs: satRecon.loadMs, errors: satRecon.errors })");
-console.log(JSON.stringify({ loadMs: state.loadMs, errors: [...errors, ...state.errors], turns: turned !== view, free: free.length }));
+
+const sleep = (ms) => new Promise((r) => setTimeout(r, ms));
+const state = (key) => page.evaluate(`satRecon.${key}`);
+const shot = () => page.evaluate("document.querySelector('canvas').toDataURL('image/png')");
+
+const frames = async (n) => { for (let i = 0; i < n; i++) await page.evaluate("new Promise(requestAnimationFrame)"); };
+
+// What arrived of what the test did: on a busy machine a wheel turns seconds after it was asked to.
+await page.evaluate(() => {
+  window.arrived = { wheel: 0, pointerup: 0, keydown: 0, keyup: 0 };
+  for (const kind of Object.keys(window.arrived)) window.addEventListener(kind, () => { window.arrived[kind]++; }, true);
+});
+async function arrives(kind, act) {
+  const before = await page.evaluate(`arrived.${kind}`);
+  await act();
+  await page.waitForFunction(`arrived.${kind} > ${before}`, { timeout: 60000 });
+}
+
+// Sorting and drawing follow each other for a few frames: waits until they are done and pictures are equal.
+async function settled() {
+  let [last, equal] = ["", 0];
+  for (let i = 0; i < 200 && equal < 2; i++) {
+    await frames(3);
+    await sleep(100);
+    const now = (await state("isAtRest()")) ? await shot() : "";
+    equal = now !== "" && now === last ? equal + 1 : 0;
+    last = now;
+  }
+  return last;
+}
+
+// Share of pixels that are not black, and of those that are not grey.
+const colours = () => page.evaluate(() => {
+  const gl = document.querySelector("canvas");
+  const flat = Object.assign(document.createElement("canvas"), { width: gl.width, height: gl.height }).getContext("2d");
+  flat.drawImage(gl, 0, 0);
+  const data = flat.getImageData(0, 0, gl.width, gl.height).data;
+  let [lit, coloured] = [0, 0];
+  for (let i = 0; i < data.length; i += 4) {
+    const [r, g, b] = [data[i], data[i + 1], data[i + 2]];
+    if (r + g + b > 24) lit++;
+    if (Math.max(r, g, b) - Math.min(r, g, b) > 8) coloured++;
+  }
+  return { lit: lit / (data.length / 4), coloured: coloured / (data.length / 4) };
+});
+
+async function drag(button, dx, dy) {
+  await page.mouse.move(150, 250);
+  await page.mouse.down({ button });
+  await page.mouse.move(150 + dx, 250 + dy, { steps: 5 });
+  await arrives("pointerup", () => page.mouse.up({ button }));
+}
+
+const apart = (a, b) => Math.hypot(...a.map((v, i) => v - b[i]));
+const distance = (p) => apart(p.position, p.target);
+
+// The pose once the view has come to rest, however slowly frames are drawn.
+async function rest() {
+  let last = await state("pose()");
+  for (let i = 0; i < 300; i++) {
+    await frames(1);
+    await sleep(20);
+    const now = await state("pose()");
+    const moved = Math.max(apart(now.position, last.position), apart(now.target, last.target)) / distance(now);
+    last = now;
+    if (i >= 8 && moved < 1e-3) break; // what was asked for takes a few frames to begin
+  }
+  return last;
+}
+
+// What moves when a person acts: the position, the point looked at, how far it is.
+async function movement(act) {
+  const before = await rest();
+  await act();
+  const after = await rest();
+  const size = distance(before);
+  return {
+    position: apart(before.position, after.position) / size,
+    target: apart(before.target, after.target) / size,
+    distance: distance(after) / size,
+  };
+}
+
+async function navigation() {
+  const orbit = await movement(() => drag("left", 90, 10));
+  const pan = await movement(() => drag("right", 60, 20));
+  const zoom = await movement(() => arrives("wheel", () => page.mouse.wheel({ deltaY: -240 })));
+  const fly = await movement(async () => {
+    await arrives("keydown", () => page.keyboard.down("KeyW"));
+    await frames(10);
+    await arrives("keyup", () => page.keyboard.up("KeyW"));
+  });
+  return {
+    orbit: orbit.position > 0.1 && orbit.target < 1e-3 && Math.abs(orbit.distance - 1) < 1e-2,
+    pan: pan.target > 0.02 && Math.abs(pan.position - pan.target) < 1e-2,
+    zoom: zoom.distance < 0.97 && zoom.target < 1e-3,
+    fly: fly.position > 0.02 && Math.abs(fly.position - fly.target) < 1e-2,
+  };
+}
+
+async function set(selector, value, event) {
+  await page.$eval(selector, (e, v, kind) => {
+    e[e.type === "checkbox" ? "checked" : "value"] = v;
+    e.dispatchEvent(new Event(kind, { bubbles: true }));
+  }, value, event);
+}
+
+async function inputCamera(index) {
+  await page.select("#panel select", String(index));
+  const view = await settled();
+  fs.writeFileSync(path.join(folder, "view.png"), Buffer.from(view.split(",")[1], "base64"));
+  await set("#panel input[type=range]", 1, "input");
+  await page.waitForFunction("document.getElementById('photo').complete", { timeout: 20000 });
+  const photo = await page.evaluate(() => {
+    const [p, c] = ["#photo", "canvas"].map((s) => document.querySelector(s).getBoundingClientRect());
+    const image = document.getElementById("photo");
+    return !image.hidden && image.naturalWidth > 0 && image.style.opacity === "1" && p.width === c.width && p.height === c.height;
+  });
+  await set("#panel input[type=range]", 0, "input");
+  await page.click("#panel button[title='Next camera']");
+  const next = await state("view");
+  return { jump: next === index + 1, photo };
+}
+
+async function toggles() {
+  const box = (name) => `#panel input[data-part=${name}]`;
+  const switched = async (...changes) => {
+    for (const [name, on] of changes) await set(box(name), on, "change");
+    await settled();
+    return colours();
+  };
+  const all = await colours();
+  const depth = await switched(["depth", true]);
+  const none = await switched(["depth", false], ["splat", false]);
+  const points = await switched(["points", true]);
+  const cameras = await switched(["points", false], ["cameras", true]);
+  const again = await switched(["cameras", false], ["splat", true]);
+  return {
+    depth: depth.lit > 0.05 && depth.coloured < 0.2 * all.coloured,
+    splat: all.lit > 0.05 && none.lit === 0 && again.coloured > 0.8 * all.coloured,
+    points: points.lit > 0,
+    cameras: cameras.lit > 0,
+  };
+}
+
+async function screenshot() {
+  const before = new Set(fs.readdirSync(folder));
+  await page.click("#panel button[title='Save a PNG']");
+  for (let i = 0; i < 40; i++) {
+    await sleep(250);
+    const name = fs.readdirSync(folder).find((n) => !before.has(n) && n.endsWith(".png"));
+    if (name) return fs.readFileSync(path.join(folder, name)).subarray(1, 4).toString() === "PNG";
+  }
+  return false;
+}
+
+const report = { loadMs: await state("loadMs") };
+if (what !== "load" && (await state("ready"))) {
+  await settled();
+  Object.assign(report, await navigation(), await inputCamera(Number(what)), await toggles(), { screenshot: await screenshot() });
+}
+report.errors = [...errors, ...(await state("errors"))];
+console.log(JSON.stringify(report));
 await browser.close();

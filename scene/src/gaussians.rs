@@ -44,6 +44,20 @@ impl Gaussians {
         1.0 / (1.0 + (-self.opacity_logits[i]).exp())
     }
 
+    /// Leaves out all but those whose index `keep` accepts.
+    pub fn retain(&mut self, keep: impl Fn(usize) -> bool) {
+        fn filter<T: Copy>(values: &mut Vec<T>, width: usize, keep: &impl Fn(usize) -> bool) {
+            let mut at = 0;
+            values.retain(|_| (keep(at / width), at += 1).0);
+        }
+        let stride = self.sh_coefficients() * 3;
+        filter(&mut self.means, 1, &keep);
+        filter(&mut self.log_scales, 1, &keep);
+        filter(&mut self.rotations, 1, &keep);
+        filter(&mut self.opacity_logits, 1, &keep);
+        filter(&mut self.sh, stride, &keep);
+    }
+
     /// Whether the arrays agree in length; the message says which does not.
     pub fn validate(&self) -> Result<(), String> {
         let n = self.len();
@@ -59,6 +73,33 @@ impl Gaussians {
         match expected.into_iter().find(|(_, found, needed)| found != needed) {
             Some((what, found, needed)) => Err(format!("{n} gaussians need {needed} {what}, found {found}")),
             None => Ok(()),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_is_retained_keeps_all_of_its_numbers() {
+        let mut g = Gaussians { sh_degree: 1, ..Gaussians::default() };
+        for i in 0..5 {
+            let v = i as f32;
+            g.means.push(Vec3::splat(v));
+            g.log_scales.push(Vec3::splat(v));
+            g.rotations.push(Quat::from_xyzw(v, 0.0, 0.0, 1.0));
+            g.opacity_logits.push(v);
+            g.sh.extend([v; 12]);
+        }
+        g.retain(|i| i % 2 == 1);
+        assert_eq!((g.validate(), g.len()), (Ok(()), 2));
+        for (i, v) in [1.0, 3.0].into_iter().enumerate() {
+            assert_eq!(
+                (g.means[i].x, g.log_scales[i].x, g.rotations[i].x, g.opacity_logits[i]),
+                (v, v, v, v)
+            );
+            assert_eq!(g.sh[i * 12..(i + 1) * 12], [v; 12]);
         }
     }
 }

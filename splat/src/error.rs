@@ -9,6 +9,9 @@ pub enum SplatError {
     /// Ctrl-C; a checkpoint was written where a folder for it was given.
     #[error("cancelled")]
     Cancelled(#[from] Cancelled),
+    /// The depths could not be fused.
+    #[error("{0}")]
+    Fusion(scene::geometry::FusionError),
     /// An image or mask of the model is missing or cannot be decoded.
     #[error("{0}; the model refers to it, so put it back or leave it out of the model")]
     Image(#[from] scene::io::IoError),
@@ -108,4 +111,13 @@ pub enum SplatError {
         /// Why.
         reason: String,
     },
+}
+
+impl From<scene::geometry::FusionError> for SplatError {
+    fn from(error: scene::geometry::FusionError) -> Self {
+        match error {
+            scene::geometry::FusionError::Cancelled(cancelled) => Self::Cancelled(cancelled),
+            other => Self::Fusion(other),
+        }
+    }
 }

@@ -7,6 +7,7 @@ use scene::sim3::{Sim3, robust_alignment};
 use scene::{Camera, Gaussians, Pose, Progress, Reconstruction};
 use serde::{Deserialize, Serialize};
 use splat::Dataset;
+use splat::fusion::{DEFAULT_RESOLUTION, fused_mesh, median_distance};
 use splat::surface::{median_depth, outside_hull, points_of};
 use std::collections::{BTreeMap, HashMap};
 use std::path::{Path, PathBuf};
@@ -31,6 +32,9 @@ pub struct Geometry {
     pub cloud: Option<GeometryErrors>,
     /// The surface at which the splat is half opaque, from the input views, against the mesh.
     pub surface: Option<GeometryErrors>,
+    /// The mesh that `export --mesh` writes, against the mesh.
+    #[serde(default)]
+    pub fused: Option<GeometryErrors>,
     /// Share of the splat's opacity outside the visual hull of the mattes, per cent.
     pub floaters_pct: Option<f64>,
 }
@@ -60,11 +64,16 @@ impl Geometry {
             })
         };
         let floaters = self.floaters_pct.map(|f| format!("{f:.2} % of the opacity outside the silhouettes"));
-        [errors("cloud", &self.cloud), errors("surface", &self.surface), floaters]
-            .into_iter()
-            .flatten()
-            .collect::<Vec<_>>()
-            .join("; ")
+        [
+            errors("cloud", &self.cloud),
+            errors("surface", &self.surface),
+            errors("mesh", &self.fused),
+            floaters,
+        ]
+        .into_iter()
+        .flatten()
+        .collect::<Vec<_>>()
+        .join("; ")
     }
 
     /// For the report: a table where there is a mesh, and a sentence.
@@ -72,10 +81,11 @@ impl Geometry {
         let mut html = format!("<h3>Shape</h3><p>{}</p>", self.protocol);
         if self.cloud.is_some() || self.surface.is_some() {
             html.push_str(
-                "<div class=\"scroll\"><table><tr><th><th class=n>sparse cloud<th class=n>splat</tr>",
+                "<div class=\"scroll\"><table><tr><th><th class=n>sparse cloud<th class=n>splat<th class=n>fused mesh</tr>",
             );
-            for [what, cloud, surface] in self.rows() {
-                html.push_str(&format!("<tr><td>{what}<td class=n>{cloud}<td class=n>{surface}</tr>"));
+            for (what, cells) in self.rows() {
+                let cells: String = cells.iter().map(|c| format!("<td class=n>{c}")).collect();
+                html.push_str(&format!("<tr><td>{what}{cells}</tr>"));
             }
             html.push_str("</table></div>");
         }
@@ -85,13 +95,13 @@ impl Geometry {
         html
     }
 
-    /// Rows of a table: quantity, cloud, surface.
-    fn rows(&self) -> Vec<[String; 3]> {
-        let row = |name: &str, pick: fn(&GeometryErrors) -> f64| {
+    /// Rows of a table: quantity, then cloud, surface, mesh.
+    fn rows(&self) -> Vec<(&'static str, [String; 3])> {
+        let row = |name: &'static str, pick: fn(&GeometryErrors) -> f64| {
             let cell = |e: &Option<GeometryErrors>| {
                 e.as_ref().map_or("–".to_owned(), |e| format!("{:.3}", pick(e)))
             };
-            [name.to_owned(), cell(&self.cloud), cell(&self.surface)]
+            (name, [cell(&self.cloud), cell(&self.surface), cell(&self.fused)])
         };
         vec![
             row("accuracy, mean, % of the size", |e| e.accuracy_mean_pct),
@@ -146,10 +156,12 @@ pub fn measure(
     let cloud = judge(model.points.values().map(|p| p.position).collect());
     let voxel = VOXEL_PCT / 100.0 * size / mesh_from_model.scale;
     let splat = judge(surface_points(&views, (gaussians, antialias), voxel, progress)?);
+    let mesh_of_splat = fused_mesh(gaussians, dataset, antialias, DEFAULT_RESOLUTION, progress)?;
+    let fused = judge(mesh_of_splat.sample(SAMPLES, 0));
     let seen = 100.0 * surface.len() as f64 / SAMPLES as f64;
     let protocol = format!(
         "{aligned}; distances in % of the mesh's size ({size:.4} units); of the mesh the {seen:.1} % that the views see ({SAMPLES} \
-         samples); surface: depths at half transmittance of {} views, one point a cube of {VOXEL_PCT} %{}",
+         samples); surface: depths at half transmittance of {} views, one point a cube of {VOXEL_PCT} %; fused mesh: {SAMPLES} samples of what export --mesh writes{}",
         views.len().min(DEPTH_MAPS),
         if cropped {
             format!("; points farther than {CROP_PCT} % from the mesh's box are left out")
@@ -157,7 +169,7 @@ pub fn measure(
             String::new()
         }
     );
-    Ok(Some(Geometry { protocol, cloud, surface: splat, floaters_pct }))
+    Ok(Some(Geometry { protocol, cloud, surface: splat, fused, floaters_pct }))
 }
 
 /// Onto the true camera centres; and how well that went.
@@ -211,10 +223,4 @@ fn surface_points(
     let mut points: Vec<([i64; 3], DVec3)> = cubes.into_iter().map(|(c, (sum, n))| (c, sum / n)).collect();
     points.sort_by_key(|(cube, _)| *cube); // the same order every time
     Ok(points.into_iter().map(|(_, p)| p).collect())
-}
-
-fn median_distance(gaussians: &Gaussians, from: DVec3) -> f64 {
-    let mut all: Vec<f64> = gaussians.means.iter().map(|m| m.as_dvec3().distance(from)).collect();
-    let middle = all.len() / 2;
-    if all.is_empty() { 1.0 } else { *all.select_nth_unstable_by(middle, f64::total_cmp).1 }
 }

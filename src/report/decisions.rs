@@ -36,7 +36,11 @@ fn camera(record: &RunRecord) -> Option<[String; 2]> {
 }
 
 fn motion(record: &RunRecord) -> Option<[String; 2]> {
-    is_imported(record).then(|| ["as given".to_owned(), "the input brings its poses".to_owned()])
+    if is_imported(record) {
+        return said("as given", "the input brings its poses".to_owned());
+    }
+    record.poses.as_ref().filter(|p| p.no_model.is_none())?;
+    said("free", "nothing was assumed of how camera and object move".to_owned())
 }
 
 fn background(record: &RunRecord) -> Option<[String; 2]> {

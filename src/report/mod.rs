@@ -28,8 +28,7 @@ pub fn judge(out: &Path, record: &mut RunRecord) -> Result<()> {
 
 /// Writes `OUT/report.html` of a run that was judged.
 pub fn write(out: &Path, record: &RunRecord) -> Result<()> {
-    let (model, geometry) = (model(out, record)?, geometry(out, record));
-    let body = body(out, record, model.as_ref(), geometry.as_ref())?;
+    let body = body(out, record, model(out, record)?.as_ref())?;
     let page = html::page(&format!("{} – sat-recon", title(record)), &body);
     write_whole(&out.join("report.html"), page.as_bytes())
 }
@@ -55,12 +54,7 @@ fn title(record: &RunRecord) -> String {
     names.join("/")
 }
 
-fn body(
-    out: &Path,
-    record: &RunRecord,
-    model: Option<&Reconstruction>,
-    geometry: Option<&Value>,
-) -> Result<String> {
+fn body(out: &Path, record: &RunRecord, model: Option<&Reconstruction>) -> Result<String> {
     let mut html = format!("<h1>{}</h1>", escape(&title(record)));
     html += &lights(&record.verdict);
     html += &decisions::section(record);
@@ -73,9 +67,6 @@ fn body(
     }
     if let Some(evaluation) = &record.evaluation {
         views::held_out(&mut html, out, evaluation)?;
-    }
-    if let Some(geometry) = geometry {
-        views::geometry(&mut html, geometry);
     }
     costs(&mut html, record);
     Ok(html)

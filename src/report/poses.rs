@@ -56,8 +56,9 @@ pub fn section(
         "<div class=\"poses\"><canvas id=\"poses\" tabindex=0 aria-label=\"cameras and points\"></canvas><output></output>\
          <script type=\"application/json\" id=\"poses-data\">{data}</script></div>\
          <small class=\"key\">Drag turns, wheel or two fingers zoom, a tap on a camera names it.\
-         <b style=\"background:#4da3ff\"></b>trained on<b style=\"background:#ff9f1c\"></b>held out\
-         <b style=\"background:#ff4d4d\"></b>weak</small><div class=\"row\">"
+         <span><b style=\"background:#4da3ff\"></b>trained on</span> \
+         <span><b style=\"background:#ff9f1c\"></b>held out</span> \
+         <span><b style=\"background:#ff4d4d\"></b>weak</span></small><div class=\"row\">"
     );
     if let Some(frames) = &record.frames {
         angles(html, model, frames)?;
@@ -156,8 +157,9 @@ fn angles(html: &mut String, model: &Reconstruction, frames: &FrameSet) -> Resul
         let (rate, off) = ring.steadiness(&places);
         let off = Series::of(places.iter().copied().zip(off.iter().map(|o| o.to_degrees())));
         let caption = format!(
-            "How far each angle is from a steady turn of {:.3}° for one unit of {unit}",
-            rate.to_degrees()
+            "How far each angle is from a steady turn of {:.3}° a {}",
+            rate.to_degrees(),
+            if unit == "frame" { unit } else { "second" }
         );
         figure(html, &charts::series([unit, "off a steady turn, °"], &[off], true)?, &caption);
     }
@@ -194,7 +196,11 @@ fn cameras(html: &mut String, poses: &PoseSummary, model: &Reconstruction) {
     let row = |camera: &scene::Camera| {
         let sigma = poses.deviations.as_ref().and_then(|d| d.cameras.get(&camera.id));
         let param = |(i, p): (usize, &f64)| match sigma.and_then(|s| s.get(i)).filter(|s| **s > 0.0) {
-            Some(s) => format!("{p:.5} ± {s:.2}"),
+            Some(s) => {
+                // Two digits of the deviation, and as many of the value.
+                let digits = (1.0 - s.log10().floor()).clamp(0.0, 9.0) as usize;
+                format!("{p:.digits$} ± {s:.digits$}")
+            }
             None => format!("{p:.5}"),
         };
         let params: Vec<String> = camera.params.iter().enumerate().map(param).collect();

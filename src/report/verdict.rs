@@ -1,6 +1,7 @@
 //! The traffic light: what is well, what is doubtful and what is wrong, each with its reason.
 
 use crate::evaluate::Evaluation;
+use crate::evaluate::metrics::Metrics;
 use crate::pipeline::{PoseSummary, RunRecord};
 use scene::{FrameSet, Pose, Reconstruction, Ring};
 use serde::{Deserialize, Serialize};
@@ -133,6 +134,9 @@ fn weak(poses: &PoseSummary) -> Light {
 /// Centres farther from their circle than this, in radii, do not go round anything.
 const RING_MISFIT: f64 = 0.1;
 
+/// An eighth of the turn: surfaces that face it are seen from aslant only.
+const WIDE_GAP_DEG: f64 = 45.0;
+
 /// The circle the cameras stand on, in the order of the frames: with their names and places in that order.
 pub fn ring(model: &Reconstruction, frames: &FrameSet) -> Option<(Ring, Vec<String>, Vec<f64>)> {
     let mut found: Vec<(f64, &str, Pose)> = Vec::new();
@@ -161,7 +165,7 @@ fn turn(model: &Reconstruction, frames: &FrameSet) -> Option<Light> {
     }
     // Without an order in time the cameras' own mean distance is the measure.
     let mean_deg: f64 = 360.0 / names.len() as f64;
-    let is_closed = gap_deg <= (4.0 * step_deg.min(mean_deg)).max(20.0);
+    let is_closed = gap_deg <= (4.0 * step_deg.min(mean_deg)).max(WIDE_GAP_DEG);
     let reason = if is_closed {
         format!("closed: the largest gap is {gap_deg:.1}°, between {}", ends(gap.ends))
     } else {
@@ -170,14 +174,25 @@ fn turn(model: &Reconstruction, frames: &FrameSet) -> Option<Light> {
     Some(light("loop", if is_closed { Level::Good } else { Level::Fair }, reason))
 }
 
+/// The PSNR that is judged: inside the matte where there are mattes, since black around an object is no achievement.
+fn judged(metrics: &Metrics) -> f64 {
+    metrics.psnr_mask.unwrap_or(metrics.psnr)
+}
+
+/// Where [`judged`] looks, in words.
+fn place(evaluation: &Evaluation) -> &'static str {
+    if evaluation.mean.psnr_mask.is_some() { " inside the mattes" } else { "" }
+}
+
 fn quality(evaluation: &Evaluation) -> Light {
-    let worst = evaluation.views.iter().min_by(|a, b| a.metrics.psnr.total_cmp(&b.metrics.psnr));
-    let (mean, low) = (evaluation.mean.psnr, worst.map_or(0.0, |w| w.metrics.psnr));
+    let worst = evaluation.views.iter().min_by(|a, b| judged(&a.metrics).total_cmp(&judged(&b.metrics)));
+    let (mean, low) = (judged(&evaluation.mean), worst.map_or(0.0, |w| judged(&w.metrics)));
     let name = worst.map_or("", |w| w.name.as_str());
     let mut level = Level::below(-mean, -25.0, -20.0);
     let mut reason = format!(
-        "PSNR {mean:.2} dB, SSIM {:.4} on {} views, at worst {low:.2} dB ({name})",
-        evaluation.mean.ssim,
+        "PSNR {mean:.2} dB, SSIM {:.4}{} on {} views, at worst {low:.2} dB ({name})",
+        evaluation.mean.ssim_mask.unwrap_or(evaluation.mean.ssim),
+        place(evaluation),
         evaluation.views.len()
     );
     if level == Level::Good && low < mean - 6.0 {
@@ -191,10 +206,12 @@ fn overfit(evaluation: &Evaluation) -> Light {
     let Some(training) = &evaluation.training else {
         return light("overfitting", Level::Unknown, "no training view was judged".to_owned());
     };
-    let gap = training.mean.psnr - evaluation.mean.psnr;
+    let (seen, unseen) = (judged(&training.mean), judged(&evaluation.mean));
+    let gap = seen - unseen;
     let reason = format!(
-        "{:.2} dB on {} views that training saw, {:.2} dB on those it did not: a gap of {gap:.1} dB",
-        training.mean.psnr, training.views, evaluation.mean.psnr
+        "{seen:.2} dB{} on {} views that training saw, {unseen:.2} dB on those it did not: a gap of {gap:.1} dB",
+        place(evaluation),
+        training.views
     );
     light("overfitting", Level::below(gap, 2.0, 5.0), reason)
 }
@@ -202,7 +219,6 @@ fn overfit(evaluation: &Evaluation) -> Light {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::evaluate::metrics::Metrics;
     use crate::evaluate::{TrainingViews, ViewMetrics};
     use glam::DVec3;
     use scene::{Frame, PosedImage};
@@ -235,6 +251,9 @@ mod tests {
         };
         assert_eq!(level(&steps(0.0, 5.0, 72)), Some(Level::Good));
         assert_eq!(level(&steps(0.0, 5.0, 36)), Some(Level::Fair));
+        // A gap counts from an eighth of a turn on, however densely the rest was filmed.
+        assert_eq!(level(&steps(0.0, 4.0, 81)), Some(Level::Good), "a gap of 40°");
+        assert_eq!(level(&steps(0.0, 4.0, 78)), Some(Level::Fair), "a gap of 52°");
         assert_eq!(level(&[steps(0.0, 5.0, 36), steps(0.0, 5.0, 36)].concat()), Some(Level::Bad));
     }
 
@@ -263,5 +282,26 @@ mod tests {
         }
         assert_eq!(overfit(&evaluation(None)).level, Level::Unknown);
         assert_eq!(overall(&[overfit(&evaluation(Some(34.0))), quality(&evaluation(None))]), Level::Fair);
+    }
+
+    #[test]
+    fn black_around_an_object_is_no_achievement() {
+        let of = |psnr, inside| Metrics { psnr, psnr_mask: inside, ..Metrics::default() };
+        let evaluation = |all: &[Metrics], training| Evaluation {
+            mean: Metrics::mean(all),
+            views: all
+                .iter()
+                .map(|m| ViewMetrics { name: "a".into(), picture: "a.png".into(), metrics: *m })
+                .collect(),
+            training: Some(TrainingViews { views: 1, mean: training }),
+            ..Evaluation::default()
+        };
+        let flattered = evaluation(&[of(34.0, Some(18.0))], of(35.0, Some(24.0)));
+        assert_eq!((quality(&flattered).level, overfit(&flattered).level), (Level::Bad, Level::Bad));
+        assert!(quality(&flattered).reason.contains("18.00 dB"), "{}", quality(&flattered).reason);
+        let whole = evaluation(&[of(34.0, None)], of(35.0, None));
+        assert_eq!((quality(&whole).level, overfit(&whole).level), (Level::Good, Level::Good));
+        let uneven = evaluation(&[of(34.0, Some(36.0)), of(34.0, Some(20.0))], of(30.0, Some(24.0)));
+        assert_eq!(quality(&uneven).level, Level::Fair, "the worst view is the worst inside");
     }
 }

@@ -5,7 +5,6 @@ use super::html::{self, escape, figure};
 use crate::evaluate::Evaluation;
 use crate::pipeline::SplatSummary;
 use anyhow::Result;
-use serde_json::Value;
 use std::path::Path;
 
 /// Longest side of a picture in the report, pixels.
@@ -78,39 +77,11 @@ fn pictures(html: &mut String, out: &Path, evaluation: &Evaluation) -> Result<()
     );
     for view in chosen.into_iter().map(|i| &evaluation.views[i]) {
         let load = |kind: &str| html::picture(&view.picture(out, kind)?, PICTURE_SIZE);
-        let caption = format!("{}: {:.2} dB, SSIM {:.4}", view.name, view.metrics.psnr, view.metrics.ssim);
+        let m = &view.metrics;
+        let inside = m.psnr_mask.map_or(String::new(), |v| format!("; {v:.2} dB inside the matte"));
+        let caption = format!("{}: {:.2} dB, SSIM {:.4}{inside}", view.name, m.psnr, m.ssim);
         html::slider(html, ("photo", &load("photos")?), ("render", &load("renders")?), &caption);
     }
     html.push_str("</div>");
     Ok(())
-}
-
-/// What else `eval/metrics.json` says of the shape: every number under its path.
-pub fn geometry(html: &mut String, geometry: &Value) {
-    let mut rows = Vec::new();
-    collect(geometry, String::new(), &mut rows);
-    if !rows.is_empty() {
-        html.push_str("<h2>Geometry</h2>");
-        html::table(html, &["figure", "value"], &rows);
-    }
-}
-
-fn collect(value: &Value, name: String, rows: &mut Vec<Vec<String>>) {
-    let words = name.replace('_', " ");
-    match value {
-        Value::Object(fields) => {
-            for (key, value) in fields {
-                let name = if name.is_empty() { key.clone() } else { format!("{name}, {key}") };
-                collect(value, name, rows);
-            }
-        }
-        Value::Number(number) => {
-            let value = number.as_f64().unwrap_or(f64::NAN);
-            let shown = if number.is_f64() { format!("{value:.4}") } else { number.to_string() };
-            rows.push(vec![escape(&words), shown]);
-        }
-        Value::String(text) => rows.push(vec![escape(&words), escape(text)]),
-        Value::Bool(is) => rows.push(vec![escape(&words), if *is { "yes" } else { "no" }.to_owned()]),
-        Value::Null | Value::Array(_) => {}
-    }
 }

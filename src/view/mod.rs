@@ -8,7 +8,8 @@ use anyhow::{Context, Result, bail};
 use base64::Engine as _;
 use base64::engine::general_purpose::STANDARD;
 use glam::DVec3;
-use scene::{Gaussians, Reconstruction};
+use scene::Reconstruction;
+use scene::sim3::Sim3;
 use serde::Serialize;
 use std::path::{Path, PathBuf};
 
@@ -34,11 +35,9 @@ pub struct ViewCamera {
     photo: Option<String>,
 }
 
+/// The splat is a `.spz`; where it is fetched from, nothing where the page holds it.
 #[derive(Clone, Debug, Serialize)]
 struct Splat {
-    /// The format, by its ending.
-    name: &'static str,
-    /// Where it is fetched from; not given where the page holds it.
     url: Option<&'static str>,
 }
 
@@ -55,26 +54,31 @@ pub struct ViewScene {
     splat: Splat,
     points: Points,
     cameras: Vec<ViewCamera>,
-    centre: [f64; 3],
     up: [f64; 3],
     radius: f64,
     near: f64,
     far: f64,
 }
 
-/// A finished run, as far as it is looked at.
+/// Median distance of the cameras from the middle of what they look at, in the page. Browsers' splats are 16-bit and
+/// fixed-point numbers: this is where both are fine, whatever the units of the scene are.
+const RADIUS: f64 = 16.0;
+/// Nothing is shown beyond this, in the page's units: it lies behind the far plane.
+const FARTHEST: f32 = 2000.0;
+
+/// A finished run, as far as it is looked at, moved to the origin and to [`RADIUS`].
 #[derive(Debug)]
 pub struct Run {
     /// Its folder.
     pub folder: PathBuf,
     /// PINHOLE cameras that the splat was trained with.
     pub model: Reconstruction,
-    /// The splat, which no browser should be handed unread.
-    pub gaussians: Gaussians,
+    /// The splat as `.spz`: a sixth of the bytes that a browser has to fetch, decode and sort into its textures.
+    pub splat: Vec<u8>,
 }
 
 impl Run {
-    /// Reads the model; the splat must be there.
+    /// Reads the model and the splat, which must be there; no browser should be handed it unread.
     pub fn open(folder: &Path) -> Result<Self> {
         let splat = folder.join("splat.ply");
         if !splat.is_file() {
@@ -82,8 +86,15 @@ impl Run {
         }
         let model = scene::io::read_model(&folder.join("undistorted/sparse/0"))?;
         anyhow::ensure!(!model.images.is_empty(), "{} has no cameras", folder.display());
-        let gaussians = scene::io::read_splat_ply(&splat)?;
-        Ok(Self { folder: folder.to_path_buf(), model, gaussians })
+        let mut gaussians = scene::io::read_splat_ply(&splat)?;
+        let page_from_world = normalisation(&model);
+        gaussians.transform(&page_from_world);
+        let near = |m: &glam::Vec3| m.abs().max_element() < FARTHEST;
+        let shown: Vec<bool> = gaussians.means.iter().map(near).collect();
+        gaussians.retain(|i| shown[i]);
+        let spz = scene::io::splats::encode_spz(&gaussians).map_err(anyhow::Error::msg)?;
+        let model = page_from_world.transform_reconstruction(&model);
+        Ok(Self { folder: folder.to_path_buf(), model, splat: spz })
     }
 
     /// The training image of the camera with this number in the page.
@@ -94,32 +105,27 @@ impl Run {
     }
 
     /// A file of the run, if it lies in the run's folder: a link that leads out of it is none.
-    pub fn inside(&self, name: &str) -> Option<PathBuf> {
+    fn inside(&self, name: &str) -> Option<PathBuf> {
         let path = self.folder.join(name).canonicalize().ok()?;
         (path.is_file() && path.starts_with(self.folder.canonicalize().ok()?)).then_some(path)
     }
 
     fn scene(&self, splat: Splat, photo: impl Fn(usize) -> Option<String>) -> ViewScene {
-        let centres: Vec<DVec3> = self.model.images.values().map(|i| i.pose.centre()).collect();
         let points: Vec<DVec3> = self.model.points.values().map(|p| p.position).collect();
-        let centre = if points.is_empty() { median(&centres) } else { median(&points) };
-        let mut distances: Vec<f64> = centres.iter().map(|c| c.distance(centre)).collect();
-        distances.sort_by(f64::total_cmp);
-        let radius = distances[distances.len() / 2].max(1e-9);
+        let first = self.model.images.values().next().map_or(DVec3::ZERO, |i| i.pose.centre());
         let up: DVec3 = self.model.images.values().map(|i| i.pose.rotation.conjugate() * -DVec3::Y).sum();
-        let mut depths: Vec<f64> = points.iter().step_by(16).map(|p| p.distance(centres[0])).collect();
+        let mut depths: Vec<f64> = points.iter().step_by(16).map(|p| p.distance(first)).collect();
         depths.sort_by(f64::total_cmp);
         let depth = |q: usize, default: f64| depths.get(depths.len() * q / 100).copied().unwrap_or(default);
-        let (near, far) = (depth(2, 0.5 * radius), depth(98, 2.0 * radius));
+        let (near, far) = (depth(2, 0.5 * RADIUS), depth(98, 2.0 * RADIUS));
         let name = std::path::absolute(&self.folder).unwrap_or_else(|_| self.folder.clone());
         ViewScene {
             title: name.file_name().map_or_else(|| "splat".into(), |n| n.to_string_lossy().into_owned()),
             splat,
             points: self.points(),
             cameras: self.cameras(photo),
-            centre: centre.to_array(),
             up: up.try_normalize().unwrap_or(-DVec3::Y).to_array(),
-            radius,
+            radius: RADIUS,
             near,
             far: far.max(near * 1.001),
         }
@@ -159,6 +165,18 @@ impl Run {
     }
 }
 
+/// Puts the middle of the cloud (of the cameras, where there is none) at the origin, the cameras at [`RADIUS`].
+fn normalisation(model: &Reconstruction) -> Sim3 {
+    let centres: Vec<DVec3> = model.images.values().map(|i| i.pose.centre()).collect();
+    let points: Vec<DVec3> = model.points.values().map(|p| p.position).collect();
+    let centre = if points.is_empty() { median(&centres) } else { median(&points) };
+    let mut distances: Vec<f64> = centres.iter().map(|c| c.distance(centre)).collect();
+    distances.sort_by(f64::total_cmp);
+    let radius = distances.get(distances.len() / 2).copied().filter(|r| *r > 0.0 && r.is_finite());
+    let scale = RADIUS / radius.unwrap_or(RADIUS);
+    Sim3 { scale, translation: -scale * centre, ..Sim3::IDENTITY }
+}
+
 fn median(points: &[DVec3]) -> DVec3 {
     let of = |axis: usize| {
         let mut values: Vec<f64> = points.iter().map(|p| p[axis]).collect();
@@ -196,10 +214,8 @@ pub fn write_page(folder: &Path, target: &Path) -> Result<()> {
         let picture = scene::io::load_rgb(&run.photo(index)?).ok()?;
         Some(format!("data:image/jpeg;base64,{}", STANDARD.encode(small_jpeg(&picture).ok()?)))
     };
-    let scene = run.scene(Splat { name: "splat.ply", url: None }, photo);
-    let splat = run.folder.join("splat.ply");
-    let bytes = std::fs::read(&splat).with_context(|| format!("cannot read {}", splat.display()))?;
-    crate::stage::write_whole(target, page(&scene, &STANDARD.encode(bytes))?.as_bytes())
+    let scene = run.scene(Splat { url: None }, photo);
+    crate::stage::write_whole(target, page(&scene, &STANDARD.encode(&run.splat))?.as_bytes())
 }
 
 fn small_jpeg(picture: &image::RgbImage) -> Result<Vec<u8>> {
@@ -210,4 +226,52 @@ fn small_jpeg(picture: &image::RgbImage) -> Result<Vec<u8>> {
     let mut bytes = Vec::new();
     small.write_with_encoder(image::codecs::jpeg::JpegEncoder::new_with_quality(&mut bytes, 82))?;
     Ok(bytes)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use glam::{Quat, Vec3};
+    use scene::Gaussians;
+    use scene::synthetic::{SyntheticOptions, synthetic_scene};
+
+    /// Opens a run of a simulated scene at this scale, with three Gaussians: in the middle, beside it, at a million radii.
+    fn opened(scale: f64) -> (Run, Gaussians) {
+        let dir = std::env::temp_dir().join(format!("sat-recon-view-{scale}-{}", std::process::id()));
+        std::fs::create_dir_all(dir.join("undistorted/sparse/0")).unwrap();
+        let options = SyntheticOptions { num_points: 100, num_cameras: 6, ..Default::default() };
+        let model = synthetic_scene(&options, 1).truth;
+        let model = Sim3 { scale, ..Sim3::IDENTITY }.transform_reconstruction(&model);
+        let centre = normalisation(&model).inverse().translation;
+        let mut g = Gaussians { sh_degree: 0, ..Default::default() };
+        for x in [0.0, 0.5, 1e6] {
+            g.means.push((centre + DVec3::X * x * scale).as_vec3());
+            g.log_scales.push(Vec3::splat((0.1 * scale).ln() as f32));
+            g.rotations.push(Quat::IDENTITY);
+            g.opacity_logits.push(1.0);
+            g.sh.extend([0.3; 3]);
+        }
+        scene::io::write_model_bin(&model, &dir.join("undistorted/sparse/0")).unwrap();
+        scene::io::write_splat(&dir.join("splat.ply"), &g).unwrap();
+        let run = Run::open(&dir).unwrap();
+        std::fs::write(dir.join("page.spz"), &run.splat).unwrap();
+        let shown = scene::io::read_splat(&dir.join("page.spz")).unwrap();
+        std::fs::remove_dir_all(dir).unwrap();
+        (run, shown)
+    }
+
+    #[test]
+    fn a_page_is_the_same_whatever_the_units_of_the_scene() {
+        let (expected, _) = opened(1.0);
+        for scale in [1e-6, 1.0, 1e6] {
+            let (run, shown) = opened(scale);
+            assert_eq!(shown.len(), 2, "what lies behind the far plane is left out");
+            assert!(shown.means[0].length() < 1e-3, "{scale}: {}", shown.means[0]);
+            for (a, b) in run.model.images.values().zip(expected.model.images.values()) {
+                assert!(a.pose.centre().distance(b.pose.centre()) < 1e-6, "{scale}");
+            }
+            let size = (shown.log_scales[0].x - shown.means[1].x.ln()).exp();
+            assert!((size / 0.2 - 1.0).abs() < 0.04, "{scale}: {size}"); // .spz has 16 steps a factor of e
+        }
+    }
 }

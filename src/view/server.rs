@@ -25,9 +25,7 @@ enum Answer {
 pub fn run(args: &ViewArgs, quiet: bool) -> Result<Outcome> {
     bundle()?;
     let run = Run::open(&args.run)?;
-    let scene = run.scene(Splat { name: "splat.ply", url: Some("splat.ply") }, |i| {
-        run.photo(i).map(|_| format!("photo/{i}"))
-    });
+    let scene = run.scene(Splat { url: Some("splat.spz") }, |i| run.photo(i).map(|_| format!("photo/{i}")));
     let page = page(&scene, "")?;
     let address = SocketAddr::from((Ipv4Addr::LOCALHOST, args.port));
     let server = Server::http(address)
@@ -54,7 +52,9 @@ fn answer(request: Request, run: &Run, page: &str, port: u16) -> std::io::Result
     }
     match route(request.url()) {
         Answer::Page => request.respond(of_kind(Response::from_string(page), "text/html; charset=utf-8")),
-        Answer::Splat => file(request, run.inside("splat.ply"), "application/octet-stream"),
+        Answer::Splat => {
+            request.respond(of_kind(Response::from_data(&*run.splat), "application/octet-stream"))
+        }
         Answer::Photo(index) => file(request, run.photo(index), "application/octet-stream"),
         Answer::Nothing => request.respond(Response::from_string("not found").with_status_code(404)),
     }
@@ -79,7 +79,7 @@ fn of_kind<R: std::io::Read>(mut response: Response<R>, content: &str) -> Respon
 fn route(url: &str) -> Answer {
     match url.split('?').next().unwrap_or("") {
         "/" => Answer::Page,
-        "/splat.ply" => Answer::Splat,
+        "/splat.spz" => Answer::Splat,
         path => match path.strip_prefix("/photo/") {
             Some(digits) if digits.bytes().all(|b| b.is_ascii_digit()) => {
                 digits.parse().map_or(Answer::Nothing, Answer::Photo)
@@ -96,7 +96,7 @@ mod tests {
     #[test]
     fn only_known_addresses_are_answered() {
         assert_eq!(route("/"), Answer::Page);
-        assert_eq!(route("/splat.ply?x=1"), Answer::Splat);
+        assert_eq!(route("/splat.spz?x=1"), Answer::Splat);
         assert_eq!(route("/photo/3"), Answer::Photo(3));
         for url in [
             "/../etc/passwd",
@@ -106,7 +106,8 @@ mod tests {
             "/photo/",
             "//etc",
             "/photo/1/../2",
-            "/splat.ply/",
+            "/splat.spz/",
+            "/splat.ply",
             "",
         ] {
             assert_eq!(route(url), Answer::Nothing, "{url}");

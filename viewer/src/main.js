@@ -28,12 +28,12 @@ const spark = new SparkRenderer({
 scene.add(spark);
 
 const camera = new THREE.PerspectiveCamera(50, 1, 0.01, 1000);
-const centre = new THREE.Vector3(...data.centre);
+const centre = new THREE.Vector3(); // of what the cameras look at
 camera.up.set(...data.up);
 camera.near = data.radius * 1e-3;
 camera.far = data.radius * 100;
 const controls = new OrbitControls(camera, renderer.domElement);
-controls.enableDamping = true;
+controls.enableDamping = !window.matchMedia("(prefers-reduced-motion: reduce)").matches;
 controls.addEventListener("change", () => { state.dirty = true; });
 controls.addEventListener("start", () => leaveView());
 const flight = new Flight(camera, controls, data.radius, () => { leaveView(); state.dirty = true; });
@@ -125,12 +125,20 @@ function draw() {
   renderer.render(scene, camera);
 }
 
+// At rest the controls still move the camera by their rounding, and every new pose is sorted and drawn anew, for ever.
+function follow() {
+  const [position, quaternion] = [camera.position.clone(), camera.quaternion.clone()];
+  if (controls.update()) return;
+  camera.position.copy(position);
+  camera.quaternion.copy(quaternion);
+}
+
 let previous = performance.now();
 function loop(now) {
   const seconds = Math.min(0.1, (now - previous) / 1000);
   previous = now;
   flight.step(seconds);
-  if (state.view < 0) controls.update();
+  if (state.view < 0) follow();
   if (splat?.follow(camera)) state.dirty = true;
   if (state.dirty) {
     state.dirty = false;
@@ -139,8 +147,8 @@ function loop(now) {
   requestAnimationFrame(loop);
 }
 
-state.goTo = goTo;
-state.orbit = (radians) => { leaveView(); controls._rotateLeft?.(radians); state.dirty = true; };
+// Nothing is left to be sorted or drawn.
+state.isAtRest = () => !state.dirty && !spark.sorting && !spark.sortDirty;
 state.pose = () => ({ position: camera.position.toArray(), target: controls.target.toArray() });
 window.addEventListener("resize", resize);
 start();

@@ -39,7 +39,8 @@ export async function loadSplat(data) {
     const coloured = shade.apply({ center, rgb, eye, range, shown }).rgb;
     return { gsplat: dyno.combineGsplat({ gsplat, rgb: coloured }) };
   });
-  const mesh = new SplatMesh({ fileBytes: await bytesOf(data.splat), fileName: data.splat.name, worldModifier: byDepth });
+  const mesh = new SplatMesh({ fileBytes: await bytesOf(data.splat), fileName: "splat.spz", worldModifier: byDepth });
+  mesh.quaternion.set(1, 0, 0, 0); // spz has y up and z back, the scene y down and z forward
   await mesh.initialized;
   const showDepth = (on) => {
     shown.value = on ? 1 : 0;

@@ -10,8 +10,10 @@ use rstar::{AABB, PointDistance, RTree, RTreeObject};
 pub struct Mesh {
     /// Positions, scene units.
     pub vertices: Vec<DVec3>,
-    /// Indices of three vertices each.
+    /// Indices of three vertices each, anticlockwise seen from outside.
     pub triangles: Vec<[u32; 3]>,
+    /// sRGB of each vertex, or empty.
+    pub colors: Vec<[u8; 3]>,
 }
 
 impl Mesh {
@@ -24,6 +26,9 @@ impl Mesh {
             return Err(format!("vertex {i} is not finite"));
         }
         let n = self.vertices.len();
+        if !self.colors.is_empty() && self.colors.len() != n {
+            return Err(format!("{n} vertices have {} colours", self.colors.len()));
+        }
         match self.triangles.iter().flatten().find(|&&i| i as usize >= n) {
             Some(i) => Err(format!("a triangle names vertex {i} of {n}")),
             None => Ok(()),
@@ -45,7 +50,25 @@ impl Mesh {
 
     /// Sum of the triangles' areas.
     pub fn area(&self) -> f64 {
-        (0..self.triangles.len()).map(|i| area(&self.corners(i))).sum()
+        (0..self.triangles.len()).map(|i| self.triangle_area(i)).sum()
+    }
+
+    /// Area of triangle `i`.
+    pub fn triangle_area(&self, i: usize) -> f64 {
+        area(&self.corners(i))
+    }
+
+    /// Unit normal of each vertex: the mean of its triangles', by their areas; zero where it has none.
+    pub fn normals(&self) -> Vec<DVec3> {
+        let mut normals = vec![DVec3::ZERO; self.vertices.len()];
+        // Lengths of tiny scenes would vanish when squared.
+        let size = self.size();
+        for (i, triangle) in self.triangles.iter().enumerate() {
+            let [a, b, c] = self.corners(i).map(|v| v / size);
+            let normal = (b - a).cross(c - a);
+            triangle.iter().for_each(|&v| normals[v as usize] += normal);
+        }
+        normals.iter().map(|n| n.normalize_or_zero()).collect()
     }
 
     /// `n` points spread evenly by area; the same for the same seed.
@@ -151,6 +174,7 @@ mod tests {
         Mesh {
             vertices: vec![at(0.0, 0.0), at(2.0, 0.0), at(2.0, 2.0), at(0.0, 2.0)],
             triangles: vec![[0, 1, 2], [0, 2, 3]],
+            ..Mesh::default()
         }
     }
 

@@ -93,6 +93,7 @@ mod tests {
         Mesh {
             vertices: vec![at(0.0, 0.0), at(2.0, 0.0), at(2.0, 2.0), at(0.0, 2.0)],
             triangles: vec![[0, 1, 2], [0, 2, 3]],
+            ..Mesh::default()
         }
     }
 

@@ -1,9 +1,13 @@
-//! Shapes against a true surface: triangle meshes, distances, and what is seen of them.
+//! Shapes: triangle meshes, their distances and what is seen of them, and their making from depth maps.
 
+mod cubes;
+mod fusion;
 mod mesh;
 mod metrics;
+mod parts;
 mod visible;
 
+pub use fusion::{DepthMap, FusionError, FusionOptions, fuse};
 pub use mesh::{Mesh, Surface};
 pub use metrics::{GeometryErrors, compare_points};
 pub use visible::{DepthView, seen_by};

@@ -111,8 +111,11 @@ mod tests {
     fn a_slanted_plane_has_its_depth_at_every_pixel() {
         let camera = Camera::centred(1, CameraModel::Pinhole, 100, 80, 90.0);
         let at = |x: f64, y: f64| DVec3::new(x, y, 5.0 + 0.5 * x - 0.2 * y);
-        let mesh =
-            Mesh { vertices: vec![at(-3.0, -3.0), at(3.0, -3.0), at(0.0, 4.0)], triangles: vec![[0, 1, 2]] };
+        let mesh = Mesh {
+            vertices: vec![at(-3.0, -3.0), at(3.0, -3.0), at(0.0, 4.0)],
+            triangles: vec![[0, 1, 2]],
+            ..Mesh::default()
+        };
         let view = DepthView::new(&mesh, &camera, &Pose::IDENTITY);
         for (i, &z) in view.depth.iter().enumerate().filter(|(_, z)| z.is_finite()) {
             let pixel = DVec2::new((i % 100) as f64 + 0.5, (i / 100) as f64 + 0.5);

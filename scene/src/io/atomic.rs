@@ -1,7 +1,7 @@
 //! Files and folders that are whole or absent: written beside the target, renamed when complete.
 
 use super::error::IoError;
-use std::fs::{self, File};
+use std::fs::{self, File, OpenOptions};
 use std::io::{self, BufWriter, Write};
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -37,25 +37,14 @@ pub fn write_atomic(
     path: &Path,
     write: impl FnOnce(&mut BufWriter<File>) -> io::Result<()>,
 ) -> Result<(), IoError> {
-    create_parent(path)?;
-    let temporary = beside(path, "tmp");
-    let result = (|| {
-        let mut out = BufWriter::with_capacity(1 << 16, File::create(&temporary)?);
+    write_file_atomic(path, |temporary| {
+        let mut out = BufWriter::with_capacity(1 << 16, File::create(temporary)?);
         write(&mut out)?;
-        out.flush()?;
-        out.get_ref().sync_all()?;
-        fs::rename(&temporary, path)
-    })();
-    if result.is_err() {
-        let _ = fs::remove_file(&temporary);
-    }
-    result.map_err(IoError::file("write", path))?;
-    sync_parent(path);
-    Ok(())
+        out.flush()
+    })
 }
 
 /// [`write_atomic`] for writers that want a path: `write` makes a file of the given name, which does not exist yet.
-#[cfg(feature = "colmap-db")]
 pub(crate) fn write_file_atomic(
     path: &Path,
     write: impl FnOnce(&Path) -> io::Result<()>,
@@ -63,7 +52,7 @@ pub(crate) fn write_file_atomic(
     create_parent(path)?;
     let temporary = beside(path, "tmp");
     let result = write(&temporary).and_then(|()| {
-        File::open(&temporary)?.sync_all()?;
+        OpenOptions::new().write(true).open(&temporary)?.sync_all()?;
         fs::rename(&temporary, path)
     });
     if result.is_err() {

@@ -81,9 +81,14 @@ pub fn write_splat_glb(path: &Path, g: &Gaussians) -> Result<(), IoError> {
         "bufferViews": b.views,
         "accessors": b.accessors,
     });
+    write_chunks(path, &document, &b.bin)
+}
+
+/// A binary glTF file of its two chunks; the length of `bin` is a multiple of four.
+pub(in crate::io) fn write_chunks(path: &Path, document: &Value, bin: &[u8]) -> Result<(), IoError> {
     let mut text = document.to_string().into_bytes();
     text.resize(text.len().next_multiple_of(4), b' ');
-    let total = 12 + 8 + text.len() + 8 + b.bin.len();
+    let total = 12 + 8 + text.len() + 8 + bin.len();
     let Ok(total) = u32::try_from(total) else {
         return Err(IoError::format(path, ".glb holds at most 4 GiB; use .ply or .spz"));
     };
@@ -92,9 +97,9 @@ pub fn write_splat_glb(path: &Path, g: &Gaussians) -> Result<(), IoError> {
             w.write_all(&v.to_le_bytes())?;
         }
         w.write_all(&text)?;
-        w.write_all(&(b.bin.len() as u32).to_le_bytes())?;
+        w.write_all(&(bin.len() as u32).to_le_bytes())?;
         w.write_all(&BIN.to_le_bytes())?;
-        w.write_all(&b.bin)
+        w.write_all(bin)
     })
 }
 

@@ -10,10 +10,11 @@ mod plain;
 mod spz;
 
 pub use compressed::{read_compressed_ply, write_compressed_ply};
+pub(super) use glb::write_chunks;
 pub use glb::{read_splat_glb, write_splat_glb};
 pub use ksplat::read_ksplat;
 pub use plain::{read_dot_splat, write_dot_splat};
-pub use spz::{read_spz, write_spz};
+pub use spz::{encode_spz, read_spz, write_spz};
 
 use super::error::IoError;
 use super::ply::{read_splat_ply, write_splat_ply};

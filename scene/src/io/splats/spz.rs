@@ -180,29 +180,27 @@ fn pack_rotation(q: Quat) -> u32 {
 
 /// Writes version 3, with as many fractional bits (at most 12) as the largest coordinate leaves.
 pub fn write_spz(path: &Path, g: &Gaussians) -> Result<(), IoError> {
+    let bytes = encode_spz(g).map_err(|message| IoError::format(path, message))?;
+    write_atomic(path, |w| w.write_all(&bytes))
+}
+
+/// What [`write_spz`] writes; or why `.spz` cannot hold it.
+pub fn encode_spz(g: &Gaussians) -> Result<Vec<u8>, String> {
     let mut g = g.clone();
     turn_upright(&mut g);
     let largest = g.means.iter().fold(0.0_f32, |a, m| a.max(m.abs().max_element()));
     if !g.means.iter().all(|m| m.is_finite()) || largest >= (1 << 23) as f32 {
-        return Err(IoError::format(
-            path,
-            ".spz holds coordinates up to 8,388,607; scale the scene down first",
-        ));
+        return Err(".spz holds coordinates up to 8,388,607; scale the scene down first".to_owned());
     }
     let bits = (0..=12).rev().find(|&b| largest * ((1u32 << b) as f32) < 8_388_607.0).unwrap_or(0);
     if g.len() > MAX_POINTS as usize {
-        return Err(IoError::format(path, format!("at most {MAX_POINTS} gaussians are written to .spz")));
+        return Err(format!("at most {MAX_POINTS} gaussians are written to .spz"));
     }
-    let body = encode(&g, bits);
-    write_atomic(path, |w| {
-        let mut gz = GzEncoder::new(w, Compression::default());
-        gz.write_all(&MAGIC.to_le_bytes())?;
-        gz.write_all(&3u32.to_le_bytes())?;
-        gz.write_all(&(g.len() as u32).to_le_bytes())?;
-        gz.write_all(&[g.sh_degree as u8, bits as u8, 0, 0])?;
-        gz.write_all(&body)?;
-        gz.finish().map(|_| ())
-    })
+    let (magic, version, n) = (MAGIC.to_le_bytes(), 3_u32.to_le_bytes(), (g.len() as u32).to_le_bytes());
+    let mut gz = GzEncoder::new(Vec::new(), Compression::default());
+    let header = [&magic[..], &version, &n, &[g.sh_degree as u8, bits as u8, 0, 0]].concat();
+    let written = gz.write_all(&header).and_then(|()| gz.write_all(&encode(&g, bits)));
+    written.and_then(|()| gz.finish()).map_err(|e| e.to_string())
 }
 
 fn encode(g: &Gaussians, bits: u32) -> Vec<u8> {

@@ -1,0 +1,415 @@
+//! Depth maps fused to a surface: a truncated signed distance in sparse blocks of voxels, and its zero set as a mesh.
+//!
+//! Curless and Levoy, "A Volumetric Method for Building Complex Models from Range Images", SIGGRAPH 1996; weights that fall
+//! off behind the surface: Bylow et al., "Real-Time Camera Tracking and 3D Reconstruction Using Signed Distance Functions",
+//! RSS 2013. Blocks: Nießner et al., "Real-time 3D Reconstruction at Scale using Voxel Hashing", 2013.
+
+use super::Mesh;
+use super::cubes::{EDGES, axis_of, table};
+use crate::{Camera, Pose, Progress};
+use glam::{DVec2, DVec3};
+use rayon::prelude::*;
+use std::collections::{BTreeSet, HashMap};
+
+/// Voxels along a side of a block.
+const SIDE: i32 = 8;
+const VOXELS: usize = (SIDE * SIDE * SIDE) as usize;
+/// Blocks reach this far around every measured point, voxels.
+const MARGIN: f64 = 2.0;
+/// Behind the surface a view counts fully as far as this, then less and less, in truncation distances.
+const FULL_WEIGHT_BEHIND: f32 = 0.25;
+/// Weight of a ray that probably meets nothing. A rod one pixel wide is missed by every third ray that should meet it: with
+/// full weight these would rub it out.
+const PROBABLY_NOTHING: f32 = 0.1;
+/// Colours come from views that put the surface no farther off, in truncation distances.
+const COLOUR_BAND: f32 = 0.5;
+
+/// What a camera without distortion measured.
+#[derive(Clone, Debug)]
+pub struct DepthMap {
+    /// Of the map's size.
+    pub camera: Camera,
+    /// `cam_from_world`.
+    pub pose: Pose,
+    /// [height × width] camera z, scene units; infinite where the ray meets nothing, −∞ where it probably does not (beside
+    /// what it could have met); anything else that is not a positive number is unknown.
+    pub depth: Vec<f32>,
+    /// [height × width × 3] sRGB.
+    pub rgb: Vec<u8>,
+}
+
+/// How depth maps are fused.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct FusionOptions {
+    /// Side of a voxel, scene units.
+    pub voxel: f64,
+    /// Distances are cut off here, voxels.
+    pub truncation: f64,
+    /// A voxel counts if at least so many views saw it.
+    pub least_views: u8,
+    /// Most memory of the volume, bytes.
+    pub most_bytes: usize,
+}
+
+#[derive(Clone)]
+struct Block {
+    /// Place of the first voxel, in blocks.
+    at: [i32; 3],
+    /// Mean distance in [-1, 1] truncations, positive outside, and its weight.
+    distance: Vec<f32>,
+    weight: Vec<f32>,
+    /// How many views saw it, 255 at most.
+    views: Vec<u8>,
+    /// Sums of colours, and their weight.
+    colour: Vec<[f32; 4]>,
+}
+
+/// Bytes of a block: distance, weight, views, three colours and their weight.
+const BLOCK_BYTES: usize = VOXELS * 25;
+
+/// Why there is no mesh.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+pub enum FusionError {
+    /// The volume would be too large.
+    #[error(
+        "the surface needs {needed_mib} MiB of voxels and at most {most_mib} MiB are used; ask for a lower resolution"
+    )]
+    TooLarge {
+        /// What it needs.
+        needed_mib: usize,
+        /// What is allowed.
+        most_mib: usize,
+    },
+    /// The user asked to stop.
+    #[error(transparent)]
+    Cancelled(#[from] crate::Cancelled),
+}
+
+/// The surface that the depth maps agree on, with colours at its vertices; no triangles where there is none. The same for
+/// any number of threads.
+pub fn fuse(maps: &[DepthMap], options: &FusionOptions, progress: &Progress) -> Result<Mesh, FusionError> {
+    let mut places = BTreeSet::new();
+    progress.begin("find the surface", maps.len());
+    for map in maps {
+        places.extend(touched(map, options.voxel));
+        let needed = places.len().saturating_mul(BLOCK_BYTES);
+        if needed > options.most_bytes {
+            return Err(FusionError::TooLarge {
+                needed_mib: needed >> 20,
+                most_mib: options.most_bytes >> 20,
+            });
+        }
+        progress.tick()?;
+    }
+    let places: Vec<[i32; 3]> = places.into_iter().collect();
+    progress.begin("fuse depths", places.len().div_ceil(256));
+    let mut blocks = Vec::with_capacity(places.len());
+    for some in places.chunks(256) {
+        blocks.par_extend(some.par_iter().map(|at| Block::fused(*at, maps, options)));
+        progress.tick()?;
+    }
+    Ok(extract(&blocks, options))
+}
+
+impl DepthMap {
+    /// The point measured at pixel `i`, world frame.
+    pub fn point(&self, i: usize, world_from_cam: &Pose) -> Option<DVec3> {
+        let z = f64::from(self.depth[i]);
+        let width = self.camera.width as usize;
+        let pixel = DVec2::new((i % width) as f64 + 0.5, (i / width) as f64 + 0.5);
+        let ray = (pixel - self.camera.principal_point()) / self.camera.focal();
+        (z > 0.0 && z.is_finite()).then(|| world_from_cam.transform(ray.extend(1.0) * z))
+    }
+}
+
+/// The blocks around what a map measured.
+fn touched(map: &DepthMap, voxel: f64) -> BTreeSet<[i32; 3]> {
+    let world_from_cam = map.pose.inverse();
+    let block = voxel * f64::from(SIDE);
+    let around = |i: usize| {
+        let p = map.point(i, &world_from_cam)? / block;
+        let margin = MARGIN / f64::from(SIDE);
+        let (low, high) = ((p - margin).floor(), (p + margin).floor());
+        // Beyond 32 bits there is no surface, only an error of the renderer.
+        let most = f64::from(i32::MAX / (2 * SIDE));
+        (low.min_element() > -most && high.max_element() < most).then(|| (low.as_ivec3(), high.as_ivec3()))
+    };
+    let rows = map.depth.len().div_ceil(4096);
+    let sets = (0..rows).into_par_iter().map(|row| {
+        let mut set = BTreeSet::new();
+        let mut last = None;
+        for i in row * 4096..((row + 1) * 4096).min(map.depth.len()) {
+            let found = around(i);
+            let Some((low, high)) = found.filter(|_| found != last) else { continue };
+            last = found;
+            for x in low.x..=high.x {
+                for y in low.y..=high.y {
+                    set.extend((low.z..=high.z).map(|z| [x, y, z]));
+                }
+            }
+        }
+        set
+    });
+    sets.reduce(BTreeSet::new, |mut a, b| {
+        a.extend(b);
+        a
+    })
+}
+
+impl Block {
+    fn fused(at: [i32; 3], maps: &[DepthMap], options: &FusionOptions) -> Self {
+        let zero = || vec![0.0; VOXELS];
+        let (views, colour) = (vec![0; VOXELS], vec![[0.0; 4]; VOXELS]);
+        let mut block = Self { at, distance: zero(), weight: zero(), views, colour };
+        maps.iter().for_each(|map| block.add(map, options));
+        block
+    }
+
+    /// The running mean with what one view says of every voxel.
+    fn add(&mut self, map: &DepthMap, options: &FusionOptions) {
+        let side = f64::from(SIDE);
+        let voxel = options.voxel;
+        let centre = DVec3::from(self.at.map(|v| (f64::from(v) + 0.5) * side - 0.5)) * voxel;
+        let (focal, middle) = (map.camera.focal(), map.camera.principal_point());
+        let (w, h) = (f64::from(map.camera.width), f64::from(map.camera.height));
+        // The sphere around the block against the pyramid of the view.
+        let (x, radius) = (map.pose.transform(centre), 0.87 * side * voxel);
+        let reach = DVec2::new(w, h) / 2.0 + (middle - DVec2::new(w, h) / 2.0).abs();
+        let slope = reach / focal;
+        let beside = (x.truncate().abs() - slope * x.z) / (1.0 + slope * slope).map(f64::sqrt);
+        if !(x.z > -radius && beside.max_element() < radius) {
+            return;
+        }
+        let rotation = map.pose.matrix();
+        let step = [rotation.x_axis * voxel, rotation.y_axis * voxel, rotation.z_axis * voxel];
+        let first = x - (step[0] + step[1] + step[2]) * ((side - 1.0) / 2.0);
+        let truncation = options.truncation * voxel;
+        for i in 0..VOXELS {
+            let [a, b, c] = [i % 8, i / 8 % 8, i / 64].map(|v| v as f64);
+            let p = first + step[0] * a + step[1] * b + step[2] * c;
+            let pixel = focal * p.truncate() / p.z + middle;
+            if !(p.z > 0.0 && pixel.x >= 0.0 && pixel.y >= 0.0 && pixel.x < w && pixel.y < h) {
+                continue;
+            }
+            let pixel = pixel.y as usize * map.camera.width as usize + pixel.x as usize;
+            let (depth, share) = match f64::from(map.depth[pixel]) {
+                f64::NEG_INFINITY => (f64::INFINITY, PROBABLY_NOTHING),
+                depth if depth > 0.0 => (depth, 1.0),
+                _ => continue,
+            };
+            // Along the ray, not along z.
+            let distance = ((depth - p.z) / p.z * p.length() / truncation).min(1.0) as f32;
+            if distance > -1.0 {
+                self.count(i, distance, share, &map.rgb[pixel * 3..pixel * 3 + 3]);
+            }
+        }
+    }
+
+    fn count(&mut self, i: usize, distance: f32, share: f32, rgb: &[u8]) {
+        let weight = share * ((1.0 + distance) / (1.0 - FULL_WEIGHT_BEHIND)).min(1.0);
+        let sum = self.weight[i] + weight;
+        self.distance[i] += (distance - self.distance[i]) * weight / sum;
+        self.weight[i] = sum;
+        self.views[i] = self.views[i].saturating_add(1);
+        if distance.abs() < COLOUR_BAND {
+            let colour = &mut self.colour[i];
+            (0..3).for_each(|c| colour[c] += weight * f32::from(rgb[c]));
+            colour[3] += weight;
+        }
+    }
+}
+
+/// A vertex: the edge of the grid that it lies on, by its lower end and its axis.
+type Edge = ([i32; 3], usize);
+
+/// The zero set of the blocks.
+fn extract(blocks: &[Block], options: &FusionOptions) -> Mesh {
+    let by_place: HashMap<[i32; 3], &Block> = blocks.iter().map(|b| (b.at, b)).collect();
+    let patch = |block: &Block| {
+        let mut patch = Vec::new();
+        let near: [Option<&Block>; 8] = std::array::from_fn(|c| {
+            let at: [i32; 3] = std::array::from_fn(|k| block.at[k] + (c as i32 >> k & 1));
+            by_place.get(&at).copied()
+        });
+        for i in 0..VOXELS as i32 {
+            polygonise(&near, [i % SIDE, i / SIDE % SIDE, i / (SIDE * SIDE)], options, &mut patch);
+        }
+        patch
+    };
+    let patches: Vec<Vec<[(Edge, DVec3, [u8; 3]); 3]>> = blocks.par_iter().map(patch).collect();
+    let mut mesh = Mesh::default();
+    let mut known: HashMap<Edge, u32> = HashMap::new();
+    for corners in patches.iter().flatten() {
+        let triangle = corners.map(|(edge, position, rgb)| {
+            *known.entry(edge).or_insert_with(|| {
+                mesh.vertices.push(position);
+                mesh.colors.push(rgb);
+                mesh.vertices.len() as u32 - 1
+            })
+        });
+        mesh.triangles.push(triangle);
+    }
+    mesh
+}
+
+/// The triangles of the cell whose lowest corner is voxel `cell` of the first block of `near` (its neighbours in
+/// the directions of rising coordinates, by corner); none where a corner was not seen.
+fn polygonise(
+    near: &[Option<&Block>; 8],
+    cell: [i32; 3],
+    options: &FusionOptions,
+    patch: &mut Vec<[(Edge, DVec3, [u8; 3]); 3]>,
+) {
+    let mut corners = [(0.0_f32, [0.0_f32; 4]); 8];
+    let mut inside = 0;
+    for (c, corner) in corners.iter_mut().enumerate() {
+        let at: [i32; 3] = std::array::from_fn(|k| cell[k] + (c as i32 >> k & 1));
+        let number = (0..3).fold(0, |n, k| n | usize::from(at[k] == SIDE) << k);
+        let Some(block) = near[number] else { return };
+        let [x, y, z] = at.map(|v| (v % SIDE) as usize);
+        let i = x + 8 * y + 64 * z;
+        if block.views[i] < options.least_views.max(1) {
+            return;
+        }
+        *corner = (block.distance[i], block.colour[i]);
+        inside |= usize::from(block.distance[i] < 0.0) << c;
+    }
+    let Some(first) = near[0] else { return };
+    let base: [i32; 3] = std::array::from_fn(|k| first.at[k] * SIDE + cell[k]);
+    for triangle in &table()[inside] {
+        patch.push(triangle.map(|e| {
+            let (axis, [a, b]) = (axis_of(e as usize), EDGES[e as usize]);
+            let low: [i32; 3] = std::array::from_fn(|k| base[k] + (a as i32 >> k & 1));
+            let t = corners[a].0 / (corners[a].0 - corners[b].0);
+            let mut position = DVec3::from(low.map(f64::from));
+            position[axis] += f64::from(t);
+            ((low, axis), position * options.voxel, mixed(corners[a].1, corners[b].1, t))
+        }));
+    }
+}
+
+/// The colour between two sums of colours; grey where no view gave one.
+fn mixed(a: [f32; 4], b: [f32; 4], t: f32) -> [u8; 3] {
+    let mean = |s: [f32; 4]| (s[3] > 0.0).then(|| [s[0] / s[3], s[1] / s[3], s[2] / s[3]]);
+    match (mean(a), mean(b)) {
+        (Some(a), Some(b)) => std::array::from_fn(|c| (a[c] + (b[c] - a[c]) * t).round() as u8),
+        (Some(one), None) | (None, Some(one)) => one.map(|v| v.round() as u8),
+        (None, None) => [128; 3],
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::CameraModel;
+    use std::collections::BTreeMap;
+
+    /// The unit sphere (times `scale`) at `centre`, red where x > 0 and green elsewhere, seen from this direction.
+    fn sphere(from: DVec3, scale: f64, centre: DVec3) -> DepthMap {
+        let camera = Camera::centred(1, CameraModel::Pinhole, 200, 160, 220.0);
+        let pose = Pose::look_at(centre + from.normalize() * 4.0 * scale, centre, DVec3::new(0.1, 0.2, 1.0));
+        let world_from_cam = pose.inverse();
+        let (mut depth, mut rgb) = (Vec::new(), Vec::new());
+        for i in 0..200 * 160 {
+            let pixel = DVec2::new(f64::from(i % 200) + 0.5, f64::from(i / 200) + 0.5);
+            let ray = ((pixel - camera.principal_point()) / camera.focal()).extend(1.0);
+            // |t ray - m| = scale
+            let m = pose.transform(centre);
+            let (a, b, c) = (ray.dot(ray), ray.dot(m), m.dot(m) - scale * scale);
+            let under = b * b - a * c;
+            let t = (b - under.max(0.0).sqrt()) / a;
+            depth.push(if under > 0.0 { t as f32 } else { f32::INFINITY });
+            let x = world_from_cam.transform(ray * t).x - centre.x;
+            rgb.extend(if x > 0.0 { [200, 0, 0] } else { [0, 100, 0] });
+        }
+        DepthMap { camera, pose, depth, rgb }
+    }
+
+    fn around(scale: f64, centre: DVec3) -> Vec<DepthMap> {
+        let corners =
+            (0..8).map(|c| DVec3::from([0, 1, 2].map(|k| if c >> k & 1 == 1 { 1.0 } else { -1.0 })));
+        let axes = [DVec3::X, DVec3::Y, DVec3::Z].into_iter().flat_map(|a| [a, -a]);
+        corners.chain(axes).map(|from| sphere(from, scale, centre)).collect()
+    }
+
+    fn options(scale: f64) -> FusionOptions {
+        FusionOptions { voxel: 0.04 * scale, truncation: 4.0, least_views: 2, most_bytes: 1 << 28 }
+    }
+
+    fn fused(maps: &[DepthMap], scale: f64) -> Mesh {
+        fuse(maps, &options(scale), &Progress::silent()).unwrap()
+    }
+
+    #[test]
+    fn a_sphere_comes_back_closed_round_coloured_and_outside_out_at_any_size() {
+        for (scale, centre) in
+            [(1.0, DVec3::ZERO), (1e-6, DVec3::splat(3e-6)), (1e6, DVec3::new(-2e7, 0.0, 1e6))]
+        {
+            let mesh = fused(&around(scale, centre), scale);
+            mesh.validate().unwrap();
+            let mut sides: BTreeMap<(u32, u32), u32> = BTreeMap::new();
+            for t in &mesh.triangles {
+                for (a, b) in [(t[0], t[1]), (t[1], t[2]), (t[2], t[0])] {
+                    *sides.entry((a, b)).or_default() += 1;
+                }
+            }
+            assert!(
+                sides.iter().all(|(&(a, b), &n)| n == 1 && sides.contains_key(&(b, a))),
+                "{scale}: not closed"
+            );
+            let errors: Vec<f64> =
+                mesh.vertices.iter().map(|v| (v.distance(centre) / scale - 1.0).abs()).collect();
+            let worst = errors.iter().copied().fold(0.0, f64::max);
+            let mean = errors.iter().sum::<f64>() / errors.len() as f64;
+            assert!(worst < 0.04 && mean < 0.008, "{scale}: {worst} {mean}"); // a voxel, a fifth of one
+            let area = mesh.area() / (scale * scale) / (4.0 * std::f64::consts::PI);
+            assert!((area - 1.0).abs() < 0.03, "{scale}: {area}");
+            for ((v, n), rgb) in mesh.vertices.iter().zip(mesh.normals()).zip(&mesh.colors) {
+                let out = (*v - centre) / scale;
+                assert!(n.dot(out) > 0.8, "{scale}: {n} at {out}");
+                let expected = if out.x > 0.0 { [200, 0, 0] } else { [0, 100, 0] };
+                assert!(out.x.abs() < 0.1 || *rgb == expected, "{scale}: {rgb:?} at {out}");
+            }
+        }
+    }
+
+    #[test]
+    fn what_one_view_claims_in_the_emptiness_of_others_is_not_there() {
+        let mut maps = around(1.0, DVec3::ZERO);
+        let (w, centre) = (200, 80 * 200 + 20);
+        for row in 0..12 {
+            maps[3].depth[centre + row * w..centre + row * w + 12].fill(3.0);
+        }
+        let mesh = fused(&maps, 1.0);
+        let farthest = mesh.vertices.iter().map(|v| v.length()).fold(0.0, f64::max);
+        assert!(farthest < 1.05, "{farthest}");
+    }
+
+    #[test]
+    fn one_view_gives_the_side_that_it_sees() {
+        let mut options = options(1.0);
+        options.least_views = 1;
+        let mesh = fuse(&[sphere(DVec3::X, 1.0, DVec3::ZERO)], &options, &Progress::silent()).unwrap();
+        let area = mesh.area() / std::f64::consts::PI;
+        // Of the sphere's 4 it sees 1.5, the rim of which too much aslant to tell the depth.
+        assert!((0.95..1.5).contains(&area), "{area}");
+        assert!(mesh.vertices.iter().all(|v| v.x > 0.0));
+    }
+
+    #[test]
+    fn where_nothing_was_measured_there_is_no_mesh() {
+        assert_eq!(fused(&[], 1.0), Mesh::default());
+        for nothing in [f32::NAN, f32::INFINITY, f32::NEG_INFINITY, 0.0, -1.0, f32::MAX] {
+            let mut map = sphere(DVec3::X, 1.0, DVec3::ZERO);
+            map.depth.fill(nothing);
+            assert!(fused(&[map], 1.0).triangles.is_empty(), "{nothing}");
+        }
+    }
+
+    #[test]
+    fn a_volume_that_is_too_large_is_refused() {
+        let options = FusionOptions { voxel: 1e-3, most_bytes: 1 << 20, ..options(1.0) };
+        let error = fuse(&around(1.0, DVec3::ZERO), &options, &Progress::silent()).unwrap_err();
+        assert!(error.to_string().contains("lower resolution"), "{error}");
+    }
+}

@@ -1,0 +1,208 @@
+//! A triangle mesh of Gaussians: their surface as the input cameras see it, fused.
+//!
+//! Depths at half transmittance ([`crate::surface`]) of the input views, the photos' colours, truncated signed distances,
+//! marching cubes ([`scene::geometry::fuse`]); the way of 2DGS (Huang et al., SIGGRAPH 2024, section 4.3).
+
+use crate::dataset::Pixels;
+use crate::surface::median_depth;
+use crate::{AlphaMode, Dataset, SplatError, View};
+use glam::DVec3;
+use rayon::prelude::*;
+use scene::geometry::{DepthMap, FusionOptions, Mesh, fuse};
+use scene::sim3::Sim3;
+use scene::{Gaussians, Pose, Progress};
+
+/// Most voxels along the longest side of the object, unless asked for otherwise.
+pub const DEFAULT_RESOLUTION: u32 = 400;
+/// Most views that are fused, spread evenly.
+const MOST_VIEWS: usize = 120;
+/// Depth maps are at most so many pixels wide for each voxel along the object.
+const MOST_PIXELS: usize = 3;
+/// A voxel is at least so many pixels of the surface wide: seen aslant, pixels lie farther apart.
+const PIXELS_OF_A_VOXEL: f64 = 1.5;
+/// Distances are cut off here, voxels.
+const TRUNCATION: f64 = 4.0;
+/// Most memory of the volume, bytes.
+const MOST_BYTES: usize = 3 << 30;
+/// Parts smaller than this share of the largest one's area are left out. A boom or an antenna is a few thousandths.
+const LEAST_PART: f64 = 0.001;
+/// A surface is seen by at least this share of the views: half of them look at its back, and some are in each other's way.
+const LEAST_VIEWS: f64 = 0.05;
+/// Of the measured points, this share at either end says nothing of the object's size.
+const TAIL: f64 = 0.005;
+/// Masks are white from here.
+const WHITE: u8 = 128;
+/// Black so near to white says little, pixels: mattes and poses are not better than that, and a rod is not wider.
+const MATTE_MARGIN_PX: usize = 2;
+
+/// The surface of a scene's Gaussians (world frame) as the views of the data set see it, with the photos' colours;
+/// world frame, no triangles where nothing is half opaque. `resolution`: voxels along the longest side of what is seen,
+/// which without mattes ends at the cameras' distance; fewer where a voxel would be smaller than a pixel, because surfaces seen
+/// through gaps are full of holes. Where a matte is black, nothing is.
+pub fn fused_mesh(
+    gaussians: &Gaussians,
+    dataset: &Dataset,
+    antialias: bool,
+    resolution: u32,
+    progress: &Progress,
+) -> Result<Mesh, SplatError> {
+    // In the normalised frame no number is too small or too large, whatever the units are.
+    let n = &dataset.normalisation;
+    let normalised = Sim3 { scale: n.scale, translation: -n.scale * n.centre, ..Sim3::IDENTITY };
+    let gaussians = n.to_normalised(gaussians.clone());
+    let count = dataset.views.len().min(MOST_VIEWS);
+    progress.begin("depth maps", count);
+    let mut maps = Vec::with_capacity(count);
+    for k in 0..count {
+        let view = &dataset.views[k * dataset.views.len() / count];
+        let pose = normalised.transform_pose(&view.pose);
+        maps.extend(depth_map(view, &pose, (&gaussians, antialias), dataset.alpha, resolution));
+        progress.tick()?;
+    }
+    if !dataset.is_transparent() {
+        crop(&mut maps);
+    }
+    let size = extent(&maps);
+    if !(size > 0.0 && size.is_finite()) {
+        return Ok(Mesh::default());
+    }
+    let options = FusionOptions {
+        voxel: (size / f64::from(resolution.max(2))).max(PIXELS_OF_A_VOXEL * pixel(&maps)),
+        truncation: TRUNCATION,
+        // The error of a few views is no surface, where there are others to contradict it.
+        least_views: match maps.len() {
+            0..3 => 1,
+            n => (n as f64 * LEAST_VIEWS).round().max(2.0) as u8,
+        },
+        most_bytes: MOST_BYTES,
+    };
+    let mut mesh = fuse(&maps, &options, progress)?;
+    mesh.keep_large_parts(LEAST_PART);
+    let world = normalised.inverse();
+    mesh.vertices.iter_mut().for_each(|v| *v = world.transform(*v));
+    Ok(mesh)
+}
+
+/// What a view sees, at the level whose pixels are not much finer than the voxels will be.
+fn depth_map(
+    view: &View,
+    pose: &Pose,
+    (gaussians, antialias): (&Gaussians, bool),
+    alpha: AlphaMode,
+    resolution: u32,
+) -> Option<DepthMap> {
+    let most = MOST_PIXELS * resolution as usize;
+    let small = |p: &&Pixels| p.width.max(p.height) <= most;
+    let pixels = view.levels.iter().find(small).or(view.levels.last())?;
+    let camera = view.camera.scaled(pixels.width as u32, pixels.height as u32);
+    let near = 0.01 * median_distance(gaussians, pose.centre());
+    let mut depth: Vec<f32> = median_depth(gaussians, &camera, pose, near, antialias)
+        .into_iter()
+        .map(|z| z.map_or(f32::NAN, |z| z as f32))
+        .collect();
+    if let Some(mask) = &pixels.mask {
+        let near_white = near_white(mask, pixels.width);
+        for (z, (_, near)) in
+            depth.iter_mut().zip(mask.iter().zip(near_white)).filter(|(_, (m, _))| **m < WHITE)
+        {
+            *z = match (alpha, near) {
+                (AlphaMode::Ignore, _) => f32::NAN,
+                (AlphaMode::Transparent, false) => f32::INFINITY,
+                (AlphaMode::Transparent, true) => f32::NEG_INFINITY,
+            };
+        }
+    }
+    Some(DepthMap { camera, pose: *pose, depth, rgb: pixels.rgb.clone() })
+}
+
+/// Whether some pixel within the margin (a square) is white, [height × width].
+fn near_white(mask: &[u8], width: usize) -> Vec<bool> {
+    let m = MATTE_MARGIN_PX;
+    let white: Vec<bool> = mask.iter().map(|v| *v >= WHITE).collect();
+    let rows = white.chunks(width).flat_map(|row| {
+        (0..row.len()).map(move |x| row[x.saturating_sub(m)..(x + m + 1).min(row.len())].contains(&true))
+    });
+    let rows: Vec<bool> = rows.collect();
+    let column = |i: usize| {
+        (i.max(m * width + i % width) - m * width..rows.len().min(i + m * width + 1)).step_by(width)
+    };
+    (0..rows.len()).map(|i| column(i).any(|j| rows[j])).collect()
+}
+
+/// The points of every map; their number a map is bounded.
+fn points(maps: &[DepthMap]) -> Vec<DVec3> {
+    let of = |map: &DepthMap| {
+        let world_from_cam = map.pose.inverse();
+        let step = map.depth.len().div_ceil(20_000).max(1);
+        (0..map.depth.len()).step_by(step).filter_map(|i| map.point(i, &world_from_cam)).collect::<Vec<_>>()
+    };
+    maps.par_iter().flat_map_iter(of).collect()
+}
+
+/// Without mattes the object is what lies around the middle, as far as the cameras are from it.
+fn crop(maps: &mut [DepthMap]) {
+    let points = points(maps);
+    let middle = |axis: usize| quantile(points.iter().map(|p| p[axis]).collect(), 0.5);
+    let (Some(x), Some(y), Some(z)) = (middle(0), middle(1), middle(2)) else { return };
+    let centre = DVec3::new(x, y, z);
+    let distances = maps.iter().map(|m| m.pose.centre().distance(centre)).collect();
+    let Some(radius) = quantile(distances, 0.5) else { return };
+    maps.par_iter_mut().for_each(|map| {
+        let (world_from_cam, eye) = (map.pose.inverse(), map.pose.centre());
+        for i in 0..map.depth.len() {
+            let point = map.point(i, &world_from_cam);
+            if let Some(p) = point.filter(|p| p.distance(centre) > radius) {
+                // A ray that went on behind the middle found it empty; one that ended before it says nothing.
+                let passed = p.distance(eye) > centre.distance(eye);
+                map.depth[i] = if passed { f32::INFINITY } else { f32::NAN };
+            }
+        }
+    });
+}
+
+/// Longest side of the box around what was measured but for its tails; 0 where that is nothing.
+fn extent(maps: &[DepthMap]) -> f64 {
+    let points = points(maps);
+    let side = |axis: usize| {
+        let along: Vec<f64> = points.iter().map(|p| p[axis]).collect();
+        Some(quantile(along.clone(), 1.0 - TAIL)? - quantile(along, TAIL)?)
+    };
+    (0..3).filter_map(side).fold(0.0, f64::max)
+}
+
+/// Side of a pixel on the surface, median over the views.
+fn pixel(maps: &[DepthMap]) -> f64 {
+    let of = |map: &DepthMap| {
+        let seen = map.depth.iter().filter(|z| **z > 0.0 && z.is_finite()).map(|z| f64::from(*z)).collect();
+        Some(quantile(seen, 0.5)? / map.camera.mean_focal())
+    };
+    quantile(maps.iter().filter_map(of).collect(), 0.5).unwrap_or(0.0)
+}
+
+fn quantile(mut values: Vec<f64>, share: f64) -> Option<f64> {
+    let place = ((values.len().max(1) - 1) as f64 * share).round() as usize;
+    (!values.is_empty()).then(|| *values.select_nth_unstable_by(place, f64::total_cmp).1)
+}
+
+/// Median distance of the Gaussians from a place, scene units; 1 without Gaussians.
+pub fn median_distance(gaussians: &Gaussians, from: DVec3) -> f64 {
+    quantile(gaussians.means.iter().map(|m| m.as_dvec3().distance(from)).collect(), 0.5).unwrap_or(1.0)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_margin_of_a_matte_is_a_square_and_ends_at_the_border() {
+        let (w, h) = (9, 7);
+        let mut mask = vec![0; w * h];
+        mask[4 * w + 8] = 255;
+        let near = near_white(&mask, w);
+        for i in 0..w * h {
+            let (x, y) = (i % w, i / w);
+            assert_eq!(near[i], x >= 6 && (2..=6).contains(&y), "{x} {y}");
+        }
+        assert!(near_white(&[], 1).is_empty());
+    }
+}
