@@ -10,6 +10,7 @@ use crate::checkpoint::{Checkpoint, State};
 use crate::config::Selection;
 use crate::cpu::optimise::Statistics;
 use crate::dataset::AlphaMode;
+use crate::hull::VisualHull;
 use crate::init::initial_gaussians;
 use crate::model::Model;
 use crate::schedule::{self, Pace};
@@ -79,6 +80,8 @@ struct Trainer<'a> {
     views: Vec<usize>,
     /// Those of them that only judge until growth ends.
     validation: Vec<usize>,
+    /// What the mattes leave room for, where the background shows through.
+    hull: Option<VisualHull>,
 }
 
 /// Trains Gaussians on the views that are not held out. With `checkpoint_dir`, continues from the checkpoint there if it
@@ -174,7 +177,9 @@ impl<'a> Trainer<'a> {
         };
         let validation = if config.recipe.evidence { decide::validation(&views) } else { Vec::new() };
         let pace = Pace::default();
-        Ok(Self { dataset, config, backend, max_gaussians, state, pace, clock, views, validation })
+        let matted = views.iter().filter(|_| dataset.is_transparent()).map(|&v| &dataset.views[v]);
+        let hull = VisualHull::of(matted);
+        Ok(Self { dataset, config, backend, max_gaussians, state, pace, clock, views, validation, hull })
     }
 
     fn checkpoint(&mut self) -> Result<Checkpoint, SplatError> {
@@ -278,15 +283,17 @@ impl<'a> Trainer<'a> {
         let (seed, iteration, selection) = (self.config.seed, self.state.iteration, recipe.selection);
         let remove_unseen = recipe.remove_unseen && self.dataset.is_transparent();
         let views: Vec<_> = self.views.iter().map(|&v| self.dataset.views[v].view).collect();
-        let mut unseen = 0;
+        let (hull, mut unseen, mut outside) = (&self.hull, 0, 0);
         self.backend.edit(&mut |model, statistics| {
             densify::densify(model, statistics, room, threshold, selection, seed, iteration);
             if remove_unseen {
                 unseen = densify::prune_unseen(model, &views);
             }
+            outside = hull.as_ref().map_or(0, |hull| hull.prune(model));
             statistics.reset(model.len);
         })?;
         self.state.findings.unseen += unseen;
+        self.state.findings.outside += outside;
         Ok(())
     }
 
@@ -305,7 +312,9 @@ impl<'a> Trainer<'a> {
     }
 
     fn finish(mut self) -> Result<TrainResult, SplatError> {
-        let (model, _) = self.backend.download()?;
+        let (mut model, _) = self.backend.download()?;
+        // What has wandered off since the last round.
+        self.state.findings.outside += self.hull.as_ref().map_or(0, |hull| hull.prune(&mut model));
         let timings = self.backend.times();
         let decisions = self.decisions();
         let near = crate::cpu::DEFAULT_NEAR / self.dataset.normalisation.scale as f32;

@@ -48,6 +48,9 @@ pub struct Findings {
     pub idle_looks: u32,
     /// Gaussians removed because hardly any view has them in its picture.
     pub unseen: usize,
+    /// Gaussians removed because the mattes show background at their place.
+    #[serde(default)]
+    pub outside: usize,
     /// Looks for gains so far.
     pub exposure_looks: u32,
     /// Gains of the training views, where exposure is modelled.
@@ -229,6 +232,13 @@ impl Trainer<'_> {
             let evidence =
                 "hardly any view has them in its picture, so that none contradicts them".to_owned();
             self.note("Gaussians in the air", format!("{} removed", findings.unseen), evidence);
+        }
+        if findings.outside > 0 {
+            let evidence =
+                "more than 2 and more than a twentieth of the training views that have their centre in the \
+                            picture show background there"
+                    .to_owned();
+            self.note("Gaussians outside the silhouettes", format!("{} removed", findings.outside), evidence);
         }
         std::mem::take(&mut self.state.decisions)
     }
