@@ -1,7 +1,7 @@
 //! What a matte looks like as a whole: the screen's outline, garbage beside it, still things, holes, specks.
 
 use super::alpha::Workspace;
-use super::filters::{components, dilate, erode};
+use super::filters::{components, erode};
 use super::still::Still;
 
 /// Objects smaller than this share of the largest are specks.
@@ -15,6 +15,12 @@ const HOLE_SHARE: f32 = 0.01;
 const HOLE_TOLERANCE: (f32, f32, f32) = (0.10, 0.08, 0.025);
 /// Pixels of pure screen colour that a hole needs for this to be said.
 const HOLE_PIXELS: f32 = 9.0;
+/// A hole of which less than this share is three pixels and more from its rim is a slit: the blur of both sides colours it, and
+/// nothing but the hue can be asked of it, up to this tolerance.
+const SLIT_SHARE: f32 = 0.1;
+const SLIT_TOLERANCE: f32 = 0.35;
+/// Pixels beside the pole that are a mixture of it and of what is beside it.
+const POLE_RIM: usize = 2;
 /// Share of an object that is seen before the screen, at least.
 const BEFORE_SHARE: f32 = 0.2;
 
@@ -42,13 +48,28 @@ pub(crate) fn clean(work: &mut Workspace, width: usize, still: Option<&Still>, k
     remove_specks(work, width);
 }
 
-/// What is seen on both sides of the pole is seen before it too.
+/// What is seen on both sides of the pole, in some direction across it, is seen before it too.
 fn restore_before_pole(work: &mut Workspace, width: usize, still: &Still) {
-    let radius = still.pole_radius() + 1;
-    let solid: Vec<u8> = work.alpha.iter().map(|a| u8::from(*a > 0.5)).collect();
-    let closed = erode(&dilate(&solid, width, radius), width, radius);
-    for i in (0..closed.len()).filter(|i| still.pole[*i] && closed[*i] != 0) {
-        work.alpha[i] = 1.0;
+    let (reach, height) = (2 * still.pole_radius() as i64, (work.alpha.len() / width) as i64);
+    let solid: Vec<bool> = work.alpha.iter().map(|a| *a > 0.5).collect();
+    let meets = |i: usize, (dx, dy): (i64, i64)| {
+        let (x, y) = ((i % width) as i64, (i / width) as i64);
+        let mut gap = 0;
+        let mut seen = (1..=reach)
+            .map(|k| (x + k * dx, y + k * dy))
+            .take_while(|(x, y)| (0..width as i64).contains(x) && (0..height).contains(y))
+            .map(|(x, y)| y as usize * width + x as usize)
+            .take_while(|j| {
+                gap += usize::from(!still.pole[*j] && !solid[*j]);
+                gap <= POLE_RIM
+            });
+        seen.any(|j| solid[j])
+    };
+    let across = [(1, 0), (0, 1), (1, 1), (1, -1)];
+    for i in (0..solid.len()).filter(|i| still.pole[*i] && !solid[*i]) {
+        if across.iter().any(|&(dx, dy)| meets(i, (dx, dy)) && meets(i, (-dx, -dy))) {
+            work.alpha[i] = 1.0;
+        }
     }
 }
 
@@ -129,6 +150,12 @@ fn close_reflections(work: &mut Workspace, width: usize, still: Option<&Still>) 
         enclosed[labels[y * width + width - 1] as usize] = false;
     }
     enclosed[0] = false;
+    let mut deep = vec![0_usize; sizes.len()];
+    erode(&open, width, 2)
+        .iter()
+        .zip(&labels)
+        .filter(|(d, _)| **d != 0)
+        .for_each(|(_, l)| deep[*l as usize] += 1);
     let mut sums = vec![[0.0_f32; 8]; sizes.len()];
     for (i, label) in labels.iter().enumerate().filter(|(_, l)| enclosed[**l as usize]) {
         let sum = &mut sums[*label as usize];
@@ -146,10 +173,15 @@ fn close_reflections(work: &mut Workspace, width: usize, still: Option<&Still>) 
     let closed: Vec<bool> = sums
         .iter()
         .zip(&enclosed)
-        .map(|(s, enclosed)| {
+        .zip(sizes.iter().zip(&deep))
+        .map(|((s, enclosed), (size, deep))| {
+            let is_slit = (*deep as f32) < SLIT_SHARE * *size as f32;
             let light = s[3] + s[4] + s[5];
-            let difference = (0..3).map(|c| (s[c] - s[3 + c]).abs()).sum::<f32>() / light.max(1e-9);
+            let level = if is_slit { (s[0] + s[1] + s[2]) / light.max(1e-9) } else { 1.0 };
+            let departure = |c: usize| (s[c] - level * s[3 + c]).abs();
+            let difference = (0..3).map(departure).sum::<f32>() / (level * light).max(1e-9);
             let tolerance = match still {
+                _ if is_slit => SLIT_TOLERANCE,
                 None => HOLE_TOLERANCE.1,
                 Some(_) if s[6] > 0.5 * s[7] => HOLE_TOLERANCE.0,
                 Some(_) => HOLE_TOLERANCE.2,
