@@ -39,6 +39,7 @@ lint: setup  ## formatting, clippy, file and function lengths, borders between c
 	@tools/lint.sh
 
 bench: build  ## the tables of docs/benchmarks.md on real data (slow)
+	cargo build --release --locked --workspace --example key_table
 	@tools/setup.sh python3 colmap; python3 tools/bench.py $(SAT_RECON) $(SHARED) --out build/bench
 
 bench-gpu: setup  ## what needs a graphics card, in under ten minutes, as JSON (a small dry run without one)
@@ -56,6 +57,8 @@ oracle: $(VENV)/oracle  ## regenerate the fixtures that other libraries computed
 testbed: setup  ## render the simulated captures with Blender (slow)
 	@tools/setup.sh blender
 	bash data/testbed/make.sh build/testbed
+	mkdir -p build/testbed/blue && ln -sfn ../renders build/testbed/blue/renders
+	BLUE=1 bash data/testbed/make.sh build/testbed/blue case3 case4
 
 $(VENV)/bin/python:
 	@tools/setup.sh python3-venv

@@ -40,6 +40,7 @@ SPLATS = [
     ("can_orbit", "phone_video/can_orbit.mp4", []),
     ("yaw, 10 % light (case 3)", os.path.join(TESTBED, "case3/video.mp4"), []),
 ]
+TABLES = ["poses", "variants", "key", "splats"]
 
 
 def measured(command, **options):
@@ -165,13 +166,27 @@ def bench_splats(binary, shared, out, only, qualities):
                   f"| {cost['cpu_s']:.0f} | {cost['wall_s']:.0f} | {cost['peak_mib']:.0f} |", flush=True)
 
 
+def bench_key(binary, shared):
+    """Mattes against their truth, beside the plain rule and ffmpeg's chromakey: the example key_table of preprocess."""
+    print("\n## Chroma key\n", flush=True)
+    table = os.path.join(os.path.dirname(os.path.abspath(binary)), "examples/key_table")
+    if not os.path.exists(table):
+        print("not measured: cargo build --release --locked --workspace --example key_table")
+        return
+    rendered = os.path.join(TESTBED, "../../build/testbed")  # by `make testbed`
+    cases = [os.path.join(TESTBED, "case3")] + [os.path.join(rendered, c) for c in ("case4", "blue/case3", "blue/case4")]
+    environment = dict(os.environ, SAT_RECON_SHARED=os.path.abspath(shared))
+    subprocess.run([table, *(c for c in cases if os.path.exists(os.path.join(c, "video.mp4")))], check=True, env=environment)
+    subprocess.run([table, "--no-head"], check=True, env=environment)
+
+
 def main():
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("binary")
     parser.add_argument("shared")
     parser.add_argument("--out", required=True)
     parser.add_argument("--only", nargs="*", help="names of inputs")
-    parser.add_argument("--tables", nargs="*", default=["poses", "variants", "splats"], choices=["poses", "variants", "splats"])
+    parser.add_argument("--tables", nargs="*", default=TABLES, choices=TABLES)
     parser.add_argument("--colmap", nargs="*", default=["temple_ring"], help="inputs on which COLMAP 3.8 runs too")
     parser.add_argument("--quality", nargs="*", default=["fast", "balanced"])
     args = parser.parse_args()
@@ -181,6 +196,8 @@ def main():
         bench_poses(args.binary, args.shared, args.out, args.only, args.colmap)
     if "variants" in args.tables:
         bench_variants(args.binary, args.shared, args.out, args.only)
+    if "key" in args.tables:
+        bench_key(args.binary, args.shared)
     if "splats" in args.tables:
         bench_splats(args.binary, args.shared, args.out, args.only, args.quality)
 
