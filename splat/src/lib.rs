@@ -16,6 +16,7 @@ pub mod device;
 pub mod error;
 #[cfg(feature = "gpu")]
 pub mod gpu;
+pub mod hull;
 pub mod init;
 pub mod model;
 pub mod pace;
