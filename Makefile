@@ -39,7 +39,7 @@ lint: setup  ## formatting, clippy, file and function lengths, borders between c
 	@tools/lint.sh
 
 bench: build  ## the tables of docs/benchmarks.md on real data (slow)
-	cargo build --release --locked --workspace --example ring_growth
+	cargo build --release --locked --workspace --example ring_growth --example key_table
 	@tools/setup.sh python3 colmap; python3 tools/bench.py $(SAT_RECON) $(SHARED) --out build/bench
 
 tables: build  ## the paper's three tables for our own method, its rows beside them (slow)
@@ -61,6 +61,8 @@ oracle: $(VENV)/oracle  ## regenerate the fixtures that other libraries computed
 testbed: setup  ## render the simulated captures with Blender (slow)
 	@tools/setup.sh blender python3-numpy ffmpeg
 	bash data/testbed/make.sh build/testbed
+	mkdir -p build/testbed/blue && ln -sfn ../renders build/testbed/blue/renders
+	BLUE=1 bash data/testbed/make.sh build/testbed/blue case3 case4
 
 $(VENV)/bin/python:
 	@tools/setup.sh python3-venv

@@ -338,7 +338,8 @@ impl Pipeline {
         let (finished, ran) = self
             .stages
             .run("train", &print, &[self.out.join("splat.ply")], || self.train(&training_set, &print))?;
-        let splat = finished.value;
+        let mut splat = finished.value;
+        splat.decisions.extend(self.record.poses.as_ref().and_then(light_model));
         self.finish(
             "train",
             finished.cost,
@@ -421,6 +422,21 @@ impl Pipeline {
         self.say(&format!("in {}: {what}", self.out.display()));
         Ok(())
     }
+}
+
+/// What the splat's colours stand for where the object turned before a camera and a lamp that stood still.
+fn light_model(poses: &PoseSummary) -> Option<[String; 3]> {
+    let turned = poses.decisions.iter().any(|d| d[0] == "motion" && d[1] == "single-axis");
+    turned.then(|| {
+        [
+            "light",
+            "fixed to the camera, carried by the view-dependent colour",
+            "the object turned before a lamp that stood still: in its own frame the lamp went round with the camera, one light for \
+             every view; pictures from off the filmed circle extrapolate, and under a lamp that moves against the camera the colours \
+             are means over its places",
+        ]
+        .map(str::to_owned)
+    })
 }
 
 fn figures(stats: &sfm::SfmStats) -> Vec<(String, f64)> {

@@ -51,7 +51,7 @@ SPLATS = [
     ("yaw, 10 % light (case 3)", os.path.join(TESTBED, "case3/video.mp4"), []),
 ]
 
-TABLES = ["poses", "variants", "dino", "turns", "quality", "rings", "splats"]
+TABLES = ["poses", "variants", "dino", "turns", "quality", "rings", "key", "splats"]
 
 
 def measured(command, **options):
@@ -258,6 +258,20 @@ def bench_splats(binary, shared, out, only, qualities):
                   f"| {cost['cpu_s']:.0f} | {cost['wall_s']:.0f} | {cost['peak_mib']:.0f} |", flush=True)
 
 
+def bench_key(examples, shared):
+    """Mattes against their truth, beside the plain rule and ffmpeg's chromakey: the example key_table of preprocess."""
+    print("\n## Chroma key\n", flush=True)
+    table = os.path.join(examples, "key_table")
+    if not os.path.exists(table):
+        print("not measured: cargo build --release --locked --workspace --example key_table")
+        return
+    rendered = os.path.join(TESTBED, "../../build/testbed")  # by `make testbed`
+    cases = [os.path.join(TESTBED, "case3")] + [os.path.join(rendered, c) for c in ("case4", "blue/case3", "blue/case4")]
+    environment = dict(os.environ, SAT_RECON_SHARED=os.path.abspath(shared))
+    subprocess.run([table, *(c for c in cases if os.path.exists(os.path.join(c, "video.mp4")))], check=True, env=environment)
+    subprocess.run([table, "--no-head"], check=True, env=environment)
+
+
 def main():
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("binary")
@@ -266,7 +280,7 @@ def main():
     parser.add_argument("--only", nargs="*", help="names of inputs")
     parser.add_argument("--tables", nargs="*", default=TABLES, choices=TABLES)
     parser.add_argument("--rings", nargs="*", type=int, default=[100, 300, 1000], help="images of the simulated rings")
-    parser.add_argument("--examples", help="folder with the example ring_growth (default: beside SAT_RECON)")
+    parser.add_argument("--examples", help="folder with the examples (default: beside SAT_RECON)")
     parser.add_argument("--plot", help="where the SVG of speed against accuracy goes (default: below --out)")
     parser.add_argument("--colmap", nargs="*", default=["temple_ring"], help="inputs on which COLMAP 3.8 runs too")
     parser.add_argument("--quality", nargs="*", default=["fast", "balanced"])
@@ -284,13 +298,15 @@ def main():
         os.makedirs(args.out, exist_ok=True)
         plot = args.plot or os.path.join(args.out, "speed_accuracy.svg")
         bench_sfm.bench_quality(here, args.binary, args.shared, args.out, plot)
+    examples = args.examples or os.path.join(os.path.dirname(os.path.abspath(args.binary)), "examples")
     if "rings" in args.tables:
-        examples = args.examples or os.path.join(os.path.dirname(args.binary), "examples")
         bench_sfm.bench_growth(here, os.path.join(examples, "ring_growth"), args.rings)
     if "turns" in args.tables:
         colmap = lambda images, folder: run_colmap(images, folder)[:2]
         tools = [("COLMAP 3.8", colmap)] if shutil.which("colmap") else []
         bench_turns(args.binary, args.shared, args.out, args.only, tools)
+    if "key" in args.tables:
+        bench_key(examples, args.shared)
     if "splats" in args.tables:
         bench_splats(args.binary, args.shared, args.out, args.only, args.quality)
 

@@ -2,7 +2,8 @@
 //!
 //! `cargo run --release -p preprocess --example key_table [-- CASE...]`: the named cases of the test bed (folders with
 //! `video.mp4` and `mattes/`), or cut-outs of `../shared/data` (or SAT_RECON_SHARED) before a simulated screen.
-//! KEY_TABLE_BRIEF: only ours. KEY_TABLE_DUMP: a folder for pictures of the worst frame.
+//! `--no-head` first: rows only. KEY_TABLE_BRIEF: only ours. KEY_TABLE_DUMP: a folder for all mattes and for pictures of the
+//! worst frame.
 
 #[path = "../tests/common/screen.rs"]
 mod screen;
@@ -13,7 +14,7 @@ use preprocess::{FrameConfig, video_frames};
 use rayon::prelude::*;
 use scene::Progress;
 use scene::io::{load_rgb, resize_area};
-use screen::{HEIGHT, LIGHTS, Light, SCREEN, Score, Shot, WIDTH, cut_outs, encode, film, score};
+use screen::{CLOTHS, Cloth, HEIGHT, LIGHTS, Light, Score, Shot, WIDTH, cut_outs, encode, film, score};
 use std::path::{Path, PathBuf};
 use std::process::Command;
 use std::time::Instant;
@@ -21,11 +22,15 @@ use std::time::Instant;
 fn main() {
     let root = std::env::var_os("SAT_RECON_SHARED")
         .map_or_else(|| Path::new(env!("CARGO_MANIFEST_DIR")).join("../../shared"), PathBuf::from);
-    let cases: Vec<PathBuf> = std::env::args_os().skip(1).map(PathBuf::from).collect();
-    println!(
-        "| capture | light | way | IoU | mean alpha error | boundary F, 1 px | spill, levels of 255 | rods kept | inside lost | kept beside | CPU ms a frame |"
-    );
-    println!("|---|---|---|---|---|---|---|---|---|---|---|");
+    let mut cases: Vec<PathBuf> = std::env::args_os().skip(1).map(PathBuf::from).collect();
+    if cases.first().is_some_and(|c| c.as_os_str() == "--no-head") {
+        cases.remove(0);
+    } else {
+        println!(
+            "| capture | light | way | IoU | mean alpha error | boundary F, 1 px | spill, levels of 255 | rods kept | inside lost | kept beside | CPU ms a frame |"
+        );
+        println!("|---|---|---|---|---|---|---|---|---|---|---|");
+    }
     for case in &cases {
         rows(&filmed_case(case));
     }
@@ -34,8 +39,8 @@ fn main() {
     }
     for (name, step) in [("lego400", 8), ("temple_ring", 6)] {
         let cut_outs = cut_outs(&root.join("data").join(name), step);
-        for light in LIGHTS {
-            rows(&composited(name, light, &cut_outs));
+        for (light, cloth) in LIGHTS.into_iter().flat_map(|l| CLOTHS.map(|c| (l, c))) {
+            rows(&composited(name, light, cloth, &cut_outs));
         }
     }
 }
@@ -67,16 +72,18 @@ fn scratch(name: &str) -> PathBuf {
     folder
 }
 
-fn composited(name: &str, light: Light, cut_outs: &[image::RgbaImage]) -> Capture {
-    let folder = scratch(name);
-    let shots: Vec<Shot> = cut_outs.iter().enumerate().map(|(i, c)| film(c, light, i as u64)).collect();
+fn composited(name: &str, light: Light, cloth: Cloth, cut_outs: &[image::RgbaImage]) -> Capture {
+    let name = format!("{name}, {}", cloth.name);
+    let folder = scratch(&name);
+    let shots: Vec<Shot> =
+        cut_outs.iter().enumerate().map(|(i, c)| film(c, light, cloth, i as u64)).collect();
     let video = folder.join("video.mp4");
     encode(&shots, &video);
     let frames = decoded(&video, &folder);
     assert_eq!(frames.len(), shots.len());
-    let screen = SCREEN.map(|c| screen::to_srgb(c * light.gain));
+    let screen = cloth.linear.map(|c| screen::to_srgb(c * light.gain));
     let shots = shots.into_iter().enumerate().collect();
-    Capture { name: name.to_owned(), light: light.name, video, frames, shots, screen, stands: false, folder }
+    Capture { name, light: light.name, video, frames, shots, screen, stands: false, folder }
 }
 
 /// A case of the test bed: `video.mp4` and `mattes/frame_NNNNNN.png`. Its foreground has no green of its own, so all
@@ -85,16 +92,18 @@ fn filmed_case(case: &Path) -> Capture {
     let name = case.file_name().expect("a folder").to_string_lossy().into_owned();
     let folder = scratch(&name);
     let frames = decoded(&case.join("video.mp4"), &folder);
+    let screen = *frames[0].get_pixel(WIDTH / 5, HEIGHT / 4);
+    let channel = (0..3).max_by_key(|c| screen.0[*c]).expect("three");
     let shots = (0..frames.len())
         .filter_map(|i| {
             let alpha = image::open(case.join(format!("mattes/frame_{i:06}.png"))).ok()?.to_luma8();
-            Some((i, Shot { filmed: frames[i].clone(), alpha, clean: RgbImage::new(WIDTH, HEIGHT) }))
+            let clean = RgbImage::new(WIDTH, HEIGHT);
+            Some((i, Shot { filmed: frames[i].clone(), alpha, clean, channel }))
         })
         .collect();
     let light = if name.starts_with("case3") { "10 %" } else { "100 %" };
-    let screen = *frames[0].get_pixel(WIDTH / 5, HEIGHT / 4);
     Capture {
-        name,
+        name: format!("{name}, {}", ["red", "green", "blue"][channel]),
         light,
         video: case.join("video.mp4"),
         frames,
@@ -144,7 +153,7 @@ fn rows(capture: &Capture) {
     std::fs::remove_dir_all(&capture.folder).expect("clean up");
 }
 
-/// Pictures to look at, into the folder KEY_TABLE_DUMP: the worst frame.
+/// Pictures to look at, into the folder KEY_TABLE_DUMP: all mattes and the worst frame.
 fn dump(capture: &Capture, mattes: &Mattes) {
     let Some(folder) = std::env::var_os("KEY_TABLE_DUMP").map(PathBuf::from) else { return };
     let iou = |(i, s): &&(usize, Shot)| score(&mattes[*i].0, &mattes[*i].1, s).iou;
@@ -156,6 +165,9 @@ fn dump(capture: &Capture, mattes: &Mattes) {
     mattes[*i].0.save(save("matte")).expect("dump");
     mattes[*i].1.save(save("colours")).expect("dump");
     shot.alpha.save(save("true")).expect("dump");
+    for (i, _) in &capture.shots {
+        mattes[*i].0.save(save(&format!("matte_{i:06}"))).expect("dump");
+    }
 }
 
 /// Mattes of all frames and what one cost, CPU ms.
@@ -172,7 +184,8 @@ fn keyed(capture: &Capture, matte: MatteMode) -> (Mattes, f64) {
         eprintln!("learnt in {:.2} CPU s: {}", cpu_seconds() - cpu, found.unwrap_or_default());
     }
     let (start, cpu) = (Instant::now(), cpu_seconds());
-    let repeats = if matte == MatteMode::Soft { 200_usize.div_ceil(frames.len()) } else { 1 };
+    let brief = std::env::var_os("KEY_TABLE_BRIEF").is_some();
+    let repeats = if matte == MatteMode::Soft && !brief { 200_usize.div_ceil(frames.len()) } else { 1 };
     let mut result = Vec::new();
     for _ in 0..repeats {
         result = frames.par_iter().map_init(Scratch::default, |scratch, f| keyer.matte(f, scratch)).collect();

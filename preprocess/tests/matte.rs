@@ -12,15 +12,16 @@ use preprocess::{
     FrameConfig, KeyConfig, PreprocessError, contact_sheet, matte_frames, photo_frames, video_frames,
 };
 use scene::{FrameSet, Progress};
-use screen::{LIGHTS, Light, Score, Shot, cut_outs, encode, film, score};
+use screen::{CLOTHS, Cloth, LIGHTS, Light, Score, Shot, cut_outs, encode, film, score};
 use std::path::Path;
 
 fn matte(set: &FrameSet, out: &Path, config: &KeyConfig) -> Result<FrameSet, PreprocessError> {
     matte_frames(set, out, config, &Progress::silent())
 }
 
-fn filmed(cut_outs: &[image::RgbaImage], light: Light, folder: &Path) -> (Vec<Shot>, FrameSet) {
-    let shots: Vec<Shot> = cut_outs.iter().enumerate().map(|(i, c)| film(c, light, i as u64)).collect();
+fn filmed(cut_outs: &[image::RgbaImage], light: Light, cloth: Cloth, folder: &Path) -> (Vec<Shot>, FrameSet) {
+    let shots: Vec<Shot> =
+        cut_outs.iter().enumerate().map(|(i, c)| film(c, light, cloth, i as u64)).collect();
     encode(&shots, &folder.join("video.mp4"));
     let all = FrameConfig { every: Some(1), duplicate_levels: 0.0, ..FrameConfig::default() };
     let set =
@@ -33,9 +34,9 @@ fn mattes_of_a_noisy_screen_with_spill_meet_their_truth() {
     for (name, step) in [("lego400", 25), ("temple_ring", 16)] {
         let Some(folder) = shared(name) else { return };
         let cut_outs = cut_outs(&folder, step);
-        for light in LIGHTS {
-            let dir = Scratch::new(&format!("matte-{name}-{}", light.gain));
-            let (shots, set) = filmed(&cut_outs, light, &dir.0);
+        for (light, cloth) in LIGHTS.into_iter().flat_map(|l| CLOTHS.map(|c| (l, c))) {
+            let dir = Scratch::new(&format!("matte-{name}-{}-{}", cloth.name, light.gain));
+            let (shots, set) = filmed(&cut_outs, light, cloth, &dir.0);
             let keyed = matte(&set, &dir.0.join("out"), &KeyConfig::with_key("auto")).unwrap();
             let scores: Vec<Score> = keyed
                 .frames
@@ -50,10 +51,11 @@ fn mattes_of_a_noisy_screen_with_spill_meet_their_truth() {
                 })
                 .collect();
             let s = Score::mean(&scores);
-            println!("{name} {}: {s:?} {:?}", light.name, keyed.notes);
+            println!("{name} {} {}: {s:?} {:?}", cloth.name, light.name, keyed.notes);
             assert!(
                 s.iou >= 0.98 && s.alpha_error <= 0.01 && s.boundary_f >= 0.95 && s.spill <= 2.0,
-                "{name} {}: {s:?}",
+                "{name} {} {}: {s:?}",
+                cloth.name,
                 light.name
             );
         }
@@ -225,4 +227,58 @@ fn black_white_and_tiny_frames_do_no_harm() {
     assert!(
         matte(&FrameSet::default(), &dir.0.join("out"), &KeyConfig::with_key("auto")).unwrap().is_empty()
     );
+}
+
+/// A video of a standing camera before a green wall: a box that swings, and some frames in which nothing can be told.
+fn interrupted(dir: &Path) -> FrameSet {
+    std::fs::create_dir_all(dir).unwrap();
+    for i in 0..24_u32 {
+        let image = RgbImage::from_fn(160, 120, |x, y| {
+            let noise = ((x * 73 + y * 151 + i * 37) % 5) as u8;
+            let screen = [30, 150 + (x / 8) as u8 + noise, 50];
+            let boxed = (40 + i..90 + i).contains(&x) && (40..80).contains(&y);
+            Rgb(match i {
+                3 => [0; 3],
+                7 => [255; 3],
+                11 => [255, (x % 2) as u8, (y % 2) as u8],
+                15 => screen,
+                19 if boxed => screen.map(|v| v.saturating_add(3)),
+                _ if boxed => [120 + noise, 60, 125],
+                _ if x >= 150 => [90, 70 + noise, 110],
+                _ => screen,
+            })
+        });
+        image.save(dir.join(format!("{i:02}.png"))).unwrap();
+    }
+    let out = dir.with_extension("out");
+    let config = FrameConfig { duplicate_levels: 0.0, ..FrameConfig::default() };
+    FrameSet { is_video: true, ..photo_frames(dir, &out, &config, &Progress::silent()).unwrap() }
+}
+
+#[test]
+fn blackouts_flashes_and_an_object_of_the_colour_of_the_screen_spoil_no_other_frame() {
+    let dir = Scratch::new("interrupted");
+    let set = interrupted(&dir.0.join("in"));
+    for key in ["auto", "green", "black"] {
+        let out = matte(&set, &dir.0.join("out"), &KeyConfig::with_key(key)).unwrap();
+        assert_eq!(out.len(), 24);
+        if key == "black" {
+            continue;
+        }
+        for (i, frame) in out.frames.iter().enumerate() {
+            let mask = image::open(frame.mask.as_ref().unwrap()).unwrap().to_luma8();
+            let kept = mean(&mask);
+            match i {
+                3 | 7 | 11 | 15 => assert!(kept < 0.01, "{key} {i}: {kept}"),
+                19 => assert!(kept < 0.12, "{key} {i}: {kept}"),
+                _ => {
+                    let i = i as u32;
+                    let wanted = |x: u32, y: u32| (40 + i..90 + i).contains(&x) && (40..80).contains(&y);
+                    let wrong = mask.enumerate_pixels().filter(|(x, y, p)| (p[0] >= 128) != wanted(*x, *y));
+                    assert!(wrong.count() < 120, "{key} {i}: kept {kept}");
+                }
+            }
+        }
+        assert!(out.notes.iter().any(|n| n.contains("mattes are empty")), "{:?}", out.notes);
+    }
 }

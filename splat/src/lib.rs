@@ -17,6 +17,7 @@ pub mod error;
 pub mod fusion;
 #[cfg(feature = "gpu")]
 pub mod gpu;
+pub mod hull;
 pub mod init;
 pub mod model;
 pub mod pace;

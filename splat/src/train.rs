@@ -11,6 +11,7 @@ use crate::checkpoint::{Checkpoint, State};
 use crate::config::Selection;
 use crate::cpu::optimise::Statistics;
 use crate::dataset::AlphaMode;
+use crate::hull::VisualHull;
 use crate::init::initial_gaussians;
 use crate::model::Model;
 use crate::schedule;
@@ -83,6 +84,8 @@ struct Trainer<'a> {
     views: Vec<usize>,
     /// Those of them that only judge until growth ends.
     validation: Vec<usize>,
+    /// What the mattes leave room for, where the background shows through.
+    hull: Option<VisualHull>,
     /// The order of the views in a round, and which round that is.
     order: (Option<(bool, usize)>, Vec<usize>),
 }
@@ -182,6 +185,8 @@ impl<'a> Trainer<'a> {
         // A part of the limit went by before training could begin; more so where it was interrupted.
         state.seconds += config.seconds_gone;
         let validation = if config.recipe.evidence { decide::validation(&views) } else { Vec::new() };
+        let matted = views.iter().filter(|_| dataset.is_transparent()).map(|&v| &dataset.views[v]);
+        let hull = VisualHull::of(matted);
         let (mark, order, lap) = (begun, (None, Vec::new()), (0.0, 0, 0.0));
         Ok(Self {
             dataset,
@@ -194,6 +199,7 @@ impl<'a> Trainer<'a> {
             mark,
             views,
             validation,
+            hull,
             order,
         })
     }
@@ -365,7 +371,9 @@ impl<'a> Trainer<'a> {
     }
 
     fn finish(mut self) -> Result<TrainResult, SplatError> {
-        let (model, _) = self.backend.download()?;
+        let (mut model, _) = self.backend.download()?;
+        // What has wandered off since growth ended.
+        self.state.findings.outside += self.hull.as_ref().map_or(0, |hull| hull.prune(&mut model));
         let timings = self.backend.times();
         let decisions = self.decisions();
         let near = crate::cpu::DEFAULT_NEAR / self.dataset.normalisation.scale as f32;

@@ -1,8 +1,9 @@
 //! The soft matte of one frame, given the light of the empty screen.
 
-use super::colour::{Key, LINEAR, dot, luminance};
+use super::colour::{Key, LINEAR, dot, luminance, srgb8};
 use super::field::Field;
-use super::filters::{Rect, box_sum, components, dilate, erode, smooth};
+use super::filters::{Rect, box_sum, box_sum_running, components, dilate, erode, smooth};
+use super::light::without_glare;
 use super::still::Still;
 
 /// Radius of the neighbourhood from which the colour of the foreground is learnt, pixels.
@@ -13,18 +14,29 @@ const MIN_DEPARTURE: f32 = 0.06;
 const MIN_PEAK: f32 = 0.30;
 /// Weight of a mixed pixel beside a solid one when the foreground's colour is learnt.
 const MIXED_WEIGHT: f32 = 0.05;
-/// Chroma of 4:2:0 video is blurred: standard deviation of alpha from chroma at an edge.
-const CHROMA_ERROR: f32 = 0.15;
-/// The same for luma.
-const LUMA_ERROR: f32 = 0.20;
-/// The object's rim is lit by the screen and mixes with its blur: alpha falls short by this factor there.
-const RIM_GAIN: f32 = 1.1;
+/// Chroma of 4:2:0 video is blurred: standard deviation of alpha from chroma at an edge, and how its square grows with the
+/// pixel's light over the screen's (chroma is coded after gamma).
+const CHROMA_ERROR: f32 = 0.12;
+const CHROMA_GLARE: f32 = 0.6;
+/// The lens mixes over about a pixel in linear light before chroma is coded and spread over two or three: how much of what a half
+/// covered pixel shows too much of the brighter side is taken off.
+const OPTICAL: f32 = 1.5;
+/// The same for luma: of itself, and by how well the light of object and screen is known (share of their sum).
+const LUMA_ERROR: f32 = 0.05;
+const LIGHT_ERROR: f32 = 0.06;
+/// Uncertain light of the object weighs with the object's part of the pixel: about half at an edge, squared.
+const HALF: f32 = 0.25;
+/// The object's rim is lit by the screen and mixes with its blur: alpha from chroma falls short by this factor there.
+const RIM_GAIN: f32 = 1.06;
 /// Smoothing has made the edge this much too soft.
-const EDGE_CONTRAST: f32 = 1.15;
+const EDGE_CONTRAST: f32 = 1.2;
+/// Radius in which the light of the screen beside the object is measured, pixels, and the pixels it takes.
+const BESIDE: usize = 5;
+const BESIDE_PIXELS: f32 = 8.0;
 
 /// Where nothing around is solid (rods), chroma is spread over more than the object is wide: alpha from it falls short
 /// by this factor, and the colour is not taken out of more than this share of the screen.
-const THIN_GAIN: f32 = 1.3;
+const THIN_GAIN: f32 = 1.2;
 const THIN_FLOOR: f32 = 0.7;
 /// Weight of colours around from which on something solid is near.
 const SOLID_WEIGHT: f32 = 0.5;
@@ -68,7 +80,7 @@ pub(crate) struct Noise {
 
 impl Workspace {
     /// Solves the matte of the loaded frame into `self.alpha`.
-    pub fn solve(&mut self, width: usize) {
+    pub fn solve(&mut self, width: usize, key: &Key) {
         smooth(&self.share, width, &mut self.smoothed);
         self.take_out_shadows(width);
         let noise = self.noise();
@@ -87,6 +99,7 @@ impl Workspace {
         self.band.clear();
         self.band.extend(not_screen.iter().zip(&core).map(|(n, c)| u8::from(*n != 0 && *c == 0)));
         let interior = erode(&solid, width, 1);
+        self.measure_screen_beside(&not_screen, width, key);
         self.learn_foreground(&not_screen, &interior);
         self.average_foreground(width, &Rect::around(&not_screen, width, REACH));
         self.alpha.clear();
@@ -198,6 +211,31 @@ impl Workspace {
         }
     }
 
+    /// The screen's light in the band, from the screen beside it: shadows have edges that coarse cells cannot follow.
+    fn measure_screen_beside(&mut self, not_screen: &[u8], width: usize, key: &Key) {
+        let n = self.share.len();
+        for plane in self.around.iter_mut().chain([&mut self.weights]) {
+            plane.clear();
+            plane.resize(n, 0.0);
+        }
+        for i in (0..n).filter(|i| not_screen[*i] == 0 && self.still[*i] == 0) {
+            (0..3).for_each(|c| self.around[c][i] = self.image[c][i]);
+            self.weights[i] = 1.0;
+        }
+        let rect = Rect::around(not_screen, width, BESIDE);
+        for plane in self.around.iter_mut().chain([&mut self.weights]) {
+            box_sum_running(plane, width, &rect, BESIDE, &mut self.rows);
+        }
+        for i in (0..n).filter(|i| self.band[*i] != 0 && self.still[*i] == 0) {
+            if self.weights[i] >= BESIDE_PIXELS {
+                (0..3).for_each(|c| self.screen[c][i] = self.around[c][i] / self.weights[i]);
+                let brighter = luminance(self.pixel(i)) / (luminance(self.light(i)) + 1e-6);
+                let share = key.difference(self.pixel(i)) / (key.difference(self.light(i)) + 1e-6);
+                self.share[i] = without_glare(share, brighter);
+            }
+        }
+    }
+
     /// Mean foreground colour around every pixel and the variance of its luma. Solid pixels count as they are, with
     /// the screen's light that falls on them, for so does the object's part of a mixed pixel; where there are none
     /// (rods) the screen's share is taken out of the mixed ones.
@@ -252,9 +290,9 @@ impl Workspace {
         }
         smooth(&self.alpha, width, &mut self.mean);
         for i in (0..self.share.len()).filter(|i| self.band[*i] != 0) {
-            let alpha = self.mean[i].clamp(0.0, 1.0);
+            let alpha = (RIM_GAIN * self.mean[i]).clamp(0.0, 1.0);
             let alpha = if self.weights[i] < 1e-5 { alpha } else { self.with_luma(i, alpha, noise) };
-            let alpha = (alpha * RIM_GAIN - 0.5) * EDGE_CONTRAST + 0.5;
+            let alpha = (alpha - 0.5) * EDGE_CONTRAST + 0.5;
             self.alpha[i] = if alpha < 0.03 {
                 0.0
             } else if alpha > 0.97 {
@@ -271,20 +309,33 @@ impl Workspace {
         if weight < SOLID_WEIGHT { THIN_GAIN * alpha } else { alpha }
     }
 
+    /// From chroma as it is coded: there the averaging of 4:2:0 is linear and an edge keeps its place. In linear light the
+    /// chroma that spreads over it weighs by the light of the pixel that it spreads to.
     fn alpha_from_chroma(&self, i: usize) -> f32 {
-        let (p, b) = (self.pixel(i), self.light(i));
-        let pc = chroma_of([p[0] - b[0], p[1] - b[1], p[2] - b[2]]);
-        let fc = chroma_of([self.around[0][i] - b[0], self.around[1][i] - b[1], self.around[2][i] - b[2]]);
-        dot(pc, fc) / (squared(fc) + 1e-9)
+        let coded = |rgb: [f32; 3]| chroma_of(rgb.map(|v| f32::from(srgb8(v)) / 255.0));
+        let (screen, object) = (self.light(i), [self.around[0][i], self.around[1][i], self.around[2][i]]);
+        let (b, f) = (coded(screen), coded(object));
+        let fb = [f[0] - b[0], f[1] - b[1], f[2] - b[2]];
+        let norm = squared(fb) + 1e-9;
+        let place = |c: [f32; 3]| dot([c[0] - b[0], c[1] - b[1], c[2] - b[2]], fb) / norm;
+        let alpha = place(coded(self.pixel(i)));
+        // The lens mixes light before it is coded: of a half covered pixel the brighter side shows more.
+        let half = [0, 1, 2].map(|c| 0.5 * (screen[c] + object[c]));
+        let a = alpha.clamp(0.0, 1.0);
+        alpha - OPTICAL * (place(coded(half)) - 0.5) * a * (1.0 - a)
     }
 
     fn with_luma(&self, i: usize, alpha_c: f32, noise: Noise) -> f32 {
         let (p, b) = (self.pixel(i), self.light(i));
         let fd = [self.around[0][i] - b[0], self.around[1][i] - b[1], self.around[2][i] - b[2]];
         let (c2, fy) = (squared(chroma_of(fd)), luminance(fd));
-        let y2 = fy * fy;
-        let weight_c = c2 / (noise.chroma + CHROMA_ERROR * CHROMA_ERROR * c2 + 1e-9);
-        let weight_y = y2 / (noise.luma + self.spread[i] + LUMA_ERROR * LUMA_ERROR * y2 + 1e-9);
+        let (y2, screen) = (fy * fy, luminance(b));
+        let brighter = luminance(p) / (screen + 1e-6);
+        let glare = if brighter > 1.0 { brighter.powf(CHROMA_GLARE) } else { 1.0 };
+        let weight_c = c2 / (noise.chroma + CHROMA_ERROR * CHROMA_ERROR * c2 * glare + 1e-9);
+        let light = LIGHT_ERROR * (screen + screen + fy);
+        let luma = noise.luma + HALF * self.spread[i] + light * light + LUMA_ERROR * LUMA_ERROR * y2;
+        let weight_y = y2 / (luma + 1e-9);
         let py = luminance([p[0] - b[0], p[1] - b[1], p[2] - b[2]]);
         let alpha_y = (py * fy / (y2 + 1e-9)).clamp(0.0, 1.0);
         (weight_c * alpha_c + weight_y * alpha_y) / (weight_c + weight_y + 1e-9)

@@ -28,7 +28,7 @@ pub(crate) struct Detection {
 }
 
 /// Looks for a screen in thumbnails (about 160 pixels long) of some frames.
-pub(crate) fn detect(thumbnails: &[RgbImage], choice: KeyChoice) -> Detection {
+pub(crate) fn detect(thumbnails: &[&RgbImage], choice: KeyChoice) -> Detection {
     let forced = matches!(choice, KeyChoice::Hue(..));
     let allowed = |hue: f32| match choice {
         KeyChoice::Hue(low, high) => (hue - low).rem_euclid(360.0) <= high - low,
@@ -70,12 +70,12 @@ pub(crate) fn detect(thumbnails: &[RgbImage], choice: KeyChoice) -> Detection {
     }
 }
 
-fn pixels(thumbnails: &[RgbImage]) -> impl Iterator<Item = [u8; 3]> + '_ {
+fn pixels(thumbnails: &[&RgbImage]) -> impl Iterator<Item = [u8; 3]> {
     thumbnails.iter().flat_map(|t| t.pixels().map(|p| p.0))
 }
 
 /// The hue with the most saturated pixels around it.
-fn dominant_hue(thumbnails: &[RgbImage], allowed: impl Fn(f32) -> bool) -> Option<f32> {
+fn dominant_hue(thumbnails: &[&RgbImage], allowed: impl Fn(f32) -> bool) -> Option<f32> {
     let mut counts = [0.0_f32; BINS];
     for rgb in pixels(thumbnails) {
         let (hue, saturation, value) = hue_saturation_value(rgb);
@@ -107,7 +107,7 @@ struct Statistics {
 }
 
 impl Statistics {
-    fn of(thumbnails: &[RgbImage], hue: f32) -> Self {
+    fn of(thumbnails: &[&RgbImage], hue: f32) -> Self {
         let (mut coverage, mut steps, mut saturations) = (Vec::new(), Vec::new(), Vec::new());
         let mut channels = [Vec::new(), Vec::new(), Vec::new()];
         for image in thumbnails {
@@ -156,7 +156,7 @@ pub(crate) fn quantile(values: &mut [f32], q: f32) -> f32 {
 }
 
 /// The narrowest need: wide enough that few pixels of the object have any colour difference.
-fn wedge(thumbnails: &[RgbImage], hue: f32, colour: [f32; 3]) -> f32 {
+fn wedge(thumbnails: &[&RgbImage], hue: f32, colour: [f32; 3]) -> f32 {
     let vlahos = 1.0 / 3f32.sqrt();
     let Some(key) = Key::new(colour, 0.0) else { return vlahos };
     let screen = key.difference(colour);
@@ -193,7 +193,7 @@ mod tests {
     #[test]
     fn screens_of_any_hue_are_found_and_rooms_are_not() {
         for screen in [[30, 190, 60], [40, 60, 180], [190, 20, 170], [125, 180, 10], [20, 60, 24]] {
-            let found = detect(&[frame(screen, 60), frame(screen, 50)], KeyChoice::Auto);
+            let found = detect(&[&frame(screen, 60), &frame(screen, 50)], KeyChoice::Auto);
             let key = found.key.unwrap_or_else(|| panic!("{screen:?}: {}", found.evidence));
             assert!(hue_distance(key.hue, hue_saturation_value(screen).0) < 4.0, "{screen:?} {}", key.hue);
         }
@@ -204,7 +204,7 @@ mod tests {
             ([0, 0, 0], 90),
             ([82, 90, 150], 80),
         ] {
-            let found = detect(&[frame(screen, share)], KeyChoice::Auto);
+            let found = detect(&[&frame(screen, share)], KeyChoice::Auto);
             assert!(found.key.is_none(), "{screen:?}: {}", found.evidence);
         }
         assert!(detect(&[], KeyChoice::Auto).key.is_none());

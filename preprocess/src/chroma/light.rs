@@ -12,8 +12,14 @@ const ROUNDS: usize = 6;
 const RANGE: std::ops::Range<f32> = 0.05..1.7;
 /// Least purity of screen in a shadow: colour difference by light, as a share of the screen's.
 const PURITY: f32 = 0.9;
-/// What is mixed with the object is a band; what survives an opening with this radius is not, pixels.
-const OPENING: usize = 2;
+/// What is mixed with the object is a band; what survives an opening with this radius is not, pixels. Between parts of the
+/// object there is less room: with half the smoothing a smaller opening is enough.
+const OPENING: (usize, usize) = (2, 1);
+/// A pixel this much brighter than the screen and this much less pure (share by light) is an object: chroma of 4:2:0 video
+/// spreads in coded values, and in linear light the screen's weighs more on bright pixels than on its own dark ones.
+const GLARE: (f32, f32) = (1.5, 0.6);
+/// Slope of linear light over coded values, as a power of linear light (gamma 2.2).
+const SLOPE: f32 = 0.55;
 
 impl Workspace {
     /// Finds the screen in whatever light it is (its hue is the screen's, its light any), marks it in `shaded`, and
@@ -23,13 +29,16 @@ impl Workspace {
         smooth(&self.total, width, &mut once);
         smooth(&once, width, &mut total);
         smooth(&self.smoothed, width, &mut share);
-        let candidates: Vec<u8> = share
-            .iter()
-            .zip(&total)
-            .map(|(s, t)| u8::from((*s > RANGE.start) & (*s < RANGE.end) & (*s > PURITY * t)))
-            .collect();
+        let opened = |share: &[f32], total: &[f32], radius| {
+            let screen =
+                |(s, t): (&f32, &f32)| u8::from((*s > RANGE.start) & (*s < RANGE.end) & (*s > PURITY * t));
+            let candidates: Vec<u8> = share.iter().zip(total).map(screen).collect();
+            dilate(&erode(&candidates, width, radius), width, radius)
+        };
+        self.shaded = opened(&share, &total, OPENING.0);
+        let narrow = opened(&self.smoothed, &once, OPENING.1);
+        self.shaded.iter_mut().zip(&narrow).for_each(|(s, n)| *s |= n);
         self.mean = total;
-        self.shaded = dilate(&erode(&candidates, width, OPENING), width, OPENING);
         let height = self.share.len() / width;
         let near_still = dilate(&self.still, width, 1);
         let mut sums = Sums::<1>::new(width, height, CELL.0);
@@ -52,8 +61,21 @@ impl Workspace {
             for plane in &mut self.screen {
                 plane[line.clone()].iter_mut().zip(&row).for_each(|(v, k)| *v *= k[0]);
             }
-            self.share[line].iter_mut().zip(&row).for_each(|(v, k)| *v /= k[0]);
+            let light = self.total[line.clone()].iter().zip(&row);
+            for (v, (t, k)) in self.share[line].iter_mut().zip(light) {
+                *v = without_glare(*v / k[0], t / k[0]);
+            }
         }
         smooth(&self.share, width, &mut self.smoothed);
+    }
+}
+
+/// The share of a pixel with `total` times the screen's light, without what chroma from around adds to a bright one.
+#[inline(always)]
+pub(super) fn without_glare(share: f32, total: f32) -> f32 {
+    if total > GLARE.0 && share > 0.0 && share < GLARE.1 * total {
+        share * (GLARE.0 / total).powf(SLOPE)
+    } else {
+        share
     }
 }

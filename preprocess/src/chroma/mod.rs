@@ -34,11 +34,16 @@ pub struct Keyer {
     pub evidence: String,
 }
 
+/// A frame is blank if all but this share of its pixels at either end differ by at most so many 8-bit levels; every so manyth is asked.
+const BLANK_TAIL: f32 = 0.002;
+const BLANK_LEVELS: f32 = 6.0;
+const BLANK_STEP: usize = 61;
+
 /// Longest side of the pictures in which a screen is looked for, pixels.
 pub const THUMBNAIL_SIDE: u32 = 160;
 
 impl Keyer {
-    /// Looks for a screen in thumbnails ([`THUMBNAIL_SIDE`] long) of some frames. `Err` holds the evidence against one.
+    /// Looks for a screen in thumbnails ([`THUMBNAIL_SIDE`] long) of some frames, as far as they are not blank. `Err` holds the evidence against one.
     pub fn find(
         thumbnails: &[RgbImage],
         config: &KeyConfig,
@@ -52,7 +57,11 @@ impl Keyer {
             let evidence = "keyed by light, before a dark room".to_owned();
             return Ok(Ok(Self { key: None, mode, keep_pole, still: None, evidence }));
         }
-        let found = detect::detect(thumbnails, choice);
+        let mut telling: Vec<&RgbImage> = thumbnails.iter().filter(|t| !is_blank(t)).collect();
+        if telling.is_empty() {
+            telling.extend(thumbnails);
+        }
+        let found = detect::detect(&telling, choice);
         Ok(match found.key {
             Some(key) => Ok(Self { key: Some(key), mode, keep_pole, still: None, evidence: found.evidence }),
             None => Err(found.evidence),
@@ -79,6 +88,9 @@ impl Keyer {
     /// Matte (white = object) and foreground colours of one frame.
     pub fn matte(&self, image: &RgbImage, scratch: &mut Scratch) -> (GrayImage, RgbImage) {
         let (width, height) = image.dimensions();
+        if self.mode == MatteMode::Soft && is_blank(image) {
+            return (GrayImage::new(width, height), image.clone());
+        }
         let (alpha, colours) = match &self.key {
             None => (dark::matte(image.as_raw(), width as usize), image.as_raw().clone()),
             Some(key) if self.mode == MatteMode::Plain => (plain(image, key), image.as_raw().clone()),
@@ -98,11 +110,22 @@ impl Keyer {
                 None => return (plain(image, key), rgb.clone()),
             },
         }
-        work.solve(width);
+        work.solve(width, key);
         regions::clean(work, width, still, self.keep_pole);
         let alpha = work.alpha.iter().map(|a| (a * 255.0 + 0.5) as u8).collect();
         (alpha, spill::foreground(work, key))
     }
+}
+
+/// Whether a frame shows nothing at all: a cut, a blackout, a flash.
+fn is_blank(image: &RgbImage) -> bool {
+    let mut samples: [Vec<f32>; 3] = Default::default();
+    for p in image.pixels().step_by(BLANK_STEP) {
+        samples.iter_mut().zip(p.0).for_each(|(s, v)| s.push(f32::from(v)));
+    }
+    samples
+        .iter_mut()
+        .all(|s| detect::quantile(s, 1.0 - BLANK_TAIL) - detect::quantile(s, BLANK_TAIL) <= BLANK_LEVELS)
 }
 
 /// The usual rule: what has the key's hue and some saturation is background.

@@ -1,7 +1,7 @@
 //! What a matte looks like as a whole: the screen's outline, garbage beside it, still things, holes, specks.
 
 use super::alpha::Workspace;
-use super::filters::{components, dilate, erode};
+use super::filters::{components, erode};
 use super::still::Still;
 
 /// Objects smaller than this share of the largest are specks.
@@ -15,6 +15,18 @@ const HOLE_SHARE: f32 = 0.01;
 const HOLE_TOLERANCE: (f32, f32, f32) = (0.10, 0.08, 0.025);
 /// Pixels of pure screen colour that a hole needs for this to be said.
 const HOLE_PIXELS: f32 = 9.0;
+/// A hole of which less than this share is three pixels and more from its rim is a slit: the blur of both sides colours it, and
+/// nothing but the hue can be asked of it, up to this tolerance.
+const SLIT_SHARE: f32 = 0.15;
+const SLIT_TOLERANCE: f32 = 0.35;
+/// Both sides only take away from the colour difference of a slit: one that keeps this share of the screen's and is this slender
+/// (crinkles of foil are round) is open.
+const SLIT_SCREEN: f32 = 0.5;
+const SLENDER: f32 = 6.0;
+/// Light in a hole, as a share of the screen's around: the object shades it and throws light on it. Only the colour tells.
+const HOLE_LIGHT: std::ops::Range<f32> = 0.8..1.25;
+/// Pixels beside the pole that are a mixture of it and of what is beside it.
+const POLE_RIM: usize = 2;
 /// Share of an object that is seen before the screen, at least.
 const BEFORE_SHARE: f32 = 0.2;
 
@@ -42,13 +54,28 @@ pub(crate) fn clean(work: &mut Workspace, width: usize, still: Option<&Still>, k
     remove_specks(work, width);
 }
 
-/// What is seen on both sides of the pole is seen before it too.
+/// What is seen on both sides of the pole, in some direction across it, is seen before it too.
 fn restore_before_pole(work: &mut Workspace, width: usize, still: &Still) {
-    let radius = still.pole_radius() + 1;
-    let solid: Vec<u8> = work.alpha.iter().map(|a| u8::from(*a > 0.5)).collect();
-    let closed = erode(&dilate(&solid, width, radius), width, radius);
-    for i in (0..closed.len()).filter(|i| still.pole[*i] && closed[*i] != 0) {
-        work.alpha[i] = 1.0;
+    let (reach, height) = (2 * still.pole_radius() as i64, (work.alpha.len() / width) as i64);
+    let solid: Vec<bool> = work.alpha.iter().map(|a| *a > 0.5).collect();
+    let meets = |i: usize, (dx, dy): (i64, i64)| {
+        let (x, y) = ((i % width) as i64, (i / width) as i64);
+        let mut gap = 0;
+        let mut seen = (1..=reach)
+            .map(|k| (x + k * dx, y + k * dy))
+            .take_while(|(x, y)| (0..width as i64).contains(x) && (0..height).contains(y))
+            .map(|(x, y)| y as usize * width + x as usize)
+            .take_while(|j| {
+                gap += usize::from(!still.pole[*j] && !solid[*j]);
+                gap <= POLE_RIM
+            });
+        seen.any(|j| solid[j])
+    };
+    let across = [(1, 0), (0, 1), (1, 1), (1, -1)];
+    for i in (0..solid.len()).filter(|i| still.pole[*i] && !solid[*i]) {
+        if across.iter().any(|&(dx, dy)| meets(i, (dx, dy)) && meets(i, (-dx, -dy))) {
+            work.alpha[i] = 1.0;
+        }
     }
 }
 
@@ -129,38 +156,80 @@ fn close_reflections(work: &mut Workspace, width: usize, still: Option<&Still>) 
         enclosed[labels[y * width + width - 1] as usize] = false;
     }
     enclosed[0] = false;
-    let mut sums = vec![[0.0_f32; 8]; sizes.len()];
-    for (i, label) in labels.iter().enumerate().filter(|(_, l)| enclosed[**l as usize]) {
-        let sum = &mut sums[*label as usize];
-        sum[6] += still.map_or(0.0, |s| if s.outside[i] { 0.0 } else { 1.0 });
+    let mut patches = vec![Patch::default(); sizes.len()];
+    for (i, deep) in erode(&open, width, 2).iter().enumerate().filter(|(i, _)| enclosed[labels[*i] as usize])
+    {
+        let patch = &mut patches[labels[i] as usize];
+        patch.add(i % width, i / width, *deep != 0, work.share[i]);
+        patch.seen += still.map_or(0.0, |s| if s.outside[i] { 0.0 } else { 1.0 });
         // The rim is mixed with the object and says nothing.
-        if work.alpha[i] > 0.02 {
-            continue;
+        if work.alpha[i] <= 0.02 {
+            (0..3).for_each(|c| patch.image[c] += work.image[c][i]);
+            (0..3).for_each(|c| patch.screen[c] += work.screen[c][i]);
+            patch.pure += 1.0;
         }
-        for c in 0..3 {
-            sum[c] += work.image[c][i];
-            sum[3 + c] += work.screen[c][i];
-        }
-        sum[7] += 1.0;
     }
-    let closed: Vec<bool> = sums
-        .iter()
-        .zip(&enclosed)
-        .map(|(s, enclosed)| {
-            let light = s[3] + s[4] + s[5];
-            let difference = (0..3).map(|c| (s[c] - s[3 + c]).abs()).sum::<f32>() / light.max(1e-9);
-            let tolerance = match still {
-                None => HOLE_TOLERANCE.1,
-                Some(_) if s[6] > 0.5 * s[7] => HOLE_TOLERANCE.0,
-                Some(_) => HOLE_TOLERANCE.2,
-            };
-            *enclosed && s[7] >= HOLE_PIXELS && difference > tolerance
-        })
-        .collect();
+    let closed: Vec<bool> =
+        patches.iter().zip(&enclosed).map(|(p, enclosed)| *enclosed && p.is_reflection(still)).collect();
     for (alpha, label) in work.alpha.iter_mut().zip(&labels) {
         if closed[*label as usize] {
             *alpha = 1.0;
         }
+    }
+}
+
+/// Sums over an enclosed patch that looks like screen.
+#[derive(Clone, Debug, Default)]
+struct Patch {
+    size: f32,
+    /// Pixels three and more from the rim.
+    deep: f32,
+    /// Pixels where the screen is seen in other frames.
+    seen: f32,
+    /// Pixels without any of the object, and the light of the picture and of the screen there.
+    pure: f32,
+    image: [f32; 3],
+    screen: [f32; 3],
+    /// Share of the screen's colour difference.
+    share: f32,
+    /// First and last column and row.
+    bounds: Option<[usize; 4]>,
+}
+
+impl Patch {
+    fn add(&mut self, x: usize, y: usize, deep: bool, share: f32) {
+        self.size += 1.0;
+        self.deep += f32::from(u8::from(deep));
+        self.share += share.clamp(0.0, 1.5);
+        let b = self.bounds.unwrap_or([x, x, y, y]);
+        self.bounds = Some([b[0].min(x), b[1].max(x), b[2].min(y), b[3].max(y)]);
+    }
+
+    /// Square of the length by the area: about 2 for a round patch, the ratio of length and width for a straight slit.
+    fn slenderness(&self) -> f32 {
+        let [x0, x1, y0, y1] = self.bounds.unwrap_or_default();
+        ((x1 - x0 + 1).pow(2) + (y1 - y0 + 1).pow(2)) as f32 / self.size.max(1.0)
+    }
+
+    fn is_reflection(&self, still: Option<&Still>) -> bool {
+        if self.deep < SLIT_SHARE * self.size {
+            let open = self.slenderness() > SLENDER && self.share > SLIT_SCREEN * self.size;
+            return !open && self.pure >= HOLE_PIXELS && self.departure(0.0..f32::MAX) > SLIT_TOLERANCE;
+        }
+        let tolerance = match still {
+            None => HOLE_TOLERANCE.1,
+            Some(_) if self.seen > 0.5 * self.pure => HOLE_TOLERANCE.0,
+            Some(_) => HOLE_TOLERANCE.2,
+        };
+        self.pure >= HOLE_PIXELS && self.departure(HOLE_LIGHT) > tolerance
+    }
+
+    /// Departure from the screen in the light, within limits, that fits best; share of its light.
+    fn departure(&self, limits: std::ops::Range<f32>) -> f32 {
+        let sum = |v: &[f32; 3]| v.iter().sum::<f32>().max(1e-9);
+        let level = (sum(&self.image) / sum(&self.screen)).clamp(limits.start, limits.end);
+        let difference = |c: usize| (self.image[c] - level * self.screen[c]).abs();
+        (0..3).map(difference).sum::<f32>() / (level * sum(&self.screen))
     }
 }
 

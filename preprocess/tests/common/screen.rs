@@ -8,8 +8,25 @@ use std::process::Command;
 
 pub const WIDTH: u32 = 640;
 pub const HEIGHT: u32 = 480;
-/// Linear colour of the screen where its light is 1.
-pub const SCREEN: [f32; 3] = [0.045, 0.34, 0.075];
+
+/// A cloth: its linear colour where its light is 1.
+#[derive(Clone, Copy)]
+pub struct Cloth {
+    pub name: &'static str,
+    pub linear: [f32; 3],
+}
+
+pub const CLOTHS: [Cloth; 2] = [
+    Cloth { name: "green", linear: [0.045, 0.34, 0.075] },
+    Cloth { name: "blue", linear: [0.035, 0.085, 0.36] },
+];
+
+impl Cloth {
+    /// The channel in which it is bright.
+    pub fn channel(&self) -> usize {
+        (0..3).max_by(|a, b| self.linear[*a].total_cmp(&self.linear[*b])).unwrap_or(1)
+    }
+}
 
 /// One frame: what is filmed and what is true.
 pub struct Shot {
@@ -17,6 +34,8 @@ pub struct Shot {
     pub alpha: GrayImage,
     /// Foreground before spill, 8-bit sRGB.
     pub clean: RgbImage,
+    /// The screen's channel.
+    pub channel: usize,
 }
 
 /// How much light there is and what the sensor makes of it (as in cases 3 and 4 of the test bed).
@@ -105,7 +124,7 @@ pub fn screen_light(x: f32, y: f32) -> f32 {
 }
 
 /// Films one cut-out.
-pub fn film(cut_out: &RgbaImage, light: Light, index: u64) -> Shot {
+pub fn film(cut_out: &RgbaImage, light: Light, cloth: Cloth, index: u64) -> Shot {
     let mut rng = scene::rng::rng(7, "screen", index);
     let alpha = GrayImage::from_fn(WIDTH, HEIGHT, |x, y| image::Luma([cut_out.get_pixel(x, y)[3]]));
     let wide = image::imageops::blur(&alpha, 6.0);
@@ -115,7 +134,7 @@ pub fn film(cut_out: &RgbaImage, light: Light, index: u64) -> Shot {
         let (a, shade) = (f32::from(p[3]) / 255.0, screen_light(x as f32, y as f32));
         let near = 1.0 - f32::from(wide.get_pixel(x, y)[0]) / 255.0;
         for c in 0..3 {
-            let screen = SCREEN[c] * shade;
+            let screen = cloth.linear[c] * shade;
             let own = to_linear(p[c]);
             // Light from the screen on the object, more towards its outline.
             let lit = own + (0.02 + 0.16 * near) * screen;
@@ -125,7 +144,7 @@ pub fn film(cut_out: &RgbaImage, light: Light, index: u64) -> Shot {
             filmed.get_pixel_mut(x, y)[c] = to_srgb(value + sigma * normal(&mut rng));
         }
     }
-    Shot { filmed, alpha, clean }
+    Shot { filmed, alpha, clean, channel: cloth.channel() }
 }
 
 fn normal(rng: &mut scene::rng::Rng) -> f32 {
@@ -270,10 +289,11 @@ fn boundary_f(a: &[bool], b: &[bool]) -> f64 {
     2.0 * precision * recall / (precision + recall).max(1e-9)
 }
 
-/// Mean of `max(0, G − max(R, B))` beyond that of the clean foreground, where both mattes show the object, within
-/// four pixels of its outline.
+/// Mean of `max(0, G − max(R, B))` (of a blue screen `max(0, B − max(R, G))`) beyond that of the clean foreground, where
+/// both mattes show the object, within four pixels of its outline.
 fn spill(matte: &GrayImage, colours: &RgbImage, shot: &Shot, truth: &[bool]) -> f64 {
-    let excess = |p: &image::Rgb<u8>| (f64::from(p[1]) - f64::from(p[0].max(p[2]))).max(0.0);
+    let (own, a, b) = (shot.channel, (shot.channel + 1) % 3, (shot.channel + 2) % 3);
+    let excess = |p: &image::Rgb<u8>| (f64::from(p[own]) - f64::from(p[a].max(p[b]))).max(0.0);
     let (mut sum, mut n) = (0.0, 0.0_f64);
     for i in 0..truth.len() {
         let (x, y) = (i as u32 % WIDTH, i as u32 / WIDTH);

@@ -46,6 +46,12 @@ pub struct Findings {
     pub idle_looks: u32,
     /// Gaussians removed because hardly any view has them in its picture.
     pub unseen: usize,
+    /// Gaussians removed because the mattes show background at their place.
+    #[serde(default)]
+    pub outside: usize,
+    /// Whether that was looked for after growth.
+    #[serde(default)]
+    pub hull_applied: bool,
     /// Looks for gains so far.
     pub exposure_looks: u32,
     /// Gains of the training views, where exposure is modelled.
@@ -68,6 +74,7 @@ impl Trainer<'_> {
     pub(super) fn decide(&mut self) -> Result<(), SplatError> {
         let steps = self.state.pace.steps(&self.state, self.config);
         let limited = self.config.time_limit.is_some();
+        self.prune_outside()?;
         if self.state.position >= 1.0 || (limited && steps < LEAST_STEPS) {
             return Ok(());
         }
@@ -86,6 +93,22 @@ impl Trainer<'_> {
             self.state.findings.pruned = true;
             self.prune_redundant()?;
         }
+        Ok(())
+    }
+
+    /// Once growth has ended: removes what the mattes exclude. By the host, so not in every round.
+    fn prune_outside(&mut self) -> Result<(), SplatError> {
+        let due = self.state.position >= self.config.recipe.densify_until;
+        let Some(hull) = self.hull.as_ref().filter(|_| due && !self.state.findings.hull_applied) else {
+            return Ok(());
+        };
+        let mut outside = 0;
+        self.backend.edit(&mut |model, statistics| {
+            outside = hull.prune(model);
+            statistics.reset(model.len);
+        })?;
+        self.state.findings.outside += outside;
+        self.state.findings.hull_applied = true;
         Ok(())
     }
 
@@ -193,6 +216,13 @@ impl Trainer<'_> {
             let evidence =
                 "hardly any view has them in its picture, so that none contradicts them".to_owned();
             self.note("Gaussians in the air", format!("{} removed", findings.unseen), evidence);
+        }
+        if findings.outside > 0 {
+            let evidence =
+                "more than 2 and more than a twentieth of the training views that have their centre in the \
+                            picture show background there"
+                    .to_owned();
+            self.note("Gaussians outside the silhouettes", format!("{} removed", findings.outside), evidence);
         }
         self.state.decisions.extend(self.backend.remarks());
         std::mem::take(&mut self.state.decisions)

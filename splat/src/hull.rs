@@ -1,0 +1,163 @@
+//! The visual hull: what the mattes of the training views leave room for.
+
+use crate::PinholeView;
+use crate::dataset::View;
+use crate::model::Model;
+use glam::Vec3;
+use rayon::prelude::*;
+
+/// Coverage (of 255) below which a pixel of a matte shows only background.
+const EMPTY: u8 = 8;
+/// Resolution of the outlines (1: half) and by how many of its pixels they are widened: mattes and poses are that exact.
+const LEVEL: usize = 1;
+const MARGIN: usize = 1;
+/// Views that may contradict a place before it counts as outside: so many, and one in so many of those that see it.
+const FEW: usize = 2;
+const ONE_IN: usize = 20;
+
+/// The silhouette of one view, widened.
+struct Outline {
+    view: PinholeView,
+    covered: Vec<bool>,
+}
+
+/// Silhouettes of all views that have a matte, to ask whether a place can belong to the object.
+///
+/// A place outside the visual hull (Laurentini 1994) is seen before the background by some view. A few such views prove nothing:
+/// mattes lose a rod here and there; so a place is outside when more than 2 and more than a twentieth of
+/// the views that have it in their picture show background there.
+pub struct VisualHull {
+    outlines: Vec<Outline>,
+}
+
+impl VisualHull {
+    /// From the mattes of `views`; `None` where fewer than eight have one.
+    pub fn of<'a>(views: impl Iterator<Item = &'a View>) -> Option<Self> {
+        let outlines: Vec<Outline> = views.filter_map(Outline::of).collect();
+        (outlines.len() >= 8).then_some(Self { outlines })
+    }
+
+    /// Whether too many views show background at `x` (frame of the views).
+    pub fn excludes(&self, x: Vec3) -> bool {
+        let (mut seen, mut empty) = (0, 0);
+        for outline in &self.outlines {
+            if let Some(covered) = outline.covers(x) {
+                seen += 1;
+                empty += usize::from(!covered);
+            }
+        }
+        empty > FEW && empty * ONE_IN > seen
+    }
+
+    /// Removes Gaussians whose centre the hull excludes; returns how many. None where that would leave nothing.
+    pub fn prune(&self, model: &mut Model) -> usize {
+        let stays = |i: &u32| !self.excludes(model.mean(*i as usize));
+        let keep: Vec<u32> = (0..model.len as u32).into_par_iter().filter(stays).collect();
+        let removed = model.len - keep.len();
+        if removed == 0 || keep.is_empty() {
+            return 0;
+        }
+        model.select(&keep);
+        removed
+    }
+}
+
+impl Outline {
+    fn of(view: &View) -> Option<Self> {
+        let level = LEVEL.min(view.levels.len() - 1);
+        let pixels = &view.levels[level];
+        let mask = pixels.mask.as_ref()?;
+        let (w, h) = (pixels.width, pixels.height);
+        let mut covered = vec![false; w * h];
+        for i in (0..w * h).filter(|i| mask[*i] >= EMPTY) {
+            let (x, y) = (i % w, i / w);
+            for row in y.saturating_sub(MARGIN)..(y + MARGIN + 1).min(h) {
+                covered[row * w + x.saturating_sub(MARGIN)..row * w + (x + MARGIN + 1).min(w)].fill(true);
+            }
+        }
+        Some(Self { view: view.view.at_level(level as u32), covered })
+    }
+
+    /// Whether the silhouette covers `x`; `None` outside the picture.
+    fn covers(&self, x: Vec3) -> Option<bool> {
+        let v = &self.view;
+        let c = v.rotation * x + v.translation;
+        if c.z <= 0.0 {
+            return None;
+        }
+        let px = v.focal[0] * c.x / c.z + v.centre[0];
+        let py = v.focal[1] * c.y / c.z + v.centre[1];
+        let inside = px >= 0.0 && py >= 0.0 && px < v.width as f32 && py < v.height as f32;
+        inside.then(|| self.covered[py as usize * v.width + px as usize])
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::dataset::{Normalisation, Pixels};
+    use glam::{DVec3, Quat};
+    use scene::{Camera, CameraModel, Gaussians, Pose};
+
+    /// Views from a ring of radius 1 of a ball of radius `radius` at the origin; every `blind`-th matte is empty.
+    fn views(count: usize, radius: f64, blind: usize) -> Vec<View> {
+        let camera = Camera::centred(1, CameraModel::Pinhole, 64, 48, 60.0);
+        let normalisation = Normalisation { centre: DVec3::ZERO, scale: 1.0 };
+        let view = |k: usize| {
+            let angle = k as f64 / count as f64 * std::f64::consts::TAU;
+            let eye = DVec3::new(angle.cos(), angle.sin(), 0.3).normalize();
+            let pose = Pose::look_at(eye, DVec3::ZERO, DVec3::Z);
+            let reach = 60.0 * radius / (1.0 - radius * radius).sqrt();
+            let mask = (0..64 * 48)
+                .map(|i| {
+                    let (x, y) = (f64::from(i % 64) + 0.5 - 32.0, f64::from(i / 64) + 0.5 - 24.0);
+                    if k % blind != 0 && x.hypot(y) < reach { 255 } else { 0 }
+                })
+                .collect();
+            let full = Pixels { width: 64, height: 48, rgb: vec![90; 64 * 48 * 3], mask: Some(mask) };
+            View {
+                name: format!("{k:03}.png"),
+                camera: camera.clone(),
+                pose,
+                view: normalisation.view(&camera, &pose),
+                levels: crate::dataset::pyramid(full),
+                held_out: false,
+            }
+        };
+        (0..count).map(view).collect()
+    }
+
+    fn model(means: Vec<Vec3>) -> Model {
+        let n = means.len();
+        Model::from_gaussians(&Gaussians {
+            means,
+            log_scales: vec![Vec3::splat(-4.0); n],
+            rotations: vec![Quat::IDENTITY; n],
+            opacity_logits: vec![0.0; n],
+            sh: vec![0.0; 3 * n],
+            sh_degree: 0,
+        })
+    }
+
+    #[test]
+    fn what_lies_outside_the_silhouettes_goes_and_what_lies_in_them_stays() {
+        let inside = vec![Vec3::ZERO, Vec3::new(0.15, 0.0, 0.05), Vec3::new(0.0, -0.19, 0.0)];
+        let outside = vec![Vec3::new(0.33, 0.0, 0.0), Vec3::new(0.0, 0.1, 0.31), Vec3::new(-0.2, 0.25, 0.0)];
+        let hull = VisualHull::of(views(40, 0.2, 99).iter()).unwrap();
+        let mut gaussians = model(inside.iter().chain(&outside).copied().collect());
+        assert_eq!(hull.prune(&mut gaussians), outside.len());
+        assert_eq!((0..gaussians.len).map(|i| gaussians.mean(i)).collect::<Vec<_>>(), inside);
+        assert_eq!(hull.prune(&mut model(outside)), 0, "something must be left");
+    }
+
+    #[test]
+    fn few_views_that_lost_the_object_do_not_empty_the_hull_and_many_do() {
+        let (few, many) = (views(40, 0.2, 39), views(40, 0.2, 4));
+        assert!(!VisualHull::of(few.iter()).unwrap().excludes(Vec3::ZERO));
+        assert!(VisualHull::of(many.iter()).unwrap().excludes(Vec3::ZERO));
+        assert!(VisualHull::of(few[..7].iter()).is_none());
+        let mut bare = views(40, 0.2, 99);
+        bare.iter_mut().for_each(|v| v.levels.iter_mut().for_each(|l| l.mask = None));
+        assert!(VisualHull::of(bare.iter()).is_none());
+    }
+}
