@@ -43,6 +43,8 @@ TURNS = [
     ("yaw, 10 % light (case 3)", os.path.join(TESTBED, "case3")),
     ("yaw, 100 % light (case 4)", os.path.join(RENDERED, "case4")),
 ]
+# Orbits in a dark room; `make testbed` renders them.
+ORBITS = [("orbit, 10 % light (case 1)", os.path.join(RENDERED, "case1")), ("orbit, 100 % light (case 2)", os.path.join(RENDERED, "case2"))]
 SPLATS = [
     ("lego400", "lego400", []),
     ("fox_undistorted_640", "fox_undistorted_640", []),
@@ -51,7 +53,7 @@ SPLATS = [
     ("yaw, 10 % light (case 3)", os.path.join(TESTBED, "case3/video.mp4"), []),
 ]
 
-TABLES = ["poses", "variants", "dino", "turns", "quality", "rings", "key", "splats"]
+TABLES = ["poses", "variants", "dino", "orbits", "turns", "quality", "rings", "key", "splats"]
 
 
 def measured(command, **options):
@@ -200,6 +202,32 @@ def bench_turns(binary, shared, out, only, tools):
     bench_steps(binary, shared, out, only)
 
 
+def bench_orbits(binary, out, only, colmap):
+    """Stills of an orbit, nothing known and with the camera calibrated; COLMAP 3.8 beside."""
+    print("\n## An orbit in a dark room\n\n| input | tool | registered | AUC@1 / 3 / 5 / 10 | rotation median | centre median / max, % "
+          "| CPU s | wall s | peak MiB |\n|---|---|---|---|---|---|---|---|---|")
+    for name, case in ORBITS:
+        if only and name not in only:
+            continue
+        if not os.path.isdir(case):
+            print(f"| {name} | not measured: make testbed |")
+            continue
+        images, truth = os.path.join(case, "images"), os.path.join(case, "sparse")
+        known = ["--camera-model", "RADIAL", "--intrinsics", true_intrinsics(case)]
+        for what, flags in (("", []), (", intrinsics known", known)):
+            folder = os.path.join(out, "orbits", name + what)
+            shutil.rmtree(folder, ignore_errors=True)
+            code, wall, cpu, peak = measured([binary, "sfm", images, "-o", folder, "-q", *flags])
+            with open(os.path.join(folder, "run.json")) as file:
+                poses = json.load(file)["poses"]
+            record = dict(registered=poses["registered"], total=poses["total"])
+            if code in (0, 3):
+                record |= pose_errors(binary, folder, truth)
+            pose_row(name + what, "sat-recon", record, cpu, wall, peak)
+        if colmap and shutil.which("colmap"):
+            bench_colmap(binary, name, images, truth, os.path.join(out, "colmap", name))
+
+
 def true_intrinsics(case):
     with open(os.path.join(case, "sparse/cameras.txt")) as file:
         line = [line for line in file if not line.startswith("#")][0]
@@ -291,6 +319,8 @@ def main():
         bench_poses(args.binary, args.shared, args.out, args.only, args.colmap)
     if "variants" in args.tables:
         bench_variants(args.binary, args.shared, args.out, args.only)
+    if "orbits" in args.tables:
+        bench_orbits(args.binary, args.out, args.only, args.colmap)
     here = sys.modules[__name__]
     if "dino" in args.tables:
         bench_sfm.bench_dino(here, args.binary, args.shared, args.out)

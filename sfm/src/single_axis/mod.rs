@@ -48,6 +48,8 @@ const FARTHEST: [f64; 2] = [0.1, 0.2];
 
 /// Adjustments near a circle: sightings that fit the first one take part in the next.
 const CIRCLE_ROUNDS: usize = 2;
+/// A circle that cameras keep to no better than this (radians, radii) holds them no firmer than their sightings do.
+const TIGHT: f64 = 0.01;
 
 /// One axis is not looked at further where it leaves so many times the residuals of free poses.
 const HOPELESS: f64 = 3.0;
@@ -176,7 +178,9 @@ fn on_a_circle(
     evidence: String,
 ) -> Result<Outcome, SfmError> {
     let mut circled: Option<State> = None;
-    for _ in 0..CIRCLE_ROUNDS {
+    let [turn, shift] = comparison.orbit_sigma;
+    let rounds = if turn < TIGHT && shift < TIGHT { CIRCLE_ROUNDS } else { 0 };
+    for _ in 0..rounds {
         let from = circled.as_ref().unwrap_or(free.state);
         let Some(mut next) = orbit::adjusted(from, context, free.intrinsics, comparison.orbit_sigma)? else {
             break;
