@@ -21,7 +21,7 @@ const MOST_PIXELS: usize = 3;
 /// A voxel is at least so many pixels of the surface wide: seen aslant, pixels lie farther apart.
 const PIXELS_OF_A_VOXEL: f64 = 1.5;
 /// Distances are cut off here, voxels.
-const TRUNCATION: f64 = 4.0;
+const TRUNCATION: f64 = 5.0;
 /// Most memory of the volume, bytes.
 const MOST_BYTES: usize = 3 << 30;
 /// Parts smaller than this share of the largest one's area are left out. A boom or an antenna is a few thousandths.
@@ -199,9 +199,10 @@ mod tests {
         let mut mask = vec![0; w * h];
         mask[4 * w + 8] = 255;
         let near = near_white(&mask, w);
-        for i in 0..w * h {
+        assert_eq!(near.len(), w * h);
+        for (i, &found) in near.iter().enumerate() {
             let (x, y) = (i % w, i / w);
-            assert_eq!(near[i], x >= 6 && (2..=6).contains(&y), "{x} {y}");
+            assert_eq!(found, x >= 6 && (2..=6).contains(&y), "{x} {y}");
         }
         assert!(near_white(&[], 1).is_empty());
     }

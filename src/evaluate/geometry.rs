@@ -78,7 +78,11 @@ impl Geometry {
 
     /// For the report: a table where there is a mesh, and a sentence.
     pub fn html(&self) -> String {
-        let mut html = format!("<h3>Shape</h3><p>{}</p>", self.protocol);
+        let mut protocol = self.protocol.clone();
+        if let Some(first) = protocol.get_mut(0..1) {
+            first.make_ascii_uppercase();
+        }
+        let mut html = format!("<h3>Shape</h3><p>{protocol}.</p>");
         if self.cloud.is_some() || self.surface.is_some() {
             html.push_str(
                 "<div class=\"scroll\"><table><tr><th><th class=n>sparse cloud<th class=n>splat<th class=n>fused mesh</tr>",

@@ -66,7 +66,7 @@ const RADIUS: f64 = 16.0;
 /// Nothing is shown beyond this, in the page's units: it lies behind the far plane.
 const FARTHEST: f32 = 2000.0;
 
-/// A finished run, as far as it is looked at, moved to the origin and to [`RADIUS`].
+/// A finished run, as far as it is looked at, moved into the page's frame.
 #[derive(Debug)]
 pub struct Run {
     /// Its folder.
