@@ -111,7 +111,7 @@ mod tests {
             let mask = (0..64 * 48)
                 .map(|i| {
                     let (x, y) = (f64::from(i % 64) + 0.5 - 32.0, f64::from(i / 64) + 0.5 - 24.0);
-                    if k % blind != 0 && x.hypot(y) < reach { 255 } else { 0 }
+                    if !k.is_multiple_of(blind) && x.hypot(y) < reach { 255 } else { 0 }
                 })
                 .collect();
             let full = Pixels { width: 64, height: 48, rgb: vec![90; 64 * 48 * 3], mask: Some(mask) };
