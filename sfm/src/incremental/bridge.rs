@@ -20,6 +20,8 @@ const MIN_SCALES: usize = 5;
 const SCALE_SPREAD: f64 = 0.12;
 /// Fewest matches with other images that settle it.
 const MIN_MATCHES: usize = 15;
+/// Frames of a video so few apart show the same place.
+const NEAR_IN_TIME: usize = 5;
 
 /// Matches of an image with a registered one, in ideal pixels from the principal point.
 struct Link<'a> {
@@ -81,10 +83,18 @@ pub(crate) fn agreement(
     Some((link.agreeing(&pose, 2.0 * input.config.max_reprojection_px), link.matches.len()))
 }
 
-/// Matches of an image with registered ones: (agreeing with its pose, all).
+/// Matches of an image with registered ones: (agreeing with its pose, all). Of a frame of a video those with its
+/// neighbours in time, where these are enough: others may show another place that looks alike.
 pub(crate) fn consistency(state: &State, input: &Input<'_>, image: usize) -> (usize, usize) {
     let Some(pose) = state.poses[image] else { return (0, 0) };
-    let links = links(state, input, image);
+    let mut links = links(state, input, image);
+    if !input.may_be_turned {
+        let near = |l: &Link<'_>| l.geometry.a.abs_diff(l.geometry.b) <= NEAR_IN_TIME;
+        let matches: usize = links.iter().filter(|l| near(l)).map(|l| l.matches.len()).sum();
+        if matches >= 2 * input.config.min_sightings {
+            links.retain(near);
+        }
+    }
     let limit = 2.0 * input.config.max_reprojection_px;
     let agreeing = links.iter().map(|l| l.agreeing(&pose, limit)).sum();
     (agreeing, links.iter().map(|l| l.matches.len()).sum())

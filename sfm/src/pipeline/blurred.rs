@@ -2,9 +2,9 @@
 //! structure is noise, and what is left of the object shows at larger scales only.
 
 use super::Job;
-use crate::matching::PairMatches;
+use crate::matching::{PairMatches, PreparedFeatures, match_prepared};
 use crate::{Decision, SfmError, pairs, sift, two_view};
-use scene::{Features, TwoViewGeometry};
+use scene::{Features, FrameSet, TwoViewGeometry};
 use std::collections::BTreeMap;
 
 /// Blur of the second set, pixels.
@@ -14,6 +14,10 @@ const SHARE: f64 = 0.5;
 /// Factor by which the matches of loosely tied pairs must grow for it to be kept: where both sets find the same spots they
 /// are half as many again, and nothing is won.
 const WORTH: f64 = 2.0;
+
+/// Pairs that are tried before all are, and the number of images beyond which they are.
+const PROBES: usize = 16;
+const PROBE_BEYOND: usize = 48;
 
 /// Features of both sets (the first set's keep their numbers), and the pairs verified with both.
 pub(super) struct Richer {
@@ -36,8 +40,10 @@ pub(super) fn enrich(
     if (count_loose as f64) < SHARE * loose.len() as f64 {
         return Ok(None);
     }
-    let sift = sift::SiftConfig { pre_blur: BLUR.hypot(config.sift.pre_blur), ..config.sift.clone() };
-    let coarse = sift::extract_all(frames, &sift, progress)?;
+    if !promising(geometries, loose, job)? {
+        return Ok(None);
+    }
+    let coarse = sift::extract_all(frames, &blurring(job), progress)?;
     let of_loose = |a: usize, b: usize| loose[a] || loose[b];
     let found = pairs::match_related(frames, &coarse, &config.pairs, &config.matching, progress)?;
     let found: Vec<PairMatches> = found.into_iter().filter(|m| of_loose(m.0, m.1)).collect();
@@ -65,6 +71,45 @@ pub(super) fn enrich(
         ),
     };
     Ok(Some(Richer { features, geometries: all, decision }))
+}
+
+fn blurring(job: &Job<'_>) -> sift::SiftConfig {
+    let given = &job.config.sift;
+    sift::SiftConfig { pre_blur: BLUR.hypot(given.pre_blur), ..given.clone() }
+}
+
+/// Whether the blurred copies alone, of some loosely tied pairs, have as many matches as would be worth it: those of both
+/// sets together are no fewer.
+fn promising(geometries: &[TwoViewGeometry], loose: &[bool], job: &Job<'_>) -> Result<bool, SfmError> {
+    let Job { frames, config, setup, progress, .. } = *job;
+    let tied: Vec<&TwoViewGeometry> = geometries.iter().filter(|g| loose[g.a] || loose[g.b]).collect();
+    if loose.len() <= PROBE_BEYOND || tied.len() <= 2 * PROBES {
+        return Ok(true);
+    }
+    let probes: Vec<&TwoViewGeometry> = tied.iter().step_by(tied.len().div_ceil(PROBES)).copied().collect();
+    let mut images: Vec<usize> = probes.iter().flat_map(|g| [g.a, g.b]).collect();
+    images.sort_unstable();
+    images.dedup();
+    let place = |image: usize| images.partition_point(|&i| i < image);
+    let some = FrameSet {
+        frames: images.iter().map(|&i| frames.frames[i].clone()).collect(),
+        is_video: false,
+        notes: Vec::new(),
+    };
+    let features = sift::extract_all(&some, &blurring(job), progress)?;
+    let prepared: Vec<PreparedFeatures> = features.iter().map(PreparedFeatures::new).collect();
+    let matched = |g: &&TwoViewGeometry| {
+        let (a, b) = (place(g.a), place(g.b));
+        (a, b, match_prepared(&prepared[a], &prepared[b], &config.matching))
+    };
+    let matches = probes.iter().map(matched).collect();
+    let all = setup.of_frames();
+    let cameras: Vec<_> = images.iter().map(|&i| all[i].clone()).collect();
+    let found =
+        two_view::verify_pairs(&features, &cameras, matches, &config.two_view, config.seed, progress)?;
+    let after: usize = found.iter().map(|g| g.inliers.len()).sum();
+    let before: usize = probes.iter().map(|g| g.inliers.len()).sum();
+    Ok(after as f64 >= (WORTH - 1.0) * before as f64)
 }
 
 /// Matches of both sets by pair `(a, b)`, `a < b`; `first`: by image, the number of features of the first set.
