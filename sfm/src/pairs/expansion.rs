@@ -30,7 +30,7 @@ pub fn match_related(
     let n = frames.len().min(features.len());
     let mut batch = first_pairs(frames, features, pairs);
     let mut found = match_prepared_pairs(&prepared, &batch, matching, progress)?;
-    if n <= pairs.exhaustive_up_to.max(2) {
+    if pairs.exhaustive(n, frames.is_video) {
         return Ok(found);
     }
     let mut graph = Graph::new(features, pairs.pair_candidates);

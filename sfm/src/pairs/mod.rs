@@ -18,9 +18,12 @@ use std::collections::BTreeSet;
 #[derive(Clone, Debug, PartialEq, clap::Args, Serialize, Deserialize)]
 #[serde(default)]
 pub struct PairConfig {
-    /// Up to so many images every pair is matched.
+    /// Up to so many photos every pair is matched.
     #[arg(long, default_value_t = Self::default().exhaustive_up_to, help_heading = "Matching")]
     pub exhaustive_up_to: usize,
+    /// The same for the frames of a video: what repeats on an object shows by the pairs that are missing.
+    #[arg(long, default_value_t = Self::default().exhaustive_frames_up_to, help_heading = "Matching")]
+    pub exhaustive_frames_up_to: usize,
     /// Beyond that, every frame of a video is matched with so many that follow it.
     #[arg(long, default_value_t = Self::default().pair_window, help_heading = "Matching")]
     pub pair_window: usize,
@@ -31,7 +34,15 @@ pub struct PairConfig {
 
 impl Default for PairConfig {
     fn default() -> Self {
-        Self { exhaustive_up_to: 40, pair_window: 5, pair_candidates: 30 }
+        Self { exhaustive_up_to: 40, exhaustive_frames_up_to: 100, pair_window: 5, pair_candidates: 30 }
+    }
+}
+
+impl PairConfig {
+    /// Whether every pair of so many images is matched.
+    fn exhaustive(&self, images: usize, is_video: bool) -> bool {
+        let most = if is_video { self.exhaustive_frames_up_to } else { self.exhaustive_up_to };
+        images <= most.max(2)
     }
 }
 
@@ -40,7 +51,7 @@ impl Default for PairConfig {
 /// same for any number of threads.
 pub fn first_pairs(frames: &FrameSet, features: &[Features], config: &PairConfig) -> Vec<(usize, usize)> {
     let n = frames.len().min(features.len());
-    if n <= config.exhaustive_up_to.max(2) {
+    if config.exhaustive(n, frames.is_video) {
         return (0..n).flat_map(|a| (a + 1..n).map(move |b| (a, b))).collect();
     }
     let window = if frames.is_video { config.pair_window } else { 0 };
@@ -95,7 +106,12 @@ mod tests {
         let ring = ring(n);
         let position = |i: usize| (i * 23) % n; // 23 and 60 share no factor: a permutation
         let shuffled: Vec<Features> = (0..n).map(|i| ring[position(i)].clone()).collect();
-        let config = PairConfig { exhaustive_up_to: 10, pair_window: 4, pair_candidates: 24 };
+        let config = PairConfig {
+            exhaustive_up_to: 10,
+            exhaustive_frames_up_to: 10,
+            pair_window: 4,
+            pair_candidates: 24,
+        };
         let pairs: BTreeSet<_> = first_pairs(&frames(n, false), &shuffled, &config).into_iter().collect();
         assert!(pairs.len() <= 6 * n);
         for a in 0..n {
@@ -111,14 +127,24 @@ mod tests {
     #[test]
     fn closes_the_loop_of_a_video() {
         let n = 60;
-        let config = PairConfig { exhaustive_up_to: 10, pair_window: 4, pair_candidates: 12 };
+        let config = PairConfig {
+            exhaustive_up_to: 10,
+            exhaustive_frames_up_to: 10,
+            pair_window: 4,
+            pair_candidates: 12,
+        };
         let pairs = first_pairs(&frames(n, true), &ring(n), &config);
         assert!(pairs.contains(&(0, n - 1)) && pairs.contains(&(0, 4)) && pairs.contains(&(30, 34)));
     }
 
     #[test]
     fn images_without_features_do_not_stop_the_choice() {
-        let config = PairConfig { exhaustive_up_to: 2, pair_window: 1, pair_candidates: 4 };
+        let config = PairConfig {
+            exhaustive_up_to: 2,
+            exhaustive_frames_up_to: 2,
+            pair_window: 1,
+            pair_candidates: 4,
+        };
         let pairs = first_pairs(&frames(4, true), &vec![Features::default(); 4], &config);
         assert!(pairs.contains(&(0, 1)) && pairs.contains(&(2, 3)));
     }
