@@ -16,7 +16,7 @@ use crate::tracks::{Tracks, build_tracks, positions};
 use crate::{
     Decision, SfmConfig, SfmError, SfmResult, Uncertainty, incremental, mapper, pairs, sift, two_view,
 };
-use attempts::{on_a_ring, second_attempt, unfold};
+use attempts::{on_a_ring, unfold, with_a_second_look};
 use clock::Clock;
 use scene::{Camera, Features, FrameSet, Progress, TwoViewGeometry};
 use setup::Setup;
@@ -28,10 +28,6 @@ const STRONG_TIE: usize = 300;
 
 /// Power of a keypoint's scale with which its standard deviation grows.
 const SPREAD_BY_SCALE: f32 = 1.0;
-
-/// Images up to which pairs are looked at a second time where some image found no pose (about 40 ms a pair), and how often.
-const SECOND_LOOK_UP_TO: usize = 40;
-const SECOND_LOOKS: usize = 2;
 
 /// Camera poses, intrinsics and a sparse cloud from images alone.
 ///
@@ -350,17 +346,9 @@ fn solve(
         decisions.push(decision);
     }
     lap("repeated structure");
-    let mut completed = on_a_ring(given, &keypoints, &model, geometries, progress)?;
+    let completed = on_a_ring(given, &keypoints, &model, geometries, progress)?;
     lap("ring");
-    let standing = completed.as_ref().map_or(model.state.registered(), |c| c.0.registered());
-    if standing < features.len() && features.len() <= SECOND_LOOK_UP_TO {
-        for _ in 0..SECOND_LOOKS {
-            let next = second_attempt(given, &keypoints, geometries, &model.state, progress)?;
-            let Some(next) = next else { break };
-            model = next;
-        }
-        completed = on_a_ring(given, &keypoints, &model, geometries, progress)?;
-    }
+    let (model, completed) = with_a_second_look(given, &keypoints, geometries, (model, completed), progress)?;
     lap("second attempt");
     let Grown { mut state, tracks, mapper } = model;
     decisions.extend(mapper);

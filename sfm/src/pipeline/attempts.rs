@@ -8,9 +8,45 @@ use crate::{Decision, SfmError, selection, two_view};
 use scene::{Camera, Progress, TwoViewGeometry};
 use std::collections::BTreeSet;
 
+/// Images up to which pairs are looked at a second time where some image found no pose (about 40 ms a pair), and how often.
+const SECOND_LOOK_UP_TO: usize = 40;
+const SECOND_LOOKS: usize = 2;
+
+/// A model and, where it is a ring, the same with the images that it missed.
+type Placed = (Grown, Option<(State, Decision)>);
+
+/// Where images are still missing from a small set: the model from all pairs looked at again, unless it has fewer images.
+pub(super) fn with_a_second_look(
+    given: &Given<'_>,
+    keypoints: &[Vec<glam::DVec2>],
+    geometries: &mut Vec<TwoViewGeometry>,
+    first: Placed,
+    progress: &Progress,
+) -> Result<Placed, SfmError> {
+    let standing = |p: &Placed| p.1.as_ref().map_or(p.0.state.registered(), |c| c.0.registered());
+    if standing(&first) >= keypoints.len() || keypoints.len() > SECOND_LOOK_UP_TO {
+        return Ok(first);
+    }
+    let mut wider = geometries.clone();
+    let mut found: Option<Grown> = None;
+    for _ in 0..SECOND_LOOKS {
+        let from = found.as_ref().map_or(&first.0.state, |g| &g.state);
+        let Some(next) = second_attempt(given, keypoints, &mut wider, from, progress)? else { break };
+        found = Some(next);
+    }
+    let Some(model) = found else { return Ok(first) };
+    let completed = on_a_ring(given, keypoints, &model, &wider, progress)?;
+    let second = (model, completed);
+    if standing(&second) < standing(&first) {
+        return Ok(first);
+    }
+    *geometries = wider;
+    Ok(second)
+}
+
 /// Pairs that did not pass are looked at again with the solved intrinsics. The model that grows from all pairs then,
 /// where it is no smaller; `None` where no pair passes.
-pub(super) fn second_attempt(
+fn second_attempt(
     given: &Given<'_>,
     keypoints: &[Vec<glam::DVec2>],
     geometries: &mut Vec<TwoViewGeometry>,

@@ -43,8 +43,6 @@ use turn::Turn;
 const POINTS_ROUGH: usize = 50;
 /// Points an image contributes to the choice of the camera model.
 const POINTS_TO_CHOOSE: usize = 250;
-/// Farthest that free poses may be from a turn for one to be tried: tilt (radians) and slip (radii).
-const FARTHEST: [f64; 2] = [0.1, 0.2];
 
 /// Adjustments near a circle: sightings that fit the first one take part in the next.
 const CIRCLE_ROUNDS: usize = 2;
@@ -208,7 +206,7 @@ fn one_axis(
         ),
         None => "the general solver has no poses that turn".to_owned(),
     });
-    let near = from_free.filter(|(_, m)| single || (m.tilt <= FARTHEST[0] && m.slip <= FARTHEST[1]));
+    let near = from_free.filter(|(_, m)| single || orbit::near(m));
     let registered = free.map_or(0, |f| f.state.registered());
     let whole = registered as f64 >= WHOLE * job.input.keypoints.len() as f64;
     let context = job.context(&[]);
@@ -238,11 +236,15 @@ fn one_axis(
     Ok(solved)
 }
 
+/// Cameras in the model that the priors refer to, until the evidence has spoken.
+fn as_at_the_start(cameras: &[Camera], context: &Context<'_>) -> Vec<Camera> {
+    let same = |(camera, start): (&Camera, &Camera)| converted(camera, start.model);
+    cameras.iter().zip(context.starts).map(same).collect()
+}
+
 /// Standard deviation of a residual that one axis leaves after a short adjustment, pixels.
 fn rough_noise(context: &Context<'_>, cameras: &[Camera], turn: Turn) -> Result<f64, SfmError> {
-    let same = |(camera, start): (&Camera, &Camera)| converted(camera, start.model);
-    let cameras = cameras.iter().zip(context.starts).map(same).collect();
-    let mut model = AxisModel::new(context.input, cameras, turn);
+    let mut model = AxisModel::new(context.input, as_at_the_start(cameras, context), turn);
     let stands = model.settle_with(context, 1, POINTS_ROUGH, model.state.registered())?;
     Ok(if stands { noise_of(&model.state, context.input) } else { f64::INFINITY })
 }
@@ -254,10 +256,7 @@ pub(crate) fn adjust_and_choose(
     cameras: &[Camera],
     turn: Turn,
 ) -> Result<Option<(AxisModel, Intrinsics, Decision)>, SfmError> {
-    // In the model that the priors refer to, until the evidence has spoken.
-    let same = |(camera, start): (&Camera, &Camera)| converted(camera, start.model);
-    let cameras = cameras.iter().zip(context.starts).map(same).collect();
-    let mut model = AxisModel::new(context.input, cameras, turn);
+    let mut model = AxisModel::new(context.input, as_at_the_start(cameras, context), turn);
     if !model.settle(context, 5)? {
         return Ok(None);
     }

@@ -11,7 +11,7 @@ use crate::selection::Intrinsics;
 use glam::DVec3;
 use scene::Pose;
 
-/// Poses farther from a circle than this are no orbit: tilt (radians) and slip (radii).
+/// Poses farther from a circle than this are no orbit and no turn: tilt (radians) and slip (radii).
 const FARTHEST: [f64; 2] = [0.1, 0.2];
 /// Offsets are at least about so large, radians and radii: less is none.
 const LEAST: f64 = 1e-6;
