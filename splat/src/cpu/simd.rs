@@ -32,6 +32,11 @@ pub unsafe trait Simd: Copy {
     fn mul(self, o: Self) -> Self;
     /// `self / o`
     fn div(self, o: Self) -> Self;
+    /// `1 / self` of normal numbers; relative error below 3e-7. A division of 16 lanes takes as long as a dozen products.
+    #[inline(always)]
+    fn reciprocal(self) -> Self {
+        Self::splat(1.0).div(self)
+    }
     /// `self · m + a` (rounded once where the machine can)
     fn fma(self, m: Self, a: Self) -> Self;
     /// `a − self · m`
@@ -156,6 +161,12 @@ macro_rules! array {
     };
     ($k:ident in 3 => $e:expr) => {
         [{ let $k: usize = 0; $e }, { let $k: usize = 1; $e }, { let $k: usize = 2; $e }]
+    };
+    ($k:ident in 7 => $e:expr) => {
+        [
+            { let $k: usize = 0; $e }, { let $k: usize = 1; $e }, { let $k: usize = 2; $e }, { let $k: usize = 3; $e },
+            { let $k: usize = 4; $e }, { let $k: usize = 5; $e }, { let $k: usize = 6; $e },
+        ]
     };
     ($k:ident in 4 => $e:expr) => {
         [{ let $k: usize = 0; $e }, { let $k: usize = 1; $e }, { let $k: usize = 2; $e }, { let $k: usize = 3; $e }]
@@ -340,6 +351,29 @@ mod tests {
                     input.iter().zip(output).all(|(&x, y)| is_exponential(x, y)),
                     "{isa:?} {input:?} {output:?}"
                 );
+            }
+        }
+    }
+
+    #[inline(always)]
+    fn reciprocal_generic<S: Simd>(a: &mut Exp) {
+        for i in (0..16).step_by(S::LANES) {
+            unsafe { S::load(a.input.as_ptr().add(i)).reciprocal().store(a.output.as_mut_ptr().add(i)) };
+        }
+    }
+    simd_kernel!(fn reciprocal(arguments: &mut Exp) = reciprocal_generic);
+
+    #[test]
+    fn the_reciprocal_is_accurate_on_every_instruction_set() {
+        for isa in Isa::available() {
+            for step in 0..500 {
+                let input: [f32; 16] =
+                    std::array::from_fn(|i| 1.02f32.powi(step * 4 - 1000) * (1.0 + 0.063 * i as f32));
+                let mut output = [0.0; 16];
+                reciprocal(isa, &mut Exp { input: &input, output: &mut output });
+                let error = |(&x, y): (&f32, f32)| (f64::from(x) * f64::from(y) - 1.0).abs();
+                let worst = input.iter().zip(output).map(error).fold(0.0, f64::max);
+                assert!(worst < 3e-7, "{isa:?} {input:?} {output:?}");
             }
         }
     }

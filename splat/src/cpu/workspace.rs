@@ -4,7 +4,7 @@ use super::bin::{Bins, TILE};
 use super::loss::{LossBuffers, Shape};
 use super::optimise::{Optimise, SharedModel, SharedPlane, Sink, optimise};
 use super::project::{CULLED, CameraConstants, Parameters, Project, Record, project};
-use super::raster::{Backward, Forward, PIXELS, SUMS, Tile, Visit, backward, forward, visit};
+use super::raster::{Backward, Forward, PIXELS, Plane, SUMS, Tile, Visit, backward, forward, visit};
 use super::simd::Isa;
 use crate::backend::Target;
 use rayon::prelude::*;
@@ -68,7 +68,8 @@ impl Workspace {
         self.used.par_iter_mut().enumerate().for_each(|(t, used)| {
             let tile = shape.tile(t);
             let list = &bins.list[bins.offsets[t] as usize..bins.offsets[t + 1] as usize];
-            let (mut colour, mut clear, mut far) = ([[0.0; PIXELS]; 3], [1.0; PIXELS], [0.0; PIXELS]);
+            let (mut colour, mut clear, mut far) =
+                ([Plane::filled(0.0); 3], Plane::filled(1.0), Plane::filled(0.0));
             let mut a = Forward {
                 records,
                 list,
@@ -150,8 +151,8 @@ impl Workspace {
                 return;
             }
             let tile = shape.tile(t);
-            let local: [[f32; PIXELS]; 3] = std::array::from_fn(|c| gather(&gradient[c], &tile));
-            let mut remaining = [0.0; PIXELS];
+            let local: [Plane; 3] = std::array::from_fn(|c| gather(&gradient[c], &tile));
+            let mut remaining = Plane::filled(0.0);
             for (colour, gradient) in rgb.iter().zip(&local) {
                 let colour = gather(colour, &tile);
                 for i in 0..PIXELS {
@@ -228,14 +229,14 @@ impl SharedSums {
 
 /// # Safety
 /// `plane` covers the tile and no other task writes its pixels.
-unsafe fn scatter(values: &[f32; PIXELS], plane: &SharedPlane, tile: &Tile) {
+unsafe fn scatter(values: &Plane, plane: &SharedPlane, tile: &Tile) {
     for (y, row) in values.chunks_exact(TILE).enumerate() {
         unsafe { std::ptr::copy_nonoverlapping(row.as_ptr(), plane.0.add(tile.row(y)), TILE) };
     }
 }
 
-fn gather(plane: &[f32], tile: &Tile) -> [f32; PIXELS] {
-    let mut out = [0.0; PIXELS];
+fn gather(plane: &[f32], tile: &Tile) -> Plane {
+    let mut out = Plane::filled(0.0);
     for (y, row) in out.chunks_exact_mut(TILE).enumerate() {
         row.copy_from_slice(&plane[tile.row(y)..tile.row(y) + TILE]);
     }
