@@ -22,7 +22,12 @@ const BARE_GLOBALS: [&str; 5] = ["-v", "--verbose", "-q", "--quiet", "--json"];
 /// The preset's flags (`balanced` is the flags' defaults): those of the poses, then those of the splat.
 fn preset(quality: Quality) -> Vec<String> {
     let poses: &[(&str, &str)] = match quality {
-        Quality::Draft => &[("doubling", "never"), ("max-features", "2048")],
+        Quality::Draft => &[
+            ("doubling", "never"),
+            ("max-features", "2048"),
+            ("track-points", "600"),
+            ("track-distance-px", "5"),
+        ],
         Quality::Fast | Quality::Balanced => &[],
         Quality::Best => &[("max-features", "8192")],
     };

@@ -37,7 +37,7 @@ pub struct KltConfig {
 
 impl Default for KltConfig {
     fn default() -> Self {
-        Self { track_points: 600, track_distance_px: 5.0, track_return_px: 0.4 }
+        Self { track_points: 1500, track_distance_px: 3.0, track_return_px: 0.4 }
     }
 }
 
