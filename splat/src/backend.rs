@@ -151,6 +151,16 @@ pub trait Backend {
     fn upload(&mut self, model: Model, statistics: Statistics) -> Result<(), SplatError>;
     /// The present parameters, moments and statistics.
     fn download(&mut self) -> Result<(Model, Statistics), SplatError>;
+    /// The same, and nothing may stay behind until something is uploaded: no copy where they lie in the host's memory.
+    fn release(&mut self) -> Result<(Model, Statistics), SplatError> {
+        self.download()
+    }
+    /// Shows them to the host as they are, without a copy where they lie in its memory.
+    fn show(&mut self, look: &mut dyn FnMut(&Model, &Statistics)) -> Result<(), SplatError> {
+        let (model, statistics) = self.download()?;
+        look(&model, &statistics);
+        Ok(())
+    }
     /// Changes between steps: densification, pruning, another spherical-harmonic degree.
     fn edit(&mut self, change: &mut dyn FnMut(&mut Model, &mut Statistics)) -> Result<(), SplatError>;
     /// A round of densification; statistics begin anew. How many were removed because hardly any view has them.

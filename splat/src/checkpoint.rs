@@ -64,7 +64,15 @@ pub struct Checkpoint {
 }
 
 /// All arrays of a checkpoint, in file order.
-fn arrays<'a>(model: &'a mut Model, statistics: &'a mut Statistics) -> Vec<&'a mut Vec<f32>> {
+fn arrays<'a>(model: &'a Model, statistics: &'a Statistics) -> Vec<&'a [f32]> {
+    let Model { geometry, geometry_m, geometry_v, sh, sh_m, sh_v, steps, .. } = model;
+    let Statistics { gradient, visible, weight, radius } = statistics;
+    let planes = geometry.iter().chain(geometry_m).chain(geometry_v);
+    planes.chain([sh, sh_m, sh_v, steps, gradient, visible, weight, radius]).map(Vec::as_slice).collect()
+}
+
+/// The same, to be filled.
+fn arrays_mut<'a>(model: &'a mut Model, statistics: &'a mut Statistics) -> Vec<&'a mut Vec<f32>> {
     let Model { geometry, geometry_m, geometry_v, sh, sh_m, sh_v, steps, .. } = model;
     let mut all: Vec<&mut Vec<f32>> = Vec::new();
     all.extend(geometry.iter_mut().chain(geometry_m).chain(geometry_v));
@@ -78,32 +86,31 @@ fn arrays<'a>(model: &'a mut Model, statistics: &'a mut Statistics) -> Vec<&'a m
     all
 }
 
-impl Checkpoint {
-    /// Writes into the folder (created if missing), atomically.
-    pub fn write(&mut self, folder: &Path) -> Result<(), SplatError> {
-        let path = folder.join(FILE);
-        let failed = |source| SplatError::CheckpointWrite { path: path.clone(), source };
-        let header =
-            Header { state: self.state.clone(), len: self.model.len, sh_degree: self.model.sh_degree };
-        let header = serde_json::to_vec(&header).map_err(|e| failed(e.into()))?;
-        std::fs::create_dir_all(folder).map_err(failed)?;
-        let partial = folder.join(format!("{FILE}.partial"));
-        let mut write = || -> std::io::Result<()> {
-            let mut file = std::io::BufWriter::new(std::fs::File::create(&partial)?);
-            file.write_all(MAGIC)?;
-            file.write_all(&(header.len() as u64).to_le_bytes())?;
-            file.write_all(&header)?;
-            for array in arrays(&mut self.model, &mut self.statistics) {
-                for value in array.iter() {
-                    file.write_all(&value.to_le_bytes())?;
-                }
+/// Writes a checkpoint into the folder (created if missing), atomically.
+pub fn write(state: &State, model: &Model, statistics: &Statistics, folder: &Path) -> Result<(), SplatError> {
+    let path = folder.join(FILE);
+    let failed = |source| SplatError::CheckpointWrite { path: path.clone(), source };
+    let header = Header { state: state.clone(), len: model.len, sh_degree: model.sh_degree };
+    let header = serde_json::to_vec(&header).map_err(|e| failed(e.into()))?;
+    std::fs::create_dir_all(folder).map_err(failed)?;
+    let partial = folder.join(format!("{FILE}.partial"));
+    let write = || -> std::io::Result<()> {
+        let mut file = std::io::BufWriter::new(std::fs::File::create(&partial)?);
+        file.write_all(MAGIC)?;
+        file.write_all(&(header.len() as u64).to_le_bytes())?;
+        file.write_all(&header)?;
+        for array in arrays(model, statistics) {
+            for value in array {
+                file.write_all(&value.to_le_bytes())?;
             }
-            file.into_inner().map_err(|e| e.into_error())?.sync_all()?;
-            std::fs::rename(&partial, &path)
-        };
-        write().map_err(|source| SplatError::CheckpointWrite { path: path.clone(), source })
-    }
+        }
+        file.into_inner().map_err(|e| e.into_error())?.sync_all()?;
+        std::fs::rename(&partial, &path)
+    };
+    write().map_err(|source| SplatError::CheckpointWrite { path: path.clone(), source })
+}
 
+impl Checkpoint {
     /// Reads the folder's checkpoint; `None` if there is none or it belongs to another configuration.
     pub fn read(folder: &Path, fingerprint: &str) -> Result<Option<Self>, SplatError> {
         let path = folder.join(FILE);
@@ -134,7 +141,7 @@ fn parse(bytes: &[u8]) -> Result<Checkpoint, String> {
     let mut model = Model { len: header.len, sh_degree: header.sh_degree, ..Model::default() };
     let mut statistics = Statistics::default();
     let (planes, sh) = (padded(model.len), model.len * model.sh_stride());
-    for (index, array) in arrays(&mut model, &mut statistics).into_iter().enumerate() {
+    for (index, array) in arrays_mut(&mut model, &mut statistics).into_iter().enumerate() {
         let length = if (33..36).contains(&index) { sh } else { planes };
         let (own, next) = rest.split_at_checked(length * 4).ok_or_else(short)?;
         *array = own.as_chunks::<4>().0.iter().map(|&b| f32::from_le_bytes(b)).collect();
@@ -171,20 +178,25 @@ mod tests {
         Checkpoint { state, model, statistics }
     }
 
+    fn write_example(folder: &Path) {
+        let Checkpoint { state, model, statistics } = example();
+        write(&state, &model, &statistics, folder).unwrap();
+    }
+
     #[test]
     fn a_checkpoint_comes_back_bit_for_bit() {
         let folder = std::env::temp_dir().join(format!("splat-checkpoint-{}", std::process::id()));
-        let mut checkpoint = example();
-        checkpoint.write(&folder).unwrap();
-        let mut read = Checkpoint::read(&folder, "x").unwrap().unwrap();
+        let checkpoint = example();
+        write_example(&folder);
+        let read = Checkpoint::read(&folder, "x").unwrap().unwrap();
         assert_eq!(read.state, checkpoint.state);
-        let bits = |c: &mut Checkpoint| -> Vec<u32> {
-            arrays(&mut c.model, &mut c.statistics)
+        let bits = |c: &Checkpoint| -> Vec<u32> {
+            arrays(&c.model, &c.statistics)
                 .into_iter()
                 .flat_map(|a| a.iter().map(|v| v.to_bits()).collect::<Vec<_>>())
                 .collect()
         };
-        assert_eq!(bits(&mut read), bits(&mut checkpoint));
+        assert_eq!(bits(&read), bits(&checkpoint));
         assert!(Checkpoint::read(&folder, "y").unwrap().is_none(), "another configuration starts afresh");
         std::fs::remove_dir_all(&folder).unwrap();
     }
@@ -192,7 +204,7 @@ mod tests {
     #[test]
     fn a_damaged_checkpoint_is_refused() {
         let folder = std::env::temp_dir().join(format!("splat-damaged-{}", std::process::id()));
-        example().write(&folder).unwrap();
+        write_example(&folder);
         let bytes = std::fs::read(folder.join(FILE)).unwrap();
         for cut in [0, 4, 12, 40, bytes.len() - 1] {
             assert!(parse(&bytes[..cut]).is_err(), "{cut}");

@@ -7,7 +7,7 @@ mod prune;
 pub use decide::Findings;
 
 use crate::backend::{Backend, KernelTimes, Round, StepInput, StepOutput, Target};
-use crate::checkpoint::{Checkpoint, State};
+use crate::checkpoint::{self, Checkpoint, State};
 use crate::config::Selection;
 use crate::cpu::optimise::Statistics;
 use crate::dataset::AlphaMode;
@@ -103,7 +103,7 @@ pub fn train(
     let mut trainer = Trainer::new(dataset, config, checkpoint_dir)?;
     progress.begin("train", if config.time_limit.is_some() { 0 } else { config.iterations as usize });
     let saved = |trainer: &mut Trainer| -> Result<(), SplatError> {
-        checkpoint_dir.map_or(Ok(()), |folder| trainer.checkpoint()?.write(folder))
+        checkpoint_dir.map_or(Ok(()), |folder| trainer.save(folder))
     };
     while trainer.state.position < 1.0 {
         trainer.step()?;
@@ -210,10 +210,14 @@ impl<'a> Trainer<'a> {
         self.state.seconds += now - std::mem::replace(&mut self.mark, now);
     }
 
-    fn checkpoint(&mut self) -> Result<Checkpoint, SplatError> {
+    /// Leaves a checkpoint in the folder.
+    fn save(&mut self, folder: &Path) -> Result<(), SplatError> {
         self.settle()?;
-        let (model, statistics) = self.backend.download()?;
-        Ok(Checkpoint { state: self.state.clone(), model, statistics })
+        let (state, mut written) = (&self.state, Ok(()));
+        self.backend.show(&mut |model, statistics| {
+            written = checkpoint::write(state, model, statistics, folder);
+        })?;
+        written
     }
 
     /// The view of a step: a fresh permutation of all views each time round; those that judge only once they are done.
@@ -371,11 +375,11 @@ impl<'a> Trainer<'a> {
     }
 
     fn finish(mut self) -> Result<TrainResult, SplatError> {
-        let (mut model, _) = self.backend.download()?;
+        let timings = self.backend.times();
+        let (mut model, _) = self.backend.release()?;
         // What has wandered off since growth ended.
         self.state.findings.outside += self.hull.as_ref().map_or(0, |hull| hull.prune(&mut model));
-        let timings = self.backend.times();
-        let decisions = self.decisions();
+        let decisions = self.decisions(model.len);
         let near = crate::cpu::DEFAULT_NEAR / self.dataset.normalisation.scale as f32;
         Ok(TrainResult {
             gaussians: self.dataset.normalisation.to_world(model.to_gaussians()),

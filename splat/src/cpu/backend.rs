@@ -261,6 +261,15 @@ impl Backend for CpuBackend {
         Ok((self.model.clone(), self.statistics.clone()))
     }
 
+    fn release(&mut self) -> Result<(Model, Statistics), SplatError> {
+        Ok((std::mem::take(&mut self.model), std::mem::take(&mut self.statistics)))
+    }
+
+    fn show(&mut self, look: &mut dyn FnMut(&Model, &Statistics)) -> Result<(), SplatError> {
+        look(&self.model, &self.statistics);
+        Ok(())
+    }
+
     fn edit(&mut self, change: &mut dyn FnMut(&mut Model, &mut Statistics)) -> Result<(), SplatError> {
         change(&mut self.model, &mut self.statistics);
         Ok(())

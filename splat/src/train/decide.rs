@@ -203,10 +203,9 @@ impl Trainer<'_> {
         Ok(())
     }
 
-    /// All decisions, with what is only known at the end.
-    pub(super) fn decisions(&mut self) -> Vec<Decision> {
+    /// All decisions, with what is only known at the end, when there are `n` Gaussians.
+    pub(super) fn decisions(&mut self, n: usize) -> Vec<Decision> {
         let findings = self.state.findings.clone();
-        let n = self.backend.gaussians();
         if let (None, Some((psnr, then))) = (findings.gaussians_limit, findings.last_look) {
             let evidence =
                 format!("validation views did not stop gaining ({psnr:.2} dB with {then} Gaussians)");

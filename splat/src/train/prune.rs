@@ -56,7 +56,7 @@ impl Trainer<'_> {
     pub(super) fn prune_redundant(&mut self) -> Result<(), SplatError> {
         let judges = some(&self.views, JUDGES);
         let before = self.psnr(&judges, 0, None)?;
-        let (whole, mut statistics) = self.backend.download()?;
+        let (whole, mut statistics) = self.backend.release()?;
         let witnesses: Vec<PinholeView> = some(&self.views, WITNESSES)
             .iter()
             .map(|&v| self.dataset.views[v].view)
