@@ -87,10 +87,10 @@ def pose_row(name, tool, record, cpu, wall, peak):
           f"| {cpu:.1f} | {wall:.1f} | {peak:.0f} |", flush=True)
 
 
-def bench_poses(binary, shared, out, only, colmap):
+def bench_poses(binary, shared, out, only, colmap, sets=POSES):
     print("\n## Poses\n\n| input | tool | registered | AUC@1 / 3 / 5 / 10 | rotation median | centre median / max, % "
           "| CPU s | wall s | peak MiB |\n|---|---|---|---|---|---|---|---|---|")
-    for name, source, truth, flags in POSES:
+    for name, source, truth, flags in sets:
         if only and name not in only:
             continue
         folder = os.path.join(out, "poses", name)

@@ -20,6 +20,9 @@ import sys
 import bench
 
 SETS = [entry for entry in bench.POSES if entry[2]]
+# What `make testbed` renders, where it has been.
+RENDERED = [(name, os.path.join(case, "images"), os.path.join(case, "sparse"), []) for name, case in bench.ORBITS]
+RENDERED += [(name, os.path.join(case, "video.mp4"), os.path.join(case, "sparse"), []) for name, case in bench.TURNS[1:]]
 MAPPERS = ("incremental", "global")
 
 
@@ -157,9 +160,10 @@ def main():
     args = parser.parse_args()
     if args.pycolmap:
         return pycolmap_models(*args.pycolmap)
-    only = args.only or [entry[0] for entry in SETS]
-    bench.bench_poses(args.binary, args.shared, args.out, only, colmap=[])
-    for name, source, truth, flags in SETS:
+    sets = SETS + [entry for entry in RENDERED if os.path.exists(entry[1])]
+    only = args.only or [entry[0] for entry in sets]
+    bench.bench_poses(args.binary, args.shared, args.out, only, colmap=[], sets=sets)
+    for name, source, truth, flags in sets:
         if name not in only:
             continue
         source, truth = (os.path.join(args.shared, "data", path) for path in (source, truth))
