@@ -173,6 +173,10 @@ fn modes_and_backgrounds_do_what_they_say() {
         image::open(&set.frames[0].path).unwrap().to_rgb8().get_pixel(20, 20)
     );
     assert_eq!(run("off", MatteMode::Soft, Background::Keep).unwrap().frames, set.frames);
+    // A lit room is not keyed by light: the object would be cut to pieces.
+    let out = run("black", MatteMode::Soft, Background::Black).unwrap();
+    assert_eq!(out.frames, set.frames);
+    assert!(out.notes.iter().any(|n| n.contains("cannot be keyed by light")), "{:?}", out.notes);
     assert!(
         run("#00ffff", MatteMode::Soft, Background::Keep).unwrap().notes.iter().any(|n| n.contains("no "))
     );

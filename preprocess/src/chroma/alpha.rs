@@ -34,6 +34,10 @@ const EDGE_CONTRAST: f32 = 1.2;
 const BESIDE: usize = 5;
 const BESIDE_PIXELS: f32 = 8.0;
 
+/// Inside of solid parts, what keeps this share of the screen's coded colour difference is a slit, and as far around it is solved anew.
+const SLIT_SHARE: f32 = 0.6;
+const SLIT_RIM: usize = 2;
+
 /// Where nothing around is solid (rods), chroma is spread over more than the object is wide: alpha from it falls short
 /// by this factor, and the colour is not taken out of more than this share of the screen.
 const THIN_GAIN: f32 = 1.2;
@@ -68,6 +72,8 @@ pub(crate) struct Workspace {
     pub alpha: Vec<f32>,
     /// Pixels that are neither surely screen nor surely object.
     pub band: Vec<u8>,
+    /// Their indices.
+    in_band: Vec<u32>,
 }
 
 /// What the screen of this frame was like.
@@ -94,18 +100,32 @@ impl Workspace {
             .collect();
         let mut not_screen = dilate(&seeds, width, 2);
         self.drop_faint_regions(&mut not_screen, width);
-        let solid: Vec<u8> = self.smoothed.iter().map(|s| u8::from(*s < 0.5)).collect();
-        let core = erode(&solid, width, 2);
+        let mut solid: Vec<u8> = self.smoothed.iter().map(|s| u8::from(*s < 0.5)).collect();
+        let mut core = erode(&solid, width, 2);
+        self.open_slits(&mut solid, &mut core, width, key);
         self.band.clear();
         self.band.extend(not_screen.iter().zip(&core).map(|(n, c)| u8::from(*n != 0 && *c == 0)));
+        self.in_band.clear();
+        self.in_band.extend((0..self.band.len() as u32).filter(|i| self.band[*i as usize] != 0));
         let interior = erode(&solid, width, 1);
         self.measure_screen_beside(&not_screen, width, key);
-        self.learn_foreground(&not_screen, &interior);
-        self.average_foreground(width, &Rect::around(&not_screen, width, REACH));
+        let rect = Rect::around(&not_screen, width, REACH);
+        self.learn_foreground(&not_screen, &interior, width, &rect);
+        self.average_foreground(width, &rect);
         self.alpha.clear();
         self.alpha.extend(core.iter().map(|c| f32::from(*c)));
         self.solve_band(noise, width);
         self.not_screen = not_screen;
+    }
+
+    /// Slits of one or two pixels between bright parts: 4:2:0 averages coded chroma, and in linear light what is left of the screen's
+    /// looks like a tint of the bright parts. What keeps more than half of the screen's colour difference in coded values is solved, not solid.
+    fn open_slits(&self, solid: &mut [u8], core: &mut [u8], width: usize, key: &Key) {
+        let coded = |rgb: [f32; 3]| key.difference(rgb.map(|v| f32::from(srgb8(v))));
+        let is_open = |i: usize| coded(self.pixel(i)) > SLIT_SHARE * coded(self.light(i)).max(1.0);
+        let slits: Vec<u8> = (0..core.len()).map(|i| u8::from(core[i] != 0 && is_open(i))).collect();
+        solid.iter_mut().zip(&slits).for_each(|(s, slit)| *s &= 1 - slit);
+        core.iter_mut().zip(&dilate(&slits, width, SLIT_RIM)).for_each(|(c, near)| *c &= 1 - near);
     }
 
     /// Pixels far from everything that departs from the screen.
@@ -133,7 +153,7 @@ impl Workspace {
         for (i, p) in rgb.chunks_exact(3).enumerate() {
             let linear = [table[usize::from(p[0])], table[usize::from(p[1])], table[usize::from(p[2])]];
             self.put(i, linear, [still.plate[0][i], still.plate[1][i], still.plate[2][i]], key);
-            if still.things[i].is_none() && !still.pole[i] {
+            if still.things[i].is_none() && !still.pole[i] && still.before_screen[i] {
                 continue;
             }
             let likeness = still.likeness(i, [p[0], p[1], p[2]], keep_pole);
@@ -147,7 +167,8 @@ impl Workspace {
     }
 
     fn make_room(&mut self, n: usize) {
-        for plane in self.image.iter_mut().chain(&mut self.screen).chain([&mut self.share, &mut self.total]) {
+        let planes = self.image.iter_mut().chain(&mut self.screen).chain(&mut self.around);
+        for plane in planes.chain([&mut self.share, &mut self.total, &mut self.weights, &mut self.spread]) {
             plane.resize(n, 0.0);
         }
         self.still.clear();
@@ -213,21 +234,20 @@ impl Workspace {
 
     /// The screen's light in the band, from the screen beside it: shadows have edges that coarse cells cannot follow.
     fn measure_screen_beside(&mut self, not_screen: &[u8], width: usize, key: &Key) {
-        let n = self.share.len();
-        for plane in self.around.iter_mut().chain([&mut self.weights]) {
-            plane.clear();
-            plane.resize(n, 0.0);
-        }
-        for i in (0..n).filter(|i| not_screen[*i] == 0 && self.still[*i] == 0) {
-            (0..3).for_each(|c| self.around[c][i] = self.image[c][i]);
-            self.weights[i] = 1.0;
-        }
         let rect = Rect::around(not_screen, width, BESIDE);
+        for row in rect.rows(width) {
+            for i in row {
+                let weight = f32::from((not_screen[i] | self.still[i]) ^ 1);
+                (0..3).for_each(|c| self.around[c][i] = weight * self.image[c][i]);
+                self.weights[i] = weight;
+            }
+        }
         for plane in self.around.iter_mut().chain([&mut self.weights]) {
             box_sum_running(plane, width, &rect, BESIDE, &mut self.rows);
         }
-        for i in (0..n).filter(|i| self.band[*i] != 0 && self.still[*i] == 0) {
-            if self.weights[i] >= BESIDE_PIXELS {
+        for &i in &self.in_band {
+            let i = i as usize;
+            if self.still[i] == 0 && self.weights[i] >= BESIDE_PIXELS {
                 (0..3).for_each(|c| self.screen[c][i] = self.around[c][i] / self.weights[i]);
                 let brighter = luminance(self.pixel(i)) / (luminance(self.light(i)) + 1e-6);
                 let share = key.difference(self.pixel(i)) / (key.difference(self.light(i)) + 1e-6);
@@ -239,15 +259,13 @@ impl Workspace {
     /// Mean foreground colour around every pixel and the variance of its luma. Solid pixels count as they are, with
     /// the screen's light that falls on them, for so does the object's part of a mixed pixel; where there are none
     /// (rods) the screen's share is taken out of the mixed ones.
-    fn learn_foreground(&mut self, not_screen: &[u8], solid: &[u8]) {
-        let n = self.share.len();
-        for plane in self.around.iter_mut().chain([&mut self.weights, &mut self.spread]) {
-            plane.clear();
-            plane.resize(n, 0.0);
+    fn learn_foreground(&mut self, not_screen: &[u8], solid: &[u8], width: usize, rect: &Rect) {
+        for row in rect.rows(width) {
+            for plane in self.around.iter_mut().chain([&mut self.weights, &mut self.spread]) {
+                plane[row.clone()].fill(0.0);
+            }
         }
-        self.still.clear();
-        self.still.resize(n, 0);
-        for i in (0..n).filter(|i| not_screen[*i] != 0) {
+        for i in rect.rows(width).flatten().filter(|i| not_screen[*i] != 0) {
             let s = if solid[i] != 0 { 0.0 } else { self.smoothed[i].max(self.share[i]).clamp(0.0, 1.0) };
             let t = 1.0 - s;
             let weight = if solid[i] != 0 { 1.0 } else { MIXED_WEIGHT * t * t * t };
@@ -271,7 +289,8 @@ impl Workspace {
         for plane in self.around.iter_mut().chain([&mut self.weights, &mut self.spread]) {
             box_sum(plane, width, rect, REACH, &mut self.rows);
         }
-        for i in (0..self.share.len()).filter(|i| self.band[*i] != 0) {
+        for &i in &self.in_band {
+            let i = i as usize;
             let w = self.weights[i];
             let scale = if w > 1e-5 { 1.0 / w } else { 0.0 };
             let colour = [0, 1, 2].map(|c| self.around[c][i] * scale);
@@ -285,11 +304,13 @@ impl Workspace {
     /// how well it can tell (inverse variance). Chroma is sampled at every other pixel: smoothing its alpha over 3 × 3
     /// costs no detail and removes the steps.
     fn solve_band(&mut self, noise: Noise, width: usize) {
-        for i in (0..self.share.len()).filter(|i| self.band[*i] != 0) {
+        for &i in &self.in_band {
+            let i = i as usize;
             self.alpha[i] = self.first_alpha(i).clamp(-0.2, 1.2);
         }
         smooth(&self.alpha, width, &mut self.mean);
-        for i in (0..self.share.len()).filter(|i| self.band[*i] != 0) {
+        for &i in &self.in_band {
+            let i = i as usize;
             let alpha = (RIM_GAIN * self.mean[i]).clamp(0.0, 1.0);
             let alpha = if self.weights[i] < 1e-5 { alpha } else { self.with_luma(i, alpha, noise) };
             let alpha = (alpha - 0.5) * EDGE_CONTRAST + 0.5;

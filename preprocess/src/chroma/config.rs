@@ -31,7 +31,7 @@ const DEFAULT_KEY: &str = "auto";
 #[derive(clap::Args, Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default)]
 pub struct KeyConfig {
-    /// Colour of the screen: `auto` finds it and does nothing where there is none; `black` keys a dark room by light.
+    /// Colour of the screen: `auto` finds it and does nothing where there is none; `black` keys a dark room by light, if one thing alone is lit.
     #[arg(long, value_name = "auto|green|blue|black|#rrggbb|off", default_value = DEFAULT_KEY, help_heading = "Matte")]
     pub key: String,
     /// What stands behind the object in the images that are written.

@@ -31,6 +31,12 @@ impl Rect {
             y: y.start.saturating_sub(margin)..(y.end + margin).min(height),
         }
     }
+
+    /// Indices of its pixels in a picture of this width, row by row.
+    pub fn rows(&self, width: usize) -> impl Iterator<Item = std::ops::Range<usize>> + use<> {
+        let x = self.x.clone();
+        self.y.clone().map(move |y| y * width + x.start..y * width + x.end)
+    }
 }
 
 /// Sums over windows of `(2r + 1)²` that lie in `rect` (outside of it values count as 0), in place; `scratch` is reused.

@@ -18,8 +18,6 @@ const OPENING: (usize, usize) = (2, 1);
 /// A pixel this much brighter than the screen and this much less pure (share by light) is an object: chroma of 4:2:0 video
 /// spreads in coded values, and in linear light the screen's weighs more on bright pixels than on its own dark ones.
 const GLARE: (f32, f32) = (1.5, 0.6);
-/// Slope of linear light over coded values, as a power of linear light (gamma 2.2).
-const SLOPE: f32 = 0.55;
 
 impl Workspace {
     /// Finds the screen in whatever light it is (its hue is the screen's, its light any), marks it in `shaded`, and
@@ -70,11 +68,12 @@ impl Workspace {
     }
 }
 
-/// The share of a pixel with `total` times the screen's light, without what chroma from around adds to a bright one.
+/// The share of a pixel with `total` times the screen's light, without what chroma from around adds to a bright one: that weighs
+/// by the slope of linear light over coded values, for gamma 2 the root of the light.
 #[inline(always)]
 pub(super) fn without_glare(share: f32, total: f32) -> f32 {
     if total > GLARE.0 && share > 0.0 && share < GLARE.1 * total {
-        share * (GLARE.0 / total).powf(SLOPE)
+        share * (GLARE.0 / total).sqrt()
     } else {
         share
     }

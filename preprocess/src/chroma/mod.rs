@@ -54,6 +54,9 @@ impl Keyer {
         }
         let (mode, keep_pole) = (config.matte, config.keep_pole);
         if choice == KeyChoice::Black {
+            if let Some(doubt) = dark::doubt(thumbnails) {
+                return Ok(Err(doubt));
+            }
             let evidence = "keyed by light, before a dark room".to_owned();
             return Ok(Ok(Self { key: None, mode, keep_pole, still: None, evidence }));
         }

@@ -174,9 +174,15 @@ impl Still {
         match self.things[i] {
             Some(thing) => {
                 let (low, high) = BEFORE_LEVELS;
+                // The light that fits best leaves no more than this: most pixels need no fit.
+                let apart = |c: usize| (i32::from(rgb[c]) - i32::from(thing[c])).pow(2);
+                if apart(0) + apart(1) + apart(2) <= low * low {
+                    return 1.0;
+                }
                 (1.0 - (departure(rgb, thing) - low) as f32 / (high - low) as f32).clamp(0.0, 1.0)
             }
-            None => 0.0,
+            // Beside the screen only what is learnt can tell the object from the room.
+            None => f32::from(u8::from(!self.before_screen[i])),
         }
     }
 }
