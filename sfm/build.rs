@@ -5,16 +5,14 @@ use std::process::Command;
 
 fn main() {
     println!("cargo:rerun-if-changed=src/ceres/mod.rs");
-    for file in
-        ["bundle.cc", "bundle.h", "turn.cc", "turn.h", "position.cc", "position.h", "blocks.h", "normal.h"]
-    {
+    let sources = ["bundle.cc", "turn.cc", "position.cc"];
+    let headers = ["bundle.h", "turn.h", "position.h", "blocks.h", "levels.h", "normal.h"];
+    for file in sources.iter().chain(&headers) {
         println!("cargo:rerun-if-changed=src/ceres/{file}");
     }
     let mut build = cxx_build::bridge("src/ceres/mod.rs");
     build
-        .file("src/ceres/bundle.cc")
-        .file("src/ceres/turn.cc")
-        .file("src/ceres/position.cc")
+        .files(sources.map(|file| format!("src/ceres/{file}")))
         .include("src/ceres")
         .std("c++17")
         .opt_level(2)

@@ -200,16 +200,21 @@ pub fn choose_turned(
     progress: &Progress,
 ) -> Result<(Option<(usize, Choice)>, String), SfmError> {
     let free = Intrinsics { principal_point: true, ..untouched.intrinsics };
-    let mut least: Option<(f64, usize)> = None;
+    let mut least: Option<(usize, Trial)> = None;
     for (way, problem) in ways.iter().enumerate() {
         let (training, held_out) = split(problem);
-        let bic = Context { training, held_out, sigma, fixed, progress }.trial(problem, free)?.bic;
-        if least.is_none_or(|(b, _)| bic < b) {
-            least = Some((bic, way));
+        let trial = Context { training, held_out, sigma, fixed, progress }.trial(problem, free)?;
+        if least.as_ref().is_none_or(|(_, t)| trial.bic < t.bic) {
+            least = Some((way, trial));
         }
     }
-    let Some((_, way)) = least else { return Ok((None, "no way to turn them".to_owned())) };
-    let choice = choose(&ways[way], fixed, named, true, sigma, progress)?;
+    let Some((way, trial)) = least else { return Ok((None, "no way to turn them".to_owned())) };
+    // From where that trial has come to, with all sightings and priors again.
+    let start =
+        BundleProblem { poses: trial.problem.poses, points: trial.problem.points, ..ways[way].clone() };
+    let cameras = trial.problem.cameras.iter().zip(&start.cameras).map(|(c, old)| converted(c, old.model));
+    let start = BundleProblem { cameras: cameras.collect(), ..start };
+    let choice = choose(&start, fixed, named, true, sigma, progress)?;
     let bits = 2.0 * std::f64::consts::LN_2 * ways[way].poses.len() as f64;
     let (gain, error) = gain(&untouched.by_pose, &choice.by_pose);
     let evidence = format!(

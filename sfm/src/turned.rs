@@ -4,6 +4,8 @@
 //! sensor but two principal points: mirrored about the image centre. Nothing else betrays it, for the pictures look
 //! alike. The sightings do: with a principal point for each image, two groups appear.
 
+mod windows;
+
 use crate::SfmError;
 use crate::bundle::{BundleObservation, BundleProblem, IntrinsicsPrior, Loss, SolveOptions};
 use crate::selection::{noise_in_units, principal_point_priors};
@@ -12,8 +14,8 @@ use scene::{Camera, CameraModel, Pose, Progress, TwoViewGeometry};
 
 /// Images of a camera below which two groups cannot be told from noise.
 const FEWEST_IMAGES: usize = 6;
-/// Images of a camera beyond which the joint information is too large a matrix.
-const MOST_IMAGES: usize = 300;
+/// Images of a camera beyond which they are asked in windows.
+const JOINT_IMAGES: usize = 100;
 /// Twice the gain in log likelihood for each image and in all that makes two groups worth a trial.
 const GAIN_PER_IMAGE: f64 = 4.0;
 const GAIN: f64 = 100.0;
@@ -24,6 +26,11 @@ const MOST_SPLITS: usize = 4;
 const NEARLY_AS_GOOD: f64 = 0.9;
 /// Directions along which the principal points are split at first.
 const DIRECTIONS: usize = 8;
+
+/// How many of `images` images are asked together.
+pub fn asked_together(images: usize) -> usize {
+    if images > JOINT_IMAGES { windows::WINDOW } else { images }
+}
 
 /// A pixel of the turned image.
 pub fn turn_pixel(camera: &Camera, pixel: DVec2) -> DVec2 {
@@ -87,7 +94,8 @@ pub fn turn_problem(problem: &BundleProblem, turned: &[bool]) -> BundleProblem {
 /// none where one principal point a camera does as well. The larger group of a camera counts as not turned.
 ///
 /// Every image gets a principal point `c + δᵢ` of its own. Their joint information, after poses and points are
-/// eliminated, says what any assignment of signs `δᵢ = ±d` costs; good ones are found by local search.
+/// eliminated, says what any assignment of signs `δᵢ = ±d` costs; good ones are found by local search. More than
+/// [`JOINT_IMAGES`] are asked in windows, for one assignment at most.
 pub fn suspects(
     problem: &BundleProblem,
     fixed: &[bool],
@@ -97,11 +105,15 @@ pub fn suspects(
     for (camera, held) in fixed.iter().enumerate() {
         let of_camera = |&p: &usize| problem.pose_camera[p] as usize == camera;
         let poses: Vec<usize> = (0..problem.poses.len()).filter(of_camera).collect();
-        if *held || !(FEWEST_IMAGES..=MOST_IMAGES).contains(&poses.len()) {
+        if *held || poses.len() < FEWEST_IMAGES {
             continue;
         }
-        let Some(quadratic) = Quadratic::measure(problem, camera, &poses, progress)? else { continue };
-        let splits = quadratic.splits();
+        let splits: Vec<Vec<bool>> = if poses.len() > JOINT_IMAGES {
+            windows::split(problem, camera, &poses, progress)?.into_iter().collect()
+        } else {
+            let quadratic = Quadratic::measure(problem, camera, &poses, progress)?;
+            quadratic.map(|q| q.splits()).unwrap_or_default()
+        };
         // The best of this camera go with the best of the others.
         let none = vec![false; problem.poses.len()];
         found.resize(found.len().max(splits.len()), found.first().cloned().unwrap_or(none));
@@ -117,8 +129,8 @@ pub fn suspects(
 /// Twice the negative log likelihood of offsets `δ` of the images' principal points, up to a constant:
 /// `δᵀ H δ − 2 gᵀ δ`.
 struct Quadratic {
-    /// [2n × 2n].
-    information: Vec<f64>,
+    /// [n × n] blocks `xx, xy, yy`.
+    information: Vec<[f64; 3]>,
     /// [2n].
     gradient: Vec<f64>,
     /// For each image the offset that it would choose by itself, pixels.
@@ -173,17 +185,22 @@ impl Quadratic {
         let gradient = rows
             .map(|(row, own)| row.iter().zip(&flat).map(|(h, d)| h * d).sum::<f64>() + weight * own)
             .collect();
+        let at = |a: usize, b: usize| information[a * flat.len() + b];
+        let block = |i: usize, k: usize| {
+            let (x, y, u, v) = (2 * i, 2 * i + 1, 2 * k, 2 * k + 1);
+            [at(x, u), 0.5 * (at(x, v) + at(y, u)), at(y, v)]
+        };
+        let n = offsets.len();
+        let information = (0..n * n).map(|i| block(i / n, i % n)).collect();
         Ok(Some(Self { information, gradient, offsets, prior: weight }))
     }
 
     fn len(&self) -> usize {
-        self.gradient.len() / 2
+        self.offsets.len()
     }
 
     fn block(&self, i: usize, k: usize) -> [f64; 3] {
-        let size = self.gradient.len();
-        let at = |a: usize, b: usize| self.information[(2 * i + a) * size + 2 * k + b];
-        [at(0, 0), 0.5 * (at(0, 1) + at(1, 0)), at(1, 1)]
+        self.information[i * self.offsets.len() + k]
     }
 
     /// `min over d` of the cost of `δᵢ = sᵢ d`, for the sums `Σ sᵢ sₖ Hᵢₖ` and `Σ sᵢ gᵢ`: what it is below that of `d = 0`.
@@ -236,8 +253,8 @@ impl Quadratic {
                 let mut found = None;
                 for (count, &i) in of_image.iter().take(n.div_ceil(2)).enumerate() {
                     let mut row = [0.0; 3];
-                    for (k, s) in flipped.iter().enumerate().filter(|(k, _)| *k != i) {
-                        let block = self.block(i, k);
+                    let blocks = &self.information[i * n..(i + 1) * n];
+                    for (s, block) in others(&flipped, i).zip(others(blocks, i)) {
                         (0..3).for_each(|c| row[c] += flipped[i] * s * block[c]);
                     }
                     // Row i of Σ sᵢ sₖ Hᵢₖ without the diagonal changes its sign, on both sides of the diagonal.
@@ -295,6 +312,11 @@ impl Quadratic {
         found.retain(|(gain, split)| gain - alone >= least.max(nearly) && split.contains(&true));
         found.into_iter().take(MOST_SPLITS).map(|(_, split)| split).collect()
     }
+}
+
+/// All but the one at `i`.
+fn others<T>(all: &[T], i: usize) -> impl Iterator<Item = &T> {
+    all[..i].iter().chain(&all[i + 1..])
 }
 
 #[cfg(test)]

@@ -176,6 +176,28 @@ fn standard_deviations_match_the_scatter_of_repeated_measurements() {
 }
 
 #[test]
+fn standard_deviations_do_not_depend_on_the_order_of_elimination() {
+    // Each point is seen from three places in a row, so the poses lie in several levels.
+    let mut chain = ring(CameraModel::Radial, 1.0, DVec3::ZERO);
+    let near = |o: &BundleObservation| (o.pose + 8 - o.point % 8) % 8 < 3;
+    chain.observations.retain(near);
+    // A point that all see, all but without weight: one level.
+    let mut knot = chain.clone();
+    for pose in 3..8 {
+        let pixel = knot.cameras[0].project(knot.poses[pose].transform(knot.points[0])).unwrap();
+        let sighting = BundleObservation { pose: pose as u32, point: 0, pixel, sigma_px: 1e6 };
+        knot.observations.push(sighting);
+    }
+    let of = |p: &BundleProblem| p.covariance(&SolveOptions::default()).unwrap().unwrap();
+    let (chain, knot) = (of(&chain), of(&knot));
+    let all =
+        |c: &BundleCovariance| c.poses.iter().flatten().chain(&c.cameras[0]).copied().collect::<Vec<f64>>();
+    for (a, b) in all(&chain).iter().zip(&all(&knot)) {
+        assert!((a - b).abs() <= 1e-6 * b.abs(), "{a} {b}");
+    }
+}
+
+#[test]
 fn the_same_problem_gives_the_same_bytes() {
     let run = || {
         let mut problem = ring(CameraModel::Radial, 1.0, DVec3::ZERO);

@@ -6,6 +6,7 @@
 #include <deque>
 
 #include "blocks.h"
+#include "levels.h"
 #include "normal.h"
 
 namespace sat_recon {
@@ -143,13 +144,13 @@ void AddObservation(const BundleInput &input, const Columns &columns, const cere
   own.Finish(loss, residuals, by_point);
 }
 
-// JᵀJ over the columns with all points eliminated; priors are not in it.
-Eigen::MatrixXd ReducedNormal(const BundleInput &input, const Columns &columns, rust::Slice<const double> intrinsics,
-                              rust::Slice<const double> poses, rust::Slice<const double> points) {
+// Adds JᵀJ over the columns with all points eliminated; priors are not in it.
+template <class Matrix>
+void AddReducedNormal(const BundleInput &input, const Columns &columns, rust::Slice<const double> intrinsics,
+                      rust::Slice<const double> poses, rust::Slice<const double> points, Matrix &normal) {
   const std::unique_ptr<ceres::LossFunction> loss = MakeLoss(input);
   std::vector<std::vector<std::size_t>> of_point(input.point_held.size());
   for (std::size_t i = 0; i < input.observation_point.size(); ++i) of_point[input.observation_point[i]].push_back(i);
-  Eigen::MatrixXd normal = Eigen::MatrixXd::Zero(columns.size, columns.size);
   for (std::size_t point = 0; point < of_point.size(); ++point) {
     PointRows rows;
     for (const std::size_t i : of_point[point]) {
@@ -160,7 +161,24 @@ Eigen::MatrixXd ReducedNormal(const BundleInput &input, const Columns &columns, 
     }
     if (!rows.at.empty()) Eliminate(rows, input.point_held[point] != 0, normal);
   }
-  return normal;
+}
+
+// The level of each column: its pose's; of a camera's that of its poses, where they lie in one, else the border.
+std::vector<int> LevelsOfColumns(const BundleInput &input, const Columns &columns) {
+  constexpr int kUnused = -2;
+  const std::vector<int> of_pose = PoseLevels(input);
+  std::vector<int> of_camera(columns.camera.size(), kUnused), result(columns.size, LevelMatrix::kBorder);
+  for (std::size_t i = 0; i < of_pose.size(); ++i) {
+    for (const int column : columns.pose[i])
+      if (column >= 0) result[column] = of_pose[i];
+    // What a constant pose sees may lie anywhere.
+    int &level = of_camera[input.pose_camera[i]];
+    level = level == kUnused || level == of_pose[i] ? of_pose[i] : LevelMatrix::kBorder;
+  }
+  for (std::size_t c = 0; c < of_camera.size(); ++c)
+    for (const int column : columns.camera[c])
+      if (column >= 0) result[column] = std::max(of_camera[c], LevelMatrix::kBorder);
+  return result;
 }
 
 }  // namespace
@@ -170,10 +188,11 @@ bool bundle_covariance(const BundleInput &input, rust::Slice<const double> intri
                        rust::Slice<double> camera_covariance) {
   const Columns columns = MakeColumns(input);
   if (columns.size == 0) return false;
-  Eigen::MatrixXd normal = ReducedNormal(input, columns, intrinsics, poses, points);
+  LevelMatrix normal(LevelsOfColumns(input, columns));
+  AddReducedNormal(input, columns, intrinsics, poses, points, normal);
   AddIntrinsicsPriors(input, columns.camera, normal);
-  Eigen::MatrixXd covariance;
-  if (!Invert(normal, covariance)) return false;
+  if (!normal.Invert()) return false;
+  const LevelMatrix &covariance = normal;
   for (std::size_t i = 0; i < columns.pose.size(); ++i)
     CopyBlock(covariance, columns.pose[i], pose_covariance.data() + 36 * i);
   CopyCameraBlocks(covariance, columns.camera, camera_covariance.data());
@@ -183,7 +202,8 @@ bool bundle_covariance(const BundleInput &input, rust::Slice<const double> intri
 bool camera_information(const BundleInput &input, rust::Slice<const double> intrinsics, rust::Slice<const double> poses,
                         rust::Slice<const double> points, rust::Slice<double> information) {
   const Columns columns = MakeColumns(input);
-  const Eigen::MatrixXd normal = ReducedNormal(input, columns, intrinsics, poses, points);
+  Eigen::MatrixXd normal = Eigen::MatrixXd::Zero(columns.size, columns.size);
+  AddReducedNormal(input, columns, intrinsics, poses, points, normal);
   int of_poses = 0;  // the columns of the poses come first
   for (const std::vector<int> &pose : columns.pose)
     for (const int column : pose) of_poses += column >= 0 ? 1 : 0;

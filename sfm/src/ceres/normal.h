@@ -10,7 +10,8 @@
 
 namespace sat_recon {
 
-inline void CopyBlock(const Eigen::MatrixXd &covariance, const std::vector<int> &columns, double *out) {
+template <class Matrix>
+void CopyBlock(const Matrix &covariance, const std::vector<int> &columns, double *out) {
   const std::size_t n = columns.size();
   for (std::size_t i = 0; i < n; ++i)
     for (std::size_t k = 0; k < n; ++k)
@@ -26,7 +27,8 @@ struct PointRows {
   std::vector<Jacobian2x3> by_point;
 };
 
-inline void Eliminate(const PointRows &rows, bool point_held, Eigen::MatrixXd &normal) {
+template <class Matrix>
+void Eliminate(const PointRows &rows, bool point_held, Matrix &normal) {
   const int n = static_cast<int>(rows.columns.size());
   Eigen::MatrixXd block = Eigen::MatrixXd::Zero(n, n), cross = Eigen::MatrixXd::Zero(n, 3);
   Eigen::Matrix3d own = Eigen::Matrix3d::Zero();
@@ -99,8 +101,8 @@ inline std::vector<std::vector<int>> CameraColumns(const BundleInput &input, int
   return columns;
 }
 
-inline void AddIntrinsicsPriors(const BundleInput &input, const std::vector<std::vector<int>> &columns,
-                                Eigen::MatrixXd &normal) {
+template <class Matrix>
+void AddIntrinsicsPriors(const BundleInput &input, const std::vector<std::vector<int>> &columns, Matrix &normal) {
   for (std::size_t c = 0; c < columns.size(); ++c)
     for (std::size_t i = 0; i < columns[c].size(); ++i) {
       const double sigma = input.prior_sigma[input.camera_offsets[c] + i];
@@ -120,8 +122,8 @@ inline bool Invert(const Eigen::MatrixXd &normal, Eigen::MatrixXd &covariance) {
   return covariance.allFinite();
 }
 
-inline void CopyCameraBlocks(const Eigen::MatrixXd &covariance, const std::vector<std::vector<int>> &columns,
-                             double *out) {
+template <class Matrix>
+void CopyCameraBlocks(const Matrix &covariance, const std::vector<std::vector<int>> &columns, double *out) {
   for (const std::vector<int> &camera : columns) {
     CopyBlock(covariance, camera, out);
     out += camera.size() * camera.size();

@@ -5,13 +5,13 @@ use super::growth::{Knowledge, freedom};
 use super::state::{Input, State};
 use crate::bundle::{BundleProblem, Loss, SolveOptions};
 use crate::selection::{Choice, Intrinsics, apply, choose, choose_turned, noise_in_units, redundancy};
-use crate::turned::{suspects, turn_problem};
+use crate::turned::{asked_together, suspects, turn_problem};
 use crate::{Decision, PoseDeviation, SfmError, Uncertainty};
 use scene::{Camera, CameraModel, Progress};
 
 /// Sightings that the choice of the camera model is based on, and the first round of the last adjustment.
 const SIGHTINGS: usize = 6000;
-/// The same for the question whether images were turned.
+/// The same for the question whether images were turned, of the images that are asked together.
 const SIGHTINGS_TURNED: usize = 20_000;
 /// Iterations times sightings that the last adjustment may take: points creep on long after poses stand.
 const LAST_EFFORT: usize = 300_000;
@@ -53,7 +53,8 @@ pub(crate) fn decide(
     if !input.may_be_turned {
         return Ok(verdict(choice, None, Vec::new()));
     }
-    let more = Adjustment { points_per_image: Some(part_of(state, SIGHTINGS_TURNED)), ..what };
+    let together = asked_together(state.registered()).max(1);
+    let more = Adjustment { points_per_image: Some((SIGHTINGS_TURNED / together).clamp(50, 1000)), ..what };
     let suspects = suspects(&select(state, input, &more).problem, &fixed, progress)?;
     if suspects.is_empty() {
         return Ok(verdict(choice, None, Vec::new()));

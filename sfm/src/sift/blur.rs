@@ -111,29 +111,47 @@ dispatch! {
     }
 }
 
+/// Samples of a vector.
+const LANES: usize = 16;
+
+/// `sum += k (left + right)`.
+#[inline(always)]
+fn add_pair(sum: &mut [f32; LANES], k: f32, left: &[f32], right: &[f32]) {
+    for ((s, l), r) in sum.iter_mut().zip(left).zip(right) {
+        *s += k * (l + r);
+    }
+}
+
 dispatch! {
     /// The horizontal pass of one row; `padded` holds `radius` replicated samples on both sides.
     fn horizontal(padded: &[f32], kernel: &[f32], out: &mut [f32]) {
         let radius = kernel.len() - 1;
         let n = out.len();
-        const LANES: usize = 16;
-        let blocks = n / LANES;
+        // Four sums side by side: the next need not wait for the last.
+        let blocks = n / (4 * LANES);
         for block in 0..blocks {
-            let at = block * LANES + radius;
-            let mut sum = [0.0_f32; LANES];
-            for (s, v) in sum.iter_mut().zip(&padded[at..at + LANES]) {
-                *s = kernel[0] * v;
-            }
-            for (i, k) in kernel.iter().enumerate().skip(1) {
-                let left = &padded[at - i..at - i + LANES];
-                let right = &padded[at + i..at + i + LANES];
-                for ((s, l), r) in sum.iter_mut().zip(left).zip(right) {
-                    *s += k * (l + r);
+            let at = block * 4 * LANES + radius;
+            let mut sum = [[0.0_f32; LANES]; 4];
+            for (s, centre) in sum.iter_mut().zip(padded[at..].chunks_exact(LANES)) {
+                for (s, v) in s.iter_mut().zip(centre) {
+                    *s = kernel[0] * v;
                 }
             }
-            out[block * LANES..(block + 1) * LANES].copy_from_slice(&sum);
+            for (i, k) in kernel.iter().enumerate().skip(1) {
+                let left = &padded[at - i..at - i + 4 * LANES];
+                let right = &padded[at + i..at + i + 4 * LANES];
+                // Written out, for a loop over them would keep the sums in memory.
+                let [a, b, c, d] = &mut sum;
+                add_pair(a, *k, &left[..LANES], &right[..LANES]);
+                add_pair(b, *k, &left[LANES..2 * LANES], &right[LANES..2 * LANES]);
+                add_pair(c, *k, &left[2 * LANES..3 * LANES], &right[2 * LANES..3 * LANES]);
+                add_pair(d, *k, &left[3 * LANES..], &right[3 * LANES..]);
+            }
+            for (out, s) in out[block * 4 * LANES..].chunks_exact_mut(LANES).zip(&sum) {
+                out.copy_from_slice(s);
+            }
         }
-        for x in blocks * LANES..n {
+        for x in blocks * 4 * LANES..n {
             let at = x + radius;
             let mut sum = kernel[0] * padded[at];
             for (i, k) in kernel.iter().enumerate().skip(1) {
@@ -196,7 +214,6 @@ pub fn gaussian_double(source: &Plane, sigma: f32, out: &mut Plane) {
 dispatch! {
     /// `out[x] = Σ_k weights[k] rows[k][x]`, sixteen samples in registers at a time.
     fn weigh_rows(rows: &[&[f32]], weights: &[f32], out: &mut [f32]) {
-        const LANES: usize = 16;
         let n = out.len();
         let (blocks, rest) = out.as_chunks_mut::<LANES>();
         for (b, block) in blocks.iter_mut().enumerate() {

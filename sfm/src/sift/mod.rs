@@ -25,6 +25,7 @@ use rayon::prelude::*;
 use scene::io::load::{load_mask, load_rgb};
 use scene::{Features, FloatImage, Frame, FrameSet, Keypoint, Progress};
 use std::path::Path;
+use std::sync::{Mutex, PoisonError};
 
 /// The smallest side of an octave that is still searched, samples.
 const MIN_OCTAVE_SIDE: usize = 16;
@@ -190,15 +191,20 @@ pub fn extract_all(
     progress: &Progress,
 ) -> Result<Vec<Features>, SfmError> {
     progress.begin("features", frames.len());
-    let one = |octaves: &mut Vec<Octave>, frame: &Frame| {
+    // Scale spaces are handed from image to image: fresh memory is written once by the system and once as zeros.
+    let idle: Mutex<Vec<Vec<Octave>>> = Mutex::new(Vec::new());
+    let idle = || idle.lock().unwrap_or_else(PoisonError::into_inner);
+    let one = |frame: &Frame| {
         progress.check()?;
         let luma = load_luma(frame)?;
         let mask = frame.mask.as_deref().map(|path| read_mask(path, frame)).transpose()?;
-        let features = extract_with(octaves, &luma, mask.as_ref(), config);
+        let mut octaves = idle().pop().unwrap_or_default();
+        let features = extract_with(&mut octaves, &luma, mask.as_ref(), config);
+        idle().push(octaves);
         progress.tick_with(&format!("{} in {}", features.len(), frame.name))?;
         Ok(features)
     };
-    frames.frames.par_iter().with_max_len(1).map_init(Vec::new, one).collect()
+    frames.frames.par_iter().with_max_len(1).map(one).collect()
 }
 
 fn load_luma(frame: &Frame) -> Result<FloatImage, SfmError> {

@@ -72,9 +72,20 @@ fn the_geometry_of_a_turned_pair_holds_for_turned_pixels() {
 /// A ring of noisy views whose principal points lie off the centre by `offset(image)`, adjusted with all of them at
 /// the centre.
 fn adjusted_ring(n: usize, seed: u64, offset: impl Fn(usize) -> DVec2) -> BundleProblem {
+    adjusted_views((n, 150), seed, |_, _| true, offset)
+}
+
+/// The same of so many images and points, each seen from where `sees(eye, point)`.
+fn adjusted_views(
+    (n, of_points): (usize, usize),
+    seed: u64,
+    sees: impl Fn(DVec3, DVec3) -> bool,
+    offset: impl Fn(usize) -> DVec2,
+) -> BundleProblem {
     let mut random = rng(seed, "turned", 0);
     let mut coordinate = || random.random_range(-0.9..0.9);
-    let points: Vec<DVec3> = (0..150).map(|_| DVec3::new(coordinate(), coordinate(), coordinate())).collect();
+    let points: Vec<DVec3> =
+        (0..of_points).map(|_| DVec3::new(coordinate(), coordinate(), coordinate())).collect();
     let camera = Camera::centred(1, CameraModel::SimplePinhole, 640, 480, 700.0);
     let mut problem = BundleProblem {
         camera_free: vec![free_parameters(&camera, true, false, true)],
@@ -91,6 +102,9 @@ fn adjusted_ring(n: usize, seed: u64, offset: impl Fn(usize) -> DVec2) -> Bundle
     let mut normal = || (0..3).map(|_| noise.random_range(-0.5..0.5)).sum::<f64>() * 0.6;
     for (pose, cam_from_world) in problem.poses.iter().enumerate() {
         for (point, x) in problem.points.iter().enumerate() {
+            if !sees(cam_from_world.centre(), *x) {
+                continue;
+            }
             let pixel = problem.cameras[0].project(cam_from_world.transform(*x)).unwrap()
                 + offset(pose)
                 + DVec2::new(normal(), normal());
@@ -129,4 +143,21 @@ fn one_principal_point_or_a_different_one_for_every_image_is_not_taken_for_turne
         let stabilised = adjusted_ring(16, seed, each);
         assert!(suspects(&stabilised, &[false], &Progress::silent()).unwrap().is_empty(), "seed {seed}");
     }
+}
+
+#[test]
+fn many_images_are_asked_in_windows_that_agree_with_each_other() {
+    let n = JOINT_IMAGES + 30;
+    let ahead = |eye: DVec3, x: DVec3| eye.truncate().angle_to(x.truncate()).abs() < 1.0;
+    let truth: Vec<bool> = (0..n).map(|i| (i * 7).is_multiple_of(3) || (40..60).contains(&i)).collect();
+    let offset = DVec2::new(6.0, 18.0);
+    let turned = adjusted_views((n, 400), 1, ahead, |i| if truth[i] { -offset } else { offset });
+    let found = suspects(&turned, &[false], &Progress::silent()).unwrap();
+    assert_eq!(found, [truth]);
+    let none = adjusted_views((n, 400), 2, ahead, |_| offset);
+    assert!(suspects(&none, &[false], &Progress::silent()).unwrap().is_empty());
+    // Where every image sees the same, the windows get on all the same.
+    let same = adjusted_views((n, 40), 3, |_, _| true, |_| offset);
+    let all: Vec<usize> = (0..n).collect();
+    assert!(windows::count(&same, &all) <= n / 30 + 1);
 }
