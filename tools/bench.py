@@ -81,8 +81,10 @@ def pose_row(name, tool, record, cpu, wall, peak):
     angles = centres = "–"
     if record.get("auc"):
         auc = " / ".join(f"{record['auc'][t]:.1f}" for t in ("1", "3", "5", "10"))
-        angles = f"{record['rotation_median_deg']:.3f}°"
-        centres = f"{record['centre_median_pct']:.3f} / {record['centre_max_pct']:.3f}"
+        if record.get("rotation_median_deg") is not None:  # a model of two images has none
+            angles = f"{record['rotation_median_deg']:.3f}°"
+        if record.get("centre_median_pct") is not None:
+            centres = f"{record['centre_median_pct']:.3f} / {record['centre_max_pct']:.3f}"
     print(f"| {name} | {tool} | {record['registered']} of {record['total']} | {auc} | {angles} | {centres} "
           f"| {cpu:.1f} | {wall:.1f} | {peak:.0f} |", flush=True)
 

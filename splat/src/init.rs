@@ -27,7 +27,24 @@ pub fn initial_gaussians(dataset: &Dataset, max: usize, seed: u64) -> Result<Gau
         return Err(SplatError::NoGaussians("the cameras see no common space; check the poses".to_owned()));
     }
     thin(&mut points, max, seed);
-    Ok(at_points(&points))
+    let mut gaussians = at_points(&points);
+    let cameras: Vec<Vec3> = dataset.views.iter().map(|v| v.view.position()).collect();
+    limit_scales(&mut gaussians, &cameras);
+    Ok(gaussians)
+}
+
+/// Largest scale of a first Gaussian, as a share of its distance from the nearest camera.
+const LARGEST: f32 = 0.05;
+
+/// Points that stand alone, such as wrong ones far away, would become Gaussians that fill every picture and that the others
+/// are trained against. Until something says otherwise a Gaussian is no larger than a part of a picture.
+fn limit_scales(gaussians: &mut Gaussians, cameras: &[Vec3]) {
+    for (mean, scales) in gaussians.means.iter().zip(&mut gaussians.log_scales) {
+        let nearest = cameras.iter().map(|c| c.distance_squared(*mean)).fold(f32::INFINITY, f32::min).sqrt();
+        if nearest.is_finite() {
+            *scales = scales.min(Vec3::splat((LARGEST * nearest).max(1e-5).ln()));
+        }
+    }
 }
 
 /// Gaussians placed where there is no sparse cloud.
@@ -139,4 +156,27 @@ fn random_points(dataset: &Dataset, wanted: usize, seed: u64) -> Vec<(Vec3, [u8;
         }
     }
     points
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_point_far_from_all_others_fills_no_picture() {
+        // A lattice before the camera, and a wrong point far behind it.
+        let lattice = (0..60).map(|i| Vec3::new((i % 10) as f32 * 0.05, (i / 10) as f32 * 0.05, 2.0));
+        let mut points: Vec<(Vec3, [u8; 3])> = lattice.map(|p| (p, [90; 3])).collect();
+        points.push((Vec3::new(0.0, 0.0, 40.0), [90; 3]));
+        let mut gaussians = at_points(&points);
+        let before = gaussians.clone();
+        assert!(before.log_scales[60].x.exp() > 30.0);
+        limit_scales(&mut gaussians, &[Vec3::ZERO, Vec3::X]);
+        assert!((gaussians.log_scales[60].x.exp() - LARGEST * 40.0).abs() < 1e-3);
+        assert_eq!(
+            gaussians.log_scales[..60],
+            before.log_scales[..60],
+            "those among others stay as they are"
+        );
+    }
 }
