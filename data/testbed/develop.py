@@ -9,6 +9,7 @@ With --blue, green and blue light are exchanged before the sensor: the screen is
 """
 
 import argparse
+import dataclasses
 import os
 import shutil
 import subprocess
@@ -185,8 +186,11 @@ def main():
     parser.add_argument("folder")
     parser.add_argument("--every", type=int, default=1, help="film only every k-th frame")
     parser.add_argument("--blue", action="store_true", help="exchange green and blue light")
+    parser.add_argument("--noiseless", action="store_true", help="no shot noise and no read noise: what no rendering can do better than")
     options = parser.parse_args()
     case, folder = cases.CASES[options.case], options.folder
+    if options.noiseless:
+        case = dataclasses.replace(case, read_noise=0.0, full_well=1e12)
     shot = cases.SHOTS[case.shot]
     for part in ("mattes", "pole", "depth") + (() if case.video_fps else ("images",)):
         os.makedirs(f"{folder}/{part}", exist_ok=True)

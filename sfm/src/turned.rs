@@ -95,7 +95,7 @@ pub fn turn_problem(problem: &BundleProblem, turned: &[bool]) -> BundleProblem {
 ///
 /// Every image gets a principal point `c + δᵢ` of its own. Their joint information, after poses and points are
 /// eliminated, says what any assignment of signs `δᵢ = ±d` costs; good ones are found by local search. More than
-/// [`JOINT_IMAGES`] are asked in windows, for one assignment at most.
+/// `JOINT_IMAGES` are asked in windows, for one assignment at most.
 pub fn suspects(
     problem: &BundleProblem,
     fixed: &[bool],
