@@ -33,16 +33,18 @@ pub fn initial_gaussians(dataset: &Dataset, max: usize, seed: u64) -> Result<Gau
     Ok(gaussians)
 }
 
-/// Largest scale of a first Gaussian, as a share of its distance from the nearest camera.
+/// A point stands alone where its neighbours are farther off than this share of its distance from the nearest camera.
+const ALONE: f32 = 0.2;
+/// Scale of its first Gaussian, as a share of that distance.
 const LARGEST: f32 = 0.05;
 
 /// Points that stand alone, such as wrong ones far away, would become Gaussians that fill every picture and that the others
-/// are trained against. Until something says otherwise a Gaussian is no larger than a part of a picture.
+/// are trained against. They begin small; those of a thin background stay as large as its gaps.
 fn limit_scales(gaussians: &mut Gaussians, cameras: &[Vec3]) {
     for (mean, scales) in gaussians.means.iter().zip(&mut gaussians.log_scales) {
         let nearest = cameras.iter().map(|c| c.distance_squared(*mean)).fold(f32::INFINITY, f32::min).sqrt();
-        if nearest.is_finite() {
-            *scales = scales.min(Vec3::splat((LARGEST * nearest).max(1e-5).ln()));
+        if nearest.is_finite() && scales.max_element() > (ALONE * nearest).max(1e-5).ln() {
+            *scales = Vec3::splat((LARGEST * nearest).max(1e-5).ln());
         }
     }
 }
