@@ -119,7 +119,7 @@ impl Workspace {
     }
 
     /// Slits of one or two pixels between bright parts: 4:2:0 averages coded chroma, and in linear light what is left of the screen's
-    /// looks like a tint of the bright parts. What keeps more than half of the screen's colour difference in coded values is solved, not solid.
+    /// looks like a tint of the bright parts. What keeps [`SLIT_SHARE`] of the screen's colour difference in coded values is solved, not solid.
     fn open_slits(&self, solid: &mut [u8], core: &mut [u8], width: usize, key: &Key) {
         let coded = |rgb: [f32; 3]| key.difference(rgb.map(|v| f32::from(srgb8(v))));
         let is_open = |i: usize| coded(self.pixel(i)) > SLIT_SHARE * coded(self.light(i)).max(1.0);
