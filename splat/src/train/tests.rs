@@ -296,18 +296,23 @@ fn degree_and_count_are_judged_by_training_views_and_resuming_repeats_the_judgem
     }
 }
 
+/// The bound holds for the mean of several seeds: what the two held-out views of one run of 24
+/// views gain or lose by a Gaussian more or less scatters by as much as the bound itself.
 #[test]
 fn redundant_gaussians_go_and_the_picture_stays() {
     let mut dataset = dataset(24, false);
     let copies: Vec<_> = dataset.points.iter().map(|(p, c)| (*p * 1.02, *c)).collect();
     dataset.points.extend(copies);
-    let run = |prune: bool| {
+    let run = |seed: u64, prune: bool| {
         let mut config = config(400);
+        config.seed = seed;
         config.recipe.prune_redundant = prune;
-        train(&dataset, &config, None, &Progress::silent()).unwrap()
+        let result = train(&dataset, &config, None, &Progress::silent()).unwrap();
+        (result.gaussians.len(), held_out_psnr(&dataset, &result))
     };
-    let (all, few) = (run(false), run(true));
-    assert!(few.gaussians.len() < all.gaussians.len());
-    let (all, few) = (held_out_psnr(&dataset, &all), held_out_psnr(&dataset, &few));
-    assert!(few > all - 0.05, "{all:.2} dB with all, {few:.2} dB with fewer");
+    let runs: Vec<_> = (1..9).map(|seed| (run(seed, false), run(seed, true))).collect();
+    assert!(runs.iter().all(|(all, few)| few.0 <= all.0));
+    assert!(runs.iter().filter(|(all, few)| few.0 < all.0).count() > runs.len() / 2, "{runs:?}");
+    let loss = runs.iter().map(|(all, few)| all.1 - few.1).sum::<f64>() / runs.len() as f64;
+    assert!(loss < 0.05, "{loss:.3} dB lost on average: {runs:?}");
 }

@@ -53,6 +53,17 @@ fn trained(dataset: &Dataset, backend: BackendChoice, seed: u64) -> TrainResult 
     train(dataset, &config, None, &Progress::silent()).unwrap()
 }
 
+/// Gaussians before the redundant ones went.
+fn grown(result: &TrainResult) -> usize {
+    let judged = result.decisions.iter().find(|d| d.subject.contains("redundant")).unwrap();
+    let [removed, before] = ["", " of "].map(|after| {
+        let number = &judged.choice[judged.choice.find(after).unwrap() + after.len()..];
+        number.split(' ').next().unwrap().parse::<usize>().unwrap()
+    });
+    assert_eq!(before - removed, result.gaussians.len());
+    before
+}
+
 /// Mean squared error over the held-out views, as PSNR in dB; both rendered by the processor.
 fn held_out_psnr(dataset: &Dataset, result: &TrainResult) -> f64 {
     let mut renderer = Renderer::new(&result.gaussians).unwrap();
@@ -93,8 +104,9 @@ fn two_hundred_steps_with_densification_end_where_the_processors_do() {
         let both = [BackendChoice::Cpu, BackendChoice::Gpu].map(|b| trained(&dataset, b, seed));
         let [a, b] = both.each_ref().map(|r| held_out_psnr(&dataset, r));
         assert!(a > 24.0 && (a - b).abs() < 0.7, "held out, seed {seed}: {a:.3} dB and {b:.3} dB");
-        let [n, m] = both.each_ref().map(|r| r.gaussians.len());
-        // What is removed at the end depends on sums that are rounded differently.
+        // What is removed at the end is as many as a loss of 0.05 dB allows: a steep function of what is rounded
+        // differently, so that what has grown is compared, and the pictures of what is left.
+        let [n, m] = both.each_ref().map(grown);
         assert!(n > 160 && n.abs_diff(m) * 20 < n, "seed {seed}: {n} and {m} gaussians");
         println!("seed {seed}: held out {a:.3} {b:.3} dB, {n} and {m} gaussians");
         for (end, result) in ends.iter_mut().zip(&both) {
