@@ -87,7 +87,7 @@ impl Comparison {
         let options = SolveOptions {
             loss: Loss::Cauchy(2.0),
             max_iterations: 40,
-            function_tolerance: 1e-7,
+            function_tolerance: 2e-5,
             ..SolveOptions::default()
         };
         let mut trial =

@@ -115,7 +115,7 @@ impl Trials<'_> {
         let options = SolveOptions {
             loss: Loss::Cauchy(2.0),
             max_iterations: 30,
-            function_tolerance: 1e-7,
+            function_tolerance: 2e-5,
             ..SolveOptions::default()
         };
         let summary = trial.solve(&options, self.progress)?;

@@ -12,6 +12,9 @@ use scene::{Camera, Progress};
 
 /// Points an image contributes while the model settles.
 const POINTS_PER_IMAGE: usize = 150;
+/// Relative decrease of the cost at which the adjustment of all points ends: a thousandth of what noise leaves a parameter.
+/// Followed points have about two parameters for five residual coordinates; what is left moves single points.
+const SETTLED: f64 = 3e-4;
 /// Sightings farther off than so many standard deviations of the noise are dropped at the end.
 const FINAL_SIGMAS: f64 = 8.0;
 /// They are never held to less than this, pixels.
@@ -137,7 +140,7 @@ impl AxisModel {
         let options = SolveOptions {
             loss: Loss::Cauchy(2.0),
             max_iterations: if points_per_image.is_some() { 12 } else { 20 },
-            function_tolerance: 1e-7,
+            function_tolerance: SETTLED,
             ..SolveOptions::default()
         };
         (problem, selected, options)
