@@ -135,7 +135,13 @@ impl Pipeline {
 
     fn frames(&mut self) -> Result<(FrameSet, String)> {
         let source = self.input.source();
-        let print = fingerprint(&("frames", 2, &self.args.frames, &self.args.key, describe_input(source)?))?;
+        let print = fingerprint(&(
+            "frames",
+            env!("FRAMES_SOURCES"),
+            &self.args.frames,
+            &self.args.key,
+            describe_input(source)?,
+        ))?;
         if self.stages.current::<FrameSet>("frames", &print).is_none() {
             self.refuse_foreign_folder()?;
         }
@@ -197,7 +203,7 @@ impl Pipeline {
                 let database = database::print(&self.args)?;
                 fingerprint(&(
                     "sfm",
-                    2,
+                    env!("SFM_SOURCES"),
                     frames_print,
                     &self.args.sfm,
                     self.args.seed,
@@ -334,7 +340,14 @@ impl Pipeline {
         )?;
         self.finish("undistort", finished.cost, ran, "images for training");
 
-        let print = fingerprint(&("train", 1, &print, &self.args.dataset, &self.args.train, self.args.seed))?;
+        let print = fingerprint(&(
+            "train",
+            env!("SPLAT_SOURCES"),
+            &print,
+            &self.args.dataset,
+            &self.args.train,
+            self.args.seed,
+        ))?;
         let (finished, ran) = self
             .stages
             .run("train", &print, &[self.out.join("splat.ply")], || self.train(&training_set, &print))?;
