@@ -111,6 +111,10 @@ def pose(thing, shot, i):
 def glb(path):
     """A glTF model as `Satellite`, scaled to 1.0 m and centred a little off the axis."""
     before = set(bpy.data.objects)
+    # Debian 12's importer names what its numpy no longer has.
+    for name, kind in (("bool", bool), ("object", object), ("float", float), ("int", int)):
+        if not hasattr(np, name):
+            setattr(np, name, kind)
     bpy.ops.import_scene.gltf(filepath=os.path.abspath(path))
     things = [o for o in bpy.data.objects if o not in before]
     root = bpy.data.objects.new("Satellite", None)
