@@ -25,6 +25,8 @@ use setup::Setup;
 /// matches along its epipolar lines; what is held by more loses, for those are less exact.
 const TIES: usize = 2;
 const STRONG_TIE: usize = 300;
+/// The features an image may have, to which that number belongs (the default; undoubled images have about a quarter).
+const FEATURES_OF_TIES: usize = 4096;
 
 /// Power of a keypoint's scale with which its standard deviation grows.
 const SPREAD_BY_SCALE: f32 = 1.0;
@@ -148,13 +150,14 @@ fn from_features(
         progress,
     )?;
     clock.lap("verification", &mut result.stats.steps);
-    let mut loose = weakly_tied(frames.len(), &result.geometries);
+    let strong = strong_tie(&config.sift);
+    let mut loose = weakly_tied(frames.len(), &result.geometries, strong);
     if job.more_features && loose.contains(&true) {
         let more = blurred::enrich(&result.features, &matches, &result.geometries, &loose, job)?;
         if let Some(more) = more {
             (result.features, result.geometries) = (more.features, more.geometries);
             result.decisions.push(more.decision);
-            loose = weakly_tied(frames.len(), &result.geometries);
+            loose = weakly_tied(frames.len(), &result.geometries, strong);
         }
         clock.lap("blurred features", &mut result.stats.steps);
     }
@@ -396,10 +399,16 @@ fn solve(
     Ok(Some(solved))
 }
 
-/// Images that fewer than [`TIES`] others share [`STRONG_TIE`] matches with.
-fn weakly_tied(images: usize, geometries: &[TwoViewGeometry]) -> Vec<bool> {
+/// [`STRONG_TIE`] where fewer features are asked for: fewer matches hold an image then as firmly as that allows.
+fn strong_tie(sift: &crate::sift::SiftConfig) -> usize {
+    let share = if sift.doubling == crate::sift::Doubling::Never { 4 } else { 1 };
+    STRONG_TIE * sift.max_features.min(FEATURES_OF_TIES / share) / FEATURES_OF_TIES
+}
+
+/// Images that fewer than [`TIES`] others share `strong` matches with.
+fn weakly_tied(images: usize, geometries: &[TwoViewGeometry], strong: usize) -> Vec<bool> {
     let mut ties = vec![0; images];
-    for g in geometries.iter().filter(|g| g.inliers.len() >= STRONG_TIE) {
+    for g in geometries.iter().filter(|g| g.inliers.len() >= strong) {
         ties[g.a] += 1;
         ties[g.b] += 1;
     }

@@ -14,6 +14,9 @@ use scene::Progress;
 
 /// Sightings that the choice is based on.
 const SIGHTINGS: usize = 6000;
+/// Most images that it is based on, evenly: more cost more (an orbit's small motions are as many as free poses) and say
+/// nothing else.
+const IMAGES: usize = 200;
 /// Residuals beyond so many standard deviations count as this much.
 const TRUNCATION: f64 = 4.0;
 /// A held-out error that is larger by so many standard errors, and by this factor, speaks against a motion.
@@ -181,6 +184,7 @@ fn problems(
             common.unregister(image);
         }
     }
+    thin(&mut common);
     let (free, priors) = freedom(&common.cameras, context.known, context.starts, usize::MAX);
     let mut what = Adjustment::growing(free, priors);
     what.points_per_image = Some((SIGHTINGS / common.registered().max(1)).clamp(50, 1000));
@@ -211,6 +215,19 @@ fn retriangulate(problem: &mut BundleProblem) {
     let points: Vec<_> = views.iter().map(place).collect();
     for (x, found) in problem.points.iter_mut().zip(points) {
         *x = found.unwrap_or(*x);
+    }
+}
+
+/// Leaves at most [`IMAGES`] of the images.
+fn thin(state: &mut State) {
+    let registered: Vec<usize> = (0..state.poses.len()).filter(|&i| state.poses[i].is_some()).collect();
+    let share = |k: usize| k * IMAGES / registered.len();
+    if registered.len() > IMAGES {
+        for (k, &image) in registered.iter().enumerate().skip(1) {
+            if share(k) == share(k - 1) {
+                state.unregister(image);
+            }
+        }
     }
 }
 

@@ -54,6 +54,9 @@ pub struct Findings {
     pub hull_applied: bool,
     /// Looks for gains so far.
     pub exposure_looks: u32,
+    /// Gains of the training views that the first look found, until the second has judged them.
+    #[serde(default)]
+    pub suspected: Vec<[f32; 3]>,
     /// Gains of the training views, where exposure is modelled.
     pub gains: Vec<[f32; 3]>,
     /// Whether redundant Gaussians were looked for.

@@ -4,7 +4,8 @@ use super::Trainer;
 use crate::backend::Target;
 use crate::{RenderOptions, SplatError};
 
-/// Positions of the schedule at which gains are looked for (the first) and measured again.
+/// Positions of the schedule at which gains are looked for (the first two: what the first look suspects has to explain the
+/// pictures of the second) and measured again.
 const LOOKS: [f64; 5] = [0.25, 0.4, 0.55, 0.7, 0.85];
 /// Part of the squared error that gains must explain.
 const EXPLAINED: f64 = 0.1;
@@ -40,41 +41,76 @@ pub fn gains(views: &[Products]) -> (Vec<[f32; 3]>, f64) {
     (all, if before > 0.0 { 1.0 - after / before } else { 0.0 })
 }
 
+/// The part of the squared error that given gains explain.
+fn explained_by(views: &[Products], gains: &[[f32; 3]]) -> f64 {
+    let (mut before, mut after) = (0.0, 0.0);
+    for (p, gains) in views.iter().zip(gains) {
+        for (c, g) in gains.iter().map(|g| f64::from(*g)).enumerate() {
+            let [rt, rr, tt] = [p[0][c], p[1][c], p[2][c]];
+            before += tt - 2.0 * rt + rr;
+            after += tt - 2.0 * g * rt + g * g * rr;
+        }
+    }
+    if before > 0.0 { 1.0 - after / before } else { 0.0 }
+}
+
 impl Trainer<'_> {
     /// Looks for gains at their places in the schedule.
     pub(super) fn judge_exposure(&mut self) -> Result<(), SplatError> {
         let looks = self.state.findings.exposure_looks;
         let due = LOOKS.get(looks as usize).is_some_and(|&at| self.state.position >= at);
-        if !due || (looks > 0 && self.state.findings.gains.is_empty()) {
+        let findings = &self.state.findings;
+        if !due || (looks > 0 && findings.gains.is_empty() && findings.suspected.is_empty()) {
             return Ok(());
         }
         self.state.findings.exposure_looks += 1;
         if self.views.len() < 3 {
             return Ok(());
         }
-        // The first look judges by some of the views: what it costs must not grow with their number.
-        let every = if looks == 0 { self.views.len().div_ceil(SAMPLE) } else { 1 };
-        let (mut found, explained) = gains(&self.products_of_views(every)?);
         if looks == 0 {
-            let spread = |f: fn(f32, f32) -> f32, start| found.iter().flatten().copied().fold(start, f);
-            let evidence = format!(
-                "gains of {:.2} to {:.2} by view and channel would explain {:.1} % of the squared error (needed: {:.0} %)",
-                spread(f32::min, f32::INFINITY),
-                spread(f32::max, 0.0),
-                100.0 * explained,
-                100.0 * EXPLAINED
-            );
-            let on = explained >= EXPLAINED;
-            self.note("exposure by view", if on { "modelled" } else { "not modelled" }.to_owned(), evidence);
+            return self.suspect_gains();
+        }
+        let products = self.products_of_views(1)?;
+        let (found, _) = gains(&products);
+        let suspected = std::mem::take(&mut self.state.findings.suspected);
+        if !suspected.is_empty() {
+            // A scene that is not yet learnt has views that are too dark or too bright as a whole, other ones each time.
+            let still = explained_by(&products, &suspected);
+            let on = still >= EXPLAINED;
+            self.note_exposure(on, &suspected, still, "that an earlier look found explain");
             if !on {
                 return Ok(());
-            }
-            if every > 1 {
-                found = gains(&self.products_of_views(1)?).0;
             }
         }
         self.state.findings.gains = found;
         Ok(())
+    }
+
+    /// The first look. It judges by some of the views: what it costs must not grow with their number.
+    fn suspect_gains(&mut self) -> Result<(), SplatError> {
+        let every = self.views.len().div_ceil(SAMPLE);
+        let (mut found, explained) = gains(&self.products_of_views(every)?);
+        if explained < EXPLAINED {
+            self.note_exposure(false, &found, explained, "would explain");
+            return Ok(());
+        }
+        if every > 1 {
+            found = gains(&self.products_of_views(1)?).0;
+        }
+        self.state.findings.suspected = found;
+        Ok(())
+    }
+
+    fn note_exposure(&mut self, on: bool, found: &[[f32; 3]], explained: f64, what: &str) {
+        let spread = |f: fn(f32, f32) -> f32, start| found.iter().flatten().copied().fold(start, f);
+        let evidence = format!(
+            "gains of {:.2} to {:.2} by view and channel {what} {:.1} % of the squared error (needed: {:.0} %)",
+            spread(f32::min, f32::INFINITY),
+            spread(f32::max, 0.0),
+            100.0 * explained,
+            100.0 * EXPLAINED
+        );
+        self.note("exposure by view", if on { "modelled" } else { "not modelled" }.to_owned(), evidence);
     }
 
     /// What each `every`-th training view says at the resolution in use.
@@ -114,6 +150,9 @@ mod tests {
             assert!(f.iter().all(|v| (f64::from(*v) - t).abs() < 1e-6), "{found:?}");
         }
         assert!((explained - 1.0).abs() < 1e-9);
+        let found_for_others: Vec<[f32; 3]> = found.iter().rev().copied().collect();
+        assert!(explained_by(&truth.map(view), &found) > 0.99);
+        assert!(explained_by(&truth.map(view), &found_for_others) < 0.0);
         let noise: Products = [[10.0; 3], [10.0; 3], [11.0; 3]];
         assert!(gains(&[noise; 4]).1.abs() < 1e-9);
         let black: Products = [[0.0; 3]; 3];

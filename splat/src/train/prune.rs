@@ -14,16 +14,18 @@ use rand::Rng as _;
 
 /// Training views whose pictures judge the removal.
 const JUDGES: usize = 8;
-/// Training views from which the energies are estimated.
-const WITNESSES: usize = 32;
+/// Training views from which the energies are estimated: all of an ordinary capture. What only the others see would go
+/// without a trace.
+const WITNESSES: usize = 100;
 /// Pictures above this many pixels are halved for the energies: they only order the Gaussians.
 const PIXELS: usize = 60_000;
 /// Alpha is limited to 0.99, where its gradient vanishes; energies are taken at opacities below.
 const MOST_OPAQUE: f32 = 0.98;
 
-/// `count` of the views, evenly.
+/// `count` of the views, evenly: the middle one of each share.
 fn some(views: &[usize], count: usize) -> Vec<usize> {
-    views.iter().copied().step_by(views.len().div_ceil(count).max(1)).collect()
+    let count = count.min(views.len());
+    (0..count).map(|k| views[(2 * k + 1) * views.len() / (2 * count)]).collect()
 }
 
 /// For each Gaussian the energy `Σ |ΔC|²` that the pictures of the views would lose without it, estimated by one draw a
@@ -103,6 +105,14 @@ mod tests {
     use super::*;
     use glam::{Mat3, Quat, Vec3};
     use scene::Gaussians;
+
+    #[test]
+    fn all_views_bear_witness_up_to_their_number_and_are_spread_beyond() {
+        let views: Vec<usize> = (0..41).map(|k| 3 * k).collect();
+        assert_eq!(some(&views, WITNESSES), views);
+        assert_eq!(some(&views, 4), [15, 45, 75, 105]);
+        assert!(some(&[], 4).is_empty());
+    }
 
     #[test]
     fn energies_are_what_the_picture_loses_without_the_gaussian() {
