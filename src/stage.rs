@@ -90,7 +90,8 @@ impl Stages {
     }
 }
 
-/// Hash of anything that serialises: stage name and version (or what tells its sources from those of another build), configuration, fingerprints of what it reads.
+/// Hash of anything that serialises: stage name and version (or what tells its sources from those of another build),
+/// configuration, fingerprints of what it reads.
 pub fn fingerprint(parts: &impl Serialize) -> Result<String> {
     Ok(blake3::hash(&serde_json::to_vec(parts)?).to_hex()[..32].to_owned())
 }

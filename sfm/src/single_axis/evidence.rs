@@ -221,14 +221,16 @@ fn retriangulate(problem: &mut BundleProblem) {
 /// Leaves at most [`IMAGES`] of the images.
 fn thin(state: &mut State) {
     let registered: Vec<usize> = (0..state.poses.len()).filter(|&i| state.poses[i].is_some()).collect();
-    let share = |k: usize| k * IMAGES / registered.len();
-    if registered.len() > IMAGES {
-        for (k, &image) in registered.iter().enumerate().skip(1) {
-            if share(k) == share(k - 1) {
-                state.unregister(image);
-            }
-        }
+    for image in surplus(&registered, IMAGES) {
+        state.unregister(image);
     }
+}
+
+/// What has to go so that at most `most` are left, evenly.
+fn surplus(images: &[usize], most: usize) -> Vec<usize> {
+    let share = |k: usize| k * most / images.len();
+    let goes = |k: &usize| images.len() > most && share(*k) == share(k - 1);
+    (1..images.len()).filter(goes).map(|k| images[k]).collect()
 }
 
 struct Trial<'a> {
@@ -297,5 +299,22 @@ impl Trial<'_> {
         }
         let all: f64 = sums.iter().map(|s| s.0).sum::<f64>() / self.held_out.len().max(1) as f64;
         Verdict { motion, bic, parameters, held_out_px: all.sqrt() * self.sigma, by_pose: sums }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::surplus;
+
+    #[test]
+    fn as_many_are_left_as_may_be_and_evenly() {
+        for n in [0, 1, 199, 200, 201, 333, 1000] {
+            let images: Vec<usize> = (0..n).map(|k| 2 * k + 1).collect();
+            let gone = surplus(&images, 200);
+            let left: Vec<usize> = images.iter().copied().filter(|i| !gone.contains(i)).collect();
+            assert_eq!(left.len(), n.min(200), "{n} images");
+            let widest = left.windows(2).map(|w| w[1] - w[0]).max().unwrap_or(0);
+            assert!(widest <= 2 * n.div_ceil(200), "{n} images, a gap of {widest}");
+        }
     }
 }

@@ -27,18 +27,10 @@ pub fn gains(views: &[Products]) -> (Vec<[f32; 3]>, f64) {
     let n = views.len().max(1) as f64;
     let mean: [f64; 3] =
         std::array::from_fn(|c| (views.iter().map(|p| raw(p, c).ln()).sum::<f64>() / n).exp());
-    let (mut before, mut after) = (0.0, 0.0);
-    let mut all = Vec::with_capacity(views.len());
-    for p in views {
-        let own: [f64; 3] = std::array::from_fn(|c| raw(p, c) / mean[c]);
-        for (c, g) in own.iter().enumerate() {
-            let [rt, rr, tt] = [p[0][c], p[1][c], p[2][c]];
-            before += tt - 2.0 * rt + rr;
-            after += tt - 2.0 * g * rt + g * g * rr;
-        }
-        all.push(own.map(|g| g as f32));
-    }
-    (all, if before > 0.0 { 1.0 - after / before } else { 0.0 })
+    let own = |p: &Products| std::array::from_fn(|c| (raw(p, c) / mean[c]) as f32);
+    let all: Vec<[f32; 3]> = views.iter().map(own).collect();
+    let explained = explained_by(views, &all);
+    (all, explained)
 }
 
 /// The part of the squared error that given gains explain.

@@ -280,6 +280,19 @@ fn exposure_is_modelled_where_views_differ_in_it_and_only_there() {
 }
 
 #[test]
+fn gains_that_a_second_look_does_not_confirm_are_not_modelled() {
+    let (dataset, config) = (dataset(24, false), config(400));
+    let mut trainer = Trainer::new(&dataset, &config, None).unwrap();
+    trainer.state.position = 0.5;
+    trainer.state.findings.exposure_looks = 1;
+    trainer.state.findings.suspected = (0..trainer.views.len()).map(|k| [[0.5, 2.0][k % 2]; 3]).collect();
+    trainer.judge_exposure().unwrap();
+    assert!(trainer.state.findings.gains.is_empty() && trainer.state.findings.suspected.is_empty());
+    let judged = trainer.state.decisions.iter().find(|d| d.subject.contains("exposure")).unwrap();
+    assert_eq!(judged.choice, "not modelled");
+}
+
+#[test]
 fn degree_and_count_are_judged_by_training_views_and_resuming_repeats_the_judgement() {
     let dataset = dataset(72, false);
     let whole = train(&dataset, &config(230), None, &Progress::silent()).unwrap();
@@ -296,8 +309,8 @@ fn degree_and_count_are_judged_by_training_views_and_resuming_repeats_the_judgem
     }
 }
 
-/// The bound holds for the mean of several seeds: what the two held-out views of one run of 24
-/// views gain or lose by a Gaussian more or less scatters by as much as the bound itself.
+/// The bound holds for the mean of several seeds: what the held-out views of one run gain or lose by a Gaussian more or
+/// less scatters by as much as the bound itself.
 #[test]
 fn redundant_gaussians_go_and_the_picture_stays() {
     let mut dataset = dataset(24, false);
