@@ -35,9 +35,10 @@ impl FloatImage {
 
     /// Luma (Rec. 601 weights on sRGB values) of 8-bit sRGB.
     pub fn luma(image: &RgbImage) -> Self {
-        let luma =
-            |p: &[u8]| (0.299 * f32::from(p[0]) + 0.587 * f32::from(p[1]) + 0.114 * f32::from(p[2])) / 255.0;
-        let data = image.as_raw().chunks_exact(3).map(luma).collect();
+        let luma = |p: &[u8; 3]| {
+            (0.299 * f32::from(p[0]) + 0.587 * f32::from(p[1]) + 0.114 * f32::from(p[2])) / 255.0
+        };
+        let data = image.as_raw().as_chunks::<3>().0.iter().map(luma).collect();
         Self { width: image.width() as usize, height: image.height() as usize, channels: 1, data }
     }
 

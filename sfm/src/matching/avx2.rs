@@ -7,7 +7,7 @@
 #![allow(clippy::needless_range_loop)]
 
 use super::kernel::TopTwo;
-use super::prepared::{DIM, PANEL, PreparedFeatures};
+use super::prepared::{DIM, PANEL, Panel, PreparedFeatures};
 use std::arch::x86_64::*;
 
 const ROWS: usize = 4;
@@ -16,14 +16,14 @@ const STEPS: usize = DIM / 2;
 /// Descriptors of `b` that stay in the second-level cache while the rows of `a` pass (128 KiB).
 const BLOCK: usize = 1024;
 /// Two panels: the columns of a tile.
-type Columns = [u8; 2 * PANEL * DIM];
+type Columns = [Panel; 2];
 /// Dot products of a tile, biased.
 type Dots = [[__m256i; 2]; ROWS];
 
 /// See [`super::kernel::top_two`].
 #[target_feature(enable = "avx2")]
 pub(super) fn sweep(a: &PreparedFeatures, b: &PreparedFeatures, rows: &mut TopTwo, columns: &mut TopTwo) {
-    let (tiles, _) = b.panels().as_chunks::<{ 2 * PANEL * DIM }>();
+    let (tiles, _) = b.panels().as_chunks::<2>();
     let mut expanded = [[0_u32; ROWS]; STEPS];
     for (block, tiles) in tiles.chunks(BLOCK / (2 * PANEL)).enumerate() {
         for i in (0..a.len()).step_by(ROWS) {
@@ -48,11 +48,11 @@ pub(super) fn sweep(a: &PreparedFeatures, b: &PreparedFeatures, rows: &mut TopTw
 #[target_feature(enable = "avx2")]
 fn multiply(rows: &[[u32; ROWS]; STEPS], tile: &Columns) -> Dots {
     let mut sums = [[_mm256_set1_epi16(i16::MIN); 2]; ROWS];
-    let (left, right) = tile.split_at(PANEL * DIM);
+    let [left, right] = tile;
     for (k, row) in rows.iter().enumerate() {
-        // SAFETY: k < STEPS, and both halves hold STEPS vectors of 32 bytes.
+        // SAFETY: k < STEPS, and both panels hold STEPS vectors of 32 bytes.
         let (x, y) = unsafe {
-            let (x, y) = (left.as_ptr().add(k * 32), right.as_ptr().add(k * 32));
+            let (x, y) = (left.0.as_ptr().add(k * 32), right.0.as_ptr().add(k * 32));
             (_mm256_loadu_si256(x.cast()), _mm256_loadu_si256(y.cast()))
         };
         for r in 0..ROWS {

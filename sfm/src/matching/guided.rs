@@ -9,7 +9,7 @@ use scene::{Features, Keypoint};
 /// Features as near as this to the best partner (other orientations of the same spot) do not count as second-best.
 const SAME_SPOT_PX: f64 = 3.0;
 /// Cells a side of the grid over the image, at most.
-const MAX_CELLS: usize = 128;
+const MAX_CELLS: usize = 64;
 
 /// Matches (feature of a, feature of b) no farther than `max_epipolar_px` from each other's epipolar lines
 /// (`x_bᵀ F x_a = 0`, pixels), best from both sides, with the looser [`MatchConfig::guided_ratio`]: fewer rivals
@@ -67,12 +67,13 @@ fn one_way(
     let partner = |(i, keypoint): (usize, &Keypoint)| {
         let x = keypoint.position().extend(1.0);
         let line = *f * x;
+        let own = line.truncate().length();
         near.clear();
-        grid.along(line, max_px, |j| {
-            let y = to.0.keypoints[j as usize].position().extend(1.0);
-            let other = (transposed * y).truncate().length();
-            let reach = line.truncate().length().min(other) * max_px;
-            if y.dot(line).abs() <= reach {
+        grid.along(line, max_px, |j, place| {
+            let y = place.extend(1.0);
+            let off = y.dot(line).abs();
+            // The line in the other image is asked only where it can still refuse.
+            if off <= own * max_px && off <= (transposed * y).truncate().length() * max_px {
                 near.push((dot(from.1.row(i), to.1.row(j as usize)), j));
             }
         });
@@ -96,6 +97,8 @@ struct Grid {
     /// Where the keypoints of cell `y · size[0] + x` begin in `members`; one more for the end.
     starts: Vec<u32>,
     members: Vec<u32>,
+    /// Where the members lie.
+    places: Vec<DVec2>,
 }
 
 impl Grid {
@@ -105,8 +108,8 @@ impl Grid {
         let extent = finite().reduce(DVec2::max).unwrap_or(DVec2::ZERO) - origin;
         let cell = (extent.max_element() / MAX_CELLS as f64).max(2.0 * max_px).max(8.0);
         let size = [(extent.x / cell) as usize + 1, (extent.y / cell) as usize + 1];
-        let mut grid =
-            Self { origin, cell, size, starts: vec![0; size[0] * size[1] + 1], members: Vec::new() };
+        let starts = vec![0; size[0] * size[1] + 1];
+        let mut grid = Self { origin, cell, size, starts, members: Vec::new(), places: Vec::new() };
         let mut cells: Vec<(usize, u32)> = Vec::with_capacity(keypoints.len());
         for (i, p) in keypoints.iter().map(Keypoint::position).enumerate() {
             if p.is_finite() {
@@ -124,12 +127,13 @@ impl Grid {
         for c in 1..grid.starts.len() {
             grid.starts[c] += grid.starts[c - 1];
         }
+        grid.places = cells.iter().map(|&(_, i)| keypoints[i as usize].position()).collect();
         grid.members = cells.into_iter().map(|(_, i)| i).collect();
         grid
     }
 
     /// Visits every keypoint in a cell that the band of half-width `max_px` around `line` touches (and a few more).
-    fn along(&self, line: DVec3, max_px: f64, mut visit: impl FnMut(u32)) {
+    fn along(&self, line: DVec3, max_px: f64, mut visit: impl FnMut(u32, DVec2)) {
         // In cell units: n · q + c = 0.
         let normal = line.truncate();
         let length = normal.length();
@@ -143,18 +147,19 @@ impl Grid {
         let along_x = n.y.abs() >= n.x.abs();
         let (walk, across) = if along_x { (0, 1) } else { (1, 0) };
         let (n_walk, n_across) = if along_x { (n.x, n.y) } else { (n.y, n.x) };
+        let (start, slope, margin) = (-c / n_across, -n_walk / n_across, half / n_across.abs());
+        let (below, above) = (slope.min(0.0) - margin, slope.max(0.0) + margin);
         for w in 0..self.size[walk] {
-            let at = |t: f64| -(c + n_walk * t) / n_across;
-            let (p, q) = (at(w as f64), at(w as f64 + 1.0));
-            let margin = half / n_across.abs();
-            let (low, high) = (p.min(q) - margin, p.max(q) + margin);
+            let entry = start + slope * w as f64;
+            let (low, high) = (entry + below, entry + above);
             if high < 0.0 || low >= self.size[across] as f64 || !low.is_finite() || !high.is_finite() {
                 continue;
             }
             for v in low.max(0.0) as usize..=(high as usize).min(self.size[across] - 1) {
                 let cell = if along_x { v * self.size[0] + w } else { w * self.size[0] + v };
                 let members = self.starts[cell] as usize..self.starts[cell + 1] as usize;
-                self.members[members].iter().for_each(|&i| visit(i));
+                let places = &self.places[members.clone()];
+                self.members[members].iter().zip(places).for_each(|(&i, &place)| visit(i, place));
             }
         }
     }

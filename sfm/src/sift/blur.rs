@@ -81,77 +81,87 @@ macro_rules! dispatch {
 }
 pub(crate) use dispatch;
 
-dispatch! {
-    /// `out[x] = Σ_k kernel[|k|] (rows k above and below)`: the vertical pass of one row.
-    fn vertical(source: &Plane, y: usize, kernel: &[f32], out: &mut [f32]) {
-        let centre = source.row(y);
-        let out = &mut out[..centre.len()];
-        let k0 = kernel[0];
-        for (o, c) in out.iter_mut().zip(centre) {
-            *o = k0 * c;
-        }
-        let last = source.height - 1;
-        let mut pairs = kernel.iter().enumerate().skip(1);
-        // Two taps a sweep halve the traffic through `out`.
-        while let Some((i, &ki)) = pairs.next() {
-            let above = source.row(y.saturating_sub(i));
-            let below = source.row((y + i).min(last));
-            if let Some((j, &kj)) = pairs.next() {
-                let above2 = source.row(y.saturating_sub(j));
-                let below2 = source.row((y + j).min(last));
-                for ((((o, a), b), c), d) in out.iter_mut().zip(above).zip(below).zip(above2).zip(below2) {
-                    *o += ki * (a + b) + kj * (c + d);
-                }
-            } else {
-                for ((o, a), b) in out.iter_mut().zip(above).zip(below) {
-                    *o += ki * (a + b);
-                }
-            }
-        }
-    }
-}
-
 /// Samples of a vector.
 const LANES: usize = 16;
+/// Samples of the four vectors whose sums are formed side by side: the next need not wait for the last.
+const BLOCK: usize = 4 * LANES;
+/// Columns that are read together: the rows that the filter reaches over stay in the first-level cache.
+const STRIP: usize = 8 * BLOCK;
 
-/// `sum += k (left + right)`.
+/// Where the blocks of `n` samples begin; the last one overlaps the one before, so that none is left over.
 #[inline(always)]
-fn add_pair(sum: &mut [f32; LANES], k: f32, left: &[f32], right: &[f32]) {
-    for ((s, l), r) in sum.iter_mut().zip(left).zip(right) {
-        *s += k * (l + r);
+fn blocks_of(n: usize) -> impl Iterator<Item = usize> {
+    let count = if n < BLOCK { 0 } else { n.div_ceil(BLOCK) };
+    (0..count).map(move |i| (i * BLOCK).min(n - BLOCK))
+}
+
+/// The samples that are in no block: all, where they are too few for one.
+#[inline(always)]
+fn single_samples_of(n: usize) -> std::ops::Range<usize> {
+    0..if n < BLOCK { n } else { 0 }
+}
+
+/// The vector at the beginning of samples that hold a whole one.
+#[inline(always)]
+fn vector(samples: &[f32]) -> [f32; LANES] {
+    *samples.first_chunk().unwrap_or(&[0.0; LANES])
+}
+
+/// `sum + k (left + right)` of a vector.
+#[inline(always)]
+fn with_pair(sum: [f32; LANES], k: f32, left: &[f32], right: &[f32]) -> [f32; LANES] {
+    let (left, right) = (vector(left), vector(right));
+    let mut out = [0.0; LANES];
+    for i in 0..LANES {
+        out[i] = sum[i] + k * (left[i] + right[i]);
+    }
+    out
+}
+
+/// The sums of a block: `Σ_k kernel[|k|] side(k)[..BLOCK]`. Four vectors by name, for an array of them would be kept in
+/// memory.
+#[inline(always)]
+fn block_sum<'a>(kernel: &[f32], side: impl Fn(isize) -> &'a [f32]) -> [[f32; LANES]; 4] {
+    let centre = &side(0)[..BLOCK];
+    let scaled = |at: usize| vector(&centre[at..]).map(|v| kernel[0] * v);
+    let (mut a, mut b, mut c, mut d) = (scaled(0), scaled(LANES), scaled(2 * LANES), scaled(3 * LANES));
+    for (i, &k) in kernel.iter().enumerate().skip(1) {
+        let (left, right) = (&side(-(i as isize))[..BLOCK], &side(i as isize)[..BLOCK]);
+        a = with_pair(a, k, left, right);
+        b = with_pair(b, k, &left[LANES..], &right[LANES..]);
+        c = with_pair(c, k, &left[2 * LANES..], &right[2 * LANES..]);
+        d = with_pair(d, k, &left[3 * LANES..], &right[3 * LANES..]);
+    }
+    [a, b, c, d]
+}
+
+dispatch! {
+    /// `out[x] = Σ_k kernel[|k|] rows[radius + k][x]`: the vertical pass of a part of a row.
+    fn vertical(rows: &[&[f32]], kernel: &[f32], out: &mut [f32]) {
+        let radius = kernel.len() - 1;
+        for at in blocks_of(out.len()) {
+            let sums = block_sum(kernel, |k| &rows[radius.wrapping_add_signed(k)][at..]);
+            out[at..at + BLOCK].copy_from_slice(sums.as_flattened());
+        }
+        for x in single_samples_of(out.len()) {
+            let mut sum = kernel[0] * rows[radius][x];
+            for (i, k) in kernel.iter().enumerate().skip(1) {
+                sum += k * (rows[radius - i][x] + rows[radius + i][x]);
+            }
+            out[x] = sum;
+        }
     }
 }
 
 dispatch! {
-    /// The horizontal pass of one row; `padded` holds `radius` replicated samples on both sides.
+    /// The horizontal pass of a part of a row; `padded` holds `radius` further samples on both sides.
     fn horizontal(padded: &[f32], kernel: &[f32], out: &mut [f32]) {
         let radius = kernel.len() - 1;
-        let n = out.len();
-        // Four sums side by side: the next need not wait for the last.
-        let blocks = n / (4 * LANES);
-        for block in 0..blocks {
-            let at = block * 4 * LANES + radius;
-            let mut sum = [[0.0_f32; LANES]; 4];
-            for (s, centre) in sum.iter_mut().zip(padded[at..].chunks_exact(LANES)) {
-                for (s, v) in s.iter_mut().zip(centre) {
-                    *s = kernel[0] * v;
-                }
-            }
-            for (i, k) in kernel.iter().enumerate().skip(1) {
-                let left = &padded[at - i..at - i + 4 * LANES];
-                let right = &padded[at + i..at + i + 4 * LANES];
-                // Written out, for a loop over them would keep the sums in memory.
-                let [a, b, c, d] = &mut sum;
-                add_pair(a, *k, &left[..LANES], &right[..LANES]);
-                add_pair(b, *k, &left[LANES..2 * LANES], &right[LANES..2 * LANES]);
-                add_pair(c, *k, &left[2 * LANES..3 * LANES], &right[2 * LANES..3 * LANES]);
-                add_pair(d, *k, &left[3 * LANES..], &right[3 * LANES..]);
-            }
-            for (out, s) in out[block * 4 * LANES..].chunks_exact_mut(LANES).zip(&sum) {
-                out.copy_from_slice(s);
-            }
+        for at in blocks_of(out.len()) {
+            let sums = block_sum(kernel, |k| &padded[(at + radius).wrapping_add_signed(k)..]);
+            out[at..at + BLOCK].copy_from_slice(sums.as_flattened());
         }
-        for x in blocks * 4 * LANES..n {
+        for x in single_samples_of(out.len()) {
             let at = x + radius;
             let mut sum = kernel[0] * padded[at];
             for (i, k) in kernel.iter().enumerate().skip(1) {
@@ -169,14 +179,28 @@ pub fn gaussian_blur(source: &Plane, sigma: f32, out: &mut Plane) {
         return;
     }
     let kernel = half_kernel(sigma);
-    let (w, radius) = (source.width, kernel.len() - 1);
-    let mut padded = vec![0.0; w + 2 * radius];
-    for y in 0..source.height {
-        vertical(source, y, &kernel, &mut padded[radius..radius + w]);
-        let (first, last) = (padded[radius], padded[radius + w - 1]);
-        padded[..radius].fill(first);
-        padded[radius + w..].fill(last);
-        horizontal(&padded, &kernel, &mut out.data[y * w..(y + 1) * w]);
+    let (w, h, radius) = (source.width, source.height, kernel.len() - 1);
+    let step = STRIP.saturating_sub(2 * radius).max(BLOCK);
+    let mut padded = vec![0.0; step + 2 * radius];
+    let mut rows: Vec<&[f32]> = Vec::with_capacity(2 * radius + 1);
+    for first in (0..w).step_by(step) {
+        let last = (first + step).min(w);
+        let (from, to) = (first.saturating_sub(radius), (last + radius).min(w));
+        // Where column `from` lies among the padded ones.
+        let start = radius - (first - from);
+        let padded = &mut padded[..last - first + 2 * radius];
+        for y in 0..h {
+            rows.clear();
+            rows.extend(
+                (0..=2 * radius).map(|k| &source.row((y + k).saturating_sub(radius).min(h - 1))[from..to]),
+            );
+            let end = start + to - from;
+            vertical(&rows, &kernel, &mut padded[start..end]);
+            let (left, right) = (padded[start], padded[end - 1]);
+            padded[..start].fill(left);
+            padded[end..].fill(right);
+            horizontal(padded, &kernel, &mut out.data[y * w + first..y * w + last]);
+        }
     }
 }
 

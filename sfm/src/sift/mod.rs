@@ -30,7 +30,7 @@ use std::sync::{Mutex, PoisonError};
 /// The smallest side of an octave that is still searched, samples.
 const MIN_OCTAVE_SIDE: usize = 16;
 
-/// An oriented keypoint in the samples of its octave and level, with what selection needs.
+/// A keypoint in the samples of its octave and level, with what selection needs.
 #[derive(Clone, Copy, Debug)]
 struct Candidate {
     keypoint: Keypoint,
@@ -87,7 +87,11 @@ fn extract_with(
         candidates.extend(octave_candidates(octave, index, &statistics, config, keep));
     }
     let size = [work.width as f32, work.height as f32];
-    let chosen = spread::strongest_everywhere(&candidates, config.max_features, size);
+    // Directions cost more than places: only what may stay gets them.
+    let most = config.max_features;
+    let likely = spread::strongest_everywhere(&candidates, most.saturating_add(spread::ROUND), size);
+    let oriented: Vec<Candidate> = likely.iter().flat_map(|c| orient(octaves, c, config)).collect();
+    let chosen = spread::strongest_everywhere(&oriented, most, size);
     describe_all(octaves, &chosen, ratio, config.pre_blur.max(0.0))
 }
 
@@ -125,7 +129,7 @@ fn scale_space<'a>(octaves: &'a mut Vec<Octave>, work: &Plane, config: &SiftConf
     &octaves[..used]
 }
 
-/// Oriented keypoints of one octave, positions in working pixels.
+/// Keypoints of one octave without their directions, positions in working pixels.
 fn octave_candidates(
     octave: &Octave,
     index: usize,
@@ -146,22 +150,29 @@ fn octave_candidates(
         }
         let level = (found.level.round().max(1.0) as usize).min(octave.scales);
         let sigma = octave.sigma(found.level);
-        let angles = if config.upright {
-            vec![0.0]
-        } else {
-            describe::orientations(&octave.levels[level], found.x, found.y, sigma, config.max_orientations)
-        };
-        candidates.extend(angles.into_iter().map(|angle| Candidate {
-            keypoint: Keypoint { x, y, scale: sigma * octave.step, angle },
+        candidates.push(Candidate {
+            keypoint: Keypoint { x, y, scale: sigma * octave.step, angle: 0.0 },
             strength: found.response.abs(),
             octave: index as u32,
             level: level as u32,
             x: found.x,
             y: found.y,
             sigma,
-        }));
+        });
     }
     candidates
+}
+
+/// The keypoint once for each of its directions.
+fn orient(octaves: &[Octave], candidate: &Candidate, config: &SiftConfig) -> Vec<Candidate> {
+    let angles = if config.upright {
+        vec![0.0]
+    } else {
+        let level = &octaves[candidate.octave as usize].levels[candidate.level as usize];
+        describe::orientations(level, candidate.x, candidate.y, candidate.sigma, config.max_orientations)
+    };
+    let with = |angle| Candidate { keypoint: Keypoint { angle, ..candidate.keypoint }, ..*candidate };
+    angles.into_iter().map(with).collect()
 }
 
 /// `pre_blur`: what the image was blurred by before, working pixels; it adds to the keypoints' scales.

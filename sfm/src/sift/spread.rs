@@ -4,6 +4,9 @@ use super::Candidate;
 
 /// Cells a side of the grid over the image.
 const CELLS: usize = 16;
+/// Candidates of a round, at most: who is not among so many more than stay would not stay with several directions
+/// either.
+pub const ROUND: usize = CELLS * CELLS;
 
 /// At most `most` candidates: first the strongest of every cell, then the second of every cell, and so on, stronger
 /// ones first within a round. The result is in the order of the input.

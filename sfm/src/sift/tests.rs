@@ -254,6 +254,38 @@ fn a_cap_keeps_features_everywhere() {
         f.keypoints.iter().map(cell).collect::<std::collections::BTreeSet<_>>().len()
     };
     assert!(cells(&few) * 10 >= cells(&all) * 6, "{} of {} cells", cells(&few), cells(&all));
+    // Directions are found for those alone that may stay: nothing else may come of it.
+    assert!(few.keypoints.iter().all(|k| all.keypoints.contains(k)));
+}
+
+/// Parts of a row, blocks and single samples, borders nearer than the filter reaches: all by the definition.
+#[test]
+fn a_blur_is_the_weighted_sum_at_every_size() {
+    let mut rng = scene::rng::rng(1, "blur", 0);
+    for (width, height) in [(1, 1), (9, 40), (63, 3), (64, 5), (65, 2), (500, 4), (577, 3), (1100, 2)] {
+        let data: Vec<f32> = (0..width * height).map(|_| rng.random()).collect();
+        let plane = Plane { width, height, data };
+        for sigma in [0.4, 1.6, 3.1, 20.0_f32, 90.0] {
+            let mut out = Plane::default();
+            blur::gaussian_blur(&plane, sigma, &mut out);
+            let kernel = blur::half_kernel(sigma);
+            let radius = kernel.len() as isize - 1;
+            let weight = |k: isize| f64::from(kernel[k.unsigned_abs()]);
+            let inside = |at: usize, k: isize, n: usize| (at as isize + k).clamp(0, n as isize - 1) as usize;
+            let columns: Vec<f64> = (0..width * height)
+                .map(|i| {
+                    let tap = |k| weight(k) * f64::from(plane.at(i % width, inside(i / width, k, height)));
+                    (-radius..=radius).map(tap).sum()
+                })
+                .collect();
+            for (i, &found) in out.data.iter().enumerate() {
+                let (x, y) = (i % width, i / width);
+                let tap = |k| weight(k) * columns[y * width + inside(x, k, width)];
+                let expected: f64 = (-radius..=radius).map(tap).sum();
+                assert!((f64::from(found) - expected).abs() < 2e-6, "{width}×{height}, σ {sigma}, at {x} {y}");
+            }
+        }
+    }
 }
 
 #[test]
