@@ -20,6 +20,13 @@ for tool in blender ffmpeg "$python"; do
 done
 "$python" -c 'import numpy' 2>/dev/null || { echo "numpy is missing: apt-get install python3-numpy" >&2; exit 1; }
 
+# Debian's Blender has no decoder for Draco.
+if [ -n "${OBJECT:-}" ] && grep -aq KHR_draco_mesh_compression "$OBJECT"; then
+    mkdir -p "$out"
+    "$python" "$here/undraco.py" "$OBJECT" "$out/object.glb"
+    OBJECT=$out/object.glb
+fi
+
 for name in "$@"; do
     shot=$("$python" -c "import sys; sys.path.insert(0, '$here'); import cases; print(cases.CASES['$name'].shot)")
     mkdir -p "$out/renders/$shot" "$out/$name"

@@ -51,15 +51,20 @@ impl Material {
 
     fn add_klt(&mut self, tracks: &[KltTrack]) {
         for track in tracks {
-            let id = self.tracks.views.len() as u32;
-            let mut views = Vec::with_capacity(track.positions.len());
-            for (frame, p) in (track.first..).zip(&track.positions) {
-                views.push([frame as u32, self.keypoints[frame].len() as u32]);
-                self.keypoints[frame].push(*p);
-                self.tracks.of[frame].push(id);
-            }
-            self.tracks.views.push(views);
+            self.add((track.first..).zip(track.positions.iter().copied()));
         }
+    }
+
+    /// A point that was seen at a pixel of each of some frames.
+    pub fn add(&mut self, sightings: impl Iterator<Item = (usize, DVec2)>) {
+        let id = self.tracks.views.len() as u32;
+        let mut views = Vec::new();
+        for (frame, p) in sightings {
+            views.push([frame as u32, self.keypoints[frame].len() as u32]);
+            self.keypoints[frame].push(p);
+            self.tracks.of[frame].push(id);
+        }
+        self.tracks.views.push(views);
     }
 
     /// Of features of some frames, joined by verified matches, and followed points after them.

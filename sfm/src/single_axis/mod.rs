@@ -17,6 +17,7 @@ mod orbit;
 mod photos;
 pub mod problem;
 pub(crate) mod ring;
+mod seam;
 mod seed;
 mod smoothness;
 #[cfg(test)]

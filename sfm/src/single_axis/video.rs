@@ -4,6 +4,7 @@ use super::evidence::Comparison;
 use super::extend::resect_angle;
 use super::material::{KeyFrames, Material, drop_still};
 use super::model::{AxisModel, Context};
+use super::seam::{SEAM_SPAN, Seam};
 use super::seed::{KEYS, KeyPair, Seed, explained, seeds, steady};
 use super::smoothness::{known_rate, learnt};
 use super::turn::{Turn, median, wrapped};
@@ -24,8 +25,8 @@ const EXPLAINED: f64 = 0.5;
 const REGISTERED: f64 = 0.8;
 /// Whole turns are closed where the first and the last frame are at least so far apart, radians.
 const SEAM_FROM: f64 = 5.2;
-/// Search for the error of a closed turn, radians to either side.
-const SEAM_SPAN: f64 = 0.2;
+/// Angles across the seam that agree differ by less from their median, radians.
+const SEAM_AGREES: f64 = 0.01;
 
 /// What a video is solved with.
 pub(crate) struct VideoJob<'a> {
@@ -238,32 +239,32 @@ impl VideoJob<'_> {
         let angles: Vec<f64> = joined.turn.angles.iter().flatten().copied().collect();
         let range =
             angles.iter().copied().fold(f64::MIN, f64::max) - angles.iter().copied().fold(f64::MAX, f64::min);
-        if range < SEAM_FROM || keys.seam.is_empty() {
-            let text = format!("{:.1}° were turned, no seam", range.to_degrees());
-            let cameras = joined.state.cameras;
-            return Ok(Closed { material: open, turn: joined.turn, cameras, seam: text });
+        let unclosed = |material: Material, joined: AxisModel, why: &str| {
+            let seam = format!("{:.1}° were turned, {why}", range.to_degrees());
+            Ok(Closed { material, turn: joined.turn, cameras: joined.state.cameras, seam })
+        };
+        if range < SEAM_FROM {
+            return unclosed(open, joined, "no seam");
         }
-        let gaps: Vec<(f64, f64)> =
-            keys.seam.iter().filter_map(|g| self.seam_error(&joined, &context, g)).collect();
-        let middle = median(gaps.iter().map(|g| g.0).collect());
-        let agreeing: Vec<&(f64, f64)> = gaps.iter().filter(|g| (g.0 - middle).abs() < 0.01).collect();
-        if agreeing.len() < 2 || agreeing.len() * 2 < gaps.len() {
-            let text = format!("{:.1}° were turned, the seam is not seen", range.to_degrees());
-            let cameras = joined.state.cameras;
-            return Ok(Closed { material: open, turn: joined.turn, cameras, seam: text });
-        }
-        let stretch = agreeing.iter().map(|g| g.0 / g.1).sum::<f64>() / agreeing.len() as f64;
+        let followed = Seam::follow(self.frames, &joined.turn.angles, &self.config.klt, self.progress)?;
+        let matched = keys.seam.iter().filter_map(|g| self.seam_error(&joined, &context, g)).collect();
+        let Some((stretch, by_points, by_pairs)) = agreed([followed.gaps(&joined), matched]) else {
+            return unclosed(open, joined, "the seam is not seen");
+        };
         joined.turn.angles.iter_mut().flatten().for_each(|a| *a *= 1.0 + stretch);
         let mut geometries = keys.near.clone();
-        geometries.extend(keys.seam.iter().cloned());
-        let text = format!(
-            "{:.1}° were turned, {} pairs across the seam closed it by {:.2}°",
+        geometries.extend(keys.seam.iter().filter(|_| by_pairs > 0).cloned());
+        let mut material = Material::of_both(&keys.features, &geometries, tracks);
+        if by_points > 0 {
+            followed.tracks.iter().for_each(|t| material.add(t.iter().copied()));
+        }
+        let seam = format!(
+            "{:.1}° were turned, {} points followed across the seam to {by_points} frames and {by_pairs} pairs closed it by {:.2}°",
             range.to_degrees(),
-            agreeing.len(),
+            followed.tracks.len(),
             (stretch * range).abs().to_degrees()
         );
-        let material = Material::of_both(&keys.features, &geometries, tracks);
-        Ok(Closed { material, turn: joined.turn, cameras: joined.state.cameras, seam: text })
+        Ok(Closed { material, turn: joined.turn, cameras: joined.state.cameras, seam })
     }
 
     /// By how much the angle between two frames on either side of the seam is too small, and that angle: points that
@@ -288,6 +289,20 @@ impl VideoJob<'_> {
         let found = resect_angle(&model.state.cameras[0], &model.turn.axis, &seen, b, SEAM_SPAN);
         (found.inliers >= 8 && found.inliers * 2 >= found.asked).then(|| (wrapped(found.angle - b), b - a))
     }
+}
+
+/// By what share the angles are too small as most of the gaps say (see [`Seam::gaps`]; of followed points, and of
+/// matched pairs), and how many of either agree; `None` where they do not.
+fn agreed(gaps: [Vec<(f64, f64)>; 2]) -> Option<(f64, usize, usize)> {
+    let middle = median(gaps.iter().flatten().map(|g| g.0).collect());
+    let near = |g: &&(f64, f64)| (g.0 - middle).abs() < SEAM_AGREES;
+    let agreeing: Vec<&(f64, f64)> = gaps.iter().flatten().filter(near).collect();
+    if agreeing.len() < 2 || agreeing.len() * 2 < gaps.iter().flatten().count() {
+        return None;
+    }
+    let stretch = agreeing.iter().map(|g| g.0 / g.1).sum::<f64>() / agreeing.len() as f64;
+    let of = |i: usize| gaps[i].iter().filter(near).count();
+    Some((stretch, of(0), of(1)))
 }
 
 /// The fewest frames over which the tracks move by [`KEY_MOTION`].
