@@ -15,6 +15,8 @@ const GOLDEN: usize = 18;
 const LIMIT_PX: f64 = 4.0;
 /// Most sightings that are asked for an angle.
 const MOST: usize = 400;
+/// Points with which an angle is found, at least: it is one unknown, where a pose has six.
+const LEAST_SIGHTINGS: usize = 8;
 /// Turn after which the model is adjusted again, radians.
 const ADJUST_EVERY: f64 = 0.35;
 /// Frames in a row that may be given the angle that the rate says.
@@ -131,7 +133,7 @@ impl AxisModel {
             let expected = rate * (times[frame] - times[last]);
             let expected = if expected.is_finite() { expected } else { 0.0 };
             let seen = sightings(self, context, frame);
-            let least = context.input.config.min_sightings;
+            let least = context.input.config.min_sightings.min(LEAST_SIGHTINGS);
             let start = angle(last) + expected;
             if seen.len() < least {
                 if bridged < BRIDGE {

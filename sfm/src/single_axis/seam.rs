@@ -14,11 +14,11 @@ use scene::{FrameSet, Progress};
 /// Frames on either side.
 const SIDE: usize = 6;
 /// The frame that goes on from the last one shows the object turned by no more, as far as the angles are known, radians.
-const JUMP: f64 = 0.3;
+const JUMP: f64 = 0.5;
 /// Search for the error of a closed turn, radians to either side.
-pub(super) const SEAM_SPAN: f64 = 0.2;
+const SPAN: f64 = 0.5;
 /// Points with which a frame's angle is asked, at least.
-const FEWEST: usize = 8;
+const FEWEST: usize = 6;
 /// Largest reprojection error of such a point, pixels, and the least angle between its rays, radians.
 const GATES: Gates = Gates { max_error_px: 4.0, min_angle: 0.02 };
 
@@ -74,7 +74,7 @@ impl Seam {
         }
         let gap = |(frame, seen): (&usize, &Vec<(DVec2, DVec3)>)| {
             let start = model.turn.angles[*frame].filter(|_| seen.len() >= FEWEST)?;
-            let found = resect_angle(camera, &model.turn.axis, seen, start, SEAM_SPAN);
+            let found = resect_angle(camera, &model.turn.axis, seen, start, SPAN);
             let agreed = found.inliers >= FEWEST && found.inliers * 2 >= found.asked;
             agreed.then(|| (-wrapped(found.angle - start), end - start))
         };

@@ -101,6 +101,11 @@ impl Motion {
         all
     }
 
+    /// Logarithm of what is thought of it beforehand: a steady turn is as likely as all slow deviations together.
+    fn prior(&self) -> f64 {
+        if self.sway > 0.0 { -((LASTS.len() as f64 * f64::from(SWAY.1)).ln()) } else { 0.0 }
+    }
+
     /// `E[g(s) g(t)]` for times in shares of the video.
     fn covariance(&self, s: f64, t: f64) -> f64 {
         let d = 3f64.sqrt() * (s - t).abs() / self.lasts;
@@ -217,7 +222,8 @@ pub(crate) fn learnt(
         covariance: covariance.joint.clone(),
     };
     let some = found.thinned(MOST);
-    let tried = Motion::all().into_iter().filter_map(|m| Some((some.fit(&m)?.evidence(some.len()), m)));
+    let tried =
+        Motion::all().into_iter().filter_map(|m| Some((some.fit(&m)?.evidence(some.len()) + m.prior(), m)));
     let mut tried: Vec<(f64, Motion)> = tried.filter(|t| t.0.is_finite()).collect();
     tried.sort_by(|a, b| b.0.total_cmp(&a.0));
     let best = *tried.first()?;
@@ -254,7 +260,7 @@ pub(crate) fn learnt(
     };
     let evidence = format!(
         "angles found alone are {:.4}° off a steady turn, their errors would be {:.4}° (variance of the noise × {excess:.1}); \
-         slow deviations of {:.4}° over {:.2} of the video and jitter of {:.4}° are likeliest, log evidence {:+.1} \
+         slow deviations of {:.4}° over {:.2} of the video and jitter of {:.4}° are likeliest, log odds {:+.1} \
          against a steady turn with jitter",
         centred(&found.angles),
         rms(&|i| (excess * found.covariance[i * (n + 1)]).sqrt()),

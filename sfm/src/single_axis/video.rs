@@ -4,7 +4,7 @@ use super::evidence::Comparison;
 use super::extend::resect_angle;
 use super::material::{KeyFrames, Material, drop_still};
 use super::model::{AxisModel, Context};
-use super::seam::{SEAM_SPAN, Seam};
+use super::seam::Seam;
 use super::seed::{KEYS, KeyPair, Seed, explained, seeds, steady};
 use super::smoothness::{known_rate, learnt};
 use super::turn::{Turn, median, wrapped};
@@ -25,6 +25,8 @@ const EXPLAINED: f64 = 0.5;
 const REGISTERED: f64 = 0.8;
 /// Whole turns are closed where the first and the last frame are at least so far apart, radians.
 const SEAM_FROM: f64 = 5.2;
+/// Search for the error of a closed turn by matched pairs, radians to either side.
+const SEAM_SPAN: f64 = 0.2;
 /// Angles across the seam that agree differ by less from their median, radians.
 const SEAM_AGREES: f64 = 0.01;
 
