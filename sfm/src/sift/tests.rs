@@ -282,7 +282,10 @@ fn a_blur_is_the_weighted_sum_at_every_size() {
                 let (x, y) = (i % width, i / width);
                 let tap = |k| weight(k) * columns[y * width + inside(x, k, width)];
                 let expected: f64 = (-radius..=radius).map(tap).sum();
-                assert!((f64::from(found) - expected).abs() < 2e-6, "{width}×{height}, σ {sigma}, at {x} {y}");
+                assert!(
+                    (f64::from(found) - expected).abs() < 2e-6,
+                    "{width}×{height}, σ {sigma}, at {x} {y}"
+                );
             }
         }
     }
