@@ -4,8 +4,10 @@ fall on the true mattes and the true depths.
     python3 check.py CASE FOLDER [--every K]
 
 Silhouettes come from points spread densely over the mesh; prints the worst and the mean
-intersection over union and the median depth difference in pixel footprints (the nearest point
-in a pixel lies in front of the pixel's mean). Fails below 0.97 or above 1.
+intersection over union, the worst share of pixels that lie more than a pixel outside the other
+silhouette, and the median depth difference in pixel footprints, of the best neighbour (the
+nearest point in a pixel lies in front of the pixel's mean), away from edges in depth.
+Fails where more than 1 % lie outside, or depths differ by more than 1.
 """
 
 import argparse
@@ -47,6 +49,13 @@ def nearest_depth(lens, R, t, points):
     return depth.reshape(lens.height, lens.width)
 
 
+def neighbours(image, outside):
+    """The image shifted by up to a pixel in every direction, [9, h, w]."""
+    padded = np.pad(image, 1, constant_values=outside)
+    h, w = image.shape
+    return np.stack([padded[y : y + h, x : x + w] for y in range(3) for x in range(3)])
+
+
 def main():
     parser = argparse.ArgumentParser()
     parser.add_argument("case", choices=sorted(cases.CASES))
@@ -57,7 +66,7 @@ def main():
     shot = cases.SHOTS[case.shot]
     filmed = range(0, shot.frames, options.every)
     points = spread(*read_mesh(f"{folder}/mesh.ply"), 3_000_000, np.random.default_rng(1))
-    overlaps, differences = [], []
+    overlaps, strays, differences = [], [], []
     for k in range(0, len(filmed), case.depth_every * max(1, len(filmed) // 108)):
         R, t = cases.camera_from_satellite(shot, filmed[k])
         depth = nearest_depth(shot.lens, R, t, points)
@@ -67,15 +76,20 @@ def main():
         free = pole < 0.02  # the pole hides the satellite in places and the mesh has no pole
         a, b = np.isfinite(depth) & free, (matte > 0.3) & free
         overlaps.append((a & b).sum() / (a | b).sum())
+        near_a, near_b = neighbours(a, False).any(0), neighbours((matte > 0.02), False).any(0)
+        strays.append(((a & ~near_b) | (b & ~near_a)).sum() / (a | b).sum())
         stored = read_png(f"{folder}/depth/{stem}.png") / 1e4
-        both = (stored > 0) & np.isfinite(depth)
-        footprint = stored[both] / shot.lens.f
-        differences.append(np.median(np.abs(stored - depth)[both] / footprint))
+        both, footprint = (stored > 0) & np.isfinite(depth), stored / shot.lens.f
+        near = neighbours(depth, np.inf)
+        # The mean depth of a pixel that shows parts behind each other is that of none of them.
+        smooth = both & (near.max(0) < near.min(0) + 8 * footprint)
+        judged = smooth if smooth.sum() >= 100 else both
+        differences.append(np.median((np.abs(stored - near).min(0) / footprint.clip(1e-9))[judged]))
     print(
         f"{case.name}: {len(overlaps)} frames, silhouette IoU min {min(overlaps):.4f} mean {np.mean(overlaps):.4f}, "
-        f"depth differs by {max(differences):.2f} pixel footprints (worst frame's median)"
+        f"at most {max(strays):.2%} a pixel outside, depth differs by {max(differences):.2f} pixel footprints (worst frame's median)"
     )
-    if min(overlaps) < 0.97 or max(differences) > 1:
+    if max(strays) > 0.01 or max(differences) > 1:
         raise SystemExit(f"{case.name}: the truth does not agree with the mesh")
 
 
