@@ -59,7 +59,7 @@ oracle: $(VENV)/oracle  ## regenerate the fixtures that other libraries computed
 	@for script in tests/oracle/*.py; do echo "$$script"; $(VENV)/bin/python $$script $(SHARED)/data build/oracle; done
 
 testbed: setup  ## render the simulated captures with Blender (slow)
-	@tools/setup.sh blender python3-numpy ffmpeg
+	@tools/setup.sh blender python3-numpy ffmpeg draco
 	bash data/testbed/make.sh build/testbed
 	mkdir -p build/testbed/blue && ln -sfn ../renders build/testbed/blue/renders
 	BLUE=1 bash data/testbed/make.sh build/testbed/blue case3 case4

@@ -96,7 +96,51 @@ fn ends(angles: &[Option<f64>]) -> Option<(usize, usize)> {
 
 #[cfg(test)]
 mod tests {
+    use super::super::material::Material;
+    use super::super::tests::{Turntable, video};
+    use super::super::turn::Turn;
+    use super::super::video::VideoJob;
     use super::*;
+    use crate::SfmConfig;
+    use crate::incremental::growth::Knowledge;
+
+    /// What the seam says of a turn whose angles are all `share` of the true ones.
+    fn gaps(share: f64, sense: f64) -> Vec<(f64, f64)> {
+        let table = Turntable::new(72, 5.0 * sense, 3);
+        let (frames, config, progress) = (video(72), SfmConfig::default(), Progress::silent());
+        let (cameras, camera_of) = ([table.camera.clone()], vec![0; 72]);
+        let known = [Knowledge { fixed: true, focal_sigma: None }];
+        let job = VideoJob {
+            frames: &frames,
+            config: &config,
+            cameras: &cameras,
+            camera_of: &camera_of,
+            known: &known,
+            progress: &progress,
+        };
+        let material = Material::of_klt(&[], 72);
+        let angles = table.turn.angles.iter().map(|a| a.map(|a| a * share)).collect();
+        let turn = Turn { angles, ..table.turn.clone() };
+        let model = AxisModel::new(&job.input(&material), cameras.to_vec(), turn);
+        let (last, next) = ends(&model.turn.angles).unwrap();
+        let order = (last + 1 - SIDE..=last).chain(next..next + SIDE);
+        let track = |x: &DVec3| order.clone().map(|f| Some((f, table.sees(f, *x)?))).collect();
+        Seam { tracks: table.points.iter().filter_map(track).collect(), last }.gaps(&model)
+    }
+
+    #[test]
+    fn the_gap_is_what_the_angles_lack_of_a_whole_turn() {
+        for (share, sense) in [(1.0, 1.0), (0.95, 1.0), (0.95, -1.0), (1.04, 1.0), (1.04, -1.0)] {
+            let found = gaps(share, sense);
+            assert_eq!(found.len(), SIDE, "{share} {sense}");
+            for (gap, angle) in found {
+                let (said, stretch) = (gap / angle, 1.0 / share - 1.0);
+                // The steps within the six frames lack their share too.
+                let near = 1e-6 + 0.12 * stretch.abs();
+                assert!((said - stretch).abs() < near, "{share} {sense}: {said} for {stretch}");
+            }
+        }
+    }
 
     #[test]
     fn the_frame_that_goes_on_lies_a_whole_turn_before_the_last() {

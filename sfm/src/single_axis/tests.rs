@@ -36,7 +36,7 @@ impl Turntable {
         Self { camera, turn, points, poses }
     }
 
-    fn sees(&self, frame: usize, x: DVec3) -> Option<DVec2> {
+    pub fn sees(&self, frame: usize, x: DVec3) -> Option<DVec2> {
         let pose = &self.poses[frame];
         let facing = x.normalize().dot((pose.centre() - x).normalize()) > 0.2;
         let pixel = self.camera.project(pose.transform(x)).filter(|_| facing)?;
