@@ -1,6 +1,6 @@
 //! [`Backend`] on the CPU.
 
-use super::loss::{LossInput, Shape};
+use super::loss::{LossInput, Shape, loss};
 use super::optimise::{SharedModel, SharedPlane, Sink, Statistics};
 use super::project::{CameraConstants, Parameters};
 use super::simd::Isa;
@@ -122,7 +122,7 @@ impl CpuBackend {
     pub fn mean_square_error(&mut self, view: &PinholeView, target: &Target, options: &RenderOptions) -> f64 {
         let camera = self.camera(view, options);
         self.forward(view, &camera, options, false);
-        self.work.set_target(target, options.background);
+        self.work.set_target(self.isa, target, options.background);
         let weighted = target.mask.is_some() && !target.transparent;
         let work = &mut self.work;
         let input = LossInput {
@@ -132,7 +132,7 @@ impl CpuBackend {
             weight: weighted.then_some(work.weight.as_slice()),
             lambda: 0.0,
         };
-        f64::from(work.loss.run(self.isa, &input, &mut work.gradient).mse)
+        f64::from(loss(self.isa, &input, &mut work.gradient).mse)
     }
 
     /// Sums over the pixels that count, by channel: Σ r t, Σ r², Σ t² of the rendering r and the photo t (no gain).
@@ -145,7 +145,7 @@ impl CpuBackend {
         self.set_gain(None);
         let camera = self.camera(view, options);
         self.forward(view, &camera, options, false);
-        self.work.set_target(target, options.background);
+        self.work.set_target(self.isa, target, options.background);
         let weighted = target.mask.is_some() && !target.transparent;
         let (work, stride) = (&self.work, self.work.shape.stride());
         let mut sums = [[0.0; 3]; 3];
@@ -171,17 +171,17 @@ impl CpuBackend {
 
     /// The loss of the last rendering against a target, and dL/d(colour) into the workspace.
     fn loss(&mut self, input: &StepInput) -> super::loss::LossValue {
-        self.work.set_target(&input.target, input.options.background);
+        self.work.set_target(self.isa, &input.target, input.options.background);
         let weighted = input.target.mask.is_some() && !input.target.transparent;
         let work = &mut self.work;
-        let loss = LossInput {
+        let input = LossInput {
             shape: work.shape,
             rgb: &work.rgb,
             target: &work.target,
             weight: weighted.then_some(work.weight.as_slice()),
             lambda: input.lambda_dssim,
         };
-        work.loss.run(self.isa, &loss, &mut work.gradient)
+        loss(self.isa, &input, &mut work.gradient)
     }
 
     fn shared(&mut self) -> SharedModel {

@@ -2,11 +2,12 @@
 //! in: colour and target as \[3\] planes (rows padded to whole tiles), optional weights. out: gradient planes, loss, squared error.
 //!
 //! SSIM: Wang et al. 2004, 11 × 11 Gaussian window with σ = 1.5, zero padding, per channel. The window is separable;
-//! gradients go back through the same (symmetric) window.
+//! gradients go back through the same (symmetric) window. Lines are filtered down first, which reads the planes where they
+//! lie and several lines at once, then across; a band's derivatives of SSIM stay in the second-level cache.
 
 use super::bin::TILE;
 use super::raster::Tile;
-use super::simd::{Isa, Simd, array, simd_kernel};
+use super::simd::{Isa, Simd, simd_kernel};
 use rayon::prelude::*;
 use std::cell::RefCell;
 
@@ -16,14 +17,20 @@ const RADIUS: usize = 5;
 const TAPS: usize = 11;
 /// Zeros on both sides of a line.
 const BORDER: usize = 16;
-/// Rows a task works on.
-const BAND: usize = 32;
+/// Rows a task works on. The derivatives of the ten rows around them are worked out by their neighbours too.
+const BAND: usize = 64;
+/// Most rows that are filtered at once.
+const ROWS: usize = 4;
 
-/// The window's weights: exp(−x² / (2 · 1.5²)), normalised.
-fn window() -> [f32; TAPS] {
+/// The window's weights, exp(−x² / (2 · 1.5²)) normalised, between `ROWS − 1` zeros.
+fn window() -> [f32; TAPS + 2 * (ROWS - 1)] {
     let raw: [f64; TAPS] = std::array::from_fn(|i| (-(i as f64 - RADIUS as f64).powi(2) / 4.5).exp());
     let sum: f64 = raw.iter().sum();
-    raw.map(|w| (w / sum) as f32)
+    let mut padded = [0.0; TAPS + 2 * (ROWS - 1)];
+    for (tap, w) in padded[ROWS - 1..].iter_mut().zip(raw) {
+        *tap = (w / sum) as f32;
+    }
+    padded
 }
 
 /// Size of an image whose planes are padded to whole tiles.
@@ -64,15 +71,6 @@ impl Shape {
     }
 }
 
-/// Buffers of the loss, kept between steps.
-#[derive(Debug, Default)]
-pub struct LossBuffers {
-    /// Derivatives of SSIM by E[x], E[x² + y²], E[xy]: [channel × map] planes of bordered lines.
-    maps: Vec<Vec<f32>>,
-    window: [f32; TAPS],
-    shape: Shape,
-}
-
 /// Result of the loss.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct LossValue {
@@ -100,59 +98,34 @@ thread_local! {
     static LINES: RefCell<Vec<f32>> = const { RefCell::new(Vec::new()) };
 }
 
-impl LossBuffers {
-    /// The loss; fills `gradient` (planes like `rgb`, zero outside the image).
-    pub fn run(&mut self, isa: Isa, input: &LossInput, gradient: &mut [Vec<f32>; 3]) -> LossValue {
-        let shape = input.shape;
-        if self.shape != shape {
-            self.shape = shape;
-            self.window = window();
-            self.maps = vec![vec![0.0; shape.line() * shape.height]; 9];
-        }
-        let bands = shape.height.div_ceil(BAND);
-        let count = match input.weight {
-            Some(w) => rows(&shape).map(|r| w[r].iter().map(|&v| f64::from(v)).sum::<f64>()).sum::<f64>(),
-            None => (shape.width * shape.height) as f64,
-        };
-        let scale = if count > 0.0 { (1.0 / (3.0 * count)) as f32 } else { 0.0 };
-        let ssim: f64 = if input.lambda > 0.0 {
-            let window = &self.window;
-            let mut tasks: Vec<_> =
-                self.maps.chunks_mut(3).enumerate().flat_map(|(c, maps)| split(c, maps, &shape)).collect();
-            let partial: Vec<f64> = tasks
-                .par_iter_mut()
-                .map(|(channel, y0, maps)| {
-                    let mut a = Statistics { input, channel: *channel, y0: *y0, maps, window, sum: 0.0 };
-                    statistics(isa, &mut a);
-                    a.sum
-                })
-                .collect();
-            partial.iter().sum()
-        } else {
-            count * 3.0
-        };
-        let (maps, window) = (&self.maps, &self.window);
-        let line = shape.stride() * BAND;
-        let partial: Vec<[f64; 2]> = gradient
-            .par_iter_mut()
-            .enumerate()
-            .flat_map(|(channel, plane)| {
-                plane.par_chunks_mut(line).take(bands).enumerate().map(move |(b, out)| (channel, b, out))
-            })
-            .map(|(channel, band, out)| {
-                let maps = &maps[channel * 3..channel * 3 + 3];
-                let mut a =
-                    Gradient { input, channel, y0: band * BAND, maps, window, scale, out, l1: 0.0, l2: 0.0 };
-                gradient_rows(isa, &mut a);
-                [a.l1, a.l2]
-            })
-            .collect();
-        let [l1, l2] = partial.iter().fold([0.0, 0.0], |s, p| [s[0] + p[0], s[1] + p[1]]);
-        let mean = |sum: f64| if count > 0.0 { sum / (3.0 * count) } else { 0.0 };
-        let lambda = f64::from(input.lambda);
-        let d_ssim = if count > 0.0 { 1.0 - mean(ssim) } else { 0.0 };
-        LossValue { loss: ((1.0 - lambda) * mean(l1) + lambda * d_ssim) as f32, mse: mean(l2) as f32 }
-    }
+/// The loss; fills `gradient` (planes like `rgb`, zero outside the image).
+pub fn loss(isa: Isa, input: &LossInput, gradient: &mut [Vec<f32>; 3]) -> LossValue {
+    let shape = input.shape;
+    let count = match input.weight {
+        Some(w) => rows(&shape).map(|r| w[r].iter().map(|&v| f64::from(v)).sum::<f64>()).sum::<f64>(),
+        None => (shape.width * shape.height) as f64,
+    };
+    let scale = if count > 0.0 { (1.0 / (3.0 * count)) as f32 } else { 0.0 };
+    let window = window();
+    let bands = shape.height.div_ceil(BAND);
+    let partial: Vec<[f64; 3]> = gradient
+        .par_iter_mut()
+        .enumerate()
+        .flat_map(|(channel, plane)| {
+            let parts = plane.par_chunks_mut(shape.stride() * BAND).take(bands).enumerate();
+            parts.map(move |(b, out)| (channel, b * BAND, out))
+        })
+        .map(|(channel, y0, out)| {
+            let mut a = Band { input, channel, y0, window: &window, scale, out, ssim: 0.0, l1: 0.0, l2: 0.0 };
+            band(isa, &mut a);
+            [a.ssim, a.l1, a.l2]
+        })
+        .collect();
+    let [ssim, l1, l2] = partial.iter().fold([0.0; 3], |s, p| [s[0] + p[0], s[1] + p[1], s[2] + p[2]]);
+    let mean = |sum: f64| if count > 0.0 { sum / (3.0 * count) } else { 0.0 };
+    let lambda = f64::from(input.lambda);
+    let d_ssim = if count > 0.0 && input.lambda > 0.0 { 1.0 - mean(ssim) } else { 0.0 };
+    LossValue { loss: ((1.0 - lambda) * mean(l1) + lambda * d_ssim) as f32, mse: mean(l2) as f32 }
 }
 
 fn rows(shape: &Shape) -> impl Iterator<Item = std::ops::Range<usize>> + use<> {
@@ -160,28 +133,78 @@ fn rows(shape: &Shape) -> impl Iterator<Item = std::ops::Range<usize>> + use<> {
     (0..shape.height).map(move |y| y * stride..y * stride + width)
 }
 
-/// The bands of a channel's three map planes: (channel, first row, map rows).
-fn split<'a>(
-    channel: usize,
-    maps: &'a mut [Vec<f32>],
-    shape: &Shape,
-) -> Vec<(usize, usize, [&'a mut [f32]; 3])> {
-    let line = shape.line() * BAND;
-    let [a, b, c] = maps else { return Vec::new() };
-    let parts = a.chunks_mut(line).zip(b.chunks_mut(line)).zip(c.chunks_mut(line));
-    parts.enumerate().map(|(band, ((a, b), c))| (channel, band * BAND, [a, b, c])).collect()
-}
-
-struct Statistics<'a, 'b> {
+/// `BAND` rows of one channel.
+struct Band<'a> {
     input: &'a LossInput<'a>,
     channel: usize,
     y0: usize,
-    maps: &'b mut [&'a mut [f32]; 3],
-    window: &'a [f32; TAPS],
-    sum: f64,
+    window: &'a [f32; TAPS + 2 * (ROWS - 1)],
+    scale: f32,
+    /// The gradient's rows.
+    out: &'a mut [f32],
+    ssim: f64,
+    l1: f64,
+    l2: f64,
 }
 
-/// Σ w_k src[x + k − 5]; `src` points to a bordered line's first pixel.
+simd_kernel!(fn band(arguments: &mut Band) = band_generic);
+
+#[inline(always)]
+fn band_generic<S: Simd>(a: &mut Band) {
+    // Four sums a row have to fit into the registers: 16 of AVX2, 32 of AVX-512 and NEON.
+    if S::LANES == 8 { band_of::<S, 2>(a) } else { band_of::<S, ROWS>(a) }
+}
+
+#[inline(always)]
+fn band_of<S: Simd, const R: usize>(a: &mut Band) {
+    let shape = a.input.shape;
+    let (line, stride) = (shape.line(), shape.stride());
+    let y1 = (a.y0 + BAND).min(shape.height);
+    let around = a.y0.saturating_sub(RADIUS)..(y1 + RADIUS).min(shape.height);
+    let mut buffer = LINES.take();
+    let size = 4 * R * line + 3 * (BAND + 2 * RADIUS) * stride + BORDER;
+    if buffer.len() < size {
+        buffer.resize(size, 0.0);
+    }
+    // Loads that straddle cache lines cost twice.
+    let aligned = buffer.as_ptr().align_offset(64).min(BORDER);
+    let (lines, maps) = buffer[aligned..].split_at_mut(4 * R * line);
+    for line in lines.chunks_exact_mut(line) {
+        line[..BORDER].fill(0.0);
+        line[BORDER + stride..].fill(0.0);
+    }
+    let dissimilar = a.input.lambda > 0.0;
+    if !dissimilar {
+        lines.fill(0.0);
+    }
+    let mut across = [S::splat(0.0); RADIUS + 1];
+    for (tap, &w) in across.iter_mut().zip(&a.window[ROWS - 1..]) {
+        *tap = S::splat(w);
+    }
+    if dissimilar {
+        for y in around.clone().step_by(R) {
+            unsafe { moments_down::<S, R>(a, y, lines) };
+            for j in 0..R.min(around.end - y) {
+                let out = &mut maps[(y + j - around.start) * 3 * stride..][..3 * stride];
+                unsafe {
+                    similarity_line::<S>(a, y + j, &lines[4 * j * line..4 * (j + 1) * line], out, &across)
+                };
+            }
+        }
+    }
+    a.out.fill(0.0);
+    for y in (a.y0..y1).step_by(R) {
+        if dissimilar {
+            unsafe { derivatives_down::<S, R>(a, y, &around, maps, lines) };
+        }
+        for j in 0..R.min(y1 - y) {
+            unsafe { gradient_line::<S>(a, y + j, &lines[4 * j * line..4 * (j + 1) * line], &across) };
+        }
+    }
+    LINES.set(buffer);
+}
+
+/// Σ w_k src[x + k − 5]; `src` points to a bordered line's first pixel, `w` are the window's first half and its middle.
 /// # Safety
 /// The line has at least 5 values before `src` and 5 + LANES after `src + x`.
 #[inline(always)]
@@ -196,97 +219,64 @@ unsafe fn across<S: Simd>(src: *const f32, x: usize, w: &[S; RADIUS + 1]) -> S {
     }
 }
 
+/// Lines `y` to `y + R` of colour, target, the sum of their squares and their product, filtered down: four bordered lines each.
 #[inline(always)]
-fn statistics_generic<S: Simd>(a: &mut Statistics) {
+unsafe fn moments_down<S: Simd, const R: usize>(a: &Band, y: usize, out: &mut [f32]) {
     let shape = a.input.shape;
     let (line, stride) = (shape.line(), shape.stride());
-    let y1 = (a.y0 + BAND).min(shape.height);
-    let (w, full) = taps::<S>(a.window);
-    // Four bordered input lines (x, y, x² + y², xy), then a ring of 11 filtered lines for each.
-    let mut buffer = LINES.take();
-    buffer.clear();
-    buffer.resize(line * 4 + stride * 4 * TAPS, 0.0);
-    let (input, ring) = buffer.split_at_mut(line * 4);
-    let mut next = a.y0.saturating_sub(RADIUS);
-    for y in a.y0..y1 {
-        while next <= (y + RADIUS).min(shape.height - 1) {
-            let slot = next % TAPS * stride * 4;
-            unsafe { filter_line::<S>(a, next, input, &mut ring[slot..slot + stride * 4], &w) };
-            next += 1;
+    let rows = y.saturating_sub(RADIUS)..(y + R + RADIUS).min(shape.height);
+    let (rgb, target) = (&a.input.rgb[a.channel], &a.input.target[a.channel]);
+    for i in (0..stride).step_by(S::LANES) {
+        let inside = S::iota().lt(S::splat(shape.width as f32 - i as f32));
+        let mut e = [[S::splat(0.0); 4]; R];
+        // What the next lines add to these.
+        for r in (rows.end..rows.end + R).take_while(|&r| r < shape.height) {
+            S::prefetch(rgb.as_ptr().wrapping_add(r * stride + i).cast());
+            S::prefetch(target.as_ptr().wrapping_add(r * stride + i).cast());
         }
-        let first = y.saturating_sub(RADIUS);
-        let last = (y + RADIUS).min(shape.height - 1);
-        a.sum += unsafe { similarity_line::<S>(a, y, first..last + 1, ring, &full) };
+        for r in rows.clone() {
+            unsafe {
+                let (x, t) =
+                    (S::load(rgb.as_ptr().add(r * stride + i)), S::load(target.as_ptr().add(r * stride + i)));
+                let (squares, product) = (x.fma(x, t.mul(t)), x.mul(t));
+                // The weight of row r for output row y + j; 0 where it is out of reach.
+                let tap = a.window.as_ptr().add(ROWS - 1 + r + RADIUS - y);
+                for (j, e) in e.iter_mut().enumerate() {
+                    let tap = S::splat(*tap.sub(j));
+                    e[0] = x.fma(tap, e[0]);
+                    e[1] = t.fma(tap, e[1]);
+                    e[2] = squares.fma(tap, e[2]);
+                    e[3] = product.fma(tap, e[3]);
+                }
+            }
+        }
+        for (j, e) in e.iter().enumerate() {
+            for (map, e) in e.iter().enumerate() {
+                unsafe { e.keep(inside).store(out.as_mut_ptr().add((4 * j + map) * line + BORDER + i)) };
+            }
+        }
     }
-    LINES.set(buffer);
 }
 
-/// The window's first half and the whole, in every lane.
+/// SSIM of line `y` and its derivatives by E[x], E[x² + y²] and E[xy], three lines of `out`.
 #[inline(always)]
-fn taps<S: Simd>(window: &[f32; TAPS]) -> ([S; RADIUS + 1], [S; TAPS]) {
-    let mut full = [S::splat(0.0); TAPS];
-    for (tap, &w) in full.iter_mut().zip(window) {
-        *tap = S::splat(w);
-    }
-    ([full[0], full[1], full[2], full[3], full[4], full[5]], full)
-}
-
-/// Filters line `y` of colour, target and their products across.
-#[inline(always)]
-unsafe fn filter_line<S: Simd>(
-    a: &Statistics,
+unsafe fn similarity_line<S: Simd>(
+    a: &mut Band,
     y: usize,
-    input: &mut [f32],
+    moments: &[f32],
     out: &mut [f32],
     w: &[S; RADIUS + 1],
 ) {
     let shape = a.input.shape;
     let (line, stride, width) = (shape.line(), shape.stride(), shape.width);
-    let row = y * stride..y * stride + width;
-    let (x_row, y_row) = (&a.input.rgb[a.channel][row.clone()], &a.input.target[a.channel][row]);
-    input[BORDER..BORDER + width].copy_from_slice(x_row);
-    input[line + BORDER..line + BORDER + width].copy_from_slice(y_row);
-    unsafe {
-        let p = input.as_mut_ptr().add(BORDER);
-        for i in (0..stride).step_by(S::LANES) {
-            let (x, y) = (S::load(p.add(i)), S::load(p.add(line + i)));
-            x.fma(x, y.mul(y)).store(p.add(2 * line + i));
-            x.mul(y).store(p.add(3 * line + i));
-        }
-        for i in (0..stride).step_by(S::LANES) {
-            for map in 0..4 {
-                across(p.add(map * line), i, w).store(out.as_mut_ptr().add(map * stride + i));
-            }
-        }
-    }
-}
-
-/// SSIM of line `y` and its derivatives; returns the (weighted) sum over the line.
-#[inline(always)]
-unsafe fn similarity_line<S: Simd>(
-    a: &mut Statistics,
-    y: usize,
-    rows: std::ops::Range<usize>,
-    ring: &[f32],
-    w: &[S; TAPS],
-) -> f64 {
-    let shape = a.input.shape;
-    let (line, stride, width) = (shape.line(), shape.stride(), shape.width);
     let (c1, c2, one, two) = (S::splat(C1), S::splat(C2), S::splat(1.0), S::splat(2.0));
     let mut sum = S::splat(0.0);
-    let at = (y - a.y0) * line + BORDER;
-    let out = array!(m in 3 => unsafe { a.maps[m].as_mut_ptr().add(at) });
+    let out = out.as_mut_ptr();
     for i in (0..stride).step_by(S::LANES) {
         unsafe {
-            let mut e = [S::splat(0.0); 4];
-            for r in rows.clone() {
-                let tap = w[r + RADIUS - y];
-                let p = ring.as_ptr().add(r % TAPS * stride * 4 + i);
-                for (map, e) in e.iter_mut().enumerate() {
-                    *e = S::load(p.add(map * stride)).fma(tap, *e);
-                }
-            }
-            let [mx, my, squares, product] = e;
+            let p = moments.as_ptr().add(BORDER);
+            let (mx, my) = (across(p, i, w), across(p.add(line), i, w));
+            let (squares, product) = (across(p.add(2 * line), i, w), across(p.add(3 * line), i, w));
             let means = mx.mul(my);
             let mean_squares = mx.fma(mx, my.mul(my));
             let (a1, b1) = (means.fma(two, c1), mean_squares.add(c1));
@@ -303,55 +293,52 @@ unsafe fn similarity_line<S: Simd>(
             // d/dmx: through A1, A2, B1 and B2 (1 / B1 = B2 · inverse).
             let cross = two.mul(my).mul(a2.sub(a1)).mul(inverse);
             let own = two.mul(mx).mul(ssim).mul(b1.sub(b2)).mul(inverse);
-            cross.add(own).mul(weight).store(out[0].add(i));
-            by_square.mul(weight).store(out[1].add(i));
-            by_product.mul(weight).store(out[2].add(i));
+            cross.add(own).mul(weight).store(out.add(i));
+            by_square.mul(weight).store(out.add(stride + i));
+            by_product.mul(weight).store(out.add(2 * stride + i));
         }
     }
-    f64::from(sum.sum())
+    if (a.y0..a.y0 + BAND).contains(&y) {
+        a.ssim += f64::from(sum.sum());
+    }
 }
 
-struct Gradient<'a> {
-    input: &'a LossInput<'a>,
-    channel: usize,
-    y0: usize,
-    maps: &'a [Vec<f32>],
-    window: &'a [f32; TAPS],
-    scale: f32,
-    out: &'a mut [f32],
-    l1: f64,
-    l2: f64,
-}
-
+/// Lines `y` to `y + R` of the derivatives, filtered down: three of four bordered lines each.
 #[inline(always)]
-fn gradient_generic<S: Simd>(a: &mut Gradient) {
-    let shape = a.input.shape;
-    let (line, stride) = (shape.line(), shape.stride());
-    let y1 = (a.y0 + BAND).min(shape.height);
-    let (w, full) = taps::<S>(a.window);
-    a.out.fill(0.0);
-    let mut buffer = LINES.take();
-    buffer.clear();
-    buffer.resize(line * 3, 0.0);
-    for y in a.y0..y1 {
-        let rows = y.saturating_sub(RADIUS)..(y + RADIUS).min(shape.height - 1) + 1;
-        for map in 0..if a.input.lambda > 0.0 { 3 } else { 0 } {
-            for i in (0..stride).step_by(S::LANES) {
-                let mut sum = S::splat(0.0);
-                for r in rows.clone() {
-                    let p = unsafe { S::load(a.maps[map].as_ptr().add(r * line + BORDER + i)) };
-                    sum = p.fma(full[r + RADIUS - y], sum);
+unsafe fn derivatives_down<S: Simd, const R: usize>(
+    a: &Band,
+    y: usize,
+    around: &std::ops::Range<usize>,
+    maps: &[f32],
+    out: &mut [f32],
+) {
+    let (line, stride) = (a.input.shape.line(), a.input.shape.stride());
+    let rows = y.saturating_sub(RADIUS)..(y + R + RADIUS).min(around.end);
+    for i in (0..stride).step_by(S::LANES) {
+        let mut e = [[S::splat(0.0); 3]; R];
+        for r in rows.clone() {
+            unsafe {
+                let p = maps.as_ptr().add((r - around.start) * 3 * stride + i);
+                let m = [S::load(p), S::load(p.add(stride)), S::load(p.add(2 * stride))];
+                let tap = a.window.as_ptr().add(ROWS - 1 + r + RADIUS - y);
+                for (j, e) in e.iter_mut().enumerate() {
+                    let tap = S::splat(*tap.sub(j));
+                    for (e, m) in e.iter_mut().zip(m) {
+                        *e = m.fma(tap, *e);
+                    }
                 }
-                unsafe { sum.store(buffer.as_mut_ptr().add(map * line + BORDER + i)) };
             }
         }
-        unsafe { gradient_line::<S>(a, y, &buffer, &w) };
+        for (j, e) in e.iter().enumerate() {
+            for (map, e) in e.iter().enumerate() {
+                unsafe { e.store(out.as_mut_ptr().add((4 * j + map) * line + BORDER + i)) };
+            }
+        }
     }
-    LINES.set(buffer);
 }
 
 #[inline(always)]
-unsafe fn gradient_line<S: Simd>(a: &mut Gradient, y: usize, buffer: &[f32], w: &[S; RADIUS + 1]) {
+unsafe fn gradient_line<S: Simd>(a: &mut Band, y: usize, buffer: &[f32], w: &[S; RADIUS + 1]) {
     let shape = a.input.shape;
     let (line, stride, width) = (shape.line(), shape.stride(), shape.width);
     let (zero, one, two) = (S::splat(0.0), S::splat(1.0), S::splat(2.0));
@@ -385,6 +372,3 @@ unsafe fn gradient_line<S: Simd>(a: &mut Gradient, y: usize, buffer: &[f32], w: 
     a.l1 += f64::from(l1.sum());
     a.l2 += f64::from(l2.sum());
 }
-
-simd_kernel!(fn statistics(arguments: &mut Statistics) = statistics_generic);
-simd_kernel!(fn gradient_rows(arguments: &mut Gradient) = gradient_generic);

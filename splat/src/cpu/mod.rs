@@ -15,6 +15,7 @@ pub mod simd_neon;
 pub mod simd_x86;
 
 mod backend;
+mod target;
 mod workspace;
 
 pub use backend::{CpuBackend, DEFAULT_NEAR, Gradients};

@@ -108,10 +108,34 @@ pub struct Optimise<'a> {
     pub non_finite: usize,
 }
 
+/// Fetches what a block will read from places that no pattern foretells: its pairs' sums, and the colours of Gaussians that are seen
+/// among others that are not.
+#[inline(always)]
+fn fetch_ahead<S: Simd>(a: &Optimise, block: usize) {
+    const LINE: usize = 64;
+    let used = (a.camera.sh_degree as usize + 1).pow(2) * 3 * size_of::<f32>();
+    for i in block..(block + S::LANES).min(a.end) {
+        let [begin, end] = a.bins.ranges[i];
+        if a.keys[i] == CULLED || begin == end {
+            continue;
+        }
+        for &position in &a.bins.positions[begin as usize..end as usize] {
+            let sums: *const [f32; SUMS] = &raw const a.sums[position as usize];
+            S::prefetch(sums.cast());
+            S::prefetch(sums.wrapping_add(1).cast::<u8>().wrapping_sub(1));
+        }
+        for plane in &a.shared.sh {
+            let first = plane.0.wrapping_add(i * a.parameters.sh_stride).cast::<u8>();
+            (0..used).step_by(LINE).for_each(|at| S::prefetch(first.wrapping_add(at)));
+        }
+    }
+}
+
 #[inline(always)]
 fn optimise_generic<S: Simd>(a: &mut Optimise) {
     let mut lanes = [[0.0f32; 16]; SUMS];
     for block in (a.start..a.end).step_by(S::LANES) {
+        fetch_ahead::<S>(a, block + S::LANES);
         let mut alive = [0.0f32; 16];
         let mut any = false;
         for lane in 0..S::LANES.min(a.end - block) {

@@ -1,11 +1,12 @@
 //! The buffers of a view and the kernels run over them in parallel.
 
 use super::bin::{Bins, TILE};
-use super::loss::{LossBuffers, Shape};
+use super::loss::Shape;
 use super::optimise::{Optimise, SharedModel, SharedPlane, Sink, optimise};
 use super::project::{CULLED, CameraConstants, Parameters, Project, Record, project};
 use super::raster::{Backward, Forward, PIXELS, Plane, SUMS, Tile, Visit, backward, forward, visit};
 use super::simd::Isa;
+use super::target::{Source, compose};
 use crate::backend::Target;
 use rayon::prelude::*;
 
@@ -27,7 +28,6 @@ pub struct Workspace {
     pub weight: Vec<f32>,
     pub gradient: [Vec<f32>; 3],
     pub sums: Vec<[f32; SUMS]>,
-    pub loss: LossBuffers,
     /// Targets are divided by this.
     pub gain: Option<[f32; 3]>,
     /// Whether backward sums magnitudes for the statistics.
@@ -108,30 +108,12 @@ impl Workspace {
     }
 
     /// Target planes (and weights) from 8-bit pixels, composed over the background where masks mean transparency.
-    pub fn set_target(&mut self, target: &Target, background: [f32; 3]) {
-        let (shape, stride) = (self.shape, self.shape.stride());
-        let weighted = target.mask.is_some() && !target.transparent;
-        if weighted {
-            self.weight.resize(shape.plane(), 0.0);
+    pub fn set_target(&mut self, isa: Isa, target: &Target, background: [f32; 3]) {
+        if target.mask.is_some() && !target.transparent {
+            self.weight.resize(self.shape.plane(), 0.0);
         }
-        const BYTE: f32 = 1.0 / 255.0;
-        let unit = self.gain.map_or([BYTE; 3], |gain| gain.map(|g| BYTE / g));
-        for y in 0..shape.height {
-            for x in 0..shape.width {
-                let (from, to) = (y * shape.width + x, y * stride + x);
-                let m = target.mask.map_or(1.0, |mask| f32::from(mask[from]) * BYTE);
-                for (c, &behind) in background.iter().enumerate() {
-                    let value = f32::from(target.rgb[from * 3 + c]) * unit[c];
-                    let behind = if weighted { self.rgb[c][to] } else { behind };
-                    // A pixel of weight 0 equals its rendering, so that its neighbours' SSIM does not see it.
-                    self.target[c][to] =
-                        if weighted && m > 0.0 { value } else { behind + m * (value - behind) };
-                }
-                if weighted {
-                    self.weight[to] = m;
-                }
-            }
-        }
+        let source = Source { shape: self.shape, target, background, gain: self.gain };
+        compose(isa, &source, &self.rgb, &mut self.target, &mut self.weight);
     }
 
     /// Gradients of all pairs from `self.gradient`.

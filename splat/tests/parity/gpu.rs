@@ -60,7 +60,10 @@ impl Subject for Adapter {
         let target = Target { rgb: &target, mask: mask.as_deref(), transparent: false, photo: None };
         let (rotation, translation) = (Mat3::IDENTITY, Vec3::ZERO);
         let view = PinholeView { rotation, translation, focal: [1.0; 2], centre: [0.0; 2], width, height };
-        device().loss(&view, rgb, &target, lambda).unwrap()
+        let mut gpu = device();
+        // Frames are run over pages of Gaussians, if only of none.
+        gpu.upload(Model::default(), Statistics::default()).unwrap();
+        gpu.loss(&view, rgb, &target, lambda).unwrap()
     }
 
     fn render(&mut self, g: &Gaussians, view: &PinholeView, options: &RenderOptions) -> RenderOutput {

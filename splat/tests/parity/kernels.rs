@@ -53,8 +53,8 @@ fn project_and_sh_agree_for_every_degree_with_and_without_antialiasing() {
 #[test]
 fn loss_and_its_gradient_agree_with_and_without_weights() {
     for mut subject in subjects() {
-        for seed in 0..6u64 {
-            let size = [[33, 20], [16, 16], [5, 7], [1, 1], [70, 41], [11, 64]][seed as usize];
+        for seed in 0..7u64 {
+            let size = [[33, 20], [16, 16], [5, 7], [1, 1], [70, 41], [11, 64], [19, 131]][seed as usize];
             let n = size[0] * size[1];
             let mut rng = scene::rng::rng(seed, "parity loss", 0);
             let mut random = |n: usize| -> Vec<f32> { (0..n).map(|_| rng.random_range(0.0..1.0)).collect() };

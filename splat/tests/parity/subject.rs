@@ -2,7 +2,7 @@
 
 use scene::Gaussians;
 use splat::backend::{Backend, StepInput, StepOutput};
-use splat::cpu::loss::{LossBuffers, LossInput, Shape};
+use splat::cpu::loss::{LossInput, Shape, loss};
 use splat::cpu::project::{CULLED, CameraConstants, Parameters, Project, Record, project};
 use splat::cpu::simd::Isa;
 use splat::cpu::{CpuBackend, DEFAULT_NEAR};
@@ -123,7 +123,7 @@ impl Subject for Cpu {
         }
         let mut gradient: [Vec<f32>; 3] = std::array::from_fn(|_| vec![0.0; shape.plane()]);
         let input = LossInput { shape, rgb: &x, target: &y, weight: weight.as_deref(), lambda };
-        let value = LossBuffers::default().run(self.isa, &input, &mut gradient);
+        let value = loss(self.isa, &input, &mut gradient);
         let interleaved = (0..width * height * 3).map(|i| gradient[i % 3][at(i / 3)]).collect();
         (value.loss, value.mse, interleaved)
     }

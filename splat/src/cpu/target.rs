@@ -1,0 +1,99 @@
+//! Target planes (and weights) from 8-bit pixels, composed over the background where masks mean transparency.
+//! in: interleaved bytes, optional mask, the rendering. out: \[3\] planes and one of weights, rows padded to whole tiles.
+
+use super::loss::Shape;
+use super::simd::{Isa, Simd, simd_kernel};
+use crate::backend::Target;
+use rayon::prelude::*;
+
+/// Rows a task converts.
+const BAND: usize = 32;
+const BYTE: f32 = 1.0 / 255.0;
+
+/// What the planes are made of.
+pub struct Source<'a> {
+    /// Size of the planes.
+    pub shape: Shape,
+    /// The pixels.
+    pub target: &'a Target<'a>,
+    /// What lies behind transparent pixels.
+    pub background: [f32; 3],
+    /// Colours are divided by this.
+    pub gain: Option<[f32; 3]>,
+}
+
+/// Fills `planes`, and `weight` if the mask means weights (a pixel of weight 0 equals its rendering in `rgb`, so that its
+/// neighbours' SSIM does not see it).
+pub fn compose(
+    isa: Isa,
+    source: &Source,
+    rgb: &[Vec<f32>; 3],
+    planes: &mut [Vec<f32>; 3],
+    weight: &mut [f32],
+) {
+    let shape = source.shape;
+    let bands = shape.height.div_ceil(BAND);
+    let weighted = source.target.mask.is_some() && !source.target.transparent;
+    planes
+        .par_iter_mut()
+        .enumerate()
+        .flat_map(|(channel, plane)| {
+            let parts = plane.par_chunks_mut(shape.stride() * BAND).take(bands).enumerate();
+            parts.map(move |(b, out)| (channel, b * BAND, out))
+        })
+        .for_each(|(channel, y0, out)| {
+            let rendered = weighted.then_some(rgb[channel].as_slice());
+            compose_rows(isa, &mut Rows { source, channel, y0, rendered, out });
+        });
+    if let Some(mask) = source.target.mask.filter(|_| weighted) {
+        for (out, mask) in weight.chunks_exact_mut(shape.stride()).zip(mask.chunks_exact(shape.width)) {
+            for (out, &m) in out.iter_mut().zip(mask) {
+                *out = f32::from(m) * BYTE;
+            }
+        }
+    }
+}
+
+/// `BAND` rows of one channel.
+struct Rows<'a> {
+    source: &'a Source<'a>,
+    channel: usize,
+    y0: usize,
+    /// The rendering, if masks are weights.
+    rendered: Option<&'a [f32]>,
+    out: &'a mut [f32],
+}
+
+simd_kernel!(fn compose_rows(arguments: &mut Rows) = compose_generic);
+
+/// Plain loops, which the compiler makes vectors of for each instruction set.
+#[inline(always)]
+fn compose_generic<S: Simd>(a: &mut Rows) {
+    let (shape, target) = (a.source.shape, a.source.target);
+    let (width, stride) = (shape.width, shape.stride());
+    let unit = a.source.gain.map_or(BYTE, |gain| BYTE / gain[a.channel]);
+    let behind = a.source.background[a.channel];
+    let rows = (a.y0..shape.height).zip(a.out.chunks_exact_mut(stride));
+    for (y, out) in rows {
+        let out = &mut out[..width];
+        let (bytes, _) = target.rgb[y * width * 3..(y + 1) * width * 3].as_chunks::<3>();
+        let Some(mask) = target.mask else {
+            for (out, pixel) in out.iter_mut().zip(bytes) {
+                *out = f32::from(pixel[a.channel]) * unit;
+            }
+            continue;
+        };
+        let mask = &mask[y * width..(y + 1) * width];
+        if let Some(rendered) = a.rendered {
+            let rendered = &rendered[y * stride..y * stride + width];
+            for (((out, pixel), &m), &behind) in out.iter_mut().zip(bytes).zip(mask).zip(rendered) {
+                *out = if m > 0 { f32::from(pixel[a.channel]) * unit } else { behind };
+            }
+        } else {
+            for ((out, pixel), &m) in out.iter_mut().zip(bytes).zip(mask) {
+                let value = f32::from(pixel[a.channel]) * unit;
+                *out = behind + f32::from(m) * BYTE * (value - behind);
+            }
+        }
+    }
+}
