@@ -4,6 +4,7 @@
 //! origin do not matter (Triggs et al., "Bundle adjustment: a modern synthesis", 1999, on scaling and gauge).
 
 mod adjustable;
+mod points;
 
 pub use adjustable::Adjustable;
 

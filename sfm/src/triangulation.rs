@@ -111,7 +111,7 @@ pub fn refine_point<'a>(
 
 /// Residual and its derivative by the point; the distortion's own derivative is taken as that of its radial scale,
 /// which is enough for convergence.
-fn linearise(view: &View<'_>, x: DVec3) -> Option<([f64; 2], [DVec3; 2])> {
+pub(crate) fn linearise(view: &View<'_>, x: DVec3) -> Option<([f64; 2], [DVec3; 2])> {
     let local = view.pose.transform(x);
     let residual = view.camera.project(local)? - view.pixel;
     let (u, focal) = (local.truncate() / local.z, view.camera.focal());

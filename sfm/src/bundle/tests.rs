@@ -207,3 +207,51 @@ fn the_same_problem_gives_the_same_bytes() {
     };
     assert_eq!(run(), run());
 }
+
+#[test]
+fn points_alone_settle_where_their_robust_cost_is_least() {
+    let exact = ring(CameraModel::Radial, 1.0, DVec3::ZERO);
+    let mut problem = exact.clone();
+    // One sighting of eight is wrong: far from what the others say the loss bends the other way.
+    problem.observations.iter_mut().filter(|o| o.pose == 2).for_each(|o| o.pixel += DVec2::new(30.0, -20.0));
+    let mut random = rng(5, "settle", 0);
+    for x in &mut problem.points {
+        *x += DVec3::from_array(std::array::from_fn(|_| random.random_range(-0.02..0.02)));
+    }
+    let loss = Loss::Cauchy(0.5);
+    let settled = problem.settled_points(loss);
+    let slope = |point: usize, x: DVec3| -> f64 {
+        let views = problem.observations.iter().filter(|o| o.point as usize == point);
+        let at = |x: DVec3| -> f64 {
+            let error = |o: &BundleObservation| {
+                let p = problem.cameras[0].project(problem.poses[o.pose as usize].transform(x)).unwrap();
+                crate::solvers::levenberg::cauchy(p.distance_squared(o.pixel), 0.5).0
+            };
+            views.clone().map(error).sum()
+        };
+        let steps = [DVec3::X, DVec3::Y, DVec3::Z].map(|d| (at(x + d * 1e-6) - at(x - d * 1e-6)) / 2e-6);
+        DVec3::from_array(steps).length()
+    };
+    for (i, (x, was)) in settled.iter().zip(&problem.points).enumerate() {
+        assert!(slope(i, *x) < 0.01 * slope(i, *was), "{i}: {} of {}", slope(i, *x), slope(i, *was));
+        assert!((*x - exact.points[i]).length() < 2e-4, "{i}: {x} should be near {}", exact.points[i]);
+    }
+}
+
+#[test]
+fn points_that_nothing_can_settle_stay() {
+    let mut problem = ring(CameraModel::SimplePinhole, 1.0, DVec3::ZERO);
+    disturb(&mut problem, 1.0);
+    problem.point_constant[5] = true;
+    problem.points[6] = problem.poses[0].centre() * 2.0; // behind a camera
+    problem.points[7] = DVec3::NAN;
+    problem.observations.retain(|o| o.point != 8);
+    problem.observations.iter_mut().filter(|o| o.point == 9).for_each(|o| o.pixel = DVec2::NAN);
+    let settled = problem.settled_points(Loss::Cauchy(1.0));
+    for i in [5, 6, 8, 9] {
+        assert_eq!(settled[i], problem.points[i], "{i}");
+    }
+    assert!(settled[7].is_nan());
+    assert_ne!(settled[4], problem.points[4]);
+    assert_eq!(problem.settled_points(Loss::Squared)[..7], problem.points[..7]);
+}

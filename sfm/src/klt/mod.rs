@@ -7,6 +7,7 @@ mod reference;
 mod register;
 #[cfg(test)]
 mod tests;
+mod window;
 
 use crate::SfmError;
 use corners::{corners, kept};

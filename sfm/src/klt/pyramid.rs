@@ -1,5 +1,6 @@
 //! Grey images at halved sizes, and samples between their pixels.
 
+use super::window::{HALF, SIDE, WIDE, Window};
 use scene::FloatImage;
 
 /// One level.
@@ -62,6 +63,7 @@ impl Level {
 
     /// Bilinear samples on a square of `side` about the pixel position (x, y), row by row; `false` where the square
     /// leaves the image.
+    #[inline(always)]
     pub fn window(&self, x: f32, y: f32, side: usize, out: &mut [f32]) -> bool {
         let half = (side / 2) as f32;
         // Sample i lies at pixel position x − half + i, whose index coordinate is half a pixel less.
@@ -82,6 +84,37 @@ impl Level {
             for i in 0..side {
                 line[i] = w[0] * above[i] + w[1] * above[i + 1] + w[2] * below[i] + w[3] * below[i + 1];
             }
+        }
+        true
+    }
+}
+
+impl Level {
+    /// [`Level::window`] of [`SIDE`] pixels in padded rows.
+    #[inline(always)]
+    pub fn padded_window(&self, x: f32, y: f32, out: &mut Window) -> bool {
+        let (left, top) = (x - HALF as f32 - 0.5, y - HALF as f32 - 0.5);
+        if !(left >= 0.0 && top >= 0.0) {
+            return false;
+        }
+        let (column, row) = (left as usize, top as usize);
+        if column + SIDE >= self.width || row + SIDE >= self.height {
+            return false;
+        }
+        let (fx, fy) = (left - column as f32, top - row as f32);
+        let mut line = [0.0f32; WIDE + 1];
+        for (j, out) in out.iter_mut().enumerate() {
+            let start = (row + j) * self.width + column;
+            // SIDE + 1 = WIDE: a sample more than pixels, for those between.
+            let above = &self.data[start..start + WIDE];
+            let below = &self.data[start + self.width..start + self.width + WIDE];
+            for i in 0..WIDE {
+                line[i] = above[i] + fy * (below[i] - above[i]);
+            }
+            for i in 0..WIDE {
+                out[i] = line[i] + fx * (line[i + 1] - line[i]);
+            }
+            out[SIDE] = 0.0;
         }
         true
     }

@@ -3,15 +3,11 @@
 //! Baker & Matthews, IJCV 2004).
 
 use super::pyramid::Level;
+use super::window::{EMPTY, HALF, SIDE, WIDE, Window, centre, dot};
+use crate::sift::dispatch;
 use crate::solvers::linalg::solve_spd;
 use glam::{DMat2, DVec2};
 
-/// Half the side of the window, pixels.
-const HALF: usize = 7;
-/// Side of the window.
-const SIDE: usize = 2 * HALF + 1;
-/// Samples of the window.
-const COUNT: usize = SIDE * SIDE;
 /// Most steps.
 const STEPS: usize = 15;
 /// A shorter step ends the search, pixels at the window's border.
@@ -24,10 +20,10 @@ const STRETCH: (f64, f64) = (0.55, 1.8);
 /// A window with its gradients and what the normal equations need of it.
 #[derive(Clone, Debug)]
 pub(super) struct Reference {
-    /// [COUNT] without their mean.
-    values: Vec<f32>,
-    /// [6 × COUNT] derivatives by shear and stretch (4) and shift (2), without their means.
-    slopes: Vec<f32>,
+    /// Without their mean.
+    values: Window,
+    /// Derivatives by shear and stretch (4) and shift (2), without their means.
+    slopes: Box<[Window; 6]>,
     normal: [[f64; 6]; 6],
     power: f32,
 }
@@ -47,26 +43,25 @@ impl Reference {
         if !level.window(p.x as f32, p.y as f32, outer, &mut patch) {
             return None;
         }
-        let (mut values, mut slopes) = (vec![0.0; COUNT], vec![0.0; 6 * COUNT]);
+        let (mut values, mut slopes) = (EMPTY, Box::new([EMPTY; 6]));
         for j in 0..SIDE {
             for i in 0..SIDE {
-                let (k, at) = (j * SIDE + i, (j + 1) * outer + i + 1);
+                let at = (j + 1) * outer + i + 1;
                 let gx = 0.5 * (patch[at + 1] - patch[at - 1]);
                 let gy = 0.5 * (patch[at + outer] - patch[at - outer]);
                 let (wx, wy) = (i as f32 - HALF as f32, j as f32 - HALF as f32);
-                values[k] = patch[at];
-                for (row, s) in [gx * wx, gx * wy, gy * wx, gy * wy, gx, gy].into_iter().enumerate() {
-                    slopes[row * COUNT + k] = s;
+                values[j][i] = patch[at];
+                for (slope, s) in slopes.iter_mut().zip([gx * wx, gx * wy, gy * wx, gy * wy, gx, gy]) {
+                    slope[j][i] = s;
                 }
             }
         }
         centre(&mut values);
-        slopes.chunks_exact_mut(COUNT).for_each(centre);
+        slopes.iter_mut().for_each(centre);
         let mut normal = [[0.0; 6]; 6];
         for (a, row) in normal.iter_mut().enumerate() {
             for (b, cell) in row.iter_mut().enumerate() {
-                *cell =
-                    f64::from(dot(&slopes[a * COUNT..(a + 1) * COUNT], &slopes[b * COUNT..(b + 1) * COUNT]));
+                *cell = f64::from(dot(&slopes[a], &slopes[b]));
             }
             row[a] *= 1.0 + 1e-4; // directions that the window does not show stay
         }
@@ -81,58 +76,55 @@ impl Reference {
 
     /// The window's place and shape in an image, found near `start`, and the correlation there.
     pub fn find(&self, level: &Level, start: Warp) -> Option<(Warp, f64)> {
-        let mut warp = start;
-        let mut window = vec![0.0; COUNT];
-        for _ in 0..STEPS {
-            sample(level, &warp, &mut window)?;
-            centre(&mut window);
-            let power = dot(&window, &window);
-            if !(power > 0.0) {
-                return None;
-            }
-            let gain = (self.power / power).sqrt();
-            window.iter_mut().zip(&self.values).for_each(|(w, v)| *w = gain * *w - v);
-            let right: [f64; 6] =
-                std::array::from_fn(|a| f64::from(dot(&self.slopes[a * COUNT..(a + 1) * COUNT], &window)));
-            let d = solve_spd(&self.normal, &right)?;
-            // The step of the template, inverted and put before the warp.
-            let step = DMat2::from_cols(DVec2::new(1.0 + d[0], d[2]), DVec2::new(d[1], 1.0 + d[3]));
-            if !(step.determinant() > 0.2) {
-                return None;
-            }
-            warp.shape *= step.inverse();
-            warp.place -= warp.shape * DVec2::new(d[4], d[5]);
-            if !(warp.place.distance(start.place) < FARTHEST) {
-                return None;
-            }
-            let longest = d[..4].iter().fold(0.0f64, |m, v| m.max(v.abs())) * HALF as f64;
-            if longest.max(d[4].hypot(d[5])) < SHORT {
-                break;
-            }
-        }
+        search(self, level, start)
+    }
+}
+
+dispatch! {
+fn search(reference: &Reference, level: &Level, start: Warp) -> Option<(Warp, f64)> {
+    let mut warp = start;
+    let mut window = EMPTY;
+    for _ in 0..STEPS {
         sample(level, &warp, &mut window)?;
         centre(&mut window);
-        let correlation = dot(&window, &self.values) / (dot(&window, &window) * self.power).sqrt();
-        let (low, high) = stretches(warp.shape);
-        (low > STRETCH.0 && high < STRETCH.1 && warp.place.is_finite())
-            .then_some((warp, f64::from(correlation)))
+        let power = dot(&window, &window);
+        if !(power > 0.0) {
+            return None;
+        }
+        let gain = (reference.power / power).sqrt();
+        for (row, values) in window.iter_mut().zip(&reference.values) {
+            for k in 0..WIDE {
+                row[k] = gain * row[k] - values[k];
+            }
+        }
+        let mut right = [0.0; 6];
+        for (r, slope) in right.iter_mut().zip(reference.slopes.iter()) {
+            *r = f64::from(dot(slope, &window));
+        }
+        let d = solve_spd(&reference.normal, &right)?;
+        // The step of the template, inverted and put before the warp.
+        let step = DMat2::from_cols(DVec2::new(1.0 + d[0], d[2]), DVec2::new(d[1], 1.0 + d[3]));
+        if !(step.determinant() > 0.2) {
+            return None;
+        }
+        warp.shape *= step.inverse();
+        warp.place -= warp.shape * DVec2::new(d[4], d[5]);
+        if !(warp.place.distance(start.place) < FARTHEST) {
+            return None;
+        }
+        let longest = d[0].abs().max(d[1].abs()).max(d[2].abs()).max(d[3].abs()) * HALF as f64;
+        if longest.max(d[4].hypot(d[5])) < SHORT {
+            break;
+        }
     }
+    sample(level, &warp, &mut window)?;
+    centre(&mut window);
+    let correlation =
+        dot(&window, &reference.values) / (dot(&window, &window) * reference.power).sqrt();
+    let (low, high) = stretches(warp.shape);
+    let good = low > STRETCH.0 && high < STRETCH.1 && warp.place.is_finite();
+    if good { Some((warp, f64::from(correlation))) } else { None }
 }
-
-fn dot(a: &[f32], b: &[f32]) -> f32 {
-    // Eight sums side by side, so that the loop is vectorised.
-    let mut sums = [0.0f32; 8];
-    let (ca, ra) = a.as_chunks::<8>();
-    let (cb, rb) = b.as_chunks::<8>();
-    for (x, y) in ca.iter().zip(cb) {
-        (0..8).for_each(|k| sums[k] += x[k] * y[k]);
-    }
-    sums.iter().sum::<f32>() + ra.iter().zip(rb).map(|(x, y)| x * y).sum::<f32>()
-}
-
-fn centre(values: &mut [f32]) {
-    let mean = values.iter().sum::<f32>() / values.len() as f32;
-    values.iter_mut().for_each(|v| *v -= mean);
 }
 
 /// Singular values, the smaller first.
@@ -143,7 +135,8 @@ fn stretches(m: DMat2) -> (f64, f64) {
 }
 
 /// Bilinear samples of the warped window; `None` where it leaves the image.
-fn sample(level: &Level, warp: &Warp, out: &mut [f32]) -> Option<()> {
+#[inline(always)]
+fn sample(level: &Level, warp: &Warp, out: &mut Window) -> Option<()> {
     let h = HALF as f64;
     for corner in [DVec2::new(-h, -h), DVec2::new(h, -h), DVec2::new(-h, h), DVec2::new(h, h)] {
         let p = warp.place + warp.shape * corner - 0.5;
@@ -153,19 +146,36 @@ fn sample(level: &Level, warp: &Warp, out: &mut [f32]) -> Option<()> {
             return None;
         }
     }
+    // The last pixel that has neighbours to the right and below; rounding and the empty column may lie beyond.
+    let (last_x, last_y) = ((level.width - 2) as f32, (level.height - 2) as f32);
     let (right, down) = (warp.shape.x_axis, warp.shape.y_axis);
-    for (j, line) in out.chunks_exact_mut(SIDE).enumerate() {
+    let (dx, dy) = (right.x as f32, right.y as f32);
+    for (j, line) in out.iter_mut().enumerate() {
         let start = warp.place + down * (j as f64 - h) - right * h - 0.5;
-        let (x0, y0, dx, dy) = (start.x as f32, start.y as f32, right.x as f32, right.y as f32);
-        for (i, o) in line.iter_mut().enumerate() {
+        let (x0, y0) = (start.x as f32, start.y as f32);
+        let (mut fx, mut fy, mut at) = ([0.0f32; WIDE], [0.0f32; WIDE], [0i32; WIDE]);
+        for i in 0..WIDE {
             let (x, y) = ((x0 + dx * i as f32).max(0.0), (y0 + dy * i as f32).max(0.0));
-            let (column, row) = ((x as usize).min(level.width - 2), (y as usize).min(level.height - 2));
-            let (fx, fy) = (x - column as f32, y - row as f32);
-            let at = row * level.width + column;
-            let (a, b) = (&level.data[at..at + 2], &level.data[at + level.width..at + level.width + 2]);
-            let (top, bottom) = (a[0] + fx * (a[1] - a[0]), b[0] + fx * (b[1] - b[0]));
-            *o = top + fy * (bottom - top);
+            // Limited to the image, so that the casts are exact.
+            let (column, row) =
+                unsafe { (x.min(last_x).to_int_unchecked::<i32>(), y.min(last_y).to_int_unchecked::<i32>()) };
+            (fx[i], fy[i]) = (x - column as f32, y - row as f32);
+            at[i] = row * level.width as i32 + column;
         }
+        let mut pixels = [[0.0f32; WIDE]; 4];
+        for i in 0..SIDE {
+            let at = at[i] as usize;
+            let above = &level.data[at..at + 2];
+            let below = &level.data[at + level.width..at + level.width + 2];
+            (pixels[0][i], pixels[1][i]) = (above[0], above[1]);
+            (pixels[2][i], pixels[3][i]) = (below[0], below[1]);
+        }
+        for i in 0..WIDE {
+            let [a, b, c, d] = [pixels[0][i], pixels[1][i], pixels[2][i], pixels[3][i]];
+            let (top, bottom) = (a + fx[i] * (b - a), c + fx[i] * (d - c));
+            line[i] = top + fy[i] * (bottom - top);
+        }
+        line[SIDE] = 0.0;
     }
     Some(())
 }

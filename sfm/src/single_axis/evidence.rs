@@ -16,11 +16,14 @@ use scene::Progress;
 const SIGHTINGS: usize = 6000;
 /// Most images that it is based on, evenly: more cost more (an orbit's small motions are as many as free poses) and say
 /// nothing else.
-const IMAGES: usize = 200;
+const IMAGES: usize = 100;
 /// Residuals beyond so many standard deviations count as this much.
 const TRUNCATION: f64 = 4.0;
 /// A held-out error that is larger by so many standard errors, and by this factor, speaks against a motion.
 const WORSE: (f64, f64) = (3.0, 1.02);
+
+/// Smaller held-out errors are all alike, pixels: noise is never held to be less either.
+const LEAST_PX: f64 = 1e-3;
 
 /// A motion that was tried.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -168,7 +171,7 @@ impl Comparison {
 /// Whether the held-out error of `a` is clearly larger than that of `b`.
 fn worse(a: &Verdict, b: &Verdict) -> bool {
     let (gain, error) = gain(&a.by_pose, &b.by_pose);
-    gain > WORSE.0 * error && a.held_out_px > WORSE.1 * b.held_out_px
+    gain > WORSE.0 * error && a.held_out_px > WORSE.1 * b.held_out_px.max(LEAST_PX)
 }
 
 /// The adjustments of one axis and of free poses over the images that both models have.

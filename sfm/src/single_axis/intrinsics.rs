@@ -32,15 +32,15 @@ pub(crate) fn choose_for_turn(
     let chosen = Intrinsics { model, principal_point: false, held: None };
     let mut decision =
         Decision { what: "camera model".to_owned(), chosen: chosen.describe(), ..Decision::default() };
-    let trial = Trials { problem, fixed, progress };
-    let Some(mut best) = trial.of(chosen)?.filter(|_| !fixed[0]) else {
+    let trial = Trials { fixed, progress };
+    let Some(mut best) = trial.of(problem, chosen)?.filter(|_| !fixed[0]) else {
         decision.evidence = "known, or not determined".to_owned();
         return Ok((chosen, decision));
     };
     let mut notes = Vec::new();
     if let Some(along) = along_axis(problem) {
         let partial = Intrinsics { principal_point: true, held: Some(along), ..chosen };
-        if let Some(found) = trial.of(partial)? {
+        if let Some(found) = trial.of(&best.solution, partial)? {
             let what = "principal point across the axis";
             let (taken, note) = trial.verdict(what, &found, 1 - along, (best.bic, 10.0));
             notes.push(note);
@@ -52,7 +52,7 @@ pub(crate) fn choose_for_turn(
         let model = if named.is_none() { CameraModel::Radial } else { model };
         let whole = Intrinsics { model, principal_point: true, held: None };
         if best.intrinsics.principal_point
-            && let Some(found) = trial.of(whole)?
+            && let Some(found) = trial.of(&best.solution, whole)?
         {
             let (taken, note) = trial.verdict("along it", &found, along, (best.bic, 30.0));
             notes.push(note);
@@ -67,7 +67,9 @@ pub(crate) fn choose_for_turn(
         if named.is_some() || !more || best.intrinsics.model.num_focals() > 1 {
             continue;
         }
-        let Some(found) = trial.of(Intrinsics { model, ..best.intrinsics })? else { continue };
+        let Some(found) = trial.of(&best.solution, Intrinsics { model, ..best.intrinsics })? else {
+            continue;
+        };
         let gain = found.bic - best.bic;
         notes.push(format!("{}: BIC {gain:+.0}{}", model.name(), if gain < 0.0 { ", taken" } else { "" }));
         if gain < 0.0 {
@@ -81,7 +83,6 @@ pub(crate) fn choose_for_turn(
 }
 
 struct Trials<'a> {
-    problem: &'a TurnProblem,
     fixed: &'a [bool],
     progress: &'a Progress,
 }
@@ -89,6 +90,7 @@ struct Trials<'a> {
 /// An adjusted candidate.
 struct Tried {
     intrinsics: Intrinsics,
+    solution: TurnProblem,
     bic: f64,
     focals: usize,
     /// Parameters of the camera with their standard deviations.
@@ -99,7 +101,7 @@ impl Trials<'_> {
     /// Whether a coordinate of the principal point (0: x, 1: y) is determined, and what is to be said of it. `bic`: of
     /// what is there without, and by how much it may grow (a prior needs no evidence, but must not contradict it).
     fn verdict(&self, what: &str, found: &Tried, coordinate: usize, bic: (f64, f64)) -> (bool, String) {
-        let camera = &self.problem.bundle.cameras[0];
+        let camera = &found.solution.bundle.cameras[0];
         let before = PRINCIPAL_POINT_SIGMA * f64::from(camera.width.max(camera.height));
         let (value, sd) = found.values[found.focals + coordinate];
         let gain = found.bic - bic.0;
@@ -109,8 +111,9 @@ impl Trials<'_> {
         (taken, format!("{what}: {name} = {value:.2} ± {sd:.2} px, BIC {gain:+.0}: {verdict}"))
     }
 
-    fn of(&self, intrinsics: Intrinsics) -> Result<Option<Tried>, SfmError> {
-        let mut trial = self.problem.clone();
+    /// Adjusts from a solution with other intrinsics.
+    fn of(&self, start: &TurnProblem, intrinsics: Intrinsics) -> Result<Option<Tried>, SfmError> {
+        let mut trial = start.clone();
         apply(&mut trial.bundle, intrinsics, self.fixed);
         let options = SolveOptions {
             loss: Loss::Cauchy(2.0),
@@ -129,7 +132,8 @@ impl Trials<'_> {
         let bic = summary.final_rms.powi(2) * sightings + free * (2.0 * sightings).ln();
         let deviation = |i: usize| covariance.cameras[0][i * n + i].max(0.0).sqrt();
         let values = (0..n).map(|i| (camera.params[i], deviation(i))).collect();
-        Ok(Some(Tried { intrinsics, bic, focals: camera.model.num_focals(), values }))
+        let focals = camera.model.num_focals();
+        Ok(Some(Tried { intrinsics, bic, focals, values, solution: trial }))
     }
 }
 

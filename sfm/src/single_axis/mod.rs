@@ -44,6 +44,8 @@ use turn::Turn;
 const POINTS_ROUGH: usize = 50;
 /// Points an image contributes to the choice of the camera model.
 const POINTS_TO_CHOOSE: usize = 250;
+/// Most rounds of the last adjustment; half as many before the evidence about the motion, after which there are more.
+const ROUNDS: usize = 4;
 
 /// Adjustments near a circle: sightings that fit the first one take part in the next.
 const CIRCLE_ROUNDS: usize = 2;
@@ -221,7 +223,7 @@ fn one_axis(
                 ));
                 return Ok(None);
             }
-            adjust_and_choose(&context, job, &f.state.cameras, turn)?
+            adjust_and_choose(&context, job, &f.state.cameras, turn, ROUNDS)?
         }
         _ => None,
     };
@@ -231,7 +233,7 @@ fn one_axis(
         if more {
             notes.push(format!("{} images grew from three of them under one axis", model.state.registered()));
             let cameras = model.state.cameras.clone();
-            solved = adjust_and_choose(&context, job, &cameras, model.turn)?.or(solved);
+            solved = adjust_and_choose(&context, job, &cameras, model.turn, ROUNDS)?.or(solved);
         }
     }
     Ok(solved)
@@ -250,12 +252,13 @@ fn rough_noise(context: &Context<'_>, cameras: &[Camera], turn: Turn) -> Result<
     Ok(if stands { noise_of(&model.state, context.input) } else { f64::INFINITY })
 }
 
-/// The model about one axis from a first guess; `None` where none stands.
+/// The model about one axis from a first guess, adjusted for so many rounds; `None` where none stands.
 pub(crate) fn adjust_and_choose(
     context: &Context<'_>,
     job: &Job<'_>,
     cameras: &[Camera],
     turn: Turn,
+    rounds: usize,
 ) -> Result<Option<(AxisModel, Intrinsics, Decision)>, SfmError> {
     let mut model = AxisModel::new(context.input, as_at_the_start(cameras, context), turn);
     if !model.settle(context, 5)? {
@@ -268,7 +271,7 @@ pub(crate) fn adjust_and_choose(
     model.weigh(context, &mut problem.bundle, &selected);
     let fixed: Vec<bool> = context.known.iter().map(|k| k.fixed).collect();
     let (intrinsics, decision) = choose_for_turn(&problem, &fixed, job.named, context.progress)?;
-    model.polish(context, intrinsics)?;
+    model.polish(context, intrinsics, rounds)?;
     Ok(Some((model, intrinsics, decision)))
 }
 

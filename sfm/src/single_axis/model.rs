@@ -12,9 +12,11 @@ use scene::{Camera, Progress};
 
 /// Points an image contributes while the model settles.
 const POINTS_PER_IMAGE: usize = 150;
-/// Relative decrease of the cost at which the adjustment of all points ends: a thousandth of what noise leaves a parameter.
-/// Followed points have about two parameters for five residual coordinates; what is left moves single points.
-const SETTLED: f64 = 3e-4;
+/// Iterations times sightings of an adjustment of all points. What many sightings leave to be done after three iterations is in single
+/// points, which settle alone before each.
+const EFFORT: usize = 400_000;
+/// Relative decrease of the cost at which it ends before.
+const SETTLED: f64 = 1e-6;
 /// Sightings farther off than so many standard deviations of the noise are dropped at the end.
 const FINAL_SIGMAS: f64 = 8.0;
 /// They are never held to less than this, pixels.
@@ -137,9 +139,10 @@ impl AxisModel {
         let fixed: Vec<bool> = context.known.iter().map(|k| k.fixed).collect();
         apply(&mut problem.bundle, intrinsics, &fixed);
         self.weigh(context, &mut problem.bundle, &selected);
+        let most = (EFFORT / problem.bundle.observations.len().max(1)).clamp(3, 20);
         let options = SolveOptions {
             loss: Loss::Cauchy(2.0),
-            max_iterations: if points_per_image.is_some() { 12 } else { 20 },
+            max_iterations: most as u32,
             function_tolerance: SETTLED,
             ..SolveOptions::default()
         };
@@ -174,9 +177,14 @@ impl AxisModel {
         }
     }
 
-    /// Adjusts to convergence with the chosen intrinsics, triangulates and filters at the level of the noise.
-    pub fn polish(&mut self, context: &Context<'_>, intrinsics: Intrinsics) -> Result<(), SfmError> {
-        for round in 0..4 {
+    /// Adjusts with the chosen intrinsics, triangulates and filters at the level of the noise, for so many rounds at most.
+    pub fn polish(
+        &mut self,
+        context: &Context<'_>,
+        intrinsics: Intrinsics,
+        rounds: usize,
+    ) -> Result<(), SfmError> {
+        for round in 0..rounds {
             let part = (round == 0).then_some(2 * POINTS_PER_IMAGE);
             let (mut problem, selected, options) = self.prepare(context, intrinsics, part);
             let summary = problem.solve(&options, context.progress)?;
@@ -192,7 +200,7 @@ impl AxisModel {
             let limit =
                 (FINAL_SIGMAS * sigma).clamp(FINAL_LEAST_PX, context.input.config.max_reprojection_px);
             let gone = self.state.filter(context.input, limit);
-            let added = if round < 3 { self.state.grow_all(context.input) } else { 0 };
+            let added = if round + 1 < rounds { self.state.grow_all(context.input) } else { 0 };
             if round > 0 && (gone + added) * 500 < all {
                 break;
             }

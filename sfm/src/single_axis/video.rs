@@ -8,7 +8,7 @@ use super::seam::Seam;
 use super::seed::{KEYS, KeyPair, Seed, explained, seeds, steady};
 use super::smoothness::{known_rate, learnt};
 use super::turn::{Turn, median, wrapped};
-use super::{Job, Motion, Turned, adjust_and_choose, decision, finish};
+use super::{Job, Motion, ROUNDS, Turned, adjust_and_choose, decision, finish};
 use crate::incremental::growth::Knowledge;
 use crate::incremental::resection::FOCAL_FACTORS;
 use crate::incremental::state::Input;
@@ -92,7 +92,8 @@ pub(crate) fn solve_video(job: &VideoJob<'_>) -> Result<Result<(VideoModel, Deci
     let rate = config.motion.known_rate.map(f64::to_radians);
     let relations = rate.map_or(Vec::new(), |r| known_rate(&turn.angles, &times, r));
     let mut context = free_job.context(&relations);
-    let Some((mut model, intrinsics, camera)) = adjust_and_choose(&context, &free_job, &cameras, turn)?
+    let Some((mut model, intrinsics, camera)) =
+        adjust_and_choose(&context, &free_job, &cameras, turn, ROUNDS / 2)?
     else {
         return Ok(Err(format!("{note}; the tracks and key frames do not agree on one axis")));
     };
@@ -111,7 +112,9 @@ pub(crate) fn solve_video(job: &VideoJob<'_>) -> Result<Result<(VideoModel, Deci
     let (held, loose) = motion.as_ref().map(|l| (l.held(), l.loose())).unwrap_or_default();
     if motion.is_some() {
         context.relations = &held;
-        model.polish(&context, intrinsics)?;
+    }
+    model.polish(&context, intrinsics, ROUNDS)?;
+    if motion.is_some() {
         context.relations = &loose;
     }
     let excess = motion.as_ref().map_or(1.0, |l| l.excess);

@@ -1,0 +1,85 @@
+//! Points moved alone to where the robust cost of their sightings is least, poses and cameras as they are.
+//!
+//! Far from its sightings' middle a redescending loss bends the other way than the parabola that reweighted least squares take for
+//! it, so that a single point creeps there for tens of steps, which a joint adjustment would take for all. Alone it costs next to
+//! nothing, and Newton's step with the loss's own curvature (Triggs et al. 1999, section 4.3) is there in two or three.
+
+use super::{BundleProblem, Loss};
+use crate::solvers::levenberg::cauchy;
+use crate::triangulation::{View, linearise};
+use glam::{DMat3, DVec3};
+use rayon::prelude::*;
+
+/// Most steps of a point.
+const STEPS: usize = 12;
+/// Most halvings of a step.
+const HALVINGS: usize = 4;
+/// A cost that falls by less, in variances of a sighting, is at its least.
+const ENOUGH: f64 = 1e-3;
+
+impl BundleProblem {
+    /// For each point where its cost under Cauchy's loss (scale in standard deviations) is least nearby; where it is now under
+    /// other losses, where it is held, and where nothing better is found.
+    pub(crate) fn settled_points(&self, loss: Loss) -> Vec<DVec3> {
+        let Loss::Cauchy(width) = loss else { return self.points.clone() };
+        let mut of_point: Vec<Vec<(View<'_>, f64)>> = vec![Vec::new(); self.points.len()];
+        for o in self.observations.iter().filter(|o| o.sigma_px > 0.0) {
+            let (pose, camera) =
+                (self.poses[o.pose as usize], &self.cameras[self.pose_camera[o.pose as usize] as usize]);
+            let view = View { pose, camera, pixel: o.pixel, centre: DVec3::ZERO, ray: DVec3::ZERO };
+            of_point[o.point as usize].push((view, 1.0 / (o.sigma_px * o.sigma_px)));
+        }
+        let points = self.points.par_iter().zip(&self.point_constant).zip(of_point);
+        points.map(|((x, held), views)| if *held { *x } else { settled(*x, &views, width) }).collect()
+    }
+}
+
+/// Newton's steps from `x` as far as each lowers the cost.
+fn settled(mut x: DVec3, views: &[(View<'_>, f64)], width: f64) -> DVec3 {
+    let cost =
+        |x: DVec3| views.iter().map(|(v, weight)| cauchy(v.error_sq(x) * weight, width).0).sum::<f64>();
+    let mut best = cost(x);
+    if !best.is_finite() {
+        return x; // behind a camera
+    }
+    for _ in 0..STEPS {
+        let Some(step) = newton(x, views, width) else { return x };
+        let tried = (0..=HALVINGS).map(|k| x + step * 0.5f64.powi(k as i32)).map(|x| (x, cost(x)));
+        let Some((moved, after)) = tried.into_iter().find(|(_, after)| *after < best) else { return x };
+        let gain = best - after;
+        (x, best) = (moved, after);
+        if gain < ENOUGH {
+            break;
+        }
+    }
+    x
+}
+
+/// The step to the least of the second-order expansion, or of the reweighted squares where that has none.
+fn newton(x: DVec3, views: &[(View<'_>, f64)], width: f64) -> Option<DVec3> {
+    let (mut slope, mut squares, mut bent) = (DVec3::ZERO, DMat3::ZERO, DMat3::ZERO);
+    for (view, weight) in views {
+        let Some((residual, rows)) = linearise(view, x) else { continue };
+        let along = rows[0] * residual[0] + rows[1] * residual[1];
+        let share = cauchy((residual[0].powi(2) + residual[1].powi(2)) * weight, width).1;
+        slope += along * (share * weight);
+        for row in rows {
+            squares += outer(row) * (share * weight);
+        }
+        // ρ'' = −ρ'² / s²
+        bent -= outer(along) * (2.0 * (share * weight / width).powi(2));
+    }
+    let solve = |m: DMat3| -> Option<DVec3> {
+        let step = -(m.inverse() * slope);
+        (step.is_finite() && step.dot(slope) < 0.0).then_some(step)
+    };
+    let whole = squares + bent;
+    let convex = whole.x_axis.x > 0.0
+        && whole.x_axis.x * whole.y_axis.y > whole.x_axis.y.powi(2)
+        && whole.determinant() > 0.0;
+    convex.then(|| solve(whole)).flatten().or_else(|| solve(squares))
+}
+
+fn outer(v: DVec3) -> DMat3 {
+    DMat3::from_cols(v * v.x, v * v.y, v * v.z)
+}

@@ -1,0 +1,62 @@
+//! Windows of an image in rows of a vector's length, of which the last column is empty.
+//!
+//! Sums run in sixteen lanes side by side: one after the other, every addition would wait for the last.
+
+/// Half the side of the window, pixels.
+pub(super) const HALF: usize = 7;
+/// Side of the window.
+pub(super) const SIDE: usize = 2 * HALF + 1;
+/// Numbers in a row.
+pub(super) const WIDE: usize = 16;
+/// Samples of the window.
+const COUNT: f32 = (SIDE * SIDE) as f32;
+
+/// Rows of a window; what lies beyond [`SIDE`] is 0.
+pub(super) type Window = [[f32; WIDE]; SIDE];
+
+/// A window of nothing.
+pub(super) const EMPTY: Window = [[0.0; WIDE]; SIDE];
+
+/// `Σ a b`
+#[inline(always)]
+pub(super) fn dot(a: &Window, b: &Window) -> f32 {
+    let mut sums = [0.0f32; WIDE];
+    for (a, b) in a.iter().zip(b) {
+        for k in 0..WIDE {
+            sums[k] += a[k] * b[k];
+        }
+    }
+    total(sums)
+}
+
+/// Takes the mean away.
+#[inline(always)]
+pub(super) fn centre(window: &mut Window) {
+    let mut sums = [0.0f32; WIDE];
+    for row in window.iter() {
+        for k in 0..WIDE {
+            sums[k] += row[k];
+        }
+    }
+    let mut mean = [total(sums) / COUNT; WIDE];
+    mean[SIDE] = 0.0;
+    for row in window {
+        for k in 0..WIDE {
+            row[k] -= mean[k];
+        }
+    }
+}
+
+/// The sum of the lanes. They are put into memory first: the compiler would take what adds them up here for a reason to keep the
+/// loop before it in vectors of two.
+#[inline(always)]
+fn total(sums: [f32; WIDE]) -> f32 {
+    let sums = std::hint::black_box(sums);
+    let mut some: [f32; 8] = std::array::from_fn(|k| sums[k] + sums[k + 8]);
+    for half in [4, 2, 1] {
+        for k in 0..half {
+            some[k] += some[k + half];
+        }
+    }
+    some[0]
+}
