@@ -1,6 +1,10 @@
 //! Where an image can be tracked: corners (Shi & Tomasi, "Good features to track", CVPR 1994).
 
+// Loops over several arrays at once are written with an index: the form the compiler vectorises.
+#![allow(clippy::needless_range_loop)]
+
 use super::pyramid::Level;
+use crate::sift::dispatch;
 use glam::DVec2;
 use image::GrayImage;
 
@@ -80,36 +84,47 @@ fn inside(mask: Option<&GrayImage>, x: i64, y: i64, w: usize, h: usize) -> bool 
     mask.is_none() || around.iter().all(|(dx, dy)| kept(mask, x + dx, y + dy, w, h))
 }
 
+dispatch! {
 /// Smaller eigenvalue of the gradients' second moments, summed over a square, at every pixel.
 fn strengths(level: &Level) -> Vec<f32> {
     let (w, h) = (level.width, level.height);
     let mut moments = [vec![0.0f32; w * h], vec![0.0f32; w * h], vec![0.0f32; w * h]];
     for y in 1..h - 1 {
+        let row = |y: usize| &level.data[y * w..(y + 1) * w];
+        let (above, own, below) = (row(y - 1), row(y), row(y + 1));
+        let [xx, xy, yy] = moments.each_mut().map(|m| &mut m[y * w..(y + 1) * w]);
         for x in 1..w - 1 {
-            let i = y * w + x;
-            let gx = 0.5 * (level.data[i + 1] - level.data[i - 1]);
-            let gy = 0.5 * (level.data[i + w] - level.data[i - w]);
-            (moments[0][i], moments[1][i], moments[2][i]) = (gx * gx, gx * gy, gy * gy);
+            let gx = 0.5 * (own[x + 1] - own[x - 1]);
+            let gy = 0.5 * (below[x] - above[x]);
+            (xx[x], xy[x], yy[x]) = (gx * gx, gx * gy, gy * gy);
         }
     }
     for m in &mut moments {
         box_sum(m, w, h);
     }
-    (0..w * h)
-        .map(|i| {
-            let (a, b, c) = (moments[0][i], moments[1][i], moments[2][i]);
-            0.5 * (a + c - ((a - c) * (a - c) + 4.0 * b * b).sqrt())
-        })
-        .collect()
+    let [xx, xy, yy] = moments;
+    let mut out = vec![0.0; w * h];
+    for i in 0..w * h {
+        let (a, b, c) = (xx[i], xy[i], yy[i]);
+        out[i] = 0.5 * (a + c - ((a - c) * (a - c) + 4.0 * b * b).sqrt());
+    }
+    out
+}
 }
 
 /// Sums over squares of side 2 BLOCK + 1; zero near the border.
+#[inline(always)]
 fn box_sum(data: &mut [f32], w: usize, h: usize) {
     let side = 2 * BLOCK + 1;
+    let inner = w - 2 * BLOCK;
     let mut across = vec![0.0f32; w * h];
     for (row, out) in data.chunks_exact(w).zip(across.chunks_exact_mut(w)) {
-        for x in BLOCK..w - BLOCK {
-            out[x] = row[x - BLOCK..x - BLOCK + side].iter().sum();
+        let out = &mut out[BLOCK..w - BLOCK];
+        for k in 0..side {
+            let row = &row[k..k + inner];
+            for x in 0..inner {
+                out[x] += row[x];
+            }
         }
     }
     data.fill(0.0);
@@ -117,7 +132,9 @@ fn box_sum(data: &mut [f32], w: usize, h: usize) {
         let out = &mut data[y * w..(y + 1) * w];
         for k in 0..side {
             let row = &across[(y - BLOCK + k) * w..(y - BLOCK + k + 1) * w];
-            out.iter_mut().zip(row).for_each(|(o, r)| *o += r);
+            for x in 0..w {
+                out[x] += row[x];
+            }
         }
     }
 }

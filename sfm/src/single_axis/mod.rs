@@ -42,10 +42,12 @@ use turn::Turn;
 
 /// Points an image contributes to a first look.
 const POINTS_ROUGH: usize = 50;
-/// Points an image contributes to the choice of the camera model.
-const POINTS_TO_CHOOSE: usize = 250;
-/// Most rounds of the last adjustment; half as many before the evidence about the motion, after which there are more.
-const ROUNDS: usize = 4;
+/// Points that the images contribute to the choice of the camera model, all together, and most of one.
+const POINTS_TO_CHOOSE: usize = 25_000;
+const POINTS_TO_CHOOSE_OF_ONE: usize = 250;
+/// Most rounds of the last adjustment, and of the one before the evidence about the motion, after which it follows.
+const ROUNDS: usize = 3;
+const ROUNDS_BEFORE: usize = 2;
 
 /// Adjustments near a circle: sightings that fit the first one take part in the next.
 const CIRCLE_ROUNDS: usize = 2;
@@ -266,7 +268,8 @@ pub(crate) fn adjust_and_choose(
     }
     let (free, priors) =
         crate::incremental::growth::freedom(&model.state.cameras, context.known, context.starts, usize::MAX);
-    let what = Adjustment { points_per_image: Some(POINTS_TO_CHOOSE), ..Adjustment::growing(free, priors) };
+    let points = (POINTS_TO_CHOOSE / model.state.registered().max(1)).clamp(1, POINTS_TO_CHOOSE_OF_ONE);
+    let what = Adjustment { points_per_image: Some(points), ..Adjustment::growing(free, priors) };
     let (mut problem, selected) = model.problem(context, &what);
     model.weigh(context, &mut problem.bundle, &selected);
     let fixed: Vec<bool> = context.known.iter().map(|k| k.fixed).collect();

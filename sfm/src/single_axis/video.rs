@@ -8,7 +8,7 @@ use super::seam::Seam;
 use super::seed::{KEYS, KeyPair, Seed, explained, seeds, steady};
 use super::smoothness::{known_rate, learnt};
 use super::turn::{Turn, median, wrapped};
-use super::{Job, Motion, ROUNDS, Turned, adjust_and_choose, decision, finish};
+use super::{Job, Motion, ROUNDS, ROUNDS_BEFORE, Turned, adjust_and_choose, decision, finish};
 use crate::incremental::growth::Knowledge;
 use crate::incremental::resection::FOCAL_FACTORS;
 use crate::incremental::state::Input;
@@ -93,7 +93,7 @@ pub(crate) fn solve_video(job: &VideoJob<'_>) -> Result<Result<(VideoModel, Deci
     let relations = rate.map_or(Vec::new(), |r| known_rate(&turn.angles, &times, r));
     let mut context = free_job.context(&relations);
     let Some((mut model, intrinsics, camera)) =
-        adjust_and_choose(&context, &free_job, &cameras, turn, ROUNDS / 2)?
+        adjust_and_choose(&context, &free_job, &cameras, turn, ROUNDS_BEFORE)?
     else {
         return Ok(Err(format!("{note}; the tracks and key frames do not agree on one axis")));
     };
