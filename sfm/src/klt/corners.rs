@@ -12,8 +12,9 @@ use image::GrayImage;
 const BLOCK: usize = 3;
 /// A corner's smaller eigenvalue is at least this share of the strongest that the mask keeps.
 const SHARE: f32 = 0.0005;
-/// Pixels about a corner that the mask must keep in all directions.
-const MARGIN: i64 = 3;
+/// Pixels about a corner that the mask must keep in all directions: what lies on a contour may slide along it, but rods and struts
+/// are contour on both sides, and of thin objects nothing would be left with more.
+const MARGIN: i64 = 1;
 
 /// Which pixels a mask keeps; everything without a mask.
 pub(super) fn kept(mask: Option<&GrayImage>, x: i64, y: i64, width: usize, height: usize) -> bool {

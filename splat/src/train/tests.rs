@@ -314,7 +314,8 @@ fn degree_and_count_are_judged_by_training_views_and_resuming_repeats_the_judgem
 #[test]
 fn redundant_gaussians_go_and_the_picture_stays() {
     let mut dataset = dataset(24, false);
-    let copies: Vec<_> = dataset.points.iter().map(|(p, c)| (*p * 1.02, *c)).collect();
+    let copies = |factor: f32| dataset.points.iter().map(move |(p, c)| (*p * factor, *c));
+    let copies: Vec<_> = [1.01, 1.02, 1.03].into_iter().flat_map(copies).collect();
     dataset.points.extend(copies);
     let run = |seed: u64, prune: bool| {
         let mut config = config(400);
