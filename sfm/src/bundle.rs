@@ -39,11 +39,20 @@ pub struct SolveOptions {
     pub function_tolerance: f64,
     /// Relative change of the parameters at which to stop.
     pub parameter_tolerance: f64,
+    /// Whether points first settle alone (turns under Cauchy's loss only). Near the end that saves steps; far from it, sightings
+    /// across a joint that is still wrong would be taken for outliers for good.
+    pub points_first: bool,
 }
 
 impl Default for SolveOptions {
     fn default() -> Self {
-        Self { loss: Loss::Squared, max_iterations: 50, function_tolerance: 1e-8, parameter_tolerance: 1e-10 }
+        Self {
+            loss: Loss::Squared,
+            max_iterations: 50,
+            function_tolerance: 1e-8,
+            parameter_tolerance: 1e-10,
+            points_first: false,
+        }
     }
 }
 

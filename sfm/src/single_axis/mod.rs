@@ -9,6 +9,7 @@ mod extend;
 #[cfg(test)]
 mod extreme_tests;
 mod intrinsics;
+mod jumps;
 mod material;
 mod model;
 #[cfg(test)]
@@ -110,6 +111,7 @@ impl Job<'_> {
             known: self.known,
             starts: self.starts,
             relations,
+            times: &[],
             features: self.features,
             progress: self.progress,
         }

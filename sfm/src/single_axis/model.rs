@@ -1,5 +1,6 @@
 //! A growing model whose poses are a turn: triangulated, adjusted and filtered under the constraint.
 
+use super::jumps::not_jumping;
 use super::problem::{Relation, TurnCovariance, TurnProblem};
 use super::turn::{Turn, median};
 use crate::SfmError;
@@ -41,6 +42,8 @@ pub(crate) struct Context<'a> {
     pub starts: &'a [Camera],
     /// What is known of the angles, by frame.
     pub relations: &'a [Relation],
+    /// When each frame of a video was taken: until more is known of the angles, they are taken not to jump. Empty otherwise.
+    pub times: &'a [f64],
     /// For each frame how many of its keypoints, the first ones, are features; the others are followed points, which
     /// are measured otherwise. Empty where all are features.
     pub features: &'a [usize],
@@ -68,7 +71,9 @@ impl AxisModel {
         let bundle = std::mem::take(&mut selected.problem);
         let mut problem = TurnProblem::new(bundle, self.turn.axis, angles);
         let place = |frame: u32| selected.images.binary_search(&(frame as usize)).ok().map(|i| i as u32);
-        for r in context.relations {
+        let unknown = context.relations.is_empty();
+        let believed = if unknown { not_jumping(&self.turn.angles, context.times) } else { Vec::new() };
+        for r in context.relations.iter().chain(&believed) {
             let frames = r.frames.map(|f| f.and_then(place));
             if frames.iter().flatten().count() == r.frames.iter().flatten().count() {
                 problem.relations.push(Relation { frames, ..*r });
@@ -144,6 +149,7 @@ impl AxisModel {
             loss: Loss::Cauchy(2.0),
             max_iterations: most as u32,
             function_tolerance: SETTLED,
+            points_first: points_per_image.is_none(),
             ..SolveOptions::default()
         };
         (problem, selected, options)

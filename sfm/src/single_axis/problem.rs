@@ -90,8 +90,10 @@ impl TurnProblem {
             return Ok(BundleSummary::default());
         }
         let mut state = self.state(scale);
-        let points = self.bundle.settled_points(options.loss);
-        state.points = points.iter().flat_map(|x| (*x / scale).to_array()).collect();
+        if options.points_first {
+            let points = self.bundle.settled_points(options.loss);
+            state.points = points.iter().flat_map(|x| (*x / scale).to_array()).collect();
+        }
         let outcome = solve(&input, &mut state, progress)?;
         let m = input.bundle.weights.len();
         let rms = |cost: f64| (2.0 * cost / m as f64).max(0.0).sqrt();

@@ -91,7 +91,7 @@ pub(crate) fn solve_video(job: &VideoJob<'_>) -> Result<Result<(VideoModel, Deci
     let times = job.times();
     let rate = config.motion.known_rate.map(f64::to_radians);
     let relations = rate.map_or(Vec::new(), |r| known_rate(&turn.angles, &times, r));
-    let mut context = free_job.context(&relations);
+    let mut context = Context { times: &times, ..free_job.context(&relations) };
     let Some((mut model, intrinsics, camera)) =
         adjust_and_choose(&context, &free_job, &cameras, turn, ROUNDS_BEFORE)?
     else {
@@ -167,7 +167,7 @@ impl VideoJob<'_> {
         input: &Input<'_>,
         tracks: &[KltTrack],
     ) -> Result<Result<AxisModel, String>, SfmError> {
-        let n = self.frames.len();
+        let (n, times) = (self.frames.len(), self.times());
         let Some(stride) = stride(tracks, n, self.cameras[0].width.max(self.cameras[0].height)) else {
             return Ok(Err("nothing moves enough".to_owned()));
         };
@@ -188,7 +188,7 @@ impl VideoJob<'_> {
         for seed in &found {
             let (cameras, turn) = self.of_seed(seed, first, stride, keys);
             let Some(turn) = turn else { continue };
-            let context = self.context(input, &cameras);
+            let context = self.context(input, &cameras, &times);
             let mut model = AxisModel::new(input, cameras.clone(), turn);
             if !model.settle_with(&context, 3, 100, 2)? {
                 continue;
@@ -201,8 +201,8 @@ impl VideoJob<'_> {
         let Some((_, mut model, cameras)) = chosen else {
             return Ok(Err("no seed gives points".to_owned()));
         };
-        let context = self.context(input, &cameras);
-        model.extend(&context, &self.times())?;
+        let context = self.context(input, &cameras, &times);
+        model.extend(&context, &times)?;
         let registered = model.state.registered();
         if registered < 3 {
             return Ok(Err("the seed does not grow".to_owned()));
@@ -210,8 +210,9 @@ impl VideoJob<'_> {
         Ok(Ok(model))
     }
 
-    fn context<'a>(&'a self, input: &'a Input<'a>, starts: &'a [Camera]) -> Context<'a> {
-        Context { input, known: self.known, starts, relations: &[], features: &[], progress: self.progress }
+    fn context<'a>(&'a self, input: &'a Input<'a>, starts: &'a [Camera], times: &'a [f64]) -> Context<'a> {
+        let (known, progress) = (self.known, self.progress);
+        Context { input, known, starts, relations: &[], times, features: &[], progress }
     }
 
     /// Camera and turn of a seed; frames between key frames get angles in between.
@@ -238,7 +239,8 @@ impl VideoJob<'_> {
         let open = Material::of_both(&keys.features, &keys.near, tracks);
         let input = self.input(&open);
         let cameras = model.state.cameras.clone();
-        let context = self.context(&input, &cameras);
+        let times = self.times();
+        let context = self.context(&input, &cameras, &times);
         let mut joined = AxisModel::new(&input, cameras.clone(), model.turn.clone());
         joined.settle_with(&context, 2, 60, joined.freedom_by_range())?;
         let angles: Vec<f64> = joined.turn.angles.iter().flatten().copied().collect();
