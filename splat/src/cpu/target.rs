@@ -68,6 +68,7 @@ simd_kernel!(fn compose_rows(arguments: &mut Rows) = compose_generic);
 
 /// Plain loops, which the compiler makes vectors of for each instruction set.
 #[inline(always)]
+#[allow(clippy::extra_unused_type_parameters)] // it stands for the instruction set that this is compiled for
 fn compose_generic<S: Simd>(a: &mut Rows) {
     let (shape, target) = (a.source.shape, a.source.target);
     let (width, stride) = (shape.width, shape.stride());
