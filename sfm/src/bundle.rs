@@ -40,7 +40,7 @@ pub struct SolveOptions {
     /// Relative change of the parameters at which to stop.
     pub parameter_tolerance: f64,
     /// Whether points first settle alone (turns under Cauchy's loss only). Near the end that saves steps; far from it, sightings
-    /// across a joint that is still wrong would be taken for outliers for good.
+    /// across a joint that is still wrong might be taken for outliers.
     pub points_first: bool,
 }
 
