@@ -8,10 +8,13 @@ use crate::Decision;
 const FEWEST: usize = 10;
 /// Most frames from which its strength is learnt (a Cholesky factor for each one that is tried).
 const MOST: usize = 100;
-/// Factors on the angles' covariance that are tried. Errors of one track in many frames are not independent: outlines and
-/// glints slide along. On objects full of texture the angles themselves say 4 to 8; where there is little, a
-/// smaller factor would take the drift of a few tracks for the motion.
-const EXCESS: [f64; 3] = [8.0, 16.0, 32.0];
+/// Least factor on the angles' covariance that is tried, and how many doublings of it. Errors of one track in many frames are not
+/// independent: outlines and glints slide along. On objects full of texture the angles themselves say 4 to 8; where there is
+/// little, a smaller factor would take the drift of a few tracks for the motion.
+const EXCESS: (f64, i32) = (8.0, 3);
+/// Frames within such a turn see the same errors, radians: where a step is a smaller share of it than the least factor
+/// says, more frames say no more, and the factor grows with their number.
+const SAME_ERRORS: f64 = 0.5;
 /// Standard deviations of independent jitter that are tried, radians.
 const JITTER: [f64; 4] = [1e-6, 3e-5, 1.2e-4, 5e-4];
 /// Standard deviations of slow deviations from a steady turn that are tried, radians: the least, and how many triplings.
@@ -89,13 +92,13 @@ struct Motion {
 }
 
 impl Motion {
-    /// All that are tried.
-    fn all() -> Vec<Self> {
+    /// All that are tried where the angles' covariance is too small by so much at least.
+    fn all(excess: f64) -> Vec<Self> {
         let sways = |lasts: f64| (0..SWAY.1).map(move |k| (SWAY.0 * 3f64.powi(k), lasts));
         let slow: Vec<(f64, f64)> =
             std::iter::once((0.0, 1.0)).chain(LASTS.into_iter().flat_map(sways)).collect();
         let mut all = Vec::new();
-        for excess in EXCESS {
+        for excess in (0..EXCESS.1).map(|k| excess * 2f64.powi(k)) {
             for jitter in JITTER {
                 all.extend(slow.iter().map(|&(sway, lasts)| Self { excess, jitter, sway, lasts }));
             }
@@ -224,8 +227,11 @@ pub(crate) fn learnt(
         covariance: covariance.joint.clone(),
     };
     let some = found.thinned(MOST);
-    let tried =
-        Motion::all().into_iter().filter_map(|m| Some((some.fit(&m)?.evidence(some.len()) + m.prior(), m)));
+    let step = (found.angles[n - 1] - found.angles[0]).abs() / (n - 1) as f64;
+    let least = EXCESS.0.max(SAME_ERRORS / step.max(1e-3));
+    let tried = Motion::all(least)
+        .into_iter()
+        .filter_map(|m| Some((some.fit(&m)?.evidence(some.len()) + m.prior(), m)));
     let mut tried: Vec<(f64, Motion)> = tried.filter(|t| t.0.is_finite()).collect();
     tried.sort_by(|a, b| b.0.total_cmp(&a.0));
     let best = *tried.first()?;
@@ -383,7 +389,7 @@ mod tests {
         let mut ratio = 0.0;
         for seed in 0..20 {
             // Errors of tracks last: eight times the variance that independent ones would have.
-            let (learnt, truth, _) = learn(|t| 6.0 * t, 2e-4 * EXCESS[0].sqrt(), 2e-4, 100 + seed);
+            let (learnt, truth, _) = learn(|t| 6.0 * t, 2e-4 * EXCESS.0.sqrt(), 2e-4, 100 + seed);
             let middle = FRAMES / 2;
             let off = learnt.angles[middle] - learnt.angles[0] - truth[middle];
             ratio += (off / learnt.deviations[middle]).powi(2) / 20.0;

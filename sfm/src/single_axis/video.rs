@@ -58,6 +58,14 @@ struct Closed {
     seam: String,
 }
 
+/// Where a model grows from: key frames, `stride` apart from the `first`, and what may be their motion.
+struct Start {
+    first: usize,
+    stride: usize,
+    keys: usize,
+    seeds: Vec<Seed>,
+}
+
 /// The model of a video in which something turns about one axis; else the reason why it is none.
 pub(crate) fn solve_video(job: &VideoJob<'_>) -> Result<Result<(VideoModel, Decision), String>, SfmError> {
     if job.cameras.len() != 1 || job.frames.len() < 4 {
@@ -167,23 +175,12 @@ impl VideoJob<'_> {
         input: &Input<'_>,
         tracks: &[KltTrack],
     ) -> Result<Result<AxisModel, String>, SfmError> {
-        let (n, times) = (self.frames.len(), self.times());
-        let Some(stride) = stride(tracks, n, self.cameras[0].width.max(self.cameras[0].height)) else {
-            return Ok(Err("nothing moves enough".to_owned()));
+        let times = self.times();
+        let start = match self.first_guess(tracks) {
+            Ok(start) => start,
+            Err(why) => return Ok(Err(why)),
         };
-        let keys = KEYS.min((n - 1) / stride + 1);
-        let Some((first, pairs)) = window(tracks, n, stride, keys, &self.cameras[0]) else {
-            return Ok(Err("no points last long enough".to_owned()));
-        };
-        let guess = self.cameras[0].mean_focal();
-        let known = self.known[0].fixed || self.known[0].focal_sigma.is_some();
-        let focals: Vec<f64> =
-            if known { vec![guess] } else { FOCAL_FACTORS.iter().map(|f| f * guess).collect() };
-        let found = seeds(&pairs, keys, &steady(), &focals, guess, known);
-        let best = found.first().map_or(0.0, |s| explained(&pairs, s));
-        if best < EXPLAINED {
-            return Ok(Err(format!("one axis explains {:.0} % of their motion at most", 100.0 * best)));
-        }
+        let Start { first, stride, keys, seeds: found } = start;
         let mut chosen: Option<(f64, AxisModel, Vec<Camera>)> = None;
         for seed in &found {
             let (cameras, turn) = self.of_seed(seed, first, stride, keys);
@@ -208,6 +205,34 @@ impl VideoJob<'_> {
             return Ok(Err("the seed does not grow".to_owned()));
         }
         Ok(Ok(model))
+    }
+
+    /// Seeds from a few key frames: as far apart as the tracks need to move, or nearer where that leaves too few of them. Points
+    /// on the axis or near it hardly move at all.
+    fn first_guess(&self, tracks: &[KltTrack]) -> Result<Start, String> {
+        let n = self.frames.len();
+        let Some(widest) = stride(tracks, n, self.cameras[0].width.max(self.cameras[0].height)) else {
+            return Err("nothing moves enough".to_owned());
+        };
+        let guess = self.cameras[0].mean_focal();
+        let known = self.known[0].fixed || self.known[0].focal_sigma.is_some();
+        let focals: Vec<f64> =
+            if known { vec![guess] } else { FOCAL_FACTORS.iter().map(|f| f * guess).collect() };
+        let mut best: Option<f64> = None;
+        for stride in std::iter::successors(Some(widest), |s| (*s > 1).then_some(s / 2)) {
+            let keys = KEYS.min((n - 1) / stride + 1);
+            let Some((first, pairs)) = window(tracks, n, stride, keys, &self.cameras[0]) else { continue };
+            let seeds = seeds(&pairs, keys, &steady(), &focals, guess, known);
+            let share = seeds.first().map_or(0.0, |s| explained(&pairs, s));
+            if share >= EXPLAINED {
+                return Ok(Start { first, stride, keys, seeds });
+            }
+            best = Some(best.map_or(share, |b| b.max(share)));
+        }
+        Err(match best {
+            Some(share) => format!("one axis explains {:.0} % of their motion at most", 100.0 * share),
+            None => "no points last long enough".to_owned(),
+        })
     }
 
     fn context<'a>(&'a self, input: &'a Input<'a>, starts: &'a [Camera], times: &'a [f64]) -> Context<'a> {
@@ -324,7 +349,7 @@ fn stride(tracks: &[KltTrack], frames: usize, side: u32) -> Option<usize> {
     })
 }
 
-/// The window of key frames that share most tracks, and their matches.
+/// The window of key frames that share most tracks, and their matches; `None` where some share none with the next.
 fn window(
     tracks: &[KltTrack],
     frames: usize,
@@ -352,7 +377,9 @@ fn window(
     };
     let score = |pairs: &[KeyPair]| pairs.iter().map(|p| p.points.len().min(100)).sum::<usize>();
     let starts = (0..frames - span).step_by(stride);
-    let best = starts.map(|s| (s, pairs_at(s))).max_by_key(|(s, p)| (score(p), std::cmp::Reverse(*s)))?;
-    let (first, pairs) = best;
-    Some((first, pairs.into_iter().filter(|p| p.points.len() >= 8).collect()))
+    let (first, mut pairs) =
+        starts.map(|s| (s, pairs_at(s))).max_by_key(|(s, p)| (score(p), std::cmp::Reverse(*s)))?;
+    pairs.retain(|p| p.points.len() >= 8);
+    let tied = |k: usize| pairs.iter().any(|p| p.keys == [k, k + 1]);
+    (0..keys - 1).all(tied).then_some((first, pairs))
 }
