@@ -4,6 +4,7 @@ mod attempts;
 mod blurred;
 mod clock;
 mod densify;
+mod evenly;
 mod export;
 mod setup;
 mod turn;
@@ -11,13 +12,14 @@ mod turn;
 use crate::incremental::depths;
 use crate::incremental::finish::{converge, decide, noise_of, polish, uncertainty};
 use crate::incremental::state::{Input, State};
-use crate::single_axis::{self, Free, Motion, Turned, VideoJob, VideoModel, consider, solve_video};
+use crate::single_axis::{self, Free, Motion, Turned, VideoJob, VideoModel, consider, even, solve_video};
 use crate::tracks::{Tracks, build_tracks, positions};
 use crate::{
     Decision, SfmConfig, SfmError, SfmResult, Uncertainty, incremental, mapper, pairs, sift, two_view,
 };
 use attempts::{on_a_ring, unfold, with_a_second_look};
 use clock::Clock;
+use evenly::Even;
 use scene::{Camera, Features, FrameSet, Progress, TwoViewGeometry};
 use setup::Setup;
 
@@ -152,14 +154,25 @@ fn from_features(
     clock.lap("verification", &mut result.stats.steps);
     let strong = strong_tie(&config.sift);
     let mut loose = weakly_tied(frames.len(), &result.geometries, strong);
+    let mut along = None;
     if job.more_features && loose.contains(&true) {
-        let more = blurred::enrich(&result.features, &matches, &result.geometries, &loose, job)?;
-        if let Some(more) = more {
-            (result.features, result.geometries) = (more.features, more.geometries);
-            result.decisions.push(more.decision);
+        let mut more = blurred::enrich(&result.features, &matches, &result.geometries, &loose, job)?;
+        let mut matches = &matches;
+        if let Some(more) = &mut more {
+            result.features = std::mem::take(&mut more.features);
+            result.geometries = std::mem::take(&mut more.geometries);
+            result.decisions.push(more.decision.clone());
+            matches = &more.matches;
             loose = weakly_tied(frames.len(), &result.geometries, strong);
         }
         clock.lap("blurred features", &mut result.stats.steps);
+        along = evenly::matched(result, matches, &loose, job)?;
+        if let Some(even) = along.as_ref().filter(|e| e.instead) {
+            result.geometries = even.geometries();
+            result.decisions.push(even.decision.clone());
+            loose.fill(false);
+        }
+        clock.lap("even turn", &mut result.stats.steps);
     }
     result.geometries = two_view::match_along_lines(
         &result.features,
@@ -176,7 +189,8 @@ fn from_features(
     result.decisions.push(pairs_decision(matched, frames.len(), &result.geometries));
     let mut lap = |step: &str| clock.lap(step, &mut result.stats.steps);
     let spreads = result.features.iter().map(spreads).collect();
-    let given = Given { config, setup, is_video: frames.is_video, features: &result.features, spreads };
+    let given =
+        Given { config, setup, is_video: frames.is_video, features: &result.features, spreads, even: along };
     let model = solve(&given, &mut result.geometries, &mut lap, progress)?;
     match model {
         Some(model) => export::fill(result, frames, model, progress)?,
@@ -265,6 +279,8 @@ struct Given<'a> {
     is_video: bool,
     features: &'a [Features],
     spreads: Vec<Vec<f32>>,
+    /// The motion from each image to the next, where they go round evenly.
+    even: Option<Even>,
 }
 
 impl<'a> Given<'a> {
@@ -310,6 +326,8 @@ struct Grown {
     state: State,
     tracks: Tracks,
     mapper: Option<Decision>,
+    /// It began with all images in their places on a ring, and is held by that.
+    ringed: bool,
 }
 
 fn grown(
@@ -322,7 +340,7 @@ fn grown(
     let (cameras, known) = (&given.setup.cameras, &given.setup.known);
     let (state, mapper) =
         mapper::map(&given.input(keypoints, &tracks, geometries), cameras, known, progress)?;
-    Ok(state.map(|state| Grown { state, tracks, mapper }))
+    Ok(state.map(|state| Grown { state, tracks, mapper, ringed: false }))
 }
 
 /// `lap` is told the name of each step when it is done; pairs that were found on the way are added to `geometries`.
@@ -336,6 +354,7 @@ fn solve(
     progress.begin("mapping", features.len());
     let keypoints: Vec<_> = features.iter().map(positions).collect();
     let mapped = grown(given, &keypoints, geometries, progress)?;
+    let mapped = evenly::instead(mapped, given, &keypoints, geometries, progress)?;
     lap("mapping");
     let Some(mut model) = mapped else {
         let tracks = build_tracks(features, geometries);
@@ -353,7 +372,7 @@ fn solve(
     lap("ring");
     let (model, completed) = with_a_second_look(given, &keypoints, geometries, (model, completed), progress)?;
     lap("second attempt");
-    let Grown { mut state, tracks, mapper } = model;
+    let Grown { mut state, tracks, mapper, ringed } = model;
     decisions.extend(mapper);
     if let Some((whole, decision)) = completed {
         state = whole;
@@ -369,13 +388,22 @@ fn solve(
     let (upright, upright_geometries) = turn::inputs(&input, &setup.cameras, &turned);
     turn::poses(&mut state, &turned);
     (input.keypoints, input.geometries) = (&upright, &upright_geometries);
-    polish(&mut state, &input, &setup.known, &starts, &verdict, progress)?;
+    if ringed {
+        state.cameras.clone_from(&verdict.adjusted.problem.cameras);
+        state = even::held(&state, &given.job(&input, &starts, progress), verdict.intrinsics)?;
+    } else {
+        polish(&mut state, &input, &setup.known, &starts, &verdict, progress)?;
+    }
     lap("final adjustment");
     let denser = densify::along_the_model(given, &input, &state, noise_of(&state, &input), progress)?;
     if let Some((geometries, tracks)) = &denser {
         (input.geometries, input.tracks) = (geometries, tracks);
         state = densify::regrown(&state, &input);
-        converge(&mut state, &input, &setup.known, &starts, verdict.intrinsics, progress)?;
+        if ringed {
+            state = even::held(&state, &given.job(&input, &starts, progress), verdict.intrinsics)?;
+        } else {
+            converge(&mut state, &input, &setup.known, &starts, verdict.intrinsics, progress)?;
+        }
     }
     depths::drop_lonely(&mut state, &input);
     lap("denser tracks");

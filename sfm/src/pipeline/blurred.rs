@@ -23,6 +23,8 @@ const PROBE_BEYOND: usize = 48;
 pub(super) struct Richer {
     pub features: Vec<Features>,
     pub geometries: Vec<TwoViewGeometry>,
+    /// Matches of the loosely tied pairs before verification.
+    pub matches: Vec<PairMatches>,
     pub decision: Decision,
 }
 
@@ -52,7 +54,7 @@ pub(super) fn enrich(
     let features: Vec<Features> = features.iter().zip(&coarse).map(|(a, b)| both(a, b)).collect();
     let cameras = setup.of_frames();
     let verified =
-        two_view::verify_pairs(&features, &cameras, union, &config.two_view, config.seed, progress)?;
+        two_view::verify_pairs(&features, &cameras, union.clone(), &config.two_view, config.seed, progress)?;
     let count = |all: &[TwoViewGeometry]| -> usize {
         all.iter().filter(|g| of_loose(g.a, g.b)).map(|g| g.inliers.len()).sum()
     };
@@ -70,7 +72,7 @@ pub(super) fn enrich(
             "they share few matches with others; with features of images blurred by {BLUR} px these are {after} instead of {before}"
         ),
     };
-    Ok(Some(Richer { features, geometries: all, decision }))
+    Ok(Some(Richer { features, geometries: all, matches: union, decision }))
 }
 
 fn blurring(job: &Job<'_>) -> sift::SiftConfig {

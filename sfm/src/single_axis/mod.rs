@@ -4,6 +4,7 @@
 //! Fitzgibbon, Cross & Zisserman, "Automatic 3D model construction for turn-table sequences" (SMILE 1998).
 
 mod config;
+pub(crate) mod even;
 mod evidence;
 mod extend;
 #[cfg(test)]

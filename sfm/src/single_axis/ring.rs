@@ -89,6 +89,11 @@ impl Ring {
     }
 }
 
+/// Standard deviations of the motions that cameras on a ring have of their own, a coordinate: radians, radii; `None` where they are on none.
+pub(crate) fn own_motions(poses: &[Option<Pose>]) -> Option<[f64; 2]> {
+    Ring::of(poses).map(|ring| ring.sigma)
+}
+
 /// Rotation (radians) and translation between two poses.
 fn offset(a: &Pose, b: &Pose) -> [f64; 2] {
     let between = a.compose(&b.inverse());

@@ -56,6 +56,11 @@ impl Seed {
         self.frame * DVec3::Z
     }
 
+    /// `F` of ideal pixels for a turn by `angle` (radians).
+    pub fn fundamental(&self, angle: f64) -> DMat3 {
+        fundamental(self.frame, self.focal, angle)
+    }
+
     /// Direction of its point nearest to the camera.
     pub fn place(&self) -> DVec3 {
         self.frame * DVec3::X
@@ -141,9 +146,24 @@ pub(crate) fn seeds(
     found.truncate(ADJUSTED.0);
     let pairs: Vec<KeyPair> = pairs.iter().map(|p| thinned(p, 120)).collect();
     let mut adjusted: Vec<Seed> =
-        found.into_iter().map(|s| adjust(&pairs, keys, &s, guess, known)).filter(sane).collect();
+        found.into_iter().map(|s| adjust(&pairs, keys, &s, guess, [known, false])).filter(sane).collect();
     adjusted.sort_by(|a, b| a.cost.total_cmp(&b.cost));
     different(adjusted, 4)
+}
+
+/// The best motion near a seed with known angles, `step` (radians) between neighbours, whatever of `focals` it begins with.
+pub(crate) fn at_steps(
+    pairs: &[KeyPair],
+    keys: usize,
+    seed: &Seed,
+    step: f64,
+    (focals, guess, known): (&[f64], f64, bool),
+) -> Option<Seed> {
+    let angles = std::array::from_fn(|k| step * k as f64);
+    let tried = focals
+        .iter()
+        .map(|&focal| adjust(pairs, keys, &Seed { focal, angles, ..seed.clone() }, guess, [known, true]));
+    tried.filter(sane).min_by(|a, b| a.cost.total_cmp(&b.cost))
 }
 
 fn sane(seed: &Seed) -> bool {
@@ -178,8 +198,9 @@ fn half_sphere(n: usize) -> impl Iterator<Item = DVec3> {
     })
 }
 
-/// Robust epipolar error of all pairs, minimised over axis, focal length and angles.
-fn adjust(pairs: &[KeyPair], keys: usize, start: &Seed, guess: f64, known: bool) -> Seed {
+/// Robust epipolar error of all pairs, minimised over axis, focal length and angles; `known`: whether the focal length and the
+/// angles stay as they are.
+fn adjust(pairs: &[KeyPair], keys: usize, start: &Seed, guess: f64, known: [bool; 2]) -> Seed {
     let mut seed = start.clone();
     for width in WIDTHS_PX {
         let evaluate = |s: &Seed| Some(normal(pairs, keys, s, guess, known, width).0);
@@ -206,7 +227,7 @@ fn normal(
     keys: usize,
     seed: &Seed,
     guess: f64,
-    known: bool,
+    [known, steady]: [bool; 2],
     width: f64,
 ) -> (Normal<UNKNOWNS>, f64) {
     const H: f64 = 1e-6;
@@ -237,7 +258,7 @@ fn normal(
             gradient[..3].copy_from_slice(&slope[..3]);
             gradient[3] = if known { 0.0 } else { slope[3] };
             for (key, sign) in [(i, -1.0), (k, 1.0)] {
-                if key > 0 {
+                if key > 0 && !steady {
                     gradient[3 + key] += sign * slope[4];
                 }
             }
@@ -256,7 +277,7 @@ fn normal(
     by_focal[3] = 1.0 / FOCAL_SIGMA;
     expect(if known { 0.0 } else { (seed.focal / guess).ln() / FOCAL_SIGMA }, by_focal);
     let step = (seed.angles[keys - 1] / (keys - 1) as f64).abs().max(1e-3);
-    for k in (1..keys - 1).filter(|_| keys > 3) {
+    for k in (1..keys - 1).filter(|_| keys > 3 && !steady) {
         let w = 1.0 / (RATE_SIGMA * step);
         let mut gradient = [0.0; UNKNOWNS];
         gradient[3 + k] = -2.0 * w;
