@@ -167,11 +167,6 @@ fn from_features(
         }
         clock.lap("blurred features", &mut result.stats.steps);
         along = evenly::matched(result, matches, &loose, job)?;
-        if let Some(even) = along.as_ref().filter(|e| e.instead) {
-            result.geometries = even.geometries();
-            result.decisions.push(even.decision.clone());
-            loose.fill(false);
-        }
         clock.lap("even turn", &mut result.stats.steps);
     }
     result.geometries = two_view::match_along_lines(
@@ -353,8 +348,8 @@ fn solve(
     let Given { config, setup, features, .. } = *given;
     progress.begin("mapping", features.len());
     let keypoints: Vec<_> = features.iter().map(positions).collect();
-    let mapped = grown(given, &keypoints, geometries, progress)?;
-    let mapped = evenly::instead(mapped, given, &keypoints, geometries, progress)?;
+    let mut decisions = Vec::new();
+    let mapped = evenly::grown_or_placed(given, &keypoints, geometries, &mut decisions, progress)?;
     lap("mapping");
     let Some(mut model) = mapped else {
         let tracks = build_tracks(features, geometries);
@@ -362,7 +357,6 @@ fn solve(
         let motion = consider(&given.job(&input, &setup.cameras, progress), None, true)?;
         return Ok(motion.taken.map(|t| of_turn(setup, t, motion.decision, keypoints.clone())));
     };
-    let mut decisions = Vec::new();
     if let Some((unfolded, decision)) = unfold(given, &keypoints, geometries, &model, progress)? {
         model = unfolded;
         decisions.push(decision);

@@ -1,7 +1,7 @@
 //! Pairs of images that go round evenly in the order of their files, matched along the lines of the one motion that all
 //! neighbours share: in the dark a pair alone has too few right matches to say how it lies.
 
-use super::{Given, Grown, Job};
+use super::{Given, Grown, Job, grown};
 use crate::matching::{PairMatches, PreparedFeatures, guided_match_prepared};
 use crate::single_axis::Motion;
 use crate::single_axis::even::EvenTurn;
@@ -26,13 +26,35 @@ const WHOLE: f64 = 0.9;
 pub(super) struct Even {
     turn: EvenTurn,
     geometries: Vec<TwoViewGeometry>,
-    pub instead: bool,
-    pub decision: Decision,
+    instead: bool,
+    decision: Decision,
 }
 
 impl Even {
-    pub fn geometries(&self) -> Vec<TwoViewGeometry> {
-        self.geometries.clone()
+    /// The model that begins with all images in their places; `None` where they are not there.
+    fn placed(
+        &self,
+        given: &Given<'_>,
+        keypoints: &[Vec<glam::DVec2>],
+        progress: &Progress,
+    ) -> Result<Option<Grown>, SfmError> {
+        let tracks = build_tracks(given.features, &self.geometries);
+        let input = given.input(keypoints, &tracks, &self.geometries);
+        let intrinsics = selection::before_the_choice(given.config.camera_model.model());
+        let job = given.job(&input, &given.setup.cameras, progress);
+        let Some((state, kept)) = self.turn.model(&job, intrinsics)? else { return Ok(None) };
+        let evidence = format!(
+            "{} of {} images hold there, with {:.0} % of the sightings in tracks of three and more",
+            state.registered(),
+            keypoints.len(),
+            100.0 * kept
+        );
+        let mapper = Some(Decision {
+            what: "start".to_owned(),
+            chosen: "all images on the ring".to_owned(),
+            evidence,
+        });
+        Ok(Some(Grown { state, tracks, mapper, ringed: true }))
     }
 }
 
@@ -105,40 +127,38 @@ fn strongest_tie(images: usize, geometries: &[TwoViewGeometry]) -> usize {
     most.get(images / 2).copied().unwrap_or(0)
 }
 
-/// The model that begins with all images in their places on the ring, where the one that grew (if any) misses some of them or has
-/// them elsewhere.
-pub(super) fn instead(
-    mapped: Option<Grown>,
+/// The model that grows from the pairs, or the one that begins with all images in their places on a ring: where that stands and
+/// pairs alone say little, or where the first misses many images or has them elsewhere. `geometries` become those of the model.
+pub(super) fn grown_or_placed(
     given: &Given<'_>,
     keypoints: &[Vec<glam::DVec2>],
     geometries: &mut Vec<TwoViewGeometry>,
+    decisions: &mut Vec<Decision>,
     progress: &Progress,
 ) -> Result<Option<Grown>, SfmError> {
-    let Some(Even { turn, geometries: even, instead: first, .. }) = &given.even else { return Ok(mapped) };
-    let standing = |g: &Grown| g.state.registered() - turn.astray(&g.state.poses);
-    let before = mapped.as_ref().map_or(0, standing);
-    let enough = if *first { 1.0 } else { WHOLE };
+    let Some(even) = &given.even else { return grown(given, keypoints, geometries, progress) };
+    let standing = |g: &Grown| g.state.registered() - even.turn.astray(&g.state.poses);
+    let mut placed = None;
+    if even.instead {
+        placed = even.placed(given, keypoints, progress)?;
+        if placed.is_some() {
+            geometries.clone_from(&even.geometries);
+            decisions.push(even.decision.clone());
+        }
+    }
+    let first = grown(given, keypoints, geometries, progress)?;
+    let before = first.as_ref().map_or(0, standing);
+    let enough = if placed.is_some() { 1.0 } else { WHOLE };
     if before as f64 >= enough * keypoints.len() as f64 {
-        return Ok(mapped);
+        return Ok(first);
     }
-    let tracks = build_tracks(given.features, even);
-    let input = given.input(keypoints, &tracks, even);
-    let intrinsics = selection::before_the_choice(given.config.camera_model.model());
-    let job = given.job(&input, &given.setup.cameras, progress);
-    let Some(state) = turn.model(&job, intrinsics)? else { return Ok(mapped) };
-    let mapper = Some(Decision {
-        what: "start".to_owned(),
-        chosen: "all images on the ring".to_owned(),
-        evidence: format!(
-            "{} of {} images hold there; of the model that grew image by image {before}",
-            state.registered(),
-            keypoints.len()
-        ),
-    });
-    let ringed = Grown { state, tracks, mapper, ringed: true };
-    if standing(&ringed) <= before {
-        return Ok(mapped);
+    let later =
+        if placed.is_none() && !even.instead { even.placed(given, keypoints, progress)? } else { None };
+    match placed.or(later).filter(|p| standing(p) > before) {
+        Some(placed) => {
+            geometries.clone_from(&even.geometries);
+            Ok(Some(placed))
+        }
+        None => Ok(first),
     }
-    geometries.clone_from(even);
-    Ok(Some(ringed))
 }

@@ -5,6 +5,8 @@
 
 mod config;
 pub(crate) mod even;
+#[cfg(test)]
+mod even_tests;
 mod evidence;
 mod extend;
 #[cfg(test)]
