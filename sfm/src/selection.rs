@@ -20,6 +20,8 @@ const DETERMINED_POINT: f64 = 0.01;
 const CLEAR_BIC: f64 = 150.0;
 /// The same for images that were turned, which are only suspected on clear evidence from more sightings.
 const TURNED_BIC: f64 = 80.0;
+/// The same where what was held out is predicted better by three standard errors.
+const TURNED_BIC_PREDICTED: f64 = 50.0;
 /// Residuals beyond so many standard deviations count as this much.
 const TRUNCATION: f64 = 4.0;
 
@@ -222,7 +224,8 @@ pub fn choose_turned(
         choice.bic + bits,
         untouched.bic
     );
-    let better = choice.bic + bits < untouched.bic - TURNED_BIC && gain > -error;
+    let asked = if gain > 3.0 * error { TURNED_BIC_PREDICTED } else { TURNED_BIC };
+    let better = choice.bic + bits < untouched.bic - asked && gain > -error;
     Ok((better.then_some((way, choice)), evidence))
 }
 
