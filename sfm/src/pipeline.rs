@@ -7,6 +7,7 @@ mod densify;
 mod evenly;
 mod export;
 mod setup;
+mod ties;
 mod turn;
 
 use crate::incremental::depths;
@@ -22,13 +23,7 @@ use clock::Clock;
 use evenly::Even;
 use scene::{Camera, Features, FrameSet, Progress, TwoViewGeometry};
 use setup::Setup;
-
-/// Other images that hold an image firmly, and the matches each must share with it. What is held by less gains by
-/// matches along its epipolar lines; what is held by more loses, for those are less exact.
-const TIES: usize = 2;
-const STRONG_TIE: usize = 300;
-/// The features an image may have, to which that number belongs (the default; undoubled images have about a quarter).
-const FEATURES_OF_TIES: usize = 4096;
+use ties::{pairs_decision, strong_tie, weakly_tied, why_no_model};
 
 /// Power of a keypoint's scale with which its standard deviation grows.
 const SPREAD_BY_SCALE: f32 = 1.0;
@@ -419,50 +414,6 @@ fn solve(
     let mut solved = Solved { state, camera_of: setup.camera_of.clone(), keypoints, decisions, uncertainty };
     turn::back(&mut solved, &turned);
     Ok(Some(solved))
-}
-
-/// [`STRONG_TIE`] where fewer features are asked for: fewer matches hold an image then as firmly as that allows.
-fn strong_tie(sift: &crate::sift::SiftConfig) -> usize {
-    let share = if sift.doubling == crate::sift::Doubling::Never { 4 } else { 1 };
-    STRONG_TIE * sift.max_features.min(FEATURES_OF_TIES / share) / FEATURES_OF_TIES
-}
-
-/// Images that fewer than [`TIES`] others share `strong` matches with.
-fn weakly_tied(images: usize, geometries: &[TwoViewGeometry], strong: usize) -> Vec<bool> {
-    let mut ties = vec![0; images];
-    for g in geometries.iter().filter(|g| g.inliers.len() >= strong) {
-        ties[g.a] += 1;
-        ties[g.b] += 1;
-    }
-    ties.into_iter().map(|n| n < TIES).collect()
-}
-
-fn pairs_decision(pairs: usize, images: usize, geometries: &[TwoViewGeometry]) -> Decision {
-    let all = images * images.saturating_sub(1) / 2;
-    let inliers: usize = geometries.iter().map(|g| g.inliers.len()).sum();
-    Decision {
-        what: "image pairs".to_owned(),
-        chosen: format!("{} of {pairs} matched pairs", geometries.len()),
-        evidence: format!(
-            "{pairs} of {all} possible pairs were matched; {inliers} matches agree with one motion a pair"
-        ),
-    }
-}
-
-fn why_no_model(features: &[Features], geometries: &[TwoViewGeometry]) -> String {
-    let most = features.iter().map(Features::len).max().unwrap_or(0);
-    if most < 50 {
-        return format!(
-            "at most {most} features were found in an image: too dark, too blurred or without texture"
-        );
-    }
-    if geometries.is_empty() {
-        return "no two images show the same points: film more slowly, or from fewer sides".to_owned();
-    }
-    format!(
-        "{} image pairs agree, but none has enough baseline to start from: move the camera sideways",
-        geometries.len()
-    )
 }
 
 #[cfg(test)]

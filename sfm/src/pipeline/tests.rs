@@ -1,3 +1,4 @@
+use super::ties::STRONG_TIE;
 use super::*;
 use scene::Frame;
 

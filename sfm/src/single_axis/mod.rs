@@ -28,6 +28,7 @@ mod smoothness;
 mod tests;
 pub mod turn;
 mod video;
+mod whiten;
 
 pub use config::{Motion, MotionConfig};
 pub(crate) use video::{VideoJob, VideoModel, solve_video};

@@ -19,6 +19,8 @@ use scene::{Camera, Features, FrameSet, Progress, TwoViewGeometry};
 
 /// Motion between two key frames of the seed, as a share of the longer image side.
 const KEY_MOTION: f64 = 0.012;
+/// Share of it that is still enough where tracks do not last until they have moved as far.
+const KEY_MOTION_LEAST: f64 = 0.25;
 /// Least share of the matches that a seed must explain.
 const EXPLAINED: f64 = 0.5;
 /// Least share of the frames that must get an angle where the evidence decides.
@@ -337,16 +339,28 @@ fn agreed(gaps: [Vec<(f64, f64)>; 2]) -> Option<(f64, usize, usize)> {
     Some((stretch, of(0), of(1)))
 }
 
-/// The fewest frames over which the tracks move by [`KEY_MOTION`].
+/// The fewest frames over which the tracks move by [`KEY_MOTION`]; where they do not last as long, those over which they move
+/// farthest.
 fn stride(tracks: &[KltTrack], frames: usize, side: u32) -> Option<usize> {
     let wanted = KEY_MOTION * f64::from(side);
-    (1..=((frames - 1) / 2).max(1)).find(|&s| {
+    let mut farthest = (0.0, 0);
+    for s in 1..=((frames - 1) / 2).max(1) {
         let moves = |t: &KltTrack| -> Vec<f64> {
             t.positions.windows(s + 1).step_by(s).map(|w| w[0].distance(w[s])).collect()
         };
         let all: Vec<f64> = tracks.iter().flat_map(moves).collect();
-        all.len() >= 20 && median(all) >= wanted
-    })
+        if all.len() < 20 {
+            break;
+        }
+        let moved = median(all);
+        if moved > farthest.0 {
+            farthest = (moved, s);
+        }
+        if moved >= wanted {
+            break;
+        }
+    }
+    (farthest.0 >= KEY_MOTION_LEAST * wanted).then_some(farthest.1)
 }
 
 /// The window of key frames that share most tracks, and their matches; `None` where some share none with the next.
