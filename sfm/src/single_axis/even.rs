@@ -95,7 +95,7 @@ impl EvenTurn {
         }
         let pairs = portions(&by_gap);
         let focals: Vec<f64> =
-            if known { vec![guess] } else { FOCAL_FACTORS[..4].iter().map(|f| f * guess).collect() };
+            if known { vec![guess] } else { FOCAL_FACTORS.iter().map(|f| f * guess).collect() };
         let found = seeds(&pairs, NEIGHBOURS + 1, &patterns(), &focals, guess, known);
         let seed = found.into_iter().next()?;
         let step = seed.angles[NEIGHBOURS] / NEIGHBOURS as f64;
