@@ -221,9 +221,14 @@ impl VideoJob<'_> {
         let focals: Vec<f64> =
             if known { vec![guess] } else { FOCAL_FACTORS.iter().map(|f| f * guess).collect() };
         let mut best: Option<f64> = None;
-        for stride in std::iter::successors(Some(widest), |s| (*s > 1).then_some(s / 2)) {
+        let strides = || std::iter::successors(Some(widest), |s| (*s > 1).then_some(s / 2));
+        // Key frames that are all tied to the next, if there are such.
+        for (tied, stride) in strides().map(|s| (true, s)).chain(strides().map(|s| (false, s))) {
             let keys = KEYS.min((n - 1) / stride + 1);
-            let Some((first, pairs)) = window(tracks, n, stride, keys, &self.cameras[0]) else { continue };
+            let found = window(tracks, n, stride, keys, &self.cameras[0]);
+            let Some((first, pairs)) = found.filter(|(_, pairs)| !tied || all_tied(pairs, keys)) else {
+                continue;
+            };
             let seeds = seeds(&pairs, keys, &steady(), &focals, guess, known);
             let share = seeds.first().map_or(0.0, |s| explained(&pairs, s));
             if share >= EXPLAINED {
@@ -363,7 +368,12 @@ fn stride(tracks: &[KltTrack], frames: usize, side: u32) -> Option<usize> {
     (farthest.0 >= KEY_MOTION_LEAST * wanted).then_some(farthest.1)
 }
 
-/// The window of key frames that share most tracks, and their matches; `None` where some share none with the next.
+/// Whether every key frame shares tracks with the next.
+fn all_tied(pairs: &[KeyPair], keys: usize) -> bool {
+    (0..keys - 1).all(|k| pairs.iter().any(|p| p.keys == [k, k + 1]))
+}
+
+/// The window of key frames that share most tracks, and their matches.
 fn window(
     tracks: &[KltTrack],
     frames: usize,
@@ -394,6 +404,5 @@ fn window(
     let (first, mut pairs) =
         starts.map(|s| (s, pairs_at(s))).max_by_key(|(s, p)| (score(p), std::cmp::Reverse(*s)))?;
     pairs.retain(|p| p.points.len() >= 8);
-    let tied = |k: usize| pairs.iter().any(|p| p.keys == [k, k + 1]);
-    (0..keys - 1).all(tied).then_some((first, pairs))
+    Some((first, pairs))
 }
