@@ -377,6 +377,8 @@ fn solve(
     let (upright, upright_geometries) = turn::inputs(&input, &setup.cameras, &turned);
     turn::poses(&mut state, &turned);
     (input.keypoints, input.geometries) = (&upright, &upright_geometries);
+    // Poses of which some are turned by half a turn are on no circle.
+    let ringed = ringed && verdict.turned.is_none();
     if ringed {
         state.cameras.clone_from(&verdict.adjusted.problem.cameras);
         state = even::held(&state, &given.job(&input, &starts, progress), verdict.intrinsics)?;

@@ -2,6 +2,7 @@
 //! structure is noise, and what is left of the object shows at larger scales only.
 
 use super::Job;
+use super::ties::mostly;
 use crate::matching::{PairMatches, PreparedFeatures, match_prepared};
 use crate::{Decision, SfmError, pairs, sift, two_view};
 use scene::{Features, FrameSet, TwoViewGeometry};
@@ -9,8 +10,6 @@ use std::collections::BTreeMap;
 
 /// Blur of the second set, pixels.
 const BLUR: f32 = 1.4;
-/// Share of the images that must be loosely tied for a second set to be looked for.
-const SHARE: f64 = 0.5;
 /// Factor by which the matches of loosely tied pairs must grow for it to be kept: where both sets find the same spots they
 /// are half as many again, and nothing is won.
 const WORTH: f64 = 2.0;
@@ -38,11 +37,7 @@ pub(super) fn enrich(
     job: &Job<'_>,
 ) -> Result<Option<Richer>, SfmError> {
     let Job { frames, config, setup, progress, .. } = *job;
-    let count_loose = loose.iter().filter(|l| **l).count();
-    if (count_loose as f64) < SHARE * loose.len() as f64 {
-        return Ok(None);
-    }
-    if !promising(geometries, loose, job)? {
+    if !mostly(loose) || !promising(geometries, loose, job)? {
         return Ok(None);
     }
     let coarse = sift::extract_all(frames, &blurring(job), progress)?;
@@ -67,7 +62,7 @@ pub(super) fn enrich(
     all.sort_by_key(|g| (g.a, g.b));
     let decision = Decision {
         what: "features of blurred images".to_owned(),
-        chosen: format!("for {count_loose} of {} images", loose.len()),
+        chosen: format!("for {} of {} images", loose.iter().filter(|l| **l).count(), loose.len()),
         evidence: format!(
             "they share few matches with others; with features of images blurred by {BLUR} px these are {after} instead of {before}"
         ),

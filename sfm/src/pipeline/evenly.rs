@@ -1,6 +1,7 @@
 //! Pairs of images that go round evenly in the order of their files, matched along the lines of the one motion that all
 //! neighbours share: in the dark a pair alone has too few right matches to say how it lies.
 
+use super::ties::mostly;
 use super::{Given, Grown, Job, grown};
 use crate::matching::{PairMatches, PreparedFeatures, guided_match_prepared};
 use crate::single_axis::Motion;
@@ -10,8 +11,6 @@ use crate::{Decision, SfmError, SfmResult, selection, two_view};
 use rayon::prelude::*;
 use scene::{Progress, TwoViewGeometry};
 
-/// Share of the images that must be loosely tied for the motion of all to be looked for.
-const SHARE: f64 = 0.5;
 /// Farthest that a match may be from the line that the even turn gives, pixels: cameras have motions of their own.
 const BAND_PX: f64 = 8.0;
 /// Images farther apart than this hardly show the same, radians.
@@ -67,9 +66,8 @@ pub(super) fn matched(
     job: &Job<'_>,
 ) -> Result<Option<Even>, SfmError> {
     let Job { frames, config, setup, progress, .. } = *job;
-    let count_loose = loose.iter().filter(|l| **l).count();
     let asked = !frames.is_video && config.motion.motion != Motion::Free && setup.cameras.len() == 1;
-    if !asked || (count_loose as f64) < SHARE * loose.len() as f64 {
+    if !asked || !mostly(loose) {
         return Ok(None);
     }
     let places: Vec<_> = result.features.iter().map(positions).collect();

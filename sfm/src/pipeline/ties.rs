@@ -10,6 +10,9 @@ pub(super) const STRONG_TIE: usize = 300;
 /// The features an image may have, to which that number belongs (the default; undoubled images have about a quarter).
 const FEATURES_OF_TIES: usize = 4096;
 
+/// Share of the images that must be loosely tied for other ways to match them to be looked for.
+const LOOSE_SHARE: f64 = 0.5;
+
 /// [`STRONG_TIE`] where fewer features are asked for: fewer matches hold an image then as firmly as that allows.
 pub(super) fn strong_tie(sift: &crate::sift::SiftConfig) -> usize {
     let share = if sift.doubling == crate::sift::Doubling::Never { 4 } else { 1 };
@@ -24,6 +27,11 @@ pub(super) fn weakly_tied(images: usize, geometries: &[TwoViewGeometry], strong:
         ties[g.b] += 1;
     }
     ties.into_iter().map(|n| n < TIES).collect()
+}
+
+/// Whether so many images are loosely tied that other ways to match them are looked for.
+pub(super) fn mostly(loose: &[bool]) -> bool {
+    loose.iter().filter(|l| **l).count() as f64 >= LOOSE_SHARE * loose.len() as f64
 }
 
 pub(super) fn pairs_decision(pairs: usize, images: usize, geometries: &[TwoViewGeometry]) -> Decision {
