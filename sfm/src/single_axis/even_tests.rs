@@ -1,11 +1,9 @@
 //! Rings of photos of an exact scene, most of whose matches are wrong.
 
 use super::even::{EvenTurn, held};
-use super::tests::{Turntable, video};
+use super::tests::{Filmed, Turntable};
 use super::turn::{Turn, wrapped};
-use super::video::VideoJob;
 use super::*;
-use crate::SfmConfig;
 use crate::matching::PairMatches;
 use crate::single_axis::material::Material;
 use crate::solvers::testing::unit_vector;
@@ -74,30 +72,11 @@ fn placed(table: &Turntable, turn: &EvenTurn, hold: bool) -> Option<(Vec<Option<
         of.iter().enumerate().for_each(|(k, p)| views[*p as usize].push([image as u32, k as u32]));
     }
     let tracks = Tracks { of: points, views };
-    let (frames, config, progress) = (video(n), SfmConfig::default(), Progress::silent());
-    let cameras = [Camera::centred(1, CameraModel::SimpleRadial, 640, 480, 768.0)];
-    let known = [Knowledge { fixed: false, focal_sigma: None }];
-    let camera_of = vec![0; n];
-    let job = VideoJob {
-        frames: &frames,
-        config: &config,
-        cameras: &cameras,
-        camera_of: &camera_of,
-        known: &known,
-        progress: &progress,
-    };
+    let filmed = Filmed::new(n, Camera::centred(1, CameraModel::SimpleRadial, 640, 480, 768.0), false);
     let nothing = Material::of_klt(&[], n);
-    let input = Input { keypoints: &keypoints, tracks: &tracks, ..job.input(&nothing) };
-    let job = Job {
-        input: &input,
-        cameras: &cameras,
-        known: &known,
-        starts: &cameras,
-        named: None,
-        config: &config.motion,
-        features: &[],
-        progress: &progress,
-    };
+    let video = filmed.video();
+    let input = Input { keypoints: &keypoints, tracks: &tracks, ..video.input(&nothing) };
+    let job = filmed.job(&input, &filmed.cameras);
     let intrinsics = crate::selection::before_the_choice(None);
     let (state, kept) = turn.model(&job, intrinsics).unwrap()?;
     let state = if hold { held(&state, &job, intrinsics).unwrap() } else { state };

@@ -2,10 +2,8 @@
 
 use super::evidence::{Comparison, Tried};
 use super::material::Material;
-use super::tests::{Turntable, video};
-use super::video::VideoJob;
+use super::tests::{Filmed, Turntable};
 use super::*;
-use crate::SfmConfig;
 use crate::incremental::adjust::adjust;
 use crate::solvers::testing::{normal, unit_vector};
 use glam::{DQuat, DVec3};
@@ -14,41 +12,22 @@ use scene::rng::rng;
 
 /// What is found of true poses seen with 0.2 px of noise; the model of free poses, and that of an orbit.
 fn found(table: &Turntable, seed: u64) -> (Comparison, State, Option<State>) {
-    let frames = video(table.poses.len());
-    let (config, progress) = (SfmConfig::default(), Progress::silent());
-    let cameras = [table.camera.clone()];
-    let known = [Knowledge { fixed: false, focal_sigma: None }];
-    let camera_of = vec![0; frames.len()];
-    let job = VideoJob {
-        frames: &frames,
-        config: &config,
-        cameras: &cameras,
-        camera_of: &camera_of,
-        known: &known,
-        progress: &progress,
-    };
-    let material = Material::of_klt(&table.tracks(0.2, seed), frames.len());
-    let input = job.input(&material);
+    let filmed = Filmed::new(table.poses.len(), table.camera.clone(), false);
+    let material = Material::of_klt(&table.tracks(0.2, seed), table.poses.len());
+    let video = filmed.video();
+    let input = video.input(&material);
+    let Filmed { cameras, known, .. } = &filmed;
     let mut state = State::new(&input, cameras.to_vec());
     for (image, pose) in table.poses.iter().enumerate() {
         state.register(image, *pose);
     }
     state.grow_all(&input);
-    let job = Job {
-        input: &input,
-        cameras: &cameras,
-        known: &known,
-        starts: &cameras,
-        named: None,
-        config: &config.motion,
-        features: &[],
-        progress: &progress,
-    };
+    let job = filmed.job(&input, cameras);
     let context = job.context(&[]);
     let intrinsics = Intrinsics { model: CameraModel::SimpleRadial, principal_point: false, held: None };
     let comparison = Comparison::of(None, &state, &context, intrinsics).unwrap().unwrap();
-    let (free, priors) = crate::incremental::growth::freedom(&cameras, &known, &cameras, usize::MAX);
-    adjust(&mut state, &input, &Adjustment::growing(free, priors), &progress).unwrap();
+    let (free, priors) = crate::incremental::growth::freedom(cameras, known, cameras, usize::MAX);
+    adjust(&mut state, &input, &Adjustment::growing(free, priors), &Progress::silent()).unwrap();
     let circled = orbit::adjusted(&state, &context, intrinsics, comparison.orbit_sigma).unwrap();
     (comparison, state, circled)
 }

@@ -97,31 +97,18 @@ fn ends(angles: &[Option<f64>]) -> Option<(usize, usize)> {
 #[cfg(test)]
 mod tests {
     use super::super::material::Material;
-    use super::super::tests::{Turntable, video};
+    use super::super::tests::{Filmed, Turntable};
     use super::super::turn::Turn;
-    use super::super::video::VideoJob;
     use super::*;
-    use crate::SfmConfig;
-    use crate::incremental::growth::Knowledge;
 
     /// What the seam says of a turn whose angles are all `share` of the true ones.
     fn gaps(share: f64, sense: f64) -> Vec<(f64, f64)> {
         let table = Turntable::new(72, 5.0 * sense, 3);
-        let (frames, config, progress) = (video(72), SfmConfig::default(), Progress::silent());
-        let (cameras, camera_of) = ([table.camera.clone()], vec![0; 72]);
-        let known = [Knowledge { fixed: true, focal_sigma: None }];
-        let job = VideoJob {
-            frames: &frames,
-            config: &config,
-            cameras: &cameras,
-            camera_of: &camera_of,
-            known: &known,
-            progress: &progress,
-        };
+        let filmed = Filmed::new(72, table.camera.clone(), true);
         let material = Material::of_klt(&[], 72);
         let angles = table.turn.angles.iter().map(|a| a.map(|a| a * share)).collect();
         let turn = Turn { angles, ..table.turn.clone() };
-        let model = AxisModel::new(&job.input(&material), cameras.to_vec(), turn);
+        let model = AxisModel::new(&filmed.video().input(&material), filmed.cameras.to_vec(), turn);
         let (last, next) = ends(&model.turn.angles).unwrap();
         let order = (last + 1 - SIDE..=last).chain(next..next + SIDE);
         let track = |x: &DVec3| order.clone().map(|f| Some((f, table.sees(f, *x)?))).collect();

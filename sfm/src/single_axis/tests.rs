@@ -76,7 +76,7 @@ impl Turntable {
     }
 }
 
-pub(super) fn video(frames: usize) -> FrameSet {
+fn video(frames: usize) -> FrameSet {
     let frame = |i: usize| Frame {
         name: format!("{i:03}.png"),
         width: 640,
@@ -85,6 +85,40 @@ pub(super) fn video(frames: usize) -> FrameSet {
         ..Frame::default()
     };
     FrameSet { frames: (0..frames).map(frame).collect(), is_video: true, notes: Vec::new() }
+}
+
+/// Frames of one camera and the settings that go with them: what the jobs of tests refer to.
+pub(super) struct Filmed {
+    frames: FrameSet,
+    config: SfmConfig,
+    progress: Progress,
+    pub cameras: [Camera; 1],
+    pub known: [Knowledge; 1],
+    camera_of: Vec<usize>,
+}
+
+impl Filmed {
+    /// `fixed`: the intrinsics are known.
+    pub fn new(frames: usize, camera: Camera, fixed: bool) -> Self {
+        Self {
+            frames: video(frames),
+            config: SfmConfig::default(),
+            progress: Progress::silent(),
+            cameras: [camera],
+            known: [Knowledge { fixed, focal_sigma: None }],
+            camera_of: vec![0; frames],
+        }
+    }
+
+    pub fn video(&self) -> VideoJob<'_> {
+        let Self { frames, config, progress, cameras, known, camera_of } = self;
+        VideoJob { frames, config, cameras, camera_of, known, progress }
+    }
+
+    pub fn job<'a>(&'a self, input: &'a Input<'a>, starts: &'a [Camera]) -> Job<'a> {
+        let Self { config, progress, cameras, known, .. } = self;
+        Job { input, cameras, known, starts, named: None, config: &config.motion, features: &[], progress }
+    }
 }
 
 /// Follows the whole path from tracks to the adjusted model.
@@ -102,34 +136,14 @@ pub(super) fn solve_from(
     camera: Camera,
     fixed: bool,
 ) -> Result<(AxisModel, Option<Comparison>), String> {
-    let frames = video(table.poses.len());
-    let (config, progress) = (SfmConfig::default(), Progress::silent());
-    let cameras = [camera];
-    let known = [Knowledge { fixed, focal_sigma: None }];
-    let camera_of = vec![0; frames.len()];
+    let filmed = Filmed::new(table.poses.len(), camera, fixed);
     drop_still(&mut tracks);
-    let job = VideoJob {
-        frames: &frames,
-        config: &config,
-        cameras: &cameras,
-        camera_of: &camera_of,
-        known: &known,
-        progress: &progress,
-    };
-    let material = Material::of_klt(&tracks, frames.len());
+    let job = filmed.video();
+    let material = Material::of_klt(&tracks, table.poses.len());
     let input = job.input(&material);
     let grown = job.grow(&input, &tracks).unwrap()?;
     let starts = grown.state.cameras.clone();
-    let job = Job {
-        input: &input,
-        cameras: &cameras,
-        known: &known,
-        starts: &starts,
-        named: None,
-        config: &config.motion,
-        features: &[],
-        progress: &progress,
-    };
+    let job = filmed.job(&input, &starts);
     let context = job.context(&[]);
     let solved = adjust_and_choose(&context, &job, &starts, grown.turn, ROUNDS).unwrap();
     let (model, intrinsics, _) = solved.ok_or("no model")?;
