@@ -56,7 +56,7 @@ pub(super) fn best_group() -> usize {
     if std::arch::is_x86_feature_detected!("avx512bw") && std::arch::is_x86_feature_detected!("avx512vnni") {
         return 4;
     }
-    2
+    if cfg!(target_arch = "aarch64") { 1 } else { 2 }
 }
 
 /// The two best partners above `floor`, seen from `a` and from `b`, by the fastest kernel of this machine.
@@ -75,6 +75,13 @@ pub(super) fn top_two(a: &PreparedFeatures, b: &PreparedFeatures, floor: u16) ->
             return (rows, columns);
         }
     }
+    #[cfg(target_arch = "aarch64")]
+    if b.group() == 1 {
+        let (mut rows, mut columns) = (TopTwo::new(a.len(), floor), TopTwo::new(b.len(), floor));
+        // SAFETY: every aarch64 has NEON.
+        unsafe { super::neon::sweep(a, b, &mut rows, &mut columns) };
+        return (rows, columns);
+    }
     portable_top_two(a, b, floor)
 }
 
@@ -86,7 +93,7 @@ dispatch! {
     }
 }
 
-/// [`top_two`] in plain loops, which the compiler turns into what the target's baseline offers (SSE2, NEON).
+/// [`top_two`] in plain loops, which the compiler turns into what the target's baseline offers.
 pub(super) fn portable_top_two(a: &PreparedFeatures, b: &PreparedFeatures, floor: u16) -> (TopTwo, TopTwo) {
     let (mut rows, mut columns) = (TopTwo::new(a.len(), floor), TopTwo::new(b.len(), floor));
     for j0 in (0..b.len()).step_by(256) {

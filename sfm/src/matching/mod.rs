@@ -11,6 +11,8 @@ mod avx512;
 mod config;
 mod guided;
 mod kernel;
+#[cfg(target_arch = "aarch64")]
+mod neon;
 mod prepared;
 #[cfg(test)]
 mod tests;

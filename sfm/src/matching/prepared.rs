@@ -26,7 +26,7 @@ pub struct PreparedFeatures {
     /// The same in panels of 16 descriptors: [panel × 128 / group × 16 × group], `group` consecutive components of
     /// each in turn.
     panels: Vec<Panel>,
-    /// 2 or 4: how many components the kernel multiplies and adds at once.
+    /// 1, 2 or 4: how many components the kernel multiplies and adds at once.
     group: usize,
 }
 
