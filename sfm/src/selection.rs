@@ -147,8 +147,8 @@ pub fn choose(
         let better = if simpler {
             gain > -error && trial.bic < best.bic
         } else {
-            let clear = trial.bic < best.bic - CLEAR_BIC || (gain > 2.0 * error && trial.bic < best.bic);
-            gain > 0.0 && clear && context.determined(&trial)?
+            let asked = if gain > 2.0 * error { 0.0 } else { CLEAR_BIC };
+            gain > error && trial.bic < best.bic - asked && context.determined(&trial)?
         };
         lines.push(format!(
             "{} (gain {gain:.4} ± {error:.4}){}",
