@@ -24,6 +24,7 @@ fn preset(quality: Quality) -> Vec<String> {
     let poses: &[(&str, &str)] = match quality {
         Quality::Draft => &[
             ("doubling", "never"),
+            ("keypoints", "detected"),
             ("max-features", "2048"),
             ("track-points", "600"),
             ("track-distance-px", "5"),

@@ -60,6 +60,17 @@ pub enum CameraSharing {
     Each,
 }
 
+/// Where the keypoints of the last adjustment lie.
+#[derive(clap::ValueEnum, Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum KeypointPlaces {
+    /// Where the windows about them show what one sighting of the point shows, if the model fits that more closely
+    #[default]
+    Windows,
+    /// Where they were detected
+    Detected,
+}
+
 /// Configuration of [`crate::reconstruct`].
 #[derive(clap::Args, Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(default)]
@@ -79,6 +90,9 @@ pub struct SfmConfig {
     /// Which images share intrinsics
     #[arg(long, value_enum, default_value_t = CameraSharing::Group, help_heading = "Structure from motion")]
     pub cameras: CameraSharing,
+    /// Where keypoints lie in the last adjustment of photos
+    #[arg(long, value_enum, default_value_t = KeypointPlaces::Windows, help_heading = "Structure from motion")]
+    pub keypoints: KeypointPlaces,
     /// The motion.
     #[command(flatten)]
     pub motion: MotionConfig,

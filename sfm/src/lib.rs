@@ -12,6 +12,7 @@ pub mod matching;
 pub mod pairs;
 pub mod pipeline;
 pub mod ransac;
+mod refinement;
 pub mod result;
 pub mod selection;
 pub mod sift;
@@ -23,7 +24,7 @@ pub mod turned;
 pub mod two_view;
 pub mod undistort;
 
-pub use config::{CameraModelChoice, CameraSharing, SfmConfig};
+pub use config::{CameraModelChoice, CameraSharing, KeypointPlaces, SfmConfig};
 pub use error::SfmError;
 pub use pipeline::{Supplied, reconstruct, reconstruct_features, reconstruct_from};
 pub use result::{Decision, PoseDeviation, SfmResult, SfmStats, StepTime, Uncertainty};

@@ -6,7 +6,9 @@ mod clock;
 mod densify;
 mod evenly;
 mod export;
+mod given;
 mod setup;
+mod sharper;
 mod ties;
 mod turn;
 
@@ -14,19 +16,14 @@ use crate::incremental::depths;
 use crate::incremental::finish::{converge, decide, noise_of, polish, uncertainty};
 use crate::incremental::state::{Input, State};
 use crate::single_axis::{self, Free, Motion, Turned, VideoJob, VideoModel, consider, even, solve_video};
-use crate::tracks::{Tracks, build_tracks, positions};
-use crate::{
-    Decision, SfmConfig, SfmError, SfmResult, Uncertainty, incremental, mapper, pairs, sift, two_view,
-};
+use crate::tracks::{build_tracks, positions};
+use crate::{Decision, SfmConfig, SfmError, SfmResult, Uncertainty, incremental, pairs, sift, two_view};
 use attempts::{on_a_ring, unfold, with_a_second_look};
 use clock::Clock;
-use evenly::Even;
-use scene::{Camera, Features, FrameSet, Progress, TwoViewGeometry};
+use given::{Given, Grown, grown, spreads};
+use scene::{Features, FrameSet, Progress, TwoViewGeometry};
 use setup::Setup;
 use ties::{pairs_decision, strong_tie, weakly_tied, why_no_model};
-
-/// Power of a keypoint's scale with which its standard deviation grows.
-const SPREAD_BY_SCALE: f32 = 1.0;
 
 /// Camera poses, intrinsics and a sparse cloud from images alone.
 ///
@@ -179,8 +176,15 @@ fn from_features(
     result.decisions.push(pairs_decision(matched, frames.len(), &result.geometries));
     let mut lap = |step: &str| clock.lap(step, &mut result.stats.steps);
     let spreads = result.features.iter().map(spreads).collect();
-    let given =
-        Given { config, setup, is_video: frames.is_video, features: &result.features, spreads, even: along };
+    let given = Given {
+        images: job.more_features.then_some(frames),
+        config,
+        setup,
+        is_video: frames.is_video,
+        features: &result.features,
+        spreads,
+        even: along,
+    };
     let model = solve(&given, &mut result.geometries, &mut lap, progress)?;
     match model {
         Some(model) => export::fill(result, frames, model, progress)?,
@@ -256,83 +260,6 @@ pub(crate) struct Solved {
     uncertainty: Option<Uncertainty>,
 }
 
-/// Standard deviations of an image's keypoints, 1 for the finest: blurred structure is found less exactly (Zeisl et al.,
-/// "Estimation of Location Uncertainty for Scale Invariant Feature Points", BMVC 2009).
-fn spreads(features: &Features) -> Vec<f32> {
-    features.keypoints.iter().map(|k| k.scale.max(1.0).powf(SPREAD_BY_SCALE)).collect()
-}
-
-/// What is known before the first pose.
-struct Given<'a> {
-    config: &'a SfmConfig,
-    setup: &'a Setup,
-    is_video: bool,
-    features: &'a [Features],
-    spreads: Vec<Vec<f32>>,
-    /// The motion from each image to the next, where they go round evenly.
-    even: Option<Even>,
-}
-
-impl<'a> Given<'a> {
-    fn input(
-        &'a self,
-        keypoints: &'a [Vec<glam::DVec2>],
-        tracks: &'a Tracks,
-        geometries: &'a [TwoViewGeometry],
-    ) -> Input<'a> {
-        Input {
-            keypoints,
-            spreads: &self.spreads,
-            tracks,
-            camera_of: &self.setup.camera_of,
-            geometries,
-            config: &self.config.mapper,
-            may_be_turned: !self.is_video,
-            seed: self.config.seed,
-        }
-    }
-
-    fn job<'b>(
-        &'b self,
-        input: &'b Input<'b>,
-        starts: &'b [Camera],
-        progress: &'b Progress,
-    ) -> single_axis::Job<'b> {
-        single_axis::Job {
-            input,
-            cameras: &self.setup.cameras,
-            known: &self.setup.known,
-            starts,
-            named: self.config.camera_model.model(),
-            config: &self.config.motion,
-            features: &[],
-            progress,
-        }
-    }
-}
-
-/// A model that has grown, with what it has grown from and which mapper made it, where there was a choice.
-struct Grown {
-    state: State,
-    tracks: Tracks,
-    mapper: Option<Decision>,
-    /// It began with all images in their places on a ring, and is held by that.
-    ringed: bool,
-}
-
-fn grown(
-    given: &Given<'_>,
-    keypoints: &[Vec<glam::DVec2>],
-    geometries: &[TwoViewGeometry],
-    progress: &Progress,
-) -> Result<Option<Grown>, SfmError> {
-    let tracks = build_tracks(given.features, geometries);
-    let (cameras, known) = (&given.setup.cameras, &given.setup.known);
-    let (state, mapper) =
-        mapper::map(&given.input(keypoints, &tracks, geometries), cameras, known, progress)?;
-    Ok(state.map(|state| Grown { state, tracks, mapper, ringed: false }))
-}
-
 /// `lap` is told the name of each step when it is done; pairs that were found on the way are added to `geometries`.
 fn solve(
     given: &Given<'_>,
@@ -386,25 +313,34 @@ fn solve(
         polish(&mut state, &input, &setup.known, &starts, &verdict, progress)?;
     }
     lap("final adjustment");
+    let settle = |mut state: State, input: &Input<'_>| -> Result<State, SfmError> {
+        if ringed {
+            return even::held(&state, &given.job(input, &starts, progress), verdict.intrinsics);
+        }
+        converge(&mut state, input, &setup.known, &starts, verdict.intrinsics, progress)?;
+        Ok(state)
+    };
     let denser = densify::along_the_model(given, &input, &state, noise_of(&state, &input), progress)?;
     if let Some((geometries, tracks)) = &denser {
         (input.geometries, input.tracks) = (geometries, tracks);
-        state = densify::regrown(&state, &input);
-        if ringed {
-            state = even::held(&state, &given.job(&input, &starts, progress), verdict.intrinsics)?;
-        } else {
-            converge(&mut state, &input, &setup.known, &starts, verdict.intrinsics, progress)?;
-        }
+        state = settle(densify::regrown(&state, &input), &input)?;
+    }
+    lap("denser tracks");
+    let (sharper, decision) = sharper::tried(given, (&state, &input), &turned, settle, progress)?;
+    decisions.extend(decision);
+    if let Some((refined, model)) = &sharper {
+        state.clone_from(model);
+        (input.keypoints, input.spreads) = (&refined.keypoints, &refined.spreads);
     }
     depths::drop_lonely(&mut state, &input);
-    lap("denser tracks");
+    lap("keypoints");
     // Images that were turned on their way get cameras of their own in the end: no turn before one camera.
     let free = Free { state: &state, intrinsics: verdict.intrinsics };
     let motion = consider(&given.job(&input, &starts, progress), Some(&free), !turned.contains(&true))?;
     lap("motion");
     if let Some(t) = motion.taken {
         decisions.extend(motion.decision);
-        let mut solved = of_turn(setup, t, None, keypoints.clone());
+        let mut solved = of_turn(setup, t, None, input.keypoints.to_vec());
         solved.decisions.splice(0..0, decisions);
         return Ok(Some(solved));
     }
@@ -413,6 +349,7 @@ fn solve(
     let uncertainty = uncertainty(&state, &input, &setup.known, &starts, verdict.intrinsics)?;
     lap("covariance");
     decisions.extend(verdict.decisions);
+    let keypoints = turn::keypoints(&input, &setup.cameras, &turned);
     let mut solved = Solved { state, camera_of: setup.camera_of.clone(), keypoints, decisions, uncertainty };
     turn::back(&mut solved, &turned);
     Ok(Some(solved))

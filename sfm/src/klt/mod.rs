@@ -2,8 +2,8 @@
 //! start (forward-backward check: Kalal, Mikolajczyk & Matas, ICPR 2010).
 
 mod corners;
-mod pyramid;
-mod reference;
+pub(crate) mod pyramid;
+pub(crate) mod reference;
 mod register;
 #[cfg(test)]
 mod tests;

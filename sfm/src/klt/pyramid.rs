@@ -5,7 +5,7 @@ use scene::FloatImage;
 
 /// One level.
 #[derive(Clone, Debug, Default)]
-pub(super) struct Level {
+pub(crate) struct Level {
     pub width: usize,
     pub height: usize,
     /// [height × width].
@@ -92,7 +92,7 @@ impl Level {
 impl Level {
     /// [`Level::window`] of [`SIDE`] pixels in padded rows.
     #[inline(always)]
-    pub fn padded_window(&self, x: f32, y: f32, out: &mut Window) -> bool {
+    pub(super) fn padded_window(&self, x: f32, y: f32, out: &mut Window) -> bool {
         let (left, top) = (x - HALF as f32 - 0.5, y - HALF as f32 - 0.5);
         if !(left >= 0.0 && top >= 0.0) {
             return false;
@@ -122,7 +122,7 @@ impl Level {
 
 /// An image at full size and halved again and again.
 #[derive(Clone, Debug, Default)]
-pub(super) struct Pyramid {
+pub(crate) struct Pyramid {
     pub levels: Vec<Level>,
 }
 

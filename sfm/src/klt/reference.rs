@@ -3,10 +3,11 @@
 //! Baker & Matthews, IJCV 2004).
 
 use super::pyramid::Level;
-use super::window::{EMPTY, HALF, SIDE, WIDE, Window, centre, dot};
+use super::window::{COUNT, EMPTY, HALF, SIDE, WIDE, Window, centre, dot};
 use crate::sift::dispatch;
 use crate::solvers::linalg::solve_spd;
 use glam::{DMat2, DVec2};
+use std::sync::LazyLock;
 
 /// Most steps.
 const STEPS: usize = 15;
@@ -17,20 +18,43 @@ const FARTHEST: f64 = 2.0;
 /// A window that is stretched or squeezed by more shows too little of the same.
 const STRETCH: (f64, f64) = (0.55, 1.8);
 
+/// Side of a window with the ring that gradients need.
+const OUTER: usize = SIDE + 2;
+/// Standard deviation of the weights of a window of which the middle counts most, pixels.
+const MIDDLE: f32 = 2.5;
+/// Those weights: far from the middle windows see other surfaces from another side.
+static WEIGHTS: LazyLock<Window> = LazyLock::new(|| {
+    let weight = |j: usize, i: usize| {
+        let (x, y) = (i as f32 - HALF as f32, j as f32 - HALF as f32);
+        if i < SIDE { (-0.5 * (x * x + y * y) / (MIDDLE * MIDDLE)).exp() } else { 0.0 }
+    };
+    std::array::from_fn(|j| std::array::from_fn(|i| weight(j, i)))
+});
+
+/// The pixels of a window and of the ring about it.
+pub(crate) type Patch = [f32; OUTER * OUTER];
+
+/// The patch about a pixel; `None` near the border.
+pub(crate) fn patch(level: &Level, p: DVec2) -> Option<Patch> {
+    let mut patch = [0.0; OUTER * OUTER];
+    level.window(p.x as f32, p.y as f32, OUTER, &mut patch).then_some(patch)
+}
+
 /// A window with its gradients and what the normal equations need of it.
 #[derive(Clone, Debug)]
-pub(super) struct Reference {
+pub(crate) struct Reference {
     /// Without their mean.
     values: Window,
-    /// Derivatives by shear and stretch (4) and shift (2), without their means.
+    /// Derivatives by shear and stretch (4) and shift (2), without their means, times the pixels' weights.
     slopes: Box<[Window; 6]>,
+    /// `Σ w s sᵀ` over the pixels.
     normal: [[f64; 6]; 6],
     power: f32,
 }
 
 /// How the window lies in the newest image: shear and stretch, and place.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Warp {
+pub(crate) struct Warp {
     pub shape: DMat2,
     pub place: DVec2,
 }
@@ -38,17 +62,21 @@ pub(super) struct Warp {
 impl Reference {
     /// The window about a pixel; `None` near the border and where nothing is to be seen.
     pub fn new(level: &Level, p: DVec2) -> Option<Self> {
-        let outer = SIDE + 2;
-        let mut patch = vec![0.0; outer * outer];
-        if !level.window(p.x as f32, p.y as f32, outer, &mut patch) {
-            return None;
-        }
+        Self::of(&patch(level, p)?, None)
+    }
+
+    /// The window of a patch, of which the middle counts most; `None` where nothing is to be seen.
+    pub fn central(patch: &Patch) -> Option<Self> {
+        Self::of(patch, Some(&WEIGHTS))
+    }
+
+    fn of(patch: &Patch, weights: Option<&Window>) -> Option<Self> {
         let (mut values, mut slopes) = (EMPTY, Box::new([EMPTY; 6]));
         for j in 0..SIDE {
             for i in 0..SIDE {
-                let at = (j + 1) * outer + i + 1;
+                let at = (j + 1) * OUTER + i + 1;
                 let gx = 0.5 * (patch[at + 1] - patch[at - 1]);
-                let gy = 0.5 * (patch[at + outer] - patch[at - outer]);
+                let gy = 0.5 * (patch[at + OUTER] - patch[at - OUTER]);
                 let (wx, wy) = (i as f32 - HALF as f32, j as f32 - HALF as f32);
                 values[j][i] = patch[at];
                 for (slope, s) in slopes.iter_mut().zip([gx * wx, gx * wy, gy * wx, gy * wy, gx, gy]) {
@@ -58,10 +86,17 @@ impl Reference {
         }
         centre(&mut values);
         slopes.iter_mut().for_each(centre);
+        let bare = slopes.clone();
+        if let Some(weights) = weights {
+            let weigh = |slope: &mut Window| {
+                slope.iter_mut().flatten().zip(weights.iter().flatten()).for_each(|(s, w)| *s *= w);
+            };
+            slopes.iter_mut().for_each(weigh);
+        }
         let mut normal = [[0.0; 6]; 6];
         for (a, row) in normal.iter_mut().enumerate() {
             for (b, cell) in row.iter_mut().enumerate() {
-                *cell = f64::from(dot(&slopes[a], &slopes[b]));
+                *cell = f64::from(dot(&slopes[a], &bare[b]));
             }
             row[a] *= 1.0 + 1e-4; // directions that the window does not show stay
         }
@@ -72,6 +107,17 @@ impl Reference {
             normal,
             power,
         })
+    }
+
+    /// Standard deviation of a place where the windows have this correlation, pixels: what is left over, `2 (1 − c) Σ v² / n`
+    /// a pixel, times the inverse of the normal equations.
+    pub fn deviation(&self, correlation: f64) -> f64 {
+        let variance = |k: usize| {
+            let unit = std::array::from_fn(|i| if i == k { 1.0 } else { 0.0 });
+            solve_spd(&self.normal, &unit).map_or(f64::INFINITY, |column: [f64; 6]| column[k])
+        };
+        let left = 2.0 * (1.0 - correlation).max(0.0) * f64::from(self.power / COUNT);
+        (left * 0.5 * (variance(4) + variance(5))).sqrt()
     }
 
     /// The window's place and shape in an image, found near `start`, and the correlation there.

@@ -9,7 +9,7 @@ pub(super) const SIDE: usize = 2 * HALF + 1;
 /// Numbers in a row.
 pub(super) const WIDE: usize = 16;
 /// Samples of the window.
-const COUNT: f32 = (SIDE * SIDE) as f32;
+pub(super) const COUNT: f32 = (SIDE * SIDE) as f32;
 
 /// Rows of a window; what lies beyond [`SIDE`] is 0.
 pub(super) type Window = [[f32; WIDE]; SIDE];

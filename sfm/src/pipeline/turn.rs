@@ -13,15 +13,20 @@ pub(super) fn inputs(
     turned: &[bool],
 ) -> (Vec<Vec<DVec2>>, Vec<TwoViewGeometry>) {
     let camera = |image: usize| &cameras[input.camera_of[image]];
-    let mut keypoints = input.keypoints.to_vec();
-    for (image, points) in keypoints.iter_mut().enumerate().filter(|(i, _)| turned[*i]) {
-        points.iter_mut().for_each(|p| *p = turn_pixel(camera(image), *p));
-    }
     let mut geometries = input.geometries.to_vec();
     for g in geometries.iter_mut().filter(|g| turned[g.a] || turned[g.b]) {
         turn_geometry(g, [camera(g.a), camera(g.b)], [turned[g.a], turned[g.b]]);
     }
-    (keypoints, geometries)
+    (keypoints(input, cameras, turned), geometries)
+}
+
+/// Keypoints with those of turned images turned.
+pub(super) fn keypoints(input: &Input<'_>, cameras: &[Camera], turned: &[bool]) -> Vec<Vec<DVec2>> {
+    let mut keypoints = input.keypoints.to_vec();
+    for (image, points) in keypoints.iter_mut().enumerate().filter(|(i, _)| turned[*i]) {
+        points.iter_mut().for_each(|p| *p = turn_pixel(&cameras[input.camera_of[image]], *p));
+    }
+    keypoints
 }
 
 /// Turns the poses of the turned images.
