@@ -96,6 +96,14 @@ pub struct PipelineArgs {
     /// Write OUT/database.db too: features, matches and verified pairs, on which COLMAP's mappers run
     #[arg(long, help_heading = "Structure from motion")]
     pub colmap_database: bool,
+    /// Take the camera of an earlier run (its folder: within its standard deviations) or of a COLMAP model (as it is)
+    #[arg(
+        long,
+        value_name = "FOLDER",
+        conflicts_with = "intrinsics",
+        help_heading = "Structure from motion"
+    )]
+    pub camera_from: Option<PathBuf>,
     /// Choice of frames.
     #[command(flatten)]
     pub frames: preprocess::FrameConfig,

@@ -1,6 +1,7 @@
 //! sat-recon, wired together: the stages of `preprocess`, `sfm` and `splat` as one resumable pipeline.
 
 pub mod bench;
+mod calibration;
 pub mod cli;
 pub mod compare;
 pub mod config;

@@ -50,7 +50,7 @@ pub struct Pipeline {
 impl Pipeline {
     /// Looks at the input and opens the output folder.
     pub fn new(
-        args: PipelineArgs,
+        mut args: PipelineArgs,
         recorded: Option<Recorded>,
         verbosity: Verbosity,
         json: bool,
@@ -59,6 +59,9 @@ impl Pipeline {
         let out = args.output.clone().unwrap_or_else(|| default_output(&args.input));
         if out.is_file() {
             bail!("{} is a file; name a folder with -o", out.display());
+        }
+        if let Some(folder) = &args.camera_from {
+            args.sfm.calibration = Some(crate::calibration::read(folder)?);
         }
         let stages = Stages::open(&out)?;
         if let Some(recorded) = recorded {

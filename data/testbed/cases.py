@@ -47,7 +47,7 @@ class Shot:
 
     name: str
     room: str  # a function of rooms.py
-    path: str  # orbit | yaw
+    path: str  # orbit | yaw | hand
     frames: int
     lens: Lens
     distance_m: float  # camera to axis
@@ -96,6 +96,9 @@ SHOTS = {
              back_samples=5, back_density=0.8),
         Shot("yaw", "green_screen", "yaw", 216, VIDEO_LENS, 1.524, 0.20, shutter=0.12, shake=0.0, layers="static",
              samples=20, density=1.05, back_samples=16, back_density=0.3, clean_samples=64),
+        # The phones of the other shots in a lit room: what calibrates them.
+        Shot("hand_stills", "lit_room", "hand", 32, STILL_LENS, 1.6, 0.45, samples=8, bounces=1, clamp=3.0, density=1.0),
+        Shot("hand_video", "lit_room", "hand", 32, VIDEO_LENS, 1.6, 0.45, samples=8, bounces=1, clamp=3.0, density=1.0),
     )
 }
 
@@ -107,6 +110,8 @@ CASES = {
         Case("case2", "orbit", 1.0, 1.0, 1.0, 6000, 3.0),
         Case("case3", "yaw", 0.1, 0.6, 2.0, 1500, 4.0, video_fps=6.0, crf=23),
         Case("case4", "yaw", 1.0, 0.6, 1.0, 6000, 3.0, video_fps=6.0),
+        Case("calibration_stills", "hand_stills", 1.0, 1.0, 1.0, 12000, 3.0),
+        Case("calibration_video", "hand_video", 1.0, 1.0, 1.0, 12000, 3.0),
     )
 }
 
@@ -149,8 +154,10 @@ def look_at(centre, target, roll):
 
 def camera_from_world(shot, i):
     """Camera pose in the room; the satellite's axis is the room's z axis. (R, t)"""
-    j, n = (i, shot.frames) if shot.path == "orbit" else (0, 1)
+    j, n = (0, 1) if shot.path == "yaw" else (i, shot.frames)
     azimuth = 2 * math.pi * j / n
+    if shot.path == "hand":
+        return by_hand(shot, i)
     hand = [shot.shake * sway(j, n, seed) for seed in range(6)]
     azimuth += math.radians(0.35) * hand[0]
     radius = shot.distance_m * (1 + 0.006 * hand[1])
@@ -159,6 +166,21 @@ def camera_from_world(shot, i):
     centre = np.array([flat * math.sin(azimuth), -flat * math.cos(azimuth), height])
     aim = np.array([0.015 * hand[3], 0.0, 0.015 * hand[4]]) + [0.0, 0.0, -0.02]
     R = look_at(centre, aim, math.radians(0.9 * hand[5] + 0.7))
+    return R, -R @ centre
+
+
+def by_hand(shot, i):
+    """Two walks most of the way round, the second with the phone higher and on its side. (R, t)"""
+    half = shot.frames // 2
+    second, j = divmod(i, half)
+    hand = [shot.shake * sway(i, shot.frames, seed) for seed in range(6)]
+    azimuth = 2 * math.pi * 0.85 * j / half
+    height = shot.height_m + 0.5 * second + 0.08 * hand[0]
+    radius = shot.distance_m * (1 + 0.06 * hand[1])
+    flat = math.sqrt(radius**2 - height**2)
+    centre = np.array([flat * math.sin(azimuth), -flat * math.cos(azimuth), height])
+    aim = 0.05 * np.array([hand[2], hand[3], hand[4]])
+    R = look_at(centre, aim, math.pi / 2 * second + 0.06 * hand[5])
     return R, -R @ centre
 
 

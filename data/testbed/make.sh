@@ -1,6 +1,7 @@
 #!/usr/bin/env bash
 # Renders the simulated captures and their truth.
-#   bash data/testbed/make.sh FOLDER [CASE...]       cases: demo case1 case2 case3 case4 (all)
+#   bash data/testbed/make.sh FOLDER [CASE...]       cases: demo case1 case2 case3 case4
+#   calibration_stills calibration_video (all)
 #   OBJECT=model.glb ... films a glTF model in the mock-up's place (into another FOLDER)
 #   EVERY=K ... renders and films only every K-th frame of the shot, at a K-th of the rate
 #   BLUE=1 ... exchanges green and blue in the light that reaches the sensor: a blue screen, another mock-up
@@ -11,7 +12,7 @@ set -euo pipefail
 here=$(cd "$(dirname "$0")" && pwd)
 out=${1:?usage: make.sh FOLDER [CASE...]}
 shift
-[ $# -gt 0 ] || set -- demo case1 case2 case3 case4
+[ $# -gt 0 ] || set -- demo case1 case2 case3 case4 calibration_stills calibration_video
 python=/usr/bin/python3
 every=${EVERY:-1}
 

@@ -1,6 +1,5 @@
 //! What a user can say about structure from motion, declared once: flag, default, file key and report row.
 
-use crate::SfmError;
 use crate::incremental::MapperConfig;
 use crate::klt::KltConfig;
 use crate::matching::MatchConfig;
@@ -8,7 +7,8 @@ use crate::pairs::PairConfig;
 use crate::sift::SiftConfig;
 use crate::single_axis::MotionConfig;
 use crate::two_view::TwoViewConfig;
-use scene::CameraModel;
+use crate::{Calibration, SfmError};
+use scene::{Camera, CameraModel};
 use serde::{Deserialize, Serialize};
 
 /// The camera model to solve for.
@@ -87,6 +87,18 @@ pub struct SfmConfig {
     /// Known intrinsics, kept as they are: `f,cx,cy`, `fx,fy,cx,cy`, or all parameters of --camera-model
     #[arg(long, value_delimiter = ',', value_name = "PARAMS", help_heading = "Structure from motion")]
     pub intrinsics: Option<Vec<f64>>,
+    /// Standard deviations of --intrinsics, one a number (0: exact); the last adjustments take them for priors
+    #[arg(
+        long,
+        value_delimiter = ',',
+        value_name = "SIGMAS",
+        requires = "intrinsics",
+        help_heading = "Structure from motion"
+    )]
+    pub intrinsics_sigma: Option<Vec<f64>>,
+    /// The camera as calibrated before (set from the program's `--camera-from`).
+    #[arg(skip)]
+    pub calibration: Option<Calibration>,
     /// Which images share intrinsics
     #[arg(long, value_enum, default_value_t = CameraSharing::Group, help_heading = "Structure from motion")]
     pub cameras: CameraSharing,
@@ -117,6 +129,23 @@ pub struct SfmConfig {
 }
 
 impl SfmConfig {
+    /// What is known of a camera whose images have this size: an earlier calibration, or what `--intrinsics` and
+    /// `--intrinsics-sigma` say.
+    pub fn calibrated(&self, width: u32, height: u32) -> Result<Option<Calibration>, SfmError> {
+        if let Some(known) = &self.calibration {
+            let (of_width, of_height) = (known.camera.width, known.camera.height);
+            let other = || SfmError::OtherShape { width, height, of_width, of_height };
+            return known.scaled(width, height).map(Some).ok_or_else(other);
+        }
+        let Some((model, params)) = self.known_intrinsics()? else { return Ok(None) };
+        let sigmas = self.intrinsics_sigma.clone().unwrap_or_else(|| vec![0.0; params.len()]);
+        if sigmas.len() != params.len() || !sigmas.iter().all(|s| s.is_finite() && *s >= 0.0) {
+            return Err(SfmError::BadSigmas { given: sigmas.len(), wanted: params.len() });
+        }
+        let camera = Camera { model, params, ..Camera::centred(1, model, width, height, 1.0) };
+        Ok(Some(Calibration { camera, sigmas }))
+    }
+
     /// The model and parameters that `--intrinsics` means; an error where their number fits no model.
     pub fn known_intrinsics(&self) -> Result<Option<(CameraModel, Vec<f64>)>, SfmError> {
         let Some(params) = &self.intrinsics else { return Ok(None) };

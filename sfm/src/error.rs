@@ -59,6 +59,30 @@ pub enum SfmError {
         /// The model they were meant for.
         model: String,
     },
+    /// Standard deviations that cannot be those of the intrinsics.
+    #[error(
+        "--intrinsics-sigma has {given} numbers; give {wanted}, one for each of --intrinsics, none negative"
+    )]
+    BadSigmas {
+        /// How many numbers were given.
+        given: usize,
+        /// How many intrinsics there are.
+        wanted: usize,
+    },
+    /// A calibration of images of another shape.
+    #[error(
+        "the camera of --camera-from took images of {of_width}x{of_height} pixels, these have {width}x{height}: film both in the same format"
+    )]
+    OtherShape {
+        /// Size of these images.
+        width: u32,
+        /// Size of these images.
+        height: u32,
+        /// Size of the images of the calibration.
+        of_width: u32,
+        /// Size of the images of the calibration.
+        of_height: u32,
+    },
     /// A flag's number cannot be meant.
     #[error("{flag} {value} is not a positive number")]
     BadNumber {

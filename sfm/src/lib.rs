@@ -7,6 +7,7 @@ pub mod error;
 mod global;
 pub mod incremental;
 pub mod klt;
+pub mod knowledge;
 pub mod mapper;
 pub mod matching;
 pub mod pairs;
@@ -26,6 +27,7 @@ pub mod undistort;
 
 pub use config::{CameraModelChoice, CameraSharing, KeypointPlaces, SfmConfig};
 pub use error::SfmError;
+pub use knowledge::{Calibration, Knowledge};
 pub use pipeline::{Supplied, reconstruct, reconstruct_features, reconstruct_from};
 pub use result::{Decision, PoseDeviation, SfmResult, SfmStats, StepTime, Uncertainty};
 pub use undistort::undistort;

@@ -1,8 +1,8 @@
 //! Which mapper's model is taken: the incremental one's, the global one's, or the one that the sightings bear out.
 
+use crate::Knowledge;
 use crate::global;
 use crate::incremental::bridge::agreement;
-use crate::incremental::growth::Knowledge;
 use crate::incremental::state::{Input, State};
 use crate::{Decision, SfmError, incremental};
 use scene::{Camera, Progress};

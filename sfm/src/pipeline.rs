@@ -8,6 +8,7 @@ mod evenly;
 mod export;
 mod given;
 mod setup;
+mod sharing;
 mod sharper;
 mod ties;
 mod turn;
@@ -294,6 +295,17 @@ fn solve(
         state = whole;
         decisions.push(decision);
     }
+    let (shared, decision) =
+        sharing::joined(given, &given.input(&keypoints, &tracks, geometries), &state, progress)?;
+    decisions.extend(decision);
+    let joined = shared.map(|(setup, joined)| {
+        state = joined;
+        setup
+    });
+    let with_fewer = joined.as_ref().map(|setup| given.with(setup));
+    let given = with_fewer.as_ref().unwrap_or(given);
+    let setup = given.setup;
+    lap("cameras");
     let mut input = given.input(&keypoints, &tracks, geometries);
     let starts = incremental::starts_of(&setup.cameras, &setup.known, &state);
     let named = config.camera_model.model();

@@ -4,8 +4,10 @@
 //! it predicts (paired by image), while BIC (Schwarz 1978) on the robust cost over the measured noise says whether the
 //! parameters pay for themselves. Both must agree, and the normal equations must determine what was freed.
 
+pub(crate) mod sharing;
+
 use crate::bundle::{BundleObservation, BundleProblem, IntrinsicsPrior, Loss, SolveOptions, free_parameters};
-use crate::{Decision, SfmError};
+use crate::{Decision, Knowledge, SfmError};
 use scene::{Camera, CameraModel, Progress};
 
 /// Standard deviation of a principal point from the image centre, in longer image sides (lenses and crops of real
@@ -116,11 +118,11 @@ pub fn before_the_choice(named: Option<CameraModel>) -> Intrinsics {
     Intrinsics { model, principal_point: false, held: None }
 }
 
-/// Chooses for all cameras of `problem` that are not `fixed`. `named`: the user's model, which stays. `principal_point`: that
+/// Chooses for all cameras of `problem` that are not known. `named`: the user's model, which stays. `principal_point`: that
 /// it is free already. `sigma`: noise of the sightings, pixels. The problem's points and poses are those of a finished adjustment; nothing in it is changed.
 pub fn choose(
     problem: &BundleProblem,
-    fixed: &[bool],
+    known: &[Knowledge],
     named: Option<CameraModel>,
     principal_point: bool,
     sigma: f64,
@@ -132,12 +134,16 @@ pub fn choose(
         chosen: start.describe(),
         evidence: "too few sightings to choose by".to_owned(),
     };
+    if known.iter().all(|k| k.fixed) {
+        decision.chosen = known_as(problem, known);
+        decision.evidence = "known beforehand".to_owned();
+    }
     let (training, held_out) = split(problem);
-    if problem.poses.len() < 3 || held_out.len() < 100 || fixed.iter().all(|&f| f) {
+    if problem.poses.len() < 3 || held_out.len() < 100 || known.iter().all(|k| k.fixed) {
         let problem = problem.clone();
         return Ok(Choice { intrinsics: start, bic: f64::NAN, by_pose: Vec::new(), decision, problem });
     }
-    let context = Context { training, held_out, sigma, fixed, progress };
+    let context = Context { training, held_out, sigma, known, progress };
     let mut best = context.trial(problem, start)?;
     let mut lines = vec![best.line()];
     let mut consider = |intrinsics: Intrinsics, best: &mut Trial| -> Result<bool, SfmError> {
@@ -147,8 +153,7 @@ pub fn choose(
         let better = if simpler {
             gain > -error && trial.bic < best.bic
         } else {
-            let asked = if gain > 2.0 * error { 0.0 } else { CLEAR_BIC };
-            gain > error && trial.bic < best.bic - asked && context.determined(&trial)?
+            clearly_better((gain, error), trial.bic, best.bic) && context.determined(&trial)?
         };
         lines.push(format!(
             "{} (gain {gain:.4} ± {error:.4}){}",
@@ -196,7 +201,7 @@ pub fn choose(
 pub fn choose_turned(
     untouched: &Choice,
     ways: &[BundleProblem],
-    fixed: &[bool],
+    known: &[Knowledge],
     named: Option<CameraModel>,
     sigma: f64,
     progress: &Progress,
@@ -205,7 +210,7 @@ pub fn choose_turned(
     let mut least: Option<(usize, Trial)> = None;
     for (way, problem) in ways.iter().enumerate() {
         let (training, held_out) = split(problem);
-        let trial = Context { training, held_out, sigma, fixed, progress }.trial(problem, free)?;
+        let trial = Context { training, held_out, sigma, known, progress }.trial(problem, free)?;
         if least.as_ref().is_none_or(|(_, t)| trial.bic < t.bic) {
             least = Some((way, trial));
         }
@@ -216,7 +221,7 @@ pub fn choose_turned(
         BundleProblem { poses: trial.problem.poses, points: trial.problem.points, ..ways[way].clone() };
     let cameras = trial.problem.cameras.iter().zip(&start.cameras).map(|(c, old)| converted(c, old.model));
     let start = BundleProblem { cameras: cameras.collect(), ..start };
-    let choice = choose(&start, fixed, named, true, sigma, progress)?;
+    let choice = choose(&start, known, named, true, sigma, progress)?;
     let bits = 2.0 * std::f64::consts::LN_2 * ways[way].poses.len() as f64;
     let (gain, error) = gain(&untouched.by_pose, &choice.by_pose);
     let evidence = format!(
@@ -229,6 +234,19 @@ pub fn choose_turned(
     Ok((better.then_some((way, choice)), evidence))
 }
 
+/// Whether a gain (with its standard error) and BIC both speak for more parameters: either the gain is clear, or BIC is.
+fn clearly_better((gain, error): (f64, f64), bic: f64, before: f64) -> bool {
+    let asked = if gain > 2.0 * error { 0.0 } else { CLEAR_BIC };
+    gain > error && bic < before - asked
+}
+
+/// What is said of cameras that are all known.
+pub(crate) fn known_as(problem: &BundleProblem, known: &[Knowledge]) -> String {
+    let model = problem.cameras.first().map_or("no camera", |c| c.model.name());
+    let near = known.iter().any(|k| k.calibration.is_some());
+    format!("{model}, {}", if near { "as calibrated, within its standard deviations" } else { "as given" })
+}
+
 fn parameters(intrinsics: Intrinsics) -> usize {
     intrinsics.model.num_params() - if intrinsics.principal_point { 0 } else { 2 }
 }
@@ -237,7 +255,7 @@ struct Context<'a> {
     training: Vec<BundleObservation>,
     held_out: Vec<BundleObservation>,
     sigma: f64,
-    fixed: &'a [bool],
+    known: &'a [Knowledge],
     progress: &'a Progress,
 }
 
@@ -246,10 +264,10 @@ impl Context<'_> {
         let mut problem = from.clone();
         problem.observations.clone_from(&self.training);
         problem.observations.iter_mut().for_each(|o| o.sigma_px *= self.sigma);
-        apply(&mut problem, intrinsics, self.fixed);
+        apply(&mut problem, intrinsics, self.known);
         let summary = problem.solve(&options(), self.progress)?;
         let n = problem.observations.len() as f64;
-        let cameras = self.fixed.iter().filter(|&&f| !f).count();
+        let cameras = self.known.iter().filter(|k| !k.fixed).count();
         // `final_rms² n` is twice the robust cost, which stands for −2 log likelihood.
         let bic = summary.final_rms.powi(2) * n + (parameters(intrinsics) * cameras) as f64 * (2.0 * n).ln();
         let errors: Vec<(u32, f64)> = self
@@ -271,8 +289,8 @@ impl Context<'_> {
     /// Whether the normal equations pin down what was freed.
     fn determined(&self, trial: &Trial) -> Result<bool, SfmError> {
         let Some(covariance) = trial.problem.covariance(&options())? else { return Ok(false) };
-        let free = trial.problem.cameras.iter().zip(&covariance.cameras).zip(self.fixed);
-        Ok(free.filter(|(_, fixed)| !**fixed).all(|((camera, c), _)| {
+        let free = trial.problem.cameras.iter().zip(&covariance.cameras).zip(self.known);
+        Ok(free.filter(|(_, known)| !known.fixed).all(|((camera, c), _)| {
             let n = camera.params.len();
             let deviation = |i: usize| c[i * n + i].max(0.0).sqrt();
             let focals = camera.model.num_focals();
@@ -307,13 +325,15 @@ impl Trial {
     }
 }
 
-/// Gives every camera that is not fixed the chosen model, freedom and priors.
-pub fn apply(problem: &mut BundleProblem, intrinsics: Intrinsics, fixed: &[bool]) {
+/// Gives every camera the chosen model, freedom and priors; those that are known, what is known of them.
+pub fn apply(problem: &mut BundleProblem, intrinsics: Intrinsics, known: &[Knowledge]) {
     let old: Vec<Camera> = problem.cameras.clone();
     let mut priors = Vec::new();
     for (i, camera) in problem.cameras.iter_mut().enumerate() {
-        if fixed[i] {
-            problem.camera_free[i] = vec![false; camera.params.len()];
+        if known[i].fixed {
+            let (free, own) = known[i].freedom(i, camera.params.len());
+            problem.camera_free[i] = free;
+            priors.extend(own);
             continue;
         }
         *camera = converted(&old[i], intrinsics.model);

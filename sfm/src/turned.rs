@@ -6,9 +6,9 @@
 
 mod windows;
 
-use crate::SfmError;
 use crate::bundle::{BundleObservation, BundleProblem, IntrinsicsPrior, Loss, SolveOptions};
 use crate::selection::{noise_in_units, principal_point_priors};
+use crate::{Knowledge, SfmError};
 use glam::{DMat3, DQuat, DVec2, DVec3};
 use scene::{Camera, CameraModel, Pose, Progress, TwoViewGeometry};
 
@@ -98,14 +98,14 @@ pub fn turn_problem(problem: &BundleProblem, turned: &[bool]) -> BundleProblem {
 /// `JOINT_IMAGES` are asked in windows, for one assignment at most.
 pub fn suspects(
     problem: &BundleProblem,
-    fixed: &[bool],
+    known: &[Knowledge],
     progress: &Progress,
 ) -> Result<Vec<Vec<bool>>, SfmError> {
     let mut found: Vec<Vec<bool>> = Vec::new();
-    for (camera, held) in fixed.iter().enumerate() {
+    for (camera, known) in known.iter().enumerate() {
         let of_camera = |&p: &usize| problem.pose_camera[p] as usize == camera;
         let poses: Vec<usize> = (0..problem.poses.len()).filter(of_camera).collect();
-        if *held || poses.len() < FEWEST_IMAGES {
+        if known.fixed || poses.len() < FEWEST_IMAGES {
             continue;
         }
         let splits: Vec<Vec<bool>> = if poses.len() > JOINT_IMAGES {

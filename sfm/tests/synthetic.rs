@@ -268,3 +268,40 @@ fn keypoints_that_are_nowhere_and_images_without_any_do_no_harm() {
     );
     assert!(too_few.is_err());
 }
+
+/// Poses of a ring whose images are of two groups, the second's focal length by `factor` another.
+fn two_groups(factor: f64) -> SfmResult {
+    let mut scene = ring(16);
+    let camera = default_camera(CameraModel::SimplePinhole, 640, 480);
+    let second = |i: usize| i % 2 == 1;
+    for (_, features) in scene.features.iter_mut().enumerate().filter(|(i, _)| second(*i)) {
+        let centre = camera.principal_point();
+        for k in &mut features.keypoints {
+            let p = centre + factor * (k.position() - centre);
+            (k.x, k.y) = (p.x as f32, p.y as f32);
+        }
+    }
+    let names = scene.truth.images.values().map(|i| i.name.clone());
+    let mut frames = frames_of(names, 640, 480);
+    for (i, frame) in frames.frames.iter_mut().enumerate() {
+        frame.camera_group = u32::from(second(i));
+    }
+    reconstruct_features(&frames, scene.features, &SfmConfig::default(), &Progress::silent()).unwrap()
+}
+
+#[test]
+fn groups_of_images_share_a_camera_unless_the_evidence_tells_them_apart() {
+    let cameras = |result: &SfmResult| {
+        let decision = result.decisions.iter().find(|d| d.what == "cameras").expect("a decision").clone();
+        let model = result.reconstruction.as_ref().expect(&result.reason);
+        let focals: Vec<f64> = model.cameras.values().map(Camera::mean_focal).collect();
+        assert_eq!(model.images.len(), 16);
+        (decision, focals)
+    };
+    let (decision, focals) = cameras(&two_groups(1.0));
+    assert_eq!(focals.len(), 1, "{decision:?}");
+    assert_eq!(decision.chosen, "1 for 2 groups of images");
+    let (decision, focals) = cameras(&two_groups(1.15));
+    assert_eq!(decision.chosen, "2 for 2 groups of images", "{decision:?}");
+    assert!((focals[1] / focals[0] - 1.15).abs() < 0.01, "{focals:?}");
+}

@@ -4,13 +4,13 @@
 pub(crate) mod positions;
 pub(crate) mod rotations;
 
-use crate::SfmError;
 use crate::bundle::Loss;
 use crate::incremental::adjust::{Adjustment, adjust};
-use crate::incremental::growth::{Knowledge, freedom, grow, settle};
+use crate::incremental::growth::{freedom, grow, settle};
 use crate::incremental::initial::relative_pose;
 use crate::incremental::state::{Input, State};
 use crate::incremental::{expel, starts_of};
+use crate::{Knowledge, SfmError};
 use glam::DQuat;
 use rayon::prelude::*;
 use rotations::Edge;

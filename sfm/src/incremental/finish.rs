@@ -1,12 +1,12 @@
 //! The last adjustments: the camera model by evidence, all points, covariances.
 
 use super::adjust::{Adjustment, Selected, select, take};
-use super::growth::{Knowledge, freedom};
+use super::growth::freedom;
 use super::state::{Input, State};
 use crate::bundle::{BundleProblem, Loss, SolveOptions};
 use crate::selection::{Choice, Intrinsics, apply, choose, choose_turned, noise_in_units, redundancy};
 use crate::turned::{asked_together, suspects, turn_problem};
-use crate::{Decision, PoseDeviation, SfmError, Uncertainty};
+use crate::{Decision, Knowledge, PoseDeviation, SfmError, Uncertainty};
 use scene::{Camera, CameraModel, Progress};
 
 /// Sightings that the choice of the camera model is based on, and the first round of the last adjustment.
@@ -43,8 +43,8 @@ pub(crate) fn decide(
     let mut what = Adjustment::growing(free, priors);
     what.points_per_image = Some(part_of(state, SIGHTINGS));
     let Selected { problem, images, points } = select(state, input, &what);
-    let (fixed, sigma) = (fixed(known), noise_in_units(&problem));
-    let choice = choose(&problem, &fixed, named, false, sigma, progress)?;
+    let sigma = noise_in_units(&problem);
+    let choice = choose(&problem, known, named, false, sigma, progress)?;
     let verdict = |choice: Choice, turned, mut decisions: Vec<Decision>| {
         decisions.push(choice.decision);
         let adjusted = Selected { problem: choice.problem, images: images.clone(), points: points.clone() };
@@ -55,12 +55,12 @@ pub(crate) fn decide(
     }
     let together = asked_together(state.registered()).max(1);
     let more = Adjustment { points_per_image: Some((SIGHTINGS_TURNED / together).clamp(50, 1000)), ..what };
-    let suspects = suspects(&select(state, input, &more).problem, &fixed, progress)?;
+    let suspects = suspects(&select(state, input, &more).problem, known, progress)?;
     if suspects.is_empty() {
         return Ok(verdict(choice, None, Vec::new()));
     }
     let ways: Vec<_> = suspects.iter().map(|s| turn_problem(&problem, s)).collect();
-    let (better, evidence) = choose_turned(&choice, &ways, &fixed, named, sigma, progress)?;
+    let (better, evidence) = choose_turned(&choice, &ways, known, named, sigma, progress)?;
     let count = |way: usize| suspects[way].iter().filter(|t| **t).count();
     let mut decision = Decision {
         what: "images turned by half a turn".to_owned(),
@@ -78,10 +78,6 @@ pub(crate) fn decide(
 /// Points an image contributes where a part of them is enough.
 fn part_of(state: &State, sightings: usize) -> usize {
     (sightings / state.registered().max(1)).clamp(50, 1000)
-}
-
-fn fixed(known: &[Knowledge]) -> Vec<bool> {
-    known.iter().map(|k| k.fixed).collect()
 }
 
 /// Takes over the adjusted part, then triangulates, adjusts to convergence and filters with the chosen intrinsics.
@@ -145,7 +141,7 @@ fn prepare(
 ) -> (Selected, SolveOptions) {
     let (free, priors) = freedom(&state.cameras, known, starts, usize::MAX);
     let mut selected = select(state, input, &Adjustment::growing(free, priors));
-    apply(&mut selected.problem, intrinsics, &fixed(known));
+    apply(&mut selected.problem, intrinsics, known);
     let sigma = noise_in_units(&selected.problem);
     selected.problem.observations.iter_mut().for_each(|o| o.sigma_px *= sigma);
     let most = (LAST_EFFORT / selected.problem.observations.len().max(1)).clamp(6, 30);

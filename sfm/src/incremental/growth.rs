@@ -4,9 +4,9 @@ use super::adjust::{Adjustment, adjust, plausible};
 use super::bridge::bridge;
 use super::resection::{Resection, next_images, resect};
 use super::state::{Input, State};
-use crate::SfmError;
 use crate::bundle::{IntrinsicsPrior, free_parameters};
 use crate::tracks::NONE;
+use crate::{Knowledge, SfmError};
 use scene::{Camera, Progress};
 
 /// Images from which on distortion is solved for while the model grows.
@@ -19,15 +19,6 @@ const IMAGES_FOR_LOCAL: usize = 60;
 const LOCAL_IMAGES: usize = 8;
 /// Points an image contributes to an adjustment while the model grows.
 const POINTS_PER_IMAGE: usize = 60;
-
-/// What is known of a camera.
-#[derive(Clone, Debug)]
-pub(crate) struct Knowledge {
-    /// Nothing is to be solved for.
-    pub fixed: bool,
-    /// Standard deviation of the focal length known beforehand, as a share of it.
-    pub focal_sigma: Option<f64>,
-}
 
 /// Which intrinsics are free with `images` images in the model, and what holds them.
 pub(crate) fn freedom(

@@ -1,12 +1,12 @@
 //! Two models of parts of a scene become one where they share points (and so, images): the similarity between them is
 //! found robustly from points of the same tracks and checked in the images of both.
 
-use super::growth::{Knowledge, grow, settle};
+use super::growth::{grow, settle};
 use super::state::{Input, State};
 use super::{expel, starts_of};
-use crate::SfmError;
 use crate::ransac::{Estimator, RansacConfig, ransac};
 use crate::triangulation::View;
+use crate::{Knowledge, SfmError};
 use glam::DVec3;
 use scene::sim3::{Sim3, umeyama};
 use scene::{Camera, Progress};
@@ -211,7 +211,7 @@ mod tests {
         let found = similarity(&base, &other, &known.input()).expect("they share points");
         let there_and_back = found.compose(&elsewhere());
         assert!((there_and_back.scale - 1.0).abs() < 0.01, "{there_and_back:?}");
-        let knowledge = [Knowledge { fixed: true, focal_sigma: None }];
+        let knowledge = [Knowledge::exact()];
         let cameras = known.cameras();
         let whole = join(&base, &other, &known.input(), (&cameras, &knowledge), &Progress::silent());
         let whole = whole.unwrap().expect("a larger model");
@@ -237,7 +237,7 @@ mod tests {
             }
         }
         let cameras = known.cameras();
-        let knowledge = [Knowledge { fixed: true, focal_sigma: None }];
+        let knowledge = [Knowledge::exact()];
         assert!(similarity(&base, &other, &known.input()).is_none());
         let same = join(&base, &base, &known.input(), (&cameras, &knowledge), &Progress::silent());
         assert!(same.unwrap().is_none());

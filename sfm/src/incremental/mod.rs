@@ -11,10 +11,10 @@ pub(crate) mod merge;
 pub(crate) mod resection;
 pub(crate) mod state;
 
-use crate::SfmError;
 use crate::mapper::MapperChoice;
+use crate::{Knowledge, SfmError};
 use adjust::plausible;
-use growth::{Knowledge, grow, settle};
+use growth::{grow, settle};
 use initial::{rank_pairs, start};
 use resection::FOCAL_FACTORS;
 use scene::{Camera, Progress, TwoViewGeometry};

@@ -30,6 +30,14 @@ pub(super) struct Given<'a> {
 }
 
 impl<'a> Given<'a> {
+    /// The same with other cameras, for a model that has grown.
+    pub fn with<'b>(&self, setup: &'b Setup) -> Given<'b>
+    where
+        'a: 'b,
+    {
+        Given { setup, spreads: self.spreads.clone(), even: None, ..*self }
+    }
+
     pub fn input(
         &'a self,
         keypoints: &'a [Vec<glam::DVec2>],

@@ -1,7 +1,6 @@
 //! Which cameras there are and what is known of them before anything is solved.
 
-use crate::incremental::growth::Knowledge;
-use crate::{CameraSharing, SfmConfig, SfmError};
+use crate::{Calibration, CameraSharing, Knowledge, SfmConfig, SfmError};
 use scene::{Camera, CameraModel, FrameSet};
 use std::collections::BTreeMap;
 
@@ -22,7 +21,6 @@ pub(crate) struct Setup {
 
 impl Setup {
     pub fn new(frames: &FrameSet, config: &SfmConfig) -> Result<Self, SfmError> {
-        let given = config.known_intrinsics()?;
         // Until the evidence has spoken, one focal length and one radial term.
         let model = config.camera_model.model().unwrap_or(CameraModel::SimpleRadial);
         let mut setup = Self { cameras: Vec::new(), known: Vec::new(), camera_of: Vec::new() };
@@ -43,12 +41,15 @@ impl Setup {
             let prior = frame.focal_prior_px.filter(|f| f.is_finite() && *f > 0.0);
             let id = next as u32 + 1;
             let mut camera = Camera::centred(id, model, frame.width, frame.height, prior.unwrap_or(guess));
-            if let Some((model, params)) = &given {
-                (camera.model, camera.params) = (*model, params.clone());
+            let given = config.calibrated(frame.width, frame.height)?;
+            if let Some(Calibration { camera: known, .. }) = &given {
+                (camera.model, camera.params) = (known.model, known.params.clone());
             }
             camera.has_prior_focal = given.is_some() || prior.is_some();
             let focal_sigma = prior.map(|_| EXIF_SIGMA);
-            setup.known.push(Knowledge { fixed: given.is_some(), focal_sigma });
+            let fixed = given.is_some();
+            let calibration = given.filter(|c| c.sigmas.iter().any(|s| *s > 0.0));
+            setup.known.push(Knowledge { fixed, focal_sigma, calibration });
             setup.cameras.push(camera);
         }
         Ok(setup)
@@ -97,5 +98,13 @@ mod tests {
         let given = SfmConfig { intrinsics: Some(vec![500.0, 300.0, 200.0]), ..SfmConfig::default() };
         let setup = Setup::new(&frames(), &given).unwrap();
         assert!(setup.known[0].fixed && setup.cameras[0].params == [500.0, 300.0, 200.0]);
+        assert!(setup.known[0].calibration.is_none());
+        let near = SfmConfig { intrinsics_sigma: Some(vec![1.0, 0.0, 2.0]), ..given };
+        let setup = Setup::new(&frames(), &near).unwrap();
+        assert!(
+            setup.known[0].fixed && setup.known[0].calibration.as_ref().unwrap().sigmas == [1.0, 0.0, 2.0]
+        );
+        let wrong = SfmConfig { intrinsics_sigma: Some(vec![1.0, 2.0]), ..near };
+        assert!(matches!(Setup::new(&frames(), &wrong), Err(SfmError::BadSigmas { given: 2, .. })));
     }
 }

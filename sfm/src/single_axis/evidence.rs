@@ -192,17 +192,16 @@ fn problems(
     let mut what = Adjustment::growing(free, priors);
     what.points_per_image = Some((SIGHTINGS / common.registered().max(1)).clamp(50, 1000));
     let Selected { mut problem, images, .. } = select(&common, context.input, &what);
-    let fixed: Vec<bool> = context.known.iter().map(|k| k.fixed).collect();
     let turn = single.map(|single| {
         let mut turning = problem.clone();
         turning.cameras.clone_from(&single.state.cameras);
-        apply(&mut turning, intrinsics, &fixed);
+        apply(&mut turning, intrinsics, context.known);
         let angles = images.iter().map(|&i| single.turn.angles[i].unwrap_or(0.0)).collect();
         let mut turn = TurnProblem::new(turning, single.turn.axis, angles);
         retriangulate(&mut turn.bundle);
         turn
     });
-    apply(&mut problem, intrinsics, &fixed);
+    apply(&mut problem, intrinsics, context.known);
     (turn, problem)
 }
 

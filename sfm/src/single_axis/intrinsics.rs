@@ -8,8 +8,9 @@
 //! distortion is free with it, for it must not stand for a wrong centre.
 
 use super::problem::TurnProblem;
+use crate::Knowledge;
 use crate::bundle::{Loss, SolveOptions};
-use crate::selection::{Intrinsics, PRINCIPAL_POINT_SIGMA, apply};
+use crate::selection::{Intrinsics, PRINCIPAL_POINT_SIGMA, apply, known_as};
 use crate::{Decision, SfmError};
 use glam::DVec3;
 use scene::{CameraModel, Progress};
@@ -24,7 +25,7 @@ const LEAN: f64 = 0.5;
 /// their standard deviations.
 pub(crate) fn choose_for_turn(
     problem: &TurnProblem,
-    fixed: &[bool],
+    known: &[Knowledge],
     named: Option<CameraModel>,
     progress: &Progress,
 ) -> Result<(Intrinsics, Decision), SfmError> {
@@ -32,9 +33,13 @@ pub(crate) fn choose_for_turn(
     let chosen = Intrinsics { model, principal_point: false, held: None };
     let mut decision =
         Decision { what: "camera model".to_owned(), chosen: chosen.describe(), ..Decision::default() };
-    let trial = Trials { fixed, progress };
-    let Some(mut best) = trial.of(problem, chosen)?.filter(|_| !fixed[0]) else {
-        decision.evidence = "known, or not determined".to_owned();
+    let trial = Trials { known, progress };
+    let Some(mut best) = trial.of(problem, chosen)?.filter(|_| !known[0].fixed) else {
+        let fixed = known[0].fixed;
+        decision.evidence = if fixed { "known beforehand" } else { "not determined" }.to_owned();
+        if fixed {
+            decision.chosen = known_as(&problem.bundle, known);
+        }
         return Ok((chosen, decision));
     };
     let mut notes = Vec::new();
@@ -83,7 +88,7 @@ pub(crate) fn choose_for_turn(
 }
 
 struct Trials<'a> {
-    fixed: &'a [bool],
+    known: &'a [Knowledge],
     progress: &'a Progress,
 }
 
@@ -114,7 +119,7 @@ impl Trials<'_> {
     /// Adjusts from a solution with other intrinsics.
     fn of(&self, start: &TurnProblem, intrinsics: Intrinsics) -> Result<Option<Tried>, SfmError> {
         let mut trial = start.clone();
-        apply(&mut trial.bundle, intrinsics, self.fixed);
+        apply(&mut trial.bundle, intrinsics, self.known);
         let options = SolveOptions {
             loss: Loss::Cauchy(2.0),
             max_iterations: 30,

@@ -33,9 +33,9 @@ mod whiten;
 pub use config::{Motion, MotionConfig};
 pub(crate) use video::{VideoJob, VideoModel, solve_video};
 
+use crate::Knowledge;
 use crate::incremental::adjust::Adjustment;
 use crate::incremental::finish::noise_of;
-use crate::incremental::growth::Knowledge;
 use crate::incremental::state::{Input, State};
 use crate::selection::{Intrinsics, converted};
 use crate::{Decision, PoseDeviation, SfmError, Uncertainty};
@@ -278,8 +278,7 @@ pub(crate) fn adjust_and_choose(
     let what = Adjustment { points_per_image: Some(points), ..Adjustment::growing(free, priors) };
     let (mut problem, selected) = model.problem(context, &what);
     model.weigh(context, &mut problem.bundle, &selected);
-    let fixed: Vec<bool> = context.known.iter().map(|k| k.fixed).collect();
-    let (intrinsics, decision) = choose_for_turn(&problem, &fixed, job.named, context.progress)?;
+    let (intrinsics, decision) = choose_for_turn(&problem, context.known, job.named, context.progress)?;
     model.polish(context, intrinsics, rounds)?;
     Ok(Some((model, intrinsics, decision)))
 }

@@ -3,12 +3,12 @@
 use super::jumps::not_jumping;
 use super::problem::{Relation, TurnCovariance, TurnProblem};
 use super::turn::{Turn, median};
-use crate::SfmError;
 use crate::bundle::{BundleProblem, Loss, SolveOptions};
 use crate::incremental::adjust::{Adjustment, Selected, plausible, select, take};
-use crate::incremental::growth::{Knowledge, freedom};
+use crate::incremental::growth::freedom;
 use crate::incremental::state::{Input, State};
 use crate::selection::{Intrinsics, apply, error_sq, noise};
+use crate::{Knowledge, SfmError};
 use scene::{Camera, Progress};
 
 /// Points an image contributes while the model settles.
@@ -141,8 +141,7 @@ impl AxisModel {
         let (free, priors) = freedom(&self.state.cameras, context.known, context.starts, usize::MAX);
         let what = Adjustment { points_per_image, ..Adjustment::growing(free, priors) };
         let (mut problem, selected) = self.problem(context, &what);
-        let fixed: Vec<bool> = context.known.iter().map(|k| k.fixed).collect();
-        apply(&mut problem.bundle, intrinsics, &fixed);
+        apply(&mut problem.bundle, intrinsics, context.known);
         self.weigh(context, &mut problem.bundle, &selected);
         let most = (EFFORT / problem.bundle.observations.len().max(1)).clamp(3, 20);
         let options = SolveOptions {

@@ -105,7 +105,7 @@ impl Filmed {
             config: SfmConfig::default(),
             progress: Progress::silent(),
             cameras: [camera],
-            known: [Knowledge { fixed, focal_sigma: None }],
+            known: [Knowledge { fixed, ..Knowledge::default() }],
             camera_of: vec![0; frames],
         }
     }

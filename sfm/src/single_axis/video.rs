@@ -9,7 +9,7 @@ use super::seed::{KEYS, KeyPair, Seed, explained, seeds, steady};
 use super::smoothness::{known_rate, learnt};
 use super::turn::{Turn, median, wrapped};
 use super::{Job, Motion, ROUNDS, ROUNDS_BEFORE, Turned, adjust_and_choose, decision, finish};
-use crate::incremental::growth::Knowledge;
+use crate::Knowledge;
 use crate::incremental::resection::FOCAL_FACTORS;
 use crate::incremental::state::Input;
 use crate::klt::{KltTrack, track};

@@ -1,4 +1,5 @@
 use super::*;
+use crate::Knowledge;
 use crate::bundle::free_parameters;
 use crate::solvers::essential_from_pose;
 use rand::Rng as _;
@@ -124,9 +125,9 @@ fn images_that_were_turned_are_found_whatever_their_order() {
         let truth: Vec<bool> = (0..n).map(|i| (i * 7 + seed as usize).is_multiple_of(3)).collect();
         let offset = DVec2::new(6.0, 18.0);
         let problem = adjusted_ring(n, seed, |i| if truth[i] { -offset } else { offset });
-        let found = suspects(&problem, &[false], &Progress::silent()).unwrap();
+        let found = suspects(&problem, &[Knowledge::default()], &Progress::silent()).unwrap();
         assert_eq!(found.first(), Some(&truth), "seed {seed}");
-        let known = suspects(&problem, &[true], &Progress::silent()).unwrap();
+        let known = suspects(&problem, &[Knowledge::exact()], &Progress::silent()).unwrap();
         assert!(known.is_empty(), "what is known is not doubted");
     }
 }
@@ -135,13 +136,19 @@ fn images_that_were_turned_are_found_whatever_their_order() {
 fn one_principal_point_or_a_different_one_for_every_image_is_not_taken_for_turned_images() {
     for seed in 0..5 {
         let shared = adjusted_ring(16, seed, |_| DVec2::new(8.0, -15.0));
-        assert!(suspects(&shared, &[false], &Progress::silent()).unwrap().is_empty(), "seed {seed}");
+        assert!(
+            suspects(&shared, &[Knowledge::default()], &Progress::silent()).unwrap().is_empty(),
+            "seed {seed}"
+        );
         let each = |i: usize| {
             let mut random = rng(seed, "stabiliser", i as u64);
             DVec2::new(random.random_range(-12.0..12.0), random.random_range(-12.0..12.0))
         };
         let stabilised = adjusted_ring(16, seed, each);
-        assert!(suspects(&stabilised, &[false], &Progress::silent()).unwrap().is_empty(), "seed {seed}");
+        assert!(
+            suspects(&stabilised, &[Knowledge::default()], &Progress::silent()).unwrap().is_empty(),
+            "seed {seed}"
+        );
     }
 }
 
@@ -152,10 +159,10 @@ fn many_images_are_asked_in_windows_that_agree_with_each_other() {
     let truth: Vec<bool> = (0..n).map(|i| (i * 7).is_multiple_of(3) || (40..60).contains(&i)).collect();
     let offset = DVec2::new(6.0, 18.0);
     let turned = adjusted_views((n, 400), 1, ahead, |i| if truth[i] { -offset } else { offset });
-    let found = suspects(&turned, &[false], &Progress::silent()).unwrap();
+    let found = suspects(&turned, &[Knowledge::default()], &Progress::silent()).unwrap();
     assert_eq!(found, [truth]);
     let none = adjusted_views((n, 400), 2, ahead, |_| offset);
-    assert!(suspects(&none, &[false], &Progress::silent()).unwrap().is_empty());
+    assert!(suspects(&none, &[Knowledge::default()], &Progress::silent()).unwrap().is_empty());
     // Where every image sees the same, the windows get on all the same.
     let same = adjusted_views((n, 40), 3, |_, _| true, |_| offset);
     let all: Vec<usize> = (0..n).collect();
