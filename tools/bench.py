@@ -167,6 +167,17 @@ def bench_colmap(binary, name, images, truth, folder, masks=None, database=None)
     return best.get("model")
 
 
+def calibrated(binary, out, kind):
+    """Flags that give the camera as photos taken with it by hand calibrate it; none where they are not rendered."""
+    images = os.path.join(RENDERED, f"calibration_{kind}", "images")
+    folder = os.path.join(out, f"calibration_{kind}")
+    if not os.path.isdir(images):
+        return []
+    shutil.rmtree(folder, ignore_errors=True)
+    subprocess.run([binary, "sfm", images, "-o", folder, "-q"], check=True)
+    return ["--camera-from", folder]
+
+
 def turn_row(name, tool, model, truth, total, cpu):
     """One line of the table of turns; `model`: a folder, or None where there is none."""
     try:
@@ -192,7 +203,10 @@ def bench_turns(binary, shared, out, only, tools):
         video, folder = os.path.join(case, "video.mp4"), os.path.join(out, "turns", os.path.basename(case))
         shutil.rmtree(folder, ignore_errors=True)
         known = ["--camera-model", "RADIAL", "--intrinsics", true_intrinsics(case)]
-        for tool, flags in (("sat-recon", []), ("sat-recon, intrinsics known", known)):
+        by_photos = calibrated(binary, out, "video")
+        for tool, flags in (("sat-recon", []), ("sat-recon, intrinsics known", known), ("sat-recon, camera from 32 photos", by_photos)):
+            if tool != "sat-recon" and not flags:
+                continue
             _, _, cpu, _ = measured([binary, "sfm", video, "-o", os.path.join(folder, tool), "-q", *flags])
             frames = [os.path.splitext(f)[0] for f in sorted(os.listdir(os.path.join(folder, tool, "images")))]
             turn_row(name, tool, os.path.join(folder, tool), truth, frames, cpu)
@@ -216,7 +230,10 @@ def bench_orbits(binary, out, only, colmap):
             continue
         images, truth = os.path.join(case, "images"), os.path.join(case, "sparse")
         known = ["--camera-model", "RADIAL", "--intrinsics", true_intrinsics(case)]
-        for what, flags in (("", []), (", intrinsics known", known)):
+        by_photos = calibrated(binary, out, "stills")
+        for what, flags in (("", []), (", intrinsics known", known), (", camera from 32 photos", by_photos)):
+            if what and not flags:
+                continue
             folder = os.path.join(out, "orbits", name + what)
             shutil.rmtree(folder, ignore_errors=True)
             code, wall, cpu, peak = measured([binary, "sfm", images, "-o", folder, "-q", *flags])
