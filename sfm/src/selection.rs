@@ -237,7 +237,7 @@ pub fn choose_turned(
 /// Whether a gain (with its standard error) and BIC both speak for more parameters: either the gain is clear, or BIC is.
 fn clearly_better((gain, error): (f64, f64), bic: f64, before: f64) -> bool {
     let asked = if gain > 2.0 * error { 0.0 } else { CLEAR_BIC };
-    gain > error && bic < before - asked
+    gain > 0.0 && bic < before - asked
 }
 
 /// What is said of cameras that are all known.
