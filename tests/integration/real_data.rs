@@ -24,9 +24,20 @@ fn temple_ring_is_one_model_with_accurate_poses() {
     let errors = errors(&poses("temple", &images, &[], 0), &truth);
     assert_eq!(errors["registered"], 47, "{errors}");
     // Sixteen of the photos were turned by half a turn: without finding that out AUC@1 is 20.
-    assert!(errors["auc"]["1"].as_f64().unwrap() >= 75.0, "{errors}");
-    assert!(errors["auc"]["5"].as_f64().unwrap() >= 95.0, "{errors}");
+    // With keypoints as detected it is 81, and the rotations' median 0.155°.
+    assert!(errors["auc"]["1"].as_f64().unwrap() >= 82.0, "{errors}");
+    assert!(errors["auc"]["5"].as_f64().unwrap() >= 96.0, "{errors}");
+    assert!(errors["rotation_median_deg"].as_f64().unwrap() <= 0.15, "{errors}");
     assert!(errors["centre_median_pct"].as_f64().unwrap() <= 0.05, "{errors}");
+}
+
+#[test]
+fn the_principal_point_of_fox_is_found_as_in_its_reference() {
+    let (Some(images), Some(truth)) = (shared("fox/images"), shared("fox/transforms.json")) else { return };
+    let errors = errors(&poses("fox", &images, &[], 0), &truth);
+    assert_eq!(errors["registered"], 50, "{errors}");
+    // Held at the image centre AUC@1 is 45.
+    assert!(errors["auc"]["1"].as_f64().unwrap() >= 75.0, "{errors}");
 }
 
 #[test]

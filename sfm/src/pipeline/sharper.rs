@@ -7,6 +7,9 @@ use crate::tracks::NONE;
 use crate::{Decision, KeypointPlaces, SfmError};
 use scene::Progress;
 
+/// Share of the moved sightings that the adjusted model must keep.
+const KEPT: f64 = 0.8;
+
 /// Moved keypoints and the model adjusted to them, if it fits them more closely than the model before fitted those that were
 /// detected. `settle` adjusts a model. The decision says what was found; there is none where no image may be read.
 pub(super) fn tried(
@@ -26,8 +29,8 @@ pub(super) fn tried(
     let sharper = settle(sharper, &moved_input)?;
     let sightings = state.live().map(|(_, p)| p.views.len()).sum::<usize>();
     let of = |model: &State, input: &Input<'_>| median_error(model, input, &refined.moved);
-    let (before, after) = (of(state, input), of(&sharper, &moved_input));
-    let taken = after < before;
+    let ((had, before), (kept, after)) = (of(state, input), of(&sharper, &moved_input));
+    let taken = after < before && kept as f64 >= KEPT * had as f64;
     let decision = Decision {
         what: "keypoints".to_owned(),
         chosen: if taken { "moved to where their windows fit" } else { "as detected" }.to_owned(),
@@ -39,8 +42,8 @@ pub(super) fn tried(
     Ok((taken.then_some((refined, sharper)), Some(decision)))
 }
 
-/// Median reprojection error of those of `sightings` that a model has, pixels; infinite where it has none.
-fn median_error(state: &State, input: &Input<'_>, sightings: &[[u32; 2]]) -> f64 {
+/// How many of `sightings` a model has, and their median reprojection error, pixels; infinite where it has none.
+fn median_error(state: &State, input: &Input<'_>, sightings: &[[u32; 2]]) -> (usize, f64) {
     let error = |view: &[u32; 2]| {
         let point = state.point_of[view[0] as usize][view[1] as usize];
         let point = if point == NONE { None } else { state.points[point as usize].as_ref() };
@@ -48,8 +51,9 @@ fn median_error(state: &State, input: &Input<'_>, sightings: &[[u32; 2]]) -> f64
     };
     let mut errors: Vec<f64> = sightings.iter().filter_map(error).collect();
     if errors.is_empty() {
-        return f64::INFINITY;
+        return (0, f64::INFINITY);
     }
     let middle = errors.len() / 2;
-    errors.select_nth_unstable_by(middle, f64::total_cmp).1.sqrt()
+    let median = errors.select_nth_unstable_by(middle, f64::total_cmp).1.sqrt();
+    (errors.len(), median)
 }
