@@ -23,9 +23,10 @@ const BARE_GLOBALS: [&str; 5] = ["-v", "--verbose", "-q", "--quiet", "--json"];
 fn preset(quality: Quality) -> Vec<String> {
     let poses: &[(&str, &str)] = match quality {
         Quality::Draft => &[
-            ("doubling", "never"),
+            // Small images without their finest structure do not tell that photos were turned.
+            ("doubling-limit-mp", "0.5"),
             ("keypoints", "detected"),
-            ("max-features", "2048"),
+            ("max-features", "1024"),
             ("track-points", "600"),
             ("track-distance-px", "5"),
         ],
