@@ -28,7 +28,8 @@ use ties::{pairs_decision, strong_tie, weakly_tied, why_no_model};
 
 /// Camera poses, intrinsics and a sparse cloud from images alone.
 ///
-/// Features, pairs, matches, verification, incremental mapping, guided re-matching and the final adjustment.
+/// Features, pairs, matches, verification, incremental mapping, guided re-matching, the final adjustment, and that again with
+/// keypoints where windows fit.
 /// "No model" is a value: `reconstruction` is `None` and `reason` says why. Same seed, same result, for any number
 /// of threads.
 pub fn reconstruct(
