@@ -1,5 +1,6 @@
 //! `--camera-from`: what an earlier run, or a model of COLMAP's, knows of its camera.
 
+use crate::pipeline::Deviations;
 use anyhow::{Context, Result, bail};
 use scene::Camera;
 use serde::Deserialize;
@@ -21,11 +22,6 @@ struct Run {
 #[derive(Deserialize)]
 struct Poses {
     deviations: Option<Deviations>,
-}
-
-#[derive(Deserialize)]
-struct Deviations {
-    cameras: BTreeMap<u32, Vec<f64>>,
 }
 
 /// The camera that took most of the images: of a run's folder with its standard deviations, of a COLMAP model exactly.

@@ -154,10 +154,10 @@ def look_at(centre, target, roll):
 
 def camera_from_world(shot, i):
     """Camera pose in the room; the satellite's axis is the room's z axis. (R, t)"""
-    j, n = (0, 1) if shot.path == "yaw" else (i, shot.frames)
-    azimuth = 2 * math.pi * j / n
     if shot.path == "hand":
         return by_hand(shot, i)
+    j, n = (i, shot.frames) if shot.path == "orbit" else (0, 1)
+    azimuth = 2 * math.pi * j / n
     hand = [shot.shake * sway(j, n, seed) for seed in range(6)]
     azimuth += math.radians(0.35) * hand[0]
     radius = shot.distance_m * (1 + 0.006 * hand[1])

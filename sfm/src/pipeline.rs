@@ -341,8 +341,9 @@ fn solve(
     lap("denser tracks");
     let (sharper, decision) = sharper::tried(given, (&state, &input), &turned, settle, progress)?;
     decisions.extend(decision);
-    if let Some((refined, model)) = &sharper {
-        state.clone_from(model);
+    let (refined, model) = sharper.unzip();
+    state = model.unwrap_or(state);
+    if let Some(refined) = &refined {
         (input.keypoints, input.spreads) = (&refined.keypoints, &refined.spreads);
     }
     depths::drop_lonely(&mut state, &input);

@@ -9,10 +9,11 @@ use crate::SfmError;
 use crate::incremental::state::{Input, MapPoint, State};
 use crate::klt::pyramid::{Level, Pyramid};
 use crate::klt::reference::{Patch, Reference, Warp, patch};
+use crate::sift::load_luma;
+use crate::single_axis::turn::median;
 use glam::{DMat2, DVec2, DVec3};
 use rayon::prelude::*;
-use scene::io::load::load_rgb;
-use scene::{Camera, FloatImage, Frame, FrameSet, Pose, Progress};
+use scene::{Camera, Frame, FrameSet, Pose, Progress};
 
 /// Scale of a keypoint up to which its window is looked at in the image's own size; each halving doubles it.
 const SCALE: f64 = 4.0;
@@ -118,16 +119,7 @@ fn most_seen(state: &State) -> Vec<&MapPoint> {
 
 /// Smoothed grey levels, the way up that the solver sees the image.
 fn load(frame: &Frame, turned: bool) -> Result<Pyramid, SfmError> {
-    let unreadable =
-        |e: &dyn ToString| SfmError::UnreadableImage { path: frame.path.clone(), reason: e.to_string() };
-    let image = load_rgb(&frame.path).map_err(|e| unreadable(&e))?;
-    let (found_width, found_height) = image.dimensions();
-    let (width, height) = (frame.width, frame.height);
-    if (found_width, found_height) != (width, height) {
-        let path = frame.path.clone();
-        return Err(SfmError::SizeMismatch { path, found_width, found_height, width, height });
-    }
-    let mut grey = FloatImage::luma(&image);
+    let mut grey = load_luma(frame)?;
     if turned {
         grey.data.reverse();
     }
@@ -228,24 +220,19 @@ fn gathered(anchors: &[Anchored<'_>], found: impl Iterator<Item = Found>, input:
     }
     moved.sort_unstable();
     let mut unsure = Vec::new();
-    for (anchor, deviations) in anchors.iter().zip(&mut of_anchor).filter(|(_, d)| !d.is_empty()) {
+    for (anchor, deviations) in anchors.iter().zip(&of_anchor).filter(|(_, d)| !d.is_empty()) {
         let views = &anchor.point.views;
         let [image, feature] = views[anchor.first].map(|i| i as usize);
         // The spot is where it is said to be; what it is worth is what the others are.
-        spreads[image][feature] = median(deviations) as f32;
+        spreads[image][feature] = median(deviations.clone()) as f32;
         let others =
             views.iter().enumerate().filter(|(i, v)| *i != anchor.first && moved.binary_search(v).is_err());
         unsure.extend(others.map(|(_, v)| *v));
     }
-    let mut all: Vec<f64> = of_anchor.into_iter().flatten().collect();
-    let unit = if all.is_empty() { 1.0 } else { median(&mut all) as f32 };
+    let all: Vec<f64> = of_anchor.into_iter().flatten().collect();
+    let unit = if all.is_empty() { 1.0 } else { median(all) as f32 };
     spreads.iter_mut().flatten().for_each(|s| *s /= unit);
     Refined { keypoints, spreads, moved, unsure }
-}
-
-fn median(values: &mut [f64]) -> f64 {
-    let middle = values.len() / 2;
-    *values.select_nth_unstable_by(middle, f64::total_cmp).1
 }
 
 #[cfg(test)]

@@ -134,12 +134,12 @@ pub fn choose(
         chosen: start.describe(),
         evidence: "too few sightings to choose by".to_owned(),
     };
-    if known.iter().all(|k| k.fixed) {
-        decision.chosen = known_as(problem, known);
-        decision.evidence = "known beforehand".to_owned();
+    let all_known = known.iter().all(|k| k.fixed);
+    if all_known {
+        (decision.chosen, decision.evidence) = (known_as(problem, known), "known beforehand".to_owned());
     }
     let (training, held_out) = split(problem);
-    if problem.poses.len() < 3 || held_out.len() < 100 || known.iter().all(|k| k.fixed) {
+    if problem.poses.len() < 3 || held_out.len() < 100 || all_known {
         let problem = problem.clone();
         return Ok(Choice { intrinsics: start, bic: f64::NAN, by_pose: Vec::new(), decision, problem });
     }

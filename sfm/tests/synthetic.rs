@@ -273,8 +273,7 @@ fn keypoints_that_are_nowhere_and_images_without_any_do_no_harm() {
 fn two_groups(factor: f64) -> SfmResult {
     let mut scene = ring(16);
     let camera = default_camera(CameraModel::SimplePinhole, 640, 480);
-    let second = |i: usize| i % 2 == 1;
-    for (_, features) in scene.features.iter_mut().enumerate().filter(|(i, _)| second(*i)) {
+    for features in scene.features.iter_mut().skip(1).step_by(2) {
         let centre = camera.principal_point();
         for k in &mut features.keypoints {
             let p = centre + factor * (k.position() - centre);
@@ -284,7 +283,7 @@ fn two_groups(factor: f64) -> SfmResult {
     let names = scene.truth.images.values().map(|i| i.name.clone());
     let mut frames = frames_of(names, 640, 480);
     for (i, frame) in frames.frames.iter_mut().enumerate() {
-        frame.camera_group = u32::from(second(i));
+        frame.camera_group = i as u32 % 2;
     }
     reconstruct_features(&frames, scene.features, &SfmConfig::default(), &Progress::silent()).unwrap()
 }
@@ -304,4 +303,25 @@ fn groups_of_images_share_a_camera_unless_the_evidence_tells_them_apart() {
     let (decision, focals) = cameras(&two_groups(1.15));
     assert_eq!(decision.chosen, "2 for 2 groups of images", "{decision:?}");
     assert!((focals[1] / focals[0] - 1.15).abs() < 0.01, "{focals:?}");
+}
+
+#[test]
+fn intrinsics_known_within_deviations_are_corrected_and_exact_ones_are_kept() {
+    let scene = ring(16);
+    let truth = scene.truth.cameras.values().next().unwrap().params.clone();
+    let focal = |sigma: Option<f64>| {
+        let mut given = truth.clone();
+        given[0] *= 1.01;
+        let intrinsics_sigma = sigma.map(|s| vec![s * given[0], 0.0, 0.0]);
+        let config = SfmConfig { intrinsics: Some(given), intrinsics_sigma, ..SfmConfig::default() };
+        let result = solve(&scene, &config);
+        let model = result.reconstruction.expect("a model");
+        assert_eq!(model.images.len(), 16);
+        let camera = model.cameras.values().next().unwrap();
+        assert_eq!(camera.params[1..], truth[1..], "what has no deviation is exact");
+        camera.params[0] / truth[0] - 1.0
+    };
+    assert!((focal(None) - 0.01).abs() < 1e-12);
+    assert!((focal(Some(1e-5)) - 0.01).abs() < 1e-3);
+    assert!(focal(Some(0.05)).abs() < 0.004, "{}", focal(Some(0.05)));
 }

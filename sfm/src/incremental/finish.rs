@@ -10,7 +10,7 @@ use crate::{Decision, Knowledge, PoseDeviation, SfmError, Uncertainty};
 use scene::{Camera, CameraModel, Progress};
 
 /// Sightings that the choice of the camera model is based on, and the first round of the last adjustment.
-const SIGHTINGS: usize = 6000;
+pub(crate) const SIGHTINGS: usize = 6000;
 /// The same for the question whether images were turned, of the images that are asked together.
 const SIGHTINGS_TURNED: usize = 20_000;
 /// Iterations times sightings that the last adjustment may take: points creep on long after poses stand.
@@ -76,7 +76,7 @@ pub(crate) fn decide(
 }
 
 /// Points an image contributes where a part of them is enough.
-fn part_of(state: &State, sightings: usize) -> usize {
+pub(crate) fn part_of(state: &State, sightings: usize) -> usize {
     (sightings / state.registered().max(1)).clamp(50, 1000)
 }
 

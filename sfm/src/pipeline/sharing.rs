@@ -3,14 +3,12 @@
 use super::Given;
 use super::setup::Setup;
 use crate::incremental::adjust::{Adjustment, select};
+use crate::incremental::finish::{SIGHTINGS, part_of};
 use crate::incremental::growth::freedom;
 use crate::incremental::state::{Input, State};
 use crate::selection::{noise_in_units, sharing::groups_differ};
 use crate::{CameraSharing, Decision, SfmError};
 use scene::Progress;
-
-/// Sightings of an image that the decision is based on.
-const POINTS_PER_IMAGE: usize = 200;
 
 /// Fewer cameras, and the model with them, where a camera for each group of images does no better; and what was found.
 /// Groups are joined if their images have one size and nothing but a focal length is known of them.
@@ -33,7 +31,8 @@ pub(super) fn joined(
     let mut merged = state.clone();
     merged.cameras.clone_from(&fewer.cameras);
     let (free, priors) = freedom(&state.cameras, &setup.known, &starts(setup, state), state.registered());
-    let what = Adjustment { points_per_image: Some(POINTS_PER_IMAGE), ..Adjustment::growing(free, priors) };
+    let what =
+        Adjustment { points_per_image: Some(part_of(state, SIGHTINGS)), ..Adjustment::growing(free, priors) };
     let apart = select(state, input, &what).problem;
     let mut one = apart.clone();
     one.cameras.clone_from(&fewer.cameras);

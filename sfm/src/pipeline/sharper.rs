@@ -3,6 +3,7 @@
 use super::Given;
 use crate::incremental::state::{Input, State};
 use crate::refinement::{Refined, refine};
+use crate::single_axis::turn::median;
 use crate::tracks::NONE;
 use crate::{Decision, KeypointPlaces, SfmError};
 use scene::Progress;
@@ -49,11 +50,9 @@ fn median_error(state: &State, input: &Input<'_>, sightings: &[[u32; 2]]) -> (us
         let point = if point == NONE { None } else { state.points[point as usize].as_ref() };
         point.map(|p| state.error_sq(input, *view, p.position))
     };
-    let mut errors: Vec<f64> = sightings.iter().filter_map(error).collect();
+    let errors: Vec<f64> = sightings.iter().filter_map(error).collect();
     if errors.is_empty() {
         return (0, f64::INFINITY);
     }
-    let middle = errors.len() / 2;
-    let median = errors.select_nth_unstable_by(middle, f64::total_cmp).1.sqrt();
-    (errors.len(), median)
+    (errors.len(), median(errors).sqrt())
 }

@@ -121,8 +121,8 @@ impl Scene {
             let truth = self.camera.project(self.poses[image].transform(spot)).unwrap();
             truth.distance(refined.keypoints[image][feature])
         };
-        let mut all: Vec<f64> = refined.moved.iter().map(distance).collect();
-        (all.iter().copied().fold(0.0, f64::max), median(&mut all))
+        let all: Vec<f64> = refined.moved.iter().map(distance).collect();
+        (all.iter().copied().fold(0.0, f64::max), median(all))
     }
 }
 
@@ -140,9 +140,9 @@ fn keypoints_move_to_the_spot_the_middle_one_shows() {
         assert_eq!(refined.keypoints[0], scene.keypoints[0]);
         let (most, half) = scene.off(&refined);
         assert!(most < 0.2 && half < 0.04, "unit {unit}: at most {most}, half below {half} px of {OFF}");
-        let mut of_moved: Vec<f64> =
+        let of_moved: Vec<f64> =
             refined.moved.iter().map(|v| f64::from(refined.spreads[v[0] as usize][v[1] as usize])).collect();
-        assert!((median(&mut of_moved) - 1.0).abs() < 1e-6);
+        assert!((median(of_moved) - 1.0).abs() < 1e-6);
     }
 }
 

@@ -218,7 +218,8 @@ pub fn extract_all(
     frames.frames.par_iter().with_max_len(1).map(one).collect()
 }
 
-fn load_luma(frame: &Frame) -> Result<FloatImage, SfmError> {
+/// Grey levels of a frame, whose size must be what it says.
+pub(crate) fn load_luma(frame: &Frame) -> Result<FloatImage, SfmError> {
     let image = load_rgb(&frame.path).map_err(|e| unreadable(&frame.path, &e))?;
     check_size(&frame.path, image.dimensions(), frame)?;
     Ok(FloatImage::luma(&image))

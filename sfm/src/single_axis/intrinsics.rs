@@ -34,12 +34,13 @@ pub(crate) fn choose_for_turn(
     let mut decision =
         Decision { what: "camera model".to_owned(), chosen: chosen.describe(), ..Decision::default() };
     let trial = Trials { known, progress };
-    let Some(mut best) = trial.of(problem, chosen)?.filter(|_| !known[0].fixed) else {
-        let fixed = known[0].fixed;
-        decision.evidence = if fixed { "known beforehand" } else { "not determined" }.to_owned();
-        if fixed {
-            decision.chosen = known_as(&problem.bundle, known);
-        }
+    if known[0].fixed {
+        (decision.chosen, decision.evidence) =
+            (known_as(&problem.bundle, known), "known beforehand".to_owned());
+        return Ok((chosen, decision));
+    }
+    let Some(mut best) = trial.of(problem, chosen)? else {
+        decision.evidence = "not determined".to_owned();
         return Ok((chosen, decision));
     };
     let mut notes = Vec::new();
