@@ -92,8 +92,9 @@ mod tests {
         scene::io::write_model_bin(&model, &folder.join("sparse/0")).unwrap();
         let exact = read(&folder).unwrap();
         assert_eq!((exact.camera.params[0], exact.sigmas), (600.0, vec![0.0; 4]));
+        let cameras = r#""cameras": {"1": [9, 9, 9, 9], "2": [2.0, 0.5, 0.0, 0.01]}"#;
         let record =
-            r#"{"poses": {"deviations": {"cameras": {"1": [9, 9, 9, 9], "2": [2.0, 0.5, 0.0, 0.01]}}}}"#;
+            format!(r#"{{"poses": {{"deviations": {{"sigma_px": 0.1, {cameras}, "images": []}}}}}}"#);
         std::fs::write(folder.join("run.json"), record).unwrap();
         let near = read(&folder).unwrap();
         let wanted = [6.0, 1.5, 0.03 * 640.0, 0.03];
