@@ -57,6 +57,10 @@ pub struct TrainConfig {
     /// Scale opacity with the 2D low-pass (Mip-Splatting), against aliasing
     #[arg(long, help_heading = "Splat")]
     pub antialias: bool,
+    /// Keep Gaussians as large as what the views sample (Mip-Splatting's 3D filter): from nearer than the photos any viewer shows
+    /// them better, from where they were taken a little softer
+    #[arg(long, help_heading = "Splat")]
+    pub smoothing: bool,
     /// Steps between checkpoints (0: only when stopped)
     #[arg(long, default_value_t = CHECKPOINT_EVERY, help_heading = "Splat")]
     pub checkpoint_every: u32,
@@ -119,6 +123,8 @@ pub struct Recipe {
     pub opacity_penalty: f64,
     /// Weight of the mean scale of what a view shows in the loss.
     pub scale_penalty: f64,
+    /// Points inside the masks' visual hull that Gaussians begin at beside those of the sparse cloud.
+    pub hull_points: usize,
     /// --time-limit counts CPU time of the process instead of wall time: for comparisons on a busy machine (Linux).
     pub cpu_time: bool,
 }
@@ -140,6 +146,7 @@ impl Default for Recipe {
             prune_loss: 0.05,
             opacity_penalty: 0.0,
             scale_penalty: 0.0,
+            hull_points: 0,
             cpu_time: false,
         }
     }
@@ -161,6 +168,7 @@ impl Default for TrainConfig {
             coarse_levels: 2,
             learning_rate: 1.0,
             antialias: false,
+            smoothing: false,
             checkpoint_every: CHECKPOINT_EVERY,
             seed: 0,
             device: DeviceConfig::default(),

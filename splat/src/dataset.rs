@@ -310,3 +310,6 @@ fn shrink(full: &Pixels, level: u32) -> Pixels {
     }
     Pixels { width, height, rgb, mask }
 }
+
+#[cfg(test)]
+mod tests;

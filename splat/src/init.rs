@@ -15,13 +15,20 @@ pub const OPACITY: f32 = 0.3;
 /// Points drawn where there is no sparse cloud.
 const CANDIDATES: usize = 400_000;
 
-/// Gaussians at the sparse cloud's points or, without any, at random points inside the masks' visual hull (or the
-/// cameras' common frustum). Isotropic; the scale is the root mean square distance to the three nearest neighbours.
-pub fn initial_gaussians(dataset: &Dataset, max: usize, seed: u64) -> Result<Gaussians, SplatError> {
+/// Gaussians at the sparse cloud's points (and at `hull_points` random ones inside the masks' visual hull) or, without any, at
+/// random points inside the hull (or the cameras' common frustum). Isotropic; the scale is the root mean square distance to the three nearest neighbours.
+pub fn initial_gaussians(
+    dataset: &Dataset,
+    max: usize,
+    hull_points: usize,
+    seed: u64,
+) -> Result<Gaussians, SplatError> {
     let mut points: Vec<(Vec3, [u8; 3])> =
         dataset.points.iter().filter(|(p, _)| p.is_finite()).copied().collect();
     if points.len() < 16 {
         points = random_points(dataset, max.min(RANDOM_POINTS), seed);
+    } else if hull_points > 0 && dataset.is_transparent() {
+        points.extend(random_points(dataset, hull_points, seed));
     }
     if points.is_empty() {
         return Err(SplatError::NoGaussians("the cameras see no common space; check the poses".to_owned()));
@@ -121,8 +128,8 @@ fn look(view: &View, x: Vec3) -> Sight {
     Sight::Seen([pixels.rgb[at * 3], pixels.rgb[at * 3 + 1], pixels.rgb[at * 3 + 2]])
 }
 
-/// Points of a ball about the cameras' focus that no mask excludes and at least half of the views see; colour: mean
-/// over the views.
+/// Points of a ball about the cameras' focus that at most one mask excludes and two views have in their pictures (fewer
+/// where there are fewer than three); colour: mean over the views.
 fn random_points(dataset: &Dataset, wanted: usize, seed: u64) -> Vec<(Vec3, [u8; 3])> {
     let views: Vec<View> = dataset.views.iter().filter(|v| !v.held_out).cloned().collect();
     let Some((centre, distance)) = focus(&views) else { return Vec::new() };

@@ -24,6 +24,7 @@ pub mod pace;
 pub mod reference;
 pub mod render;
 pub mod schedule;
+pub mod smoothing;
 pub mod surface;
 pub mod train;
 

@@ -1,6 +1,7 @@
 //! The training loop.
 
 mod decide;
+mod degree;
 mod exposure;
 mod prune;
 
@@ -170,7 +171,8 @@ impl<'a> Trainer<'a> {
                 checkpoint.state
             }
             None => {
-                let first = initial_gaussians(dataset, max_gaussians, config.seed)?;
+                let first =
+                    initial_gaussians(dataset, max_gaussians, config.recipe.hull_points, config.seed)?;
                 let mut statistics = Statistics::default();
                 statistics.reset(first.len());
                 backend.upload(Model::from_gaussians(&first), statistics)?;
@@ -310,10 +312,11 @@ impl<'a> Trainer<'a> {
     /// Adds up what steps saw.
     fn note_steps(&mut self, outputs: &[StepOutput]) -> Result<(), SplatError> {
         for output in outputs {
-            if !output.loss.is_finite() {
+            if !(output.loss.is_finite() && output.mse.is_finite()) {
                 let reason = "the loss is not finite; lower --learning-rate".to_owned();
                 return Err(SplatError::Diverged { iteration: self.state.iteration, reason });
             }
+            self.state.findings.non_finite += output.non_finite;
             for (sum, value) in self.state.pending.iter_mut().zip([output.loss, output.mse, 1.0]) {
                 *sum += f64::from(value);
             }

@@ -74,11 +74,13 @@ impl CpuBackend {
         CameraConstants::new(view, options, options.near.unwrap_or(DEFAULT_NEAR), degree)
     }
 
+    /// Draws a view; of a picture that is only compared with a target, what counts of it.
     fn forward(
         &mut self,
         view: &PinholeView,
         camera: &CameraConstants,
         options: &RenderOptions,
+        target: Option<&Target>,
         depth: bool,
     ) {
         let mut mark = (self.clock)();
@@ -89,7 +91,9 @@ impl CpuBackend {
         work.bins.fill(&work.keys, &work.records, view.width, view.height);
         self.times.sort += self.lap(&mut mark);
         let work = &mut self.work;
-        work.resize(Shape { width: view.width, height: view.height });
+        let shape = Shape { width: view.width, height: view.height };
+        work.resize(shape);
+        work.limit(target, shape);
         work.forward(self.isa, options.background, depth);
         self.times.forward += self.lap(&mut mark);
     }
@@ -97,7 +101,7 @@ impl CpuBackend {
     /// dL/d(parameters) where dL/d(colour) is `gradient` ([height × width × 3]).
     pub fn gradients(&mut self, view: &PinholeView, options: &RenderOptions, gradient: &[f32]) -> Gradients {
         let camera = self.camera(view, options);
-        self.forward(view, &camera, options, false);
+        self.forward(view, &camera, options, None, false);
         let stride = self.work.shape.stride();
         for (c, plane) in self.work.gradient.iter_mut().enumerate() {
             plane.fill(0.0);
@@ -121,7 +125,7 @@ impl CpuBackend {
     /// Mean squared error of a picture against a target, over its pixels that count; statistics stay as they are.
     pub fn mean_square_error(&mut self, view: &PinholeView, target: &Target, options: &RenderOptions) -> f64 {
         let camera = self.camera(view, options);
-        self.forward(view, &camera, options, false);
+        self.forward(view, &camera, options, Some(target), false);
         self.work.set_target(self.isa, target, options.background);
         let weighted = target.mask.is_some() && !target.transparent;
         let work = &mut self.work;
@@ -144,7 +148,7 @@ impl CpuBackend {
     ) -> [[f64; 3]; 3] {
         self.set_gain(None);
         let camera = self.camera(view, options);
-        self.forward(view, &camera, options, false);
+        self.forward(view, &camera, options, Some(target), false);
         self.work.set_target(self.isa, target, options.background);
         let weighted = target.mask.is_some() && !target.transparent;
         let (work, stride) = (&self.work, self.work.shape.stride());
@@ -218,7 +222,7 @@ impl CpuBackend {
     /// Renders the Gaussians.
     pub fn render(&mut self, view: &PinholeView, options: &RenderOptions) -> RenderOutput {
         let camera = self.camera(view, options);
-        self.forward(view, &camera, options, true);
+        self.forward(view, &camera, options, None, true);
         let (w, h, stride) = (view.width, view.height, self.work.shape.stride());
         let mut out = RenderOutput {
             rgb: FloatImage::zeros(w, h, 3),
@@ -296,7 +300,7 @@ impl Backend for CpuBackend {
             self.statistics.reset(self.model.len);
         }
         let camera = self.camera(input.view, &input.options);
-        self.forward(input.view, &camera, &input.options, false);
+        self.forward(input.view, &camera, &input.options, Some(&input.target), false);
         let mut mark = (self.clock)();
         let value = self.loss(input);
         self.times.loss += self.lap(&mut mark);
@@ -342,5 +346,75 @@ impl Backend for CpuBackend {
 
     fn times(&self) -> KernelTimes {
         self.times
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::cpu::raster::SUMS;
+    use glam::{Mat3, Quat, Vec3};
+    use rand::Rng as _;
+    use scene::Gaussians;
+
+    fn gaussians(n: usize) -> Gaussians {
+        let mut rng = scene::rng::rng(3, "reach", 0);
+        let mut of =
+            |low: f32, high: f32| Vec3::from_array(std::array::from_fn(|_| rng.random_range(low..high)));
+        let mut g = Gaussians::default();
+        for _ in 0..n {
+            g.means.push(of(-1.0, 1.0));
+            g.log_scales.push(of(-4.0, -1.5));
+            g.rotations.push(Quat::from_scaled_axis(of(-1.0, 1.0)));
+            g.opacity_logits.push(of(-2.0, 2.0).x);
+            g.sh.extend(of(-1.0, 1.0).to_array());
+        }
+        g
+    }
+
+    /// A picture whose weights leave most tiles out has the gradients that it has when all tiles are drawn.
+    #[test]
+    fn tiles_that_no_weight_reaches_have_no_part_in_the_gradient() {
+        let (width, height) = (100, 70);
+        let view = PinholeView {
+            rotation: Mat3::IDENTITY,
+            translation: Vec3::new(0.0, 0.0, 3.0),
+            focal: [90.0; 2],
+            centre: [50.0, 35.0],
+            width,
+            height,
+        };
+        let rgb: Vec<u8> = (0..width * height * 3).map(|i| (i * 37 % 251) as u8).collect();
+        let mask: Vec<u8> = (0..width * height)
+            .map(|i| if (30..44).contains(&(i % width)) && i / width > 50 { 200 } else { 0 })
+            .collect();
+        let target = Target { rgb: &rgb, mask: Some(&mask), transparent: false, photo: None };
+        let options = RenderOptions::default();
+        let mut backend = CpuBackend::default();
+        backend.upload(Model::from_gaussians(&gaussians(300)));
+        let camera = backend.camera(&view, &options);
+        let input = StepInput {
+            view: &view,
+            target,
+            options,
+            rates: Default::default(),
+            lambda_dssim: 0.2,
+            opacity_penalty: 0.0,
+            scale_penalty: 0.0,
+        };
+        let mut found: Vec<(f32, Vec<[f32; SUMS]>, usize)> = Vec::new();
+        for counted in [None, Some(&target)] {
+            backend.forward(&view, &camera, &options, counted, false);
+            let loss = backend.loss(&input).loss;
+            backend.work.backward(backend.isa);
+            let drawn = backend.work.used.iter().filter(|&&u| u > 0).count();
+            found.push((loss, backend.work.sums.clone(), drawn));
+        }
+        assert!(found[0].2 > 30 && found[1].2 <= 9, "{} and {} tiles", found[0].2, found[1].2);
+        assert_eq!(found[0].0, found[1].0);
+        assert!(found[0].1.iter().any(|sums| sums[0] != 0.0));
+        for (all, some) in found[0].1.iter().zip(&found[1].1) {
+            assert_eq!(all[..9], some[..9]);
+        }
     }
 }

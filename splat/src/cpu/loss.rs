@@ -13,7 +13,8 @@ use std::cell::RefCell;
 
 const C1: f32 = 0.0001;
 const C2: f32 = 0.0009;
-const RADIUS: usize = 5;
+/// Reach of the window, pixels.
+pub const RADIUS: usize = 5;
 const TAPS: usize = 11;
 /// Zeros on both sides of a line.
 const BORDER: usize = 16;

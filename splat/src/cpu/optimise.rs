@@ -154,8 +154,9 @@ fn optimise_generic<S: Simd>(a: &mut Optimise) {
                 a.non_finite += 1;
                 continue;
             }
-            if total[9] <= 0.0 {
-                continue; // touched a tile but no pixel
+            // Touched no pixel, or none that counts: it must not drift on former steps' momentum.
+            if total[9] <= 0.0 || total[..9].iter().all(|&v| v == 0.0) {
+                continue;
             }
             for (column, t) in lanes.iter_mut().zip(total) {
                 column[lane] = t;
@@ -169,15 +170,12 @@ fn optimise_generic<S: Simd>(a: &mut Optimise) {
     }
 }
 
-/// dL/d(geometry) of a block from the pair sums, colour's part of dL/dmean in `by_direction`.
-/// # Safety
-/// As for [`project_lanes`].
+/// dL/d(geometry) of a block from the pair sums, without colour's part of dL/dmean.
 #[inline(always)]
-unsafe fn geometry_gradient<S: Simd>(
+fn geometry_gradient<S: Simd>(
     c: &CameraConstants,
     p: &Projection<S>,
     sums: &[S; SUMS],
-    by_direction: [S; 3],
     penalties: [f32; 2],
     log_scales: [S; 3],
 ) -> [S; GEOMETRY] {
@@ -198,7 +196,7 @@ unsafe fn geometry_gradient<S: Simd>(
         // ln ρ = ½ (ln det Σ'_before − ln det Σ'); dL/d ln ρ = Σ v.
         let low_pass = S::splat(super::project::LOW_PASS);
         let (b_xx, b_yy, b_xy) = (p.cov[0].sub(low_pass), p.cov[2].sub(low_pass), p.cov[1]);
-        let det = b_xx.mul(b_yy).sub(b_xy.mul(b_xy));
+        let det = p.sharp;
         let usable = det.ge(S::splat(1e-12));
         let scale = half.mul(v).keep(usable);
         let inverse = one.div(S::select(usable, det, one));
@@ -228,10 +226,8 @@ unsafe fn geometry_gradient<S: Simd>(
     let slope = one.sub(p.sigmoid);
     let d_logit = v.mul(slope).add(S::splat(penalties[0]).mul(p.sigmoid).mul(slope));
     let mut out = [zero; GEOMETRY];
-    for k in 0..3 {
-        out[MEAN + k] = d_mean[k].add(by_direction[k]);
-        out[LOG_SCALE + k] = d_scale[k];
-    }
+    out[MEAN..MEAN + 3].copy_from_slice(&d_mean);
+    out[LOG_SCALE..LOG_SCALE + 3].copy_from_slice(&d_scale);
     out[ROTATION..ROTATION + 4].copy_from_slice(&d_q);
     out[OPACITY] = d_logit;
     out
@@ -287,7 +283,14 @@ unsafe fn optimise_block<S: Simd>(
     for (sum, lane) in sums.iter_mut().zip(lanes) {
         *sum = unsafe { S::load(lane.as_ptr()) };
     }
-    let mut by_direction = [[0.0f32; 16]; 3];
+    let log_scales = array!(k in 3 => unsafe { a.parameters.lanes::<S>(LOG_SCALE + k, block) });
+    let penalties = [a.opacity_penalty, a.scale_penalty];
+    let mut gradient = geometry_gradient::<S>(a.camera, &p, &sums, penalties, log_scales);
+    let alive = unsafe { S::load(alive.as_ptr()) }.ge(S::splat(0.5));
+    let mut finite = alive;
+    for g in gradient {
+        finite = S::and(finite, g.abs().lt(S::splat(1e18)));
+    }
     let corrections = match a.sink {
         Sink::Adam(_) => unsafe { bias_corrections::<S>(a.shared.steps.0.add(block)) },
         Sink::Gradients => [S::splat(1.0); 2],
@@ -296,26 +299,21 @@ unsafe fn optimise_block<S: Simd>(
     for (lanes, c) in correction.iter_mut().zip(corrections) {
         unsafe { c.store(lanes.as_mut_ptr()) };
     }
-    for lane in 0..S::LANES {
-        if alive[lane] > 0.0 {
-            let rgb = [lanes[6][lane], lanes[7][lane], lanes[8][lane]];
-            let g = unsafe { colour_step(a, block + lane, rgb, [correction[0][lane], correction[1][lane]]) };
-            for (plane, value) in by_direction.iter_mut().zip(g.to_array()) {
-                plane[lane] = value;
-            }
+    // Colours move only where the shape does: a Gaussian is left as it is, or takes the whole step.
+    let mut by_direction = [[0.0f32; 16]; 3];
+    for lane in (0..S::LANES).filter(|lane| S::bits(finite) & (1 << lane) != 0) {
+        let rgb = [lanes[6][lane], lanes[7][lane], lanes[8][lane]];
+        let g = unsafe { colour_step(a, block + lane, rgb, [correction[0][lane], correction[1][lane]]) };
+        for (plane, value) in by_direction.iter_mut().zip(g.to_array()) {
+            plane[lane] = value;
         }
     }
-    let by_direction = array!(k in 3 => unsafe { S::load(by_direction[k].as_ptr()) });
-    let log_scales = array!(k in 3 => unsafe { a.parameters.lanes::<S>(LOG_SCALE + k, block) });
-    let penalties = [a.opacity_penalty, a.scale_penalty];
-    let gradient =
-        unsafe { geometry_gradient::<S>(a.camera, &p, &sums, by_direction, penalties, log_scales) };
-    let alive = unsafe { S::load(alive.as_ptr()) };
-    let mut finite = alive.ge(S::splat(0.5));
-    for g in gradient {
-        finite = S::and(finite, g.abs().lt(S::splat(1e18)));
+    for (k, plane) in by_direction.iter().enumerate() {
+        let part = unsafe { S::load(plane.as_ptr()) };
+        gradient[MEAN + k] = gradient[MEAN + k].add(part);
+        finite = S::and(finite, part.abs().lt(S::splat(1e18)));
     }
-    let lost = S::bits(alive.ge(S::splat(0.5))) & !S::bits(finite);
+    let lost = S::bits(alive) & !S::bits(finite);
     a.non_finite += lost.count_ones() as usize;
     match a.sink {
         Sink::Gradients => {
@@ -408,7 +406,7 @@ unsafe fn note_statistics<S: Simd>(
     }
 }
 
-/// Spherical harmonics of Gaussian `i`: their step, and the colour's part of dL/dmean.
+/// Spherical harmonics of Gaussian `i`: their step, and the colour's part of dL/dmean (infinite, and no step, where it is not finite).
 /// # Safety
 /// No other task works on `i`.
 #[inline(always)]
@@ -430,6 +428,9 @@ unsafe fn colour_step(a: &Optimise, i: usize, d_rgb: [f32; 3], corrections: [f32
     }
     let g = sh::basis_gradient(dir, degree, &by_basis);
     let by_mean = if distance > 0.0 { (g - dir * g.dot(dir)) / distance } else { Vec3::ZERO };
+    if !by_mean.is_finite() {
+        return Vec3::INFINITY;
+    }
     unsafe {
         let slice = |s: usize| std::slice::from_raw_parts_mut(a.shared.sh[s].0.add(i * stride), used * 3);
         match a.sink {

@@ -195,8 +195,8 @@ pub struct Projection<S: Simd> {
     pub cov: [S; 3],
     /// Σ'⁻¹ (xx, xy, yy).
     pub conic: [S; 3],
-    /// det(Σ' without the low-pass) / det Σ', at least 0.
-    pub ratio: S,
+    /// det(Σ' without the low-pass).
+    pub sharp: S,
     /// Opacity, scaled if `antialias`.
     pub opacity: S,
     /// sigmoid(logit).
@@ -238,6 +238,15 @@ fn rotation_matrix<S: Simd>(q: [S; 4]) -> [[S; 3]; 3] {
 #[inline(always)]
 pub fn dot3<S: Simd>(a: [S; 3], b: [S; 3]) -> S {
     a[0].fma(b[0], a[1].fma(b[1], a[2].mul(b[2])))
+}
+
+/// `a × b`.
+#[inline(always)]
+fn cross<S: Simd>(a: [S; 3], b: [S; 3]) -> [S; 3] {
+    array!(k in 3 => {
+        let (i, j) = ((k + 1) % 3, (k + 2) % 3);
+        a[i].mul(b[j]).sub(a[j].mul(b[i]))
+    })
 }
 
 /// Projects Gaussians `i .. i + LANES`.
@@ -284,18 +293,22 @@ pub unsafe fn project_lanes<S: Simd>(model: &Parameters, i: usize, c: &CameraCon
     let (xx, xy, yy) = (dot3(jwm[0], jwm[0]), dot3(jwm[0], jwm[1]), dot3(jwm[1], jwm[1]));
     let low_pass = S::splat(LOW_PASS);
     let cov = [xx.add(low_pass), xy, yy.add(low_pass)];
-    let det = cov[0].mul(cov[2]).sub(xy.mul(xy));
+    // det (A Aᵀ) = |a × b|², which loses nothing for needles, as xx yy − xy² does.
+    let normal = cross(jwm[0], jwm[1]);
+    let sharp = dot3(normal, normal);
+    let det = low_pass.fma(xx.add(yy).add(low_pass), sharp);
     // Finite and positive; NaN and infinity fail one of the comparisons.
     let good = S::and(det.ge(S::splat(1e-20)), S::splat(1e30).ge(det));
     let inv_det = one.div(S::select(good, det, one));
     let conic = [cov[2].mul(inv_det), zero.sub(xy).mul(inv_det), cov[0].mul(inv_det)];
     let sigmoid = one.div(one.add(zero.sub(plane!(OPACITY)).exp()));
-    let det_ratio = xx.mul(yy).sub(xy.mul(xy)).mul(inv_det).max(zero);
+    let det_ratio = sharp.mul(inv_det);
     let opacity = if c.antialias { sigmoid.mul(det_ratio.sqrt()) } else { sigmoid };
     let visible = opacity.ge(S::splat(1.0 / 255.0));
-    // A log-scale that is not a number passes the limits above; it must not be drawn.
+    // A log-scale or a logit that is not a number passes the limits above and those of exp; it must not be drawn.
     let lowest = S::splat(f32::NEG_INFINITY);
     let shaped = S::and(plane!(LOG_SCALE + 1).ge(lowest), plane!(LOG_SCALE + 2).ge(lowest));
+    let shaped = S::and(shaped, plane!(OPACITY).ge(lowest));
     let visible = S::and(visible, S::and(plane!(LOG_SCALE).ge(lowest), shaped));
     Projection {
         xc,
@@ -310,7 +323,7 @@ pub unsafe fn project_lanes<S: Simd>(model: &Parameters, i: usize, c: &CameraCon
         jwm,
         cov,
         conic,
-        ratio: det_ratio,
+        sharp,
         opacity,
         sigmoid,
         xy: [

@@ -1,7 +1,8 @@
 //! Target planes (and weights) from 8-bit pixels, composed over the background where masks mean transparency.
 //! in: interleaved bytes, optional mask, the rendering. out: \[3\] planes and one of weights, rows padded to whole tiles.
 
-use super::loss::Shape;
+use super::bin::TILE;
+use super::loss::{RADIUS, Shape};
 use super::simd::{Isa, Simd, simd_kernel};
 use crate::backend::Target;
 use rayon::prelude::*;
@@ -96,5 +97,48 @@ fn compose_generic<S: Simd>(a: &mut Rows) {
                 *out = behind + f32::from(m) * BYTE * (value - behind);
             }
         }
+    }
+}
+
+/// Which tiles have a pixel that some pixel of weight above 0 sees through the loss's window: nothing else has a gradient.
+/// `weights`: [height × width] bytes.
+pub fn reached_tiles(weights: &[u8], shape: Shape, reached: &mut Vec<bool>) {
+    let (columns, rows) = (shape.stride() / TILE, shape.height.div_ceil(TILE));
+    reached.clear();
+    reached.resize(columns * rows, false);
+    let tiles = |at: usize, end: usize| at.saturating_sub(RADIUS) / TILE..=(at + RADIUS).min(end - 1) / TILE;
+    for (y, row) in weights.chunks_exact(shape.width).enumerate() {
+        for x in (0..row.len()).filter(|&x| row[x] > 0) {
+            for ty in tiles(y, shape.height) {
+                tiles(x, shape.width).for_each(|tx| reached[ty * columns + tx] = true);
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_tile_is_reached_where_a_weight_is_within_the_window() {
+        let shape = Shape { width: 70, height: 40 };
+        let mut reached = Vec::new();
+        for (x, y) in [(0, 0), (10, 3), (11, 3), (36, 20), (37, 26), (69, 39), (31, 15)] {
+            let mut weights = vec![0u8; shape.width * shape.height];
+            weights[y * shape.width + x] = 1;
+            reached_tiles(&weights, shape, &mut reached);
+            assert_eq!(reached.len(), 5 * 3);
+            for (t, &found) in reached.iter().enumerate() {
+                let tile = shape.tile(t);
+                let away = |at: usize, first: usize, size: usize| {
+                    first.saturating_sub(at).max((at + 1).saturating_sub(first + size))
+                };
+                let near = away(x, tile.x, tile.width) <= RADIUS && away(y, tile.y, tile.height) <= RADIUS;
+                assert_eq!(found, near, "({x}, {y}) tile {t}");
+            }
+        }
+        reached_tiles(&vec![0; shape.width * shape.height], shape, &mut reached);
+        assert!(reached.iter().all(|r| !r));
     }
 }

@@ -6,7 +6,7 @@ use super::optimise::{Optimise, SharedModel, SharedPlane, Sink, optimise};
 use super::project::{CULLED, CameraConstants, Parameters, Project, Record, project};
 use super::raster::{Backward, Forward, PIXELS, Plane, SUMS, Tile, Visit, backward, forward, visit};
 use super::simd::Isa;
-use super::target::{Source, compose};
+use super::target::{Source, compose, reached_tiles};
 use crate::backend::Target;
 use rayon::prelude::*;
 
@@ -24,6 +24,8 @@ pub struct Workspace {
     pub transmittance: Vec<f32>,
     pub depth: Vec<f32>,
     pub used: Vec<u32>,
+    /// Tiles that weights reach; empty: all.
+    pub reached: Vec<bool>,
     pub target: [Vec<f32>; 3],
     pub weight: Vec<f32>,
     pub gradient: [Vec<f32>; 3],
@@ -56,16 +58,28 @@ impl Workspace {
         self.used.resize(plane / PIXELS, 0);
     }
 
-    /// Rasterises all tiles.
+    /// What of the next picture counts: all of it without a target, or where its mask is not a weight.
+    pub fn limit(&mut self, target: Option<&Target>, shape: Shape) {
+        self.reached.clear();
+        if let Some(Target { mask: Some(mask), transparent: false, .. }) = target {
+            reached_tiles(mask, shape, &mut self.reached);
+        }
+    }
+
+    /// Rasterises all tiles that count; the others keep what they show.
     pub fn forward(&mut self, isa: Isa, background: [f32; 3], with_depth: bool) {
         if with_depth {
             self.depth.resize(self.shape.plane(), 0.0);
         }
-        let (shape, records, bins) = (self.shape, &self.records, &self.bins);
+        let (shape, records, bins, reached) = (self.shape, &self.records, &self.bins, &self.reached);
         let rgb = self.rgb.each_mut().map(|p| SharedPlane(p.as_mut_ptr()));
         let transmittance = SharedPlane(self.transmittance.as_mut_ptr());
         let depth = with_depth.then_some(SharedPlane(self.depth.as_mut_ptr()));
         self.used.par_iter_mut().enumerate().for_each(|(t, used)| {
+            if reached.get(t) == Some(&false) {
+                *used = 0;
+                return;
+            }
             let tile = shape.tile(t);
             let list = &bins.list[bins.offsets[t] as usize..bins.offsets[t + 1] as usize];
             let (mut colour, mut clear, mut far) =

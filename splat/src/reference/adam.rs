@@ -8,6 +8,7 @@
 //! composited into a pixel; in the others nothing of it changes, so that unseen Gaussians do not drift on old momentum.
 
 use super::{Gradients, Parameters};
+use glam::DVec3;
 
 /// Decay of the mean gradient.
 pub const BETA1: f64 = 0.9;
@@ -59,10 +60,11 @@ pub fn adam(p: f64, g: f64, m: f64, v: f64, t: u32, rate: f64) -> (f64, f64, f64
     (p - rate * unbiased(m, BETA1) / (unbiased(v, BETA2).sqrt() + EPSILON), m, v)
 }
 
-/// A step of every Gaussian that was composited into a pixel.
+/// A step of every Gaussian that was composited into a pixel that counts: where all of its gradient is exactly zero, as of one that
+/// is seen only where weights are zero, it stays as it is.
 pub fn step(p: &mut Parameters, moments: &mut Moments, g: &Gradients, rates: &Rates) {
     let stride = p.sh_stride();
-    for i in (0..p.len()).filter(|&i| g.pixels[i] > 0) {
+    for i in (0..p.len()).filter(|&i| g.pixels[i] > 0 && !is_zero(&g.parameters, i)) {
         moments.clock[i] += 1;
         let t = moments.clock[i];
         let Moments { m, v, .. } = moments;
@@ -87,6 +89,13 @@ pub fn step(p: &mut Parameters, moments: &mut Moments, g: &Gradients, rates: &Ra
             one(&mut p.sh[k], d.sh[k], &mut m.sh[k], &mut v.sh[k], rate);
         }
     }
+}
+
+/// Whether Gaussian `i` has no gradient at all.
+fn is_zero(d: &Parameters, i: usize) -> bool {
+    let shape = d.means[i] == DVec3::ZERO && d.log_scales[i] == DVec3::ZERO;
+    let turn = d.rotations[i].to_array().iter().all(|v| *v == 0.0);
+    shape && turn && d.opacity_logits[i] == 0.0 && d.sh_of(i).iter().all(|v| *v == 0.0)
 }
 
 #[cfg(test)]

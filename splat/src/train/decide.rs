@@ -3,7 +3,6 @@
 
 use super::{Decision, Trainer};
 use crate::backend::Target;
-use crate::schedule::{self, SH_FROM};
 use crate::{RenderOptions, SplatError};
 use serde::{Deserialize, Serialize};
 
@@ -11,10 +10,6 @@ use serde::{Deserialize, Serialize};
 const VALIDATION_EVERY: usize = 12;
 /// With fewer training views than this all are needed: temple_ring (41) and fox (43) lose by sparing some.
 const VALIDATION_FROM: usize = 60;
-/// Part of the schedule between a degree's beginning and its judgement.
-const DEGREE_TRIAL: f64 = 0.1;
-/// What a degree must gain, dB: it costs time in every step and memory for ever.
-const DEGREE_GAIN: f64 = 0.02;
 /// Looks at the growth of the number of Gaussians, evenly over the densification.
 const LOOKS: f64 = 8.0;
 /// What the validation views must gain from look to look, dB, for growth to go on.
@@ -26,6 +21,9 @@ const PATIENCE: u32 = 2;
 const LEAST_STEPS: f64 = 300.0;
 /// Steps that must be left of it when redundant Gaussians are looked for, which costs as much as thirty steps.
 const LEAST_STEPS_LEFT: f64 = 60.0;
+
+/// Part of the schedule after which scales are held to what the views sample, again and again.
+const SMOOTH_EVERY: f64 = 0.05;
 
 /// What was found out on the way.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
@@ -61,6 +59,12 @@ pub struct Findings {
     pub gains: Vec<[f32; 3]>,
     /// Whether redundant Gaussians were looked for.
     pub pruned: bool,
+    /// Gradients that were not finite: their Gaussians took no step.
+    #[serde(default)]
+    pub non_finite: usize,
+    /// Times that scales were held to what the views sample.
+    #[serde(default)]
+    pub smoothed: u32,
 }
 
 /// The training views that judge: none where all are needed.
@@ -78,6 +82,7 @@ impl Trainer<'_> {
         let steps = self.state.pace.steps(&self.state, self.config);
         let limited = self.config.time_limit.is_some();
         self.prune_outside()?;
+        self.smooth()?;
         if self.state.position >= 1.0 || (limited && steps < LEAST_STEPS) {
             return Ok(());
         }
@@ -115,6 +120,19 @@ impl Trainer<'_> {
         Ok(())
     }
 
+    /// At its places in the schedule: no Gaussian is finer than what the views sample.
+    fn smooth(&mut self) -> Result<(), SplatError> {
+        let due = f64::from(self.state.findings.smoothed + 1) * SMOOTH_EVERY;
+        if !self.config.smoothing || self.state.position < due.min(1.0) {
+            return Ok(());
+        }
+        self.state.findings.smoothed = (self.state.position / SMOOTH_EVERY) as u32;
+        let views: Vec<_> = self.views.iter().map(|&v| self.dataset.views[v].view).collect();
+        self.backend.edit(&mut |model, _| {
+            crate::smoothing::raise_scales(model, &views);
+        })
+    }
+
     pub(super) fn note(&mut self, subject: &str, choice: String, evidence: String) {
         self.state.decisions.push(Decision { subject: subject.to_owned(), choice, evidence });
     }
@@ -143,33 +161,6 @@ impl Trainer<'_> {
             sum += self.backend.mean_square_error(&view.view.at_level(level), &target, &options)?;
         }
         Ok(-10.0 * (sum / views.len().max(1) as f64).max(1e-12).log10())
-    }
-
-    /// A degree that was in use for a while stays if the validation views are better for it.
-    fn judge_degree(&mut self) -> Result<(), SplatError> {
-        let judged = self.state.findings.degrees_judged;
-        let Some(from) = SH_FROM.get(judged as usize).filter(|_| judged < self.config.sh_degree) else {
-            return Ok(());
-        };
-        if self.state.findings.sh_limit.is_some() || self.state.position < from + DEGREE_TRIAL {
-            return Ok(());
-        }
-        let (views, level, degree) = (self.validation.clone(), self.level(), judged + 1);
-        let with = self.psnr(&views, level, Some(degree))?;
-        let without = self.psnr(&views, level, Some(judged))?;
-        self.state.findings.degrees_judged = degree;
-        let evidence = format!(
-            "{} validation views: {with:.2} dB with degree {degree}, {without:.2} dB with its coefficients left out",
-            views.len()
-        );
-        if with - without < DEGREE_GAIN {
-            self.state.findings.sh_limit = Some(judged);
-            self.backend.set_sh_degree(judged)?;
-            self.note("spherical-harmonic degree", judged.to_string(), evidence);
-        } else if degree == self.config.sh_degree {
-            self.note("spherical-harmonic degree", degree.to_string(), evidence);
-        }
-        Ok(())
     }
 
     /// Growth ends where the validation views stop gaining by it.
@@ -226,10 +217,12 @@ impl Trainer<'_> {
                     .to_owned();
             self.note("Gaussians outside the silhouettes", format!("{} removed", findings.outside), evidence);
         }
+        if findings.non_finite > 0 {
+            let choice = format!("{} left out", findings.non_finite);
+            let evidence = "they were not finite; each Gaussian stayed as it was in that step".to_owned();
+            self.note("gradients", choice, evidence);
+        }
         self.state.decisions.extend(self.backend.remarks());
         std::mem::take(&mut self.state.decisions)
     }
 }
-
-/// The schedule's constants fit together: degrees are judged while there are views to judge them.
-const _: () = assert!(SH_FROM[2] + DEGREE_TRIAL < 0.7 && schedule::SH_FROM.len() == 3);

@@ -4,10 +4,15 @@ use super::*;
 use crate::cpu::CpuBackend;
 use crate::dataset::{Normalisation, Pixels, View};
 use glam::{DVec3, Quat, Vec3};
-use scene::progress::ProgressSink;
 use scene::{Camera, CameraModel, Pose};
 use std::path::PathBuf;
-use std::sync::atomic::{AtomicBool, Ordering};
+
+#[path = "bits_tests.rs"]
+mod bits;
+#[path = "trouble_tests.rs"]
+mod trouble;
+#[path = "units_tests.rs"]
+mod units;
 
 const SIZE: [u32; 2] = [48, 40];
 
@@ -28,11 +33,27 @@ fn truth() -> Gaussians {
     }
 }
 
+/// The same blobs, their colours depending on where they are seen from.
+fn shiny_truth() -> Gaussians {
+    let mut rng = scene::rng::rng(5, "shiny", 0);
+    let mut g = truth();
+    let mut first = || -> Vec<f32> { (0..9).map(|_| rng.random_range(-0.6f32..0.6)).collect() };
+    g.sh = g.sh.chunks(3).flat_map(|base| [base, &first()].concat()).collect();
+    g.sh_degree = 1;
+    g
+}
+
 /// `views` pictures of the truth from a ring of radius 1; every 6th held out.
 fn dataset(views: usize, transparent: bool) -> Dataset {
+    pictures_of(&truth(), views, transparent, SIZE)
+}
+
+/// The same of any Gaussians at any size.
+fn pictures_of(truth: &Gaussians, views: usize, transparent: bool, size: [u32; 2]) -> Dataset {
     let mut backend = CpuBackend::default();
-    backend.upload(Model::from_gaussians(&truth()));
-    let camera = Camera::centred(1, CameraModel::Pinhole, SIZE[0], SIZE[1], 45.0);
+    backend.upload(Model::from_gaussians(truth));
+    let focal = 45.0 * f64::from(size[0]) / f64::from(SIZE[0]);
+    let camera = Camera::centred(1, CameraModel::Pinhole, size[0], size[1], focal);
     let normalisation = Normalisation { centre: DVec3::ZERO, scale: 1.0 };
     let view = |k: usize| {
         let angle = k as f64 / views as f64 * std::f64::consts::TAU;
@@ -47,7 +68,7 @@ fn dataset(views: usize, transparent: bool) -> Dataset {
             (v / a * 255.0).round().clamp(0.0, 255.0) as u8
         };
         let rgb = picture.rgb.data.iter().enumerate().map(straight).collect();
-        let full = Pixels { width: SIZE[0] as usize, height: SIZE[1] as usize, rgb, mask };
+        let full = Pixels { width: size[0] as usize, height: size[1] as usize, rgb, mask };
         View {
             name: format!("{k:03}.png"),
             camera: camera.clone(),
@@ -57,7 +78,7 @@ fn dataset(views: usize, transparent: bool) -> Dataset {
             held_out: views > 1 && k.is_multiple_of(6),
         }
     };
-    let points = truth().means.iter().map(|m| (*m * 1.03, [128; 3])).collect();
+    let points = truth.means.iter().map(|m| (*m * 1.03, [128; 3])).collect();
     Dataset { views: (0..views).map(view).collect(), points, normalisation, alpha: AlphaMode::Transparent }
 }
 
@@ -86,17 +107,6 @@ fn folder(name: &str) -> PathBuf {
     folder
 }
 
-/// Cancels at a step.
-struct StopAt(u64, &'static AtomicBool);
-
-impl ProgressSink for StopAt {
-    fn begin(&self, _: &str, _: u64) {}
-    fn update(&self, done: u64, _: &str) {
-        self.1.store(done >= self.0, Ordering::Relaxed);
-    }
-    fn note(&self, _: &str) {}
-}
-
 #[test]
 fn unseen_views_of_a_synthetic_scene_are_reproduced() {
     for transparent in [false, true] {
@@ -105,35 +115,6 @@ fn unseen_views_of_a_synthetic_scene_are_reproduced() {
         let psnr = held_out_psnr(&dataset, &result);
         assert!(psnr > 27.0, "transparent {transparent}: {psnr:.2} dB");
         assert!(result.curve.len() >= 8 && result.curve.iter().all(|p| p.loss.is_finite()));
-    }
-}
-
-#[test]
-fn the_same_seed_gives_the_same_bytes_on_one_and_two_threads() {
-    let dataset = dataset(8, true);
-    let run = |threads: usize| {
-        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
-        pool.install(|| train(&dataset, &config(150), None, &Progress::silent()).unwrap().gaussians)
-    };
-    let one = run(1);
-    assert_eq!(one, run(2));
-    assert_eq!(one, run(3));
-}
-
-#[test]
-fn stopping_and_resuming_changes_no_bit() {
-    let dataset = dataset(8, false);
-    let whole = train(&dataset, &config(230), None, &Progress::silent()).unwrap();
-    for stop in [1, 99, 100, 101, 206, 207, 208, 229] {
-        let folder = folder(&format!("resume-{stop}"));
-        let flag: &'static AtomicBool = Box::leak(Box::new(AtomicBool::new(false)));
-        let progress = Progress::new(Box::new(StopAt(stop, flag)), flag);
-        let stopped = train(&dataset, &config(230), Some(&folder), &progress);
-        assert!(matches!(stopped, Err(SplatError::Cancelled(_))), "stop at {stop}");
-        let resumed = train(&dataset, &config(230), Some(&folder), &Progress::silent()).unwrap();
-        assert_eq!(resumed.gaussians, whole.gaussians, "stop at {stop}");
-        assert_eq!(resumed.iterations, 230);
-        std::fs::remove_dir_all(&folder).unwrap();
     }
 }
 
@@ -158,108 +139,12 @@ fn a_limit_that_is_over_at_once_ends_after_one_step_and_judges_nothing() {
     assert!(result.decisions.len() <= 1, "{:?}", result.decisions);
 }
 
-#[test]
-fn one_view_and_ten_times_the_learning_rates_stay_finite() {
-    let dataset = dataset(1, false);
-    let wild = TrainConfig { learning_rate: 10.0, ..config(1000) };
-    let result = train(&dataset, &wild, None, &Progress::silent()).unwrap();
-    assert!(result.gaussians.means.iter().all(|m| m.is_finite()));
-    assert!(result.curve.iter().all(|p| p.loss.is_finite()));
-}
-
-#[test]
-fn empty_masks_and_saturated_pictures_are_survived() {
-    for (value, cover, alpha) in [
-        (255, 0, AlphaMode::Transparent),
-        (255, 0, AlphaMode::Ignore),
-        (255, 255, AlphaMode::Ignore),
-        (0, 255, AlphaMode::Transparent),
-    ] {
-        let mut dataset = dataset(3, true);
-        dataset.alpha = alpha;
-        for pixels in dataset.views.iter_mut().flat_map(|v| &mut v.levels) {
-            pixels.rgb.fill(value);
-            pixels.mask = Some(vec![cover; pixels.width * pixels.height]);
-        }
-        let result = train(&dataset, &config(120), None, &Progress::silent()).unwrap();
-        assert!(result.gaussians.means.iter().all(|m| m.is_finite()), "{value} {cover} {alpha:?}");
-    }
-}
-
-#[test]
-fn scenes_of_any_unit_train_alike() {
-    let psnr = |unit: f64| {
-        let mut dataset = dataset(12, false);
-        let centre = DVec3::new(3.0, -2.0, 1.0) * unit;
-        dataset.normalisation = Normalisation { centre, scale: 1.0 / unit };
-        for view in &mut dataset.views {
-            let eye = view.pose.centre() * unit + centre;
-            view.pose = Pose::from_centre(view.pose.rotation, eye);
-        }
-        let result = train(&dataset, &config(200), None, &Progress::silent()).unwrap();
-        held_out_psnr(&dataset, &result)
-    };
-    let (small, one, large) = (psnr(1e-6), psnr(1.0), psnr(1e6));
-    assert!((small - one).abs() < 0.1 && (large - one).abs() < 0.1, "{small} {one} {large}");
-}
-
-#[test]
-fn nonsense_is_refused_with_the_flag_to_change() {
-    let dataset = dataset(2, false);
-    for (wrong, flag) in [
-        (TrainConfig { lambda_dssim: 1.5, ..config(10) }, "--lambda-dssim"),
-        (TrainConfig { learning_rate: f32::NAN, ..config(10) }, "--learning-rate"),
-        (TrainConfig { max_gaussians: 0, ..config(10) }, "--max-gaussians"),
-        (config(0), "--iterations"),
-    ] {
-        let error = train(&dataset, &wrong, None, &Progress::silent()).unwrap_err();
-        assert!(error.to_string().contains(flag), "{error}");
-    }
-}
-
-#[test]
-fn points_at_one_place_on_the_cameras_or_far_away_do_not_stop_training() {
-    let ordinary = dataset(12, false);
-    let eye = ordinary.views[1].view.position();
-    for (what, place) in [("one place", Vec3::ZERO), ("a camera", eye), ("far away", Vec3::splat(1e6))] {
-        let mut dataset = ordinary.clone();
-        dataset.points = vec![(place, [128; 3]); 2000];
-        // Half of them where the object is, so that there is something to learn from.
-        let good = ordinary.points.iter().copied();
-        dataset.points.extend(good);
-        let result =
-            train(&dataset, &TrainConfig { max_gaussians: 3000, ..config(200) }, None, &Progress::silent());
-        let result = result.unwrap_or_else(|e| panic!("{what}: {e}"));
-        assert!(result.gaussians.means.iter().all(|m| m.is_finite()), "{what}");
-        let psnr = held_out_psnr(&dataset, &result);
-        assert!(psnr > 20.0, "{what}: {psnr:.2} dB");
-    }
-}
-
-#[test]
-fn one_view_with_an_empty_mask_among_others_does_no_harm() {
-    let psnr = |empty: bool| {
-        let mut dataset = dataset(24, false);
-        dataset.alpha = AlphaMode::Ignore;
-        if empty {
-            for pixels in &mut dataset.views[7].levels {
-                pixels.rgb.fill(255);
-                pixels.mask = Some(vec![0; pixels.width * pixels.height]);
-            }
-        }
-        held_out_psnr(&dataset, &train(&dataset, &config(300), None, &Progress::silent()).unwrap())
-    };
-    let (without, with) = (psnr(false), psnr(true));
-    assert!(with > without - 1.0, "{without:.2} dB, with an empty mask {with:.2} dB");
-}
-
 fn choice<'a>(result: &'a TrainResult, subject: &str) -> &'a str {
     &result.decisions.iter().find(|d| d.subject.contains(subject)).expect(subject).choice
 }
 
-#[test]
-fn exposure_is_modelled_where_views_differ_in_it_and_only_there() {
-    let even = dataset(24, false);
+/// The same photos as a camera takes them that meters each one anew: darker, as they are, brighter.
+fn with_gains(even: &Dataset) -> Dataset {
     let mut uneven = even.clone();
     for (k, view) in uneven.views.iter_mut().enumerate().filter(|(_, v)| !v.held_out) {
         let gain = [0.7, 1.0, 1.35][k % 3];
@@ -267,6 +152,13 @@ fn exposure_is_modelled_where_views_differ_in_it_and_only_there() {
             *byte = (f32::from(*byte) * gain).round().min(255.0) as u8;
         }
     }
+    uneven
+}
+
+#[test]
+fn exposure_is_modelled_where_views_differ_in_it_and_only_there() {
+    let even = dataset(24, false);
+    let uneven = with_gains(&even);
     let run = |data: &Dataset, exposure: bool| {
         let mut config = config(400);
         config.recipe.exposure = exposure;
@@ -292,21 +184,48 @@ fn gains_that_a_second_look_does_not_confirm_are_not_modelled() {
     assert_eq!(judged.choice, "not modelled");
 }
 
+/// A degree whose coefficients the validation views gain nothing by goes and does not come back, one that they confirm stays.
 #[test]
-fn degree_and_count_are_judged_by_training_views_and_resuming_repeats_the_judgement() {
-    let dataset = dataset(72, false);
-    let whole = train(&dataset, &config(230), None, &Progress::silent()).unwrap();
-    assert!(!choice(&whole, "harmonic").is_empty() && !choice(&whole, "number").is_empty());
-    for stop in [70, 150] {
-        let folder = folder(&format!("judged-{stop}"));
-        let flag: &'static AtomicBool = Box::leak(Box::new(AtomicBool::new(false)));
-        let progress = Progress::new(Box::new(StopAt(stop, flag)), flag);
-        assert!(train(&dataset, &config(230), Some(&folder), &progress).is_err());
-        let resumed = train(&dataset, &config(230), Some(&folder), &Progress::silent()).unwrap();
-        assert_eq!(resumed.gaussians, whole.gaussians, "stop at {stop}");
-        assert_eq!(resumed.decisions, whole.decisions, "stop at {stop}");
-        std::fs::remove_dir_all(&folder).unwrap();
+fn a_degree_stays_only_where_the_validation_views_gain_by_it() {
+    let (dull, shiny) = (truth(), shiny_truth());
+    let idle = Gaussians {
+        sh: shiny.sh.chunks(12).flat_map(|c| [&c[..3], &[0.0; 9]].concat()).collect(),
+        ..shiny.clone()
+    };
+    for (what, photos, held, kept) in
+        [("spurious", &dull, &shiny, 0), ("idle", &dull, &idle, 0), ("needed", &shiny, &shiny, 1)]
+    {
+        let data = pictures_of(photos, 72, false, SIZE);
+        let mut config = config(400);
+        config.recipe.exposure = false;
+        let mut trainer = Trainer::new(&data, &config, None).unwrap();
+        let mut statistics = Statistics::default();
+        statistics.reset(held.len());
+        trainer.backend.upload(Model::from_gaussians(held), statistics).unwrap();
+        trainer.state.position = 0.29;
+        trainer.decide().unwrap();
+        assert_eq!(trainer.state.findings.degrees_judged, 0, "{what}: too early");
+        trainer.state.position = 0.31;
+        trainer.decide().unwrap();
+        let judged = trainer.state.decisions.iter().find(|d| d.subject.contains("harmonic")).unwrap();
+        assert_eq!(judged.choice, kept.to_string(), "{what}: {}", judged.evidence);
+        trainer.state.position = 0.6;
+        trainer.step().unwrap();
+        assert_eq!(trainer.backend.sh_degree(), kept, "{what}");
     }
+}
+
+/// A whole training of colours that change with the direction: the degree that they have is kept, and helps.
+#[test]
+fn colours_that_change_with_the_direction_are_learnt() {
+    let data = pictures_of(&shiny_truth(), 72, false, SIZE);
+    let run = |sh_degree: u32| {
+        train(&data, &TrainConfig { sh_degree, ..config(400) }, None, &Progress::silent()).unwrap()
+    };
+    let (none, first) = (run(0), run(1));
+    assert_eq!((choice(&first, "harmonic"), first.gaussians.sh_degree), ("1", 1));
+    let (none, first) = (held_out_psnr(&data, &none), held_out_psnr(&data, &first));
+    assert!(first > none + 2.0, "{none:.2} dB without, {first:.2} dB with degree 1");
 }
 
 /// The bound holds for the mean of several seeds: what the held-out views of one run gain or lose by a Gaussian more or

@@ -6,9 +6,9 @@ use crate::steps::Goal;
 use crate::subject::subjects;
 use glam::{Quat, Vec3};
 use scene::Gaussians;
-use splat::RenderOptions;
 use splat::backend::LearningRates;
 use splat::model::Model;
+use splat::{RenderOptions, TrainConfig, schedule};
 
 const TILT: Quat = Quat::from_xyzw(0.3, -0.5, 0.2, 0.7);
 
@@ -39,29 +39,63 @@ fn tame() -> Vec<(&'static str, Gaussians)> {
             "1e6 units away",
             of(&[One { mean: Vec3::new(0.0, 0.0, 1e6), log_scale: Vec3::splat(11.0), ..one }, behind]),
         ),
-        ("NaN and infinity", of(&[broken(0), behind, broken(1), broken(2), broken(3)])),
+        ("NaN and infinity", of(&[broken(0), behind, broken(1), broken(2), broken(3), broken(4)])),
         ("no Gaussian", of(&[])),
     ]
 }
 
-/// Cases in which f32 must end somewhere: finite is all that is asked.
-fn wild() -> Vec<(&'static str, Gaussians)> {
+/// Why f32 does not have the reference's picture or gradient of a Gaussian.
+#[derive(Clone, Copy, Debug, PartialEq)]
+enum Lost {
+    /// The determinant of its covariance on the screen, px⁴, is beyond 1e30: it is not drawn.
+    Range,
+    /// A needle longer on the screen than some thousand times its width there: it is drawn as it should, but its gradient, a difference
+    /// of products, keeps no digit in f32.
+    Cancelled,
+}
+
+/// Cases at the end of what f32 can hold, and the Gaussians for which it cannot. What is left must be right; of all is asked
+/// that it is finite.
+fn wild() -> Vec<(&'static str, Gaussians, Vec<(usize, Lost)>)> {
+    use Lost::{Cancelled, Range};
     let one = One::default();
     let scale = |s: [f32; 3]| One { log_scale: Vec3::from_array(s.map(f32::ln)), rotation: TILT, ..one };
     let near = |dz: f32| One { mean: camera_position() + Vec3::Z * (splat::cpu::DEFAULT_NEAR + dz), ..one };
     vec![
-        ("scale 1e8", of(&[scale([1e8; 3]), one])),
+        ("scale 1e8", of(&[scale([1e8; 3]), one]), vec![(0, Range)]),
         (
             "scale 1e8 and 1e-8",
             of(&[scale([1e8, 1e-8, 1.0]), scale([1e8, 1e-8, 1e-8]), scale([1e8, 1e8, 1e-8]), one]),
+            vec![(0, Cancelled), (1, Cancelled), (2, Range)],
         ),
-        ("needles of 1e6", of(&[scale([1e-3, 1e-3, 1e3]), scale([1e6, 1.0, 1.0]), one])),
-        ("pancakes of 1e6", of(&[scale([1e3, 1e3, 1e-3]), scale([1.0, 1e6, 1e6]), one])),
-        ("on the near plane", of(&[near(0.0), near(1e-6), near(-1e-6), one])),
-        ("log-scales 1e30", of(&[One { log_scale: Vec3::new(1e30, -1e30, 0.0), ..one }, one])),
-        ("colours 1e6", of(&[One { sh0: Vec3::new(1e6, -1e6, 3e6), ..one }, one])),
-        ("positions 1e30", of(&[One { mean: Vec3::new(1e30, -1e30, 1e30), ..one }, one])),
+        (
+            "needles of 1e6",
+            of(&[scale([1e-3, 1e-3, 1e3]), scale([1e6, 1.0, 1.0]), one]),
+            vec![(0, Cancelled), (1, Cancelled)],
+        ),
+        ("pancakes of 1e6", of(&[scale([1e3, 1e3, 1e-3]), scale([1.0, 1e6, 1e6]), one]), Vec::new()),
+        ("on the near plane", of(&[near(0.0), near(1e-6), near(-1e-6), one]), Vec::new()),
+        (
+            "log-scales 1e30",
+            of(&[One { log_scale: Vec3::new(1e30, -1e30, 0.0), ..one }, one]),
+            vec![(0, Cancelled)],
+        ),
+        ("colours 1e6", of(&[One { sh0: Vec3::new(1e6, -1e6, 3e6), ..one }, one]), Vec::new()),
+        ("positions 1e30", of(&[One { mean: Vec3::new(1e30, -1e30, 1e30), ..one }, one]), Vec::new()),
     ]
+}
+
+/// Those that are not in the list.
+fn without(g: &Gaussians, gone: &[usize]) -> Gaussians {
+    let kept: Vec<usize> = (0..g.len()).filter(|i| !gone.contains(i)).collect();
+    Gaussians {
+        means: kept.iter().map(|&i| g.means[i]).collect(),
+        log_scales: kept.iter().map(|&i| g.log_scales[i]).collect(),
+        rotations: kept.iter().map(|&i| g.rotations[i]).collect(),
+        opacity_logits: kept.iter().map(|&i| g.opacity_logits[i]).collect(),
+        sh: kept.iter().flat_map(|&i| g.sh[3 * i..3 * i + 3].to_vec()).collect(),
+        sh_degree: g.sh_degree,
+    }
 }
 
 fn camera_position() -> Vec3 {
@@ -74,7 +108,8 @@ fn broken(kind: usize) -> One {
         0 => One { mean: Vec3::new(f32::NAN, 0.0, 0.0), ..one },
         1 => One { log_scale: Vec3::new(0.0, f32::NAN, 0.0), ..one },
         2 => One { rotation: Quat::from_xyzw(0.0, f32::NAN, 0.0, 1.0), ..one },
-        _ => One { logit: f32::NAN, mean: Vec3::new(0.0, f32::INFINITY, 0.0), ..one },
+        3 => One { logit: f32::NAN, ..one },
+        _ => One { mean: Vec3::new(0.0, f32::INFINITY, 0.0), ..one },
     }
 }
 
@@ -116,10 +151,35 @@ fn extreme_gaussians_have_the_references_gradients() {
     }
 }
 
+/// The tolerances are those of the cases above. Gaussians beyond the range stay in the scene that is drawn: there the picture
+/// is the reference's without them.
+#[test]
+fn what_f32_can_hold_of_wild_scenes_has_the_references_picture_and_gradient() {
+    for mut subject in subjects() {
+        for (what, g, lost) in wild() {
+            let of =
+                |kind: Lost| -> Vec<usize> { lost.iter().filter(|l| l.1 == kind).map(|l| l.0).collect() };
+            for antialias in [false, true] {
+                let v = view(32, 24);
+                let o = RenderOptions { antialias, background: [0.2, 0.4, 0.6], ..RenderOptions::default() };
+                let at = format!("{} {what}, antialias {antialias}", subject.name());
+                let all: Vec<usize> = lost.iter().map(|l| l.0).collect();
+                let (drawn, left) = (without(&g, &of(Lost::Range)), without(&g, &all));
+                crate::pictures::compare_picture(subject.as_mut(), &drawn, &v, &o, &at);
+                assert_eq!(subject.render(&g, &v, &o), subject.render(&drawn, &v, &o), "{at}");
+                let d = weights(5, &undecided(&rendered(&left, &v, &o), &v));
+                let found = subject.gradients(&left, &v, &o, &d);
+                compare_gradient(&found, &reference_gradient(&left, &v, &o, &d), 1e-2, 1e-3, &at);
+            }
+        }
+    }
+}
+
 #[test]
 fn what_no_number_can_hold_still_gives_finite_pictures_gradients_and_steps() {
     for mut subject in subjects() {
-        for (what, g) in wild().into_iter().chain(tame()) {
+        let wild = wild().into_iter().map(|(what, g, _)| (what, g));
+        for (what, g) in wild.chain(tame()) {
             for antialias in [false, true] {
                 let v = view(32, 24);
                 let o = RenderOptions { antialias, ..RenderOptions::default() };
@@ -198,20 +258,29 @@ fn a_view_with_an_empty_mask_changes_nothing() {
     }
 }
 
+/// The trainer's own rates at a step of its schedule, ten times as large.
+fn ten_times_the_trainers(step: usize, steps: usize) -> LearningRates {
+    let config = TrainConfig { learning_rate: 10.0, ..TrainConfig::default() };
+    schedule::rates(step as f64 / steps as f64, steps as f64, &config)
+}
+
+/// Judged by its end: a run that is thrown off by such rates must find back once they are low.
 #[test]
-fn ten_thousand_steps_at_ten_times_the_rates_stay_finite_and_learn() {
+fn ten_thousand_steps_at_ten_times_the_trainers_rates_stay_finite_and_learn() {
     for mut subject in subjects() {
         let (v, o) = (view(16, 12), RenderOptions::default());
         let mut model = Model::from_gaussians(&ordinary(8, 12, 0));
         let goal = Goal::of(&ordinary(9, 12, 0), &v, &o);
-        let (mut first, mut best) = (0.0, f32::INFINITY);
-        for step in 0..subject.affordable(10_000) {
-            let out = subject.step(&mut model, &goal.input(&v, o, rates(10.0)));
-            assert!(out.loss.is_finite(), "{} step {step}", subject.name());
-            first = if step == 0 { out.loss } else { first };
-            best = best.min(out.loss);
+        let steps = subject.affordable(10_000);
+        let mut losses = Vec::with_capacity(steps);
+        for step in 0..steps {
+            let rates = ten_times_the_trainers(step, steps);
+            let out = subject.step(&mut model, &goal.input(&v, o, rates));
+            assert!(out.loss.is_finite() && out.mse.is_finite(), "{} step {step}", subject.name());
+            losses.push(out.loss);
         }
         assert!(model.geometry.iter().all(|p| finite(p)) && finite(&model.sh), "{}", subject.name());
-        assert!(best < 0.7 * first, "{}: {first} to {best}", subject.name());
+        let (first, last) = (losses[0], losses[steps - 20..].iter().copied().fold(0.0, f32::max));
+        assert!(last < 0.3 * first, "{}: {first} to {last}", subject.name());
     }
 }

@@ -7,6 +7,7 @@ mod extremes;
 #[cfg(feature = "gpu")]
 mod gpu;
 mod kernels;
+mod optimise;
 mod pictures;
 mod scenes;
 mod steps;

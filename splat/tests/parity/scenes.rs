@@ -101,7 +101,9 @@ pub fn undecided(r: &Rendered, v: &PinholeView) -> Vec<bool> {
             // An exponent is a difference of large numbers where the Gaussian is steep.
             let steep = 1.0 + g.conic.x.max(g.conic.z) * (g.xy - p).length_squared() / (1.0 + power.abs());
             let band = 2e-5 * steep.min(1e4);
-            if near(alpha, MIN_ALPHA, band) || near(alpha, MAX_ALPHA, 1e-4) || power.abs() < 1e-9 {
+            // Nothing is drawn where the exponent is below 0, which it can only come to be by the rounding of its terms.
+            let negative = power < 2e-6 * terms(&g, p);
+            if near(alpha, MIN_ALPHA, band) || near(alpha, MAX_ALPHA, 1e-4) || negative {
                 return true;
             }
             let alpha = alpha.min(MAX_ALPHA);
@@ -118,6 +120,12 @@ pub fn undecided(r: &Rendered, v: &PinholeView) -> Vec<bool> {
         false
     };
     (0..v.width * v.height).map(pixel).collect()
+}
+
+/// The magnitudes of the three terms that make up [`power`].
+fn terms(g: &Projected, p: glam::DVec2) -> f64 {
+    let d = g.xy - p;
+    0.5 * (g.conic.x * d.x * d.x + g.conic.z * d.y * d.y) + (g.conic.y * d.x * d.y).abs()
 }
 
 fn power(g: &Projected, p: glam::DVec2) -> f64 {

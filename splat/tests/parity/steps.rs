@@ -88,7 +88,7 @@ pub fn reference_step(p: &mut Parameters, moments: &mut Moments, input: &StepInp
 }
 
 /// Value k of Gaussian i in the order of [`Model`], and its rate: 11 of geometry, then SH.
-fn parameter(p: &Parameters, i: usize, k: usize) -> (f64, f32) {
+pub fn parameter(p: &Parameters, i: usize, k: usize) -> (f64, f32) {
     match k {
         0..3 => (p.means[i][k], RATES.mean),
         3..6 => (p.log_scales[i][k - 3], RATES.log_scale),

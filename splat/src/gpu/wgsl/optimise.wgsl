@@ -140,8 +140,9 @@ fn main(@builtin(workgroup_id) group: vec3<u32>, @builtin(num_workgroups) groups
         sc += sums_c[pair];
     }
     let s = array<f32, 12>(sa.x, sa.y, sa.z, sa.w, sb.x, sb.y, sb.z, sb.w, sc.x, sc.y, sc.z, sc.w);
-    if (s[9] <= 0.0) {
-        return; // touches no pixel
+    let still = all(sa == vec4<f32>(0.0)) && all(sb == vec4<f32>(0.0)) && s[8] == 0.0;
+    if (s[9] <= 0.0 || still) {
+        return; // touches no pixel, or none that counts
     }
     var p = project_gaussian(l);
     let d_xy = -vec2<f32>(p.conic.x * s[1] + p.conic.y * s[2], p.conic.y * s[1] + p.conic.z * s[2]);
