@@ -25,6 +25,12 @@ struct Cli {
     /// Instead of the rows of docs/benchmarks.md: NAME=VALUE of numeric choices, to be compared with the defaults
     #[arg(long)]
     set: Vec<String>,
+    /// Masks beside the photos, where they are not in them
+    #[arg(long)]
+    masks: Option<PathBuf>,
+    /// Train at half the resolution: held-out views are then seen from twice as near as anything that was trained on
+    #[arg(long)]
+    zoom: bool,
     #[command(flatten)]
     data: DatasetConfig,
 }
@@ -53,6 +59,10 @@ fn rows() -> Vec<Row> {
         row("L1 alone", |c| c.lambda_dssim = 0.0),
         row("a quarter of D-SSIM's weight", |c| c.lambda_dssim *= 0.25),
         row("opacity scaled with the low-pass", |c| c.antialias = true),
+        row("opacities decay (weight 0.01)", |c| c.recipe.opacity_penalty = 0.01),
+        row("scales held to the views' sampling", |c| c.smoothing = true),
+        row("both (Mip-Splatting)", |c| (c.smoothing, c.antialias) = (true, true)),
+        row("5,000 first Gaussians inside the hull", |c| c.recipe.hull_points = 5_000),
     ]
 }
 
@@ -91,6 +101,16 @@ fn slot<'a>(c: &'a mut TrainConfig, name: &str) -> Option<&'a mut f64> {
     })
 }
 
+/// The same views without their full resolution.
+fn halved(dataset: &Dataset) -> Dataset {
+    let mut coarse = dataset.clone();
+    for view in coarse.views.iter_mut().filter(|v| v.levels.len() > 1) {
+        view.view = view.view.at_level(1);
+        view.levels.remove(0);
+    }
+    coarse
+}
+
 fn main() -> Result<()> {
     let cli = Cli::parse();
     let model = match scene::io::find_model(&cli.dataset) {
@@ -99,7 +119,8 @@ fn main() -> Result<()> {
     };
     let images = Some(cli.dataset.join("images")).filter(|_| cli.dataset.join("sparse").is_dir());
     let images = images.unwrap_or(cli.dataset.clone());
-    let dataset = Dataset::load(&images, None, &model, &cli.data, &Progress::silent())?;
+    let dataset = Dataset::load(&images, cli.masks.as_deref(), &model, &cli.data, &Progress::silent())?;
+    let seen = if cli.zoom { halved(&dataset) } else { dataset.clone() };
     let rows = if cli.set.is_empty() {
         rows()
     } else {
@@ -119,7 +140,7 @@ fn main() -> Result<()> {
             let mut config = column.config();
             change(&mut config);
             let cpu = splat::clock::cpu_seconds();
-            let result = train(&dataset, &config, None, &Progress::silent())?;
+            let result = train(&seen, &config, None, &Progress::silent())?;
             let cpu = splat::clock::cpu_seconds() - cpu;
             for d in &result.decisions {
                 eprintln!("{name}: {}: {} ({})", d.subject, d.choice, d.evidence);

@@ -86,12 +86,19 @@ struct Machine {
 }
 
 /// Vector operations (loads and stores apart) that forward and backward spend on a Gaussian and a pixel, counted in
-/// `cpu/raster.rs`: exponent, 2^x, alpha, transmittance, colour; the gradient's sums beside.
-const FORWARD_OPERATIONS: f64 = 27.0;
-const BACKWARD_OPERATIONS: f64 = 45.0;
-/// Bytes of a pixel that the loss reads and writes: three planes each of picture and target twice, nine maps written and
-/// read, three planes of the gradient.
-const LOSS_BYTES: f64 = 4.0 * (2.0 * 6.0 + 2.0 * 9.0 + 3.0);
+/// `cpu/raster.rs`: exponent and tests (8), 2^x (10), alpha and transmittance (8), colour (3), the new state (3); backward: the
+/// same without colour, and the sums (4), what is behind (4), α dL/dα (7), its moments (4).
+const FORWARD_OPERATIONS: f64 = 32.0;
+const BACKWARD_OPERATIONS: f64 = 48.0;
+/// Vector operations that the loss spends on a pixel, counted in `cpu/loss.rs` for four lines at once: of each channel the moments down (66) and
+/// across (44), the similarity (25), its derivatives down (42) and across (33), the gradient (12).
+const LOSS_OPERATIONS: f64 = 3.0 * 222.0;
+/// Bytes of a pixel that the loss reads and writes beyond the second-level cache: three planes each of picture and target twice, three planes
+/// of the gradient.
+const LOSS_BYTES: f64 = 4.0 * (2.0 * 6.0 + 3.0);
+/// Bytes of a Gaussian and pass of the radix sort (key, place read, place written) for three passes, and of a pair (tile, place, twice its list).
+const SORT_BYTES: f64 = 3.0 * 12.0;
+const BIN_BYTES: f64 = 16.0;
 /// Bytes of a Gaussian that project reads (geometry, colour) and writes (a record and a key).
 const PROJECT_BYTES: f64 = 4.0 * (11.0 + 48.0) + 68.0;
 /// Bytes of a visible Gaussian that optimise reads and writes: parameters, two moments, clock, statistics.
@@ -160,8 +167,10 @@ fn steps(cli: &Cli, dataset: &Dataset, model: &Model, threads: usize, machine: &
         100.0 * arithmetic(BACKWARD_OPERATIONS) / m[4]
     );
     println!(
-        "    bandwidth: project {:.0} %, loss {:.0} %, backward {:.0} %, optimise {:.0} %",
+        "    loss {:.0} % of the arithmetic; bandwidth: project {:.0} %, sort {:.0} %, loss {:.0} %, backward {:.0} %, optimise {:.0} %",
+        1e5 * LOSS_OPERATIONS * pixels_seen as f64 / n / machine.operations / m[3],
         100.0 * traffic(PROJECT_BYTES * model.len as f64) / m[0],
+        100.0 * traffic(SORT_BYTES * visible + BIN_BYTES * pairs) / m[1],
         100.0 * traffic(LOSS_BYTES * pixels_seen as f64 / n) / m[3],
         100.0 * traffic(SUM_BYTES * pairs) / m[4],
         100.0 * traffic(OPTIMISE_BYTES * visible + SUM_BYTES * pairs) / m[5]

@@ -46,6 +46,10 @@ pub struct Point {
     pub lpips: Option<f64>,
 }
 
+/// The build that measures: points of another one are measured again.
+const PROGRAM: [&str; 4] =
+    [env!("CARGO_PKG_VERSION"), env!("FRAMES_SOURCES"), env!("SFM_SOURCES"), env!("SPLAT_SOURCES")];
+
 /// What `bench.json` holds.
 #[derive(Debug, Serialize)]
 struct Sweep {
@@ -111,7 +115,7 @@ pub fn run(args: &BenchArgs, global: &crate::cli::Global, verbosity: Verbosity) 
     }
     for setting in &settings {
         let told: Vec<String> = setting.flags().into_iter().chain(args.flags.iter().cloned()).collect();
-        let print = fingerprint(&("bench", 1, sweep.version, &told, describe_input(&args.input)?))?;
+        let print = fingerprint(&("bench", 2, PROGRAM, &told, describe_input(&args.input)?))?;
         let stage = format!("bench-{}", setting.name().replace(' ', ""));
         let (finished, ran) = stages
             .run(&stage, &print, &[], || measure(&args.input, &out, &setting.name(), &told, verbosity))?;

@@ -28,7 +28,7 @@ pub fn export(dataset: &Dataset, config: &TrainConfig, folder: &Path) -> Result<
             rgba.extend([c[0], c[1], c[2], pixels.mask.as_ref().map_or(255, |m| m[i])]);
         }
     }
-    let first = initial_gaussians(dataset, config.max_gaussians, config.seed)?;
+    let first = initial_gaussians(dataset, config.max_gaussians, config.recipe.hull_points, config.seed)?;
     let k = first.sh_coefficients() * 3;
     let colours: Vec<f32> = (0..first.len())
         .flat_map(|i| [first.sh[i * k], first.sh[i * k + 1], first.sh[i * k + 2]])
