@@ -58,6 +58,8 @@ pub struct ViewScene {
     radius: f64,
     near: f64,
     far: f64,
+    /// Whether opacity goes with the low-pass, as the splat was trained.
+    antialias: bool,
 }
 
 /// Median distance of the cameras from the middle of what they look at, in the page. Browsers' splats are 16-bit and
@@ -75,6 +77,8 @@ pub struct Run {
     pub model: Reconstruction,
     /// The splat as `.spz`: a sixth of the bytes that a browser has to fetch, decode and sort into its textures.
     pub splat: Vec<u8>,
+    /// Whether it was trained with --antialias.
+    pub antialias: bool,
 }
 
 impl Run {
@@ -94,7 +98,8 @@ impl Run {
         gaussians.retain(|i| shown[i]);
         let spz = scene::io::splats::encode_spz(&gaussians).map_err(anyhow::Error::msg)?;
         let model = page_from_world.transform_reconstruction(&model);
-        Ok(Self { folder: folder.to_path_buf(), model, splat: spz })
+        let antialias = crate::evaluate::trained_with_antialias(folder)?;
+        Ok(Self { folder: folder.to_path_buf(), model, splat: spz, antialias })
     }
 
     /// The training image of the camera with this number in the page.
@@ -128,6 +133,7 @@ impl Run {
             radius: RADIUS,
             near,
             far: far.max(near * 1.001),
+            antialias: self.antialias,
         }
     }
 

@@ -20,9 +20,10 @@ renderer.setClearColor(0x000000, 1);
 document.getElementById("canvas").append(renderer.domElement);
 
 const scene = new THREE.Scene();
-// The low-pass of 0.3 px² and the order by depth that the splat was trained with.
+// The low-pass of 0.3 px² and the order by depth that the splat was trained with; after `blurAmount` Spark scales the opacity.
+const [preBlurAmount, blurAmount] = data.antialias ? [0.0, 0.3] : [0.3, 0.0];
 const spark = new SparkRenderer({
-  renderer, preBlurAmount: 0.3, blurAmount: 0.0, sortRadial: false, maxStdDev: 3.33, minAlpha: 1 / 255,
+  renderer, preBlurAmount, blurAmount, sortRadial: false, maxStdDev: 3.33, minAlpha: 1 / 255,
   onDirty: () => { state.dirty = true; },
 });
 scene.add(spark);
