@@ -9,7 +9,6 @@ With --blue, green and blue light are exchanged before the sensor: the screen is
 """
 
 import argparse
-import dataclasses
 import os
 import shutil
 import subprocess
@@ -111,6 +110,14 @@ def sensor(light, case, r2, rng):
     return np.round(255 * srgb).astype(np.uint8)
 
 
+def film(light, case, r2, seed, takes):
+    """One picture; or the mean of `takes` of them, none of which is that one."""
+    if takes == 1:
+        return sensor(light, case, r2, np.random.default_rng(seed))
+    draws = (sensor(light, case, r2, np.random.default_rng([*seed, k])) for k in range(1, takes + 1))
+    return np.round(sum(draw.astype(float) for draw in draws) / takes).astype(np.uint8)
+
+
 def byte(x):
     return np.round(255 * np.clip(x, 0, 1)).astype(np.uint8)
 
@@ -165,17 +172,19 @@ def write_model(case, shot, frames, folder):
             file.writelines(f"{np.degrees(cases.yaw_angle(shot, i)):.9f}\n" for i in frames)
 
 
-def encoder(case, shot, every, folder):
-    """ffmpeg reading raw RGB: a video (H.264, 4:2:0, BT.709) or JPEG stills."""
+def encoder(case, shot, options, folder):
+    """ffmpeg reading raw RGB: a video (H.264, 4:2:0, BT.709), JPEG stills, or PNG stills that are means."""
     source = f"ffmpeg -y -v error -f rawvideo -pix_fmt rgb24 -s {shot.lens.width}x{shot.lens.height}"
     if case.video_fps:
         rest = (
-            f"-r {case.video_fps / every:g} -i - -vf scale=out_color_matrix=bt709:out_range=tv -c:v libx264 -preset slow"
+            f"-r {case.video_fps / options.every:g} -i - -vf scale=out_color_matrix=bt709:out_range=tv -c:v libx264 -preset slow"
             f" -crf {case.crf} -pix_fmt yuv420p -colorspace bt709 -color_primaries bt709 -color_trc iec61966-2-1"
             f" -color_range tv -bf 2 -g 48 -threads 1 -fflags +bitexact -flags:v +bitexact -movflags +faststart {folder}/video.mp4"
         )
     else:
-        rest = f"-i - -pix_fmt yuvj420p -q:v 3 -start_number 0 {folder}/images/still_%03d.jpg"
+        form = "-pix_fmt yuvj420p -q:v 3" if options.takes == 1 else "-pix_fmt rgb24"
+        name = "still_%03d." + ("jpg" if options.takes == 1 else "png")
+        rest = f"-i - {form} -start_number 0 {folder}/images/{name}"
     return subprocess.Popen((source + " " + rest).split(), stdin=subprocess.PIPE)
 
 
@@ -186,22 +195,22 @@ def main():
     parser.add_argument("folder")
     parser.add_argument("--every", type=int, default=1, help="film only every k-th frame")
     parser.add_argument("--blue", action="store_true", help="exchange green and blue light")
-    parser.add_argument("--noiseless", action="store_true", help="no shot noise and no read noise: what no rendering can do better than")
+    parser.add_argument("--takes", type=int, default=1, help="stills that are the mean of so many other draws of the noise, as PNG: what no rendering can do better than")
     options = parser.parse_args()
     case, folder = cases.CASES[options.case], options.folder
-    if options.noiseless:
-        case = dataclasses.replace(case, read_noise=0.0, full_well=1e12)
+    if options.takes > 1 and case.video_fps:
+        parser.error("--takes is for stills")
     shot = cases.SHOTS[case.shot]
     for part in ("mattes", "pole", "depth") + (() if case.video_fps else ("images",)):
         os.makedirs(f"{folder}/{part}", exist_ok=True)
     renders = Renders(shot, case, options.renders)
-    sink = encoder(case, shot, options.every, folder)
+    sink = encoder(case, shot, options, folder)
     frames = range(0, shot.frames, options.every)
     for k, i in enumerate(frames):
         light, truth = renders[i]
         light = light[..., [0, 2, 1]] if options.blue else light
-        picture = sensor(light, case, renders.r2, np.random.default_rng([i, len(case.name), ord(case.name[-1])]))
-        sink.stdin.write(picture.tobytes())
+        seed = [i, len(case.name), ord(case.name[-1])]
+        sink.stdin.write(film(light, case, renders.r2, seed, options.takes).tobytes())
         write_truth(truth, case, shot, k, folder)
     sink.stdin.close()
     if sink.wait() != 0:
