@@ -45,6 +45,7 @@ fn rows() -> Vec<Row> {
         row("Gaussians that hardly any view sees stay", |c| c.recipe.remove_unseen = false),
         row("growth by a tenth above a threshold", |c| c.recipe.planned_growth = false),
         row("chosen by absolute gradient", |c| c.recipe.selection = Selection::AbsoluteGradient),
+        row("chosen by error", |c| c.recipe.selection = Selection::Error),
         row("chosen by opacity (3DGS-MCMC, no noise)", |c| c.recipe.selection = Selection::Opacity),
         row("half as many Gaussians", |c| c.recipe.gaussians_a_step *= 0.5),
         row("twice as many Gaussians", |c| c.recipe.gaussians_a_step *= 2.0),

@@ -45,6 +45,18 @@ impl PinholeView {
     }
 }
 
+/// What the statistics sum for each Gaussian over the steps that see it, for densification to choose by.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Scores {
+    /// |Σ dL/dxy|: the norm of the sum over pixels (Kerbl et al. 2023).
+    #[default]
+    Gradient,
+    /// |Σ |dL/dxy||: the norm of the sums of magnitudes, which do not cancel (Ye et al., AbsGS, 2024).
+    Magnitudes,
+    /// Σ T α e, with the absolute error e of the pixel summed over its channels (Rota Bulò et al., Revising Densification, 2024).
+    Error,
+}
+
 /// What a training step is compared with: 8-bit pixels at the view's size.
 #[derive(Clone, Copy, Debug)]
 pub struct Target<'a> {
@@ -208,8 +220,8 @@ pub trait Backend {
         target: &Target,
         options: &RenderOptions,
     ) -> Result<f64, SplatError>;
-    /// Whether the statistics sum |dL/dxy| over pixels (AbsGS) instead of taking the norm of the sum.
-    fn set_magnitudes(&mut self, on: bool) -> Result<(), SplatError>;
+    /// What the statistics score Gaussians by.
+    fn set_scores(&mut self, scores: Scores) -> Result<(), SplatError>;
     /// The gain of the view to come: its photo shows the scene times this, so that targets are divided by it.
     fn set_gain(&mut self, gain: Option<[f32; 3]>);
     /// Sums over the pixels that count, by channel: Σ r t, Σ r², Σ t² of the rendering r and the photo t (no gain).

@@ -1,5 +1,6 @@
 //! What training can be told.
 
+use crate::backend::Scores;
 use crate::device::DeviceConfig;
 use clap::{Args, ValueEnum};
 use serde::{Deserialize, Serialize};
@@ -87,8 +88,21 @@ pub enum Selection {
     Gradient,
     /// The same of its absolute values over the pixels, which do not cancel (Ye et al., AbsGS, 2024)
     AbsoluteGradient,
+    /// Mean error of the pixels it colours, by its part in them (Rota Bulò et al. 2024; on the CPU)
+    Error,
     /// Drawn in proportion to opacity; two of them look as the one did (Kheradmand et al., 3DGS as MCMC, 2024)
     Opacity,
+}
+
+impl Selection {
+    /// What it needs from the backend's statistics.
+    pub fn scores(self) -> Scores {
+        match self {
+            Self::Gradient | Self::Opacity => Scores::Gradient,
+            Self::AbsoluteGradient => Scores::Magnitudes,
+            Self::Error => Scores::Error,
+        }
+    }
 }
 
 /// The trainer's own choices. No flags: each was chosen by switching it off (docs/benchmarks.md, example `ablation`).

@@ -29,7 +29,9 @@ pub fn densify(
     let rng = |i: u32| scene::rng::rng(seed, "densify", (u64::from(iteration) << 32) | u64::from(i));
     let opacity = |i: usize| 1.0 / (1.0 + (-model.geometry[OPACITY][i]).exp());
     let score = |i: usize| match selection {
-        Selection::Gradient | Selection::AbsoluteGradient => statistics.gradient[i] / statistics.visible[i],
+        Selection::Gradient | Selection::AbsoluteGradient | Selection::Error => {
+            statistics.gradient[i] / statistics.visible[i]
+        }
         // Drawing without replacement in proportion to the weights: the greatest u^(1/w) (Efraimidis and Spirakis 2006).
         Selection::Opacity => {
             rng(i as u32).random_range(1e-6f32..1.0).powf(1.0 / opacity(i).max(1e-6)) + threshold

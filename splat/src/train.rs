@@ -9,7 +9,6 @@ pub use decide::Findings;
 
 use crate::backend::{Backend, KernelTimes, Round, StepInput, StepOutput, Target};
 use crate::checkpoint::{self, Checkpoint, State};
-use crate::config::Selection;
 use crate::cpu::optimise::Statistics;
 use crate::dataset::AlphaMode;
 use crate::hull::VisualHull;
@@ -163,7 +162,7 @@ impl<'a> Trainer<'a> {
             let value = config.device.vram_limit.map_or("not given".to_owned(), |mib| mib.to_string());
             return Err(SplatError::Config { flag, value, expected });
         }
-        backend.set_magnitudes(config.recipe.selection == Selection::AbsoluteGradient)?;
+        backend.set_scores(config.recipe.selection.scores())?;
         let resumed = folder.map_or(Ok(None), |f| Checkpoint::read(f, &fingerprint))?;
         let mut state = match resumed {
             Some(checkpoint) => {

@@ -5,7 +5,7 @@ use super::optimise::{SharedModel, SharedPlane, Sink, Statistics};
 use super::project::{CameraConstants, Parameters};
 use super::simd::Isa;
 use super::workspace::Workspace;
-use crate::backend::{Backend, KernelTimes, StepInput, StepOutput, Target};
+use crate::backend::{Backend, KernelTimes, Scores, StepInput, StepOutput, Target};
 use crate::model::{GEOMETRY, Model, padded};
 use crate::{PinholeView, RenderOptions, RenderOutput, SplatError};
 use rayon::prelude::*;
@@ -48,9 +48,9 @@ impl CpuBackend {
         Self { isa, model: Model::default(), statistics, work, times, clock: crate::clock::wall_seconds }
     }
 
-    /// Whether the statistics sum |dL/dxy| over pixels (AbsGS) instead of taking the norm of the sum.
-    pub fn set_magnitudes(&mut self, on: bool) {
-        self.work.magnitudes = on;
+    /// What the statistics score Gaussians by.
+    pub fn set_scores(&mut self, scores: Scores) {
+        self.work.scores = scores;
     }
 
     /// Measures kernels with another clock (seconds), such as the CPU time of the process.
@@ -136,7 +136,7 @@ impl CpuBackend {
             weight: weighted.then_some(work.weight.as_slice()),
             lambda: 0.0,
         };
-        f64::from(loss(self.isa, &input, &mut work.gradient).mse)
+        f64::from(loss(self.isa, &input, &mut work.gradient, &mut work.parts).mse)
     }
 
     /// Sums over the pixels that count, by channel: Σ r t, Σ r², Σ t² of the rendering r and the photo t (no gain).
@@ -185,7 +185,7 @@ impl CpuBackend {
             weight: weighted.then_some(work.weight.as_slice()),
             lambda: input.lambda_dssim,
         };
-        loss(self.isa, &input, &mut work.gradient)
+        loss(self.isa, &input, &mut work.gradient, &mut work.parts)
     }
 
     fn shared(&mut self) -> SharedModel {
@@ -339,8 +339,8 @@ impl Backend for CpuBackend {
         Ok(Self::products(self, view, target, options))
     }
 
-    fn set_magnitudes(&mut self, on: bool) -> Result<(), SplatError> {
-        Self::set_magnitudes(self, on);
+    fn set_scores(&mut self, scores: Scores) -> Result<(), SplatError> {
+        Self::set_scores(self, scores);
         Ok(())
     }
 

@@ -99,8 +99,13 @@ thread_local! {
     static LINES: RefCell<Vec<f32>> = const { RefCell::new(Vec::new()) };
 }
 
-/// The loss; fills `gradient` (planes like `rgb`, zero outside the image).
-pub fn loss(isa: Isa, input: &LossInput, gradient: &mut [Vec<f32>; 3]) -> LossValue {
+/// The loss; fills `gradient` (planes like `rgb`, zero outside the image). `parts` is scratch space, kept by the caller.
+pub fn loss(
+    isa: Isa,
+    input: &LossInput,
+    gradient: &mut [Vec<f32>; 3],
+    parts: &mut Vec<[f64; 3]>,
+) -> LossValue {
     let shape = input.shape;
     let count = match input.weight {
         Some(w) => rows(&shape).map(|r| w[r].iter().map(|&v| f64::from(v)).sum::<f64>()).sum::<f64>(),
@@ -109,20 +114,20 @@ pub fn loss(isa: Isa, input: &LossInput, gradient: &mut [Vec<f32>; 3]) -> LossVa
     let scale = if count > 0.0 { (1.0 / (3.0 * count)) as f32 } else { 0.0 };
     let window = window();
     let bands = shape.height.div_ceil(BAND);
-    let partial: Vec<[f64; 3]> = gradient
-        .par_iter_mut()
-        .enumerate()
-        .flat_map(|(channel, plane)| {
-            let parts = plane.par_chunks_mut(shape.stride() * BAND).take(bands).enumerate();
-            parts.map(move |(b, out)| (channel, b * BAND, out))
-        })
-        .map(|(channel, y0, out)| {
-            let mut a = Band { input, channel, y0, window: &window, scale, out, ssim: 0.0, l1: 0.0, l2: 0.0 };
-            band(isa, &mut a);
-            [a.ssim, a.l1, a.l2]
-        })
-        .collect();
-    let [ssim, l1, l2] = partial.iter().fold([0.0; 3], |s, p| [s[0] + p[0], s[1] + p[1], s[2] + p[2]]);
+    parts.clear();
+    parts.resize(3 * bands, [0.0; 3]);
+    let run = |channel: usize, (b, (out, part)): (usize, (&mut [f32], &mut [f64; 3]))| {
+        let y0 = b * BAND;
+        let mut a = Band { input, channel, y0, window: &window, scale, out, ssim: 0.0, l1: 0.0, l2: 0.0 };
+        band(isa, &mut a);
+        *part = [a.ssim, a.l1, a.l2];
+    };
+    let planes = gradient.par_iter_mut().zip(parts.par_chunks_mut(bands.max(1))).enumerate();
+    planes.for_each(|(channel, (plane, parts))| {
+        let lines = plane.par_chunks_mut(shape.stride() * BAND).zip(parts).enumerate();
+        lines.for_each(|job| run(channel, job));
+    });
+    let [ssim, l1, l2] = parts.iter().fold([0.0; 3], |s, p| [s[0] + p[0], s[1] + p[1], s[2] + p[2]]);
     let mean = |sum: f64| if count > 0.0 { sum / (3.0 * count) } else { 0.0 };
     let lambda = f64::from(input.lambda);
     let d_ssim = if count > 0.0 && input.lambda > 0.0 { 1.0 - mean(ssim) } else { 0.0 };

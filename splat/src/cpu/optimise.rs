@@ -12,7 +12,7 @@ use super::project::{
 use super::raster::SUMS;
 use super::sh;
 use super::simd::{Simd, array, simd_kernel};
-use crate::backend::LearningRates;
+use crate::backend::{LearningRates, Scores};
 use crate::model::{GEOMETRY, LOG_SCALE, MEAN, OPACITY, ROTATION};
 use glam::Vec3;
 
@@ -35,7 +35,7 @@ unsafe impl Sync for SharedPlane {}
 /// What densification and pruning are decided by, summed over steps.
 #[derive(Clone, Debug, Default, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct Statistics {
-    /// Σ |dL/dxy| in units of half the image, over the steps in which the Gaussian was visible.
+    /// Σ |dL/dxy| in units of half the image, over the steps in which the Gaussian was visible (or what [`Scores`] says).
     pub gradient: Vec<f32>,
     /// In how many steps it was visible.
     pub visible: Vec<f32>,
@@ -102,8 +102,8 @@ pub struct Optimise<'a> {
     pub opacity_penalty: f32,
     /// Added to dL/dscale of visible Gaussians.
     pub scale_penalty: f32,
-    /// Whether statistics use the sums of magnitudes.
-    pub magnitudes: bool,
+    /// What the statistics score Gaussians by.
+    pub scores: Scores,
     /// Out: Gaussians whose gradient was not finite.
     pub non_finite: usize,
 }
@@ -390,7 +390,10 @@ unsafe fn note_statistics<S: Simd>(
         let gx = p.conic[0].mul(sums[1]).add(p.conic[1].mul(sums[2])).mul(S::splat(0.5 * c.size[0]));
         let gy = p.conic[1].mul(sums[1]).add(p.conic[2].mul(sums[2])).mul(S::splat(0.5 * c.size[1]));
         let mut norm = gx.fma(gx, gy.mul(gy)).sqrt();
-        if a.magnitudes {
+        if a.scores == Scores::Error {
+            norm = sums[10];
+        }
+        if a.scores == Scores::Magnitudes {
             const LN_2: f32 = std::f32::consts::LN_2;
             let (mx, my) = (
                 sums[10].mul(S::splat(0.5 * LN_2 * c.size[0])),

@@ -365,19 +365,39 @@ pub struct Backward<'a> {
     /// `Σ_channels C · dL/dC` of the finished picture (background included).
     pub remaining: &'a mut Plane,
     /// Out, for each of `list`: with `v = α dL/dα`, `d` = centre − pixel:
-    /// Σ v, Σ v dx, Σ v dy, Σ v dx², Σ v dx dy, Σ v dy², Σ T α dL/dC (3), Σ T α, Σ |v (conic d)| by component (2).
+    /// Σ v, Σ v dx, Σ v dy, Σ v dx², Σ v dx dy, Σ v dy², Σ T α dL/dC (3), Σ T α, and two that `extra` says.
     pub sums: &'a mut [[f32; SUMS]],
-    /// Whether the last two are wanted; they are 0 otherwise.
-    pub magnitudes: bool,
+    /// What the last two are.
+    pub extra: Extra<'a>,
 }
+
+/// What backward sums beside gradients, for densification.
+#[derive(Clone, Copy)]
+pub enum Extra<'a> {
+    /// Nothing: zeros.
+    Nothing,
+    /// Σ |v (conic d)| by component.
+    Magnitudes,
+    /// Σ T α e with the error e of each pixel, and 0.
+    Error(&'a Plane),
+}
+
+/// [`Extra`] for the compiler.
+const NOTHING: u8 = 0;
+const MAGNITUDES: u8 = 1;
+const ERROR: u8 = 2;
 
 #[inline(always)]
 fn backward_generic<S: Simd>(a: &mut Backward) {
-    if a.magnitudes { backward_loop::<S, true>(a) } else { backward_loop::<S, false>(a) }
+    match a.extra {
+        Extra::Nothing => backward_loop::<S, NOTHING>(a, &Plane::filled(0.0)),
+        Extra::Magnitudes => backward_loop::<S, MAGNITUDES>(a, &Plane::filled(0.0)),
+        Extra::Error(plane) => backward_loop::<S, ERROR>(a, plane),
+    }
 }
 
 #[inline(always)]
-fn backward_loop<S: Simd, const MAGNITUDES: bool>(a: &mut Backward) {
+fn backward_loop<S: Simd, const EXTRA: u8>(a: &mut Backward, error: &Plane) {
     let (zero, one) = (S::splat(0.0), S::splat(1.0));
     let (max_alpha, min_t) = (S::splat(MAX_ALPHA), S::splat(MIN_TRANSMITTANCE));
     let mut transmittance = a.tile.start();
@@ -435,7 +455,10 @@ fn backward_loop<S: Simd, const MAGNITUDES: bool>(a: &mut Backward) {
                         v0 = v0.add(v);
                         v1 = v1.add(vdy);
                         v2 = vdy.fma(S::splat(dy), v2);
-                        if MAGNITUDES {
+                        if EXTRA == ERROR {
+                            total[10] = weight.fma(S::load(error.as_ptr().add(at)), total[10]);
+                        }
+                        if EXTRA == MAGNITUDES {
                             let size = v.abs();
                             let across = slope.add(S::splat(g.xy * dy)).abs();
                             let down = power.linear.add(S::splat(2.0 * g.half_yy * dy)).abs();

@@ -4,10 +4,10 @@ use super::bin::{Bins, TILE};
 use super::loss::Shape;
 use super::optimise::{Optimise, SharedModel, SharedPlane, Sink, optimise};
 use super::project::{CULLED, CameraConstants, Parameters, Project, Record, project};
-use super::raster::{Backward, Forward, PIXELS, Plane, SUMS, Tile, Visit, backward, forward, visit};
+use super::raster::{Backward, Extra, Forward, PIXELS, Plane, SUMS, Tile, Visit, backward, forward, visit};
 use super::simd::Isa;
 use super::target::{Source, compose, reached_tiles};
-use crate::backend::Target;
+use crate::backend::{Scores, Target};
 use rayon::prelude::*;
 
 /// Gaussians a task projects or optimises.
@@ -30,10 +30,12 @@ pub struct Workspace {
     pub weight: Vec<f32>,
     pub gradient: [Vec<f32>; 3],
     pub sums: Vec<[f32; SUMS]>,
+    /// Of the loss.
+    pub parts: Vec<[f64; 3]>,
     /// Targets are divided by this.
     pub gain: Option<[f32; 3]>,
-    /// Whether backward sums magnitudes for the statistics.
-    pub magnitudes: bool,
+    /// What backward sums for the statistics.
+    pub scores: Scores,
 }
 
 impl Workspace {
@@ -135,7 +137,7 @@ impl Workspace {
         let (shape, records, bins, used) = (self.shape, &self.records, &self.bins, &self.used);
         let (rgb, gradient) = (&self.rgb, &self.gradient);
         self.sums.resize(bins.list.len(), [0.0; SUMS]);
-        let magnitudes = self.magnitudes;
+        let (scores, target) = (self.scores, &self.target);
         let all = SharedSums(self.sums.as_mut_ptr());
         (0..used.len()).into_par_iter().for_each(|t| {
             let used = used[t] as usize;
@@ -149,10 +151,17 @@ impl Workspace {
             let tile = shape.tile(t);
             let local: [Plane; 3] = std::array::from_fn(|c| gather(&gradient[c], &tile));
             let mut remaining = Plane::filled(0.0);
-            for (colour, gradient) in rgb.iter().zip(&local) {
-                let colour = gather(colour, &tile);
+            let mut error = Plane::filled(0.0);
+            for (c, gradient) in local.iter().enumerate() {
+                let colour = gather(&rgb[c], &tile);
                 for i in 0..PIXELS {
                     remaining[i] += colour[i] * gradient[i];
+                }
+                if scores == Scores::Error {
+                    let wanted = gather(&target[c], &tile);
+                    for i in 0..PIXELS {
+                        error[i] += (colour[i] - wanted[i]).abs();
+                    }
                 }
             }
             let list = &bins.list[begin..begin + used];
@@ -166,7 +175,11 @@ impl Workspace {
                     gradient: &local,
                     remaining: &mut remaining,
                     sums,
-                    magnitudes,
+                    extra: match scores {
+                        Scores::Gradient => Extra::Nothing,
+                        Scores::Magnitudes => Extra::Magnitudes,
+                        Scores::Error => Extra::Error(&error),
+                    },
                 },
             );
         });
@@ -197,7 +210,7 @@ impl Workspace {
                 sink,
                 opacity_penalty: penalties[0],
                 scale_penalty: penalties[1],
-                magnitudes: self.magnitudes,
+                scores: self.scores,
                 non_finite: 0,
             };
             optimise(isa, &mut a);

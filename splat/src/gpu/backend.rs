@@ -9,7 +9,7 @@ use super::layout::{BLOCK, Frame, HALT, MAGNITUDES, NON_FINITE, TRUNCATE, VISIBL
 use super::pages::Pages;
 use super::photos::{Photo, Photos};
 use crate::adapter::Adapter;
-use crate::backend::{Backend, KernelTimes, Round, StepInput, StepOutput, Target};
+use crate::backend::{Backend, KernelTimes, Round, Scores, StepInput, StepOutput, Target};
 use crate::cpu::{DEFAULT_NEAR, optimise::Statistics, project::CameraConstants};
 use crate::{PinholeView, RenderOptions, RenderOutput, SplatError, model::Model, train::Decision};
 use scene::FloatImage;
@@ -485,8 +485,16 @@ impl Backend for GpuBackend {
         self.gain = gain;
     }
 
-    fn set_magnitudes(&mut self, on: bool) -> Result<(), SplatError> {
-        self.magnitudes = if on { MAGNITUDES } else { 0 };
+    fn set_scores(&mut self, scores: Scores) -> Result<(), SplatError> {
+        self.magnitudes = match scores {
+            Scores::Gradient => 0,
+            Scores::Magnitudes => MAGNITUDES,
+            Scores::Error => {
+                let expected =
+                    "a gradient or the opacity on a graphics adapter; errors are summed on the CPU only";
+                return Err(SplatError::Config { flag: "selection", value: "Error".to_owned(), expected });
+            }
+        };
         Ok(())
     }
 

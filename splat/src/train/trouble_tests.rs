@@ -3,6 +3,7 @@
 use super::*;
 use crate::PinholeView;
 use crate::RenderOutput;
+use crate::backend::Scores;
 
 #[test]
 fn one_view_and_ten_times_the_learning_rates_stay_finite_and_recover() {
@@ -71,8 +72,8 @@ impl Backend for Breaks {
     ) -> Result<f64, SplatError> {
         Backend::mean_square_error(&mut self.inner, view, target, options)
     }
-    fn set_magnitudes(&mut self, on: bool) -> Result<(), SplatError> {
-        Backend::set_magnitudes(&mut self.inner, on)
+    fn set_scores(&mut self, scores: Scores) -> Result<(), SplatError> {
+        Backend::set_scores(&mut self.inner, scores)
     }
     fn set_gain(&mut self, gain: Option<[f32; 3]>) {
         Backend::set_gain(&mut self.inner, gain);

@@ -1,6 +1,7 @@
 //! Every backend against the f64 reference: kernel by kernel, whole pictures, whole gradients, whole training steps,
 //! and what happens at the extremes. The tests are generic over [`subject::Subject`].
 
+mod allocations;
 #[cfg(feature = "gpu")]
 mod device;
 mod extremes;
@@ -10,6 +11,7 @@ mod kernels;
 mod optimise;
 mod pictures;
 mod scenes;
+mod scores;
 mod steps;
 mod subject;
 #[cfg(feature = "gpu")]

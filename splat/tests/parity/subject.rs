@@ -123,7 +123,7 @@ impl Subject for Cpu {
         }
         let mut gradient: [Vec<f32>; 3] = std::array::from_fn(|_| vec![0.0; shape.plane()]);
         let input = LossInput { shape, rgb: &x, target: &y, weight: weight.as_deref(), lambda };
-        let value = loss(self.isa, &input, &mut gradient);
+        let value = loss(self.isa, &input, &mut gradient, &mut Vec::new());
         let interleaved = (0..width * height * 3).map(|i| gradient[i % 3][at(i / 3)]).collect();
         (value.loss, value.mse, interleaved)
     }
