@@ -83,7 +83,7 @@ fn at_points(points: &[(Vec3, [u8; 3])]) -> Gaussians {
 }
 
 /// The point nearest to all optical axes (least squares) and the mean distance of the cameras from it.
-fn focus(views: &[View]) -> Option<(DVec3, f64)> {
+pub(crate) fn focus(views: &[View]) -> Option<(DVec3, f64)> {
     let (mut a, mut b) = (DMat3::ZERO, DVec3::ZERO);
     for v in views {
         let (c, d) = (v.view.position().as_dvec3(), v.view.rotation.row(2).as_dvec3().normalize());

@@ -14,6 +14,7 @@ pub mod dataset;
 pub mod densify;
 pub mod device;
 pub mod error;
+mod footprint;
 pub mod fusion;
 #[cfg(feature = "gpu")]
 pub mod gpu;

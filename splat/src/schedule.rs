@@ -66,21 +66,25 @@ pub fn sh_degree(position: f64, highest: u32) -> u32 {
 /// Steps for which the step sizes were measured; the last ones are lowered where there are more.
 pub const TUNED_STEPS: f32 = 500.0;
 
-/// Step sizes at a position of a schedule of `steps` steps (normalised scene units for the means).
+/// Steps of the means at the start and the end, pixels: with steps measured by the extent of the cameras, those that suit one
+/// scene are five times too large for another (docs/decisions/0022).
+const MEAN_PIXELS: (f32, f32) = (1.0, 0.06);
+
+/// Step sizes at a position of a schedule of `steps` steps (normalised scene units for the means), where a pixel is `pixel` units wide.
 ///
 /// Far above 3DGS (Kerbl et al. 2023: 1.6e-4, 5e-3, 1e-3, 5e-2, 2.5e-3, 1.25e-4 for 30,000 steps): these schedules have
-/// hundreds to thousands of steps, and on `fox` each of these factors was worth 0.2 to 1 dB after 500.
-pub fn rates(position: f64, steps: f64, config: &TrainConfig) -> LearningRates {
+/// hundreds to thousands of steps. Chosen together on four captures (docs/decisions/0022).
+pub fn rates(position: f64, steps: f64, pixel: f32, config: &TrainConfig) -> LearningRates {
     let shorter = (TUNED_STEPS / steps.max(1.0) as f32).min(1.0);
     let decay = |first: f32, last: f32, power: f32| {
         first * (last * shorter.powf(power) / first).powf(position as f32) * config.learning_rate
     };
     LearningRates {
-        mean: decay(4e-3, 2e-4, 1.5),
-        log_scale: decay(8e-2, 1e-2, 0.7),
+        mean: decay(MEAN_PIXELS.0 * pixel, MEAN_PIXELS.1 * pixel, 1.5),
+        log_scale: decay(0.16, 3e-2, 0.7),
         rotation: decay(2e-2, 5e-3, 0.5),
-        opacity: decay(0.12, 0.03, 0.5),
-        sh0: decay(5e-2, 7e-3, 0.9),
-        sh_rest: decay(5e-3, 1e-3, 0.5),
+        opacity: decay(0.12, 0.06, 0.5),
+        sh0: decay(1.25e-2, 7e-3, 0.9),
+        sh_rest: decay(7.5e-3, 2e-3, 0.5),
     }
 }

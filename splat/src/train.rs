@@ -4,6 +4,7 @@ mod decide;
 mod degree;
 mod exposure;
 mod prune;
+mod watch;
 
 pub use decide::Findings;
 
@@ -11,6 +12,7 @@ use crate::backend::{Backend, KernelTimes, Round, StepInput, StepOutput, Target}
 use crate::checkpoint::{self, Checkpoint, State};
 use crate::cpu::optimise::Statistics;
 use crate::dataset::AlphaMode;
+use crate::footprint::footprint;
 use crate::hull::VisualHull;
 use crate::init::initial_gaussians;
 use crate::model::Model;
@@ -80,6 +82,8 @@ struct Trainer<'a> {
     clock: fn() -> f64,
     /// The clock when `state.seconds` was last brought up to date.
     mark: f64,
+    /// Width of a pixel in the scene, normalised units.
+    pixel: f32,
     /// Training views.
     views: Vec<usize>,
     /// Those of them that only judge until growth ends.
@@ -198,6 +202,7 @@ impl<'a> Trainer<'a> {
             lap,
             clock,
             mark,
+            pixel: footprint(dataset),
             views,
             validation,
             hull,
@@ -263,6 +268,8 @@ impl<'a> Trainer<'a> {
         let level = self.level().min(view.levels.len() as u32 - 1);
         let (camera, pixels) = (view.view.at_level(level), &view.levels[level as usize]);
         self.backend.set_gain(self.gain(chosen));
+        let steps = self.state.pace.steps(&self.state, self.config);
+        let rates = schedule::rates(position, steps, self.pixel, self.config);
         let outputs = self.backend.advance(&StepInput {
             view: &camera,
             target: Target {
@@ -272,7 +279,7 @@ impl<'a> Trainer<'a> {
                 photo: Some(chosen as u32),
             },
             options: self.options(),
-            rates: schedule::rates(position, self.state.pace.steps(&self.state, self.config), self.config),
+            rates,
             lambda_dssim: self.config.lambda_dssim,
             opacity_penalty: self.config.recipe.opacity_penalty as f32,
             scale_penalty: self.config.recipe.scale_penalty as f32,
@@ -292,6 +299,9 @@ impl<'a> Trainer<'a> {
         if iteration.is_multiple_of(CURVE_EVERY) || self.state.position >= 1.0 {
             self.settle()?;
             self.note_curve();
+            if let Some(reason) = watch::runaway(&self.state.curve) {
+                return Err(SplatError::Diverged { iteration, reason });
+            }
         }
         Ok(())
     }

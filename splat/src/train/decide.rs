@@ -222,6 +222,9 @@ impl Trainer<'_> {
             let evidence = "they were not finite; each Gaussian stayed as it was in that step".to_owned();
             self.note("gradients", choice, evidence);
         }
+        if let Some(evidence) = super::watch::stuck(&self.state.curve) {
+            self.note("convergence", "none".to_owned(), evidence);
+        }
         self.state.decisions.extend(self.backend.remarks());
         std::mem::take(&mut self.state.decisions)
     }

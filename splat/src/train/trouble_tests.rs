@@ -6,14 +6,32 @@ use crate::RenderOutput;
 use crate::backend::Scores;
 
 #[test]
-fn one_view_and_ten_times_the_learning_rates_stay_finite_and_recover() {
-    let dataset = dataset(1, false);
-    let wild = TrainConfig { learning_rate: 10.0, ..config(1000) };
-    let result = train(&dataset, &wild, None, &Progress::silent()).unwrap();
-    assert!(result.gaussians.means.iter().all(|m| m.is_finite()));
+fn ten_times_the_learning_rates_recover_or_say_why_not() {
+    for (views, rate) in [(1, 10.0), (1, 3.0), (12, 10.0), (12, 3.0)] {
+        let wild = TrainConfig { learning_rate: rate, ..config(1000) };
+        match train(&dataset(views, false), &wild, None, &Progress::silent()) {
+            Ok(result) => {
+                assert!(result.gaussians.means.iter().all(|m| m.is_finite()));
+                let losses: Vec<f32> = result.curve.iter().map(|p| p.loss).collect();
+                assert!(losses.iter().all(|l| l.is_finite()));
+                let told = result.decisions.iter().any(|d| d.subject == "convergence");
+                let recovered = losses[losses.len() - 1] < 0.5 * losses[0];
+                assert!(recovered || (told && rate > 5.0), "{views} at {rate}: {losses:?}");
+                assert!(!(recovered && told), "{views} at {rate}: {:?}", result.decisions);
+            }
+            Err(SplatError::Diverged { reason, .. }) => {
+                assert!(rate > 5.0 && reason.contains("--learning-rate"), "{views} at {rate}: {reason}");
+            }
+            Err(other) => panic!("{views} at {rate}: {other}"),
+        }
+    }
+}
+
+#[test]
+fn one_view_is_learnt() {
+    let result = train(&dataset(1, false), &config(400), None, &Progress::silent()).unwrap();
     let losses: Vec<f32> = result.curve.iter().map(|p| p.loss).collect();
-    assert!(losses.iter().all(|l| l.is_finite()));
-    assert!(losses[losses.len() - 1] < 0.5 * losses[0], "it recovers: {losses:?}");
+    assert!(losses[losses.len() - 1] < 0.3 * losses[0], "{losses:?}");
 }
 
 /// The processor, which from a step on reports a loss of its own; at once or, as a device does, later.

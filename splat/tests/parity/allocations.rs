@@ -74,7 +74,9 @@ fn steps_take_no_memory() {
         let taken = pool.install(|| {
             let mut backend = ready();
             let before = TAKEN.load(Ordering::Relaxed);
-            (0..20).for_each(|_| drop(Backend::step(&mut backend, &input).unwrap()));
+            for _ in 0..20 {
+                Backend::step(&mut backend, &input).unwrap();
+            }
             TAKEN.load(Ordering::Relaxed) - before
         });
         assert_eq!(taken, 0, "{:?}, transparent {transparent}", isa.kind());

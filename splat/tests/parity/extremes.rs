@@ -261,7 +261,7 @@ fn a_view_with_an_empty_mask_changes_nothing() {
 /// The trainer's own rates at a step of its schedule, ten times as large.
 fn ten_times_the_trainers(step: usize, steps: usize) -> LearningRates {
     let config = TrainConfig { learning_rate: 10.0, ..TrainConfig::default() };
-    schedule::rates(step as f64 / steps as f64, steps as f64, &config)
+    schedule::rates(step as f64 / steps as f64, steps as f64, 2e-3, &config)
 }
 
 /// Judged by its end: a run that is thrown off by such rates must find back once they are low.
