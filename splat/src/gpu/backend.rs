@@ -5,7 +5,7 @@ use super::buffers::{Buffers, Limit, PHOTOS, Sizes, capacity, most_pairs, tiles}
 use super::context::{Gpu, Opening};
 use super::flight::{Flight, Pending, Report, WINDOW};
 use super::kernels::Kernels;
-use super::layout::{BLOCK, Frame, HALT, MAGNITUDES, NON_FINITE, TRUNCATE, VISIBLE};
+use super::layout::{BLOCK, Frame, HALT, NON_FINITE, TRUNCATE, VISIBLE};
 use super::pages::Pages;
 use super::photos::{Photo, Photos};
 use crate::adapter::Adapter;
@@ -486,15 +486,7 @@ impl Backend for GpuBackend {
     }
 
     fn set_scores(&mut self, scores: Scores) -> Result<(), SplatError> {
-        self.magnitudes = match scores {
-            Scores::Gradient => 0,
-            Scores::Magnitudes => MAGNITUDES,
-            Scores::Error => {
-                let expected =
-                    "a gradient or the opacity on a graphics adapter; errors are summed on the CPU only";
-                return Err(SplatError::Config { flag: "selection", value: "Error".to_owned(), expected });
-            }
-        };
+        self.magnitudes = super::scores::score_flag(scores)?;
         Ok(())
     }
 

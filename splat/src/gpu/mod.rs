@@ -15,6 +15,7 @@ pub mod photos;
 pub mod pipelines;
 mod probe;
 mod roof;
+mod scores;
 
 pub use backend::GpuBackend;
 pub use context::{Gpu, Opening, adapters};
