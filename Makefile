@@ -14,7 +14,7 @@ SAT_RECON := $(TARGET)/release/sat-recon
 VENV := $(CACHE)/venv
 SHARED := $(or $(SAT_RECON_SHARED),../shared)
 
-.PHONY: help setup viewer build demo test lint bench tables bench-gpu compare oracle testbed
+.PHONY: help setup viewer build demo test neon lint bench tables bench-gpu compare oracle testbed
 help:  ## this list
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed 's/:.*##/\t/' | expand -t 12
 
@@ -34,6 +34,17 @@ demo: build  ## a satellite that yaws before a green screen: video to splat, the
 test: setup viewer  ## every test (real data is looked for in ../shared/data)
 	@tools/setup.sh colmap chromium
 	cargo test --workspace --locked
+
+# The trainer alone: the other crates need OpenCV's and Ceres' libraries for that processor.
+ARM := aarch64-unknown-linux-gnu
+neon: export CARGO_TARGET_AARCH64_UNKNOWN_LINUX_GNU_LINKER := aarch64-linux-gnu-gcc
+neon: export CARGO_TARGET_AARCH64_UNKNOWN_LINUX_GNU_RUNNER := qemu-aarch64-static -L /usr/aarch64-linux-gnu
+neon:  ## the trainer's kernels as compiled for ARM (NEON) against the reference, on an emulated processor (slow)
+	@tools/setup.sh gcc-aarch64-linux-gnu libc6-dev-arm64-cross qemu-user-static
+	rustup target add $(ARM)
+	cargo test -p splat --no-default-features --target $(ARM) --locked --lib -- cpu::
+	cargo test -p splat --no-default-features --target $(ARM) --locked --test parity -- \
+	    kernels pictures optimise scores steps extreme --skip two_hundred --skip ten_thousand --skip hundred_thousand
 
 lint: setup  ## formatting, clippy, file and function lengths, borders between crates
 	@tools/lint.sh

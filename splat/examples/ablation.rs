@@ -93,6 +93,7 @@ fn slot<'a>(c: &'a mut TrainConfig, name: &str) -> Option<&'a mut f64> {
         "gaussians" => &mut c.recipe.gaussians_a_step,
         "full" => &mut c.recipe.full_resolution_from,
         "half" => &mut c.recipe.half_resolution_from,
+        "passes" => &mut c.recipe.passes,
         "until" => &mut c.recipe.densify_until,
         "prune-at" => &mut c.recipe.prune_at,
         "prune-loss" => &mut c.recipe.prune_loss,

@@ -123,6 +123,8 @@ pub struct Recipe {
     pub half_resolution_from: f64,
     /// Part of the schedule in which Gaussians are added.
     pub densify_until: f64,
+    /// Times that a time limit lets each training view be seen, at most: more steps learn the photos by heart.
+    pub passes: f64,
     /// Spherical-harmonic degree and number of Gaussians grow only while a validation split gains by it.
     pub evidence: bool,
     /// Gains by view and channel are modelled where they explain enough of the residuals.
@@ -153,6 +155,7 @@ impl Default for Recipe {
             full_resolution_from: 0.8,
             half_resolution_from: 0.4,
             densify_until: 0.7,
+            passes: 300.0,
             evidence: true,
             exposure: true,
             prune_redundant: true,

@@ -15,6 +15,9 @@ pub const OPACITY: f32 = 0.3;
 /// Points drawn where there is no sparse cloud.
 const CANDIDATES: usize = 400_000;
 
+/// Points of a sparse cloud with fewer than which it is not used.
+pub const LEAST_POINTS: usize = 16;
+
 /// Gaussians at the sparse cloud's points (and at `hull_points` random ones inside the masks' visual hull) or, without any, at
 /// random points inside the hull (or the cameras' common frustum). Isotropic; the scale is the root mean square distance to the three nearest neighbours.
 pub fn initial_gaussians(
@@ -25,7 +28,7 @@ pub fn initial_gaussians(
 ) -> Result<Gaussians, SplatError> {
     let mut points: Vec<(Vec3, [u8; 3])> =
         dataset.points.iter().filter(|(p, _)| p.is_finite()).copied().collect();
-    if points.len() < 16 {
+    if points.len() < LEAST_POINTS {
         points = random_points(dataset, max.min(RANDOM_POINTS), seed);
     } else if hull_points > 0 && dataset.is_transparent() {
         points.extend(random_points(dataset, hull_points, seed));

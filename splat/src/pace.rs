@@ -32,8 +32,9 @@ impl Pace {
         }
     }
 
-    /// The position after a step at `level` that took `spent` seconds; `state.seconds` are gone of the limit.
-    pub fn advance(&mut self, state: &State, config: &TrainConfig, level: u32, spent: f64) -> f64 {
+    /// The position after a step at `level` that took `spent` seconds; `state.seconds` are gone of the limit. A schedule has
+    /// `most` steps at most, even if the limit leaves time for more.
+    pub fn advance(&mut self, state: &State, config: &TrainConfig, level: u32, spent: f64, most: f64) -> f64 {
         let Some(limit) = config.time_limit else {
             return f64::from(state.iteration) / f64::from(config.iterations.max(1));
         };
@@ -43,7 +44,8 @@ impl Pace {
         if left <= 0.0 {
             return 1.0;
         }
-        let next = state.position + self.ahead(state.position, config, level) / left;
+        let stride = self.ahead(state.position, config, level) / left;
+        let next = state.position + stride.max(1.0 / most.max(1.0));
         let next = next.min(1.0).max(state.position + 1e-7);
         self.stride = next - state.position;
         next
@@ -85,7 +87,11 @@ mod tests {
         last: f64,
     }
 
-    fn run(limit: f64, mut cost: impl FnMut(u32, f64, f64) -> f64) -> Outcome {
+    fn run(limit: f64, cost: impl FnMut(u32, f64, f64) -> f64) -> Outcome {
+        run_at_most(f64::INFINITY, limit, cost)
+    }
+
+    fn run_at_most(most: f64, limit: f64, mut cost: impl FnMut(u32, f64, f64) -> f64) -> Outcome {
         let config = TrainConfig { time_limit: Some(limit), ..TrainConfig::default() };
         let (mut pace, mut state) = (Pace::default(), State::default());
         let mut out = Outcome { seconds: 0.0, steps: 0, full: 0, stride: 0.0, last: 0.0 };
@@ -94,7 +100,7 @@ mod tests {
             let spent = cost(now, state.position, state.seconds);
             state.iteration += 1;
             state.seconds += spent;
-            let next = pace.advance(&state, &config, now, spent);
+            let next = pace.advance(&state, &config, now, spent, most);
             assert!(next > state.position, "the position must move");
             if state.position > 0.1 {
                 out.stride = out.stride.max(next - state.position);
@@ -167,11 +173,20 @@ mod tests {
     }
 
     #[test]
+    fn a_schedule_with_time_for_more_steps_than_it_may_have_ends_early_and_whole() {
+        let out = run_at_most(1_000.0, 300.0, |level, position, _| idle(level, position));
+        assert!((990..=1_001).contains(&out.steps), "{}", out.steps);
+        assert!(out.seconds < 100.0 && out.last > 0.99 && out.full * 20 > out.steps * 3);
+        let short = run_at_most(1_000.0, 10.0, |level, position, _| idle(level, position));
+        check("too short to reach it", 10.0, &short);
+    }
+
+    #[test]
     fn iterations_are_walked_evenly() {
         let config = TrainConfig { iterations: 4, ..TrainConfig::default() };
         let mut pace = Pace::default();
         let at = |iteration| State { iteration, ..State::default() };
-        let walked: Vec<f64> = (1..=4).map(|i| pace.advance(&at(i), &config, 0, 1.0)).collect();
+        let walked: Vec<f64> = (1..=4).map(|i| pace.advance(&at(i), &config, 0, 1.0, 2.0)).collect();
         assert_eq!(walked, [0.25, 0.5, 0.75, 1.0]);
         assert_eq!(pace.steps(&at(2), &config), 4.0);
     }

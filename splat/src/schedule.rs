@@ -24,15 +24,28 @@ pub fn level(position: f64, levels: u32, recipe: &Recipe) -> u32 {
 /// Gaussians at the end of growth for each step and training view, up to `Recipe::gaussians_a_step` for each step.
 const GAUSSIANS_A_STEP_AND_VIEW: f64 = 0.45;
 /// Gaussians at the end of growth for each pair of training views: with few views more of them fit the views that are
-/// there instead of the scene (temple_ring, 41 views: 57,000 instead of 20,000 cost 2 dB on views held out).
-const GAUSSIANS_A_PAIR: f64 = 30.0;
+/// there instead of the scene.
+const GAUSSIANS_A_PAIR: f64 = 60.0;
+/// The same for each point of the sparse cloud, where no views can be spared to judge growth: the points tell how many places of the
+/// scene photos agree on (docs/decisions/0023).
+const GAUSSIANS_A_POINT: f64 = 3.0;
+
+/// What a capture has to determine Gaussians by.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Capture {
+    /// Training views.
+    pub views: usize,
+    /// Points of the sparse cloud; none: there is no cloud, or validation views judge growth.
+    pub points: Option<usize>,
+}
 
 /// How many Gaussians a schedule of `steps` steps grows to from `first`: more steps can settle more Gaussians, more
-/// views can determine more.
-pub fn gaussians_at_end(first: usize, steps: f64, views: usize, config: &TrainConfig) -> usize {
-    let views = views as f64;
+/// views and a scene with more to match can determine more.
+pub fn gaussians_at_end(first: usize, steps: f64, capture: Capture, config: &TrainConfig) -> usize {
+    let views = capture.views as f64;
     let a_step = (GAUSSIANS_A_STEP_AND_VIEW * views).min(config.recipe.gaussians_a_step);
-    let determined = GAUSSIANS_A_PAIR * 0.5 * views * views;
+    let by_points = capture.points.map_or(f64::INFINITY, |n| GAUSSIANS_A_POINT * n as f64);
+    let determined = (GAUSSIANS_A_PAIR * 0.5 * views * views).min(by_points);
     ((steps * a_step).min(determined) as usize).min(config.max_gaussians).max(first)
 }
 
@@ -87,5 +100,25 @@ pub fn rates(position: f64, steps: f64, pixel: f32, config: &TrainConfig) -> Lea
         opacity: decay(0.12, 0.06, 0.5),
         sh0: decay(1.25e-2, 7e-3, 0.9),
         sh_rest: decay(7.5e-3, 2e-3, 0.5),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn growth_is_bounded_by_steps_by_views_by_points_and_by_what_is_configured() {
+        let config = TrainConfig::default();
+        let end =
+            |first, steps, views, points| gaussians_at_end(first, steps, Capture { views, points }, &config);
+        assert_eq!(end(1_000, 1_000.0, 40, Some(5_000)), 15_000, "three a point");
+        assert_eq!(end(1_000, 1_000.0, 40, Some(50_000)), 18_000, "0.45 a step and view");
+        assert_eq!(end(1_000, 1e6, 40, Some(50_000)), 48_000, "sixty a pair of views");
+        assert_eq!(end(1_000, 1e6, 40, None), 48_000, "no cloud bounds nothing");
+        assert_eq!(end(1_000, 1_000.0, 1_000, None), 50_000, "fifty a step");
+        assert_eq!(end(1_000, 1e9, 1_000, None), config.max_gaussians);
+        assert_eq!(end(9_000, 10.0, 2, Some(16)), 9_000, "none of the first ones is taken away");
+        assert_eq!(end(0, 0.0, 0, Some(0)), 0);
     }
 }

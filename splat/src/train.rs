@@ -294,7 +294,7 @@ impl<'a> Trainer<'a> {
         self.note_time();
         let cost = self.cost(self.mark - begun, !outputs.is_empty());
         let mut pace = self.state.pace.clone();
-        self.state.position = pace.advance(&self.state, self.config, level, cost);
+        self.state.position = pace.advance(&self.state, self.config, level, cost, self.most_steps());
         self.state.pace = pace;
         if iteration.is_multiple_of(CURVE_EVERY) || self.state.position >= 1.0 {
             self.settle()?;
@@ -355,7 +355,7 @@ impl<'a> Trainer<'a> {
         let (now, max) = (self.backend.gaussians(), self.max_gaussians);
         let (wanted, threshold) = if recipe.planned_growth {
             let steps = self.state.pace.steps(&self.state, self.config);
-            let last = schedule::gaussians_at_end(self.state.first, steps, self.views.len(), self.config);
+            let last = schedule::gaussians_at_end(self.state.first, steps, self.capture(), self.config);
             let last = self.state.findings.gaussians_limit.map_or(last, |limit| last.min(limit));
             (schedule::gaussians(self.state.position, self.state.first, last, recipe), 0.0)
         } else {
@@ -370,6 +370,18 @@ impl<'a> Trainer<'a> {
             self.backend.densify(&Round { room, threshold, selection, seed, iteration, remove_unseen })?;
         self.state.findings.unseen += unseen;
         Ok(())
+    }
+
+    /// Steps that a time limit is filled with at most.
+    fn most_steps(&self) -> f64 {
+        self.config.recipe.passes * self.views.len() as f64
+    }
+
+    /// What determines Gaussians: points tell it where no validation views do.
+    fn capture(&self) -> schedule::Capture {
+        let points = self.dataset.points.len();
+        let told = self.views.len() < decide::VALIDATION_FROM && points >= crate::init::LEAST_POINTS;
+        schedule::Capture { views: self.views.len(), points: told.then_some(points) }
     }
 
     fn note_curve(&mut self) {

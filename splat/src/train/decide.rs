@@ -9,7 +9,7 @@ use serde::{Deserialize, Serialize};
 /// One training view in this many judges while Gaussians and degrees are added, and is trained on afterwards.
 const VALIDATION_EVERY: usize = 12;
 /// With fewer training views than this all are needed: temple_ring (41) and fox (43) lose by sparing some.
-const VALIDATION_FROM: usize = 60;
+pub const VALIDATION_FROM: usize = 60;
 /// Looks at the growth of the number of Gaussians, evenly over the densification.
 const LOOKS: f64 = 8.0;
 /// What the validation views must gain from look to look, dB, for growth to go on.
@@ -221,6 +221,15 @@ impl Trainer<'_> {
             let choice = format!("{} left out", findings.non_finite);
             let evidence = "they were not finite; each Gaussian stayed as it was in that step".to_owned();
             self.note("gradients", choice, evidence);
+        }
+        let spare = self.config.time_limit.map(|limit| (limit, limit - self.state.seconds));
+        if let Some((limit, _)) = spare.filter(|&(limit, left)| left > 0.05 * limit && limit > 0.0) {
+            let choice = format!("ended after {:.0} of {limit:.0} s", self.state.seconds);
+            let evidence = format!(
+                "{} steps, {:.0} for each training view: more would learn the photos by heart",
+                self.state.iteration, self.config.recipe.passes
+            );
+            self.note("training time", choice, evidence);
         }
         if let Some(evidence) = super::watch::stuck(&self.state.curve) {
             self.note("convergence", "none".to_owned(), evidence);
