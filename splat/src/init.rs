@@ -16,7 +16,13 @@ pub const OPACITY: f32 = 0.3;
 const CANDIDATES: usize = 400_000;
 
 /// Points of a sparse cloud with fewer than which it is not used.
-pub const LEAST_POINTS: usize = 16;
+const LEAST_POINTS: usize = 16;
+
+/// The finite points of the sparse cloud (normalised) with their colours; none where they are too few to be used.
+pub fn cloud(dataset: &Dataset) -> Option<Vec<(Vec3, [u8; 3])>> {
+    let points: Vec<_> = dataset.points.iter().filter(|(p, _)| p.is_finite()).copied().collect();
+    (points.len() >= LEAST_POINTS).then_some(points)
+}
 
 /// Gaussians at the sparse cloud's points (and at `hull_points` random ones inside the masks' visual hull) or, without any, at
 /// random points inside the hull (or the cameras' common frustum). Isotropic; the scale is the root mean square distance to the three nearest neighbours.
@@ -26,13 +32,16 @@ pub fn initial_gaussians(
     hull_points: usize,
     seed: u64,
 ) -> Result<Gaussians, SplatError> {
-    let mut points: Vec<(Vec3, [u8; 3])> =
-        dataset.points.iter().filter(|(p, _)| p.is_finite()).copied().collect();
-    if points.len() < LEAST_POINTS {
-        points = random_points(dataset, max.min(RANDOM_POINTS), seed);
-    } else if hull_points > 0 && dataset.is_transparent() {
-        points.extend(random_points(dataset, hull_points, seed));
-    }
+    let beside = if dataset.is_transparent() { hull_points } else { 0 };
+    let mut points = match cloud(dataset) {
+        None => random_points(dataset, max.min(RANDOM_POINTS), seed),
+        Some(mut points) => {
+            if beside > 0 {
+                points.extend(random_points(dataset, beside, seed));
+            }
+            points
+        }
+    };
     if points.is_empty() {
         return Err(SplatError::NoGaussians("the cameras see no common space; check the poses".to_owned()));
     }

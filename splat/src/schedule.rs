@@ -35,7 +35,7 @@ const GAUSSIANS_A_POINT: f64 = 3.0;
 pub struct Capture {
     /// Training views.
     pub views: usize,
-    /// Points of the sparse cloud; none: there is no cloud, or validation views judge growth.
+    /// Points of the sparse cloud; none: there is no cloud, or there are views enough to judge growth.
     pub points: Option<usize>,
 }
 

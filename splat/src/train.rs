@@ -86,6 +86,8 @@ struct Trainer<'a> {
     pixel: f32,
     /// Training views.
     views: Vec<usize>,
+    /// What they and the sparse cloud have to determine Gaussians by.
+    capture: schedule::Capture,
     /// Those of them that only judge until growth ends.
     validation: Vec<usize>,
     /// What the mattes leave room for, where the background shows through.
@@ -190,6 +192,9 @@ impl<'a> Trainer<'a> {
         // A part of the limit went by before training could begin; more so where it was interrupted.
         state.seconds += config.seconds_gone;
         let validation = if config.recipe.evidence { decide::validation(&views) } else { Vec::new() };
+        let few = views.len() < decide::VALIDATION_FROM;
+        let points = crate::init::cloud(dataset).filter(|_| few).map(|cloud| cloud.len());
+        let capture = schedule::Capture { views: views.len(), points };
         let matted = views.iter().filter(|_| dataset.is_transparent()).map(|&v| &dataset.views[v]);
         let hull = VisualHull::of(matted);
         let (mark, order, lap) = (begun, (None, Vec::new()), (0.0, 0, 0.0));
@@ -204,6 +209,7 @@ impl<'a> Trainer<'a> {
             mark,
             pixel: footprint(dataset),
             views,
+            capture,
             validation,
             hull,
             order,
@@ -355,7 +361,7 @@ impl<'a> Trainer<'a> {
         let (now, max) = (self.backend.gaussians(), self.max_gaussians);
         let (wanted, threshold) = if recipe.planned_growth {
             let steps = self.state.pace.steps(&self.state, self.config);
-            let last = schedule::gaussians_at_end(self.state.first, steps, self.capture(), self.config);
+            let last = schedule::gaussians_at_end(self.state.first, steps, self.capture, self.config);
             let last = self.state.findings.gaussians_limit.map_or(last, |limit| last.min(limit));
             (schedule::gaussians(self.state.position, self.state.first, last, recipe), 0.0)
         } else {
@@ -375,13 +381,6 @@ impl<'a> Trainer<'a> {
     /// Steps that a time limit is filled with at most.
     fn most_steps(&self) -> f64 {
         self.config.recipe.passes * self.views.len() as f64
-    }
-
-    /// What determines Gaussians: points tell it where no validation views do.
-    fn capture(&self) -> schedule::Capture {
-        let points = self.dataset.points.len();
-        let told = self.views.len() < decide::VALIDATION_FROM && points >= crate::init::LEAST_POINTS;
-        schedule::Capture { views: self.views.len(), points: told.then_some(points) }
     }
 
     fn note_curve(&mut self) {

@@ -222,12 +222,13 @@ impl Trainer<'_> {
             let evidence = "they were not finite; each Gaussian stayed as it was in that step".to_owned();
             self.note("gradients", choice, evidence);
         }
-        let spare = self.config.time_limit.map(|limit| (limit, limit - self.state.seconds));
-        if let Some((limit, _)) = spare.filter(|&(limit, left)| left > 0.05 * limit && limit > 0.0) {
-            let choice = format!("ended after {:.0} of {limit:.0} s", self.state.seconds);
+        let (steps, seconds) = (f64::from(self.state.iteration), self.state.seconds);
+        let full = steps > 0.95 * self.most_steps();
+        if let Some(limit) = self.config.time_limit.filter(|limit| full && seconds < 0.95 * limit) {
+            let choice = format!("ended after {seconds:.0} of {limit:.0} s");
+            let passes = steps / self.views.len() as f64;
             let evidence = format!(
-                "{} steps, {:.0} for each training view: more would learn the photos by heart",
-                self.state.iteration, self.config.recipe.passes
+                "{steps} steps, {passes:.0} for each training view: more would learn the photos by heart"
             );
             self.note("training time", choice, evidence);
         }

@@ -121,13 +121,39 @@ fn unseen_views_of_a_synthetic_scene_are_reproduced() {
 #[test]
 fn a_time_limit_is_kept_and_the_schedule_reaches_its_end() {
     let dataset = dataset(8, false);
-    let limited = TrainConfig { time_limit: Some(1.0), ..config(7000) };
+    let mut limited = TrainConfig { time_limit: Some(1.0), ..config(7000) };
+    limited.recipe.passes = f64::INFINITY;
     let result = train(&dataset, &limited, None, &Progress::silent()).unwrap();
     // How many steps fit, and how long the last one takes, depends on what else the machine does (`pace` is tested with
     // machines of all kinds); without the limit it would be all 7,000.
     let last = result.curve.last().unwrap();
     assert!(last.seconds > 0.3 && result.iterations < 7000, "{} s", last.seconds);
     assert_eq!(last.iteration, result.iterations);
+}
+
+#[test]
+fn a_limit_with_time_to_learn_the_photos_by_heart_ends_early_and_says_so() {
+    let dataset = dataset(8, false);
+    let mut limited = TrainConfig { time_limit: Some(3600.0), ..config(7000) };
+    limited.recipe.passes = 50.0;
+    let result = train(&dataset, &limited, None, &Progress::silent()).unwrap();
+    assert!((297..=301).contains(&result.iterations), "six training views: {}", result.iterations);
+    let said = result.decisions.iter().find(|d| d.subject == "training time").expect("it says so");
+    assert!(said.choice.ends_with("of 3600 s") && said.evidence.contains("50 for each"), "{said:?}");
+}
+
+/// In as many steps, with as many points, more than 120 Gaussians come where there are views enough to judge them.
+#[test]
+fn few_views_get_three_gaussians_for_each_point() {
+    let grown = |views: usize| {
+        let mut dataset = dataset(views, false);
+        dataset.points.truncate(40);
+        dataset.points.push((Vec3::NAN, [0; 3]));
+        let result = train(&dataset, &config(300), None, &Progress::silent()).unwrap();
+        result.gaussians.len()
+    };
+    let (few, many) = (grown(24), grown(84));
+    assert!((60..=120).contains(&few) && many > 150, "{few} and {many} Gaussians");
 }
 
 #[test]
