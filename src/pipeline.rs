@@ -405,6 +405,7 @@ impl Pipeline {
         config.seconds_gone = begun.elapsed().as_secs_f64();
         let result = splat::train::train(&dataset, &config, Some(&checkpoints), &progress)?;
         scene::io::ply::write_splat_ply(&self.out.join("splat.ply"), &result.gaussians)?;
+        self.write_refined(&result.poses)?;
         let summary = SplatSummary {
             gaussians: result.gaussians.len(),
             sh_degree: result.gaussians.sh_degree,
@@ -418,6 +419,27 @@ impl Pipeline {
         };
         let _ = std::fs::remove_dir_all(&checkpoints); // the splat is written: the checkpoint has done its work
         Ok(summary)
+    }
+
+    /// `refined/0`: the model with the poses that training moved; none where it moved none.
+    fn write_refined(&self, poses: &[(String, scene::Pose)]) -> Result<()> {
+        let folder = self.out.join("refined");
+        match std::fs::remove_dir_all(&folder) {
+            Err(e) if e.kind() != std::io::ErrorKind::NotFound => {
+                return Err(e).with_context(|| format!("cannot clear {}", folder.display()));
+            }
+            _ if poses.is_empty() => return Ok(()),
+            _ => {}
+        }
+        let mut model = scene::io::read_model(&self.out.join("sparse/0"))?;
+        for image in model.images.values_mut() {
+            if let Some((_, pose)) = poses.iter().find(|(name, _)| *name == image.name) {
+                image.pose = *pose;
+            }
+        }
+        let target = folder.join("0");
+        std::fs::create_dir_all(&target).with_context(|| format!("cannot write {}", target.display()))?;
+        Ok(scene::io::write_model_bin(&model, &target)?)
     }
 
     fn say_result(&self, until: Until) -> Result<()> {

@@ -3,9 +3,14 @@
 //! the held-out views (8-bit renders, transparent pixels over black).
 
 use clap::Parser;
+use glam::{Mat3, Quat, Vec3};
 use image::{Rgb, RgbImage};
+use rand::Rng as _;
 use scene::Progress;
-use splat::{Dataset, DatasetConfig, RenderOptions, Renderer, Selection, TrainConfig, TrainResult, train};
+use splat::{
+    Dataset, DatasetConfig, PoseRefinement, RenderOptions, Renderer, Selection, TrainConfig, TrainResult,
+    train,
+};
 use std::path::PathBuf;
 
 type Result<T> = std::result::Result<T, Box<dyn std::error::Error + Send + Sync>>;
@@ -31,6 +36,9 @@ struct Cli {
     /// Train at half the resolution: held-out views are then seen from twice as near as anything that was trained on
     #[arg(long)]
     zoom: bool,
+    /// Poses of the training views off by so many degrees, as a solver leaves them: what they look at stays in the middle
+    #[arg(long, default_value_t = 0.0)]
+    wrong_poses: f64,
     #[command(flatten)]
     data: DatasetConfig,
 }
@@ -57,6 +65,8 @@ fn rows() -> Vec<Row> {
         row("no exposure", |c| c.recipe.exposure = false),
         row("nothing removed at the end", |c| c.recipe.prune_redundant = false),
         row("spherical harmonics of degree 0", |c| c.sh_degree = 0),
+        row("poses never refined", |c| c.refine_poses = PoseRefinement::Off),
+        row("poses refined in any case", |c| c.refine_poses = PoseRefinement::On),
         row("L1 alone", |c| c.lambda_dssim = 0.0),
         row("a quarter of D-SSIM's weight", |c| c.lambda_dssim *= 0.25),
         row("opacity scaled with the low-pass", |c| c.antialias = true),
@@ -103,6 +113,21 @@ fn slot<'a>(c: &'a mut TrainConfig, name: &str) -> Option<&'a mut f64> {
     })
 }
 
+/// Moves the training views by turns of `degrees` about each axis (uniform, that standard deviation); they shift along to keep what
+/// they look at, but for a third of that.
+fn misplace(dataset: &mut Dataset, degrees: f64) {
+    for (k, view) in dataset.views.iter_mut().enumerate().filter(|(_, v)| !v.held_out) {
+        let mut rng = scene::rng::rng(0, "wrong poses", k as u64);
+        let mut off = || (degrees.to_radians() * 3.0f64.sqrt() * rng.random_range(-1.0..1.0)) as f32;
+        let turn = Vec3::new(off(), off(), off());
+        let distance = view.view.translation.z;
+        let shift = 0.3 * Vec3::new(off(), off(), off()) + distance * Vec3::new(-turn.y, turn.x, 0.0);
+        let turn = Mat3::from_quat(Quat::from_scaled_axis(turn));
+        view.view.translation = turn * view.view.translation + shift;
+        view.view.rotation = turn * view.view.rotation;
+    }
+}
+
 /// The same views without their full resolution.
 fn halved(dataset: &Dataset) -> Dataset {
     let mut coarse = dataset.clone();
@@ -122,7 +147,10 @@ fn main() -> Result<()> {
     let images = Some(cli.dataset.join("images")).filter(|_| cli.dataset.join("sparse").is_dir());
     let images = images.unwrap_or(cli.dataset.clone());
     let dataset = Dataset::load(&images, cli.masks.as_deref(), &model, &cli.data, &Progress::silent())?;
-    let seen = if cli.zoom { halved(&dataset) } else { dataset.clone() };
+    let mut seen = if cli.zoom { halved(&dataset) } else { dataset.clone() };
+    if cli.wrong_poses > 0.0 {
+        misplace(&mut seen, cli.wrong_poses);
+    }
     let rows = if cli.set.is_empty() {
         rows()
     } else {

@@ -62,6 +62,9 @@ pub struct TrainConfig {
     /// them better, from where they were taken a little softer
     #[arg(long, help_heading = "Splat")]
     pub smoothing: bool,
+    /// Move the training views to where the splat shows what their photos show
+    #[arg(long, value_enum, default_value_t = PoseRefinement::Auto, help_heading = "Splat")]
+    pub refine_poses: PoseRefinement,
     /// Steps between checkpoints (0: only when stopped)
     #[arg(long, default_value_t = CHECKPOINT_EVERY, help_heading = "Splat")]
     pub checkpoint_every: u32,
@@ -78,6 +81,19 @@ pub struct TrainConfig {
     /// How the trainer goes about it (chosen by the `ablation` example)
     #[arg(skip)]
     pub recipe: Recipe,
+}
+
+/// Whether training moves its views.
+#[derive(ValueEnum, Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum PoseRefinement {
+    /// If that explains enough of what the photos show otherwise
+    #[default]
+    Auto,
+    /// In any case
+    On,
+    /// Never
+    Off,
 }
 
 /// By what Gaussians are chosen to be split.
@@ -186,6 +202,7 @@ impl Default for TrainConfig {
             learning_rate: 1.0,
             antialias: false,
             smoothing: false,
+            refine_poses: PoseRefinement::Auto,
             checkpoint_every: CHECKPOINT_EVERY,
             seed: 0,
             device: DeviceConfig::default(),

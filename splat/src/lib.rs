@@ -31,7 +31,7 @@ pub mod train;
 
 pub use adapter::{Adapter, AdapterKind, adapters};
 pub use backend::{Backend, PinholeView};
-pub use config::{Quality, Recipe, Selection, TrainConfig};
+pub use config::{PoseRefinement, Quality, Recipe, Selection, TrainConfig};
 pub use dataset::{AlphaMode, Dataset, DatasetConfig, View};
 pub use device::{BackendChoice, DeviceConfig};
 pub use error::SplatError;

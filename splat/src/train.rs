@@ -1,8 +1,10 @@
 //! The training loop.
 
+mod align;
 mod decide;
 mod degree;
 mod exposure;
+mod poses;
 mod prune;
 mod watch;
 
@@ -63,6 +65,8 @@ pub struct TrainResult {
     pub timings: KernelTimes,
     /// Steps done.
     pub iterations: u32,
+    /// Names and refined poses (`cam_from_world`, world frame) of the training views; empty where they stayed as given.
+    pub poses: Vec<(String, scene::Pose)>,
     /// How to render the result as training saw it.
     pub render: RenderOptions,
 }
@@ -272,7 +276,7 @@ impl<'a> Trainer<'a> {
         let chosen = self.view_of_step();
         let view = &self.dataset.views[chosen];
         let level = self.level().min(view.levels.len() as u32 - 1);
-        let (camera, pixels) = (view.view.at_level(level), &view.levels[level as usize]);
+        let (camera, pixels) = (self.camera(chosen).at_level(level), &view.levels[level as usize]);
         self.backend.set_gain(self.gain(chosen));
         let steps = self.state.pace.steps(&self.state, self.config);
         let rates = schedule::rates(position, steps, self.pixel, self.config);
@@ -370,7 +374,7 @@ impl<'a> Trainer<'a> {
         let room = wanted.min(max).saturating_sub(now);
         let (seed, iteration, selection) = (self.config.seed, self.state.iteration, recipe.selection);
         let remove_unseen = recipe.remove_unseen && self.dataset.is_transparent();
-        let views: Vec<_> = self.views.iter().map(|&v| self.dataset.views[v].view).collect();
+        let views: Vec<_> = self.views.iter().map(|&v| self.camera(v)).collect();
         let remove_unseen = remove_unseen.then_some(views.as_slice());
         let unseen =
             self.backend.densify(&Round { room, threshold, selection, seed, iteration, remove_unseen })?;
@@ -402,14 +406,17 @@ impl<'a> Trainer<'a> {
         let (mut model, _) = self.backend.release()?;
         // What has wandered off since growth ended.
         self.state.findings.outside += self.hull.as_ref().map_or(0, |hull| hull.prune(&mut model));
-        let decisions = self.decisions(model.len);
+        let mut gaussians = model.to_gaussians();
+        let refined = self.align(&mut gaussians);
+        let decisions = self.decisions(model.len, refined.as_ref().map(|r| r.0));
         let near = crate::cpu::DEFAULT_NEAR / self.dataset.normalisation.scale as f32;
         Ok(TrainResult {
-            gaussians: self.dataset.normalisation.to_world(model.to_gaussians()),
+            gaussians: self.dataset.normalisation.to_world(gaussians),
             curve: self.state.curve,
             decisions,
             timings,
             iterations: self.state.iteration,
+            poses: refined.map_or(Vec::new(), |r| r.1),
             render: RenderOptions {
                 near: Some(near),
                 antialias: self.config.antialias,

@@ -13,12 +13,13 @@ struct Topic {
     otherwise: fn(&RunRecord) -> Option<[String; 2]>,
 }
 
-const TOPICS: [Topic; 7] = [
+const TOPICS: [Topic; 8] = [
     Topic { title: "Camera model", words: &["camera model"], otherwise: camera },
     Topic { title: "Motion", words: &["motion"], otherwise: motion },
     Topic { title: "Background", words: &["background"], otherwise: background },
     Topic { title: "SH degree", words: &["spherical-harmonic degree", "sh degree"], otherwise: degree },
     Topic { title: "Number of Gaussians", words: &["number of gaussians"], otherwise: count },
+    Topic { title: "Poses in training", words: &["poses of the training"], otherwise: training_poses },
     Topic { title: "Exposure", words: &["exposure"], otherwise: exposure },
     Topic { title: "Light", words: &["light", "shading"], otherwise: light },
 ];
@@ -75,6 +76,11 @@ fn count(record: &RunRecord) -> Option<[String; 2]> {
 fn exposure(record: &RunRecord) -> Option<[String; 2]> {
     record.splat.as_ref()?;
     said("the same for all views", "not examined at this quality".to_owned())
+}
+
+fn training_poses(record: &RunRecord) -> Option<[String; 2]> {
+    record.splat.as_ref()?;
+    said("as given", "not examined at this quality".to_owned())
 }
 
 fn light(record: &RunRecord) -> Option<[String; 2]> {

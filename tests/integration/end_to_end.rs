@@ -241,3 +241,31 @@ fn runs_and_the_renders_of_other_tools_stand_in_the_tables_of_a_paper() {
     }
     expect_code(&["compare", "other:nowhere=/nowhere"], 1);
 }
+
+/// Poses that training moves are a model of their own, near the one that was given; it goes when they are kept.
+#[test]
+fn refined_poses_are_written_beside_the_model_and_go_with_the_training_that_made_them() {
+    let dir = folder("refined");
+    let (input, out) = (sample("sample/orbit.mp4"), dir.join("out"));
+    let train = |refine: &str| {
+        let flags = ["--max-size", "240", "--frames", "20", "--iterations", "150", "--refine-poses", refine];
+        expect_code(&[&["train", text(&input), "-o", text(&out)], &flags[..]].concat(), 0)
+    };
+    train("on");
+    let model = |name: &str| scene::io::read_model(&out.join(name)).unwrap();
+    let (given, refined) = (model("sparse/0"), model("refined/0"));
+    assert_eq!(given.images.len(), refined.images.len());
+    let mut moved = 0;
+    for (id, image) in &given.images {
+        let pose = refined.images[id].pose;
+        let angle = scene::pose::rotation_angle(image.pose.rotation, pose.rotation).to_degrees();
+        assert!(angle < 1.0, "{}: {angle}", image.name);
+        moved += usize::from(angle > 1e-6);
+    }
+    // Views held out are not trained on, so not moved.
+    assert!(moved > 10 && moved < given.images.len(), "{moved} of {}", given.images.len());
+    assert!(!train("on").contains("cannot") && out.join("refined/0/images.bin").is_file());
+    train("off");
+    assert!(!out.join("refined").exists() && out.join("splat.ply").is_file());
+    std::fs::remove_dir_all(dir).unwrap();
+}

@@ -117,3 +117,12 @@ fn the_same_seed_gives_the_same_bytes_on_any_number_of_threads() {
         assert_same(&run(threads), &one, &format!("{threads} threads"));
     }
 }
+
+/// Views begin to move a tenth into the schedule and move each twentieth.
+#[test]
+fn stopping_and_resuming_with_refined_poses_changes_no_bit() {
+    let config = TrainConfig { refine_poses: crate::PoseRefinement::On, ..config(130) };
+    let whole =
+        stopped_and_resumed("poses", &dataset(12, false), &config, &around(&[0.1, 0.15, 0.5, 0.95], 130));
+    assert_eq!(choice(&whole, "refined poses"), "training views only");
+}

@@ -1,6 +1,7 @@
 //! What training decides by evidence: the spherical-harmonic degree and the number of Gaussians by a validation split
 //! of the training views (never the views held out for evaluation), and which Gaussians the pictures do not miss.
 
+use super::poses::PoseFindings;
 use super::{Decision, Trainer};
 use crate::backend::Target;
 use crate::{RenderOptions, SplatError};
@@ -62,6 +63,9 @@ pub struct Findings {
     /// Gradients that were not finite: their Gaussians took no step.
     #[serde(default)]
     pub non_finite: usize,
+    /// Of the poses of the training views.
+    #[serde(default)]
+    pub pose: PoseFindings,
     /// Times that scales were held to what the views sample.
     #[serde(default)]
     pub smoothed: u32,
@@ -93,6 +97,7 @@ impl Trainer<'_> {
         if self.config.recipe.exposure {
             self.judge_exposure()?;
         }
+        self.judge_poses()?;
         if self.config.recipe.prune_redundant
             && !self.state.findings.pruned
             && self.state.position >= self.config.recipe.prune_at
@@ -127,7 +132,7 @@ impl Trainer<'_> {
             return Ok(());
         }
         self.state.findings.smoothed = (self.state.position / SMOOTH_EVERY) as u32;
-        let views: Vec<_> = self.views.iter().map(|&v| self.dataset.views[v].view).collect();
+        let views: Vec<_> = self.views.iter().map(|&v| self.camera(v)).collect();
         self.backend.edit(&mut |model, _| {
             crate::smoothing::raise_scales(model, &views);
         })
@@ -158,7 +163,8 @@ impl Trainer<'_> {
             let options =
                 RenderOptions { antialias: self.config.antialias, sh_degree, ..RenderOptions::default() };
             self.backend.set_gain(self.gain(v));
-            sum += self.backend.mean_square_error(&view.view.at_level(level), &target, &options)?;
+            let camera = self.camera(v).at_level(level);
+            sum += self.backend.mean_square_error(&camera, &target, &options)?;
         }
         Ok(-10.0 * (sum / views.len().max(1) as f64).max(1e-12).log10())
     }
@@ -197,8 +203,9 @@ impl Trainer<'_> {
         Ok(())
     }
 
-    /// All decisions, with what is only known at the end, when there are `n` Gaussians.
-    pub(super) fn decisions(&mut self, n: usize) -> Vec<Decision> {
+    /// All decisions, with what is only known at the end, when there are `n` Gaussians and poses that were refined show them
+    /// `apart` pixels from where those as given do.
+    pub(super) fn decisions(&mut self, n: usize, apart: Option<f64>) -> Vec<Decision> {
         let findings = self.state.findings.clone();
         if let (None, Some((psnr, then))) = (findings.gaussians_limit, findings.last_look) {
             let evidence =
@@ -216,6 +223,12 @@ impl Trainer<'_> {
                             picture show background there"
                     .to_owned();
             self.note("Gaussians outside the silhouettes", format!("{} removed", findings.outside), evidence);
+        }
+        if let Some(pixels) = apart {
+            let evidence = format!(
+                "they show the scene {pixels:.2} px (root mean square) from where the poses as given do, in whose frame the splat lies"
+            );
+            self.note("refined poses", "training views only".to_owned(), evidence);
         }
         if findings.non_finite > 0 {
             let choice = format!("{} left out", findings.non_finite);

@@ -117,7 +117,8 @@ impl Trainer<'_> {
             let target =
                 Target { rgb: &pixels.rgb, mask: pixels.mask.as_deref(), transparent, photo: Some(v as u32) };
             let options = RenderOptions { antialias: self.config.antialias, ..RenderOptions::default() };
-            products.push(self.backend.products(&view.view.at_level(level), &target, &options)?);
+            let camera = self.camera(v).at_level(level);
+            products.push(self.backend.products(&camera, &target, &options)?);
         }
         Ok(products)
     }

@@ -17,7 +17,7 @@ mod units;
 const SIZE: [u32; 2] = [48, 40];
 
 /// Coloured blobs on a ball.
-fn truth() -> Gaussians {
+pub(super) fn truth() -> Gaussians {
     let mut rng = scene::rng::rng(5, "truth", 0);
     let n = 80;
     let mut unit = || Vec3::from_array(std::array::from_fn(|_| rng.random_range(-1.0f32..1.0)));
@@ -44,12 +44,12 @@ fn shiny_truth() -> Gaussians {
 }
 
 /// `views` pictures of the truth from a ring of radius 1; every 6th held out.
-fn dataset(views: usize, transparent: bool) -> Dataset {
+pub(super) fn dataset(views: usize, transparent: bool) -> Dataset {
     pictures_of(&truth(), views, transparent, SIZE)
 }
 
 /// The same of any Gaussians at any size.
-fn pictures_of(truth: &Gaussians, views: usize, transparent: bool, size: [u32; 2]) -> Dataset {
+pub(super) fn pictures_of(truth: &Gaussians, views: usize, transparent: bool, size: [u32; 2]) -> Dataset {
     let mut backend = CpuBackend::default();
     backend.upload(Model::from_gaussians(truth));
     let focal = 45.0 * f64::from(size[0]) / f64::from(SIZE[0]);
@@ -82,11 +82,11 @@ fn pictures_of(truth: &Gaussians, views: usize, transparent: bool, size: [u32; 2
     Dataset { views: (0..views).map(view).collect(), points, normalisation, alpha: AlphaMode::Transparent }
 }
 
-fn config(iterations: u32) -> TrainConfig {
+pub(super) fn config(iterations: u32) -> TrainConfig {
     TrainConfig { iterations, sh_degree: 1, max_gaussians: 300, seed: 3, ..TrainConfig::default() }
 }
 
-fn held_out_psnr(dataset: &Dataset, result: &TrainResult) -> f64 {
+pub(super) fn held_out_psnr(dataset: &Dataset, result: &TrainResult) -> f64 {
     let mut renderer = crate::Renderer::new(&result.gaussians).unwrap();
     let mut sum = (0.0, 0.0);
     for view in dataset.views.iter().filter(|v| v.held_out) {

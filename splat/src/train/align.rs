@@ -1,0 +1,141 @@
+//! Where views were moved, the whole may have moved with them: the similarity that takes the splat back to the poses as given.
+
+use super::Trainer;
+use crate::backend::PinholeView;
+use glam::{DMat3, DQuat, DVec3};
+use scene::{Gaussians, Pose};
+
+/// Gaussians by which that is measured, evenly over all, as far as they are more opaque than not.
+const POINTS: usize = 400;
+/// Views.
+const VIEWS: usize = 48;
+const ROUNDS: usize = 10;
+/// Distances of so many times their root mean square count half.
+const OUTLIER: f64 = 2.0;
+/// Points nearer to a camera than this say nothing, normalised units.
+const NEAREST: f64 = 0.05;
+
+/// `x ← scale · turn x + shift`.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct Similarity {
+    pub scale: f64,
+    pub turn: DMat3,
+    pub shift: DVec3,
+}
+
+impl Similarity {
+    pub const IDENTITY: Self = Self { scale: 1.0, turn: DMat3::IDENTITY, shift: DVec3::ZERO };
+
+    pub fn point(&self, x: DVec3) -> DVec3 {
+        self.scale * (self.turn * x) + self.shift
+    }
+
+    /// Moves Gaussians; colours keep their directions, which such turns (parts of a degree) hardly change.
+    pub fn apply(&self, g: &mut Gaussians) {
+        let (turn, larger) = (DQuat::from_mat3(&self.turn).as_quat(), self.scale.ln() as f32);
+        g.means.iter_mut().for_each(|m| *m = self.point(m.as_dvec3()).as_vec3());
+        g.rotations.iter_mut().for_each(|r| *r = turn * *r);
+        g.log_scales.iter_mut().for_each(|s| *s += larger);
+    }
+}
+
+/// Solves `A x = b` by elimination; `None` where a pivot is not positive or anything is not finite.
+pub(super) fn solve<const N: usize>(mut a: [[f64; N]; N], mut b: [f64; N]) -> Option<[f64; N]> {
+    for k in 0..N {
+        let row = a[k];
+        if !(row[k] > 0.0 && row[k].is_finite()) {
+            return None;
+        }
+        for r in k + 1..N {
+            let factor = a[r][k] / row[k];
+            a[r].iter_mut().zip(&row).skip(k).for_each(|(x, y)| *x -= factor * y);
+            b[r] -= factor * b[k];
+        }
+    }
+    for k in (0..N).rev() {
+        let known: f64 = (k + 1..N).map(|q| a[k][q] * b[q]).sum();
+        b[k] = (b[k] - known) / a[k][k];
+    }
+    b.iter().all(|v| v.is_finite()).then_some(b)
+}
+
+/// The similarity with which `given` views see the points where `seen` views see them without it (robust least squares,
+/// pixels), and the root mean square of the distances that are left.
+pub(super) fn similarity(points: &[DVec3], given: &[PinholeView], seen: &[PinholeView]) -> (Similarity, f64) {
+    let (mut found, mut rms) = (Similarity::IDENTITY, f64::INFINITY);
+    for _ in 0..ROUNDS {
+        let (mut a, mut b, mut sum, mut n) = ([[0.0; 7]; 7], [0.0; 7], 0.0, 0.0);
+        for x in points {
+            let y = found.point(*x);
+            for (from, to) in given.iter().zip(seen) {
+                for (e, row) in distances(*x, y, from, to).into_iter().flatten() {
+                    let weight = 1.0 / (1.0 + (e / (OUTLIER * rms)).powi(2));
+                    (sum, n) = (sum + e * e, n + 1.0);
+                    for r in 0..7 {
+                        b[r] += weight * row[r] * e;
+                        a[r].iter_mut().zip(&row).for_each(|(m, j)| *m += weight * row[r] * j);
+                    }
+                }
+            }
+        }
+        rms = (sum / f64::max(n, 1.0)).sqrt().max(1e-9);
+        let Some(step) = solve(a, b) else { break };
+        let turn = DMat3::from_quat(DQuat::from_scaled_axis(DVec3::from_slice(&step[..3])));
+        let larger = step[6].clamp(-0.5, 0.5).exp();
+        found = Similarity {
+            scale: larger * found.scale,
+            turn: turn * found.turn,
+            shift: larger * (turn * found.shift) + DVec3::from_slice(&step[3..6]),
+        };
+    }
+    (found, rms)
+}
+
+/// How far apart x is seen by `to` and y by `from`, pixels, with the derivative by a turn, a shift and a growth of y.
+fn distances(x: DVec3, y: DVec3, from: &PinholeView, to: &PinholeView) -> Option<[(f64, [f64; 7]); 2]> {
+    let p = to.rotation.as_dmat3() * x + to.translation.as_dvec3();
+    let rotation = from.rotation.as_dmat3();
+    let q = rotation * y + from.translation.as_dvec3();
+    let beside = (0..2).any(|k| (p[k] / p.z).abs() > 1.0);
+    if p.z < NEAREST || q.z < NEAREST || beside {
+        return None;
+    }
+    Some([0, 1].map(|k| {
+        let f = f64::from(from.focal[k]);
+        let mut row = DVec3::new(0.0, 0.0, -f * q[k] / (q.z * q.z));
+        row[k] = f / q.z;
+        let d = rotation.transpose() * row;
+        let c = y.cross(d);
+        (f * (p[k] / p.z - q[k] / q.z), [c.x, c.y, c.z, d.x, d.y, d.z, d.dot(y)])
+    }))
+}
+
+impl Trainer<'_> {
+    /// Takes Gaussians that were trained on refined poses to the poses as given: how far apart these are in the pictures, pixels,
+    /// and the refined poses there.
+    pub(super) fn align(&self, g: &mut Gaussians) -> Option<(f64, Vec<(String, Pose)>)> {
+        if self.state.findings.pose.poses.is_empty() {
+            return None;
+        }
+        let every = self.views.len().div_ceil(VIEWS);
+        let views = || self.views.iter().step_by(every);
+        let given: Vec<PinholeView> = views().map(|&v| self.dataset.views[v].view).collect();
+        let seen: Vec<PinholeView> = views().map(|&v| self.camera(v)).collect();
+        let opaque: Vec<usize> = (0..g.means.len()).filter(|&i| g.opacity_logits[i] > 0.0).collect();
+        let chosen = opaque.iter().step_by(opaque.len().div_ceil(POINTS).max(1));
+        let points: Vec<DVec3> = chosen.map(|&i| g.means[i].as_dvec3()).collect();
+        let (found, rms) = similarity(&points, &given, &seen);
+        found.apply(g);
+        let pose = |&v: &usize| (self.dataset.views[v].name.clone(), self.world_pose(v, &found));
+        Some((rms, self.views.iter().map(pose).collect()))
+    }
+
+    /// `cam_from_world` of a refined view, where the splat was moved by the similarity: R Qᵀ and (s t − R Qᵀ d), then out of the
+    /// normalised frame.
+    fn world_pose(&self, view: usize, moved: &Similarity) -> Pose {
+        let (view, frame) = (self.camera(view), &self.dataset.normalisation);
+        let rotation = view.rotation.as_dmat3() * moved.turn.transpose();
+        let translation = moved.scale * view.translation.as_dvec3() - rotation * moved.shift;
+        Pose::from_matrix(rotation, translation / frame.scale - rotation * frame.centre)
+    }
+}
