@@ -200,7 +200,8 @@ impl Pipeline {
         let print = match &self.input {
             Input::Posed { model, .. } => {
                 database::refuse(&self.args)?;
-                fingerprint(&("import", 1, frames_print, describe_input(model)?, self.args.text))?
+                let points = (env!("SFM_SOURCES"), &self.args.sfm);
+                fingerprint(&("import", 2, frames_print, describe_input(model)?, self.args.text, points))?
             }
             _ => {
                 let database = database::print(&self.args)?;
@@ -227,8 +228,9 @@ impl Pipeline {
             let progress = self.progress("sfm");
             let (reconstruction, mut summary) = match &self.input {
                 Input::Posed { model, .. } => {
-                    let summary = PoseSummary { imported: true, ..PoseSummary::default() };
-                    (Some(input::import_poses(model, frames)?), summary)
+                    let given = input::import_poses(model, frames)?;
+                    let (model, decisions) = input::with_points(given, frames, &self.args.sfm, &progress)?;
+                    (Some(model), PoseSummary { imported: true, decisions, ..PoseSummary::default() })
                 }
                 _ => self.solve_poses(frames, &progress)?,
             };
@@ -237,7 +239,7 @@ impl Pipeline {
                 let errors = reconstruction.reprojection_errors();
                 summary.registered = reconstruction.images.len();
                 summary.points = reconstruction.points.len();
-                summary.mean_error_px = errors.iter().sum::<f64>() / errors.len().max(1) as f64;
+                summary.mean_error_px = errors.iter().sum::<f64>().max(0.0) / errors.len().max(1) as f64;
                 self.write_model(reconstruction, frames)?;
             }
             Ok(summary)
@@ -246,12 +248,15 @@ impl Pipeline {
         let line = match &poses.no_model {
             Some(reason) => format!("no model: {reason}"),
             None => format!(
-                "{} of {} images{}, {} points, {:.2} px",
+                "{} of {} images{}, {}",
                 poses.registered,
                 poses.total,
                 if poses.imported { " (poses of the input)" } else { "" },
-                poses.points,
-                poses.mean_error_px
+                if poses.points == 0 {
+                    "no points".to_owned()
+                } else {
+                    format!("{} points, {:.2} px", poses.points, poses.mean_error_px)
+                }
             ),
         };
         self.finish("poses", finished.cost, ran, &line);

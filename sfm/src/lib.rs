@@ -28,6 +28,6 @@ pub mod undistort;
 pub use config::{CameraModelChoice, CameraSharing, KeypointPlaces, SfmConfig};
 pub use error::SfmError;
 pub use knowledge::{Calibration, Knowledge};
-pub use pipeline::{Supplied, reconstruct, reconstruct_features, reconstruct_from};
+pub use pipeline::{Supplied, reconstruct, reconstruct_features, reconstruct_from, triangulate_given};
 pub use result::{Decision, PoseDeviation, SfmResult, SfmStats, StepTime, Uncertainty};
 pub use undistort::undistort;

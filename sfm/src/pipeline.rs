@@ -7,6 +7,7 @@ mod densify;
 mod evenly;
 mod export;
 mod given;
+mod posed;
 mod setup;
 mod sharing;
 mod sharper;
@@ -19,6 +20,8 @@ use crate::incremental::state::{Input, State};
 use crate::single_axis::{self, Free, Motion, Turned, VideoJob, VideoModel, consider, even, solve_video};
 use crate::tracks::{build_tracks, positions};
 use crate::{Decision, SfmConfig, SfmError, SfmResult, Uncertainty, incremental, pairs, sift, two_view};
+pub use posed::triangulate_given;
+
 use attempts::{on_a_ring, unfold, with_a_second_look};
 use clock::Clock;
 use given::{Given, Grown, grown, spreads};

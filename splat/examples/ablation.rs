@@ -60,6 +60,7 @@ fn rows() -> Vec<Row> {
         row("full resolution earlier (0.2, 0.6)", |c| {
             (c.recipe.half_resolution_from, c.recipe.full_resolution_from) = (0.2, 0.6);
         }),
+        row("full resolution no earlier with many steps", |c| c.recipe.early_from_steps = f64::INFINITY),
         row("full resolution throughout", |c| c.coarse_levels = 0),
         row("no validation views", |c| c.recipe.evidence = false),
         row("no exposure", |c| c.recipe.exposure = false),
@@ -102,6 +103,8 @@ fn slot<'a>(c: &'a mut TrainConfig, name: &str) -> Option<&'a mut f64> {
     Some(match name {
         "gaussians" => &mut c.recipe.gaussians_a_step,
         "full" => &mut c.recipe.full_resolution_from,
+        "early" => &mut c.recipe.full_resolution_early,
+        "early-steps" => &mut c.recipe.early_from_steps,
         "half" => &mut c.recipe.half_resolution_from,
         "passes" => &mut c.recipe.passes,
         "until" => &mut c.recipe.densify_until,

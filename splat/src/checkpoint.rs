@@ -40,6 +40,9 @@ pub struct State {
     pub last_round: (u32, f64),
     /// What was found out on the way.
     pub findings: Findings,
+    /// Whether full resolution begins early, once that is decided.
+    #[serde(default)]
+    pub early: Option<bool>,
     /// What steps cost and how far each one goes.
     #[serde(default)]
     pub pace: Pace,

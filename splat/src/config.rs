@@ -135,7 +135,11 @@ pub struct Recipe {
     pub gaussians_a_step: f64,
     /// Position in the schedule from which training runs at full resolution.
     pub full_resolution_from: f64,
-    /// The same for half the resolution.
+    /// The same where the schedule has this many steps and more.
+    pub full_resolution_early: f64,
+    /// Steps from which on that is so.
+    pub early_from_steps: f64,
+    /// The position from which training runs at half the resolution.
     pub half_resolution_from: f64,
     /// Part of the schedule in which Gaussians are added.
     pub densify_until: f64,
@@ -169,6 +173,8 @@ impl Default for Recipe {
             selection: Selection::Gradient,
             gaussians_a_step: 50.0,
             full_resolution_from: 0.8,
+            full_resolution_early: 0.6,
+            early_from_steps: 2000.0,
             half_resolution_from: 0.4,
             densify_until: 0.7,
             passes: 300.0,
@@ -186,7 +192,7 @@ impl Default for Recipe {
 }
 
 const ITERATIONS: u32 = 4000;
-const MAX_GAUSSIANS: usize = 150_000;
+const MAX_GAUSSIANS: usize = 300_000;
 const LAMBDA_DSSIM: f32 = 0.2;
 const CHECKPOINT_EVERY: u32 = 1000;
 

@@ -44,7 +44,7 @@ impl Pace {
         if left <= 0.0 {
             return 1.0;
         }
-        let stride = self.ahead(state.position, config, level) / left;
+        let stride = self.ahead(state, config, level) / left;
         let next = state.position + stride.max(1.0 / most.max(1.0));
         let next = next.min(1.0).max(state.position + 1e-7);
         self.stride = next - state.position;
@@ -52,13 +52,14 @@ impl Pace {
     }
 
     /// Seconds that the rest of the schedule would take with a step for every unit of position.
-    fn ahead(&self, position: f64, config: &TrainConfig, now: u32) -> f64 {
+    fn ahead(&self, state: &State, config: &TrainConfig, now: u32) -> f64 {
         const PARTS: u32 = 64;
+        let (position, early) = (state.position, state.early.unwrap_or(false));
         let width = (1.0 - position) / f64::from(PARTS);
         let (mut sum, mut last, mut previous) = (0.0, self.cost[now as usize % 8], now);
         for part in 0..PARTS {
             let at = position + (f64::from(part) + 0.5) * width;
-            let next = level(at, config.coarse_levels, &config.recipe);
+            let next = level(at, config.coarse_levels, &config.recipe, early);
             if next != previous {
                 let seen = self.cost[next as usize % 8];
                 last = if seen > 0.0 { seen } else { last * FINER };
@@ -73,6 +74,7 @@ impl Pace {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::schedule::{EARLY_DECIDED, is_early};
     use rand::Rng as _;
 
     /// A machine whose clock this is: a step costs what `cost(level, position, seconds gone)` says.
@@ -96,7 +98,11 @@ mod tests {
         let (mut pace, mut state) = (Pace::default(), State::default());
         let mut out = Outcome { seconds: 0.0, steps: 0, full: 0, stride: 0.0, last: 0.0 };
         while state.position < 1.0 {
-            let now = level(state.position, config.coarse_levels, &config.recipe);
+            if state.early.is_none() && state.position >= EARLY_DECIDED {
+                state.early = Some(is_early(pace.steps(&state, &config), &config.recipe));
+            }
+            let early = state.early.unwrap_or(false);
+            let now = level(state.position, config.coarse_levels, &config.recipe, early);
             let spent = cost(now, state.position, state.seconds);
             state.iteration += 1;
             state.seconds += spent;

@@ -7,10 +7,19 @@ use crate::config::{Recipe, TrainConfig};
 /// From here on the higher degrees of the spherical harmonics come in, one after the other.
 pub const SH_FROM: [f64; 3] = [0.2, 0.35, 0.5];
 
-/// Level (0: full resolution) at a position, with `levels` coarser ones to pass through.
-pub fn level(position: f64, levels: u32, recipe: &Recipe) -> u32 {
+/// Position at which is decided when full resolution begins: what steps cost at half of it is known by then.
+pub const EARLY_DECIDED: f64 = 0.55;
+
+/// Whether a schedule of so many steps goes to full resolution early: a short one needs steps more than pixels.
+pub fn is_early(steps: f64, recipe: &Recipe) -> bool {
+    steps >= recipe.early_from_steps
+}
+
+/// Level (0: full resolution) at a position, with `levels` coarser ones to pass through; `early`: see [`is_early`].
+pub fn level(position: f64, levels: u32, recipe: &Recipe, early: bool) -> u32 {
     let half = recipe.half_resolution_from;
-    let passed = if position >= recipe.full_resolution_from {
+    let full = if early { recipe.full_resolution_early.max(half) } else { recipe.full_resolution_from };
+    let passed = if position >= full {
         levels
     } else if position >= half || levels == 0 {
         levels.saturating_sub(1)
@@ -106,6 +115,22 @@ pub fn rates(position: f64, steps: f64, pixel: f32, config: &TrainConfig) -> Lea
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn long_schedules_see_full_resolution_earlier_and_none_goes_back() {
+        let recipe = Recipe::default();
+        assert!(is_early(4_000.0, &recipe) && !is_early(1_500.0, &recipe));
+        for (early, full) in [(false, 0.8), (true, 0.6)] {
+            let levels: Vec<u32> =
+                (0..=100).map(|p| level(f64::from(p) / 100.0, 2, &recipe, early)).collect();
+            assert!(levels.is_sorted_by(|a, b| a >= b), "{levels:?}");
+            assert_eq!(levels.iter().position(|l| *l == 0), Some((100.0 * full) as usize), "{levels:?}");
+            assert_eq!((levels[0], levels[39], levels[40]), (2, 2, 1));
+            assert!((0..=100).all(|p| level(f64::from(p) / 100.0, 0, &recipe, early) == 0));
+        }
+        // Decided before either begins, so that no step sees a coarser picture than the one before.
+        assert!(EARLY_DECIDED < recipe.full_resolution_early);
+    }
 
     #[test]
     fn growth_is_bounded_by_steps_by_views_by_points_and_by_what_is_configured() {

@@ -268,6 +268,10 @@ impl<'a> Trainer<'a> {
     fn step(&mut self) -> Result<(), SplatError> {
         let begun = (self.clock)();
         let position = self.state.position;
+        if self.state.early.is_none() && position >= schedule::EARLY_DECIDED {
+            let steps = self.state.pace.steps(&self.state, self.config);
+            self.state.early = Some(schedule::is_early(steps, &self.config.recipe));
+        }
         let highest = self.config.sh_degree.min(self.state.findings.sh_limit.unwrap_or(3));
         let degree = schedule::sh_degree(position, highest);
         if self.backend.sh_degree() < degree {
@@ -357,7 +361,8 @@ impl<'a> Trainer<'a> {
 
     /// Level in use now (0: full resolution), if the view has it.
     fn level(&self) -> u32 {
-        schedule::level(self.state.position, self.config.coarse_levels, &self.config.recipe)
+        let early = self.state.early.unwrap_or(false);
+        schedule::level(self.state.position, self.config.coarse_levels, &self.config.recipe, early)
     }
 
     fn densify(&mut self) -> Result<(), SplatError> {

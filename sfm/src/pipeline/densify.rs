@@ -15,7 +15,7 @@ use scene::{Camera, Features, Pose, Progress, TwoViewGeometry, TwoViewKind};
 /// Images up to which it is worth its cost (some milliseconds a pair).
 pub(super) const UP_TO: usize = 30;
 /// Images that look farther apart than this share no points, radians.
-const WIDEST: f64 = 1.2;
+pub(super) const WIDEST: f64 = 1.2;
 /// Half-width of the band along the lines, in standard deviations of the model's errors, and its least, pixels.
 const BAND_SIGMAS: f64 = 4.0;
 const LEAST_BAND_PX: f64 = 1.0;
@@ -53,10 +53,7 @@ pub(super) fn along_the_model(
         if angle_between(axis(pose_a), axis(pose_b)) > WIDEST {
             return Ok(known.cloned());
         }
-        let b_from_a = pose_b.compose(&pose_a.inverse());
-        let f = calibration(cameras[b]).inverse().transpose()
-            * essential_from_pose(&b_from_a)
-            * calibration(cameras[a]).inverse();
+        let (f, b_from_a) = line_between((pose_a, cameras[a]), (pose_b, cameras[b]));
         let side = |i: usize| (&ideal[i], &prepared[i]);
         let found = guided_match_prepared(side(a), side(b), &f, band, matching);
         Ok(merged(known, (a, b), found, &f, b_from_a, input.config.min_sightings))
@@ -83,8 +80,15 @@ pub(super) fn regrown(state: &State, input: &Input<'_>) -> State {
     grown
 }
 
+/// The fundamental matrix between the ideal images of two posed cameras, and the pose of b in a.
+pub(super) fn line_between(a: (&Pose, &Camera), b: (&Pose, &Camera)) -> (DMat3, Pose) {
+    let b_from_a = b.0.compose(&a.0.inverse());
+    let e = essential_from_pose(&b_from_a);
+    (calibration(b.1).inverse().transpose() * e * calibration(a.1).inverse(), b_from_a)
+}
+
 /// One-to-one matches: the pair's own inliers first, then what was found and does not contradict them.
-fn merged(
+pub(super) fn merged(
     known: Option<&TwoViewGeometry>,
     (a, b): (usize, usize),
     found: Vec<[u32; 2]>,
@@ -117,7 +121,7 @@ fn merged(
 }
 
 /// Keypoints where an ideal camera of the same focal length would see them.
-fn undistorted(features: &Features, keypoints: &[DVec2], camera: &Camera) -> Features {
+pub(super) fn undistorted(features: &Features, keypoints: &[DVec2], camera: &Camera) -> Features {
     let mut result = Features { keypoints: features.keypoints.clone(), descriptors: Vec::new() };
     for (k, pixel) in result.keypoints.iter_mut().zip(keypoints) {
         let p = camera.unproject(*pixel) * camera.focal() + camera.principal_point();

@@ -83,7 +83,7 @@ fn why_missing(result: &SfmResult, image: usize) -> String {
 }
 
 /// Image number = index of the frame + 1; points are numbered from 1 in the order in which they were found.
-fn convert(solved: &Solved, frames: &FrameSet) -> Reconstruction {
+pub(super) fn convert(solved: &Solved, frames: &FrameSet) -> Reconstruction {
     let state = &solved.state;
     let mut model = Reconstruction::default();
     let mut number = vec![0u64; state.points.len()];

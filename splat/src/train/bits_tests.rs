@@ -61,6 +61,9 @@ const DECISIONS: [f64; 6] = [0.25, 0.4, 0.55, 0.7, 0.85, 0.9];
 fn stopping_and_resuming_changes_no_bit() {
     let stops = [1, 99, 100, 101, 206, 207, 208, 229, 230];
     stopped_and_resumed("opaque", &dataset(8, false), &config(230), &stops);
+    let mut early = config(120);
+    early.recipe.early_from_steps = 100.0;
+    stopped_and_resumed("early", &dataset(8, false), &early, &around(&[0.55, 0.6], 120));
 }
 
 /// Backgrounds are drawn anew in each step; what hardly any view sees goes in each round, what lies outside the mattes
