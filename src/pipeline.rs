@@ -239,7 +239,8 @@ impl Pipeline {
                 let errors = reconstruction.reprojection_errors();
                 summary.registered = reconstruction.images.len();
                 summary.points = reconstruction.points.len();
-                summary.mean_error_px = errors.iter().sum::<f64>().max(0.0) / errors.len().max(1) as f64;
+                summary.mean_error_px =
+                    errors.iter().fold(0.0, |sum, e| sum + e) / errors.len().max(1) as f64;
                 self.write_model(reconstruction, frames)?;
             }
             Ok(summary)
@@ -442,9 +443,9 @@ impl Pipeline {
                 image.pose = *pose;
             }
         }
-        let target = folder.join("0");
-        std::fs::create_dir_all(&target).with_context(|| format!("cannot write {}", target.display()))?;
-        Ok(scene::io::write_model_bin(&model, &target)?)
+        Ok(scene::io::atomic::replace_folder(&folder.join("0"), |new| {
+            scene::io::write_model_bin(&model, new)
+        })?)
     }
 
     fn say_result(&self, until: Until) -> Result<()> {

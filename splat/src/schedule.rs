@@ -18,7 +18,11 @@ pub fn is_early(steps: f64, recipe: &Recipe) -> bool {
 /// Level (0: full resolution) at a position, with `levels` coarser ones to pass through; `early`: see [`is_early`].
 pub fn level(position: f64, levels: u32, recipe: &Recipe, early: bool) -> u32 {
     let half = recipe.half_resolution_from;
-    let full = if early { recipe.full_resolution_early.max(half) } else { recipe.full_resolution_from };
+    let full = if early {
+        recipe.full_resolution_early.min(recipe.full_resolution_from).max(half)
+    } else {
+        recipe.full_resolution_from
+    };
     let passed = if position >= full {
         levels
     } else if position >= half || levels == 0 {
@@ -128,6 +132,8 @@ mod tests {
             assert_eq!((levels[0], levels[39], levels[40]), (2, 2, 1));
             assert!((0..=100).all(|p| level(f64::from(p) / 100.0, 0, &recipe, early) == 0));
         }
+        let sooner = Recipe { full_resolution_from: 0.5, ..recipe.clone() };
+        assert_eq!([level(0.56, 2, &sooner, false), level(0.56, 2, &sooner, true)], [0, 0]);
         // Decided before either begins, so that no step sees a coarser picture than the one before.
         assert!(EARLY_DECIDED < recipe.full_resolution_early);
     }

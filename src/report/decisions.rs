@@ -3,6 +3,7 @@
 use super::html::escape;
 use crate::pipeline::RunRecord;
 use serde::{Deserialize, Serialize};
+use splat::PoseRefinement;
 
 /// Something that a run has to settle one way or the other.
 struct Topic {
@@ -80,7 +81,11 @@ fn exposure(record: &RunRecord) -> Option<[String; 2]> {
 
 fn training_poses(record: &RunRecord) -> Option<[String; 2]> {
     record.splat.as_ref()?;
-    said("as given", "not examined at this quality".to_owned())
+    match record.config.train.refine_poses {
+        PoseRefinement::On => said("refined", "asked for by --refine-poses".to_owned()),
+        PoseRefinement::Off => said("as given", "asked for by --refine-poses".to_owned()),
+        PoseRefinement::Auto => said("as given", "not examined: too few views or steps".to_owned()),
+    }
 }
 
 fn light(record: &RunRecord) -> Option<[String; 2]> {

@@ -2,7 +2,8 @@
 
 use super::Trainer;
 use crate::backend::PinholeView;
-use glam::{DMat3, DQuat, DVec3};
+use glam::{DQuat, DVec3};
+use scene::sim3::Sim3;
 use scene::{Gaussians, Pose};
 
 /// Gaussians by which that is measured, evenly over all, as far as they are more opaque than not.
@@ -15,28 +16,12 @@ const OUTLIER: f64 = 2.0;
 /// Points nearer to a camera than this say nothing, normalised units.
 const NEAREST: f64 = 0.05;
 
-/// `x ← scale · turn x + shift`.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) struct Similarity {
-    pub scale: f64,
-    pub turn: DMat3,
-    pub shift: DVec3,
-}
-
-impl Similarity {
-    pub const IDENTITY: Self = Self { scale: 1.0, turn: DMat3::IDENTITY, shift: DVec3::ZERO };
-
-    pub fn point(&self, x: DVec3) -> DVec3 {
-        self.scale * (self.turn * x) + self.shift
-    }
-
-    /// Moves Gaussians; colours keep their directions, which such turns (parts of a degree) hardly change.
-    pub fn apply(&self, g: &mut Gaussians) {
-        let (turn, larger) = (DQuat::from_mat3(&self.turn).as_quat(), self.scale.ln() as f32);
-        g.means.iter_mut().for_each(|m| *m = self.point(m.as_dvec3()).as_vec3());
-        g.rotations.iter_mut().for_each(|r| *r = turn * *r);
-        g.log_scales.iter_mut().for_each(|s| *s += larger);
-    }
+/// Moves Gaussians; colours keep their directions, which such turns (parts of a degree) hardly change.
+fn apply(moved: &Sim3, g: &mut Gaussians) {
+    let (turn, larger) = (moved.rotation.as_quat(), moved.scale.ln() as f32);
+    g.means.iter_mut().for_each(|m| *m = moved.transform(m.as_dvec3()).as_vec3());
+    g.rotations.iter_mut().for_each(|r| *r = turn * *r);
+    g.log_scales.iter_mut().for_each(|s| *s += larger);
 }
 
 /// Solves `A x = b` by elimination; `None` where a pivot is not positive or anything is not finite.
@@ -61,12 +46,12 @@ pub(super) fn solve<const N: usize>(mut a: [[f64; N]; N], mut b: [f64; N]) -> Op
 
 /// The similarity with which `given` views see the points where `seen` views see them without it (robust least squares,
 /// pixels), and the root mean square of the distances that are left.
-pub(super) fn similarity(points: &[DVec3], given: &[PinholeView], seen: &[PinholeView]) -> (Similarity, f64) {
-    let (mut found, mut rms) = (Similarity::IDENTITY, f64::INFINITY);
+pub(super) fn similarity(points: &[DVec3], given: &[PinholeView], seen: &[PinholeView]) -> (Sim3, f64) {
+    let (mut found, mut rms) = (Sim3::IDENTITY, f64::INFINITY);
     for _ in 0..ROUNDS {
         let (mut a, mut b, mut sum, mut n) = ([[0.0; 7]; 7], [0.0; 7], 0.0, 0.0);
         for x in points {
-            let y = found.point(*x);
+            let y = found.transform(*x);
             for (from, to) in given.iter().zip(seen) {
                 for (e, row) in distances(*x, y, from, to).into_iter().flatten() {
                     let weight = 1.0 / (1.0 + (e / (OUTLIER * rms)).powi(2));
@@ -80,13 +65,12 @@ pub(super) fn similarity(points: &[DVec3], given: &[PinholeView], seen: &[Pinhol
         }
         rms = (sum / f64::max(n, 1.0)).sqrt().max(1e-9);
         let Some(step) = solve(a, b) else { break };
-        let turn = DMat3::from_quat(DQuat::from_scaled_axis(DVec3::from_slice(&step[..3])));
-        let larger = step[6].clamp(-0.5, 0.5).exp();
-        found = Similarity {
-            scale: larger * found.scale,
-            turn: turn * found.turn,
-            shift: larger * (turn * found.shift) + DVec3::from_slice(&step[3..6]),
+        let step = Sim3 {
+            scale: step[6].clamp(-0.5, 0.5).exp(),
+            rotation: DQuat::from_scaled_axis(DVec3::from_slice(&step[..3])),
+            translation: DVec3::from_slice(&step[3..6]),
         };
+        found = step.compose(&found);
     }
     (found, rms)
 }
@@ -125,17 +109,16 @@ impl Trainer<'_> {
         let chosen = opaque.iter().step_by(opaque.len().div_ceil(POINTS).max(1));
         let points: Vec<DVec3> = chosen.map(|&i| g.means[i].as_dvec3()).collect();
         let (found, rms) = similarity(&points, &given, &seen);
-        found.apply(g);
+        apply(&found, g);
         let pose = |&v: &usize| (self.dataset.views[v].name.clone(), self.world_pose(v, &found));
         Some((rms, self.views.iter().map(pose).collect()))
     }
 
-    /// `cam_from_world` of a refined view, where the splat was moved by the similarity: R Qᵀ and (s t − R Qᵀ d), then out of the
-    /// normalised frame.
-    fn world_pose(&self, view: usize, moved: &Similarity) -> Pose {
+    /// `cam_from_world` of a refined view, where the splat was moved by the similarity.
+    fn world_pose(&self, view: usize, moved: &Sim3) -> Pose {
         let (view, frame) = (self.camera(view), &self.dataset.normalisation);
-        let rotation = view.rotation.as_dmat3() * moved.turn.transpose();
-        let translation = moved.scale * view.translation.as_dvec3() - rotation * moved.shift;
-        Pose::from_matrix(rotation, translation / frame.scale - rotation * frame.centre)
+        let own = Pose::from_matrix(view.rotation.as_dmat3(), view.translation.as_dvec3());
+        let world = Sim3 { scale: 1.0 / frame.scale, rotation: DQuat::IDENTITY, translation: frame.centre };
+        world.transform_pose(&moved.transform_pose(&own))
     }
 }

@@ -14,8 +14,8 @@ use serde::{Deserialize, Serialize};
 
 /// Positions of the schedule at which is asked whether poses are to be refined; both have to say so.
 const LOOKS: [f64; 2] = [0.2, 0.3];
-/// Part of the squared error that moving each view must explain, in pixels that had no part in moving it. Poses from photos
-/// left at most 0.06 to explain, poses 0.06° off 0.11 and more (docs/decisions/0024).
+/// Part of the squared error that moving each view must explain, in pixels that had no part in moving it. Our own
+/// poses left at most 0.02 to explain, poses 0.06° off 0.17 and more (docs/decisions/0024).
 const EXPLAINED: f64 = 0.1;
 /// Views that are asked: what a look costs must not grow with their number.
 const SAMPLE: usize = 48;

@@ -1,6 +1,6 @@
 //! Views that stand elsewhere than they are said to.
 
-use super::super::align::{Similarity, similarity, solve};
+use super::super::align::{similarity, solve};
 use super::super::tests::{config, dataset, held_out_psnr, pictures_of, truth};
 use super::*;
 use crate::config::TrainConfig;
@@ -9,6 +9,7 @@ use crate::train::{Statistics, train};
 use crate::{Dataset, TrainResult};
 use rand::Rng as _;
 use scene::Progress;
+use scene::sim3::Sim3;
 
 /// The training views off by about `size` radians, as solvers leave it: what they look at stays in the middle.
 fn with_wrong_poses(mut dataset: Dataset, size: f64) -> Dataset {
@@ -96,25 +97,29 @@ fn the_predicted_change_of_a_picture_is_that_of_the_renderer() {
 fn the_similarity_between_poses_is_found_and_linear_systems_are_solved() {
     let dataset = dataset(9, false);
     let given: Vec<PinholeView> = dataset.views.iter().map(|v| v.view).collect();
-    let true_one = Similarity {
+    let true_one = Sim3 {
         scale: 1.01,
-        turn: DMat3::from_quat(DQuat::from_scaled_axis(DVec3::new(0.01, -0.02, 0.015))),
-        shift: DVec3::new(0.01, 0.02, -0.01),
+        rotation: DQuat::from_scaled_axis(DVec3::new(0.01, -0.02, 0.015)),
+        translation: DVec3::new(0.01, 0.02, -0.01),
     };
     // R' x + t' is R (s Q x + d) + t, up to the scale that no picture shows.
     let seen: Vec<PinholeView> = given
         .iter()
         .map(|v| {
             let r = v.rotation.as_dmat3();
-            let t = (r * true_one.shift + v.translation.as_dvec3()) / true_one.scale;
-            PinholeView { rotation: (r * true_one.turn).as_mat3(), translation: t.as_vec3(), ..*v }
+            let t = (r * true_one.translation + v.translation.as_dvec3()) / true_one.scale;
+            PinholeView {
+                rotation: (r * DMat3::from_quat(true_one.rotation)).as_mat3(),
+                translation: t.as_vec3(),
+                ..*v
+            }
         })
         .collect();
     let points: Vec<DVec3> = truth().means.iter().map(|m| m.as_dvec3()).collect();
     let (found, rms) = similarity(&points, &given, &seen);
     assert!((found.scale - 1.01).abs() < 1e-5 && rms < 1e-3, "{found:?} {rms}");
-    assert!((found.shift - true_one.shift).length() < 1e-5 && rms < 1e-3, "{found:?}");
-    assert_eq!(similarity(&[], &given, &seen).0, Similarity::IDENTITY);
+    assert!((found.translation - true_one.translation).length() < 1e-5 && rms < 1e-3, "{found:?}");
+    assert_eq!(similarity(&[], &given, &seen).0, Sim3::IDENTITY);
     assert_eq!(solve([[4.0, 2.0], [2.0, 3.0]], [10.0, 9.0]), Some([1.5, 2.0]));
     assert_eq!(solve([[0.0]], [1.0]), None);
     assert_eq!(solve([[f64::NAN]], [1.0]), None);
