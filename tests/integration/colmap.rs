@@ -86,8 +86,11 @@ fn a_database_of_colmaps_own_is_mapped_and_compared_with_its_own_model() {
     let out = run();
     let said = expect_code(&["compare", text(out), "--colmap", "--json", "-q"], 0);
     let rows: serde_json::Value = serde_json::from_str(&said).unwrap();
-    assert_eq!(rows.as_array().map(Vec::len), Some(2), "{rows}");
-    assert!(rows[1]["name"].as_str().unwrap().starts_with("COLMAP 3"), "{rows}");
+    // COLMAP draws at random across its threads and sometimes ends with a second, smaller model.
+    let theirs = &rows.as_array().unwrap()[1..];
+    assert!(!theirs.is_empty(), "{rows}");
+    assert!(theirs.iter().all(|r| r["name"].as_str().unwrap().starts_with("COLMAP 3")), "{rows}");
+    assert!(theirs.iter().all(|r| r["registered"].as_u64() <= rows[1]["registered"].as_u64()), "{rows}");
     assert!(rows[0]["cpu_s"].as_f64() > Some(0.0) && rows[1]["cpu_s"].as_f64() > Some(0.1), "{rows}");
     assert!(rows[1]["peak_mib"].as_f64() > Some(10.0), "{rows}");
     assert!(rows[1]["agreement"]["common"].as_u64() >= Some(10), "{rows}");
