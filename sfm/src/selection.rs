@@ -13,6 +13,10 @@ use scene::{Camera, CameraModel, Progress};
 /// Standard deviation of a principal point from the image centre, in longer image sides (lenses and crops of real
 /// cameras).
 pub(crate) const PRINCIPAL_POINT_SIGMA: f64 = 0.03;
+/// Standard deviation of radial distortion half the longer image side from the centre, as a share of that distance: 0.05 for
+/// lenses that are not fisheyes, less by the root of 8, since sightings err together and their variances come out that much too
+/// small (`single_axis/smoothness.rs`).
+const DISTORTION_SIGMA: f64 = 0.018;
 /// Largest standard deviation of a focal length that counts as determined, as a share of it.
 const DETERMINED_FOCAL: f64 = 0.02;
 /// Largest standard deviation of a principal point that counts as determined, in longer image sides.
@@ -20,6 +24,8 @@ const DETERMINED_POINT: f64 = 0.01;
 /// A decrease of BIC that needs no significant held-out gain beside it; neighbouring residuals are not independent, so
 /// the textbook's 10 would be far too little.
 const CLEAR_BIC: f64 = 150.0;
+/// The least decrease where what was held out is predicted better by two standard errors.
+const PREDICTED_BIC: f64 = 10.0;
 /// The same for images that were turned, which are only suspected on clear evidence from more sightings.
 const TURNED_BIC: f64 = 80.0;
 /// The same where what was held out is predicted better by three standard errors.
@@ -86,6 +92,20 @@ pub fn principal_point_priors(index: usize, camera: &Camera) -> [IntrinsicsPrior
     [prior(0, w / 2.0), prior(1, h / 2.0)]
 }
 
+/// The priors of radial distortion: what each term does half an image side from the centre.
+fn distortion_priors(index: usize, camera: &Camera) -> impl Iterator<Item = IntrinsicsPrior> + use<> {
+    let first = camera.model.num_focals() + 2;
+    let terms = camera.distortion().len().min(2);
+    let side = f64::from(camera.width.max(camera.height));
+    let shrink = (2.0 * camera.mean_focal() / side).powi(2);
+    (0..terms).map(move |k| IntrinsicsPrior {
+        camera: index,
+        parameter: first + k,
+        mean: 0.0,
+        sigma: DISTORTION_SIGMA * shrink.powi(k as i32 + 1),
+    })
+}
+
 /// A candidate after its adjustment.
 struct Trial {
     intrinsics: Intrinsics,
@@ -148,6 +168,14 @@ pub fn choose(
     let mut lines = vec![best.line()];
     let mut consider = |intrinsics: Intrinsics, best: &mut Trial| -> Result<bool, SfmError> {
         let trial = context.trial(&best.problem, intrinsics)?;
+        if trial.bic < best.bic {
+            // It went on from where the other had come to. So may the other, or BIC compares numbers of iterations.
+            let again = context.trial(&trial.gone_back_to(best), best.intrinsics)?;
+            if again.bic < best.bic {
+                *best = again;
+                lines.push(format!("{} (from there)", best.line()));
+            }
+        }
         let simpler = parameters(intrinsics) < parameters(best.intrinsics);
         let (gain, error) = gain(&best.by_pose, &trial.by_pose);
         let better = if simpler {
@@ -236,7 +264,7 @@ pub fn choose_turned(
 
 /// Whether a gain (with its standard error) and BIC both speak for more parameters: either the gain is clear, or BIC is.
 fn clearly_better((gain, error): (f64, f64), bic: f64, before: f64) -> bool {
-    let asked = if gain > 2.0 * error { 0.0 } else { CLEAR_BIC };
+    let asked = if gain > 2.0 * error { PREDICTED_BIC } else { CLEAR_BIC };
     gain > 0.0 && bic < before - asked
 }
 
@@ -312,6 +340,18 @@ fn options() -> SolveOptions {
 }
 
 impl Trial {
+    /// Where this trial has come to, with principal points as `other` has them, if it holds them.
+    fn gone_back_to(&self, other: &Self) -> BundleProblem {
+        let mut problem = self.problem.clone();
+        if !other.intrinsics.principal_point {
+            for (camera, held) in problem.cameras.iter_mut().zip(&other.problem.cameras) {
+                let (n, point) = (camera.model.num_focals(), held.principal_point().to_array());
+                camera.params[n..n + 2].copy_from_slice(&point);
+            }
+        }
+        problem
+    }
+
     fn line(&self) -> String {
         let params = self.problem.cameras.first().map_or(&[][..], |c| &c.params);
         let shown: Vec<String> = params.iter().map(|p| format!("{p:.4}")).collect();
@@ -347,6 +387,7 @@ pub fn apply(problem: &mut BundleProblem, intrinsics: Intrinsics, known: &[Knowl
         if intrinsics.principal_point {
             priors.extend(principal_point_priors(i, camera));
         }
+        priors.extend(distortion_priors(i, camera));
     }
     problem.priors = priors;
 }
