@@ -7,6 +7,7 @@ pub mod chroma;
 mod config;
 mod decode;
 mod error;
+mod film;
 mod hdr;
 mod masks;
 mod matte;

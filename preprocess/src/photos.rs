@@ -1,5 +1,6 @@
 //! From a folder of photos to upright 8-bit images with masks.
 
+use crate::film::FILM;
 use crate::masks::{MaskFiles, read_mask};
 use crate::names::{natural_order, safe_name};
 use crate::output::{Staging, write_png};
@@ -82,11 +83,11 @@ pub fn photo_frames(
     let has_masks = frames.iter().any(|f| f.mask.is_some());
     progress.check()?;
     if has_masks {
-        staging.publish(&["images", "masks"], &[])?
+        staging.publish(&["images", "masks"], &[FILM])?
     } else {
-        staging.publish(&["images"], &["masks"])?
+        staging.publish(&["images"], &["masks", FILM])?
     }
-    Ok(FrameSet { frames, is_video: false, notes })
+    Ok(FrameSet { frames, notes, ..FrameSet::default() })
 }
 
 /// What lies in a folder.

@@ -102,7 +102,9 @@ pub(crate) struct Look {
     /// Variance of the Laplacian of Gaussian over the variance of luma: the same at any exposure.
     pub sharpness: f64,
     /// Small luma picture.
-    thumbnail: Vec<u8>,
+    pub thumbnail: Vec<u8>,
+    /// Its width and height.
+    pub size: (u32, u32),
 }
 
 impl Look {
@@ -122,7 +124,7 @@ impl Look {
         let sharpness = (deviation(&edges)? / (deviation(&smooth)? + 0.5)).powi(2);
         let (tw, th) = fitted(w, h, THUMBNAIL_SIDE as u32);
         let thumbnail = resized(&luma, tw, th)?.data_bytes()?.to_vec();
-        Ok(Self { sharpness, thumbnail })
+        Ok(Self { sharpness, thumbnail, size: (tw, th) })
     }
 
     /// Difference that all but one pixel in 200 stay below, 8-bit levels: moving texture shows even where the

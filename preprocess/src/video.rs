@@ -1,6 +1,7 @@
 //! From a video to upright, sharp, distinct frames.
 
 use crate::decode::{DamageCheck, Decoded, OpenCvSource, PipeSource, Source};
+use crate::film::{FILM, Reel};
 use crate::output::{Staging, write_png};
 use crate::pixels::{self, Look};
 use crate::probe::{self, Transfer, VideoInfo};
@@ -8,7 +9,7 @@ use crate::select::{Plan, Slot};
 use crate::{FrameConfig, PreprocessError};
 use image::ExtendedColorType;
 use opencv::prelude::*;
-use scene::{Frame, FrameSet, Progress};
+use scene::{Film, Frame, FrameSet, Progress};
 use std::path::Path;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{Receiver, SyncSender};
@@ -60,8 +61,8 @@ pub fn video_frames(
         return Err(PreprocessError::NothingDecodes { path: input.to_owned(), expected, reason });
     }
     notes.extend(taken.notes(expected + info.missing, complaints));
-    let frames = job.publish(taken)?;
-    Ok(FrameSet { frames, is_video: true, notes })
+    let (frames, film) = job.publish(taken)?;
+    Ok(FrameSet { frames, is_video: true, notes, film })
 }
 
 struct Job<'a> {
@@ -76,6 +77,7 @@ struct Job<'a> {
 /// What one decoding yielded.
 struct Taken {
     frames: Vec<Frame>,
+    reel: Reel,
     decoded: usize,
     candidates: usize,
     duplicates: usize,
@@ -173,6 +175,7 @@ impl Job<'_> {
                 continue;
             }
             let look = Look::of(&frame.bgr)?;
+            taken.reel.push(&look, frame.time_s);
             let score = look.sharpness * slot.weight;
             if best.as_ref().is_some_and(|b| b.slot.bucket != slot.bucket) && !flush(best.take(), &mut taken)
             {
@@ -239,7 +242,7 @@ impl Job<'_> {
         })
     }
 
-    fn publish(self, taken: Taken) -> Result<Vec<Frame>, PreprocessError> {
+    fn publish(self, taken: Taken) -> Result<(Vec<Frame>, Option<Film>), PreprocessError> {
         self.progress.check()?;
         // A first decoding that stopped at damage may have left frames that the second did not choose.
         let chosen: std::collections::HashSet<&str> = taken.frames.iter().map(|f| f.name.as_str()).collect();
@@ -250,8 +253,13 @@ impl Job<'_> {
                 std::fs::remove_file(entry.path()).map_err(PreprocessError::io(entry.path()))?;
             }
         }
-        self.staging.publish(&["images"], &["masks"])?;
-        Ok(taken.frames)
+        let film = taken.reel.write(&self.staging)?;
+        let (new, stale) = (["images", FILM], [FILM, "masks"]);
+        match &film {
+            Some(_) => self.staging.publish(&new, &stale[1..])?,
+            None => self.staging.publish(&new[..1], &stale)?,
+        }
+        Ok((taken.frames, film))
     }
 }
 
@@ -259,6 +267,7 @@ impl Taken {
     fn new(candidates: usize) -> Self {
         Self {
             frames: Vec::new(),
+            reel: Reel::new(),
             decoded: 0,
             candidates,
             duplicates: 0,

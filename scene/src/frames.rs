@@ -35,6 +35,22 @@ pub struct FrameSet {
     pub is_video: bool,
     /// What was found out or left out on the way, for the report: one sentence each.
     pub notes: Vec<String>,
+    /// Of a video: all its frames, small.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub film: Option<Film>,
+}
+
+/// Small grey pictures of the frames of a video, chosen or not, as coded (not turned): one below the other in an 8-bit PNG.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct Film {
+    /// Where it lies.
+    pub path: PathBuf,
+    /// Width of a picture, pixels.
+    pub width: u32,
+    /// Height of a picture, pixels.
+    pub height: u32,
+    /// Presentation times from the start of the video, seconds, rising; one a picture.
+    pub times_s: Vec<f64>,
 }
 
 impl FrameSet {

@@ -33,7 +33,7 @@ pub mod synthetic;
 
 pub use camera::{Camera, CameraModel};
 pub use features::{Features, Keypoint, TwoViewGeometry, TwoViewKind};
-pub use frames::{Frame, FrameSet};
+pub use frames::{Film, Frame, FrameSet};
 pub use gaussians::Gaussians;
 pub use image::FloatImage;
 pub use pose::Pose;

@@ -74,7 +74,7 @@ mod tests {
     use scene::{Frame, Keypoint, rng};
 
     fn frames(n: usize, is_video: bool) -> FrameSet {
-        FrameSet { frames: vec![Frame::default(); n], is_video, notes: Vec::new() }
+        FrameSet { frames: vec![Frame::default(); n], is_video, ..FrameSet::default() }
     }
 
     /// A ring of places: each image sees 40 of them, and so shares some with its neighbours on the ring.

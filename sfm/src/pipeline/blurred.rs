@@ -90,8 +90,7 @@ fn promising(geometries: &[TwoViewGeometry], loose: &[bool], job: &Job<'_>) -> R
     let place = |image: usize| images.partition_point(|&i| i < image);
     let some = FrameSet {
         frames: images.iter().map(|&i| frames.frames[i].clone()).collect(),
-        is_video: false,
-        notes: Vec::new(),
+        ..FrameSet::default()
     };
     let features = sift::extract_all(&some, &blurring(job), progress)?;
     let prepared: Vec<PreparedFeatures> = features.iter().map(PreparedFeatures::new).collect();

@@ -103,7 +103,7 @@ impl KeyFrames {
         let some = FrameSet {
             frames: keys.iter().map(|&(f, _)| frames.frames[f].clone()).collect(),
             is_video: true,
-            notes: Vec::new(),
+            ..FrameSet::default()
         };
         let of_keys = extract_all(&some, sift, progress)?;
         let mut near_pairs = Vec::new();

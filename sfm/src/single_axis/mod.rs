@@ -13,6 +13,7 @@ mod extend;
 mod extreme_tests;
 mod intrinsics;
 mod jumps;
+mod likeness;
 mod material;
 mod model;
 #[cfg(test)]
@@ -115,6 +116,7 @@ impl Job<'_> {
             known: self.known,
             starts: self.starts,
             relations,
+            closing: None,
             times: &[],
             features: self.features,
             progress: self.progress,

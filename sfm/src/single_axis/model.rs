@@ -42,6 +42,8 @@ pub(crate) struct Context<'a> {
     pub starts: &'a [Camera],
     /// What is known of the angles, by frame.
     pub relations: &'a [Relation],
+    /// What a whole turn says of them beside the sightings.
+    pub closing: Option<Relation>,
     /// When each frame of a video was taken: until more is known of the angles, they are taken not to jump. Empty otherwise.
     pub times: &'a [f64],
     /// For each frame how many of its keypoints, the first ones, are features; the others are followed points, which
@@ -73,7 +75,7 @@ impl AxisModel {
         let place = |frame: u32| selected.images.binary_search(&(frame as usize)).ok().map(|i| i as u32);
         let unknown = context.relations.is_empty();
         let believed = if unknown { not_jumping(&self.turn.angles, context.times) } else { Vec::new() };
-        for r in context.relations.iter().chain(&believed) {
+        for r in context.relations.iter().chain(&believed).chain(&context.closing) {
             let frames = r.frames.map(|f| f.and_then(place));
             if frames.iter().flatten().count() == r.frames.iter().flatten().count() {
                 problem.relations.push(Relation { frames, ..*r });

@@ -44,7 +44,7 @@ impl Seam {
         let some = FrameSet {
             frames: order.iter().map(|&f| frames.frames[f].clone()).collect(),
             is_video: true,
-            notes: Vec::new(),
+            ..FrameSet::default()
         };
         let mut followed = track(&some, klt, progress)?;
         drop_still(&mut followed);

@@ -84,7 +84,7 @@ fn video(frames: usize) -> FrameSet {
         time_s: Some(0.1 * i as f64),
         ..Frame::default()
     };
-    FrameSet { frames: (0..frames).map(frame).collect(), is_video: true, notes: Vec::new() }
+    FrameSet { frames: (0..frames).map(frame).collect(), is_video: true, ..FrameSet::default() }
 }
 
 /// Frames of one camera and the settings that go with them: what the jobs of tests refer to.

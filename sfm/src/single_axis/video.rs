@@ -2,8 +2,10 @@
 
 use super::evidence::Comparison;
 use super::extend::resect_angle;
+use super::likeness::{self, Likeness};
 use super::material::{KeyFrames, Material, drop_still};
 use super::model::{AxisModel, Context};
+use super::problem::Relation;
 use super::seam::Seam;
 use super::seed::{KEYS, KeyPair, Seed, explained, seeds, steady};
 use super::smoothness::{known_rate, learnt};
@@ -16,6 +18,7 @@ use crate::klt::{KltTrack, track};
 use crate::{Decision, SfmConfig, SfmError};
 use glam::DVec2;
 use scene::{Camera, Features, FrameSet, Progress, TwoViewGeometry};
+use std::f64::consts::TAU;
 
 /// Motion between two key frames of the seed, as a share of the longer image side.
 const KEY_MOTION: f64 = 0.012;
@@ -31,6 +34,9 @@ const SEAM_FROM: f64 = 5.2;
 const SEAM_SPAN: f64 = 0.2;
 /// Angles across the seam that agree differ by less from their median, radians.
 const SEAM_AGREES: f64 = 0.01;
+
+/// Errors of steps are evened out over so much of a turn on either side, radians.
+const EVENED: f64 = 0.3;
 
 /// What a video is solved with.
 pub(crate) struct VideoJob<'a> {
@@ -56,6 +62,8 @@ struct Closed {
     material: Material,
     turn: Turn,
     cameras: Vec<Camera>,
+    /// What likeness says of the angle between the first and the last frame.
+    closing: Option<Relation>,
     /// What was found at the seam, for the report.
     seam: String,
 }
@@ -85,7 +93,7 @@ pub(crate) fn solve_video(job: &VideoJob<'_>) -> Result<Result<(VideoModel, Deci
     };
     let config = job.config;
     let keys = KeyFrames::new(job.frames, &model, &config.sift, &config.matching, job.progress)?;
-    let Closed { material, turn, cameras, seam } = job.close(&keys, &tracks, model)?;
+    let Closed { material, turn, cameras, closing, seam } = job.close(&keys, &tracks, model)?;
     let input = job.input(&material);
     let counts: Vec<usize> = keys.features.iter().map(Features::len).collect();
     let free_job = Job {
@@ -101,7 +109,7 @@ pub(crate) fn solve_video(job: &VideoJob<'_>) -> Result<Result<(VideoModel, Deci
     let times = job.times();
     let rate = config.motion.known_rate.map(f64::to_radians);
     let relations = rate.map_or(Vec::new(), |r| known_rate(&turn.angles, &times, r));
-    let mut context = Context { times: &times, ..free_job.context(&relations) };
+    let mut context = Context { times: &times, closing, ..free_job.context(&relations) };
     let Some((mut model, intrinsics, camera)) =
         adjust_and_choose(&context, &free_job, &cameras, turn, ROUNDS_BEFORE)?
     else {
@@ -116,12 +124,18 @@ pub(crate) fn solve_video(job: &VideoJob<'_>) -> Result<Result<(VideoModel, Deci
         return Ok(Err(format!("one axis was tried: {registered} of {n} frames; {evidence}")));
     }
     let motion = match model.covariance(&context, intrinsics)? {
-        Some((_, images, c)) if rate.is_none() => learnt(&model.turn.angles, &times, &images, &c),
+        Some((_, images, c)) if rate.is_none() => {
+            let learn = |closing| learnt(&model.turn.angles, &times, &images, &c, closing);
+            let first = learn(None);
+            // With angles that are nearly right, likeness says more.
+            let range = first.as_ref().and_then(|l| job.range_by_likeness(&l.by_frame(n)));
+            range.and_then(|r| learn(Some(r))).or(first)
+        }
         _ => None,
     };
     let (held, loose) = motion.as_ref().map(|l| (l.held(), l.loose())).unwrap_or_default();
     if motion.is_some() {
-        context.relations = &held;
+        (context.relations, context.closing) = (&held, None);
     }
     model.polish(&context, intrinsics, ROUNDS)?;
     if motion.is_some() {
@@ -244,7 +258,7 @@ impl VideoJob<'_> {
 
     fn context<'a>(&'a self, input: &'a Input<'a>, starts: &'a [Camera], times: &'a [f64]) -> Context<'a> {
         let (known, progress) = (self.known, self.progress);
-        Context { input, known, starts, relations: &[], times, features: &[], progress }
+        Context { input, known, starts, relations: &[], closing: None, times, features: &[], progress }
     }
 
     /// Camera and turn of a seed; frames between key frames get angles in between.
@@ -280,30 +294,64 @@ impl VideoJob<'_> {
             angles.iter().copied().fold(f64::MIN, f64::max) - angles.iter().copied().fold(f64::MAX, f64::min);
         let unclosed = |material: Material, joined: AxisModel, why: &str| {
             let seam = format!("{:.1}° were turned, {why}", range.to_degrees());
-            Ok(Closed { material, turn: joined.turn, cameras: joined.state.cameras, seam })
+            let closing = None;
+            Ok(Closed { material, turn: joined.turn, cameras: joined.state.cameras, closing, seam })
         };
         if range < SEAM_FROM {
             return unclosed(open, joined, "no seam");
         }
         let followed = Seam::follow(self.frames, &joined.turn.angles, &self.config.klt, self.progress)?;
         let matched = keys.seam.iter().filter_map(|g| self.seam_error(&joined, &context, g)).collect();
-        let Some((stretch, by_points, by_pairs)) = agreed([followed.gaps(&joined), matched]) else {
+        let seen = agreed([followed.gaps(&joined), matched]);
+        let alike = self.likeness(&joined.turn.angles);
+        // Ties that contradict what the pictures as a whole show are wrong ones.
+        let seen =
+            seen.filter(|s| alike.is_none_or(|a| (s.0 * TAU + a.excess).abs() < SEAM_AGREES + 3.0 * a.sigma));
+        let (_, by_points, by_pairs) = seen.unwrap_or_default();
+        let Some(stretch) = alike.map(|a| -a.excess / TAU).or(seen.map(|s| s.0)) else {
             return unclosed(open, joined, "the seam is not seen");
         };
         joined.turn.angles.iter_mut().flatten().for_each(|a| *a *= 1.0 + stretch);
+        let closing = alike.and_then(|a| closing(&joined.turn.angles, a.sigma * range / TAU));
         let mut geometries = keys.near.clone();
         geometries.extend(keys.seam.iter().filter(|_| by_pairs > 0).cloned());
         let mut material = Material::of_both(&keys.features, &geometries, tracks);
         if by_points > 0 {
             followed.tracks.iter().for_each(|t| material.add(t.iter().copied()));
         }
+        let by_likeness =
+            alike.map_or(String::new(), |a| format!(", likeness to {:.3}°", a.sigma.to_degrees()));
         let seam = format!(
-            "{:.1}° were turned, {} points followed across the seam to {by_points} frames and {by_pairs} pairs closed it by {:.2}°",
+            "{:.1}° were turned, {} points followed across the seam to {by_points} frames and {by_pairs} pairs{by_likeness} closed it by {:.2}°",
             range.to_degrees(),
             followed.tracks.len(),
             (stretch * range).abs().to_degrees()
         );
-        Ok(Closed { material, turn: joined.turn, cameras: joined.state.cameras, seam })
+        Ok(Closed { material, turn: joined.turn, cameras: joined.state.cameras, closing, seam })
+    }
+
+    /// The angle between the first and the last frame by likeness, and its standard deviation.
+    fn range_by_likeness(&self, angles: &[Option<f64>]) -> Option<(f64, f64)> {
+        let alike = self.likeness(angles)?;
+        let (first, last) = (angles.iter().flatten().next()?, angles.iter().flatten().last()?);
+        let range = last - first;
+        Some((range * (1.0 - alike.excess / TAU), alike.sigma * range.abs() / TAU))
+    }
+
+    /// What the pictures of all frames of the video say of a whole turn, given the angles of the chosen ones.
+    fn likeness(&self, angles: &[Option<f64>]) -> Option<Likeness> {
+        let film = self.frames.film.as_ref()?;
+        let known: Vec<(f64, f64)> =
+            self.frames.frames.iter().zip(angles).filter_map(|(f, a)| Some((f.time_s?, (*a)?))).collect();
+        let (first, last) = (known.first()?.1, known.get(1..)?.last()?.1);
+        let sense = (last - first).signum();
+        let steps = known.windows(2).map(|w| w[1].0 - w[0].0).collect();
+        let beyond = 1.5 * median(steps);
+        let risen: Vec<(f64, f64)> = known.iter().map(|k| (k.0, sense * (k.1 - first))).collect();
+        let found = |known: &[(f64, f64)]| likeness::excess(film, |time| between(known, time, beyond));
+        // Steps as they were found, or evened out: whichever orders the pictures better.
+        let both = [found(&risen), found(&evened(&risen))];
+        both.into_iter().flatten().min_by(|a, b| a.sigma.total_cmp(&b.sigma))
     }
 
     /// By how much the angle between two frames on either side of the seam is too small, and that angle: points that
@@ -328,6 +376,42 @@ impl VideoJob<'_> {
         let found = resect_angle(&model.state.cameras[0], &model.turn.axis, &seen, b, SEAM_SPAN);
         (found.inliers >= 8 && found.inliers * 2 >= found.asked).then(|| (wrapped(found.angle - b), b - a))
     }
+}
+
+/// Each angle as the line through its neighbours has it.
+fn evened(known: &[(f64, f64)]) -> Vec<(f64, f64)> {
+    let at = |&(time, angle): &(f64, f64)| {
+        let near: Vec<(f64, f64)> = known
+            .iter()
+            .filter(|k| (k.1 - angle).abs() <= EVENED)
+            .map(|k| (k.0 - time, k.1 - angle))
+            .collect();
+        let n = near.len() as f64;
+        let mean = |f: &dyn Fn(&(f64, f64)) -> f64| near.iter().map(f).sum::<f64>() / n;
+        let (t, a) = (mean(&|p| p.0), mean(&|p| p.1));
+        let (tt, ta) = (mean(&|p| (p.0 - t).powi(2)), mean(&|p| (p.0 - t) * (p.1 - a)));
+        (time, if tt > 0.0 { angle + a - t * ta / tt } else { angle })
+    };
+    known.iter().map(at).collect()
+}
+
+/// The angle at a time, between those that are known or up to `beyond` outside of them; both rise or fall.
+fn between(known: &[(f64, f64)], time: f64, beyond: f64) -> Option<f64> {
+    let i = known.partition_point(|k| k.0 <= time).clamp(1, known.len() - 1);
+    let (a, b) = (known.get(i - 1)?, known.get(i)?);
+    let outside = (known[0].0 - time).max(time - known[known.len() - 1].0);
+    (outside <= beyond && b.0 > a.0).then(|| a.1 + (time - a.0) / (b.0 - a.0) * (b.1 - a.1))
+}
+
+/// That the angle between the first and the last frame is what it is now.
+fn closing(angles: &[Option<f64>], sigma: f64) -> Option<Relation> {
+    let (first, last) = (angles.iter().position(Option::is_some)?, angles.iter().rposition(Option::is_some)?);
+    Some(Relation {
+        frames: [Some(first as u32), Some(last as u32), None],
+        coefficients: [-1.0, 1.0, 0.0],
+        target: angles[last]? - angles[first]?,
+        sigma,
+    })
 }
 
 /// By what share the angles are too small as most of the gaps say (see [`Seam::gaps`]; of followed points, and of
