@@ -125,7 +125,7 @@ fn a_phone_orbit_gives_as_many_frames_as_asked_for() {
     assert!(set.is_video && (46..=48).contains(&set.len()), "{} {:?}", set.len(), set.notes);
     assert!(set.frames.iter().all(|f| (f.width, f.height) == (720, 1280) && f.path.is_file()));
     assert_eq!(out.list("images").len(), set.len());
-    assert_eq!(out.list(""), ["images"], "nothing temporary is left");
+    assert_eq!(out.list(""), [".film.png", "images"], "nothing temporary is left");
     // OpenCV ignores the Rec. 709 matrix of the stream; ffmpeg does not.
     let (ours, reference) = (&set.frames[20], out.0.join("reference.png"));
     let select = format!("select=eq(n\\,{})", ours.source_index);
@@ -327,6 +327,6 @@ fn a_cancelled_run_leaves_the_older_result_alone() {
     let progress = Progress::new(Box::new(StopAt(40, &STOP)), &STOP);
     let second = video_frames(&video, &result, &config(40), &progress);
     assert!(matches!(second, Err(PreprocessError::Cancelled(_))));
-    assert_eq!(out.list("result"), ["images"]);
+    assert_eq!(out.list("result"), [".film.png", "images"]);
     assert_eq!(out.list("result/images").len(), first.len());
 }

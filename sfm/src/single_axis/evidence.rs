@@ -22,6 +22,10 @@ const TRUNCATION: f64 = 4.0;
 /// A held-out error that is larger by so many standard errors, and by this factor, speaks against a motion.
 const WORSE: (f64, f64) = (3.0, 1.02);
 
+/// Sightings of a point err together in neighbouring frames, so that variances come out 2 to 8 times too small (`smoothness`): the
+/// least of it.
+const DEPENDENCE: f64 = 2.0;
+
 /// Smaller held-out errors are all alike, pixels: noise is never held to be less either.
 const LEAST_PX: f64 = 1e-3;
 
@@ -73,6 +77,8 @@ pub(crate) struct Comparison {
     pub orbit_evidence: f64,
     /// Images that took part.
     pub images: usize,
+    /// What a parameter costs.
+    price: f64,
 }
 
 impl Comparison {
@@ -111,6 +117,7 @@ impl Comparison {
             orbit_sigma: [0.0; 2],
             orbit_evidence: f64::NEG_INFINITY,
             images,
+            price: trial.price(),
         };
         if let Some((orbit, sigma, gain)) = trial.orbit(&free)? {
             let cost = |v: &Verdict| v.bic - v.parameters as f64 * trial.price();
@@ -126,12 +133,20 @@ impl Comparison {
         self.verdicts.iter().find(|v| v.motion == motion)
     }
 
-    /// One axis where its BIC is less than that of free poses and an orbit with less does not predict clearly better; else
+    /// Whether one axis explains the sightings as well as free poses do, for what these cost: what followed points have in common in a frame
+    /// is taken up by a free pose, so that its gain counts for less.
+    fn pays(&self, single: &Verdict, free: &Verdict) -> bool {
+        let cost = |v: &Verdict| v.bic - v.parameters as f64 * self.price;
+        let gain = (cost(single) - cost(free)) / DEPENDENCE;
+        gain < (free.parameters - single.parameters.min(free.parameters)) as f64 * self.price
+    }
+
+    /// One axis where it pays against free poses and an orbit with less does not predict clearly better; else
     /// an orbit where the evidence is for one; else free. What predicts clearly worse than free poses is out.
     pub fn choice(&self) -> Tried {
         let Some(free) = self.of_motion(Tried::Free) else { return Tried::Free };
         let orbit = self.of_motion(Tried::Orbit).filter(|v| self.orbit_evidence > 0.0 && !worse(v, free));
-        let single = self.of_motion(Tried::Single).filter(|v| v.bic < free.bic && !worse(v, free));
+        let single = self.of_motion(Tried::Single).filter(|v| self.pays(v, free) && !worse(v, free));
         match (single, orbit) {
             (Some(s), Some(o)) if o.bic < s.bic && worse(s, o) => Tried::Orbit,
             (Some(_), _) => Tried::Single,

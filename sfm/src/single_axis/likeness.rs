@@ -15,7 +15,7 @@ const FARTHEST: f64 = 0.5;
 /// Most pictures on either side.
 const MOST: usize = 14;
 /// How far the angles may miss a whole turn, radians.
-const SPAN: f64 = 0.14;
+const SPAN: f64 = 0.26;
 /// Places at which the search is tried where nothing is missing.
 const TRIALS: usize = 24;
 /// Largest share of them that may go astray (by more than this many deviations), and the largest deviation, in steps.
@@ -44,9 +44,10 @@ pub(crate) struct Likeness {
 pub(crate) fn excess(film: &Film, angle: impl Fn(f64) -> Option<f64>) -> Option<Likeness> {
     let strip = Strip::read(film, angle)?;
     let (first, last) = (*strip.angles.first()?, *strip.angles.last()?);
-    let step = (last - first) / (strip.angles.len() - 1) as f64;
+    // Of more frames than are compared only some are taken.
+    let step = ((last - first) / (strip.angles.len() - 1) as f64).max(SIDE.0 / MOST as f64);
     let pair = PAIR.0.max(PAIR.1 * step);
-    if !(step > 0.0) || pair > FARTHEST || last - first < std::f64::consts::TAU - pair {
+    if pair > FARTHEST || last - first < std::f64::consts::TAU - pair {
         return None;
     }
     let search = Search { strip: &strip, side: SIDE.0.max(SIDE.1 * step), pair, step };
@@ -133,16 +134,13 @@ struct Found {
     rim: bool,
 }
 
+/// Pairs are (angle between, how unlike).
 struct Search<'a> {
     strip: &'a Strip,
     side: f64,
     pair: f64,
     step: f64,
 }
-
-/// Weighted moments of the curve's terms and the differences.
-#[derive(Clone, Default)]
-struct Pairs(Vec<(f64, f64)>);
 
 impl Search<'_> {
     /// The frames up to `end` and those from `start` on, which by the model follow `turn` later: by how much their angles say too much,
@@ -159,32 +157,32 @@ impl Search<'_> {
         let pictures = |of: &[usize]| -> Vec<Vec<f32>> { of.iter().map(|&i| self.strip.smooth(i)).collect() };
         let (a, b) = (pictures(&before), pictures(&after));
         let angle = |i: &usize| self.strip.angles[*i];
-        let mut near = Pairs::default();
+        let mut near: Vec<(f64, f64)> = Vec::new();
         for (of, images) in [(&before, &a), (&after, &b)] {
             for i in 0..of.len() {
                 for k in i + 1..of.len() {
-                    near.0.push((angle(&of[k]) - angle(&of[i]), unlike(&images[i], &images[k])));
+                    near.push((angle(&of[k]) - angle(&of[i]), unlike(&images[i], &images[k])));
                 }
             }
         }
-        near.0.retain(|p| p.0 <= self.pair);
+        near.retain(|p| p.0 <= self.pair);
         let mut across = Vec::new();
         for (i, x) in before.iter().zip(&a) {
             across.extend(after.iter().zip(&b).map(|(k, y)| (angle(k) + turn - angle(i), unlike(x, y))));
         }
         let cost = |s: f64| self.misfit(&near, across.iter().map(|(x, y)| ((x + s).abs(), *y)));
-        let mut best = least(-SPAN, SPAN, self.step / 16.0, &cost)?;
-        best = least(best.0 - self.step / 10.0, best.0 + self.step / 10.0, self.step / 200.0, &cost)?;
+        let mut best = least(-SPAN, SPAN, self.step / 16.0, cost)?;
+        best = least(best.0 - self.step / 10.0, best.0 + self.step / 10.0, self.step / 200.0, cost)?;
         // At the rim of what can be compared the best lies beyond it.
         let rim = cost(best.0 + 0.5 * self.step).is_none();
         Some(Found { excess: best.0, misfit: best.1, rim })
     }
 
     /// Mean square of the relative distances from the curve that fits best, over the slope of the curve.
-    fn misfit(&self, near: &Pairs, across: impl Iterator<Item = (f64, f64)>) -> Option<f64> {
-        let mut all = near.0.clone();
+    fn misfit(&self, near: &[(f64, f64)], across: impl Iterator<Item = (f64, f64)>) -> Option<f64> {
+        let mut all = near.to_vec();
         all.extend(across.filter(|p| p.0 <= self.pair));
-        if all.len() < near.0.len() + FEWEST.max(near.0.len() / 6) || near.0.len() < 2 * TERMS {
+        if all.len() < near.len() + FEWEST.max(near.len() / 6) || near.len() < 2 * TERMS {
             return None;
         }
         let soft = 0.2 * self.step / self.pair;
