@@ -113,6 +113,7 @@ fn a_satellite_that_yaws_before_a_green_screen_is_keyed_and_posed_from_the_video
     let decisions = json(&out.join("run.json"))["poses"]["decisions"].to_string();
     assert!(decisions.contains("single-axis"), "{decisions}");
     assert!(decisions.contains("points followed across the seam"), "{decisions}");
+    assert!(decisions.contains(", likeness to 0."), "{decisions}");
     assert!(out.join("mattes.png").is_file());
 }
 
