@@ -36,7 +36,6 @@ impl Reel {
         }
         if self.times_s.len() == MOST {
             self.thin();
-            // This frame is the first of the next pair.
         }
         self.size = look.size;
         self.pictures.extend_from_slice(&look.thumbnail);

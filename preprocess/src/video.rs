@@ -254,10 +254,9 @@ impl Job<'_> {
             }
         }
         let film = taken.reel.write(&self.staging)?;
-        let (new, stale) = (["images", FILM], [FILM, "masks"]);
         match &film {
-            Some(_) => self.staging.publish(&new, &stale[1..])?,
-            None => self.staging.publish(&new[..1], &stale)?,
+            Some(_) => self.staging.publish(&["images", FILM], &["masks"])?,
+            None => self.staging.publish(&["images"], &["masks", FILM])?,
         }
         Ok((taken.frames, film))
     }

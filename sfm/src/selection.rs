@@ -24,15 +24,15 @@ const DETERMINED_POINT: f64 = 0.01;
 /// A decrease of BIC that needs no significant held-out gain beside it; neighbouring residuals are not independent, so
 /// the textbook's 10 would be far too little.
 const CLEAR_BIC: f64 = 150.0;
+/// The same for images that were turned, which are only suspected on clear evidence from more sightings.
+const TURNED_BIC: f64 = 80.0;
+/// The same where what was held out is predicted better by three standard errors.
+const TURNED_BIC_PREDICTED: f64 = 50.0;
 /// The least decrease where what was held out is predicted better by two standard errors.
 const PREDICTED_BIC: f64 = 10.0;
 /// The least decrease for fewer parameters (Kass & Raftery 1995: "strong" evidence): a parameter that is truly nothing makes BIC less by
 /// ln 2n, 9 to 10, when it goes; a tie says no more than that it is not known, and lenses have distortion.
 const SIMPLER_BIC: f64 = 6.0;
-/// The same for images that were turned, which are only suspected on clear evidence from more sightings.
-const TURNED_BIC: f64 = 80.0;
-/// The same where what was held out is predicted better by three standard errors.
-const TURNED_BIC_PREDICTED: f64 = 50.0;
 /// Residuals beyond so many standard deviations count as this much.
 const TRUNCATION: f64 = 4.0;
 

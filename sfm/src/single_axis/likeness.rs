@@ -5,6 +5,7 @@
 //! same search says how exact it is.
 
 use super::turn::median;
+use crate::solvers::linalg::solve_spd;
 use scene::Film;
 
 /// Pictures up to so far from the seam are compared, and pairs up to so far apart (radians, but at least so many steps).
@@ -187,17 +188,17 @@ impl Search<'_> {
         }
         let soft = 0.2 * self.step / self.pair;
         let terms = |x: f64| [1.0, x, x * x, x * x * x];
-        let (mut normal, mut right) = ([0.0; TERMS * TERMS], [0.0; TERMS]);
+        let (mut normal, mut right) = ([[0.0; TERMS]; TERMS], [0.0; TERMS]);
         for (x, y) in &mut all {
             *x /= self.pair;
             let (t, w) = (terms(*x), (*x + soft).powi(-2));
             for i in 0..TERMS {
                 right[i] += w * t[i] * *y;
-                (0..TERMS).for_each(|k| normal[i * TERMS + k] += w * t[i] * t[k]);
+                (0..TERMS).for_each(|k| normal[i][k] += w * t[i] * t[k]);
             }
         }
-        (0..TERMS).for_each(|i| normal[i * (TERMS + 1)] *= 1.0 + 1e-9);
-        let curve = solved(&normal, &right)?;
+        (0..TERMS).for_each(|i| normal[i][i] *= 1.0 + 1e-9);
+        let curve = solve_spd(&normal, &right)?;
         let off = |(x, y): &(f64, f64)| {
             let t = terms(*x);
             let value: f64 = (0..TERMS).map(|i| curve[i] * t[i]).sum();
@@ -215,19 +216,6 @@ fn least(from: f64, to: f64, spacing: f64, cost: impl Fn(f64) -> Option<f64>) ->
         Some((s, cost(s)?))
     });
     values.min_by(|a, b| a.1.total_cmp(&b.1))
-}
-
-/// Symmetric positive definite equations.
-fn solved(normal: &[f64; TERMS * TERMS], right: &[f64; TERMS]) -> Option<[f64; TERMS]> {
-    let l = super::whiten::cholesky(normal.to_vec(), TERMS)?;
-    let mut v = *right;
-    for i in 0..TERMS {
-        v[i] = (v[i] - (0..i).map(|k| l[i * TERMS + k] * v[k]).sum::<f64>()) / l[i * (TERMS + 1)];
-    }
-    for i in (0..TERMS).rev() {
-        v[i] = (v[i] - (i + 1..TERMS).map(|k| l[k * TERMS + i] * v[k]).sum::<f64>()) / l[i * (TERMS + 1)];
-    }
-    v.iter().all(|v| v.is_finite()).then_some(v)
 }
 
 #[cfg(test)]

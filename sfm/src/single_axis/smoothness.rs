@@ -268,12 +268,14 @@ pub(crate) fn learnt(
         let of_kind = tried.iter().filter(|t| (t.1.sway > 0.0) == slow);
         of_kind.map(|t| (t.0 - best.0).exp()).sum()
     };
-    let is_steady = SLOW_ODDS * odds(false) >= odds(true);
+    let (even, uneven) = (odds(false), odds(true));
+    let is_steady = SLOW_ODDS * even >= uneven;
     let steady = tried.iter().find(|t| t.1.sway == 0.0).map_or(f64::NAN, |t| t.0);
     let (mut sum, mut squares, mut total, mut excess) = (vec![0.0; n], vec![0.0; n], 0.0, 0.0);
     let mut slope = 0.0;
-    let believed = tried.iter().filter(|t| t.0 > best.0 - UNLIKELY && (t.1.sway == 0.0 || !is_steady));
-    for (likely, motion) in believed.take(ASKED) {
+    tried.retain(|t| t.1.sway == 0.0 || !is_steady);
+    let likeliest = tried.first()?.0;
+    for (likely, motion) in tried.iter().take(ASKED).filter(|t| t.0 > likeliest - UNLIKELY) {
         let Some(fit) = found.fit(motion) else { continue };
         let weight = (likely - best.0).exp();
         let (mean, variance) = found.given(motion, &fit);
@@ -311,7 +313,7 @@ pub(crate) fn learnt(
         best.1.lasts,
         best.1.jitter.to_degrees(),
         best.0 - steady,
-        odds(false) / (odds(false) + odds(true)),
+        even / (even + uneven),
     );
     let chosen = format!("{:.4}° a second, steady to {:.4}°", rate.to_degrees(), centred(&angles));
     let decision = Decision { what: "rate of the turn".to_owned(), chosen, evidence };
@@ -345,13 +347,18 @@ mod tests {
                 t + drift
             })
             .collect();
+        (of_chain(&found, thought, None), truth, found)
+    }
+
+    /// What is learnt of such angles.
+    fn of_chain(found: &[f64], thought: f64, closing: Option<(f64, f64)>) -> Learnt {
         let angles: Vec<Option<f64>> = found.iter().map(|a| Some(*a)).collect();
         let times: Vec<f64> = (0..FRAMES).map(|i| 0.1 * i as f64).collect();
         let images: Vec<usize> = (0..FRAMES).collect();
         let joint =
             (0..FRAMES * FRAMES).map(|k| thought * thought * (k / FRAMES).min(k % FRAMES) as f64).collect();
         let covariance = TurnCovariance { joint, ..TurnCovariance::default() };
-        (learnt(&angles, &times, &images, &covariance, None).unwrap(), truth, found)
+        learnt(&angles, &times, &images, &covariance, closing).unwrap()
     }
 
     /// Root mean square of the error, its mean aside.
@@ -406,13 +413,7 @@ mod tests {
         for seed in 0..6 {
             let noise = 2e-3;
             let (_, truth, found) = learn(|t| 6.0 * t, noise, noise, seed);
-            let angles: Vec<Option<f64>> = found.iter().map(|a| Some(*a)).collect();
-            let times: Vec<f64> = (0..FRAMES).map(|i| 0.1 * i as f64).collect();
-            let images: Vec<usize> = (0..FRAMES).collect();
-            let joint =
-                (0..FRAMES * FRAMES).map(|k| noise * noise * (k / FRAMES).min(k % FRAMES) as f64).collect();
-            let covariance = TurnCovariance { joint, ..TurnCovariance::default() };
-            let closed = learnt(&angles, &times, &images, &covariance, Some((6.0, 1e-4))).unwrap();
+            let closed = of_chain(&found, noise, Some((6.0, 1e-4)));
             let range = closed.angles[FRAMES - 1] - closed.angles[0];
             assert!((range - 6.0).abs() < 1e-3, "seed {seed}: {range}");
             assert!(rms(&closed.angles, &truth) < 5e-4, "seed {seed}: {}", rms(&closed.angles, &truth));
