@@ -110,7 +110,7 @@ pub fn parse(argv: Vec<String>) -> Result<std::result::Result<Parsed, clap::Erro
         }
         before.extend(typed);
         let input = std::path::absolute(&resolved.input).unwrap_or_else(|_| resolved.input.clone());
-        recorded = Some(Recorded { input, flags: before });
+        recorded = Some(Recorded { input, flags: with_absolute_paths(before) });
     }
     Ok(Ok(Parsed { cli, recorded, preset }))
 }
@@ -174,6 +174,29 @@ fn typed_flags(argv: &[String], input: &Path) -> Vec<String> {
         }
     }
     kept
+}
+
+/// Files and folders that flags name, from the current folder: a run is gone on with from any.
+fn with_absolute_paths(mut flags: Vec<String>) -> Vec<String> {
+    let command = Cli::command();
+    let Some(run) = command.find_subcommand("run") else { return flags };
+    let takes_path = |a: &&clap::Arg| a.get_value_hint() == clap::ValueHint::AnyPath;
+    let names: Vec<String> =
+        run.get_arguments().filter(takes_path).filter_map(|a| Some(format!("--{}", a.get_long()?))).collect();
+    let absolute = |path: &str| match std::path::absolute(path) {
+        Ok(path) => path.display().to_string(),
+        Err(_) => path.to_owned(),
+    };
+    for i in 0..flags.len() {
+        let (name, value) = flags[i].split_once('=').unwrap_or((&flags[i], ""));
+        let (is_path, name, value) = (names.iter().any(|n| n == name), name.to_owned(), value.to_owned());
+        if is_path && flags[i].contains('=') {
+            flags[i] = format!("{name}={}", absolute(&value));
+        } else if is_path && i + 1 < flags.len() {
+            flags[i + 1] = absolute(&flags[i + 1]);
+        }
+    }
+    flags
 }
 
 fn former_run(input: &Path) -> Result<Option<Recorded>> {
@@ -240,6 +263,18 @@ mod tests {
         assert_eq!(seed(&line), (7, Quality::Fast));
         assert_eq!(seed(&format!("{line} --seed 3 --quality best")), (3, Quality::Best));
         std::fs::remove_file(file).unwrap();
+    }
+
+    #[test]
+    fn files_that_flags_name_are_found_from_any_folder() {
+        let here = std::env::current_dir().unwrap();
+        let line = "sat-recon video.mp4 --camera-from cam --seed 3 --database=a=b.db --mesh /m.ply";
+        let flags = parse(argv(line)).unwrap().unwrap().recorded.unwrap().flags;
+        let absolute = |name: &str| here.join(name).display().to_string();
+        let database = format!("--database={}", absolute("a=b.db"));
+        let wanted = ["--camera-from", &absolute("cam"), "--seed", "3", &database, "--mesh", "/m.ply"];
+        assert_eq!(flags, wanted);
+        assert_eq!(with_absolute_paths(flags.clone()), flags);
     }
 
     #[test]

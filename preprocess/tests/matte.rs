@@ -51,9 +51,10 @@ fn mattes_of_a_noisy_screen_with_spill_meet_their_truth() {
                 })
                 .collect();
             let s = Score::mean(&scores);
+            let least = if light.gain < 1.0 { 0.98 } else { 0.99 };
             println!("{name} {} {}: {s:?} {:?}", cloth.name, light.name, keyed.notes);
             assert!(
-                s.iou >= 0.98 && s.alpha_error <= 0.01 && s.boundary_f >= 0.95 && s.spill <= 2.0,
+                s.iou >= least && s.alpha_error <= 0.01 && s.boundary_f >= 0.95 && s.spill <= 2.0,
                 "{name} {} {}: {s:?}",
                 cloth.name,
                 light.name

@@ -28,6 +28,12 @@ const LIGHT_ERROR: f32 = 0.06;
 const HALF: f32 = 0.25;
 /// The object's rim is lit by the screen and mixes with its blur: alpha from chroma falls short by this factor there.
 const RIM_GAIN: f32 = 1.06;
+/// What the rim's light is asked of: pixels around, and how firmly it is held to the neighbourhood's, as a share of as many pixels that
+/// are object alone.
+const RIM_REACH: usize = 1;
+const RIM_HOLD: f32 = 0.01;
+/// Light of the rim as a factor on the neighbourhood's.
+const RIM_LIGHT: (f32, f32) = (0.2, 2.0);
 /// Smoothing has made the edge this much too soft.
 const EDGE_CONTRAST: f32 = 1.2;
 /// Radius in which the light of the screen beside the object is measured, pixels, and the pixels it takes.
@@ -65,6 +71,8 @@ pub(crate) struct Workspace {
     pub around: [Vec<f32>; 3],
     weights: Vec<f32>,
     spread: Vec<f32>,
+    /// Light of the rim and what it is told by, summed over pixels around.
+    rim: [Vec<f32>; 2],
     rows: Vec<f32>,
     pub mean: Vec<f32>,
     not_screen: Vec<u8>,
@@ -114,7 +122,7 @@ impl Workspace {
         self.average_foreground(width, &rect);
         self.alpha.clear();
         self.alpha.extend(core.iter().map(|c| f32::from(*c)));
-        self.solve_band(noise, width);
+        self.solve_band(noise, width, &rect);
         self.not_screen = not_screen;
     }
 
@@ -168,7 +176,8 @@ impl Workspace {
 
     fn make_room(&mut self, n: usize) {
         let planes = self.image.iter_mut().chain(&mut self.screen).chain(&mut self.around);
-        for plane in planes.chain([&mut self.share, &mut self.total, &mut self.weights, &mut self.spread]) {
+        let others = [&mut self.share, &mut self.total, &mut self.weights, &mut self.spread];
+        for plane in planes.chain(others).chain(&mut self.rim) {
             plane.resize(n, 0.0);
         }
         self.still.clear();
@@ -191,6 +200,10 @@ impl Workspace {
 
     fn light(&self, i: usize) -> [f32; 3] {
         [self.screen[0][i], self.screen[1][i], self.screen[2][i]]
+    }
+
+    fn object(&self, i: usize) -> [f32; 3] {
+        [self.around[0][i], self.around[1][i], self.around[2][i]]
     }
 
     /// Spread of the empty screen: of the smoothed share by its lower half-width, of luma and chroma by mean square.
@@ -301,17 +314,14 @@ impl Workspace {
     }
 
     /// Alpha as the place of the pixel between screen and foreground, from chroma and from luma, each weighed by
-    /// how well it can tell (inverse variance). Chroma is sampled at every other pixel: smoothing its alpha over 3 × 3
-    /// costs no detail and removes the steps.
-    fn solve_band(&mut self, noise: Noise, width: usize) {
+    /// how well it can tell (inverse variance).
+    fn solve_band(&mut self, noise: Noise, width: usize, rect: &Rect) {
+        self.ask_chroma(width);
+        self.light_rim(width, rect);
+        self.ask_chroma(width);
         for &i in &self.in_band {
             let i = i as usize;
-            self.alpha[i] = self.first_alpha(i).clamp(-0.2, 1.2);
-        }
-        smooth(&self.alpha, width, &mut self.mean);
-        for &i in &self.in_band {
-            let i = i as usize;
-            let alpha = (RIM_GAIN * self.mean[i]).clamp(0.0, 1.0);
+            let alpha = self.rim_alpha(i);
             let alpha = if self.weights[i] < 1e-5 { alpha } else { self.with_luma(i, alpha, noise) };
             let alpha = (alpha - 0.5) * EDGE_CONTRAST + 0.5;
             self.alpha[i] = if alpha < 0.03 {
@@ -321,6 +331,50 @@ impl Workspace {
             } else {
                 alpha
             };
+        }
+    }
+
+    /// Alpha from chroma alone, into `mean`. Chroma is sampled at every other pixel: smoothing over 3 × 3 costs no detail and removes
+    /// the steps.
+    fn ask_chroma(&mut self, width: usize) {
+        for &i in &self.in_band {
+            let i = i as usize;
+            self.alpha[i] = self.first_alpha(i).clamp(-0.2, 1.2);
+        }
+        smooth(&self.alpha, width, &mut self.mean);
+    }
+
+    fn rim_alpha(&self, i: usize) -> f32 {
+        (RIM_GAIN * self.mean[i]).clamp(0.0, 1.0)
+    }
+
+    /// An object's rim is darker than what lies behind it where it turns away from the lamp, and brighter where it shines. Of the light
+    /// alpha from chroma knows little, so that luma Y tells it: the factor k on the neighbourhood's light F with the least
+    /// `Σ (Y − (1 − α) B − α k F)² / F² + λ (k − 1)²`, B the screen's.
+    fn light_rim(&mut self, width: usize, rect: &Rect) {
+        for row in rect.rows(width) {
+            self.rim.iter_mut().for_each(|plane| plane[row.clone()].fill(0.0));
+        }
+        for &i in &self.in_band {
+            let i = i as usize;
+            let alpha = self.rim_alpha(i);
+            if self.weights[i] >= 1e-5 {
+                let own = luminance(self.pixel(i)) - (1.0 - alpha) * luminance(self.light(i));
+                self.rim[0][i] = alpha * own / luminance(self.object(i)).max(1e-5);
+                self.rim[1][i] = alpha * alpha;
+            }
+        }
+        for plane in &mut self.rim {
+            box_sum(plane, width, rect, RIM_REACH, &mut self.rows);
+            box_sum(plane, width, rect, RIM_REACH, &mut self.rows);
+        }
+        let hold = RIM_HOLD * ((2 * RIM_REACH + 1) as f32).powi(4);
+        for &i in &self.in_band {
+            let i = i as usize;
+            let factor = (self.rim[0][i] + hold) / (self.rim[1][i] + hold);
+            if self.weights[i] >= 1e-5 {
+                (0..3).for_each(|c| self.around[c][i] *= factor.clamp(RIM_LIGHT.0, RIM_LIGHT.1));
+            }
         }
     }
 
@@ -334,7 +388,7 @@ impl Workspace {
     /// chroma that spreads over it weighs by the light of the pixel that it spreads to.
     fn alpha_from_chroma(&self, i: usize) -> f32 {
         let coded = |rgb: [f32; 3]| chroma_of(rgb.map(|v| f32::from(srgb8(v)) / 255.0));
-        let (screen, object) = (self.light(i), [self.around[0][i], self.around[1][i], self.around[2][i]]);
+        let (screen, object) = (self.light(i), self.object(i));
         let (b, f) = (coded(screen), coded(object));
         let fb = [f[0] - b[0], f[1] - b[1], f[2] - b[2]];
         let norm = squared(fb) + 1e-9;
@@ -348,7 +402,8 @@ impl Workspace {
 
     fn with_luma(&self, i: usize, alpha_c: f32, noise: Noise) -> f32 {
         let (p, b) = (self.pixel(i), self.light(i));
-        let fd = [self.around[0][i] - b[0], self.around[1][i] - b[1], self.around[2][i] - b[2]];
+        let f = self.object(i);
+        let fd = [f[0] - b[0], f[1] - b[1], f[2] - b[2]];
         let (c2, fy) = (squared(chroma_of(fd)), luminance(fd));
         let (y2, screen) = (fy * fy, luminance(b));
         let brighter = luminance(p) / (screen + 1e-6);
