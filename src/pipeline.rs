@@ -391,6 +391,7 @@ impl Pipeline {
     }
 
     fn train(&self, training_set: &Path, print: &str) -> Result<SplatSummary> {
+        crate::stage::free_large_blocks_at_once();
         let progress = self.progress("train");
         let checkpoints = self.stages.path("train");
         let owner = checkpoints.join("fingerprint");

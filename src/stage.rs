@@ -168,6 +168,16 @@ fn give_back_memory() {
     }
 }
 
+/// From here on, large blocks that are freed go back to the system at once. glibc keeps what is smaller than the largest block it ever freed,
+/// and growing Gaussians free many.
+pub fn free_large_blocks_at_once() {
+    #[cfg(all(target_os = "linux", target_env = "gnu"))]
+    // Sets a number under the allocator's own lock.
+    unsafe {
+        nix::libc::mallopt(nix::libc::M_MMAP_THRESHOLD, 1 << 18);
+    }
+}
+
 fn cpu_seconds() -> f64 {
     use nix::sys::resource::{UsageWho, getrusage};
     let spent = |who| {

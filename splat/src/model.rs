@@ -128,6 +128,14 @@ impl Model {
     /// Appends Gaussians with zero moments; SH are those of `parents` (present Gaussians).
     pub fn append(&mut self, rows: &[([f32; GEOMETRY], usize)]) {
         let k = self.sh_stride();
+        // Exactly what is needed: vectors that double hold up to as much again.
+        let planes = self.geometry.iter_mut().chain(&mut self.geometry_m).chain(&mut self.geometry_v);
+        for plane in planes.chain([&mut self.steps]) {
+            plane.reserve_exact(padded(self.len + rows.len()).saturating_sub(plane.len()));
+        }
+        for values in [&mut self.sh, &mut self.sh_m, &mut self.sh_v] {
+            values.reserve_exact(rows.len() * k);
+        }
         for (row, parent) in rows {
             let sh: Vec<f32> = self.sh[parent * k..(parent + 1) * k].to_vec();
             self.push(row, &sh);
@@ -145,10 +153,9 @@ impl Model {
         }
         self.steps = order.iter().map(|&i| self.steps[i as usize]).collect();
         for values in [&mut self.sh, &mut self.sh_m, &mut self.sh_v] {
-            *values = order
-                .iter()
-                .flat_map(|&i| values[i as usize * k..(i as usize + 1) * k].iter().copied())
-                .collect();
+            let mut kept = Vec::with_capacity(order.len() * k);
+            order.iter().for_each(|&i| kept.extend_from_slice(&values[i as usize * k..(i as usize + 1) * k]));
+            *values = kept;
         }
         self.len = order.len();
         self.pad();
