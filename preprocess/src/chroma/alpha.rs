@@ -71,7 +71,7 @@ pub(crate) struct Workspace {
     pub around: [Vec<f32>; 3],
     weights: Vec<f32>,
     spread: Vec<f32>,
-    /// Light of the rim and what it is told by, summed over pixels around.
+    /// Light of the rim as a factor on `around`, and what it is told by.
     rim: [Vec<f32>; 2],
     rows: Vec<f32>,
     pub mean: Vec<f32>,
@@ -203,7 +203,8 @@ impl Workspace {
     }
 
     fn object(&self, i: usize) -> [f32; 3] {
-        [self.around[0][i], self.around[1][i], self.around[2][i]]
+        let light = self.rim[0][i];
+        [light * self.around[0][i], light * self.around[1][i], light * self.around[2][i]]
     }
 
     /// Spread of the empty screen: of the smoothed share by its lower half-width, of luma and chroma by mean square.
@@ -316,6 +317,7 @@ impl Workspace {
     /// Alpha as the place of the pixel between screen and foreground, from chroma and from luma, each weighed by
     /// how well it can tell (inverse variance).
     fn solve_band(&mut self, noise: Noise, width: usize, rect: &Rect) {
+        self.rim[0].fill(1.0);
         self.ask_chroma(width);
         self.light_rim(width, rect);
         self.ask_chroma(width);
@@ -352,30 +354,30 @@ impl Workspace {
     /// alpha from chroma knows little, so that luma Y tells it: the factor k on the neighbourhood's light F with the least
     /// `Σ (Y − (1 − α) B − α k F)² / F² + λ (k − 1)²`, B the screen's.
     fn light_rim(&mut self, width: usize, rect: &Rect) {
+        let [mut lit, mut told] = std::mem::take(&mut self.rim);
         for row in rect.rows(width) {
-            self.rim.iter_mut().for_each(|plane| plane[row.clone()].fill(0.0));
+            lit[row.clone()].fill(0.0);
+            told[row].fill(0.0);
         }
-        for &i in &self.in_band {
-            let i = i as usize;
+        let band = || self.in_band.iter().map(|i| *i as usize).filter(|i| self.weights[*i] >= 1e-5);
+        for i in band() {
             let alpha = self.rim_alpha(i);
-            if self.weights[i] >= 1e-5 {
-                let own = luminance(self.pixel(i)) - (1.0 - alpha) * luminance(self.light(i));
-                self.rim[0][i] = alpha * own / luminance(self.object(i)).max(1e-5);
-                self.rim[1][i] = alpha * alpha;
-            }
+            let own = luminance(self.pixel(i)) - (1.0 - alpha) * luminance(self.light(i));
+            let around = [self.around[0][i], self.around[1][i], self.around[2][i]];
+            lit[i] = alpha * own / luminance(around).max(1e-5);
+            told[i] = alpha * alpha;
         }
-        for plane in &mut self.rim {
+        for plane in [&mut lit, &mut told] {
             box_sum(plane, width, rect, RIM_REACH, &mut self.rows);
             box_sum(plane, width, rect, RIM_REACH, &mut self.rows);
         }
         let hold = RIM_HOLD * ((2 * RIM_REACH + 1) as f32).powi(4);
         for &i in &self.in_band {
             let i = i as usize;
-            let factor = (self.rim[0][i] + hold) / (self.rim[1][i] + hold);
-            if self.weights[i] >= 1e-5 {
-                (0..3).for_each(|c| self.around[c][i] *= factor.clamp(RIM_LIGHT.0, RIM_LIGHT.1));
-            }
+            let factor = (lit[i] + hold) / (told[i] + hold);
+            lit[i] = if self.weights[i] >= 1e-5 { factor.clamp(RIM_LIGHT.0, RIM_LIGHT.1) } else { 1.0 };
         }
+        self.rim = [lit, told];
     }
 
     fn first_alpha(&self, i: usize) -> f32 {
