@@ -74,11 +74,11 @@ fn panel(
     };
     let ((x0, x1), (y0, y1)) = (bounds(|p| p.0), bounds(|p| p.1));
     let pad = ((y1 - y0) * 0.12).max(y1.abs() * 1e-3);
-    let mut chart = ChartBuilder::on(area)
-        .margin(10)
-        .x_label_area_size(34)
-        .y_label_area_size(54)
-        .build_cartesian_2d((x0 / 1.3..x1 * 1.6).log_scale(), y0 - pad..y1 + pad)?;
+    let mut chart =
+        ChartBuilder::on(area).margin(10).x_label_area_size(34).y_label_area_size(54).build_cartesian_2d(
+            (x0 / 1.3..x1 * 1.6).log_scale().with_key_points(ticks(x0 / 1.3, x1 * 1.6)),
+            y0 - pad..y1 + pad,
+        )?;
     chart
         .configure_mesh()
         .light_line_style(TRANSPARENT)
@@ -107,6 +107,18 @@ fn panel(
         }
     }
     Ok(())
+}
+
+/// Round numbers from `from` to `to` on a logarithmic axis: within a decade many, then 1, 2 and 5 of each, of many decades their beginnings.
+fn ticks(from: f64, to: f64) -> Vec<f64> {
+    let decades = from.log10().floor() as i32..=to.log10().ceil() as i32;
+    let steps: &[f64] = match to / from {
+        span if span > 300.0 => &[1.0],
+        span if span > 8.0 => &[1.0, 2.0, 5.0],
+        _ => &[1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 8.0],
+    };
+    let all = decades.flat_map(|d| steps.iter().map(move |s| s * 10f64.powi(d)));
+    all.filter(|v| (from..=to).contains(v)).collect()
 }
 
 /// 1500 → 1.5k.
@@ -141,6 +153,9 @@ mod tests {
             assert!(svg.contains(text), "{text} is missing");
         }
         assert!(!svg.contains("LPIPS") && !svg.contains("peak memory"), "no figures, no chart");
+        assert_eq!(ticks(260.0, 900.0), [300.0, 400.0, 500.0, 600.0, 800.0]);
+        assert_eq!(ticks(1.5, 150.0), [2.0, 5.0, 10.0, 20.0, 50.0, 100.0]);
+        assert_eq!(ticks(0.9, 2000.0), [1.0, 10.0, 100.0, 1000.0]);
         assert_eq!((short(1500.0), short(0.25), short(2e6)), ("1.5k".into(), "0.25".into(), "2M".into()));
     }
 }
