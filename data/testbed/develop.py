@@ -178,7 +178,7 @@ def encoder(case, shot, options, folder):
     if case.video_fps:
         rest = (
             f"-r {case.video_fps / options.every:g} -i - -vf scale=out_color_matrix=bt709:out_range=tv -c:v libx264 -preset slow"
-            f" -crf {case.crf} -pix_fmt yuv420p -colorspace bt709 -color_primaries bt709 -color_trc iec61966-2-1"
+            f" -crf {options.crf or case.crf} -pix_fmt {options.pix_fmt} -colorspace bt709 -color_primaries bt709 -color_trc iec61966-2-1"
             f" -color_range tv -bf 2 -g 48 -threads 1 -fflags +bitexact -flags:v +bitexact -movflags +faststart {folder}/video.mp4"
         )
     else:
@@ -196,6 +196,8 @@ def main():
     parser.add_argument("--every", type=int, default=1, help="film only every k-th frame")
     parser.add_argument("--blue", action="store_true", help="exchange green and blue light")
     parser.add_argument("--takes", type=int, default=1, help="stills that are the mean of so many other draws of the noise, as PNG: what no rendering can do better than")
+    parser.add_argument("--crf", type=int, help="quality of the video (x264), instead of the case's")
+    parser.add_argument("--pix-fmt", default="yuv420p", help="how the video keeps colour: yuv444p for all of it")
     options = parser.parse_args()
     case, folder = cases.CASES[options.case], options.folder
     if options.takes > 1 and case.video_fps:
