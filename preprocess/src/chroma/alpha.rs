@@ -28,8 +28,8 @@ const LIGHT_ERROR: f32 = 0.06;
 const HALF: f32 = 0.25;
 /// The object's rim is lit by the screen and mixes with its blur: alpha from chroma falls short by this factor there.
 const RIM_GAIN: f32 = 1.06;
-/// What the rim's light is asked of: pixels around, and how firmly it is held to the neighbourhood's, as a share of as many pixels that
-/// are object alone.
+/// What the rim's light is asked of: pixels around, summed twice (5 × 5, weighed to the middle), and how firmly it is held to the
+/// neighbourhood's, as a share of as many pixels that are object alone.
 const RIM_REACH: usize = 1;
 const RIM_HOLD: f32 = 0.01;
 /// Light of the rim as a factor on the neighbourhood's.
@@ -352,15 +352,14 @@ impl Workspace {
 
     /// An object's rim is darker than what lies behind it where it turns away from the lamp, and brighter where it shines. Of the light
     /// alpha from chroma knows little, so that luma Y tells it: the factor k on the neighbourhood's light F with the least
-    /// `Σ (Y − (1 − α) B − α k F)² / F² + λ (k − 1)²`, B the screen's.
+    /// `Σ (Y − (1 − α) B − α k F)² / F² + λ (k − 1)²`, B the screen's. Leaves k in `rim[0]`.
     fn light_rim(&mut self, width: usize, rect: &Rect) {
         let [mut lit, mut told] = std::mem::take(&mut self.rim);
         for row in rect.rows(width) {
             lit[row.clone()].fill(0.0);
             told[row].fill(0.0);
         }
-        let band = || self.in_band.iter().map(|i| *i as usize).filter(|i| self.weights[*i] >= 1e-5);
-        for i in band() {
+        for i in self.in_band.iter().map(|i| *i as usize).filter(|i| self.weights[*i] >= 1e-5) {
             let alpha = self.rim_alpha(i);
             let own = luminance(self.pixel(i)) - (1.0 - alpha) * luminance(self.light(i));
             let around = [self.around[0][i], self.around[1][i], self.around[2][i]];
