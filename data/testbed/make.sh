@@ -2,7 +2,8 @@
 # Renders the simulated captures and their truth.
 #   bash data/testbed/make.sh FOLDER [CASE...]       cases: demo case1 case2 case3 case4
 #   calibration_stills calibration_video (all)
-#   OBJECT=model.glb ... films a glTF model in the mock-up's place (into another FOLDER)
+#   OBJECT=model.glb ... films a glTF model in the mock-up's place (into another FOLDER);
+#   OBJECT=variant:SEED another satellite, drawn at random
 #   EVERY=K ... renders and films only every K-th frame of the shot, at a K-th of the rate
 #   BLUE=1 ... exchanges green and blue in the light that reaches the sensor: a blue screen, another mock-up
 # Frames that exist are kept: stop it and start it again at will. Needs blender, python3-numpy
@@ -22,7 +23,7 @@ done
 "$python" -c 'import numpy' 2>/dev/null || { echo "numpy is missing: apt-get install python3-numpy" >&2; exit 1; }
 
 # Debian's Blender has no decoder for Draco.
-if [ -n "${OBJECT:-}" ] && grep -aq KHR_draco_mesh_compression "$OBJECT"; then
+if [ -n "${OBJECT:-}" ] && grep -aqs KHR_draco_mesh_compression "$OBJECT"; then
     mkdir -p "$out"
     "$python" "$here/undraco.py" "$OBJECT" "$out/object.glb"
     OBJECT=$out/object.glb

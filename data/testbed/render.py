@@ -1,6 +1,6 @@
 """Renders one shot in Blender: linear light, undistorted, a little wider than the picture.
 
-    blender -b --python render.py -- SHOT FOLDER [--object FILE.glb] [--layer NAME] [--frames A:B:STEP]
+    blender -b --python render.py -- SHOT FOLDER [--object FILE.glb | variant:SEED] [--layer NAME] [--frames A:B:STEP]
 
 Writes FOLDER/LAYER/NNNN.exr for each layer of the shot (cases.layers): the light of the groups
 `lamp` and `room` apart and the pass `truth` (materials.tag); and FOLDER/mesh.ply, the
@@ -24,6 +24,7 @@ import cases  # noqa: E402
 import materials  # noqa: E402
 import rooms  # noqa: E402
 import satellite  # noqa: E402
+import variants  # noqa: E402
 
 STRIDES = (12, 4, 2, 1)
 
@@ -32,7 +33,7 @@ def arguments():
     parser = argparse.ArgumentParser()
     parser.add_argument("shot", choices=sorted(cases.SHOTS))
     parser.add_argument("folder")
-    parser.add_argument("--object", help="a .glb to film in place of the mock-up")
+    parser.add_argument("--object", help="a .glb, or variant:SEED, to film in place of the mock-up")
     parser.add_argument("--frames", default="::", help="start:stop:step")
     parser.add_argument("--layer", help="only this layer")
     return parser.parse_args(sys.argv[sys.argv.index("--") + 1 :])
@@ -106,6 +107,14 @@ def pose(thing, shot, i):
             world[row][column] = R[column][row] * (1, -1, -1)[column]
         world[row][3] = float(-(R.T @ t)[row])
     thing.matrix_world = world
+
+
+def thing_to_film(name):
+    """The mock-up, a glTF model, or another satellite drawn at random (`variant:SEED`)."""
+    if not name:
+        return satellite.build()
+    kind, _, seed = name.partition(":")
+    return variants.build(int(seed)) if kind == "variant" else glb(name)
 
 
 def glb(path):
@@ -218,7 +227,7 @@ def main():
     shot = cases.SHOTS[options.shot]
     os.makedirs(options.folder, exist_ok=True)
     scene = empty_scene()
-    root = glb(options.object) if options.object else satellite.build()
+    root = thing_to_film(options.object)
     pole = getattr(rooms, shot.room)(shot)
     truth_materials(root, pole, shot)
     quality(scene, shot)

@@ -2,8 +2,8 @@
 //!
 //! `cargo run --release -p preprocess --example key_table [-- CASE...]`: the named cases of the test bed (folders with
 //! `video.mp4` and `mattes/`), or cut-outs of `../shared/data` (or SAT_RECON_SHARED) before a simulated screen.
-//! `--no-head` first: rows only. KEY_TABLE_BRIEF: only ours. KEY_TABLE_DUMP: a folder for all mattes and for pictures of the
-//! worst frame.
+//! `--no-head` first: rows only. KEY_TABLE_BRIEF: only ours. KEY_TABLE_DUMP: a folder for pictures of the worst frame and
+//! for a case with all mattes.
 
 #[path = "../tests/common/screen.rs"]
 mod screen;
@@ -153,7 +153,7 @@ fn rows(capture: &Capture) {
     std::fs::remove_dir_all(&capture.folder).expect("clean up");
 }
 
-/// Pictures to look at, into the folder KEY_TABLE_DUMP: all mattes and the worst frame.
+/// Into the folder KEY_TABLE_DUMP: pictures of the worst frame, and a folder like a case of the test bed, with our mattes beside.
 fn dump(capture: &Capture, mattes: &Mattes) {
     let Some(folder) = std::env::var_os("KEY_TABLE_DUMP").map(PathBuf::from) else { return };
     let iou = |(i, s): &&(usize, Shot)| score(&mattes[*i].0, &mattes[*i].1, s).iou;
@@ -165,8 +165,15 @@ fn dump(capture: &Capture, mattes: &Mattes) {
     mattes[*i].0.save(save("matte")).expect("dump");
     mattes[*i].1.save(save("colours")).expect("dump");
     shot.alpha.save(save("true")).expect("dump");
-    for (i, _) in &capture.shots {
-        mattes[*i].0.save(save(&format!("matte_{i:06}"))).expect("dump");
+    let case = folder.join(&stem);
+    for what in ["mattes", "ours"] {
+        std::fs::create_dir_all(case.join(what)).expect("dump");
+    }
+    std::fs::copy(&capture.video, case.join("video.mp4")).expect("dump");
+    for (i, shot) in &capture.shots {
+        let name = format!("frame_{i:06}.png");
+        mattes[*i].0.save(case.join("ours").join(&name)).expect("dump");
+        shot.alpha.save(case.join("mattes").join(&name)).expect("dump");
     }
 }
 

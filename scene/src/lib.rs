@@ -29,6 +29,7 @@ pub mod ring;
 pub mod rng;
 pub mod sh;
 pub mod sim3;
+mod simd;
 pub mod synthetic;
 
 pub use camera::{Camera, CameraModel};

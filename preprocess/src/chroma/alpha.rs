@@ -194,6 +194,11 @@ impl Workspace {
         self.total[i] = (linear[0] + linear[1] + linear[2]) / (light[0] + light[1] + light[2] + 1e-6);
     }
 
+    /// How much of what is around a pixel of the band is solid, 0 to 1.
+    pub fn solid_around(&self, i: usize) -> f32 {
+        (self.weights[i] / ((2 * REACH + 1) * (2 * REACH + 1)) as f32).min(1.0)
+    }
+
     fn pixel(&self, i: usize) -> [f32; 3] {
         [self.image[0][i], self.image[1][i], self.image[2][i]]
     }

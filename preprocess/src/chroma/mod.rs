@@ -9,6 +9,7 @@ mod field;
 mod filters;
 mod grid;
 mod light;
+mod outline;
 mod regions;
 mod spill;
 mod still;
@@ -20,6 +21,7 @@ use colour::{Key, hue_distance, hue_saturation_value};
 use config::KeyChoice;
 use field::Field;
 use image::{GrayImage, RgbImage};
+use outline::Outline;
 use still::Still;
 
 /// A screen that was found, ready to key frames.
@@ -104,19 +106,49 @@ impl Keyer {
     }
 
     fn soft(&self, image: &RgbImage, key: &Key, scratch: &mut Scratch) -> (Vec<u8>, Vec<u8>) {
+        let (rgb, width) = (image.as_raw(), image.width() as usize);
+        if self.solve(image, key, scratch).is_none() {
+            return (plain(image, key), rgb.clone());
+        }
+        let (work, outline) = (&mut scratch.0, &mut scratch.1);
+        outline.load(work, rgb, width, key);
+        outline::solve(outline, work, width, key);
+        let alpha = work.alpha.iter().map(|a| (a * 255.0 + 0.5) as u8).collect();
+        (alpha, spill::foreground(work, key))
+    }
+
+    /// The matte without what was learnt, in `scratch`; `None` where no light can be fitted to the screen.
+    fn solve(&self, image: &RgbImage, key: &Key, scratch: &mut Scratch) -> Option<()> {
         let (rgb, width, work) = (image.as_raw(), image.width() as usize, &mut scratch.0);
         let still = self.still.as_ref().filter(|s| s.width == width && s.things.len() * 3 == rgb.len());
         match still {
             Some(still) => work.load_before_plate(rgb, key, still, self.keep_pole),
-            None => match Field::fit(rgb, width, key) {
-                Some(field) => work.load_before_field(rgb, width, key, &field),
-                None => return (plain(image, key), rgb.clone()),
-            },
+            None => work.load_before_field(rgb, width, key, &Field::fit(rgb, width, key)?),
         }
         work.solve(width, key);
         regions::clean(work, width, still, self.keep_pole);
-        let alpha = work.alpha.iter().map(|a| (a * 255.0 + 0.5) as u8).collect();
-        (alpha, spill::foreground(work, key))
+        Some(())
+    }
+}
+
+impl Keyer {
+    /// What the network of the outline sees of a frame, and what it should say: rows of inputs, alpha so far, true alpha; for training
+    /// it (`tools/train_outline.py`). Empty where nothing is keyed by colour.
+    pub fn outline_samples(&self, image: &RgbImage, truth: &GrayImage, scratch: &mut Scratch) -> Vec<f32> {
+        let Some(key) = self.key.as_ref().filter(|_| self.mode == MatteMode::Soft && !is_blank(image)) else {
+            return Vec::new();
+        };
+        let width = image.width() as usize;
+        if self.solve(image, key, scratch).is_none() {
+            return Vec::new();
+        }
+        let (work, outline) = (&scratch.0, &mut scratch.1);
+        outline.load(work, image.as_raw(), width, key);
+        let row = |i: usize| {
+            let told = [work.alpha[i], f32::from(truth.as_raw()[i]) / 255.0];
+            outline.inputs(work, i, width, key).into_iter().chain(told)
+        };
+        outline.pixels().iter().flat_map(|i| row(*i as usize)).collect()
     }
 }
 
@@ -142,4 +174,4 @@ fn plain(image: &RgbImage, key: &Key) -> Vec<u8> {
 
 /// Memory kept between frames; one a thread.
 #[derive(Default)]
-pub struct Scratch(Workspace);
+pub struct Scratch(Workspace, Outline);
