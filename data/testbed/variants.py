@@ -1,4 +1,4 @@
-"""Other satellites than the mock-up, drawn at random: what the key's outline is learnt from (tools/train_outline.py).
+"""Other satellites than the mock-up, drawn at random: what the key's outline is learnt from (tools/train_outline.sh).
 
 Bodies of boxes and drums in foil or paint, arrays of panels with slits, dishes, nozzles, rods, lattices. About as large as the mock-up.
 """

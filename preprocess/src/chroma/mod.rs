@@ -111,7 +111,7 @@ impl Keyer {
             return (plain(image, key), rgb.clone());
         }
         let (work, outline) = (&mut scratch.0, &mut scratch.1);
-        outline.load(work, rgb, width, key);
+        outline.load(work, rgb, width, key, 0);
         outline::solve(outline, work, width, key);
         let alpha = work.alpha.iter().map(|a| (a * 255.0 + 0.5) as u8).collect();
         (alpha, spill::foreground(work, key))
@@ -143,7 +143,7 @@ impl Keyer {
             return Vec::new();
         }
         let (work, outline) = (&scratch.0, &mut scratch.1);
-        outline.load(work, image.as_raw(), width, key);
+        outline.load(work, image.as_raw(), width, key, 1);
         let row = |i: usize| {
             let told = [work.alpha[i], f32::from(truth.as_raw()[i]) / 255.0];
             outline.inputs(work, i, width, key).into_iter().chain(told)
