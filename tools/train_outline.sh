@@ -4,8 +4,8 @@
 # Writes FOLDER/outline.f32; copy it to preprocess/src/chroma/ to use it. What is filmed already is kept: stop it and start it again at will. Half an
 # hour of two cores, 6 GB of disk and as much memory. Needs blender, ffmpeg, and python3 with numpy, scipy and pillow (PYTHON=...).
 set -euo pipefail
+out=$(realpath -m "${1:?usage: train_outline.sh FOLDER [SATELLITES [SCENES [EPOCHS]]]}")
 cd "$(dirname "$0")/.."
-out=${1:?usage: train_outline.sh FOLDER [SATELLITES [SCENES [EPOCHS]]]}
 satellites=${2:-10} scenes=${3:-70} epochs=${4:-16} python=${PYTHON:-python3} every=9
 
 film() {

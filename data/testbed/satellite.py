@@ -16,14 +16,20 @@ import shapes as s
 BODY = (0.30, 0.26, 0.34)  # metres
 
 
-def build():
-    """The mock-up under an empty `Satellite`, which stands on the yaw axis."""
+def mounted():
+    """An empty `Satellite`, which stands on the yaw axis, and what its parts are fixed to, a little off it."""
     root = bpy.data.objects.new("Satellite", None)
     mount = bpy.data.objects.new("Mount", None)
     for thing in (root, mount):
         bpy.context.scene.collection.objects.link(thing)
     mount.parent = root
     s.place(mount, cases.MOUNT_M, cases.MOUNT_DEG)
+    return root, mount
+
+
+def build():
+    """The mock-up under an empty `Satellite`, which stands on the yaw axis."""
+    root, mount = mounted()
     _body(mount)
     for side in (-1, 1):
         _array(mount, side)

@@ -8,20 +8,15 @@ import random
 
 import bpy
 
-import cases
 import materials as m
+import satellite
 import shapes as s
 
 
 def build(seed):
     """One satellite under an empty `Satellite`, which stands on the yaw axis."""
     rng = random.Random(seed)
-    root = bpy.data.objects.new("Satellite", None)
-    mount = bpy.data.objects.new("Mount", None)
-    for thing in (root, mount):
-        bpy.context.scene.collection.objects.link(thing)
-    mount.parent = root
-    s.place(mount, cases.MOUNT_M, cases.MOUNT_DEG)
+    root, mount = satellite.mounted()
     size = [rng.uniform(0.16, 0.40) for _ in range(3)]
     _body(rng, mount, size)
     for side in rng.choice([(-1, 1), (-1, 1), (1,), (-1,)]):

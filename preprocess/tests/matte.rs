@@ -31,6 +31,7 @@ fn filmed(cut_outs: &[image::RgbaImage], light: Light, cloth: Cloth, folder: &Pa
 
 #[test]
 fn mattes_of_a_noisy_screen_with_spill_meet_their_truth() {
+    let mut errors = Vec::new();
     for (name, step) in [("lego400", 25), ("temple_ring", 16)] {
         let Some(folder) = shared(name) else { return };
         let cut_outs = cut_outs(&folder, step);
@@ -59,8 +60,12 @@ fn mattes_of_a_noisy_screen_with_spill_meet_their_truth() {
                 cloth.name,
                 light.name
             );
+            errors.push(s.alpha_error);
         }
     }
+    // The formula alone does not reach this: it takes the network of the outline.
+    let mean = errors.iter().sum::<f64>() / errors.len() as f64;
+    assert!(mean <= 0.0014, "mean error of alpha {mean}");
 }
 
 #[test]

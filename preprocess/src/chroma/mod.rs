@@ -133,13 +133,13 @@ impl Keyer {
 
 impl Keyer {
     /// What the network of the outline sees of a frame, and what it should say: rows of inputs, alpha so far, true alpha; for training
-    /// it (`tools/train_outline.py`). Empty where nothing is keyed by colour.
+    /// it (`tools/train_outline.py`). Empty where nothing is keyed by colour or the sizes differ.
     pub fn outline_samples(&self, image: &RgbImage, truth: &GrayImage, scratch: &mut Scratch) -> Vec<f32> {
         let Some(key) = self.key.as_ref().filter(|_| self.mode == MatteMode::Soft && !is_blank(image)) else {
             return Vec::new();
         };
         let width = image.width() as usize;
-        if self.solve(image, key, scratch).is_none() {
+        if truth.dimensions() != image.dimensions() || self.solve(image, key, scratch).is_none() {
             return Vec::new();
         }
         let (work, outline) = (&scratch.0, &mut scratch.1);

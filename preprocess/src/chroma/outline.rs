@@ -87,8 +87,7 @@ fn layer<const N: usize>(inputs: &[f32], [weights, offsets]: &[Vec<[f32; N]>; 2]
 #[inline(always)]
 fn seen(rgb: [f32; 3], key: &Key) -> [f32; 3] {
     let across = super::colour::dot(key.across, rgb);
-    let along = super::colour::dot(key.along, rgb) - key.wedge * across.abs();
-    [0.299 * rgb[0] + 0.587 * rgb[1] + 0.114 * rgb[2], along, across]
+    [0.299 * rgb[0] + 0.587 * rgb[1] + 0.114 * rgb[2], key.difference(rgb), across]
 }
 
 /// What the network sees, of one frame.
