@@ -1,6 +1,7 @@
 """Other satellites than the mock-up, drawn at random: what the key's outline is learnt from (tools/train_outline.sh).
 
 Bodies of boxes and drums in foil or paint, arrays of panels with slits, dishes, nozzles, rods, lattices. About as large as the mock-up.
+From seed TRIMMED on edges are of another material than faces, and more is white.
 """
 
 import math
@@ -13,20 +14,27 @@ import satellite
 import shapes as s
 
 
+TRIMMED = 100
+
+
 def build(seed):
     """One satellite under an empty `Satellite`, which stands on the yaw axis."""
     rng = random.Random(seed)
+    trimmed = seed >= TRIMMED
     root, mount = satellite.mounted()
     size = [rng.uniform(0.16, 0.40) for _ in range(3)]
     _body(rng, mount, size)
+    if trimmed:
+        _trim(rng, mount, size)
+        _plates(rng, mount, size)
     for side in rng.choice([(-1, 1), (-1, 1), (1,), (-1,)]):
-        _array(rng, mount, side, size)
+        _array(rng, mount, side, size, trimmed)
     for _ in range(rng.randint(0, 2)):
-        _dish(rng, mount, size)
+        _dish(rng, mount, size, trimmed)
     for _ in range(rng.randint(0, 4)):
         _nozzle(rng, mount, size)
     for _ in range(rng.randint(2, 7)):
-        _rod(rng, mount, size)
+        _rod(rng, mount, size, trimmed)
     for _ in range(rng.randint(0, 2)):
         _lattice(rng, mount, size)
     return root
@@ -67,7 +75,37 @@ def _body(rng, parent, size):
         s.lathe("drum", [(r, 0), (r, h), (1e-4, h)], (0, 0, size[2] / 2), _any_material(rng), parent, (0, 0, 0), 32)
 
 
-def _array(rng, parent, side, size):
+def _trim(rng, parent, size):
+    """Rails along the edges of the body."""
+    wide, paint = rng.uniform(0.004, 0.018), _edge_material(rng)
+    for axis in range(3):
+        for a, b in ((-1, -1), (-1, 1), (1, -1), (1, 1)):
+            at, box = [0, 0, 0], [wide] * 3
+            at[(axis + 1) % 3], at[(axis + 2) % 3] = a * size[(axis + 1) % 3] / 2, b * size[(axis + 2) % 3] / 2
+            box[axis] = size[axis] + wide
+            s.box("rail", box, at, paint, parent)
+
+
+def _plates(rng, parent, size):
+    """Labels and radiators on the faces."""
+    for _ in range(rng.randint(0, 5)):
+        at, axis, _ = _somewhere(rng, size)
+        box = [rng.uniform(0.03, 0.6) * v for v in size]
+        box[axis] = 0.006
+        at = [min(max(v, (b - e) / 2), (e - b) / 2) if k != axis else v for k, (v, b, e) in enumerate(zip(at, box, size))]
+        s.box("plate", box, at, _white(rng) if rng.random() < 0.6 else _any_material(rng), parent)
+
+
+def _edge_material(rng):
+    shade = rng.choice([0.02, 0.05, 0.1, 0.2, 0.5, 0.8])
+    return m.plain(f"edge{rng.random()}", (shade,) * 3, rng.uniform(0.3, 0.7), rng.choice([0.0, 0.0, 0.9]))
+
+
+def _white(rng):
+    return m.plain(f"white{rng.random()}", (rng.uniform(0.7, 0.9),) * 3, rng.uniform(0.3, 0.8))
+
+
+def _array(rng, parent, side, size, trimmed):
     cells = _any_material(rng) if rng.random() < 0.3 else m.solar_cells(f"cells{rng.random()}")
     back, boom = _any_material(rng), m.plain(f"boom{rng.random()}", (0.5, 0.5, 0.5), 0.35, 0.8)
     x0, reach, z = size[0] / 2, rng.uniform(0.02, 0.10), rng.uniform(-0.3, 0.3) * size[2]
@@ -77,14 +115,19 @@ def _array(rng, parent, side, size):
     hinge.parent = parent
     s.place(hinge, (side * (x0 + reach), 0, z), (rng.uniform(0, 90), 0, rng.uniform(-12, 12)))
     width, height, slit = rng.uniform(0.07, 0.2), rng.uniform(0.12, 0.32), rng.uniform(0.003, 0.014)
+    framed, wide, edge = (rng.random() < 0.6, rng.uniform(0.002, slit), _edge_material(rng)) if trimmed else (False, 0, None)
     for panel in range(rng.randint(1, 3)):
         middle = side * (width / 2 + panel * (width + slit))
         s.box("panel", (width, height, 0.008), (middle, 0, 0), back, hinge)
         s.sheet("cells", width - 0.008, height - 0.008, cells, hinge, (middle, 0, 0.0045))
+        if trimmed and framed:
+            for k in (-1, 1):
+                s.box("frame", (wide, height + wide, 0.011), (middle + k * width / 2, 0, 0), edge, hinge)
+                s.box("frame", (width + wide, wide, 0.011), (middle, k * height / 2, 0), edge, hinge)
     s.rod("yoke", (0, -0.4 * height, 0), (0, 0.4 * height, 0), 0.005, boom, hinge)
 
 
-def _dish(rng, parent, size):
+def _dish(rng, parent, size, trimmed):
     at, axis, side = _somewhere(rng, size)
     at[axis] += side * 0.03
     radius = rng.uniform(0.05, 0.15)
@@ -92,7 +135,8 @@ def _dish(rng, parent, size):
     inside = [(radius * k / 10 + 1e-4, depth * (k / 10) ** 2) for k in range(11)]
     shell = inside + [(radius, depth - 0.004)] + [(r, z - 0.004) for r, z in inside[-2::-1]]
     turn = [rng.uniform(-110, 110), rng.uniform(-110, 110), 0]
-    dish = s.lathe("dish", shell, at, _any_material(rng), parent, turn, 48)
+    paint = _white(rng) if trimmed and rng.random() < 0.6 else _any_material(rng)
+    dish = s.lathe("dish", shell, at, paint, parent, turn, 48)
     strut = m.plain(f"strut{rng.random()}", (0.5, 0.5, 0.5), 0.4, 0.6)
     for k in range(3):
         a = 2 * math.pi * k / 3
@@ -109,11 +153,11 @@ def _nozzle(rng, parent, size):
     s.lathe("nozzle", [(k * r, k * z) for r, z in bell], at, metal, parent, turn, 28)
 
 
-def _rod(rng, parent, size):
+def _rod(rng, parent, size, trimmed):
     at, axis, side = _somewhere(rng, size)
     end = [v + rng.uniform(-0.1, 0.1) for v in at]
     end[axis] += side * rng.uniform(0.06, 0.24)
-    shade = rng.choice([0.03, 0.1, 0.3, 0.6])
+    shade = rng.choice([0.03, 0.1, 0.3, 0.6, 0.9] if trimmed else [0.03, 0.1, 0.3, 0.6])
     paint = m.plain(f"rod{rng.random()}", (shade,) * 3, 0.4, rng.choice([0.0, 0.9]))
     s.rod("rod", at, end, rng.uniform(0.002, 0.008), paint, parent)
     if rng.random() < 0.4:

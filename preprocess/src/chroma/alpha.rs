@@ -99,12 +99,12 @@ impl Workspace {
         self.take_out_shadows(width);
         let noise = self.noise();
         let threshold = 1.0 - MIN_DEPARTURE.max(5.0 * noise.share);
-        let departs = |s: &f32| *s < threshold || *s > 2.0 - threshold + 0.1;
+        let departs = |s: &f32| (*s < threshold) | (*s > 2.0 - threshold + 0.1);
         let seeds: Vec<u8> = self
             .smoothed
             .iter()
             .zip(&self.shaded)
-            .map(|(s, shaded)| u8::from(*shaded == 0 && departs(s)))
+            .map(|(s, shaded)| u8::from((*shaded == 0) & departs(s)))
             .collect();
         let mut not_screen = dilate(&seeds, width, 2);
         self.drop_faint_regions(&mut not_screen, width);
@@ -112,7 +112,7 @@ impl Workspace {
         let mut core = erode(&solid, width, 2);
         self.open_slits(&mut solid, &mut core, width, key);
         self.band.clear();
-        self.band.extend(not_screen.iter().zip(&core).map(|(n, c)| u8::from(*n != 0 && *c == 0)));
+        self.band.extend(not_screen.iter().zip(&core).map(|(n, c)| n & (1 - c)));
         self.in_band.clear();
         self.in_band.extend((0..self.band.len() as u32).filter(|i| self.band[*i as usize] != 0));
         let interior = erode(&solid, width, 1);
@@ -192,6 +192,13 @@ impl Workspace {
         }
         self.share[i] = key.difference(linear) / (key.difference(light) + 1e-6);
         self.total[i] = (linear[0] + linear[1] + linear[2]) / (light[0] + light[1] + light[2] + 1e-6);
+    }
+
+    /// Foreground colour of the neighbourhood of any pixel.
+    pub fn object_around(&self, i: usize) -> [f32; 3] {
+        // Outside of the band the sums have not been divided.
+        let scale = if self.band[i] != 0 { 1.0 } else { 1.0 / self.weights[i].max(1e-5) };
+        [0, 1, 2].map(|c| scale * self.around[c][i])
     }
 
     /// How much of what is around a pixel of the band is solid, 0 to 1.
@@ -393,7 +400,8 @@ impl Workspace {
     /// From chroma as it is coded: there the averaging of 4:2:0 is linear and an edge keeps its place. In linear light the
     /// chroma that spreads over it weighs by the light of the pixel that it spreads to.
     fn alpha_from_chroma(&self, i: usize) -> f32 {
-        let coded = |rgb: [f32; 3]| chroma_of(rgb.map(|v| f32::from(srgb8(v)) / 255.0));
+        let code = |v: f32| f32::from(srgb8(v)) / 255.0;
+        let coded = |rgb: [f32; 3]| chroma_of([code(rgb[0]), code(rgb[1]), code(rgb[2])]);
         let (screen, object) = (self.light(i), self.object(i));
         let (b, f) = (coded(screen), coded(object));
         let fb = [f[0] - b[0], f[1] - b[1], f[2] - b[2]];
@@ -401,7 +409,8 @@ impl Workspace {
         let place = |c: [f32; 3]| dot([c[0] - b[0], c[1] - b[1], c[2] - b[2]], fb) / norm;
         let alpha = place(coded(self.pixel(i)));
         // The lens mixes light before it is coded: of a half covered pixel the brighter side shows more.
-        let half = [0, 1, 2].map(|c| 0.5 * (screen[c] + object[c]));
+        let half = |c: usize| 0.5 * (screen[c] + object[c]);
+        let half = [half(0), half(1), half(2)];
         let a = alpha.clamp(0.0, 1.0);
         alpha - OPTICAL * (place(coded(half)) - 0.5) * a * (1.0 - a)
     }

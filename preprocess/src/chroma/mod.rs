@@ -113,6 +113,7 @@ impl Keyer {
         let (work, outline) = (&mut scratch.0, &mut scratch.1);
         outline.load(work, rgb, width, key, 0);
         outline::solve(outline, work, width, key);
+        outline::close_specks(outline, work, width);
         let alpha = work.alpha.iter().map(|a| (a * 255.0 + 0.5) as u8).collect();
         (alpha, spill::foreground(work, key))
     }

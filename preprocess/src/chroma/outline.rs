@@ -2,8 +2,8 @@
 //! (`tools/train_outline.py`; decision 0027).
 
 use super::alpha::Workspace;
-use super::colour::{Key, srgb8};
-use super::filters::{Rect, dilate};
+use super::colour::{Key, dot, srgb8};
+use super::filters::{Rect, box_sum_running, components, dilate, erode};
 use std::sync::LazyLock;
 
 /// The network sees as far, pixels.
@@ -18,18 +18,22 @@ const LIGHTS: usize = 5;
 pub(crate) const INPUTS: usize = PATCH + LIGHTS;
 /// Alpha of pixels that are asked about.
 const SOFT: std::ops::Range<f32> = 0.02..0.98;
+/// Slits of a pixel or two keep at least this share of the key's coded colour difference, and less than this of the luma around.
+const SLIT_SHARE: f32 = 0.2;
+const SLIT_LUMA: f32 = 0.95;
 /// Luma is measured in so many 8-bit levels.
 const LEVELS: f32 = 64.0;
 /// Least colour difference of the screen, 8-bit levels.
 const LEAST_DIFFERENCE: f32 = 4.0;
 
 /// Units of the two hidden layers.
-const HIDDEN: (usize, usize) = (32, 16);
+const HIDDEN: (usize, usize) = (96, 32);
+/// Units of a layer that are summed at a time: what the processor's registers hold.
+const UNITS: usize = 32;
 /// The key's alpha is this far from 0 and 1 where the network's word is added to its logit.
 const LEAST_ALPHA: f32 = 0.02;
-/// How much of the network's word is taken: the odds are the geometric mean of the formula's and the network's. It has seen simulated
-/// shots only.
-const TRUST: f32 = 0.5;
+/// Fewer open pixels than this are no slit.
+const SLIT_PIXELS: usize = 10;
 /// What is nearer to 0 or 1 is 0 or 1.
 const CLEAR: f32 = 0.03;
 
@@ -40,54 +44,86 @@ const FARTHEST: f32 = 4.0;
 struct Network {
     mean: Box<[f32; INPUTS]>,
     scale: Box<[f32; INPUTS]>,
-    first: [Vec<[f32; HIDDEN.0]>; 2],
-    second: [Vec<[f32; HIDDEN.1]>; 2],
+    first: Vec<Block>,
+    second: Vec<Block>,
     third: ([f32; HIDDEN.1], f32),
+}
+
+/// Some units of a layer: weights by input, and offsets.
+struct Block {
+    weights: Vec<[f32; UNITS]>,
+    offsets: [f32; UNITS],
 }
 
 /// Little-endian f32: mean and scale of the inputs; matrices [inputs, units] and offsets, layer by layer.
 static NETWORK: LazyLock<Network> = LazyLock::new(|| {
     let bytes = include_bytes!("outline.f32");
     let mut numbers = bytes.as_chunks::<4>().0.iter().map(|b| f32::from_le_bytes(*b));
-    fn rows<const N: usize>(numbers: &mut impl Iterator<Item = f32>, count: usize) -> Vec<[f32; N]> {
-        (0..count).map(|_| std::array::from_fn(|_| numbers.next().unwrap_or(0.0))).collect()
+    fn row<const N: usize>(numbers: &mut impl Iterator<Item = f32>) -> [f32; N] {
+        std::array::from_fn(|_| numbers.next().unwrap_or(0.0))
     }
-    let [mean, scale] = [0; 2].map(|_| Box::new(rows(&mut numbers, 1)[0]));
-    let first = [rows(&mut numbers, INPUTS), rows(&mut numbers, 1)];
-    let second = [rows(&mut numbers, HIDDEN.0), rows(&mut numbers, 1)];
-    let third = rows(&mut numbers, 1)[0];
+    fn blocks<const N: usize>(numbers: &mut impl Iterator<Item = f32>, inputs: usize) -> Vec<Block> {
+        let rows: Vec<[f32; N]> = (0..=inputs).map(|_| row(numbers)).collect();
+        let part = |k: usize, r: &[f32; N]| std::array::from_fn(|u| r[k * UNITS + u]);
+        (0..N / UNITS)
+            .map(|k| Block {
+                weights: rows[..inputs].iter().map(|r| part(k, r)).collect(),
+                offsets: part(k, &rows[inputs]),
+            })
+            .collect()
+    }
+    let [mean, scale] = [0; 2].map(|_| Box::new(row(&mut numbers)));
+    let first = blocks::<{ HIDDEN.0 }>(&mut numbers, INPUTS);
+    let second = blocks::<{ HIDDEN.1 }>(&mut numbers, HIDDEN.0);
+    let third = row(&mut numbers);
     Network { mean, scale, first, second, third: (third, numbers.next().unwrap_or(0.0)) }
 });
 
 impl Network {
-    /// What is added to the logit of alpha.
+    /// What is added to the logit of alpha of two pixels.
     #[inline(always)]
-    fn word(&self, inputs: &[f32; INPUTS]) -> f32 {
-        let scaled: [f32; INPUTS] =
-            std::array::from_fn(|k| ((inputs[k] - self.mean[k]) * self.scale[k]).clamp(-FARTHEST, FARTHEST));
-        let a = layer(&scaled, &self.first);
-        let b = layer(&a, &self.second);
-        self.third.1 + b.iter().zip(&self.third.0).map(|(v, w)| v * w).sum::<f32>()
+    fn words(&self, inputs: &[[f32; INPUTS]; 2]) -> [f32; 2] {
+        let mut scaled = *inputs;
+        for x in &mut scaled {
+            for ((x, mean), scale) in x.iter_mut().zip(&*self.mean).zip(&*self.scale) {
+                *x = ((*x - mean) * scale).clamp(-FARTHEST, FARTHEST);
+            }
+        }
+        let a: [[f32; HIDDEN.0]; 2] = layer(&scaled, &self.first);
+        let b: [[f32; HIDDEN.1]; 2] = layer(&a, &self.second);
+        b.map(|b| self.third.1 + b.iter().zip(&self.third.0).map(|(v, w)| v * w).sum::<f32>())
     }
 }
 
-/// `max(0, W x + b)`.
+/// `max(0, W x + b)` of two pixels: the weights are more than the first cache holds, so that each is fetched for both.
 #[inline(always)]
-fn layer<const N: usize>(inputs: &[f32], [weights, offsets]: &[Vec<[f32; N]>; 2]) -> [f32; N] {
-    let mut sums = offsets[0];
-    for (x, row) in inputs.iter().zip(weights) {
-        for (sum, w) in sums.iter_mut().zip(row) {
-            *sum += x * w;
+fn layer<const M: usize, const N: usize>(inputs: &[[f32; M]; 2], blocks: &[Block]) -> [[f32; N]; 2] {
+    let mut out = [[0.0; N]; 2];
+    let [out_a, out_b] = &mut out;
+    let outs = out_a.as_chunks_mut::<UNITS>().0.iter_mut().zip(out_b.as_chunks_mut::<UNITS>().0);
+    for ((out_a, out_b), block) in outs.zip(blocks) {
+        let (mut a, mut b) = (block.offsets, block.offsets);
+        for ((x, y), row) in inputs[0].iter().zip(&inputs[1]).zip(&block.weights) {
+            a.iter_mut().zip(row).for_each(|(sum, w)| *sum += x * w);
+            b.iter_mut().zip(row).for_each(|(sum, w)| *sum += y * w);
         }
+        *out_a = a.map(|s| if s > 0.0 { s } else { 0.0 });
+        *out_b = b.map(|s| if s > 0.0 { s } else { 0.0 });
     }
-    sums.map(|s| if s > 0.0 { s } else { 0.0 })
+    out
 }
 
 /// Coded luma, colour difference and chroma across it.
 #[inline(always)]
 fn seen(rgb: [f32; 3], key: &Key) -> [f32; 3] {
-    let across = super::colour::dot(key.across, rgb);
+    let across = dot(key.across, rgb);
     [0.299 * rgb[0] + 0.587 * rgb[1] + 0.114 * rgb[2], key.difference(rgb), across]
+}
+
+#[inline(always)]
+fn byte_rgb(rgb: &[u8], i: usize) -> [f32; 3] {
+    let p = &rgb[3 * i..3 * i + 3];
+    [f32::from(p[0]), f32::from(p[1]), f32::from(p[2])]
 }
 
 /// What the network sees, of one frame.
@@ -98,31 +134,56 @@ pub(crate) struct Outline {
     pixels: Vec<u32>,
     /// Where the pixels of a window lie, seen in each of eight ways.
     ways: Vec<[u32; SIDE * SIDE]>,
+    mean: Vec<f32>,
+    rows: Vec<f32>,
 }
 
 impl Outline {
-    /// Gathers the pixels of a solved and cleaned frame whose alpha is not clear, and so many pixels beside them.
+    /// Gathers the pixels of a solved and cleaned frame that are asked about: those whose alpha is not clear and so many beside them,
+    /// those on either side of a half, and dark ones of solid parts that keep some of the screen's hue: slits.
     pub fn load(&mut self, work: &Workspace, rgb: &[u8], width: usize, key: &Key, beside: usize) {
+        let solid: Vec<u8> = work.alpha.iter().map(|a| u8::from(*a >= 0.5)).collect();
+        let soft: Vec<u8> =
+            work.alpha.iter().map(|a| u8::from((*a > SOFT.start) & (*a < SOFT.end))).collect();
+        let (grown, shrunk) = (dilate(&solid, width, 1), erode(&solid, width, 1));
+        let mut near = dilate(&soft, width, beside);
+        near.iter_mut().zip(grown.iter().zip(&shrunk)).for_each(|(near, (g, s))| *near |= g & (1 - s));
+        let rect = Rect::around(&near, width, REACH);
+        self.see(rgb, key, &rect, width);
+        self.planes[3].copy_from_slice(&work.alpha);
+        let hue = |rgb: [f32; 3]| dot(key.along, rgb);
+        let least = SLIT_SHARE * hue(key.colour.map(|v| f32::from(srgb8(v))));
+        for i in rect.rows(width).flatten().filter(|i| work.alpha[*i] >= SOFT.end) {
+            let dark = self.planes[0][i] * ((SIDE * SIDE) as f32) < SLIT_LUMA * self.mean[i];
+            near[i] |= u8::from(dark && hue(byte_rgb(rgb, i)) > least);
+        }
         let height = work.alpha.len() / width;
-        let soft: Vec<u8> = work.alpha.iter().map(|a| u8::from(SOFT.contains(a))).collect();
-        let near = dilate(&soft, width, beside);
         let inner = |i: usize| {
             let (x, y) = (i % width, i / width);
             x >= REACH && y >= REACH && x + REACH < width && y + REACH < height
         };
+        let asked = |i: &usize| near[*i] != 0 && work.still[*i] == 0 && inner(*i);
         self.pixels.clear();
-        let asked = |i: &usize| near[*i] != 0 && work.band[*i] != 0 && work.still[*i] == 0 && inner(*i);
         self.pixels.extend((0..near.len()).filter(asked).map(|i| i as u32));
-        for plane in &mut self.planes {
-            plane.resize(near.len(), 0.0);
-        }
-        for i in Rect::around(&near, width, REACH).rows(width).flatten() {
-            let s = seen([0, 1, 2].map(|c| f32::from(rgb[3 * i + c])), key);
-            (0..3).for_each(|c| self.planes[c][i] = s[c]);
-        }
-        self.planes[3].copy_from_slice(&work.alpha);
         self.ways.clear();
         self.ways.extend((0..8).map(|way| offsets(way, width)));
+    }
+
+    /// Loads the planes of a picture but the last, and sums luma around.
+    fn see(&mut self, rgb: &[u8], key: &Key, rect: &Rect, width: usize) {
+        for plane in self.planes.iter_mut().chain([&mut self.mean]) {
+            plane.resize(rgb.len() / 3, 0.0);
+        }
+        for i in rect.rows(width).flatten() {
+            let [luma, along, across] = seen(byte_rgb(rgb, i), key);
+            self.planes[0][i] = luma;
+            self.planes[1][i] = along;
+            self.planes[2][i] = across;
+        }
+        for row in rect.rows(width) {
+            self.mean[row.clone()].copy_from_slice(&self.planes[0][row]);
+        }
+        box_sum_running(&mut self.mean, width, rect, REACH, &mut self.rows);
     }
 
     /// The pixels that are asked about.
@@ -136,7 +197,7 @@ impl Outline {
     pub fn inputs(&self, work: &Workspace, i: usize, width: usize, key: &Key) -> [f32; INPUTS] {
         let coded = |v: [f32; 3]| seen(v.map(|v| f32::from(srgb8(v))), key);
         let screen = coded([work.screen[0][i], work.screen[1][i], work.screen[2][i]]);
-        let object = coded([work.around[0][i], work.around[1][i], work.around[2][i]]);
+        let object = coded(work.object_around(i));
         let scale = 1.0 / screen[1].max(LEAST_DIFFERENCE);
         let corner = i - REACH * width - REACH;
         let window = |p: usize| &self.planes[p][corner..corner + (SIDE - 1) * width + SIDE];
@@ -187,17 +248,45 @@ scene::dispatch! {
     /// Solves alpha of the frame that `outline` has loaded once more.
     pub(crate) fn solve(outline: &Outline, work: &mut Workspace, width: usize, key: &Key) {
         let network = &*NETWORK;
-        for &i in &outline.pixels {
-            let i = i as usize;
-            let alpha = work.alpha[i].clamp(LEAST_ALPHA, 1.0 - LEAST_ALPHA);
-            let logit = (alpha / (1.0 - alpha)).ln() + TRUST * network.word(&outline.inputs(work, i, width, key));
-            let alpha = 1.0 / (1.0 + (-logit).exp());
-            // No number in a weight or a pixel can make a matte that is none.
-            work.alpha[i] = match alpha {
-                a if a > 1.0 - CLEAR => 1.0,
-                a if a >= CLEAR => a,
-                _ => 0.0,
-            };
+        let mut inputs = [[0.0; INPUTS]; 2];
+        for pair in outline.pixels.chunks(2) {
+            for (inputs, i) in inputs.iter_mut().zip(pair) {
+                *inputs = outline.inputs(work, *i as usize, width, key);
+            }
+            // The second of the last pair may be left from before.
+            for (word, i) in network.words(&inputs).into_iter().zip(pair) {
+                let alpha = &mut work.alpha[*i as usize];
+                *alpha = told(*alpha, word);
+            }
+        }
+    }
+}
+
+/// Alpha after the network's word.
+#[inline(always)]
+fn told(alpha: f32, word: f32) -> f32 {
+    let alpha = alpha.clamp(LEAST_ALPHA, 1.0 - LEAST_ALPHA);
+    let logit = (alpha / (1.0 - alpha)).ln() + word;
+    // No number in a weight or a pixel can make a matte that is none.
+    match 1.0 / (1.0 + (-logit).exp()) {
+        a if a > 1.0 - CLEAR => 1.0,
+        a if a >= CLEAR => a,
+        _ => 0.0,
+    }
+}
+
+/// Closes what was opened inside of solid parts and is too small for a slit.
+pub(crate) fn close_specks(outline: &Outline, work: &mut Workspace, width: usize) {
+    let opened = |i: &usize| work.band[*i] == 0 && work.alpha[*i] < 0.5;
+    let opened: Vec<usize> = outline.pixels.iter().map(|i| *i as usize).filter(opened).collect();
+    if opened.is_empty() {
+        return;
+    }
+    let open: Vec<u8> = work.alpha.iter().map(|a| u8::from(*a < 0.5)).collect();
+    let (labels, sizes) = components(&open, width);
+    for i in opened {
+        if sizes[labels[i] as usize] < SLIT_PIXELS {
+            work.alpha[i] = 1.0;
         }
     }
 }
@@ -244,6 +333,21 @@ mod tests {
             let apart =
                 straight.pixels().zip(other.pixels()).filter(|(a, b)| a[0].abs_diff(b[0]) > 8).count();
             assert!(apart <= 12, "{name}: {apart} pixels differ");
+        }
+    }
+
+    #[test]
+    fn a_slit_that_was_opened_stays_and_single_pixels_are_closed() {
+        let width = 40;
+        let slit = |i: usize| i % width == 20 && (5..30).contains(&(i / width));
+        let (mut work, mut outline) = (Workspace::default(), Outline::default());
+        work.band = vec![0; 40 * width];
+        let gap = |i: usize| i % width == 30 && (10..14).contains(&(i / width));
+        work.alpha = (0..40 * width).map(|i| if slit(i) || gap(i) { 0.1 } else { 1.0 }).collect();
+        outline.pixels = (0..work.alpha.len() as u32).collect();
+        close_specks(&outline, &mut work, width);
+        for i in 0..work.alpha.len() {
+            assert_eq!(work.alpha[i], if slit(i) { 0.1 } else { 1.0 }, "pixel {i}");
         }
     }
 

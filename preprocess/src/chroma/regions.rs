@@ -1,13 +1,15 @@
 //! What a matte looks like as a whole: the screen's outline, garbage beside it, still things, holes, specks.
 
 use super::alpha::Workspace;
-use super::filters::{components, erode};
+use super::filters::{components, dilate, erode};
 use super::still::Still;
 
 /// Objects smaller than this share of the largest are specks.
 const SPECK_SHARE: f32 = 0.01;
 /// Specks are also smaller than this, pixels.
 const SPECK_PIXELS: usize = 24;
+/// Others so near to a large one are parts of it, pixels.
+const PART_GAP: usize = 8;
 /// Enclosed holes larger than this share of the picture are never closed.
 const HOLE_SHARE: f32 = 0.01;
 /// A hole is one if its mean colour is the screen's up to this share of it: where the screen is seen in other
@@ -238,8 +240,17 @@ fn remove_specks(work: &mut Workspace, width: usize) {
     let (labels, sizes) = components(&solid, width);
     let largest = sizes.iter().copied().max().unwrap_or(0);
     let least = ((SPECK_SHARE * largest as f32) as usize).max(SPECK_PIXELS.min(largest));
+    let small: Vec<bool> = sizes.iter().map(|s| *s < least).collect();
+    let mut parts = vec![false; sizes.len()];
+    if sizes.iter().zip(&small).any(|(s, small)| *small && *s >= SPECK_PIXELS) {
+        // Rods whose foot is lost in shadow or blur.
+        let large: Vec<u8> = labels.iter().map(|l| u8::from(*l != 0 && !small[*l as usize])).collect();
+        for (label, near) in labels.iter().zip(&dilate(&large, width, PART_GAP)) {
+            parts[*label as usize] |= *near != 0 && sizes[*label as usize] >= SPECK_PIXELS;
+        }
+    }
     for (alpha, label) in work.alpha.iter_mut().zip(&labels) {
-        if sizes[*label as usize] < least {
+        if small[*label as usize] && !parts[*label as usize] {
             *alpha = 0.0;
         }
     }
@@ -248,6 +259,25 @@ fn remove_specks(work: &mut Workspace, width: usize) {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_rod_whose_foot_is_lost_stays_and_what_lies_apart_goes() {
+        let (width, height) = (120, 90);
+        let mut work = Workspace::default();
+        work.alpha = (0..width * height)
+            .map(|i| {
+                let (x, y) = (i % width, i / width);
+                let body = (15..85).contains(&x) && (40..88).contains(&y);
+                let (rod, far) = (x == 50 && (8..36).contains(&y), x == 110 && (8..36).contains(&y));
+                let speck = x == 89 && (50..60).contains(&y);
+                f32::from(u8::from(body || rod || far || speck))
+            })
+            .collect();
+        remove_specks(&mut work, width);
+        let alpha = |x: usize, y: usize| work.alpha[y * width + x];
+        assert_eq!([alpha(50, 20), alpha(40, 60)], [1.0; 2], "the rod four pixels above the body, the body");
+        assert_eq!([alpha(110, 20), alpha(89, 55)], [0.0; 2], "a rod elsewhere, ten pixels near the body");
+    }
 
     #[test]
     fn the_hull_bridges_the_object_and_leaves_out_what_is_beside_the_screen() {
