@@ -194,7 +194,6 @@ def main():
     parser.add_argument("renders")
     parser.add_argument("folder")
     parser.add_argument("--every", type=int, default=1, help="film only every k-th frame")
-    parser.add_argument("--exposure", type=float, default=1.0, help="light on the sensor, of the case's")
     parser.add_argument("--blue", action="store_true", help="exchange green and blue light")
     parser.add_argument("--takes", type=int, default=1, help="stills that are the mean of so many other draws of the noise, as PNG: what no rendering can do better than")
     parser.add_argument("--crf", type=int, help="quality of the video (x264), instead of the case's")
