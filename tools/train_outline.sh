@@ -1,10 +1,10 @@
 #!/usr/bin/env bash
 # Films what the key's outline is learnt from and trains it (decision 0027).
-#   bash tools/train_outline.sh FOLDER [SATELLITES [SCENES [EPOCHS]]]      ("SEEDS", 140, 7)
+#   bash tools/train_outline.sh FOLDER ["SEED..." [SCENES [EPOCHS]]]      (130 satellites, 140 scenes, 7)
 # Writes FOLDER/outline.f32; copy it to preprocess/src/chroma/ to use it. What is filmed already is kept: stop it and start it again at will. Some two
 # hours of two cores, 15 GB of disk and 10 of memory. Needs blender, ffmpeg, and python3 with numpy, scipy and pillow (PYTHON=...).
 set -euo pipefail
-out=$(realpath -m "${1:?usage: train_outline.sh FOLDER [SATELLITES [SCENES [EPOCHS]]]}")
+out=$(realpath -m "${1:?usage: train_outline.sh FOLDER [SEEDS [SCENES [EPOCHS]]]}")
 cd "$(dirname "$0")/.."
 seeds=${2:-$(echo {1..58} {71..94} {101..148})} scenes=${3:-140} epochs=${4:-7} python=${PYTHON:-python3} every=18
 

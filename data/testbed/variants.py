@@ -13,8 +13,7 @@ import materials as m
 import satellite
 import shapes as s
 
-
-TRIMMED = 100
+TRIMMED = 100  # first seed of those with rails, plates and frames
 
 
 def build(seed):
@@ -120,7 +119,7 @@ def _array(rng, parent, side, size, trimmed):
         middle = side * (width / 2 + panel * (width + slit))
         s.box("panel", (width, height, 0.008), (middle, 0, 0), back, hinge)
         s.sheet("cells", width - 0.008, height - 0.008, cells, hinge, (middle, 0, 0.0045))
-        if trimmed and framed:
+        if framed:
             for k in (-1, 1):
                 s.box("frame", (wide, height + wide, 0.011), (middle + k * width / 2, 0, 0), edge, hinge)
                 s.box("frame", (width + wide, wide, 0.011), (middle, k * height / 2, 0), edge, hinge)

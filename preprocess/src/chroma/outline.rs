@@ -134,7 +134,8 @@ pub(crate) struct Outline {
     pixels: Vec<u32>,
     /// Where the pixels of a window lie, seen in each of eight ways.
     ways: Vec<[u32; SIDE * SIDE]>,
-    mean: Vec<f32>,
+    /// Sums of luma over a window, and scratch for them.
+    sums: Vec<f32>,
     rows: Vec<f32>,
 }
 
@@ -154,7 +155,7 @@ impl Outline {
         let hue = |rgb: [f32; 3]| dot(key.along, rgb);
         let least = SLIT_SHARE * hue(key.colour.map(|v| f32::from(srgb8(v))));
         for i in rect.rows(width).flatten().filter(|i| work.alpha[*i] >= SOFT.end) {
-            let dark = self.planes[0][i] * ((SIDE * SIDE) as f32) < SLIT_LUMA * self.mean[i];
+            let dark = self.planes[0][i] * ((SIDE * SIDE) as f32) < SLIT_LUMA * self.sums[i];
             near[i] |= u8::from(dark && hue(byte_rgb(rgb, i)) > least);
         }
         let height = work.alpha.len() / width;
@@ -171,7 +172,7 @@ impl Outline {
 
     /// Loads the planes of a picture but the last, and sums luma around.
     fn see(&mut self, rgb: &[u8], key: &Key, rect: &Rect, width: usize) {
-        for plane in self.planes.iter_mut().chain([&mut self.mean]) {
+        for plane in self.planes.iter_mut().chain([&mut self.sums]) {
             plane.resize(rgb.len() / 3, 0.0);
         }
         for i in rect.rows(width).flatten() {
@@ -181,9 +182,9 @@ impl Outline {
             self.planes[2][i] = across;
         }
         for row in rect.rows(width) {
-            self.mean[row.clone()].copy_from_slice(&self.planes[0][row]);
+            self.sums[row.clone()].copy_from_slice(&self.planes[0][row]);
         }
-        box_sum_running(&mut self.mean, width, rect, REACH, &mut self.rows);
+        box_sum_running(&mut self.sums, width, rect, REACH, &mut self.rows);
     }
 
     /// The pixels that are asked about.
@@ -334,6 +335,28 @@ mod tests {
                 straight.pixels().zip(other.pixels()).filter(|(a, b)| a[0].abs_diff(b[0]) > 8).count();
             assert!(apart <= 12, "{name}: {apart} pixels differ");
         }
+    }
+
+    #[test]
+    fn slits_of_solid_parts_are_asked_about_and_other_dark_lines_are_not() {
+        let (width, height) = (60, 40);
+        let key = Key::new([0.02, 0.4, 0.05], 1.0 / 3f32.sqrt()).unwrap();
+        let panel = |i: usize| (10..50).contains(&(i % width)) && (8..32).contains(&(i / width));
+        let rgb: Vec<u8> = (0..width * height)
+            .flat_map(|i| match i % width {
+                _ if !panel(i) => [40, 170, 60],
+                30 => [90, 125, 80],
+                20 => [90, 90, 90],
+                _ => [210, 205, 200],
+            })
+            .collect();
+        let (mut work, mut outline) = (Workspace::default(), Outline::default());
+        work.alpha = (0..width * height).map(|i| f32::from(u8::from(panel(i)))).collect();
+        work.still = vec![0; width * height];
+        outline.load(&work, &rgb, width, &key, 0);
+        let asked = |x: usize| outline.pixels().contains(&((20 * width + x) as u32));
+        assert!(asked(30) && !asked(20) && !asked(40), "slit, grey line, panel");
+        assert!(asked(9) && asked(10) && !asked(7), "both sides of the outline, screen");
     }
 
     #[test]
