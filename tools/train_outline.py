@@ -1,12 +1,12 @@
 """Trains the network that solves the key's outline once more (preprocess/src/chroma/outline.rs). Needs numpy.
 
     target/release/examples/outline_samples SAMPLES FOLDER...       (again for more files)
-    python3 tools/train_outline.py WEIGHTS SAMPLES... [--test SAMPLES...] [--epochs 7] [--most 9500000]
+    python3 tools/train_outline.py WEIGHTS SAMPLES... [--test SAMPLES...] [--epochs 22] [--most 9000000]
 
 Rows of samples are inputs, alpha of the key, true alpha (little-endian f32). Two hidden layers of rectified units; the network's output
 is added to the logit of the key's alpha. Cross entropy against the true alpha, AdamW (Loshchilov & Hutter 2019), one cycle of the step.
 Inputs x are taken as (x - mean) scale, at most 4 either way. WEIGHTS: mean, scale, W1 [inputs, 96], b1, W2 [96, 32], b2, w3 [32], b3, little-endian f32.
-Ten million rows take 9 GB of memory and some 5 minutes.
+Ten million rows take 9 GB of memory and some 35 seconds an epoch.
 """
 
 import argparse
@@ -107,8 +107,8 @@ def main():
     parser.add_argument("weights")
     parser.add_argument("samples", nargs="+")
     parser.add_argument("--test", nargs="*", default=[])
-    parser.add_argument("--epochs", type=int, default=7)
-    parser.add_argument("--most", type=int, default=9_500_000, help="rows of each file")
+    parser.add_argument("--epochs", type=int, default=22)
+    parser.add_argument("--most", type=int, default=9_000_000, help="rows of each file")
     options = parser.parse_args()
     data = rows(options.samples, options.most)
     print(f"{len(data)} rows")

@@ -2,8 +2,11 @@
 
 use super::colour::{Key, LINEAR, dot, luminance, srgb8};
 use super::field::Field;
-use super::filters::{Rect, box_sum, box_sum_running, components, dilate, erode, smooth};
+use super::filters::{
+    Rect, box_sum, box_sum_running, components, dilate, erode, set_pixels, smooth, smooth_within,
+};
 use super::light::without_glare;
+use super::reused::Mask;
 use super::still::Still;
 
 /// Radius of the neighbourhood from which the colour of the foreground is learnt, pixels.
@@ -66,7 +69,7 @@ pub(crate) struct Workspace {
     /// What always stands there, other than the screen.
     pub still: Vec<u8>,
     /// Screen in whatever light: far enough from the object that it cannot be mixed with it.
-    pub shaded: Vec<u8>,
+    pub shaded: Mask,
     /// Foreground colour of the neighbourhood.
     pub around: [Vec<f32>; 3],
     weights: Vec<f32>,
@@ -75,7 +78,7 @@ pub(crate) struct Workspace {
     rim: [Vec<f32>; 2],
     rows: Vec<f32>,
     pub mean: Vec<f32>,
-    not_screen: Vec<u8>,
+    not_screen: Mask,
     /// The matte, 0 to 1.
     pub alpha: Vec<f32>,
     /// Pixels that are neither surely screen nor surely object.
@@ -100,7 +103,7 @@ impl Workspace {
         let noise = self.noise();
         let threshold = 1.0 - MIN_DEPARTURE.max(5.0 * noise.share);
         let departs = |s: &f32| (*s < threshold) | (*s > 2.0 - threshold + 0.1);
-        let seeds: Vec<u8> = self
+        let seeds: Mask = self
             .smoothed
             .iter()
             .zip(&self.shaded)
@@ -108,13 +111,13 @@ impl Workspace {
             .collect();
         let mut not_screen = dilate(&seeds, width, 2);
         self.drop_faint_regions(&mut not_screen, width);
-        let mut solid: Vec<u8> = self.smoothed.iter().map(|s| u8::from(*s < 0.5)).collect();
+        let mut solid: Mask = self.smoothed.iter().map(|s| u8::from(*s < 0.5)).collect();
         let mut core = erode(&solid, width, 2);
         self.open_slits(&mut solid, &mut core, width, key);
         self.band.clear();
         self.band.extend(not_screen.iter().zip(&core).map(|(n, c)| n & (1 - c)));
         self.in_band.clear();
-        self.in_band.extend((0..self.band.len() as u32).filter(|i| self.band[*i as usize] != 0));
+        self.in_band.extend(set_pixels(&self.band).map(|i| i as u32));
         let interior = erode(&solid, width, 1);
         self.measure_screen_beside(&not_screen, width, key);
         let rect = Rect::around(&not_screen, width, REACH);
@@ -130,43 +133,46 @@ impl Workspace {
     /// looks like a tint of the bright parts. What keeps [`SLIT_SHARE`] of the screen's colour difference in coded values is solved, not solid.
     fn open_slits(&self, solid: &mut [u8], core: &mut [u8], width: usize, key: &Key) {
         let coded = |rgb: [f32; 3]| key.difference(rgb.map(|v| f32::from(srgb8(v))));
-        let is_open = |i: usize| coded(self.pixel(i)) > SLIT_SHARE * coded(self.light(i)).max(1.0);
-        let slits: Vec<u8> = (0..core.len()).map(|i| u8::from(core[i] != 0 && is_open(i))).collect();
-        solid.iter_mut().zip(&slits).for_each(|(s, slit)| *s &= 1 - slit);
+        let mut slits = Mask::filled(0, core.len());
+        for i in set_pixels(core) {
+            let kept = coded(self.pixel(i));
+            // Most of the object keeps nothing, whatever the screen's light.
+            if kept > SLIT_SHARE && kept > SLIT_SHARE * coded(self.light(i)) {
+                (slits[i], solid[i]) = (1, 0);
+            }
+        }
         core.iter_mut().zip(&dilate(&slits, width, SLIT_RIM)).for_each(|(c, near)| *c &= 1 - near);
     }
 
     /// Pixels far from everything that departs from the screen.
-    pub fn surely_screen(&self) -> Vec<u8> {
+    pub fn surely_screen(&self) -> Mask {
         self.not_screen.iter().map(|v| u8::from(*v == 0)).collect()
     }
 
     /// Loads a frame and the light of the empty screen of its own.
     pub fn load_before_field(&mut self, rgb: &[u8], width: usize, key: &Key, field: &Field) {
         self.make_room(rgb.len() / 3);
-        let (table, mut row) = (&*LINEAR, Vec::new());
+        let mut row = Vec::new();
         for (y, line) in rgb.chunks_exact(3 * width).enumerate() {
             field.row(y, width, &mut row);
-            for (x, (p, light)) in line.chunks_exact(3).zip(&row).enumerate() {
-                let linear = [table[usize::from(p[0])], table[usize::from(p[1])], table[usize::from(p[2])]];
-                self.put(y * width + x, linear, [light[0], light[1], light[2]], key);
+            let pixels = y * width..(y + 1) * width;
+            for (c, plane) in self.screen.iter_mut().enumerate() {
+                plane[pixels.clone()].iter_mut().zip(&row).for_each(|(v, light)| *v = light[c]);
             }
+            self.load(line, pixels, key);
         }
     }
 
     /// Loads a frame of a camera that stands still; what always stands there counts as screen.
     pub fn load_before_plate(&mut self, rgb: &[u8], key: &Key, still: &Still, keep_pole: bool) {
         self.make_room(rgb.len() / 3);
-        let table = &*LINEAR;
-        for (i, p) in rgb.chunks_exact(3).enumerate() {
-            let linear = [table[usize::from(p[0])], table[usize::from(p[1])], table[usize::from(p[2])]];
-            self.put(i, linear, [still.plate[0][i], still.plate[1][i], still.plate[2][i]], key);
-            if still.things[i].is_none() && !still.pole[i] && still.before_screen[i] {
-                continue;
-            }
-            let likeness = still.likeness(i, [p[0], p[1], p[2]], keep_pole);
+        self.screen.iter_mut().zip(&still.plate).for_each(|(plane, light)| plane.copy_from_slice(light));
+        self.load(rgb, 0..rgb.len() / 3, key);
+        for &i in &still.others {
+            let i = i as usize;
+            let likeness = still.likeness(i, [rgb[3 * i], rgb[3 * i + 1], rgb[3 * i + 2]], keep_pole);
             if likeness > 0.0 {
-                (0..3).for_each(|c| self.screen[c][i] += likeness * (linear[c] - self.screen[c][i]));
+                (0..3).for_each(|c| self.screen[c][i] += likeness * (self.image[c][i] - self.screen[c][i]));
                 self.share[i] += likeness * (1.0 - self.share[i]);
                 self.total[i] += likeness * (1.0 - self.total[i]);
                 self.still[i] = 1;
@@ -184,14 +190,22 @@ impl Workspace {
         self.still.resize(n, 0);
     }
 
-    #[inline(always)]
-    fn put(&mut self, i: usize, linear: [f32; 3], light: [f32; 3], key: &Key) {
-        for c in 0..3 {
-            self.image[c][i] = linear[c];
-            self.screen[c][i] = light[c];
+    /// Loads some pixels and measures them by the screen's light, which is there already.
+    fn load(&mut self, rgb: &[u8], pixels: std::ops::Range<usize>, key: &Key) {
+        let table = &*LINEAR;
+        for (c, plane) in self.image.iter_mut().enumerate() {
+            let values = plane[pixels.clone()].iter_mut().zip(rgb.chunks_exact(3));
+            values.for_each(|(v, p)| *v = table[usize::from(p[c])]);
         }
-        self.share[i] = key.difference(linear) / (key.difference(light) + 1e-6);
-        self.total[i] = (linear[0] + linear[1] + linear[2]) / (light[0] + light[1] + light[2] + 1e-6);
+        let [r, g, b] = self.image.each_ref().map(|plane| &plane[pixels.clone()]);
+        let [screen_r, screen_g, screen_b] = self.screen.each_ref().map(|plane| &plane[pixels.clone()]);
+        let image = r.iter().zip(g).zip(b).map(|((r, g), b)| [*r, *g, *b]);
+        let screen = screen_r.iter().zip(screen_g).zip(screen_b).map(|((r, g), b)| [*r, *g, *b]);
+        let told = self.share[pixels.clone()].iter_mut().zip(&mut self.total[pixels]);
+        for ((share, total), (seen, light)) in told.zip(image.zip(screen)) {
+            *share = key.difference(seen) / (key.difference(light) + 1e-6);
+            *total = (seen[0] + seen[1] + seen[2]) / (light[0] + light[1] + light[2] + 1e-6);
+        }
     }
 
     /// Foreground colour of the neighbourhood of any pixel.
@@ -245,16 +259,16 @@ impl Workspace {
     fn drop_faint_regions(&self, mask: &mut [u8], width: usize) {
         let (labels, sizes) = components(mask, width);
         let mut peak = vec![0.0_f32; sizes.len()];
-        for (label, s) in labels.iter().zip(&self.smoothed) {
-            let departure = 1.0 - s;
-            if departure > peak[*label as usize] {
-                peak[*label as usize] = departure;
+        for i in set_pixels(mask) {
+            let (departure, peak) = (1.0 - self.smoothed[i], &mut peak[labels[i] as usize]);
+            if departure > *peak {
+                *peak = departure;
             }
         }
-        for (m, label) in mask.iter_mut().zip(&labels) {
-            if peak[*label as usize] < MIN_PEAK {
-                *m = 0;
-            }
+        if peak[1..].iter().any(|p| *p < MIN_PEAK) {
+            mask.iter_mut()
+                .zip(&labels)
+                .for_each(|(m, label)| *m &= u8::from(peak[*label as usize] >= MIN_PEAK));
         }
     }
 
@@ -330,9 +344,9 @@ impl Workspace {
     /// how well it can tell (inverse variance).
     fn solve_band(&mut self, noise: Noise, width: usize, rect: &Rect) {
         self.rim[0].fill(1.0);
-        self.ask_chroma(width);
+        self.ask_chroma(width, rect);
         self.light_rim(width, rect);
-        self.ask_chroma(width);
+        self.ask_chroma(width, rect);
         for &i in &self.in_band {
             let i = i as usize;
             let alpha = self.rim_alpha(i);
@@ -350,12 +364,12 @@ impl Workspace {
 
     /// Alpha from chroma alone, into `mean`. Chroma is sampled at every other pixel: smoothing over 3 × 3 costs no detail and removes
     /// the steps.
-    fn ask_chroma(&mut self, width: usize) {
+    fn ask_chroma(&mut self, width: usize, rect: &Rect) {
         for &i in &self.in_band {
             let i = i as usize;
             self.alpha[i] = self.first_alpha(i).clamp(-0.2, 1.2);
         }
-        smooth(&self.alpha, width, &mut self.mean);
+        smooth_within(&self.alpha, width, rect, &mut self.mean);
     }
 
     fn rim_alpha(&self, i: usize) -> f32 {

@@ -40,19 +40,17 @@ impl Field {
         mut accept: impl FnMut([f32; 3], usize, usize) -> Option<f32>,
     ) -> Option<Self> {
         let height = rgb.len() / 3 / width;
-        let mut sums = Sums::new(width, height, CELL);
+        let (table, mut sums) = (&*LINEAR, Sums::new(width, height, CELL));
         for (y, line) in rgb.chunks_exact(3 * width).enumerate() {
             // Every second pixel of every second row tells enough.
             if y % 2 == 1 {
                 continue;
             }
-            for (x, p) in line.chunks_exact(3).enumerate().step_by(2) {
-                let linear =
-                    [LINEAR[usize::from(p[0])], LINEAR[usize::from(p[1])], LINEAR[usize::from(p[2])]];
-                if let Some(d) = accept(linear, x, y) {
-                    sums.add(x, y, [linear[0], linear[1], linear[2], d]);
-                }
-            }
+            sums.add_row(y, |x| {
+                let p = &line[3 * x..3 * x + 3];
+                let linear = [table[usize::from(p[0])], table[usize::from(p[1])], table[usize::from(p[2])]];
+                accept(linear, x, y).map(|d| [linear[0], linear[1], linear[2], d])
+            });
         }
         let rounds = 2 * (width + height) / CELL;
         sums.filled(NEEDED, rounds).map(Self)

@@ -1,5 +1,7 @@
 //! Small image filters on float and byte planes, row-major; windows are cut at the border.
 
+use super::reused::{Mask, Reused};
+
 /// A part of a picture: columns and rows.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct Rect {
@@ -14,7 +16,7 @@ impl Rect {
     pub fn around(mask: &[u8], width: usize, margin: usize) -> Self {
         let mut x = std::ops::Range { start: width, end: 0 }; // empty until a pixel is seen
         let mut y = std::ops::Range { start: usize::MAX, end: 0 };
-        for (row, line) in mask.chunks_exact(width).enumerate() {
+        for (row, line) in mask.chunks_exact(width).enumerate().filter(|(_, line)| !is_empty(line)) {
             if let (Some(a), Some(b)) =
                 (line.iter().position(|v| *v != 0), line.iter().rposition(|v| *v != 0))
             {
@@ -37,12 +39,34 @@ impl Rect {
         let x = self.x.clone();
         self.y.clone().map(move |y| y * width + x.start..y * width + x.end)
     }
+
+    /// A mask of its pixels alone, row by row.
+    pub fn mask(&self, width: usize, is_set: impl Fn(usize) -> bool) -> Mask {
+        let mut mask = Mask::filled(0, self.x.len() * self.y.len());
+        for (line, row) in mask.chunks_exact_mut(self.x.len().max(1)).zip(self.rows(width)) {
+            line.iter_mut().zip(row).for_each(|(v, i)| *v = u8::from(is_set(i)));
+        }
+        mask
+    }
+}
+
+/// Whether nothing is set.
+fn is_empty(mask: &[u8]) -> bool {
+    mask.iter().fold(0, |all, v| all | v) == 0
+}
+
+/// Indices of what is set, in order.
+pub(crate) fn set_pixels(mask: &[u8]) -> impl Iterator<Item = usize> {
+    const RUN: usize = 64;
+    mask.chunks(RUN)
+        .enumerate()
+        .filter(|(_, run)| !is_empty(run))
+        .flat_map(|(k, run)| run.iter().enumerate().filter(|(_, v)| **v != 0).map(move |(j, _)| RUN * k + j))
 }
 
 /// Sums over windows of `(2r + 1)²` that lie in `rect` (outside of it values count as 0), in place; `scratch` is reused.
 pub(crate) fn box_sum(plane: &mut [f32], width: usize, rect: &Rect, r: usize, scratch: &mut Vec<f32>) {
     let (w, h) = (rect.x.len(), rect.y.len());
-    scratch.clear();
     scratch.resize(w * h, 0.0);
     for (y, target) in rect.y.clone().zip(scratch.chunks_exact_mut(w.max(1))) {
         let source = &plane[y * width + rect.x.start..][..w];
@@ -55,10 +79,9 @@ pub(crate) fn box_sum(plane: &mut [f32], width: usize, rect: &Rect, r: usize, sc
     // Summed anew for every row: a running sum would leave rounding errors larger than the smallest weights.
     for y in 0..h {
         let target = &mut plane[(rect.y.start + y) * width + rect.x.start..][..w];
-        target.fill(0.0);
-        for row in scratch[y.saturating_sub(r) * w..(y + r + 1).min(h) * w].chunks_exact(w) {
-            add(target, row);
-        }
+        let (first, rest) = scratch[y.saturating_sub(r) * w..(y + r + 1).min(h) * w].split_at(w);
+        target.copy_from_slice(first);
+        rest.chunks_exact(w).for_each(|row| add(target, row));
     }
 }
 
@@ -72,7 +95,6 @@ pub(crate) fn box_sum_running(
     scratch: &mut Vec<f32>,
 ) {
     let (w, h) = (rect.x.len(), rect.y.len());
-    scratch.clear();
     scratch.resize(w * h, 0.0);
     for (y, target) in rect.y.clone().zip(scratch.chunks_exact_mut(w.max(1))) {
         let source = &plane[y * width + rect.x.start..][..w];
@@ -104,35 +126,45 @@ fn add(sums: &mut [f32], row: &[f32]) {
 
 /// Binomial 3 × 3 smoothing; the border repeats.
 pub(crate) fn smooth(plane: &[f32], width: usize, out: &mut Vec<f32>) {
-    let height = plane.len() / width;
-    out.clear();
+    smooth_within(plane, width, &Rect { x: 0..width, y: 0..plane.len() / width }, out);
+}
+
+/// The same in the rows and columns of `rect` only, beside which values count as those at its border.
+pub(crate) fn smooth_within(plane: &[f32], width: usize, rect: &Rect, out: &mut Vec<f32>) {
     out.resize(plane.len(), 0.0);
-    let mut column = vec![0.0_f32; width + 2];
-    for y in 0..height {
-        let (up, down) = (y.saturating_sub(1), (y + 1).min(height - 1));
-        let rows = [up, y, down].map(|y| &plane[y * width..][..width]);
-        for (x, c) in column[1..=width].iter_mut().enumerate() {
+    let (w, last) = (rect.x.len(), rect.y.end.saturating_sub(1));
+    if w == 0 {
+        return;
+    }
+    let mut column = vec![0.0_f32; w + 2];
+    for y in rect.y.clone() {
+        let (up, down) = (y.saturating_sub(1).max(rect.y.start), (y + 1).min(last));
+        let rows = [up, y, down].map(|y| &plane[y * width + rect.x.start..][..w]);
+        for (x, c) in column[1..=w].iter_mut().enumerate() {
             *c = 0.25 * (rows[0][x] + rows[2][x]) + 0.5 * rows[1][x];
         }
         column[0] = column[1];
-        column[width + 1] = column[width];
-        for (x, o) in out[y * width..][..width].iter_mut().enumerate() {
+        column[w + 1] = column[w];
+        for (x, o) in out[y * width + rect.x.start..][..w].iter_mut().enumerate() {
             *o = 0.25 * (column[x] + column[x + 2]) + 0.5 * column[x + 1];
         }
     }
 }
 
 /// Grows the non-zero part of a byte mask by `r` pixels in every direction (a square).
-pub(crate) fn dilate(mask: &[u8], width: usize, r: usize) -> Vec<u8> {
+pub(crate) fn dilate(mask: &[u8], width: usize, r: usize) -> Mask {
     let height = mask.len() / width;
-    let mut rows = mask.to_vec();
+    let mut rows = Mask::of(mask);
+    if r == 0 {
+        return rows;
+    }
     for d in 1..=r.min(width.saturating_sub(1)) {
         for (source, target) in mask.chunks_exact(width).zip(rows.chunks_exact_mut(width)) {
             target[d..].iter_mut().zip(source).for_each(|(t, s)| *t |= s);
             target.iter_mut().zip(&source[d..]).for_each(|(t, s)| *t |= s);
         }
     }
-    let mut out = rows.clone();
+    let mut out = Mask::of(&rows);
     for d in 1..=r.min(height.saturating_sub(1)) {
         out[d * width..].iter_mut().zip(&rows).for_each(|(t, s)| *t |= s);
         out.iter_mut().zip(&rows[d * width..]).for_each(|(t, s)| *t |= s);
@@ -141,8 +173,8 @@ pub(crate) fn dilate(mask: &[u8], width: usize, r: usize) -> Vec<u8> {
 }
 
 /// Shrinks the non-zero part by `r` pixels; the border does not shrink it.
-pub(crate) fn erode(mask: &[u8], width: usize, r: usize) -> Vec<u8> {
-    let mut out: Vec<u8> = mask.iter().map(|v| u8::from(*v == 0)).collect();
+pub(crate) fn erode(mask: &[u8], width: usize, r: usize) -> Mask {
+    let mut out: Mask = mask.iter().map(|v| u8::from(*v == 0)).collect();
     out = dilate(&out, width, r);
     out.iter_mut().for_each(|v| *v = u8::from(*v == 0));
     out
@@ -150,15 +182,15 @@ pub(crate) fn erode(mask: &[u8], width: usize, r: usize) -> Vec<u8> {
 
 /// Connected regions (8 neighbours) of the non-zero part: a label for every pixel (0 outside) and, by label, the
 /// number of pixels; element 0 is unused. Works on runs of pixels: rows are joined where runs touch.
-pub(crate) fn components(mask: &[u8], width: usize) -> (Vec<u32>, Vec<usize>) {
-    let mut labels = vec![0_u32; mask.len()];
+pub(crate) fn components(mask: &[u8], width: usize) -> (Reused<u32>, Vec<usize>) {
+    let mut labels = Reused::filled(0, mask.len());
     let mut parent = vec![0_u32];
     // Runs of the whole picture: first pixel, end, label; and those of the row above.
     let mut runs: Vec<(usize, usize, u32)> = Vec::new();
     let mut above = 0..0;
     for (y, row) in mask.chunks_exact(width).enumerate() {
         let (first, base) = (runs.len(), y * width);
-        let (mut x, mut candidate) = (0, above.start);
+        let (mut x, mut candidate) = (if is_empty(row) { width } else { 0 }, above.start);
         while let Some(start) = row[x..].iter().position(|v| *v != 0).map(|d| x + d) {
             x = row[start..].iter().position(|v| *v == 0).map_or(width, |d| start + d);
             // Runs above that end before this one's left neighbour can touch none of the later ones either.
@@ -225,6 +257,15 @@ mod tests {
         assert_eq!(Rect::around(&[0, 0, 0, 0, 1, 0, 0, 0, 0], 3, 1), Rect { x: 0..3, y: 0..3 });
         box_sum(&mut [1.0], 1, &Rect::around(&[0], 1, 3), 3, &mut Vec::new());
         box_sum_running(&mut [1.0], 1, &Rect::around(&[0], 1, 3), 3, &mut Vec::new());
+    }
+
+    #[test]
+    fn what_is_set_is_found_in_order() {
+        let mask: Vec<u8> =
+            (0..1000).map(|i| u8::from(i == 0 || i == 999 || (300..390).contains(&i))).collect();
+        let wanted: Vec<usize> = (0..1000).filter(|i| mask[*i] != 0).collect();
+        assert_eq!(set_pixels(&mask).collect::<Vec<_>>(), wanted);
+        assert_eq!(set_pixels(&[]).count(), 0);
     }
 
     #[test]

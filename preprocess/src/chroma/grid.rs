@@ -12,6 +12,7 @@ pub(crate) struct Grid<const C: usize> {
 /// Sums from which a [`Grid`] is made.
 pub(crate) struct Sums<const C: usize> {
     sums: Vec<([f32; C], u32)>,
+    width: usize,
     columns: usize,
     side: usize,
 }
@@ -20,7 +21,7 @@ impl<const C: usize> Sums<C> {
     /// Empty cells of `side` pixels over a picture.
     pub fn new(width: usize, height: usize, side: usize) -> Self {
         let (columns, rows) = (width.div_ceil(side), height.div_ceil(side));
-        Self { sums: vec![([0.0; C], 0); columns * rows], columns, side }
+        Self { sums: vec![([0.0; C], 0); columns * rows], width, columns, side }
     }
 
     /// Counts a pixel.
@@ -31,6 +32,23 @@ impl<const C: usize> Sums<C> {
             *s += v;
         }
         *count += 1;
+    }
+
+    /// Counts every second pixel of row `y` that has a value.
+    #[inline(always)]
+    pub fn add_row(&mut self, y: usize, mut value: impl FnMut(usize) -> Option<[f32; C]>) {
+        let row = &mut self.sums[y / self.side * self.columns..][..self.columns];
+        let mut x = 0;
+        for (cell, (sum, count)) in row.iter_mut().enumerate() {
+            let end = ((cell + 1) * self.side).min(self.width);
+            while x < end {
+                if let Some(value) = value(x) {
+                    (0..C).for_each(|k| sum[k] += value[k]);
+                    *count += 1;
+                }
+                x += 2;
+            }
+        }
     }
 
     /// Means of the cells that hold at least `needed` pixels; the others are filled from their neighbours, layer by
@@ -50,24 +68,26 @@ impl<const C: usize> Sums<C> {
 impl<const C: usize> Grid<C> {
     /// The values along a row of pixels.
     pub fn row(&self, y: usize, width: usize, out: &mut Vec<[f32; C]>) {
+        let p = ((y as f32 + 0.5) / self.side as f32 - 0.5).clamp(0.0, (self.rows - 1) as f32);
+        let top = (p as usize).min(self.rows.saturating_sub(2));
+        let (ty, bottom) = (p - top as f32, (top + 1).min(self.rows - 1));
+        let cells = [top, bottom].map(|row| &self.cells[row * self.columns..][..self.columns]);
+        let between = |a: &[f32; C], b: &[f32; C], t: f32| {
+            let mut v = *a;
+            (0..C).for_each(|k| v[k] += t * (b[k] - a[k]));
+            v
+        };
+        let line: Vec<[f32; C]> = cells[0].iter().zip(cells[1]).map(|(a, b)| between(a, b, ty)).collect();
         out.clear();
-        let position = |i: usize, n: usize| {
-            let p = ((i as f32 + 0.5) / self.side as f32 - 0.5).clamp(0.0, (n - 1) as f32);
-            let low = (p as usize).min(n.saturating_sub(2));
-            (low, p - low as f32)
-        };
-        let (top, ty) = position(y, self.rows);
-        let bottom = (top + 1).min(self.rows - 1);
-        let column = |c: usize| {
-            let (a, b) = (&self.cells[top * self.columns + c], &self.cells[bottom * self.columns + c]);
-            std::array::from_fn::<f32, C, _>(|k| a[k] + ty * (b[k] - a[k]))
-        };
-        let line: Vec<[f32; C]> = (0..self.columns).map(column).collect();
-        out.extend((0..width).map(|x| {
-            let (left, tx) = position(x, self.columns);
-            let (a, b) = (&line[left], &line[(left + 1).min(self.columns - 1)]);
-            std::array::from_fn(|k| a[k] + tx * (b[k] - a[k]))
-        }));
+        // From the middle of one cell to that of the next, and to the borders.
+        for left in 0..self.columns.saturating_sub(1).max(1) {
+            let end = if left + 2 >= self.columns { width } else { (left + 1) * self.side + self.side / 2 };
+            let (a, b) = (line[left], line[(left + 1).min(self.columns - 1)]);
+            let middle = (left as f32 + 0.5) * self.side as f32 - 0.5;
+            let inverse = 1.0 / self.side as f32;
+            let share = |x: usize| ((x as f32 - middle) * inverse).clamp(0.0, 1.0);
+            out.extend((out.len()..end).map(|x| between(&a, &b, share(x))));
+        }
     }
 }
 

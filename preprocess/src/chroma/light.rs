@@ -3,6 +3,7 @@
 use super::alpha::Workspace;
 use super::filters::{dilate, erode, smooth};
 use super::grid::Sums;
+use super::reused::Mask;
 
 /// Cells in which the light is measured, pixels, and the pixels that one needs.
 const CELL: (usize, u32) = (6, 3);
@@ -23,30 +24,29 @@ impl Workspace {
     /// Finds the screen in whatever light it is (its hue is the screen's, its light any), marks it in `shaded`, and
     /// brings `screen`, `share` and `smoothed` to the light of this frame.
     pub(super) fn take_out_shadows(&mut self, width: usize) {
-        let (mut total, mut once, mut share) = (std::mem::take(&mut self.mean), Vec::new(), Vec::new());
+        let mut total = std::mem::take(&mut self.mean);
+        let [mut once, mut share, other] = std::mem::take(&mut self.around);
         smooth(&self.total, width, &mut once);
         smooth(&once, width, &mut total);
         smooth(&self.smoothed, width, &mut share);
         let opened = |share: &[f32], total: &[f32], radius| {
             let screen =
                 |(s, t): (&f32, &f32)| u8::from((*s > RANGE.start) & (*s < RANGE.end) & (*s > PURITY * t));
-            let candidates: Vec<u8> = share.iter().zip(total).map(screen).collect();
+            let candidates: Mask = share.iter().zip(total).map(screen).collect();
             dilate(&erode(&candidates, width, radius), width, radius)
         };
         self.shaded = opened(&share, &total, OPENING.0);
         let narrow = opened(&self.smoothed, &once, OPENING.1);
         self.shaded.iter_mut().zip(&narrow).for_each(|(s, n)| *s |= n);
-        self.mean = total;
+        (self.mean, self.around) = (total, [once, share, other]);
         let height = self.share.len() / width;
         let near_still = dilate(&self.still, width, 1);
         let mut sums = Sums::<1>::new(width, height, CELL.0);
         for y in (0..height).step_by(2) {
-            for x in (0..width).step_by(2) {
-                let i = y * width + x;
-                if self.shaded[i] != 0 && near_still[i] == 0 {
-                    sums.add(x, y, [self.smoothed[i]]);
-                }
-            }
+            let line = y * width..(y + 1) * width;
+            let (shaded, still) = (&self.shaded[line.clone()], &near_still[line.clone()]);
+            let smoothed = &self.smoothed[line];
+            sums.add_row(y, |x| (shaded[x] > still[x]).then_some([smoothed[x]]));
         }
         let Some(light) = sums.filled(CELL.1, ROUNDS) else { return };
         let mut row = Vec::new();

@@ -11,6 +11,7 @@ mod grid;
 mod light;
 mod outline;
 mod regions;
+mod reused;
 mod spill;
 mod still;
 

@@ -3,7 +3,8 @@
 
 use super::alpha::Workspace;
 use super::colour::{Key, dot, srgb8};
-use super::filters::{Rect, box_sum_running, components, dilate, erode};
+use super::filters::{Rect, box_sum_running, components, dilate, erode, set_pixels};
+use super::reused::Mask;
 use std::sync::LazyLock;
 
 /// The network sees as far, pixels.
@@ -19,7 +20,7 @@ pub(crate) const INPUTS: usize = PATCH + LIGHTS;
 /// Alpha of pixels that are asked about.
 const SOFT: std::ops::Range<f32> = 0.02..0.98;
 /// Slits of a pixel or two keep at least this share of the key's coded colour difference, and less than this of the luma around.
-const SLIT_SHARE: f32 = 0.2;
+const SLIT_SHARE: f32 = 0.1;
 const SLIT_LUMA: f32 = 0.95;
 /// Luma is measured in so many 8-bit levels.
 const LEVELS: f32 = 64.0;
@@ -143,9 +144,8 @@ impl Outline {
     /// Gathers the pixels of a solved and cleaned frame that are asked about: those whose alpha is not clear and so many beside them,
     /// those on either side of a half, and dark ones of solid parts that keep some of the screen's hue: slits.
     pub fn load(&mut self, work: &Workspace, rgb: &[u8], width: usize, key: &Key, beside: usize) {
-        let solid: Vec<u8> = work.alpha.iter().map(|a| u8::from(*a >= 0.5)).collect();
-        let soft: Vec<u8> =
-            work.alpha.iter().map(|a| u8::from((*a > SOFT.start) & (*a < SOFT.end))).collect();
+        let solid: Mask = work.alpha.iter().map(|a| u8::from(*a >= 0.5)).collect();
+        let soft: Mask = work.alpha.iter().map(|a| u8::from((*a > SOFT.start) & (*a < SOFT.end))).collect();
         let (grown, shrunk) = (dilate(&solid, width, 1), erode(&solid, width, 1));
         let mut near = dilate(&soft, width, beside);
         near.iter_mut().zip(grown.iter().zip(&shrunk)).for_each(|(near, (g, s))| *near |= g & (1 - s));
@@ -163,9 +163,9 @@ impl Outline {
             let (x, y) = (i % width, i / width);
             x >= REACH && y >= REACH && x + REACH < width && y + REACH < height
         };
-        let asked = |i: &usize| near[*i] != 0 && work.still[*i] == 0 && inner(*i);
+        let asked = |i: &usize| work.still[*i] == 0 && inner(*i);
         self.pixels.clear();
-        self.pixels.extend((0..near.len()).filter(asked).map(|i| i as u32));
+        self.pixels.extend(set_pixels(&near).filter(asked).map(|i| i as u32));
         self.ways.clear();
         self.ways.extend((0..8).map(|way| offsets(way, width)));
     }
@@ -283,7 +283,7 @@ pub(crate) fn close_specks(outline: &Outline, work: &mut Workspace, width: usize
     if opened.is_empty() {
         return;
     }
-    let open: Vec<u8> = work.alpha.iter().map(|a| u8::from(*a < 0.5)).collect();
+    let open: Mask = work.alpha.iter().map(|a| u8::from(*a < 0.5)).collect();
     let (labels, sizes) = components(&open, width);
     for i in opened {
         if sizes[labels[i] as usize] < SLIT_PIXELS {

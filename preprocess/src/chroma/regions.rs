@@ -1,7 +1,8 @@
 //! What a matte looks like as a whole: the screen's outline, garbage beside it, still things, holes, specks.
 
 use super::alpha::Workspace;
-use super::filters::{components, dilate, erode};
+use super::filters::{Rect, components, dilate, erode};
+use super::reused::Mask;
 use super::still::Still;
 
 /// Objects smaller than this share of the largest are specks.
@@ -27,12 +28,12 @@ const SLIT_SCREEN: f32 = 0.5;
 const SLENDER: f32 = 6.0;
 /// Light in a hole, as a share of the screen's around: the object shades it and throws light on it. Only the colour tells.
 const HOLE_LIGHT: std::ops::Range<f32> = 0.8..1.25;
-/// Pixels beside the pole that are a mixture of it and of what is beside it.
-const POLE_RIM: usize = 2;
+/// Steps across an upright pole.
+const ACROSS: [(i64, i64); 5] = [(1, 0), (2, 1), (2, -1), (4, 1), (4, -1)];
 /// Share of an object that is seen before the screen, at least.
 const BEFORE_SHARE: f32 = 0.2;
 
-/// Cleans `work.alpha` in place.
+/// Cleans `work.alpha` in place; all that is done is done in the rectangle around what is not 0.
 pub(crate) fn clean(work: &mut Workspace, width: usize, still: Option<&Still>, keep_pole: bool) {
     let own;
     let inside = match still {
@@ -42,57 +43,70 @@ pub(crate) fn clean(work: &mut Workspace, width: usize, still: Option<&Still>, k
             &own
         }
     };
-    for (i, alpha) in work.alpha.iter_mut().enumerate() {
+    let seen: Mask = work.alpha.iter().map(|a| u8::from(*a > 0.0)).collect();
+    let rect = Rect::around(&seen, width, 1);
+    if rect.y.is_empty() {
+        return;
+    }
+    for i in rect.rows(width).flatten() {
         // Beside the screen only what is learnt can tell the object from the room.
         if !inside[i] && still.is_none_or(|s| s.things[i].is_none()) {
-            *alpha = 0.0;
+            work.alpha[i] = 0.0;
         }
     }
     if let Some(still) = still.filter(|s| s.cuts_pole(keep_pole)) {
         restore_before_pole(work, width, still);
     }
-    remove_what_lies_beside(work, width, inside);
-    close_reflections(work, width, still);
-    remove_specks(work, width);
+    remove_what_lies_beside(work, width, &rect, inside);
+    close_reflections(work, width, &rect, still);
+    remove_specks(work, width, &rect);
 }
 
-/// What is seen on both sides of the pole, in some direction across it, is seen before it too.
+/// What is seen on both sides of the pole, in some direction across it, is seen before it too. Straight across, the object may end on the
+/// pole's rim; aslant it has to reach beyond: there are specks of shadow on the rim, and a line through two of them runs far along the pole.
 fn restore_before_pole(work: &mut Workspace, width: usize, still: &Still) {
     let (reach, height) = (2 * still.pole_radius() as i64, (work.alpha.len() / width) as i64);
-    let solid: Vec<bool> = work.alpha.iter().map(|a| *a > 0.5).collect();
+    let is_solid = |i: usize| work.alpha[i] > 0.5;
     let meets = |i: usize, (dx, dy): (i64, i64)| {
         let (x, y) = ((i % width) as i64, (i / width) as i64);
-        let mut gap = 0;
         let mut seen = (1..=reach)
             .map(|k| (x + k * dx, y + k * dy))
             .take_while(|(x, y)| (0..width as i64).contains(x) && (0..height).contains(y))
-            .map(|(x, y)| y as usize * width + x as usize)
-            .take_while(|j| {
-                gap += usize::from(!still.pole[*j] && !solid[*j]);
-                gap <= POLE_RIM
-            });
-        seen.any(|j| solid[j])
+            .map(|(x, y)| y as usize * width + x as usize);
+        let aslant = dx * dy != 0;
+        seen.find(|j| !still.near_pole[*j] || (!aslant && !still.pole[*j] && is_solid(*j)))
+            .is_some_and(is_solid)
     };
-    let across = [(1, 0), (0, 1), (1, 1), (1, -1)];
-    for i in (0..solid.len()).filter(|i| still.pole[*i] && !solid[*i]) {
-        if across.iter().any(|&(dx, dy)| meets(i, (dx, dy)) && meets(i, (-dx, -dy))) {
-            work.alpha[i] = 1.0;
-        }
-    }
+    let across = ACROSS.map(|(u, v)| if still.pole_lies { (v, u) } else { (u, v) });
+    let is_before = |i: &usize| {
+        let mut lines = across.iter().map(|&(dx, dy)| ((dx, dy), (-dx, -dy)));
+        still.pole[*i] && !is_solid(*i) && lines.any(|(one, other)| meets(*i, one) && meets(*i, other))
+    };
+    let restored: Vec<usize> = still.others.iter().map(|i| *i as usize).filter(is_before).collect();
+    restored.into_iter().for_each(|i| work.alpha[i] = 1.0);
 }
 
 /// What hardly reaches before the screen is no part of the object.
-fn remove_what_lies_beside(work: &mut Workspace, width: usize, inside: &[bool]) {
-    let solid: Vec<u8> = work.alpha.iter().map(|a| u8::from(*a > 0.02)).collect();
-    let (labels, sizes) = components(&solid, width);
+fn remove_what_lies_beside(work: &mut Workspace, width: usize, rect: &Rect, inside: &[bool]) {
+    let solid = rect.mask(width, |i| work.alpha[i] > 0.02);
+    let (labels, sizes) = components(&solid, rect.x.len());
     let mut before = vec![0_usize; sizes.len()];
-    for (label, inside) in labels.iter().zip(inside) {
-        before[*label as usize] += usize::from(*inside);
+    for (i, label) in rect.rows(width).flatten().zip(&labels) {
+        before[*label as usize] += usize::from(inside[i]);
     }
-    for (alpha, label) in work.alpha.iter_mut().zip(&labels) {
-        let label = *label as usize;
-        if (before[label] as f32) < BEFORE_SHARE * sizes[label] as f32 {
-            *alpha = 0.0;
+    let is_beside = |(before, size): (&usize, &usize)| (*before as f32) < BEFORE_SHARE * *size as f32;
+    let beside: Vec<bool> = before.iter().zip(&sizes).map(is_beside).collect();
+    clear(work, width, rect, &labels, &beside);
+}
+
+/// Takes out what has these labels.
+fn clear(work: &mut Workspace, width: usize, rect: &Rect, labels: &[u32], gone: &[bool]) {
+    if !gone.contains(&true) {
+        return;
+    }
+    for (i, label) in rect.rows(width).flatten().zip(labels) {
+        if gone[*label as usize] {
+            work.alpha[i] = 0.0;
         }
     }
 }
@@ -143,25 +157,23 @@ fn at(chain: &[(i64, i64)], y: i64) -> Option<f64> {
 
 /// Foil mirrors the screen: an enclosed patch that looks like screen but not exactly like the screen at this place
 /// is a part of the object.
-fn close_reflections(work: &mut Workspace, width: usize, still: Option<&Still>) {
-    let open: Vec<u8> = work.alpha.iter().map(|a| u8::from(*a < 0.5)).collect();
-    let (labels, sizes) = components(&open, width);
-    let height = labels.len() / width;
-    let mut enclosed: Vec<bool> =
-        sizes.iter().map(|s| *s > 0 && (*s as f32) < HOLE_SHARE * labels.len() as f32).collect();
-    for x in 0..width {
-        enclosed[labels[x] as usize] = false;
-        enclosed[labels[(height - 1) * width + x] as usize] = false;
+fn close_reflections(work: &mut Workspace, width: usize, rect: &Rect, still: Option<&Still>) {
+    let open = rect.mask(width, |i| work.alpha[i] < 0.5);
+    let (w, h) = (rect.x.len(), rect.y.len());
+    let (labels, sizes) = components(&open, w);
+    let largest = HOLE_SHARE * work.alpha.len() as f32;
+    let mut enclosed: Vec<bool> = sizes.iter().map(|s| *s > 0 && (*s as f32) < largest).collect();
+    let top_and_bottom = (0..w).flat_map(|x| [x, (h - 1) * w + x]);
+    for k in top_and_bottom.chain((0..h).flat_map(|y| [y * w, y * w + w - 1])) {
+        enclosed[labels[k] as usize] = false;
     }
-    for y in 0..height {
-        enclosed[labels[y * width] as usize] = false;
-        enclosed[labels[y * width + width - 1] as usize] = false;
+    if !enclosed.contains(&true) {
+        return;
     }
-    enclosed[0] = false;
-    let mut patches = vec![Patch::default(); sizes.len()];
-    for (i, deep) in erode(&open, width, 2).iter().enumerate().filter(|(i, _)| enclosed[labels[*i] as usize])
-    {
-        let patch = &mut patches[labels[i] as usize];
+    let (mut patches, deep) = (vec![Patch::default(); sizes.len()], erode(&open, w, 2));
+    let seen = rect.rows(width).flatten().zip(labels.iter().zip(&deep));
+    for (i, (label, deep)) in seen.filter(|(_, (label, _))| enclosed[**label as usize]) {
+        let patch = &mut patches[*label as usize];
         patch.add(i % width, i / width, *deep != 0, work.share[i]);
         patch.seen += still.map_or(0.0, |s| if s.outside[i] { 0.0 } else { 1.0 });
         // The rim is mixed with the object and says nothing.
@@ -173,10 +185,8 @@ fn close_reflections(work: &mut Workspace, width: usize, still: Option<&Still>) 
     }
     let closed: Vec<bool> =
         patches.iter().zip(&enclosed).map(|(p, enclosed)| *enclosed && p.is_reflection(still)).collect();
-    for (alpha, label) in work.alpha.iter_mut().zip(&labels) {
-        if closed[*label as usize] {
-            *alpha = 1.0;
-        }
+    for (i, _) in rect.rows(width).flatten().zip(&labels).filter(|(_, label)| closed[**label as usize]) {
+        work.alpha[i] = 1.0;
     }
 }
 
@@ -235,25 +245,20 @@ impl Patch {
     }
 }
 
-fn remove_specks(work: &mut Workspace, width: usize) {
-    let solid: Vec<u8> = work.alpha.iter().map(|a| u8::from(*a > 0.02)).collect();
-    let (labels, sizes) = components(&solid, width);
+fn remove_specks(work: &mut Workspace, width: usize, rect: &Rect) {
+    let solid = rect.mask(width, |i| work.alpha[i] > 0.02);
+    let (labels, sizes) = components(&solid, rect.x.len());
     let largest = sizes.iter().copied().max().unwrap_or(0);
     let least = ((SPECK_SHARE * largest as f32) as usize).max(SPECK_PIXELS.min(largest));
-    let small: Vec<bool> = sizes.iter().map(|s| *s < least).collect();
-    let mut parts = vec![false; sizes.len()];
+    let mut small: Vec<bool> = sizes.iter().map(|s| (1..least).contains(s)).collect();
     if sizes.iter().zip(&small).any(|(s, small)| *small && *s >= SPECK_PIXELS) {
         // Rods whose foot is lost in shadow or blur.
-        let large: Vec<u8> = labels.iter().map(|l| u8::from(*l != 0 && !small[*l as usize])).collect();
-        for (label, near) in labels.iter().zip(&dilate(&large, width, PART_GAP)) {
-            parts[*label as usize] |= *near != 0 && sizes[*label as usize] >= SPECK_PIXELS;
+        let large: Mask = labels.iter().map(|l| u8::from(*l != 0 && !small[*l as usize])).collect();
+        for (label, near) in labels.iter().zip(&dilate(&large, rect.x.len(), PART_GAP)) {
+            small[*label as usize] &= *near == 0 || sizes[*label as usize] < SPECK_PIXELS;
         }
     }
-    for (alpha, label) in work.alpha.iter_mut().zip(&labels) {
-        if small[*label as usize] && !parts[*label as usize] {
-            *alpha = 0.0;
-        }
-    }
+    clear(work, width, rect, &labels, &small);
 }
 
 #[cfg(test)]
@@ -273,10 +278,43 @@ mod tests {
                 f32::from(u8::from(body || rod || far || speck))
             })
             .collect();
-        remove_specks(&mut work, width);
+        remove_specks(&mut work, width, &Rect { x: 0..width, y: 0..height });
         let alpha = |x: usize, y: usize| work.alpha[y * width + x];
         assert_eq!([alpha(50, 20), alpha(40, 60)], [1.0; 2], "the rod four pixels above the body, the body");
         assert_eq!([alpha(110, 20), alpha(89, 55)], [0.0; 2], "a rod elsewhere, ten pixels near the body");
+    }
+
+    #[test]
+    fn an_edge_aslant_goes_on_before_the_pole_and_specks_of_shadow_on_its_rim_do_not_count() {
+        let (width, height) = (400, 400);
+        for lies in [false, true] {
+            let at = |u: usize, v: usize| if lies { u * width + v } else { v * width + u };
+            let (mut work, mut still) = (Workspace::default(), Still { pole_lies: lies, ..Still::default() });
+            let n = width * height;
+            (still.width, still.outside) = (width, vec![false; n]);
+            (work.alpha, still.pole, still.near_pole) = (vec![0.0; n], vec![false; n], vec![false; n]);
+            // The object reaches down to a slanted edge, the pole up to row 20; both are seen in the other's place.
+            let edge = |u: usize| 40.0 + 0.25 * (u as f32 - 40.0);
+            for (u, v) in (0..80).flat_map(|u| (0..80).map(move |v| (u, v))) {
+                still.pole[at(u, v)] = (36..43).contains(&u) && v >= 20;
+                still.near_pole[at(u, v)] = (34..45).contains(&u) && v >= 18;
+                let is_speck = u == 35 && v < 60;
+                let is_object = (v as f32) < edge(u) || is_speck;
+                work.alpha[at(u, v)] = f32::from(u8::from(is_object && !still.pole[at(u, v)]));
+            }
+            still.others = (0..n as u32).filter(|i| still.pole[*i as usize]).collect();
+            restore_before_pole(&mut work, width, &still);
+            for (u, v) in (36..43).flat_map(|u| (20..80).map(move |v| (u, v))) {
+                let below = v as f32 - edge(u);
+                if below.abs() > 2.5 {
+                    assert_eq!(
+                        work.alpha[at(u, v)],
+                        f32::from(u8::from(below < 0.0)),
+                        "{u}, {v}, lies: {lies}"
+                    );
+                }
+            }
+        }
     }
 
     #[test]

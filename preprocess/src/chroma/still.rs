@@ -1,7 +1,7 @@
 //! What stands still in front of a camera that does not move: texture of the screen, things beside it, the pole.
 
 use super::colour::{Key, LINEAR};
-use super::filters::{components, dilate, erode};
+use super::filters::{Rect, components, dilate, erode};
 use super::grid::Sums;
 use image::RgbImage;
 
@@ -28,6 +28,8 @@ const BEFORE_LEVELS: (i32, i32) = (12, 28);
 /// A pole hides the screen in at least this share of the samples and is at most this wide (share of the longer side).
 const ALWAYS_SHARE: f32 = 0.7;
 const POLE_WIDTH: f32 = 0.03;
+/// Pixels beside the pole that are a mixture of it and of what is beside it.
+const POLE_RIM: usize = 2;
 /// Still things cover less than this share of what is seen before the screen, else the object itself stands still.
 const POLE_SHARE: f32 = 0.4;
 /// Share of the picture beside the screen that must be still for the camera to count as standing.
@@ -44,10 +46,16 @@ pub(crate) struct Still {
     pub things: Vec<Option<[u8; 3]>>,
     /// Before the screen: narrow, always there in whatever light, joined to what stands still.
     pub pole: Vec<bool>,
+    /// The pole and its rim: pixels that are a mixture of it and of what is beside it.
+    pub near_pole: Vec<bool>,
+    /// The pole is wider than tall.
+    pub pole_lies: bool,
     /// Pixels where the screen is never seen.
     pub outside: Vec<bool>,
     /// Convex hull of the pixels where it is.
     pub before_screen: Vec<bool>,
+    /// Pixels that are not plainly before the screen: things, the pole, what lies beside.
+    pub others: Vec<u32>,
     /// Share of the picture where something stands still.
     pub share: f32,
     /// Whether still things before the screen are few beside what moves there: a pole, not the object itself.
@@ -102,6 +110,8 @@ impl Still {
         still.before_screen = super::regions::hull(&seen, width);
         still.forget_islands();
         still.find_pole(&other_counts, frames.len());
+        let is_other = |i: &usize| still.things[*i].is_some() || still.pole[*i] || !still.before_screen[*i];
+        still.others = (0..n).filter(is_other).map(|i| i as u32).collect();
         let before = |i: &usize| still.before_screen[*i];
         let still_inside = (0..n).filter(before).filter(|i| still.things[*i].is_some()).count();
         let others_inside = (0..n).filter(before).map(|i| other_counts[i] as usize).sum::<usize>();
@@ -151,6 +161,10 @@ impl Still {
         self.pole = (0..narrow.len())
             .map(|i| narrow[i] != 0 && wide[i] == 0 && self.before_screen[i] && joined[labels[i] as usize])
             .collect();
+        let pole: Vec<u8> = self.pole.iter().map(|p| u8::from(*p)).collect();
+        self.near_pole = dilate(&pole, width, POLE_RIM).iter().map(|p| *p != 0).collect();
+        let extent = Rect::around(&pole, width, 0);
+        self.pole_lies = extent.x.len() > extent.y.len();
     }
 
     /// Half the width that a pole can have, pixels.
