@@ -97,7 +97,7 @@ pub(crate) struct Noise {
 
 impl Workspace {
     /// Solves the matte of the loaded frame into `self.alpha`.
-    pub fn solve(&mut self, width: usize, key: &Key) {
+    pub fn solve(&mut self, rgb: &[u8], width: usize, key: &Key) {
         smooth(&self.share, width, &mut self.smoothed);
         self.take_out_shadows(width);
         let noise = self.noise();
@@ -113,7 +113,7 @@ impl Workspace {
         self.drop_faint_regions(&mut not_screen, width);
         let mut solid: Mask = self.smoothed.iter().map(|s| u8::from(*s < 0.5)).collect();
         let mut core = erode(&solid, width, 2);
-        self.open_slits(&mut solid, &mut core, width, key);
+        self.open_slits(&mut solid, &mut core, rgb, width, key);
         self.band.clear();
         self.band.extend(not_screen.iter().zip(&core).map(|(n, c)| n & (1 - c)));
         self.in_band.clear();
@@ -131,11 +131,11 @@ impl Workspace {
 
     /// Slits of one or two pixels between bright parts: 4:2:0 averages coded chroma, and in linear light what is left of the screen's
     /// looks like a tint of the bright parts. What keeps [`SLIT_SHARE`] of the screen's colour difference in coded values is solved, not solid.
-    fn open_slits(&self, solid: &mut [u8], core: &mut [u8], width: usize, key: &Key) {
-        let coded = |rgb: [f32; 3]| key.difference(rgb.map(|v| f32::from(srgb8(v))));
+    fn open_slits(&self, solid: &mut [u8], core: &mut [u8], rgb: &[u8], width: usize, key: &Key) {
+        let coded = |light: [f32; 3]| key.difference(light.map(|v| f32::from(srgb8(v))));
         let mut slits = Mask::filled(0, core.len());
         for i in set_pixels(core) {
-            let kept = coded(self.pixel(i));
+            let kept = key.difference([0, 1, 2].map(|c| f32::from(rgb[3 * i + c])));
             // Most of the object keeps nothing, whatever the screen's light.
             if kept > SLIT_SHARE && kept > SLIT_SHARE * coded(self.light(i)) {
                 (slits[i], solid[i]) = (1, 0);
@@ -276,10 +276,15 @@ impl Workspace {
     fn measure_screen_beside(&mut self, not_screen: &[u8], width: usize, key: &Key) {
         let rect = Rect::around(not_screen, width, BESIDE);
         for row in rect.rows(width) {
-            for i in row {
-                let weight = f32::from((not_screen[i] | self.still[i]) ^ 1);
-                (0..3).for_each(|c| self.around[c][i] = weight * self.image[c][i]);
-                self.weights[i] = weight;
+            let weights = &mut self.weights[row.clone()];
+            for ((weight, object), still) in
+                weights.iter_mut().zip(&not_screen[row.clone()]).zip(&self.still[row.clone()])
+            {
+                *weight = f32::from((object | still) ^ 1);
+            }
+            for (sums, image) in self.around.iter_mut().zip(&self.image) {
+                let values = sums[row.clone()].iter_mut().zip(&image[row.clone()]);
+                values.zip(&*weights).for_each(|((sum, v), weight)| *sum = weight * v);
             }
         }
         for plane in self.around.iter_mut().chain([&mut self.weights]) {

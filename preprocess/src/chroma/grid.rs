@@ -115,9 +115,10 @@ fn filled<const C: usize>(mut cells: Vec<Option<[f32; C]>>, columns: usize, roun
         open.retain(|i| cells[*i].is_none());
     }
     let mut cells: Vec<[f32; C]> = cells.into_iter().map(|c| c.unwrap_or([0.0; C])).collect();
+    let beside: Vec<Vec<usize>> = gaps.iter().map(|i| neighbours(*i).collect()).collect();
     for _ in 0..rounds {
-        for i in &gaps {
-            if let Some(mean) = mean_of(neighbours(*i).map(|j| cells[j])) {
+        for (i, beside) in gaps.iter().zip(&beside) {
+            if let Some(mean) = mean_of(beside.iter().map(|j| cells[*j])) {
                 cells[*i] = mean;
             }
         }
@@ -125,13 +126,15 @@ fn filled<const C: usize>(mut cells: Vec<Option<[f32; C]>>, columns: usize, roun
     cells
 }
 
+#[inline(always)]
 fn mean_of<const C: usize>(values: impl Iterator<Item = [f32; C]>) -> Option<[f32; C]> {
-    let (mut sum, mut n) = ([0.0; C], 0.0);
+    let (mut mean, mut n) = ([0.0; C], 0.0);
     for v in values {
-        (0..C).for_each(|k| sum[k] += v[k]);
+        (0..C).for_each(|k| mean[k] += v[k]);
         n += 1.0;
     }
-    (n > 0.0).then(|| sum.map(|s| s / n))
+    mean.iter_mut().for_each(|v| *v /= n);
+    (n > 0.0).then_some(mean)
 }
 
 #[cfg(test)]

@@ -127,7 +127,7 @@ impl Keyer {
             Some(still) => work.load_before_plate(rgb, key, still, self.keep_pole),
             None => work.load_before_field(rgb, width, key, &Field::fit(rgb, width, key)?),
         }
-        work.solve(width, key);
+        work.solve(rgb, width, key);
         regions::clean(work, width, still, self.keep_pole);
         Some(())
     }
