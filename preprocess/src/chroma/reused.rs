@@ -11,8 +11,9 @@ pub(crate) struct Reused<T: Pooled>(Vec<T>);
 /// A byte a pixel: 0 or 1.
 pub(crate) type Mask = Reused<u8>;
 
-/// At most so many wait, of each kind.
+/// At most so many wait, of each kind, and none larger than this: what waits is memory that other stages lack. Bytes.
 const MOST: usize = 12;
+const LARGEST: usize = 4 << 20;
 
 /// What can be kept.
 pub(crate) trait Pooled: Sized + 'static {
@@ -49,7 +50,7 @@ impl<T: Pooled> Drop for Reused<T> {
         // Where the thread ends there is no pool any more.
         let _ = T::pool().try_with(|pool| {
             let mut pool = pool.borrow_mut();
-            if pool.len() < MOST && memory.capacity() > 0 {
+            if pool.len() < MOST && (1..=LARGEST).contains(&(memory.capacity() * size_of::<T>())) {
                 pool.push(memory);
             }
         });
@@ -118,5 +119,7 @@ mod tests {
         let third = Mask::of(&[1, 2, 3]);
         assert_ne!(third.as_ptr(), place, "the second holds it");
         assert_eq!(&*third, [1, 2, 3]);
+        drop(Mask::filled(0, LARGEST + 1));
+        assert_eq!(Mask::default().0.capacity(), 0, "too large to be kept");
     }
 }
