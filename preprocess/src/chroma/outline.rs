@@ -19,7 +19,7 @@ const LIGHTS: usize = 5;
 pub(crate) const INPUTS: usize = PATCH + LIGHTS;
 /// Alpha of pixels that are asked about.
 const SOFT: std::ops::Range<f32> = 0.02..0.98;
-/// Slits of a pixel or two keep at least this share of the key's coded colour difference, and less than this of the luma around.
+/// Slits of a pixel or two keep at least this share of the key's hue (coded colour along its chroma), and less than this of the luma around.
 const SLIT_SHARE: f32 = 0.1;
 const SLIT_LUMA: f32 = 0.95;
 /// Luma is measured in so many 8-bit levels.
