@@ -5,6 +5,7 @@ pub mod ceres;
 pub mod config;
 pub mod error;
 mod global;
+mod ground;
 pub mod incremental;
 pub mod klt;
 pub mod knowledge;

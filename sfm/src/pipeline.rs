@@ -7,6 +7,7 @@ mod densify;
 mod evenly;
 mod export;
 mod given;
+mod grounded;
 mod posed;
 mod setup;
 mod sharing;
@@ -272,18 +273,13 @@ fn solve(
     lap: &mut dyn FnMut(&str),
     progress: &Progress,
 ) -> Result<Option<Solved>, SfmError> {
-    let Given { config, setup, features, .. } = *given;
+    let Given { config, features, .. } = *given;
     progress.begin("mapping", features.len());
     let keypoints: Vec<_> = features.iter().map(positions).collect();
     let mut decisions = Vec::new();
     let mapped = evenly::grown_or_placed(given, &keypoints, geometries, &mut decisions, progress)?;
     lap("mapping");
-    let Some(mut model) = mapped else {
-        let tracks = build_tracks(features, geometries);
-        let input = given.input(&keypoints, &tracks, geometries);
-        let motion = consider(&given.job(&input, &setup.cameras, progress), None, true)?;
-        return Ok(motion.taken.map(|t| of_turn(setup, t, motion.decision, keypoints.clone())));
-    };
+    let Some(mut model) = mapped else { return turn_alone(given, keypoints, geometries, progress) };
     if let Some((unfolded, decision)) = unfold(given, &keypoints, geometries, &model, progress)? {
         model = unfolded;
         decisions.push(decision);
@@ -329,13 +325,15 @@ fn solve(
         polish(&mut state, &input, &setup.known, &starts, &verdict, progress)?;
     }
     lap("final adjustment");
-    let settle = |mut state: State, input: &Input<'_>| -> Result<State, SfmError> {
+    let settled = |mut state: State, input: &Input<'_>, intrinsics| -> Result<State, SfmError> {
         if ringed {
-            return even::held(&state, &given.job(input, &starts, progress), verdict.intrinsics);
+            return even::held(&state, &given.job(input, &starts, progress), intrinsics);
         }
-        converge(&mut state, input, &setup.known, &starts, verdict.intrinsics, progress)?;
+        converge(&mut state, input, &setup.known, &starts, intrinsics, progress)?;
         Ok(state)
     };
+    let mut intrinsics = verdict.intrinsics;
+    let settle = |state: State, input: &Input<'_>| settled(state, input, verdict.intrinsics);
     let denser = densify::along_the_model(given, &input, &state, noise_of(&state, &input), progress)?;
     if let Some((geometries, tracks)) = &denser {
         (input.geometries, input.tracks) = (geometries, tracks);
@@ -349,10 +347,18 @@ fn solve(
     if let Some(refined) = &refined {
         (input.keypoints, input.spreads) = (&refined.keypoints, &refined.spreads);
     }
-    depths::drop_lonely(&mut state, &input);
     lap("keypoints");
+    let cameras = (starts.as_slice(), intrinsics);
+    let (grounded, found) = grounded::settled(given, (&state, &input), &turned, cameras, settled, progress)?;
+    decisions.extend(found);
+    if let Some(found) = &grounded {
+        (state, intrinsics) = (found.state.clone(), found.intrinsics);
+        input = found.ground.input(&input);
+    }
+    depths::drop_lonely(&mut state, &input);
+    lap("ground");
     // Images that were turned on their way get cameras of their own in the end: no turn before one camera.
-    let free = Free { state: &state, intrinsics: verdict.intrinsics };
+    let free = Free { state: &state, intrinsics };
     let motion = consider(&given.job(&input, &starts, progress), Some(&free), !turned.contains(&true))?;
     lap("motion");
     if let Some(t) = motion.taken {
@@ -363,13 +369,26 @@ fn solve(
     }
     decisions.extend(motion.decision);
     state = motion.circled.unwrap_or(state);
-    let uncertainty = uncertainty(&state, &input, &setup.known, &starts, verdict.intrinsics)?;
+    let uncertainty = uncertainty(&state, &input, &setup.known, &starts, intrinsics)?;
     lap("covariance");
     decisions.extend(verdict.decisions);
     let keypoints = turn::keypoints(&input, &setup.cameras, &turned);
     let mut solved = Solved { state, camera_of: setup.camera_of.clone(), keypoints, decisions, uncertainty };
     turn::back(&mut solved, &turned);
     Ok(Some(solved))
+}
+
+/// Where no model grows: that of a turn, which three images of a known motion begin.
+fn turn_alone(
+    given: &Given<'_>,
+    keypoints: Vec<Vec<glam::DVec2>>,
+    geometries: &[TwoViewGeometry],
+    progress: &Progress,
+) -> Result<Option<Solved>, SfmError> {
+    let tracks = build_tracks(given.features, geometries);
+    let input = given.input(&keypoints, &tracks, geometries);
+    let motion = consider(&given.job(&input, &given.setup.cameras, progress), None, true)?;
+    Ok(motion.taken.map(|t| of_turn(given.setup, t, motion.decision, keypoints)))
 }
 
 #[cfg(test)]

@@ -226,6 +226,32 @@ pub fn choose(
     })
 }
 
+/// Whether more sightings than [`choose`] had determine a principal point that was held: with both terms of radial distortion, whose
+/// centre it is. `None` where they do not, or the user named a model.
+pub(crate) fn freed_point(
+    problem: &BundleProblem,
+    known: &[Knowledge],
+    (now, named): (Intrinsics, Option<CameraModel>),
+    sigma: f64,
+    progress: &Progress,
+) -> Result<Option<(Intrinsics, String)>, SfmError> {
+    let asked = named.is_none() && !now.principal_point && !known.iter().any(|k| k.fixed);
+    let (training, held_out) = split(problem);
+    if !asked || problem.poses.len() < 3 || held_out.len() < 100 {
+        return Ok(None);
+    }
+    let context = Context { training, held_out, sigma, known, progress };
+    let held = context.trial(problem, now)?;
+    let whole = Intrinsics { model: CameraModel::Radial, principal_point: true, held: None };
+    let free = context.trial(&held.problem, whole)?;
+    let again = context.trial(&free.gone_back_to(&held), now)?;
+    let held = if again.bic < held.bic { again } else { held };
+    let (gain, error) = gain(&held.by_pose, &free.by_pose);
+    let taken = clearly_better((gain, error), free.bic, held.bic) && context.determined(&free)?;
+    let evidence = format!("{}; {} (gain {gain:.4} ± {error:.4})", held.line(), free.line());
+    Ok(taken.then_some((whole, evidence)))
+}
+
 /// Which of several ways to turn images (see [`crate::turned`]) the sightings support, with the choice that goes with it:
 /// a free principal point that predicts better than the untouched images' best model and pays for itself and for one
 /// bit an image. `None` where the evidence is not clear. The text says what was found.

@@ -4,7 +4,7 @@ use super::adjust::{Adjustment, Selected, select, take};
 use super::growth::freedom;
 use super::state::{Input, State};
 use crate::bundle::{BundleProblem, Loss, SolveOptions};
-use crate::selection::{Choice, Intrinsics, apply, choose, choose_turned, noise_in_units, redundancy};
+use crate::selection::{self, Choice, Intrinsics, apply, choose, choose_turned, noise_in_units, redundancy};
 use crate::turned::{asked_together, suspects, turn_problem};
 use crate::{Decision, Knowledge, PoseDeviation, SfmError, Uncertainty};
 use scene::{Camera, CameraModel, Progress};
@@ -78,6 +78,20 @@ pub(crate) fn decide(
 /// Points an image contributes where a part of them is enough.
 pub(crate) fn part_of(state: &State, sightings: usize) -> usize {
     (sightings / state.registered().max(1)).clamp(50, 1000)
+}
+
+/// The camera model once more, by all sightings of a model that has gained some: its principal point, where it was held.
+pub(crate) fn freed_point(
+    state: &State,
+    input: &Input<'_>,
+    known: &[Knowledge],
+    starts: &[Camera],
+    (now, named): (Intrinsics, Option<CameraModel>),
+    progress: &Progress,
+) -> Result<Option<(Intrinsics, String)>, SfmError> {
+    let (free, priors) = freedom(&state.cameras, known, starts, usize::MAX);
+    let problem = select(state, input, &Adjustment::growing(free, priors)).problem;
+    selection::freed_point(&problem, known, (now, named), noise_in_units(&problem), progress)
 }
 
 /// Takes over the adjusted part, then triangulates, adjusts to convergence and filters with the chosen intrinsics.

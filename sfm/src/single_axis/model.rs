@@ -173,14 +173,14 @@ impl AxisModel {
         bundle.observations.iter().for_each(|o| views[o.point as usize] += 1);
         let sigmas: [f64; 2] = std::array::from_fn(|k| {
             let own = || bundle.observations.iter().zip(&kinds).filter(move |(_, kind)| **kind == k);
-            let errors: Vec<f64> = own().map(|(o, _)| error_sq(bundle, o)).collect();
+            let errors: Vec<f64> = own().map(|(o, _)| error_sq(bundle, o) / o.sigma_px.powi(2)).collect();
             let n = 2.0 * errors.len() as f64;
             let taken: f64 = own().map(|(o, _)| 3.0 / views[o.point as usize] as f64).sum();
             let freedom = ((n - taken) / n.max(1.0)).clamp(0.1, 1.0);
             (median(errors) / (2.0 * std::f64::consts::LN_2) / freedom).sqrt().max(1e-3)
         });
         for (o, kind) in bundle.observations.iter_mut().zip(&kinds) {
-            o.sigma_px = sigmas[*kind];
+            o.sigma_px *= sigmas[*kind];
         }
     }
 
