@@ -378,7 +378,7 @@ fn solve(
     Ok(Some(solved))
 }
 
-/// Where no model grows: that of a turn, which three images of a known motion begin.
+/// Where no model grows: that of a turn from three images on, if there is one.
 fn turn_alone(
     given: &Given<'_>,
     keypoints: Vec<Vec<glam::DVec2>>,

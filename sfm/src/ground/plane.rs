@@ -72,13 +72,7 @@ impl Plane {
             if kept.len() < 3 {
                 return None;
             }
-            let middle = kept.iter().sum::<DVec3>() / kept.len() as f64;
-            let mut spread = [[0.0; 3]; 3];
-            for x in &kept {
-                let d = (*x - middle).to_array();
-                (0..9).for_each(|k| spread[k / 3][k % 3] += d[k / 3] * d[k % 3]);
-            }
-            let normal = DVec3::from_array(symmetric_eigen(&spread).1[0]);
+            let (middle, _, normal) = spread_of(&kept);
             let normal = if normal.dot(self.normal()) < 0.0 { -normal } else { normal };
             let turn = DQuat::from_rotation_arc(plane.normal(), normal);
             let origin = plane.origin + normal * normal.dot(middle - plane.origin);
@@ -180,15 +174,21 @@ pub(crate) fn widest(state: &State, input: &Input<'_>) -> Option<Plane> {
 /// The normal of the plane in which the cameras are, where they go round something.
 fn level_of(state: &State) -> Option<DVec3> {
     let centres: Vec<DVec3> = state.poses.iter().flatten().map(Pose::centre).collect();
-    let middle = centres.iter().sum::<DVec3>() / centres.len().max(1) as f64;
+    let (_, [across, narrow, wide], normal) = spread_of(&centres);
+    let round = across.max(0.0).sqrt() < FLAT * wide.sqrt() && narrow.sqrt() > ROUND * wide.sqrt();
+    round.then_some(normal)
+}
+
+/// Mean of points, their sums of squares along their principal axes, ascending, and the axis along which they spread least.
+fn spread_of(points: &[DVec3]) -> (DVec3, [f64; 3], DVec3) {
+    let middle = points.iter().sum::<DVec3>() / points.len().max(1) as f64;
     let mut spread = [[0.0; 3]; 3];
-    for c in &centres {
-        let d = (*c - middle).to_array();
+    for x in points {
+        let d = (*x - middle).to_array();
         (0..9).for_each(|k| spread[k / 3][k % 3] += d[k / 3] * d[k % 3]);
     }
-    let ([across, narrow, wide], axes) = symmetric_eigen(&spread);
-    let round = across.max(0.0).sqrt() < FLAT * wide.sqrt() && narrow.sqrt() > ROUND * wide.sqrt();
-    round.then(|| DVec3::from_array(axes[0]))
+    let (values, axes) = symmetric_eigen(&spread);
+    (middle, values, DVec3::from_array(axes[0]))
 }
 
 /// The same plane with its origin in the middle of what many images show of it, and its reach about that; `None` where they

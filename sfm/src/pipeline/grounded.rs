@@ -81,7 +81,9 @@ fn tried(
     progress: &Progress,
 ) -> Result<(Option<(Ground, State)>, Option<Decision>), SfmError> {
     let weak = state.order.iter().filter(|&&i| state.sightings(i) < FEW).count();
-    let Some(frames) = images.filter(|_| weak as f64 >= WEAK * state.registered() as f64) else {
+    // What masks leave out may stand still while the object turns.
+    let whole = images.filter(|images| images.frames.iter().all(|f| f.mask.is_none()));
+    let Some(frames) = whole.filter(|_| weak as f64 >= WEAK * state.registered() as f64) else {
         return Ok((None, None));
     };
     let decision = |chosen: &str, evidence: String| {

@@ -83,13 +83,16 @@ fn images_that_show_other_floors_are_not_used() {
 }
 
 #[test]
-fn nothing_is_asked_where_images_may_not_be_read() {
-    let room = Room::new("unread", 1.0, 0.0);
+fn nothing_is_asked_where_images_may_not_be_read_or_have_masks() {
+    let mut room = Room::new("unread", 1.0, 0.0);
     let (state, keypoints, tracks) = room.model(&room.poses, 0.0);
     let (config, camera_of) = (MapperConfig::default(), vec![0; CAMERAS]);
     let input = input(&keypoints, &tracks, &camera_of, &config);
-    let settle = |_: State, _: &Input<'_>| -> Result<State, SfmError> { panic!("nothing to settle") };
-    let (found, decision) =
-        tried(None, (&state, &input), &[false; CAMERAS], settle, &Progress::silent()).unwrap();
-    assert!(found.is_none() && decision.is_none());
+    room.frames.frames[3].mask = Some("mask.png".into());
+    for images in [None, Some(&room.frames)] {
+        let settle = |_: State, _: &Input<'_>| -> Result<State, SfmError> { panic!("nothing to settle") };
+        let (found, decision) =
+            tried(images, (&state, &input), &[false; CAMERAS], settle, &Progress::silent()).unwrap();
+        assert!(found.is_none() && decision.is_none());
+    }
 }
