@@ -94,6 +94,12 @@ mod ffi {
         pub relation_weights: Vec<f64>,
         /// [2] standard deviations of the offsets D: radians and scene units; 0: they are held.
         pub offset_sigma: Vec<f64>,
+        /// [L × 3] unit vectors of the camera's frame: what is known of the axis along them.
+        pub level_normals: Vec<f64>,
+        /// [L] the scalar product of each with the axis.
+        pub level_targets: Vec<f64>,
+        /// [L] 1 / standard deviation.
+        pub level_weights: Vec<f64>,
     }
 
     /// Bearings from P cameras to N points, M of them; rotations are known.

@@ -134,6 +134,30 @@ class AngleRelation final : public ceres::CostFunction {
   double target_, weight_;
 };
 
+// w (n · R e_z − target): the axis makes a known angle with a direction n of the camera's frame. d(n · z) = ω · (z × n).
+class AxisLevel final : public ceres::CostFunction {
+ public:
+  AxisLevel(const double *normal, double target, double weight) : normal_(normal), target_(target), weight_(weight) {
+    set_num_residuals(1);
+    mutable_parameter_block_sizes()->assign({kPoseSize});
+  }
+  bool Evaluate(double const *const *parameters, double *residuals, double **jacobians) const override {
+    const Eigen::Map<const Eigen::Quaterniond> q(parameters[0]);
+    const Eigen::Map<const Eigen::Vector3d> normal(normal_);
+    const Eigen::Vector3d z = q.normalized() * Eigen::Vector3d::UnitZ();
+    residuals[0] = weight_ * (normal.dot(z) - target_);
+    if (jacobians == nullptr || jacobians[0] == nullptr) return true;
+    Eigen::Map<Eigen::Matrix<double, 1, kPoseSize>> j(jacobians[0]);
+    j.setZero();
+    j.head<3>() = weight_ * z.cross(normal).transpose();
+    return true;
+  }
+
+ private:
+  const double *normal_;
+  double target_, weight_;
+};
+
 // Offsets are small: rotation vector over its standard deviation, translation over its own.
 class OffsetPrior final : public ceres::CostFunction {
  public:
@@ -205,6 +229,11 @@ BundleOutcome solve_turn(const TurnInput &input, rust::Slice<double> intrinsics,
     priors.push_back(std::make_unique<AngleRelation>(count, input.relation_coefficients.data() + 3 * r,
                                                      input.relation_targets[r], input.relation_weights[r]));
     problem.AddResidualBlock(priors.back().get(), nullptr, blocks);
+  }
+  for (std::size_t l = 0; l < input.level_weights.size(); ++l) {
+    priors.push_back(std::make_unique<AxisLevel>(input.level_normals.data() + 3 * l, input.level_targets[l],
+                                                 input.level_weights[l]));
+    problem.AddResidualBlock(priors.back().get(), nullptr, axis_at);
   }
   if (input.axis_held) {
     problem.SetParameterBlockConstant(axis_at);
@@ -289,6 +318,17 @@ bool turn_covariance(const TurnInput &input, rust::Slice<const double> intrinsic
         if (a >= 0 && b >= 0)
           normal(a, b) += w * w * input.relation_coefficients[3 * r + i] * input.relation_coefficients[3 * r + k];
       }
+  for (std::size_t l = 0; l < input.level_weights.size() && !input.axis_held; ++l) {
+    const AxisLevel level(input.level_normals.data() + 3 * l, input.level_targets[l], input.level_weights[l]);
+    double residual, by_axis[kPoseSize];
+    double const *const block[1] = {axis.data()};
+    double *jacobian[1] = {by_axis};
+    level.Evaluate(block, &residual, jacobian);
+    const Eigen::RowVector3d row = Eigen::Map<const Eigen::RowVector3d>(by_axis) * basis;
+    // The third freedom moves the axis along: no direction.
+    for (int a = 0; a < 2; ++a)
+      for (int b = 0; b < 2; ++b) normal(columns[a], columns[b]) += row[a] * row[b];
+  }
   AddIntrinsicsPriors(bundle, of_cameras, normal);
   Eigen::MatrixXd covariance;
   if (!Invert(normal, covariance)) return false;

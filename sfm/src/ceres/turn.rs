@@ -69,7 +69,9 @@ fn check(input: &TurnInput, state: &TurnState) -> Result<(), SfmError> {
         && input.offset_sigma.len() == 2
         && input.relation_angles.len() == 3 * relations
         && input.relation_coefficients.len() == 3 * relations
-        && input.relation_targets.len() == relations;
+        && input.relation_targets.len() == relations
+        && input.level_normals.len() == 3 * input.level_weights.len()
+        && input.level_targets.len() == input.level_weights.len();
     let frame = |(k, &i): (usize, &u32)| (i as usize) < frames || (k % 3 == 2 && i == u32::MAX);
     let indices = input.relation_angles.iter().enumerate().all(frame);
     let all = [
@@ -80,6 +82,9 @@ fn check(input: &TurnInput, state: &TurnState) -> Result<(), SfmError> {
         &input.relation_coefficients,
         &input.relation_targets,
         &input.relation_weights,
+        &input.level_normals,
+        &input.level_targets,
+        &input.level_weights,
     ];
     let finite = all.iter().all(|values| values.iter().all(|v| v.is_finite()));
     match (shapes && indices, finite) {

@@ -18,6 +18,8 @@ use scene::{CameraModel, Progress};
 /// A coordinate whose standard deviation is this share of what it was before is determined. Sightings of a point err together,
 /// by which variances come out 2 to 6 times too small (`smoothness`): a tenth stands for a fifth.
 const DETERMINED: f64 = 0.1;
+/// Factor on what the sightings say against a measured elevation, for their variances are too small.
+const EXCESS: f64 = 3.0;
 /// An axis leans at most so much (tangent) in the image where one coordinate is across it.
 const LEAN: f64 = 0.5;
 
@@ -34,12 +36,14 @@ pub(crate) fn choose_for_turn(
     let mut decision =
         Decision { what: "camera model".to_owned(), chosen: chosen.describe(), ..Decision::default() };
     let trial = Trials { known, progress };
+    // A measured elevation of the camera leads the principal point away from the centre, where it is held at first.
+    let unlevelled = TurnProblem { levels: Vec::new(), ..problem.clone() };
     if known[0].fixed {
         (decision.chosen, decision.evidence) =
             (known_as(&problem.bundle, known), "known beforehand".to_owned());
         return Ok((chosen, decision));
     }
-    let Some(mut best) = trial.of(problem, chosen)? else {
+    let Some(mut best) = trial.of(&unlevelled, chosen)? else {
         decision.evidence = "not determined".to_owned();
         return Ok((chosen, decision));
     };
@@ -58,9 +62,11 @@ pub(crate) fn choose_for_turn(
         let model = if named.is_none() { CameraModel::Radial } else { model };
         let whole = Intrinsics { model, principal_point: true, held: None };
         if best.intrinsics.principal_point
-            && let Some(found) = trial.of(&best.solution, whole)?
+            && let Some(found) =
+                trial.of(&TurnProblem { levels: problem.levels.clone(), ..best.solution.clone() }, whole)?
         {
-            let (taken, note) = trial.verdict("along it", &found, along, (best.bic, 30.0));
+            let most = if problem.levels.is_empty() { 30.0 } else { 30.0 * EXCESS };
+            let (taken, note) = trial.verdict("along it", &found, along, (best.bic, most));
             notes.push(note);
             if taken {
                 best = found;

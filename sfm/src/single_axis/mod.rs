@@ -3,6 +3,9 @@
 //!
 //! Fitzgibbon, Cross & Zisserman, "Automatic 3D model construction for turn-table sequences" (SMILE 1998).
 
+mod axis;
+#[cfg(test)]
+mod axis_tests;
 mod config;
 pub(crate) mod even;
 #[cfg(test)]
@@ -116,6 +119,7 @@ impl Job<'_> {
             known: self.known,
             starts: self.starts,
             relations,
+            elevation: self.config.known_elevation.map(f64::to_radians),
             closing: None,
             times: &[],
             features: self.features,
@@ -280,7 +284,11 @@ pub(crate) fn adjust_and_choose(
     let what = Adjustment { points_per_image: Some(points), ..Adjustment::growing(free, priors) };
     let (mut problem, selected) = model.problem(context, &what);
     model.weigh(context, &mut problem.bundle, &selected);
+    problem.levels.extend(context.elevation.map(|e| axis::level(&model.turn, e)));
     let (intrinsics, decision) = choose_for_turn(&problem, context.known, job.named, context.progress)?;
+    // It says something where the principal point could go where it leads.
+    let free = intrinsics.principal_point && intrinsics.held.is_none() && !context.known[0].fixed;
+    model.elevation = context.elevation.filter(|_| free);
     model.polish(context, intrinsics, rounds)?;
     Ok(Some((model, intrinsics, decision)))
 }
@@ -308,32 +316,8 @@ pub(crate) fn finish(
             let deviation = PoseDeviation { rotation: [d[0], d[1], d[2]], centre: [d[3], d[4], d[5]] };
             result.images.insert(image as u32 + 1, deviation);
         }
-        decisions.push(axis_decision(model, &covariance, excess.sqrt()));
+        decisions.extend(axis::decisions(model, context, intrinsics, &covariance, excess.sqrt())?);
         uncertainty = Some(result);
     }
     Ok(Turned { state: model.state.clone(), decisions, uncertainty })
-}
-
-fn axis_decision(model: &AxisModel, covariance: &problem::TurnCovariance, factor: f64) -> Decision {
-    let z = model.turn.direction();
-    let angles: Vec<f64> = model.turn.angles.iter().flatten().map(|a| a.to_degrees()).collect();
-    let steps: Vec<f64> =
-        angles.windows(2).map(|w| turn::wrapped((w[1] - w[0]).to_radians()).to_degrees()).collect();
-    let mean = steps.iter().sum::<f64>() / steps.len().max(1) as f64;
-    let spread = steps.iter().map(|s| (s - mean).powi(2)).sum::<f64>() / steps.len().max(1) as f64;
-    let worst = covariance.angles.iter().copied().fold(0.0, f64::max).to_degrees();
-    Decision {
-        what: "axis".to_owned(),
-        chosen: format!("({:.4}, {:.4}, {:.4}) in the camera's frame", z.x, z.y, z.z),
-        evidence: format!(
-            "standard deviations: tilt {:.4}° sideways and {:.4}° towards the camera, angles at most {:.4}°; \
-             steps {:.3}° ± {:.3}° over {} frames",
-            factor * covariance.axis[0].to_degrees(),
-            factor * covariance.axis[1].to_degrees(),
-            worst,
-            mean,
-            spread.sqrt(),
-            angles.len()
-        ),
-    }
 }

@@ -1,5 +1,6 @@
 //! A growing model whose poses are a turn: triangulated, adjusted and filtered under the constraint.
 
+use super::axis::level;
 use super::jumps::not_jumping;
 use super::problem::{Relation, TurnCovariance, TurnProblem};
 use super::turn::{Turn, median};
@@ -30,6 +31,8 @@ pub(crate) struct AxisModel {
     pub state: State,
     /// The motion.
     pub turn: Turn,
+    /// The elevation of the camera that is believed, radians.
+    pub elevation: Option<f64>,
 }
 
 /// What stays the same while a model is adjusted.
@@ -42,6 +45,8 @@ pub(crate) struct Context<'a> {
     pub starts: &'a [Camera],
     /// What is known of the angles, by frame.
     pub relations: &'a [Relation],
+    /// Angle by which the camera looks down on the plane of the turn, where a user measured it, radians.
+    pub elevation: Option<f64>,
     /// What a whole turn says of them beside the sightings.
     pub closing: Option<Relation>,
     /// When each frame of a video was taken: until more is known of the angles, they are taken not to jump. Empty otherwise.
@@ -63,7 +68,7 @@ impl AxisModel {
             }
         }
         state.grow_all(input);
-        Self { state, turn }
+        Self { state, turn, elevation: None }
     }
 
     /// The adjustment of the present model.
@@ -81,6 +86,7 @@ impl AxisModel {
                 problem.relations.push(Relation { frames, ..*r });
             }
         }
+        problem.levels.extend(self.elevation.map(|e| level(&self.turn, e)));
         (problem, selected)
     }
 

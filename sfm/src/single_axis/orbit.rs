@@ -142,7 +142,7 @@ pub(crate) fn adjusted(
     let free: Vec<Option<Pose>> = state.poses.clone();
     let relations = even_angles(&turn.angles);
     let context = &Context { relations: &relations, ..*context };
-    let mut model = AxisModel { state, turn };
+    let mut model = AxisModel { elevation: None, state, turn };
     let (mut problem, selected, options) = model.prepare(context, intrinsics, None);
     problem.bundle.poses = selected.images.iter().filter_map(|&i| free[i]).collect();
     // The noise is that of the free poses; against the pure turn it would look larger.

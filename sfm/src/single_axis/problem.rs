@@ -21,6 +21,17 @@ pub struct Relation {
     pub sigma: f64,
 }
 
+/// `n · z = target` within a standard deviation, z the unit direction of the axis in the camera's frame.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Level {
+    /// Unit vector of the camera's frame.
+    pub normal: DVec3,
+    /// Sine of the angle between the axis and the plane across `normal`.
+    pub target: f64,
+    /// Standard deviation of that, about radians.
+    pub sigma: f64,
+}
+
 /// An adjustment whose poses are `D_i (R Z(θ_i) X + t)`.
 #[derive(Clone, Debug)]
 pub struct TurnProblem {
@@ -32,6 +43,8 @@ pub struct TurnProblem {
     pub angles: Vec<f64>,
     /// What is known of the angles.
     pub relations: Vec<Relation>,
+    /// What is known of the axis' direction.
+    pub levels: Vec<Level>,
     /// By pose: the small motion D beside the axis (the identity for a pure turn).
     pub offsets: Vec<Pose>,
     /// Standard deviations of the offsets, radians and radii; `None`: they are held.
@@ -55,7 +68,8 @@ impl TurnProblem {
     /// A pure turn with the cameras, points and sightings of `bundle`.
     pub fn new(bundle: BundleProblem, axis: Pose, angles: Vec<f64>) -> Self {
         let offsets = vec![Pose::IDENTITY; angles.len()];
-        let mut problem = Self { bundle, axis, angles, relations: Vec::new(), offsets, offset_sigma: None };
+        let (relations, levels) = (Vec::new(), Vec::new());
+        let mut problem = Self { bundle, axis, angles, relations, levels, offsets, offset_sigma: None };
         problem.refresh();
         problem
     }
@@ -202,6 +216,11 @@ impl TurnProblem {
             input.relation_coefficients.extend(r.coefficients);
             input.relation_targets.push(r.target);
             input.relation_weights.push(1.0 / r.sigma);
+        }
+        for l in &self.levels {
+            input.level_normals.extend(l.normal.to_array());
+            input.level_targets.push(l.target);
+            input.level_weights.push(1.0 / l.sigma);
         }
         input
     }

@@ -90,7 +90,7 @@ fn video(frames: usize) -> FrameSet {
 /// Frames of one camera and the settings that go with them: what the jobs of tests refer to.
 pub(super) struct Filmed {
     frames: FrameSet,
-    config: SfmConfig,
+    pub config: SfmConfig,
     progress: Progress,
     pub cameras: [Camera; 1],
     pub known: [Knowledge; 1],

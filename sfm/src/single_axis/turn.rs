@@ -57,18 +57,23 @@ impl Turn {
         (t - z * z.dot(t)).length()
     }
 
+    /// 1 where the axis points upwards in the image (towards the camera where it is seen end on), else -1.
+    pub fn upward(&self) -> f64 {
+        let z = self.direction();
+        let down = if z.y.abs() > 0.1 * z.z.abs() { z.y > 0.0 } else { z.z > 0.0 };
+        if down { -1.0 } else { 1.0 }
+    }
+
     /// `cam_from_world` of a frame.
     pub fn pose(&self, frame: usize) -> Option<Pose> {
         self.angles.get(frame).copied().flatten().map(|a| turned(&self.axis, a))
     }
 
-    /// The same motion with the axis upwards in the image (towards the camera where it is seen end on), the origin at
+    /// The same motion with the axis upwards ([`Turn::upward`]), the origin at
     /// `height` along the present axis, the first frame's camera at azimuth 0, and the camera `radius` from the axis.
     /// The second value takes points along: new from old.
     pub fn canonical(&self, height: f64, radius: f64) -> (Self, impl Fn(DVec3) -> DVec3 + use<>) {
-        let z = self.direction();
-        let flip = if z.y.abs() > 0.1 * z.z.abs() { z.y > 0.0 } else { z.z > 0.0 };
-        let sign = if flip { -1.0 } else { 1.0 };
+        let (z, sign) = (self.direction(), self.upward());
         let scale = radius / self.radius();
         let first = self.angles.iter().flatten().next().copied().unwrap_or(0.0);
         let up = z * sign;

@@ -258,7 +258,18 @@ impl VideoJob<'_> {
 
     fn context<'a>(&'a self, input: &'a Input<'a>, starts: &'a [Camera], times: &'a [f64]) -> Context<'a> {
         let (known, progress) = (self.known, self.progress);
-        Context { input, known, starts, relations: &[], closing: None, times, features: &[], progress }
+        let elevation = self.config.motion.known_elevation.map(f64::to_radians);
+        Context {
+            input,
+            known,
+            starts,
+            relations: &[],
+            elevation,
+            closing: None,
+            times,
+            features: &[],
+            progress,
+        }
     }
 
     /// Camera and turn of a seed; frames between key frames get angles in between.
