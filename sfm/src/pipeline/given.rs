@@ -70,6 +70,7 @@ impl<'a> Given<'a> {
             named: self.config.camera_model.model(),
             config: &self.config.motion,
             features: &[],
+            edges: &[],
             progress,
         }
     }

@@ -1,4 +1,4 @@
-//! What is known of the axis' direction: the camera's elevation where a user measured it, and how well it was found.
+//! What is known of the axis' direction: the camera's elevation where a user measured it or the room shows it, and how well it was found.
 
 use super::model::{AxisModel, Context};
 use super::problem::{Level, TurnCovariance};
@@ -14,12 +14,31 @@ const FIRMNESS: f64 = 6.0;
 /// A measured elevation is doubtful that leads so many standard deviations away from what is usual.
 const DOUBTFUL: f64 = 3.0;
 
-/// A camera that looks down on the plane of the turn by `elevation` (radians) sees the upward axis u with `e_z · u = −sin(elevation)`.
-pub(crate) fn level(turn: &Turn, elevation: f64) -> Level {
-    Level {
-        normal: DVec3::Z * turn.upward(),
-        target: -elevation.sin(),
-        sigma: ELEVATION_SIGMA * elevation.cos() / FIRMNESS,
+/// How the camera looks down on the plane of the turn, from elsewhere than the turn.
+#[derive(Clone, Debug, PartialEq)]
+pub(crate) struct Elevation {
+    /// Radians.
+    pub angle: f64,
+    /// Standard deviation, radians.
+    pub sigma: f64,
+    /// Where it is from, for the report.
+    pub source: String,
+}
+
+impl Elevation {
+    /// What somebody measured.
+    pub fn measured(degrees: f64) -> Self {
+        let source = format!("measured {degrees:.3}° ± {:.1}°", ELEVATION_SIGMA.to_degrees());
+        Self { angle: degrees.to_radians(), sigma: ELEVATION_SIGMA, source }
+    }
+
+    /// The camera sees the upward axis u with `e_z · u = −sin(elevation)`.
+    pub fn level(&self, turn: &Turn) -> Level {
+        Level {
+            normal: DVec3::Z * turn.upward(),
+            target: -self.angle.sin(),
+            sigma: self.sigma * self.angle.cos() / FIRMNESS,
+        }
     }
 }
 
@@ -39,8 +58,8 @@ pub(crate) fn decisions(
 ) -> Result<Vec<Decision>, SfmError> {
     let [sideways, mut towards] =
         with_principal_point(model, context, intrinsics)?.unwrap_or(covariance.axis);
-    if model.elevation.is_some() {
-        towards = towards.max(ELEVATION_SIGMA / factor);
+    if let Some(elevation) = &model.elevation {
+        towards = towards.max(elevation.sigma / factor);
     }
     let z = model.turn.direction();
     let angles: Vec<f64> = model.turn.angles.iter().flatten().copied().collect();
@@ -60,7 +79,8 @@ pub(crate) fn decisions(
             angles.len()
         ),
     };
-    let given = context.elevation.map(|given| elevation_decision(model, given, context.known[0].fixed));
+    let given = model.elevation.as_ref().or(context.elevation.as_ref());
+    let given = given.map(|given| elevation_decision(model, given, context.known[0].fixed));
     Ok(std::iter::once(axis).chain(given).collect())
 }
 
@@ -78,14 +98,14 @@ fn with_principal_point(
     Ok(model.covariance(context, whole)?.map(|(.., covariance)| covariance.axis))
 }
 
-fn elevation_decision(model: &AxisModel, given: f64, known: bool) -> Decision {
+fn elevation_decision(model: &AxisModel, given: &Elevation, known: bool) -> Decision {
     let found = elevation(&model.turn);
     let camera = &model.state.cameras[0];
     let (width, height) = (f64::from(camera.width), f64::from(camera.height));
     let off = camera.principal_point() - glam::DVec2::new(width, height) / 2.0;
     let usual = DOUBTFUL * PRINCIPAL_POINT_SIGMA * width.max(height);
-    let far = off.length() > usual || (found - given).abs() > DOUBTFUL * ELEVATION_SIGMA;
-    let verdict = match (model.elevation, known) {
+    let far = off.length() > usual || (found - given.angle).abs() > DOUBTFUL * given.sigma;
+    let verdict = match (&model.elevation, known) {
         (None, true) => "not used, for the camera is known",
         (None, false) => "not used, for the sightings contradict it: measure it again",
         (Some(_), _) if far => "doubtful: measure it again",
@@ -95,9 +115,8 @@ fn elevation_decision(model: &AxisModel, given: f64, known: bool) -> Decision {
         what: "elevation of the camera".to_owned(),
         chosen: format!("{:.3}°", found.to_degrees()),
         evidence: format!(
-            "measured {:.3}° ± {:.1}°; principal point {:.1} px off the centre ({usual:.0} px are usual at most): {verdict}",
-            given.to_degrees(),
-            ELEVATION_SIGMA.to_degrees(),
+            "{}; principal point {:.1} px off the centre ({usual:.0} px are usual at most): {verdict}",
+            given.source,
             off.length()
         ),
     }

@@ -7,7 +7,11 @@
 //! known beforehand does the rest. So the principal point has a prior and is free where the sightings say more than that;
 //! distortion is free with it, for it must not stand for a wrong centre.
 
-use super::problem::TurnProblem;
+use super::axis::Elevation;
+use super::model::Context;
+use super::problem::{Level, TurnProblem};
+use super::turn::Turn;
+use super::upright;
 use crate::Knowledge;
 use crate::bundle::{Loss, SolveOptions};
 use crate::selection::{Intrinsics, PRINCIPAL_POINT_SIGMA, apply, known_as};
@@ -18,6 +22,8 @@ use scene::{CameraModel, Progress};
 /// A coordinate whose standard deviation is this share of what it was before is determined. Sightings of a point err together,
 /// by which variances come out 2 to 6 times too small (`smoothness`): a tenth stands for a fifth.
 const DETERMINED: f64 = 0.1;
+/// BIC may grow by so much where a prior comes in: it needs no evidence, but must not be contradicted.
+const CONTRADICTED: f64 = 30.0;
 /// Factor on what the sightings say against a measured elevation, for their variances are too small.
 const EXCESS: f64 = 3.0;
 /// An axis leans at most so much (tangent) in the image where one coordinate is across it.
@@ -27,27 +33,25 @@ const LEAN: f64 = 0.5;
 /// their standard deviations.
 pub(crate) fn choose_for_turn(
     problem: &TurnProblem,
-    known: &[Knowledge],
+    context: &Context<'_>,
     named: Option<CameraModel>,
-    progress: &Progress,
-) -> Result<(Intrinsics, Decision), SfmError> {
+) -> Result<(Intrinsics, Decision, Option<Elevation>), SfmError> {
+    let (known, progress) = (context.known, context.progress);
     let model = named.unwrap_or(CameraModel::SimpleRadial);
     let chosen = Intrinsics { model, principal_point: false, held: None };
     let mut decision =
         Decision { what: "camera model".to_owned(), chosen: chosen.describe(), ..Decision::default() };
     let trial = Trials { known, progress };
-    // A measured elevation of the camera leads the principal point away from the centre, where it is held at first.
-    let unlevelled = TurnProblem { levels: Vec::new(), ..problem.clone() };
     if known[0].fixed {
         (decision.chosen, decision.evidence) =
             (known_as(&problem.bundle, known), "known beforehand".to_owned());
-        return Ok((chosen, decision));
+        return Ok((chosen, decision, None));
     }
-    let Some(mut best) = trial.of(&unlevelled, chosen)? else {
+    let Some(mut best) = trial.of(problem, chosen)? else {
         decision.evidence = "not determined".to_owned();
-        return Ok((chosen, decision));
+        return Ok((chosen, decision, None));
     };
-    let mut notes = Vec::new();
+    let (mut notes, mut elevation) = (Vec::new(), None);
     if let Some(along) = along_axis(problem) {
         let partial = Intrinsics { principal_point: true, held: Some(along), ..chosen };
         if let Some(found) = trial.of(&best.solution, partial)? {
@@ -61,16 +65,8 @@ pub(crate) fn choose_for_turn(
         // Along the axis it is seen by distortion alone, which has to be free in full.
         let model = if named.is_none() { CameraModel::Radial } else { model };
         let whole = Intrinsics { model, principal_point: true, held: None };
-        if best.intrinsics.principal_point
-            && let Some(found) =
-                trial.of(&TurnProblem { levels: problem.levels.clone(), ..best.solution.clone() }, whole)?
-        {
-            let most = if problem.levels.is_empty() { 30.0 } else { 30.0 * EXCESS };
-            let (taken, note) = trial.verdict("along it", &found, along, (best.bic, most));
-            notes.push(note);
-            if taken {
-                best = found;
-            }
+        if best.intrinsics.principal_point {
+            (best, elevation) = trial.along(best, whole, along, context, &mut notes)?;
         }
     }
     // Distortion once more: it takes up what a wrong principal point leaves.
@@ -91,7 +87,7 @@ pub(crate) fn choose_for_turn(
     decision.chosen = best.intrinsics.describe();
     let values: Vec<String> = best.values.iter().map(|(v, sd)| format!("{v:.4}±{sd:.4}")).collect();
     decision.evidence = format!("{}; {}", notes.join(", "), values.join(" "));
-    Ok((best.intrinsics, decision))
+    Ok((best.intrinsics, decision, elevation))
 }
 
 struct Trials<'a> {
@@ -110,6 +106,36 @@ struct Tried {
 }
 
 impl Trials<'_> {
+    /// Frees the principal point along the axis (coordinate `along`) where an elevation of the camera, given or shown by the room's
+    /// upright lines, or the sightings alone determine it.
+    fn along(
+        &self,
+        best: Tried,
+        whole: Intrinsics,
+        along: usize,
+        context: &Context<'_>,
+        notes: &mut Vec<String>,
+    ) -> Result<(Tried, Option<Elevation>), SfmError> {
+        let solved = &best.solution;
+        let turn = Turn { axis: solved.axis, angles: Vec::new() };
+        let shown = || upright::elevation(context.edges, &solved.bundle.cameras[0], &turn);
+        let elevations = [context.elevation.clone().or_else(shown), None];
+        let first = usize::from(elevations[0].is_none());
+        for elevation in elevations.into_iter().skip(first) {
+            let levels: Vec<Level> = elevation.iter().map(|e| e.level(&turn)).collect();
+            let most = if levels.is_empty() { CONTRADICTED } else { EXCESS * CONTRADICTED };
+            let start = TurnProblem { levels, ..solved.clone() };
+            let Some(found) = self.of(&start, whole)? else { continue };
+            let what = if elevation.is_some() { "along it with the elevation" } else { "along it" };
+            let (taken, note) = self.verdict(what, &found, along, (best.bic, most));
+            notes.push(note);
+            if taken {
+                return Ok((found, elevation));
+            }
+        }
+        Ok((best, None))
+    }
+
     /// Whether a coordinate of the principal point (0: x, 1: y) is determined, and what is to be said of it. `bic`: of
     /// what is there without, and by how much it may grow (a prior needs no evidence, but must not contradict it).
     fn verdict(&self, what: &str, found: &Tried, coordinate: usize, bic: (f64, f64)) -> (bool, String) {

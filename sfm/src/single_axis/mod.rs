@@ -31,6 +31,7 @@ mod smoothness;
 #[cfg(test)]
 mod tests;
 pub mod turn;
+mod upright;
 mod video;
 mod whiten;
 
@@ -43,11 +44,13 @@ use crate::incremental::finish::noise_of;
 use crate::incremental::state::{Input, State};
 use crate::selection::{Intrinsics, converted};
 use crate::{Decision, PoseDeviation, SfmError, Uncertainty};
+use axis::Elevation;
 use evidence::{Comparison, Tried};
 use intrinsics::choose_for_turn;
 use model::{AxisModel, Context};
 use scene::{Camera, CameraModel, Progress};
 use turn::Turn;
+use upright::Segment;
 
 /// Points an image contributes to a first look.
 const POINTS_ROUGH: usize = 50;
@@ -109,6 +112,7 @@ pub(crate) struct Job<'a> {
     pub named: Option<CameraModel>,
     pub config: &'a MotionConfig,
     pub features: &'a [usize],
+    pub edges: &'a [Segment],
     pub progress: &'a Progress,
 }
 
@@ -119,7 +123,8 @@ impl Job<'_> {
             known: self.known,
             starts: self.starts,
             relations,
-            elevation: self.config.known_elevation.map(f64::to_radians),
+            elevation: self.config.known_elevation.map(Elevation::measured),
+            edges: self.edges,
             closing: None,
             times: &[],
             features: self.features,
@@ -284,11 +289,8 @@ pub(crate) fn adjust_and_choose(
     let what = Adjustment { points_per_image: Some(points), ..Adjustment::growing(free, priors) };
     let (mut problem, selected) = model.problem(context, &what);
     model.weigh(context, &mut problem.bundle, &selected);
-    problem.levels.extend(context.elevation.map(|e| axis::level(&model.turn, e)));
-    let (intrinsics, decision) = choose_for_turn(&problem, context.known, job.named, context.progress)?;
-    // It says something where the principal point could go where it leads.
-    let free = intrinsics.principal_point && intrinsics.held.is_none() && !context.known[0].fixed;
-    model.elevation = context.elevation.filter(|_| free);
+    let (intrinsics, decision, elevation) = choose_for_turn(&problem, context, job.named)?;
+    model.elevation = elevation;
     model.polish(context, intrinsics, rounds)?;
     Ok(Some((model, intrinsics, decision)))
 }

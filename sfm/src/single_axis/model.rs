@@ -1,9 +1,10 @@
 //! A growing model whose poses are a turn: triangulated, adjusted and filtered under the constraint.
 
-use super::axis::level;
+use super::axis::Elevation;
 use super::jumps::not_jumping;
 use super::problem::{Relation, TurnCovariance, TurnProblem};
 use super::turn::{Turn, median};
+use super::upright::Segment;
 use crate::bundle::{BundleProblem, Loss, SolveOptions};
 use crate::incremental::adjust::{Adjustment, Selected, plausible, select, take};
 use crate::incremental::growth::freedom;
@@ -31,8 +32,8 @@ pub(crate) struct AxisModel {
     pub state: State,
     /// The motion.
     pub turn: Turn,
-    /// The elevation of the camera that is believed, radians.
-    pub elevation: Option<f64>,
+    /// The elevation of the camera that is believed.
+    pub elevation: Option<Elevation>,
 }
 
 /// What stays the same while a model is adjusted.
@@ -45,8 +46,10 @@ pub(crate) struct Context<'a> {
     pub starts: &'a [Camera],
     /// What is known of the angles, by frame.
     pub relations: &'a [Relation],
-    /// Angle by which the camera looks down on the plane of the turn, where a user measured it, radians.
-    pub elevation: Option<f64>,
+    /// How the camera looks down on the plane of the turn, where a user measured it.
+    pub elevation: Option<Elevation>,
+    /// Edges of the room, where the camera stands still, which may show it.
+    pub edges: &'a [Segment],
     /// What a whole turn says of them beside the sightings.
     pub closing: Option<Relation>,
     /// When each frame of a video was taken: until more is known of the angles, they are taken not to jump. Empty otherwise.
@@ -86,7 +89,7 @@ impl AxisModel {
                 problem.relations.push(Relation { frames, ..*r });
             }
         }
-        problem.levels.extend(self.elevation.map(|e| level(&self.turn, e)));
+        problem.levels.extend(self.elevation.as_ref().map(|e| e.level(&self.turn)));
         (problem, selected)
     }
 

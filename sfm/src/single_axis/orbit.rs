@@ -141,7 +141,7 @@ pub(crate) fn adjusted(
     moved(&new.inverse().compose(&old), state.poses.iter_mut().flatten(), points);
     let free: Vec<Option<Pose>> = state.poses.clone();
     let relations = even_angles(&turn.angles);
-    let context = &Context { relations: &relations, ..*context };
+    let context = &Context { relations: &relations, elevation: None, ..*context };
     let mut model = AxisModel { elevation: None, state, turn };
     let (mut problem, selected, options) = model.prepare(context, intrinsics, None);
     problem.bundle.poses = selected.images.iter().filter_map(|&i| free[i]).collect();

@@ -117,7 +117,17 @@ impl Filmed {
 
     pub fn job<'a>(&'a self, input: &'a Input<'a>, starts: &'a [Camera]) -> Job<'a> {
         let Self { config, progress, cameras, known, .. } = self;
-        Job { input, cameras, known, starts, named: None, config: &config.motion, features: &[], progress }
+        Job {
+            input,
+            cameras,
+            known,
+            starts,
+            named: None,
+            config: &config.motion,
+            features: &[],
+            edges: &[],
+            progress,
+        }
     }
 }
 

@@ -10,6 +10,7 @@ use super::seam::Seam;
 use super::seed::{KEYS, KeyPair, Seed, explained, seeds, steady};
 use super::smoothness::{known_rate, learnt};
 use super::turn::{Turn, median, wrapped};
+use super::upright::segments;
 use super::{Job, Motion, ROUNDS, ROUNDS_BEFORE, Turned, adjust_and_choose, decision, finish};
 use crate::Knowledge;
 use crate::incremental::resection::FOCAL_FACTORS;
@@ -95,6 +96,8 @@ pub(crate) fn solve_video(job: &VideoJob<'_>) -> Result<Result<(VideoModel, Deci
     let keys = KeyFrames::new(job.frames, &model, &config.sift, &config.matching, job.progress)?;
     let Closed { material, turn, cameras, closing, seam } = job.close(&keys, &tracks, model)?;
     let input = job.input(&material);
+    let z = turn.direction();
+    let edges = segments(job.frames, z.x.abs() > z.y.abs())?;
     let counts: Vec<usize> = keys.features.iter().map(Features::len).collect();
     let free_job = Job {
         input: &input,
@@ -104,6 +107,7 @@ pub(crate) fn solve_video(job: &VideoJob<'_>) -> Result<Result<(VideoModel, Deci
         named: config.camera_model.model(),
         config: &config.motion,
         features: &counts,
+        edges: &edges,
         progress: job.progress,
     };
     let times = job.times();
@@ -258,13 +262,13 @@ impl VideoJob<'_> {
 
     fn context<'a>(&'a self, input: &'a Input<'a>, starts: &'a [Camera], times: &'a [f64]) -> Context<'a> {
         let (known, progress) = (self.known, self.progress);
-        let elevation = self.config.motion.known_elevation.map(f64::to_radians);
         Context {
             input,
             known,
             starts,
             relations: &[],
-            elevation,
+            elevation: None,
+            edges: &[],
             closing: None,
             times,
             features: &[],
