@@ -61,6 +61,30 @@ pub(crate) struct Context<'a> {
     pub progress: &'a Progress,
 }
 
+impl<'a> Context<'a> {
+    /// What is there before anything is known of the motion.
+    pub fn plain(
+        input: &'a Input<'a>,
+        known: &'a [Knowledge],
+        starts: &'a [Camera],
+        times: &'a [f64],
+        progress: &'a Progress,
+    ) -> Self {
+        Self {
+            input,
+            known,
+            starts,
+            relations: &[],
+            elevation: None,
+            edges: &[],
+            closing: None,
+            times,
+            features: &[],
+            progress,
+        }
+    }
+}
+
 impl AxisModel {
     /// Triangulates all tracks from the turn's poses.
     pub fn new(input: &Input<'_>, cameras: Vec<Camera>, turn: Turn) -> Self {

@@ -261,19 +261,7 @@ impl VideoJob<'_> {
     }
 
     fn context<'a>(&'a self, input: &'a Input<'a>, starts: &'a [Camera], times: &'a [f64]) -> Context<'a> {
-        let (known, progress) = (self.known, self.progress);
-        Context {
-            input,
-            known,
-            starts,
-            relations: &[],
-            elevation: None,
-            edges: &[],
-            closing: None,
-            times,
-            features: &[],
-            progress,
-        }
+        Context::plain(input, self.known, starts, times, self.progress)
     }
 
     /// Camera and turn of a seed; frames between key frames get angles in between.
