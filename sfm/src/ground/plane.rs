@@ -2,7 +2,7 @@
 
 use crate::incremental::state::{Input, MapPoint, State};
 use crate::single_axis::turn::median;
-use crate::solvers::linalg::{solve_spd, symmetric_eigen};
+use crate::solvers::linalg::{moments, solve_spd, symmetric_eigen};
 use glam::{DQuat, DVec2, DVec3};
 use rand::Rng as _;
 use rayon::prelude::*;
@@ -182,12 +182,7 @@ fn level_of(state: &State) -> Option<DVec3> {
 /// Mean of points, their sums of squares along their principal axes, ascending, and the axis along which they spread least.
 fn spread_of(points: &[DVec3]) -> (DVec3, [f64; 3], DVec3) {
     let middle = points.iter().sum::<DVec3>() / points.len().max(1) as f64;
-    let mut spread = [[0.0; 3]; 3];
-    for x in points {
-        let d = (*x - middle).to_array();
-        (0..9).for_each(|k| spread[k / 3][k % 3] += d[k / 3] * d[k % 3]);
-    }
-    let (values, axes) = symmetric_eigen(&spread);
+    let (values, axes) = symmetric_eigen(&moments(points.iter().map(|x| (1.0, *x - middle))));
     (middle, values, DVec3::from_array(axes[0]))
 }
 

@@ -11,7 +11,7 @@ use glam::DVec3;
 const ELEVATION_SIGMA: f64 = 0.1 * std::f64::consts::PI / 180.0;
 /// It is held to a part of that: sightings of a point err together, and say too much (`smoothness`).
 const FIRMNESS: f64 = 6.0;
-/// A measured elevation is doubtful that leads so many standard deviations away from what is usual.
+/// An elevation is doubtful that leads so many standard deviations away from what is usual.
 const DOUBTFUL: f64 = 3.0;
 
 /// How the camera looks down on the plane of the turn, from elsewhere than the turn.
@@ -23,13 +23,15 @@ pub(crate) struct Elevation {
     pub sigma: f64,
     /// Where it is from, for the report.
     pub source: String,
+    /// What to do where it is doubtful.
+    pub doubt: &'static str,
 }
 
 impl Elevation {
     /// What somebody measured.
     pub fn measured(degrees: f64) -> Self {
         let source = format!("measured {degrees:.3}° ± {:.1}°", ELEVATION_SIGMA.to_degrees());
-        Self { angle: degrees.to_radians(), sigma: ELEVATION_SIGMA, source }
+        Self { angle: degrees.to_radians(), sigma: ELEVATION_SIGMA, source, doubt: "measure it again" }
     }
 
     /// The camera sees the upward axis u with `e_z · u = −sin(elevation)`.
@@ -106,10 +108,10 @@ fn elevation_decision(model: &AxisModel, given: &Elevation, known: bool) -> Deci
     let usual = DOUBTFUL * PRINCIPAL_POINT_SIGMA * width.max(height);
     let far = off.length() > usual || (found - given.angle).abs() > DOUBTFUL * given.sigma;
     let verdict = match (&model.elevation, known) {
-        (None, true) => "not used, for the camera is known",
-        (None, false) => "not used, for the sightings contradict it: measure it again",
-        (Some(_), _) if far => "doubtful: measure it again",
-        (Some(_), _) => "believed",
+        (None, true) => "not used, for the camera is known".to_owned(),
+        (None, false) => format!("not used, for the sightings contradict it: {}", given.doubt),
+        (Some(_), _) if far => format!("doubtful: {}", given.doubt),
+        (Some(_), _) => "believed".to_owned(),
     };
     Decision {
         what: "elevation of the camera".to_owned(),

@@ -1,6 +1,6 @@
 //! A motion about one axis, and how it is read off free poses.
 
-use crate::solvers::linalg::symmetric_eigen;
+use crate::solvers::linalg::{moments, symmetric_eigen};
 use glam::{DMat3, DQuat, DVec3};
 use scene::Pose;
 
@@ -149,12 +149,7 @@ pub(crate) fn common_axis(vectors: &[DVec3]) -> Option<(DVec3, f64)> {
     let mut axis = None;
     let mut tilt = 0.0;
     for _ in 0..ROUNDS {
-        let mut sum = [[0.0; 3]; 3];
-        for (v, w) in vectors.iter().zip(&weights) {
-            let v = v.to_array();
-            (0..9).for_each(|k| sum[k / 3][k % 3] += w * v[k / 3] * v[k % 3]);
-        }
-        let (values, rows) = symmetric_eigen(&sum);
+        let (values, rows) = symmetric_eigen(&moments(weights.iter().copied().zip(vectors.iter().copied())));
         if !(values[2] > LEAST_ANGLE * LEAST_ANGLE) {
             return None;
         }

@@ -118,6 +118,15 @@ pub fn solve_spd<const N: usize>(a: &[[f64; N]; N], b: &[f64; N]) -> Option<[f64
     x.iter().all(|v| v.is_finite()).then_some(x)
 }
 
+/// `Σ w v vᵀ` of weighted vectors.
+pub fn moments(vectors: impl Iterator<Item = (f64, DVec3)>) -> [[f64; 3]; 3] {
+    let mut sum = [[0.0; 3]; 3];
+    for (w, v) in vectors.map(|(w, v)| (w, v.to_array())) {
+        (0..9).for_each(|k| sum[k / 3][k % 3] += w * v[k / 3] * v[k % 3]);
+    }
+    sum
+}
+
 /// `m = u · diag(s) · vᵀ` with `s` descending and `u`, `v` orthogonal (their determinants may be −1): one-sided
 /// Jacobi, accurate for small singular values too.
 pub fn svd3(m: &DMat3) -> (DMat3, DVec3, DMat3) {

@@ -10,14 +10,15 @@ mod edges;
 #[cfg(test)]
 mod tests;
 
-pub(crate) use edges::{Segment, segments};
+pub(crate) use edges::Segment;
 
 use super::axis::Elevation;
 use super::turn::{Turn, median};
+use crate::SfmError;
 use crate::selection::{PRINCIPAL_POINT_SIGMA, converted};
-use crate::solvers::linalg::symmetric_eigen;
+use crate::solvers::linalg::{moments, symmetric_eigen};
 use glam::DVec3;
-use scene::{Camera, CameraModel};
+use scene::{Camera, CameraModel, FrameSet};
 use std::f64::consts::PI;
 
 /// How exactly what is upright is so, and edges are seen, whatever their residuals say, radians.
@@ -27,6 +28,8 @@ const TOGETHER_PX: f64 = 8.0;
 /// Rays farther from their plane than so many standard deviations are left out, in so many rounds.
 const FAR: f64 = 2.5;
 const ROUNDS: usize = 4;
+/// Nothing is seen more exactly than this, radians.
+const EXACT: f64 = 1e-6;
 /// Share of lines that are upright, before they are looked at.
 const SHARE: f64 = 0.3;
 /// Of the others most lean by little (radians), for things are set up askew; the rest by anything that is looked at.
@@ -59,12 +62,18 @@ struct Vote {
     /// Radians.
     lean: f64,
     /// What an error of the line's direction (radians) is to that: leans are known to `sigma / lever`. Its sign says on
-    /// which side of the axis the line is.
+    /// which side of the plane through the axis and the optical axis the line is.
     lever: f64,
     /// Standard deviation of the line's direction, radians.
     sigma: f64,
     /// What it counts among others.
     weight: f64,
+}
+
+/// Edges of what stands still, along the image of the axis.
+pub(crate) fn of_room(frames: &FrameSet, turn: &Turn) -> Result<Vec<Segment>, SfmError> {
+    let z = turn.direction();
+    edges::segments(frames, z.x.abs() > z.y.abs())
 }
 
 /// The camera's elevation over the plane of the turn that upright lines show; `None` where they do not agree on one.
@@ -99,6 +108,7 @@ pub(crate) fn elevation(segments: &[Segment], camera: &Camera, turn: &Turn) -> O
             found.sigma.to_degrees(),
             found.log_odds
         ),
+        doubt: "see whether the axis is plumb, or give --known-elevation",
     })
 }
 
@@ -136,16 +146,13 @@ fn plane_of(mut rays: Vec<DVec3>) -> Option<(DVec3, f64)> {
     let all = rays.len();
     let mut round = 0;
     loop {
-        let mut moments = [[0.0; 3]; 3];
-        for r in rays.iter().map(DVec3::to_array) {
-            (0..9).for_each(|k| moments[k / 3][k % 3] += r[k / 3] * r[k % 3]);
-        }
-        let (values, axes) = symmetric_eigen(&moments);
+        let (values, axes) = symmetric_eigen(&moments(rays.iter().map(|r| (1.0, *r))));
         let normal = DVec3::from_array(axes[0]);
         let count = rays.len() as f64;
         // Along the line the rays spread by the second moment.
         let (residual, spread) = ((values[0].max(0.0) / count).sqrt(), (values[1] / count).sqrt());
         let typical = median(rays.iter().map(|r| r.dot(normal).abs()).collect()) / 0.6745;
+        let typical = typical.max(EXACT);
         let before = rays.len();
         rays.retain(|r| r.dot(normal).abs() <= FAR * typical);
         if rays.len() == before || round == ROUNDS {
