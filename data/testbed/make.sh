@@ -4,6 +4,7 @@
 #   calibration_stills calibration_video (all)
 #   OBJECT=model.glb ... films a glTF model in the mock-up's place (into another FOLDER);
 #   OBJECT=variant:SEED another satellite, drawn at random
+#   ROOM=SEED ... has other things beside the green screen of cases 3 and 4 (into another FOLDER)
 #   EVERY=K ... renders and films only every K-th frame of the shot, at a K-th of the rate
 #   BLUE=1 ... exchanges green and blue in the light that reaches the sensor: a blue screen, another mock-up
 # Frames that exist are kept: stop it and start it again at will. Needs blender, python3-numpy
@@ -34,7 +35,7 @@ for name in "$@"; do
     mkdir -p "$out/renders/$shot" "$out/$name"
     echo "$name: rendering the shot '$shot'"
     nice -n 19 blender -b -t 1 --python-exit-code 1 --python "$here/render.py" -- \
-        "$shot" "$out/renders/$shot" --frames "::$every" ${OBJECT:+--object "$OBJECT"} >"$out/renders/$shot/blender.log" 2>&1 ||
+        "$shot" "$out/renders/$shot" --frames "::$every" ${OBJECT:+--object "$OBJECT"} ${ROOM:+--room "$ROOM"} >"$out/renders/$shot/blender.log" 2>&1 ||
         { tail -20 "$out/renders/$shot/blender.log" >&2; exit 1; }
     "$python" "$here/develop.py" "$name" "$out/renders/$shot" "$out/$name" --every "$every" ${BLUE:+--blue}
     "$python" "$here/check.py" "$name" "$out/$name" --every "$every"

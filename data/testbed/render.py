@@ -1,6 +1,6 @@
 """Renders one shot in Blender: linear light, undistorted, a little wider than the picture.
 
-    blender -b --python render.py -- SHOT FOLDER [--object FILE.glb | variant:SEED] [--layer NAME] [--frames A:B:STEP]
+    blender -b --python render.py -- SHOT FOLDER [--object FILE.glb | variant:SEED] [--room SEED] [--layer NAME] [--frames A:B:STEP]
 
 Writes FOLDER/LAYER/NNNN.exr for each layer of the shot (cases.layers): the light of the groups
 `lamp` and `room` apart and the pass `truth` (materials.tag); and FOLDER/mesh.ply, the
@@ -34,6 +34,7 @@ def arguments():
     parser.add_argument("shot", choices=sorted(cases.SHOTS))
     parser.add_argument("folder")
     parser.add_argument("--object", help="a .glb, or variant:SEED, to film in place of the mock-up")
+    parser.add_argument("--room", type=int, help="seed of other things beside the green screen")
     parser.add_argument("--frames", default="::", help="start:stop:step")
     parser.add_argument("--layer", help="only this layer")
     return parser.parse_args(sys.argv[sys.argv.index("--") + 1 :])
@@ -228,7 +229,7 @@ def main():
     os.makedirs(options.folder, exist_ok=True)
     scene = empty_scene()
     root = thing_to_film(options.object)
-    pole = getattr(rooms, shot.room)(shot)
+    pole = rooms.green_screen(shot, options.room) if shot.room == "green_screen" else getattr(rooms, shot.room)(shot)
     truth_materials(root, pole, shot)
     quality(scene, shot)
     eye = camera(scene)

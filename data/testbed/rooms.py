@@ -127,26 +127,68 @@ def _cloth(x, y):
     return 0.010 * math.sin(7 * x + 2 * y) + 0.006 * math.sin(17 * x - 3 * y + 1) + 0.02 * math.sin(2.3 * y + x)
 
 
-def green_screen(_shot):
-    """A green cloth with folds and a seam before a grey wall; it does not fill the picture."""
+def _shelves(dark, wood):
+    for k, at in enumerate(((1.52, 1.45, -0.55), (1.60, 1.45, 0.15), (-1.60, 1.5, -0.7), (-1.55, 1.5, 0.45))):
+        s.box("shelf", (0.36, 0.3, 0.5), at, wood if k % 2 else dark, turn_deg=(0, 0, 7 * k))
+        s.box("label", (0.18, 0.01, 0.12), (at[0], at[1] - 0.16, at[2]), m.patches(f"label {k}", (0.7, 0.6, 0.4), scale=40))
+
+
+def _furniture(rng, green, seam, materials):
+    """Another cloth, and things beside it: cabinets stand upright, posters hang by eye, boards lean, stands have
+    three legs and a column."""
+    width, turn, hang = rng.uniform(1.7, 2.4), rng.uniform(-5, 5), rng.gauss(0, 0.5)
+    middle = rng.uniform(-0.1, 0.1)
+    s.sheet("screen", width, 2.3, green, at=(middle, 1.25, 0.10), turn_deg=(90, hang, turn), wave=_cloth, steps=90)
+    s.rod("screen bar", (middle - width / 2, 1.3, 1.27), (middle + width / 2, 1.3, 1.27), 0.02, materials[0])
+    if rng.random() < 0.5:
+        x = rng.choice((-1, 1)) * rng.uniform(0.35, 0.7)
+        s.sheet("seam", 0.012, 2.3, seam, at=(x, 1.185, 0.10), turn_deg=(90, hang, turn))
+    for k in range(rng.randint(6, 9)):
+        side = 1 if k % 2 else -1
+        x = middle + side * (width / 2 + rng.uniform(0.0, 0.45))
+        material = rng.choice((*materials, m.patches(f"thing {k}", [0.1 + 0.6 * rng.random() for _ in range(3)], scale=12)))
+        kind = rng.choice(("cabinet", "cabinet", "poster", "board", "stand"))
+        if kind == "cabinet":
+            size = (rng.uniform(0.15, 0.5), rng.uniform(0.15, 0.4), rng.uniform(0.3, 1.4))
+            s.box(kind, size, (x + side * size[0] / 2, rng.uniform(0.9, 1.5), -1.05 + size[2] / 2), material, turn_deg=(0, 0, rng.uniform(0, 90)))
+        elif kind == "poster":
+            size = (rng.uniform(0.2, 0.4), rng.uniform(0.2, 0.5))
+            at = (x + side * 0.25, 1.745, rng.uniform(-0.5, 0.7))
+            s.sheet(kind, *size, material, at=at, turn_deg=(90, rng.gauss(0, 1.0), 0))
+        elif kind == "board":
+            lean = rng.uniform(4, 12)
+            s.box(kind, (rng.uniform(0.2, 0.5), 0.03, 1.1), (x + side * 0.2, 1.45, -0.5), material,
+                  turn_deg=(-lean, rng.gauss(0, 1.5), rng.gauss(0, 8)))
+        else:
+            top = rng.uniform(0.2, 1.2)
+            s.rod(kind, (x, 1.0, -0.6), (x, 1.0, top), 0.018, materials[0])
+            for leg in range(3):
+                a = 2 * math.pi * leg / 3 + rng.random()
+                s.rod("leg", (x, 1.0, -0.5), (x + 0.3 * math.cos(a), 1.0 + 0.3 * math.sin(a), -1.05), 0.012, materials[0])
+
+
+def green_screen(_shot, seed=None):
+    """A green cloth with folds and a seam before a grey wall; it does not fill the picture. With a seed the cloth
+    hangs otherwise and other things stand and hang beside it (`furniture`)."""
     green = m.mottled("green cloth", (0.030, 0.30, 0.062), (0.040, 0.38, 0.080), 3, 0.9)
     seam = m.plain("seam", (0.022, 0.22, 0.045), 0.9)
     wall = m.mottled("grey wall", (0.22, 0.21, 0.20), (0.36, 0.35, 0.33), 4)
     floor = m.mottled("laboratory floor", (0.09, 0.09, 0.095), (0.24, 0.235, 0.23), 22, 0.6)
     dark = m.plain("dark things", (0.05, 0.05, 0.06), 0.5)
     wood = m.mottled("shelf", (0.14, 0.08, 0.04), (0.36, 0.22, 0.12), 8, 0.6, 4.0, (1, 8, 1))
-    s.sheet("screen", 2.46, 2.3, green, at=(-0.06, 1.25, 0.10), turn_deg=(90, 0, -2), wave=_cloth, steps=90)
-    s.sheet("seam", 0.012, 2.3, seam, at=(0.62, 1.185, 0.10), turn_deg=(90, 0, -2))
-    s.rod("screen bar", (-1.45, 1.3, 1.27), (1.4, 1.3, 1.27), 0.02, dark)
+    if seed is None:
+        s.sheet("screen", 2.46, 2.3, green, at=(-0.06, 1.25, 0.10), turn_deg=(90, 0, -2), wave=_cloth, steps=90)
+        s.sheet("seam", 0.012, 2.3, seam, at=(0.62, 1.185, 0.10), turn_deg=(90, 0, -2))
+        s.rod("screen bar", (-1.45, 1.3, 1.27), (1.4, 1.3, 1.27), 0.02, dark)
+        _shelves(dark, wood)
+    else:
+        _furniture(random.Random(seed), green, seam, (dark, wood))
     s.sheet("wall", 8, 4, wall, at=(0, 1.75, 0.6), turn_deg=(90, 0, 0))
     s.sheet("wall behind", 8, 4, wall, at=(0, -3.6, 0.6), turn_deg=(90, 0, 180))
     for side in (-1, 1):
         s.sheet("side wall", 6, 4, wall, at=(3.4 * side, -0.9, 0.6), turn_deg=(90, 0, 90 * side))
     s.sheet("floor", 9, 9, floor, at=(0, 0, -1.05))
     s.sheet("ceiling", 9, 9, wall, at=(0, 0, 2.4), turn_deg=(180, 0, 0))
-    for k, at in enumerate(((1.52, 1.45, -0.55), (1.60, 1.45, 0.15), (-1.60, 1.5, -0.7), (-1.55, 1.5, 0.45))):
-        s.box("shelf", (0.36, 0.3, 0.5), at, wood if k % 2 else dark, turn_deg=(0, 0, 7 * k))
-        s.box("label", (0.18, 0.01, 0.12), (at[0], at[1] - 0.16, at[2]), m.patches(f"label {k}", (0.7, 0.6, 0.4), scale=40))
     pole = _pole(-1.05, m.plain("pole", (0.10, 0.10, 0.11), 0.45, 0.4))
     _world((0.05, 0.05, 0.055))
     _lamp_with_stand((-1.15, -1.75, 0.95), 620, 46)
