@@ -24,21 +24,6 @@ pub(crate) struct Segment {
     pub points: Vec<DVec2>,
 }
 
-impl Segment {
-    /// Whether two edges run beside each other (an edge does beside itself), at most `near` pixels apart.
-    pub fn is_beside(&self, other: &Self, near: f64) -> bool {
-        let bounds = |s: &Self| {
-            let low = s.points.iter().copied().reduce(DVec2::min).unwrap_or(DVec2::NAN);
-            let high = s.points.iter().copied().reduce(DVec2::max).unwrap_or(DVec2::NAN);
-            (low, high)
-        };
-        let ((low, high), (other_low, other_high)) = (bounds(self), bounds(other));
-        let gap = (other_low - high).max(low - other_high);
-        // They overlap along one coordinate and are near along the other.
-        gap.max_element() < near && gap.min_element() < 0.0
-    }
-}
-
 /// Edges of the mean of the frames; `along_x`: those that run along the image's rows, else along its columns.
 pub(crate) fn segments(frames: &FrameSet, along_x: bool) -> Result<Vec<Segment>, SfmError> {
     let mean = mean_of(frames)?;

@@ -48,8 +48,6 @@ const CLEAR: f64 = 4.0;
 const LOOSE: f64 = 0.4 * PI / 180.0;
 /// Lines that agree are needed on both sides of the axis, each within so many standard deviations.
 const AGREES: f64 = 2.0;
-/// Lines that are beside each other and nearer than this, in longer image sides, are of one thing.
-const NEAR: f64 = 0.025;
 /// Distortions that are tried: what the first term does half an image side from the centre is changed in so many steps to each side, each so
 /// large a share; and the standard deviation of that.
 const BENDS: i32 = 5;
@@ -66,8 +64,6 @@ struct Vote {
     lever: f64,
     /// Standard deviation of the line's direction, radians.
     sigma: f64,
-    /// What it counts among others.
-    weight: f64,
 }
 
 /// Edges of what stands still, along the image of the axis.
@@ -81,16 +77,13 @@ pub(crate) fn elevation(segments: &[Segment], camera: &Camera, turn: &Turn) -> O
     let up = turn.direction() * turn.upward();
     // Turning about `side` takes the axis in the plane of itself and the optical axis.
     let side = up.cross(DVec3::Z).try_normalize()?;
-    let near = NEAR * f64::from(camera.width.max(camera.height));
     let votes_with = |(log_prior, camera): (f64, Camera)| {
-        let mut votes: Vec<_> = segments.iter().map(|s| vote(s, &camera, up, side)).collect();
-        weigh(&mut votes, segments, near);
-        (log_prior, votes)
+        (log_prior, segments.iter().filter_map(|s| vote(s, &camera, up, side)).collect())
     };
-    let bends: Vec<(f64, Vec<Option<Vote>>)> = bent(camera).map(votes_with).collect();
+    let bends: Vec<(f64, Vec<Vote>)> = bent(camera).map(votes_with).collect();
     let prior = PRINCIPAL_POINT_SIGMA * f64::from(camera.width.max(camera.height)) / camera.mean_focal();
     let found = likeliest(&bends, prior)?;
-    let votes: Vec<Vote> = bends[found.bend].1.iter().flatten().copied().collect();
+    let votes = &bends[found.bend].1;
     let with = |side: f64| votes.iter().filter(|v| v.lever * side > 0.0 && v.agrees(found.lean)).count();
     let both = [with(1.0), with(-1.0)];
     if found.log_odds < CLEAR || found.sigma > LOOSE || both.contains(&0) {
@@ -127,17 +120,7 @@ fn vote(segment: &Segment, camera: &Camera, up: DVec3, side: DVec3) -> Option<Vo
     let usable = across.abs() < MOST_LEAN.sin() && sigma < VAGUE * lever.abs() && sigma.is_finite();
     // The normal points to one side: levers of lines left and right of the axis differ in sign.
     let right = if normal.dot(side) < 0.0 { -1.0 } else { 1.0 };
-    usable.then(|| Vote { lean: (-across / lever).atan(), lever: lever * right, sigma, weight: 1.0 })
-}
-
-/// Edges beside each other are of one thing and lean as a whole: n of them count as √n, between one and n.
-fn weigh(votes: &mut [Option<Vote>], segments: &[Segment], near: f64) {
-    let voting: Vec<bool> = votes.iter().map(Option::is_some).collect();
-    for (i, vote) in votes.iter_mut().enumerate() {
-        let Some(vote) = vote else { continue };
-        let beside = (0..segments.len()).filter(|&j| voting[j] && segments[i].is_beside(&segments[j], near));
-        vote.weight = 1.0 / (beside.count().max(1) as f64).sqrt();
-    }
+    usable.then(|| Vote { lean: (-across / lever).atan(), lever: lever * right, sigma })
 }
 
 /// Normal of the plane in which rays are, and its standard deviation about the middle one; rays far out of it (where an edge
@@ -193,7 +176,7 @@ struct Likeliest {
 
 /// Mean and deviation of the lean given all lines, whatever the distortion. Each is upright with the probability [`SHARE`]; else it leans by
 /// itself, whatever the axis does. `prior`: standard deviation of the lean beforehand.
-fn likeliest(bends: &[(f64, Vec<Option<Vote>>)], prior: f64) -> Option<Likeliest> {
+fn likeliest(bends: &[(f64, Vec<Vote>)], prior: f64) -> Option<Likeliest> {
     let leans: Vec<f64> = (-STEPS..=STEPS).map(|k| f64::from(k) * STEP).collect();
     let norm = bends.iter().map(|b| b.0.exp()).sum::<f64>().ln();
     let logs: Vec<Vec<f64>> = bends
@@ -219,13 +202,13 @@ fn likeliest(bends: &[(f64, Vec<Option<Vote>>)], prior: f64) -> Option<Likeliest
 }
 
 /// Log of the odds that some lines are upright and the axis leans by `lean`, against none being so.
-fn log_odds(votes: &[Option<Vote>], lean: f64) -> f64 {
+fn log_odds(votes: &[Vote], lean: f64) -> f64 {
     let gauss = |x: f64, s: f64| (-0.5 * (x / s).powi(2)).exp() / (s * (2.0 * PI).sqrt());
     let ratio = |v: &Vote| {
         let askew = ASKEW_SHARE * gauss(v.lean * v.lever, ASKEW.hypot(v.sigma));
         let others = askew + (1.0 - ASKEW_SHARE) / (2.0 * MOST_LEAN);
         let upright = gauss((lean - v.lean) * v.lever, v.sigma);
-        v.weight * (SHARE * upright / others + 1.0 - SHARE).ln()
+        (SHARE * upright / others + 1.0 - SHARE).ln()
     };
-    votes.iter().flatten().map(ratio).sum()
+    votes.iter().map(ratio).sum()
 }
