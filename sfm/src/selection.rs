@@ -4,7 +4,10 @@
 //! it predicts (paired by image), while BIC (Schwarz 1978) on the robust cost over the measured noise says whether the
 //! parameters pay for themselves. Both must agree, and the normal equations must determine what was freed.
 
+mod freed;
 pub(crate) mod sharing;
+
+pub(crate) use freed::freed_point;
 
 use crate::bundle::{BundleObservation, BundleProblem, IntrinsicsPrior, Loss, SolveOptions, free_parameters};
 use crate::{Decision, Knowledge, SfmError};
@@ -224,32 +227,6 @@ pub fn choose(
         decision,
         problem: best.problem,
     })
-}
-
-/// Whether more sightings than [`choose`] had determine a principal point that was held: with both terms of radial distortion, whose
-/// centre it is. `None` where they do not, or the user named a model.
-pub(crate) fn freed_point(
-    problem: &BundleProblem,
-    known: &[Knowledge],
-    (now, named): (Intrinsics, Option<CameraModel>),
-    sigma: f64,
-    progress: &Progress,
-) -> Result<Option<(Intrinsics, String)>, SfmError> {
-    let asked = named.is_none() && !now.principal_point && !known.iter().any(|k| k.fixed);
-    let (training, held_out) = split(problem);
-    if !asked || problem.poses.len() < 3 || held_out.len() < 100 {
-        return Ok(None);
-    }
-    let context = Context { training, held_out, sigma, known, progress };
-    let held = context.trial(problem, now)?;
-    let whole = Intrinsics { model: CameraModel::Radial, principal_point: true, held: None };
-    let free = context.trial(&held.problem, whole)?;
-    let again = context.trial(&free.gone_back_to(&held), now)?;
-    let held = if again.bic < held.bic { again } else { held };
-    let (gain, error) = gain(&held.by_pose, &free.by_pose);
-    let taken = clearly_better((gain, error), free.bic, held.bic) && context.determined(&free)?;
-    let evidence = format!("{}; {} (gain {gain:.4} ± {error:.4})", held.line(), free.line());
-    Ok(taken.then_some((whole, evidence)))
 }
 
 /// Which of several ways to turn images (see [`crate::turned`]) the sightings support, with the choice that goes with it:

@@ -6,7 +6,7 @@ use glam::DVec2;
 use scene::{FloatImage, FrameSet};
 
 /// Frames whose mean is looked at: evenly from the video.
-const FRAMES: usize = 32;
+const FRAMES: usize = 128;
 /// Least slope of an edge, luma a pixel: a step of one level of 8 bits in two pixels is what coding leaves of nothing.
 const LEAST_SLOPE: f32 = 1.2 / 255.0;
 /// What is nearer to the left and right border is not looked at, pixels: it may be cut off by it.
