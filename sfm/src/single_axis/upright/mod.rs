@@ -43,9 +43,9 @@ const VAGUE: f64 = 1.5 * PI / 180.0;
 const STEP: f64 = 0.01 * PI / 180.0;
 const STEPS: i32 = 1000;
 /// Log of the odds, against lines of which none is upright, at which it is believed.
-const CLEAR: f64 = 4.0;
+const CLEAR: f64 = 2.0;
 /// It is not believed if it leaves more than this, radians.
-const LOOSE: f64 = 0.4 * PI / 180.0;
+const LOOSE: f64 = 0.6 * PI / 180.0;
 /// Lines that agree are needed on both sides of the axis, each within so many standard deviations.
 const AGREES: f64 = 2.0;
 /// Distortions that are tried: what the first term does half an image side from the centre is changed in so many steps to each side, each so
