@@ -117,6 +117,11 @@ fn a_satellite_that_yaws_before_a_green_screen_is_keyed_and_posed_from_the_video
     // Upright lines of the room say how the camera looks down; the principal point alone leaves 0.6°.
     assert!(errors["rotation_median_deg"].as_f64().unwrap() <= 0.3, "{errors}");
     assert!(out.join("mattes.png").is_file());
+    // The same frames as photos.
+    let photos = poses("yaw-photos", &out.join("images"), &[], 0);
+    let errors = self::errors(&photos, &case.join("sparse"));
+    assert_eq!(errors["registered"], 48, "{errors}");
+    assert!(errors["rotation_median_deg"].as_f64().unwrap() <= 0.4, "{errors}");
 }
 
 #[test]

@@ -70,7 +70,7 @@ impl<'a> Given<'a> {
             named: self.config.camera_model.model(),
             config: &self.config.motion,
             features: &[],
-            edges: &[],
+            room: self.images,
             progress,
         }
     }

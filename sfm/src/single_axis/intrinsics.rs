@@ -11,7 +11,7 @@ use super::axis::Elevation;
 use super::model::Context;
 use super::problem::{Level, TurnProblem};
 use super::turn::Turn;
-use super::upright;
+use super::upright::{self, Segment};
 use crate::Knowledge;
 use crate::bundle::{Loss, SolveOptions};
 use crate::selection::{Intrinsics, PRINCIPAL_POINT_SIGMA, apply, known_as};
@@ -30,10 +30,11 @@ const EXCESS: f64 = 3.0;
 const LEAN: f64 = 0.5;
 
 /// Camera model and freedom by evidence; the principal point where it is determined. The sightings of `problem` have
-/// their standard deviations.
+/// their standard deviations. `edges`: lines of the room.
 pub(crate) fn choose_for_turn(
     problem: &TurnProblem,
     context: &Context<'_>,
+    edges: &[Segment],
     named: Option<CameraModel>,
 ) -> Result<(Intrinsics, Decision, Option<Elevation>), SfmError> {
     let (known, progress) = (context.known, context.progress);
@@ -66,7 +67,7 @@ pub(crate) fn choose_for_turn(
         let model = if named.is_none() { CameraModel::Radial } else { model };
         let whole = Intrinsics { model, principal_point: true, held: None };
         if best.intrinsics.principal_point {
-            (best, elevation) = trial.along(best, whole, along, context, &mut notes)?;
+            (best, elevation) = trial.along(best, whole, along, (context, edges), &mut notes)?;
         }
     }
     // Distortion once more: it takes up what a wrong principal point leaves.
@@ -113,12 +114,12 @@ impl Trials<'_> {
         best: Tried,
         whole: Intrinsics,
         along: usize,
-        context: &Context<'_>,
+        (context, edges): (&Context<'_>, &[Segment]),
         notes: &mut Vec<String>,
     ) -> Result<(Tried, Option<Elevation>), SfmError> {
         let solved = &best.solution;
         let turn = Turn { axis: solved.axis, angles: Vec::new() };
-        let shown = || upright::elevation(context.edges, &solved.bundle.cameras[0], &turn);
+        let shown = || upright::elevation(edges, &solved.bundle.cameras[0], &turn);
         let elevations = [context.elevation.clone().or_else(shown), None];
         let first = usize::from(elevations[0].is_none());
         for elevation in elevations.into_iter().skip(first) {

@@ -48,7 +48,7 @@ use axis::Elevation;
 use evidence::{Comparison, Tried};
 use intrinsics::choose_for_turn;
 use model::{AxisModel, Context};
-use scene::{Camera, CameraModel, Progress};
+use scene::{Camera, CameraModel, FrameSet, Progress};
 use turn::Turn;
 use upright::Segment;
 
@@ -112,7 +112,8 @@ pub(crate) struct Job<'a> {
     pub named: Option<CameraModel>,
     pub config: &'a MotionConfig,
     pub features: &'a [usize],
-    pub edges: &'a [Segment],
+    /// Images in which the room may be looked at.
+    pub room: Option<&'a FrameSet>,
     pub progress: &'a Progress,
 }
 
@@ -124,12 +125,19 @@ impl Job<'_> {
             starts: self.starts,
             relations,
             elevation: self.config.known_elevation.map(Elevation::measured),
-            edges: self.edges,
             closing: None,
             times: &[],
             features: self.features,
             progress: self.progress,
         }
+    }
+}
+
+impl Job<'_> {
+    /// Lines of the room, where they are asked how the camera looks down.
+    fn edges(&self, turn: &Turn) -> Result<Vec<Segment>, SfmError> {
+        let asked = !self.known[0].fixed && self.config.known_elevation.is_none();
+        self.room.filter(|_| asked).map_or(Ok(Vec::new()), |frames| upright::of_room(frames, turn))
     }
 }
 
@@ -289,7 +297,8 @@ pub(crate) fn adjust_and_choose(
     let what = Adjustment { points_per_image: Some(points), ..Adjustment::growing(free, priors) };
     let (mut problem, selected) = model.problem(context, &what);
     model.weigh(context, &mut problem.bundle, &selected);
-    let (intrinsics, decision, elevation) = choose_for_turn(&problem, context, job.named)?;
+    let edges = job.edges(&model.turn)?;
+    let (intrinsics, decision, elevation) = choose_for_turn(&problem, context, &edges, job.named)?;
     model.elevation = elevation;
     model.polish(context, intrinsics, rounds)?;
     Ok(Some((model, intrinsics, decision)))

@@ -4,7 +4,6 @@ use super::axis::Elevation;
 use super::jumps::not_jumping;
 use super::problem::{Relation, TurnCovariance, TurnProblem};
 use super::turn::{Turn, median};
-use super::upright::Segment;
 use crate::bundle::{BundleProblem, Loss, SolveOptions};
 use crate::incremental::adjust::{Adjustment, Selected, plausible, select, take};
 use crate::incremental::growth::freedom;
@@ -48,8 +47,6 @@ pub(crate) struct Context<'a> {
     pub relations: &'a [Relation],
     /// How the camera looks down on the plane of the turn, where a user measured it.
     pub elevation: Option<Elevation>,
-    /// Edges of the room, where the camera stands still, which may show it.
-    pub edges: &'a [Segment],
     /// What a whole turn says of them beside the sightings.
     pub closing: Option<Relation>,
     /// When each frame of a video was taken: until more is known of the angles, they are taken not to jump. Empty otherwise.
@@ -76,7 +73,6 @@ impl<'a> Context<'a> {
             starts,
             relations: &[],
             elevation: None,
-            edges: &[],
             closing: None,
             times,
             features: &[],

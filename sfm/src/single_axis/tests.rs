@@ -125,7 +125,7 @@ impl Filmed {
             named: None,
             config: &config.motion,
             features: &[],
-            edges: &[],
+            room: None,
             progress,
         }
     }

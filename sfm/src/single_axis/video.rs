@@ -10,7 +10,6 @@ use super::seam::Seam;
 use super::seed::{KEYS, KeyPair, Seed, explained, seeds, steady};
 use super::smoothness::{known_rate, learnt};
 use super::turn::{Turn, median, wrapped};
-use super::upright::of_room;
 use super::{Job, Motion, ROUNDS, ROUNDS_BEFORE, Turned, adjust_and_choose, decision, finish};
 use crate::Knowledge;
 use crate::incremental::resection::FOCAL_FACTORS;
@@ -96,8 +95,6 @@ pub(crate) fn solve_video(job: &VideoJob<'_>) -> Result<Result<(VideoModel, Deci
     let keys = KeyFrames::new(job.frames, &model, &config.sift, &config.matching, job.progress)?;
     let Closed { material, turn, cameras, closing, seam } = job.close(&keys, &tracks, model)?;
     let input = job.input(&material);
-    let asked = !job.known[0].fixed && job.config.motion.known_elevation.is_none();
-    let edges = if asked { of_room(job.frames, &turn)? } else { Vec::new() };
     let counts: Vec<usize> = keys.features.iter().map(Features::len).collect();
     let free_job = Job {
         input: &input,
@@ -107,7 +104,7 @@ pub(crate) fn solve_video(job: &VideoJob<'_>) -> Result<Result<(VideoModel, Deci
         named: config.camera_model.model(),
         config: &config.motion,
         features: &counts,
-        edges: &edges,
+        room: Some(job.frames),
         progress: job.progress,
     };
     let times = job.times();
