@@ -65,10 +65,9 @@ pub(crate) fn choose_for_turn(
         }
         // Along the axis it is seen by distortion alone, which has to be free in full.
         let model = if named.is_none() { CameraModel::Radial } else { model };
-        let whole = Intrinsics { model, principal_point: true, held: None };
-        if best.intrinsics.principal_point {
-            (best, elevation) = trial.along(best, whole, along, (context, edges), &mut notes)?;
-        }
+        let held = (!best.intrinsics.principal_point).then_some(1 - along);
+        let whole = Intrinsics { model, principal_point: true, held };
+        (best, elevation) = trial.along(best, whole, along, (context, edges), &mut notes)?;
     }
     // Distortion once more: it takes up what a wrong principal point leaves.
     for model in [CameraModel::SimpleRadial, CameraModel::Radial] {
@@ -120,9 +119,10 @@ impl Trials<'_> {
         let solved = &best.solution;
         let turn = Turn { axis: solved.axis, angles: Vec::new() };
         let shown = || upright::elevation(edges, &solved.bundle.cameras[0], &turn);
-        let elevations = [context.elevation.clone().or_else(shown), None];
-        let first = usize::from(elevations[0].is_none());
-        for elevation in elevations.into_iter().skip(first) {
+        let given = context.elevation.clone().or_else(shown);
+        // Sightings that do not tell the other coordinate do not tell this one.
+        let sightings_alone = whole.held.is_none().then_some(None);
+        for elevation in given.map(Some).into_iter().chain(sightings_alone) {
             let levels: Vec<Level> = elevation.iter().map(|e| e.level(&turn)).collect();
             let most = if levels.is_empty() { CONTRADICTED } else { EXCESS * CONTRADICTED };
             let start = TurnProblem { levels, ..solved.clone() };
