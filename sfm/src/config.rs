@@ -1,11 +1,11 @@
 //! What a user can say about structure from motion, declared once: flag, default, file key and report row.
 
+use crate::circular::MotionConfig;
 use crate::incremental::MapperConfig;
 use crate::klt::KltConfig;
 use crate::matching::MatchConfig;
 use crate::pairs::PairConfig;
 use crate::sift::SiftConfig;
-use crate::single_axis::MotionConfig;
 use crate::two_view::TwoViewConfig;
 use crate::{Calibration, SfmError};
 use scene::{Camera, CameraModel};

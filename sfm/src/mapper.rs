@@ -2,8 +2,8 @@
 
 use crate::Knowledge;
 use crate::global;
-use crate::incremental::bridge::agreement;
 use crate::incremental::state::{Input, State};
+use crate::incremental::structureless_resection::agreement;
 use crate::{Decision, SfmError, incremental};
 use scene::{Camera, Progress};
 use serde::{Deserialize, Serialize};

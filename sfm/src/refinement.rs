@@ -6,11 +6,11 @@
 //! Dusmanu, Schönberger & Pollefeys, ECCV 2020; Lindenberger et al., ICCV 2021).
 
 use crate::SfmError;
+use crate::circular::motion::median;
 use crate::incremental::state::{Input, MapPoint, State};
 use crate::klt::pyramid::{Level, Pyramid};
 use crate::klt::reference::{Patch, Reference, Warp, patch};
 use crate::sift::load_luma;
-use crate::single_axis::turn::median;
 use glam::{DMat2, DVec2, DVec3};
 use rayon::prelude::*;
 use scene::{Camera, Frame, FrameSet, Pose, Progress};

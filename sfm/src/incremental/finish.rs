@@ -4,8 +4,10 @@ use super::adjust::{Adjustment, Selected, select, take};
 use super::growth::freedom;
 use super::state::{Input, State};
 use crate::bundle::{BundleProblem, Loss, SolveOptions};
-use crate::selection::{self, Choice, Intrinsics, apply, choose, choose_turned, noise_in_units, redundancy};
-use crate::turned::{asked_together, suspects, turn_problem};
+use crate::model_selection::camera::{Choice, Intrinsics, apply, choose, choose_turned};
+use crate::model_selection::noise::{noise_in_units, redundancy};
+use crate::model_selection::principal_point;
+use crate::model_selection::rotated_images::{asked_together, suspects, turn_problem};
 use crate::{Decision, Knowledge, PoseDeviation, SfmError, Uncertainty};
 use scene::{Camera, CameraModel, Progress};
 
@@ -91,7 +93,7 @@ pub(crate) fn freed_point(
 ) -> Result<Option<(Intrinsics, String)>, SfmError> {
     let (free, priors) = freedom(&state.cameras, known, starts, usize::MAX);
     let problem = select(state, input, &Adjustment::growing(free, priors)).problem;
-    selection::freed_point(&problem, known, (now, named), noise_in_units(&problem), progress)
+    principal_point::freed_point(&problem, known, (now, named), noise_in_units(&problem), progress)
 }
 
 /// Takes over the adjusted part, then triangulates, adjusts to convergence and filters with the chosen intrinsics.

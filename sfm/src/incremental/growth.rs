@@ -1,9 +1,9 @@
 //! Growing a model image by image.
 
 use super::adjust::{Adjustment, adjust, plausible};
-use super::bridge::bridge;
 use super::resection::{Resection, next_images, resect};
 use super::state::{Input, State};
+use super::structureless_resection::bridge;
 use crate::bundle::{IntrinsicsPrior, free_parameters};
 use crate::tracks::NONE;
 use crate::{Knowledge, SfmError};

@@ -1,15 +1,15 @@
 //! Incremental mapping: one image after the other, adjusted as the model grows (Schönberger & Frahm, CVPR 2016).
 
 pub(crate) mod adjust;
-pub(crate) mod bridge;
+pub(crate) mod aliasing;
 pub(crate) mod depths;
 pub(crate) mod finish;
-pub(crate) mod folds;
 pub(crate) mod growth;
 pub(crate) mod initial;
 pub(crate) mod merge;
 pub(crate) mod resection;
 pub(crate) mod state;
+pub(crate) mod structureless_resection;
 
 use crate::mapper::MapperChoice;
 use crate::{Knowledge, SfmError};
@@ -132,7 +132,7 @@ pub(crate) fn sketch(
 /// Takes out images whose pose most of their verified matches contradict, or that see too little.
 pub(crate) fn expel(state: &mut State, input: &Input<'_>) {
     let doubtful = |image: &usize| {
-        let (agreeing, all) = bridge::consistency(state, input, *image);
+        let (agreeing, all) = structureless_resection::consistency(state, input, *image);
         let few = state.sightings(*image) < input.config.min_sightings;
         few || (all >= 2 * input.config.min_sightings && (agreeing as f64) < MIN_CONSISTENT * all as f64)
     };

@@ -6,7 +6,7 @@
 //! likeness says of them, and what cannot match is not tried.
 
 mod expansion;
-mod likeness;
+mod retrieval;
 
 pub use expansion::match_related;
 
@@ -60,7 +60,7 @@ pub fn first_pairs(frames: &FrameSet, features: &[Features], config: &PairConfig
         pairs.extend((a + 1..=(a + window).min(n - 1)).map(|b| (a, b)));
     }
     let first = config.pair_candidates.div_ceil(4);
-    for (a, ranked) in likeness::most_alike(&features[..n], first + 2 * window).into_iter().enumerate() {
+    for (a, ranked) in retrieval::most_alike(&features[..n], first + 2 * window).into_iter().enumerate() {
         let others = ranked.into_iter().filter(|b| b.abs_diff(a) > window);
         pairs.extend(others.take(first).map(|b| (a.min(b), a.max(b))));
     }
