@@ -1,15 +1,15 @@
 //! What is known of the axis' direction: the camera's elevation where a user measured it or the room shows it, and how well it was found.
 
-use super::model::{AxisModel, Context};
-use super::motion::{Turn, wrapped};
-use super::problem::{Level, TurnCovariance};
-use crate::model_selection::camera::{Intrinsics, PRINCIPAL_POINT_SIGMA};
+use super::model::{AxisModel, CircularContext};
+use super::motion::{CircularMotion, wrap_angle};
+use super::problem::{CircularCovariance, ElevationPrior};
+use crate::model_selection::camera::{FreeIntrinsics, PRINCIPAL_POINT_SIGMA};
 use crate::{Decision, SfmError};
 use glam::DVec3;
 
 /// Standard deviation of an elevation that somebody measured (a spirit level, a phone's inclinometer), radians.
 const ELEVATION_SIGMA: f64 = 0.1 * std::f64::consts::PI / 180.0;
-/// It is held to a part of that: sightings of a point err together, and say too much (`smoothness`).
+/// It is held to a part of that: observations of a point err together, and say too much (`smoothness`).
 const FIRMNESS: f64 = 6.0;
 /// An elevation is doubtful that leads so many standard deviations away from what is usual.
 const DOUBTFUL: f64 = 3.0;
@@ -29,14 +29,14 @@ pub(crate) struct Elevation {
 
 impl Elevation {
     /// What somebody measured.
-    pub fn measured(degrees: f64) -> Self {
+    pub fn from_measurement(degrees: f64) -> Self {
         let source = format!("measured {degrees:.3}° ± {:.1}°", ELEVATION_SIGMA.to_degrees());
         Self { angle: degrees.to_radians(), sigma: ELEVATION_SIGMA, source, doubt: "measure it again" }
     }
 
     /// The camera sees the upward axis u with `e_z · u = −sin(elevation)`.
-    pub fn level(&self, turn: &Turn) -> Level {
-        Level {
+    pub fn level(&self, turn: &CircularMotion) -> ElevationPrior {
+        ElevationPrior {
             normal: DVec3::Z * turn.upward(),
             target: -self.angle.sin(),
             sigma: self.sigma * self.angle.cos() / FIRMNESS,
@@ -45,17 +45,17 @@ impl Elevation {
 }
 
 /// Angle by which the camera looks down on the plane of the turn, radians.
-pub(crate) fn elevation(turn: &Turn) -> f64 {
+pub(crate) fn elevation(turn: &CircularMotion) -> f64 {
     -(turn.direction().z * turn.upward()).clamp(-1.0, 1.0).asin()
 }
 
 /// What is to be said of the axis, and of an elevation that was given. `factor`: on the standard deviations, for the noise
-/// of single sightings is too small.
+/// of single observations is too small.
 pub(crate) fn decisions(
     model: &AxisModel,
-    context: &Context<'_>,
-    intrinsics: Intrinsics,
-    covariance: &TurnCovariance,
+    context: &CircularContext<'_>,
+    intrinsics: FreeIntrinsics,
+    covariance: &CircularCovariance,
     factor: f64,
 ) -> Result<Vec<Decision>, SfmError> {
     let [sideways, mut towards] =
@@ -65,7 +65,7 @@ pub(crate) fn decisions(
     }
     let z = model.turn.direction();
     let angles: Vec<f64> = model.turn.angles.iter().flatten().copied().collect();
-    let steps: Vec<f64> = angles.windows(2).map(|w| wrapped(w[1] - w[0]).to_degrees()).collect();
+    let steps: Vec<f64> = angles.windows(2).map(|w| wrap_angle(w[1] - w[0]).to_degrees()).collect();
     let mean = steps.iter().sum::<f64>() / steps.len().max(1) as f64;
     let spread = steps.iter().map(|s| (s - mean).powi(2)).sum::<f64>() / steps.len().max(1) as f64;
     let worst = covariance.angles.iter().copied().fold(0.0, f64::max).to_degrees();
@@ -86,14 +86,14 @@ pub(crate) fn decisions(
     Ok(std::iter::once(axis).chain(given).collect())
 }
 
-/// Standard deviations of the axis' direction where the principal point is no better known than the sightings and its prior say;
+/// Standard deviations of the axis' direction where the principal point is no better known than the observations and its prior say;
 /// `None` where it was solved for or is known. Held at the centre it would seem exact, and the axis with it.
 fn with_principal_point(
     model: &AxisModel,
-    context: &Context<'_>,
-    intrinsics: Intrinsics,
+    context: &CircularContext<'_>,
+    intrinsics: FreeIntrinsics,
 ) -> Result<Option<[f64; 2]>, SfmError> {
-    let whole = Intrinsics { principal_point: true, held: None, ..intrinsics };
+    let whole = FreeIntrinsics { principal_point: true, held: None, ..intrinsics };
     if context.known[0].fixed || whole == intrinsics {
         return Ok(None);
     }
@@ -109,7 +109,7 @@ fn elevation_decision(model: &AxisModel, given: &Elevation, known: bool) -> Deci
     let far = off.length() > usual || (found - given.angle).abs() > DOUBTFUL * given.sigma;
     let verdict = match (&model.elevation, known) {
         (None, true) => "not used, for the camera is known".to_owned(),
-        (None, false) => format!("not used, for the sightings contradict it: {}", given.doubt),
+        (None, false) => format!("not used, for the observations contradict it: {}", given.doubt),
         (Some(_), _) if far => format!("doubtful: {}", given.doubt),
         (Some(_), _) => "believed".to_owned(),
     };

@@ -1,7 +1,7 @@
 //! A measured elevation of the camera, believed and doubted.
 
 use super::axis::{decisions, elevation};
-use super::initialize::key_frames::Material;
+use super::initialize::key_frames::VideoTracks;
 use super::tests::{Filmed, Turntable};
 use super::*;
 
@@ -27,7 +27,7 @@ fn solved_with(table: &Turntable, given: Option<f64>, noise_px: f64) -> (f64, Ve
     let mut filmed = Filmed::new(table.poses.len(), camera, false);
     filmed.config.motion.known_elevation = given;
     let tracks = table.tracks(noise_px, 3);
-    let material = Material::of_klt(&tracks, table.poses.len());
+    let material = VideoTracks::of_klt(&tracks, table.poses.len());
     let video = filmed.video();
     let input = video.input(&material);
     let grown = video.grow(&input, &tracks).unwrap().unwrap();
@@ -82,7 +82,7 @@ fn an_elevation_is_not_used_where_the_camera_is_known() {
     let mut filmed = Filmed::new(table.poses.len(), table.camera.clone(), true);
     filmed.config.motion.known_elevation = Some(true_elevation(&table) + 2.0);
     let tracks = table.tracks(0.1, 3);
-    let material = Material::of_klt(&tracks, table.poses.len());
+    let material = VideoTracks::of_klt(&tracks, table.poses.len());
     let video = filmed.video();
     let input = video.input(&material);
     let job = filmed.job(&input, &filmed.cameras);

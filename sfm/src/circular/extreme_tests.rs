@@ -9,7 +9,7 @@ use glam::DVec3;
 fn table(direction: DVec3, place: DVec3, angles_deg: impl Iterator<Item = f64>, seed: u64) -> Turntable {
     let angles: Vec<Option<f64>> = angles_deg.map(|a| Some(a.to_radians())).collect();
     let mut table = Turntable::new(angles.len(), 1.0, seed);
-    table.turn = Turn::new(direction, place, angles).unwrap();
+    table.turn = CircularMotion::new(direction, place, angles).unwrap();
     table.poses = (0..table.poses.len()).map(|i| table.turn.pose(i).unwrap()).collect();
     table
 }

@@ -1,7 +1,7 @@
 //! What is believed of the turn in any video before more is known: that its rate does not jump.
 //!
 //! Where frames lie far apart, some share next to no points with those before them, and their angle may be anything that few wrong
-//! sightings say. A belief that is far weaker than any dozen good sightings keeps them in their place.
+//! observations say. A belief that is far weaker than any dozen good observations keeps them in their place.
 
 use super::motion::median;
 use super::problem::Relation;

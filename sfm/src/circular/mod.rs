@@ -36,14 +36,14 @@ pub(crate) use video::{VideoJob, VideoModel, solve_video};
 use crate::Knowledge;
 use crate::incremental::adjust::Adjustment;
 use crate::incremental::finish::noise_of;
-use crate::incremental::state::{Input, State};
-use crate::model_selection::camera::{Intrinsics, converted};
+use crate::incremental::state::{MapState, MappingInput};
+use crate::model_selection::camera::{FreeIntrinsics, convert_camera};
 use crate::{Decision, PoseDeviation, SfmError, Uncertainty};
 use axis::Elevation;
-use evidence::{Comparison, Tried};
+use evidence::{Comparison, MotionModel};
 use intrinsics::choose_for_turn;
-use model::{AxisModel, Context};
-use motion::Turn;
+use model::{AxisModel, CircularContext};
+use motion::CircularMotion;
 use scene::{Camera, CameraModel, FrameSet, Progress};
 use vertical_lines::Segment;
 
@@ -56,9 +56,9 @@ const POINTS_TO_CHOOSE_OF_ONE: usize = 250;
 const ROUNDS: usize = 3;
 const ROUNDS_BEFORE: usize = 2;
 
-/// Adjustments near a circle: sightings that fit the first one take part in the next.
+/// Adjustments near a circle: observations that fit the first one take part in the next.
 const CIRCLE_ROUNDS: usize = 2;
-/// A circle that cameras keep to no better than this (radians, radii) holds them no firmer than their sightings do.
+/// A circle that cameras keep to no better than this (radians, radii) holds them no firmer than their observations do.
 const TIGHT: f64 = 0.01;
 
 /// One axis is not looked at further where it leaves so many times the residuals of free poses.
@@ -68,39 +68,39 @@ const HOPELESS: f64 = 3.0;
 const WHOLE: f64 = 0.9;
 
 /// The general model, as the general solver left it.
-pub(crate) struct Free<'a> {
+pub(crate) struct FreeModel<'a> {
     /// Poses, points, cameras.
-    pub state: &'a State,
+    pub state: &'a MapState,
     /// Its camera model.
-    pub intrinsics: Intrinsics,
+    pub intrinsics: FreeIntrinsics,
 }
 
 /// A model under the constraint of one axis, and what was learned with it.
-pub(crate) struct Turned {
-    pub state: State,
+pub(crate) struct CircularSolution {
+    pub state: MapState,
     pub decisions: Vec<Decision>,
     pub uncertainty: Option<Uncertainty>,
 }
 
 /// What the search for a turn or an orbit came to.
-pub(crate) struct Outcome {
+pub(crate) struct MotionOutcome {
     /// The model about one axis, if it is to be taken.
-    pub taken: Option<Turned>,
+    pub taken: Option<CircularSolution>,
     /// The general model, adjusted once more with its cameras near a circle, if that is to be taken.
-    pub circled: Option<State>,
+    pub circled: Option<MapState>,
     /// Why.
     pub decision: Option<Decision>,
 }
 
-impl Outcome {
+impl MotionOutcome {
     fn free(evidence: String) -> Self {
         Self { taken: None, circled: None, decision: Some(decision("free", evidence)) }
     }
 }
 
 /// Everything the search needs beside the models.
-pub(crate) struct Job<'a> {
-    pub input: &'a Input<'a>,
+pub(crate) struct MotionInput<'a> {
+    pub input: &'a MappingInput<'a>,
     pub cameras: &'a [Camera],
     pub known: &'a [Knowledge],
     pub starts: &'a [Camera],
@@ -112,14 +112,14 @@ pub(crate) struct Job<'a> {
     pub progress: &'a Progress,
 }
 
-impl Job<'_> {
-    pub(crate) fn context<'a>(&'a self, relations: &'a [problem::Relation]) -> Context<'a> {
-        Context {
+impl MotionInput<'_> {
+    pub(crate) fn context<'a>(&'a self, relations: &'a [problem::Relation]) -> CircularContext<'a> {
+        CircularContext {
             input: self.input,
             known: self.known,
             starts: self.starts,
             relations,
-            elevation: self.config.known_elevation.map(Elevation::measured),
+            elevation: self.config.known_elevation.map(Elevation::from_measurement),
             closing: None,
             times: &[],
             features: self.features,
@@ -128,11 +128,11 @@ impl Job<'_> {
     }
 }
 
-impl Job<'_> {
+impl MotionInput<'_> {
     /// Lines of the room, where they are asked how the camera looks down.
-    fn edges(&self, turn: &Turn) -> Result<Vec<Segment>, SfmError> {
+    fn edges(&self, turn: &CircularMotion) -> Result<Vec<Segment>, SfmError> {
         let asked = !self.known[0].fixed && self.config.known_elevation.is_none();
-        self.room.filter(|_| asked).map_or(Ok(Vec::new()), |frames| vertical_lines::of_room(frames, turn))
+        self.room.filter(|_| asked).map_or(Ok(Vec::new()), |frames| vertical_lines::room_edges(frames, turn))
     }
 }
 
@@ -143,86 +143,92 @@ pub(crate) fn decision(chosen: &str, evidence: String) -> Decision {
 
 /// Looks whether the images show a turn about one axis or an orbit, as far as the configuration asks for it. `upright`:
 /// no image was turned on its way here.
-pub(crate) fn consider(job: &Job<'_>, free: Option<&Free<'_>>, upright: bool) -> Result<Outcome, SfmError> {
+pub(crate) fn consider(
+    job: &MotionInput<'_>,
+    free: Option<&FreeModel<'_>>,
+    upright: bool,
+) -> Result<MotionOutcome, SfmError> {
     let motion = job.config.motion;
-    if motion == Motion::Free {
-        return Ok(Outcome::free("asked for".to_owned()));
+    if motion == Motion::FreeModel {
+        return Ok(MotionOutcome::free("asked for".to_owned()));
     }
     if job.cameras.len() != 1 {
         let evidence = format!("{} cameras took the images: none stood still", job.cameras.len());
-        return Ok(Outcome::free(evidence));
+        return Ok(MotionOutcome::free(evidence));
     }
     let mut notes = Vec::new();
     let solved = if upright && motion != Motion::Orbit { one_axis(job, free, &mut notes)? } else { None };
-    let registered = free.map_or(0, |f| f.state.registered());
+    let registered = free.map_or(0, |f| f.state.registered_count());
     let context = job.context(&[]);
-    // The general model's sightings, unless it has fewer images.
+    // The general model's observations, unless it has fewer images.
     let single = solved.as_ref().map(|s| &s.0);
-    let base = free.filter(|f| single.is_none_or(|s| f.state.registered() >= s.state.registered()));
+    let base =
+        free.filter(|f| single.is_none_or(|s| f.state.registered_count() >= s.state.registered_count()));
     let Some(state) = base.map(|f| f.state).or(single.map(|s| &s.state)) else {
         notes.push("no model about one axis stands".to_owned());
-        return Ok(Outcome::free(notes.join("; ")));
+        return Ok(MotionOutcome::free(notes.join("; ")));
     };
-    if solved.is_none() && motion == Motion::Auto && !orbit::possible(state) {
+    if solved.is_none() && motion == Motion::Auto && !orbit::is_possible(state) {
         notes.push("the poses are on no circle".to_owned());
-        return Ok(Outcome::free(notes.join("; ")));
+        return Ok(MotionOutcome::free(notes.join("; ")));
     }
     let freedom = base.map(|f| f.intrinsics).or(solved.as_ref().map(|s| s.1));
     let comparison = match freedom {
         Some(freedom) => Comparison::of(single, state, &context, freedom)?,
         None => None,
     };
-    notes.push(comparison.as_ref().map_or("too few sightings to compare".to_owned(), Comparison::describe));
-    let choice = comparison.as_ref().map_or(Tried::Free, Comparison::choice);
+    notes
+        .push(comparison.as_ref().map_or("too few observations to compare".to_owned(), Comparison::describe));
+    let choice = comparison.as_ref().map_or(MotionModel::Free, Comparison::choice);
     let evidence = notes.join("; ");
-    let fewer = single.is_some_and(|s| s.state.registered() < registered);
+    let fewer = single.is_some_and(|s| s.state.registered_count() < registered);
     match solved {
         Some((mut model, intrinsics, camera))
-            if motion == Motion::SingleAxis || (choice == Tried::Single && !fewer) =>
+            if motion == Motion::SingleAxis || (choice == MotionModel::Single && !fewer) =>
         {
             let turned = finish(&mut model, &context, job, intrinsics, (camera, 1.0))?;
             let decision = Some(decision("single-axis", evidence));
-            Ok(Outcome { taken: Some(turned), circled: None, decision })
+            Ok(MotionOutcome { taken: Some(turned), circled: None, decision })
         }
         _ => match (base, comparison) {
-            (Some(free), Some(c)) if choice == Tried::Orbit || motion == Motion::Orbit => {
+            (Some(free), Some(c)) if choice == MotionModel::Orbit || motion == Motion::Orbit => {
                 on_a_circle(&context, free, &c, evidence)
             }
-            _ => Ok(Outcome::free(evidence)),
+            _ => Ok(MotionOutcome::free(evidence)),
         },
     }
 }
 
 /// The general model as an orbit: adjusted once more, its cameras near the circle.
 fn on_a_circle(
-    context: &Context<'_>,
-    free: &Free<'_>,
+    context: &CircularContext<'_>,
+    free: &FreeModel<'_>,
     comparison: &Comparison,
     evidence: String,
-) -> Result<Outcome, SfmError> {
-    let mut circled: Option<State> = None;
+) -> Result<MotionOutcome, SfmError> {
+    let mut circled: Option<MapState> = None;
     let [turn, shift] = comparison.orbit_sigma;
     let rounds = if turn < TIGHT && shift < TIGHT { CIRCLE_ROUNDS } else { 0 };
     for _ in 0..rounds {
         let from = circled.as_ref().unwrap_or(free.state);
-        let Some(mut next) = orbit::adjusted(from, context, free.intrinsics, comparison.orbit_sigma)? else {
+        let Some(mut next) = orbit::adjust(from, context, free.intrinsics, comparison.orbit_sigma)? else {
             break;
         };
         next.filter(context.input, context.input.config.max_reprojection_px);
         next.grow_all(context.input);
         circled = Some(next);
     }
-    Ok(Outcome { taken: None, circled, decision: Some(decision("orbit", evidence)) })
+    Ok(MotionOutcome { taken: None, circled, decision: Some(decision("orbit", evidence)) })
 }
 
 /// A model about one axis, from the free poses where they turn, else from three images; what was found is noted.
 fn one_axis(
-    job: &Job<'_>,
-    free: Option<&Free<'_>>,
+    job: &MotionInput<'_>,
+    free: Option<&FreeModel<'_>>,
     notes: &mut Vec<String>,
-) -> Result<Option<(AxisModel, Intrinsics, Decision)>, SfmError> {
+) -> Result<Option<(AxisModel, FreeIntrinsics, Decision)>, SfmError> {
     let single = job.config.motion == Motion::SingleAxis;
-    let from_free = free.and_then(|f| Turn::of_poses(&f.state.poses));
+    let from_free = free.and_then(|f| CircularMotion::of_poses(&f.state.poses));
     notes.push(match &from_free {
         Some((_, misfit)) => format!(
             "the axes of the free poses' rotations are {:.2}° apart, their places {:.2} % of the radius",
@@ -231,8 +237,8 @@ fn one_axis(
         ),
         None => "the general solver has no poses that turn".to_owned(),
     });
-    let near = from_free.filter(|(_, m)| single || orbit::near(m));
-    let registered = free.map_or(0, |f| f.state.registered());
+    let near = from_free.filter(|(_, m)| single || orbit::is_near(m));
+    let registered = free.map_or(0, |f| f.state.registered_count());
     let whole = registered as f64 >= WHOLE * job.input.keypoints.len() as f64;
     let context = job.context(&[]);
     let mut solved = match (near, free) {
@@ -251,9 +257,13 @@ fn one_axis(
     };
     // Where the general solver left images out, a turn may take them in.
     if !whole && let Some(model) = photos::from_photos(job)? {
-        let more = solved.as_ref().is_none_or(|s| model.state.registered() > s.0.state.registered());
+        let more =
+            solved.as_ref().is_none_or(|s| model.state.registered_count() > s.0.state.registered_count());
         if more {
-            notes.push(format!("{} images grew from three of them under one axis", model.state.registered()));
+            notes.push(format!(
+                "{} images grew from three of them under one axis",
+                model.state.registered_count()
+            ));
             let cameras = model.state.cameras.clone();
             solved = adjust_and_choose(&context, job, &cameras, model.turn, ROUNDS)?.or(solved);
         }
@@ -262,33 +272,37 @@ fn one_axis(
 }
 
 /// Cameras in the model that the priors refer to, until the evidence has spoken.
-fn as_at_the_start(cameras: &[Camera], context: &Context<'_>) -> Vec<Camera> {
-    let same = |(camera, start): (&Camera, &Camera)| converted(camera, start.model);
+fn as_at_the_start(cameras: &[Camera], context: &CircularContext<'_>) -> Vec<Camera> {
+    let same = |(camera, start): (&Camera, &Camera)| convert_camera(camera, start.model);
     cameras.iter().zip(context.starts).map(same).collect()
 }
 
 /// Standard deviation of a residual that one axis leaves after a short adjustment, pixels.
-fn rough_noise(context: &Context<'_>, cameras: &[Camera], turn: Turn) -> Result<f64, SfmError> {
+fn rough_noise(
+    context: &CircularContext<'_>,
+    cameras: &[Camera],
+    turn: CircularMotion,
+) -> Result<f64, SfmError> {
     let mut model = AxisModel::new(context.input, as_at_the_start(cameras, context), turn);
-    let stands = model.settle_with(context, 1, POINTS_ROUGH, model.state.registered())?;
+    let stands = model.settle_with(context, 1, POINTS_ROUGH, model.state.registered_count())?;
     Ok(if stands { noise_of(&model.state, context.input) } else { f64::INFINITY })
 }
 
 /// The model about one axis from a first guess, adjusted for so many rounds; `None` where none stands.
 pub(crate) fn adjust_and_choose(
-    context: &Context<'_>,
-    job: &Job<'_>,
+    context: &CircularContext<'_>,
+    job: &MotionInput<'_>,
     cameras: &[Camera],
-    turn: Turn,
+    turn: CircularMotion,
     rounds: usize,
-) -> Result<Option<(AxisModel, Intrinsics, Decision)>, SfmError> {
+) -> Result<Option<(AxisModel, FreeIntrinsics, Decision)>, SfmError> {
     let mut model = AxisModel::new(context.input, as_at_the_start(cameras, context), turn);
     if !model.settle(context, 5)? {
         return Ok(None);
     }
     let (free, priors) =
         crate::incremental::growth::freedom(&model.state.cameras, context.known, context.starts, usize::MAX);
-    let points = (POINTS_TO_CHOOSE / model.state.registered().max(1)).clamp(1, POINTS_TO_CHOOSE_OF_ONE);
+    let points = (POINTS_TO_CHOOSE / model.state.registered_count().max(1)).clamp(1, POINTS_TO_CHOOSE_OF_ONE);
     let what = Adjustment { points_per_image: Some(points), ..Adjustment::growing(free, priors) };
     let (mut problem, selected) = model.problem(context, &what);
     model.weigh(context, &mut problem.bundle, &selected);
@@ -299,15 +313,15 @@ pub(crate) fn adjust_and_choose(
     Ok(Some((model, intrinsics, decision)))
 }
 
-/// Figures of the finished model, and the world frame. `excess`: factor on variances that the noise of single sightings
+/// Figures of the finished model, and the world frame. `excess`: factor on variances that the noise of single observations
 /// gives, for the axis.
 pub(crate) fn finish(
     model: &mut AxisModel,
-    context: &Context<'_>,
-    job: &Job<'_>,
-    intrinsics: Intrinsics,
+    context: &CircularContext<'_>,
+    job: &MotionInput<'_>,
+    intrinsics: FreeIntrinsics,
     (camera, excess): (Decision, f64),
-) -> Result<Turned, SfmError> {
+) -> Result<CircularSolution, SfmError> {
     model.orient(job.config.known_distance.unwrap_or(1.0));
     let mut uncertainty = None;
     let mut decisions = vec![camera];
@@ -327,5 +341,5 @@ pub(crate) fn finish(
         decisions.extend(axis::decisions(model, context, intrinsics, &covariance, excess.sqrt())?);
         uncertainty = Some(result);
     }
-    Ok(Turned { state: model.state.clone(), decisions, uncertainty })
+    Ok(CircularSolution { state: model.state.clone(), decisions, uncertainty })
 }

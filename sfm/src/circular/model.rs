@@ -2,25 +2,25 @@
 
 use super::axis::Elevation;
 use super::jumps::not_jumping;
-use super::motion::{Turn, median};
-use super::problem::{Relation, TurnCovariance, TurnProblem};
-use crate::bundle::{BundleProblem, Loss, SolveOptions};
+use super::motion::{CircularMotion, median};
+use super::problem::{CircularCovariance, CircularProblem, Relation};
+use crate::bundle::{BundleProblem, RobustLoss, SolveOptions};
 use crate::incremental::adjust::{Adjustment, Selected, plausible, select, take};
 use crate::incremental::growth::freedom;
-use crate::incremental::state::{Input, State};
-use crate::model_selection::camera::{Intrinsics, apply};
+use crate::incremental::state::{MapState, MappingInput};
+use crate::model_selection::camera::{FreeIntrinsics, apply};
 use crate::model_selection::noise::{error_sq, noise};
 use crate::{Knowledge, SfmError};
 use scene::{Camera, Progress};
 
 /// Points an image contributes while the model settles.
 const POINTS_PER_IMAGE: usize = 150;
-/// Iterations times sightings of an adjustment of all points. What many sightings leave to be done after three iterations is in single
+/// Iterations times observations of an adjustment of all points. What many observations leave to be done after three iterations is in single
 /// points, which settle alone before each.
 const EFFORT: usize = 400_000;
 /// Relative decrease of the cost at which it ends before.
 const SETTLED: f64 = 1e-6;
-/// Sightings farther off than so many standard deviations of the noise are dropped at the end.
+/// Observations farther off than so many standard deviations of the noise are dropped at the end.
 const FINAL_SIGMAS: f64 = 8.0;
 /// They are never held to less than this, pixels.
 const FINAL_LEAST_PX: f64 = 1.0;
@@ -29,17 +29,17 @@ const FINAL_LEAST_PX: f64 = 1.0;
 #[derive(Clone, Debug)]
 pub(crate) struct AxisModel {
     /// Poses (those of the turn), points, cameras.
-    pub state: State,
+    pub state: MapState,
     /// The motion.
-    pub turn: Turn,
+    pub turn: CircularMotion,
     /// The elevation of the camera that is believed.
     pub elevation: Option<Elevation>,
 }
 
 /// What stays the same while a model is adjusted.
-pub(crate) struct Context<'a> {
+pub(crate) struct CircularContext<'a> {
     /// Keypoints and tracks.
-    pub input: &'a Input<'a>,
+    pub input: &'a MappingInput<'a>,
     /// What is known of the cameras.
     pub known: &'a [Knowledge],
     /// The cameras that priors refer to.
@@ -48,7 +48,7 @@ pub(crate) struct Context<'a> {
     pub relations: &'a [Relation],
     /// How the camera looks down on the plane of the turn, where a user measured it.
     pub elevation: Option<Elevation>,
-    /// What a whole turn says of them beside the sightings.
+    /// What a whole turn says of them beside the observations.
     pub closing: Option<Relation>,
     /// When each frame of a video was taken: until more is known of the angles, they are taken not to jump. Empty otherwise.
     pub times: &'a [f64],
@@ -59,10 +59,10 @@ pub(crate) struct Context<'a> {
     pub progress: &'a Progress,
 }
 
-impl<'a> Context<'a> {
+impl<'a> CircularContext<'a> {
     /// What is there before anything is known of the motion.
     pub fn plain(
-        input: &'a Input<'a>,
+        input: &'a MappingInput<'a>,
         known: &'a [Knowledge],
         starts: &'a [Camera],
         times: &'a [f64],
@@ -84,8 +84,8 @@ impl<'a> Context<'a> {
 
 impl AxisModel {
     /// Triangulates all tracks from the turn's poses.
-    pub fn new(input: &Input<'_>, cameras: Vec<Camera>, turn: Turn) -> Self {
-        let mut state = State::new(input, cameras);
+    pub fn new(input: &MappingInput<'_>, cameras: Vec<Camera>, turn: CircularMotion) -> Self {
+        let mut state = MapState::new(input, cameras);
         for frame in 0..input.keypoints.len() {
             if let Some(pose) = turn.pose(frame) {
                 state.register(frame, pose);
@@ -96,11 +96,11 @@ impl AxisModel {
     }
 
     /// The adjustment of the present model.
-    pub fn problem(&self, context: &Context<'_>, what: &Adjustment) -> (TurnProblem, Selected) {
+    pub fn problem(&self, context: &CircularContext<'_>, what: &Adjustment) -> (CircularProblem, Selected) {
         let mut selected = select(&self.state, context.input, what);
         let angles = selected.images.iter().map(|&i| self.turn.angles[i].unwrap_or(0.0)).collect();
         let bundle = std::mem::take(&mut selected.problem);
-        let mut problem = TurnProblem::new(bundle, self.turn.axis, angles);
+        let mut problem = CircularProblem::new(bundle, self.turn.axis, angles);
         let place = |frame: u32| selected.images.binary_search(&(frame as usize)).ok().map(|i| i as u32);
         let unknown = context.relations.is_empty();
         let believed = if unknown { not_jumping(&self.turn.angles, context.times) } else { Vec::new() };
@@ -115,7 +115,7 @@ impl AxisModel {
     }
 
     /// Takes a solved adjustment over.
-    pub fn take(&mut self, problem: TurnProblem, mut selected: Selected) {
+    pub fn take(&mut self, problem: CircularProblem, mut selected: Selected) {
         self.turn.axis = problem.axis;
         for (&image, angle) in selected.images.iter().zip(&problem.angles) {
             self.turn.angles[image] = Some(*angle);
@@ -126,15 +126,15 @@ impl AxisModel {
 
     /// Adjusts, filters and triangulates a few times; robustly, with focal length and distortion free. `false` where
     /// it ends in nonsense.
-    pub fn settle(&mut self, context: &Context<'_>, rounds: usize) -> Result<bool, SfmError> {
-        self.settle_with(context, rounds, POINTS_PER_IMAGE, self.state.registered())
+    pub fn settle(&mut self, context: &CircularContext<'_>, rounds: usize) -> Result<bool, SfmError> {
+        self.settle_with(context, rounds, POINTS_PER_IMAGE, self.state.registered_count())
     }
 
     /// [`AxisModel::settle`] with so many points an image; `images` stands for how many images the general solver
     /// would need to free as much of the intrinsics.
     pub fn settle_with(
         &mut self,
-        context: &Context<'_>,
+        context: &CircularContext<'_>,
         rounds: usize,
         points_per_image: usize,
         images: usize,
@@ -166,10 +166,10 @@ impl AxisModel {
     /// The adjustment of all points with the chosen intrinsics, its observations at the measured noise.
     pub fn prepare(
         &self,
-        context: &Context<'_>,
-        intrinsics: Intrinsics,
+        context: &CircularContext<'_>,
+        intrinsics: FreeIntrinsics,
         points_per_image: Option<usize>,
-    ) -> (TurnProblem, Selected, SolveOptions) {
+    ) -> (CircularProblem, Selected, SolveOptions) {
         let (free, priors) = freedom(&self.state.cameras, context.known, context.starts, usize::MAX);
         let what = Adjustment { points_per_image, ..Adjustment::growing(free, priors) };
         let (mut problem, selected) = self.problem(context, &what);
@@ -177,7 +177,7 @@ impl AxisModel {
         self.weigh(context, &mut problem.bundle, &selected);
         let most = (EFFORT / problem.bundle.observations.len().max(1)).clamp(3, 20);
         let options = SolveOptions {
-            loss: Loss::Cauchy(2.0),
+            loss: RobustLoss::Cauchy(2.0),
             max_iterations: most as u32,
             function_tolerance: SETTLED,
             points_first: points_per_image.is_none(),
@@ -188,7 +188,7 @@ impl AxisModel {
 
     /// Gives features and followed points each the noise that their residuals show, `r² ≈ 2 ln 2 σ²` at the median,
     /// corrected for what the points' three coordinates take up.
-    pub fn weigh(&self, context: &Context<'_>, bundle: &mut BundleProblem, selected: &Selected) {
+    pub fn weigh(&self, context: &CircularContext<'_>, bundle: &mut BundleProblem, selected: &Selected) {
         let points = selected.points.iter().filter_map(|&id| self.state.points[id as usize].as_ref());
         let kind = |[frame, feature]: [u32; 2]| {
             usize::from(context.features.get(frame as usize).is_some_and(|&n| feature as usize >= n))
@@ -217,8 +217,8 @@ impl AxisModel {
     /// Adjusts with the chosen intrinsics, triangulates and filters at the level of the noise, for so many rounds at most.
     pub fn polish(
         &mut self,
-        context: &Context<'_>,
-        intrinsics: Intrinsics,
+        context: &CircularContext<'_>,
+        intrinsics: FreeIntrinsics,
         rounds: usize,
     ) -> Result<(), SfmError> {
         for round in 0..rounds {
@@ -248,9 +248,9 @@ impl AxisModel {
     /// Standard deviations of the final adjustment, with the problem they belong to.
     pub fn covariance(
         &self,
-        context: &Context<'_>,
-        intrinsics: Intrinsics,
-    ) -> Result<Option<(TurnProblem, Vec<usize>, TurnCovariance)>, SfmError> {
+        context: &CircularContext<'_>,
+        intrinsics: FreeIntrinsics,
+    ) -> Result<Option<(CircularProblem, Vec<usize>, CircularCovariance)>, SfmError> {
         let (problem, selected, options) = self.prepare(context, intrinsics, None);
         let covariance = problem.covariance(&options)?;
         Ok(covariance.map(|c| (problem, selected.images, c)))

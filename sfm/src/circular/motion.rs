@@ -13,16 +13,16 @@ const LEAST_ANGLE: f64 = 1e-4;
 
 /// Frame `i` sees the turntable's point X at `R Z(θ_i) X + t`, where Z turns about the turntable's z axis.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Turn {
+pub struct CircularMotion {
     /// Camera from turntable at angle 0.
     pub axis: Pose,
     /// By frame, radians; `None` where it is not known.
     pub angles: Vec<Option<f64>>,
 }
 
-/// How far poses are from a [`Turn`].
+/// How far poses are from a [`CircularMotion`].
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct TurnMisfit {
+pub struct CircularMisfit {
     /// Median angle between the axes of relative rotations and the common one, weighted by the sine of their half
     /// angle: the tilt that is left in a pose, radians.
     pub tilt: f64,
@@ -30,7 +30,7 @@ pub struct TurnMisfit {
     pub slip: f64,
 }
 
-impl Turn {
+impl CircularMotion {
     /// From the axis' direction in the camera frame and a place on it, angles counted from the first frame that has one.
     ///
     /// The turntable's origin is the axis' point nearest to the camera, and the camera stands at azimuth 0 at angle 0.
@@ -66,10 +66,10 @@ impl Turn {
 
     /// `cam_from_world` of a frame.
     pub fn pose(&self, frame: usize) -> Option<Pose> {
-        self.angles.get(frame).copied().flatten().map(|a| turned(&self.axis, a))
+        self.angles.get(frame).copied().flatten().map(|a| pose_at(&self.axis, a))
     }
 
-    /// The same motion with the axis upwards ([`Turn::upward`]), the origin at
+    /// The same motion with the axis upwards ([`CircularMotion::upward`]), the origin at
     /// `height` along the present axis, the first frame's camera at azimuth 0, and the camera `radius` from the axis.
     /// The second value takes points along: new from old.
     pub fn canonical(&self, height: f64, radius: f64) -> (Self, impl Fn(DVec3) -> DVec3 + use<>) {
@@ -83,7 +83,7 @@ impl Turn {
         let angles = self.angles.iter().map(|a| a.map(|a| (a - first) * sign)).collect();
         let axis = Pose::from_matrix(rotation, (t + z * height) * scale);
         // x_cam = R Z(θ) X + t: at the first frame old and new agree.
-        let (old, new) = (turned(&self.axis, first), axis);
+        let (old, new) = (pose_at(&self.axis, first), axis);
         let moved = move |p: DVec3| new.rotation.conjugate() * (old.transform(p) * scale - new.translation);
         (Self { axis, angles }, moved)
     }
@@ -93,7 +93,7 @@ impl Turn {
     ///
     /// Axis: the direction that the vector parts of relative rotations share, `max Σ w (a·v_ij)²`, reweighted for its
     /// outliers (iteratively reweighted least squares, Holland & Welsch 1977). Place: `t_ij = (I − R_ij) t`.
-    pub fn of_poses(poses: &[Option<Pose>]) -> Option<(Self, TurnMisfit)> {
+    pub fn of_poses(poses: &[Option<Pose>]) -> Option<(Self, CircularMisfit)> {
         let known: Vec<(usize, Pose)> =
             poses.iter().enumerate().filter_map(|(i, p)| Some((i, (*p)?))).collect();
         let relative = relative_poses(&known);
@@ -107,12 +107,12 @@ impl Turn {
         let (place, slip) = common_place(&relative, direction)?;
         let turn = Self::new(direction, place, angles)?;
         let slip = slip / turn.radius();
-        Some((turn, TurnMisfit { tilt, slip }))
+        Some((turn, CircularMisfit { tilt, slip }))
     }
 }
 
 /// The pose at an angle.
-pub(crate) fn turned(axis: &Pose, angle: f64) -> Pose {
+pub(crate) fn pose_at(axis: &Pose, angle: f64) -> Pose {
     let rotation = (axis.rotation * DQuat::from_rotation_z(angle)).normalize();
     Pose { rotation, translation: axis.translation }
 }
@@ -120,11 +120,11 @@ pub(crate) fn turned(axis: &Pose, angle: f64) -> Pose {
 /// Angle of the part of a rotation that is about a unit axis, radians in (−π, π].
 pub(crate) fn twist(rotation: DQuat, axis: DVec3) -> f64 {
     let along = 2.0 * rotation.xyz().dot(axis).atan2(rotation.w);
-    wrapped(along)
+    wrap_angle(along)
 }
 
 /// The same angle in (−π, π].
-pub(crate) fn wrapped(angle: f64) -> f64 {
+pub(crate) fn wrap_angle(angle: f64) -> f64 {
     use std::f64::consts::{PI, TAU};
     let r = angle.rem_euclid(TAU);
     if r > PI { r - TAU } else { r }
@@ -204,11 +204,11 @@ pub(crate) fn median(mut values: Vec<f64>) -> f64 {
 mod tests {
     use super::*;
 
-    fn example(unit: f64) -> Turn {
+    fn example(unit: f64) -> CircularMotion {
         let direction = DVec3::new(0.05, -0.9, -0.3);
         let place = DVec3::new(0.1, 0.2, 4.0) * unit;
         let angles = (0..12).map(|i| (i != 5).then_some(0.5 * f64::from(i))).collect();
-        Turn::new(direction, place, angles).unwrap()
+        CircularMotion::new(direction, place, angles).unwrap()
     }
 
     #[test]
@@ -217,13 +217,13 @@ mod tests {
             let turn = example(unit);
             let world = Pose::new(DQuat::from_xyzw(0.3, -0.2, 0.5, 0.4), DVec3::new(3.0, -8.0, 1.0) * unit);
             let poses: Vec<Option<Pose>> = (0..12).map(|i| turn.pose(i).map(|p| p.compose(&world))).collect();
-            let (found, misfit) = Turn::of_poses(&poses).unwrap();
+            let (found, misfit) = CircularMotion::of_poses(&poses).unwrap();
             let sign = found.direction().dot(turn.direction()).signum();
             assert!((found.direction() * sign - turn.direction()).length() < 1e-9, "unit {unit}");
             assert!((found.axis.translation - turn.axis.translation).length() < 1e-8 * unit);
             for (a, b) in found.angles.iter().zip(&turn.angles) {
                 assert_eq!(a.is_some(), b.is_some());
-                let off = a.zip(*b).map_or(0.0, |(a, b)| wrapped(a * sign - b));
+                let off = a.zip(*b).map_or(0.0, |(a, b)| wrap_angle(a * sign - b));
                 assert!(off.abs() < 1e-9, "unit {unit}: {off}");
             }
             assert!(misfit.tilt < 1e-9 && misfit.slip < 1e-9, "{misfit:?}");
@@ -235,28 +235,29 @@ mod tests {
         let turn = example(1.0);
         let mut poses: Vec<Option<Pose>> = (0..12).map(|i| turn.pose(i)).collect();
         poses[3] = poses[3].map(|p| Pose::new(DQuat::from_rotation_x(0.3) * p.rotation, p.translation * 1.2));
-        let (found, _) = Turn::of_poses(&poses).unwrap();
+        let (found, _) = CircularMotion::of_poses(&poses).unwrap();
         assert!(found.direction().cross(turn.direction()).length() < 2e-3);
         assert!((found.axis.translation - turn.axis.translation).length() < 2e-2);
     }
 
     #[test]
     fn poses_that_do_not_turn_are_no_turn() {
-        assert!(Turn::of_poses(&[]).is_none());
-        assert!(Turn::of_poses(&[Some(Pose::IDENTITY)]).is_none());
-        assert!(Turn::of_poses(&[Some(Pose::IDENTITY); 5]).is_none());
+        assert!(CircularMotion::of_poses(&[]).is_none());
+        assert!(CircularMotion::of_poses(&[Some(Pose::IDENTITY)]).is_none());
+        assert!(CircularMotion::of_poses(&[Some(Pose::IDENTITY); 5]).is_none());
         let shifted = |i: i32| Some(Pose::from_centre(DQuat::IDENTITY, DVec3::X * f64::from(i)));
-        assert!(Turn::of_poses(&[shifted(0), shifted(1), shifted(2)]).is_none());
+        assert!(CircularMotion::of_poses(&[shifted(0), shifted(1), shifted(2)]).is_none());
         // A camera that turns about itself has no distance from the axis.
         let spin = |i: i32| Some(Pose::new(DQuat::from_rotation_y(0.2 * f64::from(i)), DVec3::ZERO));
-        assert!(Turn::of_poses(&[spin(0), spin(1), spin(2)]).is_none());
+        assert!(CircularMotion::of_poses(&[spin(0), spin(1), spin(2)]).is_none());
     }
 
     #[test]
     fn the_canonical_frame_has_the_axis_up_and_the_first_camera_at_azimuth_zero() {
         for flipped in [1.0, -1.0] {
             let angles = (0..6).map(|i| Some(0.3 * f64::from(i))).collect();
-            let turn = Turn::new(DVec3::new(0.1, -0.9, -0.4) * flipped, DVec3::new(0.3, 0.1, 5.0), angles);
+            let turn =
+                CircularMotion::new(DVec3::new(0.1, -0.9, -0.4) * flipped, DVec3::new(0.3, 0.1, 5.0), angles);
             let turn = turn.unwrap();
             let (canonical, moved) = turn.canonical(0.7, 2.0);
             assert!(canonical.direction().y < 0.0 && (canonical.radius() - 2.0).abs() < 1e-12);

@@ -1,7 +1,7 @@
 //! Which motion the evidence finds, on exact scenes.
 
-use super::evidence::{Comparison, Tried};
-use super::initialize::key_frames::Material;
+use super::evidence::{Comparison, MotionModel};
+use super::initialize::key_frames::VideoTracks;
 use super::tests::{Filmed, Turntable};
 use super::*;
 use crate::incremental::adjust::adjust;
@@ -11,24 +11,24 @@ use scene::Pose;
 use scene::rng::rng;
 
 /// What is found of true poses seen with 0.2 px of noise; the model of free poses, and that of an orbit.
-fn found(table: &Turntable, seed: u64) -> (Comparison, State, Option<State>) {
+fn found(table: &Turntable, seed: u64) -> (Comparison, MapState, Option<MapState>) {
     let filmed = Filmed::new(table.poses.len(), table.camera.clone(), false);
-    let material = Material::of_klt(&table.tracks(0.2, seed), table.poses.len());
+    let material = VideoTracks::of_klt(&table.tracks(0.2, seed), table.poses.len());
     let video = filmed.video();
     let input = video.input(&material);
     let Filmed { cameras, known, .. } = &filmed;
-    let mut state = State::new(&input, cameras.to_vec());
+    let mut state = MapState::new(&input, cameras.to_vec());
     for (image, pose) in table.poses.iter().enumerate() {
         state.register(image, *pose);
     }
     state.grow_all(&input);
     let job = filmed.job(&input, cameras);
     let context = job.context(&[]);
-    let intrinsics = Intrinsics { model: CameraModel::SimpleRadial, principal_point: false, held: None };
+    let intrinsics = FreeIntrinsics { model: CameraModel::SimpleRadial, principal_point: false, held: None };
     let comparison = Comparison::of(None, &state, &context, intrinsics).unwrap().unwrap();
     let (free, priors) = crate::incremental::growth::freedom(cameras, known, cameras, usize::MAX);
     adjust(&mut state, &input, &Adjustment::growing(free, priors), &Progress::silent()).unwrap();
-    let circled = orbit::adjusted(&state, &context, intrinsics, comparison.orbit_sigma).unwrap();
+    let circled = orbit::adjust(&state, &context, intrinsics, comparison.orbit_sigma).unwrap();
     (comparison, state, circled)
 }
 
@@ -50,7 +50,7 @@ fn a_camera_that_goes_round_with_small_motions_is_an_orbit() {
         let mut table = Turntable::new(24, 15.0, seed);
         shaken(&mut table, 0.01, 0.04, seed);
         let (comparison, ..) = found(&table, seed);
-        assert_eq!(comparison.choice(), Tried::Orbit, "seed {seed}: {}", comparison.describe());
+        assert_eq!(comparison.choice(), MotionModel::Orbit, "seed {seed}: {}", comparison.describe());
         let [turn, shift] = comparison.orbit_sigma;
         // Of a random direction each coordinate has a third of the variance; the circle takes up a part.
         assert!((0.003..0.008).contains(&turn), "{turn}");
@@ -69,11 +69,11 @@ fn poses_far_from_any_circle_are_free() {
         *pose = Pose::new(turn, away);
     }
     let (comparison, ..) = found(&table, 3);
-    assert_eq!(comparison.choice(), Tried::Free, "{}", comparison.describe());
+    assert_eq!(comparison.choice(), MotionModel::Free, "{}", comparison.describe());
 }
 
 /// Median error of the cameras' places in the shape that they form (scale taken out), radii: distances between every two.
-fn median_error(found: &State, table: &Turntable) -> f64 {
+fn median_error(found: &MapState, table: &Turntable) -> f64 {
     let centres: Vec<DVec3> = found.poses.iter().flatten().map(Pose::centre).collect();
     let truth: Vec<DVec3> = table.poses.iter().map(Pose::centre).collect();
     let pairs = || (0..truth.len()).flat_map(|a| (0..a).map(move |b| (a, b)));
@@ -88,7 +88,7 @@ fn a_circle_makes_the_poses_of_an_orbit_more_exact() {
         let mut table = Turntable::new(24, 15.0, seed);
         shaken(&mut table, 0.0005, 0.002, seed);
         let (comparison, free, circled) = found(&table, seed);
-        assert_eq!(comparison.choice(), Tried::Orbit, "{}", comparison.describe());
+        assert_eq!(comparison.choice(), MotionModel::Orbit, "{}", comparison.describe());
         let circled = circled.expect("an orbit can be adjusted as one");
         let (with, without) = (median_error(&circled, &table), median_error(&free, &table));
         assert!(with < without, "seed {seed}: {with} with the circle, {without} without");

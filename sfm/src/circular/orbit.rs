@@ -1,13 +1,13 @@
 //! A camera that goes round on a circle with small motions of its own: a turn whose frames have offsets that are about
 //! as large as they turn out to be.
 
-use super::model::{AxisModel, Context};
-use super::motion::{Turn, TurnMisfit, median, wrapped};
-use super::problem::{Relation, TurnProblem};
+use super::model::{AxisModel, CircularContext};
+use super::motion::{CircularMisfit, CircularMotion, median, wrap_angle};
+use super::problem::{CircularProblem, Relation};
 use crate::SfmError;
 use crate::bundle::{BundleCovariance, BundleProblem};
-use crate::incremental::state::State;
-use crate::model_selection::camera::Intrinsics;
+use crate::incremental::state::MapState;
+use crate::model_selection::camera::FreeIntrinsics;
 use glam::DVec3;
 use scene::Pose;
 
@@ -27,28 +27,28 @@ const LEAST_STRAY: f64 = 1e-4;
 
 /// Free poses as a turn with offsets, in the turntable's frame, and how far they are from a pure turn. `None` where they
 /// do not turn.
-pub(crate) fn of_free(free: &BundleProblem) -> Option<(TurnProblem, TurnMisfit)> {
+pub(crate) fn of_free(free: &BundleProblem) -> Option<(CircularProblem, CircularMisfit)> {
     let poses: Vec<Option<Pose>> = free.poses.iter().copied().map(Some).collect();
-    let (turn, misfit) = Turn::of_poses(&poses)?;
+    let (turn, misfit) = CircularMotion::of_poses(&poses)?;
     let table_from_world = turn.pose(0)?.inverse().compose(free.poses.first()?);
     let mut bundle = free.clone();
-    moved(&table_from_world, bundle.poses.iter_mut(), bundle.points.iter_mut());
+    move_world(&table_from_world, bundle.poses.iter_mut(), bundle.points.iter_mut());
     let angles = turn.angles.iter().map(|a| a.unwrap_or(0.0)).collect();
-    Some((TurnProblem::with_offsets(bundle, turn.axis, angles), misfit))
+    Some((CircularProblem::with_offsets(bundle, turn.axis, angles), misfit))
 }
 
 /// Whether the poses are near enough to a circle for an orbit to be tried.
-pub(crate) fn possible(state: &State) -> bool {
-    Turn::of_poses(&state.poses).is_some_and(|(_, misfit)| near(&misfit))
+pub(crate) fn is_possible(state: &MapState) -> bool {
+    CircularMotion::of_poses(&state.poses).is_some_and(|(_, misfit)| near(&misfit))
 }
 
 /// Whether free poses are near enough to a turn.
-pub(crate) fn near(misfit: &TurnMisfit) -> bool {
+pub(crate) fn is_near(misfit: &CircularMisfit) -> bool {
     misfit.tilt < FARTHEST[0] && misfit.slip < FARTHEST[1]
 }
 
 /// Takes poses and points into another frame.
-fn moved<'a>(
+fn move_world<'a>(
     new_from_old: &Pose,
     poses: impl Iterator<Item = &'a mut Pose>,
     points: impl Iterator<Item = &'a mut DVec3>,
@@ -59,8 +59,8 @@ fn moved<'a>(
 }
 
 /// Standard deviation of the offsets' coordinates: rotations, radians, and translations, radii. From the median length, so
-/// that a few poses that few sightings hold do not make the others' circle wide.
-pub(crate) fn strengths(problem: &TurnProblem) -> [f64; 2] {
+/// that a few poses that few observations hold do not make the others' circle wide.
+pub(crate) fn strengths(problem: &CircularProblem) -> [f64; 2] {
     let turns = problem.offsets.iter().map(|o| 2.0 * o.rotation.xyz().length()).collect();
     let shifts = problem.offsets.iter().map(|o| o.translation.length()).collect();
     let sigma = |lengths: Vec<f64>| median(lengths) / MEDIAN_LENGTH;
@@ -69,7 +69,7 @@ pub(crate) fn strengths(problem: &TurnProblem) -> [f64; 2] {
 
 /// The median step from an image to the next, radians, if most images that have a next one go round evenly.
 pub(crate) fn even_rate(angles: &[Option<f64>]) -> Option<f64> {
-    let steps: Vec<f64> = angles.windows(2).filter_map(|w| Some(wrapped(w[1]? - w[0]?))).collect();
+    let steps: Vec<f64> = angles.windows(2).filter_map(|w| Some(wrap_angle(w[1]? - w[0]?))).collect();
     let rate = median(steps.clone());
     let even = steps.iter().filter(|s| (*s - rate).abs() <= EVEN * rate.abs()).count();
     let enough = steps.len() >= LEAST_STEPS && even as f64 >= EVEN_SHARE * steps.len() as f64;
@@ -84,7 +84,7 @@ pub(crate) fn even_angles(angles: &[Option<f64>]) -> Vec<Relation> {
     let start = angles[first].unwrap_or(0.0);
     // Beside the median rate; with it the angles are not wrapped round any more.
     let left: Vec<(usize, f64)> = (first + 1..angles.len())
-        .filter_map(|i| Some((i, wrapped(angles[i]? - start - rate * (i - first) as f64))))
+        .filter_map(|i| Some((i, wrap_angle(angles[i]? - start - rate * (i - first) as f64))))
         .collect();
     let slopes = left.iter().enumerate().flat_map(|(k, a)| left[..k].iter().map(move |b| (a, b)));
     // Theil (1950) and Sen (1968): the median slope, then the median intercept.
@@ -99,18 +99,18 @@ pub(crate) fn even_angles(angles: &[Option<f64>]) -> Vec<Relation> {
             frames: [Some(first as u32), Some(l.0 as u32), None],
             coefficients: [-1.0, 1.0, 0.0],
             // As many turns on as the angle itself.
-            target: angle - start - wrapped(beside(l) - intercept),
+            target: angle - start - wrap_angle(beside(l) - intercept),
             sigma,
         }
     };
     left.iter().map(relation).collect()
 }
 
-/// The effective number of the offsets, `Σ σ²/(σ² + s²)` with the standard deviations s to which the sightings know a free
+/// The effective number of the offsets, `Σ σ²/(σ² + s²)` with the standard deviations s to which the observations know a free
 /// pose, and by how much twice the logarithm of the evidence grows because they are not free: `Σ ln (1 + 1/s²) − ln (1 +
 /// σ²/s²)`, the widths of what is expected of a pose that may be anywhere within a radius and a radian, and of one near the
 /// circle, over what is found (Occam factors: MacKay 1992). The angle stands for one of a pose's six numbers.
-pub(crate) fn occam(problem: &TurnProblem, sigma: [f64; 2], known: &BundleCovariance) -> (f64, f64) {
+pub(crate) fn occam(problem: &CircularProblem, sigma: [f64; 2], known: &BundleCovariance) -> (f64, f64) {
     let of = |part: std::ops::Range<usize>| {
         median(known.poses.iter().flat_map(|d| d[part.clone()].to_vec()).filter(|d| *d > 0.0).collect())
     };
@@ -127,30 +127,30 @@ pub(crate) fn occam(problem: &TurnProblem, sigma: [f64; 2], known: &BundleCovari
 }
 
 /// The model adjusted once more with offsets from a circle of about this strength; `None` where that comes to nothing.
-pub(crate) fn adjusted(
-    state: &State,
-    context: &Context<'_>,
-    intrinsics: Intrinsics,
+pub(crate) fn adjust(
+    state: &MapState,
+    context: &CircularContext<'_>,
+    intrinsics: FreeIntrinsics,
     sigma: [f64; 2],
-) -> Result<Option<State>, SfmError> {
-    let Some((turn, _)) = Turn::of_poses(&state.poses) else { return Ok(None) };
+) -> Result<Option<MapState>, SfmError> {
+    let Some((turn, _)) = CircularMotion::of_poses(&state.poses) else { return Ok(None) };
     let first = state.poses.iter().position(Option::is_some).unwrap_or(0);
     let (Some(new), Some(old)) = (turn.pose(first), state.poses[first]) else { return Ok(None) };
     let mut state = state.clone();
     let points = state.points.iter_mut().flatten().map(|p| &mut p.position);
-    moved(&new.inverse().compose(&old), state.poses.iter_mut().flatten(), points);
+    move_world(&new.inverse().compose(&old), state.poses.iter_mut().flatten(), points);
     let free: Vec<Option<Pose>> = state.poses.clone();
     let relations = even_angles(&turn.angles);
-    let context = &Context { relations: &relations, elevation: None, ..*context };
+    let context = &CircularContext { relations: &relations, elevation: None, ..*context };
     let mut model = AxisModel { elevation: None, state, turn };
     let (mut problem, selected, options) = model.prepare(context, intrinsics, None);
     problem.bundle.poses = selected.images.iter().filter_map(|&i| free[i]).collect();
     // The noise is that of the free poses; against the pure turn it would look larger.
     model.weigh(context, &mut problem.bundle, &selected);
-    let mut problem = TurnProblem {
+    let mut problem = CircularProblem {
         offset_sigma: Some(sigma),
         relations: std::mem::take(&mut problem.relations),
-        ..TurnProblem::with_offsets(problem.bundle, problem.axis, problem.angles)
+        ..CircularProblem::with_offsets(problem.bundle, problem.axis, problem.angles)
     };
     let summary = problem.solve(&options, context.progress)?;
     if !summary.usable {

@@ -1,10 +1,10 @@
 //! Turns in photos whose order is not known: a seed from three images that match each other, growth by what is seen.
 
-use super::Job;
+use super::MotionInput;
 use super::initialize::seed::{KEYS, KeyPair, Seed, seeds, triples};
-use super::model::{AxisModel, Context};
-use super::motion::Turn;
-use super::register::{resect_angle, sightings};
+use super::model::{AxisModel, CircularContext};
+use super::motion::CircularMotion;
+use super::register::{observed_points, resect_angle};
 use crate::SfmError;
 use crate::incremental::resection::{FOCAL_FACTORS, visible};
 use glam::DVec2;
@@ -20,7 +20,7 @@ const ADJUST_EVERY: usize = 3;
 const ENOUGH: f64 = 0.9;
 
 /// The turn that grows from some triple of images, with as many images as any of those tried; `None` where none does.
-pub(crate) fn from_photos(job: &Job<'_>) -> Result<Option<AxisModel>, SfmError> {
+pub(crate) fn from_photos(job: &MotionInput<'_>) -> Result<Option<AxisModel>, SfmError> {
     let guess = job.cameras[0].mean_focal();
     let known = job.known[0].fixed || job.known[0].focal_sigma.is_some();
     let focals: Vec<f64> =
@@ -33,7 +33,7 @@ pub(crate) fn from_photos(job: &Job<'_>) -> Result<Option<AxisModel>, SfmError> 
         let mut model: Option<(f64, AxisModel, Vec<Camera>)> = None;
         for seed in &found {
             let Some((cameras, turn)) = start(job, seed, images) else { continue };
-            let context = Context { starts: &cameras, ..job.context(&[]) };
+            let context = CircularContext { starts: &cameras, ..job.context(&[]) };
             let mut trial = AxisModel::new(job.input, cameras.clone(), turn);
             if !trial.settle_with(&context, 3, 200, 2)? {
                 continue;
@@ -44,20 +44,20 @@ pub(crate) fn from_photos(job: &Job<'_>) -> Result<Option<AxisModel>, SfmError> 
             }
         }
         let Some((_, mut model, cameras)) = model else { continue };
-        let context = Context { starts: &cameras, ..job.context(&[]) };
+        let context = CircularContext { starts: &cameras, ..job.context(&[]) };
         model.grow_photos(&context)?;
-        let registered = model.state.registered();
-        if best.as_ref().is_none_or(|b| registered > b.state.registered()) {
+        let registered = model.state.registered_count();
+        if best.as_ref().is_none_or(|b| registered > b.state.registered_count()) {
             best = Some(model);
         }
         if registered as f64 >= ENOUGH * job.input.keypoints.len() as f64 {
             break;
         }
     }
-    Ok(best.filter(|b| b.state.registered() > 3))
+    Ok(best.filter(|b| b.state.registered_count() > 3))
 }
 
-fn start(job: &Job<'_>, seed: &Seed, images: [usize; 3]) -> Option<(Vec<Camera>, Turn)> {
+fn start(job: &MotionInput<'_>, seed: &Seed, images: [usize; 3]) -> Option<(Vec<Camera>, CircularMotion)> {
     let mut cameras = job.cameras.to_vec();
     if !job.known[0].fixed {
         let focals = cameras[0].model.num_focals();
@@ -67,11 +67,11 @@ fn start(job: &Job<'_>, seed: &Seed, images: [usize; 3]) -> Option<(Vec<Camera>,
     for (image, angle) in images.into_iter().zip(seed.angles) {
         angles[image] = Some(angle);
     }
-    Some((cameras, Turn::new(seed.direction(), seed.place(), angles)?))
+    Some((cameras, CircularMotion::new(seed.direction(), seed.place(), angles)?))
 }
 
 /// Images that match each other best, three at a time, with their matches.
-fn triples_of(job: &Job<'_>) -> Vec<([usize; 3], Vec<KeyPair>)> {
+fn triples_of(job: &MotionInput<'_>) -> Vec<([usize; 3], Vec<KeyPair>)> {
     let useful = |g: &&TwoViewGeometry| {
         !matches!(g.kind, TwoViewKind::Panoramic | TwoViewKind::Watermark | TwoViewKind::Degenerate)
     };
@@ -100,7 +100,7 @@ fn triples_of(job: &Job<'_>) -> Vec<([usize; 3], Vec<KeyPair>)> {
     chosen
 }
 
-fn key_pair(job: &Job<'_>, g: &TwoViewGeometry, keys: [usize; 2]) -> KeyPair {
+fn key_pair(job: &MotionInput<'_>, g: &TwoViewGeometry, keys: [usize; 2]) -> KeyPair {
     const { assert!(KEYS >= 3) };
     let camera = &job.cameras[0];
     let ideal = |image: usize, feature: u32| -> DVec2 {
@@ -110,14 +110,14 @@ fn key_pair(job: &Job<'_>, g: &TwoViewGeometry, keys: [usize; 2]) -> KeyPair {
 }
 
 impl AxisModel {
-    /// `Σ max(0, 1 − e²/T²)` over all sightings.
-    pub fn agreement(&self, input: &crate::incremental::state::Input<'_>) -> f64 {
+    /// `Σ max(0, 1 − e²/T²)` over all observations.
+    pub fn agreement(&self, input: &crate::incremental::state::MappingInput<'_>) -> f64 {
         let limit = input.config.max_reprojection_px;
         self.state.errors(input).iter().map(|e| (1.0 - (e / limit).powi(2)).max(0.0)).sum()
     }
 
-    /// Registers image after image, those that see most of the model first, at the angle that their sightings agree on.
-    fn grow_photos(&mut self, context: &Context<'_>) -> Result<(), SfmError> {
+    /// Registers image after image, those that see most of the model first, at the angle that their observations agree on.
+    fn grow_photos(&mut self, context: &CircularContext<'_>) -> Result<(), SfmError> {
         let least = context.input.config.min_sightings;
         let images = context.input.keypoints.len();
         let mut tried = vec![0usize; images];
@@ -132,7 +132,7 @@ impl AxisModel {
             ranked.sort_unstable_by_key(|&(n, i)| (std::cmp::Reverse(n), i));
             let next = ranked.into_iter().find_map(|(n, image)| {
                 tried[image] = n;
-                let seen = sightings(self, context, image);
+                let seen = observed_points(self, context, image);
                 let camera = &self.state.cameras[context.input.camera_of[image]];
                 let found = resect_angle(camera, &self.turn.axis, &seen, 0.0, PI);
                 let good = found.inliers >= least && found.inliers * 3 >= found.asked;

@@ -1,7 +1,7 @@
 //! What is known of the angles of a video beside its pictures: a given rate, or that the object turns steadily, as
 //! steadily as the angles themselves say.
 
-use super::problem::{Relation, TurnCovariance};
+use super::problem::{CircularCovariance, Relation};
 use super::whiten::{cholesky, dot, whiten};
 use crate::Decision;
 
@@ -50,27 +50,27 @@ pub(crate) fn known_rate(angles: &[Option<f64>], times: &[f64], rate: f64) -> Ve
 }
 
 /// The angles under what was learnt of the motion.
-pub(crate) struct Learnt {
+pub(crate) struct LearntMotion {
     /// Frames, in their order.
     images: Vec<usize>,
     /// Angles of these frames, radians.
     angles: Vec<f64>,
     /// Their standard deviations against the first, radians.
     pub deviations: Vec<f64>,
-    /// Factor on the variances that the sightings' noise alone would give.
+    /// Factor on the variances that the observations' noise alone would give.
     pub excess: f64,
     /// For the report.
     pub decision: Decision,
 }
 
-impl Learnt {
+impl LearntMotion {
     /// Holds every angle against the first: the adjustment of all else under the learnt motion.
-    pub fn held(&self) -> Vec<Relation> {
+    pub fn holding_relations(&self) -> Vec<Relation> {
         self.relations(|_| HELD)
     }
 
     /// The same as loose as the angles are known, for standard deviations of all else.
-    pub fn loose(&self) -> Vec<Relation> {
+    pub fn loose_relations(&self) -> Vec<Relation> {
         self.relations(|i| self.deviations[i].max(HELD))
     }
 
@@ -95,14 +95,14 @@ impl Learnt {
 /// A motion that is tried: `θ = α + ω t + g(t)`, g a Gaussian process (Matérn 3/2 of standard deviation `sway` over
 /// `lasts`, and white `jitter`), seen with `excess` times the covariance of the angles.
 #[derive(Clone, Copy, Debug)]
-struct Motion {
+struct AngleProcess {
     excess: f64,
     jitter: f64,
     sway: f64,
     lasts: f64,
 }
 
-impl Motion {
+impl AngleProcess {
     /// All that are tried where the angles' covariance is too small by so much at least.
     fn all(excess: f64) -> Vec<Self> {
         let sways = |lasts: f64| (0..SWAY.1).map(move |k| (SWAY.0 * 3f64.powi(k), lasts));
@@ -131,7 +131,7 @@ impl Motion {
 }
 
 /// Angles that were found without a prior, y = θ + e, with `Cov(e) = κ C`.
-struct Found {
+struct MeasuredAngles {
     /// Radians.
     angles: Vec<f64>,
     /// Shares of the video.
@@ -142,7 +142,7 @@ struct Found {
 
 /// Generalised least squares of a steady turn: Cholesky's factor L of `S = κ C + K`, whitened unit and time columns,
 /// their 2 × 2 normal matrix, and the whitened rest.
-struct Fit {
+struct ProcessFit {
     l: Vec<f64>,
     columns: [Vec<f64>; 2],
     normal: [f64; 3],
@@ -150,7 +150,7 @@ struct Fit {
     slope: f64,
 }
 
-impl Found {
+impl MeasuredAngles {
     fn len(&self) -> usize {
         self.angles.len()
     }
@@ -167,7 +167,7 @@ impl Found {
     }
 
     /// Every so many-th angle, so that at most `most` are left.
-    fn thinned(&self, most: usize) -> Self {
+    fn thin(&self, most: usize) -> Self {
         let kept: Vec<usize> = (0..self.len()).step_by(self.len().div_ceil(most)).collect();
         let n = self.len();
         let pair = |i: usize| kept.iter().map(move |&k| (i, k));
@@ -178,7 +178,7 @@ impl Found {
         }
     }
 
-    fn fit(&self, motion: &Motion) -> Option<Fit> {
+    fn fit(&self, motion: &AngleProcess) -> Option<ProcessFit> {
         let n = self.len();
         let (c, t) = (&self.covariance, &self.times);
         let s = (0..n * n).map(|k| motion.excess * c[k] + motion.covariance(t[k / n], t[k % n])).collect();
@@ -189,7 +189,7 @@ impl Found {
         let (p, q, determinant) = (dot(&one, &y), dot(&time, &y), a * d - b * b);
         let (start, slope) = ((d * p - b * q) / determinant, (a * q - b * p) / determinant);
         let rest = (0..n).map(|i| y[i] - start * one[i] - slope * time[i]).collect();
-        (start.is_finite() && slope.is_finite()).then_some(Fit {
+        (start.is_finite() && slope.is_finite()).then_some(ProcessFit {
             l,
             columns: [one, time],
             normal,
@@ -200,7 +200,7 @@ impl Found {
 
     /// Angles given the motion, `y − κ C R y`, and their covariance's diagonal, `κ C − κ C R κ C`, with
     /// `R = S⁻¹ − S⁻¹ X (Xᵀ S⁻¹ X)⁻¹ Xᵀ S⁻¹` (X: unit and time; Rasmussen & Williams 2006, 2.7).
-    fn given(&self, motion: &Motion, fit: &Fit) -> (Vec<f64>, Vec<f64>) {
+    fn posterior(&self, motion: &AngleProcess, fit: &ProcessFit) -> (Vec<f64>, Vec<f64>) {
         let n = self.len();
         let mut angles = Vec::with_capacity(n);
         let mut variances = Vec::with_capacity(n);
@@ -217,7 +217,7 @@ impl Found {
     }
 }
 
-impl Fit {
+impl ProcessFit {
     /// Logarithm of the evidence with start and rate integrated out (type II maximum likelihood, MacKay 1992).
     fn evidence(&self, n: usize) -> f64 {
         let logs: f64 = (0..n).map(|i| self.l[i * (n + 1)].ln()).sum();
@@ -233,19 +233,19 @@ impl Fit {
 /// spectrum decides how much of a slow deviation is believed. Angles are averaged over the motions that are likely.
 /// `closing`: the angle between the first and the last frame as it is known otherwise, with its standard deviation.
 /// `None` where there are too few frames.
-pub(crate) fn learnt(
+pub(crate) fn learn_motion(
     angles: &[Option<f64>],
     times: &[f64],
     images: &[usize],
-    covariance: &TurnCovariance,
+    covariance: &CircularCovariance,
     closing: Option<(f64, f64)>,
-) -> Option<Learnt> {
+) -> Option<LearntMotion> {
     let n = images.len();
     if n < FEWEST || covariance.joint.len() != n * n {
         return None;
     }
     let (first, last) = (times[images[0]], times[images[n - 1]]);
-    let mut found = Found {
+    let mut found = MeasuredAngles {
         angles: images.iter().map(|&f| angles[f].unwrap_or(0.0)).collect(),
         times: images.iter().map(|&f| (times[f] - first) / (last - first)).collect(),
         covariance: covariance.joint.clone(),
@@ -255,11 +255,11 @@ pub(crate) fn learnt(
     if let Some((range, sigma)) = closing {
         found.close(range, sigma * sigma / least);
     }
-    let some = found.thinned(MOST);
-    let tried = Motion::all(least)
+    let some = found.thin(MOST);
+    let tried = AngleProcess::all(least)
         .into_iter()
         .filter_map(|m| Some((some.fit(&m)?.evidence(some.len()) + m.prior(), m)));
-    let mut tried: Vec<(f64, Motion)> = tried.filter(|t| t.0.is_finite()).collect();
+    let mut tried: Vec<(f64, AngleProcess)> = tried.filter(|t| t.0.is_finite()).collect();
     tried.sort_by(|a, b| b.0.total_cmp(&a.0));
     let best = *tried.first()?;
     // Between two hypotheses, not two sizes: a motor turns steadily or it does not. Averaged with all slow deviations, errors of
@@ -278,7 +278,7 @@ pub(crate) fn learnt(
     for (likely, motion) in tried.iter().take(ASKED).filter(|t| t.0 > likeliest - UNLIKELY) {
         let Some(fit) = found.fit(motion) else { continue };
         let weight = (likely - best.0).exp();
-        let (mean, variance) = found.given(motion, &fit);
+        let (mean, variance) = found.posterior(motion, &fit);
         for i in 0..n {
             let off = mean[i] - found.angles[i];
             sum[i] += weight * off;
@@ -317,7 +317,7 @@ pub(crate) fn learnt(
     );
     let chosen = format!("{:.4}° a second, steady to {:.4}°", rate.to_degrees(), centred(&angles));
     let decision = Decision { what: "rate of the turn".to_owned(), chosen, evidence };
-    Some(Learnt { images: images.to_vec(), angles, deviations, excess, decision })
+    Some(LearntMotion { images: images.to_vec(), angles, deviations, excess, decision })
 }
 
 #[cfg(test)]
@@ -335,7 +335,7 @@ mod tests {
         noise: f64,
         thought: f64,
         seed: u64,
-    ) -> (Learnt, Vec<f64>, Vec<f64>) {
+    ) -> (LearntMotion, Vec<f64>, Vec<f64>) {
         let mut r = rng(seed, "rate", 0);
         let truth: Vec<f64> = (0..FRAMES).map(|i| truth(i as f64 / (FRAMES - 1) as f64)).collect();
         let mut drift = 0.0;
@@ -351,14 +351,14 @@ mod tests {
     }
 
     /// What is learnt of such angles.
-    fn of_chain(found: &[f64], thought: f64, closing: Option<(f64, f64)>) -> Learnt {
+    fn of_chain(found: &[f64], thought: f64, closing: Option<(f64, f64)>) -> LearntMotion {
         let angles: Vec<Option<f64>> = found.iter().map(|a| Some(*a)).collect();
         let times: Vec<f64> = (0..FRAMES).map(|i| 0.1 * i as f64).collect();
         let images: Vec<usize> = (0..FRAMES).collect();
         let joint =
             (0..FRAMES * FRAMES).map(|k| thought * thought * (k / FRAMES).min(k % FRAMES) as f64).collect();
-        let covariance = TurnCovariance { joint, ..TurnCovariance::default() };
-        learnt(&angles, &times, &images, &covariance, closing).unwrap()
+        let covariance = CircularCovariance { joint, ..CircularCovariance::default() };
+        learn_motion(&angles, &times, &images, &covariance, closing).unwrap()
     }
 
     /// Root mean square of the error, its mean aside.

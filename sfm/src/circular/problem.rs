@@ -1,8 +1,8 @@
-//! Adjustment under the constraint of one axis: axis, angles, intrinsics and points that fit all sightings best.
+//! Adjustment under the constraint of one axis: axis, angles, intrinsics and points that fit all observations best.
 
-use super::motion::turned;
+use super::motion::pose_at;
 use crate::SfmError;
-use crate::bundle::{Adjustable, BundleProblem, BundleSummary, Normalisation, SolveOptions};
+use crate::bundle::{Adjustable, BundleProblem, BundleSummary, SceneNormalisation, SolveOptions};
 use crate::ceres::TurnInput;
 use crate::ceres::turn::{TurnState, covariance, solve};
 use glam::{DQuat, DVec3};
@@ -23,7 +23,7 @@ pub struct Relation {
 
 /// `n · z = target` within a standard deviation, z the unit direction of the axis in the camera's frame.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Level {
+pub struct ElevationPrior {
     /// Unit vector of the camera's frame.
     pub normal: DVec3,
     /// Sine of the angle between the axis and the plane across `normal`.
@@ -34,8 +34,8 @@ pub struct Level {
 
 /// An adjustment whose poses are `D_i (R Z(θ_i) X + t)`.
 #[derive(Clone, Debug)]
-pub struct TurnProblem {
-    /// Cameras, points, sightings; its poses follow from the rest.
+pub struct CircularProblem {
+    /// Cameras, points, observations; its poses follow from the rest.
     pub bundle: BundleProblem,
     /// Camera from turntable at angle 0; the turntable's origin is near the axis' point nearest to the camera.
     pub axis: Pose,
@@ -44,7 +44,7 @@ pub struct TurnProblem {
     /// What is known of the angles.
     pub relations: Vec<Relation>,
     /// What is known of the axis' direction.
-    pub levels: Vec<Level>,
+    pub levels: Vec<ElevationPrior>,
     /// By pose: the small motion D beside the axis (the identity for a pure turn).
     pub offsets: Vec<Pose>,
     /// Standard deviations of the offsets, radians and radii; `None`: they are held.
@@ -53,7 +53,7 @@ pub struct TurnProblem {
 
 /// Standard deviations from the normal equations, for observations with the given ones.
 #[derive(Clone, Debug, Default)]
-pub struct TurnCovariance {
+pub struct CircularCovariance {
     /// For each camera: row-major over its parameters, 0 where held.
     pub cameras: Vec<Vec<f64>>,
     /// Of the axis' direction: across it, in the plane of the axis and the camera, and out of it, radians.
@@ -64,8 +64,8 @@ pub struct TurnCovariance {
     pub joint: Vec<f64>,
 }
 
-impl TurnProblem {
-    /// A pure turn with the cameras, points and sightings of `bundle`.
+impl CircularProblem {
+    /// A pure turn with the cameras, points and observations of `bundle`.
     pub fn new(bundle: BundleProblem, axis: Pose, angles: Vec<f64>) -> Self {
         let offsets = vec![Pose::IDENTITY; angles.len()];
         let (relations, levels) = (Vec::new(), Vec::new());
@@ -76,7 +76,7 @@ impl TurnProblem {
 
     /// The poses of `bundle` as a turn with offsets.
     pub fn with_offsets(bundle: BundleProblem, axis: Pose, angles: Vec<f64>) -> Self {
-        let offset = |(pose, angle): (&Pose, &f64)| pose.compose(&turned(&axis, *angle).inverse());
+        let offset = |(pose, angle): (&Pose, &f64)| pose.compose(&pose_at(&axis, *angle).inverse());
         let offsets = bundle.poses.iter().zip(&angles).map(offset).collect();
         let mut problem = Self::new(bundle, axis, angles);
         problem.offsets = offsets;
@@ -92,7 +92,7 @@ impl TurnProblem {
 
     /// Computes the poses from axis, angles and offsets.
     fn refresh(&mut self) {
-        let pose = |(angle, offset): (&f64, &Pose)| offset.compose(&turned(&self.axis, *angle));
+        let pose = |(angle, offset): (&f64, &Pose)| offset.compose(&pose_at(&self.axis, *angle));
         self.bundle.poses = self.angles.iter().zip(&self.offsets).map(pose).collect();
     }
 
@@ -127,9 +127,9 @@ impl TurnProblem {
         })
     }
 
-    /// Standard deviations of axis, angles and intrinsics; `None` where the sightings do not determine them. Offsets
+    /// Standard deviations of axis, angles and intrinsics; `None` where the observations do not determine them. Offsets
     /// are taken as they are.
-    pub fn covariance(&self, options: &SolveOptions) -> Result<Option<TurnCovariance>, SfmError> {
+    pub fn covariance(&self, options: &SolveOptions) -> Result<Option<CircularCovariance>, SfmError> {
         let scale = self.radius();
         let input = self.input(options, scale);
         if input.bundle.weights.is_empty() {
@@ -148,11 +148,11 @@ impl TurnProblem {
         let angles = (0..self.angles.len()).map(|i| deviation(3 + i)).collect();
         let n = self.angles.len();
         let joint = (0..n * n).map(|k| of_turn[(3 + k / n) * size + 3 + k % n]).collect();
-        Ok(Some(TurnCovariance { cameras, axis: [deviation(0), deviation(1)], angles, joint }))
+        Ok(Some(CircularCovariance { cameras, axis: [deviation(0), deviation(1)], angles, joint }))
     }
 
     /// The poses' standard deviations in the shape that free poses have: rotation about the camera's axes and centre.
-    pub fn pose_deviations(&self, covariance: &TurnCovariance) -> Vec<[f64; 6]> {
+    pub fn pose_deviations(&self, covariance: &CircularCovariance) -> Vec<[f64; 6]> {
         let about = self.axis.rotation * DVec3::Z;
         let of_pose = |(pose, sd): (&Pose, &f64)| {
             let centre = pose.centre();
@@ -199,7 +199,7 @@ impl TurnProblem {
     }
 
     fn input(&self, options: &SolveOptions, scale: f64) -> TurnInput {
-        let bundle = self.bundle.input(options, &Normalisation { centre: DVec3::ZERO, scale });
+        let bundle = self.bundle.input(options, &SceneNormalisation { centre: DVec3::ZERO, scale });
         let z = self.axis.rotation * DVec3::Z;
         let out = (self.axis.translation - z * z.dot(self.axis.translation)).normalize();
         // Turning about `out × z` tips the axis towards the camera; along `z × out` it moves sideways.
@@ -231,7 +231,7 @@ fn scaled_pose(numbers: &[f64], scale: f64) -> Pose {
     Pose::new(DQuat::from_slice(numbers), DVec3::from_slice(&numbers[4..]) * scale)
 }
 
-impl Adjustable for TurnProblem {
+impl Adjustable for CircularProblem {
     fn bundle(&self) -> &BundleProblem {
         &self.bundle
     }

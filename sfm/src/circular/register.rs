@@ -1,7 +1,7 @@
 //! Growing a turn along a video: each frame has one unknown, its angle.
 
-use super::model::{AxisModel, Context};
-use super::motion::turned;
+use super::model::{AxisModel, CircularContext};
+use super::motion::pose_at;
 use crate::SfmError;
 use crate::incremental::resection::visible;
 use glam::{DVec2, DVec3};
@@ -13,25 +13,25 @@ const SAMPLES: i32 = 40;
 const GOLDEN: usize = 18;
 /// Residuals count at most so many pixels.
 const LIMIT_PX: f64 = 4.0;
-/// Most sightings that are asked for an angle.
+/// Most observations that are asked for an angle.
 const MOST: usize = 400;
 /// Points with which an angle is found, at least: it is one unknown, where a pose has six.
-const LEAST_SIGHTINGS: usize = 8;
+const LEAST_OBSERVATIONS: usize = 8;
 /// Turn after which the model is adjusted again, radians.
 const ADJUST_EVERY: f64 = 0.35;
 /// Frames in a row that may be given the angle that the rate says.
-const BRIDGE: usize = 12;
+const MOST_WEAK: usize = 12;
 /// Range of angles from which on distortion is solved for, and the focal length, radians.
 const RANGE_FOR: [f64; 2] = [2.0, 1.0];
 
-/// An angle, and the sightings that agree with it of those that were asked.
+/// An angle, and the observations that agree with it of those that were asked.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Resected {
     /// Radians.
     pub angle: f64,
-    /// Sightings within the limit.
+    /// Observations within the limit.
     pub inliers: usize,
-    /// Sightings asked.
+    /// Observations asked.
     pub asked: usize,
 }
 
@@ -45,7 +45,7 @@ pub(crate) fn resect_angle(
 ) -> Resected {
     let step = seen.len().div_ceil(MOST).max(1);
     let errors = |angle: f64| {
-        let pose = turned(axis, angle);
+        let pose = pose_at(axis, angle);
         seen.iter().step_by(step).map(move |(pixel, x)| {
             camera.project(pose.transform(*x)).map_or(f64::INFINITY, |p| p.distance_squared(*pixel))
         })
@@ -78,7 +78,11 @@ pub(crate) fn resect_angle(
 }
 
 /// Points of the model that a frame sees, by its tracks.
-pub(crate) fn sightings(model: &AxisModel, context: &Context<'_>, frame: usize) -> Vec<(DVec2, DVec3)> {
+pub(crate) fn observed_points(
+    model: &AxisModel,
+    context: &CircularContext<'_>,
+    frame: usize,
+) -> Vec<(DVec2, DVec3)> {
     let pixels = &context.input.keypoints[frame];
     let place = |(feature, point): (u32, u32)| {
         let position = model.state.points[point as usize].as_ref()?.position;
@@ -101,7 +105,7 @@ impl AxisModel {
 
     /// Registers the frames after the last and before the first, as far as they see enough of the model. `times`: when
     /// each frame was taken, ascending.
-    pub fn extend(&mut self, context: &Context<'_>, times: &[f64]) -> Result<(), SfmError> {
+    pub fn extend(&mut self, context: &CircularContext<'_>, times: &[f64]) -> Result<(), SfmError> {
         let known: Vec<usize> = (0..times.len()).filter(|&f| self.turn.angles[f].is_some()).collect();
         let (Some(&first), Some(&last)) = (known.first(), known.last()) else { return Ok(()) };
         self.walk(context, times, &(last + 1..times.len()).collect::<Vec<_>>(), last, first)?;
@@ -111,7 +115,7 @@ impl AxisModel {
     /// Goes through `frames` from `from`; the rate is read off `from` and a frame some way back, at most to `limit`.
     fn walk(
         &mut self,
-        context: &Context<'_>,
+        context: &CircularContext<'_>,
         times: &[f64],
         frames: &[usize],
         from: usize,
@@ -121,7 +125,7 @@ impl AxisModel {
         let mut turned_since = 0.0;
         let mut passed: Vec<usize> = vec![from];
         let mut back = limit;
-        let mut bridged = 0;
+        let mut placed_weakly = 0;
         for &frame in frames {
             context.progress.check()?;
             let angle = |f: usize| self.turn.angles[f].unwrap_or(0.0);
@@ -132,13 +136,13 @@ impl AxisModel {
             let rate = (angle(newest) - angle(back)) / (times[newest] - times[back]);
             let expected = rate * (times[frame] - times[last]);
             let expected = if expected.is_finite() { expected } else { 0.0 };
-            let seen = sightings(self, context, frame);
-            let least = context.input.config.min_sightings.min(LEAST_SIGHTINGS);
+            let seen = observed_points(self, context, frame);
+            let least = context.input.config.min_sightings.min(LEAST_OBSERVATIONS);
             let start = angle(last) + expected;
             if seen.len() < least {
-                if bridged < BRIDGE {
-                    bridged += 1;
-                    self.bridge(context, frame, start);
+                if placed_weakly < MOST_WEAK {
+                    placed_weakly += 1;
+                    self.place_weakly(context, frame, start);
                     last = frame;
                 }
                 continue;
@@ -147,14 +151,14 @@ impl AxisModel {
             let camera = &self.state.cameras[context.input.camera_of[frame]];
             let found = resect_angle(camera, &self.turn.axis, &seen, start, span);
             if found.inliers < least || found.inliers * 4 < found.asked {
-                if bridged < BRIDGE {
-                    bridged += 1;
-                    self.bridge(context, frame, start);
+                if placed_weakly < MOST_WEAK {
+                    placed_weakly += 1;
+                    self.place_weakly(context, frame, start);
                     last = frame;
                 }
                 continue;
             }
-            bridged = 0;
+            placed_weakly = 0;
             turned_since += (found.angle - angle(last)).abs();
             self.register(frame, found.angle);
             self.state.grow_image(context.input, frame);
@@ -173,7 +177,7 @@ impl AxisModel {
 
     /// Gives a frame that sees too little of the model the angle that the rate says; what it sees with its neighbours
     /// goes on from there.
-    fn bridge(&mut self, context: &Context<'_>, frame: usize, angle: f64) {
+    fn place_weakly(&mut self, context: &CircularContext<'_>, frame: usize, angle: f64) {
         self.register(frame, angle);
         self.state.grow_image(context.input, frame);
     }
@@ -186,7 +190,7 @@ impl AxisModel {
         }
     }
 
-    fn adjust_rough(&mut self, context: &Context<'_>) -> Result<bool, SfmError> {
+    fn adjust_rough(&mut self, context: &CircularContext<'_>) -> Result<bool, SfmError> {
         self.settle_with(context, 1, 50, self.freedom_by_range())
     }
 }

@@ -2,12 +2,12 @@
 //! rate, the places of the others are known but for the ring's small motions, and few matches are enough to say whether
 //! an image is there.
 
-use super::model::Context;
-use super::motion::{Turn, median, turned, wrapped};
+use super::model::CircularContext;
+use super::motion::{CircularMotion, median, pose_at, wrap_angle};
 use super::orbit;
-use crate::incremental::state::State;
+use crate::incremental::state::MapState;
 use crate::incremental::structureless_resection::consistency;
-use crate::model_selection::camera::Intrinsics;
+use crate::model_selection::camera::FreeIntrinsics;
 use crate::{Decision, SfmError};
 use scene::Pose;
 use std::f64::consts::TAU;
@@ -32,20 +32,20 @@ const LEAST_SIGMA: f64 = 1e-4;
 
 /// A ring and where its images stand on it.
 #[derive(Clone, Debug)]
-struct Ring {
-    turn: Turn,
+struct CameraRing {
+    turn: CircularMotion,
     table_from_world: Pose,
     /// Standard deviations of the images' own motions: rotation (radians), translation (radii), a coordinate.
     sigma: [f64; 2],
 }
 
-impl Ring {
+impl CameraRing {
     /// The ring that most of the poses are on; `None` where they are on none.
     fn of(poses: &[Option<Pose>]) -> Option<Self> {
         if poses.iter().flatten().count() < LEAST_IMAGES {
             return None;
         }
-        let (turn, misfit) = Turn::of_poses(poses)?;
+        let (turn, misfit) = CircularMotion::of_poses(poses)?;
         if !(misfit.tilt <= FARTHEST[0] && misfit.slip <= FARTHEST[1]) {
             return None;
         }
@@ -70,7 +70,7 @@ impl Ring {
     }
 
     fn pose_at(&self, angle: f64) -> Pose {
-        turned(&self.turn.axis, angle).compose(&self.table_from_world)
+        pose_at(&self.turn.axis, angle).compose(&self.table_from_world)
     }
 
     /// How far a pose of image `i` is from its place on the ring: rotation (radians), translation (radii).
@@ -91,7 +91,7 @@ impl Ring {
 
 /// Standard deviations of the motions that cameras on a ring have of their own, a coordinate: radians, radii; `None` where they are on none.
 pub(crate) fn own_motions(poses: &[Option<Pose>]) -> Option<[f64; 2]> {
-    Ring::of(poses).map(|ring| ring.sigma)
+    CameraRing::of(poses).map(|ring| ring.sigma)
 }
 
 /// Rotation (radians) and translation between two poses.
@@ -113,7 +113,7 @@ fn angles_between(angles: &[Option<f64>]) -> Vec<Option<f64>> {
     for [(i, from), (j, to)] in pairs {
         let count = (j - i) as f64;
         let expected = rate * count;
-        let total = expected + wrapped(to - from - expected);
+        let total = expected + wrap_angle(to - from - expected);
         // Between the last and the first the ring may not be closed: there the steps would not come out even.
         if j - i < 2 || (total - expected).abs() > UNEVEN * rate.abs() * count.sqrt() || expected.abs() > TAU
         {
@@ -127,12 +127,12 @@ fn angles_between(angles: &[Option<f64>]) -> Vec<Option<f64>> {
 }
 
 /// The model with the images that it misses in their places, as far as their matches agree; `None` where that adds none.
-pub(crate) fn completed(
-    state: &State,
-    context: &Context<'_>,
-    intrinsics: Intrinsics,
-) -> Result<Option<(State, Decision)>, SfmError> {
-    let Some(ring) = Ring::of(&state.poses) else { return Ok(None) };
+pub(crate) fn complete(
+    state: &MapState,
+    context: &CircularContext<'_>,
+    intrinsics: FreeIntrinsics,
+) -> Result<Option<(MapState, Decision)>, SfmError> {
+    let Some(ring) = CameraRing::of(&state.poses) else { return Ok(None) };
     let mut next = state.clone();
     let suspects = ring.suspects(&state.poses);
     let mut angles = ring.turn.angles.clone();
@@ -162,14 +162,14 @@ pub(crate) fn completed(
     }
     for _ in 0..ROUNDS {
         next.grow_all(context.input);
-        let Some(adjusted) = orbit::adjusted(&next, context, intrinsics, ring.sigma)? else {
+        let Some(adjusted) = orbit::adjust(&next, context, intrinsics, ring.sigma)? else {
             return Ok(None);
         };
         next = adjusted;
         next.filter(context.input, context.input.config.max_reprojection_px);
         drop_strangers(&mut next, &mut added, context);
     }
-    let weak: Vec<usize> = added.iter().copied().filter(|&i| next.sightings(i) < LEAST_MATCHES).collect();
+    let weak: Vec<usize> = added.iter().copied().filter(|&i| next.observations(i) < LEAST_MATCHES).collect();
     weak.iter().for_each(|&i| next.unregister(i));
     added.retain(|i| !weak.contains(i));
     let decision = Decision {
@@ -177,18 +177,18 @@ pub(crate) fn completed(
         chosen: format!("{} images", added.len()),
         evidence: format!(
             "the {} others go round evenly, {:.2}° and {:.2} % of the radius off a circle; matches agree with what is between them",
-            state.registered() - state.order.iter().filter(|i| added.contains(i)).count(),
+            state.registered_count() - state.order.iter().filter(|i| added.contains(i)).count(),
             ring.sigma[0].to_degrees(),
             100.0 * ring.sigma[1]
         ),
     };
     // Images that were suspected and fit nowhere may be gone: a smaller model is no completion.
-    let larger = !added.is_empty() && next.registered() >= state.registered();
+    let larger = !added.is_empty() && next.registered_count() >= state.registered_count();
     Ok(larger.then_some((next, decision)))
 }
 
 /// Takes out the added images whose matches do not agree with their places, until all others' do.
-fn drop_strangers(state: &mut State, added: &mut Vec<usize>, context: &Context<'_>) {
+fn drop_strangers(state: &mut MapState, added: &mut Vec<usize>, context: &CircularContext<'_>) {
     loop {
         let stranger = |&i: &usize| {
             let (agreeing, all) = consistency(state, context.input, i);
@@ -223,7 +223,7 @@ mod tests {
         for (i, angle) in found.iter().enumerate() {
             assert_eq!(angle.is_some(), angles[i].is_none(), "image {i}");
             if let Some(angle) = angle {
-                assert!(wrapped(angle - truth[i].unwrap()).abs() < 1e-9, "image {i}");
+                assert!(wrap_angle(angle - truth[i].unwrap()).abs() < 1e-9, "image {i}");
             }
         }
     }
@@ -249,10 +249,10 @@ mod tests {
     fn a_pose_off_the_ring_is_suspected() {
         let axis = Pose::new(glam::DQuat::from_rotation_x(1.8), DVec3::new(0.0, 0.1, 3.0));
         let mut poses: Vec<Option<Pose>> =
-            (0..20).map(|i| Some(turned(&axis, f64::from(i) * TAU / 20.0))).collect();
+            (0..20).map(|i| Some(pose_at(&axis, f64::from(i) * TAU / 20.0))).collect();
         poses[7] = poses[7].map(|p| Pose::new(glam::DQuat::from_rotation_y(0.1) * p.rotation, p.translation));
-        let ring = Ring::of(&poses).unwrap();
+        let ring = CameraRing::of(&poses).unwrap();
         assert_eq!(ring.suspects(&poses), [7]);
-        assert!(Ring::of(&poses[..7]).is_none(), "too few");
+        assert!(CameraRing::of(&poses[..7]).is_none(), "too few");
     }
 }

@@ -1,8 +1,8 @@
 use super::evidence::Comparison;
-use super::initialize::key_frames::{Material, drop_still};
+use super::initialize::key_frames::{VideoTracks, drop_still};
 use super::model::AxisModel;
-use super::motion::{turned, wrapped};
-use super::problem::TurnProblem;
+use super::motion::{pose_at, wrap_angle};
+use super::problem::CircularProblem;
 use super::video::VideoJob;
 use super::*;
 use crate::SfmConfig;
@@ -17,7 +17,7 @@ use scene::{Frame, FrameSet, Pose};
 /// A sphere of points that turns before a camera that looks down on it.
 pub(super) struct Turntable {
     pub camera: Camera,
-    pub turn: Turn,
+    pub turn: CircularMotion,
     pub points: Vec<DVec3>,
     pub poses: Vec<Pose>,
 }
@@ -30,7 +30,7 @@ impl Turntable {
         let direction = DVec3::new(r.random_range(-0.1..0.1), -1.0, r.random_range(-0.5..-0.2));
         let angles: Vec<Option<f64>> =
             (0..frames).map(|i| Some((step_deg * i as f64).to_radians())).collect();
-        let turn = Turn::new(direction, DVec3::new(0.1, 0.0, 4.0), angles).unwrap();
+        let turn = CircularMotion::new(direction, DVec3::new(0.1, 0.0, 4.0), angles).unwrap();
         let points = (0..400).map(|_| unit_vector(&mut r) * r.random_range(0.8..1.0)).collect();
         let poses = (0..frames).map(|i| turn.pose(i).unwrap()).collect();
         Self { camera, turn, points, poses }
@@ -71,7 +71,7 @@ impl Turntable {
             model.turn.angles.iter().map(|a| a.expect("every frame has an angle")).collect();
         let sense = if model.turn.direction().dot(self.turn.direction()) < 0.0 { -1.0 } else { 1.0 };
         let off =
-            found.iter().zip(&self.turn.angles).map(|(a, b)| wrapped(sense * (a - found[0]) - b.unwrap()));
+            found.iter().zip(&self.turn.angles).map(|(a, b)| wrap_angle(sense * (a - found[0]) - b.unwrap()));
         off.map(f64::abs).fold(0.0, f64::max)
     }
 }
@@ -115,9 +115,9 @@ impl Filmed {
         VideoJob { frames, config, cameras, camera_of, known, progress }
     }
 
-    pub fn job<'a>(&'a self, input: &'a Input<'a>, starts: &'a [Camera]) -> Job<'a> {
+    pub fn job<'a>(&'a self, input: &'a MappingInput<'a>, starts: &'a [Camera]) -> MotionInput<'a> {
         let Self { config, progress, cameras, known, .. } = self;
-        Job {
+        MotionInput {
             input,
             cameras,
             known,
@@ -149,7 +149,7 @@ pub(super) fn solve_from(
     let filmed = Filmed::new(table.poses.len(), camera, fixed);
     drop_still(&mut tracks);
     let job = filmed.video();
-    let material = Material::of_klt(&tracks, table.poses.len());
+    let material = VideoTracks::of_klt(&tracks, table.poses.len());
     let input = job.input(&material);
     let grown = job.grow(&input, &tracks).unwrap()?;
     let starts = grown.state.cameras.clone();
@@ -269,7 +269,7 @@ fn what_does_not_turn_is_no_model() {
 }
 
 /// All points of the table in all frames in which they are seen, in scenes of any unit.
-pub(super) fn problem(table: &Turntable, unit: f64, noise_px: f64, seed: u64) -> TurnProblem {
+pub(super) fn problem(table: &Turntable, unit: f64, noise_px: f64, seed: u64) -> CircularProblem {
     let mut r = rng(seed, "pixels", 0);
     let n = table.poses.len();
     let mut bundle = BundleProblem {
@@ -295,7 +295,7 @@ pub(super) fn problem(table: &Turntable, unit: f64, noise_px: f64, seed: u64) ->
         }
     }
     let axis = Pose { translation: table.turn.axis.translation * unit, ..table.turn.axis };
-    TurnProblem::new(bundle, axis, table.turn.angles.iter().flatten().copied().collect())
+    CircularProblem::new(bundle, axis, table.turn.angles.iter().flatten().copied().collect())
 }
 
 #[test]
@@ -316,7 +316,7 @@ fn the_adjustment_returns_to_the_truth_in_any_unit() {
         assert!((problem.bundle.cameras[0].params[0] - 700.0).abs() < 1e-4);
         for (i, a) in problem.angles.iter().enumerate() {
             let truth = table.turn.angles[i].unwrap();
-            assert!(wrapped(a - problem.angles[0] - truth).abs() < 1e-8, "unit {unit} frame {i}");
+            assert!(wrap_angle(a - problem.angles[0] - truth).abs() < 1e-8, "unit {unit} frame {i}");
         }
     }
 }
@@ -328,7 +328,7 @@ fn small_motions_beside_the_axis_are_found_where_they_are_allowed() {
     let shift = Pose::new(DQuat::from_rotation_x(0.002), DVec3::new(0.003, 0.0, 0.001));
     for o in problem.bundle.observations.iter_mut().filter(|o| o.pose == 5) {
         let x = shift
-            .compose(&turned(&table.turn.axis, table.turn.angles[5].unwrap()))
+            .compose(&pose_at(&table.turn.axis, table.turn.angles[5].unwrap()))
             .transform(table.points[o.point as usize]);
         o.pixel = table.camera.project(x).unwrap();
     }
@@ -355,7 +355,7 @@ fn standard_deviations_match_the_scatter_of_repeated_measurements() {
         noisy.solve(&SolveOptions::default(), &Progress::silent()).unwrap();
         let (z, true_z) = (noisy.axis.rotation * DVec3::Z, truth.axis.rotation * DVec3::Z);
         let out = -(truth.axis.rotation * DVec3::X);
-        scatter[0] += wrapped(noisy.angles[5] - truth.angles[5]).powi(2);
+        scatter[0] += wrap_angle(noisy.angles[5] - truth.angles[5]).powi(2);
         scatter[1] += (z - true_z).dot(true_z.cross(out)).powi(2);
         scatter[2] += (z - true_z).dot(out).powi(2);
         scatter[3] += (noisy.bundle.cameras[0].params[0] - 700.0).powi(2);

@@ -1,19 +1,21 @@
 //! Turns in videos: tracks, a seed, growth along the frames, the seam of a whole turn, the last adjustment.
 
 use super::evidence::Comparison;
-use super::initialize::key_frames::{KeyFrames, Material, drop_still};
-use super::initialize::seed::{KEYS, KeyPair, Seed, explained, seeds, steady};
-use super::loop_closure::photometric::{self, Likeness};
-use super::loop_closure::tracks::Seam;
-use super::model::{AxisModel, Context};
-use super::motion::{Turn, median, wrapped};
-use super::prior::{known_rate, learnt};
+use super::initialize::key_frames::{KeyFrames, VideoTracks, drop_still};
+use super::initialize::seed::{KEYS, KeyPair, Seed, explained_share, seeds, steady};
+use super::loop_closure::photometric::{self, PhotometricClosure};
+use super::loop_closure::tracks::LoopClosure;
+use super::model::{AxisModel, CircularContext};
+use super::motion::{CircularMotion, median, wrap_angle};
+use super::prior::{known_rate, learn_motion};
 use super::problem::Relation;
 use super::register::resect_angle;
-use super::{Job, Motion, ROUNDS, ROUNDS_BEFORE, Turned, adjust_and_choose, decision, finish};
+use super::{
+    CircularSolution, Motion, MotionInput, ROUNDS, ROUNDS_BEFORE, adjust_and_choose, decision, finish,
+};
 use crate::Knowledge;
 use crate::incremental::resection::FOCAL_FACTORS;
-use crate::incremental::state::Input;
+use crate::incremental::state::MappingInput;
 use crate::klt::{KltTrack, track};
 use crate::{Decision, SfmConfig, SfmError};
 use glam::DVec2;
@@ -50,7 +52,7 @@ pub(crate) struct VideoJob<'a> {
 
 /// A model about one axis with the keypoints it refers to.
 pub(crate) struct VideoModel {
-    pub turned: Turned,
+    pub turned: CircularSolution,
     pub keypoints: Vec<Vec<DVec2>>,
     pub features: Vec<Features>,
     pub geometries: Vec<TwoViewGeometry>,
@@ -58,9 +60,9 @@ pub(crate) struct VideoModel {
 }
 
 /// Followed points and features together, and the turn they are to be adjusted from.
-struct Closed {
-    material: Material,
-    turn: Turn,
+struct ClosedVideo {
+    material: VideoTracks,
+    turn: CircularMotion,
     cameras: Vec<Camera>,
     /// What likeness says of the angle between the first and the last frame.
     closing: Option<Relation>,
@@ -69,7 +71,7 @@ struct Closed {
 }
 
 /// Where a model grows from: key frames, `stride` apart from the `first`, and what may be their motion.
-struct Start {
+struct VideoStart {
     first: usize,
     stride: usize,
     keys: usize,
@@ -85,7 +87,7 @@ pub(crate) fn solve_video(job: &VideoJob<'_>) -> Result<Result<(VideoModel, Deci
     let still = drop_still(&mut tracks);
     let note = format!("{} points were followed, {still} more stand still", tracks.len());
     let n = job.frames.len();
-    let material = Material::of_klt(&tracks, n);
+    let material = VideoTracks::of_klt(&tracks, n);
     let input = job.input(&material);
     let model = match job.grow(&input, &tracks)? {
         Ok(model) => model,
@@ -93,10 +95,10 @@ pub(crate) fn solve_video(job: &VideoJob<'_>) -> Result<Result<(VideoModel, Deci
     };
     let config = job.config;
     let keys = KeyFrames::new(job.frames, &model, &config.sift, &config.matching, job.progress)?;
-    let Closed { material, turn, cameras, closing, seam } = job.close(&keys, &tracks, model)?;
+    let ClosedVideo { material, turn, cameras, closing, seam } = job.close(&keys, &tracks, model)?;
     let input = job.input(&material);
     let counts: Vec<usize> = keys.features.iter().map(Features::len).collect();
-    let free_job = Job {
+    let free_job = MotionInput {
         input: &input,
         cameras: job.cameras,
         known: job.known,
@@ -110,31 +112,33 @@ pub(crate) fn solve_video(job: &VideoJob<'_>) -> Result<Result<(VideoModel, Deci
     let times = job.times();
     let rate = config.motion.known_rate.map(f64::to_radians);
     let relations = rate.map_or(Vec::new(), |r| known_rate(&turn.angles, &times, r));
-    let mut context = Context { times: &times, closing, ..free_job.context(&relations) };
+    let mut context = CircularContext { times: &times, closing, ..free_job.context(&relations) };
     let Some((mut model, intrinsics, camera)) =
         adjust_and_choose(&context, &free_job, &cameras, turn, ROUNDS_BEFORE)?
     else {
         return Ok(Err(format!("{note}; the tracks and key frames do not agree on one axis")));
     };
     let comparison = Comparison::of(Some(&model), &model.state, &context, intrinsics)?;
-    let figures = comparison.as_ref().map_or("too few sightings to compare".to_owned(), Comparison::describe);
+    let figures =
+        comparison.as_ref().map_or("too few observations to compare".to_owned(), Comparison::describe);
     let evidence = format!("{note}; {seam}; {figures}");
-    let registered = model.state.registered();
+    let registered = model.state.registered_count();
     let single = comparison.is_some_and(|c| c.favours_single()) && registered as f64 >= REGISTERED * n as f64;
     if config.motion.motion == Motion::Auto && !single {
         return Ok(Err(format!("one axis was tried: {registered} of {n} frames; {evidence}")));
     }
     let motion = match model.covariance(&context, intrinsics)? {
         Some((_, images, c)) if rate.is_none() => {
-            let learn = |closing| learnt(&model.turn.angles, &times, &images, &c, closing);
+            let learn = |closing| learn_motion(&model.turn.angles, &times, &images, &c, closing);
             let first = learn(None);
             // With angles that are nearly right, likeness says more.
-            let range = first.as_ref().and_then(|l| job.range_by_likeness(&l.by_frame(n)));
+            let range = first.as_ref().and_then(|l| job.range_by_similarity(&l.by_frame(n)));
             range.and_then(|r| learn(Some(r))).or(first)
         }
         _ => None,
     };
-    let (held, loose) = motion.as_ref().map(|l| (l.held(), l.loose())).unwrap_or_default();
+    let (held, loose) =
+        motion.as_ref().map(|l| (l.holding_relations(), l.loose_relations())).unwrap_or_default();
     if motion.is_some() {
         (context.relations, context.closing) = (&held, None);
     }
@@ -145,24 +149,29 @@ pub(crate) fn solve_video(job: &VideoJob<'_>) -> Result<Result<(VideoModel, Deci
     let excess = motion.as_ref().map_or(1.0, |l| l.excess);
     let mut turned = finish(&mut model, &context, &free_job, intrinsics, (camera, excess))?;
     turned.decisions.extend(motion.map(|l| l.decision));
-    Ok(Ok((job.done(turned, material, keys), decision("single-axis", evidence))))
+    Ok(Ok((job.into_video_model(turned, material, keys), decision("single-axis", evidence))))
 }
 
 impl VideoJob<'_> {
-    pub(crate) fn input<'a>(&'a self, material: &'a Material) -> Input<'a> {
-        Input {
-            spreads: &[],
+    pub(crate) fn input<'a>(&'a self, material: &'a VideoTracks) -> MappingInput<'a> {
+        MappingInput {
+            sigmas: &[],
             keypoints: &material.keypoints,
             tracks: &material.tracks,
             camera_of: self.camera_of,
             geometries: &[],
             config: &self.config.mapper,
-            may_be_turned: false,
+            may_be_rotated: false,
             seed: self.config.seed,
         }
     }
 
-    fn done(&self, turned: Turned, material: Material, keys: KeyFrames) -> VideoModel {
+    fn into_video_model(
+        &self,
+        turned: CircularSolution,
+        material: VideoTracks,
+        keys: KeyFrames,
+    ) -> VideoModel {
         let mut geometries = keys.near;
         geometries.extend(keys.seam);
         geometries.sort_by_key(|g| (g.a, g.b));
@@ -189,7 +198,7 @@ impl VideoJob<'_> {
     /// From followed points alone: the best seed, grown over the whole video.
     pub(crate) fn grow(
         &self,
-        input: &Input<'_>,
+        input: &MappingInput<'_>,
         tracks: &[KltTrack],
     ) -> Result<Result<AxisModel, String>, SfmError> {
         let times = self.times();
@@ -197,10 +206,10 @@ impl VideoJob<'_> {
             Ok(start) => start,
             Err(why) => return Ok(Err(why)),
         };
-        let Start { first, stride, keys, seeds: found } = start;
+        let VideoStart { first, stride, keys, seeds: found } = start;
         let mut chosen: Option<(f64, AxisModel, Vec<Camera>)> = None;
         for seed in &found {
-            let (cameras, turn) = self.of_seed(seed, first, stride, keys);
+            let (cameras, turn) = self.motion_of_seed(seed, first, stride, keys);
             let Some(turn) = turn else { continue };
             let context = self.context(input, &cameras, &times);
             let mut model = AxisModel::new(input, cameras.clone(), turn);
@@ -217,7 +226,7 @@ impl VideoJob<'_> {
         };
         let context = self.context(input, &cameras, &times);
         model.extend(&context, &times)?;
-        let registered = model.state.registered();
+        let registered = model.state.registered_count();
         if registered < 3 {
             return Ok(Err("the seed does not grow".to_owned()));
         }
@@ -226,7 +235,7 @@ impl VideoJob<'_> {
 
     /// Seeds from a few key frames: as far apart as the tracks need to move, or nearer where that leaves too few of them. Points
     /// on the axis or near it hardly move at all.
-    fn first_guess(&self, tracks: &[KltTrack]) -> Result<Start, String> {
+    fn first_guess(&self, tracks: &[KltTrack]) -> Result<VideoStart, String> {
         let n = self.frames.len();
         let Some(widest) = stride(tracks, n, self.cameras[0].width.max(self.cameras[0].height)) else {
             return Err("nothing moves enough".to_owned());
@@ -241,13 +250,13 @@ impl VideoJob<'_> {
         for (tied, stride) in strides().map(|s| (true, s)).chain(strides().map(|s| (false, s))) {
             let keys = KEYS.min((n - 1) / stride + 1);
             let found = window(tracks, n, stride, keys, &self.cameras[0]);
-            let Some((first, pairs)) = found.filter(|(_, pairs)| !tied || all_tied(pairs, keys)) else {
+            let Some((first, pairs)) = found.filter(|(_, pairs)| !tied || all_keys_tied(pairs, keys)) else {
                 continue;
             };
             let seeds = seeds(&pairs, keys, &steady(), &focals, guess, known);
-            let share = seeds.first().map_or(0.0, |s| explained(&pairs, s));
+            let share = seeds.first().map_or(0.0, |s| explained_share(&pairs, s));
             if share >= EXPLAINED {
-                return Ok(Start { first, stride, keys, seeds });
+                return Ok(VideoStart { first, stride, keys, seeds });
             }
             best = Some(best.map_or(share, |b| b.max(share)));
         }
@@ -257,12 +266,23 @@ impl VideoJob<'_> {
         })
     }
 
-    fn context<'a>(&'a self, input: &'a Input<'a>, starts: &'a [Camera], times: &'a [f64]) -> Context<'a> {
-        Context::plain(input, self.known, starts, times, self.progress)
+    fn context<'a>(
+        &'a self,
+        input: &'a MappingInput<'a>,
+        starts: &'a [Camera],
+        times: &'a [f64],
+    ) -> CircularContext<'a> {
+        CircularContext::plain(input, self.known, starts, times, self.progress)
     }
 
     /// Camera and turn of a seed; frames between key frames get angles in between.
-    fn of_seed(&self, seed: &Seed, first: usize, stride: usize, keys: usize) -> (Vec<Camera>, Option<Turn>) {
+    fn motion_of_seed(
+        &self,
+        seed: &Seed,
+        first: usize,
+        stride: usize,
+        keys: usize,
+    ) -> (Vec<Camera>, Option<CircularMotion>) {
         let mut cameras = self.cameras.to_vec();
         if !self.known[0].fixed {
             let focals = cameras[0].model.num_focals();
@@ -276,13 +296,18 @@ impl VideoJob<'_> {
                     Some(seed.angles[k] + share * (seed.angles[k + 1] - seed.angles[k]));
             }
         }
-        (cameras, Turn::new(seed.direction(), seed.place(), angles))
+        (cameras, CircularMotion::new(seed.direction(), seed.place(), angles))
     }
 
     /// Joins followed points and features; where a whole turn brings first and last frames together, the angles are
     /// stretched so that it closes.
-    fn close(&self, keys: &KeyFrames, tracks: &[KltTrack], model: AxisModel) -> Result<Closed, SfmError> {
-        let open = Material::of_both(&keys.features, &keys.near, tracks);
+    fn close(
+        &self,
+        keys: &KeyFrames,
+        tracks: &[KltTrack],
+        model: AxisModel,
+    ) -> Result<ClosedVideo, SfmError> {
+        let open = VideoTracks::of_both(&keys.features, &keys.near, tracks);
         let input = self.input(&open);
         let cameras = model.state.cameras.clone();
         let times = self.times();
@@ -292,18 +317,19 @@ impl VideoJob<'_> {
         let angles: Vec<f64> = joined.turn.angles.iter().flatten().copied().collect();
         let range =
             angles.iter().copied().fold(f64::MIN, f64::max) - angles.iter().copied().fold(f64::MAX, f64::min);
-        let unclosed = |material: Material, joined: AxisModel, why: &str| {
+        let unclosed = |material: VideoTracks, joined: AxisModel, why: &str| {
             let seam = format!("{:.1}° were turned, {why}", range.to_degrees());
             let closing = None;
-            Ok(Closed { material, turn: joined.turn, cameras: joined.state.cameras, closing, seam })
+            Ok(ClosedVideo { material, turn: joined.turn, cameras: joined.state.cameras, closing, seam })
         };
         if range < SEAM_FROM {
             return unclosed(open, joined, "no seam");
         }
-        let followed = Seam::follow(self.frames, &joined.turn.angles, &self.config.klt, self.progress)?;
-        let matched = keys.seam.iter().filter_map(|g| self.seam_error(&joined, &context, g)).collect();
-        let seen = agreed([followed.gaps(&joined), matched]);
-        let alike = self.likeness(&joined.turn.angles);
+        let followed =
+            LoopClosure::follow(self.frames, &joined.turn.angles, &self.config.klt, self.progress)?;
+        let matched = keys.seam.iter().filter_map(|g| self.closure_error(&joined, &context, g)).collect();
+        let seen = agree_on_gap([followed.gaps(&joined), matched]);
+        let alike = self.photometric_closure(&joined.turn.angles);
         // Ties that contradict what the pictures as a whole show are wrong ones.
         let seen =
             seen.filter(|s| alike.is_none_or(|a| (s.0 * TAU + a.excess).abs() < SEAM_AGREES + 3.0 * a.sigma));
@@ -312,34 +338,34 @@ impl VideoJob<'_> {
             return unclosed(open, joined, "the seam is not seen");
         };
         joined.turn.angles.iter_mut().flatten().for_each(|a| *a *= 1.0 + stretch);
-        let closing = alike.and_then(|a| closing(&joined.turn.angles, a.sigma * range / TAU));
+        let closing = alike.and_then(|a| closing_relation(&joined.turn.angles, a.sigma * range / TAU));
         let mut geometries = keys.near.clone();
         geometries.extend(keys.seam.iter().filter(|_| by_pairs > 0).cloned());
-        let mut material = Material::of_both(&keys.features, &geometries, tracks);
+        let mut material = VideoTracks::of_both(&keys.features, &geometries, tracks);
         if by_points > 0 {
             followed.tracks.iter().for_each(|t| material.add(t.iter().copied()));
         }
-        let by_likeness =
+        let by_similarity =
             alike.map_or(String::new(), |a| format!(", likeness to {:.3}°", a.sigma.to_degrees()));
         let seam = format!(
-            "{:.1}° were turned, {} points followed across the seam to {by_points} frames and {by_pairs} pairs{by_likeness} closed it by {:.2}°",
+            "{:.1}° were turned, {} points followed across the seam to {by_points} frames and {by_pairs} pairs{by_similarity} closed it by {:.2}°",
             range.to_degrees(),
             followed.tracks.len(),
             (stretch * range).abs().to_degrees()
         );
-        Ok(Closed { material, turn: joined.turn, cameras: joined.state.cameras, closing, seam })
+        Ok(ClosedVideo { material, turn: joined.turn, cameras: joined.state.cameras, closing, seam })
     }
 
     /// The angle between the first and the last frame by likeness, and its standard deviation.
-    fn range_by_likeness(&self, angles: &[Option<f64>]) -> Option<(f64, f64)> {
-        let alike = self.likeness(angles)?;
+    fn range_by_similarity(&self, angles: &[Option<f64>]) -> Option<(f64, f64)> {
+        let alike = self.photometric_closure(angles)?;
         let (first, last) = (angles.iter().flatten().next()?, angles.iter().flatten().last()?);
         let range = last - first;
         Some((range * (1.0 - alike.excess / TAU), alike.sigma * range.abs() / TAU))
     }
 
     /// What the pictures of all frames of the video say of a whole turn, given the angles of the chosen ones.
-    fn likeness(&self, angles: &[Option<f64>]) -> Option<Likeness> {
+    fn photometric_closure(&self, angles: &[Option<f64>]) -> Option<PhotometricClosure> {
         let film = self.frames.film.as_ref()?;
         let known: Vec<(f64, f64)> =
             self.frames.frames.iter().zip(angles).filter_map(|(f, a)| Some((f.time_s?, (*a)?))).collect();
@@ -350,16 +376,16 @@ impl VideoJob<'_> {
         let risen: Vec<(f64, f64)> = known.iter().map(|k| (k.0, sense * (k.1 - first))).collect();
         let found = |known: &[(f64, f64)]| photometric::excess(film, |time| between(known, time, beyond));
         // Steps as they were found, or evened out: whichever orders the pictures better.
-        let both = [found(&risen), found(&evened(&risen))];
+        let both = [found(&risen), found(&even_out(&risen))];
         both.into_iter().flatten().min_by(|a, b| a.sigma.total_cmp(&b.sigma))
     }
 
     /// By how much the angle between two frames on either side of the seam is too small, and that angle: points that
     /// the one sees, found in the other.
-    fn seam_error(
+    fn closure_error(
         &self,
         model: &AxisModel,
-        context: &Context<'_>,
+        context: &CircularContext<'_>,
         g: &TwoViewGeometry,
     ) -> Option<(f64, f64)> {
         let (a, b) = (model.turn.angles[g.a]?, model.turn.angles[g.b]?);
@@ -374,12 +400,12 @@ impl VideoJob<'_> {
             return None;
         }
         let found = resect_angle(&model.state.cameras[0], &model.turn.axis, &seen, b, SEAM_SPAN);
-        (found.inliers >= 8 && found.inliers * 2 >= found.asked).then(|| (wrapped(found.angle - b), b - a))
+        (found.inliers >= 8 && found.inliers * 2 >= found.asked).then(|| (wrap_angle(found.angle - b), b - a))
     }
 }
 
 /// Each angle as the line through its neighbours has it.
-fn evened(known: &[(f64, f64)]) -> Vec<(f64, f64)> {
+fn even_out(known: &[(f64, f64)]) -> Vec<(f64, f64)> {
     let at = |&(time, angle): &(f64, f64)| {
         let near: Vec<(f64, f64)> = known
             .iter()
@@ -404,7 +430,7 @@ fn between(known: &[(f64, f64)], time: f64, beyond: f64) -> Option<f64> {
 }
 
 /// That the angle between the first and the last frame is what it is now.
-fn closing(angles: &[Option<f64>], sigma: f64) -> Option<Relation> {
+fn closing_relation(angles: &[Option<f64>], sigma: f64) -> Option<Relation> {
     let (first, last) = (angles.iter().position(Option::is_some)?, angles.iter().rposition(Option::is_some)?);
     Some(Relation {
         frames: [Some(first as u32), Some(last as u32), None],
@@ -414,9 +440,9 @@ fn closing(angles: &[Option<f64>], sigma: f64) -> Option<Relation> {
     })
 }
 
-/// By what share the angles are too small as most of the gaps say (see [`Seam::gaps`]; of followed points, and of
+/// By what share the angles are too small as most of the gaps say (see [`LoopClosure::gaps`]; of followed points, and of
 /// matched pairs), and how many of either agree; `None` where they do not.
-fn agreed(gaps: [Vec<(f64, f64)>; 2]) -> Option<(f64, usize, usize)> {
+fn agree_on_gap(gaps: [Vec<(f64, f64)>; 2]) -> Option<(f64, usize, usize)> {
     let middle = median(gaps.iter().flatten().map(|g| g.0).collect());
     let near = |g: &&(f64, f64)| (g.0 - middle).abs() < SEAM_AGREES;
     let agreeing: Vec<&(f64, f64)> = gaps.iter().flatten().filter(near).collect();
@@ -453,7 +479,7 @@ fn stride(tracks: &[KltTrack], frames: usize, side: u32) -> Option<usize> {
 }
 
 /// Whether every key frame shares tracks with the next.
-fn all_tied(pairs: &[KeyPair], keys: usize) -> bool {
+fn all_keys_tied(pairs: &[KeyPair], keys: usize) -> bool {
     (0..keys - 1).all(|k| pairs.iter().any(|p| p.keys == [k, k + 1]))
 }
 

@@ -4,7 +4,7 @@
 
 use super::initial::relative_pose;
 use super::resection::visible;
-use super::state::{Input, State};
+use super::state::{MapState, MappingInput};
 use crate::solvers::{essential_from_pose, sampson_sq};
 use glam::{DMat3, DQuat, DVec2, DVec3};
 use scene::{Pose, TwoViewGeometry};
@@ -34,7 +34,7 @@ struct Link<'a> {
 
 impl Link<'_> {
     /// How many matches agree with a pose of this image.
-    fn agreeing(&self, pose: &Pose, limit: f64) -> usize {
+    fn count_agreeing(&self, pose: &Pose, limit: f64) -> usize {
         let relative = pose.compose(&self.other.inverse());
         let inverse = self.focal.map(|f| DMat3::from_diagonal(DVec3::new(1.0 / f, 1.0 / f, 1.0)));
         let m = inverse[1] * essential_from_pose(&relative) * inverse[0];
@@ -43,7 +43,7 @@ impl Link<'_> {
 }
 
 /// The pairs that tie an image to registered ones, strongest first.
-fn links<'a>(state: &State, input: &Input<'a>, image: usize) -> Vec<Link<'a>> {
+fn links<'a>(state: &MapState, input: &MappingInput<'a>, image: usize) -> Vec<Link<'a>> {
     let of_image = input.geometries.iter().filter(|g| g.a == image || g.b == image);
     let mut found: Vec<Link<'a>> = of_image.filter_map(|g| link(state, input, g, image)).collect();
     found.sort_by_key(|l| (std::cmp::Reverse(l.geometry.inliers.len()), l.geometry.a, l.geometry.b));
@@ -52,8 +52,8 @@ fn links<'a>(state: &State, input: &Input<'a>, image: usize) -> Vec<Link<'a>> {
 
 /// What a pair says of `image`, one of its two; `None` where the other one is not registered.
 fn link<'a>(
-    state: &State,
-    input: &Input<'a>,
+    state: &MapState,
+    input: &MappingInput<'a>,
     geometry: &'a TwoViewGeometry,
     image: usize,
 ) -> Option<Link<'a>> {
@@ -74,21 +74,21 @@ fn link<'a>(
 
 /// Matches of a pair: (agreeing with the model's poses, all); `None` where an image is not registered.
 pub(crate) fn agreement(
-    state: &State,
-    input: &Input<'_>,
+    state: &MapState,
+    input: &MappingInput<'_>,
     geometry: &TwoViewGeometry,
 ) -> Option<(usize, usize)> {
     let pose = state.poses[geometry.b]?;
     let link = link(state, input, geometry, geometry.b)?;
-    Some((link.agreeing(&pose, 2.0 * input.config.max_reprojection_px), link.matches.len()))
+    Some((link.count_agreeing(&pose, 2.0 * input.config.max_reprojection_px), link.matches.len()))
 }
 
 /// Matches of an image with registered ones: (agreeing with its pose, all). Of a frame of a video those with its
 /// neighbours in time, where these are enough: others may show another place that looks alike.
-pub(crate) fn consistency(state: &State, input: &Input<'_>, image: usize) -> (usize, usize) {
+pub(crate) fn consistency(state: &MapState, input: &MappingInput<'_>, image: usize) -> (usize, usize) {
     let Some(pose) = state.poses[image] else { return (0, 0) };
     let mut links = links(state, input, image);
-    if !input.may_be_turned {
+    if !input.may_be_rotated {
         let near = |l: &Link<'_>| l.geometry.a.abs_diff(l.geometry.b) <= NEAR_IN_TIME;
         let matches: usize = links.iter().filter(|l| near(l)).map(|l| l.matches.len()).sum();
         if matches >= 2 * input.config.min_sightings {
@@ -96,13 +96,17 @@ pub(crate) fn consistency(state: &State, input: &Input<'_>, image: usize) -> (us
         }
     }
     let limit = 2.0 * input.config.max_reprojection_px;
-    let agreeing = links.iter().map(|l| l.agreeing(&pose, limit)).sum();
+    let agreeing = links.iter().map(|l| l.count_agreeing(&pose, limit)).sum();
     (agreeing, links.iter().map(|l| l.matches.len()).sum())
 }
 
 /// The unregistered image, and its pose, for which verified pairs and few points agree best; `None` where no distance
 /// is settled.
-pub(crate) fn bridge(state: &State, input: &Input<'_>, skip: &[bool]) -> Option<(usize, Pose)> {
+pub(crate) fn resect_structureless(
+    state: &MapState,
+    input: &MappingInput<'_>,
+    skip: &[bool],
+) -> Option<(usize, Pose)> {
     let mut ranked: Vec<(usize, usize, Vec<Link<'_>>)> = (0..state.poses.len())
         .filter(|&i| state.poses[i].is_none() && !skip[i])
         .map(|i| {
@@ -130,7 +134,12 @@ impl Line {
     }
 }
 
-fn pose_from_links(state: &State, input: &Input<'_>, image: usize, links: &[Link<'_>]) -> Option<Pose> {
+fn pose_from_links(
+    state: &MapState,
+    input: &MappingInput<'_>,
+    image: usize,
+    links: &[Link<'_>],
+) -> Option<Pose> {
     let camera = &state.cameras[input.camera_of[image]];
     let seen: Vec<(DVec2, DVec3)> = visible(state, input, image)
         .into_iter()
@@ -158,7 +167,7 @@ fn pose_from_links(state: &State, input: &Input<'_>, image: usize, links: &[Link
         for s in scales.into_iter().filter(|s| s.is_finite() && *s > 0.0) {
             let pose = line.at(s);
             let points = near(&pose);
-            let agreeing: usize = others().map(|l| l.agreeing(&pose, limit)).sum();
+            let agreeing: usize = others().map(|l| l.count_agreeing(&pose, limit)).sum();
             let all: usize = others().map(|l| l.matches.len()).sum();
             let by_points = points >= MIN_POINTS && points * 10 >= seen.len() * 3;
             let by_pairs = agreeing >= MIN_MATCHES && agreeing * 10 >= all * 6;
@@ -184,7 +193,7 @@ fn common_scale(scales: &[f64]) -> Option<f64> {
 }
 
 /// The poses that one pair allows.
-fn line_of(state: &State, input: &Input<'_>, image: usize, link: &Link<'_>) -> Option<Line> {
+fn line_of(state: &MapState, input: &MappingInput<'_>, image: usize, link: &Link<'_>) -> Option<Line> {
     let g = link.geometry;
     let cameras = [g.a, g.b].map(|i| &state.cameras[input.camera_of[i]]);
     let b_from_a = relative_pose(input, cameras, g)?;

@@ -1,11 +1,13 @@
-//! The evidence decides the camera model: sightings that took no part in the adjustment, and BIC.
+//! The evidence decides the camera model: observations that took no part in the adjustment, and BIC.
 //!
-//! Candidates are compared on the same sightings: each is adjusted without the held-out ones, which then say how well
+//! Candidates are compared on the same observations: each is adjusted without the held-out ones, which then say how well
 //! it predicts (paired by image), while BIC (Schwarz 1978) on the robust cost over the measured noise says whether the
 //! parameters pay for themselves. Both must agree, and the normal equations must determine what was freed.
 
 use super::noise::{error_sq, gain};
-use crate::bundle::{BundleObservation, BundleProblem, IntrinsicsPrior, Loss, SolveOptions, free_parameters};
+use crate::bundle::{
+    BundleObservation, BundleProblem, IntrinsicsPrior, RobustLoss, SolveOptions, free_parameters,
+};
 use crate::{Decision, Knowledge, SfmError};
 use scene::{Camera, CameraModel, Progress};
 
@@ -13,7 +15,7 @@ use scene::{Camera, CameraModel, Progress};
 /// cameras).
 pub(crate) const PRINCIPAL_POINT_SIGMA: f64 = 0.03;
 /// Standard deviation of radial distortion half the longer image side from the centre, as a share of that distance: 0.05 for
-/// lenses that are not fisheyes, less by the root of 8, since sightings err together and their variances come out that much too
+/// lenses that are not fisheyes, less by the root of 8, since observations err together and their variances come out that much too
 /// small (`single_axis/smoothness.rs`).
 const DISTORTION_SIGMA: f64 = 0.018;
 /// Largest standard deviation of a focal length that counts as determined, as a share of it.
@@ -23,10 +25,10 @@ const DETERMINED_POINT: f64 = 0.01;
 /// A decrease of BIC that needs no significant held-out gain beside it; neighbouring residuals are not independent, so
 /// the textbook's 10 would be far too little.
 const CLEAR_BIC: f64 = 150.0;
-/// The same for images that were turned, which are only suspected on clear evidence from more sightings.
-const TURNED_BIC: f64 = 80.0;
+/// The same for images that were rotated, which are only suspected on clear evidence from more observations.
+const ROTATED_BIC: f64 = 80.0;
 /// The same where what was held out is predicted better by three standard errors.
-const TURNED_BIC_PREDICTED: f64 = 50.0;
+const ROTATED_BIC_PREDICTED: f64 = 50.0;
 /// The least decrease where what was held out is predicted better by two standard errors.
 const PREDICTED_BIC: f64 = 10.0;
 /// The least decrease for fewer parameters (Kass & Raftery 1995: "strong" evidence): a parameter that is truly nothing makes BIC less by
@@ -37,7 +39,7 @@ const TRUNCATION: f64 = 4.0;
 
 /// What is solved for.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Intrinsics {
+pub struct FreeIntrinsics {
     /// Camera model.
     pub model: CameraModel,
     /// Whether the principal point is free.
@@ -46,7 +48,7 @@ pub struct Intrinsics {
     pub held: Option<usize>,
 }
 
-impl Intrinsics {
+impl FreeIntrinsics {
     /// In words.
     pub fn describe(self) -> String {
         let point = match (self.principal_point, self.held) {
@@ -70,7 +72,7 @@ impl Intrinsics {
 
 /// The camera in another model: shared parameters are taken over, new ones are zero; two focal lengths become their
 /// mean.
-pub fn converted(camera: &Camera, model: CameraModel) -> Camera {
+pub fn convert_camera(camera: &Camera, model: CameraModel) -> Camera {
     let mut params = match (camera.model.num_focals(), model.num_focals()) {
         (2, 2) => camera.params[..2].to_vec(),
         (_, n) => vec![camera.mean_focal(); n],
@@ -109,8 +111,8 @@ fn distortion_priors(index: usize, camera: &Camera) -> impl Iterator<Item = Intr
 }
 
 /// A candidate after its adjustment.
-pub(super) struct Trial {
-    pub intrinsics: Intrinsics,
+pub(super) struct CameraTrial {
+    pub intrinsics: FreeIntrinsics,
     pub problem: BundleProblem,
     pub bic: f64,
     /// For each pose the sum of truncated squared held-out errors in units of the noise, and their number.
@@ -121,9 +123,9 @@ pub(super) struct Trial {
 
 /// The chosen camera model and how well it does.
 #[derive(Clone, Debug)]
-pub struct Choice {
+pub struct CameraChoice {
     /// What is to be solved for.
-    pub intrinsics: Intrinsics,
+    pub intrinsics: FreeIntrinsics,
     /// BIC of the chosen model; not finite where there was nothing to choose by.
     pub bic: f64,
     /// For each pose the sum of truncated squared held-out errors in units of the noise, and their number.
@@ -135,13 +137,13 @@ pub struct Choice {
 }
 
 /// What is solved for before the evidence has spoken; `named`: the user's model.
-pub fn before_the_choice(named: Option<CameraModel>) -> Intrinsics {
+pub fn before_the_choice(named: Option<CameraModel>) -> FreeIntrinsics {
     let model = named.unwrap_or(CameraModel::SimpleRadial);
-    Intrinsics { model, principal_point: false, held: None }
+    FreeIntrinsics { model, principal_point: false, held: None }
 }
 
 /// Chooses for all cameras of `problem` that are not known. `named`: the user's model, which stays. `principal_point`: that
-/// it is free already. `sigma`: noise of the sightings, pixels. The problem's points and poses are those of a finished adjustment; nothing in it is changed.
+/// it is free already. `sigma`: noise of the observations, pixels. The problem's points and poses are those of a finished adjustment; nothing in it is changed.
 pub fn choose(
     problem: &BundleProblem,
     known: &[Knowledge],
@@ -149,12 +151,12 @@ pub fn choose(
     principal_point: bool,
     sigma: f64,
     progress: &Progress,
-) -> Result<Choice, SfmError> {
-    let start = Intrinsics { principal_point, ..before_the_choice(named) };
+) -> Result<CameraChoice, SfmError> {
+    let start = FreeIntrinsics { principal_point, ..before_the_choice(named) };
     let mut decision = Decision {
         what: "camera model".to_owned(),
         chosen: start.describe(),
-        evidence: "too few sightings to choose by".to_owned(),
+        evidence: "too few observations to choose by".to_owned(),
     };
     let all_known = known.iter().all(|k| k.fixed);
     if all_known {
@@ -163,12 +165,12 @@ pub fn choose(
     let (training, held_out) = split(problem);
     if problem.poses.len() < 3 || held_out.len() < 100 || all_known {
         let problem = problem.clone();
-        return Ok(Choice { intrinsics: start, bic: f64::NAN, by_pose: Vec::new(), decision, problem });
+        return Ok(CameraChoice { intrinsics: start, bic: f64::NAN, by_pose: Vec::new(), decision, problem });
     }
-    let context = Context { training, held_out, sigma, known, progress };
+    let context = CameraSelection { training, held_out, sigma, known, progress };
     let mut best = context.trial(problem, start)?;
     let mut lines = vec![best.line()];
-    let mut consider = |intrinsics: Intrinsics, best: &mut Trial| -> Result<bool, SfmError> {
+    let mut consider = |intrinsics: FreeIntrinsics, best: &mut CameraTrial| -> Result<bool, SfmError> {
         let trial = context.trial(&best.problem, intrinsics)?;
         if trial.bic < best.bic {
             // It went on from where the other had come to. So may the other, or BIC compares numbers of iterations.
@@ -195,8 +197,8 @@ pub fn choose(
         }
         Ok(better)
     };
-    let with = |best: &Trial, model| Intrinsics { model, ..best.intrinsics };
-    let freed = |best: &Trial| Intrinsics { principal_point: true, ..best.intrinsics };
+    let with = |best: &CameraTrial, model| FreeIntrinsics { model, ..best.intrinsics };
+    let freed = |best: &CameraTrial| FreeIntrinsics { principal_point: true, ..best.intrinsics };
     if !start.principal_point {
         consider(freed(&best), &mut best)?;
     }
@@ -216,7 +218,7 @@ pub fn choose(
     }
     decision.chosen = best.intrinsics.describe();
     decision.evidence = format!("noise {sigma:.3} px; {}", lines.join("; "));
-    Ok(Choice {
+    Ok(CameraChoice {
         intrinsics: best.intrinsics,
         bic: best.bic,
         by_pose: best.by_pose,
@@ -225,31 +227,32 @@ pub fn choose(
     })
 }
 
-/// Which of several ways to turn images (see [`crate::model_selection::rotated_images`]) the sightings support, with the choice that goes with it:
+/// Which of several ways to turn images (see [`crate::model_selection::rotated_images`]) the observations support, with the choice that goes with it:
 /// a free principal point that predicts better than the untouched images' best model and pays for itself and for one
 /// bit an image. `None` where the evidence is not clear. The text says what was found.
-pub fn choose_turned(
-    untouched: &Choice,
+pub fn choose_rotated(
+    untouched: &CameraChoice,
     ways: &[BundleProblem],
     known: &[Knowledge],
     named: Option<CameraModel>,
     sigma: f64,
     progress: &Progress,
-) -> Result<(Option<(usize, Choice)>, String), SfmError> {
-    let free = Intrinsics { principal_point: true, ..untouched.intrinsics };
-    let mut least: Option<(usize, Trial)> = None;
+) -> Result<(Option<(usize, CameraChoice)>, String), SfmError> {
+    let free = FreeIntrinsics { principal_point: true, ..untouched.intrinsics };
+    let mut least: Option<(usize, CameraTrial)> = None;
     for (way, problem) in ways.iter().enumerate() {
         let (training, held_out) = split(problem);
-        let trial = Context { training, held_out, sigma, known, progress }.trial(problem, free)?;
+        let trial = CameraSelection { training, held_out, sigma, known, progress }.trial(problem, free)?;
         if least.as_ref().is_none_or(|(_, t)| trial.bic < t.bic) {
             least = Some((way, trial));
         }
     }
     let Some((way, trial)) = least else { return Ok((None, "no way to turn them".to_owned())) };
-    // From where that trial has come to, with all sightings and priors again.
+    // From where that trial has come to, with all observations and priors again.
     let start =
         BundleProblem { poses: trial.problem.poses, points: trial.problem.points, ..ways[way].clone() };
-    let cameras = trial.problem.cameras.iter().zip(&start.cameras).map(|(c, old)| converted(c, old.model));
+    let cameras =
+        trial.problem.cameras.iter().zip(&start.cameras).map(|(c, old)| convert_camera(c, old.model));
     let start = BundleProblem { cameras: cameras.collect(), ..start };
     let choice = choose(&start, known, named, true, sigma, progress)?;
     let bits = 2.0 * std::f64::consts::LN_2 * ways[way].poses.len() as f64;
@@ -259,7 +262,7 @@ pub fn choose_turned(
         choice.bic + bits,
         untouched.bic
     );
-    let asked = if gain > 3.0 * error { TURNED_BIC_PREDICTED } else { TURNED_BIC };
+    let asked = if gain > 3.0 * error { ROTATED_BIC_PREDICTED } else { ROTATED_BIC };
     let better = choice.bic + bits < untouched.bic - asked && gain > -error;
     Ok((better.then_some((way, choice)), evidence))
 }
@@ -277,11 +280,11 @@ pub(crate) fn known_as(problem: &BundleProblem, known: &[Knowledge]) -> String {
     format!("{model}, {}", if near { "as calibrated, within its standard deviations" } else { "as given" })
 }
 
-fn parameters(intrinsics: Intrinsics) -> usize {
+fn parameters(intrinsics: FreeIntrinsics) -> usize {
     intrinsics.model.num_params() - if intrinsics.principal_point { 0 } else { 2 }
 }
 
-pub(super) struct Context<'a> {
+pub(super) struct CameraSelection<'a> {
     pub training: Vec<BundleObservation>,
     pub held_out: Vec<BundleObservation>,
     pub sigma: f64,
@@ -289,8 +292,12 @@ pub(super) struct Context<'a> {
     pub progress: &'a Progress,
 }
 
-impl Context<'_> {
-    pub(super) fn trial(&self, from: &BundleProblem, intrinsics: Intrinsics) -> Result<Trial, SfmError> {
+impl CameraSelection<'_> {
+    pub(super) fn trial(
+        &self,
+        from: &BundleProblem,
+        intrinsics: FreeIntrinsics,
+    ) -> Result<CameraTrial, SfmError> {
         let mut problem = from.clone();
         problem.observations.clone_from(&self.training);
         problem.observations.iter_mut().for_each(|o| o.sigma_px *= self.sigma);
@@ -313,11 +320,11 @@ impl Context<'_> {
         let all: f64 = sums.iter().map(|s| s.0).sum::<f64>() / errors.len().max(1) as f64;
         let held_out_px = all.sqrt() * self.sigma;
         let bic = if summary.usable { bic } else { f64::INFINITY };
-        Ok(Trial { intrinsics, problem, bic, by_pose: sums, held_out_px })
+        Ok(CameraTrial { intrinsics, problem, bic, by_pose: sums, held_out_px })
     }
 
     /// Whether the normal equations pin down what was freed.
-    pub(super) fn determined(&self, trial: &Trial) -> Result<bool, SfmError> {
+    pub(super) fn determined(&self, trial: &CameraTrial) -> Result<bool, SfmError> {
         let Some(covariance) = trial.problem.covariance(&options())? else { return Ok(false) };
         let free = trial.problem.cameras.iter().zip(&covariance.cameras).zip(self.known);
         Ok(free.filter(|(_, known)| !known.fixed).all(|((camera, c), _)| {
@@ -334,14 +341,14 @@ impl Context<'_> {
 
 pub(super) fn options() -> SolveOptions {
     SolveOptions {
-        loss: Loss::Cauchy(2.0),
+        loss: RobustLoss::Cauchy(2.0),
         max_iterations: 25,
         function_tolerance: 2e-5,
         ..SolveOptions::default()
     }
 }
 
-impl Trial {
+impl CameraTrial {
     /// Where this trial has come to, with principal points as `other` has them, if it holds them.
     pub(super) fn gone_back_to(&self, other: &Self) -> BundleProblem {
         let mut problem = self.problem.clone();
@@ -368,7 +375,7 @@ impl Trial {
 }
 
 /// Gives every camera the chosen model, freedom and priors; those that are known, what is known of them.
-pub fn apply(problem: &mut BundleProblem, intrinsics: Intrinsics, known: &[Knowledge]) {
+pub fn apply(problem: &mut BundleProblem, intrinsics: FreeIntrinsics, known: &[Knowledge]) {
     let old: Vec<Camera> = problem.cameras.clone();
     let mut priors = Vec::new();
     for (i, camera) in problem.cameras.iter_mut().enumerate() {
@@ -378,7 +385,7 @@ pub fn apply(problem: &mut BundleProblem, intrinsics: Intrinsics, known: &[Knowl
             priors.extend(own);
             continue;
         }
-        *camera = converted(&old[i], intrinsics.model);
+        *camera = convert_camera(&old[i], intrinsics.model);
         problem.camera_free[i] = intrinsics.free(camera);
         // Priors on focal lengths hold in every model; those on distortion are replaced.
         let focal = |p: &&IntrinsicsPrior| p.camera == i && p.parameter < old[i].model.num_focals();
@@ -394,7 +401,7 @@ pub fn apply(problem: &mut BundleProblem, intrinsics: Intrinsics, known: &[Knowl
     problem.priors = priors;
 }
 
-/// Of every other point that is seen at least three times, one sighting is held out.
+/// Of every other point that is seen at least three times, one observation is held out.
 pub(crate) fn split(problem: &BundleProblem) -> (Vec<BundleObservation>, Vec<BundleObservation>) {
     let mut views = vec![0usize; problem.points.len()];
     problem.observations.iter().for_each(|o| views[o.point as usize] += 1);
@@ -402,7 +409,7 @@ pub(crate) fn split(problem: &BundleProblem) -> (Vec<BundleObservation>, Vec<Bun
     let (mut training, mut held_out) = (Vec::new(), Vec::new());
     for o in &problem.observations {
         let point = o.point as usize;
-        // Which sighting of the point it is, so that all images give some.
+        // Which observation of the point it is, so that all images give some.
         let turn = seen[point] == (point / 2) % views[point].max(1);
         seen[point] += 1;
         if views[point] >= 3 && point.is_multiple_of(2) && turn {

@@ -15,14 +15,14 @@ pub fn noise(problem: &BundleProblem) -> f64 {
     median_noise(problem.observations.iter().map(|o| error_sq(problem, o)).collect())
 }
 
-/// [`noise`] in units of the sightings' own standard deviations. Of short tracks it is too small, for a point takes up
-/// 3 of the 2 n coordinates of its n sightings; that keeps the robust loss tight where tracks are short and many wrong.
+/// [`noise`] in units of the observations' own standard deviations. Of short tracks it is too small, for a point takes up
+/// 3 of the 2 n coordinates of its n observations; that keeps the robust loss tight where tracks are short and many wrong.
 pub fn noise_in_units(problem: &BundleProblem) -> f64 {
     let error = |o: &BundleObservation| error_sq(problem, o) / o.sigma_px.powi(2);
     median_noise(problem.observations.iter().map(error).collect())
 }
 
-/// What [`noise_in_units`] is to be multiplied by to be the noise of the sightings, not of the residuals: the root of
+/// What [`noise_in_units`] is to be multiplied by to be the noise of the observations, not of the residuals: the root of
 /// coordinates over redundancy.
 pub fn redundancy(problem: &BundleProblem) -> f64 {
     let coordinates = 2 * problem.observations.len();
@@ -39,7 +39,7 @@ fn median_noise(mut errors: Vec<f64>) -> f64 {
     (median / (2.0 * std::f64::consts::LN_2)).sqrt().max(1e-3)
 }
 
-/// Mean decrease of the error of a sighting from `old` to `new`, and its standard error: the sightings of a pose are
+/// Mean decrease of the error of an observation from `old` to `new`, and its standard error: the observations of a pose are
 /// not independent of each other, those of different poses are.
 pub(crate) fn gain(old: &[(f64, usize)], new: &[(f64, usize)]) -> (f64, f64) {
     let all = old.iter().map(|o| o.1).sum::<usize>().max(1) as f64;

@@ -1,33 +1,35 @@
-//! The principal point once more, when a model has gained sightings.
+//! The principal point once more, when a model has gained observations.
 
-use super::camera::{Context, Intrinsics, PRINCIPAL_POINT_SIGMA, Trial, clearly_better, options, split};
+use super::camera::{
+    CameraSelection, CameraTrial, FreeIntrinsics, PRINCIPAL_POINT_SIGMA, clearly_better, options, split,
+};
 use super::noise::gain;
 use crate::bundle::BundleProblem;
 use crate::{Knowledge, SfmError};
 use scene::{Camera, CameraModel, Progress};
 
-/// A coordinate of it that sightings leave less of than this share of its standard deviation beforehand is determined whatever glints add:
-/// what slides over an object errs together, by up to 18 times what single sightings say (decision 0028).
+/// A coordinate of it that observations leave less of than this share of its standard deviation beforehand is determined whatever glints add:
+/// what slides over an object errs together, by up to 18 times what single observations say (decision 0028).
 const DETERMINED_SHARE: f64 = 0.02;
 
-/// Whether more sightings than [`choose`] had determine a principal point that was held: with both terms of radial distortion, whose
+/// Whether more observations than [`choose`] had determine a principal point that was held: with both terms of radial distortion, whose
 /// centre it is; else one coordinate of it, as an orbit tells the one across its axis far better than the other. `None` where they
 /// determine neither, or the user named a model.
-pub(crate) fn freed_point(
+pub(crate) fn free_principal_point(
     problem: &BundleProblem,
     known: &[Knowledge],
-    (now, named): (Intrinsics, Option<CameraModel>),
+    (now, named): (FreeIntrinsics, Option<CameraModel>),
     sigma: f64,
     progress: &Progress,
-) -> Result<Option<(Intrinsics, String)>, SfmError> {
+) -> Result<Option<(FreeIntrinsics, String)>, SfmError> {
     let asked = named.is_none() && !now.principal_point && !known.iter().any(|k| k.fixed);
     let (training, held_out) = split(problem);
     if !asked || problem.poses.len() < 3 || held_out.len() < 100 {
         return Ok(None);
     }
-    let context = Context { training, held_out, sigma, known, progress };
+    let context = CameraSelection { training, held_out, sigma, known, progress };
     let held = context.trial(problem, now)?;
-    let whole = Intrinsics { model: CameraModel::Radial, principal_point: true, held: None };
+    let whole = FreeIntrinsics { model: CameraModel::Radial, principal_point: true, held: None };
     let free = context.trial(&held.problem, whole)?;
     let again = context.trial(&free.gone_back_to(&held), now)?;
     let held = if again.bic < held.bic { again } else { held };
@@ -38,7 +40,7 @@ pub(crate) fn freed_point(
         return Ok(Some((whole, evidence)));
     }
     for coordinate in 0..2 {
-        let one = Intrinsics { principal_point: true, held: Some(1 - coordinate), ..now };
+        let one = FreeIntrinsics { principal_point: true, held: Some(1 - coordinate), ..now };
         let free = context.trial(&held.problem, one)?;
         let share = context.left_of_prior(&free, coordinate)?;
         evidence += &format!("; {}, to {:.1} % of what it was known to", free.line(), 100.0 * share);
@@ -49,9 +51,9 @@ pub(crate) fn freed_point(
     Ok(None)
 }
 
-impl Context<'_> {
+impl CameraSelection<'_> {
     /// The standard deviation of a coordinate of the principal point, as a share of that beforehand: of the camera that is known least.
-    fn left_of_prior(&self, trial: &Trial, coordinate: usize) -> Result<f64, SfmError> {
+    fn left_of_prior(&self, trial: &CameraTrial, coordinate: usize) -> Result<f64, SfmError> {
         let Some(covariance) = trial.problem.covariance(&options())? else { return Ok(f64::INFINITY) };
         let share = |(camera, c): (&Camera, &Vec<f64>)| {
             let i = camera.model.num_focals() + coordinate;
@@ -116,23 +118,28 @@ mod tests {
         }
     }
 
-    fn freed(problem: &BundleProblem, known: Knowledge, named: Option<CameraModel>) -> Option<Intrinsics> {
+    fn free_point_of(
+        problem: &BundleProblem,
+        known: Knowledge,
+        named: Option<CameraModel>,
+    ) -> Option<FreeIntrinsics> {
         let now = before_the_choice(None);
-        freed_point(problem, &[known], (now, named), 0.3, &Progress::silent()).unwrap().map(|f| f.0)
+        free_principal_point(problem, &[known], (now, named), 0.3, &Progress::silent()).unwrap().map(|f| f.0)
     }
 
     #[test]
     fn an_orbit_determines_the_principal_point_across_its_axis_alone() {
         let off = orbit(9.0, 0.3);
-        let found = freed(&off, Knowledge::default(), None).expect("nine pixels across the axis show");
+        let found =
+            free_point_of(&off, Knowledge::default(), None).expect("nine pixels across the axis show");
         assert!(found.principal_point && found.held == Some(1), "{}", found.describe());
     }
 
     #[test]
     fn a_point_at_the_centre_or_of_a_camera_that_is_given_or_named_is_left() {
-        assert_eq!(freed(&orbit(0.0, 0.3), Knowledge::default(), None), None);
+        assert_eq!(free_point_of(&orbit(0.0, 0.3), Knowledge::default(), None), None);
         let off = orbit(9.0, 0.3);
-        assert_eq!(freed(&off, Knowledge::exact(), None), None);
-        assert_eq!(freed(&off, Knowledge::default(), Some(CameraModel::SimpleRadial)), None);
+        assert_eq!(free_point_of(&off, Knowledge::exact(), None), None);
+        assert_eq!(free_point_of(&off, Knowledge::default(), Some(CameraModel::SimpleRadial)), None);
     }
 }

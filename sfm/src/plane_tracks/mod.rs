@@ -1,4 +1,4 @@
-//! Sightings of the ground. An object in the dark, or of glitter, leaves few points to hold a camera by, but the table or the floor it
+//! Observations of the ground. An object in the dark, or of glitter, leaves few points to hold a camera by, but the table or the floor it
 //! stands on is seen by all cameras, and where it is a plane a model that is nearly right says how each sees it: from straight above it
 //! looks the same in all, but for noise and for what poses are off by. What most of them show (the median) has little noise; where
 //! its windows lie in one image tells that image's errors, over pixels that no detector would find a point in.
@@ -10,35 +10,35 @@ pub(crate) mod tests;
 mod window;
 
 use crate::SfmError;
-use crate::incremental::state::{Input, State};
+use crate::incremental::state::{MapState, MappingInput};
 use crate::klt::pyramid::Pyramid;
 use crate::sift::load_luma;
 use glam::{DMat2, DVec2, DVec3};
-use plane::Plane;
+use plane::ScenePlane;
 use rayon::prelude::*;
 use scene::{FrameSet, Progress};
-use sheet::{Picture, Sheet};
-use window::{HALF, Window};
+use sheet::{Sheet, SheetPicture};
+use window::{HALF, PlaneWindow};
 
 /// Images are halved so often at most.
 const LEVELS: usize = 5;
-/// Sightings known less exactly than this are left out, pixels.
+/// Observations known less exactly than this are left out, pixels.
 const LOOSE_PX: f64 = 1.5;
 /// Fewest images that see a window.
 const FEWEST: usize = 3;
 /// What only a smaller share of the images that show it has where it is meant to be is not of the plane, or of noise.
 const FOUND: f64 = 0.5;
 
-/// A place of the ground and its sightings.
+/// A place of the ground and its observations.
 #[derive(Clone, Debug)]
-pub(crate) struct Place {
+pub(crate) struct PlanePoint {
     pub position: DVec3,
-    pub sightings: Vec<Sighting>,
+    pub observations: Vec<PlaneObservation>,
 }
 
 /// Where an image shows a place.
 #[derive(Clone, Copy, Debug)]
-pub(crate) struct Sighting {
+pub(crate) struct PlaneObservation {
     pub image: usize,
     pub pixel: DVec2,
     /// Standard deviation of a coordinate, pixels.
@@ -48,39 +48,39 @@ pub(crate) struct Sighting {
 }
 
 /// Looks for windows of a plane in all registered images, up to `farthest` squares (about a pixel each) from where the model
-/// has them. `turned`: images that `input` shows turned by half a turn.
-pub(crate) fn sighted(
-    plane: Plane,
-    (state, input): (&State, &Input<'_>),
-    (frames, turned): (&FrameSet, &[bool]),
+/// has them. `rotated`: images that `input` shows rotated by 180°.
+pub(crate) fn find_plane_tracks(
+    plane: ScenePlane,
+    (state, input): (&MapState, &MappingInput<'_>),
+    (frames, rotated): (&FrameSet, &[bool]),
     farthest: usize,
     progress: &Progress,
-) -> Result<Vec<Place>, SfmError> {
+) -> Result<Vec<PlanePoint>, SfmError> {
     let view = |image: usize| Some((&state.cameras[input.camera_of[image]], state.poses[image]?));
     let Some(sheet) = Sheet::new(plane, (0..frames.len()).filter_map(view)) else { return Ok(Vec::new()) };
     progress.begin("ground", frames.len());
-    let picture = |image: usize| -> Result<Option<Picture>, SfmError> {
+    let picture = |image: usize| -> Result<Option<SheetPicture>, SfmError> {
         progress.tick()?;
         let Some((camera, pose)) = view(image) else { return Ok(None) };
         let mut grey = load_luma(&frames.frames[image])?;
-        if turned[image] {
+        if rotated[image] {
             grey.data.reverse();
         }
         Ok(Some(sheet.seen_by(camera, &pose, &Pyramid::new(&grey, LEVELS))))
     };
-    let pictures: Vec<Option<Picture>> =
+    let pictures: Vec<Option<SheetPicture>> =
         (0..frames.len()).into_par_iter().with_max_len(1).map(picture).collect::<Result<_, _>>()?;
     let common = sheet.common(&pictures);
     let middles = (0..sheet.side / (2 * HALF)).map(|i| HALF + 1 + 2 * HALF * i);
-    let windows: Vec<Window> = middles
+    let windows: Vec<PlaneWindow> = middles
         .clone()
         .flat_map(|y| middles.clone().map(move |x| [x, y]))
-        .filter_map(|m| Window::of(&common, sheet.side, m))
+        .filter_map(|m| PlaneWindow::of(&common, sheet.side, m))
         .collect();
-    let place = |window: &Window| {
+    let place = |window: &PlaneWindow| {
         let at = DVec2::new(window.middle[0] as f64, window.middle[1] as f64) + 0.5;
         let position = sheet.place(at);
-        let sighting = |image: usize| {
+        let observation = |image: usize| {
             let found = window.find(pictures[image].as_ref()?, sheet.side, farthest)?;
             let (camera, pose) = view(image)?;
             let pixel = camera.project(pose.transform(sheet.place(at + found.by)))?;
@@ -89,12 +89,12 @@ pub(crate) fn sighted(
             let spread: DMat2 = shape * found.covariance * shape.transpose();
             let deviation = (0.5 * (spread.x_axis.x + spread.y_axis.y)).sqrt();
             let off = pixel.distance(meant);
-            (deviation < LOOSE_PX).then_some(Sighting { image, pixel, deviation, off })
+            (deviation < LOOSE_PX).then_some(PlaneObservation { image, pixel, deviation, off })
         };
-        let sightings: Vec<Sighting> = (0..frames.len()).filter_map(sighting).collect();
+        let observations: Vec<PlaneObservation> = (0..frames.len()).filter_map(observation).collect();
         let shown = pictures.iter().flatten().filter(|p| window.shown_by(p, sheet.side)).count();
-        (sightings.len() >= FEWEST && sightings.len() as f64 >= FOUND * shown as f64)
-            .then_some(Place { position, sightings })
+        (observations.len() >= FEWEST && observations.len() as f64 >= FOUND * shown as f64)
+            .then_some(PlanePoint { position, observations })
     };
     Ok(windows.par_iter().filter_map(place).collect())
 }

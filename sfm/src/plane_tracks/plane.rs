@@ -1,7 +1,7 @@
 //! A plane that many images see much of: the ground or the table below an object.
 
 use crate::circular::motion::median;
-use crate::incremental::state::{Input, MapPoint, State};
+use crate::incremental::state::{MapPoint, MapState, MappingInput};
 use crate::solvers::linalg::{moments, solve_spd, symmetric_eigen};
 use glam::{DQuat, DVec2, DVec3};
 use rand::Rng as _;
@@ -12,7 +12,7 @@ use std::collections::HashMap;
 
 /// Triples of points that are tried.
 const TRIALS: usize = 1000;
-/// A point lies in the plane if its sightings, taken to it along the first one's ray, are nowhere farther off than this, pixels.
+/// A point lies in the plane if its observations, taken to it along the first one's ray, are nowhere farther off than this, pixels.
 const FITS_PX: f64 = 4.0;
 /// Points and images count by how much of the images they cover, in squares of this share of the longer side.
 const SQUARE: f64 = 0.05;
@@ -34,7 +34,7 @@ const GRAZING: f64 = 0.05;
 
 /// A plane with a frame of its own.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(crate) struct Plane {
+pub(crate) struct ScenePlane {
     /// In the middle of what is seen of it.
     pub origin: DVec3,
     /// Unit vectors in the plane, at right angles.
@@ -43,7 +43,7 @@ pub(crate) struct Plane {
     pub reach: f64,
 }
 
-impl Plane {
+impl ScenePlane {
     /// Unit normal.
     pub fn normal(&self) -> DVec3 {
         self.axes[0].cross(self.axes[1])
@@ -100,13 +100,13 @@ impl Plane {
     }
 
     /// Turned by two small angles about its axes and shifted along its normal.
-    fn moved(&self, by: [f64; 3]) -> Self {
+    fn perturb(&self, by: [f64; 3]) -> Self {
         let q = DQuat::from_scaled_axis(self.axes[0] * by[0] + self.axes[1] * by[1]);
         Self { origin: self.origin + self.normal() * by[2], axes: self.axes.map(|a| q * a), ..*self }
     }
 
     /// Where a ray meets it.
-    fn met_by(&self, from: DVec3, along: DVec3) -> Option<DVec3> {
+    fn intersect(&self, from: DVec3, along: DVec3) -> Option<DVec3> {
         let n = self.normal();
         let slope = n.dot(along);
         let far = n.dot(self.origin - from) / slope;
@@ -114,8 +114,8 @@ impl Plane {
     }
 }
 
-/// A point of the model with the ray of its first sighting.
-struct Sighted<'a> {
+/// A point of the model with the ray of its first observation.
+struct PointRay<'a> {
     point: &'a MapPoint,
     centre: DVec3,
     ray: DVec3,
@@ -124,15 +124,15 @@ struct Sighted<'a> {
 }
 
 /// What is asked about planes.
-struct Points<'a> {
-    all: Vec<Sighted<'a>>,
-    state: &'a State,
-    input: &'a Input<'a>,
+struct PlanePoints<'a> {
+    all: Vec<PointRay<'a>>,
+    state: &'a MapState,
+    input: &'a MappingInput<'a>,
 }
 
 /// The plane that covers most of the images; `None` where none covers much.
-pub(crate) fn widest(state: &State, input: &Input<'_>) -> Option<Plane> {
-    let points = Points::new(state, input);
+pub(crate) fn widest(state: &MapState, input: &MappingInput<'_>) -> Option<ScenePlane> {
+    let points = PlanePoints::new(state, input);
     if points.all.len() < FEWEST {
         return None;
     }
@@ -151,8 +151,8 @@ pub(crate) fn widest(state: &State, input: &Input<'_>) -> Option<Plane> {
         let one = |at: f64| points.all[sums.partition_point(|s| *s <= at).min(sums.len() - 1)].point.position;
         let three = std::array::from_fn(|_| one(below * rng.random::<f64>()));
         let plane = match level {
-            Some(normal) => Plane::across(normal, three[0]),
-            None => Plane::through(three)?,
+            Some(normal) => ScenePlane::across(normal, three[0]),
+            None => ScenePlane::through(three)?,
         };
         let score: f64 = points.fitting(&plane).map(|p| p.weight).sum();
         points.has_cameras_on_one_side(&plane).then_some((score, k, plane))
@@ -161,18 +161,18 @@ pub(crate) fn widest(state: &State, input: &Input<'_>) -> Option<Plane> {
         .into_par_iter()
         .filter_map(tried)
         .max_by(|a, b| a.0.total_cmp(&b.0).then(b.1.cmp(&a.1)))?;
-    let plane = points.refined(points.refined(best.2));
-    let mut fitting: Vec<&Sighted<'_>> = points.fitting(&plane).collect();
-    fitting.retain(|p| plane.met_by(p.centre, p.ray).is_some());
+    let plane = points.refine_plane(points.refine_plane(best.2));
+    let mut fitting: Vec<&PointRay<'_>> = points.fitting(&plane).collect();
+    fitting.retain(|p| plane.intersect(p.centre, p.ray).is_some());
     let mut seen = vec![0usize; state.poses.len()];
     fitting.iter().flat_map(|p| &p.point.views).for_each(|v| seen[v[0] as usize] += 1);
     let seeing = seen.iter().filter(|n| **n >= 3).count();
-    let enough = fitting.len() >= FEWEST && seeing as f64 >= SEEN_BY * state.registered() as f64;
-    if enough { framed(plane, &points) } else { None }
+    let enough = fitting.len() >= FEWEST && seeing as f64 >= SEEN_BY * state.registered_count() as f64;
+    if enough { frame_plane(plane, &points) } else { None }
 }
 
 /// The normal of the plane in which the cameras are, where they go round something.
-fn level_of(state: &State) -> Option<DVec3> {
+fn level_of(state: &MapState) -> Option<DVec3> {
     let centres: Vec<DVec3> = state.poses.iter().flatten().map(Pose::centre).collect();
     let (_, [across, narrow, wide], normal) = spread_of(&centres);
     let round = across.max(0.0).sqrt() < FLAT * wide.sqrt() && narrow.sqrt() > ROUND * wide.sqrt();
@@ -188,7 +188,7 @@ fn spread_of(points: &[DVec3]) -> (DVec3, [f64; 3], DVec3) {
 
 /// The same plane with its origin in the middle of what many images show of it, and its reach about that; `None` where they
 /// show nothing.
-fn framed(plane: Plane, points: &Points<'_>) -> Option<Plane> {
+fn frame_plane(plane: ScenePlane, points: &PlanePoints<'_>) -> Option<ScenePlane> {
     let (state, input) = (points.state, points.input);
     let far: Vec<f64> = state.poses.iter().flatten().map(|p| p.centre().distance(plane.origin)).collect();
     let square = 2.0 * FARTHEST * median(far) / SQUARES as f64;
@@ -201,7 +201,7 @@ fn framed(plane: Plane, points: &Points<'_>) -> Option<Plane> {
         for k in 0..RAYS * RAYS {
             let at = DVec2::new((k % RAYS) as f64 + 0.5, (k / RAYS) as f64 + 0.5) / RAYS as f64;
             let ray = pose.rotation.conjugate() * camera.ray(at * size);
-            let Some(x) = plane.met_by(pose.centre(), ray) else { continue };
+            let Some(x) = plane.intersect(pose.centre(), ray) else { continue };
             let [u, v] = plane.axes.map(|a| a.dot(x - plane.origin) / square + 0.5 * SQUARES as f64);
             let inside = |w: f64| w >= 0.0 && w < SQUARES as f64;
             if inside(u) && inside(v) {
@@ -212,7 +212,7 @@ fn framed(plane: Plane, points: &Points<'_>) -> Option<Plane> {
         own.dedup();
         own.into_iter().for_each(|k| seen[k] += 1);
     }
-    let enough = |n: usize| n as f64 >= SHARED * state.registered() as f64;
+    let enough = |n: usize| n as f64 >= SHARED * state.registered_count() as f64;
     let kept: Vec<usize> = (0..seen.len()).filter(|k| enough(seen[*k])).collect();
     let range = |of: &dyn Fn(usize) -> usize| {
         let all = || kept.iter().map(|k| of(*k));
@@ -221,11 +221,11 @@ fn framed(plane: Plane, points: &Points<'_>) -> Option<Plane> {
     let (u, v) = (range(&|k| k % SQUARES)?, range(&|k| k / SQUARES)?);
     let middle = |r: (f64, f64)| 0.5 * (r.0 + r.1) - 0.5 * SQUARES as f64 * square;
     let origin = plane.origin + plane.axes[0] * middle(u) + plane.axes[1] * middle(v);
-    Some(Plane { origin, reach: 0.5 * (u.1 - u.0).max(v.1 - v.0), ..plane })
+    Some(ScenePlane { origin, reach: 0.5 * (u.1 - u.0).max(v.1 - v.0), ..plane })
 }
 
-impl<'a> Points<'a> {
-    fn new(state: &'a State, input: &'a Input<'a>) -> Self {
+impl<'a> PlanePoints<'a> {
+    fn new(state: &'a MapState, input: &'a MappingInput<'a>) -> Self {
         let square = |[image, feature]: [u32; 2]| {
             let camera = &state.cameras[input.camera_of[image as usize]];
             let side = SQUARE * f64::from(camera.width.max(camera.height));
@@ -243,18 +243,18 @@ impl<'a> Points<'a> {
             let pixel = input.keypoints[view[0] as usize][view[1] as usize];
             let ray = pose.rotation.conjugate() * camera.ray(pixel);
             let weight = point.views.iter().map(|v| 1.0 / crowd[&square(*v)]).sum();
-            Some(Sighted { point, centre: pose.centre(), ray, weight })
+            Some(PointRay { point, centre: pose.centre(), ray, weight })
         };
         Self { all: state.live().filter_map(sighted).collect(), state, input }
     }
 
-    /// Reprojection errors of the other sightings of a point that is put where its first ray meets the plane.
+    /// Reprojection errors of the other observations of a point that is put where its first ray meets the plane.
     fn errors<'b>(
         &'b self,
-        p: &'b Sighted<'a>,
-        plane: &Plane,
+        p: &'b PointRay<'a>,
+        plane: &ScenePlane,
     ) -> Option<impl Iterator<Item = Option<DVec2>> + 'b> {
-        let x = plane.met_by(p.centre, p.ray)?;
+        let x = plane.intersect(p.centre, p.ray)?;
         let error = move |&[image, feature]: &[u32; 2]| {
             let pose = self.state.poses[image as usize]?;
             let camera = &self.state.cameras[self.input.camera_of[image as usize]];
@@ -264,13 +264,13 @@ impl<'a> Points<'a> {
         Some(p.point.views[1..].iter().map(error))
     }
 
-    fn fitting<'b>(&'b self, plane: &'b Plane) -> impl Iterator<Item = &'b Sighted<'a>> + 'b {
+    fn fitting<'b>(&'b self, plane: &'b ScenePlane) -> impl Iterator<Item = &'b PointRay<'a>> + 'b {
         let near = |e: Option<DVec2>| e.is_some_and(|e| e.length_squared() < FITS_PX * FITS_PX);
         self.all.iter().filter(move |p| self.errors(p, plane).is_some_and(|mut all| all.all(near)))
     }
 
     /// Whether nearly all cameras look at the same side of it.
-    fn has_cameras_on_one_side(&self, plane: &Plane) -> bool {
+    fn has_cameras_on_one_side(&self, plane: &ScenePlane) -> bool {
         let n = plane.normal();
         let centres = self.state.poses.iter().flatten().map(|p| n.dot(p.centre() - plane.origin));
         let (mut above, mut all) = (0, 0);
@@ -278,18 +278,18 @@ impl<'a> Points<'a> {
         above * 20 <= all || above * 20 >= 19 * all
     }
 
-    /// The plane that its points' sightings agree with best: Gauss–Newton on their errors, with Huber's weights.
-    fn refined(&self, plane: Plane) -> Plane {
+    /// The plane that its points' observations agree with best: Gauss–Newton on their errors, with Huber's weights.
+    fn refine_plane(&self, plane: ScenePlane) -> ScenePlane {
         let start = plane;
         let mut plane = plane;
-        let fitting: Vec<&Sighted<'_>> = self.fitting(&start).collect();
+        let fitting: Vec<&PointRay<'_>> = self.fitting(&start).collect();
         let distances = fitting.iter().map(|p| p.point.position.distance(plane.origin)).collect();
         let size = median(distances);
         if fitting.len() < 3 || size == 0.0 {
             return plane;
         }
-        let residuals = |plane: &Plane| -> Vec<DVec2> {
-            let of = |p: &&Sighted<'a>| {
+        let residuals = |plane: &ScenePlane| -> Vec<DVec2> {
+            let of = |p: &&PointRay<'a>| {
                 let found =
                     self.errors(p, plane).map(|e| e.map(|e| e.unwrap_or_default()).collect::<Vec<_>>());
                 found.unwrap_or_else(|| vec![DVec2::ZERO; p.point.views.len() - 1])
@@ -302,7 +302,7 @@ impl<'a> Points<'a> {
             let by: [Vec<DVec2>; 3] = std::array::from_fn(|k| {
                 let mut d = [0.0; 3];
                 d[k] = step[k];
-                residuals(&plane.moved(d)).iter().zip(&now).map(|(a, b)| (*a - *b) / step[k]).collect()
+                residuals(&plane.perturb(d)).iter().zip(&now).map(|(a, b)| (*a - *b) / step[k]).collect()
             });
             let (mut h, mut g) = ([[0.0; 3]; 3], [0.0; 3]);
             for (i, e) in now.iter().enumerate() {
@@ -313,7 +313,7 @@ impl<'a> Points<'a> {
                 }
             }
             let Some(d) = solve_spd(&h, &g) else { break };
-            plane = plane.moved(d);
+            plane = plane.perturb(d);
         }
         plane
     }

@@ -1,8 +1,8 @@
 //! A plane as each image shows it, seen from straight above, and what they show in common.
 
-use super::plane::Plane;
+use super::plane::ScenePlane;
 use crate::circular::motion::median;
-use crate::klt::pyramid::{Level, Pyramid};
+use crate::klt::pyramid::{Pyramid, PyramidLevel};
 use glam::{DMat2, DVec2, DVec3};
 use rayon::prelude::*;
 use scene::{Camera, Pose};
@@ -18,7 +18,7 @@ const FEWEST: usize = 5;
 /// Squares of a plane, side by side.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Sheet {
-    pub plane: Plane,
+    pub plane: ScenePlane,
     /// Side of a square, world units.
     pub unit: f64,
     /// Squares along each side.
@@ -26,11 +26,11 @@ pub(crate) struct Sheet {
 }
 
 /// The sheet as one image shows it; NaN where it does not. [side × side].
-pub(crate) type Picture = Vec<f32>;
+pub(crate) type SheetPicture = Vec<f32>;
 
 impl Sheet {
     /// With squares about as large as a pixel of a typical camera sees; `None` where no camera looks at it.
-    pub fn new<'a>(plane: Plane, views: impl Iterator<Item = (&'a Camera, Pose)>) -> Option<Self> {
+    pub fn new<'a>(plane: ScenePlane, views: impl Iterator<Item = (&'a Camera, Pose)>) -> Option<Self> {
         let scales: Vec<f64> = views
             .filter_map(|(camera, pose)| shape(camera, &pose, plane.origin, plane.axes))
             .map(|m| m.determinant().abs().sqrt())
@@ -60,7 +60,7 @@ impl Sheet {
     }
 
     /// The sheet as an image shows it.
-    pub fn seen_by(&self, camera: &Camera, pose: &Pose, pyramid: &Pyramid) -> Picture {
+    pub fn seen_by(&self, camera: &Camera, pose: &Pose, pyramid: &Pyramid) -> SheetPicture {
         let middle = DVec2::splat(0.5 * self.side as f64);
         let pixels = self.shape(camera, pose, middle).map_or(1.0, |m| m.determinant().abs().sqrt());
         let deepest = pyramid.levels.len() - 1;
@@ -89,7 +89,7 @@ impl Sheet {
     }
 
     /// What most images show of each square: the median. NaN where few show it.
-    pub fn common(&self, pictures: &[Option<Picture>]) -> Picture {
+    pub fn common(&self, pictures: &[Option<SheetPicture>]) -> SheetPicture {
         let row = |y: usize| -> Vec<f32> {
             let mut values = Vec::with_capacity(pictures.len());
             let mut one = |x: usize| {
@@ -117,7 +117,7 @@ fn shape(camera: &Camera, pose: &Pose, x: DVec3, steps: [DVec3; 2]) -> Option<DM
 }
 
 /// Bilinear; NaN outside.
-fn between(level: &Level, p: DVec2) -> f32 {
+fn between(level: &PyramidLevel, p: DVec2) -> f32 {
     let (x, y) = (p.x - 0.5, p.y - 0.5);
     let inside = x >= 0.0 && y >= 0.0 && x < (level.width - 1) as f64 && y < (level.height - 1) as f64;
     if !inside {

@@ -1,6 +1,6 @@
 //! A floor whose texture is known everywhere, with an object's points above it, seen from a ring of cameras.
 
-use super::plane::{Plane, widest};
+use super::plane::{ScenePlane, widest};
 use super::*;
 use crate::circular::motion::median;
 use crate::incremental::MapperConfig;
@@ -86,7 +86,7 @@ impl Room {
     }
 
     /// Points of the floor and of an object above it, which cameras see to `off` pixels (uniformly); poses as they are given.
-    pub(crate) fn model(&self, poses: &[Pose], off: f64) -> (State, Vec<Vec<DVec2>>, Tracks) {
+    pub(crate) fn model(&self, poses: &[Pose], off: f64) -> (MapState, Vec<Vec<DVec2>>, Tracks) {
         let mut random = rng(5, "points", 0);
         let mut within = |r: f64| r * (2.0 * random.random::<f64>() - 1.0);
         let mut points: Vec<DVec3> = (0..60).map(|_| DVec3::new(within(0.5), within(0.5), -0.6)).collect();
@@ -108,27 +108,27 @@ impl Room {
         let config = MapperConfig::default();
         let camera_of = vec![0; CAMERAS];
         let input = input(&keypoints, &tracks, &camera_of, &config);
-        let mut state = State::new(&input, vec![self.camera.clone()]);
+        let mut state = MapState::new(&input, vec![self.camera.clone()]);
         poses.iter().enumerate().for_each(|(k, pose)| state.register(k, *pose));
         (0u32..).zip(&points).for_each(|(t, x)| state.place(&input, t, *x));
         (state, keypoints, tracks)
     }
 
-    fn floor(&self) -> Plane {
+    fn floor(&self) -> ScenePlane {
         let origin = DVec3::new(0.0, 0.0, -0.6 * self.unit);
-        Plane { origin, axes: [DVec3::X, DVec3::Y], reach: 0.5 * self.unit }
+        ScenePlane { origin, axes: [DVec3::X, DVec3::Y], reach: 0.5 * self.unit }
     }
 
-    fn sightings(&self, poses: &[Pose], farthest: usize) -> Vec<Place> {
+    fn observations(&self, poses: &[Pose], farthest: usize) -> Vec<PlanePoint> {
         let (state, keypoints, tracks) = self.model(poses, 0.0);
         let (config, camera_of) = (MapperConfig::default(), vec![0; CAMERAS]);
         let input = input(&keypoints, &tracks, &camera_of, &config);
         let frames = (&self.frames, &[false; CAMERAS][..]);
-        sighted(self.floor(), (&state, &input), frames, farthest, &Progress::silent()).unwrap()
+        find_plane_tracks(self.floor(), (&state, &input), frames, farthest, &Progress::silent()).unwrap()
     }
 
     /// Where the true camera has a place, from a pixel.
-    fn off(&self, place: &Place, s: &Sighting) -> DVec2 {
+    fn off(&self, place: &PlanePoint, s: &PlaneObservation) -> DVec2 {
         s.pixel - self.camera.project(self.poses[s.image].transform(place.position)).unwrap()
     }
 }
@@ -138,13 +138,13 @@ pub(crate) fn input<'a>(
     tracks: &'a Tracks,
     camera_of: &'a [usize],
     config: &'a MapperConfig,
-) -> Input<'a> {
-    let (spreads, geometries) = (&[], &[]);
-    Input { keypoints, spreads, tracks, camera_of, geometries, config, may_be_turned: true, seed: 0 }
+) -> MappingInput<'a> {
+    let (sigmas, geometries) = (&[], &[]);
+    MappingInput { keypoints, sigmas, tracks, camera_of, geometries, config, may_be_rotated: true, seed: 0 }
 }
 
-fn lengths(room: &Room, places: &[Place]) -> Vec<f64> {
-    places.iter().flat_map(|p| p.sightings.iter().map(|s| room.off(p, s).length())).collect()
+fn lengths(room: &Room, places: &[PlanePoint]) -> Vec<f64> {
+    places.iter().flat_map(|p| p.observations.iter().map(|s| room.off(p, s).length())).collect()
 }
 
 #[test]
@@ -177,9 +177,9 @@ fn a_cloud_without_a_floor_and_an_empty_model_have_none() {
 fn windows_of_true_cameras_are_where_they_are_meant_to_be() {
     for (name, unit) in [("true-small", 1e-6), ("true-large", 1e6)] {
         let room = Room::new(name, unit, 0.0);
-        let places = room.sightings(&room.poses, 3);
+        let places = room.observations(&room.poses, 3);
         let off = lengths(&room, &places);
-        assert!(off.len() > 60, "{} sightings", off.len());
+        assert!(off.len() > 60, "{} observations", off.len());
         assert!(median(off) < 0.05);
     }
 }
@@ -191,18 +191,18 @@ fn a_camera_that_is_off_is_told_so_against_noise() {
         let room = Room::new(name, 1.0, noise);
         let mut poses = room.poses.clone();
         poses[4].rotation = DQuat::from_rotation_y(0.012) * DQuat::from_rotation_z(0.01) * poses[4].rotation;
-        let places = room.sightings(&poses, 8);
-        let own = |p: &Place| {
-            p.sightings.iter().filter(|s| s.image == 4).map(|s| (s.off, room.off(p, s))).collect()
+        let places = room.observations(&poses, 8);
+        let own = |p: &PlanePoint| {
+            p.observations.iter().filter(|s| s.image == 4).map(|s| (s.off, room.off(p, s))).collect()
         };
         let of_four: Vec<(f64, DVec2)> =
             places.iter().flat_map(|p| -> Vec<(f64, DVec2)> { own(p) }).collect();
-        assert!(of_four.len() >= 5, "{name}: {} sightings", of_four.len());
+        assert!(of_four.len() >= 5, "{name}: {} observations", of_four.len());
         let moved = median(of_four.iter().map(|s| s.0).collect());
         let left = median(of_four.iter().map(|s| s.1.length()).collect());
         assert!(moved > 1.5, "{name}: the model has them {moved} px off");
         assert!(left < allowed, "{name}: found to {left} px");
-        let said: Vec<f64> = places.iter().flat_map(|p| &p.sightings).map(|s| s.deviation).collect();
+        let said: Vec<f64> = places.iter().flat_map(|p| &p.observations).map(|s| s.deviation).collect();
         let truly = median(lengths(&room, &places)) / 1.1774;
         let ratio = median(said) / truly;
         assert!((0.2..5.0).contains(&ratio), "{name}: deviations are said {ratio} times too large");
@@ -216,19 +216,21 @@ fn black_and_saturated_frames_and_one_camera_show_nothing() {
         for f in &room.frames.frames {
             image::GrayImage::from_pixel(SIZE.0, SIZE.1, image::Luma([level])).save(&f.path).unwrap();
         }
-        assert!(room.sightings(&room.poses, 8).is_empty());
+        assert!(room.observations(&room.poses, 8).is_empty());
     }
     let (mut state, keypoints, tracks) = room.model(&room.poses, 0.0);
     (1..CAMERAS).for_each(|k| state.unregister(k));
     let (config, camera_of) = (MapperConfig::default(), vec![0; CAMERAS]);
     let input = input(&keypoints, &tracks, &camera_of, &config);
     let frames = (&room.frames, &[false; CAMERAS][..]);
-    assert!(sighted(room.floor(), (&state, &input), frames, 8, &Progress::silent()).unwrap().is_empty());
+    assert!(
+        find_plane_tracks(room.floor(), (&state, &input), frames, 8, &Progress::silent()).unwrap().is_empty()
+    );
 }
 
 #[test]
 fn places_known_better_move_the_plane_and_a_few_wrong_ones_do_not() {
-    let plane = Plane { origin: DVec3::ZERO, axes: [DVec3::X, DVec3::Y], reach: 2.0 };
+    let plane = ScenePlane { origin: DVec3::ZERO, axes: [DVec3::X, DVec3::Y], reach: 2.0 };
     let tilt = DQuat::from_rotation_x(0.01);
     let mut places: Vec<DVec3> = (0..49)
         .map(|i| tilt * DVec3::new(f64::from(i % 7 - 3), f64::from(i / 7 - 3), 0.0) * 0.1 + DVec3::Z * 0.02)

@@ -1,7 +1,7 @@
 //! Where a window of the common picture lies in that of one image: correlation at whole squares, then Lucas & Kanade (1981)
 //! with the common picture's gradients, which have less noise (inverse compositional: Baker & Matthews 2004).
 
-use super::sheet::Picture;
+use super::sheet::SheetPicture;
 use glam::{DMat2, DVec2};
 
 /// Half of a window's side less a half, squares.
@@ -13,7 +13,7 @@ const CORRELATION: f32 = 0.4;
 const ALIKE: f64 = 4.0;
 
 /// A window of the common picture, its mean taken off.
-pub(crate) struct Window {
+pub(crate) struct PlaneWindow {
     /// Its middle square, from the corner.
     pub middle: [usize; 2],
     values: Vec<f32>,
@@ -26,14 +26,14 @@ pub(crate) struct Window {
 
 /// Where a window was found: how far from its own place, squares, and the covariance of that.
 #[derive(Clone, Copy, Debug)]
-pub(crate) struct Shift {
+pub(crate) struct WindowShift {
     pub by: DVec2,
     pub covariance: DMat2,
 }
 
-impl Window {
+impl PlaneWindow {
     /// `None` where the picture is not known or shows nothing.
-    pub fn of(picture: &Picture, side: usize, middle: [usize; 2]) -> Option<Self> {
+    pub fn of(picture: &SheetPicture, side: usize, middle: [usize; 2]) -> Option<Self> {
         let at = |x: usize, y: usize| picture[y * side + x];
         let [left, top] = [middle[0].checked_sub(HALF + 1)?, middle[1].checked_sub(HALF + 1)?];
         if left + SIDE + 2 > side || top + SIDE + 2 > side {
@@ -65,7 +65,7 @@ impl Window {
     }
 
     /// Looks for it up to so many squares from its place.
-    pub fn find(&self, picture: &Picture, side: usize, farthest: usize) -> Option<Shift> {
+    pub fn find(&self, picture: &SheetPicture, side: usize, farthest: usize) -> Option<WindowShift> {
         let mut best = (0.0, 0, 0);
         let r = farthest as isize;
         let mut own = vec![0.0; SIDE * SIDE];
@@ -97,7 +97,7 @@ impl Window {
         self.closer(picture, side, DVec2::new(dx as f64, dy as f64))
     }
 
-    fn closer(&self, picture: &Picture, side: usize, from: DVec2) -> Option<Shift> {
+    fn closer(&self, picture: &SheetPicture, side: usize, from: DVec2) -> Option<WindowShift> {
         let mut by = from;
         let mut own = vec![0.0; SIDE * SIDE];
         let mut fit = (0.0, 0.0);
@@ -125,11 +125,11 @@ impl Window {
         // Variance of what the window leaves, in units of the common picture.
         let left = f64::from(dot(&own, &own)) / gain.powi(2) * (1.0 - c * c).max(0.0) / own.len() as f64;
         let covariance = self.inverse * (ALIKE * left);
-        (kept && covariance.is_finite()).then_some(Shift { by, covariance })
+        (kept && covariance.is_finite()).then_some(WindowShift { by, covariance })
     }
 
     /// The window as the picture has it at a shift; `None` where it is not all there.
-    fn copy(&self, picture: &Picture, side: usize, by: DVec2, out: &mut [f32]) -> Option<()> {
+    fn copy(&self, picture: &SheetPicture, side: usize, by: DVec2, out: &mut [f32]) -> Option<()> {
         let whole = by.floor();
         let (fx, fy) = ((by.x - whole.x) as f32, (by.y - whole.y) as f32);
         let left = (self.middle[0] as isize + whole.x as isize).checked_sub(HALF as isize)?;
@@ -153,7 +153,7 @@ impl Window {
     }
 
     /// Whether all of it is there.
-    pub fn shown_by(&self, picture: &Picture, side: usize) -> bool {
+    pub fn shown_by(&self, picture: &SheetPicture, side: usize) -> bool {
         self.copy(picture, side, DVec2::ZERO, &mut [0.0; SIDE * SIDE]).is_some()
     }
 

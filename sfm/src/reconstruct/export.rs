@@ -1,14 +1,14 @@
 //! The solved model as the types that cross borders.
 
-use super::Solved;
+use super::SolvedModel;
 use crate::tracks::NONE;
 use crate::{SfmError, SfmResult, Uncertainty};
 use glam::DVec2;
 use rayon::prelude::*;
 use scene::{FrameSet, Observation, PosedImage, Progress, Reconstruction, ScenePoint, TrackElement};
 
-/// Fewer sightings than this are a thread to hang by.
-const FEW_SIGHTINGS: usize = 30;
+/// Fewer observations than this are a thread to hang by.
+const FEW_OBSERVATIONS: usize = 30;
 /// A rotation is uncertain if its standard deviation is above this (degrees) and so many times the usual one.
 const WEAK_ROTATION_DEG: f64 = 0.1;
 const WEAK_FACTOR: f64 = 5.0;
@@ -17,7 +17,7 @@ const WEAK_FACTOR: f64 = 5.0;
 pub(super) fn fill(
     result: &mut SfmResult,
     frames: &FrameSet,
-    solved: Solved,
+    solved: SolvedModel,
     progress: &Progress,
 ) -> Result<(), SfmError> {
     progress.check()?;
@@ -44,7 +44,7 @@ pub(super) fn fill(
     Ok(())
 }
 
-/// Images with few sightings, or with a rotation far less certain than that of most.
+/// Images with few observations, or with a rotation far less certain than that of most.
 fn weak_images(model: &Reconstruction, uncertainty: Option<&Uncertainty>) -> Vec<(String, String)> {
     let rotation = |id: &u32| {
         let d = uncertainty?.images.get(id)?.rotation;
@@ -54,10 +54,10 @@ fn weak_images(model: &Reconstruction, uncertainty: Option<&Uncertainty>) -> Vec
     all.sort_unstable_by(f64::total_cmp);
     let usual = all.get(all.len() / 2).copied().unwrap_or(0.0);
     let weak = |image: &PosedImage| {
-        let sightings = image.observations.iter().filter(|o| o.point.is_some()).count();
+        let observations = image.observations.iter().filter(|o| o.point.is_some()).count();
         let deviation = rotation(&image.id).unwrap_or(0.0);
-        let why = if sightings < FEW_SIGHTINGS {
-            format!("only {sightings} points hold its pose")
+        let why = if observations < FEW_OBSERVATIONS {
+            format!("only {observations} points hold its pose")
         } else if deviation > WEAK_ROTATION_DEG.max(WEAK_FACTOR * usual) {
             format!("its rotation is known to {deviation:.2}° only (most images: {usual:.2}°)")
         } else {
@@ -83,7 +83,7 @@ fn why_missing(result: &SfmResult, image: usize) -> String {
 }
 
 /// Image number = index of the frame + 1; points are numbered from 1 in the order in which they were found.
-pub(super) fn convert(solved: &Solved, frames: &FrameSet) -> Reconstruction {
+pub(super) fn convert(solved: &SolvedModel, frames: &FrameSet) -> Reconstruction {
     let state = &solved.state;
     let mut model = Reconstruction::default();
     let mut number = vec![0u64; state.points.len()];
@@ -159,9 +159,9 @@ mod tests {
         let mut model = Reconstruction::default();
         let mut uncertainty = Uncertainty::default();
         for id in 1..=7 {
-            let sightings = if id == 3 { 20 } else { 200 };
+            let observations = if id == 3 { 20 } else { 200 };
             let observations = (0..300)
-                .map(|i| Observation { pixel: DVec2::ZERO, point: (i < sightings).then_some(i) })
+                .map(|i| Observation { pixel: DVec2::ZERO, point: (i < observations).then_some(i) })
                 .collect();
             let name = format!("{id}.png");
             model.images.insert(id, PosedImage { id, camera: 1, name, pose: Pose::IDENTITY, observations });

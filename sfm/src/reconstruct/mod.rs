@@ -8,20 +8,22 @@ mod setup;
 mod steps;
 
 use crate::circular::initialize::constant_step as constant_step_turn;
-use crate::circular::{self, Free, Motion, Turned, VideoJob, VideoModel, consider, solve_video};
+use crate::circular::{
+    self, CircularSolution, FreeModel, Motion, VideoJob, VideoModel, consider, solve_video,
+};
 use crate::incremental::depths;
 use crate::incremental::finish::{converge, decide, noise_of, polish, uncertainty};
-use crate::incremental::state::{Input, State};
+use crate::incremental::state::{MapState, MappingInput};
 use crate::tracks::{build_tracks, positions};
 use crate::{Decision, SfmConfig, SfmError, SfmResult, Uncertainty, incremental, pairs, sift, two_view};
 pub use posed::triangulate_given;
 
 use clock::Clock;
-use model::{Given, Grown, grown, spreads};
+use model::{MappedModel, StepContext, grow_model, keypoint_sigmas};
 use scene::{Features, FrameSet, Progress, TwoViewGeometry};
 use setup::Setup;
-use steps::mapping::{on_a_ring, unfold, with_a_second_look};
-use steps::matching::{pairs_decision, strong_tie, weakly_tied, why_no_model};
+use steps::mapping::{complete_ring, remove_aliased_pairs, retry_unmatched_pairs};
+use steps::matching::{find_weakly_tied, pairs_decision, strong_tie, why_no_model};
 use steps::{constant_step, densify, features, plane_tracks, rotation, shared_cameras, subpixel};
 
 /// Camera poses, intrinsics and a sparse cloud from images alone.
@@ -47,11 +49,11 @@ pub fn reconstruct_from(
 ) -> Result<SfmResult, SfmError> {
     let (setup, mut result) = begin(frames, config, progress)?;
     let mut clock = Clock::start();
-    let turn = if supplied.is_none() { along_video(frames, config, &setup, progress)? } else { None };
+    let turn = if supplied.is_none() { solve_along_video(frames, config, &setup, progress)? } else { None };
     let tried = match turn {
         Some(Ok((model, decision))) => {
             clock.lap("turn", &mut result.stats.steps);
-            let solved = turned(&mut result, &setup, model, decision);
+            let solved = use_video_model(&mut result, &setup, model, decision);
             export::fill(&mut result, frames, solved, progress)?;
             export::colour(&mut result, frames, progress)?;
             clock.lap("points", &mut result.stats.steps);
@@ -68,7 +70,7 @@ pub fn reconstruct_from(
         None => sift::extract_all(frames, &config.sift, progress)?,
     };
     clock.lap("features", &mut result.stats.steps);
-    let job = Job { frames, config, setup: &setup, more_features: own, progress };
+    let job = ReconstructionRequest { frames, config, setup: &setup, more_features: own, progress };
     from_features(&mut result, matches, &job, &mut clock)?;
     export::colour(&mut result, frames, progress)?;
     clock.lap("colours", &mut result.stats.steps);
@@ -90,7 +92,7 @@ pub fn reconstruct_features(
         return Err(SfmError::FeaturesMismatch { features: features.len(), frames: frames.len() });
     }
     result.features = features;
-    let job = Job { frames, config, setup: &setup, more_features: false, progress };
+    let job = ReconstructionRequest { frames, config, setup: &setup, more_features: false, progress };
     from_features(&mut result, None, &job, &mut Clock::start())?;
     Ok(result)
 }
@@ -108,7 +110,7 @@ fn begin(frames: &FrameSet, config: &SfmConfig, progress: &Progress) -> Result<(
 }
 
 /// What is asked for.
-struct Job<'a> {
+struct ReconstructionRequest<'a> {
     frames: &'a FrameSet,
     config: &'a SfmConfig,
     setup: &'a Setup,
@@ -121,10 +123,10 @@ struct Job<'a> {
 fn from_features(
     result: &mut SfmResult,
     matches: Option<Vec<crate::matching::PairMatches>>,
-    job: &Job<'_>,
+    job: &ReconstructionRequest<'_>,
     clock: &mut Clock,
 ) -> Result<(), SfmError> {
-    let Job { frames, config, setup, progress, .. } = *job;
+    let ReconstructionRequest { frames, config, setup, progress, .. } = *job;
     let matches = match matches {
         Some(matches) => matches,
         None => pairs::match_related(frames, &result.features, &config.pairs, &config.matching, progress)?,
@@ -145,7 +147,7 @@ fn from_features(
     )?;
     clock.lap("verification", &mut result.stats.steps);
     let strong = strong_tie(&config.sift);
-    let mut loose = weakly_tied(frames.len(), &result.geometries, strong);
+    let mut loose = find_weakly_tied(frames.len(), &result.geometries, strong);
     let mut along = None;
     if job.more_features && loose.contains(&true) {
         let mut more = features::enrich(&result.features, &matches, &result.geometries, &loose, job)?;
@@ -155,10 +157,10 @@ fn from_features(
             result.geometries = std::mem::take(&mut more.geometries);
             result.decisions.push(more.decision.clone());
             matches = &more.matches;
-            loose = weakly_tied(frames.len(), &result.geometries, strong);
+            loose = find_weakly_tied(frames.len(), &result.geometries, strong);
         }
         clock.lap("blurred features", &mut result.stats.steps);
-        along = constant_step::matched(result, matches, &loose, job)?;
+        along = constant_step::match_along_motion(result, matches, &loose, job)?;
         clock.lap("even turn", &mut result.stats.steps);
     }
     result.geometries = two_view::match_along_lines(
@@ -175,14 +177,14 @@ fn from_features(
     result.stats.pairs_verified = result.geometries.len();
     result.decisions.push(pairs_decision(matched, frames.len(), &result.geometries));
     let mut lap = |step: &str| clock.lap(step, &mut result.stats.steps);
-    let spreads = result.features.iter().map(spreads).collect();
-    let given = Given {
+    let sigmas = result.features.iter().map(sigmas).collect();
+    let given = StepContext {
         images: job.more_features.then_some(frames),
         config,
         setup,
         is_video: frames.is_video,
         features: &result.features,
-        spreads,
+        sigmas,
         even: along,
     };
     let model = solve(&given, &mut result.geometries, &mut lap, progress)?;
@@ -204,7 +206,7 @@ pub struct Supplied {
 }
 
 /// Looks for something that turns about one axis before the camera of a video; `None` where that is not asked for.
-fn along_video(
+fn solve_along_video(
     frames: &FrameSet,
     config: &SfmConfig,
     setup: &Setup,
@@ -218,26 +220,31 @@ fn along_video(
 }
 
 /// Takes a turn's features, matches and decisions over; what is left is its model.
-fn turned(result: &mut SfmResult, setup: &Setup, model: VideoModel, decision: Decision) -> Solved {
+fn use_video_model(
+    result: &mut SfmResult,
+    setup: &Setup,
+    model: VideoModel,
+    decision: Decision,
+) -> SolvedModel {
     result.stats.pairs_matched = model.matched;
     result.stats.pairs_verified = model.geometries.len();
     result.stats.features = model.keypoints.iter().map(Vec::len).sum();
     (result.features, result.geometries) = (model.features, model.geometries);
-    of_turn(setup, model.turned, Some(decision), model.keypoints)
+    circular_model(setup, model.rotated, Some(decision), model.keypoints)
 }
 
-fn of_turn(
+fn circular_model(
     setup: &Setup,
-    turned: Turned,
+    rotated: CircularSolution,
     motion: Option<Decision>,
     keypoints: Vec<Vec<glam::DVec2>>,
-) -> Solved {
-    Solved {
-        state: turned.state,
+) -> SolvedModel {
+    SolvedModel {
+        state: rotated.state,
         camera_of: setup.camera_of.clone(),
         keypoints,
-        decisions: motion.into_iter().chain(turned.decisions).collect(),
-        uncertainty: turned.uncertainty,
+        decisions: motion.into_iter().chain(rotated.decisions).collect(),
+        uncertainty: rotated.uncertainty,
     }
 }
 
@@ -250,9 +257,9 @@ fn note_attempt(decisions: &mut Vec<Decision>, why: String) {
 }
 
 /// A model, and what was learned with it.
-pub(crate) struct Solved {
+pub(crate) struct SolvedModel {
     /// In the frames of the images as they are.
-    state: State,
+    state: MapState,
     /// For each image the camera of `state`.
     camera_of: Vec<usize>,
     keypoints: Vec<Vec<glam::DVec2>>,
@@ -262,41 +269,49 @@ pub(crate) struct Solved {
 
 /// `lap` is told the name of each step when it is done; pairs that were found on the way are added to `geometries`.
 fn solve(
-    given: &Given<'_>,
+    given: &StepContext<'_>,
     geometries: &mut Vec<TwoViewGeometry>,
     lap: &mut dyn FnMut(&str),
     progress: &Progress,
-) -> Result<Option<Solved>, SfmError> {
-    let Given { config, features, .. } = *given;
+) -> Result<Option<SolvedModel>, SfmError> {
+    let StepContext { config, features, .. } = *given;
     progress.begin("mapping", features.len());
     let keypoints: Vec<_> = features.iter().map(positions).collect();
     let mut decisions = Vec::new();
-    let mapped = constant_step::grown_or_placed(given, &keypoints, geometries, &mut decisions, progress)?;
+    let mapped = constant_step::grow_or_place(given, &keypoints, geometries, &mut decisions, progress)?;
     lap("mapping");
-    let Some(mut model) = mapped else { return turn_alone(given, keypoints, geometries, progress) };
-    if let Some((unfolded, decision)) = unfold(given, &keypoints, geometries, &model, progress)? {
+    let Some(mut model) = mapped else {
+        return circular_motion_alone(given, keypoints, geometries, progress);
+    };
+    if let Some((unfolded, decision)) = remove_aliased_pairs(given, &keypoints, geometries, &model, progress)?
+    {
         model = unfolded;
         decisions.push(decision);
     }
     lap("repeated structure");
-    let completed = on_a_ring(given, &keypoints, &model, geometries, progress)?;
+    let completed = complete_ring(given, &keypoints, &model, geometries, progress)?;
     lap("ring");
-    let (model, completed) = with_a_second_look(given, &keypoints, geometries, (model, completed), progress)?;
+    let (model, completed) =
+        retry_unmatched_pairs(given, &keypoints, geometries, (model, completed), progress)?;
     lap("second attempt");
-    let Grown { mut state, tracks, mapper, ringed } = model;
+    let MappedModel { mut state, tracks, mapper, ringed } = model;
     decisions.extend(mapper);
     if let Some((whole, decision)) = completed {
         state = whole;
         decisions.push(decision);
     }
-    let (shared, decision) =
-        shared_cameras::joined(given, &given.input(&keypoints, &tracks, geometries), &state, progress)?;
+    let (shared, decision) = shared_cameras::share_cameras(
+        given,
+        &given.input(&keypoints, &tracks, geometries),
+        &state,
+        progress,
+    )?;
     decisions.extend(decision);
     let joined = shared.map(|(setup, joined)| {
         state = joined;
         setup
     });
-    let with_fewer = joined.as_ref().map(|setup| given.with(setup));
+    let with_fewer = joined.as_ref().map(|setup| given.with_setup(setup));
     let given = with_fewer.as_ref().unwrap_or(given);
     let setup = given.setup;
     lap("cameras");
@@ -306,45 +321,54 @@ fn solve(
     let verdict = decide(&state, &input, &setup.known, &starts, named, progress)?;
     lap("camera model");
     // From here on every image is the way up that its sensor was.
-    let turned = verdict.turned.clone().unwrap_or_else(|| vec![false; features.len()]);
-    let (upright, upright_geometries) = rotation::inputs(&input, &setup.cameras, &turned);
-    rotation::poses(&mut state, &turned);
-    (input.keypoints, input.geometries) = (&upright, &upright_geometries);
-    // Poses of which some are turned by half a turn are on no circle.
-    let ringed = ringed && verdict.turned.is_none();
+    let rotated = verdict.rotated.clone().unwrap_or_else(|| vec![false; features.len()]);
+    let (unrotated, unrotated_geometries) = rotation::rotate_inputs(&input, &setup.cameras, &rotated);
+    rotation::rotate_poses(&mut state, &rotated);
+    (input.keypoints, input.geometries) = (&unrotated, &unrotated_geometries);
+    // Poses of which some are rotated by 180° are on no circle.
+    let ringed = ringed && verdict.rotated.is_none();
     if ringed {
         state.cameras.clone_from(&verdict.adjusted.problem.cameras);
-        state = constant_step_turn::held(&state, &given.job(&input, &starts, progress), verdict.intrinsics)?;
+        state = constant_step_turn::hold_on_ring(
+            &state,
+            &given.motion_input(&input, &starts, progress),
+            verdict.intrinsics,
+        )?;
     } else {
         polish(&mut state, &input, &setup.known, &starts, &verdict, progress)?;
     }
     lap("final adjustment");
-    let settled = |mut state: State, input: &Input<'_>, intrinsics| -> Result<State, SfmError> {
+    let settled = |mut state: MapState, input: &MappingInput<'_>, intrinsics| -> Result<MapState, SfmError> {
         if ringed {
-            return constant_step_turn::held(&state, &given.job(input, &starts, progress), intrinsics);
+            return constant_step_turn::hold_on_ring(
+                &state,
+                &given.motion_input(input, &starts, progress),
+                intrinsics,
+            );
         }
         converge(&mut state, input, &setup.known, &starts, intrinsics, progress)?;
         Ok(state)
     };
     let mut intrinsics = verdict.intrinsics;
-    let settle = |state: State, input: &Input<'_>| settled(state, input, verdict.intrinsics);
+    let settle = |state: MapState, input: &MappingInput<'_>| settled(state, input, verdict.intrinsics);
     let denser = densify::along_the_model(given, &input, &state, noise_of(&state, &input), progress)?;
     if let Some((geometries, tracks)) = &denser {
         (input.geometries, input.tracks) = (geometries, tracks);
-        state = settle(densify::regrown(&state, &input), &input)?;
+        state = settle(densify::regrow(&state, &input), &input)?;
     }
     lap("denser tracks");
-    let (sharper, decision) = subpixel::tried(given, (&state, &input), &turned, settle, progress)?;
+    let (sharper, decision) =
+        subpixel::refine_keypoints(given, (&state, &input), &rotated, settle, progress)?;
     decisions.extend(decision);
     let (refined, model) = sharper.unzip();
     state = model.unwrap_or(state);
     if let Some(refined) = &refined {
-        (input.keypoints, input.spreads) = (&refined.keypoints, &refined.spreads);
+        (input.keypoints, input.sigmas) = (&refined.keypoints, &refined.sigmas);
     }
     lap("keypoints");
     let cameras = (starts.as_slice(), intrinsics);
     let (grounded, found) =
-        plane_tracks::settled(given, (&state, &input), &turned, cameras, settled, progress)?;
+        plane_tracks::add_plane_tracks(given, (&state, &input), &rotated, cameras, settled, progress)?;
     decisions.extend(found);
     if let Some(found) = &grounded {
         (state, intrinsics) = (found.state.clone(), found.intrinsics);
@@ -353,12 +377,13 @@ fn solve(
     depths::drop_lonely(&mut state, &input);
     lap("ground");
     // Images that were turned on their way get cameras of their own in the end: no turn before one camera.
-    let free = Free { state: &state, intrinsics };
-    let motion = consider(&given.job(&input, &starts, progress), Some(&free), !turned.contains(&true))?;
+    let free = FreeModel { state: &state, intrinsics };
+    let motion =
+        consider(&given.motion_input(&input, &starts, progress), Some(&free), !rotated.contains(&true))?;
     lap("motion");
     if let Some(t) = motion.taken {
         decisions.extend(motion.decision);
-        let mut solved = of_turn(setup, t, None, input.keypoints.to_vec());
+        let mut solved = circular_model(setup, t, None, input.keypoints.to_vec());
         solved.decisions.splice(0..0, decisions);
         return Ok(Some(solved));
     }
@@ -367,23 +392,24 @@ fn solve(
     let uncertainty = uncertainty(&state, &input, &setup.known, &starts, intrinsics)?;
     lap("covariance");
     decisions.extend(verdict.decisions);
-    let keypoints = rotation::keypoints(&input, &setup.cameras, &turned);
-    let mut solved = Solved { state, camera_of: setup.camera_of.clone(), keypoints, decisions, uncertainty };
-    rotation::back(&mut solved, &turned);
+    let keypoints = rotation::rotate_keypoints(&input, &setup.cameras, &rotated);
+    let mut solved =
+        SolvedModel { state, camera_of: setup.camera_of.clone(), keypoints, decisions, uncertainty };
+    rotation::rotate_back(&mut solved, &rotated);
     Ok(Some(solved))
 }
 
 /// Where no model grows: that of a turn from three images on, if there is one.
-fn turn_alone(
-    given: &Given<'_>,
+fn circular_motion_alone(
+    given: &StepContext<'_>,
     keypoints: Vec<Vec<glam::DVec2>>,
     geometries: &[TwoViewGeometry],
     progress: &Progress,
-) -> Result<Option<Solved>, SfmError> {
+) -> Result<Option<SolvedModel>, SfmError> {
     let tracks = build_tracks(given.features, geometries);
     let input = given.input(&keypoints, &tracks, geometries);
-    let motion = consider(&given.job(&input, &given.setup.cameras, progress), None, true)?;
-    Ok(motion.taken.map(|t| of_turn(given.setup, t, motion.decision, keypoints)))
+    let motion = consider(&given.motion_input(&input, &given.setup.cameras, progress), None, true)?;
+    Ok(motion.taken.map(|t| circular_model(given.setup, t, motion.decision, keypoints)))
 }
 
 #[cfg(test)]

@@ -1,12 +1,12 @@
 //! Poses that came without points: features of the images are matched along the lines of the given poses and triangulated.
 //!
-//! in: frames and a model whose images bear their names · out: the same cameras and poses, with sightings and points.
+//! in: frames and a model whose images bear their names · out: the same cameras and poses, with observations and points.
 //! Nothing is adjusted: what does not agree with the poses becomes no point.
 
-use super::Solved;
+use super::SolvedModel;
 use super::export::{colour, convert};
-use super::steps::densify::{WIDEST, line_between, merged, undistorted};
-use crate::incremental::state::{Input, State};
+use super::steps::densify::{WIDEST, line_between, merge_geometry, undistort_features};
+use crate::incremental::state::{MapState, MappingInput};
 use crate::matching::{PreparedFeatures, guided_match_prepared};
 use crate::tracks::{build_tracks, positions};
 use crate::triangulation::angle_between;
@@ -49,29 +49,29 @@ pub fn triangulate_given(
     let own: Vec<&Camera> = camera_of.iter().map(|&c| &cameras[c]).collect();
     let geometries = along_the_poses(&features, &keypoints, &own, &poses, config, progress)?;
     let tracks = build_tracks(&features, &geometries);
-    let spreads = vec![Vec::new(); features.len()];
-    let input = Input {
+    let sigmas = vec![Vec::new(); features.len()];
+    let input = MappingInput {
         keypoints: &keypoints,
-        spreads: &spreads,
+        sigmas: &sigmas,
         tracks: &tracks,
         camera_of: &camera_of,
         geometries: &geometries,
         config: &config.mapper,
-        may_be_turned: false,
+        may_be_rotated: false,
         seed: config.seed,
     };
-    let mut state = State::new(&input, cameras.clone());
+    let mut state = MapState::new(&input, cameras.clone());
     poses.iter().enumerate().for_each(|(i, pose)| state.register(i, *pose));
     for _ in 0..2 {
         state.grow_all(&input);
         state.refine_points(&input, |_| false);
         state.filter(&input, config.mapper.max_reprojection_px);
     }
-    let solved = Solved { state, camera_of, keypoints, decisions: Vec::new(), uncertainty: None };
+    let solved = SolvedModel { state, camera_of, keypoints, decisions: Vec::new(), uncertainty: None };
     let reconstruction = Some(convert(&solved, &frames));
     let mut result = SfmResult { reconstruction, ..SfmResult::default() };
     colour(&mut result, &frames, progress)?;
-    Ok(result.reconstruction.map_or_else(|| model.clone(), |found| renumbered(found, &image_of)))
+    Ok(result.reconstruction.map_or_else(|| model.clone(), |found| renumber(found, &image_of)))
 }
 
 /// Pairs of images that may share points, lower index first.
@@ -112,7 +112,7 @@ fn along_the_poses(
     progress: &Progress,
 ) -> Result<Vec<TwoViewGeometry>, SfmError> {
     let ideal: Vec<Features> =
-        (0..features.len()).map(|i| undistorted(&features[i], &keypoints[i], cameras[i])).collect();
+        (0..features.len()).map(|i| undistort_features(&features[i], &keypoints[i], cameras[i])).collect();
     let prepared: Vec<PreparedFeatures> = features.par_iter().map(PreparedFeatures::new).collect();
     let pairs = neighbours(poses);
     progress.begin("matching along the given poses", pairs.len());
@@ -121,14 +121,14 @@ fn along_the_poses(
         let (f, b_from_a) = line_between((&poses[a], cameras[a]), (&poses[b], cameras[b]));
         let side = |i: usize| (&ideal[i], &prepared[i]);
         let found = guided_match_prepared(side(a), side(b), &f, BAND_PX, &config.matching);
-        Ok(merged(None, (a, b), found, &f, b_from_a, LEAST_MATCHES))
+        Ok(merge_geometry(None, (a, b), found, &f, b_from_a, LEAST_MATCHES))
     };
     let found: Result<Vec<Option<TwoViewGeometry>>, SfmError> = pairs.par_iter().map(one).collect();
     Ok(found?.into_iter().flatten().collect())
 }
 
 /// The model with the images' numbers as they were given.
-fn renumbered(mut model: Reconstruction, image_of: &[u32]) -> Reconstruction {
+fn renumber(mut model: Reconstruction, image_of: &[u32]) -> Reconstruction {
     let number = |own: u32| image_of[own as usize - 1];
     let images = std::mem::take(&mut model.images);
     model.images = images

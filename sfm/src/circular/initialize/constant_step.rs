@@ -3,14 +3,14 @@
 
 use super::seed::{KEYS, KeyPair, Seed, at_steps, seeds};
 use crate::SfmError;
-use crate::circular::Job;
+use crate::circular::MotionInput;
 use crate::circular::model::AxisModel;
-use crate::circular::motion::{Turn, wrapped};
+use crate::circular::motion::{CircularMotion, wrap_angle};
 use crate::circular::{orbit, ring};
 use crate::incremental::resection::FOCAL_FACTORS;
-use crate::incremental::state::{Input, State};
+use crate::incremental::state::{MapState, MappingInput};
 use crate::matching::PairMatches;
-use crate::model_selection::camera::Intrinsics;
+use crate::model_selection::camera::FreeIntrinsics;
 use crate::solvers::sampson_sq;
 use glam::{DMat3, DVec2, DVec3};
 use scene::{Camera, Pose};
@@ -34,23 +34,23 @@ const CLOSING: f64 = 0.5;
 
 /// What cameras that go round by hand or on a gantry are off their circle, as long as it is not known: radians, radii.
 const OWN_MOTIONS: [f64; 2] = [0.015, 0.01];
-/// Adjustments of a model that begins with all images on the circle, and how many times farther than at the end sightings may be
+/// Adjustments of a model that begins with all images on the circle, and how many times farther than at the end observations may be
 /// from their places at first.
 const ROUNDS: usize = 5;
 const WIDE: f64 = 3.0;
 /// Adjustments near the circle afterwards.
 const HELD_ROUNDS: usize = 2;
-/// Sightings of a track that tell the angles between its images, and the share of such sightings that a ring keeps: 0.72 to 0.89 of
+/// Observations of a track that tell the angles between its images, and the share of such observations that a ring keeps: 0.72 to 0.89 of
 /// ten orbits that were rings (0.60 and 0.65 of a turntable in the deepest dark), 0.25 and 0.51 of two sets that were none.
 const LASTING: usize = 3;
 const KEPT: f64 = 0.62;
-/// Fewest sightings that hold an image in its place.
+/// Fewest observations that hold an image in its place.
 const FEWEST: usize = 8;
 /// A pose that is farther from its place than this is not on the ring: radians, radii.
 const ASTRAY: [f64; 2] = [0.06, 0.06];
 
 /// The turn from an image to the next one.
-pub(crate) struct EvenTurn {
+pub(crate) struct ConstantStepMotion {
     seed: Seed,
     /// Radians.
     step: f64,
@@ -62,7 +62,7 @@ pub(crate) struct EvenTurn {
     pub agreeing: [f64; 2],
 }
 
-impl EvenTurn {
+impl ConstantStepMotion {
     /// From matches before verification, of which most may be wrong. `positions`: by image, where its features are; `known`: the
     /// focal length is. `None` where the images do not go round evenly, as far as the matches say.
     pub fn of(
@@ -147,15 +147,15 @@ impl EvenTurn {
         self.step.to_degrees()
     }
 
-    fn turn(&self) -> Option<Turn> {
+    fn turn(&self) -> Option<CircularMotion> {
         let angles = (0..self.images).map(|i| Some(self.step * i as f64)).collect();
-        Turn::new(self.seed.direction(), self.seed.place(), angles)
+        CircularMotion::new(self.seed.direction(), self.seed.place(), angles)
     }
 
     /// The images whose poses are not where the even turn has them, from the place where most of them say the ring is.
     pub fn astray(&self, poses: &[Option<Pose>]) -> usize {
         let known = poses.iter().flatten().count();
-        let Some((found, misfit)) = Turn::of_poses(poses) else { return known };
+        let Some((found, misfit)) = CircularMotion::of_poses(poses) else { return known };
         if misfit.tilt > ASTRAY[0] || misfit.slip > ASTRAY[1] {
             return known;
         }
@@ -164,18 +164,23 @@ impl EvenTurn {
                 .angles
                 .iter()
                 .enumerate()
-                .filter_map(|(i, a)| Some((i, wrapped((*a)? * sense - self.step * i as f64))))
+                .filter_map(|(i, a)| Some((i, wrap_angle((*a)? * sense - self.step * i as f64))))
                 .collect();
-            let off = |l: &f64| late.iter().filter(|(_, other)| wrapped(l - other).abs() > ASTRAY[0]).count();
+            let off =
+                |l: &f64| late.iter().filter(|(_, other)| wrap_angle(l - other).abs() > ASTRAY[0]).count();
             late.iter().map(|(_, l)| off(l)).min().unwrap_or(known)
         };
         astray(1.0).min(astray(-1.0))
     }
 
     /// A model that begins with all images in their places and is adjusted with motions of their own, and the share of the
-    /// sightings in lasting tracks that it keeps. `None` where those say that the images go round otherwise: the lines of a turn
-    /// about an upright axis look much the same whatever its angle, three sightings of a point do not.
-    pub fn model(&self, job: &Job<'_>, intrinsics: Intrinsics) -> Result<Option<(State, f64)>, SfmError> {
+    /// observations in lasting tracks that it keeps. `None` where those say that the images go round otherwise: the lines of a turn
+    /// about an upright axis look much the same whatever its angle, three observations of a point do not.
+    pub fn model(
+        &self,
+        job: &MotionInput<'_>,
+        intrinsics: FreeIntrinsics,
+    ) -> Result<Option<(MapState, f64)>, SfmError> {
         let Some(turn) = self.turn() else { return Ok(None) };
         let mut cameras = job.cameras.to_vec();
         if !job.known[0].fixed {
@@ -187,35 +192,39 @@ impl EvenTurn {
             max_reprojection_px: WIDE * limit,
             ..job.input.config.clone()
         };
-        let loose = Input { config: &wide, ..*job.input };
+        let loose = MappingInput { config: &wide, ..*job.input };
         let mut state = AxisModel::new(&loose, cameras.clone(), turn).state;
         for round in 0..ROUNDS {
             let input = if round < ROUNDS / 2 { &loose } else { job.input };
-            let job = Job { input, starts: &cameras, ..*job };
-            let Some(next) = orbit::adjusted(&state, &job.context(&[]), intrinsics, OWN_MOTIONS)? else {
+            let job = MotionInput { input, starts: &cameras, ..*job };
+            let Some(next) = orbit::adjust(&state, &job.context(&[]), intrinsics, OWN_MOTIONS)? else {
                 return Ok(None);
             };
             state = next;
             state.filter(input, input.config.max_reprojection_px);
             state.grow_all(input);
         }
-        let weak: Vec<usize> = (0..self.images).filter(|&i| state.sightings(i) < FEWEST).collect();
+        let weak: Vec<usize> = (0..self.images).filter(|&i| state.observations(i) < FEWEST).collect();
         weak.iter().for_each(|&i| state.unregister(i));
         let lasting =
             |lengths: &mut dyn Iterator<Item = usize>| lengths.filter(|n| *n >= LASTING).sum::<usize>();
         let kept = lasting(&mut state.live().map(|(_, p)| p.views.len()));
         let all = lasting(&mut job.input.tracks.views.iter().map(Vec::len));
-        let holds = kept as f64 >= KEPT * all as f64 && state.registered() >= LEAST_IMAGES;
+        let holds = kept as f64 >= KEPT * all as f64 && state.registered_count() >= LEAST_IMAGES;
         Ok(holds.then_some((state, kept as f64 / all.max(1) as f64)))
     }
 }
 
 /// A model whose images were put in their places on a ring, adjusted near the circle that most of them say it is.
-pub(crate) fn held(state: &State, job: &Job<'_>, intrinsics: Intrinsics) -> Result<State, SfmError> {
+pub(crate) fn hold_on_ring(
+    state: &MapState,
+    job: &MotionInput<'_>,
+    intrinsics: FreeIntrinsics,
+) -> Result<MapState, SfmError> {
     let sigma = ring::own_motions(&state.poses).unwrap_or(OWN_MOTIONS);
     let mut held = state.clone();
     for _ in 0..HELD_ROUNDS {
-        let Some(mut next) = orbit::adjusted(&held, &job.context(&[]), intrinsics, sigma)? else { break };
+        let Some(mut next) = orbit::adjust(&held, &job.context(&[]), intrinsics, sigma)? else { break };
         next.filter(job.input, job.input.config.max_reprojection_px);
         next.grow_all(job.input);
         held = next;

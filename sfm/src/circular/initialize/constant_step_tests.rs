@@ -1,9 +1,9 @@
 //! Rings of photos of an exact scene, most of whose matches are wrong.
 
-use super::constant_step::{EvenTurn, held};
+use super::constant_step::{ConstantStepMotion, hold_on_ring};
 use super::*;
-use crate::circular::initialize::key_frames::Material;
-use crate::circular::motion::{Turn, wrapped};
+use crate::circular::initialize::key_frames::VideoTracks;
+use crate::circular::motion::{CircularMotion, wrap_angle};
 use crate::circular::tests::{Filmed, Turntable};
 use crate::matching::PairMatches;
 use crate::solvers::testing::unit_vector;
@@ -57,14 +57,14 @@ fn seen(table: &Turntable, wrong: f64, seed: u64) -> (Vec<Vec<DVec2>>, Vec<Vec<u
     (places, all.iter().map(|v| v.iter().map(|p| p.1).collect()).collect(), matches)
 }
 
-fn even(table: &Turntable, wrong: f64, seed: u64) -> Option<EvenTurn> {
+fn even(table: &Turntable, wrong: f64, seed: u64) -> Option<ConstantStepMotion> {
     let (places, _, matches) = seen(table, wrong, seed);
     let guess = Camera::centred(1, CameraModel::SimpleRadial, 640, 480, 768.0);
-    EvenTurn::of(&guess, false, &places, &matches)
+    ConstantStepMotion::of(&guess, false, &places, &matches)
 }
 
 /// What a job needs of a scene whose tracks are exact, wrong matches aside.
-fn placed(table: &Turntable, turn: &EvenTurn, hold: bool) -> Option<(Vec<Option<Pose>>, f64)> {
+fn placed(table: &Turntable, turn: &ConstantStepMotion, hold: bool) -> Option<(Vec<Option<Pose>>, f64)> {
     let n = table.poses.len();
     let (keypoints, points, _) = seen(table, 0.0, 0);
     let mut views = vec![Vec::new(); table.points.len()];
@@ -73,13 +73,13 @@ fn placed(table: &Turntable, turn: &EvenTurn, hold: bool) -> Option<(Vec<Option<
     }
     let tracks = Tracks { of: points, views };
     let filmed = Filmed::new(n, Camera::centred(1, CameraModel::SimpleRadial, 640, 480, 768.0), false);
-    let nothing = Material::of_klt(&[], n);
+    let nothing = VideoTracks::of_klt(&[], n);
     let video = filmed.video();
-    let input = Input { keypoints: &keypoints, tracks: &tracks, ..video.input(&nothing) };
+    let input = MappingInput { keypoints: &keypoints, tracks: &tracks, ..video.input(&nothing) };
     let job = filmed.job(&input, &filmed.cameras);
     let intrinsics = crate::model_selection::camera::before_the_choice(None);
     let (state, kept) = turn.model(&job, intrinsics).unwrap()?;
-    let state = if hold { held(&state, &job, intrinsics).unwrap() } else { state };
+    let state = if hold { hold_on_ring(&state, &job, intrinsics).unwrap() } else { state };
     Some((state.poses, kept))
 }
 
@@ -130,10 +130,10 @@ fn what_is_no_ring_in_the_order_of_its_files_is_none() {
     assert!(even(&ring(&places, 10.0, 6), 1.0, 6).is_none(), "all matches are wrong");
     assert!(even(&ring(&places[..8], 10.0, 7), 0.0, 7).is_none(), "too few images");
     let camera = Camera::centred(1, CameraModel::SimpleRadial, 640, 480, 768.0);
-    assert!(EvenTurn::of(&camera, false, &[], &[]).is_none());
+    assert!(ConstantStepMotion::of(&camera, false, &[], &[]).is_none());
     let nowhere = vec![vec![DVec2::NAN; 50]; 20];
     let matches: Vec<PairMatches> = (0..19).map(|i| (i, i + 1, (0..50).map(|k| [k, k]).collect())).collect();
-    assert!(EvenTurn::of(&camera, false, &nowhere, &matches).is_none());
+    assert!(ConstantStepMotion::of(&camera, false, &nowhere, &matches).is_none());
 }
 
 #[test]
@@ -155,8 +155,8 @@ fn all_images_find_their_places_on_the_ring() {
     let mut astray = poses.clone();
     astray[9] = astray[30];
     assert_eq!(turn.astray(&astray), 1);
-    let spun = Turn::of_poses(&poses).unwrap().0;
+    let spun = CircularMotion::of_poses(&poses).unwrap().0;
     let twice: Vec<Option<Pose>> = (0..36).map(|i| spun.pose((2 * i) % 36)).collect();
     assert!(turn.astray(&twice) > 20);
-    assert!(wrapped(spun.angles[35].unwrap()).abs() < 0.2);
+    assert!(wrap_angle(spun.angles[35].unwrap()).abs() < 0.2);
 }

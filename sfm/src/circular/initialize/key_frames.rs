@@ -33,12 +33,12 @@ pub(crate) fn drop_still(tracks: &mut Vec<KltTrack>) -> usize {
 
 /// Keypoints by frame, and which of them are one point.
 #[derive(Clone, Debug, Default)]
-pub(crate) struct Material {
+pub(crate) struct VideoTracks {
     pub keypoints: Vec<Vec<DVec2>>,
     pub tracks: Tracks,
 }
 
-impl Material {
+impl VideoTracks {
     /// Of followed points alone.
     pub fn of_klt(tracks: &[KltTrack], frames: usize) -> Self {
         let mut material = Self {
@@ -56,10 +56,10 @@ impl Material {
     }
 
     /// A point that was seen at a pixel of each of some frames.
-    pub fn add(&mut self, sightings: impl Iterator<Item = (usize, DVec2)>) {
+    pub fn add(&mut self, observations: impl Iterator<Item = (usize, DVec2)>) {
         let id = self.tracks.views.len() as u32;
         let mut views = Vec::new();
-        for (frame, p) in sightings {
+        for (frame, p) in observations {
             views.push([frame as u32, self.keypoints[frame].len() as u32]);
             self.keypoints[frame].push(p);
             self.tracks.of[frame].push(id);
@@ -113,7 +113,7 @@ impl KeyFrames {
                 let turn = keys[k].1 - keys[i].1;
                 if turn.abs() <= MATCH_SPAN {
                     near_pairs.push((i, k));
-                } else if crate::circular::motion::wrapped(turn).abs() <= 0.7 * MATCH_SPAN {
+                } else if crate::circular::motion::wrap_angle(turn).abs() <= 0.7 * MATCH_SPAN {
                     seam_pairs.push((i, k));
                 }
             }
@@ -121,7 +121,7 @@ impl KeyFrames {
         let match_all = |pairs: &[(usize, usize)]| -> Result<Vec<TwoViewGeometry>, SfmError> {
             let matches = match_pairs(&of_keys, pairs, matching, progress)?;
             let verified = matches.into_iter().map(|(i, k, m)| {
-                let kept = agreeing(model, [keys[i].0, keys[k].0], [&of_keys[i], &of_keys[k]], &m);
+                let kept = agreeing_matches(model, [keys[i].0, keys[k].0], [&of_keys[i], &of_keys[k]], &m);
                 geometry(keys[i].0, keys[k].0, kept)
             });
             Ok(verified.filter(|g| g.inliers.len() >= 8).collect())
@@ -148,7 +148,7 @@ fn key_frames(angles: &[Option<f64>]) -> Vec<(usize, f64)> {
 }
 
 /// Matches that move, and agree with the relative pose.
-fn agreeing(
+fn agreeing_matches(
     model: &AxisModel,
     frames: [usize; 2],
     features: [&Features; 2],

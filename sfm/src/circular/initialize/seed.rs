@@ -1,7 +1,7 @@
 //! A first turn from a few frames of a video, without poses: axis, focal length and rate that explain the motion of the
 //! tracks between key frames. A coarse search over all directions, then adjustment of the epipolar error (no points).
 
-use crate::circular::motion::wrapped;
+use crate::circular::motion::wrap_angle;
 use crate::solvers::levenberg::{Normal, cauchy, minimise};
 use crate::solvers::linalg::skew;
 use crate::solvers::sampson_sq;
@@ -78,7 +78,7 @@ fn fundamental(frame: DQuat, focal: f64, angle: f64) -> DMat3 {
 }
 
 /// Share of the matches that the seed explains to two pixels.
-pub(crate) fn explained(pairs: &[KeyPair], seed: &Seed) -> f64 {
+pub(crate) fn explained_share(pairs: &[KeyPair], seed: &Seed) -> f64 {
     let (mut good, mut all) = (0usize, 0usize);
     for pair in pairs {
         let f = fundamental(seed.frame, seed.focal, seed.angles[pair.keys[1]] - seed.angles[pair.keys[0]]);
@@ -117,7 +117,7 @@ pub(crate) fn seeds(
         return Vec::new();
     }
     let centre = all().sum::<DVec2>() / count as f64;
-    let sampled: Vec<KeyPair> = pairs.iter().map(|p| thinned(p, 40)).collect();
+    let sampled: Vec<KeyPair> = pairs.iter().map(|p| thin(p, 40)).collect();
     let mut found = Vec::new();
     for &focal in focals {
         let mut of_focal = Vec::new();
@@ -144,7 +144,7 @@ pub(crate) fn seeds(
     }
     found.sort_by(|a: &Seed, b| a.cost.total_cmp(&b.cost));
     found.truncate(ADJUSTED.0);
-    let pairs: Vec<KeyPair> = pairs.iter().map(|p| thinned(p, 120)).collect();
+    let pairs: Vec<KeyPair> = pairs.iter().map(|p| thin(p, 120)).collect();
     let mut adjusted: Vec<Seed> =
         found.into_iter().map(|s| adjust(&pairs, keys, &s, guess, [known, false])).filter(sane).collect();
     adjusted.sort_by(|a, b| a.cost.total_cmp(&b.cost));
@@ -170,14 +170,14 @@ fn sane(seed: &Seed) -> bool {
     seed.cost.is_finite() && seed.place().z > 0.0 && seed.angles.iter().all(|a| a.abs() < 4.0)
 }
 
-fn thinned(pair: &KeyPair, most: usize) -> KeyPair {
+fn thin(pair: &KeyPair, most: usize) -> KeyPair {
     let step = pair.points.len().div_ceil(most).max(1);
     KeyPair { keys: pair.keys, points: pair.points.iter().step_by(step).copied().collect() }
 }
 
 /// The first ones that are not like an earlier one; axis and sense of rotation count together.
 fn different(seeds: Vec<Seed>, most: usize) -> Vec<Seed> {
-    let sense = |s: &Seed| s.direction() * wrapped(s.angles[1]).signum();
+    let sense = |s: &Seed| s.direction() * wrap_angle(s.angles[1]).signum();
     let mut kept: Vec<Seed> = Vec::new();
     for seed in seeds {
         if kept.len() < most && kept.iter().all(|k| sense(k).dot(sense(&seed)) < ALIKE) {
@@ -210,7 +210,7 @@ fn adjust(pairs: &[KeyPair], keys: usize, start: &Seed, guess: f64, known: [bool
     seed
 }
 
-fn moved(seed: &Seed, step: &[f64; UNKNOWNS]) -> Seed {
+fn step_from(seed: &Seed, step: &[f64; UNKNOWNS]) -> Seed {
     let mut next = seed.clone();
     let turn = DQuat::from_scaled_axis(DVec3::new(step[0], step[1], step[2]));
     next.frame = (turn * seed.frame).normalize();
@@ -240,9 +240,9 @@ fn normal(
         let turned =
             |axis: DVec3| fundamental(DQuat::from_scaled_axis(axis * H) * seed.frame, seed.focal, angle);
         let tangents = [
-            turned(DVec3::X),
-            turned(DVec3::Y),
-            turned(DVec3::Z),
+            pose_at(DVec3::X),
+            pose_at(DVec3::Y),
+            pose_at(DVec3::Z),
             fundamental(seed.frame, seed.focal * H.exp(), angle),
             fundamental(seed.frame, seed.focal, angle + H),
         ];
@@ -336,7 +336,7 @@ mod tests {
             let off = best.angles[1].abs() / step - 1.0;
             assert!(off.abs() < 0.1, "seed {s}: step {off}, focal length {}", best.focal);
             assert!((best.focal / 700.0 - 1.0).abs() < 0.1, "seed {s}: {}", best.focal);
-            assert!(explained(&pairs, best) > 0.99);
+            assert!(explained_share(&pairs, best) > 0.99);
         }
     }
 

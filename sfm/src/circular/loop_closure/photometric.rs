@@ -33,7 +33,7 @@ const TERMS: usize = 4;
 
 /// What a whole turn of the film says of the angles.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(crate) struct Likeness {
+pub(crate) struct PhotometricClosure {
     /// By how much the angles say too much of a turn, radians.
     pub excess: f64,
     /// Its standard deviation.
@@ -42,7 +42,7 @@ pub(crate) struct Likeness {
 
 /// Compares the two ends of a whole turn. `angle`: what the model says for a time, radians, rising. `None` where there is no whole
 /// turn, where likeness does not tell places of this film apart, or where something else changed between its ends.
-pub(crate) fn excess(film: &Film, angle: impl Fn(f64) -> Option<f64>) -> Option<Likeness> {
+pub(crate) fn excess(film: &Film, angle: impl Fn(f64) -> Option<f64>) -> Option<PhotometricClosure> {
     let strip = Strip::read(film, angle)?;
     let (first, last) = (*strip.angles.first()?, *strip.angles.last()?);
     // Of more frames than are compared only some are taken.
@@ -51,10 +51,10 @@ pub(crate) fn excess(film: &Film, angle: impl Fn(f64) -> Option<f64>) -> Option<
     if pair > FARTHEST || last - first < std::f64::consts::TAU - pair {
         return None;
     }
-    let search = Search { strip: &strip, side: SIDE.0.max(SIDE.1 * step), pair, step };
+    let search = GapSearch { strip: &strip, side: SIDE.0.max(SIDE.1 * step), pair, step };
     let ends = (first + 2.0 * search.side, last - 2.0 * search.side);
     let places = (0..TRIALS).map(|k| ends.0 + (ends.1 - ends.0) * k as f64 / (TRIALS - 1) as f64);
-    let trials: Vec<Found> = places.filter_map(|a| search.at(a, a, 0.0)).collect();
+    let trials: Vec<GapEstimate> = places.filter_map(|a| search.at(a, a, 0.0)).collect();
     let deviation = 1.4826 * median(trials.iter().map(|t| t.excess.abs()).collect());
     let sigma = deviation.max(LEAST * step);
     let astray = trials.iter().filter(|t| t.excess.abs() > ASTRAY.1 * sigma).count();
@@ -67,7 +67,7 @@ pub(crate) fn excess(film: &Film, angle: impl Fn(f64) -> Option<f64>) -> Option<
     let found = search.at(last, first.max(last - turn - rough), turn)?;
     let usual = median(trials.iter().map(|t| t.misfit).collect());
     let fits = found.misfit < WORSE * usual && found.excess.abs() < 0.95 * SPAN && !found.rim;
-    fits.then_some(Likeness { excess: found.excess, sigma })
+    fits.then_some(PhotometricClosure { excess: found.excess, sigma })
 }
 
 /// Slightly blurred pictures of all frames that have an angle, rising.
@@ -129,24 +129,24 @@ fn unlike(a: &[f32], b: &[f32]) -> f64 {
 }
 
 /// What a search found: by how much the angles say too much, how badly that fits, and whether frames farther on cannot be compared.
-struct Found {
+struct GapEstimate {
     excess: f64,
     misfit: f64,
     rim: bool,
 }
 
 /// Pairs are (angle between, how unlike).
-struct Search<'a> {
+struct GapSearch<'a> {
     strip: &'a Strip,
     side: f64,
     pair: f64,
     step: f64,
 }
 
-impl Search<'_> {
+impl GapSearch<'_> {
     /// The frames up to `end` and those from `start` on, which by the model follow `turn` later: by how much their angles say too much,
     /// and how badly the best fits.
-    fn at(&self, end: f64, start: f64, turn: f64) -> Option<Found> {
+    fn at(&self, end: f64, start: f64, turn: f64) -> Option<GapEstimate> {
         let before = self.strip.within(end - self.side, end);
         let from = if turn > 0.0 { start } else { start + 1e-6 };
         let after: Vec<usize> = self
@@ -176,7 +176,7 @@ impl Search<'_> {
         best = least(best.0 - self.step / 10.0, best.0 + self.step / 10.0, self.step / 200.0, cost)?;
         // At the rim of what can be compared the best lies beyond it.
         let rim = cost(best.0 + 0.5 * self.step).is_none();
-        Some(Found { excess: best.0, misfit: best.1, rim })
+        Some(GapEstimate { excess: best.0, misfit: best.1, rim })
     }
 
     /// Mean square of the relative distances from the curve that fits best, over the slope of the curve.

@@ -4,10 +4,10 @@
 use crate::SfmError;
 use crate::circular::initialize::key_frames::drop_still;
 use crate::circular::model::AxisModel;
-use crate::circular::motion::wrapped;
+use crate::circular::motion::wrap_angle;
 use crate::circular::register::resect_angle;
 use crate::klt::{KltConfig, track};
-use crate::triangulation::{Gates, View, triangulate};
+use crate::triangulation::{Gates, PointView, triangulate};
 use glam::{DVec2, DVec3};
 use scene::{FrameSet, Progress};
 
@@ -24,14 +24,14 @@ const GATES: Gates = Gates { max_error_px: 4.0, min_angle: 0.02 };
 
 /// Points followed across the seam.
 #[derive(Clone, Debug, Default)]
-pub(crate) struct Seam {
+pub(crate) struct LoopClosure {
     /// By point its frame and pixel, first those before the seam.
     pub tracks: Vec<Vec<(usize, DVec2)>>,
     /// The last frame before it.
     last: usize,
 }
 
-impl Seam {
+impl LoopClosure {
     /// Follows points from the last frames to those that a whole turn later show the same; none where no frame does.
     pub fn follow(
         frames: &FrameSet,
@@ -48,7 +48,7 @@ impl Seam {
         };
         let mut followed = track(&some, klt, progress)?;
         drop_still(&mut followed);
-        // Two sightings on one side make a point, one on the other a tie.
+        // Two observations on one side make a point, one on the other a tie.
         followed.retain(|t| t.first + 1 < SIDE && t.first + t.positions.len() > SIDE);
         let views = |first: usize, positions: &[DVec2]| {
             order[first..].iter().copied().zip(positions.iter().copied()).collect()
@@ -64,9 +64,9 @@ impl Seam {
         let mut seen: std::collections::BTreeMap<usize, Vec<(DVec2, DVec3)>> = Default::default();
         for track in &self.tracks {
             let view = |&(frame, pixel): &(usize, DVec2)| {
-                model.turn.pose(frame).filter(|_| before(frame)).map(|p| View::new(&p, camera, pixel))
+                model.turn.pose(frame).filter(|_| before(frame)).map(|p| PointView::new(&p, camera, pixel))
             };
-            let views: Vec<View<'_>> = track.iter().filter_map(view).collect();
+            let views: Vec<PointView<'_>> = track.iter().filter_map(view).collect();
             let Some(point) = triangulate(&views, &GATES) else { continue };
             for &(frame, pixel) in track.iter().filter(|(frame, _)| !before(*frame)) {
                 seen.entry(frame).or_default().push((pixel, point.position));
@@ -76,7 +76,7 @@ impl Seam {
             let start = model.turn.angles[*frame].filter(|_| seen.len() >= FEWEST)?;
             let found = resect_angle(camera, &model.turn.axis, seen, start, SPAN);
             let agreed = found.inliers >= FEWEST && found.inliers * 2 >= found.asked;
-            agreed.then(|| (-wrapped(found.angle - start), end - start))
+            agreed.then(|| (-wrap_angle(found.angle - start), end - start))
         };
         seen.iter().filter_map(gap).collect()
     }
@@ -97,22 +97,22 @@ fn ends(angles: &[Option<f64>]) -> Option<(usize, usize)> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::circular::initialize::key_frames::Material;
-    use crate::circular::motion::Turn;
+    use crate::circular::initialize::key_frames::VideoTracks;
+    use crate::circular::motion::CircularMotion;
     use crate::circular::tests::{Filmed, Turntable};
 
     /// What the seam says of a turn whose angles are all `share` of the true ones.
     fn gaps(share: f64, sense: f64) -> Vec<(f64, f64)> {
         let table = Turntable::new(72, 5.0 * sense, 3);
         let filmed = Filmed::new(72, table.camera.clone(), true);
-        let material = Material::of_klt(&[], 72);
+        let material = VideoTracks::of_klt(&[], 72);
         let angles = table.turn.angles.iter().map(|a| a.map(|a| a * share)).collect();
-        let turn = Turn { angles, ..table.turn.clone() };
+        let turn = CircularMotion { angles, ..table.turn.clone() };
         let model = AxisModel::new(&filmed.video().input(&material), filmed.cameras.to_vec(), turn);
         let (last, next) = ends(&model.turn.angles).unwrap();
         let order = (last + 1 - SIDE..=last).chain(next..next + SIDE);
         let track = |x: &DVec3| order.clone().map(|f| Some((f, table.sees(f, *x)?))).collect();
-        Seam { tracks: table.points.iter().filter_map(track).collect(), last }.gaps(&model)
+        LoopClosure { tracks: table.points.iter().filter_map(track).collect(), last }.gaps(&model)
     }
 
     #[test]

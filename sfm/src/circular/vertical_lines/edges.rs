@@ -27,8 +27,8 @@ pub(crate) struct Segment {
 /// Edges of the mean of the frames; `along_x`: those that run along the image's rows, else along its columns.
 pub(crate) fn segments(frames: &FrameSet, along_x: bool) -> Result<Vec<Segment>, SfmError> {
     let mean = mean_of(frames)?;
-    let upright = if along_x { transposed(&mean) } else { mean };
-    let mut found = of_picture(&upright);
+    let upright = if along_x { transpose(&mean) } else { mean };
+    let mut found = straight_edges(&upright);
     if along_x {
         found.iter_mut().flat_map(|s| &mut s.points).for_each(|p| *p = DVec2::new(p.y, p.x));
     }
@@ -55,7 +55,7 @@ fn mean_of(frames: &FrameSet) -> Result<FloatImage, SfmError> {
     Ok(sum)
 }
 
-fn transposed(image: &FloatImage) -> FloatImage {
+fn transpose(image: &FloatImage) -> FloatImage {
     let mut out = FloatImage::zeros(image.height, image.width, 1);
     for y in 0..image.height {
         for x in 0..image.width {
@@ -66,7 +66,7 @@ fn transposed(image: &FloatImage) -> FloatImage {
 }
 
 /// Edges along the columns of a picture.
-pub(super) fn of_picture(picture: &FloatImage) -> Vec<Segment> {
+pub(super) fn straight_edges(picture: &FloatImage) -> Vec<Segment> {
     let (width, height) = (picture.width, picture.height);
     if width < 8 || height < 8 {
         return Vec::new();

@@ -13,9 +13,9 @@ mod tests;
 pub(crate) use edges::Segment;
 
 use super::axis::Elevation;
-use super::motion::{Turn, median};
+use super::motion::{CircularMotion, median};
 use crate::SfmError;
-use crate::model_selection::camera::{PRINCIPAL_POINT_SIGMA, converted};
+use crate::model_selection::camera::{PRINCIPAL_POINT_SIGMA, convert_camera};
 use crate::solvers::linalg::{moments, symmetric_eigen};
 use glam::DVec3;
 use scene::{Camera, CameraModel, FrameSet};
@@ -67,20 +67,20 @@ struct Vote {
 }
 
 /// Edges of what stands still, along the image of the axis.
-pub(crate) fn of_room(frames: &FrameSet, turn: &Turn) -> Result<Vec<Segment>, SfmError> {
+pub(crate) fn room_edges(frames: &FrameSet, turn: &CircularMotion) -> Result<Vec<Segment>, SfmError> {
     let z = turn.direction();
     edges::segments(frames, z.x.abs() > z.y.abs())
 }
 
 /// The camera's elevation over the plane of the turn that upright lines show; `None` where they do not agree on one.
-pub(crate) fn elevation(segments: &[Segment], camera: &Camera, turn: &Turn) -> Option<Elevation> {
+pub(crate) fn elevation(segments: &[Segment], camera: &Camera, turn: &CircularMotion) -> Option<Elevation> {
     let up = turn.direction() * turn.upward();
     // Turning about `side` takes the axis in the plane of itself and the optical axis.
     let side = up.cross(DVec3::Z).try_normalize()?;
     let votes_with = |(log_prior, camera): (f64, Camera)| {
         (log_prior, segments.iter().filter_map(|s| vote(s, &camera, up, side)).collect())
     };
-    let bends: Vec<(f64, Vec<Vote>)> = bent(camera).map(votes_with).collect();
+    let bends: Vec<(f64, Vec<Vote>)> = with_distortions(camera).map(votes_with).collect();
     let prior = PRINCIPAL_POINT_SIGMA * f64::from(camera.width.max(camera.height)) / camera.mean_focal();
     let found = likeliest(&bends, prior)?;
     let votes = &bends[found.bend].1;
@@ -150,9 +150,9 @@ fn plane_of(mut rays: Vec<DVec3>) -> Option<(DVec3, f64)> {
 
 /// The camera with other distortions, each with the logarithm of its probability but for a constant. What turns in the middle of the picture
 /// says little of the distortion at its borders, where the room is.
-fn bent(camera: &Camera) -> impl Iterator<Item = (f64, Camera)> + use<> {
+fn with_distortions(camera: &Camera) -> impl Iterator<Item = (f64, Camera)> + use<> {
     let distorted = match camera.distortion().len() {
-        0 => converted(camera, CameraModel::SimpleRadial),
+        0 => convert_camera(camera, CameraModel::SimpleRadial),
         _ => camera.clone(),
     };
     let first = distorted.model.num_focals() + 2;

@@ -6,11 +6,11 @@ use glam::{DQuat, DVec2};
 const TRUTH_DEG: f64 = 8.0;
 
 /// A camera that looks down by some degrees on a turn about an axis that is thought to lean by `thought_deg`.
-fn seen(thought_deg: f64) -> (Camera, Turn) {
+fn seen(thought_deg: f64) -> (Camera, CircularMotion) {
     let camera = Camera::centred(1, CameraModel::SimpleRadial, 640, 480, 520.0);
     let lean = thought_deg.to_radians();
     let up = DVec3::new(0.0, -lean.cos(), -lean.sin());
-    (camera, Turn::new(up, DVec3::new(0.0, 0.0, 2.0), vec![Some(0.0), Some(0.1)]).unwrap())
+    (camera, CircularMotion::new(up, DVec3::new(0.0, 0.0, 2.0), vec![Some(0.0), Some(0.1)]).unwrap())
 }
 
 /// The image of a line through a point at depth 3 seen at `pixel`, along `up` turned by some degrees in the image.
@@ -55,7 +55,7 @@ fn lines_that_do_not_agree_or_stand_on_one_side_show_nothing() {
 #[test]
 fn edges_of_a_picture_are_found_and_noise_and_flat_ones_are_not() {
     let mut picture = scene::FloatImage::zeros(160, 120, 1);
-    assert!(edges::of_picture(&picture).is_empty());
+    assert!(edges::straight_edges(&picture).is_empty());
     for y in 0..120 {
         for x in 0..160 {
             // A step that leans by a tenth, with a soft edge.
@@ -63,11 +63,11 @@ fn edges_of_a_picture_are_found_and_noise_and_flat_ones_are_not() {
             picture.data[y * 160 + x] = 0.3 + 0.2 / (1.0 + (-2.0 * off).exp());
         }
     }
-    let found = edges::of_picture(&picture);
+    let found = edges::straight_edges(&picture);
     assert_eq!(found.len(), 1);
     let [first, last] = [found[0].points[0], *found[0].points.last().unwrap()];
     let lean = (last.x - first.x) / (last.y - first.y);
     assert!((lean - 0.1).abs() < 0.005 && last.y - first.y > 100.0, "{first} {last}");
     picture.data.fill(f32::NAN);
-    assert!(edges::of_picture(&picture).is_empty());
+    assert!(edges::straight_edges(&picture).is_empty());
 }

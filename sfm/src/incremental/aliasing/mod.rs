@@ -7,7 +7,7 @@
 //! Pollefeys, CVPR 2010: loops must close).
 
 use super::initial::relative_pose;
-use super::state::{Input, State};
+use super::state::{MapState, MappingInput};
 use super::structureless_resection::agreement;
 use crate::Decision;
 use glam::{DQuat, DVec3};
@@ -28,7 +28,7 @@ const SWEEPS: usize = 600;
 
 /// A verified pair and the rotation between its images for the present intrinsics.
 #[derive(Clone)]
-struct Edge {
+struct PairRotation {
     geometry: usize,
     a: usize,
     b: usize,
@@ -38,21 +38,25 @@ struct Edge {
 
 /// The pairs that can be true together, where the model contradicts pairs that it should not; `None` where it is
 /// whole. `is_video`: the images are in the order of time.
-pub(crate) fn unfolded(state: &State, input: &Input<'_>, is_video: bool) -> Option<Vec<usize>> {
+pub(crate) fn find_consistent_pairs(
+    state: &MapState,
+    input: &MappingInput<'_>,
+    is_video: bool,
+) -> Option<Vec<usize>> {
     let ranked = by_trust(input.geometries, is_video);
     let tree = spanning_tree(input, state, &ranked);
-    if !tree.iter().any(|e| contradicted(state, input, e)) {
+    if !tree.iter().any(|e| is_contradicted(state, input, e)) {
         return None;
     }
-    let edges: Vec<Edge> = ranked.iter().filter_map(|&g| edge(state, input, g)).collect();
-    let kept = consistent(&tree, &edges, input.keypoints.len());
+    let edges: Vec<PairRotation> = ranked.iter().filter_map(|&g| edge(state, input, g)).collect();
+    let kept = keep_consistent(&tree, &edges, input.keypoints.len());
     let mut kept: Vec<usize> = kept.iter().map(|&i| edges[i].geometry).collect();
     kept.sort_unstable();
     (kept.len() < input.geometries.len()).then_some(kept)
 }
 
 /// The edges whose rotations agree with those of the tree, averaged over all that agree.
-fn consistent(tree: &[Edge], edges: &[Edge], images: usize) -> Vec<usize> {
+fn keep_consistent(tree: &[PairRotation], edges: &[PairRotation], images: usize) -> Vec<usize> {
     let mut rotations = along(tree, images);
     let near = |rotations: &[Option<DQuat>], limit: f64| -> Vec<usize> {
         (0..edges.len()).filter(|&i| residual(rotations, &edges[i]).is_some_and(|r| r < limit)).collect()
@@ -65,21 +69,27 @@ fn consistent(tree: &[Edge], edges: &[Edge], images: usize) -> Vec<usize> {
 }
 
 /// Whether `model` bears out more of the pairs than `other`, and has about as many images.
-pub(crate) fn better(model: &State, other: &State, input: &Input<'_>, is_video: bool) -> bool {
-    let (now, before) = (borne_out(model, input, is_video), borne_out(other, input, is_video));
+pub(crate) fn is_better(
+    model: &MapState,
+    other: &MapState,
+    input: &MappingInput<'_>,
+    is_video: bool,
+) -> bool {
+    let (now, before) = (count_agreeing(model, input, is_video), count_agreeing(other, input, is_video));
     let shares = if is_video { (now.0, before.0) } else { (now.1, before.1) };
-    model.registered() * 10 >= other.registered() * 9 && shares.0 as f64 > BETTER * shares.1 as f64
+    model.registered_count() * 10 >= other.registered_count() * 9
+        && shares.0 as f64 > BETTER * shares.1 as f64
 }
 
 /// What was found, for the report.
 pub(crate) fn decision(
-    model: &State,
-    folded: &State,
-    input: &Input<'_>,
+    model: &MapState,
+    folded: &MapState,
+    input: &MappingInput<'_>,
     kept: usize,
     is_video: bool,
 ) -> Decision {
-    let (now, before) = (borne_out(model, input, is_video), borne_out(folded, input, is_video));
+    let (now, before) = (count_agreeing(model, input, is_video), count_agreeing(folded, input, is_video));
     let shown = |s: (usize, usize)| if is_video { s.0 } else { s.1 };
     Decision {
         what: "repeated structure".to_owned(),
@@ -94,7 +104,7 @@ pub(crate) fn decision(
 }
 
 /// Matches that agree with a model: of neighbours in time, and of all pairs.
-fn borne_out(state: &State, input: &Input<'_>, is_video: bool) -> (usize, usize) {
+fn count_agreeing(state: &MapState, input: &MappingInput<'_>, is_video: bool) -> (usize, usize) {
     let mut sums = (0, 0);
     for g in input.geometries {
         let Some((agreeing, _)) = agreement(state, input, g) else { continue };
@@ -117,15 +127,15 @@ fn by_trust(geometries: &[TwoViewGeometry], is_video: bool) -> Vec<usize> {
     ranked
 }
 
-fn edge(state: &State, input: &Input<'_>, geometry: usize) -> Option<Edge> {
+fn edge(state: &MapState, input: &MappingInput<'_>, geometry: usize) -> Option<PairRotation> {
     let g = &input.geometries[geometry];
     let cameras = [g.a, g.b].map(|i| &state.cameras[input.camera_of[i]]);
     let b_from_a = relative_pose(input, cameras, g).or(g.b_from_a)?.rotation;
-    Some(Edge { geometry, a: g.a, b: g.b, b_from_a, weight: (g.inliers.len() as f64).sqrt() })
+    Some(PairRotation { geometry, a: g.a, b: g.b, b_from_a, weight: (g.inliers.len() as f64).sqrt() })
 }
 
 /// Kruskal's tree of the most trusted pairs.
-fn spanning_tree(input: &Input<'_>, state: &State, ranked: &[usize]) -> Vec<Edge> {
+fn spanning_tree(input: &MappingInput<'_>, state: &MapState, ranked: &[usize]) -> Vec<PairRotation> {
     let mut root: Vec<usize> = (0..input.keypoints.len()).collect();
     fn find(root: &mut [usize], mut i: usize) -> usize {
         while root[i] != i {
@@ -150,7 +160,7 @@ fn spanning_tree(input: &Input<'_>, state: &State, ranked: &[usize]) -> Vec<Edge
 }
 
 /// Whether a model has both images, another rotation between them, and poses that their matches do not agree with.
-fn contradicted(state: &State, input: &Input<'_>, edge: &Edge) -> bool {
+fn is_contradicted(state: &MapState, input: &MappingInput<'_>, edge: &PairRotation) -> bool {
     let rotation = |i: usize| state.poses[i].map(|p| p.rotation);
     residual_of(rotation(edge.a), rotation(edge.b), edge)
         .is_some_and(|angle| angle > CONTRADICTED_DEG.to_radians())
@@ -158,16 +168,16 @@ fn contradicted(state: &State, input: &Input<'_>, edge: &Edge) -> bool {
             .is_some_and(|(agreeing, all)| (agreeing as f64) < MIN_AGREEING * all as f64)
 }
 
-fn residual(rotations: &[Option<DQuat>], edge: &Edge) -> Option<f64> {
+fn residual(rotations: &[Option<DQuat>], edge: &PairRotation) -> Option<f64> {
     residual_of(rotations[edge.a], rotations[edge.b], edge)
 }
 
-fn residual_of(a: Option<DQuat>, b: Option<DQuat>, edge: &Edge) -> Option<f64> {
+fn residual_of(a: Option<DQuat>, b: Option<DQuat>, edge: &PairRotation) -> Option<f64> {
     Some((edge.b_from_a * a?).angle_between(b?))
 }
 
 /// Rotations `image_from_world` along the tree, from its most trusted image; others stay unknown.
-fn along(tree: &[Edge], images: usize) -> Vec<Option<DQuat>> {
+fn along(tree: &[PairRotation], images: usize) -> Vec<Option<DQuat>> {
     let mut rotations = vec![None; images];
     let Some(first) = tree.first() else { return rotations };
     rotations[first.a] = Some(DQuat::IDENTITY);
@@ -186,7 +196,7 @@ fn along(tree: &[Edge], images: usize) -> Vec<Option<DQuat>> {
 }
 
 /// Moves every rotation to the weighted L1 mean of what its pairs say (one Weiszfeld step each), sweep after sweep.
-fn average(rotations: &mut [Option<DQuat>], edges: &[&Edge]) {
+fn average(rotations: &mut [Option<DQuat>], edges: &[&PairRotation]) {
     let mut of_image = vec![Vec::new(); rotations.len()];
     for e in edges {
         of_image[e.a].push((e.b, e.b_from_a.inverse(), e.weight));

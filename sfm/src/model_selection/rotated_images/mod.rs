@@ -1,12 +1,12 @@
-//! Photos that were turned by half a turn on their way here.
+//! Photos that were rotated by 180° on their way here.
 //!
-//! A camera that was held both ways up, its pictures turned upright by some program that kept no trace of it, has one
+//! A camera that was held both ways up, its pictures rotated upright by some program that kept no trace of it, has one
 //! sensor but two principal points: mirrored about the image centre. Nothing else betrays it, for the pictures look
-//! alike. The sightings do: with a principal point for each image, two groups appear.
+//! alike. The observations do: with a principal point for each image, two groups appear.
 
 mod windows;
 
-use crate::bundle::{BundleObservation, BundleProblem, IntrinsicsPrior, Loss, SolveOptions};
+use crate::bundle::{BundleObservation, BundleProblem, IntrinsicsPrior, RobustLoss, SolveOptions};
 use crate::model_selection::camera::principal_point_priors;
 use crate::model_selection::noise::noise_in_units;
 use crate::{Knowledge, SfmError};
@@ -29,70 +29,70 @@ const NEARLY_AS_GOOD: f64 = 0.9;
 const DIRECTIONS: usize = 8;
 
 /// How many of `images` images are asked together.
-pub fn asked_together(images: usize) -> usize {
+pub fn group_size(images: usize) -> usize {
     if images > JOINT_IMAGES { windows::WINDOW } else { images }
 }
 
-/// A pixel of the turned image.
-pub fn turn_pixel(camera: &Camera, pixel: DVec2) -> DVec2 {
+/// A pixel of the rotated image.
+pub fn rotate_pixel(camera: &Camera, pixel: DVec2) -> DVec2 {
     DVec2::new(f64::from(camera.width), f64::from(camera.height)) - pixel
 }
 
-/// The pose of the turned camera.
-pub fn turn_pose(pose: &Pose) -> Pose {
+/// The pose of the rotated camera.
+pub fn rotate_pose(pose: &Pose) -> Pose {
     let turn = DQuat::from_xyzw(0.0, 0.0, 1.0, 0.0);
     Pose { rotation: (turn * pose.rotation).normalize(), translation: turn * pose.translation }
 }
 
-/// The camera of the turned image: principal point mirrored, tangential distortion of the other sign.
-pub fn turn_camera(camera: &Camera) -> Camera {
-    let mut turned = camera.clone();
+/// The camera of the rotated image: principal point mirrored, tangential distortion of the other sign.
+pub fn rotate_camera(camera: &Camera) -> Camera {
+    let mut rotated = camera.clone();
     let n = camera.model.num_focals();
-    let p = turn_pixel(camera, camera.principal_point());
-    turned.params[n..n + 2].copy_from_slice(&p.to_array());
+    let p = rotate_pixel(camera, camera.principal_point());
+    rotated.params[n..n + 2].copy_from_slice(&p.to_array());
     if camera.model == CameraModel::Opencv {
-        turned.params[n + 4..].iter_mut().for_each(|p| *p = -*p);
+        rotated.params[n + 4..].iter_mut().for_each(|p| *p = -*p);
     }
-    turned
+    rotated
 }
 
-/// The geometry of a pair of which the first, the second or both images are turned.
-pub fn turn_geometry(geometry: &mut TwoViewGeometry, cameras: [&Camera; 2], turned: [bool; 2]) {
+/// The geometry of a pair of which the first, the second or both images are rotated.
+pub fn rotate_geometry(geometry: &mut TwoViewGeometry, cameras: [&Camera; 2], rotated: [bool; 2]) {
     let of_pixels = |i: usize| {
         let (w, h) = (f64::from(cameras[i].width), f64::from(cameras[i].height));
         let matrix = DMat3::from_cols(-DVec3::X, -DVec3::Y, DVec3::new(w, h, 1.0));
-        if turned[i] { matrix } else { DMat3::IDENTITY }
+        if rotated[i] { matrix } else { DMat3::IDENTITY }
     };
     let of_rays = |i: usize| {
-        if turned[i] { DMat3::from_diagonal(DVec3::new(-1.0, -1.0, 1.0)) } else { DMat3::IDENTITY }
+        if rotated[i] { DMat3::from_diagonal(DVec3::new(-1.0, -1.0, 1.0)) } else { DMat3::IDENTITY }
     };
     // Each of these matrices is its own inverse.
     geometry.f = geometry.f.map(|f| of_pixels(1).transpose() * f * of_pixels(0));
     geometry.h = geometry.h.map(|h| of_pixels(1) * h * of_pixels(0));
     geometry.e = geometry.e.map(|e| of_rays(1) * e * of_rays(0));
     geometry.b_from_a = geometry.b_from_a.map(|pose| {
-        let own = if turned[1] { turn_pose(&pose) } else { pose };
-        let before = if turned[0] { turn_pose(&Pose::IDENTITY) } else { Pose::IDENTITY };
+        let own = if rotated[1] { rotate_pose(&pose) } else { pose };
+        let before = if rotated[0] { rotate_pose(&Pose::IDENTITY) } else { Pose::IDENTITY };
         own.compose(&before)
     });
 }
 
-/// The same adjustment with some images turned.
-pub fn turn_problem(problem: &BundleProblem, turned: &[bool]) -> BundleProblem {
+/// The same adjustment with some images rotated.
+pub fn rotate_problem(problem: &BundleProblem, rotated: &[bool]) -> BundleProblem {
     let mut result = problem.clone();
-    for (pose, _) in result.poses.iter_mut().zip(turned).filter(|(_, t)| **t) {
-        *pose = turn_pose(pose);
+    for (pose, _) in result.poses.iter_mut().zip(rotated).filter(|(_, t)| **t) {
+        *pose = rotate_pose(pose);
     }
     let turn = |o: &mut BundleObservation| {
         let camera = &problem.cameras[problem.pose_camera[o.pose as usize] as usize];
-        o.pixel = turn_pixel(camera, o.pixel);
+        o.pixel = rotate_pixel(camera, o.pixel);
     };
-    result.observations.iter_mut().filter(|o| turned[o.pose as usize]).for_each(turn);
+    result.observations.iter_mut().filter(|o| rotated[o.pose as usize]).for_each(turn);
     result
 }
 
-/// Which poses of an adjusted problem may be those of images that were turned: some assignments, the likeliest first;
-/// none where one principal point a camera does as well. The larger group of a camera counts as not turned.
+/// Which poses of an adjusted problem may be those of images that were rotated: some assignments, the likeliest first;
+/// none where one principal point a camera does as well. The larger group of a camera counts as not rotated.
 ///
 /// Every image gets a principal point `c + δᵢ` of its own. Their joint information, after poses and points are
 /// eliminated, says what any assignment of signs `δᵢ = ±d` costs; good ones are found by local search. More than
@@ -112,15 +112,15 @@ pub fn suspects(
         let splits: Vec<Vec<bool>> = if poses.len() > JOINT_IMAGES {
             windows::split(problem, camera, &poses, progress)?.into_iter().collect()
         } else {
-            let quadratic = Quadratic::measure(problem, camera, &poses, progress)?;
+            let quadratic = OffsetLikelihood::measure(problem, camera, &poses, progress)?;
             quadratic.map(|q| q.splits()).unwrap_or_default()
         };
         // The best of this camera go with the best of the others.
         let none = vec![false; problem.poses.len()];
         found.resize(found.len().max(splits.len()), found.first().cloned().unwrap_or(none));
-        for (k, turned) in found.iter_mut().enumerate() {
+        for (k, rotated) in found.iter_mut().enumerate() {
             if let Some(split) = splits.get(k).or(splits.first()) {
-                poses.iter().zip(split).for_each(|(&pose, &t)| turned[pose] = t);
+                poses.iter().zip(split).for_each(|(&pose, &t)| rotated[pose] = t);
             }
         }
     }
@@ -129,7 +129,7 @@ pub fn suspects(
 
 /// Twice the negative log likelihood of offsets `δ` of the images' principal points, up to a constant:
 /// `δᵀ H δ − 2 gᵀ δ`.
-struct Quadratic {
+struct OffsetLikelihood {
     /// [n × n] blocks `xx, xy, yy`.
     information: Vec<[f64; 3]>,
     /// [2n].
@@ -140,7 +140,7 @@ struct Quadratic {
     prior: f64,
 }
 
-impl Quadratic {
+impl OffsetLikelihood {
     fn measure(
         problem: &BundleProblem,
         camera: usize,
@@ -168,7 +168,7 @@ impl Quadratic {
         let sigma = noise_in_units(problem);
         each.observations.iter_mut().for_each(|o| o.sigma_px *= sigma);
         let options = SolveOptions {
-            loss: Loss::Cauchy(2.0),
+            loss: RobustLoss::Cauchy(2.0),
             max_iterations: 6,
             function_tolerance: 1e-4,
             ..SolveOptions::default()

@@ -28,10 +28,10 @@ fn a_turned_camera_sees_the_turned_image() {
         let camera = camera(model);
         for x in [DVec3::ZERO, DVec3::new(0.5, -0.3, 0.2), DVec3::new(-0.4, 0.6, -0.5)] {
             let pixel = camera.project(pose.transform(x)).unwrap();
-            let turned = turn_camera(&camera).project(turn_pose(&pose).transform(x)).unwrap();
-            assert!(turned.distance(turn_pixel(&camera, pixel)) < 1e-9, "{model:?} {x}");
+            let rotated = rotate_camera(&camera).project(rotate_pose(&pose).transform(x)).unwrap();
+            assert!(rotated.distance(rotate_pixel(&camera, pixel)) < 1e-9, "{model:?} {x}");
         }
-        assert_eq!(turn_camera(&turn_camera(&camera)), camera);
+        assert_eq!(rotate_camera(&rotate_camera(&camera)), camera);
     }
 }
 
@@ -43,7 +43,7 @@ fn the_geometry_of_a_turned_pair_holds_for_turned_pixels() {
     let e = essential_from_pose(&b_from_a);
     let k = DMat3::from_cols(DVec3::X * 700.0, DVec3::Y * 700.0, DVec3::new(320.0, 240.0, 1.0));
     let f = k.inverse().transpose() * e * k.inverse();
-    for turned in [[true, false], [false, true], [true, true]] {
+    for rotated in [[true, false], [false, true], [true, true]] {
         let mut geometry = TwoViewGeometry {
             a: 0,
             b: 1,
@@ -55,8 +55,8 @@ fn the_geometry_of_a_turned_pair_holds_for_turned_pixels() {
             b_from_a: Some(b_from_a),
             median_angle: 0.1,
         };
-        turn_geometry(&mut geometry, [&camera, &camera], turned);
-        let side = |i: usize| if turned[i] { turn_pose(&poses[i]) } else { poses[i] };
+        rotate_geometry(&mut geometry, [&camera, &camera], rotated);
+        let side = |i: usize| if rotated[i] { rotate_pose(&poses[i]) } else { poses[i] };
         let expected = side(1).compose(&side(0).inverse());
         let found = geometry.b_from_a.unwrap();
         assert!(found.translation.distance(expected.translation) < 1e-12);
@@ -83,7 +83,7 @@ fn adjusted_views(
     sees: impl Fn(DVec3, DVec3) -> bool,
     offset: impl Fn(usize) -> DVec2,
 ) -> BundleProblem {
-    let mut random = rng(seed, "turned", 0);
+    let mut random = rng(seed, "rotated", 0);
     let mut coordinate = || random.random_range(-0.9..0.9);
     let points: Vec<DVec3> =
         (0..of_points).map(|_| DVec3::new(coordinate(), coordinate(), coordinate())).collect();
@@ -98,7 +98,7 @@ fn adjusted_views(
         points,
         ..BundleProblem::default()
     };
-    let mut noise = rng(seed, "turned noise", 0);
+    let mut noise = rng(seed, "rotated noise", 0);
     // A sum of three uniform numbers of variance 1/12 each: standard deviation 0.3 px.
     let mut normal = || (0..3).map(|_| noise.random_range(-0.5..0.5)).sum::<f64>() * 0.6;
     for (pose, cam_from_world) in problem.poses.iter().enumerate() {
@@ -158,8 +158,8 @@ fn many_images_are_asked_in_windows_that_agree_with_each_other() {
     let ahead = |eye: DVec3, x: DVec3| eye.truncate().angle_to(x.truncate()).abs() < 1.0;
     let truth: Vec<bool> = (0..n).map(|i| (i * 7).is_multiple_of(3) || (40..60).contains(&i)).collect();
     let offset = DVec2::new(6.0, 18.0);
-    let turned = adjusted_views((n, 400), 1, ahead, |i| if truth[i] { -offset } else { offset });
-    let found = suspects(&turned, &[Knowledge::default()], &Progress::silent()).unwrap();
+    let rotated = adjusted_views((n, 400), 1, ahead, |i| if truth[i] { -offset } else { offset });
+    let found = suspects(&rotated, &[Knowledge::default()], &Progress::silent()).unwrap();
     assert_eq!(found, [truth]);
     let none = adjusted_views((n, 400), 2, ahead, |_| offset);
     assert!(suspects(&none, &[Knowledge::default()], &Progress::silent()).unwrap().is_empty());

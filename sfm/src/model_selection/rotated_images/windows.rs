@@ -1,8 +1,8 @@
-//! Many images: the question which were turned is asked of windows of images that see the same points, and the
+//! Many images: the question which were rotated is asked of windows of images that see the same points, and the
 //! answers are joined where the windows overlap. What two images that share no points say about each other is little,
 //! and the joint information of all would grow with the square of their number.
 
-use super::{FEWEST_IMAGES, Quadratic};
+use super::{FEWEST_IMAGES, OffsetLikelihood};
 use crate::SfmError;
 use crate::bundle::{BundleObservation, BundleProblem};
 use scene::Progress;
@@ -19,11 +19,12 @@ pub(super) fn split(
     poses: &[usize],
     progress: &Progress,
 ) -> Result<Option<Vec<bool>>, SfmError> {
-    let sightings = Sightings::of(problem);
+    let observations = ObservationIndex::of(problem);
     let mut parts = Vec::new();
-    for window in windows(&sightings, poses) {
+    for window in windows(&observations, poses) {
         let all: Vec<usize> = (0..window.len()).collect();
-        let measured = Quadratic::measure(&sightings.restricted(problem, &window), camera, &all, progress)?;
+        let measured =
+            OffsetLikelihood::measure(&observations.restrict(problem, &window), camera, &all, progress)?;
         let best = measured.and_then(|q| q.splits().into_iter().next());
         let signs: Vec<f64> = match best {
             Some(split) => split.iter().map(|t| if *t { -1.0 } else { 1.0 }).collect(),
@@ -31,7 +32,7 @@ pub(super) fn split(
         };
         parts.push(window.into_iter().zip(signs).collect());
     }
-    let votes = joined(&parts, problem.poses.len());
+    let votes = join_signs(&parts, problem.poses.len());
     let negative = poses.iter().filter(|&&p| votes[p] < 0.0).count();
     // Of two groups of a size the one without the first image is the smaller.
     let first = poses.first().map_or(0.0, |&p| votes[p]);
@@ -41,13 +42,13 @@ pub(super) fn split(
     Ok(of_smaller.contains(&true).then_some(of_smaller))
 }
 
-/// A problem's sightings by pose and by point.
-struct Sightings<'a> {
+/// A problem's observations by pose and by point.
+struct ObservationIndex<'a> {
     of_pose: Vec<Vec<&'a BundleObservation>>,
     of_point: Vec<Vec<u32>>,
 }
 
-impl<'a> Sightings<'a> {
+impl<'a> ObservationIndex<'a> {
     fn of(problem: &'a BundleProblem) -> Self {
         let mut of_pose = vec![Vec::new(); problem.poses.len()];
         let mut of_point = vec![Vec::new(); problem.points.len()];
@@ -59,7 +60,7 @@ impl<'a> Sightings<'a> {
     }
 
     /// The adjustment of some poses alone, in their order, with the points that at least two of them see.
-    fn restricted(&self, problem: &BundleProblem, poses: &[usize]) -> BundleProblem {
+    fn restrict(&self, problem: &BundleProblem, poses: &[usize]) -> BundleProblem {
         let mut views = vec![0u32; problem.points.len()];
         let own = || poses.iter().flat_map(|&p| self.of_pose[p].iter().copied());
         own().for_each(|o| views[o.point as usize] += 1);
@@ -89,10 +90,10 @@ impl<'a> Sightings<'a> {
 }
 
 /// Windows in which every pose that shares points with enough others is one of the first [`CORE`] new ones. Each grows
-/// from a pose by those that share most sightings with what it has, in turn any and a new one, so that windows overlap
+/// from a pose by those that share most observations with what it has, in turn any and a new one, so that windows overlap
 /// and yet get on where all images see the same; the next starts at its rim.
-fn windows(sightings: &Sightings<'_>, poses: &[usize]) -> Vec<Vec<usize>> {
-    let n = sightings.of_pose.len();
+fn windows(observations: &ObservationIndex<'_>, poses: &[usize]) -> Vec<Vec<usize>> {
+    let n = observations.of_pose.len();
     let mut eligible = vec![false; n];
     poses.iter().for_each(|&p| eligible[p] = true);
     let mut open = eligible.clone();
@@ -104,8 +105,8 @@ fn windows(sightings: &Sightings<'_>, poses: &[usize]) -> Vec<Vec<usize>> {
         while let Some(pose) = next.filter(|_| window.len() < WINDOW) {
             window.push(pose);
             free[pose] = false;
-            for o in &sightings.of_pose[pose] {
-                sightings.of_point[o.point as usize].iter().for_each(|&p| shared[p as usize] += 1);
+            for o in &observations.of_pose[pose] {
+                observations.of_point[o.point as usize].iter().for_each(|&p| shared[p as usize] += 1);
             }
             let most = |wanted: &[bool]| {
                 let tied = (0..n).filter(|&p| free[p] && wanted[p] && shared[p] > 0);
@@ -125,9 +126,9 @@ fn windows(sightings: &Sightings<'_>, poses: &[usize]) -> Vec<Vec<usize>> {
     found
 }
 
-/// For each of `n` poses the sum of its signs over the windows. What a window calls the other group is turned round where
+/// For each of `n` poses the sum of its signs over the windows. What a window calls the other group is rotated round where
 /// its neighbours do; the windows that agree most clearly are joined first.
-fn joined(parts: &[Vec<(usize, f64)>], n: usize) -> Vec<f64> {
+fn join_signs(parts: &[Vec<(usize, f64)>], n: usize) -> Vec<f64> {
     let mut of_pose: Vec<Vec<(usize, f64)>> = vec![Vec::new(); n];
     for (part, signs) in parts.iter().enumerate() {
         signs.iter().for_each(|&(pose, sign)| of_pose[pose].push((part, sign)));
@@ -159,5 +160,5 @@ fn joined(parts: &[Vec<(usize, f64)>], n: usize) -> Vec<f64> {
 /// How many windows these poses of a problem make.
 #[cfg(test)]
 pub(super) fn count(problem: &BundleProblem, poses: &[usize]) -> usize {
-    windows(&Sightings::of(problem), poses).len()
+    windows(&ObservationIndex::of(problem), poses).len()
 }

@@ -1,12 +1,12 @@
 //! Pairs of images that go round evenly in the order of their files, matched along the lines of the one motion that all
 //! neighbours share: in the dark a pair alone has too few right matches to say how it lies.
 
-use super::matching::mostly;
+use super::matching::most_are_loose;
 use crate::circular::Motion;
-use crate::circular::initialize::constant_step::EvenTurn;
+use crate::circular::initialize::constant_step::ConstantStepMotion;
 use crate::matching::{PairMatches, PreparedFeatures, guided_match_prepared};
 use crate::model_selection::camera;
-use crate::reconstruct::{Given, Grown, Job, grown};
+use crate::reconstruct::{MappedModel, ReconstructionRequest, StepContext, grow_model};
 use crate::tracks::{build_tracks, positions};
 use crate::{Decision, SfmError, SfmResult, two_view};
 use rayon::prelude::*;
@@ -23,29 +23,29 @@ const FEW: usize = 100;
 const WHOLE: f64 = 0.9;
 
 /// An even turn, the pairs along it, and whether they are to take the others' place.
-pub(crate) struct Even {
-    turn: EvenTurn,
+pub(crate) struct ConstantStepStart {
+    turn: ConstantStepMotion,
     geometries: Vec<TwoViewGeometry>,
     instead: bool,
     decision: Decision,
 }
 
-impl Even {
+impl ConstantStepStart {
     /// The model that begins with all images in their places; `None` where they are not there.
-    fn placed(
+    fn place_all_images(
         &self,
-        given: &Given<'_>,
+        given: &StepContext<'_>,
         keypoints: &[Vec<glam::DVec2>],
         progress: &Progress,
-    ) -> Result<Option<Grown>, SfmError> {
+    ) -> Result<Option<MappedModel>, SfmError> {
         let tracks = build_tracks(given.features, &self.geometries);
         let input = given.input(keypoints, &tracks, &self.geometries);
         let intrinsics = camera::before_the_choice(given.config.camera_model.model());
-        let job = given.job(&input, &given.setup.cameras, progress);
+        let job = given.motion_input(&input, &given.setup.cameras, progress);
         let Some((state, kept)) = self.turn.model(&job, intrinsics)? else { return Ok(None) };
         let evidence = format!(
-            "{} of {} images hold there, with {:.0} % of the sightings in tracks of three and more",
-            state.registered(),
+            "{} of {} images hold there, with {:.0} % of the observations in tracks of three and more",
+            state.registered_count(),
             keypoints.len(),
             100.0 * kept
         );
@@ -54,26 +54,28 @@ impl Even {
             chosen: "all images on the ring".to_owned(),
             evidence,
         });
-        Ok(Some(Grown { state, tracks, mapper, ringed: true }))
+        Ok(Some(MappedModel { state, tracks, mapper, ringed: true }))
     }
 }
 
 /// The pairs of images near each other, matched and verified anew along an even turn's lines, where most images are loosely
 /// tied and go round so. `matches`: those of loosely tied pairs, before verification.
-pub(crate) fn matched(
+pub(crate) fn match_along_motion(
     result: &SfmResult,
     matches: &[PairMatches],
     loose: &[bool],
-    job: &Job<'_>,
-) -> Result<Option<Even>, SfmError> {
-    let Job { frames, config, setup, progress, .. } = *job;
+    job: &ReconstructionRequest<'_>,
+) -> Result<Option<ConstantStepStart>, SfmError> {
+    let ReconstructionRequest { frames, config, setup, progress, .. } = *job;
     let asked = !frames.is_video && config.motion.motion != Motion::Free && setup.cameras.len() == 1;
-    if !asked || !mostly(loose) {
+    if !asked || !most_are_loose(loose) {
         return Ok(None);
     }
     let places: Vec<_> = result.features.iter().map(positions).collect();
     let known = setup.known[0].fixed || setup.known[0].focal_sigma.is_some();
-    let Some(turn) = EvenTurn::of(&setup.cameras[0], known, &places, matches) else { return Ok(None) };
+    let Some(turn) = ConstantStepMotion::of(&setup.cameras[0], known, &places, matches) else {
+        return Ok(None);
+    };
     progress.begin("even turn", loose.len());
     let prepared: Vec<PreparedFeatures> = result.features.par_iter().map(PreparedFeatures::new).collect();
     let images = loose.len();
@@ -111,7 +113,7 @@ pub(crate) fn matched(
         ),
     };
     let instead = strongest < FEW;
-    Ok(Some(Even { turn, geometries: verified, instead, decision }))
+    Ok(Some(ConstantStepStart { turn, geometries: verified, instead, decision }))
 }
 
 /// The median over the images of the most matches with any other.
@@ -128,31 +130,34 @@ fn strongest_tie(images: usize, geometries: &[TwoViewGeometry]) -> usize {
 
 /// The model that grows from the pairs, or the one that begins with all images in their places on a ring: where that stands and
 /// pairs alone say little, or where the first misses many images or has them elsewhere. `geometries` become those of the model.
-pub(crate) fn grown_or_placed(
-    given: &Given<'_>,
+pub(crate) fn grow_or_place(
+    given: &StepContext<'_>,
     keypoints: &[Vec<glam::DVec2>],
     geometries: &mut Vec<TwoViewGeometry>,
     decisions: &mut Vec<Decision>,
     progress: &Progress,
-) -> Result<Option<Grown>, SfmError> {
-    let Some(even) = &given.even else { return grown(given, keypoints, geometries, progress) };
-    let standing = |g: &Grown| g.state.registered() - even.turn.astray(&g.state.poses);
+) -> Result<Option<MappedModel>, SfmError> {
+    let Some(even) = &given.even else { return grow_model(given, keypoints, geometries, progress) };
+    let standing = |g: &MappedModel| g.state.registered_count() - even.turn.astray(&g.state.poses);
     let mut placed = None;
     if even.instead {
-        placed = even.placed(given, keypoints, progress)?;
+        placed = even.place_all_images(given, keypoints, progress)?;
         if placed.is_some() {
             geometries.clone_from(&even.geometries);
             decisions.push(even.decision.clone());
         }
     }
-    let first = grown(given, keypoints, geometries, progress)?;
+    let first = grow_model(given, keypoints, geometries, progress)?;
     let before = first.as_ref().map_or(0, standing);
     let enough = if placed.is_some() { 1.0 } else { WHOLE };
     if before as f64 >= enough * keypoints.len() as f64 {
         return Ok(first);
     }
-    let later =
-        if placed.is_none() && !even.instead { even.placed(given, keypoints, progress)? } else { None };
+    let later = if placed.is_none() && !even.instead {
+        even.place_all_images(given, keypoints, progress)?
+    } else {
+        None
+    };
     match placed.or(later).filter(|p| standing(p) > before) {
         Some(placed) => {
             geometries.clone_from(&even.geometries);

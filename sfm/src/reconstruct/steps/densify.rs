@@ -2,9 +2,9 @@
 //! few to verify by themselves among them. The points gained bind wide steps together.
 
 use crate::SfmError;
-use crate::incremental::state::{Input, State};
+use crate::incremental::state::{MapState, MappingInput};
 use crate::matching::{PreparedFeatures, guided_match_prepared};
-use crate::reconstruct::Given;
+use crate::reconstruct::StepContext;
 use crate::solvers::essential_from_pose;
 use crate::tracks::{Tracks, build_tracks};
 use crate::triangulation::angle_between;
@@ -19,15 +19,15 @@ pub(crate) const WIDEST: f64 = 1.2;
 /// Half-width of the band along the lines, in standard deviations of the model's errors, and its least, pixels.
 const BAND_SIGMAS: f64 = 4.0;
 const LEAST_BAND_PX: f64 = 1.0;
-/// Share of sightings that must be gained for the new tracks to be taken.
+/// Share of observations that must be gained for the new tracks to be taken.
 const GAIN: f64 = 1.03;
 
 /// Verified pairs with what lies on the model's epipolar lines, and the tracks they make; `None` where little is gained.
-/// `input`: of the images the way up that their sensors were; `sigma_px`: noise of the model's sightings.
+/// `input`: of the images the way up that their sensors were; `sigma_px`: noise of the model's observations.
 pub(crate) fn along_the_model(
-    given: &Given<'_>,
-    input: &Input<'_>,
-    state: &State,
+    given: &StepContext<'_>,
+    input: &MappingInput<'_>,
+    state: &MapState,
     sigma_px: f64,
     progress: &Progress,
 ) -> Result<Option<(Vec<TwoViewGeometry>, Tracks)>, SfmError> {
@@ -37,7 +37,7 @@ pub(crate) fn along_the_model(
     }
     let cameras: Vec<&Camera> = input.camera_of.iter().map(|&c| &state.cameras[c]).collect();
     let ideal: Vec<Features> =
-        (0..n).map(|i| undistorted(&given.features[i], &input.keypoints[i], cameras[i])).collect();
+        (0..n).map(|i| undistort_features(&given.features[i], &input.keypoints[i], cameras[i])).collect();
     let prepared: Vec<PreparedFeatures> = given.features.par_iter().map(PreparedFeatures::new).collect();
     let matching = &given.config.matching;
     let band = (BAND_SIGMAS * sigma_px).clamp(LEAST_BAND_PX, input.config.max_reprojection_px);
@@ -56,7 +56,7 @@ pub(crate) fn along_the_model(
         let (f, b_from_a) = line_between((pose_a, cameras[a]), (pose_b, cameras[b]));
         let side = |i: usize| (&ideal[i], &prepared[i]);
         let found = guided_match_prepared(side(a), side(b), &f, band, matching);
-        Ok(merged(known, (a, b), found, &f, b_from_a, input.config.min_sightings))
+        Ok(merge_geometry(known, (a, b), found, &f, b_from_a, input.config.min_sightings))
     };
     let more: Result<Vec<Option<TwoViewGeometry>>, SfmError> = pairs.par_iter().map(one).collect();
     let more: Vec<TwoViewGeometry> = more?.into_iter().flatten().collect();
@@ -69,8 +69,8 @@ pub(crate) fn along_the_model(
 }
 
 /// The same poses and intrinsics with the points of other tracks.
-pub(crate) fn regrown(state: &State, input: &Input<'_>) -> State {
-    let mut grown = State::new(input, state.cameras.clone());
+pub(crate) fn regrow(state: &MapState, input: &MappingInput<'_>) -> MapState {
+    let mut grown = MapState::new(input, state.cameras.clone());
     for &image in &state.order {
         if let Some(pose) = state.poses[image] {
             grown.register(image, pose);
@@ -88,7 +88,7 @@ pub(crate) fn line_between(a: (&Pose, &Camera), b: (&Pose, &Camera)) -> (DMat3, 
 }
 
 /// One-to-one matches: the pair's own inliers first, then what was found and does not contradict them.
-pub(crate) fn merged(
+pub(crate) fn merge_geometry(
     known: Option<&TwoViewGeometry>,
     (a, b): (usize, usize),
     found: Vec<[u32; 2]>,
@@ -121,7 +121,7 @@ pub(crate) fn merged(
 }
 
 /// Keypoints where an ideal camera of the same focal length would see them.
-pub(crate) fn undistorted(features: &Features, keypoints: &[DVec2], camera: &Camera) -> Features {
+pub(crate) fn undistort_features(features: &Features, keypoints: &[DVec2], camera: &Camera) -> Features {
     let mut result = Features { keypoints: features.keypoints.clone(), descriptors: Vec::new() };
     for (k, pixel) in result.keypoints.iter_mut().zip(keypoints) {
         let p = camera.unproject(*pixel) * camera.focal() + camera.principal_point();

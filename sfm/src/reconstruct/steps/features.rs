@@ -1,9 +1,9 @@
 //! A second set of features, of blurred images, where the first leaves images loosely tied: in the dark the finest
 //! structure is noise, and what is left of the object shows at larger scales only.
 
-use super::matching::mostly;
+use super::matching::most_are_loose;
 use crate::matching::{PairMatches, PreparedFeatures, match_prepared};
-use crate::reconstruct::Job;
+use crate::reconstruct::ReconstructionRequest;
 use crate::{Decision, SfmError, pairs, sift, two_view};
 use scene::{Features, FrameSet, TwoViewGeometry};
 use std::collections::BTreeMap;
@@ -19,7 +19,7 @@ const PROBES: usize = 16;
 const PROBE_BEYOND: usize = 48;
 
 /// Features of both sets (the first set's keep their numbers), and the pairs verified with both.
-pub(crate) struct Richer {
+pub(crate) struct BlurredFeatures {
     pub features: Vec<Features>,
     pub geometries: Vec<TwoViewGeometry>,
     /// Matches of the loosely tied pairs before verification.
@@ -34,10 +34,10 @@ pub(crate) fn enrich(
     matches: &[PairMatches],
     geometries: &[TwoViewGeometry],
     loose: &[bool],
-    job: &Job<'_>,
-) -> Result<Option<Richer>, SfmError> {
-    let Job { frames, config, setup, progress, .. } = *job;
-    if !mostly(loose) || !promising(geometries, loose, job)? {
+    job: &ReconstructionRequest<'_>,
+) -> Result<Option<BlurredFeatures>, SfmError> {
+    let ReconstructionRequest { frames, config, setup, progress, .. } = *job;
+    if !most_are_loose(loose) || !promising(geometries, loose, job)? {
         return Ok(None);
     }
     let coarse = sift::extract_all(frames, &blurring(job), progress)?;
@@ -45,7 +45,7 @@ pub(crate) fn enrich(
     let found = pairs::match_related(frames, &coarse, &config.pairs, &config.matching, progress)?;
     let found: Vec<PairMatches> = found.into_iter().filter(|m| of_loose(m.0, m.1)).collect();
     let first: Vec<usize> = features.iter().map(Features::len).collect();
-    let union = joined(matches.iter().filter(|m| of_loose(m.0, m.1)), found, &first);
+    let union = join_matches(matches.iter().filter(|m| of_loose(m.0, m.1)), found, &first);
     let features: Vec<Features> = features.iter().zip(&coarse).map(|(a, b)| both(a, b)).collect();
     let cameras = setup.of_frames();
     let verified =
@@ -67,18 +67,22 @@ pub(crate) fn enrich(
             "they share few matches with others; with features of images blurred by {BLUR} px these are {after} instead of {before}"
         ),
     };
-    Ok(Some(Richer { features, geometries: all, matches: union, decision }))
+    Ok(Some(BlurredFeatures { features, geometries: all, matches: union, decision }))
 }
 
-fn blurring(job: &Job<'_>) -> sift::SiftConfig {
+fn blurring(job: &ReconstructionRequest<'_>) -> sift::SiftConfig {
     let given = &job.config.sift;
     sift::SiftConfig { pre_blur: BLUR.hypot(given.pre_blur), ..given.clone() }
 }
 
 /// Whether the blurred copies alone, of some loosely tied pairs, have as many matches as would be worth it: those of both
 /// sets together are no fewer.
-fn promising(geometries: &[TwoViewGeometry], loose: &[bool], job: &Job<'_>) -> Result<bool, SfmError> {
-    let Job { frames, config, setup, progress, .. } = *job;
+fn promising(
+    geometries: &[TwoViewGeometry],
+    loose: &[bool],
+    job: &ReconstructionRequest<'_>,
+) -> Result<bool, SfmError> {
+    let ReconstructionRequest { frames, config, setup, progress, .. } = *job;
     let tied: Vec<&TwoViewGeometry> = geometries.iter().filter(|g| loose[g.a] || loose[g.b]).collect();
     if loose.len() <= PROBE_BEYOND || tied.len() <= 2 * PROBES {
         return Ok(true);
@@ -109,7 +113,7 @@ fn promising(geometries: &[TwoViewGeometry], loose: &[bool], job: &Job<'_>) -> R
 }
 
 /// Matches of both sets by pair `(a, b)`, `a < b`; `first`: by image, the number of features of the first set.
-fn joined<'a>(
+fn join_matches<'a>(
     fine: impl Iterator<Item = &'a PairMatches>,
     coarse: Vec<PairMatches>,
     first: &[usize],
@@ -142,7 +146,7 @@ mod tests {
     fn matches_of_both_sets_are_joined_whatever_way_round_their_pairs_are() {
         let fine = [(0, 1, vec![[3, 4]]), (2, 1, vec![[7, 8]])];
         let coarse = vec![(1, 0, vec![[0, 1]]), (1, 2, vec![[5, 6]])];
-        let all = joined(fine.iter(), coarse, &[10, 20, 30]);
+        let all = join_matches(fine.iter(), coarse, &[10, 20, 30]);
         assert_eq!(all, vec![(0, 1, vec![[3, 4], [11, 20]]), (1, 2, vec![[8, 7], [25, 36]])]);
     }
 }

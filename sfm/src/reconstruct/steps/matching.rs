@@ -20,7 +20,7 @@ pub(crate) fn strong_tie(sift: &crate::sift::SiftConfig) -> usize {
 }
 
 /// Images that fewer than [`TIES`] others share `strong` matches with.
-pub(crate) fn weakly_tied(images: usize, geometries: &[TwoViewGeometry], strong: usize) -> Vec<bool> {
+pub(crate) fn find_weakly_tied(images: usize, geometries: &[TwoViewGeometry], strong: usize) -> Vec<bool> {
     let mut ties = vec![0; images];
     for g in geometries.iter().filter(|g| g.inliers.len() >= strong) {
         ties[g.a] += 1;
@@ -30,7 +30,7 @@ pub(crate) fn weakly_tied(images: usize, geometries: &[TwoViewGeometry], strong:
 }
 
 /// Whether so many images are loosely tied that other ways to match them are looked for.
-pub(crate) fn mostly(loose: &[bool]) -> bool {
+pub(crate) fn most_are_loose(loose: &[bool]) -> bool {
     loose.iter().filter(|l| **l).count() as f64 >= LOOSE_SHARE * loose.len() as f64
 }
 

@@ -1,18 +1,18 @@
-//! Whether a model is better for sightings of the ground (see [`crate::plane_tracks`]).
+//! Whether a model is better for observations of the ground (see [`crate::plane_tracks`]).
 
 use crate::circular::motion::median;
-use crate::incremental::finish::{freed_point, noise_of};
-use crate::incremental::state::{Input, State};
-use crate::model_selection::camera::Intrinsics;
+use crate::incremental::finish::{free_principal_point, noise_of};
+use crate::incremental::state::{MapState, MappingInput};
+use crate::model_selection::camera::FreeIntrinsics;
 use crate::plane_tracks::plane::widest;
-use crate::plane_tracks::{Place, sighted};
-use crate::reconstruct::Given;
+use crate::plane_tracks::{PlanePoint, find_plane_tracks};
+use crate::reconstruct::StepContext;
 use crate::tracks::{NONE, Tracks};
 use crate::{Decision, SfmError};
 use glam::{DVec2, DVec3};
 use scene::{Camera, FrameSet, Progress};
 
-/// An image with fewer sightings than this is weakly held, and so many of the images have to be (share).
+/// An image with fewer observations than this is weakly held, and so many of the images have to be (share).
 const FEW: usize = 200;
 const WEAK: f64 = 0.1;
 /// The ground is looked at up to so often, each time from better poses: how far windows are looked for, squares.
@@ -21,10 +21,10 @@ const FARTHEST: [usize; 16] = [10, 6, 4, 4, 3, 3, 3, 3, 3, 3, 3, 3, 3, 3, 3, 3];
 const LESS: f64 = 0.995;
 /// What is known to show nothing is left out the next time, but for a margin, as a share of the reach.
 const MARGIN: f64 = 0.1;
-/// Standard deviation of its sightings, as a share of what residuals say: those of features err together, and by twice as much as
+/// Standard deviation of its observations, as a share of what residuals say: those of features err together, and by twice as much as
 /// residuals show at least (`single_axis/smoothness.rs`), while what all images show in common errs with none of them.
 const TRUST: f64 = 0.5;
-/// Share of the ground's sightings that the adjusted model must keep.
+/// Share of the ground's observations that the adjusted model must keep.
 const KEPT: f64 = 0.6;
 /// Share of the others that it must keep, and by how much their median error may grow.
 const OTHERS_KEPT: f64 = 0.9;
@@ -33,57 +33,58 @@ const GROWN: f64 = 1.1;
 const MEDIAN_LENGTH: f64 = 1.1774;
 
 /// Keypoints, their standard deviations and tracks, those of the ground behind the others.
-pub(crate) struct Ground {
+pub(crate) struct PlaneTracks {
     pub keypoints: Vec<Vec<DVec2>>,
-    pub spreads: Vec<Vec<f32>>,
+    pub sigmas: Vec<Vec<f32>>,
     pub tracks: Tracks,
 }
 
-/// A model with sightings of the ground, and what is solved for of its cameras.
-pub(crate) struct Grounded {
-    pub ground: Ground,
-    pub state: State,
-    pub intrinsics: Intrinsics,
+/// A model with observations of the ground, and what is solved for of its cameras.
+pub(crate) struct PlaneTracksModel {
+    pub ground: PlaneTracks,
+    pub state: MapState,
+    pub intrinsics: FreeIntrinsics,
 }
 
-/// The model with sightings of the ground, where they are of use (see [`tried`]); its principal point, where all sightings together
+/// The model with observations of the ground, where they are of use (see [`try_plane_tracks`]); its principal point, where all observations together
 /// determine it. `settled` adjusts a model with given intrinsics; those of `cameras` are chosen already.
-pub(crate) fn settled(
-    given: &Given<'_>,
-    (state, input): (&State, &Input<'_>),
-    turned: &[bool],
-    (starts, intrinsics): (&[Camera], Intrinsics),
-    settled: impl Fn(State, &Input<'_>, Intrinsics) -> Result<State, SfmError>,
+pub(crate) fn add_plane_tracks(
+    given: &StepContext<'_>,
+    (state, input): (&MapState, &MappingInput<'_>),
+    rotated: &[bool],
+    (starts, intrinsics): (&[Camera], FreeIntrinsics),
+    settled: impl Fn(MapState, &MappingInput<'_>, FreeIntrinsics) -> Result<MapState, SfmError>,
     progress: &Progress,
-) -> Result<(Option<Grounded>, Vec<Decision>), SfmError> {
-    let settle = |state: State, input: &Input<'_>| settled(state, input, intrinsics);
-    let (found, decision) = tried(given.images, (state, input), turned, settle, progress)?;
+) -> Result<(Option<PlaneTracksModel>, Vec<Decision>), SfmError> {
+    let settle = |state: MapState, input: &MappingInput<'_>| settled(state, input, intrinsics);
+    let (found, decision) = try_plane_tracks(given.images, (state, input), rotated, settle, progress)?;
     let mut decisions: Vec<Decision> = decision.into_iter().collect();
     let Some((ground, mut state)) = found else { return Ok((None, decisions)) };
     let (with, before) = (ground.input(input), (intrinsics, given.config.camera_model.model()));
-    let Some((free, evidence)) = freed_point(&state, &with, &given.setup.known, starts, before, progress)?
+    let Some((free, evidence)) =
+        free_principal_point(&state, &with, &given.setup.known, starts, before, progress)?
     else {
-        return Ok((Some(Grounded { ground, state, intrinsics }), decisions));
+        return Ok((Some(PlaneTracksModel { ground, state, intrinsics }), decisions));
     };
     state = settled(state, &with, free)?;
     let what = "camera model with the ground".to_owned();
     decisions.push(Decision { what, chosen: free.describe(), evidence });
-    Ok((Some(Grounded { ground, state, intrinsics: free }), decisions))
+    Ok((Some(PlaneTracksModel { ground, state, intrinsics: free }), decisions))
 }
 
-/// The model with sightings of the ground, where images are weakly held, there is a ground, and the model is no worse for the
+/// The model with observations of the ground, where images are weakly held, there is a ground, and the model is no worse for the
 /// points it has. `images`: where they may be read. `settle` adjusts a model. The decision says what was found; there is none where nothing was asked.
-fn tried(
+fn try_plane_tracks(
     images: Option<&FrameSet>,
-    (state, input): (&State, &Input<'_>),
-    turned: &[bool],
-    settle: impl Fn(State, &Input<'_>) -> Result<State, SfmError>,
+    (state, input): (&MapState, &MappingInput<'_>),
+    rotated: &[bool],
+    settle: impl Fn(MapState, &MappingInput<'_>) -> Result<MapState, SfmError>,
     progress: &Progress,
-) -> Result<(Option<(Ground, State)>, Option<Decision>), SfmError> {
-    let weak = state.order.iter().filter(|&&i| state.sightings(i) < FEW).count();
+) -> Result<(Option<(PlaneTracks, MapState)>, Option<Decision>), SfmError> {
+    let weak = state.order.iter().filter(|&&i| state.observations(i) < FEW).count();
     // What masks leave out may stand still while the object turns.
     let whole = images.filter(|images| images.frames.iter().all(|f| f.mask.is_none()));
-    let Some(frames) = whole.filter(|_| weak as f64 >= WEAK * state.registered() as f64) else {
+    let Some(frames) = whole.filter(|_| weak as f64 >= WEAK * state.registered_count() as f64) else {
         return Ok((None, None));
     };
     let decision = |chosen: &str, evidence: String| {
@@ -96,98 +97,106 @@ fn tried(
     let (mut model, mut found, mut factor) = (state.clone(), None, 1.0);
     let mut off: Vec<f64> = Vec::new();
     for farthest in FARTHEST {
-        let places = sighted(plane, (&model, input), (frames, turned), farthest, progress)?;
+        let places = find_plane_tracks(plane, (&model, input), (frames, rotated), farthest, progress)?;
         if places.is_empty() {
             return Ok((None, decision("not used", "a plane is seen, but nothing on it".to_owned())));
         }
-        off.push(median(places.iter().flat_map(|p| &p.sightings).map(|s| s.off).collect()));
-        let ground = Ground::new(input, &places, TRUST * factor / unit);
+        off.push(median(places.iter().flat_map(|p| &p.observations).map(|s| s.off).collect()));
+        let ground = PlaneTracks::new(input, &places, TRUST * factor / unit);
         let with = ground.input(input);
-        let next = settle(ground.joined(&model, input, &places, &with), &with)?;
-        let held = ground.held(&next, input);
-        let asked: usize = places.iter().map(|p| p.sightings.len()).sum();
+        let next = settle(ground.add_points(&model, input, &places, &with), &with)?;
+        let held = ground.kept_points(&next, input);
+        let asked: usize = places.iter().map(|p| p.observations.len()).sum();
         if (held.errors.len() as f64) < KEPT * asked as f64 {
-            let evidence =
-                format!("a plane's windows agree with no model: {} of {asked} sightings", held.errors.len());
+            let evidence = format!(
+                "a plane's windows agree with no model: {} of {asked} observations",
+                held.errors.len()
+            );
             return Ok((None, decision("not used", evidence)));
         }
         factor *= (TRUST * median(held.errors) / unit / MEDIAN_LENGTH).clamp(0.2, 5.0);
         plane = plane.closer(&held.places).unwrap_or(plane).about(&held.places, MARGIN * plane.reach);
-        model = without(&next, input);
+        model = without_plane_points(&next, input);
         found = Some((ground, next, asked, places.len()));
         if off.len() > 1 && off[off.len() - 1] > LESS * off[off.len() - 2] {
             break;
         }
     }
-    let Some((ground, next, sightings, places)) = found else { return Ok((None, None)) };
-    let ((had, before), (has, after)) = (of_others(state, input), of_others(&model, input));
+    let Some((ground, next, observations, places)) = found else { return Ok((None, None)) };
+    let ((had, before), (has, after)) = (other_errors(state, input), other_errors(&model, input));
     let taken = has as f64 >= OTHERS_KEPT * had as f64 && after <= GROWN * before;
     let off: Vec<String> = off.iter().map(|o| format!("{o:.2}")).collect();
     let evidence = format!(
-        "{weak} of {} images have fewer than {FEW} sightings; {places} places of a plane have {sightings}, half of them {} px from \
+        "{weak} of {} images have fewer than {FEW} observations; {places} places of a plane have {observations}, half of them {} px from \
          where the model had them in turn; the others, {has} of {had}, have a median error of {after:.3} px, {before:.3} px without",
-        state.registered(),
+        state.registered_count(),
         off.join(", ")
     );
     Ok((taken.then_some((ground, next)), decision(if taken { "used" } else { "not used" }, evidence)))
 }
 
-/// How many sightings of features a model has, and their median error, pixels.
-fn of_others(state: &State, input: &Input<'_>) -> (usize, f64) {
+/// How many observations of features a model has, and their median error, pixels.
+fn other_errors(state: &MapState, input: &MappingInput<'_>) -> (usize, f64) {
     let errors = state.errors(input);
     (errors.len(), if errors.is_empty() { f64::INFINITY } else { median(errors) })
 }
 
-/// Sightings of the ground that a model has kept: their errors, pixels, over their standard deviations, and where the places are.
-struct Held {
+/// Observations of the ground that a model has kept: their errors, pixels, over their standard deviations, and where the places are.
+struct KeptPlanePoints {
     errors: Vec<f64>,
     places: Vec<DVec3>,
 }
 
-impl Ground {
+impl PlaneTracks {
     /// Behind the keypoints of `input` those of the ground; `per_px`: what a standard deviation of a pixel is in units of the
     /// others'.
-    fn new(input: &Input<'_>, places: &[Place], per_px: f64) -> Self {
+    fn new(input: &MappingInput<'_>, places: &[PlanePoint], per_px: f64) -> Self {
         let mut keypoints = input.keypoints.to_vec();
         let all_one = || input.keypoints.iter().map(|k| vec![1.0; k.len()]).collect();
-        let mut spreads: Vec<Vec<f32>> =
-            if input.spreads.is_empty() { all_one() } else { input.spreads.to_vec() };
+        let mut sigmas: Vec<Vec<f32>> =
+            if input.sigmas.is_empty() { all_one() } else { input.sigmas.to_vec() };
         let mut tracks = input.tracks.clone();
         for place in places {
             let track = tracks.views.len() as u32;
-            let mut views = Vec::with_capacity(place.sightings.len());
-            for s in &place.sightings {
+            let mut views = Vec::with_capacity(place.observations.len());
+            for s in &place.observations {
                 views.push([s.image as u32, keypoints[s.image].len() as u32]);
                 keypoints[s.image].push(s.pixel);
-                spreads[s.image].push((s.deviation * per_px) as f32);
+                sigmas[s.image].push((s.deviation * per_px) as f32);
                 tracks.of[s.image].push(track);
             }
             tracks.views.push(views);
         }
-        Self { keypoints, spreads, tracks }
+        Self { keypoints, sigmas, tracks }
     }
 
     /// `input` with the ground.
-    pub fn input<'a>(&'a self, input: &Input<'a>) -> Input<'a> {
-        Input { keypoints: &self.keypoints, spreads: &self.spreads, tracks: &self.tracks, ..*input }
+    pub fn input<'a>(&'a self, input: &MappingInput<'a>) -> MappingInput<'a> {
+        MappingInput { keypoints: &self.keypoints, sigmas: &self.sigmas, tracks: &self.tracks, ..*input }
     }
 
     /// What a model has kept of the ground.
-    fn held(&self, model: &State, input: &Input<'_>) -> Held {
+    fn kept_points(&self, model: &MapState, input: &MappingInput<'_>) -> KeptPlanePoints {
         let (first, with) = (input.tracks.views.len() as u32, self.input(input));
-        let mut held = Held { errors: Vec::new(), places: Vec::new() };
+        let mut held = KeptPlanePoints { errors: Vec::new(), places: Vec::new() };
         for (_, point) in model.live().filter(|(_, p)| p.track >= first) {
             held.places.push(point.position);
             held.errors.extend(point.views.iter().map(|v| {
-                let spread = self.spreads[v[0] as usize][v[1] as usize];
-                model.error_sq(&with, *v, point.position).sqrt() / f64::from(spread)
+                let sigma = self.sigmas[v[0] as usize][v[1] as usize];
+                model.error_sq(&with, *v, point.position).sqrt() / f64::from(sigma)
             }));
         }
         held
     }
 
     /// A model with these places as points.
-    fn joined(&self, model: &State, input: &Input<'_>, places: &[Place], with: &Input<'_>) -> State {
+    fn add_points(
+        &self,
+        model: &MapState,
+        input: &MappingInput<'_>,
+        places: &[PlanePoint],
+        with: &MappingInput<'_>,
+    ) -> MapState {
         let mut next = model.clone();
         for (points, keypoints) in next.point_of.iter_mut().zip(&self.keypoints) {
             points.resize(keypoints.len(), NONE);
@@ -202,7 +211,7 @@ impl Ground {
 }
 
 /// A model without its places of the ground.
-fn without(model: &State, input: &Input<'_>) -> State {
+fn without_plane_points(model: &MapState, input: &MappingInput<'_>) -> MapState {
     let mut bare = model.clone();
     let first = input.tracks.views.len();
     let ids: Vec<u32> = bare.live().filter(|(_, p)| p.track as usize >= first).map(|(id, _)| id).collect();

@@ -9,36 +9,37 @@ use scene::Pose;
 /// Keypoints are up to so far off, pixels.
 const OFF: f64 = 2.0;
 
-/// A room, the model that its few inexact points give, and what `tried` made of that.
-struct Outcome {
+/// A room, the model that its few inexact points give, and what `try_plane_tracks` made of that.
+struct PlaneTracksCase {
     room: Room,
-    alone: State,
-    found: Option<(Ground, State)>,
+    alone: MapState,
+    found: Option<(PlaneTracks, MapState)>,
     decision: Option<Decision>,
     features: usize,
 }
 
 /// `spoil` changes the images before they are looked at.
-fn outcome(name: &str, off: f64, spoil: impl Fn(&Room)) -> Outcome {
+fn outcome(name: &str, off: f64, spoil: impl Fn(&Room)) -> PlaneTracksCase {
     let room = Room::new(name, 1.0, 0.05);
     spoil(&room);
     let (state, keypoints, tracks) = room.model(&room.poses, off);
     let (config, camera_of) = (MapperConfig::default(), vec![0; CAMERAS]);
     let input = input(&keypoints, &tracks, &camera_of, &config);
     let (known, cameras, progress) = ([Knowledge::exact()], [room.camera.clone()], Progress::silent());
-    let settle = |mut state: State, input: &Input<'_>| -> Result<State, SfmError> {
+    let settle = |mut state: MapState, input: &MappingInput<'_>| -> Result<MapState, SfmError> {
         converge(&mut state, input, &known, &cameras, before_the_choice(None), &progress)?;
         Ok(state)
     };
     let alone = settle(state, &input).unwrap();
-    let turned = [false; CAMERAS];
-    let (found, decision) = tried(Some(&room.frames), (&alone, &input), &turned, settle, &progress).unwrap();
+    let rotated = [false; CAMERAS];
+    let (found, decision) =
+        try_plane_tracks(Some(&room.frames), (&alone, &input), &rotated, settle, &progress).unwrap();
     let features = keypoints.iter().map(Vec::len).sum();
-    Outcome { room, alone, found, decision, features }
+    PlaneTracksCase { room, alone, found, decision, features }
 }
 
 /// Root mean square error of the angles between neighbours' rotations, radians.
-fn wrong(state: &State, true_poses: &[Pose]) -> f64 {
+fn wrong(state: &MapState, true_poses: &[Pose]) -> f64 {
     let turn = |a: &Pose, b: &Pose| b.rotation * a.rotation.conjugate();
     let of = |k: usize| {
         let next = (k + 1) % CAMERAS;
@@ -50,7 +51,7 @@ fn wrong(state: &State, true_poses: &[Pose]) -> f64 {
 
 #[test]
 fn a_floor_holds_cameras_that_few_inexact_points_hold_badly() {
-    let Outcome { room, alone, found, decision, features } = outcome("grounded", OFF, |_| ());
+    let PlaneTracksCase { room, alone, found, decision, features } = outcome("grounded", OFF, |_| ());
     let decision = decision.unwrap();
     assert_eq!(decision.chosen, "used", "{}", decision.evidence);
     let (ground, model) = found.unwrap();
@@ -58,8 +59,8 @@ fn a_floor_holds_cameras_that_few_inexact_points_hold_badly() {
     assert!(after < 0.5 * before, "{after} radians, {before} without the floor");
     let keypoints: usize = ground.keypoints.iter().map(Vec::len).sum();
     assert!(keypoints > features + 60, "{keypoints} of {features}");
-    let same = |(k, spreads): (&Vec<DVec2>, &Vec<f32>)| k.len() == spreads.len();
-    assert!(ground.keypoints.iter().zip(&ground.spreads).all(same));
+    let same = |(k, sigmas): (&Vec<DVec2>, &Vec<f32>)| k.len() == sigmas.len();
+    assert!(ground.keypoints.iter().zip(&ground.sigmas).all(same));
     assert!(ground.keypoints.iter().zip(&model.point_of).all(|(k, p)| k.len() == p.len()));
     assert_eq!(model.of_track.len(), ground.tracks.views.len());
 }
@@ -77,7 +78,7 @@ fn images_that_show_other_floors_are_not_used() {
             noise.save(&f.path).unwrap();
         }
     };
-    let Outcome { found, decision, .. } = outcome("other", OFF, spoil);
+    let PlaneTracksCase { found, decision, .. } = outcome("other", OFF, spoil);
     assert!(found.is_none());
     assert_eq!(decision.unwrap().chosen, "not used");
 }
@@ -90,9 +91,11 @@ fn nothing_is_asked_where_images_may_not_be_read_or_have_masks() {
     let input = input(&keypoints, &tracks, &camera_of, &config);
     room.frames.frames[3].mask = Some("mask.png".into());
     for images in [None, Some(&room.frames)] {
-        let settle = |_: State, _: &Input<'_>| -> Result<State, SfmError> { panic!("nothing to settle") };
+        let settle =
+            |_: MapState, _: &MappingInput<'_>| -> Result<MapState, SfmError> { panic!("nothing to settle") };
         let (found, decision) =
-            tried(images, (&state, &input), &[false; CAMERAS], settle, &Progress::silent()).unwrap();
+            try_plane_tracks(images, (&state, &input), &[false; CAMERAS], settle, &Progress::silent())
+                .unwrap();
         assert!(found.is_none() && decision.is_none());
     }
 }
