@@ -82,7 +82,7 @@ pub struct SfmResult {
     pub reason: String,
     /// Frames without a pose: name, and why.
     pub missing: Vec<(String, String)>,
-    /// Registered images that hang by a thread: name, and why.
+    /// Registered images that are weakly constrained: name, and why.
     pub weak_images: Vec<(String, String)>,
     /// What the evidence decided.
     pub decisions: Vec<Decision>,

@@ -107,7 +107,7 @@ struct IntrinsicsTrial {
 
 impl IntrinsicsTrials<'_> {
     /// Frees the principal point along the axis (coordinate `along`) where an elevation of the camera, given or shown by the room's
-    /// upright lines, or the observations alone determine it.
+    /// vertical lines, or the observations alone determine it.
     fn along(
         &self,
         best: IntrinsicsTrial,

@@ -141,12 +141,12 @@ pub(crate) fn decision(chosen: &str, evidence: String) -> Decision {
     Decision { what: "motion".to_owned(), chosen: chosen.to_owned(), evidence }
 }
 
-/// Looks whether the images show a turn about one axis or an orbit, as far as the configuration asks for it. `upright`:
-/// no image was turned on its way here.
+/// Looks whether the images show a turn about one axis or an orbit, as far as the configuration asks for it. `unrotated`:
+/// no image was rotated on its way here.
 pub(crate) fn consider(
     job: &MotionInput<'_>,
     free: Option<&FreeModel<'_>>,
-    upright: bool,
+    unrotated: bool,
 ) -> Result<MotionOutcome, SfmError> {
     let motion = job.config.motion;
     if motion == Motion::FreeModel {
@@ -157,7 +157,7 @@ pub(crate) fn consider(
         return Ok(MotionOutcome::free(evidence));
     }
     let mut notes = Vec::new();
-    let solved = if upright && motion != Motion::Orbit { one_axis(job, free, &mut notes)? } else { None };
+    let solved = if unrotated && motion != Motion::Orbit { one_axis(job, free, &mut notes)? } else { None };
     let registered = free.map_or(0, |f| f.state.registered_count());
     let context = job.context(&[]);
     // The general model's observations, unless it has fewer images.

@@ -1,4 +1,4 @@
-//! Turns in videos: tracks, a seed, growth along the frames, the seam of a whole turn, the last adjustment.
+//! Turns in videos: tracks, a seed, growth along the frames, the loop closure of a whole turn, the last adjustment.
 
 use super::evidence::Comparison;
 use super::initialize::key_frames::{KeyFrames, VideoTracks, drop_still};
@@ -34,7 +34,7 @@ const REGISTERED: f64 = 0.8;
 const SEAM_FROM: f64 = 5.2;
 /// Search for the error of a closed turn by matched pairs, radians to either side.
 const SEAM_SPAN: f64 = 0.2;
-/// Angles across the seam that agree differ by less from their median, radians.
+/// Angles across the loop closure that agree differ by less from their median, radians.
 const SEAM_AGREES: f64 = 0.01;
 
 /// Errors of steps are evened out over so much of a turn on either side, radians.
@@ -52,7 +52,7 @@ pub(crate) struct VideoJob<'a> {
 
 /// A model about one axis with the keypoints it refers to.
 pub(crate) struct VideoModel {
-    pub turned: CircularSolution,
+    pub solution: CircularSolution,
     pub keypoints: Vec<Vec<DVec2>>,
     pub features: Vec<Features>,
     pub geometries: Vec<TwoViewGeometry>,
@@ -64,10 +64,10 @@ struct ClosedVideo {
     material: VideoTracks,
     turn: CircularMotion,
     cameras: Vec<Camera>,
-    /// What likeness says of the angle between the first and the last frame.
+    /// What photometric similarity says of the angle between the first and the last frame.
     closing: Option<Relation>,
-    /// What was found at the seam, for the report.
-    seam: String,
+    /// What was found at the loop closure, for the report.
+    closure: String,
 }
 
 /// Where a model grows from: key frames, `stride` apart from the `first`, and what may be their motion.
@@ -95,7 +95,7 @@ pub(crate) fn solve_video(job: &VideoJob<'_>) -> Result<Result<(VideoModel, Deci
     };
     let config = job.config;
     let keys = KeyFrames::new(job.frames, &model, &config.sift, &config.matching, job.progress)?;
-    let ClosedVideo { material, turn, cameras, closing, seam } = job.close(&keys, &tracks, model)?;
+    let ClosedVideo { material, turn, cameras, closing, closure } = job.close(&keys, &tracks, model)?;
     let input = job.input(&material);
     let counts: Vec<usize> = keys.features.iter().map(Features::len).collect();
     let free_job = MotionInput {
@@ -121,7 +121,7 @@ pub(crate) fn solve_video(job: &VideoJob<'_>) -> Result<Result<(VideoModel, Deci
     let comparison = Comparison::of(Some(&model), &model.state, &context, intrinsics)?;
     let figures =
         comparison.as_ref().map_or("too few observations to compare".to_owned(), Comparison::describe);
-    let evidence = format!("{note}; {seam}; {figures}");
+    let evidence = format!("{note}; {closure}; {figures}");
     let registered = model.state.registered_count();
     let single = comparison.is_some_and(|c| c.favours_single()) && registered as f64 >= REGISTERED * n as f64;
     if config.motion.motion == Motion::Auto && !single {
@@ -131,7 +131,7 @@ pub(crate) fn solve_video(job: &VideoJob<'_>) -> Result<Result<(VideoModel, Deci
         Some((_, images, c)) if rate.is_none() => {
             let learn = |closing| learn_motion(&model.turn.angles, &times, &images, &c, closing);
             let first = learn(None);
-            // With angles that are nearly right, likeness says more.
+            // With angles that are nearly right, photometric similarity says more.
             let range = first.as_ref().and_then(|l| job.range_by_similarity(&l.by_frame(n)));
             range.and_then(|r| learn(Some(r))).or(first)
         }
@@ -147,9 +147,9 @@ pub(crate) fn solve_video(job: &VideoJob<'_>) -> Result<Result<(VideoModel, Deci
         context.relations = &loose;
     }
     let excess = motion.as_ref().map_or(1.0, |l| l.excess);
-    let mut turned = finish(&mut model, &context, &free_job, intrinsics, (camera, excess))?;
-    turned.decisions.extend(motion.map(|l| l.decision));
-    Ok(Ok((job.into_video_model(turned, material, keys), decision("single-axis", evidence))))
+    let mut solution = finish(&mut model, &context, &free_job, intrinsics, (camera, excess))?;
+    solution.decisions.extend(motion.map(|l| l.decision));
+    Ok(Ok((job.into_video_model(solution, material, keys), decision("single-axis", evidence))))
 }
 
 impl VideoJob<'_> {
@@ -168,15 +168,15 @@ impl VideoJob<'_> {
 
     fn into_video_model(
         &self,
-        turned: CircularSolution,
+        solution: CircularSolution,
         material: VideoTracks,
         keys: KeyFrames,
     ) -> VideoModel {
         let mut geometries = keys.near;
-        geometries.extend(keys.seam);
+        geometries.extend(keys.closure);
         geometries.sort_by_key(|g| (g.a, g.b));
         VideoModel {
-            turned,
+            solution,
             keypoints: material.keypoints,
             features: keys.features,
             geometries,
@@ -318,16 +318,16 @@ impl VideoJob<'_> {
         let range =
             angles.iter().copied().fold(f64::MIN, f64::max) - angles.iter().copied().fold(f64::MAX, f64::min);
         let unclosed = |material: VideoTracks, joined: AxisModel, why: &str| {
-            let seam = format!("{:.1}° were turned, {why}", range.to_degrees());
+            let closure = format!("{:.1}° were turned, {why}", range.to_degrees());
             let closing = None;
-            Ok(ClosedVideo { material, turn: joined.turn, cameras: joined.state.cameras, closing, seam })
+            Ok(ClosedVideo { material, turn: joined.turn, cameras: joined.state.cameras, closing, closure })
         };
         if range < SEAM_FROM {
-            return unclosed(open, joined, "no seam");
+            return unclosed(open, joined, "no loop closure");
         }
         let followed =
             LoopClosure::follow(self.frames, &joined.turn.angles, &self.config.klt, self.progress)?;
-        let matched = keys.seam.iter().filter_map(|g| self.closure_error(&joined, &context, g)).collect();
+        let matched = keys.closure.iter().filter_map(|g| self.closure_error(&joined, &context, g)).collect();
         let seen = agree_on_gap([followed.gaps(&joined), matched]);
         let alike = self.photometric_closure(&joined.turn.angles);
         // Ties that contradict what the pictures as a whole show are wrong ones.
@@ -335,28 +335,28 @@ impl VideoJob<'_> {
             seen.filter(|s| alike.is_none_or(|a| (s.0 * TAU + a.excess).abs() < SEAM_AGREES + 3.0 * a.sigma));
         let (_, by_points, by_pairs) = seen.unwrap_or_default();
         let Some(stretch) = alike.map(|a| -a.excess / TAU).or(seen.map(|s| s.0)) else {
-            return unclosed(open, joined, "the seam is not seen");
+            return unclosed(open, joined, "the loop closure is not seen");
         };
         joined.turn.angles.iter_mut().flatten().for_each(|a| *a *= 1.0 + stretch);
         let closing = alike.and_then(|a| closing_relation(&joined.turn.angles, a.sigma * range / TAU));
         let mut geometries = keys.near.clone();
-        geometries.extend(keys.seam.iter().filter(|_| by_pairs > 0).cloned());
+        geometries.extend(keys.closure.iter().filter(|_| by_pairs > 0).cloned());
         let mut material = VideoTracks::of_both(&keys.features, &geometries, tracks);
         if by_points > 0 {
             followed.tracks.iter().for_each(|t| material.add(t.iter().copied()));
         }
-        let by_similarity =
-            alike.map_or(String::new(), |a| format!(", likeness to {:.3}°", a.sigma.to_degrees()));
-        let seam = format!(
-            "{:.1}° were turned, {} points followed across the seam to {by_points} frames and {by_pairs} pairs{by_similarity} closed it by {:.2}°",
+        let by_similarity = alike
+            .map_or(String::new(), |a| format!(", photometric similarity to {:.3}°", a.sigma.to_degrees()));
+        let closure = format!(
+            "{:.1}° were turned, {} points followed across the loop closure to {by_points} frames and {by_pairs} pairs{by_similarity} closed it by {:.2}°",
             range.to_degrees(),
             followed.tracks.len(),
             (stretch * range).abs().to_degrees()
         );
-        Ok(ClosedVideo { material, turn: joined.turn, cameras: joined.state.cameras, closing, seam })
+        Ok(ClosedVideo { material, turn: joined.turn, cameras: joined.state.cameras, closing, closure })
     }
 
-    /// The angle between the first and the last frame by likeness, and its standard deviation.
+    /// The angle between the first and the last frame by photometric similarity, and its standard deviation.
     fn range_by_similarity(&self, angles: &[Option<f64>]) -> Option<(f64, f64)> {
         let alike = self.photometric_closure(angles)?;
         let (first, last) = (angles.iter().flatten().next()?, angles.iter().flatten().last()?);
@@ -380,7 +380,7 @@ impl VideoJob<'_> {
         both.into_iter().flatten().min_by(|a, b| a.sigma.total_cmp(&b.sigma))
     }
 
-    /// By how much the angle between two frames on either side of the seam is too small, and that angle: points that
+    /// By how much the angle between two frames on either side of the loop closure is too small, and that angle: points that
     /// the one sees, found in the other.
     fn closure_error(
         &self,

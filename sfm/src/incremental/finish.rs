@@ -66,7 +66,7 @@ pub(crate) fn decide(
     let (better, evidence) = choose_rotated(&choice, &ways, known, named, sigma, progress)?;
     let count = |way: usize| suspects[way].iter().filter(|t| **t).count();
     let mut decision = Decision {
-        what: "images rotated by half a turn".to_owned(),
+        what: "images rotated by 180°".to_owned(),
         chosen: format!("0 of {}", images.len()),
         evidence: format!("the principal points of {} images might be mirrored: {evidence}", count(0)),
     };

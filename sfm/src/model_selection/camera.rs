@@ -227,7 +227,7 @@ pub fn choose(
     })
 }
 
-/// Which of several ways to turn images (see [`crate::model_selection::rotated_images`]) the observations support, with the choice that goes with it:
+/// Which of several ways to rotate images (see [`crate::model_selection::rotated_images`]) the observations support, with the choice that goes with it:
 /// a free principal point that predicts better than the untouched images' best model and pays for itself and for one
 /// bit an image. `None` where the evidence is not clear. The text says what was found.
 pub fn choose_rotated(
@@ -247,7 +247,7 @@ pub fn choose_rotated(
             least = Some((way, trial));
         }
     }
-    let Some((way, trial)) = least else { return Ok((None, "no way to turn them".to_owned())) };
+    let Some((way, trial)) = least else { return Ok((None, "no way to rotate them".to_owned())) };
     // From where that trial has come to, with all observations and priors again.
     let start =
         BundleProblem { poses: trial.problem.poses, points: trial.problem.points, ..ways[way].clone() };

@@ -1,9 +1,9 @@
 //! Which pairs of images are matched at all.
 //!
 //! Small sets: every pair. Larger ones: neighbours in time (videos) and, for every image, those that look most alike
-//! (`likeness`); from there on along the matches themselves, for what matches a common third image may match too
+//! (`retrieval`); from there on along the matches themselves, for what matches a common third image may match too
 //! (Agarwal et al., "Building Rome in a Day", ICCV 2009: query expansion). So true pairs are found whatever the
-//! likeness says of them, and what cannot match is not tried.
+//! image retrieval says of them, and what cannot match is not tried.
 
 mod expansion;
 mod retrieval;
@@ -47,7 +47,7 @@ impl PairConfig {
 }
 
 /// The pairs `(a, b)`, `a < b`, in ascending order that are matched first: all of a small set. The order of files is
-/// never trusted to be the order of a ring: of photos only likeness counts, of videos likeness closes the loops. The
+/// never trusted to be the order of a ring: of photos only image retrieval counts, of videos image retrieval closes the loops. The
 /// same for any number of threads.
 pub fn first_pairs(frames: &FrameSet, features: &[Features], config: &PairConfig) -> Vec<(usize, usize)> {
     let n = frames.len().min(features.len());

@@ -19,9 +19,10 @@ const DIM: usize = Features::DIM;
 pub(super) fn most_alike(features: &[Features], most: usize) -> Vec<Vec<usize>> {
     let n = features.len();
     let signatures = signatures(features);
-    let likeness = |a: usize, b: usize| dot(&signatures[a], &signatures[b]);
+    let similarity = |a: usize, b: usize| dot(&signatures[a], &signatures[b]);
     let of_image = |a: usize| {
-        let mut scored: Vec<(f32, usize)> = (0..n).filter(|&b| b != a).map(|b| (likeness(a, b), b)).collect();
+        let mut scored: Vec<(f32, usize)> =
+            (0..n).filter(|&b| b != a).map(|b| (similarity(a, b), b)).collect();
         scored.sort_by(|x, y| y.0.total_cmp(&x.0).then(x.1.cmp(&y.1)));
         scored.into_iter().take(most).map(|(_, b)| b).collect()
     };

@@ -1,4 +1,4 @@
-//! Observations of the ground. An object in the dark, or of glitter, leaves few points to hold a camera by, but the table or the floor it
+//! Observations of a supporting plane. An object in the dark, or of glitter, leaves few points to hold a camera by, but the table or the floor it
 //! stands on is seen by all cameras, and where it is a plane a model that is nearly right says how each sees it: from straight above it
 //! looks the same in all, but for noise and for what poses are off by. What most of them show (the median) has little noise; where
 //! its windows lie in one image tells that image's errors, over pixels that no detector would find a point in.
@@ -29,7 +29,7 @@ const FEWEST: usize = 3;
 /// What only a smaller share of the images that show it has where it is meant to be is not of the plane, or of noise.
 const FOUND: f64 = 0.5;
 
-/// A place of the ground and its observations.
+/// A place of the plane and its observations.
 #[derive(Clone, Debug)]
 pub(crate) struct PlanePoint {
     pub position: DVec3,
@@ -58,7 +58,7 @@ pub(crate) fn find_plane_tracks(
 ) -> Result<Vec<PlanePoint>, SfmError> {
     let view = |image: usize| Some((&state.cameras[input.camera_of[image]], state.poses[image]?));
     let Some(sheet) = Sheet::new(plane, (0..frames.len()).filter_map(view)) else { return Ok(Vec::new()) };
-    progress.begin("ground", frames.len());
+    progress.begin("plane tracks", frames.len());
     let picture = |image: usize| -> Result<Option<SheetPicture>, SfmError> {
         progress.tick()?;
         let Some((camera, pose)) = view(image) else { return Ok(None) };

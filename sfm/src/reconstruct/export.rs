@@ -7,7 +7,7 @@ use glam::DVec2;
 use rayon::prelude::*;
 use scene::{FrameSet, Observation, PosedImage, Progress, Reconstruction, ScenePoint, TrackElement};
 
-/// Fewer observations than this are a thread to hang by.
+/// Images with fewer observations than this are weakly constrained.
 const FEW_OBSERVATIONS: usize = 30;
 /// A rotation is uncertain if its standard deviation is above this (degrees) and so many times the usual one.
 const WEAK_ROTATION_DEG: f64 = 0.1;
@@ -54,10 +54,10 @@ fn weak_images(model: &Reconstruction, uncertainty: Option<&Uncertainty>) -> Vec
     all.sort_unstable_by(f64::total_cmp);
     let usual = all.get(all.len() / 2).copied().unwrap_or(0.0);
     let weak = |image: &PosedImage| {
-        let observations = image.observations.iter().filter(|o| o.point.is_some()).count();
+        let seen = image.observations.iter().filter(|o| o.point.is_some()).count();
         let deviation = rotation(&image.id).unwrap_or(0.0);
-        let why = if observations < FEW_OBSERVATIONS {
-            format!("only {observations} points hold its pose")
+        let why = if seen < FEW_OBSERVATIONS {
+            format!("only {seen} points hold its pose")
         } else if deviation > WEAK_ROTATION_DEG.max(WEAK_FACTOR * usual) {
             format!("its rotation is known to {deviation:.2}° only (most images: {usual:.2}°)")
         } else {
@@ -155,13 +155,13 @@ mod tests {
     use scene::Pose;
 
     #[test]
-    fn images_that_hang_by_a_thread_are_named() {
+    fn weakly_constrained_images_are_named() {
         let mut model = Reconstruction::default();
         let mut uncertainty = Uncertainty::default();
         for id in 1..=7 {
-            let observations = if id == 3 { 20 } else { 200 };
+            let seen = if id == 3 { 20 } else { 200 };
             let observations = (0..300)
-                .map(|i| Observation { pixel: DVec2::ZERO, point: (i < observations).then_some(i) })
+                .map(|i| Observation { pixel: DVec2::ZERO, point: (i < seen).then_some(i) })
                 .collect();
             let name = format!("{id}.png");
             model.images.insert(id, PosedImage { id, camera: 1, name, pose: Pose::IDENTITY, observations });

@@ -161,7 +161,7 @@ fn from_features(
         }
         clock.lap("blurred features", &mut result.stats.steps);
         along = constant_step::match_along_motion(result, matches, &loose, job)?;
-        clock.lap("even turn", &mut result.stats.steps);
+        clock.lap("constant-step circular motion", &mut result.stats.steps);
     }
     result.geometries = two_view::match_along_lines(
         &result.features,
@@ -185,7 +185,7 @@ fn from_features(
         is_video: frames.is_video,
         features: &result.features,
         sigmas,
-        even: along,
+        start: along,
     };
     let model = solve(&given, &mut result.geometries, &mut lap, progress)?;
     match model {
@@ -230,21 +230,21 @@ fn use_video_model(
     result.stats.pairs_verified = model.geometries.len();
     result.stats.features = model.keypoints.iter().map(Vec::len).sum();
     (result.features, result.geometries) = (model.features, model.geometries);
-    circular_model(setup, model.rotated, Some(decision), model.keypoints)
+    circular_model(setup, model.solution, Some(decision), model.keypoints)
 }
 
 fn circular_model(
     setup: &Setup,
-    rotated: CircularSolution,
+    solution: CircularSolution,
     motion: Option<Decision>,
     keypoints: Vec<Vec<glam::DVec2>>,
 ) -> SolvedModel {
     SolvedModel {
-        state: rotated.state,
+        state: solution.state,
         camera_of: setup.camera_of.clone(),
         keypoints,
-        decisions: motion.into_iter().chain(rotated.decisions).collect(),
-        uncertainty: rotated.uncertainty,
+        decisions: motion.into_iter().chain(solution.decisions).collect(),
+        uncertainty: solution.uncertainty,
     }
 }
 
@@ -283,9 +283,10 @@ fn solve(
     let Some(mut model) = mapped else {
         return circular_motion_alone(given, keypoints, geometries, progress);
     };
-    if let Some((unfolded, decision)) = remove_aliased_pairs(given, &keypoints, geometries, &model, progress)?
+    if let Some((consistent, decision)) =
+        remove_aliased_pairs(given, &keypoints, geometries, &model, progress)?
     {
-        model = unfolded;
+        model = consistent;
         decisions.push(decision);
     }
     lap("repeated structure");
@@ -367,16 +368,16 @@ fn solve(
     }
     lap("keypoints");
     let cameras = (starts.as_slice(), intrinsics);
-    let (grounded, found) =
+    let (with_planes, found) =
         plane_tracks::add_plane_tracks(given, (&state, &input), &rotated, cameras, settled, progress)?;
     decisions.extend(found);
-    if let Some(found) = &grounded {
+    if let Some(found) = &with_planes {
         (state, intrinsics) = (found.state.clone(), found.intrinsics);
-        input = found.ground.input(&input);
+        input = found.plane_tracks.input(&input);
     }
     depths::drop_lonely(&mut state, &input);
-    lap("ground");
-    // Images that were turned on their way get cameras of their own in the end: no turn before one camera.
+    lap("plane tracks");
+    // Images that were rotated on their way get cameras of their own in the end: no turn before one camera.
     let free = FreeModel { state: &state, intrinsics };
     let motion =
         consider(&given.motion_input(&input, &starts, progress), Some(&free), !rotated.contains(&true))?;

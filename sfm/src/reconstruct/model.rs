@@ -26,7 +26,7 @@ pub(crate) struct StepContext<'a> {
     pub features: &'a [Features],
     pub sigmas: Vec<Vec<f32>>,
     /// The motion from each image to the next, where they go round evenly.
-    pub even: Option<ConstantStepStart>,
+    pub start: Option<ConstantStepStart>,
 }
 
 impl<'a> StepContext<'a> {
@@ -35,7 +35,7 @@ impl<'a> StepContext<'a> {
     where
         'a: 'b,
     {
-        StepContext { setup, sigmas: self.sigmas.clone(), even: None, ..*self }
+        StepContext { setup, sigmas: self.sigmas.clone(), start: None, ..*self }
     }
 
     pub fn input(

@@ -152,7 +152,7 @@ impl ConstantStepMotion {
         CircularMotion::new(self.seed.direction(), self.seed.place(), angles)
     }
 
-    /// The images whose poses are not where the even turn has them, from the place where most of them say the ring is.
+    /// The images whose poses are not where the constant-step circular motion has them, from the place where most of them say the ring is.
     pub fn astray(&self, poses: &[Option<Pose>]) -> usize {
         let known = poses.iter().flatten().count();
         let Some((found, misfit)) = CircularMotion::of_poses(poses) else { return known };
@@ -175,7 +175,7 @@ impl ConstantStepMotion {
 
     /// A model that begins with all images in their places and is adjusted with motions of their own, and the share of the
     /// observations in lasting tracks that it keeps. `None` where those say that the images go round otherwise: the lines of a turn
-    /// about an upright axis look much the same whatever its angle, three observations of a point do not.
+    /// about a vertical axis look much the same whatever its angle, three observations of a point do not.
     pub fn model(
         &self,
         job: &MotionInput<'_>,

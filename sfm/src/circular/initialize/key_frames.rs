@@ -85,7 +85,7 @@ pub(crate) struct KeyFrames {
     /// Matches between frames whose angles in the video are near each other.
     pub near: Vec<TwoViewGeometry>,
     /// Matches between frames that a whole turn brought together again.
-    pub seam: Vec<TwoViewGeometry>,
+    pub closure: Vec<TwoViewGeometry>,
     /// Pairs that were matched.
     pub matched: usize,
 }
@@ -107,14 +107,14 @@ impl KeyFrames {
         };
         let of_keys = extract_all(&some, sift, progress)?;
         let mut near_pairs = Vec::new();
-        let mut seam_pairs = Vec::new();
+        let mut closing_pairs = Vec::new();
         for i in 0..keys.len() {
             for k in i + 1..keys.len() {
                 let turn = keys[k].1 - keys[i].1;
                 if turn.abs() <= MATCH_SPAN {
                     near_pairs.push((i, k));
                 } else if crate::circular::motion::wrap_angle(turn).abs() <= 0.7 * MATCH_SPAN {
-                    seam_pairs.push((i, k));
+                    closing_pairs.push((i, k));
                 }
             }
         }
@@ -126,12 +126,12 @@ impl KeyFrames {
             });
             Ok(verified.filter(|g| g.inliers.len() >= 8).collect())
         };
-        let (near, seam) = (match_all(&near_pairs)?, match_all(&seam_pairs)?);
+        let (near, closure) = (match_all(&near_pairs)?, match_all(&closing_pairs)?);
         let mut features = vec![Features::default(); frames.len()];
         for ((frame, _), f) in keys.iter().zip(of_keys) {
             features[*frame] = f;
         }
-        Ok(Self { features, near, seam, matched: near_pairs.len() + seam_pairs.len() })
+        Ok(Self { features, near, closure, matched: near_pairs.len() + closing_pairs.len() })
     }
 }
 

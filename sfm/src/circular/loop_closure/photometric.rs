@@ -1,6 +1,6 @@
-//! Closing a turn by likeness. Camera and lamp stand still, so a whole turn later every pixel is what it was: of all that a video
+//! Closing a turn by photometric similarity. Camera and lamp stand still, so a whole turn later every pixel is what it was: of all that a video
 //! shows, the first frames alone are as like the last ones as their neighbours are. How unlike pictures are grows with the angle between
-//! them; the angle across the seam is the one at which the pairs across it lie on the same curve as the pairs on either side. Nothing
+//! them; the angle across the loop closure is the one at which the pairs across it lie on the same curve as the pairs on either side. Nothing
 //! is followed or matched, so it works on thin and shiny objects too. At other places of the same video, where nothing is missing, the
 //! same search says how exact it is.
 
@@ -8,7 +8,7 @@ use crate::circular::motion::median;
 use crate::solvers::linalg::solve_spd;
 use scene::Film;
 
-/// Pictures up to so far from the seam are compared, and pairs up to so far apart (radians, but at least so many steps).
+/// Pictures up to so far from the loop closure are compared, and pairs up to so far apart (radians, but at least so many steps).
 const SIDE: (f64, f64) = (0.23, 7.0);
 const PAIR: (f64, f64) = (0.175, 6.0);
 /// Pairs farther apart than this are not compared, however few frames there are, radians.
@@ -22,11 +22,11 @@ const TRIALS: usize = 24;
 /// Largest share of them that may go astray (by more than this many deviations), and the largest deviation, in steps.
 const ASTRAY: (f64, f64) = (0.25, 6.0);
 const LARGEST: f64 = 0.3;
-/// A seam fits at most so many times worse than the median of these places.
+/// A loop closure fits at most so many times worse than the median of these places.
 const WORSE: f64 = 4.0;
 /// Least deviation that is believed, steps.
 const LEAST: f64 = 0.03;
-/// Fewest pairs across the seam; a sixth of those beside it at least, or what hardly overlaps would fit best.
+/// Fewest pairs across the loop closure; a sixth of those beside it at least, or what hardly overlaps would fit best.
 const FEWEST: usize = 6;
 /// Terms of the curve: noise, slope, bend, turn.
 const TERMS: usize = 4;
@@ -41,7 +41,7 @@ pub(crate) struct PhotometricClosure {
 }
 
 /// Compares the two ends of a whole turn. `angle`: what the model says for a time, radians, rising. `None` where there is no whole
-/// turn, where likeness does not tell places of this film apart, or where something else changed between its ends.
+/// turn, where photometric similarity does not tell places of this film apart, or where something else changed between its ends.
 pub(crate) fn excess(film: &Film, angle: impl Fn(f64) -> Option<f64>) -> Option<PhotometricClosure> {
     let strip = Strip::read(film, angle)?;
     let (first, last) = (*strip.angles.first()?, *strip.angles.last()?);

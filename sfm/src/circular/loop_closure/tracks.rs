@@ -1,4 +1,4 @@
-//! The seam of a whole turn: the first frames show again what the last ones show, so points are followed on from the
+//! The loop closure of a whole turn: the first frames show again what the last ones show, so points are followed on from the
 //! last frame to the first, and say by how much the angles miss the whole turn.
 
 use crate::SfmError;
@@ -22,10 +22,10 @@ const FEWEST: usize = 6;
 /// Largest reprojection error of such a point, pixels, and the least angle between its rays, radians.
 const GATES: Gates = Gates { max_error_px: 4.0, min_angle: 0.02 };
 
-/// Points followed across the seam.
+/// Points followed across the loop closure.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct LoopClosure {
-    /// By point its frame and pixel, first those before the seam.
+    /// By point its frame and pixel, first those before the loop closure.
     pub tracks: Vec<Vec<(usize, DVec2)>>,
     /// The last frame before it.
     last: usize,
@@ -56,7 +56,7 @@ impl LoopClosure {
         Ok(Self { tracks: followed.iter().map(|t| views(t.first, &t.positions)).collect(), last })
     }
 
-    /// For each frame after the seam by how much the angle from there to the last frame is too small, and that angle.
+    /// For each frame after the loop closure by how much the angle from there to the last frame is too small, and that angle.
     pub fn gaps(&self, model: &AxisModel) -> Vec<(f64, f64)> {
         let Some(end) = model.turn.angles.get(self.last).copied().flatten() else { return Vec::new() };
         let camera = &model.state.cameras[0];
@@ -101,7 +101,7 @@ mod tests {
     use crate::circular::motion::CircularMotion;
     use crate::circular::tests::{Filmed, Turntable};
 
-    /// What the seam says of a turn whose angles are all `share` of the true ones.
+    /// What the loop closure says of a turn whose angles are all `share` of the true ones.
     fn gaps(share: f64, sense: f64) -> Vec<(f64, f64)> {
         let table = Turntable::new(72, 5.0 * sense, 3);
         let filmed = Filmed::new(72, table.camera.clone(), true);

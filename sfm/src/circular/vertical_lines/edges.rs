@@ -27,8 +27,8 @@ pub(crate) struct Segment {
 /// Edges of the mean of the frames; `along_x`: those that run along the image's rows, else along its columns.
 pub(crate) fn segments(frames: &FrameSet, along_x: bool) -> Result<Vec<Segment>, SfmError> {
     let mean = mean_of(frames)?;
-    let upright = if along_x { transpose(&mean) } else { mean };
-    let mut found = straight_edges(&upright);
+    let picture = if along_x { transpose(&mean) } else { mean };
+    let mut found = straight_edges(&picture);
     if along_x {
         found.iter_mut().flat_map(|s| &mut s.points).for_each(|p| *p = DVec2::new(p.y, p.x));
     }

@@ -1,9 +1,9 @@
-//! Upright lines of the room in which an object turns.
+//! Vertical lines of the room in which an object turns.
 //!
 //! A camera that stands still sees the room as it is, and a turn says nothing of that. But where the axis is plumb, what
-//! stands upright in the room (edges of furniture, door frames, stands) is parallel to it, and the images of parallel lines meet
+//! is vertical in the room (edges of furniture, door frames, stands) is parallel to it, and the images of parallel lines meet
 //! in one point (Hartley & Zisserman 2004, section 8.6): so each of them says which way the axis leans towards the camera, the
-//! one thing that the turn leaves open (`intrinsics`). Which lines are upright is not known. Those that are agree on one
+//! one thing that the turn leaves open (`intrinsics`). Which lines are vertical is not known. Those that are agree on one
 //! lean, the others on none: the lean is the one that makes all lines likeliest as a mixture of both.
 
 mod edges;
@@ -21,8 +21,8 @@ use glam::DVec3;
 use scene::{Camera, CameraModel, FrameSet};
 use std::f64::consts::PI;
 
-/// How exactly what is upright is so, and edges are seen, whatever their residuals say, radians.
-const UPRIGHT_SIGMA: f64 = 0.12 * PI / 180.0;
+/// How exactly what is vertical is so, and edges are seen, whatever their residuals say, radians.
+const VERTICAL_SIGMA: f64 = 0.12 * PI / 180.0;
 /// Residuals along an edge err together over so many pixels.
 const TOGETHER_PX: f64 = 8.0;
 /// Rays farther from their plane than so many standard deviations are left out, in so many rounds.
@@ -30,7 +30,7 @@ const FAR: f64 = 2.5;
 const ROUNDS: usize = 4;
 /// Nothing is seen more exactly than this, radians.
 const EXACT: f64 = 1e-6;
-/// Share of lines that are upright, before they are looked at.
+/// Share of lines that are vertical, before they are looked at.
 const SHARE: f64 = 0.3;
 /// Of the others most lean by little (radians), for things are set up askew; the rest by anything that is looked at.
 const ASKEW: f64 = 2.0 * PI / 180.0;
@@ -42,7 +42,7 @@ const VAGUE: f64 = 1.5 * PI / 180.0;
 /// Leans that are tried: step and number to each side.
 const STEP: f64 = 0.01 * PI / 180.0;
 const STEPS: i32 = 1000;
-/// Log of the odds, against lines of which none is upright, at which it is believed.
+/// Log of the odds, against lines of which none is vertical, at which it is believed.
 const CLEAR: f64 = 2.0;
 /// It is not believed if it leaves more than this, radians.
 const LOOSE: f64 = 0.6 * PI / 180.0;
@@ -72,7 +72,7 @@ pub(crate) fn room_edges(frames: &FrameSet, turn: &CircularMotion) -> Result<Vec
     edges::segments(frames, z.x.abs() > z.y.abs())
 }
 
-/// The camera's elevation over the plane of the turn that upright lines show; `None` where they do not agree on one.
+/// The camera's elevation over the plane of the turn that vertical lines show; `None` where they do not agree on one.
 pub(crate) fn elevation(segments: &[Segment], camera: &Camera, turn: &CircularMotion) -> Option<Elevation> {
     let up = turn.direction() * turn.upward();
     // Turning about `side` takes the axis in the plane of itself and the optical axis.
@@ -94,7 +94,7 @@ pub(crate) fn elevation(segments: &[Segment], camera: &Camera, turn: &CircularMo
         angle: -leaning.z.clamp(-1.0, 1.0).asin(),
         sigma: found.sigma,
         source: format!(
-            "{} of {} nearly upright lines of the room agree on {:.2}° ± {:.2}° (log odds {:.0} against none upright)",
+            "{} of {} nearly vertical lines of the room agree on {:.2}° ± {:.2}° (log odds {:.0} against none vertical)",
             both[0] + both[1],
             votes.len(),
             -leaning.z.clamp(-1.0, 1.0).asin().to_degrees(),
@@ -116,7 +116,7 @@ impl Vote {
 fn vote(segment: &Segment, camera: &Camera, up: DVec3, side: DVec3) -> Option<Vote> {
     let (normal, seen) = plane_of(segment.points.iter().map(|p| camera.ray(*p)).collect())?;
     let (across, lever) = (normal.dot(up), normal.dot(side.cross(up)));
-    let sigma = seen.hypot(UPRIGHT_SIGMA);
+    let sigma = seen.hypot(VERTICAL_SIGMA);
     let usable = across.abs() < MOST_LEAN.sin() && sigma < VAGUE * lever.abs() && sigma.is_finite();
     // The normal points to one side: levers of lines left and right of the axis differ in sign.
     let right = if normal.dot(side) < 0.0 { -1.0 } else { 1.0 };
@@ -166,7 +166,7 @@ fn with_distortions(camera: &Camera) -> impl Iterator<Item = (f64, Camera)> + us
     })
 }
 
-/// A lean, how well it is known, with which distortion most likely, and the log of the odds that some lines are upright.
+/// A lean, how well it is known, with which distortion most likely, and the log of the odds that some lines are vertical.
 struct Likeliest {
     lean: f64,
     sigma: f64,
@@ -174,7 +174,7 @@ struct Likeliest {
     log_odds: f64,
 }
 
-/// Mean and deviation of the lean given all lines, whatever the distortion. Each is upright with the probability [`SHARE`]; else it leans by
+/// Mean and deviation of the lean given all lines, whatever the distortion. Each is vertical with the probability [`SHARE`]; else it leans by
 /// itself, whatever the axis does. `prior`: standard deviation of the lean beforehand.
 fn likeliest(bends: &[(f64, Vec<Vote>)], prior: f64) -> Option<Likeliest> {
     let leans: Vec<f64> = (-STEPS..=STEPS).map(|k| f64::from(k) * STEP).collect();
@@ -201,14 +201,14 @@ fn likeliest(bends: &[(f64, Vec<Vote>)], prior: f64) -> Option<Likeliest> {
     (log_odds.is_finite() && sigma > 0.0).then_some(Likeliest { lean, sigma, bend, log_odds })
 }
 
-/// Log of the odds that some lines are upright and the axis leans by `lean`, against none being so.
+/// Log of the odds that some lines are vertical and the axis leans by `lean`, against none being so.
 fn log_odds(votes: &[Vote], lean: f64) -> f64 {
     let gauss = |x: f64, s: f64| (-0.5 * (x / s).powi(2)).exp() / (s * (2.0 * PI).sqrt());
     let ratio = |v: &Vote| {
         let askew = ASKEW_SHARE * gauss(v.lean * v.lever, ASKEW.hypot(v.sigma));
         let others = askew + (1.0 - ASKEW_SHARE) / (2.0 * MOST_LEAN);
-        let upright = gauss((lean - v.lean) * v.lever, v.sigma);
-        (SHARE * upright / others + 1.0 - SHARE).ln()
+        let vertical = gauss((lean - v.lean) * v.lever, v.sigma);
+        (SHARE * vertical / others + 1.0 - SHARE).ln()
     };
     votes.iter().map(ratio).sum()
 }

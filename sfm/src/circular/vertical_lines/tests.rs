@@ -22,7 +22,7 @@ fn line(camera: &Camera, pixel: DVec2, askew_deg: f64) -> Segment {
     Segment { points: (-30..30).filter_map(at).collect() }
 }
 
-fn upright(camera: &Camera) -> Vec<Segment> {
+fn vertical(camera: &Camera) -> Vec<Segment> {
     let left = [(15.0, 110.0), (60.0, 120.0), (90.0, 300.0), (160.0, 330.0)];
     let right = [(500.0, 200.0), (560.0, 140.0), (600.0, 320.0), (440.0, 340.0)];
     let places = left.iter().chain(&right);
@@ -30,12 +30,12 @@ fn upright(camera: &Camera) -> Vec<Segment> {
 }
 
 #[test]
-fn upright_lines_among_others_show_how_the_camera_looks_down() {
+fn vertical_lines_among_others_show_how_the_camera_looks_down() {
     let (camera, turn) = seen(TRUTH_DEG + 0.8);
-    let mut lines = upright(&camera);
+    let mut lines = vertical(&camera);
     let others = [(30.0, 3.1), (130.0, -2.4), (470.0, 1.7), (530.0, -3.6), (620.0, 2.6)];
     lines.extend(others.iter().map(|&(x, askew)| line(&camera, DVec2::new(x, 230.0), askew)));
-    let found = elevation(&lines, &camera, &turn).expect("eight upright lines agree");
+    let found = elevation(&lines, &camera, &turn).expect("eight vertical lines agree");
     let error = found.angle.to_degrees() - TRUTH_DEG;
     assert!(error.abs() < 0.1 && found.sigma.to_degrees() < 0.3, "{error}° {found:?}");
 }
@@ -47,7 +47,7 @@ fn lines_that_do_not_agree_or_stand_on_one_side_show_nothing() {
     let lines: Vec<Segment> =
         askew.iter().map(|&(x, askew)| line(&camera, DVec2::new(x, 240.0), askew)).collect();
     assert_eq!(elevation(&lines, &camera, &turn), None);
-    let right: Vec<Segment> = upright(&camera).into_iter().filter(|s| s.points[0].x > 320.0).collect();
+    let right: Vec<Segment> = vertical(&camera).into_iter().filter(|s| s.points[0].x > 320.0).collect();
     assert_eq!(elevation(&right, &camera, &turn), None);
     assert_eq!(elevation(&[], &camera, &turn), None);
 }

@@ -1,5 +1,5 @@
 //! Repeated structure (a can printed twice, twin solar arrays) ties images together that show different sides, and
-//! folds the model: found by the pairs it contradicts, undone by dropping the pairs that cannot be true.
+//! aliases the model: found by the pairs it contradicts, undone by dropping the pairs that cannot be true.
 //!
 //! A pair of neighbours agrees in the object and in all that surrounds it, a false one only in what repeats. So the
 //! strongest pairs (in a video: neighbours in time) give the rotations, by a spanning tree and robust averaging
@@ -84,18 +84,18 @@ pub(crate) fn is_better(
 /// What was found, for the report.
 pub(crate) fn decision(
     model: &MapState,
-    folded: &MapState,
+    aliased: &MapState,
     input: &MappingInput<'_>,
     kept: usize,
     is_video: bool,
 ) -> Decision {
-    let (now, before) = (count_agreeing(model, input, is_video), count_agreeing(folded, input, is_video));
+    let (now, before) = (count_agreeing(model, input, is_video), count_agreeing(aliased, input, is_video));
     let shown = |s: (usize, usize)| if is_video { s.0 } else { s.1 };
     Decision {
         what: "repeated structure".to_owned(),
         chosen: format!("{} image pairs set aside", input.geometries.len() - kept),
         evidence: format!(
-            "with them the model folds: it contradicts trusted pairs ({} of their matches agree with it, {} without \
+            "with them the model is aliased: it contradicts trusted pairs ({} of their matches agree with it, {} without \
              the pairs that were set aside)",
             shown(before),
             shown(now)

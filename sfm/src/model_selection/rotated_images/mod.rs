@@ -1,6 +1,6 @@
 //! Photos that were rotated by 180° on their way here.
 //!
-//! A camera that was held both ways up, its pictures rotated upright by some program that kept no trace of it, has one
+//! A camera that was held both ways up, its pictures turned upright by some program that kept no trace of it, has one
 //! sensor but two principal points: mirrored about the image centre. Nothing else betrays it, for the pictures look
 //! alike. The observations do: with a principal point for each image, two groups appear.
 

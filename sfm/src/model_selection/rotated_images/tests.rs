@@ -83,7 +83,7 @@ fn adjusted_views(
     sees: impl Fn(DVec3, DVec3) -> bool,
     offset: impl Fn(usize) -> DVec2,
 ) -> BundleProblem {
-    let mut random = rng(seed, "rotated", 0);
+    let mut random = rng(seed, "turned", 0);
     let mut coordinate = || random.random_range(-0.9..0.9);
     let points: Vec<DVec3> =
         (0..of_points).map(|_| DVec3::new(coordinate(), coordinate(), coordinate())).collect();
@@ -98,7 +98,7 @@ fn adjusted_views(
         points,
         ..BundleProblem::default()
     };
-    let mut noise = rng(seed, "rotated noise", 0);
+    let mut noise = rng(seed, "turned noise", 0);
     // A sum of three uniform numbers of variance 1/12 each: standard deviation 0.3 px.
     let mut normal = || (0..3).map(|_| noise.random_range(-0.5..0.5)).sum::<f64>() * 0.6;
     for (pose, cam_from_world) in problem.poses.iter().enumerate() {

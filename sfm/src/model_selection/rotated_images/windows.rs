@@ -126,7 +126,7 @@ fn windows(observations: &ObservationIndex<'_>, poses: &[usize]) -> Vec<Vec<usiz
     found
 }
 
-/// For each of `n` poses the sum of its signs over the windows. What a window calls the other group is rotated round where
+/// For each of `n` poses the sum of its signs over the windows. What a window calls the other group is turned round where
 /// its neighbours do; the windows that agree most clearly are joined first.
 fn join_signs(parts: &[Vec<(usize, f64)>], n: usize) -> Vec<f64> {
     let mut of_pose: Vec<Vec<(usize, f64)>> = vec![Vec::new(); n];

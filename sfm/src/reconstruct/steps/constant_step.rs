@@ -12,17 +12,17 @@ use crate::{Decision, SfmError, SfmResult, two_view};
 use rayon::prelude::*;
 use scene::{Progress, TwoViewGeometry};
 
-/// Farthest that a match may be from the line that the even turn gives, pixels: cameras have motions of their own.
+/// Farthest that a match may be from the line that the constant-step circular motion gives, pixels: cameras have motions of their own.
 const BAND_PX: f64 = 8.0;
 /// Images farther apart than this hardly show the same, radians.
 const FARTHEST: f64 = 0.9;
-/// Where most images share no more matches than this with any other, the pairs along the even turn take the others' place. Above,
-/// pairs that are verified alone are the more exact ones, and the even turn is for what they leave out.
+/// Where most images share no more matches than this with any other, the pairs along the constant-step circular motion take the others' place. Above,
+/// pairs that are verified alone are the more exact ones, and the constant-step circular motion is for what they leave out.
 const FEW: usize = 100;
 /// Share of the images with which a model that grew from other pairs needs no other start: what it misses finds its place later.
 const WHOLE: f64 = 0.9;
 
-/// An even turn, the pairs along it, and whether they are to take the others' place.
+/// A constant-step circular motion, the pairs along it, and whether they are to take the others' place.
 pub(crate) struct ConstantStepStart {
     turn: ConstantStepMotion,
     geometries: Vec<TwoViewGeometry>,
@@ -58,7 +58,7 @@ impl ConstantStepStart {
     }
 }
 
-/// The pairs of images near each other, matched and verified anew along an even turn's lines, where most images are loosely
+/// The pairs of images near each other, matched and verified anew along a constant-step circular motion's lines, where most images are loosely
 /// tied and go round so. `matches`: those of loosely tied pairs, before verification.
 pub(crate) fn match_along_motion(
     result: &SfmResult,
@@ -76,7 +76,7 @@ pub(crate) fn match_along_motion(
     let Some(turn) = ConstantStepMotion::of(&setup.cameras[0], known, &places, matches) else {
         return Ok(None);
     };
-    progress.begin("even turn", loose.len());
+    progress.begin("constant-step circular motion", loose.len());
     let prepared: Vec<PreparedFeatures> = result.features.par_iter().map(PreparedFeatures::new).collect();
     let images = loose.len();
     let pairs: Vec<(usize, usize)> = (0..images)
@@ -96,7 +96,7 @@ pub(crate) fn match_along_motion(
     let strongest = strongest_tie(images, &result.geometries);
     let count = |all: &[TwoViewGeometry]| all.iter().map(|g| g.inliers.len()).sum::<usize>();
     let decision = Decision {
-        what: "even turn".to_owned(),
+        what: "constant-step circular motion".to_owned(),
         chosen: format!(
             "{:.2}° from an image to the next{}",
             turn.step_deg(),
@@ -137,14 +137,14 @@ pub(crate) fn grow_or_place(
     decisions: &mut Vec<Decision>,
     progress: &Progress,
 ) -> Result<Option<MappedModel>, SfmError> {
-    let Some(even) = &given.even else { return grow_model(given, keypoints, geometries, progress) };
-    let standing = |g: &MappedModel| g.state.registered_count() - even.turn.astray(&g.state.poses);
+    let Some(start) = &given.start else { return grow_model(given, keypoints, geometries, progress) };
+    let standing = |g: &MappedModel| g.state.registered_count() - start.turn.astray(&g.state.poses);
     let mut placed = None;
-    if even.instead {
-        placed = even.place_all_images(given, keypoints, progress)?;
+    if start.instead {
+        placed = start.place_all_images(given, keypoints, progress)?;
         if placed.is_some() {
-            geometries.clone_from(&even.geometries);
-            decisions.push(even.decision.clone());
+            geometries.clone_from(&start.geometries);
+            decisions.push(start.decision.clone());
         }
     }
     let first = grow_model(given, keypoints, geometries, progress)?;
@@ -153,14 +153,14 @@ pub(crate) fn grow_or_place(
     if before as f64 >= enough * keypoints.len() as f64 {
         return Ok(first);
     }
-    let later = if placed.is_none() && !even.instead {
-        even.place_all_images(given, keypoints, progress)?
+    let later = if placed.is_none() && !start.instead {
+        start.place_all_images(given, keypoints, progress)?
     } else {
         None
     };
     match placed.or(later).filter(|p| standing(p) > before) {
         Some(placed) => {
-            geometries.clone_from(&even.geometries);
+            geometries.clone_from(&start.geometries);
             Ok(Some(placed))
         }
         None => Ok(first),

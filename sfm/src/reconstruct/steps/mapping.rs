@@ -97,7 +97,7 @@ pub(crate) fn complete_ring(
     ring::complete(state, &given.motion_input(&input, &starts, progress).context(&[]), intrinsics)
 }
 
-/// Where repeated structure has folded the model: the model without the pairs that cannot be true, and what was
+/// Where repeated structure has aliased the model: the model without the pairs that cannot be true, and what was
 /// found. Those pairs are taken out of `geometries`.
 pub(crate) fn remove_aliased_pairs(
     given: &StepContext<'_>,

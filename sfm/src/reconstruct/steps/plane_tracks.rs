@@ -1,4 +1,4 @@
-//! Whether a model is better for observations of the ground (see [`crate::plane_tracks`]).
+//! Whether a model is better for observations of a supporting plane (see [`crate::plane_tracks`]).
 
 use crate::circular::motion::median;
 use crate::incremental::finish::{free_principal_point, noise_of};
@@ -15,7 +15,7 @@ use scene::{Camera, FrameSet, Progress};
 /// An image with fewer observations than this is weakly held, and so many of the images have to be (share).
 const FEW: usize = 200;
 const WEAK: f64 = 0.1;
-/// The ground is looked at up to so often, each time from better poses: how far windows are looked for, squares.
+/// The plane is looked at up to so often, each time from better poses: how far windows are looked for, squares.
 const FARTHEST: [usize; 16] = [10, 6, 4, 4, 3, 3, 3, 3, 3, 3, 3, 3, 3, 3, 3, 3];
 /// Until what it shows is off by hardly less than the time before.
 const LESS: f64 = 0.995;
@@ -24,7 +24,7 @@ const MARGIN: f64 = 0.1;
 /// Standard deviation of its observations, as a share of what residuals say: those of features err together, and by twice as much as
 /// residuals show at least (`single_axis/smoothness.rs`), while what all images show in common errs with none of them.
 const TRUST: f64 = 0.5;
-/// Share of the ground's observations that the adjusted model must keep.
+/// Share of the plane's observations that the adjusted model must keep.
 const KEPT: f64 = 0.6;
 /// Share of the others that it must keep, and by how much their median error may grow.
 const OTHERS_KEPT: f64 = 0.9;
@@ -32,21 +32,21 @@ const GROWN: f64 = 1.1;
 /// The median length of an error of two normal coordinates, in standard deviations.
 const MEDIAN_LENGTH: f64 = 1.1774;
 
-/// Keypoints, their standard deviations and tracks, those of the ground behind the others.
+/// Keypoints, their standard deviations and tracks, those of the plane behind the others.
 pub(crate) struct PlaneTracks {
     pub keypoints: Vec<Vec<DVec2>>,
     pub sigmas: Vec<Vec<f32>>,
     pub tracks: Tracks,
 }
 
-/// A model with observations of the ground, and what is solved for of its cameras.
+/// A model with observations of the plane, and what is solved for of its cameras.
 pub(crate) struct PlaneTracksModel {
-    pub ground: PlaneTracks,
+    pub plane_tracks: PlaneTracks,
     pub state: MapState,
     pub intrinsics: FreeIntrinsics,
 }
 
-/// The model with observations of the ground, where they are of use (see [`try_plane_tracks`]); its principal point, where all observations together
+/// The model with observations of the plane, where they are of use (see [`try_plane_tracks`]); its principal point, where all observations together
 /// determine it. `settled` adjusts a model with given intrinsics; those of `cameras` are chosen already.
 pub(crate) fn add_plane_tracks(
     given: &StepContext<'_>,
@@ -59,20 +59,20 @@ pub(crate) fn add_plane_tracks(
     let settle = |state: MapState, input: &MappingInput<'_>| settled(state, input, intrinsics);
     let (found, decision) = try_plane_tracks(given.images, (state, input), rotated, settle, progress)?;
     let mut decisions: Vec<Decision> = decision.into_iter().collect();
-    let Some((ground, mut state)) = found else { return Ok((None, decisions)) };
-    let (with, before) = (ground.input(input), (intrinsics, given.config.camera_model.model()));
+    let Some((plane_tracks, mut state)) = found else { return Ok((None, decisions)) };
+    let (with, before) = (plane_tracks.input(input), (intrinsics, given.config.camera_model.model()));
     let Some((free, evidence)) =
         free_principal_point(&state, &with, &given.setup.known, starts, before, progress)?
     else {
-        return Ok((Some(PlaneTracksModel { ground, state, intrinsics }), decisions));
+        return Ok((Some(PlaneTracksModel { plane_tracks, state, intrinsics }), decisions));
     };
     state = settled(state, &with, free)?;
-    let what = "camera model with the ground".to_owned();
+    let what = "camera model with plane tracks".to_owned();
     decisions.push(Decision { what, chosen: free.describe(), evidence });
-    Ok((Some(PlaneTracksModel { ground, state, intrinsics: free }), decisions))
+    Ok((Some(PlaneTracksModel { plane_tracks, state, intrinsics: free }), decisions))
 }
 
-/// The model with observations of the ground, where images are weakly held, there is a ground, and the model is no worse for the
+/// The model with observations of the plane, where images are weakly held, there is such a plane, and the model is no worse for the
 /// points it has. `images`: where they may be read. `settle` adjusts a model. The decision says what was found; there is none where nothing was asked.
 fn try_plane_tracks(
     images: Option<&FrameSet>,
@@ -88,7 +88,7 @@ fn try_plane_tracks(
         return Ok((None, None));
     };
     let decision = |chosen: &str, evidence: String| {
-        Some(Decision { what: "ground".to_owned(), chosen: chosen.to_owned(), evidence })
+        Some(Decision { what: "plane tracks".to_owned(), chosen: chosen.to_owned(), evidence })
     };
     let Some(mut plane) = widest(state, input) else {
         return Ok((None, decision("not used", "no plane is seen by most images".to_owned())));
@@ -102,10 +102,10 @@ fn try_plane_tracks(
             return Ok((None, decision("not used", "a plane is seen, but nothing on it".to_owned())));
         }
         off.push(median(places.iter().flat_map(|p| &p.observations).map(|s| s.off).collect()));
-        let ground = PlaneTracks::new(input, &places, TRUST * factor / unit);
-        let with = ground.input(input);
-        let next = settle(ground.add_points(&model, input, &places, &with), &with)?;
-        let held = ground.kept_points(&next, input);
+        let plane_tracks = PlaneTracks::new(input, &places, TRUST * factor / unit);
+        let with = plane_tracks.input(input);
+        let next = settle(plane_tracks.add_points(&model, input, &places, &with), &with)?;
+        let held = plane_tracks.kept_points(&next, input);
         let asked: usize = places.iter().map(|p| p.observations.len()).sum();
         if (held.errors.len() as f64) < KEPT * asked as f64 {
             let evidence = format!(
@@ -117,12 +117,12 @@ fn try_plane_tracks(
         factor *= (TRUST * median(held.errors) / unit / MEDIAN_LENGTH).clamp(0.2, 5.0);
         plane = plane.closer(&held.places).unwrap_or(plane).about(&held.places, MARGIN * plane.reach);
         model = without_plane_points(&next, input);
-        found = Some((ground, next, asked, places.len()));
+        found = Some((plane_tracks, next, asked, places.len()));
         if off.len() > 1 && off[off.len() - 1] > LESS * off[off.len() - 2] {
             break;
         }
     }
-    let Some((ground, next, observations, places)) = found else { return Ok((None, None)) };
+    let Some((plane_tracks, next, observations, places)) = found else { return Ok((None, None)) };
     let ((had, before), (has, after)) = (other_errors(state, input), other_errors(&model, input));
     let taken = has as f64 >= OTHERS_KEPT * had as f64 && after <= GROWN * before;
     let off: Vec<String> = off.iter().map(|o| format!("{o:.2}")).collect();
@@ -132,7 +132,7 @@ fn try_plane_tracks(
         state.registered_count(),
         off.join(", ")
     );
-    Ok((taken.then_some((ground, next)), decision(if taken { "used" } else { "not used" }, evidence)))
+    Ok((taken.then_some((plane_tracks, next)), decision(if taken { "used" } else { "not used" }, evidence)))
 }
 
 /// How many observations of features a model has, and their median error, pixels.
@@ -141,14 +141,14 @@ fn other_errors(state: &MapState, input: &MappingInput<'_>) -> (usize, f64) {
     (errors.len(), if errors.is_empty() { f64::INFINITY } else { median(errors) })
 }
 
-/// Observations of the ground that a model has kept: their errors, pixels, over their standard deviations, and where the places are.
+/// Observations of the plane that a model has kept: their errors, pixels, over their standard deviations, and where the places are.
 struct KeptPlanePoints {
     errors: Vec<f64>,
     places: Vec<DVec3>,
 }
 
 impl PlaneTracks {
-    /// Behind the keypoints of `input` those of the ground; `per_px`: what a standard deviation of a pixel is in units of the
+    /// Behind the keypoints of `input` those of the plane; `per_px`: what a standard deviation of a pixel is in units of the
     /// others'.
     fn new(input: &MappingInput<'_>, places: &[PlanePoint], per_px: f64) -> Self {
         let mut keypoints = input.keypoints.to_vec();
@@ -170,12 +170,12 @@ impl PlaneTracks {
         Self { keypoints, sigmas, tracks }
     }
 
-    /// `input` with the ground.
+    /// `input` with the plane.
     pub fn input<'a>(&'a self, input: &MappingInput<'a>) -> MappingInput<'a> {
         MappingInput { keypoints: &self.keypoints, sigmas: &self.sigmas, tracks: &self.tracks, ..*input }
     }
 
-    /// What a model has kept of the ground.
+    /// What a model has kept of the plane.
     fn kept_points(&self, model: &MapState, input: &MappingInput<'_>) -> KeptPlanePoints {
         let (first, with) = (input.tracks.views.len() as u32, self.input(input));
         let mut held = KeptPlanePoints { errors: Vec::new(), places: Vec::new() };
@@ -210,7 +210,7 @@ impl PlaneTracks {
     }
 }
 
-/// A model without its places of the ground.
+/// A model without its places of the plane.
 fn without_plane_points(model: &MapState, input: &MappingInput<'_>) -> MapState {
     let mut bare = model.clone();
     let first = input.tracks.views.len();

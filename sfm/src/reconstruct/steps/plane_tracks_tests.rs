@@ -54,15 +54,15 @@ fn a_floor_holds_cameras_that_few_inexact_points_hold_badly() {
     let PlaneTracksCase { room, alone, found, decision, features } = outcome("grounded", OFF, |_| ());
     let decision = decision.unwrap();
     assert_eq!(decision.chosen, "used", "{}", decision.evidence);
-    let (ground, model) = found.unwrap();
+    let (plane_tracks, model) = found.unwrap();
     let (before, after) = (wrong(&alone, &room.poses), wrong(&model, &room.poses));
     assert!(after < 0.5 * before, "{after} radians, {before} without the floor");
-    let keypoints: usize = ground.keypoints.iter().map(Vec::len).sum();
+    let keypoints: usize = plane_tracks.keypoints.iter().map(Vec::len).sum();
     assert!(keypoints > features + 60, "{keypoints} of {features}");
     let same = |(k, sigmas): (&Vec<DVec2>, &Vec<f32>)| k.len() == sigmas.len();
-    assert!(ground.keypoints.iter().zip(&ground.sigmas).all(same));
-    assert!(ground.keypoints.iter().zip(&model.point_of).all(|(k, p)| k.len() == p.len()));
-    assert_eq!(model.of_track.len(), ground.tracks.views.len());
+    assert!(plane_tracks.keypoints.iter().zip(&plane_tracks.sigmas).all(same));
+    assert!(plane_tracks.keypoints.iter().zip(&model.point_of).all(|(k, p)| k.len() == p.len()));
+    assert_eq!(model.of_track.len(), plane_tracks.tracks.views.len());
 }
 
 #[test]

@@ -33,7 +33,7 @@ pub(crate) fn rotate_keypoints(
     keypoints
 }
 
-/// Turns the poses of the rotated images.
+/// Rotates the poses of the rotated images.
 pub(crate) fn rotate_poses(state: &mut MapState, rotated: &[bool]) {
     for (pose, _) in state.poses.iter_mut().zip(rotated).filter(|(_, t)| **t) {
         *pose = pose.as_ref().map(rotate_pose);
