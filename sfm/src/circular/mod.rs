@@ -149,7 +149,7 @@ pub(crate) fn consider(
     unrotated: bool,
 ) -> Result<MotionOutcome, SfmError> {
     let motion = job.config.motion;
-    if motion == Motion::FreeModel {
+    if motion == Motion::Free {
         return Ok(MotionOutcome::free("asked for".to_owned()));
     }
     if job.cameras.len() != 1 {

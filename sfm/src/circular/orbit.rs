@@ -39,7 +39,7 @@ pub(crate) fn of_free(free: &BundleProblem) -> Option<(CircularProblem, Circular
 
 /// Whether the poses are near enough to a circle for an orbit to be tried.
 pub(crate) fn is_possible(state: &MapState) -> bool {
-    CircularMotion::of_poses(&state.poses).is_some_and(|(_, misfit)| near(&misfit))
+    CircularMotion::of_poses(&state.poses).is_some_and(|(_, misfit)| is_near(&misfit))
 }
 
 /// Whether free poses are near enough to a turn.

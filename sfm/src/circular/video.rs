@@ -3,13 +3,11 @@
 use super::evidence::Comparison;
 use super::initialize::key_frames::{KeyFrames, VideoTracks, drop_still};
 use super::initialize::seed::{KEYS, KeyPair, Seed, explained_share, seeds, steady};
-use super::loop_closure::photometric::{self, PhotometricClosure};
-use super::loop_closure::tracks::LoopClosure;
+use super::loop_closure::close::ClosedVideo;
 use super::model::{AxisModel, CircularContext};
-use super::motion::{CircularMotion, median, wrap_angle};
+use super::motion::{CircularMotion, median};
 use super::prior::{known_rate, learn_motion};
 use super::problem::Relation;
-use super::register::resect_angle;
 use super::{
     CircularSolution, Motion, MotionInput, ROUNDS, ROUNDS_BEFORE, adjust_and_choose, decision, finish,
 };
@@ -20,7 +18,6 @@ use crate::klt::{KltTrack, track};
 use crate::{Decision, SfmConfig, SfmError};
 use glam::DVec2;
 use scene::{Camera, Features, FrameSet, Progress, TwoViewGeometry};
-use std::f64::consts::TAU;
 
 /// Motion between two key frames of the seed, as a share of the longer image side.
 const KEY_MOTION: f64 = 0.012;
@@ -30,16 +27,6 @@ const KEY_MOTION_LEAST: f64 = 0.25;
 const EXPLAINED: f64 = 0.5;
 /// Least share of the frames that must get an angle where the evidence decides.
 const REGISTERED: f64 = 0.8;
-/// Whole turns are closed where the first and the last frame are at least so far apart, radians.
-const SEAM_FROM: f64 = 5.2;
-/// Search for the error of a closed turn by matched pairs, radians to either side.
-const SEAM_SPAN: f64 = 0.2;
-/// Angles across the loop closure that agree differ by less from their median, radians.
-const SEAM_AGREES: f64 = 0.01;
-
-/// Errors of steps are evened out over so much of a turn on either side, radians.
-const EVENED: f64 = 0.3;
-
 /// What a video is solved with.
 pub(crate) struct VideoJob<'a> {
     pub frames: &'a FrameSet,
@@ -57,17 +44,6 @@ pub(crate) struct VideoModel {
     pub features: Vec<Features>,
     pub geometries: Vec<TwoViewGeometry>,
     pub matched: usize,
-}
-
-/// Followed points and features together, and the turn they are to be adjusted from.
-struct ClosedVideo {
-    material: VideoTracks,
-    turn: CircularMotion,
-    cameras: Vec<Camera>,
-    /// What photometric similarity says of the angle between the first and the last frame.
-    closing: Option<Relation>,
-    /// What was found at the loop closure, for the report.
-    closure: String,
 }
 
 /// Where a model grows from: key frames, `stride` apart from the `first`, and what may be their motion.
@@ -185,7 +161,7 @@ impl VideoJob<'_> {
     }
 
     /// Presentation times, or the frames' numbers where they are not known.
-    fn times(&self) -> Vec<f64> {
+    pub(crate) fn times(&self) -> Vec<f64> {
         let times: Vec<f64> = self.frames.frames.iter().filter_map(|f| f.time_s).collect();
         let ascending = times.windows(2).all(|w| w[1] > w[0]);
         if times.len() == self.frames.len() && ascending {
@@ -266,7 +242,7 @@ impl VideoJob<'_> {
         })
     }
 
-    fn context<'a>(
+    pub(crate) fn context<'a>(
         &'a self,
         input: &'a MappingInput<'a>,
         starts: &'a [Camera],
@@ -298,160 +274,6 @@ impl VideoJob<'_> {
         }
         (cameras, CircularMotion::new(seed.direction(), seed.place(), angles))
     }
-
-    /// Joins followed points and features; where a whole turn brings first and last frames together, the angles are
-    /// stretched so that it closes.
-    fn close(
-        &self,
-        keys: &KeyFrames,
-        tracks: &[KltTrack],
-        model: AxisModel,
-    ) -> Result<ClosedVideo, SfmError> {
-        let open = VideoTracks::of_both(&keys.features, &keys.near, tracks);
-        let input = self.input(&open);
-        let cameras = model.state.cameras.clone();
-        let times = self.times();
-        let context = self.context(&input, &cameras, &times);
-        let mut joined = AxisModel::new(&input, cameras.clone(), model.turn.clone());
-        joined.settle_with(&context, 2, 60, joined.freedom_by_range())?;
-        let angles: Vec<f64> = joined.turn.angles.iter().flatten().copied().collect();
-        let range =
-            angles.iter().copied().fold(f64::MIN, f64::max) - angles.iter().copied().fold(f64::MAX, f64::min);
-        let unclosed = |material: VideoTracks, joined: AxisModel, why: &str| {
-            let closure = format!("{:.1}° were turned, {why}", range.to_degrees());
-            let closing = None;
-            Ok(ClosedVideo { material, turn: joined.turn, cameras: joined.state.cameras, closing, closure })
-        };
-        if range < SEAM_FROM {
-            return unclosed(open, joined, "no loop closure");
-        }
-        let followed =
-            LoopClosure::follow(self.frames, &joined.turn.angles, &self.config.klt, self.progress)?;
-        let matched = keys.closure.iter().filter_map(|g| self.closure_error(&joined, &context, g)).collect();
-        let seen = agree_on_gap([followed.gaps(&joined), matched]);
-        let alike = self.photometric_closure(&joined.turn.angles);
-        // Ties that contradict what the pictures as a whole show are wrong ones.
-        let seen =
-            seen.filter(|s| alike.is_none_or(|a| (s.0 * TAU + a.excess).abs() < SEAM_AGREES + 3.0 * a.sigma));
-        let (_, by_points, by_pairs) = seen.unwrap_or_default();
-        let Some(stretch) = alike.map(|a| -a.excess / TAU).or(seen.map(|s| s.0)) else {
-            return unclosed(open, joined, "the loop closure is not seen");
-        };
-        joined.turn.angles.iter_mut().flatten().for_each(|a| *a *= 1.0 + stretch);
-        let closing = alike.and_then(|a| closing_relation(&joined.turn.angles, a.sigma * range / TAU));
-        let mut geometries = keys.near.clone();
-        geometries.extend(keys.closure.iter().filter(|_| by_pairs > 0).cloned());
-        let mut material = VideoTracks::of_both(&keys.features, &geometries, tracks);
-        if by_points > 0 {
-            followed.tracks.iter().for_each(|t| material.add(t.iter().copied()));
-        }
-        let by_similarity = alike
-            .map_or(String::new(), |a| format!(", photometric similarity to {:.3}°", a.sigma.to_degrees()));
-        let closure = format!(
-            "{:.1}° were turned, {} points followed across the loop closure to {by_points} frames and {by_pairs} pairs{by_similarity} closed it by {:.2}°",
-            range.to_degrees(),
-            followed.tracks.len(),
-            (stretch * range).abs().to_degrees()
-        );
-        Ok(ClosedVideo { material, turn: joined.turn, cameras: joined.state.cameras, closing, closure })
-    }
-
-    /// The angle between the first and the last frame by photometric similarity, and its standard deviation.
-    fn range_by_similarity(&self, angles: &[Option<f64>]) -> Option<(f64, f64)> {
-        let alike = self.photometric_closure(angles)?;
-        let (first, last) = (angles.iter().flatten().next()?, angles.iter().flatten().last()?);
-        let range = last - first;
-        Some((range * (1.0 - alike.excess / TAU), alike.sigma * range.abs() / TAU))
-    }
-
-    /// What the pictures of all frames of the video say of a whole turn, given the angles of the chosen ones.
-    fn photometric_closure(&self, angles: &[Option<f64>]) -> Option<PhotometricClosure> {
-        let film = self.frames.film.as_ref()?;
-        let known: Vec<(f64, f64)> =
-            self.frames.frames.iter().zip(angles).filter_map(|(f, a)| Some((f.time_s?, (*a)?))).collect();
-        let (first, last) = (known.first()?.1, known.get(1..)?.last()?.1);
-        let sense = (last - first).signum();
-        let steps = known.windows(2).map(|w| w[1].0 - w[0].0).collect();
-        let beyond = 1.5 * median(steps);
-        let risen: Vec<(f64, f64)> = known.iter().map(|k| (k.0, sense * (k.1 - first))).collect();
-        let found = |known: &[(f64, f64)]| photometric::excess(film, |time| between(known, time, beyond));
-        // Steps as they were found, or evened out: whichever orders the pictures better.
-        let both = [found(&risen), found(&even_out(&risen))];
-        both.into_iter().flatten().min_by(|a, b| a.sigma.total_cmp(&b.sigma))
-    }
-
-    /// By how much the angle between two frames on either side of the loop closure is too small, and that angle: points that
-    /// the one sees, found in the other.
-    fn closure_error(
-        &self,
-        model: &AxisModel,
-        context: &CircularContext<'_>,
-        g: &TwoViewGeometry,
-    ) -> Option<(f64, f64)> {
-        let (a, b) = (model.turn.angles[g.a]?, model.turn.angles[g.b]?);
-        let place = |m: &[u32; 2]| {
-            let track = context.input.tracks.of[g.a][m[0] as usize];
-            let point = *model.state.of_track.get(track as usize)?.first()?;
-            let x = model.state.points[point as usize].as_ref()?.position;
-            Some((context.input.keypoints[g.b][m[1] as usize], x))
-        };
-        let seen: Vec<_> = g.inliers.iter().filter_map(place).collect();
-        if seen.len() < 8 {
-            return None;
-        }
-        let found = resect_angle(&model.state.cameras[0], &model.turn.axis, &seen, b, SEAM_SPAN);
-        (found.inliers >= 8 && found.inliers * 2 >= found.asked).then(|| (wrap_angle(found.angle - b), b - a))
-    }
-}
-
-/// Each angle as the line through its neighbours has it.
-fn even_out(known: &[(f64, f64)]) -> Vec<(f64, f64)> {
-    let at = |&(time, angle): &(f64, f64)| {
-        let near: Vec<(f64, f64)> = known
-            .iter()
-            .filter(|k| (k.1 - angle).abs() <= EVENED)
-            .map(|k| (k.0 - time, k.1 - angle))
-            .collect();
-        let n = near.len() as f64;
-        let mean = |f: &dyn Fn(&(f64, f64)) -> f64| near.iter().map(f).sum::<f64>() / n;
-        let (t, a) = (mean(&|p| p.0), mean(&|p| p.1));
-        let (tt, ta) = (mean(&|p| (p.0 - t).powi(2)), mean(&|p| (p.0 - t) * (p.1 - a)));
-        (time, if tt > 0.0 { angle + a - t * ta / tt } else { angle })
-    };
-    known.iter().map(at).collect()
-}
-
-/// The angle at a time, between those that are known or up to `beyond` outside of them; both rise or fall.
-fn between(known: &[(f64, f64)], time: f64, beyond: f64) -> Option<f64> {
-    let i = known.partition_point(|k| k.0 <= time).clamp(1, known.len() - 1);
-    let (a, b) = (known.get(i - 1)?, known.get(i)?);
-    let outside = (known[0].0 - time).max(time - known[known.len() - 1].0);
-    (outside <= beyond && b.0 > a.0).then(|| a.1 + (time - a.0) / (b.0 - a.0) * (b.1 - a.1))
-}
-
-/// That the angle between the first and the last frame is what it is now.
-fn closing_relation(angles: &[Option<f64>], sigma: f64) -> Option<Relation> {
-    let (first, last) = (angles.iter().position(Option::is_some)?, angles.iter().rposition(Option::is_some)?);
-    Some(Relation {
-        frames: [Some(first as u32), Some(last as u32), None],
-        coefficients: [-1.0, 1.0, 0.0],
-        target: angles[last]? - angles[first]?,
-        sigma,
-    })
-}
-
-/// By what share the angles are too small as most of the gaps say (see [`LoopClosure::gaps`]; of followed points, and of
-/// matched pairs), and how many of either agree; `None` where they do not.
-fn agree_on_gap(gaps: [Vec<(f64, f64)>; 2]) -> Option<(f64, usize, usize)> {
-    let middle = median(gaps.iter().flatten().map(|g| g.0).collect());
-    let near = |g: &&(f64, f64)| (g.0 - middle).abs() < SEAM_AGREES;
-    let agreeing: Vec<&(f64, f64)> = gaps.iter().flatten().filter(near).collect();
-    if agreeing.len() < 2 || agreeing.len() * 2 < gaps.iter().flatten().count() {
-        return None;
-    }
-    let stretch = agreeing.iter().map(|g| g.0 / g.1).sum::<f64>() / agreeing.len() as f64;
-    let of = |i: usize| gaps[i].iter().filter(near).count();
-    Some((stretch, of(0), of(1)))
 }
 
 /// The fewest frames over which the tracks move by [`KEY_MOTION`]; where they do not last as long, those over which they move
