@@ -20,6 +20,7 @@ mod refinement;
 pub mod result;
 pub mod sift;
 pub mod solvers;
+mod statistics;
 pub mod tracks;
 pub mod triangulation;
 pub mod two_view;

@@ -6,11 +6,11 @@
 //! Dusmanu, Schönberger & Pollefeys, ECCV 2020; Lindenberger et al., ICCV 2021).
 
 use crate::SfmError;
-use crate::circular::motion::median;
 use crate::incremental::state::{MapPoint, MapState, MappingInput};
 use crate::klt::pyramid::{Pyramid, PyramidLevel};
 use crate::klt::reference::{Reference, ReferencePatch, Warp, patch};
 use crate::sift::load_luma;
+use crate::statistics::median;
 use glam::{DMat2, DVec2, DVec3};
 use rayon::prelude::*;
 use scene::{Camera, Frame, FrameSet, Pose, Progress};

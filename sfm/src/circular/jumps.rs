@@ -3,8 +3,8 @@
 //! Where frames lie far apart, some share next to no points with those before them, and their angle may be anything that few wrong
 //! observations say. A belief that is far weaker than any dozen good observations keeps them in their place.
 
-use super::motion::median;
 use super::problem::Relation;
+use crate::statistics::median;
 
 /// Standard deviation of the change of the rate from one step to the next, as a share of the usual rate.
 const CHANGE: f64 = 0.5;

@@ -2,7 +2,7 @@
 
 use super::axis::Elevation;
 use super::jumps::not_jumping;
-use super::motion::{CircularMotion, median};
+use super::motion::CircularMotion;
 use super::problem::{CircularCovariance, CircularProblem, Relation};
 use crate::bundle::{BundleProblem, RobustLoss, SolveOptions};
 use crate::incremental::adjust::{Adjustment, Selected, plausible, select, take};
@@ -10,6 +10,7 @@ use crate::incremental::growth::freedom;
 use crate::incremental::state::{MapState, MappingInput};
 use crate::model_selection::camera::{FreeIntrinsics, apply};
 use crate::model_selection::noise::{error_sq, noise};
+use crate::statistics::median;
 use crate::{Knowledge, SfmError};
 use scene::{Camera, Progress};
 

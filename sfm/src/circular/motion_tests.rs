@@ -78,8 +78,8 @@ fn median_error(found: &MapState, table: &Turntable) -> f64 {
     let truth: Vec<DVec3> = table.poses.iter().map(Pose::centre).collect();
     let pairs = || (0..truth.len()).flat_map(|a| (0..a).map(move |b| (a, b)));
     let ratio = |(a, b): (usize, usize)| centres[a].distance(centres[b]) / truth[a].distance(truth[b]);
-    let scale = motion::median(pairs().map(ratio).collect());
-    motion::median(pairs().map(|pair| (ratio(pair) / scale - 1.0).abs()).collect())
+    let scale = crate::statistics::median(pairs().map(ratio).collect());
+    crate::statistics::median(pairs().map(|pair| (ratio(pair) / scale - 1.0).abs()).collect())
 }
 
 #[test]

@@ -1,13 +1,15 @@
 //! A camera that goes round on a circle with small motions of its own: a turn whose frames have offsets that are about
 //! as large as they turn out to be.
 
+use super::initialize::free_poses::CircularMisfit;
 use super::model::{AxisModel, CircularContext};
-use super::motion::{CircularMisfit, CircularMotion, median, wrap_angle};
+use super::motion::{CircularMotion, wrap_angle};
 use super::problem::{CircularProblem, Relation};
 use crate::SfmError;
 use crate::bundle::{BundleCovariance, BundleProblem};
 use crate::incremental::state::MapState;
 use crate::model_selection::camera::FreeIntrinsics;
+use crate::statistics::median;
 use glam::DVec3;
 use scene::Pose;
 

@@ -3,11 +3,12 @@
 //! an image is there.
 
 use super::model::CircularContext;
-use super::motion::{CircularMotion, median, pose_at, wrap_angle};
+use super::motion::{CircularMotion, pose_at, wrap_angle};
 use super::orbit;
 use crate::incremental::state::MapState;
 use crate::incremental::structureless_resection::consistency;
 use crate::model_selection::camera::FreeIntrinsics;
+use crate::statistics::median;
 use crate::{Decision, SfmError};
 use scene::Pose;
 use std::f64::consts::TAU;

@@ -5,7 +5,7 @@ use super::initialize::key_frames::{KeyFrames, VideoTracks, drop_still};
 use super::initialize::seed::{KEYS, KeyPair, Seed, explained_share, seeds, steady};
 use super::loop_closure::close::ClosedVideo;
 use super::model::{AxisModel, CircularContext};
-use super::motion::{CircularMotion, median};
+use super::motion::CircularMotion;
 use super::prior::{known_rate, learn_motion};
 use super::problem::Relation;
 use super::{
@@ -15,6 +15,7 @@ use crate::Knowledge;
 use crate::incremental::resection::FOCAL_FACTORS;
 use crate::incremental::state::MappingInput;
 use crate::klt::{KltTrack, track};
+use crate::statistics::median;
 use crate::{Decision, SfmConfig, SfmError};
 use glam::DVec2;
 use scene::{Camera, Features, FrameSet, Progress, TwoViewGeometry};

@@ -1,8 +1,8 @@
 //! A plane that many images see much of: the ground or the table below an object.
 
-use crate::circular::motion::median;
 use crate::incremental::state::{MapPoint, MapState, MappingInput};
 use crate::solvers::linalg::{moments, solve_spd, symmetric_eigen};
+use crate::statistics::median;
 use glam::{DQuat, DVec2, DVec3};
 use rand::Rng as _;
 use rayon::prelude::*;

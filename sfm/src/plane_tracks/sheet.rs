@@ -1,8 +1,8 @@
 //! A plane as each image shows it, seen from straight above, and what they show in common.
 
 use super::plane::ScenePlane;
-use crate::circular::motion::median;
 use crate::klt::pyramid::{Pyramid, PyramidLevel};
+use crate::statistics::median;
 use glam::{DMat2, DVec2, DVec3};
 use rayon::prelude::*;
 use scene::{Camera, Pose};

@@ -2,8 +2,8 @@
 
 use super::plane::{ScenePlane, widest};
 use super::*;
-use crate::circular::motion::median;
 use crate::incremental::MapperConfig;
+use crate::statistics::median;
 use crate::tracks::{NONE, Tracks};
 use glam::DQuat;
 use rand::Rng as _;

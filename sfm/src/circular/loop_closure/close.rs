@@ -5,11 +5,12 @@ use super::tracks::LoopClosure;
 use crate::SfmError;
 use crate::circular::initialize::key_frames::{KeyFrames, VideoTracks};
 use crate::circular::model::{AxisModel, CircularContext};
-use crate::circular::motion::{CircularMotion, median, wrap_angle};
+use crate::circular::motion::{CircularMotion, wrap_angle};
 use crate::circular::problem::Relation;
 use crate::circular::register::resect_angle;
 use crate::circular::video::VideoJob;
 use crate::klt::KltTrack;
+use crate::statistics::median;
 use scene::{Camera, TwoViewGeometry};
 use std::f64::consts::TAU;
 

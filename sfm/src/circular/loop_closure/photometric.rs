@@ -4,8 +4,8 @@
 //! is followed or matched, so it works on thin and shiny objects too. At other places of the same video, where nothing is missing, the
 //! same search says how exact it is.
 
-use crate::circular::motion::median;
 use crate::solvers::linalg::solve_spd;
+use crate::statistics::median;
 use scene::Film;
 
 /// Pictures up to so far from the loop closure are compared, and pairs up to so far apart (radians, but at least so many steps).

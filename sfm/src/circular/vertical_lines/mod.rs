@@ -13,10 +13,11 @@ mod tests;
 pub(crate) use edges::Segment;
 
 use super::axis::Elevation;
-use super::motion::{CircularMotion, median};
+use super::motion::CircularMotion;
 use crate::SfmError;
 use crate::model_selection::camera::{PRINCIPAL_POINT_SIGMA, convert_camera};
 use crate::solvers::linalg::{moments, symmetric_eigen};
+use crate::statistics::median;
 use glam::DVec3;
 use scene::{Camera, CameraModel, FrameSet};
 use std::f64::consts::PI;

@@ -1,12 +1,12 @@
 //! Whether a model is better for observations of a supporting plane (see [`crate::plane_tracks`]).
 
-use crate::circular::motion::median;
 use crate::incremental::finish::{free_principal_point, noise_of};
 use crate::incremental::state::{MapState, MappingInput};
 use crate::model_selection::camera::FreeIntrinsics;
 use crate::plane_tracks::plane::widest;
 use crate::plane_tracks::{PlanePoint, find_plane_tracks};
 use crate::reconstruct::StepContext;
+use crate::statistics::median;
 use crate::tracks::{NONE, Tracks};
 use crate::{Decision, SfmError};
 use glam::{DVec2, DVec3};

@@ -1,9 +1,9 @@
 //! Whether a model is better for keypoints that were moved to where their windows fit together.
 
-use crate::circular::motion::median;
 use crate::incremental::state::{MapState, MappingInput};
 use crate::reconstruct::StepContext;
 use crate::refinement::{RefinedKeypoints, refine};
+use crate::statistics::median;
 use crate::tracks::NONE;
 use crate::{Decision, KeypointPlaces, SfmError};
 use scene::Progress;
