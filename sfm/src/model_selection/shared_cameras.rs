@@ -22,7 +22,7 @@ pub(crate) fn groups_differ(
     };
     let (one, several) = (adjusted(together)?, adjusted(apart)?);
     let (gain, error) = gain(&one.by_pose, &several.by_pose);
-    let focals = |t: &super::camera::CameraTrial| {
+    let focals = |t: &CameraTrial| {
         let of = |c: &scene::Camera| format!("{:.1}", c.mean_focal());
         t.problem.cameras.iter().map(of).collect::<Vec<_>>().join(", ")
     };
