@@ -9,7 +9,8 @@ use crate::incremental::adjust::{Adjustment, Selected, select};
 use crate::incremental::growth::freedom;
 use crate::incremental::state::MapState;
 use crate::model_selection::camera::{FreeIntrinsics, apply, split};
-use crate::model_selection::noise::{error_sq, gain, noise};
+use crate::model_selection::evidence::gain;
+use crate::model_selection::noise::{error_sq, noise};
 use crate::triangulation::{PointView, nearest_to_rays, refine_point};
 use scene::Progress;
 

@@ -86,7 +86,8 @@ pub(crate) fn choose_for_turn(
     }
     decision.chosen = best.intrinsics.describe();
     let values: Vec<String> = best.values.iter().map(|(v, sd)| format!("{v:.4}±{sd:.4}")).collect();
-    decision.evidence = format!("{}; {}", notes.join(", "), values.join(" "));
+    let d = crate::model_selection::noise::Dependence::of(&best.solution.bundle, 1.0);
+    decision.evidence = format!("{d:?} {}; {}", notes.join(", "), values.join(" "));
     Ok((best.intrinsics, decision, elevation))
 }
 

@@ -1,9 +1,9 @@
 //! The principal point once more, when a model has gained observations.
 
 use super::camera::{
-    CameraSelection, CameraTrial, FreeIntrinsics, PRINCIPAL_POINT_SIGMA, clearly_better, options, split,
+    CameraSelection, CameraTrial, FreeIntrinsics, PRINCIPAL_POINT_SIGMA, options, split,
 };
-use super::noise::gain;
+use super::evidence::Comparison;
 use crate::bundle::BundleProblem;
 use crate::{Knowledge, SfmError};
 use scene::{Camera, CameraModel, Progress};
@@ -32,10 +32,19 @@ pub(crate) fn free_principal_point(
     let whole = FreeIntrinsics { model: CameraModel::Radial, principal_point: true, held: None };
     let free = context.trial(&held.problem, whole)?;
     let again = context.trial(&free.gone_back_to(&held), now)?;
-    let held = if again.bic < held.bic { again } else { held };
-    let (gain, error) = gain(&held.by_pose, &free.by_pose);
-    let taken = clearly_better((gain, error), free.bic, held.bic) && context.determined(&free)?;
-    let mut evidence = format!("{}; {} (gain {gain:.4} ± {error:.4})", held.line(), free.line());
+    let held = if again.score.bic < held.score.bic { again } else { held };
+    let found = Comparison::new(&free.score, &held.score);
+    let taken = found.is_preferred() && context.determined(&free)?;
+    let mut evidence = format!(
+        "{}; {} ({} ± {}, gain {:.4} ± {:.4}, z {:.2})",
+        held.line(),
+        free.line(),
+        found.margin.round(),
+        found.deviation.round(),
+        found.gain,
+        found.error,
+        found.significance()
+    );
     if taken {
         return Ok(Some((whole, evidence)));
     }
@@ -43,8 +52,15 @@ pub(crate) fn free_principal_point(
         let one = FreeIntrinsics { principal_point: true, held: Some(1 - coordinate), ..now };
         let free = context.trial(&held.problem, one)?;
         let share = context.left_of_prior(&free, coordinate)?;
-        evidence += &format!("; {}, to {:.1} % of what it was known to", free.line(), 100.0 * share);
-        if share < DETERMINED_SHARE && free.bic < held.bic {
+        let c = Comparison::new(&free.score, &held.score);
+        evidence += &format!(
+            "; {} ({:.0} ± {:.0}), to {:.1} % of what it was known to",
+            free.line(),
+            c.margin,
+            c.deviation,
+            100.0 * share
+        );
+        if share < DETERMINED_SHARE && free.score.bic < held.score.bic {
             return Ok(Some((one, evidence)));
         }
     }

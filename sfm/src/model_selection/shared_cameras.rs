@@ -1,7 +1,7 @@
 //! Whether groups of images that their files tell apart were taken with one camera all the same.
 
-use super::camera::{CameraSelection, CameraTrial, FreeIntrinsics, before_the_choice, clearly_better, split};
-use super::noise::gain;
+use super::camera::{CameraSelection, CameraTrial, FreeIntrinsics, before_the_choice, split};
+use super::evidence::Comparison;
 use crate::bundle::BundleProblem;
 use crate::{Knowledge, SfmError};
 use scene::{CameraModel, Progress};
@@ -21,17 +21,19 @@ pub(crate) fn groups_differ(
         CameraSelection { training, held_out, sigma, known, progress }.trial(problem, intrinsics)
     };
     let (one, several) = (adjusted(together)?, adjusted(apart)?);
-    let (gain, error) = gain(&one.by_pose, &several.by_pose);
+    let found = Comparison::new(&several.score, &one.score);
     let focals = |t: &CameraTrial| {
         let of = |c: &scene::Camera| format!("{:.1}", c.mean_focal());
         t.problem.cameras.iter().map(of).collect::<Vec<_>>().join(", ")
     };
     let evidence = format!(
-        "focal lengths of {} px apart, {} px together; BIC {:.0} apart, {:.0} together, held-out gain of cameras apart {gain:.4} ± {error:.4}",
+        "focal lengths of {} px apart, {} px together; BIC {:.0} apart, {:.0} together, held-out gain of cameras apart {:.4} ± {:.4}",
         focals(&several),
         focals(&one),
-        several.bic,
-        one.bic
+        several.score.bic,
+        one.score.bic,
+        found.gain,
+        found.error
     );
-    Ok((clearly_better((gain, error), several.bic, one.bic), evidence))
+    Ok((found.is_preferred(), evidence))
 }
