@@ -124,6 +124,12 @@ impl Reconstruction {
         residuals.map(|r| r.length()).collect()
     }
 
+    /// Mean reprojection error, pixels; 0 without observations.
+    pub fn mean_reprojection_error(&self) -> f64 {
+        let errors = self.reprojection_errors();
+        errors.iter().sum::<f64>() / errors.len().max(1) as f64
+    }
+
     /// Reprojection errors by image number, pixels; images without a sighting are left out.
     pub fn reprojection_errors_by_image(&self) -> BTreeMap<u32, Vec<f64>> {
         let mut errors: BTreeMap<u32, Vec<f64>> = BTreeMap::new();

@@ -1,6 +1,6 @@
 //! The charts of a sweep, one SVG. (plotters, as in the report: axes, scales and text are its work.)
 
-use super::Point;
+use super::point::Point;
 use anyhow::{Result, anyhow};
 use plotters::coord::Shift;
 use plotters::prelude::*;

@@ -113,13 +113,15 @@ impl Table {
         (shown(value), is_best)
     }
 
-    fn row(&self, method: usize, bold: impl Fn(&str) -> String) -> Vec<String> {
+    /// The numbers of a method as they are shown, and whether each is the best of its column.
+    pub(super) fn cells(&self, method: usize) -> Vec<(String, bool)> {
         let places = (0..self.cases.len()).flat_map(|case| (0..self.columns.len()).map(move |c| (case, c)));
-        let text = |(case, column)| {
-            let (text, is_best) = self.cell(method, case, column);
-            if is_best { bold(&text) } else { text }
-        };
-        places.map(text).collect()
+        places.map(|(case, column)| self.cell(method, case, column)).collect()
+    }
+
+    fn row(&self, method: usize, bold: impl Fn(&str) -> String) -> Vec<String> {
+        let cells = self.cells(method).into_iter();
+        cells.map(|(text, is_best)| if is_best { bold(&text) } else { text }).collect()
     }
 
     /// GitHub's Markdown.
@@ -136,24 +138,6 @@ impl Table {
             let _ = writeln!(text, "| {} | {cells} |", method.replace('|', "\\|")); // writing to a string
         }
         text
-    }
-
-    /// For a page.
-    pub fn html(&self, escape: impl Fn(&str) -> String) -> String {
-        let width = self.columns.len();
-        let mut text = format!("<h3>{}</h3><div class=\"scroll\"><table><tr><th>", escape(&self.title));
-        for case in &self.cases {
-            let _ = write!(text, "<th class=n colspan={width}>{}", escape(case));
-        }
-        text += "</tr><tr><th>method";
-        for column in self.cases.iter().flat_map(|_| &self.columns) {
-            let _ = write!(text, "<th class=n>{}", escape(&column.name));
-        }
-        for (m, method) in self.methods.iter().enumerate() {
-            let cells = self.row(m, |t| format!("<b>{t}</b>")).join("<td class=n>");
-            let _ = write!(text, "</tr><tr><td>{}<td class=n>{cells}", escape(method));
-        }
-        text + "</tr></table></div>"
     }
 
     /// One line a method and case.

@@ -1,43 +1,17 @@
 //! Geometry of a splat: against a true mesh where one is given, against the silhouettes where there are any.
 
+use crate::args::MeshConfig;
+use crate::record::Geometry;
 use anyhow::{Context, Result};
 use glam::DVec3;
 use scene::geometry::{GeometryErrors, Mesh, compare_points, seen_by};
 use scene::sim3::{Sim3, robust_alignment};
 use scene::{Camera, Gaussians, Pose, Progress, Reconstruction};
-use serde::{Deserialize, Serialize};
 use splat::Dataset;
 use splat::fusion::{DEFAULT_RESOLUTION, fused_mesh, median_distance};
 use splat::surface::{median_depth, outside_hull, points_of};
 use std::collections::{BTreeMap, HashMap};
-use std::path::{Path, PathBuf};
-
-/// The true shape.
-#[derive(clap::Args, Clone, Debug, Default, Serialize, Deserialize)]
-pub struct MeshConfig {
-    /// True shape of the object (.ply, .obj, .glb): accuracy, completeness, F-score and Chamfer distance of the cloud and the splat
-    #[arg(long, value_name = "FILE", help_heading = "Evaluation")]
-    pub mesh: Option<PathBuf>,
-    /// True cameras in the frame of --mesh (as for compare --truth); the model is moved onto their centres (default: it is in that frame)
-    #[arg(long, value_name = "TRUTH", requires = "mesh", help_heading = "Evaluation")]
-    pub mesh_truth: Option<PathBuf>,
-}
-
-/// How the shape was judged, and what came of it.
-#[derive(Clone, Debug, Default, Serialize, Deserialize)]
-pub struct Geometry {
-    /// How it was measured.
-    pub protocol: String,
-    /// The sparse cloud against the mesh.
-    pub cloud: Option<GeometryErrors>,
-    /// The surface at which the splat is half opaque, from the input views, against the mesh.
-    pub surface: Option<GeometryErrors>,
-    /// The mesh that `export --mesh` writes, against the mesh.
-    #[serde(default)]
-    pub fused: Option<GeometryErrors>,
-    /// Share of the splat's opacity outside the visual hull of the mattes, per cent.
-    pub floaters_pct: Option<f64>,
-}
+use std::path::Path;
 
 /// What counts as near, per cent of the mesh's size.
 const THRESHOLD_PCT: f64 = 1.0;
@@ -76,31 +50,8 @@ impl Geometry {
         .join("; ")
     }
 
-    /// For the report: a table where there is a mesh, and a sentence.
-    pub fn html(&self) -> String {
-        let mut protocol = self.protocol.clone();
-        if let Some(first) = protocol.get_mut(0..1) {
-            first.make_ascii_uppercase();
-        }
-        let mut html = format!("<h3>Shape</h3><p>{protocol}.</p>");
-        if self.cloud.is_some() || self.surface.is_some() {
-            html.push_str(
-                "<div class=\"scroll\"><table><tr><th><th class=n>sparse cloud<th class=n>splat<th class=n>fused mesh</tr>",
-            );
-            for (what, cells) in self.rows() {
-                let cells: String = cells.iter().map(|c| format!("<td class=n>{c}")).collect();
-                html.push_str(&format!("<tr><td>{what}{cells}</tr>"));
-            }
-            html.push_str("</table></div>");
-        }
-        if let Some(share) = self.floaters_pct {
-            html.push_str(&format!("<p>{share:.2} % of the opacity lies outside the silhouettes.</p>"));
-        }
-        html
-    }
-
     /// Rows of a table: quantity, then cloud, surface, mesh.
-    fn rows(&self) -> Vec<(&'static str, [String; 3])> {
+    pub(crate) fn rows(&self) -> Vec<(&'static str, [String; 3])> {
         let row = |name: &'static str, pick: fn(&GeometryErrors) -> f64| {
             let cell = |e: &Option<GeometryErrors>| {
                 e.as_ref().map_or("–".to_owned(), |e| format!("{:.3}", pick(e)))

@@ -1,10 +1,11 @@
 //! Numbers that decisions rest on, each with its name and unit.
 
 use crate::Camera;
+use schemars::JsonSchema;
 use serde::{Deserialize, Deserializer, Serialize, Serializer};
 
 /// What a number measures. The comment tells the unit of its value.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "kebab-case")]
 pub enum Quantity {
     /// Bayesian information criterion; less is better.
@@ -218,11 +219,12 @@ pub enum Quantity {
 }
 
 /// A number, and its standard deviation where it is known. Values that are not finite are written as `null`.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct Measurement {
     /// What is measured.
     pub quantity: Quantity,
     /// The number, in the unit of the quantity.
+    #[schemars(with = "Option<f64>")]
     #[serde(serialize_with = "finite_or_null", deserialize_with = "null_is_nan")]
     pub value: f64,
     /// Its standard deviation, in the same unit.

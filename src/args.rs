@@ -1,7 +1,7 @@
 //! The command line: what can be said to sat-recon.
 
 use clap::{Args, Parser, Subcommand, ValueEnum};
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 use std::path::PathBuf;
 
 /// Camera poses, a sparse cloud and a 3D Gaussian splat from a video or photos of an object.
@@ -121,7 +121,33 @@ pub struct PipelineArgs {
     pub train: splat::TrainConfig,
     /// Evaluation.
     #[command(flatten)]
-    pub eval: crate::evaluate::EvalConfig,
+    pub eval: EvalConfig,
+}
+
+/// How the held-out views are judged.
+#[derive(Args, Clone, Debug, Serialize, Deserialize)]
+pub struct EvalConfig {
+    /// Weights for LPIPS, a .safetensors file of AlexNet's or VGG-16's made by tools/lpips_weights.py; may be given for each
+    #[arg(long, value_name = "FILE", help_heading = "Evaluation")]
+    pub lpips_weights: Vec<PathBuf>,
+    /// How often the held-out views are rendered to measure frames per second
+    #[arg(long, default_value_t = 15, value_parser = clap::value_parser!(u32).range(1..=1000), help_heading = "Evaluation")]
+    pub fps_loops: u32,
+    /// The true shape.
+    #[command(flatten)]
+    #[serde(default)]
+    pub mesh: MeshConfig,
+}
+
+/// The true shape.
+#[derive(Args, Clone, Debug, Default, Serialize, Deserialize)]
+pub struct MeshConfig {
+    /// True shape of the object (.ply, .obj, .glb): accuracy, completeness, F-score and Chamfer distance of the cloud and the splat
+    #[arg(long, value_name = "FILE", help_heading = "Evaluation")]
+    pub mesh: Option<PathBuf>,
+    /// True cameras in the frame of --mesh (as for compare --truth); the model is moved onto their centres (default: it is in that frame)
+    #[arg(long, value_name = "TRUTH", requires = "mesh", help_heading = "Evaluation")]
+    pub mesh_truth: Option<PathBuf>,
 }
 
 /// The path of a rendered camera.
