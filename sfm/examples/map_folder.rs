@@ -78,7 +78,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     };
     let s = &result.stats;
     println!(
-        "{} of {} images, {} features, {} pairs, {} points, {} sightings, track {:.2}, error median {:.3} rms {:.3} px",
+        "{} of {} images, {} features, {} pairs, {} points, {} observations, track {:.2}, error median {:.3} rms {:.3} px",
         s.registered,
         s.images,
         s.features,

@@ -41,13 +41,13 @@ pub struct SfmStats {
     pub pairs_verified: usize,
     /// Points of the model.
     pub points: usize,
-    /// Sightings of the model's points.
+    /// Observations of the model's points.
     pub observations: usize,
-    /// Mean sightings a point.
+    /// Mean observations a point.
     pub mean_track_length: f64,
-    /// Root mean square of the reprojection error over sightings, pixels.
+    /// Root mean square of the reprojection error over observations, pixels.
     pub reprojection_rms_px: f64,
-    /// Median reprojection error over sightings, pixels.
+    /// Median reprojection error over observations, pixels.
     pub reprojection_median_px: f64,
     /// Cost of each step, in order.
     pub steps: Vec<StepTime>,
@@ -82,7 +82,7 @@ pub struct SfmResult {
     pub reason: String,
     /// Frames without a pose: name, and why.
     pub missing: Vec<(String, String)>,
-    /// Registered images that hang by a thread: name, and why.
+    /// Registered images that are weakly constrained: name, and why.
     pub weak_images: Vec<(String, String)>,
     /// What the evidence decided.
     pub decisions: Vec<Decision>,

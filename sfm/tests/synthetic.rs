@@ -33,7 +33,7 @@ fn errors(scene: &SyntheticScene, config: &SfmConfig) -> PoseErrors {
     compare_poses(result.reconstruction.as_ref().expect(&result.reason), &scene.truth)
 }
 
-/// A noisy ring with wrong sightings and clutter.
+/// A noisy ring with wrong observations and clutter.
 fn ring(cameras: usize) -> SyntheticScene {
     let options = SyntheticOptions {
         num_cameras: cameras,
@@ -143,7 +143,7 @@ fn images_of_32_and_of_12000_pixels_are_solved() {
 }
 
 #[test]
-fn wrong_sightings_up_to_seventy_percent_leave_a_right_model_or_none() {
+fn wrong_observations_up_to_seventy_percent_leave_a_right_model_or_none() {
     for percent in [0, 30, 50, 70, 90] {
         let o = SyntheticOptions {
             outliers: f64::from(percent) / 100.0,
