@@ -314,6 +314,16 @@ impl Decision {
         self
     }
 
+    /// Takes over the facts, numbers and alternatives of another decision.
+    #[must_use]
+    pub fn absorbing(mut self, other: Self) -> Self {
+        self.remarks.extend(other.remarks);
+        self.measurements.extend(other.measurements);
+        self.alternatives.extend(other.alternatives);
+        self.message = self.message.or(other.message);
+        self
+    }
+
     /// Adds a name or an error message that is quoted as it is.
     #[must_use]
     pub fn quoting(mut self, message: impl Into<String>) -> Self {

@@ -130,6 +130,8 @@ pub enum Quantity {
     AngularRate,
     /// Root mean square deviation of the angles from a constant rate, degrees.
     RateDeviation,
+    /// The same after smoothing by the motion prior, degrees.
+    SmoothedDeviation,
     /// What that would be by noise alone, degrees.
     ExpectedDeviation,
     /// Slow deviations of the rate, degrees.

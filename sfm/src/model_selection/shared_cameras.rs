@@ -4,6 +4,7 @@ use super::camera::{CameraSelection, CameraTrial, FreeIntrinsics, before_the_cho
 use super::noise::gain;
 use crate::bundle::BundleProblem;
 use crate::{Knowledge, SfmError};
+use scene::decision::{Alternative, Choice, Measurement, Quantity};
 use scene::{CameraModel, Progress};
 
 /// Whether a camera for each group predicts what was held out so much better than fewer cameras do that it pays for its
@@ -14,7 +15,7 @@ pub(crate) fn groups_differ(
     named: Option<CameraModel>,
     sigma: f64,
     progress: &Progress,
-) -> Result<(bool, String), SfmError> {
+) -> Result<(bool, Vec<Alternative>), SfmError> {
     let intrinsics: FreeIntrinsics = before_the_choice(named);
     let adjusted = |(problem, known): (&BundleProblem, &[Knowledge])| {
         let (training, held_out) = split(problem);
@@ -22,16 +23,16 @@ pub(crate) fn groups_differ(
     };
     let (one, several) = (adjusted(together)?, adjusted(apart)?);
     let (gain, error) = gain(&one.by_pose, &several.by_pose);
-    let focals = |t: &super::camera::CameraTrial| {
-        let of = |c: &scene::Camera| format!("{:.1}", c.mean_focal());
-        t.problem.cameras.iter().map(of).collect::<Vec<_>>().join(", ")
-    };
-    let evidence = format!(
-        "focal lengths of {} px apart, {} px together; BIC {:.0} apart, {:.0} together, held-out gain of cameras apart {gain:.4} ± {error:.4}",
-        focals(&several),
-        focals(&one),
-        several.bic,
-        one.bic
-    );
-    Ok((clearly_better((gain, error), several.bic, one.bic), evidence))
+    let differ = clearly_better((gain, error), several.bic, one.bic);
+    let mut apart = group_alternative(&several, differ);
+    apart.scores.push(Measurement::estimate(Quantity::HeldOutGain, gain, error));
+    Ok((differ, vec![apart, group_alternative(&one, !differ)]))
+}
+
+/// So many cameras, with their focal lengths.
+fn group_alternative(trial: &CameraTrial, accepted: bool) -> Alternative {
+    let cameras = &trial.problem.cameras;
+    let focals = cameras.iter().map(|c| Measurement::new(Quantity::FocalLength, c.mean_focal()));
+    let scores = [Measurement::new(Quantity::Bic, trial.bic)].into_iter().chain(focals).collect();
+    Alternative { choice: Choice::count(cameras.len()), accepted, scores }
 }

@@ -15,12 +15,12 @@ use crate::incremental::depths;
 use crate::incremental::finish::{converge, decide, noise_of, polish, uncertainty};
 use crate::incremental::state::{MapState, MappingInput};
 use crate::tracks::{build_tracks, positions};
-use crate::{Decision, SfmConfig, SfmError, SfmResult, Uncertainty, incremental, pairs, sift, two_view};
+use crate::{SfmConfig, SfmError, SfmResult, Uncertainty, incremental, pairs, sift, two_view};
 pub use posed::triangulate_given;
 
 use clock::Clock;
 use model::{MappedModel, StepContext, grow_model, keypoint_sigmas};
-use scene::{Features, FrameSet, Progress, TwoViewGeometry};
+use scene::{Decision, Features, FrameSet, Progress, TwoViewGeometry};
 use setup::Setup;
 use steps::mapping::{complete_ring, remove_aliased_pairs, retry_unmatched_pairs};
 use steps::matching::{find_weakly_tied, pairs_decision, strong_tie, why_no_model};
@@ -75,7 +75,7 @@ pub fn reconstruct_from(
     export::colour(&mut result, frames, progress)?;
     clock.lap("colours", &mut result.stats.steps);
     if let Some(why) = tried {
-        note_attempt(&mut result.decisions, why);
+        result.decisions.push(why);
     }
     Ok(result)
 }
@@ -211,7 +211,7 @@ fn solve_along_video(
     config: &SfmConfig,
     setup: &Setup,
     progress: &Progress,
-) -> Result<Option<Result<(VideoModel, Decision), String>>, SfmError> {
+) -> Result<Option<Result<(VideoModel, Decision), Decision>>, SfmError> {
     if !frames.is_video || !matches!(config.motion.motion, Motion::Auto | Motion::SingleAxis) {
         return Ok(None);
     }
@@ -245,14 +245,6 @@ fn circular_model(
         keypoints,
         decisions: motion.into_iter().chain(solution.decisions).collect(),
         uncertainty: solution.uncertainty,
-    }
-}
-
-/// Says beside the decision on the motion what the search along the video came to.
-fn note_attempt(decisions: &mut Vec<Decision>, why: String) {
-    match decisions.iter_mut().find(|d| d.what == "motion") {
-        Some(d) => d.evidence = format!("{}; along the video: {why}", d.evidence),
-        None => decisions.push(circular::decision("free", format!("along the video: {why}"))),
     }
 }
 

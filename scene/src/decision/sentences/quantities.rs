@@ -105,6 +105,7 @@ impl Quantity {
             Self::AngularStep => ("step", Of("°", 3)),
             Self::AngularRate => ("rate", Of("°/s", 4)),
             Self::RateDeviation => ("deviation from a constant rate", Of("°", 4)),
+            Self::SmoothedDeviation => ("deviation after smoothing", Of("°", 4)),
             Self::ExpectedDeviation => ("expected from noise alone", Of("°", 4)),
             Self::SlowDeviation => ("slow deviations", Of("°", 4)),
             Self::SlowDuration => ("their duration (share of the video)", Percent(0)),
