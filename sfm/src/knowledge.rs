@@ -22,7 +22,7 @@ impl Calibration {
         if skew > w.max(h) || w == 0 || h == 0 {
             return None;
         }
-        let camera = self.camera.scaled_to(width, height);
+        let camera = self.camera.scaled(width, height);
         let in_pixels = camera.model.num_focals() + 2;
         let factor = f64::from(width) / w as f64;
         let sigmas = self.sigmas.iter().enumerate().map(|(i, s)| if i < in_pixels { s * factor } else { *s });

@@ -105,7 +105,7 @@ impl CircularProblem {
         }
         let mut state = self.state(scale);
         if options.points_first {
-            let points = self.bundle.settled_points(options.loss);
+            let points = self.bundle.settle_points(options.loss);
             state.points = points.iter().flat_map(|x| (*x / scale).to_array()).collect();
         }
         let outcome = solve(&input, &mut state, progress)?;

@@ -7,7 +7,6 @@ use super::loop_closure::close::ClosedVideo;
 use super::model::{AxisModel, CircularContext};
 use super::motion::CircularMotion;
 use super::prior::{known_rate, learn_motion};
-use super::problem::Relation;
 use super::{
     CircularSolution, Motion, MotionInput, ROUNDS, ROUNDS_BEFORE, adjust_and_choose, finish, motion_decision,
 };

@@ -177,7 +177,7 @@ fn from_features(
     result.stats.pairs_verified = result.geometries.len();
     result.decisions.push(pairs_decision(matched, frames.len(), &result.geometries));
     let mut lap = |step: &str| clock.lap(step, &mut result.stats.steps);
-    let sigmas = result.features.iter().map(sigmas).collect();
+    let sigmas = result.features.iter().map(keypoint_sigmas).collect();
     let given = StepContext {
         images: job.more_features.then_some(frames),
         config,

@@ -48,7 +48,7 @@ pub fn minimise<const D: usize, S: Clone>(
     state: S,
     max_iterations: usize,
     evaluate: impl Fn(&S) -> Option<Normal<D>>,
-    moved: impl Fn(&S, &[f64; D]) -> S,
+    apply_step: impl Fn(&S, &[f64; D]) -> S,
 ) -> S {
     let mut best = state;
     let Some(mut normal) = evaluate(&best) else { return best };

@@ -204,7 +204,7 @@ fn adjust(pairs: &[KeyPair], keys: usize, start: &Seed, guess: f64, known: [bool
     let mut seed = start.clone();
     for width in WIDTHS_PX {
         let evaluate = |s: &Seed| Some(normal(pairs, keys, s, guess, known, width).0);
-        seed = minimise(seed, 30, evaluate, moved);
+        seed = minimise(seed, 30, evaluate, step_from);
     }
     seed.cost = normal(pairs, keys, &seed, guess, known, WIDTHS_PX[1]).1;
     seed
@@ -237,12 +237,12 @@ fn normal(
         let [i, k] = pair.keys;
         let angle = seed.angles[k] - seed.angles[i];
         let f = fundamental(seed.frame, seed.focal, angle);
-        let turned =
+        let tilted =
             |axis: DVec3| fundamental(DQuat::from_scaled_axis(axis * H) * seed.frame, seed.focal, angle);
         let tangents = [
-            pose_at(DVec3::X),
-            pose_at(DVec3::Y),
-            pose_at(DVec3::Z),
+            tilted(DVec3::X),
+            tilted(DVec3::Y),
+            tilted(DVec3::Z),
             fundamental(seed.frame, seed.focal * H.exp(), angle),
             fundamental(seed.frame, seed.focal, angle + H),
         ];
