@@ -152,7 +152,7 @@ pub struct MeshConfig {
 
 /// The path of a rendered camera.
 #[derive(ValueEnum, Clone, Copy, Debug, PartialEq, Eq)]
-pub enum CameraPath {
+pub enum RenderPath {
     /// The input cameras
     Input,
     /// The held-out input cameras
@@ -185,8 +185,8 @@ pub struct RenderArgs {
     #[arg(short, long, value_name = "OUT")]
     pub output: PathBuf,
     /// Where the camera goes
-    #[arg(long, value_enum, default_value_t = CameraPath::Orbit)]
-    pub path: CameraPath,
+    #[arg(long, value_enum, default_value_t = RenderPath::Orbit)]
+    pub path: RenderPath,
     /// What to show
     #[arg(long, value_enum, default_value_t = Channel::Color)]
     pub channel: Channel,

@@ -4,8 +4,10 @@ mod evaluation;
 mod known;
 mod verdict;
 
-pub use evaluation::{Evaluation, Geometry, Metrics, Percentile, RenderingCost, TrainingViews, ViewMetrics};
-pub use known::KnownRun;
+pub use evaluation::{
+    Evaluation, Metrics, Percentile, RenderingCost, ShapeEvaluation, TrainingViews, ViewMetrics,
+};
+pub use known::{KnownConfig, KnownRun};
 pub use verdict::{Level, Light};
 
 use crate::args::PipelineArgs;

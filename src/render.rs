@@ -1,6 +1,6 @@
 //! `render`: pictures of a trained splat along a camera path.
 
-use crate::args::{CameraPath, Channel, RenderArgs};
+use crate::args::{Channel, RenderArgs, RenderPath};
 use crate::outcome::Outcome;
 use crate::record::KnownRun;
 use crate::terminal::{CANCELLED, TerminalSink, Verbosity};
@@ -24,7 +24,7 @@ pub fn run(args: &RenderArgs, verbosity: Verbosity) -> Result<Outcome> {
     progress.begin("render", views.len());
     let (mut renderer, device) = splat::Renderer::on(&args.device, &gaussians)?;
     renderer.antialias = crate::evaluate::trained_with_antialias(&args.run)?;
-    let mut sink = Sink::open(&args.output, args.fps)?;
+    let mut sink = PictureSink::open(&args.output, args.fps)?;
     for (name, camera, pose) in &views {
         let output = renderer.render(camera, pose, &options)?;
         sink.put(name, &picture(&output, args.channel, camera))?;
@@ -56,8 +56,8 @@ fn camera_path(model: &Reconstruction, args: &RenderArgs) -> Result<Vec<View>> {
     let input = images
         .iter()
         .enumerate()
-        .filter(|(i, _)| args.path == CameraPath::Input || dataset.holds_out(*i, count));
-    if matches!(args.path, CameraPath::Input | CameraPath::Test) {
+        .filter(|(i, _)| args.path == RenderPath::Input || dataset.holds_out(*i, count));
+    if matches!(args.path, RenderPath::Input | RenderPath::Test) {
         let views = input.filter_map(|(_, image)| {
             Some((image.name.clone(), model.cameras.get(&image.camera)?.clone(), image.pose))
         });
@@ -65,7 +65,7 @@ fn camera_path(model: &Reconstruction, args: &RenderArgs) -> Result<Vec<View>> {
     }
     let poses: Vec<Pose> = images.iter().map(|i| i.pose).collect();
     let path = OrbitPath::fit(&poses).map_err(|why| anyhow::anyhow!("{why}; render --path input instead"))?;
-    let rise = if args.path == CameraPath::Spiral { SPIRAL_RISE } else { 0.0 };
+    let rise = if args.path == RenderPath::Spiral { SPIRAL_RISE } else { 0.0 };
     let views = path.poses(args.count as usize, rise).into_iter().enumerate();
     Ok(views.map(|(i, pose)| (format!("{i:05}"), camera.clone(), pose)).collect())
 }
@@ -119,12 +119,12 @@ fn normal_colour(output: &RenderOutput, camera: &Camera, x: u32, y: u32) -> imag
 }
 
 /// A folder of PNG files or ffmpeg's standard input.
-enum Sink {
+enum PictureSink {
     Folder(std::path::PathBuf),
     Video { child: Option<std::process::Child>, path: std::path::PathBuf, fps: f64, size: (u32, u32) },
 }
 
-impl Sink {
+impl PictureSink {
     fn open(path: &Path, fps: f64) -> Result<Self> {
         if path.extension().is_some_and(|e| e.eq_ignore_ascii_case("mp4")) {
             anyhow::ensure!(fps.is_finite() && fps > 0.0, "--fps must be positive");

@@ -1,6 +1,6 @@
 //! Runs (and renders of other tools) as entries of the tables.
 
-use super::tables::{Column, Table};
+use super::tables::{Table, TableColumn};
 use crate::evaluate::metrics::FIGURES;
 use crate::record::{Evaluation, KnownConfig, KnownRun, Metrics, ViewMetrics};
 use anyhow::{Context, Result, bail};
@@ -27,7 +27,7 @@ pub struct EntryView {
 pub struct Entry {
     /// Row.
     pub method: String,
-    /// Column group.
+    /// TableColumn group.
     pub case: String,
     /// Its run folder; `None` for renders of another tool.
     pub run: Option<PathBuf>,
@@ -193,12 +193,12 @@ pub fn tables(entries: &[Entry], beside: &[Table]) -> Vec<Table> {
     };
     let (methods, cases) = (names(|e| &e.method), names(|e| &e.case));
     let build = |title: &str, headings: Vec<Heading>, values: &dyn Fn(&Entry) -> Vec<Option<f64>>| {
-        let column = |(name, digits, more_is_better): Heading| Column {
+        let column = |(name, digits, more_is_better): Heading| TableColumn {
             name: name.to_owned(),
             digits,
             more_is_better,
         };
-        let columns: Vec<Column> = headings.into_iter().map(column).collect();
+        let columns: Vec<TableColumn> = headings.into_iter().map(column).collect();
         let mut table = Table::new(title, &methods, &cases, &columns);
         for entry in entries {
             let place = |all: &[String], name: &String| all.iter().position(|n| n == name);

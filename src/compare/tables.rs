@@ -5,7 +5,7 @@ use std::fmt::Write as _;
 
 /// A column of every case.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-pub struct Column {
+pub struct TableColumn {
     /// Heading, with its unit.
     pub name: String,
     /// Digits behind the point.
@@ -21,10 +21,10 @@ pub struct Table {
     pub title: String,
     /// Rows.
     pub methods: Vec<String>,
-    /// Column groups.
+    /// TableColumn groups.
     pub cases: Vec<String>,
     /// Columns of each group.
-    pub columns: Vec<Column>,
+    pub columns: Vec<TableColumn>,
     /// [methods × cases × columns].
     pub values: Vec<Vec<Vec<Option<f64>>>>,
     /// Methods whose numbers were published, not measured here: they stand beside the others and are never the best.
@@ -34,7 +34,7 @@ pub struct Table {
 
 impl Table {
     /// A table without numbers.
-    pub fn new(title: &str, methods: &[String], cases: &[String], columns: &[Column]) -> Self {
+    pub fn new(title: &str, methods: &[String], cases: &[String], columns: &[TableColumn]) -> Self {
         let values = vec![vec![vec![None; columns.len()]; cases.len()]; methods.len()];
         let (methods, cases, columns) = (methods.to_vec(), cases.to_vec(), columns.to_vec());
         Self { title: title.to_owned(), methods, cases, columns, values, published: Vec::new() }
@@ -58,7 +58,7 @@ impl Table {
         };
         let methods: Vec<usize> = other.methods.iter().map(|m| place(&mut self.methods, m)).collect();
         let cases: Vec<usize> = other.cases.iter().map(|c| place(&mut self.cases, c)).collect();
-        let column = |column: &Column| {
+        let column = |column: &TableColumn| {
             self.columns.iter().position(|c| c.name == column.name).unwrap_or_else(|| {
                 self.columns.push(column.clone());
                 self.columns.len() - 1
@@ -102,7 +102,7 @@ impl Table {
     /// The number as it is shown, and whether none that was measured in its column is better (two at least).
     fn cell(&self, method: usize, case: usize, column: usize) -> (String, bool) {
         let Some(value) = self.values[method][case][column] else { return ("–".into(), false) };
-        let Column { digits, more_is_better, .. } = self.columns[column].clone();
+        let TableColumn { digits, more_is_better, .. } = self.columns[column].clone();
         let shown = |v: f64| format!("{v:.digits$}");
         let is_published = |m: usize| self.published.contains(&self.methods[m]);
         let measured = (0..self.methods.len()).filter(|&m| !is_published(m));
@@ -195,7 +195,8 @@ mod tests {
     use super::*;
 
     fn table() -> Table {
-        let column = |name: &str, more_is_better| Column { name: name.to_owned(), digits: 2, more_is_better };
+        let column =
+            |name: &str, more_is_better| TableColumn { name: name.to_owned(), digits: 2, more_is_better };
         let names = ["a_b".to_owned(), "c".to_owned()];
         let mut table = Table::new(
             "quality",
@@ -219,7 +220,7 @@ mod tests {
 
     #[test]
     fn published_numbers_stand_beside_the_measured_ones_and_are_never_the_best() {
-        let column = |name: &str| Column { name: name.to_owned(), digits: 0, more_is_better: true };
+        let column = |name: &str| TableColumn { name: name.to_owned(), digits: 0, more_is_better: true };
         let mut paper = Table::new(
             "quality",
             &["paper".into()],

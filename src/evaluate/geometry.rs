@@ -1,7 +1,7 @@
-//! Geometry of a splat: against a true mesh where one is given, against the silhouettes where there are any.
+//! ShapeEvaluation of a splat: against a true mesh where one is given, against the silhouettes where there are any.
 
 use crate::args::MeshConfig;
-use crate::record::Geometry;
+use crate::record::ShapeEvaluation;
 use anyhow::{Context, Result};
 use glam::DVec3;
 use scene::geometry::{GeometryErrors, Mesh, compare_points, seen_by};
@@ -26,7 +26,7 @@ const CROP_PCT: f64 = 5.0;
 /// A surface hides another if it lies before it by more than this, per cent of the size.
 const SLACK_PCT: f64 = 0.5;
 
-impl Geometry {
+impl ShapeEvaluation {
     /// The figures in a few words.
     pub fn sentence(&self) -> String {
         let errors = |name: &str, e: &Option<GeometryErrors>| {
@@ -78,12 +78,16 @@ pub fn measure(
     dataset: &Dataset,
     (gaussians, antialias): (&Gaussians, bool),
     progress: &Progress,
-) -> Result<Option<Geometry>> {
+) -> Result<Option<ShapeEvaluation>> {
     let floaters_pct = outside_hull(gaussians, dataset).map(|share| 100.0 * share);
     let Some(path) = &config.mesh else {
         let protocol =
             "opacity of Gaussians whose centre is black in the mask of a view, 2 px allowed".to_owned();
-        return Ok(floaters_pct.map(|_| Geometry { protocol, floaters_pct, ..Geometry::default() }));
+        return Ok(floaters_pct.map(|_| ShapeEvaluation {
+            protocol,
+            floaters_pct,
+            ..ShapeEvaluation::default()
+        }));
     };
     let mesh = scene::io::read_mesh(path)?;
     let model = scene::io::read_model(&out.join("undistorted/sparse/0"))?;
@@ -124,7 +128,7 @@ pub fn measure(
             String::new()
         }
     );
-    Ok(Some(Geometry { protocol, cloud, surface: splat, fused, floaters_pct }))
+    Ok(Some(ShapeEvaluation { protocol, cloud, surface: splat, fused, floaters_pct }))
 }
 
 /// Onto the true camera centres; and how well that went.

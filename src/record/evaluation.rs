@@ -56,7 +56,7 @@ pub struct Evaluation {
     pub rendering: RenderingCost,
     /// Shape, where there is a mesh or a matte to judge it by.
     #[serde(default)]
-    pub geometry: Option<Geometry>,
+    pub geometry: Option<ShapeEvaluation>,
 }
 
 /// Image quality of one view, or means over views.
@@ -103,7 +103,7 @@ pub struct RenderingCost {
 
 /// How the shape was judged, and what came of it.
 #[derive(Clone, Debug, Default, Serialize, Deserialize, JsonSchema)]
-pub struct Geometry {
+pub struct ShapeEvaluation {
     /// How it was measured.
     pub protocol: String,
     /// The sparse cloud against the mesh.

@@ -153,7 +153,7 @@ pub fn error_histogram(errors: &[f64]) -> Result<String> {
     }
     let top = f64::from(counts.iter().copied().max().unwrap_or(1).max(1)) * 1.05;
     svg(|area| {
-        let mut chart = axes(area, 0.0..4.0, 0.0..top, ["reprojection error, px", "sightings"])?;
+        let mut chart = axes(area, 0.0..4.0, 0.0..top, ["reprojection error, px", "observations"])?;
         let bars = counts.iter().enumerate().map(|(i, &n)| {
             let x = |i: usize| i as f64 * 4.0 / BINS as f64;
             Rectangle::new([(x(i), 0.0), (x(i + 1), f64::from(n))], COLOURS[0].filled())

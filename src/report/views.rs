@@ -2,7 +2,7 @@
 
 use super::charts::{self, Series};
 use super::html::{self, InlinePicture, figure};
-use crate::record::{Evaluation, Geometry, SplatSummary};
+use crate::record::{Evaluation, ShapeEvaluation, SplatSummary};
 use anyhow::Result;
 use maud::{Markup, html};
 use splat::CurvePoint;
@@ -55,7 +55,7 @@ pub(super) fn held_out(out: &Path, evaluation: &Evaluation) -> Result<Markup> {
 }
 
 /// The shape: a table where there is a mesh, and a sentence.
-fn shape(geometry: &Geometry) -> Markup {
+fn shape(geometry: &ShapeEvaluation) -> Markup {
     let mut protocol = geometry.protocol.clone();
     if let Some(first) = protocol.get_mut(0..1) {
         first.make_ascii_uppercase();

@@ -176,10 +176,13 @@ pub(super) fn parse_points(path: &Path, data: &[u8]) -> Result<BTreeMap<u64, Sce
         }
         let rgb = [r.u8("a colour")?, r.u8("a colour")?, r.u8("a colour")?];
         let error_px = r.f64("an error")?;
-        let n = r.count(8, "sightings of a point")?;
+        let n = r.count(8, "observations of a point")?;
         let mut track = Vec::with_capacity(n);
         for _ in 0..n {
-            track.push(TrackElement { image: r.u32("a sighting")?, observation: r.u32("a sighting")? });
+            track.push(TrackElement {
+                image: r.u32("an observation")?,
+                observation: r.u32("an observation")?,
+            });
         }
         insert(path, "point", &mut points, id, ScenePoint { position, rgb, error_px, track })?;
     }

@@ -160,7 +160,7 @@ fn pose_of(path: &Path, entry: &FrameEntry) -> Result<Pose, IoError> {
     Ok(Pose::from_centre(world_from_cam.conjugate(), centre))
 }
 
-/// Half a turn about x: y down and z forward instead of y up and z backward.
+/// A rotation by 180° about x: y down and z forward instead of y up and z backward.
 const GL_FROM_CV: DQuat = DQuat::from_xyzw(1.0, 0.0, 0.0, 0.0);
 
 fn camera_of(

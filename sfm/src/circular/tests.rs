@@ -151,7 +151,7 @@ pub(super) fn solve_from(
     let job = filmed.video();
     let material = VideoTracks::of_klt(&tracks, table.poses.len());
     let input = job.input(&material);
-    let grown = job.grow(&input, &tracks).unwrap()?;
+    let grown = job.grow(&input, &tracks).unwrap().map_err(|why| format!("{why:?}"))?;
     let starts = grown.state.cameras.clone();
     let job = filmed.job(&input, &starts);
     let context = job.context(&[]);

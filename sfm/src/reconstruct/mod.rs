@@ -8,9 +8,7 @@ mod setup;
 mod steps;
 
 use crate::circular::initialize::constant_step as constant_step_turn;
-use crate::circular::{
-    self, CircularSolution, FreeModel, Motion, VideoJob, VideoModel, consider, solve_video,
-};
+use crate::circular::{CircularSolution, FreeModel, Motion, VideoJob, VideoModel, consider, solve_video};
 use crate::incremental::depths;
 use crate::incremental::finish::{converge, decide, noise_of, polish, uncertainty};
 use crate::incremental::state::{MapState, MappingInput};

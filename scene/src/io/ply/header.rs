@@ -72,12 +72,12 @@ impl Scalar {
 
 /// A property is a number or a list (type of its count, type of its items).
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Kind {
+pub enum PlyKind {
     Scalar(Scalar),
     List(Scalar, Scalar),
 }
 
-impl Kind {
+impl PlyKind {
     /// The least bytes it takes in a binary file.
     pub fn min_bytes(self) -> usize {
         match self {
@@ -90,7 +90,7 @@ impl Kind {
 #[derive(Clone, Debug)]
 pub struct Property {
     pub name: String,
-    pub kind: Kind,
+    pub kind: PlyKind,
 }
 
 /// A named table.
@@ -104,7 +104,7 @@ pub struct Element {
 impl Element {
     /// Whether it has a scalar property of that name.
     pub fn has(&self, name: &str) -> bool {
-        self.properties.iter().any(|p| p.name == name && matches!(p.kind, Kind::Scalar(_)))
+        self.properties.iter().any(|p| p.name == name && matches!(p.kind, PlyKind::Scalar(_)))
     }
 
     /// Offset and type of every column, and the size of a row; `None` where lists make rows differ.
@@ -112,7 +112,7 @@ impl Element {
         let mut at = 0;
         let mut columns = Vec::with_capacity(self.properties.len());
         for property in &self.properties {
-            let Kind::Scalar(t) = property.kind else { return None };
+            let PlyKind::Scalar(t) = property.kind else { return None };
             columns.push((at, t));
             at += t.bytes();
         }
@@ -164,10 +164,10 @@ pub fn parse(path: &Path, data: &[u8]) -> Result<(Encoding, Vec<Element>, usize)
     }
 }
 
-fn parse_kind(words: &[&str]) -> Option<Kind> {
+fn parse_kind(words: &[&str]) -> Option<PlyKind> {
     match words {
-        [t] => Scalar::from_name(t).map(Kind::Scalar),
-        ["list", count, item] => Some(Kind::List(Scalar::from_name(count)?, Scalar::from_name(item)?)),
+        [t] => Scalar::from_name(t).map(PlyKind::Scalar),
+        ["list", count, item] => Some(PlyKind::List(Scalar::from_name(count)?, Scalar::from_name(item)?)),
         _ => None,
     }
 }

@@ -8,7 +8,7 @@ pub use points::{CloudPoint, read_points_ply, write_points_ply};
 pub use splat::{read_splat_ply, write_splat_ply};
 
 use super::error::IoError;
-use header::{Element, Encoding, Kind, Scalar};
+use header::{Element, Encoding, PlyKind, Scalar};
 use std::path::Path;
 
 /// Takes the number of a row and its values.
@@ -77,8 +77,8 @@ impl<'a> Ply<'a> {
             for row in 0..candidate.count as usize {
                 for property in &candidate.properties {
                     match property.kind {
-                        Kind::Scalar(t) => drop(self.next(t, &mut body)?),
-                        Kind::List(count, item) => {
+                        PlyKind::Scalar(t) => drop(self.next(t, &mut body)?),
+                        PlyKind::List(count, item) => {
                             items.clear();
                             self.list(count, item, &mut body, &mut items)?;
                             if names.contains(&property.name.as_str()) {
@@ -100,7 +100,7 @@ impl<'a> Ply<'a> {
 
     fn column(&self, element: &Element, name: &str) -> Result<usize, IoError> {
         let found =
-            element.properties.iter().position(|p| p.name == name && matches!(p.kind, Kind::Scalar(_)));
+            element.properties.iter().position(|p| p.name == name && matches!(p.kind, PlyKind::Scalar(_)));
         found.ok_or_else(|| {
             IoError::format(self.path, format!("element '{}' has no property '{name}'", element.name))
         })
@@ -145,8 +145,8 @@ impl<'a> Ply<'a> {
         for row in 0..n {
             for (value, property) in all.iter_mut().zip(&element.properties) {
                 *value = match property.kind {
-                    Kind::Scalar(t) => self.next(t, body)?,
-                    Kind::List(count, item) => self.list(count, item, body, &mut Vec::new())?,
+                    PlyKind::Scalar(t) => self.next(t, body)?,
+                    PlyKind::List(count, item) => self.list(count, item, body, &mut Vec::new())?,
                 };
             }
             values.iter_mut().zip(columns).for_each(|(v, &c)| *v = all[c]);
