@@ -146,6 +146,20 @@ impl Reconstruction {
         errors
     }
 
+    /// The number of an equal camera of the model, or of this one, added.
+    pub(crate) fn share_camera(&mut self, camera: Camera) -> u32 {
+        let equal = self.cameras.values().rev().find(|c| {
+            (c.model, c.width, c.height) == (camera.model, camera.width, camera.height)
+                && c.params == camera.params
+        });
+        if let Some(found) = equal {
+            return found.id;
+        }
+        let id = camera.id;
+        self.cameras.insert(id, camera);
+        id
+    }
+
     /// Image by file name.
     pub fn image_named(&self, name: &str) -> Option<&PosedImage> {
         self.images.values().find(|image| image.name == name)

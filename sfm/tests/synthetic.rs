@@ -5,7 +5,7 @@ use glam::{DVec2, DVec3};
 use scene::decision::{Choice, MapperKind, Measurement, Quantity, Subject};
 use scene::sim3::{PoseErrors, compare_poses};
 use scene::synthetic::{
-    CameraPath, Shape, SyntheticOptions, SyntheticScene, default_camera, synthetic_scene,
+    CameraPath, SceneShape, SyntheticOptions, SyntheticScene, default_camera, synthetic_scene,
 };
 use scene::{Camera, CameraModel, Features, Frame, FrameSet, Keypoint, Progress};
 use sfm::mapper::MapperChoice;
@@ -160,7 +160,7 @@ fn wrong_observations_up_to_seventy_percent_leave_a_right_model_or_none() {
 
 #[test]
 fn planes_and_near_planes_leave_a_right_model_or_none() {
-    for (shape, squeeze) in [(Shape::Plane, 1.0), (Shape::Box, 1e-3)] {
+    for (shape, squeeze) in [(SceneShape::Plane, 1.0), (SceneShape::Box, 1e-3)] {
         let o = SyntheticOptions { shape, path: CameraPath::Random, ..options(640, 480, 600.0) };
         let mut scene = synthetic_scene(&o, 6);
         if squeeze < 1.0 {

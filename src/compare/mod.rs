@@ -5,6 +5,8 @@ mod page;
 pub mod runs;
 pub mod tables;
 
+use tables::Cells;
+
 use crate::args::CompareArgs;
 use crate::outcome::Outcome;
 use crate::record::KnownRun;
@@ -219,9 +221,6 @@ fn fill(row: &mut Row, errors: &PoseErrors) {
     row.centre_max_pct = errors.centre_pct.as_ref().map(|s| s.max);
     row.focal_err_pct = errors.focal_err_pct;
 }
-
-/// Heading and rows of the table of poses.
-pub type Cells = (Vec<&'static str>, Vec<Vec<String>>);
 
 fn pose_cells(rows: &[Row]) -> Cells {
     let heads = vec![

@@ -1,8 +1,7 @@
 //! A page that shows several runs beside each other.
 
-use super::Cells;
 use super::runs::{Entry, EntryView};
-use super::tables::Table;
+use super::tables::{Cells, Table};
 use crate::record::KnownRun;
 use crate::report::charts::{self, Series};
 use crate::report::html::{self, InlinePicture, figure};

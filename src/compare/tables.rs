@@ -3,6 +3,9 @@
 use serde::{Deserialize, Serialize};
 use std::fmt::Write as _;
 
+/// Heading and rows of the table of poses.
+pub type Cells = (Vec<&'static str>, Vec<Vec<String>>);
+
 /// A column of every case.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct TableColumn {

@@ -67,9 +67,9 @@ pub struct ViewScene {
 /// Source: chosen by hand, never measured.
 const DEPTHS: [f64; 2] = [0.02, 0.98];
 /// Median distance of the cameras from the middle of what they look at, in the page. Browsers' splats are 16-bit and
-/// fixed-point numbers: this is where both are fine, whatever the units of the scene are.
+/// fixed-point numbers: this is where both are fine, whatever the units of the scene are. Source: chosen by hand, never measured.
 const RADIUS: f64 = 16.0;
-/// Nothing is shown beyond this, in the page's units: it lies behind the far plane.
+/// Nothing is shown beyond this, in the page's units: it lies behind the far plane. Source: viewer/src, the far plane.
 const FARTHEST: f32 = 2000.0;
 
 /// A finished run, as far as it is looked at, moved into the page's frame.

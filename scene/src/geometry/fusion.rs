@@ -11,17 +11,20 @@ use glam::{DVec2, DVec3};
 use rayon::prelude::*;
 use std::collections::{BTreeSet, HashMap};
 
-/// Voxels along a side of a block.
+/// Voxels along a side of a block. Source: decision record 14 (docs/decisions, mesh from depths).
 const SIDE: i32 = 8;
+/// Voxels of a block. Source: derived from [`SIDE`].
 const VOXELS: usize = (SIDE * SIDE * SIDE) as usize;
-/// Blocks reach this far around every measured point, voxels.
+/// Blocks reach this far around every measured point, voxels. Source: chosen by hand, never measured.
 const MARGIN: f64 = 2.0;
-/// Behind the surface a view counts fully as far as this, then less and less, in truncation distances.
+/// Behind the surface a view counts fully as far as this, then less and less, in truncation
+/// distances. Source: chosen by hand, never measured.
 const FULL_WEIGHT_BEHIND: f32 = 0.25;
 /// Weight of a ray that probably meets nothing. A rod one pixel wide is missed by every third ray that should meet it: with
-/// full weight these would rub it out.
+/// full weight these would erase it. Share of 1. Source: decision record 14 (docs/decisions, mesh from depths).
 const PROBABLY_NOTHING: f32 = 0.1;
 /// Colours come from views that put the surface no farther off, in truncation distances.
+/// Source: chosen by hand, never measured.
 const COLOUR_BAND: f32 = 0.5;
 
 /// What a camera without distortion measured.
@@ -64,7 +67,7 @@ struct FusionBlock {
     colour: Vec<[f32; 4]>,
 }
 
-/// Bytes of a block: distance, weight, views, three colours and their weight.
+/// Bytes of a block: distance, weight, views, three colours and their weight. Source: derived.
 const BLOCK_BYTES: usize = VOXELS * 25;
 
 /// Why there is no mesh.

@@ -8,9 +8,9 @@ use std::fs::File;
 use std::io::BufReader;
 use std::path::Path;
 
-/// The longest side that is decoded, pixels.
+/// The longest side that is decoded, pixels. Source: the limit of JPEG (ITU-T T.81, B.2.2).
 const MAX_SIDE: u32 = 65_535;
-/// The most decoded bytes of one image.
+/// The most decoded bytes of one image. Source: chosen by hand, never measured.
 const MAX_BYTES: u64 = 1 << 30;
 
 /// An upright 8-bit image.

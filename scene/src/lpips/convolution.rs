@@ -17,6 +17,7 @@ pub(crate) struct Convolution {
 }
 
 /// Values of the unfolded patches that are held at once by each thread (32 MiB).
+/// Source: chosen by hand, never measured.
 const PATCH_VALUES: usize = 8 << 20;
 
 impl Convolution {

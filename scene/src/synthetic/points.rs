@@ -11,7 +11,7 @@ use std::collections::BTreeMap;
 
 /// The surface the points lie on (about 1 unit in radius).
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Shape {
+pub enum SceneShape {
     /// Unit sphere.
     Sphere,
     /// Cube of side 1.2.
@@ -27,7 +27,7 @@ pub enum CameraPath {
     Ring,
     /// Evenly on a part of the circle, this many degrees from first to last.
     Arc(f64),
-    /// Anywhere on the sphere (for [`Shape::Plane`]: its upper part), distances varying by 30 %.
+    /// Anywhere on the sphere (for [`SceneShape::Plane`]: its upper part), distances varying by 30 %.
     Random,
 }
 
@@ -35,7 +35,7 @@ pub enum CameraPath {
 #[derive(Clone, Debug, PartialEq)]
 pub struct SyntheticOptions {
     /// Surface.
-    pub shape: Shape,
+    pub shape: SceneShape,
     /// Path of the cameras.
     pub path: CameraPath,
     /// Points.
@@ -61,7 +61,7 @@ pub struct SyntheticOptions {
 impl Default for SyntheticOptions {
     fn default() -> Self {
         Self {
-            shape: Shape::Sphere,
+            shape: SceneShape::Sphere,
             path: CameraPath::Ring,
             num_points: 500,
             num_cameras: 12,
@@ -106,13 +106,13 @@ impl SyntheticScene {
 }
 
 /// A point of the surface and its outward normal.
-fn surface_point(shape: Shape, r: &mut crate::rng::Rng) -> (DVec3, DVec3) {
+fn surface_point(shape: SceneShape, r: &mut crate::rng::Rng) -> (DVec3, DVec3) {
     match shape {
-        Shape::Sphere => {
+        SceneShape::Sphere => {
             let n = direction(r);
             (n, n)
         }
-        Shape::Box => {
+        SceneShape::Box => {
             let (axis, sign) = (r.random_range(0..3), if r.random::<bool>() { 1.0 } else { -1.0 });
             let mut x =
                 DVec3::new(r.random_range(-0.6..0.6), r.random_range(-0.6..0.6), r.random_range(-0.6..0.6));
@@ -120,7 +120,9 @@ fn surface_point(shape: Shape, r: &mut crate::rng::Rng) -> (DVec3, DVec3) {
             (x[axis], n[axis]) = (0.6 * sign, sign);
             (x, n)
         }
-        Shape::Plane => (DVec3::new(r.random_range(-1.0..1.0), r.random_range(-1.0..1.0), 0.0), DVec3::Z),
+        SceneShape::Plane => {
+            (DVec3::new(r.random_range(-1.0..1.0), r.random_range(-1.0..1.0), 0.0), DVec3::Z)
+        }
     }
 }
 
@@ -138,7 +140,7 @@ fn poses(options: &SyntheticOptions, seed: u64) -> Vec<Pose> {
                 let mut r = rng(seed, "synthetic camera", i as u64);
                 let distance = options.distance * r.random_range(0.85..1.15);
                 let mut from = direction(&mut r);
-                if options.shape == Shape::Plane {
+                if options.shape == SceneShape::Plane {
                     from.z = from.z.abs().max(0.3);
                 }
                 let up = direction(&mut r);
@@ -261,7 +263,7 @@ mod tests {
 
     #[test]
     fn exact_scenes_of_every_shape_path_and_unit_have_no_residual() {
-        for shape in [Shape::Sphere, Shape::Box, Shape::Plane] {
+        for shape in [SceneShape::Sphere, SceneShape::Box, SceneShape::Plane] {
             for path in [CameraPath::Ring, CameraPath::Arc(60.0), CameraPath::Random] {
                 for unit in [1e-6, 1.0, 1e6] {
                     let scene =

@@ -24,6 +24,7 @@ use glam::{DQuat, Quat, Vec3};
 use std::path::Path;
 
 /// Opacity logits of 8-bit alpha stay within ±8 (0.0003 to 0.9997).
+/// Source: derived, beyond the steps of 8-bit alpha.
 const LOGIT_LIMIT: f32 = 8.0;
 
 /// What is known of one Gaussian while a file is read.
