@@ -1,9 +1,9 @@
 //! Shadows and reflections on the screen: its light in this frame, as a factor on what it is without them.
 
-use super::alpha::Workspace;
-use super::filters::{dilate, erode, smooth};
-use super::grid::Sums;
-use super::reused::Mask;
+use crate::matting::morphology::{dilate, erode, smooth};
+use crate::matting::pool::Mask;
+use crate::matting::screen::grid::Sums;
+use crate::matting::solve::Workspace;
 
 /// Cells in which the light is measured, pixels, and the pixels that one needs.
 const CELL: (usize, u32) = (6, 3);
@@ -23,7 +23,7 @@ const GLARE: (f32, f32) = (1.5, 0.6);
 impl Workspace {
     /// Finds the screen in whatever light it is (its hue is the screen's, its light any), marks it in `shaded`, and
     /// brings `screen`, `share` and `smoothed` to the light of this frame.
-    pub(super) fn take_out_shadows(&mut self, width: usize) {
+    pub(crate) fn take_out_shadows(&mut self, width: usize) {
         let mut total = std::mem::take(&mut self.mean);
         let [mut once, mut share, other] = std::mem::take(&mut self.around);
         smooth(&self.total, width, &mut once);
@@ -71,7 +71,7 @@ impl Workspace {
 /// The share of a pixel with `total` times the screen's light, without what chroma from around adds to a bright one: that weighs
 /// by the slope of linear light over coded values, for gamma 2 the root of the light.
 #[inline(always)]
-pub(super) fn without_glare(share: f32, total: f32) -> f32 {
+pub(crate) fn without_glare(share: f32, total: f32) -> f32 {
     if total > GLARE.0 && share > 0.0 && share < GLARE.1 * total {
         share * (GLARE.0 / total).sqrt()
     } else {

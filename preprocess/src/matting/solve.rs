@@ -1,13 +1,13 @@
 //! The soft matte of one frame, given the light of the empty screen.
 
-use super::colour::{Key, LINEAR, dot, luminance, srgb8};
-use super::field::Field;
-use super::filters::{
+use crate::matting::colour::{Key, LINEAR, dot, luminance, srgb8};
+use crate::matting::morphology::{
     Rect, box_sum, box_sum_running, components, dilate, erode, set_pixels, smooth, smooth_within,
 };
-use super::light::without_glare;
-use super::reused::Mask;
-use super::still::Still;
+use crate::matting::pool::Mask;
+use crate::matting::screen::clean_plate::Still;
+use crate::matting::screen::illumination::Field;
+use crate::matting::screen::shadows::without_glare;
 
 /// Radius of the neighbourhood from which the colour of the foreground is learnt, pixels.
 const REACH: usize = 3;
@@ -242,7 +242,7 @@ impl Workspace {
             .filter(|s| (0.8..1.2).contains(*s))
             .map(|s| (s - 1.0).abs())
             .collect();
-        let share = 1.4826 * super::detect::quantile(&mut samples, 0.5);
+        let share = 1.4826 * crate::matting::screen::detect::quantile(&mut samples, 0.5);
         let (mut luma, mut chroma, mut n) = (0.0, 0.0, 1e-6);
         for i in
             (0..self.share.len()).step_by(7).filter(|i| (self.smoothed[*i] - 1.0).abs() < 3.0 * share + 0.01)

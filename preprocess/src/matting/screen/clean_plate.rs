@@ -1,8 +1,8 @@
 //! What stands still in front of a camera that does not move: texture of the screen, things beside it, the pole.
 
-use super::colour::{Key, LINEAR};
-use super::filters::{Rect, components, dilate, erode};
-use super::grid::Sums;
+use crate::matting::colour::{Key, LINEAR};
+use crate::matting::morphology::{Rect, components, dilate, erode};
+use crate::matting::screen::grid::Sums;
 use image::RgbImage;
 
 /// A pixel is screen where at least this share of the samples shows it.
@@ -107,7 +107,7 @@ impl Still {
         }
         still.spread_plate()?;
         let seen: Vec<u8> = still.outside.iter().map(|o| u8::from(!o)).collect();
-        still.before_screen = super::regions::hull(&seen, width);
+        still.before_screen = crate::matting::cleanup::hull(&seen, width);
         still.forget_islands();
         still.find_pole(&other_counts, frames.len());
         let is_other = |i: &usize| still.things[*i].is_some() || still.pole[*i] || !still.before_screen[*i];
@@ -264,7 +264,7 @@ fn departure(seen: [u8; 3], thing: [u8; 3]) -> i32 {
 
 fn departure_in(seen: [u8; 3], thing: [u8; 3], range: (f32, f32)) -> i32 {
     let (a, b) = (seen.map(f32::from), thing.map(f32::from));
-    let fit = super::colour::dot(a, b) / super::colour::dot(b, b).max(1.0);
+    let fit = crate::matting::colour::dot(a, b) / super::colour::dot(b, b).max(1.0);
     let light = fit.clamp(range.0, range.1);
     (0..3).map(|c| (a[c] - light * b[c]).abs() as i32).max().unwrap_or(0)
 }

@@ -1,7 +1,7 @@
 //! The colour of the foreground alone.
 
-use super::alpha::Workspace;
-use super::colour::{Key, srgb8};
+use crate::matting::colour::{Key, srgb8};
+use crate::matting::solve::Workspace;
 
 /// Foreground colour, 8-bit sRGB, of every pixel with alpha above 0 (black elsewhere): the screen's part is taken out
 /// (`F = (I − (1 − α) B) / α`), at thin alpha the neighbourhood's colour steps in, and what is left of the

@@ -1,7 +1,7 @@
 //! Is there a screen, and of which colour?
 
-use super::colour::{Key, LINEAR, hue_distance, hue_saturation_value};
-use super::config::KeyChoice;
+use crate::matting::colour::{Key, LINEAR, hue_distance, hue_saturation_value};
+use crate::matting::config::KeyChoice;
 use image::RgbImage;
 
 const BINS: usize = 72;

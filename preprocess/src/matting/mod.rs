@@ -1,29 +1,25 @@
 //! Chroma key: a soft matte and the colour of the foreground alone, for a screen of any hue under uneven light.
 
-mod alpha;
+mod cleanup;
 mod colour;
 mod config;
-mod dark;
-mod detect;
-mod field;
-mod filters;
-mod grid;
-mod light;
-mod outline;
-mod regions;
-mod reused;
-mod spill;
-mod still;
+mod despill;
+mod luma_key;
+mod morphology;
+mod pool;
+mod refine_network;
+mod screen;
+mod solve;
 
 pub use config::{Background, KeyConfig, MatteMode};
 
-use alpha::Workspace;
 use colour::{Key, hue_distance, hue_saturation_value};
 use config::KeyChoice;
-use field::Field;
 use image::{GrayImage, RgbImage};
-use outline::Outline;
-use still::Still;
+use refine_network::Outline;
+use screen::clean_plate::Still;
+use screen::illumination::Field;
+use solve::Workspace;
 
 /// A screen that was found, ready to key frames.
 #[derive(Clone, Debug)]
@@ -57,7 +53,7 @@ impl Keyer {
         }
         let (mode, keep_pole) = (config.matte, config.keep_pole);
         if choice == KeyChoice::Black {
-            if let Some(doubt) = dark::doubt(thumbnails) {
+            if let Some(doubt) = luma_key::doubt(thumbnails) {
                 return Ok(Err(doubt));
             }
             let evidence = "keyed by light, before a dark room".to_owned();
@@ -67,7 +63,7 @@ impl Keyer {
         if telling.is_empty() {
             telling.extend(thumbnails);
         }
-        let found = detect::detect(&telling, choice);
+        let found = screen::detect::detect(&telling, choice);
         Ok(match found.key {
             Some(key) => Ok(Self { key: Some(key), mode, keep_pole, still: None, evidence: found.evidence }),
             None => Err(found.evidence),
@@ -98,7 +94,7 @@ impl Keyer {
             return (GrayImage::new(width, height), image.clone());
         }
         let (alpha, colours) = match &self.key {
-            None => (dark::matte(image.as_raw(), width as usize), image.as_raw().clone()),
+            None => (luma_key::matte(image.as_raw(), width as usize), image.as_raw().clone()),
             Some(key) if self.mode == MatteMode::Plain => (plain(image, key), image.as_raw().clone()),
             Some(key) => self.soft(image, key, scratch),
         };
@@ -113,10 +109,10 @@ impl Keyer {
         }
         let (work, outline) = (&mut scratch.0, &mut scratch.1);
         outline.load(work, rgb, width, key, 0);
-        outline::solve(outline, work, width, key);
-        outline::close_specks(outline, work, width);
+        refine_network::solve(outline, work, width, key);
+        refine_network::close_specks(outline, work, width);
         let alpha = work.alpha.iter().map(|a| (a * 255.0 + 0.5) as u8).collect();
-        (alpha, spill::foreground(work, key))
+        (alpha, despill::foreground(work, key))
     }
 
     /// The matte without what was learnt, in `scratch`; `None` where no light can be fitted to the screen.
@@ -128,7 +124,7 @@ impl Keyer {
             None => work.load_before_field(rgb, width, key, &Field::fit(rgb, width, key)?),
         }
         work.solve(rgb, width, key);
-        regions::clean(work, width, still, self.keep_pole);
+        cleanup::clean(work, width, still, self.keep_pole);
         Some(())
     }
 }
@@ -160,9 +156,10 @@ fn is_blank(image: &RgbImage) -> bool {
     for p in image.pixels().step_by(BLANK_STEP) {
         samples.iter_mut().zip(p.0).for_each(|(s, v)| s.push(f32::from(v)));
     }
-    samples
-        .iter_mut()
-        .all(|s| detect::quantile(s, 1.0 - BLANK_TAIL) - detect::quantile(s, BLANK_TAIL) <= BLANK_LEVELS)
+    samples.iter_mut().all(|s| {
+        screen::detect::quantile(s, 1.0 - BLANK_TAIL) - screen::detect::quantile(s, BLANK_TAIL)
+            <= BLANK_LEVELS
+    })
 }
 
 /// The usual rule: what has the key's hue and some saturation is background.

@@ -1,7 +1,7 @@
 //! The light of the empty screen at every pixel: a smooth field through what is surely screen.
 
-use super::colour::{Key, LINEAR};
-use super::grid::{Grid, Sums};
+use crate::matting::colour::{Key, LINEAR};
+use crate::matting::screen::grid::{Grid, Sums};
 
 /// Side of a cell, pixels.
 const CELL: usize = 16;
@@ -65,7 +65,7 @@ impl Field {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::chroma::colour::srgb8;
+    use crate::matting::colour::srgb8;
 
     #[test]
     fn the_light_behind_an_object_is_interpolated_from_around_it() {

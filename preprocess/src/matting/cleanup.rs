@@ -1,9 +1,9 @@
 //! What a matte looks like as a whole: the screen's outline, garbage beside it, still things, holes, specks.
 
-use super::alpha::Workspace;
-use super::filters::{Rect, components, dilate, erode};
-use super::reused::Mask;
-use super::still::Still;
+use crate::matting::morphology::{Rect, components, dilate, erode};
+use crate::matting::pool::Mask;
+use crate::matting::screen::clean_plate::Still;
+use crate::matting::solve::Workspace;
 
 /// Objects smaller than this share of the largest are specks.
 const SPECK_SHARE: f32 = 0.01;

@@ -1,10 +1,10 @@
 //! The outline, solved once more by what was learnt from simulated shots: a small network sees 7 × 7 pixels
 //! (`tools/train_outline.py`; decision 0027).
 
-use super::alpha::Workspace;
-use super::colour::{Key, dot, srgb8};
-use super::filters::{Rect, box_sum_running, components, dilate, erode, set_pixels};
-use super::reused::Mask;
+use crate::matting::colour::{Key, dot, srgb8};
+use crate::matting::morphology::{Rect, box_sum_running, components, dilate, erode, set_pixels};
+use crate::matting::pool::Mask;
+use crate::matting::solve::Workspace;
 use std::sync::LazyLock;
 
 /// The network sees as far, pixels.
@@ -58,7 +58,7 @@ struct Block {
 
 /// Little-endian f32: mean and scale of the inputs; matrices [inputs, units] and offsets, layer by layer.
 static NETWORK: LazyLock<Network> = LazyLock::new(|| {
-    let bytes = include_bytes!("outline.f32");
+    let bytes = include_bytes!("refine_network.f32");
     let mut numbers = bytes.as_chunks::<4>().0.iter().map(|b| f32::from_le_bytes(*b));
     fn row<const N: usize>(numbers: &mut impl Iterator<Item = f32>) -> [f32; N] {
         std::array::from_fn(|_| numbers.next().unwrap_or(0.0))
@@ -377,7 +377,7 @@ mod tests {
     #[test]
     fn the_weights_are_as_many_as_the_layers_need_and_finite() {
         let count = 2 * INPUTS + (INPUTS + 1) * HIDDEN.0 + (HIDDEN.0 + 1) * HIDDEN.1 + HIDDEN.1 + 1;
-        let bytes = include_bytes!("outline.f32");
+        let bytes = include_bytes!("refine_network.f32");
         assert_eq!(bytes.len(), 4 * count);
         assert!(bytes.as_chunks::<4>().0.iter().all(|b| f32::from_le_bytes(*b).is_finite()));
     }

@@ -1,6 +1,6 @@
 //! Small image filters on float and byte planes, row-major; windows are cut at the border.
 
-use super::reused::{Mask, Reused};
+use crate::matting::pool::{Mask, Reused};
 
 /// A part of a picture: columns and rows.
 #[derive(Clone, Debug, PartialEq)]

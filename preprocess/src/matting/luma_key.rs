@@ -1,7 +1,7 @@
 //! Luma key: a lit object in a dark room.
 
-use super::detect::quantile;
-use super::filters::{components, dilate, smooth};
+use crate::matting::morphology::{components, dilate, smooth};
+use crate::matting::screen::detect::quantile;
 use image::RgbImage;
 
 /// The object is brighter than the room by this many spreads of the room's light, and by as many 8-bit levels.
