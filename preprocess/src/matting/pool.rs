@@ -1,106 +1,103 @@
-//! Masks and labels whose memory is used again: handed back to the system after every frame and faulted in anew, its pages would cost a
-//! tenth of the key's time.
+//! Planes of a picture whose memory is used again: handed back to the system after every frame and faulted in
+//! anew, its pages would cost a tenth of the time of a matte.
 
+use glam::Vec3;
 use std::cell::RefCell;
 use std::ops::{Deref, DerefMut};
-use std::thread::LocalKey;
 
-/// A value a pixel; when dropped, its memory waits for the next one of this thread.
-pub(crate) struct Reused<T: Pooled>(Vec<T>);
-
-/// A byte a pixel: 0 or 1.
-pub(crate) type Mask = Reused<u8>;
-
-/// At most so many wait, of each kind, and none larger than this: what waits is memory that other stages lack. Bytes.
-const MOST: usize = 12;
-const LARGEST: usize = 4 << 20;
-
-/// What can be kept.
-pub(crate) trait Pooled: Sized + 'static {
-    /// What waits in this thread.
-    fn pool() -> &'static LocalKey<RefCell<Vec<Vec<Self>>>>;
+/// Memory that no plane holds, by the type of its values; one a thread.
+#[derive(Default)]
+pub(crate) struct Pool {
+    bytes: RefCell<Vec<Vec<u8>>>,
+    words: RefCell<Vec<Vec<u32>>>,
+    numbers: RefCell<Vec<Vec<f32>>>,
+    colours: RefCell<Vec<Vec<Vec3>>>,
 }
 
-impl Pooled for u8 {
-    fn pool() -> &'static LocalKey<RefCell<Vec<Vec<Self>>>> {
-        thread_local!(static POOL: RefCell<Vec<Vec<u8>>> = const { RefCell::new(Vec::new()) });
-        &POOL
-    }
+/// What planes are made of.
+pub(crate) trait Pooled: Copy + 'static {
+    /// The free memory for values of this type.
+    fn free(pool: &Pool) -> &RefCell<Vec<Vec<Self>>>;
 }
 
-impl Pooled for u32 {
-    fn pool() -> &'static LocalKey<RefCell<Vec<Vec<Self>>>> {
-        thread_local!(static POOL: RefCell<Vec<Vec<u32>>> = const { RefCell::new(Vec::new()) });
-        &POOL
-    }
-}
-
-impl<T: Pooled> Default for Reused<T> {
-    /// Empty, with the memory of an earlier one.
-    fn default() -> Self {
-        let waiting = T::pool().try_with(|pool| pool.borrow_mut().pop()).ok().flatten();
-        Self(waiting.unwrap_or_default())
-    }
-}
-
-impl<T: Pooled> Drop for Reused<T> {
-    fn drop(&mut self) {
-        let mut memory = std::mem::take(&mut self.0);
-        memory.clear();
-        // Where the thread ends there is no pool any more.
-        let _ = T::pool().try_with(|pool| {
-            let mut pool = pool.borrow_mut();
-            if pool.len() < MOST && (1..=LARGEST).contains(&(memory.capacity() * size_of::<T>())) {
-                pool.push(memory);
+macro_rules! pooled {
+    ($($value:ty: $free:ident),*) => {$(
+        impl Pooled for $value {
+            fn free(pool: &Pool) -> &RefCell<Vec<Vec<Self>>> {
+                &pool.$free
             }
-        });
+        }
+    )*};
+}
+pooled!(u8: bytes, u32: words, f32: numbers, Vec3: colours);
+
+impl Pool {
+    /// A plane of these values, row by row.
+    pub fn plane<T: Pooled>(&self, width: usize, values: impl Iterator<Item = T>) -> Plane<'_, T> {
+        let mut memory = T::free(self).borrow_mut().pop().unwrap_or_default();
+        memory.extend(values);
+        Plane { values: memory, width, pool: self }
+    }
+
+    /// A plane of `count` equal values.
+    pub fn filled<T: Pooled>(&self, width: usize, count: usize, value: T) -> Plane<'_, T> {
+        self.plane(width, std::iter::repeat_n(value, count))
     }
 }
 
-impl<T: Pooled> FromIterator<T> for Reused<T> {
-    fn from_iter<I: IntoIterator<Item = T>>(values: I) -> Self {
-        let mut reused = Self::default();
-        reused.0.extend(values);
-        reused
+/// A value for every pixel, row by row.
+pub(crate) struct Plane<'p, T: Pooled> {
+    values: Vec<T>,
+    /// Pixels in a row.
+    pub width: usize,
+    /// Where its memory comes from and goes to.
+    pub pool: &'p Pool,
+}
+
+/// A byte for every pixel: 0 or 1.
+pub(crate) type Mask<'p> = Plane<'p, u8>;
+
+impl<'p, T: Pooled> Plane<'p, T> {
+    /// Number of rows.
+    pub fn height(&self) -> usize {
+        self.values.len() / self.width
+    }
+
+    /// Appends values, such as those of a row.
+    pub fn extend(&mut self, values: impl Iterator<Item = T>) {
+        self.values.extend(values);
+    }
+
+    /// Another plane of the same shape.
+    pub fn map<U: Pooled>(&self, value: impl FnMut(&T) -> U) -> Plane<'p, U> {
+        self.pool.plane(self.width, self.values.iter().map(value))
+    }
+
+    /// The mask of the pixels whose value is so.
+    pub fn mask(&self, mut is_set: impl FnMut(T) -> bool) -> Mask<'p> {
+        self.map(|v| u8::from(is_set(*v)))
     }
 }
 
-impl<T: Pooled + Clone> Reused<T> {
-    /// So many times the same.
-    pub fn filled(value: T, count: usize) -> Self {
-        let mut reused = Self::default();
-        reused.0.resize(count, value);
-        reused
-    }
-
-    /// A copy.
-    pub fn of(values: &[T]) -> Self {
-        let mut reused = Self::default();
-        reused.0.extend_from_slice(values);
-        reused
+impl<T: Pooled> Drop for Plane<'_, T> {
+    fn drop(&mut self) {
+        let mut memory = std::mem::take(&mut self.values);
+        memory.clear();
+        T::free(self.pool).borrow_mut().push(memory);
     }
 }
 
-impl<'a, T: Pooled> IntoIterator for &'a Reused<T> {
-    type Item = &'a T;
-    type IntoIter = std::slice::Iter<'a, T>;
-
-    fn into_iter(self) -> Self::IntoIter {
-        self.0.iter()
-    }
-}
-
-impl<T: Pooled> Deref for Reused<T> {
+impl<T: Pooled> Deref for Plane<'_, T> {
     type Target = [T];
 
     fn deref(&self) -> &[T] {
-        &self.0
+        &self.values
     }
 }
 
-impl<T: Pooled> DerefMut for Reused<T> {
+impl<T: Pooled> DerefMut for Plane<'_, T> {
     fn deref_mut(&mut self) -> &mut [T] {
-        &mut self.0
+        &mut self.values
     }
 }
 
@@ -110,16 +107,15 @@ mod tests {
 
     #[test]
     fn memory_is_used_again_and_nothing_of_what_it_held_is_left() {
-        let first: Mask = (0..1000).map(|i| (i % 7) as u8).collect();
+        let pool = Pool::default();
+        let first = pool.plane(10, (0..1000).map(|i| (i % 7) as u8));
         let place = first.as_ptr();
+        assert_eq!((first.height(), first.mask(|v| v == 6)[6]), (100, 1));
         drop(first);
-        let second = Mask::filled(0, 900);
-        assert_eq!(second.as_ptr(), place);
+        let second = pool.filled(10, 900, 0_u8);
+        let third = pool.plane(3, [1_u8, 2, 3].into_iter());
+        assert!([second.as_ptr(), third.as_ptr()].contains(&place));
         assert!(second.len() == 900 && second.iter().all(|v| *v == 0));
-        let third = Mask::of(&[1, 2, 3]);
-        assert_ne!(third.as_ptr(), place, "the second holds it");
-        assert_eq!(&*third, [1, 2, 3]);
-        drop(Mask::filled(0, LARGEST + 1));
-        assert_eq!(Mask::default().0.capacity(), 0, "too large to be kept");
+        assert_eq!(*third, [1, 2, 3]);
     }
 }

@@ -1,140 +1,125 @@
 //! Values known at some pixels, spread to all: means in square cells, gaps filled from around, interpolated between.
 
-/// A coarse picture of `C` channels over a fine one.
+use std::ops::{Add, Div, Mul, Sub};
+
+/// What can be averaged and interpolated.
+pub(crate) trait Linear:
+    Copy + Default + Add<Output = Self> + Sub<Output = Self> + Mul<f32, Output = Self> + Div<f32, Output = Self>
+{
+}
+
+impl<T> Linear for T where
+    T: Copy + Default + Add<Output = T> + Sub<Output = T> + Mul<f32, Output = T> + Div<f32, Output = T>
+{
+}
+
+/// A coarse picture over a fine one.
 #[derive(Clone, Debug)]
-pub(crate) struct Grid<const C: usize> {
-    cells: Vec<[f32; C]>,
+pub(crate) struct Grid<V> {
+    cells: Vec<V>,
     columns: usize,
     rows: usize,
     side: usize,
 }
 
 /// Sums from which a [`Grid`] is made.
-pub(crate) struct Sums<const C: usize> {
-    sums: Vec<([f32; C], u32)>,
+pub(crate) struct Cells<V> {
+    sums: Vec<(V, u32)>,
     width: usize,
     columns: usize,
     side: usize,
 }
 
-impl<const C: usize> Sums<C> {
+impl<V: Linear> Cells<V> {
     /// Empty cells of `side` pixels over a picture.
     pub fn new(width: usize, height: usize, side: usize) -> Self {
         let (columns, rows) = (width.div_ceil(side), height.div_ceil(side));
-        Self { sums: vec![([0.0; C], 0); columns * rows], width, columns, side }
+        Self { sums: vec![(V::default(), 0); columns * rows], width, columns, side }
     }
 
-    /// Counts a pixel.
+    /// Counts every `step`-th pixel of row `y` that has a value.
     #[inline(always)]
-    pub fn add(&mut self, x: usize, y: usize, value: [f32; C]) {
-        let (sum, count) = &mut self.sums[y / self.side * self.columns + x / self.side];
-        for (s, v) in sum.iter_mut().zip(value) {
-            *s += v;
-        }
-        *count += 1;
-    }
-
-    /// Counts every second pixel of row `y` that has a value.
-    #[inline(always)]
-    pub fn add_row(&mut self, y: usize, mut value: impl FnMut(usize) -> Option<[f32; C]>) {
+    pub fn add_row(&mut self, y: usize, step: usize, mut value: impl FnMut(usize) -> Option<V>) {
         let row = &mut self.sums[y / self.side * self.columns..][..self.columns];
         let mut x = 0;
         for (cell, (sum, count)) in row.iter_mut().enumerate() {
             let end = ((cell + 1) * self.side).min(self.width);
             while x < end {
                 if let Some(value) = value(x) {
-                    (0..C).for_each(|k| sum[k] += value[k]);
+                    *sum = *sum + value;
                     *count += 1;
                 }
-                x += 2;
+                x += step;
             }
         }
     }
 
     /// Means of the cells that hold at least `needed` pixels; the others are filled from their neighbours, layer by
     /// layer, and relaxed `rounds` times (discrete Laplace equation). `None` where no cell is known.
-    pub fn filled(self, needed: u32, rounds: usize) -> Option<Grid<C>> {
-        let mean = |(sum, n): &([f32; C], u32)| (*n >= needed).then(|| sum.map(|v| v / *n as f32));
-        let known: Vec<Option<[f32; C]>> = self.sums.iter().map(mean).collect();
-        known.iter().any(Option::is_some).then(|| Grid {
-            rows: known.len() / self.columns,
-            cells: filled(known, self.columns, rounds),
-            columns: self.columns,
-            side: self.side,
-        })
+    pub fn fill(self, needed: u32, rounds: usize) -> Option<Grid<V>> {
+        let (columns, rows) = (self.columns, self.sums.len() / self.columns);
+        let mut cells: Vec<Option<V>> =
+            self.sums.iter().map(|(sum, n)| (*n >= needed).then(|| *sum / *n as f32)).collect();
+        let gaps: Vec<(usize, Vec<usize>)> = (0..cells.len())
+            .filter(|i| cells[*i].is_none())
+            .map(|i| (i, neighbours(i, columns, rows).collect()))
+            .collect();
+        if gaps.len() == cells.len() {
+            return None;
+        }
+        while cells.iter().any(Option::is_none) {
+            let before = cells.clone();
+            for (i, beside) in gaps.iter().filter(|(i, _)| before[*i].is_none()) {
+                cells[*i] = mean_of(beside.iter().filter_map(|j| before[*j]));
+            }
+        }
+        let mut cells: Vec<V> = cells.into_iter().map(Option::unwrap_or_default).collect();
+        for (i, beside) in (0..rounds).flat_map(|_| &gaps) {
+            cells[*i] = mean_of(beside.iter().map(|j| cells[*j])).unwrap_or(cells[*i]);
+        }
+        Some(Grid { cells, columns, rows, side: self.side })
     }
 }
 
-impl<const C: usize> Grid<C> {
+/// The cells left, right, above and below.
+fn neighbours(i: usize, columns: usize, rows: usize) -> impl Iterator<Item = usize> {
+    let (x, y) = (i % columns, i / columns);
+    let beside =
+        [(x > 0, -1), (x + 1 < columns, 1), (y > 0, -(columns as isize)), (y + 1 < rows, columns as isize)];
+    beside.into_iter().filter(|(is_inside, _)| *is_inside).map(move |(_, step)| i.wrapping_add_signed(step))
+}
+
+#[inline(always)]
+fn mean_of<V: Linear>(values: impl Iterator<Item = V>) -> Option<V> {
+    let (sum, n) = values.fold((V::default(), 0.0), |(sum, n), v| (sum + v, n + 1.0));
+    (n > 0.0).then(|| sum / n)
+}
+
+impl<V: Linear> Grid<V> {
     /// The values along a row of pixels.
-    pub fn row(&self, y: usize, width: usize, out: &mut Vec<[f32; C]>) {
+    pub fn row(&self, y: usize, width: usize, out: &mut Vec<V>) {
         let p = ((y as f32 + 0.5) / self.side as f32 - 0.5).clamp(0.0, (self.rows - 1) as f32);
         let top = (p as usize).min(self.rows.saturating_sub(2));
-        let (ty, bottom) = (p - top as f32, (top + 1).min(self.rows - 1));
-        let cells = [top, bottom].map(|row| &self.cells[row * self.columns..][..self.columns]);
-        let between = |a: &[f32; C], b: &[f32; C], t: f32| {
-            let mut v = *a;
-            (0..C).for_each(|k| v[k] += t * (b[k] - a[k]));
-            v
-        };
-        let line: Vec<[f32; C]> = cells[0].iter().zip(cells[1]).map(|(a, b)| between(a, b, ty)).collect();
+        let [above, below] = [top, (top + 1).min(self.rows - 1)].map(|row| &self.cells[row * self.columns..]);
+        let line: Vec<V> = (0..self.columns).map(|k| between(above[k], below[k], p - top as f32)).collect();
         out.clear();
         // From the middle of one cell to that of the next, and to the borders.
+        let inverse = 1.0 / self.side as f32;
         for left in 0..self.columns.saturating_sub(1).max(1) {
             let end = if left + 2 >= self.columns { width } else { (left + 1) * self.side + self.side / 2 };
             let (a, b) = (line[left], line[(left + 1).min(self.columns - 1)]);
             let middle = (left as f32 + 0.5) * self.side as f32 - 0.5;
-            let inverse = 1.0 / self.side as f32;
-            let share = |x: usize| ((x as f32 - middle) * inverse).clamp(0.0, 1.0);
-            out.extend((out.len()..end).map(|x| between(&a, &b, share(x))));
+            out.extend(
+                (out.len()..end).map(|x| between(a, b, ((x as f32 - middle) * inverse).clamp(0.0, 1.0))),
+            );
         }
     }
 }
 
-fn filled<const C: usize>(mut cells: Vec<Option<[f32; C]>>, columns: usize, rounds: usize) -> Vec<[f32; C]> {
-    let rows = cells.len() / columns;
-    let gaps: Vec<usize> = (0..cells.len()).filter(|i| cells[*i].is_none()).collect();
-    let neighbours = |i: usize| {
-        let (x, y) = (i % columns, i / columns);
-        let left = (x > 0).then(|| i - 1);
-        let right = (x + 1 < columns).then(|| i + 1);
-        let up = (y > 0).then(|| i - columns);
-        let down = (y + 1 < rows).then(|| i + columns);
-        [left, right, up, down].into_iter().flatten()
-    };
-    let mut open = gaps.clone();
-    while !open.is_empty() {
-        let layer: Vec<(usize, [f32; C])> = open
-            .iter()
-            .filter_map(|i| Some((*i, mean_of(neighbours(*i).filter_map(|j| cells[j]))?)))
-            .collect();
-        if layer.is_empty() {
-            break;
-        }
-        layer.iter().for_each(|(i, value)| cells[*i] = Some(*value));
-        open.retain(|i| cells[*i].is_none());
-    }
-    let mut cells: Vec<[f32; C]> = cells.into_iter().map(|c| c.unwrap_or([0.0; C])).collect();
-    let beside: Vec<Vec<usize>> = gaps.iter().map(|i| neighbours(*i).collect()).collect();
-    for _ in 0..rounds {
-        for (i, beside) in gaps.iter().zip(&beside) {
-            if let Some(mean) = mean_of(beside.iter().map(|j| cells[*j])) {
-                cells[*i] = mean;
-            }
-        }
-    }
-    cells
-}
-
+/// Linear interpolation.
 #[inline(always)]
-fn mean_of<const C: usize>(values: impl Iterator<Item = [f32; C]>) -> Option<[f32; C]> {
-    let (mut mean, mut n) = ([0.0; C], 0.0);
-    for v in values {
-        (0..C).for_each(|k| mean[k] += v[k]);
-        n += 1.0;
-    }
-    mean.iter_mut().for_each(|v| *v /= n);
-    (n > 0.0).then_some(mean)
+fn between<V: Linear>(a: V, b: V, t: f32) -> V {
+    a + (b - a) * t
 }
 
 #[cfg(test)]
@@ -144,18 +129,16 @@ mod tests {
     #[test]
     fn a_slope_is_carried_over_a_gap_and_an_empty_picture_gives_nothing() {
         let (width, height) = (128, 64);
-        let mut sums = Sums::<1>::new(width, height, 8);
+        let mut cells = Cells::<f32>::new(width, height, 8);
         for y in 0..height {
-            for x in (0..width).filter(|x| !(40..80).contains(x)) {
-                sums.add(x, y, [x as f32]);
-            }
+            cells.add_row(y, 1, |x| (!(40..80).contains(&x)).then_some(x as f32));
         }
-        let grid = sums.filled(8, 200).unwrap();
+        let grid = cells.fill(8, 200).unwrap();
         let mut row = Vec::new();
         grid.row(30, width, &mut row);
         for x in [10, 50, 60, 70, 110] {
-            assert!((row[x][0] - x as f32).abs() < 1.5, "{x}: {}", row[x][0]);
+            assert!((row[x] - x as f32).abs() < 1.5, "{x}: {}", row[x]);
         }
-        assert!(Sums::<2>::new(9, 9, 8).filled(1, 5).is_none());
+        assert!(Cells::<f32>::new(9, 9, 8).fill(1, 5).is_none());
     }
 }

@@ -1,65 +1,41 @@
 //! The light of the empty screen at every pixel: a smooth field through what is surely screen.
 
-use crate::matting::colour::{Key, LINEAR};
-use crate::matting::screen::grid::{Grid, Sums};
+use super::grid::{Cells, Grid};
+use crate::matting::colour::{Key, linear};
+use glam::Vec4;
 
 /// Side of a cell, pixels.
 const CELL: usize = 16;
 /// Pixels that a cell needs to count.
 const NEEDED: u32 = 24;
 
-/// Linear colour and colour difference of the screen, on a coarse grid, interpolated between.
-#[derive(Clone, Debug)]
-pub(crate) struct Field(Grid<4>);
+/// Linear colour and colour difference (`w`) of the screen, from the confident screen pixels of one frame; `None` where
+/// there are none.
+pub(crate) fn fit(rgb: &[u8], width: usize, key: &Key) -> Option<Grid<Vec4>> {
+    let first = average(rgb, width, key, None)?;
+    average(rgb, width, key, Some(&first))
+}
 
-impl Field {
-    /// From the confident screen pixels of one frame; `None` where there are none.
-    pub fn fit(rgb: &[u8], width: usize, key: &Key) -> Option<Self> {
-        let reference = key.difference(key.colour);
-        let purity = reference / (key.colour[0] + key.colour[1] + key.colour[2]);
-        let first = Self::average(rgb, width, |linear, _, _| {
-            let d = key.difference(linear);
-            (d > 0.08 * reference && d > 0.7 * purity * (linear[0] + linear[1] + linear[2])).then_some(d)
-        })?;
-        let mut row = Vec::new();
-        let mut at = usize::MAX;
-        Self::average(rgb, width, |linear, x, y| {
-            if at != y {
-                first.row(y, width, &mut row);
-                at = y;
-            }
-            let (d, b) = (key.difference(linear), &row[x]);
-            (d > 0.85 * b[3] && d < 1.25 * b[3]).then_some(d)
-        })
-    }
-
-    /// Averages in cells those pixels whose difference `accept` returns; fills the others from their neighbours.
-    fn average(
-        rgb: &[u8],
-        width: usize,
-        mut accept: impl FnMut([f32; 3], usize, usize) -> Option<f32>,
-    ) -> Option<Self> {
-        let height = rgb.len() / 3 / width;
-        let (table, mut sums) = (&*LINEAR, Sums::new(width, height, CELL));
-        for (y, line) in rgb.chunks_exact(3 * width).enumerate() {
-            // Every second pixel of every second row tells enough.
-            if y % 2 == 1 {
-                continue;
-            }
-            sums.add_row(y, |x| {
-                let p = &line[3 * x..3 * x + 3];
-                let linear = [table[usize::from(p[0])], table[usize::from(p[1])], table[usize::from(p[2])]];
-                accept(linear, x, y).map(|d| [linear[0], linear[1], linear[2], d])
-            });
+/// Averages in cells what looks like the key's screen or, better, like the screen as it was found `before`.
+fn average(rgb: &[u8], width: usize, key: &Key, before: Option<&Grid<Vec4>>) -> Option<Grid<Vec4>> {
+    let height = rgb.len() / 3 / width;
+    let (mut cells, mut row) = (Cells::new(width, height, CELL), Vec::new());
+    // Every second pixel of every second row tells enough.
+    for (y, line) in rgb.chunks_exact(3 * width).enumerate().step_by(2) {
+        if let Some(grid) = before {
+            grid.row(y, width, &mut row);
         }
-        let rounds = 2 * (width + height) / CELL;
-        sums.filled(NEEDED, rounds).map(Self)
+        cells.add_row(y, 2, |x| {
+            let linear = linear(&line[3 * x..3 * x + 3]);
+            let difference = key.difference(linear);
+            let is_screen = match row.get(x) {
+                Some(screen) => difference > 0.85 * screen.w && difference < 1.25 * screen.w,
+                None => key.is_like(linear, 0.08, 0.7),
+            };
+            is_screen.then(|| linear.extend(difference))
+        });
     }
-
-    /// Red, green, blue and colour difference of the screen along a row of pixels.
-    pub fn row(&self, y: usize, width: usize, out: &mut Vec<[f32; 4]>) {
-        self.0.row(y, width, out);
-    }
+    cells.fill(NEEDED, 2 * (width + height) / CELL)
 }
 
 #[cfg(test)]
@@ -79,18 +55,14 @@ mod tests {
             let linear = if inside { [0.3, 0.25, 0.2] } else { [0.1 * l, 0.8 * l, 0.2 * l] };
             rgb.extend(linear.map(srgb8));
         }
-        let key = Key::new([0.05, 0.4, 0.1], 1.0 / 3f32.sqrt()).unwrap();
-        let field = Field::fit(&rgb, width, &key).unwrap();
+        let key = Key::new([0.05, 0.4, 0.1].into(), 1.0 / 3f32.sqrt()).unwrap();
+        let grid = fit(&rgb, width, &key).unwrap();
         let mut row = Vec::new();
-        field.row(64, width, &mut row);
+        grid.row(64, width, &mut row);
         for x in [4, 30, 75, 120, 155] {
-            assert!(
-                (row[x][1] / (0.8 * light(x, 64)) - 1.0).abs() < 0.05,
-                "{x}: {} {}",
-                row[x][1],
-                0.8 * light(x, 64)
-            );
+            let (found, wanted) = (row[x].y, 0.8 * light(x, 64));
+            assert!((found / wanted - 1.0).abs() < 0.05, "{x}: {found} {wanted}");
         }
-        assert!(Field::fit(&vec![90; 3 * width * height], width, &key).is_none());
+        assert!(fit(&vec![90; 3 * width * height], width, &key).is_none());
     }
 }
