@@ -1,7 +1,8 @@
 //! Is there a screen, and of which colour?
 
-use super::colour::{Key, LINEAR, hue_distance, hue_saturation_value};
-use super::config::KeyChoice;
+use crate::matting::colour::{Key, hue_distance, hue_saturation_value, linear};
+use crate::matting::config::KeyChoice;
+use glam::Vec3;
 use image::RgbImage;
 
 const BINS: usize = 72;
@@ -103,7 +104,7 @@ struct Statistics {
     low_coverage: f32,
     roughness: f32,
     saturation: f32,
-    colour: [f32; 3],
+    colour: Vec3,
 }
 
 impl Statistics {
@@ -118,7 +119,7 @@ impl Statistics {
                 }
                 inside += 1;
                 saturations.push(hue_saturation_value(p.0).1);
-                (0..3).for_each(|c| channels[c].push(LINEAR[usize::from(p.0[c])]));
+                channels.iter_mut().zip(linear(&p.0).to_array()).for_each(|(all, v)| all.push(v));
                 for (dx, dy) in [(1, 0), (0, 1)] {
                     if x + dx < image.width()
                         && y + dy < image.height()
@@ -131,7 +132,7 @@ impl Statistics {
             }
             coverage.push(inside as f32 / (image.width() * image.height()).max(1) as f32);
         }
-        let colour = [0, 1, 2].map(|c| quantile(&mut channels[c], 0.5));
+        let colour = channels.map(|mut all| quantile(&mut all, 0.5)).into();
         Self {
             coverage: quantile(&mut coverage, 0.5),
             low_coverage: quantile(&mut coverage, 0.1),
@@ -155,18 +156,17 @@ pub(crate) fn quantile(values: &mut [f32], q: f32) -> f32 {
     *values.select_nth_unstable_by(rank, f32::total_cmp).1
 }
 
-/// The narrowest need: wide enough that few pixels of the object have any colour difference.
-fn wedge(thumbnails: &[&RgbImage], hue: f32, colour: [f32; 3]) -> f32 {
+/// The narrowest wedge of the key that leaves few pixels of the object any colour difference.
+fn wedge(thumbnails: &[&RgbImage], hue: f32, colour: Vec3) -> f32 {
     let vlahos = 1.0 / 3f32.sqrt();
-    let Some(key) = Key::new(colour, 0.0) else { return vlahos };
-    let screen = key.difference(colour);
-    let others: Vec<[f32; 3]> = pixels(thumbnails)
+    let others: Vec<Vec3> = pixels(thumbnails)
         .filter(|p| hue_distance(hue_saturation_value(*p).0, hue) > 2.0 * HUE_WINDOW)
-        .map(|p| p.map(|v| LINEAR[usize::from(v)]))
+        .map(|p| linear(&p))
         .collect();
     for wedge in [vlahos, 1.0] {
-        let key = Key { wedge, ..key };
-        let spoiled = others.iter().filter(|rgb| key.difference(**rgb) > 0.1 * screen).count();
+        let Some(key) = Key::new(colour, wedge) else { return vlahos };
+        // The screen has no chroma across the key's.
+        let spoiled = others.iter().filter(|rgb| key.difference(**rgb) > 0.1 * key.reference).count();
         if spoiled * 20 <= others.len() {
             return wedge;
         }

@@ -1,29 +1,28 @@
 //! Chroma key: a soft matte and the colour of the foreground alone, for a screen of any hue under uneven light.
 
-mod alpha;
+mod cleanup;
 mod colour;
 mod config;
-mod dark;
-mod detect;
-mod field;
-mod filters;
-mod grid;
-mod light;
-mod outline;
-mod regions;
-mod reused;
-mod spill;
-mod still;
+mod despill;
+mod luma_key;
+mod morphology;
+mod pool;
+mod refine_network;
+mod screen;
+mod solve;
+mod trimap;
 
 pub use config::{Background, KeyConfig, MatteMode};
 
-use alpha::Workspace;
 use colour::{Key, hue_distance, hue_saturation_value};
 use config::KeyChoice;
-use field::Field;
 use image::{GrayImage, RgbImage};
-use outline::Outline;
-use still::Still;
+use pool::Pool;
+use refine_network::Outline;
+use screen::Screen;
+use screen::clean_plate::CleanPlate;
+use solve::Matte;
+use trimap::Trimap;
 
 /// A screen that was found, ready to key frames.
 #[derive(Clone, Debug)]
@@ -32,7 +31,7 @@ pub struct Keyer {
     key: Option<Key>,
     mode: MatteMode,
     keep_pole: bool,
-    still: Option<Still>,
+    plate: Option<CleanPlate>,
     /// Why this key: one sentence.
     pub evidence: String,
 }
@@ -57,19 +56,19 @@ impl Keyer {
         }
         let (mode, keep_pole) = (config.matte, config.keep_pole);
         if choice == KeyChoice::Black {
-            if let Some(doubt) = dark::doubt(thumbnails) {
+            if let Some(doubt) = luma_key::doubt(thumbnails) {
                 return Ok(Err(doubt));
             }
             let evidence = "keyed by light, before a dark room".to_owned();
-            return Ok(Ok(Self { key: None, mode, keep_pole, still: None, evidence }));
+            return Ok(Ok(Self { key: None, mode, keep_pole, plate: None, evidence }));
         }
         let mut telling: Vec<&RgbImage> = thumbnails.iter().filter(|t| !is_blank(t)).collect();
         if telling.is_empty() {
             telling.extend(thumbnails);
         }
-        let found = detect::detect(&telling, choice);
+        let found = screen::detect::detect(&telling, choice);
         Ok(match found.key {
-            Some(key) => Ok(Self { key: Some(key), mode, keep_pole, still: None, evidence: found.evidence }),
+            Some(key) => Ok(Self { key: Some(key), mode, keep_pole, plate: None, evidence: found.evidence }),
             None => Err(found.evidence),
         })
     }
@@ -77,13 +76,13 @@ impl Keyer {
     /// Learns from frames of a video, where the camera stands still: the screen's folds, what lies beside it, the pole.
     /// Returns what was found out.
     pub fn learn(&mut self, frames: &[RgbImage]) -> Option<String> {
-        self.still =
-            self.key.filter(|_| self.mode == MatteMode::Soft).and_then(|key| Still::learn(frames, &key));
-        let still = self.still.as_ref().filter(|s| s.share > 1e-3)?;
+        let key = self.key.filter(|_| self.mode == MatteMode::Soft);
+        self.plate = key.and_then(|key| CleanPlate::learn(frames, &key));
+        let plate = self.plate.as_ref().filter(|p| p.share > 1e-3)?;
         Some(format!(
             "the camera stands still: {:.1} % of the picture is neither screen nor moving and is {}",
-            100.0 * still.share,
-            if self.keep_pole || !still.has_pole {
+            100.0 * plate.share,
+            if self.keep_pole || !plate.has_pole {
                 "cut beside the screen"
             } else {
                 "cut (before the screen: the pole)"
@@ -98,59 +97,61 @@ impl Keyer {
             return (GrayImage::new(width, height), image.clone());
         }
         let (alpha, colours) = match &self.key {
-            None => (dark::matte(image.as_raw(), width as usize), image.as_raw().clone()),
+            None => (luma_key::matte(&scratch.0, image.as_raw(), width as usize), image.as_raw().clone()),
             Some(key) if self.mode == MatteMode::Plain => (plain(image, key), image.as_raw().clone()),
-            Some(key) => self.soft(image, key, scratch),
+            Some(key) => self.soft(image, key, &scratch.0),
         };
         let matte = GrayImage::from_raw(width, height, alpha).unwrap_or_default();
         (matte, RgbImage::from_raw(width, height, colours).unwrap_or_default())
     }
 
-    fn soft(&self, image: &RgbImage, key: &Key, scratch: &mut Scratch) -> (Vec<u8>, Vec<u8>) {
-        let (rgb, width) = (image.as_raw(), image.width() as usize);
-        if self.solve(image, key, scratch).is_none() {
-            return (plain(image, key), rgb.clone());
-        }
-        let (work, outline) = (&mut scratch.0, &mut scratch.1);
-        outline.load(work, rgb, width, key, 0);
-        outline::solve(outline, work, width, key);
-        outline::close_specks(outline, work, width);
-        let alpha = work.alpha.iter().map(|a| (a * 255.0 + 0.5) as u8).collect();
-        (alpha, spill::foreground(work, key))
+    fn soft(&self, image: &RgbImage, key: &Key, pool: &Pool) -> (Vec<u8>, Vec<u8>) {
+        let Some((screen, trimap, mut matte)) = self.solve(image, key, pool) else {
+            return (plain(image, key), image.as_raw().clone());
+        };
+        refine_network::refine(&screen, &trimap, &mut matte, image.as_raw(), key);
+        let alpha = matte.alpha.iter().map(|a| (a * 255.0 + 0.5) as u8).collect();
+        (alpha, despill::foreground(&screen, &matte, key))
     }
 
-    /// The matte without what was learnt, in `scratch`; `None` where no light can be fitted to the screen.
-    fn solve(&self, image: &RgbImage, key: &Key, scratch: &mut Scratch) -> Option<()> {
-        let (rgb, width, work) = (image.as_raw(), image.width() as usize, &mut scratch.0);
-        let still = self.still.as_ref().filter(|s| s.width == width && s.things.len() * 3 == rgb.len());
-        match still {
-            Some(still) => work.load_before_plate(rgb, key, still, self.keep_pole),
-            None => work.load_before_field(rgb, width, key, &Field::fit(rgb, width, key)?),
-        }
-        work.solve(rgb, width, key);
-        regions::clean(work, width, still, self.keep_pole);
-        Some(())
+    /// The matte before the network refines it; `None` where no light can be fitted to the screen.
+    fn solve<'p>(
+        &self,
+        image: &RgbImage,
+        key: &Key,
+        pool: &'p Pool,
+    ) -> Option<(Screen<'p>, Trimap<'p>, Matte<'p>)> {
+        let (width, pixels) = (image.width() as usize, image.as_raw().len() / 3);
+        let plate = self.plate.as_ref().filter(|p| p.width == width && p.things.len() == pixels);
+        let mut screen = match plate {
+            Some(plate) => Screen::before_plate(pool, image, key, plate, self.keep_pole),
+            None => Screen::before_field(pool, image, key)?,
+        };
+        let noise = screen.noise();
+        let trimap = Trimap::new(&screen, noise.share, image.as_raw(), key);
+        screen.measure_beside(&trimap, key);
+        let mut matte = Matte::solve(&screen, &trimap, &noise);
+        cleanup::clean(&mut matte, &screen, &trimap, plate, self.keep_pole);
+        Some((screen, trimap, matte))
     }
-}
 
-impl Keyer {
-    /// What the network of the outline sees of a frame, and what it should say: rows of inputs, alpha so far, true alpha; for training
-    /// it (`tools/train_outline.py`). Empty where nothing is keyed by colour or the sizes differ.
+    /// What the network that refines a matte sees of a frame, and what it should say: rows of inputs, alpha so far, true alpha; for
+    /// training it (`tools/train_outline.py`). Empty where nothing is keyed by colour or the sizes differ.
     pub fn outline_samples(&self, image: &RgbImage, truth: &GrayImage, scratch: &mut Scratch) -> Vec<f32> {
         let Some(key) = self.key.as_ref().filter(|_| self.mode == MatteMode::Soft && !is_blank(image)) else {
             return Vec::new();
         };
-        let width = image.width() as usize;
-        if truth.dimensions() != image.dimensions() || self.solve(image, key, scratch).is_none() {
+        let (true, Some((screen, trimap, matte))) =
+            (truth.dimensions() == image.dimensions(), self.solve(image, key, &scratch.0))
+        else {
             return Vec::new();
-        }
-        let (work, outline) = (&scratch.0, &mut scratch.1);
-        outline.load(work, image.as_raw(), width, key, 1);
-        let row = |i: usize| {
-            let told = [work.alpha[i], f32::from(truth.as_raw()[i]) / 255.0];
-            outline.inputs(work, i, width, key).into_iter().chain(told)
         };
-        outline.pixels().iter().flat_map(|i| row(*i as usize)).collect()
+        let outline = Outline::new(&screen, &trimap, &matte.alpha, image.as_raw(), key, 1);
+        let rows = outline.pixels.iter().map(|i| *i as usize).flat_map(|i| {
+            let told = [matte.alpha[i], f32::from(truth.as_raw()[i]) / 255.0];
+            outline.inputs(&matte, i).into_iter().chain(told)
+        });
+        rows.collect()
     }
 }
 
@@ -160,9 +161,10 @@ fn is_blank(image: &RgbImage) -> bool {
     for p in image.pixels().step_by(BLANK_STEP) {
         samples.iter_mut().zip(p.0).for_each(|(s, v)| s.push(f32::from(v)));
     }
-    samples
-        .iter_mut()
-        .all(|s| detect::quantile(s, 1.0 - BLANK_TAIL) - detect::quantile(s, BLANK_TAIL) <= BLANK_LEVELS)
+    samples.iter_mut().all(|s| {
+        screen::detect::quantile(s, 1.0 - BLANK_TAIL) - screen::detect::quantile(s, BLANK_TAIL)
+            <= BLANK_LEVELS
+    })
 }
 
 /// The usual rule: what has the key's hue and some saturation is background.
@@ -176,4 +178,4 @@ fn plain(image: &RgbImage, key: &Key) -> Vec<u8> {
 
 /// Memory kept between frames; one a thread.
 #[derive(Default)]
-pub struct Scratch(Workspace, Outline);
+pub struct Scratch(Pool);

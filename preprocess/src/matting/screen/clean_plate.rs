@@ -1,8 +1,11 @@
 //! What stands still in front of a camera that does not move: texture of the screen, things beside it, the pole.
 
-use super::colour::{Key, LINEAR};
-use super::filters::{Rect, components, dilate, erode};
-use super::grid::Sums;
+use super::grid::Cells;
+use crate::matting::cleanup::hull;
+use crate::matting::colour::{Key, levels, linear};
+use crate::matting::morphology::{Rect, Regions};
+use crate::matting::pool::Pool;
+use glam::Vec3;
 use image::RgbImage;
 
 /// A pixel is screen where at least this share of the samples shows it.
@@ -37,11 +40,11 @@ const STANDING_SHARE: f32 = 0.3;
 
 /// Learnt from samples of a video.
 #[derive(Clone, Debug, Default)]
-pub(crate) struct Still {
+pub(crate) struct CleanPlate {
     /// Width of the planes.
     pub width: usize,
     /// Linear light of the empty screen, without the object's shadow; spread to where the screen is never seen.
-    pub plate: [Vec<f32>; 3],
+    pub light: Vec<Vec3>,
     /// Colour of what stands still and is no screen; `None` elsewhere.
     pub things: Vec<Option<[u8; 3]>>,
     /// Before the screen: narrow, always there in whatever light, joined to what stands still.
@@ -62,7 +65,7 @@ pub(crate) struct Still {
     pub has_pole: bool,
 }
 
-impl Still {
+impl CleanPlate {
     /// `None` where the camera moves (what is no screen is not still) or the frames differ in size.
     pub fn learn(frames: &[RgbImage], key: &Key) -> Option<Self> {
         let (width, height) = frames.first()?.dimensions();
@@ -70,100 +73,98 @@ impl Still {
             return None;
         }
         let (width, n) = (width as usize, (width * height) as usize);
-        let mut still = Self {
+        let mut plate = Self {
             width,
-            plate: [0; 3].map(|_| vec![0.0; n]),
+            light: vec![Vec3::ZERO; n],
             things: vec![None; n],
             outside: vec![true; n],
             ..Self::default()
         };
-        let (mut lights, mut others) = (Vec::new(), Vec::new());
-        let (mut other_counts, mut still_count, mut other_count) = (vec![0_u32; n], 0_usize, 0_usize);
-        let needed = (SCREEN_SHARE * frames.len() as f32).max(2.0);
-        for (i, other_count_here) in other_counts.iter_mut().enumerate() {
-            lights.clear();
-            others.clear();
-            for frame in frames {
-                let p = &frame.as_raw()[3 * i..3 * i + 3];
-                let p = [p[0], p[1], p[2]];
-                match screen_like(p, key) {
-                    Some(light) => lights.push((light, p)),
-                    None => others.push(p),
-                }
-            }
-            *other_count_here = others.len() as u32;
-            still.things[i] = agreed(&mut others, frames.len());
-            if lights.len() as f32 >= needed {
-                still.outside[i] = false;
-                let lit = lit_mean(&mut lights);
-                (0..3).for_each(|c| still.plate[c][i] = lit[c]);
-            } else {
-                other_count += 1;
-                still_count += usize::from(still.things[i].is_some());
-            }
-        }
-        if other_count * 50 >= n && (still_count as f32) < STANDING_SHARE * other_count as f32 {
+        let other_counts = plate.gather(frames, key);
+        let outside = plate.outside.iter().filter(|o| **o).count();
+        let still = plate.things.iter().zip(&plate.outside).filter(|(t, o)| **o && t.is_some()).count();
+        if outside * 50 >= n && (still as f32) < STANDING_SHARE * outside as f32 {
             return None;
         }
-        still.spread_plate()?;
-        let seen: Vec<u8> = still.outside.iter().map(|o| u8::from(!o)).collect();
-        still.before_screen = super::regions::hull(&seen, width);
-        still.forget_islands();
-        still.find_pole(&other_counts, frames.len());
-        let is_other = |i: &usize| still.things[*i].is_some() || still.pole[*i] || !still.before_screen[*i];
-        still.others = (0..n).filter(is_other).map(|i| i as u32).collect();
-        let before = |i: &usize| still.before_screen[*i];
-        let still_inside = (0..n).filter(before).filter(|i| still.things[*i].is_some()).count();
-        let others_inside = (0..n).filter(before).map(|i| other_counts[i] as usize).sum::<usize>();
-        still.has_pole = (still_inside * frames.len()) as f32 <= POLE_SHARE * others_inside as f32;
-        still.share = still.things.iter().filter(|t| t.is_some()).count() as f32 / n as f32;
-        Some(still)
+        plate.spread_light()?;
+        let pool = Pool::default();
+        plate.before_screen = hull(&pool.plane(width, plate.outside.iter().map(|o| u8::from(!o))));
+        plate.forget_islands(&pool);
+        plate.find_pole(&pool, &other_counts, frames.len());
+        let is_other = |i: &usize| plate.things[*i].is_some() || plate.pole[*i] || !plate.before_screen[*i];
+        plate.others = (0..n).filter(is_other).map(|i| i as u32).collect();
+        let (mut still_inside, mut others_inside) = (0, 0);
+        for i in (0..n).filter(|i| plate.before_screen[*i]) {
+            still_inside += usize::from(plate.things[i].is_some());
+            others_inside += other_counts[i] as usize;
+        }
+        plate.has_pole = (still_inside * frames.len()) as f32 <= POLE_SHARE * others_inside as f32;
+        plate.share = plate.things.iter().filter(|t| t.is_some()).count() as f32 / n as f32;
+        Some(plate)
     }
 
-    /// Fills the plate where the screen is never seen; `None` if it is seen nowhere.
-    fn spread_plate(&mut self) -> Option<()> {
+    /// Light of the screen, what stands still and where the screen is never seen; returns how many samples show something else
+    /// than the screen.
+    fn gather(&mut self, frames: &[RgbImage], key: &Key) -> Vec<u32> {
+        let (mut lights, mut others) = (Vec::new(), Vec::new());
+        let needed = (SCREEN_SHARE * frames.len() as f32).max(2.0);
+        (0..self.light.len())
+            .map(|i| {
+                lights.clear();
+                others.clear();
+                for frame in frames {
+                    let p = &frame.as_raw()[3 * i..3 * i + 3];
+                    let light = linear(p);
+                    if key.is_like(light, SCREEN_LIKE.1, SCREEN_LIKE.0) {
+                        lights.push(light);
+                    } else {
+                        others.push([p[0], p[1], p[2]]);
+                    }
+                }
+                self.things[i] = agreed(&mut others, frames.len());
+                if lights.len() as f32 >= needed {
+                    self.outside[i] = false;
+                    self.light[i] = lit_mean(&mut lights);
+                }
+                others.len() as u32
+            })
+            .collect()
+    }
+
+    /// Fills the light where the screen is never seen; `None` if it is seen nowhere.
+    fn spread_light(&mut self) -> Option<()> {
         let (width, height) = (self.width, self.outside.len() / self.width);
-        let mut sums = Sums::<3>::new(width, height, PLATE_CELL);
-        for i in (0..self.outside.len()).filter(|i| !self.outside[*i]) {
-            sums.add(i % width, i / width, [0, 1, 2].map(|c| self.plate[c][i]));
+        let mut cells = Cells::new(width, height, PLATE_CELL);
+        for y in 0..height {
+            cells.add_row(y, 1, |x| (!self.outside[y * width + x]).then(|| self.light[y * width + x]));
         }
-        let grid = sums.filled(PLATE_CELL as u32, 2 * (width + height) / PLATE_CELL)?;
+        let grid = cells.fill(PLATE_CELL as u32, 2 * (width + height) / PLATE_CELL)?;
         let mut row = Vec::new();
         for y in 0..height {
             grid.row(y, width, &mut row);
-            for (x, light) in row.iter().enumerate().filter(|(x, _)| self.outside[y * width + x]) {
-                (0..3).for_each(|c| self.plate[c][y * width + x] = light[c]);
+            for (i, light) in (y * width..).zip(&row).filter(|(i, _)| self.outside[*i]) {
+                self.light[i] = *light;
             }
         }
         Some(())
     }
-}
 
-impl Still {
     /// What hides the screen in nearly all samples, is narrow, and joins the still things below or beside it.
-    fn find_pole(&mut self, other_counts: &[u32], frames: usize) {
-        let width = self.width;
-        let always: Vec<u8> =
-            other_counts.iter().map(|c| u8::from(*c as f32 >= ALWAYS_SHARE * frames as f32)).collect();
+    fn find_pole(&mut self, pool: &Pool, other_counts: &[u32], frames: usize) {
+        let least = ALWAYS_SHARE * frames as f32;
+        let always = pool.plane(self.width, other_counts.iter().map(|c| u8::from(*c as f32 >= least)));
         let radius = self.pole_radius();
-        let wide = dilate(&erode(&always, width, radius), width, radius);
-        let narrow: Vec<u8> = (0..always.len())
-            .map(|i| {
-                let is_thing = self.things[i].is_some();
-                u8::from(is_thing || (always[i] != 0 && wide[i] == 0 && self.before_screen[i]))
-            })
+        let wide = always.erode(radius).dilate(radius);
+        let is_narrow = |i: usize| always[i] != 0 && wide[i] == 0 && self.before_screen[i];
+        let narrow = (0..always.len()).map(|i| u8::from(self.things[i].is_some() || is_narrow(i)));
+        let regions = Regions::of(&pool.plane(self.width, narrow));
+        let is_joined = regions.any(|i| self.things[i].is_some());
+        self.pole = (0..always.len())
+            .map(|i| is_joined[regions.labels[i] as usize] && wide[i] == 0 && self.before_screen[i])
             .collect();
-        let (labels, sizes) = components(&narrow, width);
-        let mut joined = vec![false; sizes.len()];
-        for (thing, label) in self.things.iter().zip(&labels).filter(|(t, _)| t.is_some()) {
-            joined[*label as usize] |= thing.is_some();
-        }
-        self.pole = (0..narrow.len())
-            .map(|i| narrow[i] != 0 && wide[i] == 0 && self.before_screen[i] && joined[labels[i] as usize])
-            .collect();
-        let pole: Vec<u8> = self.pole.iter().map(|p| u8::from(*p)).collect();
-        self.near_pole = dilate(&pole, width, POLE_RIM).iter().map(|p| *p != 0).collect();
-        let extent = Rect::around(&pole, width, 0);
+        let pole = pool.plane(self.width, self.pole.iter().map(|p| u8::from(*p)));
+        self.near_pole = pole.dilate(POLE_RIM).iter().map(|p| *p != 0).collect();
+        let extent = Rect::around(&pole, 0);
         self.pole_lies = extent.x.len() > extent.y.len();
     }
 
@@ -178,7 +179,7 @@ impl Still {
     }
 
     /// How surely the pixel shows what always stands there, 0 to 1.
-    pub fn likeness(&self, i: usize, rgb: [u8; 3], keep_pole: bool) -> f32 {
+    pub fn similarity(&self, i: usize, rgb: [u8; 3], keep_pole: bool) -> f32 {
         if self.before_screen[i] && !self.cuts_pole(keep_pole) {
             return 0.0;
         }
@@ -201,42 +202,25 @@ impl Still {
     }
 }
 
-/// The light (sum of linear channels) of a pixel that looks like screen in any light.
-fn screen_like(rgb: [u8; 3], key: &Key) -> Option<f32> {
-    let linear = rgb.map(|v| LINEAR[usize::from(v)]);
-    let light = linear[0] + linear[1] + linear[2];
-    let reference = key.difference(key.colour);
-    let purity = reference / (key.colour[0] + key.colour[1] + key.colour[2]);
-    let d = key.difference(linear);
-    (d > SCREEN_LIKE.0 * purity * light && d > SCREEN_LIKE.1 * reference).then_some(light)
-}
-
-/// Mean linear colour of the samples whose light is about that of the brighter ones.
-fn lit_mean(samples: &mut [(f32, [u8; 3])]) -> [f32; 3] {
+/// Mean of the samples whose light is about that of the brighter ones.
+fn lit_mean(samples: &mut [Vec3]) -> Vec3 {
     let rank = ((samples.len() - 1) as f32 * LIT_QUANTILE).round() as usize;
-    let lit = samples.select_nth_unstable_by(rank, |a, b| a.0.total_cmp(&b.0)).1.0;
-    let (mut sum, mut count) = ([0.0_f32; 3], 0.0);
-    for (_, p) in samples.iter().filter(|(light, _)| LIT_RANGE.contains(&(light / lit))) {
-        (0..3).for_each(|c| sum[c] += LINEAR[usize::from(p[c])]);
-        count += 1.0;
-    }
-    sum.map(|s| s / count)
+    let by_light = |a: &Vec3, b: &Vec3| a.element_sum().total_cmp(&b.element_sum());
+    let lit = samples.select_nth_unstable_by(rank, by_light).1.element_sum();
+    let about = samples.iter().filter(|s| LIT_RANGE.contains(&(s.element_sum() / lit)));
+    let (sum, count) = about.fold((Vec3::ZERO, 0.0), |(sum, count), s| (sum + *s, count + 1.0));
+    sum / count
 }
 
-impl Still {
+impl CleanPlate {
     /// A pole stands on something: what is still before the screen and not connected to anything still beside it or
     /// to the border of the picture is a part of the object that happens to look alike in most frames.
-    fn forget_islands(&mut self) {
-        let mask: Vec<u8> = self.things.iter().map(|t| u8::from(t.is_some())).collect();
-        let (labels, sizes) = components(&mask, self.width);
-        let mut grounded = vec![false; sizes.len()];
-        for (i, label) in labels.iter().enumerate() {
-            let x = i % self.width;
-            let at_border = x == 0 || x + 1 == self.width || i < self.width || i + self.width >= labels.len();
-            grounded[*label as usize] |= at_border || !self.before_screen[i];
-        }
-        for (thing, label) in self.things.iter_mut().zip(&labels) {
-            if !grounded[*label as usize] {
+    fn forget_islands(&mut self, pool: &Pool) {
+        let still = pool.plane(self.width, self.things.iter().map(|t| u8::from(t.is_some())));
+        let regions = Regions::of(&still);
+        let (at_border, beside) = (regions.at_border(), regions.any(|i| !self.before_screen[i]));
+        for (thing, label) in self.things.iter_mut().zip(regions.labels.iter()) {
+            if !at_border[*label as usize] && !beside[*label as usize] {
                 *thing = None;
             }
         }
@@ -263,10 +247,9 @@ fn departure(seen: [u8; 3], thing: [u8; 3]) -> i32 {
 }
 
 fn departure_in(seen: [u8; 3], thing: [u8; 3], range: (f32, f32)) -> i32 {
-    let (a, b) = (seen.map(f32::from), thing.map(f32::from));
-    let fit = super::colour::dot(a, b) / super::colour::dot(b, b).max(1.0);
-    let light = fit.clamp(range.0, range.1);
-    (0..3).map(|c| (a[c] - light * b[c]).abs() as i32).max().unwrap_or(0)
+    let (a, b) = (levels(&seen), levels(&thing));
+    let light = (a.dot(b) / b.length_squared().max(1.0)).clamp(range.0, range.1);
+    (a - light * b).abs().max_element() as i32
 }
 
 #[cfg(test)]
@@ -295,12 +278,12 @@ mod tests {
     #[test]
     fn a_pole_is_still_and_a_dark_spot_of_the_object_is_not_taken_for_one() {
         let frames: Vec<RgbImage> = (0..16).map(frame).collect();
-        let key = Key::new([0.013, 0.36, 0.045], 1.0 / 3f32.sqrt()).unwrap();
-        let still = Still::learn(&frames, &key).unwrap();
-        let thing = |x: usize, y: usize| still.things[y * 160 + x];
+        let key = Key::new([0.013, 0.36, 0.045].into(), 1.0 / 3f32.sqrt()).unwrap();
+        let plate = CleanPlate::learn(&frames, &key).unwrap();
+        let thing = |x: usize, y: usize| plate.things[y * 160 + x];
         assert!(thing(90, 95).is_some() && thing(30, 115).is_some(), "pole and floor");
         assert!(thing(94, 63).is_none() && thing(94, 50).is_none() && thing(20, 20).is_none());
-        assert!(still.has_pole && still.outside[63 * 160 + 94] && !still.outside[20 * 160 + 20]);
-        assert!(Still::learn(&frames[..3], &key).is_none(), "too few frames to say");
+        assert!(plate.has_pole && plate.outside[63 * 160 + 94] && !plate.outside[20 * 160 + 20]);
+        assert!(CleanPlate::learn(&frames[..3], &key).is_none(), "too few frames to say");
     }
 }

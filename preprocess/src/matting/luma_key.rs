@@ -1,7 +1,8 @@
 //! Luma key: a lit object in a dark room.
 
-use super::detect::quantile;
-use super::filters::{components, dilate, smooth};
+use super::morphology::{Regions, smooth};
+use super::pool::{Mask, Plane, Pool};
+use super::screen::detect::quantile;
 use image::RgbImage;
 
 /// The object is brighter than the room by this many spreads of the room's light, and by as many 8-bit levels.
@@ -15,17 +16,29 @@ const LIT: (f32, f32) = (0.95, 0.002);
 /// Most pixels that are neither room nor lit, as a share of the lit ones: rims, dark sides.
 const UNDECIDED: f32 = 1.0;
 
-/// Light of every pixel, smoothed, and between which levels a pixel passes from room to object. The room's level is the lower
-/// part of the picture's values.
-fn levels(rgb: &[u8], width: usize) -> (Vec<f32>, f32, f32) {
-    let light: Vec<f32> = rgb.chunks_exact(3).map(|p| f32::from(p[0].max(p[1]).max(p[2]))).collect();
-    let mut smoothed = Vec::new();
-    smooth(&light, width, &mut smoothed);
-    let mut sample: Vec<f32> = smoothed.iter().step_by(5).copied().collect();
-    let level = quantile(&mut sample, 0.3);
-    let spread = 1.5 * (level - quantile(&mut sample, 0.05));
-    let low = level + (SPREADS * spread).max(LEVELS);
-    (smoothed, low, 1.5 * low + LEVELS)
+/// Light of every pixel, smoothed, and between which levels a pixel passes from room to object.
+struct Lit<'p> {
+    light: Plane<'p, f32>,
+    low: f32,
+    high: f32,
+}
+
+impl<'p> Lit<'p> {
+    /// The room's level is the lower part of the picture's values.
+    fn of(pool: &'p Pool, rgb: &[u8], width: usize) -> Self {
+        let brightest = rgb.chunks_exact(3).map(|p| f32::from(p[0].max(p[1]).max(p[2])));
+        let light = smooth(&pool.plane(width, brightest));
+        let mut sample: Vec<f32> = light.iter().step_by(5).copied().collect();
+        let level = quantile(&mut sample, 0.3);
+        let spread = 1.5 * (level - quantile(&mut sample, 0.05));
+        let low = level + (SPREADS * spread).max(LEVELS);
+        Self { light, low, high: 1.5 * low + LEVELS }
+    }
+
+    /// What is rather object than room.
+    fn bright(&self) -> Mask<'p> {
+        self.light.mask(|v| v > 0.5 * (self.low + self.high))
+    }
 }
 
 /// Why light cannot tell the object from the room in these (small) frames, if it cannot: nothing is lit, the lamp lights clutter
@@ -33,13 +46,13 @@ fn levels(rgb: &[u8], width: usize) -> (Vec<f32>, f32, f32) {
 pub(crate) fn doubt(frames: &[RgbImage]) -> Option<String> {
     let (mut lit, mut largest, mut undecided) = (Vec::new(), Vec::new(), Vec::new());
     for frame in frames.iter().filter(|f| !f.is_empty()) {
-        let (smoothed, low, high) = levels(frame.as_raw(), frame.width() as usize);
-        let bright: Vec<u8> = smoothed.iter().map(|v| u8::from(*v > 0.5 * (low + high))).collect();
-        let (_, sizes) = components(&bright, frame.width() as usize);
-        let count = sizes.iter().sum::<usize>() as f32;
-        let between = smoothed.iter().filter(|v| (low..high).contains(*v)).count() as f32;
-        lit.push(count / bright.len() as f32);
-        largest.push(sizes.iter().copied().max().unwrap_or(0) as f32 / count.max(1.0));
+        let pool = Pool::default();
+        let scene = Lit::of(&pool, frame.as_raw(), frame.width() as usize);
+        let regions = Regions::of(&scene.bright());
+        let count = regions.sizes.iter().sum::<usize>() as f32;
+        let between = scene.light.iter().filter(|v| (scene.low..scene.high).contains(*v)).count() as f32;
+        lit.push(count / scene.light.len() as f32);
+        largest.push(regions.largest() as f32 / count.max(1.0));
         undecided.push(between / count.max(1.0));
     }
     let [lit, largest, undecided] = [&mut lit, &mut largest, &mut undecided].map(|v| quantile(v, 0.5));
@@ -54,48 +67,31 @@ pub(crate) fn doubt(frames: &[RgbImage]) -> Option<String> {
 }
 
 /// Matte of 8-bit sRGB by light; dark parts that the object encloses belong to it.
-pub(crate) fn matte(rgb: &[u8], width: usize) -> Vec<u8> {
-    let (smoothed, low, high) = levels(rgb, width);
-    let bright: Vec<u8> = smoothed.iter().map(|v| u8::from(*v > 0.5 * (low + high))).collect();
-    let mut keep = largest(&bright, width);
-    close_enclosed(&mut keep, width);
-    let near = dilate(&keep, width, 2);
-    let soft = |i: usize| (255.0 * ((smoothed[i] - low) / (high - low)).clamp(0.0, 1.0)) as u8;
-    (0..smoothed.len())
-        .map(|i| {
-            if keep[i] != 0 {
-                255
-            } else if near[i] != 0 {
-                soft(i)
-            } else {
-                0
-            }
-        })
+pub(crate) fn matte(pool: &Pool, rgb: &[u8], width: usize) -> Vec<u8> {
+    let scene = Lit::of(pool, rgb, width);
+    let mut keep = large_parts(&scene.bright());
+    close_enclosed(&mut keep);
+    let near = keep.dilate(2);
+    let alpha = scene.light.iter().map(|v| ((v - scene.low) / (scene.high - scene.low)).clamp(0.0, 1.0));
+    alpha
+        .zip(keep.iter().zip(near.iter()))
+        .map(|(alpha, (keep, near))| if *keep != 0 { 255 } else { near * (255.0 * alpha) as u8 })
         .collect()
 }
 
-fn largest(mask: &[u8], width: usize) -> Vec<u8> {
-    let (labels, sizes) = components(mask, width);
-    let least = (PART_SHARE * sizes.iter().copied().max().unwrap_or(0) as f32) as usize;
-    labels.iter().map(|l| u8::from(*l != 0 && sizes[*l as usize] > least)).collect()
+fn large_parts<'p>(mask: &Mask<'p>) -> Mask<'p> {
+    let regions = Regions::of(mask);
+    let least = (PART_SHARE * regions.largest() as f32) as usize;
+    regions.labels.mask(|l| l != 0 && regions.sizes[l as usize] > least)
 }
 
-fn close_enclosed(mask: &mut [u8], width: usize) {
-    let open: Vec<u8> = mask.iter().map(|v| u8::from(*v == 0)).collect();
-    let (labels, sizes) = components(&open, width);
-    let height = mask.len() / width;
-    let mut outside = vec![false; sizes.len()];
-    for i in (0..mask.len())
-        .filter(|i| i % width == 0 || i % width == width - 1 || *i < width || i / width == height - 1)
-    {
-        outside[labels[i] as usize] = true;
-    }
-    // Large openings are gaps between parts, not dark surfaces.
-    let most = mask.len() / 500;
-    for (m, label) in mask.iter_mut().zip(&labels) {
-        if *label != 0 && !outside[*label as usize] && sizes[*label as usize] < most {
-            *m = 1;
-        }
+/// Large openings are gaps between parts, not dark surfaces.
+fn close_enclosed(mask: &mut Mask) {
+    let regions = Regions::of(&mask.mask(|v| v == 0));
+    let (at_border, most) = (regions.at_border(), mask.len() / 500);
+    for (m, label) in mask.iter_mut().zip(regions.labels.iter()) {
+        let label = *label as usize;
+        *m |= u8::from(label != 0 && !at_border[label] && regions.sizes[label] < most);
     }
 }
 
@@ -121,9 +117,10 @@ mod tests {
                 [v, v, v / 2]
             })
             .collect();
-        let matte = matte(&rgb, width);
+        let pool = Pool::default();
+        let matte = matte(&pool, &rgb, width);
         assert_eq!((matte[45 * width + 60], matte[41 * width + 51], matte[5 * width + 5]), (255, 255, 0));
-        assert!(super::matte(&vec![0; 300], 10).iter().all(|v| *v == 0));
+        assert!(super::matte(&pool, &vec![0; 300], 10).iter().all(|v| *v == 0));
     }
 
     #[test]

@@ -1,10 +1,13 @@
 //! The outline, solved once more by what was learnt from simulated shots: a small network sees 7 × 7 pixels
 //! (`tools/train_outline.py`; decision 0027).
 
-use super::alpha::Workspace;
-use super::colour::{Key, dot, srgb8};
-use super::filters::{Rect, box_sum_running, components, dilate, erode, set_pixels};
-use super::reused::Mask;
+use super::colour::{Key, coded, levels};
+use super::morphology::{Rect, Regions, box_sum_running, set_pixels};
+use super::pool::Plane;
+use super::screen::Screen;
+use super::solve::Matte;
+use super::trimap::Trimap;
+use glam::Vec3;
 use std::sync::LazyLock;
 
 /// The network sees as far, pixels.
@@ -58,7 +61,7 @@ struct Block {
 
 /// Little-endian f32: mean and scale of the inputs; matrices [inputs, units] and offsets, layer by layer.
 static NETWORK: LazyLock<Network> = LazyLock::new(|| {
-    let bytes = include_bytes!("outline.f32");
+    let bytes = include_bytes!("refine_network.f32");
     let mut numbers = bytes.as_chunks::<4>().0.iter().map(|b| f32::from_le_bytes(*b));
     fn row<const N: usize>(numbers: &mut impl Iterator<Item = f32>) -> [f32; N] {
         std::array::from_fn(|_| numbers.next().unwrap_or(0.0))
@@ -114,111 +117,95 @@ fn layer<const M: usize, const N: usize>(inputs: &[[f32; M]; 2], blocks: &[Block
     out
 }
 
-/// Coded luma, colour difference and chroma across it.
+/// Coded luma (Rec. 601), colour difference and chroma across it.
 #[inline(always)]
-fn seen(rgb: [f32; 3], key: &Key) -> [f32; 3] {
-    let across = dot(key.across, rgb);
-    [0.299 * rgb[0] + 0.587 * rgb[1] + 0.114 * rgb[2], key.difference(rgb), across]
+fn describe(coded: Vec3, key: &Key) -> Vec3 {
+    Vec3::new(Vec3::new(0.299, 0.587, 0.114).dot(coded), key.difference(coded), key.across.dot(coded))
 }
 
-#[inline(always)]
-fn byte_rgb(rgb: &[u8], i: usize) -> [f32; 3] {
-    let p = &rgb[3 * i..3 * i + 3];
-    [f32::from(p[0]), f32::from(p[1]), f32::from(p[2])]
-}
-
-/// What the network sees, of one frame.
-#[derive(Default)]
-pub(crate) struct Outline {
-    planes: [Vec<f32>; PLANES],
+/// The pixels of a frame that the network is asked about, and what it sees of them.
+pub(crate) struct Outline<'a, 'p> {
+    screen: &'a Screen<'p>,
+    trimap: &'a Trimap<'p>,
+    key: &'a Key,
+    planes: [Plane<'p, f32>; PLANES],
     /// The pixels that are asked about.
-    pixels: Vec<u32>,
+    pub pixels: Plane<'p, u32>,
     /// Where the pixels of a window lie, seen in each of eight ways.
-    ways: Vec<[u32; SIDE * SIDE]>,
-    /// Sums of luma over a window, and scratch for them.
-    sums: Vec<f32>,
-    rows: Vec<f32>,
+    ways: [[u32; SIDE * SIDE]; 8],
 }
 
-impl Outline {
+impl<'a, 'p> Outline<'a, 'p> {
     /// Gathers the pixels of a solved and cleaned frame that are asked about: those whose alpha is not clear and so many beside them,
     /// those on either side of a half, and dark ones of solid parts that keep some of the screen's hue: slits.
-    pub fn load(&mut self, work: &Workspace, rgb: &[u8], width: usize, key: &Key, beside: usize) {
-        let solid: Mask = work.alpha.iter().map(|a| u8::from(*a >= 0.5)).collect();
-        let soft: Mask = work.alpha.iter().map(|a| u8::from((*a > SOFT.start) & (*a < SOFT.end))).collect();
-        let (grown, shrunk) = (dilate(&solid, width, 1), erode(&solid, width, 1));
-        let mut near = dilate(&soft, width, beside);
-        near.iter_mut().zip(grown.iter().zip(&shrunk)).for_each(|(near, (g, s))| *near |= g & (1 - s));
-        let rect = Rect::around(&near, width, REACH);
-        self.see(rgb, key, &rect, width);
-        self.planes[3].copy_from_slice(&work.alpha);
-        let hue = |rgb: [f32; 3]| dot(key.along, rgb);
-        let least = SLIT_SHARE * hue(key.colour.map(|v| f32::from(srgb8(v))));
-        for i in rect.rows(width).flatten().filter(|i| work.alpha[*i] >= SOFT.end) {
-            let dark = self.planes[0][i] * ((SIDE * SIDE) as f32) < SLIT_LUMA * self.sums[i];
-            near[i] |= u8::from(dark && hue(byte_rgb(rgb, i)) > least);
+    pub fn new(
+        screen: &'a Screen<'p>,
+        trimap: &'a Trimap<'p>,
+        alpha: &Plane<'p, f32>,
+        rgb: &[u8],
+        key: &'a Key,
+        beside: usize,
+    ) -> Self {
+        let (width, height) = (alpha.width, alpha.height());
+        let solid = alpha.mask(|a| a >= 0.5);
+        let mut near = alpha.mask(|a| (a > SOFT.start) & (a < SOFT.end)).dilate(beside);
+        let outline = solid.dilate(1);
+        near.iter_mut()
+            .zip(outline.iter().zip(solid.erode(1).iter()))
+            .for_each(|(n, (g, s))| *n |= g & (1 - s));
+        let rect = Rect::around(&near, REACH);
+        let planes = see(alpha, rgb, key, &rect);
+        let mut sums = planes[0].map(|v| *v);
+        box_sum_running(&mut sums, &rect, REACH);
+        let least = SLIT_SHARE * key.along.dot(coded(key.colour));
+        for i in rect.rows(width).flatten().filter(|i| alpha[*i] >= SOFT.end) {
+            let is_dark = planes[0][i] * ((SIDE * SIDE) as f32) < SLIT_LUMA * sums[i];
+            near[i] |= u8::from(is_dark && key.along.dot(levels(&rgb[3 * i..])) > least);
         }
-        let height = work.alpha.len() / width;
-        let inner = |i: usize| {
-            let (x, y) = (i % width, i / width);
-            x >= REACH && y >= REACH && x + REACH < width && y + REACH < height
+        let inner = Rect { x: REACH..width.saturating_sub(REACH), y: REACH..height.saturating_sub(REACH) };
+        let is_asked = |i: &usize| {
+            screen.fixed[*i] == 0 && inner.x.contains(&(i % width)) && inner.y.contains(&(i / width))
         };
-        let asked = |i: &usize| work.still[*i] == 0 && inner(*i);
-        self.pixels.clear();
-        self.pixels.extend(set_pixels(&near).filter(asked).map(|i| i as u32));
-        self.ways.clear();
-        self.ways.extend((0..8).map(|way| offsets(way, width)));
-    }
-
-    /// Loads the planes of a picture but the last, and sums luma around.
-    fn see(&mut self, rgb: &[u8], key: &Key, rect: &Rect, width: usize) {
-        for plane in self.planes.iter_mut().chain([&mut self.sums]) {
-            plane.resize(rgb.len() / 3, 0.0);
-        }
-        for i in rect.rows(width).flatten() {
-            let [luma, along, across] = seen(byte_rgb(rgb, i), key);
-            self.planes[0][i] = luma;
-            self.planes[1][i] = along;
-            self.planes[2][i] = across;
-        }
-        for row in rect.rows(width) {
-            self.sums[row.clone()].copy_from_slice(&self.planes[0][row]);
-        }
-        box_sum_running(&mut self.sums, width, rect, REACH, &mut self.rows);
-    }
-
-    /// The pixels that are asked about.
-    pub fn pixels(&self) -> &[u32] {
-        &self.pixels
+        let pixels = alpha.pool.plane(width, set_pixels(&near).filter(is_asked).map(|i| i as u32));
+        Self { screen, trimap, key, planes, pixels, ways: std::array::from_fn(|way| offsets(way, width)) }
     }
 
     /// What the network sees of pixel `i`: 7 × 7 of luma less the screen's, colour difference and chroma across as shares of the screen's
     /// difference, and alpha, turned and mirrored so that alpha grows to the right and, less so, downwards; then the lights.
     #[inline(always)]
-    pub fn inputs(&self, work: &Workspace, i: usize, width: usize, key: &Key) -> [f32; INPUTS] {
-        let coded = |v: [f32; 3]| seen(v.map(|v| f32::from(srgb8(v))), key);
-        let screen = coded([work.screen[0][i], work.screen[1][i], work.screen[2][i]]);
-        let object = coded(work.object_around(i));
-        let scale = 1.0 / screen[1].max(LEAST_DIFFERENCE);
+    pub fn inputs(&self, matte: &Matte, i: usize) -> [f32; INPUTS] {
+        let width = matte.alpha.width;
+        let screen = describe(coded(self.screen.light[i]), self.key);
+        let object = describe(coded(matte.object_around(i, self.trimap.band[i] != 0)), self.key);
+        let scale = 1.0 / screen.y.max(LEAST_DIFFERENCE);
         let corner = i - REACH * width - REACH;
-        let window = |p: usize| &self.planes[p][corner..corner + (SIDE - 1) * width + SIDE];
-        let way = &self.ways[way(window(3), width)];
+        let window = corner..corner + (SIDE - 1) * width + SIDE;
+        let way = &self.ways[way(&self.planes[3][window.clone()], width)];
         let mut out = [0.0; INPUTS];
-        for (p, target) in out[..PATCH].chunks_exact_mut(SIDE * SIDE).enumerate() {
-            let window = window(p);
+        for (target, plane) in out[..PATCH].chunks_exact_mut(SIDE * SIDE).zip(&self.planes) {
+            let window = &plane[window.clone()];
             target.iter_mut().zip(way).for_each(|(v, at)| *v = window[*at as usize]);
         }
         let [luma, along, across, _] = [0, 1, 2, 3].map(|p| p * SIDE * SIDE..(p + 1) * SIDE * SIDE);
-        out[luma].iter_mut().for_each(|v| *v = (*v - screen[0]) / LEVELS);
+        out[luma].iter_mut().for_each(|v| *v = (*v - screen.x) / LEVELS);
         out[along].iter_mut().for_each(|v| *v = (*v * scale).clamp(-1.0, 2.0));
-        out[across].iter_mut().for_each(|v| *v = ((*v - screen[2]) * scale).clamp(-2.0, 2.0));
-        out[PATCH] = screen[0] / LEVELS;
-        out[PATCH + 1] = (object[0] - screen[0]) / LEVELS;
-        out[PATCH + 2] = (object[1] * scale).clamp(-1.0, 2.0);
-        out[PATCH + 3] = ((object[2] - screen[2]) * scale).clamp(-2.0, 2.0);
-        out[PATCH + 4] = work.solid_around(i);
+        out[across].iter_mut().for_each(|v| *v = ((*v - screen.z) * scale).clamp(-2.0, 2.0));
+        out[PATCH] = screen.x / LEVELS;
+        out[PATCH + 1] = (object.x - screen.x) / LEVELS;
+        out[PATCH + 2] = (object.y * scale).clamp(-1.0, 2.0);
+        out[PATCH + 3] = ((object.z - screen.z) * scale).clamp(-2.0, 2.0);
+        out[PATCH + 4] = matte.solid_around(i);
         out
     }
+}
+
+/// Planes of what the network sees in a rectangle of a frame: luma, colour difference, chroma across, alpha.
+fn see<'p>(alpha: &Plane<'p, f32>, rgb: &[u8], key: &Key, rect: &Rect) -> [Plane<'p, f32>; PLANES] {
+    let [mut luma, mut along, mut across] = [(); 3].map(|()| alpha.map(|_| 0.0));
+    for i in rect.rows(alpha.width).flatten() {
+        [luma[i], along[i], across[i]] = describe(levels(&rgb[3 * i..]), key).to_array();
+    }
+    [luma, along, across, alpha.map(|a| *a)]
 }
 
 /// Of the eight ways to turn and mirror a window, the one after which alpha grows to the right and, less so, downwards.
@@ -246,17 +233,17 @@ fn offsets(way: usize, width: usize) -> [u32; SIDE * SIDE] {
 }
 
 scene::dispatch! {
-    /// Solves alpha of the frame that `outline` has loaded once more.
-    pub(crate) fn solve(outline: &Outline, work: &mut Workspace, width: usize, key: &Key) {
+    /// Solves alpha of the pixels of the outline once more.
+    fn ask(outline: &Outline, matte: &mut Matte) {
         let network = &*NETWORK;
         let mut inputs = [[0.0; INPUTS]; 2];
         for pair in outline.pixels.chunks(2) {
             for (inputs, i) in inputs.iter_mut().zip(pair) {
-                *inputs = outline.inputs(work, *i as usize, width, key);
+                *inputs = outline.inputs(matte, *i as usize);
             }
             // The second of the last pair may be left from before.
             for (word, i) in network.words(&inputs).into_iter().zip(pair) {
-                let alpha = &mut work.alpha[*i as usize];
+                let alpha = &mut matte.alpha[*i as usize];
                 *alpha = told(*alpha, word);
             }
         }
@@ -277,25 +264,36 @@ fn told(alpha: f32, word: f32) -> f32 {
 }
 
 /// Closes what was opened inside of solid parts and is too small for a slit.
-pub(crate) fn close_specks(outline: &Outline, work: &mut Workspace, width: usize) {
-    let opened = |i: &usize| work.band[*i] == 0 && work.alpha[*i] < 0.5;
-    let opened: Vec<usize> = outline.pixels.iter().map(|i| *i as usize).filter(opened).collect();
+fn close_specks(alpha: &mut Plane<f32>, band: &[u8], asked: &[u32]) {
+    let opened: Vec<usize> =
+        asked.iter().map(|i| *i as usize).filter(|i| band[*i] == 0 && alpha[*i] < 0.5).collect();
     if opened.is_empty() {
         return;
     }
-    let open: Mask = work.alpha.iter().map(|a| u8::from(*a < 0.5)).collect();
-    let (labels, sizes) = components(&open, width);
-    for i in opened {
-        if sizes[labels[i] as usize] < SLIT_PIXELS {
-            work.alpha[i] = 1.0;
-        }
+    let regions = Regions::of(&alpha.mask(|a| a < 0.5));
+    for i in opened.into_iter().filter(|i| regions.sizes[regions.labels[*i] as usize] < SLIT_PIXELS) {
+        alpha[i] = 1.0;
     }
+}
+
+/// Solves the outline of a cleaned matte once more.
+pub(crate) fn refine<'p>(
+    screen: &Screen<'p>,
+    trimap: &Trimap<'p>,
+    matte: &mut Matte<'p>,
+    rgb: &[u8],
+    key: &Key,
+) {
+    let outline = Outline::new(screen, trimap, &matte.alpha, rgb, key, 0);
+    ask(&outline, matte);
+    close_specks(&mut matte.alpha, &trimap.band, &outline.pixels);
 }
 
 #[cfg(test)]
 mod tests {
     use super::super::{KeyConfig, Keyer, Scratch};
     use super::*;
+    use crate::matting::pool::Pool;
     use image::{GrayImage, Rgb, RgbImage, imageops};
 
     /// A grey disc and a rod before a green screen, both mixed with it at their rims.
@@ -340,7 +338,7 @@ mod tests {
     #[test]
     fn slits_of_solid_parts_are_asked_about_and_other_dark_lines_are_not() {
         let (width, height) = (60, 40);
-        let key = Key::new([0.02, 0.4, 0.05], 1.0 / 3f32.sqrt()).unwrap();
+        let key = Key::new([0.02, 0.4, 0.05].into(), 1.0 / 3f32.sqrt()).unwrap();
         let panel = |i: usize| (10..50).contains(&(i % width)) && (8..32).contains(&(i / width));
         let rgb: Vec<u8> = (0..width * height)
             .flat_map(|i| match i % width {
@@ -350,11 +348,13 @@ mod tests {
                 _ => [210, 205, 200],
             })
             .collect();
-        let (mut work, mut outline) = (Workspace::default(), Outline::default());
-        work.alpha = (0..width * height).map(|i| f32::from(u8::from(panel(i)))).collect();
-        work.still = vec![0; width * height];
-        outline.load(&work, &rgb, width, &key, 0);
-        let asked = |x: usize| outline.pixels().contains(&((20 * width + x) as u32));
+        let pool = Pool::default();
+        let image = RgbImage::from_raw(width as u32, height as u32, rgb.clone()).unwrap();
+        let screen = Screen::before_field(&pool, &image, &key).unwrap();
+        let trimap = Trimap::new(&screen, 0.0, &rgb, &key);
+        let alpha = pool.plane(width, (0..width * height).map(|i| f32::from(u8::from(panel(i)))));
+        let outline = Outline::new(&screen, &trimap, &alpha, &rgb, &key, 0);
+        let asked = |x: usize| outline.pixels.contains(&((20 * width + x) as u32));
         assert!(asked(30) && !asked(20) && !asked(40), "slit, grey line, panel");
         assert!(asked(9) && asked(10) && !asked(7), "both sides of the outline, screen");
     }
@@ -363,21 +363,19 @@ mod tests {
     fn a_slit_that_was_opened_stays_and_single_pixels_are_closed() {
         let width = 40;
         let slit = |i: usize| i % width == 20 && (5..30).contains(&(i / width));
-        let (mut work, mut outline) = (Workspace::default(), Outline::default());
-        work.band = vec![0; 40 * width];
         let gap = |i: usize| i % width == 30 && (10..14).contains(&(i / width));
-        work.alpha = (0..40 * width).map(|i| if slit(i) || gap(i) { 0.1 } else { 1.0 }).collect();
-        outline.pixels = (0..work.alpha.len() as u32).collect();
-        close_specks(&outline, &mut work, width);
-        for i in 0..work.alpha.len() {
-            assert_eq!(work.alpha[i], if slit(i) { 0.1 } else { 1.0 }, "pixel {i}");
+        let (pool, band) = (Pool::default(), vec![0; 40 * width]);
+        let mut alpha = pool.plane(width, (0..40 * width).map(|i| if slit(i) || gap(i) { 0.1 } else { 1.0 }));
+        close_specks(&mut alpha, &band, &(0..40 * width as u32).collect::<Vec<_>>());
+        for i in 0..alpha.len() {
+            assert_eq!(alpha[i], if slit(i) { 0.1 } else { 1.0 }, "pixel {i}");
         }
     }
 
     #[test]
     fn the_weights_are_as_many_as_the_layers_need_and_finite() {
         let count = 2 * INPUTS + (INPUTS + 1) * HIDDEN.0 + (HIDDEN.0 + 1) * HIDDEN.1 + HIDDEN.1 + 1;
-        let bytes = include_bytes!("outline.f32");
+        let bytes = include_bytes!("refine_network.f32");
         assert_eq!(bytes.len(), 4 * count);
         assert!(bytes.as_chunks::<4>().0.iter().all(|b| f32::from_le_bytes(*b).is_finite()));
     }

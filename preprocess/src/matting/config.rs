@@ -96,7 +96,7 @@ fn hex(text: &str) -> Option<KeyChoice> {
     let digits = text.strip_prefix('#').filter(|d| d.len() == 6)?;
     let value = u32::from_str_radix(digits, 16).ok()?;
     let rgb = [value >> 16, value >> 8, value].map(|v| (v & 255) as u8);
-    let (hue, saturation, _) = super::colour::hue_saturation_value(rgb);
+    let (hue, saturation, _) = crate::matting::colour::hue_saturation_value(rgb);
     Some(if saturation < 0.15 { KeyChoice::Black } else { KeyChoice::Hue(hue - 20.0, hue + 20.0) })
 }
 
