@@ -137,7 +137,7 @@ pub(crate) fn solve_video(job: &VideoJob<'_>) -> Result<Result<(VideoModel, Deci
     let mut solution = finish(&mut model, &context, &free_job, intrinsics, (camera, excess))?;
     solution.decisions.extend(motion.map(|l| l.decision));
     let decision = Decision { choice: MotionModel::SingleAxis.into(), ..evidence };
-    Ok(Ok((job.into_video_model(solution, material, keys), decision)))
+    Ok(Ok((job.video_model(solution, material, keys), decision)))
 }
 
 /// The decision that a video shows no single-axis motion.
@@ -159,12 +159,7 @@ impl VideoJob<'_> {
         }
     }
 
-    fn into_video_model(
-        &self,
-        solution: CircularSolution,
-        material: VideoTracks,
-        keys: KeyFrames,
-    ) -> VideoModel {
+    fn video_model(&self, solution: CircularSolution, material: VideoTracks, keys: KeyFrames) -> VideoModel {
         let mut geometries = keys.near;
         geometries.extend(keys.closure);
         geometries.sort_by_key(|g| (g.a, g.b));

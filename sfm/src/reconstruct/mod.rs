@@ -268,29 +268,10 @@ fn solve(
     progress.begin("mapping", features.len());
     let keypoints: Vec<_> = features.iter().map(positions).collect();
     let mut decisions = Vec::new();
-    let mapped = constant_step::grow_or_place(given, &keypoints, geometries, &mut decisions, progress)?;
-    lap("mapping");
-    let Some(mut model) = mapped else {
+    let mapped = map_images(given, &keypoints, geometries, &mut decisions, lap, progress)?;
+    let Some(MappedModel { mut state, tracks, ringed, .. }) = mapped else {
         return circular_motion_alone(given, keypoints, geometries, progress);
     };
-    if let Some((consistent, decision)) =
-        remove_aliased_pairs(given, &keypoints, geometries, &model, progress)?
-    {
-        model = consistent;
-        decisions.push(decision);
-    }
-    lap("repeated structure");
-    let completed = complete_ring(given, &keypoints, &model, geometries, progress)?;
-    lap("ring");
-    let (model, completed) =
-        retry_unmatched_pairs(given, &keypoints, geometries, (model, completed), progress)?;
-    lap("second attempt");
-    let MappedModel { mut state, tracks, mapper, ringed } = model;
-    decisions.extend(mapper);
-    if let Some((whole, decision)) = completed {
-        state = whole;
-        decisions.push(decision);
-    }
     let (shared, decision) = shared_cameras::share_cameras(
         given,
         &given.input(&keypoints, &tracks, geometries),
@@ -388,6 +369,39 @@ fn solve(
         SolvedModel { state, camera_of: setup.camera_of.clone(), keypoints, decisions, uncertainty };
     rotation::rotate_back(&mut solved, &rotated);
     Ok(Some(solved))
+}
+
+/// The model that the images grow into, without pairs that repeated structure explains, with what a ring and a second look add;
+/// `None` where none grows.
+fn map_images(
+    given: &StepContext<'_>,
+    keypoints: &[Vec<glam::DVec2>],
+    geometries: &mut Vec<TwoViewGeometry>,
+    decisions: &mut Vec<Decision>,
+    lap: &mut dyn FnMut(&str),
+    progress: &Progress,
+) -> Result<Option<MappedModel>, SfmError> {
+    let mapped = constant_step::grow_or_place(given, keypoints, geometries, decisions, progress)?;
+    lap("mapping");
+    let Some(mut model) = mapped else { return Ok(None) };
+    if let Some((consistent, decision)) =
+        remove_aliased_pairs(given, keypoints, geometries, &model, progress)?
+    {
+        model = consistent;
+        decisions.push(decision);
+    }
+    lap("repeated structure");
+    let completed = complete_ring(given, keypoints, &model, geometries, progress)?;
+    lap("ring");
+    let (mut model, completed) =
+        retry_unmatched_pairs(given, keypoints, geometries, (model, completed), progress)?;
+    lap("second attempt");
+    decisions.extend(model.mapper.take());
+    if let Some((whole, decision)) = completed {
+        model.state = whole;
+        decisions.push(decision);
+    }
+    Ok(Some(model))
 }
 
 /// Where no model grows: that of a turn from three images on, if there is one.

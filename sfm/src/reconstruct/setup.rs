@@ -82,7 +82,7 @@ mod tests {
     #[test]
     fn images_of_one_group_and_size_share_a_camera_unless_told_otherwise() {
         let with = |cameras| SfmConfig { cameras, ..SfmConfig::default() };
-        let of = |cameras| Setup::new(&frames(), &with_setup(cameras)).unwrap().camera_of;
+        let of = |cameras| Setup::new(&frames(), &with(cameras)).unwrap().camera_of;
         assert_eq!(of(CameraSharing::Group), [0, 0, 1, 2]);
         assert_eq!(of(CameraSharing::Single), [0, 0, 1, 0]);
         assert_eq!(of(CameraSharing::Each), [0, 1, 2, 3]);
