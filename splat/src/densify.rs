@@ -1,58 +1,42 @@
-//! Adding Gaussians where the picture pulls at them, removing those that do nothing.
+//! A round of densification by the host: Gaussians are added where the picture pulls at them, and those that do nothing go.
 
-use crate::PinholeView;
-use crate::config::Selection;
-use crate::cpu::optimise::Statistics;
-use crate::model::{GEOMETRY, LOG_SCALE, MEAN, Model, OPACITY, ROTATION};
+use crate::model::{GEOMETRY, LOG_SCALE, MEAN, Model, OPACITY};
+use crate::statistics::Statistics;
+use crate::view::PinholeView;
 use glam::{Quat, Vec3};
 use rand::Rng as _;
 use rayon::prelude::*;
 
-/// Mean screen gradient (units of half the image) above which a Gaussian is worth another (3DGS paper: 2e-4); only
-/// without a plan of growth.
-pub const GRADIENT: f32 = 2e-4;
-/// Opacity below which a Gaussian is removed.
-pub const MIN_OPACITY: f32 = 0.005;
+/// Opacity below which a Gaussian is removed. Source: Kerbl et al. 2023, section 5.2 (its implementation has 0.005).
+pub(crate) const MIN_OPACITY: f32 = 0.005;
 /// Gaussians that fewer views than this have in their picture are removed where the background shows through.
+/// Source: chosen by hand; that they go is worth 1.0 to 1.5 dB (docs/benchmarks.md, ablations).
 const LEAST_VIEWS: usize = 5;
+/// The same as a share of the views, one in so many, where there are few. Source: see [`LEAST_VIEWS`].
+const LEAST_VIEWS_SHARE: usize = 8;
+/// Logarithms of scales are limited to this and its negative. Source: `exp` of it squared is finite in f32.
+const MAX_LOG_SCALE: f32 = 20.0;
+/// How far the halves lie from the whole's centre, standard deviations along its longest axis, drawn evenly.
+/// Source: chosen by hand, never measured.
+const OFFSETS: std::ops::Range<f32> = 0.4..0.6;
+/// The halves' scales: a half along the longest axis, `exp(−0.16)` across it. Source: chosen by hand, never measured.
+const SHRINK_ACROSS: f32 = 0.16;
+/// Squared norm below which a quaternion says nothing. Source: the square of what f32 keeps beside 1, far below.
+const LEAST_NORM_SQUARED: f32 = 1e-20;
 
-/// Splits up to `room` Gaussians, chosen by `selection` (gradients above `threshold`), and removes the transparent.
-pub fn densify(
-    model: &mut Model,
-    statistics: &Statistics,
-    room: usize,
-    threshold: f32,
-    selection: Selection,
-    seed: u64,
-    iteration: u32,
-) {
-    let rng = |i: u32| scene::rng::rng(seed, "densify", (u64::from(iteration) << 32) | u64::from(i));
-    let opacity = |i: usize| 1.0 / (1.0 + (-model.geometry[OPACITY][i]).exp());
-    let score = |i: usize| match selection {
-        Selection::Gradient | Selection::AbsoluteGradient | Selection::Error => {
-            statistics.gradient[i] / statistics.visible[i]
-        }
-        // Drawing without replacement in proportion to the weights: the greatest u^(1/w) (Efraimidis and Spirakis 2006).
-        Selection::Opacity => {
-            rng(i as u32).random_range(1e-6f32..1.0).powf(1.0 / opacity(i).max(1e-6)) + threshold
-        }
-    };
+/// Splits up to `room` Gaussians, those of the largest mean screen gradient (Kerbl et al. 2023), and removes the transparent.
+pub(crate) fn densify(model: &mut Model, statistics: &Statistics, room: usize, seed: u64, iteration: u32) {
     let mut candidates: Vec<(f32, u32)> = (0..model.len)
         .filter(|&i| statistics.visible[i] > 0.0)
-        .map(|i| (score(i), i as u32))
-        .filter(|c| c.0 > threshold)
+        .map(|i| (statistics.gradient[i] / statistics.visible[i], i as u32))
+        .filter(|c| c.0 > 0.0)
         .collect();
     candidates.sort_by(|a, b| b.0.total_cmp(&a.0).then(a.1.cmp(&b.1)));
     candidates.truncate(room);
     let mut added = Vec::with_capacity(candidates.len());
     for &(_, i) in &candidates {
-        let (mut rng, i) = (rng(i), i as usize);
-        let other = if selection == Selection::Opacity {
-            double(model, i, &mut rng)
-        } else {
-            split(model, i, &mut rng)
-        };
-        added.push((other, i));
+        let mut rng = scene::rng::rng(seed, "densify", (u64::from(iteration) << 32) | u64::from(i));
+        added.push((split(model, i as usize, &mut rng), i as usize));
     }
     model.append(&added);
     prune(model);
@@ -64,96 +48,61 @@ fn row(model: &Model, i: usize) -> [f32; GEOMETRY] {
 
 /// Halves Gaussian `i` along its longest axis: one half stays, the other is returned.
 fn split(model: &mut Model, i: usize, rng: &mut scene::rng::Rng) -> [f32; GEOMETRY] {
-    let g = |p: usize| model.geometry[p][i];
-    let q = orientation(model, i);
-    let logs = [g(LOG_SCALE), g(LOG_SCALE + 1), g(LOG_SCALE + 2)];
+    let logs = [0, 1, 2].map(|k| model.geometry[LOG_SCALE + k][i]);
     let longest = (0..3).max_by(|&a, &b| logs[a].total_cmp(&logs[b])).unwrap_or(0);
     let mut axis = Vec3::ZERO;
-    axis[longest] = logs[longest].clamp(-20.0, 20.0).exp() * rng.random_range(0.4f32..0.6);
-    let offset = q * axis;
-    let mean = model.mean(i);
+    axis[longest] = logs[longest].clamp(-MAX_LOG_SCALE, MAX_LOG_SCALE).exp() * rng.random_range(OFFSETS);
+    let (mean, offset) = (model.mean(i), unit(model.rotation(i)) * axis);
     for k in 0..3 {
         model.geometry[MEAN + k][i] = (mean + offset)[k];
-        model.geometry[LOG_SCALE + k][i] -= if k == longest { 0.5f32.ln().abs() } else { 0.16 };
+        model.geometry[LOG_SCALE + k][i] -= if k == longest { 0.5f32.ln().abs() } else { SHRINK_ACROSS };
     }
     model.reset_moments(i);
     let mut other = row(model, i);
-    for k in 0..3 {
-        other[MEAN + k] = (mean - offset)[k];
-    }
+    other[MEAN..MEAN + 3].copy_from_slice(&(mean - offset).to_array());
     other
 }
 
-/// Makes two Gaussians that together look as one did (Kheradmand et al. 2024, equation 9), the second at a place drawn
-/// from the first.
-fn double(model: &mut Model, i: usize, rng: &mut scene::rng::Rng) -> [f32; GEOMETRY] {
-    let old = (1.0 / (1.0 + (-model.geometry[OPACITY][i]).exp())).clamp(1e-4, 0.9999);
-    let new = 1.0 - (1.0 - old).sqrt();
-    let shrink = (old / (2.0 * new - new * new * std::f32::consts::FRAC_1_SQRT_2)).ln();
-    model.geometry[OPACITY][i] = (new / (1.0 - new)).ln();
-    let q = orientation(model, i);
-    let mut offset = Vec3::ZERO;
-    for k in 0..3 {
-        model.geometry[LOG_SCALE + k][i] += shrink;
-        // Sum of three uniform numbers: nearly normal, variance 1.
-        let normal: f32 = (0..3).map(|_| rng.random_range(-1.0f32..1.0)).sum();
-        offset[k] = model.geometry[LOG_SCALE + k][i].clamp(-20.0, 20.0).exp() * normal;
-    }
-    model.reset_moments(i);
-    let (mut other, place) = (row(model, i), model.mean(i) + q * offset);
-    other[MEAN..MEAN + 3].copy_from_slice(&place.to_array());
-    other
+fn unit(q: Quat) -> Quat {
+    if q.length_squared() > LEAST_NORM_SQUARED { q.normalize() } else { Quat::IDENTITY }
 }
 
-fn orientation(model: &Model, i: usize) -> Quat {
-    let g = |p: usize| model.geometry[p][i];
-    let q = Quat::from_xyzw(g(ROTATION + 1), g(ROTATION + 2), g(ROTATION + 3), g(ROTATION));
-    if q.length_squared() > 1e-20 { q.normalize() } else { Quat::IDENTITY }
-}
-
-/// Removes Gaussians that are transparent, too large or not finite; returns how many.
-pub fn prune(model: &mut Model) -> usize {
+/// Removes Gaussians that are transparent or not finite.
+fn prune(model: &mut Model) {
     let floor = (MIN_OPACITY / (1.0 - MIN_OPACITY)).ln();
-    let keep: Vec<u32> = (0..model.len)
-        .filter(|&i| {
-            let g = |p: usize| model.geometry[p][i];
-            g(OPACITY) > floor && (0..GEOMETRY).all(|p| g(p).is_finite())
-        })
-        .map(|i| i as u32)
-        .collect();
+    let stays = |i: &u32| {
+        let g = row(model, *i as usize);
+        g[OPACITY] > floor && g.iter().all(|v| v.is_finite())
+    };
+    let keep = (0..model.len as u32).filter(stays).collect();
+    keep_some(model, keep);
+}
+
+/// Keeps the Gaussians of the list, all of them where it is empty; returns how many went.
+pub(crate) fn keep_some(model: &mut Model, keep: Vec<u32>) -> usize {
     let removed = model.len - keep.len();
-    if removed > 0 && !keep.is_empty() {
-        model.select(&keep);
-        return removed;
+    if removed == 0 || keep.is_empty() {
+        return 0;
     }
-    0
+    model.select(&keep);
+    removed
 }
 
 /// How many of so many views must have a Gaussian in their picture.
-pub fn least_views(views: usize) -> usize {
-    LEAST_VIEWS.min(views / 8)
+pub(crate) fn least_views(views: usize) -> usize {
+    LEAST_VIEWS.min(views / LEAST_VIEWS_SHARE)
 }
 
 /// Removes Gaussians whose centre hardly any view has in its picture; returns how many. No other view contradicts them,
 /// so that they settle just before a camera, explain its picture, and hang in the air in pictures from elsewhere.
-pub fn prune_unseen(model: &mut Model, views: &[PinholeView]) -> usize {
+pub(crate) fn prune_unseen(model: &mut Model, views: &[PinholeView]) -> usize {
     let least = least_views(views.len());
-    let seen = |i: u32| {
-        let x = model.mean(i as usize);
-        let has = |v: &&PinholeView| {
-            let c = v.rotation * x + v.translation;
-            let [px, py] = [v.focal[0] * c.x + v.centre[0] * c.z, v.focal[1] * c.y + v.centre[1] * c.z];
-            c.z > 0.0 && px >= 0.0 && py >= 0.0 && px < v.width as f32 * c.z && py < v.height as f32 * c.z
-        };
-        views.iter().filter(has).take(least).count() >= least
+    let is_seen = |i: &u32| {
+        let x = model.mean(*i as usize);
+        views.iter().filter(|v| v.sees(v.to_camera(x))).take(least).count() >= least
     };
-    let keep: Vec<u32> = (0..model.len as u32).into_par_iter().filter(|&i| seen(i)).collect();
-    let removed = model.len - keep.len();
-    if removed > 0 && !keep.is_empty() {
-        model.select(&keep);
-        return removed;
-    }
-    0
+    let keep = (0..model.len as u32).into_par_iter().filter(is_seen).collect();
+    keep_some(model, keep)
 }
 
 #[cfg(test)]

@@ -13,6 +13,7 @@ use glam::{DMat3, DQuat, DVec2, DVec3};
 use rayon::prelude::*;
 use scene::{Camera, Gaussians, Pose};
 
+/// Side of a tile, pixels. Source: Kerbl et al. 2023.
 const TILE: usize = 16;
 
 /// Camera z, scene units, at which the transmittance along each pixel's ray falls to one half or below, [height × width]: where
@@ -43,17 +44,14 @@ pub fn median_depth(
         (0..parameters.len()).into_par_iter().map(|i| Solid::new(&geometry(&parameters, i), &view)).collect();
     let tiles = (view.width.div_ceil(TILE), view.height.div_ceil(TILE));
     let lists = lists(&projected, &order, tiles);
-    let mut depth = vec![None; view.pixels()];
-    depth.par_chunks_mut(TILE * view.width).enumerate().for_each(|(row, band)| {
-        for (i, out) in band.iter_mut().enumerate() {
-            let (x, y) = (i % view.width, row * TILE + i / view.width);
-            let list = &lists[row * tiles.0 + x / TILE];
-            let pixel = DVec2::new(x as f64 + 0.5, y as f64 + 0.5);
-            let ray = ((pixel - view.centre) / view.focal).extend(1.0);
-            *out = half_way(&projected, list, pixel).map(|i| solids[i].peak(ray));
-        }
-    });
-    depth
+    let depth_of = |i: usize| {
+        let (x, y) = (i % view.width, i / view.width);
+        let pixel = DVec2::new(x as f64 + 0.5, y as f64 + 0.5);
+        let ray = ((pixel - view.centre) / view.focal).extend(1.0);
+        let list = &lists[y / TILE * tiles.0 + x / TILE];
+        half_way(&projected, list, pixel).map(|i| solids[i].peak(ray))
+    };
+    (0..view.pixels()).into_par_iter().with_min_len(TILE * view.width.max(1)).map(depth_of).collect()
 }
 
 /// A Gaussian in the camera's frame.
@@ -66,7 +64,7 @@ struct Solid {
     reach: f64,
 }
 
-/// Nothing of a Gaussian is looked for beyond so many standard deviations.
+/// Nothing of a Gaussian is looked for beyond so many standard deviations. Source: 99.7 % of it lie within.
 const REACH_SIGMAS: f64 = 3.0;
 
 impl Solid {
@@ -94,7 +92,6 @@ fn lists(projected: &[Option<Projected>], order: &[usize], (columns, rows): (usi
     for &i in order {
         let Some(g) = projected[i] else { continue };
         let half = g.half_extent();
-        let tile = |v: f64, most: usize| ((v / TILE as f64).max(0.0) as usize).min(most);
         let (low, high) = (g.xy - half, g.xy + half);
         if !low.is_finite() || !high.is_finite() || high.min_element() < 0.0 {
             continue;
@@ -102,13 +99,18 @@ fn lists(projected: &[Option<Projected>], order: &[usize], (columns, rows): (usi
         if low.x >= (columns * TILE) as f64 || low.y >= (rows * TILE) as f64 {
             continue;
         }
-        for y in tile(low.y, rows - 1)..=tile(high.y, rows - 1) {
-            for x in tile(low.x, columns - 1)..=tile(high.x, columns - 1) {
+        for y in tile_of(low.y, rows)..=tile_of(high.y, rows) {
+            for x in tile_of(low.x, columns)..=tile_of(high.x, columns) {
                 lists[y * columns + x].push(i as u32);
             }
         }
     }
     lists
+}
+
+/// The tile of a coordinate, or the nearest of so many.
+fn tile_of(v: f64, tiles: usize) -> usize {
+    ((v / TILE as f64).max(0.0) as usize).min(tiles - 1)
 }
 
 /// The Gaussian at which the transmittance falls to one half.
@@ -133,15 +135,17 @@ fn half_way(projected: &[Option<Projected>], list: &[u32], p: DVec2) -> Option<u
 pub fn points_of(depth: &[Option<f64>], camera: &Camera, pose: &Pose) -> Vec<DVec3> {
     let width = camera.width as usize;
     let world_from_cam = pose.inverse();
-    let point = |(i, z): (usize, &Option<f64>)| {
+    let seen = depth.iter().enumerate().filter_map(|(i, z)| Some((i, (*z)?)));
+    seen.map(|(i, z)| {
         let pixel = DVec2::new((i % width) as f64 + 0.5, (i / width) as f64 + 0.5);
         let ray = (pixel - camera.principal_point()) / camera.focal();
-        z.map(|z| world_from_cam.transform(ray.extend(1.0) * z))
-    };
-    depth.iter().enumerate().filter_map(point).collect()
+        world_from_cam.transform(ray.extend(1.0) * z)
+    })
+    .collect()
 }
 
 /// A Gaussian is outside a silhouette if no pixel within this of its centre is inside, pixels.
+/// Source: docs/decisions/0014: mattes and poses are not better than that.
 const HULL_MARGIN_PX: i64 = 2;
 
 /// Share of the Gaussians' opacity whose centres lie outside the visual hull: black in the mask of some view that has them
@@ -154,15 +158,17 @@ pub fn outside_hull(gaussians: &Gaussians, dataset: &Dataset) -> Option<f64> {
     }
     let opacity = |i: usize| f64::from(gaussians.opacity(i));
     let all: f64 = (0..gaussians.len()).map(opacity).sum();
-    let is_out = |i: &usize| {
-        let x = gaussians.means[*i].as_dvec3();
-        dataset.views.iter().any(|view| {
-            let pixels = view.levels.first();
-            pixels.is_some_and(|p| is_black(p, view.camera.project(view.pose.transform(x))))
-        })
-    };
-    let outside: f64 = (0..gaussians.len()).into_par_iter().filter(is_out).map(opacity).sum();
+    let outside = (0..gaussians.len()).into_par_iter().filter(|&i| is_outside(gaussians.means[i].as_dvec3(), dataset));
+    let outside: f64 = outside.map(opacity).sum();
     (all > 0.0).then_some(outside / all)
+}
+
+/// Whether some view that has a place (world frame) in its frame shows black there.
+fn is_outside(x: DVec3, dataset: &Dataset) -> bool {
+    dataset.views.iter().any(|view| {
+        let pixels = view.levels.first();
+        pixels.is_some_and(|p| is_black(p, view.camera.project(view.pose.transform(x))))
+    })
 }
 
 /// Whether the mask is black all around a pixel of the frame.
@@ -174,9 +180,9 @@ fn is_black(pixels: &Pixels, at: Option<DVec2>) -> bool {
         return false;
     }
     let m = HULL_MARGIN_PX;
-    let white =
-        |(x, y): (i64, i64)| (0..w).contains(&x) && (0..h).contains(&y) && mask[(y * w + x) as usize] > 0;
-    !(y - m..=y + m).flat_map(|y| (x - m..=x + m).map(move |x| (x, y))).any(white)
+    let rows = (y - m).max(0)..(y + m + 1).min(h);
+    let columns = (x - m).max(0) as usize..(x + m + 1).min(w) as usize;
+    rows.map(|y| &mask[(y * w) as usize..]).all(|row| row[columns.clone()].iter().all(|v| *v == 0))
 }
 
 #[cfg(test)]

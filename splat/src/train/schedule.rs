@@ -1,119 +1,115 @@
-//! What changes as training goes on: resolution, step sizes, spherical-harmonic degree. Everything is a function of the
-//! position in the schedule, 0 at the start and 1 at the end, so that a schedule of any length ends converged.
+//! What changes as training goes on: resolution and step sizes. Everything is a function of the position in the
+//! schedule, 0 at the start and 1 at the end, so that a schedule of any length ends converged.
 
 use crate::backend::LearningRates;
-use crate::config::{Recipe, TrainConfig};
+use crate::config::TrainConfig;
+use serde::{Deserialize, Serialize};
 
-/// From here on the higher degrees of the spherical harmonics come in, one after the other.
-pub const SH_FROM: [f64; 3] = [0.2, 0.35, 0.5];
-
-/// Position at which is decided when full resolution begins: what steps cost at half of it is known by then.
-pub const EARLY_DECIDED: f64 = 0.55;
-
-/// Whether a schedule of so many steps goes to full resolution early: a short one needs steps more than pixels.
-pub fn is_early(steps: f64, recipe: &Recipe) -> bool {
-    steps >= recipe.early_from_steps
+/// How far training has come.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub(crate) struct Place {
+    /// Steps done.
+    pub(crate) iteration: u32,
+    /// Position in the schedule, [0, 1].
+    pub(crate) position: f64,
+    /// Seconds spent so far.
+    pub(crate) seconds: f64,
+    /// Whether full resolution begins early, once that is decided.
+    pub(crate) early: Option<bool>,
 }
 
-/// Level (0: full resolution) at a position, with `levels` coarser ones to pass through; `early`: see [`is_early`].
-pub fn level(position: f64, levels: u32, recipe: &Recipe, early: bool) -> u32 {
-    let half = recipe.half_resolution_from;
-    let full = if early {
-        recipe.full_resolution_early.min(recipe.full_resolution_from).max(half)
-    } else {
-        recipe.full_resolution_from
-    };
-    let passed = if position >= full {
+/// Position at which Gaussians stop being added.
+/// Source: chosen by hand, never measured.
+pub(crate) const GROWTH_END: f64 = 0.7;
+
+/// Position from which training runs at half the resolution.
+/// Source: docs/decisions/0025 (0.4 against 0.2 and 0.1 on seven captures).
+const HALF_FROM: f64 = 0.4;
+/// Position from which training runs at full resolution; in schedules of `EARLY_FROM_STEPS` steps and more the second.
+/// Source: docs/decisions/0025.
+const FULL_FROM: [f64; 2] = [0.8, 0.6];
+/// Steps of a schedule from which full resolution begins early: a shorter one needs steps more than pixels.
+/// Source: docs/decisions/0025.
+pub(crate) const EARLY_FROM_STEPS: f64 = 2000.0;
+/// Position at which that is decided: what steps cost at half the resolution is known by then.
+/// Source: between `HALF_FROM` and the earlier `FULL_FROM`, near the latter (docs/decisions/0025).
+const EARLY_DECIDED: f64 = 0.55;
+
+impl Place {
+    /// Decides, once the place for it is reached, whether a schedule of `steps` steps sees full resolution early.
+    pub(crate) fn decide_early(&mut self, steps: f64) {
+        if self.early.is_none() && self.position >= EARLY_DECIDED {
+            self.early = Some(steps >= EARLY_FROM_STEPS);
+        }
+    }
+
+    /// Level in use (0: full resolution), with `levels` coarser ones to pass through.
+    pub(crate) fn level(&self, levels: u32) -> u32 {
+        level(self.position, levels, self.early.unwrap_or(false))
+    }
+}
+
+/// Level (0: full resolution) at a position, with `levels` coarser ones to pass through; `early`: see
+/// [`Place::decide_early`].
+pub(crate) fn level(position: f64, levels: u32, early: bool) -> u32 {
+    let passed = if position >= FULL_FROM[usize::from(early)] {
         levels
-    } else if position >= half || levels == 0 {
+    } else if position >= HALF_FROM || levels == 0 {
         levels.saturating_sub(1)
     } else {
         // The levels coarser than a half share what comes before.
-        (position / half * f64::from(levels - 1)).floor() as u32
+        (position / HALF_FROM * f64::from(levels - 1)).floor() as u32
     };
     levels - passed
 }
 
-/// Gaussians at the end of growth for each step and training view, up to `Recipe::gaussians_a_step` for each step.
-const GAUSSIANS_A_STEP_AND_VIEW: f64 = 0.45;
-/// Gaussians at the end of growth for each pair of training views: with few views more of them fit the views that are
-/// there instead of the scene.
-const GAUSSIANS_A_PAIR: f64 = 60.0;
-/// The same for each point of the sparse cloud, where no views can be spared to judge growth: the points tell how many places of the
-/// scene photos agree on (docs/decisions/0023).
-const GAUSSIANS_A_POINT: f64 = 3.0;
-
-/// What a capture has to determine Gaussians by.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Capture {
-    /// Training views.
-    pub views: usize,
-    /// Points of the sparse cloud; none: there is no cloud, or there are views enough to judge growth.
-    pub points: Option<usize>,
-}
-
-/// How many Gaussians a schedule of `steps` steps grows to from `first`: more steps can settle more Gaussians, more
-/// views and a scene with more to match can determine more.
-pub fn gaussians_at_end(first: usize, steps: f64, capture: Capture, config: &TrainConfig) -> usize {
-    let views = capture.views as f64;
-    let a_step = (GAUSSIANS_A_STEP_AND_VIEW * views).min(config.recipe.gaussians_a_step);
-    let by_points = capture.points.map_or(f64::INFINITY, |n| GAUSSIANS_A_POINT * n as f64);
-    let determined = (GAUSSIANS_A_PAIR * 0.5 * views * views).min(by_points);
-    ((steps * a_step).min(determined) as usize).min(config.max_gaussians).max(first)
-}
-
-/// Gaussians wanted at a position: from `first` evenly to `last` at the end of densification.
-pub fn gaussians(position: f64, first: usize, last: usize, recipe: &Recipe) -> usize {
-    let done = (position / recipe.densify_until).clamp(0.0, 1.0);
-    first + (last.saturating_sub(first) as f64 * done).round() as usize
-}
-
-/// Rounds of densification in a schedule that is long enough.
-const ROUNDS: f64 = 40.0;
-/// Steps between rounds at least: fewer do not tell where Gaussians are missing.
-const LEAST_STEPS: u32 = 50;
-
-/// Whether a round of densification is due, `last` being step and position of the one before.
-pub fn is_round(iteration: u32, position: f64, last: (u32, f64), recipe: &Recipe) -> bool {
-    if position >= recipe.densify_until {
-        return false;
-    }
-    if !recipe.planned_growth {
-        return iteration.is_multiple_of(100);
-    }
-    iteration >= last.0 + LEAST_STEPS && position >= last.1 + recipe.densify_until / ROUNDS
-}
-
-/// Degree in use at a position.
-pub fn sh_degree(position: f64, highest: u32) -> u32 {
-    (SH_FROM.iter().filter(|&&from| position >= from).count() as u32).min(highest)
-}
-
 /// Steps for which the step sizes were measured; the last ones are lowered where there are more.
-pub const TUNED_STEPS: f32 = 500.0;
+/// Source: docs/decisions/0022 (its schedules have 500 to 1,000 steps).
+pub(crate) const TUNED_STEPS: f32 = 500.0;
 
-/// Steps of the means at the start and the end, pixels: with steps measured by the extent of the cameras, those that suit one
-/// scene are five times too large for another (docs/decisions/0022).
-const MEAN_PIXELS: (f32, f32) = (1.0, 0.06);
+/// A step size that falls exponentially over the schedule.
+struct Decay {
+    /// At the start.
+    first: f32,
+    /// At the end of [`TUNED_STEPS`].
+    last: f32,
+    /// The end's fall with the number of steps: `last · (TUNED_STEPS / steps)^power`.
+    power: f32,
+}
 
-/// Step sizes at a position of a schedule of `steps` steps (normalised scene units for the means), where a pixel is `pixel` units wide.
-///
-/// Far above 3DGS (Kerbl et al. 2023: 1.6e-4, 5e-3, 1e-3, 5e-2, 2.5e-3, 1.25e-4 for 30,000 steps): these schedules have
-/// hundreds to thousands of steps. Chosen together on four captures (docs/decisions/0022).
-pub fn rates(position: f64, steps: f64, pixel: f32, config: &TrainConfig) -> LearningRates {
-    let shorter = (TUNED_STEPS / steps.max(1.0) as f32).min(1.0);
-    let decay = |first: f32, last: f32, power: f32| {
-        first * (last * shorter.powf(power) / first).powf(position as f32) * config.learning_rate
-    };
-    LearningRates {
-        mean: decay(MEAN_PIXELS.0 * pixel, MEAN_PIXELS.1 * pixel, 1.5),
-        // From twice the first on, dark and noisy pictures (the test bed's case 1) are not learnt at all.
-        log_scale: decay(8e-2, 2e-2, 0.7),
-        rotation: decay(2e-2, 5e-3, 0.5),
-        opacity: decay(0.12, 0.06, 0.5),
-        sh0: decay(1.25e-2, 7e-3, 0.9),
-        sh_rest: decay(7.5e-3, 2e-3, 0.5),
+/// Step sizes of the means, pixels. Source: docs/decisions/0022 (for steps in pixels and for this table).
+const MEAN: Decay = Decay { first: 1.0, last: 0.06, power: 1.5 };
+/// Of the log-scales. From twice the first on, dark and noisy pictures are not learnt at all. Source: see [`MEAN`].
+const LOG_SCALE: Decay = Decay { first: 8e-2, last: 2e-2, power: 0.7 };
+/// Of the quaternions. Source: see [`MEAN`].
+const ROTATION: Decay = Decay { first: 2e-2, last: 5e-3, power: 0.5 };
+/// Of the opacity logits. Source: see [`MEAN`].
+const OPACITY: Decay = Decay { first: 0.12, last: 0.06, power: 0.5 };
+/// Of the constant colours. Source: see [`MEAN`].
+const SH0: Decay = Decay { first: 1.25e-2, last: 7e-3, power: 0.9 };
+/// Of the higher harmonics. Source: see [`MEAN`].
+const SH_REST: Decay = Decay { first: 7.5e-3, last: 2e-3, power: 0.5 };
+
+impl Decay {
+    /// The step size at a position, `unit` times the table's, where schedules are `shorter` than [`TUNED_STEPS`]
+    /// (a ratio, at most 1).
+    fn at(&self, position: f64, unit: f32, shorter: f32, factor: f32) -> f32 {
+        let (first, last) = (self.first * unit, self.last * unit);
+        first * (last * shorter.powf(self.power) / first).powf(position as f32) * factor
     }
+}
+
+/// Step sizes at a position of a schedule of `steps` steps (normalised scene units for the means), where a pixel is
+/// `pixel` units wide.
+///
+/// Far above those of 3DGS (Kerbl et al. 2023: 1.6e-4, 5e-3, 1e-3, 5e-2, 2.5e-3, 1.25e-4 for 30,000 steps): these
+/// schedules have hundreds to thousands of steps.
+pub(crate) fn rates(position: f64, steps: f64, pixel: f32, config: &TrainConfig) -> LearningRates {
+    let shorter = (TUNED_STEPS / steps.max(1.0) as f32).min(1.0);
+    let [mean, log_scale, rotation, opacity, sh0, sh_rest] =
+        [(MEAN, pixel), (LOG_SCALE, 1.0), (ROTATION, 1.0), (OPACITY, 1.0), (SH0, 1.0), (SH_REST, 1.0)]
+            .map(|(decay, unit)| decay.at(position, unit, shorter, config.learning_rate));
+    LearningRates { mean, log_scale, rotation, opacity, sh0, sh_rest }
 }
 
 #[cfg(test)]
@@ -122,34 +118,20 @@ mod tests {
 
     #[test]
     fn long_schedules_see_full_resolution_earlier_and_none_goes_back() {
-        let recipe = Recipe::default();
-        assert!(is_early(4_000.0, &recipe) && !is_early(1_500.0, &recipe));
-        for (early, full) in [(false, 0.8), (true, 0.6)] {
-            let levels: Vec<u32> =
-                (0..=100).map(|p| level(f64::from(p) / 100.0, 2, &recipe, early)).collect();
+        for (steps, early, full) in [(1_500.0, false, 0.8), (4_000.0, true, 0.6)] {
+            let mut place = Place { position: 0.54, ..Place::default() };
+            place.decide_early(steps);
+            assert_eq!(place.early, None);
+            place.position = 0.55;
+            place.decide_early(steps);
+            assert_eq!(place.early, Some(early));
+            let levels: Vec<u32> = (0..=100).map(|p| level(f64::from(p) / 100.0, 2, early)).collect();
             assert!(levels.is_sorted_by(|a, b| a >= b), "{levels:?}");
             assert_eq!(levels.iter().position(|l| *l == 0), Some((100.0 * full) as usize), "{levels:?}");
             assert_eq!((levels[0], levels[39], levels[40]), (2, 2, 1));
-            assert!((0..=100).all(|p| level(f64::from(p) / 100.0, 0, &recipe, early) == 0));
+            assert!((0..=100).all(|p| level(f64::from(p) / 100.0, 0, early) == 0));
         }
-        let sooner = Recipe { full_resolution_from: 0.5, ..recipe.clone() };
-        assert_eq!([level(0.56, 2, &sooner, false), level(0.56, 2, &sooner, true)], [0, 0]);
         // Decided before either begins, so that no step sees a coarser picture than the one before.
-        assert!(EARLY_DECIDED < recipe.full_resolution_early);
-    }
-
-    #[test]
-    fn growth_is_bounded_by_steps_by_views_by_points_and_by_what_is_configured() {
-        let config = TrainConfig::default();
-        let end =
-            |first, steps, views, points| gaussians_at_end(first, steps, Capture { views, points }, &config);
-        assert_eq!(end(1_000, 1_000.0, 40, Some(5_000)), 15_000, "three a point");
-        assert_eq!(end(1_000, 1_000.0, 40, Some(50_000)), 18_000, "0.45 a step and view");
-        assert_eq!(end(1_000, 1e6, 40, Some(50_000)), 48_000, "sixty a pair of views");
-        assert_eq!(end(1_000, 1e6, 40, None), 48_000, "no cloud bounds nothing");
-        assert_eq!(end(1_000, 1_000.0, 1_000, None), 50_000, "fifty a step");
-        assert_eq!(end(1_000, 1e9, 1_000, None), config.max_gaussians);
-        assert_eq!(end(9_000, 10.0, 2, Some(16)), 9_000, "none of the first ones is taken away");
-        assert_eq!(end(0, 0.0, 0, Some(0)), 0);
+        assert!(HALF_FROM < EARLY_DECIDED && EARLY_DECIDED < FULL_FROM[1] && FULL_FROM[1] < FULL_FROM[0]);
     }
 }

@@ -1,34 +1,50 @@
 //! Gains by view and channel, where the residuals ask for them: a camera that meters each picture anew.
 
-use super::Trainer;
-use crate::backend::Target;
-use crate::{RenderOptions, SplatError};
+use crate::error::SplatError;
+use crate::train::context::StepContext;
+use scene::decision::{Decision, Measurement, Quantity, Remark, Rule, Subject};
+use serde::{Deserialize, Serialize};
 
 /// Positions of the schedule at which gains are looked for (the first two: what the first look suspects has to explain the
-/// pictures of the second) and measured again.
-const LOOKS: [f64; 5] = [0.25, 0.4, 0.55, 0.7, 0.85];
-/// Part of the squared error that gains must explain.
+/// pictures of the second) and measured again. Source: the first two, docs/decisions/0011; the others chosen by hand.
+pub(crate) const LOOKS: [f64; 5] = [0.25, 0.4, 0.55, 0.7, 0.85];
+/// Part of the squared error that gains must explain, a share.
+/// Source: docs/decisions/0011: of a scene lit evenly the second look saw -3.4 %.
 const EXPLAINED: f64 = 0.1;
-/// Views from which the first look tells whether there is something to model.
+/// Views from which the first look tells whether there is something to model: what it costs must not grow with their number.
+/// Source: chosen by hand, never measured.
 const SAMPLE: usize = 48;
-/// Gains stay within this and its inverse.
+/// Training views from which gains are looked for. Source: of two views either could be too dark.
+const LEAST_VIEWS: usize = 3;
+/// Gains stay within this and its inverse, a ratio: one stop. Source: chosen by hand, never measured.
 const LARGEST: f64 = 2.0;
 
+/// State of the rule; the gains in force are in the training's state.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub(crate) struct ExposureRule {
+    /// Looks so far.
+    pub(crate) looks: usize,
+    /// Gains of the training views that the first look found, until the second has judged them.
+    pub(crate) suspected: Vec<[f32; 3]>,
+}
+
 /// What a view's pixels say, by channel: Σ r t, Σ r², Σ t² of rendering r and photo t.
-pub type Products = [[f64; 3]; 3];
+type Products = [[f64; 3]; 3];
+
+/// Least-squares gain of a channel of a view.
+fn raw_gain(p: &Products, c: usize) -> f64 {
+    let gain = if p[1][c] > 0.0 { p[0][c] / p[1][c] } else { 1.0 };
+    if gain.is_finite() { gain.clamp(1.0 / LARGEST, LARGEST) } else { 1.0 }
+}
 
 /// Least-squares gains by view and channel, their geometric mean over the views 1 in every channel (the colours of the
 /// scene carry the mean), and the part of the squared error that they explain.
-pub fn gains(views: &[Products]) -> (Vec<[f32; 3]>, f64) {
-    let raw = |p: &Products, c: usize| {
-        let gain = if p[1][c] > 0.0 { p[0][c] / p[1][c] } else { 1.0 };
-        if gain.is_finite() { gain.clamp(1.0 / LARGEST, LARGEST) } else { 1.0 }
-    };
+fn gains(views: &[Products]) -> (Vec<[f32; 3]>, f64) {
     let n = views.len().max(1) as f64;
     let mean: [f64; 3] =
-        std::array::from_fn(|c| (views.iter().map(|p| raw(p, c).ln()).sum::<f64>() / n).exp());
-    let own = |p: &Products| std::array::from_fn(|c| (raw(p, c) / mean[c]) as f32);
-    let all: Vec<[f32; 3]> = views.iter().map(own).collect();
+        std::array::from_fn(|c| (views.iter().map(|p| raw_gain(p, c).ln()).sum::<f64>() / n).exp());
+    let own = views.iter().map(|p| std::array::from_fn(|c| (raw_gain(p, c) / mean[c]) as f32));
+    let all: Vec<[f32; 3]> = own.collect();
     let explained = explained_by(views, &all);
     (all, explained)
 }
@@ -46,88 +62,77 @@ fn explained_by(views: &[Products], gains: &[[f32; 3]]) -> f64 {
     if before > 0.0 { 1.0 - after / before } else { 0.0 }
 }
 
-impl Trainer<'_> {
+impl ExposureRule {
     /// Looks for gains at their places in the schedule.
-    pub(super) fn judge_exposure(&mut self) -> Result<(), SplatError> {
-        let looks = self.state.findings.exposure_looks;
-        let due = LOOKS.get(looks as usize).is_some_and(|&at| self.state.position >= at);
-        let findings = &self.state.findings;
-        if !due || (looks > 0 && findings.gains.is_empty() && findings.suspected.is_empty()) {
+    pub(crate) fn review(&mut self, step: &mut StepContext) -> Result<(), SplatError> {
+        let due = LOOKS.get(self.looks).is_some_and(|&at| step.position() >= at);
+        let settled =
+            self.looks > 0 && step.state.corrections.gains.is_empty() && self.suspected.is_empty();
+        if !due || settled {
             return Ok(());
         }
-        self.state.findings.exposure_looks += 1;
-        if self.views.len() < 3 {
+        self.looks += 1;
+        if step.setup.views.len() < LEAST_VIEWS {
             return Ok(());
         }
-        if looks == 0 {
-            return self.suspect_gains();
+        if self.looks == 1 {
+            return self.suspect_gains(step);
         }
-        let products = self.products_of_views(1)?;
+        let products = products_of_views(step, 1)?;
         let (found, _) = gains(&products);
-        let suspected = std::mem::take(&mut self.state.findings.suspected);
+        let suspected = std::mem::take(&mut self.suspected);
         if !suspected.is_empty() {
             // A scene that is not yet learnt has views that are too dark or too bright as a whole, other ones each time.
-            let still = explained_by(&products, &suspected);
-            let on = still >= EXPLAINED;
-            self.note_exposure(on, &suspected, still, "that an earlier look found explain");
+            let explained = explained_by(&products, &suspected);
+            let decision = decision(&suspected, explained).remarked(Remark::GainsConfirmed);
+            let on = decision.is_taken();
+            step.state.decisions.push(decision);
             if !on {
                 return Ok(());
             }
         }
-        self.state.findings.gains = found;
+        step.state.corrections.gains = found;
         Ok(())
     }
 
-    /// The first look. It judges by some of the views: what it costs must not grow with their number.
-    fn suspect_gains(&mut self) -> Result<(), SplatError> {
-        let every = self.views.len().div_ceil(SAMPLE);
-        let (mut found, explained) = gains(&self.products_of_views(every)?);
+    /// The first look. It judges by some of the views.
+    fn suspect_gains(&mut self, step: &mut StepContext) -> Result<(), SplatError> {
+        let every = step.setup.views.len().div_ceil(SAMPLE);
+        let (mut found, explained) = gains(&products_of_views(step, every)?);
         if explained < EXPLAINED {
-            self.note_exposure(false, &found, explained, "would explain");
+            step.state.decisions.push(decision(&found, explained));
             return Ok(());
         }
         if every > 1 {
-            found = gains(&self.products_of_views(1)?).0;
+            found = gains(&products_of_views(step, 1)?).0;
         }
-        self.state.findings.suspected = found;
+        self.suspected = found;
         Ok(())
     }
+}
 
-    fn note_exposure(&mut self, on: bool, found: &[[f32; 3]], explained: f64, what: &str) {
-        let spread = |f: fn(f32, f32) -> f32, start| found.iter().flatten().copied().fold(start, f);
-        let evidence = format!(
-            "gains of {:.2} to {:.2} by view and channel {what} {:.1} % of the squared error (needed: {:.0} %)",
-            spread(f32::min, f32::INFINITY),
-            spread(f32::max, 0.0),
-            100.0 * explained,
-            100.0 * EXPLAINED
-        );
-        self.note("exposure by view", if on { "modelled" } else { "not modelled" }.to_owned(), evidence);
-    }
+/// Gains are modelled where they explain enough.
+fn decision(found: &[[f32; 3]], explained: f64) -> Decision {
+    let all = || found.iter().flatten().copied();
+    let [least, largest] = [all().fold(f32::INFINITY, f32::min), all().fold(0.0, f32::max)];
+    Decision::new(Subject::Exposure, explained >= EXPLAINED, Rule::Evidence)
+        .with_all([
+            Measurement::new(Quantity::LeastGain, f64::from(least)),
+            Measurement::new(Quantity::LargestGain, f64::from(largest)),
+            Measurement::new(Quantity::ExplainedError, explained),
+            Measurement::new(Quantity::NeededExplanation, EXPLAINED),
+        ])
+}
 
-    /// What each `every`-th training view says at the resolution in use.
-    fn products_of_views(&mut self, every: usize) -> Result<Vec<Products>, SplatError> {
-        let level = self.level();
-        let transparent = self.dataset.is_transparent();
-        let mut products = Vec::with_capacity(self.views.len().div_ceil(every));
-        for &v in self.views.iter().step_by(every) {
-            let view = &self.dataset.views[v];
-            let level = level.min(view.levels.len() as u32 - 1);
-            let pixels = &view.levels[level as usize];
-            let target =
-                Target { rgb: &pixels.rgb, mask: pixels.mask.as_deref(), transparent, photo: Some(v as u32) };
-            let options = RenderOptions { antialias: self.config.antialias, ..RenderOptions::default() };
-            let camera = self.camera(v).at_level(level);
-            products.push(self.backend.products(&camera, &target, &options)?);
-        }
-        Ok(products)
-    }
-
-    /// The gain of a training view: its photo shows the scene times this.
-    pub(super) fn gain(&self, view: usize) -> Option<[f32; 3]> {
-        let place = self.views.binary_search(&view).ok()?;
-        self.state.findings.gains.get(place).copied()
-    }
+/// What each `every`-th training view says at the resolution in use.
+fn products_of_views(step: &mut StepContext, every: usize) -> Result<Vec<Products>, SplatError> {
+    let (setup, level, options) = (step.setup, step.level(), step.options());
+    let some = setup.views.iter().step_by(every);
+    some.map(|&v| {
+        let (camera, target) = step.photo(v, level);
+        step.backend.products(&camera, &target, &options)
+    })
+    .collect()
 }
 
 #[cfg(test)]

@@ -1,92 +1,133 @@
-//! How far colours depend on the direction they are seen from.
+//! How far colours depend on the direction they are seen from: degrees of the spherical harmonics come in one after the
+//! other, and stay if the validation views are better for it.
 
-use super::Trainer;
-use crate::SplatError;
 use crate::cpu::sh;
+use crate::error::SplatError;
 use crate::model::Model;
-use crate::schedule::{self, SH_FROM};
+use crate::train::context::StepContext;
+use crate::train::schedule::GROWTH_END;
 use glam::Vec3;
 use rayon::prelude::*;
+use scene::decision::{Choice, Decision, Measurement, Quantity, Rule, Subject};
 use scene::gaussians::SH_C0;
+use serde::{Deserialize, Serialize};
 
-/// Part of the schedule between a degree's beginning and its judgement.
-const DEGREE_TRIAL: f64 = 0.1;
-/// What a degree must gain, dB: it costs time in every step and memory for ever.
-const DEGREE_GAIN: f64 = 0.02;
-/// Training views over whose directions a degree's mean is taken, at most.
+/// Highest degree. Source: Kerbl et al. 2023.
+const HIGHEST: u32 = 3;
+/// Positions in the schedule from which each higher degree is in use. Source: chosen by hand, never measured.
+const FROM: [f64; HIGHEST as usize] = [0.2, 0.35, 0.5];
+/// Part of the schedule between a degree's beginning and its judgement. Source: chosen by hand, never measured.
+const TRIAL: f64 = 0.1;
+/// What a degree must gain, dB: it costs time in every step and memory for ever. Source: chosen by hand, never measured.
+const LEAST_GAIN: f64 = 0.02;
+/// Training views over whose directions a degree's mean is taken, at most. Source: chosen by hand, never measured.
 const DIRECTIONS: usize = 32;
 
-impl Trainer<'_> {
+/// Degrees are judged while there are views to judge them.
+const _: () = assert!(FROM[HIGHEST as usize - 1] + TRIAL < GROWTH_END);
+
+/// State of the rule.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub(crate) struct ShDegreeRule {
+    /// Degree above which the validation views gained nothing.
+    limit: Option<u32>,
+    /// Degrees judged so far.
+    pub(crate) judged: u32,
+}
+
+impl ShDegreeRule {
+    /// Raises the degree to that of the step's position.
+    pub(super) fn before_step(&mut self, step: &mut StepContext) -> Result<(), SplatError> {
+        let highest = step.setup.config.sh_degree.min(self.limit.unwrap_or(HIGHEST));
+        let passed = FROM.iter().filter(|&&from| step.position() >= from).count();
+        let degree = (passed as u32).min(highest);
+        if step.backend.sh_degree() < degree { step.backend.set_sh_degree(degree) } else { Ok(()) }
+    }
+
     /// A degree that was in use for a while stays if the validation views are better for it.
-    pub(super) fn judge_degree(&mut self) -> Result<(), SplatError> {
-        let judged = self.state.findings.degrees_judged;
-        let Some(from) = SH_FROM.get(judged as usize).filter(|_| judged < self.config.sh_degree) else {
-            return Ok(());
-        };
-        if self.state.findings.sh_limit.is_some() || self.state.position < from + DEGREE_TRIAL {
+    pub(super) fn review(&mut self, step: &mut StepContext) -> Result<(), SplatError> {
+        let highest = step.setup.config.sh_degree;
+        let begun = FROM.get(self.judged as usize).filter(|_| self.judged < highest && self.limit.is_none());
+        let due = |from: &f64| (from + TRIAL..GROWTH_END).contains(&step.position());
+        if step.setup.validation.is_empty() || !begun.is_some_and(due) {
             return Ok(());
         }
-        let (views, level, degree) = (self.validation.clone(), self.level(), judged + 1);
-        let with = self.psnr(&views, level, Some(degree))?;
-        let without = self.psnr_without(&views, level, judged)?;
-        self.state.findings.degrees_judged = degree;
-        let evidence = format!(
-            "{} validation views: {with:.2} dB with degree {degree}, {without:.2} dB without, its mean over the views' directions in the constant term",
-            views.len()
-        );
-        if with - without < DEGREE_GAIN {
-            self.state.findings.sh_limit = Some(judged);
-            self.backend.set_sh_degree(judged)?;
-            self.note("spherical-harmonic degree", judged.to_string(), evidence);
-        } else if degree == self.config.sh_degree {
-            self.note("spherical-harmonic degree", degree.to_string(), evidence);
+        let setup = step.setup;
+        let (level, lower) = (step.level(), self.judged);
+        self.judged += 1;
+        let with = step.psnr(&setup.validation, level, Some(self.judged))?;
+        let without = psnr_without(step, level, lower)?;
+        let pays = with - without >= LEAST_GAIN;
+        if !pays {
+            self.limit = Some(lower);
+            step.backend.set_sh_degree(lower)?;
+        }
+        if !pays || self.judged == highest {
+            let [lower, higher] = [lower, self.judged].map(degree_choice);
+            let chosen = if pays { &higher } else { &lower }.clone();
+            let decision = Decision::new(Subject::ShDegree, chosen, Rule::Evidence)
+                .with(Measurement::count(Quantity::ValidationViews, setup.validation.len()))
+                .compared(lower, !pays, vec![Measurement::new(Quantity::Psnr, without)])
+                .compared(higher, pays, vec![Measurement::new(Quantity::Psnr, with)]);
+            step.state.decisions.push(decision);
         }
         Ok(())
     }
-
-    /// PSNR of views with degrees up to `degree` alone. A degree that is in use carries a part of the constant colour, so that
-    /// leaving it out says too much for it: its mean over the training views' directions takes the place of what it says.
-    fn psnr_without(&mut self, views: &[usize], level: u32, degree: u32) -> Result<f64, SplatError> {
-        let every = self.views.len().div_ceil(DIRECTIONS);
-        let cameras: Vec<Vec3> =
-            self.views.iter().step_by(every).map(|&v| self.dataset.views[v].view.position()).collect();
-        let mut before = Vec::new();
-        self.backend.edit(&mut |model, _| before = fold_degree(model, degree + 1, &cameras))?;
-        let psnr = self.psnr(views, level, Some(degree));
-        self.backend.edit(&mut |model, _| {
-            let stride = model.sh_stride();
-            for (sh, constant) in model.sh.chunks_exact_mut(stride).zip(&before) {
-                sh[..3].copy_from_slice(constant);
-            }
-        })?;
-        psnr
-    }
 }
 
-/// Adds to the constant colour the mean of one degree's part over the directions from `cameras`; returns the constants as they were.
-fn fold_degree(model: &mut Model, degree: u32, cameras: &[Vec3]) -> Vec<[f32; 3]> {
-    let (stride, band) =
-        (model.sh_stride(), (degree * degree) as usize..((degree + 1) * (degree + 1)) as usize);
-    let means: Vec<Vec3> = (0..model.len).map(|i| model.mean(i)).collect();
-    let fold = |(sh, mean): (&mut [f32], &Vec3)| {
-        let before = [sh[0], sh[1], sh[2]];
-        let mut sum = [0.0f32; 3];
-        for camera in cameras {
-            let mut basis = [0.0; sh::MAX_COEFFICIENTS];
-            sh::basis((*mean - *camera).normalize_or_zero(), degree, &mut basis);
-            for (k, y) in band.clone().zip(&basis[band.clone()]) {
-                sum.iter_mut().zip(&sh[3 * k..]).for_each(|(s, v)| *s += y * v);
-            }
+fn degree_choice(degree: u32) -> Choice {
+    Measurement::new(Quantity::ShDegree, f64::from(degree)).into()
+}
+
+/// PSNR of the validation views with degrees up to `degree` alone. A degree that is in use carries a part of the constant
+/// colour, so that leaving it out says too much for it: its mean over the training views' directions takes the place of what
+/// it says.
+fn psnr_without(step: &mut StepContext, level: u32, degree: u32) -> Result<f64, SplatError> {
+    let setup = step.setup;
+    let every = setup.views.len().div_ceil(DIRECTIONS);
+    let some = setup.views.iter().step_by(every);
+    let cameras: Vec<Vec3> = some.map(|&v| setup.dataset.views[v].view.position()).collect();
+    let mut before = Vec::new();
+    step.backend.edit(&mut |model, _| before = fold_degree(model, degree + 1, &cameras))?;
+    let psnr = step.psnr(&setup.validation, level, Some(degree));
+    step.backend.edit(&mut |model, _| {
+        let stride = model.sh_stride();
+        for (sh, constant) in model.sh.chunks_exact_mut(stride).zip(&before) {
+            sh[..3].copy_from_slice(constant);
         }
+    })?;
+    psnr
+}
+
+/// Adds to the constant colour the mean of one degree's part over the directions from `cameras`; returns the constants as
+/// they were.
+fn fold_degree(model: &mut Model, degree: u32, cameras: &[Vec3]) -> Vec<[f32; 3]> {
+    let stride = model.sh_stride();
+    let means: Vec<Vec3> = (0..model.len).map(|i| model.mean(i)).collect();
+    let all = model.sh.par_chunks_exact_mut(stride).zip(&means);
+    all.map(|(sh, mean)| {
+        let before = [sh[0], sh[1], sh[2]];
+        let sum = sum_of_degree(sh, *mean, degree, cameras);
         let share = 1.0 / (SH_C0 * cameras.len().max(1) as f32);
         sh.iter_mut().zip(sum).for_each(|(v, s)| *v += s * share);
         before
-    };
-    model.sh.par_chunks_exact_mut(stride).zip(&means).map(fold).collect()
+    })
+    .collect()
 }
 
-/// The schedule's constants fit together: degrees are judged while there are views to judge them.
-const _: () = assert!(SH_FROM[2] + DEGREE_TRIAL < 0.7 && schedule::SH_FROM.len() == 3);
+/// Sum over the cameras of one degree's part of the colour of a Gaussian at `mean`.
+fn sum_of_degree(sh: &[f32], mean: Vec3, degree: u32, cameras: &[Vec3]) -> [f32; 3] {
+    let band = (degree * degree) as usize..((degree + 1) * (degree + 1)) as usize;
+    let mut sum = [0.0f32; 3];
+    for camera in cameras {
+        let mut basis = [0.0; sh::MAX_COEFFICIENTS];
+        sh::basis((mean - *camera).normalize_or_zero(), degree, &mut basis);
+        for (k, y) in band.clone().zip(&basis[band.clone()]) {
+            sum.iter_mut().zip(&sh[3 * k..]).for_each(|(s, v)| *s += y * v);
+        }
+    }
+    sum
+}
 
 #[cfg(test)]
 mod tests {
