@@ -1,7 +1,6 @@
 //! The visual hull: what the mattes of the training views leave room for.
 
 use crate::dataset::View;
-use crate::densify::keep_some;
 use crate::model::Model;
 use crate::view::PinholeView;
 use glam::Vec3;
@@ -56,8 +55,8 @@ impl VisualHull {
     /// Removes Gaussians whose centre the hull excludes; returns how many. None where that would leave nothing.
     pub(crate) fn prune(&self, model: &mut Model) -> usize {
         let all = (0..model.len as u32).into_par_iter();
-        let keep = all.filter(|&i| !self.excludes(model.mean(i as usize))).collect();
-        keep_some(model, keep)
+        let keep: Vec<u32> = all.filter(|&i| !self.excludes(model.mean(i as usize))).collect();
+        model.keep(&keep)
     }
 }
 

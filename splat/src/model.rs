@@ -6,7 +6,7 @@ use serde::{Deserialize, Serialize};
 
 /// Planes are padded to a multiple of this, so that a vector load never leaves them, values.
 /// Source: the widest vectors (AVX-512) hold so many.
-const LANE_PAD: usize = 16;
+pub(crate) const LANE_PAD: usize = 16;
 
 /// Number of geometric parameters of a Gaussian. Source: Kerbl et al. 2023: 3 + 3 + 4 + 1.
 pub const GEOMETRY: usize = 11;
@@ -159,6 +159,16 @@ impl Model {
         }
         self.len = order.len();
         self.pad();
+    }
+
+    /// Keeps the Gaussians in `order` unless there are none; returns how many were removed.
+    pub(crate) fn keep(&mut self, order: &[u32]) -> usize {
+        let removed = self.len - order.len();
+        if removed == 0 || order.is_empty() {
+            return 0;
+        }
+        self.select(order);
+        removed
     }
 
     /// The Gaussians in `order` to be drawn: parameters without moments (zeros, which take no memory until written).

@@ -5,6 +5,7 @@
 //! has the mean 0 and the variance `Σ |α dC/dα|²` (Hutchinson 1990). One backward pass a view gives one draw for every
 //! Gaussian; the draws of the views add up.
 
+use crate::backend::Backend as _;
 use crate::cpu::CpuBackend;
 use crate::error::SplatError;
 use crate::model::{Model, OPACITY};
@@ -66,7 +67,7 @@ fn prune_redundant(step: &mut StepContext) -> Result<(), SplatError> {
     let before = step.psnr(&judges, 0, None)?;
     let (mut model, mut statistics) = step.backend.release()?;
     let n = model.len;
-    let order = by_energy(step, &model);
+    let order = by_energy(step, &model)?;
     // The loss grows with what is removed: bisection.
     let (mut good, mut bad) = (n, n / LEAST_KEPT);
     while good > bad + n / RESOLUTION + 1 {
@@ -90,15 +91,15 @@ fn prune_redundant(step: &mut StepContext) -> Result<(), SplatError> {
 }
 
 /// The Gaussians by falling energy.
-fn by_energy(step: &StepContext, whole: &Model) -> Vec<u32> {
+fn by_energy(step: &StepContext, whole: &Model) -> Result<Vec<u32>, SplatError> {
     let (setup, witnesses) = (step.setup, step.setup.some_views(WITNESSES));
     let views = witnesses.iter().map(|&v| setup.dataset.views[v].view);
     let views: Vec<PinholeView> =
         views.map(|view| view.at_level(u32::from(view.width * view.height > PIXELS))).collect();
-    let energies = energies(whole, &views, step.options(), setup.config.seed);
+    let energies = energies(whole, &views, step.options(), setup.config.seed)?;
     let mut order: Vec<u32> = (0..whole.len as u32).collect();
     order.sort_by(|&a, &b| energies[b as usize].total_cmp(&energies[a as usize]).then(a.cmp(&b)));
-    order
+    Ok(order)
 }
 
 /// The first of an order, ascending.
@@ -110,7 +111,12 @@ fn first_sorted(order: &[u32], count: usize) -> Vec<u32> {
 
 /// For each Gaussian the energy `Σ |ΔC|²` that the pictures of the views would lose without it, estimated by one draw a
 /// view (relative deviation √(2 / views)).
-fn energies(whole: &Model, views: &[PinholeView], options: RenderOptions, seed: u64) -> Vec<f32> {
+fn energies(
+    whole: &Model,
+    views: &[PinholeView],
+    options: RenderOptions,
+    seed: u64,
+) -> Result<Vec<f32>, SplatError> {
     let limit = (MOST_OPAQUE / (1.0 - MOST_OPAQUE)).ln();
     let all: Vec<u32> = (0..whole.len as u32).collect();
     let mut model = whole.drawn(&all);
@@ -118,7 +124,7 @@ fn energies(whole: &Model, views: &[PinholeView], options: RenderOptions, seed: 
     // o dL/do = dL/dlogit / (1 − o)
     let slopes: Vec<f32> = model.geometry[OPACITY].iter().map(|l| 1.0 / (1.0 + l.exp())).collect();
     let mut backend = CpuBackend::default();
-    backend.upload(model);
+    backend.upload(model, Statistics::default())?;
     let mut energies = vec![0.0f32; whole.len];
     for (index, view) in views.iter().enumerate() {
         let mut rng = scene::rng::rng(seed, "energies", index as u64);
@@ -130,7 +136,7 @@ fn energies(whole: &Model, views: &[PinholeView], options: RenderOptions, seed: 
             *e += (g / slope).powi(2);
         }
     }
-    energies
+    Ok(energies)
 }
 
 #[cfg(test)]
@@ -163,11 +169,11 @@ mod tests {
         };
         // The same view again and again: the mean of the draws is the energy itself.
         const DRAWS: usize = 400;
-        let estimated = energies(&model, &[view; DRAWS], RenderOptions::default(), 1);
+        let estimated = energies(&model, &[view; DRAWS], RenderOptions::default(), 1).unwrap();
         let mut backend = CpuBackend::default();
         let mut picture = |kept: &[u32]| {
-            backend.upload(model.drawn(kept));
-            backend.render(&view, &RenderOptions::default()).rgb.data
+            backend.upload(model.drawn(kept), Statistics::default()).unwrap();
+            backend.render(&view, &RenderOptions::default()).unwrap().rgb.data
         };
         let all: Vec<u32> = (0..n as u32).collect();
         let whole = picture(&all);
