@@ -43,7 +43,7 @@ neon:  ## the trainer's kernels as compiled for ARM (NEON) against the reference
 	@tools/setup.sh gcc-aarch64-linux-gnu libc6-dev-arm64-cross qemu-user-static
 	rustup target add $(ARM)
 	cargo test -p splat --no-default-features --target $(ARM) --locked --lib -- cpu::
-	cargo test -p splat --no-default-features --target $(ARM) --locked --test parity -- \
+	cargo test -p splat --no-default-features --target $(ARM) --locked --lib -- \
 	    kernels pictures optimise scores steps extreme --skip two_hundred --skip ten_thousand --skip hundred_thousand
 
 lint: setup  ## formatting, clippy, file and function lengths, borders between crates

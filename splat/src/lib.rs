@@ -9,7 +9,7 @@ pub mod backend;
 pub mod checkpoint;
 pub mod clock;
 pub mod config;
-pub mod cpu;
+mod cpu;
 pub mod dataset;
 pub mod densify;
 pub mod device;
@@ -17,11 +17,13 @@ pub mod error;
 mod footprint;
 pub mod fusion;
 #[cfg(feature = "gpu")]
-pub mod gpu;
+mod gpu;
 pub mod hull;
 pub mod init;
 pub mod model;
 pub mod pace;
+#[cfg(test)]
+mod parity;
 pub mod reference;
 pub mod render;
 pub mod schedule;

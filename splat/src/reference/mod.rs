@@ -3,7 +3,7 @@
 //! A cloud of N Gaussians is projected to the screen ([`project`]), coloured ([`sh`]), put in order of depth
 //! ([`sort`]) and composited over a background ([`rasterise`]); the picture is compared with a target ([`loss`]) and
 //! the parameters are moved against the gradient ([`adam`]). [`mod@render`] chains the first four, in both directions.
-//! The other backends have the same kernels under the same names and are held to this one by `tests/parity.rs`.
+//! The other backends have the same kernels under the same names and are held to this one by the tests in `parity`.
 //!
 //! Nothing here is fast and nothing is approximate: there are no tiles, every pixel looks at every Gaussian.
 //! Each backward function takes the derivative of a scalar loss L with respect to what its forward function returns

@@ -1,17 +1,17 @@
 //! What densification chooses by, against the reference's sums over pixels.
 
-use crate::scenes::{ordinary, reference_options, reference_view, view};
-use crate::steps::{Goal, RATES};
+use super::scenes::{ordinary, reference_options, reference_view, view};
+use super::steps::{Goal, RATES};
 use glam::{DVec2, DVec3};
-use splat::RenderOptions;
-use splat::backend::{Backend, Scores};
-use splat::cpu::CpuBackend;
-use splat::cpu::optimise::Statistics;
-use splat::cpu::simd::Isa;
-use splat::model::Model;
-use splat::reference::loss::loss;
-use splat::reference::rasterise::rasterise_backward;
-use splat::reference::{ImageGradient, Parameters, render};
+use crate::RenderOptions;
+use crate::backend::{Backend, Scores};
+use crate::cpu::CpuBackend;
+use crate::cpu::optimise::Statistics;
+use crate::cpu::simd::Isa;
+use crate::model::Model;
+use crate::reference::loss::loss;
+use crate::reference::rasterise::rasterise_backward;
+use crate::reference::{ImageGradient, Parameters, render};
 
 #[test]
 fn scores_are_sums_over_the_pixels_that_a_gaussian_is_drawn_in() {

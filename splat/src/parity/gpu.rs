@@ -1,13 +1,13 @@
 //! The first adapter of this machine, hardware or not, as a subject. A machine without any fails.
 
-use crate::subject::{Gradient, Seen, Subject};
+use super::subject::{Gradient, Seen, Subject};
 use glam::{Mat3, Vec3};
 use scene::Gaussians;
-use splat::backend::{Backend, StepInput, StepOutput, Target};
-use splat::cpu::optimise::Statistics;
-use splat::gpu::{GpuBackend, Opening};
-use splat::model::Model;
-use splat::{PinholeView, RenderOptions, RenderOutput};
+use crate::backend::{Backend, StepInput, StepOutput, Target};
+use crate::cpu::optimise::Statistics;
+use crate::gpu::{GpuBackend, Opening};
+use crate::model::Model;
+use crate::{PinholeView, RenderOptions, RenderOutput};
 use std::sync::{Mutex, MutexGuard, OnceLock};
 
 /// One device for all tests, each call by itself.
@@ -38,7 +38,7 @@ impl Subject for Adapter {
         let mut gpu = device();
         gpu.upload(Model::from_gaussians(g), Statistics::default()).unwrap();
         let all = gpu.projected(view, options).unwrap();
-        let seen = |s: splat::gpu::OnScreen| Seen {
+        let seen = |s: crate::gpu::OnScreen| Seen {
             xy: s.xy,
             conic: s.conic,
             depth: s.depth,

@@ -1,16 +1,16 @@
 //! Whole training steps.
 
-use crate::scenes::{ordinary, reference_options, reference_view, rendered, view};
-use crate::subject::subjects;
+use super::scenes::{ordinary, reference_options, reference_view, rendered, view};
+use super::subject::subjects;
 use glam::DVec3;
 use rand::Rng;
 use scene::Gaussians;
-use splat::backend::{LearningRates, StepInput, Target};
-use splat::model::Model;
-use splat::reference::adam::{self, Moments, Rates};
-use splat::reference::loss::{Loss, loss, over_background};
-use splat::reference::{ImageGradient, Parameters, backward, render};
-use splat::{PinholeView, RenderOptions};
+use crate::backend::{LearningRates, StepInput, Target};
+use crate::model::Model;
+use crate::reference::adam::{self, Moments, Rates};
+use crate::reference::loss::{Loss, loss, over_background};
+use crate::reference::{ImageGradient, Parameters, backward, render};
+use crate::{PinholeView, RenderOptions};
 
 pub const RATES: LearningRates =
     LearningRates { mean: 2e-3, log_scale: 1e-2, rotation: 2e-3, opacity: 5e-2, sh0: 5e-3, sh_rest: 5e-4 };

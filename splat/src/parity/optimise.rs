@@ -1,16 +1,16 @@
 //! Kernel optimise by itself: penalties, and Adam on each Gaussian's own clock.
 
-use crate::scenes::{One, of, ordinary, view};
-use crate::steps::{Goal, RATES, parameter, reference_step};
-use crate::subject::subjects;
+use super::scenes::{One, of, ordinary, view};
+use super::steps::{Goal, RATES, parameter, reference_step};
+use super::subject::subjects;
 use glam::Vec3;
 use rand::Rng;
 use scene::Gaussians;
-use splat::RenderOptions;
-use splat::backend::StepInput;
-use splat::model::{LOG_SCALE, MEAN, Model, OPACITY};
-use splat::reference::Parameters;
-use splat::reference::adam::{BETA1, BETA2, Moments};
+use crate::RenderOptions;
+use crate::backend::StepInput;
+use crate::model::{LOG_SCALE, MEAN, Model, OPACITY};
+use crate::reference::Parameters;
+use crate::reference::adam::{BETA1, BETA2, Moments};
 
 /// Gaussians in plain sight, and after them as many that no pixel shows: behind the camera, or transparent.
 fn seen_and_unseen(n: usize) -> Gaussians {

@@ -3,10 +3,10 @@
 use glam::{DVec3, Mat3, Quat, Vec3};
 use rand::Rng;
 use scene::Gaussians;
-use splat::reference::project::{MIN_ALPHA, Projected};
-use splat::reference::rasterise::{MAX_ALPHA, MIN_TRANSMITTANCE};
-use splat::reference::{self, Rendered};
-use splat::{PinholeView, RenderOptions};
+use crate::reference::project::{MIN_ALPHA, Projected};
+use crate::reference::rasterise::{MAX_ALPHA, MIN_TRANSMITTANCE};
+use crate::reference::{self, Rendered};
+use crate::{PinholeView, RenderOptions};
 
 /// A Gaussian, to be pushed into a scene.
 #[derive(Clone, Copy, Debug)]
@@ -77,7 +77,7 @@ pub fn reference_view(v: &PinholeView) -> reference::View {
 
 pub fn reference_options(o: &RenderOptions) -> reference::Options {
     reference::Options {
-        near: f64::from(o.near.unwrap_or(splat::cpu::DEFAULT_NEAR)),
+        near: f64::from(o.near.unwrap_or(crate::cpu::DEFAULT_NEAR)),
         antialias: o.antialias,
         background: DVec3::from_array(o.background.map(f64::from)),
         sh_degree: o.sh_degree.unwrap_or(3),

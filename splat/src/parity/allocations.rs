@@ -1,13 +1,13 @@
 //! A training step takes no memory once its workspace is as large as the view needs.
 
-use crate::scenes::{ordinary, view};
-use crate::steps::Goal;
-use splat::RenderOptions;
-use splat::backend::{Backend, LearningRates};
-use splat::cpu::CpuBackend;
-use splat::cpu::optimise::Statistics;
-use splat::cpu::simd::Isa;
-use splat::model::Model;
+use super::scenes::{ordinary, view};
+use super::steps::Goal;
+use crate::RenderOptions;
+use crate::backend::{Backend, LearningRates};
+use crate::cpu::CpuBackend;
+use crate::cpu::optimise::Statistics;
+use crate::cpu::simd::Isa;
+use crate::model::Model;
 use std::alloc::{GlobalAlloc, Layout, System};
 use std::cell::Cell;
 use std::sync::atomic::{AtomicUsize, Ordering};

@@ -1,13 +1,13 @@
 //! What the suite needs of a backend, and who is tested.
 
 use scene::Gaussians;
-use splat::backend::{Backend, StepInput, StepOutput};
-use splat::cpu::loss::{LossInput, Shape, loss};
-use splat::cpu::project::{CULLED, CameraConstants, Parameters, Project, Record, project};
-use splat::cpu::simd::Isa;
-use splat::cpu::{CpuBackend, DEFAULT_NEAR};
-use splat::model::{GEOMETRY, Model};
-use splat::{PinholeView, RenderOptions, RenderOutput};
+use crate::backend::{Backend, StepInput, StepOutput};
+use crate::cpu::loss::{LossInput, Shape, loss};
+use crate::cpu::project::{CULLED, CameraConstants, Parameters, Project, Record, project};
+use crate::cpu::simd::Isa;
+use crate::cpu::{CpuBackend, DEFAULT_NEAR};
+use crate::model::{GEOMETRY, Model};
+use crate::{PinholeView, RenderOptions, RenderOutput};
 
 /// A Gaussian on the screen as a backend sees it.
 #[derive(Clone, Copy, Debug)]
@@ -62,7 +62,7 @@ pub fn subjects() -> Vec<Box<dyn Subject>> {
     #[allow(unused_mut)]
     let mut all: Vec<_> = Isa::available().into_iter().map(cpu).collect();
     #[cfg(feature = "gpu")]
-    all.push(Box::new(crate::gpu::Adapter));
+    all.push(Box::new(super::gpu::Adapter));
     all
 }
 

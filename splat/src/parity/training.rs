@@ -1,14 +1,14 @@
 //! A small training with densification, on an adapter and on the processor.
 
-use crate::scenes::ordinary;
+use super::scenes::ordinary;
 use glam::{DVec3, Vec3};
 use rand::Rng;
 use scene::{Camera, CameraModel, Gaussians, Pose, Progress};
-use splat::backend::Target;
-use splat::cpu::optimise::Statistics;
-use splat::dataset::{Normalisation, Pixels, pyramid};
-use splat::model::Model;
-use splat::{
+use crate::backend::Target;
+use crate::cpu::optimise::Statistics;
+use crate::dataset::{Normalisation, Pixels, pyramid};
+use crate::model::Model;
+use crate::{
     AlphaMode, BackendChoice, Dataset, DeviceConfig, RenderOptions, Renderer, TrainConfig, TrainResult, View,
     train,
 };
@@ -125,7 +125,7 @@ fn gains_and_what_they_are_found_by_agree_with_the_processors() {
     let view = &dataset.views[1];
     let all = [BackendChoice::Cpu, BackendChoice::Gpu].map(|backend| {
         let device = DeviceConfig { backend, ..DeviceConfig::default() };
-        let (mut backend, _) = splat::device::open(&device).unwrap();
+        let (mut backend, _) = crate::device::open(&device).unwrap();
         backend.upload(Model::from_gaussians(&truth), Statistics::default()).unwrap();
         let mask: Vec<u8> = (0..64 * 48).map(|i| (i * 7 % 256) as u8).collect();
         let options = RenderOptions { background: [0.2, 0.5, 0.9], ..RenderOptions::default() };

@@ -1,15 +1,15 @@
 //! What only an adapter has: photos that stay there, steps under way, pages of the model, densification by kernels,
 //! subgroup operations, limits.
 
-use crate::scenes::{ordinary, view};
-use crate::steps::{Goal, RATES};
+use super::scenes::{ordinary, view};
+use super::steps::{Goal, RATES};
 use glam::{Mat3, Vec3};
 use scene::Gaussians;
-use splat::backend::{Backend, Round, StepInput, StepOutput, Target, densify_by_edit};
-use splat::cpu::optimise::Statistics;
-use splat::gpu::{GpuBackend, Opening};
-use splat::model::{LOG_SCALE, MEAN, Model};
-use splat::{PinholeView, RenderOptions, Selection};
+use crate::backend::{Backend, Round, StepInput, StepOutput, Target, densify_by_edit};
+use crate::cpu::optimise::Statistics;
+use crate::gpu::{GpuBackend, Opening};
+use crate::model::{LOG_SCALE, MEAN, Model};
+use crate::{PinholeView, RenderOptions, Selection};
 
 fn opened(opening: Opening) -> GpuBackend {
     GpuBackend::open(&opening).expect("an adapter; mesa-vulkan-drivers brings one")
