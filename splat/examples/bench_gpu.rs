@@ -15,7 +15,7 @@ use rand::Rng;
 use scene::{Camera, CameraModel, Gaussians, Pose, Progress, metrics};
 use serde_json::{Value, json};
 use splat::backend::{Backend, KernelTimes, LearningRates, StepInput, Target};
-use splat::cpu::optimise::Statistics;
+use splat::cpu::adam::Statistics;
 use splat::dataset::Normalisation;
 use splat::gpu::{Gpu, Opening};
 use splat::model::Model;

@@ -86,7 +86,7 @@ struct Machine {
 }
 
 /// Vector operations (loads and stores apart) that forward and backward spend on a Gaussian and a pixel, counted in
-/// `cpu/raster.rs`: exponent and tests (8), 2^x (10), alpha and transmittance (8), colour (3), the new state (3); backward: the
+/// `cpu/rasterise.rs`: exponent and tests (8), 2^x (10), alpha and transmittance (8), colour (3), the new state (3); backward: the
 /// same without colour, and the sums (4), what is behind (4), α dL/dα (7), its moments (4).
 const FORWARD_OPERATIONS: f64 = 32.0;
 const BACKWARD_OPERATIONS: f64 = 48.0;

@@ -1,7 +1,7 @@
 //! What a backend does: hold the Gaussians, render them, take a training step, say what it saw.
 
 use crate::config::Selection;
-use crate::cpu::optimise::Statistics;
+use crate::cpu::adam::Statistics;
 use crate::model::Model;
 use crate::train::Decision;
 use crate::{RenderOptions, RenderOutput, SplatError, densify};

@@ -4,7 +4,7 @@
 //! of `arrays`. Written beside its target and renamed, so that what exists is whole.
 
 use crate::SplatError;
-use crate::cpu::optimise::Statistics;
+use crate::cpu::adam::Statistics;
 use crate::model::{Model, padded};
 use crate::pace::Pace;
 use crate::train::{CurvePoint, Decision, Findings};

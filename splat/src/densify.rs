@@ -2,7 +2,7 @@
 
 use crate::PinholeView;
 use crate::config::Selection;
-use crate::cpu::optimise::Statistics;
+use crate::cpu::adam::Statistics;
 use crate::model::{GEOMETRY, LOG_SCALE, MEAN, Model, OPACITY, ROTATION};
 use glam::{Quat, Vec3};
 use rand::Rng as _;

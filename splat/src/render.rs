@@ -2,7 +2,7 @@
 
 use crate::SplatError;
 use crate::backend::Backend;
-use crate::cpu::optimise::Statistics;
+use crate::cpu::adam::Statistics;
 use crate::dataset::Normalisation;
 use crate::device::{BackendChoice, DeviceConfig};
 use crate::model::Model;

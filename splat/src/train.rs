@@ -12,7 +12,7 @@ pub use decide::Findings;
 
 use crate::backend::{Backend, KernelTimes, Round, StepInput, StepOutput, Target};
 use crate::checkpoint::{self, Checkpoint, State};
-use crate::cpu::optimise::Statistics;
+use crate::cpu::adam::Statistics;
 use crate::dataset::AlphaMode;
 use crate::footprint::footprint;
 use crate::hull::VisualHull;

@@ -1,7 +1,7 @@
 //! [`Backend`] on the CPU.
 
 use super::loss::{LossInput, Shape, loss};
-use super::optimise::{SharedModel, SharedPlane, Sink, Statistics};
+use super::adam::{SharedModel, SharedPlane, Sink, Statistics};
 use super::project::{CameraConstants, Parameters};
 use super::simd::Isa;
 use super::workspace::Workspace;
@@ -352,7 +352,7 @@ impl Backend for CpuBackend {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::cpu::raster::SUMS;
+    use crate::cpu::rasterise::SUMS;
     use glam::{Mat3, Quat, Vec3};
     use rand::Rng as _;
     use scene::Gaussians;

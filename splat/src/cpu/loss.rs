@@ -5,8 +5,8 @@
 //! gradients go back through the same (symmetric) window. Lines are filtered down first, which reads the planes where they
 //! lie and several lines at once, then across; a band's derivatives of SSIM stay in the second-level cache.
 
-use super::bin::TILE;
-use super::raster::Tile;
+use super::sort::TILE;
+use super::rasterise::Tile;
 use super::simd::{Isa, Simd, simd_kernel};
 use rayon::prelude::*;
 use std::cell::RefCell;

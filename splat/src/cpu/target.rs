@@ -1,7 +1,7 @@
 //! Target planes (and weights) from 8-bit pixels, composed over the background where masks mean transparency.
 //! in: interleaved bytes, optional mask, the rendering. out: \[3\] planes and one of weights, rows padded to whole tiles.
 
-use super::bin::TILE;
+use super::sort::TILE;
 use super::loss::{RADIUS, Shape};
 use super::simd::{Isa, Simd, simd_kernel};
 use crate::backend::Target;

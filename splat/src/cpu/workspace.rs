@@ -1,10 +1,10 @@
 //! The buffers of a view and the kernels run over them in parallel.
 
-use super::bin::{Bins, TILE};
+use super::sort::{Bins, TILE};
 use super::loss::Shape;
-use super::optimise::{Optimise, SharedModel, SharedPlane, Sink, optimise};
+use super::adam::{Optimise, SharedModel, SharedPlane, Sink, optimise};
 use super::project::{CULLED, CameraConstants, Parameters, Project, Record, project};
-use super::raster::{Backward, Extra, Forward, PIXELS, Plane, SUMS, Tile, Visit, backward, forward, visit};
+use super::rasterise::{Backward, Extra, Forward, PIXELS, Plane, SUMS, Tile, Visit, backward, forward, visit};
 use super::simd::Isa;
 use super::target::{Source, compose, reached_tiles};
 use crate::backend::{Scores, Target};

@@ -10,7 +10,7 @@ use super::pages::Pages;
 use super::photos::{Photo, Photos};
 use crate::adapter::Adapter;
 use crate::backend::{Backend, KernelTimes, Round, Scores, StepInput, StepOutput, Target};
-use crate::cpu::{DEFAULT_NEAR, optimise::Statistics, project::CameraConstants};
+use crate::cpu::{DEFAULT_NEAR, adam::Statistics, project::CameraConstants};
 use crate::{PinholeView, RenderOptions, RenderOutput, SplatError, model::Model, train::Decision};
 use scene::FloatImage;
 use std::ops::RangeInclusive;

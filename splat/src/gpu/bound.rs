@@ -140,14 +140,14 @@ impl Bound {
             let loss = [f, &b.image, &b.goal, &b.by_mean, &b.by_square, &b.by_product, &b.partial, &b.result];
             let backward =
                 [f, &b.records, &b.colours, &b.sorted, &b.ranges, &b.image, &b.sums_a, &b.sums_b, &b.sums_c];
-            [group(&kernels.loss, &loss), group(&kernels.backward, &backward)]
+            [group(&kernels.loss, &loss), group(&kernels.rasterise_backward, &backward)]
         });
         let page = |p: &super::pages::Page| {
             let project = [f, &p.uniform, &p.geometry, &p.sh, &b.records, &b.colours, &b.boxes, &b.flags];
             let optimise = || {
                 let model = [f, &p.uniform, &p.geometry, &p.sh, &p.moments];
                 let rest = [&b.sums_a, &b.sums_b, &b.sums_c, &b.spans, &b.counters];
-                group(&kernels.optimise, &[&model[..], &rest[..]].concat())
+                group(&kernels.adam, &[&model[..], &rest[..]].concat())
             };
             (
                 group(&kernels.project, &project),
@@ -245,12 +245,12 @@ impl Bound {
             }
             // One more than there are tiles: the pairs that belong to none.
             (Stage::Backward, Some([_, backward])) => {
-                kernels.backward.run(pass, 0, backward, tiles + 1, 1);
+                kernels.rasterise_backward.run(pass, 0, backward, tiles + 1, 1);
             }
             (Stage::Optimise, Some(_)) => {
                 for (_, optimise, count) in &self.pages {
                     if let Some(optimise) = optimise {
-                        kernels.optimise.run(pass, 0, optimise, count.div_ceil(GROUP), 1);
+                        kernels.adam.run(pass, 0, optimise, count.div_ceil(GROUP), 1);
                     }
                 }
             }

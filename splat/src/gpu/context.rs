@@ -67,7 +67,7 @@ pub struct Opening {
     pub binding: Option<u64>,
 }
 
-/// Subgroups of these sizes neither span two Gaussians of `backward` nor are too short to bring anything.
+/// Subgroups of these sizes neither span two Gaussians of `rasterise_backward` nor are too short to bring anything.
 const SUBGROUP_SIZES: std::ops::RangeInclusive<u32> = 4..=32;
 
 /// Counts the threads whose lane or subgroup is not the one that their number in the group says.

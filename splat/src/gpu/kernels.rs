@@ -88,14 +88,14 @@ pub const SOURCES: [Source; 13] = [
         entries: &["statistics", "differentiate", "products", "total_products", "total"],
     },
     Source {
-        name: "backward",
-        parts: &[FRAME, include_str!("wgsl/backward.wgsl")],
+        name: "rasterise_backward",
+        parts: &[FRAME, include_str!("wgsl/rasterise_backward.wgsl")],
         slots: &[VIEW, Read, Read, Read, Read, Read, Write, Write, Write],
         entries: &["main"],
     },
     Source {
-        name: "optimise",
-        parts: &[FRAME, SH, PROJECTION, include_str!("wgsl/optimise.wgsl")],
+        name: "adam",
+        parts: &[FRAME, SH, PROJECTION, include_str!("wgsl/adam.wgsl")],
         slots: &[VIEW, PAGE, Write, Write, Write, Read, Read, Read, Read, Write],
         entries: &["main"],
     },
@@ -274,9 +274,9 @@ pub struct Kernels {
     /// Loss: statistics, differentiate, total.
     pub loss: Module,
     /// Rasterise backward.
-    pub backward: Module,
+    pub rasterise_backward: Module,
     /// Project backward and Adam.
-    pub optimise: Module,
+    pub adam: Module,
     /// Densification: score, choose, judge, place.
     pub densify: Module,
     /// Planes from the old model to the new one.
@@ -297,8 +297,8 @@ impl Kernels {
             ranges,
             rasterise,
             loss,
-            backward,
-            optimise,
+            rasterise_backward,
+            adam,
             densify,
             gather,
             halve,
@@ -316,8 +316,8 @@ impl Kernels {
             ranges,
             rasterise,
             loss,
-            backward,
-            optimise,
+            rasterise_backward,
+            adam,
             densify,
             gather,
             halve,

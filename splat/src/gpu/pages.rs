@@ -5,7 +5,7 @@ use super::context::Gpu;
 use super::kernels::Kernels;
 use super::layout::{CLOCK, GatherJob, PLANES, PageJob, STATISTICS};
 use crate::SplatError;
-use crate::cpu::optimise::Statistics;
+use crate::cpu::adam::Statistics;
 use crate::model::{GEOMETRY, Model, padded};
 
 /// Gaussians of a page are a multiple of this, unless it is the last.

@@ -55,7 +55,7 @@ fn structs_of_both_sides_have_the_same_fields_at_the_same_offsets() {
     for (source, name, fields, size) in [
         ("project", "Frame", Frame::FIELDS, size_of::<Frame>()),
         ("project", "Page", PageJob::FIELDS, size_of::<PageJob>()),
-        ("optimise", "Page", PageJob::FIELDS, size_of::<PageJob>()),
+        ("adam", "Page", PageJob::FIELDS, size_of::<PageJob>()),
         ("scan", "Job", ScanJob::FIELDS, size_of::<ScanJob>()),
         ("sort", "Job", SortJob::FIELDS, size_of::<SortJob>()),
         ("densify", "Job", DensifyJob::FIELDS, size_of::<DensifyJob>()),
@@ -142,7 +142,7 @@ fn no_group_needs_more_shared_memory_than_every_adapter_has() {
 fn subgroup_operations_are_only_in_the_kernels_for_adapters_that_have_them() {
     let differ = |s: &&Source| s.text(false) != s.text(true);
     let names: Vec<&str> = SOURCES.iter().filter(differ).map(|s| s.name).collect();
-    assert_eq!(names, ["scan", "sort", "backward"]);
+    assert_eq!(names, ["scan", "sort", "rasterise_backward"]);
     for source in SOURCES {
         assert!(!source.text(false).contains("subgroup_"), "{}", source.name);
     }

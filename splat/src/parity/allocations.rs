@@ -5,7 +5,7 @@ use super::steps::Goal;
 use crate::RenderOptions;
 use crate::backend::{Backend, LearningRates};
 use crate::cpu::CpuBackend;
-use crate::cpu::optimise::Statistics;
+use crate::cpu::adam::Statistics;
 use crate::cpu::simd::Isa;
 use crate::model::Model;
 use std::alloc::{GlobalAlloc, Layout, System};

@@ -6,7 +6,7 @@ use super::steps::{Goal, RATES};
 use glam::{Mat3, Vec3};
 use scene::Gaussians;
 use crate::backend::{Backend, Round, StepInput, StepOutput, Target, densify_by_edit};
-use crate::cpu::optimise::Statistics;
+use crate::cpu::adam::Statistics;
 use crate::gpu::{GpuBackend, Opening};
 use crate::model::{LOG_SCALE, MEAN, Model};
 use crate::{PinholeView, RenderOptions, Selection};

@@ -4,7 +4,7 @@ use super::subject::{Gradient, Seen, Subject};
 use glam::{Mat3, Vec3};
 use scene::Gaussians;
 use crate::backend::{Backend, StepInput, StepOutput, Target};
-use crate::cpu::optimise::Statistics;
+use crate::cpu::adam::Statistics;
 use crate::gpu::{GpuBackend, Opening};
 use crate::model::Model;
 use crate::{PinholeView, RenderOptions, RenderOutput};

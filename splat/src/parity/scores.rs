@@ -6,7 +6,7 @@ use glam::{DVec2, DVec3};
 use crate::RenderOptions;
 use crate::backend::{Backend, Scores};
 use crate::cpu::CpuBackend;
-use crate::cpu::optimise::Statistics;
+use crate::cpu::adam::Statistics;
 use crate::cpu::simd::Isa;
 use crate::model::Model;
 use crate::reference::loss::loss;

@@ -7,7 +7,7 @@
 
 use super::Trainer;
 use crate::cpu::CpuBackend;
-use crate::cpu::optimise::Statistics;
+use crate::cpu::adam::Statistics;
 use crate::model::{Model, OPACITY};
 use crate::{PinholeView, RenderOptions, SplatError};
 use rand::Rng as _;

@@ -38,7 +38,7 @@ struct Frame {
 const ANTIALIAS: u32 = 1u;
 const WEIGHTED: u32 = 2u;        // alpha of the target is a weight, 0 = ignored
 const COVERAGE: u32 = 4u;        // alpha of the target is coverage, the background shows through
-const PLAIN_GRADIENT: u32 = 8u;  // optimise writes gradients in place of moving parameters
+const PLAIN_GRADIENT: u32 = 8u;  // adam writes gradients in place of moving parameters
 const MAGNITUDES: u32 = 16u;      // statistics sum |dL/dxy| over pixels
 const TRUNCATE: u32 = 32u;        // pairs beyond the buffers are left out, the farthest Gaussians' first
 

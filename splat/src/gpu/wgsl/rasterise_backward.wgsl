@@ -1,4 +1,4 @@
-// backward: dL/d(colour) of a tile's pixels -> sums for each of its Gaussians, replayed front to back.
+// rasterise_backward: dL/d(colour) of a tile's pixels -> sums for each of its Gaussians, replayed front to back.
 // in: records · colours · sorted [pairs] (Gaussian, pair number) by tile · ranges [tiles] (begin, end, used, -)
 //      gradient [H * W] (dL/d(rgb), C . dL/d(rgb) of the pixel's colour C)
 // out: sums [pairs][12] in three arrays of four, at the pair's number, so that a Gaussian's pairs lie side by side and no

@@ -1,4 +1,4 @@
-//! Kernel optimise by itself: penalties, and Adam on each Gaussian's own clock.
+//! Kernel adam by itself: penalties, and Adam on each Gaussian's own clock.
 
 use super::scenes::{One, of, ordinary, view};
 use super::steps::{Goal, RATES, parameter, reference_step};

@@ -4,7 +4,7 @@
 //! `C = Σ T_i α_i c_i + T background`, `T_i = Π_{j<i} (1 − α_j)` (Kerbl et al. 2023, eq. 3). SIMD across the pixels of
 //! a row; inside a tile only the columns and rows of the Gaussian's box are visited.
 
-use super::bin::TILE;
+use super::sort::TILE;
 use super::project::{LOG2_255, Record};
 use super::simd::{Simd, array, simd_kernel};
 

@@ -1,4 +1,4 @@
-// optimise: project backward and Adam, fused: sums of `backward` -> parameters moved one step.
+// adam: project backward and Adam, fused: sums of `rasterise_backward` -> parameters moved one step.
 // in: sums [pairs][12] in three arrays of four · spans [N] (first, end) of the Gaussian's pairs · counters
 // in, out, of a page: geometry [38][stride]: 11 planes of parameters, 11 of first and 11 of second moments, the clock, and
 //          four of statistics: sum of |dL/dxy| in half images, steps seen, greatest sum of T alpha, greatest radius

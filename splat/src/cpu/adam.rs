@@ -1,15 +1,15 @@
 //! project backward and Adam, fused: screen gradients → parameters.
-//! in: sums of [`super::raster::Backward`] by pair. out: parameters and moments moved one step, or plain gradients.
+//! in: sums of [`super::rasterise::Backward`] by pair. out: parameters and moments moved one step, or plain gradients.
 //!
 //! Adam (Kingma and Ba 2015) runs on each Gaussian's own clock: a step counts only where the Gaussian was visible, so
 //! that the others keep parameters and moments as they are instead of drifting on stale momentum.
 
-use super::bin::Bins;
+use super::sort::Bins;
 use super::project::{
     CULLED, CameraConstants, LOG_SCALE_LIMIT, Parameters, Projection, camera_rows, colour, dot3,
     project_lanes, twice,
 };
-use super::raster::SUMS;
+use super::rasterise::SUMS;
 use super::sh;
 use super::simd::{Simd, array, simd_kernel};
 use crate::backend::{LearningRates, Scores};
