@@ -8,7 +8,7 @@ use image::{Rgb, RgbImage};
 use rand::Rng as _;
 use scene::Progress;
 use splat::{
-    Dataset, DatasetConfig, PoseRefinement, RenderOptions, Renderer, Selection, TrainConfig, TrainResult,
+    Dataset, DatasetConfig, PoseRefinement, RenderOptions, Renderer, TrainConfig, TrainResult,
     train,
 };
 use std::path::PathBuf;
@@ -51,10 +51,6 @@ fn rows() -> Vec<Row> {
     vec![
         row("as it is", |_| {}),
         row("Gaussians that hardly any view sees stay", |c| c.recipe.remove_unseen = false),
-        row("growth by a tenth above a threshold", |c| c.recipe.planned_growth = false),
-        row("chosen by absolute gradient", |c| c.recipe.selection = Selection::AbsoluteGradient),
-        row("chosen by error", |c| c.recipe.selection = Selection::Error),
-        row("chosen by opacity (3DGS-MCMC, no noise)", |c| c.recipe.selection = Selection::Opacity),
         row("half as many Gaussians", |c| c.recipe.gaussians_a_step *= 0.5),
         row("twice as many Gaussians", |c| c.recipe.gaussians_a_step *= 2.0),
         row("full resolution earlier (0.2, 0.6)", |c| {
@@ -71,7 +67,6 @@ fn rows() -> Vec<Row> {
         row("L1 alone", |c| c.lambda_dssim = 0.0),
         row("a quarter of D-SSIM's weight", |c| c.lambda_dssim *= 0.25),
         row("opacity scaled with the low-pass", |c| c.antialias = true),
-        row("opacities decay (weight 0.01)", |c| c.recipe.opacity_penalty = 0.01),
         row("scales held to the views' sampling", |c| c.smoothing = true),
         row("both (Mip-Splatting)", |c| (c.smoothing, c.antialias) = (true, true)),
         row("5,000 first Gaussians inside the hull", |c| c.recipe.hull_points = 5_000),
@@ -110,8 +105,6 @@ fn slot<'a>(c: &'a mut TrainConfig, name: &str) -> Option<&'a mut f64> {
         "until" => &mut c.recipe.densify_until,
         "prune-at" => &mut c.recipe.prune_at,
         "prune-loss" => &mut c.recipe.prune_loss,
-        "opacity" => &mut c.recipe.opacity_penalty,
-        "scale" => &mut c.recipe.scale_penalty,
         _ => return None,
     })
 }

@@ -4,7 +4,7 @@
 //! of `arrays`. Written beside its target and renamed, so that what exists is whole.
 
 use crate::SplatError;
-use crate::cpu::adam::Statistics;
+use crate::statistics::Statistics;
 use crate::model::{Model, padded};
 use crate::pace::Pace;
 use crate::train::{CurvePoint, Decision, Findings};
@@ -69,9 +69,9 @@ pub struct Checkpoint {
 /// All arrays of a checkpoint, in file order.
 fn arrays<'a>(model: &'a Model, statistics: &'a Statistics) -> Vec<&'a [f32]> {
     let Model { geometry, geometry_m, geometry_v, sh, sh_m, sh_v, steps, .. } = model;
-    let Statistics { gradient, visible, weight, radius } = statistics;
+    let Statistics { gradient, visible } = statistics;
     let planes = geometry.iter().chain(geometry_m).chain(geometry_v);
-    planes.chain([sh, sh_m, sh_v, steps, gradient, visible, weight, radius]).map(Vec::as_slice).collect()
+    planes.chain([sh, sh_m, sh_v, steps, gradient, visible]).map(Vec::as_slice).collect()
 }
 
 /// The same, to be filled.
@@ -80,12 +80,7 @@ fn arrays_mut<'a>(model: &'a mut Model, statistics: &'a mut Statistics) -> Vec<&
     let mut all: Vec<&mut Vec<f32>> = Vec::new();
     all.extend(geometry.iter_mut().chain(geometry_m).chain(geometry_v));
     all.extend([sh, sh_m, sh_v, steps]);
-    all.extend([
-        &mut statistics.gradient,
-        &mut statistics.visible,
-        &mut statistics.weight,
-        &mut statistics.radius,
-    ]);
+    all.extend([&mut statistics.gradient, &mut statistics.visible]);
     all
 }
 

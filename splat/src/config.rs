@@ -1,6 +1,5 @@
 //! What training can be told.
 
-use crate::backend::Scores;
 use crate::device::DeviceConfig;
 use clap::{Args, ValueEnum};
 use serde::{Deserialize, Serialize};
@@ -96,41 +95,11 @@ pub enum PoseRefinement {
     Off,
 }
 
-/// By what Gaussians are chosen to be split.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
-pub enum Selection {
-    /// Norm of the mean screen gradient (Kerbl et al. 2023)
-    #[default]
-    Gradient,
-    /// The same of its absolute values over the pixels, which do not cancel (Ye et al., AbsGS, 2024)
-    AbsoluteGradient,
-    /// Mean error of the pixels it colours, by its part in them (Rota Bulò et al. 2024; on the CPU)
-    Error,
-    /// Drawn in proportion to opacity; two of them look as the one did (Kheradmand et al., 3DGS as MCMC, 2024)
-    Opacity,
-}
-
-impl Selection {
-    /// What it needs from the backend's statistics.
-    pub fn scores(self) -> Scores {
-        match self {
-            Self::Gradient | Self::Opacity => Scores::Gradient,
-            Self::AbsoluteGradient => Scores::Magnitudes,
-            Self::Error => Scores::Error,
-        }
-    }
-}
-
 /// The trainer's own choices. No flags: each was chosen by switching it off (docs/benchmarks.md, example `ablation`).
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Recipe {
-    /// Gaussians follow a plan from the first to [`crate::schedule::gaussians_at_end`]; otherwise a tenth more each 100
-    /// steps where the screen gradient is above a threshold (about as 3DGS does it).
-    pub planned_growth: bool,
     /// Where the background shows through, Gaussians that hardly any view has in its picture are removed.
     pub remove_unseen: bool,
-    /// Where Gaussians are added.
-    pub selection: Selection,
     /// Gaussians at the end of growth for each step of the schedule, where there are views enough.
     pub gaussians_a_step: f64,
     /// Position in the schedule from which training runs at full resolution.
@@ -155,10 +124,6 @@ pub struct Recipe {
     pub prune_at: f64,
     /// What removing them may cost the training views before that, dB.
     pub prune_loss: f64,
-    /// Weight of the mean opacity of what a view shows in the loss.
-    pub opacity_penalty: f64,
-    /// Weight of the mean scale of what a view shows in the loss.
-    pub scale_penalty: f64,
     /// Points inside the masks' visual hull that Gaussians begin at beside those of the sparse cloud.
     pub hull_points: usize,
     /// --time-limit counts CPU time of the process instead of wall time: for comparisons on a busy machine (Linux).
@@ -168,9 +133,7 @@ pub struct Recipe {
 impl Default for Recipe {
     fn default() -> Self {
         Self {
-            planned_growth: true,
             remove_unseen: true,
-            selection: Selection::Gradient,
             gaussians_a_step: 50.0,
             full_resolution_from: 0.8,
             full_resolution_early: 0.6,
@@ -183,8 +146,6 @@ impl Default for Recipe {
             prune_redundant: true,
             prune_at: 0.9,
             prune_loss: 0.05,
-            opacity_penalty: 0.0,
-            scale_penalty: 0.0,
             hull_points: 0,
             cpu_time: false,
         }

@@ -1,6 +1,7 @@
 //! The images in memory and the normalised frame in which the trainer works.
 
-use crate::{PinholeView, SplatError};
+use crate::error::SplatError;
+use crate::view::{PinholeView, level_size};
 use clap::{Args, ValueEnum};
 use glam::{DMat3, DVec3, Mat3, Vec3};
 use rayon::prelude::*;
@@ -95,11 +96,6 @@ pub struct Dataset {
     pub normalisation: Normalisation,
     /// What masks mean.
     pub alpha: AlphaMode,
-}
-
-/// Length of a side at `1 / 2^level` of the resolution, at least 1 pixel.
-pub fn level_size(full: usize, level: u32) -> usize {
-    (full >> level).max(1)
 }
 
 /// Resolutions kept of each view: full to 1/8.

@@ -2,8 +2,9 @@
 
 use crate::backend::Backend;
 use crate::cpu::CpuBackend;
-use crate::train::Decision;
-use crate::{SplatError, adapters};
+use crate::adapter::Adapter;
+use crate::decision::Decision;
+use crate::error::SplatError;
 use clap::{Args, ValueEnum};
 use serde::{Deserialize, Serialize};
 
@@ -79,6 +80,14 @@ fn adapter(
 ) -> Result<(Box<dyn Backend>, Decision), SplatError> {
     let present = "none: this program was built without the feature gpu".to_owned();
     Err(SplatError::NoAdapter { wanted: name.unwrap_or("any").to_owned(), present })
+}
+
+/// The adapters of this machine, hardware first; those of equal kind in the driver's order.
+pub fn adapters() -> Vec<Adapter> {
+    #[cfg(feature = "gpu")]
+    return crate::gpu::adapters();
+    #[cfg(not(feature = "gpu"))]
+    Vec::new()
 }
 
 #[cfg(test)]

@@ -6,12 +6,13 @@
 
 pub mod adapter;
 pub mod backend;
+mod camera;
 pub mod checkpoint;
 pub mod clock;
 pub mod config;
 mod cpu;
 pub mod dataset;
-pub mod densify;
+mod decision;
 pub mod device;
 pub mod error;
 mod footprint;
@@ -24,18 +25,23 @@ pub mod model;
 pub mod pace;
 #[cfg(test)]
 mod parity;
-pub mod reference;
+pub mod profile;
+mod reference;
 pub mod render;
 pub mod schedule;
 pub mod smoothing;
+pub mod statistics;
 pub mod surface;
 pub mod train;
+mod view;
 
-pub use adapter::{Adapter, AdapterKind, adapters};
-pub use backend::{Backend, PinholeView};
-pub use config::{PoseRefinement, Quality, Recipe, Selection, TrainConfig};
+pub use adapter::{Adapter, AdapterKind};
+pub use backend::Backend;
+pub use config::{PoseRefinement, Quality, Recipe, TrainConfig};
 pub use dataset::{AlphaMode, Dataset, DatasetConfig, View};
-pub use device::{BackendChoice, DeviceConfig};
+pub use decision::Decision;
+pub use device::{BackendChoice, DeviceConfig, adapters};
 pub use error::SplatError;
-pub use render::{RenderOptions, RenderOutput, Renderer, render_view};
-pub use train::{CurvePoint, Decision, TrainResult, train};
+pub use render::{Renderer, render_view};
+pub use train::{CurvePoint, TrainResult, train};
+pub use view::{PinholeView, RenderOptions, RenderOutput};

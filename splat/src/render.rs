@@ -1,39 +1,15 @@
 //! From Gaussians to images.
 
-use crate::SplatError;
 use crate::backend::Backend;
-use crate::cpu::adam::Statistics;
 use crate::dataset::Normalisation;
+use crate::decision::Decision;
 use crate::device::{BackendChoice, DeviceConfig};
+use crate::error::SplatError;
 use crate::model::Model;
-use crate::train::Decision;
+use crate::statistics::Statistics;
+use crate::view::{RenderOptions, RenderOutput};
 use glam::DVec3;
-use scene::{Camera, FloatImage, Gaussians, Pose};
-use serde::{Deserialize, Serialize};
-
-/// How to render.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
-pub struct RenderOptions {
-    /// Colour behind everything, sRGB values in [0, 1].
-    pub background: [f32; 3],
-    /// Gaussians nearer than this are not drawn, scene units (default: a hundredth of the Gaussians' spread).
-    pub near: Option<f32>,
-    /// Scale opacity with the 2D low-pass (Mip-Splatting); as in training.
-    pub antialias: bool,
-    /// Use spherical harmonics up to this degree only.
-    pub sh_degree: Option<u32>,
-}
-
-/// A rendered view.
-#[derive(Clone, Debug, Default, PartialEq)]
-pub struct RenderOutput {
-    /// Three channels, over the background; not limited to 1.
-    pub rgb: FloatImage,
-    /// One channel, coverage in [0, 1].
-    pub alpha: FloatImage,
-    /// One channel, expected depth (camera z, scene units), 0 where nothing was drawn.
-    pub depth: FloatImage,
-}
+use scene::{Camera, Gaussians, Pose};
 
 /// Renders many views of the same Gaussians.
 pub struct Renderer {

@@ -78,9 +78,6 @@ pub fn is_round(iteration: u32, position: f64, last: (u32, f64), recipe: &Recipe
     if position >= recipe.densify_until {
         return false;
     }
-    if !recipe.planned_growth {
-        return iteration.is_multiple_of(100);
-    }
     iteration >= last.0 + LEAST_STEPS && position >= last.1 + recipe.densify_until / ROUNDS
 }
 

@@ -37,7 +37,7 @@ fn floor(x: glam::Vec3, views: &[&PinholeView]) -> f32 {
         let c = v.rotation * x + v.translation;
         let at = |k: usize| v.focal[k] * c[k] / c.z + v.centre[k];
         let inside = |p: f32, size: usize| p >= -MARGIN * size as f32 && p <= (1.0 + MARGIN) * size as f32;
-        let seen = c.z > crate::cpu::DEFAULT_NEAR && inside(at(0), v.width) && inside(at(1), v.height);
+        let seen = c.z > crate::camera::DEFAULT_NEAR && inside(at(0), v.width) && inside(at(1), v.height);
         if seen { v.focal[0].max(v.focal[1]) / c.z } else { 0.0 }
     };
     let finest = views.iter().map(rate).fold(0.0, f32::max);

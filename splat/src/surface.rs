@@ -5,10 +5,10 @@
 //! for drawing.
 
 use crate::dataset::{Dataset, Pixels};
-use crate::reference::project::{Geometry, MAX_LOG_SCALE, MIN_ALPHA, Projected, project};
-use crate::reference::render::geometry;
+use crate::reference::constants::{MAX_ALPHA, MAX_LOG_SCALE, MIN_ALPHA};
+use crate::reference::project::{Projected, project};
 use crate::reference::sort::sort;
-use crate::reference::{Options, Parameters, View, rasterise};
+use crate::reference::{GaussianGeometry, Options, Parameters, ReferenceView};
 use glam::{DMat3, DQuat, DVec2, DVec3};
 use rayon::prelude::*;
 use scene::{Camera, Gaussians, Pose};
@@ -24,7 +24,7 @@ pub fn median_depth(
     near: f64,
     antialias: bool,
 ) -> Vec<Option<f64>> {
-    let view = View {
+    let view = ReferenceView {
         rotation: DMat3::from_quat(pose.rotation),
         translation: pose.translation,
         focal: camera.focal(),
@@ -36,11 +36,11 @@ pub fn median_depth(
     let options = Options { near, antialias, ..Options::default() };
     let projected: Vec<Option<Projected>> = (0..parameters.len())
         .into_par_iter()
-        .map(|i| project(&geometry(&parameters, i), &view, &options).filter(|p| p.opacity >= MIN_ALPHA))
+        .map(|i| project(&parameters.geometry(i), &view, &options).filter(|p| p.opacity >= MIN_ALPHA))
         .collect();
     let order = sort(&projected);
     let solids: Vec<Solid> =
-        (0..parameters.len()).into_par_iter().map(|i| Solid::new(&geometry(&parameters, i), &view)).collect();
+        (0..parameters.len()).into_par_iter().map(|i| Solid::new(&parameters.geometry(i), &view)).collect();
     let tiles = (view.width.div_ceil(TILE), view.height.div_ceil(TILE));
     let lists = lists(&projected, &order, tiles);
     let mut depth = vec![None; view.pixels()];
@@ -70,7 +70,7 @@ struct Solid {
 const REACH_SIGMAS: f64 = 3.0;
 
 impl Solid {
-    fn new(g: &Geometry, view: &View) -> Self {
+    fn new(g: &GaussianGeometry, view: &ReferenceView) -> Self {
         let own = if g.rotation.length_squared() > 0.0 { g.rotation.normalize() } else { DQuat::IDENTITY };
         let axes = view.rotation * DMat3::from_quat(own);
         let scale = g.log_scale.map(|v| v.clamp(-MAX_LOG_SCALE, MAX_LOG_SCALE).exp());
@@ -117,7 +117,7 @@ fn half_way(projected: &[Option<Projected>], list: &[u32], p: DVec2) -> Option<u
     for (i, g) in list.iter().filter_map(|&i| Some((i as usize, projected[i as usize]?))) {
         let d = g.xy - p;
         let power = 0.5 * (g.conic.x * d.x * d.x + g.conic.z * d.y * d.y) + g.conic.y * d.x * d.y;
-        let alpha = (g.opacity * (-power).exp()).min(rasterise::MAX_ALPHA);
+        let alpha = (g.opacity * (-power).exp()).min(MAX_ALPHA);
         if power < 0.0 || alpha.is_nan() || alpha < MIN_ALPHA {
             continue;
         }
@@ -202,8 +202,8 @@ mod tests {
     }
 
     /// Where along a pixel's ray a Gaussian is densest, by trying.
-    fn densest(p: &Parameters, i: usize, view: &View, pixel: DVec2) -> f64 {
-        let g = geometry(p, i);
+    fn densest(p: &Parameters, i: usize, view: &ReferenceView, pixel: DVec2) -> f64 {
+        let g = p.geometry(i);
         let ray = ((pixel - view.centre) / view.focal).extend(1.0);
         let sigmas = |z: f64| {
             let world = view.rotation.transpose() * (ray * z - view.translation);
@@ -224,7 +224,7 @@ mod tests {
             let gaussians = cloud(seed, 60);
             let pose = Pose::look_at(DVec3::new(0.4, -0.3, 0.1), DVec3::new(0.0, 0.0, 6.0), -DVec3::Y);
             let depth = median_depth(&gaussians, &camera, &pose, 0.01, false);
-            let view = View {
+            let view = ReferenceView {
                 rotation: DMat3::from_quat(pose.rotation),
                 translation: pose.translation,
                 focal: camera.focal(),

@@ -8,18 +8,19 @@ mod poses;
 mod prune;
 mod watch;
 
+pub use crate::decision::Decision;
 pub use decide::Findings;
 
 use crate::backend::{Backend, KernelTimes, Round, StepInput, StepOutput, Target};
 use crate::checkpoint::{self, Checkpoint, State};
-use crate::cpu::adam::Statistics;
+use crate::statistics::Statistics;
 use crate::dataset::AlphaMode;
 use crate::footprint::footprint;
 use crate::hull::VisualHull;
 use crate::init::initial_gaussians;
 use crate::model::Model;
 use crate::schedule;
-use crate::{Dataset, RenderOptions, SplatError, TrainConfig, densify};
+use crate::{Dataset, RenderOptions, SplatError, TrainConfig};
 use rand::Rng as _;
 use rand::seq::SliceRandom as _;
 use scene::{Gaussians, Progress};
@@ -39,17 +40,6 @@ pub struct CurvePoint {
     pub psnr: f32,
     /// Gaussians.
     pub gaussians: usize,
-}
-
-/// Something training decided by itself, for the report.
-#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
-pub struct Decision {
-    /// What was decided on.
-    pub subject: String,
-    /// What was chosen.
-    pub choice: String,
-    /// Why.
-    pub evidence: String,
 }
 
 /// What training yields.
@@ -172,7 +162,6 @@ impl<'a> Trainer<'a> {
             let value = config.device.vram_limit.map_or("not given".to_owned(), |mib| mib.to_string());
             return Err(SplatError::Config { flag, value, expected });
         }
-        backend.set_scores(config.recipe.selection.scores())?;
         let resumed = folder.map_or(Ok(None), |f| Checkpoint::read(f, &fingerprint))?;
         let mut state = match resumed {
             Some(checkpoint) => {
@@ -295,8 +284,6 @@ impl<'a> Trainer<'a> {
             options: self.options(),
             rates,
             lambda_dssim: self.config.lambda_dssim,
-            opacity_penalty: self.config.recipe.opacity_penalty as f32,
-            scale_penalty: self.config.recipe.scale_penalty as f32,
         })?;
         self.state.iteration += 1;
         let iteration = self.state.iteration;
@@ -368,21 +355,16 @@ impl<'a> Trainer<'a> {
     fn densify(&mut self) -> Result<(), SplatError> {
         let recipe = &self.config.recipe;
         let (now, max) = (self.backend.gaussians(), self.max_gaussians);
-        let (wanted, threshold) = if recipe.planned_growth {
-            let steps = self.state.pace.steps(&self.state, self.config);
-            let last = schedule::gaussians_at_end(self.state.first, steps, self.capture, self.config);
-            let last = self.state.findings.gaussians_limit.map_or(last, |limit| last.min(limit));
-            (schedule::gaussians(self.state.position, self.state.first, last, recipe), 0.0)
-        } else {
-            ((now + now / 10 + 100).min(max), densify::GRADIENT)
-        };
+        let steps = self.state.pace.steps(&self.state, self.config);
+        let last = schedule::gaussians_at_end(self.state.first, steps, self.capture, self.config);
+        let last = self.state.findings.gaussians_limit.map_or(last, |limit| last.min(limit));
+        let wanted = schedule::gaussians(self.state.position, self.state.first, last, recipe);
         let room = wanted.min(max).saturating_sub(now);
-        let (seed, iteration, selection) = (self.config.seed, self.state.iteration, recipe.selection);
+        let (seed, iteration) = (self.config.seed, self.state.iteration);
         let remove_unseen = recipe.remove_unseen && self.dataset.is_transparent();
         let views: Vec<_> = self.views.iter().map(|&v| self.camera(v)).collect();
         let remove_unseen = remove_unseen.then_some(views.as_slice());
-        let unseen =
-            self.backend.densify(&Round { room, threshold, selection, seed, iteration, remove_unseen })?;
+        let unseen = self.backend.densify(&Round { room, seed, iteration, remove_unseen })?;
         self.state.findings.unseen += unseen;
         Ok(())
     }
@@ -414,7 +396,7 @@ impl<'a> Trainer<'a> {
         let mut gaussians = model.to_gaussians();
         let refined = self.align(&mut gaussians);
         let decisions = self.decisions(model.len, refined.as_ref().map(|r| r.0));
-        let near = crate::cpu::DEFAULT_NEAR / self.dataset.normalisation.scale as f32;
+        let near = crate::camera::DEFAULT_NEAR / self.dataset.normalisation.scale as f32;
         Ok(TrainResult {
             gaussians: self.dataset.normalisation.to_world(gaussians),
             curve: self.state.curve,

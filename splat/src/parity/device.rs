@@ -5,11 +5,12 @@ use super::scenes::{ordinary, view};
 use super::steps::{Goal, RATES};
 use glam::{Mat3, Vec3};
 use scene::Gaussians;
-use crate::backend::{Backend, Round, StepInput, StepOutput, Target, densify_by_edit};
-use crate::cpu::adam::Statistics;
+use crate::backend::{Backend, Round, StepInput, StepOutput, Target};
+use crate::cpu::densify::densify_by_edit;
+use crate::statistics::Statistics;
 use crate::gpu::{GpuBackend, Opening};
 use crate::model::{LOG_SCALE, MEAN, Model};
-use crate::{PinholeView, RenderOptions, Selection};
+use crate::view::{PinholeView, RenderOptions};
 
 fn opened(opening: Opening) -> GpuBackend {
     GpuBackend::open(&opening).expect("an adapter; mesa-vulkan-drivers brings one")
@@ -115,19 +116,15 @@ fn a_round_of_densification_by_kernels_is_that_of_the_host() {
             PinholeView { translation: v.translation + Vec3::X * (0.02 * k as f32 - 0.7), ..v }
         })
         .collect();
-    for (opening, threshold, room) in
-        [(plain(), 0.0, 150), (small(), 0.0, 150), (plain(), 2e-3, 2000), (plain(), 0.0, 0)]
-    {
-        let at = format!("{opening:?} threshold {threshold} room {room}");
+    for (opening, room) in [(plain(), 150), (small(), 150), (plain(), 2000), (plain(), 0)] {
+        let at = format!("{opening:?} room {room}");
         let both = [false, true].map(|by_kernels| {
             let mut gpu = uploaded(opening.clone(), &g);
             for photo in photos.iter().cycle().take(6) {
                 gpu.step(&input(photo, None)).unwrap();
             }
             let before = gpu.download().unwrap().0;
-            let selection = Selection::Gradient;
-            let remove_unseen = Some(&views[..]);
-            let round = Round { room, threshold, selection, seed: 4, iteration: 6, remove_unseen };
+            let round = Round { room, seed: 4, iteration: 6, remove_unseen: Some(&views[..]) };
             let unseen = if by_kernels { gpu.densify(&round) } else { densify_by_edit(&mut gpu, &round) };
             (before, unseen.unwrap(), gpu.download().unwrap(), gpu)
         });
@@ -142,11 +139,7 @@ fn a_round_of_densification_by_kernels_is_that_of_the_host() {
             before.len
         );
         let zero = |p: &Vec<f32>| p.iter().all(|&v| v == 0.0);
-        assert!(
-            [&statistics.gradient, &statistics.visible, &statistics.weight, &statistics.radius]
-                .into_iter()
-                .all(zero)
-        );
+        assert!(zero(&statistics.gradient) && zero(&statistics.visible));
         if here.len == host.len && unseen == unseen_here {
             compare_halves(&host, &here, &at);
         }
@@ -228,8 +221,7 @@ fn growth_for_which_there_is_no_room_ends_aloud() {
     let (g, photos) = (ordinary(69, 1900, 0), photos(1));
     let mut gpu = uploaded(small(), &g);
     gpu.step(&input(&photos[0], None)).unwrap();
-    let selection = Selection::Gradient;
-    let round = Round { room: 600, threshold: 0.0, selection, seed: 1, iteration: 1, remove_unseen: None };
+    let round = Round { room: 600, seed: 1, iteration: 1, remove_unseen: None };
     gpu.densify(&round).unwrap();
     assert!(gpu.gaussians() > 1700 && gpu.gaussians() <= 2048, "{}", gpu.gaussians());
     let remarks = gpu.remarks();

@@ -60,7 +60,7 @@ fn wild() -> Vec<(&'static str, Gaussians, Vec<(usize, Lost)>)> {
     use Lost::{Cancelled, Range};
     let one = One::default();
     let scale = |s: [f32; 3]| One { log_scale: Vec3::from_array(s.map(f32::ln)), rotation: TILT, ..one };
-    let near = |dz: f32| One { mean: camera_position() + Vec3::Z * (crate::cpu::DEFAULT_NEAR + dz), ..one };
+    let near = |dz: f32| One { mean: camera_position() + Vec3::Z * (crate::camera::DEFAULT_NEAR + dz), ..one };
     vec![
         ("scale 1e8", of(&[scale([1e8; 3]), one]), vec![(0, Range)]),
         (

@@ -1,10 +1,11 @@
 //! The first adapter of this machine, hardware or not, as a subject. A machine without any fails.
 
-use super::subject::{Gradient, Seen, Subject};
+use super::subject::{Seen, Subject};
+use crate::cpu::ModelGradient;
 use glam::{Mat3, Vec3};
 use scene::Gaussians;
 use crate::backend::{Backend, StepInput, StepOutput, Target};
-use crate::cpu::adam::Statistics;
+use crate::statistics::Statistics;
 use crate::gpu::{GpuBackend, Opening};
 use crate::model::Model;
 use crate::{PinholeView, RenderOptions, RenderOutput};
@@ -78,11 +79,10 @@ impl Subject for Adapter {
         view: &PinholeView,
         options: &RenderOptions,
         d: &[f32],
-    ) -> Gradient {
+    ) -> ModelGradient {
         let mut gpu = device();
         gpu.upload(Model::from_gaussians(g), Statistics::default()).unwrap();
-        let out = gpu.gradients(view, options, d).unwrap();
-        Gradient { geometry: out.geometry, sh: out.sh }
+        gpu.gradients(view, options, d).unwrap()
     }
 
     fn step(&mut self, model: &mut Model, input: &StepInput) -> StepOutput {

@@ -1,11 +1,13 @@
 //! Whole pictures and whole gradients.
 
 use super::scenes::{ordinary, reference_options, reference_view, rendered, undecided, view};
-use super::subject::{Gradient, Subject, subjects};
+use super::subject::{Subject, subjects};
+use crate::cpu::ModelGradient;
 use glam::DVec3;
 use rand::Rng;
 use scene::Gaussians;
-use crate::reference::{ImageGradient, Parameters, backward};
+use crate::reference::rasterise::ImageGradient;
+use crate::reference::{Parameters, backward};
 use crate::{PinholeView, RenderOptions};
 
 /// Compares a picture where no cut-off is at stake; at most a twentieth of the pixels may be left out.
@@ -74,7 +76,7 @@ const PLANES: [&str; 11] =
 /// Relative to the value, with a floor of `floor` times the largest of its kind and of a few roundings of f32: a gradient that
 /// vanishes (the rotation of a sphere) is a difference of terms of the others' size.
 pub fn compare_gradient(
-    found: &Gradient,
+    found: &ModelGradient,
     truth: &(Vec<Vec<f64>>, Vec<f64>),
     relative: f64,
     floor: f64,

@@ -8,8 +8,9 @@ use scene::Gaussians;
 use crate::backend::{LearningRates, StepInput, Target};
 use crate::model::Model;
 use crate::reference::adam::{self, Moments, Rates};
-use crate::reference::loss::{Loss, loss, over_background};
-use crate::reference::{ImageGradient, Parameters, backward, render};
+use crate::reference::loss::{ReferenceLoss, loss, over_background};
+use crate::reference::rasterise::ImageGradient;
+use crate::reference::{Parameters, backward, render};
 use crate::{PinholeView, RenderOptions};
 
 pub const RATES: LearningRates =
@@ -51,14 +52,12 @@ impl Goal {
             options,
             rates,
             lambda_dssim: 0.2,
-            opacity_penalty: 0.0,
-            scale_penalty: 0.0,
         }
     }
 }
 
 /// One step as the reference takes it.
-pub fn reference_step(p: &mut Parameters, moments: &mut Moments, input: &StepInput) -> Loss {
+pub fn reference_step(p: &mut Parameters, moments: &mut Moments, input: &StepInput) -> ReferenceLoss {
     let (v, o) = (reference_view(input.view), reference_options(&input.options));
     let r = render(p, &v, &o);
     let byte = |v: u8| f64::from(v) / 255.0;

@@ -5,7 +5,7 @@ use glam::{DVec3, Vec3};
 use rand::Rng;
 use scene::{Camera, CameraModel, Gaussians, Pose, Progress};
 use crate::backend::Target;
-use crate::cpu::adam::Statistics;
+use crate::statistics::Statistics;
 use crate::dataset::{Normalisation, Pixels, pyramid};
 use crate::model::Model;
 use crate::{

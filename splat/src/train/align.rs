@@ -1,7 +1,7 @@
 //! Where views were moved, the whole may have moved with them: the similarity that takes the splat back to the poses as given.
 
 use super::Trainer;
-use crate::backend::PinholeView;
+use crate::view::PinholeView;
 use glam::{DQuat, DVec3};
 use scene::sim3::Sim3;
 use scene::{Gaussians, Pose};

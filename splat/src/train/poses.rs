@@ -5,7 +5,8 @@
 //! motion is the least-squares solution of `∇I F ξ = I − P` over pixels and channels, with Huber's weights.
 
 use super::Trainer;
-use crate::backend::{PinholeView, Target};
+use crate::backend::Target;
+use crate::view::PinholeView;
 use crate::config::PoseRefinement;
 use crate::{RenderOptions, SplatError};
 use glam::{DMat3, DQuat, DVec3, Mat3, Quat, Vec3};

@@ -6,8 +6,9 @@
 //! Gaussian; the draws of the views add up.
 
 use super::Trainer;
+use crate::backend::Backend;
 use crate::cpu::CpuBackend;
-use crate::cpu::adam::Statistics;
+use crate::statistics::Statistics;
 use crate::model::{Model, OPACITY};
 use crate::{PinholeView, RenderOptions, SplatError};
 use rand::Rng as _;
@@ -30,7 +31,12 @@ fn some(views: &[usize], count: usize) -> Vec<usize> {
 
 /// For each Gaussian the energy `Σ |ΔC|²` that the pictures of the views would lose without it, estimated by one draw a
 /// view (relative deviation √(2 / views)).
-fn energies(whole: &Model, views: &[PinholeView], antialias: bool, seed: u64) -> Vec<f32> {
+fn energies(
+    whole: &Model,
+    views: &[PinholeView],
+    antialias: bool,
+    seed: u64,
+) -> Result<Vec<f32>, SplatError> {
     let limit = (MOST_OPAQUE / (1.0 - MOST_OPAQUE)).ln();
     let all: Vec<u32> = (0..whole.len as u32).collect();
     let mut model = whole.drawn(&all);
@@ -38,7 +44,7 @@ fn energies(whole: &Model, views: &[PinholeView], antialias: bool, seed: u64) ->
     // o dL/do = dL/dlogit / (1 − o)
     let slopes: Vec<f32> = model.geometry[OPACITY].iter().map(|l| 1.0 / (1.0 + l.exp())).collect();
     let mut backend = CpuBackend::default();
-    backend.upload(model);
+    backend.upload(model, Statistics::default())?;
     let mut energies = vec![0.0f32; whole.len];
     let options = RenderOptions { antialias, ..RenderOptions::default() };
     for (index, view) in views.iter().enumerate() {
@@ -50,7 +56,7 @@ fn energies(whole: &Model, views: &[PinholeView], antialias: bool, seed: u64) ->
             *e += (g / slope).powi(2);
         }
     }
-    energies
+    Ok(energies)
 }
 
 impl Trainer<'_> {
@@ -64,7 +70,7 @@ impl Trainer<'_> {
             .map(|&v| self.dataset.views[v].view)
             .map(|view| view.at_level(u32::from(view.width * view.height > PIXELS)))
             .collect();
-        let energies = energies(&whole, &witnesses, self.config.antialias, self.config.seed);
+        let energies = energies(&whole, &witnesses, self.config.antialias, self.config.seed)?;
         let mut order: Vec<u32> = (0..whole.len as u32).collect();
         order.sort_by(|&a, &b| energies[b as usize].total_cmp(&energies[a as usize]).then(a.cmp(&b)));
         let keep = |count: usize| {
@@ -138,11 +144,11 @@ mod tests {
         };
         // The same view again and again: the mean of the draws is the energy itself.
         const DRAWS: usize = 400;
-        let estimated = energies(&model, &[view; DRAWS], false, 1);
+        let estimated = energies(&model, &[view; DRAWS], false, 1).unwrap();
         let mut backend = CpuBackend::default();
         let mut picture = |kept: &[u32]| {
-            backend.upload(model.drawn(kept));
-            backend.render(&view, &RenderOptions::default()).rgb.data
+            backend.upload(model.drawn(kept), Statistics::default()).unwrap();
+            backend.render(&view, &RenderOptions::default()).unwrap().rgb.data
         };
         let all: Vec<u32> = (0..n as u32).collect();
         let whole = picture(&all);

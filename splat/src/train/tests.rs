@@ -51,7 +51,7 @@ pub(super) fn dataset(views: usize, transparent: bool) -> Dataset {
 /// The same of any Gaussians at any size.
 pub(super) fn pictures_of(truth: &Gaussians, views: usize, transparent: bool, size: [u32; 2]) -> Dataset {
     let mut backend = CpuBackend::default();
-    backend.upload(Model::from_gaussians(truth));
+    backend.upload(Model::from_gaussians(truth), Statistics::default()).unwrap();
     let focal = 45.0 * f64::from(size[0]) / f64::from(SIZE[0]);
     let camera = Camera::centred(1, CameraModel::Pinhole, size[0], size[1], focal);
     let normalisation = Normalisation { centre: DVec3::ZERO, scale: 1.0 };
@@ -60,7 +60,7 @@ pub(super) fn pictures_of(truth: &Gaussians, views: usize, transparent: bool, si
         let eye = DVec3::new(angle.cos(), angle.sin(), 0.3 * (3.0 * angle).sin()).normalize();
         let pose = Pose::look_at(eye, DVec3::ZERO, DVec3::Z);
         let pinhole = normalisation.view(&camera, &pose);
-        let picture = backend.render(&pinhole, &RenderOptions::default());
+        let picture = backend.render(&pinhole, &RenderOptions::default()).unwrap();
         let mask =
             transparent.then(|| picture.alpha.data.iter().map(|a| (a * 255.0).round() as u8).collect());
         let straight = |(i, v): (usize, &f32)| {

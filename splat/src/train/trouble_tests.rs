@@ -3,7 +3,6 @@
 use super::*;
 use crate::PinholeView;
 use crate::RenderOutput;
-use crate::backend::Scores;
 
 #[test]
 fn ten_times_the_learning_rates_recover_or_say_why_not() {
@@ -90,8 +89,8 @@ impl Backend for Breaks {
     ) -> Result<f64, SplatError> {
         Backend::mean_square_error(&mut self.inner, view, target, options)
     }
-    fn set_scores(&mut self, scores: Scores) -> Result<(), SplatError> {
-        Backend::set_scores(&mut self.inner, scores)
+    fn densify(&mut self, round: &Round) -> Result<usize, SplatError> {
+        self.inner.densify(round)
     }
     fn set_gain(&mut self, gain: Option<[f32; 3]>) {
         Backend::set_gain(&mut self.inner, gain);
