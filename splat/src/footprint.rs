@@ -31,7 +31,8 @@ pub(crate) fn footprint(dataset: &Dataset) -> f32 {
         }
     }
     if sizes.is_empty() {
-        let distance = focus(&dataset.views.iter().collect::<Vec<_>>()).map_or(1.0, |(_, distance)| distance as f32);
+        let distance =
+            focus(&dataset.views.iter().collect::<Vec<_>>()).map_or(1.0, |(_, distance)| distance as f32);
         sizes.extend(views.iter().map(|view| distance / focal(view)));
     }
     let finite = sizes.iter().filter(|s| s.is_finite()).map(|s| f64::from(*s));

@@ -148,7 +148,8 @@ fn random_points(dataset: &Dataset, wanted: usize, seed: u64) -> Vec<ColouredPoi
     let views: Vec<&View> = dataset.views.iter().filter(|v| !v.held_out).collect();
     let Some((centre, distance)) = focus(&views) else { return Vec::new() };
     let mut rng = scene::rng::rng(seed, "random points", 0);
-    let candidates = std::iter::repeat_with(|| centre.as_vec3() + in_ball(&mut rng) * (BALL * distance) as f32);
+    let candidates =
+        std::iter::repeat_with(|| centre.as_vec3() + in_ball(&mut rng) * (BALL * distance) as f32);
     let agreed = candidates.take(CANDIDATES).filter_map(|x| Some((x, mean_colour(&views, x)?)));
     agreed.take(wanted).collect()
 }

@@ -82,8 +82,7 @@ impl Renderer {
 /// Median centre and median distance from it.
 fn spread(g: &Gaussians) -> Normalisation {
     let finite = |values: &mut dyn Iterator<Item = f64>| median(values.filter(|v| v.is_finite()).collect());
-    let [x, y, z] =
-        [0, 1, 2].map(|a| finite(&mut g.means.iter().map(|m| f64::from(m[a]))).unwrap_or(0.0));
+    let [x, y, z] = [0, 1, 2].map(|a| finite(&mut g.means.iter().map(|m| f64::from(m[a]))).unwrap_or(0.0));
     let centre = DVec3::new(x, y, z);
     let distance = finite(&mut g.means.iter().map(|m| m.as_dvec3().distance(centre))).unwrap_or(0.0);
     Normalisation { centre, scale: if distance > 0.0 { 1.0 / distance } else { 1.0 } }

@@ -158,7 +158,8 @@ pub fn outside_hull(gaussians: &Gaussians, dataset: &Dataset) -> Option<f64> {
     }
     let opacity = |i: usize| f64::from(gaussians.opacity(i));
     let all: f64 = (0..gaussians.len()).map(opacity).sum();
-    let outside = (0..gaussians.len()).into_par_iter().filter(|&i| is_outside(gaussians.means[i].as_dvec3(), dataset));
+    let outside =
+        (0..gaussians.len()).into_par_iter().filter(|&i| is_outside(gaussians.means[i].as_dvec3(), dataset));
     let outside: f64 = outside.map(opacity).sum();
     (all > 0.0).then_some(outside / all)
 }

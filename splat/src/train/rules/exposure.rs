@@ -66,8 +66,7 @@ impl ExposureRule {
     /// Looks for gains at their places in the schedule.
     pub(crate) fn review(&mut self, step: &mut StepContext) -> Result<(), SplatError> {
         let due = LOOKS.get(self.looks).is_some_and(|&at| step.position() >= at);
-        let settled =
-            self.looks > 0 && step.state.corrections.gains.is_empty() && self.suspected.is_empty();
+        let settled = self.looks > 0 && step.state.corrections.gains.is_empty() && self.suspected.is_empty();
         if !due || settled {
             return Ok(());
         }
@@ -115,13 +114,12 @@ impl ExposureRule {
 fn decision(found: &[[f32; 3]], explained: f64) -> Decision {
     let all = || found.iter().flatten().copied();
     let [least, largest] = [all().fold(f32::INFINITY, f32::min), all().fold(0.0, f32::max)];
-    Decision::new(Subject::Exposure, explained >= EXPLAINED, Rule::Evidence)
-        .with_all([
-            Measurement::new(Quantity::LeastGain, f64::from(least)),
-            Measurement::new(Quantity::LargestGain, f64::from(largest)),
-            Measurement::new(Quantity::ExplainedError, explained),
-            Measurement::new(Quantity::NeededExplanation, EXPLAINED),
-        ])
+    Decision::new(Subject::Exposure, explained >= EXPLAINED, Rule::Evidence).with_all([
+        Measurement::new(Quantity::LeastGain, f64::from(least)),
+        Measurement::new(Quantity::LargestGain, f64::from(largest)),
+        Measurement::new(Quantity::ExplainedError, explained),
+        Measurement::new(Quantity::NeededExplanation, EXPLAINED),
+    ])
 }
 
 /// What each `every`-th training view says at the resolution in use.

@@ -129,8 +129,7 @@ fn energies(
     for (index, view) in views.iter().enumerate() {
         let mut rng = scene::rng::rng(seed, "energies", index as u64);
         let values = view.width * view.height * 3;
-        let signs: Vec<f32> =
-            (0..values).map(|_| if rng.random::<bool>() { 1.0 } else { -1.0 }).collect();
+        let signs: Vec<f32> = (0..values).map(|_| if rng.random::<bool>() { 1.0 } else { -1.0 }).collect();
         let found = backend.gradients(view, &options, &signs);
         for ((e, g), slope) in energies.iter_mut().zip(&found.geometry[OPACITY]).zip(&slopes) {
             *e += (g / slope).powi(2);

@@ -1,16 +1,17 @@
 //! Whole training steps.
 
-use crate::scenes::{ordinary, reference_options, reference_view, rendered, view};
-use crate::subject::subjects;
+use super::scenes::{ordinary, reference_options, reference_view, rendered, view};
+use super::subject::subjects;
+use crate::backend::{LearningRates, StepInput, Target};
+use crate::model::Model;
+use crate::reference::adam::{self, Moments, Rates};
+use crate::reference::loss::{ReferenceLoss, loss, over_background};
+use crate::reference::rasterise::ImageGradient;
+use crate::reference::{Parameters, backward, render};
+use crate::{PinholeView, RenderOptions};
 use glam::DVec3;
 use rand::Rng;
 use scene::Gaussians;
-use splat::backend::{LearningRates, StepInput, Target};
-use splat::model::Model;
-use splat::reference::adam::{self, Moments, Rates};
-use splat::reference::loss::{Loss, loss, over_background};
-use splat::reference::{ImageGradient, Parameters, backward, render};
-use splat::{PinholeView, RenderOptions};
 
 pub const RATES: LearningRates =
     LearningRates { mean: 2e-3, log_scale: 1e-2, rotation: 2e-3, opacity: 5e-2, sh0: 5e-3, sh_rest: 5e-4 };
@@ -51,14 +52,12 @@ impl Goal {
             options,
             rates,
             lambda_dssim: 0.2,
-            opacity_penalty: 0.0,
-            scale_penalty: 0.0,
         }
     }
 }
 
 /// One step as the reference takes it.
-pub fn reference_step(p: &mut Parameters, moments: &mut Moments, input: &StepInput) -> Loss {
+pub fn reference_step(p: &mut Parameters, moments: &mut Moments, input: &StepInput) -> ReferenceLoss {
     let (v, o) = (reference_view(input.view), reference_options(&input.options));
     let r = render(p, &v, &o);
     let byte = |v: u8| f64::from(v) / 255.0;

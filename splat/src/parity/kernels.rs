@@ -1,11 +1,11 @@
 //! Kernel by kernel.
 
-use crate::scenes::{ordinary, rendered, view};
-use crate::subject::subjects;
+use super::scenes::{ordinary, rendered, view};
+use super::subject::subjects;
+use crate::RenderOptions;
+use crate::reference::loss::loss;
 use glam::DVec3;
 use rand::Rng;
-use splat::RenderOptions;
-use splat::reference::loss::loss;
 
 fn close(found: f32, expected: f64, relative: f64, absolute: f64) -> bool {
     (f64::from(found) - expected).abs() <= relative * expected.abs() + absolute

@@ -1,12 +1,14 @@
 //! Whole pictures and whole gradients.
 
-use crate::scenes::{ordinary, reference_options, reference_view, rendered, undecided, view};
-use crate::subject::{Gradient, Subject, subjects};
+use super::scenes::{ordinary, reference_options, reference_view, rendered, undecided, view};
+use super::subject::{Subject, subjects};
+use crate::cpu::ModelGradient;
+use crate::reference::rasterise::ImageGradient;
+use crate::reference::{Parameters, backward};
+use crate::{PinholeView, RenderOptions};
 use glam::DVec3;
 use rand::Rng;
 use scene::Gaussians;
-use splat::reference::{ImageGradient, Parameters, backward};
-use splat::{PinholeView, RenderOptions};
 
 /// Compares a picture where no cut-off is at stake; at most a twentieth of the pixels may be left out.
 pub fn compare_picture(
@@ -50,7 +52,7 @@ pub fn reference_gradient(
     d: &[f32],
 ) -> (Vec<Vec<f64>>, Vec<f64>) {
     let (p, rv, ro) = (Parameters::from_gaussians(g), reference_view(v), reference_options(o));
-    let r = splat::reference::render(&p, &rv, &ro);
+    let r = crate::reference::render(&p, &rv, &ro);
     let d = d.chunks(3).map(|c| DVec3::new(f64::from(c[0]), f64::from(c[1]), f64::from(c[2]))).collect();
     let truth = backward(&p, &rv, &ro, &r, &ImageGradient::of_colour(d)).parameters;
     let plane = |k: usize| -> Vec<f64> {
@@ -74,7 +76,7 @@ const PLANES: [&str; 11] =
 /// Relative to the value, with a floor of `floor` times the largest of its kind and of a few roundings of f32: a gradient that
 /// vanishes (the rotation of a sphere) is a difference of terms of the others' size.
 pub fn compare_gradient(
-    found: &Gradient,
+    found: &ModelGradient,
     truth: &(Vec<Vec<f64>>, Vec<f64>),
     relative: f64,
     floor: f64,

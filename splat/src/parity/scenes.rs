@@ -1,12 +1,12 @@
 //! Scenes, and the reference's view of them.
 
+use crate::reference::constants::{MAX_ALPHA, MIN_ALPHA, MIN_TRANSMITTANCE};
+use crate::reference::project::Projected;
+use crate::reference::{self, Rendered};
+use crate::{PinholeView, RenderOptions};
 use glam::{DVec3, Mat3, Quat, Vec3};
 use rand::Rng;
 use scene::Gaussians;
-use splat::reference::project::{MIN_ALPHA, Projected};
-use splat::reference::rasterise::{MAX_ALPHA, MIN_TRANSMITTANCE};
-use splat::reference::{self, Rendered};
-use splat::{PinholeView, RenderOptions};
 
 /// A Gaussian, to be pushed into a scene.
 #[derive(Clone, Copy, Debug)]
@@ -64,8 +64,8 @@ pub fn view(width: usize, height: usize) -> PinholeView {
     }
 }
 
-pub fn reference_view(v: &PinholeView) -> reference::View {
-    reference::View {
+pub fn reference_view(v: &PinholeView) -> reference::ReferenceView {
+    reference::ReferenceView {
         rotation: v.rotation.as_dmat3(),
         translation: v.translation.as_dvec3(),
         focal: glam::DVec2::new(f64::from(v.focal[0]), f64::from(v.focal[1])),
@@ -77,7 +77,7 @@ pub fn reference_view(v: &PinholeView) -> reference::View {
 
 pub fn reference_options(o: &RenderOptions) -> reference::Options {
     reference::Options {
-        near: f64::from(o.near.unwrap_or(splat::cpu::DEFAULT_NEAR)),
+        near: f64::from(o.near.unwrap_or(crate::camera::DEFAULT_NEAR)),
         antialias: o.antialias,
         background: DVec3::from_array(o.background.map(f64::from)),
         sh_degree: o.sh_degree.unwrap_or(3),

@@ -4,35 +4,60 @@
 //! One radix sort a view by depth (ties by index), then a stable counting sort by tile.
 
 use super::project::{CULLED, LOG2_255, Record};
+use super::tile::TILE;
 
-/// Side of a tile, pixels.
-pub const TILE: usize = 16;
-
-/// The Gaussian–tile pairs of a view.
+/// The Gaussian–tile pairs of a view. Invariant: `offsets` ascend from 0 to the number of pairs.
 #[derive(Debug, Default)]
-pub struct Bins {
-    /// Tiles in x.
-    pub tiles_x: usize,
-    /// Tiles in y.
-    pub tiles_y: usize,
+pub(super) struct Bins {
+    tiles_x: usize,
+    tiles_y: usize,
     /// Visible Gaussians, front to back.
-    pub order: Vec<u32>,
+    order: Vec<u32>,
     /// [tiles + 1] where the tile's pairs begin in `list`.
-    pub offsets: Vec<u32>,
+    offsets: Vec<u32>,
     /// \[pairs\] Gaussian numbers by tile, front to back.
-    pub list: Vec<u32>,
+    list: Vec<u32>,
     /// \[pairs\] by Gaussian in the order of `order`: position of the pair in `list`.
-    pub positions: Vec<u32>,
-    /// [N + 1 beyond the visible]: (begin, end) of the Gaussian's pairs in `positions`; equal where it has none.
-    pub ranges: Vec<[u32; 2]>,
+    positions: Vec<u32>,
+    /// \[N\] (begin, end) of the Gaussian's pairs in `positions`; equal where it has none.
+    ranges: Vec<[u32; 2]>,
     pair_tiles: Vec<u32>,
     scratch: Vec<u32>,
     cursor: Vec<u32>,
 }
 
 impl Bins {
+    /// Gaussians that touch a tile.
+    pub(super) fn visible(&self) -> usize {
+        self.order.len()
+    }
+
+    /// Gaussian–tile pairs.
+    pub(super) fn pairs(&self) -> usize {
+        self.list.len()
+    }
+
+    /// Numbers of the pairs of a tile. Those of different tiles do not overlap.
+    #[inline(always)]
+    pub(super) fn pairs_of(&self, tile: usize) -> std::ops::Range<usize> {
+        self.offsets[tile] as usize..self.offsets[tile + 1] as usize
+    }
+
+    /// The Gaussians of a tile, front to back.
+    #[inline(always)]
+    pub(super) fn gaussians_of(&self, tile: usize) -> &[u32] {
+        &self.list[self.pairs_of(tile)]
+    }
+
+    /// Numbers of the pairs of a Gaussian.
+    #[inline(always)]
+    pub(super) fn positions_of(&self, gaussian: usize) -> &[u32] {
+        let [begin, end] = self.ranges[gaussian];
+        &self.positions[begin as usize..end as usize]
+    }
+
     /// Fills everything for an image of `width × height` pixels.
-    pub fn fill(&mut self, keys: &[u32], records: &[Record], width: usize, height: usize) {
+    pub(super) fn fill(&mut self, keys: &[u32], records: &[Record], width: usize, height: usize) {
         self.tiles_x = width.div_ceil(TILE);
         self.tiles_y = height.div_ceil(TILE);
         self.sort(keys);
@@ -47,15 +72,14 @@ impl Bins {
         self.scratch.resize(self.order.len(), 0);
         for shift in [0, 11, 22] {
             let mut count = [0u32; 2049];
-            let digit = |i: u32| (keys[i as usize] >> shift) as usize & 2047;
             for &i in &self.order {
-                count[digit(i) + 1] += 1;
+                count[digit(keys[i as usize], shift) + 1] += 1;
             }
             for d in 0..2048 {
                 count[d + 1] += count[d];
             }
             for &i in &self.order {
-                let slot = &mut count[digit(i)];
+                let slot = &mut count[digit(keys[i as usize], shift)];
                 self.scratch[*slot as usize] = i;
                 *slot += 1;
             }
@@ -110,6 +134,11 @@ impl Bins {
     }
 }
 
+/// The digit of a key: 11 bits from bit `shift` on.
+fn digit(key: u32, shift: u32) -> usize {
+    (key >> shift) as usize & 2047
+}
+
 /// Half-open range of tiles that `centre ± extent` overlaps.
 fn tile_span(centre: f32, extent: f32, tiles: usize) -> [usize; 2] {
     let (low, high) = (tile_of(centre - extent), tile_of(centre + extent));
@@ -131,11 +160,12 @@ fn row_span(g: &Record, ty: usize, tiles: usize) -> [usize; 2] {
     let low = top.max(-g.extent_y);
     let high = (top + TILE as f32).min(g.extent_y);
     let tilt = b / c * g.extent_x;
-    let half = |dy: f32| (reach * a - (a * c - b * b) * dy * dy).max(0.0).sqrt();
-    let clamp = |dy: f32| dy.min(high).max(low);
-    let (dy_left, dy_right) = (clamp(tilt), clamp(-tilt));
-    let left = (-b * dy_left - half(dy_left)) / a;
-    let right = (-b * dy_right + half(dy_right)) / a;
+    let [(dy_left, half_left), (dy_right, half_right)] = [tilt, -tilt].map(|dy| {
+        let dy = dy.min(high).max(low);
+        (dy, (reach * a - (a * c - b * b) * dy * dy).max(0.0).sqrt())
+    });
+    let left = (-b * dy_left - half_left) / a;
+    let right = (-b * dy_right + half_right) / a;
     if !(left.is_finite() && right.is_finite()) {
         return tile_span(g.x, g.extent_x, tiles);
     }
@@ -179,7 +209,7 @@ mod tests {
             let g = record(80.0 + 90.0 * f(2.1), 60.0 + 70.0 * f(3.3), conic, 0.01 + 0.98 * f(0.77).abs());
             let mut bins = Bins::default();
             bins.fill(&[1], &[g], 160, 120);
-            let touched: Vec<usize> = (0..80).filter(|&t| bins.offsets[t + 1] > bins.offsets[t]).collect();
+            let touched: Vec<usize> = (0..80).filter(|&t| !bins.pairs_of(t).is_empty()).collect();
             for (y, x) in (0..120).flat_map(|y| (0..160).map(move |x| (y, x))) {
                 let (dx, dy) = (g.x - x as f32 - 0.5, g.y - y as f32 - 0.5);
                 let power = g.half_xx * dx * dx + g.xy * dx * dy + g.half_yy * dy * dy;

@@ -1,6 +1,7 @@
 //! Every backend against the f64 reference: kernel by kernel, whole pictures, whole gradients, whole training steps,
 //! and what happens at the extremes. The tests are generic over [`subject::Subject`].
 
+mod adam;
 mod allocations;
 #[cfg(feature = "gpu")]
 mod device;
@@ -8,7 +9,6 @@ mod extremes;
 #[cfg(feature = "gpu")]
 mod gpu;
 mod kernels;
-mod optimise;
 mod pictures;
 mod scenes;
 mod scores;

@@ -1,9 +1,8 @@
-// optimise: project backward and Adam, fused: sums of `backward` -> parameters moved one step.
-// in: sums [pairs][12] in three arrays of four · spans [N] (first, end) of the Gaussian's pairs · counters
-// in, out, of a page: geometry [38][stride]: 11 planes of parameters, 11 of first and 11 of second moments, the clock, and
-//          four of statistics: sum of |dL/dxy| in half images, steps seen, greatest sum of T alpha, greatest radius
+// adam: project backward and Adam, fused: sums of `rasterise_backward` -> parameters moved one step.
+// in: sums [pairs][10] in arrays of four, four and two · spans [N] (first, end) of the Gaussian's pairs · counters
+// in, out, of a page: geometry [36][stride]: 11 planes of parameters, 11 of first and 11 of second moments, the clock, and
+//          two of statistics: sum of |dL/dxy| in half images, steps seen
 //          sh [3K][stride] · sh_moments [2][3K][stride] first and second
-// With PLAIN_GRADIENT the gradients take the place of the first moments and nothing moves.
 // Equations and sources: reference/project.rs, reference/adam.rs. The clock counts the steps in which a Gaussian was seen.
 
 @group(0) @binding(0) var<uniform> frame: Frame;
@@ -13,7 +12,7 @@
 @group(0) @binding(4) var<storage, read_write> sh_moments: array<f32>;
 @group(0) @binding(5) var<storage, read> sums_a: array<vec4<f32>>;
 @group(0) @binding(6) var<storage, read> sums_b: array<vec4<f32>>;
-@group(0) @binding(7) var<storage, read> sums_c: array<vec4<f32>>;
+@group(0) @binding(7) var<storage, read> sums_c: array<vec2<f32>>;
 @group(0) @binding(8) var<storage, read> spans: array<vec2<u32>>;
 @group(0) @binding(9) var<storage, read_write> counters: array<atomic<u32>>;
 
@@ -89,7 +88,7 @@ fn rate_of(k: u32) -> f32 {
     return select(frame.rate_opacity, frame.rate_rotation, k < 10u);
 }
 
-// Moves the SH (or writes their gradient); returns dL/dmean through the direction.
+// Moves the SH; returns dL/dmean through the direction.
 fn colour_step(l: u32, mean: vec3<f32>, d_rgb: vec3<f32>, c1: f32, c2: f32) -> vec3<f32> {
     let offset = mean - frame.position.xyz;
     let d = direction(offset);
@@ -104,14 +103,10 @@ fn colour_step(l: u32, mean: vec3<f32>, d_rgb: vec3<f32>, c1: f32, c2: f32) -> v
             let v = at + frame.sh_stride * page.stride;
             by_direction += basis_gradient[k] * (sh[at] * open[c]);
             let g = basis[k] * open[c];
-            if ((frame.flags & PLAIN_GRADIENT) != 0u) {
-                sh_moments[at] = g;
-            } else {
-                let moved = adam(sh[at], g, sh_moments[at], sh_moments[v], select(frame.rate_sh_rest, frame.rate_sh0, k == 0u), c1, c2);
-                sh[at] = moved.x;
-                sh_moments[at] = moved.y;
-                sh_moments[v] = moved.z;
-            }
+            let moved = adam(sh[at], g, sh_moments[at], sh_moments[v], select(frame.rate_sh_rest, frame.rate_sh0, k == 0u), c1, c2);
+            sh[at] = moved.x;
+            sh_moments[at] = moved.y;
+            sh_moments[v] = moved.z;
         }
     }
     let far = length(offset);
@@ -133,13 +128,13 @@ fn main(@builtin(workgroup_id) group: vec3<u32>, @builtin(num_workgroups) groups
     let span = spans[page.first + l];
     var sa = vec4<f32>(0.0);
     var sb = vec4<f32>(0.0);
-    var sc = vec4<f32>(0.0);
+    var sc = vec2<f32>(0.0);
     for (var pair = span.x; pair < span.y; pair++) {
         sa += sums_a[pair];
         sb += sums_b[pair];
         sc += sums_c[pair];
     }
-    let s = array<f32, 12>(sa.x, sa.y, sa.z, sa.w, sb.x, sb.y, sb.z, sb.w, sc.x, sc.y, sc.z, sc.w);
+    let s = array<f32, 10>(sa.x, sa.y, sa.z, sa.w, sb.x, sb.y, sb.z, sb.w, sc.x, sc.y);
     let still = all(sa == vec4<f32>(0.0)) && all(sb == vec4<f32>(0.0)) && s[8] == 0.0;
     if (s[9] <= 0.0 || still) {
         return; // touches no pixel, or none that counts
@@ -150,18 +145,17 @@ fn main(@builtin(workgroup_id) group: vec3<u32>, @builtin(num_workgroups) groups
     let da = 2.0 * d_cov.x * p.a + d_cov.y * p.b;
     let db = 2.0 * d_cov.z * p.b + d_cov.y * p.a;
     let dx = position_gradient(&p, d_xy, p.rotation * (p.scale * da), p.rotation * (p.scale * db));
-    let share = 1.0 / f32(max(atomicLoad(&counters[VISIBLE]), 1u));
     var g: array<f32, 11>;
     var d_rotation: mat3x3<f32>;
     for (var k = 0u; k < 3u; k++) {
         let column = p.t0 * da[k] + p.t1 * db[k];
         d_rotation[k] = column * p.scale[k];
-        g[3u + k] = select(0.0, (dot(column, p.rotation[k]) + frame.scale_penalty * share) * p.scale[k], abs(p.log_scale[k]) < MAX_LOG_SCALE);
+        g[3u + k] = select(0.0, dot(column, p.rotation[k]) * p.scale[k], abs(p.log_scale[k]) < MAX_LOG_SCALE);
         g[k] = frame.row0[k] * dx.x + frame.row1[k] * dx.y + frame.row2[k] * dx.z;
     }
     let dq = quaternion_gradient(&p, d_rotation);
     g[6] = dq.x; g[7] = dq.y; g[8] = dq.z; g[9] = dq.w;
-    g[10] = (1.0 - p.sigmoid) * (s[0] + frame.opacity_penalty * share * p.sigmoid);
+    g[10] = (1.0 - p.sigmoid) * s[0];
     var good = true;
     for (var k = 0u; k < 11u; k++) {
         good = good && is_finite(g[k]) && abs(g[k]) < 1e18;
@@ -178,12 +172,6 @@ fn main(@builtin(workgroup_id) group: vec3<u32>, @builtin(num_workgroups) groups
     for (var k = 0u; k < 3u; k++) {
         g[k] += by_direction[k];
     }
-    if ((frame.flags & PLAIN_GRADIENT) != 0u) {
-        for (var k = 0u; k < 11u; k++) {
-            geometry[(11u + k) * page.stride + l] = g[k];
-        }
-        return;
-    }
     geometry[CLOCK * page.stride + l] = t;
     for (var k = 0u; k < 11u; k++) {
         let at = k * page.stride + l;
@@ -195,11 +183,7 @@ fn main(@builtin(workgroup_id) group: vec3<u32>, @builtin(num_workgroups) groups
         geometry[v] = moved.z;
     }
     let half = 0.5 * vec2<f32>(frame.size);
-    let gradient = select(d_xy, vec2<f32>(s[10], s[11]), (frame.flags & MAGNITUDES) != 0u);
     let at = STATISTICS * page.stride + l;
-    geometry[at] += length(gradient * half);
+    geometry[at] += length(d_xy * half);
     geometry[at + page.stride] += 1.0;
-    geometry[at + 2u * page.stride] = max(geometry[at + 2u * page.stride], s[9]);
-    let radius = 3.0 * sqrt(max(p.cov.x, p.cov.z)) / f32(max(frame.size.x, frame.size.y));
-    geometry[at + 3u * page.stride] = max(geometry[at + 3u * page.stride], radius);
 }

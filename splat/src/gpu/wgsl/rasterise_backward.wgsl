@@ -1,9 +1,8 @@
-// backward: dL/d(colour) of a tile's pixels -> sums for each of its Gaussians, replayed front to back.
+// rasterise_backward: dL/d(colour) of a tile's pixels -> sums for each of its Gaussians, replayed front to back.
 // in: records · colours · sorted [pairs] (Gaussian, pair number) by tile · ranges [tiles] (begin, end, used, -)
 //      gradient [H * W] (dL/d(rgb), C . dL/d(rgb) of the pixel's colour C)
-// out: sums [pairs][12] in three arrays of four, at the pair's number, so that a Gaussian's pairs lie side by side and no
-//      atomics are needed: with v = alpha dL/d(alpha), d = xy - pixel: v, v dx, v dy, v dx^2, v dx dy, v dy^2, T alpha dL/d(rgb) (3), T alpha,
-//      |v (conic d)| by component (2)
+// out: sums [pairs][10] in arrays of four, four and two, at the pair's number, so that a Gaussian's pairs lie side by side and no
+//      atomics are needed: with v = alpha dL/d(alpha), d = xy - pixel: v, v dx, v dy, v dx^2, v dx dy, v dy^2, T alpha dL/d(rgb) (3), T alpha
 //
 // Eight Gaussians at a time: each thread follows its pixel and leaves T alpha and v of each of the eight in `left`;
 // then 32 threads a Gaussian add up eight pixels of a column each; then the 32 are added up, across the subgroup where
@@ -20,9 +19,9 @@
 @group(0) @binding(7) var<storage, read_write> sums_b: array<f32>;
 @group(0) @binding(8) var<storage, read_write> sums_c: array<f32>;
 
-const SUMS: u32 = 12u;
+const SUMS: u32 = 10u;
 
-// First T alpha [8][256], then v [8][256]; afterwards partial sums [12][256].
+// First T alpha [8][256], then v [8][256]; afterwards partial sums [10][256].
 var<workgroup> left: array<f32, 4096>;
 
 fn gradient_at(pixel: vec2<u32>) -> vec4<f32> {
@@ -34,13 +33,12 @@ fn gradient_at(pixel: vec2<u32>) -> vec4<f32> {
 
 // Sum number `which` of a pair.
 fn put(pair: u32, which: u32, sum: f32) {
-    let at = 4u * pair + which % 4u;
     if (which < 4u) {
-        sums_a[at] = sum;
+        sums_a[4u * pair + which] = sum;
     } else if (which < 8u) {
-        sums_b[at] = sum;
+        sums_b[4u * pair + which - 4u] = sum;
     } else {
-        sums_c[at] = sum;
+        sums_c[2u * pair + which - 8u] = sum;
     }
 }
 
@@ -109,17 +107,13 @@ fn main(@builtin(workgroup_id) group: vec3<u32>, @builtin(num_workgroups) groups
 
         let k = local / 32u;
         var a = vec4<f32>(0.0);
-        var yy = 0.0;
         if (k < count) {
-            let i = sorted[first + k].x;
-            a = records[2u * i];
-            yy = records[2u * i + 1u].x;
+            a = records[2u * sorted[first + k].x];
         }
         let d = a.xy - (vec2<f32>(column) + 0.5);
         var s = vec3<f32>(0.0);   // v, v dy, v dy^2
         var rgb = vec3<f32>(0.0);
         var total = 0.0;
-        var magnitude = vec2<f32>(0.0);
         for (var j = 0u; j < 8u; j++) {
             let at = k * 256u + j * 32u + lane;
             let weight = left[at];
@@ -128,11 +122,10 @@ fn main(@builtin(workgroup_id) group: vec3<u32>, @builtin(num_workgroups) groups
             s += v * vec3<f32>(1.0, dy, dy * dy);
             rgb += weight * column_gradient[j];
             total += weight;
-            magnitude += abs(v) * abs(vec2<f32>(a.z * d.x + a.w * dy, a.w * d.x + yy * dy));
         }
-        var all = array<f32, 12>(
+        var all = array<f32, 10>(
             s.x, s.x * d.x, s.y, s.x * d.x * d.x, s.y * d.x, s.z,
-            rgb.x, rgb.y, rgb.z, total, magnitude.x, magnitude.y,
+            rgb.x, rgb.y, rgb.z, total,
         );
 //#if subgroups
         // At most 32 lanes (the host sees to it), so that no subgroup spans two Gaussians.

@@ -1,16 +1,16 @@
-//! Kernel optimise by itself: penalties, and Adam on each Gaussian's own clock.
+//! Kernel adam by itself: Adam on each Gaussian's own clock.
 
-use crate::scenes::{One, of, ordinary, view};
-use crate::steps::{Goal, RATES, parameter, reference_step};
-use crate::subject::subjects;
+use super::scenes::{One, of, ordinary, view};
+use super::steps::{Goal, RATES, parameter, reference_step};
+use super::subject::subjects;
+use crate::RenderOptions;
+use crate::backend::StepInput;
+use crate::model::{LOG_SCALE, MEAN, Model, OPACITY};
+use crate::reference::Parameters;
+use crate::reference::adam::{BETA1, BETA2, Moments};
 use glam::Vec3;
 use rand::Rng;
 use scene::Gaussians;
-use splat::RenderOptions;
-use splat::backend::StepInput;
-use splat::model::{LOG_SCALE, MEAN, Model, OPACITY};
-use splat::reference::Parameters;
-use splat::reference::adam::{BETA1, BETA2, Moments};
 
 /// Gaussians in plain sight, and after them as many that no pixel shows: behind the camera, or transparent.
 fn seen_and_unseen(n: usize) -> Gaussians {
@@ -27,67 +27,6 @@ fn seen_and_unseen(n: usize) -> Gaussians {
         all.push(if k % 2 == 0 { behind } else { One { logit: -9.0, ..One::default() } });
     }
     of(&all)
-}
-
-/// `a · mean opacity + b · mean scale` of the first n Gaussians, the scale being the sum over the three axes.
-fn penalty(p: &Parameters, n: usize, [a, b]: [f64; 2]) -> f64 {
-    let one = |i: usize| {
-        let scale = p.log_scales[i].to_array().map(f64::exp).iter().sum::<f64>();
-        a / (1.0 + (-p.opacity_logits[i]).exp()) + b * scale
-    };
-    (0..n).map(one).sum::<f64>() / n as f64
-}
-
-/// The first moment of a first step is a tenth of the gradient: what penalties add to it is their finite difference.
-#[test]
-fn penalties_add_their_finite_differences_to_the_gradient_of_what_is_visible() {
-    const N: usize = 30;
-    let (g, v, o) = (seen_and_unseen(N), view(48, 40), RenderOptions::default());
-    let goal = Goal::of(&ordinary(9, 30, 0), &v, &o);
-    for mut subject in subjects() {
-        for weights in [[0.7f32, 0.0], [0.0, 0.9], [0.4, 0.2]] {
-            let mut gradient = |penalties: [f32; 2]| {
-                let [opacity_penalty, scale_penalty] = penalties;
-                let input = StepInput { opacity_penalty, scale_penalty, ..goal.input(&v, o, RATES) };
-                let mut model = Model::from_gaussians(&g);
-                let out = subject.step(&mut model, &input);
-                assert_eq!((out.visible, out.non_finite), (N, 0));
-                (
-                    out.loss,
-                    model.geometry_m.each_ref().map(|p| p.iter().map(|m| m / 0.1).collect::<Vec<f32>>()),
-                    model,
-                )
-            };
-            let (without, with) = (gradient([0.0; 2]), gradient(weights));
-            assert_eq!(with.0, without.0, "the loss that is reported is that of the picture");
-            let name = subject.name();
-            let exact = |i: usize, plane: usize| {
-                const H: f64 = 1e-5;
-                let moved = |h: f64| {
-                    let mut p = Parameters::from_gaussians(&g);
-                    match plane {
-                        OPACITY => p.opacity_logits[i] += h,
-                        _ => p.log_scales[i][plane - LOG_SCALE] += h,
-                    }
-                    penalty(&p, N, weights.map(f64::from))
-                };
-                (moved(H) - moved(-H)) / (2.0 * H)
-            };
-            for (i, plane) in (0..2 * N).flat_map(|i| (0..11).map(move |p| (i, p))) {
-                let penalised = plane == OPACITY || (LOG_SCALE..LOG_SCALE + 3).contains(&plane);
-                let expected = if penalised { exact(i, plane) } else { 0.0 };
-                let found = f64::from(with.1[plane][i]) - f64::from(without.1[plane][i]);
-                let rounding = 1e-6 * f64::from(without.1[plane][i].abs()) + 1e-9;
-                assert!(
-                    (found - expected).abs() < 1e-4 * expected.abs() + rounding,
-                    "{name} {weights:?} gaussian {i} plane {plane}: {found:e} should be {expected:e}"
-                );
-                if i >= N {
-                    assert_eq!(with.2.geometry[plane][i], Model::from_gaussians(&g).geometry[plane][i]);
-                }
-            }
-        }
-    }
 }
 
 /// The model that has the reference's parameters, moments and clocks.

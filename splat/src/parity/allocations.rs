@@ -1,13 +1,13 @@
 //! A training step takes no memory once its workspace is as large as the view needs.
 
-use crate::scenes::{ordinary, view};
-use crate::steps::Goal;
-use splat::RenderOptions;
-use splat::backend::{Backend, LearningRates};
-use splat::cpu::CpuBackend;
-use splat::cpu::optimise::Statistics;
-use splat::cpu::simd::Isa;
-use splat::model::Model;
+use super::scenes::{ordinary, view};
+use super::steps::Goal;
+use crate::RenderOptions;
+use crate::backend::{Backend, LearningRates};
+use crate::cpu::CpuBackend;
+use crate::cpu::dispatch::Isa;
+use crate::model::Model;
+use crate::statistics::Statistics;
 use std::alloc::{GlobalAlloc, Layout, System};
 use std::cell::Cell;
 use std::sync::atomic::{AtomicUsize, Ordering};
@@ -27,19 +27,22 @@ fn note() {
     }
 }
 
-// Everything is the system's allocator's; the count takes no memory itself.
+// SAFETY: everything is the system's allocator's; the count takes no memory itself.
 unsafe impl GlobalAlloc for Counting {
     unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
         note();
+        // SAFETY: the caller's promises are handed on.
         unsafe { System.alloc(layout) }
     }
 
     unsafe fn dealloc(&self, place: *mut u8, layout: Layout) {
+        // SAFETY: the caller's promises are handed on.
         unsafe { System.dealloc(place, layout) }
     }
 
     unsafe fn realloc(&self, place: *mut u8, layout: Layout, size: usize) -> *mut u8 {
         note();
+        // SAFETY: the caller's promises are handed on.
         unsafe { System.realloc(place, layout, size) }
     }
 }

@@ -1,17 +1,18 @@
 //! A small training with densification, on an adapter and on the processor.
 
-use crate::scenes::ordinary;
-use glam::{DVec3, Vec3};
-use rand::Rng;
-use scene::{Camera, CameraModel, Gaussians, Pose, Progress};
-use splat::backend::Target;
-use splat::cpu::optimise::Statistics;
-use splat::dataset::{Normalisation, Pixels, pyramid};
-use splat::model::Model;
-use splat::{
+use super::scenes::ordinary;
+use crate::backend::Target;
+use crate::dataset::{Normalisation, Pixels, pyramid};
+use crate::model::Model;
+use crate::statistics::Statistics;
+use crate::{
     AlphaMode, BackendChoice, Dataset, DeviceConfig, RenderOptions, Renderer, TrainConfig, TrainResult, View,
     train,
 };
+use glam::{DVec3, Vec3};
+use rand::Rng;
+use scene::decision::{Choice, Subject};
+use scene::{Camera, CameraModel, Gaussians, Pose, Progress};
 
 /// Views of a scene from a ring of radius 3; every 4th held out.
 fn dataset(truth: &Gaussians, count: usize) -> Dataset {
@@ -55,11 +56,8 @@ fn trained(dataset: &Dataset, backend: BackendChoice, seed: u64) -> TrainResult 
 
 /// Gaussians before the redundant ones went.
 fn grown(result: &TrainResult) -> usize {
-    let judged = result.decisions.iter().find(|d| d.subject.contains("redundant")).unwrap();
-    let [removed, before] = ["", " of "].map(|after| {
-        let number = &judged.choice[judged.choice.find(after).unwrap() + after.len()..];
-        number.split(' ').next().unwrap().parse::<usize>().unwrap()
-    });
+    let judged = result.decisions.iter().find(|d| d.subject == Subject::RedundantGaussians).unwrap();
+    let Choice::Count { count: removed, total: Some(before) } = judged.choice else { panic!("{judged:?}") };
     assert_eq!(before - removed, result.gaussians.len());
     before
 }
@@ -86,7 +84,11 @@ fn a_limit_on_the_adapters_memory_means_fewer_gaussians_and_says_so() {
         let config = TrainConfig { iterations: 3, max_gaussians, device, ..TrainConfig::default() };
         train(&dataset, &config, None, &Progress::silent())
     };
-    let said = |r: &TrainResult| r.decisions.iter().any(|d| d.evidence.contains("--vram-limit 16"));
+    let said = |r: &TrainResult| {
+        r.decisions
+            .iter()
+            .any(|d| d.subject == Subject::GaussianLimit && d.message.as_deref() == Some("--vram-limit 16"))
+    };
     assert!(said(&run(16, 150_000).unwrap()));
     assert!(!said(&run(16, 1000).unwrap()));
     let error = run(0, 1000).unwrap_err().to_string();
@@ -125,7 +127,7 @@ fn gains_and_what_they_are_found_by_agree_with_the_processors() {
     let view = &dataset.views[1];
     let all = [BackendChoice::Cpu, BackendChoice::Gpu].map(|backend| {
         let device = DeviceConfig { backend, ..DeviceConfig::default() };
-        let (mut backend, _) = splat::device::open(&device).unwrap();
+        let (mut backend, _) = crate::device::open(&device).unwrap();
         backend.upload(Model::from_gaussians(&truth), Statistics::default()).unwrap();
         let mask: Vec<u8> = (0..64 * 48).map(|i| (i * 7 % 256) as u8).collect();
         let options = RenderOptions { background: [0.2, 0.5, 0.9], ..RenderOptions::default() };

@@ -1,15 +1,17 @@
 //! What only an adapter has: photos that stay there, steps under way, pages of the model, densification by kernels,
 //! subgroup operations, limits.
 
-use crate::scenes::{ordinary, view};
-use crate::steps::{Goal, RATES};
+use super::scenes::{ordinary, view};
+use super::steps::{Goal, RATES};
+use crate::backend::{Backend, Round, StepInput, StepOutput, Target};
+use crate::cpu::densify::densify_by_edit;
+use crate::gpu::{GpuBackend, Opening};
+use crate::model::{LOG_SCALE, MEAN, Model};
+use crate::statistics::Statistics;
+use crate::view::{PinholeView, RenderOptions};
 use glam::{Mat3, Vec3};
 use scene::Gaussians;
-use splat::backend::{Backend, Round, StepInput, StepOutput, Target, densify_by_edit};
-use splat::cpu::optimise::Statistics;
-use splat::gpu::{GpuBackend, Opening};
-use splat::model::{LOG_SCALE, MEAN, Model};
-use splat::{PinholeView, RenderOptions, Selection};
+use scene::decision::Choice;
 
 fn opened(opening: Opening) -> GpuBackend {
     GpuBackend::open(&opening).expect("an adapter; mesa-vulkan-drivers brings one")
@@ -115,19 +117,15 @@ fn a_round_of_densification_by_kernels_is_that_of_the_host() {
             PinholeView { translation: v.translation + Vec3::X * (0.02 * k as f32 - 0.7), ..v }
         })
         .collect();
-    for (opening, threshold, room) in
-        [(plain(), 0.0, 150), (small(), 0.0, 150), (plain(), 2e-3, 2000), (plain(), 0.0, 0)]
-    {
-        let at = format!("{opening:?} threshold {threshold} room {room}");
+    for (opening, room) in [(plain(), 150), (small(), 150), (plain(), 2000), (plain(), 0)] {
+        let at = format!("{opening:?} room {room}");
         let both = [false, true].map(|by_kernels| {
             let mut gpu = uploaded(opening.clone(), &g);
             for photo in photos.iter().cycle().take(6) {
                 gpu.step(&input(photo, None)).unwrap();
             }
             let before = gpu.download().unwrap().0;
-            let selection = Selection::Gradient;
-            let remove_unseen = Some(&views[..]);
-            let round = Round { room, threshold, selection, seed: 4, iteration: 6, remove_unseen };
+            let round = Round { room, seed: 4, iteration: 6, remove_unseen: Some(&views[..]) };
             let unseen = if by_kernels { gpu.densify(&round) } else { densify_by_edit(&mut gpu, &round) };
             (before, unseen.unwrap(), gpu.download().unwrap(), gpu)
         });
@@ -142,11 +140,7 @@ fn a_round_of_densification_by_kernels_is_that_of_the_host() {
             before.len
         );
         let zero = |p: &Vec<f32>| p.iter().all(|&v| v == 0.0);
-        assert!(
-            [&statistics.gradient, &statistics.visible, &statistics.weight, &statistics.radius]
-                .into_iter()
-                .all(zero)
-        );
+        assert!(zero(&statistics.gradient) && zero(&statistics.visible));
         if here.len == host.len && unseen == unseen_here {
             compare_halves(&host, &here, &at);
         }
@@ -213,7 +207,7 @@ fn pairs_for_which_there_is_no_room_are_left_out_aloud() {
     let first = gpu.step(&input(&photos[0], None)).unwrap();
     assert!(first.pairs > 2048, "{first:?}");
     let remarks = gpu.remarks();
-    assert!(remarks.len() == 1 && remarks[0].choice.contains("2048"), "{remarks:?}");
+    assert!(remarks.len() == 1 && remarks[0].choice == Choice::count(2048), "{remarks:?}");
     let mut last = first;
     for _ in 0..20 {
         last = gpu.step(&input(&photos[0], None)).unwrap();
@@ -228,12 +222,11 @@ fn growth_for_which_there_is_no_room_ends_aloud() {
     let (g, photos) = (ordinary(69, 1900, 0), photos(1));
     let mut gpu = uploaded(small(), &g);
     gpu.step(&input(&photos[0], None)).unwrap();
-    let selection = Selection::Gradient;
-    let round = Round { room: 600, threshold: 0.0, selection, seed: 1, iteration: 1, remove_unseen: None };
+    let round = Round { room: 600, seed: 1, iteration: 1, remove_unseen: None };
     gpu.densify(&round).unwrap();
     assert!(gpu.gaussians() > 1700 && gpu.gaussians() <= 2048, "{}", gpu.gaussians());
     let remarks = gpu.remarks();
-    assert!(remarks.iter().any(|r| r.choice.contains("1900")), "{remarks:?}");
+    assert!(remarks.iter().any(|r| r.choice == Choice::count(1900)), "{remarks:?}");
     let out = gpu.step(&input(&photos[0], None)).unwrap();
     assert!(out.loss.is_finite() && out.visible > 500, "{out:?}");
 }

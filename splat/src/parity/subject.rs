@@ -1,13 +1,16 @@
 //! What the suite needs of a backend, and who is tested.
 
+use crate::backend::{Backend, StepInput, StepOutput};
+use crate::camera::CameraConstants;
+use crate::cpu::dispatch::Isa;
+use crate::cpu::loss::{LossInput, loss};
+use crate::cpu::project::{CULLED, Project, Record, project};
+use crate::cpu::tile::PlaneShape;
+use crate::cpu::{CpuBackend, ModelGradient};
+use crate::model::Model;
+use crate::statistics::Statistics;
+use crate::{PinholeView, RenderOptions, RenderOutput};
 use scene::Gaussians;
-use splat::backend::{Backend, StepInput, StepOutput};
-use splat::cpu::loss::{LossInput, Shape, loss};
-use splat::cpu::project::{CULLED, CameraConstants, Parameters, Project, Record, project};
-use splat::cpu::simd::Isa;
-use splat::cpu::{CpuBackend, DEFAULT_NEAR};
-use splat::model::{GEOMETRY, Model};
-use splat::{PinholeView, RenderOptions, RenderOutput};
 
 /// A Gaussian on the screen as a backend sees it.
 #[derive(Clone, Copy, Debug)]
@@ -17,12 +20,6 @@ pub struct Seen {
     pub depth: f32,
     pub opacity: f32,
     pub rgb: [f32; 3],
-}
-
-/// dL/d(parameters): [plane][Gaussian] in the order of [`Model`], and SH.
-pub struct Gradient {
-    pub geometry: [Vec<f32>; GEOMETRY],
-    pub sh: Vec<f32>,
 }
 
 /// A backend under test.
@@ -51,7 +48,7 @@ pub trait Subject {
         view: &PinholeView,
         options: &RenderOptions,
         d: &[f32],
-    ) -> Gradient;
+    ) -> ModelGradient;
     /// A training step; the model is changed.
     fn step(&mut self, model: &mut Model, input: &StepInput) -> StepOutput;
 }
@@ -62,7 +59,7 @@ pub fn subjects() -> Vec<Box<dyn Subject>> {
     #[allow(unused_mut)]
     let mut all: Vec<_> = Isa::available().into_iter().map(cpu).collect();
     #[cfg(feature = "gpu")]
-    all.push(Box::new(crate::gpu::Adapter));
+    all.push(Box::new(super::gpu::Adapter));
     all
 }
 
@@ -78,12 +75,10 @@ impl Subject for Cpu {
 
     fn project(&mut self, g: &Gaussians, view: &PinholeView, options: &RenderOptions) -> Vec<Option<Seen>> {
         let model = Model::from_gaussians(g);
-        let degree = options.sh_degree.unwrap_or(3).min(g.sh_degree);
-        let camera = CameraConstants::new(view, options, options.near.unwrap_or(DEFAULT_NEAR), degree);
+        let camera = CameraConstants::new(view, options, g.sh_degree);
         let (mut records, mut keys) = (vec![Record::default(); g.len()], vec![CULLED; g.len()]);
-        let parameters = Parameters::of(&model);
         let (r, k) = (&mut records, &mut keys);
-        project(self.isa, &mut Project { parameters, camera: &camera, start: 0, records: r, keys: k });
+        project(self.isa, &mut Project { model: &model, camera: &camera, start: 0, records: r, keys: k });
         let ln2 = std::f32::consts::LN_2;
         let seen = |(r, &k): (&Record, &u32)| {
             (k != CULLED).then(|| Seen {
@@ -105,7 +100,7 @@ impl Subject for Cpu {
         weight: Option<&[f32]>,
         lambda: f32,
     ) -> (f32, f32, Vec<f32>) {
-        let shape = Shape { width, height };
+        let shape = PlaneShape { width, height };
         let at = |i: usize| i / width * shape.stride() + i % width;
         let plane = |values: &[f32], step: usize, c: usize| {
             let mut plane = vec![0.0; shape.plane()];
@@ -129,8 +124,8 @@ impl Subject for Cpu {
     }
 
     fn render(&mut self, g: &Gaussians, view: &PinholeView, options: &RenderOptions) -> RenderOutput {
-        self.backend.upload(Model::from_gaussians(g));
-        self.backend.render(view, options)
+        self.backend.upload(Model::from_gaussians(g), Statistics::default()).unwrap();
+        self.backend.render(view, options).unwrap()
     }
 
     fn gradients(
@@ -139,16 +134,15 @@ impl Subject for Cpu {
         view: &PinholeView,
         options: &RenderOptions,
         d: &[f32],
-    ) -> Gradient {
-        self.backend.upload(Model::from_gaussians(g));
-        let out = self.backend.gradients(view, options, d);
-        Gradient { geometry: out.geometry, sh: out.sh }
+    ) -> ModelGradient {
+        self.backend.upload(Model::from_gaussians(g), Statistics::default()).unwrap();
+        self.backend.gradients(view, options, d)
     }
 
     fn step(&mut self, model: &mut Model, input: &StepInput) -> StepOutput {
-        self.backend.upload(std::mem::take(model));
+        self.backend.upload(std::mem::take(model), Statistics::default()).unwrap();
         let out = self.backend.step(input).unwrap();
-        *model = self.backend.model().clone();
+        *model = self.backend.release().unwrap().0;
         out
     }
 }

@@ -1,14 +1,14 @@
 //! What no scene should hold and every scene may: results stay finite and, where f32 can hold them, right.
 
-use crate::pictures::{compare_gradient, reference_gradient, weights};
-use crate::scenes::{One, of, ordinary, rendered, undecided, view};
-use crate::steps::Goal;
-use crate::subject::subjects;
+use super::pictures::{compare_gradient, reference_gradient, weights};
+use super::scenes::{One, of, ordinary, rendered, undecided, view};
+use super::steps::Goal;
+use super::subject::subjects;
+use crate::backend::LearningRates;
+use crate::model::Model;
+use crate::{RenderOptions, TrainConfig, schedule};
 use glam::{Quat, Vec3};
 use scene::Gaussians;
-use splat::backend::LearningRates;
-use splat::model::Model;
-use splat::{RenderOptions, TrainConfig, schedule};
 
 const TILT: Quat = Quat::from_xyzw(0.3, -0.5, 0.2, 0.7);
 
@@ -60,7 +60,8 @@ fn wild() -> Vec<(&'static str, Gaussians, Vec<(usize, Lost)>)> {
     use Lost::{Cancelled, Range};
     let one = One::default();
     let scale = |s: [f32; 3]| One { log_scale: Vec3::from_array(s.map(f32::ln)), rotation: TILT, ..one };
-    let near = |dz: f32| One { mean: camera_position() + Vec3::Z * (splat::cpu::DEFAULT_NEAR + dz), ..one };
+    let near =
+        |dz: f32| One { mean: camera_position() + Vec3::Z * (crate::camera::DEFAULT_NEAR + dz), ..one };
     vec![
         ("scale 1e8", of(&[scale([1e8; 3]), one]), vec![(0, Range)]),
         (
@@ -124,7 +125,7 @@ fn extreme_gaussians_are_drawn_as_the_reference_draws_them() {
             for antialias in [false, true] {
                 let v = view(32, 24);
                 let o = RenderOptions { antialias, background: [0.2, 0.4, 0.6], ..RenderOptions::default() };
-                crate::pictures::compare_picture(
+                super::pictures::compare_picture(
                     subject.as_mut(),
                     &g,
                     &v,
@@ -165,7 +166,7 @@ fn what_f32_can_hold_of_wild_scenes_has_the_references_picture_and_gradient() {
                 let at = format!("{} {what}, antialias {antialias}", subject.name());
                 let all: Vec<usize> = lost.iter().map(|l| l.0).collect();
                 let (drawn, left) = (without(&g, &of(Lost::Range)), without(&g, &all));
-                crate::pictures::compare_picture(subject.as_mut(), &drawn, &v, &o, &at);
+                super::pictures::compare_picture(subject.as_mut(), &drawn, &v, &o, &at);
                 assert_eq!(subject.render(&g, &v, &o), subject.render(&drawn, &v, &o), "{at}");
                 let d = weights(5, &undecided(&rendered(&left, &v, &o), &v));
                 let found = subject.gradients(&left, &v, &o, &d);
@@ -211,7 +212,7 @@ fn a_hundred_thousand_gaussians_at_one_point_are_one_picture() {
     all[0].logit = 0.0;
     let (g, v, o) = (of(&all), view(16, 12), RenderOptions::default());
     for mut subject in subjects() {
-        crate::pictures::compare_picture(subject.as_mut(), &g, &v, &o, "100,000 at a point");
+        super::pictures::compare_picture(subject.as_mut(), &g, &v, &o, "100,000 at a point");
         let d = weights(5, &undecided(&rendered(&g, &v, &o), &v));
         let truth = reference_gradient(&g, &v, &o, &d);
         compare_gradient(&subject.gradients(&g, &v, &o, &d), &truth, 1e-2, 1e-3, &subject.name());

@@ -1,13 +1,14 @@
 //! The first adapter of this machine, hardware or not, as a subject. A machine without any fails.
 
-use crate::subject::{Gradient, Seen, Subject};
+use super::subject::{Seen, Subject};
+use crate::backend::{Backend, StepInput, StepOutput, Target};
+use crate::cpu::ModelGradient;
+use crate::gpu::{GpuBackend, Opening};
+use crate::model::Model;
+use crate::statistics::Statistics;
+use crate::{PinholeView, RenderOptions, RenderOutput};
 use glam::{Mat3, Vec3};
 use scene::Gaussians;
-use splat::backend::{Backend, StepInput, StepOutput, Target};
-use splat::cpu::optimise::Statistics;
-use splat::gpu::{GpuBackend, Opening};
-use splat::model::Model;
-use splat::{PinholeView, RenderOptions, RenderOutput};
 use std::sync::{Mutex, MutexGuard, OnceLock};
 
 /// One device for all tests, each call by itself.
@@ -38,7 +39,7 @@ impl Subject for Adapter {
         let mut gpu = device();
         gpu.upload(Model::from_gaussians(g), Statistics::default()).unwrap();
         let all = gpu.projected(view, options).unwrap();
-        let seen = |s: splat::gpu::OnScreen| Seen {
+        let seen = |s: crate::gpu::OnScreen| Seen {
             xy: s.xy,
             conic: s.conic,
             depth: s.depth,
@@ -78,11 +79,10 @@ impl Subject for Adapter {
         view: &PinholeView,
         options: &RenderOptions,
         d: &[f32],
-    ) -> Gradient {
+    ) -> ModelGradient {
         let mut gpu = device();
         gpu.upload(Model::from_gaussians(g), Statistics::default()).unwrap();
-        let out = gpu.gradients(view, options, d).unwrap();
-        Gradient { geometry: out.geometry, sh: out.sh }
+        gpu.gradients(view, options, d).unwrap()
     }
 
     fn step(&mut self, model: &mut Model, input: &StepInput) -> StepOutput {
