@@ -24,19 +24,19 @@ pub(crate) struct Ply<'a> {
 
 impl<'a> Ply<'a> {
     /// Parses the header; counts are checked when an element is read.
-    pub fn parse(path: &'a Path, data: &'a [u8]) -> Result<Self, IoError> {
+    pub(crate) fn parse(path: &'a Path, data: &'a [u8]) -> Result<Self, IoError> {
         let (encoding, elements, start) = header::parse(path, data)?;
         Ok(Self { path, encoding, elements, body: &data[start..] })
     }
 
     /// The element of that name.
-    pub fn element(&self, name: &str) -> Option<&Element> {
+    pub(crate) fn element(&self, name: &str) -> Option<&Element> {
         self.elements.iter().find(|e| e.name == name)
     }
 
     /// Calls `each(row, values)` for every row of the element, with the wanted scalar properties in the wanted
     /// order. Every wanted property must exist.
-    pub fn rows(
+    pub(crate) fn rows(
         &self,
         element: &str,
         wanted: &[&str],
@@ -59,7 +59,7 @@ impl<'a> Ply<'a> {
     }
 
     /// Calls `each(row, items)` for every row of the element, with the items of its list that has one of the names.
-    pub fn lists(
+    pub(crate) fn lists(
         &self,
         element: &str,
         names: &[&str],
