@@ -14,7 +14,6 @@ use crate::stage::{Cost, Stages, describe_input, fingerprint, write_json};
 use crate::terminal::{CANCELLED, TerminalSink, Verbosity};
 use anyhow::{Context, Result, bail};
 use folder::{absolute_in, default_output, relative_to};
-use scene::decision::{Choice, Rule, Subject};
 use scene::io::TransformsOptions;
 use scene::io::ply::CloudPoint;
 use scene::{Decision, FrameSet, Progress, Reconstruction};
@@ -417,7 +416,7 @@ impl Pipeline {
             sh_degree: result.gaussians.sh_degree,
             antialias: config.antialias,
             curve: result.curve,
-            decisions: result.decisions.iter().map(typed).collect(),
+            decisions: result.decisions,
         };
         let _ = std::fs::remove_dir_all(&checkpoints); // the splat is written: the checkpoint has done its work
         Ok(summary)
@@ -462,29 +461,6 @@ impl Pipeline {
         self.say(&format!("in {}: {what}", self.out.display()));
         Ok(())
     }
-}
-
-/// A decision of training as a typed one, until training makes typed ones.
-fn typed(decision: &splat::Decision) -> Decision {
-    let subject = match decision.subject.as_str() {
-        "backend" => Subject::Backend,
-        "most gaussians" => Subject::GaussianLimit,
-        "spherical-harmonic degree" => Subject::ShDegree,
-        "number of Gaussians" => Subject::GaussianCount,
-        "exposure by view" => Subject::Exposure,
-        "poses of the training views" => Subject::TrainingPoses,
-        "redundant Gaussians" => Subject::RedundantGaussians,
-        "Gaussians in the air" => Subject::UnobservedGaussians,
-        "Gaussians outside the silhouettes" => Subject::OutsideSilhouettes,
-        "refined poses" => Subject::RefinedPoses,
-        "gradients" => Subject::NonFiniteGradients,
-        "growth on the adapter" => Subject::GrowthLimit,
-        "pairs of Gaussians and tiles" => Subject::TilePairs,
-        "training time" => Subject::TrainingTime,
-        _ => Subject::Convergence,
-    };
-    Decision::new(subject, Choice::Device(decision.choice.clone()), Rule::Evidence)
-        .quoting(decision.evidence.clone())
 }
 
 fn figures(stats: &sfm::SfmStats) -> Vec<(String, f64)> {

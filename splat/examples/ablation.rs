@@ -18,7 +18,7 @@ type Result<T> = std::result::Result<T, Box<dyn std::error::Error + Send + Sync>
 struct Cli {
     dataset: PathBuf,
     /// Time of each training, one column each
-    #[arg(long, value_delimiter = ',', value_parser = splat::parse_duration, default_value = "20s")]
+    #[arg(long, value_delimiter = ',', value_parser = splat::config::parse_duration, default_value = "20s")]
     budget: Vec<f64>,
     /// Instead of a time: so many steps, one column each
     #[arg(long, value_delimiter = ',')]

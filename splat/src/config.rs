@@ -1,6 +1,7 @@
 //! What training can be told.
 
 use crate::device::DeviceConfig;
+use crate::model::MAX_SH_DEGREE;
 use clap::{Args, ValueEnum};
 use serde::{Deserialize, Serialize};
 
@@ -43,7 +44,8 @@ pub struct TrainConfig {
     #[arg(long, default_value_t = MAX_GAUSSIANS, help_heading = "Splat")]
     pub max_gaussians: usize,
     /// Highest spherical-harmonic degree, 0 to 3
-    #[arg(long, default_value_t = SH_DEGREE, value_parser = clap::value_parser!(u32).range(0..=3), help_heading = "Splat")]
+    #[arg(long, default_value_t = MAX_SH_DEGREE, help_heading = "Splat",
+          value_parser = clap::value_parser!(u32).range(0..=i64::from(MAX_SH_DEGREE)))]
     pub sh_degree: u32,
     /// Weight of D-SSIM against L1, in [0, 1] (3DGS paper: 0.2)
     #[arg(long, default_value_t = LAMBDA_DSSIM, help_heading = "Splat")]
@@ -99,8 +101,6 @@ const ITERATIONS: u32 = 4000;
 const MAX_GAUSSIANS: usize = 300_000;
 /// Weight of D-SSIM against L1. Source: Kerbl et al. 2023.
 const LAMBDA_DSSIM: f32 = 0.2;
-/// Highest degree of the spherical harmonics. Source: Kerbl et al. 2023.
-const SH_DEGREE: u32 = 3;
 /// Halvings of the resolution at the start. Source: docs/benchmarks.md, ablations (full resolution throughout loses 0.3 dB).
 const COARSE_LEVELS: u32 = 2;
 /// The most of them. Source: at 1/16 a picture of a megapixel has 60 × 60 pixels.
@@ -114,7 +114,7 @@ impl Default for TrainConfig {
             iterations: ITERATIONS,
             time_limit: None,
             max_gaussians: MAX_GAUSSIANS,
-            sh_degree: SH_DEGREE,
+            sh_degree: MAX_SH_DEGREE,
             lambda_dssim: LAMBDA_DSSIM,
             coarse_levels: COARSE_LEVELS,
             learning_rate: 1.0,

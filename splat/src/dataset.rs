@@ -34,6 +34,9 @@ pub struct DatasetConfig {
 
 /// Every how manieth view is held out. Source: Kerbl et al. 2023 (as Mip-NeRF 360 does).
 const TEST_EVERY: usize = 8;
+/// What lies so near to the edge of a matte may be on either side, pixels: mattes and poses are no more exact, and a rod is no
+/// wider. Source: docs/decisions/0014.
+pub(crate) const MATTE_MARGIN_PX: usize = 2;
 /// Cameras that lie nearer to each other than this share of the points' distance stand at one place.
 /// Source: chosen by hand, never measured.
 const AT_ONE_PLACE: f64 = 0.02;

@@ -10,8 +10,6 @@ const POINTS: usize = 500;
 /// Outside of this, normalised units, it says nothing of step sizes: pictures of a few pixels, or points that are all wrong.
 /// Source: a pixel of captures is 2e-4 to 4e-3 (docs/decisions/0022); chosen by hand around that.
 const RANGE: std::ops::RangeInclusive<f32> = 1e-5..=1e-2;
-/// Where nothing says how wide a pixel is, normalised units. Source: the middle of that.
-const ORDINARY: f32 = 1e-3;
 
 /// Width of a pixel at the depth of the scene, normalised units: the median of z / f over the training views and those points
 /// of the sparse cloud that they have in their pictures; without any, of the distance from what the cameras look at.
@@ -36,7 +34,7 @@ pub(crate) fn footprint(dataset: &Dataset) -> f32 {
         sizes.extend(views.iter().map(|view| distance / focal(view)));
     }
     let finite = sizes.iter().filter(|s| s.is_finite()).map(|s| f64::from(*s));
-    median(finite.collect()).map_or(ORDINARY, |s| s as f32).clamp(*RANGE.start(), *RANGE.end())
+    median(finite.collect()).map_or(*RANGE.start(), |s| s as f32).clamp(*RANGE.start(), *RANGE.end())
 }
 
 /// Geometric mean of the focal lengths, pixels.

@@ -14,9 +14,10 @@
 //! # }
 //! ```
 
-use crate::dataset::{AlphaMode, Dataset, Pixels, View};
+use crate::dataset::{AlphaMode, Dataset, MATTE_MARGIN_PX, Pixels, View};
 use crate::error::SplatError;
 use crate::quantile::{median, quantile};
+use crate::reference::constants::DEFAULT_NEAR;
 use crate::surface::median_depth;
 use glam::DVec3;
 use rayon::prelude::*;
@@ -28,8 +29,6 @@ use scene::{Gaussians, Pose, Progress};
 pub const DEFAULT_RESOLUTION: u32 = 400;
 /// Most views that are fused, spread evenly. Source: chosen by hand, never measured.
 const MOST_VIEWS: usize = 120;
-/// Depth maps are at most so many pixels wide for each voxel along the object. Source: twice [`PIXELS_OF_A_VOXEL`].
-const MOST_PIXELS: usize = 3;
 /// A voxel is at least so many pixels of the surface wide: seen aslant, pixels lie farther apart.
 /// Source: docs/decisions/0014.
 const PIXELS_OF_A_VOXEL: f64 = 1.5;
@@ -47,14 +46,8 @@ const LEAST_VIEWS: f64 = 0.05;
 const TAIL: f64 = 0.005;
 /// Points of a map by which sizes are told, at most. Source: chosen by hand: [`TAIL`] of it are 100.
 const POINTS_OF_A_MAP: usize = 20_000;
-/// Gaussians nearer to a view than this share of the median distance are not in its depths.
-/// Source: the default of [`crate::RenderOptions::near`].
-const NEAR: f64 = 0.01;
 /// Masks are white from here, of 255. Source: the middle.
 const WHITE: u8 = 128;
-/// Black so near to white says little, pixels: mattes and poses are not better than that, and a rod is not wider.
-/// Source: docs/decisions/0014.
-const MATTE_MARGIN_PX: usize = 2;
 
 /// The surface of a scene's Gaussians (world frame) as the views of the data set see it, with the photos' colours;
 /// world frame, no triangles where nothing is half opaque. `resolution`: voxels along the longest side of what is seen,
@@ -113,10 +106,11 @@ fn depth_map(
     alpha: AlphaMode,
     resolution: u32,
 ) -> Option<DepthMap> {
-    let most = MOST_PIXELS * resolution as usize;
+    // Twice as fine as voxels may be.
+    let most = (2.0 * PIXELS_OF_A_VOXEL * f64::from(resolution)) as usize;
     let pixels = view.levels.iter().find(|p| p.width.max(p.height) <= most).or(view.levels.last())?;
     let camera = view.camera.scaled(pixels.width as u32, pixels.height as u32);
-    let near = NEAR * median_distance(gaussians, pose.centre());
+    let near = DEFAULT_NEAR * median_distance(gaussians, pose.centre());
     let mut depth: Vec<f32> = median_depth(gaussians, &camera, pose, near, antialias)
         .into_iter()
         .map(|z| z.map_or(f32::NAN, |z| z as f32))

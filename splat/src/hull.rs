@@ -1,6 +1,6 @@
 //! The visual hull: what the mattes of the training views leave room for.
 
-use crate::dataset::View;
+use crate::dataset::{MATTE_MARGIN_PX, View};
 use crate::model::Model;
 use crate::view::PinholeView;
 use glam::Vec3;
@@ -11,8 +11,8 @@ const EMPTY: u8 = 8;
 /// Level of the outlines (1: half the resolution): mattes and poses are no more exact.
 /// Source: chosen by hand, never measured.
 const LEVEL: usize = 1;
-/// By how many of their pixels outlines are widened. Source: see [`LEVEL`].
-const MARGIN: usize = 1;
+/// By how many of their pixels outlines are widened. Source: [`MATTE_MARGIN_PX`].
+const MARGIN: usize = MATTE_MARGIN_PX >> LEVEL;
 /// Views with a matte from which a hull is told. Source: chosen by hand, never measured.
 const LEAST_VIEWS: usize = 8;
 /// Views that may contradict a place before it counts as outside. Source: chosen by hand: mattes lose a rod here and there.

@@ -4,6 +4,7 @@ mod nearest;
 
 use crate::dataset::{Dataset, View};
 use crate::error::SplatError;
+use crate::view::NEAREST;
 use glam::{DMat3, DVec3, Quat, Vec3};
 use nearest::mean_square_distance;
 use rand::Rng as _;
@@ -21,13 +22,8 @@ const CANDIDATES: usize = 400_000;
 /// Radius of the ball in which they are drawn, distances of the cameras from what they look at.
 /// Source: chosen by hand, never measured.
 const BALL: f64 = 0.6;
-/// Points nearer to a camera than this say nothing, normalised units. Source: chosen by hand, never measured.
-const NEAREST: f32 = 0.05;
 /// Matte (of 255) below which a view excludes a point. Source: 6 %, chosen by hand, never measured.
 const EMPTY: u8 = 16;
-/// Share of the views (half) that must have a drawn point in their pictures, but no more than this many need be asked about.
-/// Source: chosen by hand, never measured.
-const ENOUGH_VIEWS: usize = 4;
 /// Determinant a view at which optical axes are parallel. Source: a spread of the axes of about 0.6°.
 const PARALLEL: f64 = 1e-4;
 
@@ -36,9 +32,8 @@ const PARALLEL: f64 = 1e-4;
 const ALONE: f32 = 0.2;
 /// Scale of its first Gaussian, as a share of that distance. Source: see [`ALONE`].
 const LARGEST: f32 = 0.05;
-/// Least scale of such a Gaussian, normalised units. Source: a hundredth of a pixel of the widest lens.
-const LEAST_SCALE: f32 = 1e-5;
-/// Squared scales are limited to this range, squared normalised units. Source: `LEAST_SCALE`, and ten times the scene.
+/// Squared scales are limited to this range, squared normalised units.
+/// Source: a hundredth of a pixel of the widest lens, and ten times the scene.
 const SQUARED_SCALES: [f32; 2] = [1e-10, 1e2];
 
 /// A point and its colour.
@@ -66,10 +61,11 @@ pub(crate) fn initial_gaussians(dataset: &Dataset, max: usize, seed: u64) -> Res
 /// Points that stand alone, such as wrong ones far away, would become Gaussians that fill every picture and that the others
 /// are trained against. They begin small; those of a thin background stay as large as its gaps.
 fn limit_scales(gaussians: &mut Gaussians, cameras: &[Vec3]) {
+    let least = SQUARED_SCALES[0].sqrt();
     for (mean, scales) in gaussians.means.iter().zip(&mut gaussians.log_scales) {
         let nearest = cameras.iter().map(|c| c.distance_squared(*mean)).fold(f32::INFINITY, f32::min).sqrt();
-        if nearest.is_finite() && scales.max_element() > (ALONE * nearest).max(LEAST_SCALE).ln() {
-            *scales = Vec3::splat((LARGEST * nearest).max(LEAST_SCALE).ln());
+        if nearest.is_finite() && scales.max_element() > (ALONE * nearest).max(least).ln() {
+            *scales = Vec3::splat((LARGEST * nearest).max(least).ln());
         }
     }
 }
@@ -128,7 +124,7 @@ enum PointInView {
 
 fn look_at(view: &View, x: Vec3) -> PointInView {
     let c = view.view.to_camera(x);
-    if c.z < NEAREST {
+    if c.z < NEAREST as f32 {
         return PointInView::Outside;
     }
     let [px, py] = view.view.pixel(c);
@@ -182,7 +178,7 @@ fn mean_colour(views: &[&View], x: Vec3) -> Option<[u8; 3]> {
             return None;
         }
     }
-    let enough = 2 * (seen + masked) as usize >= views.len().min(ENOUGH_VIEWS);
+    let enough = (seen + masked) as usize >= views.len().div_ceil(2).min(2);
     (seen > 0 && enough).then(|| sum.map(|s| (s / seen) as u8))
 }
 

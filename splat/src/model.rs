@@ -8,6 +8,9 @@ use serde::{Deserialize, Serialize};
 /// Source: the widest vectors (AVX-512) hold so many.
 pub(crate) const LANE_PAD: usize = 16;
 
+/// Highest degree of the spherical harmonics. Source: Kerbl et al. 2023.
+pub(crate) const MAX_SH_DEGREE: u32 = 3;
+
 /// Number of geometric parameters of a Gaussian. Source: Kerbl et al. 2023: 3 + 3 + 4 + 1.
 pub const GEOMETRY: usize = 11;
 
@@ -198,7 +201,7 @@ impl Model {
     /// Raises (new coefficients zero) or lowers the spherical-harmonic degree.
     pub(crate) fn set_sh_degree(&mut self, degree: u32) {
         let old = self.sh_stride();
-        self.sh_degree = degree.min(3);
+        self.sh_degree = degree.min(MAX_SH_DEGREE);
         let new = self.sh_stride();
         if new == old {
             return;

@@ -4,7 +4,8 @@
 //! through; the median does not. Scalar f64, on the kernels of [`crate::reference`], with tiles: it is for judging, not
 //! for drawing.
 
-use crate::dataset::{Dataset, Pixels};
+use crate::cpu::TILE;
+use crate::dataset::{Dataset, MATTE_MARGIN_PX, Pixels};
 use crate::reference::constants::{MAX_ALPHA, MAX_LOG_SCALE, MIN_ALPHA};
 use crate::reference::project::{Projected, project};
 use crate::reference::sort::sort;
@@ -12,9 +13,6 @@ use crate::reference::{GaussianGeometry, Options, Parameters, ReferenceView};
 use glam::{DMat3, DQuat, DVec2, DVec3};
 use rayon::prelude::*;
 use scene::{Camera, Gaussians, Pose};
-
-/// Side of a tile, pixels. Source: Kerbl et al. 2023.
-const TILE: usize = 16;
 
 /// Camera z, scene units, at which the transmittance along each pixel's ray falls to one half or below, [height × width]: where
 /// the Gaussian that brings it there is densest along the ray (a flat one is a plane, and not as far as its centre everywhere); `None` where it never does. The camera must be without distortion; `antialias` as in training.
@@ -144,10 +142,6 @@ pub fn points_of(depth: &[Option<f64>], camera: &Camera, pose: &Pose) -> Vec<DVe
     .collect()
 }
 
-/// A Gaussian is outside a silhouette if no pixel within this of its centre is inside, pixels.
-/// Source: docs/decisions/0014: mattes and poses are not better than that.
-const HULL_MARGIN_PX: i64 = 2;
-
 /// Share of the Gaussians' opacity whose centres lie outside the visual hull: black in the mask of some view that has them
 /// in its frame. Held-out views count too. `None` where no view has a mask, or nothing is opaque.
 pub fn outside_hull(gaussians: &Gaussians, dataset: &Dataset) -> Option<f64> {
@@ -180,7 +174,7 @@ fn is_black(pixels: &Pixels, at: Option<DVec2>) -> bool {
     if !(0..w).contains(&x) || !(0..h).contains(&y) {
         return false;
     }
-    let m = HULL_MARGIN_PX;
+    let m = MATTE_MARGIN_PX as i64;
     let rows = (y - m).max(0)..(y + m + 1).min(h);
     let columns = (x - m).max(0) as usize..(x + m + 1).min(w) as usize;
     rows.map(|y| &mask[(y * w) as usize..]).all(|row| row[columns.clone()].iter().all(|v| *v == 0))

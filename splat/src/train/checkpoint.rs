@@ -6,7 +6,7 @@
 use super::rules::Rules;
 use super::state::TrainingState;
 use crate::error::SplatError;
-use crate::model::{Model, padded};
+use crate::model::{MAX_SH_DEGREE, Model, padded};
 use crate::statistics::Statistics;
 use serde::{Deserialize, Serialize};
 use std::io::Write;
@@ -116,7 +116,7 @@ fn parse(bytes: &[u8]) -> Result<Checkpoint, String> {
     let length = usize::try_from(u64::from_le_bytes(*length)).map_err(|e| e.to_string())?;
     let (header, mut rest) = rest.split_at_checked(length).ok_or(SHORT)?;
     let header: CheckpointHeader = serde_json::from_slice(header).map_err(|e| e.to_string())?;
-    if header.sh_degree > 3 || header.len > rest.len() {
+    if header.sh_degree > MAX_SH_DEGREE || header.len > rest.len() {
         return Err(SHORT.to_owned());
     }
     let mut model = Model { len: header.len, sh_degree: header.sh_degree, ..Model::default() };

@@ -24,6 +24,7 @@
 
 mod checkpoint;
 mod context;
+mod evidence;
 mod loss_trend;
 mod pace;
 mod result;

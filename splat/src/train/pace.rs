@@ -26,8 +26,6 @@ const NEW: f64 = 0.05;
 /// A step that took longer than this many mean ones says something of the machine, not of the steps to come.
 /// Source: docs/decisions/0011.
 const STALL: f64 = 4.0;
-/// Least step of the position, so that it moves at all. Source: far below a step of the longest schedule.
-const LEAST_STRIDE: f64 = 1e-7;
 /// Parts in which the rest of the schedule is summed. Source: a level's share of the schedule is told to 2 %.
 const PARTS: u32 = 64;
 
@@ -62,7 +60,7 @@ impl Pace {
         }
         let stride = self.ahead(place, config, level) / left;
         let next = place.position + stride.max(1.0 / most.max(1.0));
-        let next = next.min(1.0).max(place.position + LEAST_STRIDE);
+        let next = next.min(1.0).max(place.position.next_up());
         self.stride = next - place.position;
         next
     }

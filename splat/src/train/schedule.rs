@@ -22,6 +22,10 @@ pub(crate) struct Place {
 /// Source: chosen by hand, never measured.
 pub(crate) const GROWTH_END: f64 = 0.7;
 
+/// Parts of the schedule between the places at which poses are moved and scales are held, a share.
+/// Source: docs/decisions/0021 (scales twenty times in a schedule); for poses chosen by hand.
+pub(crate) const EVERY: f64 = 0.05;
+
 /// Position from which training runs at half the resolution.
 /// Source: docs/decisions/0025 (0.4 against 0.2 and 0.1 on seven captures).
 const HALF_FROM: f64 = 0.4;
@@ -77,18 +81,16 @@ struct Decay {
     power: f32,
 }
 
-/// Step sizes of the means, pixels. Source: docs/decisions/0022 (for steps in pixels and for this table).
-const MEAN: Decay = Decay { first: 1.0, last: 0.06, power: 1.5 };
-/// Of the log-scales. From twice the first on, dark and noisy pictures are not learnt at all. Source: see [`MEAN`].
-const LOG_SCALE: Decay = Decay { first: 8e-2, last: 2e-2, power: 0.7 };
-/// Of the quaternions. Source: see [`MEAN`].
-const ROTATION: Decay = Decay { first: 2e-2, last: 5e-3, power: 0.5 };
-/// Of the opacity logits. Source: see [`MEAN`].
-const OPACITY: Decay = Decay { first: 0.12, last: 0.06, power: 0.5 };
-/// Of the constant colours. Source: see [`MEAN`].
-const SH0: Decay = Decay { first: 1.25e-2, last: 7e-3, power: 0.9 };
-/// Of the higher harmonics. Source: see [`MEAN`].
-const SH_REST: Decay = Decay { first: 7.5e-3, last: 2e-3, power: 0.5 };
+/// Step sizes of means (pixels), log-scales, quaternions, opacity logits, constant colours and higher harmonics.
+/// Source: docs/decisions/0022. From twice the first of the log-scales on, dark and noisy pictures are not learnt at all.
+const RATES: [Decay; 6] = [
+    Decay { first: 1.0, last: 0.06, power: 1.5 },
+    Decay { first: 8e-2, last: 2e-2, power: 0.7 },
+    Decay { first: 2e-2, last: 5e-3, power: 0.5 },
+    Decay { first: 0.12, last: 0.06, power: 0.5 },
+    Decay { first: 1.25e-2, last: 7e-3, power: 0.9 },
+    Decay { first: 7.5e-3, last: 2e-3, power: 0.5 },
+];
 
 impl Decay {
     /// The step size at a position, `unit` times the table's, where schedules are `shorter` than [`TUNED_STEPS`]
@@ -106,9 +108,9 @@ impl Decay {
 /// schedules have hundreds to thousands of steps.
 pub(crate) fn rates(position: f64, steps: f64, pixel: f32, config: &TrainConfig) -> LearningRates {
     let shorter = (TUNED_STEPS / steps.max(1.0) as f32).min(1.0);
+    let units = [pixel, 1.0, 1.0, 1.0, 1.0, 1.0];
     let [mean, log_scale, rotation, opacity, sh0, sh_rest] =
-        [(MEAN, pixel), (LOG_SCALE, 1.0), (ROTATION, 1.0), (OPACITY, 1.0), (SH0, 1.0), (SH_REST, 1.0)]
-            .map(|(decay, unit)| decay.at(position, unit, shorter, config.learning_rate));
+        std::array::from_fn(|k| RATES[k].at(position, units[k], shorter, config.learning_rate));
     LearningRates { mean, log_scale, rotation, opacity, sh0, sh_rest }
 }
 

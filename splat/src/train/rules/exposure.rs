@@ -2,20 +2,13 @@
 
 use crate::error::SplatError;
 use crate::train::context::StepContext;
+use crate::train::evidence::{EXPLAINED, LEAST_VIEWS, SAMPLE};
 use scene::decision::{Decision, Measurement, Quantity, Remark, Rule, Subject};
 use serde::{Deserialize, Serialize};
 
 /// Positions of the schedule at which gains are looked for (the first two: what the first look suspects has to explain the
 /// pictures of the second) and measured again. Source: the first two, docs/decisions/0011; the others chosen by hand.
 pub(crate) const LOOKS: [f64; 5] = [0.25, 0.4, 0.55, 0.7, 0.85];
-/// Part of the squared error that gains must explain, a share.
-/// Source: docs/decisions/0011: of a scene lit evenly the second look saw -3.4 %.
-const EXPLAINED: f64 = 0.1;
-/// Views from which the first look tells whether there is something to model: what it costs must not grow with their number.
-/// Source: chosen by hand, never measured.
-const SAMPLE: usize = 48;
-/// Training views from which gains are looked for. Source: of two views either could be too dark.
-const LEAST_VIEWS: usize = 3;
 /// Gains stay within this and its inverse, a ratio: one stop. Source: chosen by hand, never measured.
 const LARGEST: f64 = 2.0;
 

@@ -5,6 +5,7 @@ use crate::backend::Round;
 use crate::config::TrainConfig;
 use crate::error::SplatError;
 use crate::train::context::StepContext;
+use crate::train::evidence::LEAST_GAIN;
 use crate::train::schedule::GROWTH_END;
 use crate::train::setup::TrainingSetup;
 use crate::train::state::TrainingState;
@@ -30,8 +31,6 @@ const A_POINT: f64 = 3.0;
 
 /// Looks at the growth of the number of Gaussians, evenly over growth. Source: chosen by hand, never measured.
 const LOOKS: f64 = 8.0;
-/// What the validation views must gain from look to look for growth to go on, dB. Source: chosen by hand, never measured.
-const LEAST_GAIN: f64 = 0.02;
 /// Looks in a row without such a gain after which growth ends: validation of a moving target is noisy.
 /// Source: chosen by hand, never measured.
 const PATIENCE: u32 = 2;

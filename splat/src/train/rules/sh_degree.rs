@@ -3,8 +3,9 @@
 
 use crate::cpu::sh;
 use crate::error::SplatError;
-use crate::model::Model;
+use crate::model::{MAX_SH_DEGREE, Model};
 use crate::train::context::StepContext;
+use crate::train::evidence::LEAST_GAIN;
 use crate::train::schedule::GROWTH_END;
 use glam::Vec3;
 use rayon::prelude::*;
@@ -12,19 +13,15 @@ use scene::decision::{Choice, Decision, Measurement, Quantity, Rule, Subject};
 use scene::gaussians::SH_C0;
 use serde::{Deserialize, Serialize};
 
-/// Highest degree. Source: Kerbl et al. 2023.
-const HIGHEST: u32 = 3;
 /// Positions in the schedule from which each higher degree is in use. Source: chosen by hand, never measured.
-const FROM: [f64; HIGHEST as usize] = [0.2, 0.35, 0.5];
+const FROM: [f64; MAX_SH_DEGREE as usize] = [0.2, 0.35, 0.5];
 /// Part of the schedule between a degree's beginning and its judgement. Source: chosen by hand, never measured.
 const TRIAL: f64 = 0.1;
-/// What a degree must gain, dB: it costs time in every step and memory for ever. Source: chosen by hand, never measured.
-const LEAST_GAIN: f64 = 0.02;
 /// Training views over whose directions a degree's mean is taken, at most. Source: chosen by hand, never measured.
 const DIRECTIONS: usize = 32;
 
 /// Degrees are judged while there are views to judge them.
-const _: () = assert!(FROM[HIGHEST as usize - 1] + TRIAL < GROWTH_END);
+const _: () = assert!(FROM[MAX_SH_DEGREE as usize - 1] + TRIAL < GROWTH_END);
 
 /// State of the rule.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
@@ -38,7 +35,7 @@ pub(crate) struct ShDegreeRule {
 impl ShDegreeRule {
     /// Raises the degree to that of the step's position.
     pub(super) fn before_step(&mut self, step: &mut StepContext) -> Result<(), SplatError> {
-        let highest = step.setup.config.sh_degree.min(self.limit.unwrap_or(HIGHEST));
+        let highest = step.setup.config.sh_degree.min(self.limit.unwrap_or(MAX_SH_DEGREE));
         let passed = FROM.iter().filter(|&&from| step.position() >= from).count();
         let degree = (passed as u32).min(highest);
         if step.backend.sh_degree() < degree { step.backend.set_sh_degree(degree) } else { Ok(()) }

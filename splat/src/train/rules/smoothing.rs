@@ -3,24 +3,21 @@
 
 use crate::error::SplatError;
 use crate::model::{LOG_SCALE, Model};
+use crate::reference::constants::JACOBIAN_MARGIN;
 use crate::train::context::StepContext;
+use crate::train::evidence::SAMPLE;
+use crate::train::schedule::EVERY;
 use crate::view::PinholeView;
 use glam::Vec3;
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
-/// Part of the schedule after which scales are held, a share.
-/// Source: docs/decisions/0021 (twenty times in a schedule).
-const EVERY: f64 = 0.05;
 /// Variance of the smallest Gaussian, squared sampling intervals.
 /// Source: Yu et al. 2024, Mip-Splatting, section 5.1 and its implementation details.
 const VARIANCE: f32 = 0.2;
-/// Views that are asked at most, evenly chosen: the finest sampling hardly changes with more.
-/// Source: chosen by hand, never measured.
-const VIEWS: usize = 48;
 /// A Gaussian counts as seen up to this far outside a picture, as a share of its size.
-/// Source: chosen by hand, never measured.
-const MARGIN: f32 = 0.15;
+/// Source: [`JACOBIAN_MARGIN`].
+const MARGIN: f32 = JACOBIAN_MARGIN as f32;
 
 /// State of the rule.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
@@ -49,7 +46,7 @@ impl SmoothingRule {
 /// comes nearer. (Yu et al. 2024, Mip-Splatting, section 5.1, convolves with that Gaussian instead; a floor needs no other
 /// opacity and leaves what is larger as it is.) Returns how many were raised.
 pub(crate) fn raise_scales(model: &mut Model, views: &[PinholeView]) -> usize {
-    let every = views.len().div_ceil(VIEWS).max(1);
+    let every = views.len().div_ceil(SAMPLE).max(1);
     let some: Vec<&PinholeView> = views.iter().step_by(every).collect();
     let means: Vec<_> = (0..model.len).map(|i| model.mean(i)).collect();
     let floors: Vec<f32> = means.par_iter().map(|&x| least_log_scale(x, &some)).collect();

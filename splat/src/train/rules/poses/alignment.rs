@@ -2,7 +2,8 @@
 
 use super::linear::solve;
 use crate::train::context::StepContext;
-use crate::view::PinholeView;
+use crate::train::evidence::SAMPLE;
+use crate::view::{NEAREST, PinholeView};
 use glam::{DQuat, DVec3};
 use scene::sim3::Sim3;
 use scene::{Gaussians, Pose};
@@ -10,19 +11,11 @@ use scene::{Gaussians, Pose};
 /// Gaussians by which that is measured, evenly over all, as far as they are more opaque than not.
 /// Source: chosen by hand, never measured; seven numbers are sought.
 const POINTS: usize = 400;
-/// Views. Source: see [`POINTS`].
-const VIEWS: usize = 48;
 /// Rounds of reweighting. Source: chosen by hand; the tests' similarity is found to 1e-5.
 const ROUNDS: usize = 10;
 /// Distances of so many times their root mean square count half, a ratio (Cauchy's weights).
 /// Source: Holland and Welsch 1977 have 2.385 of a robust deviation; chosen by hand, never measured.
 const OUTLIER: f64 = 2.0;
-/// Points nearer to a camera than this say nothing, normalised units. Source: chosen by hand, never measured.
-const NEAREST: f64 = 0.05;
-/// Largest step of the logarithm of the scale. Source: keeps a wild first step finite; solutions are parts of a percent.
-const LARGEST_GROWTH: f64 = 0.5;
-/// Least root mean square distance that is divided by, pixels. Source: far below what f32 poses tell.
-const LEAST_RMS: f64 = 1e-9;
 
 /// Moves Gaussians; colours keep their directions, which such turns (parts of a degree) hardly change.
 fn apply(moved: &Sim3, g: &mut Gaussians) {
@@ -51,10 +44,10 @@ pub(super) fn similarity(points: &[DVec3], given: &[PinholeView], seen: &[Pinhol
                 }
             }
         }
-        rms = (sum / f64::max(n, 1.0)).sqrt().max(LEAST_RMS);
+        rms = (sum / f64::max(n, 1.0)).sqrt().max(f64::EPSILON);
         let Some(step) = solve(a, b) else { break };
         let step = Sim3 {
-            scale: step[6].clamp(-LARGEST_GROWTH, LARGEST_GROWTH).exp(),
+            scale: step[6].clamp(-1.0, 1.0).exp(),
             rotation: DQuat::from_scaled_axis(DVec3::from_slice(&step[..3])),
             translation: DVec3::from_slice(&step[3..6]),
         };
@@ -89,7 +82,7 @@ pub(super) fn align(step: &StepContext, g: &mut Gaussians) -> Option<(f64, Vec<(
         return None;
     }
     let (dataset, all) = (step.setup.dataset, &step.setup.views);
-    let some = || all.iter().step_by(all.len().div_ceil(VIEWS));
+    let some = || all.iter().step_by(all.len().div_ceil(SAMPLE));
     let given: Vec<PinholeView> = some().map(|&v| dataset.views[v].view).collect();
     let seen: Vec<PinholeView> = some().map(|&v| step.camera(v)).collect();
     let opaque: Vec<usize> = (0..g.means.len()).filter(|&i| g.opacity_logits[i] > 0.0).collect();

@@ -8,6 +8,8 @@ mod photometric;
 use crate::config::PoseRefinement;
 use crate::error::SplatError;
 use crate::train::context::StepContext;
+use crate::train::evidence::{EXPLAINED, LEAST_VIEWS, SAMPLE};
+use crate::train::schedule::EVERY;
 use crate::train::state::TrainingState;
 use glam::Quat;
 use motion::{motion_between, moved};
@@ -19,17 +21,8 @@ use serde::{Deserialize, Serialize};
 /// Positions of the schedule at which is asked whether poses are to be refined; both have to say so.
 /// Source: docs/decisions/0024.
 const LOOKS: [f64; 2] = [0.2, 0.3];
-/// Part of the squared error that moving each view must explain, in pixels that had no part in moving it, a share.
-/// Source: docs/decisions/0024 (own poses left at most 0.02 to explain, poses 0.06° off 0.17 and more).
-const EXPLAINED: f64 = 0.1;
-/// Views that are asked: what a look costs must not grow with their number. Source: docs/decisions/0024.
-const SAMPLE: usize = 48;
-/// Training views from which poses are asked about. Source: of two views either could be wrong.
-const LEAST_VIEWS: usize = 3;
 /// Position of the schedule from which views are moved when told to. Source: chosen by hand, never measured.
 const FROM: f64 = 0.1;
-/// Parts of the schedule between moves, a share. Source: chosen by hand, never measured.
-const EVERY: f64 = 0.05;
 /// Position until which views are moved: the last steps see poses that stand. Source: chosen by hand, never measured.
 const UNTIL: f64 = 0.96;
 /// Before anything is known a view is expected to be off by this, radians and normalised units.

@@ -22,8 +22,6 @@ const PIXELS_AS_ONE: f64 = 1000.0;
 const HUBER: f64 = 2.0;
 /// Coverage below which there is no surface to align. Source: chosen by hand, never measured.
 const COVERED: f32 = 0.3;
-/// Least variance and spread that is divided by. Source: far below the variance of 8-bit photos (1e-6).
-const LEAST: f64 = 1e-9;
 
 /// Which pixels are asked.
 #[derive(Clone, Copy, PartialEq, Eq)]
@@ -69,9 +67,9 @@ impl MotionEquations {
 
     /// The most likely motion, if `so_far` has been gone already and rotations and translations are as large as `spread`.
     pub(super) fn motion(mut self, so_far: &Motion, spread: [f64; 2]) -> Motion {
-        let noise = (self.inside / self.count.max(1.0)).max(LEAST) * PIXELS_AS_ONE;
+        let noise = (self.inside / self.count.max(1.0)).max(f64::EPSILON) * PIXELS_AS_ONE;
         for k in 0..6 {
-            let weight = noise / spread[k / 3].max(LEAST).powi(2);
+            let weight = noise / spread[k / 3].max(f64::EPSILON).powi(2);
             self.a[k][k] += weight;
             self.b[k] -= weight * so_far[k];
         }
