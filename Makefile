@@ -43,8 +43,8 @@ neon:  ## the trainer's kernels as compiled for ARM (NEON) against the reference
 	@tools/setup.sh gcc-aarch64-linux-gnu libc6-dev-arm64-cross qemu-user-static
 	rustup target add $(ARM)
 	cargo test -p splat --no-default-features --target $(ARM) --locked --lib -- cpu::
-	cargo test -p splat --no-default-features --target $(ARM) --locked --test parity -- \
-	    kernels pictures optimise scores steps extreme --skip two_hundred --skip ten_thousand --skip hundred_thousand
+	cargo test -p splat --no-default-features --target $(ARM) --locked --lib -- \
+	    parity::kernels parity::pictures parity::adam parity::scores parity::steps parity::extreme --skip two_hundred --skip ten_thousand --skip hundred_thousand
 
 lint: setup  ## formatting, clippy, file and function lengths, borders between crates
 	@tools/lint.sh

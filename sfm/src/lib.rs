@@ -30,5 +30,5 @@ pub use config::{CameraModelChoice, CameraSharing, KeypointPlaces, SfmConfig};
 pub use error::SfmError;
 pub use knowledge::{Calibration, Knowledge};
 pub use reconstruct::{Supplied, reconstruct, reconstruct_features, reconstruct_from, triangulate_given};
-pub use result::{Decision, PoseDeviation, SfmResult, SfmStats, StepTime, Uncertainty};
+pub use result::{PoseDeviation, SfmResult, SfmStats, StepTime, Uncertainty};
 pub use undistort::undistort;

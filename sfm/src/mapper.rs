@@ -4,7 +4,8 @@ use crate::Knowledge;
 use crate::global;
 use crate::incremental::state::{MapState, MappingInput};
 use crate::incremental::structureless_resection::agreement;
-use crate::{Decision, SfmError, incremental};
+use crate::{SfmError, incremental};
+use scene::decision::{Decision, MapperKind, Measurement, Quantity, Rule, Subject};
 use scene::{Camera, Progress};
 use serde::{Deserialize, Serialize};
 
@@ -38,7 +39,7 @@ pub(crate) fn map(
         let started = incremental::sketch(input, cameras, known, progress)?;
         let Some(start) = started else { return Ok((None, None)) };
         let model = global::map(input, &start.cameras, known, progress)?;
-        let said = model.as_ref().map(|m| report(input, "global", &[("global", m)]));
+        let said = model.as_ref().map(|m| decision(input, MapperKind::Global, &[(MapperKind::Global, m)]));
         return Ok((model, said));
     }
     let Some(first) = incremental::map(input, cameras, known, progress)? else { return Ok((None, None)) };
@@ -50,9 +51,10 @@ pub(crate) fn map(
         return Ok((Some(first), None));
     };
     let [a, b] = [&first, &second].map(|s| count_agreeing(s, input).0 as f64);
-    let taken = if b > BETTER * a { "global" } else { "incremental" };
-    let decision = report(input, taken, &[("incremental", &first), ("global", &second)]);
-    Ok((Some(if taken == "global" { second } else { first }), Some(decision)))
+    let taken = if b > BETTER * a { MapperKind::Global } else { MapperKind::Incremental };
+    let decision =
+        decision(input, taken, &[(MapperKind::Incremental, &first), (MapperKind::Global, &second)]);
+    Ok((Some(if taken == MapperKind::Global { second } else { first }), Some(decision)))
 }
 
 /// Images in the largest part of the graph of verified pairs.
@@ -86,15 +88,15 @@ fn count_agreeing(state: &MapState, input: &MappingInput<'_>) -> (usize, usize) 
     sums
 }
 
-fn report(input: &MappingInput<'_>, taken: &str, models: &[(&str, &MapState)]) -> Decision {
-    let one = |(name, state): &(&str, &MapState)| {
+fn decision(input: &MappingInput<'_>, taken: MapperKind, models: &[(MapperKind, &MapState)]) -> Decision {
+    let decision = Decision::new(Subject::Mapper, taken, Rule::Evidence);
+    models.iter().fold(decision, |decision, &(kind, state)| {
         let (agreeing, all) = count_agreeing(state, input);
-        let images = state.registered_count();
-        format!("{name}: {images} images, {agreeing} of {all} sampled matches of verified pairs agree")
-    };
-    Decision {
-        what: "mapper".to_owned(),
-        chosen: taken.to_owned(),
-        evidence: models.iter().map(one).collect::<Vec<_>>().join("; "),
-    }
+        let scores = vec![
+            Measurement::count(Quantity::RegisteredImages, state.registered_count()),
+            Measurement::count(Quantity::AgreeingMatches, agreeing),
+            Measurement::count(Quantity::Matches, all),
+        ];
+        decision.compared(kind, kind == taken, scores)
+    })
 }

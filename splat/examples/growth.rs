@@ -8,12 +8,12 @@ use clap::Parser;
 use glam::{DVec3, Quat, Vec3};
 use rand::Rng as _;
 use scene::{Camera, CameraModel, Gaussians, Pose, Progress};
-use splat::backend::{Backend, LearningRates, StepInput, Target};
+use splat::backend::{LearningRates, StepInput, Target};
 use splat::clock::cpu_seconds;
-use splat::cpu::CpuBackend;
-use splat::dataset::{Normalisation, Pixels, pyramid};
 use splat::model::Model;
+use splat::profile::ProfiledProcessor;
 use splat::{AlphaMode, Dataset, RenderOptions, TrainConfig, View, train};
+use splat::{Normalisation, Pixels, pyramid};
 
 type Result<T> = std::result::Result<T, Box<dyn std::error::Error + Send + Sync>>;
 
@@ -60,9 +60,7 @@ fn main() -> Result<()> {
 fn step(cli: &Cli, n: usize, w: usize, h: usize, size: usize) -> Result<Row> {
     let before = memory("VmRSS:");
     reset_peak();
-    let mut backend = CpuBackend::default();
-    backend.upload(Model::from_gaussians(&shells(n)));
-    backend.set_clock(cpu_seconds);
+    let mut backend = ProfiledProcessor::new(Model::from_gaussians(&shells(n)), cpu_seconds)?;
     let rgb: Vec<u8> = (0..w * h * 3).map(|i| (i * 37 % 251) as u8).collect();
     let (mut start, mut pairs) = (backend.times(), 0);
     for k in 0..cli.steps + 1 {
@@ -76,8 +74,6 @@ fn step(cli: &Cli, n: usize, w: usize, h: usize, size: usize) -> Result<Row> {
             options: RenderOptions::default(),
             rates: LearningRates::default(),
             lambda_dssim: 0.2,
-            opacity_penalty: 0.0,
-            scale_penalty: 0.0,
         })?;
         pairs = out.pairs;
     }

@@ -3,9 +3,10 @@
 use super::model::{AxisModel, CircularContext};
 use super::motion::{CircularMotion, wrap_angle};
 use super::problem::{CircularCovariance, ElevationPrior};
+use crate::SfmError;
 use crate::model_selection::camera::{FreeIntrinsics, PRINCIPAL_POINT_SIGMA};
-use crate::{Decision, SfmError};
 use glam::DVec3;
+use scene::decision::{Choice, Decision, Measurement, Quantity, Remark, Rule, Subject};
 
 /// Standard deviation of an elevation that somebody measured (a spirit level, a phone's inclinometer), radians.
 const ELEVATION_SIGMA: f64 = 0.1 * std::f64::consts::PI / 180.0;
@@ -21,17 +22,24 @@ pub(crate) struct Elevation {
     pub angle: f64,
     /// Standard deviation, radians.
     pub sigma: f64,
-    /// Where it is from, for the report.
-    pub source: String,
+    /// Where it is from.
+    pub source: Remark,
     /// What to do where it is doubtful.
-    pub doubt: &'static str,
+    pub doubt: Remark,
+    /// The figures behind it, for the report.
+    pub figures: Vec<Measurement>,
 }
 
 impl Elevation {
     /// What somebody measured.
     pub fn from_measurement(degrees: f64) -> Self {
-        let source = format!("measured {degrees:.3}° ± {:.1}°", ELEVATION_SIGMA.to_degrees());
-        Self { angle: degrees.to_radians(), sigma: ELEVATION_SIGMA, source, doubt: "measure it again" }
+        Self {
+            angle: degrees.to_radians(),
+            sigma: ELEVATION_SIGMA,
+            source: Remark::MeasuredElevation,
+            doubt: Remark::DoubtfulMeasurement,
+            figures: Vec::new(),
+        }
     }
 
     /// The camera sees the upward axis u with `e_z · u = −sin(elevation)`.
@@ -69,18 +77,14 @@ pub(crate) fn decisions(
     let mean = steps.iter().sum::<f64>() / steps.len().max(1) as f64;
     let spread = steps.iter().map(|s| (s - mean).powi(2)).sum::<f64>() / steps.len().max(1) as f64;
     let worst = covariance.angles.iter().copied().fold(0.0, f64::max).to_degrees();
-    let axis = Decision {
-        what: "axis".to_owned(),
-        chosen: format!("({:.4}, {:.4}, {:.4}) in the camera's frame", z.x, z.y, z.z),
-        evidence: format!(
-            "standard deviations: tilt {:.4}° sideways and {:.4}° towards the camera, angles at most {worst:.4}°; \
-             steps {mean:.3}° ± {:.3}° over {} frames",
-            factor * sideways.to_degrees(),
-            factor * towards.to_degrees(),
-            spread.sqrt(),
-            angles.len()
-        ),
-    };
+    let axis = Decision::new(Subject::RotationAxis, Choice::Direction(z.to_array()), Rule::Evidence)
+        .with_all([
+            Measurement::new(Quantity::AxisTiltSideways, factor * sideways.to_degrees()),
+            Measurement::new(Quantity::AxisTiltTowards, factor * towards.to_degrees()),
+            Measurement::new(Quantity::AngleDeviation, worst),
+            Measurement::estimate(Quantity::AngularStep, mean, spread.sqrt()),
+            Measurement::count(Quantity::RegisteredImages, angles.len()),
+        ]);
     let given = model.elevation.as_ref().or(context.elevation.as_ref());
     let given = given.map(|given| elevation_decision(model, given, context.known[0].fixed));
     Ok(std::iter::once(axis).chain(given).collect())
@@ -107,19 +111,19 @@ fn elevation_decision(model: &AxisModel, given: &Elevation, known: bool) -> Deci
     let off = camera.principal_point() - glam::DVec2::new(width, height) / 2.0;
     let usual = DOUBTFUL * PRINCIPAL_POINT_SIGMA * width.max(height);
     let far = off.length() > usual || (found - given.angle).abs() > DOUBTFUL * given.sigma;
-    let verdict = match (&model.elevation, known) {
-        (None, true) => "not used, for the camera is known".to_owned(),
-        (None, false) => format!("not used, for the observations contradict it: {}", given.doubt),
-        (Some(_), _) if far => format!("doubtful: {}", given.doubt),
-        (Some(_), _) => "believed".to_owned(),
-    };
-    Decision {
-        what: "elevation of the camera".to_owned(),
-        chosen: format!("{:.3}°", found.to_degrees()),
-        evidence: format!(
-            "{}; principal point {:.1} px off the centre ({usual:.0} px are usual at most): {verdict}",
-            given.source,
-            off.length()
-        ),
+    let rule = if model.elevation.is_none() && !known { Rule::Contradicted } else { Rule::Evidence };
+    let choice = Measurement::new(Quantity::Elevation, found.to_degrees());
+    let mut decision = Decision::new(Subject::CameraElevation, choice, rule).remarked(given.source);
+    match (&model.elevation, known) {
+        (None, true) => decision.remarks.push(Remark::KnownCamera),
+        (None, false) => decision.remarks.push(given.doubt),
+        (Some(_), _) if far => decision.remarks.push(given.doubt),
+        (Some(_), _) => {}
     }
+    let (angle, sigma) = (given.angle.to_degrees(), given.sigma.to_degrees());
+    decision
+        .estimated(Quantity::GivenElevation, angle, sigma)
+        .with_all(given.figures.iter().copied())
+        .measured(Quantity::PrincipalPointOffset, off.length())
+        .measured(Quantity::UsualOffset, usual)
 }

@@ -38,12 +38,13 @@ use crate::incremental::adjust::Adjustment;
 use crate::incremental::finish::noise_of;
 use crate::incremental::state::{MapState, MappingInput};
 use crate::model_selection::camera::{FreeIntrinsics, convert_camera};
-use crate::{Decision, PoseDeviation, SfmError, Uncertainty};
+use crate::{PoseDeviation, SfmError, Uncertainty};
 use axis::Elevation;
-use evidence::{Comparison, MotionModel};
+use evidence::Comparison;
 use intrinsics::choose_for_turn;
 use model::{AxisModel, CircularContext};
 use motion::CircularMotion;
+use scene::decision::{Decision, Measurement, MotionModel, Quantity, Remark, Rule, Subject};
 use scene::{Camera, CameraModel, FrameSet, Progress};
 use vertical_lines::Segment;
 
@@ -93,8 +94,10 @@ pub(crate) struct MotionOutcome {
 }
 
 impl MotionOutcome {
-    fn free(evidence: String) -> Self {
-        Self { taken: None, circled: None, decision: Some(decision("free", evidence)) }
+    /// Free poses; `evidence` says why.
+    fn free(evidence: Decision) -> Self {
+        let decision = Decision { choice: MotionModel::Free.into(), ..evidence };
+        Self { taken: None, circled: None, decision: Some(decision) }
     }
 }
 
@@ -136,11 +139,6 @@ impl MotionInput<'_> {
     }
 }
 
-/// The decision on the motion.
-pub(crate) fn decision(chosen: &str, evidence: String) -> Decision {
-    Decision { what: "motion".to_owned(), chosen: chosen.to_owned(), evidence }
-}
-
 /// Looks whether the images show a turn about one axis or an orbit, as far as the configuration asks for it. `unrotated`:
 /// no image was rotated on its way here.
 pub(crate) fn consider(
@@ -150,14 +148,17 @@ pub(crate) fn consider(
 ) -> Result<MotionOutcome, SfmError> {
     let motion = job.config.motion;
     if motion == Motion::Free {
-        return Ok(MotionOutcome::free("asked for".to_owned()));
+        return Ok(MotionOutcome::free(motion_decision(Rule::Requested)));
     }
     if job.cameras.len() != 1 {
-        let evidence = format!("{} cameras took the images: none stood still", job.cameras.len());
+        let evidence = motion_decision(Rule::Evidence)
+            .remarked(Remark::SeveralCameras)
+            .measured(Quantity::Cameras, job.cameras.len() as f64);
         return Ok(MotionOutcome::free(evidence));
     }
-    let mut notes = Vec::new();
-    let solved = if unrotated && motion != Motion::Orbit { one_axis(job, free, &mut notes)? } else { None };
+    let mut evidence = motion_decision(Rule::Evidence);
+    let solved =
+        if unrotated && motion != Motion::Orbit { one_axis(job, free, &mut evidence)? } else { None };
     let registered = free.map_or(0, |f| f.state.registered_count());
     let context = job.context(&[]);
     // The general model's observations, unless it has fewer images.
@@ -165,29 +166,31 @@ pub(crate) fn consider(
     let base =
         free.filter(|f| single.is_none_or(|s| f.state.registered_count() >= s.state.registered_count()));
     let Some(state) = base.map(|f| f.state).or(single.map(|s| &s.state)) else {
-        notes.push("no model about one axis stands".to_owned());
-        return Ok(MotionOutcome::free(notes.join("; ")));
+        return Ok(MotionOutcome::free(evidence.remarked(Remark::NoSingleAxisModel)));
     };
     if solved.is_none() && motion == Motion::Auto && !orbit::is_possible(state) {
-        notes.push("the poses are on no circle".to_owned());
-        return Ok(MotionOutcome::free(notes.join("; ")));
+        return Ok(MotionOutcome::free(evidence.remarked(Remark::NoCircle)));
     }
     let freedom = base.map(|f| f.intrinsics).or(solved.as_ref().map(|s| s.1));
     let comparison = match freedom {
         Some(freedom) => Comparison::of(single, state, &context, freedom)?,
         None => None,
     };
-    notes
-        .push(comparison.as_ref().map_or("too few observations to compare".to_owned(), Comparison::describe));
+    evidence = match &comparison {
+        Some(comparison) => evidence.absorbing(comparison.describe()),
+        None => Decision { rule: Rule::TooFewObservations, ..evidence },
+    };
+    if matches!(motion, Motion::SingleAxis | Motion::Orbit) {
+        evidence.rule = Rule::Requested;
+    }
     let choice = comparison.as_ref().map_or(MotionModel::Free, Comparison::choice);
-    let evidence = notes.join("; ");
     let fewer = single.is_some_and(|s| s.state.registered_count() < registered);
     match solved {
         Some((mut model, intrinsics, camera))
-            if motion == Motion::SingleAxis || (choice == MotionModel::Single && !fewer) =>
+            if motion == Motion::SingleAxis || (choice == MotionModel::SingleAxis && !fewer) =>
         {
             let turned = finish(&mut model, &context, job, intrinsics, (camera, 1.0))?;
-            let decision = Some(decision("single-axis", evidence));
+            let decision = Some(Decision { choice: MotionModel::SingleAxis.into(), ..evidence });
             Ok(MotionOutcome { taken: Some(turned), circled: None, decision })
         }
         _ => match (base, comparison) {
@@ -199,12 +202,17 @@ pub(crate) fn consider(
     }
 }
 
+/// The decision on the motion, before it is made.
+pub(crate) fn motion_decision(rule: Rule) -> Decision {
+    Decision::new(Subject::Motion, MotionModel::Free, rule)
+}
+
 /// The general model as an orbit: adjusted once more, its cameras near the circle.
 fn on_a_circle(
     context: &CircularContext<'_>,
     free: &FreeModel<'_>,
     comparison: &Comparison,
-    evidence: String,
+    evidence: Decision,
 ) -> Result<MotionOutcome, SfmError> {
     let mut circled: Option<MapState> = None;
     let [turn, shift] = comparison.orbit_sigma;
@@ -218,25 +226,25 @@ fn on_a_circle(
         next.grow_all(context.input);
         circled = Some(next);
     }
-    Ok(MotionOutcome { taken: None, circled, decision: Some(decision("orbit", evidence)) })
+    let decision = Some(Decision { choice: MotionModel::Orbit.into(), ..evidence });
+    Ok(MotionOutcome { taken: None, circled, decision })
 }
 
 /// A model about one axis, from the free poses where they turn, else from three images; what was found is noted.
 fn one_axis(
     job: &MotionInput<'_>,
     free: Option<&FreeModel<'_>>,
-    notes: &mut Vec<String>,
+    evidence: &mut Decision,
 ) -> Result<Option<(AxisModel, FreeIntrinsics, Decision)>, SfmError> {
     let single = job.config.motion == Motion::SingleAxis;
     let from_free = free.and_then(|f| CircularMotion::of_poses(&f.state.poses));
-    notes.push(match &from_free {
-        Some((_, misfit)) => format!(
-            "the axes of the free poses' rotations are {:.2}° apart, their places {:.2} % of the radius",
-            misfit.tilt.to_degrees(),
-            100.0 * misfit.slip
-        ),
-        None => "the general solver has no poses that turn".to_owned(),
-    });
+    match &from_free {
+        Some((_, misfit)) => evidence.measurements.extend([
+            Measurement::new(Quantity::AxisMisalignment, misfit.tilt.to_degrees()),
+            Measurement::new(Quantity::CircleMisfit, misfit.slip),
+        ]),
+        None => evidence.remarks.push(Remark::NoRotation),
+    }
     let near = from_free.filter(|(_, m)| single || orbit::is_near(m));
     let registered = free.map_or(0, |f| f.state.registered_count());
     let whole = registered as f64 >= WHOLE * job.input.keypoints.len() as f64;
@@ -246,9 +254,10 @@ fn one_axis(
             let free_px = noise_of(f.state, job.input);
             let axis_px = rough_noise(&context, &f.state.cameras, turn.clone())?;
             if !single && whole && axis_px > HOPELESS * free_px {
-                notes.push(format!(
-                    "one axis leaves residuals of {axis_px:.2} px, free poses of {free_px:.2} px"
-                ));
+                evidence.measurements.extend([
+                    Measurement::new(Quantity::SingleAxisResidual, axis_px),
+                    Measurement::new(Quantity::FreeResidual, free_px),
+                ]);
                 return Ok(None);
             }
             adjust_and_choose(&context, job, &f.state.cameras, turn, ROUNDS)?
@@ -260,10 +269,9 @@ fn one_axis(
         let more =
             solved.as_ref().is_none_or(|s| model.state.registered_count() > s.0.state.registered_count());
         if more {
-            notes.push(format!(
-                "{} images grew from three of them under one axis",
-                model.state.registered_count()
-            ));
+            let registered = model.state.registered_count();
+            evidence.remarks.push(Remark::ThreeImages);
+            evidence.measurements.push(Measurement::count(Quantity::RegisteredImages, registered));
             let cameras = model.state.cameras.clone();
             solved = adjust_and_choose(&context, job, &cameras, model.turn, ROUNDS)?.or(solved);
         }

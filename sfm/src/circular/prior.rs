@@ -3,7 +3,7 @@
 
 use super::problem::{CircularCovariance, Relation};
 use super::whiten::{cholesky, dot, whiten};
-use crate::Decision;
+use scene::decision::{Decision, Measurement, Quantity, Rule, Subject};
 
 /// Fewest frames from which the motion is learnt.
 const FEWEST: usize = 10;
@@ -303,20 +303,20 @@ pub(crate) fn learn_motion(
         let mean = (0..n).map(|i| line(of, i)).sum::<f64>() / n as f64;
         rms(&|i| line(of, i) - mean)
     };
-    let evidence = format!(
-        "angles found alone are {:.4}° off a steady turn, their errors would be {:.4}° (variance of the noise × {excess:.1}); \
-         slow deviations of {:.4}° over {:.2} of the video and jitter of {:.4}° are likeliest, log odds {:+.1} \
-         against a steady turn with jitter; steady with a probability of {:.2}",
-        centred(&found.angles),
-        rms(&|i| (excess * found.covariance[i * (n + 1)]).sqrt()),
-        best.1.sway.to_degrees(),
-        best.1.lasts,
-        best.1.jitter.to_degrees(),
-        best.0 - steady,
-        even / (even + uneven),
-    );
-    let chosen = format!("{:.4}° a second, steady to {:.4}°", rate.to_degrees(), centred(&angles));
-    let decision = Decision { what: "rate of the turn".to_owned(), chosen, evidence };
+    let measured = [
+        (Quantity::RateDeviation, centred(&found.angles)),
+        (Quantity::ExpectedDeviation, rms(&|i| (excess * found.covariance[i * (n + 1)]).sqrt())),
+        (Quantity::VarianceFactor, excess),
+        (Quantity::SlowDeviation, best.1.sway.to_degrees()),
+        (Quantity::SlowDuration, best.1.lasts),
+        (Quantity::Jitter, best.1.jitter.to_degrees()),
+        (Quantity::LogOdds, best.0 - steady),
+        (Quantity::Probability, even / (even + uneven)),
+        (Quantity::SmoothedDeviation, centred(&angles)),
+    ]
+    .map(|(quantity, value)| Measurement::new(quantity, value));
+    let rate = Measurement::new(Quantity::AngularRate, rate.to_degrees());
+    let decision = Decision::new(Subject::RotationRate, rate, Rule::Evidence).with_all(measured);
     Some(LearntMotion { images: images.to_vec(), angles, deviations, excess, decision })
 }
 

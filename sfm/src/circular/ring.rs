@@ -5,12 +5,13 @@
 use super::model::CircularContext;
 use super::motion::{CircularMotion, pose_at, wrap_angle};
 use super::orbit;
+use crate::SfmError;
 use crate::incremental::state::MapState;
 use crate::incremental::structureless_resection::consistency;
 use crate::model_selection::camera::FreeIntrinsics;
 use crate::statistics::median;
-use crate::{Decision, SfmError};
 use scene::Pose;
+use scene::decision::{Choice, Decision, Measurement, Quantity, Rule, Subject};
 use std::f64::consts::TAU;
 
 /// Images from which on a ring is believed.
@@ -173,16 +174,13 @@ pub(crate) fn complete(
     let weak: Vec<usize> = added.iter().copied().filter(|&i| next.observations(i) < LEAST_MATCHES).collect();
     weak.iter().for_each(|&i| next.unregister(i));
     added.retain(|i| !weak.contains(i));
-    let decision = Decision {
-        what: "places on the ring".to_owned(),
-        chosen: format!("{} images", added.len()),
-        evidence: format!(
-            "the {} others go round evenly, {:.2}° and {:.2} % of the radius off a circle; matches agree with what is between them",
-            state.registered_count() - state.order.iter().filter(|i| added.contains(i)).count(),
-            ring.sigma[0].to_degrees(),
-            100.0 * ring.sigma[1]
-        ),
-    };
+    let others = state.registered_count() - state.order.iter().filter(|i| added.contains(i)).count();
+    let decision = Decision::new(Subject::CircleCompletion, Choice::count(added.len()), Rule::Evidence)
+        .with_all([
+            Measurement::count(Quantity::RegisteredImages, others),
+            Measurement::new(Quantity::OrbitRotation, ring.sigma[0].to_degrees()),
+            Measurement::new(Quantity::OrbitTranslation, ring.sigma[1]),
+        ]);
     // Images that were suspected and fit nowhere may be gone: a smaller model is no completion.
     let larger = !added.is_empty() && next.registered_count() >= state.registered_count();
     Ok(larger.then_some((next, decision)))

@@ -151,7 +151,7 @@ pub(super) fn solve_from(
     let job = filmed.video();
     let material = VideoTracks::of_klt(&tracks, table.poses.len());
     let input = job.input(&material);
-    let grown = job.grow(&input, &tracks).unwrap()?;
+    let grown = job.grow(&input, &tracks).unwrap().map_err(|why| format!("{why:?}"))?;
     let starts = grown.state.cameras.clone();
     let job = filmed.job(&input, &starts);
     let context = job.context(&[]);
@@ -163,7 +163,7 @@ pub(super) fn solve_from(
 
 pub(super) fn favours_single(comparison: Option<Comparison>) {
     let comparison = comparison.unwrap();
-    assert!(comparison.favours_single(), "{}", comparison.describe());
+    assert!(comparison.favours_single(), "{:?}", comparison.describe());
 }
 
 #[test]
@@ -244,7 +244,7 @@ fn a_camera_that_wobbles_is_not_a_turn() {
     }
     let (_, comparison) = solve(&table, table.tracks(0.2, 8)).unwrap();
     let comparison = comparison.unwrap();
-    assert!(!comparison.favours_single(), "{}", comparison.describe());
+    assert!(!comparison.favours_single(), "{:?}", comparison.describe());
 }
 
 #[test]

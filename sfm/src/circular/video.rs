@@ -8,15 +8,16 @@ use super::model::{AxisModel, CircularContext};
 use super::motion::CircularMotion;
 use super::prior::{known_rate, learn_motion};
 use super::{
-    CircularSolution, Motion, MotionInput, ROUNDS, ROUNDS_BEFORE, adjust_and_choose, decision, finish,
+    CircularSolution, Motion, MotionInput, ROUNDS, ROUNDS_BEFORE, adjust_and_choose, finish, motion_decision,
 };
 use crate::Knowledge;
 use crate::incremental::resection::FOCAL_FACTORS;
 use crate::incremental::state::MappingInput;
 use crate::klt::{KltTrack, track};
 use crate::statistics::median;
-use crate::{Decision, SfmConfig, SfmError};
+use crate::{SfmConfig, SfmError};
 use glam::DVec2;
+use scene::decision::{Decision, Measurement, MotionModel, Quantity, Remark, Rule, Subject};
 use scene::{Camera, Features, FrameSet, Progress, TwoViewGeometry};
 
 /// Motion between two key frames of the seed, as a share of the longer image side.
@@ -55,19 +56,23 @@ struct VideoStart {
 }
 
 /// The model of a video in which something turns about one axis; else the reason why it is none.
-pub(crate) fn solve_video(job: &VideoJob<'_>) -> Result<Result<(VideoModel, Decision), String>, SfmError> {
+pub(crate) fn solve_video(job: &VideoJob<'_>) -> Result<Result<(VideoModel, Decision), Decision>, SfmError> {
     if job.cameras.len() != 1 || job.frames.len() < 4 {
-        return Ok(Err("fewer than four frames, or more than one camera".to_owned()));
+        let remark = if job.cameras.len() != 1 { Remark::SeveralCameras } else { Remark::TooFewFrames };
+        return Ok(Err(not_found().remarked(remark)));
     }
     let mut tracks = track(job.frames, &job.config.klt, job.progress)?;
     let still = drop_still(&mut tracks);
-    let note = format!("{} points were followed, {still} more stand still", tracks.len());
+    let tracked = [
+        Measurement::count(Quantity::TrackedPoints, tracks.len()),
+        Measurement::count(Quantity::StationaryPoints, still),
+    ];
     let n = job.frames.len();
     let material = VideoTracks::of_klt(&tracks, n);
     let input = job.input(&material);
     let model = match job.grow(&input, &tracks)? {
         Ok(model) => model,
-        Err(why) => return Ok(Err(format!("{note}; {why}"))),
+        Err(why) => return Ok(Err(not_found().with_all(tracked).absorbing(why))),
     };
     let config = job.config;
     let keys = KeyFrames::new(job.frames, &model, &config.sift, &config.matching, job.progress)?;
@@ -92,16 +97,22 @@ pub(crate) fn solve_video(job: &VideoJob<'_>) -> Result<Result<(VideoModel, Deci
     let Some((mut model, intrinsics, camera)) =
         adjust_and_choose(&context, &free_job, &cameras, turn, ROUNDS_BEFORE)?
     else {
-        return Ok(Err(format!("{note}; the tracks and key frames do not agree on one axis")));
+        return Ok(Err(not_found().with_all(tracked).remarked(Remark::TracksDisagree)));
     };
     let comparison = Comparison::of(Some(&model), &model.state, &context, intrinsics)?;
-    let figures =
-        comparison.as_ref().map_or("too few observations to compare".to_owned(), Comparison::describe);
-    let evidence = format!("{note}; {closure}; {figures}");
+    let evidence = motion_decision(Rule::Evidence).with_all(tracked).absorbing(closure);
+    let evidence = match &comparison {
+        Some(comparison) => evidence.absorbing(comparison.describe()),
+        None => Decision { rule: Rule::TooFewObservations, ..evidence },
+    };
     let registered = model.state.registered_count();
     let single = comparison.is_some_and(|c| c.favours_single()) && registered as f64 >= REGISTERED * n as f64;
     if config.motion.motion == Motion::Auto && !single {
-        return Ok(Err(format!("one axis was tried: {registered} of {n} frames; {evidence}")));
+        let counts = [
+            Measurement::count(Quantity::RegisteredImages, registered),
+            Measurement::count(Quantity::Frames, n),
+        ];
+        return Ok(Err(not_found().with_all(counts).absorbing(evidence)));
     }
     let motion = match model.covariance(&context, intrinsics)? {
         Some((_, images, c)) if rate.is_none() => {
@@ -125,7 +136,13 @@ pub(crate) fn solve_video(job: &VideoJob<'_>) -> Result<Result<(VideoModel, Deci
     let excess = motion.as_ref().map_or(1.0, |l| l.excess);
     let mut solution = finish(&mut model, &context, &free_job, intrinsics, (camera, excess))?;
     solution.decisions.extend(motion.map(|l| l.decision));
-    Ok(Ok((job.into_video_model(solution, material, keys), decision("single-axis", evidence))))
+    let decision = Decision { choice: MotionModel::SingleAxis.into(), ..evidence };
+    Ok(Ok((job.video_model(solution, material, keys), decision)))
+}
+
+/// The decision that a video shows no single-axis motion.
+fn not_found() -> Decision {
+    Decision::new(Subject::VideoMotion, false, Rule::Evidence)
 }
 
 impl VideoJob<'_> {
@@ -142,12 +159,7 @@ impl VideoJob<'_> {
         }
     }
 
-    fn into_video_model(
-        &self,
-        solution: CircularSolution,
-        material: VideoTracks,
-        keys: KeyFrames,
-    ) -> VideoModel {
+    fn video_model(&self, solution: CircularSolution, material: VideoTracks, keys: KeyFrames) -> VideoModel {
         let mut geometries = keys.near;
         geometries.extend(keys.closure);
         geometries.sort_by_key(|g| (g.a, g.b));
@@ -176,7 +188,7 @@ impl VideoJob<'_> {
         &self,
         input: &MappingInput<'_>,
         tracks: &[KltTrack],
-    ) -> Result<Result<AxisModel, String>, SfmError> {
+    ) -> Result<Result<AxisModel, Decision>, SfmError> {
         let times = self.times();
         let start = match self.first_guess(tracks) {
             Ok(start) => start,
@@ -198,23 +210,23 @@ impl VideoJob<'_> {
             }
         }
         let Some((_, mut model, cameras)) = chosen else {
-            return Ok(Err("no seed gives points".to_owned()));
+            return Ok(Err(not_found().remarked(Remark::NoTriangulation)));
         };
         let context = self.context(input, &cameras, &times);
         model.extend(&context, &times)?;
         let registered = model.state.registered_count();
         if registered < 3 {
-            return Ok(Err("the seed does not grow".to_owned()));
+            return Ok(Err(not_found().remarked(Remark::NoExtension)));
         }
         Ok(Ok(model))
     }
 
     /// Seeds from a few key frames: as far apart as the tracks need to move, or nearer where that leaves too few of them. Points
     /// on the axis or near it hardly move at all.
-    fn first_guess(&self, tracks: &[KltTrack]) -> Result<VideoStart, String> {
+    fn first_guess(&self, tracks: &[KltTrack]) -> Result<VideoStart, Decision> {
         let n = self.frames.len();
         let Some(widest) = stride(tracks, n, self.cameras[0].width.max(self.cameras[0].height)) else {
-            return Err("nothing moves enough".to_owned());
+            return Err(not_found().remarked(Remark::NoMotion));
         };
         let guess = self.cameras[0].mean_focal();
         let known = self.known[0].fixed || self.known[0].focal_sigma.is_some();
@@ -237,8 +249,10 @@ impl VideoJob<'_> {
             best = Some(best.map_or(share, |b| b.max(share)));
         }
         Err(match best {
-            Some(share) => format!("one axis explains {:.0} % of their motion at most", 100.0 * share),
-            None => "no points last long enough".to_owned(),
+            Some(share) => {
+                not_found().remarked(Remark::WeakExplanation).measured(Quantity::ExplainedMotion, share)
+            }
+            None => not_found().remarked(Remark::ShortTracks),
         })
     }
 

@@ -8,7 +8,8 @@ use crate::model_selection::camera::{CameraChoice, FreeIntrinsics, apply, choose
 use crate::model_selection::noise::{noise_in_units, redundancy};
 use crate::model_selection::principal_point;
 use crate::model_selection::rotated_images::{group_size, rotate_problem, suspects};
-use crate::{Decision, Knowledge, PoseDeviation, SfmError, Uncertainty};
+use crate::{Knowledge, PoseDeviation, SfmError, Uncertainty};
+use scene::decision::{Choice, Decision, Rule, Subject};
 use scene::{Camera, CameraModel, Progress};
 
 /// Observations that the choice of the camera model is based on, and the first round of the last adjustment.
@@ -63,16 +64,13 @@ pub(crate) fn decide(
         return Ok(verdict(choice, None, Vec::new()));
     }
     let ways: Vec<_> = suspects.iter().map(|s| rotate_problem(&problem, s)).collect();
-    let (better, evidence) = choose_rotated(&choice, &ways, known, named, sigma, progress)?;
+    let (better, alternatives) = choose_rotated(&choice, &ways, known, named, sigma, progress)?;
     let count = |way: usize| suspects[way].iter().filter(|t| **t).count();
-    let mut decision = Decision {
-        what: "images rotated by 180°".to_owned(),
-        chosen: format!("0 of {}", images.len()),
-        evidence: format!("the principal points of {} images might be mirrored: {evidence}", count(0)),
-    };
+    let suspected = Choice::share(0, images.len());
+    let mut decision =
+        Decision::new(Subject::RotatedImages, suspected, Rule::Evidence).compared_all(alternatives);
     let Some((way, better)) = better else { return Ok(verdict(choice, None, vec![decision])) };
-    decision.chosen = format!("{} of {}", count(way), images.len());
-    decision.evidence = format!("their principal points are mirrored: {evidence}");
+    decision.choice = Choice::share(count(way), images.len());
     let mut rotated = vec![false; input.keypoints.len()];
     images.iter().zip(&suspects[way]).for_each(|(&image, &t)| rotated[image] = t);
     Ok(verdict(better, Some(rotated), vec![decision]))
@@ -91,7 +89,7 @@ pub(crate) fn free_principal_point(
     starts: &[Camera],
     (now, named): (FreeIntrinsics, Option<CameraModel>),
     progress: &Progress,
-) -> Result<Option<(FreeIntrinsics, String)>, SfmError> {
+) -> Result<Option<(FreeIntrinsics, Decision)>, SfmError> {
     let (free, priors) = freedom(&state.cameras, known, starts, usize::MAX);
     let problem = select(state, input, &Adjustment::growing(free, priors)).problem;
     principal_point::free_principal_point(&problem, known, (now, named), noise_in_units(&problem), progress)

@@ -9,7 +9,8 @@ use super::noise::{TRUNCATION, error_sq};
 use crate::bundle::{
     BundleObservation, BundleProblem, IntrinsicsPrior, RobustLoss, SolveOptions, free_parameters,
 };
-use crate::{Decision, Knowledge, SfmError};
+use crate::{Knowledge, SfmError};
+use scene::decision::{Alternative, Choice, Decision, Measurement, PrincipalPoint, Quantity, Rule, Subject};
 use scene::{Camera, CameraModel, Progress};
 
 /// Standard deviation of a principal point from the image centre, in longer image sides (lenses and crops of real
@@ -39,15 +40,15 @@ pub struct FreeIntrinsics {
 }
 
 impl FreeIntrinsics {
-    /// In words.
-    pub fn describe(self) -> String {
-        let point = match (self.principal_point, self.held) {
-            (false, _) => "at the centre",
-            (true, None) => "free",
-            (true, Some(0)) => "free in y",
-            (true, Some(_)) => "free in x",
+    /// As a choice in a decision.
+    pub fn choice(self) -> Choice {
+        let principal_point = match (self.principal_point, self.held) {
+            (false, _) => PrincipalPoint::Centre,
+            (true, None) => PrincipalPoint::Free,
+            (true, Some(0)) => PrincipalPoint::FreeY,
+            (true, Some(_)) => PrincipalPoint::FreeX,
         };
-        format!("{}, principal point {point}", self.model.name())
+        Choice::Camera { model: Some(self.model), principal_point }
     }
 
     /// Free parameters of one camera.
@@ -139,15 +140,12 @@ pub fn choose(
     progress: &Progress,
 ) -> Result<CameraChoice, SfmError> {
     let start = FreeIntrinsics { principal_point, ..before_the_choice(named) };
-    let mut decision = Decision {
-        what: "camera model".to_owned(),
-        chosen: start.describe(),
-        evidence: "too few observations to choose by".to_owned(),
-    };
     let all_known = known.iter().all(|k| k.fixed);
-    if all_known {
-        (decision.chosen, decision.evidence) = (known_as(problem, known), "known beforehand".to_owned());
-    }
+    let decision = if all_known {
+        Decision::new(Subject::CameraModel, known_choice(problem, known), Rule::Given)
+    } else {
+        Decision::new(Subject::CameraModel, start.choice(), Rule::TooFewObservations)
+    };
     let (training, held_out) = split(problem);
     if problem.poses.len() < 3 || held_out.len() < 100 || all_known {
         let problem = problem.clone();
@@ -156,7 +154,9 @@ pub fn choose(
     }
     let context = CameraSelection { training, held_out, sigma, known, progress };
     let mut best = context.trial(problem, start)?;
-    let mut lines = vec![best.line()];
+    let mut decision = Decision::new(Subject::CameraModel, start.choice(), Rule::Evidence)
+        .measured(Quantity::Noise, sigma)
+        .compared(start.choice(), true, best.scores());
     let mut consider = |intrinsics: FreeIntrinsics, best: &mut CameraTrial| -> Result<bool, SfmError> {
         let trial = context.trial(&best.problem, intrinsics)?;
         if trial.score.bic < best.score.bic {
@@ -164,21 +164,14 @@ pub fn choose(
             let again = context.trial(&trial.gone_back_to(best), best.intrinsics)?;
             if again.score.bic < best.score.bic {
                 *best = again;
-                lines.push(format!("{} (from there)", best.line()));
+                decision.alternatives.push(best.as_alternative(true));
             }
         }
         let found = Comparison::new(&trial.score, &best.score);
         let better = found.is_preferred() && context.determined(&trial)?;
-        lines.push(format!(
-            "{} ({} ± {}, gain {:.4} ± {:.4}, z {:.2}){}",
-            trial.line(),
-            found.margin.round(),
-            found.deviation.round(),
-            found.gain,
-            found.error,
-            found.significance(),
-            if better { ": taken" } else { "" }
-        ));
+        let mut alternative = trial.as_alternative(better);
+        alternative.scores.extend(found.measurements());
+        decision.alternatives.push(alternative);
         if better {
             *best = trial;
         }
@@ -203,20 +196,13 @@ pub fn choose(
             consider(freed(&best), &mut best)?;
         }
     }
-    decision.chosen = best.intrinsics.describe();
-    let d = super::noise::Dependence::of(&best.problem, sigma);
-    decision.evidence = format!("noise {sigma:.3} px {d:?}; {}", lines.join("; "));
-    Ok(CameraChoice {
-        intrinsics: best.intrinsics,
-        score: best.score,
-        decision,
-        problem: best.problem,
-    })
+    decision.choice = best.intrinsics.choice();
+    Ok(CameraChoice { intrinsics: best.intrinsics, score: best.score, decision, problem: best.problem })
 }
 
 /// Which of several ways to rotate images (see [`crate::model_selection::rotated_images`]) the observations support, with the choice that goes with it:
 /// a free principal point that predicts better than the untouched images' best model and pays for itself and for one
-/// bit an image. `None` where the evidence is not clear. The text says what was found.
+/// bit an image. `None` where the evidence is not clear. The alternatives say what was found.
 pub fn choose_rotated(
     untouched: &CameraChoice,
     ways: &[BundleProblem],
@@ -224,7 +210,7 @@ pub fn choose_rotated(
     named: Option<CameraModel>,
     sigma: f64,
     progress: &Progress,
-) -> Result<(Option<(usize, CameraChoice)>, String), SfmError> {
+) -> Result<(Option<(usize, CameraChoice)>, Vec<Alternative>), SfmError> {
     let free = FreeIntrinsics { principal_point: true, ..untouched.intrinsics };
     let mut least: Option<(usize, CameraTrial)> = None;
     for (way, problem) in ways.iter().enumerate() {
@@ -234,7 +220,7 @@ pub fn choose_rotated(
             least = Some((way, trial));
         }
     }
-    let Some((way, trial)) = least else { return Ok((None, "no way to rotate them".to_owned())) };
+    let Some((way, trial)) = least else { return Ok((None, Vec::new())) };
     // From where that trial has come to, with all observations and priors again.
     let start =
         BundleProblem { poses: trial.problem.poses, points: trial.problem.points, ..ways[way].clone() };
@@ -245,23 +231,30 @@ pub fn choose_rotated(
     let bits = 2.0 * std::f64::consts::LN_2 * ways[way].poses.len() as f64;
     let mut found = Comparison::new(&choice.score, &untouched.score);
     found.margin -= bits;
-    let evidence = format!(
-        "BIC {:.0} against {:.0} as they are (± {:.0}), held-out gain {:.4} ± {:.4}, z {:.2}",
-        choice.score.bic + bits,
-        untouched.score.bic,
-        found.deviation,
-        found.gain,
-        found.error,
-        found.significance()
-    );
-    Ok((found.is_preferred().then_some((way, choice)), evidence))
+    let better = found.is_preferred();
+    let bic = |bic| Measurement::new(Quantity::Bic, bic);
+    let alternatives = vec![
+        Alternative {
+            choice: Choice::Taken(false),
+            accepted: !better,
+            scores: vec![bic(untouched.score.bic)],
+        },
+        Alternative {
+            choice: Choice::Taken(true),
+            accepted: better,
+            scores: [bic(choice.score.bic + bits)].into_iter().chain(found.measurements()).collect(),
+        },
+    ];
+    Ok((better.then_some((way, choice)), alternatives))
 }
 
-/// What is said of cameras that are all known.
-pub(crate) fn known_as(problem: &BundleProblem, known: &[Knowledge]) -> String {
-    let model = problem.cameras.first().map_or("no camera", |c| c.model.name());
-    let near = known.iter().any(|k| k.calibration.is_some());
-    format!("{model}, {}", if near { "as calibrated, within its standard deviations" } else { "as given" })
+/// The choice where all cameras are known.
+pub(crate) fn known_choice(problem: &BundleProblem, known: &[Knowledge]) -> Choice {
+    let is_calibrated = known.iter().any(|k| k.calibration.is_some());
+    Choice::Camera {
+        model: problem.cameras.first().map(|c| c.model),
+        principal_point: if is_calibrated { PrincipalPoint::Calibrated } else { PrincipalPoint::Given },
+    }
 }
 
 fn parameters(intrinsics: FreeIntrinsics) -> usize {
@@ -346,16 +339,20 @@ impl CameraTrial {
         problem
     }
 
-    pub(super) fn line(&self) -> String {
-        let params = self.problem.cameras.first().map_or(&[][..], |c| &c.params);
-        let shown: Vec<String> = params.iter().map(|p| format!("{p:.4}")).collect();
-        format!(
-            "{}: held out {:.4} px, BIC {:.0}, {}",
-            self.intrinsics.describe(),
-            self.held_out_px,
-            self.score.bic,
-            shown.join(" ")
-        )
+    /// How well it does, and the intrinsics of its first camera.
+    pub(super) fn scores(&self) -> Vec<Measurement> {
+        let camera = self.problem.cameras.iter().take(1).flat_map(|c| Measurement::of_camera(c, &[]));
+        [
+            Measurement::new(Quantity::HeldOutError, self.held_out_px),
+            Measurement::new(Quantity::Bic, self.score.bic),
+        ]
+        .into_iter()
+        .chain(camera)
+        .collect()
+    }
+
+    pub(super) fn as_alternative(&self, accepted: bool) -> Alternative {
+        Alternative { choice: self.intrinsics.choice(), accepted, scores: self.scores() }
     }
 }
 

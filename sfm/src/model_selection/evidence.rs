@@ -8,6 +8,8 @@
 //! Human Resources 2015). So a model is preferred where its BIC is lower by strong evidence and by more than the difference
 //! may be off, and where observations that took no part in the adjustment do not speak against it.
 
+use scene::decision::{Measurement, Quantity};
+
 /// Least difference of BIC. Source: Kass & Raftery, J. American Statistical Association 1995, table in section 3.2: "strong".
 const STRONG: f64 = 6.0;
 /// Standard deviations by which a difference has to exceed zero. Source: two, the usual 2.5 % on one side of a normal distribution.
@@ -49,7 +51,18 @@ impl Comparison {
 
     /// Whether the other model is to be preferred.
     pub fn is_preferred(&self) -> bool {
-        self.margin > STRONG && self.significance() > SIGNIFICANT
+        self.margin > STRONG
+            && self.significance() > SIGNIFICANT
+            && self.gain > -SIGNIFICANT * self.error.max(f64::MIN_POSITIVE)
+    }
+
+    /// The numbers that decide.
+    pub fn measurements(&self) -> [Measurement; 3] {
+        [
+            Measurement::estimate(Quantity::BicMargin, self.margin, self.deviation),
+            Measurement::estimate(Quantity::HeldOutGain, self.gain, self.error),
+            Measurement::new(Quantity::Significance, self.significance()),
+        ]
     }
 
     /// Both differences together, in standard deviations (Stouffer et al. 1949).
@@ -83,4 +96,63 @@ fn deviation_of_sum(terms: &[f64]) -> f64 {
     let weight = |lag: usize| 1.0 - lag as f64 / (lags + 1) as f64;
     let variance = at(0) + (1..=lags).map(|lag| 2.0 * weight(lag) * at(lag)).sum::<f64>();
     variance.max(at(0)).sqrt()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use rand::Rng as _;
+    use scene::rng::rng;
+
+    /// Scores of two models over so many images: the second costs each image `better` less, and what neighbouring images
+    /// have in common adds `wandering`.
+    fn scores(seed: u64, images: usize, better: f64, wandering: f64) -> [Score; 2] {
+        let mut r = rng(seed, "evidence", 0);
+        let mut drift = 0.0;
+        let mut terms: Vec<f64> = Vec::new();
+        for _ in 0..images {
+            drift = 0.8 * drift + wandering * r.random_range(-1.0..1.0);
+            terms.push(better + drift + 10.0 * r.random_range(-1.0..1.0));
+        }
+        let total: f64 = terms.iter().sum();
+        let score = |bic: f64, cost: Vec<f64>, gain: f64| Score {
+            bic,
+            held_out: cost.iter().map(|c| (50.0 - gain * c, 50)).collect(),
+            cost,
+        };
+        let simple = score(1000.0, vec![0.0; images], 0.0);
+        let rich = score(1000.0 - total, terms.iter().map(|t| -t).collect(), -0.1);
+        [rich, simple]
+    }
+
+    #[test]
+    fn a_model_that_is_better_in_every_image_is_preferred_and_its_rival_is_not() {
+        for seed in 0..100 {
+            let [rich, simple] = scores(seed, 30, 12.0, 0.0);
+            assert!(Comparison::new(&rich, &simple).is_preferred(), "seed {seed}");
+            assert!(!Comparison::new(&simple, &rich).is_preferred(), "seed {seed}");
+        }
+    }
+
+    #[test]
+    fn what_neighbouring_images_have_in_common_is_rarely_taken_for_evidence() {
+        for wandering in [0.0, 20.0] {
+            let taken = |seed: &u64| {
+                let [rich, simple] = scores(*seed, 40, 0.0, wandering);
+                Comparison::new(&rich, &simple).is_preferred()
+            };
+            let wrong = (0..500).filter(taken).count();
+            assert!(wrong < 75, "{wrong} of 500 with wandering {wandering}");
+        }
+    }
+
+    #[test]
+    fn a_failed_adjustment_an_equal_model_and_no_images_are_not_preferred() {
+        let [rich, simple] = scores(1, 30, 12.0, 0.0);
+        assert!(!Comparison::new(&Score { bic: f64::INFINITY, ..rich.clone() }, &simple).is_preferred());
+        assert!(!Comparison::new(&simple, &simple).is_preferred());
+        assert!(!Comparison::new(&Score::default(), &Score::default()).is_preferred());
+        // An undefined BIC is no reason either.
+        assert!(!Comparison::new(&Score { bic: f64::NAN, ..rich }, &simple).is_preferred());
+    }
 }

@@ -1,11 +1,10 @@
 //! The principal point once more, when a model has gained observations.
 
-use super::camera::{
-    CameraSelection, CameraTrial, FreeIntrinsics, PRINCIPAL_POINT_SIGMA, options, split,
-};
+use super::camera::{CameraSelection, CameraTrial, FreeIntrinsics, PRINCIPAL_POINT_SIGMA, options, split};
 use super::evidence::Comparison;
 use crate::bundle::BundleProblem;
 use crate::{Knowledge, SfmError};
+use scene::decision::{Decision, Measurement, Quantity, Rule, Subject};
 use scene::{Camera, CameraModel, Progress};
 
 /// A coordinate of it that observations leave less of than this share of its standard deviation beforehand is determined whatever glints add:
@@ -21,7 +20,7 @@ pub(crate) fn free_principal_point(
     (now, named): (FreeIntrinsics, Option<CameraModel>),
     sigma: f64,
     progress: &Progress,
-) -> Result<Option<(FreeIntrinsics, String)>, SfmError> {
+) -> Result<Option<(FreeIntrinsics, Decision)>, SfmError> {
     let asked = named.is_none() && !now.principal_point && !known.iter().any(|k| k.fixed);
     let (training, held_out) = split(problem);
     if !asked || problem.poses.len() < 3 || held_out.len() < 100 {
@@ -35,33 +34,28 @@ pub(crate) fn free_principal_point(
     let held = if again.score.bic < held.score.bic { again } else { held };
     let found = Comparison::new(&free.score, &held.score);
     let taken = found.is_preferred() && context.determined(&free)?;
-    let mut evidence = format!(
-        "{}; {} ({} ± {}, gain {:.4} ± {:.4}, z {:.2})",
-        held.line(),
-        free.line(),
-        found.margin.round(),
-        found.deviation.round(),
-        found.gain,
-        found.error,
-        found.significance()
+    let decision = Decision::new(Subject::CameraModelWithPlane, whole.choice(), Rule::Evidence).compared(
+        now.choice(),
+        !taken,
+        held.scores(),
     );
+    let mut tried = free.as_alternative(taken);
+    tried.scores.extend(found.measurements());
+    let mut decision = decision.compared_all([tried]);
     if taken {
-        return Ok(Some((whole, evidence)));
+        return Ok(Some((whole, decision)));
     }
     for coordinate in 0..2 {
         let one = FreeIntrinsics { principal_point: true, held: Some(1 - coordinate), ..now };
         let free = context.trial(&held.problem, one)?;
         let share = context.left_of_prior(&free, coordinate)?;
-        let c = Comparison::new(&free.score, &held.score);
-        evidence += &format!(
-            "; {} ({:.0} ± {:.0}), to {:.1} % of what it was known to",
-            free.line(),
-            c.margin,
-            c.deviation,
-            100.0 * share
-        );
-        if share < DETERMINED_SHARE && free.score.bic < held.score.bic {
-            return Ok(Some((one, evidence)));
+        let is_determined = share < DETERMINED_SHARE && free.score.bic < held.score.bic;
+        let mut tried = free.as_alternative(is_determined);
+        tried.scores.push(Measurement::new(Quantity::ShareOfPrior, share));
+        decision.alternatives.push(tried);
+        if is_determined {
+            decision.choice = one.choice();
+            return Ok(Some((one, decision)));
         }
     }
     Ok(None)
@@ -148,7 +142,7 @@ mod tests {
         let off = orbit(9.0, 0.3);
         let found =
             free_point_of(&off, Knowledge::default(), None).expect("nine pixels across the axis show");
-        assert!(found.principal_point && found.held == Some(1), "{}", found.describe());
+        assert!(found.principal_point && found.held == Some(1), "{found:?}");
     }
 
     #[test]

@@ -4,6 +4,7 @@ use super::camera::{CameraSelection, CameraTrial, FreeIntrinsics, before_the_cho
 use super::evidence::Comparison;
 use crate::bundle::BundleProblem;
 use crate::{Knowledge, SfmError};
+use scene::decision::{Alternative, Choice, Measurement, Quantity};
 use scene::{CameraModel, Progress};
 
 /// Whether a camera for each group predicts what was held out so much better than fewer cameras do that it pays for its
@@ -14,7 +15,7 @@ pub(crate) fn groups_differ(
     named: Option<CameraModel>,
     sigma: f64,
     progress: &Progress,
-) -> Result<(bool, String), SfmError> {
+) -> Result<(bool, Vec<Alternative>), SfmError> {
     let intrinsics: FreeIntrinsics = before_the_choice(named);
     let adjusted = |(problem, known): (&BundleProblem, &[Knowledge])| {
         let (training, held_out) = split(problem);
@@ -22,18 +23,16 @@ pub(crate) fn groups_differ(
     };
     let (one, several) = (adjusted(together)?, adjusted(apart)?);
     let found = Comparison::new(&several.score, &one.score);
-    let focals = |t: &CameraTrial| {
-        let of = |c: &scene::Camera| format!("{:.1}", c.mean_focal());
-        t.problem.cameras.iter().map(of).collect::<Vec<_>>().join(", ")
-    };
-    let evidence = format!(
-        "focal lengths of {} px apart, {} px together; BIC {:.0} apart, {:.0} together, held-out gain of cameras apart {:.4} ± {:.4}",
-        focals(&several),
-        focals(&one),
-        several.score.bic,
-        one.score.bic,
-        found.gain,
-        found.error
-    );
-    Ok((found.is_preferred(), evidence))
+    let differ = found.is_preferred();
+    let mut apart = group_alternative(&several, differ);
+    apart.scores.extend(found.measurements());
+    Ok((differ, vec![apart, group_alternative(&one, !differ)]))
+}
+
+/// So many cameras, with their focal lengths.
+fn group_alternative(trial: &CameraTrial, accepted: bool) -> Alternative {
+    let cameras = &trial.problem.cameras;
+    let focals = cameras.iter().map(|c| Measurement::new(Quantity::FocalLength, c.mean_focal()));
+    let scores = [Measurement::new(Quantity::Bic, trial.score.bic)].into_iter().chain(focals).collect();
+    Alternative { choice: Choice::count(cameras.len()), accepted, scores }
 }

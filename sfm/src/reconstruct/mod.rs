@@ -8,19 +8,17 @@ mod setup;
 mod steps;
 
 use crate::circular::initialize::constant_step as constant_step_turn;
-use crate::circular::{
-    self, CircularSolution, FreeModel, Motion, VideoJob, VideoModel, consider, solve_video,
-};
+use crate::circular::{CircularSolution, FreeModel, Motion, VideoJob, VideoModel, consider, solve_video};
 use crate::incremental::depths;
 use crate::incremental::finish::{converge, decide, noise_of, polish, uncertainty};
 use crate::incremental::state::{MapState, MappingInput};
 use crate::tracks::{build_tracks, positions};
-use crate::{Decision, SfmConfig, SfmError, SfmResult, Uncertainty, incremental, pairs, sift, two_view};
+use crate::{SfmConfig, SfmError, SfmResult, Uncertainty, incremental, pairs, sift, two_view};
 pub use posed::triangulate_given;
 
 use clock::Clock;
 use model::{MappedModel, StepContext, grow_model, keypoint_sigmas};
-use scene::{Features, FrameSet, Progress, TwoViewGeometry};
+use scene::{Decision, Features, FrameSet, Progress, TwoViewGeometry};
 use setup::Setup;
 use steps::mapping::{complete_ring, remove_aliased_pairs, retry_unmatched_pairs};
 use steps::matching::{find_weakly_tied, pairs_decision, strong_tie, why_no_model};
@@ -75,7 +73,7 @@ pub fn reconstruct_from(
     export::colour(&mut result, frames, progress)?;
     clock.lap("colours", &mut result.stats.steps);
     if let Some(why) = tried {
-        note_attempt(&mut result.decisions, why);
+        result.decisions.push(why);
     }
     Ok(result)
 }
@@ -211,7 +209,7 @@ fn solve_along_video(
     config: &SfmConfig,
     setup: &Setup,
     progress: &Progress,
-) -> Result<Option<Result<(VideoModel, Decision), String>>, SfmError> {
+) -> Result<Option<Result<(VideoModel, Decision), Decision>>, SfmError> {
     if !frames.is_video || !matches!(config.motion.motion, Motion::Auto | Motion::SingleAxis) {
         return Ok(None);
     }
@@ -248,14 +246,6 @@ fn circular_model(
     }
 }
 
-/// Says beside the decision on the motion what the search along the video came to.
-fn note_attempt(decisions: &mut Vec<Decision>, why: String) {
-    match decisions.iter_mut().find(|d| d.what == "motion") {
-        Some(d) => d.evidence = format!("{}; along the video: {why}", d.evidence),
-        None => decisions.push(circular::decision("free", format!("along the video: {why}"))),
-    }
-}
-
 /// A model, and what was learned with it.
 pub(crate) struct SolvedModel {
     /// In the frames of the images as they are.
@@ -278,29 +268,10 @@ fn solve(
     progress.begin("mapping", features.len());
     let keypoints: Vec<_> = features.iter().map(positions).collect();
     let mut decisions = Vec::new();
-    let mapped = constant_step::grow_or_place(given, &keypoints, geometries, &mut decisions, progress)?;
-    lap("mapping");
-    let Some(mut model) = mapped else {
+    let mapped = map_images(given, &keypoints, geometries, &mut decisions, lap, progress)?;
+    let Some(MappedModel { mut state, tracks, ringed, .. }) = mapped else {
         return circular_motion_alone(given, keypoints, geometries, progress);
     };
-    if let Some((consistent, decision)) =
-        remove_aliased_pairs(given, &keypoints, geometries, &model, progress)?
-    {
-        model = consistent;
-        decisions.push(decision);
-    }
-    lap("repeated structure");
-    let completed = complete_ring(given, &keypoints, &model, geometries, progress)?;
-    lap("ring");
-    let (model, completed) =
-        retry_unmatched_pairs(given, &keypoints, geometries, (model, completed), progress)?;
-    lap("second attempt");
-    let MappedModel { mut state, tracks, mapper, ringed } = model;
-    decisions.extend(mapper);
-    if let Some((whole, decision)) = completed {
-        state = whole;
-        decisions.push(decision);
-    }
     let (shared, decision) = shared_cameras::share_cameras(
         given,
         &given.input(&keypoints, &tracks, geometries),
@@ -398,6 +369,39 @@ fn solve(
         SolvedModel { state, camera_of: setup.camera_of.clone(), keypoints, decisions, uncertainty };
     rotation::rotate_back(&mut solved, &rotated);
     Ok(Some(solved))
+}
+
+/// The model that the images grow into, without pairs that repeated structure explains, with what a ring and a second look add;
+/// `None` where none grows.
+fn map_images(
+    given: &StepContext<'_>,
+    keypoints: &[Vec<glam::DVec2>],
+    geometries: &mut Vec<TwoViewGeometry>,
+    decisions: &mut Vec<Decision>,
+    lap: &mut dyn FnMut(&str),
+    progress: &Progress,
+) -> Result<Option<MappedModel>, SfmError> {
+    let mapped = constant_step::grow_or_place(given, keypoints, geometries, decisions, progress)?;
+    lap("mapping");
+    let Some(mut model) = mapped else { return Ok(None) };
+    if let Some((consistent, decision)) =
+        remove_aliased_pairs(given, keypoints, geometries, &model, progress)?
+    {
+        model = consistent;
+        decisions.push(decision);
+    }
+    lap("repeated structure");
+    let completed = complete_ring(given, keypoints, &model, geometries, progress)?;
+    lap("ring");
+    let (mut model, completed) =
+        retry_unmatched_pairs(given, keypoints, geometries, (model, completed), progress)?;
+    lap("second attempt");
+    decisions.extend(model.mapper.take());
+    if let Some((whole, decision)) = completed {
+        model.state = whole;
+        decisions.push(decision);
+    }
+    Ok(Some(model))
 }
 
 /// Where no model grows: that of a turn from three images on, if there is one.

@@ -4,8 +4,8 @@ use super::setup::Setup;
 use super::steps::constant_step::ConstantStepStart;
 use crate::incremental::state::{MapState, MappingInput};
 use crate::tracks::{Tracks, build_tracks};
-use crate::{Decision, SfmConfig, SfmError, circular, mapper};
-use scene::{Camera, Features, FrameSet, Progress, TwoViewGeometry};
+use crate::{SfmConfig, SfmError, circular, mapper};
+use scene::{Camera, Decision, Features, FrameSet, Progress, TwoViewGeometry};
 
 /// Power of a keypoint's scale with which its standard deviation grows.
 const SIGMA_BY_SCALE: f32 = 1.0;

@@ -11,6 +11,7 @@ use crate::circular::register::resect_angle;
 use crate::circular::video::VideoJob;
 use crate::klt::KltTrack;
 use crate::statistics::median;
+use scene::decision::{Decision, Measurement, Quantity, Remark, Rule, Subject};
 use scene::{Camera, TwoViewGeometry};
 use std::f64::consts::TAU;
 
@@ -32,7 +33,7 @@ pub(crate) struct ClosedVideo {
     /// What photometric similarity says of the angle between the first and the last frame.
     pub closing: Option<Relation>,
     /// What was found at the loop closure, for the report.
-    pub closure: String,
+    pub closure: Decision,
 }
 
 impl VideoJob<'_> {
@@ -54,13 +55,15 @@ impl VideoJob<'_> {
         let angles: Vec<f64> = joined.turn.angles.iter().flatten().copied().collect();
         let range =
             angles.iter().copied().fold(f64::MIN, f64::max) - angles.iter().copied().fold(f64::MAX, f64::min);
-        let unclosed = |material: VideoTracks, joined: AxisModel, why: &str| {
-            let closure = format!("{:.1}° were turned, {why}", range.to_degrees());
+        let found = Decision::new(Subject::VideoMotion, true, Rule::Evidence)
+            .measured(Quantity::RotationRange, range.to_degrees());
+        let unclosed = |material: VideoTracks, joined: AxisModel, why: Remark| {
+            let closure = found.clone().remarked(why);
             let closing = None;
             Ok(ClosedVideo { material, turn: joined.turn, cameras: joined.state.cameras, closing, closure })
         };
         if range < CLOSED_FROM {
-            return unclosed(open, joined, "no loop closure");
+            return unclosed(open, joined, Remark::NoLoop);
         }
         let followed =
             LoopClosure::follow(self.frames, &joined.turn.angles, &self.config.klt, self.progress)?;
@@ -72,7 +75,7 @@ impl VideoJob<'_> {
             .filter(|s| alike.is_none_or(|a| (s.0 * TAU + a.excess).abs() < AGREE_WITHIN + 3.0 * a.sigma));
         let (_, by_points, by_pairs) = seen.unwrap_or_default();
         let Some(stretch) = alike.map(|a| -a.excess / TAU).or(seen.map(|s| s.0)) else {
-            return unclosed(open, joined, "the loop closure is not seen");
+            return unclosed(open, joined, Remark::LoopNotObserved);
         };
         joined.turn.angles.iter_mut().flatten().for_each(|a| *a *= 1.0 + stretch);
         let closing = alike.and_then(|a| closing_relation(&joined.turn.angles, a.sigma * range / TAU));
@@ -82,14 +85,15 @@ impl VideoJob<'_> {
         if by_points > 0 {
             followed.tracks.iter().for_each(|t| material.add(t.iter().copied()));
         }
-        let by_similarity = alike
-            .map_or(String::new(), |a| format!(", photometric similarity to {:.3}°", a.sigma.to_degrees()));
-        let closure = format!(
-            "{:.1}° were turned, {} points followed across the loop closure to {by_points} frames and {by_pairs} pairs{by_similarity} closed it by {:.2}°",
-            range.to_degrees(),
-            followed.tracks.len(),
-            (stretch * range).abs().to_degrees()
-        );
+        let mut closure = found.with_all([
+            Measurement::count(Quantity::LoopPoints, followed.tracks.len()),
+            Measurement::count(Quantity::LoopFrames, by_points),
+            Measurement::count(Quantity::LoopPairs, by_pairs),
+            Measurement::new(Quantity::LoopCorrection, (stretch * range).abs().to_degrees()),
+        ]);
+        if let Some(alike) = alike {
+            closure = closure.measured(Quantity::LoopDeviation, alike.sigma.to_degrees());
+        }
         Ok(ClosedVideo { material, turn: joined.turn, cameras: joined.state.cameras, closing, closure })
     }
 

@@ -19,6 +19,7 @@ use crate::model_selection::camera::{PRINCIPAL_POINT_SIGMA, convert_camera};
 use crate::solvers::linalg::{moments, symmetric_eigen};
 use crate::statistics::median;
 use glam::DVec3;
+use scene::decision::{Measurement, Quantity, Remark};
 use scene::{Camera, CameraModel, FrameSet};
 use std::f64::consts::PI;
 
@@ -94,15 +95,13 @@ pub(crate) fn elevation(segments: &[Segment], camera: &Camera, turn: &CircularMo
     Some(Elevation {
         angle: -leaning.z.clamp(-1.0, 1.0).asin(),
         sigma: found.sigma,
-        source: format!(
-            "{} of {} nearly vertical lines of the room agree on {:.2}° ± {:.2}° (log odds {:.0} against none vertical)",
-            both[0] + both[1],
-            votes.len(),
-            -leaning.z.clamp(-1.0, 1.0).asin().to_degrees(),
-            found.sigma.to_degrees(),
-            found.log_odds
-        ),
-        doubt: "see whether the axis is plumb, or give --known-elevation",
+        source: Remark::VerticalLines,
+        doubt: Remark::DoubtfulLines,
+        figures: vec![
+            Measurement::count(Quantity::AgreeingLines, both[0] + both[1]),
+            Measurement::count(Quantity::Lines, votes.len()),
+            Measurement::new(Quantity::LogOdds, found.log_odds),
+        ],
     })
 }
 

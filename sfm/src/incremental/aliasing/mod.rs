@@ -9,9 +9,9 @@
 use super::initial::relative_pose;
 use super::state::{MapState, MappingInput};
 use super::structureless_resection::agreement;
-use crate::Decision;
 use glam::{DQuat, DVec3};
 use scene::TwoViewGeometry;
+use scene::decision::{Choice, Decision, Measurement, Quantity, Rule, Subject};
 
 /// Frames of a video that far apart are neighbours in time.
 const NEIGHBOURS: usize = 5;
@@ -90,17 +90,11 @@ pub(crate) fn decision(
     is_video: bool,
 ) -> Decision {
     let (now, before) = (count_agreeing(model, input, is_video), count_agreeing(aliased, input, is_video));
-    let shown = |s: (usize, usize)| if is_video { s.0 } else { s.1 };
-    Decision {
-        what: "repeated structure".to_owned(),
-        chosen: format!("{} image pairs set aside", input.geometries.len() - kept),
-        evidence: format!(
-            "with them the model is aliased: it contradicts trusted pairs ({} of their matches agree with it, {} without \
-             the pairs that were set aside)",
-            shown(before),
-            shown(now)
-        ),
-    }
+    let [with_all, without] = [before, now].map(|s| if is_video { s.0 } else { s.1 });
+    let removed = input.geometries.len() - kept;
+    Decision::new(Subject::RepeatedStructure, Choice::share(removed, input.geometries.len()), Rule::Evidence)
+        .compared(Choice::count(0), false, vec![Measurement::count(Quantity::AgreeingMatches, with_all)])
+        .compared(Choice::count(removed), true, vec![Measurement::count(Quantity::AgreeingMatches, without)])
 }
 
 /// Matches that agree with a model: of neighbours in time, and of all pairs.

@@ -8,8 +8,9 @@ use crate::matching::{PairMatches, PreparedFeatures, guided_match_prepared};
 use crate::model_selection::camera;
 use crate::reconstruct::{MappedModel, ReconstructionRequest, StepContext, grow_model};
 use crate::tracks::{build_tracks, positions};
-use crate::{Decision, SfmError, SfmResult, two_view};
+use crate::{SfmError, SfmResult, two_view};
 use rayon::prelude::*;
+use scene::decision::{Choice, Decision, Measurement, Quantity, Remark, Rule, Subject};
 use scene::{Progress, TwoViewGeometry};
 
 /// Farthest that a match may be from the line that the constant-step circular motion gives, pixels: cameras have motions of their own.
@@ -43,17 +44,10 @@ impl ConstantStepStart {
         let intrinsics = camera::before_the_choice(given.config.camera_model.model());
         let job = given.motion_input(&input, &given.setup.cameras, progress);
         let Some((state, kept)) = self.turn.model(&job, intrinsics)? else { return Ok(None) };
-        let evidence = format!(
-            "{} of {} images hold there, with {:.0} % of the observations in tracks of three and more",
-            state.registered_count(),
-            keypoints.len(),
-            100.0 * kept
-        );
-        let mapper = Some(Decision {
-            what: "start".to_owned(),
-            chosen: "all images on the ring".to_owned(),
-            evidence,
-        });
+        let choice = Choice::share(state.registered_count(), keypoints.len());
+        let start = Decision::new(Subject::CircularStart, choice, Rule::Evidence)
+            .measured(Quantity::KeptObservations, kept);
+        let mapper = Some(start);
         Ok(Some(MappedModel { state, tracks, mapper, ringed: true }))
     }
 }
@@ -94,26 +88,26 @@ pub(crate) fn match_along_motion(
     let verified =
         two_view::verify_pairs(&result.features, &cameras, found, &config.two_view, config.seed, progress)?;
     let strongest = strongest_tie(images, &result.geometries);
-    let count = |all: &[TwoViewGeometry]| all.iter().map(|g| g.inliers.len()).sum::<usize>();
-    let decision = Decision {
-        what: "constant-step circular motion".to_owned(),
-        chosen: format!(
-            "{:.2}° from an image to the next{}",
-            turn.step_deg(),
-            if turn.closed { ", and from the last to the first" } else { "" }
-        ),
-        evidence: format!(
-            "{:.0} % of the neighbours' matches agree with it, {:.0} % of wrong ones; {} pairs matched along its lines have {} matches instead of {} in {}",
-            100.0 * turn.agreeing[0],
-            100.0 * turn.agreeing[1],
-            verified.len(),
-            count(&verified),
-            count(&result.geometries),
-            result.geometries.len()
-        ),
-    };
     let instead = strongest < FEW;
+    let step = Measurement::new(Quantity::AngularStep, turn.step_deg());
+    let mut decision = Decision::new(Subject::ConstantStepMotion, step, Rule::Evidence)
+        .measured(Quantity::AgreeingShare, turn.agreeing[0])
+        .measured(Quantity::ChanceShare, turn.agreeing[1])
+        .compared(false, !instead, pair_scores(&result.geometries))
+        .compared(true, instead, pair_scores(&verified));
+    if turn.closed {
+        decision = decision.remarked(Remark::ClosedCircle);
+    }
     Ok(Some(ConstantStepStart { turn, geometries: verified, instead, decision }))
+}
+
+/// Verified pairs and their matches.
+fn pair_scores(geometries: &[TwoViewGeometry]) -> Vec<Measurement> {
+    let matches = geometries.iter().map(|g| g.inliers.len()).sum::<usize>();
+    vec![
+        Measurement::count(Quantity::Pairs, geometries.len()),
+        Measurement::count(Quantity::Matches, matches),
+    ]
 }
 
 /// The median over the images of the most matches with any other.

@@ -4,7 +4,8 @@
 use super::matching::most_are_loose;
 use crate::matching::{PairMatches, PreparedFeatures, match_prepared};
 use crate::reconstruct::ReconstructionRequest;
-use crate::{Decision, SfmError, pairs, sift, two_view};
+use crate::{SfmError, pairs, sift, two_view};
+use scene::decision::{Choice, Decision, Measurement, Quantity, Rule, Subject};
 use scene::{Features, FrameSet, TwoViewGeometry};
 use std::collections::BTreeMap;
 
@@ -60,13 +61,14 @@ pub(crate) fn enrich(
     let mut all: Vec<TwoViewGeometry> =
         geometries.iter().filter(|g| !of_loose(g.a, g.b)).cloned().chain(verified).collect();
     all.sort_by_key(|g| (g.a, g.b));
-    let decision = Decision {
-        what: "features of blurred images".to_owned(),
-        chosen: format!("for {} of {} images", loose.iter().filter(|l| **l).count(), loose.len()),
-        evidence: format!(
-            "they share few matches with others; with features of images blurred by {BLUR} px these are {after} instead of {before}"
-        ),
-    };
+    let enriched = loose.iter().filter(|l| **l).count();
+    let decision =
+        Decision::new(Subject::BlurredFeatures, Choice::share(enriched, loose.len()), Rule::Evidence)
+            .measured(Quantity::Blur, f64::from(BLUR))
+            .with_all([
+                Measurement::count(Quantity::MatchesBefore, before),
+                Measurement::count(Quantity::MatchesAfter, after),
+            ]);
     Ok(Some(BlurredFeatures { features, geometries: all, matches: union, decision }))
 }
 

@@ -5,8 +5,8 @@ use crate::incremental::state::MapState;
 use crate::incremental::{self, aliasing};
 use crate::model_selection::camera;
 use crate::reconstruct::{MappedModel, StepContext, grow_model};
-use crate::{Decision, SfmError, two_view};
-use scene::{Camera, Progress, TwoViewGeometry};
+use crate::{SfmError, two_view};
+use scene::{Camera, Decision, Progress, TwoViewGeometry};
 use std::collections::BTreeSet;
 
 /// Images up to which pairs are looked at a second time where some image found no pose (about 40 ms a pair), and how often.

@@ -1,6 +1,6 @@
 //! How firmly images are tied by their matches, and what is said where they are not.
 
-use crate::Decision;
+use scene::decision::{Choice, Decision, Measurement, Quantity, Rule, Subject};
 use scene::{Features, TwoViewGeometry};
 
 /// Other images that hold an image firmly, and the matches each must share with it. What is held by less gains by
@@ -37,13 +37,10 @@ pub(crate) fn most_are_loose(loose: &[bool]) -> bool {
 pub(crate) fn pairs_decision(pairs: usize, images: usize, geometries: &[TwoViewGeometry]) -> Decision {
     let all = images * images.saturating_sub(1) / 2;
     let inliers: usize = geometries.iter().map(|g| g.inliers.len()).sum();
-    Decision {
-        what: "image pairs".to_owned(),
-        chosen: format!("{} of {pairs} matched pairs", geometries.len()),
-        evidence: format!(
-            "{pairs} of {all} possible pairs were matched; {inliers} matches agree with one motion a pair"
-        ),
-    }
+    Decision::new(Subject::ImagePairs, Choice::share(geometries.len(), pairs), Rule::Evidence).with_all([
+        Measurement::count(Quantity::PossiblePairs, all),
+        Measurement::count(Quantity::Matches, inliers),
+    ])
 }
 
 pub(crate) fn why_no_model(features: &[Features], geometries: &[TwoViewGeometry]) -> String {

@@ -1,5 +1,6 @@
 //! Whether a model is better for observations of a supporting plane (see [`crate::plane_tracks`]).
 
+use crate::SfmError;
 use crate::incremental::finish::{free_principal_point, noise_of};
 use crate::incremental::state::{MapState, MappingInput};
 use crate::model_selection::camera::FreeIntrinsics;
@@ -8,8 +9,8 @@ use crate::plane_tracks::{PlanePoint, find_plane_tracks};
 use crate::reconstruct::StepContext;
 use crate::statistics::median;
 use crate::tracks::{NONE, Tracks};
-use crate::{Decision, SfmError};
 use glam::{DVec2, DVec3};
+use scene::decision::{Decision, Measurement, Quantity, Remark, Rule, Subject};
 use scene::{Camera, FrameSet, Progress};
 
 /// An image with fewer observations than this is weakly held, and so many of the images have to be (share).
@@ -61,14 +62,13 @@ pub(crate) fn add_plane_tracks(
     let mut decisions: Vec<Decision> = decision.into_iter().collect();
     let Some((plane_tracks, mut state)) = found else { return Ok((None, decisions)) };
     let (with, before) = (plane_tracks.input(input), (intrinsics, given.config.camera_model.model()));
-    let Some((free, evidence)) =
+    let Some((free, decision)) =
         free_principal_point(&state, &with, &given.setup.known, starts, before, progress)?
     else {
         return Ok((Some(PlaneTracksModel { plane_tracks, state, intrinsics }), decisions));
     };
     state = settled(state, &with, free)?;
-    let what = "camera model with plane tracks".to_owned();
-    decisions.push(Decision { what, chosen: free.describe(), evidence });
+    decisions.push(decision);
     Ok((Some(PlaneTracksModel { plane_tracks, state, intrinsics: free }), decisions))
 }
 
@@ -87,11 +87,12 @@ fn try_plane_tracks(
     let Some(frames) = whole.filter(|_| weak as f64 >= WEAK * state.registered_count() as f64) else {
         return Ok((None, None));
     };
-    let decision = |chosen: &str, evidence: String| {
-        Some(Decision { what: "plane tracks".to_owned(), chosen: chosen.to_owned(), evidence })
-    };
+    let refused = Decision::new(Subject::PlaneTracks, false, Rule::NothingFound).with_all([
+        Measurement::count(Quantity::WeakImages, weak),
+        Measurement::count(Quantity::RegisteredImages, state.registered_count()),
+    ]);
     let Some(mut plane) = widest(state, input) else {
-        return Ok((None, decision("not used", "no plane is seen by most images".to_owned())));
+        return Ok((None, Some(refused.remarked(Remark::NoPlane))));
     };
     let unit = noise_of(state, input);
     let (mut model, mut found, mut factor) = (state.clone(), None, 1.0);
@@ -99,7 +100,7 @@ fn try_plane_tracks(
     for farthest in FARTHEST {
         let places = find_plane_tracks(plane, (&model, input), (frames, rotated), farthest, progress)?;
         if places.is_empty() {
-            return Ok((None, decision("not used", "a plane is seen, but nothing on it".to_owned())));
+            return Ok((None, Some(refused.remarked(Remark::EmptyPlane))));
         }
         off.push(median(places.iter().flat_map(|p| &p.observations).map(|s| s.off).collect()));
         let plane_tracks = PlaneTracks::new(input, &places, TRUST * factor / unit);
@@ -108,11 +109,11 @@ fn try_plane_tracks(
         let held = plane_tracks.kept_points(&next, input);
         let asked: usize = places.iter().map(|p| p.observations.len()).sum();
         if (held.errors.len() as f64) < KEPT * asked as f64 {
-            let evidence = format!(
-                "a plane's windows agree with no model: {} of {asked} observations",
-                held.errors.len()
-            );
-            return Ok((None, decision("not used", evidence)));
+            let decision = refused.remarked(Remark::PlaneDisagrees).with_all([
+                Measurement::count(Quantity::PlaneObservations, asked),
+                Measurement::new(Quantity::KeptObservations, held.errors.len() as f64 / asked as f64),
+            ]);
+            return Ok((None, Some(decision)));
         }
         factor *= (TRUST * median(held.errors) / unit / MEDIAN_LENGTH).clamp(0.2, 5.0);
         plane = plane.closer(&held.places).unwrap_or(plane).about(&held.places, MARGIN * plane.reach);
@@ -125,14 +126,20 @@ fn try_plane_tracks(
     let Some((plane_tracks, next, observations, places)) = found else { return Ok((None, None)) };
     let ((had, before), (has, after)) = (other_errors(state, input), other_errors(&model, input));
     let taken = has as f64 >= OTHERS_KEPT * had as f64 && after <= GROWN * before;
-    let off: Vec<String> = off.iter().map(|o| format!("{o:.2}")).collect();
-    let evidence = format!(
-        "{weak} of {} images have fewer than {FEW} observations; {places} places of a plane have {observations}, half of them {} px from \
-         where the model had them in turn; the others, {has} of {had}, have a median error of {after:.3} px, {before:.3} px without",
-        state.registered_count(),
-        off.join(", ")
-    );
-    Ok((taken.then_some((plane_tracks, next)), decision(if taken { "used" } else { "not used" }, evidence)))
+    let offsets = off.into_iter().map(|o| Measurement::new(Quantity::PlaneOffset, o));
+    let decision = Decision { choice: taken.into(), rule: Rule::Evidence, ..refused }
+        .with_all([
+            Measurement::count(Quantity::PlanePlaces, places),
+            Measurement::count(Quantity::PlaneObservations, observations),
+        ])
+        .with_all(offsets)
+        .with_all([
+            Measurement::count(Quantity::ObservationsBefore, had),
+            Measurement::count(Quantity::ObservationsAfter, has),
+            Measurement::new(Quantity::MedianErrorBefore, before),
+            Measurement::new(Quantity::MedianErrorAfter, after),
+        ]);
+    Ok((taken.then_some((plane_tracks, next)), Some(decision)))
 }
 
 /// How many observations of features a model has, and their median error, pixels.

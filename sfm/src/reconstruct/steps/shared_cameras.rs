@@ -8,8 +8,9 @@ use crate::model_selection::noise::noise_in_units;
 use crate::model_selection::shared_cameras::groups_differ;
 use crate::reconstruct::StepContext;
 use crate::reconstruct::setup::Setup;
-use crate::{CameraSharing, Decision, SfmError};
+use crate::{CameraSharing, SfmError};
 use scene::Progress;
+use scene::decision::{Choice, Decision, Rule, Subject};
 
 /// Fewer cameras, and the model with them, where a camera for each group of images does no better; and what was found.
 /// Groups are joined if their images have one size and nothing but a focal length is known of them.
@@ -48,11 +49,8 @@ pub(crate) fn share_cameras(
     let (named, known) = (given.config.camera_model.model(), (&setup.known, &fewer.known));
     let (differ, evidence) = groups_differ((&apart, known.0), (&one, known.1), named, sigma, progress)?;
     let kept = if differ { setup.cameras.len() } else { fewer.cameras.len() };
-    let decision = Decision {
-        what: "cameras".to_owned(),
-        chosen: format!("{kept} for {} groups of images", setup.cameras.len()),
-        evidence,
-    };
+    let choice = Choice::share(kept, setup.cameras.len());
+    let decision = Decision::new(Subject::SharedCameras, choice, Rule::Evidence).compared_all(evidence);
     Ok(((!differ).then_some((fewer, merged)), Some(decision)))
 }
 

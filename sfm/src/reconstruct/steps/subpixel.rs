@@ -5,8 +5,9 @@ use crate::reconstruct::StepContext;
 use crate::refinement::{RefinedKeypoints, refine};
 use crate::statistics::median;
 use crate::tracks::NONE;
-use crate::{Decision, KeypointPlaces, SfmError};
+use crate::{KeypointPlaces, SfmError};
 use scene::Progress;
+use scene::decision::{Decision, Measurement, Quantity, Rule, Subject};
 
 /// Share of the moved observations that the adjusted model must keep.
 const KEPT: f64 = 0.8;
@@ -32,14 +33,12 @@ pub(crate) fn refine_keypoints(
     let of = |model: &MapState, input: &MappingInput<'_>| median_error(model, input, &refined.moved);
     let ((had, before), (kept, after)) = (of(state, input), of(&sharper, &moved_input));
     let taken = after < before && kept as f64 >= KEPT * had as f64;
-    let decision = Decision {
-        what: "keypoints".to_owned(),
-        chosen: if taken { "moved to where their windows fit" } else { "as detected" }.to_owned(),
-        evidence: format!(
-            "{} of {observations} observations show what another one shows; half of them are within {after:.3} px of the model when moved, {before:.3} px as detected",
-            refined.moved.len()
-        ),
-    };
+    let decision = Decision::new(Subject::KeypointRefinement, taken, Rule::Evidence).with_all([
+        Measurement::count(Quantity::Observations, observations),
+        Measurement::count(Quantity::MovedObservations, refined.moved.len()),
+        Measurement::new(Quantity::MedianErrorBefore, before),
+        Measurement::new(Quantity::MedianErrorAfter, after),
+    ]);
     Ok((taken.then_some((refined, sharper)), Some(decision)))
 }
 
