@@ -14,6 +14,8 @@ import os
 import subprocess
 import sys
 
+import bench_results
+
 HERE = os.path.dirname(os.path.abspath(__file__))
 PAPER = os.path.join(HERE, "../docs/paper.json")
 
@@ -61,6 +63,25 @@ def main():
         sys.exit("there is nothing to tabulate")
     subprocess.run([args.binary, "compare", *runs, "--beside", PAPER, "--tables", args.out,
                     "--report", os.path.join(args.out, "runs.html")], check=True)
+    keep(args.out)
+
+
+def keep(folder):
+    """The tables as benchmarks_page.py reads them: methods as rows, and in each cell what a case's columns hold."""
+    with open(os.path.join(folder, "tables.json")) as file:
+        tables = json.load(file)
+    for table in tables:
+        names = ", ".join(column["name"] for column in table["columns"])
+        columns = [f"{table['title']}: {names}", *table["cases"]]
+        shown = bench_results.Table(os.path.join(folder, "results"), "paper_" + table["title"].split()[0], columns)
+        for method, cases in zip(table["methods"], table["values"]):
+            shown.row([method, *(values(case, table["columns"]) for case in cases)])
+
+
+def values(case, columns):
+    """The figures of one case, with the digits of their columns."""
+    shown = ["–" if v is None else f"{v:.{c['digits']}f}" for v, c in zip(case or [None] * len(columns), columns)]
+    return "–" if set(shown) == {"–"} else ", ".join(shown)
 
 
 if __name__ == "__main__":
