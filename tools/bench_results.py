@@ -1,14 +1,12 @@
 """What the benchmarks measure, as JSON: one file a table, read by benchmarks_page.py.
 
-A file holds {"table", "command", "version", "machine", "columns", "rows"}. A row is an object of numbers and names,
+A file holds {"table", "version", "machine", "columns", "rows"}. A row is an object of numbers and names,
 whose columns are declared in TABLES below; or, for tables that another program printed, a list of cells.
 """
 import json
 import os
 import platform
-import shlex
 import subprocess
-import sys
 
 HERE = os.path.dirname(os.path.abspath(__file__))
 
@@ -126,8 +124,7 @@ class Table:
         self.name, self.path = name, os.path.join(folder, name + ".json")
         self.columns = columns or [heading for heading, _ in TABLES[name]]
         self.record = {
-            "table": name, "command": shlex.join([os.path.basename(sys.argv[0]), *sys.argv[1:]]), "version": version(),
-            "machine": machine(), "columns": self.columns, "rows": [],
+            "table": name, "version": version(), "machine": machine(), "columns": self.columns, "rows": [],
         }
         if columns is None:
             self.keep_earlier_rows()
@@ -142,6 +139,8 @@ class Table:
                 self.record["rows"] = earlier["rows"]
 
     def row(self, row):
+        if isinstance(row, dict):  # where it lies on this machine says nothing elsewhere
+            row = {key: value for key, value in row.items() if key not in ("name", "model")}
         rows = self.record["rows"]
         same = lambda other: isinstance(row, dict) and cells(self.name, other)[:2] == cells(self.name, row)[:2]
         at = next((i for i, other in enumerate(rows) if same(other)), len(rows))

@@ -12,6 +12,7 @@ import argparse
 import json
 import os
 import shutil
+import sys
 import textwrap
 
 from bench_results import cells, line
@@ -82,13 +83,17 @@ of all processes; memory is the peak of resident memory.
 
 
 def load(folders):
-    """Tables by name; later folders win."""
+    """Tables by name; later folders win, but not with a part of a table."""
     found = {}
     for folder in folders:
         for name in sorted(os.listdir(folder)):
             if name.endswith(".json"):
                 with open(os.path.join(folder, name)) as file:
                     record = json.load(file)
+                rows = len(found.get(record["table"], {"rows": []})["rows"])
+                if len(record["rows"]) < rows:
+                    print(f"{folder}/{name} has {len(record['rows'])} rows of {rows}: the earlier table stays", file=sys.stderr)
+                    continue
                 found[record["table"]] = record | {"path": os.path.join(folder, name)}
     return found
 
