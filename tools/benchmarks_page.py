@@ -2,6 +2,7 @@
 """Writes docs/benchmarks.md from the JSON results of the benchmarks; or compares two sets of results.
 
     benchmarks_page.py RESULTS... --out docs/benchmarks.md [--keep docs/results]
+    benchmarks_page.py docs/results --out docs/benchmarks.md --check
     benchmarks_page.py --compare OLD NEW
 
 RESULTS are folders that bench.py, compare.py and paper_tables.py left (build/*/results); of a table that several of them
@@ -138,6 +139,7 @@ def main():
     parser.add_argument("results", nargs="*")
     parser.add_argument("--out")
     parser.add_argument("--keep")
+    parser.add_argument("--check", action="store_true")
     parser.add_argument("--compare", nargs=2, metavar=("OLD", "NEW"))
     args = parser.parse_args()
     if args.compare:
@@ -151,6 +153,10 @@ def main():
             target = os.path.join(args.keep, record["table"] + ".json")
             if os.path.abspath(record["path"]) != os.path.abspath(target):
                 shutil.copyfile(record["path"], target)
+    if args.check:
+        with open(args.out) as file:
+            same = file.read() == page(found)
+        sys.exit(None if same else f"{args.out} is not what the results say: run 'make benchmarks-page'")
     with open(args.out, "w") as file:
         file.write(page(found))
 
