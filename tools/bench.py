@@ -3,10 +3,10 @@
 
     bench.py SAT_RECON SHARED --out FOLDER [--tables NAME ...] [--only INPUT ...] [--colmap INPUT ...]
 
-Prints each table and leaves it in FOLDER/results as JSON, from which benchmarks_page.py makes the page. Poses are judged
-by `sat-recon compare --truth`: the area under the recall curve over all image pairs. COLMAP 3.8 runs on the same images
-in the same call where it is installed. Costs are CPU seconds (user and system, subprocesses included) and peak resident
-memory.
+Prints each table and leaves it in FOLDER/results as JSON, from which benchmarks_page.py makes the
+page. Poses are judged by `sat-recon compare --truth`: the area under the recall curve over all
+image pairs. COLMAP 3.8 runs on the same images in the same call where it is installed. Costs are
+CPU seconds (user and system, subprocesses included) and peak resident memory.
 """
 import argparse
 import json
@@ -33,7 +33,8 @@ POSES = [
     ("can_orbit", "phone_video/can_orbit.mp4", None, []),
     ("yaw, 10 % light (case 3)", os.path.join(TESTBED, "case3/video.mp4"), os.path.join(TESTBED, "case3/sparse"), []),
 ]
-# Harder copies of temple_ring, made by SHARED/tools/degrade.py (which needs numpy, pillow and scipy).
+# Harder copies of temple_ring, made by SHARED/tools/degrade.py (which needs numpy, pillow and
+# scipy).
 VARIANTS = [
     ("every 2nd image", "--every 2"), ("every 3rd image", "--every 3"), ("every 4th image", "--every 4"),
     ("every 5th image", "--every 5"), ("masked to black", "--mask"), ("masked, x 0.1, 8 bit", "--mask --gain 0.1"),
@@ -116,8 +117,8 @@ def bench_variants(binary, shared, out, only, table):
 
 
 def run_colmap(images, folder, masks=None, database=None):
-    """Debian's COLMAP 3.8 with its defaults, one camera, on the CPU; its mapper alone where a database is given:
-    (folder of models, CPU s, wall s, peak MiB)."""
+    """Debian's COLMAP 3.8 with its defaults, one camera, on the CPU; its mapper alone where a
+    database is given: (folder of models, CPU s, wall s, peak MiB)."""
     shutil.rmtree(folder, ignore_errors=True)
     os.makedirs(os.path.join(folder, "sparse"))
     environment = dict(os.environ, QT_QPA_PLATFORM="offscreen")
@@ -152,7 +153,8 @@ def bench_colmap(binary, name, images, truth, folder, table, masks=None, databas
 
 
 def calibrated(binary, out, kind):
-    """Flags that give the camera as photos taken with it by hand calibrate it; none where they are not rendered."""
+    """Flags that give the camera as photos taken with it by hand calibrate it; none where they are
+    not rendered."""
     images = os.path.join(RENDERED, f"calibration_{kind}", "images")
     folder = os.path.join(out, f"calibration_{kind}")
     if not os.path.isdir(images):

@@ -1,7 +1,8 @@
 """What the benchmarks measure, as JSON: one file a table, read by benchmarks_page.py.
 
-A file holds {"table", "version", "machine", "columns", "rows"}. A row is an object of numbers and names,
-whose columns are declared in TABLES below; or, for tables that another program printed, a list of cells.
+A file holds {"table", "version", "machine", "columns", "rows"}. A row is an object of numbers and
+names, whose columns are declared in TABLES below; or, for tables that another program printed, a
+list of cells.
 """
 import json
 import os
@@ -23,7 +24,8 @@ SPLATS = [
     ("worst view", "{psnr_worst:.2f}"), ("Gaussians", "{gaussians:,}"), ("wall s", "{wall_s:.1f}"),
     ("CPU s", "{cpu_s:.1f}"), ("peak MiB", "{peak_mib:.0f}"),
 ]
-# Columns of each table: heading, and the format of a row's fields. A field that is missing prints as –.
+# Columns of each table: heading, and the format of a row's fields. A field that is missing prints
+# as –.
 TABLES = {
     "poses": POSES, "variants": POSES, "orbits": POSES, "compare": POSES,
     "turns": [
@@ -102,7 +104,8 @@ class Results:
         return Table(self.folder, name)
 
     def printed(self, names, text):
-        """Tables in the Markdown that another program printed, in the order of `names`; what is not a table passes by."""
+        """Tables in the Markdown that another program printed, in the order of `names`; what is
+        not a table passes by."""
         tables, header = [], None
         for row in map(str.strip, text.splitlines()):
             parts = [part.strip() for part in row.strip("|").split("|")]

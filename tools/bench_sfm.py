@@ -1,4 +1,5 @@
-"""Tables of the pose solver: the shuffled dinosaur, simulated rings, speed against accuracy. Called by bench.py."""
+"""Tables of the pose solver: the shuffled dinosaur, simulated rings, speed against accuracy.
+Called by bench.py."""
 import json
 import math
 import os
@@ -7,7 +8,8 @@ import shutil
 
 from bench_results import STEPS
 
-# CPU seconds and AUC@1 of COLMAP on temple_ring: 4.2.1 and its variants on another two-core machine with AVX-512
+# CPU seconds and AUC@1 of COLMAP on temple_ring: 4.2.1 and its variants on another two-core machine
+# with AVX-512
 # (pycolmap from PyPI, defaults), 3.8 as Debian ships it.
 PEERS = [
     ("COLMAP 3.8", 120, 17), ("COLMAP 4.2.1", 35, 17), ("COLMAP 4.2.1, global", 47, 19),
@@ -16,7 +18,8 @@ PEERS = [
 
 
 def read_text_model(folder):
-    """Poses (R rows, t), pixels and point numbers by image name, and points, of a COLMAP text model."""
+    """Poses (R rows, t), pixels and point numbers by image name, and points, of a COLMAP text
+    model."""
     def rows(name):
         with open(os.path.join(folder, name)) as file:
             return [line.rstrip("\n") for line in file if not line.startswith("#")]
@@ -43,7 +46,8 @@ def dot(a, b):
 
 
 def fundamental(p, q):
-    """F with x_qᵀ F x_p = 0 of two 3 × 4 matrices: F_ij is a determinant of two rows of each (Hartley & Zisserman, 17.3)."""
+    """F with x_qᵀ F x_p = 0 of two 3 × 4 matrices: F_ij is a determinant of two rows of each
+    (Hartley & Zisserman, 17.3)."""
     def det4(m):
         total = 0.0
         for c in range(4):
@@ -64,7 +68,8 @@ def symmetric_error(f, x, y):
 
 
 def bench_dino(bench, binary, shared, out, table):
-    """The photos under names that say nothing of their order, judged by the published projection matrices."""
+    """The photos under names that say nothing of their order, judged by the published projection
+    matrices."""
     source = os.path.join(shared, "data/oxford_dino")
     images, folder = (os.path.join(out, "dino", part) for part in ("images", "model"))
     shutil.rmtree(os.path.join(out, "dino"), ignore_errors=True)
@@ -111,7 +116,8 @@ def bench_dino(bench, binary, shared, out, table):
 
 
 def bench_growth(bench, example, sizes, table):
-    """Simulated rings: cost of each step, and the exponent with which it grows (least squares over log n)."""
+    """Simulated rings: cost of each step, and the exponent with which it grows (least squares over
+    log n)."""
     records = []
     for size in sizes:
         record = bench.run_json([example, str(size)])
@@ -132,7 +138,8 @@ def bench_growth(bench, example, sizes, table):
 
 
 def bench_quality(bench, binary, shared, out, plot, table):
-    """`--quality` as points of CPU seconds against AUC@1 on temple_ring, with COLMAP's on the same plot."""
+    """`--quality` as points of CPU seconds against AUC@1 on temple_ring, with COLMAP's on the same
+    plot."""
     ours = []
     for quality in ("draft", "fast", "balanced", "best"):
         source = os.path.join(shared, "data/temple_ring")

@@ -14,7 +14,8 @@ SPLATS = [
 
 
 def captures(bench, shared):
-    """Name and path of what is there: real captures, and the cases of the test bed that are rendered."""
+    """Name and path of what is there: real captures, and the cases of the test bed that are
+    rendered."""
     sets = [(name, os.path.join(shared, "data", path)) for name, path in SPLATS]
     sets += [(name, os.path.join(case, "images")) for name, case in bench.ORBITS]
     sets += [(name, os.path.join(case, "video.mp4")) for name, case in bench.TURNS]
@@ -46,7 +47,8 @@ def bench_times(bench, binary, shared, out, only, times, table):
 
 
 def bench_shapes(bench, binary, out, table):
-    """Cloud, splat and fused mesh of case 3 against the true mesh, aligned by the true camera centres."""
+    """Cloud, splat and fused mesh of case 3 against the true mesh, aligned by the true camera
+    centres."""
     case, folder = os.path.join(bench.TESTBED, "case3"), os.path.join(out, "shapes")
     subprocess.run([binary, "eval", os.path.join(case, "video.mp4"), "-o", folder, "-q", "--quality", "draft", "--mesh",
                     os.path.join(case, "mesh.ply"), "--mesh-truth", os.path.join(case, "sparse")], check=True)

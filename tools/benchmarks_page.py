@@ -1,13 +1,16 @@
 #!/usr/bin/env python3
-"""Writes docs/benchmarks.md from the JSON results of the benchmarks; or compares two sets of results.
+"""Writes docs/benchmarks.md from the JSON results of the benchmarks; or compares two sets of
+results.
 
     benchmarks_page.py RESULTS... --out docs/benchmarks.md [--keep docs/results]
     benchmarks_page.py docs/results --out docs/benchmarks.md --check
     benchmarks_page.py --compare OLD NEW
 
-RESULTS are folders that bench.py, compare.py and paper_tables.py left (build/*/results); of a table that several of them
-hold, the last one counts. With --keep the results used are copied there, so that the page can be made anew when only
-some tables were measured. --compare prints the rows that differ, for the message of a commit that moves results.
+RESULTS are folders that bench.py, compare.py and paper_tables.py left (build/*/results); of a
+table that several of them hold, the last one counts. With --keep the results used are copied
+there, so that the page can be made anew when only some tables were measured. --check writes
+nothing and fails where the page is not what it would be. --compare prints the rows that differ,
+for the message of a commit that moves results.
 """
 import argparse
 import json

@@ -1,14 +1,16 @@
 #!/usr/bin/env python3
-"""Our poses beside COLMAP 3.8 (Debian) and 4.2.1 (pycolmap, incremental and global) on the same images.
+"""Our poses beside COLMAP 3.8 (Debian) and 4.2.1 (pycolmap, incremental and global) on the same
+images.
 
     compare.py SAT_RECON SHARED --out FOLDER [--only NAME ...] [--tools 3.8 4.2.1 database] [--turns]
 
-Each tool runs with its defaults, one camera, exhaustive matching, on the CPU; where our frames have masks (the yaw),
-once on the frames as they are and once inside the masks. "on our database": its mapper on features and matches that
-we found (`--colmap-database`), its cost that of mapping alone. Costs are CPU seconds. Every model is judged by
-`sat-recon compare --truth`, and the agreement of a mapper on our database with our own model by
-SHARED/tools/compare_poses.py. With --turns the tools also run on the turns of the test bed, angles judged. The rows are
-left in FOLDER/results as JSON, too.
+Each tool runs with its defaults, one camera, exhaustive matching, on the CPU; where our frames
+have masks (the yaw), once on the frames as they are and once inside the masks. "on our database":
+its mapper on features and matches that we found (`--colmap-database`), its cost that of mapping
+alone. Costs are CPU seconds. Every model is judged by `sat-recon compare --truth`, and the
+agreement of a mapper on our database with our own model by SHARED/tools/compare_poses.py. With
+--turns the tools also run on the turns of the test bed, angles judged. The rows are left in
+FOLDER/results as JSON, too.
 """
 import argparse
 import json
@@ -136,7 +138,8 @@ def on_our_database(binary, shared, out, name, source, truth, flags, table):
 
 
 def run_pycolmap(args, mapper):
-    """For bench.py's table of turns: a function of images and folder that returns the folder of models and the CPU s."""
+    """For bench.py's table of turns: a function of images and folder that returns the folder of
+    models and the CPU s."""
     def run(images, folder):
         shutil.rmtree(folder, ignore_errors=True)
         os.makedirs(folder)

@@ -1,12 +1,14 @@
 #!/usr/bin/env python3
-"""The paper's three tables (quality, training cost, rendering cost) for our own method, the paper's rows beside them.
+"""The paper's three tables (quality, training cost, rendering cost) for our own method, the
+paper's rows beside them.
 
     paper_tables.py SAT_RECON SHARED --out FOLDER [--testbed FOLDER] [--quality fast] [--only CASE ...]
 
-Runs sat-recon on test-bed cases 1 to 4 (as `make testbed` renders them; case 3 is in data/testbed), temple_ring,
-can_orbit and oxford_dino, and writes FOLDER/tables.{md,csv,tex,json} and FOLDER/runs.html. A case whose capture is
-missing is named and left out; a run that is finished is not repeated. The paper's captures are real and not public,
-ours of the same cases are simulated: its rows tell the order of magnitude, not who is better.
+Runs sat-recon on test-bed cases 1 to 4 (as `make testbed` renders them; case 3 is in
+data/testbed), temple_ring, can_orbit and oxford_dino, and writes FOLDER/tables.{md,csv,tex,json}
+and FOLDER/runs.html. A case whose capture is missing is named and left out; a run that is finished
+is not repeated. The paper's captures are real and not public, ours of the same cases are
+simulated: its rows tell the order of magnitude, not who is better.
 """
 import argparse
 import json
@@ -67,7 +69,8 @@ def main():
 
 
 def keep(folder):
-    """The tables as benchmarks_page.py reads them: methods as rows, and in each cell what a case's columns hold."""
+    """The tables as benchmarks_page.py reads them: methods as rows, and in each cell what a case's
+    columns hold."""
     with open(os.path.join(folder, "tables.json")) as file:
         tables = json.load(file)
     for table in tables:

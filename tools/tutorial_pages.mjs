@@ -1,4 +1,5 @@
-// Pictures of the report and the viewer: node tutorial_pages.mjs CHROMIUM REPORT.html VIEW.html FOLDER
+// Pictures of the report and the viewer: node tutorial_pages.mjs CHROMIUM REPORT.html VIEW.html
+// FOLDER
 import path from "node:path";
 import { createRequire } from "node:module";
 import { pathToFileURL } from "node:url";

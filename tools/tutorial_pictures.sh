@@ -3,7 +3,8 @@
 #
 #   tools/tutorial_pictures.sh SAT_RECON RUN
 #
-# RUN is the output folder of `make demo`. Needs ffmpeg, Chromium and the viewer's Node.js packages (`make viewer`).
+# RUN is the output folder of `make demo`. Needs ffmpeg, Chromium and the viewer's Node.js packages
+# (`make viewer`).
 # Writes docs/pictures/*.jpg, each at most 100 kB.
 set -euo pipefail
 program=$(realpath "$1")

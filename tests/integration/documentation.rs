@@ -1,4 +1,5 @@
-//! What README.md and docs/ show: commands that the program takes, links that lead somewhere, examples that run.
+//! What README.md and docs/ show: commands that the program takes, links that lead somewhere,
+//! examples that run.
 
 use super::support::{folder, sat_recon_in};
 use clap::CommandFactory;
@@ -34,7 +35,8 @@ fn files(folder: &Path, endings: &[&str]) -> Vec<PathBuf> {
     found
 }
 
-/// The commands of the blocks marked `console` (and, if `only_run`, `run`): the words after each `$`.
+/// The commands of the blocks marked `console` (and, if `only_run`, `run`): the words after each
+/// `$`.
 fn commands(text: &str, only_run: bool) -> Vec<Vec<String>> {
     let mut inside = false;
     let mut found = Vec::new();
