@@ -17,7 +17,7 @@ SHARED := $(or $(SAT_RECON_SHARED),../shared)
 .PHONY: help setup viewer build demo test neon lint bench tables bench-gpu compare benchmarks-page oracle testbed site \
   tutorial-pictures
 help:  ## this list
-	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed 's/:.*##/\t/' | expand -t 12
+	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed 's/:.*##/\t/' | expand -t 20
 
 setup:  ## install what is missing (Debian packages; as root or with sudo)
 	@tools/setup.sh $(PACKAGES)
