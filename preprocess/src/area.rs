@@ -24,8 +24,12 @@ impl Axis {
     }
 }
 
-/// The mean over each new pixel's area, rounded. `width`, `height`: at least 1, at most the image's.
-pub(crate) fn shrunk<P>(image: &ImageBuffer<P, Vec<u8>>, width: u32, height: u32) -> ImageBuffer<P, Vec<u8>>
+/// The mean over each new pixel's area, as `level` rounds it. `width`, `height`: at least 1, at most the image's.
+pub(crate) fn shrunk<P>(
+    image: &ImageBuffer<P, Vec<u8>>,
+    (width, height): (u32, u32),
+    level: impl Fn(f32) -> u8,
+) -> ImageBuffer<P, Vec<u8>>
 where
     P: Pixel<Subpixel = u8>,
 {
@@ -43,11 +47,16 @@ where
             for channel in 0..channels {
                 let old = sums[first * channels + channel..].iter().step_by(channels);
                 let mean: f32 = old.zip(weights).map(|(v, w)| v * w).sum();
-                out.push((mean + 0.5) as u8);
+                out.push(level(mean));
             }
         }
     }
     ImageBuffer::from_raw(width, height, out).unwrap_or_else(|| ImageBuffer::new(width, height))
+}
+
+/// The nearest level; halves upwards.
+pub(crate) fn nearest(mean: f32) -> u8 {
+    (mean + 0.5) as u8
 }
 
 #[cfg(test)]
@@ -60,16 +69,16 @@ mod tests {
         let image = GrayImage::from_fn(5, 2, |x, y| Luma([(10 * x + 100 * y) as u8]));
         // Halves of the middle column go to either side.
         let expected = [(0.0 + 10.0 + 0.5 * 20.0) / 2.5 + 50.0, (0.5 * 20.0 + 30.0 + 40.0) / 2.5 + 50.0];
-        assert_eq!(shrunk(&image, 2, 1).into_raw(), expected.map(|v: f32| v.round() as u8));
+        assert_eq!(shrunk(&image, (2, 1), nearest).into_raw(), expected.map(|v: f32| v.round() as u8));
         let colours = RgbImage::from_fn(6, 4, |x, y| Rgb([x as u8, y as u8, 200]));
-        assert_eq!(shrunk(&colours, 3, 2).get_pixel(1, 1).0, [3, 3, 200], "halves are rounded up");
+        assert_eq!(shrunk(&colours, (3, 2), nearest).get_pixel(1, 1).0, [3, 3, 200], "halves are rounded up");
     }
 
     #[test]
     fn no_size_changes_the_level_of_a_flat_image() {
         let image = RgbImage::from_pixel(97, 61, Rgb([255, 7, 128]));
         for (width, height) in [(96, 60), (50, 61), (33, 7), (1, 1), (97, 61)] {
-            let small = shrunk(&image, width, height);
+            let small = shrunk(&image, (width, height), nearest);
             assert_eq!(small.dimensions(), (width, height));
             assert!(small.pixels().all(|p| p.0 == [255, 7, 128]), "{width} x {height}");
         }

@@ -19,6 +19,7 @@ mod probe;
 mod select;
 mod tool;
 mod video;
+mod yuv;
 
 pub use chroma::KeyConfig;
 pub use config::{DEFAULT_FRAMES, FrameConfig};

@@ -2,14 +2,17 @@
 
 use crate::area;
 use crate::probe::{Turn, VideoInfo};
+use crate::yuv::Yuv420;
 use image::imageops::{self, FilterType};
 use image::{GrayImage, Rgb, RgbImage};
-use std::borrow::Cow;
 
 /// Longest side at which sharpness is measured, pixels: sensor noise is averaged away, blur is not.
 const SHARPNESS_SIDE: u32 = 640;
 /// Width of the thumbnails that are compared for likeness, pixels.
 const THUMBNAIL_SIDE: u32 = 160;
+/// Weights of red, green and blue in luma, in 1/32768.
+/// Source: ITU-R BT.709, 3.2: 0.2126, 0.7152, 0.0722.
+const REC709: [u32; 3] = [6966, 23_436, 2366];
 /// A Gaussian of standard deviation 1 pixel at a distance of 2, 1 and 0 pixels, in 1/256.
 /// Source: derived; exp(-x²/2) over its sum, 0.0545, 0.2442 and 0.4026, rounded so that the sum is 1.
 const GAUSSIAN: [u32; 3] = [14, 62, 104];
@@ -24,14 +27,31 @@ pub(crate) fn fitted(width: u32, height: u32, max_size: u32) -> (u32, u32) {
     (scale(width), scale(height))
 }
 
+/// A decoded picture: not turned, pixels not yet square.
+pub(crate) enum Pixels {
+    /// Luma and chroma as coded.
+    Yuv(Yuv420),
+    /// Gamma-coded SDR.
+    Rgb(RgbImage),
+}
+
+impl Pixels {
+    fn rgb(self) -> RgbImage {
+        match self {
+            Self::Yuv(yuv) => yuv.to_rgb(),
+            Self::Rgb(rgb) => rgb,
+        }
+    }
+}
+
 /// Area average where it shrinks, cubic where it grows.
-fn resized(image: &RgbImage, (width, height): (u32, u32)) -> Cow<'_, RgbImage> {
+fn resized(image: RgbImage, (width, height): (u32, u32)) -> RgbImage {
     if image.dimensions() == (width, height) {
-        Cow::Borrowed(image)
+        image
     } else if width <= image.width() && height <= image.height() {
-        Cow::Owned(area::shrunk(image, width, height))
+        area::shrunk(&image, (width, height), area::nearest)
     } else {
-        Cow::Owned(imageops::resize(image, width, height, FilterType::CatmullRom))
+        imageops::resize(&image, width, height, FilterType::CatmullRom)
     }
 }
 
@@ -48,9 +68,9 @@ fn turned(mut image: RgbImage, turn: Turn) -> RgbImage {
     }
 }
 
-/// Upright sRGB of a decoded frame: square pixels, size, turn, colour matrix.
-/// `correct_matrix`: the frame was converted by the Rec. 601 matrix although it is coded by Rec. 709.
-pub(crate) fn finished(rgb: &RgbImage, info: &VideoInfo, max_size: u32, correct_matrix: bool) -> RgbImage {
+/// Upright sRGB of a decoded frame: square pixels, size, turn.
+pub(crate) fn finished(pixels: Pixels, info: &VideoInfo, max_size: u32) -> RgbImage {
+    let rgb = pixels.rgb();
     let (w, h) = rgb.dimensions();
     let square = if (info.pixel_aspect - 1.0).abs() < 0.005 {
         (w, h)
@@ -59,22 +79,8 @@ pub(crate) fn finished(rgb: &RgbImage, info: &VideoInfo, max_size: u32, correct_
     } else {
         (w, (f64::from(h) / info.pixel_aspect).round() as u32)
     };
-    let sized = resized(rgb, fitted(square.0, square.1, max_size));
-    let mut upright = turned(sized.into_owned(), info.turn);
-    if correct_matrix {
-        upright.pixels_mut().for_each(|p| p.0 = rec709_from_rec601(p.0));
-    }
-    upright
-}
-
-/// Undoes the Rec. 601 decoding matrix and applies that of Rec. 709 (ITU-R BT.601, BT.709: Y, Cb, Cr from
-/// Kr, Kb); limited-range scaling is the same for both and cancels.
-fn rec709_from_rec601([r, g, b]: [u8; 3]) -> [u8; 3] {
-    let (r, g, b) = (f32::from(r), f32::from(g), f32::from(b));
-    let y = 0.299 * r + 0.587 * g + 0.114 * b;
-    let (cb, cr) = ((b - y) / 1.772, (r - y) / 1.402);
-    let byte = |v: f32| (v + 0.5).clamp(0.0, 255.0) as u8;
-    [byte(y + 1.5748 * cr), byte(y - 0.187_32 * cb - 0.468_12 * cr), byte(y + 1.8556 * cb)]
+    let size = fitted(square.0, square.1, max_size);
+    turned(resized(rgb, size), info.turn)
 }
 
 /// What decides between frames, from luma averaged down.
@@ -89,15 +95,22 @@ pub(crate) struct Look {
 
 impl Look {
     /// Of a decoded frame.
-    pub fn of(rgb: &RgbImage) -> Self {
-        let (w, h) = fitted(rgb.width(), rgb.height(), SHARPNESS_SIDE);
-        let luma = luma_of(&resized(rgb, (w, h)));
-        let smooth = smoothed(&luma);
+    pub fn of(pixels: &Pixels) -> Self {
+        match pixels {
+            Pixels::Yuv(yuv) => Self::of_luma(&yuv.luma, |coded| yuv.coding().level(coded)),
+            Pixels::Rgb(rgb) => Self::of_luma(&luma_of(rgb), area::nearest),
+        }
+    }
+
+    fn of_luma(luma: &GrayImage, level: impl Fn(f32) -> u8) -> Self {
+        let (w, h) = fitted(luma.width(), luma.height(), SHARPNESS_SIDE);
+        let small = area::shrunk(luma, (w, h), level);
+        let smooth = smoothed(&small);
         let levels = smooth.as_raw().iter().map(|v| i32::from(*v));
         let sharpness = (deviation(laplacian(&smooth)) / (deviation(levels) + 0.5)).powi(2);
-        let (tw, th) = fitted(w, h, THUMBNAIL_SIDE);
-        let thumbnail = area::shrunk(&luma, tw, th).into_raw();
-        Self { sharpness, thumbnail, size: (tw, th) }
+        let size = fitted(w, h, THUMBNAIL_SIDE);
+        let thumbnail = area::shrunk(&small, size, area::nearest).into_raw();
+        Self { sharpness, thumbnail, size }
     }
 
     /// Difference that all but one pixel in 200 stay below, 8-bit levels: moving texture shows even where the
@@ -121,11 +134,11 @@ impl Look {
     }
 }
 
-/// Luma of gamma-coded values in 1/32768 (ITU-R BT.601: 0.299, 0.587, 0.114).
+/// Luma of gamma-coded values.
 fn luma_of(rgb: &RgbImage) -> GrayImage {
     let level = |p: &Rgb<u8>| {
         let [r, g, b] = p.0.map(u32::from);
-        ((9798 * r + 19_235 * g + 3735 * b + (1 << 14)) >> 15) as u8
+        ((REC709[0] * r + REC709[1] * g + REC709[2] * b + (1 << 14)) >> 15) as u8
     };
     let levels = rgb.pixels().map(level).collect();
     GrayImage::from_raw(rgb.width(), rgb.height(), levels).unwrap_or_default()
@@ -205,12 +218,12 @@ mod tests {
 
     #[test]
     fn sharpness_falls_with_blur_and_not_with_exposure() {
-        let sharp = Look::of(&chart(1.0, 1)).sharpness;
-        let dark = Look::of(&chart(0.25, 1)).sharpness;
-        let blurred = Look::of(&chart(1.0, 7)).sharpness;
+        let sharp = Look::of(&Pixels::Rgb(chart(1.0, 1))).sharpness;
+        let dark = Look::of(&Pixels::Rgb(chart(0.25, 1))).sharpness;
+        let blurred = Look::of(&Pixels::Rgb(chart(1.0, 7))).sharpness;
         assert!((dark / sharp - 1.0).abs() < 0.1, "{dark} {sharp}");
         assert!(blurred < 0.5 * sharp && blurred < 0.5 * dark, "{blurred} {sharp}");
-        let black = Look::of(&RgbImage::new(64, 48));
+        let black = Look::of(&Pixels::Rgb(RgbImage::new(64, 48)));
         assert_eq!(black.sharpness, 0.0);
     }
 
@@ -241,16 +254,5 @@ mod tests {
         assert_eq!(fitted(1920, 1080, 640), (640, 360));
         assert_eq!(fitted(320, 240, 640), (320, 240));
         assert_eq!(fitted(10_000, 1, 100), (100, 1));
-    }
-
-    #[test]
-    fn the_matrix_correction_undoes_the_wrong_decoding() {
-        // Y, Cb, Cr of a saturated green in Rec. 709, decoded by 601, must come back.
-        let (y, cb, cr) = (0.7152 * 180.0, -0.7152 * 180.0 / 1.8556, -0.7152 * 180.0 / 1.5748);
-        let wrong = [y + 1.402 * cr, y - 0.344_14 * cb - 0.714_14 * cr, y + 1.772 * cb]
-            .map(|v: f32| v.round().clamp(0.0, 255.0) as u8);
-        let right = rec709_from_rec601(wrong);
-        assert!(right[1].abs_diff(180) <= 3, "{right:?} from {wrong:?}");
-        assert_eq!(rec709_from_rec601([90, 90, 90]), [90, 90, 90]);
     }
 }
