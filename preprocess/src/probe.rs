@@ -2,6 +2,7 @@
 
 use crate::PreprocessError;
 use crate::tool::{self, Output};
+use crate::yuv::Coding;
 use scene::Progress;
 use serde_json::Value;
 use std::ffi::{OsStr, OsString};
@@ -36,8 +37,6 @@ pub(crate) struct Turn {
 pub(crate) struct VideoInfo {
     /// Number of the stream in the container.
     pub stream: usize,
-    /// Whether it is the first video stream (the one that OpenCV opens).
-    pub is_first_video: bool,
     /// Coded width and height, pixels.
     pub size: (u32, u32),
     /// Width of a pixel over its height.
@@ -50,6 +49,8 @@ pub(crate) struct VideoInfo {
     pub transfer: Transfer,
     /// Whether luma and chroma are coded by the Rec. 709 matrix.
     pub is_bt709: bool,
+    /// The coding of 8-bit 4:2:0 by the matrix of Rec. 601 or 709; `None` for all else.
+    pub yuv420: Option<Coding>,
     /// Whether chroma is coded by the Rec. 2020 matrix.
     pub is_bt2020: bool,
     /// Whether any stream of the container is encrypted.
@@ -58,8 +59,6 @@ pub(crate) struct VideoInfo {
     pub missing: usize,
     /// Presentation times of all frames in order, seconds from the start of the container.
     pub times_s: Vec<f64>,
-    /// Time of the stream's first frame by its header, seconds from the start of the container.
-    pub stream_start_s: f64,
 }
 
 /// `file:` and the absolute path: no name can be taken for an option, a protocol or a pattern.
@@ -87,41 +86,7 @@ pub(crate) fn probe(path: &Path, progress: &Progress) -> Result<VideoInfo, Prepr
     let (times, hidden) = packet_times(path, &info, origin, progress)?;
     info.missing = info.missing.saturating_sub(times.len() + hidden);
     info.times_s = times;
-    info.stream_start_s -= origin;
     Ok(info)
-}
-
-/// Presentation times of what the decoder really puts out: decodes the whole stream.
-pub(crate) fn decoded_times(
-    path: &Path,
-    stream: usize,
-    limit: Duration,
-    progress: &Progress,
-) -> Result<Vec<f64>, PreprocessError> {
-    let (url, stream) = (file_url(path), stream.to_string());
-    let args = [
-        "-v",
-        "quiet",
-        "-select_streams",
-        &stream,
-        "-show_entries",
-        "frame=best_effort_timestamp_time:format=start_time",
-        "-of",
-        "compact=p=0",
-        "-i",
-    ];
-    let args = [&args.map(OsStr::new)[..], &[url.as_os_str()]].concat();
-    let output = tool::run("ffprobe", &args, path, limit, progress)?;
-    let field =
-        |line: &str, key: &str| line.split('|').find_map(|f| f.strip_prefix(key)?.parse::<f64>().ok());
-    let origin = output.stdout.lines().rev().find_map(|l| field(l, "start_time=")).unwrap_or(0.0);
-    let mut times = Vec::new();
-    for line in output.stdout.lines().filter(|l| l.contains("best_effort_timestamp_time=")) {
-        let step = if times.len() > 1 { times[times.len() - 1] - times[times.len() - 2] } else { 1.0 / 30.0 };
-        let guess = times.last().map_or(0.0, |t| t + step);
-        times.push(field(line, "best_effort_timestamp_time=").map_or(guess, |t| t - origin));
-    }
-    Ok(times)
 }
 
 fn check_file(path: &Path) -> Result<(), PreprocessError> {
@@ -179,21 +144,29 @@ fn choose_stream(path: &Path, streams: &[Value]) -> Result<VideoInfo, Preprocess
         Some("smpte2084") => Transfer::Pq,
         _ => Transfer::Sdr,
     };
+    let is_bt709 = matrix == "bt709" || (size.1.min(size.0) >= 720 && matches!(matrix, "" | "unknown"));
     Ok(VideoInfo {
         stream: stream["index"].as_u64().unwrap_or(0) as usize,
-        is_first_video: streams.iter().find(is_video).is_some_and(|s| s["index"] == stream["index"]),
         size,
         pixel_aspect: pixel_aspect(stream),
         turn,
         odd_rotation,
         transfer,
-        is_bt709: matrix == "bt709" || (size.1.min(size.0) >= 720 && matches!(matrix, "" | "unknown")),
+        is_bt709,
+        yuv420: coding(stream, is_bt709),
         is_bt2020: matrix.starts_with("bt2020"),
         encrypted: streams.iter().any(is_encrypted),
         missing: number(&stream["nb_frames"]).map_or(0, |n| n as usize),
         times_s: Vec::new(),
-        stream_start_s: number(&stream["start_time"]).unwrap_or(0.0),
     })
+}
+
+/// How 8-bit 4:2:0 is coded by the matrix of Rec. 601 or 709; `None` for all else.
+fn coding(stream: &Value, is_bt709: bool) -> Option<Coding> {
+    let (format, matrix) = (stream["pix_fmt"].as_str()?, stream["color_space"].as_str().unwrap_or("unknown"));
+    let known = matches!(matrix, "bt709" | "bt470bg" | "smpte170m" | "" | "unknown");
+    let is_full_range = format == "yuvj420p" || stream["color_range"] == "pc";
+    (known && matches!(format, "yuv420p" | "yuvj420p")).then_some(Coding { is_bt709, is_full_range })
 }
 
 fn is_encrypted(stream: &Value) -> bool {
