@@ -48,13 +48,13 @@ pub fn matte_frames(
     let staging = Staging::new(out)?;
     staging.make("masks")?;
     progress.begin("mattes", frames.len());
-    let job = Job { keyer: &keyer, staging: &staging, background: config.background };
+    let writer = MatteWriter { keyer: &keyer, staging: &staging, background: config.background };
     let done: Result<Vec<(Frame, f32)>, PreprocessError> = frames
         .frames
         .par_iter()
         .map_init(Scratch::default, |scratch, frame| {
             progress.tick()?;
-            job.one(frame, scratch)
+            writer.one(frame, scratch)
         })
         .collect();
     let done = done?;
@@ -97,13 +97,13 @@ fn thumbnail(image: &RgbImage) -> RgbImage {
     resize_area(image, w, h)
 }
 
-struct Job<'a> {
+struct MatteWriter<'a> {
     keyer: &'a Keyer,
     staging: &'a Staging,
     background: Background,
 }
 
-impl Job<'_> {
+impl MatteWriter<'_> {
     /// Writes matte and image of one frame; returns its new entry and the share of the picture that is kept.
     fn one(&self, frame: &Frame, scratch: &mut Scratch) -> Result<(Frame, f32), PreprocessError> {
         let image = load_rgb(&frame.path).map_err(PreprocessError::image(&frame.path))?;
@@ -140,8 +140,10 @@ fn composed(
             (rgba, ExtendedColorType::Rgba8)
         }
         Background::Black => {
-            let dim = |v: u8, a: u8| ((u16::from(v) * u16::from(a) + 127) / 255) as u8;
-            (pixels.flat_map(|((_, a), f)| f.0.map(|v| dim(v, *a))).collect(), ExtendedColorType::Rgb8)
+            let rgb = pixels
+                .flat_map(|((_, a), f)| f.0.map(|v| ((u16::from(v) * u16::from(*a) + 127) / 255) as u8))
+                .collect();
+            (rgb, ExtendedColorType::Rgb8)
         }
         Background::Keep => {
             let rgb = pixels.flat_map(|((p, a), f)| if *a > 0 { f.0 } else { p.0 }).collect();

@@ -1,7 +1,7 @@
 //! Luma key: a lit object in a dark room.
 
 use super::morphology::{Regions, smooth};
-use super::pool::{Mask, Plane, Pool};
+use super::pool::{BinaryMask, Pool, Raster};
 use super::screen::detect::quantile;
 use image::RgbImage;
 
@@ -18,7 +18,7 @@ const UNDECIDED: f32 = 1.0;
 
 /// Light of every pixel, smoothed, and between which levels a pixel passes from room to object.
 struct Lit<'p> {
-    light: Plane<'p, f32>,
+    light: Raster<'p, f32>,
     low: f32,
     high: f32,
 }
@@ -36,7 +36,7 @@ impl<'p> Lit<'p> {
     }
 
     /// What is rather object than room.
-    fn bright(&self) -> Mask<'p> {
+    fn bright(&self) -> BinaryMask<'p> {
         self.light.mask(|v| v > 0.5 * (self.low + self.high))
     }
 }
@@ -79,14 +79,14 @@ pub(crate) fn matte(pool: &Pool, rgb: &[u8], width: usize) -> Vec<u8> {
         .collect()
 }
 
-fn large_parts<'p>(mask: &Mask<'p>) -> Mask<'p> {
+fn large_parts<'p>(mask: &BinaryMask<'p>) -> BinaryMask<'p> {
     let regions = Regions::of(mask);
     let least = (PART_SHARE * regions.largest() as f32) as usize;
     regions.labels.mask(|l| l != 0 && regions.sizes[l as usize] > least)
 }
 
 /// Large openings are gaps between parts, not dark surfaces.
-fn close_enclosed(mask: &mut Mask) {
+fn close_enclosed(mask: &mut BinaryMask) {
     let regions = Regions::of(&mask.mask(|v| v == 0));
     let (at_border, most) = (regions.at_border(), mask.len() / 500);
     for (m, label) in mask.iter_mut().zip(regions.labels.iter()) {

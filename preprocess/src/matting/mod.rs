@@ -18,7 +18,7 @@ use colour::{Key, hue_distance, hue_saturation_value};
 use config::KeyChoice;
 use image::{GrayImage, RgbImage};
 use pool::Pool;
-use refine_network::Outline;
+use refine_network::OutlineInputs;
 use screen::Screen;
 use screen::clean_plate::CleanPlate;
 use solve::Matte;
@@ -146,7 +146,7 @@ impl Keyer {
         else {
             return Vec::new();
         };
-        let outline = Outline::new(&screen, &trimap, &matte.alpha, image.as_raw(), key, 1);
+        let outline = OutlineInputs::new(&screen, &trimap, &matte.alpha, image.as_raw(), key, 1);
         let rows = outline.pixels.iter().map(|i| *i as usize).flat_map(|i| {
             let told = [matte.alpha[i], f32::from(truth.as_raw()[i]) / 255.0];
             outline.inputs(&matte, i).into_iter().chain(told)

@@ -31,14 +31,10 @@ pub(crate) struct Detection {
 /// Looks for a screen in thumbnails (about 160 pixels long) of some frames.
 pub(crate) fn detect(thumbnails: &[&RgbImage], choice: KeyChoice) -> Detection {
     let forced = matches!(choice, KeyChoice::Hue(..));
-    let allowed = |hue: f32| match choice {
-        KeyChoice::Hue(low, high) => (hue - low).rem_euclid(360.0) <= high - low,
-        _ => true,
-    };
-    let Some(hue) = dominant_hue(thumbnails, allowed) else {
+    let Some(hue) = dominant_hue(thumbnails, choice) else {
         return Detection { key: None, evidence: "no screen: hardly a pixel has a distinct hue".to_owned() };
     };
-    let found = Statistics::of(thumbnails, hue);
+    let found = HueStatistics::of(thumbnails, hue);
     let natural = (hue - NATURAL_HUES.0).rem_euclid(360.0) <= NATURAL_HUES.1 - NATURAL_HUES.0;
     let is_screen = found.coverage >= MIN_COVERAGE.0
         && found.low_coverage >= MIN_COVERAGE.1
@@ -76,17 +72,18 @@ fn pixels(thumbnails: &[&RgbImage]) -> impl Iterator<Item = [u8; 3]> {
 }
 
 /// The hue with the most saturated pixels around it.
-fn dominant_hue(thumbnails: &[&RgbImage], allowed: impl Fn(f32) -> bool) -> Option<f32> {
+fn dominant_hue(thumbnails: &[&RgbImage], choice: KeyChoice) -> Option<f32> {
     let mut counts = [0.0_f32; BINS];
     for rgb in pixels(thumbnails) {
         let (hue, saturation, value) = hue_saturation_value(rgb);
-        if saturation >= MIN_SATURATION && value >= MIN_VALUE && allowed(hue) {
+        if saturation >= MIN_SATURATION && value >= MIN_VALUE && choice.allows(hue) {
             counts[(hue / 360.0 * BINS as f32) as usize % BINS] += saturation;
         }
     }
-    let around = |i: usize| counts[(i + BINS - 1) % BINS] + 2.0 * counts[i] + counts[(i + 1) % BINS];
-    let best = (0..BINS).max_by(|a, b| around(*a).total_cmp(&around(*b)))?;
-    if around(best) <= 0.0 {
+    let smoothed: [f32; BINS] =
+        std::array::from_fn(|i| counts[(i + BINS - 1) % BINS] + 2.0 * counts[i] + counts[(i + 1) % BINS]);
+    let best = (0..BINS).max_by(|a, b| smoothed[*a].total_cmp(&smoothed[*b]))?;
+    if smoothed[best] <= 0.0 {
         return None;
     }
     let (before, here, after) = (counts[(best + BINS - 1) % BINS], counts[best], counts[(best + 1) % BINS]);
@@ -99,7 +96,7 @@ fn is_near(rgb: [u8; 3], hue: f32) -> bool {
     saturation >= MIN_SATURATION && value >= MIN_VALUE && hue_distance(h, hue) <= HUE_WINDOW
 }
 
-struct Statistics {
+struct HueStatistics {
     coverage: f32,
     low_coverage: f32,
     roughness: f32,
@@ -107,7 +104,7 @@ struct Statistics {
     colour: Vec3,
 }
 
-impl Statistics {
+impl HueStatistics {
     fn of(thumbnails: &[&RgbImage], hue: f32) -> Self {
         let (mut coverage, mut steps, mut saturations) = (Vec::new(), Vec::new(), Vec::new());
         let mut channels = [Vec::new(), Vec::new(), Vec::new()];
