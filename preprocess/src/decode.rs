@@ -26,14 +26,14 @@ pub(crate) struct Decoded {
 }
 
 /// A video being decoded from its first frame on.
-pub(crate) enum Source {
+pub(crate) enum FrameSource {
     /// OpenCV's reader over FFmpeg.
     OpenCv(OpenCvSource),
     /// Raw frames from an `ffmpeg` process.
     Pipe(PipeSource),
 }
 
-impl Source {
+impl FrameSource {
     /// The next frame; `None` at the end, be it by damage.
     pub fn next(&mut self) -> Result<Option<Decoded>, PreprocessError> {
         match self {
@@ -90,9 +90,11 @@ impl OpenCvSource {
     fn index_at(&self, time_s: f64) -> usize {
         let after = self.times_s.partition_point(|t| *t < time_s);
         let near = [after.saturating_sub(1), after].into_iter().filter(|i| *i < self.times_s.len());
-        let distance = |i: usize| (self.times_s[i] - time_s).abs();
-        let nearest = near.min_by(|a, b| distance(*a).total_cmp(&distance(*b)));
-        nearest.filter(|i| distance(*i) < 0.002 && *i >= self.next_index).unwrap_or(self.next_index)
+        let nearest = near
+            .map(|i| (i, (self.times_s[i] - time_s).abs()))
+            .min_by(|a, b| a.1.total_cmp(&b.1))
+            .filter(|(i, distance_s)| *distance_s < 0.002 && *i >= self.next_index);
+        nearest.map_or(self.next_index, |(i, _)| i)
     }
 }
 

@@ -36,8 +36,9 @@ impl ToneMap {
         let rows = bgr48.par_chunks(6 * 4096).zip(bgr.par_chunks_mut(3 * 4096));
         rows.for_each(|(source, target)| {
             for (s, t) in source.chunks_exact(6).zip(target.chunks_exact_mut(3)) {
-                let value = |i: usize| self.linear[usize::from(u16::from_le_bytes([s[2 * i], s[2 * i + 1]]))];
-                let [r, g, b] = self.pixel([value(2), value(1), value(0)]);
+                let rgb =
+                    [2, 1, 0].map(|i| self.linear[usize::from(u16::from_le_bytes([s[2 * i], s[2 * i + 1]]))]);
+                let [r, g, b] = self.pixel(rgb);
                 t.copy_from_slice(&[b, g, r]);
             }
         });

@@ -1,7 +1,7 @@
-//! From a decoded frame to an upright one with square pixels and the right colours; sharpness and likeness.
+//! From a decoded frame to an upright one with square pixels and the right colours; sharpness and similarity.
 
 use crate::PreprocessError;
-use crate::probe::{Turn, VideoInfo};
+use crate::probe::{DisplayTurn, VideoInfo};
 use image::RgbImage;
 use opencv::core::{self, Mat, Size};
 use opencv::imgproc;
@@ -9,7 +9,7 @@ use opencv::prelude::*;
 
 /// Longest side at which sharpness is measured, pixels: sensor noise is averaged away, blur is not.
 const SHARPNESS_SIDE: i32 = 640;
-/// Width of the thumbnails that are compared for likeness, pixels.
+/// Width of the thumbnails that are compared, pixels.
 const THUMBNAIL_SIDE: i32 = 160;
 
 /// Width and height that fit into `max_size` (0: as they are), at least one pixel each.
@@ -18,8 +18,9 @@ pub(crate) fn fitted(width: u32, height: u32, max_size: u32) -> (u32, u32) {
     if max_size == 0 || longest <= max_size {
         return (width, height);
     }
-    let scale = |v: u32| (f64::from(v) * f64::from(max_size) / f64::from(longest)).round().max(1.0) as u32;
-    (scale(width), scale(height))
+    let [width, height] = [width, height]
+        .map(|v| (f64::from(v) * f64::from(max_size) / f64::from(longest)).round().max(1.0) as u32);
+    (width, height)
 }
 
 /// Area average where it shrinks, cubic where it grows.
@@ -36,7 +37,7 @@ pub(crate) fn resized(image: &Mat, width: u32, height: u32) -> Result<Mat, Prepr
 }
 
 /// The picture as it is to be seen.
-pub(crate) fn turned(image: &Mat, turn: Turn) -> Result<Mat, PreprocessError> {
+pub(crate) fn turned(image: &Mat, turn: DisplayTurn) -> Result<Mat, PreprocessError> {
     let mut out = image.clone();
     if turn.mirror {
         let mut flipped = Mat::default();
@@ -87,14 +88,20 @@ pub(crate) fn finished(
         .ok_or_else(|| PreprocessError::Config(format!("a frame of {width} x {height} pixels is too large")))
 }
 
+fn deviation(image: &Mat) -> Result<f64, PreprocessError> {
+    let (mut mean, mut sigma) = (Mat::default(), Mat::default());
+    core::mean_std_dev_def(image, &mut mean, &mut sigma)?;
+    Ok(*sigma.at::<f64>(0)?)
+}
+
 /// Undoes the Rec. 601 decoding matrix and applies that of Rec. 709 (ITU-R BT.601, BT.709: Y, Cb, Cr from
 /// Kr, Kb); limited-range scaling is the same for both and cancels.
 fn rec709_from_rec601([r, g, b]: [u8; 3]) -> [u8; 3] {
     let (r, g, b) = (f32::from(r), f32::from(g), f32::from(b));
     let y = 0.299 * r + 0.587 * g + 0.114 * b;
     let (cb, cr) = ((b - y) / 1.772, (r - y) / 1.402);
-    let byte = |v: f32| (v + 0.5).clamp(0.0, 255.0) as u8;
-    [byte(y + 1.5748 * cr), byte(y - 0.187_32 * cb - 0.468_12 * cr), byte(y + 1.8556 * cb)]
+    [y + 1.5748 * cr, y - 0.187_32 * cb - 0.468_12 * cr, y + 1.8556 * cb]
+        .map(|v| (v + 0.5).clamp(0.0, 255.0) as u8)
 }
 
 /// What decides between frames, from luma averaged down.
@@ -116,11 +123,6 @@ impl Look {
         imgproc::cvt_color_def(&small, &mut luma, imgproc::COLOR_BGR2GRAY)?;
         imgproc::gaussian_blur_def(&luma, &mut smooth, Size::new(5, 5), 1.0)?;
         imgproc::laplacian(&smooth, &mut edges, core::CV_16S, 1, 1.0, 0.0, core::BORDER_DEFAULT)?;
-        let deviation = |m: &Mat| -> Result<f64, PreprocessError> {
-            let (mut mean, mut sigma) = (Mat::default(), Mat::default());
-            core::mean_std_dev_def(m, &mut mean, &mut sigma)?;
-            Ok(*sigma.at::<f64>(0)?)
-        };
         let sharpness = (deviation(&edges)? / (deviation(&smooth)? + 0.5)).powi(2);
         let (tw, th) = fitted(w, h, THUMBNAIL_SIDE as u32);
         let thumbnail = resized(&luma, tw, th)?.data_bytes()?.to_vec();

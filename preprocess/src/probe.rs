@@ -24,7 +24,7 @@ pub(crate) enum Transfer {
 
 /// The eight ways in which an upright image can lie in memory: `(flip x before, quarter turns clockwise)`.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub(crate) struct Turn {
+pub(crate) struct DisplayTurn {
     /// Mirror left and right first.
     pub mirror: bool,
     /// Then turn clockwise by this many quarter turns, 0 to 3.
@@ -43,7 +43,7 @@ pub(crate) struct VideoInfo {
     /// Width of a pixel over its height.
     pub pixel_aspect: f64,
     /// What makes the coded picture upright.
-    pub turn: Turn,
+    pub turn: DisplayTurn,
     /// A display rotation that is no multiple of 90°, degrees.
     pub odd_rotation: Option<f64>,
     /// Light values.
@@ -153,9 +153,9 @@ fn check_file(path: &Path) -> Result<(), PreprocessError> {
 }
 
 fn choose_stream(path: &Path, streams: &[Value]) -> Result<VideoInfo, PreprocessError> {
-    let is_video = |s: &&Value| s["codec_type"] == "video";
-    let is_picture = |s: &&Value| s["disposition"]["attached_pic"] == 1;
-    let Some(stream) = streams.iter().filter(is_video).find(|s| !is_picture(s)) else {
+    let mut videos = streams.iter().filter(|s| s["codec_type"] == "video");
+    let first = videos.clone().next();
+    let Some(stream) = videos.find(|s| s["disposition"]["attached_pic"] != 1) else {
         let mut kinds: Vec<_> = streams.iter().filter_map(|s| s["codec_type"].as_str()).collect();
         kinds.dedup();
         let found =
@@ -166,9 +166,9 @@ fn choose_stream(path: &Path, streams: &[Value]) -> Result<VideoInfo, Preprocess
     if is_encrypted(stream) || stream["codec_tag_string"] == "encv" {
         return Err(PreprocessError::Encrypted { path: path.to_owned() });
     }
-    let dimension = |key: &str| stream[key].as_u64().and_then(|v| u32::try_from(v).ok()).unwrap_or(0);
-    let size = (dimension("width"), dimension("height"));
-    if size.0 == 0 || size.1 == 0 {
+    let [width, height] =
+        ["width", "height"].map(|key| stream[key].as_u64().and_then(|v| u32::try_from(v).ok()).unwrap_or(0));
+    if width == 0 || height == 0 {
         let reason = "the picture size is unknown".to_owned();
         return Err(PreprocessError::NothingDecodes { path: path.to_owned(), expected: 0, reason });
     }
@@ -181,13 +181,13 @@ fn choose_stream(path: &Path, streams: &[Value]) -> Result<VideoInfo, Preprocess
     };
     Ok(VideoInfo {
         stream: stream["index"].as_u64().unwrap_or(0) as usize,
-        is_first_video: streams.iter().find(is_video).is_some_and(|s| s["index"] == stream["index"]),
-        size,
+        is_first_video: first.is_some_and(|s| s["index"] == stream["index"]),
+        size: (width, height),
         pixel_aspect: pixel_aspect(stream),
         turn,
         odd_rotation,
         transfer,
-        is_bt709: matrix == "bt709" || (size.1.min(size.0) >= 720 && matches!(matrix, "" | "unknown")),
+        is_bt709: matrix == "bt709" || (width.min(height) >= 720 && matches!(matrix, "" | "unknown")),
         is_bt2020: matrix.starts_with("bt2020"),
         encrypted: streams.iter().any(is_encrypted),
         missing: number(&stream["nb_frames"]).map_or(0, |n| n as usize),
@@ -216,9 +216,9 @@ fn pixel_aspect(stream: &Value) -> f64 {
 
 /// The quarter turn that the display matrix asks for. The matrix holds rows `[a b u]`, `[c d v]` and takes
 /// picture to screen by `(x', y') = (a x + c y, b x + d y)` (ISO/IEC 14496-12, 8.3.2.3).
-fn display_turn(side_data: &[Value]) -> (Turn, Option<f64>) {
+fn display_turn(side_data: &[Value]) -> (DisplayTurn, Option<f64>) {
     let Some(data) = side_data.iter().find(|d| d["side_data_type"] == "Display Matrix") else {
-        return (Turn::default(), None);
+        return (DisplayTurn::default(), None);
     };
     let rows: Vec<f64> = data["displaymatrix"]
         .as_str()
@@ -230,11 +230,11 @@ fn display_turn(side_data: &[Value]) -> (Turn, Option<f64>) {
         })
         .collect();
     if rows.len() < 5 {
-        return (Turn::default(), None);
+        return (DisplayTurn::default(), None);
     }
     let scale = rows[0].hypot(rows[1]);
     if scale <= 0.0 {
-        return (Turn::default(), None);
+        return (DisplayTurn::default(), None);
     }
     let [a, b, c, d] = [rows[0], rows[1], rows[3], rows[4]].map(|v| (v / scale).round() as i32);
     let degrees = rows[1].atan2(rows[0]).to_degrees();
@@ -249,7 +249,7 @@ fn display_turn(side_data: &[Value]) -> (Turn, Option<f64>) {
         (0, -1) => 3,
         _ => 0,
     };
-    (Turn { mirror: mirror && !off_grid, quarters }, off_grid.then_some(degrees))
+    (DisplayTurn { mirror: mirror && !off_grid, quarters }, off_grid.then_some(degrees))
 }
 
 fn packet_times(
@@ -275,14 +275,18 @@ fn packet_times(
     Ok(parse_packets(&output, origin))
 }
 
+/// The value of `key` in a line `key=value|key=value|…`.
+fn packet_field<'a>(line: &'a str, key: &str) -> Option<&'a str> {
+    line.split('|').find_map(|f| f.strip_prefix(key)?.strip_prefix('='))
+}
+
 /// Packets marked `D` lie outside the edit list and are never shown. Where a time stamp is missing, the
 /// decoding time serves, else the last time and duration. Returns the times in order and how many are never shown.
 fn parse_packets(output: &Output, origin: f64) -> (Vec<f64>, usize) {
     let (mut times, mut hidden, mut next) = (Vec::new(), 0, 0.0);
     for line in output.stdout.lines() {
-        let field = |key: &str| line.split('|').find_map(|f| f.strip_prefix(key)?.strip_prefix('='));
-        let seconds = |key: &str| field(key).and_then(|v| v.parse::<f64>().ok());
-        if field("flags").is_none_or(|f| f.contains('D')) {
+        let seconds = |key: &str| packet_field(line, key).and_then(|v| v.parse::<f64>().ok());
+        if packet_field(line, "flags").is_none_or(|f| f.contains('D')) {
             hidden += 1;
             continue;
         }
@@ -298,7 +302,7 @@ fn parse_packets(output: &Output, origin: f64) -> (Vec<f64>, usize) {
 mod tests {
     use super::*;
 
-    fn turn_of(matrix: [i32; 4]) -> Turn {
+    fn turn_of(matrix: [i32; 4]) -> DisplayTurn {
         let text = format!(
             "\n00000000: {} {} 0\n00000001: {} {} 0\n00000002: 0 0 1073741824\n",
             matrix[0], matrix[1], matrix[2], matrix[3]
@@ -309,11 +313,11 @@ mod tests {
     #[test]
     fn display_matrices_of_phones_become_quarter_turns() {
         let one = 65536;
-        assert_eq!(turn_of([one, 0, 0, one]), Turn { mirror: false, quarters: 0 });
-        assert_eq!(turn_of([0, one, -one, 0]), Turn { mirror: false, quarters: 1 });
-        assert_eq!(turn_of([-one, 0, 0, -one]), Turn { mirror: false, quarters: 2 });
-        assert_eq!(turn_of([0, -one, one, 0]), Turn { mirror: false, quarters: 3 });
-        assert_eq!(turn_of([-one, 0, 0, one]), Turn { mirror: true, quarters: 0 });
+        assert_eq!(turn_of([one, 0, 0, one]), DisplayTurn { mirror: false, quarters: 0 });
+        assert_eq!(turn_of([0, one, -one, 0]), DisplayTurn { mirror: false, quarters: 1 });
+        assert_eq!(turn_of([-one, 0, 0, -one]), DisplayTurn { mirror: false, quarters: 2 });
+        assert_eq!(turn_of([0, -one, one, 0]), DisplayTurn { mirror: false, quarters: 3 });
+        assert_eq!(turn_of([-one, 0, 0, one]), DisplayTurn { mirror: true, quarters: 0 });
     }
 
     #[test]

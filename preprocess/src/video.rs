@@ -1,11 +1,11 @@
 //! From a video to upright, sharp, distinct frames.
 
-use crate::decode::{DamageCheck, Decoded, OpenCvSource, PipeSource, Source};
+use crate::decode::{DamageCheck, Decoded, FrameSource, OpenCvSource, PipeSource};
 use crate::film::{FILM, Reel};
 use crate::output::{Staging, write_png};
 use crate::pixels::{self, Look};
 use crate::probe::{self, Transfer, VideoInfo};
-use crate::select::{Plan, Slot};
+use crate::select::{BucketSlot, Plan};
 use crate::{FrameConfig, PreprocessError};
 use image::ExtendedColorType;
 use opencv::prelude::*;
@@ -32,22 +32,23 @@ pub fn video_frames(
 ) -> Result<FrameSet, PreprocessError> {
     config.validate()?;
     let info = probe::probe(input, progress)?;
-    let job = Job { input, config, progress, staging: Staging::new(out)?, failed: AtomicBool::new(false) };
+    let extraction =
+        Extraction { input, config, progress, staging: Staging::new(out)?, failed: AtomicBool::new(false) };
     let mut notes = info.notes();
     let check = DamageCheck::start(input, info.stream)?;
     let needs_pipe = info.transfer != Transfer::Sdr || info.is_bt2020 || !info.is_first_video;
     let opened = if needs_pipe { None } else { OpenCvSource::open(input, &info)? };
     let (mut info, mut taken) = match opened {
         Some(source) => {
-            let taken = job.take(Source::OpenCv(source), &info)?;
+            let taken = extraction.take(FrameSource::OpenCv(source), &info)?;
             (info, taken)
         }
-        None => job.take_by_pipe(info)?,
+        None => extraction.take_by_pipe(info)?,
     };
     let expected = info.times_s.len();
     if !needs_pipe && !taken.stopped_early && taken.decoded < expected {
         // OpenCV stops at the first packet it cannot decode; ffmpeg goes on behind it.
-        let (again, retaken) = job.take_by_pipe(info.clone())?;
+        let (again, retaken) = extraction.take_by_pipe(info.clone())?;
         if retaken.decoded > taken.decoded {
             (info, taken) = (again, retaken);
         }
@@ -61,11 +62,11 @@ pub fn video_frames(
         return Err(PreprocessError::NothingDecodes { path: input.to_owned(), expected, reason });
     }
     notes.extend(taken.notes(expected + info.missing, complaints));
-    let (frames, film) = job.publish(taken)?;
+    let (frames, film) = extraction.publish(taken)?;
     Ok(FrameSet { frames, is_video: true, notes, film, ..FrameSet::default() })
 }
 
-struct Job<'a> {
+struct Extraction<'a> {
     input: &'a Path,
     config: &'a FrameConfig,
     progress: &'a Progress,
@@ -88,12 +89,12 @@ struct Taken {
 
 struct Best {
     score: f64,
-    slot: Slot,
+    slot: BucketSlot,
     frame: Decoded,
     look: Look,
 }
 
-impl Job<'_> {
+impl Extraction<'_> {
     /// Decodes by `ffmpeg`, whose frames may differ in number from the packets (damage).
     fn take_by_pipe(&self, mut info: VideoInfo) -> Result<(VideoInfo, Taken), PreprocessError> {
         let times = probe::decoded_times(self.input, info.stream, DECODE_LIMIT, self.progress)?;
@@ -101,11 +102,11 @@ impl Job<'_> {
             info.times_s.clone_from(&times);
         }
         let source = PipeSource::open(self.input, &info, times)?;
-        let taken = self.take(Source::Pipe(source), &info)?;
+        let taken = self.take(FrameSource::Pipe(source), &info)?;
         Ok((info, taken))
     }
 
-    fn take(&self, source: Source, info: &VideoInfo) -> Result<Taken, PreprocessError> {
+    fn take(&self, source: FrameSource, info: &VideoInfo) -> Result<Taken, PreprocessError> {
         let plan = Plan::new(&info.times_s, self.config);
         if plan.len == 0 && !info.times_s.is_empty() {
             return Err(PreprocessError::EmptyRange {
@@ -117,7 +118,7 @@ impl Job<'_> {
             });
         }
         self.progress.begin("frames", plan.end);
-        let correct_matrix = info.is_bt709 && matches!(source, Source::OpenCv(_));
+        let correct_matrix = info.is_bt709 && matches!(source, FrameSource::OpenCv(_));
         let (send, receive) = mpsc::sync_channel::<Decoded>(2 * WRITERS);
         let (receive, written) = (Mutex::new(receive), Mutex::new(Vec::new()));
         let mut taken = std::thread::scope(|scope| {
@@ -139,7 +140,7 @@ impl Job<'_> {
     /// Decodes to the end and hands the chosen frames to the writers.
     fn select(
         &self,
-        mut source: Source,
+        mut source: FrameSource,
         plan: &Plan,
         send: &SyncSender<Decoded>,
     ) -> Result<Taken, PreprocessError> {
@@ -199,8 +200,8 @@ impl Job<'_> {
     ) -> Result<(), PreprocessError> {
         let mut result = Ok(());
         loop {
-            let job = receive.lock().unwrap_or_else(|e| e.into_inner()).recv();
-            let Ok(frame) = job else { return result };
+            let received = receive.lock().unwrap_or_else(|e| e.into_inner()).recv();
+            let Ok(frame) = received else { return result };
             if self.failed.load(Ordering::Relaxed) {
                 continue;
             }
@@ -311,7 +312,7 @@ impl VideoInfo {
     /// What a person should know about how this stream was read.
     fn notes(&self) -> Vec<String> {
         let mut notes = Vec::new();
-        if self.turn != probe::Turn::default() {
+        if self.turn != probe::DisplayTurn::default() {
             let mirror = if self.turn.mirror { "mirrored and " } else { "" };
             notes.push(format!(
                 "{mirror}turned by {}° clockwise, as the video's display matrix asks",
