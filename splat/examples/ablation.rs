@@ -8,8 +8,7 @@ use image::{Rgb, RgbImage};
 use rand::Rng as _;
 use scene::Progress;
 use splat::{
-    Dataset, DatasetConfig, PoseRefinement, RenderOptions, Renderer, TrainConfig, TrainResult,
-    train,
+    Dataset, DatasetConfig, PoseRefinement, RenderOptions, Renderer, TrainConfig, TrainResult, train,
 };
 use std::path::PathBuf;
 

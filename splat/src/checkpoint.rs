@@ -4,9 +4,9 @@
 //! of `arrays`. Written beside its target and renamed, so that what exists is whole.
 
 use crate::SplatError;
-use crate::statistics::Statistics;
 use crate::model::{Model, padded};
 use crate::pace::Pace;
+use crate::statistics::Statistics;
 use crate::train::{CurvePoint, Decision, Findings};
 use serde::{Deserialize, Serialize};
 use std::io::Write;

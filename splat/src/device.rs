@@ -1,8 +1,8 @@
 //! Where to compute: chosen by flags, or by what this machine has.
 
+use crate::adapter::Adapter;
 use crate::backend::Backend;
 use crate::cpu::CpuBackend;
-use crate::adapter::Adapter;
 use crate::decision::Decision;
 use crate::error::SplatError;
 use clap::{Args, ValueEnum};

@@ -13,13 +13,13 @@ pub use decide::Findings;
 
 use crate::backend::{Backend, KernelTimes, Round, StepInput, StepOutput, Target};
 use crate::checkpoint::{self, Checkpoint, State};
-use crate::statistics::Statistics;
 use crate::dataset::AlphaMode;
 use crate::footprint::footprint;
 use crate::hull::VisualHull;
 use crate::init::initial_gaussians;
 use crate::model::Model;
 use crate::schedule;
+use crate::statistics::Statistics;
 use crate::{Dataset, RenderOptions, SplatError, TrainConfig};
 use rand::Rng as _;
 use rand::seq::SliceRandom as _;

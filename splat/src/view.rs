@@ -45,8 +45,7 @@ impl PinholeView {
     /// Whether a point in the frame of the camera lies before it and in its picture. Without a division.
     pub(crate) fn sees(&self, c: Vec3) -> bool {
         let [px, py] = [0, 1].map(|k| self.focal[k] * c[k] + self.centre[k] * c.z);
-        let inside =
-            px >= 0.0 && py >= 0.0 && px < self.width as f32 * c.z && py < self.height as f32 * c.z;
+        let inside = px >= 0.0 && py >= 0.0 && px < self.width as f32 * c.z && py < self.height as f32 * c.z;
         c.z > 0.0 && inside
     }
 

@@ -4,12 +4,12 @@
 //! Adam (Kingma and Ba 2015) runs on each Gaussian's own clock: a step counts only where the Gaussian was visible, so
 //! that the others keep parameters and moments as they are instead of drifting on stale momentum.
 
+use super::dispatch::simd_kernel;
 use super::model_part::{AdamPart, GradientSink, ModelPart};
 use super::project::{CULLED, Projection, colour, project_lanes};
 use super::project_backward::geometry_gradient;
 use super::rasterise::SUMS;
 use super::sh;
-use super::dispatch::simd_kernel;
 use super::simd::{Simd, array};
 use super::sort::Bins;
 use crate::backend::LearningRates;
@@ -110,12 +110,7 @@ fn adam_generic<S: Simd>(a: &mut Adam) {
 
 /// The Gaussians from `block` on that are alive: `lanes` are their sums.
 #[inline(always)]
-fn adam_block<S: Simd>(
-    a: &mut Adam,
-    block: usize,
-    lanes: &[[f32; LANE_PAD]; SUMS],
-    alive: &[f32; LANE_PAD],
-) {
+fn adam_block<S: Simd>(a: &mut Adam, block: usize, lanes: &[[f32; LANE_PAD]; SUMS], alive: &[f32; LANE_PAD]) {
     let mut parameters = [S::splat(0.0); GEOMETRY];
     for (value, plane) in parameters.iter_mut().zip(&a.part.geometry) {
         *value = S::read(&plane[block..]);

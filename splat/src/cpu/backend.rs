@@ -1,8 +1,8 @@
 //! [`Backend`] on the CPU.
 
 use super::densify::densify_by_edit;
-use super::model_part::{ModelGradient, ModelPart};
 use super::dispatch::Isa;
+use super::model_part::{ModelGradient, ModelPart};
 use super::workspace::KernelWorkspace;
 use crate::backend::{Backend, KernelTimes, Round, StepInput, StepOutput, Target, check};
 use crate::camera::CameraConstants;
@@ -307,7 +307,11 @@ mod tests {
         let mut backend = CpuBackend::default();
         backend.upload(model(20), Statistics::default()).unwrap();
         assert_eq!(step(&mut backend, &[9; 3600]).visible, 20);
-        backend.edit(&mut |model, _| model.append(&vec![(Model::row(Vec3::X, Vec3::ZERO, Quat::IDENTITY, 0.0), 3); 50])).unwrap();
+        backend
+            .edit(&mut |model, _| {
+                model.append(&vec![(Model::row(Vec3::X, Vec3::ZERO, Quat::IDENTITY, 0.0), 3); 50])
+            })
+            .unwrap();
         let (_, statistics) = backend.download().unwrap();
         assert_eq!(statistics.visible, vec![0.0; padded(70)]);
         assert_eq!(step(&mut backend, &[9; 3600]).visible, 70);

@@ -25,7 +25,8 @@ const ROWS: usize = 4;
 /// The window's weights, exp(−x² / (2 · 1.5²)) normalised, between `ROWS − 1` zeros.
 fn window() -> [f32; TAPS + 2 * (ROWS - 1)] {
     let spread = 2.0 * WINDOW_SIGMA * WINDOW_SIGMA;
-    let raw: [f64; TAPS] = std::array::from_fn(|i| (-(i as f64 - WINDOW_RADIUS as f64).powi(2) / spread).exp());
+    let raw: [f64; TAPS] =
+        std::array::from_fn(|i| (-(i as f64 - WINDOW_RADIUS as f64).powi(2) / spread).exp());
     let sum: f64 = raw.iter().sum();
     let mut padded = [0.0; TAPS + 2 * (ROWS - 1)];
     for (tap, w) in padded[ROWS - 1..].iter_mut().zip(raw) {
@@ -233,7 +234,13 @@ fn moments_down<S: Simd, const R: usize>(a: &Band, y: usize, out: &mut [f32]) {
 
 /// SSIM of line `y` and its derivatives by E[x], E[x² + y²] and E[xy], three lines of `out`.
 #[inline(always)]
-fn similarity_line<S: Simd>(a: &mut Band, y: usize, moments: &[f32], out: &mut [f32], w: &[S; WINDOW_RADIUS + 1]) {
+fn similarity_line<S: Simd>(
+    a: &mut Band,
+    y: usize,
+    moments: &[f32],
+    out: &mut [f32],
+    w: &[S; WINDOW_RADIUS + 1],
+) {
     let shape = a.input.shape;
     let (line, stride, width) = (bordered(&shape), shape.stride(), shape.width);
     let [c1, c2] = [S::splat(SSIM_STABILITY[0] as f32), S::splat(SSIM_STABILITY[1] as f32)];

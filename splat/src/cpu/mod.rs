@@ -17,9 +17,9 @@ mod shared;
 mod simd;
 #[cfg(target_arch = "aarch64")]
 mod simd_neon;
+mod simd_portable;
 #[cfg(target_arch = "x86_64")]
 mod simd_x86;
-mod simd_portable;
 mod sort;
 mod target;
 pub(crate) mod tile;

@@ -4,8 +4,8 @@
 //!
 //! `Σ' = J W Σ Wᵀ Jᵀ + 0.3 I` (Zwicker et al., EWA splatting, 2002; the 0.3 px² low-pass: Kerbl et al. 2023).
 
-use super::sh;
 use super::dispatch::simd_kernel;
+use super::sh;
 use super::simd::{Simd, array};
 use crate::camera::CameraConstants;
 use crate::model::{GEOMETRY, LANE_PAD, LOG_SCALE, MEAN, Model, OPACITY, ROTATION};
@@ -15,7 +15,7 @@ use std::f32::consts::LOG2_E;
 /// `log2(255)`: alpha below 1/255 is not drawn. Source: derived.
 pub(super) const LOG2_255: f32 = 7.994_353_4;
 /// Key of a Gaussian that touches no tile. Source: no depth has these bits.
-pub(super) const CULLED: u32 = u32::MAX;
+pub(crate) const CULLED: u32 = u32::MAX;
 
 /// A Gaussian on the screen. Exponents are of base 2: `alpha = 2^(log2_opacity − power)`,
 /// `power = half_xx dx² + xy dx dy + half_yy dy²`.

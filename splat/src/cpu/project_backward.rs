@@ -5,8 +5,8 @@ use super::project::{Projection, camera_rows, dot3, twice};
 use super::rasterise::SUMS;
 use super::simd::{Simd, array};
 use crate::camera::CameraConstants;
-use crate::reference::constants::{LOW_PASS, MAX_LOG_SCALE};
 use crate::model::{GEOMETRY, LOG_SCALE, MEAN, OPACITY, ROTATION};
+use crate::reference::constants::{LOW_PASS, MAX_LOG_SCALE};
 
 /// dL/d(geometry) of a block from the pair sums, without colour's part of dL/dmean.
 #[inline(always)]

@@ -5,8 +5,8 @@
 //! a row; inside a tile only the columns and rows of the Gaussian's box are visited.
 
 use super::bounds::{BATCH, Bounds};
-use super::project::{LOG2_255, Record};
 use super::dispatch::simd_kernel;
+use super::project::{LOG2_255, Record};
 use super::simd::{Simd, array};
 use super::tile::{PIXELS, TILE, Tile, TilePlane};
 use crate::reference::constants::{MAX_ALPHA, MIN_TRANSMITTANCE};

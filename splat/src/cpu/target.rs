@@ -140,7 +140,8 @@ mod tests {
                 let away = |at: usize, first: usize, size: usize| {
                     first.saturating_sub(at).max((at + 1).saturating_sub(first + size))
                 };
-                let near = away(x, tile.x, tile.width) <= WINDOW_RADIUS && away(y, tile.y, tile.height) <= WINDOW_RADIUS;
+                let near = away(x, tile.x, tile.width) <= WINDOW_RADIUS
+                    && away(y, tile.y, tile.height) <= WINDOW_RADIUS;
                 assert_eq!(found, near, "({x}, {y}) tile {t}");
             }
         }

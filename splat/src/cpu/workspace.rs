@@ -1,12 +1,12 @@
 //! The buffers of a view and the kernels run over them in parallel.
 
 use super::adam::{Adam, adam};
+use super::dispatch::Isa;
 use super::loss::{LossInput, LossValue, loss};
 use super::model_part::ModelPart;
 use super::project::{CULLED, Project, Record, project};
 use super::rasterise::{Backward, Forward, SUMS, Visit, backward, forward, visit};
 use super::shared::SharedSlice;
-use super::dispatch::Isa;
 use super::sort::Bins;
 use super::target::{TargetSource, compose, reached_tiles};
 use super::tile::{PIXELS, PlaneShape, TILE, Tile, TilePlane};
@@ -91,7 +91,13 @@ impl KernelWorkspace {
     }
 
     /// Rasterises all tiles that count for a target (all of them without one); the others keep what they show.
-    pub(super) fn forward(&mut self, isa: Isa, background: [f32; 3], target: Option<&Target>, with_depth: bool) {
+    pub(super) fn forward(
+        &mut self,
+        isa: Isa,
+        background: [f32; 3],
+        target: Option<&Target>,
+        with_depth: bool,
+    ) {
         self.reached.clear();
         if let Some(Target { mask: Some(mask), transparent: false, .. }) = target {
             reached_tiles(mask, self.shape, &mut self.reached);

@@ -7,15 +7,14 @@ use super::flight::{Flight, Pending, Report, WINDOW};
 use super::kernels::Kernels;
 use super::layout::{BLOCK, Counter, Frame, FrameFlag};
 use super::pages::Pages;
-use super::photos::{PlacedPhoto, Photos};
-use crate::adapter::Adapter;
+use super::photos::{Photos, PlacedPhoto};
 use crate::backend::{Backend, KernelTimes, Round, StepInput, StepOutput, Target, check};
-use crate::statistics::Statistics;
 use crate::camera::CameraConstants;
 use crate::cpu::densify::densify_by_edit;
 use crate::decision::Decision;
 use crate::error::SplatError;
 use crate::model::Model;
+use crate::statistics::Statistics;
 use crate::view::{PinholeView, RenderOptions, RenderOutput};
 use scene::FloatImage;
 use std::ops::RangeInclusive;
@@ -33,7 +32,7 @@ pub(crate) struct GpuBackend {
     pub(super) screen: Option<Screen>,
     /// The model as uploaded, while the device has no moments.
     untrained: Option<(Model, Statistics)>,
-    photos: Photos,
+    pub(super) photos: Photos,
     flight: Flight,
     /// Steps that may be under way: few after a change, in case its pairs need room.
     window: usize,
@@ -71,21 +70,6 @@ impl GpuBackend {
             gain: None,
             truncate: 0,
         })
-    }
-
-    /// What it runs on.
-    pub(crate) fn adapter(&self) -> &Adapter {
-        &self.gpu.adapter
-    }
-
-    /// The device itself.
-    pub(crate) fn gpu(&self) -> &Gpu {
-        &self.gpu
-    }
-
-    /// Pages of the model, and photos that stay on the device.
-    pub(crate) fn held(&self) -> [usize; 2] {
-        [self.pages.as_ref().map_or(0, |p| p.list.len()), self.photos.count()]
     }
 
     /// Room for Gaussians, pairs and pixels. What stays of the same size keeps its contents.
@@ -200,7 +184,8 @@ impl GpuBackend {
             let mut again = Vec::new();
             for (step, report) in finished {
                 let overfull = report.pairs() > step.frame.pair_capacity as usize;
-                let halted = *step.stages.end() == Stage::Optimise && report.counters[Counter::Halt as usize] != 0;
+                let halted =
+                    *step.stages.end() == Stage::Optimise && report.counters[Counter::Halt as usize] != 0;
                 if (overfull && step.frame.flags & FrameFlag::Truncate as u32 == 0) || halted {
                     again.push(step);
                     continue;

@@ -126,7 +126,8 @@ impl Bound {
             let rest = [&b.counters, &b.table, keys[from], values[from], keys[to], values[to]];
             kernels.sort.bind(gpu, &[&[job][..], &rest.map(|b| b.as_entire_binding())[..]].concat())
         };
-        let job = SortJob { count: Counter::Visible as u32, blocks: depth_blocks, limit: n, ..SortJob::default() };
+        let job =
+            SortJob { count: Counter::Visible as u32, blocks: depth_blocks, limit: n, ..SortJob::default() };
         let (keys, order) = ([&b.depth_keys_a, &b.depth_keys_b], [&b.order_a, &b.order_b]);
         let by_depth = (0..DEPTH_PASSES as u32).map(|pass| sort(pass, job, keys, order)).collect();
         let limit = sizes.pairs as u32;

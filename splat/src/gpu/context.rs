@@ -1,8 +1,8 @@
 //! Adapters and devices.
 
 use super::pipelines::Pipelines;
-use crate::error::SplatError;
 use crate::adapter::{Adapter, AdapterKind};
+use crate::error::SplatError;
 use std::sync::{Arc, Mutex};
 
 /// Bytes of a transfer at a time. Source: chosen by hand, never measured.

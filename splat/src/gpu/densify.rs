@@ -73,14 +73,19 @@ impl GpuBackend {
         bound.sort_by_key(kernels, &mut encoder.begin_compute_pass(&Default::default()));
         each(&mut encoder, 1, &|_| room, false);
         each(&mut encoder, 2, &|count| count + room, true);
-        let scan_job = gpu.uniform(ScanJob { n: n as u32 + room, total: Counter::Visible as u32, ..ScanJob::default() })?;
+        let scan_job = gpu.uniform(ScanJob {
+            n: n as u32 + room,
+            total: Counter::Visible as u32,
+            ..ScanJob::default()
+        })?;
         let scanned = [&scan_job, &flags, &sums, &buffers.counters].map(wgpu::Buffer::as_entire_binding);
         let scanned = kernels.scan.bind(gpu, &scanned);
         scan(kernels, &mut encoder.begin_compute_pass(&Default::default()), &scanned, n as u32 + room);
         each(&mut encoder, 3, &|_| n as u32 + room, false);
         gpu.queue.submit([encoder.finish()]);
         let counters: Vec<u32> = gpu.read(&buffers.counters, 0, 4)?;
-        let (kept, unseen) = (counters[Counter::Visible as usize] as usize, counters[Counter::NonFinite as usize] as usize);
+        let (kept, unseen) =
+            (counters[Counter::Visible as usize] as usize, counters[Counter::NonFinite as usize] as usize);
         if kept == 0 {
             return Ok(None);
         }

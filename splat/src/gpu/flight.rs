@@ -7,8 +7,8 @@ use super::context::Gpu;
 use super::kernels::Kernels;
 use super::layout::{COUNTERS, Counter, Frame};
 use super::photos::PlacedPhoto;
-use crate::error::SplatError;
 use crate::backend::KernelTimes;
+use crate::error::SplatError;
 use std::ops::RangeInclusive;
 
 /// The most steps that are under way. Source: chosen by hand, never measured.
@@ -104,7 +104,13 @@ impl Flight {
     }
 
     /// Submits a step; at most [`WINDOW`] until they are collected.
-    pub(crate) fn submit(&mut self, gpu: &Gpu, kernels: &Kernels, (b, bound): (&Buffers, &Bound), step: Pending) {
+    pub(crate) fn submit(
+        &mut self,
+        gpu: &Gpu,
+        kernels: &Kernels,
+        (b, bound): (&Buffers, &Bound),
+        step: Pending,
+    ) {
         let slot = self.pending.len() as u64;
         gpu.write(&b.frame, 0, &[step.frame]);
         let mut encoder = gpu.device.create_command_encoder(&Default::default());

@@ -5,8 +5,8 @@ use super::context::Gpu;
 use super::kernels::Kernels;
 use super::layout::{CLOCK, GatherJob, PLANES, PageJob, STATISTICS};
 use crate::error::SplatError;
-use crate::statistics::Statistics;
 use crate::model::{GEOMETRY, Model, padded};
+use crate::statistics::Statistics;
 
 /// Gaussians of a page are a multiple of this, unless it is the last.
 /// Source: chosen by hand, never measured.
@@ -95,7 +95,8 @@ impl Pages {
         let room = room(gpu.largest_buffer(), sh_stride, training);
         let list = ranges(n, room).into_iter().map(|job| {
             let part = |p: PagePart| part(gpu, p, &job, sh_stride, training);
-            let (geometry, sh, moments) = (part(PagePart::Geometry)?, part(PagePart::Sh)?, part(PagePart::Moments)?);
+            let (geometry, sh, moments) =
+                (part(PagePart::Geometry)?, part(PagePart::Sh)?, part(PagePart::Moments)?);
             Ok(Page { uniform: gpu.uniform(job)?, job, geometry, sh, moments })
         });
         Ok(Self { list: list.collect::<Result<_, SplatError>>()?, n, sh_stride, training })

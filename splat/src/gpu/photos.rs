@@ -42,13 +42,20 @@ impl Photos {
     }
 
     /// How many lie here.
+    #[cfg(test)]
     pub(crate) fn count(&self) -> usize {
         self.held.len()
     }
 
     /// Where the target lies; it is sent if need be: to a shelf if it has a number and there is room for it (of `budget`
     /// bytes), otherwise to `goal`.
-    pub(crate) fn place(&mut self, gpu: &Gpu, goal: &wgpu::Buffer, target: &Target, budget: Option<u64>) -> PlacedPhoto {
+    pub(crate) fn place(
+        &mut self,
+        gpu: &Gpu,
+        goal: &wgpu::Buffer,
+        target: &Target,
+        budget: Option<u64>,
+    ) -> PlacedPhoto {
         let bytes = 4 * (target.rgb.len() / 3) as u64;
         let key = target.photo.map(|number| (number, bytes));
         if let Some(photo) = key.and_then(|key| self.held.get(&key)) {
@@ -92,7 +99,9 @@ fn mask_of(target: &Target) -> (u32, f64) {
     let count = target.rgb.len() / 3;
     match target.mask {
         Some(_) if target.transparent => (FrameFlag::Coverage as u32, count as f64),
-        Some(mask) => (FrameFlag::Weighted as u32, mask.iter().map(|&m| u64::from(m)).sum::<u64>() as f64 / 255.0),
+        Some(mask) => {
+            (FrameFlag::Weighted as u32, mask.iter().map(|&m| u64::from(m)).sum::<u64>() as f64 / 255.0)
+        }
         None => (0, count as f64),
     }
 }

@@ -3,7 +3,7 @@
 
 use super::buffers::{Buffers, Limit, Sizes, capacity, most_pairs};
 use super::context::LANES;
-use super::kernels::{SOURCES, BindingSlot, KernelSource};
+use super::kernels::{BindingSlot, KernelSource, SOURCES};
 use super::layout::{DensifyJob, DensifyView, Frame, GatherJob, HalveJob, PageJob, ScanJob, SortJob};
 use super::pages;
 use naga::valid::{Capabilities, ValidationFlags, Validator};
@@ -111,7 +111,9 @@ fn bindings_of_both_sides_agree_and_no_stage_has_more_than_eight_storage_buffers
                     AddressSpace::Uniform => {
                         BindingSlot::Uniform(module.types[v.ty].inner.size(module.to_ctx()) as usize)
                     }
-                    AddressSpace::Storage { access } if access.contains(StorageAccess::STORE) => BindingSlot::Write,
+                    AddressSpace::Storage { access } if access.contains(StorageAccess::STORE) => {
+                        BindingSlot::Write
+                    }
                     _ => BindingSlot::Read,
                 };
                 Some((binding.binding, slot))

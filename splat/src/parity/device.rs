@@ -3,14 +3,14 @@
 
 use super::scenes::{ordinary, view};
 use super::steps::{Goal, RATES};
-use glam::{Mat3, Vec3};
-use scene::Gaussians;
 use crate::backend::{Backend, Round, StepInput, StepOutput, Target};
 use crate::cpu::densify::densify_by_edit;
-use crate::statistics::Statistics;
 use crate::gpu::{GpuBackend, Opening};
 use crate::model::{LOG_SCALE, MEAN, Model};
+use crate::statistics::Statistics;
 use crate::view::{PinholeView, RenderOptions};
+use glam::{Mat3, Vec3};
+use scene::Gaussians;
 
 fn opened(opening: Opening) -> GpuBackend {
     GpuBackend::open(&opening).expect("an adapter; mesa-vulkan-drivers brings one")

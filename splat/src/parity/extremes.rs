@@ -4,11 +4,11 @@ use super::pictures::{compare_gradient, reference_gradient, weights};
 use super::scenes::{One, of, ordinary, rendered, undecided, view};
 use super::steps::Goal;
 use super::subject::subjects;
-use glam::{Quat, Vec3};
-use scene::Gaussians;
 use crate::backend::LearningRates;
 use crate::model::Model;
 use crate::{RenderOptions, TrainConfig, schedule};
+use glam::{Quat, Vec3};
+use scene::Gaussians;
 
 const TILT: Quat = Quat::from_xyzw(0.3, -0.5, 0.2, 0.7);
 
@@ -60,7 +60,8 @@ fn wild() -> Vec<(&'static str, Gaussians, Vec<(usize, Lost)>)> {
     use Lost::{Cancelled, Range};
     let one = One::default();
     let scale = |s: [f32; 3]| One { log_scale: Vec3::from_array(s.map(f32::ln)), rotation: TILT, ..one };
-    let near = |dz: f32| One { mean: camera_position() + Vec3::Z * (crate::camera::DEFAULT_NEAR + dz), ..one };
+    let near =
+        |dz: f32| One { mean: camera_position() + Vec3::Z * (crate::camera::DEFAULT_NEAR + dz), ..one };
     vec![
         ("scale 1e8", of(&[scale([1e8; 3]), one]), vec![(0, Range)]),
         (

@@ -1,14 +1,14 @@
 //! The first adapter of this machine, hardware or not, as a subject. A machine without any fails.
 
 use super::subject::{Seen, Subject};
-use crate::cpu::ModelGradient;
-use glam::{Mat3, Vec3};
-use scene::Gaussians;
 use crate::backend::{Backend, StepInput, StepOutput, Target};
-use crate::statistics::Statistics;
+use crate::cpu::ModelGradient;
 use crate::gpu::{GpuBackend, Opening};
 use crate::model::Model;
+use crate::statistics::Statistics;
 use crate::{PinholeView, RenderOptions, RenderOutput};
+use glam::{Mat3, Vec3};
+use scene::Gaussians;
 use std::sync::{Mutex, MutexGuard, OnceLock};
 
 /// One device for all tests, each call by itself.

@@ -2,10 +2,10 @@
 
 use super::scenes::{ordinary, rendered, view};
 use super::subject::subjects;
-use glam::DVec3;
-use rand::Rng;
 use crate::RenderOptions;
 use crate::reference::loss::loss;
+use glam::DVec3;
+use rand::Rng;
 
 fn close(found: f32, expected: f64, relative: f64, absolute: f64) -> bool {
     (f64::from(found) - expected).abs() <= relative * expected.abs() + absolute

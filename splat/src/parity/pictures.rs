@@ -3,12 +3,12 @@
 use super::scenes::{ordinary, reference_options, reference_view, rendered, undecided, view};
 use super::subject::{Subject, subjects};
 use crate::cpu::ModelGradient;
-use glam::DVec3;
-use rand::Rng;
-use scene::Gaussians;
 use crate::reference::rasterise::ImageGradient;
 use crate::reference::{Parameters, backward};
 use crate::{PinholeView, RenderOptions};
+use glam::DVec3;
+use rand::Rng;
+use scene::Gaussians;
 
 /// Compares a picture where no cut-off is at stake; at most a twentieth of the pixels may be left out.
 pub fn compare_picture(

@@ -1,12 +1,12 @@
 //! Scenes, and the reference's view of them.
 
-use glam::{DVec3, Mat3, Quat, Vec3};
-use rand::Rng;
-use scene::Gaussians;
 use crate::reference::constants::{MAX_ALPHA, MIN_ALPHA, MIN_TRANSMITTANCE};
 use crate::reference::project::Projected;
 use crate::reference::{self, Rendered};
 use crate::{PinholeView, RenderOptions};
+use glam::{DVec3, Mat3, Quat, Vec3};
+use rand::Rng;
+use scene::Gaussians;
 
 /// A Gaussian, to be pushed into a scene.
 #[derive(Clone, Copy, Debug)]

@@ -2,9 +2,6 @@
 
 use super::scenes::{ordinary, reference_options, reference_view, rendered, view};
 use super::subject::subjects;
-use glam::DVec3;
-use rand::Rng;
-use scene::Gaussians;
 use crate::backend::{LearningRates, StepInput, Target};
 use crate::model::Model;
 use crate::reference::adam::{self, Moments, Rates};
@@ -12,6 +9,9 @@ use crate::reference::loss::{ReferenceLoss, loss, over_background};
 use crate::reference::rasterise::ImageGradient;
 use crate::reference::{Parameters, backward, render};
 use crate::{PinholeView, RenderOptions};
+use glam::DVec3;
+use rand::Rng;
+use scene::Gaussians;
 
 pub const RATES: LearningRates =
     LearningRates { mean: 2e-3, log_scale: 1e-2, rotation: 2e-3, opacity: 5e-2, sh0: 5e-3, sh_rest: 5e-4 };

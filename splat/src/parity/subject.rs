@@ -1,6 +1,5 @@
 //! What the suite needs of a backend, and who is tested.
 
-use scene::Gaussians;
 use crate::backend::{Backend, StepInput, StepOutput};
 use crate::camera::CameraConstants;
 use crate::cpu::dispatch::Isa;
@@ -8,9 +7,10 @@ use crate::cpu::loss::{LossInput, loss};
 use crate::cpu::project::{CULLED, Project, Record, project};
 use crate::cpu::tile::PlaneShape;
 use crate::cpu::{CpuBackend, ModelGradient};
-use crate::statistics::Statistics;
 use crate::model::Model;
+use crate::statistics::Statistics;
 use crate::{PinholeView, RenderOptions, RenderOutput};
+use scene::Gaussians;
 
 /// A Gaussian on the screen as a backend sees it.
 #[derive(Clone, Copy, Debug)]

@@ -1,17 +1,17 @@
 //! A small training with densification, on an adapter and on the processor.
 
 use super::scenes::ordinary;
-use glam::{DVec3, Vec3};
-use rand::Rng;
-use scene::{Camera, CameraModel, Gaussians, Pose, Progress};
 use crate::backend::Target;
-use crate::statistics::Statistics;
 use crate::dataset::{Normalisation, Pixels, pyramid};
 use crate::model::Model;
+use crate::statistics::Statistics;
 use crate::{
     AlphaMode, BackendChoice, Dataset, DeviceConfig, RenderOptions, Renderer, TrainConfig, TrainResult, View,
     train,
 };
+use glam::{DVec3, Vec3};
+use rand::Rng;
+use scene::{Camera, CameraModel, Gaussians, Pose, Progress};
 
 /// Views of a scene from a ring of radius 3; every 4th held out.
 fn dataset(truth: &Gaussians, count: usize) -> Dataset {

@@ -16,7 +16,7 @@
 //! |a × b|², which unlike the difference of products loses nothing for needles.
 
 use super::constants::{JACOBIAN_MARGIN, LOW_PASS, MAX_LOG_SCALE, MIN_ALPHA};
-use super::parameters::{Options, GaussianGeometry, ReferenceView};
+use super::parameters::{GaussianGeometry, Options, ReferenceView};
 use glam::{DMat3, DQuat, DVec2, DVec3};
 
 /// What the rasteriser needs to know of a Gaussian, without its colour; also the gradient with respect to it.
@@ -42,6 +42,7 @@ impl Projected {
 }
 
 /// Values of the forward pass that the backward pass needs again.
+#[cfg_attr(not(test), expect(dead_code, reason = "the backward pass is compiled for tests only"))]
 pub(super) struct ForwardValues {
     pub(super) x: DVec3,
     /// x/z and y/z held within the margin, and whether each is free to move.
@@ -65,7 +66,11 @@ pub(crate) fn project(g: &GaussianGeometry, view: &ReferenceView, options: &Opti
     forward(g, view, options).map(|f| f.out)
 }
 
-pub(super) fn forward(g: &GaussianGeometry, view: &ReferenceView, options: &Options) -> Option<ForwardValues> {
+pub(super) fn forward(
+    g: &GaussianGeometry,
+    view: &ReferenceView,
+    options: &Options,
+) -> Option<ForwardValues> {
     let x = view.rotation * g.mean + view.translation;
     if !x.is_finite() || x.z < options.near {
         return None;

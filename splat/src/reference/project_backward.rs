@@ -1,7 +1,8 @@
 //! project backward: ∂L/∂[`Projected`] → ∂L/∂[`GaussianGeometry`] and ∂L/∂pose, through the equations of [`super::project`].
 
 use super::constants::{LOW_PASS, MAX_LOG_SCALE};
-use super::parameters::{GaussianGeometry, Options, PoseGradient, ReferenceView};
+use super::derivatives::PoseGradient;
+use super::parameters::{GaussianGeometry, Options, ReferenceView};
 use super::project::{ForwardValues, Projected, forward, rotation_matrix};
 use glam::{DMat2, DMat3, DQuat, DVec2, DVec3, DVec4};
 
@@ -90,8 +91,10 @@ fn rotation_backward(q: DQuat, unit: DQuat, dr: DMat3) -> DQuat {
         return DQuat::from_xyzw(0.0, 0.0, 0.0, 0.0);
     }
     let (x, y, z, w) = (unit.x, unit.y, unit.z, unit.w);
-    let (s01, s02, s12) = (dr.col(1)[0] + dr.col(0)[1], dr.col(2)[0] + dr.col(0)[2], dr.col(2)[1] + dr.col(1)[2]);
-    let (a21, a02, a10) = (dr.col(1)[2] - dr.col(2)[1], dr.col(2)[0] - dr.col(0)[2], dr.col(0)[1] - dr.col(1)[0]);
+    let (s01, s02, s12) =
+        (dr.col(1)[0] + dr.col(0)[1], dr.col(2)[0] + dr.col(0)[2], dr.col(2)[1] + dr.col(1)[2]);
+    let (a21, a02, a10) =
+        (dr.col(1)[2] - dr.col(2)[1], dr.col(2)[0] - dr.col(0)[2], dr.col(0)[1] - dr.col(1)[0]);
     let d = 2.0
         * DVec4::new(
             y * s01 + z * s02 + w * a21 - 2.0 * x * (dr.col(1)[1] + dr.col(2)[2]),

@@ -63,7 +63,11 @@ pub(crate) struct Contribution {
 }
 
 /// What the pixel with its centre at `p` is composited from, front to back, and the transmittance behind.
-pub(crate) fn contributions(projected: &[Option<Projected>], order: &[usize], p: DVec2) -> (Vec<Contribution>, f64) {
+pub(crate) fn contributions(
+    projected: &[Option<Projected>],
+    order: &[usize],
+    p: DVec2,
+) -> (Vec<Contribution>, f64) {
     let mut list = Vec::new();
     let mut transmittance = 1.0;
     for (i, g) in order.iter().filter_map(|&i| projected[i].map(|g| (i, g))) {

@@ -6,8 +6,8 @@
 
 use super::Trainer;
 use crate::backend::Target;
-use crate::view::PinholeView;
 use crate::config::PoseRefinement;
+use crate::view::PinholeView;
 use crate::{RenderOptions, SplatError};
 use glam::{DMat3, DQuat, DVec3, Mat3, Quat, Vec3};
 use rayon::prelude::*;

@@ -8,8 +8,8 @@
 use super::Trainer;
 use crate::backend::Backend;
 use crate::cpu::CpuBackend;
-use crate::statistics::Statistics;
 use crate::model::{Model, OPACITY};
+use crate::statistics::Statistics;
 use crate::{PinholeView, RenderOptions, SplatError};
 use rand::Rng as _;
 
