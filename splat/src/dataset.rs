@@ -89,7 +89,7 @@ pub struct View {
 /// `x_normalised = scale · (x_world − centre)`: the cameras' mean centre becomes the origin and the farthest
 /// camera lies at distance 1 (with one camera: the points' median distance is 1).
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
-pub struct Normalisation {
+pub struct NormalisedFrame {
     /// World frame, scene units.
     pub centre: DVec3,
     /// Normalised units a scene unit.
@@ -104,7 +104,7 @@ pub struct Dataset {
     /// The sparse cloud in the normalised frame.
     pub points: Vec<(Vec3, [u8; 3])>,
     /// Normalised from world.
-    pub normalisation: Normalisation,
+    pub normalisation: NormalisedFrame,
     /// What masks mean.
     pub alpha: AlphaMode,
 }
@@ -122,7 +122,7 @@ impl Dataset {
         let mut images: Vec<&PosedImage> = model.images.values().collect();
         images.sort_by(|a, b| a.name.cmp(&b.name));
         progress.begin("load images", images.len());
-        let normalisation = Normalisation::of(model);
+        let normalisation = NormalisedFrame::of(model);
         let load = |(index, image): (usize, &&PosedImage)| {
             let held_out = config.holds_out(index, images.len());
             let view = load_view(image_dir, mask_dir, model, image, &normalisation, held_out)?;
@@ -153,7 +153,7 @@ impl Dataset {
     }
 }
 
-impl Normalisation {
+impl NormalisedFrame {
     /// Of a reconstruction: from its cameras, from its points where the cameras stand at one place.
     pub fn of(model: &Reconstruction) -> Self {
         let centres: Vec<DVec3> = model.images.values().map(|i| i.pose.centre()).collect();
@@ -187,7 +187,7 @@ impl Normalisation {
     }
 
     /// Gaussians of the normalised frame in the world.
-    pub(crate) fn to_world(&self, mut g: Gaussians) -> Gaussians {
+    pub(crate) fn denormalise(&self, mut g: Gaussians) -> Gaussians {
         let shift = self.scale.ln() as f32;
         for mean in &mut g.means {
             *mean = (mean.as_dvec3() / self.scale + self.centre).as_vec3();
@@ -197,7 +197,7 @@ impl Normalisation {
     }
 
     /// Gaussians of the world in the normalised frame.
-    pub(crate) fn to_normalised(&self, mut g: Gaussians) -> Gaussians {
+    pub fn normalise(&self, mut g: Gaussians) -> Gaussians {
         let shift = self.scale.ln() as f32;
         g.means.iter_mut().for_each(|mean| *mean = self.point(mean.as_dvec3()));
         g.log_scales.iter_mut().for_each(|s| *s += Vec3::splat(shift));
@@ -231,7 +231,7 @@ fn load_view(
     mask_dir: Option<&Path>,
     model: &Reconstruction,
     image: &PosedImage,
-    frame: &Normalisation,
+    frame: &NormalisedFrame,
     held_out: bool,
 ) -> Result<View, SplatError> {
     let camera = pinhole_camera(model, image)?;

@@ -22,7 +22,7 @@ pub(crate) fn footprint(dataset: &Dataset) -> f32 {
     let mut sizes: Vec<f32> = Vec::new();
     for (x, _) in some {
         for view in &views {
-            let c = view.to_camera(*x);
+            let c = view.camera_point(*x);
             if view.sees(c) {
                 sizes.push(c.z / focal(view));
             }

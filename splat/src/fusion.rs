@@ -63,7 +63,7 @@ pub fn fused_mesh(
     // In the normalised frame no number is too small or too large, whatever the units are.
     let n = &dataset.normalisation;
     let normalised = Sim3 { scale: n.scale, translation: -n.scale * n.centre, ..Sim3::IDENTITY };
-    let gaussians = n.to_normalised(gaussians.clone());
+    let gaussians = n.normalise(gaussians.clone());
     let count = dataset.views.len().min(MOST_VIEWS);
     progress.begin("depth maps", count);
     let mut maps = Vec::with_capacity(count);

@@ -79,7 +79,7 @@ impl Silhouette {
     /// Whether the silhouette covers `x`; `None` outside the picture.
     fn covers(&self, x: Vec3) -> Option<bool> {
         let view = &self.view;
-        let c = view.to_camera(x);
+        let c = view.camera_point(x);
         if c.z <= 0.0 {
             return None;
         }

@@ -123,7 +123,7 @@ enum PointInView {
 }
 
 fn look_at(view: &View, x: Vec3) -> PointInView {
-    let c = view.view.to_camera(x);
+    let c = view.view.camera_point(x);
     if c.z < NEAREST as f32 {
         return PointInView::Outside;
     }

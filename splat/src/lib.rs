@@ -35,7 +35,7 @@ mod view;
 
 pub use adapter::{Adapter, AdapterKind};
 pub use config::{PoseRefinement, Quality, TrainConfig};
-pub use dataset::{AlphaMode, Dataset, DatasetConfig, Normalisation, Pixels, View, pyramid};
+pub use dataset::{AlphaMode, Dataset, DatasetConfig, NormalisedFrame, Pixels, View, pyramid};
 pub use device::{BackendChoice, DeviceConfig, adapters};
 pub use error::SplatError;
 pub use render::Renderer;

@@ -277,7 +277,7 @@ mod tests {
         let mut dataset = Dataset {
             views: vec![view(40), view(20)],
             points: Vec::new(),
-            normalisation: crate::dataset::Normalisation { centre: DVec3::ZERO, scale: 1.0 },
+            normalisation: crate::dataset::NormalisedFrame { centre: DVec3::ZERO, scale: 1.0 },
             alpha: crate::AlphaMode::Transparent,
         };
         let mut g = cloud(0, 4);

@@ -31,7 +31,7 @@ impl PinholeView {
     }
 
     /// `x` in the frame of the camera: `R x + t`.
-    pub(crate) fn to_camera(&self, x: Vec3) -> Vec3 {
+    pub(crate) fn camera_point(&self, x: Vec3) -> Vec3 {
         self.rotation * x + self.translation
     }
 

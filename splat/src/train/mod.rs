@@ -29,7 +29,7 @@ mod loss_trend;
 mod pace;
 mod result;
 mod rules;
-mod schedule;
+pub(crate) mod schedule;
 mod session;
 mod setup;
 mod state;

@@ -39,6 +39,10 @@ pub(crate) const EARLY_FROM_STEPS: f64 = 2000.0;
 /// Source: between `HALF_FROM` and the earlier `FULL_FROM`, near the latter (docs/decisions/0025).
 const EARLY_DECIDED: f64 = 0.55;
 
+/// Decided before either begins, so that no step sees a coarser picture than the one before.
+const _: () =
+    assert!(HALF_FROM < EARLY_DECIDED && EARLY_DECIDED < FULL_FROM[1] && FULL_FROM[1] < FULL_FROM[0]);
+
 impl Place {
     /// Decides, once the place for it is reached, whether a schedule of `steps` steps sees full resolution early.
     pub(crate) fn decide_early(&mut self, steps: f64) {
@@ -133,7 +137,5 @@ mod tests {
             assert_eq!((levels[0], levels[39], levels[40]), (2, 2, 1));
             assert!((0..=100).all(|p| level(f64::from(p) / 100.0, 0, early) == 0));
         }
-        // Decided before either begins, so that no step sees a coarser picture than the one before.
-        assert!(HALF_FROM < EARLY_DECIDED && EARLY_DECIDED < FULL_FROM[1] && FULL_FROM[1] < FULL_FROM[0]);
     }
 }

@@ -235,7 +235,7 @@ impl<'a> Session<'a> {
         let (dataset, config) = (self.setup.dataset, self.setup.config);
         let near = DEFAULT_NEAR / dataset.normalisation.scale as f32;
         Ok(TrainResult {
-            gaussians: dataset.normalisation.to_world(gaussians),
+            gaussians: dataset.normalisation.denormalise(gaussians),
             curve: self.state.curve,
             decisions: self.state.decisions,
             timings,

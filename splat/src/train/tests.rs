@@ -7,12 +7,13 @@ use super::{TrainResult, train};
 use crate::backend::Backend as _;
 use crate::config::TrainConfig;
 use crate::cpu::CpuBackend;
-use crate::dataset::{AlphaMode, Dataset, Normalisation, Pixels, View};
+use crate::dataset::{AlphaMode, Dataset, NormalisedFrame, Pixels, View};
 use crate::error::SplatError;
 use crate::model::Model;
 use crate::statistics::Statistics;
 use crate::view::RenderOptions;
 use glam::{DVec3, Quat, Vec3};
+use rand::Rng as _;
 use scene::decision::{Choice, Decision, Measurement, Quantity, Subject};
 use scene::{Camera, CameraModel, Gaussians, Pose, Progress};
 use std::path::PathBuf;
@@ -64,7 +65,7 @@ pub(crate) fn pictures_of(truth: &Gaussians, views: usize, transparent: bool, si
     backend.upload(Model::from_gaussians(truth), Statistics::default()).unwrap();
     let focal = 45.0 * f64::from(size[0]) / f64::from(SIZE[0]);
     let camera = Camera::centred(1, CameraModel::Pinhole, size[0], size[1], focal);
-    let normalisation = Normalisation { centre: DVec3::ZERO, scale: 1.0 };
+    let normalisation = NormalisedFrame { centre: DVec3::ZERO, scale: 1.0 };
     let view = |k: usize| {
         let angle = k as f64 / views as f64 * std::f64::consts::TAU;
         let eye = DVec3::new(angle.cos(), angle.sin(), 0.3 * (3.0 * angle).sin()).normalize();

@@ -69,7 +69,7 @@ fn least_log_scale(x: Vec3, views: &[&PinholeView]) -> f32 {
 
 /// Pixels a unit at `x`; 0 where the view does not have it.
 fn sampling_rate(view: &PinholeView, x: Vec3) -> f32 {
-    let c = view.to_camera(x);
+    let c = view.camera_point(x);
     let [px, py] = view.pixel(c);
     let seen = c.z > crate::camera::DEFAULT_NEAR && is_near(px, view.width) && is_near(py, view.height);
     if seen { view.focal[0].max(view.focal[1]) / c.z } else { 0.0 }
