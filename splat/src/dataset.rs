@@ -34,10 +34,11 @@ pub struct DatasetConfig {
 
 /// Every how manieth view is held out. Source: Kerbl et al. 2023 (as Mip-NeRF 360 does).
 const TEST_EVERY: usize = 8;
-/// What lies so near to the edge of a matte may be on either side, pixels: mattes and poses are no more exact, and a rod is no
-/// wider. Source: docs/decisions/0014.
+/// What lies so near to the edge of a matte may be on either side, pixels: mattes and poses are no
+/// more exact, and a rod is no wider. Source: docs/decisions/16.
 pub(crate) const MATTE_MARGIN_PX: usize = 2;
-/// Cameras that lie nearer to each other than this share of the points' distance stand at one place.
+/// Cameras that lie nearer to each other than this share of the points' distance stand at one
+/// place.
 /// Source: chosen by hand, never measured.
 const AT_ONE_PLACE: f64 = 0.02;
 /// Resolutions kept of each view: full to 1/8. Source: `--coarse-levels` is 2 by default.
@@ -50,7 +51,8 @@ impl Default for DatasetConfig {
 }
 
 impl DatasetConfig {
-    /// Whether the view with this place among all, sorted by name, is held out (a view that is alone is not).
+    /// Whether the view with this place among all, sorted by name, is held out (a view that is
+    /// alone is not).
     pub fn holds_out(&self, index: usize, views: usize) -> bool {
         self.test_every > 0 && views > 1 && index.is_multiple_of(self.test_every)
     }
@@ -86,8 +88,8 @@ pub struct View {
     pub held_out: bool,
 }
 
-/// `x_normalised = scale · (x_world − centre)`: the cameras' mean centre becomes the origin and the farthest
-/// camera lies at distance 1 (with one camera: the points' median distance is 1).
+/// `x_normalised = scale · (x_world − centre)`: the cameras' mean centre becomes the origin and the
+/// farthest camera lies at distance 1 (with one camera: the points' median distance is 1).
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct NormalisedFrame {
     /// World frame, scene units.
@@ -110,8 +112,9 @@ pub struct Dataset {
 }
 
 impl Dataset {
-    /// Loads the images of a reconstruction (PINHOLE or SIMPLE_PINHOLE cameras), with the masks of `mask_dir`
-    /// (`a.png`, `a.jpg.png` or `a.mask.png` for `a.jpg`) or, failing that, the images' alpha channels.
+    /// Loads the images of a reconstruction (PINHOLE or SIMPLE_PINHOLE cameras), with the masks of
+    /// `mask_dir` (`a.png`, `a.jpg.png` or `a.mask.png` for `a.jpg`) or, failing that, the images'
+    /// alpha channels.
     pub fn load(
         image_dir: &Path,
         mask_dir: Option<&Path>,
@@ -273,7 +276,8 @@ fn load_pixels(
     Ok(Pixels { width: found.0 as usize, height: found.1 as usize, rgb: loaded.rgb.into_raw(), mask })
 }
 
-/// The mask of an image in the namings in use: `a.png`, `a.jpg.png`, `a.mask.png`, or the same name.
+/// The mask of an image in the namings in use: `a.png`, `a.jpg.png`, `a.mask.png`, or the same
+/// name.
 fn mask_path(dir: &Path, relative: &Path) -> Option<PathBuf> {
     let name = relative.to_string_lossy().into_owned();
     let stem = relative.with_extension("").to_string_lossy().into_owned();
@@ -293,8 +297,8 @@ pub fn pyramid(full: Pixels) -> Vec<Pixels> {
     levels
 }
 
-/// Area average over blocks of 2^level pixels; colours weighted with the mask, so that what is transparent does
-/// not bleed in.
+/// Area average over blocks of 2^level pixels; colours weighted with the mask, so that what is
+/// transparent does not bleed in.
 fn shrink(full: &Pixels, level: u32) -> Pixels {
     let (width, height) = (level_size(full.width, level), level_size(full.height, level));
     let mut rgb = Vec::with_capacity(width * height * 3);
@@ -318,7 +322,8 @@ fn block(i: usize, small: usize, full: usize) -> Range<usize> {
     start..((i + 1) * full / small).max(start + 1)
 }
 
-/// Mean colour, weighted with the mask unless that is black, and mean of the mask (white without one).
+/// Mean colour, weighted with the mask unless that is black, and mean of the mask (white without
+/// one).
 fn mean_of_block(full: &Pixels, rows: Range<usize>, columns: Range<usize>) -> ([u8; 3], u8) {
     let (mut sum, mut weight, mut plain, mut count) = ([0u32; 3], 0u32, [0u32; 3], 0u32);
     for i in rows.flat_map(|r| columns.clone().map(move |c| r * full.width + c)) {

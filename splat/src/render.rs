@@ -36,7 +36,8 @@ use scene::{Camera, Decision, Gaussians, Pose};
 pub struct Renderer {
     backend: Box<dyn Backend>,
     frame: NormalisedFrame,
-    /// Whether the Gaussians were trained with [`RenderOptions::antialias`]: then every picture has it.
+    /// Whether the Gaussians were trained with [`RenderOptions::antialias`]: then every picture has
+    /// it.
     pub antialias: bool,
 }
 
@@ -47,8 +48,8 @@ impl Renderer {
         Ok(Self::on(&device, gaussians)?.0)
     }
 
-    /// Prepares the Gaussians, in a frame in which their spread is 1, so that scenes of any unit render alike; says where
-    /// they will be rendered.
+    /// Prepares the Gaussians, in a frame in which their spread is 1, so that scenes of any unit
+    /// render alike; says where they will be rendered.
     pub fn on(device: &DeviceConfig, gaussians: &Gaussians) -> Result<(Self, Decision), SplatError> {
         gaussians.validate().map_err(SplatError::InvalidGaussians)?;
         let frame = spread(gaussians);

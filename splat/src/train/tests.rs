@@ -135,8 +135,8 @@ fn a_time_limit_is_kept_and_the_schedule_reaches_its_end() {
     let dataset = dataset(36, false);
     let limited = TrainConfig { time_limit: Some(1.0), ..config(7000) };
     let result = train(&dataset, &limited, None, &Progress::silent()).unwrap();
-    // How many steps fit, and how long the last one takes, depends on what else the machine does (`pace` is tested with
-    // machines of all kinds); without the limit it would be all 7,000.
+    // How many steps fit, and how long the last one takes, depends on what else the machine does
+    // (`pace` is tested with machines of all kinds); without the limit it would be all 7,000.
     let last = result.curve.last().unwrap();
     assert!(last.seconds > 0.3 && result.iterations < 7000, "{} s", last.seconds);
     assert_eq!(last.iteration, result.iterations);
@@ -153,7 +153,8 @@ fn a_limit_with_time_to_learn_the_photos_by_heart_ends_early_and_says_so() {
     assert!(told.value(Quantity::Passes).is_some_and(|n| (n - 300.0).abs() < 4.0), "{told:?}");
 }
 
-/// In as many steps, with as many points, more than 120 Gaussians come where there are views enough to judge them.
+/// In as many steps, with as many points, more than 120 Gaussians come where there are views enough
+/// to judge them.
 #[test]
 fn few_views_get_three_gaussians_for_each_point() {
     let grown = |views: usize| {
@@ -244,7 +245,8 @@ fn degree(degree: u32) -> Choice {
     Measurement::new(Quantity::ShDegree, f64::from(degree)).into()
 }
 
-/// A degree whose coefficients the validation views gain nothing by goes and does not come back, one that they confirm stays.
+/// A degree whose coefficients the validation views gain nothing by goes and does not come back,
+/// one that they confirm stays.
 #[test]
 fn a_degree_stays_only_where_the_validation_views_gain_by_it() {
     let (dull, shiny) = (truth(), shiny_truth());
@@ -275,7 +277,8 @@ fn a_degree_stays_only_where_the_validation_views_gain_by_it() {
     }
 }
 
-/// A whole training of colours that change with the direction: the degree that they have is kept, and helps.
+/// A whole training of colours that change with the direction: the degree that they have is kept,
+/// and helps.
 #[test]
 fn colours_that_change_with_the_direction_are_learnt() {
     let data = pictures_of(&shiny_truth(), 72, false, SIZE);
@@ -288,8 +291,8 @@ fn colours_that_change_with_the_direction_are_learnt() {
     assert!(first > none + 2.0, "{none:.2} dB without, {first:.2} dB with degree 1");
 }
 
-/// The bound holds for the mean of many seeds: what the held-out views of one run gain or lose by a Gaussian more or
-/// less scatters by several times the bound.
+/// The bound holds for the mean of many seeds: what the held-out views of one run gain or lose by a
+/// Gaussian more or less scatters by several times the bound.
 #[test]
 fn redundant_gaussians_go_and_the_picture_stays() {
     let mut dataset = dataset(24, false);
