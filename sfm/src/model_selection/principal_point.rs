@@ -1,9 +1,7 @@
 //! The principal point once more, when a model has gained observations.
 
-use super::camera::{
-    CameraSelection, CameraTrial, FreeIntrinsics, PRINCIPAL_POINT_SIGMA, clearly_better, options, split,
-};
-use super::noise::gain;
+use super::camera::{CameraSelection, CameraTrial, FreeIntrinsics, PRINCIPAL_POINT_SIGMA, options, split};
+use super::evidence::Comparison;
 use crate::bundle::BundleProblem;
 use crate::{Knowledge, SfmError};
 use scene::decision::{Decision, Measurement, Quantity, Rule, Subject};
@@ -33,16 +31,16 @@ pub(crate) fn free_principal_point(
     let whole = FreeIntrinsics { model: CameraModel::Radial, principal_point: true, held: None };
     let free = context.trial(&held.problem, whole)?;
     let again = context.trial(&free.gone_back_to(&held), now)?;
-    let held = if again.bic < held.bic { again } else { held };
-    let (gain, error) = gain(&held.by_pose, &free.by_pose);
-    let taken = clearly_better((gain, error), free.bic, held.bic) && context.determined(&free)?;
+    let held = if again.score.bic < held.score.bic { again } else { held };
+    let found = Comparison::new(&free.score, &held.score);
+    let taken = found.is_preferred() && context.determined(&free)?;
     let decision = Decision::new(Subject::CameraModelWithPlane, whole.choice(), Rule::Evidence).compared(
         now.choice(),
         !taken,
         held.scores(),
     );
     let mut tried = free.as_alternative(taken);
-    tried.scores.push(Measurement::estimate(Quantity::HeldOutGain, gain, error));
+    tried.scores.extend(found.measurements());
     let mut decision = decision.compared_all([tried]);
     if taken {
         return Ok(Some((whole, decision)));
@@ -51,7 +49,7 @@ pub(crate) fn free_principal_point(
         let one = FreeIntrinsics { principal_point: true, held: Some(1 - coordinate), ..now };
         let free = context.trial(&held.problem, one)?;
         let share = context.left_of_prior(&free, coordinate)?;
-        let is_determined = share < DETERMINED_SHARE && free.bic < held.bic;
+        let is_determined = share < DETERMINED_SHARE && free.score.bic < held.score.bic;
         let mut tried = free.as_alternative(is_determined);
         tried.scores.push(Measurement::new(Quantity::ShareOfPrior, share));
         decision.alternatives.push(tried);

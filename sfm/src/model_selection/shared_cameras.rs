@@ -1,7 +1,7 @@
 //! Whether groups of images that their files tell apart were taken with one camera all the same.
 
-use super::camera::{CameraSelection, CameraTrial, FreeIntrinsics, before_the_choice, clearly_better, split};
-use super::noise::gain;
+use super::camera::{CameraSelection, CameraTrial, FreeIntrinsics, before_the_choice, split};
+use super::evidence::Comparison;
 use crate::bundle::BundleProblem;
 use crate::{Knowledge, SfmError};
 use scene::decision::{Alternative, Choice, Measurement, Quantity};
@@ -22,10 +22,10 @@ pub(crate) fn groups_differ(
         CameraSelection { training, held_out, sigma, known, progress }.trial(problem, intrinsics)
     };
     let (one, several) = (adjusted(together)?, adjusted(apart)?);
-    let (gain, error) = gain(&one.by_pose, &several.by_pose);
-    let differ = clearly_better((gain, error), several.bic, one.bic);
+    let found = Comparison::new(&several.score, &one.score);
+    let differ = found.is_preferred();
     let mut apart = group_alternative(&several, differ);
-    apart.scores.push(Measurement::estimate(Quantity::HeldOutGain, gain, error));
+    apart.scores.extend(found.measurements());
     Ok((differ, vec![apart, group_alternative(&one, !differ)]))
 }
 
@@ -33,6 +33,6 @@ pub(crate) fn groups_differ(
 fn group_alternative(trial: &CameraTrial, accepted: bool) -> Alternative {
     let cameras = &trial.problem.cameras;
     let focals = cameras.iter().map(|c| Measurement::new(Quantity::FocalLength, c.mean_focal()));
-    let scores = [Measurement::new(Quantity::Bic, trial.bic)].into_iter().chain(focals).collect();
+    let scores = [Measurement::new(Quantity::Bic, trial.score.bic)].into_iter().chain(focals).collect();
     Alternative { choice: Choice::count(cameras.len()), accepted, scores }
 }
