@@ -1,9 +1,9 @@
 //! Luma key: a lit object in a dark room.
 
 use super::morphology::{Regions, smooth};
-use crate::matting::screen::detect::no_matte;
 use super::pool::{BinaryMask, Pool, Raster};
 use super::screen::detect::quantile;
+use crate::matting::screen::detect::no_matte;
 use image::RgbImage;
 use scene::decision::{Decision, Measurement, Quantity, Remark, Rule};
 
