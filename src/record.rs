@@ -2,12 +2,14 @@
 
 mod evaluation;
 mod known;
+mod schema;
 mod verdict;
 
 pub use evaluation::{
     Evaluation, Metrics, Percentile, RenderingCost, ShapeEvaluation, TrainingViews, ViewMetrics,
 };
 pub use known::{KnownConfig, KnownRun};
+pub use schema::run_schema;
 pub use verdict::{Level, Light};
 
 use crate::args::PipelineArgs;

@@ -223,6 +223,10 @@ pub enum Remark {
     CheckInput,
     /// Only the nearest pairs are drawn.
     NearestOnly,
+    /// The hue is one of wood, skin and lamp light.
+    NaturalHue,
+    /// Light does not tell the object from the room.
+    NotKeyableByLight,
     /// The pixels have no distinct hue.
     NoHue,
     /// Nothing stands before the screen in most frames.

@@ -57,6 +57,18 @@ pub fn sample(relative: &str) -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("data").join(relative)
 }
 
+/// The number of a quantity among the measurements of a decision in `run.json`.
+pub fn measured(decision: &serde_json::Value, quantity: &str) -> Option<f64> {
+    let all = decision["measurements"].as_array()?;
+    all.iter().find(|m| m["quantity"] == quantity)?["value"].as_f64()
+}
+
+/// The first decision on a subject in `run.json`.
+pub fn decided(run: &serde_json::Value, subject: &str) -> serde_json::Value {
+    let all = run["decisions"].as_array().into_iter().flatten();
+    all.clone().find(|d| d["subject"] == subject).cloned().unwrap_or_default()
+}
+
 /// JSON of a file.
 pub fn json(path: &Path) -> serde_json::Value {
     serde_json::from_slice(&std::fs::read(path).unwrap_or_else(|e| panic!("{}: {e}", path.display())))

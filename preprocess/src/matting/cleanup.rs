@@ -1,7 +1,7 @@
 //! What a matte looks like as a whole: the screen's outline, garbage beside it, still things, holes, specks.
 
 use super::morphology::{Rect, Regions, ends};
-use super::pool::{Mask, Plane};
+use super::pool::{BinaryMask, Raster};
 use super::screen::Screen;
 use super::screen::clean_plate::CleanPlate;
 use super::solve::Matte;
@@ -98,7 +98,7 @@ fn meets_object(alpha: &[f32], plate: &CleanPlate, i: usize, (dx, dy): (i64, i64
 }
 
 /// What hardly reaches before the screen is no part of the object.
-fn remove_what_lies_beside(alpha: &mut Plane<f32>, rect: &Rect, inside: &[bool]) {
+fn remove_what_lies_beside(alpha: &mut Raster<f32>, rect: &Rect, inside: &[bool]) {
     let regions = Regions::of(&rect.mask(alpha, |a| a > 0.02));
     let mut before = vec![0_usize; regions.sizes.len()];
     for (i, label) in rect.rows(alpha.width).flatten().zip(regions.labels.iter()) {
@@ -110,7 +110,7 @@ fn remove_what_lies_beside(alpha: &mut Plane<f32>, rect: &Rect, inside: &[bool])
 }
 
 /// Gives all pixels of some regions of the rectangle this alpha.
-fn set(alpha: &mut Plane<f32>, rect: &Rect, regions: &Regions, chosen: &[bool], value: f32) {
+fn set(alpha: &mut Raster<f32>, rect: &Rect, regions: &Regions, chosen: &[bool], value: f32) {
     if !chosen[1..].contains(&true) {
         return;
     }
@@ -122,7 +122,7 @@ fn set(alpha: &mut Plane<f32>, rect: &Rect, regions: &Regions, chosen: &[bool], 
 }
 
 /// Convex hull of the pixels that are surely screen (all of the picture where there are hardly any).
-pub(crate) fn hull(screen: &Mask) -> Vec<bool> {
+pub(crate) fn hull(screen: &BinaryMask) -> Vec<bool> {
     let (width, solid) = (screen.width, screen.erode(3));
     let rows = solid.chunks_exact(width).enumerate();
     let points: Vec<(i64, i64)> = rows
@@ -168,7 +168,7 @@ fn crossing(chain: &[(i64, i64)], y: i64) -> Option<f64> {
 
 /// Foil mirrors the screen: an enclosed patch that looks like screen but not exactly like the screen at this place
 /// is a part of the object.
-fn close_reflections(alpha: &mut Plane<f32>, screen: &Screen, rect: &Rect, plate: Option<&CleanPlate>) {
+fn close_reflections(alpha: &mut Raster<f32>, screen: &Screen, rect: &Rect, plate: Option<&CleanPlate>) {
     let (width, largest) = (alpha.width, HOLE_SHARE * alpha.len() as f32);
     let open = rect.mask(alpha, |a| a < 0.5);
     let regions = Regions::of(&open);
@@ -179,7 +179,7 @@ fn close_reflections(alpha: &mut Plane<f32>, screen: &Screen, rect: &Rect, plate
     if !closed.contains(&true) {
         return;
     }
-    let (mut patches, deep) = (vec![Patch::default(); closed.len()], open.erode(2));
+    let (mut patches, deep) = (vec![EnclosedPatch::default(); closed.len()], open.erode(2));
     for (i, (label, deep)) in rect.rows(width).flatten().zip(regions.labels.iter().zip(deep.iter())) {
         if closed[*label as usize] {
             let patch = &mut patches[*label as usize];
@@ -202,7 +202,7 @@ fn close_reflections(alpha: &mut Plane<f32>, screen: &Screen, rect: &Rect, plate
 
 /// Sums over an enclosed patch that looks like screen.
 #[derive(Clone, Debug, Default)]
-struct Patch {
+struct EnclosedPatch {
     size: f32,
     /// Pixels three and more from the rim.
     deep: f32,
@@ -218,7 +218,7 @@ struct Patch {
     bounds: Option<[usize; 4]>,
 }
 
-impl Patch {
+impl EnclosedPatch {
     fn add(&mut self, x: usize, y: usize, deep: bool, share: f32) {
         self.size += 1.0;
         self.deep += f32::from(u8::from(deep));
@@ -254,7 +254,7 @@ impl Patch {
     }
 }
 
-fn remove_specks(alpha: &mut Plane<f32>, rect: &Rect) {
+fn remove_specks(alpha: &mut Raster<f32>, rect: &Rect) {
     let regions = Regions::of(&rect.mask(alpha, |a| a > 0.02));
     let (largest, sizes) = (regions.largest(), &regions.sizes);
     let least = ((SPECK_SHARE * largest as f32) as usize).max(SPECK_PIXELS.min(largest));

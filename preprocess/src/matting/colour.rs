@@ -1,10 +1,10 @@
-//! Linear light, hue, and the colour difference that tells screen from object.
+//! Interpolate light, hue, and the colour difference that tells screen from object.
 
 use crate::hdr::srgb_from_linear;
 use glam::Vec3;
 use std::sync::LazyLock;
 
-/// Linear light in [0, 1] of 8-bit sRGB (IEC 61966-2-1).
+/// Interpolate light in [0, 1] of 8-bit sRGB (IEC 61966-2-1).
 static LINEAR: LazyLock<[f32; 256]> = LazyLock::new(|| {
     std::array::from_fn(|i| {
         let v = i as f32 / 255.0;
@@ -19,7 +19,7 @@ static SRGB: LazyLock<Vec<u8>> = LazyLock::new(|| {
     (0..=SRGB_STEPS).map(|i| (srgb_from_linear(i as f32 / SRGB_STEPS as f32) * 255.0).round() as u8).collect()
 });
 
-/// Linear light of the first pixel of 8-bit sRGB.
+/// Interpolate light of the first pixel of 8-bit sRGB.
 #[inline(always)]
 pub(crate) fn linear(rgb: &[u8]) -> Vec3 {
     let table = &*LINEAR;
@@ -37,7 +37,7 @@ pub(crate) fn srgb8(v: f32) -> u8 {
     SRGB[(v.clamp(0.0, 1.0) * SRGB_STEPS as f32 + 0.5) as usize]
 }
 
-/// Linear light as coded in 8-bit sRGB, 0 to 255.
+/// Interpolate light as coded in 8-bit sRGB, 0 to 255.
 #[inline(always)]
 pub(crate) fn coded(light: Vec3) -> Vec3 {
     light.map(|v| f32::from(srgb8(v)))
@@ -79,7 +79,7 @@ pub(crate) struct Key {
     pub across: Vec3,
     /// How much of the chroma across is taken off, at least `1/√3`.
     pub wedge: f32,
-    /// Linear colour of the screen.
+    /// Interpolate colour of the screen.
     pub colour: Vec3,
     /// Hue, degrees.
     pub hue: f32,

@@ -2,8 +2,8 @@
 //! (`tools/train_outline.py`; decision 0027).
 
 use super::colour::{Key, coded, levels};
-use super::morphology::{Rect, Regions, box_sum_running, set_pixels};
-use super::pool::Plane;
+use super::morphology::{Rect, Regions, box_sum, set_pixels};
+use super::pool::Raster;
 use super::screen::Screen;
 use super::solve::Matte;
 use super::trimap::Trimap;
@@ -48,13 +48,13 @@ const FARTHEST: f32 = 4.0;
 struct Network {
     mean: Box<[f32; INPUTS]>,
     scale: Box<[f32; INPUTS]>,
-    first: Vec<Block>,
-    second: Vec<Block>,
+    first: Vec<UnitBlock>,
+    second: Vec<UnitBlock>,
     third: ([f32; HIDDEN.1], f32),
 }
 
 /// Some units of a layer: weights by input, and offsets.
-struct Block {
+struct UnitBlock {
     weights: Vec<[f32; UNITS]>,
     offsets: [f32; UNITS],
 }
@@ -66,13 +66,12 @@ static NETWORK: LazyLock<Network> = LazyLock::new(|| {
     fn row<const N: usize>(numbers: &mut impl Iterator<Item = f32>) -> [f32; N] {
         std::array::from_fn(|_| numbers.next().unwrap_or(0.0))
     }
-    fn blocks<const N: usize>(numbers: &mut impl Iterator<Item = f32>, inputs: usize) -> Vec<Block> {
+    fn blocks<const N: usize>(numbers: &mut impl Iterator<Item = f32>, inputs: usize) -> Vec<UnitBlock> {
         let rows: Vec<[f32; N]> = (0..=inputs).map(|_| row(numbers)).collect();
-        let part = |k: usize, r: &[f32; N]| std::array::from_fn(|u| r[k * UNITS + u]);
         (0..N / UNITS)
-            .map(|k| Block {
-                weights: rows[..inputs].iter().map(|r| part(k, r)).collect(),
-                offsets: part(k, &rows[inputs]),
+            .map(|k| UnitBlock {
+                weights: rows[..inputs].iter().map(|r| r.as_chunks().0[k]).collect(),
+                offsets: rows[inputs].as_chunks().0[k],
             })
             .collect()
     }
@@ -101,7 +100,7 @@ impl Network {
 
 /// `max(0, W x + b)` of two pixels: the weights are more than the first cache holds, so that each is fetched for both.
 #[inline(always)]
-fn layer<const M: usize, const N: usize>(inputs: &[[f32; M]; 2], blocks: &[Block]) -> [[f32; N]; 2] {
+fn layer<const M: usize, const N: usize>(inputs: &[[f32; M]; 2], blocks: &[UnitBlock]) -> [[f32; N]; 2] {
     let mut out = [[0.0; N]; 2];
     let [out_a, out_b] = &mut out;
     let outs = out_a.as_chunks_mut::<UNITS>().0.iter_mut().zip(out_b.as_chunks_mut::<UNITS>().0);
@@ -124,24 +123,24 @@ fn describe(coded: Vec3, key: &Key) -> Vec3 {
 }
 
 /// The pixels of a frame that the network is asked about, and what it sees of them.
-pub(crate) struct Outline<'a, 'p> {
+pub(crate) struct OutlineInputs<'a, 'p> {
     screen: &'a Screen<'p>,
     trimap: &'a Trimap<'p>,
     key: &'a Key,
-    planes: [Plane<'p, f32>; PLANES],
+    planes: [Raster<'p, f32>; PLANES],
     /// The pixels that are asked about.
-    pub pixels: Plane<'p, u32>,
+    pub pixels: Raster<'p, u32>,
     /// Where the pixels of a window lie, seen in each of eight ways.
     ways: [[u32; SIDE * SIDE]; 8],
 }
 
-impl<'a, 'p> Outline<'a, 'p> {
+impl<'a, 'p> OutlineInputs<'a, 'p> {
     /// Gathers the pixels of a solved and cleaned frame that are asked about: those whose alpha is not clear and so many beside them,
     /// those on either side of a half, and dark ones of solid parts that keep some of the screen's hue: slits.
     pub fn new(
         screen: &'a Screen<'p>,
         trimap: &'a Trimap<'p>,
-        alpha: &Plane<'p, f32>,
+        alpha: &Raster<'p, f32>,
         rgb: &[u8],
         key: &'a Key,
         beside: usize,
@@ -156,17 +155,17 @@ impl<'a, 'p> Outline<'a, 'p> {
         let rect = Rect::around(&near, REACH);
         let planes = see(alpha, rgb, key, &rect);
         let mut sums = planes[0].map(|v| *v);
-        box_sum_running(&mut sums, &rect, REACH);
+        box_sum(&mut sums, &rect, REACH);
         let least = SLIT_SHARE * key.along.dot(coded(key.colour));
         for i in rect.rows(width).flatten().filter(|i| alpha[*i] >= SOFT.end) {
             let is_dark = planes[0][i] * ((SIDE * SIDE) as f32) < SLIT_LUMA * sums[i];
             near[i] |= u8::from(is_dark && key.along.dot(levels(&rgb[3 * i..])) > least);
         }
         let inner = Rect { x: REACH..width.saturating_sub(REACH), y: REACH..height.saturating_sub(REACH) };
-        let is_asked = |i: &usize| {
+        let pixels = set_pixels(&near).filter(|i| {
             screen.fixed[*i] == 0 && inner.x.contains(&(i % width)) && inner.y.contains(&(i / width))
-        };
-        let pixels = alpha.pool.plane(width, set_pixels(&near).filter(is_asked).map(|i| i as u32));
+        });
+        let pixels = alpha.pool.plane(width, pixels.map(|i| i as u32));
         Self { screen, trimap, key, planes, pixels, ways: std::array::from_fn(|way| offsets(way, width)) }
     }
 
@@ -200,7 +199,7 @@ impl<'a, 'p> Outline<'a, 'p> {
 }
 
 /// Planes of what the network sees in a rectangle of a frame: luma, colour difference, chroma across, alpha.
-fn see<'p>(alpha: &Plane<'p, f32>, rgb: &[u8], key: &Key, rect: &Rect) -> [Plane<'p, f32>; PLANES] {
+fn see<'p>(alpha: &Raster<'p, f32>, rgb: &[u8], key: &Key, rect: &Rect) -> [Raster<'p, f32>; PLANES] {
     let [mut luma, mut along, mut across] = [(); 3].map(|()| alpha.map(|_| 0.0));
     for i in rect.rows(alpha.width).flatten() {
         [luma[i], along[i], across[i]] = describe(levels(&rgb[3 * i..]), key).to_array();
@@ -234,7 +233,7 @@ fn offsets(way: usize, width: usize) -> [u32; SIDE * SIDE] {
 
 scene::dispatch! {
     /// Solves alpha of the pixels of the outline once more.
-    fn ask(outline: &Outline, matte: &mut Matte) {
+    fn ask(outline: &OutlineInputs, matte: &mut Matte) {
         let network = &*NETWORK;
         let mut inputs = [[0.0; INPUTS]; 2];
         for pair in outline.pixels.chunks(2) {
@@ -264,7 +263,7 @@ fn told(alpha: f32, word: f32) -> f32 {
 }
 
 /// Closes what was opened inside of solid parts and is too small for a slit.
-fn close_specks(alpha: &mut Plane<f32>, band: &[u8], asked: &[u32]) {
+fn close_specks(alpha: &mut Raster<f32>, band: &[u8], asked: &[u32]) {
     let opened: Vec<usize> =
         asked.iter().map(|i| *i as usize).filter(|i| band[*i] == 0 && alpha[*i] < 0.5).collect();
     if opened.is_empty() {
@@ -284,7 +283,7 @@ pub(crate) fn refine<'p>(
     rgb: &[u8],
     key: &Key,
 ) {
-    let outline = Outline::new(screen, trimap, &matte.alpha, rgb, key, 0);
+    let outline = OutlineInputs::new(screen, trimap, &matte.alpha, rgb, key, 0);
     ask(&outline, matte);
     close_specks(&mut matte.alpha, &trimap.band, &outline.pixels);
 }
@@ -353,7 +352,7 @@ mod tests {
         let screen = Screen::before_field(&pool, &image, &key).unwrap();
         let trimap = Trimap::new(&screen, 0.0, &rgb, &key);
         let alpha = pool.plane(width, (0..width * height).map(|i| f32::from(u8::from(panel(i)))));
-        let outline = Outline::new(&screen, &trimap, &alpha, &rgb, &key, 0);
+        let outline = OutlineInputs::new(&screen, &trimap, &alpha, &rgb, &key, 0);
         let asked = |x: usize| outline.pixels.contains(&((20 * width + x) as u32));
         assert!(asked(30) && !asked(20) && !asked(40), "slit, grey line, panel");
         assert!(asked(9) && asked(10) && !asked(7), "both sides of the outline, screen");

@@ -2,7 +2,7 @@
 
 use super::colour::{chroma, coded, luminance};
 use super::morphology::{Rect, box_sum, set_pixels, smooth_within};
-use super::pool::Plane;
+use super::pool::Raster;
 use super::screen::{Screen, ScreenNoise};
 use super::trimap::Trimap;
 use glam::Vec3;
@@ -43,11 +43,11 @@ const SOLID_WEIGHT: f32 = 0.5;
 /// The matte of one frame, and what it was solved with.
 pub(crate) struct Matte<'p> {
     /// The object's part of every pixel, 0 to 1.
-    pub alpha: Plane<'p, f32>,
+    pub alpha: Raster<'p, f32>,
     /// Foreground colour of the neighbourhood, linear; in the band a mean, elsewhere a sum.
-    pub foreground: Plane<'p, Vec3>,
+    pub foreground: Raster<'p, Vec3>,
     /// Of how many solid pixels.
-    pub weight: Plane<'p, f32>,
+    pub weight: Raster<'p, f32>,
 }
 
 impl<'p> Matte<'p> {
@@ -81,9 +81,9 @@ impl<'p> Matte<'p> {
 fn learn_foreground<'p>(
     screen: &Screen<'p>,
     trimap: &Trimap,
-    alpha: Plane<'p, f32>,
+    alpha: Raster<'p, f32>,
     rect: &Rect,
-) -> (Matte<'p>, Plane<'p, f32>) {
+) -> (Matte<'p>, Raster<'p, f32>) {
     let mut foreground = screen.image.map(|_| Vec3::ZERO);
     let (mut weight, mut spread) = (alpha.map(|_| 0.0), alpha.map(|_| 0.0));
     for i in rect.rows(alpha.width).flatten().filter(|i| trimap.not_screen[*i] != 0) {
@@ -115,14 +115,14 @@ fn learn_foreground<'p>(
 struct BandSolver<'a, 'p> {
     screen: &'a Screen<'p>,
     /// Pixels of the band.
-    band: Plane<'p, u32>,
+    band: Raster<'p, u32>,
     /// Around what is not screen.
     rect: Rect,
     matte: Matte<'p>,
     /// Variance of the luma of the foreground around.
-    spread: Plane<'p, f32>,
+    spread: Raster<'p, f32>,
     /// Light of the rim as a factor on the foreground's.
-    rim: Plane<'p, f32>,
+    rim: Raster<'p, f32>,
 }
 
 impl<'p> BandSolver<'_, 'p> {
@@ -151,7 +151,7 @@ impl<'p> BandSolver<'_, 'p> {
 
     /// Alpha from chroma alone. Chroma is sampled at every other pixel: smoothing over 3 × 3 costs no detail and removes the
     /// steps.
-    fn ask_chroma(&mut self) -> Plane<'p, f32> {
+    fn ask_chroma(&mut self) -> Raster<'p, f32> {
         for &i in self.band.iter() {
             let i = i as usize;
             let weight = self.matte.weight[i];
@@ -165,7 +165,7 @@ impl<'p> BandSolver<'_, 'p> {
     /// An object's rim is darker than what lies behind it where it turns away from the lamp, and brighter where it shines. Of the light
     /// alpha from chroma knows little, so that luma Y tells it: the factor k on the neighbourhood's light F with the least
     /// `Σ (Y − (1 − α) B − α k F)² / F² + λ (k − 1)²`, B the screen's.
-    fn light_rim(&self, mean: &[f32]) -> Plane<'p, f32> {
+    fn light_rim(&self, mean: &[f32]) -> Raster<'p, f32> {
         let (mut lit, mut told) = (self.rim.map(|_| 0.0), self.rim.map(|_| 0.0));
         for i in self.band.iter().map(|i| *i as usize).filter(|i| self.matte.weight[*i] >= 1e-5) {
             let alpha = rim_alpha(mean[i]);

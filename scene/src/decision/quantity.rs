@@ -205,6 +205,16 @@ quantities! {
     Saturation = ("saturation", Plain(2)),
     /// Relative step of brightness between neighbouring pixels of the screen, 0 to 1.
     Roughness = ("roughness", Percent(1)),
+    /// Part of the median frame that is lit, 0 to 1.
+    LitShare = ("lit part of the median frame", Percent(1)),
+    /// Largest connected part of it, 0 to 1.
+    LargestLitPart = ("its largest connected part", Percent(0)),
+    /// Pixels between dark and lit, times those lit.
+    UndecidedPixels = ("pixels between dark and lit, relative to those lit", Plain(1)),
+    /// Frames in which nothing stands before the screen.
+    EmptyFrames = ("empty frames", Plain(0)),
+    /// Part of the mean frame that the object covers, 0 to 1.
+    ObjectShare = ("object in the mean frame", Percent(1)),
     /// Frames.
     Frames = ("frames", Plain(0)),
     /// Frames with a matte.

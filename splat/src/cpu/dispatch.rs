@@ -10,10 +10,13 @@ pub(crate) enum InstructionSet {
     /// Plain Rust, 8 lanes.
     Portable,
     /// AVX2 and FMA, 8 lanes.
+    #[cfg(target_arch = "x86_64")]
     Avx2,
     /// AVX-512 F, 16 lanes.
+    #[cfg(target_arch = "x86_64")]
     Avx512,
     /// NEON, 4 lanes.
+    #[cfg(target_arch = "aarch64")]
     Neon,
 }
 
@@ -73,8 +76,6 @@ macro_rules! simd_kernel {
                 $crate::cpu::dispatch::InstructionSet::Avx512 => unsafe { avx512($argument) },
                 #[cfg(target_arch = "aarch64")]
                 $crate::cpu::dispatch::InstructionSet::Neon => $generic::<$crate::cpu::simd_neon::Neon>($argument),
-                #[allow(unreachable_patterns)]
-                _ => $generic::<$crate::cpu::simd_portable::Portable>($argument),
             }
         }
     };

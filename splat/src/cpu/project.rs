@@ -15,7 +15,7 @@ use std::f32::consts::LOG2_E;
 /// `log2(255)`: alpha below 1/255 is not drawn. Source: derived.
 pub(super) const LOG2_255: f32 = 7.994_353_4;
 /// Key of a Gaussian that touches no tile. Source: no depth has these bits.
-pub(super) const CULLED: u32 = u32::MAX;
+pub(crate) const CULLED: u32 = u32::MAX;
 
 /// A Gaussian on the screen. Exponents are of base 2: `alpha = 2^(log2_opacity − power)`,
 /// `power = half_xx dx² + xy dx dy + half_yy dy²`.

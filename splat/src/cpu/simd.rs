@@ -69,8 +69,6 @@ pub(crate) unsafe trait Simd: Copy {
     fn lt(self, o: Self) -> Self::Mask;
     /// Both.
     fn and(a: Self::Mask, b: Self::Mask) -> Self::Mask;
-    /// `a` and not `b`.
-    fn and_not(a: Self::Mask, b: Self::Mask) -> Self::Mask;
     /// Whether a lane is set.
     fn any(m: Self::Mask) -> bool;
     /// Lane i is bit i.

@@ -87,10 +87,6 @@ unsafe impl Simd for Neon {
         detected!(vandq_u32(a, b))
     }
     #[inline(always)]
-    fn and_not(a: Self::Mask, b: Self::Mask) -> Self::Mask {
-        detected!(vbicq_u32(a, b))
-    }
-    #[inline(always)]
     fn any(m: Self::Mask) -> bool {
         detected!(vmaxvq_u32(m) != 0)
     }

@@ -90,10 +90,6 @@ unsafe impl Simd for Portable {
         std::array::from_fn(|i| a[i] & b[i])
     }
     #[inline(always)]
-    fn and_not(a: Self::Mask, b: Self::Mask) -> Self::Mask {
-        std::array::from_fn(|i| a[i] & !b[i])
-    }
-    #[inline(always)]
     fn any(m: Self::Mask) -> bool {
         m.iter().any(|&b| b)
     }

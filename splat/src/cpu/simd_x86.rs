@@ -98,10 +98,6 @@ unsafe impl Simd for Avx2 {
         detected!(_mm256_and_ps(a, b))
     }
     #[inline(always)]
-    fn and_not(a: Self::Mask, b: Self::Mask) -> Self::Mask {
-        detected!(_mm256_andnot_ps(b, a))
-    }
-    #[inline(always)]
     fn any(m: Self::Mask) -> bool {
         detected!(_mm256_movemask_ps(m) != 0)
     }
@@ -221,10 +217,6 @@ unsafe impl Simd for Avx512 {
     #[inline(always)]
     fn and(a: Self::Mask, b: Self::Mask) -> Self::Mask {
         a & b
-    }
-    #[inline(always)]
-    fn and_not(a: Self::Mask, b: Self::Mask) -> Self::Mask {
-        a & !b
     }
     #[inline(always)]
     fn any(m: Self::Mask) -> bool {

@@ -8,7 +8,6 @@ use super::kernels::Kernels;
 use super::layout::{BLOCK, Counter, Frame, FrameFlag};
 use super::pages::Pages;
 use super::photos::{Photos, PlacedPhoto};
-use crate::adapter::Adapter;
 use crate::backend::{Backend, KernelTimes, Round, StepInput, StepOutput, Target, check};
 use crate::camera::CameraConstants;
 use crate::cpu::densify::densify_by_edit;
@@ -34,7 +33,7 @@ pub(crate) struct GpuBackend {
     pub(super) screen: Option<Screen>,
     /// The model as uploaded, while the device has no moments.
     untrained: Option<(Model, Statistics)>,
-    photos: Photos,
+    pub(super) photos: Photos,
     flight: Flight,
     /// Steps that may be under way: few after a change, in case its pairs need room.
     window: usize,
@@ -72,21 +71,6 @@ impl GpuBackend {
             gain: None,
             truncate: 0,
         })
-    }
-
-    /// What it runs on.
-    pub(crate) fn adapter(&self) -> &Adapter {
-        &self.gpu.adapter
-    }
-
-    /// The device itself.
-    pub(crate) fn gpu(&self) -> &Gpu {
-        &self.gpu
-    }
-
-    /// Pages of the model, and photos that stay on the device.
-    pub(crate) fn held(&self) -> [usize; 2] {
-        [self.pages.as_ref().map_or(0, |p| p.list.len()), self.photos.count()]
     }
 
     /// Room for Gaussians, pairs and pixels. What stays of the same size keeps its contents.

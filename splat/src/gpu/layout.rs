@@ -52,6 +52,7 @@ pub(crate) const CLOCK: usize = 3 * GEOMETRY;
 pub(crate) const STATISTICS: usize = CLOCK + 1;
 
 /// A field as the WGSL must have it: name and offset.
+#[cfg(test)]
 pub(crate) type Field = (&'static str, usize);
 
 /// Declares a struct that both sides know, and the table of its fields.
@@ -62,6 +63,7 @@ macro_rules! shared_struct {
         #[derive(Clone, Copy, Debug, Default, PartialEq, Pod, Zeroable)]
         pub(crate) struct $name { $($(#[$field_doc])* pub(crate) $field: $type,)* }
 
+        #[cfg(test)]
         impl $name {
             /// Names and offsets of the fields.
             pub(crate) const FIELDS: &[Field] = &[$((stringify!($field), std::mem::offset_of!($name, $field)),)*];

@@ -42,6 +42,7 @@ impl Photos {
     }
 
     /// How many lie here.
+    #[cfg(test)]
     pub(crate) fn count(&self) -> usize {
         self.held.len()
     }

@@ -81,11 +81,13 @@ impl Pipelines {
     }
 
     /// Where it is kept.
+    #[cfg(test)]
     pub(crate) fn path(&self) -> &Path {
         &self.path
     }
 
     /// Bytes that were there from earlier runs.
+    #[cfg(test)]
     pub(crate) fn kept(&self) -> usize {
         self.read
     }

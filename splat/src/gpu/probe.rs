@@ -2,12 +2,14 @@
 
 use super::backend::GpuBackend;
 use super::bound::Stage;
+use super::context::Gpu;
 use super::layout::Frame;
+use crate::adapter::Adapter;
 use crate::backend::{Backend, Target};
 use crate::cpu::ModelGradient;
 use crate::error::SplatError;
 use crate::model::GEOMETRY;
-use crate::reference::adam::BETA1;
+use crate::reference::constants::BETAS;
 use crate::view::{PinholeView, RenderOptions};
 
 /// A Gaussian on the screen.
@@ -26,6 +28,21 @@ pub(crate) struct OnScreen {
 }
 
 impl GpuBackend {
+    /// What it runs on.
+    pub(crate) fn adapter(&self) -> &Adapter {
+        &self.gpu.adapter
+    }
+
+    /// The device itself.
+    pub(crate) fn gpu(&self) -> &Gpu {
+        &self.gpu
+    }
+
+    /// Pages of the model, and photos that stay on the device.
+    pub(crate) fn held(&self) -> [usize; 2] {
+        [self.pages.as_ref().map_or(0, |p| p.list.len()), self.photos.count()]
+    }
+
     /// Kernel project: \[N\], nothing where a Gaussian is not seen.
     pub(crate) fn projected(
         &mut self,
@@ -108,7 +125,7 @@ impl GpuBackend {
         // Rates are zero: nothing moves, and the first moments become (1 − β₁) times the gradient.
         self.run(frame, Stage::Backward..=Stage::Optimise, None)?;
         let (mut model, _) = self.download()?;
-        let share = (1.0 - BETA1) as f32;
+        let share = (1.0 - BETAS[0]) as f32;
         let moments = model.geometry_m.iter_mut().chain([&mut model.sh_m]);
         moments.flatten().for_each(|m| *m /= share);
         Ok(ModelGradient { geometry: model.geometry_m, sh: model.sh_m })

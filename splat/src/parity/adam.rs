@@ -4,10 +4,10 @@ use super::scenes::{One, of, ordinary, view};
 use super::steps::{Goal, RATES, parameter, reference_step};
 use super::subject::subjects;
 use crate::RenderOptions;
-use crate::backend::StepInput;
-use crate::model::{LOG_SCALE, MEAN, Model, OPACITY};
+use crate::model::{MEAN, Model};
 use crate::reference::Parameters;
-use crate::reference::adam::{BETA1, BETA2, Moments};
+use crate::reference::adam::Moments;
+use crate::reference::constants::BETAS;
 use glam::Vec3;
 use rand::Rng;
 use scene::Gaussians;
@@ -27,6 +27,30 @@ fn seen_and_unseen(n: usize) -> Gaussians {
         all.push(if k % 2 == 0 { behind } else { One { logit: -9.0, ..One::default() } });
     }
     of(&all)
+}
+
+#[test]
+fn what_no_pixel_shows_keeps_its_parameters_moments_and_clock() {
+    const N: usize = 30;
+    let (g, v, o) = (seen_and_unseen(N), view(48, 40), RenderOptions::default());
+    let goal = Goal::of(&ordinary(9, 30, 0), &v, &o);
+    for mut subject in subjects() {
+        let before = Model::from_gaussians(&g);
+        let mut model = before.clone();
+        let out = subject.step(&mut model, &goal.input(&v, o, RATES));
+        assert_eq!((out.visible, out.non_finite), (N, 0), "{}", subject.name());
+        for i in 0..2 * N {
+            let moved = model.mean(i) != before.mean(i);
+            assert_eq!(
+                (moved, model.steps[i]),
+                (i < N, f32::from(u8::from(i < N))),
+                "{} {i}",
+                subject.name()
+            );
+            let has_moment = model.geometry_m[MEAN][i] != 0.0;
+            assert_eq!(has_moment, i < N, "{} {i}", subject.name());
+        }
+    }
 }
 
 /// The model that has the reference's parameters, moments and clocks.
@@ -59,8 +83,8 @@ fn aged(g: &Gaussians, seed: u64) -> Moments {
         let grown = |beta: f64| 1.0 - beta.powi(clock as i32);
         let mut one = |m: &mut f64, v: &mut f64| {
             let size = 10f64.powf(real(-5.0, -2.0));
-            *m = f64::from((real(-1.0, 1.0) * size * grown(BETA1)) as f32);
-            *v = f64::from((real(1.0, 3.0) * size * size * grown(BETA2)) as f32);
+            *m = f64::from((real(-1.0, 1.0) * size * grown(BETAS[0])) as f32);
+            *v = f64::from((real(1.0, 3.0) * size * size * grown(BETAS[1])) as f32);
         };
         let Moments { m, v, .. } = &mut moments;
         for k in 0..3 {

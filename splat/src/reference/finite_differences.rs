@@ -1,8 +1,8 @@
 //! The backward functions against central differences of the forward ones.
 
-use super::rasterise::contributions;
+use super::rasterise::{ImageGradient, contributions};
 use super::render::{backward, render};
-use super::{ImageGradient, Options, Parameters, ReferenceView};
+use super::{Options, Parameters, ReferenceView};
 use glam::{DMat3, DQuat, DVec2, DVec3};
 use rand::Rng;
 

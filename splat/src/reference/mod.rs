@@ -23,6 +23,8 @@
 pub(crate) mod adam;
 pub(crate) mod constants;
 #[cfg(test)]
+pub(crate) mod derivatives;
+#[cfg(test)]
 pub(crate) mod loss;
 pub(crate) mod parameters;
 pub(crate) mod project;
@@ -41,4 +43,4 @@ mod finite_differences;
 
 pub(crate) use parameters::{GaussianGeometry, Options, Parameters, ReferenceView};
 #[cfg(test)]
-pub(crate) use render::{ReferenceGradient, Rendered, backward, render};
+pub(crate) use render::{Rendered, backward, render};

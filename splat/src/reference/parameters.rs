@@ -34,37 +34,9 @@ impl Parameters {
         }
     }
 
-    /// All zero, in the shape of `other`.
-    pub(crate) fn zeros_like(other: &Self) -> Self {
-        Self {
-            means: vec![DVec3::ZERO; other.len()],
-            log_scales: vec![DVec3::ZERO; other.len()],
-            rotations: vec![DQuat::from_xyzw(0.0, 0.0, 0.0, 0.0); other.len()],
-            opacity_logits: vec![0.0; other.len()],
-            sh: vec![0.0; other.sh.len()],
-            sh_degree: other.sh_degree,
-        }
-    }
-
     /// Number of Gaussians.
     pub(crate) fn len(&self) -> usize {
         self.means.len()
-    }
-
-    /// Whether there are none.
-    pub(crate) fn is_empty(&self) -> bool {
-        self.means.is_empty()
-    }
-
-    /// Length of one Gaussian's part of `sh`: 3 (degree + 1)².
-    pub(crate) fn sh_stride(&self) -> usize {
-        3 * (self.sh_degree as usize + 1).pow(2)
-    }
-
-    /// Spherical-harmonic coefficients of Gaussian `i`, [K × 3].
-    pub(crate) fn sh_of(&self, i: usize) -> &[f64] {
-        let k = self.sh_stride();
-        &self.sh[i * k..(i + 1) * k]
     }
 }
 
@@ -86,20 +58,9 @@ pub(crate) struct ReferenceView {
 }
 
 impl ReferenceView {
-    /// Where the camera stands in the world: −Rᵀ t.
-    pub(crate) fn position(&self) -> DVec3 {
-        -(self.rotation.transpose() * self.translation)
-    }
-
     /// Number of pixels.
     pub(crate) fn pixels(&self) -> usize {
         self.width * self.height
-    }
-
-    /// The view with a small motion in the camera frame after its pose: x_cam ← exp(\[ω\]×) x_cam + v.
-    pub(crate) fn moved(&self, omega: DVec3, v: DVec3) -> Self {
-        let rotation = DMat3::from_quat(DQuat::from_scaled_axis(omega));
-        Self { rotation: rotation * self.rotation, translation: rotation * self.translation + v, ..*self }
     }
 }
 
@@ -131,22 +92,6 @@ pub(crate) struct Options {
 impl Default for Options {
     fn default() -> Self {
         Self { near: DEFAULT_NEAR, antialias: false, background: DVec3::ZERO, sh_degree: 3 }
-    }
-}
-
-/// Derivative of L with respect to a small motion of the camera, see [`ReferenceView::moved`].
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub(crate) struct PoseGradient {
-    /// With respect to ω, camera frame, a radian.
-    pub(crate) omega: DVec3,
-    /// With respect to v, camera frame, a scene unit.
-    pub(crate) translation: DVec3,
-}
-
-impl std::ops::AddAssign for PoseGradient {
-    fn add_assign(&mut self, other: Self) {
-        self.omega += other.omega;
-        self.translation += other.translation;
     }
 }
 

@@ -42,6 +42,7 @@ impl Projected {
 }
 
 /// Values of the forward pass that the backward pass needs again.
+#[cfg_attr(not(test), expect(dead_code, reason = "the backward pass is compiled for tests only"))]
 pub(super) struct ForwardValues {
     pub(super) x: DVec3,
     /// x/z and y/z held within the margin, and whether each is free to move.

@@ -1,7 +1,8 @@
 //! project backward: ∂L/∂[`Projected`] → ∂L/∂[`GaussianGeometry`] and ∂L/∂pose, through the equations of [`super::project`].
 
 use super::constants::{LOW_PASS, MAX_LOG_SCALE};
-use super::parameters::{GaussianGeometry, Options, PoseGradient, ReferenceView};
+use super::derivatives::PoseGradient;
+use super::parameters::{GaussianGeometry, Options, ReferenceView};
 use super::project::{ForwardValues, Projected, forward, rotation_matrix};
 use glam::{DMat2, DMat3, DQuat, DVec2, DVec3, DVec4};
 

@@ -1,6 +1,7 @@
 //! The image formation as a whole: project, sh, sort and rasterise chained, forward and backward.
 
-use super::parameters::{Options, Parameters, PoseGradient, ReferenceView};
+use super::derivatives::PoseGradient;
+use super::parameters::{Options, Parameters, ReferenceView};
 use super::project::{Projected, project};
 use super::project_backward::project_backward;
 use super::rasterise::{ImageGradient, ReferencePicture, rasterise, rasterise_backward};

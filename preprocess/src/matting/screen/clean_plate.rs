@@ -1,6 +1,6 @@
 //! What stands still in front of a camera that does not move: texture of the screen, things beside it, the pole.
 
-use super::grid::Cells;
+use super::grid::CellSums;
 use crate::matting::cleanup::hull;
 use crate::matting::colour::{Key, levels, linear};
 use crate::matting::morphology::{Rect, Regions};
@@ -16,7 +16,7 @@ const SCREEN_LIKE: (f32, f32) = (0.75, 0.06);
 const LIT_QUANTILE: f32 = 0.7;
 /// Samples that count for the plate, by their light as a share of that quantile.
 const LIT_RANGE: std::ops::Range<f32> = 0.86..1.18;
-/// Cells from which the plate is spread to where the screen is never seen, pixels.
+/// CellSums from which the plate is spread to where the screen is never seen, pixels.
 const PLATE_CELL: usize = 8;
 /// A pixel is still where at least this share of the samples agrees.
 const STILL_SHARE: f32 = 0.6;
@@ -43,7 +43,7 @@ const STANDING_SHARE: f32 = 0.3;
 pub(crate) struct CleanPlate {
     /// Width of the planes.
     pub width: usize,
-    /// Linear light of the empty screen, without the object's shadow; spread to where the screen is never seen.
+    /// Interpolate light of the empty screen, without the object's shadow; spread to where the screen is never seen.
     pub light: Vec<Vec3>,
     /// Colour of what stands still and is no screen; `None` elsewhere.
     pub things: Vec<Option<[u8; 3]>>,
@@ -91,8 +91,7 @@ impl CleanPlate {
         plate.before_screen = hull(&pool.plane(width, plate.outside.iter().map(|o| u8::from(!o))));
         plate.forget_islands(&pool);
         plate.find_pole(&pool, &other_counts, frames.len());
-        let is_other = |i: &usize| plate.things[*i].is_some() || plate.pole[*i] || !plate.before_screen[*i];
-        plate.others = (0..n).filter(is_other).map(|i| i as u32).collect();
+        plate.others = (0..n as u32).filter(|i| plate.is_other(*i as usize)).collect();
         let (mut still_inside, mut others_inside) = (0, 0);
         for i in (0..n).filter(|i| plate.before_screen[*i]) {
             still_inside += usize::from(plate.things[i].is_some());
@@ -134,7 +133,7 @@ impl CleanPlate {
     /// Fills the light where the screen is never seen; `None` if it is seen nowhere.
     fn spread_light(&mut self) -> Option<()> {
         let (width, height) = (self.width, self.outside.len() / self.width);
-        let mut cells = Cells::new(width, height, PLATE_CELL);
+        let mut cells = CellSums::new(width, height, PLATE_CELL);
         for y in 0..height {
             cells.add_row(y, 1, |x| (!self.outside[y * width + x]).then(|| self.light[y * width + x]));
         }
@@ -155,8 +154,10 @@ impl CleanPlate {
         let always = pool.plane(self.width, other_counts.iter().map(|c| u8::from(*c as f32 >= least)));
         let radius = self.pole_radius();
         let wide = always.erode(radius).dilate(radius);
-        let is_narrow = |i: usize| always[i] != 0 && wide[i] == 0 && self.before_screen[i];
-        let narrow = (0..always.len()).map(|i| u8::from(self.things[i].is_some() || is_narrow(i)));
+        let narrow = (0..always.len()).map(|i| {
+            let is_narrow = always[i] != 0 && wide[i] == 0 && self.before_screen[i];
+            u8::from(self.things[i].is_some() || is_narrow)
+        });
         let regions = Regions::of(&pool.plane(self.width, narrow));
         let is_joined = regions.any(|i| self.things[i].is_some());
         self.pole = (0..always.len())
@@ -166,6 +167,10 @@ impl CleanPlate {
         self.near_pole = pole.dilate(POLE_RIM).iter().map(|p| *p != 0).collect();
         let extent = Rect::around(&pole, 0);
         self.pole_lies = extent.x.len() > extent.y.len();
+    }
+
+    fn is_other(&self, i: usize) -> bool {
+        self.things[i].is_some() || self.pole[i] || !self.before_screen[i]
     }
 
     /// Half the width that a pole can have, pixels.
@@ -190,8 +195,7 @@ impl CleanPlate {
             Some(thing) => {
                 let (low, high) = BEFORE_LEVELS;
                 // The light that fits best leaves no more than this: most pixels need no fit.
-                let apart = |c: usize| (i32::from(rgb[c]) - i32::from(thing[c])).pow(2);
-                if apart(0) + apart(1) + apart(2) <= low * low {
+                if (levels(&rgb) - levels(&thing)).length_squared() <= (low * low) as f32 {
                     return 1.0;
                 }
                 (1.0 - (departure(rgb, thing) - low) as f32 / (high - low) as f32).clamp(0.0, 1.0)
@@ -205,8 +209,8 @@ impl CleanPlate {
 /// Mean of the samples whose light is about that of the brighter ones.
 fn lit_mean(samples: &mut [Vec3]) -> Vec3 {
     let rank = ((samples.len() - 1) as f32 * LIT_QUANTILE).round() as usize;
-    let by_light = |a: &Vec3, b: &Vec3| a.element_sum().total_cmp(&b.element_sum());
-    let lit = samples.select_nth_unstable_by(rank, by_light).1.element_sum();
+    samples.select_nth_unstable_by(rank, |a, b| a.element_sum().total_cmp(&b.element_sum()));
+    let lit = samples[rank].element_sum();
     let about = samples.iter().filter(|s| LIT_RANGE.contains(&(s.element_sum() / lit)));
     let (sum, count) = about.fold((Vec3::ZERO, 0.0), |(sum, count), s| (sum + *s, count + 1.0));
     sum / count

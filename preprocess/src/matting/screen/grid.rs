@@ -3,34 +3,34 @@
 use std::ops::{Add, Div, Mul, Sub};
 
 /// What can be averaged and interpolated.
-pub(crate) trait Linear:
+pub(crate) trait Interpolate:
     Copy + Default + Add<Output = Self> + Sub<Output = Self> + Mul<f32, Output = Self> + Div<f32, Output = Self>
 {
 }
 
-impl<T> Linear for T where
+impl<T> Interpolate for T where
     T: Copy + Default + Add<Output = T> + Sub<Output = T> + Mul<f32, Output = T> + Div<f32, Output = T>
 {
 }
 
 /// A coarse picture over a fine one.
 #[derive(Clone, Debug)]
-pub(crate) struct Grid<V> {
+pub(crate) struct CellGrid<V> {
     cells: Vec<V>,
     columns: usize,
     rows: usize,
     side: usize,
 }
 
-/// Sums from which a [`Grid`] is made.
-pub(crate) struct Cells<V> {
+/// Sums from which a [`CellGrid`] is made.
+pub(crate) struct CellSums<V> {
     sums: Vec<(V, u32)>,
     width: usize,
     columns: usize,
     side: usize,
 }
 
-impl<V: Linear> Cells<V> {
+impl<V: Interpolate> CellSums<V> {
     /// Empty cells of `side` pixels over a picture.
     pub fn new(width: usize, height: usize, side: usize) -> Self {
         let (columns, rows) = (width.div_ceil(side), height.div_ceil(side));
@@ -56,7 +56,7 @@ impl<V: Linear> Cells<V> {
 
     /// Means of the cells that hold at least `needed` pixels; the others are filled from their neighbours, layer by
     /// layer, and relaxed `rounds` times (discrete Laplace equation). `None` where no cell is known.
-    pub fn fill(self, needed: u32, rounds: usize) -> Option<Grid<V>> {
+    pub fn fill(self, needed: u32, rounds: usize) -> Option<CellGrid<V>> {
         let (columns, rows) = (self.columns, self.sums.len() / self.columns);
         let mut cells: Vec<Option<V>> =
             self.sums.iter().map(|(sum, n)| (*n >= needed).then(|| *sum / *n as f32)).collect();
@@ -77,7 +77,7 @@ impl<V: Linear> Cells<V> {
         for (i, beside) in (0..rounds).flat_map(|_| &gaps) {
             cells[*i] = mean_of(beside.iter().map(|j| cells[*j])).unwrap_or(cells[*i]);
         }
-        Some(Grid { cells, columns, rows, side: self.side })
+        Some(CellGrid { cells, columns, rows, side: self.side })
     }
 }
 
@@ -90,12 +90,12 @@ fn neighbours(i: usize, columns: usize, rows: usize) -> impl Iterator<Item = usi
 }
 
 #[inline(always)]
-fn mean_of<V: Linear>(values: impl Iterator<Item = V>) -> Option<V> {
+fn mean_of<V: Interpolate>(values: impl Iterator<Item = V>) -> Option<V> {
     let (sum, n) = values.fold((V::default(), 0.0), |(sum, n), v| (sum + v, n + 1.0));
     (n > 0.0).then(|| sum / n)
 }
 
-impl<V: Linear> Grid<V> {
+impl<V: Interpolate> CellGrid<V> {
     /// The values along a row of pixels.
     pub fn row(&self, y: usize, width: usize, out: &mut Vec<V>) {
         let p = ((y as f32 + 0.5) / self.side as f32 - 0.5).clamp(0.0, (self.rows - 1) as f32);
@@ -116,9 +116,9 @@ impl<V: Linear> Grid<V> {
     }
 }
 
-/// Linear interpolation.
+/// Interpolate interpolation.
 #[inline(always)]
-fn between<V: Linear>(a: V, b: V, t: f32) -> V {
+fn between<V: Interpolate>(a: V, b: V, t: f32) -> V {
     a + (b - a) * t
 }
 
@@ -129,7 +129,7 @@ mod tests {
     #[test]
     fn a_slope_is_carried_over_a_gap_and_an_empty_picture_gives_nothing() {
         let (width, height) = (128, 64);
-        let mut cells = Cells::<f32>::new(width, height, 8);
+        let mut cells = CellSums::<f32>::new(width, height, 8);
         for y in 0..height {
             cells.add_row(y, 1, |x| (!(40..80).contains(&x)).then_some(x as f32));
         }
@@ -139,6 +139,6 @@ mod tests {
         for x in [10, 50, 60, 70, 110] {
             assert!((row[x] - x as f32).abs() < 1.5, "{x}: {}", row[x]);
         }
-        assert!(Cells::<f32>::new(9, 9, 8).fill(1, 5).is_none());
+        assert!(CellSums::<f32>::new(9, 9, 8).fill(1, 5).is_none());
     }
 }

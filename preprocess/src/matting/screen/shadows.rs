@@ -1,11 +1,11 @@
 //! Shadows and reflections on the screen: its light in this frame, as a factor on what it is without them.
 
 use super::Screen;
-use super::grid::Cells;
+use super::grid::CellSums;
 use crate::matting::morphology::smooth;
-use crate::matting::pool::{Mask, Plane};
+use crate::matting::pool::{BinaryMask, Raster};
 
-/// Cells in which the light is measured, pixels, and the pixels that one needs.
+/// CellSums in which the light is measured, pixels, and the pixels that one needs.
 const CELL: (usize, u32) = (6, 3);
 /// Rounds of relaxation under the object.
 const ROUNDS: usize = 6;
@@ -20,14 +20,14 @@ const GLARE: (f32, f32) = (1.5, 0.6);
 /// Marks the screen in whatever light it is: its hue is the screen's, its light (`total`) any. What is mixed with the object is a
 /// band; what survives an opening is not. Between parts of the object there is less room: with half the smoothing a smaller opening
 /// is enough.
-pub(super) fn find<'p>(share: &Plane<'p, f32>, total: &Plane<'p, f32>) -> Mask<'p> {
+pub(super) fn find<'p>(share: &Raster<'p, f32>, total: &Raster<'p, f32>) -> BinaryMask<'p> {
     let once = smooth(total);
     let mut shaded = open(&smooth(share), &smooth(&once), 2);
     shaded.iter_mut().zip(open(share, &once, 1).iter()).for_each(|(s, n)| *s |= n);
     shaded
 }
 
-fn open<'p>(share: &Plane<'p, f32>, total: &Plane<'p, f32>, radius: usize) -> Mask<'p> {
+fn open<'p>(share: &Raster<'p, f32>, total: &Raster<'p, f32>, radius: usize) -> BinaryMask<'p> {
     let is_screen =
         |(s, t): (&f32, &f32)| u8::from((*s > RANGE.start) & (*s < RANGE.end) & (*s > PURITY * t));
     let candidates = share.pool.plane(share.width, share.iter().zip(total.iter()).map(is_screen));
@@ -39,7 +39,7 @@ impl Screen<'_> {
     pub(super) fn take_out_shadows(&mut self, total: &[f32]) {
         let (width, height) = (self.share.width, self.share.height());
         let near_fixed = self.fixed.dilate(1);
-        let mut cells = Cells::new(width, height, CELL.0);
+        let mut cells = CellSums::new(width, height, CELL.0);
         for y in (0..height).step_by(2) {
             let line = y * width..(y + 1) * width;
             let (shaded, fixed, smoothed) =

@@ -1,9 +1,11 @@
-//! The rules of training: each decides one thing by what training sees, and owns its part of the checkpoint.
+//! The rules of training: each decides one thing by what training sees, and owns its part of the
+//! checkpoint.
 //!
-//! A rule has up to four hooks, called in the order of the lists here:
-//! `before_step` says what a step needs; `after_step` changes the Gaussians by what steps saw, at the position at which the
-//! step was taken; `review`, once the position has moved, looks for evidence and decides; `conclude` reports what is only
-//! known at the end. To add a rule: a file with a state and its hooks, a field in [`Rules`], a line in the lists.
+//! A rule has up to four hooks, called in the order of the lists here: `before_step` says what a
+//! step needs; `after_step` changes the Gaussians by what steps saw, at the position at which the
+//! step was taken; `review`, once the position has moved, looks for evidence and decides;
+//! `conclude` reports what is only known at the end. To add a rule: a file with a state and its
+//! hooks, a field in [`Rules`], a line in the lists.
 
 pub(crate) mod exposure;
 mod growth;
@@ -46,8 +48,9 @@ impl Rules {
         self.growth.after_step(step)
     }
 
-    /// Looks whether something is to be decided at this place of the schedule. What costs renderings is not where the steps
-    /// that a time limit leaves are too few to pay for it, nor at the schedule's end.
+    /// Looks whether something is to be decided at this place of the schedule. What costs
+    /// renderings is not where the steps that a time limit leaves are too few to pay for it, nor at
+    /// the schedule's end.
     pub(crate) fn review(&mut self, step: &mut StepContext) -> Result<(), SplatError> {
         let short = step.setup.config.time_limit.is_some() && step.expected_steps() < LEAST_STEPS;
         self.silhouette.review(step)?;
@@ -67,8 +70,9 @@ impl Rules {
         self.silhouette.after_training(step, model);
     }
 
-    /// Takes Gaussians that were trained on refined poses to the frame of the poses as given, and reports what is only known
-    /// at the end. Returns names and refined poses of the training views, none where they stayed as given.
+    /// Takes Gaussians that were trained on refined poses to the frame of the poses as given, and
+    /// reports what is only known at the end. Returns names and refined poses of the training
+    /// views, none where they stayed as given.
     pub(crate) fn conclude(&self, step: &mut StepContext, gaussians: &mut Gaussians) -> Vec<(String, Pose)> {
         let refined = self.poses.align(step, gaussians);
         self.growth.conclude(step.state, gaussians.len());

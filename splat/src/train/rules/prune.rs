@@ -1,9 +1,10 @@
 //! Near the end Gaussians go that the pictures do not miss.
 //!
-//! A picture is linear in each α, so that without Gaussian i a pixel changes by exactly `ΔC = −α_i dC/dα_i`. The energy
-//! `Σ_pixels |ΔC|²` costs nothing new: where dL/dC is a random sign r for each pixel and channel, `o dL/do = Σ r · α dC/dα`
-//! has the mean 0 and the variance `Σ |α dC/dα|²` (Hutchinson 1990). One backward pass a view gives one draw for every
-//! Gaussian; the draws of the views add up.
+//! A picture is linear in each α, so that without Gaussian i a pixel changes by exactly `ΔC = −α_i
+//! dC/dα_i`. The energy `Σ_pixels |ΔC|²` costs nothing new: where dL/dC is a random sign r for each
+//! pixel and channel, `o dL/do = Σ r · α dC/dα` has the mean 0 and the variance `Σ |α dC/dα|²`
+//! (Hutchinson 1990). One backward pass a view gives one draw for every Gaussian; the draws of the
+//! views add up.
 
 use crate::backend::Backend as _;
 use crate::cpu::CpuBackend;
@@ -16,19 +17,20 @@ use rand::Rng as _;
 use scene::decision::{Choice, Decision, Measurement, Quantity, Rule, Subject};
 use serde::{Deserialize, Serialize};
 
-/// Position in the schedule at which Gaussians are removed; what follows lets the others close the gaps.
+/// Position in the schedule at which Gaussians are removed; what follows lets the others close the
+/// gaps.
 /// Source: chosen by hand, never measured.
 const AT: f64 = 0.9;
 /// What removing them may cost the training views before that, dB.
-/// Source: docs/benchmarks.md, ablations: no difference at the end within 0.2 dB.
+/// Source: chosen by hand: rows of docs/benchmarks.md below 0.2 dB are alike.
 const LOSS: f64 = 0.05;
 /// Steps of a schedule with a time limit that must be left, which the search costs half of.
 /// Source: a search costs as much as thirty steps.
 const LEAST_STEPS_LEFT: f64 = 60.0;
 /// Training views whose pictures judge the removal. Source: chosen by hand, never measured.
 const JUDGES: usize = 8;
-/// Training views from which the energies are estimated: all of an ordinary capture. What only the others see would go
-/// without a trace. Source: docs/decisions/0011.
+/// Training views from which the energies are estimated: all of an ordinary capture. What only the
+/// others see would go without a trace. Source: docs/decisions/13.
 const WITNESSES: usize = 100;
 /// Pictures above this many pixels are halved for the energies: they only order the Gaussians.
 /// Source: chosen by hand, never measured.
@@ -38,7 +40,8 @@ const PIXELS: usize = 60_000;
 const MOST_OPAQUE: f32 = 0.98;
 /// At least one in this many Gaussians stays. Source: chosen by hand, never measured.
 const LEAST_KEPT: usize = 4;
-/// The number that goes is found to one in this many Gaussians: six trials. Source: chosen by hand, never measured.
+/// The number that goes is found to one in this many Gaussians: six trials. Source: chosen by hand,
+/// never measured.
 const RESOLUTION: usize = 64;
 
 /// State of the rule.
@@ -109,8 +112,8 @@ fn first_sorted(order: &[u32], count: usize) -> Vec<u32> {
     kept
 }
 
-/// For each Gaussian the energy `Σ |ΔC|²` that the pictures of the views would lose without it, estimated by one draw a
-/// view (relative deviation √(2 / views)).
+/// For each Gaussian the energy `Σ |ΔC|²` that the pictures of the views would lose without it,
+/// estimated by one draw a view (relative deviation √(2 / views)).
 fn energies(
     whole: &Model,
     views: &[PinholeView],

@@ -1,5 +1,5 @@
-//! How far colours depend on the direction they are seen from: degrees of the spherical harmonics come in one after the
-//! other, and stay if the validation views are better for it.
+//! How far colours depend on the direction they are seen from: degrees of the spherical harmonics
+//! come in one after the other, and stay if the validation views are better for it.
 
 use crate::cpu::sh;
 use crate::error::SplatError;
@@ -13,11 +13,14 @@ use scene::decision::{Choice, Decision, Measurement, Quantity, Rule, Subject};
 use scene::gaussians::SH_C0;
 use serde::{Deserialize, Serialize};
 
-/// Positions in the schedule from which each higher degree is in use. Source: chosen by hand, never measured.
+/// Positions in the schedule from which each higher degree is in use. Source: chosen by hand, never
+/// measured.
 const FROM: [f64; MAX_SH_DEGREE as usize] = [0.2, 0.35, 0.5];
-/// Part of the schedule between a degree's beginning and its judgement. Source: chosen by hand, never measured.
+/// Part of the schedule between a degree's beginning and its judgement. Source: chosen by hand,
+/// never measured.
 const TRIAL: f64 = 0.1;
-/// Training views over whose directions a degree's mean is taken, at most. Source: chosen by hand, never measured.
+/// Training views over whose directions a degree's mean is taken, at most. Source: chosen by hand,
+/// never measured.
 const DIRECTIONS: usize = 32;
 
 /// Degrees are judged while there are views to judge them.
@@ -76,9 +79,9 @@ fn degree_choice(degree: u32) -> Choice {
     Measurement::new(Quantity::ShDegree, f64::from(degree)).into()
 }
 
-/// PSNR of the validation views with degrees up to `degree` alone. A degree that is in use carries a part of the constant
-/// colour, so that leaving it out says too much for it: its mean over the training views' directions takes the place of what
-/// it says.
+/// PSNR of the validation views with degrees up to `degree` alone. A degree that is in use carries
+/// a part of the constant colour, so that leaving it out says too much for it: its mean over the
+/// training views' directions takes the place of what it says.
 fn psnr_without(step: &mut StepContext, level: u32, degree: u32) -> Result<f64, SplatError> {
     let setup = step.setup;
     let every = setup.views.len().div_ceil(DIRECTIONS);
@@ -96,8 +99,8 @@ fn psnr_without(step: &mut StepContext, level: u32, degree: u32) -> Result<f64, 
     psnr
 }
 
-/// Adds to the constant colour the mean of one degree's part over the directions from `cameras`; returns the constants as
-/// they were.
+/// Adds to the constant colour the mean of one degree's part over the directions from `cameras`;
+/// returns the constants as they were.
 fn fold_degree(model: &mut Model, degree: u32, cameras: &[Vec3]) -> Vec<[f32; 3]> {
     let stride = model.sh_stride();
     let means: Vec<Vec3> = (0..model.len).map(|i| model.mean(i)).collect();

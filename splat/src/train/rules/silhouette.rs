@@ -1,4 +1,5 @@
-//! Once growth has ended: Gaussians go whose places the mattes show to be empty. By the host, so not in every round.
+//! Once growth has ended: Gaussians go whose places the mattes show to be empty. By the host, so
+//! not in every round.
 
 use crate::error::SplatError;
 use crate::model::Model;
