@@ -160,8 +160,13 @@ pub fn evaluate(
     let geometry = geometry::measure(out, mesh, &dataset, (&gaussians, renderer.antialias), progress)?;
     let held_out: Vec<&View> = dataset.views.iter().filter(|v| v.held_out).collect();
     let protocol = protocol(config, &dataset, held_out.len(), &rendering, &networks);
-    let mut evaluation =
-        Evaluation { protocol, rendering, geometry, renderer: chosen.choice, ..Evaluation::default() };
+    let mut evaluation = Evaluation {
+        protocol,
+        rendering,
+        geometry,
+        renderer: chosen.sentences().choice,
+        ..Evaluation::default()
+    };
     progress.begin("evaluate", held_out.len());
     scene::io::replace_folder(&out.join("eval"), |folder| -> Result<()> {
         for (i, view) in held_out.iter().enumerate() {

@@ -421,7 +421,8 @@ impl Pipeline {
             decisions: result
                 .decisions
                 .iter()
-                .map(|d| [d.subject.clone(), d.choice.clone(), d.evidence.clone()])
+                .map(|d| d.sentences())
+                .map(|s| [s.title, s.choice, s.evidence.join("; ")])
                 .collect(),
         };
         let _ = std::fs::remove_dir_all(&checkpoints); // the splat is written: the checkpoint has done its work

@@ -32,7 +32,7 @@ pub fn run(args: &RenderArgs, verbosity: Verbosity) -> Result<Outcome> {
     }
     sink.finish()?;
     if verbosity > Verbosity::Quiet {
-        eprintln!("{} pictures in {}, by: {}", views.len(), args.output.display(), device.choice);
+        eprintln!("{} pictures in {}, by: {}", views.len(), args.output.display(), device.sentences().choice);
     }
     Ok(Outcome::Done)
 }

@@ -14,6 +14,7 @@
 //! | masks | white = keep, black = ignore (COLMAP) |
 
 pub mod camera;
+pub mod decision;
 pub mod features;
 pub mod frames;
 pub mod gaussians;
@@ -33,6 +34,7 @@ mod simd;
 pub mod synthetic;
 
 pub use camera::{Camera, CameraModel};
+pub use decision::Decision;
 pub use features::{Features, Keypoint, TwoViewGeometry, TwoViewKind};
 pub use frames::{Film, Frame, FrameSet};
 pub use gaussians::Gaussians;

@@ -10,10 +10,10 @@ use rand::Rng as _;
 use scene::{Camera, CameraModel, Gaussians, Pose, Progress};
 use splat::backend::{LearningRates, StepInput, Target};
 use splat::clock::cpu_seconds;
-use splat::dataset::{Normalisation, Pixels, pyramid};
 use splat::model::Model;
 use splat::profile::ProfiledProcessor;
 use splat::{AlphaMode, Dataset, RenderOptions, TrainConfig, View, train};
+use splat::{Normalisation, Pixels, pyramid};
 
 type Result<T> = std::result::Result<T, Box<dyn std::error::Error + Send + Sync>>;
 

@@ -85,7 +85,9 @@ fn main() -> Result<(), Box<dyn Error>> {
             point.iteration, point.seconds, point.loss, point.psnr, point.gaussians
         );
     }
-    result.decisions.iter().for_each(|d| println!("  {}: {} ({})", d.subject, d.choice, d.evidence));
+    for told in result.decisions.iter().map(|d| d.sentences()) {
+        println!("  {told} ({})", told.evidence.join("; "));
+    }
     let t = &result.timings;
     let steps = f64::from(result.iterations) / 1e3;
     println!(

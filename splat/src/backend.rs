@@ -1,13 +1,10 @@
 //! What a backend does: hold the Gaussians, render them, take a training step, say what it saw.
 
-use crate::decision::Decision;
 use crate::error::SplatError;
-use crate::model::{Model, padded};
+use crate::model::{MAX_SH_DEGREE, Model, padded};
 use crate::statistics::Statistics;
 use crate::view::{PinholeView, RenderOptions, RenderOutput};
-
-/// Highest degree of spherical harmonics that the kernels have. Source: Kerbl et al. 2023.
-const MAX_SH_DEGREE: u32 = 3;
+use scene::Decision;
 
 /// What a training step is compared with: 8-bit pixels at the view's size.
 #[derive(Clone, Copy, Debug)]

@@ -1,6 +1,7 @@
 //! What training can be told.
 
 use crate::device::DeviceConfig;
+use crate::model::MAX_SH_DEGREE;
 use clap::{Args, ValueEnum};
 use serde::{Deserialize, Serialize};
 
@@ -43,13 +44,15 @@ pub struct TrainConfig {
     #[arg(long, default_value_t = MAX_GAUSSIANS, help_heading = "Splat")]
     pub max_gaussians: usize,
     /// Highest spherical-harmonic degree, 0 to 3
-    #[arg(long, default_value_t = 3, value_parser = clap::value_parser!(u32).range(0..=3), help_heading = "Splat")]
+    #[arg(long, default_value_t = MAX_SH_DEGREE, help_heading = "Splat",
+          value_parser = clap::value_parser!(u32).range(0..=i64::from(MAX_SH_DEGREE)))]
     pub sh_degree: u32,
     /// Weight of D-SSIM against L1, in [0, 1] (3DGS paper: 0.2)
     #[arg(long, default_value_t = LAMBDA_DSSIM, help_heading = "Splat")]
     pub lambda_dssim: f32,
     /// Begin at 1/2^N of the resolution
-    #[arg(long, default_value_t = 2, value_parser = clap::value_parser!(u32).range(0..=4), help_heading = "Splat")]
+    #[arg(long, default_value_t = COARSE_LEVELS, help_heading = "Splat",
+          value_parser = clap::value_parser!(u32).range(0..=i64::from(MAX_COARSE_LEVELS)))]
     pub coarse_levels: u32,
     /// Factor on every learning rate
     #[arg(long, default_value_t = 1.0, help_heading = "Splat")]
@@ -77,9 +80,6 @@ pub struct TrainConfig {
     #[arg(skip)]
     #[serde(skip)]
     pub seconds_gone: f64,
-    /// How the trainer goes about it (chosen by the `ablation` example)
-    #[arg(skip)]
-    pub recipe: Recipe,
 }
 
 /// Whether training moves its views.
@@ -95,66 +95,17 @@ pub enum PoseRefinement {
     Off,
 }
 
-/// The trainer's own choices. No flags: each was chosen by switching it off (docs/benchmarks.md, example `ablation`).
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-pub struct Recipe {
-    /// Where the background shows through, Gaussians that hardly any view has in its picture are removed.
-    pub remove_unseen: bool,
-    /// Gaussians at the end of growth for each step of the schedule, where there are views enough.
-    pub gaussians_a_step: f64,
-    /// Position in the schedule from which training runs at full resolution.
-    pub full_resolution_from: f64,
-    /// The same where the schedule has this many steps and more.
-    pub full_resolution_early: f64,
-    /// Steps from which on that is so.
-    pub early_from_steps: f64,
-    /// The position from which training runs at half the resolution.
-    pub half_resolution_from: f64,
-    /// Part of the schedule in which Gaussians are added.
-    pub densify_until: f64,
-    /// Times that a time limit lets each training view be seen, at most: more steps learn the photos by heart.
-    pub passes: f64,
-    /// Spherical-harmonic degree and number of Gaussians grow only while a validation split gains by it.
-    pub evidence: bool,
-    /// Gains by view and channel are modelled where they explain enough of the residuals.
-    pub exposure: bool,
-    /// Gaussians that the pictures do not miss are removed near the end.
-    pub prune_redundant: bool,
-    /// Position in the schedule at which that is done; what follows lets the others close the gaps.
-    pub prune_at: f64,
-    /// What removing them may cost the training views before that, dB.
-    pub prune_loss: f64,
-    /// Points inside the masks' visual hull that Gaussians begin at beside those of the sparse cloud.
-    pub hull_points: usize,
-    /// --time-limit counts CPU time of the process instead of wall time: for comparisons on a busy machine (Linux).
-    pub cpu_time: bool,
-}
-
-impl Default for Recipe {
-    fn default() -> Self {
-        Self {
-            remove_unseen: true,
-            gaussians_a_step: 50.0,
-            full_resolution_from: 0.8,
-            full_resolution_early: 0.6,
-            early_from_steps: 2000.0,
-            half_resolution_from: 0.4,
-            densify_until: 0.7,
-            passes: 300.0,
-            evidence: true,
-            exposure: true,
-            prune_redundant: true,
-            prune_at: 0.9,
-            prune_loss: 0.05,
-            hull_points: 0,
-            cpu_time: false,
-        }
-    }
-}
-
+/// Steps. Source: docs/benchmarks.md (quality against time): a few minutes on two cores.
 const ITERATIONS: u32 = 4000;
+/// Gaussians. Source: docs/decisions/0025 (150,000 kept lego400 from gaining between one and five minutes).
 const MAX_GAUSSIANS: usize = 300_000;
+/// Weight of D-SSIM against L1. Source: Kerbl et al. 2023.
 const LAMBDA_DSSIM: f32 = 0.2;
+/// Halvings of the resolution at the start. Source: docs/benchmarks.md, ablations (full resolution throughout loses 0.3 dB).
+const COARSE_LEVELS: u32 = 2;
+/// The most of them. Source: at 1/16 a picture of a megapixel has 60 × 60 pixels.
+pub(crate) const MAX_COARSE_LEVELS: u32 = 4;
+/// Steps between checkpoints. Source: chosen by hand: half a minute to a minute of work.
 const CHECKPOINT_EVERY: u32 = 1000;
 
 impl Default for TrainConfig {
@@ -163,9 +114,9 @@ impl Default for TrainConfig {
             iterations: ITERATIONS,
             time_limit: None,
             max_gaussians: MAX_GAUSSIANS,
-            sh_degree: 3,
+            sh_degree: MAX_SH_DEGREE,
             lambda_dssim: LAMBDA_DSSIM,
-            coarse_levels: 2,
+            coarse_levels: COARSE_LEVELS,
             learning_rate: 1.0,
             antialias: false,
             smoothing: false,
@@ -174,7 +125,6 @@ impl Default for TrainConfig {
             seed: 0,
             device: DeviceConfig::default(),
             seconds_gone: 0.0,
-            recipe: Recipe::default(),
         }
     }
 }

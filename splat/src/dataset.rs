@@ -1,12 +1,14 @@
 //! The images in memory and the normalised frame in which the trainer works.
 
 use crate::error::SplatError;
+use crate::quantile::median;
 use crate::view::{PinholeView, level_size};
 use clap::{Args, ValueEnum};
 use glam::{DMat3, DVec3, Mat3, Vec3};
 use rayon::prelude::*;
 use scene::{Camera, CameraModel, Gaussians, PosedImage, Progress, Reconstruction};
 use serde::{Deserialize, Serialize};
+use std::ops::Range;
 use std::path::{Path, PathBuf};
 
 /// What a mask or an alpha channel means in training.
@@ -30,7 +32,16 @@ pub struct DatasetConfig {
     pub test_every: usize,
 }
 
+/// Every how manieth view is held out. Source: Kerbl et al. 2023 (as Mip-NeRF 360 does).
 const TEST_EVERY: usize = 8;
+/// What lies so near to the edge of a matte may be on either side, pixels: mattes and poses are no more exact, and a rod is no
+/// wider. Source: docs/decisions/0014.
+pub(crate) const MATTE_MARGIN_PX: usize = 2;
+/// Cameras that lie nearer to each other than this share of the points' distance stand at one place.
+/// Source: chosen by hand, never measured.
+const AT_ONE_PLACE: f64 = 0.02;
+/// Resolutions kept of each view: full to 1/8. Source: `--coarse-levels` is 2 by default.
+const LEVELS: u32 = 4;
 
 impl Default for DatasetConfig {
     fn default() -> Self {
@@ -98,9 +109,6 @@ pub struct Dataset {
     pub alpha: AlphaMode,
 }
 
-/// Resolutions kept of each view: full to 1/8.
-pub const LEVELS: u32 = 4;
-
 impl Dataset {
     /// Loads the images of a reconstruction (PINHOLE or SIMPLE_PINHOLE cameras), with the masks of `mask_dir`
     /// (`a.png`, `a.jpg.png` or `a.mask.png` for `a.jpg`) or, failing that, the images' alpha channels.
@@ -115,20 +123,13 @@ impl Dataset {
         images.sort_by(|a, b| a.name.cmp(&b.name));
         progress.begin("load images", images.len());
         let normalisation = Normalisation::of(model);
-        let load = |(index, image): (usize, &&PosedImage)| -> Result<View, SplatError> {
-            let camera = pinhole_camera(model, image)?;
-            let pixels = load_pixels(image_dir, mask_dir, image, camera)?;
+        let load = |(index, image): (usize, &&PosedImage)| {
+            let held_out = config.holds_out(index, images.len());
+            let view = load_view(image_dir, mask_dir, model, image, &normalisation, held_out)?;
             progress.tick()?;
-            Ok(View {
-                name: image.name.clone(),
-                camera: camera.clone(),
-                pose: image.pose,
-                view: normalisation.view(camera, &image.pose),
-                levels: pyramid(pixels),
-                held_out: config.holds_out(index, images.len()),
-            })
+            Ok(view)
         };
-        let views = images.par_iter().enumerate().map(load).collect::<Result<Vec<_>, _>>()?;
+        let views = images.par_iter().enumerate().map(load).collect::<Result<Vec<_>, SplatError>>()?;
         if views.iter().all(|v| v.held_out) {
             return Err(SplatError::TooFewViews(0));
         }
@@ -142,12 +143,12 @@ impl Dataset {
     }
 
     /// Indices of the views to train on.
-    pub fn training_views(&self) -> Vec<usize> {
+    pub(crate) fn training_views(&self) -> Vec<usize> {
         (0..self.views.len()).filter(|&i| !self.views[i].held_out).collect()
     }
 
     /// Whether a background shows through somewhere.
-    pub fn is_transparent(&self) -> bool {
+    pub(crate) fn is_transparent(&self) -> bool {
         self.alpha == AlphaMode::Transparent && self.views.iter().any(|v| v.levels[0].mask.is_some())
     }
 }
@@ -159,16 +160,15 @@ impl Normalisation {
         let n = centres.len().max(1) as f64;
         let centre = centres.iter().sum::<DVec3>() / n;
         let radius = centres.iter().map(|c| c.distance(centre)).fold(0.0, f64::max);
-        let mut distances: Vec<f64> = model.points.values().map(|p| p.position.distance(centre)).collect();
-        distances.sort_by(f64::total_cmp);
-        let median = distances.get(distances.len() / 2).copied().unwrap_or(1.0);
-        let size = if radius > 0.02 * median { radius } else { median };
+        let distances = model.points.values().map(|p| p.position.distance(centre)).collect();
+        let median = median(distances).unwrap_or(1.0);
+        let size = if radius > AT_ONE_PLACE * median { radius } else { median };
         let scale = if size > 0.0 && size.is_finite() { 1.0 / size } else { 1.0 };
         Self { centre, scale }
     }
 
     /// A point of the world.
-    pub fn point(&self, x: DVec3) -> Vec3 {
+    pub(crate) fn point(&self, x: DVec3) -> Vec3 {
         ((x - self.centre) * self.scale).as_vec3()
     }
 
@@ -187,7 +187,7 @@ impl Normalisation {
     }
 
     /// Gaussians of the normalised frame in the world.
-    pub fn to_world(&self, mut g: Gaussians) -> Gaussians {
+    pub(crate) fn to_world(&self, mut g: Gaussians) -> Gaussians {
         let shift = self.scale.ln() as f32;
         for mean in &mut g.means {
             *mean = (mean.as_dvec3() / self.scale + self.centre).as_vec3();
@@ -197,7 +197,7 @@ impl Normalisation {
     }
 
     /// Gaussians of the world in the normalised frame.
-    pub fn to_normalised(&self, mut g: Gaussians) -> Gaussians {
+    pub(crate) fn to_normalised(&self, mut g: Gaussians) -> Gaussians {
         let shift = self.scale.ln() as f32;
         g.means.iter_mut().for_each(|mean| *mean = self.point(mean.as_dvec3()));
         g.log_scales.iter_mut().for_each(|s| *s += Vec3::splat(shift));
@@ -224,6 +224,26 @@ fn pinhole_camera<'a>(model: &'a Reconstruction, image: &PosedImage) -> Result<&
             Err(SplatError::NotPinhole { name: image.name.clone(), camera: camera.id, model: other.name() })
         }
     }
+}
+
+fn load_view(
+    image_dir: &Path,
+    mask_dir: Option<&Path>,
+    model: &Reconstruction,
+    image: &PosedImage,
+    frame: &Normalisation,
+    held_out: bool,
+) -> Result<View, SplatError> {
+    let camera = pinhole_camera(model, image)?;
+    let pixels = load_pixels(image_dir, mask_dir, image, camera)?;
+    Ok(View {
+        name: image.name.clone(),
+        camera: camera.clone(),
+        pose: image.pose,
+        view: frame.view(camera, &image.pose),
+        levels: pyramid(pixels),
+        held_out,
+    })
 }
 
 fn load_pixels(
@@ -280,31 +300,38 @@ fn shrink(full: &Pixels, level: u32) -> Pixels {
     let mut rgb = Vec::with_capacity(width * height * 3);
     let mut mask = full.mask.as_ref().map(|_| Vec::with_capacity(width * height));
     for y in 0..height {
-        let rows =
-            y * full.height / height..((y + 1) * full.height / height).max(y * full.height / height + 1);
+        let rows = block(y, height, full.height);
         for x in 0..width {
-            let columns =
-                x * full.width / width..((x + 1) * full.width / width).max(x * full.width / width + 1);
-            let (mut sum, mut weight, mut plain, mut count) = ([0u32; 3], 0u32, [0u32; 3], 0u32);
-            for i in rows.clone().flat_map(|r| columns.clone().map(move |c| r * full.width + c)) {
-                let w = full.mask.as_ref().map_or(255, |m| u32::from(m[i]));
-                weight += w;
-                count += 1;
-                for c in 0..3 {
-                    sum[c] += w * u32::from(full.rgb[i * 3 + c]);
-                    plain[c] += u32::from(full.rgb[i * 3 + c]);
-                }
-            }
-            for c in 0..3 {
-                let (s, w) = if weight > 0 { (sum[c], weight) } else { (plain[c], count) };
-                rgb.push(((s + w / 2) / w) as u8);
-            }
+            let (colour, cover) = mean_of_block(full, rows.clone(), block(x, width, full.width));
+            rgb.extend(colour);
             if let Some(mask) = &mut mask {
-                mask.push(((weight + count / 2) / count) as u8);
+                mask.push(cover);
             }
         }
     }
     Pixels { width, height, rgb, mask }
+}
+
+/// The pixels of a side of `full` that make pixel `i` of `small`, at least one.
+fn block(i: usize, small: usize, full: usize) -> Range<usize> {
+    let start = i * full / small;
+    start..((i + 1) * full / small).max(start + 1)
+}
+
+/// Mean colour, weighted with the mask unless that is black, and mean of the mask (white without one).
+fn mean_of_block(full: &Pixels, rows: Range<usize>, columns: Range<usize>) -> ([u8; 3], u8) {
+    let (mut sum, mut weight, mut plain, mut count) = ([0u32; 3], 0u32, [0u32; 3], 0u32);
+    for i in rows.flat_map(|r| columns.clone().map(move |c| r * full.width + c)) {
+        let w = full.mask.as_ref().map_or(255, |m| u32::from(m[i]));
+        weight += w;
+        count += 1;
+        for c in 0..3 {
+            sum[c] += w * u32::from(full.rgb[i * 3 + c]);
+            plain[c] += u32::from(full.rgb[i * 3 + c]);
+        }
+    }
+    let (sum, w) = if weight > 0 { (sum, weight) } else { (plain, count) };
+    (sum.map(|s| ((s + w / 2) / w) as u8), ((weight + count / 2) / count) as u8)
 }
 
 #[cfg(test)]

@@ -4,6 +4,9 @@ use glam::{Mat3, Vec3};
 use scene::FloatImage;
 use serde::{Deserialize, Serialize};
 
+/// Points nearer to a camera than this say nothing, normalised units. Source: chosen by hand, never measured.
+pub(crate) const NEAREST: f64 = 0.05;
+
 /// A pinhole camera and its pose in the frame of the Gaussians, f32.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct PinholeView {

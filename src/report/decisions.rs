@@ -20,7 +20,7 @@ const TOPICS: [Topic; 8] = [
     Topic { title: "Background", words: &["background"], otherwise: background },
     Topic { title: "SH degree", words: &["spherical-harmonic degree", "sh degree"], otherwise: degree },
     Topic { title: "Number of Gaussians", words: &["number of gaussians"], otherwise: count },
-    Topic { title: "Poses in training", words: &["poses of the training"], otherwise: training_poses },
+    Topic { title: "Poses in training", words: &["poses in training"], otherwise: training_poses },
     Topic { title: "Exposure", words: &["exposure"], otherwise: exposure },
     Topic { title: "Light", words: &["light", "shading"], otherwise: light },
 ];

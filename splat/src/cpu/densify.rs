@@ -93,18 +93,8 @@ fn prune_transparent(model: &mut Model) {
         let opaque = model.geometry[OPACITY][i as usize] > floor;
         opaque && model.geometry.iter().all(|plane| plane[i as usize].is_finite())
     };
-    let kept = (0..model.len as u32).filter(stays).collect();
-    keep_some(model, kept);
-}
-
-/// Keeps these Gaussians unless there are none; returns how many were removed.
-pub(crate) fn keep_some(model: &mut Model, kept: Vec<u32>) -> usize {
-    let removed = model.len - kept.len();
-    if removed == 0 || kept.is_empty() {
-        return 0;
-    }
-    model.select(&kept);
-    removed
+    let kept: Vec<u32> = (0..model.len as u32).filter(stays).collect();
+    model.keep(&kept);
 }
 
 /// How many of so many views must have a Gaussian in their picture.
@@ -120,8 +110,8 @@ fn prune_unseen(model: &mut Model, views: &[PinholeView]) -> usize {
         let x = model.mean(i as usize);
         views.iter().filter(|v| v.sees(v.to_camera(x))).take(least).count() >= least
     };
-    let kept = (0..model.len as u32).into_par_iter().filter(is_seen).collect();
-    keep_some(model, kept)
+    let kept: Vec<u32> = (0..model.len as u32).into_par_iter().filter(is_seen).collect();
+    model.keep(&kept)
 }
 
 #[cfg(test)]

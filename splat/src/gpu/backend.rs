@@ -11,12 +11,13 @@ use super::photos::{Photos, PlacedPhoto};
 use crate::backend::{Backend, KernelTimes, Round, StepInput, StepOutput, Target, check};
 use crate::camera::CameraConstants;
 use crate::cpu::densify::densify_by_edit;
-use crate::decision::Decision;
 use crate::error::SplatError;
 use crate::model::Model;
 use crate::statistics::Statistics;
 use crate::view::{PinholeView, RenderOptions, RenderOutput};
+use scene::Decision;
 use scene::FloatImage;
+use scene::decision::{Choice, Measurement, Quantity, Remark, Rule, Subject};
 use std::ops::RangeInclusive;
 
 /// What lies on the device for the view, and how the kernels are bound to it and to the model.
@@ -232,14 +233,12 @@ impl GpuBackend {
         }
         if most > self.sizes.pairs {
             self.truncate = FrameFlag::Truncate as u32;
-            self.remarks.push(Decision {
-                subject: "pairs of Gaussians and tiles".to_owned(),
-                choice: format!("at most {}, the nearest", self.sizes.pairs),
-                evidence: format!(
-                    "a view needs {most}, for which there is no memory on {}",
-                    self.gpu.adapter
-                ),
-            });
+            let decision =
+                Decision::new(Subject::TilePairs, Choice::count(self.sizes.pairs), Rule::OutOfMemory)
+                    .remarked(Remark::NearestOnly)
+                    .with(Measurement::count(Quantity::NeededTilePairs, most))
+                    .quoting(self.gpu.adapter.to_string());
+            self.remarks.push(decision);
         }
         Ok(())
     }

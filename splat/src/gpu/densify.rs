@@ -7,8 +7,9 @@ use super::buffers::{Sizes, blocks};
 use super::layout::{Counter, DensifyJob, DensifyView, HalveJob, ScanJob};
 use crate::backend::Round;
 use crate::cpu::densify::{MIN_OPACITY, least_views};
-use crate::decision::Decision;
 use crate::error::SplatError;
+use scene::Decision;
+use scene::decision::{Choice, Rule, Subject};
 
 impl GpuBackend {
     /// Carries the round out; how many were removed because hardly any view has them. Nothing, and nothing has changed,
@@ -109,16 +110,11 @@ impl GpuBackend {
     }
 
     fn no_room(&mut self, n: usize) {
-        let subject = "growth on the adapter".to_owned();
-        if self.remarks.iter().any(|r| r.subject == subject) {
+        if self.remarks.iter().any(|r| r.subject == Subject::GrowthLimit) {
             return;
         }
-        let evidence = format!("there was no memory for more on {}", self.gpu.adapter);
-        self.remarks.push(Decision {
-            subject,
-            choice: format!("cut short, first at {n} Gaussians"),
-            evidence,
-        });
+        let decision = Decision::new(Subject::GrowthLimit, Choice::count(n), Rule::OutOfMemory);
+        self.remarks.push(decision.quoting(self.gpu.adapter.to_string()));
     }
 }
 

@@ -11,6 +11,7 @@ use crate::{
 };
 use glam::{DVec3, Vec3};
 use rand::Rng;
+use scene::decision::{Choice, Subject};
 use scene::{Camera, CameraModel, Gaussians, Pose, Progress};
 
 /// Views of a scene from a ring of radius 3; every 4th held out.
@@ -55,11 +56,8 @@ fn trained(dataset: &Dataset, backend: BackendChoice, seed: u64) -> TrainResult 
 
 /// Gaussians before the redundant ones went.
 fn grown(result: &TrainResult) -> usize {
-    let judged = result.decisions.iter().find(|d| d.subject.contains("redundant")).unwrap();
-    let [removed, before] = ["", " of "].map(|after| {
-        let number = &judged.choice[judged.choice.find(after).unwrap() + after.len()..];
-        number.split(' ').next().unwrap().parse::<usize>().unwrap()
-    });
+    let judged = result.decisions.iter().find(|d| d.subject == Subject::RedundantGaussians).unwrap();
+    let Choice::Count { count: removed, total: Some(before) } = judged.choice else { panic!("{judged:?}") };
     assert_eq!(before - removed, result.gaussians.len());
     before
 }
@@ -86,7 +84,11 @@ fn a_limit_on_the_adapters_memory_means_fewer_gaussians_and_says_so() {
         let config = TrainConfig { iterations: 3, max_gaussians, device, ..TrainConfig::default() };
         train(&dataset, &config, None, &Progress::silent())
     };
-    let said = |r: &TrainResult| r.decisions.iter().any(|d| d.evidence.contains("--vram-limit 16"));
+    let said = |r: &TrainResult| {
+        r.decisions
+            .iter()
+            .any(|d| d.subject == Subject::GaussianLimit && d.message.as_deref() == Some("--vram-limit 16"))
+    };
     assert!(said(&run(16, 150_000).unwrap()));
     assert!(!said(&run(16, 1000).unwrap()));
     let error = run(0, 1000).unwrap_err().to_string();

@@ -1,7 +1,7 @@
 //! Scenes of any unit, read from files as [`Dataset::load`] reads them.
 
 use super::*;
-use crate::DatasetConfig;
+use crate::dataset::DatasetConfig;
 use scene::{PosedImage, Reconstruction, ScenePoint};
 
 /// Where the origin of the test scene lies in the world, in units of the scene's radius.

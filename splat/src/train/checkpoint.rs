@@ -3,67 +3,39 @@
 //! File: magic, length of the header (u64, little endian), header (JSON), arrays of f32 (little endian) in the order
 //! of `arrays`. Written beside its target and renamed, so that what exists is whole.
 
-use crate::SplatError;
-use crate::model::{Model, padded};
-use crate::pace::Pace;
+use super::rules::Rules;
+use super::state::TrainingState;
+use crate::error::SplatError;
+use crate::model::{MAX_SH_DEGREE, Model, padded};
 use crate::statistics::Statistics;
-use crate::train::{CurvePoint, Decision, Findings};
 use serde::{Deserialize, Serialize};
 use std::io::Write;
 use std::path::{Path, PathBuf};
 
-const MAGIC: &[u8; 8] = b"SPLATCK1";
+const MAGIC: &[u8; 8] = b"SPLATCK2";
 
 /// Name of the file in the checkpoint folder.
-pub const FILE: &str = "training.checkpoint";
-
-/// The place in the schedule.
-#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
-pub struct State {
-    /// Steps done.
-    pub iteration: u32,
-    /// Position in the schedule, [0, 1].
-    pub position: f64,
-    /// Seconds spent so far.
-    pub seconds: f64,
-    /// What the run was told, as JSON: another configuration starts afresh.
-    pub fingerprint: String,
-    /// The curve so far.
-    pub curve: Vec<CurvePoint>,
-    /// The decisions so far.
-    pub decisions: Vec<Decision>,
-    /// Loss and squared error averaged since the last point of the curve, and how many steps.
-    pub pending: [f64; 3],
-    /// Gaussians at the start.
-    pub first: usize,
-    /// Step and position of the last round of densification.
-    pub last_round: (u32, f64),
-    /// What was found out on the way.
-    pub findings: Findings,
-    /// Whether full resolution begins early, once that is decided.
-    #[serde(default)]
-    pub early: Option<bool>,
-    /// What steps cost and how far each one goes.
-    #[serde(default)]
-    pub pace: Pace,
-}
+pub(crate) const FILE: &str = "training.checkpoint";
 
 #[derive(Serialize, Deserialize)]
-struct Header {
-    state: State,
+struct CheckpointHeader {
+    state: TrainingState,
+    rules: Rules,
     len: usize,
     sh_degree: u32,
 }
 
 /// A checkpoint in memory.
 #[derive(Clone, Debug, Default, PartialEq)]
-pub struct Checkpoint {
-    /// Place in the schedule.
-    pub state: State,
+pub(super) struct Checkpoint {
+    /// Place in the schedule, and what was noted on the way.
+    pub(super) state: TrainingState,
+    /// States of the rules.
+    pub(super) rules: Rules,
     /// Gaussians and moments.
-    pub model: Model,
+    pub(super) model: Model,
     /// Sums since the last densification.
-    pub statistics: Statistics,
+    pub(super) statistics: Statistics,
 }
 
 /// All arrays of a checkpoint, in file order.
@@ -85,32 +57,42 @@ fn arrays_mut<'a>(model: &'a mut Model, statistics: &'a mut Statistics) -> Vec<&
 }
 
 /// Writes a checkpoint into the folder (created if missing), atomically.
-pub fn write(state: &State, model: &Model, statistics: &Statistics, folder: &Path) -> Result<(), SplatError> {
+pub(super) fn write(
+    (state, rules): (&TrainingState, &Rules),
+    model: &Model,
+    statistics: &Statistics,
+    folder: &Path,
+) -> Result<(), SplatError> {
     let path = folder.join(FILE);
-    let failed = |source| SplatError::CheckpointWrite { path: path.clone(), source };
-    let header = Header { state: state.clone(), len: model.len, sh_degree: model.sh_degree };
-    let header = serde_json::to_vec(&header).map_err(|e| failed(e.into()))?;
-    std::fs::create_dir_all(folder).map_err(failed)?;
-    let partial = folder.join(format!("{FILE}.partial"));
-    let write = || -> std::io::Result<()> {
-        let mut file = std::io::BufWriter::new(std::fs::File::create(&partial)?);
-        file.write_all(MAGIC)?;
-        file.write_all(&(header.len() as u64).to_le_bytes())?;
-        file.write_all(&header)?;
-        for array in arrays(model, statistics) {
-            for value in array {
-                file.write_all(&value.to_le_bytes())?;
-            }
-        }
-        file.into_inner().map_err(|e| e.into_error())?.sync_all()?;
-        std::fs::rename(&partial, &path)
-    };
-    write().map_err(|source| SplatError::CheckpointWrite { path: path.clone(), source })
+    write_file(&path, (state, rules), model, statistics)
+        .map_err(|source| SplatError::CheckpointWrite { path, source })
+}
+
+fn write_file(
+    path: &Path,
+    (state, rules): (&TrainingState, &Rules),
+    model: &Model,
+    statistics: &Statistics,
+) -> std::io::Result<()> {
+    let (state, rules) = (state.clone(), rules.clone());
+    let header = CheckpointHeader { state, rules, len: model.len, sh_degree: model.sh_degree };
+    let header = serde_json::to_vec(&header)?;
+    std::fs::create_dir_all(path.parent().unwrap_or(path))?;
+    let partial = path.with_extension("partial");
+    let mut file = std::io::BufWriter::new(std::fs::File::create(&partial)?);
+    file.write_all(MAGIC)?;
+    file.write_all(&(header.len() as u64).to_le_bytes())?;
+    file.write_all(&header)?;
+    for value in arrays(model, statistics).into_iter().flatten() {
+        file.write_all(&value.to_le_bytes())?;
+    }
+    file.into_inner().map_err(|e| e.into_error())?.sync_all()?;
+    std::fs::rename(&partial, path)
 }
 
 impl Checkpoint {
     /// Reads the folder's checkpoint; `None` if there is none or it belongs to another configuration.
-    pub fn read(folder: &Path, fingerprint: &str) -> Result<Option<Self>, SplatError> {
+    pub(super) fn read(folder: &Path, fingerprint: &str) -> Result<Option<Self>, SplatError> {
         let path = folder.join(FILE);
         let bytes = match std::fs::read(&path) {
             Ok(bytes) => bytes,
@@ -126,27 +108,28 @@ fn unusable(path: &Path, reason: impl ToString) -> SplatError {
     SplatError::CheckpointRead { path: PathBuf::from(path), reason: reason.to_string() }
 }
 
+const SHORT: &str = "it is cut short";
+
 fn parse(bytes: &[u8]) -> Result<Checkpoint, String> {
-    let short = || "it is cut short".to_owned();
     let rest = bytes.strip_prefix(MAGIC.as_slice()).ok_or("it is not a checkpoint of this version")?;
-    let (length, rest) = rest.split_first_chunk::<8>().ok_or_else(short)?;
+    let (length, rest) = rest.split_first_chunk::<8>().ok_or(SHORT)?;
     let length = usize::try_from(u64::from_le_bytes(*length)).map_err(|e| e.to_string())?;
-    let (header, mut rest) = rest.split_at_checked(length).ok_or_else(short)?;
-    let header: Header = serde_json::from_slice(header).map_err(|e| e.to_string())?;
-    if header.sh_degree > 3 || header.len > rest.len() {
-        return Err(short());
+    let (header, mut rest) = rest.split_at_checked(length).ok_or(SHORT)?;
+    let header: CheckpointHeader = serde_json::from_slice(header).map_err(|e| e.to_string())?;
+    if header.sh_degree > MAX_SH_DEGREE || header.len > rest.len() {
+        return Err(SHORT.to_owned());
     }
     let mut model = Model { len: header.len, sh_degree: header.sh_degree, ..Model::default() };
     let mut statistics = Statistics::default();
     let (planes, sh) = (padded(model.len), model.len * model.sh_stride());
     for (index, array) in arrays_mut(&mut model, &mut statistics).into_iter().enumerate() {
         let length = if (33..36).contains(&index) { sh } else { planes };
-        let (own, next) = rest.split_at_checked(length * 4).ok_or_else(short)?;
+        let (own, next) = rest.split_at_checked(length * 4).ok_or(SHORT)?;
         *array = own.as_chunks::<4>().0.iter().map(|&b| f32::from_le_bytes(b)).collect();
         rest = next;
     }
     if rest.is_empty() {
-        Ok(Checkpoint { state: header.state, model, statistics })
+        Ok(Checkpoint { state: header.state, rules: header.rules, model, statistics })
     } else {
         Err("it is too long".to_owned())
     }
@@ -155,6 +138,7 @@ fn parse(bytes: &[u8]) -> Result<Checkpoint, String> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::train::schedule::Place;
     use glam::{Quat, Vec3};
     use scene::Gaussians;
 
@@ -171,14 +155,14 @@ mod tests {
         let model = Model::from_gaussians(&gaussians);
         let mut statistics = Statistics::default();
         statistics.reset(n);
-        let state =
-            State { iteration: 7, position: 0.1 + 0.2, fingerprint: "x".to_owned(), ..State::default() };
-        Checkpoint { state, model, statistics }
+        let place = Place { iteration: 7, position: 0.1 + 0.2, ..Place::default() };
+        let state = TrainingState { place, fingerprint: "x".to_owned(), ..TrainingState::default() };
+        Checkpoint { state, model, statistics, ..Checkpoint::default() }
     }
 
     fn write_example(folder: &Path) {
-        let Checkpoint { state, model, statistics } = example();
-        write(&state, &model, &statistics, folder).unwrap();
+        let Checkpoint { state, rules, model, statistics } = example();
+        write((&state, &rules), &model, &statistics, folder).unwrap();
     }
 
     #[test]

@@ -1,67 +1,80 @@
 //! Turns steps into positions of the schedule: evenly with --iterations; with --time-limit so that the steps still to
 //! come, at the cost measured so far, end when the time does. Reads no clock: what is spent is told.
 
-use crate::checkpoint::State;
-use crate::config::TrainConfig;
-use crate::schedule::{TUNED_STEPS, level};
+use crate::config::{MAX_COARSE_LEVELS, TrainConfig};
+use crate::train::schedule::{Place, TUNED_STEPS, level};
 use serde::{Deserialize, Serialize};
+
+/// Levels of resolution: the coarse ones and the full one.
+const LEVELS: usize = MAX_COARSE_LEVELS as usize + 1;
 
 /// The pace of a training. Part of its checkpoint, so that a resumed one knows what steps cost.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
-pub struct Pace {
+pub(crate) struct Pace {
     /// Mean seconds of a step at each level, 0 where not yet seen.
-    cost: [f64; 8],
+    cost: [f64; LEVELS],
     /// What the last step added to the position.
     stride: f64,
 }
 
-/// Cost of a step of the next finer level where it was not yet seen.
+/// Cost of a step at the next finer level where none was seen yet, in steps of the level before.
+/// Source: chosen by hand, never measured; replaced by what is measured as soon as a step is seen.
 const FINER: f64 = 2.5;
-/// Weight of a new step in the mean cost.
+/// Weight of a new step in the mean cost, a share: a mean over about twenty steps.
+/// Source: chosen by hand; limits are kept to 1 % by the tests' machines.
 const NEW: f64 = 0.05;
-/// A step that took longer than this many mean ones tells of the machine, not of the steps to come.
+/// A step that took longer than this many mean ones says something of the machine, not of the steps to come.
+/// Source: docs/decisions/0011.
 const STALL: f64 = 4.0;
+/// Parts in which the rest of the schedule is summed. Source: a level's share of the schedule is told to 2 %.
+const PARTS: u32 = 64;
 
 impl Pace {
     /// How many steps the whole schedule will have, as far as can be told.
-    pub fn steps(&self, state: &State, config: &TrainConfig) -> f64 {
+    pub(crate) fn steps(&self, place: &Place, config: &TrainConfig) -> f64 {
         match config.time_limit {
-            Some(_) if self.stride > 0.0 => f64::from(state.iteration) + (1.0 - state.position) / self.stride,
+            Some(_) if self.stride > 0.0 => f64::from(place.iteration) + (1.0 - place.position) / self.stride,
             Some(_) => f64::from(TUNED_STEPS),
             None => f64::from(config.iterations),
         }
     }
 
-    /// The position after a step at `level` that took `spent` seconds; `state.seconds` are gone of the limit. A schedule has
-    /// `most` steps at most, even if the limit leaves time for more.
-    pub fn advance(&mut self, state: &State, config: &TrainConfig, level: u32, spent: f64, most: f64) -> f64 {
+    /// The position after a step at `level` that took `spent` seconds; `place.seconds` are gone of the limit. A schedule
+    /// has `most` steps at most, even if the limit leaves time for more.
+    pub(crate) fn advance(
+        &mut self,
+        place: &Place,
+        config: &TrainConfig,
+        level: u32,
+        spent: f64,
+        most: f64,
+    ) -> f64 {
         let Some(limit) = config.time_limit else {
-            return f64::from(state.iteration) / f64::from(config.iterations.max(1));
+            return f64::from(place.iteration) / f64::from(config.iterations.max(1));
         };
-        let slot = &mut self.cost[level as usize % 8];
+        let slot = &mut self.cost[level as usize];
         *slot = if *slot > 0.0 { *slot + NEW * (spent.min(STALL * *slot) - *slot) } else { spent };
-        let left = limit - state.seconds;
+        let left = limit - place.seconds;
         if left <= 0.0 {
             return 1.0;
         }
-        let stride = self.ahead(state, config, level) / left;
-        let next = state.position + stride.max(1.0 / most.max(1.0));
-        let next = next.min(1.0).max(state.position + 1e-7);
-        self.stride = next - state.position;
+        let stride = self.ahead(place, config, level) / left;
+        let next = place.position + stride.max(1.0 / most.max(1.0));
+        let next = next.min(1.0).max(place.position.next_up());
+        self.stride = next - place.position;
         next
     }
 
     /// Seconds that the rest of the schedule would take with a step for every unit of position.
-    fn ahead(&self, state: &State, config: &TrainConfig, now: u32) -> f64 {
-        const PARTS: u32 = 64;
-        let (position, early) = (state.position, state.early.unwrap_or(false));
+    fn ahead(&self, place: &Place, config: &TrainConfig, now: u32) -> f64 {
+        let (position, early) = (place.position, place.early.unwrap_or(false));
         let width = (1.0 - position) / f64::from(PARTS);
-        let (mut sum, mut last, mut previous) = (0.0, self.cost[now as usize % 8], now);
+        let (mut sum, mut last, mut previous) = (0.0, self.cost[now as usize], now);
         for part in 0..PARTS {
             let at = position + (f64::from(part) + 0.5) * width;
-            let next = level(at, config.coarse_levels, &config.recipe, early);
+            let next = level(at, config.coarse_levels, early);
             if next != previous {
-                let seen = self.cost[next as usize % 8];
+                let seen = self.cost[next as usize];
                 last = if seen > 0.0 { seen } else { last * FINER };
                 previous = next;
             }
@@ -71,14 +84,46 @@ impl Pace {
     }
 }
 
+/// What a step costs, where a device reports several at a time: those that were only begun seem to cost nothing and the
+/// last one everything, so that the mean over a report counts.
+#[derive(Clone, Copy, Debug, Default)]
+pub(crate) struct StepCost {
+    /// Seconds since steps were last reported.
+    spent: f64,
+    /// Steps since then.
+    steps: u32,
+    /// Mean seconds of a step in the report before that; 0 before the first.
+    mean: f64,
+}
+
+impl StepCost {
+    /// The cost of a step that took `spent` seconds; whether it brought a report.
+    pub(crate) fn of_step(&mut self, spent: f64, reported: bool) -> f64 {
+        self.spent += spent;
+        self.steps += 1;
+        if reported {
+            *self = Self { mean: self.spent / f64::from(self.steps), ..Self::default() };
+            return self.mean;
+        }
+        if self.mean > 0.0 { self.mean } else { spent }
+    }
+
+    /// Notes a wait of `spent` seconds for the steps under way; whether it brought a report.
+    pub(crate) fn note_wait(&mut self, spent: f64, reported: bool) {
+        self.spent += spent;
+        if reported {
+            *self = Self { mean: self.spent / f64::from(self.steps.max(1)), ..Self::default() };
+        }
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::schedule::{EARLY_DECIDED, is_early};
     use rand::Rng as _;
 
     /// A machine whose clock this is: a step costs what `cost(level, position, seconds gone)` says.
-    struct Outcome {
+    struct PacedRun {
         seconds: f64,
         steps: u32,
         /// Steps at full resolution.
@@ -89,34 +134,31 @@ mod tests {
         last: f64,
     }
 
-    fn run(limit: f64, cost: impl FnMut(u32, f64, f64) -> f64) -> Outcome {
+    fn run(limit: f64, cost: impl FnMut(u32, f64, f64) -> f64) -> PacedRun {
         run_at_most(f64::INFINITY, limit, cost)
     }
 
-    fn run_at_most(most: f64, limit: f64, mut cost: impl FnMut(u32, f64, f64) -> f64) -> Outcome {
+    fn run_at_most(most: f64, limit: f64, mut cost: impl FnMut(u32, f64, f64) -> f64) -> PacedRun {
         let config = TrainConfig { time_limit: Some(limit), ..TrainConfig::default() };
-        let (mut pace, mut state) = (Pace::default(), State::default());
-        let mut out = Outcome { seconds: 0.0, steps: 0, full: 0, stride: 0.0, last: 0.0 };
-        while state.position < 1.0 {
-            if state.early.is_none() && state.position >= EARLY_DECIDED {
-                state.early = Some(is_early(pace.steps(&state, &config), &config.recipe));
+        let (mut pace, mut place) = (Pace::default(), Place::default());
+        let mut out = PacedRun { seconds: 0.0, steps: 0, full: 0, stride: 0.0, last: 0.0 };
+        while place.position < 1.0 {
+            place.decide_early(pace.steps(&place, &config));
+            let now = place.level(config.coarse_levels);
+            let spent = cost(now, place.position, place.seconds);
+            place.iteration += 1;
+            place.seconds += spent;
+            let next = pace.advance(&place, &config, now, spent, most);
+            assert!(next > place.position, "the position must move");
+            if place.position > 0.1 {
+                out.stride = out.stride.max(next - place.position);
             }
-            let early = state.early.unwrap_or(false);
-            let now = level(state.position, config.coarse_levels, &config.recipe, early);
-            let spent = cost(now, state.position, state.seconds);
-            state.iteration += 1;
-            state.seconds += spent;
-            let next = pace.advance(&state, &config, now, spent, most);
-            assert!(next > state.position, "the position must move");
-            if state.position > 0.1 {
-                out.stride = out.stride.max(next - state.position);
-            }
-            out.last = state.position;
-            state.position = next;
+            out.last = place.position;
+            place.position = next;
             out.full += u32::from(now == 0);
             out.steps += 1;
         }
-        out.seconds = state.seconds;
+        out.seconds = place.seconds;
         out
     }
 
@@ -125,8 +167,8 @@ mod tests {
         0.03 * 0.4f64.powi(level as i32) * (1.0 + 2.0 * position.min(0.7))
     }
 
-    fn check(what: &str, limit: f64, out: &Outcome) {
-        let Outcome { seconds, steps, full, stride, last } = out;
+    fn check(what: &str, limit: f64, out: &PacedRun) {
+        let PacedRun { seconds, steps, full, stride, last } = out;
         let said = format!(
             "{what}: {seconds:.2} of {limit} s, {steps} steps, {full} at full size, stride {stride:.4}"
         );
@@ -191,7 +233,7 @@ mod tests {
     fn iterations_are_walked_evenly() {
         let config = TrainConfig { iterations: 4, ..TrainConfig::default() };
         let mut pace = Pace::default();
-        let at = |iteration| State { iteration, ..State::default() };
+        let at = |iteration| Place { iteration, ..Place::default() };
         let walked: Vec<f64> = (1..=4).map(|i| pace.advance(&at(i), &config, 0, 1.0, 2.0)).collect();
         assert_eq!(walked, [0.25, 0.5, 0.75, 1.0]);
         assert_eq!(pace.steps(&at(2), &config), 4.0);
