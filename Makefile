@@ -14,9 +14,10 @@ SAT_RECON := $(TARGET)/release/sat-recon
 VENV := $(CACHE)/venv
 SHARED := $(or $(SAT_RECON_SHARED),../shared)
 
-.PHONY: help setup viewer build demo test neon lint bench tables bench-gpu compare oracle testbed
+.PHONY: help setup viewer build demo test neon lint bench tables bench-gpu compare benchmarks-page oracle testbed site \
+  tutorial-pictures
 help:  ## this list
-	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed 's/:.*##/\t/' | expand -t 12
+	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed 's/:.*##/\t/' | expand -t 20
 
 setup:  ## install what is missing (Debian packages; as root or with sudo)
 	@tools/setup.sh $(PACKAGES)
@@ -49,12 +50,19 @@ neon:  ## the trainer's kernels as compiled for ARM (NEON) against the reference
 lint: setup  ## formatting, clippy, file and function lengths, borders between crates
 	@tools/lint.sh
 
-bench: build  ## the tables of docs/benchmarks.md on real data (slow)
-	cargo build --release --locked --workspace --example ring_growth --example key_table
-	@tools/setup.sh python3 colmap; python3 tools/bench.py $(SAT_RECON) $(SHARED) --out build/bench
+EXAMPLES := ring_growth key_table features_table ablation step_cost growth
+bench: build  ## all benchmarks on real data, and docs/benchmarks.md from their results (hours)
+	cargo build --release --locked --workspace $(EXAMPLES:%=--example %)
+	@tools/setup.sh python3 colmap
+	python3 tools/bench.py $(SAT_RECON) $(SHARED) --out build/bench --plot docs/speed_accuracy.svg
+	@$(MAKE) benchmarks-page
 
 tables: build  ## the paper's three tables for our own method, its rows beside them (slow)
-	@tools/setup.sh python3; python3 tools/paper_tables.py $(SAT_RECON) $(SHARED) --out build/tables
+	@tools/setup.sh python3
+	python3 tools/paper_tables.py $(SAT_RECON) $(SHARED) --out build/tables
+
+benchmarks-page:  ## docs/benchmarks.md from the results in build/ and docs/results
+	python3 tools/benchmarks_page.py docs/results $(wildcard build/*/results) --out docs/benchmarks.md --keep docs/results
 
 # --workspace: alone the crate would resolve to fewer features of its dependencies, and wgpu would be compiled again.
 bench-gpu: build  ## what needs a graphics card, in under ten minutes, as JSON (a small dry run without one)
@@ -86,3 +94,17 @@ $(VENV)/pycolmap: $(VENV)/bin/python
 $(VENV)/oracle: $(VENV)/bin/python
 	$(VENV)/bin/pip install -q numpy pillow scipy scikit-image opencv-python-headless torch==2.15.* kornia==0.9.* lpips==0.1.4 torchvision safetensors pycolmap==4.2.1
 	touch $@
+
+# The documentation site: mdBook from crates.io, kept in the user's cache.
+MDBOOK := $(CACHE)/mdbook/bin/mdbook
+$(MDBOOK):
+	cargo install mdbook --version 0.5.4 --locked --root $(CACHE)/mdbook
+
+site: $(MDBOOK)  ## the documentation as a web site, in build/site
+	$(MDBOOK) build docs
+	@python3 tools/check_links.py build/site
+	@echo "Open build/site/index.html"
+
+tutorial-pictures: demo  ## the pictures of docs/tutorial.md from a run of the demo (needs Node.js and Chromium)
+	@tools/setup.sh ffmpeg chromium
+	tools/tutorial_pictures.sh $(SAT_RECON) out/demo

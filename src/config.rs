@@ -1,6 +1,6 @@
 //! Where flags come from: preset, then former run, then configuration file, then what was typed; later ones win.
 
-use crate::cli::{Cli, Command, PipelineArgs};
+use crate::args::{Cli, Command, PipelineArgs};
 use anyhow::{Context, Result, bail};
 use clap::{CommandFactory, FromArgMatches};
 use serde::{Deserialize, Serialize};

@@ -1,12 +1,13 @@
 //! Stages of the output folder: fingerprints, skipping what is current, costs.
 
 use anyhow::{Context, Result};
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize, de::DeserializeOwned};
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
 /// What a stage cost.
-#[derive(Clone, Debug, Default, Serialize, Deserialize)]
+#[derive(Clone, Debug, Default, Serialize, Deserialize, JsonSchema)]
 pub struct Cost {
     /// Wall-clock seconds.
     pub wall_s: f64,
@@ -162,7 +163,7 @@ impl Meter {
 /// Returns memory that earlier stages have freed to the system, which glibc keeps otherwise.
 fn give_back_memory() {
     #[cfg(all(target_os = "linux", target_env = "gnu"))]
-    // Takes the allocator's own locks; any thread may call it at any time.
+    // SAFETY: takes the allocator's own locks; any thread may call it at any time.
     unsafe {
         nix::libc::malloc_trim(0);
     }
@@ -172,7 +173,7 @@ fn give_back_memory() {
 /// and growing Gaussians free many.
 pub fn free_large_blocks_at_once() {
     #[cfg(all(target_os = "linux", target_env = "gnu"))]
-    // Sets a number under the allocator's own lock.
+    // SAFETY: sets a number under the allocator's own lock.
     unsafe {
         nix::libc::mallopt(nix::libc::M_MMAP_THRESHOLD, 1 << 18);
     }

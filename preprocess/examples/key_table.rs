@@ -9,7 +9,7 @@
 mod screen;
 
 use image::{GrayImage, RgbImage};
-use preprocess::chroma::{KeyConfig, Keyer, MatteMode, Scratch, THUMBNAIL_SIDE};
+use preprocess::matting::{KeyConfig, Keyer, MatteMode, Scratch, THUMBNAIL_SIDE};
 use preprocess::{FrameConfig, video_frames};
 use rayon::prelude::*;
 use scene::Progress;

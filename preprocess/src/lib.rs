@@ -3,7 +3,6 @@
 //! Video is decoded with OpenCV, its traps (display rotation, time stamps, silent damage, HDR, the colour
 //! matrix) solved with the help of `ffprobe` and `ffmpeg`.
 
-pub mod chroma;
 mod config;
 mod decode;
 mod error;
@@ -11,6 +10,7 @@ mod film;
 mod hdr;
 mod masks;
 mod matte;
+pub mod matting;
 mod names;
 mod output;
 mod photos;
@@ -21,10 +21,10 @@ mod select;
 mod tool;
 mod video;
 
-pub use chroma::KeyConfig;
 pub use config::{DEFAULT_FRAMES, FrameConfig};
 pub use error::PreprocessError;
 pub use matte::{contact_sheet, matte_frames};
+pub use matting::KeyConfig;
 pub use photos::photo_frames;
 pub use tool::versions;
 pub use video::video_frames;

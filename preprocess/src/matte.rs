@@ -1,7 +1,7 @@
 //! Mattes and cleaned images for a whole capture.
 
 use crate::PreprocessError;
-use crate::chroma::{Background, KeyConfig, Keyer, Scratch, THUMBNAIL_SIDE};
+use crate::matting::{Background, KeyConfig, Keyer, Scratch, THUMBNAIL_SIDE};
 use crate::output::{Staging, write_png};
 use crate::pixels::fitted;
 use image::{ExtendedColorType, GrayImage, Rgb, RgbImage};

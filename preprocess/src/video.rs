@@ -62,7 +62,7 @@ pub fn video_frames(
     }
     notes.extend(taken.notes(expected + info.missing, complaints));
     let (frames, film) = job.publish(taken)?;
-    Ok(FrameSet { frames, is_video: true, notes, film })
+    Ok(FrameSet { frames, is_video: true, notes, film, ..FrameSet::default() })
 }
 
 struct Job<'a> {

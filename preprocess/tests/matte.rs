@@ -7,7 +7,7 @@ mod screen;
 
 use common::{Scratch, shared};
 use image::{GrayImage, Rgb, RgbImage};
-use preprocess::chroma::{Background, MatteMode};
+use preprocess::matting::{Background, MatteMode};
 use preprocess::{
     FrameConfig, KeyConfig, PreprocessError, contact_sheet, matte_frames, photo_frames, video_frames,
 };

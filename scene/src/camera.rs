@@ -1,10 +1,11 @@
 //! Camera models as COLMAP defines them, and what projects through them.
 
 use glam::{DVec2, DVec3};
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 /// The camera models that are read, solved and written. `u, v` are normalised image coordinates `x/z, y/z`.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "SCREAMING_SNAKE_CASE")]
 pub enum CameraModel {
     /// `f, cx, cy`

@@ -25,10 +25,11 @@ pub use choice::{
 pub use quantity::{Measurement, Quantity};
 pub use sentences::Sentences;
 
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 /// What was decided. The order is the order in which a report lists decisions.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "kebab-case")]
 pub enum Subject {
     /// Whether and how the object is cut out of its background.
@@ -110,7 +111,7 @@ pub enum Subject {
 }
 
 /// Something that could have been chosen, with its scores.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct Alternative {
     /// What it is.
     pub choice: Choice,
@@ -121,7 +122,7 @@ pub struct Alternative {
 }
 
 /// What made the choice.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "kebab-case")]
 pub enum Rule {
     /// The measurements and scores beside it.
@@ -149,7 +150,7 @@ pub enum Rule {
 }
 
 /// A fact beside the numbers.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "kebab-case")]
 pub enum Remark {
     /// Several cameras took the images.
@@ -228,12 +229,16 @@ pub enum Remark {
     EmptyFrames,
     /// The mattes' background is replaced by random colours in training.
     RandomBackground,
+    /// The object turned before fixed lamps: views off the filmed circle are extrapolated.
+    LampMovesWithCamera,
+    /// The database holds no matches, or they were not wanted: features are matched anew.
+    MatchedAnew,
     /// Validation views are needed to examine it, and none was set aside.
     NoValidation,
 }
 
 /// A decision with all that led to it.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct Decision {
     /// What was decided.
     pub subject: Subject,
@@ -306,6 +311,16 @@ impl Decision {
     #[must_use]
     pub fn compared_all(mut self, alternatives: impl IntoIterator<Item = Alternative>) -> Self {
         self.alternatives.extend(alternatives);
+        self
+    }
+
+    /// Takes over the facts, numbers and alternatives of another decision.
+    #[must_use]
+    pub fn absorbing(mut self, other: Self) -> Self {
+        self.remarks.extend(other.remarks);
+        self.measurements.extend(other.measurements);
+        self.alternatives.extend(other.alternatives);
+        self.message = self.message.or(other.message);
         self
     }
 

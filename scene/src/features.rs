@@ -34,7 +34,7 @@ pub struct Features {
 }
 
 impl Features {
-    /// Length of a descriptor.
+    /// Length of a descriptor, bytes. Source: Lowe, IJCV 2004, section 6.1 (4 × 4 × 8).
     pub const DIM: usize = 128;
 
     /// Number of features.

@@ -3,7 +3,7 @@
 use glam::{Quat, Vec3};
 use serde::{Deserialize, Serialize};
 
-/// Zeroth-order spherical-harmonic constant `1 / (2 √π)`.
+/// Zeroth-order spherical-harmonic constant `1 / (2 √π)`, no unit. Source: derived.
 pub const SH_C0: f32 = 0.282_094_79;
 
 /// N Gaussians as arrays; all have the same spherical-harmonic degree.

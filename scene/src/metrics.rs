@@ -71,9 +71,11 @@ pub fn psnr(a: &RgbImage, b: &RgbImage, mask: Option<&GrayImage>) -> Result<f64,
     Ok(-10.0 * mse.log10())
 }
 
-/// Side of SSIM's window, pixels.
+/// Side of SSIM's window, pixels. Source: Wang et al., TIP 2004, section III-B.
 pub const SSIM_WINDOW: usize = 11;
+/// Standard deviation of SSIM's window, pixels. Source: Wang et al., TIP 2004, section III-B.
 const SIGMA: f64 = 1.5;
+/// Pixels at the border without a whole window. Source: derived from [`SSIM_WINDOW`].
 const BORDER: usize = SSIM_WINDOW / 2;
 
 fn window() -> [f64; SSIM_WINDOW] {
@@ -158,7 +160,9 @@ impl RowBuffers {
 
     /// SSIM of the samples from `start` on.
     fn horizontal(&self, start: usize, out: &mut [f64]) {
+        // Stabilising constants (K₁ L)², (K₂ L)². Source: Wang et al., TIP 2004, section III-B.
         const C1: f64 = (0.01 * 255.0) * (0.01 * 255.0);
+        // Source: see C1.
         const C2: f64 = (0.03 * 255.0) * (0.03 * 255.0);
         let mut means = [[0.0_f64; 3 * CHUNK]; 4];
         for (mean, filtered) in means.iter_mut().zip(&self.filtered) {
@@ -177,7 +181,7 @@ impl RowBuffers {
     }
 }
 
-/// Pixels that are filtered at once.
+/// Pixels that are filtered at once. Source: chosen by hand, never measured.
 const CHUNK: usize = 64;
 
 #[cfg(test)]

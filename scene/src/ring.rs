@@ -1,5 +1,9 @@
 //! Cameras on a circle: turntables, orbits, and objects that turn before a camera that stands still.
 
+mod sequence;
+
+pub use sequence::{Closure, RingClosure, RingSequence};
+
 use crate::Pose;
 use crate::sim3::largest_eigenvector;
 use glam::{DMat3, DVec2, DVec3};

@@ -4,7 +4,7 @@ use crate::Gaussians;
 use crate::sim3::Sim3;
 use glam::{DQuat, DVec3};
 
-/// Number of functions up to degree 3.
+/// Number of functions up to degree 3. Source: derived, (3 + 1)².
 pub const SH_COUNT: usize = 16;
 
 /// The functions `Y_0 … Y_15` at a unit direction, with the Condon–Shortley phase: degree 1 is

@@ -1,7 +1,7 @@
 //! A simulated ring of images, keypoints synthesised: what each step costs, as JSON: `ring_growth IMAGES [--points 5000]`.
 //!
 //! Every image shows about as many keypoints whatever the number of images, and every point is seen over 40° of the
-//! ring, as with SIFT. Seven of ten such sightings are detected, one of ten lies elsewhere; the photos are shuffled.
+//! ring, as with SIFT. Seven of ten such observations are detected, one of ten lies elsewhere; the photos are shuffled.
 
 use clap::Parser;
 use glam::{DVec2, DVec3};
@@ -112,7 +112,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         result.stats.steps.iter().map(|s| format!("\"{}\": {:.2}", s.step, s.cpu_s)).collect();
     println!(
         "{{\"images\": {n}, \"registered\": {}, \"keypoints\": {keypoints}, \"pairs_matched\": {}, \"pairs_verified\": {}, \
-         \"points\": {}, \"sightings\": {}, \"rotation_median_deg\": {:.4}, \"centre_max_pct\": {:.4}, \"start_mib\": \
+         \"points\": {}, \"observations\": {}, \"rotation_median_deg\": {:.4}, \"centre_max_pct\": {:.4}, \"start_mib\": \
          {before:.0}, \"peak_mib\": {:.0}, \"steps\": {{{}}}}}",
         result.stats.registered,
         result.stats.pairs_matched,

@@ -1,4 +1,4 @@
-//! Bundle adjustment: poses, intrinsics and points that fit all sightings best.
+//! Bundle adjustment: poses, intrinsics and points that fit all observations best.
 //!
 //! The scene is moved to its median and scaled to unit size before it is solved, so that units and the place of the
 //! origin do not matter (Triggs et al., "Bundle adjustment: a modern synthesis", 1999, on scaling and gauge).
@@ -16,7 +16,7 @@ use std::collections::{BTreeMap, BTreeSet};
 
 /// How residuals are weighed.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub enum Loss {
+pub enum RobustLoss {
     /// `r²`
     #[default]
     Squared,
@@ -32,14 +32,14 @@ pub enum Loss {
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct SolveOptions {
     /// Loss; its scale in standard deviations of the observations.
-    pub loss: Loss,
+    pub loss: RobustLoss,
     /// Most iterations.
     pub max_iterations: u32,
     /// Relative decrease of the cost at which to stop.
     pub function_tolerance: f64,
     /// Relative change of the parameters at which to stop.
     pub parameter_tolerance: f64,
-    /// Whether points first settle alone (turns under Cauchy's loss only). Near the end that saves steps; far from it, sightings
+    /// Whether points first settle alone (turns under Cauchy's loss only). Near the end that saves steps; far from it, observations
     /// across a joint that is still wrong might be taken for outliers.
     pub points_first: bool,
 }
@@ -47,7 +47,7 @@ pub struct SolveOptions {
 impl Default for SolveOptions {
     fn default() -> Self {
         Self {
-            loss: Loss::Squared,
+            loss: RobustLoss::Squared,
             max_iterations: 50,
             function_tolerance: 1e-8,
             parameter_tolerance: 1e-10,
@@ -56,7 +56,7 @@ impl Default for SolveOptions {
     }
 }
 
-/// One sighting of a point by a pose.
+/// One observation of a point by a pose.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct BundleObservation {
     /// Index of the pose.
@@ -101,7 +101,7 @@ pub struct BundleProblem {
     pub points: Vec<DVec3>,
     /// Which points are held.
     pub point_constant: Vec<bool>,
-    /// Sightings.
+    /// Observations.
     pub observations: Vec<BundleObservation>,
 }
 
@@ -114,7 +114,7 @@ pub struct BundleSummary {
     pub final_rms: f64,
     /// Iterations taken.
     pub iterations: u32,
-    /// Sightings used (those behind their camera are left out).
+    /// Observations used (those behind their camera are left out).
     pub observations: usize,
     /// Whether a tolerance was met.
     pub converged: bool,
@@ -135,7 +135,7 @@ pub struct BundleCovariance {
 impl BundleProblem {
     /// Minimises in place. An unusable result leaves everything as it was (`usable` is false then).
     pub fn solve(&mut self, options: &SolveOptions, progress: &Progress) -> Result<BundleSummary, SfmError> {
-        let frame = Normalisation::of(self);
+        let frame = SceneNormalisation::of(self);
         let input = self.input(options, &frame);
         if input.weights.is_empty() {
             return Ok(BundleSummary::default());
@@ -160,9 +160,9 @@ impl BundleProblem {
         })
     }
 
-    /// Standard deviations of poses and intrinsics; `None` where the sightings do not determine them.
+    /// Standard deviations of poses and intrinsics; `None` where the observations do not determine them.
     pub fn covariance(&self, options: &SolveOptions) -> Result<Option<BundleCovariance>, SfmError> {
-        let frame = Normalisation::of(self);
+        let frame = SceneNormalisation::of(self);
         let input = self.input(options, &frame);
         if input.weights.is_empty() {
             return Ok(None);
@@ -185,7 +185,7 @@ impl BundleProblem {
     /// Information (inverse covariance) of all free intrinsics jointly after poses and points are eliminated, row-major
     /// over the free parameters of all cameras in their order, without the priors; `None` where that cannot be done.
     pub fn intrinsics_information(&self, options: &SolveOptions) -> Result<Option<Vec<f64>>, SfmError> {
-        let frame = Normalisation::of(self);
+        let frame = SceneNormalisation::of(self);
         let input = self.input(options, &frame);
         if input.weights.is_empty() {
             return Ok(None);
@@ -193,7 +193,7 @@ impl BundleProblem {
         ceres::camera_information(&input, &self.state(&frame))
     }
 
-    fn state(&self, frame: &Normalisation) -> BundleState {
+    fn state(&self, frame: &SceneNormalisation) -> BundleState {
         let pose = |p: &Pose| {
             let Pose { rotation: q, translation: t } = frame.pose_in(p);
             [q.x, q.y, q.z, q.w, t.x, t.y, t.z]
@@ -205,7 +205,7 @@ impl BundleProblem {
         }
     }
 
-    fn take(&mut self, state: &BundleState, frame: &Normalisation) {
+    fn take(&mut self, state: &BundleState, frame: &SceneNormalisation) {
         let mut values = state.intrinsics.iter();
         for camera in &mut self.cameras {
             camera.params.iter_mut().zip(&mut values).for_each(|(p, v)| *p = *v);
@@ -227,7 +227,7 @@ impl BundleProblem {
         }
     }
 
-    pub(crate) fn input(&self, options: &SolveOptions, frame: &Normalisation) -> BundleInput {
+    pub(crate) fn input(&self, options: &SolveOptions, frame: &SceneNormalisation) -> BundleInput {
         let mut offset = 0;
         let mut input = BundleInput {
             pose_camera: self.pose_camera.clone(),
@@ -239,10 +239,10 @@ impl BundleProblem {
             ..BundleInput::default()
         };
         (input.loss, input.loss_scale) = match options.loss {
-            Loss::Squared => (0, 1.0),
-            Loss::Huber(s) => (1, s),
-            Loss::SoftL1(s) => (2, s),
-            Loss::Cauchy(s) => (3, s),
+            RobustLoss::Squared => (0, 1.0),
+            RobustLoss::Huber(s) => (1, s),
+            RobustLoss::SoftL1(s) => (2, s),
+            RobustLoss::Cauchy(s) => (3, s),
         };
         input.free_poses = input.pose_held.iter().filter(|&&h| h != 7).count();
         for (camera, free) in self.cameras.iter().zip(&self.camera_free) {
@@ -271,7 +271,7 @@ impl BundleProblem {
 
     /// Gauge: where fewer than two poses and no points are constant, the first pose is held, and that coordinate of the
     /// farthest pose's translation that changes most with the scale.
-    fn held_poses(&self, frame: &Normalisation) -> Vec<u8> {
+    fn held_poses(&self, frame: &SceneNormalisation) -> Vec<u8> {
         let mut held: Vec<u8> = self.pose_constant.iter().map(|&c| if c { 7 } else { 0 }).collect();
         let constant = held.iter().filter(|&&h| h == 7).count();
         if constant >= 2 || held.len() < 2 || self.point_constant.iter().filter(|&&c| c).count() >= 3 {
@@ -312,14 +312,14 @@ fn pose_deviation(pose: &Pose, covariance: &[f64], scale: f64) -> [f64; 6] {
 }
 
 /// Moves the scene's median to the origin and scales the median distance from it to 1.
-pub(crate) struct Normalisation {
+pub(crate) struct SceneNormalisation {
     /// What becomes the origin.
     pub centre: DVec3,
     /// What becomes 1.
     pub scale: f64,
 }
 
-impl Normalisation {
+impl SceneNormalisation {
     fn of(problem: &BundleProblem) -> Self {
         let median = |mut values: Vec<f64>| {
             let middle = values.len() / 2;
@@ -368,7 +368,7 @@ pub struct BundleOptions {
     pub constant_images: BTreeSet<u32>,
     /// Numbers of cameras whose intrinsics are held.
     pub constant_cameras: BTreeSet<u32>,
-    /// Images to adjust; `None`: all. Points seen elsewhere too are held by those sightings' constant poses.
+    /// Images to adjust; `None`: all. Points seen elsewhere too are held by those observations' constant poses.
     pub only_images: Option<BTreeSet<u32>>,
 }
 
@@ -464,11 +464,11 @@ pub fn problem_of(model: &Reconstruction, options: &BundleOptions) -> (BundlePro
             continue;
         }
         let index = ids.len() as u32;
-        let sighting = |e: &TrackElement| {
+        let observation = |e: &TrackElement| {
             let pixel = model.images.get(&e.image)?.observations.get(e.observation as usize)?.pixel;
             Some(BundleObservation { pose: *poses.get(&e.image)?, point: index, pixel, sigma_px: 1.0 })
         };
-        problem.observations.extend(point.track.iter().filter_map(sighting));
+        problem.observations.extend(point.track.iter().filter_map(observation));
         problem.points.push(point.position);
         ids.push(*id);
     }

@@ -1,11 +1,11 @@
 //! What a user can say about structure from motion, declared once: flag, default, file key and report row.
 
+use crate::circular::MotionConfig;
 use crate::incremental::MapperConfig;
 use crate::klt::KltConfig;
 use crate::matching::MatchConfig;
 use crate::pairs::PairConfig;
 use crate::sift::SiftConfig;
-use crate::single_axis::MotionConfig;
 use crate::two_view::TwoViewConfig;
 use crate::{Calibration, SfmError};
 use scene::{Camera, CameraModel};
@@ -64,7 +64,7 @@ pub enum CameraSharing {
 #[derive(clap::ValueEnum, Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum KeypointPlaces {
-    /// Where the windows about them show what one sighting of the point shows, if the model fits that more closely
+    /// Where the windows about them show what one observation of the point shows, if the model fits that more closely
     #[default]
     Windows,
     /// Where they were detected
@@ -131,11 +131,11 @@ pub struct SfmConfig {
 impl SfmConfig {
     /// What is known of a camera whose images have this size: an earlier calibration, or what `--intrinsics` and
     /// `--intrinsics-sigma` say.
-    pub fn calibrated(&self, width: u32, height: u32) -> Result<Option<Calibration>, SfmError> {
+    pub fn calibration_of(&self, width: u32, height: u32) -> Result<Option<Calibration>, SfmError> {
         if let Some(known) = &self.calibration {
             let (of_width, of_height) = (known.camera.width, known.camera.height);
             let other = || SfmError::OtherShape { width, height, of_width, of_height };
-            return known.scaled(width, height).map(Some).ok_or_else(other);
+            return known.scaled_to(width, height).map(Some).ok_or_else(other);
         }
         let Some((model, params)) = self.known_intrinsics()? else { return Ok(None) };
         let sigmas = self.intrinsics_sigma.clone().unwrap_or_else(|| vec![0.0; params.len()]);

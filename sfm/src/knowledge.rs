@@ -15,7 +15,7 @@ pub struct Calibration {
 
 impl Calibration {
     /// The same camera at another size of its images; `None` where their shape is another.
-    pub fn scaled(&self, width: u32, height: u32) -> Option<Self> {
+    pub fn scaled_to(&self, width: u32, height: u32) -> Option<Self> {
         let [w, h] = [self.camera.width, self.camera.height].map(u64::from);
         // Sides are rounded when images are made smaller.
         let skew = (w * u64::from(height)).abs_diff(h * u64::from(width));
@@ -69,11 +69,11 @@ mod tests {
     fn a_calibration_follows_the_size_of_the_images_and_refuses_another_shape() {
         let camera = Camera::centred(1, CameraModel::SimpleRadial, 1920, 1080, 1500.0);
         let known = Calibration { camera, sigmas: vec![3.0, 1.5, 0.0, 0.01] };
-        let half = known.scaled(960, 540).unwrap();
+        let half = known.scaled_to(960, 540).unwrap();
         assert_eq!(half.camera.params, [750.0, 480.0, 270.0, 0.0]);
         assert_eq!(half.sigmas, [1.5, 0.75, 0.0, 0.01]);
-        assert!(known.scaled(320, 180).is_some() && known.scaled(321, 180).is_some());
-        assert!(known.scaled(640, 480).is_none() && known.scaled(1080, 1920).is_none());
+        assert!(known.scaled_to(320, 180).is_some() && known.scaled_to(321, 180).is_some());
+        assert!(known.scaled_to(640, 480).is_none() && known.scaled_to(1080, 1920).is_none());
     }
 
     #[test]

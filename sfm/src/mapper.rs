@@ -1,10 +1,11 @@
-//! Which mapper's model is taken: the incremental one's, the global one's, or the one that the sightings bear out.
+//! Which mapper's model is taken: the incremental one's, the global one's, or the one that the observations bear out.
 
 use crate::Knowledge;
 use crate::global;
-use crate::incremental::bridge::agreement;
-use crate::incremental::state::{Input, State};
-use crate::{Decision, SfmError, incremental};
+use crate::incremental::state::{MapState, MappingInput};
+use crate::incremental::structureless_resection::agreement;
+use crate::{SfmError, incremental};
+use scene::decision::{Decision, MapperKind, Measurement, Quantity, Rule, Subject};
 use scene::{Camera, Progress};
 use serde::{Deserialize, Serialize};
 
@@ -28,35 +29,36 @@ const BETTER: f64 = 1.02;
 
 /// The model of all images that can be tied together; what was decided, where there was a choice.
 pub(crate) fn map(
-    input: &Input<'_>,
+    input: &MappingInput<'_>,
     cameras: &[Camera],
     known: &[Knowledge],
     progress: &Progress,
-) -> Result<(Option<State>, Option<Decision>), SfmError> {
+) -> Result<(Option<MapState>, Option<Decision>), SfmError> {
     let choice = input.config.mapper;
     if choice == MapperChoice::Global {
         let started = incremental::sketch(input, cameras, known, progress)?;
         let Some(start) = started else { return Ok((None, None)) };
         let model = global::map(input, &start.cameras, known, progress)?;
-        let said = model.as_ref().map(|m| report(input, "global", &[("global", m)]));
+        let said = model.as_ref().map(|m| decision(input, MapperKind::Global, &[(MapperKind::Global, m)]));
         return Ok((model, said));
     }
     let Some(first) = incremental::map(input, cameras, known, progress)? else { return Ok((None, None)) };
-    let complete = first.registered() as f64 >= COMPLETE * reachable(input) as f64;
+    let complete = first.registered_count() as f64 >= COMPLETE * reachable(input) as f64;
     if choice == MapperChoice::Incremental || complete {
         return Ok((Some(first), None));
     }
     let Some(second) = global::map(input, &first.cameras, known, progress)? else {
         return Ok((Some(first), None));
     };
-    let [a, b] = [&first, &second].map(|s| borne_out(s, input).0 as f64);
-    let taken = if b > BETTER * a { "global" } else { "incremental" };
-    let decision = report(input, taken, &[("incremental", &first), ("global", &second)]);
-    Ok((Some(if taken == "global" { second } else { first }), Some(decision)))
+    let [a, b] = [&first, &second].map(|s| count_agreeing(s, input).0 as f64);
+    let taken = if b > BETTER * a { MapperKind::Global } else { MapperKind::Incremental };
+    let decision =
+        decision(input, taken, &[(MapperKind::Incremental, &first), (MapperKind::Global, &second)]);
+    Ok((Some(if taken == MapperKind::Global { second } else { first }), Some(decision)))
 }
 
 /// Images in the largest part of the graph of verified pairs.
-fn reachable(input: &Input<'_>) -> usize {
+fn reachable(input: &MappingInput<'_>) -> usize {
     let n = input.keypoints.len();
     let mut part: Vec<usize> = (0..n).collect();
     fn find(part: &mut [usize], mut i: usize) -> usize {
@@ -76,7 +78,7 @@ fn reachable(input: &Input<'_>) -> usize {
 }
 
 /// Matches of all verified pairs: (those that agree with a model, all); of pairs without two poses none agrees.
-fn borne_out(state: &State, input: &Input<'_>) -> (usize, usize) {
+fn count_agreeing(state: &MapState, input: &MappingInput<'_>) -> (usize, usize) {
     let mut sums = (0, 0);
     for g in input.geometries {
         let (agreeing, all) = agreement(state, input, g).unwrap_or((0, g.inliers.len().min(200)));
@@ -86,15 +88,15 @@ fn borne_out(state: &State, input: &Input<'_>) -> (usize, usize) {
     sums
 }
 
-fn report(input: &Input<'_>, taken: &str, models: &[(&str, &State)]) -> Decision {
-    let one = |(name, state): &(&str, &State)| {
-        let (agreeing, all) = borne_out(state, input);
-        let images = state.registered();
-        format!("{name}: {images} images, {agreeing} of {all} sampled matches of verified pairs agree")
-    };
-    Decision {
-        what: "mapper".to_owned(),
-        chosen: taken.to_owned(),
-        evidence: models.iter().map(one).collect::<Vec<_>>().join("; "),
-    }
+fn decision(input: &MappingInput<'_>, taken: MapperKind, models: &[(MapperKind, &MapState)]) -> Decision {
+    let decision = Decision::new(Subject::Mapper, taken, Rule::Evidence);
+    models.iter().fold(decision, |decision, &(kind, state)| {
+        let (agreeing, all) = count_agreeing(state, input);
+        let scores = vec![
+            Measurement::count(Quantity::RegisteredImages, state.registered_count()),
+            Measurement::count(Quantity::AgreeingMatches, agreeing),
+            Measurement::count(Quantity::Matches, all),
+        ];
+        decision.compared(kind, kind == taken, scores)
+    })
 }

@@ -1,16 +1,16 @@
 //! Keypoints of one point moved to where the windows about them show the same, once a model says how they are warped.
 //!
-//! A detector finds each sighting by itself, and not the same spot of the surface from every side. One sighting of a point,
+//! A detector finds each observation by itself, and not the same spot of the surface from every side. One observation of a point,
 //! the one that looks at it from the middle, says which spot is meant; where that lies in the other images is found by its
 //! window (Lucas & Kanade 1981), which begins as the model says it is sheared and stretched (keypoints refined over tracks:
 //! Dusmanu, Schönberger & Pollefeys, ECCV 2020; Lindenberger et al., ICCV 2021).
 
 use crate::SfmError;
-use crate::incremental::state::{Input, MapPoint, State};
-use crate::klt::pyramid::{Level, Pyramid};
-use crate::klt::reference::{Patch, Reference, Warp, patch};
+use crate::incremental::state::{MapPoint, MapState, MappingInput};
+use crate::klt::pyramid::{Pyramid, PyramidLevel};
+use crate::klt::reference::{Reference, ReferencePatch, Warp, patch};
 use crate::sift::load_luma;
-use crate::single_axis::turn::median;
+use crate::statistics::median;
 use glam::{DMat2, DVec2, DVec3};
 use rayon::prelude::*;
 use scene::{Camera, Frame, FrameSet, Pose, Progress};
@@ -20,7 +20,7 @@ const SCALE: f64 = 4.0;
 /// Images are halved down to this side, and so often at most.
 const LEAST_SIDE: u32 = 32;
 const LEVELS: usize = 5;
-/// Least correlation of a window with the one of the sighting that says what is meant.
+/// Least correlation of a window with the one of the observation that says what is meant.
 const CORRELATION: f64 = 0.9;
 /// Farthest that a keypoint is moved, in its scales.
 const FARTHEST: f64 = 1.0;
@@ -32,18 +32,18 @@ const FLOOR_PX: f64 = 0.05;
 const MOST_POINTS: usize = 100_000;
 
 /// Keypoints that fit together better than those they come from.
-pub(crate) struct Refined {
+pub(crate) struct RefinedKeypoints {
     pub keypoints: Vec<Vec<DVec2>>,
     /// Standard deviations of all keypoints, the median of the moved ones 1.
-    pub spreads: Vec<Vec<f32>>,
-    /// (image, feature) of the sightings whose windows were found.
+    pub sigmas: Vec<Vec<f32>>,
+    /// (image, feature) of the observations whose windows were found.
     pub moved: Vec<[u32; 2]>,
     /// Those of the same points whose windows were not.
     pub unsure: Vec<[u32; 2]>,
 }
 
-/// A point with the sighting that says which spot of the surface is meant.
-struct Anchored<'a> {
+/// A point with the observation that says which spot of the surface is meant.
+struct AnchoredPoint<'a> {
     point: &'a MapPoint,
     /// Which of its views.
     first: usize,
@@ -53,25 +53,25 @@ struct Anchored<'a> {
     shape: DMat2,
 }
 
-/// Where a sighting was found, and the standard deviation of that, pixels.
-struct Found {
+/// Where an observation was found, and the standard deviation of that, pixels.
+struct FoundWindow {
     anchor: usize,
     view: [u32; 2],
     place: DVec2,
     deviation: f64,
 }
 
-/// Looks for the windows of all points of a model. `turned`: images that `input` shows turned by half a turn. No image is
+/// Looks for the windows of all points of a model. `rotated`: images that `input` shows rotated by 180°. No image is
 /// kept; each is read twice.
 pub(crate) fn refine(
-    state: &State,
-    input: &Input<'_>,
+    state: &MapState,
+    input: &MappingInput<'_>,
     frames: &FrameSet,
-    turned: &[bool],
+    rotated: &[bool],
     progress: &Progress,
-) -> Result<Refined, SfmError> {
-    let anchors: Vec<Anchored<'_>> =
-        most_seen(state).into_iter().filter_map(|p| anchored(p, state, input)).collect();
+) -> Result<RefinedKeypoints, SfmError> {
+    let anchors: Vec<AnchoredPoint<'_>> =
+        most_seen(state).into_iter().filter_map(|p| anchor(p, state, input)).collect();
     let n = frames.len();
     let (mut of_image, mut views_of) = (vec![Vec::new(); n], vec![Vec::new(); n]);
     for (k, a) in anchors.iter().enumerate() {
@@ -82,32 +82,33 @@ pub(crate) fn refine(
     progress.begin("windows of keypoints", 2 * n);
     let seen_in = |image: usize| -> Result<Pyramid, SfmError> {
         progress.tick()?;
-        load(&frames.frames[image], turned[image])
+        load(&frames.frames[image], rotated[image])
     };
-    let patches = |(image, own): (usize, &Vec<usize>)| -> Result<Vec<(usize, Option<Box<Patch>>)>, SfmError> {
-        let pyramid = seen_in(image)?;
-        Ok(own.iter().map(|&k| (k, anchors[k].patch(&pyramid, input))).collect())
-    };
+    let patches =
+        |(image, own): (usize, &Vec<usize>)| -> Result<Vec<(usize, Option<Box<ReferencePatch>>)>, SfmError> {
+            let pyramid = seen_in(image)?;
+            Ok(own.iter().map(|&k| (k, anchors[k].patch(&pyramid, input))).collect())
+        };
     let taken: Vec<_> =
         of_image.par_iter().enumerate().with_max_len(1).map(patches).collect::<Result<_, _>>()?;
-    let mut patch_of: Vec<Option<Box<Patch>>> = (0..anchors.len()).map(|_| None).collect();
+    let mut patch_of: Vec<Option<Box<ReferencePatch>>> = (0..anchors.len()).map(|_| None).collect();
     taken.into_iter().flatten().for_each(|(k, patch)| patch_of[k] = patch);
-    let find = |(image, views): (usize, &Vec<(usize, [u32; 2])>)| -> Result<Vec<Found>, SfmError> {
+    let find = |(image, views): (usize, &Vec<(usize, [u32; 2])>)| -> Result<Vec<FoundWindow>, SfmError> {
         let pyramid = seen_in(image)?;
         let one = |&(k, view): &(usize, [u32; 2])| {
             let (place, deviation) =
                 anchors[k].found(view, patch_of[k].as_deref()?, &pyramid, state, input)?;
-            Some(Found { anchor: k, view, place, deviation })
+            Some(FoundWindow { anchor: k, view, place, deviation })
         };
         Ok(views.iter().filter_map(one).collect())
     };
-    let found: Vec<Vec<Found>> =
+    let found: Vec<Vec<FoundWindow>> =
         views_of.par_iter().enumerate().with_max_len(1).map(find).collect::<Result<_, _>>()?;
-    Ok(gathered(&anchors, found.into_iter().flatten(), input))
+    Ok(gather(&anchors, found.into_iter().flatten(), input))
 }
 
 /// The points with the longest tracks, in their order.
-fn most_seen(state: &State) -> Vec<&MapPoint> {
+fn most_seen(state: &MapState) -> Vec<&MapPoint> {
     let mut points: Vec<(u32, &MapPoint)> = state.live().collect();
     if points.len() > MOST_POINTS {
         points.sort_by_key(|(id, p)| (std::cmp::Reverse(p.views.len()), *id));
@@ -118,23 +119,23 @@ fn most_seen(state: &State) -> Vec<&MapPoint> {
 }
 
 /// Smoothed grey levels, the way up that the solver sees the image.
-fn load(frame: &Frame, turned: bool) -> Result<Pyramid, SfmError> {
+fn load(frame: &Frame, rotated: bool) -> Result<Pyramid, SfmError> {
     let mut grey = load_luma(frame)?;
-    if turned {
+    if rotated {
         grey.data.reverse();
     }
     Ok(Pyramid::new(&grey, LEVELS))
 }
 
-fn spread(input: &Input<'_>, [image, feature]: [u32; 2]) -> f64 {
-    input.spreads.get(image as usize).map_or(1.0, |s| f64::from(s[feature as usize]))
+fn sigma_of(input: &MappingInput<'_>, [image, feature]: [u32; 2]) -> f64 {
+    input.sigmas.get(image as usize).map_or(1.0, |s| f64::from(s[feature as usize]))
 }
 
-fn pixel(input: &Input<'_>, [image, feature]: [u32; 2]) -> DVec2 {
+fn pixel(input: &MappingInput<'_>, [image, feature]: [u32; 2]) -> DVec2 {
     input.keypoints[image as usize][feature as usize]
 }
 
-fn anchored<'a>(point: &'a MapPoint, state: &State, input: &Input<'_>) -> Option<Anchored<'a>> {
+fn anchor<'a>(point: &'a MapPoint, state: &MapState, input: &MappingInput<'_>) -> Option<AnchoredPoint<'a>> {
     let rays: Option<Vec<DVec3>> = point
         .views
         .iter()
@@ -149,14 +150,14 @@ fn anchored<'a>(point: &'a MapPoint, state: &State, input: &Input<'_>) -> Option
     let tangents = [across, normal.cross(across)];
     let camera = &state.cameras[input.camera_of[view[0] as usize]];
     let shape = image_of_tangents(camera, &state.poses[view[0] as usize]?, point.position, tangents)?;
-    let wanted = (spread(input, view) / SCALE).log2().ceil().max(0.0) as usize;
+    let wanted = (sigma_of(input, view) / SCALE).log2().ceil().max(0.0) as usize;
     let side = |v: &[u32; 2]| {
         let camera = &state.cameras[input.camera_of[v[0] as usize]];
         camera.width.min(camera.height)
     };
     let deepest = |v: &[u32; 2]| (side(v) / LEAST_SIDE).max(1).ilog2() as usize;
     let level = point.views.iter().map(deepest).min()?.min(wanted).min(LEVELS - 1);
-    Some(Anchored { point, first, level, tangents, shape })
+    Some(AnchoredPoint { point, first, level, tangents, shape })
 }
 
 /// Derivatives of a point's image by steps along two tangents of its surface, pixels a unit.
@@ -169,12 +170,12 @@ fn image_of_tangents(camera: &Camera, pose: &Pose, x: DVec3, tangents: [DVec3; 2
     (m.is_finite() && m.determinant().abs() > 1e-3 * area).then_some(m)
 }
 
-impl Anchored<'_> {
-    fn level<'b>(&self, pyramid: &'b Pyramid) -> (Option<&'b Level>, f64) {
+impl AnchoredPoint<'_> {
+    fn level<'b>(&self, pyramid: &'b Pyramid) -> (Option<&'b PyramidLevel>, f64) {
         (pyramid.levels.get(self.level), f64::from(1u32 << self.level))
     }
 
-    fn patch(&self, pyramid: &Pyramid, input: &Input<'_>) -> Option<Box<Patch>> {
+    fn patch(&self, pyramid: &Pyramid, input: &MappingInput<'_>) -> Option<Box<ReferencePatch>> {
         let (level, size) = self.level(pyramid);
         patch(level?, pixel(input, self.point.views[self.first]) / size).map(Box::new)
     }
@@ -183,10 +184,10 @@ impl Anchored<'_> {
     fn found(
         &self,
         view: [u32; 2],
-        patch: &Patch,
+        patch: &ReferencePatch,
         pyramid: &Pyramid,
-        state: &State,
-        input: &Input<'_>,
+        state: &MapState,
+        input: &MappingInput<'_>,
     ) -> Option<(DVec2, f64)> {
         let image = view[0] as usize;
         let camera = &state.cameras[input.camera_of[image]];
@@ -197,24 +198,28 @@ impl Anchored<'_> {
         let start = Warp { shape: shape * self.shape.inverse(), place: pixel(input, view) / size };
         let (warp, correlation) = reference.find(level?, start)?;
         let place = warp.place * size;
-        let near = place.distance(pixel(input, view)) < FARTHEST * spread(input, view).max(1.0);
+        let near = place.distance(pixel(input, view)) < FARTHEST * sigma_of(input, view).max(1.0);
         let deviation = size * reference.deviation(correlation).hypot(FLOOR_PX);
         (near && correlation > CORRELATION && deviation.is_finite()).then_some((place, deviation))
     }
 }
 
-fn gathered(anchors: &[Anchored<'_>], found: impl Iterator<Item = Found>, input: &Input<'_>) -> Refined {
+fn gather(
+    anchors: &[AnchoredPoint<'_>],
+    found: impl Iterator<Item = FoundWindow>,
+    input: &MappingInput<'_>,
+) -> RefinedKeypoints {
     let mut keypoints = input.keypoints.to_vec();
     let raw = |(image, points): (usize, &Vec<DVec2>)| -> Vec<f32> {
-        (0..points.len()).map(|k| (UNMOVED * spread(input, [image as u32, k as u32])) as f32).collect()
+        (0..points.len()).map(|k| (UNMOVED * sigma_of(input, [image as u32, k as u32])) as f32).collect()
     };
-    let mut spreads: Vec<Vec<f32>> = keypoints.iter().enumerate().map(raw).collect();
+    let mut sigmas: Vec<Vec<f32>> = keypoints.iter().enumerate().map(raw).collect();
     let mut of_anchor: Vec<Vec<f64>> = vec![Vec::new(); anchors.len()];
     let mut moved = Vec::new();
     for f in found {
         let [image, feature] = f.view.map(|i| i as usize);
         keypoints[image][feature] = f.place;
-        spreads[image][feature] = f.deviation as f32;
+        sigmas[image][feature] = f.deviation as f32;
         of_anchor[f.anchor].push(f.deviation);
         moved.push(f.view);
     }
@@ -224,15 +229,15 @@ fn gathered(anchors: &[Anchored<'_>], found: impl Iterator<Item = Found>, input:
         let views = &anchor.point.views;
         let [image, feature] = views[anchor.first].map(|i| i as usize);
         // The spot is where it is said to be; what it is worth is what the others are.
-        spreads[image][feature] = median(deviations.clone()) as f32;
+        sigmas[image][feature] = median(deviations.clone()) as f32;
         let others =
             views.iter().enumerate().filter(|(i, v)| *i != anchor.first && moved.binary_search(v).is_err());
         unsure.extend(others.map(|(_, v)| *v));
     }
     let all: Vec<f64> = of_anchor.into_iter().flatten().collect();
     let unit = if all.is_empty() { 1.0 } else { median(all) as f32 };
-    spreads.iter_mut().flatten().for_each(|s| *s /= unit);
-    Refined { keypoints, spreads, moved, unsure }
+    sigmas.iter_mut().flatten().for_each(|s| *s /= unit);
+    RefinedKeypoints { keypoints, sigmas, moved, unsure }
 }
 
 #[cfg(test)]

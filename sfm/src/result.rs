@@ -1,19 +1,8 @@
 //! What structure from motion hands back.
 
-use scene::{Camera, Features, Reconstruction, TwoViewGeometry};
+use scene::{Camera, Decision, Features, Reconstruction, TwoViewGeometry};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
-
-/// Something the evidence decided, for `run.json` and the report.
-#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
-pub struct Decision {
-    /// What was to be decided.
-    pub what: String,
-    /// What was chosen.
-    pub chosen: String,
-    /// The figures that decided, one sentence or a small table.
-    pub evidence: String,
-}
 
 /// Cost of one step.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
@@ -41,13 +30,13 @@ pub struct SfmStats {
     pub pairs_verified: usize,
     /// Points of the model.
     pub points: usize,
-    /// Sightings of the model's points.
+    /// Observations of the model's points.
     pub observations: usize,
-    /// Mean sightings a point.
+    /// Mean observations a point.
     pub mean_track_length: f64,
-    /// Root mean square of the reprojection error over sightings, pixels.
+    /// Root mean square of the reprojection error over observations, pixels.
     pub reprojection_rms_px: f64,
-    /// Median reprojection error over sightings, pixels.
+    /// Median reprojection error over observations, pixels.
     pub reprojection_median_px: f64,
     /// Cost of each step, in order.
     pub steps: Vec<StepTime>,
@@ -82,7 +71,7 @@ pub struct SfmResult {
     pub reason: String,
     /// Frames without a pose: name, and why.
     pub missing: Vec<(String, String)>,
-    /// Registered images that hang by a thread: name, and why.
+    /// Registered images that are weakly constrained: name, and why.
     pub weak_images: Vec<(String, String)>,
     /// What the evidence decided.
     pub decisions: Vec<Decision>,

@@ -3,9 +3,9 @@
 use glam::{DMat3, DVec2, DVec3};
 use scene::{Camera, Pose};
 
-/// A sighting to triangulate from.
+/// An observation to triangulate from.
 #[derive(Clone, Copy, Debug)]
-pub struct View<'a> {
+pub struct PointView<'a> {
     /// `cam_from_world`.
     pub pose: Pose,
     /// Its camera.
@@ -18,8 +18,8 @@ pub struct View<'a> {
     pub ray: DVec3,
 }
 
-impl<'a> View<'a> {
-    /// A sighting of `pixel` by a posed camera.
+impl<'a> PointView<'a> {
+    /// An observation of `pixel` by a posed camera.
     pub fn new(pose: &Pose, camera: &'a Camera, pixel: DVec2) -> Self {
         let ray = pose.rotation.conjugate() * camera.ray(pixel);
         Self { pose: *pose, camera, pixel, centre: pose.centre(), ray }
@@ -59,7 +59,7 @@ pub fn angle_between(a: DVec3, b: DVec3) -> f64 {
 
 /// The point nearest to all rays, `Σ (I − d dᵀ) (x − c) = 0`; `None` where they are parallel. Solved about the mean
 /// centre, so that the origin does not matter.
-pub fn nearest_to_rays<'a>(views: impl Iterator<Item = &'a View<'a>> + Clone) -> Option<DVec3> {
+pub fn nearest_to_rays<'a>(views: impl Iterator<Item = &'a PointView<'a>> + Clone) -> Option<DVec3> {
     let n = views.clone().count();
     let origin = views.clone().map(|v| v.centre).sum::<DVec3>() / n.max(1) as f64;
     let (mut a, mut b) = (DMat3::ZERO, DVec3::ZERO);
@@ -81,7 +81,7 @@ pub fn nearest_to_rays<'a>(views: impl Iterator<Item = &'a View<'a>> + Clone) ->
 /// The start is returned where no step helps.
 pub fn refine_point<'a>(
     start: DVec3,
-    views: impl Iterator<Item = &'a View<'a>> + Clone,
+    views: impl Iterator<Item = &'a PointView<'a>> + Clone,
     iterations: usize,
 ) -> DVec3 {
     let cost = |x: DVec3| views.clone().map(|v| v.error_sq(x)).sum::<f64>();
@@ -111,7 +111,7 @@ pub fn refine_point<'a>(
 
 /// Residual and its derivative by the point; the distortion's own derivative is taken as that of its radial scale,
 /// which is enough for convergence.
-pub(crate) fn linearise(view: &View<'_>, x: DVec3) -> Option<([f64; 2], [DVec3; 2])> {
+pub(crate) fn linearise(view: &PointView<'_>, x: DVec3) -> Option<([f64; 2], [DVec3; 2])> {
     let local = view.pose.transform(x);
     let residual = view.camera.project(local)? - view.pixel;
     let (u, focal) = (local.truncate() / local.z, view.camera.focal());
@@ -123,7 +123,7 @@ pub(crate) fn linearise(view: &View<'_>, x: DVec3) -> Option<([f64; 2], [DVec3; 
 
 /// Robust triangulation: hypotheses from pairs of views (all where few, a fixed spread where many), the one with the
 /// least truncated squared error is refined on its inliers (LO-RANSAC over views; Schönberger & Frahm 2016, §4.3).
-pub fn triangulate(views: &[View<'_>], gates: &Gates) -> Option<Triangulated> {
+pub fn triangulate(views: &[PointView<'_>], gates: &Gates) -> Option<Triangulated> {
     let limit = gates.max_error_px * gates.max_error_px;
     let cost = |x: DVec3| views.iter().map(|v| v.error_sq(x).min(limit)).sum::<f64>();
     let mut best: Option<(f64, DVec3)> = None;
@@ -183,13 +183,13 @@ mod tests {
     use super::*;
     use scene::CameraModel;
 
-    fn ring(camera: &Camera, n: usize, unit: f64, x: DVec3) -> Vec<View<'_>> {
+    fn ring(camera: &Camera, n: usize, unit: f64, x: DVec3) -> Vec<PointView<'_>> {
         let eye = |i: usize| {
             let a = 0.2 * i as f64;
             DVec3::new(5.0 * a.cos(), 5.0 * a.sin(), 1.0) * unit
         };
         let poses = (0..n).map(|i| Pose::look_at(eye(i), DVec3::ZERO, DVec3::Z));
-        poses.map(|p| View::new(&p, camera, camera.project(p.transform(x)).unwrap())).collect()
+        poses.map(|p| PointView::new(&p, camera, camera.project(p.transform(x)).unwrap())).collect()
     }
 
     const GATES: Gates = Gates { max_error_px: 4.0, min_angle: 0.02 };
@@ -209,13 +209,16 @@ mod tests {
     }
 
     #[test]
-    fn wrong_sightings_are_told_apart() {
+    fn wrong_observations_are_told_apart() {
         let camera = Camera::centred(1, CameraModel::SimplePinhole, 640, 480, 700.0);
         let x = DVec3::new(0.1, 0.2, -0.3);
         let mut views = ring(&camera, 9, 1.0, x);
         for i in [0, 3, 4, 7] {
-            views[i] =
-                View::new(&views[i].pose, &camera, views[i].pixel + DVec2::new(30.0 + 9.0 * i as f64, -50.0));
+            views[i] = PointView::new(
+                &views[i].pose,
+                &camera,
+                views[i].pixel + DVec2::new(30.0 + 9.0 * i as f64, -50.0),
+            );
         }
         let found = triangulate(&views, &GATES).unwrap();
         assert_eq!(found.inliers, vec![1, 2, 5, 6, 8]);
@@ -226,17 +229,17 @@ mod tests {
     fn no_baseline_parallel_rays_and_points_behind_give_nothing() {
         let camera = Camera::centred(1, CameraModel::SimplePinhole, 640, 480, 700.0);
         let pose = Pose::IDENTITY;
-        let still = [View::new(&pose, &camera, DVec2::splat(100.0)); 3];
+        let still = [PointView::new(&pose, &camera, DVec2::splat(100.0)); 3];
         assert!(triangulate(&still, &GATES).is_none());
         let beside = Pose::from_centre(glam::DQuat::IDENTITY, DVec3::X);
         let parallel = [
-            View::new(&pose, &camera, DVec2::splat(100.0)),
-            View::new(&beside, &camera, DVec2::splat(100.0)),
+            PointView::new(&pose, &camera, DVec2::splat(100.0)),
+            PointView::new(&beside, &camera, DVec2::splat(100.0)),
         ];
         assert!(triangulate(&parallel, &GATES).is_none());
         let diverging = [
-            View::new(&pose, &camera, DVec2::new(100.0, 240.0)),
-            View::new(&beside, &camera, DVec2::new(500.0, 240.0)),
+            PointView::new(&pose, &camera, DVec2::new(100.0, 240.0)),
+            PointView::new(&beside, &camera, DVec2::new(500.0, 240.0)),
         ];
         assert!(triangulate(&diverging, &GATES).is_none());
         assert!(triangulate(&[], &GATES).is_none());

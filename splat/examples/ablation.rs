@@ -1,6 +1,7 @@
-//! What each choice of the trainer is worth: the same data set trained within the same time with one choice changed.
-//! `cargo run --release -p splat --example ablation -- DATASET_DIR --budget 20s,60s [--only TEXT]` prints a table of PSNR on
-//! the held-out views (8-bit renders, transparent pixels over black).
+//! What each choice of the trainer is worth: the same data set trained within the same time with
+//! one choice changed. `cargo run --release -p splat --example ablation -- DATASET_DIR --budget
+//! 20s,60s [--only TEXT]` prints a table of PSNR on the held-out views (8-bit renders, transparent
+//! pixels over black).
 
 use clap::Parser;
 use glam::{Mat3, Quat, Vec3};
@@ -29,10 +30,12 @@ struct Cli {
     /// Masks beside the photos, where they are not in them
     #[arg(long)]
     masks: Option<PathBuf>,
-    /// Train at half the resolution: held-out views are then seen from twice as near as anything that was trained on
+    /// Train at half the resolution: held-out views are then seen from twice as near as anything
+    /// that was trained on
     #[arg(long)]
     zoom: bool,
-    /// Poses of the training views off by so many degrees, as a solver leaves them: what they look at stays in the middle
+    /// Poses of the training views off by so many degrees, as a solver leaves them: what they look
+    /// at stays in the middle
     #[arg(long, default_value_t = 0.0)]
     wrong_poses: f64,
     #[command(flatten)]
@@ -57,8 +60,8 @@ fn rows() -> Vec<Row> {
     ]
 }
 
-/// Moves the training views by turns of `degrees` about each axis (uniform, that standard deviation); they shift along to keep what
-/// they look at, but for a third of that.
+/// Moves the training views by turns of `degrees` about each axis (uniform, that standard
+/// deviation); they shift along to keep what they look at, but for a third of that.
 fn misplace(dataset: &mut Dataset, degrees: f64) {
     for (k, view) in dataset.views.iter_mut().enumerate().filter(|(_, v)| !v.held_out) {
         let mut rng = scene::rng::rng(0, "wrong poses", k as u64);

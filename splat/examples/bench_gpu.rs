@@ -14,7 +14,7 @@ use glam::{DVec3, Quat, Vec3};
 use rand::Rng;
 use scene::{Camera, CameraModel, Gaussians, Pose, Progress, metrics};
 use serde_json::{Value, json};
-use splat::Normalisation;
+use splat::NormalisedFrame;
 use splat::backend::{Backend, KernelTimes, LearningRates, StepInput, Target};
 use splat::model::Model;
 use splat::statistics::Statistics;
@@ -113,7 +113,7 @@ fn synthetic(cli: &Cli, text: &str) -> Result<Value> {
     let (n, w, h): (usize, u32, u32) = (n.parse()?, w.parse()?, h.parse()?);
     let camera = Camera::centred(1, CameraModel::Pinhole, w, h, f64::from(h));
     let pose = Pose::look_at(DVec3::new(2.5, 0.4, 0.3), DVec3::ZERO, DVec3::Z);
-    let view = Normalisation { centre: DVec3::ZERO, scale: 1.0 }.view(&camera, &pose);
+    let view = NormalisedFrame { centre: DVec3::ZERO, scale: 1.0 }.view(&camera, &pose);
     let (mut backend, _) = splat::device::open(&cli.train.device)?;
     backend.upload(Model::from_gaussians(&ball(n)), Statistics::default())?;
     let options = RenderOptions::default();

@@ -13,7 +13,7 @@ use splat::clock::cpu_seconds;
 use splat::model::Model;
 use splat::profile::ProfiledProcessor;
 use splat::{AlphaMode, Dataset, RenderOptions, TrainConfig, View, train};
-use splat::{Normalisation, Pixels, pyramid};
+use splat::{NormalisedFrame, Pixels, pyramid};
 
 type Result<T> = std::result::Result<T, Box<dyn std::error::Error + Send + Sync>>;
 
@@ -69,7 +69,7 @@ fn step(cli: &Cli, n: usize, w: usize, h: usize, size: usize) -> Result<Row> {
         }
         let view = camera(k, w as u32, h as u32);
         let out = backend.step(&StepInput {
-            view: &Normalisation { centre: DVec3::ZERO, scale: 1.0 }.view(&view.0, &view.1),
+            view: &NormalisedFrame { centre: DVec3::ZERO, scale: 1.0 }.view(&view.0, &view.1),
             target: Target { rgb: &rgb, mask: None, transparent: false, photo: None },
             options: RenderOptions::default(),
             rates: LearningRates::default(),
@@ -98,7 +98,7 @@ fn views(n: usize) -> Result<Row> {
     const STEPS: u32 = 150;
     let before = memory("VmRSS:");
     reset_peak();
-    let normalisation = Normalisation { centre: DVec3::ZERO, scale: 1.0 };
+    let normalisation = NormalisedFrame { centre: DVec3::ZERO, scale: 1.0 };
     let view = |k: usize| {
         let (camera, pose) = camera(k, 320, 240);
         let rgb = (0..320 * 240 * 3).map(|i| ((i + k) * 37 % 251) as u8).collect();

@@ -50,7 +50,7 @@ fn main() -> Result<()> {
         TrainConfig { iterations: cli.warm_up, max_gaussians: cli.gaussians, ..TrainConfig::default() };
     config.recipe.prune_redundant = false;
     let result = train(&dataset, &config, None, &Progress::silent())?;
-    let normalised = Model::from_gaussians(&dataset.normalisation.to_normalised(result.gaussians.clone()));
+    let normalised = Model::from_gaussians(&dataset.normalisation.normalise(result.gaussians.clone()));
     println!(
         "{} gaussians of SH degree {}, {} views of {} x {}",
         normalised.len,

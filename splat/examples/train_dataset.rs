@@ -1,7 +1,7 @@
-//! Trains on a data set and measures the held-out views:
-//! `cargo run --release -p splat --example train_dataset -- DATASET_DIR OUT [flags]`.
-//! DATASET_DIR: `images/` with `sparse/0`, or a `transforms.json`. Writes splat.ply, metrics.json and
-//! photo | render | difference for every held-out view.
+//! Trains on a data set and measures the held-out views: `cargo run --release -p splat --example
+//! train_dataset -- DATASET_DIR OUT [flags]`. DATASET_DIR: `images/` with `sparse/0`, or a
+//! `transforms.json`. Writes splat.ply, metrics.json and photo | render | difference for every
+//! held-out view.
 
 use clap::Parser;
 use image::{Rgb, RgbImage};

@@ -37,7 +37,8 @@ pub struct TrainConfig {
     /// Training steps; one view each
     #[arg(long, default_value_t = ITERATIONS, help_heading = "Splat")]
     pub iterations: u32,
-    /// Wall time for training (90, 60s, 5m, 1h): the schedule fits itself into it and --iterations is not used
+    /// Wall time for training (90, 60s, 5m, 1h): the schedule fits itself into it and --iterations
+    /// is not used
     #[arg(long, value_parser = parse_duration, value_name = "TIME", help_heading = "Splat")]
     pub time_limit: Option<f64>,
     /// Never more Gaussians than this
@@ -60,8 +61,8 @@ pub struct TrainConfig {
     /// Scale opacity with the 2D low-pass (Mip-Splatting), against aliasing
     #[arg(long, help_heading = "Splat")]
     pub antialias: bool,
-    /// Keep Gaussians as large as what the views sample (Mip-Splatting's 3D filter): from nearer than the photos any viewer shows
-    /// them better, from where they were taken a little softer
+    /// Keep Gaussians as large as what the views sample (Mip-Splatting's 3D filter): from nearer
+    /// than the photos any viewer shows them better, from where they were taken a little softer
     #[arg(long, help_heading = "Splat")]
     pub smoothing: bool,
     /// Move the training views to where the splat shows what their photos show
@@ -76,7 +77,8 @@ pub struct TrainConfig {
     /// Where to train.
     #[command(flatten)]
     pub device: DeviceConfig,
-    /// Seconds of the time limit that went by before training began, such as for loading the images.
+    /// Seconds of the time limit that went by before training began, such as for loading the
+    /// images.
     #[arg(skip)]
     #[serde(skip)]
     pub seconds_gone: f64,
@@ -95,13 +97,15 @@ pub enum PoseRefinement {
     Off,
 }
 
-/// Steps. Source: docs/benchmarks.md (quality against time): a few minutes on two cores.
+/// Steps. Source: docs/benchmarks.md, splats by preset: a few minutes on two cores.
 const ITERATIONS: u32 = 4000;
-/// Gaussians. Source: docs/decisions/0025 (150,000 kept lego400 from gaining between one and five minutes).
+/// Gaussians. Source: docs/decisions/13 (150,000 kept lego400 from gaining between one and five
+/// minutes).
 const MAX_GAUSSIANS: usize = 300_000;
 /// Weight of D-SSIM against L1. Source: Kerbl et al. 2023.
 const LAMBDA_DSSIM: f32 = 0.2;
-/// Halvings of the resolution at the start. Source: docs/benchmarks.md, ablations (full resolution throughout loses 0.3 dB).
+/// Halvings of the resolution at the start. Source: docs/decisions/13 (full resolution throughout
+/// loses 0.3 dB).
 const COARSE_LEVELS: u32 = 2;
 /// The most of them. Source: at 1/16 a picture of a megapixel has 60 × 60 pixels.
 pub(crate) const MAX_COARSE_LEVELS: u32 = 4;

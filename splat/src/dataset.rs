@@ -34,10 +34,11 @@ pub struct DatasetConfig {
 
 /// Every how manieth view is held out. Source: Kerbl et al. 2023 (as Mip-NeRF 360 does).
 const TEST_EVERY: usize = 8;
-/// What lies so near to the edge of a matte may be on either side, pixels: mattes and poses are no more exact, and a rod is no
-/// wider. Source: docs/decisions/0014.
+/// What lies so near to the edge of a matte may be on either side, pixels: mattes and poses are no
+/// more exact, and a rod is no wider. Source: docs/decisions/16.
 pub(crate) const MATTE_MARGIN_PX: usize = 2;
-/// Cameras that lie nearer to each other than this share of the points' distance stand at one place.
+/// Cameras that lie nearer to each other than this share of the points' distance stand at one
+/// place.
 /// Source: chosen by hand, never measured.
 const AT_ONE_PLACE: f64 = 0.02;
 /// Resolutions kept of each view: full to 1/8. Source: `--coarse-levels` is 2 by default.
@@ -50,7 +51,8 @@ impl Default for DatasetConfig {
 }
 
 impl DatasetConfig {
-    /// Whether the view with this place among all, sorted by name, is held out (a view that is alone is not).
+    /// Whether the view with this place among all, sorted by name, is held out (a view that is
+    /// alone is not).
     pub fn holds_out(&self, index: usize, views: usize) -> bool {
         self.test_every > 0 && views > 1 && index.is_multiple_of(self.test_every)
     }
@@ -86,10 +88,10 @@ pub struct View {
     pub held_out: bool,
 }
 
-/// `x_normalised = scale · (x_world − centre)`: the cameras' mean centre becomes the origin and the farthest
-/// camera lies at distance 1 (with one camera: the points' median distance is 1).
+/// `x_normalised = scale · (x_world − centre)`: the cameras' mean centre becomes the origin and the
+/// farthest camera lies at distance 1 (with one camera: the points' median distance is 1).
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
-pub struct Normalisation {
+pub struct NormalisedFrame {
     /// World frame, scene units.
     pub centre: DVec3,
     /// Normalised units a scene unit.
@@ -104,14 +106,15 @@ pub struct Dataset {
     /// The sparse cloud in the normalised frame.
     pub points: Vec<(Vec3, [u8; 3])>,
     /// Normalised from world.
-    pub normalisation: Normalisation,
+    pub normalisation: NormalisedFrame,
     /// What masks mean.
     pub alpha: AlphaMode,
 }
 
 impl Dataset {
-    /// Loads the images of a reconstruction (PINHOLE or SIMPLE_PINHOLE cameras), with the masks of `mask_dir`
-    /// (`a.png`, `a.jpg.png` or `a.mask.png` for `a.jpg`) or, failing that, the images' alpha channels.
+    /// Loads the images of a reconstruction (PINHOLE or SIMPLE_PINHOLE cameras), with the masks of
+    /// `mask_dir` (`a.png`, `a.jpg.png` or `a.mask.png` for `a.jpg`) or, failing that, the images'
+    /// alpha channels.
     pub fn load(
         image_dir: &Path,
         mask_dir: Option<&Path>,
@@ -122,7 +125,7 @@ impl Dataset {
         let mut images: Vec<&PosedImage> = model.images.values().collect();
         images.sort_by(|a, b| a.name.cmp(&b.name));
         progress.begin("load images", images.len());
-        let normalisation = Normalisation::of(model);
+        let normalisation = NormalisedFrame::of(model);
         let load = |(index, image): (usize, &&PosedImage)| {
             let held_out = config.holds_out(index, images.len());
             let view = load_view(image_dir, mask_dir, model, image, &normalisation, held_out)?;
@@ -153,7 +156,7 @@ impl Dataset {
     }
 }
 
-impl Normalisation {
+impl NormalisedFrame {
     /// Of a reconstruction: from its cameras, from its points where the cameras stand at one place.
     pub fn of(model: &Reconstruction) -> Self {
         let centres: Vec<DVec3> = model.images.values().map(|i| i.pose.centre()).collect();
@@ -187,7 +190,7 @@ impl Normalisation {
     }
 
     /// Gaussians of the normalised frame in the world.
-    pub(crate) fn to_world(&self, mut g: Gaussians) -> Gaussians {
+    pub(crate) fn denormalise(&self, mut g: Gaussians) -> Gaussians {
         let shift = self.scale.ln() as f32;
         for mean in &mut g.means {
             *mean = (mean.as_dvec3() / self.scale + self.centre).as_vec3();
@@ -197,7 +200,7 @@ impl Normalisation {
     }
 
     /// Gaussians of the world in the normalised frame.
-    pub(crate) fn to_normalised(&self, mut g: Gaussians) -> Gaussians {
+    pub fn normalise(&self, mut g: Gaussians) -> Gaussians {
         let shift = self.scale.ln() as f32;
         g.means.iter_mut().for_each(|mean| *mean = self.point(mean.as_dvec3()));
         g.log_scales.iter_mut().for_each(|s| *s += Vec3::splat(shift));
@@ -231,7 +234,7 @@ fn load_view(
     mask_dir: Option<&Path>,
     model: &Reconstruction,
     image: &PosedImage,
-    frame: &Normalisation,
+    frame: &NormalisedFrame,
     held_out: bool,
 ) -> Result<View, SplatError> {
     let camera = pinhole_camera(model, image)?;
@@ -273,7 +276,8 @@ fn load_pixels(
     Ok(Pixels { width: found.0 as usize, height: found.1 as usize, rgb: loaded.rgb.into_raw(), mask })
 }
 
-/// The mask of an image in the namings in use: `a.png`, `a.jpg.png`, `a.mask.png`, or the same name.
+/// The mask of an image in the namings in use: `a.png`, `a.jpg.png`, `a.mask.png`, or the same
+/// name.
 fn mask_path(dir: &Path, relative: &Path) -> Option<PathBuf> {
     let name = relative.to_string_lossy().into_owned();
     let stem = relative.with_extension("").to_string_lossy().into_owned();
@@ -293,8 +297,8 @@ pub fn pyramid(full: Pixels) -> Vec<Pixels> {
     levels
 }
 
-/// Area average over blocks of 2^level pixels; colours weighted with the mask, so that what is transparent does
-/// not bleed in.
+/// Area average over blocks of 2^level pixels; colours weighted with the mask, so that what is
+/// transparent does not bleed in.
 fn shrink(full: &Pixels, level: u32) -> Pixels {
     let (width, height) = (level_size(full.width, level), level_size(full.height, level));
     let mut rgb = Vec::with_capacity(width * height * 3);
@@ -318,7 +322,8 @@ fn block(i: usize, small: usize, full: usize) -> Range<usize> {
     start..((i + 1) * full / small).max(start + 1)
 }
 
-/// Mean colour, weighted with the mask unless that is black, and mean of the mask (white without one).
+/// Mean colour, weighted with the mask unless that is black, and mean of the mask (white without
+/// one).
 fn mean_of_block(full: &Pixels, rows: Range<usize>, columns: Range<usize>) -> ([u8; 3], u8) {
     let (mut sum, mut weight, mut plain, mut count) = ([0u32; 3], 0u32, [0u32; 3], 0u32);
     for i in rows.flat_map(|r| columns.clone().map(move |c| r * full.width + c)) {

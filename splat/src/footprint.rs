@@ -5,16 +5,21 @@ use crate::init::focus;
 use crate::quantile::median;
 use crate::view::PinholeView;
 
-/// Points of the sparse cloud that are looked at, at most. Source: chosen by hand; a median is sought.
+/// Points of the sparse cloud that are looked at, at most. Source: chosen by hand; a median is
+/// sought.
 const POINTS: usize = 500;
-/// Outside of this, normalised units, it says nothing of step sizes: pictures of a few pixels, or points that are all wrong.
-/// Source: a pixel of captures is 2e-4 to 4e-3 (docs/decisions/0022); chosen by hand around that.
+/// Outside of this, normalised units, it says nothing of step sizes: pictures of a few pixels, or
+/// points that are all wrong.
+/// Source: chosen by hand around the pixels of fox and temple_ring, 3e-3 and 7e-4
+/// (docs/decisions/12).
 const RANGE: std::ops::RangeInclusive<f32> = 1e-5..=1e-2;
 
-/// Width of a pixel at the depth of the scene, normalised units: the median of z / f over the training views and those points
-/// of the sparse cloud that they have in their pictures; without any, of the distance from what the cameras look at.
+/// Width of a pixel at the depth of the scene, normalised units: the median of z / f over the
+/// training views and those points of the sparse cloud that they have in their pictures; without
+/// any, of the distance from what the cameras look at.
 ///
-/// What a picture tells of a place it tells in pixels, so this is what steps of positions are measured in.
+/// What a picture tells of a place it tells in pixels, so this is what steps of positions are
+/// measured in.
 pub(crate) fn footprint(dataset: &Dataset) -> f32 {
     let points: Vec<_> = dataset.points.iter().filter(|(p, _)| p.is_finite()).collect();
     let some = points.iter().step_by(points.len().div_ceil(POINTS).max(1));
@@ -22,7 +27,7 @@ pub(crate) fn footprint(dataset: &Dataset) -> f32 {
     let mut sizes: Vec<f32> = Vec::new();
     for (x, _) in some {
         for view in &views {
-            let c = view.to_camera(*x);
+            let c = view.camera_point(*x);
             if view.sees(c) {
                 sizes.push(c.z / focal(view));
             }
@@ -49,7 +54,8 @@ mod tests {
     use glam::{DVec3, Vec3};
     use scene::{Camera, CameraModel, Pose};
 
-    /// Eight cameras of `focal` pixels at distance 1 around the origin, the first held out, and some points.
+    /// Eight cameras of `focal` pixels at distance 1 around the origin, the first held out, and
+    /// some points.
     fn capture(focal: f64, points: &[Vec3]) -> Dataset {
         let normalisation = NormalisedFrame { centre: DVec3::ZERO, scale: 1.0 };
         let camera = Camera::centred(1, CameraModel::Pinhole, 640, 480, focal);
@@ -69,7 +75,8 @@ mod tests {
         for focal in [300.0, 600.0, 1200.0] {
             let about = |points: &[Vec3]| f64::from(footprint(&capture(focal, points))) * focal;
             assert!((about(&[Vec3::ZERO]) - 1.0).abs() < 1e-5);
-            // What the cameras look at stands in for points, also where there is none that tells anything.
+            // What the cameras look at stands in for points, also where there is none that tells
+            // anything.
             assert!((about(&[]) - 1.0).abs() < 1e-5);
             assert!((about(&[Vec3::NAN, Vec3::new(0.0, 0.0, 90.0)]) - 1.0).abs() < 1e-5);
             // A point beside the ring's middle is nearer for as many cameras as it is farther for.

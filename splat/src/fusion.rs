@@ -1,14 +1,16 @@
 //! A triangle mesh of Gaussians: their surface as the input cameras see it, fused.
 //!
-//! Depths at half transmittance ([`crate::surface`]) of the input views, the photos' colours, truncated signed distances,
-//! marching cubes ([`scene::geometry::fuse`]); the way of 2DGS (Huang et al., SIGGRAPH 2024, section 4.3).
+//! Depths at half transmittance ([`crate::surface`]) of the input views, the photos' colours,
+//! truncated signed distances, marching cubes ([`scene::geometry::fuse`]); the way of 2DGS (Huang
+//! et al., SIGGRAPH 2024, section 4.3).
 //!
 //! ```no_run
 //! use scene::{Gaussians, Progress};
 //! use splat::{Dataset, fusion};
 //!
 //! # fn mesh(gaussians: &Gaussians, dataset: &Dataset) -> Result<(), splat::SplatError> {
-//! let mesh = fusion::fused_mesh(gaussians, dataset, false, fusion::DEFAULT_RESOLUTION, &Progress::silent())?;
+//! let (voxels, progress) = (fusion::DEFAULT_RESOLUTION, Progress::silent());
+//! let mesh = fusion::fused_mesh(gaussians, dataset, false, voxels, &progress)?;
 //! println!("{} triangles", mesh.triangles.len());
 //! # Ok(())
 //! # }
@@ -25,34 +27,39 @@ use scene::geometry::{DepthMap, FusionOptions, Mesh, fuse};
 use scene::sim3::Sim3;
 use scene::{Gaussians, Pose, Progress};
 
-/// Most voxels along the longest side of the object, unless asked for otherwise. Source: docs/decisions/0014.
+/// Most voxels along the longest side of the object, unless asked for otherwise. Source:
+/// docs/decisions/16.
 pub const DEFAULT_RESOLUTION: u32 = 400;
 /// Most views that are fused, spread evenly. Source: chosen by hand, never measured.
 const MOST_VIEWS: usize = 120;
 /// A voxel is at least so many pixels of the surface wide: seen aslant, pixels lie farther apart.
-/// Source: docs/decisions/0014.
+/// Source: docs/decisions/16.
 const PIXELS_OF_A_VOXEL: f64 = 1.5;
-/// Distances are cut off here, voxels. Source: docs/decisions/0014; Huang et al. 2024 have 5 too.
+/// Distances are cut off here, voxels. Source: docs/decisions/16.
 const TRUNCATION: f64 = 5.0;
-/// Most memory of the volume, bytes. Source: docs/decisions/0014.
+/// Most memory of the volume, bytes. Source: docs/decisions/16.
 const MOST_BYTES: usize = 3 << 30;
-/// Parts smaller than this share of the largest one's area are left out. Source: docs/decisions/0014; a boom or an antenna is
-/// a few thousandths.
+/// Parts smaller than this share of the largest one's area are left out. Source: docs/decisions/16;
+/// a boom or an antenna is a few thousandths.
 const LEAST_PART: f64 = 0.001;
-/// A surface is seen by at least this share of the views: half of them look at its back, and some are in each other's way.
+/// A surface is seen by at least this share of the views: half of them look at its back, and some
+/// are in each other's way.
 /// Source: chosen by hand, never measured.
 const LEAST_VIEWS: f64 = 0.05;
-/// Of the measured points, this share at either end says nothing of the object's size. Source: chosen by hand, never measured.
+/// Of the measured points, this share at either end says nothing of the object's size. Source:
+/// chosen by hand, never measured.
 const TAIL: f64 = 0.005;
-/// Points of a map by which sizes are told, at most. Source: chosen by hand: [`TAIL`] of it are 100.
+/// Points of a map by which sizes are told, at most. Source: chosen by hand: [`TAIL`] of it are
+/// 100.
 const POINTS_OF_A_MAP: usize = 20_000;
 /// Masks are white from here, of 255. Source: the middle.
 const WHITE: u8 = 128;
 
-/// The surface of a scene's Gaussians (world frame) as the views of the data set see it, with the photos' colours;
-/// world frame, no triangles where nothing is half opaque. `resolution`: voxels along the longest side of what is seen,
-/// which without mattes ends at the cameras' distance; fewer where a voxel would be smaller than a pixel, because surfaces seen
-/// through gaps are full of holes. Where a matte is black, nothing is.
+/// The surface of a scene's Gaussians (world frame) as the views of the data set see it, with the
+/// photos' colours; world frame, no triangles where nothing is half opaque. `resolution`: voxels
+/// along the longest side of what is seen, which without mattes ends at the cameras' distance;
+/// fewer where a voxel would be smaller than a pixel, because surfaces seen through gaps are full
+/// of holes. Where a matte is black, nothing is.
 pub fn fused_mesh(
     gaussians: &Gaussians,
     dataset: &Dataset,
@@ -63,7 +70,7 @@ pub fn fused_mesh(
     // In the normalised frame no number is too small or too large, whatever the units are.
     let n = &dataset.normalisation;
     let normalised = Sim3 { scale: n.scale, translation: -n.scale * n.centre, ..Sim3::IDENTITY };
-    let gaussians = n.to_normalised(gaussians.clone());
+    let gaussians = n.normalise(gaussians.clone());
     let count = dataset.views.len().min(MOST_VIEWS);
     progress.begin("depth maps", count);
     let mut maps = Vec::with_capacity(count);
@@ -119,7 +126,8 @@ fn depth_map(
     Some(DepthMap { camera, pose: *pose, depth, rgb: pixels.rgb.clone() })
 }
 
-/// What a black mask says of the depths: nothing, or that the ray is empty (less surely so near to white).
+/// What a black mask says of the depths: nothing, or that the ray is empty (less surely so near to
+/// white).
 fn blank(depth: &mut [f32], pixels: &Pixels, alpha: AlphaMode) {
     let Some(mask) = &pixels.mask else { return };
     let near_white = near_white(mask, pixels.width);
@@ -174,7 +182,8 @@ fn crop(maps: &mut [DepthMap]) {
         for i in 0..map.depth.len() {
             let point = map.point(i, &world_from_cam);
             if let Some(p) = point.filter(|p| p.distance(centre) > radius) {
-                // A ray that went on behind the middle found it empty; one that ended before it says nothing.
+                // A ray that went on behind the middle found it empty; one that ended before it
+                // says nothing.
                 let passed = p.distance(eye) > centre.distance(eye);
                 map.depth[i] = if passed { f32::INFINITY } else { f32::NAN };
             }

@@ -6,7 +6,8 @@ use crate::view::PinholeView;
 use glam::Vec3;
 use rayon::prelude::*;
 
-/// Coverage (of 255) below which a pixel of a matte shows only background. Source: 3 %, chosen by hand, never measured.
+/// Coverage (of 255) below which a pixel of a matte shows only background. Source: 3 %, chosen by
+/// hand, never measured.
 const EMPTY: u8 = 8;
 /// Level of the outlines (1: half the resolution): mattes and poses are no more exact.
 /// Source: chosen by hand, never measured.
@@ -15,7 +16,8 @@ const LEVEL: usize = 1;
 const MARGIN: usize = MATTE_MARGIN_PX >> LEVEL;
 /// Views with a matte from which a hull is told. Source: chosen by hand, never measured.
 const LEAST_VIEWS: usize = 8;
-/// Views that may contradict a place before it counts as outside. Source: chosen by hand: mattes lose a rod here and there.
+/// Views that may contradict a place before it counts as outside. Source: chosen by hand: mattes
+/// lose a rod here and there.
 const FEW: usize = 2;
 /// The same as a share of those that see it, one in so many. Source: see [`FEW`].
 const ONE_IN: usize = 20;
@@ -28,9 +30,9 @@ struct Silhouette {
 
 /// Silhouettes of all views that have a matte, to ask whether a place can belong to the object.
 ///
-/// A place outside the visual hull (Laurentini 1994) is seen before the background by some view. A few such views prove
-/// nothing, so a place is outside when more than 2 and more than a twentieth of the views that have it in their picture show
-/// background there.
+/// A place outside the visual hull (Laurentini 1994) is seen before the background by some view. A
+/// few such views prove nothing, so a place is outside when more than 2 and more than a twentieth
+/// of the views that have it in their picture show background there.
 pub(crate) struct VisualHull {
     silhouettes: Vec<Silhouette>,
 }
@@ -52,7 +54,8 @@ impl VisualHull {
         empty > FEW && empty * ONE_IN > seen
     }
 
-    /// Removes Gaussians whose centre the hull excludes; returns how many. None where that would leave nothing.
+    /// Removes Gaussians whose centre the hull excludes; returns how many. None where that would
+    /// leave nothing.
     pub(crate) fn prune(&self, model: &mut Model) -> usize {
         let all = (0..model.len as u32).into_par_iter();
         let keep: Vec<u32> = all.filter(|&i| !self.excludes(model.mean(i as usize))).collect();
@@ -79,7 +82,7 @@ impl Silhouette {
     /// Whether the silhouette covers `x`; `None` outside the picture.
     fn covers(&self, x: Vec3) -> Option<bool> {
         let view = &self.view;
-        let c = view.to_camera(x);
+        let c = view.camera_point(x);
         if c.z <= 0.0 {
             return None;
         }
@@ -95,7 +98,8 @@ mod tests {
     use glam::{DVec3, Quat};
     use scene::{Camera, CameraModel, Gaussians, Pose};
 
-    /// Views from a ring of radius 1 of a ball of radius `radius` at the origin; every `blind`-th matte is empty.
+    /// Views from a ring of radius 1 of a ball of radius `radius` at the origin; every `blind`-th
+    /// matte is empty.
     fn views(count: usize, radius: f64, blind: usize) -> Vec<View> {
         let camera = Camera::centred(1, CameraModel::Pinhole, 64, 48, 60.0);
         let normalisation = NormalisedFrame { centre: DVec3::ZERO, scale: 1.0 };

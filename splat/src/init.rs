@@ -11,9 +11,11 @@ use rand::Rng as _;
 use scene::Gaussians;
 use scene::gaussians::SH_C0;
 
-/// Opacity of the first Gaussians. Source: chosen on short runs of fox (Kerbl et al. 2023 have 0.1).
+/// Opacity of the first Gaussians. Source: chosen on short runs of fox (Kerbl et al. 2023 have
+/// 0.1).
 const OPACITY: f32 = 0.3;
-/// Points of a sparse cloud with fewer than which it is not used. Source: chosen by hand, never measured.
+/// Points of a sparse cloud with fewer than which it is not used. Source: chosen by hand, never
+/// measured.
 const LEAST_POINTS: usize = 16;
 /// Gaussians placed where there is no sparse cloud. Source: chosen by hand, never measured.
 const RANDOM_POINTS: usize = 15_000;
@@ -24,11 +26,13 @@ const CANDIDATES: usize = 400_000;
 const BALL: f64 = 0.6;
 /// Matte (of 255) below which a view excludes a point. Source: 6 %, chosen by hand, never measured.
 const EMPTY: u8 = 16;
-/// Determinant a view at which optical axes are parallel. Source: a spread of the axes of about 0.6°.
+/// Determinant a view at which optical axes are parallel. Source: a spread of the axes of about
+/// 0.6°.
 const PARALLEL: f64 = 1e-4;
 
-/// A point stands alone where its neighbours are farther off than this share of its distance from the nearest camera.
-/// Source: docs/benchmarks.md, "Splats within a time" (case 2 was ghosts without it).
+/// A point stands alone where its neighbours are farther off than this share of its distance from
+/// the nearest camera.
+/// Source: docs/decisions/12, first sizes.
 const ALONE: f32 = 0.2;
 /// Scale of its first Gaussian, as a share of that distance. Source: see [`ALONE`].
 const LARGEST: f32 = 0.05;
@@ -39,14 +43,16 @@ const SQUARED_SCALES: [f32; 2] = [1e-10, 1e2];
 /// A point and its colour.
 type ColouredPoint = (Vec3, [u8; 3]);
 
-/// The finite points of the sparse cloud (normalised) with their colours; none where they are too few to be used.
+/// The finite points of the sparse cloud (normalised) with their colours; none where they are too
+/// few to be used.
 pub(crate) fn cloud(dataset: &Dataset) -> Option<Vec<ColouredPoint>> {
     let points: Vec<_> = dataset.points.iter().filter(|(p, _)| p.is_finite()).copied().collect();
     (points.len() >= LEAST_POINTS).then_some(points)
 }
 
-/// Gaussians at the sparse cloud's points or, without any, at random points inside the masks' visual hull (or the cameras'
-/// common frustum). Isotropic; the scale is the root mean square distance to the three nearest neighbours.
+/// Gaussians at the sparse cloud's points or, without any, at random points inside the masks'
+/// visual hull (or the cameras' common frustum). Isotropic; the scale is the root mean square
+/// distance to the three nearest neighbours.
 pub(crate) fn initial_gaussians(dataset: &Dataset, max: usize, seed: u64) -> Result<Gaussians, SplatError> {
     let points = cloud(dataset).unwrap_or_else(|| random_points(dataset, max.min(RANDOM_POINTS), seed));
     if points.is_empty() {
@@ -58,8 +64,9 @@ pub(crate) fn initial_gaussians(dataset: &Dataset, max: usize, seed: u64) -> Res
     Ok(gaussians)
 }
 
-/// Points that stand alone, such as wrong ones far away, would become Gaussians that fill every picture and that the others
-/// are trained against. They begin small; those of a thin background stay as large as its gaps.
+/// Points that stand alone, such as wrong ones far away, would become Gaussians that fill every
+/// picture and that the others are trained against. They begin small; those of a thin background
+/// stay as large as its gaps.
 fn limit_scales(gaussians: &mut Gaussians, cameras: &[Vec3]) {
     let least = SQUARED_SCALES[0].sqrt();
     for (mean, scales) in gaussians.means.iter().zip(&mut gaussians.log_scales) {
@@ -95,7 +102,8 @@ fn at_points(points: &[ColouredPoint]) -> Gaussians {
     }
 }
 
-/// The point nearest to all optical axes (least squares) and the mean distance of the cameras from it.
+/// The point nearest to all optical axes (least squares) and the mean distance of the cameras from
+/// it.
 pub(crate) fn focus(views: &[&View]) -> Option<(DVec3, f64)> {
     let (mut a, mut b) = (DMat3::ZERO, DVec3::ZERO);
     for v in views {
@@ -123,7 +131,7 @@ enum PointInView {
 }
 
 fn look_at(view: &View, x: Vec3) -> PointInView {
-    let c = view.view.to_camera(x);
+    let c = view.view.camera_point(x);
     if c.z < NEAREST as f32 {
         return PointInView::Outside;
     }
@@ -161,8 +169,8 @@ fn in_ball(rng: &mut scene::rng::Rng) -> Vec3 {
     }
 }
 
-/// Mean colour of a point over the views, where at most one mask excludes it and two views have it in their pictures (fewer
-/// where there are fewer than three).
+/// Mean colour of a point over the views, where at most one mask excludes it and two views have it
+/// in their pictures (fewer where there are fewer than three).
 fn mean_colour(views: &[&View], x: Vec3) -> Option<[u8; 3]> {
     let (mut seen, mut masked, mut sum) = (0u32, 0u32, [0u32; 3]);
     for view in views {

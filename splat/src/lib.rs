@@ -1,10 +1,12 @@
 //! Gaussian splatting: from posed images to Gaussians, and from Gaussians to images.
 //!
-//! The trainer works in a normalised frame (cameras within about one unit of the origin, [`Dataset`]); results
-//! come back in the world frame of the reconstruction. Backends share the kernels' names and their image formation:
-//! `reference` is the specification in f64, `cpu` the production path, `gpu` the same on graphics adapters.
+//! The trainer works in a normalised frame (cameras within about one unit of the origin,
+//! [`Dataset`]); results come back in the world frame of the reconstruction. Backends share the
+//! kernels' names and their image formation: `reference` is the specification in f64, `cpu` the
+//! production path, `gpu` the same on graphics adapters.
 //!
-//! [`train()`] makes Gaussians of a [`Dataset`], [`Renderer`] pictures of Gaussians, [`fusion`] a mesh.
+//! [`train()`] makes Gaussians of a [`Dataset`], [`Renderer`] pictures of Gaussians, [`fusion`] a
+//! mesh.
 
 mod adapter;
 pub mod backend;
@@ -35,7 +37,7 @@ mod view;
 
 pub use adapter::{Adapter, AdapterKind};
 pub use config::{PoseRefinement, Quality, TrainConfig};
-pub use dataset::{AlphaMode, Dataset, DatasetConfig, Normalisation, Pixels, View, pyramid};
+pub use dataset::{AlphaMode, Dataset, DatasetConfig, NormalisedFrame, Pixels, View, pyramid};
 pub use device::{BackendChoice, DeviceConfig, adapters};
 pub use error::SplatError;
 pub use render::Renderer;

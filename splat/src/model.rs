@@ -26,7 +26,8 @@ pub(crate) const OPACITY: usize = 10;
 /// Geometric parameters: plane p of Gaussian i is `planes[p][i]`.
 pub type Planes = [Vec<f32>; GEOMETRY];
 
-/// N Gaussians in training. Invariant: every plane has `padded(len)` entries, every SH array `len · 3K`.
+/// N Gaussians in training. Invariant: every plane has `padded(len)` entries, every SH array `len ·
+/// 3K`.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Model {
     /// Number of Gaussians.
@@ -174,7 +175,8 @@ impl Model {
         removed
     }
 
-    /// The Gaussians in `order` to be drawn: parameters without moments (zeros, which take no memory until written).
+    /// The Gaussians in `order` to be drawn: parameters without moments (zeros, which take no
+    /// memory until written).
     pub(crate) fn drawn(&self, order: &[u32]) -> Self {
         let (k, n) = (self.sh_stride(), padded(order.len()));
         let zeros = |n: usize| -> Planes { std::array::from_fn(|_| vec![0.0; n]) };

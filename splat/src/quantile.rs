@@ -1,6 +1,7 @@
 //! Order statistics.
 
-/// The value below which a share (0 to 1) of the values lies, the nearest one; `None` without values.
+/// The value below which a share (0 to 1) of the values lies, the nearest one; `None` without
+/// values.
 pub(crate) fn quantile(mut values: Vec<f64>, share: f64) -> Option<f64> {
     let place = ((values.len().max(1) - 1) as f64 * share).round() as usize;
     (!values.is_empty()).then(|| *values.select_nth_unstable_by(place, f64::total_cmp).1)

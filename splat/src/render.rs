@@ -22,7 +22,7 @@
 //! ```
 
 use crate::backend::Backend;
-use crate::dataset::Normalisation;
+use crate::dataset::NormalisedFrame;
 use crate::device::{BackendChoice, DeviceConfig};
 use crate::error::SplatError;
 use crate::model::Model;
@@ -35,8 +35,9 @@ use scene::{Camera, Decision, Gaussians, Pose};
 /// Renders many views of the same Gaussians.
 pub struct Renderer {
     backend: Box<dyn Backend>,
-    frame: Normalisation,
-    /// Whether the Gaussians were trained with [`RenderOptions::antialias`]: then every picture has it.
+    frame: NormalisedFrame,
+    /// Whether the Gaussians were trained with [`RenderOptions::antialias`]: then every picture has
+    /// it.
     pub antialias: bool,
 }
 
@@ -47,13 +48,13 @@ impl Renderer {
         Ok(Self::on(&device, gaussians)?.0)
     }
 
-    /// Prepares the Gaussians, in a frame in which their spread is 1, so that scenes of any unit render alike; says where
-    /// they will be rendered.
+    /// Prepares the Gaussians, in a frame in which their spread is 1, so that scenes of any unit
+    /// render alike; says where they will be rendered.
     pub fn on(device: &DeviceConfig, gaussians: &Gaussians) -> Result<(Self, Decision), SplatError> {
         gaussians.validate().map_err(SplatError::InvalidGaussians)?;
         let frame = spread(gaussians);
         let (mut backend, decision) = crate::device::open(device)?;
-        let model = Model::from_gaussians(&frame.to_normalised(gaussians.clone()));
+        let model = Model::from_gaussians(&frame.normalise(gaussians.clone()));
         backend.upload(model, Statistics::default())?;
         Ok((Self { backend, frame, antialias: false }, decision))
     }
@@ -80,10 +81,10 @@ impl Renderer {
 }
 
 /// Median centre and median distance from it.
-fn spread(g: &Gaussians) -> Normalisation {
+fn spread(g: &Gaussians) -> NormalisedFrame {
     let finite = |values: &mut dyn Iterator<Item = f64>| median(values.filter(|v| v.is_finite()).collect());
     let [x, y, z] = [0, 1, 2].map(|a| finite(&mut g.means.iter().map(|m| f64::from(m[a]))).unwrap_or(0.0));
     let centre = DVec3::new(x, y, z);
     let distance = finite(&mut g.means.iter().map(|m| m.as_dvec3().distance(centre))).unwrap_or(0.0);
-    Normalisation { centre, scale: if distance > 0.0 { 1.0 / distance } else { 1.0 } }
+    NormalisedFrame { centre, scale: if distance > 0.0 { 1.0 / distance } else { 1.0 } }
 }

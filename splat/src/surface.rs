@@ -1,8 +1,8 @@
 //! The surface of Gaussians: the depth at which a ray is half absorbed.
 //!
-//! Expected depth, which renderers give, lies between two surfaces at every edge and is drawn towards whatever shines
-//! through; the median does not. Scalar f64, on the kernels of [`crate::reference`], with tiles: it is for judging, not
-//! for drawing.
+//! Expected depth, which renderers give, lies between two surfaces at every edge and is drawn
+//! towards whatever shines through; the median does not. Scalar f64, on the kernels of
+//! [`crate::reference`], with tiles: it is for judging, not for drawing.
 
 use crate::cpu::TILE;
 use crate::dataset::{Dataset, MATTE_MARGIN_PX, Pixels};
@@ -14,8 +14,10 @@ use glam::{DMat3, DQuat, DVec2, DVec3};
 use rayon::prelude::*;
 use scene::{Camera, Gaussians, Pose};
 
-/// Camera z, scene units, at which the transmittance along each pixel's ray falls to one half or below, [height × width]: where
-/// the Gaussian that brings it there is densest along the ray (a flat one is a plane, and not as far as its centre everywhere); `None` where it never does. The camera must be without distortion; `antialias` as in training.
+/// Camera z, scene units, at which the transmittance along each pixel's ray falls to one half or
+/// below, [height × width]: where the Gaussian that brings it there is densest along the ray (a
+/// flat one is a plane, and not as far as its centre everywhere); `None` where it never does. The
+/// camera must be without distortion; `antialias` as in training.
 pub fn median_depth(
     gaussians: &Gaussians,
     camera: &Camera,
@@ -62,7 +64,8 @@ struct Solid {
     reach: f64,
 }
 
-/// Nothing of a Gaussian is looked for beyond so many standard deviations. Source: 99.7 % of it lie within.
+/// Nothing of a Gaussian is looked for beyond so many standard deviations. Source: 99.7 % of it lie
+/// within.
 const REACH_SIGMAS: f64 = 3.0;
 
 impl Solid {
@@ -75,8 +78,8 @@ impl Solid {
         Self { mean: view.rotation * g.mean + view.translation, precision, reach }
     }
 
-    /// Camera z at which the density along a ray (through the origin, z = 1) is largest: the `t` that minimises
-    /// `(t d − μ)ᵀ Σ⁻¹ (t d − μ)`, within the Gaussian's reach.
+    /// Camera z at which the density along a ray (through the origin, z = 1) is largest: the `t`
+    /// that minimises `(t d − μ)ᵀ Σ⁻¹ (t d − μ)`, within the Gaussian's reach.
     fn peak(&self, ray: DVec3) -> f64 {
         let towards = self.precision * ray;
         let t = towards.dot(self.mean) / towards.dot(ray);
@@ -142,8 +145,9 @@ pub fn points_of(depth: &[Option<f64>], camera: &Camera, pose: &Pose) -> Vec<DVe
     .collect()
 }
 
-/// Share of the Gaussians' opacity whose centres lie outside the visual hull: black in the mask of some view that has them
-/// in its frame. Held-out views count too. `None` where no view has a mask, or nothing is opaque.
+/// Share of the Gaussians' opacity whose centres lie outside the visual hull: black in the mask of
+/// some view that has them in its frame. Held-out views count too. `None` where no view has a mask,
+/// or nothing is opaque.
 pub fn outside_hull(gaussians: &Gaussians, dataset: &Dataset) -> Option<f64> {
     if !dataset.is_transparent()
         || dataset.views.iter().all(|v| v.levels.first().is_none_or(|l| l.mask.is_none()))
@@ -277,7 +281,7 @@ mod tests {
         let mut dataset = Dataset {
             views: vec![view(40), view(20)],
             points: Vec::new(),
-            normalisation: crate::dataset::Normalisation { centre: DVec3::ZERO, scale: 1.0 },
+            normalisation: crate::dataset::NormalisedFrame { centre: DVec3::ZERO, scale: 1.0 },
             alpha: crate::AlphaMode::Transparent,
         };
         let mut g = cloud(0, 4);
@@ -309,7 +313,8 @@ mod tests {
         }
         let points = points_of(&median_depth(&g, &camera, &pose, 0.01, false), &camera, &pose);
         assert!(points.len() > 2500, "{}", points.len());
-        // A pixel takes the depth of a Gaussian's centre, which on a sheet seen aslant is not quite its own.
+        // A pixel takes the depth of a Gaussian's centre, which on a sheet seen aslant is not quite
+        // its own.
         assert!(points.iter().all(|p| (p.z - 4.0).abs() < 0.05), "{points:?}");
     }
 }

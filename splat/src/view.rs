@@ -1,10 +1,12 @@
-//! A camera, and what is rendered through it: the leaf types that data sets, backends and training share.
+//! A camera, and what is rendered through it: the leaf types that data sets, backends and training
+//! share.
 
 use glam::{Mat3, Vec3};
 use scene::FloatImage;
 use serde::{Deserialize, Serialize};
 
-/// Points nearer to a camera than this say nothing, normalised units. Source: chosen by hand, never measured.
+/// Points nearer to a camera than this say nothing, normalised units. Source: chosen by hand, never
+/// measured.
 pub(crate) const NEAREST: f64 = 0.05;
 
 /// A pinhole camera and its pose in the frame of the Gaussians, f32.
@@ -31,7 +33,7 @@ impl PinholeView {
     }
 
     /// `x` in the frame of the camera: `R x + t`.
-    pub(crate) fn to_camera(&self, x: Vec3) -> Vec3 {
+    pub(crate) fn camera_point(&self, x: Vec3) -> Vec3 {
         self.rotation * x + self.translation
     }
 
@@ -45,14 +47,16 @@ impl PinholeView {
         px >= 0.0 && py >= 0.0 && px < self.width as f32 && py < self.height as f32
     }
 
-    /// Whether a point in the frame of the camera lies before it and in its picture. Without a division.
+    /// Whether a point in the frame of the camera lies before it and in its picture. Without a
+    /// division.
     pub(crate) fn sees(&self, c: Vec3) -> bool {
         let [px, py] = [0, 1].map(|k| self.focal[k] * c[k] + self.centre[k] * c.z);
         let inside = px >= 0.0 && py >= 0.0 && px < self.width as f32 * c.z && py < self.height as f32 * c.z;
         c.z > 0.0 && inside
     }
 
-    /// The view at a resolution of `1 / 2^level`, sizes rounded down (at least 1), scaled about the image corner.
+    /// The view at a resolution of `1 / 2^level`, sizes rounded down (at least 1), scaled about the
+    /// image corner.
     pub fn at_level(&self, level: u32) -> Self {
         let (width, height) = (level_size(self.width, level), level_size(self.height, level));
         let (sx, sy) = (width as f32 / self.width as f32, height as f32 / self.height as f32);
@@ -76,7 +80,8 @@ pub(crate) fn level_size(full: usize, level: u32) -> usize {
 pub struct RenderOptions {
     /// Colour behind everything, sRGB values in [0, 1].
     pub background: [f32; 3],
-    /// Gaussians nearer than this are not drawn, scene units (default: a hundredth of the Gaussians' spread).
+    /// Gaussians nearer than this are not drawn, scene units (default: a hundredth of the
+    /// Gaussians' spread).
     pub near: Option<f32>,
     /// Scale opacity with the 2D low-pass (Mip-Splatting); as in training.
     pub antialias: bool,

@@ -1,13 +1,16 @@
 //! The charts of a sweep, one SVG. (plotters, as in the report: axes, scales and text are its work.)
 
-use super::Point;
+use super::point::Point;
 use anyhow::{Result, anyhow};
 use plotters::coord::Shift;
 use plotters::prelude::*;
 use std::collections::BTreeMap;
 
+/// Size of a chart, pixels. Source: chosen by hand, never measured.
 const WIDTH: u32 = 480;
+/// See [`WIDTH`]. Source: chosen by hand, never measured.
 const HEIGHT: u32 = 360;
+/// Charts beside each other. Source: chosen by hand, never measured.
 const COLUMNS: usize = 3;
 const OURS: RGBColor = RGBColor(0x1f, 0x77, 0xb4);
 const THEIRS: [RGBColor; 4] = [

@@ -1,6 +1,6 @@
 //! What was measured of other tools: `data/bench/peers.json`, or a file like it.
 
-use super::Point;
+use super::point::Point;
 use anyhow::{Context, Result};
 use serde::Deserialize;
 use std::path::Path;

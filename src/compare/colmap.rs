@@ -51,7 +51,7 @@ pub fn run(name: &str, run: &Path, frames: Option<&FrameSet>, verbosity: Verbosi
     let sparse = folder.join("sparse");
     std::fs::create_dir_all(&sparse).with_context(|| format!("cannot make {}", sparse.display()))?;
     let masks = frames.map_or(Ok(None), |frames| link_masks(frames, run, &folder.join("masks")))?;
-    let mut job = Job {
+    let mut job = ColmapJob {
         database: folder.join("database.db"),
         log: folder.join("log"),
         spent: Spent::default(),
@@ -108,14 +108,14 @@ fn help_of(step: &str) -> String {
     })
 }
 
-struct Job {
+struct ColmapJob {
     database: PathBuf,
     log: PathBuf,
     spent: Spent,
     verbosity: Verbosity,
 }
 
-impl Job {
+impl ColmapJob {
     fn step(&self, step: &str) -> Command {
         let mut command = Command::new("colmap");
         command.arg(step).arg("--database_path").arg(&self.database).env("QT_QPA_PLATFORM", "offscreen");

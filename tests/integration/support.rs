@@ -8,6 +8,15 @@ pub fn sat_recon(arguments: &[&str]) -> Output {
     Command::new(env!("CARGO_BIN_EXE_sat-recon")).args(arguments).output().expect("the program starts")
 }
 
+/// Runs the program in a folder.
+pub fn sat_recon_in(folder: &Path, arguments: &[String]) -> Output {
+    Command::new(env!("CARGO_BIN_EXE_sat-recon"))
+        .args(arguments)
+        .current_dir(folder)
+        .output()
+        .expect("the program starts")
+}
+
 /// Runs the program and demands an exit code; what it said is in the failure message.
 pub fn expect_code(arguments: &[&str], code: i32) -> String {
     let output = sat_recon(arguments);

@@ -2,10 +2,11 @@
 
 use super::Measurement;
 use crate::CameraModel;
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 /// How camera and object move relative to each other.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "kebab-case")]
 pub enum MotionModel {
     /// Rotation about one fixed axis.
@@ -19,7 +20,7 @@ pub enum MotionModel {
 }
 
 /// How a coordinate pair of the principal point is treated.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "kebab-case")]
 pub enum PrincipalPoint {
     /// Held at the image centre.
@@ -37,7 +38,7 @@ pub enum PrincipalPoint {
 }
 
 /// Which mapper makes the model.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "kebab-case")]
 pub enum MapperKind {
     /// Image by image.
@@ -47,7 +48,7 @@ pub enum MapperKind {
 }
 
 /// What training does with pixels outside the mattes.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "kebab-case")]
 pub enum BackgroundModel {
     /// There is no matte: the background is part of the scene.
@@ -59,7 +60,7 @@ pub enum BackgroundModel {
 }
 
 /// How illumination is modelled.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "kebab-case")]
 pub enum LightModel {
     /// The spherical harmonics carry what depends on the viewing direction.
@@ -69,7 +70,7 @@ pub enum LightModel {
 }
 
 /// Where features come from.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "kebab-case")]
 pub enum FeatureSource {
     /// A COLMAP database.
@@ -77,7 +78,7 @@ pub enum FeatureSource {
 }
 
 /// What cuts the object out.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "kebab-case")]
 pub enum MatteKind {
     /// None: the frames stay as they are.
@@ -89,7 +90,7 @@ pub enum MatteKind {
 }
 
 /// What was chosen, or could have been.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "kebab-case")]
 pub enum Choice {
     /// A camera model.

@@ -263,6 +263,11 @@ impl Remark {
             Self::NoHue => "hardly any pixel has a distinct hue",
             Self::EmptyFrames => "most frames show nothing before the screen",
             Self::RandomBackground => "training draws random colours behind the object",
+            Self::LampMovesWithCamera => {
+                "the object turned before fixed lamps, so in its own frame they move with the camera; \
+                 views off the filmed circle are extrapolated"
+            }
+            Self::MatchedAnew => "the features are matched anew",
             Self::NoValidation => "as configured: no view was set aside to examine it",
         }
     }

@@ -7,7 +7,7 @@
 
 use std::sync::OnceLock;
 
-/// An edge of a cell: its corners, the one with the lower coordinates first.
+/// An edge of a cell: its corners, the one with the lower coordinates first. Source: derived.
 pub(super) const EDGES: [[usize; 2]; 12] = {
     let (mut edges, mut n, mut axis) = ([[0; 2]; 12], 0, 0);
     while axis < 3 {

@@ -4,10 +4,11 @@ use super::{Mesh, Surface};
 use glam::DVec3;
 use rayon::prelude::*;
 use rstar::{PointDistance, RTree};
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 /// How points and surface differ. Distances are in per cent of the mesh's size (diagonal of its box).
-#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct GeometryErrors {
     /// Points that were judged.
     pub points: usize,

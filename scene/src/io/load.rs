@@ -8,9 +8,9 @@ use std::fs::File;
 use std::io::BufReader;
 use std::path::Path;
 
-/// The longest side that is decoded, pixels.
+/// The longest side that is decoded, pixels. Source: the limit of JPEG (ITU-T T.81, B.2.2).
 const MAX_SIDE: u32 = 65_535;
-/// The most decoded bytes of one image.
+/// The most decoded bytes of one image. Source: chosen by hand, never measured.
 const MAX_BYTES: u64 = 1 << 30;
 
 /// An upright 8-bit image.
@@ -178,6 +178,14 @@ pub fn resize_area<P: Pixel<Subpixel = u8>>(
     out
 }
 
+/// The image with its longer side at most `side` pixels, its proportions kept.
+pub fn shrunk(image: &RgbImage, side: u32) -> RgbImage {
+    let (width, height) = image.dimensions();
+    let scale = (f64::from(side) / f64::from(width.max(height).max(1))).min(1.0);
+    let [width, height] = [width, height].map(|v| (f64::from(v) * scale).round() as u32);
+    resize_area(image, width, height)
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -193,6 +201,8 @@ mod tests {
         assert_eq!(resize_area(&image, 1, 1).get_pixel(0, 0).0, [100, 90, 7]);
         assert_eq!(resize_area(&image, 12, 8).get_pixel(11, 7), image.get_pixel(5, 3));
         assert_eq!(resize_area(&image, 0, 2).dimensions(), (1, 2));
+        assert_eq!(shrunk(&image, 3).dimensions(), (3, 2));
+        assert_eq!(shrunk(&image, 100).dimensions(), (6, 4));
     }
 
     #[test]

@@ -4,7 +4,6 @@
 
 use super::error::{IoError, read_text};
 use super::load::image_info;
-use super::truth::share_camera;
 use super::{safe_name, write_atomic};
 use crate::sim3::nearest_rotation;
 use crate::{Camera, CameraModel, Pose, PosedImage, Reconstruction};
@@ -103,7 +102,7 @@ pub fn read_transforms(path: &Path) -> Result<TransformsFile, IoError> {
             camera_of(path, &document.intrinsics, &entry.intrinsics, on_disk.as_deref(), &file_path)?;
         let model = &mut file.reconstruction;
         let id = model.images.len() as u32 + 1;
-        let camera = share_camera(model, Camera { id: model.cameras.len() as u32 + 1, ..camera });
+        let camera = model.share_camera(Camera { id: model.cameras.len() as u32 + 1, ..camera });
         model
             .images
             .insert(id, PosedImage { id, camera, name: file_path.clone(), pose, observations: Vec::new() });
@@ -160,7 +159,7 @@ fn pose_of(path: &Path, entry: &FrameEntry) -> Result<Pose, IoError> {
     Ok(Pose::from_centre(world_from_cam.conjugate(), centre))
 }
 
-/// Half a turn about x: y down and z forward instead of y up and z backward.
+/// A rotation by 180° about x: y down and z forward instead of y up and z backward.
 const GL_FROM_CV: DQuat = DQuat::from_xyzw(1.0, 0.0, 0.0, 0.0);
 
 fn camera_of(

@@ -108,22 +108,8 @@ fn add(
     let next = model.cameras.len() as u32 + 1;
     let camera =
         Camera { id: next, model: CameraModel::Pinhole, width, height, params, has_prior_focal: true };
-    let camera = share_camera(model, camera);
+    let camera = model.share_camera(camera);
     let id = model.images.len() as u32 + 1;
     model.images.insert(id, PosedImage { id, camera, name, pose, observations: Vec::new() });
     Ok(())
-}
-
-/// The number of an equal camera of the model, or of this one, added.
-pub(super) fn share_camera(model: &mut Reconstruction, camera: Camera) -> u32 {
-    let same = |c: &&Camera| {
-        (c.model, c.width, c.height) == (camera.model, camera.width, camera.height)
-            && c.params == camera.params
-    };
-    if let Some(found) = model.cameras.values().rev().find(same) {
-        return found.id;
-    }
-    let id = camera.id;
-    model.cameras.insert(id, camera);
-    id
 }

@@ -12,10 +12,11 @@ use crate::metrics::MetricsError;
 use image::{GrayImage, RgbImage};
 pub use network::{Backbone, Lpips};
 
-/// Mean and deviation by channel that the `lpips` package normalises inputs in [-1, 1] with.
+/// Mean by channel of inputs in [−1, 1]. Source: the `lpips` package 0.1, ScalingLayer.
 const SHIFT: [f32; 3] = [-0.030, -0.088, -0.188];
+/// Deviation by channel of inputs in [−1, 1]. Source: the `lpips` package 0.1, ScalingLayer.
 const SCALE: [f32; 3] = [0.458, 0.448, 0.450];
-/// Keeps the normalisation of an all-zero feature finite.
+/// Keeps the normalisation of an all-zero feature finite. Source: the `lpips` package 0.1.
 const EPSILON: f32 = 1e-10;
 
 /// Feature maps: [channels, height, width].

@@ -7,12 +7,13 @@ use glam::{DQuat, DVec3};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 
-/// Thresholds of [`PoseErrors::auc`], degrees.
+/// Thresholds of [`PoseErrors::auc`], degrees. Source: Jin et al., IJCV 2021 (5, 10), with 1 and 3 for what is
+/// more exact.
 pub const AUC_THRESHOLDS_DEG: [f64; 4] = [1.0, 3.0, 5.0, 10.0];
 
 /// Median, mean and maximum.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
-pub struct Statistics {
+pub struct ErrorStatistics {
     /// Median.
     pub median: f64,
     /// Mean.
@@ -21,7 +22,7 @@ pub struct Statistics {
     pub max: f64,
 }
 
-impl Statistics {
+impl ErrorStatistics {
     /// Of some values; `None` where there are none.
     pub fn of(values: &[f64]) -> Option<Self> {
         let mut sorted = values.to_vec();
@@ -56,9 +57,9 @@ pub struct PoseErrors {
     /// directions; a pair with an unregistered image fails. `None` for fewer than two images.
     pub auc: Option<[f64; 4]>,
     /// Angle between estimated and true rotation after alignment, degrees, registered images.
-    pub rotation_deg: Option<Statistics>,
+    pub rotation_deg: Option<ErrorStatistics>,
     /// Distance of camera centres after alignment, percent of `extent`, registered images.
-    pub centre_pct: Option<Statistics>,
+    pub centre_pct: Option<ErrorStatistics>,
     /// Diagonal of the box around the true centres, units of the ground truth.
     pub extent: f64,
     /// Units of the ground truth a unit of the model.
@@ -109,7 +110,7 @@ pub fn compare_poses(model: &Reconstruction, truth: &Reconstruction) -> PoseErro
             .collect();
         errors.scale = Some(sim.scale);
         let column =
-            |f: fn(&ImageError) -> f64| Statistics::of(&errors.images.iter().map(f).collect::<Vec<_>>());
+            |f: fn(&ImageError) -> f64| ErrorStatistics::of(&errors.images.iter().map(f).collect::<Vec<_>>());
         (errors.centre_pct, errors.rotation_deg) = (column(|e| e.centre_pct), column(|e| e.rotation_deg));
     }
     errors
@@ -189,7 +190,7 @@ fn focal_error(
         let rescale = if known { f64::from(ct.width) / f64::from(ce.width) } else { 1.0 };
         Some(100.0 * (ce.mean_focal() * rescale / ct.mean_focal() - 1.0))
     };
-    Statistics::of(&both.iter().filter_map(error).collect::<Vec<_>>()).map(|s| s.median)
+    ErrorStatistics::of(&both.iter().filter_map(error).collect::<Vec<_>>()).map(|s| s.median)
 }
 
 #[cfg(test)]

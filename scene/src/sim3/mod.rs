@@ -5,7 +5,7 @@ mod compare;
 mod horn;
 
 pub use align::{robust_alignment, umeyama};
-pub use compare::{AUC_THRESHOLDS_DEG, ImageError, PoseErrors, Statistics, compare_poses};
+pub use compare::{AUC_THRESHOLDS_DEG, ErrorStatistics, ImageError, PoseErrors, compare_poses};
 pub(crate) use horn::largest_eigenvector;
 pub use horn::nearest_rotation;
 

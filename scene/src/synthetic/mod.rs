@@ -6,7 +6,7 @@ mod points;
 mod texture;
 
 pub use photos::{TexturedScene, photo_ring};
-pub use points::{CameraPath, Shape, SyntheticOptions, SyntheticScene, synthetic_scene};
+pub use points::{CameraPath, SceneShape, SyntheticOptions, SyntheticScene, synthetic_scene};
 
 use crate::rng::Rng;
 use crate::{Camera, CameraModel, Pose, PosedImage, Reconstruction};

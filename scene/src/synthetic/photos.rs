@@ -7,12 +7,13 @@ use glam::{DVec2, DVec3};
 use image::{GrayImage, Luma, Rgb, RgbImage};
 use rayon::prelude::*;
 
-/// Half sides of the object: a block whose corners a sphere cuts off.
+/// Half sides of the object, scene units: a block whose corners a sphere cuts off. Source: chosen by hand, never measured.
 const HALF: DVec3 = DVec3::new(0.9, 0.65, 0.5);
+/// Radius of that sphere, scene units. Source: chosen by hand, never measured.
 const CORNER_RADIUS: f64 = 1.05;
-/// The ground is a disc of this radius under the object.
+/// The ground is a disc of this radius under the object, scene units. Source: chosen by hand, never measured.
 const GROUND_RADIUS: f64 = 2.5;
-/// Samples along each side of a pixel.
+/// Samples along each side of a pixel. Source: chosen by hand, never measured.
 const SAMPLES: usize = 2;
 
 /// The object, with or without its ground. The texture is solid and dull (no highlights), so pixels of one
@@ -113,7 +114,7 @@ impl TexturedScene {
     }
 }
 
-/// Direction towards the light, unit.
+/// Direction towards the light, unit length. Source: chosen by hand, never measured.
 const LIGHT: DVec3 = DVec3::new(0.36, 0.48, 0.8);
 
 /// First intersection with the block cut by the sphere, and the normal there.

@@ -6,7 +6,7 @@ use scene::Progress;
 
 /// An adjustment of some motion.
 pub trait Adjustable: Clone {
-    /// Cameras, points, sightings.
+    /// Cameras, points, observations.
     fn bundle(&self) -> &BundleProblem;
     /// The same, to be changed (its poses are read only).
     fn bundle_mut(&mut self) -> &mut BundleProblem;

@@ -1,12 +1,12 @@
-//! Points moved alone to where the robust cost of their sightings is least, poses and cameras as they are.
+//! Points moved alone to where the robust cost of their observations is least, poses and cameras as they are.
 //!
-//! Far from its sightings' middle a redescending loss bends the other way than the parabola that reweighted least squares take for
+//! Far from its observations' middle a redescending loss bends the other way than the parabola that reweighted least squares take for
 //! it, so that a single point creeps there for tens of steps, which a joint adjustment would take for all. Alone it costs next to
 //! nothing, and Newton's step with the loss's own curvature (Triggs et al. 1999, section 4.3) is there in two or three.
 
-use super::{BundleProblem, Loss};
+use super::{BundleProblem, RobustLoss};
 use crate::solvers::levenberg::cauchy;
-use crate::triangulation::{View, linearise};
+use crate::triangulation::{PointView, linearise};
 use glam::{DMat3, DVec3};
 use rayon::prelude::*;
 
@@ -14,28 +14,28 @@ use rayon::prelude::*;
 const STEPS: usize = 12;
 /// Most halvings of a step.
 const HALVINGS: usize = 4;
-/// A cost that falls by less, in variances of a sighting, is at its least.
+/// A cost that falls by less, in variances of an observation, is at its least.
 const ENOUGH: f64 = 1e-3;
 
 impl BundleProblem {
     /// For each point where its cost under Cauchy's loss (scale in standard deviations) is least nearby; where it is now under
     /// other losses, where it is held, and where nothing better is found.
-    pub(crate) fn settled_points(&self, loss: Loss) -> Vec<DVec3> {
-        let Loss::Cauchy(width) = loss else { return self.points.clone() };
-        let mut of_point: Vec<Vec<(View<'_>, f64)>> = vec![Vec::new(); self.points.len()];
+    pub(crate) fn settle_points(&self, loss: RobustLoss) -> Vec<DVec3> {
+        let RobustLoss::Cauchy(width) = loss else { return self.points.clone() };
+        let mut of_point: Vec<Vec<(PointView<'_>, f64)>> = vec![Vec::new(); self.points.len()];
         for o in self.observations.iter().filter(|o| o.sigma_px > 0.0) {
             let (pose, camera) =
                 (self.poses[o.pose as usize], &self.cameras[self.pose_camera[o.pose as usize] as usize]);
-            let view = View { pose, camera, pixel: o.pixel, centre: DVec3::ZERO, ray: DVec3::ZERO };
+            let view = PointView { pose, camera, pixel: o.pixel, centre: DVec3::ZERO, ray: DVec3::ZERO };
             of_point[o.point as usize].push((view, 1.0 / (o.sigma_px * o.sigma_px)));
         }
         let points = self.points.par_iter().zip(&self.point_constant).zip(of_point);
-        points.map(|((x, held), views)| if *held { *x } else { settled(*x, &views, width) }).collect()
+        points.map(|((x, held), views)| if *held { *x } else { settle_point(*x, &views, width) }).collect()
     }
 }
 
 /// Newton's steps from `x` as far as each lowers the cost.
-fn settled(mut x: DVec3, views: &[(View<'_>, f64)], width: f64) -> DVec3 {
+fn settle_point(mut x: DVec3, views: &[(PointView<'_>, f64)], width: f64) -> DVec3 {
     let cost =
         |x: DVec3| views.iter().map(|(v, weight)| cauchy(v.error_sq(x) * weight, width).0).sum::<f64>();
     let mut best = cost(x);
@@ -56,7 +56,7 @@ fn settled(mut x: DVec3, views: &[(View<'_>, f64)], width: f64) -> DVec3 {
 }
 
 /// The step to the least of the second-order expansion, or of the reweighted squares where that has none.
-fn newton(x: DVec3, views: &[(View<'_>, f64)], width: f64) -> Option<DVec3> {
+fn newton(x: DVec3, views: &[(PointView<'_>, f64)], width: f64) -> Option<DVec3> {
     let (mut slope, mut squares, mut bent) = (DVec3::ZERO, DMat3::ZERO, DMat3::ZERO);
     for (view, weight) in views {
         let Some((residual, rows)) = linearise(view, x) else { continue };

@@ -115,7 +115,8 @@ fn a_robust_loss_shrugs_off_wrong_matches() {
     let mut problem = ring(CameraModel::SimplePinhole, 1.0, DVec3::ZERO);
     problem.observations.iter_mut().step_by(20).for_each(|o| o.pixel += DVec2::new(40.0, -25.0));
     disturb(&mut problem, 1.0);
-    let options = SolveOptions { loss: Loss::Cauchy(1.0), max_iterations: 100, ..SolveOptions::default() };
+    let options =
+        SolveOptions { loss: RobustLoss::Cauchy(1.0), max_iterations: 100, ..SolveOptions::default() };
     problem.solve(&options, &Progress::silent()).unwrap();
     assert!((problem.cameras[0].params[0] - 600.0).abs() < 0.5, "{:?}", problem.cameras[0]);
 }
@@ -185,8 +186,8 @@ fn standard_deviations_do_not_depend_on_the_order_of_elimination() {
     let mut knot = chain.clone();
     for pose in 3..8 {
         let pixel = knot.cameras[0].project(knot.poses[pose].transform(knot.points[0])).unwrap();
-        let sighting = BundleObservation { pose: pose as u32, point: 0, pixel, sigma_px: 1e6 };
-        knot.observations.push(sighting);
+        let observation = BundleObservation { pose: pose as u32, point: 0, pixel, sigma_px: 1e6 };
+        knot.observations.push(observation);
     }
     let of = |p: &BundleProblem| p.covariance(&SolveOptions::default()).unwrap().unwrap();
     let (chain, knot) = (of(&chain), of(&knot));
@@ -212,14 +213,14 @@ fn the_same_problem_gives_the_same_bytes() {
 fn points_alone_settle_where_their_robust_cost_is_least() {
     let exact = ring(CameraModel::Radial, 1.0, DVec3::ZERO);
     let mut problem = exact.clone();
-    // One sighting of eight is wrong: far from what the others say the loss bends the other way.
+    // One observation of eight is wrong: far from what the others say the loss bends the other way.
     problem.observations.iter_mut().filter(|o| o.pose == 2).for_each(|o| o.pixel += DVec2::new(30.0, -20.0));
     let mut random = rng(5, "settle", 0);
     for x in &mut problem.points {
         *x += DVec3::from_array(std::array::from_fn(|_| random.random_range(-0.02..0.02)));
     }
-    let loss = Loss::Cauchy(0.5);
-    let settled = problem.settled_points(loss);
+    let loss = RobustLoss::Cauchy(0.5);
+    let settled = problem.settle_points(loss);
     let slope = |point: usize, x: DVec3| -> f64 {
         let views = problem.observations.iter().filter(|o| o.point as usize == point);
         let at = |x: DVec3| -> f64 {
@@ -247,11 +248,11 @@ fn points_that_nothing_can_settle_stay() {
     problem.points[7] = DVec3::NAN;
     problem.observations.retain(|o| o.point != 8);
     problem.observations.iter_mut().filter(|o| o.point == 9).for_each(|o| o.pixel = DVec2::NAN);
-    let settled = problem.settled_points(Loss::Cauchy(1.0));
+    let settled = problem.settle_points(RobustLoss::Cauchy(1.0));
     for i in [5, 6, 8, 9] {
         assert_eq!(settled[i], problem.points[i], "{i}");
     }
     assert!(settled[7].is_nan());
     assert_ne!(settled[4], problem.points[4]);
-    assert_eq!(problem.settled_points(Loss::Squared)[..7], problem.points[..7]);
+    assert_eq!(problem.settle_points(RobustLoss::Squared)[..7], problem.points[..7]);
 }

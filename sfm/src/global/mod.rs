@@ -4,31 +4,31 @@
 pub(crate) mod positions;
 pub(crate) mod rotations;
 
-use crate::bundle::Loss;
+use crate::bundle::RobustLoss;
 use crate::incremental::adjust::{Adjustment, adjust};
 use crate::incremental::growth::{freedom, grow, settle};
 use crate::incremental::initial::relative_pose;
-use crate::incremental::state::{Input, State};
+use crate::incremental::state::{MapState, MappingInput};
 use crate::incremental::{expel, starts_of};
 use crate::{Knowledge, SfmError};
 use glam::DQuat;
 use rayon::prelude::*;
-use rotations::Edge;
+use rotations::RotationEdge;
 use scene::{Camera, Pose, Progress, TwoViewKind};
 
 /// Pairs farther from the averaged rotations than this are wrong, radians.
 const WRONG_PAIR: f64 = 0.15;
-/// Errors to which sightings are held, one adjustment after the other, pixels for an image of 1000.
+/// Errors to which observations are held, one adjustment after the other, pixels for an image of 1000.
 const LIMITS: [f64; 4] = [60.0, 25.0, 10.0, 5.0];
 
 /// The model of the largest connected part of the view graph; `None` where it has fewer than three images. `cameras`:
 /// intrinsics that are about right.
 pub(crate) fn map(
-    input: &Input<'_>,
+    input: &MappingInput<'_>,
     cameras: &[Camera],
     known: &[Knowledge],
     progress: &Progress,
-) -> Result<Option<State>, SfmError> {
+) -> Result<Option<MapState>, SfmError> {
     progress.begin("global mapping", 0);
     let images = input.keypoints.len();
     let mut edges = view_graph(input, cameras);
@@ -37,14 +37,15 @@ pub(crate) fn map(
         progress.check()?;
         rotations = rotations::average(images, &edges);
         let before = edges.len();
-        let agrees = |e: &Edge| rotations::residual(&rotations, e).is_none_or(|r| r.length() < WRONG_PAIR);
+        let agrees =
+            |e: &RotationEdge| rotations::residual(&rotations, e).is_none_or(|r| r.length() < WRONG_PAIR);
         edges.retain(agrees);
         if edges.len() == before {
             break;
         }
     }
     let Some(found) = positions::solve(input, cameras, &rotations, progress)? else { return Ok(None) };
-    let mut state = State::new(input, cameras.to_vec());
+    let mut state = MapState::new(input, cameras.to_vec());
     for (image, (rotation, centre)) in rotations.iter().zip(&found.centres).enumerate() {
         if let (Some(rotation), Some(centre)) = (rotation, centre) {
             state.register(image, Pose::from_centre(*rotation, *centre));
@@ -53,7 +54,7 @@ pub(crate) fn map(
     found.points.iter().for_each(|&(track, position)| state.place(input, track, position));
     let starts = starts_of(cameras, known, &state);
     tighten(&mut state, input, known, &starts, progress)?;
-    if state.registered() < 3 {
+    if state.registered_count() < 3 {
         return Ok(None);
     }
     settle(&mut state, input, known, &starts, progress)?;
@@ -61,11 +62,11 @@ pub(crate) fn map(
     grow(&mut state, input, known, &starts, images, progress)?;
     settle(&mut state, input, known, &starts, progress)?;
     expel(&mut state, input);
-    Ok((state.registered() >= 3).then_some(state))
+    Ok((state.registered_count() >= 3).then_some(state))
 }
 
 /// The rotations of all verified pairs for the present intrinsics.
-fn view_graph(input: &Input<'_>, cameras: &[Camera]) -> Vec<Edge> {
+fn view_graph(input: &MappingInput<'_>, cameras: &[Camera]) -> Vec<RotationEdge> {
     let edge = |g: &scene::TwoViewGeometry| {
         if matches!(g.kind, TwoViewKind::Watermark | TwoViewKind::Degenerate) {
             return None;
@@ -73,29 +74,29 @@ fn view_graph(input: &Input<'_>, cameras: &[Camera]) -> Vec<Edge> {
         let of_pair = [g.a, g.b].map(|i| &cameras[input.camera_of[i]]);
         let pose = relative_pose(input, of_pair, g).or(g.b_from_a)?;
         let weight = (g.inliers.len() as f64).sqrt();
-        pose.is_finite().then_some(Edge { a: g.a, b: g.b, b_from_a: pose.rotation, weight })
+        pose.is_finite().then_some(RotationEdge { a: g.a, b: g.b, b_from_a: pose.rotation, weight })
     };
     input.geometries.par_iter().filter_map(edge).collect()
 }
 
 /// Adjusts with ever smaller bounds on the errors, then takes out images that see next to nothing.
 fn tighten(
-    state: &mut State,
-    input: &Input<'_>,
+    state: &mut MapState,
+    input: &MappingInput<'_>,
     known: &[Knowledge],
     starts: &[Camera],
     progress: &Progress,
 ) -> Result<(), SfmError> {
     let side = starts.iter().map(|c| c.width.max(c.height)).max().unwrap_or(1000);
     for limit in LIMITS.map(|l| (l * f64::from(side) / 1000.0).max(input.config.max_reprojection_px)) {
-        let (free, priors) = freedom(&state.cameras, known, starts, state.registered());
+        let (free, priors) = freedom(&state.cameras, known, starts, state.registered_count());
         let mut what = Adjustment::growing(free, priors);
-        what.solve.loss = Loss::SoftL1(0.25 * limit);
+        what.solve.loss = RobustLoss::SoftL1(0.25 * limit);
         adjust(state, input, &what, progress)?;
         state.filter(input, limit);
         state.grow_all(input);
     }
-    let blind = |image: &usize| state.sightings(*image) < input.config.min_sightings;
+    let blind = |image: &usize| state.observations(*image) < input.config.min_sightings;
     let blind: Vec<usize> = state.order.iter().copied().filter(blind).collect();
     blind.into_iter().for_each(|image| state.unregister(image));
     Ok(())

@@ -4,7 +4,7 @@
 
 use crate::SfmError;
 use crate::ceres::{self, PositionInput};
-use crate::incremental::state::Input;
+use crate::incremental::state::MappingInput;
 use glam::{DQuat, DVec3};
 use rand::Rng as _;
 use scene::{Camera, Progress, rng};
@@ -30,7 +30,7 @@ pub(crate) struct Positions {
 
 /// Solves for the images that have `rotations` (`image_from_world`).
 pub(crate) fn solve(
-    input: &Input<'_>,
+    input: &MappingInput<'_>,
     cameras: &[Camera],
     rotations: &[Option<DQuat>],
     progress: &Progress,
@@ -80,7 +80,7 @@ pub(crate) fn solve(
 }
 
 /// The longest tracks, until every image sees enough of them: (track, views in images with a rotation).
-fn choose_tracks(input: &Input<'_>, rotations: &[Option<DQuat>]) -> Vec<(u32, Vec<[u32; 2]>)> {
+fn choose_tracks(input: &MappingInput<'_>, rotations: &[Option<DQuat>]) -> Vec<(u32, Vec<[u32; 2]>)> {
     let mut ranked: Vec<(usize, u32)> = Vec::new();
     for (track, views) in (0u32..).zip(&input.tracks.views) {
         let known = views.iter().filter(|v| rotations[v[0] as usize].is_some()).count();

@@ -8,7 +8,7 @@ use glam::{DQuat, DVec3};
 
 /// A pair and the rotation between its images.
 #[derive(Clone, Copy, Debug)]
-pub(crate) struct Edge {
+pub(crate) struct RotationEdge {
     pub a: usize,
     pub b: usize,
     pub b_from_a: DQuat,
@@ -30,9 +30,9 @@ const REDUCTION: f64 = 1e-9;
 
 /// `image_from_world` of the images in the largest connected part of the graph (others: `None`); its first image's is
 /// the identity. The same for the same edges in the same order.
-pub(crate) fn average(images: usize, edges: &[Edge]) -> Vec<Option<DQuat>> {
+pub(crate) fn average(images: usize, edges: &[RotationEdge]) -> Vec<Option<DQuat>> {
     let mut rotations = along_tree(images, edges);
-    let known: Vec<&Edge> = edges.iter().filter(|e| rotations[e.a].is_some()).collect();
+    let known: Vec<&RotationEdge> = edges.iter().filter(|e| rotations[e.a].is_some()).collect();
     let Some(root) = rotations.iter().position(Option::is_some) else { return rotations };
     for (kind, rounds) in ROUNDS.into_iter().enumerate() {
         for _ in 0..rounds {
@@ -63,13 +63,13 @@ pub(crate) fn average(images: usize, edges: &[Edge]) -> Vec<Option<DQuat>> {
 }
 
 /// What an edge says beyond the present rotations, as a turn in the world frame: `R_bᵀ R_ba R_a = exp(ω)`.
-pub(crate) fn residual(rotations: &[Option<DQuat>], e: &Edge) -> Option<DVec3> {
+pub(crate) fn residual(rotations: &[Option<DQuat>], e: &RotationEdge) -> Option<DVec3> {
     let q = rotations[e.b]?.inverse() * e.b_from_a * rotations[e.a]?;
     Some(if q.w < 0.0 { (-q).to_scaled_axis() } else { q.to_scaled_axis() })
 }
 
 /// Rotations along the tree of the heaviest edges, of the largest connected part alone.
-fn along_tree(images: usize, edges: &[Edge]) -> Vec<Option<DQuat>> {
+fn along_tree(images: usize, edges: &[RotationEdge]) -> Vec<Option<DQuat>> {
     let mut order: Vec<usize> = (0..edges.len()).collect();
     order.sort_by(|&i, &k| edges[k].weight.total_cmp(&edges[i].weight).then(i.cmp(&k)));
     let mut part: Vec<usize> = (0..images).collect();
@@ -165,7 +165,7 @@ mod tests {
     use scene::rng::rng;
 
     /// Rotations of `n` images and noisy edges between those up to `reach` apart on a ring; every `wrong`-th is wild.
-    fn graph(n: usize, reach: usize, noise: f64, wrong: usize) -> (Vec<DQuat>, Vec<Edge>) {
+    fn graph(n: usize, reach: usize, noise: f64, wrong: usize) -> (Vec<DQuat>, Vec<RotationEdge>) {
         let mut random = rng(3, "rotations", n as u64);
         let mut turn = |size: f64| {
             DQuat::from_scaled_axis(DVec3::from_array(std::array::from_fn(|_| {
@@ -180,7 +180,7 @@ mod tests {
                 let exact = truth[b] * truth[a].inverse();
                 let wild = wrong > 0 && edges.len() % wrong == 1;
                 let b_from_a = (if wild { turn(3.0) } else { turn(noise) } * exact).normalize();
-                edges.push(Edge { a, b, b_from_a, weight: if wild { 0.5 } else { 1.0 } });
+                edges.push(RotationEdge { a, b, b_from_a, weight: if wild { 0.5 } else { 1.0 } });
             }
         }
         (truth, edges)
@@ -208,7 +208,7 @@ mod tests {
     #[test]
     fn only_the_largest_part_has_rotations_and_nothing_gives_nothing() {
         let (_, mut edges) = graph(10, 2, 0.001, 0);
-        edges.push(Edge { a: 11, b: 12, b_from_a: DQuat::IDENTITY, weight: 9.0 });
+        edges.push(RotationEdge { a: 11, b: 12, b_from_a: DQuat::IDENTITY, weight: 9.0 });
         let found = average(14, &edges);
         assert!(found[..10].iter().all(Option::is_some) && found[10..].iter().all(Option::is_none));
         assert!(average(3, &[]).iter().all(Option::is_none));

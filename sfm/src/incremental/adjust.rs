@@ -1,8 +1,8 @@
 //! Bundle adjustment of the growing model.
 
-use super::state::{Input, State};
+use super::state::{MapState, MappingInput};
 use crate::SfmError;
-use crate::bundle::{BundleObservation, BundleProblem, IntrinsicsPrior, Loss, SolveOptions};
+use crate::bundle::{BundleObservation, BundleProblem, IntrinsicsPrior, RobustLoss, SolveOptions};
 use scene::{Camera, Pose, Progress};
 use std::collections::HashMap;
 
@@ -25,7 +25,7 @@ impl Adjustment {
     /// While the model grows: rough, robust.
     pub fn growing(free: Vec<Vec<bool>>, priors: Vec<IntrinsicsPrior>) -> Self {
         let solve = SolveOptions {
-            loss: Loss::SoftL1(1.0),
+            loss: RobustLoss::SoftL1(1.0),
             max_iterations: 20,
             function_tolerance: 1e-4,
             ..SolveOptions::default()
@@ -43,8 +43,8 @@ pub(crate) struct Selected {
 
 /// Adjusts the model in place; returns the root mean square residual after (robust cost), pixels.
 pub(crate) fn adjust(
-    state: &mut State,
-    input: &Input<'_>,
+    state: &mut MapState,
+    input: &MappingInput<'_>,
     what: &Adjustment,
     progress: &Progress,
 ) -> Result<f64, SfmError> {
@@ -74,7 +74,7 @@ fn mark(n: usize, chosen: &[u32]) -> Vec<bool> {
 }
 
 /// Writes the solved values back.
-pub(crate) fn take(state: &mut State, selected: &Selected) {
+pub(crate) fn take(state: &mut MapState, selected: &Selected) {
     state.cameras.clone_from(&selected.problem.cameras);
     for (&image, pose) in selected.images.iter().zip(&selected.problem.poses) {
         state.poses[image] = Some(*pose);
@@ -87,7 +87,7 @@ pub(crate) fn take(state: &mut State, selected: &Selected) {
 }
 
 /// Chooses points and images and fills the arrays.
-pub(crate) fn select(state: &State, input: &Input<'_>, what: &Adjustment) -> Selected {
+pub(crate) fn select(state: &MapState, input: &MappingInput<'_>, what: &Adjustment) -> Selected {
     let mut images = state.order.clone();
     images.sort_unstable();
     let index: HashMap<usize, u32> = images.iter().copied().zip(0..).collect();
@@ -117,7 +117,7 @@ pub(crate) fn select(state: &State, input: &Input<'_>, what: &Adjustment) -> Sel
         for &[image, feature] in &point.views {
             let Some(&pose) = index.get(&(image as usize)) else { continue };
             let pixel = input.keypoints[image as usize][feature as usize];
-            let sigma_px = input.spreads.get(image as usize).map_or(1.0, |s| f64::from(s[feature as usize]));
+            let sigma_px = input.sigmas.get(image as usize).map_or(1.0, |s| f64::from(s[feature as usize]));
             problem.observations.push(BundleObservation { pose, point: number, pixel, sigma_px });
         }
     }
@@ -127,7 +127,7 @@ pub(crate) fn select(state: &State, input: &Input<'_>, what: &Adjustment) -> Sel
 
 /// The longest tracks first, until every image that `moves` sees `wanted` of the chosen points or has no more.
 fn covering_points(
-    state: &State,
+    state: &MapState,
     candidates: Vec<u32>,
     wanted: usize,
     moves: impl Fn(usize) -> bool,

@@ -1,7 +1,7 @@
 //! Points that only two images see and that stand alone in depth: where texture repeats, false matches that happen to
 //! lie on the epipolar line become points in the air, often near the cameras.
 
-use super::state::{Input, State};
+use super::state::{MapState, MappingInput};
 use crate::tracks::NONE;
 use glam::DVec2;
 
@@ -14,7 +14,7 @@ const FACTOR: f64 = 1.5;
 
 /// Drops points seen by two images whose depth in either of them lies outside the range of the depths of the nearest
 /// points there that three images or more see. Returns how many went.
-pub(crate) fn drop_lonely(state: &mut State, input: &Input<'_>) -> usize {
+pub(crate) fn drop_lonely(state: &mut MapState, input: &MappingInput<'_>) -> usize {
     let mut doubtful = vec![false; state.points.len()];
     for &image in &state.order {
         let Some(pose) = state.poses[image] else { continue };

@@ -2,105 +2,106 @@
 
 use super::adjust::{Adjustment, Selected, select, take};
 use super::growth::freedom;
-use super::state::{Input, State};
-use crate::bundle::{BundleProblem, Loss, SolveOptions};
-use crate::selection::{self, Choice, Intrinsics, apply, choose, choose_turned, noise_in_units, redundancy};
-use crate::turned::{asked_together, suspects, turn_problem};
-use crate::{Decision, Knowledge, PoseDeviation, SfmError, Uncertainty};
+use super::state::{MapState, MappingInput};
+use crate::bundle::{BundleProblem, RobustLoss, SolveOptions};
+use crate::model_selection::camera::{CameraChoice, FreeIntrinsics, apply, choose, choose_rotated};
+use crate::model_selection::noise::{noise_in_units, redundancy};
+use crate::model_selection::principal_point;
+use crate::model_selection::rotated_images::{group_size, rotate_problem, suspects};
+use crate::{Knowledge, PoseDeviation, SfmError, Uncertainty};
+use scene::decision::{Choice, Decision, Rule, Subject};
 use scene::{Camera, CameraModel, Progress};
 
-/// Sightings that the choice of the camera model is based on, and the first round of the last adjustment.
-pub(crate) const SIGHTINGS: usize = 6000;
-/// The same for the question whether images were turned, of the images that are asked together.
-const SIGHTINGS_TURNED: usize = 20_000;
-/// Iterations times sightings that the last adjustment may take: points creep on long after poses stand.
+/// Observations that the choice of the camera model is based on, and the first round of the last adjustment.
+pub(crate) const OBSERVATIONS: usize = 6000;
+/// The same for the question whether images were rotated, of the images that are asked together.
+const OBSERVATIONS_ROTATED: usize = 20_000;
+/// Iterations times observations that the last adjustment may take: points creep on long after poses stand.
 const LAST_EFFORT: usize = 300_000;
-/// Sightings farther off than so many standard deviations of the noise are dropped at the end.
+/// Observations farther off than so many standard deviations of the noise are dropped at the end.
 const FINAL_SIGMAS: f64 = 8.0;
 /// They are never held to less than this, pixels.
 const FINAL_LEAST_PX: f64 = 1.0;
 
 /// What the evidence says about the cameras.
-pub(crate) struct Verdict {
-    pub intrinsics: Intrinsics,
-    /// For each image whether it was turned by half a turn against the others of its camera.
-    pub turned: Option<Vec<bool>>,
+pub(crate) struct CameraVerdict {
+    pub intrinsics: FreeIntrinsics,
+    /// For each image whether it was rotated by 180° against the others of its camera.
+    pub rotated: Option<Vec<bool>>,
     pub decisions: Vec<Decision>,
-    /// The part of the model that the decision was based on, adjusted with what was decided (images turned).
+    /// The part of the model that the decision was based on, adjusted with what was decided (images rotated).
     pub adjusted: Selected,
 }
 
 /// Decides on the camera model of a model that has been adjusted.
 pub(crate) fn decide(
-    state: &State,
-    input: &Input<'_>,
+    state: &MapState,
+    input: &MappingInput<'_>,
     known: &[Knowledge],
     starts: &[Camera],
     named: Option<CameraModel>,
     progress: &Progress,
-) -> Result<Verdict, SfmError> {
-    let (free, priors) = freedom(&state.cameras, known, starts, state.registered());
+) -> Result<CameraVerdict, SfmError> {
+    let (free, priors) = freedom(&state.cameras, known, starts, state.registered_count());
     let mut what = Adjustment::growing(free, priors);
-    what.points_per_image = Some(part_of(state, SIGHTINGS));
+    what.points_per_image = Some(part_of(state, OBSERVATIONS));
     let Selected { problem, images, points } = select(state, input, &what);
     let sigma = noise_in_units(&problem);
     let choice = choose(&problem, known, named, false, sigma, progress)?;
-    let verdict = |choice: Choice, turned, mut decisions: Vec<Decision>| {
+    let verdict = |choice: CameraChoice, rotated, mut decisions: Vec<Decision>| {
         decisions.push(choice.decision);
         let adjusted = Selected { problem: choice.problem, images: images.clone(), points: points.clone() };
-        Verdict { intrinsics: choice.intrinsics, turned, decisions, adjusted }
+        CameraVerdict { intrinsics: choice.intrinsics, rotated, decisions, adjusted }
     };
-    if !input.may_be_turned {
+    if !input.may_be_rotated {
         return Ok(verdict(choice, None, Vec::new()));
     }
-    let together = asked_together(state.registered()).max(1);
-    let more = Adjustment { points_per_image: Some((SIGHTINGS_TURNED / together).clamp(50, 1000)), ..what };
+    let together = group_size(state.registered_count()).max(1);
+    let more =
+        Adjustment { points_per_image: Some((OBSERVATIONS_ROTATED / together).clamp(50, 1000)), ..what };
     let suspects = suspects(&select(state, input, &more).problem, known, progress)?;
     if suspects.is_empty() {
         return Ok(verdict(choice, None, Vec::new()));
     }
-    let ways: Vec<_> = suspects.iter().map(|s| turn_problem(&problem, s)).collect();
-    let (better, evidence) = choose_turned(&choice, &ways, known, named, sigma, progress)?;
+    let ways: Vec<_> = suspects.iter().map(|s| rotate_problem(&problem, s)).collect();
+    let (better, alternatives) = choose_rotated(&choice, &ways, known, named, sigma, progress)?;
     let count = |way: usize| suspects[way].iter().filter(|t| **t).count();
-    let mut decision = Decision {
-        what: "images turned by half a turn".to_owned(),
-        chosen: format!("0 of {}", images.len()),
-        evidence: format!("the principal points of {} images might be mirrored: {evidence}", count(0)),
-    };
+    let suspected = Choice::share(0, images.len());
+    let mut decision =
+        Decision::new(Subject::RotatedImages, suspected, Rule::Evidence).compared_all(alternatives);
     let Some((way, better)) = better else { return Ok(verdict(choice, None, vec![decision])) };
-    decision.chosen = format!("{} of {}", count(way), images.len());
-    decision.evidence = format!("their principal points are mirrored: {evidence}");
-    let mut turned = vec![false; input.keypoints.len()];
-    images.iter().zip(&suspects[way]).for_each(|(&image, &t)| turned[image] = t);
-    Ok(verdict(better, Some(turned), vec![decision]))
+    decision.choice = Choice::share(count(way), images.len());
+    let mut rotated = vec![false; input.keypoints.len()];
+    images.iter().zip(&suspects[way]).for_each(|(&image, &t)| rotated[image] = t);
+    Ok(verdict(better, Some(rotated), vec![decision]))
 }
 
 /// Points an image contributes where a part of them is enough.
-pub(crate) fn part_of(state: &State, sightings: usize) -> usize {
-    (sightings / state.registered().max(1)).clamp(50, 1000)
+pub(crate) fn part_of(state: &MapState, observations: usize) -> usize {
+    (observations / state.registered_count().max(1)).clamp(50, 1000)
 }
 
-/// The camera model once more, by all sightings of a model that has gained some: its principal point, where it was held.
-pub(crate) fn freed_point(
-    state: &State,
-    input: &Input<'_>,
+/// The camera model once more, by all observations of a model that has gained some: its principal point, where it was held.
+pub(crate) fn free_principal_point(
+    state: &MapState,
+    input: &MappingInput<'_>,
     known: &[Knowledge],
     starts: &[Camera],
-    (now, named): (Intrinsics, Option<CameraModel>),
+    (now, named): (FreeIntrinsics, Option<CameraModel>),
     progress: &Progress,
-) -> Result<Option<(Intrinsics, String)>, SfmError> {
+) -> Result<Option<(FreeIntrinsics, Decision)>, SfmError> {
     let (free, priors) = freedom(&state.cameras, known, starts, usize::MAX);
     let problem = select(state, input, &Adjustment::growing(free, priors)).problem;
-    selection::freed_point(&problem, known, (now, named), noise_in_units(&problem), progress)
+    principal_point::free_principal_point(&problem, known, (now, named), noise_in_units(&problem), progress)
 }
 
 /// Takes over the adjusted part, then triangulates, adjusts to convergence and filters with the chosen intrinsics.
 pub(crate) fn polish(
-    state: &mut State,
-    input: &Input<'_>,
+    state: &mut MapState,
+    input: &MappingInput<'_>,
     known: &[Knowledge],
     starts: &[Camera],
-    verdict: &Verdict,
+    verdict: &CameraVerdict,
     progress: &Progress,
 ) -> Result<(), SfmError> {
     take(state, &verdict.adjusted);
@@ -111,11 +112,11 @@ pub(crate) fn polish(
 
 /// Triangulates, adjusts and filters until little changes.
 pub(crate) fn converge(
-    state: &mut State,
-    input: &Input<'_>,
+    state: &mut MapState,
+    input: &MappingInput<'_>,
     known: &[Knowledge],
     starts: &[Camera],
-    intrinsics: Intrinsics,
+    intrinsics: FreeIntrinsics,
     progress: &Progress,
 ) -> Result<(), SfmError> {
     for _ in 0..2 {
@@ -135,23 +136,23 @@ pub(crate) fn converge(
 }
 
 /// Standard deviation of a residual coordinate of the model as it is, pixels.
-pub(crate) fn noise_of(state: &State, input: &Input<'_>) -> f64 {
+pub(crate) fn noise_of(state: &MapState, input: &MappingInput<'_>) -> f64 {
     let free = state.cameras.iter().map(|c| vec![false; c.params.len()]).collect();
     noise_in_units(&select(state, input, &Adjustment::growing(free, Vec::new())).problem)
 }
 
-/// Drops sightings that lie outside the noise of an adjustment; how many.
-fn trim(state: &mut State, input: &Input<'_>, problem: &BundleProblem) -> usize {
+/// Drops observations that lie outside the noise of an adjustment; how many.
+fn trim(state: &mut MapState, input: &MappingInput<'_>, problem: &BundleProblem) -> usize {
     let limit = FINAL_SIGMAS * noise_in_units(problem);
     state.filter(input, limit.clamp(FINAL_LEAST_PX, input.config.max_reprojection_px))
 }
 
 fn prepare(
-    state: &State,
-    input: &Input<'_>,
+    state: &MapState,
+    input: &MappingInput<'_>,
     known: &[Knowledge],
     starts: &[Camera],
-    intrinsics: Intrinsics,
+    intrinsics: FreeIntrinsics,
 ) -> (Selected, SolveOptions) {
     let (free, priors) = freedom(&state.cameras, known, starts, usize::MAX);
     let mut selected = select(state, input, &Adjustment::growing(free, priors));
@@ -160,7 +161,7 @@ fn prepare(
     selected.problem.observations.iter_mut().for_each(|o| o.sigma_px *= sigma);
     let most = (LAST_EFFORT / selected.problem.observations.len().max(1)).clamp(6, 30);
     let options = SolveOptions {
-        loss: Loss::Cauchy(2.0),
+        loss: RobustLoss::Cauchy(2.0),
         max_iterations: most as u32,
         function_tolerance: 2e-5,
         ..SolveOptions::default()
@@ -170,11 +171,11 @@ fn prepare(
 
 /// Standard deviations of poses and intrinsics.
 pub(crate) fn uncertainty(
-    state: &State,
-    input: &Input<'_>,
+    state: &MapState,
+    input: &MappingInput<'_>,
     known: &[Knowledge],
     starts: &[Camera],
-    intrinsics: Intrinsics,
+    intrinsics: FreeIntrinsics,
 ) -> Result<Option<Uncertainty>, SfmError> {
     let (selected, options) = prepare(state, input, known, starts, intrinsics);
     let Some(covariance) = selected.problem.covariance(&options)? else { return Ok(None) };

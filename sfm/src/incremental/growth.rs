@@ -1,9 +1,9 @@
 //! Growing a model image by image.
 
 use super::adjust::{Adjustment, adjust, plausible};
-use super::bridge::bridge;
 use super::resection::{Resection, next_images, resect};
-use super::state::{Input, State};
+use super::state::{MapState, MappingInput};
+use super::structureless_resection::resect_structureless;
 use crate::bundle::{IntrinsicsPrior, free_parameters};
 use crate::tracks::NONE;
 use crate::{Knowledge, SfmError};
@@ -53,19 +53,19 @@ pub(crate) fn freedom(
 
 /// Registers images until `most` are in, or none can be added.
 pub(crate) fn grow(
-    state: &mut State,
-    input: &Input<'_>,
+    state: &mut MapState,
+    input: &MappingInput<'_>,
     known: &[Knowledge],
     starts: &[Camera],
     most: usize,
     progress: &Progress,
 ) -> Result<(), SfmError> {
     let mut tried = vec![0usize; state.poses.len()];
-    let mut last_full = state.registered();
+    let mut last_full = state.registered_count();
     let mut fresh = false;
     let mut due = 0;
-    let mut bridged = vec![false; state.poses.len()];
-    while state.registered() < most {
+    let mut structureless = vec![false; state.poses.len()];
+    while state.registered_count() < most {
         progress.check()?;
         let mut candidates = next_images(state, input);
         candidates.retain(|&(i, n)| n > tried[i]);
@@ -77,8 +77,8 @@ pub(crate) fn grow(
             resect(state, input, image, search).map(|r| (image, r))
         });
         let next = next.or_else(|| {
-            let (image, pose) = bridge(state, input, &bridged)?;
-            bridged[image] = true;
+            let (image, pose) = resect_structureless(state, input, &structureless)?;
+            structureless[image] = true;
             Some((image, Resection { pose, focal: None }))
         });
         let Some((image, found)) = next else {
@@ -87,7 +87,7 @@ pub(crate) fn grow(
             }
             // A last effort: everything triangulated and adjusted, then the images that failed once more.
             settle(state, input, known, starts, progress)?;
-            (fresh, last_full) = (true, state.registered());
+            (fresh, last_full) = (true, state.registered_count());
             tried.fill(0);
             continue;
         };
@@ -99,7 +99,7 @@ pub(crate) fn grow(
         }
         state.register(image, found.pose);
         state.grow_image(input, image);
-        let images = state.registered();
+        let images = state.registered_count();
         let full = images <= IMAGES_FOR_LOCAL || images as f64 > 1.08 * last_full as f64;
         if full {
             last_full = images;
@@ -123,7 +123,7 @@ pub(crate) fn grow(
             Some(moved) => state.filter_seen_by(input, input.config.max_reprojection_px, moved),
             None => state.filter(input, input.config.max_reprojection_px),
         };
-        if state.sightings(image) < input.config.min_sightings {
+        if state.observations(image) < input.config.min_sightings {
             state.unregister(image);
         } else {
             progress.tick_with(&format!("{images} images"))?;
@@ -134,15 +134,15 @@ pub(crate) fn grow(
 
 /// Triangulates, adjusts and filters the whole model a few times.
 pub(crate) fn settle(
-    state: &mut State,
-    input: &Input<'_>,
+    state: &mut MapState,
+    input: &MappingInput<'_>,
     known: &[Knowledge],
     starts: &[Camera],
     progress: &Progress,
 ) -> Result<(), SfmError> {
     for _ in 0..3 {
         let added = state.grow_all(input);
-        let (free, priors) = freedom(&state.cameras, known, starts, state.registered());
+        let (free, priors) = freedom(&state.cameras, known, starts, state.registered_count());
         let mut what = Adjustment::growing(free, priors);
         what.points_per_image = Some(4 * POINTS_PER_IMAGE);
         adjust(state, input, &what, progress)?;
@@ -157,7 +157,7 @@ pub(crate) fn settle(
 }
 
 /// Puts intrinsics that ran away back to their start.
-fn repair(state: &mut State, known: &[Knowledge], starts: &[Camera]) {
+fn repair(state: &mut MapState, known: &[Knowledge], starts: &[Camera]) {
     for ((camera, k), start) in state.cameras.iter_mut().zip(known).zip(starts) {
         if !k.fixed && !plausible(camera) {
             camera.params.clone_from(&start.params);
@@ -166,7 +166,7 @@ fn repair(state: &mut State, known: &[Knowledge], starts: &[Camera]) {
 }
 
 /// The image and those registered images that share most points with it.
-fn neighbours(state: &State, image: usize, count: usize) -> Vec<usize> {
+fn neighbours(state: &MapState, image: usize, count: usize) -> Vec<usize> {
     let mut shared = vec![0usize; state.poses.len()];
     let seen = state.point_of[image].iter().filter(|&&id| id != NONE);
     for point in seen.filter_map(|&id| state.points[id as usize].as_ref()) {

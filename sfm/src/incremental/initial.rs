@@ -1,7 +1,7 @@
 //! The first pair: chosen by evidence, tried with several focal lengths where none is known.
 
 use super::adjust::{Adjustment, adjust};
-use super::state::{Input, State};
+use super::state::{MapState, MappingInput};
 use crate::SfmError;
 use crate::solvers::{Pairs, pose_from_essential, refine_relative};
 use glam::{DMat3, DVec2, DVec3};
@@ -31,15 +31,15 @@ pub(crate) fn rank_pairs(geometries: &[TwoViewGeometry]) -> Vec<usize> {
 /// The model of two images: their relative pose for the present intrinsics, and the points both see. `None` where
 /// too few points stand.
 pub(crate) fn start(
-    input: &Input<'_>,
+    input: &MappingInput<'_>,
     cameras: &[Camera],
     geometry: &TwoViewGeometry,
     progress: &Progress,
-) -> Result<Option<State>, SfmError> {
+) -> Result<Option<MapState>, SfmError> {
     let (a, b) = (geometry.a, geometry.b);
     let (camera_a, camera_b) = (&cameras[input.camera_of[a]], &cameras[input.camera_of[b]]);
     let Some(pose) = relative_pose(input, [camera_a, camera_b], geometry) else { return Ok(None) };
-    let mut state = State::new(input, cameras.to_vec());
+    let mut state = MapState::new(input, cameras.to_vec());
     state.register(a, Pose::IDENTITY);
     state.register(b, pose);
     state.grow_image(input, a);
@@ -55,7 +55,7 @@ pub(crate) fn start(
 /// `b_from_a` with unit translation from the pair's fundamental matrix (else its essential matrix or its pose) and the
 /// present focal lengths, refined on the inliers.
 pub(crate) fn relative_pose(
-    input: &Input<'_>,
+    input: &MappingInput<'_>,
     [ca, cb]: [&Camera; 2],
     geometry: &TwoViewGeometry,
 ) -> Option<Pose> {

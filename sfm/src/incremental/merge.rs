@@ -2,10 +2,10 @@
 //! found robustly from points of the same tracks and checked in the images of both.
 
 use super::growth::{grow, settle};
-use super::state::{Input, State};
+use super::state::{MapState, MappingInput};
 use super::{expel, starts_of};
 use crate::ransac::{Estimator, RansacConfig, ransac};
-use crate::triangulation::View;
+use crate::triangulation::PointView;
 use crate::{Knowledge, SfmError};
 use glam::DVec3;
 use scene::sim3::{Sim3, umeyama};
@@ -17,12 +17,12 @@ const MIN_SHARE: f64 = 0.3;
 /// Error allowed in the images of the other model, in largest reprojection errors: each model is bent in its own way.
 const TOLERANCE: f64 = 3.0;
 
-/// A point that both models have, with a sighting in each.
+/// A point that both models have, with an observation in each.
 struct Common<'a> {
     source: DVec3,
     target: DVec3,
-    in_source: View<'a>,
-    in_target: View<'a>,
+    in_source: PointView<'a>,
+    in_target: PointView<'a>,
 }
 
 /// Finds the similarity `target_from_source`; the residual is the larger reprojection error of the moved point in a
@@ -65,8 +65,8 @@ impl Similarity<'_> {
 }
 
 /// `base_from_other`; `None` where too few points of both agree on it.
-pub(crate) fn similarity(base: &State, other: &State, input: &Input<'_>) -> Option<Sim3> {
-    let point = |state: &State, track: usize| {
+pub(crate) fn similarity(base: &MapState, other: &MapState, input: &MappingInput<'_>) -> Option<Sim3> {
+    let point = |state: &MapState, track: usize| {
         let id = *state.of_track[track].first()?;
         let p = state.points[id as usize].as_ref()?;
         Some((p.position, *p.views.first()?))
@@ -90,12 +90,12 @@ pub(crate) fn similarity(base: &State, other: &State, input: &Input<'_>) -> Opti
 /// Takes the images that `other` alone has over into `base`, then adjusts and grows it; `None` where the models share
 /// too little or the whole is no larger.
 pub(crate) fn join(
-    base: &State,
-    other: &State,
-    input: &Input<'_>,
+    base: &MapState,
+    other: &MapState,
+    input: &MappingInput<'_>,
     (cameras, known): (&[Camera], &[Knowledge]),
     progress: &Progress,
-) -> Result<Option<State>, SfmError> {
+) -> Result<Option<MapState>, SfmError> {
     let lacking: Vec<usize> = other.order.iter().copied().filter(|&i| base.poses[i].is_none()).collect();
     if lacking.is_empty() {
         return Ok(None);
@@ -116,7 +116,7 @@ pub(crate) fn join(
     grow(&mut whole, input, known, &starts, input.keypoints.len(), progress)?;
     settle(&mut whole, input, known, &starts, progress)?;
     expel(&mut whole, input);
-    Ok((whole.registered() > base.registered()).then_some(whole))
+    Ok((whole.registered_count() > base.registered_count()).then_some(whole))
 }
 
 #[cfg(test)]
@@ -146,7 +146,7 @@ mod tests {
     }
 
     /// What mapping needs to know of a scene.
-    struct Known {
+    struct MergeScene {
         scene: SyntheticScene,
         keypoints: Vec<Vec<DVec2>>,
         geometries: Vec<TwoViewGeometry>,
@@ -155,7 +155,7 @@ mod tests {
         config: MapperConfig,
     }
 
-    impl Known {
+    impl MergeScene {
         fn new() -> Self {
             let options = SyntheticOptions { num_cameras: 14, noise_px: 0.3, ..Default::default() };
             let scene = synthetic_scene(&options, 4);
@@ -170,15 +170,15 @@ mod tests {
             }
         }
 
-        fn input(&self) -> Input<'_> {
-            Input {
+        fn input(&self) -> MappingInput<'_> {
+            MappingInput {
                 keypoints: &self.keypoints,
-                spreads: &[],
+                sigmas: &[],
                 tracks: &self.tracks,
                 camera_of: &self.camera_of,
                 geometries: &self.geometries,
                 config: &self.config,
-                may_be_turned: false,
+                may_be_rotated: false,
                 seed: 0,
             }
         }
@@ -188,8 +188,8 @@ mod tests {
         }
 
         /// The true model of some images, moved.
-        fn part(&self, images: std::ops::Range<usize>, moved: &Sim3) -> State {
-            let mut state = State::new(&self.input(), self.cameras());
+        fn part(&self, images: std::ops::Range<usize>, moved: &Sim3) -> MapState {
+            let mut state = MapState::new(&self.input(), self.cameras());
             for i in images {
                 state.register(i, moved.transform_pose(&self.scene.truth.images[&(i as u32 + 1)].pose));
             }
@@ -205,7 +205,7 @@ mod tests {
 
     #[test]
     fn two_parts_of_a_ring_that_share_points_become_the_whole_ring() {
-        let known = Known::new();
+        let known = MergeScene::new();
         let base = known.part(0..8, &Sim3::IDENTITY);
         let other = known.part(7..14, &elsewhere());
         let found = similarity(&base, &other, &known.input()).expect("they share points");
@@ -215,7 +215,7 @@ mod tests {
         let cameras = known.cameras();
         let whole = join(&base, &other, &known.input(), (&cameras, &knowledge), &Progress::silent());
         let whole = whole.unwrap().expect("a larger model");
-        assert_eq!(whole.registered(), 14);
+        assert_eq!(whole.registered_count(), 14);
         for (i, pose) in whole.poses.iter().enumerate() {
             let truth = known.scene.truth.images[&(i as u32 + 1)].pose;
             let away = pose.unwrap().centre().distance(truth.centre());
@@ -225,7 +225,7 @@ mod tests {
 
     #[test]
     fn parts_without_common_points_or_without_new_images_stay_apart() {
-        let known = Known::new();
+        let known = MergeScene::new();
         let base = known.part(0..4, &Sim3::IDENTITY);
         let mut other = known.part(7..11, &elsewhere());
         for id in 0..other.points.len() as u32 {

@@ -1,15 +1,15 @@
 //! Incremental mapping: one image after the other, adjusted as the model grows (Schönberger & Frahm, CVPR 2016).
 
 pub(crate) mod adjust;
-pub(crate) mod bridge;
+pub(crate) mod aliasing;
 pub(crate) mod depths;
 pub(crate) mod finish;
-pub(crate) mod folds;
 pub(crate) mod growth;
 pub(crate) mod initial;
 pub(crate) mod merge;
 pub(crate) mod resection;
 pub(crate) mod state;
+pub(crate) mod structureless_resection;
 
 use crate::mapper::MapperChoice;
 use crate::{Knowledge, SfmError};
@@ -19,22 +19,22 @@ use initial::{rank_pairs, start};
 use resection::FOCAL_FACTORS;
 use scene::{Camera, Progress, TwoViewGeometry};
 use serde::{Deserialize, Serialize};
-use state::{Input, State};
+use state::{MapState, MappingInput};
 
 /// Configuration of the mapper.
 #[derive(clap::Args, Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default)]
 pub struct MapperConfig {
-    /// Largest reprojection error of a sighting that is kept, pixels
+    /// Largest reprojection error of an observation that is kept, pixels
     #[arg(long, default_value_t = Self::default().max_reprojection_px, help_heading = "Mapping")]
     pub max_reprojection_px: f64,
     /// Smallest triangulation angle of a point that is kept, degrees
     #[arg(long, default_value_t = Self::default().min_angle_deg, help_heading = "Mapping")]
     pub min_angle_deg: f64,
-    /// Fewest point sightings with which an image is registered
+    /// Fewest point observations with which an image is registered
     #[arg(long, default_value_t = Self::default().min_sightings, help_heading = "Mapping")]
     pub min_sightings: usize,
-    /// Smallest share of an image's sightings that must agree with its pose
+    /// Smallest share of an image's observations that must agree with its pose
     #[arg(long, default_value_t = Self::default().min_sighting_ratio, help_heading = "Mapping")]
     pub min_sighting_ratio: f64,
     /// How a model is made from verified pairs
@@ -66,14 +66,14 @@ const SMALL: usize = 5;
 /// The best model that grows from some first pair among `geometries`, joined by what others have beyond it where they
 /// share points; `None` where none grows.
 pub(crate) fn map(
-    input: &Input<'_>,
+    input: &MappingInput<'_>,
     cameras: &[Camera],
     known: &[Knowledge],
     progress: &Progress,
-) -> Result<Option<State>, SfmError> {
+) -> Result<Option<MapState>, SfmError> {
     let geometries = input.geometries;
     let images = input.keypoints.len();
-    let mut models: Vec<State> = Vec::new();
+    let mut models: Vec<MapState> = Vec::new();
     let mut used = vec![false; images];
     let ranked = rank_pairs(geometries);
     let mut tries = 0;
@@ -95,7 +95,7 @@ pub(crate) fn map(
         settle(&mut state, input, known, &starts, progress)?;
         expel(&mut state, input);
         state.order.iter().for_each(|&i| used[i] = true);
-        let done = state.registered() * 10 >= images * 9;
+        let done = state.registered_count() * 10 >= images * 9;
         models.push(state);
         if done {
             break;
@@ -110,16 +110,16 @@ pub(crate) fn map(
             best = whole;
         }
     }
-    Ok((best.registered() >= 2).then_some(best))
+    Ok((best.registered_count() >= 2).then_some(best))
 }
 
 /// The small model of the best first pair that gives one; its intrinsics are about right.
 pub(crate) fn sketch(
-    input: &Input<'_>,
+    input: &MappingInput<'_>,
     cameras: &[Camera],
     known: &[Knowledge],
     progress: &Progress,
-) -> Result<Option<State>, SfmError> {
+) -> Result<Option<MapState>, SfmError> {
     for pair in rank_pairs(input.geometries).into_iter().take(input.config.starts.max(1)) {
         let begun = begin(input, cameras, known, &input.geometries[pair], progress)?;
         if begun.is_some() {
@@ -130,23 +130,23 @@ pub(crate) fn sketch(
 }
 
 /// Takes out images whose pose most of their verified matches contradict, or that see too little.
-pub(crate) fn expel(state: &mut State, input: &Input<'_>) {
+pub(crate) fn expel(state: &mut MapState, input: &MappingInput<'_>) {
     let doubtful = |image: &usize| {
-        let (agreeing, all) = bridge::consistency(state, input, *image);
-        let few = state.sightings(*image) < input.config.min_sightings;
+        let (agreeing, all) = structureless_resection::consistency(state, input, *image);
+        let few = state.observations(*image) < input.config.min_sightings;
         few || (all >= 2 * input.config.min_sightings && (agreeing as f64) < MIN_CONSISTENT * all as f64)
     };
     let wrong: Vec<usize> = state.order.iter().copied().filter(doubtful).collect();
     wrong.into_iter().for_each(|image| state.unregister(image));
 }
 
-/// Models are compared by images, then by sightings.
-fn value(state: &State) -> (usize, usize) {
-    (state.registered(), state.live().map(|(_, p)| p.views.len()).sum())
+/// Models are compared by images, then by observations.
+fn value(state: &MapState) -> (usize, usize) {
+    (state.registered_count(), state.live().map(|(_, p)| p.views.len()).sum())
 }
 
 /// What priors and repairs refer to: the start's intrinsics where they were known, the small model's where not.
-pub(crate) fn starts_of(cameras: &[Camera], known: &[Knowledge], state: &State) -> Vec<Camera> {
+pub(crate) fn starts_of(cameras: &[Camera], known: &[Knowledge], state: &MapState) -> Vec<Camera> {
     let start = |i: usize| {
         if known[i].focal_sigma.is_some() || known[i].fixed { &cameras[i] } else { &state.cameras[i] }
     };
@@ -155,19 +155,19 @@ pub(crate) fn starts_of(cameras: &[Camera], known: &[Knowledge], state: &State) 
 
 /// The small model from a pair; where a focal length is unknown, the one of several whose model explains most.
 fn begin(
-    input: &Input<'_>,
+    input: &MappingInput<'_>,
     cameras: &[Camera],
     known: &[Knowledge],
     geometry: &TwoViewGeometry,
     progress: &Progress,
-) -> Result<Option<State>, SfmError> {
+) -> Result<Option<MapState>, SfmError> {
     let unknown = |image: usize| {
         let k = &known[input.camera_of[image]];
         !k.fixed && k.focal_sigma.is_none()
     };
     let search = unknown(geometry.a) || unknown(geometry.b);
     let factors: &[f64] = if search { &FOCAL_FACTORS } else { &[1.0] };
-    let mut best: Option<(f64, State)> = None;
+    let mut best: Option<(f64, MapState)> = None;
     for factor in factors {
         let mut scaled = cameras.to_vec();
         for (camera, k) in scaled.iter_mut().zip(known) {
@@ -186,8 +186,8 @@ fn begin(
     Ok(best.map(|(_, state)| state))
 }
 
-/// `Σ max(0, 1 − e²/T²)` over all sightings.
-fn agreement(state: &State, input: &Input<'_>) -> f64 {
+/// `Σ max(0, 1 − e²/T²)` over all observations.
+fn agreement(state: &MapState, input: &MappingInput<'_>) -> f64 {
     let limit = input.config.max_reprojection_px;
     state.errors(input).iter().map(|e| (1.0 - (e / limit).powi(2)).max(0.0)).sum()
 }

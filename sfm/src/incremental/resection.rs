@@ -1,7 +1,7 @@
 //! Which image comes next, and where it was taken.
 
 use super::adjust::plausible;
-use super::state::{Input, State};
+use super::state::{MapState, MappingInput};
 use crate::ransac::{RansacConfig, estimate_absolute_pose};
 use crate::solvers::{AbsoluteRefinement, refine_absolute};
 use crate::tracks::NONE;
@@ -12,13 +12,13 @@ use scene::{Camera, Pose};
 /// 12° for a guess of 1.2 image widths.
 pub(crate) const FOCAL_FACTORS: [f64; 6] = [1.0, 0.7, 1.45, 0.45, 2.1, 3.2];
 
-/// Sightings of model points by an image that is not registered: (feature, point).
-pub(crate) fn visible(state: &State, input: &Input<'_>, image: usize) -> Vec<(u32, u32)> {
+/// Observations of model points by an image that is not registered: (feature, point).
+pub(crate) fn visible(state: &MapState, input: &MappingInput<'_>, image: usize) -> Vec<(u32, u32)> {
     let tracks = input.tracks.of[image].iter().zip(0u32..).filter(|(t, _)| **t != NONE);
     tracks.filter_map(|(&t, feature)| Some((feature, *state.of_track[t as usize].first()?))).collect()
 }
 
-/// How well the sightings are spread: on each of six grids of 2ˡ × 2ˡ cells an occupied cell counts 4ˡ
+/// How well the observations are spread: on each of six grids of 2ˡ × 2ˡ cells an occupied cell counts 4ˡ
 /// (Schönberger & Frahm, CVPR 2016, §4.2).
 pub(crate) fn spread(camera: &Camera, pixels: impl Iterator<Item = DVec2>) -> usize {
     const LEVELS: usize = 6;
@@ -43,8 +43,8 @@ pub(crate) fn spread(camera: &Camera, pixels: impl Iterator<Item = DVec2>) -> us
     score
 }
 
-/// Unregistered images by how well their sightings of the model are spread, best first: (image, sightings).
-pub(crate) fn next_images(state: &State, input: &Input<'_>) -> Vec<(usize, usize)> {
+/// Unregistered images by how well their observations of the model are spread, best first: (image, observations).
+pub(crate) fn next_images(state: &MapState, input: &MappingInput<'_>) -> Vec<(usize, usize)> {
     let mut ranked: Vec<(usize, usize, usize)> = Vec::new();
     for image in (0..state.poses.len()).filter(|&i| state.poses[i].is_none()) {
         let seen = visible(state, input, image);
@@ -67,8 +67,8 @@ pub(crate) struct Resection {
 
 /// P3P in LO-RANSAC. With `search_focal`, several focal lengths are tried and the best one refined with the pose.
 pub(crate) fn resect(
-    state: &State,
-    input: &Input<'_>,
+    state: &MapState,
+    input: &MappingInput<'_>,
     image: usize,
     search_focal: bool,
 ) -> Option<Resection> {

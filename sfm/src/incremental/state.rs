@@ -2,17 +2,17 @@
 
 use super::MapperConfig;
 use crate::tracks::{NONE, Tracks};
-use crate::triangulation::{Gates, View, refine_point, triangulate, widest_angle};
+use crate::triangulation::{Gates, PointView, refine_point, triangulate, widest_angle};
 use glam::{DVec2, DVec3};
 use scene::{Camera, Pose, TwoViewGeometry};
 
 /// What does not change while a model grows.
 #[derive(Clone, Copy)]
-pub(crate) struct Input<'a> {
+pub(crate) struct MappingInput<'a> {
     /// For each image its keypoints' positions.
     pub keypoints: &'a [Vec<DVec2>],
     /// For each image the standard deviation of each keypoint relative to the others'; where it is empty, all are 1.
-    pub spreads: &'a [Vec<f32>],
+    pub sigmas: &'a [Vec<f32>],
     /// Keypoints joined over images.
     pub tracks: &'a Tracks,
     /// For each image the index of its camera.
@@ -21,8 +21,8 @@ pub(crate) struct Input<'a> {
     pub geometries: &'a [TwoViewGeometry],
     /// The user's choices.
     pub config: &'a MapperConfig,
-    /// Whether images may have been turned on their way (photos, not the frames of a video).
-    pub may_be_turned: bool,
+    /// Whether images may have been rotated on their way (photos, not the frames of a video).
+    pub may_be_rotated: bool,
     /// Seed of all randomness.
     pub seed: u64,
 }
@@ -40,7 +40,7 @@ pub(crate) struct MapPoint {
 
 /// The growing model.
 #[derive(Clone, Debug)]
-pub(crate) struct State {
+pub(crate) struct MapState {
     /// Intrinsics, by camera index.
     pub cameras: Vec<Camera>,
     /// `cam_from_world` of the registered images.
@@ -55,8 +55,8 @@ pub(crate) struct State {
     pub order: Vec<usize>,
 }
 
-impl State {
-    pub fn new(input: &Input<'_>, cameras: Vec<Camera>) -> Self {
+impl MapState {
+    pub fn new(input: &MappingInput<'_>, cameras: Vec<Camera>) -> Self {
         Self {
             cameras,
             poses: vec![None; input.keypoints.len()],
@@ -67,7 +67,7 @@ impl State {
         }
     }
 
-    pub fn gates(input: &Input<'_>) -> Gates {
+    pub fn gates(input: &MappingInput<'_>) -> Gates {
         let config = input.config;
         Gates { max_error_px: config.max_reprojection_px, min_angle: config.min_angle_deg.to_radians() }
     }
@@ -80,7 +80,7 @@ impl State {
         self.poses[image] = Some(pose);
     }
 
-    /// Takes an image and its sightings out.
+    /// Takes an image and its observations out.
     pub fn unregister(&mut self, image: usize) {
         self.poses[image] = None;
         self.order.retain(|&i| i != image);
@@ -89,7 +89,7 @@ impl State {
         }
     }
 
-    pub fn registered(&self) -> usize {
+    pub fn registered_count(&self) -> usize {
         self.order.len()
     }
 
@@ -98,14 +98,14 @@ impl State {
         self.points.iter().zip(0u32..).filter_map(|(p, id)| p.as_ref().map(|p| (id, p)))
     }
 
-    pub fn view<'a>(&'a self, input: &Input<'_>, [image, feature]: [u32; 2]) -> Option<View<'a>> {
+    pub fn view<'a>(&'a self, input: &MappingInput<'_>, [image, feature]: [u32; 2]) -> Option<PointView<'a>> {
         let image = image as usize;
         let camera = &self.cameras[input.camera_of[image]];
-        Some(View::new(self.poses[image].as_ref()?, camera, input.keypoints[image][feature as usize]))
+        Some(PointView::new(self.poses[image].as_ref()?, camera, input.keypoints[image][feature as usize]))
     }
 
-    /// Squared reprojection error of a sighting, without the ray that [`View`] computes.
-    pub fn error_sq(&self, input: &Input<'_>, [image, feature]: [u32; 2], x: DVec3) -> f64 {
+    /// Squared reprojection error of an observation, without the ray that [`PointView`] computes.
+    pub fn error_sq(&self, input: &MappingInput<'_>, [image, feature]: [u32; 2], x: DVec3) -> f64 {
         let image = image as usize;
         let Some(pose) = &self.poses[image] else { return f64::INFINITY };
         let projected = self.cameras[input.camera_of[image]].project(pose.transform(x));
@@ -119,7 +119,7 @@ impl State {
         }
     }
 
-    /// Takes a sighting away; a point left with fewer than two goes too.
+    /// Takes an observation away; a point left with fewer than two goes too.
     pub fn drop_view(&mut self, view: [u32; 2]) {
         let point = std::mem::replace(&mut self.point_of[view[0] as usize][view[1] as usize], NONE);
         if point == NONE {
@@ -143,8 +143,8 @@ impl State {
     }
 
     /// Extends a track's points to registered images that agree with them, and triangulates what is left over.
-    /// Returns how many sightings were added.
-    pub fn grow_track(&mut self, input: &Input<'_>, track: u32) -> usize {
+    /// Returns how many observations were added.
+    pub fn grow_track(&mut self, input: &MappingInput<'_>, track: u32) -> usize {
         let loose: Vec<[u32; 2]> = input.tracks.views[track as usize]
             .iter()
             .copied()
@@ -178,7 +178,7 @@ impl State {
     }
 
     /// Gives a track a point at a known place, seen by all registered images of the track.
-    pub fn place(&mut self, input: &Input<'_>, track: u32, position: DVec3) {
+    pub fn place(&mut self, input: &MappingInput<'_>, track: u32, position: DVec3) {
         let point = self.points.len() as u32;
         self.points.push(Some(MapPoint { position, track, views: Vec::new() }));
         self.of_track[track as usize].push(point);
@@ -190,8 +190,8 @@ impl State {
         }
     }
 
-    fn triangulate_views(&mut self, input: &Input<'_>, track: u32, loose: &[[u32; 2]]) -> usize {
-        let views: Vec<View<'_>> = loose.iter().filter_map(|v| self.view(input, *v)).collect();
+    fn triangulate_views(&mut self, input: &MappingInput<'_>, track: u32, loose: &[[u32; 2]]) -> usize {
+        let views: Vec<PointView<'_>> = loose.iter().filter_map(|v| self.view(input, *v)).collect();
         let Some(found) = triangulate(&views, &Self::gates(input)) else { return 0 };
         let point = self.points.len() as u32;
         self.points.push(Some(MapPoint { position: found.position, track, views: Vec::new() }));
@@ -202,26 +202,27 @@ impl State {
         found.inliers.len()
     }
 
-    /// [`State::grow_track`] for every track that an image sees.
-    pub fn grow_image(&mut self, input: &Input<'_>, image: usize) -> usize {
+    /// [`MapState::grow_track`] for every track that an image sees.
+    pub fn grow_image(&mut self, input: &MappingInput<'_>, image: usize) -> usize {
         let tracks: Vec<u32> = input.tracks.of[image].iter().copied().filter(|&t| t != NONE).collect();
         tracks.into_iter().map(|t| self.grow_track(input, t)).sum()
     }
 
-    /// [`State::grow_track`] for every track.
-    pub fn grow_all(&mut self, input: &Input<'_>) -> usize {
+    /// [`MapState::grow_track`] for every track.
+    pub fn grow_all(&mut self, input: &MappingInput<'_>) -> usize {
         (0..input.tracks.views.len() as u32).map(|t| self.grow_track(input, t)).sum()
     }
 
     /// Moves points to their least-squares place for the present poses; `held` says which stay.
-    pub fn refine_points(&mut self, input: &Input<'_>, held: impl Fn(u32) -> bool) {
+    pub fn refine_points(&mut self, input: &MappingInput<'_>, held: impl Fn(u32) -> bool) {
         (0..self.points.len() as u32).filter(|&id| !held(id)).for_each(|id| self.refine_point(input, id));
     }
 
     /// Moves one point to its least-squares place for the present poses.
-    pub fn refine_point(&mut self, input: &Input<'_>, id: u32) {
+    pub fn refine_point(&mut self, input: &MappingInput<'_>, id: u32) {
         let Some(point) = self.points[id as usize].as_ref() else { return };
-        let views: Vec<View<'_>> = point.views.iter().filter_map(|v| self.bare_view(input, *v)).collect();
+        let views: Vec<PointView<'_>> =
+            point.views.iter().filter_map(|v| self.bare_view(input, *v)).collect();
         let position = refine_point(point.position, views.iter(), 3);
         if let Some(p) = &mut self.points[id as usize] {
             p.position = position;
@@ -238,27 +239,31 @@ impl State {
     }
 
     /// A view whose ray is not needed.
-    fn bare_view<'a>(&'a self, input: &Input<'_>, [image, feature]: [u32; 2]) -> Option<View<'a>> {
+    fn bare_view<'a>(
+        &'a self,
+        input: &MappingInput<'_>,
+        [image, feature]: [u32; 2],
+    ) -> Option<PointView<'a>> {
         let pose = self.poses[image as usize]?;
         let camera = &self.cameras[input.camera_of[image as usize]];
         let pixel = input.keypoints[image as usize][feature as usize];
-        Some(View { pose, camera, pixel, centre: DVec3::ZERO, ray: DVec3::ZERO })
+        Some(PointView { pose, camera, pixel, centre: DVec3::ZERO, ray: DVec3::ZERO })
     }
 
-    /// Drops sightings with a larger error than `max_error_px` or behind the camera, and points seen under too small
-    /// an angle. Returns how many sightings went.
-    pub fn filter(&mut self, input: &Input<'_>, max_error_px: f64) -> usize {
+    /// Drops observations with a larger error than `max_error_px` or behind the camera, and points seen under too small
+    /// an angle. Returns how many observations went.
+    pub fn filter(&mut self, input: &MappingInput<'_>, max_error_px: f64) -> usize {
         self.filter_points(input, max_error_px, 0..self.points.len() as u32)
     }
 
-    /// [`State::filter`] of the points that some of these images see.
-    pub fn filter_seen_by(&mut self, input: &Input<'_>, max_error_px: f64, images: &[usize]) -> usize {
+    /// [`MapState::filter`] of the points that some of these images see.
+    pub fn filter_seen_by(&mut self, input: &MappingInput<'_>, max_error_px: f64, images: &[usize]) -> usize {
         self.filter_points(input, max_error_px, self.seen_by(images).into_iter())
     }
 
     fn filter_points(
         &mut self,
-        input: &Input<'_>,
+        input: &MappingInput<'_>,
         max_error_px: f64,
         points: impl Iterator<Item = u32>,
     ) -> usize {
@@ -286,15 +291,15 @@ impl State {
     }
 
     /// All residual lengths, pixels.
-    pub fn errors(&self, input: &Input<'_>) -> Vec<f64> {
+    pub fn errors(&self, input: &MappingInput<'_>) -> Vec<f64> {
         let of_point = |p: &MapPoint| -> Vec<f64> {
             p.views.iter().map(|v| self.error_sq(input, *v, p.position).sqrt()).collect()
         };
         self.live().flat_map(|(_, p)| of_point(p)).collect()
     }
 
-    /// How many sightings of points an image has.
-    pub fn sightings(&self, image: usize) -> usize {
+    /// How many observations of points an image has.
+    pub fn observations(&self, image: usize) -> usize {
         self.point_of[image].iter().filter(|&&p| p != NONE).count()
     }
 }

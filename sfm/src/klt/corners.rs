@@ -3,7 +3,7 @@
 // Loops over several arrays at once are written with an index: the form the compiler vectorises.
 #![allow(clippy::needless_range_loop)]
 
-use super::pyramid::Level;
+use super::pyramid::PyramidLevel;
 use crate::sift::dispatch;
 use glam::DVec2;
 use image::GrayImage;
@@ -17,7 +17,7 @@ const SHARE: f32 = 0.0005;
 const MARGIN: i64 = 1;
 
 /// Which pixels a mask keeps; everything without a mask.
-pub(super) fn kept(mask: Option<&GrayImage>, x: i64, y: i64, width: usize, height: usize) -> bool {
+pub(super) fn is_unmasked(mask: Option<&GrayImage>, x: i64, y: i64, width: usize, height: usize) -> bool {
     if x < 0 || y < 0 || x >= width as i64 || y >= height as i64 {
         return false;
     }
@@ -30,7 +30,7 @@ pub(super) fn kept(mask: Option<&GrayImage>, x: i64, y: i64, width: usize, heigh
 
 /// New corners, strongest first, at least `distance` pixels from each other and from `taken`; at most `most`.
 pub(super) fn corners(
-    level: &Level,
+    level: &PyramidLevel,
     mask: Option<&GrayImage>,
     taken: &[DVec2],
     distance: f64,
@@ -64,7 +64,7 @@ pub(super) fn corners(
     }
     found.retain(|(s, _)| *s > SHARE * strongest);
     found.sort_by(|a, b| b.0.total_cmp(&a.0).then(a.1.cmp(&b.1)));
-    let mut grid = Grid::new(w, h, distance);
+    let mut grid = CornerGrid::new(w, h, distance);
     taken.iter().for_each(|p| grid.add(*p));
     let mut chosen = Vec::new();
     for (_, i) in found {
@@ -82,12 +82,12 @@ pub(super) fn corners(
 
 fn inside(mask: Option<&GrayImage>, x: i64, y: i64, w: usize, h: usize) -> bool {
     let around = [(0, 0), (MARGIN, 0), (-MARGIN, 0), (0, MARGIN), (0, -MARGIN)];
-    mask.is_none() || around.iter().all(|(dx, dy)| kept(mask, x + dx, y + dy, w, h))
+    mask.is_none() || around.iter().all(|(dx, dy)| is_unmasked(mask, x + dx, y + dy, w, h))
 }
 
 dispatch! {
 /// Smaller eigenvalue of the gradients' second moments, summed over a square, at every pixel.
-fn strengths(level: &Level) -> Vec<f32> {
+fn strengths(level: &PyramidLevel) -> Vec<f32> {
     let (w, h) = (level.width, level.height);
     let mut moments = [vec![0.0f32; w * h], vec![0.0f32; w * h], vec![0.0f32; w * h]];
     for y in 1..h - 1 {
@@ -141,14 +141,14 @@ fn box_sum(data: &mut [f32], w: usize, h: usize) {
 }
 
 /// Which cells of a grid are near a point.
-struct Grid {
+struct CornerGrid {
     cell: f64,
     columns: usize,
     rows: usize,
     points: Vec<Vec<DVec2>>,
 }
 
-impl Grid {
+impl CornerGrid {
     fn new(w: usize, h: usize, distance: f64) -> Self {
         let cell = distance.max(1.0);
         let (columns, rows) = ((w as f64 / cell) as usize + 1, (h as f64 / cell) as usize + 1);

@@ -10,7 +10,7 @@ mod tests;
 mod window;
 
 use crate::SfmError;
-use corners::{corners, kept};
+use corners::{corners, is_unmasked};
 use glam::{DMat2, DVec2};
 use image::GrayImage;
 use pyramid::Pyramid;
@@ -58,19 +58,19 @@ pub struct KltTrack {
     pub positions: Vec<DVec2>,
 }
 
-struct Picture {
+struct KltPicture {
     pyramid: Pyramid,
     mask: Option<GrayImage>,
 }
 
-fn read(frame: &Frame) -> Result<Picture, SfmError> {
+fn read(frame: &Frame) -> Result<KltPicture, SfmError> {
     let unreadable = |path: &std::path::Path, e: scene::io::IoError| SfmError::UnreadableImage {
         path: path.to_owned(),
         reason: e.to_string(),
     };
     let rgb = load_rgb(&frame.path).map_err(|e| unreadable(&frame.path, e))?;
     let mask = frame.mask.as_deref().map(|p| load_mask(p).map_err(|e| unreadable(p, e))).transpose()?;
-    Ok(Picture { pyramid: Pyramid::new(&FloatImage::luma(&rgb), LEVELS), mask })
+    Ok(KltPicture { pyramid: Pyramid::new(&FloatImage::luma(&rgb), LEVELS), mask })
 }
 
 /// Follows corners through all frames of a video, in their order; tracks of at least three frames. Corners in the black
@@ -79,7 +79,7 @@ pub fn track(frames: &FrameSet, config: &KltConfig, progress: &Progress) -> Resu
     progress.begin("tracks", frames.len());
     let mut tracker = Tracker::new(config);
     for (batch, some) in frames.frames.chunks(BATCH).enumerate() {
-        let pictures: Result<Vec<Picture>, SfmError> = some.par_iter().map(read).collect();
+        let pictures: Result<Vec<KltPicture>, SfmError> = some.par_iter().map(read).collect();
         for (k, picture) in pictures?.into_iter().enumerate() {
             tracker.advance(batch * BATCH + k, picture);
             progress.tick()?;
@@ -92,20 +92,20 @@ pub fn track(frames: &FrameSet, config: &KltConfig, progress: &Progress) -> Resu
 pub fn track_images(images: &[FloatImage], config: &KltConfig) -> Vec<KltTrack> {
     let mut tracker = Tracker::new(config);
     for (i, image) in images.iter().enumerate() {
-        tracker.advance(i, Picture { pyramid: Pyramid::new(image, LEVELS), mask: None });
+        tracker.advance(i, KltPicture { pyramid: Pyramid::new(image, LEVELS), mask: None });
     }
     tracker.finish()
 }
 
 /// A track that goes on, with its first window and how that lies in the last frame.
-struct Live {
+struct LiveTrack {
     track: KltTrack,
     reference: Reference,
     shape: DMat2,
 }
 
 /// What became of a point in the next frame.
-enum Step {
+enum TrackStep {
     /// Its first window was found again.
     On(Warp),
     /// Its first window shows too little of it by now: another track begins with that of the last frame.
@@ -116,8 +116,8 @@ enum Step {
 
 struct Tracker<'a> {
     config: &'a KltConfig,
-    last: Option<Picture>,
-    live: Vec<Live>,
+    last: Option<KltPicture>,
+    live: Vec<LiveTrack>,
     done: Vec<KltTrack>,
 }
 
@@ -126,9 +126,10 @@ impl<'a> Tracker<'a> {
         Self { config, last: None, live: Vec::new(), done: Vec::new() }
     }
 
-    fn advance(&mut self, frame: usize, next: Picture) {
+    fn advance(&mut self, frame: usize, next: KltPicture) {
         if let Some(last) = self.last.take() {
-            let found: Vec<Step> = self.live.par_iter().map(|t| self.follow_one(&last, &next, t)).collect();
+            let found: Vec<TrackStep> =
+                self.live.par_iter().map(|t| self.follow_one(&last, &next, t)).collect();
             let mut taken: Vec<DVec2> = Vec::new();
             for (mut live, step) in std::mem::take(&mut self.live).into_iter().zip(found) {
                 // Two tracks that run into each other are one point or an occlusion: the older one goes on.
@@ -138,16 +139,16 @@ impl<'a> Tracker<'a> {
                     free
                 };
                 match step {
-                    Step::On(warp) if free(&warp) => {
+                    TrackStep::On(warp) if free(&warp) => {
                         live.track.positions.push(warp.place);
                         live.shape = warp.shape;
                         self.live.push(live);
                     }
-                    Step::Anew(reference, warp) if free(&warp) => {
+                    TrackStep::Anew(reference, warp) if free(&warp) => {
                         let start = live.track.positions.last().copied().unwrap_or(warp.place);
                         self.done.push(live.track);
                         let track = KltTrack { first: frame - 1, positions: vec![start, warp.place] };
-                        self.live.push(Live { track, reference: *reference, shape: warp.shape });
+                        self.live.push(LiveTrack { track, reference: *reference, shape: warp.shape });
                     }
                     _ => self.done.push(live.track),
                 }
@@ -162,36 +163,37 @@ impl<'a> Tracker<'a> {
             self.live.extend(new.into_iter().filter_map(|p| {
                 let reference = Reference::new(level, p)?;
                 let track = KltTrack { first: frame, positions: vec![p] };
-                Some(Live { track, reference, shape: DMat2::IDENTITY })
+                Some(LiveTrack { track, reference, shape: DMat2::IDENTITY })
             }));
         }
         self.last = Some(next);
     }
 
-    fn follow_one(&self, last: &Picture, next: &Picture, live: &Live) -> Step {
+    fn follow_one(&self, last: &KltPicture, next: &KltPicture, live: &LiveTrack) -> TrackStep {
         let positions = &live.track.positions;
-        let Some(&p) = positions.last() else { return Step::Lost };
+        let Some(&p) = positions.last() else { return TrackStep::Lost };
         let before = positions.len().checked_sub(2).map(|i| positions[i]);
         let guess = before.map_or(p, |b| p + (p - b));
         let found = follow(&last.pyramid, &next.pyramid, p, guess)
             .or_else(|| (guess != p).then(|| follow(&last.pyramid, &next.pyramid, p, p)).flatten());
-        let Some(found) = found else { return Step::Lost };
+        let Some(found) = found else { return TrackStep::Lost };
         let back = follow(&next.pyramid, &last.pyramid, found, p);
         if back.is_none_or(|b| !(b.distance(p) <= self.config.track_return_px)) {
-            return Step::Lost;
+            return TrackStep::Lost;
         }
         let level = &next.pyramid.levels[0];
         let find = |reference: &Reference, shape: DMat2| {
             let (warp, correlation) = reference.find(level, Warp { shape, place: found })?;
             let (x, y) = (warp.place.x.floor() as i64, warp.place.y.floor() as i64);
-            let kept = kept(next.mask.as_ref(), x, y, level.width, level.height);
+            let kept = is_unmasked(next.mask.as_ref(), x, y, level.width, level.height);
             (correlation >= CORRELATION && kept).then_some(warp)
         };
         if let Some(warp) = find(&live.reference, live.shape) {
-            return Step::On(warp);
+            return TrackStep::On(warp);
         }
         let anew = Reference::new(&last.pyramid.levels[0], p);
-        anew.and_then(|r| find(&r, DMat2::IDENTITY).map(|w| Step::Anew(Box::new(r), w))).unwrap_or(Step::Lost)
+        anew.and_then(|r| find(&r, DMat2::IDENTITY).map(|w| TrackStep::Anew(Box::new(r), w)))
+            .unwrap_or(TrackStep::Lost)
     }
 
     fn finish(mut self) -> Vec<KltTrack> {

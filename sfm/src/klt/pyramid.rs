@@ -1,20 +1,20 @@
 //! Grey images at halved sizes, and samples between their pixels.
 
-use super::window::{HALF, SIDE, WIDE, Window};
+use super::window::{HALF, KltWindow, SIDE, WIDE};
 use scene::FloatImage;
 
 /// One level.
 #[derive(Clone, Debug, Default)]
-pub(crate) struct Level {
+pub(crate) struct PyramidLevel {
     pub width: usize,
     pub height: usize,
     /// [height × width].
     pub data: Vec<f32>,
 }
 
-impl Level {
+impl PyramidLevel {
     /// Smoothed by the binomial 1 2 1 in both directions, which halves the noise and costs little detail.
-    pub fn smoothed(image: &FloatImage) -> Self {
+    pub fn smooth(image: &FloatImage) -> Self {
         let (width, height) = (image.width, image.height);
         let source: Vec<f32> = image.data.iter().step_by(image.channels.max(1)).copied().collect();
         let mut across = vec![0.0; width * height];
@@ -37,7 +37,7 @@ impl Level {
 
     /// Half the size: 1 3 3 1 in both directions about the corner that four pixels share, so that positions are
     /// exactly halved where pixel centres are at halves.
-    pub fn halved(&self) -> Self {
+    pub fn halve(&self) -> Self {
         const W: [f32; 4] = [0.125, 0.375, 0.375, 0.125];
         let (width, height) = (self.width / 2, self.height / 2);
         let mut across = vec![0.0; width * self.height];
@@ -89,10 +89,10 @@ impl Level {
     }
 }
 
-impl Level {
-    /// [`Level::window`] of [`SIDE`] pixels in padded rows.
+impl PyramidLevel {
+    /// [`PyramidLevel::window`] of [`SIDE`] pixels in padded rows.
     #[inline(always)]
-    pub(super) fn padded_window(&self, x: f32, y: f32, out: &mut Window) -> bool {
+    pub(super) fn padded_window(&self, x: f32, y: f32, out: &mut KltWindow) -> bool {
         let (left, top) = (x - HALF as f32 - 0.5, y - HALF as f32 - 0.5);
         if !(left >= 0.0 && top >= 0.0) {
             return false;
@@ -123,14 +123,14 @@ impl Level {
 /// An image at full size and halved again and again.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Pyramid {
-    pub levels: Vec<Level>,
+    pub levels: Vec<PyramidLevel>,
 }
 
 impl Pyramid {
     pub fn new(image: &FloatImage, levels: usize) -> Self {
-        let mut all = vec![Level::smoothed(image)];
+        let mut all = vec![PyramidLevel::smooth(image)];
         while all.len() < levels.max(1) {
-            let next = all[all.len() - 1].halved();
+            let next = all[all.len() - 1].halve();
             if next.width.min(next.height) < 32 {
                 break;
             }

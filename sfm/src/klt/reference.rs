@@ -2,8 +2,8 @@
 //! window may shear and stretch as the surface turns (Shi & Tomasi, CVPR 1994; solved with the template's own gradients:
 //! Baker & Matthews, IJCV 2004).
 
-use super::pyramid::Level;
-use super::window::{COUNT, EMPTY, HALF, SIDE, WIDE, Window, centre, dot};
+use super::pyramid::PyramidLevel;
+use super::window::{COUNT, EMPTY, HALF, KltWindow, SIDE, WIDE, centre, dot};
 use crate::sift::dispatch;
 use crate::solvers::linalg::solve_spd;
 use glam::{DMat2, DVec2};
@@ -23,7 +23,7 @@ const OUTER: usize = SIDE + 2;
 /// Standard deviation of the weights of a window of which the middle counts most, pixels.
 const MIDDLE: f32 = 2.5;
 /// Those weights: far from the middle windows see other surfaces from another side.
-static WEIGHTS: LazyLock<Window> = LazyLock::new(|| {
+static WEIGHTS: LazyLock<KltWindow> = LazyLock::new(|| {
     let weight = |j: usize, i: usize| {
         let (x, y) = (i as f32 - HALF as f32, j as f32 - HALF as f32);
         if i < SIDE { (-0.5 * (x * x + y * y) / (MIDDLE * MIDDLE)).exp() } else { 0.0 }
@@ -32,10 +32,10 @@ static WEIGHTS: LazyLock<Window> = LazyLock::new(|| {
 });
 
 /// The pixels of a window and of the ring about it.
-pub(crate) type Patch = [f32; OUTER * OUTER];
+pub(crate) type ReferencePatch = [f32; OUTER * OUTER];
 
 /// The patch about a pixel; `None` near the border.
-pub(crate) fn patch(level: &Level, p: DVec2) -> Option<Patch> {
+pub(crate) fn patch(level: &PyramidLevel, p: DVec2) -> Option<ReferencePatch> {
     let mut patch = [0.0; OUTER * OUTER];
     level.window(p.x as f32, p.y as f32, OUTER, &mut patch).then_some(patch)
 }
@@ -44,9 +44,9 @@ pub(crate) fn patch(level: &Level, p: DVec2) -> Option<Patch> {
 #[derive(Clone, Debug)]
 pub(crate) struct Reference {
     /// Without their mean.
-    values: Window,
+    values: KltWindow,
     /// Derivatives by shear and stretch (4) and shift (2), without their means, times the pixels' weights.
-    slopes: Box<[Window; 6]>,
+    slopes: Box<[KltWindow; 6]>,
     /// `Σ w s sᵀ` over the pixels.
     normal: [[f64; 6]; 6],
     power: f32,
@@ -61,16 +61,16 @@ pub(crate) struct Warp {
 
 impl Reference {
     /// The window about a pixel; `None` near the border and where nothing is to be seen.
-    pub fn new(level: &Level, p: DVec2) -> Option<Self> {
+    pub fn new(level: &PyramidLevel, p: DVec2) -> Option<Self> {
         Self::of(&patch(level, p)?, None)
     }
 
     /// The window of a patch, of which the middle counts most; `None` where nothing is to be seen.
-    pub fn central(patch: &Patch) -> Option<Self> {
+    pub fn central(patch: &ReferencePatch) -> Option<Self> {
         Self::of(patch, Some(&WEIGHTS))
     }
 
-    fn of(patch: &Patch, weights: Option<&Window>) -> Option<Self> {
+    fn of(patch: &ReferencePatch, weights: Option<&KltWindow>) -> Option<Self> {
         let (mut values, mut slopes) = (EMPTY, Box::new([EMPTY; 6]));
         for j in 0..SIDE {
             for i in 0..SIDE {
@@ -88,7 +88,7 @@ impl Reference {
         slopes.iter_mut().for_each(centre);
         let bare = slopes.clone();
         if let Some(weights) = weights {
-            let weigh = |slope: &mut Window| {
+            let weigh = |slope: &mut KltWindow| {
                 slope.iter_mut().flatten().zip(weights.iter().flatten()).for_each(|(s, w)| *s *= w);
             };
             slopes.iter_mut().for_each(weigh);
@@ -121,13 +121,13 @@ impl Reference {
     }
 
     /// The window's place and shape in an image, found near `start`, and the correlation there.
-    pub fn find(&self, level: &Level, start: Warp) -> Option<(Warp, f64)> {
+    pub fn find(&self, level: &PyramidLevel, start: Warp) -> Option<(Warp, f64)> {
         search(self, level, start)
     }
 }
 
 dispatch! {
-fn search(reference: &Reference, level: &Level, start: Warp) -> Option<(Warp, f64)> {
+fn search(reference: &Reference, level: &PyramidLevel, start: Warp) -> Option<(Warp, f64)> {
     let mut warp = start;
     let mut window = EMPTY;
     for _ in 0..STEPS {
@@ -182,7 +182,7 @@ fn stretches(m: DMat2) -> (f64, f64) {
 
 /// Bilinear samples of the warped window; `None` where it leaves the image.
 #[inline(always)]
-fn sample(level: &Level, warp: &Warp, out: &mut Window) -> Option<()> {
+fn sample(level: &PyramidLevel, warp: &Warp, out: &mut KltWindow) -> Option<()> {
     let h = HALF as f64;
     for corner in [DVec2::new(-h, -h), DVec2::new(h, -h), DVec2::new(-h, h), DVec2::new(h, h)] {
         let p = warp.place + warp.shape * corner - 0.5;

@@ -1,8 +1,8 @@
 //! Where a window of one image lies in the next (Lucas & Kanade 1981; pyramids: Bouguet 2000; the template's own
 //! gradients and normal matrix: Baker & Matthews, IJCV 2004).
 
-use super::pyramid::{Level, Pyramid};
-use super::window::{EMPTY, SIDE, Window, centre, dot};
+use super::pyramid::{Pyramid, PyramidLevel};
+use super::window::{EMPTY, KltWindow, SIDE, centre, dot};
 use crate::sift::dispatch;
 use glam::DVec2;
 
@@ -17,9 +17,9 @@ const CORRELATION: f32 = 0.8;
 
 /// The window of a template, without its mean, with its gradients (without theirs) and the inverse normal matrix.
 struct Template {
-    values: Window,
-    gx: Window,
-    gy: Window,
+    values: KltWindow,
+    gx: KltWindow,
+    gy: KltWindow,
     /// Σ of the gradients times the values.
     own: [f32; 2],
     inverse: [f32; 3],
@@ -28,7 +28,7 @@ struct Template {
 
 impl Template {
     #[inline(always)]
-    fn new(level: &Level, x: f32, y: f32) -> Option<Self> {
+    fn new(level: &PyramidLevel, x: f32, y: f32) -> Option<Self> {
         let mut outer = [0.0; OUTER * OUTER];
         if !level.window(x, y, OUTER, &mut outer) {
             return None;
@@ -58,7 +58,7 @@ impl Template {
 
     /// Moves (x, y) on `level` to where the window fits, brightness and contrast aside; the correlation there.
     #[inline(always)]
-    fn fit(&self, level: &Level, x: &mut f32, y: &mut f32) -> Option<f32> {
+    fn fit(&self, level: &PyramidLevel, x: &mut f32, y: &mut f32) -> Option<f32> {
         let mut window = EMPTY;
         let (start_x, start_y) = (*x, *y);
         for _ in 0..STEPS {

@@ -109,7 +109,7 @@ fn windows_that_shear_and_stretch_are_found_at_their_true_place() {
             second.data[y * SIZE.0 + x] = 0.8 * value(q) + 0.1;
         }
     }
-    let levels = [&first, &second].map(pyramid::Level::smoothed);
+    let levels = [&first, &second].map(pyramid::PyramidLevel::smooth);
     let mut found = 0;
     for k in 0..100 {
         let p = DVec2::new(60.0 + f64::from(k % 10) * 15.0, 60.0 + f64::from(k / 10) * 12.0);

@@ -12,14 +12,14 @@ pub(super) const WIDE: usize = 16;
 pub(super) const COUNT: f32 = (SIDE * SIDE) as f32;
 
 /// Rows of a window; what lies beyond [`SIDE`] is 0.
-pub(super) type Window = [[f32; WIDE]; SIDE];
+pub(super) type KltWindow = [[f32; WIDE]; SIDE];
 
 /// A window of nothing.
-pub(super) const EMPTY: Window = [[0.0; WIDE]; SIDE];
+pub(super) const EMPTY: KltWindow = [[0.0; WIDE]; SIDE];
 
 /// `Σ a b`
 #[inline(always)]
-pub(super) fn dot(a: &Window, b: &Window) -> f32 {
+pub(super) fn dot(a: &KltWindow, b: &KltWindow) -> f32 {
     let mut sums = [0.0f32; WIDE];
     for (a, b) in a.iter().zip(b) {
         for k in 0..WIDE {
@@ -31,7 +31,7 @@ pub(super) fn dot(a: &Window, b: &Window) -> f32 {
 
 /// Takes the mean away.
 #[inline(always)]
-pub(super) fn centre(window: &mut Window) {
+pub(super) fn centre(window: &mut KltWindow) {
     let mut sums = [0.0f32; WIDE];
     for row in window.iter() {
         for k in 0..WIDE {

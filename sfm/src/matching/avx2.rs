@@ -16,9 +16,9 @@ const STEPS: usize = DIM / 2;
 /// Descriptors of `b` that stay in the second-level cache while the rows of `a` pass (128 KiB).
 const BLOCK: usize = 1024;
 /// Two panels: the columns of a tile.
-type Columns = [Panel; 2];
+type Avx2Columns = [Panel; 2];
 /// Dot products of a tile, biased.
-type Dots = [[__m256i; 2]; ROWS];
+type Avx2Dots = [[__m256i; 2]; ROWS];
 
 /// See [`super::kernel::top_two`].
 #[target_feature(enable = "avx2")]
@@ -46,7 +46,7 @@ pub(super) fn sweep(a: &PreparedFeatures, b: &PreparedFeatures, rows: &mut TopTw
 /// Biased dot products of 4 rows with the 32 columns of a tile.
 #[inline]
 #[target_feature(enable = "avx2")]
-fn multiply(rows: &[[u32; ROWS]; STEPS], tile: &Columns) -> Dots {
+fn multiply(rows: &[[u32; ROWS]; STEPS], tile: &Avx2Columns) -> Avx2Dots {
     let mut sums = [[_mm256_set1_epi16(i16::MIN); 2]; ROWS];
     let [left, right] = tile;
     for (k, row) in rows.iter().enumerate() {
@@ -76,7 +76,7 @@ fn seconds(columns: &TopTwo, j: usize) -> __m256i {
 /// Whether a dot product of the tile is above the second-best of its row or of its column: nearly always no.
 #[inline]
 #[target_feature(enable = "avx2")]
-fn beats(dots: &Dots, i: usize, j: usize, rows: &TopTwo, columns: &TopTwo) -> bool {
+fn beats(dots: &Avx2Dots, i: usize, j: usize, rows: &TopTwo, columns: &TopTwo) -> bool {
     let column = [seconds(columns, j), seconds(columns, j + PANEL)];
     let mut any = _mm256_setzero_si256();
     for (dots, &second) in dots.iter().zip(&rows.second[i..i + ROWS]) {
@@ -92,7 +92,7 @@ fn beats(dots: &Dots, i: usize, j: usize, rows: &TopTwo, columns: &TopTwo) -> bo
 /// Enters the dot products of the tile at (`i`, `j`).
 #[inline(never)]
 #[target_feature(enable = "avx2")]
-fn offer(dots: &Dots, [i, j]: [usize; 2], len: [usize; 2], rows: &mut TopTwo, columns: &mut TopTwo) {
+fn offer(dots: &Avx2Dots, [i, j]: [usize; 2], len: [usize; 2], rows: &mut TopTwo, columns: &mut TopTwo) {
     for r in 0..ROWS.min(len[0] - i) {
         for n in 0..2 {
             let first = j + n * PANEL;

@@ -20,11 +20,11 @@ const BLOCK: usize = 2048;
 /// Fours of rows that a tile meets while it lies in the first-level cache (8 KiB, and as much for the tile).
 const FOURS: usize = 16;
 /// Four panels: the columns of a tile.
-type Columns = [Panel; WIDE];
+type Avx512Columns = [Panel; WIDE];
 /// Four rows: the word of each at every step.
-type Words = [[i32; ROWS]; STEPS];
+type Avx512Words = [[i32; ROWS]; STEPS];
 /// Dot products of a tile, biased.
-type Dots = [[__m512i; WIDE]; ROWS];
+type Avx512Dots = [[__m512i; WIDE]; ROWS];
 
 /// See [`super::kernel::top_two`].
 #[target_feature(enable = "avx512f,avx512bw,avx512vnni")]
@@ -53,7 +53,7 @@ pub(super) fn sweep(a: &PreparedFeatures, b: &PreparedFeatures, rows: &mut TopTw
     }
 }
 
-fn fill(words: &mut Words, a: &PreparedFeatures, i: usize) {
+fn fill(words: &mut Avx512Words, a: &PreparedFeatures, i: usize) {
     for r in 0..ROWS {
         for (w, four) in words.iter_mut().zip(a.row(i + r).as_chunks::<4>().0) {
             w[r] = i32::from_le_bytes(*four);
@@ -64,7 +64,7 @@ fn fill(words: &mut Words, a: &PreparedFeatures, i: usize) {
 /// Biased dot products of 4 rows with the 64 columns of a tile.
 #[inline]
 #[target_feature(enable = "avx512f,avx512bw,avx512vnni")]
-fn multiply(rows: &Words, tile: &Columns) -> Dots {
+fn multiply(rows: &Avx512Words, tile: &Avx512Columns) -> Avx512Dots {
     let mut sums = [[_mm512_set1_epi32(i32::from(i16::MIN)); WIDE]; ROWS];
     for (k, row) in rows.iter().enumerate() {
         let mut column = [_mm512_setzero_si512(); WIDE];
@@ -85,7 +85,7 @@ fn multiply(rows: &Words, tile: &Columns) -> Dots {
 /// The dot products of each row that are above its second-best or their column's, a bit a column.
 #[inline]
 #[target_feature(enable = "avx512f,avx512bw,avx512vnni")]
-fn above(dots: &Dots, i: usize, j: usize, rows: &TopTwo, columns: &TopTwo) -> [u64; ROWS] {
+fn above(dots: &Avx512Dots, i: usize, j: usize, rows: &TopTwo, columns: &TopTwo) -> [u64; ROWS] {
     let mut column = [_mm512_setzero_si512(); WIDE];
     for n in 0..WIDE {
         let values = &columns.second[j + n * PANEL..j + (n + 1) * PANEL];

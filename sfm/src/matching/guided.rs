@@ -59,7 +59,7 @@ fn one_way(
     max_px: f64,
     config: &MatchConfig,
 ) -> Vec<Option<u32>> {
-    let grid = Grid::new(&to.0.keypoints, max_px);
+    let grid = KeypointGrid::new(&to.0.keypoints, max_px);
     let transposed = f.transpose();
     let ratio2 = config.guided_ratio * config.guided_ratio;
     let max2 = config.match_max_distance * config.match_max_distance;
@@ -90,7 +90,7 @@ fn one_way(
 }
 
 /// Keypoints by cell of a regular grid over their bounding box.
-struct Grid {
+struct KeypointGrid {
     origin: DVec2,
     cell: f64,
     size: [usize; 2],
@@ -101,7 +101,7 @@ struct Grid {
     places: Vec<DVec2>,
 }
 
-impl Grid {
+impl KeypointGrid {
     fn new(keypoints: &[Keypoint], max_px: f64) -> Self {
         let finite = || keypoints.iter().map(Keypoint::position).filter(|p| p.is_finite());
         let origin = finite().reduce(DVec2::min).unwrap_or(DVec2::ZERO);

@@ -24,7 +24,7 @@ impl TopTwo {
     /// `len` descriptors (rounded up so that whole vectors can be read); nothing up to `floor` is looked at.
     fn new(len: usize, floor: u16) -> Self {
         let padded = len.next_multiple_of(64);
-        let floor = biased(floor);
+        let floor = add_bias(floor);
         Self { best: vec![floor; padded], second: vec![floor; padded], index: vec![NONE; padded] }
     }
 
@@ -41,12 +41,12 @@ impl TopTwo {
 }
 
 #[inline(always)]
-fn biased(dot: u16) -> i16 {
+fn add_bias(dot: u16) -> i16 {
     (dot ^ 0x8000) as i16
 }
 
 /// The dot product behind a biased number.
-pub(super) fn unbiased(dot: i16) -> u16 {
+pub(super) fn remove_bias(dot: i16) -> u16 {
     (dot as u16) ^ 0x8000
 }
 
@@ -99,7 +99,7 @@ pub(super) fn portable_top_two(a: &PreparedFeatures, b: &PreparedFeatures, floor
     for j0 in (0..b.len()).step_by(256) {
         for i in 0..a.len() {
             for j in j0..(j0 + 256).min(b.len()) {
-                let dot = biased(dot(a.row(i), b.row(j)));
+                let dot = add_bias(dot(a.row(i), b.row(j)));
                 if dot > rows.second[i] || dot > columns.second[j] {
                     rows.offer(i, dot, j as u32);
                     columns.offer(j, dot, i as u32);

@@ -22,7 +22,7 @@ pub use guided::{guided_match, guided_match_prepared};
 pub use prepared::PreparedFeatures;
 
 use crate::SfmError;
-use kernel::{NONE, TopTwo, unbiased};
+use kernel::{NONE, TopTwo, remove_bias};
 use prepared::{dot_at_distance, squared_distance};
 use rayon::prelude::*;
 use scene::{Features, Progress};
@@ -43,7 +43,7 @@ pub fn match_prepared(a: &PreparedFeatures, b: &PreparedFeatures, config: &Match
     let ratio2 = config.match_ratio * config.match_ratio;
     let max2 = config.match_max_distance * config.match_max_distance;
     let distinct = |side: &TopTwo, i: usize| {
-        let (best, second) = (unbiased(side.best[i]), unbiased(side.second[i]));
+        let (best, second) = (remove_bias(side.best[i]), remove_bias(side.second[i]));
         let d2 = squared_distance(best);
         d2 <= max2 && d2 < ratio2 * squared_distance(second)
     };

@@ -16,7 +16,7 @@ const LANES: usize = 8;
 /// Descriptors of `b` that stay in the second-level cache while the rows of `a` pass (128 KiB).
 const BLOCK: usize = 1024;
 /// Dot products of a tile, biased.
-type Dots = [[int16x8_t; 2]; ROWS];
+type NeonDots = [[int16x8_t; 2]; ROWS];
 
 /// See [`super::kernel::top_two`]; of panels of single components.
 #[target_feature(enable = "neon")]
@@ -38,7 +38,7 @@ pub(super) fn sweep(a: &PreparedFeatures, b: &PreparedFeatures, rows: &mut TopTw
 /// Biased dot products of 4 rows with the 16 columns of a panel.
 #[inline]
 #[target_feature(enable = "neon")]
-fn multiply(rows: [&[u8]; ROWS], panel: &Panel) -> Dots {
+fn multiply(rows: [&[u8]; ROWS], panel: &Panel) -> NeonDots {
     let mut sums = [[vdupq_n_u16(0); 2]; ROWS];
     for k in 0..DIM {
         // SAFETY: k < DIM, and a panel holds DIM vectors of 16 bytes.
@@ -65,7 +65,7 @@ fn lower(row: i16, columns: &TopTwo, j: usize) -> int16x8_t {
 /// Whether a dot product of the tile is above the second-best of its row or of its column: nearly always no.
 #[inline]
 #[target_feature(enable = "neon")]
-fn beats(dots: &Dots, i: usize, j: usize, rows: &TopTwo, columns: &TopTwo) -> bool {
+fn beats(dots: &NeonDots, i: usize, j: usize, rows: &TopTwo, columns: &TopTwo) -> bool {
     let mut any = vdupq_n_u16(0);
     for (dots, &second) in dots.iter().zip(&rows.second[i..i + ROWS]) {
         for n in 0..2 {
@@ -78,7 +78,7 @@ fn beats(dots: &Dots, i: usize, j: usize, rows: &TopTwo, columns: &TopTwo) -> bo
 /// Enters the dot products of the tile at (`i`, `j`).
 #[inline(never)]
 #[target_feature(enable = "neon")]
-fn offer(dots: &Dots, [i, j]: [usize; 2], len: [usize; 2], rows: &mut TopTwo, columns: &mut TopTwo) {
+fn offer(dots: &NeonDots, [i, j]: [usize; 2], len: [usize; 2], rows: &mut TopTwo, columns: &mut TopTwo) {
     for r in 0..ROWS.min(len[0] - i) {
         for n in 0..2 {
             let first = j + n * LANES;

@@ -33,11 +33,11 @@ pub struct PreparedFeatures {
 impl PreparedFeatures {
     /// From descriptors of any length (they are normalised here).
     pub fn new(features: &Features) -> Self {
-        Self::grouped(features, super::kernel::best_group())
+        Self::with_group(features, super::kernel::best_group())
     }
 
     /// For a kernel that takes `group` components at once.
-    pub(super) fn grouped(features: &Features, group: usize) -> Self {
+    pub(super) fn with_group(features: &Features, group: usize) -> Self {
         let len = features.len();
         let padded = len.next_multiple_of(4 * PANEL);
         let mut rows = vec![0; padded * DIM];

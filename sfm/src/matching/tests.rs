@@ -74,7 +74,7 @@ fn every_kernel_gives_the_same_matches() {
         let shared = n.min(m) / 2 * Features::DIM;
         b.descriptors[..shared].copy_from_slice(&shuffled(&a, 1, 20).descriptors[..shared]);
         for (floor, group) in [0, 20_000, 45_000].into_iter().flat_map(|f| [1, 2, 4].map(|g| (f, g))) {
-            let (a, b) = (PreparedFeatures::grouped(&a, group), PreparedFeatures::grouped(&b, group));
+            let (a, b) = (PreparedFeatures::with_group(&a, group), PreparedFeatures::with_group(&b, group));
             let (fast, plain) = (top_two(&a, &b, floor), portable_top_two(&a, &b, floor));
             for (x, y) in [(&fast.0, &plain.0), (&fast.1, &plain.1)] {
                 assert_eq!(x.best, y.best, "{n} {m} {floor}");

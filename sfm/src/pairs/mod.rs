@@ -1,12 +1,12 @@
 //! Which pairs of images are matched at all.
 //!
 //! Small sets: every pair. Larger ones: neighbours in time (videos) and, for every image, those that look most alike
-//! (`likeness`); from there on along the matches themselves, for what matches a common third image may match too
+//! (`retrieval`); from there on along the matches themselves, for what matches a common third image may match too
 //! (Agarwal et al., "Building Rome in a Day", ICCV 2009: query expansion). So true pairs are found whatever the
-//! likeness says of them, and what cannot match is not tried.
+//! image retrieval says of them, and what cannot match is not tried.
 
 mod expansion;
-mod likeness;
+mod retrieval;
 
 pub use expansion::match_related;
 
@@ -47,7 +47,7 @@ impl PairConfig {
 }
 
 /// The pairs `(a, b)`, `a < b`, in ascending order that are matched first: all of a small set. The order of files is
-/// never trusted to be the order of a ring: of photos only likeness counts, of videos likeness closes the loops. The
+/// never trusted to be the order of a ring: of photos only image retrieval counts, of videos image retrieval closes the loops. The
 /// same for any number of threads.
 pub fn first_pairs(frames: &FrameSet, features: &[Features], config: &PairConfig) -> Vec<(usize, usize)> {
     let n = frames.len().min(features.len());
@@ -60,7 +60,7 @@ pub fn first_pairs(frames: &FrameSet, features: &[Features], config: &PairConfig
         pairs.extend((a + 1..=(a + window).min(n - 1)).map(|b| (a, b)));
     }
     let first = config.pair_candidates.div_ceil(4);
-    for (a, ranked) in likeness::most_alike(&features[..n], first + 2 * window).into_iter().enumerate() {
+    for (a, ranked) in retrieval::most_alike(&features[..n], first + 2 * window).into_iter().enumerate() {
         let others = ranked.into_iter().filter(|b| b.abs_diff(a) > window);
         pairs.extend(others.take(first).map(|b| (a.min(b), a.max(b))));
     }

@@ -92,7 +92,7 @@ pub fn ransac<E: Estimator>(
         return None;
     }
     let mut random = rng(config.seed, "ransac", stream_index);
-    let mut search = Search::new(estimator, config.threshold, n);
+    let mut search = RansacSearch::new(estimator, config.threshold, n);
     let hopeless = needed_samples(config.min_inliers.max(k) as f64 / n as f64, k, config.confidence);
     let mut limit = config.max_iterations.min(hopeless.max(config.min_iterations));
     let mut sample = vec![0; k];
@@ -155,7 +155,7 @@ fn draw(random: &mut scene::rng::Rng, n: usize, sample: &mut [usize]) {
     }
 }
 
-struct Search<'a, E: Estimator> {
+struct RansacSearch<'a, E: Estimator> {
     estimator: &'a E,
     limit_sq: f64,
     /// A fixed pseudo-random order of the data, so that dropping half-way sees a fair mixture.
@@ -166,7 +166,7 @@ struct Search<'a, E: Estimator> {
     scratch: Vec<usize>,
 }
 
-impl<'a, E: Estimator> Search<'a, E> {
+impl<'a, E: Estimator> RansacSearch<'a, E> {
     fn new(estimator: &'a E, threshold: f64, n: usize) -> Self {
         let mut random = rng(0, "ransac order", n as u64);
         let mut order: Vec<usize> = (0..n).collect();

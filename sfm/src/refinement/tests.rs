@@ -21,7 +21,7 @@ fn texture(x: f64, y: f64) -> f64 {
 }
 
 /// What the tests refer to. The plane is z = 0 and `unit` of it a pixel of the first camera.
-struct Scene {
+struct RefinementScene {
     folder: std::path::PathBuf,
     unit: f64,
     camera: Camera,
@@ -30,13 +30,13 @@ struct Scene {
     keypoints: Vec<Vec<DVec2>>,
 }
 
-impl Drop for Scene {
+impl Drop for RefinementScene {
     fn drop(&mut self) {
         std::fs::remove_dir_all(&self.folder).ok();
     }
 }
 
-impl Scene {
+impl RefinementScene {
     /// Five cameras, up to 40° from the first; each keypoint off its place by a random [`OFF`].
     fn new(name: &str, unit: f64) -> Self {
         let folder = std::env::temp_dir().join(format!("sat-recon-refinement-{name}-{}", std::process::id()));
@@ -65,8 +65,8 @@ impl Scene {
         centre - ray * (centre.z / ray.z)
     }
 
-    /// Files of the images as `shown` has their brightness; those that `turned` marks are turned by half a turn.
-    fn frames(&self, turned: &[bool], shown: impl Fn(usize, f64) -> f64) -> FrameSet {
+    /// Files of the images as `shown` has their brightness; those that `rotated` marks are rotated by 180°.
+    fn frames(&self, rotated: &[bool], shown: impl Fn(usize, f64) -> f64) -> FrameSet {
         let frame = |k: usize| {
             let path = self.folder.join(format!("{k}.png"));
             let mut image = image::GrayImage::from_fn(SIZE.0, SIZE.1, |x, y| {
@@ -74,7 +74,7 @@ impl Scene {
                 let value = shown(k, texture(p.x / self.unit, p.y / self.unit));
                 image::Luma([(255.0 * value).round() as u8])
             });
-            if turned[k] {
+            if rotated[k] {
                 image = image::imageops::rotate180(&image);
             }
             image.save(&path).unwrap();
@@ -83,25 +83,25 @@ impl Scene {
         FrameSet { frames: (0..self.poses.len()).map(frame).collect(), ..FrameSet::default() }
     }
 
-    fn refined(&self, frames: &FrameSet, turned: &[bool]) -> Result<Refined, SfmError> {
+    fn refine(&self, frames: &FrameSet, rotated: &[bool]) -> Result<RefinedKeypoints, SfmError> {
         let (images, points) = (self.poses.len(), self.places.len());
         let numbers: Vec<u32> = (0..points as u32).collect();
         let of_point = |p: &u32| -> Vec<[u32; 2]> { (0..images as u32).map(|i| [i, *p]).collect() };
         let tracks =
             Tracks { of: vec![numbers.clone(); images], views: numbers.iter().map(of_point).collect() };
-        let spreads = vec![vec![1.5; points]; images];
+        let sigmas = vec![vec![1.5; points]; images];
         let config = MapperConfig::default();
-        let input = Input {
+        let input = MappingInput {
             keypoints: &self.keypoints,
-            spreads: &spreads,
+            sigmas: &sigmas,
             tracks: &tracks,
             camera_of: &vec![0; images],
             geometries: &[],
             config: &config,
-            may_be_turned: true,
+            may_be_rotated: true,
             seed: 0,
         };
-        let mut state = State::new(&input, vec![self.camera.clone()]);
+        let mut state = MapState::new(&input, vec![self.camera.clone()]);
         self.poses.iter().enumerate().for_each(|(i, pose)| state.register(i, *pose));
         for (k, x) in self.places.iter().enumerate() {
             state.points.push(Some(MapPoint {
@@ -110,11 +110,11 @@ impl Scene {
                 views: tracks.views[k].clone(),
             }));
         }
-        refine(&state, &input, frames, turned, &Progress::silent())
+        refine(&state, &input, frames, rotated, &Progress::silent())
     }
 
     /// Largest and median distance of the moved keypoints from the spot that the first image's keypoint shows.
-    fn off(&self, refined: &Refined) -> (f64, f64) {
+    fn off(&self, refined: &RefinedKeypoints) -> (f64, f64) {
         let distance = |[image, feature]: &[u32; 2]| {
             let (image, feature) = (*image as usize, *feature as usize);
             let spot = self.on_plane(&self.poses[0], self.keypoints[0][feature]);
@@ -129,11 +129,11 @@ impl Scene {
 #[test]
 fn keypoints_move_to_the_spot_the_middle_one_shows() {
     for (name, unit) in [("small", 1e-6), ("one", 1.0), ("large", 1e6)] {
-        let scene = Scene::new(name, unit);
+        let scene = RefinementScene::new(name, unit);
         let light = [1.0, 0.8, 0.6, 0.9, 0.5];
-        let turned = [false, true, false, false, true];
-        let frames = scene.frames(&turned, |k, v| light[k] * v + 0.05 * k as f64);
-        let refined = scene.refined(&frames, &turned).unwrap();
+        let rotated = [false, true, false, false, true];
+        let frames = scene.frames(&rotated, |k, v| light[k] * v + 0.05 * k as f64);
+        let refined = scene.refine(&frames, &rotated).unwrap();
         // All but those whose windows leave an image.
         assert!(refined.moved.len() > 150, "{} moved", refined.moved.len());
         assert!(refined.moved.iter().all(|v| v[0] != 0), "the middle camera's keypoints stay");
@@ -141,27 +141,27 @@ fn keypoints_move_to_the_spot_the_middle_one_shows() {
         let (most, half) = scene.off(&refined);
         assert!(most < 0.2 && half < 0.04, "unit {unit}: at most {most}, half below {half} px of {OFF}");
         let of_moved: Vec<f64> =
-            refined.moved.iter().map(|v| f64::from(refined.spreads[v[0] as usize][v[1] as usize])).collect();
+            refined.moved.iter().map(|v| f64::from(refined.sigmas[v[0] as usize][v[1] as usize])).collect();
         assert!((median(of_moved) - 1.0).abs() < 1e-6);
     }
 }
 
 #[test]
 fn what_shows_nothing_or_something_else_stays() {
-    let scene = Scene::new("nothing", 1.0);
-    let turned = [false; 5];
+    let scene = RefinementScene::new("nothing", 1.0);
+    let rotated = [false; 5];
     for (what, frames) in [
-        ("black", scene.frames(&turned, |_, _| 0.0)),
-        ("saturated", scene.frames(&turned, |_, v| (v * 100.0).min(1.0))),
+        ("black", scene.frames(&rotated, |_, _| 0.0)),
+        ("saturated", scene.frames(&rotated, |_, v| (v * 100.0).min(1.0))),
     ] {
-        let refined = scene.refined(&frames, &turned).unwrap();
+        let refined = scene.refine(&frames, &rotated).unwrap();
         assert!(refined.moved.is_empty() && refined.unsure.is_empty(), "{what}");
         assert_eq!(refined.keypoints, scene.keypoints, "{what}");
-        assert!(refined.spreads.iter().flatten().all(|s| s.is_finite() && *s > 0.0), "{what}");
+        assert!(refined.sigmas.iter().flatten().all(|s| s.is_finite() && *s > 0.0), "{what}");
     }
     // One image is the negative of what it should be.
-    let frames = scene.frames(&turned, |k, v| if k == 3 { 1.0 - v } else { v });
-    let refined = scene.refined(&frames, &turned).unwrap();
+    let frames = scene.frames(&rotated, |k, v| if k == 3 { 1.0 - v } else { v });
+    let refined = scene.refine(&frames, &rotated).unwrap();
     assert!(refined.moved.iter().all(|v| v[0] != 3) && !refined.moved.is_empty());
     assert!(refined.unsure.iter().filter(|v| v[0] == 3).count() > 40);
     assert_eq!(refined.keypoints[3], scene.keypoints[3]);
@@ -170,14 +170,14 @@ fn what_shows_nothing_or_something_else_stays() {
 #[test]
 fn windows_are_warped_as_the_model_says() {
     // Steeper than what a window finds by itself, and rolled.
-    let mut scene = Scene::new("steep", 1.0);
+    let mut scene = RefinementScene::new("steep", 1.0);
     let roll = DQuat::from_rotation_z(1.2);
     scene.poses[2] =
         Pose { rotation: roll * scene.poses[2].rotation, translation: roll * scene.poses[2].translation };
     scene.keypoints[2] =
         scene.places.iter().map(|x| scene.camera.project(scene.poses[2].transform(*x)).unwrap()).collect();
-    let turned = [false; 5];
-    let refined = scene.refined(&scene.frames(&turned, |_, v| v), &turned).unwrap();
+    let rotated = [false; 5];
+    let refined = scene.refine(&scene.frames(&rotated, |_, v| v), &rotated).unwrap();
     assert!(refined.moved.iter().filter(|v| v[0] == 2).count() > 40);
     assert!(scene.off(&refined).1 < 0.04);
     assert!(image_of_tangents(&scene.camera, &scene.poses[0], DVec3::ZERO, [DVec3::X, DVec3::Z]).is_none());
@@ -185,15 +185,15 @@ fn windows_are_warped_as_the_model_says() {
 
 #[test]
 fn images_that_cannot_be_read_are_named() {
-    let scene = Scene::new("unreadable", 1.0);
-    let turned = [false; 5];
-    let mut frames = scene.frames(&turned, |_, v| v);
+    let scene = RefinementScene::new("unreadable", 1.0);
+    let rotated = [false; 5];
+    let mut frames = scene.frames(&rotated, |_, v| v);
     frames.frames[2].width += 1;
-    let error = scene.refined(&frames, &turned).err().unwrap();
+    let error = scene.refine(&frames, &rotated).err().unwrap();
     assert!(matches!(&error, SfmError::SizeMismatch { path, .. } if path.ends_with("2.png")), "{error}");
     // Frames are read in no order of their own: the one that is asked for must be the only bad one.
     frames.frames[2].width -= 1;
     std::fs::remove_file(&frames.frames[1].path).unwrap();
-    let error = scene.refined(&frames, &turned).err().unwrap().to_string();
+    let error = scene.refine(&frames, &rotated).err().unwrap().to_string();
     assert!(error.contains("1.png"), "{error}");
 }

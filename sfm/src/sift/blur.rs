@@ -8,7 +8,7 @@
 
 /// A row-major plane.
 #[derive(Clone, Debug, Default)]
-pub struct Plane {
+pub struct LumaPlane {
     /// Columns.
     pub width: usize,
     /// Rows.
@@ -17,7 +17,7 @@ pub struct Plane {
     pub data: Vec<f32>,
 }
 
-impl Plane {
+impl LumaPlane {
     /// Gives the plane that size; what it holds then is not defined.
     pub fn resize(&mut self, width: usize, height: usize) {
         self.width = width;
@@ -140,7 +140,7 @@ dispatch! {
 }
 
 /// Blurs `source` by σ pixels into `out` (resized).
-pub fn gaussian_blur(source: &Plane, sigma: f32, out: &mut Plane) {
+pub fn gaussian_blur(source: &LumaPlane, sigma: f32, out: &mut LumaPlane) {
     out.resize(source.width, source.height);
     if source.data.is_empty() {
         return;
@@ -173,7 +173,7 @@ pub fn gaussian_blur(source: &Plane, sigma: f32, out: &mut Plane) {
 
 /// Twice the size, blurred by σ input pixels on the way: output sample `i` lies at input position `i/2 − 1/4`
 /// (sample indices), so both phases are Gaussian sums of the same width and neither is favoured.
-pub fn gaussian_double(source: &Plane, sigma: f32, out: &mut Plane) {
+pub fn gaussian_double(source: &LumaPlane, sigma: f32, out: &mut LumaPlane) {
     out.resize(source.width * 2, source.height * 2);
     if source.data.is_empty() {
         return;
@@ -235,7 +235,7 @@ fn phase_kernel(sigma: f32, radius: isize) -> [Vec<f32>; 2] {
 }
 
 /// Every second sample, beginning with the first.
-pub fn halve(source: &Plane, out: &mut Plane) {
+pub fn halve(source: &LumaPlane, out: &mut LumaPlane) {
     let (w, h) = (source.width.div_ceil(2), source.height.div_ceil(2));
     out.resize(w, h);
     for y in 0..h {
@@ -247,10 +247,10 @@ pub fn halve(source: &Plane, out: &mut Plane) {
 }
 
 /// Area-averaged reduction to `width × height` (not larger than the source).
-pub fn reduce(source: &Plane, width: usize, height: usize) -> Plane {
+pub fn reduce(source: &LumaPlane, width: usize, height: usize) -> LumaPlane {
     let columns = area_weights(source.width, width);
     let rows = area_weights(source.height, height);
-    let mut out = Plane { width, height, data: vec![0.0; width * height] };
+    let mut out = LumaPlane { width, height, data: vec![0.0; width * height] };
     let mut line = vec![0.0_f32; source.width];
     for (y, (first, weights)) in rows.iter().enumerate() {
         line.fill(0.0);

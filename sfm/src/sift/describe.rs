@@ -3,7 +3,7 @@
 // Loops over several arrays at once are written with an index: the form the compiler vectorises.
 #![allow(clippy::needless_range_loop)]
 
-use super::blur::{Plane, dispatch};
+use super::blur::{LumaPlane, dispatch};
 use std::f32::consts::{PI, TAU};
 
 const ORIENTATION_BINS: usize = 36;
@@ -48,7 +48,7 @@ fn fast_atan2(y: f32, x: f32) -> f32 {
 
 /// Dominant directions of the gradient around a keypoint, strongest first, radians in (−π, π].
 /// `x, y, sigma`: samples of the level.
-pub fn orientations(level: &Plane, x: f32, y: f32, sigma: f32, most: usize) -> Vec<f32> {
+pub fn orientations(level: &LumaPlane, x: f32, y: f32, sigma: f32, most: usize) -> Vec<f32> {
     let mut histogram = [0.0; ORIENTATION_BINS];
     orientation_histogram(level, x, y, 1.5 * sigma, &mut histogram);
     for _ in 0..SMOOTHINGS {
@@ -79,11 +79,11 @@ pub fn orientations(level: &Plane, x: f32, y: f32, sigma: f32, most: usize) -> V
 
 dispatch! {
     /// Gradient magnitudes by direction, Gaussian-weighted with `sigma_w`, shared between the two nearest bins.
-    fn orientation_histogram(level: &Plane, x: f32, y: f32, sigma_w: f32, histogram: &mut [f32; ORIENTATION_BINS]) {
+    fn orientation_histogram(level: &LumaPlane, x: f32, y: f32, sigma_w: f32, histogram: &mut [f32; ORIENTATION_BINS]) {
         const CHUNK: usize = 16;
         let radius = 3.0 * sigma_w;
-        let (first_x, last_x) = clipped(x, radius, level.width);
-        let (first_y, last_y) = clipped(y, radius, level.height);
+        let (first_x, last_x) = clip_range(x, radius, level.width);
+        let (first_y, last_y) = clip_range(y, radius, level.height);
         let scale = -0.5 / (sigma_w * sigma_w);
         let bins = ORIENTATION_BINS as f32;
         let column_weights: Vec<f32> = (first_x..=last_x).map(|c| (scale * (c as f32 - x).powi(2)).exp()).collect();
@@ -121,7 +121,7 @@ dispatch! {
 
 /// First and last index within `radius` of `centre` that have neighbours on both sides.
 #[inline(always)]
-fn clipped(centre: f32, radius: f32, size: usize) -> (usize, usize) {
+fn clip_range(centre: f32, radius: f32, size: usize) -> (usize, usize) {
     let first = (centre - radius).ceil().max(1.0) as usize;
     let last = ((centre + radius).floor().max(1.0) as usize).min(size.saturating_sub(2));
     (first, last)
@@ -155,7 +155,7 @@ dispatch! {
     /// level. The neighbourhood is read on a grid turned by `angle` and spaced by a share of σ, so that the
     /// weights of all samples are the same for every keypoint.
     pub fn describe(
-        tables: &DescriptorTables, level: &Plane, x: f32, y: f32, sigma: f32, angle: f32, out: &mut [u8],
+        tables: &DescriptorTables, level: &LumaPlane, x: f32, y: f32, sigma: f32, angle: f32, out: &mut [u8],
     ) {
         let mut patch = [[0.0_f32; WIDE + 2]; PATCH];
         sample_patch(level, x, y, sigma * BIN_SIGMAS / SAMPLES as f32, angle, &mut patch);
@@ -206,7 +206,7 @@ dispatch! {
 /// Bilinear samples at `(x, y) + R(angle) spacing (i, j)`, centred; positions beyond the border take its value.
 #[inline(always)]
 fn sample_patch(
-    level: &Plane,
+    level: &LumaPlane,
     x: f32,
     y: f32,
     spacing: f32,

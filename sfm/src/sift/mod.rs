@@ -16,7 +16,7 @@ pub(crate) use blur::dispatch;
 pub use config::{Doubling, SiftConfig};
 
 use crate::SfmError;
-use blur::Plane;
+use blur::LumaPlane;
 use describe::DescriptorTables;
 use image::GrayImage;
 use noise::ImageStatistics;
@@ -73,7 +73,7 @@ fn extract_with(
         }
     };
     let mut statistics = ImageStatistics::measure(&work, |x, y| keep(x as f32 + 0.5, y as f32 + 0.5));
-    let mut blurred = Plane::default();
+    let mut blurred = LumaPlane::default();
     let source = if config.pre_blur > 0.0 {
         blur::gaussian_blur(&work, config.pre_blur, &mut blurred);
         statistics.pre_blur = config.pre_blur;
@@ -96,10 +96,10 @@ fn extract_with(
 }
 
 /// The image as a finite plane, reduced where its longer side is above `max_side`.
-fn working_image(image: &FloatImage, max_side: usize) -> Plane {
+fn working_image(image: &FloatImage, max_side: usize) -> LumaPlane {
     let channels = image.channels.max(1);
     let data = image.data.chunks_exact(channels).map(|p| if p[0].is_finite() { p[0] } else { 0.0 }).collect();
-    let plane = Plane { width: image.width, height: image.height, data };
+    let plane = LumaPlane { width: image.width, height: image.height, data };
     let longest = image.width.max(image.height);
     if longest <= max_side.max(1) {
         return plane;
@@ -110,7 +110,7 @@ fn working_image(image: &FloatImage, max_side: usize) -> Plane {
 }
 
 /// The scale space of an image, built in `octaves`; the part of them that is in use.
-fn scale_space<'a>(octaves: &'a mut Vec<Octave>, work: &Plane, config: &SiftConfig) -> &'a [Octave] {
+fn scale_space<'a>(octaves: &'a mut Vec<Octave>, work: &LumaPlane, config: &SiftConfig) -> &'a [Octave] {
     octaves.resize_with(config.octaves.max(1), Octave::default);
     let mut used = 0;
     while used < octaves.len() {

@@ -1,6 +1,6 @@
 //! How strong a response must be, told by the image itself: its range of brightness and its noise.
 
-use super::blur::Plane;
+use super::blur::LumaPlane;
 use super::pyramid::NOMINAL_BLUR;
 
 /// Rounding three channels to 8 bits leaves this much noise in luma: `√(0.299² + 0.587² + 0.114²) / (255 √12)`.
@@ -23,7 +23,7 @@ pub struct ImageStatistics {
 
 impl ImageStatistics {
     /// Of the pixels for which `keep(x, y)` holds.
-    pub fn measure(image: &Plane, keep: impl Fn(usize, usize) -> bool) -> Self {
+    pub fn measure(image: &LumaPlane, keep: impl Fn(usize, usize) -> bool) -> Self {
         Self { range: brightness_range(image, &keep), noise: noise_sigma(image, &keep), pre_blur: 0.0 }
     }
 
@@ -41,7 +41,7 @@ impl ImageStatistics {
 }
 
 /// Spread between the 0.001 and 0.999 quantiles, from a histogram of 4096 bins over [0, 1].
-fn brightness_range(image: &Plane, keep: &impl Fn(usize, usize) -> bool) -> f32 {
+fn brightness_range(image: &LumaPlane, keep: &impl Fn(usize, usize) -> bool) -> f32 {
     const BINS: usize = 4096;
     let mut histogram = vec![0_u32; BINS];
     let mut total = 0_u32;
@@ -68,7 +68,7 @@ fn brightness_range(image: &Plane, keep: &impl Fn(usize, usize) -> bool) -> f32 
 
 /// Noise from the diagonal second difference `(a − b − c + d) / 2` of 2×2 pixels (the finest Haar detail, Donoho
 /// 1995), block by block; the quietest blocks are those without texture. Clipped pixels (0 or 1) say nothing of noise.
-fn noise_sigma(image: &Plane, keep: &impl Fn(usize, usize) -> bool) -> f32 {
+fn noise_sigma(image: &LumaPlane, keep: &impl Fn(usize, usize) -> bool) -> f32 {
     let mut blocks = Vec::new();
     for by in 0..image.height / BLOCK {
         for bx in 0..image.width / BLOCK {

@@ -1,6 +1,6 @@
 //! The Gaussian scale space (Lowe 2004, section 3).
 
-use super::blur::{Plane, gaussian_blur, gaussian_double, halve};
+use super::blur::{LumaPlane, gaussian_blur, gaussian_double, halve};
 
 /// Blur that a camera's image is assumed to have, pixels (Lowe 2004, section 3.3).
 pub const NOMINAL_BLUR: f32 = 0.5;
@@ -11,7 +11,7 @@ pub const BASE_SIGMA: f32 = 1.6;
 #[derive(Debug, Default)]
 pub struct Octave {
     /// Blurred images, finest first.
-    pub levels: Vec<Plane>,
+    pub levels: Vec<LumaPlane>,
     /// Input pixels an octave pixel.
     pub step: f32,
     /// Input position of the centre of the octave's first pixel (the corner of the image is 0).
@@ -33,7 +33,7 @@ impl Octave {
     }
 
     /// The first octave of an image, doubled or not. `step`: input pixels an image pixel.
-    pub fn first(&mut self, image: &Plane, doubled: bool, scales: usize, step: f32) {
+    pub fn first(&mut self, image: &LumaPlane, doubled: bool, scales: usize, step: f32) {
         self.prepare(scales);
         if doubled {
             let sigma = (BASE_SIGMA * BASE_SIGMA / 4.0 - NOMINAL_BLUR * NOMINAL_BLUR).sqrt();
@@ -57,7 +57,7 @@ impl Octave {
 
     fn prepare(&mut self, scales: usize) {
         self.scales = scales.max(1);
-        self.levels.resize(self.scales + 3, Plane::default());
+        self.levels.resize(self.scales + 3, LumaPlane::default());
     }
 
     fn fill(&mut self) {

@@ -264,9 +264,9 @@ fn a_blur_is_the_weighted_sum_at_every_size() {
     let mut rng = scene::rng::rng(1, "blur", 0);
     for (width, height) in [(1, 1), (9, 40), (63, 3), (64, 5), (65, 2), (500, 4), (577, 3), (1100, 2)] {
         let data: Vec<f32> = (0..width * height).map(|_| rng.random()).collect();
-        let plane = Plane { width, height, data };
+        let plane = LumaPlane { width, height, data };
         for sigma in [0.4, 1.6, 3.1, 20.0_f32, 90.0] {
-            let mut out = Plane::default();
+            let mut out = LumaPlane::default();
             blur::gaussian_blur(&plane, sigma, &mut out);
             let kernel = blur::half_kernel(sigma);
             let radius = kernel.len() as isize - 1;

@@ -42,13 +42,13 @@ pub fn cauchy(squared: f64, scale: f64) -> (f64, f64) {
 }
 
 /// Minimises from `state`: `evaluate` gives cost and normal equations (`None` where the state is not allowed),
-/// `moved` applies a step in the tangent space. Returns the best state; the start where nothing is better.
+/// `apply_step` applies a step in the tangent space. Returns the best state; the start where nothing is better.
 /// Marquardt's diagonal scaling, so that units do not matter. Madsen, Nielsen & Tingleff 2004, §3.2.
 pub fn minimise<const D: usize, S: Clone>(
     state: S,
     max_iterations: usize,
     evaluate: impl Fn(&S) -> Option<Normal<D>>,
-    moved: impl Fn(&S, &[f64; D]) -> S,
+    apply_step: impl Fn(&S, &[f64; D]) -> S,
 ) -> S {
     let mut best = state;
     let Some(mut normal) = evaluate(&best) else { return best };
@@ -59,7 +59,7 @@ pub fn minimise<const D: usize, S: Clone>(
             row[i] += lambda * row[i] + f64::MIN_POSITIVE; // solve_spd reads the lower triangle only
         }
         let step = solve_spd(&damped, &normal.jtr.map(|x| -x));
-        let trial = step.map(|step| moved(&best, &step));
+        let trial = step.map(|step| apply_step(&best, &step));
         let result = trial.and_then(|trial| evaluate(&trial).map(|n| (trial, n)));
         match result {
             Some((trial, next)) if next.cost < normal.cost => {

@@ -16,7 +16,7 @@ use crate::SfmError;
 use crate::matching::{MatchConfig, PreparedFeatures, guided_match_prepared};
 use crate::solvers::{sampson_sq, transfer_sq};
 use correspondences::Correspondences;
-use models::Models;
+use models::TwoViewModels;
 use rayon::prelude::*;
 use scene::{Camera, Features, Progress, TwoViewGeometry, TwoViewKind};
 use serde::{Deserialize, Serialize};
@@ -100,7 +100,7 @@ pub fn verify_pair(
     let stream = ((a as u64) << 32) ^ b as u64;
     let verify = |some: &Correspondences| {
         let enough = some.len() >= config.min_inliers.max(8);
-        let models = if enough { Models::find(some, config, seed, stream) } else { None };
+        let models = if enough { TwoViewModels::find(some, config, seed, stream) } else { None };
         let believed = models
             .filter(|m| m.log10_false_alarms(some, config.max_error_px) < config.max_log10_false_alarms);
         believed.map(|m| m.choose(some, config, none.clone())).filter(|g| g.kind != TwoViewKind::Degenerate)

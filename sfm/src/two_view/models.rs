@@ -17,13 +17,13 @@ use scene::{Pose, TwoViewGeometry, TwoViewKind};
 const ESSENTIAL_OVER_FUNDAMENTAL: f64 = 0.95;
 
 /// What the three searches found.
-pub struct Models {
+pub struct TwoViewModels {
     fundamental: Option<RansacResult<DMat3>>,
     essential: Option<RansacResult<EssentialModel>>,
     homography: Option<RansacResult<(DMat3, DMat3)>>,
 }
 
-impl Models {
+impl TwoViewModels {
     /// Searches for a homography and a fundamental matrix and, if one of them has enough inliers, for an
     /// essential matrix, which costs ten times as much a sample. `None` if none has enough.
     pub fn find(all: &Correspondences, config: &TwoViewConfig, seed: u64, stream: u64) -> Option<Self> {

@@ -108,7 +108,7 @@ fn prune_unseen(model: &mut Model, views: &[PinholeView]) -> usize {
     let least = least_views(views.len());
     let is_seen = |&i: &u32| {
         let x = model.mean(i as usize);
-        views.iter().filter(|v| v.sees(v.to_camera(x))).take(least).count() >= least
+        views.iter().filter(|v| v.sees(v.camera_point(x))).take(least).count() >= least
     };
     let kept: Vec<u32> = (0..model.len as u32).into_par_iter().filter(is_seen).collect();
     model.keep(&kept)

@@ -5,11 +5,12 @@ use rayon::prelude::*;
 
 /// Points that a leaf is searched through, a count. Source: chosen by hand, never measured.
 const LEAF: usize = 8;
-/// Mean square distance of a point that is alone. Source: chosen by hand: a hundredth of a normalised unit.
+/// Mean square distance of a point that is alone. Source: chosen by hand: a hundredth of a
+/// normalised unit.
 const ALONE: f32 = 1e-4;
 
-/// Mean square distance of every point to its three nearest neighbours (fewer if there are fewer points; 1e-4 for
-/// a single point).
+/// Mean square distance of every point to its three nearest neighbours (fewer if there are fewer
+/// points; 1e-4 for a single point).
 pub(super) fn mean_square_distance(points: &[Vec3]) -> Vec<f32> {
     let mut order: Vec<u32> = (0..points.len() as u32).collect();
     arrange(points, &mut order, 0);

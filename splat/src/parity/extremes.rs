@@ -6,7 +6,8 @@ use super::steps::Goal;
 use super::subject::subjects;
 use crate::backend::LearningRates;
 use crate::model::Model;
-use crate::{RenderOptions, TrainConfig, schedule};
+use crate::train::schedule;
+use crate::{RenderOptions, TrainConfig};
 use glam::{Quat, Vec3};
 use scene::Gaussians;
 

@@ -2,7 +2,7 @@
 
 use super::scenes::ordinary;
 use crate::backend::Target;
-use crate::dataset::{Normalisation, Pixels, pyramid};
+use crate::dataset::{NormalisedFrame, Pixels, pyramid};
 use crate::model::Model;
 use crate::statistics::Statistics;
 use crate::{
@@ -18,7 +18,7 @@ use scene::{Camera, CameraModel, Gaussians, Pose, Progress};
 fn dataset(truth: &Gaussians, count: usize) -> Dataset {
     let mut renderer = Renderer::new(truth).unwrap();
     let camera = Camera::centred(1, CameraModel::Pinhole, 64, 48, 60.0);
-    let normalisation = Normalisation { centre: DVec3::ZERO, scale: 1.0 / 3.0 };
+    let normalisation = NormalisedFrame { centre: DVec3::ZERO, scale: 1.0 / 3.0 };
     let view = |k: usize| {
         let angle = k as f64 / count as f64 * std::f64::consts::TAU;
         let eye = 3.0 * DVec3::new(angle.cos(), angle.sin(), 0.3 * (3.0 * angle).sin()).normalize();

@@ -26,7 +26,8 @@ fn assert_same(found: &TrainResult, whole: &TrainResult, what: &str) {
     assert_eq!((found.iterations, found.render), (whole.iterations, whole.render), "{what}");
 }
 
-/// Trains without a stop, and with one after each of the `stops` steps; the results must be the same. Returns the first.
+/// Trains without a stop, and with one after each of the `stops` steps; the results must be the
+/// same. Returns the first.
 fn stopped_and_resumed(what: &str, data: &Dataset, config: &TrainConfig, stops: &[u64]) -> TrainResult {
     let whole = train(data, config, None, &Progress::silent()).unwrap();
     for &stop in stops {
@@ -45,7 +46,8 @@ fn stopped_and_resumed(what: &str, data: &Dataset, config: &TrainConfig, stops: 
     whole
 }
 
-/// The steps on both sides of each position of a schedule of `steps` steps at which something is decided, and the last ones.
+/// The steps on both sides of each position of a schedule of `steps` steps at which something is
+/// decided, and the last ones.
 fn around(positions: &[f64], steps: u32) -> Vec<u64> {
     let first_at = |p: &f64| (1..=steps).find(|&i| f64::from(i) / f64::from(steps) >= *p).unwrap();
     let mut stops: Vec<u32> = positions.iter().map(first_at).flat_map(|i| [i - 1, i]).collect();
@@ -66,8 +68,9 @@ fn stopping_and_resuming_changes_no_bit() {
     stopped_and_resumed("early", &dataset(2, false), &config(early), &[u64::from(early) * 23 / 40]);
 }
 
-/// Backgrounds are drawn anew in each step; what hardly any view sees goes in each round, what lies outside the mattes
-/// after the last one. The rates are low, so that what is wrong does not fade before it is removed.
+/// Backgrounds are drawn anew in each step; what hardly any view sees goes in each round, what lies
+/// outside the mattes after the last one. The rates are low, so that what is wrong does not fade
+/// before it is removed.
 #[test]
 fn stopping_and_resuming_with_mattes_changes_no_bit() {
     let mut small = truth();
@@ -102,7 +105,8 @@ fn stopping_and_resuming_repeats_what_validation_views_judged() {
     decision(&whole, Subject::GaussianCount);
 }
 
-/// More Gaussians than a task takes (512), pictures of more rows than a band has (32 and 64), and rounds of densification.
+/// More Gaussians than a task takes (512), pictures of more rows than a band has (32 and 64), and
+/// rounds of densification.
 #[test]
 fn the_same_seed_gives_the_same_bytes_on_any_number_of_threads() {
     let mut dataset = pictures_of(&truth(), 40, true, [172, 164]);

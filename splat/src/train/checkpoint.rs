@@ -1,7 +1,8 @@
 //! Training interrupted and resumed: Gaussians, moments, statistics and the place in the schedule.
 //!
-//! File: magic, length of the header (u64, little endian), header (JSON), arrays of f32 (little endian) in the order
-//! of `arrays`. Written beside its target and renamed, so that what exists is whole.
+//! File: magic, length of the header (u64, little endian), header (JSON), arrays of f32 (little
+//! endian) in the order of `arrays`. Written beside its target and renamed, so that what exists is
+//! whole.
 
 use super::rules::Rules;
 use super::state::TrainingState;
@@ -12,6 +13,7 @@ use serde::{Deserialize, Serialize};
 use std::io::Write;
 use std::path::{Path, PathBuf};
 
+/// Begins the file. Source: this format, in its second version.
 const MAGIC: &[u8; 8] = b"SPLATCK2";
 
 /// Name of the file in the checkpoint folder.
@@ -91,7 +93,8 @@ fn write_file(
 }
 
 impl Checkpoint {
-    /// Reads the folder's checkpoint; `None` if there is none or it belongs to another configuration.
+    /// Reads the folder's checkpoint; `None` if there is none or it belongs to another
+    /// configuration.
     pub(super) fn read(folder: &Path, fingerprint: &str) -> Result<Option<Self>, SplatError> {
         let path = folder.join(FILE);
         let bytes = match std::fs::read(&path) {

@@ -4,18 +4,19 @@ use super::state::CurvePoint;
 use scene::decision::{Decision, Quantity, Remark, Rule, Subject};
 
 /// Training goes the wrong way where its loss is this many times that of the first steps, a ratio.
-/// Source: docs/decisions/0022.
+/// Source: docs/decisions/12.
 const GROWN: f32 = 2.0;
-/// A loss below this is that of a scene of which nothing has to be learnt. Source: chosen by hand, never measured.
+/// A loss below this is that of a scene of which nothing has to be learnt. Source: chosen by hand,
+/// never measured.
 const MATTERS: f32 = 0.02;
 /// Points of the curve in a row that must say so. Source: one point may be a single bad view.
 const IN_A_ROW: usize = 2;
 /// A training at the end of which the loss is this share of the first and more has learnt nothing.
-/// Source: chosen by hand; docs/decisions/0022 has unlearnt trainings at 1.
+/// Source: chosen by hand; docs/decisions/12 has unlearnt trainings at 1.
 const LEARNT: f32 = 0.9;
 
-/// Why training cannot go on, if its loss stays far above what it began with: steps are too large then, and all that comes is
-/// worse than the first Gaussians were.
+/// Why training cannot go on, if its loss stays far above what it began with: steps are too large
+/// then, and all that comes is worse than the first Gaussians were.
 pub(super) fn runaway(curve: &[CurvePoint]) -> Option<String> {
     let first = curve.first()?.loss;
     let last = &curve[curve.len().saturating_sub(IN_A_ROW).max(1)..];

@@ -1,8 +1,8 @@
 //! The training loop.
 //!
-//! A [`session`] takes steps; its [`schedule`] says at which resolution and by which step sizes, its [`pace`] how many there
-//! will be within a time limit; [`rules`] change the Gaussians and decide by evidence. [`setup`] is what stays as it is,
-//! [`state`] what a [`checkpoint`] keeps.
+//! A [`session`] takes steps; its [`schedule`] says at which resolution and by which step sizes,
+//! its [`pace`] how many there will be within a time limit; [`rules`] change the Gaussians and
+//! decide by evidence. [`setup`] is what stays as it is, [`state`] what a [`checkpoint`] keeps.
 //!
 //! ```no_run
 //! use scene::Progress;
@@ -29,7 +29,7 @@ mod loss_trend;
 mod pace;
 mod result;
 mod rules;
-mod schedule;
+pub(crate) mod schedule;
 mod session;
 mod setup;
 mod state;
@@ -44,9 +44,10 @@ use scene::Progress;
 use session::Session;
 use std::path::Path;
 
-/// Trains Gaussians on the views that are not held out. With `checkpoint_dir`, continues from the checkpoint there if it
-/// belongs to the same configuration, and leaves one when cancelled; stopping and resuming changes no bit of the result
-/// (with --time-limit the number of steps depends on the machine's speed).
+/// Trains Gaussians on the views that are not held out. With `checkpoint_dir`, continues from the
+/// checkpoint there if it belongs to the same configuration, and leaves one when cancelled;
+/// stopping and resuming changes no bit of the result (with --time-limit the number of steps
+/// depends on the machine's speed).
 pub fn train(
     dataset: &Dataset,
     config: &TrainConfig,

@@ -1,11 +1,12 @@
-//! Turns steps into positions of the schedule: evenly with --iterations; with --time-limit so that the steps still to
-//! come, at the cost measured so far, end when the time does. Reads no clock: what is spent is told.
+//! Turns steps into positions of the schedule: evenly with --iterations; with --time-limit so that
+//! the steps still to come, at the cost measured so far, end when the time does. Reads no clock:
+//! what is spent is told.
 
 use crate::config::{MAX_COARSE_LEVELS, TrainConfig};
 use crate::train::schedule::{Place, TUNED_STEPS, level};
 use serde::{Deserialize, Serialize};
 
-/// Levels of resolution: the coarse ones and the full one.
+/// Levels of resolution: the coarse ones and the full one. Source: derived.
 const LEVELS: usize = MAX_COARSE_LEVELS as usize + 1;
 
 /// The pace of a training. Part of its checkpoint, so that a resumed one knows what steps cost.
@@ -23,10 +24,12 @@ const FINER: f64 = 2.5;
 /// Weight of a new step in the mean cost, a share: a mean over about twenty steps.
 /// Source: chosen by hand; limits are kept to 1 % by the tests' machines.
 const NEW: f64 = 0.05;
-/// A step that took longer than this many mean ones says something of the machine, not of the steps to come.
-/// Source: docs/decisions/0011.
+/// A step that took longer than this many mean ones says something of the machine, not of the steps
+/// to come.
+/// Source: docs/decisions/12.
 const STALL: f64 = 4.0;
-/// Parts in which the rest of the schedule is summed. Source: a level's share of the schedule is told to 2 %.
+/// Parts in which the rest of the schedule is summed. Source: a level's share of the schedule is
+/// told to 2 %.
 const PARTS: u32 = 64;
 
 impl Pace {
@@ -39,8 +42,8 @@ impl Pace {
         }
     }
 
-    /// The position after a step at `level` that took `spent` seconds; `place.seconds` are gone of the limit. A schedule
-    /// has `most` steps at most, even if the limit leaves time for more.
+    /// The position after a step at `level` that took `spent` seconds; `place.seconds` are gone of
+    /// the limit. A schedule has `most` steps at most, even if the limit leaves time for more.
     pub(crate) fn advance(
         &mut self,
         place: &Place,
@@ -84,8 +87,8 @@ impl Pace {
     }
 }
 
-/// What a step costs, where a device reports several at a time: those that were only begun seem to cost nothing and the
-/// last one everything, so that the mean over a report counts.
+/// What a step costs, where a device reports several at a time: those that were only begun seem to
+/// cost nothing and the last one everything, so that the mean over a report counts.
 #[derive(Clone, Copy, Debug, Default)]
 pub(crate) struct StepCost {
     /// Seconds since steps were last reported.
@@ -173,7 +176,8 @@ mod tests {
             "{what}: {seconds:.2} of {limit} s, {steps} steps, {full} at full size, stride {stride:.4}"
         );
         assert!((seconds / limit - 1.0).abs() < 0.01, "{said}");
-        // Full resolution has a fifth of the schedule; no part of the schedule is jumped over, least of all its end.
+        // Full resolution has a fifth of the schedule; no part of the schedule is jumped over,
+        // least of all its end.
         assert!(*full * 20 > *steps && *last > 0.99, "{said}, last {last:.4}");
         assert!(*stride < 12.0 / f64::from(*steps), "{said}");
     }

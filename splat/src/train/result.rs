@@ -18,7 +18,8 @@ pub struct TrainResult {
     pub timings: KernelTimes,
     /// Steps done.
     pub iterations: u32,
-    /// Names and refined poses (`cam_from_world`, world frame) of the training views; empty where they stayed as given.
+    /// Names and refined poses (`cam_from_world`, world frame) of the training views; empty where
+    /// they stayed as given.
     pub poses: Vec<(String, Pose)>,
     /// How to render the result as training saw it.
     pub render: RenderOptions,

@@ -1,5 +1,6 @@
-//! What changes as training goes on: resolution and step sizes. Everything is a function of the position in the
-//! schedule, 0 at the start and 1 at the end, so that a schedule of any length ends converged.
+//! What changes as training goes on: resolution and step sizes. Everything is a function of the
+//! position in the schedule, 0 at the start and 1 at the end, so that a schedule of any length ends
+//! converged.
 
 use crate::backend::LearningRates;
 use crate::config::TrainConfig;
@@ -23,24 +24,31 @@ pub(crate) struct Place {
 pub(crate) const GROWTH_END: f64 = 0.7;
 
 /// Parts of the schedule between the places at which poses are moved and scales are held, a share.
-/// Source: docs/decisions/0021 (scales twenty times in a schedule); for poses chosen by hand.
+/// Source: docs/decisions/13 (scales twenty times in a schedule); for poses chosen by hand.
 pub(crate) const EVERY: f64 = 0.05;
 
 /// Position from which training runs at half the resolution.
-/// Source: docs/decisions/0025 (0.4 against 0.2 and 0.1 on seven captures).
+/// Source: docs/decisions/12 (0.4 against 0.2 and 0.1 on seven captures).
 const HALF_FROM: f64 = 0.4;
-/// Position from which training runs at full resolution; in schedules of `EARLY_FROM_STEPS` steps and more the second.
-/// Source: docs/decisions/0025.
+/// Position from which training runs at full resolution; in schedules of `EARLY_FROM_STEPS` steps
+/// and more the second.
+/// Source: docs/decisions/12.
 const FULL_FROM: [f64; 2] = [0.8, 0.6];
-/// Steps of a schedule from which full resolution begins early: a shorter one needs steps more than pixels.
-/// Source: docs/decisions/0025.
+/// Steps of a schedule from which full resolution begins early: a shorter one needs steps more than
+/// pixels.
+/// Source: docs/decisions/12.
 pub(crate) const EARLY_FROM_STEPS: f64 = 2000.0;
 /// Position at which that is decided: what steps cost at half the resolution is known by then.
-/// Source: between `HALF_FROM` and the earlier `FULL_FROM`, near the latter (docs/decisions/0025).
+/// Source: between `HALF_FROM` and the earlier `FULL_FROM`, near the latter (docs/decisions/12).
 const EARLY_DECIDED: f64 = 0.55;
 
+/// Decided before either begins, so that no step sees a coarser picture than the one before.
+const _: () =
+    assert!(HALF_FROM < EARLY_DECIDED && EARLY_DECIDED < FULL_FROM[1] && FULL_FROM[1] < FULL_FROM[0]);
+
 impl Place {
-    /// Decides, once the place for it is reached, whether a schedule of `steps` steps sees full resolution early.
+    /// Decides, once the place for it is reached, whether a schedule of `steps` steps sees full
+    /// resolution early.
     pub(crate) fn decide_early(&mut self, steps: f64) {
         if self.early.is_none() && self.position >= EARLY_DECIDED {
             self.early = Some(steps >= EARLY_FROM_STEPS);
@@ -53,8 +61,8 @@ impl Place {
     }
 }
 
-/// Level (0: full resolution) at a position, with `levels` coarser ones to pass through; `early`: see
-/// [`Place::decide_early`].
+/// Level (0: full resolution) at a position, with `levels` coarser ones to pass through; `early`:
+/// see [`Place::decide_early`].
 pub(crate) fn level(position: f64, levels: u32, early: bool) -> u32 {
     let passed = if position >= FULL_FROM[usize::from(early)] {
         levels
@@ -68,7 +76,7 @@ pub(crate) fn level(position: f64, levels: u32, early: bool) -> u32 {
 }
 
 /// Steps for which the step sizes were measured; the last ones are lowered where there are more.
-/// Source: docs/decisions/0022 (its schedules have 500 to 1,000 steps).
+/// Source: docs/decisions/12 (its schedules have 500 to 1,000 steps).
 pub(crate) const TUNED_STEPS: f32 = 500.0;
 
 /// A step size that falls exponentially over the schedule.
@@ -81,8 +89,10 @@ struct Decay {
     power: f32,
 }
 
-/// Step sizes of means (pixels), log-scales, quaternions, opacity logits, constant colours and higher harmonics.
-/// Source: docs/decisions/0022. From twice the first of the log-scales on, dark and noisy pictures are not learnt at all.
+/// Step sizes of means (pixels), log-scales, quaternions, opacity logits, constant colours and
+/// higher harmonics.
+/// Source: docs/decisions/12. From twice the first of the log-scales on, dark and noisy pictures
+/// are not learnt at all.
 const RATES: [Decay; 6] = [
     Decay { first: 1.0, last: 0.06, power: 1.5 },
     Decay { first: 8e-2, last: 2e-2, power: 0.7 },
@@ -93,19 +103,19 @@ const RATES: [Decay; 6] = [
 ];
 
 impl Decay {
-    /// The step size at a position, `unit` times the table's, where schedules are `shorter` than [`TUNED_STEPS`]
-    /// (a ratio, at most 1).
+    /// The step size at a position, `unit` times the table's, where schedules are `shorter` than
+    /// [`TUNED_STEPS`] (a ratio, at most 1).
     fn at(&self, position: f64, unit: f32, shorter: f32, factor: f32) -> f32 {
         let (first, last) = (self.first * unit, self.last * unit);
         first * (last * shorter.powf(self.power) / first).powf(position as f32) * factor
     }
 }
 
-/// Step sizes at a position of a schedule of `steps` steps (normalised scene units for the means), where a pixel is
-/// `pixel` units wide.
+/// Step sizes at a position of a schedule of `steps` steps (normalised scene units for the means),
+/// where a pixel is `pixel` units wide.
 ///
-/// Far above those of 3DGS (Kerbl et al. 2023: 1.6e-4, 5e-3, 1e-3, 5e-2, 2.5e-3, 1.25e-4 for 30,000 steps): these
-/// schedules have hundreds to thousands of steps.
+/// Far above those of 3DGS (Kerbl et al. 2023: 1.6e-4, 5e-3, 1e-3, 5e-2, 2.5e-3, 1.25e-4 for 30,000
+/// steps): these schedules have hundreds to thousands of steps.
 pub(crate) fn rates(position: f64, steps: f64, pixel: f32, config: &TrainConfig) -> LearningRates {
     let shorter = (TUNED_STEPS / steps.max(1.0) as f32).min(1.0);
     let units = [pixel, 1.0, 1.0, 1.0, 1.0, 1.0];
@@ -133,7 +143,5 @@ mod tests {
             assert_eq!((levels[0], levels[39], levels[40]), (2, 2, 1));
             assert!((0..=100).all(|p| level(f64::from(p) / 100.0, 0, early) == 0));
         }
-        // Decided before either begins, so that no step sees a coarser picture than the one before.
-        assert!(HALF_FROM < EARLY_DECIDED && EARLY_DECIDED < FULL_FROM[1] && FULL_FROM[1] < FULL_FROM[0]);
     }
 }

@@ -1,7 +1,7 @@
 //! A training under way: the step, the order of the views, the clock.
 
 use super::checkpoint::{self, Checkpoint};
-use super::context::StepContext;
+use super::context::RuleContext;
 use super::loss_trend::{runaway, stuck};
 use super::pace::StepCost;
 use super::result::TrainResult;
@@ -27,10 +27,12 @@ use std::path::Path;
 
 /// Steps between points of the curve. Source: chosen by hand; what divergence is told by.
 pub(super) const CURVE_EVERY: u32 = 50;
-/// Times that a time limit lets each training view be seen, at most: more steps learn the photos by heart.
-/// Source: docs/decisions/0023.
+/// Times that a time limit lets each training view be seen, at most: more steps learn the photos by
+/// heart.
+/// Source: docs/decisions/12.
 const PASSES: f64 = 300.0;
-/// A run that ends before this share of a time limit, or with fewer than this share of the passes, ends for another reason.
+/// A run that ends before this share of a time limit, or with fewer than this share of the passes,
+/// ends for another reason.
 /// Source: chosen by hand; limits are kept to 1 %.
 const NEARLY: f64 = 0.95;
 
@@ -99,7 +101,8 @@ impl<'a> Session<'a> {
                 (state, Rules::default())
             }
         };
-        // A part of the limit went by before training could begin; more so where it was interrupted.
+        // A part of the limit went by before training could begin; more so where it was
+        // interrupted.
         state.place.seconds += config.seconds_gone;
         let (order, cost) = (ViewOrder::default(), StepCost::default());
         Ok(Self { setup, backend, state, rules, order, cost, mark })
@@ -110,9 +113,9 @@ impl<'a> Session<'a> {
         self.state.place.position >= 1.0
     }
 
-    pub(crate) fn context(&mut self) -> (StepContext<'_>, &mut Rules) {
+    pub(crate) fn context(&mut self) -> (RuleContext<'_>, &mut Rules) {
         let Self { setup, backend, state, rules, .. } = self;
-        (StepContext { setup, backend: backend.as_mut(), state }, rules)
+        (RuleContext { setup, backend: backend.as_mut(), state }, rules)
     }
 
     /// Takes a step, and moves the position.
@@ -235,7 +238,7 @@ impl<'a> Session<'a> {
         let (dataset, config) = (self.setup.dataset, self.setup.config);
         let near = DEFAULT_NEAR / dataset.normalisation.scale as f32;
         Ok(TrainResult {
-            gaussians: dataset.normalisation.to_world(gaussians),
+            gaussians: dataset.normalisation.denormalise(gaussians),
             curve: self.state.curve,
             decisions: self.state.decisions,
             timings,
@@ -284,7 +287,8 @@ fn fingerprint(dataset: &Dataset, config: &TrainConfig) -> String {
     format!("{told:?} {:?} {}", dataset.normalisation, dataset.views.len())
 }
 
-/// The configured number of Gaussians or what the device can hold, and the decision that makes of it.
+/// The configured number of Gaussians or what the device can hold, and the decision that makes of
+/// it.
 fn capacity(
     backend: &dyn Backend,
     dataset: &Dataset,

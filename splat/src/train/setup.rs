@@ -1,4 +1,5 @@
-//! What stays as it is throughout a training: the data, the configuration, and what follows from them.
+//! What stays as it is throughout a training: the data, the configuration, and what follows from
+//! them.
 
 use crate::config::TrainConfig;
 use crate::dataset::Dataset;
@@ -6,11 +7,12 @@ use crate::error::SplatError;
 use crate::footprint::footprint;
 use crate::hull::VisualHull;
 
-/// One training view in this many judges while Gaussians and degrees are added, and is trained on afterwards.
+/// One training view in this many judges while Gaussians and degrees are added, and is trained on
+/// afterwards.
 /// Source: chosen by hand; what all rows of docs/benchmarks.md were trained with.
 const VALIDATION_EVERY: usize = 12;
-/// With fewer training views than this all are needed. Source: docs/benchmarks.md, ablations: temple_ring (41) and fox
-/// (43) lose by sparing some, lego400 (87) does not.
+/// With fewer training views than this all are needed. Source: docs/decisions/13: only sets of 60
+/// and more spare some.
 const VALIDATION_FROM: usize = 60;
 
 /// Data and configuration of a training.
@@ -51,7 +53,8 @@ impl<'a> TrainingSetup<'a> {
         Ok(Self { dataset, config, views, validation, cloud_points, max_gaussians, pixel, hull })
     }
 
-    /// `count` of the training views, evenly: the middle one of each share; all where there are no more.
+    /// `count` of the training views, evenly: the middle one of each share; all where there are no
+    /// more.
     pub(crate) fn some_views(&self, count: usize) -> Vec<usize> {
         evenly(&self.views, count)
     }

@@ -1,5 +1,5 @@
-//! What changes as training goes on, but for the Gaussians and the rules' own states: the part of a checkpoint that all
-//! rules may read.
+//! What changes as training goes on, but for the Gaussians and the rules' own states: the part of a
+//! checkpoint that all rules may read.
 
 use super::pace::Pace;
 use super::schedule::Place;
@@ -22,12 +22,14 @@ pub struct CurvePoint {
     pub gaussians: usize,
 }
 
-/// How training sees its views otherwise than the data set gives them; by training view, empty where nothing was changed.
+/// How training sees its views otherwise than the data set gives them; by training view, empty
+/// where nothing was changed.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub(crate) struct ViewCorrections {
     /// Gains by channel: the photo shows the scene times this. Written by the exposure rule.
     pub(crate) gains: Vec<[f32; 3]>,
-    /// Quaternion (x, y, z, w) and translation of `cam_from_world`, normalised. Written by the pose rule.
+    /// Quaternion (x, y, z, w) and translation of `cam_from_world`, normalised. Written by the pose
+    /// rule.
     pub(crate) poses: Vec<[f32; 7]>,
 }
 

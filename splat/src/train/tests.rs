@@ -7,12 +7,13 @@ use super::{TrainResult, train};
 use crate::backend::Backend as _;
 use crate::config::TrainConfig;
 use crate::cpu::CpuBackend;
-use crate::dataset::{AlphaMode, Dataset, Normalisation, Pixels, View};
+use crate::dataset::{AlphaMode, Dataset, NormalisedFrame, Pixels, View};
 use crate::error::SplatError;
 use crate::model::Model;
 use crate::statistics::Statistics;
 use crate::view::RenderOptions;
 use glam::{DVec3, Quat, Vec3};
+use rand::Rng as _;
 use scene::decision::{Choice, Decision, Measurement, Quantity, Subject};
 use scene::{Camera, CameraModel, Gaussians, Pose, Progress};
 use std::path::PathBuf;
@@ -64,7 +65,7 @@ pub(crate) fn pictures_of(truth: &Gaussians, views: usize, transparent: bool, si
     backend.upload(Model::from_gaussians(truth), Statistics::default()).unwrap();
     let focal = 45.0 * f64::from(size[0]) / f64::from(SIZE[0]);
     let camera = Camera::centred(1, CameraModel::Pinhole, size[0], size[1], focal);
-    let normalisation = Normalisation { centre: DVec3::ZERO, scale: 1.0 };
+    let normalisation = NormalisedFrame { centre: DVec3::ZERO, scale: 1.0 };
     let view = |k: usize| {
         let angle = k as f64 / views as f64 * std::f64::consts::TAU;
         let eye = DVec3::new(angle.cos(), angle.sin(), 0.3 * (3.0 * angle).sin()).normalize();
@@ -134,8 +135,8 @@ fn a_time_limit_is_kept_and_the_schedule_reaches_its_end() {
     let dataset = dataset(36, false);
     let limited = TrainConfig { time_limit: Some(1.0), ..config(7000) };
     let result = train(&dataset, &limited, None, &Progress::silent()).unwrap();
-    // How many steps fit, and how long the last one takes, depends on what else the machine does (`pace` is tested with
-    // machines of all kinds); without the limit it would be all 7,000.
+    // How many steps fit, and how long the last one takes, depends on what else the machine does
+    // (`pace` is tested with machines of all kinds); without the limit it would be all 7,000.
     let last = result.curve.last().unwrap();
     assert!(last.seconds > 0.3 && result.iterations < 7000, "{} s", last.seconds);
     assert_eq!(last.iteration, result.iterations);
@@ -152,7 +153,8 @@ fn a_limit_with_time_to_learn_the_photos_by_heart_ends_early_and_says_so() {
     assert!(told.value(Quantity::Passes).is_some_and(|n| (n - 300.0).abs() < 4.0), "{told:?}");
 }
 
-/// In as many steps, with as many points, more than 120 Gaussians come where there are views enough to judge them.
+/// In as many steps, with as many points, more than 120 Gaussians come where there are views enough
+/// to judge them.
 #[test]
 fn few_views_get_three_gaussians_for_each_point() {
     let grown = |views: usize| {
@@ -243,7 +245,8 @@ fn degree(degree: u32) -> Choice {
     Measurement::new(Quantity::ShDegree, f64::from(degree)).into()
 }
 
-/// A degree whose coefficients the validation views gain nothing by goes and does not come back, one that they confirm stays.
+/// A degree whose coefficients the validation views gain nothing by goes and does not come back,
+/// one that they confirm stays.
 #[test]
 fn a_degree_stays_only_where_the_validation_views_gain_by_it() {
     let (dull, shiny) = (truth(), shiny_truth());
@@ -274,7 +277,8 @@ fn a_degree_stays_only_where_the_validation_views_gain_by_it() {
     }
 }
 
-/// A whole training of colours that change with the direction: the degree that they have is kept, and helps.
+/// A whole training of colours that change with the direction: the degree that they have is kept,
+/// and helps.
 #[test]
 fn colours_that_change_with_the_direction_are_learnt() {
     let data = pictures_of(&shiny_truth(), 72, false, SIZE);
@@ -287,8 +291,8 @@ fn colours_that_change_with_the_direction_are_learnt() {
     assert!(first > none + 2.0, "{none:.2} dB without, {first:.2} dB with degree 1");
 }
 
-/// The bound holds for the mean of many seeds: what the held-out views of one run gain or lose by a Gaussian more or
-/// less scatters by several times the bound.
+/// The bound holds for the mean of many seeds: what the held-out views of one run gain or lose by a
+/// Gaussian more or less scatters by several times the bound.
 #[test]
 fn redundant_gaussians_go_and_the_picture_stays() {
     let mut dataset = dataset(24, false);

@@ -35,7 +35,8 @@ fn one_view_is_learnt() {
     assert!(losses[losses.len() - 1] < 0.3 * losses[0], "{losses:?}");
 }
 
-/// The processor, which from a step on reports a loss of its own; at once or, as a device does, later.
+/// The processor, which from a step on reports a loss of its own; at once or, as a device does,
+/// later.
 struct Breaks {
     inner: CpuBackend,
     steps: u32,
@@ -112,7 +113,8 @@ fn breaking<'a>(data: &'a Dataset, config: &'a TrainConfig, loss: f32, at: u32, 
     session
 }
 
-/// Training ends at the step whose loss is no number; where a device reports later, at the next point of the curve.
+/// Training ends at the step whose loss is no number; where a device reports later, at the next
+/// point of the curve.
 #[test]
 fn a_loss_that_is_not_finite_stops_training_with_the_flag_to_change() {
     let (dataset, config) = (dataset(4, false), config(200));

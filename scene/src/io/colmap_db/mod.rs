@@ -16,7 +16,7 @@ pub use write::write_database;
 use crate::{Camera, Features, TwoViewGeometry};
 use std::collections::BTreeMap;
 
-/// The largest image number and the factor of [`pair_number`]: 2³¹ − 1.
+/// The largest image number and the factor of [`pair_number`]: 2³¹ − 1. Source: COLMAP's database.html.
 const MAX_IMAGES: i64 = 2_147_483_647;
 
 /// Two image numbers, the smaller one first.

@@ -13,7 +13,7 @@ use std::path::Path;
 /// Reads COLMAP's database, version 3.8 to 4.2. Every count is checked against the bytes that are there, every number
 /// of an image, camera or feature against what it refers to; the message names file and table.
 pub fn read_database(path: &Path) -> Result<Database, IoError> {
-    let source = Source { path, connection: open(path)? };
+    let source = DatabaseSource { path, connection: open(path)? };
     let mut database = Database::default();
     source.cameras(&mut database)?;
     source.images(&mut database)?;
@@ -56,12 +56,12 @@ fn percent(byte: u8) -> String {
     }
 }
 
-struct Source<'a> {
+struct DatabaseSource<'a> {
     path: &'a Path,
     connection: Connection,
 }
 
-impl Source<'_> {
+impl DatabaseSource<'_> {
     fn error(&self, table: &str, message: impl std::fmt::Display) -> IoError {
         IoError::format(self.path, format!("table {table}: {message}"))
     }

@@ -14,6 +14,7 @@ const FIXED: [&str; 14] = [
     "rot_1", "rot_2", "rot_3",
 ];
 /// Infinite opacity logits and scales (some tools write them) become this finite extreme.
+/// Source: derived, exp(±40) and sigmoid(±40) are 0, 1 or beyond any scene in f32.
 const EXTREME: f64 = 40.0;
 
 /// Reads a splat by property names: any order, any encoding, extra properties skipped. `f_rest_*` may be

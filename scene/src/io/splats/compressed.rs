@@ -12,6 +12,7 @@ use glam::{Quat, Vec3};
 use std::io::{self, Write};
 use std::path::Path;
 
+/// Gaussians of a chunk. Source: PlayCanvas's compressed PLY.
 const CHUNK: usize = 256;
 const BOUNDS: [&str; 18] = [
     "min_x",

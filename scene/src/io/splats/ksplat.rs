@@ -10,7 +10,9 @@ use crate::io::error::{IoError, read_file};
 use glam::{Quat, Vec3};
 use std::path::Path;
 
+/// Bytes of the header. Source: the .ksplat format of GaussianSplats3D.
 const HEADER: usize = 4096;
+/// Bytes of a section's header. Source: the .ksplat format of GaussianSplats3D.
 const SECTION_HEADER: usize = 1024;
 
 /// The parts of a section's header that matter.

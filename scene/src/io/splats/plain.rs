@@ -11,6 +11,7 @@ use glam::{Quat, Vec3};
 use std::io::Write;
 use std::path::Path;
 
+/// Bytes of a Gaussian. Source: the .splat format of antimatter15/splat.
 const RECORD: usize = 32;
 
 /// Reads a `.splat`.

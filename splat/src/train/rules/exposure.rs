@@ -1,15 +1,18 @@
-//! Gains by view and channel, where the residuals ask for them: a camera that meters each picture anew.
+//! Gains by view and channel, where the residuals ask for them: a camera that meters each picture
+//! anew.
 
 use crate::error::SplatError;
-use crate::train::context::StepContext;
+use crate::train::context::RuleContext;
 use crate::train::evidence::{EXPLAINED, LEAST_VIEWS, SAMPLE};
 use scene::decision::{Decision, Measurement, Quantity, Remark, Rule, Subject};
 use serde::{Deserialize, Serialize};
 
-/// Positions of the schedule at which gains are looked for (the first two: what the first look suspects has to explain the
-/// pictures of the second) and measured again. Source: the first two, docs/decisions/0011; the others chosen by hand.
+/// Positions of the schedule at which gains are looked for (the first two: what the first look
+/// suspects has to explain the pictures of the second) and measured again. Source: the first two,
+/// docs/decisions/12; the others chosen by hand.
 pub(crate) const LOOKS: [f64; 5] = [0.25, 0.4, 0.55, 0.7, 0.85];
-/// Gains stay within this and its inverse, a ratio: one stop. Source: chosen by hand, never measured.
+/// Gains stay within this and its inverse, a ratio: one stop. Source: chosen by hand, never
+/// measured.
 const LARGEST: f64 = 2.0;
 
 /// State of the rule; the gains in force are in the training's state.
@@ -30,8 +33,8 @@ fn raw_gain(p: &Products, c: usize) -> f64 {
     if gain.is_finite() { gain.clamp(1.0 / LARGEST, LARGEST) } else { 1.0 }
 }
 
-/// Least-squares gains by view and channel, their geometric mean over the views 1 in every channel (the colours of the
-/// scene carry the mean), and the part of the squared error that they explain.
+/// Least-squares gains by view and channel, their geometric mean over the views 1 in every channel
+/// (the colours of the scene carry the mean), and the part of the squared error that they explain.
 fn gains(views: &[Products]) -> (Vec<[f32; 3]>, f64) {
     let n = views.len().max(1) as f64;
     let mean: [f64; 3] =
@@ -57,7 +60,7 @@ fn explained_by(views: &[Products], gains: &[[f32; 3]]) -> f64 {
 
 impl ExposureRule {
     /// Looks for gains at their places in the schedule.
-    pub(crate) fn review(&mut self, step: &mut StepContext) -> Result<(), SplatError> {
+    pub(crate) fn review(&mut self, step: &mut RuleContext) -> Result<(), SplatError> {
         let due = LOOKS.get(self.looks).is_some_and(|&at| step.position() >= at);
         let settled = self.looks > 0 && step.state.corrections.gains.is_empty() && self.suspected.is_empty();
         if !due || settled {
@@ -74,7 +77,8 @@ impl ExposureRule {
         let (found, _) = gains(&products);
         let suspected = std::mem::take(&mut self.suspected);
         if !suspected.is_empty() {
-            // A scene that is not yet learnt has views that are too dark or too bright as a whole, other ones each time.
+            // A scene that is not yet learnt has views that are too dark or too bright as a whole,
+            // other ones each time.
             let explained = explained_by(&products, &suspected);
             let decision = decision(&suspected, explained).remarked(Remark::GainsConfirmed);
             let on = decision.is_taken();
@@ -88,7 +92,7 @@ impl ExposureRule {
     }
 
     /// The first look. It judges by some of the views.
-    fn suspect_gains(&mut self, step: &mut StepContext) -> Result<(), SplatError> {
+    fn suspect_gains(&mut self, step: &mut RuleContext) -> Result<(), SplatError> {
         let every = step.setup.views.len().div_ceil(SAMPLE);
         let (mut found, explained) = gains(&products_of_views(step, every)?);
         if explained < EXPLAINED {
@@ -116,7 +120,7 @@ fn decision(found: &[[f32; 3]], explained: f64) -> Decision {
 }
 
 /// What each `every`-th training view says at the resolution in use.
-fn products_of_views(step: &mut StepContext, every: usize) -> Result<Vec<Products>, SplatError> {
+fn products_of_views(step: &mut RuleContext, every: usize) -> Result<Vec<Products>, SplatError> {
     let (setup, level, options) = (step.setup, step.level(), step.options());
     let some = setup.views.iter().step_by(every);
     some.map(|&v| {

@@ -1,10 +1,10 @@
-//! Where and how many Gaussians are added: rounds of densification follow a plan, which ends early where validation views stop
-//! gaining by it.
+//! Where and how many Gaussians are added: rounds of densification follow a plan, which ends early
+//! where validation views stop gaining by it.
 
 use crate::backend::Round;
 use crate::config::TrainConfig;
 use crate::error::SplatError;
-use crate::train::context::StepContext;
+use crate::train::context::RuleContext;
 use crate::train::evidence::LEAST_GAIN;
 use crate::train::schedule::GROWTH_END;
 use crate::train::setup::TrainingSetup;
@@ -12,26 +12,31 @@ use crate::train::state::TrainingState;
 use scene::decision::{Choice, Decision, Measurement, Quantity, Remark, Rule, Subject};
 use serde::{Deserialize, Serialize};
 
-/// Rounds of densification in a schedule that is long enough. Source: chosen by hand, never measured.
+/// Rounds of densification in a schedule that is long enough. Source: chosen by hand, never
+/// measured.
 const ROUNDS: f64 = 40.0;
-/// Steps between rounds at least: fewer do not tell where Gaussians are missing. Source: chosen by hand, never measured.
+/// Steps between rounds at least: fewer do not tell where Gaussians are missing. Source: chosen by
+/// hand, never measured.
 const LEAST_STEPS: u32 = 50;
 
 /// Gaussians at the end of growth for each step of the schedule, where there are views enough.
-/// Source: docs/benchmarks.md, ablation: half as many lose 0.2 dB at one minute.
+/// Source: docs/decisions/tried.md: half as many lose 0.2 dB at one minute.
 const A_STEP: f64 = 50.0;
 /// The same for each step and training view. Source: chosen by hand, never measured apart.
 const A_STEP_AND_VIEW: f64 = 0.45;
-/// The same for each pair of training views: with few views more of them fit the views that are there instead of the scene.
-/// Source: docs/decisions/0023.
+/// The same for each pair of training views: with few views more of them fit the views that are
+/// there instead of the scene.
+/// Source: docs/decisions/13.
 const A_PAIR: f64 = 60.0;
-/// The same for each point of the sparse cloud, where no views can be spared to judge growth: the points tell how many places
-/// of the scene photos agree on. Source: docs/decisions/0023.
+/// The same for each point of the sparse cloud, where no views can be spared to judge growth: the
+/// points tell how many places of the scene photos agree on. Source: docs/decisions/13.
 const A_POINT: f64 = 3.0;
 
-/// Looks at the growth of the number of Gaussians, evenly over growth. Source: chosen by hand, never measured.
+/// Looks at the growth of the number of Gaussians, evenly over growth. Source: chosen by hand,
+/// never measured.
 const LOOKS: f64 = 8.0;
-/// Looks in a row without such a gain after which growth ends: validation of a moving target is noisy.
+/// Looks in a row without such a gain after which growth ends: validation of a moving target is
+/// noisy.
 /// Source: chosen by hand, never measured.
 const PATIENCE: u32 = 2;
 
@@ -75,7 +80,7 @@ pub(crate) struct GrowthRule {
 
 impl GrowthRule {
     /// A round of densification, where one is due.
-    pub(super) fn after_step(&mut self, step: &mut StepContext) -> Result<(), SplatError> {
+    pub(super) fn after_step(&mut self, step: &mut RuleContext) -> Result<(), SplatError> {
         if !self.is_due(step) {
             return Ok(());
         }
@@ -96,14 +101,14 @@ impl GrowthRule {
         Ok(())
     }
 
-    fn is_due(&self, step: &StepContext) -> bool {
+    fn is_due(&self, step: &RuleContext) -> bool {
         step.position() < GROWTH_END
             && step.state.place.iteration >= self.round_step + LEAST_STEPS
             && step.position() >= self.round_position + GROWTH_END / ROUNDS
     }
 
     /// Growth ends where the validation views stop gaining by it.
-    pub(super) fn review(&mut self, step: &mut StepContext) -> Result<(), SplatError> {
+    pub(super) fn review(&mut self, step: &mut RuleContext) -> Result<(), SplatError> {
         let setup = step.setup;
         let due = GROWTH_END / LOOKS * f64::from(self.looks + 1);
         let is_due = (due..GROWTH_END).contains(&step.position());
@@ -150,8 +155,8 @@ impl GrowthRule {
     }
 }
 
-/// How many Gaussians a schedule of `steps` steps grows to from `first`: more steps can settle more Gaussians, more
-/// views and a scene with more to match can determine more.
+/// How many Gaussians a schedule of `steps` steps grows to from `first`: more steps can settle more
+/// Gaussians, more views and a scene with more to match can determine more.
 fn gaussians_at_end(first: usize, steps: f64, setup: &TrainingSetup) -> usize {
     planned(first, steps, setup.views.len(), setup.cloud_points, setup.config)
 }

@@ -1,34 +1,36 @@
 //! Near the end Gaussians go that the pictures do not miss.
 //!
-//! A picture is linear in each α, so that without Gaussian i a pixel changes by exactly `ΔC = −α_i dC/dα_i`. The energy
-//! `Σ_pixels |ΔC|²` costs nothing new: where dL/dC is a random sign r for each pixel and channel, `o dL/do = Σ r · α dC/dα`
-//! has the mean 0 and the variance `Σ |α dC/dα|²` (Hutchinson 1990). One backward pass a view gives one draw for every
-//! Gaussian; the draws of the views add up.
+//! A picture is linear in each α, so that without Gaussian i a pixel changes by exactly `ΔC = −α_i
+//! dC/dα_i`. The energy `Σ_pixels |ΔC|²` costs nothing new: where dL/dC is a random sign r for each
+//! pixel and channel, `o dL/do = Σ r · α dC/dα` has the mean 0 and the variance `Σ |α dC/dα|²`
+//! (Hutchinson 1990). One backward pass a view gives one draw for every Gaussian; the draws of the
+//! views add up.
 
 use crate::backend::Backend as _;
 use crate::cpu::CpuBackend;
 use crate::error::SplatError;
 use crate::model::{Model, OPACITY};
 use crate::statistics::Statistics;
-use crate::train::context::StepContext;
+use crate::train::context::RuleContext;
 use crate::view::{PinholeView, RenderOptions};
 use rand::Rng as _;
 use scene::decision::{Choice, Decision, Measurement, Quantity, Rule, Subject};
 use serde::{Deserialize, Serialize};
 
-/// Position in the schedule at which Gaussians are removed; what follows lets the others close the gaps.
+/// Position in the schedule at which Gaussians are removed; what follows lets the others close the
+/// gaps.
 /// Source: chosen by hand, never measured.
 const AT: f64 = 0.9;
 /// What removing them may cost the training views before that, dB.
-/// Source: docs/benchmarks.md, ablations: no difference at the end within 0.2 dB.
+/// Source: chosen by hand: rows of docs/benchmarks.md below 0.2 dB are alike.
 const LOSS: f64 = 0.05;
 /// Steps of a schedule with a time limit that must be left, which the search costs half of.
 /// Source: a search costs as much as thirty steps.
 const LEAST_STEPS_LEFT: f64 = 60.0;
 /// Training views whose pictures judge the removal. Source: chosen by hand, never measured.
 const JUDGES: usize = 8;
-/// Training views from which the energies are estimated: all of an ordinary capture. What only the others see would go
-/// without a trace. Source: docs/decisions/0011.
+/// Training views from which the energies are estimated: all of an ordinary capture. What only the
+/// others see would go without a trace. Source: docs/decisions/13.
 const WITNESSES: usize = 100;
 /// Pictures above this many pixels are halved for the energies: they only order the Gaussians.
 /// Source: chosen by hand, never measured.
@@ -38,7 +40,8 @@ const PIXELS: usize = 60_000;
 const MOST_OPAQUE: f32 = 0.98;
 /// At least one in this many Gaussians stays. Source: chosen by hand, never measured.
 const LEAST_KEPT: usize = 4;
-/// The number that goes is found to one in this many Gaussians: six trials. Source: chosen by hand, never measured.
+/// The number that goes is found to one in this many Gaussians: six trials. Source: chosen by hand,
+/// never measured.
 const RESOLUTION: usize = 64;
 
 /// State of the rule.
@@ -50,7 +53,7 @@ pub(crate) struct PruneRule {
 
 impl PruneRule {
     /// Removes redundant Gaussians, once.
-    pub(super) fn review(&mut self, step: &mut StepContext) -> Result<(), SplatError> {
+    pub(super) fn review(&mut self, step: &mut RuleContext) -> Result<(), SplatError> {
         let left = step.expected_steps() - f64::from(step.state.place.iteration);
         let short = step.setup.config.time_limit.is_some() && left < LEAST_STEPS_LEFT;
         if self.done || step.position() < AT || short {
@@ -62,7 +65,7 @@ impl PruneRule {
 }
 
 /// Removes as many of the Gaussians that the pictures miss least as may go at a loss of [`LOSS`].
-fn prune_redundant(step: &mut StepContext) -> Result<(), SplatError> {
+fn prune_redundant(step: &mut RuleContext) -> Result<(), SplatError> {
     let judges = step.setup.some_views(JUDGES);
     let before = step.psnr(&judges, 0, None)?;
     let (mut model, mut statistics) = step.backend.release()?;
@@ -91,7 +94,7 @@ fn prune_redundant(step: &mut StepContext) -> Result<(), SplatError> {
 }
 
 /// The Gaussians by falling energy.
-fn by_energy(step: &StepContext, whole: &Model) -> Result<Vec<u32>, SplatError> {
+fn by_energy(step: &RuleContext, whole: &Model) -> Result<Vec<u32>, SplatError> {
     let (setup, witnesses) = (step.setup, step.setup.some_views(WITNESSES));
     let views = witnesses.iter().map(|&v| setup.dataset.views[v].view);
     let views: Vec<PinholeView> =
@@ -109,8 +112,8 @@ fn first_sorted(order: &[u32], count: usize) -> Vec<u32> {
     kept
 }
 
-/// For each Gaussian the energy `Σ |ΔC|²` that the pictures of the views would lose without it, estimated by one draw a
-/// view (relative deviation √(2 / views)).
+/// For each Gaussian the energy `Σ |ΔC|²` that the pictures of the views would lose without it,
+/// estimated by one draw a view (relative deviation √(2 / views)).
 fn energies(
     whole: &Model,
     views: &[PinholeView],

@@ -1,10 +1,10 @@
-//! How far colours depend on the direction they are seen from: degrees of the spherical harmonics come in one after the
-//! other, and stay if the validation views are better for it.
+//! How far colours depend on the direction they are seen from: degrees of the spherical harmonics
+//! come in one after the other, and stay if the validation views are better for it.
 
 use crate::cpu::sh;
 use crate::error::SplatError;
 use crate::model::{MAX_SH_DEGREE, Model};
-use crate::train::context::StepContext;
+use crate::train::context::RuleContext;
 use crate::train::evidence::LEAST_GAIN;
 use crate::train::schedule::GROWTH_END;
 use glam::Vec3;
@@ -13,11 +13,14 @@ use scene::decision::{Choice, Decision, Measurement, Quantity, Rule, Subject};
 use scene::gaussians::SH_C0;
 use serde::{Deserialize, Serialize};
 
-/// Positions in the schedule from which each higher degree is in use. Source: chosen by hand, never measured.
+/// Positions in the schedule from which each higher degree is in use. Source: chosen by hand, never
+/// measured.
 const FROM: [f64; MAX_SH_DEGREE as usize] = [0.2, 0.35, 0.5];
-/// Part of the schedule between a degree's beginning and its judgement. Source: chosen by hand, never measured.
+/// Part of the schedule between a degree's beginning and its judgement. Source: chosen by hand,
+/// never measured.
 const TRIAL: f64 = 0.1;
-/// Training views over whose directions a degree's mean is taken, at most. Source: chosen by hand, never measured.
+/// Training views over whose directions a degree's mean is taken, at most. Source: chosen by hand,
+/// never measured.
 const DIRECTIONS: usize = 32;
 
 /// Degrees are judged while there are views to judge them.
@@ -34,7 +37,7 @@ pub(crate) struct ShDegreeRule {
 
 impl ShDegreeRule {
     /// Raises the degree to that of the step's position.
-    pub(super) fn before_step(&mut self, step: &mut StepContext) -> Result<(), SplatError> {
+    pub(super) fn before_step(&mut self, step: &mut RuleContext) -> Result<(), SplatError> {
         let highest = step.setup.config.sh_degree.min(self.limit.unwrap_or(MAX_SH_DEGREE));
         let passed = FROM.iter().filter(|&&from| step.position() >= from).count();
         let degree = (passed as u32).min(highest);
@@ -42,7 +45,7 @@ impl ShDegreeRule {
     }
 
     /// A degree that was in use for a while stays if the validation views are better for it.
-    pub(super) fn review(&mut self, step: &mut StepContext) -> Result<(), SplatError> {
+    pub(super) fn review(&mut self, step: &mut RuleContext) -> Result<(), SplatError> {
         let highest = step.setup.config.sh_degree;
         let begun = FROM.get(self.judged as usize).filter(|_| self.judged < highest && self.limit.is_none());
         let due = |from: &f64| (from + TRIAL..GROWTH_END).contains(&step.position());
@@ -76,10 +79,10 @@ fn degree_choice(degree: u32) -> Choice {
     Measurement::new(Quantity::ShDegree, f64::from(degree)).into()
 }
 
-/// PSNR of the validation views with degrees up to `degree` alone. A degree that is in use carries a part of the constant
-/// colour, so that leaving it out says too much for it: its mean over the training views' directions takes the place of what
-/// it says.
-fn psnr_without(step: &mut StepContext, level: u32, degree: u32) -> Result<f64, SplatError> {
+/// PSNR of the validation views with degrees up to `degree` alone. A degree that is in use carries
+/// a part of the constant colour, so that leaving it out says too much for it: its mean over the
+/// training views' directions takes the place of what it says.
+fn psnr_without(step: &mut RuleContext, level: u32, degree: u32) -> Result<f64, SplatError> {
     let setup = step.setup;
     let every = setup.views.len().div_ceil(DIRECTIONS);
     let some = setup.views.iter().step_by(every);
@@ -96,8 +99,8 @@ fn psnr_without(step: &mut StepContext, level: u32, degree: u32) -> Result<f64, 
     psnr
 }
 
-/// Adds to the constant colour the mean of one degree's part over the directions from `cameras`; returns the constants as
-/// they were.
+/// Adds to the constant colour the mean of one degree's part over the directions from `cameras`;
+/// returns the constants as they were.
 fn fold_degree(model: &mut Model, degree: u32, cameras: &[Vec3]) -> Vec<[f32; 3]> {
     let stride = model.sh_stride();
     let means: Vec<Vec3> = (0..model.len).map(|i| model.mean(i)).collect();

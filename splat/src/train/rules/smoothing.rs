@@ -1,10 +1,10 @@
-//! Scales are held to what the training views sample, again and again: the finest detail that they can tell is a floor
-//! for the scales of Gaussians.
+//! Scales are held to what the training views sample, again and again: the finest detail that they
+//! can tell is a floor for the scales of Gaussians.
 
 use crate::error::SplatError;
 use crate::model::{LOG_SCALE, Model};
 use crate::reference::constants::JACOBIAN_MARGIN;
-use crate::train::context::StepContext;
+use crate::train::context::RuleContext;
 use crate::train::evidence::SAMPLE;
 use crate::train::schedule::EVERY;
 use crate::view::PinholeView;
@@ -13,7 +13,7 @@ use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
 /// Variance of the smallest Gaussian, squared sampling intervals.
-/// Source: Yu et al. 2024, Mip-Splatting, section 5.1 and its implementation details.
+/// Source: Yu et al. 2024, Mip-Splatting, the 3D smoothing filter.
 const VARIANCE: f32 = 0.2;
 /// A Gaussian counts as seen up to this far outside a picture, as a share of its size.
 /// Source: [`JACOBIAN_MARGIN`].
@@ -28,7 +28,7 @@ pub(crate) struct SmoothingRule {
 
 impl SmoothingRule {
     /// At its places in the schedule: no Gaussian is finer than what the views sample.
-    pub(super) fn review(&mut self, step: &mut StepContext) -> Result<(), SplatError> {
+    pub(super) fn review(&mut self, step: &mut RuleContext) -> Result<(), SplatError> {
         let due = f64::from(self.times + 1) * EVERY;
         if !step.setup.config.smoothing || step.position() < due.min(1.0) {
             return Ok(());
@@ -41,10 +41,11 @@ impl SmoothingRule {
     }
 }
 
-/// Raises scales to `√0.2 / ν`, where `ν = max focal / depth` over the views that have the Gaussian in their picture is the
-/// highest rate at which it was sampled, pixels a unit. What is finer is not in the photos, and shows where the camera
-/// comes nearer. (Yu et al. 2024, Mip-Splatting, section 5.1, convolves with that Gaussian instead; a floor needs no other
-/// opacity and leaves what is larger as it is.) Returns how many were raised.
+/// Raises scales to `√0.2 / ν`, where `ν = max focal / depth` over the views that have the Gaussian
+/// in their picture is the highest rate at which it was sampled, pixels a unit. What is finer is
+/// not in the photos, and shows where the camera comes nearer. (Yu et al. 2024, Mip-Splatting,
+/// section 5.1, convolves with that Gaussian instead; a floor needs no other opacity and leaves
+/// what is larger as it is.) Returns how many were raised.
 pub(crate) fn raise_scales(model: &mut Model, views: &[PinholeView]) -> usize {
     let every = views.len().div_ceil(SAMPLE).max(1);
     let some: Vec<&PinholeView> = views.iter().step_by(every).collect();
@@ -69,7 +70,7 @@ fn least_log_scale(x: Vec3, views: &[&PinholeView]) -> f32 {
 
 /// Pixels a unit at `x`; 0 where the view does not have it.
 fn sampling_rate(view: &PinholeView, x: Vec3) -> f32 {
-    let c = view.to_camera(x);
+    let c = view.camera_point(x);
     let [px, py] = view.pixel(c);
     let seen = c.z > crate::camera::DEFAULT_NEAR && is_near(px, view.width) && is_near(py, view.height);
     if seen { view.focal[0].max(view.focal[1]) / c.z } else { 0.0 }

@@ -1,7 +1,8 @@
-//! Where views were moved, the whole may have moved with them: the similarity that takes the splat back to the poses as given.
+//! Where views were moved, the whole may have moved with them: the similarity that takes the splat
+//! back to the poses as given.
 
 use super::linear::solve;
-use crate::train::context::StepContext;
+use crate::train::context::RuleContext;
 use crate::train::evidence::SAMPLE;
 use crate::view::{NEAREST, PinholeView};
 use glam::{DQuat, DVec3};
@@ -14,10 +15,12 @@ const POINTS: usize = 400;
 /// Rounds of reweighting. Source: chosen by hand; the tests' similarity is found to 1e-5.
 const ROUNDS: usize = 10;
 /// Distances of so many times their root mean square count half, a ratio (Cauchy's weights).
-/// Source: Holland and Welsch 1977 have 2.385 of a robust deviation; chosen by hand, never measured.
+/// Source: Holland and Welsch 1977 have 2.385 of a robust deviation; chosen by hand, never
+/// measured.
 const OUTLIER: f64 = 2.0;
 
-/// Moves Gaussians; colours keep their directions, which such turns (parts of a degree) hardly change.
+/// Moves Gaussians; colours keep their directions, which such turns (parts of a degree) hardly
+/// change.
 fn apply(moved: &Sim3, g: &mut Gaussians) {
     let (turn, larger) = (moved.rotation.as_quat(), moved.scale.ln() as f32);
     g.means.iter_mut().for_each(|m| *m = moved.transform(m.as_dvec3()).as_vec3());
@@ -25,8 +28,8 @@ fn apply(moved: &Sim3, g: &mut Gaussians) {
     g.log_scales.iter_mut().for_each(|s| *s += larger);
 }
 
-/// The similarity with which `given` views see the points where `seen` views see them without it (robust least squares,
-/// pixels), and the root mean square of the distances that are left.
+/// The similarity with which `given` views see the points where `seen` views see them without it
+/// (robust least squares, pixels), and the root mean square of the distances that are left.
 pub(super) fn similarity(points: &[DVec3], given: &[PinholeView], seen: &[PinholeView]) -> (Sim3, f64) {
     let (mut found, mut rms) = (Sim3::IDENTITY, f64::INFINITY);
     for _ in 0..ROUNDS {
@@ -56,7 +59,8 @@ pub(super) fn similarity(points: &[DVec3], given: &[PinholeView], seen: &[Pinhol
     (found, rms)
 }
 
-/// How far apart x is seen by `to` and y by `from`, pixels, with the derivative by a turn, a shift and a growth of y.
+/// How far apart x is seen by `to` and y by `from`, pixels, with the derivative by a turn, a shift
+/// and a growth of y.
 fn distances(x: DVec3, y: DVec3, from: &PinholeView, to: &PinholeView) -> Option<[(f64, [f64; 7]); 2]> {
     let p = to.rotation.as_dmat3() * x + to.translation.as_dvec3();
     let rotation = from.rotation.as_dmat3();
@@ -75,9 +79,10 @@ fn distances(x: DVec3, y: DVec3, from: &PinholeView, to: &PinholeView) -> Option
     }))
 }
 
-/// Takes Gaussians that were trained on refined poses to the poses as given: how far apart these are in the pictures, pixels,
-/// and the refined poses there (names of training views, `cam_from_world`, world frame). `None` where no pose was refined.
-pub(super) fn align(step: &StepContext, g: &mut Gaussians) -> Option<(f64, Vec<(String, Pose)>)> {
+/// Takes Gaussians that were trained on refined poses to the poses as given: how far apart these
+/// are in the pictures, pixels, and the refined poses there (names of training views,
+/// `cam_from_world`, world frame). `None` where no pose was refined.
+pub(super) fn align(step: &RuleContext, g: &mut Gaussians) -> Option<(f64, Vec<(String, Pose)>)> {
     if step.state.corrections.poses.is_empty() {
         return None;
     }
@@ -95,7 +100,7 @@ pub(super) fn align(step: &StepContext, g: &mut Gaussians) -> Option<(f64, Vec<(
 }
 
 /// `cam_from_world` of a refined view, where the splat was moved by the similarity.
-fn world_pose(step: &StepContext, view: usize, moved: &Sim3) -> Pose {
+fn world_pose(step: &RuleContext, view: usize, moved: &Sim3) -> Pose {
     let (view, frame) = (step.camera(view), &step.setup.dataset.normalisation);
     let own = Pose::from_matrix(view.rotation.as_dmat3(), view.translation.as_dvec3());
     let world = Sim3 { scale: 1.0 / frame.scale, rotation: DQuat::IDENTITY, translation: frame.centre };

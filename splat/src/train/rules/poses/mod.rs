@@ -1,4 +1,5 @@
-//! Poses of the training views: kept, or moved to where the splat shows what their photos show, by evidence.
+//! Poses of the training views: kept, or moved to where the splat shows what their photos show, by
+//! evidence.
 
 mod alignment;
 mod linear;
@@ -7,7 +8,7 @@ mod photometric;
 
 use crate::config::PoseRefinement;
 use crate::error::SplatError;
-use crate::train::context::StepContext;
+use crate::train::context::RuleContext;
 use crate::train::evidence::{EXPLAINED, LEAST_VIEWS, SAMPLE};
 use crate::train::schedule::EVERY;
 use crate::train::state::TrainingState;
@@ -18,15 +19,18 @@ use scene::decision::{Decision, Measurement, Quantity, Rule, Subject};
 use scene::{Gaussians, Pose};
 use serde::{Deserialize, Serialize};
 
-/// Positions of the schedule at which is asked whether poses are to be refined; both have to say so.
-/// Source: docs/decisions/0024.
+/// Positions of the schedule at which is asked whether poses are to be refined; both have to say
+/// so.
+/// Source: docs/decisions/14.
 const LOOKS: [f64; 2] = [0.2, 0.3];
-/// Position of the schedule from which views are moved when told to. Source: chosen by hand, never measured.
+/// Position of the schedule from which views are moved when told to. Source: chosen by hand, never
+/// measured.
 const FROM: f64 = 0.1;
-/// Position until which views are moved: the last steps see poses that stand. Source: chosen by hand, never measured.
+/// Position until which views are moved: the last steps see poses that stand. Source: chosen by
+/// hand, never measured.
 const UNTIL: f64 = 0.96;
 /// Before anything is known a view is expected to be off by this, radians and normalised units.
-/// Source: chosen by hand (0.3°, about what docs/decisions/0024 calls wrong).
+/// Source: chosen by hand (0.3°, about what docs/decisions/14 calls wrong).
 const FIRST_SPREAD: [f64; 2] = [0.005; 2];
 
 /// State of the rule; the poses in force are in the training's state.
@@ -38,13 +42,14 @@ pub(crate) struct PoseRule {
     explained: Vec<f64>,
     /// Whether views are moved.
     refined: bool,
-    /// Root mean square of what views were moved by at first: rotation (radians) and translation (normalised), by coordinate.
+    /// Root mean square of what views were moved by at first: rotation (radians) and translation
+    /// (normalised), by coordinate.
     spread: Option<[f64; 2]>,
 }
 
 impl PoseRule {
     /// Looks whether poses are to be refined, and refines them, at their places in the schedule.
-    pub(super) fn review(&mut self, step: &mut StepContext) -> Result<(), SplatError> {
+    pub(super) fn review(&mut self, step: &mut RuleContext) -> Result<(), SplatError> {
         let (asked, position) = (step.setup.config.refine_poses, step.position());
         if asked == PoseRefinement::Off || step.setup.views.len() < LEAST_VIEWS {
             return Ok(());
@@ -75,7 +80,7 @@ impl PoseRule {
     }
 
     /// Moves all training views once.
-    fn refine(&mut self, step: &mut StepContext) -> Result<(), SplatError> {
+    fn refine(&mut self, step: &mut RuleContext) -> Result<(), SplatError> {
         self.places += 1;
         let setup = step.setup;
         let spread = self.spread.unwrap_or(FIRST_SPREAD);
@@ -97,25 +102,28 @@ impl PoseRule {
         Ok(())
     }
 
-    /// Takes Gaussians that were trained on refined poses to the frame of the poses as given: root mean square distance of the
-    /// refined views from these, pixels, and their names and poses (world frame). `None` where no pose was refined.
+    /// Takes Gaussians that were trained on refined poses to the frame of the poses as given: root
+    /// mean square distance of the refined views from these, pixels, and their names and poses
+    /// (world frame). `None` where no pose was refined.
     pub(super) fn align(
         &self,
-        step: &StepContext,
+        step: &RuleContext,
         gaussians: &mut Gaussians,
     ) -> Option<(f64, Vec<(String, Pose)>)> {
         alignment::align(step, gaussians)
     }
 
-    /// Reports how far apart the refined poses show the scene from where the poses as given do, pixels.
+    /// Reports how far apart the refined poses show the scene from where the poses as given do,
+    /// pixels.
     pub(super) fn conclude(&self, state: &mut TrainingState, displacement: f64) {
         let displacement = Measurement::new(Quantity::Displacement, displacement);
         state.decisions.push(Decision::new(Subject::RefinedPoses, displacement, Rule::Evidence));
     }
 }
 
-/// Part of the squared error that goes where views are moved by what the other half of their pixels says.
-fn explained_by_motions(step: &mut StepContext) -> Result<f64, SplatError> {
+/// Part of the squared error that goes where views are moved by what the other half of their pixels
+/// says.
+fn explained_by_motions(step: &mut RuleContext) -> Result<f64, SplatError> {
     let setup = step.setup;
     let (mut before, mut after) = (0.0, 0.0);
     for &v in setup.views.iter().step_by(setup.views.len().div_ceil(SAMPLE)) {

@@ -1,21 +1,25 @@
 //! Direct alignment of a camera (Lucas and Kanade 1981; Irani and Anandan 1999).
 //!
-//! A camera that moves by ξ shows `I'(p) ≈ I(p) − ∇I · F ξ`, where F is the derivative of the pixel at depth z by ξ. Of a view's
-//! photo P the motion is the least-squares solution of `∇I F ξ = I − P` over pixels and channels, with Huber's weights.
+//! A camera that moves by ξ shows `I'(p) ≈ I(p) − ∇I · F ξ`, where F is the derivative of the pixel
+//! at depth z by ξ. Of a view's photo P the motion is the least-squares solution of `∇I F ξ = I −
+//! P` over pixels and channels, with Huber's weights.
 
 use super::linear::solve;
 use super::motion::Motion;
 use crate::backend::Target;
 use crate::error::SplatError;
-use crate::train::context::StepContext;
+use crate::train::context::RuleContext;
 use crate::view::{PinholeView, RenderOutput};
 use rayon::prelude::*;
 
 /// Side of the blocks of pixels that take turns in moving and in judging, pixels.
-/// Source: chosen by hand, never measured; wider than the loss's window (11 pixels), so that most pixels are independent.
+/// Source: chosen by hand, never measured; wider than the loss's window (11 pixels), so that most
+/// pixels are independent.
 const BLOCK: usize = 16;
-/// What a splat shows wrong is wrong over many pixels: so many residuals say as much as one that is independent, a count.
-/// Source: docs/decisions/0024 (with 1 weak directions wandered by pixels, with 100 case 2 lost 3 dB).
+/// What a splat shows wrong is wrong over many pixels: so many residuals say as much as one that is
+/// independent, a count.
+/// Source: docs/decisions/14 (with 1 weak directions wandered by pixels, with 100 case 2 lost 3
+/// dB).
 const PIXELS_AS_ONE: f64 = 1000.0;
 /// Residuals above this multiple of their root mean square count by their size alone, a ratio.
 /// Source: Huber 1981 has 1.345 of a robust deviation; chosen by hand, never measured.
@@ -65,7 +69,8 @@ impl MotionEquations {
         self
     }
 
-    /// The most likely motion, if `so_far` has been gone already and rotations and translations are as large as `spread`.
+    /// The most likely motion, if `so_far` has been gone already and rotations and translations are
+    /// as large as `spread`.
     pub(super) fn motion(mut self, so_far: &Motion, spread: [f64; 2]) -> Motion {
         let noise = (self.inside / self.count.max(1.0)).max(f64::EPSILON) * PIXELS_AS_ONE;
         for k in 0..6 {
@@ -79,7 +84,7 @@ impl MotionEquations {
 
 /// What the photo of training view `v` says about the motion of `view`, at the resolution in use.
 pub(super) fn motion_equations(
-    step: &mut StepContext,
+    step: &mut RuleContext,
     v: usize,
     view: &PinholeView,
     subset: PixelSubset,

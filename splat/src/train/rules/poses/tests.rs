@@ -18,7 +18,8 @@ use scene::Progress;
 use scene::decision::Subject;
 use scene::sim3::Sim3;
 
-/// The training views off by about `size` radians, as solvers leave it: what they look at stays in the middle.
+/// The training views off by about `size` radians, as solvers leave it: what they look at stays in
+/// the middle.
 fn with_wrong_poses(mut dataset: Dataset, size: f64) -> Dataset {
     for (k, view) in dataset.views.iter_mut().enumerate().filter(|(_, v)| !v.held_out) {
         let mut rng = scene::rng::rng(11, "wrong poses", k as u64);
@@ -60,7 +61,8 @@ fn a_view_finds_back_to_where_its_photo_was_taken() {
     }
 }
 
-/// The derivative that the normal equations are made of is that of what the renderer shows: against central differences of pictures.
+/// The derivative that the normal equations are made of is that of what the renderer shows: against
+/// central differences of pictures.
 #[test]
 fn the_predicted_change_of_a_picture_is_that_of_the_renderer() {
     let dataset = pictures_of(&truth(), 8, false, [144, 120]);
@@ -91,7 +93,8 @@ fn the_predicted_change_of_a_picture_is_that_of_the_renderer() {
             own += predicted * predicted;
             other += found * found;
         }
-        // The picture is made of blobs at many depths, so that a pixel has no one depth: alike, not equal.
+        // The picture is made of blobs at many depths, so that a pixel has no one depth: alike, not
+        // equal.
         let (alike, gain) = (both / (own * other).sqrt(), both / own);
         assert!(alike > 0.8 && (0.7..1.4).contains(&gain), "coordinate {k}: {alike:.3}, {gain:.3}");
     }
@@ -142,7 +145,8 @@ fn wrong_poses_are_refined_and_right_ones_are_left_alone() {
     let (refined, result) = run(&wrong, PoseRefinement::Auto);
     assert!(decision(&result, Subject::TrainingPoses).is_taken(), "{:?}", result.decisions);
     assert!(refined > left + 2.0, "{left:.2} dB -> {refined:.2} dB");
-    // What the poses turn the scene by, in common, is nobody's error; the splat tells it from what they look at.
+    // What the poses turn the scene by, in common, is nobody's error; the splat tells it from what
+    // they look at.
     let off = |pose: &dyn Fn(usize) -> scene::Pose| {
         let training = right.training_views();
         let angle = |v: &usize| scene::pose::rotation_angle(pose(*v).rotation, right.views[*v].pose.rotation);
@@ -160,7 +164,8 @@ fn wrong_poses_are_refined_and_right_ones_are_left_alone() {
     assert_eq!(result.gaussians, run(&right, PoseRefinement::Off).1.gaussians);
 }
 
-/// Views without anything to align, black, saturated, or fewer than three: nothing happens, and nothing is lost.
+/// Views without anything to align, black, saturated, or fewer than three: nothing happens, and
+/// nothing is lost.
 #[test]
 fn views_that_say_nothing_stay() {
     for (views, level) in [(12, 0u8), (12, 255), (2, 90)] {

@@ -1,0 +1,183 @@
+//! Keypoints and tracks of a video: points followed from frame to frame, and features of key frames across wide steps.
+
+use crate::SfmError;
+use crate::circular::model::AxisModel;
+use crate::klt::KltTrack;
+use crate::matching::{MatchConfig, match_pairs};
+use crate::sift::{SiftConfig, extract_all};
+use crate::solvers::{essential_from_pose, sampson_sq};
+use crate::tracks::{Tracks, build_tracks, positions};
+use glam::{DMat3, DVec2, DVec3};
+use scene::{Features, FrameSet, Progress, TwoViewGeometry, TwoViewKind};
+
+/// Turn between key frames, radians.
+const KEY_STEP: f64 = 0.15;
+/// Key frames are matched up to this turn, radians.
+const MATCH_SPAN: f64 = 1.0;
+/// Largest epipolar error of a match between key frames, pixels.
+const EPIPOLAR_PX: f64 = 4.0;
+/// A match that moves by less stands still, pixels.
+const STILL_PX: f64 = 1.5;
+/// A track that stays within this over its life stands still: pixels, and pixels a frame.
+const STILL_TRACK_PX: (f64, f64) = (1.0, 0.08);
+
+/// Drops tracks that do not move (the screen, the pole, a watermark). Returns how many there were.
+pub(crate) fn drop_still(tracks: &mut Vec<KltTrack>) -> usize {
+    let before = tracks.len();
+    tracks.retain(|t| {
+        let farthest = t.positions.iter().map(|p| p.distance(t.positions[0])).fold(0.0, f64::max);
+        farthest > STILL_TRACK_PX.0.max(STILL_TRACK_PX.1 * t.positions.len() as f64)
+    });
+    before - tracks.len()
+}
+
+/// Keypoints by frame, and which of them are one point.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct VideoTracks {
+    pub keypoints: Vec<Vec<DVec2>>,
+    pub tracks: Tracks,
+}
+
+impl VideoTracks {
+    /// Of followed points alone.
+    pub fn of_klt(tracks: &[KltTrack], frames: usize) -> Self {
+        let mut material = Self {
+            keypoints: vec![Vec::new(); frames],
+            tracks: Tracks { of: vec![Vec::new(); frames], views: Vec::new() },
+        };
+        material.add_klt(tracks);
+        material
+    }
+
+    fn add_klt(&mut self, tracks: &[KltTrack]) {
+        for track in tracks {
+            self.add((track.first..).zip(track.positions.iter().copied()));
+        }
+    }
+
+    /// A point that was seen at a pixel of each of some frames.
+    pub fn add(&mut self, observations: impl Iterator<Item = (usize, DVec2)>) {
+        let id = self.tracks.views.len() as u32;
+        let mut views = Vec::new();
+        for (frame, p) in observations {
+            views.push([frame as u32, self.keypoints[frame].len() as u32]);
+            self.keypoints[frame].push(p);
+            self.tracks.of[frame].push(id);
+        }
+        self.tracks.views.push(views);
+    }
+
+    /// Of features of some frames, joined by verified matches, and followed points after them.
+    pub fn of_both(features: &[Features], geometries: &[TwoViewGeometry], tracks: &[KltTrack]) -> Self {
+        let mut material = Self {
+            keypoints: features.iter().map(positions).collect(),
+            tracks: build_tracks(features, geometries),
+        };
+        material.add_klt(tracks);
+        material
+    }
+}
+
+/// Features of key frames, and matches between them that agree with a turn.
+pub(crate) struct KeyFrames {
+    /// One per frame; empty for those that are not key frames.
+    pub features: Vec<Features>,
+    /// Matches between frames whose angles in the video are near each other.
+    pub near: Vec<TwoViewGeometry>,
+    /// Matches between frames that a whole turn brought together again.
+    pub closure: Vec<TwoViewGeometry>,
+    /// Pairs that were matched.
+    pub matched: usize,
+}
+
+impl KeyFrames {
+    /// Finds and matches features of frames about 9° apart.
+    pub fn new(
+        frames: &FrameSet,
+        model: &AxisModel,
+        sift: &SiftConfig,
+        matching: &MatchConfig,
+        progress: &Progress,
+    ) -> Result<Self, SfmError> {
+        let keys = key_frames(&model.turn.angles);
+        let some = FrameSet {
+            frames: keys.iter().map(|&(f, _)| frames.frames[f].clone()).collect(),
+            is_video: true,
+            ..FrameSet::default()
+        };
+        let of_keys = extract_all(&some, sift, progress)?;
+        let mut near_pairs = Vec::new();
+        let mut closing_pairs = Vec::new();
+        for i in 0..keys.len() {
+            for k in i + 1..keys.len() {
+                let turn = keys[k].1 - keys[i].1;
+                if turn.abs() <= MATCH_SPAN {
+                    near_pairs.push((i, k));
+                } else if crate::circular::motion::wrap_angle(turn).abs() <= 0.7 * MATCH_SPAN {
+                    closing_pairs.push((i, k));
+                }
+            }
+        }
+        let match_all = |pairs: &[(usize, usize)]| -> Result<Vec<TwoViewGeometry>, SfmError> {
+            let matches = match_pairs(&of_keys, pairs, matching, progress)?;
+            let verified = matches.into_iter().map(|(i, k, m)| {
+                let kept = agreeing_matches(model, [keys[i].0, keys[k].0], [&of_keys[i], &of_keys[k]], &m);
+                geometry(keys[i].0, keys[k].0, kept)
+            });
+            Ok(verified.filter(|g| g.inliers.len() >= 8).collect())
+        };
+        let (near, closure) = (match_all(&near_pairs)?, match_all(&closing_pairs)?);
+        let mut features = vec![Features::default(); frames.len()];
+        for ((frame, _), f) in keys.iter().zip(of_keys) {
+            features[*frame] = f;
+        }
+        Ok(Self { features, near, closure, matched: near_pairs.len() + closing_pairs.len() })
+    }
+}
+
+/// Frames about [`KEY_STEP`] apart, with their angles.
+fn key_frames(angles: &[Option<f64>]) -> Vec<(usize, f64)> {
+    let mut keys: Vec<(usize, f64)> = Vec::new();
+    for (frame, angle) in angles.iter().enumerate() {
+        let Some(angle) = *angle else { continue };
+        if keys.last().is_none_or(|(_, last)| (angle - last).abs() >= KEY_STEP) {
+            keys.push((frame, angle));
+        }
+    }
+    keys
+}
+
+/// Matches that move, and agree with the relative pose.
+fn agreeing_matches(
+    model: &AxisModel,
+    frames: [usize; 2],
+    features: [&Features; 2],
+    matches: &[[u32; 2]],
+) -> Vec<[u32; 2]> {
+    let [Some(a), Some(b)] = frames.map(|f| model.turn.pose(f)) else { return Vec::new() };
+    let camera = &model.state.cameras[0];
+    let f = camera.mean_focal();
+    let inverse = DMat3::from_diagonal(DVec3::new(1.0 / f, 1.0 / f, 1.0));
+    let m = inverse * essential_from_pose(&b.compose(&a.inverse())) * inverse;
+    let fits = |&[i, k]: &[u32; 2]| {
+        let (p, q) =
+            (features[0].keypoints[i as usize].position(), features[1].keypoints[k as usize].position());
+        p.distance(q) > STILL_PX
+            && sampson_sq(&m, camera.unproject(p) * f, camera.unproject(q) * f) < EPIPOLAR_PX * EPIPOLAR_PX
+    };
+    matches.iter().copied().filter(fits).collect()
+}
+
+fn geometry(a: usize, b: usize, inliers: Vec<[u32; 2]>) -> TwoViewGeometry {
+    TwoViewGeometry {
+        a,
+        b,
+        kind: TwoViewKind::Calibrated,
+        inliers,
+        f: None,
+        e: None,
+        h: None,
+        b_from_a: None,
+        median_angle: 0.0,
+    }
+}

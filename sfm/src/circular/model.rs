@@ -1,0 +1,278 @@
+//! A growing model whose poses are a turn: triangulated, adjusted and filtered under the constraint.
+
+use super::axis::Elevation;
+use super::jumps::not_jumping;
+use super::motion::CircularMotion;
+use super::problem::{CircularCovariance, CircularProblem, Relation};
+use crate::bundle::{BundleProblem, RobustLoss, SolveOptions};
+use crate::incremental::adjust::{Adjustment, Selected, plausible, select, take};
+use crate::incremental::growth::freedom;
+use crate::incremental::state::{MapState, MappingInput};
+use crate::model_selection::camera::{FreeIntrinsics, apply};
+use crate::model_selection::noise::{error_sq, noise};
+use crate::statistics::median;
+use crate::{Knowledge, SfmError};
+use scene::{Camera, Progress};
+
+/// Points an image contributes while the model settles.
+const POINTS_PER_IMAGE: usize = 150;
+/// Iterations times observations of an adjustment of all points. What many observations leave to be done after three iterations is in single
+/// points, which settle alone before each.
+const EFFORT: usize = 400_000;
+/// Relative decrease of the cost at which it ends before.
+const SETTLED: f64 = 1e-6;
+/// Observations farther off than so many standard deviations of the noise are dropped at the end.
+const FINAL_SIGMAS: f64 = 8.0;
+/// They are never held to less than this, pixels.
+const FINAL_LEAST_PX: f64 = 1.0;
+
+/// A model under the constraint.
+#[derive(Clone, Debug)]
+pub(crate) struct AxisModel {
+    /// Poses (those of the turn), points, cameras.
+    pub state: MapState,
+    /// The motion.
+    pub turn: CircularMotion,
+    /// The elevation of the camera that is believed.
+    pub elevation: Option<Elevation>,
+}
+
+/// What stays the same while a model is adjusted.
+pub(crate) struct CircularContext<'a> {
+    /// Keypoints and tracks.
+    pub input: &'a MappingInput<'a>,
+    /// What is known of the cameras.
+    pub known: &'a [Knowledge],
+    /// The cameras that priors refer to.
+    pub starts: &'a [Camera],
+    /// What is known of the angles, by frame.
+    pub relations: &'a [Relation],
+    /// How the camera looks down on the plane of the turn, where a user measured it.
+    pub elevation: Option<Elevation>,
+    /// What a whole turn says of them beside the observations.
+    pub closing: Option<Relation>,
+    /// When each frame of a video was taken: until more is known of the angles, they are taken not to jump. Empty otherwise.
+    pub times: &'a [f64],
+    /// For each frame how many of its keypoints, the first ones, are features; the others are followed points, which
+    /// are measured otherwise. Empty where all are features.
+    pub features: &'a [usize],
+    /// Says how far it is, and when to stop.
+    pub progress: &'a Progress,
+}
+
+impl<'a> CircularContext<'a> {
+    /// What is there before anything is known of the motion.
+    pub fn plain(
+        input: &'a MappingInput<'a>,
+        known: &'a [Knowledge],
+        starts: &'a [Camera],
+        times: &'a [f64],
+        progress: &'a Progress,
+    ) -> Self {
+        Self {
+            input,
+            known,
+            starts,
+            relations: &[],
+            elevation: None,
+            closing: None,
+            times,
+            features: &[],
+            progress,
+        }
+    }
+}
+
+impl AxisModel {
+    /// Triangulates all tracks from the turn's poses.
+    pub fn new(input: &MappingInput<'_>, cameras: Vec<Camera>, turn: CircularMotion) -> Self {
+        let mut state = MapState::new(input, cameras);
+        for frame in 0..input.keypoints.len() {
+            if let Some(pose) = turn.pose(frame) {
+                state.register(frame, pose);
+            }
+        }
+        state.grow_all(input);
+        Self { state, turn, elevation: None }
+    }
+
+    /// The adjustment of the present model.
+    pub fn problem(&self, context: &CircularContext<'_>, what: &Adjustment) -> (CircularProblem, Selected) {
+        let mut selected = select(&self.state, context.input, what);
+        let angles = selected.images.iter().map(|&i| self.turn.angles[i].unwrap_or(0.0)).collect();
+        let bundle = std::mem::take(&mut selected.problem);
+        let mut problem = CircularProblem::new(bundle, self.turn.axis, angles);
+        let place = |frame: u32| selected.images.binary_search(&(frame as usize)).ok().map(|i| i as u32);
+        let unknown = context.relations.is_empty();
+        let believed = if unknown { not_jumping(&self.turn.angles, context.times) } else { Vec::new() };
+        for r in context.relations.iter().chain(&believed).chain(&context.closing) {
+            let frames = r.frames.map(|f| f.and_then(place));
+            if frames.iter().flatten().count() == r.frames.iter().flatten().count() {
+                problem.relations.push(Relation { frames, ..*r });
+            }
+        }
+        problem.levels.extend(self.elevation.as_ref().map(|e| e.level(&self.turn)));
+        (problem, selected)
+    }
+
+    /// Takes a solved adjustment over.
+    pub fn take(&mut self, problem: CircularProblem, mut selected: Selected) {
+        self.turn.axis = problem.axis;
+        for (&image, angle) in selected.images.iter().zip(&problem.angles) {
+            self.turn.angles[image] = Some(*angle);
+        }
+        selected.problem = problem.bundle;
+        take(&mut self.state, &selected);
+    }
+
+    /// Adjusts, filters and triangulates a few times; robustly, with focal length and distortion free. `false` where
+    /// it ends in nonsense.
+    pub fn settle(&mut self, context: &CircularContext<'_>, rounds: usize) -> Result<bool, SfmError> {
+        self.settle_with(context, rounds, POINTS_PER_IMAGE, self.state.registered_count())
+    }
+
+    /// [`AxisModel::settle`] with so many points an image; `images` stands for how many images the general solver
+    /// would need to free as much of the intrinsics.
+    pub fn settle_with(
+        &mut self,
+        context: &CircularContext<'_>,
+        rounds: usize,
+        points_per_image: usize,
+        images: usize,
+    ) -> Result<bool, SfmError> {
+        for _ in 0..rounds {
+            let (free, priors) = freedom(&self.state.cameras, context.known, context.starts, images);
+            let mut what = Adjustment::growing(free, priors);
+            what.points_per_image = Some(points_per_image);
+            let (mut problem, selected) = self.problem(context, &what);
+            let summary = problem.solve(&what.solve, context.progress)?;
+            if !summary.usable || !problem.bundle.cameras.iter().all(plausible) {
+                return Ok(false);
+            }
+            self.take(problem, selected);
+            self.state.refine_points(context.input, |_| false);
+            let gone = self.state.filter(context.input, context.input.config.max_reprojection_px);
+            let added = self.state.grow_all(context.input);
+            let all: usize = self.state.live().map(|(_, p)| p.views.len()).sum();
+            if all < 3 * context.input.config.min_sightings {
+                return Ok(false);
+            }
+            if (added + gone) * 100 < all {
+                break;
+            }
+        }
+        Ok(true)
+    }
+
+    /// The adjustment of all points with the chosen intrinsics, its observations at the measured noise.
+    pub fn prepare(
+        &self,
+        context: &CircularContext<'_>,
+        intrinsics: FreeIntrinsics,
+        points_per_image: Option<usize>,
+    ) -> (CircularProblem, Selected, SolveOptions) {
+        let (free, priors) = freedom(&self.state.cameras, context.known, context.starts, usize::MAX);
+        let what = Adjustment { points_per_image, ..Adjustment::growing(free, priors) };
+        let (mut problem, selected) = self.problem(context, &what);
+        apply(&mut problem.bundle, intrinsics, context.known);
+        self.weigh(context, &mut problem.bundle, &selected);
+        let most = (EFFORT / problem.bundle.observations.len().max(1)).clamp(3, 20);
+        let options = SolveOptions {
+            loss: RobustLoss::Cauchy(2.0),
+            max_iterations: most as u32,
+            function_tolerance: SETTLED,
+            points_first: points_per_image.is_none(),
+            ..SolveOptions::default()
+        };
+        (problem, selected, options)
+    }
+
+    /// Gives features and followed points each the noise that their residuals show, `r² ≈ 2 ln 2 σ²` at the median,
+    /// corrected for what the points' three coordinates take up.
+    pub fn weigh(&self, context: &CircularContext<'_>, bundle: &mut BundleProblem, selected: &Selected) {
+        let points = selected.points.iter().filter_map(|&id| self.state.points[id as usize].as_ref());
+        let kind = |[frame, feature]: [u32; 2]| {
+            usize::from(context.features.get(frame as usize).is_some_and(|&n| feature as usize >= n))
+        };
+        let kinds: Vec<usize> = points.flat_map(|p| p.views.iter().map(|v| kind(*v))).collect();
+        if kinds.len() != bundle.observations.len() {
+            let sigma = noise(bundle);
+            bundle.observations.iter_mut().for_each(|o| o.sigma_px = sigma);
+            return;
+        }
+        let mut views = vec![0usize; bundle.points.len()];
+        bundle.observations.iter().for_each(|o| views[o.point as usize] += 1);
+        let sigmas: [f64; 2] = std::array::from_fn(|k| {
+            let own = || bundle.observations.iter().zip(&kinds).filter(move |(_, kind)| **kind == k);
+            let errors: Vec<f64> = own().map(|(o, _)| error_sq(bundle, o) / o.sigma_px.powi(2)).collect();
+            let n = 2.0 * errors.len() as f64;
+            let taken: f64 = own().map(|(o, _)| 3.0 / views[o.point as usize] as f64).sum();
+            let freedom = ((n - taken) / n.max(1.0)).clamp(0.1, 1.0);
+            (median(errors) / (2.0 * std::f64::consts::LN_2) / freedom).sqrt().max(1e-3)
+        });
+        for (o, kind) in bundle.observations.iter_mut().zip(&kinds) {
+            o.sigma_px *= sigmas[*kind];
+        }
+    }
+
+    /// Adjusts with the chosen intrinsics, triangulates and filters at the level of the noise, for so many rounds at most.
+    pub fn polish(
+        &mut self,
+        context: &CircularContext<'_>,
+        intrinsics: FreeIntrinsics,
+        rounds: usize,
+    ) -> Result<(), SfmError> {
+        for round in 0..rounds {
+            let part = (round == 0).then_some(2 * POINTS_PER_IMAGE);
+            let (mut problem, selected, options) = self.prepare(context, intrinsics, part);
+            let summary = problem.solve(&options, context.progress)?;
+            if !summary.usable {
+                break;
+            }
+            let all = problem.bundle.observations.len();
+            let sigma = noise(&problem.bundle);
+            self.take(problem, selected);
+            if part.is_some() {
+                self.state.refine_points(context.input, |_| false);
+            }
+            let limit =
+                (FINAL_SIGMAS * sigma).clamp(FINAL_LEAST_PX, context.input.config.max_reprojection_px);
+            let gone = self.state.filter(context.input, limit);
+            let added = if round + 1 < rounds { self.state.grow_all(context.input) } else { 0 };
+            if round > 0 && (gone + added) * 500 < all {
+                break;
+            }
+        }
+        Ok(())
+    }
+
+    /// Standard deviations of the final adjustment, with the problem they belong to.
+    pub fn covariance(
+        &self,
+        context: &CircularContext<'_>,
+        intrinsics: FreeIntrinsics,
+    ) -> Result<Option<(CircularProblem, Vec<usize>, CircularCovariance)>, SfmError> {
+        let (problem, selected, options) = self.prepare(context, intrinsics, None);
+        let covariance = problem.covariance(&options)?;
+        Ok(covariance.map(|c| (problem, selected.images, c)))
+    }
+
+    /// Puts the model into the turntable's frame: axis up, first camera at azimuth 0, `radius` from the axis, the origin
+    /// at the height of the points' median.
+    pub fn orient(&mut self, radius: f64) {
+        let mut heights: Vec<f64> = self.state.live().map(|(_, p)| p.position.z).collect();
+        let middle = heights.len() / 2;
+        let height =
+            if heights.is_empty() { 0.0 } else { *heights.select_nth_unstable_by(middle, f64::total_cmp).1 };
+        let (turn, moved) = self.turn.canonical(height, radius);
+        for (frame, pose) in self.state.poses.iter_mut().enumerate() {
+            if pose.is_some() {
+                *pose = turn.pose(frame);
+            }
+        }
+        for point in self.state.points.iter_mut().flatten() {
+            point.position = moved(point.position);
+        }
+        self.turn = turn;
+    }
+}

@@ -1,0 +1,155 @@
+//! The principal point once more, when a model has gained observations.
+
+use super::camera::{CameraSelection, CameraTrial, FreeIntrinsics, PRINCIPAL_POINT_SIGMA, options, split};
+use super::evidence::Comparison;
+use crate::bundle::BundleProblem;
+use crate::{Knowledge, SfmError};
+use scene::decision::{Decision, Measurement, Quantity, Rule, Subject};
+use scene::{Camera, CameraModel, Progress};
+
+/// A coordinate of it that observations leave less of than this share of its standard deviation beforehand is determined whatever glints add:
+/// what slides over an object errs together, by up to 18 times what single observations say (decision 0028).
+const DETERMINED_SHARE: f64 = 0.02;
+
+/// Whether more observations than [`choose`] had determine a principal point that was held: with both terms of radial distortion, whose
+/// centre it is; else one coordinate of it, as an orbit tells the one across its axis far better than the other. `None` where they
+/// determine neither, or the user named a model.
+pub(crate) fn free_principal_point(
+    problem: &BundleProblem,
+    known: &[Knowledge],
+    (now, named): (FreeIntrinsics, Option<CameraModel>),
+    sigma: f64,
+    progress: &Progress,
+) -> Result<Option<(FreeIntrinsics, Decision)>, SfmError> {
+    let asked = named.is_none() && !now.principal_point && !known.iter().any(|k| k.fixed);
+    let (training, held_out) = split(problem);
+    if !asked || problem.poses.len() < 3 || held_out.len() < 100 {
+        return Ok(None);
+    }
+    let context = CameraSelection { training, held_out, sigma, known, progress };
+    let held = context.trial(problem, now)?;
+    let whole = FreeIntrinsics { model: CameraModel::Radial, principal_point: true, held: None };
+    let free = context.trial(&held.problem, whole)?;
+    let again = context.trial(&free.gone_back_to(&held), now)?;
+    let held = if again.score.bic < held.score.bic { again } else { held };
+    let found = Comparison::new(&free.score, &held.score);
+    let taken = found.is_preferred() && context.determined(&free)?;
+    let decision = Decision::new(Subject::CameraModelWithPlane, whole.choice(), Rule::Evidence).compared(
+        now.choice(),
+        !taken,
+        held.scores(),
+    );
+    let mut tried = free.as_alternative(taken);
+    tried.scores.extend(found.measurements());
+    let mut decision = decision.compared_all([tried]);
+    if taken {
+        return Ok(Some((whole, decision)));
+    }
+    for coordinate in 0..2 {
+        let one = FreeIntrinsics { principal_point: true, held: Some(1 - coordinate), ..now };
+        let free = context.trial(&held.problem, one)?;
+        let share = context.left_of_prior(&free, coordinate)?;
+        let is_determined = share < DETERMINED_SHARE && free.score.bic < held.score.bic;
+        let mut tried = free.as_alternative(is_determined);
+        tried.scores.push(Measurement::new(Quantity::ShareOfPrior, share));
+        decision.alternatives.push(tried);
+        if is_determined {
+            decision.choice = one.choice();
+            return Ok(Some((one, decision)));
+        }
+    }
+    Ok(None)
+}
+
+impl CameraSelection<'_> {
+    /// The standard deviation of a coordinate of the principal point, as a share of that beforehand: of the camera that is known least.
+    fn left_of_prior(&self, trial: &CameraTrial, coordinate: usize) -> Result<f64, SfmError> {
+        let Some(covariance) = trial.problem.covariance(&options())? else { return Ok(f64::INFINITY) };
+        let share = |(camera, c): (&Camera, &Vec<f64>)| {
+            let i = camera.model.num_focals() + coordinate;
+            let before = PRINCIPAL_POINT_SIGMA * f64::from(camera.width.max(camera.height));
+            c[i * camera.params.len() + i].max(0.0).sqrt() / before
+        };
+        Ok(trial.problem.cameras.iter().zip(&covariance.cameras).map(share).fold(0.0, f64::max))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::bundle::BundleObservation;
+    use crate::model_selection::camera::before_the_choice;
+    use glam::{DMat3, DQuat, DVec3};
+    use rand::Rng as _;
+    use scene::Pose;
+    use scene::rng::rng;
+
+    /// What 24 cameras see that go round points in a circle and look down on them a little, `focal` times their distance; the solver's
+    /// camera has its principal point at the centre, the true one has not.
+    fn orbit(across: f64, noise_px: f64) -> BundleProblem {
+        let mut camera = Camera::centred(1, CameraModel::SimpleRadial, 640, 480, 530.0);
+        let centred = camera.clone();
+        camera.params[1] += across;
+        let mut r = rng(3, "freed", 0);
+        let points: Vec<DVec3> =
+            (0..300).map(|_| DVec3::from_array(std::array::from_fn(|_| r.random_range(-0.6..0.6)))).collect();
+        let pose = |k: usize| {
+            let a = std::f64::consts::TAU * k as f64 / 24.0;
+            let centre = DVec3::new(2.4 * a.sin(), -2.4 * a.cos(), 0.6);
+            let z = (-centre).normalize();
+            let x = z.cross(DVec3::Z).normalize();
+            let rotation = DQuat::from_mat3(&DMat3::from_cols(x, z.cross(x), z).transpose());
+            Pose { rotation, translation: rotation * -centre }
+        };
+        let poses: Vec<Pose> = (0..24).map(pose).collect();
+        let mut observations = Vec::new();
+        for (k, pose) in poses.iter().enumerate() {
+            for (i, x) in points.iter().enumerate() {
+                let off = glam::DVec2::new(r.random_range(-1.0..1.0), r.random_range(-1.0..1.0));
+                let pixel = camera.project(pose.transform(*x)).unwrap() + off * noise_px * 3f64.sqrt();
+                observations.push(BundleObservation {
+                    pose: k as u32,
+                    point: i as u32,
+                    pixel,
+                    sigma_px: 1.0,
+                });
+            }
+        }
+        BundleProblem {
+            camera_free: vec![vec![true, false, false, true]],
+            cameras: vec![centred],
+            priors: Vec::new(),
+            pose_camera: vec![0; poses.len()],
+            pose_constant: vec![false; poses.len()],
+            point_constant: vec![false; points.len()],
+            poses,
+            points,
+            observations,
+        }
+    }
+
+    fn free_point_of(
+        problem: &BundleProblem,
+        known: Knowledge,
+        named: Option<CameraModel>,
+    ) -> Option<FreeIntrinsics> {
+        let now = before_the_choice(None);
+        free_principal_point(problem, &[known], (now, named), 0.3, &Progress::silent()).unwrap().map(|f| f.0)
+    }
+
+    #[test]
+    fn an_orbit_determines_the_principal_point_across_its_axis_alone() {
+        let off = orbit(9.0, 0.3);
+        let found =
+            free_point_of(&off, Knowledge::default(), None).expect("nine pixels across the axis show");
+        assert!(found.principal_point && found.held == Some(1), "{found:?}");
+    }
+
+    #[test]
+    fn a_point_at_the_centre_or_of_a_camera_that_is_given_or_named_is_left() {
+        assert_eq!(free_point_of(&orbit(0.0, 0.3), Knowledge::default(), None), None);
+        let off = orbit(9.0, 0.3);
+        assert_eq!(free_point_of(&off, Knowledge::exact(), None), None);
+        assert_eq!(free_point_of(&off, Knowledge::default(), Some(CameraModel::SimpleRadial)), None);
+    }
+}

@@ -1,0 +1,173 @@
+//! Poses that came without points: features of the images are matched along the lines of the given poses and triangulated.
+//!
+//! in: frames and a model whose images bear their names · out: the same cameras and poses, with observations and points.
+//! Nothing is adjusted: what does not agree with the poses becomes no point.
+
+use super::SolvedModel;
+use super::export::{colour, convert};
+use super::steps::densify::{WIDEST, line_between, merge_geometry, undistort_features};
+use crate::incremental::state::{MapState, MappingInput};
+use crate::matching::{PreparedFeatures, guided_match_prepared};
+use crate::tracks::{build_tracks, positions};
+use crate::triangulation::angle_between;
+use crate::{SfmConfig, SfmError, SfmResult, sift};
+use glam::{DVec2, DVec3};
+use rayon::prelude::*;
+use scene::{Camera, Features, Frame, FrameSet, Pose, Progress, Reconstruction, TwoViewGeometry};
+use std::collections::{BTreeMap, BTreeSet};
+
+/// An image is matched with so many nearest ones, and with the one nearest to each of these angles (degrees) from it: with
+/// neighbours alone a video has no baselines.
+const NEAREST: usize = 5;
+const FARTHER_DEG: [f64; 5] = [6.0, 10.0, 15.0, 22.0, 30.0];
+/// Farthest that a match may be from the line that the poses give, pixels.
+const BAND_PX: f64 = 2.0;
+/// Matches of a pair that are not yet chance.
+const LEAST_MATCHES: usize = 8;
+
+/// The model with points; without any where the images share none, or are fewer than two.
+pub fn triangulate_given(
+    frames: &FrameSet,
+    model: &Reconstruction,
+    config: &SfmConfig,
+    progress: &Progress,
+) -> Result<Reconstruction, SfmError> {
+    let ids: BTreeMap<&str, u32> = model.images.values().map(|i| (i.name.as_str(), i.id)).collect();
+    let posed: Vec<Frame> =
+        frames.frames.iter().filter(|f| ids.contains_key(f.name.as_str())).cloned().collect();
+    if posed.len() < 2 {
+        return Ok(model.clone());
+    }
+    let frames = FrameSet { frames: posed, ..frames.clone() };
+    let cameras: Vec<Camera> = model.cameras.values().cloned().collect();
+    let image_of: Vec<u32> = frames.frames.iter().map(|f| ids[f.name.as_str()]).collect();
+    let camera_of = |id: &u32| cameras.iter().position(|c| c.id == model.images[id].camera).unwrap_or(0);
+    let camera_of: Vec<usize> = image_of.iter().map(camera_of).collect();
+    let poses: Vec<Pose> = image_of.iter().map(|id| model.images[id].pose).collect();
+    let features = sift::extract_all(&frames, &config.sift, progress)?;
+    let keypoints: Vec<Vec<DVec2>> = features.iter().map(positions).collect();
+    let own: Vec<&Camera> = camera_of.iter().map(|&c| &cameras[c]).collect();
+    let geometries = along_the_poses(&features, &keypoints, &own, &poses, config, progress)?;
+    let tracks = build_tracks(&features, &geometries);
+    let sigmas = vec![Vec::new(); features.len()];
+    let input = MappingInput {
+        keypoints: &keypoints,
+        sigmas: &sigmas,
+        tracks: &tracks,
+        camera_of: &camera_of,
+        geometries: &geometries,
+        config: &config.mapper,
+        may_be_rotated: false,
+        seed: config.seed,
+    };
+    let mut state = MapState::new(&input, cameras.clone());
+    poses.iter().enumerate().for_each(|(i, pose)| state.register(i, *pose));
+    for _ in 0..2 {
+        state.grow_all(&input);
+        state.refine_points(&input, |_| false);
+        state.filter(&input, config.mapper.max_reprojection_px);
+    }
+    let solved = SolvedModel { state, camera_of, keypoints, decisions: Vec::new(), uncertainty: None };
+    let reconstruction = Some(convert(&solved, &frames));
+    let mut result = SfmResult { reconstruction, ..SfmResult::default() };
+    colour(&mut result, &frames, progress)?;
+    Ok(result.reconstruction.map_or_else(|| model.clone(), |found| renumber(found, &image_of)))
+}
+
+/// Pairs of images that may share points, lower index first.
+fn neighbours(poses: &[Pose]) -> Vec<(usize, usize)> {
+    let axes: Vec<DVec3> = poses.iter().map(|p| p.rotation.conjugate() * DVec3::Z).collect();
+    let centres: Vec<DVec3> = poses.iter().map(Pose::centre).collect();
+    let mean = centres.iter().sum::<DVec3>() / centres.len().max(1) as f64;
+    let extent = centres.iter().map(|c| c.distance(mean)).fold(1e-300, f64::max);
+    let mut pairs = BTreeSet::new();
+    for a in 0..poses.len() {
+        // Cameras side by side look the same way: then the distance tells which are near.
+        let apart =
+            |b: usize| angle_between(axes[a], axes[b]) + 0.1 * centres[a].distance(centres[b]) / extent;
+        let mut others: Vec<(f64, usize)> =
+            (0..poses.len()).filter(|&b| b != a).map(|b| (apart(b), b)).collect();
+        others.retain(|(far, _)| *far <= WIDEST);
+        others.sort_by(|x, y| x.0.total_cmp(&y.0).then(x.1.cmp(&y.1)));
+        let mut add = |b: usize| pairs.insert((a.min(b), a.max(b)));
+        others.iter().take(NEAREST).for_each(|(_, b)| {
+            add(*b);
+        });
+        for angle in FARTHER_DEG.map(f64::to_radians) {
+            let off = |o: &&(f64, usize)| (o.0 - angle).abs();
+            others.iter().min_by(|x, y| off(x).total_cmp(&off(y))).into_iter().for_each(|(_, b)| {
+                add(*b);
+            });
+        }
+    }
+    pairs.into_iter().collect()
+}
+
+fn along_the_poses(
+    features: &[Features],
+    keypoints: &[Vec<DVec2>],
+    cameras: &[&Camera],
+    poses: &[Pose],
+    config: &SfmConfig,
+    progress: &Progress,
+) -> Result<Vec<TwoViewGeometry>, SfmError> {
+    let ideal: Vec<Features> =
+        (0..features.len()).map(|i| undistort_features(&features[i], &keypoints[i], cameras[i])).collect();
+    let prepared: Vec<PreparedFeatures> = features.par_iter().map(PreparedFeatures::new).collect();
+    let pairs = neighbours(poses);
+    progress.begin("matching along the given poses", pairs.len());
+    let one = |&(a, b): &(usize, usize)| -> Result<Option<TwoViewGeometry>, SfmError> {
+        progress.tick()?;
+        let (f, b_from_a) = line_between((&poses[a], cameras[a]), (&poses[b], cameras[b]));
+        let side = |i: usize| (&ideal[i], &prepared[i]);
+        let found = guided_match_prepared(side(a), side(b), &f, BAND_PX, &config.matching);
+        Ok(merge_geometry(None, (a, b), found, &f, b_from_a, LEAST_MATCHES))
+    };
+    let found: Result<Vec<Option<TwoViewGeometry>>, SfmError> = pairs.par_iter().map(one).collect();
+    Ok(found?.into_iter().flatten().collect())
+}
+
+/// The model with the images' numbers as they were given.
+fn renumber(mut model: Reconstruction, image_of: &[u32]) -> Reconstruction {
+    let number = |own: u32| image_of[own as usize - 1];
+    let images = std::mem::take(&mut model.images);
+    model.images = images
+        .into_values()
+        .map(|mut image| {
+            image.id = number(image.id);
+            (image.id, image)
+        })
+        .collect();
+    for element in model.points.values_mut().flat_map(|p| &mut p.track) {
+        element.image = number(element.image);
+    }
+    model
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn images_are_paired_with_their_neighbours_and_with_some_farther_ones() {
+        let ring = |n: usize| -> Vec<Pose> {
+            let angle = |k: usize| k as f64 / n as f64 * std::f64::consts::TAU;
+            let eye = |a: f64| DVec3::new(3.0 * a.cos(), 3.0 * a.sin(), 0.4);
+            (0..n).map(|k| Pose::look_at(eye(angle(k)), DVec3::ZERO, DVec3::Z)).collect()
+        };
+        let pairs = neighbours(&ring(144));
+        assert!(pairs.iter().all(|(a, b)| a < b) && pairs.len() < 144 * 10);
+        let steps = |(a, b): &(usize, usize)| (b - a).min(144 - (b - a));
+        assert!((1..=2).all(|s| pairs.iter().filter(|p| steps(p) == s).count() == 144));
+        assert!(pairs.iter().any(|p| steps(p) >= 11), "nothing far enough to triangulate by");
+        assert!(neighbours(&ring(1)).is_empty() && neighbours(&[]).is_empty());
+        // Opposite sides of an object share nothing; cameras side by side are told apart by their places.
+        assert!(neighbours(&ring(2)).is_empty());
+        let side = |k: i32| {
+            let eye = DVec3::new(f64::from(k), 0.0, 0.0);
+            Pose::look_at(eye, eye + DVec3::Y, DVec3::Z)
+        };
+        let row = neighbours(&(0..40).map(side).collect::<Vec<_>>());
+        assert!((0..39).all(|k| row.contains(&(k, k + 1))) && row.len() < 400);
+    }
+}

@@ -1,0 +1,136 @@
+//! Few images: once a model stands, its own epipolar lines are searched for matches in all pairs, those that were too
+//! few to verify by themselves among them. The points gained bind wide steps together.
+
+use crate::SfmError;
+use crate::incremental::state::{MapState, MappingInput};
+use crate::matching::{PreparedFeatures, guided_match_prepared};
+use crate::reconstruct::StepContext;
+use crate::solvers::essential_from_pose;
+use crate::tracks::{Tracks, build_tracks};
+use crate::triangulation::angle_between;
+use glam::{DMat3, DVec2, DVec3};
+use rayon::prelude::*;
+use scene::{Camera, Features, Pose, Progress, TwoViewGeometry, TwoViewKind};
+
+/// Images up to which it is worth its cost (some milliseconds a pair).
+pub(crate) const UP_TO: usize = 30;
+/// Images that look farther apart than this share no points, radians.
+pub(crate) const WIDEST: f64 = 1.2;
+/// Half-width of the band along the lines, in standard deviations of the model's errors, and its least, pixels.
+const BAND_SIGMAS: f64 = 4.0;
+const LEAST_BAND_PX: f64 = 1.0;
+/// Share of observations that must be gained for the new tracks to be taken.
+const GAIN: f64 = 1.03;
+
+/// Verified pairs with what lies on the model's epipolar lines, and the tracks they make; `None` where little is gained.
+/// `input`: of the images the way up that their sensors were; `sigma_px`: noise of the model's observations.
+pub(crate) fn along_the_model(
+    given: &StepContext<'_>,
+    input: &MappingInput<'_>,
+    state: &MapState,
+    sigma_px: f64,
+    progress: &Progress,
+) -> Result<Option<(Vec<TwoViewGeometry>, Tracks)>, SfmError> {
+    let n = given.features.len();
+    if n > UP_TO {
+        return Ok(None);
+    }
+    let cameras: Vec<&Camera> = input.camera_of.iter().map(|&c| &state.cameras[c]).collect();
+    let ideal: Vec<Features> =
+        (0..n).map(|i| undistort_features(&given.features[i], &input.keypoints[i], cameras[i])).collect();
+    let prepared: Vec<PreparedFeatures> = given.features.par_iter().map(PreparedFeatures::new).collect();
+    let matching = &given.config.matching;
+    let band = (BAND_SIGMAS * sigma_px).clamp(LEAST_BAND_PX, input.config.max_reprojection_px);
+    let pairs: Vec<(usize, usize)> = (0..n).flat_map(|a| (a + 1..n).map(move |b| (a, b))).collect();
+    progress.begin("matching along the model's lines", pairs.len());
+    let one = |&(a, b): &(usize, usize)| -> Result<Option<TwoViewGeometry>, SfmError> {
+        progress.tick()?;
+        let known = input.geometries.iter().find(|g| (g.a, g.b) == (a, b));
+        let (Some(pose_a), Some(pose_b)) = (&state.poses[a], &state.poses[b]) else {
+            return Ok(known.cloned());
+        };
+        let axis = |pose: &Pose| pose.rotation.conjugate() * DVec3::Z;
+        if angle_between(axis(pose_a), axis(pose_b)) > WIDEST {
+            return Ok(known.cloned());
+        }
+        let (f, b_from_a) = line_between((pose_a, cameras[a]), (pose_b, cameras[b]));
+        let side = |i: usize| (&ideal[i], &prepared[i]);
+        let found = guided_match_prepared(side(a), side(b), &f, band, matching);
+        Ok(merge_geometry(known, (a, b), found, &f, b_from_a, input.config.min_sightings))
+    };
+    let more: Result<Vec<Option<TwoViewGeometry>>, SfmError> = pairs.par_iter().map(one).collect();
+    let more: Vec<TwoViewGeometry> = more?.into_iter().flatten().collect();
+    let count = |all: &[TwoViewGeometry]| all.iter().map(|g| g.inliers.len()).sum::<usize>() as f64;
+    if count(&more) < GAIN * count(input.geometries) {
+        return Ok(None);
+    }
+    let tracks = build_tracks(given.features, &more);
+    Ok(Some((more, tracks)))
+}
+
+/// The same poses and intrinsics with the points of other tracks.
+pub(crate) fn regrow(state: &MapState, input: &MappingInput<'_>) -> MapState {
+    let mut grown = MapState::new(input, state.cameras.clone());
+    for &image in &state.order {
+        if let Some(pose) = state.poses[image] {
+            grown.register(image, pose);
+        }
+    }
+    grown.grow_all(input);
+    grown
+}
+
+/// The fundamental matrix between the ideal images of two posed cameras, and the pose of b in a.
+pub(crate) fn line_between(a: (&Pose, &Camera), b: (&Pose, &Camera)) -> (DMat3, Pose) {
+    let b_from_a = b.0.compose(&a.0.inverse());
+    let e = essential_from_pose(&b_from_a);
+    (calibration(b.1).inverse().transpose() * e * calibration(a.1).inverse(), b_from_a)
+}
+
+/// One-to-one matches: the pair's own inliers first, then what was found and does not contradict them.
+pub(crate) fn merge_geometry(
+    known: Option<&TwoViewGeometry>,
+    (a, b): (usize, usize),
+    found: Vec<[u32; 2]>,
+    f: &DMat3,
+    b_from_a: Pose,
+    fewest: usize,
+) -> Option<TwoViewGeometry> {
+    let mut inliers = known.map(|g| g.inliers.clone()).unwrap_or_default();
+    let taken = |k: usize| inliers.iter().map(|m| m[k]).collect::<std::collections::HashSet<u32>>();
+    let (of_a, of_b) = (taken(0), taken(1));
+    let fresh: Vec<[u32; 2]> =
+        found.into_iter().filter(|m| !of_a.contains(&m[0]) && !of_b.contains(&m[1])).collect();
+    if known.is_none() && fresh.len() < fewest {
+        return None;
+    }
+    inliers.extend(fresh);
+    inliers.sort_unstable();
+    let unknown = || TwoViewGeometry {
+        a,
+        b,
+        kind: TwoViewKind::Calibrated,
+        inliers: Vec::new(),
+        f: Some(*f),
+        e: Some(essential_from_pose(&b_from_a)),
+        h: None,
+        b_from_a: Some(b_from_a),
+        median_angle: 0.0,
+    };
+    Some(TwoViewGeometry { inliers, ..known.cloned().unwrap_or_else(unknown) })
+}
+
+/// Keypoints where an ideal camera of the same focal length would see them.
+pub(crate) fn undistort_features(features: &Features, keypoints: &[DVec2], camera: &Camera) -> Features {
+    let mut result = Features { keypoints: features.keypoints.clone(), descriptors: Vec::new() };
+    for (k, pixel) in result.keypoints.iter_mut().zip(keypoints) {
+        let p = camera.unproject(*pixel) * camera.focal() + camera.principal_point();
+        (k.x, k.y) = (p.x as f32, p.y as f32);
+    }
+    result
+}
+
+fn calibration(c: &Camera) -> DMat3 {
+    let (f, p) = (c.focal(), c.principal_point());
+    DMat3::from_cols(DVec3::X * f.x, DVec3::Y * f.y, DVec3::new(p.x, p.y, 1.0))
+}
