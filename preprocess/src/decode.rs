@@ -135,11 +135,11 @@ impl Source {
     }
 }
 
-/// Times in microseconds, told with the coded size; then RGB by the stream's matrix (Rec. 601 where it names
-/// none), as large as the header says.
+/// Times in microseconds, told with the coded size; then RGB by the matrix by which the stream is coded (Rec. 601
+/// where a small one does not say), as large as the header says.
 fn filters(info: &VideoInfo) -> String {
     let (width, height) = info.size;
-    let matrix = if info.is_bt709 { "bt601" } else { "auto" };
+    let matrix = if info.is_bt709 { "bt709" } else { "auto" };
     format!(
         "settb=1/1000000,showinfo=checksum=0,scale={width}:{height}:flags=bicubic:in_color_matrix={matrix}"
     )

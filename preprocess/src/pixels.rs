@@ -10,6 +10,12 @@ use std::borrow::Cow;
 const SHARPNESS_SIDE: u32 = 640;
 /// Width of the thumbnails that are compared for likeness, pixels.
 const THUMBNAIL_SIDE: u32 = 160;
+/// Weights of red, green and blue in luma, in 1/32768.
+/// Source: ITU-R BT.601, 2.5.1: 0.299, 0.587, 0.114.
+pub(crate) const REC601: [u32; 3] = [9798, 19_235, 3735];
+/// Weights of red, green and blue in luma, in 1/32768.
+/// Source: ITU-R BT.709, 3.2: 0.2126, 0.7152, 0.0722.
+pub(crate) const REC709: [u32; 3] = [6966, 23_436, 2366];
 /// A Gaussian of standard deviation 1 pixel at a distance of 2, 1 and 0 pixels, in 1/256.
 /// Source: derived; exp(-x²/2) over its sum, 0.0545, 0.2442 and 0.4026, rounded so that the sum is 1.
 const GAUSSIAN: [u32; 3] = [14, 62, 104];
@@ -48,9 +54,8 @@ fn turned(mut image: RgbImage, turn: Turn) -> RgbImage {
     }
 }
 
-/// Upright sRGB of a decoded frame: square pixels, size, turn, colour matrix.
-/// `correct_matrix`: the frame was converted by the Rec. 601 matrix although it is coded by Rec. 709.
-pub(crate) fn finished(rgb: &RgbImage, info: &VideoInfo, max_size: u32, correct_matrix: bool) -> RgbImage {
+/// Upright sRGB of a decoded frame: square pixels, size, turn.
+pub(crate) fn finished(rgb: &RgbImage, info: &VideoInfo, max_size: u32) -> RgbImage {
     let (w, h) = rgb.dimensions();
     let square = if (info.pixel_aspect - 1.0).abs() < 0.005 {
         (w, h)
@@ -60,21 +65,7 @@ pub(crate) fn finished(rgb: &RgbImage, info: &VideoInfo, max_size: u32, correct_
         (w, (f64::from(h) / info.pixel_aspect).round() as u32)
     };
     let sized = resized(rgb, fitted(square.0, square.1, max_size));
-    let mut upright = turned(sized.into_owned(), info.turn);
-    if correct_matrix {
-        upright.pixels_mut().for_each(|p| p.0 = rec709_from_rec601(p.0));
-    }
-    upright
-}
-
-/// Undoes the Rec. 601 decoding matrix and applies that of Rec. 709 (ITU-R BT.601, BT.709: Y, Cb, Cr from
-/// Kr, Kb); limited-range scaling is the same for both and cancels.
-fn rec709_from_rec601([r, g, b]: [u8; 3]) -> [u8; 3] {
-    let (r, g, b) = (f32::from(r), f32::from(g), f32::from(b));
-    let y = 0.299 * r + 0.587 * g + 0.114 * b;
-    let (cb, cr) = ((b - y) / 1.772, (r - y) / 1.402);
-    let byte = |v: f32| (v + 0.5).clamp(0.0, 255.0) as u8;
-    [byte(y + 1.5748 * cr), byte(y - 0.187_32 * cb - 0.468_12 * cr), byte(y + 1.8556 * cb)]
+    turned(sized.into_owned(), info.turn)
 }
 
 /// What decides between frames, from luma averaged down.
@@ -88,13 +79,14 @@ pub(crate) struct Look {
 }
 
 impl Look {
-    /// Of a decoded frame.
-    pub fn of(rgb: &RgbImage) -> Self {
+    /// Of a decoded frame. `weights`: [`REC601`] or [`REC709`], by which the video was coded.
+    pub fn of(rgb: &RgbImage, weights: [u32; 3]) -> Self {
         let (w, h) = fitted(rgb.width(), rgb.height(), SHARPNESS_SIDE);
-        let luma = luma_of(&resized(rgb, (w, h)));
+        let luma = luma_of(&resized(rgb, (w, h)), weights);
         let smooth = smoothed(&luma);
-        let levels = smooth.as_raw().iter().map(|v| i32::from(*v));
-        let sharpness = (deviation(laplacian(&smooth)) / (deviation(levels) + 0.5)).powi(2);
+        let edges = laplacian(&smooth);
+        let levels = smooth.as_raw().iter().map(|v| i16::from(*v));
+        let sharpness = (deviation(edges.into_iter()) / (deviation(levels) + 0.5)).powi(2);
         let (tw, th) = fitted(w, h, THUMBNAIL_SIDE);
         let thumbnail = area::shrunk(&luma, tw, th).into_raw();
         Self { sharpness, thumbnail, size: (tw, th) }
@@ -121,11 +113,11 @@ impl Look {
     }
 }
 
-/// Luma of gamma-coded values in 1/32768 (ITU-R BT.601: 0.299, 0.587, 0.114).
-fn luma_of(rgb: &RgbImage) -> GrayImage {
+/// Luma of gamma-coded values.
+fn luma_of(rgb: &RgbImage, weights: [u32; 3]) -> GrayImage {
     let level = |p: &Rgb<u8>| {
         let [r, g, b] = p.0.map(u32::from);
-        ((9798 * r + 19_235 * g + 3735 * b + (1 << 14)) >> 15) as u8
+        ((weights[0] * r + weights[1] * g + weights[2] * b + (1 << 14)) >> 15) as u8
     };
     let levels = rgb.pixels().map(level).collect();
     GrayImage::from_raw(rgb.width(), rgb.height(), levels).unwrap_or_default()
@@ -157,17 +149,21 @@ fn smoothed(image: &GrayImage) -> GrayImage {
 }
 
 /// Sum of the four neighbours less four times the pixel, of every pixel; mirrored at the borders.
-fn laplacian(image: &GrayImage) -> impl Iterator<Item = i32> {
+fn laplacian(image: &GrayImage) -> Vec<i16> {
     let (w, h) = (image.width() as usize, image.height() as usize);
-    let row = move |y: isize| &image.as_raw()[w * mirrored(y, h)..][..w];
-    (0..h as isize).flat_map(move |y| {
+    let row = |y: isize| &image.as_raw()[w * mirrored(y, h)..][..w];
+    let mut out = Vec::with_capacity(w * h);
+    let mut padded = vec![0_u8; w + 2];
+    for y in 0..h as isize {
         let (above, here, below) = (row(y - 1), row(y), row(y + 1));
-        (0..w).map(move |x| {
-            let (left, right) = (mirrored(x as isize - 1, w), mirrored(x as isize + 1, w));
-            let [a, l, c, r, b] = [above[x], here[left], here[x], here[right], below[x]].map(i32::from);
+        padded[1..=w].copy_from_slice(here);
+        (padded[0], padded[w + 1]) = (here[mirrored(-1, w)], here[mirrored(w as isize, w)]);
+        out.extend((0..w).map(|x| {
+            let [a, l, c, r, b] = [above[x], padded[x], here[x], padded[x + 2], below[x]].map(i16::from);
             a + l + r + b - 4 * c
-        })
-    })
+        }));
+    }
+    out
 }
 
 /// The place inside `0..n` of one outside it: mirrored about the first and the last.
@@ -177,13 +173,14 @@ fn mirrored(i: isize, n: usize) -> usize {
 }
 
 /// Standard deviation; 0 of nothing.
-fn deviation(values: impl Iterator<Item = i32>) -> f64 {
-    let (mut count, mut sum, mut squares) = (0_i64, 0_i64, 0_i64);
+fn deviation(values: impl ExactSizeIterator<Item = i16>) -> f64 {
+    let count = values.len().max(1) as f64;
+    let (mut sum, mut squares) = (0_i64, 0_i64);
     for value in values.map(i64::from) {
-        (count, sum, squares) = (count + 1, sum + value, squares + value * value);
+        (sum, squares) = (sum + value, squares + value * value);
     }
-    let mean = sum as f64 / count.max(1) as f64;
-    (squares as f64 / count.max(1) as f64 - mean * mean).max(0.0).sqrt()
+    let mean = sum as f64 / count;
+    (squares as f64 / count - mean * mean).max(0.0).sqrt()
 }
 
 #[cfg(test)]
@@ -205,12 +202,12 @@ mod tests {
 
     #[test]
     fn sharpness_falls_with_blur_and_not_with_exposure() {
-        let sharp = Look::of(&chart(1.0, 1)).sharpness;
-        let dark = Look::of(&chart(0.25, 1)).sharpness;
-        let blurred = Look::of(&chart(1.0, 7)).sharpness;
+        let sharp = Look::of(&chart(1.0, 1), REC709).sharpness;
+        let dark = Look::of(&chart(0.25, 1), REC709).sharpness;
+        let blurred = Look::of(&chart(1.0, 7), REC709).sharpness;
         assert!((dark / sharp - 1.0).abs() < 0.1, "{dark} {sharp}");
         assert!(blurred < 0.5 * sharp && blurred < 0.5 * dark, "{blurred} {sharp}");
-        let black = Look::of(&RgbImage::new(64, 48));
+        let black = Look::of(&RgbImage::new(64, 48), REC709);
         assert_eq!(black.sharpness, 0.0);
     }
 
@@ -228,11 +225,11 @@ mod tests {
             let value = if dx.max(dy) <= 2 { expected(dx, dy) } else { 0.0 };
             assert!((f64::from(v[0]) - value).abs() < 1.0, "{x} {y} {} {value}", v[0]);
         }
-        let edges: Vec<i32> = laplacian(&point).collect();
+        let edges = laplacian(&point);
         assert_eq!((edges[40], edges[39], edges[31], edges[30]), (-1020, 255, 255, 0));
         let mut corner = GrayImage::new(3, 3);
         corner.put_pixel(1, 0, image::Luma([7]));
-        assert_eq!(laplacian(&corner).next(), Some(14), "mirrored about the first pixel");
+        assert_eq!(laplacian(&corner)[0], 14, "mirrored about the first pixel");
         assert_eq!([-2, -1, 0, 4, 5, 6].map(|i| mirrored(i, 5)), [2, 1, 0, 4, 3, 2]);
     }
 
@@ -241,16 +238,5 @@ mod tests {
         assert_eq!(fitted(1920, 1080, 640), (640, 360));
         assert_eq!(fitted(320, 240, 640), (320, 240));
         assert_eq!(fitted(10_000, 1, 100), (100, 1));
-    }
-
-    #[test]
-    fn the_matrix_correction_undoes_the_wrong_decoding() {
-        // Y, Cb, Cr of a saturated green in Rec. 709, decoded by 601, must come back.
-        let (y, cb, cr) = (0.7152 * 180.0, -0.7152 * 180.0 / 1.8556, -0.7152 * 180.0 / 1.5748);
-        let wrong = [y + 1.402 * cr, y - 0.344_14 * cb - 0.714_14 * cr, y + 1.772 * cb]
-            .map(|v: f32| v.round().clamp(0.0, 255.0) as u8);
-        let right = rec709_from_rec601(wrong);
-        assert!(right[1].abs_diff(180) <= 3, "{right:?} from {wrong:?}");
-        assert_eq!(rec709_from_rec601([90, 90, 90]), [90, 90, 90]);
     }
 }

@@ -90,14 +90,12 @@ impl Job<'_> {
             });
         }
         self.progress.begin("frames", plan.end);
-        let correct_matrix = info.is_bt709;
         let (send, receive) = mpsc::sync_channel::<Decoded>(2 * WRITERS);
         let (receive, written) = (Mutex::new(receive), Mutex::new(Vec::new()));
         let mut taken = std::thread::scope(|scope| {
-            let writers: Vec<_> = (0..WRITERS)
-                .map(|_| scope.spawn(|| self.write(&receive, &written, info, correct_matrix)))
-                .collect();
-            let taken = self.select(source, &plan, &send);
+            let writers: Vec<_> =
+                (0..WRITERS).map(|_| scope.spawn(|| self.write(&receive, &written, info))).collect();
+            let taken = self.select(source, &plan, info, &send);
             drop(send);
             for writer in writers {
                 writer.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic))?;
@@ -114,10 +112,12 @@ impl Job<'_> {
         &self,
         source: &mut Source,
         plan: &Plan,
+        info: &VideoInfo,
         send: &SyncSender<Decoded>,
     ) -> Result<Taken, PreprocessError> {
         let mut taken = Taken::new(plan.candidates);
         let (mut best, mut last): (Option<Best>, Option<Look>) = (None, None);
+        let weights = if info.is_bt709 { pixels::REC709 } else { pixels::REC601 };
         let mut size = None;
         let mut flush = |best: Option<Best>, taken: &mut Taken| {
             let Some(best) = best else { return true };
@@ -146,7 +146,7 @@ impl Job<'_> {
                 taken.resized += 1;
                 continue;
             }
-            let look = Look::of(&frame.rgb);
+            let look = Look::of(&frame.rgb, weights);
             taken.reel.push(&look, frame.time_s);
             let score = look.sharpness * slot.weight;
             if best.as_ref().is_some_and(|b| b.slot.bucket != slot.bucket) && !flush(best.take(), &mut taken)
@@ -167,7 +167,6 @@ impl Job<'_> {
         receive: &Mutex<Receiver<Decoded>>,
         written: &Mutex<Vec<Frame>>,
         info: &VideoInfo,
-        correct_matrix: bool,
     ) -> Result<(), PreprocessError> {
         let mut result = Ok(());
         loop {
@@ -176,7 +175,7 @@ impl Job<'_> {
             if self.failed.load(Ordering::Relaxed) {
                 continue;
             }
-            match self.write_one(&frame, info, correct_matrix) {
+            match self.write_one(&frame, info) {
                 Ok(frame) => written.lock().unwrap_or_else(|e| e.into_inner()).push(frame),
                 Err(e) => {
                     self.failed.store(true, Ordering::Relaxed);
@@ -186,13 +185,8 @@ impl Job<'_> {
         }
     }
 
-    fn write_one(
-        &self,
-        frame: &Decoded,
-        info: &VideoInfo,
-        correct_matrix: bool,
-    ) -> Result<Frame, PreprocessError> {
-        let image = pixels::finished(&frame.rgb, info, self.config.max_size, correct_matrix);
+    fn write_one(&self, frame: &Decoded, info: &VideoInfo) -> Result<Frame, PreprocessError> {
+        let image = pixels::finished(&frame.rgb, info, self.config.max_size);
         let name = format!("frame_{:06}.png", frame.index);
         let (width, height) = image.dimensions();
         write_png(
