@@ -2,10 +2,8 @@
 
 use crate::PreprocessError;
 use crate::hdr::ToneMap;
-use crate::pixels::Pixels;
 use crate::probe::{Transfer, VideoInfo, file_url};
 use crate::tool::{Running, reason};
-use crate::yuv::{Coding, Yuv420};
 use image::RgbImage;
 use scene::Progress;
 use std::ffi::OsStr;
@@ -26,11 +24,11 @@ pub(crate) struct Decoded {
     pub index: usize,
     /// Presentation time, seconds from the start of the container.
     pub time_s: f64,
-    /// Width and height as coded, pixels: where they change inside a video, the picture is scaled to those of
-    /// the header.
+    /// Width and height as coded, pixels: where they change inside a video, `rgb` is scaled to those of the
+    /// header.
     pub coded_size: (u32, u32),
-    /// The picture.
-    pub pixels: Pixels,
+    /// Gamma-coded SDR.
+    pub rgb: RgbImage,
 }
 
 /// A video being decoded from its first frame on by an `ffmpeg` process. Raw frames come through its standard
@@ -40,21 +38,11 @@ pub(crate) struct Source {
     stdout: ChildStdout,
     shown: Receiver<Shown>,
     complaints: JoinHandle<Complaints>,
-    format: Format,
+    tone_map: Option<ToneMap>,
     size: (u32, u32),
     bytes: usize,
     times_s: Vec<f64>,
     next_index: usize,
-}
-
-/// How pictures come through the pipe.
-enum Format {
-    /// As coded: half the bytes of RGB, and only frames that are taken are converted.
-    Yuv420(Coding),
-    /// Converted by `ffmpeg`.
-    Rgb24,
-    /// 16-bit HDR values.
-    Rgb48(ToneMap),
 }
 
 /// What `showinfo` says about a frame.
@@ -75,12 +63,13 @@ struct Complaints {
 impl Source {
     /// Starts the decoder.
     pub fn open(path: &Path, info: &VideoInfo) -> Result<Self, PreprocessError> {
-        let format = Format::of(info);
-        let (url, map, filters) = (file_url(path), format!("0:{}", info.stream), format.filters(info));
+        let tone_map = (info.transfer != Transfer::Sdr).then(|| ToneMap::new(info.transfer, info.is_bt2020));
+        let (format, bytes) = if tone_map.is_some() { ("rgb48le", 6) } else { ("rgb24", 3) };
+        let (url, map, filters) = (file_url(path), format!("0:{}", info.stream), filters(info));
         let before =
             ["-nostdin", "-hide_banner", "-nostats", "-v", "repeat+level+info", "-noautorotate", "-i"];
         let after = ["-map", &map, "-vf", &filters, "-fps_mode", "passthrough"];
-        let output = ["-f", "rawvideo", "-"];
+        let output = ["-f", "rawvideo", "-pix_fmt", format, "-"];
         let args = [
             &before.map(OsStr::new)[..],
             &[url.as_os_str()],
@@ -94,9 +83,9 @@ impl Source {
             stdout,
             shown,
             complaints: std::thread::spawn(move || listen(stderr, &send)),
-            bytes: format.bytes(info.size),
-            format,
+            tone_map,
             size: info.size,
+            bytes: info.size.0 as usize * info.size.1 as usize * bytes,
             times_s: info.times_s.clone(),
             next_index: 0,
         })
@@ -111,11 +100,15 @@ impl Source {
         let index = shown.time_s.map_or(self.next_index, |time_s| self.index_at(time_s));
         self.next_index = index + 1;
         let known = self.times_s.get(index).copied().or(shown.time_s).or(self.times_s.last().copied());
-        let pixels = self.format.pixels(buffer, self.size).ok_or_else(|| {
-            let (width, height) = self.size;
+        let pixels = match &self.tone_map {
+            Some(map) => map.apply(&buffer),
+            None => buffer,
+        };
+        let (width, height) = self.size;
+        let rgb = RgbImage::from_raw(width, height, pixels).ok_or_else(|| {
             PreprocessError::Config(format!("a frame of {width} x {height} pixels is too large"))
         })?;
-        Ok(Some(Decoded { index, time_s: known.unwrap_or(0.0), coded_size: shown.size, pixels }))
+        Ok(Some(Decoded { index, time_s: known.unwrap_or(0.0), coded_size: shown.size, rgb }))
     }
 
     /// The frame not yet shown whose time is nearest, which tells lost frames from shown ones; the next one
@@ -142,46 +135,14 @@ impl Source {
     }
 }
 
-impl Format {
-    fn of(info: &VideoInfo) -> Self {
-        match (info.transfer, info.yuv420) {
-            (Transfer::Sdr, Some(coding)) => Self::Yuv420(coding),
-            (Transfer::Sdr, None) => Self::Rgb24,
-            _ => Self::Rgb48(ToneMap::new(info.transfer, info.is_bt2020)),
-        }
-    }
-
-    /// Times in microseconds, told with the coded size; then pictures as large as the header says, RGB by the
-    /// matrix by which the stream is coded (Rec. 601 where a small one does not say).
-    fn filters(&self, info: &VideoInfo) -> String {
-        let (width, height) = info.size;
-        let matrix = if info.is_bt709 { "bt709" } else { "auto" };
-        let (conversion, format) = match self {
-            Self::Yuv420(_) => (String::new(), "yuv420p|yuvj420p"),
-            Self::Rgb24 => (format!(":in_color_matrix={matrix}"), "rgb24"),
-            Self::Rgb48(_) => (format!(":in_color_matrix={matrix}"), "rgb48le"),
-        };
-        let scale = format!("scale={width}:{height}:flags=bicubic{conversion}");
-        format!("settb=1/1000000,showinfo=checksum=0,{scale},format={format}")
-    }
-
-    fn bytes(&self, (width, height): (u32, u32)) -> usize {
-        match self {
-            Self::Yuv420(_) => Yuv420::bytes(width, height),
-            Self::Rgb24 => width as usize * height as usize * 3,
-            Self::Rgb48(_) => width as usize * height as usize * 6,
-        }
-    }
-
-    /// `None` where `raw` holds too little.
-    fn pixels(&self, raw: Vec<u8>, size: (u32, u32)) -> Option<Pixels> {
-        let rgb = match self {
-            Self::Yuv420(coding) => return Yuv420::new(raw, size, *coding).map(Pixels::Yuv),
-            Self::Rgb24 => raw,
-            Self::Rgb48(map) => map.apply(&raw),
-        };
-        RgbImage::from_raw(size.0, size.1, rgb).map(Pixels::Rgb)
-    }
+/// Times in microseconds, told with the coded size; then RGB by the matrix by which the stream is coded (Rec. 601
+/// where a small one does not say), as large as the header says.
+fn filters(info: &VideoInfo) -> String {
+    let (width, height) = info.size;
+    let matrix = if info.is_bt709 { "bt709" } else { "auto" };
+    format!(
+        "settb=1/1000000,showinfo=checksum=0,scale={width}:{height}:flags=bicubic:in_color_matrix={matrix}"
+    )
 }
 
 /// Reads what `ffmpeg` says to its end, so that it never blocks on a full pipe.

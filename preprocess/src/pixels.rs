@@ -2,17 +2,20 @@
 
 use crate::area;
 use crate::probe::{Turn, VideoInfo};
-use crate::yuv::Yuv420;
 use image::imageops::{self, FilterType};
 use image::{GrayImage, Rgb, RgbImage};
+use std::borrow::Cow;
 
 /// Longest side at which sharpness is measured, pixels: sensor noise is averaged away, blur is not.
 const SHARPNESS_SIDE: u32 = 640;
 /// Width of the thumbnails that are compared for likeness, pixels.
 const THUMBNAIL_SIDE: u32 = 160;
 /// Weights of red, green and blue in luma, in 1/32768.
+/// Source: ITU-R BT.601, 2.5.1: 0.299, 0.587, 0.114.
+pub(crate) const REC601: [u32; 3] = [9798, 19_235, 3735];
+/// Weights of red, green and blue in luma, in 1/32768.
 /// Source: ITU-R BT.709, 3.2: 0.2126, 0.7152, 0.0722.
-const REC709: [u32; 3] = [6966, 23_436, 2366];
+pub(crate) const REC709: [u32; 3] = [6966, 23_436, 2366];
 /// A Gaussian of standard deviation 1 pixel at a distance of 2, 1 and 0 pixels, in 1/256.
 /// Source: derived; exp(-x²/2) over its sum, 0.0545, 0.2442 and 0.4026, rounded so that the sum is 1.
 const GAUSSIAN: [u32; 3] = [14, 62, 104];
@@ -27,31 +30,14 @@ pub(crate) fn fitted(width: u32, height: u32, max_size: u32) -> (u32, u32) {
     (scale(width), scale(height))
 }
 
-/// A decoded picture: not turned, pixels not yet square.
-pub(crate) enum Pixels {
-    /// Luma and chroma as coded.
-    Yuv(Yuv420),
-    /// Gamma-coded SDR.
-    Rgb(RgbImage),
-}
-
-impl Pixels {
-    fn rgb(self) -> RgbImage {
-        match self {
-            Self::Yuv(yuv) => yuv.to_rgb(),
-            Self::Rgb(rgb) => rgb,
-        }
-    }
-}
-
 /// Area average where it shrinks, cubic where it grows.
-fn resized(image: RgbImage, (width, height): (u32, u32)) -> RgbImage {
+fn resized(image: &RgbImage, (width, height): (u32, u32)) -> Cow<'_, RgbImage> {
     if image.dimensions() == (width, height) {
-        image
+        Cow::Borrowed(image)
     } else if width <= image.width() && height <= image.height() {
-        area::shrunk(&image, (width, height), area::nearest)
+        Cow::Owned(area::shrunk(image, width, height))
     } else {
-        imageops::resize(&image, width, height, FilterType::CatmullRom)
+        Cow::Owned(imageops::resize(image, width, height, FilterType::CatmullRom))
     }
 }
 
@@ -69,8 +55,7 @@ fn turned(mut image: RgbImage, turn: Turn) -> RgbImage {
 }
 
 /// Upright sRGB of a decoded frame: square pixels, size, turn.
-pub(crate) fn finished(pixels: Pixels, info: &VideoInfo, max_size: u32) -> RgbImage {
-    let rgb = pixels.rgb();
+pub(crate) fn finished(rgb: &RgbImage, info: &VideoInfo, max_size: u32) -> RgbImage {
     let (w, h) = rgb.dimensions();
     let square = if (info.pixel_aspect - 1.0).abs() < 0.005 {
         (w, h)
@@ -79,8 +64,8 @@ pub(crate) fn finished(pixels: Pixels, info: &VideoInfo, max_size: u32) -> RgbIm
     } else {
         (w, (f64::from(h) / info.pixel_aspect).round() as u32)
     };
-    let size = fitted(square.0, square.1, max_size);
-    turned(resized(rgb, size), info.turn)
+    let sized = resized(rgb, fitted(square.0, square.1, max_size));
+    turned(sized.into_owned(), info.turn)
 }
 
 /// What decides between frames, from luma averaged down.
@@ -94,23 +79,17 @@ pub(crate) struct Look {
 }
 
 impl Look {
-    /// Of a decoded frame.
-    pub fn of(pixels: &Pixels) -> Self {
-        match pixels {
-            Pixels::Yuv(yuv) => Self::of_luma(&yuv.luma, |coded| yuv.coding().level(coded)),
-            Pixels::Rgb(rgb) => Self::of_luma(&luma_of(rgb), area::nearest),
-        }
-    }
-
-    fn of_luma(luma: &GrayImage, level: impl Fn(f32) -> u8) -> Self {
-        let (w, h) = fitted(luma.width(), luma.height(), SHARPNESS_SIDE);
-        let small = area::shrunk(luma, (w, h), level);
-        let smooth = smoothed(&small);
-        let levels = smooth.as_raw().iter().map(|v| i32::from(*v));
-        let sharpness = (deviation(laplacian(&smooth)) / (deviation(levels) + 0.5)).powi(2);
-        let size = fitted(w, h, THUMBNAIL_SIDE);
-        let thumbnail = area::shrunk(&small, size, area::nearest).into_raw();
-        Self { sharpness, thumbnail, size }
+    /// Of a decoded frame. `weights`: [`REC601`] or [`REC709`], by which the video was coded.
+    pub fn of(rgb: &RgbImage, weights: [u32; 3]) -> Self {
+        let (w, h) = fitted(rgb.width(), rgb.height(), SHARPNESS_SIDE);
+        let luma = luma_of(&resized(rgb, (w, h)), weights);
+        let smooth = smoothed(&luma);
+        let edges = laplacian(&smooth);
+        let levels = smooth.as_raw().iter().map(|v| i16::from(*v));
+        let sharpness = (deviation(edges.into_iter()) / (deviation(levels) + 0.5)).powi(2);
+        let (tw, th) = fitted(w, h, THUMBNAIL_SIDE);
+        let thumbnail = area::shrunk(&luma, tw, th).into_raw();
+        Self { sharpness, thumbnail, size: (tw, th) }
     }
 
     /// Difference that all but one pixel in 200 stay below, 8-bit levels: moving texture shows even where the
@@ -135,10 +114,10 @@ impl Look {
 }
 
 /// Luma of gamma-coded values.
-fn luma_of(rgb: &RgbImage) -> GrayImage {
+fn luma_of(rgb: &RgbImage, weights: [u32; 3]) -> GrayImage {
     let level = |p: &Rgb<u8>| {
         let [r, g, b] = p.0.map(u32::from);
-        ((REC709[0] * r + REC709[1] * g + REC709[2] * b + (1 << 14)) >> 15) as u8
+        ((weights[0] * r + weights[1] * g + weights[2] * b + (1 << 14)) >> 15) as u8
     };
     let levels = rgb.pixels().map(level).collect();
     GrayImage::from_raw(rgb.width(), rgb.height(), levels).unwrap_or_default()
@@ -170,17 +149,21 @@ fn smoothed(image: &GrayImage) -> GrayImage {
 }
 
 /// Sum of the four neighbours less four times the pixel, of every pixel; mirrored at the borders.
-fn laplacian(image: &GrayImage) -> impl Iterator<Item = i32> {
+fn laplacian(image: &GrayImage) -> Vec<i16> {
     let (w, h) = (image.width() as usize, image.height() as usize);
-    let row = move |y: isize| &image.as_raw()[w * mirrored(y, h)..][..w];
-    (0..h as isize).flat_map(move |y| {
+    let row = |y: isize| &image.as_raw()[w * mirrored(y, h)..][..w];
+    let mut out = Vec::with_capacity(w * h);
+    let mut padded = vec![0_u8; w + 2];
+    for y in 0..h as isize {
         let (above, here, below) = (row(y - 1), row(y), row(y + 1));
-        (0..w).map(move |x| {
-            let (left, right) = (mirrored(x as isize - 1, w), mirrored(x as isize + 1, w));
-            let [a, l, c, r, b] = [above[x], here[left], here[x], here[right], below[x]].map(i32::from);
+        padded[1..=w].copy_from_slice(here);
+        (padded[0], padded[w + 1]) = (here[mirrored(-1, w)], here[mirrored(w as isize, w)]);
+        out.extend((0..w).map(|x| {
+            let [a, l, c, r, b] = [above[x], padded[x], here[x], padded[x + 2], below[x]].map(i16::from);
             a + l + r + b - 4 * c
-        })
-    })
+        }));
+    }
+    out
 }
 
 /// The place inside `0..n` of one outside it: mirrored about the first and the last.
@@ -190,13 +173,14 @@ fn mirrored(i: isize, n: usize) -> usize {
 }
 
 /// Standard deviation; 0 of nothing.
-fn deviation(values: impl Iterator<Item = i32>) -> f64 {
-    let (mut count, mut sum, mut squares) = (0_i64, 0_i64, 0_i64);
+fn deviation(values: impl ExactSizeIterator<Item = i16>) -> f64 {
+    let count = values.len().max(1) as f64;
+    let (mut sum, mut squares) = (0_i64, 0_i64);
     for value in values.map(i64::from) {
-        (count, sum, squares) = (count + 1, sum + value, squares + value * value);
+        (sum, squares) = (sum + value, squares + value * value);
     }
-    let mean = sum as f64 / count.max(1) as f64;
-    (squares as f64 / count.max(1) as f64 - mean * mean).max(0.0).sqrt()
+    let mean = sum as f64 / count;
+    (squares as f64 / count - mean * mean).max(0.0).sqrt()
 }
 
 #[cfg(test)]
@@ -218,12 +202,12 @@ mod tests {
 
     #[test]
     fn sharpness_falls_with_blur_and_not_with_exposure() {
-        let sharp = Look::of(&Pixels::Rgb(chart(1.0, 1))).sharpness;
-        let dark = Look::of(&Pixels::Rgb(chart(0.25, 1))).sharpness;
-        let blurred = Look::of(&Pixels::Rgb(chart(1.0, 7))).sharpness;
+        let sharp = Look::of(&chart(1.0, 1), REC709).sharpness;
+        let dark = Look::of(&chart(0.25, 1), REC709).sharpness;
+        let blurred = Look::of(&chart(1.0, 7), REC709).sharpness;
         assert!((dark / sharp - 1.0).abs() < 0.1, "{dark} {sharp}");
         assert!(blurred < 0.5 * sharp && blurred < 0.5 * dark, "{blurred} {sharp}");
-        let black = Look::of(&Pixels::Rgb(RgbImage::new(64, 48)));
+        let black = Look::of(&RgbImage::new(64, 48), REC709);
         assert_eq!(black.sharpness, 0.0);
     }
 
@@ -241,11 +225,11 @@ mod tests {
             let value = if dx.max(dy) <= 2 { expected(dx, dy) } else { 0.0 };
             assert!((f64::from(v[0]) - value).abs() < 1.0, "{x} {y} {} {value}", v[0]);
         }
-        let edges: Vec<i32> = laplacian(&point).collect();
+        let edges = laplacian(&point);
         assert_eq!((edges[40], edges[39], edges[31], edges[30]), (-1020, 255, 255, 0));
         let mut corner = GrayImage::new(3, 3);
         corner.put_pixel(1, 0, image::Luma([7]));
-        assert_eq!(laplacian(&corner).next(), Some(14), "mirrored about the first pixel");
+        assert_eq!(laplacian(&corner)[0], 14, "mirrored about the first pixel");
         assert_eq!([-2, -1, 0, 4, 5, 6].map(|i| mirrored(i, 5)), [2, 1, 0, 4, 3, 2]);
     }
 

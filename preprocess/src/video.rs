@@ -46,7 +46,7 @@ pub fn video_frames(
     }
     notes.extend(taken.notes(expected + info.missing, complaints));
     let (frames, film) = job.publish(taken)?;
-    Ok(FrameSet { frames, is_video: true, notes, film, ..FrameSet::default() })
+    Ok(FrameSet { frames, is_video: true, notes, film })
 }
 
 struct Job<'a> {
@@ -95,7 +95,7 @@ impl Job<'_> {
         let mut taken = std::thread::scope(|scope| {
             let writers: Vec<_> =
                 (0..WRITERS).map(|_| scope.spawn(|| self.write(&receive, &written, info))).collect();
-            let taken = self.select(source, &plan, &send);
+            let taken = self.select(source, &plan, info, &send);
             drop(send);
             for writer in writers {
                 writer.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic))?;
@@ -112,10 +112,12 @@ impl Job<'_> {
         &self,
         source: &mut Source,
         plan: &Plan,
+        info: &VideoInfo,
         send: &SyncSender<Decoded>,
     ) -> Result<Taken, PreprocessError> {
         let mut taken = Taken::new(plan.candidates);
         let (mut best, mut last): (Option<Best>, Option<Look>) = (None, None);
+        let weights = if info.is_bt709 { pixels::REC709 } else { pixels::REC601 };
         let mut size = None;
         let mut flush = |best: Option<Best>, taken: &mut Taken| {
             let Some(best) = best else { return true };
@@ -144,7 +146,7 @@ impl Job<'_> {
                 taken.resized += 1;
                 continue;
             }
-            let look = Look::of(&frame.pixels);
+            let look = Look::of(&frame.rgb, weights);
             taken.reel.push(&look, frame.time_s);
             let score = look.sharpness * slot.weight;
             if best.as_ref().is_some_and(|b| b.slot.bucket != slot.bucket) && !flush(best.take(), &mut taken)
@@ -173,7 +175,7 @@ impl Job<'_> {
             if self.failed.load(Ordering::Relaxed) {
                 continue;
             }
-            match self.write_one(frame, info) {
+            match self.write_one(&frame, info) {
                 Ok(frame) => written.lock().unwrap_or_else(|e| e.into_inner()).push(frame),
                 Err(e) => {
                     self.failed.store(true, Ordering::Relaxed);
@@ -183,8 +185,8 @@ impl Job<'_> {
         }
     }
 
-    fn write_one(&self, frame: Decoded, info: &VideoInfo) -> Result<Frame, PreprocessError> {
-        let image = pixels::finished(frame.pixels, info, self.config.max_size);
+    fn write_one(&self, frame: &Decoded, info: &VideoInfo) -> Result<Frame, PreprocessError> {
+        let image = pixels::finished(&frame.rgb, info, self.config.max_size);
         let name = format!("frame_{:06}.png", frame.index);
         let (width, height) = image.dimensions();
         write_png(
