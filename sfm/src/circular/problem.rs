@@ -3,8 +3,8 @@
 use super::motion::pose_at;
 use crate::SfmError;
 use crate::bundle::{Adjustable, BundleProblem, BundleSummary, SceneNormalisation, SolveOptions};
-use crate::ceres::TurnInput;
-use crate::ceres::turn::{TurnState, covariance, solve};
+use crate::ceres::CircularInput;
+use crate::ceres::circular::{CircularState, covariance, solve};
 use glam::{DQuat, DVec3};
 use scene::{Pose, Progress};
 
@@ -168,12 +168,12 @@ impl CircularProblem {
         self.bundle.poses.iter().zip(&covariance.angles).map(of_pose).collect()
     }
 
-    fn state(&self, scale: f64) -> TurnState {
+    fn state(&self, scale: f64) -> CircularState {
         let pose = |p: &Pose| {
             let (q, t) = (p.rotation, p.translation / scale);
             [q.x, q.y, q.z, q.w, t.x, t.y, t.z]
         };
-        TurnState {
+        CircularState {
             intrinsics: self.bundle.cameras.iter().flat_map(|c| c.params.iter().copied()).collect(),
             axis: pose(&self.axis).to_vec(),
             angles: self.angles.clone(),
@@ -182,7 +182,7 @@ impl CircularProblem {
         }
     }
 
-    fn take(&mut self, state: &TurnState, scale: f64) {
+    fn take(&mut self, state: &CircularState, scale: f64) {
         let mut values = state.intrinsics.iter();
         for camera in &mut self.bundle.cameras {
             camera.params.iter_mut().zip(&mut values).for_each(|(p, v)| *p = *v);
@@ -198,18 +198,18 @@ impl CircularProblem {
         self.refresh();
     }
 
-    fn input(&self, options: &SolveOptions, scale: f64) -> TurnInput {
+    fn input(&self, options: &SolveOptions, scale: f64) -> CircularInput {
         let bundle = self.bundle.input(options, &SceneNormalisation { centre: DVec3::ZERO, scale });
         let z = self.axis.rotation * DVec3::Z;
         let out = (self.axis.translation - z * z.dot(self.axis.translation)).normalize();
         // Turning about `out × z` tips the axis towards the camera; along `z × out` it moves sideways.
         let basis = [out, z.cross(out), z.cross(out)];
-        let mut input = TurnInput {
+        let mut input = CircularInput {
             bundle,
             axis_basis: basis.iter().flat_map(|v| v.to_array()).collect(),
             angle_held: (0..self.angles.len()).map(|i| u8::from(i == 0)).collect(),
             offset_sigma: self.offset_sigma.unwrap_or_default().to_vec(),
-            ..TurnInput::default()
+            ..CircularInput::default()
         };
         for r in &self.relations {
             input.relation_angles.extend(r.frames.map(|f| f.unwrap_or(u32::MAX)));
