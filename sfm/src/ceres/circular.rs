@@ -1,6 +1,6 @@
 //! The border to Ceres for motions about one axis.
 
-use super::{BundleOutcome, BundleState, Monitor, CircularInput, ffi, num_params};
+use super::{BundleOutcome, BundleState, CircularInput, Monitor, ffi, num_params};
 use crate::SfmError;
 use scene::Progress;
 
@@ -46,9 +46,17 @@ pub(crate) fn covariance(
     let mut of_turn = vec![0.0; size * size];
     let mut of_cameras = vec![0.0; input.bundle.camera_models.iter().map(|&m| num_params(m).pow(2)).sum()];
     let CircularState { intrinsics, axis, angles, offsets, points } = state;
-    let done =
-        ffi::circular_covariance(input, intrinsics, axis, angles, offsets, points, &mut of_turn, &mut of_cameras)
-            .map_err(|e| SfmError::Solver(e.to_string()))?;
+    let done = ffi::circular_covariance(
+        input,
+        intrinsics,
+        axis,
+        angles,
+        offsets,
+        points,
+        &mut of_turn,
+        &mut of_cameras,
+    )
+    .map_err(|e| SfmError::Solver(e.to_string()))?;
     Ok(done.then_some((of_turn, of_cameras)))
 }
 

@@ -182,7 +182,7 @@ mod ffi {
 
 pub(crate) mod circular;
 
-pub(crate) use ffi::{BundleInput, BundleOutcome, PositionInput, CircularInput};
+pub(crate) use ffi::{BundleInput, BundleOutcome, CircularInput, PositionInput};
 
 /// Camera centres [P × 3] and points [N × 3] that agree with the bearings, from any start; both hold the result.
 /// `false` where it is of no use.
