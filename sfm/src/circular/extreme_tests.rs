@@ -1,7 +1,7 @@
 //! Exact turns at the ends of what is filmed: other senses, axes, rates and lengths.
 
+use super::motion::CircularMotion;
 use super::tests::{Turntable, favours_single, problem, solve, solve_from};
-use super::*;
 use crate::bundle::{SolveOptions, free_parameters};
 use glam::DVec3;
 

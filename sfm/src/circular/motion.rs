@@ -35,8 +35,7 @@ impl CircularMotion {
 
     /// Distance of the camera from the axis.
     pub fn radius(&self) -> f64 {
-        let (z, t) = (self.direction(), self.axis.translation);
-        (t - z * z.dot(t)).length()
+        distance_from_axis(&self.axis)
     }
 
     /// 1 where the axis points upwards in the image (towards the camera where it is seen end on), else -1.
@@ -66,9 +65,16 @@ impl CircularMotion {
         let axis = Pose::from_matrix(rotation, (t + z * height) * scale);
         // x_cam = R Z(θ) X + t: at the first frame old and new agree.
         let (old, new) = (pose_at(&self.axis, first), axis);
-        let moved = move |p: DVec3| new.rotation.conjugate() * (old.transform(p) * scale - new.translation);
-        (Self { axis, angles }, moved)
+        (Self { axis, angles }, move |p| {
+            new.rotation.conjugate() * (old.transform(p) * scale - new.translation)
+        })
     }
+}
+
+/// Distance of the camera from an axis.
+pub(crate) fn distance_from_axis(axis: &Pose) -> f64 {
+    let (z, t) = (axis.rotation * DVec3::Z, axis.translation);
+    (t - z * z.dot(t)).length()
 }
 
 /// The pose at an angle.

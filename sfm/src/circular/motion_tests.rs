@@ -2,14 +2,17 @@
 
 use super::evidence::Comparison;
 use super::initialize::key_frames::VideoTracks;
+use super::orbit;
 use super::tests::{Filmed, Turntable};
-use super::*;
+use crate::incremental::adjust::Adjustment;
 use crate::incremental::adjust::adjust;
+use crate::incremental::state::MapState;
+use crate::model_selection::camera::FreeIntrinsics;
 use crate::solvers::testing::{normal, unit_vector};
 use glam::{DQuat, DVec3};
-use scene::Pose;
 use scene::decision::MotionModel;
 use scene::rng::rng;
+use scene::{CameraModel, Pose, Progress};
 
 /// What is found of true poses seen with 0.2 px of noise; the model of free poses, and that of an orbit.
 fn found(table: &Turntable, seed: u64) -> (Comparison, MapState, Option<MapState>) {
