@@ -19,7 +19,6 @@ mod probe;
 mod select;
 mod tool;
 mod video;
-mod yuv;
 
 pub use config::{DEFAULT_FRAMES, FrameConfig};
 pub use error::PreprocessError;

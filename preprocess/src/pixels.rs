@@ -10,12 +10,6 @@ use std::borrow::Cow;
 const SHARPNESS_SIDE: u32 = 640;
 /// Width of the thumbnails that are compared for likeness, pixels.
 const THUMBNAIL_SIDE: u32 = 160;
-/// Weights of red, green and blue in luma, in 1/32768.
-/// Source: ITU-R BT.601, 2.5.1: 0.299, 0.587, 0.114.
-pub(crate) const REC601: [u32; 3] = [9798, 19_235, 3735];
-/// Weights of red, green and blue in luma, in 1/32768.
-/// Source: ITU-R BT.709, 3.2: 0.2126, 0.7152, 0.0722.
-pub(crate) const REC709: [u32; 3] = [6966, 23_436, 2366];
 /// A Gaussian of standard deviation 1 pixel at a distance of 2, 1 and 0 pixels, in 1/256.
 /// Source: derived; exp(-x²/2) over its sum, 0.0545, 0.2442 and 0.4026, rounded so that the sum is 1.
 const GAUSSIAN: [u32; 3] = [14, 62, 104];
@@ -54,8 +48,9 @@ fn turned(mut image: RgbImage, turn: Turn) -> RgbImage {
     }
 }
 
-/// Upright sRGB of a decoded frame: square pixels, size, turn.
-pub(crate) fn finished(rgb: &RgbImage, info: &VideoInfo, max_size: u32) -> RgbImage {
+/// Upright sRGB of a decoded frame: square pixels, size, turn, colour matrix.
+/// `correct_matrix`: the frame was converted by the Rec. 601 matrix although it is coded by Rec. 709.
+pub(crate) fn finished(rgb: &RgbImage, info: &VideoInfo, max_size: u32, correct_matrix: bool) -> RgbImage {
     let (w, h) = rgb.dimensions();
     let square = if (info.pixel_aspect - 1.0).abs() < 0.005 {
         (w, h)
@@ -65,7 +60,21 @@ pub(crate) fn finished(rgb: &RgbImage, info: &VideoInfo, max_size: u32) -> RgbIm
         (w, (f64::from(h) / info.pixel_aspect).round() as u32)
     };
     let sized = resized(rgb, fitted(square.0, square.1, max_size));
-    turned(sized.into_owned(), info.turn)
+    let mut upright = turned(sized.into_owned(), info.turn);
+    if correct_matrix {
+        upright.pixels_mut().for_each(|p| p.0 = rec709_from_rec601(p.0));
+    }
+    upright
+}
+
+/// Undoes the Rec. 601 decoding matrix and applies that of Rec. 709 (ITU-R BT.601, BT.709: Y, Cb, Cr from
+/// Kr, Kb); limited-range scaling is the same for both and cancels.
+fn rec709_from_rec601([r, g, b]: [u8; 3]) -> [u8; 3] {
+    let (r, g, b) = (f32::from(r), f32::from(g), f32::from(b));
+    let y = 0.299 * r + 0.587 * g + 0.114 * b;
+    let (cb, cr) = ((b - y) / 1.772, (r - y) / 1.402);
+    let byte = |v: f32| (v + 0.5).clamp(0.0, 255.0) as u8;
+    [byte(y + 1.5748 * cr), byte(y - 0.187_32 * cb - 0.468_12 * cr), byte(y + 1.8556 * cb)]
 }
 
 /// What decides between frames, from luma averaged down.
@@ -79,10 +88,10 @@ pub(crate) struct Look {
 }
 
 impl Look {
-    /// Of a decoded frame. `weights`: [`REC601`] or [`REC709`], by which the video was coded.
-    pub fn of(rgb: &RgbImage, weights: [u32; 3]) -> Self {
+    /// Of a decoded frame.
+    pub fn of(rgb: &RgbImage) -> Self {
         let (w, h) = fitted(rgb.width(), rgb.height(), SHARPNESS_SIDE);
-        let luma = luma_of(&resized(rgb, (w, h)), weights);
+        let luma = luma_of(&resized(rgb, (w, h)));
         let smooth = smoothed(&luma);
         let edges = laplacian(&smooth);
         let levels = smooth.as_raw().iter().map(|v| i16::from(*v));
@@ -113,11 +122,11 @@ impl Look {
     }
 }
 
-/// Luma of gamma-coded values.
-fn luma_of(rgb: &RgbImage, weights: [u32; 3]) -> GrayImage {
+/// Luma of gamma-coded values in 1/32768 (ITU-R BT.601: 0.299, 0.587, 0.114).
+fn luma_of(rgb: &RgbImage) -> GrayImage {
     let level = |p: &Rgb<u8>| {
         let [r, g, b] = p.0.map(u32::from);
-        ((weights[0] * r + weights[1] * g + weights[2] * b + (1 << 14)) >> 15) as u8
+        ((9798 * r + 19_235 * g + 3735 * b + (1 << 14)) >> 15) as u8
     };
     let levels = rgb.pixels().map(level).collect();
     GrayImage::from_raw(rgb.width(), rgb.height(), levels).unwrap_or_default()
@@ -202,12 +211,12 @@ mod tests {
 
     #[test]
     fn sharpness_falls_with_blur_and_not_with_exposure() {
-        let sharp = Look::of(&chart(1.0, 1), REC709).sharpness;
-        let dark = Look::of(&chart(0.25, 1), REC709).sharpness;
-        let blurred = Look::of(&chart(1.0, 7), REC709).sharpness;
+        let sharp = Look::of(&chart(1.0, 1)).sharpness;
+        let dark = Look::of(&chart(0.25, 1)).sharpness;
+        let blurred = Look::of(&chart(1.0, 7)).sharpness;
         assert!((dark / sharp - 1.0).abs() < 0.1, "{dark} {sharp}");
         assert!(blurred < 0.5 * sharp && blurred < 0.5 * dark, "{blurred} {sharp}");
-        let black = Look::of(&RgbImage::new(64, 48), REC709);
+        let black = Look::of(&RgbImage::new(64, 48));
         assert_eq!(black.sharpness, 0.0);
     }
 
@@ -238,5 +247,16 @@ mod tests {
         assert_eq!(fitted(1920, 1080, 640), (640, 360));
         assert_eq!(fitted(320, 240, 640), (320, 240));
         assert_eq!(fitted(10_000, 1, 100), (100, 1));
+    }
+
+    #[test]
+    fn the_matrix_correction_undoes_the_wrong_decoding() {
+        // Y, Cb, Cr of a saturated green in Rec. 709, decoded by 601, must come back.
+        let (y, cb, cr) = (0.7152 * 180.0, -0.7152 * 180.0 / 1.8556, -0.7152 * 180.0 / 1.5748);
+        let wrong = [y + 1.402 * cr, y - 0.344_14 * cb - 0.714_14 * cr, y + 1.772 * cb]
+            .map(|v: f32| v.round().clamp(0.0, 255.0) as u8);
+        let right = rec709_from_rec601(wrong);
+        assert!(right[1].abs_diff(180) <= 3, "{right:?} from {wrong:?}");
+        assert_eq!(rec709_from_rec601([90, 90, 90]), [90, 90, 90]);
     }
 }

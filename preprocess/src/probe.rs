@@ -2,7 +2,6 @@
 
 use crate::PreprocessError;
 use crate::tool::{self, Output};
-use crate::yuv::Coding;
 use scene::Progress;
 use serde_json::Value;
 use std::ffi::{OsStr, OsString};
@@ -49,8 +48,6 @@ pub(crate) struct VideoInfo {
     pub transfer: Transfer,
     /// Whether luma and chroma are coded by the Rec. 709 matrix.
     pub is_bt709: bool,
-    /// The coding of 8-bit 4:2:0 by the matrix of Rec. 601 or 709; `None` for all else.
-    pub yuv420: Option<Coding>,
     /// Whether chroma is coded by the Rec. 2020 matrix.
     pub is_bt2020: bool,
     /// Whether any stream of the container is encrypted.
@@ -144,7 +141,6 @@ fn choose_stream(path: &Path, streams: &[Value]) -> Result<VideoInfo, Preprocess
         Some("smpte2084") => Transfer::Pq,
         _ => Transfer::Sdr,
     };
-    let is_bt709 = matrix == "bt709" || (size.1.min(size.0) >= 720 && matches!(matrix, "" | "unknown"));
     Ok(VideoInfo {
         stream: stream["index"].as_u64().unwrap_or(0) as usize,
         size,
@@ -152,21 +148,12 @@ fn choose_stream(path: &Path, streams: &[Value]) -> Result<VideoInfo, Preprocess
         turn,
         odd_rotation,
         transfer,
-        is_bt709,
-        yuv420: coding(stream, is_bt709),
+        is_bt709: matrix == "bt709" || (size.1.min(size.0) >= 720 && matches!(matrix, "" | "unknown")),
         is_bt2020: matrix.starts_with("bt2020"),
         encrypted: streams.iter().any(is_encrypted),
         missing: number(&stream["nb_frames"]).map_or(0, |n| n as usize),
         times_s: Vec::new(),
     })
-}
-
-/// How 8-bit 4:2:0 is coded by the matrix of Rec. 601 or 709; `None` for all else.
-fn coding(stream: &Value, is_bt709: bool) -> Option<Coding> {
-    let (format, matrix) = (stream["pix_fmt"].as_str()?, stream["color_space"].as_str().unwrap_or("unknown"));
-    let known = matches!(matrix, "bt709" | "bt470bg" | "smpte170m" | "" | "unknown");
-    let is_full_range = format == "yuvj420p" || stream["color_range"] == "pc";
-    (known && matches!(format, "yuv420p" | "yuvj420p")).then_some(Coding { is_bt709, is_full_range })
 }
 
 fn is_encrypted(stream: &Value) -> bool {

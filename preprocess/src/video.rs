@@ -5,7 +5,7 @@ use crate::film::{FILM, Reel};
 use crate::output::{Staging, write_png};
 use crate::pixels::{self, Look};
 use crate::probe::{self, Transfer, VideoInfo};
-use crate::select::{Plan, Slot};
+use crate::select::{BucketSlot, Plan};
 use crate::{FrameConfig, PreprocessError};
 use image::ExtendedColorType;
 use scene::{Film, Frame, FrameSet, Progress};
@@ -31,11 +31,12 @@ pub fn video_frames(
 ) -> Result<FrameSet, PreprocessError> {
     config.validate()?;
     let info = probe::probe(input, progress)?;
-    let job = Job { input, config, progress, staging: Staging::new(out)?, failed: AtomicBool::new(false) };
+    let extraction =
+        Extraction { input, config, progress, staging: Staging::new(out)?, failed: AtomicBool::new(false) };
     let mut notes = info.notes();
     let expected = info.times_s.len();
     let mut source = Source::open(input, &info)?;
-    let taken = job.take(&mut source, &info)?;
+    let taken = extraction.take(&mut source, &info)?;
     let complaints = if taken.stopped_early { None } else { source.finish(input, DECODE_LIMIT, progress)? };
     if taken.frames.is_empty() && info.encrypted {
         return Err(PreprocessError::Encrypted { path: input.to_owned() });
@@ -45,11 +46,11 @@ pub fn video_frames(
         return Err(PreprocessError::NothingDecodes { path: input.to_owned(), expected, reason });
     }
     notes.extend(taken.notes(expected + info.missing, complaints));
-    let (frames, film) = job.publish(taken)?;
-    Ok(FrameSet { frames, is_video: true, notes, film })
+    let (frames, film) = extraction.publish(taken)?;
+    Ok(FrameSet { frames, is_video: true, notes, film, ..FrameSet::default() })
 }
 
-struct Job<'a> {
+struct Extraction<'a> {
     input: &'a Path,
     config: &'a FrameConfig,
     progress: &'a Progress,
@@ -72,12 +73,12 @@ struct Taken {
 
 struct Best {
     score: f64,
-    slot: Slot,
+    slot: BucketSlot,
     frame: Decoded,
     look: Look,
 }
 
-impl Job<'_> {
+impl Extraction<'_> {
     fn take(&self, source: &mut Source, info: &VideoInfo) -> Result<Taken, PreprocessError> {
         let plan = Plan::new(&info.times_s, self.config);
         if plan.len == 0 && !info.times_s.is_empty() {
@@ -90,12 +91,14 @@ impl Job<'_> {
             });
         }
         self.progress.begin("frames", plan.end);
+        let correct_matrix = info.is_bt709;
         let (send, receive) = mpsc::sync_channel::<Decoded>(2 * WRITERS);
         let (receive, written) = (Mutex::new(receive), Mutex::new(Vec::new()));
         let mut taken = std::thread::scope(|scope| {
-            let writers: Vec<_> =
-                (0..WRITERS).map(|_| scope.spawn(|| self.write(&receive, &written, info))).collect();
-            let taken = self.select(source, &plan, info, &send);
+            let writers: Vec<_> = (0..WRITERS)
+                .map(|_| scope.spawn(|| self.write(&receive, &written, info, correct_matrix)))
+                .collect();
+            let taken = self.select(source, &plan, &send);
             drop(send);
             for writer in writers {
                 writer.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic))?;
@@ -112,12 +115,10 @@ impl Job<'_> {
         &self,
         source: &mut Source,
         plan: &Plan,
-        info: &VideoInfo,
         send: &SyncSender<Decoded>,
     ) -> Result<Taken, PreprocessError> {
         let mut taken = Taken::new(plan.candidates);
         let (mut best, mut last): (Option<Best>, Option<Look>) = (None, None);
-        let weights = if info.is_bt709 { pixels::REC709 } else { pixels::REC601 };
         let mut size = None;
         let mut flush = |best: Option<Best>, taken: &mut Taken| {
             let Some(best) = best else { return true };
@@ -146,7 +147,7 @@ impl Job<'_> {
                 taken.resized += 1;
                 continue;
             }
-            let look = Look::of(&frame.rgb, weights);
+            let look = Look::of(&frame.rgb);
             taken.reel.push(&look, frame.time_s);
             let score = look.sharpness * slot.weight;
             if best.as_ref().is_some_and(|b| b.slot.bucket != slot.bucket) && !flush(best.take(), &mut taken)
@@ -167,15 +168,16 @@ impl Job<'_> {
         receive: &Mutex<Receiver<Decoded>>,
         written: &Mutex<Vec<Frame>>,
         info: &VideoInfo,
+        correct_matrix: bool,
     ) -> Result<(), PreprocessError> {
         let mut result = Ok(());
         loop {
-            let job = receive.lock().unwrap_or_else(|e| e.into_inner()).recv();
-            let Ok(frame) = job else { return result };
+            let frame = receive.lock().unwrap_or_else(|e| e.into_inner()).recv();
+            let Ok(frame) = frame else { return result };
             if self.failed.load(Ordering::Relaxed) {
                 continue;
             }
-            match self.write_one(&frame, info) {
+            match self.write_one(&frame, info, correct_matrix) {
                 Ok(frame) => written.lock().unwrap_or_else(|e| e.into_inner()).push(frame),
                 Err(e) => {
                     self.failed.store(true, Ordering::Relaxed);
@@ -185,8 +187,13 @@ impl Job<'_> {
         }
     }
 
-    fn write_one(&self, frame: &Decoded, info: &VideoInfo) -> Result<Frame, PreprocessError> {
-        let image = pixels::finished(&frame.rgb, info, self.config.max_size);
+    fn write_one(
+        &self,
+        frame: &Decoded,
+        info: &VideoInfo,
+        correct_matrix: bool,
+    ) -> Result<Frame, PreprocessError> {
+        let image = pixels::finished(&frame.rgb, info, self.config.max_size, correct_matrix);
         let name = format!("frame_{:06}.png", frame.index);
         let (width, height) = image.dimensions();
         write_png(
