@@ -9,13 +9,13 @@ use crate::view::{PinholeView, RenderOptions};
 use glam::{Mat3, Quat, Vec3};
 
 /// The training as rules see and change it.
-pub(crate) struct StepContext<'a> {
+pub(crate) struct RuleContext<'a> {
     pub(crate) setup: &'a TrainingSetup<'a>,
     pub(crate) backend: &'a mut dyn Backend,
     pub(crate) state: &'a mut TrainingState,
 }
 
-impl StepContext<'_> {
+impl RuleContext<'_> {
     /// Position in the schedule, [0, 1].
     pub(crate) fn position(&self) -> f64 {
         self.state.place.position
@@ -76,7 +76,7 @@ impl StepContext<'_> {
     }
 }
 
-impl<'a> StepContext<'a> {
+impl<'a> RuleContext<'a> {
     /// A view and its photo at a level, or the coarsest one that it has.
     pub(crate) fn photo(&self, view: usize, level: u32) -> (PinholeView, Target<'a>) {
         let dataset = self.setup.dataset;

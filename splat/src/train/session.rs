@@ -1,7 +1,7 @@
 //! A training under way: the step, the order of the views, the clock.
 
 use super::checkpoint::{self, Checkpoint};
-use super::context::StepContext;
+use super::context::RuleContext;
 use super::loss_trend::{runaway, stuck};
 use super::pace::StepCost;
 use super::result::TrainResult;
@@ -113,9 +113,9 @@ impl<'a> Session<'a> {
         self.state.place.position >= 1.0
     }
 
-    pub(crate) fn context(&mut self) -> (StepContext<'_>, &mut Rules) {
+    pub(crate) fn context(&mut self) -> (RuleContext<'_>, &mut Rules) {
         let Self { setup, backend, state, rules, .. } = self;
-        (StepContext { setup, backend: backend.as_mut(), state }, rules)
+        (RuleContext { setup, backend: backend.as_mut(), state }, rules)
     }
 
     /// Takes a step, and moves the position.

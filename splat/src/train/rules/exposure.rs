@@ -2,7 +2,7 @@
 //! anew.
 
 use crate::error::SplatError;
-use crate::train::context::StepContext;
+use crate::train::context::RuleContext;
 use crate::train::evidence::{EXPLAINED, LEAST_VIEWS, SAMPLE};
 use scene::decision::{Decision, Measurement, Quantity, Remark, Rule, Subject};
 use serde::{Deserialize, Serialize};
@@ -60,7 +60,7 @@ fn explained_by(views: &[Products], gains: &[[f32; 3]]) -> f64 {
 
 impl ExposureRule {
     /// Looks for gains at their places in the schedule.
-    pub(crate) fn review(&mut self, step: &mut StepContext) -> Result<(), SplatError> {
+    pub(crate) fn review(&mut self, step: &mut RuleContext) -> Result<(), SplatError> {
         let due = LOOKS.get(self.looks).is_some_and(|&at| step.position() >= at);
         let settled = self.looks > 0 && step.state.corrections.gains.is_empty() && self.suspected.is_empty();
         if !due || settled {
@@ -92,7 +92,7 @@ impl ExposureRule {
     }
 
     /// The first look. It judges by some of the views.
-    fn suspect_gains(&mut self, step: &mut StepContext) -> Result<(), SplatError> {
+    fn suspect_gains(&mut self, step: &mut RuleContext) -> Result<(), SplatError> {
         let every = step.setup.views.len().div_ceil(SAMPLE);
         let (mut found, explained) = gains(&products_of_views(step, every)?);
         if explained < EXPLAINED {
@@ -120,7 +120,7 @@ fn decision(found: &[[f32; 3]], explained: f64) -> Decision {
 }
 
 /// What each `every`-th training view says at the resolution in use.
-fn products_of_views(step: &mut StepContext, every: usize) -> Result<Vec<Products>, SplatError> {
+fn products_of_views(step: &mut RuleContext, every: usize) -> Result<Vec<Products>, SplatError> {
     let (setup, level, options) = (step.setup, step.level(), step.options());
     let some = setup.views.iter().step_by(every);
     some.map(|&v| {

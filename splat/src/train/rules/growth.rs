@@ -4,7 +4,7 @@
 use crate::backend::Round;
 use crate::config::TrainConfig;
 use crate::error::SplatError;
-use crate::train::context::StepContext;
+use crate::train::context::RuleContext;
 use crate::train::evidence::LEAST_GAIN;
 use crate::train::schedule::GROWTH_END;
 use crate::train::setup::TrainingSetup;
@@ -80,7 +80,7 @@ pub(crate) struct GrowthRule {
 
 impl GrowthRule {
     /// A round of densification, where one is due.
-    pub(super) fn after_step(&mut self, step: &mut StepContext) -> Result<(), SplatError> {
+    pub(super) fn after_step(&mut self, step: &mut RuleContext) -> Result<(), SplatError> {
         if !self.is_due(step) {
             return Ok(());
         }
@@ -101,14 +101,14 @@ impl GrowthRule {
         Ok(())
     }
 
-    fn is_due(&self, step: &StepContext) -> bool {
+    fn is_due(&self, step: &RuleContext) -> bool {
         step.position() < GROWTH_END
             && step.state.place.iteration >= self.round_step + LEAST_STEPS
             && step.position() >= self.round_position + GROWTH_END / ROUNDS
     }
 
     /// Growth ends where the validation views stop gaining by it.
-    pub(super) fn review(&mut self, step: &mut StepContext) -> Result<(), SplatError> {
+    pub(super) fn review(&mut self, step: &mut RuleContext) -> Result<(), SplatError> {
         let setup = step.setup;
         let due = GROWTH_END / LOOKS * f64::from(self.looks + 1);
         let is_due = (due..GROWTH_END).contains(&step.position());

@@ -17,7 +17,7 @@ pub(crate) mod smoothing;
 
 use crate::error::SplatError;
 use crate::model::Model;
-use crate::train::context::StepContext;
+use crate::train::context::RuleContext;
 use scene::{Gaussians, Pose};
 use serde::{Deserialize, Serialize};
 
@@ -39,19 +39,19 @@ pub(crate) struct Rules {
 
 impl Rules {
     /// What a step needs.
-    pub(crate) fn before_step(&mut self, step: &mut StepContext) -> Result<(), SplatError> {
+    pub(crate) fn before_step(&mut self, step: &mut RuleContext) -> Result<(), SplatError> {
         self.sh_degree.before_step(step)
     }
 
     /// What follows from what steps saw.
-    pub(crate) fn after_step(&mut self, step: &mut StepContext) -> Result<(), SplatError> {
+    pub(crate) fn after_step(&mut self, step: &mut RuleContext) -> Result<(), SplatError> {
         self.growth.after_step(step)
     }
 
     /// Looks whether something is to be decided at this place of the schedule. What costs
     /// renderings is not where the steps that a time limit leaves are too few to pay for it, nor at
     /// the schedule's end.
-    pub(crate) fn review(&mut self, step: &mut StepContext) -> Result<(), SplatError> {
+    pub(crate) fn review(&mut self, step: &mut RuleContext) -> Result<(), SplatError> {
         let short = step.setup.config.time_limit.is_some() && step.expected_steps() < LEAST_STEPS;
         self.silhouette.review(step)?;
         self.smoothing.review(step)?;
@@ -66,14 +66,14 @@ impl Rules {
     }
 
     /// What the Gaussians need once the last step is taken.
-    pub(crate) fn after_training(&mut self, step: &StepContext, model: &mut Model) {
+    pub(crate) fn after_training(&mut self, step: &RuleContext, model: &mut Model) {
         self.silhouette.after_training(step, model);
     }
 
     /// Takes Gaussians that were trained on refined poses to the frame of the poses as given, and
     /// reports what is only known at the end. Returns names and refined poses of the training
     /// views, none where they stayed as given.
-    pub(crate) fn conclude(&self, step: &mut StepContext, gaussians: &mut Gaussians) -> Vec<(String, Pose)> {
+    pub(crate) fn conclude(&self, step: &mut RuleContext, gaussians: &mut Gaussians) -> Vec<(String, Pose)> {
         let refined = self.poses.align(step, gaussians);
         self.growth.conclude(step.state, gaussians.len());
         self.silhouette.conclude(step.state);

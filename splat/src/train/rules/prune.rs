@@ -11,7 +11,7 @@ use crate::cpu::CpuBackend;
 use crate::error::SplatError;
 use crate::model::{Model, OPACITY};
 use crate::statistics::Statistics;
-use crate::train::context::StepContext;
+use crate::train::context::RuleContext;
 use crate::view::{PinholeView, RenderOptions};
 use rand::Rng as _;
 use scene::decision::{Choice, Decision, Measurement, Quantity, Rule, Subject};
@@ -53,7 +53,7 @@ pub(crate) struct PruneRule {
 
 impl PruneRule {
     /// Removes redundant Gaussians, once.
-    pub(super) fn review(&mut self, step: &mut StepContext) -> Result<(), SplatError> {
+    pub(super) fn review(&mut self, step: &mut RuleContext) -> Result<(), SplatError> {
         let left = step.expected_steps() - f64::from(step.state.place.iteration);
         let short = step.setup.config.time_limit.is_some() && left < LEAST_STEPS_LEFT;
         if self.done || step.position() < AT || short {
@@ -65,7 +65,7 @@ impl PruneRule {
 }
 
 /// Removes as many of the Gaussians that the pictures miss least as may go at a loss of [`LOSS`].
-fn prune_redundant(step: &mut StepContext) -> Result<(), SplatError> {
+fn prune_redundant(step: &mut RuleContext) -> Result<(), SplatError> {
     let judges = step.setup.some_views(JUDGES);
     let before = step.psnr(&judges, 0, None)?;
     let (mut model, mut statistics) = step.backend.release()?;
@@ -94,7 +94,7 @@ fn prune_redundant(step: &mut StepContext) -> Result<(), SplatError> {
 }
 
 /// The Gaussians by falling energy.
-fn by_energy(step: &StepContext, whole: &Model) -> Result<Vec<u32>, SplatError> {
+fn by_energy(step: &RuleContext, whole: &Model) -> Result<Vec<u32>, SplatError> {
     let (setup, witnesses) = (step.setup, step.setup.some_views(WITNESSES));
     let views = witnesses.iter().map(|&v| setup.dataset.views[v].view);
     let views: Vec<PinholeView> =

@@ -4,7 +4,7 @@
 use crate::cpu::sh;
 use crate::error::SplatError;
 use crate::model::{MAX_SH_DEGREE, Model};
-use crate::train::context::StepContext;
+use crate::train::context::RuleContext;
 use crate::train::evidence::LEAST_GAIN;
 use crate::train::schedule::GROWTH_END;
 use glam::Vec3;
@@ -37,7 +37,7 @@ pub(crate) struct ShDegreeRule {
 
 impl ShDegreeRule {
     /// Raises the degree to that of the step's position.
-    pub(super) fn before_step(&mut self, step: &mut StepContext) -> Result<(), SplatError> {
+    pub(super) fn before_step(&mut self, step: &mut RuleContext) -> Result<(), SplatError> {
         let highest = step.setup.config.sh_degree.min(self.limit.unwrap_or(MAX_SH_DEGREE));
         let passed = FROM.iter().filter(|&&from| step.position() >= from).count();
         let degree = (passed as u32).min(highest);
@@ -45,7 +45,7 @@ impl ShDegreeRule {
     }
 
     /// A degree that was in use for a while stays if the validation views are better for it.
-    pub(super) fn review(&mut self, step: &mut StepContext) -> Result<(), SplatError> {
+    pub(super) fn review(&mut self, step: &mut RuleContext) -> Result<(), SplatError> {
         let highest = step.setup.config.sh_degree;
         let begun = FROM.get(self.judged as usize).filter(|_| self.judged < highest && self.limit.is_none());
         let due = |from: &f64| (from + TRIAL..GROWTH_END).contains(&step.position());
@@ -82,7 +82,7 @@ fn degree_choice(degree: u32) -> Choice {
 /// PSNR of the validation views with degrees up to `degree` alone. A degree that is in use carries
 /// a part of the constant colour, so that leaving it out says too much for it: its mean over the
 /// training views' directions takes the place of what it says.
-fn psnr_without(step: &mut StepContext, level: u32, degree: u32) -> Result<f64, SplatError> {
+fn psnr_without(step: &mut RuleContext, level: u32, degree: u32) -> Result<f64, SplatError> {
     let setup = step.setup;
     let every = setup.views.len().div_ceil(DIRECTIONS);
     let some = setup.views.iter().step_by(every);

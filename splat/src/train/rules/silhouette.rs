@@ -3,7 +3,7 @@
 
 use crate::error::SplatError;
 use crate::model::Model;
-use crate::train::context::StepContext;
+use crate::train::context::RuleContext;
 use crate::train::schedule::GROWTH_END;
 use crate::train::state::TrainingState;
 use scene::decision::{Choice, Decision, Remark, Rule, Subject};
@@ -20,7 +20,7 @@ pub(crate) struct SilhouetteRule {
 
 impl SilhouetteRule {
     /// Removes what the visual hull excludes, once.
-    pub(super) fn review(&mut self, step: &mut StepContext) -> Result<(), SplatError> {
+    pub(super) fn review(&mut self, step: &mut RuleContext) -> Result<(), SplatError> {
         let due = step.position() >= GROWTH_END && !self.applied;
         let Some(hull) = step.setup.hull.as_ref().filter(|_| due) else { return Ok(()) };
         self.applied = true;
@@ -31,7 +31,7 @@ impl SilhouetteRule {
     }
 
     /// Removes what has wandered off since.
-    pub(super) fn after_training(&mut self, step: &StepContext, model: &mut Model) {
+    pub(super) fn after_training(&mut self, step: &RuleContext, model: &mut Model) {
         self.removed += step.setup.hull.as_ref().map_or(0, |hull| hull.prune(model));
     }
 

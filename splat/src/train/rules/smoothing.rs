@@ -4,7 +4,7 @@
 use crate::error::SplatError;
 use crate::model::{LOG_SCALE, Model};
 use crate::reference::constants::JACOBIAN_MARGIN;
-use crate::train::context::StepContext;
+use crate::train::context::RuleContext;
 use crate::train::evidence::SAMPLE;
 use crate::train::schedule::EVERY;
 use crate::view::PinholeView;
@@ -28,7 +28,7 @@ pub(crate) struct SmoothingRule {
 
 impl SmoothingRule {
     /// At its places in the schedule: no Gaussian is finer than what the views sample.
-    pub(super) fn review(&mut self, step: &mut StepContext) -> Result<(), SplatError> {
+    pub(super) fn review(&mut self, step: &mut RuleContext) -> Result<(), SplatError> {
         let due = f64::from(self.times + 1) * EVERY;
         if !step.setup.config.smoothing || step.position() < due.min(1.0) {
             return Ok(());

@@ -2,7 +2,7 @@
 //! back to the poses as given.
 
 use super::linear::solve;
-use crate::train::context::StepContext;
+use crate::train::context::RuleContext;
 use crate::train::evidence::SAMPLE;
 use crate::view::{NEAREST, PinholeView};
 use glam::{DQuat, DVec3};
@@ -82,7 +82,7 @@ fn distances(x: DVec3, y: DVec3, from: &PinholeView, to: &PinholeView) -> Option
 /// Takes Gaussians that were trained on refined poses to the poses as given: how far apart these
 /// are in the pictures, pixels, and the refined poses there (names of training views,
 /// `cam_from_world`, world frame). `None` where no pose was refined.
-pub(super) fn align(step: &StepContext, g: &mut Gaussians) -> Option<(f64, Vec<(String, Pose)>)> {
+pub(super) fn align(step: &RuleContext, g: &mut Gaussians) -> Option<(f64, Vec<(String, Pose)>)> {
     if step.state.corrections.poses.is_empty() {
         return None;
     }
@@ -100,7 +100,7 @@ pub(super) fn align(step: &StepContext, g: &mut Gaussians) -> Option<(f64, Vec<(
 }
 
 /// `cam_from_world` of a refined view, where the splat was moved by the similarity.
-fn world_pose(step: &StepContext, view: usize, moved: &Sim3) -> Pose {
+fn world_pose(step: &RuleContext, view: usize, moved: &Sim3) -> Pose {
     let (view, frame) = (step.camera(view), &step.setup.dataset.normalisation);
     let own = Pose::from_matrix(view.rotation.as_dmat3(), view.translation.as_dvec3());
     let world = Sim3 { scale: 1.0 / frame.scale, rotation: DQuat::IDENTITY, translation: frame.centre };

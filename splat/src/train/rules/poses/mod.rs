@@ -8,7 +8,7 @@ mod photometric;
 
 use crate::config::PoseRefinement;
 use crate::error::SplatError;
-use crate::train::context::StepContext;
+use crate::train::context::RuleContext;
 use crate::train::evidence::{EXPLAINED, LEAST_VIEWS, SAMPLE};
 use crate::train::schedule::EVERY;
 use crate::train::state::TrainingState;
@@ -49,7 +49,7 @@ pub(crate) struct PoseRule {
 
 impl PoseRule {
     /// Looks whether poses are to be refined, and refines them, at their places in the schedule.
-    pub(super) fn review(&mut self, step: &mut StepContext) -> Result<(), SplatError> {
+    pub(super) fn review(&mut self, step: &mut RuleContext) -> Result<(), SplatError> {
         let (asked, position) = (step.setup.config.refine_poses, step.position());
         if asked == PoseRefinement::Off || step.setup.views.len() < LEAST_VIEWS {
             return Ok(());
@@ -80,7 +80,7 @@ impl PoseRule {
     }
 
     /// Moves all training views once.
-    fn refine(&mut self, step: &mut StepContext) -> Result<(), SplatError> {
+    fn refine(&mut self, step: &mut RuleContext) -> Result<(), SplatError> {
         self.places += 1;
         let setup = step.setup;
         let spread = self.spread.unwrap_or(FIRST_SPREAD);
@@ -107,7 +107,7 @@ impl PoseRule {
     /// (world frame). `None` where no pose was refined.
     pub(super) fn align(
         &self,
-        step: &StepContext,
+        step: &RuleContext,
         gaussians: &mut Gaussians,
     ) -> Option<(f64, Vec<(String, Pose)>)> {
         alignment::align(step, gaussians)
@@ -123,7 +123,7 @@ impl PoseRule {
 
 /// Part of the squared error that goes where views are moved by what the other half of their pixels
 /// says.
-fn explained_by_motions(step: &mut StepContext) -> Result<f64, SplatError> {
+fn explained_by_motions(step: &mut RuleContext) -> Result<f64, SplatError> {
     let setup = step.setup;
     let (mut before, mut after) = (0.0, 0.0);
     for &v in setup.views.iter().step_by(setup.views.len().div_ceil(SAMPLE)) {

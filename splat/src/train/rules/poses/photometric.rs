@@ -8,7 +8,7 @@ use super::linear::solve;
 use super::motion::Motion;
 use crate::backend::Target;
 use crate::error::SplatError;
-use crate::train::context::StepContext;
+use crate::train::context::RuleContext;
 use crate::view::{PinholeView, RenderOutput};
 use rayon::prelude::*;
 
@@ -84,7 +84,7 @@ impl MotionEquations {
 
 /// What the photo of training view `v` says about the motion of `view`, at the resolution in use.
 pub(super) fn motion_equations(
-    step: &mut StepContext,
+    step: &mut RuleContext,
     v: usize,
     view: &PinholeView,
     subset: PixelSubset,
