@@ -304,7 +304,8 @@ impl Decision {
         self
     }
 
-    /// Adds an alternative with its scores; `accepted`: whether it was preferred to those before it.
+    /// Adds an alternative with its scores; `accepted`: whether it was preferred to those before
+    /// it.
     #[must_use]
     pub fn compared(mut self, choice: impl Into<Choice>, accepted: bool, scores: Vec<Measurement>) -> Self {
         self.alternatives.push(Alternative { choice: choice.into(), accepted, scores });

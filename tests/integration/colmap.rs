@@ -72,8 +72,9 @@ fn our_own_database_gives_the_same_poses_again_and_its_features_alone_do_too() {
         let base = ["sfm", text(&video), "-o", text(&again), "--frames", "18", "--motion", "free"];
         let said = expect_code(&[&base[..], &["--database", text(&database), "-v"], more].concat(), 0);
         assert!(said.contains("features: from the database"), "{said}");
-        // Verification begins with the cameras of the database, so other matches pass. The principal point across the
-        // orbit is known to 2 px of 400 (run.json's deviations), and its error turns all cameras alike: 3 sigma of a difference.
+        // Verification begins with the cameras of the database, so other matches pass. The
+        // principal point across the orbit is known to 2 px of 400 (run.json's deviations), and its
+        // error turns all cameras alike: 3 sigma of a difference.
         close(&errors(&again.join("sparse/0"), &out.join("sparse/0")), 18, 1.2, 0.05);
     }
 }
@@ -105,7 +106,8 @@ fn a_database_of_colmaps_own_is_mapped_and_compared_with_its_own_model() {
     for (quantity, value) in [("images", 18.0), ("frames", 18.0)] {
         assert_eq!(measured(features, quantity), Some(value), "{features}");
     }
-    // Where other features do not determine the principal point it is held, which turns all cameras alike.
+    // Where other features do not determine the principal point it is held, which turns all cameras
+    // alike.
     close(&errors(&again.join("sparse/0"), &out.join("sparse/0")), 16, 3.0, 1.0);
 }
 
@@ -196,7 +198,8 @@ fn killed_while_the_database_is_written_there_is_none_or_a_whole_one() {
     assert_eq!(scene::io::read_database(&database).unwrap().images.len(), 12);
 }
 
-/// Poses of a robot arm or a renderer bring no points: the photos' own are found, if they agree with the poses.
+/// Poses of a robot arm or a renderer bring no points: the photos' own are found, if they agree
+/// with the poses.
 #[test]
 fn poses_without_points_get_those_that_the_photos_agree_on() {
     let dir = folder("no_points");

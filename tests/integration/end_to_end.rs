@@ -1,4 +1,5 @@
-//! From a video file alone to poses, a splat, metrics and a report, on the sample that the project ships.
+//! From a video file alone to poses, a splat, metrics and a report, on the sample that the project
+//! ships.
 
 use super::support::{expect_code, folder, json, sample, text};
 use std::path::Path;
@@ -258,7 +259,8 @@ fn runs_and_the_renders_of_other_tools_stand_in_the_tables_of_a_paper() {
     expect_code(&["compare", "other:nowhere=/nowhere"], 1);
 }
 
-/// Poses that training moves are a model of their own, near the one that was given; it goes when they are kept.
+/// Poses that training moves are a model of their own, near the one that was given; it goes when
+/// they are kept.
 #[test]
 fn refined_poses_are_written_beside_the_model_and_go_with_the_training_that_made_them() {
     let dir = folder("refined");

@@ -114,7 +114,8 @@ fn a_satellite_that_yaws_before_a_green_screen_is_keyed_and_posed_from_the_video
     assert_eq!(motion["choice"]["motion"], "single-axis", "{motion}");
     assert!(measured(&motion, "loop-points") > Some(0.0), "{motion}");
     assert!(measured(&motion, "loop-deviation") < Some(1.0), "{motion}");
-    // Upright lines of the room say how the camera looks down; the principal point alone leaves 0.6°.
+    // Upright lines of the room say how the camera looks down; the principal point alone leaves
+    // 0.6°.
     assert!(errors["rotation_median_deg"].as_f64().unwrap() <= 0.3, "{errors}");
     assert!(out.join("mattes.png").is_file());
     // The same frames as photos.

@@ -39,7 +39,8 @@ pub fn text(path: &Path) -> &str {
     path.to_str().expect("a path in UTF-8")
 }
 
-/// A file or folder of the real data; `None` (said loudly) where the data is missing, a failure in CI.
+/// A file or folder of the real data; `None` (said loudly) where the data is missing, a failure in
+/// CI.
 pub fn shared(relative: &str) -> Option<PathBuf> {
     let root = std::env::var_os("SAT_RECON_SHARED")
         .map_or_else(|| Path::new(env!("CARGO_MANIFEST_DIR")).join("../shared"), PathBuf::from);

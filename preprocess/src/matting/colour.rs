@@ -1,10 +1,10 @@
-//! Interpolate light, hue, and the colour difference that tells screen from object.
+//! Linear light, hue, and the colour difference that tells screen from object.
 
 use crate::hdr::srgb_from_linear;
 use glam::Vec3;
 use std::sync::LazyLock;
 
-/// Interpolate light in [0, 1] of 8-bit sRGB (IEC 61966-2-1).
+/// Linear light in [0, 1] of 8-bit sRGB (IEC 61966-2-1).
 static LINEAR: LazyLock<[f32; 256]> = LazyLock::new(|| {
     std::array::from_fn(|i| {
         let v = i as f32 / 255.0;
@@ -19,7 +19,7 @@ static SRGB: LazyLock<Vec<u8>> = LazyLock::new(|| {
     (0..=SRGB_STEPS).map(|i| (srgb_from_linear(i as f32 / SRGB_STEPS as f32) * 255.0).round() as u8).collect()
 });
 
-/// Interpolate light of the first pixel of 8-bit sRGB.
+/// Linear light of the first pixel of 8-bit sRGB.
 #[inline(always)]
 pub(crate) fn linear(rgb: &[u8]) -> Vec3 {
     let table = &*LINEAR;
@@ -37,7 +37,7 @@ pub(crate) fn srgb8(v: f32) -> u8 {
     SRGB[(v.clamp(0.0, 1.0) * SRGB_STEPS as f32 + 0.5) as usize]
 }
 
-/// Interpolate light as coded in 8-bit sRGB, 0 to 255.
+/// Linear light as coded in 8-bit sRGB, 0 to 255.
 #[inline(always)]
 pub(crate) fn coded(light: Vec3) -> Vec3 {
     light.map(|v| f32::from(srgb8(v)))
@@ -79,8 +79,6 @@ pub(crate) struct Key {
     pub across: Vec3,
     /// How much of the chroma across is taken off, at least `1/√3`.
     pub wedge: f32,
-    /// Interpolate colour of the screen.
-    pub colour: Vec3,
     /// Hue, degrees.
     pub hue: f32,
     /// Colour difference of the screen.
@@ -100,7 +98,7 @@ impl Key {
         let along = chroma / norm;
         let across = 1.0 / 3f32.sqrt() * Vec3::ONE.cross(along);
         let (hue, _, _) = hue_saturation_value(colour.to_array().map(srgb8));
-        let mut key = Self { along, across, wedge, colour, hue, reference: 0.0, purity: 0.0 };
+        let mut key = Self { along, across, wedge, hue, reference: 0.0, purity: 0.0 };
         key.reference = key.difference(colour);
         key.purity = key.reference / colour.element_sum();
         Some(key)
@@ -112,12 +110,11 @@ impl Key {
         self.along.dot(rgb) - self.wedge * self.across.dot(rgb).abs()
     }
 
-    /// Whether linear light has at least these shares of the screen's colour difference and, for its own light, of the
-    /// screen's purity.
+    /// Whether linear light looks like the screen: enough of its colour difference and, for its own light, of its purity.
     #[inline(always)]
-    pub fn is_like(&self, rgb: Vec3, difference: f32, purity: f32) -> bool {
+    pub fn is_like(&self, rgb: Vec3) -> bool {
         let own = self.difference(rgb);
-        own > difference * self.reference && own > purity * self.purity * rgb.element_sum()
+        own > 0.08 * self.reference && own > 0.7 * self.purity * rgb.element_sum()
     }
 }
 

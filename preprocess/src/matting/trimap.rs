@@ -1,17 +1,14 @@
 //! What is surely object, what is surely screen, and the band between, where alpha has to be solved.
 
 use super::colour::{Key, coded, levels};
-use super::morphology::{Regions, set_pixels};
+use super::morphology::set_pixels;
 use super::pool::BinaryMask;
 use super::screen::Screen;
 
 /// Least departure from the screen (share of its colour difference) that counts.
 const MIN_DEPARTURE: f32 = 0.06;
-/// A region that nowhere departs by this much is a shadow or noise.
-const MIN_PEAK: f32 = 0.30;
-/// Inside of solid parts, what keeps this share of the screen's coded colour difference is a slit, and as far around it is solved anew.
+/// Inside of solid parts, what keeps this share of the screen's coded colour difference is a slit.
 const SLIT_SHARE: f32 = 0.6;
-const SLIT_RIM: usize = 2;
 
 /// The parts of a frame by what they are.
 pub(crate) struct Trimap<'p> {
@@ -31,13 +28,12 @@ impl<'p> Trimap<'p> {
         let threshold = 1.0 - MIN_DEPARTURE.max(5.0 * noise);
         let mut seeds = screen.smoothed.mask(|s| (s < threshold) | (s > 2.0 - threshold + 0.1));
         seeds.iter_mut().zip(screen.shaded.iter()).for_each(|(seed, shaded)| *seed &= 1 - shaded);
-        let mut not_screen = seeds.dilate(2);
-        drop_faint_regions(&mut not_screen, &screen.smoothed);
+        let not_screen = seeds.dilate(2);
         let mut solid = screen.smoothed.mask(|s| s < 0.5);
         let mut core = solid.erode(2);
         let slits = find_slits(&core, screen, rgb, key);
         solid.iter_mut().zip(slits.iter()).for_each(|(solid, slit)| *solid &= 1 - slit);
-        core.iter_mut().zip(slits.dilate(SLIT_RIM).iter()).for_each(|(core, near)| *core &= 1 - near);
+        core.iter_mut().zip(slits.dilate(2).iter()).for_each(|(core, near)| *core &= 1 - near);
         let mut band = not_screen.map(|v| *v);
         band.iter_mut().zip(core.iter()).for_each(|(band, core)| *band &= 1 - core);
         Self { interior: solid.erode(1), not_screen, core, band }
@@ -57,14 +53,6 @@ fn find_slits<'p>(core: &BinaryMask<'p>, screen: &Screen, rgb: &[u8], key: &Key)
         }
     }
     slits
-}
-
-fn drop_faint_regions(mask: &mut BinaryMask, smoothed: &[f32]) {
-    let regions = Regions::of(mask);
-    let is_strong = regions.any(|i| 1.0 - smoothed[i] >= MIN_PEAK);
-    for (m, label) in mask.iter_mut().zip(regions.labels.iter()) {
-        *m &= u8::from(is_strong[*label as usize]);
-    }
 }
 
 #[cfg(test)]

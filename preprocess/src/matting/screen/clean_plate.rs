@@ -1,5 +1,6 @@
 //! What stands still in front of a camera that does not move: texture of the screen, things beside it, the pole.
 
+use super::SAME_LIGHT;
 use super::grid::CellSums;
 use crate::matting::cleanup::hull;
 use crate::matting::colour::{Key, levels, linear};
@@ -10,14 +11,8 @@ use image::RgbImage;
 
 /// A pixel is screen where at least this share of the samples shows it.
 const SCREEN_SHARE: f32 = 0.08;
-/// Least purity (colour difference by light, of that of the key) and least colour difference (of the key's) of screen.
-const SCREEN_LIKE: (f32, f32) = (0.75, 0.06);
 /// The plate is the mean of the samples around this quantile of light: the screen out of the object's shadow.
 const LIT_QUANTILE: f32 = 0.7;
-/// Samples that count for the plate, by their light as a share of that quantile.
-const LIT_RANGE: std::ops::Range<f32> = 0.86..1.18;
-/// CellSums from which the plate is spread to where the screen is never seen, pixels.
-const PLATE_CELL: usize = 8;
 /// A pixel is still where at least this share of the samples agrees.
 const STILL_SHARE: f32 = 0.6;
 /// Difference up to which samples agree, 8-bit levels of the largest channel.
@@ -43,7 +38,7 @@ const STANDING_SHARE: f32 = 0.3;
 pub(crate) struct CleanPlate {
     /// Width of the planes.
     pub width: usize,
-    /// Interpolate light of the empty screen, without the object's shadow; spread to where the screen is never seen.
+    /// Linear light of the empty screen, without the object's shadow; spread to where the screen is never seen.
     pub light: Vec<Vec3>,
     /// Colour of what stands still and is no screen; `None` elsewhere.
     pub things: Vec<Option<[u8; 3]>>,
@@ -114,7 +109,7 @@ impl CleanPlate {
                 for frame in frames {
                     let p = &frame.as_raw()[3 * i..3 * i + 3];
                     let light = linear(p);
-                    if key.is_like(light, SCREEN_LIKE.1, SCREEN_LIKE.0) {
+                    if key.is_like(light) {
                         lights.push(light);
                     } else {
                         others.push([p[0], p[1], p[2]]);
@@ -133,11 +128,11 @@ impl CleanPlate {
     /// Fills the light where the screen is never seen; `None` if it is seen nowhere.
     fn spread_light(&mut self) -> Option<()> {
         let (width, height) = (self.width, self.outside.len() / self.width);
-        let mut cells = CellSums::new(width, height, PLATE_CELL);
+        let mut cells = CellSums::new(width, height);
         for y in 0..height {
             cells.add_row(y, 1, |x| (!self.outside[y * width + x]).then(|| self.light[y * width + x]));
         }
-        let grid = cells.fill(PLATE_CELL as u32, 2 * (width + height) / PLATE_CELL)?;
+        let grid = cells.fill()?;
         let mut row = Vec::new();
         for y in 0..height {
             grid.row(y, width, &mut row);
@@ -211,7 +206,7 @@ fn lit_mean(samples: &mut [Vec3]) -> Vec3 {
     let rank = ((samples.len() - 1) as f32 * LIT_QUANTILE).round() as usize;
     samples.select_nth_unstable_by(rank, |a, b| a.element_sum().total_cmp(&b.element_sum()));
     let lit = samples[rank].element_sum();
-    let about = samples.iter().filter(|s| LIT_RANGE.contains(&(s.element_sum() / lit)));
+    let about = samples.iter().filter(|s| SAME_LIGHT.contains(&(s.element_sum() / lit)));
     let (sum, count) = about.fold((Vec3::ZERO, 0.0), |(sum, count), s| (sum + *s, count + 1.0));
     sum / count
 }
