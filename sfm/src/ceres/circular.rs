@@ -35,8 +35,8 @@ pub(crate) fn solve(
     Ok(outcome)
 }
 
-/// Covariances of the axis' freedoms and the angles [(3 + P)²] and of each camera's parameters, for observations of
-/// unit noise; `None` where the problem does not determine them.
+/// Covariances of the axis' freedoms and the angles [(3 + P)²] and of each camera's parameters, for
+/// observations of unit noise; `None` where the problem does not determine them.
 pub(crate) fn covariance(
     input: &CircularInput,
     state: &CircularState,
@@ -80,8 +80,8 @@ fn check(input: &CircularInput, state: &CircularState) -> Result<(), SfmError> {
         && input.relation_targets.len() == relations
         && input.level_normals.len() == 3 * input.level_weights.len()
         && input.level_targets.len() == input.level_weights.len();
-    let frame = |(k, &i): (usize, &u32)| (i as usize) < frames || (k % 3 == 2 && i == u32::MAX);
-    let indices = input.relation_angles.iter().enumerate().all(frame);
+    let mut numbers = input.relation_angles.iter().enumerate();
+    let indices = numbers.all(|(k, &i)| (i as usize) < frames || (k % 3 == 2 && i == u32::MAX));
     let all = [
         &state.axis,
         &state.angles,
@@ -96,8 +96,8 @@ fn check(input: &CircularInput, state: &CircularState) -> Result<(), SfmError> {
     ];
     let finite = all.iter().all(|values| values.iter().all(|v| v.is_finite()));
     match (shapes && indices, finite) {
-        (false, _) => Err(SfmError::Solver("the turn is inconsistent".to_owned())),
-        (_, false) => Err(SfmError::Solver("a number of the turn is not finite".to_owned())),
+        (false, _) => Err(SfmError::Solver("the circular motion is inconsistent".to_owned())),
+        (_, false) => Err(SfmError::Solver("a number of the circular motion is not finite".to_owned())),
         _ => Ok(()),
     }
 }

@@ -12,27 +12,15 @@ const FEWEST: usize = 10;
 /// Most frames from which its strength is learnt (a Cholesky factor for each one that is tried).
 /// Source: chosen by hand, never measured.
 const MOST: usize = 100;
-/// Least factor on the angles' covariance that is tried, and how many doublings of it. Errors of one
-/// track in many frames are not independent: outlines and glints slide along. Where there is little
-/// texture, a smaller factor would take the drift of a few tracks for the motion.
+/// Least factor on the angles' covariance that is tried, and how many doublings of it. Errors of
+/// one track in many frames are not independent: outlines and glints slide along. Where there is
+/// little texture, a smaller factor would take the drift of a few tracks for the motion.
 /// Source: decision 0017, on textured objects the angles themselves say 4 to 8.
 const EXCESS: (f64, i32) = (8.0, 3);
 /// Frames within such a turn see the same errors, radians: where a step is a smaller share of it
 /// than the least factor says, more frames say no more, and the factor grows with their number.
 /// Source: decision 0019.
 const SAME_ERRORS: f64 = 0.5;
-/// Standard deviations of independent jitter that are tried, radians.
-/// Source: chosen by hand, never measured.
-const JITTER: [f64; 4] = [1e-6, 3e-5, 1.2e-4, 5e-4];
-/// The least standard deviation of slow deviations from a steady turn that is tried, radians.
-/// Source: chosen by hand, never measured.
-const LEAST_SWAY: f64 = 1e-4;
-/// It and so many triplings of it less one are tried.
-/// Source: chosen by hand, never measured.
-const SWAYS: i32 = 10;
-/// How long such a deviation lasts, as a share of the video.
-/// Source: chosen by hand, never measured.
-const LASTS: [f64; 3] = [1.0 / 32.0, 0.125, 0.5];
 /// Motions that are less likely than the best by this (logarithm) are not averaged.
 /// Source: chosen by hand, never measured.
 const UNLIKELY: f64 = 4.0;
@@ -85,8 +73,8 @@ impl LearntMotion {
 }
 
 /// A motion that is tried: `θ = α + ω t + g(t)`, g a Gaussian process (Matérn 3/2 of standard
-/// deviation `sway` over `lasts`, and white `jitter`), seen with `excess` times the covariance of the
-/// angles.
+/// deviation `sway` over `lasts`, and white `jitter`), seen with `excess` times the covariance of
+/// the angles.
 #[derive(Clone, Copy, Debug)]
 struct AngleProcess {
     excess: f64,
@@ -96,25 +84,24 @@ struct AngleProcess {
 }
 
 impl AngleProcess {
-    /// All that are tried where the angles' covariance is too small by so much at least.
+    /// All that are tried where the angles' covariance is too small by so much at least. Source of
+    /// the jitters (radians): chosen by hand, never measured.
     fn all(excess: f64) -> Vec<Self> {
         let mut slow = vec![(0.0, 1.0)];
-        for lasts in LASTS {
-            slow.extend((0..SWAYS).map(|k| (LEAST_SWAY * 3f64.powi(k), lasts)));
-        }
+        slow.extend(slow_deviations());
         let mut all = Vec::new();
         for excess in (0..EXCESS.1).map(|k| excess * 2f64.powi(k)) {
-            for jitter in JITTER {
+            for jitter in [1e-6, 3e-5, 1.2e-4, 5e-4] {
                 all.extend(slow.iter().map(|&(sway, lasts)| Self { excess, jitter, sway, lasts }));
             }
         }
         all
     }
 
-    /// Logarithm of what is thought of it beforehand: a steady turn is as likely as all slow deviations
-    /// together.
+    /// Logarithm of what is thought of it beforehand: a steady turn is as likely as all slow
+    /// deviations together.
     fn prior(&self) -> f64 {
-        if self.sway > 0.0 { -((LASTS.len() as f64 * f64::from(SWAYS)).ln()) } else { 0.0 }
+        if self.sway > 0.0 { -((slow_deviations().count() as f64).ln()) } else { 0.0 }
     }
 
     /// `E[g(s) g(t)]` for times in shares of the video.
@@ -123,6 +110,14 @@ impl AngleProcess {
         let white = if s == t { self.jitter * self.jitter } else { 0.0 };
         self.sway * self.sway * (1.0 + d) * (-d).exp() + white
     }
+}
+
+/// Slow deviations from a steady turn that are tried: standard deviation (radians, from 0.006
+/// degrees by triplings) and how long each lasts (a share of the video). Source: chosen by hand,
+/// never measured.
+fn slow_deviations() -> impl Iterator<Item = (f64, f64)> {
+    let lasting = [1.0 / 32.0, 0.125, 0.5];
+    lasting.into_iter().flat_map(|lasts| (0..10).map(move |k| (1e-4 * 3f64.powi(k), lasts)))
 }
 
 /// Angles that were found without a prior, y = θ + e, with `Cov(e) = κ C`.
@@ -150,8 +145,8 @@ impl MeasuredAngles {
         self.angles.len()
     }
 
-    /// Takes in what is known of the angle between the first and the last frame (Kalman's update), its
-    /// variance in units of C.
+    /// Takes in what is known of the angle between the first and the last frame (Kalman's update),
+    /// its variance in units of C.
     fn close(&mut self, range: f64, variance: f64) {
         let (n, last) = (self.len(), self.len() - 1);
         let column: Vec<f64> =
@@ -197,8 +192,9 @@ impl MeasuredAngles {
         })
     }
 
-    /// Angles given the motion, `y − κ C R y`, and their covariance's diagonal, `κ C − κ C R κ C`, with
-    /// `R = S⁻¹ − S⁻¹ X (Xᵀ S⁻¹ X)⁻¹ Xᵀ S⁻¹` (X: unit and time; Rasmussen & Williams 2006, 2.7).
+    /// Angles given the motion, `y − κ C R y`, and their covariance's diagonal, `κ C − κ C R κ C`,
+    /// with `R = S⁻¹ − S⁻¹ X (Xᵀ S⁻¹ X)⁻¹ Xᵀ S⁻¹` (X: unit and time; Rasmussen & Williams 2006,
+    /// 2.7).
     fn posterior(&self, motion: &AngleProcess, fit: &ProcessFit) -> (Vec<f64>, Vec<f64>) {
         let n = self.len();
         let mut angles = Vec::with_capacity(n);
@@ -217,7 +213,8 @@ impl MeasuredAngles {
 }
 
 impl ProcessFit {
-    /// Logarithm of the evidence with start and rate integrated out (type II maximum likelihood, MacKay 1992).
+    /// Logarithm of the evidence with start and rate integrated out (type II maximum likelihood,
+    /// MacKay 1992).
     fn evidence(&self, n: usize) -> f64 {
         let logs: f64 = (0..n).map(|i| self.l[i * (n + 1)].ln()).sum();
         let [a, b, d] = self.normal;
@@ -231,8 +228,8 @@ impl ProcessFit {
 /// tracks: the covariance C of the angles knows. A motor that turns steadily over short stretches
 /// does so over long ones, so the motion's own spectrum decides how much of a slow deviation is
 /// believed. Angles are averaged over the motions that are likely. `closing`: the angle between the
-/// first and the last frame as it is known otherwise, with its standard deviation. `None` where there
-/// are too few frames.
+/// first and the last frame as it is known otherwise, with its standard deviation. `None` where
+/// there are too few frames.
 pub(crate) fn learn_motion(
     angles: &[Option<f64>],
     times: &[f64],
@@ -381,8 +378,9 @@ mod tests {
 
     const FRAMES: usize = 120;
 
-    /// True angles that are seen with errors of a chain: each step has its own error of `noise`, and the sum of them
-    /// is what an angle is off; half of what a closed turn leaves. `thought`: what a step's error is believed to be.
+    /// True angles that are seen with errors of a chain: each step has its own error of `noise`,
+    /// and the sum of them is what an angle is off; half of what a closed turn leaves. `thought`:
+    /// what a step's error is believed to be.
     fn learn(
         truth: impl Fn(f64) -> f64,
         noise: f64,

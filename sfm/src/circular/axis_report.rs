@@ -46,8 +46,8 @@ pub(crate) fn decisions(
 }
 
 /// Standard deviations of the axis' direction where the principal point is no better known than the
-/// observations and its prior say; `None` where it was solved for or is known. Held at the centre it
-/// would seem exact, and the axis with it.
+/// observations and its prior say; `None` where it was solved for or is known. Held at the centre
+/// it would seem exact, and the axis with it.
 fn with_principal_point(
     model: &AxisModel,
     context: &CircularContext<'_>,

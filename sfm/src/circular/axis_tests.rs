@@ -10,7 +10,8 @@ use super::tests::{Filmed, Turntable};
 use scene::decision::{Decision, Quantity, Remark, Rule};
 use scene::{Camera, CameraModel};
 
-/// Pixels by which the principal point of the films is off the centre, along the axis: half a degree.
+/// Pixels by which the principal point of the films is off the centre, along the axis: half a
+/// degree.
 const OFF_PX: f64 = 7.0;
 
 /// A film of a turn whose camera has its principal point off the centre, with lens distortion `k`.

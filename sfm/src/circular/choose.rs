@@ -26,7 +26,8 @@ const HOPELESS: f64 = 3.0;
 pub(crate) struct MotionOutcome {
     /// The model about one axis, if it is to be taken.
     pub taken: Option<CircularSolution>,
-    /// The general model, adjusted once more with its cameras near a circle, if that is to be taken.
+    /// The general model, adjusted once more with its cameras near a circle, if that is to be
+    /// taken.
     pub circled: Option<MapState>,
     /// Why.
     pub decision: Option<Decision>,
@@ -125,7 +126,8 @@ pub(crate) fn with_comparison(evidence: Decision, comparison: Option<&Comparison
     }
 }
 
-/// The general model adjusted once more, its cameras near the circle; `None` where that is too wide.
+/// The general model adjusted once more, its cameras near the circle; `None` where that is too
+/// wide.
 fn on_a_circle(
     context: &CircularContext<'_>,
     free: &FreeModel<'_>,

@@ -1,4 +1,5 @@
-//! A growing model whose poses are a turn: triangulated, adjusted and filtered under the constraint.
+//! A growing model whose poses are a turn: triangulated, adjusted and filtered under the
+//! constraint.
 
 use super::axis::Elevation;
 use super::motion::CircularMotion;
@@ -55,8 +56,8 @@ pub(crate) struct CircularContext<'a> {
     pub priors: &'a [AnglePrior<'a>],
     /// How the camera looks down on the plane of the turn, where a user measured it.
     pub elevation: Option<Elevation>,
-    /// For each frame how many of its keypoints, the first ones, are features; the others are followed points, which
-    /// are measured otherwise. Empty where all are features.
+    /// For each frame how many of its keypoints, the first ones, are features; the others are
+    /// followed points, which are measured otherwise. Empty where all are features.
     pub features: &'a [usize],
     /// Says how far it is, and when to stop.
     pub progress: &'a Progress,
@@ -104,8 +105,8 @@ impl AxisModel {
         take(&mut self.state, &selected);
     }
 
-    /// Adjusts, filters and triangulates a few times; robustly, with focal length and distortion free. `false` where
-    /// it ends in nonsense.
+    /// Adjusts, filters and triangulates a few times; robustly, with focal length and distortion
+    /// free. `false` where it ends in nonsense.
     pub fn settle(&mut self, context: &CircularContext<'_>, rounds: usize) -> Result<bool, SfmError> {
         self.settle_with(context, rounds, POINTS_PER_IMAGE, self.state.registered_count())
     }
@@ -115,8 +116,8 @@ impl AxisModel {
         self.settle_with(context, 1, ROUGH_POINTS, images)
     }
 
-    /// [`AxisModel::settle`] with so many points an image; `images` stands for how many images the general solver
-    /// would need to free as much of the intrinsics.
+    /// [`AxisModel::settle`] with so many points an image; `images` stands for how many images the
+    /// general solver would need to free as much of the intrinsics.
     pub fn settle_with(
         &mut self,
         context: &CircularContext<'_>,
@@ -148,7 +149,8 @@ impl AxisModel {
         Ok(true)
     }
 
-    /// The adjustment of all points with the chosen intrinsics, its observations at the measured noise.
+    /// The adjustment of all points with the chosen intrinsics, its observations at the measured
+    /// noise.
     pub fn prepare(
         &self,
         context: &CircularContext<'_>,
@@ -187,7 +189,8 @@ impl AxisModel {
         }
     }
 
-    /// Adjusts with the chosen intrinsics, triangulates and filters at the level of the noise, for so many rounds at most.
+    /// Adjusts with the chosen intrinsics, triangulates and filters at the level of the noise, for
+    /// so many rounds at most.
     pub fn polish(
         &mut self,
         context: &CircularContext<'_>,
@@ -228,8 +231,8 @@ impl AxisModel {
         Ok(covariance.map(|c| (problem, selected.images, c)))
     }
 
-    /// Puts the model into the turntable's frame: axis up, first camera at azimuth 0, `radius` from the axis, the origin
-    /// at the height of the points' median.
+    /// Puts the model into the turntable's frame: axis up, first camera at azimuth 0, `radius` from
+    /// the axis, the origin at the height of the points' median.
     pub fn orient(&mut self, radius: f64) {
         let height = median(self.state.live().map(|(_, p)| p.position.z).collect());
         let (turn, moved) = self.turn.canonical(height, radius);

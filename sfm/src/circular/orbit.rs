@@ -62,8 +62,9 @@ fn move_world<'a>(
     points.for_each(|x| *x = new_from_old.transform(*x));
 }
 
-/// Standard deviation of the offsets' coordinates: rotations, radians, and translations, radii. From
-/// the median length, so that a few poses that few observations hold do not make the circle wide.
+/// Standard deviation of the offsets' coordinates: rotations, radians, and translations, radii.
+/// From the median length, so that a few poses that few observations hold do not make the circle
+/// wide.
 pub(crate) fn strengths(problem: &CircularProblem) -> [f64; 2] {
     let turns = problem.offsets.iter().map(|o| 2.0 * o.rotation.xyz().length()).collect();
     let shifts = problem.offsets.iter().map(|o| o.translation.length()).collect();
@@ -71,11 +72,11 @@ pub(crate) fn strengths(problem: &CircularProblem) -> [f64; 2] {
     [turn.max(LEAST), (shift / problem.radius()).max(LEAST)]
 }
 
-/// The effective number of the offsets, `Σ σ²/(σ² + s²)` with the standard deviations s to which the
-/// observations know a free pose, and by how much twice the logarithm of the evidence grows because
-/// they are not free: `Σ ln (1 + 1/s²) − ln (1 + σ²/s²)`, the widths of what is expected of a pose
-/// that may be anywhere within a radius and a radian, and of one near the circle, over what is found
-/// (Occam factors: MacKay 1992). The angle stands for one of a pose's six numbers.
+/// The effective number of the offsets, `Σ σ²/(σ² + s²)` with the standard deviations s to which
+/// the observations know a free pose, and by how much twice the logarithm of the evidence grows
+/// because they are not free: `Σ ln (1 + 1/s²) − ln (1 + σ²/s²)`, the widths of what is expected of
+/// a pose that may be anywhere within a radius and a radian, and of one near the circle, over what
+/// is found (Occam factors: MacKay 1992). The angle stands for one of a pose's six numbers.
 pub(crate) fn occam(problem: &CircularProblem, sigma: [f64; 2], known: &BundleCovariance) -> (f64, f64) {
     let seen = [median_deviation(known, 0), median_deviation(known, 3) / problem.radius()];
     let count = 2.5 * problem.offsets.len() as f64;
@@ -95,8 +96,8 @@ fn median_deviation(known: &BundleCovariance, first: usize) -> f64 {
     median(all.filter(|d| *d > 0.0).collect())
 }
 
-/// A model held near the circle: adjusted with offsets of this strength, filtered and triangulated a
-/// few times. `None` where not even the first adjustment comes to anything.
+/// A model held near the circle: adjusted with offsets of this strength, filtered and triangulated
+/// a few times. `None` where not even the first adjustment comes to anything.
 pub(crate) fn hold(
     state: &MapState,
     context: &CircularContext<'_>,
@@ -115,7 +116,8 @@ pub(crate) fn hold(
     Ok(held)
 }
 
-/// The model adjusted once more with offsets from a circle of about this strength; `None` where that comes to nothing.
+/// The model adjusted once more with offsets from a circle of about this strength; `None` where
+/// that comes to nothing.
 pub(crate) fn adjust(
     state: &MapState,
     context: &CircularContext<'_>,

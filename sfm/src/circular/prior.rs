@@ -11,9 +11,6 @@ use crate::statistics::{MEDIAN_DEVIATION, median};
 /// Standard deviation of the change of the rate from one step to the next, as a share of the rate.
 /// Source: decision 0018, "no jumps"; far weaker than a dozen good observations.
 const RATE_CHANGE: f64 = 0.5;
-/// Standard deviation of a known rate, as a share of it.
-/// Source: chosen by hand, never measured.
-const KNOWN_RATE_SIGMA: f64 = 0.01;
 /// A step is even if it is no farther from the median than this share of it.
 /// Source: chosen by hand, never measured.
 pub(crate) const EVEN: f64 = 0.35;
@@ -53,7 +50,7 @@ impl AnglePrior<'_> {
     }
 }
 
-/// What a known rate says of neighbouring angles.
+/// What a known rate says of neighbouring angles, to a hundredth.
 fn known_rate(angles: &[Option<f64>], times: &[f64], rate: f64) -> Vec<Relation> {
     let known: Vec<(usize, f64)> = with_angles(angles, times).map(|(f, angle, _)| (f, angle)).collect();
     let sense = match (known.first(), known.last()) {
@@ -64,7 +61,7 @@ fn known_rate(angles: &[Option<f64>], times: &[f64], rate: f64) -> Vec<Relation>
         .windows(2)
         .map(|w| {
             let target = sense * rate.abs() * (times[w[1].0] - times[w[0].0]);
-            Relation::difference(w[0].0, w[1].0, target, (KNOWN_RATE_SIGMA * target.abs()).max(1e-9))
+            Relation::difference(w[0].0, w[1].0, target, (0.01 * target.abs()).max(1e-9))
         })
         .collect()
 }

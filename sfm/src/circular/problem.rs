@@ -1,4 +1,5 @@
-//! Adjustment under the constraint of one axis: axis, angles, intrinsics and points that fit all observations best.
+//! Adjustment under the constraint of one axis: axis, angles, intrinsics and points that fit all
+//! observations best.
 
 use super::motion::{distance_from_axis, pose_at};
 use crate::SfmError;
@@ -29,7 +30,8 @@ impl Relation {
     }
 }
 
-/// `n · z = target` within a standard deviation, z the unit direction of the axis in the camera's frame.
+/// `n · z = target` within a standard deviation, z the unit direction of the axis in the camera's
+/// frame.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ElevationPrior {
     /// Unit vector of the camera's frame.
@@ -45,7 +47,8 @@ pub struct ElevationPrior {
 pub struct CircularProblem {
     /// Cameras, points, observations; its poses follow from the rest.
     pub bundle: BundleProblem,
-    /// Camera from turntable at angle 0; the turntable's origin is near the axis' point nearest to the camera.
+    /// Camera from turntable at angle 0; the turntable's origin is near the axis' point nearest to
+    /// the camera.
     pub axis: Pose,
     /// By pose, radians; the first is held.
     pub angles: Vec<f64>,
@@ -64,7 +67,8 @@ pub struct CircularProblem {
 pub struct CircularCovariance {
     /// For each camera: row-major over its parameters, 0 where held.
     pub cameras: Vec<Vec<f64>>,
-    /// Of the axis' direction: across it, in the plane of the axis and the camera, and out of it, radians.
+    /// Of the axis' direction: across it, in the plane of the axis and the camera, and out of it,
+    /// radians.
     pub axis: [f64; 2],
     /// Of the angles, radians; 0 where held.
     pub angles: Vec<f64>,
@@ -134,8 +138,8 @@ impl CircularProblem {
         })
     }
 
-    /// Standard deviations of axis, angles and intrinsics; `None` where the observations do not determine them. Offsets
-    /// are taken as they are.
+    /// Standard deviations of axis, angles and intrinsics; `None` where the observations do not
+    /// determine them. Offsets are taken as they are.
     pub fn covariance(&self, options: &SolveOptions) -> Result<Option<CircularCovariance>, SfmError> {
         let scale = self.radius();
         let input = self.input(options, scale);
@@ -158,7 +162,8 @@ impl CircularProblem {
         Ok(Some(CircularCovariance { cameras, axis: [deviations[0], deviations[1]], angles, joint }))
     }
 
-    /// The poses' standard deviations in the shape that free poses have: rotation about the camera's axes and centre.
+    /// The poses' standard deviations in the shape that free poses have: rotation about the
+    /// camera's axes and centre.
     pub fn pose_deviations(&self, covariance: &CircularCovariance) -> Vec<[f64; 6]> {
         let about = self.axis.rotation * DVec3::Z;
         let mut deviations = Vec::with_capacity(self.bundle.poses.len());
@@ -200,7 +205,8 @@ impl CircularProblem {
         let bundle = self.bundle.input(options, &SceneNormalisation { centre: DVec3::ZERO, scale });
         let z = self.axis.rotation * DVec3::Z;
         let out = (self.axis.translation - z * z.dot(self.axis.translation)).normalize();
-        // Turning about `out × z` tips the axis towards the camera; along `z × out` it moves sideways.
+        // Turning about `out × z` tips the axis towards the camera; along `z × out` it moves
+        // sideways.
         let basis = [out, z.cross(out), z.cross(out)];
         let mut input = CircularInput {
             bundle,

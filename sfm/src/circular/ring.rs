@@ -31,7 +31,8 @@ const LEAST_MATCHES: usize = 12;
 struct CameraRing {
     turn: CircularMotion,
     table_from_world: Pose,
-    /// Standard deviations of the images' own motions: rotation (radians), translation (radii), a coordinate.
+    /// Standard deviations of the images' own motions: rotation (radians), translation (radii), a
+    /// coordinate.
     sigma: [f64; 2],
 }
 
@@ -63,7 +64,8 @@ impl CameraRing {
         pose_at(&self.turn.axis, angle).compose(&self.table_from_world)
     }
 
-    /// How far a pose of image `i` is from its place on the ring: rotation (radians), translation (radii).
+    /// How far a pose of image `i` is from its place on the ring: rotation (radians), translation
+    /// (radii).
     fn offset(&self, i: usize, pose: &Pose) -> Option<[f64; 2]> {
         let [turn, shift] = offset(pose, &self.pose_at(self.turn.angles[i]?));
         Some([turn, shift / self.turn.radius()])
@@ -110,7 +112,8 @@ fn offset(a: &Pose, b: &Pose) -> [f64; 2] {
     [2.0 * between.rotation.xyz().length().min(1.0).asin(), between.translation.length()]
 }
 
-/// Angles of the images without one that lie between images with one, if the images go round evenly in their order.
+/// Angles of the images without one that lie between images with one, if the images go round evenly
+/// in their order.
 fn angles_between(angles: &[Option<f64>]) -> Vec<Option<f64>> {
     let mut found = vec![None; angles.len()];
     let known: Vec<(usize, f64)> = angles.iter().enumerate().filter_map(|(i, a)| Some((i, (*a)?))).collect();
@@ -124,7 +127,8 @@ fn angles_between(angles: &[Option<f64>]) -> Vec<Option<f64>> {
         let count = (j - i) as f64;
         let expected = rate * count;
         let total = expected + wrap_angle(to - from - expected);
-        // Between the last and the first the ring may not be closed: there the steps would not come out even.
+        // Between the last and the first the ring may not be closed: there the steps would not come
+        // out even.
         if j - i < 2 || (total - expected).abs() > EVEN * rate.abs() * count.sqrt() || expected.abs() > TAU {
             continue;
         }
@@ -135,7 +139,8 @@ fn angles_between(angles: &[Option<f64>]) -> Vec<Option<f64>> {
     found
 }
 
-/// The model with the images that it misses in their places, as far as their matches agree; `None` where that adds none.
+/// The model with the images that it misses in their places, as far as their matches agree; `None`
+/// where that adds none.
 pub(crate) fn complete(
     state: &MapState,
     context: &CircularContext<'_>,
@@ -238,7 +243,8 @@ mod tests {
 
     #[test]
     fn what_does_not_go_round_evenly_is_left_alone() {
-        // The order of the files is not that of the ring: a constant stride would still be even, so it is broken.
+        // The order of the files is not that of the ring: a constant stride would still be even, so
+        // it is broken.
         let mut shuffled: Vec<Option<f64>> =
             (0..36).map(|i| Some(f64::from(i * 23 % 36) * TAU / 36.0)).collect();
         [(1, 17), (3, 29), (8, 22), (12, 33)].into_iter().for_each(|(a, b)| shuffled.swap(a, b));

@@ -19,9 +19,6 @@ use scene::decision::Decision;
 /// most a hundredth.
 /// Source: decision 0018, trials start from each other.
 const POINTS_TO_CHOOSE: usize = 25_000;
-/// Most rounds of settling before the intrinsics are chosen.
-/// Source: chosen by hand, never measured.
-const SETTLING_ROUNDS: usize = 5;
 
 /// A model under the constraint of one axis, and what was learned with it.
 pub(crate) struct CircularSolution {
@@ -48,7 +45,7 @@ impl ChosenModel {
         rounds: usize,
     ) -> Result<Option<Self>, SfmError> {
         let mut model = AxisModel::new(context.input, as_at_the_start(cameras, context), turn);
-        if !model.settle(context, SETTLING_ROUNDS)? {
+        if !model.settle(context, 5)? {
             return Ok(None);
         }
         let (free, priors) = freedom(&model.state.cameras, context.known, context.starts, usize::MAX);

@@ -69,9 +69,9 @@ pub(crate) struct ConstantStepMotion {
 }
 
 impl ConstantStepMotion {
-    /// From matches before verification, of which most may be wrong. `positions`: by image, where its
-    /// features are; `known`: the focal length is. `None` where the images do not go round evenly, as
-    /// far as the matches say.
+    /// From matches before verification, of which most may be wrong. `positions`: by image, where
+    /// its features are; `known`: the focal length is. `None` where the images do not go round
+    /// evenly, as far as the matches say.
     pub fn of(
         camera: &Camera,
         known: bool,
@@ -105,7 +105,8 @@ impl ConstantStepMotion {
         Some(turn)
     }
 
-    /// Share of the matches of neighbours that agree, each first point with the second one `shifted` places on.
+    /// Share of the matches of neighbours that agree, each first point with the second one
+    /// `shifted` places on.
     fn agreement(&self, matches: &[[DVec2; 2]], shifted: usize) -> f64 {
         let f = self.seed.fundamental(self.step);
         let n = matches.len();
@@ -143,8 +144,8 @@ impl ConstantStepMotion {
         CircularMotion::new(self.seed.direction(), self.seed.place(), angles)
     }
 
-    /// The images whose poses are not where the motion has them, from the place where most of them say
-    /// the ring is.
+    /// The images whose poses are not where the motion has them, from the place where most of them
+    /// say the ring is.
     pub fn astray(&self, poses: &[Option<Pose>]) -> usize {
         let known = poses.iter().flatten().count();
         match CircularMotion::of_poses(poses) {
@@ -165,10 +166,10 @@ impl ConstantStepMotion {
         off.min().unwrap_or(usize::MAX)
     }
 
-    /// A model that begins with all images in their places and is adjusted with motions of their own,
-    /// and the share of the observations in lasting tracks that it keeps. `None` where those say that
-    /// the images go round otherwise: the lines of a turn about a vertical axis look much the same
-    /// whatever its angle.
+    /// A model that begins with all images in their places and is adjusted with motions of their
+    /// own, and the share of the observations in lasting tracks that it keeps. `None` where those
+    /// say that the images go round otherwise: the lines of a turn about a vertical axis look much
+    /// the same whatever its angle.
     pub fn model(
         &self,
         job: &MotionInput<'_>,

@@ -1,4 +1,5 @@
-//! Keypoints and tracks of a video: points followed from frame to frame, and features of key frames across wide steps.
+//! Keypoints and tracks of a video: points followed from frame to frame, and features of key frames
+//! across wide steps.
 
 use crate::SfmError;
 use crate::circular::limits::{INLIER_PX, LEAST_OBSERVATIONS};

@@ -29,7 +29,8 @@ const FOCAL_SIGMA: f64 = 0.5;
 /// Standard deviation of second differences of the angles, as a share of the step.
 /// Source: chosen by hand, never measured.
 const RATE_SIGMA: f64 = 0.15;
-/// Seeds that are adjusted; a fifth of them may share a focal length, a quarter of them is returned.
+/// Seeds that are adjusted; a fifth of them may share a focal length, a quarter of them is
+/// returned.
 /// Source: chosen by hand, never measured.
 const ADJUSTED: usize = 16;
 /// Seeds are alike if their axes, with the same sense of rotation, are closer than this (cosine).
@@ -392,7 +393,8 @@ mod tests {
     use rand::Rng as _;
     use scene::rng::rng;
 
-    /// Points about an axis, seen by a camera of focal length 700 that looks down on them; some stand still or are wrong.
+    /// Points about an axis, seen by a camera of focal length 700 that looks down on them; some
+    /// stand still or are wrong.
     fn example(seed: u64, noise: f64, wrong: usize) -> (Vec<KeyPair>, DVec3, f64) {
         let mut r = rng(seed, "turn", 0);
         let direction = DVec3::new(r.random_range(-0.2..0.2), -1.0, r.random_range(-0.6..0.1)).normalize();

@@ -70,8 +70,8 @@ impl LoopEvidence {
 }
 
 impl VideoJob<'_> {
-    /// Joins followed points and features; where a whole turn brings first and last frames together,
-    /// the angles are stretched so that it closes.
+    /// Joins followed points and features; where a whole turn brings first and last frames
+    /// together, the angles are stretched so that it closes.
     pub(crate) fn close(
         &self,
         keys: &KeyFrames,
@@ -223,8 +223,8 @@ fn even_out(known: &[TimedAngle]) -> Vec<TimedAngle> {
     evened
 }
 
-/// The angle at a time, between those that are known or up to `beyond` outside of them; both rise or
-/// fall.
+/// The angle at a time, between those that are known or up to `beyond` outside of them; both rise
+/// or fall.
 fn between(known: &[TimedAngle], time: f64, beyond: f64) -> Option<f64> {
     let i = known.partition_point(|k| k.time <= time).clamp(1, known.len() - 1);
     let (a, b) = (known.get(i - 1)?, known.get(i)?);
@@ -239,7 +239,8 @@ fn closing_relation(angles: &[Option<f64>], sigma: f64) -> Option<Relation> {
     Some(Relation::difference(first, last, angles[last]? - angles[first]?, sigma))
 }
 
-/// What most of the gaps of followed points and of matched pairs say; `None` where they do not agree.
+/// What most of the gaps of followed points and of matched pairs say; `None` where they do not
+/// agree.
 fn agree_on_gap(of_points: &[LoopGap], of_pairs: &[LoopGap]) -> Option<AgreedGap> {
     let all = [of_points, of_pairs].concat();
     let middle = median(all.iter().map(|g| g.missing).collect());

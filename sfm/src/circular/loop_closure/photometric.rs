@@ -1,10 +1,10 @@
-//! Closing a turn by photometric similarity. Camera and lamp stand still, so a whole turn later every
-//! pixel is what it was: of all that a video shows, the first frames alone are as like the last ones
-//! as their neighbours are. How unlike pictures are grows with the angle between them; the angle
-//! across the loop closure is the one at which the pairs across it lie on the same curve as the pairs
-//! on either side. Nothing is followed or matched, so it works on thin and shiny objects too. At
-//! other places of the same video, where nothing is missing, the same search says how exact it is
-//! (decision 0026).
+//! Closing a turn by photometric similarity. Camera and lamp stand still, so a whole turn later
+//! every pixel is what it was: of all that a video shows, the first frames alone are as like the
+//! last ones as their neighbours are. How unlike pictures are grows with the angle between them;
+//! the angle across the loop closure is the one at which the pairs across it lie on the same curve
+//! as the pairs on either side. Nothing is followed or matched, so it works on thin and shiny
+//! objects too. At other places of the same video, where nothing is missing, the same search says
+//! how exact it is (decision 0026).
 
 use super::{COMPARABLE, LEAST};
 use crate::circular::limits::OUTLIER_SIGMAS;
@@ -134,8 +134,8 @@ fn unlike(a: &[f32], b: &[f32]) -> f64 {
     (sum / a.len().max(1) as f64).sqrt()
 }
 
-/// What a search found: by how much the angles say too much, how badly that fits, and whether frames
-/// farther on cannot be compared.
+/// What a search found: by how much the angles say too much, how badly that fits, and whether
+/// frames farther on cannot be compared.
 struct GapEstimate {
     excess: f64,
     misfit: f64,
@@ -263,7 +263,8 @@ mod tests {
 
     const SIZE: (usize, usize) = (64, 40);
 
-    /// `frames` pictures of bright spots on a drum, `step` apart, `lamp` by frame; in a file of the test's own.
+    /// `frames` pictures of bright spots on a drum, `step` apart, `lamp` by frame; in a file of the
+    /// test's own.
     fn film(name: &str, frames: usize, step: f64, lamp: impl Fn(usize) -> f64) -> Film {
         use rand::Rng;
         let mut r = scene::rng::rng(1, name, 0);

@@ -41,7 +41,8 @@ pub(crate) struct LoopClosure {
 }
 
 impl LoopClosure {
-    /// Follows points from the last frames to those that a whole turn later show the same; none where no frame does.
+    /// Follows points from the last frames to those that a whole turn later show the same; none
+    /// where no frame does.
     pub fn follow(
         frames: &FrameSet,
         angles: &[Option<f64>],
