@@ -77,7 +77,7 @@ fn every_command_that_is_shown_is_accepted() {
             let shown = format!("{}: {}", page.display(), command.join(" "));
             assert_eq!(command[0], "sat-recon", "{shown}");
             let argv = sat_recon::config::with_command(command);
-            if let Err(error) = sat_recon::cli::Cli::command().try_get_matches_from(argv) {
+            if let Err(error) = sat_recon::args::Cli::command().try_get_matches_from(argv) {
                 panic!("{shown}: {error}");
             }
             seen += 1;

@@ -1,5 +1,5 @@
 //! The outline, solved once more by what was learnt from simulated shots: a small network sees 7 × 7 pixels
-//! (`tools/train_outline.py`; decision 0027).
+//! (`tools/train_outline.py`; docs/decisions/04).
 
 use super::colour::{Key, coded, levels};
 use super::morphology::{Rect, set_pixels};

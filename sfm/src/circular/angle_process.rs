@@ -15,11 +15,11 @@ const MOST: usize = 100;
 /// Least factor on the angles' covariance that is tried, and how many doublings of it. Errors of
 /// one track in many frames are not independent: outlines and glints slide along. Where there is
 /// little texture, a smaller factor would take the drift of a few tracks for the motion.
-/// Source: decision 0017, on textured objects the angles themselves say 4 to 8.
+/// Source: docs/decisions/10, on textured objects the angles themselves say 4 to 8.
 const EXCESS: (f64, i32) = (8.0, 3);
 /// Frames within such a turn see the same errors, radians: where a step is a smaller share of it
 /// than the least factor says, more frames say no more, and the factor grows with their number.
-/// Source: decision 0019.
+/// Source: docs/decisions/09.
 const SAME_ERRORS: f64 = 0.5;
 /// Motions that are less likely than the best by this (logarithm) are not averaged.
 /// Source: chosen by hand, never measured.
@@ -28,7 +28,7 @@ const UNLIKELY: f64 = 4.0;
 /// Source: chosen by hand, never measured.
 const AVERAGED: usize = 12;
 /// Odds against a steady turn from which on it is not taken for one.
-/// Source: Kass & Raftery 1995, "strong" evidence; decision 0026, turns by hand have odds of
+/// Source: Kass & Raftery 1995, "strong" evidence; docs/decisions/08, turns by hand have odds of
 /// thousands.
 const SLOW_ODDS: f64 = 20.0;
 /// Standard deviation with which the learnt angles are held, radians.

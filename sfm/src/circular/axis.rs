@@ -8,10 +8,10 @@ use scene::decision::{Measurement, Remark};
 
 /// Standard deviation of an elevation that somebody measured (a spirit level, a phone's
 /// inclinometer), radians.
-/// Source: decision 0007, 0.1 degrees is believed.
+/// Source: docs/decisions/08, 0.1 degrees is believed.
 const ELEVATION_SIGMA: f64 = 0.1 * std::f64::consts::PI / 180.0;
 /// It is held to a part of that, for observations of a point err together and say too much.
-/// Source: decision 0007, the observations pulled it by 0.15 degrees.
+/// Source: docs/decisions/08, the observations pulled it by 0.15 degrees.
 const FIRMNESS: f64 = 6.0;
 
 /// How the camera looks down on the plane of the turn, from elsewhere than the turn.

@@ -16,7 +16,7 @@ use scene::decision::{Decision, Measurement, MotionModel, Quantity, Remark, Rule
 
 /// A circle that cameras keep to no better than this holds them no firmer than their observations
 /// do: radians, radii.
-/// Source: decision 0016, a circle kept to 0.6 degrees and 1 % held `fountain_p11` back.
+/// Source: docs/decisions/09, a circle kept to 0.6 degrees and 1 % held `fountain_p11` back.
 const TIGHT: f64 = 0.01;
 /// One axis is not looked at further where it leaves so many times the residuals of free poses.
 /// Source: chosen by hand, never measured.

@@ -4,7 +4,7 @@
 /// Source: the default of `--max-reprojection-px`.
 pub(crate) const INLIER_PX: f64 = 4.0;
 /// Fewest observations that hold a frame or a pair of frames.
-/// Source: decision 0017, an angle is one unknown where a pose has six.
+/// Source: docs/decisions/10, an angle is one unknown where a pose has six.
 pub(crate) const LEAST_OBSERVATIONS: usize = 8;
 /// Share of the images with which a model counts as whole.
 /// Source: chosen by hand, never measured.
@@ -19,7 +19,7 @@ pub(crate) const LEAST_SIGMA: f64 = 1e-4;
 /// Source: chosen by hand, never measured.
 pub(crate) const OUTLIER_SIGMAS: f64 = 6.0;
 /// Most rounds (adjust, filter, triangulate) that end a model.
-/// Source: decision 0018; five and six made thin objects worse (decision 0019).
+/// Source: docs/decisions/08; five and six made thin objects worse (docs/decisions/09).
 pub(crate) const FINAL_ROUNDS: usize = 3;
 
 /// Whether at least half of `all` agree.

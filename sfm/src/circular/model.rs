@@ -23,7 +23,7 @@ const POINTS_PER_IMAGE: usize = 150;
 const ROUGH_POINTS: usize = 50;
 /// Iterations times observations of an adjustment of all points: what is left after three
 /// iterations on many observations is in single points, which settle alone before each.
-/// Source: decision 0018; ten times as much changed nothing.
+/// Source: docs/decisions/08; ten times as much changed nothing.
 const EFFORT: usize = 400_000;
 /// Relative decrease of the cost at which such an adjustment ends.
 /// Source: chosen by hand, never measured.

@@ -9,7 +9,7 @@ use super::problem::Relation;
 use crate::statistics::{MEDIAN_DEVIATION, median};
 
 /// Standard deviation of the change of the rate from one step to the next, as a share of the rate.
-/// Source: decision 0018, "no jumps"; far weaker than a dozen good observations.
+/// Source: docs/decisions/08, "no jumps"; far weaker than a dozen good observations.
 const RATE_CHANGE: f64 = 0.5;
 /// A step is even if it is no farther from the median than this share of it.
 /// Source: chosen by hand, never measured.

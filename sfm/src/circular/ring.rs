@@ -1,6 +1,6 @@
 //! Images that a ring of cameras misses: where the images that stand go round in the order of their
 //! files at an even rate, the places of the others are known but for the ring's small motions, and
-//! few matches are enough to say whether an image is there (decision 0016).
+//! few matches are enough to say whether an image is there (docs/decisions/09).
 
 use super::limits::{FINAL_ROUNDS, LEAST_SIGMA, OUTLIER_SIGMAS, is_majority};
 use super::model::CircularContext;

@@ -17,7 +17,7 @@ use scene::decision::Decision;
 
 /// Points that the images contribute to the choice of the intrinsics, all together; one image at
 /// most a hundredth.
-/// Source: decision 0018, trials start from each other.
+/// Source: docs/decisions/08, trials start from each other.
 const POINTS_TO_CHOOSE: usize = 25_000;
 
 /// A model under the constraint of one axis, and what was learned with it.

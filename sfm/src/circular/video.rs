@@ -194,7 +194,7 @@ impl<'a> VideoData<'a> {
         let input = self.job.input(&self.material);
         let (job, priors) = (self.motion_input(&input), self.priors());
         let ClosedTurn { turn, closure } = closed;
-        // One round less than at the end, which follows (decision 0018).
+        // One round less than at the end, which follows (docs/decisions/08).
         let chosen = ChosenModel::adjust(&job.context(&priors), &job, &self.starts, turn, FINAL_ROUNDS - 1)?;
         Ok(chosen.map(|chosen| JudgedModel { chosen, closure }))
     }

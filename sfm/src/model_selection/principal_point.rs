@@ -8,7 +8,7 @@ use scene::decision::{Decision, Measurement, Quantity, Rule, Subject};
 use scene::{Camera, CameraModel, Progress};
 
 /// A coordinate of it that observations leave less of than this share of its standard deviation beforehand is determined whatever glints add:
-/// what slides over an object errs together, by up to 18 times what single observations say (decision 0028).
+/// what slides over an object errs together, by up to 18 times what single observations say (docs/decisions/11).
 const DETERMINED_SHARE: f64 = 0.02;
 
 /// Whether more observations than [`choose`] had determine a principal point that was held: with both terms of radial distortion, whose

@@ -3,7 +3,7 @@
 //! is a plane a model that is nearly right says how each sees it: from straight above it looks the
 //! same in all, but for noise and for what poses are off by. What most of them show (the median)
 //! has little noise; where its windows lie in one image tells that image's errors, over pixels that
-//! no detector would find a point in (decision 0028).
+//! no detector would find a point in (docs/decisions/11).
 
 pub(crate) mod plane;
 mod sheet;

@@ -14,7 +14,7 @@ const MOST: usize = 1024;
 /// Source: derivation, 160 MB.
 const MOST_OF_ALL: usize = 40_000_000;
 /// Images that see a square so much more narrowly than the sheet shows it (area) leave it out.
-/// Source: decision 0028; a third and a half changed nothing or made it worse.
+/// Source: docs/decisions/11; a third and a half changed nothing or made it worse.
 const NARROW: f64 = 0.1;
 /// Fewest images that a square of the common picture stands on.
 /// Source: chosen by hand, never measured.

@@ -6,13 +6,13 @@ use super::sheet::SheetPicture;
 use glam::{DMat2, DVec2};
 
 /// Half of a window's side less a half, squares.
-/// Source: decision 0028; sides of 19 and 33 squares did as well.
+/// Source: docs/decisions/11; sides of 19 and 33 squares did as well.
 pub(crate) const HALF: usize = 12;
 /// Side of a window, squares.
 /// Source: derivation from [`HALF`].
 const SIDE: usize = 2 * HALF + 1;
 /// Least correlation.
-/// Source: decision 0028; 0.3 was worse.
+/// Source: docs/decisions/11; 0.3 was worse.
 const CORRELATION: f32 = 0.4;
 /// Neighbours show noise in common (pictures are smoothed and interpolated, and JPEG works on
 /// blocks): so many stand for one.

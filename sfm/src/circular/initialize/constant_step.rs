@@ -1,6 +1,6 @@
 //! One motion for a whole ring of photos: where the images go round evenly in the order of their
 //! files, every two neighbours show the same turn, and the matches of all of them together find it
-//! where those of one pair are too few or too often wrong (decision 0019).
+//! where those of one pair are too few or too often wrong (docs/decisions/09).
 
 use super::seed::{AnglePattern, FocalSearch, KeyPair, Seed, at_steps, seeds};
 use crate::SfmError;
@@ -22,7 +22,7 @@ use std::f64::consts::TAU;
 /// Source: chosen by hand, never measured.
 const LEAST_IMAGES: usize = 12;
 /// Neighbours up to so many places on are looked at.
-/// Source: decision 0019.
+/// Source: docs/decisions/09.
 const NEIGHBOURS: usize = 3;
 /// Matches with which the turn is looked for, at most.
 /// Source: chosen by hand, never measured.
@@ -31,10 +31,10 @@ const MATCHES: usize = 2400;
 /// Source: chosen by hand, never measured.
 const PORTIONS: usize = 30;
 /// A match agrees with the turn to so many pixels: a camera that goes round has motions of its own.
-/// Source: decision 0019, 87 to 96 % of the neighbours' matches agree, 9 to 13 % of wrong ones.
+/// Source: docs/decisions/09, 87 to 96 % of the neighbours' matches agree, 9 to 13 % of wrong ones.
 const NEAR_PX: f64 = 6.0;
 /// Share of the matches that agree with the turn, over the share of wrong ones that do.
-/// Source: chosen by hand between the shares of decision 0019, never measured.
+/// Source: chosen by hand between the shares of docs/decisions/09, never measured.
 const LEAST_GAIN: f64 = 0.25;
 /// What cameras that go round by hand or on a gantry are off their circle, as long as it is not
 /// known: radians, radii.
@@ -48,7 +48,7 @@ const ROUNDS: usize = 5;
 const WIDE: f64 = 3.0;
 /// Share of the observations in tracks of three and more that a ring keeps: two views of a point do
 /// not tell the angle between them, three do.
-/// Source: decision 0019: 0.72 to 0.89 of ten rings (0.60 and 0.65 of a turntable in the deepest
+/// Source: docs/decisions/09: 0.72 to 0.89 of ten rings (0.60 and 0.65 of a turntable in the deepest
 /// dark), 0.25 and 0.51 of two sets that were none.
 const KEPT: f64 = 0.62;
 /// A pose that is farther from its place than this is not on the ring: radians, radii.

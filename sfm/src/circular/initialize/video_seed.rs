@@ -13,7 +13,7 @@ use std::cmp::Reverse;
 
 /// Motion between two key frames, as a share of the longer image side; a quarter of it is enough
 /// where tracks do not last until they have moved as far.
-/// Source: decision 0019.
+/// Source: docs/decisions/09.
 const KEY_MOTION: f64 = 0.012;
 
 /// Key frames, `stride` apart from the `first`, and what may be their motion.

@@ -4,7 +4,7 @@
 //! the angle across the loop closure is the one at which the pairs across it lie on the same curve
 //! as the pairs on either side. Nothing is followed or matched, so it works on thin and shiny
 //! objects too. At other places of the same video, where nothing is missing, the same search says
-//! how exact it is (decision 0026).
+//! how exact it is (docs/decisions/10).
 
 use super::{COMPARABLE, LEAST};
 use crate::circular::limits::OUTLIER_SIGMAS;
@@ -26,13 +26,13 @@ const PAIR: f64 = 0.175;
 /// Source: chosen by hand, never measured.
 const SPAN: f64 = 0.26;
 /// Places at which the search is tried where nothing is missing.
-/// Source: decision 0026.
+/// Source: docs/decisions/10.
 const TRIALS: usize = 24;
 /// Largest deviation of the search that is of use, steps; the least that is believed is a tenth.
 /// Source: chosen by hand, never measured.
 const LARGEST: f64 = 0.3;
 /// A loop closure fits at most so many times worse than the median of these places.
-/// Source: decision 0026.
+/// Source: docs/decisions/10.
 const WORSE: f64 = 4.0;
 /// Terms of the curve: noise, slope, bend, turn.
 /// Source: chosen by hand, never measured.

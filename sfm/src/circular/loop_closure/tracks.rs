@@ -1,6 +1,6 @@
 //! The loop closure of a whole turn: the first frames show again what the last ones show, so points
 //! are followed on from the last frame to the first, and say by how much the angles miss the whole
-//! turn (decision 0017).
+//! turn (docs/decisions/10).
 
 use super::{COMPARABLE, LEAST};
 use crate::SfmError;
@@ -16,7 +16,7 @@ use scene::{FrameSet, Progress};
 use std::collections::BTreeMap;
 
 /// Frames on either side.
-/// Source: decision 0017; twelve changed nothing for the better (decision 0019).
+/// Source: docs/decisions/10; twelve changed nothing for the better (docs/decisions/09).
 const SIDE: usize = 6;
 /// Largest reprojection error of a point, pixels, and the least angle between its rays, radians.
 /// Source of the angle: chosen by hand, never measured.

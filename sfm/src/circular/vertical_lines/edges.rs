@@ -6,7 +6,7 @@ use glam::DVec2;
 use scene::{FloatImage, FrameSet};
 
 /// Frames whose mean is looked at: evenly from the video.
-/// Source: decision 0029, 128 instead of 32.
+/// Source: docs/decisions/11, 128 instead of 32.
 const FRAMES: usize = 128;
 /// Least slope of an edge, luma a pixel: a step of one level of 8 bits in two pixels is what coding
 /// leaves of nothing.

@@ -1,4 +1,4 @@
-//! Vertical lines of the room in which an object turns (decision 0029).
+//! Vertical lines of the room in which an object turns (docs/decisions/11).
 //!
 //! A camera that stands still sees the room as it is, and a turn says nothing of that. But where
 //! the axis is plumb, what is vertical in the room (edges of furniture, door frames, stands) is
@@ -35,7 +35,7 @@ const TOGETHER_PX: f64 = 8.0;
 /// Source: chosen by hand, never measured.
 const FAR: f64 = 2.5;
 /// Share of lines that are vertical, before they are looked at.
-/// Source: decision 0029; leaving it unknown gained nothing.
+/// Source: docs/decisions/11; leaving it unknown gained nothing.
 const SHARE: f64 = 0.3;
 /// Of the others most lean by little, for things are set up askew, radians.
 /// Source: chosen by hand, never measured.
@@ -50,13 +50,13 @@ const MOST_LEAN: f64 = 7.0 * PI / 180.0;
 /// Source: chosen by hand, never measured.
 const VAGUE: f64 = 1.5 * PI / 180.0;
 /// Steps between the leans that are tried, radians, a thousand to each side.
-/// Source: chosen by hand, a tenth of the accuracy of decision 0029.
+/// Source: chosen by hand, a tenth of the accuracy of docs/decisions/11.
 const STEP: f64 = 0.01 * PI / 180.0;
 /// Log of the odds, against lines of which none is vertical, at which it is believed.
-/// Source: decision 0029, e² let two rooms in that e⁴ left out.
+/// Source: docs/decisions/11, e² let two rooms in that e⁴ left out.
 const CLEAR: f64 = 2.0;
 /// It is not believed if it leaves more than this, radians.
-/// Source: decision 0029, 0.6 degrees let rooms in that 0.4 left out.
+/// Source: docs/decisions/11, 0.6 degrees let rooms in that 0.4 left out.
 const LOOSE: f64 = 0.6 * PI / 180.0;
 /// Distortions are tried up to five such steps to each side: what the first term changes half an
 /// image side from the centre, as a share.
