@@ -6,6 +6,7 @@ use crate::klt::KltConfig;
 use crate::matching::MatchConfig;
 use crate::pairs::PairConfig;
 use crate::sift::SiftConfig;
+use crate::skip::{self, StepName};
 use crate::two_view::TwoViewConfig;
 use crate::{Calibration, SfmError};
 use scene::{Camera, CameraModel};
@@ -105,6 +106,16 @@ pub struct SfmConfig {
     /// Where keypoints lie in the last adjustment of photos
     #[arg(long, value_enum, default_value_t = KeypointPlaces::Windows, help_heading = "Structure from motion")]
     pub keypoints: KeypointPlaces,
+    /// Steps that are left out.
+    #[arg(
+        long,
+        value_enum,
+        value_delimiter = ',',
+        value_name = "STEPS",
+        help_heading = "Structure from motion",
+        long_help = skip::HELP
+    )]
+    pub skip: Vec<StepName>,
     /// The motion.
     #[command(flatten)]
     pub motion: MotionConfig,

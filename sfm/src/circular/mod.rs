@@ -38,6 +38,7 @@ use crate::incremental::adjust::Adjustment;
 use crate::incremental::finish::noise_of;
 use crate::incremental::state::{MapState, MappingInput};
 use crate::model_selection::camera::{FreeIntrinsics, convert_camera};
+use crate::skip::StepName;
 use crate::{Decision, PoseDeviation, SfmError, Uncertainty};
 use axis::Elevation;
 use evidence::{Comparison, MotionModel};
@@ -131,7 +132,9 @@ impl MotionInput<'_> {
 impl MotionInput<'_> {
     /// Lines of the room, where they are asked how the camera looks down.
     fn edges(&self, turn: &CircularMotion) -> Result<Vec<Segment>, SfmError> {
-        let asked = !self.known[0].fixed && self.config.known_elevation.is_none();
+        let asked = !self.known[0].fixed
+            && self.config.known_elevation.is_none()
+            && !self.input.skips(StepName::VerticalLines);
         self.room.filter(|_| asked).map_or(Ok(Vec::new()), |frames| vertical_lines::room_edges(frames, turn))
     }
 }

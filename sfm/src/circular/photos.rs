@@ -82,7 +82,7 @@ fn triples_of(job: &MotionInput<'_>) -> Vec<([usize; 3], Vec<KeyPair>)> {
     for &(a, b) in pairs.keys() {
         for c in b + 1..job.input.keypoints.len() {
             let weakest = strength(a, b).min(strength(b, c)).min(strength(a, c));
-            if weakest >= job.input.config.min_sightings {
+            if weakest >= job.input.config.min_observations {
                 found.push((weakest, [a, b, c]));
             }
         }
@@ -118,7 +118,7 @@ impl AxisModel {
 
     /// Registers image after image, those that see most of the model first, at the angle that their observations agree on.
     fn grow_photos(&mut self, context: &CircularContext<'_>) -> Result<(), SfmError> {
-        let least = context.input.config.min_sightings;
+        let least = context.input.config.min_observations;
         let images = context.input.keypoints.len();
         let mut tried = vec![0usize; images];
         let mut since = 0usize;

@@ -137,7 +137,7 @@ impl AxisModel {
             let expected = rate * (times[frame] - times[last]);
             let expected = if expected.is_finite() { expected } else { 0.0 };
             let seen = observed_points(self, context, frame);
-            let least = context.input.config.min_sightings.min(LEAST_OBSERVATIONS);
+            let least = context.input.config.min_observations.min(LEAST_OBSERVATIONS);
             let start = angle(last) + expected;
             if seen.len() < least {
                 if placed_weakly < MOST_WEAK {

@@ -138,6 +138,7 @@ impl VideoJob<'_> {
             geometries: &[],
             config: &self.config.mapper,
             may_be_rotated: false,
+            skip: &self.config.skip,
             seed: self.config.seed,
         }
     }

@@ -6,10 +6,9 @@ pub(crate) mod rotations;
 
 use crate::bundle::RobustLoss;
 use crate::incremental::adjust::{Adjustment, adjust};
-use crate::incremental::growth::{freedom, grow, settle};
+use crate::incremental::growth::{expel, freedom, grow, settle, starts_of};
 use crate::incremental::initial::relative_pose;
 use crate::incremental::state::{MapState, MappingInput};
-use crate::incremental::{expel, starts_of};
 use crate::{Knowledge, SfmError};
 use glam::DQuat;
 use rayon::prelude::*;
@@ -96,7 +95,7 @@ fn tighten(
         state.filter(input, limit);
         state.grow_all(input);
     }
-    let blind = |image: &usize| state.observations(*image) < input.config.min_sightings;
+    let blind = |image: &usize| state.observations(*image) < input.config.min_observations;
     let blind: Vec<usize> = state.order.iter().copied().filter(blind).collect();
     blind.into_iter().for_each(|image| state.unregister(image));
     Ok(())

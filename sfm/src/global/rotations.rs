@@ -4,6 +4,7 @@
 //! system solved again and again with weights that let wrong pairs go: first 1/|ω| (least absolute deviations), then
 //! Geman and McClure's. Chatterjee & Govindu, "Efficient and Robust Large-Scale Rotation Averaging", ICCV 2013.
 
+use crate::disjoint_sets::DisjointSets;
 use glam::{DQuat, DVec3};
 
 /// A pair and the rotation between its images.
@@ -72,19 +73,16 @@ pub(crate) fn residual(rotations: &[Option<DQuat>], e: &RotationEdge) -> Option<
 fn along_tree(images: usize, edges: &[RotationEdge]) -> Vec<Option<DQuat>> {
     let mut order: Vec<usize> = (0..edges.len()).collect();
     order.sort_by(|&i, &k| edges[k].weight.total_cmp(&edges[i].weight).then(i.cmp(&k)));
-    let mut part: Vec<usize> = (0..images).collect();
+    let mut parts = DisjointSets::new(images);
     let mut neighbours: Vec<Vec<(usize, DQuat)>> = vec![Vec::new(); images];
     for i in order {
         let e = &edges[i];
-        let (a, b) = (find(&mut part, e.a), find(&mut part, e.b));
-        if a != b {
-            part[a.max(b)] = a.min(b);
+        if parts.join(e.a, e.b) {
             neighbours[e.a].push((e.b, e.b_from_a));
             neighbours[e.b].push((e.a, e.b_from_a.inverse()));
         }
     }
-    let mut sizes = vec![0usize; images];
-    (0..images).for_each(|i| sizes[find(&mut part, i)] += 1);
+    let sizes = parts.sizes();
     let mut rotations = vec![None; images];
     let largest = (0..images).max_by_key(|&i| (sizes[i], std::cmp::Reverse(i)));
     let Some(root) = largest.filter(|&i| sizes[i] > 1) else { return rotations };
@@ -100,14 +98,6 @@ fn along_tree(images: usize, edges: &[RotationEdge]) -> Vec<Option<DQuat>> {
         }
     }
     rotations
-}
-
-fn find(part: &mut [usize], mut i: usize) -> usize {
-    while part[i] != i {
-        part[i] = part[part[i]];
-        i = part[i];
-    }
-    i
 }
 
 /// Turns with the least `Σ w |ω − (turn_b − turn_a)|²`, that of `root` being 0: conjugate gradients on the graph's

@@ -32,7 +32,7 @@ pub(crate) struct CameraVerdict {
     pub adjusted: Selected,
 }
 
-/// Decides on the camera model of a model that has been adjusted.
+/// Decides on the camera model of a model that has been adjusted, and on which of its images were rotated.
 pub(crate) fn decide(
     state: &MapState,
     input: &MappingInput<'_>,
@@ -44,38 +44,50 @@ pub(crate) fn decide(
     let (free, priors) = freedom(&state.cameras, known, starts, state.registered_count());
     let mut what = Adjustment::growing(free, priors);
     what.points_per_image = Some(part_of(state, OBSERVATIONS));
-    let Selected { problem, images, points } = select(state, input, &what);
-    let sigma = noise_in_units(&problem);
-    let choice = choose(&problem, known, named, false, sigma, progress)?;
-    let verdict = |choice: CameraChoice, rotated, mut decisions: Vec<Decision>| {
-        decisions.push(choice.decision);
-        let adjusted = Selected { problem: choice.problem, images: images.clone(), points: points.clone() };
-        CameraVerdict { intrinsics: choice.intrinsics, rotated, decisions, adjusted }
-    };
+    let part = select(state, input, &what);
+    let sigma = noise_in_units(&part.problem);
+    let choice = choose(&part.problem, known, named, false, sigma, progress)?;
     if !input.may_be_rotated {
-        return Ok(verdict(choice, None, Vec::new()));
+        return Ok(CameraVerdict::new(choice, part, None, Vec::new()));
     }
     let together = group_size(state.registered_count()).max(1);
-    let more =
-        Adjustment { points_per_image: Some((OBSERVATIONS_ROTATED / together).clamp(50, 1000)), ..what };
-    let suspects = suspects(&select(state, input, &more).problem, known, progress)?;
-    if suspects.is_empty() {
-        return Ok(verdict(choice, None, Vec::new()));
-    }
-    let ways: Vec<_> = suspects.iter().map(|s| rotate_problem(&problem, s)).collect();
+    what.points_per_image = Some((OBSERVATIONS_ROTATED / together).clamp(50, 1000));
+    let suspects = suspects(&select(state, input, &what).problem, known, progress)?;
+    let Some(likeliest) = suspects.first() else {
+        return Ok(CameraVerdict::new(choice, part, None, Vec::new()));
+    };
+    let ways: Vec<_> = suspects.iter().map(|s| rotate_problem(&part.problem, s)).collect();
     let (better, evidence) = choose_rotated(&choice, &ways, known, named, sigma, progress)?;
-    let count = |way: usize| suspects[way].iter().filter(|t| **t).count();
     let mut decision = Decision {
         what: "images rotated by 180°".to_owned(),
-        chosen: format!("0 of {}", images.len()),
-        evidence: format!("the principal points of {} images might be mirrored: {evidence}", count(0)),
+        chosen: format!("0 of {}", part.images.len()),
+        evidence: format!(
+            "the principal points of {} images might be mirrored: {evidence}",
+            likeliest.iter().filter(|t| **t).count()
+        ),
     };
-    let Some((way, better)) = better else { return Ok(verdict(choice, None, vec![decision])) };
-    decision.chosen = format!("{} of {}", count(way), images.len());
+    let Some((way, better)) = better else {
+        return Ok(CameraVerdict::new(choice, part, None, vec![decision]));
+    };
+    let mirrored = &suspects[way];
+    decision.chosen = format!("{} of {}", mirrored.iter().filter(|t| **t).count(), part.images.len());
     decision.evidence = format!("their principal points are mirrored: {evidence}");
     let mut rotated = vec![false; input.keypoints.len()];
-    images.iter().zip(&suspects[way]).for_each(|(&image, &t)| rotated[image] = t);
-    Ok(verdict(better, Some(rotated), vec![decision]))
+    part.images.iter().zip(mirrored).for_each(|(&image, &t)| rotated[image] = t);
+    Ok(CameraVerdict::new(better, part, Some(rotated), vec![decision]))
+}
+
+impl CameraVerdict {
+    fn new(
+        choice: CameraChoice,
+        part: Selected,
+        rotated: Option<Vec<bool>>,
+        mut decisions: Vec<Decision>,
+    ) -> Self {
+        decisions.push(choice.decision);
+        let adjusted = Selected { problem: choice.problem, ..part };
+        Self { intrinsics: choice.intrinsics, rotated, decisions, adjusted }
+    }
 }
 
 /// Points an image contributes where a part of them is enough.
@@ -97,19 +109,11 @@ pub(crate) fn free_principal_point(
     principal_point::free_principal_point(&problem, known, (now, named), noise_in_units(&problem), progress)
 }
 
-/// Takes over the adjusted part, then triangulates, adjusts to convergence and filters with the chosen intrinsics.
-pub(crate) fn polish(
-    state: &mut MapState,
-    input: &MappingInput<'_>,
-    known: &[Knowledge],
-    starts: &[Camera],
-    verdict: &CameraVerdict,
-    progress: &Progress,
-) -> Result<(), SfmError> {
-    take(state, &verdict.adjusted);
+/// Takes over the part of a model that was adjusted with what was decided, and drops what does not fit it.
+pub(crate) fn take_decided(state: &mut MapState, input: &MappingInput<'_>, adjusted: &Selected) {
+    take(state, adjusted);
     state.refine_points(input, |_| false);
-    trim(state, input, &verdict.adjusted.problem);
-    converge(state, input, known, starts, verdict.intrinsics, progress)
+    trim(state, input, &adjusted.problem);
 }
 
 /// Triangulates, adjusts and filters until little changes.

@@ -3,8 +3,9 @@
 use super::adjust::{Adjustment, adjust, plausible};
 use super::resection::{Resection, next_images, resect};
 use super::state::{MapState, MappingInput};
-use super::structureless_resection::resect_structureless;
+use super::structureless_resection::{consistency, resect_structureless};
 use crate::bundle::{IntrinsicsPrior, free_parameters};
+use crate::skip::StepName;
 use crate::tracks::NONE;
 use crate::{Knowledge, SfmError};
 use scene::{Camera, Progress};
@@ -19,6 +20,16 @@ const IMAGES_FOR_LOCAL: usize = 60;
 const LOCAL_IMAGES: usize = 8;
 /// Points an image contributes to an adjustment while the model grows.
 const POINTS_PER_IMAGE: usize = 60;
+
+/// Share of an image's verified matches that must agree with its pose.
+const MIN_CONSISTENT: f64 = 0.3;
+/// What priors and repairs refer to: the start's intrinsics where they were known, the small model's where not.
+pub(crate) fn starts_of(cameras: &[Camera], known: &[Knowledge], state: &MapState) -> Vec<Camera> {
+    let start = |i: usize| {
+        if known[i].focal_sigma.is_some() || known[i].fixed { &cameras[i] } else { &state.cameras[i] }
+    };
+    (0..cameras.len()).map(|i| start(i).clone()).collect()
+}
 
 /// Which intrinsics are free with `images` images in the model, and what holds them.
 pub(crate) fn freedom(
@@ -77,6 +88,9 @@ pub(crate) fn grow(
             resect(state, input, image, search).map(|r| (image, r))
         });
         let next = next.or_else(|| {
+            if input.skips(StepName::StructurelessResection) {
+                return None;
+            }
             let (image, pose) = resect_structureless(state, input, &structureless)?;
             structureless[image] = true;
             Some((image, Resection { pose, focal: None }))
@@ -123,7 +137,7 @@ pub(crate) fn grow(
             Some(moved) => state.filter_seen_by(input, input.config.max_reprojection_px, moved),
             None => state.filter(input, input.config.max_reprojection_px),
         };
-        if state.observations(image) < input.config.min_sightings {
+        if state.observations(image) < input.config.min_observations {
             state.unregister(image);
         } else {
             progress.tick_with(&format!("{images} images"))?;
@@ -154,6 +168,17 @@ pub(crate) fn settle(
         }
     }
     Ok(())
+}
+
+/// Takes out images whose pose most of their verified matches contradict, or that see too little.
+pub(crate) fn expel(state: &mut MapState, input: &MappingInput<'_>) {
+    let doubtful = |image: &usize| {
+        let (agreeing, all) = consistency(state, input, *image);
+        let few = state.observations(*image) < input.config.min_observations;
+        few || (all >= 2 * input.config.min_observations && (agreeing as f64) < MIN_CONSISTENT * all as f64)
+    };
+    let wrong: Vec<usize> = state.order.iter().copied().filter(doubtful).collect();
+    wrong.into_iter().for_each(|image| state.unregister(image));
 }
 
 /// Puts intrinsics that ran away back to their start.

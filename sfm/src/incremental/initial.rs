@@ -43,13 +43,13 @@ pub(crate) fn start(
     state.register(a, Pose::IDENTITY);
     state.register(b, pose);
     state.grow_image(input, a);
-    if state.live().count() < input.config.min_sightings {
+    if state.live().count() < input.config.min_observations {
         return Ok(None);
     }
     let fixed = cameras.iter().map(|c| vec![false; c.params.len()]).collect();
     adjust(&mut state, input, &Adjustment::growing(fixed, Vec::new()), progress)?;
     state.filter(input, input.config.max_reprojection_px);
-    Ok((state.live().count() >= input.config.min_sightings).then_some(state))
+    Ok((state.live().count() >= input.config.min_observations).then_some(state))
 }
 
 /// `b_from_a` with unit translation from the pair's fundamental matrix (else its essential matrix or its pose) and the

@@ -1,9 +1,8 @@
 //! Two models of parts of a scene become one where they share points (and so, images): the similarity between them is
 //! found robustly from points of the same tracks and checked in the images of both.
 
-use super::growth::{grow, settle};
+use super::growth::{expel, grow, settle, starts_of};
 use super::state::{MapState, MappingInput};
-use super::{expel, starts_of};
 use crate::ransac::{Estimator, RansacConfig, ransac};
 use crate::triangulation::PointView;
 use crate::{Knowledge, SfmError};
@@ -179,6 +178,7 @@ mod tests {
                 geometries: &self.geometries,
                 config: &self.config,
                 may_be_rotated: false,
+                skip: &[],
                 seed: 0,
             }
         }

@@ -48,7 +48,7 @@ pub(crate) fn next_images(state: &MapState, input: &MappingInput<'_>) -> Vec<(us
     let mut ranked: Vec<(usize, usize, usize)> = Vec::new();
     for image in (0..state.poses.len()).filter(|&i| state.poses[i].is_none()) {
         let seen = visible(state, input, image);
-        if seen.len() < input.config.min_sightings {
+        if seen.len() < input.config.min_observations {
             continue;
         }
         let pixels = seen.iter().map(|(f, _)| input.keypoints[image][*f as usize]);
@@ -80,7 +80,7 @@ pub(crate) fn resect(
     let camera = &state.cameras[input.camera_of[image]];
     let config = RansacConfig {
         threshold: 2.0 * input.config.max_reprojection_px,
-        min_inliers: input.config.min_sightings.max(6),
+        min_inliers: input.config.min_observations.max(6),
         max_iterations: 3000,
         seed: input.seed,
         ..RansacConfig::default()
@@ -97,7 +97,7 @@ pub(crate) fn resect(
         }
     }
     let (_, inliers, pose, camera) = best?;
-    if (inliers.len() as f64) < input.config.min_sighting_ratio * seen.len() as f64 {
+    if (inliers.len() as f64) < input.config.min_observation_ratio * seen.len() as f64 {
         return None;
     }
     if !search_focal {

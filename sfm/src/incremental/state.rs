@@ -1,6 +1,7 @@
 //! The growing model: poses, points and who sees what.
 
-use super::MapperConfig;
+use super::config::MapperConfig;
+use crate::skip::StepName;
 use crate::tracks::{NONE, Tracks};
 use crate::triangulation::{Gates, PointView, refine_point, triangulate, widest_angle};
 use glam::{DVec2, DVec3};
@@ -23,8 +24,17 @@ pub(crate) struct MappingInput<'a> {
     pub config: &'a MapperConfig,
     /// Whether images may have been rotated on their way (photos, not the frames of a video).
     pub may_be_rotated: bool,
+    /// Steps, and parts of them, that are left out.
+    pub skip: &'a [StepName],
     /// Seed of all randomness.
     pub seed: u64,
+}
+
+impl MappingInput<'_> {
+    /// Whether a step or a part of one is left out.
+    pub fn skips(&self, step: StepName) -> bool {
+        self.skip.contains(&step)
+    }
 }
 
 /// A point of the growing model.
@@ -39,7 +49,7 @@ pub(crate) struct MapPoint {
 }
 
 /// The growing model.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Default)]
 pub(crate) struct MapState {
     /// Intrinsics, by camera index.
     pub cameras: Vec<Camera>,
@@ -296,6 +306,12 @@ impl MapState {
             p.views.iter().map(|v| self.error_sq(input, *v, p.position).sqrt()).collect()
         };
         self.live().flat_map(|(_, p)| of_point(p)).collect()
+    }
+
+    /// `Σ max(0, 1 − e²/T²)` over all observations, `T` the largest error of one that is kept.
+    pub fn agreement(&self, input: &MappingInput<'_>) -> f64 {
+        let limit = input.config.max_reprojection_px;
+        self.errors(input).iter().map(|e| (1.0 - (e / limit).powi(2)).max(0.0)).sum()
     }
 
     /// How many observations of points an image has.

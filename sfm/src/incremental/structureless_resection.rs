@@ -12,7 +12,7 @@ use scene::{Pose, TwoViewGeometry};
 /// Pairs of an image that give hypotheses.
 const PAIRS: usize = 4;
 /// Matches of a pair that are compared.
-const MATCHES: usize = 200;
+pub(crate) const MATCHES: usize = 200;
 /// Fewest points that settle the distance.
 const MIN_POINTS: usize = 4;
 /// Fewest points that settle it by agreeing on it among themselves, and how far they may be from their median.
@@ -91,7 +91,7 @@ pub(crate) fn consistency(state: &MapState, input: &MappingInput<'_>, image: usi
     if !input.may_be_rotated {
         let near = |l: &Link<'_>| l.geometry.a.abs_diff(l.geometry.b) <= NEAR_IN_TIME;
         let matches: usize = links.iter().filter(|l| near(l)).map(|l| l.matches.len()).sum();
-        if matches >= 2 * input.config.min_sightings {
+        if matches >= 2 * input.config.min_observations {
             links.retain(near);
         }
     }

@@ -3,26 +3,29 @@
 //! in: frames and a model whose images bear their names · out: the same cameras and poses, with observations and points.
 //! Nothing is adjusted: what does not agree with the poses becomes no point.
 
-use super::SolvedModel;
 use super::export::{colour, convert};
 use super::steps::densify::{WIDEST, line_between, merge_geometry, undistort_features};
 use crate::incremental::state::{MapState, MappingInput};
 use crate::matching::{PreparedFeatures, guided_match_prepared};
 use crate::tracks::{build_tracks, positions};
 use crate::triangulation::angle_between;
-use crate::{SfmConfig, SfmError, SfmResult, sift};
+use crate::{SfmConfig, SfmError, sift};
 use glam::{DVec2, DVec3};
 use rayon::prelude::*;
 use scene::{Camera, Features, Frame, FrameSet, Pose, Progress, Reconstruction, TwoViewGeometry};
 use std::collections::{BTreeMap, BTreeSet};
 
-/// An image is matched with so many nearest ones, and with the one nearest to each of these angles (degrees) from it: with
-/// neighbours alone a video has no baselines.
+/// An image is matched with so many nearest ones.
+/// Source: chosen by hand, never measured.
 const NEAREST: usize = 5;
+/// And with the one nearest to each of these angles from it, degrees: with neighbours alone a video has no baselines.
+/// Source: chosen by hand, never measured.
 const FARTHER_DEG: [f64; 5] = [6.0, 10.0, 15.0, 22.0, 30.0];
 /// Farthest that a match may be from the line that the poses give, pixels.
+/// Source: chosen by hand, never measured.
 const BAND_PX: f64 = 2.0;
-/// Matches of a pair that are not yet chance.
+/// Fewest matches of a pair.
+/// Source: the matches that determine a fundamental matrix linearly (Longuet-Higgins 1981).
 const LEAST_MATCHES: usize = 8;
 
 /// The model with points; without any where the images share none, or are fewer than two.
@@ -58,6 +61,7 @@ pub fn triangulate_given(
         geometries: &geometries,
         config: &config.mapper,
         may_be_rotated: false,
+        skip: &config.skip,
         seed: config.seed,
     };
     let mut state = MapState::new(&input, cameras.clone());
@@ -67,11 +71,9 @@ pub fn triangulate_given(
         state.refine_points(&input, |_| false);
         state.filter(&input, config.mapper.max_reprojection_px);
     }
-    let solved = SolvedModel { state, camera_of, keypoints, decisions: Vec::new(), uncertainty: None };
-    let reconstruction = Some(convert(&solved, &frames));
-    let mut result = SfmResult { reconstruction, ..SfmResult::default() };
-    colour(&mut result, &frames, progress)?;
-    Ok(result.reconstruction.map_or_else(|| model.clone(), |found| renumber(found, &image_of)))
+    let mut found = convert(&state, &camera_of, &keypoints, &frames.frames);
+    colour(&mut found, &frames, progress)?;
+    Ok(renumber(found, &image_of))
 }
 
 /// Pairs of images that may share points, lower index first.

@@ -99,6 +99,7 @@ impl RefinementScene {
             geometries: &[],
             config: &config,
             may_be_rotated: true,
+            skip: &[],
             seed: 0,
         };
         let mut state = MapState::new(&input, vec![self.camera.clone()]);

@@ -10,6 +10,7 @@ use crate::circular::problem::Relation;
 use crate::circular::register::resect_angle;
 use crate::circular::video::VideoJob;
 use crate::klt::KltTrack;
+use crate::skip::StepName;
 use crate::statistics::median;
 use scene::{Camera, TwoViewGeometry};
 use std::f64::consts::TAU;
@@ -103,6 +104,9 @@ impl VideoJob<'_> {
 
     /// What the pictures of all frames of the video say of a whole turn, given the angles of the chosen ones.
     fn photometric_closure(&self, angles: &[Option<f64>]) -> Option<PhotometricClosure> {
+        if self.config.skip.contains(&StepName::PhotometricClosure) {
+            return None;
+        }
         let film = self.frames.film.as_ref()?;
         let known: Vec<(f64, f64)> =
             self.frames.frames.iter().zip(angles).filter_map(|(f, a)| Some((f.time_s?, (*a)?))).collect();

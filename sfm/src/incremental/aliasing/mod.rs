@@ -9,7 +9,7 @@
 use super::initial::relative_pose;
 use super::state::{MapState, MappingInput};
 use super::structureless_resection::agreement;
-use crate::Decision;
+use crate::disjoint_sets::DisjointSets;
 use glam::{DQuat, DVec3};
 use scene::TwoViewGeometry;
 
@@ -21,8 +21,6 @@ const CONTRADICTED_DEG: f64 = 15.0;
 const DRIFT_DEG: f64 = 35.0;
 /// Share of a pair's matches below which the model does not agree with it.
 const MIN_AGREEING: f64 = 0.4;
-/// How many more of the trusted matches another model must agree with to be taken.
-const BETTER: f64 = 1.02;
 /// Sweeps of the averaging; it takes about the square of the longest chain.
 const SWEEPS: usize = 600;
 
@@ -68,52 +66,10 @@ fn keep_consistent(tree: &[PairRotation], edges: &[PairRotation], images: usize)
     near(&rotations, CONTRADICTED_DEG.to_radians())
 }
 
-/// Whether `model` bears out more of the pairs than `other`, and has about as many images.
-pub(crate) fn is_better(
-    model: &MapState,
-    other: &MapState,
-    input: &MappingInput<'_>,
-    is_video: bool,
-) -> bool {
-    let (now, before) = (count_agreeing(model, input, is_video), count_agreeing(other, input, is_video));
-    let shares = if is_video { (now.0, before.0) } else { (now.1, before.1) };
-    model.registered_count() * 10 >= other.registered_count() * 9
-        && shares.0 as f64 > BETTER * shares.1 as f64
-}
-
-/// What was found, for the report.
-pub(crate) fn decision(
-    model: &MapState,
-    aliased: &MapState,
-    input: &MappingInput<'_>,
-    kept: usize,
-    is_video: bool,
-) -> Decision {
-    let (now, before) = (count_agreeing(model, input, is_video), count_agreeing(aliased, input, is_video));
-    let shown = |s: (usize, usize)| if is_video { s.0 } else { s.1 };
-    Decision {
-        what: "repeated structure".to_owned(),
-        chosen: format!("{} image pairs set aside", input.geometries.len() - kept),
-        evidence: format!(
-            "with them the model is aliased: it contradicts trusted pairs ({} of their matches agree with it, {} without \
-             the pairs that were set aside)",
-            shown(before),
-            shown(now)
-        ),
-    }
-}
-
-/// Matches that agree with a model: of neighbours in time, and of all pairs.
-fn count_agreeing(state: &MapState, input: &MappingInput<'_>, is_video: bool) -> (usize, usize) {
-    let mut sums = (0, 0);
-    for g in input.geometries {
-        let Some((agreeing, _)) = agreement(state, input, g) else { continue };
-        sums.1 += agreeing;
-        if is_video && g.a.abs_diff(g.b) <= NEIGHBOURS {
-            sums.0 += agreeing;
-        }
-    }
-    sums
+/// Matches that agree with a model: of all pairs; of a video, of neighbours in time.
+pub(crate) fn count_agreeing(state: &MapState, input: &MappingInput<'_>, is_video: bool) -> usize {
+    let trusted = input.geometries.iter().filter(|g| !is_video || g.a.abs_diff(g.b) <= NEIGHBOURS);
+    trusted.filter_map(|g| agreement(state, input, g)).map(|(agreeing, _)| agreeing).sum()
 }
 
 /// Geometries by trust: in a video neighbours in time first; then by the number of matches.
@@ -136,23 +92,15 @@ fn edge(state: &MapState, input: &MappingInput<'_>, geometry: usize) -> Option<P
 
 /// Kruskal's tree of the most trusted pairs.
 fn spanning_tree(input: &MappingInput<'_>, state: &MapState, ranked: &[usize]) -> Vec<PairRotation> {
-    let mut root: Vec<usize> = (0..input.keypoints.len()).collect();
-    fn find(root: &mut [usize], mut i: usize) -> usize {
-        while root[i] != i {
-            root[i] = root[root[i]];
-            i = root[i];
-        }
-        i
-    }
+    let mut parts = DisjointSets::new(input.keypoints.len());
     let mut tree = Vec::new();
     for &g in ranked {
         let (a, b) = (input.geometries[g].a, input.geometries[g].b);
-        let (ra, rb) = (find(&mut root, a), find(&mut root, b));
-        if ra == rb {
+        if parts.find(a) == parts.find(b) {
             continue;
         }
         if let Some(edge) = edge(state, input, g) {
-            root[ra] = rb;
+            parts.join(a, b);
             tree.push(edge);
         }
     }

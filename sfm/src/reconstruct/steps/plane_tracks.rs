@@ -1,144 +1,178 @@
-//! Whether a model is better for observations of a supporting plane (see [`crate::plane_tracks`]).
+//! Observations of a supporting plane (see [`crate::plane_tracks`]), where images are weakly constrained and the model is no
+//! worse for them.
 
 use crate::incremental::finish::{free_principal_point, noise_of};
 use crate::incremental::state::{MapState, MappingInput};
-use crate::model_selection::camera::FreeIntrinsics;
 use crate::plane_tracks::plane::widest;
 use crate::plane_tracks::{PlanePoint, find_plane_tracks};
-use crate::reconstruct::StepContext;
+use crate::reconstruct::accept::{Change, Support, accept};
+use crate::reconstruct::context::StepContext;
+use crate::reconstruct::model::{Model, StepResult};
 use crate::statistics::median;
 use crate::tracks::{NONE, Tracks};
 use crate::{Decision, SfmError};
 use glam::{DVec2, DVec3};
-use scene::{Camera, FrameSet, Progress};
+use scene::FrameSet;
 
-/// An image with fewer observations than this is weakly held, and so many of the images have to be (share).
+/// An image with fewer observations than this is weakly constrained.
+/// Source: docs/decisions/0028.
 const FEW: usize = 200;
+/// Share of the images that must be so.
+/// Source: docs/decisions/0028.
 const WEAK: f64 = 0.1;
 /// The plane is looked at up to so often, each time from better poses: how far windows are looked for, squares.
+/// Source: docs/decisions/0028 (three to ten rounds are taken; three alone cost case 1 0.18° for 0.10°).
 const FARTHEST: [usize; 16] = [10, 6, 4, 4, 3, 3, 3, 3, 3, 3, 3, 3, 3, 3, 3, 3];
-/// Until what it shows is off by hardly less than the time before.
+/// Until what it shows is off by hardly less than the time before, as a share.
+/// Source: chosen by hand, never measured.
 const LESS: f64 = 0.995;
 /// What is known to show nothing is left out the next time, but for a margin, as a share of the reach.
+/// Source: chosen by hand, never measured.
 const MARGIN: f64 = 0.1;
-/// Standard deviation of its observations, as a share of what residuals say: those of features err together, and by twice as much as
-/// residuals show at least (`single_axis/smoothness.rs`), while what all images show in common errs with none of them.
+/// Standard deviation of its observations, as a share of what residuals say: those of features err together, and by twice as
+/// much as residuals show at least, while what all images show in common errs with none of them.
+/// Source: docs/decisions/0007 (variances are too small by 2 to 6).
 const TRUST: f64 = 0.5;
 /// Share of the plane's observations that the adjusted model must keep.
+/// Source: docs/decisions/0028.
 const KEPT: f64 = 0.6;
-/// Share of the others that it must keep, and by how much their median error may grow.
-const OTHERS_KEPT: f64 = 0.9;
-const GROWN: f64 = 1.1;
 /// The median length of an error of two normal coordinates, in standard deviations.
+/// Source: the median of the Rayleigh distribution, `√(2 ln 2)`.
 const MEDIAN_LENGTH: f64 = 1.1774;
 
 /// Keypoints, their standard deviations and tracks, those of the plane behind the others.
-pub(crate) struct PlaneTracks {
-    pub keypoints: Vec<Vec<DVec2>>,
-    pub sigmas: Vec<Vec<f32>>,
-    pub tracks: Tracks,
+struct PlaneTracks {
+    keypoints: Vec<Vec<DVec2>>,
+    sigmas: Vec<Vec<f32>>,
+    tracks: Tracks,
 }
 
-/// A model with observations of the plane, and what is solved for of its cameras.
-pub(crate) struct PlaneTracksModel {
-    pub plane_tracks: PlaneTracks,
-    pub state: MapState,
-    pub intrinsics: FreeIntrinsics,
+/// A model with observations of a plane, and how it came about.
+struct PlaneRounds {
+    plane_tracks: PlaneTracks,
+    state: MapState,
+    observations: usize,
+    places: usize,
+    /// Median distances of the observations from where the model had them, pixels, a round each.
+    off: Vec<f64>,
 }
 
-/// The model with observations of the plane, where they are of use (see [`try_plane_tracks`]); its principal point, where all observations together
-/// determine it. `settled` adjusts a model with given intrinsics; those of `cameras` are chosen already.
-pub(crate) fn add_plane_tracks(
-    given: &StepContext<'_>,
-    (state, input): (&MapState, &MappingInput<'_>),
-    rotated: &[bool],
-    (starts, intrinsics): (&[Camera], FreeIntrinsics),
-    settled: impl Fn(MapState, &MappingInput<'_>, FreeIntrinsics) -> Result<MapState, SfmError>,
-    progress: &Progress,
-) -> Result<(Option<PlaneTracksModel>, Vec<Decision>), SfmError> {
-    let settle = |state: MapState, input: &MappingInput<'_>| settled(state, input, intrinsics);
-    let (found, decision) = try_plane_tracks(given.images, (state, input), rotated, settle, progress)?;
-    let mut decisions: Vec<Decision> = decision.into_iter().collect();
-    let Some((plane_tracks, mut state)) = found else { return Ok((None, decisions)) };
-    let (with, before) = (plane_tracks.input(input), (intrinsics, given.config.camera_model.model()));
-    let Some((free, evidence)) =
-        free_principal_point(&state, &with, &given.setup.known, starts, before, progress)?
-    else {
-        return Ok((Some(PlaneTracksModel { plane_tracks, state, intrinsics }), decisions));
-    };
-    state = settled(state, &with, free)?;
-    let what = "camera model with plane tracks".to_owned();
-    decisions.push(Decision { what, chosen: free.describe(), evidence });
-    Ok((Some(PlaneTracksModel { plane_tracks, state, intrinsics: free }), decisions))
-}
-
-/// The model with observations of the plane, where images are weakly held, there is such a plane, and the model is no worse for the
-/// points it has. `images`: where they may be read. `settle` adjusts a model. The decision says what was found; there is none where nothing was asked.
-fn try_plane_tracks(
-    images: Option<&FrameSet>,
-    (state, input): (&MapState, &MappingInput<'_>),
-    rotated: &[bool],
-    settle: impl Fn(MapState, &MappingInput<'_>) -> Result<MapState, SfmError>,
-    progress: &Progress,
-) -> Result<(Option<(PlaneTracks, MapState)>, Option<Decision>), SfmError> {
-    let weak = state.order.iter().filter(|&&i| state.observations(i) < FEW).count();
+/// Adds them, and frees the principal point where all observations together determine it.
+pub(super) fn run(mut model: Model, context: &StepContext<'_>) -> StepResult {
+    let weak = model.state.order.iter().filter(|&&i| model.state.observations(i) < FEW).count();
     // What masks leave out may stand still while the object turns.
-    let whole = images.filter(|images| images.frames.iter().all(|f| f.mask.is_none()));
-    let Some(frames) = whole.filter(|_| weak as f64 >= WEAK * state.registered_count() as f64) else {
-        return Ok((None, None));
+    let whole = context.images().filter(|images| images.frames.iter().all(|f| f.mask.is_none()));
+    let is_weak = weak as f64 >= WEAK * model.state.registered_count() as f64;
+    let Some(frames) = whole.filter(|_| is_weak) else { return Ok((model, Vec::new())) };
+    let found = match add_plane(&model, frames, context)? {
+        Ok(found) => found,
+        Err(why) => return Ok((model, vec![decision("not used", why)])),
     };
-    let decision = |chosen: &str, evidence: String| {
-        Some(Decision { what: "plane tracks".to_owned(), chosen: chosen.to_owned(), evidence })
+    let input = model.input(context);
+    let (before, after) = (fit(&model.state, &input), fit(&found.without_plane(&input), &input));
+    let taken = accept(Change::PlaneTracks, &before, &after);
+    let evidence = found.describe(weak, &model.state, [before, after]);
+    if !taken {
+        return Ok((model, vec![decision("not used", evidence)]));
+    }
+    let mut decisions = vec![decision("used", evidence)];
+    let PlaneRounds { plane_tracks, mut state, .. } = found;
+    let with = plane_tracks.input(&input);
+    let now = (model.intrinsics, context.config.camera_model.model());
+    let (known, starts) = (&model.setup.known, &model.starts);
+    let freed = free_principal_point(&state, &with, known, starts, now, context.progress)?;
+    if let Some((free, evidence)) = freed {
+        state = model.settle(state, &with, free, context)?;
+        let what = "camera model with plane tracks".to_owned();
+        decisions.push(Decision { what, chosen: free.describe(), evidence });
+        model.intrinsics = free;
+    }
+    let PlaneTracks { keypoints, sigmas, tracks } = plane_tracks;
+    (model.keypoints, model.sigmas, model.tracks, model.state) = (keypoints, sigmas, tracks, state);
+    Ok((model, decisions))
+}
+
+fn decision(chosen: &str, evidence: String) -> Decision {
+    Decision { what: "plane tracks".to_owned(), chosen: chosen.to_owned(), evidence }
+}
+
+/// The model with observations of the widest plane, looked for again from better poses until that changes little; why
+/// not, where there is none.
+fn add_plane(
+    model: &Model,
+    frames: &FrameSet,
+    context: &StepContext<'_>,
+) -> Result<Result<PlaneRounds, String>, SfmError> {
+    let input = &model.input(context);
+    let Some(mut plane) = widest(&model.state, input) else {
+        return Ok(Err("no plane is seen by most images".to_owned()));
     };
-    let Some(mut plane) = widest(state, input) else {
-        return Ok((None, decision("not used", "no plane is seen by most images".to_owned())));
-    };
-    let unit = noise_of(state, input);
-    let (mut model, mut found, mut factor) = (state.clone(), None, 1.0);
-    let mut off: Vec<f64> = Vec::new();
+    let unit = noise_of(&model.state, input);
+    let (mut bare, mut factor) = (model.state.clone(), 1.0);
+    let mut found: Option<PlaneRounds> = None;
     for farthest in FARTHEST {
-        let places = find_plane_tracks(plane, (&model, input), (frames, rotated), farthest, progress)?;
+        let seen = (frames, model.rotated.as_slice());
+        let places = find_plane_tracks(plane, (&bare, input), seen, farthest, context.progress)?;
         if places.is_empty() {
-            return Ok((None, decision("not used", "a plane is seen, but nothing on it".to_owned())));
+            return Ok(Err("a plane is seen, but nothing on it".to_owned()));
         }
+        let mut off = found.take().map_or_else(Vec::new, |last| last.off);
         off.push(median(places.iter().flat_map(|p| &p.observations).map(|s| s.off).collect()));
         let plane_tracks = PlaneTracks::new(input, &places, TRUST * factor / unit);
         let with = plane_tracks.input(input);
-        let next = settle(plane_tracks.add_points(&model, input, &places, &with), &with)?;
-        let held = plane_tracks.kept_points(&next, input);
-        let asked: usize = places.iter().map(|p| p.observations.len()).sum();
-        if (held.errors.len() as f64) < KEPT * asked as f64 {
-            let evidence = format!(
-                "a plane's windows agree with no model: {} of {asked} observations",
-                held.errors.len()
-            );
-            return Ok((None, decision("not used", evidence)));
+        let start = plane_tracks.add_points(&bare, input, &places, &with);
+        let state = model.settle(start, &with, model.intrinsics, context)?;
+        let held = plane_tracks.kept_points(&state, input);
+        let observations: usize = places.iter().map(|p| p.observations.len()).sum();
+        if (held.errors.len() as f64) < KEPT * observations as f64 {
+            let kept = held.errors.len();
+            return Ok(Err(format!(
+                "a plane's windows agree with no model: {kept} of {observations} observations"
+            )));
         }
         factor *= (TRUST * median(held.errors) / unit / MEDIAN_LENGTH).clamp(0.2, 5.0);
         plane = plane.closer(&held.places).unwrap_or(plane).about(&held.places, MARGIN * plane.reach);
-        model = without_plane_points(&next, input);
-        found = Some((plane_tracks, next, asked, places.len()));
-        if off.len() > 1 && off[off.len() - 1] > LESS * off[off.len() - 2] {
+        bare = without_plane_points(&state, input);
+        let ends = off.len() > 1 && off[off.len() - 1] > LESS * off[off.len() - 2];
+        found = Some(PlaneRounds { plane_tracks, state, observations, places: places.len(), off });
+        if ends {
             break;
         }
     }
-    let Some((plane_tracks, next, observations, places)) = found else { return Ok((None, None)) };
-    let ((had, before), (has, after)) = (other_errors(state, input), other_errors(&model, input));
-    let taken = has as f64 >= OTHERS_KEPT * had as f64 && after <= GROWN * before;
-    let off: Vec<String> = off.iter().map(|o| format!("{o:.2}")).collect();
-    let evidence = format!(
-        "{weak} of {} images have fewer than {FEW} observations; {places} places of a plane have {observations}, half of them {} px from \
-         where the model had them in turn; the others, {has} of {had}, have a median error of {after:.3} px, {before:.3} px without",
-        state.registered_count(),
-        off.join(", ")
-    );
-    Ok((taken.then_some((plane_tracks, next)), decision(if taken { "used" } else { "not used" }, evidence)))
+    Ok(found.ok_or_else(|| "a plane is seen, but nothing on it".to_owned()))
 }
 
-/// How many observations of features a model has, and their median error, pixels.
-fn other_errors(state: &MapState, input: &MappingInput<'_>) -> (usize, f64) {
+/// How many observations of features a model has, and their median error, pixels; infinite where it has none.
+fn fit(state: &MapState, input: &MappingInput<'_>) -> Support {
     let errors = state.errors(input);
-    (errors.len(), if errors.is_empty() { f64::INFINITY } else { median(errors) })
+    let explained = errors.len();
+    let error_px = if errors.is_empty() { f64::INFINITY } else { median(errors) };
+    Support { explained, error_px: Some(error_px), ..Support::default() }
+}
+
+impl PlaneRounds {
+    /// The model without the plane's points.
+    fn without_plane(&self, input: &MappingInput<'_>) -> MapState {
+        without_plane_points(&self.state, input)
+    }
+
+    /// In words; `weak`: images that are weakly constrained, `others`: what is explained of features, before and after.
+    fn describe(&self, weak: usize, before: &MapState, others: [Support; 2]) -> String {
+        let off: Vec<String> = self.off.iter().map(|o| format!("{o:.2}")).collect();
+        let [had, has] = others;
+        format!(
+            "{weak} of {} images have fewer than {FEW} observations; {} places of a plane have {}, half of them {} px from \
+             where the model had them in turn; the others, {} of {}, have a median error of {:.3} px, {:.3} px without",
+            before.registered_count(),
+            self.places,
+            self.observations,
+            off.join(", "),
+            has.explained,
+            had.explained,
+            has.error_px.unwrap_or_default(),
+            had.error_px.unwrap_or_default()
+        )
+    }
 }
 
 /// Observations of the plane that a model has kept: their errors, pixels, over their standard deviations, and where the places are.
@@ -171,7 +205,7 @@ impl PlaneTracks {
     }
 
     /// `input` with the plane.
-    pub fn input<'a>(&'a self, input: &MappingInput<'a>) -> MappingInput<'a> {
+    fn input<'a>(&'a self, input: &MappingInput<'a>) -> MappingInput<'a> {
         MappingInput { keypoints: &self.keypoints, sigmas: &self.sigmas, tracks: &self.tracks, ..*input }
     }
 

@@ -1,0 +1,39 @@
+//! Whether the images show a turn about one axis or an orbit; of images without poses too, for a turn needs but three.
+
+use crate::circular::{self, FreeModel, consider};
+use crate::reconstruct::context::StepContext;
+use crate::reconstruct::model::{Model, Stage, StepResult};
+use crate::tracks::build_tracks;
+
+/// Decides on the motion.
+pub(super) fn run(mut model: Model, context: &StepContext<'_>) -> StepResult {
+    let posed = model.stage == Stage::Posed;
+    if !posed {
+        model.tracks = build_tracks(&model.features, &model.geometries);
+    }
+    let input = model.input(context);
+    let free = posed.then_some(FreeModel { state: &model.state, intrinsics: model.intrinsics });
+    // Images that were rotated on their way get cameras of their own in the end: no turn before one camera.
+    let unrotated = !model.rotated.contains(&true);
+    let outcome = consider(&model.motion_input(&input, context), free.as_ref(), unrotated)?;
+    let mut decision = outcome.decision.filter(|_| posed || outcome.taken.is_some());
+    if let Some(why) = model.no_turn_because.take() {
+        decision = Some(match decision {
+            Some(mut found) => {
+                found.evidence = format!("{}; along the video: {why}", found.evidence);
+                found
+            }
+            None => circular::decision("free", format!("along the video: {why}")),
+        });
+    }
+    let mut decisions: Vec<_> = decision.into_iter().collect();
+    if let Some(turn) = outcome.taken {
+        decisions.extend(model.adopt_turn(turn));
+        return Ok((model, decisions));
+    }
+    if let Some(circled) = outcome.circled {
+        model.state = circled;
+    }
+    decisions.append(&mut model.camera_decisions);
+    Ok((model, decisions))
+}
