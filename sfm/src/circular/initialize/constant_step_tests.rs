@@ -1,10 +1,10 @@
 //! Rings of photos of an exact scene, most of whose matches are wrong.
 
 use super::constant_step::{ConstantStepMotion, hold_on_ring};
-use super::*;
 use crate::circular::initialize::key_frames::VideoTracks;
 use crate::circular::motion::{CircularMotion, wrap_angle};
 use crate::circular::tests::{Filmed, Turntable};
+use crate::incremental::state::MappingInput;
 use crate::matching::PairMatches;
 use crate::solvers::testing::unit_vector;
 use crate::tracks::Tracks;
@@ -12,6 +12,7 @@ use glam::{DMat3, DQuat, DVec2};
 use rand::Rng as _;
 use scene::Pose;
 use scene::rng::{Rng, rng};
+use scene::{Camera, CameraModel};
 
 /// Photos in the order of `places` on a table, with small motions of the camera.
 fn ring(places: &[usize], step_deg: f64, seed: u64) -> Turntable {
