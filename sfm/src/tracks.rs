@@ -5,36 +5,38 @@ use scene::{Features, TwoViewGeometry};
 use std::collections::HashMap;
 
 /// "Belongs to no track" (or point).
-pub const NONE: u32 = u32::MAX;
+/// Source: a value that no index has.
+pub(crate) const NONE: u32 = u32::MAX;
 
 /// Keypoints joined over images; a track has at most one keypoint an image.
 #[derive(Clone, Debug, Default)]
-pub struct Tracks {
+pub(crate) struct Tracks {
     /// For each image and feature: its track, or [`NONE`].
     pub of: Vec<Vec<u32>>,
     /// For each track: (image, feature), ascending by image; at least two.
     pub views: Vec<Vec<[u32; 2]>>,
 }
 
-/// For each feature the first of its image at the same place: SIFT repeats a keypoint for each of its orientations,
-/// and a place must not count twice.
-pub fn first_at_place(features: &Features) -> Vec<u32> {
+/// For each feature the first of its image at the same place: SIFT repeats a keypoint for each of
+/// its orientations, and a place must not count twice.
+pub(crate) fn first_at_place(features: &Features) -> Vec<u32> {
     let mut seen: HashMap<(u32, u32), u32> = HashMap::with_capacity(features.len());
     let places = features.keypoints.iter().zip(0u32..);
     places.map(|(k, i)| *seen.entry((k.x.to_bits(), k.y.to_bits())).or_insert(i)).collect()
 }
 
 /// Keypoint positions of an image.
-pub fn positions(features: &Features) -> Vec<DVec2> {
+pub(crate) fn positions(features: &Features) -> Vec<DVec2> {
     features.keypoints.iter().map(scene::Keypoint::position).collect()
 }
 
 /// Joins the inlier matches of all pairs.
 ///
-/// A wrong match joins two points, which shows where the union would hold two keypoints of one image. So matches are
-/// taken in the order of their support (how many third keypoints match both ends, then the pair's inliers), and a match
-/// that would bring about such a conflict is left out. The result does not depend on the order of the pairs.
-pub fn build_tracks(features: &[Features], geometries: &[TwoViewGeometry]) -> Tracks {
+/// A wrong match joins two points, which shows where the union would hold two keypoints of one
+/// image. So matches are taken in the order of their support (how many third keypoints match both
+/// ends, then the pair's inliers), and a match that would bring about such a conflict is left out.
+/// The result does not depend on the order of the pairs.
+pub(crate) fn build_tracks(features: &[Features], geometries: &[TwoViewGeometry]) -> Tracks {
     let places: Vec<Vec<u32>> = features.iter().map(first_at_place).collect();
     let mut start = vec![0usize];
     for f in features {

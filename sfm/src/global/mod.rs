@@ -1,5 +1,6 @@
-//! Global mapping: rotations of all images at once, then positions, then points and their adjustment. An alternative to
-//! the incremental mapper that no early mistake can lead astray, and a check on it.
+//! Global mapping: rotations of all images at once, then positions, then points and their
+//! adjustment. An alternative to the incremental mapper that no early mistake can lead astray, and
+//! a check on it.
 
 pub(crate) mod positions;
 pub(crate) mod rotations;
@@ -16,12 +17,15 @@ use rotations::RotationEdge;
 use scene::{Camera, Pose, Progress, TwoViewKind};
 
 /// Pairs farther from the averaged rotations than this are wrong, radians.
+/// Source: chosen by hand, never measured.
 const WRONG_PAIR: f64 = 0.15;
-/// Errors to which observations are held, one adjustment after the other, pixels for an image of 1000.
+/// Errors to which observations are held, one adjustment after the other, pixels for an image of
+/// 1000.
+/// Source: chosen by hand, never measured.
 const LIMITS: [f64; 4] = [60.0, 25.0, 10.0, 5.0];
 
-/// The model of the largest connected part of the view graph; `None` where it has fewer than three images. `cameras`:
-/// intrinsics that are about right.
+/// The model of the largest connected part of the view graph; `None` where it has fewer than three
+/// images. `cameras`: intrinsics that are about right.
 pub(crate) fn map(
     input: &MappingInput<'_>,
     cameras: &[Camera],

@@ -23,7 +23,7 @@ pub(crate) struct Adjustment {
 
 impl Adjustment {
     /// While the model grows: rough, robust.
-    pub fn growing(free: Vec<Vec<bool>>, priors: Vec<IntrinsicsPrior>) -> Self {
+    pub(crate) fn growing(free: Vec<Vec<bool>>, priors: Vec<IntrinsicsPrior>) -> Self {
         let solve = SolveOptions {
             loss: RobustLoss::SoftL1(1.0),
             max_iterations: 20,
@@ -125,7 +125,8 @@ pub(crate) fn select(state: &MapState, input: &MappingInput<'_>, what: &Adjustme
     Selected { problem, points, images }
 }
 
-/// The longest tracks first, until every image that `moves` sees `wanted` of the chosen points or has no more.
+/// The longest tracks first, until every image that `moves` sees `wanted` of the chosen points or
+/// has no more.
 fn covering_points(
     state: &MapState,
     candidates: Vec<u32>,
@@ -148,8 +149,8 @@ fn covering_points(
     chosen
 }
 
-/// Whether intrinsics are such as real cameras have: fields of view of 1° to 150°, mild distortion, a principal point
-/// inside the image.
+/// Whether intrinsics are such as real cameras have: fields of view of 1° to 150°, mild distortion,
+/// a principal point inside the image.
 pub(crate) fn plausible(camera: &Camera) -> bool {
     let size = f64::from(camera.width.max(camera.height));
     let focal = camera.focal() / size;

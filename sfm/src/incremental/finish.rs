@@ -11,15 +11,22 @@ use crate::model_selection::rotated_images::{group_size, rotate_problem, suspect
 use crate::{Decision, Knowledge, PoseDeviation, SfmError, Uncertainty};
 use scene::{Camera, CameraModel, Progress};
 
-/// Observations that the choice of the camera model is based on, and the first round of the last adjustment.
+/// Observations that the choice of the camera model is based on, and the first round of the last
+/// adjustment.
+/// Source: chosen by hand for the time that the choice takes.
 pub(crate) const OBSERVATIONS: usize = 6000;
 /// The same for the question whether images were rotated, of the images that are asked together.
+/// Source: chosen by hand for the time that the question takes.
 const OBSERVATIONS_ROTATED: usize = 20_000;
-/// Iterations times observations that the last adjustment may take: points creep on long after poses stand.
+/// Iterations times observations that the last adjustment may take: points creep on long after
+/// poses stand.
+/// Source: chosen by hand for the time that it takes.
 const LAST_EFFORT: usize = 300_000;
 /// Observations farther off than so many standard deviations of the noise are dropped at the end.
+/// Source: chosen by hand, never measured.
 const FINAL_SIGMAS: f64 = 8.0;
 /// They are never held to less than this, pixels.
+/// Source: chosen by hand, never measured.
 const FINAL_LEAST_PX: f64 = 1.0;
 
 /// What the evidence says about the cameras.
@@ -28,11 +35,13 @@ pub(crate) struct CameraVerdict {
     /// For each image whether it was rotated by 180° against the others of its camera.
     pub rotated: Option<Vec<bool>>,
     pub decisions: Vec<Decision>,
-    /// The part of the model that the decision was based on, adjusted with what was decided (images rotated).
+    /// The part of the model that the decision was based on, adjusted with what was decided (images
+    /// rotated).
     pub adjusted: Selected,
 }
 
-/// Decides on the camera model of a model that has been adjusted, and on which of its images were rotated.
+/// Decides on the camera model of a model that has been adjusted, and on which of its images were
+/// rotated.
 pub(crate) fn decide(
     state: &MapState,
     input: &MappingInput<'_>,
@@ -95,7 +104,8 @@ pub(crate) fn part_of(state: &MapState, observations: usize) -> usize {
     (observations / state.registered_count().max(1)).clamp(50, 1000)
 }
 
-/// The camera model once more, by all observations of a model that has gained some: its principal point, where it was held.
+/// The camera model once more, by all observations of a model that has gained some: its principal
+/// point, where it was held.
 pub(crate) fn free_principal_point(
     state: &MapState,
     input: &MappingInput<'_>,
@@ -109,7 +119,8 @@ pub(crate) fn free_principal_point(
     principal_point::free_principal_point(&problem, known, (now, named), noise_in_units(&problem), progress)
 }
 
-/// Takes over the part of a model that was adjusted with what was decided, and drops what does not fit it.
+/// Takes over the part of a model that was adjusted with what was decided, and drops what does not
+/// fit it.
 pub(crate) fn take_decided(state: &mut MapState, input: &MappingInput<'_>, adjusted: &Selected) {
     take(state, adjusted);
     state.refine_points(input, |_| false);

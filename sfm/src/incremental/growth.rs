@@ -11,19 +11,28 @@ use crate::{Knowledge, SfmError};
 use scene::{Camera, Progress};
 
 /// Images from which on distortion is solved for while the model grows.
+/// Source: chosen by hand, never measured.
 const IMAGES_FOR_DISTORTION: usize = 6;
-/// Images up to which the model is adjusted after each registration; then after more and more of them.
+/// Images up to which the model is adjusted after each registration; then after one more for each
+/// so many.
+/// Source: chosen by hand, never measured.
 const IMAGES_FOR_EACH: usize = 12;
 /// Images up to which it is the whole model that is adjusted.
+/// Source: docs/decisions/0009.
 const IMAGES_FOR_LOCAL: usize = 60;
 /// Images that move in a local adjustment.
+/// Source: chosen by hand, never measured.
 const LOCAL_IMAGES: usize = 8;
 /// Points an image contributes to an adjustment while the model grows.
+/// Source: chosen by hand, never measured.
 const POINTS_PER_IMAGE: usize = 60;
 
 /// Share of an image's verified matches that must agree with its pose.
+/// Source: chosen by hand, never measured.
 const MIN_CONSISTENT: f64 = 0.3;
-/// What priors and repairs refer to: the start's intrinsics where they were known, the small model's where not.
+
+/// What priors and repairs refer to: the start's intrinsics where they were known, the small
+/// model's where not.
 pub(crate) fn starts_of(cameras: &[Camera], known: &[Knowledge], state: &MapState) -> Vec<Camera> {
     let start = |i: usize| {
         if known[i].focal_sigma.is_some() || known[i].fixed { &cameras[i] } else { &state.cameras[i] }
@@ -53,7 +62,8 @@ pub(crate) fn freedom(
             };
             priors.extend((0..focals).map(prior));
         }
-        // Distortion of ordinary lenses is a few per cent at the corner; this matters only where the views say nothing.
+        // Distortion of ordinary lenses is a few per cent at the corner; this matters only where
+        // the views say nothing.
         let relative = start.mean_focal() / f64::from(start.width.max(start.height));
         let mild =
             |parameter| IntrinsicsPrior { camera, parameter, mean: 0.0, sigma: 0.5 * relative * relative };
@@ -99,7 +109,8 @@ pub(crate) fn grow(
             if fresh {
                 break;
             }
-            // A last effort: everything triangulated and adjusted, then the images that failed once more.
+            // A last effort: everything triangulated and adjusted, then the images that failed once
+            // more.
             settle(state, input, known, starts, progress)?;
             (fresh, last_full) = (true, state.registered_count());
             tried.fill(0);

@@ -8,10 +8,11 @@ use glam::{DMat3, DVec2, DVec3};
 use scene::{Camera, Pose, Progress, TwoViewGeometry, TwoViewKind};
 
 /// Angle from which on a wider baseline makes a pair no better, radians.
+/// Source: chosen by hand, never measured.
 const WIDE_ANGLE: f64 = 0.2;
 
-/// Verified pairs from which a model may start, best first: many inliers, a wide median angle, neither a rotation nor a
-/// watermark; planes only after all else.
+/// Verified pairs from which a model may start, best first: many inliers, a wide median angle,
+/// neither a rotation nor a watermark; planes only after all else.
 pub(crate) fn rank_pairs(geometries: &[TwoViewGeometry]) -> Vec<usize> {
     let score = |g: &TwoViewGeometry| {
         let kind = match g.kind {
@@ -28,8 +29,8 @@ pub(crate) fn rank_pairs(geometries: &[TwoViewGeometry]) -> Vec<usize> {
     ranked.into_iter().map(|(_, i)| i).collect()
 }
 
-/// The model of two images: their relative pose for the present intrinsics, and the points both see. `None` where
-/// too few points stand.
+/// The model of two images: their relative pose for the present intrinsics, and the points both
+/// see. `None` where too few points stand.
 pub(crate) fn start(
     input: &MappingInput<'_>,
     cameras: &[Camera],
@@ -52,8 +53,8 @@ pub(crate) fn start(
     Ok((state.live().count() >= input.config.min_observations).then_some(state))
 }
 
-/// `b_from_a` with unit translation from the pair's fundamental matrix (else its essential matrix or its pose) and the
-/// present focal lengths, refined on the inliers.
+/// `b_from_a` with unit translation from the pair's fundamental matrix (else its essential matrix
+/// or its pose) and the present focal lengths, refined on the inliers.
 pub(crate) fn relative_pose(
     input: &MappingInput<'_>,
     [ca, cb]: [&Camera; 2],

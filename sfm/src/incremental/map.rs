@@ -1,4 +1,5 @@
-//! Incremental mapping: one image after the other, adjusted as the model grows (Schönberger & Frahm, CVPR 2016).
+//! Incremental mapping: one image after the other, adjusted as the model grows (Schönberger &
+//! Frahm, CVPR 2016).
 
 use super::adjust::plausible;
 use super::growth::{expel, grow, settle, starts_of};
@@ -10,10 +11,11 @@ use crate::{Knowledge, SfmError};
 use scene::{Camera, Progress, TwoViewGeometry};
 
 /// Images of the small models that are compared before one is grown.
+/// Source: chosen by hand, never measured.
 const SMALL: usize = 5;
 
-/// The best model that grows from some first pair among `geometries`, joined by what others have beyond it where they
-/// share points; `None` where none grows.
+/// The best model that grows from some first pair among `geometries`, joined by what others have
+/// beyond it where they share points; `None` where none grows.
 pub(crate) fn map(
     input: &MappingInput<'_>,
     cameras: &[Camera],
@@ -83,7 +85,8 @@ fn value(state: &MapState) -> (usize, usize) {
     (state.registered_count(), state.live().map(|(_, p)| p.views.len()).sum())
 }
 
-/// The small model from a pair; where a focal length is unknown, the one of several whose model explains most.
+/// The small model from a pair; where a focal length is unknown, the one of several whose model
+/// explains most.
 fn begin(
     input: &MappingInput<'_>,
     cameras: &[Camera],

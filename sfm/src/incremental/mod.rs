@@ -1,5 +1,5 @@
-//! Incremental mapping, and what it has in common with the other ways to a model: the growing model, its adjustment,
-//! resection, and the last adjustments.
+//! Incremental mapping, and what it has in common with the other ways to a model: the growing
+//! model, its adjustment, resection, and the last adjustments.
 
 pub(crate) mod adjust;
 pub(crate) mod aliasing;

@@ -1,6 +1,6 @@
-//! Poses from verified pairs, for images that see too few points of the model: rotation and direction from one pair,
-//! the distance from the few points or from other pairs (structure-less resection: Zheng & Wu, ICCV 2015). And the
-//! same consistency as a check of every pose.
+//! Poses from verified pairs, for images that see too few points of the model: rotation and
+//! direction from one pair, the distance from the few points or from other pairs (structure-less
+//! resection: Zheng & Wu, ICCV 2015). And the same consistency as a check of every pose.
 
 use super::initial::relative_pose;
 use super::resection::visible;
@@ -10,18 +10,23 @@ use glam::{DMat3, DQuat, DVec2, DVec3};
 use scene::{Pose, TwoViewGeometry};
 
 /// Pairs of an image that give hypotheses.
+/// Source: chosen by hand, never measured.
 const PAIRS: usize = 4;
 /// Matches of a pair that are compared.
+/// Source: chosen by hand, never measured.
 pub(crate) const MATCHES: usize = 200;
 /// Fewest points that settle the distance.
+/// Source: chosen by hand, never measured.
 const MIN_POINTS: usize = 4;
-/// Fewest points that settle it by agreeing on it among themselves, and how far they may be from their median.
+/// Fewest points that settle it by agreeing on it among themselves.
+/// Source: chosen by hand, never measured.
 const MIN_SCALES: usize = 5;
+/// How far they may be from their median, as a share of it.
+/// Source: chosen by hand; the test below shows what it tells apart.
 const SCALE_SPREAD: f64 = 0.12;
-/// Fewest matches with other images that settle it.
-const MIN_MATCHES: usize = 15;
 /// Frames of a video so few apart show the same place.
-const NEAR_IN_TIME: usize = 5;
+/// Source: docs/decisions/0004.
+pub(crate) const NEAR_IN_TIME: usize = 5;
 
 /// Matches of an image with a registered one, in ideal pixels from the principal point.
 struct Link<'a> {
@@ -72,7 +77,8 @@ fn link<'a>(
     Some(Link { geometry, other: pose, focal, matches })
 }
 
-/// Matches of a pair: (agreeing with the model's poses, all); `None` where an image is not registered.
+/// Matches of a pair: (agreeing with the model's poses, all); `None` where an image is not
+/// registered.
 pub(crate) fn agreement(
     state: &MapState,
     input: &MappingInput<'_>,
@@ -83,8 +89,9 @@ pub(crate) fn agreement(
     Some((link.count_agreeing(&pose, 2.0 * input.config.max_reprojection_px), link.matches.len()))
 }
 
-/// Matches of an image with registered ones: (agreeing with its pose, all). Of a frame of a video those with its
-/// neighbours in time, where these are enough: others may show another place that looks alike.
+/// Matches of an image with registered ones: (agreeing with its pose, all). Of a frame of a video
+/// those with its neighbours in time, where these are enough: others may show another place that
+/// looks alike.
 pub(crate) fn consistency(state: &MapState, input: &MappingInput<'_>, image: usize) -> (usize, usize) {
     let Some(pose) = state.poses[image] else { return (0, 0) };
     let mut links = links(state, input, image);
@@ -100,8 +107,8 @@ pub(crate) fn consistency(state: &MapState, input: &MappingInput<'_>, image: usi
     (agreeing, links.iter().map(|l| l.matches.len()).sum())
 }
 
-/// The unregistered image, and its pose, for which verified pairs and few points agree best; `None` where no distance
-/// is settled.
+/// The unregistered image, and its pose, for which verified pairs and few points agree best; `None`
+/// where no distance is settled.
 pub(crate) fn resect_structureless(
     state: &MapState,
     input: &MappingInput<'_>,
@@ -170,10 +177,11 @@ fn pose_from_links(
             let agreeing: usize = others().map(|l| l.count_agreeing(&pose, limit)).sum();
             let all: usize = others().map(|l| l.matches.len()).sum();
             let by_points = points >= MIN_POINTS && points * 10 >= seen.len() * 3;
-            let by_pairs = agreeing >= MIN_MATCHES && agreeing * 10 >= all * 6;
-            // Rotation and direction of the pair may be off by more pixels than the distance by per cent.
+            let by_pairs = agreeing >= input.config.min_observations && agreeing * 10 >= all * 6;
+            // Rotation and direction of the pair may be off by more pixels than the distance by per
+            // cent.
             let by_scale = common == Some(s);
-            let contradicted = all >= 2 * MIN_MATCHES && agreeing * 10 < all * 4;
+            let contradicted = all >= 2 * input.config.min_observations && agreeing * 10 < all * 4;
             let score = 3 * points + agreeing;
             if (by_points || by_pairs || by_scale) && !contradicted && best.is_none_or(|(b, _)| score > b) {
                 best = Some((score, pose));
@@ -183,7 +191,8 @@ fn pose_from_links(
     best.map(|(_, pose)| pose)
 }
 
-/// The distance on which nearly all points agree to some per cent: wrong matches scatter over orders of magnitude.
+/// The distance on which nearly all points agree to some per cent: wrong matches scatter over
+/// orders of magnitude.
 fn common_scale(scales: &[f64]) -> Option<f64> {
     let mut sorted = scales.to_vec();
     sorted.sort_unstable_by(f64::total_cmp);
@@ -205,14 +214,16 @@ fn line_of(state: &MapState, input: &MappingInput<'_>, image: usize, link: &Link
     })
 }
 
-/// The distance at which a point falls on its pixel, in the least-squares sense: `u × (a + s b) = 0`.
+/// The distance at which a point falls on its pixel, in the least-squares sense: `u × (a + s b) =
+/// 0`.
 fn scale_from_point(line: &Line, u: DVec2, x: DVec3) -> Option<f64> {
     let (a, b) = (line.rotation * x + line.start, line.step);
     let (p, q) = (a.truncate() - u * a.z, b.truncate() - u * b.z);
     (q.length_squared() > 1e-12).then(|| -p.dot(q) / q.length_squared())
 }
 
-/// The distance at which a pair's matches fulfil its epipolar constraint, `u · ((t₀ + s t₁) × v) = 0`: the median.
+/// The distance at which a pair's matches fulfil its epipolar constraint, `u · ((t₀ + s t₁) × v) =
+/// 0`: the median.
 fn scale_from_pair(line: &Line, link: &Link<'_>) -> Option<f64> {
     let relative = line.rotation * link.other.rotation.conjugate();
     let offset = line.start - relative * link.other.translation;

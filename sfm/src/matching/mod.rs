@@ -1,8 +1,9 @@
-//! Matching of descriptors: exhaustive or along known epipolar lines, with the ratio test and the mutual test (Lowe 2004, section 7.1).
+//! Matching of descriptors: exhaustive or along known epipolar lines, with the ratio test and the
+//! mutual test (Lowe 2004, section 7.1).
 //!
-//! No pair is skipped after a look at its coarsest features: on `temple_ring` the 300 largest of each image, asked
-//! for five matches, would spare half of the unrelated pairs, but lose one in eight of those with 30 to 60 matches,
-//! which hold wide steps together.
+//! No pair is skipped after a look at its coarsest features: on `temple_ring` the 300 largest of
+//! each image, asked for five matches, would spare half of the unrelated pairs, but lose one in
+//! eight of those with 30 to 60 matches, which hold wide steps together.
 
 #[cfg(target_arch = "x86_64")]
 mod avx2;
@@ -16,23 +17,24 @@ mod neon;
 mod prepared;
 #[cfg(test)]
 mod tests;
+mod top_two;
 
 pub use config::MatchConfig;
-pub use guided::{guided_match, guided_match_prepared};
+pub(crate) use guided::guided_match_prepared;
 pub use prepared::PreparedFeatures;
 
 use crate::SfmError;
-use kernel::{NONE, TopTwo, remove_bias};
 use prepared::{dot_at_distance, squared_distance};
 use rayon::prelude::*;
 use scene::{Features, Progress};
+use top_two::{NONE, TopTwo, remove_bias};
 
-/// Matches (feature of a, feature of b), sorted by the feature of a.
-pub fn match_features(a: &Features, b: &Features, config: &MatchConfig) -> Vec<[u32; 2]> {
+#[cfg(test)]
+pub(crate) fn match_features(a: &Features, b: &Features, config: &MatchConfig) -> Vec<[u32; 2]> {
     match_prepared(&PreparedFeatures::new(a), &PreparedFeatures::new(b), config)
 }
 
-/// [`match_features`] of descriptors that are prepared already.
+/// Matches (feature of a, feature of b), sorted by the feature of a.
 pub fn match_prepared(a: &PreparedFeatures, b: &PreparedFeatures, config: &MatchConfig) -> Vec<[u32; 2]> {
     if a.is_empty() || b.is_empty() || config.match_ratio <= 0.0 {
         return Vec::new();
@@ -64,8 +66,8 @@ pub fn match_prepared(a: &PreparedFeatures, b: &PreparedFeatures, config: &Match
 /// The matches of one pair of images: `(a, b, matches)`.
 pub type PairMatches = (usize, usize, Vec<[u32; 2]>);
 
-/// Matches of every pair, in the order of `pairs`; pairs that name a missing image have none. The same for any
-/// number of threads.
+/// Matches of every pair, in the order of `pairs`; pairs that name a missing image have none. The
+/// same for any number of threads.
 pub fn match_pairs(
     features: &[Features],
     pairs: &[(usize, usize)],
@@ -77,7 +79,7 @@ pub fn match_pairs(
 }
 
 /// [`match_pairs`] of descriptors that are prepared already.
-pub fn match_prepared_pairs(
+pub(crate) fn match_prepared_pairs(
     prepared: &[PreparedFeatures],
     pairs: &[(usize, usize)],
     config: &MatchConfig,

@@ -1,7 +1,8 @@
-//! Whether a step's result is taken: by what of the images and observations a model explains, before and after.
+//! Whether a step's result is taken: by what of the images and observations a model explains,
+//! before and after.
 //!
-//! Models that differ in their parameters are compared by [`crate::model_selection`]; here models are compared whose
-//! matches and observations differ, so that no likelihood is common to both.
+//! Models that differ in their parameters are compared by [`crate::model_selection`]; here models
+//! are compared whose matches and observations differ, so that no likelihood is common to both.
 
 /// What changes with a step.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -35,8 +36,8 @@ pub(crate) struct Support {
     pub error_px: Option<f64>,
 }
 
-/// Ratios of after to before that a change must reach: images at least, what is explained at least or, where it must
-/// grow, above; error below.
+/// Ratios of after to before that a change must reach: images at least, what is explained at least
+/// or, where it must grow, above; error below.
 struct Demand {
     images: f64,
     explained: f64,
@@ -45,10 +46,11 @@ struct Demand {
 }
 
 impl Change {
-    /// Sources: blurred copies, docs/decisions/0016 (where both sets find the same spots matches are half as many again);
-    /// global mapper, docs/decisions/0009; ring, docs/decisions/0019; fewer pairs, docs/decisions/0004; moved keypoints,
-    /// docs/decisions/0020; plane tracks, docs/decisions/0028; the share of 0.8 of moved observations and the gain of 3 %
-    /// of denser tracks were chosen by hand and never measured.
+    /// Sources: blurred copies, docs/decisions/0016 (where both sets find the same spots matches
+    /// are half as many again); global mapper, docs/decisions/0009; ring, docs/decisions/0019;
+    /// fewer pairs, docs/decisions/0004; moved keypoints, docs/decisions/0020; plane tracks,
+    /// docs/decisions/0028; the share of 0.8 of moved observations and the gain of 3 % of denser
+    /// tracks were chosen by hand and never measured.
     fn demand(self) -> Demand {
         let any = Demand { images: 0.0, explained: 0.0, must_grow: false, error: f64::INFINITY };
         let growth = |explained| Demand { explained, must_grow: true, ..any };

@@ -25,12 +25,12 @@ pub(crate) struct StepContext<'a> {
 
 impl<'a> StepContext<'a> {
     /// The images, where more may be taken from them than colours.
-    pub fn images(&self) -> Option<&'a FrameSet> {
+    pub(crate) fn images(&self) -> Option<&'a FrameSet> {
         (self.source == FeatureSource::Images).then_some(self.frames)
     }
 
     /// Whether a step or a part of one is left out.
-    pub fn skips(&self, step: StepName) -> bool {
+    pub(crate) fn skips(&self, step: StepName) -> bool {
         self.config.skip.contains(&step)
     }
 }

@@ -14,7 +14,8 @@ use std::collections::BTreeMap;
 /// Images with fewer observations than this are weakly constrained.
 /// Source: chosen by hand; names images in the report alone.
 const FEW_OBSERVATIONS: usize = 30;
-/// A rotation is uncertain if its standard deviation is above this, degrees, and so many times the usual one.
+/// A rotation is uncertain if its standard deviation is above this, degrees, and so many times the
+/// usual one.
 /// Source: chosen by hand; names images in the report alone.
 const WEAK_ROTATION: (f64, f64) = (0.1, 5.0);
 
@@ -95,7 +96,8 @@ pub(super) fn why_no_model(features: &[Features], verified: &[TwoViewGeometry]) 
     )
 }
 
-/// Image number = index of the frame + 1; points are numbered from 1 in the order in which they were found.
+/// Image number = index of the frame + 1; points are numbered from 1 in the order in which they
+/// were found.
 pub(super) fn convert(
     state: &MapState,
     camera_of: &[usize],

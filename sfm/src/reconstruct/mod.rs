@@ -22,7 +22,8 @@ use scene::{Features, FrameSet, Progress};
 /// What is known before the images are looked at.
 #[derive(Clone, Debug, Default)]
 pub struct Supplied {
-    /// One per frame, each with a descriptor (zeros where there is none: it matches nothing) a keypoint.
+    /// One per frame, each with a descriptor (zeros where there is none: it matches nothing) a
+    /// keypoint.
     pub features: Option<Vec<Features>>,
     /// Matches before verification; without them the features are matched.
     pub matches: Option<Vec<PairMatches>>,
@@ -30,8 +31,8 @@ pub struct Supplied {
 
 /// Camera poses, intrinsics and a sparse cloud from images alone, by the steps of `steps`.
 ///
-/// "No model" is a value: `reconstruction` is `None` and `reason` says why. Same seed, same result, for any number
-/// of threads.
+/// "No model" is a value: `reconstruction` is `None` and `reason` says why. Same seed, same result,
+/// for any number of threads.
 pub fn reconstruct(
     frames: &FrameSet,
     config: &SfmConfig,
@@ -52,7 +53,8 @@ pub fn reconstruct_from(
     solve(supplied, &StepContext { frames, config, source, progress })
 }
 
-/// [`reconstruct`] of features that are known already, one set a frame: no image is read, points stay grey.
+/// [`reconstruct`] of features that are known already, one set a frame: no image is read, points
+/// stay grey.
 pub fn reconstruct_features(
     frames: &FrameSet,
     features: Vec<Features>,

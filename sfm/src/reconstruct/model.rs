@@ -1,4 +1,5 @@
-//! What goes through the steps: the one model of a reconstruction, from its features to its covariances.
+//! What goes through the steps: the one model of a reconstruction, from its features to its
+//! covariances.
 
 use super::context::StepContext;
 use super::setup::Setup;
@@ -95,7 +96,7 @@ pub(crate) struct Model {
 
 impl Model {
     /// Nothing but what is known before the images are looked at.
-    pub fn new(frames: &FrameSet, config: &SfmConfig) -> Result<Self, SfmError> {
+    pub(crate) fn new(frames: &FrameSet, config: &SfmConfig) -> Result<Self, SfmError> {
         let setup = Setup::new(frames, config)?;
         Ok(Self {
             stage: Stage::Unposed,
@@ -126,12 +127,12 @@ impl Model {
     }
 
     /// What mappers and adjustments see of it.
-    pub fn input<'a>(&'a self, context: &'a StepContext<'_>) -> MappingInput<'a> {
+    pub(crate) fn input<'a>(&'a self, context: &'a StepContext<'_>) -> MappingInput<'a> {
         self.input_from(&self.tracks, &self.geometries, context)
     }
 
     /// The same with other pairs.
-    pub fn input_from<'a>(
+    pub(crate) fn input_from<'a>(
         &'a self,
         tracks: &'a Tracks,
         geometries: &'a [TwoViewGeometry],
@@ -151,7 +152,7 @@ impl Model {
     }
 
     /// What the search for circular motion sees beside `input`.
-    pub fn motion_input<'a>(
+    pub(crate) fn motion_input<'a>(
         &'a self,
         input: &'a MappingInput<'a>,
         context: &'a StepContext<'_>,
@@ -170,7 +171,7 @@ impl Model {
     }
 
     /// Takes over what a mapper made.
-    pub fn adopt(&mut self, mapped: MappedModel) -> Option<Decision> {
+    pub(crate) fn adopt(&mut self, mapped: MappedModel) -> Option<Decision> {
         self.stage = Stage::Posed;
         self.state = mapped.state;
         self.tracks = mapped.tracks;
@@ -180,15 +181,16 @@ impl Model {
     }
 
     /// Takes over a model about one axis.
-    pub fn adopt_turn(&mut self, solution: CircularSolution) -> Vec<Decision> {
+    pub(crate) fn adopt_turn(&mut self, solution: CircularSolution) -> Vec<Decision> {
         self.stage = Stage::OneAxis;
         self.state = solution.state;
         self.uncertainty = solution.uncertainty;
         solution.decisions
     }
 
-    /// Poses and points adjusted with `intrinsics` until little changes; near the ring, where images were placed on one.
-    pub fn settle(
+    /// Poses and points adjusted with `intrinsics` until little changes; near the ring, where
+    /// images were placed on one.
+    pub(crate) fn settle(
         &self,
         mut state: MapState,
         input: &MappingInput<'_>,
@@ -203,12 +205,12 @@ impl Model {
     }
 
     /// Keeps the verified pairs of the images as they are, before the solver's become others.
-    pub fn keep_verified(&mut self) {
+    pub(crate) fn keep_verified(&mut self) {
         self.verified.get_or_insert_with(|| self.geometries.clone());
     }
 
     /// What is handed back. `initial_cameras`: one a frame.
-    pub fn into_result(
+    pub(crate) fn into_result(
         self,
         initial_cameras: Vec<Camera>,
         reason: String,

@@ -1,7 +1,9 @@
-//! Poses that came without points: features of the images are matched along the lines of the given poses and triangulated.
+//! Poses that came without points: features of the images are matched along the lines of the given
+//! poses and triangulated.
 //!
-//! in: frames and a model whose images bear their names · out: the same cameras and poses, with observations and points.
-//! Nothing is adjusted: what does not agree with the poses becomes no point.
+//! in: frames and a model whose images bear their names · out: the same cameras and poses, with
+//! observations and points. Nothing is adjusted: what does not agree with the poses becomes no
+//! point.
 
 use super::export::{colour, convert};
 use super::steps::densify::{WIDEST, line_between, merge_geometry, undistort_features};
@@ -18,7 +20,8 @@ use std::collections::{BTreeMap, BTreeSet};
 /// An image is matched with so many nearest ones.
 /// Source: chosen by hand, never measured.
 const NEAREST: usize = 5;
-/// And with the one nearest to each of these angles from it, degrees: with neighbours alone a video has no baselines.
+/// And with the one nearest to each of these angles from it, degrees: with neighbours alone a video
+/// has no baselines.
 /// Source: chosen by hand, never measured.
 const FARTHER_DEG: [f64; 5] = [6.0, 10.0, 15.0, 22.0, 30.0];
 /// Farthest that a match may be from the line that the poses give, pixels.
@@ -163,7 +166,8 @@ mod tests {
         assert!((1..=2).all(|s| pairs.iter().filter(|p| steps(p) == s).count() == 144));
         assert!(pairs.iter().any(|p| steps(p) >= 11), "nothing far enough to triangulate by");
         assert!(neighbours(&ring(1)).is_empty() && neighbours(&[]).is_empty());
-        // Opposite sides of an object share nothing; cameras side by side are told apart by their places.
+        // Opposite sides of an object share nothing; cameras side by side are told apart by their
+        // places.
         assert!(neighbours(&ring(2)).is_empty());
         let side = |k: i32| {
             let eye = DVec3::new(f64::from(k), 0.0, 0.0);

@@ -8,7 +8,7 @@ use std::collections::BTreeMap;
 /// Source: chosen by hand; the mapper tries multiples of it.
 const FOCAL_GUESS: f64 = 1.2;
 /// Standard deviation of a focal length from EXIF, as a share of it.
-/// Source: docs/decisions/0020 (what a run held of the focal length is taken to be known to 5 %).
+/// Source: chosen by hand, never measured.
 const EXIF_SIGMA: f64 = 0.05;
 
 /// Cameras, and which image was taken with which.
@@ -22,7 +22,7 @@ pub(crate) struct Setup {
 }
 
 impl Setup {
-    pub fn new(frames: &FrameSet, config: &SfmConfig) -> Result<Self, SfmError> {
+    pub(crate) fn new(frames: &FrameSet, config: &SfmConfig) -> Result<Self, SfmError> {
         // Until the evidence has spoken, one focal length and one radial term.
         let model = config.camera_model.model().unwrap_or(CameraModel::SimpleRadial);
         let mut setup = Self { cameras: Vec::new(), known: Vec::new(), camera_of: Vec::new() };
@@ -58,7 +58,7 @@ impl Setup {
     }
 
     /// One camera a frame.
-    pub fn of_frames(&self) -> Vec<Camera> {
+    pub(crate) fn of_frames(&self) -> Vec<Camera> {
         self.camera_of.iter().map(|&c| self.cameras[c].clone()).collect()
     }
 }

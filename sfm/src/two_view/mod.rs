@@ -1,6 +1,7 @@
 //! Geometric verification of image pairs: which matches agree with one rigid motion, and which.
 
 mod chance;
+mod config;
 mod correspondences;
 mod focal;
 mod gric;
@@ -9,8 +10,9 @@ mod pose;
 mod static_matches;
 mod wide;
 
-pub use focal::{focal_evidence, likely_focal_factor};
-pub use wide::second_look;
+pub use config::TwoViewConfig;
+pub use focal::focal_evidence;
+pub(crate) use wide::second_look;
 
 use crate::SfmError;
 use crate::matching::{MatchConfig, PreparedFeatures, guided_match_prepared};
@@ -19,61 +21,22 @@ use correspondences::Correspondences;
 use models::TwoViewModels;
 use rayon::prelude::*;
 use scene::{Camera, Features, Progress, TwoViewGeometry, TwoViewKind};
-use serde::{Deserialize, Serialize};
 use static_matches::StaticMatches;
 
 /// Half-width of the band along an epipolar line in which partners are sought, pixels.
+/// Source: chosen by hand, never measured.
 const GUIDED_PX: f64 = 1.0;
 
-/// How pairs are verified.
-#[derive(clap::Args, Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(default)]
-pub struct TwoViewConfig {
-    /// Largest epipolar or transfer error of an inlier match, pixels.
-    #[arg(long, default_value_t = Self::default().max_error_px, help_heading = "Verification")]
-    pub max_error_px: f64,
-    /// Pairs with fewer inlier matches are dropped.
-    #[arg(long, default_value_t = Self::default().min_inliers, help_heading = "Verification")]
-    pub min_inliers: usize,
-    /// Pairs of which a smaller part of the matches agrees are not searched for to the end.
-    #[arg(long, default_value_t = Self::default().min_inlier_ratio, help_heading = "Verification")]
-    pub min_inlier_ratio: f64,
-    /// Probability of finding a model where there is one.
-    #[arg(long, default_value_t = Self::default().verify_confidence, help_heading = "Verification")]
-    pub verify_confidence: f64,
-    /// Most samples drawn for a model.
-    #[arg(long, default_value_t = Self::default().max_samples, help_heading = "Verification")]
-    pub max_samples: usize,
-    /// Matches that move by less than this between the images may be a watermark, pixels.
-    #[arg(long, default_value_t = Self::default().static_px, help_heading = "Verification")]
-    pub static_px: f64,
-    /// Pairs whose agreement random matches would reach more often than 10 to this power are dropped.
-    #[arg(long, default_value_t = Self::default().max_log10_false_alarms, allow_hyphen_values = true, help_heading = "Verification")]
-    pub max_log10_false_alarms: f64,
-}
-
-impl Default for TwoViewConfig {
-    fn default() -> Self {
-        Self {
-            max_error_px: 4.0,
-            min_inliers: 15,
-            min_inlier_ratio: 0.25,
-            verify_confidence: 0.9999,
-            max_samples: 3000,
-            static_px: 1.5,
-            max_log10_false_alarms: -2.0,
-        }
-    }
-}
-
-/// Finds the motion that explains the matches of images `a` and `b`: an essential matrix where the focal lengths
-/// can be trusted as far as this pair tells (it keeps at least 95 % of the fundamental matrix's inliers), else a
-/// fundamental matrix; a homography where that is the better description (a plane, or a rotation without
-/// baseline). Matches that stay in place while others move (watermark, dust, the background of a turntable) are
-/// dropped; where nothing else agrees the pair is a [`TwoViewKind::Watermark`]. Matches that are not finite, out of range or not one-to-one are dropped. All matrices refer to
-/// ideal (undistorted) pixels. [`TwoViewKind::Degenerate`] with no inliers where nothing is found.
+/// Finds the motion that explains the matches of images `a` and `b`: an essential matrix where the
+/// focal lengths can be trusted as far as this pair tells (it keeps at least 95 % of the
+/// fundamental matrix's inliers), else a fundamental matrix; a homography where that is the better
+/// description (a plane, or a rotation without baseline). Matches that stay in place while others
+/// move (watermark, dust, the background of a turntable) are dropped; where nothing else agrees the
+/// pair is a [`TwoViewKind::Watermark`]. Matches that are not finite, out of range or not
+/// one-to-one are dropped. All matrices refer to ideal (undistorted) pixels.
+/// [`TwoViewKind::Degenerate`] with no inliers where nothing is found.
 #[allow(clippy::too_many_arguments)] // two of everything
-pub fn verify_pair(
+pub(crate) fn verify_pair(
     a: usize,
     b: usize,
     features_a: &Features,
@@ -118,9 +81,10 @@ pub fn verify_pair(
     moving.unwrap_or_else(|| if parts.still.len() >= config.min_inliers { watermark() } else { none.clone() })
 }
 
-/// Adds matches found later (along epipolar lines, say) to a verified pair: those that fit its model within the
-/// error bound are verified anew together with the old inliers. The old geometry where that loses inliers.
-pub fn merge_guided(
+/// Adds matches found later (along epipolar lines, say) to a verified pair: those that fit its
+/// model within the error bound are verified anew together with the old inliers. The old geometry
+/// where that loses inliers.
+pub(crate) fn merge_guided(
     geometry: &TwoViewGeometry,
     features: [&Features; 2],
     cameras: [&Camera; 2],
@@ -150,9 +114,9 @@ pub fn merge_guided(
     if merged.inliers.len() >= geometry.inliers.len() { merged } else { geometry.clone() }
 }
 
-/// Seeks more matches of verified pairs along their epipolar lines, over all threads; `wanted` says of which pairs.
-/// The same for any number of threads.
-pub fn match_along_lines(
+/// Seeks more matches of verified pairs along their epipolar lines, over all threads; `wanted` says
+/// of which pairs. The same for any number of threads.
+pub(crate) fn match_along_lines(
     features: &[Features],
     cameras: &[Camera],
     geometries: Vec<TwoViewGeometry>,
@@ -178,9 +142,10 @@ pub fn match_along_lines(
     geometries.into_par_iter().map(one).collect()
 }
 
-/// Verifies pairs over all threads. `cameras` holds one camera a frame. The result is sorted by `(a, b)`, does
-/// not depend on the number of threads and holds only pairs with `min_inliers`; matches given as `(b, a)` are
-/// turned round, pairs of an image with itself or with a missing one are dropped.
+/// Verifies pairs over all threads. `cameras` holds one camera a frame. The result is sorted by
+/// `(a, b)`, does not depend on the number of threads and holds only pairs with `min_inliers`;
+/// matches given as `(b, a)` are turned round, pairs of an image with itself or with a missing one
+/// are dropped.
 pub fn verify_pairs(
     features: &[Features],
     cameras: &[Camera],

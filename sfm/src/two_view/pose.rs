@@ -9,9 +9,10 @@ use crate::solvers::{
 use glam::{DMat3, DQuat, DVec3};
 use scene::Pose;
 
-/// Relative poses that the models propose, each refined on the inliers; the one with the least truncated Sampson
-/// error among those that see the points in front of both cameras. Unit translation.
-pub fn best_pose(
+/// Relative poses that the models propose, each refined on the inliers; the one with the least
+/// truncated Sampson error among those that see the points in front of both cameras. Unit
+/// translation.
+pub(crate) fn best_pose(
     all: &Correspondences,
     inliers: &[usize],
     essentials: &[DMat3],
@@ -49,10 +50,11 @@ fn truncated_cost(pose: &Pose, all: &Correspondences, inliers: &[usize], thresho
     inliers.iter().map(|&i| sampson_sq(&f, all.a[i], all.b[i]).min(threshold * threshold)).sum()
 }
 
-/// The rotation that alone explains the inliers of the homography `h` (scaled points) about as well as it does:
-/// the cameras stand in one place. Focal lengths from half to twice the given ones are tried, for a guessed one
-/// may be wrong. The rotation between two sets of unit rays: Arun, Huang & Blostein, PAMI 1987.
-pub fn pure_rotation(all: &Correspondences, inliers: &[usize], h: &DMat3) -> Option<DQuat> {
+/// The rotation that alone explains the inliers of the homography `h` (scaled points) about as well
+/// as it does: the cameras stand in one place. Focal lengths from half to twice the given ones are
+/// tried, for a guessed one may be wrong. The rotation between two sets of unit rays: Arun, Huang &
+/// Blostein, PAMI 1987.
+pub(crate) fn pure_rotation(all: &Correspondences, inliers: &[usize], h: &DMat3) -> Option<DQuat> {
     let transfer = |m: &DMat3, i: usize| {
         let p = *m * (all.a[i] / all.size).extend(1.0);
         if p.z > 0.0 { (p.truncate() / p.z * all.size).distance(all.b[i]) } else { f64::INFINITY }
@@ -85,7 +87,7 @@ pub fn pure_rotation(all: &Correspondences, inliers: &[usize], h: &DMat3) -> Opt
 }
 
 /// Median angle between the two rays of the matches, radians.
-pub fn median_angle(b_from_a: &Pose, all: &Correspondences, inliers: &[usize]) -> f64 {
+pub(crate) fn median_angle(b_from_a: &Pose, all: &Correspondences, inliers: &[usize]) -> f64 {
     let angles = inliers.iter().map(|&i| {
         let (a, b) = all.rays(i);
         let a = b_from_a.rotation * a;

@@ -1,4 +1,5 @@
-//! The model without the pairs that repeated structure made, where it contradicts pairs that can be trusted.
+//! The model without the pairs that repeated structure made, where it contradicts pairs that can be
+//! trusted.
 
 use super::mapping::grow_model;
 use crate::Decision;

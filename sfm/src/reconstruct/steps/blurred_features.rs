@@ -1,5 +1,5 @@
-//! A second set of features, of blurred images, where the first leaves images loosely tied: in the dark the finest
-//! structure is noise, and what is left of the object shows at larger scales only.
+//! A second set of features, of blurred images, where the first leaves images loosely tied: in the
+//! dark the finest structure is noise, and what is left of the object shows at larger scales only.
 
 use super::ties::{find_weakly_tied, most_are_weak, strong_tie};
 use crate::matching::{PairMatches, PreparedFeatures, match_prepared};
@@ -20,8 +20,9 @@ const PROBES: usize = 16;
 /// Source: derived from `PROBES`.
 const PROBE_BEYOND: usize = 3 * PROBES;
 
-/// Looks for matches of weakly tied images in blurred copies; both sets are kept where their matches double, for where
-/// both find the same spots they are half as many again and nothing is won. The first set's features keep their numbers.
+/// Looks for matches of weakly tied images in blurred copies; both sets are kept where their
+/// matches double, for where both find the same spots they are half as many again and nothing is
+/// won. The first set's features keep their numbers.
 pub(super) fn run(mut model: Model, context: &StepContext<'_>) -> StepResult {
     let StepContext { config, progress, .. } = *context;
     let Some(frames) = context.images() else { return Ok((model, Vec::new())) };
@@ -76,8 +77,8 @@ fn blurring(context: &StepContext<'_>) -> sift::SiftConfig {
     sift::SiftConfig { pre_blur: BLUR.hypot(given.pre_blur), ..given.clone() }
 }
 
-/// Whether the blurred copies of some pairs of weakly tied images have as many matches by themselves as the first set
-/// has: together they would be about twice as many.
+/// Whether the blurred copies of some pairs of weakly tied images have as many matches by
+/// themselves as the first set has: together they would be about twice as many.
 fn promising(model: &Model, frames: &FrameSet, context: &StepContext<'_>) -> Result<bool, SfmError> {
     let StepContext { config, progress, .. } = *context;
     let tied: Vec<&TwoViewGeometry> = model.geometries.iter().filter(|g| is_weak(model, g.a, g.b)).collect();
@@ -106,7 +107,8 @@ fn promising(model: &Model, frames: &FrameSet, context: &StepContext<'_>) -> Res
     Ok(matches_of(&found).explained >= matches_of(probes).explained)
 }
 
-/// Matches of both sets by pair `(a, b)`, `a < b`; `first`: by image, the number of features of the first set.
+/// Matches of both sets by pair `(a, b)`, `a < b`; `first`: by image, the number of features of the
+/// first set.
 fn join_matches<'a>(
     fine: impl Iterator<Item = &'a PairMatches>,
     coarse: Vec<PairMatches>,

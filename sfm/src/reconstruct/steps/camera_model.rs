@@ -1,5 +1,5 @@
-//! The camera model by evidence, and which photos were rotated by 180° on their way here. From this step on the solver
-//! sees every image the way up that its sensor was.
+//! The camera model by evidence, and which photos were rotated by 180° on their way here. From this
+//! step on the solver sees every image the way up that its sensor was.
 
 use super::rotation::rotate_inputs;
 use crate::incremental::finish::{decide, take_decided};

@@ -16,7 +16,8 @@ pub(super) fn run(mut model: Model, context: &StepContext<'_>) -> StepResult {
     Ok((model, vec![decision]))
 }
 
-/// The poses and points of `state` with the images that its ring misses; `None` where it is no ring or misses none.
+/// The poses and points of `state` with the images that its ring misses; `None` where it is no ring
+/// or misses none.
 pub(super) fn complete_circle(
     model: &Model,
     state: &MapState,

@@ -1,5 +1,6 @@
-//! Pairs of images that go round evenly in the order of their files, matched along the lines of the one motion that all
-//! neighbours share: in the dark a pair alone has too few right matches to say how it lies.
+//! Pairs of images that go round evenly in the order of their files, matched along the lines of the
+//! one motion that all neighbours share: in the dark a pair alone has too few right matches to say
+//! how it lies.
 
 use super::ties::most_are_weak;
 use crate::circular::Motion;
@@ -13,19 +14,21 @@ use glam::DVec2;
 use rayon::prelude::*;
 use scene::TwoViewGeometry;
 
-/// Farthest that a match may be from the line that the motion gives, pixels: cameras have motions of their own.
+/// Farthest that a match may be from the line that the motion gives, pixels: cameras have motions
+/// of their own.
 /// Source: docs/decisions/0019.
 const BAND_PX: f64 = 8.0;
 /// Images farther apart than this hardly show the same, radians.
 /// Source: docs/decisions/0019.
 const FARTHEST: f64 = 0.9;
-/// Where most images share no more matches than this with any other, the pairs along the motion take the others' place.
-/// Above, pairs that are verified alone are the more exact ones, and the motion is for what they leave out.
+/// Where most images share no more matches than this with any other, the pairs along the motion
+/// take the others' place. Above, pairs that are verified alone are the more exact ones, and the
+/// motion is for what they leave out.
 /// Source: docs/decisions/0019.
 const FEW: usize = 100;
 
-/// Matches and verifies the pairs of images near each other anew along the lines of a constant-step circular motion,
-/// where most images are weakly tied and go round so.
+/// Matches and verifies the pairs of images near each other anew along the lines of a constant-step
+/// circular motion, where most images are weakly tied and go round so.
 pub(super) fn run(mut model: Model, context: &StepContext<'_>) -> StepResult {
     let is_asked = context.images().is_some_and(|frames| !frames.is_video)
         && context.config.motion.motion != Motion::Free

@@ -1,5 +1,6 @@
-//! Few images: once a model stands, its own epipolar lines are searched for matches in all pairs, those that were too
-//! few to verify by themselves among them. The points gained bind wide steps together.
+//! Few images: once a model stands, its own epipolar lines are searched for matches in all pairs,
+//! those that were too few to verify by themselves among them. The points gained bind wide steps
+//! together.
 
 use crate::SfmError;
 use crate::incremental::finish::noise_of;
@@ -21,15 +22,16 @@ const UP_TO: usize = 30;
 /// Images that look farther apart than this share no points, radians.
 /// Source: chosen by hand, never measured.
 pub(crate) const WIDEST: f64 = 1.2;
-/// Half-width of the band along the lines, in standard deviations of the model's errors: all but 6 in 100,000 of normal
-/// ones.
+/// Half-width of the band along the lines, in standard deviations of the model's errors: all but 6
+/// in 100,000 of normal ones.
 /// Source: chosen by hand, never measured.
 const BAND_SIGMAS: f64 = 4.0;
 /// The least half-width, pixels: the grid of the keypoints.
 /// Source: chosen by hand, never measured.
 const LEAST_BAND_PX: f64 = 1.0;
 
-/// Takes the pairs with what lies on the model's epipolar lines, and the tracks they make, where that is more.
+/// Takes the pairs with what lies on the model's epipolar lines, and the tracks they make, where
+/// that is more.
 pub(super) fn run(mut model: Model, context: &StepContext<'_>) -> StepResult {
     if model.features.len() > UP_TO {
         return Ok((model, Vec::new()));
@@ -99,7 +101,8 @@ pub(crate) fn line_between(a: (&Pose, &Camera), b: (&Pose, &Camera)) -> (DMat3, 
     (calibration(b.1).inverse().transpose() * e * calibration(a.1).inverse(), b_from_a)
 }
 
-/// One-to-one matches: the pair's own inliers first, then what was found and does not contradict them.
+/// One-to-one matches: the pair's own inliers first, then what was found and does not contradict
+/// them.
 pub(crate) fn merge_geometry(
     known: Option<&TwoViewGeometry>,
     (a, b): (usize, usize),

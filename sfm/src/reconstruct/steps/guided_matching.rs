@@ -1,4 +1,5 @@
-//! More matches along the epipolar lines of verified pairs, where they tie an image that few matches tie.
+//! More matches along the epipolar lines of verified pairs, where they tie an image that few
+//! matches tie.
 
 use crate::reconstruct::context::StepContext;
 use crate::reconstruct::model::{Model, StepResult};

@@ -1,4 +1,5 @@
-//! Which mapper's model is taken: the incremental one's, the global one's, or the one that the observations bear out.
+//! Which mapper's model is taken: the incremental one's, the global one's, or the one that the
+//! observations bear out.
 
 use crate::disjoint_sets::DisjointSets;
 use crate::incremental::state::{MapState, MappingInput};
@@ -55,7 +56,8 @@ fn largest_part(input: &MappingInput<'_>) -> usize {
     parts.sizes().into_iter().max().unwrap_or(0)
 }
 
-/// Matches of all verified pairs: (those that agree with a model, all); of pairs without two poses none agrees.
+/// Matches of all verified pairs: (those that agree with a model, all); of pairs without two poses
+/// none agrees.
 fn count_agreeing(state: &MapState, input: &MappingInput<'_>) -> (usize, usize) {
     let mut sums = (0, 0);
     for g in input.geometries {

@@ -1,4 +1,5 @@
-//! The first model: what grows from the verified pairs, or begins with all images in their places on a ring.
+//! The first model: what grows from the verified pairs, or begins with all images in their places
+//! on a ring.
 
 use super::constant_step::place_all_images;
 use super::mapper;
@@ -10,13 +11,14 @@ use crate::tracks::{build_tracks, positions};
 use crate::{Decision, SfmError};
 use scene::{Features, TwoViewGeometry};
 
-/// Share of the images with which a model that grew from other pairs needs no ring to start from: what it misses finds
-/// its place later.
+/// Share of the images with which a model that grew from other pairs needs no ring to start from:
+/// what it misses finds its place later.
 /// Source: chosen by hand, never measured.
 const WHOLE: f64 = 0.9;
 
-/// Standard deviations of an image's keypoints, in proportion to their scales and 1 for the finest: blurred structure is
-/// found less exactly (Zeisl et al., "Estimation of Location Uncertainty for Scale Invariant Feature Points", BMVC 2009).
+/// Standard deviations of an image's keypoints, in proportion to their scales and 1 for the finest:
+/// blurred structure is found less exactly (Zeisl et al., "Estimation of Location Uncertainty for
+/// Scale Invariant Feature Points", BMVC 2009).
 fn keypoint_sigmas(features: &Features) -> Vec<f32> {
     features.keypoints.iter().map(|k| k.scale.max(1.0)).collect()
 }
@@ -57,8 +59,9 @@ pub(super) fn grow_model(
     Ok(state.map(|state| MappedModel { state, tracks, geometries, on_ring: false, decision }))
 }
 
-/// The model that grows from the pairs, or the one that begins with all images in their places on a ring: where that
-/// stands and pairs alone say little, or where the first misses many images or has them elsewhere.
+/// The model that grows from the pairs, or the one that begins with all images in their places on a
+/// ring: where that stands and pairs alone say little, or where the first misses many images or has
+/// them elsewhere.
 fn grow_or_place(
     model: &mut Model,
     start: &ConstantStepStart,

@@ -1,16 +1,20 @@
-//! The sequence of steps. Each takes the model and hands it on, better or as it was, with what it decided.
+//! The sequence of steps. Each takes the model and hands it on, better or as it was, with what it
+//! decided.
 //!
-//! 1. `video-turn`: the model of a video in which something turns about one axis; where that stands, it is the model.
-//! 2. Observations: `features`, `matching`, `verification`; where most images share few matches `blurred-features` and
-//!    `constant-step`; `guided-matching`.
-//! 3. Poses: `mapping`; then, where it lacks images or contradicts its pairs, `aliasing`, `second-attempt`,
-//!    `circle-completion`.
+//! 1. `video-turn`: the model of a video in which something turns about one axis; where that
+//!    stands, it is the model.
+//! 2. Observations: `features`, `matching`, `verification`; where most images share few matches
+//!    `blurred-features` and `constant-step`; `guided-matching`.
+//! 3. Poses: `mapping`; then, where it lacks images or contradicts its pairs, `aliasing`,
+//!    `second-attempt`, `circle-completion`.
 //! 4. Cameras: `shared-cameras`, `camera-model`, and the `final-adjustment` with what was decided.
-//! 5. Better observations, each with an adjustment of its own: `densify`, `subpixel`, `plane-tracks`; `isolated-points`.
+//! 5. Better observations, each with an adjustment of its own: `densify`, `subpixel`,
+//!    `plane-tracks`; `isolated-points`.
 //! 6. `motion`: whether poses are on a circle, or about one axis; `covariance`.
 //! 7. What is handed back: `points`, `colours`.
 //!
-//! Most of them can be left out by `--skip NAME` ([`StepName`]); what a step does is said in its file.
+//! Most of them can be left out by `--skip NAME` ([`StepName`]); what a step does is said in its
+//! file.
 
 mod aliasing;
 mod blurred_features;
@@ -105,7 +109,8 @@ const STEPS: [Step; 22] = [
     Step::always("colours", &[Stage::Posed, Stage::OneAxis], colours::run),
 ];
 
-/// Takes the model through all steps of its stage that are not to be skipped, and notes what each costs.
+/// Takes the model through all steps of its stage that are not to be skipped, and notes what each
+/// costs.
 pub(super) fn run(mut model: Model, context: &StepContext<'_>) -> Result<SfmResult, SfmError> {
     let initial_cameras = model.setup.of_frames();
     let mut decisions = Vec::new();

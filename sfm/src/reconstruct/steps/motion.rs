@@ -1,4 +1,5 @@
-//! Whether the images show a turn about one axis or an orbit; of images without poses too, for a turn needs but three.
+//! Whether the images show a turn about one axis or an orbit; of images without poses too, for a
+//! turn needs but three.
 
 use crate::circular::{self, FreeModel, consider};
 use crate::reconstruct::context::StepContext;
@@ -13,7 +14,8 @@ pub(super) fn run(mut model: Model, context: &StepContext<'_>) -> StepResult {
     }
     let input = model.input(context);
     let free = posed.then_some(FreeModel { state: &model.state, intrinsics: model.intrinsics });
-    // Images that were rotated on their way get cameras of their own in the end: no turn before one camera.
+    // Images that were rotated on their way get cameras of their own in the end: no turn before one
+    // camera.
     let unrotated = !model.rotated.contains(&true);
     let outcome = consider(&model.motion_input(&input, context), free.as_ref(), unrotated)?;
     let mut decision = outcome.decision.filter(|_| posed || outcome.taken.is_some());

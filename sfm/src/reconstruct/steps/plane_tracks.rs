@@ -1,5 +1,5 @@
-//! Observations of a supporting plane (see [`crate::plane_tracks`]), where images are weakly constrained and the model is no
-//! worse for them.
+//! Observations of a supporting plane (see [`crate::plane_tracks`]), where images are weakly
+//! constrained and the model is no worse for them.
 
 use crate::incremental::finish::{free_principal_point, noise_of};
 use crate::incremental::state::{MapState, MappingInput};
@@ -20,17 +20,21 @@ const FEW: usize = 200;
 /// Share of the images that must be so.
 /// Source: docs/decisions/0028.
 const WEAK: f64 = 0.1;
-/// The plane is looked at up to so often, each time from better poses: how far windows are looked for, squares.
-/// Source: docs/decisions/0028 (three to ten rounds are taken; three alone cost case 1 0.18° for 0.10°).
+/// The plane is looked at up to so often, each time from better poses: how far windows are looked
+/// for, squares.
+/// Source: docs/decisions/0028 (three to ten rounds are taken; three alone cost case 1 0.18° for
+/// 0.10°).
 const FARTHEST: [usize; 16] = [10, 6, 4, 4, 3, 3, 3, 3, 3, 3, 3, 3, 3, 3, 3, 3];
 /// Until what it shows is off by hardly less than the time before, as a share.
 /// Source: chosen by hand, never measured.
 const LESS: f64 = 0.995;
-/// What is known to show nothing is left out the next time, but for a margin, as a share of the reach.
+/// What is known to show nothing is left out the next time, but for a margin, as a share of the
+/// reach.
 /// Source: chosen by hand, never measured.
 const MARGIN: f64 = 0.1;
-/// Standard deviation of its observations, as a share of what residuals say: those of features err together, and by twice as
-/// much as residuals show at least, while what all images show in common errs with none of them.
+/// Standard deviation of its observations, as a share of what residuals say: those of features err
+/// together, and by twice as much as residuals show at least, while what all images show in common
+/// errs with none of them.
 /// Source: docs/decisions/0007 (variances are too small by 2 to 6).
 const TRUST: f64 = 0.5;
 /// Share of the plane's observations that the adjusted model must keep.
@@ -96,8 +100,8 @@ fn decision(chosen: &str, evidence: String) -> Decision {
     Decision { what: "plane tracks".to_owned(), chosen: chosen.to_owned(), evidence }
 }
 
-/// The model with observations of the widest plane, looked for again from better poses until that changes little; why
-/// not, where there is none.
+/// The model with observations of the widest plane, looked for again from better poses until that
+/// changes little; why not, where there is none.
 fn add_plane(
     model: &Model,
     frames: &FrameSet,
@@ -142,7 +146,8 @@ fn add_plane(
     Ok(found.ok_or_else(|| "a plane is seen, but nothing on it".to_owned()))
 }
 
-/// How many observations of features a model has, and their median error, pixels; infinite where it has none.
+/// How many observations of features a model has, and their median error, pixels; infinite where it
+/// has none.
 fn fit(state: &MapState, input: &MappingInput<'_>) -> Support {
     let errors = state.errors(input);
     let explained = errors.len();
@@ -156,7 +161,8 @@ impl PlaneRounds {
         without_plane_points(&self.state, input)
     }
 
-    /// In words; `weak`: images that are weakly constrained, `others`: what is explained of features, before and after.
+    /// In words; `weak`: images that are weakly constrained, `others`: what is explained of
+    /// features, before and after.
     fn describe(&self, weak: usize, before: &MapState, others: [Support; 2]) -> String {
         let off: Vec<String> = self.off.iter().map(|o| format!("{o:.2}")).collect();
         let [had, has] = others;
@@ -175,15 +181,16 @@ impl PlaneRounds {
     }
 }
 
-/// Observations of the plane that a model has kept: their errors, pixels, over their standard deviations, and where the places are.
+/// Observations of the plane that a model has kept: their errors, pixels, over their standard
+/// deviations, and where the places are.
 struct KeptPlanePoints {
     errors: Vec<f64>,
     places: Vec<DVec3>,
 }
 
 impl PlaneTracks {
-    /// Behind the keypoints of `input` those of the plane; `per_px`: what a standard deviation of a pixel is in units of the
-    /// others'.
+    /// Behind the keypoints of `input` those of the plane; `per_px`: what a standard deviation of a
+    /// pixel is in units of the others'.
     fn new(input: &MappingInput<'_>, places: &[PlanePoint], per_px: f64) -> Self {
         let mut keypoints = input.keypoints.to_vec();
         let all_one = || input.keypoints.iter().map(|k| vec![1.0; k.len()]).collect();

@@ -20,7 +20,8 @@ fn alone(room: &Room, context: &StepContext<'_>, off: f64) -> Model {
     model
 }
 
-/// What the step makes of a room whose images `spoil` changes before they are looked at: the poses before and after.
+/// What the step makes of a room whose images `spoil` changes before they are looked at: the poses
+/// before and after.
 fn outcome(name: &str, spoil: impl Fn(&Room)) -> (Room, Vec<Option<Pose>>, Model, Vec<Decision>) {
     let room = Room::new(name, 1.0, 0.05);
     spoil(&room);

@@ -1,4 +1,5 @@
-//! Images that were rotated on their way here are rotated back for the solver, and the model is rotated again for them.
+//! Images that were rotated on their way here are rotated back for the solver, and the model is
+//! rotated again for them.
 
 use crate::model_selection::rotated_images::{rotate_camera, rotate_geometry, rotate_pixel, rotate_pose};
 use crate::reconstruct::model::Model;
@@ -23,8 +24,8 @@ fn rotate_keypoints(model: &mut Model) {
     }
 }
 
-/// Gives rotated images the keypoints and the pose that fit the image as it is, and their own camera with the mirrored
-/// principal point.
+/// Gives rotated images the keypoints and the pose that fit the image as it is, and their own
+/// camera with the mirrored principal point.
 pub(super) fn rotate_back(model: &mut Model) {
     rotate_keypoints(model);
     for (pose, _) in model.state.poses.iter_mut().zip(&model.rotated).filter(|(_, rotated)| **rotated) {

@@ -1,5 +1,5 @@
-//! Where images of a small set are missing: pairs that did not pass are matched again, loosely and with the solved
-//! intrinsics, and the model is grown anew from all pairs.
+//! Where images of a small set are missing: pairs that did not pass are matched again, loosely and
+//! with the solved intrinsics, and the model is grown anew from all pairs.
 
 use super::circle_completion::complete_circle;
 use super::mapping::grow_model;
@@ -58,8 +58,8 @@ fn images_in_the_end(
     Ok(completed.map_or(state.registered_count(), |(completed, _)| completed.registered_count()))
 }
 
-/// Pairs that did not pass are looked at again with the solved intrinsics. The model that grows from all pairs then,
-/// where it is no smaller; `None` where no pair passes.
+/// Pairs that did not pass are looked at again with the solved intrinsics. The model that grows
+/// from all pairs then, where it is no smaller; `None` where no pair passes.
 fn attempt(
     model: &Model,
     last: Option<&MappedModel>,

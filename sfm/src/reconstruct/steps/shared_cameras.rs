@@ -57,8 +57,8 @@ pub(super) fn run(mut model: Model, context: &StepContext<'_>) -> StepResult {
     Ok((model, vec![decision]))
 }
 
-/// One camera for all images of a size, and which camera each becomes. Its intrinsics are those of the group with the most
-/// images of the model, its prior is the first there is.
+/// One camera for all images of a size, and which camera each becomes. Its intrinsics are those of
+/// the group with the most images of the model, its prior is the first there is.
 fn merge_by_size(setup: &Setup, state: &MapState) -> (Setup, Vec<usize>) {
     let mut images = vec![0usize; setup.cameras.len()];
     state.order.iter().for_each(|&i| images[setup.camera_of[i]] += 1);

@@ -1,5 +1,5 @@
-//! Keypoints moved to where their windows fit together (see [`crate::refinement`]), where the model fits them more closely
-//! than it fitted those that were detected.
+//! Keypoints moved to where their windows fit together (see [`crate::refinement`]), where the model
+//! fits them more closely than it fitted those that were detected.
 
 use crate::incremental::state::{MapState, MappingInput};
 use crate::reconstruct::accept::{Change, Support, accept};
@@ -42,7 +42,8 @@ pub(super) fn run(mut model: Model, context: &StepContext<'_>) -> StepResult {
     Ok((model, vec![decision]))
 }
 
-/// How many of `observations` a model has, and their median reprojection error, pixels; infinite where it has none.
+/// How many of `observations` a model has, and their median reprojection error, pixels; infinite
+/// where it has none.
 fn fit(state: &MapState, input: &MappingInput<'_>, observations: &[[u32; 2]]) -> Support {
     let error = |view: &[u32; 2]| {
         let point = state.point_of[view[0] as usize][view[1] as usize];

@@ -5,8 +5,8 @@ use crate::reconstruct::model::Model;
 use crate::sift::{Doubling, SiftConfig};
 use scene::TwoViewGeometry;
 
-/// Other images that hold an image firmly. What is held by fewer gains by matches along its epipolar lines; what is held
-/// by more loses, for those are less exact.
+/// Other images that hold an image firmly. What is held by fewer gains by matches along its
+/// epipolar lines; what is held by more loses, for those are less exact.
 /// Source: chosen by hand, never measured.
 const TIES: usize = 2;
 /// Matches that each of them must share with it, of the default number of features.
@@ -18,7 +18,8 @@ const FEATURES_OF_TIES: usize = 4096;
 /// Share of the images that must be weakly tied for other ways to match them to be looked for.
 /// Source: docs/decisions/0016.
 const WEAK_SHARE: f64 = 0.5;
-/// [`STRONG_TIE`] where fewer features are asked for: fewer matches hold an image then as firmly as that allows.
+/// [`STRONG_TIE`] where fewer features are asked for: fewer matches hold an image then as firmly as
+/// that allows.
 pub(super) fn strong_tie(sift: &SiftConfig) -> usize {
     let share = if sift.doubling == Doubling::Never { 4 } else { 1 };
     STRONG_TIE * sift.max_features.min(FEATURES_OF_TIES / share) / FEATURES_OF_TIES

@@ -1,5 +1,5 @@
-//! The model of a video in which something turns about one axis before a camera that stands still: from followed
-//! points, without any of the other steps.
+//! The model of a video in which something turns about one axis before a camera that stands still:
+//! from followed points, without any of the other steps.
 
 use crate::circular::{Motion, VideoJob, solve_video};
 use crate::reconstruct::context::{FeatureSource, StepContext};
