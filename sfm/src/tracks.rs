@@ -58,13 +58,12 @@ pub(crate) fn build_tracks(features: &[Features], geometries: &[TwoViewGeometry]
         if forest.parent[root] as usize != root || members.len() < 2 {
             continue;
         }
-        let view = |&node: &u32| {
+        let mut views: Vec<[u32; 2]> = Vec::with_capacity(members.len());
+        for &node in members {
             let image = forest.image_of[node as usize];
-            [image, node - start[image as usize] as u32]
-        };
-        let views: Vec<[u32; 2]> = members.iter().map(view).collect();
-        for [image, feature] in &views {
-            tracks.of[*image as usize][*feature as usize] = tracks.views.len() as u32;
+            let feature = node - start[image as usize] as u32;
+            tracks.of[image as usize][feature as usize] = tracks.views.len() as u32;
+            views.push([image, feature]);
         }
         tracks.views.push(views);
     }
@@ -91,9 +90,11 @@ fn edges_by_support(places: &[Vec<u32>], start: &[usize], geometries: &[TwoViewG
         neighbours[*b as usize].push(*a);
     }
     neighbours.iter_mut().for_each(|n| n.sort_unstable());
-    let support = |[a, b]: [u32; 2]| common(&neighbours[a as usize], &neighbours[b as usize]);
-    let mut ranked: Vec<(usize, usize, [u32; 2])> =
-        edges.iter().map(|(e, inliers)| (support(*e), *inliers, *e)).collect();
+    let mut ranked: Vec<(usize, usize, [u32; 2])> = Vec::with_capacity(edges.len());
+    for ([a, b], inliers) in edges {
+        let support = common(&neighbours[a as usize], &neighbours[b as usize]);
+        ranked.push((support, inliers, [a, b]));
+    }
     ranked.sort_unstable_by_key(|(s, n, e)| (std::cmp::Reverse((*s, *n)), *e));
     ranked.into_iter().map(|(_, _, e)| e).collect()
 }
@@ -143,8 +144,9 @@ impl Forest {
         if a == b {
             return;
         }
-        let images = |list: &[u32]| list.iter().map(|&n| self.image_of[n as usize]).collect::<Vec<_>>();
-        if common(&images(&self.members[a as usize]), &images(&self.members[b as usize])) > 0 {
+        let images: [Vec<u32>; 2] = [a, b]
+            .map(|root| self.members[root as usize].iter().map(|&n| self.image_of[n as usize]).collect());
+        if common(&images[0], &images[1]) > 0 {
             return;
         }
         let (root, child) = if a < b { (a, b) } else { (b, a) };

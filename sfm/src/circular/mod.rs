@@ -31,7 +31,7 @@ mod video;
 mod whiten;
 
 pub use config::{Motion, MotionConfig};
-pub(crate) use video::{VideoJob, VideoModel, solve_video};
+pub(crate) use video::{VideoJob, solve_video};
 
 use crate::Knowledge;
 use crate::incremental::adjust::Adjustment;

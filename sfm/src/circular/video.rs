@@ -137,7 +137,7 @@ impl VideoJob<'_> {
             camera_of: self.camera_of,
             geometries: &[],
             config: &self.config.mapper,
-            may_be_rotated: false,
+            is_video: true,
             skip: &self.config.skip,
             seed: self.config.seed,
         }

@@ -70,16 +70,17 @@ pub(crate) fn map(
 
 /// The rotations of all verified pairs for the present intrinsics.
 fn view_graph(input: &MappingInput<'_>, cameras: &[Camera]) -> Vec<RotationEdge> {
-    let edge = |g: &scene::TwoViewGeometry| {
-        if matches!(g.kind, TwoViewKind::Watermark | TwoViewKind::Degenerate) {
-            return None;
-        }
+    let moving = input
+        .geometries
+        .par_iter()
+        .filter(|g| !matches!(g.kind, TwoViewKind::Watermark | TwoViewKind::Degenerate));
+    let edges = moving.filter_map(|g| {
         let of_pair = [g.a, g.b].map(|i| &cameras[input.camera_of[i]]);
         let pose = relative_pose(input, of_pair, g).or(g.b_from_a)?;
         let weight = (g.inliers.len() as f64).sqrt();
         pose.is_finite().then_some(RotationEdge { a: g.a, b: g.b, b_from_a: pose.rotation, weight })
-    };
-    input.geometries.par_iter().filter_map(edge).collect()
+    });
+    edges.collect()
 }
 
 /// Adjusts with ever smaller bounds on the errors, then takes out images that see next to nothing.
@@ -99,8 +100,8 @@ fn tighten(
         state.filter(input, limit);
         state.grow_all(input);
     }
-    let blind = |image: &usize| state.observations(*image) < input.config.min_observations;
-    let blind: Vec<usize> = state.order.iter().copied().filter(blind).collect();
+    let mut blind = state.order.clone();
+    blind.retain(|&image| state.observations(image) < input.config.min_observations);
     blind.into_iter().for_each(|image| state.unregister(image));
     Ok(())
 }

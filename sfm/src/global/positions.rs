@@ -74,12 +74,15 @@ pub(crate) fn solve(
     if !ceres::positions(&problem, &mut centres, &mut points, progress)? {
         return Ok(None);
     }
-    let place = |values: &[f64], i: usize| DVec3::from_slice(&values[3 * i..]);
-    let of_image = |&n: &u32| (n != u32::MAX).then(|| place(&centres, n as usize));
-    Ok(Some(Positions {
-        centres: number.iter().map(of_image).collect(),
-        points: tracks.iter().enumerate().map(|(i, (track, _))| (*track, place(&points, i))).collect(),
-    }))
+    let mut found = Positions { centres: Vec::new(), points: Vec::new() };
+    for n in number {
+        let known = n != u32::MAX;
+        found.centres.push(known.then(|| DVec3::from_slice(&centres[3 * n as usize..])));
+    }
+    for ((track, _), point) in tracks.iter().zip(points.chunks_exact(3)) {
+        found.points.push((*track, DVec3::from_slice(point)));
+    }
+    Ok(Some(found))
 }
 
 /// The longest tracks, until every image sees enough of them: (track, views in images with a
@@ -100,8 +103,8 @@ fn choose_tracks(input: &MappingInput<'_>, rotations: &[Option<DQuat>]) -> Vec<(
         let views: Vec<[u32; 2]> = views.copied().filter(|v| rotations[v[0] as usize].is_some()).collect();
         if views.iter().any(|v| seen[v[0] as usize] < TRACKS_PER_IMAGE) {
             // Of a long track some views, spread evenly.
-            let some = |i: usize| views[i * known / known.min(MOST_VIEWS)];
-            let some: Vec<[u32; 2]> = (0..known.min(MOST_VIEWS)).map(some).collect();
+            let most = known.min(MOST_VIEWS);
+            let some: Vec<[u32; 2]> = (0..most).map(|i| views[i * known / most]).collect();
             some.iter().for_each(|v| seen[v[0] as usize] += 1);
             chosen.push((track, some));
         }

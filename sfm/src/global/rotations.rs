@@ -118,13 +118,10 @@ fn solve(images: usize, root: usize, system: &[(usize, usize, DVec3, f64)]) -> V
         r[b] += omega * w;
     }
     r[root] = DVec3::ZERO;
-    let free = |i: usize| i != root && diagonal[i] > 0.0;
-    let precondition = |r: &[DVec3]| -> Vec<DVec3> {
-        r.iter().enumerate().map(|(i, v)| if free(i) { *v / diagonal[i] } else { DVec3::ZERO }).collect()
-    };
-    let dot = |x: &[DVec3], y: &[DVec3]| x.iter().zip(y).map(|(x, y)| x.dot(*y)).sum::<f64>();
+    // What is not solved for stays where it is.
+    diagonal[root] = 0.0;
     let mut x = vec![DVec3::ZERO; images];
-    let mut z = precondition(&r);
+    let mut z = precondition(&r, &diagonal);
     let mut p = z.clone();
     let mut rz = dot(&r, &z);
     let first = rz;
@@ -146,13 +143,22 @@ fn solve(images: usize, root: usize, system: &[(usize, usize, DVec3, f64)]) -> V
         }
         x.iter_mut().zip(&p).for_each(|(x, p)| *x += *p * alpha);
         r.iter_mut().zip(&q).for_each(|(r, q)| *r -= *q * alpha);
-        z = precondition(&r);
+        z = precondition(&r, &diagonal);
         let next = dot(&r, &z);
         let beta = next / rz;
         rz = next;
         p.iter_mut().zip(&z).for_each(|(p, z)| *p = *z + *p * beta);
     }
     x
+}
+
+/// Each entry over its diagonal one; zero where that is.
+fn precondition(r: &[DVec3], diagonal: &[f64]) -> Vec<DVec3> {
+    r.iter().zip(diagonal).map(|(v, d)| if *d > 0.0 { *v / *d } else { DVec3::ZERO }).collect()
+}
+
+fn dot(x: &[DVec3], y: &[DVec3]) -> f64 {
+    x.iter().zip(y).map(|(x, y)| x.dot(*y)).sum()
 }
 
 #[cfg(test)]

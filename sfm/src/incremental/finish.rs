@@ -8,6 +8,7 @@ use crate::model_selection::camera::{CameraChoice, FreeIntrinsics, apply, choose
 use crate::model_selection::noise::{noise_in_units, redundancy};
 use crate::model_selection::principal_point;
 use crate::model_selection::rotated_images::{group_size, rotate_problem, suspects};
+use crate::skip::StepName;
 use crate::{Decision, Knowledge, PoseDeviation, SfmError, Uncertainty};
 use scene::{Camera, CameraModel, Progress};
 
@@ -56,7 +57,7 @@ pub(crate) fn decide(
     let part = select(state, input, &what);
     let sigma = noise_in_units(&part.problem);
     let choice = choose(&part.problem, known, named, false, sigma, progress)?;
-    if !input.may_be_rotated {
+    if input.is_video || input.skips(StepName::RotatedImages) {
         return Ok(CameraVerdict::new(choice, part, None, Vec::new()));
     }
     let together = group_size(state.registered_count()).max(1);

@@ -34,10 +34,10 @@ const MIN_CONSISTENT: f64 = 0.3;
 /// What priors and repairs refer to: the start's intrinsics where they were known, the small
 /// model's where not.
 pub(crate) fn starts_of(cameras: &[Camera], known: &[Knowledge], state: &MapState) -> Vec<Camera> {
-    let start = |i: usize| {
-        if known[i].focal_sigma.is_some() || known[i].fixed { &cameras[i] } else { &state.cameras[i] }
-    };
-    (0..cameras.len()).map(|i| start(i).clone()).collect()
+    let all = cameras.iter().zip(&state.cameras).zip(known);
+    all.map(|((start, now), k)| if k.focal_sigma.is_some() || k.fixed { start } else { now })
+        .cloned()
+        .collect()
 }
 
 /// Which intrinsics are free with `images` images in the model, and what holds them.
@@ -56,11 +56,13 @@ pub(crate) fn freedom(
     for (camera, (start, k)) in starts.iter().zip(known).enumerate() {
         let focals = start.model.num_focals();
         if let (Some(share), false) = (k.focal_sigma, k.fixed) {
-            let prior = |parameter: usize| {
-                let mean = start.params[parameter];
-                IntrinsicsPrior { camera, parameter, mean, sigma: share * mean }
-            };
-            priors.extend((0..focals).map(prior));
+            let focal = start.params[..focals].iter().enumerate();
+            priors.extend(focal.map(|(parameter, &mean)| IntrinsicsPrior {
+                camera,
+                parameter,
+                mean,
+                sigma: share * mean,
+            }));
         }
         // Distortion of ordinary lenses is a few per cent at the corner; this matters only where
         // the views say nothing.
@@ -183,13 +185,15 @@ pub(crate) fn settle(
 
 /// Takes out images whose pose most of their verified matches contradict, or that see too little.
 pub(crate) fn expel(state: &mut MapState, input: &MappingInput<'_>) {
-    let doubtful = |image: &usize| {
-        let (agreeing, all) = consistency(state, input, *image);
-        let few = state.observations(*image) < input.config.min_observations;
-        few || (all >= 2 * input.config.min_observations && (agreeing as f64) < MIN_CONSISTENT * all as f64)
-    };
-    let wrong: Vec<usize> = state.order.iter().copied().filter(doubtful).collect();
+    let mut wrong = state.order.clone();
+    wrong.retain(|&image| is_doubtful(state, input, image));
     wrong.into_iter().for_each(|image| state.unregister(image));
+}
+
+fn is_doubtful(state: &MapState, input: &MappingInput<'_>, image: usize) -> bool {
+    let (agreeing, all) = consistency(state, input, image);
+    let few = state.observations(image) < input.config.min_observations;
+    few || (all >= 2 * input.config.min_observations && (agreeing as f64) < MIN_CONSISTENT * all as f64)
 }
 
 /// Puts intrinsics that ran away back to their start.

@@ -94,11 +94,8 @@ fn begin(
     geometry: &TwoViewGeometry,
     progress: &Progress,
 ) -> Result<Option<MapState>, SfmError> {
-    let unknown = |image: usize| {
-        let k = &known[input.camera_of[image]];
-        !k.fixed && k.focal_sigma.is_none()
-    };
-    let search = unknown(geometry.a) || unknown(geometry.b);
+    let of_pair = [geometry.a, geometry.b].map(|image| &known[input.camera_of[image]]);
+    let search = of_pair.iter().any(|k| !k.fixed && k.focal_sigma.is_none());
     let factors: &[f64] = if search { &FOCAL_FACTORS } else { &[1.0] };
     let mut best: Option<(f64, MapState)> = None;
     for factor in factors {

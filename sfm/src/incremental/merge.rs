@@ -181,7 +181,7 @@ mod tests {
                 camera_of: &self.camera_of,
                 geometries: &self.geometries,
                 config: &self.config,
-                may_be_rotated: false,
+                is_video: true,
                 skip: &[],
                 seed: 0,
             }

@@ -23,8 +23,9 @@ pub(crate) struct MappingInput<'a> {
     pub geometries: &'a [TwoViewGeometry],
     /// The user's choices.
     pub config: &'a MapperConfig,
-    /// Whether images may have been rotated on their way (photos, not the frames of a video).
-    pub may_be_rotated: bool,
+    /// Whether images are the frames of a video, in the order of time; photos may have been rotated
+    /// on their way.
+    pub is_video: bool,
     /// Steps, and parts of them, that are left out.
     pub skip: &'a [StepName],
     /// Seed of all randomness.
@@ -173,12 +174,11 @@ impl MapState {
         let limit = input.config.max_reprojection_px.powi(2);
         let (mut rest, mut added) = (Vec::new(), 0);
         for view in loose {
-            let fits = |p: &u32| {
-                self.points[*p as usize]
-                    .as_ref()
-                    .is_some_and(|x| self.error_sq(input, view, x.position) < limit)
-            };
-            match self.of_track[track as usize].iter().copied().find(fits) {
+            let point = self.of_track[track as usize].iter().copied().find(|p| {
+                let point = self.points[*p as usize].as_ref();
+                point.is_some_and(|x| self.error_sq(input, view, x.position) < limit)
+            });
+            match point {
                 Some(point) => {
                     self.add_view(point, view);
                     added += 1;
@@ -312,10 +312,8 @@ impl MapState {
 
     /// All residual lengths, pixels.
     pub(crate) fn errors(&self, input: &MappingInput<'_>) -> Vec<f64> {
-        let of_point = |p: &MapPoint| -> Vec<f64> {
-            p.views.iter().map(|v| self.error_sq(input, *v, p.position).sqrt()).collect()
-        };
-        self.live().flat_map(|(_, p)| of_point(p)).collect()
+        let observations = self.live().flat_map(|(_, p)| p.views.iter().map(|v| (*v, p.position)));
+        observations.map(|(view, x)| self.error_sq(input, view, x).sqrt()).collect()
     }
 
     /// `Σ max(0, 1 − e²/T²)` over all observations, `T` the largest error of one that is kept.

@@ -7,7 +7,7 @@ use super::resection::visible;
 use super::state::{MapState, MappingInput};
 use crate::solvers::{essential_from_pose, sampson_sq};
 use glam::{DMat3, DQuat, DVec2, DVec3};
-use scene::{Pose, TwoViewGeometry};
+use scene::{Camera, Pose, TwoViewGeometry};
 
 /// Pairs of an image that give hypotheses.
 /// Source: chosen by hand, never measured.
@@ -38,6 +38,10 @@ struct Link<'a> {
 }
 
 impl Link<'_> {
+    fn is_near_in_time(&self) -> bool {
+        self.geometry.a.abs_diff(self.geometry.b) <= NEAR_IN_TIME
+    }
+
     /// How many matches agree with a pose of this image.
     fn count_agreeing(&self, pose: &Pose, limit: f64) -> usize {
         let relative = pose.compose(&self.other.inverse());
@@ -67,13 +71,14 @@ fn link<'a>(
     let cameras = [other, image].map(|i| &state.cameras[input.camera_of[i]]);
     let focal = cameras.map(|c| c.mean_focal());
     let step = geometry.inliers.len().div_ceil(MATCHES).max(1);
-    let ends =
-        geometry.inliers.iter().step_by(step).map(|m| if geometry.a == image { [m[1], m[0]] } else { *m });
-    let ideal = |i: usize, image: usize, feature: u32| {
-        let pixel = input.keypoints[image].get(feature as usize)?;
-        Some(cameras[i].unproject(*pixel) * focal[i])
-    };
-    let matches = ends.filter_map(|m| Some((ideal(0, other, m[0])?, ideal(1, image, m[1])?))).collect();
+    let (of_other, of_image) = (&input.keypoints[other], &input.keypoints[image]);
+    let mut matches = Vec::with_capacity(geometry.inliers.len().div_ceil(step));
+    for m in geometry.inliers.iter().step_by(step) {
+        let [there, here] = if geometry.a == image { [m[1], m[0]] } else { *m };
+        if let (Some(there), Some(here)) = (of_other.get(there as usize), of_image.get(here as usize)) {
+            matches.push((cameras[0].unproject(*there) * focal[0], cameras[1].unproject(*here) * focal[1]));
+        }
+    }
     Some(Link { geometry, other: pose, focal, matches })
 }
 
@@ -95,11 +100,10 @@ pub(crate) fn agreement(
 pub(crate) fn consistency(state: &MapState, input: &MappingInput<'_>, image: usize) -> (usize, usize) {
     let Some(pose) = state.poses[image] else { return (0, 0) };
     let mut links = links(state, input, image);
-    if !input.may_be_rotated {
-        let near = |l: &Link<'_>| l.geometry.a.abs_diff(l.geometry.b) <= NEAR_IN_TIME;
-        let matches: usize = links.iter().filter(|l| near(l)).map(|l| l.matches.len()).sum();
-        if matches >= 2 * input.config.min_observations {
-            links.retain(near);
+    if input.is_video {
+        let near = links.iter().filter(|l| l.is_near_in_time());
+        if near.map(|l| l.matches.len()).sum::<usize>() >= 2 * input.config.min_observations {
+            links.retain(Link::is_near_in_time);
         }
     }
     let limit = 2.0 * input.config.max_reprojection_px;
@@ -156,13 +160,6 @@ fn pose_from_links(
         })
         .collect();
     let limit = 2.0 * input.config.max_reprojection_px;
-    let near = |pose: &Pose| {
-        let error = |(u, x): &(DVec2, DVec3)| {
-            let c = pose.transform(*x);
-            if c.z > 0.0 { (c.truncate() / c.z).distance(*u) * camera.mean_focal() } else { f64::INFINITY }
-        };
-        seen.iter().filter(|s| error(s) < limit).count()
-    };
     let mut best: Option<(usize, Pose)> = None;
     for (i, link) in links.iter().take(PAIRS).enumerate() {
         let Some(line) = line_of(state, input, image, link) else { continue };
@@ -173,7 +170,7 @@ fn pose_from_links(
         scales.extend(others().filter_map(|l| scale_from_pair(&line, l)));
         for s in scales.into_iter().filter(|s| s.is_finite() && *s > 0.0) {
             let pose = line.at(s);
-            let points = near(&pose);
+            let points = seen.iter().filter(|(u, x)| error_px(camera, &pose, *u, *x) < limit).count();
             let agreeing: usize = others().map(|l| l.count_agreeing(&pose, limit)).sum();
             let all: usize = others().map(|l| l.matches.len()).sum();
             let by_points = points >= MIN_POINTS && points * 10 >= seen.len() * 3;
@@ -189,6 +186,13 @@ fn pose_from_links(
         }
     }
     best.map(|(_, pose)| pose)
+}
+
+/// Distance of a point's image from where it is seen (a ray's `x/z, y/z`), pixels; infinite behind
+/// the camera.
+fn error_px(camera: &Camera, pose: &Pose, ray: DVec2, x: DVec3) -> f64 {
+    let c = pose.transform(x);
+    if c.z > 0.0 { (c.truncate() / c.z).distance(ray) * camera.mean_focal() } else { f64::INFINITY }
 }
 
 /// The distance on which nearly all points agree to some per cent: wrong matches scatter over
@@ -227,12 +231,13 @@ fn scale_from_point(line: &Line, u: DVec2, x: DVec3) -> Option<f64> {
 fn scale_from_pair(line: &Line, link: &Link<'_>) -> Option<f64> {
     let relative = line.rotation * link.other.rotation.conjugate();
     let offset = line.start - relative * link.other.translation;
-    let scale = |(other, own): &(DVec2, DVec2)| {
+    let mut scales = Vec::with_capacity(link.matches.len());
+    for (other, own) in &link.matches {
         let v = relative * (*other / link.focal[0]).extend(1.0);
         let u = (*own / link.focal[1]).extend(1.0);
-        -u.dot(offset.cross(v)) / u.dot(line.step.cross(v))
-    };
-    let mut scales: Vec<f64> = link.matches.iter().map(scale).filter(|s| s.is_finite()).collect();
+        scales.push(-u.dot(offset.cross(v)) / u.dot(line.step.cross(v)));
+    }
+    scales.retain(|s| s.is_finite());
     scales.sort_unstable_by(f64::total_cmp);
     scales.get(scales.len() / 2).copied()
 }

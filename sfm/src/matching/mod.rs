@@ -44,23 +44,26 @@ pub fn match_prepared(a: &PreparedFeatures, b: &PreparedFeatures, config: &Match
     let (rows, columns) = kernel::top_two(a, b, floor);
     let ratio2 = config.match_ratio * config.match_ratio;
     let max2 = config.match_max_distance * config.match_max_distance;
-    let distinct = |side: &TopTwo, i: usize| {
-        let (best, second) = (remove_bias(side.best[i]), remove_bias(side.second[i]));
-        let d2 = squared_distance(best);
-        d2 <= max2 && d2 < ratio2 * squared_distance(second)
-    };
     let mut matches = Vec::new();
     for i in 0..a.len() {
         let j = rows.index[i];
-        if j == NONE || !distinct(&rows, i) {
+        if j == NONE || !is_distinct(&rows, i, ratio2, max2) {
             continue;
         }
-        let mutual = columns.index[j as usize] == i as u32 && distinct(&columns, j as usize);
+        let mutual = columns.index[j as usize] == i as u32 && is_distinct(&columns, j as usize, ratio2, max2);
         if mutual || config.one_way_matches {
             matches.push([i as u32, j]);
         }
     }
     matches
+}
+
+/// Whether the best partner of descriptor `i` is near, and much nearer than the second-best; both
+/// limits squared.
+fn is_distinct(side: &TopTwo, i: usize, ratio2: f32, max2: f32) -> bool {
+    let (best, second) = (remove_bias(side.best[i]), remove_bias(side.second[i]));
+    let d2 = squared_distance(best);
+    d2 <= max2 && d2 < ratio2 * squared_distance(second)
 }
 
 /// The matches of one pair of images: `(a, b, matches)`.
@@ -86,7 +89,7 @@ pub(crate) fn match_prepared_pairs(
     progress: &Progress,
 ) -> Result<Vec<PairMatches>, SfmError> {
     progress.begin("matching", pairs.len());
-    let one = |&(a, b): &(usize, usize)| {
+    let found = pairs.par_iter().map(|&(a, b)| {
         progress.check()?;
         let matches = match (prepared.get(a), prepared.get(b)) {
             (Some(left), Some(right)) => match_prepared(left, right, config),
@@ -94,6 +97,6 @@ pub(crate) fn match_prepared_pairs(
         };
         progress.tick()?;
         Ok((a, b, matches))
-    };
-    pairs.par_iter().map(one).collect()
+    });
+    found.collect()
 }

@@ -24,14 +24,14 @@ const PER_IMAGE: usize = 1024;
 pub(super) fn most_alike(features: &[Features], most: usize) -> Vec<Vec<usize>> {
     let n = features.len();
     let signatures = signatures(features);
-    let similarity = |a: usize, b: usize| dot(&signatures[a], &signatures[b]);
-    let of_image = |a: usize| {
+    let ranked = (0..n).into_par_iter().map(|a| {
+        let others = (0..n).filter(|&b| b != a);
         let mut scored: Vec<(f32, usize)> =
-            (0..n).filter(|&b| b != a).map(|b| (similarity(a, b), b)).collect();
+            others.map(|b| (dot(&signatures[a], &signatures[b]), b)).collect();
         scored.sort_by(|x, y| y.0.total_cmp(&x.0).then(x.1.cmp(&y.1)));
         scored.into_iter().take(most).map(|(_, b)| b).collect()
-    };
-    (0..n).into_par_iter().map(of_image).collect()
+    });
+    ranked.collect()
 }
 
 /// In 16 partial sums, which the compiler turns into vectors.

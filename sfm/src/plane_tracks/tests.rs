@@ -147,7 +147,7 @@ pub(crate) fn input<'a>(
         camera_of,
         geometries,
         config,
-        may_be_rotated: true,
+        is_video: false,
         skip: &[],
         seed: 0,
     }

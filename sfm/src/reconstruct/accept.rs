@@ -45,6 +45,14 @@ struct Demand {
     error: f64,
 }
 
+impl Demand {
+    const ANY: Self = Self { images: 0.0, explained: 0.0, must_grow: false, error: f64::INFINITY };
+
+    const fn growth(explained: f64) -> Self {
+        Self { explained, must_grow: true, ..Self::ANY }
+    }
+}
+
 impl Change {
     /// Sources: blurred copies, docs/decisions/0016 (where both sets find the same spots matches
     /// are half as many again); global mapper, docs/decisions/0009; ring, docs/decisions/0019;
@@ -52,17 +60,15 @@ impl Change {
     /// docs/decisions/0028; the share of 0.8 of moved observations and the gain of 3 % of denser
     /// tracks were chosen by hand and never measured.
     fn demand(self) -> Demand {
-        let any = Demand { images: 0.0, explained: 0.0, must_grow: false, error: f64::INFINITY };
-        let growth = |explained| Demand { explained, must_grow: true, ..any };
         match self {
-            Self::BlurredFeatures => growth(2.0),
-            Self::GlobalMapper => growth(1.02),
-            Self::ImagesOnRing => growth(1.0),
-            Self::FewerPairs => Demand { images: 0.9, ..growth(1.02) },
-            Self::MorePairs => Demand { images: 1.0, ..any },
-            Self::DenserTracks => growth(1.03),
-            Self::MovedKeypoints => Demand { explained: 0.8, error: 1.0, ..any },
-            Self::PlaneTracks => Demand { explained: 0.9, error: 1.1, ..any },
+            Self::BlurredFeatures => Demand::growth(2.0),
+            Self::GlobalMapper => Demand::growth(1.02),
+            Self::ImagesOnRing => Demand::growth(1.0),
+            Self::FewerPairs => Demand { images: 0.9, ..Demand::growth(1.02) },
+            Self::MorePairs => Demand { images: 1.0, ..Demand::ANY },
+            Self::DenserTracks => Demand::growth(1.03),
+            Self::MovedKeypoints => Demand { explained: 0.8, error: 1.0, ..Demand::ANY },
+            Self::PlaneTracks => Demand { explained: 0.9, error: 1.1, ..Demand::ANY },
         }
     }
 }

@@ -16,7 +16,7 @@ pub use posed::triangulate_given;
 use crate::matching::PairMatches;
 use crate::{SfmConfig, SfmError, SfmResult};
 use context::{FeatureSource, StepContext};
-use model::Model;
+use model::SfmModel;
 use scene::{Features, FrameSet, Progress};
 
 /// What is known before the images are looked at.
@@ -67,7 +67,7 @@ pub fn reconstruct_features(
 
 fn solve(supplied: Supplied, context: &StepContext<'_>) -> Result<SfmResult, SfmError> {
     let StepContext { frames, config, progress, .. } = *context;
-    let mut model = Model::new(frames, config)?;
+    let mut model = SfmModel::new(frames, config)?;
     config.motion.validate()?;
     progress.check()?;
     if frames.len() < 2 {

@@ -9,7 +9,6 @@ use crate::incremental::finish::converge;
 use crate::incremental::state::{MapState, MappingInput};
 use crate::matching::PairMatches;
 use crate::model_selection::camera::{self, FreeIntrinsics};
-use crate::skip::StepName;
 use crate::tracks::Tracks;
 use crate::{Decision, SfmConfig, SfmError, SfmResult, SfmStats, Uncertainty};
 use glam::DVec2;
@@ -17,7 +16,7 @@ use scene::{Camera, Features, FrameSet, Reconstruction, TwoViewGeometry};
 
 /// How far a model has come; says which steps it takes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) enum Stage {
+pub(crate) enum ModelStage {
     /// No image has a pose.
     Unposed,
     /// Images have poses, free of each other.
@@ -27,7 +26,7 @@ pub(crate) enum Stage {
 }
 
 /// What a step hands on: the model, and what the evidence decided.
-pub(crate) type StepResult = Result<(Model, Vec<Decision>), SfmError>;
+pub(crate) type StepResult = Result<(SfmModel, Vec<Decision>), SfmError>;
 
 /// A constant-step circular motion, and the pairs matched along it.
 pub(crate) struct ConstantStepStart {
@@ -50,8 +49,8 @@ pub(crate) struct MappedModel {
 }
 
 /// The model of a reconstruction. Vectors have one entry an image unless said otherwise.
-pub(crate) struct Model {
-    pub stage: Stage,
+pub(crate) struct SfmModel {
+    pub stage: ModelStage,
     /// Cameras as they are known beforehand, and which image was taken with which.
     pub setup: Setup,
     pub features: Vec<Features>,
@@ -94,12 +93,12 @@ pub(crate) struct Model {
     pub weak_images: Vec<(String, String)>,
 }
 
-impl Model {
+impl SfmModel {
     /// Nothing but what is known before the images are looked at.
     pub(crate) fn new(frames: &FrameSet, config: &SfmConfig) -> Result<Self, SfmError> {
         let setup = Setup::new(frames, config)?;
         Ok(Self {
-            stage: Stage::Unposed,
+            stage: ModelStage::Unposed,
             starts: setup.cameras.clone(),
             setup,
             features: Vec::new(),
@@ -145,7 +144,7 @@ impl Model {
             camera_of: &self.setup.camera_of,
             geometries,
             config: &context.config.mapper,
-            may_be_rotated: !context.frames.is_video && !context.skips(StepName::RotatedImages),
+            is_video: context.frames.is_video,
             skip: &context.config.skip,
             seed: context.config.seed,
         }
@@ -172,7 +171,7 @@ impl Model {
 
     /// Takes over what a mapper made.
     pub(crate) fn adopt(&mut self, mapped: MappedModel) -> Option<Decision> {
-        self.stage = Stage::Posed;
+        self.stage = ModelStage::Posed;
         self.state = mapped.state;
         self.tracks = mapped.tracks;
         self.geometries = mapped.geometries;
@@ -182,7 +181,7 @@ impl Model {
 
     /// Takes over a model about one axis.
     pub(crate) fn adopt_turn(&mut self, solution: CircularSolution) -> Vec<Decision> {
-        self.stage = Stage::OneAxis;
+        self.stage = ModelStage::OneAxis;
         self.state = solution.state;
         self.uncertainty = solution.uncertainty;
         solution.decisions

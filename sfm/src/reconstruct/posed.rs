@@ -47,8 +47,8 @@ pub fn triangulate_given(
     let frames = FrameSet { frames: posed, ..frames.clone() };
     let cameras: Vec<Camera> = model.cameras.values().cloned().collect();
     let image_of: Vec<u32> = frames.frames.iter().map(|f| ids[f.name.as_str()]).collect();
-    let camera_of = |id: &u32| cameras.iter().position(|c| c.id == model.images[id].camera).unwrap_or(0);
-    let camera_of: Vec<usize> = image_of.iter().map(camera_of).collect();
+    let ids = image_of.iter().map(|id| model.images[id].camera);
+    let camera_of: Vec<usize> = ids.map(|id| cameras.iter().position(|c| c.id == id).unwrap_or(0)).collect();
     let poses: Vec<Pose> = image_of.iter().map(|id| model.images[id].pose).collect();
     let features = sift::extract_all(&frames, &config.sift, progress)?;
     let keypoints: Vec<Vec<DVec2>> = features.iter().map(positions).collect();
@@ -63,7 +63,7 @@ pub fn triangulate_given(
         camera_of: &camera_of,
         geometries: &geometries,
         config: &config.mapper,
-        may_be_rotated: false,
+        is_video: frames.is_video,
         skip: &config.skip,
         seed: config.seed,
     };
@@ -88,22 +88,19 @@ fn neighbours(poses: &[Pose]) -> Vec<(usize, usize)> {
     let mut pairs = BTreeSet::new();
     for a in 0..poses.len() {
         // Cameras side by side look the same way: then the distance tells which are near.
-        let apart =
-            |b: usize| angle_between(axes[a], axes[b]) + 0.1 * centres[a].distance(centres[b]) / extent;
-        let mut others: Vec<(f64, usize)> =
-            (0..poses.len()).filter(|&b| b != a).map(|b| (apart(b), b)).collect();
+        let mut others: Vec<(f64, usize)> = Vec::new();
+        for b in (0..poses.len()).filter(|&b| b != a) {
+            let distance = centres[a].distance(centres[b]) / extent;
+            others.push((angle_between(axes[a], axes[b]) + 0.1 * distance, b));
+        }
         others.retain(|(far, _)| *far <= WIDEST);
         others.sort_by(|x, y| x.0.total_cmp(&y.0).then(x.1.cmp(&y.1)));
-        let mut add = |b: usize| pairs.insert((a.min(b), a.max(b)));
-        others.iter().take(NEAREST).for_each(|(_, b)| {
-            add(*b);
+        let farther = FARTHER_DEG.map(f64::to_radians).into_iter();
+        let farther = farther.filter_map(|angle| {
+            others.iter().min_by(|x, y| (x.0 - angle).abs().total_cmp(&(y.0 - angle).abs()))
         });
-        for angle in FARTHER_DEG.map(f64::to_radians) {
-            let off = |o: &&(f64, usize)| (o.0 - angle).abs();
-            others.iter().min_by(|x, y| off(x).total_cmp(&off(y))).into_iter().for_each(|(_, b)| {
-                add(*b);
-            });
-        }
+        let partners = others.iter().take(NEAREST).chain(farther);
+        pairs.extend(partners.map(|&(_, b)| (a.min(b), a.max(b))));
     }
     pairs.into_iter().collect()
 }
@@ -124,8 +121,8 @@ fn along_the_poses(
     let one = |&(a, b): &(usize, usize)| -> Result<Option<TwoViewGeometry>, SfmError> {
         progress.tick()?;
         let (f, b_from_a) = line_between((&poses[a], cameras[a]), (&poses[b], cameras[b]));
-        let side = |i: usize| (&ideal[i], &prepared[i]);
-        let found = guided_match_prepared(side(a), side(b), &f, BAND_PX, &config.matching);
+        let [a_side, b_side] = [a, b].map(|i| (&ideal[i], &prepared[i]));
+        let found = guided_match_prepared(a_side, b_side, &f, BAND_PX, &config.matching);
         Ok(merge_geometry(None, (a, b), found, &f, b_from_a, LEAST_MATCHES))
     };
     let found: Result<Vec<Option<TwoViewGeometry>>, SfmError> = pairs.par_iter().map(one).collect();
@@ -134,17 +131,16 @@ fn along_the_poses(
 
 /// The model with the images' numbers as they were given.
 fn renumber(mut model: Reconstruction, image_of: &[u32]) -> Reconstruction {
-    let number = |own: u32| image_of[own as usize - 1];
     let images = std::mem::take(&mut model.images);
     model.images = images
         .into_values()
         .map(|mut image| {
-            image.id = number(image.id);
+            image.id = image_of[image.id as usize - 1];
             (image.id, image)
         })
         .collect();
     for element in model.points.values_mut().flat_map(|p| &mut p.track) {
-        element.image = number(element.image);
+        element.image = image_of[element.image as usize - 1];
     }
     model
 }

@@ -99,7 +99,7 @@ impl RefinementScene {
             camera_of: &vec![0; images],
             geometries: &[],
             config: &config,
-            may_be_rotated: true,
+            is_video: false,
             skip: &[],
             seed: 0,
         };

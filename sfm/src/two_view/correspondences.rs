@@ -82,6 +82,11 @@ impl Correspondences {
         ((self.a[i] / self.focal[0]).extend(1.0), (self.b[i] / self.focal[1]).extend(1.0))
     }
 
+    /// How far match `i` moves between the images, pixels.
+    pub(crate) fn displacement(&self, i: usize) -> f64 {
+        (self.a[i] + self.principal[0]).distance(self.b[i] + self.principal[1])
+    }
+
     /// The points divided by [`Correspondences::size`].
     pub(crate) fn scaled(&self) -> (Vec<DVec2>, Vec<DVec2>) {
         (self.a.iter().map(|p| *p / self.size).collect(), self.b.iter().map(|p| *p / self.size).collect())
@@ -100,8 +105,8 @@ impl Correspondences {
 
     /// A fundamental matrix of ideal pixels from the principal point as one of pixels, unit norm.
     pub(crate) fn ideal_to_pixels(&self, f: &DMat3) -> DMat3 {
-        let from = |p: DVec2| DMat3::from_cols(DVec3::X, DVec3::Y, (-p).extend(1.0));
-        unit(from(self.principal[1]).transpose() * *f * from(self.principal[0]))
+        let [a, b] = self.principal.map(|p| DMat3::from_cols(DVec3::X, DVec3::Y, (-p).extend(1.0)));
+        unit(b.transpose() * *f * a)
     }
 
     /// A homography of scaled points as one of pixels, unit norm.
@@ -111,34 +116,37 @@ impl Correspondences {
 
     /// A homography of scaled points as one of normalised coordinates.
     pub(crate) fn homography_to_rays(&self, h: &DMat3) -> DMat3 {
-        let diagonal = |s: f64| DMat3::from_diagonal(DVec3::new(s, s, 1.0));
-        diagonal(self.size / self.focal[1]) * *h * diagonal(self.focal[0] / self.size)
+        scaling(self.size / self.focal[1]) * *h * scaling(self.focal[0] / self.size)
     }
 
     /// A fundamental matrix of scaled points as the matrix that is essential if the focal lengths
     /// are right.
     pub(crate) fn fundamental_to_rays(&self, f: &DMat3) -> DMat3 {
-        let diagonal = |s: f64| DMat3::from_diagonal(DVec3::new(s, s, 1.0));
-        unit(diagonal(self.focal[1] / self.size) * *f * diagonal(self.focal[0] / self.size))
+        unit(scaling(self.focal[1] / self.size) * *f * scaling(self.focal[0] / self.size))
     }
 }
 
 /// The matches by descending similarity of their descriptors; `None` where a descriptor is missing.
 fn most_similar_first(a: &Features, b: &Features, matches: &[[u32; 2]]) -> Option<Vec<[u32; 2]>> {
-    let has_descriptor = |features: &Features, i: u32| {
-        let start = i as usize * Features::DIM;
-        (i as usize) < features.len() && start + Features::DIM <= features.descriptors.len()
-    };
     if matches.is_empty() || !matches.iter().all(|&[i, j]| has_descriptor(a, i) && has_descriptor(b, j)) {
         return None;
     }
-    let distance = |&[i, j]: &[u32; 2]| -> u32 {
-        let pairs = a.descriptor(i as usize).iter().zip(b.descriptor(j as usize));
-        pairs.map(|(p, q)| u32::from(p.abs_diff(*q)).pow(2)).sum()
-    };
     let mut sorted = matches.to_vec();
-    sorted.sort_by_cached_key(|m| (distance(m), *m));
+    sorted.sort_by_cached_key(|&[i, j]| {
+        let pairs = a.descriptor(i as usize).iter().zip(b.descriptor(j as usize));
+        (pairs.map(|(p, q)| u32::from(p.abs_diff(*q)).pow(2)).sum::<u32>(), [i, j])
+    });
     Some(sorted)
+}
+
+fn has_descriptor(features: &Features, i: u32) -> bool {
+    let start = i as usize * Features::DIM;
+    (i as usize) < features.len() && start + Features::DIM <= features.descriptors.len()
+}
+
+/// Scales the plane by `s`, in homogeneous coordinates.
+pub(super) fn scaling(s: f64) -> DMat3 {
+    DMat3::from_diagonal(DVec3::new(s, s, 1.0))
 }
 
 fn unit(m: DMat3) -> DMat3 {

@@ -54,15 +54,13 @@ pub fn focal_evidence(
 /// matrix, pixels.
 fn pair_cost(all: &Correspondences, f: DMat3, factor: f64) -> f64 {
     let focal = all.focal.map(|x| x * factor);
-    let k = |i: usize| {
-        let p = all.principal[i];
-        DMat3::from_cols(DVec3::X * focal[i], DVec3::Y * focal[i], p.extend(1.0))
-    };
+    let k = [0, 1]
+        .map(|i| DMat3::from_cols(DVec3::X * focal[i], DVec3::Y * focal[i], all.principal[i].extend(1.0)));
     let rays: Vec<(DVec3, DVec3)> = (0..all.len())
         .map(|i| ((all.a[i] / focal[0]).extend(1.0), (all.b[i] / focal[1]).extend(1.0)))
         .collect();
     let worst = 4.0_f64.ln_1p();
-    let Some((pose, _)) = pose_from_essential(&(k(1).transpose() * f * k(0)), &rays) else { return worst };
+    let Some((pose, _)) = pose_from_essential(&(k[1].transpose() * f * k[0]), &rays) else { return worst };
     let indices: Vec<usize> = (0..all.len()).collect();
     let pose = refine_relative(&pose, focal, Pairs { a: &all.a, b: &all.b, indices: &indices }, 1.0, 15);
     let inverse = focal.map(|f| DMat3::from_diagonal(DVec3::new(1.0 / f, 1.0 / f, 1.0)));

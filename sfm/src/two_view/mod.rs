@@ -60,25 +60,34 @@ pub(crate) fn verify_pair(
     };
     let all = Correspondences::new(features_a, features_b, camera_a, camera_b, matches);
     let parts = StaticMatches::of(&all, config);
-    let stream = ((a as u64) << 32) ^ b as u64;
-    let verify = |some: &Correspondences| {
-        let enough = some.len() >= config.min_inliers.max(8);
-        let models = if enough { TwoViewModels::find(some, config, seed, stream) } else { None };
-        let believed = models
-            .filter(|m| m.log10_false_alarms(some, config.max_error_px) < config.max_log10_false_alarms);
-        believed.map(|m| m.choose(some, config, none.clone())).filter(|g| g.kind != TwoViewKind::Degenerate)
-    };
     if !parts.suspicious {
-        return verify(&all).unwrap_or(none);
+        return find_motion(&all, &none, config, seed).unwrap_or(none);
     }
     // The static matches agree with each other perfectly and would win: only what moves is asked.
-    let watermark = || TwoViewGeometry {
-        kind: TwoViewKind::Watermark,
-        inliers: parts.still.iter().map(|&i| all.matches[i]).collect(),
-        ..none.clone()
-    };
-    let moving = verify(&all.subset(&parts.moving));
-    moving.unwrap_or_else(|| if parts.still.len() >= config.min_inliers { watermark() } else { none.clone() })
+    if let Some(moving) = find_motion(&all.subset(&parts.moving), &none, config, seed) {
+        return moving;
+    }
+    if parts.still.len() < config.min_inliers {
+        return none;
+    }
+    let inliers = parts.still.iter().map(|&i| all.matches[i]).collect();
+    TwoViewGeometry { kind: TwoViewKind::Watermark, inliers, ..none }
+}
+
+/// The motion that explains matches beyond chance. `none`: what the pair is without one.
+fn find_motion(
+    all: &Correspondences,
+    none: &TwoViewGeometry,
+    config: &TwoViewConfig,
+    seed: u64,
+) -> Option<TwoViewGeometry> {
+    if all.len() < config.min_inliers.max(8) {
+        return None;
+    }
+    let models = TwoViewModels::find(all, config, seed, ((none.a as u64) << 32) ^ none.b as u64)?;
+    let alarms = models.log10_false_alarms(all, config.max_error_px);
+    let chosen = (alarms < config.max_log10_false_alarms).then(|| models.choose(all, config, none.clone()));
+    chosen.filter(|g| g.kind != TwoViewKind::Degenerate)
 }
 
 /// Adds matches found later (along epipolar lines, say) to a verified pair: those that fit its
@@ -93,22 +102,24 @@ pub(crate) fn merge_guided(
     seed: u64,
 ) -> TwoViewGeometry {
     let limit = config.max_error_px * config.max_error_px;
-    let fits = |&[i, j]: &[u32; 2]| {
+    let mut union = geometry.inliers.clone();
+    for &[i, j] in more {
         let (Some(p), Some(q)) =
             (features[0].keypoints.get(i as usize), features[1].keypoints.get(j as usize))
         else {
-            return false;
+            continue;
         };
         let p = cameras[0].unproject(p.position()) * cameras[0].focal() + cameras[0].principal_point();
         let q = cameras[1].unproject(q.position()) * cameras[1].focal() + cameras[1].principal_point();
-        match (geometry.f, geometry.h) {
-            (Some(f), _) => sampson_sq(&f, p, q) < limit,
-            (None, Some(h)) => transfer_sq(&h, p, q) < limit,
-            (None, None) => false,
+        let error_sq = match (geometry.f, geometry.h) {
+            (Some(f), _) => sampson_sq(&f, p, q),
+            (None, Some(h)) => transfer_sq(&h, p, q),
+            (None, None) => f64::INFINITY,
+        };
+        if error_sq < limit {
+            union.push([i, j]);
         }
-    };
-    let mut union = geometry.inliers.clone();
-    union.extend(more.iter().filter(|m| fits(m)));
+    }
     let (a, b) = (geometry.a, geometry.b);
     let merged = verify_pair(a, b, features[0], features[1], cameras[0], cameras[1], &union, config, seed);
     if merged.inliers.len() >= geometry.inliers.len() { merged } else { geometry.clone() }
@@ -130,16 +141,17 @@ pub(crate) fn match_along_lines(
     }
     progress.begin("guided matching", geometries.len());
     let prepared: Vec<PreparedFeatures> = features.par_iter().map(PreparedFeatures::new).collect();
-    let one = |g: TwoViewGeometry| {
+    let pairs = geometries.into_par_iter();
+    let merged = pairs.map(|g| {
         progress.tick()?;
         let epipolar = matches!(g.kind, TwoViewKind::Calibrated | TwoViewKind::Uncalibrated);
         let Some(f) = g.f.filter(|_| epipolar && wanted(&g)) else { return Ok(g) };
-        let side = |i: usize| (&features[i], &prepared[i]);
-        let more = guided_match_prepared(side(g.a), side(g.b), &f, GUIDED_PX, matching);
-        let (features, cameras) = ([&features[g.a], &features[g.b]], [&cameras[g.a], &cameras[g.b]]);
-        Ok(merge_guided(&g, features, cameras, &more, verification, seed))
-    };
-    geometries.into_par_iter().map(one).collect()
+        let [a, b] = [g.a, g.b].map(|i| (&features[i], &prepared[i]));
+        let more = guided_match_prepared(a, b, &f, GUIDED_PX, matching);
+        let cameras = [&cameras[g.a], &cameras[g.b]];
+        Ok(merge_guided(&g, [a.0, b.0], cameras, &more, verification, seed))
+    });
+    merged.collect()
 }
 
 /// Verifies pairs over all threads. `cameras` holds one camera a frame. The result is sorted by

@@ -25,10 +25,9 @@ pub(crate) struct StaticMatches {
 impl StaticMatches {
     /// Splits by displacement in pixels.
     pub(crate) fn of(all: &Correspondences, config: &TwoViewConfig) -> Self {
-        let displacement = |i: usize| (all.a[i] + all.principal[0]).distance(all.b[i] + all.principal[1]);
         let (still, moving): (Vec<usize>, Vec<usize>) =
-            (0..all.len()).partition(|&i| displacement(i) <= config.static_px);
-        let slow = moving.iter().filter(|&&i| displacement(i) <= 4.0 * config.static_px).count();
+            (0..all.len()).partition(|&i| all.displacement(i) <= config.static_px);
+        let slow = moving.iter().filter(|&&i| all.displacement(i) <= 4.0 * config.static_px).count();
         let suspicious = still.len() >= FEWEST && still.len() > PEAK * slow;
         Self { moving, still, suspicious }
     }

@@ -73,10 +73,7 @@ fn verify_wide(a: usize, b: usize, all: &Correspondences, seed: u64) -> Option<T
     let alarms = log10_false_alarms(&squared, &all.b, Constraint::Line, 5, 10.0, WIDE_ERROR_PX);
     let pose = best_pose(all, &found.inliers, &[found.model.e], None, WIDE_ERROR_PX)?;
     // What does not move at all is no view from afar.
-    let moving = found
-        .inliers
-        .iter()
-        .filter(|&&i| (all.a[i] + all.principal[0]).distance(all.b[i] + all.principal[1]) > 4.0 * still);
+    let moving = found.inliers.iter().filter(|&&i| all.displacement(i) > 4.0 * still);
     if alarms > WIDE_LOG10_FALSE_ALARMS || moving.count() < WIDE_INLIERS {
         return None;
     }

@@ -7,11 +7,11 @@ use crate::incremental::aliasing::{count_agreeing, find_consistent_pairs};
 use crate::incremental::state::{MapState, MappingInput};
 use crate::reconstruct::accept::{Change, Support, accept};
 use crate::reconstruct::context::StepContext;
-use crate::reconstruct::model::{Model, StepResult};
+use crate::reconstruct::model::{SfmModel, StepResult};
 use scene::TwoViewGeometry;
 
 /// Grows the model anew from the pairs that can be true together.
-pub(super) fn run(mut model: Model, context: &StepContext<'_>) -> StepResult {
+pub(super) fn run(mut model: SfmModel, context: &StepContext<'_>) -> StepResult {
     let is_video = context.frames.is_video;
     let input = model.input(context);
     let Some(plausible) = find_consistent_pairs(&model.state, &input, is_video) else {

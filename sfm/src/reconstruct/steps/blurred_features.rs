@@ -5,7 +5,7 @@ use super::ties::{find_weakly_tied, most_are_weak, strong_tie};
 use crate::matching::{PairMatches, PreparedFeatures, match_prepared};
 use crate::reconstruct::accept::{Change, Support, accept};
 use crate::reconstruct::context::StepContext;
-use crate::reconstruct::model::{Model, StepResult};
+use crate::reconstruct::model::{SfmModel, StepResult};
 use crate::{Decision, SfmError, pairs, sift, two_view};
 use scene::{Camera, Features, FrameSet, TwoViewGeometry};
 use std::collections::BTreeMap;
@@ -23,7 +23,7 @@ const PROBE_BEYOND: usize = 3 * PROBES;
 /// Looks for matches of weakly tied images in blurred copies; both sets are kept where their
 /// matches double, for where both find the same spots they are half as many again and nothing is
 /// won. The first set's features keep their numbers.
-pub(super) fn run(mut model: Model, context: &StepContext<'_>) -> StepResult {
+pub(super) fn run(mut model: SfmModel, context: &StepContext<'_>) -> StepResult {
     let StepContext { config, progress, .. } = *context;
     let Some(frames) = context.images() else { return Ok((model, Vec::new())) };
     if !most_are_weak(&model.weakly_tied) || !promising(&model, frames, context)? {
@@ -63,7 +63,7 @@ pub(super) fn run(mut model: Model, context: &StepContext<'_>) -> StepResult {
 }
 
 /// Whether a pair has a weakly tied image.
-fn is_weak(model: &Model, a: usize, b: usize) -> bool {
+fn is_weak(model: &SfmModel, a: usize, b: usize) -> bool {
     model.weakly_tied[a] || model.weakly_tied[b]
 }
 
@@ -79,7 +79,7 @@ fn blurring(context: &StepContext<'_>) -> sift::SiftConfig {
 
 /// Whether the blurred copies of some pairs of weakly tied images have as many matches by
 /// themselves as the first set has: together they would be about twice as many.
-fn promising(model: &Model, frames: &FrameSet, context: &StepContext<'_>) -> Result<bool, SfmError> {
+fn promising(model: &SfmModel, frames: &FrameSet, context: &StepContext<'_>) -> Result<bool, SfmError> {
     let StepContext { config, progress, .. } = *context;
     let tied: Vec<&TwoViewGeometry> = model.geometries.iter().filter(|g| is_weak(model, g.a, g.b)).collect();
     if frames.len() <= PROBE_BEYOND || tied.len() <= 2 * PROBES {

@@ -5,10 +5,10 @@ use super::rotation::rotate_inputs;
 use crate::incremental::finish::{decide, take_decided};
 use crate::incremental::growth::starts_of;
 use crate::reconstruct::context::StepContext;
-use crate::reconstruct::model::{Model, StepResult};
+use crate::reconstruct::model::{SfmModel, StepResult};
 
 /// Decides, and takes over the part of the model that was adjusted for it.
-pub(super) fn run(mut model: Model, context: &StepContext<'_>) -> StepResult {
+pub(super) fn run(mut model: SfmModel, context: &StepContext<'_>) -> StepResult {
     model.starts = starts_of(&model.setup.cameras, &model.setup.known, &model.state);
     let named = context.config.camera_model.model();
     let (known, starts) = (&model.setup.known, &model.starts);

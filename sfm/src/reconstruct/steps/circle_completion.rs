@@ -4,12 +4,12 @@ use crate::circular::{Motion, MotionInput, ring};
 use crate::incremental::growth::starts_of;
 use crate::incremental::state::{MapState, MappingInput};
 use crate::reconstruct::context::StepContext;
-use crate::reconstruct::model::{Model, StepResult};
+use crate::reconstruct::model::{SfmModel, StepResult};
 use crate::skip::StepName;
 use crate::{Decision, SfmError};
 
 /// Completes the ring.
-pub(super) fn run(mut model: Model, context: &StepContext<'_>) -> StepResult {
+pub(super) fn run(mut model: SfmModel, context: &StepContext<'_>) -> StepResult {
     let completed = complete_circle(&model, &model.state, &model.input(context), context)?;
     let Some((state, decision)) = completed else { return Ok((model, Vec::new())) };
     model.state = state;
@@ -19,7 +19,7 @@ pub(super) fn run(mut model: Model, context: &StepContext<'_>) -> StepResult {
 /// The poses and points of `state` with the images that its ring misses; `None` where it is no ring
 /// or misses none.
 pub(super) fn complete_circle(
-    model: &Model,
+    model: &SfmModel,
     state: &MapState,
     input: &MappingInput<'_>,
     context: &StepContext<'_>,

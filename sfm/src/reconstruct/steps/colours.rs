@@ -2,10 +2,10 @@
 
 use crate::reconstruct::context::{FeatureSource, StepContext};
 use crate::reconstruct::export::colour;
-use crate::reconstruct::model::{Model, StepResult};
+use crate::reconstruct::model::{SfmModel, StepResult};
 
 /// Colours them.
-pub(super) fn run(mut model: Model, context: &StepContext<'_>) -> StepResult {
+pub(super) fn run(mut model: SfmModel, context: &StepContext<'_>) -> StepResult {
     if let Some(reconstruction) = &mut model.reconstruction
         && context.source != FeatureSource::WithoutImages
     {

@@ -7,7 +7,7 @@ use crate::circular::Motion;
 use crate::circular::initialize::constant_step::ConstantStepMotion;
 use crate::matching::{PairMatches, PreparedFeatures, guided_match_prepared};
 use crate::reconstruct::context::StepContext;
-use crate::reconstruct::model::{ConstantStepStart, MappedModel, Model, StepResult};
+use crate::reconstruct::model::{ConstantStepStart, MappedModel, SfmModel, StepResult};
 use crate::tracks::{build_tracks, positions};
 use crate::{Decision, SfmError, two_view};
 use glam::DVec2;
@@ -29,7 +29,7 @@ const FEW: usize = 100;
 
 /// Matches and verifies the pairs of images near each other anew along the lines of a constant-step
 /// circular motion, where most images are weakly tied and go round so.
-pub(super) fn run(mut model: Model, context: &StepContext<'_>) -> StepResult {
+pub(super) fn run(mut model: SfmModel, context: &StepContext<'_>) -> StepResult {
     let is_asked = context.images().is_some_and(|frames| !frames.is_video)
         && context.config.motion.motion != Motion::Free
         && model.setup.cameras.len() == 1
@@ -40,7 +40,7 @@ pub(super) fn run(mut model: Model, context: &StepContext<'_>) -> StepResult {
     Ok((model, Vec::new()))
 }
 
-fn find_motion(model: &Model) -> Option<ConstantStepMotion> {
+fn find_motion(model: &SfmModel) -> Option<ConstantStepMotion> {
     let places: Vec<Vec<DVec2>> = model.features.iter().map(positions).collect();
     let known = &model.setup.known[0];
     let focal_known = known.fixed || known.focal_sigma.is_some();
@@ -50,7 +50,7 @@ fn find_motion(model: &Model) -> Option<ConstantStepMotion> {
 
 fn match_along(
     motion: ConstantStepMotion,
-    model: &Model,
+    model: &SfmModel,
     context: &StepContext<'_>,
 ) -> Result<ConstantStepStart, SfmError> {
     let StepContext { config, progress, .. } = *context;
@@ -101,7 +101,7 @@ fn describe(motion: &ConstantStepMotion, along: &[TwoViewGeometry], before: &[Tw
 
 /// The model that begins with all images in their places; `None` where they are not there.
 pub(super) fn place_all_images(
-    model: &Model,
+    model: &SfmModel,
     start: &ConstantStepStart,
     context: &StepContext<'_>,
 ) -> Result<Option<MappedModel>, SfmError> {

@@ -4,17 +4,19 @@
 
 use crate::SfmError;
 use crate::incremental::finish::noise_of;
+use crate::incremental::initial::calibration;
 use crate::incremental::state::{MapState, MappingInput};
 use crate::matching::{PreparedFeatures, guided_match_prepared};
 use crate::reconstruct::accept::{Change, Support, accept};
 use crate::reconstruct::context::StepContext;
-use crate::reconstruct::model::{Model, StepResult};
+use crate::reconstruct::model::{SfmModel, StepResult};
 use crate::solvers::essential_from_pose;
 use crate::tracks::build_tracks;
 use crate::triangulation::angle_between;
 use glam::{DMat3, DVec2, DVec3};
 use rayon::prelude::*;
 use scene::{Camera, Features, Pose, TwoViewGeometry, TwoViewKind};
+use std::collections::HashSet;
 
 /// Images up to which it is worth its cost (some milliseconds a pair).
 /// Source: docs/decisions/0009.
@@ -32,7 +34,7 @@ const LEAST_BAND_PX: f64 = 1.0;
 
 /// Takes the pairs with what lies on the model's epipolar lines, and the tracks they make, where
 /// that is more.
-pub(super) fn run(mut model: Model, context: &StepContext<'_>) -> StepResult {
+pub(super) fn run(mut model: SfmModel, context: &StepContext<'_>) -> StepResult {
     if model.features.len() > UP_TO {
         return Ok((model, Vec::new()));
     }
@@ -52,7 +54,7 @@ pub(super) fn run(mut model: Model, context: &StepContext<'_>) -> StepResult {
 }
 
 /// All pairs, with the matches that lie on the lines of the model's poses.
-fn match_along_model(model: &Model, context: &StepContext<'_>) -> Result<Vec<TwoViewGeometry>, SfmError> {
+fn match_along_model(model: &SfmModel, context: &StepContext<'_>) -> Result<Vec<TwoViewGeometry>, SfmError> {
     let (state, input, progress) = (&model.state, model.input(context), context.progress);
     let n = model.features.len();
     let cameras: Vec<&Camera> = input.camera_of.iter().map(|&c| &state.cameras[c]).collect();
@@ -112,8 +114,7 @@ pub(crate) fn merge_geometry(
     fewest: usize,
 ) -> Option<TwoViewGeometry> {
     let mut inliers = known.map(|g| g.inliers.clone()).unwrap_or_default();
-    let taken = |k: usize| inliers.iter().map(|m| m[k]).collect::<std::collections::HashSet<u32>>();
-    let (of_a, of_b) = (taken(0), taken(1));
+    let (of_a, of_b): (HashSet<u32>, HashSet<u32>) = inliers.iter().map(|m| (m[0], m[1])).unzip();
     let fresh: Vec<[u32; 2]> =
         found.into_iter().filter(|m| !of_a.contains(&m[0]) && !of_b.contains(&m[1])).collect();
     if known.is_none() && fresh.len() < fewest {
@@ -121,18 +122,20 @@ pub(crate) fn merge_geometry(
     }
     inliers.extend(fresh);
     inliers.sort_unstable();
-    let unknown = || TwoViewGeometry {
+    if let Some(known) = known {
+        return Some(TwoViewGeometry { inliers, ..known.clone() });
+    }
+    Some(TwoViewGeometry {
         a,
         b,
         kind: TwoViewKind::Calibrated,
-        inliers: Vec::new(),
+        inliers,
         f: Some(*f),
         e: Some(essential_from_pose(&b_from_a)),
         h: None,
         b_from_a: Some(b_from_a),
         median_angle: 0.0,
-    };
-    Some(TwoViewGeometry { inliers, ..known.cloned().unwrap_or_else(unknown) })
+    })
 }
 
 /// Keypoints where an ideal camera of the same focal length would see them.
@@ -143,9 +146,4 @@ pub(crate) fn undistort_features(features: &Features, keypoints: &[DVec2], camer
         (k.x, k.y) = (p.x as f32, p.y as f32);
     }
     result
-}
-
-fn calibration(c: &Camera) -> DMat3 {
-    let (f, p) = (c.focal(), c.principal_point());
-    DMat3::from_cols(DVec3::X * f.x, DVec3::Y * f.y, DVec3::new(p.x, p.y, 1.0))
 }

@@ -1,11 +1,11 @@
 //! Features of all images, where none were supplied.
 
 use crate::reconstruct::context::{FeatureSource, StepContext};
-use crate::reconstruct::model::{Model, StepResult};
+use crate::reconstruct::model::{SfmModel, StepResult};
 use crate::sift;
 
 /// Detects and describes them.
-pub(super) fn run(mut model: Model, context: &StepContext<'_>) -> StepResult {
+pub(super) fn run(mut model: SfmModel, context: &StepContext<'_>) -> StepResult {
     if context.source == FeatureSource::Images {
         model.features = sift::extract_all(context.frames, &context.config.sift, context.progress)?;
     }

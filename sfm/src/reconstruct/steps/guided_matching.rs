@@ -2,11 +2,11 @@
 //! matches tie.
 
 use crate::reconstruct::context::StepContext;
-use crate::reconstruct::model::{Model, StepResult};
+use crate::reconstruct::model::{SfmModel, StepResult};
 use crate::two_view;
 
 /// Matches along lines.
-pub(super) fn run(mut model: Model, context: &StepContext<'_>) -> StepResult {
+pub(super) fn run(mut model: SfmModel, context: &StepContext<'_>) -> StepResult {
     let config = context.config;
     let weak = &model.weakly_tied;
     model.geometries = two_view::match_along_lines(

@@ -2,10 +2,10 @@
 
 use crate::incremental::depths::drop_lonely;
 use crate::reconstruct::context::StepContext;
-use crate::reconstruct::model::{Model, StepResult};
+use crate::reconstruct::model::{SfmModel, StepResult};
 
 /// Takes them out.
-pub(super) fn run(mut model: Model, context: &StepContext<'_>) -> StepResult {
+pub(super) fn run(mut model: SfmModel, context: &StepContext<'_>) -> StepResult {
     let mut state = std::mem::take(&mut model.state);
     drop_lonely(&mut state, &model.input(context));
     model.state = state;

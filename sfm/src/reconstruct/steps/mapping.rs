@@ -6,7 +6,7 @@ use super::mapper;
 use super::ties::pairs_decision;
 use crate::reconstruct::accept::{Change, Support, accept};
 use crate::reconstruct::context::StepContext;
-use crate::reconstruct::model::{ConstantStepStart, MappedModel, Model, StepResult};
+use crate::reconstruct::model::{ConstantStepStart, MappedModel, SfmModel, StepResult};
 use crate::tracks::{build_tracks, positions};
 use crate::{Decision, SfmError};
 use scene::{Features, TwoViewGeometry};
@@ -24,7 +24,7 @@ fn keypoint_sigmas(features: &Features) -> Vec<f32> {
 }
 
 /// Maps.
-pub(super) fn run(mut model: Model, context: &StepContext<'_>) -> StepResult {
+pub(super) fn run(mut model: SfmModel, context: &StepContext<'_>) -> StepResult {
     model.stats.features = model.features.iter().map(Features::len).sum();
     model.stats.pairs_verified = model.geometries.len();
     let mut decisions = vec![pairs_decision(&model)];
@@ -47,7 +47,7 @@ pub(super) fn run(mut model: Model, context: &StepContext<'_>) -> StepResult {
 
 /// The model that grows from `geometries`, if one does.
 pub(super) fn grow_model(
-    model: &Model,
+    model: &SfmModel,
     geometries: &[TwoViewGeometry],
     context: &StepContext<'_>,
 ) -> Result<Option<MappedModel>, SfmError> {
@@ -63,7 +63,7 @@ pub(super) fn grow_model(
 /// ring: where that stands and pairs alone say little, or where the first misses many images or has
 /// them elsewhere.
 fn grow_or_place(
-    model: &mut Model,
+    model: &mut SfmModel,
     start: &ConstantStepStart,
     decisions: &mut Vec<Decision>,
     context: &StepContext<'_>,

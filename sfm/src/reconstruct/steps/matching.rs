@@ -2,10 +2,10 @@
 
 use crate::pairs;
 use crate::reconstruct::context::StepContext;
-use crate::reconstruct::model::{Model, StepResult};
+use crate::reconstruct::model::{SfmModel, StepResult};
 
 /// Chooses pairs and matches them.
-pub(super) fn run(mut model: Model, context: &StepContext<'_>) -> StepResult {
+pub(super) fn run(mut model: SfmModel, context: &StepContext<'_>) -> StepResult {
     let StepContext { frames, config, progress, .. } = *context;
     let matches = match model.matches.take() {
         Some(matches) => matches,

@@ -47,25 +47,25 @@ mod video_turn;
 use super::clock::Clock;
 use super::context::StepContext;
 use super::export::why_no_model;
-use super::model::{Model, Stage, StepResult};
+use super::model::{ModelStage, SfmModel, StepResult};
 use crate::skip::StepName;
 use crate::{SfmError, SfmResult};
 
 /// A step of the sequence.
-struct Step {
+struct ReconstructionStep {
     name: &'static str,
     /// Stages of the model in which it is taken.
-    stages: &'static [Stage],
+    stages: &'static [ModelStage],
     /// Its name where it can be left out.
     skip: Option<StepName>,
-    run: fn(Model, &StepContext<'_>) -> StepResult,
+    run: fn(SfmModel, &StepContext<'_>) -> StepResult,
 }
 
-impl Step {
+impl ReconstructionStep {
     const fn always(
         name: &'static str,
-        stages: &'static [Stage],
-        run: fn(Model, &StepContext<'_>) -> StepResult,
+        stages: &'static [ModelStage],
+        run: fn(SfmModel, &StepContext<'_>) -> StepResult,
     ) -> Self {
         Self { name, stages, skip: None, run }
     }
@@ -73,45 +73,50 @@ impl Step {
     const fn unless(
         skip: StepName,
         name: &'static str,
-        stages: &'static [Stage],
-        run: fn(Model, &StepContext<'_>) -> StepResult,
+        stages: &'static [ModelStage],
+        run: fn(SfmModel, &StepContext<'_>) -> StepResult,
     ) -> Self {
         Self { name, stages, skip: Some(skip), run }
     }
 }
 
-const UNPOSED: &[Stage] = &[Stage::Unposed];
-const POSED: &[Stage] = &[Stage::Posed];
+const UNPOSED: &[ModelStage] = &[ModelStage::Unposed];
+const POSED: &[ModelStage] = &[ModelStage::Posed];
 
 /// All steps in their order.
-const STEPS: [Step; 22] = [
-    Step::always("video-turn", UNPOSED, video_turn::run),
-    Step::always("features", UNPOSED, features::run),
-    Step::always("matching", UNPOSED, matching::run),
-    Step::always("verification", UNPOSED, verification::run),
-    Step::unless(StepName::BlurredFeatures, "blurred-features", UNPOSED, blurred_features::run),
-    Step::unless(StepName::ConstantStep, "constant-step", UNPOSED, constant_step::run),
-    Step::unless(StepName::GuidedMatching, "guided-matching", UNPOSED, guided_matching::run),
-    Step::always("mapping", UNPOSED, mapping::run),
-    Step::unless(StepName::Aliasing, "aliasing", POSED, aliasing::run),
-    Step::unless(StepName::SecondAttempt, "second-attempt", POSED, second_attempt::run),
-    Step::unless(StepName::CircleCompletion, "circle-completion", POSED, circle_completion::run),
-    Step::unless(StepName::SharedCameras, "shared-cameras", POSED, shared_cameras::run),
-    Step::always("camera-model", POSED, camera_model::run),
-    Step::always("final-adjustment", POSED, final_adjustment::run),
-    Step::unless(StepName::Densify, "densify", POSED, densify::run),
-    Step::unless(StepName::Subpixel, "subpixel", POSED, subpixel::run),
-    Step::unless(StepName::PlaneTracks, "plane-tracks", POSED, plane_tracks::run),
-    Step::unless(StepName::IsolatedPoints, "isolated-points", POSED, isolated_points::run),
-    Step::always("motion", &[Stage::Unposed, Stage::Posed], motion::run),
-    Step::always("covariance", POSED, covariance::run),
-    Step::always("points", &[Stage::Posed, Stage::OneAxis], points::run),
-    Step::always("colours", &[Stage::Posed, Stage::OneAxis], colours::run),
+const STEPS: [ReconstructionStep; 22] = [
+    ReconstructionStep::always("video-turn", UNPOSED, video_turn::run),
+    ReconstructionStep::always("features", UNPOSED, features::run),
+    ReconstructionStep::always("matching", UNPOSED, matching::run),
+    ReconstructionStep::always("verification", UNPOSED, verification::run),
+    ReconstructionStep::unless(StepName::BlurredFeatures, "blurred-features", UNPOSED, blurred_features::run),
+    ReconstructionStep::unless(StepName::ConstantStep, "constant-step", UNPOSED, constant_step::run),
+    ReconstructionStep::unless(StepName::GuidedMatching, "guided-matching", UNPOSED, guided_matching::run),
+    ReconstructionStep::always("mapping", UNPOSED, mapping::run),
+    ReconstructionStep::unless(StepName::Aliasing, "aliasing", POSED, aliasing::run),
+    ReconstructionStep::unless(StepName::SecondAttempt, "second-attempt", POSED, second_attempt::run),
+    ReconstructionStep::unless(
+        StepName::CircleCompletion,
+        "circle-completion",
+        POSED,
+        circle_completion::run,
+    ),
+    ReconstructionStep::unless(StepName::SharedCameras, "shared-cameras", POSED, shared_cameras::run),
+    ReconstructionStep::always("camera-model", POSED, camera_model::run),
+    ReconstructionStep::always("final-adjustment", POSED, final_adjustment::run),
+    ReconstructionStep::unless(StepName::Densify, "densify", POSED, densify::run),
+    ReconstructionStep::unless(StepName::Subpixel, "subpixel", POSED, subpixel::run),
+    ReconstructionStep::unless(StepName::PlaneTracks, "plane-tracks", POSED, plane_tracks::run),
+    ReconstructionStep::unless(StepName::IsolatedPoints, "isolated-points", POSED, isolated_points::run),
+    ReconstructionStep::always("motion", &[ModelStage::Unposed, ModelStage::Posed], motion::run),
+    ReconstructionStep::always("covariance", POSED, covariance::run),
+    ReconstructionStep::always("points", &[ModelStage::Posed, ModelStage::OneAxis], points::run),
+    ReconstructionStep::always("colours", &[ModelStage::Posed, ModelStage::OneAxis], colours::run),
 ];
 
 /// Takes the model through all steps of its stage that are not to be skipped, and notes what each
 /// costs.
-pub(super) fn run(mut model: Model, context: &StepContext<'_>) -> Result<SfmResult, SfmError> {
+pub(super) fn run(mut model: SfmModel, context: &StepContext<'_>) -> Result<SfmResult, SfmError> {
     let initial_cameras = model.setup.of_frames();
     let mut decisions = Vec::new();
     let mut clock = Clock::start();
@@ -125,7 +130,7 @@ pub(super) fn run(mut model: Model, context: &StepContext<'_>) -> Result<SfmResu
         decisions.extend(decided);
         clock.lap(step.name, &mut model.stats.steps);
     }
-    let unposed = model.stage == Stage::Unposed;
+    let unposed = model.stage == ModelStage::Unposed;
     let reason = if unposed { why_no_model(&model.features, &model.geometries) } else { String::new() };
     Ok(model.into_result(initial_cameras, reason, decisions))
 }

@@ -3,12 +3,12 @@
 
 use crate::circular::{self, FreeModel, consider};
 use crate::reconstruct::context::StepContext;
-use crate::reconstruct::model::{Model, Stage, StepResult};
+use crate::reconstruct::model::{ModelStage, SfmModel, StepResult};
 use crate::tracks::build_tracks;
 
 /// Decides on the motion.
-pub(super) fn run(mut model: Model, context: &StepContext<'_>) -> StepResult {
-    let posed = model.stage == Stage::Posed;
+pub(super) fn run(mut model: SfmModel, context: &StepContext<'_>) -> StepResult {
+    let posed = model.stage == ModelStage::Posed;
     if !posed {
         model.tracks = build_tracks(&model.features, &model.geometries);
     }

@@ -7,7 +7,7 @@ use crate::plane_tracks::plane::widest;
 use crate::plane_tracks::{PlanePoint, find_plane_tracks};
 use crate::reconstruct::accept::{Change, Support, accept};
 use crate::reconstruct::context::StepContext;
-use crate::reconstruct::model::{Model, StepResult};
+use crate::reconstruct::model::{SfmModel, StepResult};
 use crate::statistics::median;
 use crate::tracks::{NONE, Tracks};
 use crate::{Decision, SfmError};
@@ -62,7 +62,7 @@ struct PlaneRounds {
 }
 
 /// Adds them, and frees the principal point where all observations together determine it.
-pub(super) fn run(mut model: Model, context: &StepContext<'_>) -> StepResult {
+pub(super) fn run(mut model: SfmModel, context: &StepContext<'_>) -> StepResult {
     let weak = model.state.order.iter().filter(|&&i| model.state.observations(i) < FEW).count();
     // What masks leave out may stand still while the object turns.
     let whole = context.images().filter(|images| images.frames.iter().all(|f| f.mask.is_none()));
@@ -103,7 +103,7 @@ fn decision(chosen: &str, evidence: String) -> Decision {
 /// The model with observations of the widest plane, looked for again from better poses until that
 /// changes little; why not, where there is none.
 fn add_plane(
-    model: &Model,
+    model: &SfmModel,
     frames: &FrameSet,
     context: &StepContext<'_>,
 ) -> Result<Result<PlaneRounds, String>, SfmError> {

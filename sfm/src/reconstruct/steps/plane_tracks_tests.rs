@@ -9,8 +9,8 @@ use scene::{Pose, Progress};
 const OFF: f64 = 2.0;
 
 /// The model that the few inexact points of a room give, by a camera that is known.
-fn alone(room: &Room, context: &StepContext<'_>, off: f64) -> Model {
-    let mut model = Model::new(&room.frames, context.config).unwrap();
+fn alone(room: &Room, context: &StepContext<'_>, off: f64) -> SfmModel {
+    let mut model = SfmModel::new(&room.frames, context.config).unwrap();
     let (cameras, known, camera_of) = (vec![room.camera.clone()], vec![Knowledge::exact()], vec![0; CAMERAS]);
     model.starts.clone_from(&cameras);
     model.setup = Setup { cameras, known, camera_of };
@@ -22,7 +22,7 @@ fn alone(room: &Room, context: &StepContext<'_>, off: f64) -> Model {
 
 /// What the step makes of a room whose images `spoil` changes before they are looked at: the poses
 /// before and after.
-fn outcome(name: &str, spoil: impl Fn(&Room)) -> (Room, Vec<Option<Pose>>, Model, Vec<Decision>) {
+fn outcome(name: &str, spoil: impl Fn(&Room)) -> (Room, Vec<Option<Pose>>, SfmModel, Vec<Decision>) {
     let room = Room::new(name, 1.0, 0.05);
     spoil(&room);
     let (config, progress) = (SfmConfig::default(), Progress::silent());

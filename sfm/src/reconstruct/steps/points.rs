@@ -3,10 +3,10 @@
 use super::rotation::rotate_back;
 use crate::reconstruct::context::StepContext;
 use crate::reconstruct::export::{convert, fill_statistics, weak_images, why_missing};
-use crate::reconstruct::model::{Model, StepResult};
+use crate::reconstruct::model::{SfmModel, StepResult};
 
 /// Converts the model, with rotated images the way up that they came.
-pub(super) fn run(mut model: Model, context: &StepContext<'_>) -> StepResult {
+pub(super) fn run(mut model: SfmModel, context: &StepContext<'_>) -> StepResult {
     if model.rotated.contains(&true) {
         rotate_back(&mut model);
     }

@@ -2,11 +2,11 @@
 //! rotated again for them.
 
 use crate::model_selection::rotated_images::{rotate_camera, rotate_geometry, rotate_pixel, rotate_pose};
-use crate::reconstruct::model::Model;
+use crate::reconstruct::model::SfmModel;
 use scene::Camera;
 
 /// Makes keypoints and verified pairs those of the images the way up that the sensor was.
-pub(super) fn rotate_inputs(model: &mut Model) {
+pub(super) fn rotate_inputs(model: &mut SfmModel) {
     model.keep_verified();
     let (setup, rotated) = (&model.setup, &model.rotated);
     for g in model.geometries.iter_mut().filter(|g| rotated[g.a] || rotated[g.b]) {
@@ -16,7 +16,7 @@ pub(super) fn rotate_inputs(model: &mut Model) {
     rotate_keypoints(model);
 }
 
-fn rotate_keypoints(model: &mut Model) {
+fn rotate_keypoints(model: &mut SfmModel) {
     let setup = &model.setup;
     for (image, points) in model.keypoints.iter_mut().enumerate().filter(|(i, _)| model.rotated[*i]) {
         let camera = &setup.cameras[setup.camera_of[image]];
@@ -26,7 +26,7 @@ fn rotate_keypoints(model: &mut Model) {
 
 /// Gives rotated images the keypoints and the pose that fit the image as it is, and their own
 /// camera with the mirrored principal point.
-pub(super) fn rotate_back(model: &mut Model) {
+pub(super) fn rotate_back(model: &mut SfmModel) {
     rotate_keypoints(model);
     for (pose, _) in model.state.poses.iter_mut().zip(&model.rotated).filter(|(_, rotated)| **rotated) {
         *pose = pose.as_ref().map(rotate_pose);

@@ -6,7 +6,7 @@ use super::mapping::grow_model;
 use crate::SfmError;
 use crate::reconstruct::accept::{Change, Support, accept};
 use crate::reconstruct::context::StepContext;
-use crate::reconstruct::model::{MappedModel, Model, StepResult};
+use crate::reconstruct::model::{MappedModel, SfmModel, StepResult};
 use crate::two_view;
 use scene::{Camera, TwoViewGeometry};
 use std::collections::BTreeSet;
@@ -19,7 +19,7 @@ const UP_TO: usize = 40;
 const LOOKS: usize = 2;
 
 /// Looks again where some image has no pose, after the ring is completed if the model is one.
-pub(super) fn run(mut model: Model, context: &StepContext<'_>) -> StepResult {
+pub(super) fn run(mut model: SfmModel, context: &StepContext<'_>) -> StepResult {
     let images = model.keypoints.len();
     if model.state.registered_count() >= images || images > UP_TO {
         return Ok((model, Vec::new()));
@@ -34,19 +34,15 @@ pub(super) fn run(mut model: Model, context: &StepContext<'_>) -> StepResult {
         second = Some(next);
     }
     let Some(second) = second else { return Ok((model, Vec::new())) };
-    let images_of = |images| Support { images, ..Support::default() };
     let after = images_in_the_end(&model, Some(&second), context)?;
-    let decision = if accept(Change::MorePairs, &images_of(first), &images_of(after)) {
-        model.adopt(second)
-    } else {
-        None
-    };
+    let [before, after] = [first, after].map(|images| Support { images, ..Support::default() });
+    let decision = if accept(Change::MorePairs, &before, &after) { model.adopt(second) } else { None };
     Ok((model, decision.into_iter().collect()))
 }
 
 /// Images that the model, or another one mapped in its place, has once its ring is completed.
 fn images_in_the_end(
-    model: &Model,
+    model: &SfmModel,
     other: Option<&MappedModel>,
     context: &StepContext<'_>,
 ) -> Result<usize, SfmError> {
@@ -61,7 +57,7 @@ fn images_in_the_end(
 /// Pairs that did not pass are looked at again with the solved intrinsics. The model that grows
 /// from all pairs then, where it is no smaller; `None` where no pair passes.
 fn attempt(
-    model: &Model,
+    model: &SfmModel,
     last: Option<&MappedModel>,
     context: &StepContext<'_>,
 ) -> Result<Option<MappedModel>, SfmError> {

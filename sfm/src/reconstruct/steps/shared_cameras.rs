@@ -7,12 +7,12 @@ use crate::incremental::state::MapState;
 use crate::model_selection::noise::noise_in_units;
 use crate::model_selection::shared_cameras::groups_differ;
 use crate::reconstruct::context::StepContext;
-use crate::reconstruct::model::{Model, StepResult};
+use crate::reconstruct::model::{SfmModel, StepResult};
 use crate::reconstruct::setup::Setup;
 use crate::{CameraSharing, Decision};
 
 /// Joins groups if their images have one size and nothing but a focal length is known of them.
-pub(super) fn run(mut model: Model, context: &StepContext<'_>) -> StepResult {
+pub(super) fn run(mut model: SfmModel, context: &StepContext<'_>) -> StepResult {
     let setup = &model.setup;
     if context.config.cameras != CameraSharing::Group || setup.known.iter().any(|k| k.fixed) {
         return Ok((model, Vec::new()));

@@ -4,14 +4,14 @@
 use crate::incremental::state::{MapState, MappingInput};
 use crate::reconstruct::accept::{Change, Support, accept};
 use crate::reconstruct::context::StepContext;
-use crate::reconstruct::model::{Model, StepResult};
+use crate::reconstruct::model::{SfmModel, StepResult};
 use crate::refinement::refine;
 use crate::statistics::median;
 use crate::tracks::NONE;
 use crate::{Decision, KeypointPlaces};
 
 /// Moves keypoints and adjusts the model to them. There is no decision where no image may be read.
-pub(super) fn run(mut model: Model, context: &StepContext<'_>) -> StepResult {
+pub(super) fn run(mut model: SfmModel, context: &StepContext<'_>) -> StepResult {
     let wanted = context.config.keypoints == KeypointPlaces::Windows;
     let Some(frames) = context.images().filter(|_| wanted) else { return Ok((model, Vec::new())) };
     let input = model.input(context);
@@ -45,12 +45,15 @@ pub(super) fn run(mut model: Model, context: &StepContext<'_>) -> StepResult {
 /// How many of `observations` a model has, and their median reprojection error, pixels; infinite
 /// where it has none.
 fn fit(state: &MapState, input: &MappingInput<'_>, observations: &[[u32; 2]]) -> Support {
-    let error = |view: &[u32; 2]| {
+    let mut errors = Vec::with_capacity(observations.len());
+    for view in observations {
         let point = state.point_of[view[0] as usize][view[1] as usize];
-        let point = if point == NONE { None } else { state.points[point as usize].as_ref() };
-        point.map(|p| state.error_sq(input, *view, p.position))
-    };
-    let errors: Vec<f64> = observations.iter().filter_map(error).collect();
+        if point != NONE
+            && let Some(point) = &state.points[point as usize]
+        {
+            errors.push(state.error_sq(input, *view, point.position));
+        }
+    }
     let explained = errors.len();
     let error_px = if errors.is_empty() { f64::INFINITY } else { median(errors).sqrt() };
     Support { explained, error_px: Some(error_px), ..Support::default() }

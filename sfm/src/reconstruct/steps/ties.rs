@@ -1,7 +1,7 @@
 //! How firmly images are tied by their matches, and what is said where they are not.
 
 use crate::Decision;
-use crate::reconstruct::model::Model;
+use crate::reconstruct::model::SfmModel;
 use crate::sift::{Doubling, SiftConfig};
 use scene::TwoViewGeometry;
 
@@ -41,7 +41,7 @@ pub(super) fn most_are_weak(weakly_tied: &[bool]) -> bool {
 }
 
 /// How many pairs were verified.
-pub(super) fn pairs_decision(model: &Model) -> Decision {
+pub(super) fn pairs_decision(model: &SfmModel) -> Decision {
     let (images, matched) = (model.features.len(), model.stats.pairs_matched);
     let all = images * images.saturating_sub(1) / 2;
     let inliers: usize = model.geometries.iter().map(|g| g.inliers.len()).sum();

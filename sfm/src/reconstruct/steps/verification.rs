@@ -2,11 +2,11 @@
 
 use super::ties::{find_weakly_tied, strong_tie};
 use crate::reconstruct::context::StepContext;
-use crate::reconstruct::model::{Model, StepResult};
+use crate::reconstruct::model::{SfmModel, StepResult};
 use crate::two_view;
 
 /// Verifies all pairs.
-pub(super) fn run(mut model: Model, context: &StepContext<'_>) -> StepResult {
+pub(super) fn run(mut model: SfmModel, context: &StepContext<'_>) -> StepResult {
     let config = context.config;
     model.geometries = two_view::verify_pairs(
         &model.features,

@@ -3,10 +3,10 @@
 
 use crate::circular::{Motion, VideoJob, solve_video};
 use crate::reconstruct::context::{FeatureSource, StepContext};
-use crate::reconstruct::model::{Model, StepResult};
+use crate::reconstruct::model::{SfmModel, StepResult};
 
 /// Solves for a turn, where the frames are a video's and nothing was supplied.
-pub(super) fn run(mut model: Model, context: &StepContext<'_>) -> StepResult {
+pub(super) fn run(mut model: SfmModel, context: &StepContext<'_>) -> StepResult {
     let StepContext { frames, config, source, progress } = *context;
     let wanted = matches!(config.motion.motion, Motion::Auto | Motion::SingleAxis);
     if !frames.is_video || !wanted || source != FeatureSource::Images || model.matches.is_some() {
