@@ -125,7 +125,7 @@ pub(crate) fn solve_video(job: &VideoJob<'_>) -> Result<Result<(VideoModel, Deci
     let excess = motion.as_ref().map_or(1.0, |l| l.excess);
     let mut solution = finish(&mut model, &context, &free_job, intrinsics, (camera, excess))?;
     solution.decisions.extend(motion.map(|l| l.decision));
-    Ok(Ok((job.into_video_model(solution, material, keys), decision("single-axis", evidence))))
+    Ok(Ok((job.video_model(solution, material, keys), decision("single-axis", evidence))))
 }
 
 impl VideoJob<'_> {
@@ -143,12 +143,7 @@ impl VideoJob<'_> {
         }
     }
 
-    fn into_video_model(
-        &self,
-        solution: CircularSolution,
-        material: VideoTracks,
-        keys: KeyFrames,
-    ) -> VideoModel {
+    fn video_model(&self, solution: CircularSolution, material: VideoTracks, keys: KeyFrames) -> VideoModel {
         let mut geometries = keys.near;
         geometries.extend(keys.closure);
         geometries.sort_by_key(|g| (g.a, g.b));
