@@ -3,7 +3,7 @@ SHELL := /bin/bash
 .SHELLFLAGS := -eu -o pipefail -c
 .DEFAULT_GOAL := help
 
-PACKAGES := pkg-config clang libclang-dev libopencv-dev libceres-dev ffmpeg mesa-vulkan-drivers
+PACKAGES := pkg-config g++ libceres-dev libsqlite3-dev ffmpeg mesa-vulkan-drivers
 CACHE := $(or $(XDG_CACHE_HOME),$(HOME)/.cache)/sat-recon
 # In CI the checkout is fresh each time: the build products live in the user's cache.
 ifneq ($(CI),)
@@ -14,9 +14,10 @@ SAT_RECON := $(TARGET)/release/sat-recon
 VENV := $(CACHE)/venv
 SHARED := $(or $(SAT_RECON_SHARED),../shared)
 
-.PHONY: help setup viewer build demo test neon lint bench tables bench-gpu compare oracle testbed
+.PHONY: help setup viewer build demo test neon lint bench tables bench-gpu compare benchmarks-page oracle testbed site \
+  tutorial-pictures
 help:  ## this list
-	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed 's/:.*##/\t/' | expand -t 12
+	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed 's/:.*##/\t/' | expand -t 20
 
 setup:  ## install what is missing (Debian packages; as root or with sudo)
 	@tools/setup.sh $(PACKAGES)
@@ -35,7 +36,7 @@ test: setup viewer  ## every test (real data is looked for in ../shared/data)
 	@tools/setup.sh colmap chromium
 	cargo test --workspace --locked
 
-# The trainer alone: the other crates need OpenCV's and Ceres' libraries for that processor.
+# The trainer alone: `sfm` needs Ceres' libraries for that processor.
 ARM := aarch64-unknown-linux-gnu
 neon: export CARGO_TARGET_AARCH64_UNKNOWN_LINUX_GNU_LINKER := aarch64-linux-gnu-gcc
 neon: export CARGO_TARGET_AARCH64_UNKNOWN_LINUX_GNU_RUNNER := qemu-aarch64-static -L /usr/aarch64-linux-gnu
@@ -43,18 +44,25 @@ neon:  ## the trainer's kernels as compiled for ARM (NEON) against the reference
 	@tools/setup.sh gcc-aarch64-linux-gnu libc6-dev-arm64-cross qemu-user-static
 	rustup target add $(ARM)
 	cargo test -p splat --no-default-features --target $(ARM) --locked --lib -- cpu::
-	cargo test -p splat --no-default-features --target $(ARM) --locked --test parity -- \
-	    kernels pictures optimise scores steps extreme --skip two_hundred --skip ten_thousand --skip hundred_thousand
+	cargo test -p splat --no-default-features --target $(ARM) --locked --lib -- \
+	    parity::kernels parity::pictures parity::adam parity::scores parity::steps parity::extreme --skip two_hundred --skip ten_thousand --skip hundred_thousand
 
 lint: setup  ## formatting, clippy, file and function lengths, borders between crates
 	@tools/lint.sh
 
-bench: build  ## the tables of docs/benchmarks.md on real data (slow)
-	cargo build --release --locked --workspace --example ring_growth --example key_table
-	@tools/setup.sh python3 colmap; python3 tools/bench.py $(SAT_RECON) $(SHARED) --out build/bench
+EXAMPLES := ring_growth key_table features_table ablation step_cost growth
+bench: build  ## all benchmarks on real data, and docs/benchmarks.md from their results (hours)
+	cargo build --release --locked --workspace $(EXAMPLES:%=--example %)
+	@tools/setup.sh python3 colmap
+	python3 tools/bench.py $(SAT_RECON) $(SHARED) --out build/bench --plot docs/speed_accuracy.svg
+	@$(MAKE) benchmarks-page
 
 tables: build  ## the paper's three tables for our own method, its rows beside them (slow)
-	@tools/setup.sh python3; python3 tools/paper_tables.py $(SAT_RECON) $(SHARED) --out build/tables
+	@tools/setup.sh python3
+	python3 tools/paper_tables.py $(SAT_RECON) $(SHARED) --out build/tables
+
+benchmarks-page:  ## docs/benchmarks.md from the results in build/ and docs/results
+	python3 tools/benchmarks_page.py docs/results $(wildcard build/*/results) --out docs/benchmarks.md --keep docs/results
 
 # --workspace: alone the crate would resolve to fewer features of its dependencies, and wgpu would be compiled again.
 bench-gpu: build  ## what needs a graphics card, in under ten minutes, as JSON (a small dry run without one)
@@ -86,3 +94,17 @@ $(VENV)/pycolmap: $(VENV)/bin/python
 $(VENV)/oracle: $(VENV)/bin/python
 	$(VENV)/bin/pip install -q numpy pillow scipy scikit-image opencv-python-headless torch==2.15.* kornia==0.9.* lpips==0.1.4 torchvision safetensors pycolmap==4.2.1
 	touch $@
+
+# The documentation site: mdBook from crates.io, kept in the user's cache.
+MDBOOK := $(CACHE)/mdbook/bin/mdbook
+$(MDBOOK):
+	cargo install mdbook --version 0.5.4 --locked --root $(CACHE)/mdbook
+
+site: $(MDBOOK)  ## the documentation as a web site, in build/site
+	$(MDBOOK) build docs
+	@python3 tools/check_links.py build/site
+	@echo "Open build/site/index.html"
+
+tutorial-pictures: demo  ## the pictures of docs/tutorial.md from a run of the demo (needs Node.js and Chromium)
+	@tools/setup.sh ffmpeg chromium
+	tools/tutorial_pictures.sh $(SAT_RECON) out/demo

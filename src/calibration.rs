@@ -1,32 +1,23 @@
-//! `--camera-from`: what an earlier run, or a model of COLMAP's, knows of its camera.
+//! `--camera-from`: the camera of an earlier run or of a COLMAP model.
 
-use crate::pipeline::Deviations;
+use crate::record::KnownRun;
 use anyhow::{Context, Result, bail};
 use scene::Camera;
-use serde::Deserialize;
 use sfm::Calibration;
 use std::collections::BTreeMap;
 use std::path::Path;
 
-/// A run's standard deviations are those that the noise of the sightings gives. What its camera model leaves out is not in
-/// them, so another run trusts them this much less.
+/// A run's standard deviations are those that the noise of the observations gives; what its camera
+/// model leaves out is not in them. Another run uses them times this factor. Source: chosen by
+/// hand, never measured.
 const TRUST: f64 = 3.0;
-/// What a run held tells nothing: focal lengths (share of them), principal points (longer image sides), distortion.
+/// Standard deviations of what a run held fixed: focal lengths (share of them), principal points
+/// (longer image sides), distortion (no unit). Source: chosen by hand, never measured.
 const HELD: [f64; 3] = [0.05, 0.03, 0.1];
 
-#[derive(Deserialize)]
-struct Run {
-    poses: Option<Poses>,
-}
-
-#[derive(Deserialize)]
-struct Poses {
-    deviations: Option<Deviations>,
-}
-
-/// The camera that took most of the images: of a run's folder with its standard deviations, of a COLMAP model exactly.
+/// The camera that took most of the images: of a run's folder with its standard deviations, of a
+/// COLMAP model exactly.
 pub fn read(path: &Path) -> Result<Calibration> {
-    let run = path.join("run.json");
     let folder = path.join("sparse/0");
     let folder = if folder.is_dir() { folder.as_path() } else { path };
     let model = scene::io::read_model(folder).with_context(|| {
@@ -38,25 +29,24 @@ pub fn read(path: &Path) -> Result<Calibration> {
     let Some(camera) = most.and_then(|(id, _)| model.cameras.get(id)).cloned() else {
         bail!("--camera-from {}: no image has a camera", path.display());
     };
-    let sigmas = if run.is_file() { deviations(&run, &camera)? } else { vec![0.0; camera.params.len()] };
+    let is_run = path.join("run.json").is_file();
+    let sigmas = if is_run { deviations(path, &camera)? } else { vec![0.0; camera.params.len()] };
     Ok(Calibration { camera, sigmas })
 }
 
 fn deviations(run: &Path, camera: &Camera) -> Result<Vec<f64>> {
-    let text = std::fs::read(run).with_context(|| format!("cannot read {}", run.display()))?;
-    let run_record: Run =
-        serde_json::from_slice(&text).with_context(|| format!("{} is no record of a run", run.display()))?;
-    let known = run_record.poses.and_then(|p| p.deviations);
+    let known = KnownRun::read(run)?.poses.and_then(|p| p.deviations);
     let own = known.and_then(|mut d| d.cameras.remove(&camera.id)).unwrap_or_default();
     let focals = camera.model.num_focals();
     let side = f64::from(camera.width.max(camera.height));
-    let sigma = |(i, value): (usize, &f64)| match own.get(i) {
+    let values = camera.params.iter().enumerate();
+    let sigmas = values.map(|(i, value)| match own.get(i) {
         Some(s) if s.is_finite() && *s > 0.0 => TRUST * s,
         _ if i < focals => HELD[0] * value,
         _ if i < focals + 2 => HELD[1] * side,
         _ => HELD[2],
-    };
-    Ok(camera.params.iter().enumerate().map(sigma).collect())
+    });
+    Ok(sigmas.collect())
 }
 
 #[cfg(test)]

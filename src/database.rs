@@ -1,13 +1,15 @@
-//! COLMAP's `database.db` at the border of the solver: what it supplies, and what a run leaves for it.
+//! COLMAP's `database.db` at the border of the solver: what it supplies, and what a run leaves for
+//! it.
 
-use crate::cli::PipelineArgs;
+use crate::args::PipelineArgs;
 use crate::stage::describe_input;
 use anyhow::{Context, Result, bail};
+use scene::decision::{Choice, Decision, FeatureSource, Measurement, Quantity, Remark, Rule, Subject};
 use scene::io::colmap_db::{Database, DatabaseImage, ImagePair};
 use scene::{
     Camera, Features, Frame, FrameSet, Keypoint, Progress, Reconstruction, TwoViewGeometry, TwoViewKind,
 };
-use sfm::{Decision, SfmResult, Supplied};
+use sfm::{SfmResult, Supplied};
 use std::collections::BTreeMap;
 use std::path::Path;
 
@@ -34,10 +36,9 @@ pub fn solve(args: &PipelineArgs, frames: &FrameSet, progress: &Progress) -> Res
     (config.seed, config.keep_matches) = (args.seed, args.colmap_database);
     let Some(path) = &args.database else { return Ok(sfm::reconstruct(frames, &config, progress)?) };
     let mut frames = frames.clone();
-    let (supplied, evidence) = read(path, &mut frames, args.rematch)?;
+    let (supplied, decision) = read(path, &mut frames, args.rematch)?;
     let mut result = sfm::reconstruct_from(Some(supplied), &frames, &config, progress)?;
-    let (what, chosen) = ("features".to_owned(), "from the database".to_owned());
-    result.decisions.insert(0, Decision { what, chosen, evidence });
+    result.decisions.insert(0, decision);
     Ok(result)
 }
 
@@ -56,13 +57,14 @@ pub fn write(
     Ok(model)
 }
 
-/// Two frames are a pair of a followed video where they share so many points.
+/// Two frames of a tracked video are a pair where they share so many points.
+/// Source: chosen by hand, never measured.
 const FEWEST_SHARED: usize = 15;
 
-/// Features (and matches, unless `rematch`) of the frames, and a sentence on what was found. Images are known by name,
-/// or by name without ending. Camera groups and known focal lengths are put into `frames`; keypoints are scaled where
-/// the frames were.
-fn read(path: &Path, frames: &mut FrameSet, rematch: bool) -> Result<(Supplied, String)> {
+/// Features (and matches, unless `rematch`) of the frames, and a decision that says what was found.
+/// Images are known by name, or by name without ending. Camera groups and known focal lengths are
+/// put into `frames`; keypoints are scaled where the frames were.
+fn read(path: &Path, frames: &mut FrameSet, rematch: bool) -> Result<(Supplied, Decision)> {
     let database = scene::io::read_database(path)?;
     let mut features = vec![Features::default(); frames.len()];
     let mut frame_of: BTreeMap<u32, usize> = BTreeMap::new();
@@ -96,10 +98,17 @@ fn read(path: &Path, frames: &mut FrameSet, rematch: bool) -> Result<(Supplied, 
         f.descriptors.resize(f.len() * Features::DIM, 0);
     }
     let keypoints: usize = features.iter().map(Features::len).sum();
-    let pairs =
-        matches.as_ref().map_or("matched anew".to_owned(), |m| format!("matches of {} pairs", m.len()));
-    let sentence = format!("{keypoints} features of {found} of {} frames; {pairs}", frames.len());
-    Ok((Supplied { features: Some(features), matches }, sentence))
+    let choice = Choice::Features(FeatureSource::Database);
+    let decision = Decision::new(Subject::Features, choice, Rule::Requested).with_all([
+        Measurement::count(Quantity::FeatureCount, keypoints),
+        Measurement::count(Quantity::Images, found),
+        Measurement::count(Quantity::Frames, frames.len()),
+    ]);
+    let decision = match &matches {
+        Some(matches) => decision.measured(Quantity::Pairs, matches.len() as f64),
+        None => decision.remarked(Remark::MatchedAnew),
+    };
+    Ok((Supplied { features: Some(features), matches }, decision))
 }
 
 fn find<'a>(database: &'a Database, name: &str) -> Option<(u32, &'a DatabaseImage)> {
@@ -131,8 +140,8 @@ fn fitted(image: &DatabaseImage, camera: &Camera, frame: &mut Frame) -> Result<F
     Ok(features)
 }
 
-/// Matches as they were before verification, or where none were kept the verified ones; none at all where there are none
-/// of the frames.
+/// Matches as they were before verification, or where none were kept the verified ones; none at all
+/// where there are none of the frames.
 fn matches(database: &Database, frame_of: &BTreeMap<u32, usize>) -> Option<Vec<sfm::matching::PairMatches>> {
     let of_frames = |(a, b): ImagePair, m: &[[u32; 2]]| {
         let (a, b) = (*frame_of.get(&a)?, *frame_of.get(&b)?);
@@ -144,11 +153,13 @@ fn matches(database: &Database, frame_of: &BTreeMap<u32, usize>) -> Option<Vec<s
     (!chosen.is_empty()).then_some(chosen)
 }
 
-/// What COLMAP is to find: cameras as they were solved (with their focal lengths marked as known) or else as they were
-/// assumed, features, matches and verified pairs. Image number = 1 + index of the frame, as in the model.
+/// What COLMAP is to find: cameras as they were solved (with their focal lengths marked as known)
+/// or else as they were assumed, features, matches and verified pairs. Image number = 1 + index of
+/// the frame, as in the model.
 ///
-/// Of a followed video the features are those of the key frames and after them the followed points (without
-/// descriptors), the pairs all frames that share points: keypoints are numbered as in the model.
+/// Of a followed video the features are those of the key frames and after them the followed points
+/// (without descriptors), the pairs all frames that share points: keypoints are numbered as in the
+/// model.
 fn contents(result: SfmResult, frames: &FrameSet) -> Database {
     let SfmResult { reconstruction, initial_cameras, mut features, matches, geometries, .. } = result;
     let model = reconstruction.unwrap_or_default();
@@ -181,7 +192,7 @@ fn contents(result: SfmResult, frames: &FrameSet) -> Database {
     database
 }
 
-/// Pairs of images that see the same points, with those sightings as matches.
+/// Pairs of images that see the same points, with those observations as matches.
 fn shared_points(model: &Reconstruction) -> BTreeMap<ImagePair, TwoViewGeometry> {
     let mut matches: BTreeMap<ImagePair, Vec<[u32; 2]>> = BTreeMap::new();
     for point in model.points.values() {

@@ -1,6 +1,6 @@
 //! What is installed, which adapters there are, and what will be slow.
 
-use crate::Outcome;
+use crate::outcome::Outcome;
 use anyhow::Result;
 
 /// Libraries and programs in use, with their versions; missing ones say so.

@@ -5,91 +5,20 @@ pub mod metrics;
 pub mod speed;
 mod table;
 
-use crate::pipeline::SplatSummary;
+use crate::args::EvalConfig;
+use crate::record::RenderingCost;
+use crate::record::{Evaluation, Metrics, Percentile, SplatSummary, TrainingViews, ViewMetrics};
 use crate::stage::{Stages, write_json};
 use anyhow::{Context, Result};
-use geometry::{Geometry, MeshConfig};
 use image::{GrayImage, RgbImage};
-use metrics::Metrics;
 use scene::Progress;
 use scene::lpips::Lpips;
-use serde::{Deserialize, Serialize};
-use speed::RenderingCost;
 use splat::{Dataset, DatasetConfig, DeviceConfig, RenderOptions, Renderer, View};
 use std::path::{Path, PathBuf};
 
-/// How the held-out views are judged.
-#[derive(clap::Args, Clone, Debug, Serialize, Deserialize)]
-pub struct EvalConfig {
-    /// Weights for LPIPS, a .safetensors file of AlexNet's or VGG-16's made by tools/lpips_weights.py; may be given for each
-    #[arg(long, value_name = "FILE", help_heading = "Evaluation")]
-    pub lpips_weights: Vec<PathBuf>,
-    /// How often the held-out views are rendered to measure frames per second
-    #[arg(long, default_value_t = 15, value_parser = clap::value_parser!(u32).range(1..=1000), help_heading = "Evaluation")]
-    pub fps_loops: u32,
-    /// The true shape.
-    #[command(flatten)]
-    #[serde(default)]
-    pub mesh: MeshConfig,
-}
-
-/// One held-out view.
-#[derive(Clone, Debug, Serialize, Deserialize)]
-pub struct ViewMetrics {
-    /// Image name.
-    pub name: String,
-    /// File name of its pictures in `eval/photos` and `eval/renders`.
-    pub picture: String,
-    /// Its metrics.
-    pub metrics: Metrics,
-}
-
-/// What a part of the held-out views stay below.
-#[derive(Clone, Debug, Serialize, Deserialize)]
-pub struct Percentile {
-    /// How many of the views, per cent.
-    pub percent: u32,
-    /// Each figure by itself.
-    pub metrics: Metrics,
-}
-
-/// Views that training saw, judged like the held-out ones: how much better they are is what was learnt by heart.
-#[derive(Clone, Debug, Serialize, Deserialize)]
-pub struct TrainingViews {
-    /// How many were judged.
-    pub views: usize,
-    /// Their mean (without LPIPS).
-    pub mean: Metrics,
-}
-
-/// What `eval/metrics.json` holds.
-#[derive(Clone, Debug, Default, Serialize, Deserialize)]
-pub struct Evaluation {
-    /// How it was measured, in a sentence.
-    pub protocol: String,
-    /// By view.
-    pub views: Vec<ViewMetrics>,
-    /// Mean over the views.
-    pub mean: Metrics,
-    /// Percentiles over the views.
-    #[serde(default)]
-    pub percentiles: Vec<Percentile>,
-    /// Views of the training, judged alike.
-    #[serde(default)]
-    pub training: Option<TrainingViews>,
-    /// What rendered, in words.
-    #[serde(default)]
-    pub renderer: String,
-    /// Speed and memory of rendering the held-out views.
-    #[serde(default)]
-    pub rendering: RenderingCost,
-    /// Shape, where there is a mesh or a matte to judge it by.
-    #[serde(default)]
-    pub geometry: Option<Geometry>,
-}
-
 impl ViewMetrics {
-    /// Its picture of a kind (`photos`, `renders`) in a run folder. Names in files stay inside their folder.
+    /// Its picture of a kind (`photos`, `renders`) in a run folder. Names in files stay inside
+    /// their folder.
     pub fn picture(&self, run: &Path, kind: &str) -> Result<PathBuf> {
         let path = run.join("eval").join(kind).join(scene::io::safe_name(&self.picture)?);
         anyhow::ensure!(path.is_file(), "{} is missing; run sat-recon eval again", path.display());
@@ -160,8 +89,13 @@ pub fn evaluate(
     let geometry = geometry::measure(out, mesh, &dataset, (&gaussians, renderer.antialias), progress)?;
     let held_out: Vec<&View> = dataset.views.iter().filter(|v| v.held_out).collect();
     let protocol = protocol(config, &dataset, held_out.len(), &rendering, &networks);
-    let mut evaluation =
-        Evaluation { protocol, rendering, geometry, renderer: chosen.choice, ..Evaluation::default() };
+    let mut evaluation = Evaluation {
+        protocol,
+        rendering,
+        geometry,
+        renderer: chosen.sentences().choice,
+        ..Evaluation::default()
+    };
     progress.begin("evaluate", held_out.len());
     scene::io::replace_folder(&out.join("eval"), |folder| -> Result<()> {
         for (i, view) in held_out.iter().enumerate() {
@@ -182,7 +116,7 @@ pub fn evaluate(
     Ok(evaluation)
 }
 
-/// Percentiles that are told.
+/// Percentiles that are reported, per cent of the views. Source: chosen by hand, never measured.
 const PERCENTS: [u32; 3] = [5, 50, 95];
 
 /// Judges training views, as many as are held out, spread evenly.

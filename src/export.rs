@@ -1,7 +1,7 @@
 //! `export`: a result in another format, chosen by the name of the target.
 
-use crate::Outcome;
-use crate::cli::ExportArgs;
+use crate::args::ExportArgs;
+use crate::outcome::Outcome;
 use crate::terminal::{CANCELLED, TerminalSink, Verbosity};
 use anyhow::{Context, Result, bail};
 use scene::Progress;

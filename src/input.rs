@@ -1,6 +1,7 @@
 //! What the input is: a video, photos, or images that bring their poses.
 
 use anyhow::{Context, Result, bail};
+use scene::decision::{Choice, Decision, Quantity, Rule, Subject};
 use scene::{FrameSet, Progress, Reconstruction};
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -105,26 +106,23 @@ pub fn import_poses(model: &Path, frames: &FrameSet) -> Result<Reconstruction> {
     Ok(reconstruction)
 }
 
-/// Poses that come without points get those that their photos agree on, and a decision says so: subject, choice, evidence. Where all
-/// photos have mattes there is nothing to gain: Gaussians begin inside the silhouettes' hull as well.
+/// Poses that come without points get those that their photos agree on, and a decision says so.
+/// Where all photos have mattes there is nothing to gain: Gaussians begin inside the visual hull as
+/// well.
 pub fn with_points(
     given: Reconstruction,
     frames: &FrameSet,
     config: &sfm::SfmConfig,
     progress: &Progress,
-) -> Result<(Reconstruction, Vec<[String; 3]>)> {
+) -> Result<(Reconstruction, Vec<Decision>)> {
     if !given.points.is_empty() || frames.frames.iter().all(|f| f.mask.is_some()) {
         return Ok((given, Vec::new()));
     }
     let found = sfm::triangulate_given(frames, &given, config, progress)?;
-    let often = found.points.values().filter(|p| p.track.len() > 2).count();
-    let decision = [
-        "points".to_owned(),
-        format!("{} from the photos", found.points.len()),
-        format!(
-            "the input brings none; {often} of these are seen where its poses say by three photos and more"
-        ),
-    ];
+    let well_observed = found.points.values().filter(|p| p.track.len() > 2).count();
+    let choice = Choice::count(found.points.len());
+    let decision = Decision::new(Subject::TriangulatedPoints, choice, Rule::Evidence)
+        .measured(Quantity::WellObservedPoints, well_observed as f64);
     Ok((found, vec![decision]))
 }
 
@@ -132,7 +130,8 @@ fn stem(name: &str) -> String {
     Path::new(name).with_extension("").to_string_lossy().into_owned()
 }
 
-/// Scales a camera (and its keypoints) to the size of the frames on disk; another aspect ratio is an error.
+/// Scales a camera (and its keypoints) to the size of the frames on disk; another aspect ratio is
+/// an error.
 fn fit_camera(reconstruction: &mut Reconstruction, id: u32, width: u32, height: u32) -> Result<()> {
     let Some(camera) = reconstruction.cameras.get_mut(&id) else { return Ok(()) };
     if (camera.width, camera.height) == (width, height) {

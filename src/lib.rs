@@ -1,8 +1,9 @@
-//! sat-recon, wired together: the stages of `preprocess`, `sfm` and `splat` as one resumable pipeline.
+//! sat-recon, wired together: the stages of `preprocess`, `sfm` and `splat` as one resumable
+//! pipeline.
 
+pub mod args;
 pub mod bench;
 mod calibration;
-pub mod cli;
 pub mod compare;
 pub mod config;
 pub mod database;
@@ -10,28 +11,21 @@ pub mod doctor;
 pub mod evaluate;
 pub mod export;
 pub mod input;
+pub mod outcome;
 pub mod pipeline;
+pub mod record;
 pub mod render;
 pub mod report;
 pub mod stage;
 pub mod terminal;
 pub mod view;
 
+pub use outcome::Outcome;
+
 use anyhow::Result;
-use cli::Command;
+use args::Command;
 use pipeline::Until;
 use terminal::Verbosity;
-
-/// How a command ended, when it did not fail.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Outcome {
-    /// All well.
-    Done,
-    /// No model could be found.
-    NoModel,
-    /// A model that lacks some of the frames.
-    Partial,
-}
 
 /// Runs the command.
 pub fn run(parsed: config::Parsed) -> Result<Outcome> {

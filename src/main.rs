@@ -22,11 +22,11 @@ fn main() -> ExitCode {
     }
 }
 
-/// Keeps Mesa's device-select layer, which asks the desktop for its favourite adapter, from complaining on standard
-/// error where there is no desktop.
+/// Keeps Mesa's device-select layer, which asks the desktop for its favourite adapter, from
+/// complaining on standard error where there is no desktop.
 fn quiet_drivers() {
     if std::env::var_os("XDG_RUNTIME_DIR").is_none() {
-        // No other thread runs yet that could read the environment.
+        // SAFETY: no other thread runs yet that could read the environment.
         unsafe { std::env::set_var("NODEVICE_SELECT", "1") };
     }
 }

@@ -1,23 +1,22 @@
 //! The pipeline: frames, poses, undistortion, splat, evaluation, report, each resumable.
 
 mod folder;
-mod records;
 
-use crate::Outcome;
-use crate::cli::PipelineArgs;
+use crate::args::PipelineArgs;
 use crate::config::Recorded;
 use crate::database;
-use crate::evaluate::{self, Evaluation};
+use crate::evaluate;
 use crate::input::{self, Input};
+use crate::outcome::Outcome;
+use crate::record::{Deviations, Evaluation, PoseSummary, RunRecord, SplatSummary};
 use crate::report;
 use crate::stage::{Cost, Stages, describe_input, fingerprint, write_json};
 use crate::terminal::{CANCELLED, TerminalSink, Verbosity};
 use anyhow::{Context, Result, bail};
 use folder::{absolute_in, default_output, relative_to};
-pub use records::{Deviations, ImageDeviation, PoseSummary, RunRecord, SplatSummary};
 use scene::io::TransformsOptions;
 use scene::io::ply::CloudPoint;
-use scene::{FrameSet, Progress, Reconstruction};
+use scene::{Decision, FrameSet, Progress, Reconstruction};
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
@@ -126,6 +125,15 @@ impl Pipeline {
         }
     }
 
+    fn say_decisions(&self, decisions: &[Decision]) {
+        for words in decisions.iter().map(Decision::sentences) {
+            let is_verbose = self.verbosity == Verbosity::Verbose && !words.evidence.is_empty();
+            let evidence =
+                if is_verbose { format!(" ({})", words.evidence.join("; ")) } else { String::new() };
+            self.say(&format!("          {words}{evidence}"));
+        }
+    }
+
     fn finish(&mut self, stage: &str, cost: Cost, ran: bool, line: &str) {
         let spent = if ran {
             format!("{:.1} s, {:.1} CPU s, {:.0} MiB", cost.wall_s, cost.cpu_s, cost.peak_mib)
@@ -176,6 +184,7 @@ impl Pipeline {
         for note in &frames.notes {
             self.say(&format!("          {note}"));
         }
+        self.say_decisions(&frames.decisions);
         Ok((frames, print))
     }
 
@@ -236,11 +245,9 @@ impl Pipeline {
             };
             summary.total = frames.len();
             if let Some(reconstruction) = &reconstruction {
-                let errors = reconstruction.reprojection_errors();
                 summary.registered = reconstruction.images.len();
                 summary.points = reconstruction.points.len();
-                summary.mean_error_px =
-                    errors.iter().fold(0.0, |sum, e| sum + e) / errors.len().max(1) as f64;
+                summary.mean_error_px = reconstruction.mean_reprojection_error();
                 self.write_model(reconstruction, frames)?;
             }
             Ok(summary)
@@ -261,11 +268,7 @@ impl Pipeline {
             ),
         };
         self.finish("poses", finished.cost, ran, &line);
-        for [what, chosen, evidence] in &poses.decisions {
-            let detail =
-                if self.verbosity == Verbosity::Verbose { format!(" ({evidence})") } else { String::new() };
-            self.say(&format!("          {what}: {chosen}{detail}"));
-        }
+        self.say_decisions(&poses.decisions);
         for (name, why) in &poses.missing {
             self.say(&format!("          missing {name}: {why}"));
         }
@@ -290,11 +293,7 @@ impl Pipeline {
                 .as_ref()
                 .zip(result.reconstruction.as_ref())
                 .map(|(u, model)| Deviations::of(u, model)),
-            decisions: result
-                .decisions
-                .iter()
-                .map(|d| [d.what.clone(), d.chosen.clone(), d.evidence.clone()])
-                .collect(),
+            decisions: result.decisions.clone(),
             figures: figures(&result.stats),
             ..PoseSummary::default()
         };
@@ -360,13 +359,12 @@ impl Pipeline {
         let (finished, ran) = self
             .stages
             .run("train", &print, &[self.out.join("splat.ply")], || self.train(&training_set, &print))?;
-        let mut splat = finished.value;
-        splat.decisions.extend(self.record.poses.as_ref().and_then(light_model));
+        let splat = finished.value;
         self.finish(
             "train",
             finished.cost,
             ran,
-            &format!("{} gaussians, SH degree {}", splat.gaussians, splat.sh_degree),
+            &format!("{} Gaussians, SH degree {}", splat.gaussians, splat.sh_degree),
         );
         self.record.splat = Some(splat);
         if until < Until::Eval {
@@ -418,11 +416,7 @@ impl Pipeline {
             sh_degree: result.gaussians.sh_degree,
             antialias: config.antialias,
             curve: result.curve,
-            decisions: result
-                .decisions
-                .iter()
-                .map(|d| [d.subject.clone(), d.choice.clone(), d.evidence.clone()])
-                .collect(),
+            decisions: result.decisions,
         };
         let _ = std::fs::remove_dir_all(&checkpoints); // the splat is written: the checkpoint has done its work
         Ok(summary)
@@ -469,27 +463,12 @@ impl Pipeline {
     }
 }
 
-/// What the splat's colours stand for where the object turned before a camera and a lamp that stood still.
-fn light_model(poses: &PoseSummary) -> Option<[String; 3]> {
-    let turned = poses.decisions.iter().any(|d| d[0] == "motion" && d[1] == "single-axis");
-    turned.then(|| {
-        [
-            "light",
-            "fixed to the camera, carried by the view-dependent colour",
-            "the object turned before a lamp that stood still: in its own frame the lamp went round with the camera, one light for \
-             every view; pictures from off the filmed circle extrapolate, and under a lamp that moves against the camera the colours \
-             are means over its places",
-        ]
-        .map(str::to_owned)
-    })
-}
-
 fn figures(stats: &sfm::SfmStats) -> Vec<(String, f64)> {
     let mut figures = vec![
         ("features".to_owned(), stats.features as f64),
         ("pairs matched".to_owned(), stats.pairs_matched as f64),
         ("pairs verified".to_owned(), stats.pairs_verified as f64),
-        ("sightings".to_owned(), stats.observations as f64),
+        ("observations".to_owned(), stats.observations as f64),
         ("mean track length".to_owned(), stats.mean_track_length),
         ("reprojection rms, px".to_owned(), stats.reprojection_rms_px),
         ("reprojection median, px".to_owned(), stats.reprojection_median_px),

@@ -1,12 +1,12 @@
 //! `render`: pictures of a trained splat along a camera path.
 
-use crate::Outcome;
-use crate::cli::{CameraPath, Channel, RenderArgs};
+use crate::args::{Channel, RenderArgs, RenderPath};
+use crate::outcome::Outcome;
+use crate::record::KnownRun;
 use crate::terminal::{CANCELLED, TerminalSink, Verbosity};
 use anyhow::{Context, Result, bail};
-use glam::{DMat3, DVec3};
 use image::RgbImage;
-use scene::{Camera, Pose, Progress, Reconstruction};
+use scene::{Camera, OrbitPath, Pose, Progress, Reconstruction};
 use splat::{RenderOptions, RenderOutput};
 use std::io::Write as _;
 use std::path::Path;
@@ -24,7 +24,7 @@ pub fn run(args: &RenderArgs, verbosity: Verbosity) -> Result<Outcome> {
     progress.begin("render", views.len());
     let (mut renderer, device) = splat::Renderer::on(&args.device, &gaussians)?;
     renderer.antialias = crate::evaluate::trained_with_antialias(&args.run)?;
-    let mut sink = Sink::open(&args.output, args.fps)?;
+    let mut sink = PictureSink::open(&args.output, args.fps)?;
     for (name, camera, pose) in &views {
         let output = renderer.render(camera, pose, &options)?;
         sink.put(name, &picture(&output, args.channel, camera))?;
@@ -32,18 +32,19 @@ pub fn run(args: &RenderArgs, verbosity: Verbosity) -> Result<Outcome> {
     }
     sink.finish()?;
     if verbosity > Verbosity::Quiet {
-        eprintln!("{} pictures in {}, by: {}", views.len(), args.output.display(), device.choice);
+        eprintln!("{} pictures in {}, by: {}", views.len(), args.output.display(), device.sentences().choice);
     }
     Ok(Outcome::Done)
 }
+
+/// How far a spiral rises and falls, radii of the circle. Source: chosen by hand, never measured.
+const SPIRAL_RISE: f64 = 0.4;
 
 type View = (String, Camera, Pose);
 
 /// What the run held out, as its record says; the defaults where it says nothing.
 pub(crate) fn dataset_config(run: &Path) -> splat::DatasetConfig {
-    let record = std::fs::read(run.join("run.json")).ok();
-    let record: Option<serde_json::Value> = record.and_then(|text| serde_json::from_slice(&text).ok());
-    record.and_then(|mut r| serde_json::from_value(r["config"]["dataset"].take()).ok()).unwrap_or_default()
+    KnownRun::read(run).map(|known| known.config.dataset).unwrap_or_default()
 }
 
 fn camera_path(model: &Reconstruction, args: &RenderArgs) -> Result<Vec<View>> {
@@ -55,67 +56,18 @@ fn camera_path(model: &Reconstruction, args: &RenderArgs) -> Result<Vec<View>> {
     let input = images
         .iter()
         .enumerate()
-        .filter(|(i, _)| args.path == CameraPath::Input || dataset.holds_out(*i, count));
-    if matches!(args.path, CameraPath::Input | CameraPath::Test) {
+        .filter(|(i, _)| args.path == RenderPath::Input || dataset.holds_out(*i, count));
+    if matches!(args.path, RenderPath::Input | RenderPath::Test) {
         let views = input.filter_map(|(_, image)| {
             Some((image.name.clone(), model.cameras.get(&image.camera)?.clone(), image.pose))
         });
         return Ok(views.collect());
     }
-    let ring = Ring::fit(images.iter().map(|i| &i.pose))?;
-    let count = args.count as usize;
-    let view = |i: usize| {
-        let turn = i as f64 / count as f64 * std::f64::consts::TAU;
-        let rise = if args.path == CameraPath::Spiral { 0.4 * (2.0 * turn).sin() } else { 0.0 };
-        (format!("{i:05}"), camera.clone(), ring.pose(turn, rise))
-    };
-    Ok((0..count).map(view).collect())
-}
-
-/// The circle that the input cameras suggest.
-struct Ring {
-    focus: DVec3,
-    up: DVec3,
-    start: DVec3,
-    radius: f64,
-    height: f64,
-}
-
-impl Ring {
-    /// The focus is the point nearest to all viewing rays; up is the mean of the cameras' up.
-    fn fit<'a>(poses: impl Iterator<Item = &'a Pose> + Clone) -> Result<Self> {
-        let mut normal = DMat3::from_diagonal(DVec3::splat(1e-9));
-        let (mut right, mut up, mut n) = (DVec3::ZERO, DVec3::ZERO, 0.0);
-        for pose in poses.clone() {
-            let d = pose.view_direction();
-            let project = DMat3::IDENTITY - DMat3::from_cols(d * d.x, d * d.y, d * d.z);
-            normal += project;
-            right += project * pose.centre();
-            up += pose.rotation.conjugate() * -DVec3::Y;
-            n += 1.0;
-        }
-        let focus = normal.inverse() * right;
-        let up = up.try_normalize().context("the cameras have no common up; render --path input instead")?;
-        let centre = poses.clone().map(Pose::centre).sum::<DVec3>() / n;
-        let height = (centre - focus).dot(up);
-        let flat = |c: DVec3| (c - focus) - up * (c - focus).dot(up);
-        let radius = poses.clone().map(|p| flat(p.centre()).length()).sum::<f64>() / n;
-        let start = poses.clone().map(|p| flat(p.centre())).next().and_then(DVec3::try_normalize);
-        let start = start.unwrap_or_else(|| up.any_orthonormal_vector());
-        anyhow::ensure!(
-            radius.is_finite() && radius > 0.0,
-            "the cameras do not go round anything; render --path input instead"
-        );
-        Ok(Self { focus, up, start, radius, height })
-    }
-
-    /// `turn` in radians; `rise` in radii.
-    fn pose(&self, turn: f64, rise: f64) -> Pose {
-        let side = self.up.cross(self.start);
-        let out = self.start * turn.cos() + side * turn.sin();
-        let eye = self.focus + out * self.radius + self.up * (self.height + rise * self.radius);
-        Pose::look_at(eye, self.focus, self.up)
-    }
+    let poses: Vec<Pose> = images.iter().map(|i| i.pose).collect();
+    let path = OrbitPath::fit(&poses).map_err(|why| anyhow::anyhow!("{why}; render --path input instead"))?;
+    let rise = if args.path == RenderPath::Spiral { SPIRAL_RISE } else { 0.0 };
+    let views = path.poses(args.count as usize, rise).into_iter().enumerate();
+    Ok(views.map(|(i, pose)| (format!("{i:05}"), camera.clone(), pose)).collect())
 }
 
 /// The 8-bit picture of a channel.
@@ -167,12 +119,12 @@ fn normal_colour(output: &RenderOutput, camera: &Camera, x: u32, y: u32) -> imag
 }
 
 /// A folder of PNG files or ffmpeg's standard input.
-enum Sink {
+enum PictureSink {
     Folder(std::path::PathBuf),
     Video { child: Option<std::process::Child>, path: std::path::PathBuf, fps: f64, size: (u32, u32) },
 }
 
-impl Sink {
+impl PictureSink {
     fn open(path: &Path, fps: f64) -> Result<Self> {
         if path.extension().is_some_and(|e| e.eq_ignore_ascii_case("mp4")) {
             anyhow::ensure!(fps.is_finite() && fps > 0.0, "--fps must be positive");
@@ -249,25 +201,4 @@ fn start_ffmpeg(path: &Path, fps: f64, (w, h): (u32, u32)) -> Result<std::proces
         .stdin(Stdio::piped())
         .spawn()
         .context("ffmpeg is missing ('make setup' installs it); render to a folder of PNG files instead")
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn an_orbit_through_a_ring_of_cameras_is_that_ring() {
-        let focus = DVec3::new(1.0, 2.0, 3.0);
-        let poses: Vec<Pose> = (0..12)
-            .map(|i| {
-                let a = f64::from(i) / 12.0 * std::f64::consts::TAU;
-                Pose::look_at(focus + DVec3::new(2.0 * a.cos(), 2.0 * a.sin(), 0.5), focus, DVec3::Z)
-            })
-            .collect();
-        let ring = Ring::fit(poses.iter()).unwrap();
-        for (i, pose) in poses.iter().enumerate() {
-            let ours = ring.pose(i as f64 / 12.0 * std::f64::consts::TAU, 0.0);
-            assert!((ours.centre() - pose.centre()).length() < 1e-6);
-        }
-    }
 }

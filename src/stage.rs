@@ -1,12 +1,13 @@
 //! Stages of the output folder: fingerprints, skipping what is current, costs.
 
 use anyhow::{Context, Result};
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize, de::DeserializeOwned};
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
 /// What a stage cost.
-#[derive(Clone, Debug, Default, Serialize, Deserialize)]
+#[derive(Clone, Debug, Default, Serialize, Deserialize, JsonSchema)]
 pub struct Cost {
     /// Wall-clock seconds.
     pub wall_s: f64,
@@ -68,8 +69,8 @@ impl Stages {
         let _ = std::fs::remove_file(self.path(&format!("{name}.json"))); // what is not there is forgotten
     }
 
-    /// Runs `work` unless its result is current and its `outputs` are there; remembers the result when it is
-    /// complete. The second value says whether it ran.
+    /// Runs `work` unless its result is current and its `outputs` are there; remembers the result
+    /// when it is complete. The second value says whether it ran.
     pub fn run<T: Serialize + DeserializeOwned>(
         &self,
         name: &str,
@@ -90,8 +91,8 @@ impl Stages {
     }
 }
 
-/// Hash of anything that serialises: stage name and version (or what tells its sources from those of another build),
-/// configuration, fingerprints of what it reads.
+/// Hash of anything that serialises: stage name and version (or what tells its sources from those
+/// of another build), configuration, fingerprints of what it reads.
 pub fn fingerprint(parts: &impl Serialize) -> Result<String> {
     Ok(blake3::hash(&serde_json::to_vec(parts)?).to_hex()[..32].to_owned())
 }
@@ -162,17 +163,17 @@ impl Meter {
 /// Returns memory that earlier stages have freed to the system, which glibc keeps otherwise.
 fn give_back_memory() {
     #[cfg(all(target_os = "linux", target_env = "gnu"))]
-    // Takes the allocator's own locks; any thread may call it at any time.
+    // SAFETY: takes the allocator's own locks; any thread may call it at any time.
     unsafe {
         nix::libc::malloc_trim(0);
     }
 }
 
-/// From here on, large blocks that are freed go back to the system at once. glibc keeps what is smaller than the largest block it ever freed,
-/// and growing Gaussians free many.
+/// From here on, large blocks that are freed go back to the system at once. glibc keeps what is
+/// smaller than the largest block it ever freed, and growing Gaussians free many.
 pub fn free_large_blocks_at_once() {
     #[cfg(all(target_os = "linux", target_env = "gnu"))]
-    // Sets a number under the allocator's own lock.
+    // SAFETY: sets a number under the allocator's own lock.
     unsafe {
         nix::libc::mallopt(nix::libc::M_MMAP_THRESHOLD, 1 << 18);
     }

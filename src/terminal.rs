@@ -32,7 +32,7 @@ pub fn install_ctrl_c() -> anyhow::Result<()> {
     Ok(())
 }
 
-struct State {
+struct ProgressState {
     what: String,
     total: u64,
     bar: Option<ProgressBar>,
@@ -43,22 +43,22 @@ struct State {
 /// Shows progress on standard error and keeps the notes in the stage's log.
 pub struct TerminalSink {
     verbosity: Verbosity,
-    state: Mutex<State>,
+    state: Mutex<ProgressState>,
     log: Option<Mutex<std::fs::File>>,
 }
 
-/// Seconds between two plain lines.
+/// Seconds between two plain lines. Source: chosen by hand, never measured.
 const LINE_EVERY: Duration = Duration::from_secs(5);
 
 impl TerminalSink {
     /// A sink whose notes go to `log` too.
     pub fn new(verbosity: Verbosity, log: Option<std::fs::File>) -> Self {
         let now = Instant::now();
-        let state = State { what: String::new(), total: 0, bar: None, begun: now, last_line: now };
+        let state = ProgressState { what: String::new(), total: 0, bar: None, begun: now, last_line: now };
         Self { verbosity, state: Mutex::new(state), log: log.map(Mutex::new) }
     }
 
-    fn lock(&self) -> std::sync::MutexGuard<'_, State> {
+    fn lock(&self) -> std::sync::MutexGuard<'_, ProgressState> {
         self.state.lock().unwrap_or_else(std::sync::PoisonError::into_inner)
     }
 }

@@ -7,6 +7,7 @@ mod integration {
     pub mod cli;
     pub mod colmap;
     pub mod determinism;
+    pub mod documentation;
     pub mod end_to_end;
     pub mod real_data;
     pub mod resume;

@@ -1,11 +1,12 @@
 #!/usr/bin/env python3
-"""Runs sat-recon on the real captures and prints the tables of docs/benchmarks.md.
+"""Runs sat-recon on the real captures and the test bed: the tables of docs/benchmarks.md.
 
-    bench.py SAT_RECON SHARED --out FOLDER [--only NAME ...] [--colmap NAME ...]
+    bench.py SAT_RECON SHARED --out FOLDER [--tables NAME ...] [--only INPUT ...] [--colmap INPUT ...]
 
-Poses are judged by `sat-recon compare --truth`, which computes what COLMAP's benchmark papers use: the area under
-the recall curve over all image pairs. COLMAP 3.8 runs on the same images in the same call where it is installed.
-Costs are CPU seconds (user and system, subprocesses included) and peak resident memory.
+Prints each table and leaves it in FOLDER/results as JSON, from which benchmarks_page.py makes the
+page. Poses are judged by `sat-recon compare --truth`: the area under the recall curve over all
+image pairs. COLMAP 3.8 runs on the same images in the same call where it is installed. Costs are
+CPU seconds (user and system, subprocesses included) and peak resident memory.
 """
 import argparse
 import json
@@ -18,7 +19,9 @@ import sys
 import time
 
 import bench_sfm
+import bench_splats
 import turntable
+from bench_results import Results
 
 TESTBED = os.path.join(os.path.dirname(os.path.abspath(__file__)), "../data/testbed")
 POSES = [
@@ -30,7 +33,8 @@ POSES = [
     ("can_orbit", "phone_video/can_orbit.mp4", None, []),
     ("yaw, 10 % light (case 3)", os.path.join(TESTBED, "case3/video.mp4"), os.path.join(TESTBED, "case3/sparse"), []),
 ]
-# Harder copies of temple_ring, made by SHARED/tools/degrade.py (which needs numpy, pillow and scipy).
+# Harder copies of temple_ring, made by SHARED/tools/degrade.py (which needs numpy, pillow and
+# scipy).
 VARIANTS = [
     ("every 2nd image", "--every 2"), ("every 3rd image", "--every 3"), ("every 4th image", "--every 4"),
     ("every 5th image", "--every 5"), ("masked to black", "--mask"), ("masked, x 0.1, 8 bit", "--mask --gain 0.1"),
@@ -45,16 +49,9 @@ TURNS = [
 ]
 # Orbits in a dark room; `make testbed` renders them.
 ORBITS = [("orbit, 10 % light (case 1)", os.path.join(RENDERED, "case1")), ("orbit, 100 % light (case 2)", os.path.join(RENDERED, "case2"))]
-SPLATS = [
-    ("lego400", "lego400", []),
-    ("fox_undistorted_640", "fox_undistorted_640", []),
-    ("temple_ring", "temple_ring/images", []),
-    ("can_orbit", "phone_video/can_orbit.mp4", []),
-    ("yaw, 10 % light (case 3)", os.path.join(TESTBED, "case3/video.mp4"), []),
-]
 
-TABLES = ["poses", "variants", "dino", "orbits", "turns", "quality", "rings", "key", "splats"]
-
+TABLES = ["poses", "variants", "dino", "steps", "orbits", "turns", "quality", "rings", "key", "features",
+          "splats", "times", "shapes", "ablation", "step", "growth"]
 
 def measured(command, **options):
     """Runs a command; returns exit code, wall seconds, CPU seconds and peak MiB of its processes."""
@@ -76,64 +73,52 @@ def pose_errors(binary, model, truth):
     return run_json([binary, "compare", model, "--truth", truth, "--json"])[0]
 
 
-def pose_row(name, tool, record, cpu, wall, peak):
-    auc = "–"
-    angles = centres = "–"
-    if record.get("auc"):
-        auc = " / ".join(f"{record['auc'][t]:.1f}" for t in ("1", "3", "5", "10"))
-        if record.get("rotation_median_deg") is not None:  # a model of two images has none
-            angles = f"{record['rotation_median_deg']:.3f}°"
-        if record.get("centre_median_pct") is not None:
-            centres = f"{record['centre_median_pct']:.3f} / {record['centre_max_pct']:.3f}"
-    print(f"| {name} | {tool} | {record['registered']} of {record['total']} | {auc} | {angles} | {centres} "
-          f"| {cpu:.1f} | {wall:.1f} | {peak:.0f} |", flush=True)
+def pose_errors(binary, model, truth):
+    """Errors of a model as fields of a row."""
+    record = run_json([binary, "compare", model, "--truth", truth, "--json"])[0]
+    record |= {f"auc_{degrees}": value for degrees, value in (record.pop("auc", None) or {}).items()}
+    return record
 
 
-def bench_poses(binary, shared, out, only, colmap, sets=POSES):
-    print("\n## Poses\n\n| input | tool | registered | AUC@1 / 3 / 5 / 10 | rotation median | centre median / max, % "
-          "| CPU s | wall s | peak MiB |\n|---|---|---|---|---|---|---|---|---|")
+def solve(binary, source, folder, flags, truth):
+    """A row: what `sat-recon sfm` makes of images or a video, and what it costs."""
+    shutil.rmtree(folder, ignore_errors=True)
+    code, wall, cpu, peak = measured([binary, "sfm", source, "-o", folder, "-q", *flags])
+    with open(os.path.join(folder, "run.json")) as file:
+        poses = json.load(file)["poses"]
+    row = dict(tool="sat-recon", registered=poses["registered"], total=poses["total"])
+    if truth and code in (0, 3):
+        row |= pose_errors(binary, folder, truth)
+    return row | dict(cpu_s=cpu, wall_s=wall, peak_mib=peak)
+
+
+def bench_poses(binary, shared, out, only, colmap, table, sets=POSES):
     for name, source, truth, flags in sets:
         if only and name not in only:
             continue
         folder = os.path.join(out, "poses", name)
-        shutil.rmtree(folder, ignore_errors=True)
         source = os.path.join(shared, "data", source)
         truth = truth and os.path.join(shared, "data", truth)
-        code, wall, cpu, peak = measured([binary, "sfm", source, "-o", folder, "-q", "--ignore-poses", *flags])
-        with open(os.path.join(folder, "run.json")) as file:
-            run = json.load(file)
-        record = dict(registered=run["poses"]["registered"], total=run["poses"]["total"])
-        if truth and code in (0, 3):
-            record |= pose_errors(binary, folder, truth)
-        pose_row(name, "sat-recon", record, cpu, wall, peak)
+        table.row(solve(binary, source, folder, ["--ignore-poses", *flags], truth) | dict(input=name))
         if name in colmap and truth and shutil.which("colmap"):
-            bench_colmap(binary, name, os.path.join(folder, "images"), truth, os.path.join(out, "colmap", name))
+            bench_colmap(binary, name, os.path.join(folder, "images"), truth, os.path.join(out, "colmap", name), table)
 
 
-def bench_variants(binary, shared, out, only):
-    print("\n## temple_ring, made harder\n\n| input | tool | registered | AUC@1 / 3 / 5 / 10 | rotation median | centre median / max, % "
-          "| CPU s | wall s | peak MiB |\n|---|---|---|---|---|---|---|---|---|")
+def bench_variants(binary, shared, out, only, table):
     truth = os.path.join(shared, "data/temple_ring/cameras_par.txt")
     for i, (name, options) in enumerate(VARIANTS):
         if only and name not in only:
             continue
         images, folder = (os.path.join(out, part, str(i)) for part in ("inputs", "variants"))
-        for path in (images, folder):
-            shutil.rmtree(path, ignore_errors=True)
+        shutil.rmtree(images, ignore_errors=True)
         subprocess.run([sys.executable, os.path.join(shared, "tools/degrade.py"), os.path.join(shared, "data/temple_ring/images"),
                         images, *options.split()], check=True, stdout=subprocess.DEVNULL)
-        code, wall, cpu, peak = measured([binary, "sfm", images, "-o", folder, "-q"])
-        with open(os.path.join(folder, "run.json")) as file:
-            poses = json.load(file)["poses"]
-        record = dict(registered=poses["registered"], total=poses["total"])
-        if code in (0, 3):
-            record |= pose_errors(binary, folder, truth)
-        pose_row(name, "sat-recon", record, cpu, wall, peak)
+        table.row(solve(binary, images, folder, [], truth) | dict(input=name))
 
 
 def run_colmap(images, folder, masks=None, database=None):
-    """Debian's COLMAP 3.8 with its defaults, one camera, on the CPU; its mapper alone where a database is given:
-    (folder of models, CPU s, wall s, peak MiB)."""
+    """Debian's COLMAP 3.8 with its defaults, one camera, on the CPU; its mapper alone where a
+    database is given: (folder of models, CPU s, wall s, peak MiB)."""
     shutil.rmtree(folder, ignore_errors=True)
     os.makedirs(os.path.join(folder, "sparse"))
     environment = dict(os.environ, QT_QPA_PLATFORM="offscreen")
@@ -156,19 +141,20 @@ def run_colmap(images, folder, masks=None, database=None):
     return os.path.join(folder, "sparse"), total_cpu, total_wall, most
 
 
-def bench_colmap(binary, name, images, truth, folder, masks=None, database=None):
+def bench_colmap(binary, name, images, truth, folder, table, masks=None, database=None):
     """A row of COLMAP 3.8; the folder of its largest model."""
     sparse, cpu, wall, peak = run_colmap(images, folder, masks, database)
     tool = "COLMAP 3.8" + (" on our database" if database else ", inside the masks" if masks else "")
     models = [os.path.join(sparse, m) for m in sorted(os.listdir(sparse))]
     records = [pose_errors(binary, m, truth) | {"model": m} for m in models]
     best = max(records, key=lambda r: r["registered"], default=dict(registered=0)) | {"total": len(os.listdir(images))}
-    pose_row(name, tool, best, cpu, wall, peak)
+    table.row(best | dict(input=name, tool=tool, cpu_s=cpu, wall_s=wall, peak_mib=peak))
     return best.get("model")
 
 
 def calibrated(binary, out, kind):
-    """Flags that give the camera as photos taken with it by hand calibrate it; none where they are not rendered."""
+    """Flags that give the camera as photos taken with it by hand calibrate it; none where they are
+    not rendered."""
     images = os.path.join(RENDERED, f"calibration_{kind}", "images")
     folder = os.path.join(out, f"calibration_{kind}")
     if not os.path.isdir(images):
@@ -178,24 +164,18 @@ def calibrated(binary, out, kind):
     return ["--camera-from", folder]
 
 
-def turn_row(name, tool, model, truth, total, cpu):
+def turn_row(table, name, tool, model, truth, total, cpu):
     """One line of the table of turns; `model`: a folder, or None where there is none."""
     try:
         poses = turntable.read_poses(turntable.model_folder(model))
     except (SystemExit, OSError):
         poses = {}
     record, _ = turntable.judge(poses, {n: truth[n] for n in total}, len(total))
-    if "angle_rms_deg" not in record:
-        print(f"| {name} | {tool} | {record['registered']} of {record['total']} | – | – | – | – | {cpu:.1f} |", flush=True)
-        return
-    print(f"| {name} | {tool} | {record['registered']} of {record['total']} | {record['angle_rms_deg']:.4f}° / {record['angle_max_deg']:.4f}° "
-          f"| {record['axis_tilt_deg']:.3f}° | {record['centre_median_pct']:.3f} / {record['centre_max_pct']:.3f} "
-          f"| {record['closing_deg']:+.4f}° | {cpu:.1f} |", flush=True)
+    table.row(record | dict(input=name, tool=tool, cpu_s=cpu))
 
 
-def bench_turns(binary, shared, out, only, tools):
-    print("\n## Turns about one axis\n\n| input | tool | registered | angles RMS / max | tilt of the axis "
-          "| centre median / max, % of the radius | closing error | CPU s |\n|---|---|---|---|---|---|---|---|")
+def bench_turns(binary, out, only, tools, table):
+    """Turns of the test bed: what is known, and how many frames are taken; `tools` are run beside."""
     for name, case in TURNS:
         if (only and name not in only) or not os.path.isfile(os.path.join(case, "video.mp4")):
             continue
@@ -203,48 +183,41 @@ def bench_turns(binary, shared, out, only, tools):
         video, folder = os.path.join(case, "video.mp4"), os.path.join(out, "turns", os.path.basename(case))
         shutil.rmtree(folder, ignore_errors=True)
         known = ["--camera-model", "RADIAL", "--intrinsics", true_intrinsics(case)]
-        by_photos = calibrated(binary, out, "video")
-        for tool, flags in (("sat-recon", []), ("sat-recon, intrinsics known", known), ("sat-recon, camera from 32 photos", by_photos)):
-            if tool != "sat-recon" and not flags:
+        ways = [("", []), (", intrinsics known", known), (", camera from 32 photos", calibrated(binary, out, "video")),
+                (", 144 frames", ["--frames", "144"]), (", 216 frames", ["--frames", "216"])]
+        for how, flags in ways:
+            if how and not flags:
                 continue
-            _, _, cpu, _ = measured([binary, "sfm", video, "-o", os.path.join(folder, tool), "-q", *flags])
-            frames = [os.path.splitext(f)[0] for f in sorted(os.listdir(os.path.join(folder, tool, "images")))]
-            turn_row(name, tool, os.path.join(folder, tool), truth, frames, cpu)
-        subprocess.run([binary, "frames", video, "-o", os.path.join(folder, "raw"), "-q", "--key", "off"], check=True)
-        for kind, images in (("raw", os.path.join(folder, "raw/images")), ("mattes", os.path.join(folder, "sat-recon/images"))):
+            run = os.path.join(folder, "sat-recon" + how)
+            _, _, cpu, _ = measured([binary, "sfm", video, "-o", run, "-q", *flags])
+            frames = [os.path.splitext(f)[0] for f in sorted(os.listdir(os.path.join(run, "images")))]
+            turn_row(table, name, "sat-recon" + how, run, truth, frames, cpu)
+        if not tools:
+            continue
+        mattes, raw = os.path.join(folder, "sat-recon/images"), os.path.join(folder, "raw/images")
+        frames = [os.path.splitext(f)[0] for f in sorted(os.listdir(mattes))]
+        subprocess.run([binary, "frames", video, "-o", os.path.dirname(raw), "-q", "--key", "off"], check=True)
+        for kind, images in (("raw", raw), ("mattes", mattes)):
             for tool, run in tools:
                 models, cpu = run(images, os.path.join(folder, f"{tool} {kind}"))
-                turn_row(name, f"{tool}, {kind}", models, truth, frames, cpu)
-    bench_steps(binary, shared, out, only)
+                turn_row(table, name, f"{tool}, {kind}", models, truth, frames, cpu)
 
 
-def bench_orbits(binary, out, only, colmap):
+def bench_orbits(binary, out, only, colmap, table):
     """Stills of an orbit, nothing known and with the camera calibrated; COLMAP 3.8 beside."""
-    print("\n## An orbit in a dark room\n\n| input | tool | registered | AUC@1 / 3 / 5 / 10 | rotation median | centre median / max, % "
-          "| CPU s | wall s | peak MiB |\n|---|---|---|---|---|---|---|---|---|")
     for name, case in ORBITS:
-        if only and name not in only:
-            continue
-        if not os.path.isdir(case):
-            print(f"| {name} | not measured: make testbed |")
+        if (only and name not in only) or not os.path.isdir(case):
             continue
         images, truth = os.path.join(case, "images"), os.path.join(case, "sparse")
         known = ["--camera-model", "RADIAL", "--intrinsics", true_intrinsics(case)]
-        by_photos = calibrated(binary, out, "stills")
-        for what, flags in (("", []), (", intrinsics known", known), (", camera from 32 photos", by_photos)):
-            if what and not flags:
+        ways = [("", []), (", intrinsics known", known), (", camera from 32 photos", calibrated(binary, out, "stills"))]
+        for how, flags in ways:
+            if how and not flags:
                 continue
-            folder = os.path.join(out, "orbits", name + what)
-            shutil.rmtree(folder, ignore_errors=True)
-            code, wall, cpu, peak = measured([binary, "sfm", images, "-o", folder, "-q", *flags])
-            with open(os.path.join(folder, "run.json")) as file:
-                poses = json.load(file)["poses"]
-            record = dict(registered=poses["registered"], total=poses["total"])
-            if code in (0, 3):
-                record |= pose_errors(binary, folder, truth)
-            pose_row(name + what, "sat-recon", record, cpu, wall, peak)
+            row = solve(binary, images, os.path.join(out, "orbits", name + how), flags, truth)
+            table.row(row | dict(input=name, tool="sat-recon" + how))
         if colmap and shutil.which("colmap"):
-            bench_colmap(binary, name, images, truth, os.path.join(out, "colmap", name))
+            bench_colmap(binary, name, images, truth, os.path.join(out, "colmap", name), table)
 
 
 def true_intrinsics(case):
@@ -253,16 +226,13 @@ def true_intrinsics(case):
     return ",".join(line.split()[4:])
 
 
-def bench_steps(binary, shared, out, only):
+def bench_steps(binary, shared, out, table):
     """oxford_dino, whose steps are 10 degrees: in its order, and with names that shuffle it."""
     images = os.path.join(shared, "data/oxford_dino/images")
-    print("\n| input | registered | motion | steps | standard deviation | CPU s |\n|---|---|---|---|---|---|")
     names = sorted(os.listdir(images))
     order = random.Random(7).sample(range(len(names)), len(names))
     for name, mix in (("oxford_dino", False), ("oxford_dino, shuffled", True)):
-        if only and name not in only:
-            continue
-        folder = os.path.join(out, "turns", name)
+        folder = os.path.join(out, "steps", name)
         shutil.rmtree(folder, ignore_errors=True)
         source = images
         if mix:
@@ -272,51 +242,38 @@ def bench_steps(binary, shared, out, only):
                 shutil.copy(os.path.join(images, names[i]), os.path.join(source, f"{k:03d}-{names[i]}"))
         code, _, cpu, _ = measured([binary, "sfm", source, "-o", os.path.join(folder, "out"), "-q"])
         with open(os.path.join(folder, "out/run.json")) as file:
-            poses = json.load(file)["poses"]
-        motion = next((d[1] for d in poses["decisions"] if d[0] == "motion"), "–")
-        if code not in (0, 3):
-            print(f"| {name} | 0 of {len(names)} | {motion} | – | – | {cpu:.1f} |", flush=True)
-            continue
-        record = turntable.steps(turntable.read_poses(turntable.model_folder(os.path.join(folder, "out"))), mix)
-        print(f"| {name} | {record['registered']} of {len(names)} | {motion} | {record['step_mean_deg']:.4f}° "
-              f"| {record['step_sd_deg']:.4f}° | {cpu:.1f} |", flush=True)
+            run = json.load(file)
+        row = dict(input=name, registered=0, total=len(names), cpu_s=cpu)
+        row["motion"] = next((d["choice"] for d in run["decisions"] if d["title"] == "Motion"), None)
+        if code in (0, 3):
+            model = turntable.read_poses(turntable.model_folder(os.path.join(folder, "out")))
+            row |= turntable.steps(model, mix)
+        table.row(row)
 
 
-def bench_splats(binary, shared, out, only, qualities):
-    print("\n## Splats (every 8th view held out)\n\n| input | quality | gaussians | PSNR | SSIM | worst view | train CPU s "
-          "| train wall s | peak MiB |\n|---|---|---|---|---|---|---|---|---|")
-    for name, source, flags in SPLATS:
-        if only and name not in only:
-            continue
-        for quality in qualities:
-            folder = os.path.join(out, "splats", name + "-" + quality)
-            shutil.rmtree(folder, ignore_errors=True)
-            source_path = os.path.join(shared, "data", source)
-            code, *_ = measured([binary, source_path, "-o", folder, "-q", "--quality", quality, *flags])
-            if code not in (0, 3):
-                print(f"| {name} | {quality} | failed with exit code {code} |")
-                continue
-            with open(os.path.join(folder, "run.json")) as file:
-                run = json.load(file)
-            cost = dict(run["costs"])["train"]
-            worst = min(v["metrics"]["psnr"] for v in run["evaluation"]["views"])
-            mean = run["evaluation"]["mean"]
-            print(f"| {name} | {quality} | {run['splat']['gaussians']} | {mean['psnr']:.2f} | {mean['ssim']:.4f} | {worst:.2f} "
-                  f"| {cost['cpu_s']:.0f} | {cost['wall_s']:.0f} | {cost['peak_mib']:.0f} |", flush=True)
-
-
-def bench_key(examples, shared):
-    """Mattes against their truth, beside the plain rule and ffmpeg's chromakey: the example key_table of preprocess."""
-    print("\n## Chroma key\n", flush=True)
-    table = os.path.join(examples, "key_table")
-    if not os.path.exists(table):
-        print("not measured: cargo build --release --locked --workspace --example key_table")
+def printed(results, names, examples, example, *runs, **options):
+    """Tables that an example of the workspace prints; `runs` are its arguments, call by call."""
+    program = os.path.join(examples, example)
+    if not os.path.exists(program):
+        print(f"\n{example}: not measured: cargo build --release --locked --workspace --example {example}")
         return
-    rendered = os.path.join(TESTBED, "../../build/testbed")  # by `make testbed`
-    cases = [os.path.join(TESTBED, "case3")] + [os.path.join(rendered, c) for c in ("case4", "blue/case3", "blue/case4")]
+    said = [subprocess.run([program, *run], check=True, capture_output=True, text=True, **options).stdout for run in runs]
+    results.printed(names, "\n".join(said))
+
+
+def bench_key(results, examples, shared):
+    """Mattes against their truth, beside the plain rule and ffmpeg's chromakey."""
+    cases = [os.path.join(TESTBED, "case3")] + [os.path.join(RENDERED, c) for c in ("case4", "blue/case3", "blue/case4")]
+    cases = [c for c in cases if os.path.exists(os.path.join(c, "video.mp4"))]
     environment = dict(os.environ, SAT_RECON_SHARED=os.path.abspath(shared))
-    subprocess.run([table, *(c for c in cases if os.path.exists(os.path.join(c, "video.mp4")))], check=True, env=environment)
-    subprocess.run([table, "--no-head"], check=True, env=environment)
+    printed(results, ["key"], examples, "key_table", cases, ["--no-head"], env=environment)
+
+
+def bench_features(results, examples):
+    """Beside the features of OpenCV and COLMAP that `make oracle` leaves."""
+    oracle = os.path.join(TESTBED, "../../build/oracle")
+    if os.path.isdir(oracle):
+        printed(results, ["features", "views"], examples, "features_table", [oracle])
 
 
 def main():
@@ -324,40 +281,53 @@ def main():
     parser.add_argument("binary")
     parser.add_argument("shared")
     parser.add_argument("--out", required=True)
+    parser.add_argument("--results", help="folder of the JSON results (default: OUT/results)")
     parser.add_argument("--only", nargs="*", help="names of inputs")
     parser.add_argument("--tables", nargs="*", default=TABLES, choices=TABLES)
     parser.add_argument("--rings", nargs="*", type=int, default=[100, 300, 1000], help="images of the simulated rings")
     parser.add_argument("--examples", help="folder with the examples (default: beside SAT_RECON)")
     parser.add_argument("--plot", help="where the SVG of speed against accuracy goes (default: below --out)")
     parser.add_argument("--colmap", nargs="*", default=["temple_ring"], help="inputs on which COLMAP 3.8 runs too")
-    parser.add_argument("--quality", nargs="*", default=["fast", "balanced"])
+    parser.add_argument("--quality", nargs="*", default=["draft", "fast", "balanced"])
+    parser.add_argument("--times", default="60s", help="time limits of training, such as 30s,60s")
     args = parser.parse_args()
     if not os.path.isdir(os.path.join(args.shared, "data")):
         sys.exit(f"{args.shared}/data is missing: the benchmarks need the real captures")
-    if "poses" in args.tables:
-        bench_poses(args.binary, args.shared, args.out, args.only, args.colmap)
-    if "variants" in args.tables:
-        bench_variants(args.binary, args.shared, args.out, args.only)
-    if "orbits" in args.tables:
-        bench_orbits(args.binary, args.out, args.only, args.colmap)
+    os.makedirs(args.out, exist_ok=True)
     here = sys.modules[__name__]
-    if "dino" in args.tables:
-        bench_sfm.bench_dino(here, args.binary, args.shared, args.out)
-    if "quality" in args.tables:
-        os.makedirs(args.out, exist_ok=True)
-        plot = args.plot or os.path.join(args.out, "speed_accuracy.svg")
-        bench_sfm.bench_quality(here, args.binary, args.shared, args.out, plot)
+    results = Results(args.results or os.path.join(args.out, "results"))
     examples = args.examples or os.path.join(os.path.dirname(os.path.abspath(args.binary)), "examples")
-    if "rings" in args.tables:
-        bench_sfm.bench_growth(here, os.path.join(examples, "ring_growth"), args.rings)
-    if "turns" in args.tables:
-        colmap = lambda images, folder: run_colmap(images, folder)[:2]
-        tools = [("COLMAP 3.8", colmap)] if shutil.which("colmap") else []
-        bench_turns(args.binary, args.shared, args.out, args.only, tools)
-    if "key" in args.tables:
-        bench_key(examples, args.shared)
-    if "splats" in args.tables:
-        bench_splats(args.binary, args.shared, args.out, args.only, args.quality)
+    binary, shared, out, only = args.binary, args.shared, args.out, args.only
+    plot = args.plot or os.path.join(out, "speed_accuracy.svg")
+    lego = os.path.join(shared, "data/lego400")
+    run = {
+        "poses": lambda t: bench_poses(binary, shared, out, only, args.colmap, t),
+        "variants": lambda t: bench_variants(binary, shared, out, only, t),
+        "orbits": lambda t: bench_orbits(binary, out, only, args.colmap, t),
+        "turns": lambda t: bench_turns(binary, out, only, [], t),
+        "steps": lambda t: bench_steps(binary, shared, out, t),
+        "dino": lambda t: bench_sfm.bench_dino(here, binary, shared, out, t),
+        "quality": lambda t: bench_sfm.bench_quality(here, binary, shared, out, plot, t),
+        "rings": lambda t: bench_sfm.bench_growth(here, os.path.join(examples, "ring_growth"), args.rings, t),
+        "splats": lambda t: bench_splats.bench_presets(here, binary, shared, out, only, args.quality, t),
+        "times": lambda t: bench_splats.bench_times(here, binary, shared, out, only, args.times, t),
+        "shapes": lambda t: bench_splats.bench_shapes(here, binary, out, t),
+    }
+    others = {
+        "key": lambda: bench_key(results, examples, shared),
+        "features": lambda: bench_features(results, examples),
+        "ablation": lambda: printed(results, ["ablation"], examples, "ablation", [lego, "--budget", "60s"],
+                                    env=dict(os.environ, RAYON_NUM_THREADS="1")),
+        "step": lambda: printed(results, ["step"], examples, "step_cost",
+                                [os.path.join(shared, "data/fox_undistorted_640"), "--warm-up", "300", "--steps", "60"]),
+        "growth": lambda: printed(results, ["growth_gaussians", "growth_pixels", "growth_views"], examples, "growth", []),
+    }
+    for name in args.tables:
+        print(f"\n## {name}", flush=True)
+        if name in run:
+            run[name](results.table(name))
+        else:
+            others[name]()
 
 
 if __name__ == "__main__":

@@ -1,33 +1,37 @@
-"""Tables of the pose solver: the shuffled dinosaur, simulated rings, speed against accuracy. Called by bench.py."""
+"""Tables of the pose solver: the shuffled dinosaur, simulated rings, speed against accuracy.
+Called by bench.py."""
 import json
 import math
 import os
 import random
 import shutil
 
-# CPU seconds and AUC@1 of COLMAP on temple_ring: 4.2.1 and its variants on another two-core machine with AVX-512
+from bench_results import STEPS
+
+# CPU seconds and AUC@1 of COLMAP on temple_ring: 4.2.1 and its variants on another two-core machine
+# with AVX-512
 # (pycolmap from PyPI, defaults), 3.8 as Debian ships it.
 PEERS = [
     ("COLMAP 3.8", 120, 17), ("COLMAP 4.2.1", 35, 17), ("COLMAP 4.2.1, global", 47, 19),
     ("COLMAP 4.2.1, principal point refined", 37, 70), ("COLMAP 4.2.1, sequential", 24, 13),
 ]
-STEPS = ["matching", "verification", "mapping", "camera model", "final adjustment", "covariance"]
 
 
 def read_text_model(folder):
-    """Poses (R rows, t), pixels and point numbers by image name, and points, of a COLMAP text model."""
+    """Poses (R rows, t), pixels and point numbers by image name, and points, of a COLMAP text
+    model."""
     def rows(name):
         with open(os.path.join(folder, name)) as file:
             return [line.rstrip("\n") for line in file if not line.startswith("#")]
     images = {}
     lines = rows("images.txt")
-    for head, sightings in zip(lines[::2], lines[1::2]):
+    for head, observations in zip(lines[::2], lines[1::2]):
         part = head.split()
         w, x, y, z = map(float, part[1:5])
         rotation = [[1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
                     [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
                     [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)]]
-        values = sightings.split()
+        values = observations.split()
         seen = {int(p): (float(u), float(v)) for u, v, p in zip(values[::3], values[1::3], values[2::3]) if p != "-1"}
         images[part[9]] = (rotation, list(map(float, part[5:8])), seen)
     return images
@@ -42,7 +46,8 @@ def dot(a, b):
 
 
 def fundamental(p, q):
-    """F with x_qᵀ F x_p = 0 of two 3 × 4 matrices: F_ij is a determinant of two rows of each (Hartley & Zisserman, 17.3)."""
+    """F with x_qᵀ F x_p = 0 of two 3 × 4 matrices: F_ij is a determinant of two rows of each
+    (Hartley & Zisserman, 17.3)."""
     def det4(m):
         total = 0.0
         for c in range(4):
@@ -62,10 +67,9 @@ def symmetric_error(f, x, y):
     return 0.5 * (c / math.hypot(*line_b[:2]) + c / math.hypot(*line_a[:2]))
 
 
-def bench_dino(bench, binary, shared, out):
-    """The photos under names that say nothing of their order, judged by the published projection matrices."""
-    print("\n## oxford_dino, shuffled\n\n| registered | pairs of sightings | symmetric epipolar error against the true matrices, mean / "
-          "median, px | steps, mean ± sd | CPU s |\n|---|---|---|---|---|", flush=True)
+def bench_dino(bench, binary, shared, out, table):
+    """The photos under names that say nothing of their order, judged by the published projection
+    matrices."""
     source = os.path.join(shared, "data/oxford_dino")
     images, folder = (os.path.join(out, "dino", part) for part in ("images", "model"))
     shutil.rmtree(os.path.join(out, "dino"), ignore_errors=True)
@@ -79,7 +83,7 @@ def bench_dino(bench, binary, shared, out):
         original[f"{number:03}.png"] = name
     code, _, cpu, _ = bench.measured([binary, "sfm", images, "-o", folder, "-q", "--text"])
     if code not in (0, 3):
-        print(f"| no model, exit code {code} | | | | |")
+        table.row(dict(registered=0, total=len(names), cpu_s=cpu))
         return
     model = {original[name]: value for name, value in read_text_model(os.path.join(folder, "sparse/0")).items()}
     truth = {}
@@ -105,25 +109,20 @@ def bench_dino(bench, binary, shared, out):
             trace = sum(dot(x, y) for x, y in zip(model[a][0], model[b][0]))
             steps.append(math.degrees(math.acos(max(-1.0, min(1.0, (trace - 1) / 2)))))
     mean = sum(steps) / len(steps)
-    spread = math.sqrt(sum((s - mean) ** 2 for s in steps) / len(steps))
+    deviation = math.sqrt(sum((s - mean) ** 2 for s in steps) / len(steps))
     errors.sort()
-    print(f"| {len(model)} of {len(names)} | {len(errors)} | {sum(errors) / len(errors):.3f} / {errors[len(errors) // 2]:.3f} "
-          f"| {mean:.3f}° ± {spread:.3f}° | {cpu:.1f} |", flush=True)
+    table.row(dict(registered=len(model), total=len(names), pairs=len(errors), error_mean_px=sum(errors) / len(errors),
+                   error_median_px=errors[len(errors) // 2], step_mean_deg=mean, step_sd_deg=deviation, cpu_s=cpu))
 
 
-def bench_growth(bench, example, sizes):
-    """Simulated rings: cost of each step, and the exponent with which it grows (least squares over log n)."""
-    print("\n## Simulated rings\n\n| images | registered | keypoints | pairs matched / verified | rotation median | centre max, % | "
-          + " | ".join(STEPS) + " | all, CPU s | peak MiB |\n|" + "---|" * (len(STEPS) + 8), flush=True)
+def bench_growth(bench, example, sizes, table):
+    """Simulated rings: cost of each step, and the exponent with which it grows (least squares over
+    log n)."""
     records = []
     for size in sizes:
         record = bench.run_json([example, str(size)])
-        records.append(record)
-        steps = record["steps"]
-        print(f"| {size} | {record['registered']} | {record['keypoints']} | {record['pairs_matched']} / {record['pairs_verified']} "
-              f"| {record['rotation_median_deg']:.4f}° | {record['centre_max_pct']:.4f} | "
-              + " | ".join(f"{steps.get(s, 0):.1f}" for s in STEPS)
-              + f" | {sum(steps.values()):.1f} | {record['peak_mib']:.0f} |", flush=True)
+        records.append(record | dict(cpu_s=sum(record["steps"].values())))
+        table.row(records[-1])
     if len(records) < 2:
         return
 
@@ -132,27 +131,25 @@ def bench_growth(bench, example, sizes):
         mx, my = (sum(p[k] for p in points) / len(points) for k in (0, 1))
         return sum((x - mx) * (y - my) for x, y in points) / sum((x - mx) ** 2 for x, _ in points)
 
-    cells = [exponent(lambda r: r["pairs_matched"])] + [exponent(lambda r, s=s: r["steps"].get(s, 0)) for s in STEPS]
-    cells += [exponent(lambda r: sum(r["steps"].values())), exponent(lambda r: r["peak_mib"])]
-    print(f"| exponent | | | {cells[0]:.2f} | | | " + " | ".join(f"{c:.2f}" for c in cells[1:]) + " |", flush=True)
+    cells = ["exponent", "", "", f"{exponent(lambda r: r['pairs_matched']):.2f}", "", ""]
+    cells += [f"{exponent(lambda r, s=s: r['steps'].get(s, 0)):.2f}" for s in STEPS]
+    cells += [f"{exponent(lambda r, k=k: r[k]):.2f}" for k in ("cpu_s", "peak_mib")]
+    table.row(cells)
 
 
-def bench_quality(bench, binary, shared, out, plot):
-    """`--quality` as points of CPU seconds against AUC@1 on temple_ring, with COLMAP's on the same plot."""
-    print("\n## Speed against accuracy, temple_ring\n\n| setting | CPU s | AUC@1 |\n|---|---|---|", flush=True)
+def bench_quality(bench, binary, shared, out, plot, table):
+    """`--quality` as points of CPU seconds against AUC@1 on temple_ring, with COLMAP's on the same
+    plot."""
     ours = []
     for quality in ("draft", "fast", "balanced", "best"):
-        folder = os.path.join(out, "quality", quality)
-        shutil.rmtree(folder, ignore_errors=True)
         source = os.path.join(shared, "data/temple_ring")
-        _, _, cpu, _ = bench.measured([binary, "sfm", os.path.join(source, "images"), "-o", folder, "-q", "--quality", quality])
-        auc = bench.pose_errors(binary, folder, os.path.join(source, "cameras_par.txt"))["auc"]["1"]
-        ours.append((quality, cpu, auc))
-        print(f"| sat-recon --quality {quality} | {cpu:.1f} | {auc:.1f} |", flush=True)
+        row = bench.solve(binary, os.path.join(source, "images"), os.path.join(out, "quality", quality),
+                          ["--quality", quality], os.path.join(source, "cameras_par.txt"))
+        ours.append((quality, row["cpu_s"], row["auc_1"]))
+        table.row(row | dict(setting=f"sat-recon --quality {quality}"))
     for name, cpu, auc in PEERS:
-        print(f"| {name} | {cpu} | {auc} |")
+        table.row(dict(setting=name, cpu_s=cpu, auc_1=auc))
     draw(ours, plot)
-    print(f"\n![Speed against accuracy]({os.path.basename(plot)})")
 
 
 def draw(ours, path):

@@ -1,13 +1,16 @@
 #!/usr/bin/env python3
-"""Our poses beside COLMAP 3.8 (Debian) and 4.2.1 (pycolmap, incremental and global) on the same images.
+"""Our poses beside COLMAP 3.8 (Debian) and 4.2.1 (pycolmap, incremental and global) on the same
+images.
 
-    compare.py SAT_RECON SHARED --out FOLDER [--only NAME ...] [--tools 3.8 4.2.1 database]
+    compare.py SAT_RECON SHARED --out FOLDER [--only NAME ...] [--tools 3.8 4.2.1 database] [--turns]
 
-Each tool runs with its defaults, one camera, exhaustive matching, on the CPU; where our frames have masks (the yaw),
-once on the frames as they are and once inside the masks. "on our database": its mapper on features and matches that
-we found (`--colmap-database`), its cost that of mapping alone. Costs are CPU seconds. Every model is judged by
-`sat-recon compare --truth`, and the agreement of a mapper on our database with our own model by
-SHARED/tools/compare_poses.py.
+Each tool runs with its defaults, one camera, exhaustive matching, on the CPU; where our frames
+have masks (the yaw), once on the frames as they are and once inside the masks. "on our database":
+its mapper on features and matches that we found (`--colmap-database`), its cost that of mapping
+alone. Costs are CPU seconds. Every model is judged by `sat-recon compare --truth`, and the
+agreement of a mapper on our database with our own model by SHARED/tools/compare_poses.py. With
+--turns the tools also run on the turns of the test bed, angles judged. The rows are left in
+FOLDER/results as JSON, too.
 """
 import argparse
 import json
@@ -18,6 +21,7 @@ import subprocess
 import sys
 
 import bench
+from bench_results import Results
 
 SETS = [entry for entry in bench.POSES if entry[2]]
 # What `make testbed` renders, where it has been.
@@ -60,7 +64,7 @@ def best_model(binary, folder, truth, names):
     return best | {"total": names}
 
 
-def colmap_421(binary, name, images, truth, folder, masks=None, database=None):
+def colmap_421(binary, name, images, truth, folder, table, masks=None, database=None):
     """Rows of both mappers; the folder of the incremental mapper's best model."""
     shutil.rmtree(folder, ignore_errors=True)
     os.makedirs(folder)
@@ -69,7 +73,7 @@ def colmap_421(binary, name, images, truth, folder, masks=None, database=None):
         code, wall, _, peak = bench.measured(command, stdout=log, stderr=log)
     how = " on our database" if database else ", inside the masks" if masks else ""
     if code != 0:
-        print(f"| {name} | COLMAP 4.2.1{how} | failed with exit code {code}, see {folder}/log |", flush=True)
+        print(f"COLMAP 4.2.1{how} on {name} failed with exit code {code}, see {folder}/log", file=sys.stderr)
         return None
     with open(os.path.join(folder, "costs.json")) as file:
         costs = json.load(file)
@@ -77,7 +81,7 @@ def colmap_421(binary, name, images, truth, folder, masks=None, database=None):
     for mapper in MAPPERS:
         record = best_model(binary, os.path.join(folder, mapper), truth, len(os.listdir(images)))
         spent = costs["features and matches"] + costs[mapper]
-        bench.pose_row(name, f"COLMAP 4.2.1 {mapper}{how}", record, spent, wall, peak)
+        table.row(record | dict(input=name, tool=f"COLMAP 4.2.1 {mapper}{how}", cpu_s=spent, wall_s=wall, peak_mib=peak))
         best = best or record.get("model")
     return best
 
@@ -117,7 +121,7 @@ def agreement(shared, tool, model, ours):
     print(f"\n{tool} against our model, compare_poses.py:\n```\n{said.stdout.strip() or said.stderr.strip()}\n```\n", flush=True)
 
 
-def on_our_database(binary, shared, out, name, source, truth, flags):
+def on_our_database(binary, shared, out, name, source, truth, flags, table):
     """The mappers of 3.8 and 4.2.1 on features and matches of ours."""
     run = os.path.join(out, "database", name)
     shutil.rmtree(run, ignore_errors=True)
@@ -126,15 +130,16 @@ def on_our_database(binary, shared, out, name, source, truth, flags):
     copies = [os.path.join(out, "database", f"{name}-{version}.db") for version in ("3.8", "4.2.1")]
     for copy in copies:
         shutil.copyfile(database, copy)  # a newer COLMAP brings the tables up to date, which older ones do not read
-    old = bench.bench_colmap(binary, name, images, truth, os.path.join(out, "database", name + "-3.8"), database=copies[0])
-    new = colmap_421(binary, name, images, truth, os.path.join(out, "database", name + "-4.2.1"), database=copies[1])
+    old = bench.bench_colmap(binary, name, images, truth, os.path.join(out, "database", name + "-3.8"), table, database=copies[0])
+    new = colmap_421(binary, name, images, truth, os.path.join(out, "database", name + "-4.2.1"), table, database=copies[1])
     for tool, model in (("COLMAP 3.8", old), ("COLMAP 4.2.1", new)):
         if model:
             agreement(shared, f"{name}: {tool} on our database", model, os.path.join(run, "sparse/0"))
 
 
 def run_pycolmap(args, mapper):
-    """For bench.py's table of turns: a function of images and folder that returns the folder of models and the CPU s."""
+    """For bench.py's table of turns: a function of images and folder that returns the folder of
+    models and the CPU s."""
     def run(images, folder):
         shutil.rmtree(folder, ignore_errors=True)
         os.makedirs(folder)
@@ -156,13 +161,16 @@ def main():
     parser.add_argument("--out", required=True)
     parser.add_argument("--only", nargs="*")
     parser.add_argument("--tools", nargs="*", default=["3.8", "4.2.1", "database"], choices=["3.8", "4.2.1", "database"])
+    parser.add_argument("--turns", action="store_true", help="the turns of the test bed too (slow)")
     parser.add_argument("--pycolmap", nargs=4, metavar=("IMAGES", "FOLDER", "MASKS", "DATABASE"), help=argparse.SUPPRESS)
     args = parser.parse_args()
     if args.pycolmap:
         return pycolmap_models(*args.pycolmap)
     sets = SETS + [entry for entry in RENDERED if os.path.exists(entry[1])]
     only = args.only or [entry[0] for entry in sets]
-    bench.bench_poses(args.binary, args.shared, args.out, only, colmap=[], sets=sets)
+    results = Results(os.path.join(args.out, "results"))
+    table = results.table("compare")
+    bench.bench_poses(args.binary, args.shared, args.out, only, [], table, sets=sets)
     for name, source, truth, flags in sets:
         if name not in only:
             continue
@@ -173,14 +181,15 @@ def main():
         masks = mask_links(run, os.path.join(args.out, "masks", name))
         for how, folder in ((None, name), (masks, name + ", inside the masks")) if masks else ((None, name),):
             if "3.8" in args.tools:
-                bench.bench_colmap(args.binary, name, images, truth, os.path.join(args.out, "colmap", folder), masks=how)
+                bench.bench_colmap(args.binary, name, images, truth, os.path.join(args.out, "colmap", folder), table, masks=how)
             if "4.2.1" in args.tools:
-                colmap_421(args.binary, name, images, truth, os.path.join(args.out, "pycolmap", folder), masks=how)
+                colmap_421(args.binary, name, images, truth, os.path.join(args.out, "pycolmap", folder), table, masks=how)
         if "database" in args.tools:
-            on_our_database(args.binary, args.shared, args.out, name, source, truth, flags)
-    tools = [("COLMAP 3.8", lambda images, folder: bench.run_colmap(images, folder)[:2])]
-    tools += [(f"COLMAP 4.2.1 {m}", run_pycolmap(args, m)) for m in MAPPERS]
-    bench.bench_turns(args.binary, args.shared, args.out, args.only, tools)
+            on_our_database(args.binary, args.shared, args.out, name, source, truth, flags, table)
+    if args.turns:
+        tools = [("COLMAP 3.8", lambda images, folder: bench.run_colmap(images, folder)[:2])]
+        tools += [(f"COLMAP 4.2.1 {m}", run_pycolmap(args, m)) for m in MAPPERS]
+        bench.bench_turns(args.binary, args.out, args.only, tools, results.table("turns"))
 
 
 if __name__ == "__main__":

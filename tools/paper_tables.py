@@ -1,18 +1,22 @@
 #!/usr/bin/env python3
-"""The paper's three tables (quality, training cost, rendering cost) for our own method, the paper's rows beside them.
+"""The paper's three tables (quality, training cost, rendering cost) for our own method, the
+paper's rows beside them.
 
     paper_tables.py SAT_RECON SHARED --out FOLDER [--testbed FOLDER] [--quality fast] [--only CASE ...]
 
-Runs sat-recon on test-bed cases 1 to 4 (as `make testbed` renders them; case 3 is in data/testbed), temple_ring,
-can_orbit and oxford_dino, and writes FOLDER/tables.{md,csv,tex,json} and FOLDER/runs.html. A case whose capture is
-missing is named and left out; a run that is finished is not repeated. The paper's captures are real and not public,
-ours of the same cases are simulated: its rows tell the order of magnitude, not who is better.
+Runs sat-recon on test-bed cases 1 to 4 (as `make testbed` renders them; case 3 is in
+data/testbed), temple_ring, can_orbit and oxford_dino, and writes FOLDER/tables.{md,csv,tex,json}
+and FOLDER/runs.html. A case whose capture is missing is named and left out; a run that is finished
+is not repeated. The paper's captures are real and not public, ours of the same cases are
+simulated: its rows tell the order of magnitude, not who is better.
 """
 import argparse
 import json
 import os
 import subprocess
 import sys
+
+import bench_results
 
 HERE = os.path.dirname(os.path.abspath(__file__))
 PAPER = os.path.join(HERE, "../docs/paper.json")
@@ -61,6 +65,26 @@ def main():
         sys.exit("there is nothing to tabulate")
     subprocess.run([args.binary, "compare", *runs, "--beside", PAPER, "--tables", args.out,
                     "--report", os.path.join(args.out, "runs.html")], check=True)
+    keep(args.out)
+
+
+def keep(folder):
+    """The tables as benchmarks_page.py reads them: methods as rows, and in each cell what a case's
+    columns hold."""
+    with open(os.path.join(folder, "tables.json")) as file:
+        tables = json.load(file)
+    for table in tables:
+        names = ", ".join(column["name"] for column in table["columns"])
+        columns = [f"{table['title']}: {names}", *table["cases"]]
+        shown = bench_results.Table(os.path.join(folder, "results"), "paper_" + table["title"].split()[0], columns)
+        for method, cases in zip(table["methods"], table["values"]):
+            shown.row([method, *(values(case, table["columns"]) for case in cases)])
+
+
+def values(case, columns):
+    """The figures of one case, with the digits of their columns."""
+    shown = ["–" if v is None else f"{v:.{c['digits']}f}" for v, c in zip(case or [None] * len(columns), columns)]
+    return "–" if set(shown) == {"–"} else ", ".join(shown)
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""Trains the network that solves the key's outline once more (preprocess/src/chroma/outline.rs). Needs numpy.
+"""Trains the network that solves the key's outline once more (preprocess/src/matting/refine_network.rs). Needs numpy.
 
     target/release/examples/outline_samples SAMPLES FOLDER...       (again for more files)
     python3 tools/train_outline.py WEIGHTS SAMPLES... [--test SAMPLES...] [--epochs 22] [--most 9000000]

@@ -1,7 +1,7 @@
 #!/usr/bin/env bash
 # Films what the key's outline is learnt from and trains it (decision 0027).
 #   bash tools/train_outline.sh FOLDER ["SEED..." [SCENES [EPOCHS]]]      (130 satellites, 140 scenes, 22)
-# Writes FOLDER/outline.f32; copy it to preprocess/src/chroma/ to use it. What is filmed already is kept: stop it and start it again at will. Some two
+# Writes FOLDER/outline.f32; copy it to preprocess/src/matting/refine_network.f32 to use it. What is filmed already is kept: stop it and start it again at will. Some two
 # and a half hours of two cores, 25 GB of disk and 18 of memory. Needs blender, ffmpeg, and python3 with numpy, scipy and pillow (PYTHON=...).
 set -euo pipefail
 out=$(realpath -m "${1:?usage: train_outline.sh FOLDER [SEEDS [SCENES [EPOCHS]]]}")

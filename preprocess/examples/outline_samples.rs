@@ -4,7 +4,7 @@
 //! `video.mp4` with a true matte (`mattes/frame_NNNNNN.png`), rows of little-endian f32: inputs, alpha of the key, true alpha.
 
 use image::RgbImage;
-use preprocess::chroma::{KeyConfig, Keyer, Scratch, THUMBNAIL_SIDE};
+use preprocess::matting::{KeyConfig, Keyer, Scratch, THUMBNAIL_SIDE};
 use preprocess::{FrameConfig, video_frames};
 use rayon::prelude::*;
 use scene::Progress;

@@ -1,9 +1,8 @@
 //! From a video or a folder of photos to upright frames with masks: the first stage.
 //!
-//! Video is decoded with OpenCV, its traps (display rotation, time stamps, silent damage, HDR, the colour
-//! matrix) solved with the help of `ffprobe` and `ffmpeg`.
+//! Video is decoded by `ffmpeg`; display rotation, time stamps and colour come from `ffprobe`.
 
-pub mod chroma;
+mod area;
 mod config;
 mod decode;
 mod error;
@@ -11,20 +10,20 @@ mod film;
 mod hdr;
 mod masks;
 mod matte;
+pub mod matting;
 mod names;
 mod output;
 mod photos;
 mod pixels;
 mod probe;
-mod quiet;
 mod select;
 mod tool;
 mod video;
 
-pub use chroma::KeyConfig;
 pub use config::{DEFAULT_FRAMES, FrameConfig};
 pub use error::PreprocessError;
 pub use matte::{contact_sheet, matte_frames};
+pub use matting::KeyConfig;
 pub use photos::photo_frames;
 pub use tool::versions;
 pub use video::video_frames;

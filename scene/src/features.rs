@@ -29,12 +29,13 @@ impl Keypoint {
 pub struct Features {
     /// N keypoints.
     pub keypoints: Vec<Keypoint>,
-    /// N × 128 bytes, row-major: RootSIFT, `round(512 sqrt(h / Σh))` clamped to 255 (COLMAP's scale).
+    /// N × 128 bytes, row-major: RootSIFT, `round(512 sqrt(h / Σh))` clamped to 255 (COLMAP's
+    /// scale).
     pub descriptors: Vec<u8>,
 }
 
 impl Features {
-    /// Length of a descriptor.
+    /// Length of a descriptor, bytes. Source: Lowe, IJCV 2004, section 6.1 (4 × 4 × 8).
     pub const DIM: usize = 128;
 
     /// Number of features.

@@ -1,10 +1,12 @@
 //! The images a reconstruction starts from.
 
+use crate::decision::Decision;
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use std::path::PathBuf;
 
 /// One input image: upright, on disk.
-#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct Frame {
     /// Name in models and reports: a plain file name or a relative path without `..`.
     pub name: String,
@@ -27,7 +29,7 @@ pub struct Frame {
 }
 
 /// The frames in order (time for videos, sorted names for folders).
-#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct FrameSet {
     /// The frames.
     pub frames: Vec<Frame>,
@@ -35,13 +37,17 @@ pub struct FrameSet {
     pub is_video: bool,
     /// What was found out or left out on the way, for the report: one sentence each.
     pub notes: Vec<String>,
+    /// What was decided about the frames.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub decisions: Vec<Decision>,
     /// Of a video: all its frames, small.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub film: Option<Film>,
 }
 
-/// Small grey pictures of the frames of a video, chosen or not, as coded (not turned): one below the other in an 8-bit PNG.
-#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+/// Small grey pictures of the frames of a video, chosen or not, as coded (not turned): one below
+/// the other in an 8-bit PNG.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct Film {
     /// Where it lies.
     pub path: PathBuf,

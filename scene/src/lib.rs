@@ -1,4 +1,5 @@
-//! The types that cross the borders between stages, the geometry they need and the files they are kept in.
+//! The types that cross the borders between stages, the geometry they need and the files they are
+//! kept in.
 //!
 //! # Conventions
 //! | thing | convention |
@@ -14,6 +15,7 @@
 //! | masks | white = keep, black = ignore (COLMAP) |
 
 pub mod camera;
+pub mod decision;
 pub mod features;
 pub mod frames;
 pub mod gaussians;
@@ -22,6 +24,8 @@ pub mod image;
 pub mod io;
 pub mod lpips;
 pub mod metrics;
+pub mod orbit_path;
+pub mod overview;
 pub mod pose;
 pub mod progress;
 pub mod reconstruction;
@@ -33,11 +37,14 @@ mod simd;
 pub mod synthetic;
 
 pub use camera::{Camera, CameraModel};
+pub use decision::Decision;
 pub use features::{Features, Keypoint, TwoViewGeometry, TwoViewKind};
 pub use frames::{Film, Frame, FrameSet};
 pub use gaussians::Gaussians;
 pub use image::FloatImage;
+pub use orbit_path::OrbitPath;
+pub use overview::Overview;
 pub use pose::Pose;
 pub use progress::{Cancelled, Progress};
 pub use reconstruction::{Observation, PosedImage, Reconstruction, ScenePoint, TrackElement};
-pub use ring::{Arc, Ring};
+pub use ring::{Arc, Closure, Ring, RingClosure, RingSequence};

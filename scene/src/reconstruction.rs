@@ -29,7 +29,7 @@ pub struct PosedImage {
     pub observations: Vec<Observation>,
 }
 
-/// One sighting of a point.
+/// One observation of a point.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord, Serialize, Deserialize)]
 pub struct TrackElement {
     /// Image number.
@@ -47,7 +47,7 @@ pub struct ScenePoint {
     pub rgb: [u8; 3],
     /// Mean reprojection error, pixels.
     pub error_px: f64,
-    /// At least two sightings.
+    /// At least two observations.
     pub track: Vec<TrackElement>,
 }
 
@@ -63,8 +63,8 @@ pub struct Reconstruction {
 }
 
 impl Reconstruction {
-    /// Checks that all references resolve both ways, tracks have two sightings and numbers are finite;
-    /// the message names the first thing that does not.
+    /// Checks that all references resolve both ways, tracks have two observations and numbers are
+    /// finite; the message names the first thing that does not.
     pub fn validate(&self) -> Result<(), String> {
         for image in self.images.values() {
             if !self.cameras.contains_key(&image.camera) {
@@ -92,7 +92,10 @@ impl Reconstruction {
                 return Err(format!("point {id} is not finite"));
             }
             if point.track.len() < 2 {
-                return Err(format!("point {id} has {} sightings; at least 2 are needed", point.track.len()));
+                return Err(format!(
+                    "point {id} has {} observations; at least 2 are needed",
+                    point.track.len()
+                ));
             }
             for element in &point.track {
                 let seen = self
@@ -110,7 +113,8 @@ impl Reconstruction {
         Ok(())
     }
 
-    /// Residual of one sighting, pixels (`projection − measurement`); `None` behind the camera or unresolved.
+    /// Residual of one observation, pixels (`projection − measurement`); `None` behind the camera
+    /// or unresolved.
     pub fn residual(&self, point: &ScenePoint, element: &TrackElement) -> Option<DVec2> {
         let image = self.images.get(&element.image)?;
         let camera = self.cameras.get(&image.camera)?;
@@ -118,13 +122,19 @@ impl Reconstruction {
         Some(camera.project(image.pose.transform(point.position))? - observation.pixel)
     }
 
-    /// Reprojection error of every sighting, pixels.
+    /// Reprojection error of every observation, pixels.
     pub fn reprojection_errors(&self) -> Vec<f64> {
         let residuals = self.points.values().flat_map(|p| p.track.iter().filter_map(|e| self.residual(p, e)));
         residuals.map(|r| r.length()).collect()
     }
 
-    /// Reprojection errors by image number, pixels; images without a sighting are left out.
+    /// Mean reprojection error, pixels; 0 without observations.
+    pub fn mean_reprojection_error(&self) -> f64 {
+        let errors = self.reprojection_errors();
+        errors.iter().sum::<f64>() / errors.len().max(1) as f64
+    }
+
+    /// Reprojection errors by image number, pixels; images without an observation are left out.
     pub fn reprojection_errors_by_image(&self) -> BTreeMap<u32, Vec<f64>> {
         let mut errors: BTreeMap<u32, Vec<f64>> = BTreeMap::new();
         for point in self.points.values() {
@@ -135,6 +145,20 @@ impl Reconstruction {
             }
         }
         errors
+    }
+
+    /// The number of an equal camera of the model, or of this one, added.
+    pub(crate) fn share_camera(&mut self, camera: Camera) -> u32 {
+        let equal = self.cameras.values().rev().find(|c| {
+            (c.model, c.width, c.height) == (camera.model, camera.width, camera.height)
+                && c.params == camera.params
+        });
+        if let Some(found) = equal {
+            return found.id;
+        }
+        let id = camera.id;
+        self.cameras.insert(id, camera);
+        id
     }
 
     /// Image by file name.

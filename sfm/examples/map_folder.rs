@@ -60,7 +60,8 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     }
     println!("total cpu {:.2} s", result.stats.steps.iter().map(|s| s.cpu_s).sum::<f64>());
     for d in &result.decisions {
-        println!("{}: {} ({})", d.what, d.chosen, d.evidence);
+        let words = d.sentences();
+        println!("{words} ({})", words.evidence.join("; "));
     }
     for (name, why) in result.missing.iter().chain(&result.weak_images) {
         println!("{name}: {why}");

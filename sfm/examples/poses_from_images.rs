@@ -13,7 +13,8 @@ fn main() -> Result<(), Box<dyn Error>> {
     let result = solve(Path::new(images))?;
     // What the evidence decided, and why.
     for decision in &result.decisions {
-        println!("{}: {} ({})", decision.what, decision.chosen, decision.evidence);
+        let words = decision.sentences();
+        println!("{words} ({})", words.evidence.join("; "));
     }
     for (name, why) in result.missing.iter().chain(&result.weak_images) {
         println!("{name}: {why}");

@@ -44,7 +44,7 @@ pub use klt::KltConfig;
 pub use knowledge::Calibration;
 pub use pairs::PairConfig;
 pub use reconstruct::{Supplied, reconstruct, reconstruct_features, reconstruct_from, triangulate_given};
-pub use result::{Decision, PoseDeviation, SfmResult, SfmStats, StepTime, Uncertainty};
+pub use result::{PoseDeviation, SfmResult, SfmStats, StepTime, Uncertainty};
 pub use skip::StepName;
 pub use undistort::undistort;
 

@@ -1,19 +1,8 @@
 //! What structure from motion hands back.
 
-use scene::{Camera, Features, Reconstruction, TwoViewGeometry};
+use scene::{Camera, Decision, Features, Reconstruction, TwoViewGeometry};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
-
-/// Something the evidence decided, for `run.json` and the report.
-#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
-pub struct Decision {
-    /// What was to be decided.
-    pub what: String,
-    /// What was chosen.
-    pub chosen: String,
-    /// The figures that decided, one sentence or a small table.
-    pub evidence: String,
-}
 
 /// Cost of one step.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]

@@ -2,9 +2,10 @@
 //! extremes either a right answer or a clean "no model".
 
 use glam::{DVec2, DVec3};
+use scene::decision::{Choice, MapperKind, Measurement, Quantity, Subject};
 use scene::sim3::{PoseErrors, compare_poses};
 use scene::synthetic::{
-    CameraPath, Shape, SyntheticOptions, SyntheticScene, default_camera, synthetic_scene,
+    CameraPath, SceneShape, SyntheticOptions, SyntheticScene, default_camera, synthetic_scene,
 };
 use scene::{Camera, CameraModel, Features, Frame, FrameSet, Keypoint, Progress};
 use sfm::{MapperChoice, SfmConfig, SfmResult, reconstruct_features};
@@ -59,9 +60,10 @@ fn both_mappers_find_a_noisy_ring_with_wrong_matches() {
 #[test]
 fn the_global_mapper_says_so_and_needs_no_order() {
     let result = solve(&ring(9), &with_mapper(MapperChoice::Global));
-    let decision = result.decisions.iter().find(|d| d.what == "mapper").expect("a decision");
-    assert_eq!(decision.chosen, "global");
-    assert!(decision.evidence.contains("9 images"), "{}", decision.evidence);
+    let decision = result.decisions.iter().find(|d| d.subject == Subject::Mapper).expect("a decision");
+    assert_eq!(decision.choice, Choice::Mapper(MapperKind::Global));
+    let images = Measurement::count(Quantity::RegisteredImages, 9);
+    assert!(decision.alternatives[0].scores.contains(&images), "{decision:?}");
 }
 
 #[test]
@@ -157,7 +159,7 @@ fn wrong_observations_up_to_seventy_percent_leave_a_right_model_or_none() {
 
 #[test]
 fn planes_and_near_planes_leave_a_right_model_or_none() {
-    for (shape, squeeze) in [(Shape::Plane, 1.0), (Shape::Box, 1e-3)] {
+    for (shape, squeeze) in [(SceneShape::Plane, 1.0), (SceneShape::Box, 1e-3)] {
         let o = SyntheticOptions { shape, path: CameraPath::Random, ..options(640, 480, 600.0) };
         let mut scene = synthetic_scene(&o, 6);
         if squeeze < 1.0 {
@@ -290,7 +292,12 @@ fn two_groups(factor: f64) -> SfmResult {
 #[test]
 fn groups_of_images_share_a_camera_unless_the_evidence_tells_them_apart() {
     let cameras = |result: &SfmResult| {
-        let decision = result.decisions.iter().find(|d| d.what == "cameras").expect("a decision").clone();
+        let decision = result
+            .decisions
+            .iter()
+            .find(|d| d.subject == Subject::SharedCameras)
+            .expect("a decision")
+            .clone();
         let model = result.reconstruction.as_ref().expect(&result.reason);
         let focals: Vec<f64> = model.cameras.values().map(Camera::mean_focal).collect();
         assert_eq!(model.images.len(), 16);
@@ -298,9 +305,9 @@ fn groups_of_images_share_a_camera_unless_the_evidence_tells_them_apart() {
     };
     let (decision, focals) = cameras(&two_groups(1.0));
     assert_eq!(focals.len(), 1, "{decision:?}");
-    assert_eq!(decision.chosen, "1 for 2 groups of images");
+    assert_eq!(decision.choice, Choice::share(1, 2));
     let (decision, focals) = cameras(&two_groups(1.15));
-    assert_eq!(decision.chosen, "2 for 2 groups of images", "{decision:?}");
+    assert_eq!(decision.choice, Choice::share(2, 2), "{decision:?}");
     assert!((focals[1] / focals[0] - 1.15).abs() < 0.01, "{focals:?}");
 }
 

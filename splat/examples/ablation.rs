@@ -1,6 +1,7 @@
-//! What each choice of the trainer is worth: the same data set trained within the same CPU time with one choice changed.
-//! `cargo run --release -p splat --example ablation -- DATASET_DIR --budget 20s,60s [--only TEXT]` prints a table of PSNR on
-//! the held-out views (8-bit renders, transparent pixels over black).
+//! What each choice of the trainer is worth: the same data set trained within the same time with
+//! one choice changed. `cargo run --release -p splat --example ablation -- DATASET_DIR --budget
+//! 20s,60s [--only TEXT]` prints a table of PSNR on the held-out views (8-bit renders, transparent
+//! pixels over black).
 
 use clap::Parser;
 use glam::{Mat3, Quat, Vec3};
@@ -8,8 +9,7 @@ use image::{Rgb, RgbImage};
 use rand::Rng as _;
 use scene::Progress;
 use splat::{
-    Dataset, DatasetConfig, PoseRefinement, RenderOptions, Renderer, Selection, TrainConfig, TrainResult,
-    train,
+    Dataset, DatasetConfig, PoseRefinement, RenderOptions, Renderer, TrainConfig, TrainResult, train,
 };
 use std::path::PathBuf;
 
@@ -18,7 +18,7 @@ type Result<T> = std::result::Result<T, Box<dyn std::error::Error + Send + Sync>
 #[derive(Parser)]
 struct Cli {
     dataset: PathBuf,
-    /// CPU time of each training, one column each
+    /// Time of each training, one column each
     #[arg(long, value_delimiter = ',', value_parser = splat::config::parse_duration, default_value = "20s")]
     budget: Vec<f64>,
     /// Instead of a time: so many steps, one column each
@@ -27,16 +27,15 @@ struct Cli {
     /// Only rows whose name contains this
     #[arg(long, default_value = "")]
     only: String,
-    /// Instead of the rows of docs/benchmarks.md: NAME=VALUE of numeric choices, to be compared with the defaults
-    #[arg(long)]
-    set: Vec<String>,
     /// Masks beside the photos, where they are not in them
     #[arg(long)]
     masks: Option<PathBuf>,
-    /// Train at half the resolution: held-out views are then seen from twice as near as anything that was trained on
+    /// Train at half the resolution: held-out views are then seen from twice as near as anything
+    /// that was trained on
     #[arg(long)]
     zoom: bool,
-    /// Poses of the training views off by so many degrees, as a solver leaves them: what they look at stays in the middle
+    /// Poses of the training views off by so many degrees, as a solver leaves them: what they look
+    /// at stays in the middle
     #[arg(long, default_value_t = 0.0)]
     wrong_poses: f64,
     #[command(flatten)]
@@ -44,80 +43,25 @@ struct Cli {
 }
 
 /// Name of the row, what it changes.
-type Row = (String, Box<dyn Fn(&mut TrainConfig)>);
+type Row = (&'static str, fn(&mut TrainConfig));
 
 fn rows() -> Vec<Row> {
-    let row = |name: &str, change: fn(&mut TrainConfig)| -> Row { (name.to_owned(), Box::new(change)) };
     vec![
-        row("as it is", |_| {}),
-        row("Gaussians that hardly any view sees stay", |c| c.recipe.remove_unseen = false),
-        row("growth by a tenth above a threshold", |c| c.recipe.planned_growth = false),
-        row("chosen by absolute gradient", |c| c.recipe.selection = Selection::AbsoluteGradient),
-        row("chosen by error", |c| c.recipe.selection = Selection::Error),
-        row("chosen by opacity (3DGS-MCMC, no noise)", |c| c.recipe.selection = Selection::Opacity),
-        row("half as many Gaussians", |c| c.recipe.gaussians_a_step *= 0.5),
-        row("twice as many Gaussians", |c| c.recipe.gaussians_a_step *= 2.0),
-        row("full resolution earlier (0.2, 0.6)", |c| {
-            (c.recipe.half_resolution_from, c.recipe.full_resolution_from) = (0.2, 0.6);
-        }),
-        row("full resolution no earlier with many steps", |c| c.recipe.early_from_steps = f64::INFINITY),
-        row("full resolution throughout", |c| c.coarse_levels = 0),
-        row("no validation views", |c| c.recipe.evidence = false),
-        row("no exposure", |c| c.recipe.exposure = false),
-        row("nothing removed at the end", |c| c.recipe.prune_redundant = false),
-        row("spherical harmonics of degree 0", |c| c.sh_degree = 0),
-        row("poses never refined", |c| c.refine_poses = PoseRefinement::Off),
-        row("poses refined in any case", |c| c.refine_poses = PoseRefinement::On),
-        row("L1 alone", |c| c.lambda_dssim = 0.0),
-        row("a quarter of D-SSIM's weight", |c| c.lambda_dssim *= 0.25),
-        row("opacity scaled with the low-pass", |c| c.antialias = true),
-        row("opacities decay (weight 0.01)", |c| c.recipe.opacity_penalty = 0.01),
-        row("scales held to the views' sampling", |c| c.smoothing = true),
-        row("both (Mip-Splatting)", |c| (c.smoothing, c.antialias) = (true, true)),
-        row("5,000 first Gaussians inside the hull", |c| c.recipe.hull_points = 5_000),
+        ("as it is", |_| {}),
+        ("full resolution throughout", |c| c.coarse_levels = 0),
+        ("spherical harmonics of degree 0", |c| c.sh_degree = 0),
+        ("poses never refined", |c| c.refine_poses = PoseRefinement::Off),
+        ("poses refined in any case", |c| c.refine_poses = PoseRefinement::On),
+        ("L1 alone", |c| c.lambda_dssim = 0.0),
+        ("a quarter of D-SSIM's weight", |c| c.lambda_dssim *= 0.25),
+        ("opacity scaled with the low-pass", |c| c.antialias = true),
+        ("scales held to the views' sampling", |c| c.smoothing = true),
+        ("both (Mip-Splatting)", |c| (c.smoothing, c.antialias) = (true, true)),
     ]
 }
 
-fn chosen(text: &str) -> Result<Row> {
-    let pairs: Vec<(String, f64)> = text
-        .split(',')
-        .map(|pair| pair.split_once('=').and_then(|(k, v)| Some((k.to_owned(), v.parse().ok()?))))
-        .collect::<Option<_>>()
-        .ok_or("--set wants NAME=NUMBER[,NAME=NUMBER]")?;
-    for (name, _) in &pairs {
-        slot(&mut TrainConfig::default(), name).ok_or(format!("no choice is named {name}"))?;
-    }
-    Ok((
-        text.to_owned(),
-        Box::new(move |c| {
-            for (name, value) in &pairs {
-                if let Some(place) = slot(c, name) {
-                    *place = *value;
-                }
-            }
-        }),
-    ))
-}
-
-fn slot<'a>(c: &'a mut TrainConfig, name: &str) -> Option<&'a mut f64> {
-    Some(match name {
-        "gaussians" => &mut c.recipe.gaussians_a_step,
-        "full" => &mut c.recipe.full_resolution_from,
-        "early" => &mut c.recipe.full_resolution_early,
-        "early-steps" => &mut c.recipe.early_from_steps,
-        "half" => &mut c.recipe.half_resolution_from,
-        "passes" => &mut c.recipe.passes,
-        "until" => &mut c.recipe.densify_until,
-        "prune-at" => &mut c.recipe.prune_at,
-        "prune-loss" => &mut c.recipe.prune_loss,
-        "opacity" => &mut c.recipe.opacity_penalty,
-        "scale" => &mut c.recipe.scale_penalty,
-        _ => return None,
-    })
-}
-
-/// Moves the training views by turns of `degrees` about each axis (uniform, that standard deviation); they shift along to keep what
-/// they look at, but for a third of that.
+/// Moves the training views by turns of `degrees` about each axis (uniform, that standard
+/// deviation); they shift along to keep what they look at, but for a third of that.
 fn misplace(dataset: &mut Dataset, degrees: f64) {
     for (k, view) in dataset.views.iter_mut().enumerate().filter(|(_, v)| !v.held_out) {
         let mut rng = scene::rng::rng(0, "wrong poses", k as u64);
@@ -154,20 +98,13 @@ fn main() -> Result<()> {
     if cli.wrong_poses > 0.0 {
         misplace(&mut seen, cli.wrong_poses);
     }
-    let rows = if cli.set.is_empty() {
-        rows()
-    } else {
-        let mut some = vec![rows().swap_remove(0)];
-        some.extend(cli.set.iter().map(|text| chosen(text)).collect::<Result<Vec<_>>>()?);
-        some
-    };
     let columns: Vec<Column> = match &cli.steps[..] {
         [] => cli.budget.iter().map(|&b| Column::Seconds(b)).collect(),
         steps => steps.iter().map(|&n| Column::Steps(n)).collect(),
     };
     println!("| | {} |", columns.iter().map(Column::name).collect::<Vec<_>>().join(" | "));
     println!("|---|{}", "---|".repeat(columns.len()));
-    for (name, change) in rows.iter().filter(|r| r.0.contains(&cli.only)) {
+    for (name, change) in rows().into_iter().filter(|r| r.0.contains(&cli.only)) {
         print!("| {name} |");
         for column in &columns {
             let mut config = column.config();
@@ -175,8 +112,8 @@ fn main() -> Result<()> {
             let cpu = splat::clock::cpu_seconds();
             let result = train(&seen, &config, None, &Progress::silent())?;
             let cpu = splat::clock::cpu_seconds() - cpu;
-            for d in &result.decisions {
-                eprintln!("{name}: {}: {} ({})", d.subject, d.choice, d.evidence);
+            for told in result.decisions.iter().map(|d| d.sentences()) {
+                eprintln!("{name}: {told} ({})", told.evidence.join("; "));
             }
             let score = score(&dataset, &result)?;
             print!(
@@ -204,14 +141,13 @@ enum Column {
 impl Column {
     fn name(&self) -> String {
         match self {
-            Self::Seconds(s) => format!("{s} CPU s"),
+            Self::Seconds(s) => format!("{s} s"),
             Self::Steps(n) => format!("{n} steps"),
         }
     }
 
     fn config(&self) -> TrainConfig {
         let mut config = TrainConfig { max_gaussians: 400_000, ..TrainConfig::default() };
-        config.recipe.cpu_time = true;
         match self {
             Self::Seconds(s) => config.time_limit = Some(*s),
             Self::Steps(n) => config.iterations = *n,

@@ -14,11 +14,10 @@ use glam::{DVec3, Quat, Vec3};
 use rand::Rng;
 use scene::{Camera, CameraModel, Gaussians, Pose, Progress, metrics};
 use serde_json::{Value, json};
+use splat::NormalisedFrame;
 use splat::backend::{Backend, KernelTimes, LearningRates, StepInput, Target};
-use splat::cpu::optimise::Statistics;
-use splat::dataset::Normalisation;
-use splat::gpu::{Gpu, Opening};
 use splat::model::Model;
+use splat::statistics::Statistics;
 use splat::{Dataset, DatasetConfig, RenderOptions, Renderer, TrainConfig, TrainResult, train};
 use std::error::Error;
 use std::path::{Path, PathBuf};
@@ -63,8 +62,8 @@ fn main() -> Result<()> {
     }
     let (backend, decision) = splat::device::open(&cli.train.device)?;
     drop(backend);
-    let opening = Opening { name: cli.train.device.gpu.clone(), ..Opening::default() };
-    let roof = if cli.roof { Some(splat::gpu::roof(&Gpu::open(&opening)?)?) } else { None };
+    let adapter = cli.train.device.gpu.as_deref();
+    let roof = if cli.roof { Some(splat::profile::measure_adapter(adapter)?) } else { None };
     let synthetic: Vec<Value> = cli.synthetic.iter().map(|s| synthetic(&cli, s)).collect::<Result<_>>()?;
     let mut datasets = Vec::new();
     for folder in &cli.dataset {
@@ -76,8 +75,8 @@ fn main() -> Result<()> {
         }
     }
     let record = json!({
-        "backend": decision.choice,
-        "why": decision.evidence,
+        "backend": decision.sentences().choice,
+        "why": decision.sentences().evidence,
         "adapters": splat::adapters(),
         "roof": roof,
         "synthetic": synthetic,
@@ -114,7 +113,7 @@ fn synthetic(cli: &Cli, text: &str) -> Result<Value> {
     let (n, w, h): (usize, u32, u32) = (n.parse()?, w.parse()?, h.parse()?);
     let camera = Camera::centred(1, CameraModel::Pinhole, w, h, f64::from(h));
     let pose = Pose::look_at(DVec3::new(2.5, 0.4, 0.3), DVec3::ZERO, DVec3::Z);
-    let view = Normalisation { centre: DVec3::ZERO, scale: 1.0 }.view(&camera, &pose);
+    let view = NormalisedFrame { centre: DVec3::ZERO, scale: 1.0 }.view(&camera, &pose);
     let (mut backend, _) = splat::device::open(&cli.train.device)?;
     backend.upload(Model::from_gaussians(&ball(n)), Statistics::default())?;
     let options = RenderOptions::default();
@@ -128,8 +127,6 @@ fn synthetic(cli: &Cli, text: &str) -> Result<Value> {
         // Nothing moves far, so that every step does the same work.
         rates: LearningRates { mean: 1e-9, ..LearningRates::default() },
         lambda_dssim: 0.2,
-        opacity_penalty: 0.0,
-        scale_penalty: 0.0,
     };
     let step = repeat(cli.repeat, backend.as_mut(), &mut |b| Ok(b.advance(&input).map(|_| ())?))?;
     let seen = backend.step(&input)?;
@@ -151,8 +148,8 @@ fn bytes(visible: f64, pairs: f64, n: f64, pixels: f64) -> Value {
         "sort": visible * (8.0 * 20.0 + 3.0 * 40.0) + pairs * (4.0 * 20.0 + 28.0),
         "forward": pairs * (8.0 + 48.0) + pixels * 20.0,
         "loss": pixels * (16.0 + 4.0 + 36.0) + pixels * (16.0 + 4.0 + 36.0 + 16.0),
-        "backward": pairs * (8.0 + 48.0 + 48.0) + pixels * 16.0,
-        "optimise": pairs * 48.0 + visible * (8.0 + parameters * 6.0 + 16.0 * 2.0),
+        "backward": pairs * (8.0 + 48.0 + 40.0) + pixels * 16.0,
+        "optimise": pairs * 40.0 + visible * (8.0 + parameters * 6.0 + 8.0 * 2.0),
     })
 }
 

@@ -8,12 +8,12 @@ use clap::Parser;
 use glam::{DVec3, Quat, Vec3};
 use rand::Rng as _;
 use scene::{Camera, CameraModel, Gaussians, Pose, Progress};
-use splat::backend::{Backend, LearningRates, StepInput, Target};
+use splat::backend::{LearningRates, StepInput, Target};
 use splat::clock::cpu_seconds;
-use splat::cpu::CpuBackend;
-use splat::dataset::{Normalisation, Pixels, pyramid};
 use splat::model::Model;
+use splat::profile::ProfiledProcessor;
 use splat::{AlphaMode, Dataset, RenderOptions, TrainConfig, View, train};
+use splat::{NormalisedFrame, Pixels, pyramid};
 
 type Result<T> = std::result::Result<T, Box<dyn std::error::Error + Send + Sync>>;
 
@@ -60,9 +60,7 @@ fn main() -> Result<()> {
 fn step(cli: &Cli, n: usize, w: usize, h: usize, size: usize) -> Result<Row> {
     let before = memory("VmRSS:");
     reset_peak();
-    let mut backend = CpuBackend::default();
-    backend.upload(Model::from_gaussians(&shells(n)));
-    backend.set_clock(cpu_seconds);
+    let mut backend = ProfiledProcessor::new(Model::from_gaussians(&shells(n)), cpu_seconds)?;
     let rgb: Vec<u8> = (0..w * h * 3).map(|i| (i * 37 % 251) as u8).collect();
     let (mut start, mut pairs) = (backend.times(), 0);
     for k in 0..cli.steps + 1 {
@@ -71,13 +69,11 @@ fn step(cli: &Cli, n: usize, w: usize, h: usize, size: usize) -> Result<Row> {
         }
         let view = camera(k, w as u32, h as u32);
         let out = backend.step(&StepInput {
-            view: &Normalisation { centre: DVec3::ZERO, scale: 1.0 }.view(&view.0, &view.1),
+            view: &NormalisedFrame { centre: DVec3::ZERO, scale: 1.0 }.view(&view.0, &view.1),
             target: Target { rgb: &rgb, mask: None, transparent: false, photo: None },
             options: RenderOptions::default(),
             rates: LearningRates::default(),
             lambda_dssim: 0.2,
-            opacity_penalty: 0.0,
-            scale_penalty: 0.0,
         })?;
         pairs = out.pairs;
     }
@@ -102,7 +98,7 @@ fn views(n: usize) -> Result<Row> {
     const STEPS: u32 = 150;
     let before = memory("VmRSS:");
     reset_peak();
-    let normalisation = Normalisation { centre: DVec3::ZERO, scale: 1.0 };
+    let normalisation = NormalisedFrame { centre: DVec3::ZERO, scale: 1.0 };
     let view = |k: usize| {
         let (camera, pose) = camera(k, 320, 240);
         let rgb = (0..320 * 240 * 3).map(|i| ((i + k) * 37 % 251) as u8).collect();

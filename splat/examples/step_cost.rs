@@ -2,15 +2,14 @@
 //! `cargo run --release -p splat --example step_cost -- DATASET_DIR [--gaussians N] [--width W --height H]`.
 //! Trains briefly so that the Gaussians lie as in training, then repeats full-resolution steps that move nothing.
 //! CPU ms are of all threads of the process (Linux). Beside each stage stands the share of what the machine could do: the
-//! stage's own arithmetic (or its bytes) at the rate of a loop that does nothing else (`splat::cpu::limits`).
+//! stage's own arithmetic (or its bytes) at the rate of a loop that does nothing else (`splat::profile::CoreLimits`).
 
 use clap::Parser;
 use scene::{Camera, CameraModel, Progress};
-use splat::backend::{Backend, KernelTimes, LearningRates, StepInput, Target};
+use splat::backend::{KernelTimes, LearningRates, StepInput, Target};
 use splat::clock::cpu_seconds;
-use splat::cpu::simd::Isa;
-use splat::cpu::{CpuBackend, limits};
 use splat::model::Model;
+use splat::profile::{CoreLimits, ProfiledProcessor};
 use splat::{AlphaMode, Dataset, DatasetConfig, RenderOptions, Renderer, TrainConfig, train};
 use std::path::PathBuf;
 use std::time::Instant;
@@ -47,11 +46,10 @@ fn main() -> Result<()> {
         Some(cli.dataset.join("images")).filter(|p| p.is_dir() && cli.dataset.join("sparse").is_dir());
     let images = images.unwrap_or(cli.dataset.clone());
     let dataset = Dataset::load(&images, None, &model, &DatasetConfig::default(), &Progress::silent())?;
-    let mut config =
+    let config =
         TrainConfig { iterations: cli.warm_up, max_gaussians: cli.gaussians, ..TrainConfig::default() };
-    config.recipe.prune_redundant = false;
     let result = train(&dataset, &config, None, &Progress::silent())?;
-    let normalised = Model::from_gaussians(&dataset.normalisation.to_normalised(result.gaussians.clone()));
+    let normalised = Model::from_gaussians(&dataset.normalisation.normalise(result.gaussians.clone()));
     println!(
         "{} gaussians of SH degree {}, {} views of {} x {}",
         normalised.len,
@@ -60,10 +58,10 @@ fn main() -> Result<()> {
         dataset.views[0].view.width,
         dataset.views[0].view.height
     );
-    let machine = Machine { operations: limits::multiply_adds(Isa::best()), bytes: limits::bytes() };
+    let machine = CoreLimits::measure();
     println!(
         "one core: {:.1} G multiply-adds of f32 a second, {:.1} GB copied (read and written) a second",
-        machine.operations / 1e9,
+        machine.multiply_adds / 1e9,
         machine.bytes / 1e9
     );
     for threads in [1, 2] {
@@ -77,16 +75,8 @@ fn main() -> Result<()> {
     Ok(())
 }
 
-/// What a core can do at most in a second.
-struct Machine {
-    /// Vector operations, times lanes.
-    operations: f64,
-    /// Bytes read and written.
-    bytes: f64,
-}
-
 /// Vector operations (loads and stores apart) that forward and backward spend on a Gaussian and a pixel, counted in
-/// `cpu/raster.rs`: exponent and tests (8), 2^x (10), alpha and transmittance (8), colour (3), the new state (3); backward: the
+/// `cpu/rasterise.rs`: exponent and tests (8), 2^x (10), alpha and transmittance (8), colour (3), the new state (3); backward: the
 /// same without colour, and the sums (4), what is behind (4), α dL/dα (7), its moments (4).
 const FORWARD_OPERATIONS: f64 = 32.0;
 const BACKWARD_OPERATIONS: f64 = 48.0;
@@ -102,15 +92,13 @@ const BIN_BYTES: f64 = 16.0;
 /// Bytes of a Gaussian that project reads (geometry, colour) and writes (a record and a key).
 const PROJECT_BYTES: f64 = 4.0 * (11.0 + 48.0) + 68.0;
 /// Bytes of a visible Gaussian that optimise reads and writes: parameters, two moments, clock, statistics.
-const OPTIMISE_BYTES: f64 = 2.0 * 4.0 * (3.0 * (11.0 + 48.0) + 5.0);
+const OPTIMISE_BYTES: f64 = 2.0 * 4.0 * (3.0 * (11.0 + 48.0) + 3.0);
 /// Bytes of a pair that backward writes and optimise reads.
-const SUM_BYTES: f64 = 48.0;
+const SUM_BYTES: f64 = 40.0;
 
-fn steps(cli: &Cli, dataset: &Dataset, model: &Model, threads: usize, machine: &Machine) -> Result<()> {
-    let mut backend = CpuBackend::default();
-    backend.upload(model.clone());
-    backend.set_clock(cpu_seconds);
-    let views = dataset.training_views();
+fn steps(cli: &Cli, dataset: &Dataset, model: &Model, threads: usize, machine: &CoreLimits) -> Result<()> {
+    let mut backend = ProfiledProcessor::new(model.clone(), cpu_seconds)?;
+    let views: Vec<usize> = (0..dataset.views.len()).filter(|&v| !dataset.views[v].held_out).collect();
     let (mut pairs, mut visible, mut touched, mut pixels_seen) = (0, 0, 0, 0);
     let mut start = KernelTimes::default();
     for k in 0..cli.steps + 3 {
@@ -130,8 +118,6 @@ fn steps(cli: &Cli, dataset: &Dataset, model: &Model, threads: usize, machine: &
             options: RenderOptions::default(),
             rates: LearningRates::default(),
             lambda_dssim: 0.2,
-            opacity_penalty: 0.0,
-            scale_penalty: 0.0,
         })?;
         if k >= 3 {
             pairs += out.pairs;
@@ -155,20 +141,20 @@ fn steps(cli: &Cli, dataset: &Dataset, model: &Model, threads: usize, machine: &
         visible / cli.steps
     );
     let (touched, pairs, visible) = (touched as f64 / n, pairs as f64 / n, visible as f64 / n);
-    let arithmetic = |operations: f64| 1e3 * operations * touched / machine.operations;
+    let arithmetic = |operations: f64| 1e3 * operations * touched / machine.multiply_adds;
     let traffic = |bytes: f64| 1e3 * bytes / machine.bytes;
     println!(
         "    limits: {touched:.0} gaussian-pixels; forward {:.3} ns each (arithmetic {:.3}: {:.0} %), backward {:.3} ns (arithmetic {:.3}: {:.0} %)",
         1e6 * m[2] / touched,
-        1e9 * FORWARD_OPERATIONS / machine.operations,
+        1e9 * FORWARD_OPERATIONS / machine.multiply_adds,
         100.0 * arithmetic(FORWARD_OPERATIONS) / m[2],
         1e6 * m[4] / touched,
-        1e9 * BACKWARD_OPERATIONS / machine.operations,
+        1e9 * BACKWARD_OPERATIONS / machine.multiply_adds,
         100.0 * arithmetic(BACKWARD_OPERATIONS) / m[4]
     );
     println!(
         "    loss {:.0} % of the arithmetic; bandwidth: project {:.0} %, sort {:.0} %, loss {:.0} %, backward {:.0} %, optimise {:.0} %",
-        1e5 * LOSS_OPERATIONS * pixels_seen as f64 / n / machine.operations / m[3],
+        1e5 * LOSS_OPERATIONS * pixels_seen as f64 / n / machine.multiply_adds / m[3],
         100.0 * traffic(PROJECT_BYTES * model.len as f64) / m[0],
         100.0 * traffic(SORT_BYTES * visible + BIN_BYTES * pairs) / m[1],
         100.0 * traffic(LOSS_BYTES * pixels_seen as f64 / n) / m[3],

@@ -1,7 +1,7 @@
-//! Trains on a data set and measures the held-out views:
-//! `cargo run --release -p splat --example train_dataset -- DATASET_DIR OUT [flags]`.
-//! DATASET_DIR: `images/` with `sparse/0`, or a `transforms.json`. Writes splat.ply, metrics.json and
-//! photo | render | difference for every held-out view.
+//! Trains on a data set and measures the held-out views: `cargo run --release -p splat --example
+//! train_dataset -- DATASET_DIR OUT [flags]`. DATASET_DIR: `images/` with `sparse/0`, or a
+//! `transforms.json`. Writes splat.ply, metrics.json and photo | render | difference for every
+//! held-out view.
 
 use clap::Parser;
 use image::{Rgb, RgbImage};
@@ -85,7 +85,9 @@ fn main() -> Result<(), Box<dyn Error>> {
             point.iteration, point.seconds, point.loss, point.psnr, point.gaussians
         );
     }
-    result.decisions.iter().for_each(|d| println!("  {}: {} ({})", d.subject, d.choice, d.evidence));
+    for told in result.decisions.iter().map(|d| d.sentences()) {
+        println!("  {told} ({})", told.evidence.join("; "));
+    }
     let t = &result.timings;
     let steps = f64::from(result.iterations) / 1e3;
     println!(

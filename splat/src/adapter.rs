@@ -53,11 +53,3 @@ impl fmt::Display for Adapter {
         write!(f, "{} ({kind}, {})", self.name, self.interface)
     }
 }
-
-/// The adapters of this machine, hardware first; those of equal kind in the driver's order.
-pub fn adapters() -> Vec<Adapter> {
-    #[cfg(feature = "gpu")]
-    return crate::gpu::adapters();
-    #[cfg(not(feature = "gpu"))]
-    Vec::new()
-}

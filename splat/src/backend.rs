@@ -1,61 +1,10 @@
 //! What a backend does: hold the Gaussians, render them, take a training step, say what it saw.
 
-use crate::config::Selection;
-use crate::cpu::optimise::Statistics;
-use crate::model::Model;
-use crate::train::Decision;
-use crate::{RenderOptions, RenderOutput, SplatError, densify};
-use glam::{Mat3, Vec3};
-
-/// A pinhole camera and its pose in the frame of the Gaussians, f32.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct PinholeView {
-    /// Rotation `cam_from_world`.
-    pub rotation: Mat3,
-    /// Translation of `cam_from_world`.
-    pub translation: Vec3,
-    /// Focal lengths, pixels.
-    pub focal: [f32; 2],
-    /// Principal point, pixels (pixel centres at + 0.5).
-    pub centre: [f32; 2],
-    /// Width, pixels.
-    pub width: usize,
-    /// Height, pixels.
-    pub height: usize,
-}
-
-impl PinholeView {
-    /// Where the camera stands.
-    pub fn position(&self) -> Vec3 {
-        -(self.rotation.transpose() * self.translation)
-    }
-
-    /// The view at a resolution of `1 / 2^level`, sizes rounded down (at least 1), scaled about the image corner.
-    pub fn at_level(&self, level: u32) -> Self {
-        let (width, height) =
-            (crate::dataset::level_size(self.width, level), crate::dataset::level_size(self.height, level));
-        let (sx, sy) = (width as f32 / self.width as f32, height as f32 / self.height as f32);
-        Self {
-            focal: [self.focal[0] * sx, self.focal[1] * sy],
-            centre: [self.centre[0] * sx, self.centre[1] * sy],
-            width,
-            height,
-            ..*self
-        }
-    }
-}
-
-/// What the statistics sum for each Gaussian over the steps that see it, for densification to choose by.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub enum Scores {
-    /// |Σ dL/dxy|: the norm of the sum over pixels (Kerbl et al. 2023).
-    #[default]
-    Gradient,
-    /// |Σ |dL/dxy||: the norm of the sums of magnitudes, which do not cancel (Ye et al., AbsGS, 2024).
-    Magnitudes,
-    /// Σ T α e, with the absolute error e of the pixel summed over its channels (Rota Bulò et al., Revising Densification, 2024).
-    Error,
-}
+use crate::error::SplatError;
+use crate::model::{MAX_SH_DEGREE, Model, padded};
+use crate::statistics::Statistics;
+use crate::view::{PinholeView, RenderOptions, RenderOutput};
+use scene::Decision;
 
 /// What a training step is compared with: 8-bit pixels at the view's size.
 #[derive(Clone, Copy, Debug)]
@@ -100,10 +49,6 @@ pub struct StepInput<'a> {
     pub rates: LearningRates,
     /// Weight of D-SSIM against L1.
     pub lambda_dssim: f32,
-    /// Weight of the mean opacity of the visible Gaussians in the loss.
-    pub opacity_penalty: f32,
-    /// Weight of the mean scale of the visible Gaussians in the loss.
-    pub scale_penalty: f32,
 }
 
 /// A round of densification.
@@ -111,10 +56,6 @@ pub struct StepInput<'a> {
 pub struct Round<'a> {
     /// Gaussians that may be added.
     pub room: usize,
-    /// Mean screen gradient above which a Gaussian is split.
-    pub threshold: f32,
-    /// By what they are chosen.
-    pub selection: Selection,
     /// Of training.
     pub seed: u64,
     /// Of training.
@@ -176,9 +117,7 @@ pub trait Backend {
     /// Changes between steps: densification, pruning, another spherical-harmonic degree.
     fn edit(&mut self, change: &mut dyn FnMut(&mut Model, &mut Statistics)) -> Result<(), SplatError>;
     /// A round of densification; statistics begin anew. How many were removed because hardly any view has them.
-    fn densify(&mut self, round: &Round) -> Result<usize, SplatError> {
-        densify_by_edit(self, round)
-    }
+    fn densify(&mut self, round: &Round) -> Result<usize, SplatError>;
     /// Another spherical-harmonic degree: new coefficients are zero.
     fn set_sh_degree(&mut self, degree: u32) -> Result<(), SplatError> {
         self.edit(&mut |model, _| model.set_sh_degree(degree))
@@ -220,8 +159,6 @@ pub trait Backend {
         target: &Target,
         options: &RenderOptions,
     ) -> Result<f64, SplatError>;
-    /// What the statistics score Gaussians by.
-    fn set_scores(&mut self, scores: Scores) -> Result<(), SplatError>;
     /// The gain of the view to come: its photo shows the scene times this, so that targets are divided by it.
     fn set_gain(&mut self, gain: Option<[f32; 3]>);
     /// Sums over the pixels that count, by channel: Σ r t, Σ r², Σ t² of the rendering r and the photo t (no gain).
@@ -248,16 +185,24 @@ pub trait Backend {
     fn times(&self) -> KernelTimes;
 }
 
-/// A round of densification by the host.
-pub fn densify_by_edit<B: Backend + ?Sized>(backend: &mut B, round: &Round) -> Result<usize, SplatError> {
-    let mut unseen = 0;
-    backend.edit(&mut |model, statistics| {
-        let (room, threshold) = (round.room, round.threshold);
-        densify::densify(model, statistics, room, threshold, round.selection, round.seed, round.iteration);
-        if let Some(views) = round.remove_unseen {
-            unseen = densify::prune_unseen(model, views);
-        }
-        statistics.reset(model.len);
-    })?;
-    Ok(unseen)
+/// Refuses a model whose arrays are not as long as its invariant says, and statistics of another number of Gaussians
+/// (none at all will do: nothing was seen yet).
+pub(crate) fn check(model: &Model, statistics: &Statistics) -> Result<(), SplatError> {
+    let (n, values) = (padded(model.len), model.len * model.sh_stride());
+    let planes = [&model.geometry, &model.geometry_m, &model.geometry_v].into_iter().flatten();
+    let mut planes = planes.chain([&model.steps]);
+    let mut harmonics = [&model.sh, &model.sh_m, &model.sh_v].into_iter();
+    let mut sums = [&statistics.gradient, &statistics.visible].into_iter();
+    let wrong = if model.sh_degree > MAX_SH_DEGREE {
+        "the degree of the spherical harmonics is above 3"
+    } else if planes.any(|plane| plane.len() != n) {
+        "a plane has another length than the number of Gaussians asks for"
+    } else if harmonics.any(|sh| sh.len() != values) {
+        "there are not as many spherical harmonics as their degree asks for"
+    } else if !statistics.is_empty() && sums.any(|sums| sums.len() != n) {
+        "the statistics are of another number of Gaussians"
+    } else {
+        return Ok(());
+    };
+    Err(SplatError::InvalidGaussians(wrong.to_owned()))
 }

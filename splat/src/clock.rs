@@ -10,7 +10,8 @@ pub fn wall_seconds() -> f64 {
     START.get_or_init(Instant::now).elapsed().as_secs_f64()
 }
 
-/// User and system time of all threads of this process as the scheduler counts it, in ns (Linux; wall time elsewhere).
+/// User and system time of all threads of this process as the scheduler counts it, in ns (Linux;
+/// wall time elsewhere).
 pub fn cpu_seconds() -> f64 {
     let Ok(tasks) = std::fs::read_dir("/proc/self/task") else { return wall_seconds() };
     let of = |path: PathBuf| -> f64 {

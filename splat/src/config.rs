@@ -1,7 +1,7 @@
 //! What training can be told.
 
-use crate::backend::Scores;
 use crate::device::DeviceConfig;
+use crate::model::MAX_SH_DEGREE;
 use clap::{Args, ValueEnum};
 use serde::{Deserialize, Serialize};
 
@@ -37,20 +37,23 @@ pub struct TrainConfig {
     /// Training steps; one view each
     #[arg(long, default_value_t = ITERATIONS, help_heading = "Splat")]
     pub iterations: u32,
-    /// Wall time for training (90, 60s, 5m, 1h): the schedule fits itself into it and --iterations is not used
+    /// Wall time for training (90, 60s, 5m, 1h): the schedule fits itself into it and --iterations
+    /// is not used
     #[arg(long, value_parser = parse_duration, value_name = "TIME", help_heading = "Splat")]
     pub time_limit: Option<f64>,
     /// Never more Gaussians than this
     #[arg(long, default_value_t = MAX_GAUSSIANS, help_heading = "Splat")]
     pub max_gaussians: usize,
     /// Highest spherical-harmonic degree, 0 to 3
-    #[arg(long, default_value_t = 3, value_parser = clap::value_parser!(u32).range(0..=3), help_heading = "Splat")]
+    #[arg(long, default_value_t = MAX_SH_DEGREE, help_heading = "Splat",
+          value_parser = clap::value_parser!(u32).range(0..=i64::from(MAX_SH_DEGREE)))]
     pub sh_degree: u32,
     /// Weight of D-SSIM against L1, in [0, 1] (3DGS paper: 0.2)
     #[arg(long, default_value_t = LAMBDA_DSSIM, help_heading = "Splat")]
     pub lambda_dssim: f32,
     /// Begin at 1/2^N of the resolution
-    #[arg(long, default_value_t = 2, value_parser = clap::value_parser!(u32).range(0..=4), help_heading = "Splat")]
+    #[arg(long, default_value_t = COARSE_LEVELS, help_heading = "Splat",
+          value_parser = clap::value_parser!(u32).range(0..=i64::from(MAX_COARSE_LEVELS)))]
     pub coarse_levels: u32,
     /// Factor on every learning rate
     #[arg(long, default_value_t = 1.0, help_heading = "Splat")]
@@ -58,8 +61,8 @@ pub struct TrainConfig {
     /// Scale opacity with the 2D low-pass (Mip-Splatting), against aliasing
     #[arg(long, help_heading = "Splat")]
     pub antialias: bool,
-    /// Keep Gaussians as large as what the views sample (Mip-Splatting's 3D filter): from nearer than the photos any viewer shows
-    /// them better, from where they were taken a little softer
+    /// Keep Gaussians as large as what the views sample (Mip-Splatting's 3D filter): from nearer
+    /// than the photos any viewer shows them better, from where they were taken a little softer
     #[arg(long, help_heading = "Splat")]
     pub smoothing: bool,
     /// Move the training views to where the splat shows what their photos show
@@ -74,13 +77,11 @@ pub struct TrainConfig {
     /// Where to train.
     #[command(flatten)]
     pub device: DeviceConfig,
-    /// Seconds of the time limit that went by before training began, such as for loading the images.
+    /// Seconds of the time limit that went by before training began, such as for loading the
+    /// images.
     #[arg(skip)]
     #[serde(skip)]
     pub seconds_gone: f64,
-    /// How the trainer goes about it (chosen by the `ablation` example)
-    #[arg(skip)]
-    pub recipe: Recipe,
 }
 
 /// Whether training moves its views.
@@ -96,104 +97,19 @@ pub enum PoseRefinement {
     Off,
 }
 
-/// By what Gaussians are chosen to be split.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
-pub enum Selection {
-    /// Norm of the mean screen gradient (Kerbl et al. 2023)
-    #[default]
-    Gradient,
-    /// The same of its absolute values over the pixels, which do not cancel (Ye et al., AbsGS, 2024)
-    AbsoluteGradient,
-    /// Mean error of the pixels it colours, by its part in them (Rota Bulò et al. 2024; on the CPU)
-    Error,
-    /// Drawn in proportion to opacity; two of them look as the one did (Kheradmand et al., 3DGS as MCMC, 2024)
-    Opacity,
-}
-
-impl Selection {
-    /// What it needs from the backend's statistics.
-    pub fn scores(self) -> Scores {
-        match self {
-            Self::Gradient | Self::Opacity => Scores::Gradient,
-            Self::AbsoluteGradient => Scores::Magnitudes,
-            Self::Error => Scores::Error,
-        }
-    }
-}
-
-/// The trainer's own choices. No flags: each was chosen by switching it off (docs/benchmarks.md, example `ablation`).
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-pub struct Recipe {
-    /// Gaussians follow a plan from the first to [`crate::schedule::gaussians_at_end`]; otherwise a tenth more each 100
-    /// steps where the screen gradient is above a threshold (about as 3DGS does it).
-    pub planned_growth: bool,
-    /// Where the background shows through, Gaussians that hardly any view has in its picture are removed.
-    pub remove_unseen: bool,
-    /// Where Gaussians are added.
-    pub selection: Selection,
-    /// Gaussians at the end of growth for each step of the schedule, where there are views enough.
-    pub gaussians_a_step: f64,
-    /// Position in the schedule from which training runs at full resolution.
-    pub full_resolution_from: f64,
-    /// The same where the schedule has this many steps and more.
-    pub full_resolution_early: f64,
-    /// Steps from which on that is so.
-    pub early_from_steps: f64,
-    /// The position from which training runs at half the resolution.
-    pub half_resolution_from: f64,
-    /// Part of the schedule in which Gaussians are added.
-    pub densify_until: f64,
-    /// Times that a time limit lets each training view be seen, at most: more steps learn the photos by heart.
-    pub passes: f64,
-    /// Spherical-harmonic degree and number of Gaussians grow only while a validation split gains by it.
-    pub evidence: bool,
-    /// Gains by view and channel are modelled where they explain enough of the residuals.
-    pub exposure: bool,
-    /// Gaussians that the pictures do not miss are removed near the end.
-    pub prune_redundant: bool,
-    /// Position in the schedule at which that is done; what follows lets the others close the gaps.
-    pub prune_at: f64,
-    /// What removing them may cost the training views before that, dB.
-    pub prune_loss: f64,
-    /// Weight of the mean opacity of what a view shows in the loss.
-    pub opacity_penalty: f64,
-    /// Weight of the mean scale of what a view shows in the loss.
-    pub scale_penalty: f64,
-    /// Points inside the masks' visual hull that Gaussians begin at beside those of the sparse cloud.
-    pub hull_points: usize,
-    /// --time-limit counts CPU time of the process instead of wall time: for comparisons on a busy machine (Linux).
-    pub cpu_time: bool,
-}
-
-impl Default for Recipe {
-    fn default() -> Self {
-        Self {
-            planned_growth: true,
-            remove_unseen: true,
-            selection: Selection::Gradient,
-            gaussians_a_step: 50.0,
-            full_resolution_from: 0.8,
-            full_resolution_early: 0.6,
-            early_from_steps: 2000.0,
-            half_resolution_from: 0.4,
-            densify_until: 0.7,
-            passes: 300.0,
-            evidence: true,
-            exposure: true,
-            prune_redundant: true,
-            prune_at: 0.9,
-            prune_loss: 0.05,
-            opacity_penalty: 0.0,
-            scale_penalty: 0.0,
-            hull_points: 0,
-            cpu_time: false,
-        }
-    }
-}
-
+/// Steps. Source: docs/benchmarks.md, splats by preset: a few minutes on two cores.
 const ITERATIONS: u32 = 4000;
+/// Gaussians. Source: docs/decisions/13 (150,000 kept lego400 from gaining between one and five
+/// minutes).
 const MAX_GAUSSIANS: usize = 300_000;
+/// Weight of D-SSIM against L1. Source: Kerbl et al. 2023.
 const LAMBDA_DSSIM: f32 = 0.2;
+/// Halvings of the resolution at the start. Source: docs/decisions/13 (full resolution throughout
+/// loses 0.3 dB).
+const COARSE_LEVELS: u32 = 2;
+/// The most of them. Source: at 1/16 a picture of a megapixel has 60 × 60 pixels.
+pub(crate) const MAX_COARSE_LEVELS: u32 = 4;
+/// Steps between checkpoints. Source: chosen by hand: half a minute to a minute of work.
 const CHECKPOINT_EVERY: u32 = 1000;
 
 impl Default for TrainConfig {
@@ -202,9 +118,9 @@ impl Default for TrainConfig {
             iterations: ITERATIONS,
             time_limit: None,
             max_gaussians: MAX_GAUSSIANS,
-            sh_degree: 3,
+            sh_degree: MAX_SH_DEGREE,
             lambda_dssim: LAMBDA_DSSIM,
-            coarse_levels: 2,
+            coarse_levels: COARSE_LEVELS,
             learning_rate: 1.0,
             antialias: false,
             smoothing: false,
@@ -213,7 +129,6 @@ impl Default for TrainConfig {
             seed: 0,
             device: DeviceConfig::default(),
             seconds_gone: 0.0,
-            recipe: Recipe::default(),
         }
     }
 }

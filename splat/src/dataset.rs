@@ -1,11 +1,14 @@
 //! The images in memory and the normalised frame in which the trainer works.
 
-use crate::{PinholeView, SplatError};
+use crate::error::SplatError;
+use crate::quantile::median;
+use crate::view::{PinholeView, level_size};
 use clap::{Args, ValueEnum};
 use glam::{DMat3, DVec3, Mat3, Vec3};
 use rayon::prelude::*;
 use scene::{Camera, CameraModel, Gaussians, PosedImage, Progress, Reconstruction};
 use serde::{Deserialize, Serialize};
+use std::ops::Range;
 use std::path::{Path, PathBuf};
 
 /// What a mask or an alpha channel means in training.
@@ -29,7 +32,17 @@ pub struct DatasetConfig {
     pub test_every: usize,
 }
 
+/// Every how manieth view is held out. Source: Kerbl et al. 2023 (as Mip-NeRF 360 does).
 const TEST_EVERY: usize = 8;
+/// What lies so near to the edge of a matte may be on either side, pixels: mattes and poses are no
+/// more exact, and a rod is no wider. Source: docs/decisions/16.
+pub(crate) const MATTE_MARGIN_PX: usize = 2;
+/// Cameras that lie nearer to each other than this share of the points' distance stand at one
+/// place.
+/// Source: chosen by hand, never measured.
+const AT_ONE_PLACE: f64 = 0.02;
+/// Resolutions kept of each view: full to 1/8. Source: `--coarse-levels` is 2 by default.
+const LEVELS: u32 = 4;
 
 impl Default for DatasetConfig {
     fn default() -> Self {
@@ -38,7 +51,8 @@ impl Default for DatasetConfig {
 }
 
 impl DatasetConfig {
-    /// Whether the view with this place among all, sorted by name, is held out (a view that is alone is not).
+    /// Whether the view with this place among all, sorted by name, is held out (a view that is
+    /// alone is not).
     pub fn holds_out(&self, index: usize, views: usize) -> bool {
         self.test_every > 0 && views > 1 && index.is_multiple_of(self.test_every)
     }
@@ -74,10 +88,10 @@ pub struct View {
     pub held_out: bool,
 }
 
-/// `x_normalised = scale · (x_world − centre)`: the cameras' mean centre becomes the origin and the farthest
-/// camera lies at distance 1 (with one camera: the points' median distance is 1).
+/// `x_normalised = scale · (x_world − centre)`: the cameras' mean centre becomes the origin and the
+/// farthest camera lies at distance 1 (with one camera: the points' median distance is 1).
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
-pub struct Normalisation {
+pub struct NormalisedFrame {
     /// World frame, scene units.
     pub centre: DVec3,
     /// Normalised units a scene unit.
@@ -92,22 +106,15 @@ pub struct Dataset {
     /// The sparse cloud in the normalised frame.
     pub points: Vec<(Vec3, [u8; 3])>,
     /// Normalised from world.
-    pub normalisation: Normalisation,
+    pub normalisation: NormalisedFrame,
     /// What masks mean.
     pub alpha: AlphaMode,
 }
 
-/// Length of a side at `1 / 2^level` of the resolution, at least 1 pixel.
-pub fn level_size(full: usize, level: u32) -> usize {
-    (full >> level).max(1)
-}
-
-/// Resolutions kept of each view: full to 1/8.
-pub const LEVELS: u32 = 4;
-
 impl Dataset {
-    /// Loads the images of a reconstruction (PINHOLE or SIMPLE_PINHOLE cameras), with the masks of `mask_dir`
-    /// (`a.png`, `a.jpg.png` or `a.mask.png` for `a.jpg`) or, failing that, the images' alpha channels.
+    /// Loads the images of a reconstruction (PINHOLE or SIMPLE_PINHOLE cameras), with the masks of
+    /// `mask_dir` (`a.png`, `a.jpg.png` or `a.mask.png` for `a.jpg`) or, failing that, the images'
+    /// alpha channels.
     pub fn load(
         image_dir: &Path,
         mask_dir: Option<&Path>,
@@ -118,21 +125,14 @@ impl Dataset {
         let mut images: Vec<&PosedImage> = model.images.values().collect();
         images.sort_by(|a, b| a.name.cmp(&b.name));
         progress.begin("load images", images.len());
-        let normalisation = Normalisation::of(model);
-        let load = |(index, image): (usize, &&PosedImage)| -> Result<View, SplatError> {
-            let camera = pinhole_camera(model, image)?;
-            let pixels = load_pixels(image_dir, mask_dir, image, camera)?;
+        let normalisation = NormalisedFrame::of(model);
+        let load = |(index, image): (usize, &&PosedImage)| {
+            let held_out = config.holds_out(index, images.len());
+            let view = load_view(image_dir, mask_dir, model, image, &normalisation, held_out)?;
             progress.tick()?;
-            Ok(View {
-                name: image.name.clone(),
-                camera: camera.clone(),
-                pose: image.pose,
-                view: normalisation.view(camera, &image.pose),
-                levels: pyramid(pixels),
-                held_out: config.holds_out(index, images.len()),
-            })
+            Ok(view)
         };
-        let views = images.par_iter().enumerate().map(load).collect::<Result<Vec<_>, _>>()?;
+        let views = images.par_iter().enumerate().map(load).collect::<Result<Vec<_>, SplatError>>()?;
         if views.iter().all(|v| v.held_out) {
             return Err(SplatError::TooFewViews(0));
         }
@@ -156,23 +156,22 @@ impl Dataset {
     }
 }
 
-impl Normalisation {
+impl NormalisedFrame {
     /// Of a reconstruction: from its cameras, from its points where the cameras stand at one place.
     pub fn of(model: &Reconstruction) -> Self {
         let centres: Vec<DVec3> = model.images.values().map(|i| i.pose.centre()).collect();
         let n = centres.len().max(1) as f64;
         let centre = centres.iter().sum::<DVec3>() / n;
         let radius = centres.iter().map(|c| c.distance(centre)).fold(0.0, f64::max);
-        let mut distances: Vec<f64> = model.points.values().map(|p| p.position.distance(centre)).collect();
-        distances.sort_by(f64::total_cmp);
-        let median = distances.get(distances.len() / 2).copied().unwrap_or(1.0);
-        let size = if radius > 0.02 * median { radius } else { median };
+        let distances = model.points.values().map(|p| p.position.distance(centre)).collect();
+        let median = median(distances).unwrap_or(1.0);
+        let size = if radius > AT_ONE_PLACE * median { radius } else { median };
         let scale = if size > 0.0 && size.is_finite() { 1.0 / size } else { 1.0 };
         Self { centre, scale }
     }
 
     /// A point of the world.
-    pub fn point(&self, x: DVec3) -> Vec3 {
+    pub(crate) fn point(&self, x: DVec3) -> Vec3 {
         ((x - self.centre) * self.scale).as_vec3()
     }
 
@@ -191,7 +190,7 @@ impl Normalisation {
     }
 
     /// Gaussians of the normalised frame in the world.
-    pub fn to_world(&self, mut g: Gaussians) -> Gaussians {
+    pub(crate) fn denormalise(&self, mut g: Gaussians) -> Gaussians {
         let shift = self.scale.ln() as f32;
         for mean in &mut g.means {
             *mean = (mean.as_dvec3() / self.scale + self.centre).as_vec3();
@@ -201,7 +200,7 @@ impl Normalisation {
     }
 
     /// Gaussians of the world in the normalised frame.
-    pub fn to_normalised(&self, mut g: Gaussians) -> Gaussians {
+    pub fn normalise(&self, mut g: Gaussians) -> Gaussians {
         let shift = self.scale.ln() as f32;
         g.means.iter_mut().for_each(|mean| *mean = self.point(mean.as_dvec3()));
         g.log_scales.iter_mut().for_each(|s| *s += Vec3::splat(shift));
@@ -228,6 +227,26 @@ fn pinhole_camera<'a>(model: &'a Reconstruction, image: &PosedImage) -> Result<&
             Err(SplatError::NotPinhole { name: image.name.clone(), camera: camera.id, model: other.name() })
         }
     }
+}
+
+fn load_view(
+    image_dir: &Path,
+    mask_dir: Option<&Path>,
+    model: &Reconstruction,
+    image: &PosedImage,
+    frame: &NormalisedFrame,
+    held_out: bool,
+) -> Result<View, SplatError> {
+    let camera = pinhole_camera(model, image)?;
+    let pixels = load_pixels(image_dir, mask_dir, image, camera)?;
+    Ok(View {
+        name: image.name.clone(),
+        camera: camera.clone(),
+        pose: image.pose,
+        view: frame.view(camera, &image.pose),
+        levels: pyramid(pixels),
+        held_out,
+    })
 }
 
 fn load_pixels(
@@ -257,7 +276,8 @@ fn load_pixels(
     Ok(Pixels { width: found.0 as usize, height: found.1 as usize, rgb: loaded.rgb.into_raw(), mask })
 }
 
-/// The mask of an image in the namings in use: `a.png`, `a.jpg.png`, `a.mask.png`, or the same name.
+/// The mask of an image in the namings in use: `a.png`, `a.jpg.png`, `a.mask.png`, or the same
+/// name.
 fn mask_path(dir: &Path, relative: &Path) -> Option<PathBuf> {
     let name = relative.to_string_lossy().into_owned();
     let stem = relative.with_extension("").to_string_lossy().into_owned();
@@ -277,38 +297,46 @@ pub fn pyramid(full: Pixels) -> Vec<Pixels> {
     levels
 }
 
-/// Area average over blocks of 2^level pixels; colours weighted with the mask, so that what is transparent does
-/// not bleed in.
+/// Area average over blocks of 2^level pixels; colours weighted with the mask, so that what is
+/// transparent does not bleed in.
 fn shrink(full: &Pixels, level: u32) -> Pixels {
     let (width, height) = (level_size(full.width, level), level_size(full.height, level));
     let mut rgb = Vec::with_capacity(width * height * 3);
     let mut mask = full.mask.as_ref().map(|_| Vec::with_capacity(width * height));
     for y in 0..height {
-        let rows =
-            y * full.height / height..((y + 1) * full.height / height).max(y * full.height / height + 1);
+        let rows = block(y, height, full.height);
         for x in 0..width {
-            let columns =
-                x * full.width / width..((x + 1) * full.width / width).max(x * full.width / width + 1);
-            let (mut sum, mut weight, mut plain, mut count) = ([0u32; 3], 0u32, [0u32; 3], 0u32);
-            for i in rows.clone().flat_map(|r| columns.clone().map(move |c| r * full.width + c)) {
-                let w = full.mask.as_ref().map_or(255, |m| u32::from(m[i]));
-                weight += w;
-                count += 1;
-                for c in 0..3 {
-                    sum[c] += w * u32::from(full.rgb[i * 3 + c]);
-                    plain[c] += u32::from(full.rgb[i * 3 + c]);
-                }
-            }
-            for c in 0..3 {
-                let (s, w) = if weight > 0 { (sum[c], weight) } else { (plain[c], count) };
-                rgb.push(((s + w / 2) / w) as u8);
-            }
+            let (colour, cover) = mean_of_block(full, rows.clone(), block(x, width, full.width));
+            rgb.extend(colour);
             if let Some(mask) = &mut mask {
-                mask.push(((weight + count / 2) / count) as u8);
+                mask.push(cover);
             }
         }
     }
     Pixels { width, height, rgb, mask }
+}
+
+/// The pixels of a side of `full` that make pixel `i` of `small`, at least one.
+fn block(i: usize, small: usize, full: usize) -> Range<usize> {
+    let start = i * full / small;
+    start..((i + 1) * full / small).max(start + 1)
+}
+
+/// Mean colour, weighted with the mask unless that is black, and mean of the mask (white without
+/// one).
+fn mean_of_block(full: &Pixels, rows: Range<usize>, columns: Range<usize>) -> ([u8; 3], u8) {
+    let (mut sum, mut weight, mut plain, mut count) = ([0u32; 3], 0u32, [0u32; 3], 0u32);
+    for i in rows.flat_map(|r| columns.clone().map(move |c| r * full.width + c)) {
+        let w = full.mask.as_ref().map_or(255, |m| u32::from(m[i]));
+        weight += w;
+        count += 1;
+        for c in 0..3 {
+            sum[c] += w * u32::from(full.rgb[i * 3 + c]);
+            plain[c] += u32::from(full.rgb[i * 3 + c]);
+        }
+    }
+    let (sum, w) = if weight > 0 { (sum, weight) } else { (plain, count) };
+    (sum.map(|s| ((s + w / 2) / w) as u8), ((weight + count / 2) / count) as u8)
 }
 
 #[cfg(test)]

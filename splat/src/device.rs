@@ -1,10 +1,12 @@
 //! Where to compute: chosen by flags, or by what this machine has.
 
+use crate::adapter::Adapter;
 use crate::backend::Backend;
 use crate::cpu::CpuBackend;
-use crate::train::Decision;
-use crate::{SplatError, adapters};
+use crate::error::SplatError;
 use clap::{Args, ValueEnum};
+use scene::Decision;
+use scene::decision::{Choice, Remark, Rule, Subject};
 use serde::{Deserialize, Serialize};
 
 /// The choice of backend.
@@ -37,48 +39,56 @@ pub struct DeviceConfig {
 /// Opens what the configuration asks for, and says what was chosen and why.
 pub fn open(config: &DeviceConfig) -> Result<(Box<dyn Backend>, Decision), SplatError> {
     let wanted = config.backend == BackendChoice::Gpu || config.gpu.is_some();
-    let processor = |evidence: String| -> Result<(Box<dyn Backend>, Decision), SplatError> {
-        let backend = CpuBackend::default();
-        let choice = Backend::name(&backend);
-        Ok((Box::new(backend), Decision { subject: "backend".to_owned(), choice, evidence }))
-    };
     if config.backend == BackendChoice::Cpu {
-        return processor("asked for".to_owned());
+        return Ok(processor(|name| decision(name, Rule::Requested)));
     }
-    if !wanted {
-        let Some(best) = adapters().into_iter().find(|a| a.kind.is_hardware()) else {
-            return processor("no graphics card here".to_owned());
-        };
-        return match adapter(config, Some(&best.name), "the first graphics card") {
-            Ok(opened) => Ok(opened),
-            Err(why) => processor(why.to_string()),
-        };
+    if wanted {
+        let backend = adapter(config, config.gpu.as_deref())?;
+        let decision = decision(backend.name(), Rule::Requested);
+        return Ok((backend, decision));
     }
-    adapter(config, config.gpu.as_deref(), "asked for")
+    let Some(best) = adapters().into_iter().find(|a| a.kind.is_hardware()) else {
+        return Ok(processor(|name| decision(name, Rule::Evidence).remarked(Remark::NoGraphicsCard)));
+    };
+    Ok(match adapter(config, Some(&best.name)) {
+        Ok(backend) => {
+            let decision = decision(backend.name(), Rule::Evidence).remarked(Remark::FirstGraphicsCard);
+            (backend, decision)
+        }
+        Err(why) => processor(|name| decision(name, Rule::Failed).quoting(why.to_string())),
+    })
+}
+
+fn decision(name: String, rule: Rule) -> Decision {
+    Decision::new(Subject::Backend, Choice::Device(name), rule)
+}
+
+/// The processor, and the decision for it, made of its name.
+fn processor(decide: impl FnOnce(String) -> Decision) -> (Box<dyn Backend>, Decision) {
+    let backend = CpuBackend::default();
+    let decision = decide(Backend::name(&backend));
+    (Box::new(backend), decision)
 }
 
 #[cfg(feature = "gpu")]
-fn adapter(
-    config: &DeviceConfig,
-    name: Option<&str>,
-    evidence: &str,
-) -> Result<(Box<dyn Backend>, Decision), SplatError> {
+fn adapter(config: &DeviceConfig, name: Option<&str>) -> Result<Box<dyn Backend>, SplatError> {
     let (name, memory) = (name.map(str::to_owned), config.vram_limit.map(|mib| mib << 20));
     let opening = crate::gpu::Opening { name, memory, ..Default::default() };
-    let backend = crate::gpu::GpuBackend::open(&opening)?;
-    let choice = Backend::name(&backend);
-    let decision = Decision { subject: "backend".to_owned(), choice, evidence: evidence.to_owned() };
-    Ok((Box::new(backend), decision))
+    Ok(Box::new(crate::gpu::GpuBackend::open(&opening)?))
 }
 
 #[cfg(not(feature = "gpu"))]
-fn adapter(
-    _: &DeviceConfig,
-    name: Option<&str>,
-    _: &str,
-) -> Result<(Box<dyn Backend>, Decision), SplatError> {
+fn adapter(_: &DeviceConfig, name: Option<&str>) -> Result<Box<dyn Backend>, SplatError> {
     let present = "none: this program was built without the feature gpu".to_owned();
     Err(SplatError::NoAdapter { wanted: name.unwrap_or("any").to_owned(), present })
+}
+
+/// The adapters of this machine, hardware first; those of equal kind in the driver's order.
+pub fn adapters() -> Vec<Adapter> {
+    #[cfg(feature = "gpu")]
+    return crate::gpu::adapters();
+    #[cfg(not(feature = "gpu"))]
+    Vec::new()
 }
 
 #[cfg(test)]
@@ -92,11 +102,11 @@ mod tests {
     #[test]
     fn the_processor_is_never_played_by_an_emulated_adapter() {
         let (backend, decision) = open(&config(BackendChoice::Auto, None)).unwrap();
-        assert_eq!(backend.name(), decision.choice);
+        assert_eq!(Choice::Device(backend.name()), decision.choice);
         let hardware = adapters().iter().any(|a| a.kind.is_hardware());
-        assert_eq!(decision.choice.starts_with("processor"), !hardware, "{decision:?}");
-        let (_, decision) = open(&config(BackendChoice::Cpu, Some("anything"))).unwrap();
-        assert!(decision.choice.starts_with("processor"), "{decision:?}");
+        assert_eq!(backend.name().starts_with("processor"), !hardware, "{decision:?}");
+        let (backend, decision) = open(&config(BackendChoice::Cpu, Some("anything"))).unwrap();
+        assert!(backend.name().starts_with("processor"), "{decision:?}");
     }
 
     #[test]

@@ -1,52 +1,63 @@
 //! How large a pixel is in the scene.
 
-use crate::Dataset;
+use crate::dataset::Dataset;
 use crate::init::focus;
+use crate::quantile::median;
+use crate::view::PinholeView;
 
-/// Points of the sparse cloud that are looked at, at most.
+/// Points of the sparse cloud that are looked at, at most. Source: chosen by hand; a median is
+/// sought.
 const POINTS: usize = 500;
-/// Outside of this, normalised units, it says nothing of step sizes: pictures of a few pixels, or points that are all wrong.
+/// Outside of this, normalised units, it says nothing of step sizes: pictures of a few pixels, or
+/// points that are all wrong.
+/// Source: chosen by hand around the pixels of fox and temple_ring, 3e-3 and 7e-4
+/// (docs/decisions/12).
 const RANGE: std::ops::RangeInclusive<f32> = 1e-5..=1e-2;
 
-/// Width of a pixel at the depth of the scene, normalised units: the median of z / f over the training views and those points of the
-/// sparse cloud that they have in their pictures; without any, of the distance from what the cameras look at.
+/// Width of a pixel at the depth of the scene, normalised units: the median of z / f over the
+/// training views and those points of the sparse cloud that they have in their pictures; without
+/// any, of the distance from what the cameras look at.
 ///
-/// What a picture tells of a place it tells in pixels, so this is what steps of positions are measured in.
-pub fn footprint(dataset: &Dataset) -> f32 {
+/// What a picture tells of a place it tells in pixels, so this is what steps of positions are
+/// measured in.
+pub(crate) fn footprint(dataset: &Dataset) -> f32 {
     let points: Vec<_> = dataset.points.iter().filter(|(p, _)| p.is_finite()).collect();
     let some = points.iter().step_by(points.len().div_ceil(POINTS).max(1));
     let views: Vec<_> = dataset.views.iter().filter(|v| !v.held_out).map(|v| v.view).collect();
-    let focal = |i: usize| (views[i].focal[0].abs() * views[i].focal[1].abs()).sqrt();
-    let mut sizes = Vec::new();
+    let mut sizes: Vec<f32> = Vec::new();
     for (x, _) in some {
-        for (i, v) in views.iter().enumerate() {
-            let c = v.rotation * *x + v.translation;
-            let [px, py] = [v.focal[0] * c.x + v.centre[0] * c.z, v.focal[1] * c.y + v.centre[1] * c.z];
-            let inside = px >= 0.0 && py >= 0.0 && px < v.width as f32 * c.z && py < v.height as f32 * c.z;
-            if c.z > 0.0 && inside {
-                sizes.push(c.z / focal(i));
+        for view in &views {
+            let c = view.camera_point(*x);
+            if view.sees(c) {
+                sizes.push(c.z / focal(view));
             }
         }
     }
     if sizes.is_empty() {
-        let distance = focus(&dataset.views).map_or(1.0, |(_, distance)| distance as f32);
-        sizes.extend((0..views.len()).map(|i| distance / focal(i)));
+        let distance =
+            focus(&dataset.views.iter().collect::<Vec<_>>()).map_or(1.0, |(_, distance)| distance as f32);
+        sizes.extend(views.iter().map(|view| distance / focal(view)));
     }
-    sizes.retain(|s| s.is_finite());
-    sizes.sort_by(f32::total_cmp);
-    sizes.get(sizes.len() / 2).copied().unwrap_or(1e-3).clamp(*RANGE.start(), *RANGE.end())
+    let finite = sizes.iter().filter(|s| s.is_finite()).map(|s| f64::from(*s));
+    median(finite.collect()).map_or(*RANGE.start(), |s| s as f32).clamp(*RANGE.start(), *RANGE.end())
+}
+
+/// Geometric mean of the focal lengths, pixels.
+fn focal(view: &PinholeView) -> f32 {
+    (view.focal[0].abs() * view.focal[1].abs()).sqrt()
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::dataset::{AlphaMode, Normalisation, View};
+    use crate::dataset::{AlphaMode, NormalisedFrame, View};
     use glam::{DVec3, Vec3};
     use scene::{Camera, CameraModel, Pose};
 
-    /// Eight cameras of `focal` pixels at distance 1 around the origin, the first held out, and some points.
+    /// Eight cameras of `focal` pixels at distance 1 around the origin, the first held out, and
+    /// some points.
     fn capture(focal: f64, points: &[Vec3]) -> Dataset {
-        let normalisation = Normalisation { centre: DVec3::ZERO, scale: 1.0 };
+        let normalisation = NormalisedFrame { centre: DVec3::ZERO, scale: 1.0 };
         let camera = Camera::centred(1, CameraModel::Pinhole, 640, 480, focal);
         let view = |k: usize| {
             let (s, c) = (k as f64 / 8.0 * std::f64::consts::TAU).sin_cos();
@@ -64,7 +75,8 @@ mod tests {
         for focal in [300.0, 600.0, 1200.0] {
             let about = |points: &[Vec3]| f64::from(footprint(&capture(focal, points))) * focal;
             assert!((about(&[Vec3::ZERO]) - 1.0).abs() < 1e-5);
-            // What the cameras look at stands in for points, also where there is none that tells anything.
+            // What the cameras look at stands in for points, also where there is none that tells
+            // anything.
             assert!((about(&[]) - 1.0).abs() < 1e-5);
             assert!((about(&[Vec3::NAN, Vec3::new(0.0, 0.0, 90.0)]) - 1.0).abs() < 1e-5);
             // A point beside the ring's middle is nearer for as many cameras as it is farther for.

@@ -1,44 +1,65 @@
 //! A triangle mesh of Gaussians: their surface as the input cameras see it, fused.
 //!
-//! Depths at half transmittance ([`crate::surface`]) of the input views, the photos' colours, truncated signed distances,
-//! marching cubes ([`scene::geometry::fuse`]); the way of 2DGS (Huang et al., SIGGRAPH 2024, section 4.3).
+//! Depths at half transmittance ([`crate::surface`]) of the input views, the photos' colours,
+//! truncated signed distances, marching cubes ([`scene::geometry::fuse`]); the way of 2DGS (Huang
+//! et al., SIGGRAPH 2024, section 4.3).
+//!
+//! ```no_run
+//! use scene::{Gaussians, Progress};
+//! use splat::{Dataset, fusion};
+//!
+//! # fn mesh(gaussians: &Gaussians, dataset: &Dataset) -> Result<(), splat::SplatError> {
+//! let (voxels, progress) = (fusion::DEFAULT_RESOLUTION, Progress::silent());
+//! let mesh = fusion::fused_mesh(gaussians, dataset, false, voxels, &progress)?;
+//! println!("{} triangles", mesh.triangles.len());
+//! # Ok(())
+//! # }
+//! ```
 
-use crate::dataset::Pixels;
+use crate::dataset::{AlphaMode, Dataset, MATTE_MARGIN_PX, Pixels, View};
+use crate::error::SplatError;
+use crate::quantile::{median, quantile};
+use crate::reference::constants::DEFAULT_NEAR;
 use crate::surface::median_depth;
-use crate::{AlphaMode, Dataset, SplatError, View};
 use glam::DVec3;
 use rayon::prelude::*;
 use scene::geometry::{DepthMap, FusionOptions, Mesh, fuse};
 use scene::sim3::Sim3;
 use scene::{Gaussians, Pose, Progress};
 
-/// Most voxels along the longest side of the object, unless asked for otherwise.
+/// Most voxels along the longest side of the object, unless asked for otherwise. Source:
+/// docs/decisions/16.
 pub const DEFAULT_RESOLUTION: u32 = 400;
-/// Most views that are fused, spread evenly.
+/// Most views that are fused, spread evenly. Source: chosen by hand, never measured.
 const MOST_VIEWS: usize = 120;
-/// Depth maps are at most so many pixels wide for each voxel along the object.
-const MOST_PIXELS: usize = 3;
 /// A voxel is at least so many pixels of the surface wide: seen aslant, pixels lie farther apart.
+/// Source: docs/decisions/16.
 const PIXELS_OF_A_VOXEL: f64 = 1.5;
-/// Distances are cut off here, voxels.
+/// Distances are cut off here, voxels. Source: docs/decisions/16.
 const TRUNCATION: f64 = 5.0;
-/// Most memory of the volume, bytes.
+/// Most memory of the volume, bytes. Source: docs/decisions/16.
 const MOST_BYTES: usize = 3 << 30;
-/// Parts smaller than this share of the largest one's area are left out. A boom or an antenna is a few thousandths.
+/// Parts smaller than this share of the largest one's area are left out. Source: docs/decisions/16;
+/// a boom or an antenna is a few thousandths.
 const LEAST_PART: f64 = 0.001;
-/// A surface is seen by at least this share of the views: half of them look at its back, and some are in each other's way.
+/// A surface is seen by at least this share of the views: half of them look at its back, and some
+/// are in each other's way.
+/// Source: chosen by hand, never measured.
 const LEAST_VIEWS: f64 = 0.05;
-/// Of the measured points, this share at either end says nothing of the object's size.
+/// Of the measured points, this share at either end says nothing of the object's size. Source:
+/// chosen by hand, never measured.
 const TAIL: f64 = 0.005;
-/// Masks are white from here.
+/// Points of a map by which sizes are told, at most. Source: chosen by hand: [`TAIL`] of it are
+/// 100.
+const POINTS_OF_A_MAP: usize = 20_000;
+/// Masks are white from here, of 255. Source: the middle.
 const WHITE: u8 = 128;
-/// Black so near to white says little, pixels: mattes and poses are not better than that, and a rod is not wider.
-const MATTE_MARGIN_PX: usize = 2;
 
-/// The surface of a scene's Gaussians (world frame) as the views of the data set see it, with the photos' colours;
-/// world frame, no triangles where nothing is half opaque. `resolution`: voxels along the longest side of what is seen,
-/// which without mattes ends at the cameras' distance; fewer where a voxel would be smaller than a pixel, because surfaces seen
-/// through gaps are full of holes. Where a matte is black, nothing is.
+/// The surface of a scene's Gaussians (world frame) as the views of the data set see it, with the
+/// photos' colours; world frame, no triangles where nothing is half opaque. `resolution`: voxels
+/// along the longest side of what is seen, which without mattes ends at the cameras' distance;
+/// fewer where a voxel would be smaller than a pixel, because surfaces seen through gaps are full
+/// of holes. Where a matte is black, nothing is.
 pub fn fused_mesh(
     gaussians: &Gaussians,
     dataset: &Dataset,
@@ -49,14 +70,14 @@ pub fn fused_mesh(
     // In the normalised frame no number is too small or too large, whatever the units are.
     let n = &dataset.normalisation;
     let normalised = Sim3 { scale: n.scale, translation: -n.scale * n.centre, ..Sim3::IDENTITY };
-    let gaussians = n.to_normalised(gaussians.clone());
+    let gaussians = n.normalise(gaussians.clone());
     let count = dataset.views.len().min(MOST_VIEWS);
     progress.begin("depth maps", count);
     let mut maps = Vec::with_capacity(count);
     for k in 0..count {
         let view = &dataset.views[k * dataset.views.len() / count];
         let pose = normalised.transform_pose(&view.pose);
-        maps.extend(depth_map(view, &pose, (&gaussians, antialias), dataset.alpha, resolution));
+        maps.extend(depth_map(view, &pose, &gaussians, antialias, dataset.alpha, resolution));
         progress.tick()?;
     }
     if !dataset.is_transparent() {
@@ -87,24 +108,31 @@ pub fn fused_mesh(
 fn depth_map(
     view: &View,
     pose: &Pose,
-    (gaussians, antialias): (&Gaussians, bool),
+    gaussians: &Gaussians,
+    antialias: bool,
     alpha: AlphaMode,
     resolution: u32,
 ) -> Option<DepthMap> {
-    let most = MOST_PIXELS * resolution as usize;
-    let small = |p: &&Pixels| p.width.max(p.height) <= most;
-    let pixels = view.levels.iter().find(small).or(view.levels.last())?;
+    // Twice as fine as voxels may be.
+    let most = (2.0 * PIXELS_OF_A_VOXEL * f64::from(resolution)) as usize;
+    let pixels = view.levels.iter().find(|p| p.width.max(p.height) <= most).or(view.levels.last())?;
     let camera = view.camera.scaled(pixels.width as u32, pixels.height as u32);
-    let near = 0.01 * median_distance(gaussians, pose.centre());
+    let near = DEFAULT_NEAR * median_distance(gaussians, pose.centre());
     let mut depth: Vec<f32> = median_depth(gaussians, &camera, pose, near, antialias)
         .into_iter()
         .map(|z| z.map_or(f32::NAN, |z| z as f32))
         .collect();
-    if let Some(mask) = &pixels.mask {
-        let near_white = near_white(mask, pixels.width);
-        for (z, (_, near)) in
-            depth.iter_mut().zip(mask.iter().zip(near_white)).filter(|(_, (m, _))| **m < WHITE)
-        {
+    blank(&mut depth, pixels, alpha);
+    Some(DepthMap { camera, pose: *pose, depth, rgb: pixels.rgb.clone() })
+}
+
+/// What a black mask says of the depths: nothing, or that the ray is empty (less surely so near to
+/// white).
+fn blank(depth: &mut [f32], pixels: &Pixels, alpha: AlphaMode) {
+    let Some(mask) = &pixels.mask else { return };
+    let near_white = near_white(mask, pixels.width);
+    for ((z, m), near) in depth.iter_mut().zip(mask).zip(near_white) {
+        if *m < WHITE {
             *z = match (alpha, near) {
                 (AlphaMode::Ignore, _) => f32::NAN,
                 (AlphaMode::Transparent, false) => f32::INFINITY,
@@ -112,7 +140,6 @@ fn depth_map(
             };
         }
     }
-    Some(DepthMap { camera, pose: *pose, depth, rgb: pixels.rgb.clone() })
 }
 
 /// Whether some pixel within the margin (a square) is white, [height × width].
@@ -123,36 +150,40 @@ fn near_white(mask: &[u8], width: usize) -> Vec<bool> {
         (0..row.len()).map(move |x| row[x.saturating_sub(m)..(x + m + 1).min(row.len())].contains(&true))
     });
     let rows: Vec<bool> = rows.collect();
-    let column = |i: usize| {
-        (i.max(m * width + i % width) - m * width..rows.len().min(i + m * width + 1)).step_by(width)
-    };
-    (0..rows.len()).map(|i| column(i).any(|j| rows[j])).collect()
+    (0..rows.len())
+        .map(|i| {
+            let first = i.max(m * width + i % width) - m * width;
+            (first..rows.len().min(i + m * width + 1)).step_by(width).any(|j| rows[j])
+        })
+        .collect()
 }
 
 /// The points of every map; their number a map is bounded.
 fn points(maps: &[DepthMap]) -> Vec<DVec3> {
-    let of = |map: &DepthMap| {
-        let world_from_cam = map.pose.inverse();
-        let step = map.depth.len().div_ceil(20_000).max(1);
-        (0..map.depth.len()).step_by(step).filter_map(|i| map.point(i, &world_from_cam)).collect::<Vec<_>>()
-    };
-    maps.par_iter().flat_map_iter(of).collect()
+    maps.par_iter().flat_map_iter(points_of_map).collect()
+}
+
+fn points_of_map(map: &DepthMap) -> Vec<DVec3> {
+    let world_from_cam = map.pose.inverse();
+    let step = map.depth.len().div_ceil(POINTS_OF_A_MAP).max(1);
+    (0..map.depth.len()).step_by(step).filter_map(|i| map.point(i, &world_from_cam)).collect()
 }
 
 /// Without mattes the object is what lies around the middle, as far as the cameras are from it.
 fn crop(maps: &mut [DepthMap]) {
     let points = points(maps);
-    let middle = |axis: usize| quantile(points.iter().map(|p| p[axis]).collect(), 0.5);
-    let (Some(x), Some(y), Some(z)) = (middle(0), middle(1), middle(2)) else { return };
+    let [x, y, z] = [0, 1, 2].map(|axis| median(points.iter().map(|p| p[axis]).collect()));
+    let (Some(x), Some(y), Some(z)) = (x, y, z) else { return };
     let centre = DVec3::new(x, y, z);
     let distances = maps.iter().map(|m| m.pose.centre().distance(centre)).collect();
-    let Some(radius) = quantile(distances, 0.5) else { return };
+    let Some(radius) = median(distances) else { return };
     maps.par_iter_mut().for_each(|map| {
         let (world_from_cam, eye) = (map.pose.inverse(), map.pose.centre());
         for i in 0..map.depth.len() {
             let point = map.point(i, &world_from_cam);
             if let Some(p) = point.filter(|p| p.distance(centre) > radius) {
-                // A ray that went on behind the middle found it empty; one that ended before it says nothing.
+                // A ray that went on behind the middle found it empty; one that ended before it
+                // says nothing.
                 let passed = p.distance(eye) > centre.distance(eye);
                 map.depth[i] = if passed { f32::INFINITY } else { f32::NAN };
             }
@@ -163,30 +194,26 @@ fn crop(maps: &mut [DepthMap]) {
 /// Longest side of the box around what was measured but for its tails; 0 where that is nothing.
 fn extent(maps: &[DepthMap]) -> f64 {
     let points = points(maps);
-    let side = |axis: usize| {
-        let along: Vec<f64> = points.iter().map(|p| p[axis]).collect();
-        Some(quantile(along.clone(), 1.0 - TAIL)? - quantile(along, TAIL)?)
-    };
-    (0..3).filter_map(side).fold(0.0, f64::max)
+    (0..3)
+        .filter_map(|axis| {
+            let along: Vec<f64> = points.iter().map(|p| p[axis]).collect();
+            Some(quantile(along.clone(), 1.0 - TAIL)? - quantile(along, TAIL)?)
+        })
+        .fold(0.0, f64::max)
 }
 
 /// Side of a pixel on the surface, median over the views.
 fn pixel(maps: &[DepthMap]) -> f64 {
-    let of = |map: &DepthMap| {
+    let sizes = maps.iter().filter_map(|map| {
         let seen = map.depth.iter().filter(|z| **z > 0.0 && z.is_finite()).map(|z| f64::from(*z)).collect();
-        Some(quantile(seen, 0.5)? / map.camera.mean_focal())
-    };
-    quantile(maps.iter().filter_map(of).collect(), 0.5).unwrap_or(0.0)
-}
-
-fn quantile(mut values: Vec<f64>, share: f64) -> Option<f64> {
-    let place = ((values.len().max(1) - 1) as f64 * share).round() as usize;
-    (!values.is_empty()).then(|| *values.select_nth_unstable_by(place, f64::total_cmp).1)
+        Some(median(seen)? / map.camera.mean_focal())
+    });
+    median(sizes.collect()).unwrap_or(0.0)
 }
 
 /// Median distance of the Gaussians from a place, scene units; 1 without Gaussians.
 pub fn median_distance(gaussians: &Gaussians, from: DVec3) -> f64 {
-    quantile(gaussians.means.iter().map(|m| m.as_dvec3().distance(from)).collect(), 0.5).unwrap_or(1.0)
+    median(gaussians.means.iter().map(|m| m.as_dvec3().distance(from)).collect()).unwrap_or(1.0)
 }
 
 #[cfg(test)]

@@ -1,68 +1,69 @@
 //! The visual hull: what the mattes of the training views leave room for.
 
-use crate::PinholeView;
-use crate::dataset::View;
+use crate::dataset::{MATTE_MARGIN_PX, View};
 use crate::model::Model;
+use crate::view::PinholeView;
 use glam::Vec3;
 use rayon::prelude::*;
 
-/// Coverage (of 255) below which a pixel of a matte shows only background.
+/// Coverage (of 255) below which a pixel of a matte shows only background. Source: 3 %, chosen by
+/// hand, never measured.
 const EMPTY: u8 = 8;
-/// Resolution of the outlines (1: half) and by how many of its pixels they are widened: mattes and poses are that exact.
+/// Level of the outlines (1: half the resolution): mattes and poses are no more exact.
+/// Source: chosen by hand, never measured.
 const LEVEL: usize = 1;
-const MARGIN: usize = 1;
-/// Views that may contradict a place before it counts as outside: so many, and one in so many of those that see it.
+/// By how many of their pixels outlines are widened. Source: [`MATTE_MARGIN_PX`].
+const MARGIN: usize = MATTE_MARGIN_PX >> LEVEL;
+/// Views with a matte from which a hull is told. Source: chosen by hand, never measured.
+const LEAST_VIEWS: usize = 8;
+/// Views that may contradict a place before it counts as outside. Source: chosen by hand: mattes
+/// lose a rod here and there.
 const FEW: usize = 2;
+/// The same as a share of those that see it, one in so many. Source: see [`FEW`].
 const ONE_IN: usize = 20;
 
 /// The silhouette of one view, widened.
-struct Outline {
+struct Silhouette {
     view: PinholeView,
     covered: Vec<bool>,
 }
 
 /// Silhouettes of all views that have a matte, to ask whether a place can belong to the object.
 ///
-/// A place outside the visual hull (Laurentini 1994) is seen before the background by some view. A few such views prove nothing:
-/// mattes lose a rod here and there; so a place is outside when more than 2 and more than a twentieth of
-/// the views that have it in their picture show background there.
-pub struct VisualHull {
-    outlines: Vec<Outline>,
+/// A place outside the visual hull (Laurentini 1994) is seen before the background by some view. A
+/// few such views prove nothing, so a place is outside when more than 2 and more than a twentieth
+/// of the views that have it in their picture show background there.
+pub(crate) struct VisualHull {
+    silhouettes: Vec<Silhouette>,
 }
 
 impl VisualHull {
     /// From the mattes of `views`; `None` where fewer than eight have one.
-    pub fn of<'a>(views: impl Iterator<Item = &'a View>) -> Option<Self> {
-        let outlines: Vec<Outline> = views.filter_map(Outline::of).collect();
-        (outlines.len() >= 8).then_some(Self { outlines })
+    pub(crate) fn of<'a>(views: impl Iterator<Item = &'a View>) -> Option<Self> {
+        let silhouettes: Vec<Silhouette> = views.filter_map(Silhouette::of).collect();
+        (silhouettes.len() >= LEAST_VIEWS).then_some(Self { silhouettes })
     }
 
     /// Whether too many views show background at `x` (frame of the views).
-    pub fn excludes(&self, x: Vec3) -> bool {
+    fn excludes(&self, x: Vec3) -> bool {
         let (mut seen, mut empty) = (0, 0);
-        for outline in &self.outlines {
-            if let Some(covered) = outline.covers(x) {
-                seen += 1;
-                empty += usize::from(!covered);
-            }
+        for covered in self.silhouettes.iter().filter_map(|s| s.covers(x)) {
+            seen += 1;
+            empty += usize::from(!covered);
         }
         empty > FEW && empty * ONE_IN > seen
     }
 
-    /// Removes Gaussians whose centre the hull excludes; returns how many. None where that would leave nothing.
-    pub fn prune(&self, model: &mut Model) -> usize {
-        let stays = |i: &u32| !self.excludes(model.mean(*i as usize));
-        let keep: Vec<u32> = (0..model.len as u32).into_par_iter().filter(stays).collect();
-        let removed = model.len - keep.len();
-        if removed == 0 || keep.is_empty() {
-            return 0;
-        }
-        model.select(&keep);
-        removed
+    /// Removes Gaussians whose centre the hull excludes; returns how many. None where that would
+    /// leave nothing.
+    pub(crate) fn prune(&self, model: &mut Model) -> usize {
+        let all = (0..model.len as u32).into_par_iter();
+        let keep: Vec<u32> = all.filter(|&i| !self.excludes(model.mean(i as usize))).collect();
+        model.keep(&keep)
     }
 }
 
-impl Outline {
+impl Silhouette {
     fn of(view: &View) -> Option<Self> {
         let level = LEVEL.min(view.levels.len() - 1);
         let pixels = &view.levels[level];
@@ -80,29 +81,28 @@ impl Outline {
 
     /// Whether the silhouette covers `x`; `None` outside the picture.
     fn covers(&self, x: Vec3) -> Option<bool> {
-        let v = &self.view;
-        let c = v.rotation * x + v.translation;
+        let view = &self.view;
+        let c = view.camera_point(x);
         if c.z <= 0.0 {
             return None;
         }
-        let px = v.focal[0] * c.x / c.z + v.centre[0];
-        let py = v.focal[1] * c.y / c.z + v.centre[1];
-        let inside = px >= 0.0 && py >= 0.0 && px < v.width as f32 && py < v.height as f32;
-        inside.then(|| self.covered[py as usize * v.width + px as usize])
+        let [px, py] = view.pixel(c);
+        view.contains([px, py]).then(|| self.covered[py as usize * view.width + px as usize])
     }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::dataset::{Normalisation, Pixels};
+    use crate::dataset::{NormalisedFrame, Pixels};
     use glam::{DVec3, Quat};
     use scene::{Camera, CameraModel, Gaussians, Pose};
 
-    /// Views from a ring of radius 1 of a ball of radius `radius` at the origin; every `blind`-th matte is empty.
+    /// Views from a ring of radius 1 of a ball of radius `radius` at the origin; every `blind`-th
+    /// matte is empty.
     fn views(count: usize, radius: f64, blind: usize) -> Vec<View> {
         let camera = Camera::centred(1, CameraModel::Pinhole, 64, 48, 60.0);
-        let normalisation = Normalisation { centre: DVec3::ZERO, scale: 1.0 };
+        let normalisation = NormalisedFrame { centre: DVec3::ZERO, scale: 1.0 };
         let view = |k: usize| {
             let angle = k as f64 / count as f64 * std::f64::consts::TAU;
             let eye = DVec3::new(angle.cos(), angle.sin(), 0.3).normalize();

@@ -2,90 +2,98 @@
 
 mod nearest;
 
-use crate::SplatError;
 use crate::dataset::{Dataset, View};
+use crate::error::SplatError;
+use crate::view::NEAREST;
 use glam::{DMat3, DVec3, Quat, Vec3};
 use nearest::mean_square_distance;
 use rand::Rng as _;
 use scene::Gaussians;
 use scene::gaussians::SH_C0;
 
-/// Opacity of the first Gaussians (3DGS: 0.1). Chosen on short runs of one capture.
-pub const OPACITY: f32 = 0.3;
-/// Points drawn where there is no sparse cloud.
-const CANDIDATES: usize = 400_000;
-
-/// Points of a sparse cloud with fewer than which it is not used.
+/// Opacity of the first Gaussians. Source: chosen on short runs of fox (Kerbl et al. 2023 have
+/// 0.1).
+const OPACITY: f32 = 0.3;
+/// Points of a sparse cloud with fewer than which it is not used. Source: chosen by hand, never
+/// measured.
 const LEAST_POINTS: usize = 16;
+/// Gaussians placed where there is no sparse cloud. Source: chosen by hand, never measured.
+const RANDOM_POINTS: usize = 15_000;
+/// Points drawn for them at most. Source: chosen by hand: one in 27 may lie inside the hull.
+const CANDIDATES: usize = 400_000;
+/// Radius of the ball in which they are drawn, distances of the cameras from what they look at.
+/// Source: chosen by hand, never measured.
+const BALL: f64 = 0.6;
+/// Matte (of 255) below which a view excludes a point. Source: 6 %, chosen by hand, never measured.
+const EMPTY: u8 = 16;
+/// Determinant a view at which optical axes are parallel. Source: a spread of the axes of about
+/// 0.6°.
+const PARALLEL: f64 = 1e-4;
 
-/// The finite points of the sparse cloud (normalised) with their colours; none where they are too few to be used.
-pub fn cloud(dataset: &Dataset) -> Option<Vec<(Vec3, [u8; 3])>> {
+/// A point stands alone where its neighbours are farther off than this share of its distance from
+/// the nearest camera.
+/// Source: docs/decisions/12, first sizes.
+const ALONE: f32 = 0.2;
+/// Scale of its first Gaussian, as a share of that distance. Source: see [`ALONE`].
+const LARGEST: f32 = 0.05;
+/// Squared scales are limited to this range, squared normalised units.
+/// Source: a hundredth of a pixel of the widest lens, and ten times the scene.
+const SQUARED_SCALES: [f32; 2] = [1e-10, 1e2];
+
+/// A point and its colour.
+type ColouredPoint = (Vec3, [u8; 3]);
+
+/// The finite points of the sparse cloud (normalised) with their colours; none where they are too
+/// few to be used.
+pub(crate) fn cloud(dataset: &Dataset) -> Option<Vec<ColouredPoint>> {
     let points: Vec<_> = dataset.points.iter().filter(|(p, _)| p.is_finite()).copied().collect();
     (points.len() >= LEAST_POINTS).then_some(points)
 }
 
-/// Gaussians at the sparse cloud's points (and at `hull_points` random ones inside the masks' visual hull) or, without any, at
-/// random points inside the hull (or the cameras' common frustum). Isotropic; the scale is the root mean square distance to the three nearest neighbours.
-pub fn initial_gaussians(
-    dataset: &Dataset,
-    max: usize,
-    hull_points: usize,
-    seed: u64,
-) -> Result<Gaussians, SplatError> {
-    let beside = if dataset.is_transparent() { hull_points } else { 0 };
-    let mut points = match cloud(dataset) {
-        None => random_points(dataset, max.min(RANDOM_POINTS), seed),
-        Some(mut points) => {
-            if beside > 0 {
-                points.extend(random_points(dataset, beside, seed));
-            }
-            points
-        }
-    };
+/// Gaussians at the sparse cloud's points or, without any, at random points inside the masks'
+/// visual hull (or the cameras' common frustum). Isotropic; the scale is the root mean square
+/// distance to the three nearest neighbours.
+pub(crate) fn initial_gaussians(dataset: &Dataset, max: usize, seed: u64) -> Result<Gaussians, SplatError> {
+    let points = cloud(dataset).unwrap_or_else(|| random_points(dataset, max.min(RANDOM_POINTS), seed));
     if points.is_empty() {
         return Err(SplatError::NoGaussians("the cameras see no common space; check the poses".to_owned()));
     }
-    thin(&mut points, max, seed);
-    let mut gaussians = at_points(&points);
+    let mut gaussians = at_points(&thinned(points, max, seed));
     let cameras: Vec<Vec3> = dataset.views.iter().map(|v| v.view.position()).collect();
     limit_scales(&mut gaussians, &cameras);
     Ok(gaussians)
 }
 
-/// A point stands alone where its neighbours are farther off than this share of its distance from the nearest camera.
-const ALONE: f32 = 0.2;
-/// Scale of its first Gaussian, as a share of that distance.
-const LARGEST: f32 = 0.05;
-
-/// Points that stand alone, such as wrong ones far away, would become Gaussians that fill every picture and that the others
-/// are trained against. They begin small; those of a thin background stay as large as its gaps.
+/// Points that stand alone, such as wrong ones far away, would become Gaussians that fill every
+/// picture and that the others are trained against. They begin small; those of a thin background
+/// stay as large as its gaps.
 fn limit_scales(gaussians: &mut Gaussians, cameras: &[Vec3]) {
+    let least = SQUARED_SCALES[0].sqrt();
     for (mean, scales) in gaussians.means.iter().zip(&mut gaussians.log_scales) {
         let nearest = cameras.iter().map(|c| c.distance_squared(*mean)).fold(f32::INFINITY, f32::min).sqrt();
-        if nearest.is_finite() && scales.max_element() > (ALONE * nearest).max(1e-5).ln() {
-            *scales = Vec3::splat((LARGEST * nearest).max(1e-5).ln());
+        if nearest.is_finite() && scales.max_element() > (ALONE * nearest).max(least).ln() {
+            *scales = Vec3::splat((LARGEST * nearest).max(least).ln());
         }
     }
 }
 
-/// Gaussians placed where there is no sparse cloud.
-const RANDOM_POINTS: usize = 15_000;
-
-/// Keeps at most `max` points, chosen at random.
-fn thin(points: &mut Vec<(Vec3, [u8; 3])>, max: usize, seed: u64) {
+/// At most `max` of the points, chosen at random.
+fn thinned(mut points: Vec<ColouredPoint>, max: usize, seed: u64) -> Vec<ColouredPoint> {
     let mut rng = scene::rng::rng(seed, "thin", 0);
     while points.len() > max.max(1) {
         let i = rng.random_range(0..points.len());
         points.swap_remove(i);
     }
+    points
 }
 
-fn at_points(points: &[(Vec3, [u8; 3])]) -> Gaussians {
+fn at_points(points: &[ColouredPoint]) -> Gaussians {
     let positions: Vec<Vec3> = points.iter().map(|p| p.0).collect();
     let logit = (OPACITY / (1.0 - OPACITY)).ln();
-    let scales = mean_square_distance(&positions);
+    let squares = mean_square_distance(&positions);
+    let [least, most] = SQUARED_SCALES;
     Gaussians {
-        log_scales: scales.iter().map(|d| Vec3::splat(0.5 * d.clamp(1e-10, 1e2).ln())).collect(),
+        log_scales: squares.iter().map(|d| Vec3::splat(0.5 * d.clamp(least, most).ln())).collect(),
         rotations: vec![Quat::IDENTITY; points.len()],
         opacity_logits: vec![logit; points.len()],
         sh: points.iter().flat_map(|(_, rgb)| rgb.map(|c| (f32::from(c) / 255.0 - 0.5) / SH_C0)).collect(),
@@ -94,8 +102,9 @@ fn at_points(points: &[(Vec3, [u8; 3])]) -> Gaussians {
     }
 }
 
-/// The point nearest to all optical axes (least squares) and the mean distance of the cameras from it.
-pub(crate) fn focus(views: &[View]) -> Option<(DVec3, f64)> {
+/// The point nearest to all optical axes (least squares) and the mean distance of the cameras from
+/// it.
+pub(crate) fn focus(views: &[&View]) -> Option<(DVec3, f64)> {
     let (mut a, mut b) = (DMat3::ZERO, DVec3::ZERO);
     for v in views {
         let (c, d) = (v.view.position().as_dvec3(), v.view.rotation.row(2).as_dvec3().normalize());
@@ -104,79 +113,81 @@ pub(crate) fn focus(views: &[View]) -> Option<(DVec3, f64)> {
         b += across * c;
     }
     let n = views.len() as f64;
-    let centre = if a.determinant().abs() > 1e-4 * n.powi(3) {
+    let centre = if a.determinant().abs() > PARALLEL * n.powi(3) {
         a.inverse() * b
     } else {
         // Parallel axes: one unit in front of the mean camera.
-        let ahead = |v: &View| (v.view.position() + v.view.rotation.row(2)).as_dvec3();
-        views.iter().map(ahead).sum::<DVec3>() / n
+        views.iter().map(|v| (v.view.position() + v.view.rotation.row(2)).as_dvec3()).sum::<DVec3>() / n
     };
     let distance = views.iter().map(|v| v.view.position().as_dvec3().distance(centre)).sum::<f64>() / n;
     (centre.is_finite() && distance > 0.0).then_some((centre, distance))
 }
 
-/// What a view says about a point.
-enum Sight {
+/// What a view shows at a point.
+enum PointInView {
     Outside,
     Masked,
-    Seen([u8; 3]),
+    Colour([u8; 3]),
 }
 
-fn look(view: &View, x: Vec3) -> Sight {
-    let v = &view.view;
-    let c = v.rotation * x + v.translation;
-    if c.z < 0.05 {
-        return Sight::Outside;
+fn look_at(view: &View, x: Vec3) -> PointInView {
+    let c = view.view.camera_point(x);
+    if c.z < NEAREST as f32 {
+        return PointInView::Outside;
     }
-    let (px, py) = (v.focal[0] * c.x / c.z + v.centre[0], v.focal[1] * c.y / c.z + v.centre[1]);
-    if px < 0.0 || py < 0.0 || px >= v.width as f32 || py >= v.height as f32 {
-        return Sight::Outside;
+    let [px, py] = view.view.pixel(c);
+    if !view.view.contains([px, py]) {
+        return PointInView::Outside;
     }
     let pixels = &view.levels[0];
     let at = py as usize * pixels.width + px as usize;
-    if pixels.mask.as_ref().is_some_and(|m| m[at] < 16) {
-        return Sight::Masked;
+    if pixels.mask.as_ref().is_some_and(|m| m[at] < EMPTY) {
+        return PointInView::Masked;
     }
-    Sight::Seen([pixels.rgb[at * 3], pixels.rgb[at * 3 + 1], pixels.rgb[at * 3 + 2]])
+    PointInView::Colour([pixels.rgb[at * 3], pixels.rgb[at * 3 + 1], pixels.rgb[at * 3 + 2]])
 }
 
-/// Points of a ball about the cameras' focus that at most one mask excludes and two views have in their pictures (fewer
-/// where there are fewer than three); colour: mean over the views.
-fn random_points(dataset: &Dataset, wanted: usize, seed: u64) -> Vec<(Vec3, [u8; 3])> {
-    let views: Vec<View> = dataset.views.iter().filter(|v| !v.held_out).cloned().collect();
+/// Points of a ball about the cameras' focus that the views agree on ([`mean_colour`]).
+fn random_points(dataset: &Dataset, wanted: usize, seed: u64) -> Vec<ColouredPoint> {
+    let views: Vec<&View> = dataset.views.iter().filter(|v| !v.held_out).collect();
     let Some((centre, distance)) = focus(&views) else { return Vec::new() };
     let mut rng = scene::rng::rng(seed, "random points", 0);
-    let mut points = Vec::new();
-    for _ in 0..CANDIDATES {
-        let x = loop {
-            let u: [f32; 3] = std::array::from_fn(|_| rng.random_range(-1.0f32..1.0));
-            let u = Vec3::from_array(u);
-            if u.length_squared() <= 1.0 {
-                break centre.as_vec3() + u * (0.6 * distance) as f32;
-            }
-        };
-        let (mut seen, mut masked, mut sum) = (0u32, 0u32, [0u32; 3]);
-        for view in &views {
-            match look(view, x) {
-                Sight::Outside => {}
-                Sight::Masked => masked += 1,
-                Sight::Seen(rgb) => {
-                    seen += 1;
-                    rgb.iter().zip(&mut sum).for_each(|(&v, s)| *s += u32::from(v));
-                }
-            }
-            if masked > 1 {
-                break;
-            }
-        }
-        if masked <= 1 && seen > 0 && 2 * (seen + masked) as usize >= views.len().min(4) {
-            points.push((x, sum.map(|s| (s / seen) as u8)));
-            if points.len() == wanted {
-                break;
-            }
+    let candidates =
+        std::iter::repeat_with(|| centre.as_vec3() + in_ball(&mut rng) * (BALL * distance) as f32);
+    let agreed = candidates.take(CANDIDATES).filter_map(|x| Some((x, mean_colour(&views, x)?)));
+    agreed.take(wanted).collect()
+}
+
+/// A point of the unit ball, uniform.
+fn in_ball(rng: &mut scene::rng::Rng) -> Vec3 {
+    loop {
+        let u: [f32; 3] = std::array::from_fn(|_| rng.random_range(-1.0f32..1.0));
+        let u = Vec3::from_array(u);
+        if u.length_squared() <= 1.0 {
+            return u;
         }
     }
-    points
+}
+
+/// Mean colour of a point over the views, where at most one mask excludes it and two views have it
+/// in their pictures (fewer where there are fewer than three).
+fn mean_colour(views: &[&View], x: Vec3) -> Option<[u8; 3]> {
+    let (mut seen, mut masked, mut sum) = (0u32, 0u32, [0u32; 3]);
+    for view in views {
+        match look_at(view, x) {
+            PointInView::Outside => {}
+            PointInView::Masked => masked += 1,
+            PointInView::Colour(rgb) => {
+                seen += 1;
+                rgb.iter().zip(&mut sum).for_each(|(&v, s)| *s += u32::from(v));
+            }
+        }
+        if masked > 1 {
+            return None;
+        }
+    }
+    let enough = (seen + masked) as usize >= views.len().div_ceil(2).min(2);
+    (seen > 0 && enough).then(|| sum.map(|s| (s / seen) as u8))
 }
 
 #[cfg(test)]

@@ -1,39 +1,45 @@
 //! Gaussian splatting: from posed images to Gaussians, and from Gaussians to images.
 //!
-//! The trainer works in a normalised frame (cameras within about one unit of the origin, [`Dataset`]); results
-//! come back in the world frame of the reconstruction. Backends share the kernels' names and their image formation:
-//! `reference` is the specification in f64, `cpu` the production path, `gpu` the same on graphics adapters.
+//! The trainer works in a normalised frame (cameras within about one unit of the origin,
+//! [`Dataset`]); results come back in the world frame of the reconstruction. Backends share the
+//! kernels' names and their image formation: `reference` is the specification in f64, `cpu` the
+//! production path, `gpu` the same on graphics adapters.
+//!
+//! [`train()`] makes Gaussians of a [`Dataset`], [`Renderer`] pictures of Gaussians, [`fusion`] a
+//! mesh.
 
-pub mod adapter;
+mod adapter;
 pub mod backend;
-pub mod checkpoint;
+mod camera;
 pub mod clock;
 pub mod config;
-pub mod cpu;
-pub mod dataset;
-pub mod densify;
+mod cpu;
+mod dataset;
 pub mod device;
-pub mod error;
+mod error;
 mod footprint;
 pub mod fusion;
 #[cfg(feature = "gpu")]
-pub mod gpu;
-pub mod hull;
-pub mod init;
+mod gpu;
+mod hull;
+mod init;
 pub mod model;
-pub mod pace;
-pub mod reference;
-pub mod render;
-pub mod schedule;
-pub mod smoothing;
+#[cfg(test)]
+mod parity;
+pub mod profile;
+mod quantile;
+mod reference;
+mod render;
+pub mod statistics;
 pub mod surface;
 pub mod train;
+mod view;
 
-pub use adapter::{Adapter, AdapterKind, adapters};
-pub use backend::{Backend, PinholeView};
-pub use config::{PoseRefinement, Quality, Recipe, Selection, TrainConfig};
-pub use dataset::{AlphaMode, Dataset, DatasetConfig, View};
-pub use device::{BackendChoice, DeviceConfig};
+pub use adapter::{Adapter, AdapterKind};
+pub use config::{PoseRefinement, Quality, TrainConfig};
+pub use dataset::{AlphaMode, Dataset, DatasetConfig, NormalisedFrame, Pixels, View, pyramid};
+pub use device::{BackendChoice, DeviceConfig, adapters};
 pub use error::SplatError;
-pub use render::{RenderOptions, RenderOutput, Renderer, render_view};
-pub use train::{CurvePoint, Decision, TrainResult, train};
+pub use render::Renderer;
+pub use train::{CurvePoint, TrainResult, train};
+pub use view::{PinholeView, RenderOptions, RenderOutput};

@@ -4,25 +4,30 @@ use glam::{Quat, Vec3};
 use scene::Gaussians;
 use serde::{Deserialize, Serialize};
 
-/// Planes are padded to a multiple of this, so that a vector load never leaves them.
-pub const LANE_PAD: usize = 16;
+/// Planes are padded to a multiple of this, so that a vector load never leaves them, values.
+/// Source: the widest vectors (AVX-512) hold so many.
+pub(crate) const LANE_PAD: usize = 16;
 
-/// Number of geometric parameters of a Gaussian.
+/// Highest degree of the spherical harmonics. Source: Kerbl et al. 2023.
+pub(crate) const MAX_SH_DEGREE: u32 = 3;
+
+/// Number of geometric parameters of a Gaussian. Source: Kerbl et al. 2023: 3 + 3 + 4 + 1.
 pub const GEOMETRY: usize = 11;
 
-/// First plane of the mean (x, y, z).
-pub const MEAN: usize = 0;
+/// First plane of the mean (x, y, z). Source: the order of [`Model::row`], as for the following.
+pub(crate) const MEAN: usize = 0;
 /// First plane of the logarithms of the scales (x, y, z).
-pub const LOG_SCALE: usize = 3;
+pub(crate) const LOG_SCALE: usize = 3;
 /// First plane of the quaternion (w, x, y, z).
-pub const ROTATION: usize = 6;
+pub(crate) const ROTATION: usize = 6;
 /// Plane of the opacity logit.
-pub const OPACITY: usize = 10;
+pub(crate) const OPACITY: usize = 10;
 
 /// Geometric parameters: plane p of Gaussian i is `planes[p][i]`.
 pub type Planes = [Vec<f32>; GEOMETRY];
 
-/// N Gaussians in training. Invariant: every plane has `padded(len)` entries, every SH array `len · 3K`.
+/// N Gaussians in training. Invariant: every plane has `padded(len)` entries, every SH array `len ·
+/// 3K`.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Model {
     /// Number of Gaussians.
@@ -46,7 +51,7 @@ pub struct Model {
 }
 
 /// `n` rounded up to whole vectors.
-pub fn padded(n: usize) -> usize {
+pub(crate) fn padded(n: usize) -> usize {
     n.div_ceil(LANE_PAD) * LANE_PAD
 }
 
@@ -66,43 +71,42 @@ impl Model {
     }
 
     /// The geometric parameters of one Gaussian in the order of the planes.
-    pub fn row(mean: Vec3, log_scale: Vec3, q: Quat, logit: f32) -> [f32; GEOMETRY] {
+    pub(crate) fn row(mean: Vec3, log_scale: Vec3, q: Quat, logit: f32) -> [f32; GEOMETRY] {
         [mean.x, mean.y, mean.z, log_scale.x, log_scale.y, log_scale.z, q.w, q.x, q.y, q.z, logit]
     }
 
     /// As Gaussians, in the same frame.
-    pub fn to_gaussians(&self) -> Gaussians {
-        let g = &self.geometry;
-        let vec = |p: usize, i: usize| Vec3::new(g[p][i], g[p + 1][i], g[p + 2][i]);
+    pub(crate) fn to_gaussians(&self) -> Gaussians {
         let n = 0..self.len;
         Gaussians {
-            means: n.clone().map(|i| vec(MEAN, i)).collect(),
-            log_scales: n.clone().map(|i| vec(LOG_SCALE, i)).collect(),
-            rotations: n
-                .clone()
-                .map(|i| {
-                    Quat::from_xyzw(
-                        g[ROTATION + 1][i],
-                        g[ROTATION + 2][i],
-                        g[ROTATION + 3][i],
-                        g[ROTATION][i],
-                    )
-                })
-                .collect(),
-            opacity_logits: g[OPACITY][..self.len].to_vec(),
+            means: n.clone().map(|i| self.mean(i)).collect(),
+            log_scales: n.clone().map(|i| self.vector(LOG_SCALE, i)).collect(),
+            rotations: n.map(|i| self.rotation(i)).collect(),
+            opacity_logits: self.geometry[OPACITY][..self.len].to_vec(),
             sh: self.sh.clone(),
             sh_degree: self.sh_degree,
         }
     }
 
     /// SH values of one Gaussian, 3K.
-    pub fn sh_stride(&self) -> usize {
+    pub(crate) fn sh_stride(&self) -> usize {
         (self.sh_degree as usize + 1).pow(2) * 3
     }
 
     /// Mean of Gaussian `i`.
-    pub fn mean(&self, i: usize) -> Vec3 {
-        Vec3::new(self.geometry[MEAN][i], self.geometry[MEAN + 1][i], self.geometry[MEAN + 2][i])
+    pub(crate) fn mean(&self, i: usize) -> Vec3 {
+        self.vector(MEAN, i)
+    }
+
+    /// The quaternion of Gaussian `i`, of any norm.
+    pub(crate) fn rotation(&self, i: usize) -> Quat {
+        let [w, x, y, z] = [0, 1, 2, 3].map(|k| self.geometry[ROTATION + k][i]);
+        Quat::from_xyzw(x, y, z, w)
+    }
+
+    /// Three planes from `first` on, of Gaussian `i`.
+    fn vector(&self, first: usize, i: usize) -> Vec3 {
+        Vec3::from_array([0, 1, 2].map(|k| self.geometry[first + k][i]))
     }
 
     /// Appends a Gaussian with zero moments. [`Model::pad`] must follow before the next step.
@@ -126,7 +130,7 @@ impl Model {
     }
 
     /// Appends Gaussians with zero moments; SH are those of `parents` (present Gaussians).
-    pub fn append(&mut self, rows: &[([f32; GEOMETRY], usize)]) {
+    pub(crate) fn append(&mut self, rows: &[([f32; GEOMETRY], usize)]) {
         let k = self.sh_stride();
         // Exactly what is needed: vectors that double hold up to as much again.
         let planes = self.geometry.iter_mut().chain(&mut self.geometry_m).chain(&mut self.geometry_v);
@@ -144,7 +148,7 @@ impl Model {
     }
 
     /// Keeps the Gaussians in `order` (indices into the present ones), in that order.
-    pub fn select(&mut self, order: &[u32]) {
+    pub(crate) fn select(&mut self, order: &[u32]) {
         let k = self.sh_stride();
         for planes in [&mut self.geometry, &mut self.geometry_m, &mut self.geometry_v] {
             for plane in planes.iter_mut() {
@@ -161,8 +165,19 @@ impl Model {
         self.pad();
     }
 
-    /// The Gaussians in `order` to be drawn: parameters without moments (zeros, which take no memory until written).
-    pub fn drawn(&self, order: &[u32]) -> Self {
+    /// Keeps the Gaussians in `order` unless there are none; returns how many were removed.
+    pub(crate) fn keep(&mut self, order: &[u32]) -> usize {
+        let removed = self.len - order.len();
+        if removed == 0 || order.is_empty() {
+            return 0;
+        }
+        self.select(order);
+        removed
+    }
+
+    /// The Gaussians in `order` to be drawn: parameters without moments (zeros, which take no
+    /// memory until written).
+    pub(crate) fn drawn(&self, order: &[u32]) -> Self {
         let (k, n) = (self.sh_stride(), padded(order.len()));
         let zeros = |n: usize| -> Planes { std::array::from_fn(|_| vec![0.0; n]) };
         let mut some = Self {
@@ -186,9 +201,9 @@ impl Model {
     }
 
     /// Raises (new coefficients zero) or lowers the spherical-harmonic degree.
-    pub fn set_sh_degree(&mut self, degree: u32) {
+    pub(crate) fn set_sh_degree(&mut self, degree: u32) {
         let old = self.sh_stride();
-        self.sh_degree = degree.min(3);
+        self.sh_degree = degree.min(MAX_SH_DEGREE);
         let new = self.sh_stride();
         if new == old {
             return;
@@ -204,7 +219,7 @@ impl Model {
     }
 
     /// Forgets the moments of Gaussian `i`.
-    pub fn reset_moments(&mut self, i: usize) {
+    pub(crate) fn reset_moments(&mut self, i: usize) {
         for p in 0..GEOMETRY {
             self.geometry_m[p][i] = 0.0;
             self.geometry_v[p][i] = 0.0;

@@ -1,45 +1,43 @@
 //! From Gaussians to images.
+//!
+//! ```
+//! use glam::{DVec3, Quat, Vec3};
+//! use scene::{Camera, CameraModel, Gaussians, Pose};
+//! use splat::{RenderOptions, Renderer};
+//!
+//! let ball = Gaussians {
+//!     means: vec![Vec3::ZERO],
+//!     log_scales: vec![Vec3::splat(-1.0)],
+//!     rotations: vec![Quat::IDENTITY],
+//!     opacity_logits: vec![5.0],
+//!     sh: vec![1.0; 3],
+//!     sh_degree: 0,
+//! };
+//! let camera = Camera::centred(1, CameraModel::Pinhole, 64, 48, 60.0);
+//! let pose = Pose::look_at(DVec3::new(0.0, 0.0, -3.0), DVec3::ZERO, -DVec3::Y);
+//! let picture = Renderer::new(&ball)?.render(&camera, &pose, &RenderOptions::default())?;
+//! let centre = 24 * 64 + 32;
+//! assert!(picture.alpha.data[centre] > 0.9 && picture.alpha.data[0] < 0.1);
+//! # Ok::<(), splat::SplatError>(())
+//! ```
 
-use crate::SplatError;
 use crate::backend::Backend;
-use crate::cpu::optimise::Statistics;
-use crate::dataset::Normalisation;
+use crate::dataset::NormalisedFrame;
 use crate::device::{BackendChoice, DeviceConfig};
+use crate::error::SplatError;
 use crate::model::Model;
-use crate::train::Decision;
+use crate::quantile::median;
+use crate::statistics::Statistics;
+use crate::view::{RenderOptions, RenderOutput};
 use glam::DVec3;
-use scene::{Camera, FloatImage, Gaussians, Pose};
-use serde::{Deserialize, Serialize};
-
-/// How to render.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
-pub struct RenderOptions {
-    /// Colour behind everything, sRGB values in [0, 1].
-    pub background: [f32; 3],
-    /// Gaussians nearer than this are not drawn, scene units (default: a hundredth of the Gaussians' spread).
-    pub near: Option<f32>,
-    /// Scale opacity with the 2D low-pass (Mip-Splatting); as in training.
-    pub antialias: bool,
-    /// Use spherical harmonics up to this degree only.
-    pub sh_degree: Option<u32>,
-}
-
-/// A rendered view.
-#[derive(Clone, Debug, Default, PartialEq)]
-pub struct RenderOutput {
-    /// Three channels, over the background; not limited to 1.
-    pub rgb: FloatImage,
-    /// One channel, coverage in [0, 1].
-    pub alpha: FloatImage,
-    /// One channel, expected depth (camera z, scene units), 0 where nothing was drawn.
-    pub depth: FloatImage,
-}
+use scene::{Camera, Decision, Gaussians, Pose};
 
 /// Renders many views of the same Gaussians.
 pub struct Renderer {
     backend: Box<dyn Backend>,
-    frame: Normalisation,
-    /// Whether the Gaussians were trained with [`RenderOptions::antialias`]: then every picture has it.
+    frame: NormalisedFrame,
+    /// Whether the Gaussians were trained with [`RenderOptions::antialias`]: then every picture has
+    /// it.
     pub antialias: bool,
 }
 
@@ -50,13 +48,13 @@ impl Renderer {
         Ok(Self::on(&device, gaussians)?.0)
     }
 
-    /// Prepares the Gaussians, in a frame in which their spread is 1, so that scenes of any unit render alike; says where
-    /// they will be rendered.
+    /// Prepares the Gaussians, in a frame in which their spread is 1, so that scenes of any unit
+    /// render alike; says where they will be rendered.
     pub fn on(device: &DeviceConfig, gaussians: &Gaussians) -> Result<(Self, Decision), SplatError> {
         gaussians.validate().map_err(SplatError::InvalidGaussians)?;
         let frame = spread(gaussians);
         let (mut backend, decision) = crate::device::open(device)?;
-        let model = Model::from_gaussians(&frame.to_normalised(gaussians.clone()));
+        let model = Model::from_gaussians(&frame.normalise(gaussians.clone()));
         backend.upload(model, Statistics::default())?;
         Ok((Self { backend, frame, antialias: false }, decision))
     }
@@ -82,25 +80,11 @@ impl Renderer {
     }
 }
 
-/// Renders one view.
-pub fn render_view(
-    gaussians: &Gaussians,
-    camera: &Camera,
-    pose: &Pose,
-    options: &RenderOptions,
-) -> Result<RenderOutput, SplatError> {
-    Renderer::new(gaussians)?.render(camera, pose, options)
-}
-
 /// Median centre and median distance from it.
-fn spread(g: &Gaussians) -> Normalisation {
-    let median = |mut values: Vec<f64>| -> f64 {
-        values.retain(|v| v.is_finite());
-        let middle = values.len() / 2;
-        if values.is_empty() { 0.0 } else { *values.select_nth_unstable_by(middle, f64::total_cmp).1 }
-    };
-    let axis = |a: usize| median(g.means.iter().map(|m| f64::from(m[a])).collect());
-    let centre = DVec3::new(axis(0), axis(1), axis(2));
-    let distance = median(g.means.iter().map(|m| m.as_dvec3().distance(centre)).collect());
-    Normalisation { centre, scale: if distance > 0.0 { 1.0 / distance } else { 1.0 } }
+fn spread(g: &Gaussians) -> NormalisedFrame {
+    let finite = |values: &mut dyn Iterator<Item = f64>| median(values.filter(|v| v.is_finite()).collect());
+    let [x, y, z] = [0, 1, 2].map(|a| finite(&mut g.means.iter().map(|m| f64::from(m[a]))).unwrap_or(0.0));
+    let centre = DVec3::new(x, y, z);
+    let distance = finite(&mut g.means.iter().map(|m| m.as_dvec3().distance(centre))).unwrap_or(0.0);
+    NormalisedFrame { centre, scale: if distance > 0.0 { 1.0 / distance } else { 1.0 } }
 }

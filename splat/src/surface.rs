@@ -1,22 +1,23 @@
 //! The surface of Gaussians: the depth at which a ray is half absorbed.
 //!
-//! Expected depth, which renderers give, lies between two surfaces at every edge and is drawn towards whatever shines
-//! through; the median does not. Scalar f64, on the kernels of [`crate::reference`], with tiles: it is for judging, not
-//! for drawing.
+//! Expected depth, which renderers give, lies between two surfaces at every edge and is drawn
+//! towards whatever shines through; the median does not. Scalar f64, on the kernels of
+//! [`crate::reference`], with tiles: it is for judging, not for drawing.
 
-use crate::dataset::{Dataset, Pixels};
-use crate::reference::project::{Geometry, MAX_LOG_SCALE, MIN_ALPHA, Projected, project};
-use crate::reference::render::geometry;
+use crate::cpu::TILE;
+use crate::dataset::{Dataset, MATTE_MARGIN_PX, Pixels};
+use crate::reference::constants::{MAX_ALPHA, MAX_LOG_SCALE, MIN_ALPHA};
+use crate::reference::project::{Projected, project};
 use crate::reference::sort::sort;
-use crate::reference::{Options, Parameters, View, rasterise};
+use crate::reference::{GaussianGeometry, Options, Parameters, ReferenceView};
 use glam::{DMat3, DQuat, DVec2, DVec3};
 use rayon::prelude::*;
 use scene::{Camera, Gaussians, Pose};
 
-const TILE: usize = 16;
-
-/// Camera z, scene units, at which the transmittance along each pixel's ray falls to one half or below, [height × width]: where
-/// the Gaussian that brings it there is densest along the ray (a flat one is a plane, and not as far as its centre everywhere); `None` where it never does. The camera must be without distortion; `antialias` as in training.
+/// Camera z, scene units, at which the transmittance along each pixel's ray falls to one half or
+/// below, [height × width]: where the Gaussian that brings it there is densest along the ray (a
+/// flat one is a plane, and not as far as its centre everywhere); `None` where it never does. The
+/// camera must be without distortion; `antialias` as in training.
 pub fn median_depth(
     gaussians: &Gaussians,
     camera: &Camera,
@@ -24,7 +25,7 @@ pub fn median_depth(
     near: f64,
     antialias: bool,
 ) -> Vec<Option<f64>> {
-    let view = View {
+    let view = ReferenceView {
         rotation: DMat3::from_quat(pose.rotation),
         translation: pose.translation,
         focal: camera.focal(),
@@ -36,24 +37,21 @@ pub fn median_depth(
     let options = Options { near, antialias, ..Options::default() };
     let projected: Vec<Option<Projected>> = (0..parameters.len())
         .into_par_iter()
-        .map(|i| project(&geometry(&parameters, i), &view, &options).filter(|p| p.opacity >= MIN_ALPHA))
+        .map(|i| project(&parameters.geometry(i), &view, &options).filter(|p| p.opacity >= MIN_ALPHA))
         .collect();
     let order = sort(&projected);
     let solids: Vec<Solid> =
-        (0..parameters.len()).into_par_iter().map(|i| Solid::new(&geometry(&parameters, i), &view)).collect();
+        (0..parameters.len()).into_par_iter().map(|i| Solid::new(&parameters.geometry(i), &view)).collect();
     let tiles = (view.width.div_ceil(TILE), view.height.div_ceil(TILE));
     let lists = lists(&projected, &order, tiles);
-    let mut depth = vec![None; view.pixels()];
-    depth.par_chunks_mut(TILE * view.width).enumerate().for_each(|(row, band)| {
-        for (i, out) in band.iter_mut().enumerate() {
-            let (x, y) = (i % view.width, row * TILE + i / view.width);
-            let list = &lists[row * tiles.0 + x / TILE];
-            let pixel = DVec2::new(x as f64 + 0.5, y as f64 + 0.5);
-            let ray = ((pixel - view.centre) / view.focal).extend(1.0);
-            *out = half_way(&projected, list, pixel).map(|i| solids[i].peak(ray));
-        }
-    });
-    depth
+    let depth_of = |i: usize| {
+        let (x, y) = (i % view.width, i / view.width);
+        let pixel = DVec2::new(x as f64 + 0.5, y as f64 + 0.5);
+        let ray = ((pixel - view.centre) / view.focal).extend(1.0);
+        let list = &lists[y / TILE * tiles.0 + x / TILE];
+        half_way(&projected, list, pixel).map(|i| solids[i].peak(ray))
+    };
+    (0..view.pixels()).into_par_iter().with_min_len(TILE * view.width.max(1)).map(depth_of).collect()
 }
 
 /// A Gaussian in the camera's frame.
@@ -66,11 +64,12 @@ struct Solid {
     reach: f64,
 }
 
-/// Nothing of a Gaussian is looked for beyond so many standard deviations.
+/// Nothing of a Gaussian is looked for beyond so many standard deviations. Source: 99.7 % of it lie
+/// within.
 const REACH_SIGMAS: f64 = 3.0;
 
 impl Solid {
-    fn new(g: &Geometry, view: &View) -> Self {
+    fn new(g: &GaussianGeometry, view: &ReferenceView) -> Self {
         let own = if g.rotation.length_squared() > 0.0 { g.rotation.normalize() } else { DQuat::IDENTITY };
         let axes = view.rotation * DMat3::from_quat(own);
         let scale = g.log_scale.map(|v| v.clamp(-MAX_LOG_SCALE, MAX_LOG_SCALE).exp());
@@ -79,8 +78,8 @@ impl Solid {
         Self { mean: view.rotation * g.mean + view.translation, precision, reach }
     }
 
-    /// Camera z at which the density along a ray (through the origin, z = 1) is largest: the `t` that minimises
-    /// `(t d − μ)ᵀ Σ⁻¹ (t d − μ)`, within the Gaussian's reach.
+    /// Camera z at which the density along a ray (through the origin, z = 1) is largest: the `t`
+    /// that minimises `(t d − μ)ᵀ Σ⁻¹ (t d − μ)`, within the Gaussian's reach.
     fn peak(&self, ray: DVec3) -> f64 {
         let towards = self.precision * ray;
         let t = towards.dot(self.mean) / towards.dot(ray);
@@ -94,7 +93,6 @@ fn lists(projected: &[Option<Projected>], order: &[usize], (columns, rows): (usi
     for &i in order {
         let Some(g) = projected[i] else { continue };
         let half = g.half_extent();
-        let tile = |v: f64, most: usize| ((v / TILE as f64).max(0.0) as usize).min(most);
         let (low, high) = (g.xy - half, g.xy + half);
         if !low.is_finite() || !high.is_finite() || high.min_element() < 0.0 {
             continue;
@@ -102,13 +100,18 @@ fn lists(projected: &[Option<Projected>], order: &[usize], (columns, rows): (usi
         if low.x >= (columns * TILE) as f64 || low.y >= (rows * TILE) as f64 {
             continue;
         }
-        for y in tile(low.y, rows - 1)..=tile(high.y, rows - 1) {
-            for x in tile(low.x, columns - 1)..=tile(high.x, columns - 1) {
+        for y in tile_of(low.y, rows)..=tile_of(high.y, rows) {
+            for x in tile_of(low.x, columns)..=tile_of(high.x, columns) {
                 lists[y * columns + x].push(i as u32);
             }
         }
     }
     lists
+}
+
+/// The tile of a coordinate, or the nearest of so many.
+fn tile_of(v: f64, tiles: usize) -> usize {
+    ((v / TILE as f64).max(0.0) as usize).min(tiles - 1)
 }
 
 /// The Gaussian at which the transmittance falls to one half.
@@ -117,7 +120,7 @@ fn half_way(projected: &[Option<Projected>], list: &[u32], p: DVec2) -> Option<u
     for (i, g) in list.iter().filter_map(|&i| Some((i as usize, projected[i as usize]?))) {
         let d = g.xy - p;
         let power = 0.5 * (g.conic.x * d.x * d.x + g.conic.z * d.y * d.y) + g.conic.y * d.x * d.y;
-        let alpha = (g.opacity * (-power).exp()).min(rasterise::MAX_ALPHA);
+        let alpha = (g.opacity * (-power).exp()).min(MAX_ALPHA);
         if power < 0.0 || alpha.is_nan() || alpha < MIN_ALPHA {
             continue;
         }
@@ -133,19 +136,18 @@ fn half_way(projected: &[Option<Projected>], list: &[u32], p: DVec2) -> Option<u
 pub fn points_of(depth: &[Option<f64>], camera: &Camera, pose: &Pose) -> Vec<DVec3> {
     let width = camera.width as usize;
     let world_from_cam = pose.inverse();
-    let point = |(i, z): (usize, &Option<f64>)| {
+    let seen = depth.iter().enumerate().filter_map(|(i, z)| Some((i, (*z)?)));
+    seen.map(|(i, z)| {
         let pixel = DVec2::new((i % width) as f64 + 0.5, (i / width) as f64 + 0.5);
         let ray = (pixel - camera.principal_point()) / camera.focal();
-        z.map(|z| world_from_cam.transform(ray.extend(1.0) * z))
-    };
-    depth.iter().enumerate().filter_map(point).collect()
+        world_from_cam.transform(ray.extend(1.0) * z)
+    })
+    .collect()
 }
 
-/// A Gaussian is outside a silhouette if no pixel within this of its centre is inside, pixels.
-const HULL_MARGIN_PX: i64 = 2;
-
-/// Share of the Gaussians' opacity whose centres lie outside the visual hull: black in the mask of some view that has them
-/// in its frame. Held-out views count too. `None` where no view has a mask, or nothing is opaque.
+/// Share of the Gaussians' opacity whose centres lie outside the visual hull: black in the mask of
+/// some view that has them in its frame. Held-out views count too. `None` where no view has a mask,
+/// or nothing is opaque.
 pub fn outside_hull(gaussians: &Gaussians, dataset: &Dataset) -> Option<f64> {
     if !dataset.is_transparent()
         || dataset.views.iter().all(|v| v.levels.first().is_none_or(|l| l.mask.is_none()))
@@ -154,15 +156,18 @@ pub fn outside_hull(gaussians: &Gaussians, dataset: &Dataset) -> Option<f64> {
     }
     let opacity = |i: usize| f64::from(gaussians.opacity(i));
     let all: f64 = (0..gaussians.len()).map(opacity).sum();
-    let is_out = |i: &usize| {
-        let x = gaussians.means[*i].as_dvec3();
-        dataset.views.iter().any(|view| {
-            let pixels = view.levels.first();
-            pixels.is_some_and(|p| is_black(p, view.camera.project(view.pose.transform(x))))
-        })
-    };
-    let outside: f64 = (0..gaussians.len()).into_par_iter().filter(is_out).map(opacity).sum();
+    let outside =
+        (0..gaussians.len()).into_par_iter().filter(|&i| is_outside(gaussians.means[i].as_dvec3(), dataset));
+    let outside: f64 = outside.map(opacity).sum();
     (all > 0.0).then_some(outside / all)
+}
+
+/// Whether some view that has a place (world frame) in its frame shows black there.
+fn is_outside(x: DVec3, dataset: &Dataset) -> bool {
+    dataset.views.iter().any(|view| {
+        let pixels = view.levels.first();
+        pixels.is_some_and(|p| is_black(p, view.camera.project(view.pose.transform(x))))
+    })
 }
 
 /// Whether the mask is black all around a pixel of the frame.
@@ -173,10 +178,10 @@ fn is_black(pixels: &Pixels, at: Option<DVec2>) -> bool {
     if !(0..w).contains(&x) || !(0..h).contains(&y) {
         return false;
     }
-    let m = HULL_MARGIN_PX;
-    let white =
-        |(x, y): (i64, i64)| (0..w).contains(&x) && (0..h).contains(&y) && mask[(y * w + x) as usize] > 0;
-    !(y - m..=y + m).flat_map(|y| (x - m..=x + m).map(move |x| (x, y))).any(white)
+    let m = MATTE_MARGIN_PX as i64;
+    let rows = (y - m).max(0)..(y + m + 1).min(h);
+    let columns = (x - m).max(0) as usize..(x + m + 1).min(w) as usize;
+    rows.map(|y| &mask[(y * w) as usize..]).all(|row| row[columns.clone()].iter().all(|v| *v == 0))
 }
 
 #[cfg(test)]
@@ -202,8 +207,8 @@ mod tests {
     }
 
     /// Where along a pixel's ray a Gaussian is densest, by trying.
-    fn densest(p: &Parameters, i: usize, view: &View, pixel: DVec2) -> f64 {
-        let g = geometry(p, i);
+    fn densest(p: &Parameters, i: usize, view: &ReferenceView, pixel: DVec2) -> f64 {
+        let g = p.geometry(i);
         let ray = ((pixel - view.centre) / view.focal).extend(1.0);
         let sigmas = |z: f64| {
             let world = view.rotation.transpose() * (ray * z - view.translation);
@@ -224,7 +229,7 @@ mod tests {
             let gaussians = cloud(seed, 60);
             let pose = Pose::look_at(DVec3::new(0.4, -0.3, 0.1), DVec3::new(0.0, 0.0, 6.0), -DVec3::Y);
             let depth = median_depth(&gaussians, &camera, &pose, 0.01, false);
-            let view = View {
+            let view = ReferenceView {
                 rotation: DMat3::from_quat(pose.rotation),
                 translation: pose.translation,
                 focal: camera.focal(),
@@ -276,7 +281,7 @@ mod tests {
         let mut dataset = Dataset {
             views: vec![view(40), view(20)],
             points: Vec::new(),
-            normalisation: crate::dataset::Normalisation { centre: DVec3::ZERO, scale: 1.0 },
+            normalisation: crate::dataset::NormalisedFrame { centre: DVec3::ZERO, scale: 1.0 },
             alpha: crate::AlphaMode::Transparent,
         };
         let mut g = cloud(0, 4);
@@ -308,7 +313,8 @@ mod tests {
         }
         let points = points_of(&median_depth(&g, &camera, &pose, 0.01, false), &camera, &pose);
         assert!(points.len() > 2500, "{}", points.len());
-        // A pixel takes the depth of a Gaussian's centre, which on a sheet seen aslant is not quite its own.
+        // A pixel takes the depth of a Gaussian's centre, which on a sheet seen aslant is not quite
+        // its own.
         assert!(points.iter().all(|p| (p.z - 4.0).abs() < 0.05), "{points:?}");
     }
 }

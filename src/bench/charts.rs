@@ -1,13 +1,17 @@
-//! The charts of a sweep, one SVG. (plotters, as in the report: axes, scales and text are its work.)
+//! The charts of a sweep, one SVG. (plotters, as in the report: axes, scales and text are its
+//! work.)
 
-use super::Point;
+use super::point::Point;
 use anyhow::{Result, anyhow};
 use plotters::coord::Shift;
 use plotters::prelude::*;
 use std::collections::BTreeMap;
 
+/// Size of a chart, pixels. Source: chosen by hand, never measured.
 const WIDTH: u32 = 480;
+/// See [`WIDTH`]. Source: chosen by hand, never measured.
 const HEIGHT: u32 = 360;
+/// Charts beside each other. Source: chosen by hand, never measured.
 const COLUMNS: usize = 3;
 const OURS: RGBColor = RGBColor(0x1f, 0x77, 0xb4);
 const THEIRS: [RGBColor; 4] = [
@@ -109,7 +113,8 @@ fn panel(
     Ok(())
 }
 
-/// Round numbers from `from` to `to` on a logarithmic axis: within a decade many, then 1, 2 and 5 of each, of many decades their beginnings.
+/// Round numbers from `from` to `to` on a logarithmic axis: within a decade many, then 1, 2 and 5
+/// of each, of many decades their beginnings.
 fn ticks(from: f64, to: f64) -> Vec<f64> {
     let decades = from.log10().floor() as i32..=to.log10().ceil() as i32;
     let steps: &[f64] = match to / from {

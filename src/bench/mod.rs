@@ -1,50 +1,23 @@
-//! `bench`: quality against time. The same input trained at several presets and time limits; a table, JSON and charts
-//! of PSNR, SSIM (and LPIPS) against wall time, CPU time, Gaussians and memory, what is known of other tools beside.
+//! `bench`: quality against time. The same input trained at several presets and time limits; a
+//! table, JSON and charts of PSNR, SSIM (and LPIPS) against wall time, CPU time, Gaussians and
+//! memory, what is known of other tools beside.
 
 mod charts;
 mod peers;
+mod point;
 
-use crate::Outcome;
-use crate::cli::BenchArgs;
+pub use point::Point;
+
+use crate::args::BenchArgs;
 use crate::config;
-use crate::pipeline::{Pipeline, RunRecord, Until};
+use crate::outcome::Outcome;
+use crate::pipeline::{Pipeline, Until};
+use crate::record::RunRecord;
 use crate::stage::{Stages, describe_input, fingerprint, write_json, write_whole};
 use crate::terminal::Verbosity;
 use anyhow::{Context, Result, bail};
-use serde::{Deserialize, Serialize};
+use serde::Serialize;
 use std::path::{Path, PathBuf};
-
-/// One training, measured: ours or another tool's.
-#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
-pub struct Point {
-    /// The tool.
-    pub method: String,
-    /// What it was told.
-    pub setting: String,
-    /// Wall time of training (images loaded, splat written), s.
-    #[serde(default)]
-    pub wall_s: Option<f64>,
-    /// CPU time of training, user and system, s.
-    #[serde(default)]
-    pub cpu_s: Option<f64>,
-    /// Gaussians at the end.
-    #[serde(default)]
-    pub gaussians: Option<usize>,
-    /// Peak resident memory of training, MiB.
-    #[serde(default)]
-    pub peak_mib: Option<f64>,
-    /// Mean over the held-out views, dB.
-    pub psnr: f64,
-    /// The worst held-out view, dB.
-    #[serde(default)]
-    pub psnr_worst: Option<f64>,
-    /// Mean over the held-out views.
-    #[serde(default)]
-    pub ssim: Option<f64>,
-    /// Mean over the held-out views (AlexNet, or VGG-16 where only that was given).
-    #[serde(default)]
-    pub lpips: Option<f64>,
-}
 
 /// The build that measures: points of another one are measured again.
 const PROGRAM: [&str; 4] =
@@ -70,7 +43,8 @@ enum Setting {
 }
 
 impl Setting {
-    /// The flags that say it. A limit has the preset `best` for what is not time: it bounds nothing else.
+    /// The flags that say it. A limit has the preset `best` for what is not time: it bounds nothing
+    /// else.
     fn flags(&self) -> Vec<String> {
         match self {
             Self::Quality(quality) => vec![format!("--quality={}", name(*quality))],
@@ -90,8 +64,9 @@ fn name(quality: splat::Quality) -> String {
     format!("{quality:?}").to_lowercase()
 }
 
-/// Measures all points (those that an earlier call measured are kept), writes `bench.json` and `bench.svg`.
-pub fn run(args: &BenchArgs, global: &crate::cli::Global, verbosity: Verbosity) -> Result<Outcome> {
+/// Measures all points (those that an earlier call measured are kept), writes `bench.json` and
+/// `bench.svg`.
+pub fn run(args: &BenchArgs, global: &crate::args::Global, verbosity: Verbosity) -> Result<Outcome> {
     let presets = args.qualities.iter().filter(|_| !args.only_times);
     let mut settings: Vec<Setting> = presets.map(|q| Setting::Quality(*q)).collect();
     settings.extend(args.times.iter().map(|t| Setting::Limit(*t)));
@@ -138,7 +113,8 @@ pub fn run(args: &BenchArgs, global: &crate::cli::Global, verbosity: Verbosity) 
     Ok(Outcome::Done)
 }
 
-/// Trains with the flags and evaluates, into the folder that all points share: frames and poses are made once.
+/// Trains with the flags and evaluates, into the folder that all points share: frames and poses are
+/// made once.
 fn measure(
     input: &Path,
     out: &Path,
@@ -153,7 +129,7 @@ fn measure(
         Ok(parsed) => parsed,
         Err(usage) => bail!("{usage}"),
     };
-    let crate::cli::Command::Eval(args) = parsed.cli.command else { bail!("only flags may follow --") };
+    let crate::args::Command::Eval(args) = parsed.cli.command else { bail!("only flags may follow --") };
     let pipeline = Pipeline::new(*args, parsed.recorded, verbosity, false)?;
     let (outcome, record) = pipeline.run_recorded(Until::Eval)?;
     if outcome == Outcome::NoModel {

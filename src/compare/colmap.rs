@@ -28,7 +28,8 @@ pub struct Models {
     pub spent: Spent,
 }
 
-/// First line of `colmap help` up to the version; an error that says what to install where there is none.
+/// First line of `colmap help` up to the version; an error that says what to install where there is
+/// none.
 pub fn installed() -> Result<String> {
     let output = Command::new("colmap").arg("help").env("QT_QPA_PLATFORM", "offscreen").output();
     let output = output.context("colmap is not installed or not in PATH (Debian: apt-get install colmap)")?;
@@ -37,8 +38,8 @@ pub fn installed() -> Result<String> {
     Ok(line.split(" -- ").next().unwrap_or(line).trim().to_owned())
 }
 
-/// Extracts, matches every pair and maps with COLMAP's defaults (one camera, no GPU), inside the masks of the run where
-/// it has any.
+/// Extracts, matches every pair and maps with COLMAP's defaults (one camera, no GPU), inside the
+/// masks of the run where it has any.
 pub fn run(name: &str, run: &Path, frames: Option<&FrameSet>, verbosity: Verbosity) -> Result<Models> {
     let images = run.join("images");
     if !images.is_dir() {
@@ -51,7 +52,7 @@ pub fn run(name: &str, run: &Path, frames: Option<&FrameSet>, verbosity: Verbosi
     let sparse = folder.join("sparse");
     std::fs::create_dir_all(&sparse).with_context(|| format!("cannot make {}", sparse.display()))?;
     let masks = frames.map_or(Ok(None), |frames| link_masks(frames, run, &folder.join("masks")))?;
-    let mut job = Job {
+    let mut job = ColmapJob {
         database: folder.join("database.db"),
         log: folder.join("log"),
         spent: Spent::default(),
@@ -108,14 +109,14 @@ fn help_of(step: &str) -> String {
     })
 }
 
-struct Job {
+struct ColmapJob {
     database: PathBuf,
     log: PathBuf,
     spent: Spent,
     verbosity: Verbosity,
 }
 
-impl Job {
+impl ColmapJob {
     fn step(&self, step: &str) -> Command {
         let mut command = Command::new("colmap");
         command.arg(step).arg("--database_path").arg(&self.database).env("QT_QPA_PLATFORM", "offscreen");

@@ -1,11 +1,16 @@
-//! `compare`: models beside each other and beside a ground truth, COLMAP on the same frames, and the tables of papers.
+//! `compare`: models beside each other and beside a ground truth, COLMAP on the same frames, and
+//! the tables of papers.
 
 mod colmap;
+mod page;
 pub mod runs;
 pub mod tables;
 
-use crate::Outcome;
-use crate::cli::CompareArgs;
+use tables::Cells;
+
+use crate::args::CompareArgs;
+use crate::outcome::Outcome;
+use crate::record::KnownRun;
 use crate::stage::{write_json, write_whole};
 use crate::terminal::Verbosity;
 use anyhow::{Context, Result};
@@ -83,7 +88,7 @@ pub fn run(args: &CompareArgs, verbosity: Verbosity, json: bool) -> Result<Outco
         write_tables(folder, &tables)?;
     }
     if let Some(file) = &args.report {
-        crate::report::write_comparison(file, &entries, &pose_cells(&rows), &tables)?;
+        page::write(file, &entries, &pose_cells(&rows), &tables)?;
     }
     Ok(Outcome::Done)
 }
@@ -159,13 +164,11 @@ fn agreement(errors: &PoseErrors) -> Option<Agreement> {
 
 /// CPU seconds and peak MiB of the stage that solved the poses of a run.
 fn cost(run: &Path) -> Option<(f64, f64)> {
-    let record: serde_json::Value =
-        serde_json::from_slice(&std::fs::read(run.join("run.json")).ok()?).ok()?;
-    if record["poses"]["imported"] == true {
+    let known = KnownRun::read(run).ok()?;
+    if known.poses.as_ref().is_some_and(|p| p.imported) {
         return None;
     }
-    let cost = &record["costs"].as_array()?.iter().find(|c| c[0] == "poses")?[1];
-    Some((cost["cpu_s"].as_f64()?, cost["peak_mib"].as_f64()?))
+    known.cost("poses").map(|cost| (cost.cpu_s, cost.peak_mib))
 }
 
 /// The frames that a run was given.
@@ -190,14 +193,13 @@ fn row(
     truth: Option<&Reconstruction>,
     asked: Option<&BTreeSet<String>>,
 ) -> Row {
-    let errors = model.reprojection_errors();
     let total = asked.map_or(model.images.len(), BTreeSet::len);
     let mut row = Row {
         name,
         registered: model.images.len(),
         total,
         points: model.points.len(),
-        reprojection_px: errors.iter().sum::<f64>() / errors.len().max(1) as f64,
+        reprojection_px: model.mean_reprojection_error(),
         ..Row::default()
     };
     if let Some(truth) = truth {
@@ -220,9 +222,6 @@ fn fill(row: &mut Row, errors: &PoseErrors) {
     row.centre_max_pct = errors.centre_pct.as_ref().map(|s| s.max);
     row.focal_err_pct = errors.focal_err_pct;
 }
-
-/// Heading and rows of the table of poses.
-pub type Cells = (Vec<&'static str>, Vec<Vec<String>>);
 
 fn pose_cells(rows: &[Row]) -> Cells {
     let heads = vec![

@@ -1,8 +1,8 @@
 //! Runs (and renders of other tools) as entries of the tables.
 
-use super::tables::{Column, Table};
-use crate::evaluate::Evaluation;
-use crate::evaluate::metrics::{FIGURES, Metrics};
+use super::tables::{Table, TableColumn};
+use crate::evaluate::metrics::FIGURES;
+use crate::record::{Evaluation, KnownConfig, KnownRun, Metrics, ViewMetrics};
 use anyhow::{Context, Result, bail};
 use image::RgbImage;
 use scene::lpips::Lpips;
@@ -27,7 +27,7 @@ pub struct EntryView {
 pub struct Entry {
     /// Row.
     pub method: String,
-    /// Column group.
+    /// TableColumn group.
     pub case: String,
     /// Its run folder; `None` for renders of another tool.
     pub run: Option<PathBuf>,
@@ -72,8 +72,8 @@ const TRAINING: [Heading; 4] =
 const RENDERING: [Heading; 4] =
     [("FPS", 1, true), ("median ms", 2, false), ("95 % ms", 2, false), ("peak MiB", 0, false)];
 
-/// The entries of all that can be evaluated: runs with metrics first, then folders of renders, which are compared
-/// with the photos of a run of the same case.
+/// The entries of all that can be evaluated: runs with metrics first, then folders of renders,
+/// which are compared with the photos of a run of the same case.
 pub fn entries(inputs: &[Named], networks: &[Lpips]) -> Result<Vec<Entry>> {
     let is_run = |n: &&Named| n.path.join("run.json").is_file();
     let mut all: Vec<Entry> = Vec::new();
@@ -104,29 +104,23 @@ fn of_run(named: &Named) -> Result<Option<Entry>> {
     if !path.is_file() {
         return Ok(None);
     }
-    let run = read_json(&named.path.join("run.json"))?;
+    let run = KnownRun::read(&named.path)?;
     let evaluation: Evaluation = serde_json::from_value(read_json(&path)?)
         .with_context(|| format!("{} is damaged; run sat-recon eval again", path.display()))?;
-    let view = |v: &crate::evaluate::ViewMetrics| -> Result<EntryView> {
+    let view = |v: &ViewMetrics| -> Result<EntryView> {
         let [render, photo] = ["renders", "photos"].map(|kind| v.picture(&named.path, kind));
         Ok(EntryView { name: v.name.clone(), metrics: v.metrics, render: render?, photo: photo? })
     };
     let views = evaluation.views.iter().map(view).collect::<Result<Vec<_>>>()?;
-    let text = |path: &str| run.pointer(path).and_then(Value::as_str).unwrap_or("").to_owned();
-    let number = |v: Option<&Value>| v.and_then(Value::as_f64);
-    let costs = run["costs"].as_array().and_then(|c| c.iter().find(|c| c[0] == "train")).map(|c| &c[1]);
+    let cost = run.cost("train");
     let training = [
-        number(costs.map(|c| &c["wall_s"])),
-        number(costs.map(|c| &c["cpu_s"])),
-        number(costs.map(|c| &c["peak_mib"])),
-        number(run.pointer("/splat/gaussians")),
+        cost.map(|c| c.wall_s),
+        cost.map(|c| c.cpu_s),
+        cost.map(|c| c.peak_mib),
+        run.splat.as_ref().map(|s| s.gaussians as f64),
     ];
     let r = &evaluation.rendering;
-    let stem = |p: String| Path::new(&p).file_stem().map_or(p.clone(), |s| s.to_string_lossy().into_owned());
-    let (method, case) = named
-        .label
-        .clone()
-        .unwrap_or_else(|| (format!("sat-recon {}", text("/config/quality")), stem(text("/config/input"))));
+    let (method, case) = named.label.clone().unwrap_or_else(|| default_label(&run.config));
     Ok(Some(Entry {
         method,
         case,
@@ -136,6 +130,13 @@ fn of_run(named: &Named) -> Result<Option<Entry>> {
         training,
         rendering: [r.frames_per_second, r.frame_ms_median, r.frame_ms_p95, r.peak_mib].map(Some),
     }))
+}
+
+/// The preset as the method, the name of the input as the case.
+fn default_label(config: &KnownConfig) -> (String, String) {
+    let quality = config.quality.map_or(String::new(), |q| format!(" {q:?}").to_lowercase());
+    let case = config.input.file_stem().map_or(String::new(), |s| s.to_string_lossy().into_owned());
+    (format!("sat-recon{quality}"), case)
 }
 
 /// Renders of another tool: pictures named like the views, of the size of the photos.
@@ -179,7 +180,8 @@ fn over_black(path: &Path) -> Result<RgbImage> {
     Ok(picture.rgb)
 }
 
-/// Quality, training cost and rendering cost with what earlier tables hold; tables without a number are left out.
+/// Quality, training cost and rendering cost with what earlier tables hold; tables without a number
+/// are left out.
 pub fn tables(entries: &[Entry], beside: &[Table]) -> Vec<Table> {
     let names = |pick: fn(&Entry) -> &String| {
         let mut names: Vec<String> = Vec::new();
@@ -192,12 +194,12 @@ pub fn tables(entries: &[Entry], beside: &[Table]) -> Vec<Table> {
     };
     let (methods, cases) = (names(|e| &e.method), names(|e| &e.case));
     let build = |title: &str, headings: Vec<Heading>, values: &dyn Fn(&Entry) -> Vec<Option<f64>>| {
-        let column = |(name, digits, more_is_better): Heading| Column {
+        let column = |(name, digits, more_is_better): Heading| TableColumn {
             name: name.to_owned(),
             digits,
             more_is_better,
         };
-        let columns: Vec<Column> = headings.into_iter().map(column).collect();
+        let columns: Vec<TableColumn> = headings.into_iter().map(column).collect();
         let mut table = Table::new(title, &methods, &cases, &columns);
         for entry in entries {
             let place = |all: &[String], name: &String| all.iter().position(|n| n == name);

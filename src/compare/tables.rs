@@ -3,9 +3,12 @@
 use serde::{Deserialize, Serialize};
 use std::fmt::Write as _;
 
+/// Heading and rows of the table of poses.
+pub type Cells = (Vec<&'static str>, Vec<Vec<String>>);
+
 /// A column of every case.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-pub struct Column {
+pub struct TableColumn {
     /// Heading, with its unit.
     pub name: String,
     /// Digits behind the point.
@@ -21,26 +24,28 @@ pub struct Table {
     pub title: String,
     /// Rows.
     pub methods: Vec<String>,
-    /// Column groups.
+    /// TableColumn groups.
     pub cases: Vec<String>,
     /// Columns of each group.
-    pub columns: Vec<Column>,
+    pub columns: Vec<TableColumn>,
     /// [methods × cases × columns].
     pub values: Vec<Vec<Vec<Option<f64>>>>,
-    /// Methods whose numbers were published, not measured here: they stand beside the others and are never the best.
+    /// Methods whose numbers were published, not measured here: they stand beside the others and
+    /// are never the best.
     #[serde(default)]
     pub published: Vec<String>,
 }
 
 impl Table {
     /// A table without numbers.
-    pub fn new(title: &str, methods: &[String], cases: &[String], columns: &[Column]) -> Self {
+    pub fn new(title: &str, methods: &[String], cases: &[String], columns: &[TableColumn]) -> Self {
         let values = vec![vec![vec![None; columns.len()]; cases.len()]; methods.len()];
         let (methods, cases, columns) = (methods.to_vec(), cases.to_vec(), columns.to_vec());
         Self { title: title.to_owned(), methods, cases, columns, values, published: Vec::new() }
     }
 
-    /// Whether there is a row of cases for every method and a number or none for every column of them.
+    /// Whether there is a row of cases for every method and a number or none for every column of
+    /// them.
     pub fn is_whole(&self) -> bool {
         let row = |cases: &Vec<Vec<_>>| {
             cases.len() == self.cases.len() && cases.iter().all(|c| c.len() == self.columns.len())
@@ -48,7 +53,8 @@ impl Table {
         self.values.len() == self.methods.len() && self.values.iter().all(row)
     }
 
-    /// Takes in another table's numbers (which must be whole); methods, cases and columns that are new come last.
+    /// Takes in another table's numbers (which must be whole); methods, cases and columns that are
+    /// new come last.
     pub fn merge(&mut self, other: &Self) {
         let place = |all: &mut Vec<String>, name: &String| {
             all.iter().position(|n| n == name).unwrap_or_else(|| {
@@ -58,7 +64,7 @@ impl Table {
         };
         let methods: Vec<usize> = other.methods.iter().map(|m| place(&mut self.methods, m)).collect();
         let cases: Vec<usize> = other.cases.iter().map(|c| place(&mut self.cases, c)).collect();
-        let column = |column: &Column| {
+        let column = |column: &TableColumn| {
             self.columns.iter().position(|c| c.name == column.name).unwrap_or_else(|| {
                 self.columns.push(column.clone());
                 self.columns.len() - 1
@@ -99,10 +105,11 @@ impl Table {
         self
     }
 
-    /// The number as it is shown, and whether none that was measured in its column is better (two at least).
+    /// The number as it is shown, and whether none that was measured in its column is better (two
+    /// at least).
     fn cell(&self, method: usize, case: usize, column: usize) -> (String, bool) {
         let Some(value) = self.values[method][case][column] else { return ("–".into(), false) };
-        let Column { digits, more_is_better, .. } = self.columns[column].clone();
+        let TableColumn { digits, more_is_better, .. } = self.columns[column].clone();
         let shown = |v: f64| format!("{v:.digits$}");
         let is_published = |m: usize| self.published.contains(&self.methods[m]);
         let measured = (0..self.methods.len()).filter(|&m| !is_published(m));
@@ -113,13 +120,15 @@ impl Table {
         (shown(value), is_best)
     }
 
-    fn row(&self, method: usize, bold: impl Fn(&str) -> String) -> Vec<String> {
+    /// The numbers of a method as they are shown, and whether each is the best of its column.
+    pub(super) fn cells(&self, method: usize) -> Vec<(String, bool)> {
         let places = (0..self.cases.len()).flat_map(|case| (0..self.columns.len()).map(move |c| (case, c)));
-        let text = |(case, column)| {
-            let (text, is_best) = self.cell(method, case, column);
-            if is_best { bold(&text) } else { text }
-        };
-        places.map(text).collect()
+        places.map(|(case, column)| self.cell(method, case, column)).collect()
+    }
+
+    fn row(&self, method: usize, bold: impl Fn(&str) -> String) -> Vec<String> {
+        let cells = self.cells(method).into_iter();
+        cells.map(|(text, is_best)| if is_best { bold(&text) } else { text }).collect()
     }
 
     /// GitHub's Markdown.
@@ -136,24 +145,6 @@ impl Table {
             let _ = writeln!(text, "| {} | {cells} |", method.replace('|', "\\|")); // writing to a string
         }
         text
-    }
-
-    /// For a page.
-    pub fn html(&self, escape: impl Fn(&str) -> String) -> String {
-        let width = self.columns.len();
-        let mut text = format!("<h3>{}</h3><div class=\"scroll\"><table><tr><th>", escape(&self.title));
-        for case in &self.cases {
-            let _ = write!(text, "<th class=n colspan={width}>{}", escape(case));
-        }
-        text += "</tr><tr><th>method";
-        for column in self.cases.iter().flat_map(|_| &self.columns) {
-            let _ = write!(text, "<th class=n>{}", escape(&column.name));
-        }
-        for (m, method) in self.methods.iter().enumerate() {
-            let cells = self.row(m, |t| format!("<b>{t}</b>")).join("<td class=n>");
-            let _ = write!(text, "</tr><tr><td>{}<td class=n>{cells}", escape(method));
-        }
-        text + "</tr></table></div>"
     }
 
     /// One line a method and case.
@@ -211,7 +202,8 @@ mod tests {
     use super::*;
 
     fn table() -> Table {
-        let column = |name: &str, more_is_better| Column { name: name.to_owned(), digits: 2, more_is_better };
+        let column =
+            |name: &str, more_is_better| TableColumn { name: name.to_owned(), digits: 2, more_is_better };
         let names = ["a_b".to_owned(), "c".to_owned()];
         let mut table = Table::new(
             "quality",
@@ -235,7 +227,7 @@ mod tests {
 
     #[test]
     fn published_numbers_stand_beside_the_measured_ones_and_are_never_the_best() {
-        let column = |name: &str| Column { name: name.to_owned(), digits: 0, more_is_better: true };
+        let column = |name: &str| TableColumn { name: name.to_owned(), digits: 0, more_is_better: true };
         let mut paper = Table::new(
             "quality",
             &["paper".into()],

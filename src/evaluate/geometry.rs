@@ -1,58 +1,37 @@
-//! Geometry of a splat: against a true mesh where one is given, against the silhouettes where there are any.
+//! ShapeEvaluation of a splat: against a true mesh where one is given, against the silhouettes
+//! where there are any.
 
+use crate::args::MeshConfig;
+use crate::record::ShapeEvaluation;
 use anyhow::{Context, Result};
 use glam::DVec3;
 use scene::geometry::{GeometryErrors, Mesh, compare_points, seen_by};
 use scene::sim3::{Sim3, robust_alignment};
 use scene::{Camera, Gaussians, Pose, Progress, Reconstruction};
-use serde::{Deserialize, Serialize};
 use splat::Dataset;
 use splat::fusion::{DEFAULT_RESOLUTION, fused_mesh, median_distance};
 use splat::surface::{median_depth, outside_hull, points_of};
 use std::collections::{BTreeMap, HashMap};
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
-/// The true shape.
-#[derive(clap::Args, Clone, Debug, Default, Serialize, Deserialize)]
-pub struct MeshConfig {
-    /// True shape of the object (.ply, .obj, .glb): accuracy, completeness, F-score and Chamfer distance of the cloud and the splat
-    #[arg(long, value_name = "FILE", help_heading = "Evaluation")]
-    pub mesh: Option<PathBuf>,
-    /// True cameras in the frame of --mesh (as for compare --truth); the model is moved onto their centres (default: it is in that frame)
-    #[arg(long, value_name = "TRUTH", requires = "mesh", help_heading = "Evaluation")]
-    pub mesh_truth: Option<PathBuf>,
-}
-
-/// How the shape was judged, and what came of it.
-#[derive(Clone, Debug, Default, Serialize, Deserialize)]
-pub struct Geometry {
-    /// How it was measured.
-    pub protocol: String,
-    /// The sparse cloud against the mesh.
-    pub cloud: Option<GeometryErrors>,
-    /// The surface at which the splat is half opaque, from the input views, against the mesh.
-    pub surface: Option<GeometryErrors>,
-    /// The mesh that `export --mesh` writes, against the mesh.
-    #[serde(default)]
-    pub fused: Option<GeometryErrors>,
-    /// Share of the splat's opacity outside the visual hull of the mattes, per cent.
-    pub floaters_pct: Option<f64>,
-}
-
-/// What counts as near, per cent of the mesh's size.
+/// What counts as near, per cent of the mesh's size. Source: Knapitsch et al., TOG 2017, for the
+/// measure; the number was chosen by hand, never measured.
 const THRESHOLD_PCT: f64 = 1.0;
-/// Points on the mesh.
+/// Points on the mesh. Source: chosen by hand, never measured.
 const SAMPLES: usize = 200_000;
-/// Depth maps that are joined to a surface.
+/// Depth maps that are joined to a surface. Source: chosen by hand, never measured.
 const DEPTH_MAPS: usize = 36;
 /// Points of the surface are one a cube of this side, per cent of the mesh's size.
+/// Source: derived, a quarter of [`THRESHOLD_PCT`].
 const VOXEL_PCT: f64 = 0.25;
 /// Of a scene without mattes only what lies so near the mesh's box is judged, per cent of its size.
+/// Source: chosen by hand, never measured.
 const CROP_PCT: f64 = 5.0;
 /// A surface hides another if it lies before it by more than this, per cent of the size.
+/// Source: derived, half of [`THRESHOLD_PCT`].
 const SLACK_PCT: f64 = 0.5;
 
-impl Geometry {
+impl ShapeEvaluation {
     /// The figures in a few words.
     pub fn sentence(&self) -> String {
         let errors = |name: &str, e: &Option<GeometryErrors>| {
@@ -76,31 +55,8 @@ impl Geometry {
         .join("; ")
     }
 
-    /// For the report: a table where there is a mesh, and a sentence.
-    pub fn html(&self) -> String {
-        let mut protocol = self.protocol.clone();
-        if let Some(first) = protocol.get_mut(0..1) {
-            first.make_ascii_uppercase();
-        }
-        let mut html = format!("<h3>Shape</h3><p>{protocol}.</p>");
-        if self.cloud.is_some() || self.surface.is_some() {
-            html.push_str(
-                "<div class=\"scroll\"><table><tr><th><th class=n>sparse cloud<th class=n>splat<th class=n>fused mesh</tr>",
-            );
-            for (what, cells) in self.rows() {
-                let cells: String = cells.iter().map(|c| format!("<td class=n>{c}")).collect();
-                html.push_str(&format!("<tr><td>{what}{cells}</tr>"));
-            }
-            html.push_str("</table></div>");
-        }
-        if let Some(share) = self.floaters_pct {
-            html.push_str(&format!("<p>{share:.2} % of the opacity lies outside the silhouettes.</p>"));
-        }
-        html
-    }
-
     /// Rows of a table: quantity, then cloud, surface, mesh.
-    fn rows(&self) -> Vec<(&'static str, [String; 3])> {
+    pub(crate) fn rows(&self) -> Vec<(&'static str, [String; 3])> {
         let row = |name: &'static str, pick: fn(&GeometryErrors) -> f64| {
             let cell = |e: &Option<GeometryErrors>| {
                 e.as_ref().map_or("–".to_owned(), |e| format!("{:.3}", pick(e)))
@@ -127,12 +83,16 @@ pub fn measure(
     dataset: &Dataset,
     (gaussians, antialias): (&Gaussians, bool),
     progress: &Progress,
-) -> Result<Option<Geometry>> {
+) -> Result<Option<ShapeEvaluation>> {
     let floaters_pct = outside_hull(gaussians, dataset).map(|share| 100.0 * share);
     let Some(path) = &config.mesh else {
         let protocol =
             "opacity of Gaussians whose centre is black in the mask of a view, 2 px allowed".to_owned();
-        return Ok(floaters_pct.map(|_| Geometry { protocol, floaters_pct, ..Geometry::default() }));
+        return Ok(floaters_pct.map(|_| ShapeEvaluation {
+            protocol,
+            floaters_pct,
+            ..ShapeEvaluation::default()
+        }));
     };
     let mesh = scene::io::read_mesh(path)?;
     let model = scene::io::read_model(&out.join("undistorted/sparse/0"))?;
@@ -173,7 +133,7 @@ pub fn measure(
             String::new()
         }
     );
-    Ok(Some(Geometry { protocol, cloud, surface: splat, fused, floaters_pct }))
+    Ok(Some(ShapeEvaluation { protocol, cloud, surface: splat, fused, floaters_pct }))
 }
 
 /// Onto the true camera centres; and how well that went.

@@ -1,38 +1,13 @@
 //! The figures of one picture against its photo, their means and percentiles.
 
+use crate::record::Metrics;
 use anyhow::Result;
 use image::{GrayImage, RgbImage};
 use scene::lpips::{Backbone, Lpips};
 use scene::metrics;
-use serde::{Deserialize, Serialize};
 
-/// Image quality of one view, or means over views.
-#[derive(Clone, Copy, Debug, Default, Serialize, Deserialize)]
-pub struct Metrics {
-    /// Peak signal-to-noise ratio, dB, full frame.
-    pub psnr: f64,
-    /// Structural similarity, full frame.
-    pub ssim: f64,
-    /// PSNR over the pixels inside the mask.
-    pub psnr_mask: Option<f64>,
-    /// SSIM over the windows centred inside the mask.
-    pub ssim_mask: Option<f64>,
-    /// LPIPS with AlexNet, full frame; `None` without weights.
-    #[serde(default)]
-    pub lpips_alex: Option<f64>,
-    /// LPIPS with VGG-16, full frame.
-    #[serde(default)]
-    pub lpips_vgg: Option<f64>,
-    /// LPIPS with AlexNet inside the mask.
-    #[serde(default)]
-    pub lpips_alex_mask: Option<f64>,
-    /// LPIPS with VGG-16 inside the mask.
-    #[serde(default)]
-    pub lpips_vgg_mask: Option<f64>,
-}
-
-/// PSNR of a picture that equals its photo, dB: infinity has no place in JSON, nor in a mean. One level in one pixel
-/// in ten thousand is 88 dB.
+/// PSNR of a picture that equals its photo, dB: infinity has no place in JSON, nor in a mean. One
+/// level in one pixel in ten thousand is 88 dB. Source: derived, above any picture that differs.
 pub const EXACT_DB: f64 = 100.0;
 
 /// One of the figures.
@@ -76,8 +51,8 @@ impl Figure {
 }
 
 impl Metrics {
-    /// Judges an 8-bit picture by its photo: full frame, and inside the mask where that keeps anything. An exact
-    /// picture counts as [`EXACT_DB`].
+    /// Judges an 8-bit picture by its photo: full frame, and inside the mask where that keeps
+    /// anything. An exact picture counts as [`EXACT_DB`].
     pub fn judge(
         render: &RgbImage,
         photo: &RgbImage,
@@ -125,7 +100,8 @@ impl Metrics {
         Self::combined(all, |values| values.iter().sum::<f64>() / values.len() as f64)
     }
 
-    /// What `percent` of the views stay below, each figure by itself; between two views interpolated linearly.
+    /// What `percent` of the views stay below, each figure by itself; between two views
+    /// interpolated linearly.
     pub fn percentile(all: &[Self], percent: u32) -> Self {
         Self::combined(all, |mut values| {
             values.sort_by(f64::total_cmp);

@@ -1,7 +1,7 @@
 //! The evaluation as a reader wants it: protocol, a line a view, percentiles, mean.
 
-use super::Evaluation;
-use super::metrics::{FIGURES, Figure, Metrics};
+use super::metrics::{FIGURES, Figure};
+use crate::record::{Evaluation, Metrics};
 
 impl Evaluation {
     /// The figures that were measured.

@@ -4,6 +4,7 @@ use anyhow::{Result, anyhow};
 use plotters::prelude::*;
 use std::ops::Range;
 
+/// Width and height of a chart, pixels. Source: chosen by hand, never measured.
 const SIZE: (u32, u32) = (460, 320);
 const GREY: RGBColor = RGBColor(0x99, 0x99, 0x99);
 const RED: RGBColor = RGBColor(0xd6, 0x27, 0x28);
@@ -125,7 +126,8 @@ pub fn series(names: [&str; 2], all: &[Series], as_dots: bool) -> Result<String>
     })
 }
 
-/// A bar for each, from zero to its first number, with a whisker to its second; the marked ones in red.
+/// A bar for each, from zero to its first number, with a whisker to its second; the marked ones in
+/// red.
 pub fn bars(names: [&str; 2], all: &[(f64, f64, bool)]) -> Result<String> {
     let top = all.iter().map(|b| b.1).filter(|v| v.is_finite()).fold(0.0, f64::max).max(1e-9) * 1.05;
     let x = |i: usize, part: f64| i as f64 + 0.5 + part;
@@ -144,18 +146,22 @@ pub fn bars(names: [&str; 2], all: &[(f64, f64, bool)]) -> Result<String> {
     })
 }
 
-/// Histogram up to four pixels; the last bar holds all above.
+/// Bars of the histogram. Source: chosen by hand, never measured.
+const BINS: usize = 40;
+/// Errors from here on are in the last bar, pixels. Source: chosen by hand, never measured.
+const LARGEST_ERROR: f64 = 4.0;
+
+/// Histogram of errors, pixels; the last bar holds all above.
 pub fn error_histogram(errors: &[f64]) -> Result<String> {
-    const BINS: usize = 40;
     let mut counts = [0_u32; BINS];
     for e in errors {
-        counts[((e / 4.0 * BINS as f64) as usize).min(BINS - 1)] += 1;
+        counts[((e / LARGEST_ERROR * BINS as f64) as usize).min(BINS - 1)] += 1;
     }
     let top = f64::from(counts.iter().copied().max().unwrap_or(1).max(1)) * 1.05;
     svg(|area| {
-        let mut chart = axes(area, 0.0..4.0, 0.0..top, ["reprojection error, px", "sightings"])?;
+        let mut chart = axes(area, 0.0..LARGEST_ERROR, 0.0..top, ["reprojection error, px", "observations"])?;
         let bars = counts.iter().enumerate().map(|(i, &n)| {
-            let x = |i: usize| i as f64 * 4.0 / BINS as f64;
+            let x = |i: usize| i as f64 * LARGEST_ERROR / BINS as f64;
             Rectangle::new([(x(i), 0.0), (x(i + 1), f64::from(n))], COLOURS[0].filled())
         });
         chart.draw_series(bars).map_err(|e| anyhow!("{e}"))?;

@@ -1,160 +1,160 @@
-//! What was decided and why, in short sentences.
+//! What was decided: by the stages, and what stands where no stage decided.
 
-use super::html::escape;
-use crate::pipeline::RunRecord;
-use serde::{Deserialize, Serialize};
+use crate::record::RunRecord;
+use maud::{Markup, html};
+use scene::decision::{
+    BackgroundModel, Choice, Decision, LightModel, Measurement, MotionModel, PrincipalPoint, Quantity,
+    Remark, Rule, Subject,
+};
 use splat::PoseRefinement;
 
-/// Something that a run has to settle one way or the other.
-struct Topic {
-    title: &'static str,
-    /// Words by which the stages name it.
-    words: &'static [&'static str],
-    /// What is so where no stage decided on it.
-    otherwise: fn(&RunRecord) -> Option<[String; 2]>,
-}
-
-const TOPICS: [Topic; 8] = [
-    Topic { title: "Camera model", words: &["camera model"], otherwise: camera },
-    Topic { title: "Motion", words: &["motion"], otherwise: motion },
-    Topic { title: "Background", words: &["background"], otherwise: background },
-    Topic { title: "SH degree", words: &["spherical-harmonic degree", "sh degree"], otherwise: degree },
-    Topic { title: "Number of Gaussians", words: &["number of gaussians"], otherwise: count },
-    Topic { title: "Poses in training", words: &["poses of the training"], otherwise: training_poses },
-    Topic { title: "Exposure", words: &["exposure"], otherwise: exposure },
-    Topic { title: "Light", words: &["light", "shading"], otherwise: light },
+/// What a run decides in any case, with what is so where no stage did.
+const DEFAULTS: [(Subject, fn(&RunRecord) -> Option<Decision>); 8] = [
+    (Subject::CameraModel, camera_model),
+    (Subject::Motion, motion),
+    (Subject::Background, background),
+    (Subject::ShDegree, sh_degree),
+    (Subject::GaussianCount, gaussian_count),
+    (Subject::TrainingPoses, training_poses),
+    (Subject::Exposure, exposure),
+    (Subject::Illumination, illumination),
 ];
 
-fn said(choice: &str, why: String) -> Option<[String; 2]> {
-    Some([choice.to_owned(), why])
+/// All decisions of a run in the order of their subjects, one or more for each that a run always
+/// decides.
+pub(super) fn all(record: &RunRecord) -> Vec<Decision> {
+    let poses = record.poses.iter().flat_map(|p| &p.decisions);
+    let splat = record.splat.iter().flat_map(|s| &s.decisions);
+    let frames = record.frames.iter().flat_map(|f| &f.decisions);
+    let mut all: Vec<Decision> = frames.chain(poses).chain(splat).cloned().collect();
+    for (subject, default) in DEFAULTS {
+        if !all.iter().any(|d| d.subject == subject) {
+            all.extend(default(record));
+        }
+    }
+    all.sort_by_key(|d| d.subject);
+    all
 }
 
 fn is_imported(record: &RunRecord) -> bool {
     record.poses.as_ref().is_some_and(|p| p.imported)
 }
 
-fn camera(record: &RunRecord) -> Option<[String; 2]> {
-    is_imported(record).then(|| ["as given".to_owned(), "the input brings its cameras".to_owned()])
+fn camera_model(record: &RunRecord) -> Option<Decision> {
+    let choice = Choice::Camera { model: None, principal_point: PrincipalPoint::Given };
+    is_imported(record).then(|| Decision::new(Subject::CameraModel, choice, Rule::Given))
 }
 
-fn motion(record: &RunRecord) -> Option<[String; 2]> {
+fn motion(record: &RunRecord) -> Option<Decision> {
     if is_imported(record) {
-        return said("as given", "the input brings its poses".to_owned());
+        return Some(Decision::new(Subject::Motion, MotionModel::Given, Rule::Given));
     }
     record.poses.as_ref().filter(|p| p.no_model.is_none())?;
-    said("free", "nothing was assumed of how camera and object move".to_owned())
+    Some(Decision::new(Subject::Motion, MotionModel::Free, Rule::Default))
 }
 
-fn background(record: &RunRecord) -> Option<[String; 2]> {
+fn background(record: &RunRecord) -> Option<Decision> {
     record.splat.as_ref()?;
     let frames = record.frames.as_ref()?;
-    let masks = frames.frames.iter().filter(|f| f.mask.is_some()).count();
-    match (masks, record.config.dataset.alpha) {
-        (0, _) => said("part of the scene", "no frame has a matte".to_owned()),
-        (n, splat::AlphaMode::Transparent) => said(
-            "transparent",
-            format!(
-                "{n} of {} frames have a matte; training changes the colour behind them at random",
-                frames.len()
-            ),
-        ),
-        (n, splat::AlphaMode::Ignore) => {
-            said("ignored", format!("asked for by --alpha; {n} of {} frames have a matte", frames.len()))
+    let mattes = frames.frames.iter().filter(|f| f.mask.is_some()).count();
+    let decision = match (mattes, record.config.dataset.alpha) {
+        (0, _) => Decision::new(Subject::Background, BackgroundModel::Scene, Rule::NothingFound),
+        (_, splat::AlphaMode::Transparent) => {
+            Decision::new(Subject::Background, BackgroundModel::Transparent, Rule::Evidence)
+                .remarked(Remark::RandomBackground)
+        }
+        (_, splat::AlphaMode::Ignore) => {
+            Decision::new(Subject::Background, BackgroundModel::Ignored, Rule::Requested)
+        }
+    };
+    let counts = [
+        Measurement::count(Quantity::MattedFrames, mattes),
+        Measurement::count(Quantity::Frames, frames.len()),
+    ];
+    Some(decision.with_all(counts))
+}
+
+fn sh_degree(record: &RunRecord) -> Option<Decision> {
+    let degree = record.splat.as_ref()?.sh_degree;
+    let choice = Measurement::new(Quantity::ShDegree, f64::from(degree));
+    Some(Decision::new(Subject::ShDegree, choice, Rule::Default).remarked(Remark::NoValidation))
+}
+
+fn gaussian_count(record: &RunRecord) -> Option<Decision> {
+    let choice = Choice::count(record.splat.as_ref()?.gaussians);
+    Some(Decision::new(Subject::GaussianCount, choice, Rule::Default).remarked(Remark::NoValidation))
+}
+
+fn training_poses(record: &RunRecord) -> Option<Decision> {
+    record.splat.as_ref()?;
+    let (refined, rule) = match record.config.train.refine_poses {
+        PoseRefinement::On => (true, Rule::Requested),
+        PoseRefinement::Off => (false, Rule::Requested),
+        PoseRefinement::Auto => (false, Rule::TooFewImages),
+    };
+    Some(Decision::new(Subject::TrainingPoses, refined, rule))
+}
+
+fn exposure(record: &RunRecord) -> Option<Decision> {
+    record.splat.as_ref()?;
+    Some(Decision::new(Subject::Exposure, false, Rule::Default))
+}
+
+/// Where the object turned before a camera and a lamp that stood still, the lamp moves with the
+/// camera in the object's frame.
+fn illumination(record: &RunRecord) -> Option<Decision> {
+    record.splat.as_ref()?;
+    let decisions = record.poses.iter().flat_map(|p| &p.decisions);
+    let turned = decisions.filter_map(Decision::motion).any(|m| m == MotionModel::SingleAxis);
+    Some(if turned {
+        Decision::new(Subject::Illumination, LightModel::FixedToCamera, Rule::Evidence)
+            .remarked(Remark::LampMovesWithCamera)
+    } else {
+        Decision::new(Subject::Illumination, LightModel::ViewDependent, Rule::Default)
+    })
+}
+
+/// The decisions as cards.
+pub(super) fn section(record: &RunRecord) -> Markup {
+    html! {
+        @if !record.decisions.is_empty() {
+            h2 { "What was decided, and why" }
+            div.cards { @for decision in &record.decisions { (card(decision)) } }
         }
     }
 }
 
-fn degree(record: &RunRecord) -> Option<[String; 2]> {
-    let splat = record.splat.as_ref()?;
-    said(&splat.sh_degree.to_string(), "as configured; no view was spared to judge it".to_owned())
-}
-
-fn count(record: &RunRecord) -> Option<[String; 2]> {
-    let splat = record.splat.as_ref()?;
-    said(&splat.gaussians.to_string(), "as planned; no view was spared to judge it".to_owned())
-}
-
-fn exposure(record: &RunRecord) -> Option<[String; 2]> {
-    record.splat.as_ref()?;
-    said("the same for all views", "not examined at this quality".to_owned())
-}
-
-fn training_poses(record: &RunRecord) -> Option<[String; 2]> {
-    record.splat.as_ref()?;
-    match record.config.train.refine_poses {
-        PoseRefinement::On => said("refined", "asked for by --refine-poses".to_owned()),
-        PoseRefinement::Off => said("as given", "asked for by --refine-poses".to_owned()),
-        PoseRefinement::Auto => said("as given", "not examined: too few views or steps".to_owned()),
-    }
-}
-
-fn light(record: &RunRecord) -> Option<[String; 2]> {
-    record.splat.as_ref()?;
-    said("no model of its own", "the spherical harmonics carry what changes with the direction".to_owned())
-}
-
-/// A decision as it is shown: title, choice, evidence.
-#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
-pub struct Shown {
-    /// Topic.
-    pub title: String,
-    /// What was chosen.
-    pub choice: String,
-    /// The figures that decided.
-    pub evidence: String,
-}
-
-/// The topics that every reader asks for first, then all that was decided beside.
-pub fn shown(record: &RunRecord) -> Vec<Shown> {
-    let poses = record.poses.iter().flat_map(|p| &p.decisions);
-    let made: Vec<&[String; 3]> = poses.chain(record.splat.iter().flat_map(|s| &s.decisions)).collect();
-    let mut used = vec![false; made.len()];
-    let mut all = Vec::new();
-    for topic in &TOPICS {
-        let mut found = false;
-        for (i, [what, choice, evidence]) in made.iter().enumerate() {
-            let what = what.to_lowercase();
-            if !used[i] && topic.words.iter().any(|w| what.starts_with(w)) {
-                (used[i], found) = (true, true);
-                let (choice, evidence) = (choice.clone(), evidence.clone());
-                all.push(Shown { title: topic.title.to_owned(), choice, evidence });
+fn card(decision: &Decision) -> Markup {
+    let words = decision.sentences();
+    html! {
+        div.card {
+            h3 { (words.title) }
+            b { (words.choice) }
+            @match words.evidence.split_first() {
+                None => {}
+                Some((only, [])) => p { (only) },
+                Some((first, others)) => details {
+                    summary { (first) " …" }
+                    ul { @for clause in others { li { (clause) } } }
+                },
             }
         }
-        if !found && let Some([choice, evidence]) = (topic.otherwise)(record) {
-            all.push(Shown { title: topic.title.to_owned(), choice, evidence });
-        }
     }
-    for ([what, choice, evidence], _) in made.into_iter().zip(used).filter(|(_, used)| !used) {
-        let mut title = what.clone();
-        if let Some(first) = title.get_mut(0..1) {
-            first.make_ascii_uppercase();
-        }
-        all.push(Shown { title, choice: choice.clone(), evidence: evidence.clone() });
-    }
-    all
 }
 
-/// Evidence longer than this is folded away behind its beginning.
-const LONG: usize = 160;
+#[cfg(test)]
+mod tests {
+    use super::*;
 
-/// The decisions as a list of cards.
-pub fn section(record: &RunRecord) -> String {
-    let card = |d: &Shown| {
-        let [title, choice, evidence] = [&d.title, &d.choice, &d.evidence].map(|t| escape(t));
-        let why = if d.evidence.chars().count() <= LONG {
-            format!("<p>{evidence}</p>")
-        } else {
-            let lines: String = evidence.split("; ").map(|part| format!("<li>{part}</li>")).collect();
-            let start: String = d.evidence.chars().take(LONG / 2).collect();
-            let start = start.rsplit_once(' ').map_or(start.as_str(), |s| s.0);
-            format!("<details><summary>{} …</summary><ul>{lines}</ul></details>", escape(start))
-        };
-        format!("<div class=\"card\"><h3>{title}</h3><b>{choice}</b>{why}</div>")
-    };
-    let cards: String = record.decisions.iter().map(card).collect();
-    if cards.is_empty() {
-        cards
-    } else {
-        format!("<h2>What was decided, and why</h2><div class=\"cards\">{cards}</div>")
+    #[test]
+    fn evidence_of_several_clauses_is_folded_behind_its_first() {
+        let decision = Decision::new(Subject::Motion, MotionModel::Orbit, Rule::Evidence);
+        assert!(!card(&decision).into_string().contains("details"));
+        let one = decision.measured(Quantity::Noise, 0.3);
+        assert!(card(&one).into_string().contains("<p>noise 0.300 px</p>"));
+        let two = one.measured(Quantity::Images, 40.0);
+        let shown = card(&two).into_string();
+        assert!(shown.contains("<summary>noise 0.300 px …</summary>"), "{shown}");
+        assert!(shown.contains("<li>images 40</li>"), "{shown}");
     }
 }

@@ -1,28 +1,26 @@
 //! `report.html`: one file, no network, readable on a phone.
 
-mod charts;
-mod comparison;
-pub mod decisions;
-mod html;
+pub(crate) mod charts;
+mod decisions;
+pub(crate) mod html;
 mod poses;
-pub mod verdict;
-mod views;
+mod verdict;
+pub(crate) mod views;
 
-pub use comparison::write as write_comparison;
-
-use crate::pipeline::RunRecord;
+use crate::record::RunRecord;
+use crate::record::{Level, Light};
 use crate::stage::write_whole;
 use anyhow::Result;
-use html::escape;
-use scene::Reconstruction;
-use serde_json::Value;
+use html::InlinePicture;
+use maud::{Markup, html};
+use scene::{FrameSet, Reconstruction};
 use std::path::Path;
-use verdict::{Level, Light};
 
-/// Sets the record's decisions and verdict, from what the run knows and what lies in the folder.
+/// Sets the record's decisions and verdict from what the run knows and from the model in its
+/// folder.
 pub fn judge(out: &Path, record: &mut RunRecord) -> Result<()> {
-    record.decisions = decisions::shown(record);
-    record.verdict = verdict::verdict(record, model(out, record)?.as_ref(), geometry(out, record).as_ref());
+    record.decisions = decisions::all(record);
+    record.verdict = verdict::verdict(record, model(out, record)?.as_ref());
     Ok(())
 }
 
@@ -39,13 +37,6 @@ fn model(out: &Path, record: &RunRecord) -> Result<Option<Reconstruction>> {
     Ok(has_model.then(|| scene::io::read_model(&out.join("sparse/0"))).transpose()?)
 }
 
-/// What the evaluation says of the shape, if it was measured.
-fn geometry(out: &Path, record: &RunRecord) -> Option<Value> {
-    record.evaluation.as_ref()?;
-    let text = std::fs::read(out.join("eval/metrics.json")).ok()?;
-    serde_json::from_slice::<Value>(&text).ok()?.get_mut("geometry").map(Value::take).filter(Value::is_object)
-}
-
 /// The input's name and that of the folder it lies in.
 fn title(record: &RunRecord) -> String {
     let input = &record.config.input;
@@ -54,81 +45,89 @@ fn title(record: &RunRecord) -> String {
     names.join("/")
 }
 
-fn body(out: &Path, record: &RunRecord, model: Option<&Reconstruction>) -> Result<String> {
-    let mut html = format!("<h1>{}</h1>", escape(&title(record)));
-    html += &lights(&record.verdict);
-    html += &decisions::section(record);
-    frames(&mut html, out, record)?;
-    if let Some(poses) = &record.poses {
-        poses::section(&mut html, record, poses, model)?;
-    }
-    if let Some(splat) = &record.splat {
-        views::training(&mut html, splat)?;
-    }
-    if let Some(evaluation) = &record.evaluation {
-        views::held_out(&mut html, out, evaluation)?;
-    }
-    costs(&mut html, record);
-    Ok(html)
+fn body(out: &Path, record: &RunRecord, model: Option<&Reconstruction>) -> Result<Markup> {
+    let poses = record.poses.as_ref().map(|p| poses::section(record, p, model)).transpose()?;
+    let training = record.splat.as_ref().map(views::training).transpose()?;
+    let held_out = record.evaluation.as_ref().map(|e| views::held_out(out, e)).transpose()?;
+    Ok(html! {
+        h1 { (title(record)) }
+        (lights(&record.verdict))
+        (decisions::section(record))
+        (frames(out, record)?)
+        @for section in [poses, training, held_out].into_iter().flatten() { (section) }
+        (costs(record))
+    })
 }
 
-/// The traffic light with its reasons.
-fn lights(lights: &[Light]) -> String {
+/// The verdict with its reasons.
+pub(crate) fn lights(lights: &[Light]) -> Markup {
     let overall = verdict::overall(lights);
     let word = match overall {
         Level::Good => "All well",
         Level::Fair => "Usable, with doubts",
-        Level::Bad => "Not to be relied on",
+        Level::Bad => "Not reliable",
         Level::Unknown => "Not judged yet",
     };
-    let item = |l: &Light| {
-        let [what, reason] = [&l.what, &l.reason].map(|t| escape(t));
-        format!("<li class=\"{}\"><b>{what}</b>: {reason}</li>", l.level.class())
-    };
-    let items: String = lights.iter().map(item).collect();
-    format!("<div class=\"verdict {}\"><b>{word}</b><ul class=\"lights\">{items}</ul></div>", overall.class())
-}
-
-/// Longest side of the sheet of mattes, pixels.
-const SHEET_SIZE: u32 = 1200;
-
-fn frames(html: &mut String, out: &Path, record: &RunRecord) -> Result<()> {
-    let Some(frames) = &record.frames else { return Ok(()) };
-    *html += &format!("<h2>Frames</h2><p>{} frames used", frames.len());
-    if let (Some(first), Some(last)) = (frames.frames.first(), frames.frames.last()) {
-        let names = [&first.name, &last.name].map(|n| escape(n));
-        *html += &format!(", {}×{}, from {} to {}", first.width, first.height, names[0], names[1]);
-        if let (Some(a), Some(b)) = (first.time_s, last.time_s) {
-            *html += &format!(" ({a:.2} s to {b:.2} s)");
+    html! {
+        div class={ "verdict " (overall.class()) } {
+            b { (word) }
+            ul.lights {
+                @for light in lights {
+                    li class=(light.level.class()) { b { (light.what) } ": " (light.reason) }
+                }
+            }
         }
     }
-    let masks = frames.frames.iter().filter(|f| f.mask.is_some()).count();
-    *html += &format!("; {masks} with a matte.</p>");
-    html::list(html, frames.notes.iter().map(|n| escape(n)));
-    let sheet = out.join("mattes.png");
-    if masks > 0 && sheet.is_file() {
-        let picture = html::picture(&sheet, SHEET_SIZE)?;
-        *html += &format!("<img class=\"mattes\" alt=\"mattes\" {picture}>");
-    }
-    Ok(())
 }
 
-fn costs(html: &mut String, record: &RunRecord) {
-    html.push_str("<h2>Cost</h2>");
-    let row = |(stage, cost): &(String, crate::stage::Cost)| {
-        let numbers =
-            [format!("{:.1}", cost.wall_s), format!("{:.1}", cost.cpu_s), format!("{:.0}", cost.peak_mib)];
-        [escape(stage)].into_iter().chain(numbers).collect::<Vec<String>>()
-    };
-    let rows: Vec<Vec<String>> = record.costs.iter().map(row).collect();
-    html::table(html, &["stage", "wall s", "CPU s", "peak MiB"], &rows);
-    let libraries: String = record
-        .libraries
+/// Longest side of the sheet of mattes, pixels. Source: chosen by hand, never measured.
+const SHEET_SIZE: u32 = 1200;
+
+fn frames(out: &Path, record: &RunRecord) -> Result<Markup> {
+    let Some(frames) = &record.frames else { return Ok(Markup::default()) };
+    let mattes = frames.frames.iter().filter(|f| f.mask.is_some()).count();
+    let sheet = out.join("mattes.png");
+    let picture =
+        (mattes > 0 && sheet.is_file()).then(|| InlinePicture::read(&sheet, SHEET_SIZE)).transpose()?;
+    Ok(html! {
+        h2 { "Frames" }
+        p { (frames_in_words(frames, mattes)) }
+        (html::list(&frames.notes))
+        @if let Some(picture) = picture { (picture.element(Some("mattes"), "mattes")) }
+    })
+}
+
+fn frames_in_words(frames: &FrameSet, mattes: usize) -> String {
+    let mut text = format!("{} frames", frames.len());
+    if let (Some(first), Some(last)) = (frames.frames.first(), frames.frames.last()) {
+        let (w, h) = (first.width, first.height);
+        text += &format!(", {w}×{h} pixels, from {} to {}", first.name, last.name);
+        if let (Some(a), Some(b)) = (first.time_s, last.time_s) {
+            text += &format!(" ({a:.2} s to {b:.2} s)");
+        }
+    }
+    text + &format!("; {mattes} with a matte.")
+}
+
+fn costs(record: &RunRecord) -> Markup {
+    let rows: Vec<Vec<String>> = record
+        .costs
         .iter()
-        .map(|(name, version)| format!(", {} {}", escape(name), escape(version)))
+        .map(|(stage, cost)| {
+            let numbers = [cost.wall_s, cost.cpu_s].map(|s| format!("{s:.1}"));
+            let peak = format!("{:.0}", cost.peak_mib);
+            [stage.clone()].into_iter().chain(numbers).chain([peak]).collect()
+        })
         .collect();
-    *html += &format!(
-        "<p><small>sat-recon {}, seed {}{libraries}.</small></p>",
-        record.version, record.config.seed
-    );
+    html! {
+        h2 { "Cost" }
+        (html::table(&["stage", "wall s", "CPU s", "peak MiB"], &rows))
+        p {
+            small {
+                "sat-recon " (record.version) ", seed " (record.config.seed)
+                @for (name, version) in &record.libraries { ", " (name) " " (version) }
+                "."
+            }
+        }
+    }
 }

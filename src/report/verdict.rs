@@ -1,36 +1,7 @@
-//! The traffic light: what is well, what is doubtful and what is wrong, each with its reason.
+//! The traffic light: what is well, doubtful or wrong, each with its reason.
 
-use crate::evaluate::Evaluation;
-use crate::evaluate::metrics::Metrics;
-use crate::pipeline::{PoseSummary, RunRecord};
-use scene::{FrameSet, Pose, Reconstruction, Ring};
-use serde::{Deserialize, Serialize};
-use serde_json::Value;
-
-/// How well something is.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
-#[serde(rename_all = "lowercase")]
-pub enum Level {
-    /// Not measured.
-    Unknown,
-    /// As it should be.
-    Good,
-    /// Usable, with a doubt.
-    Fair,
-    /// Not to be relied on.
-    Bad,
-}
-
-/// One light of the verdict.
-#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
-pub struct Light {
-    /// What is judged.
-    pub what: String,
-    /// The colour.
-    pub level: Level,
-    /// Why, with the figures.
-    pub reason: String,
-}
+use crate::record::{Evaluation, Level, Light, Metrics, PoseSummary, RunRecord};
+use scene::{Closure, FrameSet, Reconstruction, RingSequence};
 
 impl Level {
     /// Of a figure of which less is better.
@@ -45,7 +16,7 @@ impl Level {
     }
 
     /// As a class of the style sheet.
-    pub fn class(self) -> &'static str {
+    pub(super) fn class(self) -> &'static str {
         match self {
             Self::Unknown => "unknown",
             Self::Good => "good",
@@ -60,13 +31,12 @@ fn light(what: &str, level: Level, reason: String) -> Light {
 }
 
 /// The worst of the lights.
-pub fn overall(lights: &[Light]) -> Level {
+pub(super) fn overall(lights: &[Light]) -> Level {
     lights.iter().map(|l| l.level).max().unwrap_or(Level::Unknown)
 }
 
-/// Every light that can be told of what the run knows. `model`: its solved poses; `geometry`: what the evaluation
-/// measured of the shape.
-pub fn verdict(record: &RunRecord, model: Option<&Reconstruction>, geometry: Option<&Value>) -> Vec<Light> {
+/// Every light that can be told from what the run knows; `model`: its poses and points.
+pub(super) fn verdict(record: &RunRecord, model: Option<&Reconstruction>) -> Vec<Light> {
     let mut lights = Vec::new();
     if let Some(poses) = &record.poses {
         lights.push(registered(poses));
@@ -74,26 +44,25 @@ pub fn verdict(record: &RunRecord, model: Option<&Reconstruction>, geometry: Opt
             return lights;
         }
         if let (Some(model), Some(frames)) = (model, &record.frames) {
-            lights.extend(turn(model, frames));
+            lights.extend(closure(model, frames));
         }
-        lights.extend(sightings(poses));
+        lights.extend(observations(poses));
         lights.push(weak(poses));
     }
     if let Some(evaluation) = record.evaluation.as_ref().filter(|e| !e.views.is_empty()) {
         lights.push(quality(evaluation));
         lights.push(overfit(evaluation));
-        lights.push(floaters(geometry));
+        lights.push(floaters(evaluation));
     }
     lights
 }
 
 /// Share of the opacity that lies outside the visual hull of the mattes.
-fn floaters(geometry: Option<&Value>) -> Light {
-    match geometry.and_then(|g| g.get("floaters_pct")).and_then(Value::as_f64).map(|pct| pct / 100.0) {
-        Some(share) => {
-            let reason =
-                format!("{:.2} % of the opacity lies outside the mattes' visual hull", 100.0 * share);
-            light("floaters", Level::below(share, 0.01, 0.05), reason)
+fn floaters(evaluation: &Evaluation) -> Light {
+    match evaluation.geometry.as_ref().and_then(|g| g.floaters_pct) {
+        Some(percent) => {
+            let reason = format!("{percent:.2} % of the opacity lies outside the visual hull of the mattes");
+            light("floaters", Level::below(percent, 1.0, 5.0), reason)
         }
         None => light("floaters", Level::Unknown, "not measured".to_owned()),
     }
@@ -109,7 +78,7 @@ fn registered(poses: &PoseSummary) -> Light {
     light("frames with a pose", Level::below(missing, 0.0, 0.2), reason)
 }
 
-fn sightings(poses: &PoseSummary) -> Option<Light> {
+fn observations(poses: &PoseSummary) -> Option<Light> {
     if poses.points == 0 {
         return None; // poses of the input without a cloud
     }
@@ -119,62 +88,46 @@ fn sightings(poses: &PoseSummary) -> Option<Light> {
 
 fn weak(poses: &PoseSummary) -> Light {
     if poses.imported {
-        return light("weak frames", Level::Unknown, "not judged: the poses are the input's".to_owned());
+        return light("weak frames", Level::Unknown, "not judged: the poses came with the input".to_owned());
     }
     let share = poses.weak.len() as f64 / poses.registered.max(1) as f64;
     let names: Vec<&str> = poses.weak.iter().take(3).map(|w| w.0.as_str()).collect();
     let more = if poses.weak.len() > names.len() { ", …" } else { "" };
     let reason = match names.len() {
-        0 => "none hangs by a thread".to_owned(),
+        0 => "no image is weakly constrained".to_owned(),
         _ => format!("{} of {}: {}{more}", poses.weak.len(), poses.registered, names.join(", ")),
     };
     light("weak frames", Level::below(share, 0.0, 0.1), reason)
 }
 
-/// Centres farther from their circle than this, in radii, do not go round anything.
-const RING_MISFIT: f64 = 0.1;
-
-/// An eighth of the turn: surfaces that face it are seen from aslant only.
-const WIDE_GAP_DEG: f64 = 45.0;
-
-/// The circle the cameras stand on, in the order of the frames: with their names and places in that order.
-pub fn ring(model: &Reconstruction, frames: &FrameSet) -> Option<(Ring, Vec<String>, Vec<f64>)> {
-    let mut found: Vec<(f64, &str, Pose)> = Vec::new();
-    for (place, frame) in frames.frames.iter().enumerate() {
-        if let Some(image) = model.image_named(&frame.name) {
-            found.push((place as f64, &frame.name, image.pose));
+/// Whether the cameras go all the way round, and in a video without a jump.
+fn closure(model: &Reconstruction, frames: &FrameSet) -> Option<Light> {
+    let sequence = RingSequence::of(model, frames)?;
+    let found = sequence.closure(frames.is_video);
+    let [first, last] = sequence.ends(&found.arc);
+    let (arc, step) = (found.arc.angle.to_degrees(), found.step.to_degrees());
+    let (level, reason) = match found.closure {
+        Closure::Jump => {
+            let reason = format!(
+                "{first} and {last} follow each other but lie {arc:.0}° apart a frame (others {step:.1}°): \
+                 repeated structure may have been mistaken for one part"
+            );
+            (Level::Bad, reason)
         }
-    }
-    let poses: Vec<Pose> = found.iter().map(|f| f.2).collect();
-    let ring = Ring::fit(&poses).filter(|r| r.misfit < RING_MISFIT)?;
-    Some((ring, found.iter().map(|f| f.1.to_owned()).collect(), found.iter().map(|f| f.0).collect()))
-}
-
-/// Whether the loop closes: no wide arc without a camera, and in a video no jump between neighbours.
-fn turn(model: &Reconstruction, frames: &FrameSet) -> Option<Light> {
-    let (ring, names, places) = ring(model, frames)?;
-    let (gap, (jump, step)) = (ring.largest_gap(), ring.steps(&places));
-    let [gap_deg, jump_deg, step_deg]: [f64; 3] = [gap.angle, jump.angle, step].map(f64::to_degrees);
-    let ends = |ends: [usize; 2]| format!("{} and {}", names[ends[0]], names[ends[1]]);
-    if frames.is_video && jump_deg > (6.0 * step_deg).max(20.0) {
-        let reason = format!(
-            "{} follow each other but lie {jump_deg:.0}° a frame apart (others {step_deg:.1}°): the model may be folded",
-            ends(jump.ends)
-        );
-        return Some(light("loop", Level::Bad, reason));
-    }
-    // Without an order in time the cameras' own mean distance is the measure.
-    let mean_deg: f64 = 360.0 / names.len() as f64;
-    let is_closed = gap_deg <= (4.0 * step_deg.min(mean_deg)).max(WIDE_GAP_DEG);
-    let reason = if is_closed {
-        format!("closed: the largest gap is {gap_deg:.1}°, between {}", ends(gap.ends))
-    } else {
-        format!("open: {gap_deg:.0}° without a camera, between {}", ends(gap.ends))
+        Closure::Closed => {
+            let reason = format!("closed: the largest gap is {arc:.1}°, between {first} and {last}");
+            (Level::Good, reason)
+        }
+        Closure::Open => {
+            let reason = format!("open: no camera in an arc of {arc:.0}°, between {first} and {last}");
+            (Level::Fair, reason)
+        }
     };
-    Some(light("loop", if is_closed { Level::Good } else { Level::Fair }, reason))
+    Some(light("loop", level, reason))
 }
 
-/// The PSNR that is judged: inside the matte where there are mattes, since black around an object is no achievement.
+/// The PSNR that is judged: inside the matte where there are mattes, since black pixels around an
+/// object are easy to render.
 fn judged(metrics: &Metrics) -> f64 {
     metrics.psnr_mask.unwrap_or(metrics.psnr)
 }
@@ -204,7 +157,7 @@ fn quality(evaluation: &Evaluation) -> Light {
 
 fn overfit(evaluation: &Evaluation) -> Light {
     let Some(training) = &evaluation.training else {
-        return light("overfitting", Level::Unknown, "no training view was judged".to_owned());
+        return light("overfitting", Level::Unknown, "no training view was evaluated".to_owned());
     };
     let (seen, unseen) = (judged(&training.mean), judged(&evaluation.mean));
     let gap = seen - unseen;
@@ -219,52 +172,7 @@ fn overfit(evaluation: &Evaluation) -> Light {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::evaluate::{TrainingViews, ViewMetrics};
-    use glam::DVec3;
-    use scene::{Frame, PosedImage};
-
-    /// Cameras at these angles (degrees) on a circle, filmed in this order.
-    fn filmed(angles: &[f64]) -> (Reconstruction, FrameSet) {
-        let (mut model, mut frames) =
-            (Reconstruction::default(), FrameSet { is_video: true, ..FrameSet::default() });
-        for (i, a) in angles.iter().enumerate() {
-            let (sin, cos) = a.to_radians().sin_cos();
-            let pose = Pose::look_at(DVec3::new(cos, sin, 0.2), DVec3::ZERO, DVec3::Z);
-            let (id, name) = (i as u32 + 1, format!("{i:03}.png"));
-            model
-                .images
-                .insert(id, PosedImage { id, camera: 1, name: name.clone(), pose, observations: vec![] });
-            frames.frames.push(Frame { name, ..Frame::default() });
-        }
-        (model, frames)
-    }
-
-    fn steps(from: f64, step: f64, count: usize) -> Vec<f64> {
-        (0..count).map(|i| from + step * i as f64).collect()
-    }
-
-    #[test]
-    fn a_full_turn_is_closed_half_a_turn_is_open_and_a_jump_is_a_fold() {
-        let level = |angles: &[f64]| {
-            let (model, frames) = filmed(angles);
-            turn(&model, &frames).map(|l| l.level)
-        };
-        assert_eq!(level(&steps(0.0, 5.0, 72)), Some(Level::Good));
-        assert_eq!(level(&steps(0.0, 5.0, 36)), Some(Level::Fair));
-        // A gap counts from an eighth of a turn on, however densely the rest was filmed.
-        assert_eq!(level(&steps(0.0, 4.0, 81)), Some(Level::Good), "a gap of 40°");
-        assert_eq!(level(&steps(0.0, 4.0, 78)), Some(Level::Fair), "a gap of 52°");
-        assert_eq!(level(&[steps(0.0, 5.0, 36), steps(0.0, 5.0, 36)].concat()), Some(Level::Bad));
-    }
-
-    #[test]
-    fn frames_without_a_pose_are_no_jump() {
-        let (mut model, frames) = filmed(&steps(0.0, 5.0, 72));
-        (20..32).for_each(|id| drop(model.images.remove(&id)));
-        let found = turn(&model, &frames).unwrap();
-        assert_eq!(found.level, Level::Fair, "{}", found.reason);
-        assert!(found.reason.contains("018.png and 031.png"), "{}", found.reason);
-    }
+    use crate::record::{TrainingViews, ViewMetrics};
 
     #[test]
     fn the_gap_between_training_and_held_out_views_is_overfitting() {
@@ -285,7 +193,7 @@ mod tests {
     }
 
     #[test]
-    fn black_around_an_object_is_no_achievement() {
+    fn pixels_outside_the_matte_are_not_judged() {
         let of = |psnr, inside| Metrics { psnr, psnr_mask: inside, ..Metrics::default() };
         let evaluation = |all: &[Metrics], training| Evaluation {
             mean: Metrics::mean(all),

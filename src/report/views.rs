@@ -1,59 +1,86 @@
-//! The report's splat: curves, held-out views as photo against render, figures, geometry.
+//! The report's splat: curves, held-out views as photo against render, figures, shape.
 
 use super::charts::{self, Series};
-use super::html::{self, escape, figure};
-use crate::evaluate::Evaluation;
-use crate::pipeline::SplatSummary;
+use super::html::{self, InlinePicture, figure};
+use crate::record::{Evaluation, ShapeEvaluation, SplatSummary};
 use anyhow::Result;
+use maud::{Markup, html};
+use splat::CurvePoint;
 use std::path::Path;
 
-/// Longest side of a picture in the report, pixels.
-pub const PICTURE_SIZE: u32 = 480;
-/// Most views whose pictures are shown.
+/// Longest side of a picture in the report, pixels. Source: chosen by hand, never measured.
+pub(crate) const PICTURE_SIZE: u32 = 480;
+/// Most views whose pictures are shown. Source: chosen by hand, never measured.
 const MOST_PICTURES: usize = 24;
 
 /// Size and curves of the training.
-pub fn training(html: &mut String, splat: &SplatSummary) -> Result<()> {
-    *html += &format!("<h2>Splat</h2><p>{} gaussians, SH degree {}.</p>", splat.gaussians, splat.sh_degree);
-    let curve =
-        |pick: fn(&splat::CurvePoint) -> f64| Series::of(splat.curve.iter().map(|p| (p.seconds, pick(p))));
-    html.push_str("<div class=\"row\">");
-    for (name, pick, caption) in [
-        (
-            "PSNR, dB",
-            (|p| f64::from(p.psnr)) as fn(&splat::CurvePoint) -> f64,
-            "PSNR of the training views, at the resolution in use",
-        ),
+pub(super) fn training(splat: &SplatSummary) -> Result<Markup> {
+    let curves: [(&str, fn(&CurvePoint) -> f64, &str); 3] = [
+        ("PSNR, dB", |p| f64::from(p.psnr), "PSNR of the training views, at the resolution in use"),
         ("loss", |p| f64::from(p.loss), "Loss of the training views"),
-        ("gaussians", |p| p.gaussians as f64, "Number of Gaussians"),
-    ] {
-        figure(html, &charts::series(["training time, s", name], &[curve(pick)], false)?, caption);
+        ("Gaussians", |p| p.gaussians as f64, "Number of Gaussians"),
+    ];
+    let mut figures = Vec::new();
+    for (name, pick, caption) in curves {
+        let curve = Series::of(splat.curve.iter().map(|p| (p.seconds, pick(p))));
+        figures.push(figure(charts::series(["training time, s", name], &[curve], false)?, caption));
     }
-    html.push_str("</div>");
-    Ok(())
+    Ok(html! {
+        h2 { "Splat" }
+        p { (splat.gaussians) " Gaussians, SH degree " (splat.sh_degree) "." }
+        div.row { @for figure in &figures { (figure) } }
+    })
 }
 
 /// The held-out views: protocol, table, pictures, cost of rendering.
-pub fn held_out(html: &mut String, out: &Path, evaluation: &Evaluation) -> Result<()> {
-    *html += &format!("<h2>Held-out views</h2><p>{}</p>", escape(&evaluation.protocol));
+pub(super) fn held_out(out: &Path, evaluation: &Evaluation) -> Result<Markup> {
     let figures = evaluation.figures();
     let heads: Vec<&str> = ["view"].into_iter().chain(figures.iter().map(|f| f.name)).collect();
-    let row = |(name, metrics): (String, &_)| {
-        let cells = figures.iter().map(|f| f.shown(metrics));
-        [escape(&name)].into_iter().chain(cells).collect::<Vec<String>>()
-    };
-    let rows: Vec<Vec<String>> = evaluation.rows().into_iter().map(row).collect();
-    html::table(html, &heads, &rows);
-    *html += &format!("<p>{}</p>", escape(&evaluation.rendering.sentence()));
-    *html += &evaluation.geometry.as_ref().map_or(String::new(), |g| g.html());
-    pictures(html, out, evaluation)
+    let rows: Vec<Vec<String>> = evaluation
+        .rows()
+        .into_iter()
+        .map(|(name, metrics)| {
+            let cells = figures.iter().map(|f| f.shown(metrics));
+            [name].into_iter().chain(cells).collect()
+        })
+        .collect();
+    Ok(html! {
+        h2 { "Held-out views" }
+        p { (evaluation.protocol) }
+        (html::table(&heads, &rows))
+        p { (evaluation.rendering.sentence()) }
+        @if let Some(geometry) = &evaluation.geometry { (shape(geometry)) }
+        (pictures(out, evaluation)?)
+    })
+}
+
+/// The shape: a table where there is a mesh, and a sentence.
+fn shape(geometry: &ShapeEvaluation) -> Markup {
+    let mut protocol = geometry.protocol.clone();
+    if let Some(first) = protocol.get_mut(0..1) {
+        first.make_ascii_uppercase();
+    }
+    let rows: Vec<Vec<String>> = geometry
+        .rows()
+        .into_iter()
+        .map(|(what, cells)| [what.to_owned()].into_iter().chain(cells).collect())
+        .collect();
+    html! {
+        h3 { "Shape" }
+        p { (protocol) "." }
+        @if geometry.cloud.is_some() || geometry.surface.is_some() {
+            (html::table(&["", "sparse cloud", "splat", "fused mesh"], &rows))
+        }
+        @if let Some(share) = geometry.floaters_pct {
+            p { (format!("{share:.2} % of the opacity lies outside the silhouettes.")) }
+        }
+    }
 }
 
 /// Which views are shown: all, or as many spread evenly, with the worst among them.
 fn chosen(evaluation: &Evaluation) -> Vec<usize> {
     let views = &evaluation.views;
-    let psnr = |i: &usize| views[*i].metrics.psnr;
-    let worst = (0..views.len()).min_by(|a, b| psnr(a).total_cmp(&psnr(b)));
+    let worst = (0..views.len()).min_by(|&a, &b| views[a].metrics.psnr.total_cmp(&views[b].metrics.psnr));
     let step = views.len().div_ceil(MOST_PICTURES).max(1);
     let mut chosen: Vec<usize> = (0..views.len()).step_by(step).chain(worst).collect();
     chosen.sort_unstable();
@@ -61,27 +88,31 @@ fn chosen(evaluation: &Evaluation) -> Vec<usize> {
     chosen
 }
 
-fn pictures(html: &mut String, out: &Path, evaluation: &Evaluation) -> Result<()> {
+fn pictures(out: &Path, evaluation: &Evaluation) -> Result<Markup> {
     let chosen = chosen(evaluation);
-    if chosen.is_empty() {
-        return Ok(());
-    }
-    let all = if chosen.len() < evaluation.views.len() {
-        format!("{} of {} views, the worst among them. ", chosen.len(), evaluation.views.len())
-    } else {
-        String::new()
-    };
-    *html += &format!(
-        "<p>{all}Drag the border between photo and render. \
-         <label><input type=checkbox class=\"difference\"> difference × 4</label></p><div class=\"pairs\">"
-    );
+    let (shown, all) = (chosen.len(), evaluation.views.len());
+    let mut sliders = Vec::new();
     for view in chosen.into_iter().map(|i| &evaluation.views[i]) {
-        let load = |kind: &str| html::picture(&view.picture(out, kind)?, PICTURE_SIZE);
+        let photo = InlinePicture::read(&view.picture(out, "photos")?, PICTURE_SIZE)?;
+        let render = InlinePicture::read(&view.picture(out, "renders")?, PICTURE_SIZE)?;
         let m = &view.metrics;
         let inside = m.psnr_mask.map_or(String::new(), |v| format!("; {v:.2} dB inside the matte"));
         let caption = format!("{}: {:.2} dB, SSIM {:.4}{inside}", view.name, m.psnr, m.ssim);
-        html::slider(html, ("photo", &load("photos")?), ("render", &load("renders")?), &caption);
+        sliders.push(html::slider(("photo", &photo), ("render", &render), &caption));
     }
-    html.push_str("</div>");
-    Ok(())
+    Ok(html! {
+        @if !sliders.is_empty() {
+            p {
+                @if shown < all { (shown) " of " (all) " views, the worst among them. " }
+                "Drag the border between photo and render. "
+                (difference_switch())
+            }
+            div.pairs { @for slider in &sliders { (slider) } }
+        }
+    })
+}
+
+/// The box that shows differences in place of pairs.
+pub(crate) fn difference_switch() -> Markup {
+    html! { label { input.difference type="checkbox"; " difference × 4" } }
 }

@@ -8,14 +8,15 @@ use anyhow::{Context, Result, bail};
 use base64::Engine as _;
 use base64::engine::general_purpose::STANDARD;
 use glam::DVec3;
-use scene::Reconstruction;
-use scene::sim3::Sim3;
+use scene::{Reconstruction, overview};
 use serde::Serialize;
 use std::path::{Path, PathBuf};
 
-/// Longest side of a photo in the page, pixels.
+/// Quality of the photos in the page, of 100. Source: chosen by hand, never measured.
+const JPEG_QUALITY: u8 = 82;
+/// Longest side of a photo in the page, pixels. Source: chosen by hand, never measured.
 const PHOTO_SIZE: u32 = 640;
-/// Most points of the sparse cloud in the page.
+/// Most points of the sparse cloud in the page. Source: chosen by hand, never measured.
 const MOST_POINTS: usize = 30_000;
 
 /// An input camera as the page knows it.
@@ -62,10 +63,15 @@ pub struct ViewScene {
     antialias: bool,
 }
 
-/// Median distance of the cameras from the middle of what they look at, in the page. Browsers' splats are 16-bit and
-/// fixed-point numbers: this is where both are fine, whatever the units of the scene are.
+/// Shares of the points that are nearer than the near and than the far depth of the page.
+/// Source: chosen by hand, never measured.
+const DEPTHS: [f64; 2] = [0.02, 0.98];
+/// Median distance of the cameras from the middle of what they look at, in the page. Browsers'
+/// splats are 16-bit and fixed-point numbers: this is where both are fine, whatever the units of
+/// the scene are. Source: chosen by hand, never measured.
 const RADIUS: f64 = 16.0;
-/// Nothing is shown beyond this, in the page's units: it lies behind the far plane.
+/// Nothing is shown beyond this, in the page's units: it lies behind the far plane. Source:
+/// viewer/src, the far plane.
 const FARTHEST: f32 = 2000.0;
 
 /// A finished run, as far as it is looked at, moved into the page's frame.
@@ -75,7 +81,8 @@ pub struct Run {
     pub folder: PathBuf,
     /// PINHOLE cameras that the splat was trained with.
     pub model: Reconstruction,
-    /// The splat as `.spz`: a sixth of the bytes that a browser has to fetch, decode and sort into its textures.
+    /// The splat as `.spz`: a sixth of the bytes that a browser has to fetch, decode and sort into
+    /// its textures.
     pub splat: Vec<u8>,
     /// Whether it was trained with --antialias.
     pub antialias: bool,
@@ -91,7 +98,7 @@ impl Run {
         let model = scene::io::read_model(&folder.join("undistorted/sparse/0"))?;
         anyhow::ensure!(!model.images.is_empty(), "{} has no cameras", folder.display());
         let mut gaussians = scene::io::read_splat_ply(&splat)?;
-        let page_from_world = normalisation(&model);
+        let page_from_world = overview::centred(&model, RADIUS);
         gaussians.transform(&page_from_world);
         let near = |m: &glam::Vec3| m.abs().max_element() < FARTHEST;
         let shown: Vec<bool> = gaussians.means.iter().map(near).collect();
@@ -116,13 +123,9 @@ impl Run {
     }
 
     fn scene(&self, splat: Splat, photo: impl Fn(usize) -> Option<String>) -> ViewScene {
-        let points: Vec<DVec3> = self.model.points.values().map(|p| p.position).collect();
-        let first = self.model.images.values().next().map_or(DVec3::ZERO, |i| i.pose.centre());
-        let up: DVec3 = self.model.images.values().map(|i| i.pose.rotation.conjugate() * -DVec3::Y).sum();
-        let mut depths: Vec<f64> = points.iter().step_by(16).map(|p| p.distance(first)).collect();
-        depths.sort_by(f64::total_cmp);
-        let depth = |q: usize, default: f64| depths.get(depths.len() * q / 100).copied().unwrap_or(default);
-        let (near, far) = (depth(2, 0.5 * RADIUS), depth(98, 2.0 * RADIUS));
+        let up = overview::up(&self.model);
+        let [near, far] =
+            overview::depth_range(&self.model, DEPTHS[0], DEPTHS[1]).unwrap_or([0.5 * RADIUS, 2.0 * RADIUS]);
         let name = std::path::absolute(&self.folder).unwrap_or_else(|_| self.folder.clone());
         ViewScene {
             title: name.file_name().map_or_else(|| "splat".into(), |n| n.to_string_lossy().into_owned()),
@@ -171,27 +174,6 @@ impl Run {
     }
 }
 
-/// Puts the middle of the cloud (of the cameras, where there is none) at the origin, the cameras at [`RADIUS`].
-fn normalisation(model: &Reconstruction) -> Sim3 {
-    let centres: Vec<DVec3> = model.images.values().map(|i| i.pose.centre()).collect();
-    let points: Vec<DVec3> = model.points.values().map(|p| p.position).collect();
-    let centre = if points.is_empty() { median(&centres) } else { median(&points) };
-    let mut distances: Vec<f64> = centres.iter().map(|c| c.distance(centre)).collect();
-    distances.sort_by(f64::total_cmp);
-    let radius = distances.get(distances.len() / 2).copied().filter(|r| *r > 0.0 && r.is_finite());
-    let scale = RADIUS / radius.unwrap_or(RADIUS);
-    Sim3 { scale, translation: -scale * centre, ..Sim3::IDENTITY }
-}
-
-fn median(points: &[DVec3]) -> DVec3 {
-    let of = |axis: usize| {
-        let mut values: Vec<f64> = points.iter().map(|p| p[axis]).collect();
-        values.sort_by(f64::total_cmp);
-        values.get(values.len() / 2).copied().unwrap_or(0.0)
-    };
-    DVec3::new(of(0), of(1), of(2))
-}
-
 /// The viewer's script, or what to do without.
 fn bundle() -> Result<&'static str> {
     BUNDLE.context(
@@ -225,12 +207,9 @@ pub fn write_page(folder: &Path, target: &Path) -> Result<()> {
 }
 
 fn small_jpeg(picture: &image::RgbImage) -> Result<Vec<u8>> {
-    let (w, h) = picture.dimensions();
-    let scale = (f64::from(PHOTO_SIZE) / f64::from(w.max(h))).min(1.0);
-    let size = |v: u32| ((f64::from(v) * scale).round() as u32).max(1);
-    let small = scene::io::resize_area(picture, size(w), size(h));
     let mut bytes = Vec::new();
-    small.write_with_encoder(image::codecs::jpeg::JpegEncoder::new_with_quality(&mut bytes, 82))?;
+    let encoder = image::codecs::jpeg::JpegEncoder::new_with_quality(&mut bytes, JPEG_QUALITY);
+    scene::io::shrunk(picture, PHOTO_SIZE).write_with_encoder(encoder)?;
     Ok(bytes)
 }
 
@@ -239,16 +218,18 @@ mod tests {
     use super::*;
     use glam::{Quat, Vec3};
     use scene::Gaussians;
+    use scene::sim3::Sim3;
     use scene::synthetic::{SyntheticOptions, synthetic_scene};
 
-    /// Opens a run of a simulated scene at this scale, with three Gaussians: in the middle, beside it, at a million radii.
+    /// Opens a run of a simulated scene at this scale, with three Gaussians: in the middle, beside
+    /// it, at a million radii.
     fn opened(scale: f64) -> (Run, Gaussians) {
         let dir = std::env::temp_dir().join(format!("sat-recon-view-{scale}-{}", std::process::id()));
         std::fs::create_dir_all(dir.join("undistorted/sparse/0")).unwrap();
         let options = SyntheticOptions { num_points: 100, num_cameras: 6, ..Default::default() };
         let model = synthetic_scene(&options, 1).truth;
         let model = Sim3 { scale, ..Sim3::IDENTITY }.transform_reconstruction(&model);
-        let centre = normalisation(&model).inverse().translation;
+        let centre = overview::centred(&model, RADIUS).inverse().translation;
         let mut g = Gaussians { sh_degree: 0, ..Default::default() };
         for x in [0.0, 0.5, 1e6] {
             g.means.push((centre + DVec3::X * x * scale).as_vec3());

@@ -1,8 +1,9 @@
-//! `view`: the page over HTTP, on 127.0.0.1 alone. Four kinds of address are answered; no path leads to a file.
+//! `view`: the page over HTTP, on 127.0.0.1 alone. Four kinds of address are answered; no path
+//! leads to a file.
 
 use super::{Run, Splat, bundle, page};
-use crate::Outcome;
-use crate::cli::ViewArgs;
+use crate::args::ViewArgs;
+use crate::outcome::Outcome;
 use crate::terminal::CANCELLED;
 use anyhow::{Result, anyhow};
 use std::fs::File;

@@ -1,8 +1,10 @@
-//! Depth maps fused to a surface: a truncated signed distance in sparse blocks of voxels, and its zero set as a mesh.
+//! Depth maps fused to a surface: a truncated signed distance in sparse blocks of voxels, and its
+//! zero set as a mesh.
 //!
-//! Curless and Levoy, "A Volumetric Method for Building Complex Models from Range Images", SIGGRAPH 1996; weights that fall
-//! off behind the surface: Bylow et al., "Real-Time Camera Tracking and 3D Reconstruction Using Signed Distance Functions",
-//! RSS 2013. Blocks: Nießner et al., "Real-time 3D Reconstruction at Scale using Voxel Hashing", 2013.
+//! Curless and Levoy, "A Volumetric Method for Building Complex Models from Range Images", SIGGRAPH
+//! 1996; weights that fall off behind the surface: Bylow et al., "Real-Time Camera Tracking and 3D
+//! Reconstruction Using Signed Distance Functions", RSS 2013. Blocks: Nießner et al., "Real-time 3D
+//! Reconstruction at Scale using Voxel Hashing", 2013.
 
 use super::Mesh;
 use super::cubes::{EDGES, axis_of, table};
@@ -11,17 +13,22 @@ use glam::{DVec2, DVec3};
 use rayon::prelude::*;
 use std::collections::{BTreeSet, HashMap};
 
-/// Voxels along a side of a block.
+/// Voxels along a side of a block. Source: decision record 14 (docs/decisions, mesh from depths).
 const SIDE: i32 = 8;
+/// Voxels of a block. Source: derived from [`SIDE`].
 const VOXELS: usize = (SIDE * SIDE * SIDE) as usize;
-/// Blocks reach this far around every measured point, voxels.
+/// Blocks reach this far around every measured point, voxels. Source: chosen by hand, never
+/// measured.
 const MARGIN: f64 = 2.0;
-/// Behind the surface a view counts fully as far as this, then less and less, in truncation distances.
+/// Behind the surface a view counts fully as far as this, then less and less, in truncation
+/// distances. Source: chosen by hand, never measured.
 const FULL_WEIGHT_BEHIND: f32 = 0.25;
-/// Weight of a ray that probably meets nothing. A rod one pixel wide is missed by every third ray that should meet it: with
-/// full weight these would rub it out.
+/// Weight of a ray that probably meets nothing. A rod one pixel wide is missed by every third ray
+/// that should meet it: with full weight these would erase it. Share of 1. Source: decision record
+/// 14 (docs/decisions, mesh from depths).
 const PROBABLY_NOTHING: f32 = 0.1;
 /// Colours come from views that put the surface no farther off, in truncation distances.
+/// Source: chosen by hand, never measured.
 const COLOUR_BAND: f32 = 0.5;
 
 /// What a camera without distortion measured.
@@ -31,8 +38,9 @@ pub struct DepthMap {
     pub camera: Camera,
     /// `cam_from_world`.
     pub pose: Pose,
-    /// [height × width] camera z, scene units; infinite where the ray meets nothing, −∞ where it probably does not (beside
-    /// what it could have met); anything else that is not a positive number is unknown.
+    /// [height × width] camera z, scene units; infinite where the ray meets nothing, −∞ where it
+    /// probably does not (beside what it could have met); anything else that is not a positive
+    /// number is unknown.
     pub depth: Vec<f32>,
     /// [height × width × 3] sRGB.
     pub rgb: Vec<u8>,
@@ -52,7 +60,7 @@ pub struct FusionOptions {
 }
 
 #[derive(Clone)]
-struct Block {
+struct FusionBlock {
     /// Place of the first voxel, in blocks.
     at: [i32; 3],
     /// Mean distance in [-1, 1] truncations, positive outside, and its weight.
@@ -64,7 +72,7 @@ struct Block {
     colour: Vec<[f32; 4]>,
 }
 
-/// Bytes of a block: distance, weight, views, three colours and their weight.
+/// Bytes of a block: distance, weight, views, three colours and their weight. Source: derived.
 const BLOCK_BYTES: usize = VOXELS * 25;
 
 /// Why there is no mesh.
@@ -85,8 +93,8 @@ pub enum FusionError {
     Cancelled(#[from] crate::Cancelled),
 }
 
-/// The surface that the depth maps agree on, with colours at its vertices; no triangles where there is none. The same for
-/// any number of threads.
+/// The surface that the depth maps agree on, with colours at its vertices; no triangles where there
+/// is none. The same for any number of threads.
 pub fn fuse(maps: &[DepthMap], options: &FusionOptions, progress: &Progress) -> Result<Mesh, FusionError> {
     let mut places = BTreeSet::new();
     progress.begin("find the surface", maps.len());
@@ -105,7 +113,7 @@ pub fn fuse(maps: &[DepthMap], options: &FusionOptions, progress: &Progress) -> 
     progress.begin("fuse depths", places.len().div_ceil(256));
     let mut blocks = Vec::with_capacity(places.len());
     for some in places.chunks(256) {
-        blocks.par_extend(some.par_iter().map(|at| Block::fused(*at, maps, options)));
+        blocks.par_extend(some.par_iter().map(|at| FusionBlock::fused(*at, maps, options)));
         progress.tick()?;
     }
     Ok(extract(&blocks, options))
@@ -156,7 +164,7 @@ fn touched(map: &DepthMap, voxel: f64) -> BTreeSet<[i32; 3]> {
     })
 }
 
-impl Block {
+impl FusionBlock {
     fn fused(at: [i32; 3], maps: &[DepthMap], options: &FusionOptions) -> Self {
         let zero = || vec![0.0; VOXELS];
         let (views, colour) = (vec![0; VOXELS], vec![[0.0; 4]; VOXELS]);
@@ -223,11 +231,11 @@ impl Block {
 type Edge = ([i32; 3], usize);
 
 /// The zero set of the blocks.
-fn extract(blocks: &[Block], options: &FusionOptions) -> Mesh {
-    let by_place: HashMap<[i32; 3], &Block> = blocks.iter().map(|b| (b.at, b)).collect();
-    let patch = |block: &Block| {
+fn extract(blocks: &[FusionBlock], options: &FusionOptions) -> Mesh {
+    let by_place: HashMap<[i32; 3], &FusionBlock> = blocks.iter().map(|b| (b.at, b)).collect();
+    let patch = |block: &FusionBlock| {
         let mut patch = Vec::new();
-        let near: [Option<&Block>; 8] = std::array::from_fn(|c| {
+        let near: [Option<&FusionBlock>; 8] = std::array::from_fn(|c| {
             let at: [i32; 3] = std::array::from_fn(|k| block.at[k] + (c as i32 >> k & 1));
             by_place.get(&at).copied()
         });
@@ -252,10 +260,11 @@ fn extract(blocks: &[Block], options: &FusionOptions) -> Mesh {
     mesh
 }
 
-/// The triangles of the cell whose lowest corner is voxel `cell` of the first block of `near` (its neighbours in
-/// the directions of rising coordinates, by corner); none where a corner was not seen.
+/// The triangles of the cell whose lowest corner is voxel `cell` of the first block of `near` (its
+/// neighbours in the directions of rising coordinates, by corner); none where a corner was not
+/// seen.
 fn polygonise(
-    near: &[Option<&Block>; 8],
+    near: &[Option<&FusionBlock>; 8],
     cell: [i32; 3],
     options: &FusionOptions,
     patch: &mut Vec<[(Edge, DVec3, [u8; 3]); 3]>,
@@ -304,7 +313,8 @@ mod tests {
     use crate::CameraModel;
     use std::collections::BTreeMap;
 
-    /// The unit sphere (times `scale`) at `centre`, red where x > 0 and green elsewhere, seen from this direction.
+    /// The unit sphere (times `scale`) at `centre`, red where x > 0 and green elsewhere, seen from
+    /// this direction.
     fn sphere(from: DVec3, scale: f64, centre: DVec3) -> DepthMap {
         let camera = Camera::centred(1, CameraModel::Pinhole, 200, 160, 220.0);
         let pose = Pose::look_at(centre + from.normalize() * 4.0 * scale, centre, DVec3::new(0.1, 0.2, 1.0));

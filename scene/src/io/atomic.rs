@@ -1,98 +1,116 @@
-//! Files and folders that are whole or absent: written beside the target, renamed when complete.
+//! Files and folders that are whole or absent: written beside the target (by `tempfile`), renamed
+//! when complete.
 
 use super::error::IoError;
 use std::fs::{self, File, OpenOptions};
 use std::io::{self, BufWriter, Write};
-use std::path::{Path, PathBuf};
-use std::sync::atomic::{AtomicU64, Ordering};
+use std::path::Path;
+use tempfile::{Builder, TempDir, TempPath};
 
-/// A name beside `path` that nobody else uses: hidden, with process and running number.
-fn beside(path: &Path, what: &str) -> PathBuf {
-    static NEXT: AtomicU64 = AtomicU64::new(0);
-    let name = path.file_name().map(|n| n.to_string_lossy().into_owned()).unwrap_or_default();
-    let number = NEXT.fetch_add(1, Ordering::Relaxed);
-    path.with_file_name(format!(".{name}.{}.{number}.{what}", std::process::id()))
+/// Buffer of written files, bytes. Source: chosen by hand, never measured.
+const BUFFER_BYTES: usize = 1 << 16;
+
+fn parent_of(path: &Path) -> &Path {
+    path.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."))
 }
 
 fn create_parent(path: &Path) -> Result<(), IoError> {
-    match path.parent() {
-        Some(parent) if !parent.as_os_str().is_empty() => {
-            fs::create_dir_all(parent).map_err(IoError::file("create the folder", parent))
-        }
-        _ => Ok(()),
-    }
+    let parent = parent_of(path);
+    fs::create_dir_all(parent).map_err(IoError::file("create the folder", parent))
+}
+
+/// The permissions that other programs give new files or folders; the process's mask applies.
+fn with_usual_permissions<'a, 'b>(builder: &'a mut Builder<'b, 'b>, mode: u32) -> &'a mut Builder<'b, 'b> {
+    #[cfg(unix)]
+    builder.permissions(std::os::unix::fs::PermissionsExt::from_mode(mode));
+    #[cfg(not(unix))]
+    let _ = mode;
+    builder
+}
+
+/// A hidden file beside `path` that is removed unless it is kept.
+fn file_beside(path: &Path) -> io::Result<TempPath> {
+    let mut builder = Builder::new();
+    let file =
+        with_usual_permissions(builder.prefix(".").suffix(".tmp"), 0o666).tempfile_in(parent_of(path))?;
+    Ok(file.into_temp_path())
+}
+
+/// A hidden folder beside `path` that is removed unless it is kept.
+fn folder_beside(path: &Path) -> io::Result<TempDir> {
+    let mut builder = Builder::new();
+    with_usual_permissions(builder.prefix(".").suffix(".tmp"), 0o777).tempdir_in(parent_of(path))
 }
 
 /// Makes the new name of a file durable; not every file system can, so a failure is no error.
 fn sync_parent(path: &Path) {
-    let parent = path.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."));
-    if let Ok(folder) = File::open(parent) {
+    if let Ok(folder) = File::open(parent_of(path)) {
         let _ = folder.sync_all();
     }
 }
 
-/// Writes a file through `write`: the target keeps its old content (or stays absent) unless all of it has
-/// reached the disk. Missing parent folders are made.
+/// Writes a file through `write`: the target keeps its old content (or stays absent) unless all of
+/// it has reached the disk. Missing parent folders are made.
 pub fn write_atomic(
     path: &Path,
     write: impl FnOnce(&mut BufWriter<File>) -> io::Result<()>,
 ) -> Result<(), IoError> {
     write_file_atomic(path, |temporary| {
-        let mut out = BufWriter::with_capacity(1 << 16, File::create(temporary)?);
+        let mut out = BufWriter::with_capacity(BUFFER_BYTES, File::create(temporary)?);
         write(&mut out)?;
         out.flush()
     })
 }
 
-/// [`write_atomic`] for writers that want a path: `write` makes a file of the given name, which does not exist yet.
+/// [`write_atomic`] for writers that want a path: `write` fills the file of that name, which is
+/// empty.
 pub(crate) fn write_file_atomic(
     path: &Path,
     write: impl FnOnce(&Path) -> io::Result<()>,
 ) -> Result<(), IoError> {
     create_parent(path)?;
-    let temporary = beside(path, "tmp");
-    let result = write(&temporary).and_then(|()| {
-        OpenOptions::new().write(true).open(&temporary)?.sync_all()?;
-        fs::rename(&temporary, path)
-    });
-    if result.is_err() {
-        let _ = fs::remove_file(&temporary);
-    }
-    result.map_err(IoError::file("write", path))?;
+    fill_and_rename(path, write).map_err(IoError::file("write", path))?;
     sync_parent(path);
     Ok(())
 }
 
-/// Fills a new folder through `fill` and puts it in the place of `path` when that succeeded; what was there
-/// before is removed only then.
+fn fill_and_rename(path: &Path, write: impl FnOnce(&Path) -> io::Result<()>) -> io::Result<()> {
+    let temporary = file_beside(path)?;
+    write(&temporary)?;
+    OpenOptions::new().write(true).open(&temporary)?.sync_all()?;
+    Ok(temporary.persist(path)?)
+}
+
+/// Fills a new folder through `fill` and puts it in the place of `path` when that succeeded; what
+/// was there before is removed only then.
 pub fn replace_folder<E: From<IoError>>(
     path: &Path,
     fill: impl FnOnce(&Path) -> Result<(), E>,
 ) -> Result<(), E> {
     create_parent(path)?;
-    let temporary = beside(path, "tmp");
-    fs::create_dir(&temporary).map_err(IoError::file("create the folder", &temporary))?;
-    let done = fill(&temporary)
-        .and_then(|()| Ok(swap_folder(&temporary, path).map_err(IoError::file("replace", path))?));
-    if done.is_err() {
-        let _ = fs::remove_dir_all(&temporary);
-        return done;
-    }
+    let temporary = folder_beside(path).map_err(IoError::file("create a folder beside", path))?;
+    fill(temporary.path())?;
+    swap_folder(temporary, path).map_err(IoError::file("replace", path))?;
     sync_parent(path);
     Ok(())
 }
 
-fn swap_folder(new: &Path, target: &Path) -> io::Result<()> {
-    if !target.exists() {
-        return fs::rename(new, target);
+fn swap_folder(new: TempDir, target: &Path) -> io::Result<()> {
+    // What was there goes with the temporary folder it is moved into.
+    let old = folder_beside(target)?;
+    let aside = old.path().join("old");
+    let existed = target.exists();
+    if existed {
+        fs::rename(target, &aside)?;
     }
-    let old = beside(target, "old");
-    fs::rename(target, &old)?;
-    if let Err(error) = fs::rename(new, target) {
-        fs::rename(&old, target)?;
+    if let Err(error) = fs::rename(new.path(), target) {
+        if existed {
+            fs::rename(&aside, target)?;
+        }
         return Err(error);
     }
-    fs::remove_dir_all(&old)
+    let _ = new.keep(); // it has another name now
+    old.close()
 }
 
 #[cfg(test)]

@@ -12,24 +12,24 @@ pub(crate) struct ByteReader<'a> {
 
 macro_rules! read_le {
     ($name:ident, $t:ty) => {
-        pub fn $name(&mut self, what: &str) -> Result<$t, IoError> {
+        pub(crate) fn $name(&mut self, what: &str) -> Result<$t, IoError> {
             Ok(<$t>::from_le_bytes(self.array(what)?))
         }
     };
 }
 
 impl<'a> ByteReader<'a> {
-    pub fn new(path: &'a Path, data: &'a [u8]) -> Self {
+    pub(crate) fn new(path: &'a Path, data: &'a [u8]) -> Self {
         Self { path, data, at: 0 }
     }
 
     /// Bytes not yet read.
-    pub fn left(&self) -> usize {
+    pub(crate) fn left(&self) -> usize {
         self.data.len() - self.at
     }
 
     /// The next `n` bytes.
-    pub fn take(&mut self, n: usize, what: &str) -> Result<&'a [u8], IoError> {
+    pub(crate) fn take(&mut self, n: usize, what: &str) -> Result<&'a [u8], IoError> {
         if n > self.left() {
             return Err(self.truncated(what, n as u64));
         }
@@ -51,7 +51,7 @@ impl<'a> ByteReader<'a> {
     read_le!(f64, f64);
 
     /// N doubles.
-    pub fn f64s<const N: usize>(&mut self, what: &str) -> Result<[f64; N], IoError> {
+    pub(crate) fn f64s<const N: usize>(&mut self, what: &str) -> Result<[f64; N], IoError> {
         let mut out = [0.0; N];
         for v in &mut out {
             *v = self.f64(what)?;
@@ -59,14 +59,15 @@ impl<'a> ByteReader<'a> {
         Ok(out)
     }
 
-    /// A 64-bit count of records of at least `record` bytes: believed only if the file has room for them.
-    pub fn count(&mut self, record: usize, what: &str) -> Result<usize, IoError> {
+    /// A 64-bit count of records of at least `record` bytes: believed only if the file has room for
+    /// them.
+    pub(crate) fn count(&mut self, record: usize, what: &str) -> Result<usize, IoError> {
         let n = self.u64(what)?;
         self.check_room(n, record, what)
     }
 
     /// `n` as a `usize` if that many records of at least `record` bytes are left.
-    pub fn check_room(&self, n: u64, record: usize, what: &str) -> Result<usize, IoError> {
+    pub(crate) fn check_room(&self, n: u64, record: usize, what: &str) -> Result<usize, IoError> {
         let needed = n.saturating_mul(record as u64);
         if needed > self.left() as u64 {
             return Err(self.truncated(&format!("{n} × {what}"), needed));
@@ -75,7 +76,7 @@ impl<'a> ByteReader<'a> {
     }
 
     /// Text that ends with a NUL byte.
-    pub fn c_string(&mut self, what: &str) -> Result<&'a str, IoError> {
+    pub(crate) fn c_string(&mut self, what: &str) -> Result<&'a str, IoError> {
         let rest = &self.data[self.at..];
         let Some(end) = rest.iter().take(4096).position(|&b| b == 0) else {
             return Err(IoError::format(

@@ -9,11 +9,16 @@ use std::collections::BTreeMap;
 use std::io::{self, Write};
 use std::path::Path;
 
-/// The number of "no point".
+/// The number of "no point". Source: COLMAP's format.html, binary format.
 const NO_POINT: u64 = u64::MAX;
+/// Least bytes of a camera, an image, an observation and a point. Source: COLMAP's format.html,
+/// binary format.
 const CAMERA_BYTES: usize = 4 + 4 + 8 + 8 + 3 * 8;
+/// See [`CAMERA_BYTES`]. Source: COLMAP's format.html, binary format.
 const IMAGE_BYTES: usize = 4 + 7 * 8 + 4 + 1 + 8;
+/// See [`CAMERA_BYTES`]. Source: COLMAP's format.html, binary format.
 const OBSERVATION_BYTES: usize = 8 + 8 + 8;
+/// See [`CAMERA_BYTES`]. Source: COLMAP's format.html, binary format.
 const POINT_BYTES: usize = 8 + 3 * 8 + 3 + 8 + 8;
 
 pub(super) fn read(dir: &Path) -> Result<Reconstruction, IoError> {
@@ -45,7 +50,7 @@ pub(super) fn parse_cameras(path: &Path, data: &[u8]) -> Result<BTreeMap<u32, Ca
     Ok(cameras)
 }
 
-/// COLMAP's other models, for the message.
+/// COLMAP's other models, for the message. Source: COLMAP's cameras.html.
 const UNSUPPORTED: [(i32, &str); 8] = [
     (5, "OPENCV_FISHEYE"),
     (6, "FULL_OPENCV"),
@@ -176,10 +181,13 @@ pub(super) fn parse_points(path: &Path, data: &[u8]) -> Result<BTreeMap<u64, Sce
         }
         let rgb = [r.u8("a colour")?, r.u8("a colour")?, r.u8("a colour")?];
         let error_px = r.f64("an error")?;
-        let n = r.count(8, "sightings of a point")?;
+        let n = r.count(8, "observations of a point")?;
         let mut track = Vec::with_capacity(n);
         for _ in 0..n {
-            track.push(TrackElement { image: r.u32("a sighting")?, observation: r.u32("a sighting")? });
+            track.push(TrackElement {
+                image: r.u32("an observation")?,
+                observation: r.u32("an observation")?,
+            });
         }
         insert(path, "point", &mut points, id, ScenePoint { position, rgb, error_px, track })?;
     }

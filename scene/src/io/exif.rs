@@ -1,4 +1,24 @@
-//! The few EXIF tags that say something about the camera (EXIF 2.3, TIFF 6.0 structure).
+//! What EXIF says about the camera and where it stood (EXIF 2.32; parsed by `kamadak-exif`).
+
+use ::exif::{Exif, Field, In, Reader, Tag, Value};
+
+/// Millimetres of an inch, the default unit of FocalPlaneXResolution. Source: EXIF 2.32, 4.6.5.
+const INCH_MM: f64 = 25.4;
+/// Millimetres of a centimetre (FocalPlaneResolutionUnit 3). Source: EXIF 2.32, 4.6.5.
+const CENTIMETRE_MM: f64 = 10.0;
+/// Width and height of the 35 mm film frame, millimetres. Source: CIPA DCG-001.
+const FILM_MM: [f64; 2] = [36.0, 24.0];
+
+/// Where a photo was taken (WGS 84).
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct GpsPosition {
+    /// Latitude, degrees, north is positive.
+    pub latitude_deg: f64,
+    /// Longitude, degrees, east is positive.
+    pub longitude_deg: f64,
+    /// Altitude above sea level, metres.
+    pub altitude_m: Option<f64>,
+}
 
 /// What EXIF says about the lens and the sensor.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -15,136 +35,104 @@ pub struct ExifCamera {
     pub sensor_px_per_mm: Option<f64>,
     /// PixelXDimension and PixelYDimension: size of the original image.
     pub original_size: Option<(u32, u32)>,
+    /// Where the photo was taken.
+    pub gps: Option<GpsPosition>,
 }
 
-const MAKE: u16 = 0x010f;
-const MODEL: u16 = 0x0110;
-const EXIF_IFD: u16 = 0x8769;
-const FOCAL_LENGTH: u16 = 0x920a;
-const PIXEL_X: u16 = 0xa002;
-const PIXEL_Y: u16 = 0xa003;
-const FOCAL_PLANE_X_RESOLUTION: u16 = 0xa20e;
-const FOCAL_PLANE_UNIT: u16 = 0xa210;
-const FOCAL_LENGTH_35MM: u16 = 0xa405;
-
 impl ExifCamera {
-    /// From the TIFF structure of an EXIF chunk (without the `Exif\0\0` before it). What is damaged counts as absent.
+    /// From the TIFF structure of an EXIF chunk (without the `Exif\0\0` before it). What is damaged
+    /// counts as absent.
     pub fn parse(chunk: &[u8]) -> Self {
-        let mut exif = Self::default();
-        let Some(tiff) = Tiff::new(chunk) else { return exif };
-        let mut unit_mm = 25.4; // the default unit is the inch
-        let mut resolution = None;
-        let mut size = (None, None);
-        let mut todo = vec![tiff.u32(4)];
-        for _ in 0..2 {
-            let Some(Some(ifd)) = todo.pop() else { break };
-            for entry in tiff.entries(ifd as usize) {
-                match entry.tag {
-                    MAKE => exif.make = tiff.text(&entry),
-                    MODEL => exif.model = tiff.text(&entry),
-                    EXIF_IFD => todo.push(tiff.integer(&entry)),
-                    FOCAL_LENGTH => exif.focal_mm = tiff.rational(&entry),
-                    FOCAL_LENGTH_35MM => {
-                        exif.focal_35mm = tiff.integer(&entry).map(f64::from).filter(|&f| f > 0.0)
-                    }
-                    FOCAL_PLANE_X_RESOLUTION => resolution = tiff.rational(&entry),
-                    FOCAL_PLANE_UNIT if tiff.integer(&entry) == Some(3) => unit_mm = 10.0,
-                    PIXEL_X => size.0 = tiff.integer(&entry),
-                    PIXEL_Y => size.1 = tiff.integer(&entry),
-                    _ => {}
-                }
-            }
+        let read = Reader::new().continue_on_error(true).read_raw(chunk.to_vec());
+        let read = read.or_else(|e| e.distill_partial_result(|_damaged| {}));
+        read.as_ref().map(Self::from_fields).unwrap_or_default()
+    }
+
+    fn from_fields(exif: &Exif) -> Self {
+        let resolution = positive(exif, Tag::FocalPlaneXResolution);
+        let centimetres = integer(exif, Tag::FocalPlaneResolutionUnit) == Some(3);
+        let unit_mm = if centimetres { CENTIMETRE_MM } else { INCH_MM };
+        let size = integer(exif, Tag::PixelXDimension).zip(integer(exif, Tag::PixelYDimension));
+        Self {
+            make: text(exif, Tag::Make),
+            model: text(exif, Tag::Model),
+            focal_mm: positive(exif, Tag::FocalLength),
+            focal_35mm: integer(exif, Tag::FocalLengthIn35mmFilm).map(f64::from).filter(|&f| f > 0.0),
+            sensor_px_per_mm: resolution.map(|r| r / unit_mm),
+            original_size: size.filter(|s| s.0 > 0 && s.1 > 0),
+            gps: GpsPosition::from_fields(exif),
         }
-        exif.sensor_px_per_mm = resolution.map(|r| r / unit_mm);
-        exif.original_size = size.0.zip(size.1).filter(|s| s.0 > 0 && s.1 > 0);
-        exif
     }
 
     /// Focal length in pixels of an image of this size; `None` where EXIF does not say.
     ///
-    /// The 35 mm equivalent is defined by the angle of view over the diagonal (CIPA DCG-001):
-    /// `f_px = f₃₅ · diagonal_px / 43.267 mm`. Else `f_px = f_mm · px/mm`, scaled if the image was resized since.
+    /// The 35 mm equivalent is defined by the angle of view over the diagonal (CIPA DCG-001): `f_px
+    /// = f₃₅ · diagonal_px / 43.267 mm`. Else `f_px = f_mm · px/mm`, scaled if the image was
+    /// resized since.
     pub fn focal_px(&self, width: u32, height: u32) -> Option<f64> {
         let diagonal = f64::from(width).hypot(f64::from(height));
-        let from_35mm = self.focal_35mm.map(|f| f * diagonal / 36f64.hypot(24.0));
-        let from_sensor = || {
-            let original = self.original_size.map_or(diagonal, |(w, h)| f64::from(w).hypot(f64::from(h)));
-            Some(self.focal_mm? * self.sensor_px_per_mm? * diagonal / original)
-        };
-        from_35mm.or_else(from_sensor).filter(|f| (0.1 * diagonal..100.0 * diagonal).contains(f))
+        let from_35mm = self.focal_35mm.map(|f| f * diagonal / FILM_MM[0].hypot(FILM_MM[1]));
+        let focal = from_35mm.or_else(|| self.focal_from_sensor(diagonal));
+        focal.filter(|f| (0.1 * diagonal..100.0 * diagonal).contains(f))
+    }
+
+    fn focal_from_sensor(&self, diagonal: f64) -> Option<f64> {
+        let original = self.original_size.map_or(diagonal, |(w, h)| f64::from(w).hypot(f64::from(h)));
+        Some(self.focal_mm? * self.sensor_px_per_mm? * diagonal / original)
     }
 }
 
-struct Entry {
-    tag: u16,
-    kind: u16,
-    count: usize,
-    /// Where the four value bytes (or the offset of the value) lie.
-    at: usize,
+impl GpsPosition {
+    fn from_fields(exif: &Exif) -> Option<Self> {
+        let latitude_deg = degrees(exif, Tag::GPSLatitude, Tag::GPSLatitudeRef, "S")?;
+        let longitude_deg = degrees(exif, Tag::GPSLongitude, Tag::GPSLongitudeRef, "W")?;
+        let below = field(exif, Tag::GPSAltitudeRef).and_then(|f| f.value.get_uint(0)) == Some(1);
+        let altitude = rationals(exif, Tag::GPSAltitude).first().copied();
+        let altitude_m = altitude.map(|a| if below { -a } else { a });
+        let valid = latitude_deg.abs() <= 90.0 && longitude_deg.abs() <= 180.0;
+        valid.then_some(Self { latitude_deg, longitude_deg, altitude_m })
+    }
 }
 
-struct Tiff<'a> {
-    data: &'a [u8],
-    big_endian: bool,
+fn field(exif: &Exif, tag: Tag) -> Option<&Field> {
+    exif.get_field(tag, In::PRIMARY)
 }
 
-impl<'a> Tiff<'a> {
-    fn new(data: &'a [u8]) -> Option<Self> {
-        let big_endian = match data.get(..4)? {
-            b"II*\0" => false,
-            b"MM\0*" => true,
-            _ => return None,
-        };
-        Some(Self { data, big_endian })
-    }
+fn integer(exif: &Exif, tag: Tag) -> Option<u32> {
+    field(exif, tag)?.value.get_uint(0)
+}
 
-    fn u16(&self, at: usize) -> Option<u16> {
-        let b: [u8; 2] = self.data.get(at..at.checked_add(2)?)?.try_into().ok()?;
-        Some(if self.big_endian { u16::from_be_bytes(b) } else { u16::from_le_bytes(b) })
+/// The finite ones of the rational numbers of a field.
+fn rationals(exif: &Exif, tag: Tag) -> Vec<f64> {
+    match field(exif, tag).map(|f| &f.value) {
+        Some(Value::Rational(all)) => all.iter().map(|r| r.to_f64()).filter(|v| v.is_finite()).collect(),
+        _ => Vec::new(),
     }
+}
 
-    fn u32(&self, at: usize) -> Option<u32> {
-        let b: [u8; 4] = self.data.get(at..at.checked_add(4)?)?.try_into().ok()?;
-        Some(if self.big_endian { u32::from_be_bytes(b) } else { u32::from_le_bytes(b) })
-    }
+fn positive(exif: &Exif, tag: Tag) -> Option<f64> {
+    rationals(exif, tag).first().copied().filter(|v| *v > 0.0)
+}
 
-    fn entries(&self, ifd: usize) -> Vec<Entry> {
-        let n = self.u16(ifd).unwrap_or(0) as usize;
-        let entry = |i: usize| {
-            let at = ifd + 2 + 12 * i;
-            let count = self.u32(at + 4)? as usize;
-            Some(Entry { tag: self.u16(at)?, kind: self.u16(at + 2)?, count, at: at + 8 })
-        };
-        (0..n).map_while(entry).collect()
-    }
+/// Degrees, minutes and seconds as degrees, negative where the reference is `negative`.
+fn degrees(exif: &Exif, tag: Tag, reference: Tag, negative: &str) -> Option<f64> {
+    let [degrees, minutes, seconds] = rationals(exif, tag)[..] else { return None };
+    let value = degrees + minutes / 60.0 + seconds / 3600.0;
+    Some(if text(exif, reference)? == negative { -value } else { value })
+}
 
-    fn integer(&self, e: &Entry) -> Option<u32> {
-        match e.kind {
-            3 => self.u16(e.at).map(u32::from),
-            4 => self.u32(e.at),
-            _ => None,
-        }
-    }
-
-    fn rational(&self, e: &Entry) -> Option<f64> {
-        let at = self.u32(e.at)? as usize;
-        let value = f64::from(self.u32(at)?) / f64::from(self.u32(at.checked_add(4)?)?);
-        (e.kind == 5 && value.is_finite() && value > 0.0).then_some(value)
-    }
-
-    fn text(&self, e: &Entry) -> Option<String> {
-        let at = if e.count > 4 { self.u32(e.at)? as usize } else { e.at };
-        let bytes = self.data.get(at..at.checked_add(e.count.min(200))?)?;
-        let text = String::from_utf8_lossy(bytes.split(|&b| b == 0).next()?).trim().to_string();
-        (e.kind == 2 && !text.is_empty()).then_some(text)
-    }
+fn text(exif: &Exif, tag: Tag) -> Option<String> {
+    let Value::Ascii(lines) = &field(exif, tag)?.value else { return None };
+    let text = String::from_utf8_lossy(lines.first()?).trim().to_owned();
+    (!text.is_empty()).then_some(text)
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
 
-    /// A little-endian TIFF whose IFD0 points to an EXIF IFD with focal length 50/10 mm, resolution 5000 px/cm.
+    /// A little-endian TIFF whose IFD0 points to an EXIF IFD with focal length 50/10 mm, resolution
+    /// 5000 px/cm.
     fn chunk() -> Vec<u8> {
         let mut c = b"II*\0\x08\0\0\0".to_vec();
         let entry = |c: &mut Vec<u8>, tag: u16, kind: u16, count: u32, value: u32| {
@@ -154,16 +142,16 @@ mod tests {
             c.extend(value.to_le_bytes());
         };
         c.extend(2u16.to_le_bytes());
-        entry(&mut c, MAKE, 2, 4, u32::from_le_bytes(*b"Cam\0"));
-        entry(&mut c, EXIF_IFD, 4, 1, 38);
+        entry(&mut c, 0x010f, 2, 4, u32::from_le_bytes(*b"Cam\0"));
+        entry(&mut c, 0x8769, 4, 1, 38);
         c.extend([0; 4]);
         assert_eq!(c.len(), 38);
         c.extend(5u16.to_le_bytes());
-        entry(&mut c, FOCAL_LENGTH, 5, 1, 104);
-        entry(&mut c, FOCAL_PLANE_X_RESOLUTION, 5, 1, 112);
-        entry(&mut c, FOCAL_PLANE_UNIT, 3, 1, 3);
-        entry(&mut c, PIXEL_X, 4, 1, 4000);
-        entry(&mut c, PIXEL_Y, 4, 1, 3000);
+        entry(&mut c, 0x920a, 5, 1, 104);
+        entry(&mut c, 0xa20e, 5, 1, 112);
+        entry(&mut c, 0xa210, 3, 1, 3);
+        entry(&mut c, 0xa002, 4, 1, 4000);
+        entry(&mut c, 0xa003, 4, 1, 3000);
         c.extend([0; 4]);
         assert_eq!(c.len(), 104);
         for v in [50u32, 10, 5000, 1] {
@@ -181,6 +169,28 @@ mod tests {
         let exif = ExifCamera { focal_35mm: Some(36.0), ..Default::default() };
         assert!((exif.focal_px(3600, 2400).unwrap() - 3600.0).abs() < 1e-9);
         assert_eq!(ExifCamera::default().focal_px(100, 100), None);
+    }
+
+    #[test]
+    fn a_position_south_and_west_is_negative() {
+        let rational = |all: &[u32]| {
+            Value::Rational(all.iter().map(|&num| ::exif::Rational { num, denom: 1 }).collect())
+        };
+        let fields = [
+            (Tag::GPSLatitudeRef, Value::Ascii(vec![b"S".to_vec()])),
+            (Tag::GPSLatitude, rational(&[33, 30, 36])),
+            (Tag::GPSLongitudeRef, Value::Ascii(vec![b"W".to_vec()])),
+            (Tag::GPSLongitude, rational(&[70, 45, 0])),
+            (Tag::GPSAltitude, rational(&[520])),
+        ]
+        .map(|(tag, value)| Field { tag, ifd_num: In::PRIMARY, value });
+        let mut writer = ::exif::experimental::Writer::new();
+        fields.iter().for_each(|f| writer.push_field(f));
+        let mut chunk = std::io::Cursor::new(Vec::new());
+        writer.write(&mut chunk, true).unwrap();
+        let gps = ExifCamera::parse(chunk.get_ref()).gps.unwrap();
+        assert!((gps.latitude_deg + 33.51).abs() < 1e-9, "{gps:?}");
+        assert!((gps.longitude_deg + 70.75).abs() < 1e-9 && gps.altitude_m == Some(520.0), "{gps:?}");
     }
 
     #[test]

@@ -8,9 +8,9 @@ use std::fs::File;
 use std::io::BufReader;
 use std::path::Path;
 
-/// The longest side that is decoded, pixels.
+/// The longest side that is decoded, pixels. Source: the limit of JPEG (ITU-T T.81, B.2.2).
 const MAX_SIDE: u32 = 65_535;
-/// The most decoded bytes of one image.
+/// The most decoded bytes of one image. Source: chosen by hand, never measured.
 const MAX_BYTES: u64 = 1 << 30;
 
 /// An upright 8-bit image.
@@ -84,7 +84,8 @@ fn decode(path: &Path) -> Result<DynamicImage, IoError> {
     Ok(image)
 }
 
-/// An image of any bit depth and channel count as 8-bit colour and alpha, turned upright as EXIF says.
+/// An image of any bit depth and channel count as 8-bit colour and alpha, turned upright as EXIF
+/// says.
 pub fn load_image(path: &Path) -> Result<LoadedImage, IoError> {
     let image = decode(path)?;
     let alpha = image.color().has_alpha().then(|| {
@@ -130,7 +131,8 @@ fn turns_sideways(orientation: Orientation) -> bool {
     matches!(orientation, Rotate90 | Rotate270 | Rotate90FlipH | Rotate270FlipH)
 }
 
-/// For each target pixel along one axis: the first source pixel and the weights (summing to 1) of its box.
+/// For each target pixel along one axis: the first source pixel and the weights (summing to 1) of
+/// its box.
 fn boxes(from: u32, to: u32) -> Vec<(usize, Vec<f32>)> {
     let scale = f64::from(from) / f64::from(to);
     let span = |i: u32| {
@@ -144,8 +146,8 @@ fn boxes(from: u32, to: u32) -> Vec<(usize, Vec<f32>)> {
     (0..to).map(span).collect()
 }
 
-/// The image at another size: every target pixel is the mean of the source over its own area (exact for any
-/// ratio; sRGB values, not linear light). Sizes of 0 become 1.
+/// The image at another size: every target pixel is the mean of the source over its own area (exact
+/// for any ratio; sRGB values, not linear light). Sizes of 0 become 1.
 pub fn resize_area<P: Pixel<Subpixel = u8>>(
     image: &ImageBuffer<P, Vec<u8>>,
     width: u32,
@@ -178,6 +180,14 @@ pub fn resize_area<P: Pixel<Subpixel = u8>>(
     out
 }
 
+/// The image with its longer side at most `side` pixels, its proportions kept.
+pub fn shrunk(image: &RgbImage, side: u32) -> RgbImage {
+    let (width, height) = image.dimensions();
+    let scale = (f64::from(side) / f64::from(width.max(height).max(1))).min(1.0);
+    let [width, height] = [width, height].map(|v| (f64::from(v) * scale).round() as u32);
+    resize_area(image, width, height)
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -193,6 +203,8 @@ mod tests {
         assert_eq!(resize_area(&image, 1, 1).get_pixel(0, 0).0, [100, 90, 7]);
         assert_eq!(resize_area(&image, 12, 8).get_pixel(11, 7), image.get_pixel(5, 3));
         assert_eq!(resize_area(&image, 0, 2).dimensions(), (1, 2));
+        assert_eq!(shrunk(&image, 3).dimensions(), (3, 2));
+        assert_eq!(shrunk(&image, 100).dimensions(), (6, 4));
     }
 
     #[test]

@@ -1,8 +1,8 @@
 //! File formats: COLMAP models and databases, `transforms.json`, PLY, images, ground truth.
 //!
-//! Every reader treats its file as hostile: counts are checked against the size of the file before memory is
-//! reserved, numbers against NaN, names against paths that lead out of the folder. Every writer goes through
-//! [`atomic`]: what exists under its final name is whole.
+//! Every reader treats its file as hostile: counts are checked against the size of the file before
+//! memory is reserved, numbers against NaN, names against paths that lead out of the folder. Every
+//! writer goes through [`atomic`]: what exists under its final name is whole.
 
 pub mod atomic;
 mod bytes;
@@ -26,7 +26,7 @@ pub use atomic::{replace_folder, write_atomic};
 pub use colmap_db::{read_database, write_database};
 pub use error::IoError;
 pub(crate) use error::read_file;
-pub use load::{ImageInfo, LoadedImage, image_info, load_image, load_mask, load_rgb, resize_area};
+pub use load::{ImageInfo, LoadedImage, image_info, load_image, load_mask, load_rgb, resize_area, shrunk};
 pub use mesh::read_mesh;
 pub use mesh_out::write_mesh;
 pub use model::{find_model, has_model, read_model, write_model_bin, write_model_txt};

@@ -11,7 +11,7 @@ use std::collections::BTreeMap;
 
 /// The surface the points lie on (about 1 unit in radius).
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Shape {
+pub enum SceneShape {
     /// Unit sphere.
     Sphere,
     /// Cube of side 1.2.
@@ -27,7 +27,8 @@ pub enum CameraPath {
     Ring,
     /// Evenly on a part of the circle, this many degrees from first to last.
     Arc(f64),
-    /// Anywhere on the sphere (for [`Shape::Plane`]: its upper part), distances varying by 30 %.
+    /// Anywhere on the sphere (for [`SceneShape::Plane`]: its upper part), distances varying by 30
+    /// %.
     Random,
 }
 
@@ -35,7 +36,7 @@ pub enum CameraPath {
 #[derive(Clone, Debug, PartialEq)]
 pub struct SyntheticOptions {
     /// Surface.
-    pub shape: Shape,
+    pub shape: SceneShape,
     /// Path of the cameras.
     pub path: CameraPath,
     /// Points.
@@ -61,7 +62,7 @@ pub struct SyntheticOptions {
 impl Default for SyntheticOptions {
     fn default() -> Self {
         Self {
-            shape: Shape::Sphere,
+            shape: SceneShape::Sphere,
             path: CameraPath::Ring,
             num_points: 500,
             num_cameras: 12,
@@ -79,10 +80,12 @@ impl Default for SyntheticOptions {
 /// A scene of which everything is known.
 #[derive(Clone, Debug)]
 pub struct SyntheticScene {
-    /// True cameras, poses and points (those with two true sightings or more). Observations are the keypoints
-    /// of `features`, unrounded, in the same order; outliers and clutter observe no point.
+    /// True cameras, poses and points (those with two true observations or more). Observations are
+    /// the keypoints of `features`, unrounded, in the same order; outliers and clutter observe no
+    /// point.
     pub truth: Reconstruction,
-    /// By image, in the order of `truth.images`. Descriptors are random a point and vary a little a sighting.
+    /// By image, in the order of `truth.images`. Descriptors are random a point and vary a little
+    /// an observation.
     pub features: Vec<Features>,
     /// For every image and keypoint: the point it claims to see (outliers claim wrongly).
     pub claims: Vec<Vec<Option<u64>>>,
@@ -99,20 +102,20 @@ impl SyntheticScene {
         numbered(a).filter_map(|(id, k)| Some([k, *of_b.get(&id)?])).collect()
     }
 
-    /// Whether a match consists of two true sightings.
+    /// Whether a match consists of two true observations.
     pub fn is_true_match(&self, a: usize, b: usize, [i, j]: [u32; 2]) -> bool {
         !self.outliers[a][i as usize] && !self.outliers[b][j as usize]
     }
 }
 
 /// A point of the surface and its outward normal.
-fn surface_point(shape: Shape, r: &mut crate::rng::Rng) -> (DVec3, DVec3) {
+fn surface_point(shape: SceneShape, r: &mut crate::rng::Rng) -> (DVec3, DVec3) {
     match shape {
-        Shape::Sphere => {
+        SceneShape::Sphere => {
             let n = direction(r);
             (n, n)
         }
-        Shape::Box => {
+        SceneShape::Box => {
             let (axis, sign) = (r.random_range(0..3), if r.random::<bool>() { 1.0 } else { -1.0 });
             let mut x =
                 DVec3::new(r.random_range(-0.6..0.6), r.random_range(-0.6..0.6), r.random_range(-0.6..0.6));
@@ -120,7 +123,9 @@ fn surface_point(shape: Shape, r: &mut crate::rng::Rng) -> (DVec3, DVec3) {
             (x[axis], n[axis]) = (0.6 * sign, sign);
             (x, n)
         }
-        Shape::Plane => (DVec3::new(r.random_range(-1.0..1.0), r.random_range(-1.0..1.0), 0.0), DVec3::Z),
+        SceneShape::Plane => {
+            (DVec3::new(r.random_range(-1.0..1.0), r.random_range(-1.0..1.0), 0.0), DVec3::Z)
+        }
     }
 }
 
@@ -138,7 +143,7 @@ fn poses(options: &SyntheticOptions, seed: u64) -> Vec<Pose> {
                 let mut r = rng(seed, "synthetic camera", i as u64);
                 let distance = options.distance * r.random_range(0.85..1.15);
                 let mut from = direction(&mut r);
-                if options.shape == Shape::Plane {
+                if options.shape == SceneShape::Plane {
                     from.z = from.z.abs().max(0.3);
                 }
                 let up = direction(&mut r);
@@ -164,17 +169,18 @@ pub fn synthetic_scene(options: &SyntheticOptions, seed: u64) -> SyntheticScene 
         outliers: Vec::new(),
     };
     for ((&id, image), pose) in truth.images.iter_mut().zip(&poses) {
-        let mut sightings = see(options, seed, id, pose, &points);
-        sightings.truncate(u32::MAX as usize);
-        for (k, s) in sightings.iter().enumerate() {
+        let mut observations = see(options, seed, id, pose, &points);
+        observations.truncate(u32::MAX as usize);
+        for (k, s) in observations.iter().enumerate() {
             if let (Some(point), false) = (s.claim, s.outlier) {
                 tracks[point as usize].push(TrackElement { image: id, observation: k as u32 });
             }
         }
-        image.observations = sightings.iter().map(|s| Observation { pixel: s.pixel, point: None }).collect();
-        scene.features.push(features_of(&sightings, seed, id));
-        scene.claims.push(sightings.iter().map(|s| s.claim.map(|p| p + 1)).collect());
-        scene.outliers.push(sightings.iter().map(|s| s.outlier).collect());
+        image.observations =
+            observations.iter().map(|s| Observation { pixel: s.pixel, point: None }).collect();
+        scene.features.push(features_of(&observations, seed, id));
+        scene.claims.push(observations.iter().map(|s| s.claim.map(|p| p + 1)).collect());
+        scene.outliers.push(observations.iter().map(|s| s.outlier).collect());
         image.pose.translation *= options.unit;
     }
     for (i, track) in tracks.into_iter().enumerate().filter(|(_, t)| t.len() >= 2) {
@@ -192,7 +198,7 @@ pub fn synthetic_scene(options: &SyntheticOptions, seed: u64) -> SyntheticScene 
     scene
 }
 
-struct Sighting {
+struct SyntheticObservation {
     pixel: DVec2,
     /// Index of the point.
     claim: Option<u64>,
@@ -206,12 +212,12 @@ fn see(
     id: u32,
     pose: &Pose,
     points: &[(DVec3, DVec3)],
-) -> Vec<Sighting> {
+) -> Vec<SyntheticObservation> {
     let mut r = rng(seed, "synthetic sightings", u64::from(id));
     let size = DVec2::new(f64::from(options.camera.width), f64::from(options.camera.height));
     let inside = |p: DVec2| p.cmpge(DVec2::ZERO).all() && p.cmplt(size).all();
     let centre = pose.centre();
-    let mut sightings = Vec::new();
+    let mut observations = Vec::new();
     for (i, (x, n)) in points.iter().enumerate() {
         let (noise, lot) = (DVec2::new(normal(&mut r), normal(&mut r)), r.random::<f64>());
         let anywhere = DVec2::new(r.random::<f64>(), r.random::<f64>()) * size;
@@ -221,19 +227,20 @@ fn see(
         };
         let outlier = lot < options.outliers;
         let pixel = if outlier { anywhere } else { exact + noise * options.noise_px };
-        sightings.push(Sighting { pixel, claim: Some(i as u64), outlier });
+        observations.push(SyntheticObservation { pixel, claim: Some(i as u64), outlier });
     }
     for _ in 0..options.clutter {
         let pixel = DVec2::new(r.random::<f64>(), r.random::<f64>()) * size;
-        sightings.push(Sighting { pixel, claim: None, outlier: false });
+        observations.push(SyntheticObservation { pixel, claim: None, outlier: false });
     }
-    sightings
+    observations
 }
 
-/// Keypoints with descriptors: 128 bytes a point, a few units of noise a sighting; clutter has its own.
-fn features_of(sightings: &[Sighting], seed: u64, image: u32) -> Features {
+/// Keypoints with descriptors: 128 bytes a point, a few units of noise an observation; clutter has
+/// its own.
+fn features_of(observations: &[SyntheticObservation], seed: u64, image: u32) -> Features {
     let mut features = Features::default();
-    for (k, s) in sightings.iter().enumerate() {
+    for (k, s) in observations.iter().enumerate() {
         let place = u64::from(image) << 32 | k as u64;
         features.keypoints.push(Keypoint {
             x: s.pixel.x as f32,
@@ -260,7 +267,7 @@ mod tests {
 
     #[test]
     fn exact_scenes_of_every_shape_path_and_unit_have_no_residual() {
-        for shape in [Shape::Sphere, Shape::Box, Shape::Plane] {
+        for shape in [SceneShape::Sphere, SceneShape::Box, SceneShape::Plane] {
             for path in [CameraPath::Ring, CameraPath::Arc(60.0), CameraPath::Random] {
                 for unit in [1e-6, 1.0, 1e6] {
                     let scene =

@@ -1,11 +1,17 @@
 //! A measured elevation of the camera, believed and doubted.
 
-use super::axis::{decisions, elevation};
+use super::axis::elevation;
+use super::axis_report::decisions;
+use super::config::MotionConfig;
 use super::initialize::key_frames::VideoTracks;
+use super::limits::FINAL_ROUNDS;
+use super::solution::ChosenModel;
 use super::tests::{Filmed, Turntable};
-use super::*;
+use scene::decision::{Decision, Quantity, Remark, Rule};
+use scene::{Camera, CameraModel};
 
-/// Pixels by which the principal point of the films is off the centre, along the axis: half a degree.
+/// Pixels by which the principal point of the films is off the centre, along the axis: half a
+/// degree.
 const OFF_PX: f64 = 7.0;
 
 /// A film of a turn whose camera has its principal point off the centre, with lens distortion `k`.
@@ -34,8 +40,8 @@ fn solved_with(table: &Turntable, given: Option<f64>, noise_px: f64) -> (f64, Ve
     let starts = grown.state.cameras.clone();
     let job = filmed.job(&input, &starts);
     let context = job.context(&[]);
-    let (model, intrinsics, _) =
-        adjust_and_choose(&context, &job, &starts, grown.turn, ROUNDS).unwrap().unwrap();
+    let solved = ChosenModel::adjust(&context, &job, &starts, grown.turn, FINAL_ROUNDS);
+    let ChosenModel { model, intrinsics, .. } = solved.unwrap().unwrap();
     let (.., covariance) = model.covariance(&context, intrinsics).unwrap().unwrap();
     let said = decisions(&model, &context, intrinsics, &covariance, 1.0).unwrap();
     let tilt = model.turn.direction().cross(table.turn.direction()).length().asin();
@@ -44,9 +50,12 @@ fn solved_with(table: &Turntable, given: Option<f64>, noise_px: f64) -> (f64, Ve
 
 /// The standard deviation towards the camera that is said of the axis, degrees.
 fn said_towards(said: &[Decision]) -> f64 {
-    let evidence = &said[0].evidence;
-    let number = evidence.split("sideways and ").nth(1).unwrap().split('°').next().unwrap();
-    number.parse().unwrap()
+    said[0].value(Quantity::AxisTiltTowards).unwrap()
+}
+
+/// Whether the elevation was used without a doubt.
+fn is_believed(decision: &Decision) -> bool {
+    decision.rule == Rule::Evidence && decision.remarks == [Remark::MeasuredElevation]
 }
 
 #[test]
@@ -58,7 +67,7 @@ fn a_measured_elevation_says_where_the_principal_point_is() {
         assert!(said_towards(&said) > 0.5 * without && said.len() == 1, "{said:?}");
         let (with, said) = solved_with(&table, Some(true_elevation(&table)), 0.1);
         assert!(with < 0.05, "seed {seed}: {with}° off with it");
-        assert!(said[1].evidence.ends_with("believed") && said_towards(&said) >= 0.0999, "{said:?}");
+        assert!(is_believed(&said[1]) && said_towards(&said) >= 0.0999, "{said:?}");
     }
 }
 
@@ -67,12 +76,12 @@ fn an_elevation_that_cannot_be_is_doubted_or_not_used() {
     // Without distortion nothing but what is usual speaks against it.
     let table = film(0.0, 1);
     let (_, said) = solved_with(&table, Some(true_elevation(&table) + 15.0), 0.1);
-    assert!(said[1].evidence.contains("doubtful") || said[1].evidence.contains("not used"), "{said:?}");
+    assert!(!is_believed(&said[1]), "{said:?}");
     // Distortion, whose centre is the principal point, does.
     let table = film(-0.15, 1);
     let (without, _) = solved_with(&table, None, 0.1);
     let (with, said) = solved_with(&table, Some(true_elevation(&table) + 15.0), 0.1);
-    assert!(said[1].evidence.contains("not used"), "{said:?}");
+    assert!(said[1].rule == Rule::Contradicted, "{said:?}");
     assert!((with - without).abs() < 0.05, "{with}° off with it, {without}° without");
 }
 
@@ -86,8 +95,9 @@ fn an_elevation_is_not_used_where_the_camera_is_known() {
     let video = filmed.video();
     let input = video.input(&material);
     let job = filmed.job(&input, &filmed.cameras);
-    let solved = adjust_and_choose(&job.context(&[]), &job, &filmed.cameras, table.turn.clone(), ROUNDS);
-    let (model, ..) = solved.unwrap().unwrap();
+    let turn = table.turn.clone();
+    let solved = ChosenModel::adjust(&job.context(&[]), &job, &filmed.cameras, turn, FINAL_ROUNDS);
+    let model = solved.unwrap().unwrap().model;
     assert!(model.elevation.is_none());
     let tilt = model.turn.direction().cross(table.turn.direction()).length().to_degrees();
     assert!(tilt < 0.05, "{tilt}°");

@@ -9,9 +9,11 @@ use crate::incremental::adjust::{Adjustment, Selected, select};
 use crate::incremental::growth::freedom;
 use crate::incremental::state::MapState;
 use crate::model_selection::camera::{FreeIntrinsics, apply, split};
-use crate::model_selection::noise::{error_sq, gain, noise};
+use crate::model_selection::evidence::gain;
+use crate::model_selection::noise::{error_sq, noise};
 use crate::triangulation::{PointView, nearest_to_rays, refine_point};
 use scene::Progress;
+use scene::decision::{Decision, Measurement, MotionModel, Quantity, Rule, Subject};
 
 /// Observations that the choice is based on.
 const OBSERVATIONS: usize = 6000;
@@ -30,14 +32,6 @@ const DEPENDENCE: f64 = 2.0;
 /// Smaller held-out errors are all alike, pixels: noise is never held to be less either.
 const LEAST_PX: f64 = 1e-3;
 
-/// A motion that was tried.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) enum MotionModel {
-    Single,
-    Orbit,
-    Free,
-}
-
 /// What one assumption yields on the common observations.
 #[derive(Clone, Debug)]
 pub(crate) struct MotionScore {
@@ -50,20 +44,6 @@ pub(crate) struct MotionScore {
     pub held_out_px: f64,
     /// For each pose the sum of truncated squared held-out errors in units of the noise, and their number.
     by_pose: Vec<(f64, usize)>,
-}
-
-impl MotionScore {
-    fn line(&self) -> String {
-        let name = match self.motion {
-            MotionModel::Single => "single axis",
-            MotionModel::Orbit => "orbit",
-            MotionModel::Free => "free",
-        };
-        format!(
-            "{name}: {} parameters of motion, BIC {:.0}, held out {:.3} px",
-            self.parameters, self.bic, self.held_out_px
-        )
-    }
 }
 
 /// All assumptions on the same observations, the simplest first; the last is the free motion.
@@ -110,7 +90,7 @@ impl Comparison {
         let of_free = trial.verdict(MotionModel::Free, &mut free, 6 * images - 7)?;
         let mut verdicts = Vec::new();
         if let Some(mut turn) = turn {
-            verdicts.push(trial.verdict(MotionModel::Single, &mut turn, images + 2)?);
+            verdicts.push(trial.verdict(MotionModel::SingleAxis, &mut turn, images + 2)?);
         }
         let mut comparison = Self {
             verdicts,
@@ -148,10 +128,11 @@ impl Comparison {
         let Some(free) = self.of_motion(MotionModel::Free) else { return MotionModel::Free };
         let orbit =
             self.of_motion(MotionModel::Orbit).filter(|v| self.orbit_evidence > 0.0 && !worse(v, free));
-        let single = self.of_motion(MotionModel::Single).filter(|v| self.pays(v, free) && !worse(v, free));
+        let single =
+            self.of_motion(MotionModel::SingleAxis).filter(|v| self.pays(v, free) && !worse(v, free));
         match (single, orbit) {
             (Some(s), Some(o)) if o.bic < s.bic && worse(s, o) => MotionModel::Orbit,
-            (Some(_), _) => MotionModel::Single,
+            (Some(_), _) => MotionModel::SingleAxis,
             (None, Some(_)) => MotionModel::Orbit,
             (None, None) => MotionModel::Free,
         }
@@ -159,29 +140,34 @@ impl Comparison {
 
     /// Whether one axis is the better description.
     pub fn favours_single(&self) -> bool {
-        self.choice() == MotionModel::Single
+        self.choice() == MotionModel::SingleAxis
     }
 
-    /// The figures.
-    pub fn describe(&self) -> String {
-        let mut text = format!("{} images, noise {:.3} px", self.images, self.sigma_px);
+    /// The figures as evidence for the choice.
+    pub fn describe(&self) -> Decision {
+        let choice = self.choice();
         let free = self.of_motion(MotionModel::Free);
-        for verdict in &self.verdicts {
-            text += &format!("; {}", verdict.line());
+        let decision = Decision::new(Subject::Motion, choice, Rule::Evidence).with_all([
+            Measurement::count(Quantity::Images, self.images),
+            Measurement::new(Quantity::Noise, self.sigma_px),
+        ]);
+        self.verdicts.iter().fold(decision, |decision, verdict| {
+            let mut scores = vec![
+                Measurement::count(Quantity::MotionParameters, verdict.parameters),
+                Measurement::new(Quantity::Bic, verdict.bic),
+                Measurement::new(Quantity::HeldOutError, verdict.held_out_px),
+            ];
             if let Some(free) = free.filter(|_| verdict.motion != MotionModel::Free) {
-                let (gain, error) = gain(&verdict.by_pose, &free.by_pose);
-                text += &format!(" (held-out gain of free {gain:.3} ± {error:.3})");
+                let (gain, error) = gain(&free.by_pose, &verdict.by_pose);
+                scores.push(Measurement::estimate(Quantity::HeldOutGain, gain, error));
             }
             if verdict.motion == MotionModel::Orbit {
-                let [turns, shifts] = self.orbit_sigma;
-                text += &format!(
-                    ", motions of {:.3}° and {:.3} % of the radius",
-                    turns.to_degrees(),
-                    100.0 * shifts
-                );
+                let [rotation, translation] = self.orbit_sigma;
+                scores.push(Measurement::new(Quantity::OrbitRotation, rotation.to_degrees()));
+                scores.push(Measurement::new(Quantity::OrbitTranslation, translation));
             }
-        }
-        text
+            decision.compared(verdict.motion, verdict.motion == choice, scores)
+        })
     }
 }
 

@@ -13,10 +13,11 @@ use super::motion::CircularMotion;
 use super::problem::{CircularProblem, ElevationPrior};
 use super::vertical_lines::{self, Segment};
 use crate::Knowledge;
+use crate::SfmError;
 use crate::bundle::{RobustLoss, SolveOptions};
-use crate::model_selection::camera::{FreeIntrinsics, PRINCIPAL_POINT_SIGMA, apply, known_as};
-use crate::{Decision, SfmError};
+use crate::model_selection::camera::{FreeIntrinsics, PRINCIPAL_POINT_SIGMA, apply, known_choice};
 use glam::DVec3;
+use scene::decision::{Alternative, Decision, Measurement, Quantity, Rule, Subject};
 use scene::{CameraModel, Progress};
 
 /// A coordinate whose standard deviation is this share of what it was before is determined. Observations of a point err together,
@@ -40,25 +41,24 @@ pub(crate) fn choose_for_turn(
     let (known, progress) = (context.known, context.progress);
     let model = named.unwrap_or(CameraModel::SimpleRadial);
     let chosen = FreeIntrinsics { model, principal_point: false, held: None };
-    let mut decision =
-        Decision { what: "camera model".to_owned(), chosen: chosen.describe(), ..Decision::default() };
+    let undetermined = Decision::new(Subject::CameraModel, chosen.choice(), Rule::NotDetermined);
     let trial = IntrinsicsTrials { known, progress };
     if known[0].fixed {
-        (decision.chosen, decision.evidence) =
-            (known_as(&problem.bundle, known), "known beforehand".to_owned());
+        let choice = known_choice(&problem.bundle, known);
+        let decision = Decision::new(Subject::CameraModel, choice, Rule::Given);
         return Ok((chosen, decision, None));
     }
     let Some(mut best) = trial.of(problem, chosen)? else {
-        decision.evidence = "not determined".to_owned();
-        return Ok((chosen, decision, None));
+        return Ok((chosen, undetermined, None));
     };
-    let (mut notes, mut elevation) = (Vec::new(), None);
+    let mut decision = Decision { rule: Rule::Evidence, ..undetermined };
+    decision.alternatives.push(best.as_alternative(true));
+    let mut elevation = None;
     if let Some(along) = along_axis(problem) {
         let partial = FreeIntrinsics { principal_point: true, held: Some(along), ..chosen };
         if let Some(found) = trial.of(&best.solution, partial)? {
-            let what = "principal point across the axis";
-            let (taken, note) = trial.verdict(what, &found, 1 - along, (best.bic, 10.0));
-            notes.push(note);
+            let taken = is_determined(&found, 1 - along, (best.bic, 10.0));
+            decision.alternatives.push(found.as_alternative(taken));
             if taken {
                 best = found;
             }
@@ -67,7 +67,7 @@ pub(crate) fn choose_for_turn(
         let model = if named.is_none() { CameraModel::Radial } else { model };
         let held = (!best.intrinsics.principal_point).then_some(1 - along);
         let whole = FreeIntrinsics { model, principal_point: true, held };
-        (best, elevation) = trial.along(best, whole, along, (context, edges), &mut notes)?;
+        (best, elevation) = trial.along(best, whole, along, (context, edges), &mut decision)?;
     }
     // Distortion once more: it takes up what a wrong principal point leaves.
     for model in [CameraModel::SimpleRadial, CameraModel::Radial] {
@@ -78,15 +78,14 @@ pub(crate) fn choose_for_turn(
         let Some(found) = trial.of(&best.solution, FreeIntrinsics { model, ..best.intrinsics })? else {
             continue;
         };
-        let gain = found.bic - best.bic;
-        notes.push(format!("{}: BIC {gain:+.0}{}", model.name(), if gain < 0.0 { ", taken" } else { "" }));
-        if gain < 0.0 {
+        let taken = found.bic < best.bic;
+        decision.alternatives.push(found.as_alternative(taken));
+        if taken {
             best = found;
         }
     }
-    decision.chosen = best.intrinsics.describe();
-    let values: Vec<String> = best.values.iter().map(|(v, sd)| format!("{v:.4}±{sd:.4}")).collect();
-    decision.evidence = format!("{}; {}", notes.join(", "), values.join(" "));
+    decision.choice = best.intrinsics.choice();
+    decision.measurements = best.camera_values();
     Ok((best.intrinsics, decision, elevation))
 }
 
@@ -114,7 +113,7 @@ impl IntrinsicsTrials<'_> {
         whole: FreeIntrinsics,
         along: usize,
         (context, edges): (&CircularContext<'_>, &[Segment]),
-        notes: &mut Vec<String>,
+        decision: &mut Decision,
     ) -> Result<(IntrinsicsTrial, Option<Elevation>), SfmError> {
         let solved = &best.solution;
         let turn = CircularMotion { axis: solved.axis, angles: Vec::new() };
@@ -127,33 +126,18 @@ impl IntrinsicsTrials<'_> {
             let most = if levels.is_empty() { CONTRADICTED } else { EXCESS * CONTRADICTED };
             let start = CircularProblem { levels, ..solved.clone() };
             let Some(found) = self.of(&start, whole)? else { continue };
-            let what = if elevation.is_some() { "along it with the elevation" } else { "along it" };
-            let (taken, note) = self.verdict(what, &found, along, (best.bic, most));
-            notes.push(note);
+            let taken = is_determined(&found, along, (best.bic, most));
+            let mut alternative = found.as_alternative(taken);
+            if let Some(e) = &elevation {
+                let (angle, sigma) = (e.angle.to_degrees(), e.sigma.to_degrees());
+                alternative.scores.push(Measurement::estimate(Quantity::GivenElevation, angle, sigma));
+            }
+            decision.alternatives.push(alternative);
             if taken {
                 return Ok((found, elevation));
             }
         }
         Ok((best, None))
-    }
-
-    /// Whether a coordinate of the principal point (0: x, 1: y) is determined, and what is to be said of it. `bic`: of
-    /// what is there without, and by how much it may grow (a prior needs no evidence, but must not contradict it).
-    fn verdict(
-        &self,
-        what: &str,
-        found: &IntrinsicsTrial,
-        coordinate: usize,
-        bic: (f64, f64),
-    ) -> (bool, String) {
-        let camera = &found.solution.bundle.cameras[0];
-        let before = PRINCIPAL_POINT_SIGMA * f64::from(camera.width.max(camera.height));
-        let (value, sd) = found.values[found.focals + coordinate];
-        let gain = found.bic - bic.0;
-        let taken = sd < DETERMINED * before && gain < bic.1;
-        let verdict = if taken { "determined" } else { "held" };
-        let name = ["x", "y"][coordinate];
-        (taken, format!("{what}: {name} = {value:.2} ± {sd:.2} px, BIC {gain:+.0}: {verdict}"))
     }
 
     /// Adjusts from a solution with other intrinsics.
@@ -184,6 +168,29 @@ impl IntrinsicsTrials<'_> {
         let focals = camera.model.num_focals();
         Ok(Some(IntrinsicsTrial { intrinsics, bic, focals, values, solution: trial }))
     }
+}
+
+impl IntrinsicsTrial {
+    /// The camera's parameters with their standard deviations.
+    fn camera_values(&self) -> Vec<Measurement> {
+        let deviations: Vec<f64> = self.values.iter().map(|v| v.1).collect();
+        Measurement::of_camera(&self.solution.bundle.cameras[0], &deviations).collect()
+    }
+
+    fn as_alternative(&self, accepted: bool) -> Alternative {
+        let bic = Measurement::new(Quantity::Bic, self.bic);
+        let scores = [bic].into_iter().chain(self.camera_values()).collect();
+        Alternative { choice: self.intrinsics.choice(), accepted, scores }
+    }
+}
+
+/// Whether a coordinate of the principal point (0: x, 1: y) is determined. `before`: BIC of what is there without, and by
+/// how much it may grow (a prior needs no evidence, but must not contradict it).
+fn is_determined(found: &IntrinsicsTrial, coordinate: usize, before: (f64, f64)) -> bool {
+    let camera = &found.solution.bundle.cameras[0];
+    let prior = PRINCIPAL_POINT_SIGMA * f64::from(camera.width.max(camera.height));
+    let (_, sd) = found.values[found.focals + coordinate];
+    sd < DETERMINED * prior && found.bic - before.0 < before.1
 }
 
 /// The image coordinate (0: x, 1: y) along which the axis lies; `None` where it leans or is seen end on.

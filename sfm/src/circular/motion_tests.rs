@@ -1,16 +1,21 @@
 //! Which motion the evidence finds, on exact scenes.
 
-use super::evidence::{Comparison, MotionModel};
+use super::evidence::Comparison;
 use super::initialize::key_frames::VideoTracks;
+use super::orbit;
 use super::tests::{Filmed, Turntable};
-use super::*;
+use crate::incremental::adjust::Adjustment;
 use crate::incremental::adjust::adjust;
+use crate::incremental::state::MapState;
+use crate::model_selection::camera::FreeIntrinsics;
 use crate::solvers::testing::{normal, unit_vector};
 use glam::{DQuat, DVec3};
-use scene::Pose;
+use scene::decision::MotionModel;
 use scene::rng::rng;
+use scene::{CameraModel, Pose, Progress};
 
-/// What is found of true poses seen with 0.2 px of noise; the model of free poses, and that of an orbit.
+/// What is found of true poses seen with 0.2 px of noise; the model of free poses, and that of an
+/// orbit.
 fn found(table: &Turntable, seed: u64) -> (Comparison, MapState, Option<MapState>) {
     let filmed = Filmed::new(table.poses.len(), table.camera.clone(), false);
     let material = VideoTracks::of_klt(&table.tracks(0.2, seed), table.poses.len());
@@ -50,9 +55,10 @@ fn a_camera_that_goes_round_with_small_motions_is_an_orbit() {
         let mut table = Turntable::new(24, 15.0, seed);
         shaken(&mut table, 0.01, 0.04, seed);
         let (comparison, ..) = found(&table, seed);
-        assert_eq!(comparison.choice(), MotionModel::Orbit, "seed {seed}: {}", comparison.describe());
+        assert_eq!(comparison.choice(), MotionModel::Orbit, "seed {seed}: {:?}", comparison.describe());
         let [turn, shift] = comparison.orbit_sigma;
-        // Of a random direction each coordinate has a third of the variance; the circle takes up a part.
+        // Of a random direction each coordinate has a third of the variance; the circle takes up a
+        // part.
         assert!((0.003..0.008).contains(&turn), "{turn}");
         assert!((0.002..0.008).contains(&shift), "{shift}");
     }
@@ -69,10 +75,11 @@ fn poses_far_from_any_circle_are_free() {
         *pose = Pose::new(turn, away);
     }
     let (comparison, ..) = found(&table, 3);
-    assert_eq!(comparison.choice(), MotionModel::Free, "{}", comparison.describe());
+    assert_eq!(comparison.choice(), MotionModel::Free, "{:?}", comparison.describe());
 }
 
-/// Median error of the cameras' places in the shape that they form (scale taken out), radii: distances between every two.
+/// Median error of the cameras' places in the shape that they form (scale taken out), radii:
+/// distances between every two.
 fn median_error(found: &MapState, table: &Turntable) -> f64 {
     let centres: Vec<DVec3> = found.poses.iter().flatten().map(Pose::centre).collect();
     let truth: Vec<DVec3> = table.poses.iter().map(Pose::centre).collect();
@@ -88,7 +95,7 @@ fn a_circle_makes_the_poses_of_an_orbit_more_exact() {
         let mut table = Turntable::new(24, 15.0, seed);
         shaken(&mut table, 0.0005, 0.002, seed);
         let (comparison, free, circled) = found(&table, seed);
-        assert_eq!(comparison.choice(), MotionModel::Orbit, "{}", comparison.describe());
+        assert_eq!(comparison.choice(), MotionModel::Orbit, "{:?}", comparison.describe());
         let circled = circled.expect("an orbit can be adjusted as one");
         let (with, without) = (median_error(&circled, &table), median_error(&free, &table));
         assert!(with < without, "seed {seed}: {with} with the circle, {without} without");

@@ -9,7 +9,8 @@ use crate::model_selection::noise::{noise_in_units, redundancy};
 use crate::model_selection::principal_point;
 use crate::model_selection::rotated_images::{group_size, rotate_problem, suspects};
 use crate::skip::StepName;
-use crate::{Decision, Knowledge, PoseDeviation, SfmError, Uncertainty};
+use crate::{Knowledge, PoseDeviation, SfmError, Uncertainty};
+use scene::decision::{Choice, Decision, Rule, Subject};
 use scene::{Camera, CameraModel, Progress};
 
 /// Observations that the choice of the camera model is based on, and the first round of the last
@@ -63,25 +64,19 @@ pub(crate) fn decide(
     let together = group_size(state.registered_count()).max(1);
     what.points_per_image = Some((OBSERVATIONS_ROTATED / together).clamp(50, 1000));
     let suspects = suspects(&select(state, input, &what).problem, known, progress)?;
-    let Some(likeliest) = suspects.first() else {
+    if suspects.is_empty() {
         return Ok(CameraVerdict::new(choice, part, None, Vec::new()));
-    };
+    }
     let ways: Vec<_> = suspects.iter().map(|s| rotate_problem(&part.problem, s)).collect();
-    let (better, evidence) = choose_rotated(&choice, &ways, known, named, sigma, progress)?;
-    let mut decision = Decision {
-        what: "images rotated by 180°".to_owned(),
-        chosen: format!("0 of {}", part.images.len()),
-        evidence: format!(
-            "the principal points of {} images might be mirrored: {evidence}",
-            likeliest.iter().filter(|t| **t).count()
-        ),
-    };
+    let (better, alternatives) = choose_rotated(&choice, &ways, known, named, sigma, progress)?;
+    let images = part.images.len();
+    let mut decision = Decision::new(Subject::RotatedImages, Choice::share(0, images), Rule::Evidence)
+        .compared_all(alternatives);
     let Some((way, better)) = better else {
         return Ok(CameraVerdict::new(choice, part, None, vec![decision]));
     };
     let mirrored = &suspects[way];
-    decision.chosen = format!("{} of {}", mirrored.iter().filter(|t| **t).count(), part.images.len());
-    decision.evidence = format!("their principal points are mirrored: {evidence}");
+    decision.choice = Choice::share(mirrored.iter().filter(|t| **t).count(), images);
     let mut rotated = vec![false; input.keypoints.len()];
     part.images.iter().zip(mirrored).for_each(|(&image, &t)| rotated[image] = t);
     Ok(CameraVerdict::new(better, part, Some(rotated), vec![decision]))
@@ -114,7 +109,7 @@ pub(crate) fn free_principal_point(
     starts: &[Camera],
     (now, named): (FreeIntrinsics, Option<CameraModel>),
     progress: &Progress,
-) -> Result<Option<(FreeIntrinsics, String)>, SfmError> {
+) -> Result<Option<(FreeIntrinsics, Decision)>, SfmError> {
     let (free, priors) = freedom(&state.cameras, known, starts, usize::MAX);
     let problem = select(state, input, &Adjustment::growing(free, priors)).problem;
     principal_point::free_principal_point(&problem, known, (now, named), noise_in_units(&problem), progress)

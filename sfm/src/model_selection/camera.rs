@@ -4,11 +4,13 @@
 //! it predicts (paired by image), while BIC (Schwarz 1978) on the robust cost over the measured noise says whether the
 //! parameters pay for themselves. Both must agree, and the normal equations must determine what was freed.
 
-use super::noise::{error_sq, gain};
+use super::evidence::{Comparison, Score};
+use super::noise::{TRUNCATION, error_sq};
 use crate::bundle::{
     BundleObservation, BundleProblem, IntrinsicsPrior, RobustLoss, SolveOptions, free_parameters,
 };
-use crate::{Decision, Knowledge, SfmError};
+use crate::{Knowledge, SfmError};
+use scene::decision::{Alternative, Choice, Decision, Measurement, PrincipalPoint, Quantity, Rule, Subject};
 use scene::{Camera, CameraModel, Progress};
 
 /// Standard deviation of a principal point from the image centre, in longer image sides (lenses and crops of real
@@ -22,20 +24,9 @@ const DISTORTION_SIGMA: f64 = 0.018;
 const DETERMINED_FOCAL: f64 = 0.02;
 /// Largest standard deviation of a principal point that counts as determined, in longer image sides.
 const DETERMINED_POINT: f64 = 0.01;
-/// A decrease of BIC that needs no significant held-out gain beside it; neighbouring residuals are not independent, so
-/// the textbook's 10 would be far too little.
-const CLEAR_BIC: f64 = 150.0;
-/// The same for images that were rotated, which are only suspected on clear evidence from more observations.
-const ROTATED_BIC: f64 = 80.0;
-/// The same where what was held out is predicted better by three standard errors.
-const ROTATED_BIC_PREDICTED: f64 = 50.0;
-/// The least decrease where what was held out is predicted better by two standard errors.
-const PREDICTED_BIC: f64 = 10.0;
-/// The least decrease for fewer parameters (Kass & Raftery 1995: "strong" evidence): a parameter that is truly nothing makes BIC less by
-/// ln 2n, 9 to 10, when it goes; a tie says no more than that it is not known, and lenses have distortion.
-const SIMPLER_BIC: f64 = 6.0;
-/// Residuals beyond so many standard deviations count as this much.
-const TRUNCATION: f64 = 4.0;
+/// Scale of the robust loss, standard deviations. Source: the usual 2.385 for 95 % efficiency (Holland & Welsch 1977), rounded
+/// down for the many wrong matches.
+const LOSS: f64 = 2.0;
 
 /// What is solved for.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -49,15 +40,15 @@ pub struct FreeIntrinsics {
 }
 
 impl FreeIntrinsics {
-    /// In words.
-    pub fn describe(self) -> String {
-        let point = match (self.principal_point, self.held) {
-            (false, _) => "at the centre",
-            (true, None) => "free",
-            (true, Some(0)) => "free in y",
-            (true, Some(_)) => "free in x",
+    /// As a choice in a decision.
+    pub fn choice(self) -> Choice {
+        let principal_point = match (self.principal_point, self.held) {
+            (false, _) => PrincipalPoint::Centre,
+            (true, None) => PrincipalPoint::Free,
+            (true, Some(0)) => PrincipalPoint::FreeY,
+            (true, Some(_)) => PrincipalPoint::FreeX,
         };
-        format!("{}, principal point {point}", self.model.name())
+        Choice::Camera { model: Some(self.model), principal_point }
     }
 
     /// Free parameters of one camera.
@@ -114,9 +105,7 @@ fn distortion_priors(index: usize, camera: &Camera) -> impl Iterator<Item = Intr
 pub(super) struct CameraTrial {
     pub intrinsics: FreeIntrinsics,
     pub problem: BundleProblem,
-    pub bic: f64,
-    /// For each pose the sum of truncated squared held-out errors in units of the noise, and their number.
-    pub by_pose: Vec<(f64, usize)>,
+    pub score: Score,
     /// Root mean square of the held-out error, pixels.
     held_out_px: f64,
 }
@@ -126,10 +115,8 @@ pub(super) struct CameraTrial {
 pub struct CameraChoice {
     /// What is to be solved for.
     pub intrinsics: FreeIntrinsics,
-    /// BIC of the chosen model; not finite where there was nothing to choose by.
-    pub bic: f64,
-    /// For each pose the sum of truncated squared held-out errors in units of the noise, and their number.
-    pub by_pose: Vec<(f64, usize)>,
+    /// How well the chosen model does; its BIC is not finite where there was nothing to choose by.
+    pub(crate) score: Score,
     /// For the report.
     pub decision: Decision,
     /// The problem's cameras, poses and points as the chosen model has them.
@@ -153,45 +140,38 @@ pub fn choose(
     progress: &Progress,
 ) -> Result<CameraChoice, SfmError> {
     let start = FreeIntrinsics { principal_point, ..before_the_choice(named) };
-    let mut decision = Decision {
-        what: "camera model".to_owned(),
-        chosen: start.describe(),
-        evidence: "too few observations to choose by".to_owned(),
-    };
     let all_known = known.iter().all(|k| k.fixed);
-    if all_known {
-        (decision.chosen, decision.evidence) = (known_as(problem, known), "known beforehand".to_owned());
-    }
+    let decision = if all_known {
+        Decision::new(Subject::CameraModel, known_choice(problem, known), Rule::Given)
+    } else {
+        Decision::new(Subject::CameraModel, start.choice(), Rule::TooFewObservations)
+    };
     let (training, held_out) = split(problem);
     if problem.poses.len() < 3 || held_out.len() < 100 || all_known {
         let problem = problem.clone();
-        return Ok(CameraChoice { intrinsics: start, bic: f64::NAN, by_pose: Vec::new(), decision, problem });
+        let score = Score { bic: f64::NAN, ..Score::default() };
+        return Ok(CameraChoice { intrinsics: start, score, decision, problem });
     }
     let context = CameraSelection { training, held_out, sigma, known, progress };
     let mut best = context.trial(problem, start)?;
-    let mut lines = vec![best.line()];
+    let mut decision = Decision::new(Subject::CameraModel, start.choice(), Rule::Evidence)
+        .measured(Quantity::Noise, sigma)
+        .compared(start.choice(), true, best.scores());
     let mut consider = |intrinsics: FreeIntrinsics, best: &mut CameraTrial| -> Result<bool, SfmError> {
         let trial = context.trial(&best.problem, intrinsics)?;
-        if trial.bic < best.bic {
+        if trial.score.bic < best.score.bic {
             // It went on from where the other had come to. So may the other, or BIC compares numbers of iterations.
             let again = context.trial(&trial.gone_back_to(best), best.intrinsics)?;
-            if again.bic < best.bic {
+            if again.score.bic < best.score.bic {
                 *best = again;
-                lines.push(format!("{} (from there)", best.line()));
+                decision.alternatives.push(best.as_alternative(true));
             }
         }
-        let simpler = parameters(intrinsics) < parameters(best.intrinsics);
-        let (gain, error) = gain(&best.by_pose, &trial.by_pose);
-        let better = if simpler {
-            gain > -error && trial.bic < best.bic - SIMPLER_BIC
-        } else {
-            clearly_better((gain, error), trial.bic, best.bic) && context.determined(&trial)?
-        };
-        lines.push(format!(
-            "{} (gain {gain:.4} ± {error:.4}){}",
-            trial.line(),
-            if better { ": taken" } else { "" }
-        ));
+        let found = Comparison::new(&trial.score, &best.score);
+        let better = found.is_preferred() && context.determined(&trial)?;
+        let mut alternative = trial.as_alternative(better);
+        alternative.scores.extend(found.measurements());
+        decision.alternatives.push(alternative);
         if better {
             *best = trial;
         }
@@ -216,20 +196,13 @@ pub fn choose(
             consider(freed(&best), &mut best)?;
         }
     }
-    decision.chosen = best.intrinsics.describe();
-    decision.evidence = format!("noise {sigma:.3} px; {}", lines.join("; "));
-    Ok(CameraChoice {
-        intrinsics: best.intrinsics,
-        bic: best.bic,
-        by_pose: best.by_pose,
-        decision,
-        problem: best.problem,
-    })
+    decision.choice = best.intrinsics.choice();
+    Ok(CameraChoice { intrinsics: best.intrinsics, score: best.score, decision, problem: best.problem })
 }
 
 /// Which of several ways to rotate images (see [`crate::model_selection::rotated_images`]) the observations support, with the choice that goes with it:
 /// a free principal point that predicts better than the untouched images' best model and pays for itself and for one
-/// bit an image. `None` where the evidence is not clear. The text says what was found.
+/// bit an image. `None` where the evidence is not clear. The alternatives say what was found.
 pub fn choose_rotated(
     untouched: &CameraChoice,
     ways: &[BundleProblem],
@@ -237,17 +210,17 @@ pub fn choose_rotated(
     named: Option<CameraModel>,
     sigma: f64,
     progress: &Progress,
-) -> Result<(Option<(usize, CameraChoice)>, String), SfmError> {
+) -> Result<(Option<(usize, CameraChoice)>, Vec<Alternative>), SfmError> {
     let free = FreeIntrinsics { principal_point: true, ..untouched.intrinsics };
     let mut least: Option<(usize, CameraTrial)> = None;
     for (way, problem) in ways.iter().enumerate() {
         let (training, held_out) = split(problem);
         let trial = CameraSelection { training, held_out, sigma, known, progress }.trial(problem, free)?;
-        if least.as_ref().is_none_or(|(_, t)| trial.bic < t.bic) {
+        if least.as_ref().is_none_or(|(_, t)| trial.score.bic < t.score.bic) {
             least = Some((way, trial));
         }
     }
-    let Some((way, trial)) = least else { return Ok((None, "no way to rotate them".to_owned())) };
+    let Some((way, trial)) = least else { return Ok((None, Vec::new())) };
     // From where that trial has come to, with all observations and priors again.
     let start =
         BundleProblem { poses: trial.problem.poses, points: trial.problem.points, ..ways[way].clone() };
@@ -256,28 +229,32 @@ pub fn choose_rotated(
     let start = BundleProblem { cameras: cameras.collect(), ..start };
     let choice = choose(&start, known, named, true, sigma, progress)?;
     let bits = 2.0 * std::f64::consts::LN_2 * ways[way].poses.len() as f64;
-    let (gain, error) = gain(&untouched.by_pose, &choice.by_pose);
-    let evidence = format!(
-        "BIC {:.0} against {:.0} as they are, held-out gain {gain:.4} ± {error:.4}",
-        choice.bic + bits,
-        untouched.bic
-    );
-    let asked = if gain > 3.0 * error { ROTATED_BIC_PREDICTED } else { ROTATED_BIC };
-    let better = choice.bic + bits < untouched.bic - asked && gain > -error;
-    Ok((better.then_some((way, choice)), evidence))
+    let mut found = Comparison::new(&choice.score, &untouched.score);
+    found.margin -= bits;
+    let better = found.is_preferred();
+    let bic = |bic| Measurement::new(Quantity::Bic, bic);
+    let alternatives = vec![
+        Alternative {
+            choice: Choice::Taken(false),
+            accepted: !better,
+            scores: vec![bic(untouched.score.bic)],
+        },
+        Alternative {
+            choice: Choice::Taken(true),
+            accepted: better,
+            scores: [bic(choice.score.bic + bits)].into_iter().chain(found.measurements()).collect(),
+        },
+    ];
+    Ok((better.then_some((way, choice)), alternatives))
 }
 
-/// Whether a gain (with its standard error) and BIC both speak for more parameters: either the gain is clear, or BIC is.
-pub(super) fn clearly_better((gain, error): (f64, f64), bic: f64, before: f64) -> bool {
-    let asked = if gain > 2.0 * error { PREDICTED_BIC } else { CLEAR_BIC };
-    gain > 0.0 && bic < before - asked
-}
-
-/// What is said of cameras that are all known.
-pub(crate) fn known_as(problem: &BundleProblem, known: &[Knowledge]) -> String {
-    let model = problem.cameras.first().map_or("no camera", |c| c.model.name());
-    let near = known.iter().any(|k| k.calibration.is_some());
-    format!("{model}, {}", if near { "as calibrated, within its standard deviations" } else { "as given" })
+/// The choice where all cameras are known.
+pub(crate) fn known_choice(problem: &BundleProblem, known: &[Knowledge]) -> Choice {
+    let is_calibrated = known.iter().any(|k| k.calibration.is_some());
+    Choice::Camera {
+        model: problem.cameras.first().map(|c| c.model),
+        principal_point: if is_calibrated { PrincipalPoint::Calibrated } else { PrincipalPoint::Given },
+    }
 }
 
 fn parameters(intrinsics: FreeIntrinsics) -> usize {
@@ -307,20 +284,21 @@ impl CameraSelection<'_> {
         let cameras = self.known.iter().filter(|k| !k.fixed).count();
         // `final_rms² n` is twice the robust cost, which stands for −2 log likelihood.
         let bic = summary.final_rms.powi(2) * n + (parameters(intrinsics) * cameras) as f64 * (2.0 * n).ln();
-        let errors: Vec<(u32, f64)> = self
-            .held_out
-            .iter()
-            .map(|o| (o.pose, error_sq(&problem, o) / (o.sigma_px * self.sigma).powi(2)))
-            .collect();
-        let mut sums = vec![(0.0, 0usize); problem.poses.len()];
-        for (pose, e) in &errors {
-            sums[*pose as usize].0 += e.min(TRUNCATION * TRUNCATION);
-            sums[*pose as usize].1 += 1;
+        let mut cost = vec![0.0; problem.poses.len()];
+        for o in &problem.observations {
+            let squared = error_sq(&problem, o).min(f64::MAX) / o.sigma_px.powi(2);
+            cost[o.pose as usize] += LOSS.powi(2) * (squared / LOSS.powi(2)).ln_1p();
         }
-        let all: f64 = sums.iter().map(|s| s.0).sum::<f64>() / errors.len().max(1) as f64;
+        let mut held_out = vec![(0.0, 0usize); problem.poses.len()];
+        for o in &self.held_out {
+            let squared = error_sq(&problem, o) / (o.sigma_px * self.sigma).powi(2);
+            let of_image = &mut held_out[o.pose as usize];
+            *of_image = (of_image.0 + squared.min(TRUNCATION * TRUNCATION), of_image.1 + 1);
+        }
+        let all: f64 = held_out.iter().map(|s| s.0).sum::<f64>() / self.held_out.len().max(1) as f64;
         let held_out_px = all.sqrt() * self.sigma;
         let bic = if summary.usable { bic } else { f64::INFINITY };
-        Ok(CameraTrial { intrinsics, problem, bic, by_pose: sums, held_out_px })
+        Ok(CameraTrial { intrinsics, problem, score: Score { bic, cost, held_out }, held_out_px })
     }
 
     /// Whether the normal equations pin down what was freed.
@@ -341,7 +319,7 @@ impl CameraSelection<'_> {
 
 pub(super) fn options() -> SolveOptions {
     SolveOptions {
-        loss: RobustLoss::Cauchy(2.0),
+        loss: RobustLoss::Cauchy(LOSS),
         max_iterations: 25,
         function_tolerance: 2e-5,
         ..SolveOptions::default()
@@ -361,16 +339,20 @@ impl CameraTrial {
         problem
     }
 
-    pub(super) fn line(&self) -> String {
-        let params = self.problem.cameras.first().map_or(&[][..], |c| &c.params);
-        let shown: Vec<String> = params.iter().map(|p| format!("{p:.4}")).collect();
-        format!(
-            "{}: held out {:.4} px, BIC {:.0}, {}",
-            self.intrinsics.describe(),
-            self.held_out_px,
-            self.bic,
-            shown.join(" ")
-        )
+    /// How well it does, and the intrinsics of its first camera.
+    pub(super) fn scores(&self) -> Vec<Measurement> {
+        let camera = self.problem.cameras.iter().take(1).flat_map(|c| Measurement::of_camera(c, &[]));
+        [
+            Measurement::new(Quantity::HeldOutError, self.held_out_px),
+            Measurement::new(Quantity::Bic, self.score.bic),
+        ]
+        .into_iter()
+        .chain(camera)
+        .collect()
+    }
+
+    pub(super) fn as_alternative(&self, accepted: bool) -> Alternative {
+        Alternative { choice: self.intrinsics.choice(), accepted, scores: self.scores() }
     }
 }
 

@@ -2,6 +2,10 @@
 
 use crate::bundle::{BundleObservation, BundleProblem};
 
+/// Residuals beyond this take no part in estimates of the noise, and count as much where they are held out, standard deviations.
+/// Source: Gaussian residuals are that large once in 3000; Hampel et al. 1986, hard rejection.
+pub(crate) const TRUNCATION: f64 = 4.0;
+/// Squared reprojection error of an observation, pixels²; infinite behind the camera.
 pub(crate) fn error_sq(problem: &BundleProblem, o: &BundleObservation) -> f64 {
     let camera = &problem.cameras[problem.pose_camera[o.pose as usize] as usize];
     let projected =
@@ -37,14 +41,4 @@ fn median_noise(mut errors: Vec<f64>) -> f64 {
     let middle = errors.len() / 2;
     let median = *errors.select_nth_unstable_by(middle, f64::total_cmp).1;
     (median / (2.0 * std::f64::consts::LN_2)).sqrt().max(1e-3)
-}
-
-/// Mean decrease of the error of an observation from `old` to `new`, and its standard error: the observations of a pose are
-/// not independent of each other, those of different poses are.
-pub(crate) fn gain(old: &[(f64, usize)], new: &[(f64, usize)]) -> (f64, f64) {
-    let all = old.iter().map(|o| o.1).sum::<usize>().max(1) as f64;
-    let mean = old.iter().zip(new).map(|(o, n)| o.0 - n.0).sum::<f64>() / all;
-    let excess = |(o, n): (&(f64, usize), &(f64, usize))| (o.0 - n.0 - mean * o.1 as f64).powi(2);
-    let variance: f64 = old.iter().zip(new).map(excess).sum();
-    (mean, variance.sqrt() / all)
 }

@@ -1,11 +1,10 @@
 //! The principal point once more, when a model has gained observations.
 
-use super::camera::{
-    CameraSelection, CameraTrial, FreeIntrinsics, PRINCIPAL_POINT_SIGMA, clearly_better, options, split,
-};
-use super::noise::gain;
+use super::camera::{CameraSelection, CameraTrial, FreeIntrinsics, PRINCIPAL_POINT_SIGMA, options, split};
+use super::evidence::Comparison;
 use crate::bundle::BundleProblem;
 use crate::{Knowledge, SfmError};
+use scene::decision::{Decision, Measurement, Quantity, Rule, Subject};
 use scene::{Camera, CameraModel, Progress};
 
 /// A coordinate of it that observations leave less of than this share of its standard deviation beforehand is determined whatever glints add:
@@ -21,7 +20,7 @@ pub(crate) fn free_principal_point(
     (now, named): (FreeIntrinsics, Option<CameraModel>),
     sigma: f64,
     progress: &Progress,
-) -> Result<Option<(FreeIntrinsics, String)>, SfmError> {
+) -> Result<Option<(FreeIntrinsics, Decision)>, SfmError> {
     let asked = named.is_none() && !now.principal_point && !known.iter().any(|k| k.fixed);
     let (training, held_out) = split(problem);
     if !asked || problem.poses.len() < 3 || held_out.len() < 100 {
@@ -32,20 +31,31 @@ pub(crate) fn free_principal_point(
     let whole = FreeIntrinsics { model: CameraModel::Radial, principal_point: true, held: None };
     let free = context.trial(&held.problem, whole)?;
     let again = context.trial(&free.gone_back_to(&held), now)?;
-    let held = if again.bic < held.bic { again } else { held };
-    let (gain, error) = gain(&held.by_pose, &free.by_pose);
-    let taken = clearly_better((gain, error), free.bic, held.bic) && context.determined(&free)?;
-    let mut evidence = format!("{}; {} (gain {gain:.4} ± {error:.4})", held.line(), free.line());
+    let held = if again.score.bic < held.score.bic { again } else { held };
+    let found = Comparison::new(&free.score, &held.score);
+    let taken = found.is_preferred() && context.determined(&free)?;
+    let decision = Decision::new(Subject::CameraModelWithPlane, whole.choice(), Rule::Evidence).compared(
+        now.choice(),
+        !taken,
+        held.scores(),
+    );
+    let mut tried = free.as_alternative(taken);
+    tried.scores.extend(found.measurements());
+    let mut decision = decision.compared_all([tried]);
     if taken {
-        return Ok(Some((whole, evidence)));
+        return Ok(Some((whole, decision)));
     }
     for coordinate in 0..2 {
         let one = FreeIntrinsics { principal_point: true, held: Some(1 - coordinate), ..now };
         let free = context.trial(&held.problem, one)?;
         let share = context.left_of_prior(&free, coordinate)?;
-        evidence += &format!("; {}, to {:.1} % of what it was known to", free.line(), 100.0 * share);
-        if share < DETERMINED_SHARE && free.bic < held.bic {
-            return Ok(Some((one, evidence)));
+        let is_determined = share < DETERMINED_SHARE && free.score.bic < held.score.bic;
+        let mut tried = free.as_alternative(is_determined);
+        tried.scores.push(Measurement::new(Quantity::ShareOfPrior, share));
+        decision.alternatives.push(tried);
+        if is_determined {
+            decision.choice = one.choice();
+            return Ok(Some((one, decision)));
         }
     }
     Ok(None)
@@ -132,7 +142,7 @@ mod tests {
         let off = orbit(9.0, 0.3);
         let found =
             free_point_of(&off, Knowledge::default(), None).expect("nine pixels across the axis show");
-        assert!(found.principal_point && found.held == Some(1), "{}", found.describe());
+        assert!(found.principal_point && found.held == Some(1), "{found:?}");
     }
 
     #[test]

@@ -1,9 +1,10 @@
 //! Whether groups of images that their files tell apart were taken with one camera all the same.
 
-use super::camera::{CameraSelection, CameraTrial, FreeIntrinsics, before_the_choice, clearly_better, split};
-use super::noise::gain;
+use super::camera::{CameraSelection, CameraTrial, FreeIntrinsics, before_the_choice, split};
+use super::evidence::Comparison;
 use crate::bundle::BundleProblem;
 use crate::{Knowledge, SfmError};
+use scene::decision::{Alternative, Choice, Measurement, Quantity};
 use scene::{CameraModel, Progress};
 
 /// Whether a camera for each group predicts what was held out so much better than fewer cameras do that it pays for its
@@ -14,24 +15,24 @@ pub(crate) fn groups_differ(
     named: Option<CameraModel>,
     sigma: f64,
     progress: &Progress,
-) -> Result<(bool, String), SfmError> {
+) -> Result<(bool, Vec<Alternative>), SfmError> {
     let intrinsics: FreeIntrinsics = before_the_choice(named);
     let adjusted = |(problem, known): (&BundleProblem, &[Knowledge])| {
         let (training, held_out) = split(problem);
         CameraSelection { training, held_out, sigma, known, progress }.trial(problem, intrinsics)
     };
     let (one, several) = (adjusted(together)?, adjusted(apart)?);
-    let (gain, error) = gain(&one.by_pose, &several.by_pose);
-    let focals = |t: &CameraTrial| {
-        let of = |c: &scene::Camera| format!("{:.1}", c.mean_focal());
-        t.problem.cameras.iter().map(of).collect::<Vec<_>>().join(", ")
-    };
-    let evidence = format!(
-        "focal lengths of {} px apart, {} px together; BIC {:.0} apart, {:.0} together, held-out gain of cameras apart {gain:.4} ± {error:.4}",
-        focals(&several),
-        focals(&one),
-        several.bic,
-        one.bic
-    );
-    Ok((clearly_better((gain, error), several.bic, one.bic), evidence))
+    let found = Comparison::new(&several.score, &one.score);
+    let differ = found.is_preferred();
+    let mut apart = group_alternative(&several, differ);
+    apart.scores.extend(found.measurements());
+    Ok((differ, vec![apart, group_alternative(&one, !differ)]))
+}
+
+/// So many cameras, with their focal lengths.
+fn group_alternative(trial: &CameraTrial, accepted: bool) -> Alternative {
+    let cameras = &trial.problem.cameras;
+    let focals = cameras.iter().map(|c| Measurement::new(Quantity::FocalLength, c.mean_focal()));
+    let scores = [Measurement::new(Quantity::Bic, trial.score.bic)].into_iter().chain(focals).collect();
+    Alternative { choice: Choice::count(cameras.len()), accepted, scores }
 }

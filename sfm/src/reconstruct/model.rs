@@ -10,9 +10,9 @@ use crate::incremental::state::{MapState, MappingInput};
 use crate::matching::PairMatches;
 use crate::model_selection::camera::{self, FreeIntrinsics};
 use crate::tracks::Tracks;
-use crate::{Decision, SfmConfig, SfmError, SfmResult, SfmStats, Uncertainty};
+use crate::{SfmConfig, SfmError, SfmResult, SfmStats, Uncertainty};
 use glam::DVec2;
-use scene::{Camera, Features, FrameSet, Reconstruction, TwoViewGeometry};
+use scene::{Camera, Decision, Features, FrameSet, Reconstruction, TwoViewGeometry};
 
 /// How far a model has come; says which steps it takes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -60,8 +60,8 @@ pub(crate) struct SfmModel {
     pub blurred_matches: Option<Vec<PairMatches>>,
     /// Images that share few matches with any other.
     pub weakly_tied: Vec<bool>,
-    /// Why the search for one axis along a video found none.
-    pub no_turn_because: Option<String>,
+    /// That and why the search for one axis along a video found none.
+    pub no_video_motion: Option<Decision>,
     pub constant_step: Option<ConstantStepStart>,
     /// Verified pairs, as the solver sees the images.
     pub geometries: Vec<TwoViewGeometry>,
@@ -105,7 +105,7 @@ impl SfmModel {
             matches: None,
             blurred_matches: None,
             weakly_tied: vec![false; frames.len()],
-            no_turn_because: None,
+            no_video_motion: None,
             constant_step: None,
             geometries: Vec::new(),
             verified: None,

@@ -1,37 +1,26 @@
 //! [`Backend`] on the CPU.
 
-use super::loss::{LossInput, Shape, loss};
-use super::optimise::{SharedModel, SharedPlane, Sink, Statistics};
-use super::project::{CameraConstants, Parameters};
-use super::simd::Isa;
-use super::workspace::Workspace;
-use crate::backend::{Backend, KernelTimes, Scores, StepInput, StepOutput, Target};
-use crate::model::{GEOMETRY, Model, padded};
-use crate::{PinholeView, RenderOptions, RenderOutput, SplatError};
+use super::densify::densify_by_edit;
+use super::dispatch::Isa;
+use super::model_part::{ModelGradient, ModelPart};
+use super::workspace::KernelWorkspace;
+use crate::backend::{Backend, KernelTimes, Round, StepInput, StepOutput, Target, check};
+use crate::camera::CameraConstants;
+use crate::error::SplatError;
+use crate::model::Model;
+use crate::statistics::Statistics;
+use crate::view::{PinholeView, RenderOptions, RenderOutput};
 use rayon::prelude::*;
 use scene::FloatImage;
 
-/// Near plane where the options leave it open, normalised units.
-pub const DEFAULT_NEAR: f32 = 0.01;
-
 /// The CPU backend.
-pub struct CpuBackend {
+pub(crate) struct CpuBackend {
     isa: Isa,
     model: Model,
-    /// What the steps since the last reset saw.
-    pub statistics: Statistics,
-    work: Workspace,
+    statistics: Statistics,
+    work: KernelWorkspace,
     times: KernelTimes,
     clock: fn() -> f64,
-}
-
-/// dL/d(parameters) in the layout of [`Model`].
-#[derive(Clone, Debug, Default)]
-pub struct Gradients {
-    /// By plane.
-    pub geometry: [Vec<f32>; GEOMETRY],
-    /// [N × K × 3].
-    pub sh: Vec<f32>,
 }
 
 impl Default for CpuBackend {
@@ -42,24 +31,24 @@ impl Default for CpuBackend {
 
 impl CpuBackend {
     /// An empty backend that uses the instruction set.
-    pub fn new(isa: Isa) -> Self {
-        let (statistics, work) = (Statistics::default(), Workspace::default());
-        let times = KernelTimes::default();
-        Self { isa, model: Model::default(), statistics, work, times, clock: crate::clock::wall_seconds }
-    }
-
-    /// What the statistics score Gaussians by.
-    pub fn set_scores(&mut self, scores: Scores) {
-        self.work.scores = scores;
+    pub(crate) fn new(isa: Isa) -> Self {
+        Self {
+            isa,
+            model: Model::default(),
+            statistics: Statistics::default(),
+            work: KernelWorkspace::default(),
+            times: KernelTimes::default(),
+            clock: crate::clock::wall_seconds,
+        }
     }
 
     /// Measures kernels with another clock (seconds), such as the CPU time of the process.
-    pub fn set_clock(&mut self, clock: fn() -> f64) {
+    pub(crate) fn set_clock(&mut self, clock: fn() -> f64) {
         self.clock = clock;
     }
 
     /// Gaussian–pixel pairs that the last picture took, with the unused lanes of vectors.
-    pub fn gaussian_pixels(&self) -> u64 {
+    pub(crate) fn gaussian_pixels(&self) -> u64 {
         self.work.gaussian_pixels(self.isa)
     }
 
@@ -69,183 +58,37 @@ impl CpuBackend {
         *mark - before
     }
 
-    fn camera(&self, view: &PinholeView, options: &RenderOptions) -> CameraConstants {
-        let degree = options.sh_degree.unwrap_or(3).min(self.model.sh_degree);
-        CameraConstants::new(view, options, options.near.unwrap_or(DEFAULT_NEAR), degree)
-    }
-
     /// Draws a view; of a picture that is only compared with a target, what counts of it.
     fn forward(
         &mut self,
         view: &PinholeView,
-        camera: &CameraConstants,
         options: &RenderOptions,
         target: Option<&Target>,
         depth: bool,
-    ) {
+    ) -> CameraConstants {
+        let camera = CameraConstants::new(view, options, self.model.sh_degree);
         let mut mark = (self.clock)();
-        let n = self.model.len;
-        self.work.project(self.isa, Parameters::of(&self.model), n, camera);
+        self.work.project(self.isa, &self.model, &camera);
         self.times.project += self.lap(&mut mark);
-        let work = &mut self.work;
-        work.bins.fill(&work.keys, &work.records, view.width, view.height);
+        self.work.sort(view.width, view.height);
         self.times.sort += self.lap(&mut mark);
-        let work = &mut self.work;
-        let shape = Shape { width: view.width, height: view.height };
-        work.resize(shape);
-        work.limit(target, shape);
-        work.forward(self.isa, options.background, depth);
+        self.work.forward(self.isa, options.background, target, depth);
         self.times.forward += self.lap(&mut mark);
+        camera
     }
 
     /// dL/d(parameters) where dL/d(colour) is `gradient` ([height × width × 3]).
-    pub fn gradients(&mut self, view: &PinholeView, options: &RenderOptions, gradient: &[f32]) -> Gradients {
-        let camera = self.camera(view, options);
-        self.forward(view, &camera, options, None, false);
-        let stride = self.work.shape.stride();
-        for (c, plane) in self.work.gradient.iter_mut().enumerate() {
-            plane.fill(0.0);
-            for (i, pixel) in gradient.chunks_exact(3).enumerate() {
-                plane[i / view.width * stride + i % view.width] = pixel[c];
-            }
-        }
-        self.work.backward(self.isa);
-        let n = padded(self.model.len);
-        let mut out =
-            Gradients { geometry: std::array::from_fn(|_| vec![0.0; n]), sh: vec![0.0; self.model.sh.len()] };
-        let planes = out.geometry.each_mut().map(|p| SharedPlane(p.as_mut_ptr()));
-        let sh = SharedPlane(out.sh.as_mut_ptr());
-        let unused = SharedPlane(std::ptr::null_mut());
-        let shared =
-            SharedModel { geometry: [planes; 3], sh: [sh; 3], steps: unused, statistics: [unused; 4] };
-        self.work.optimise(self.isa, Parameters::of(&self.model), shared, &camera, Sink::Gradients, [0.0; 2]);
-        out
-    }
-
-    /// Mean squared error of a picture against a target, over its pixels that count; statistics stay as they are.
-    pub fn mean_square_error(&mut self, view: &PinholeView, target: &Target, options: &RenderOptions) -> f64 {
-        let camera = self.camera(view, options);
-        self.forward(view, &camera, options, Some(target), false);
-        self.work.set_target(self.isa, target, options.background);
-        let weighted = target.mask.is_some() && !target.transparent;
-        let work = &mut self.work;
-        let input = LossInput {
-            shape: work.shape,
-            rgb: &work.rgb,
-            target: &work.target,
-            weight: weighted.then_some(work.weight.as_slice()),
-            lambda: 0.0,
-        };
-        f64::from(loss(self.isa, &input, &mut work.gradient, &mut work.parts).mse)
-    }
-
-    /// Sums over the pixels that count, by channel: Σ r t, Σ r², Σ t² of the rendering r and the photo t (no gain).
-    pub fn products(
+    pub(crate) fn gradients(
         &mut self,
         view: &PinholeView,
-        target: &Target,
         options: &RenderOptions,
-    ) -> [[f64; 3]; 3] {
-        self.set_gain(None);
-        let camera = self.camera(view, options);
-        self.forward(view, &camera, options, Some(target), false);
-        self.work.set_target(self.isa, target, options.background);
-        let weighted = target.mask.is_some() && !target.transparent;
-        let (work, stride) = (&self.work, self.work.shape.stride());
-        let mut sums = [[0.0; 3]; 3];
-        for (c, (r, t)) in work.rgb.iter().zip(&work.target).enumerate() {
-            for y in 0..view.height {
-                let row = y * stride..y * stride + view.width;
-                for i in row {
-                    let w = if weighted { f64::from(work.weight[i]) } else { 1.0 };
-                    let (r, t) = (f64::from(r[i]), f64::from(t[i]));
-                    sums[0][c] += w * r * t;
-                    sums[1][c] += w * r * r;
-                    sums[2][c] += w * t * t;
-                }
-            }
-        }
-        sums
-    }
-
-    /// The gain of the view to come: its photo shows the scene times this, so that targets are divided by it.
-    pub fn set_gain(&mut self, gain: Option<[f32; 3]>) {
-        self.work.gain = gain;
-    }
-
-    /// The loss of the last rendering against a target, and dL/d(colour) into the workspace.
-    fn loss(&mut self, input: &StepInput) -> super::loss::LossValue {
-        self.work.set_target(self.isa, &input.target, input.options.background);
-        let weighted = input.target.mask.is_some() && !input.target.transparent;
-        let work = &mut self.work;
-        let input = LossInput {
-            shape: work.shape,
-            rgb: &work.rgb,
-            target: &work.target,
-            weight: weighted.then_some(work.weight.as_slice()),
-            lambda: input.lambda_dssim,
-        };
-        loss(self.isa, &input, &mut work.gradient, &mut work.parts)
-    }
-
-    fn shared(&mut self) -> SharedModel {
-        let planes = |p: &mut [Vec<f32>; GEOMETRY]| p.each_mut().map(|p| SharedPlane(p.as_mut_ptr()));
-        let m = &mut self.model;
-        let s = &mut self.statistics;
-        let plane = |p: &mut Vec<f32>| SharedPlane(p.as_mut_ptr());
-        SharedModel {
-            geometry: [planes(&mut m.geometry), planes(&mut m.geometry_m), planes(&mut m.geometry_v)],
-            sh: [plane(&mut m.sh), plane(&mut m.sh_m), plane(&mut m.sh_v)],
-            steps: plane(&mut m.steps),
-            statistics: [
-                plane(&mut s.gradient),
-                plane(&mut s.visible),
-                plane(&mut s.weight),
-                plane(&mut s.radius),
-            ],
-        }
-    }
-}
-
-impl CpuBackend {
-    /// Takes parameters and moments; statistics begin anew.
-    pub fn upload(&mut self, model: Model) {
-        self.statistics.reset(model.len);
-        self.model = model;
-    }
-
-    /// The present parameters and moments.
-    pub fn model(&self) -> &Model {
-        &self.model
-    }
-
-    /// Renders the Gaussians.
-    pub fn render(&mut self, view: &PinholeView, options: &RenderOptions) -> RenderOutput {
-        let camera = self.camera(view, options);
-        self.forward(view, &camera, options, None, true);
-        let (w, h, stride) = (view.width, view.height, self.work.shape.stride());
-        let mut out = RenderOutput {
-            rgb: FloatImage::zeros(w, h, 3),
-            alpha: FloatImage::zeros(w, h, 1),
-            depth: FloatImage::zeros(w, h, 1),
-        };
-        let work = &self.work;
-        let rows = out.rgb.data.par_chunks_mut(3 * w.max(1)).zip(out.alpha.data.par_chunks_mut(w.max(1)));
-        rows.zip(out.depth.data.par_chunks_mut(w.max(1))).enumerate().for_each(
-            |(y, ((rgb, alphas), depths))| {
-                let row = y * stride..y * stride + w;
-                let planes = work.rgb.each_ref().map(|plane| &plane[row.clone()]);
-                let (clear, far) = (&work.transmittance[row.clone()], &work.depth[row]);
-                for x in 0..w {
-                    for c in 0..3 {
-                        rgb[x * 3 + c] = planes[c][x];
-                    }
-                    let alpha = 1.0 - clear[x];
-                    alphas[x] = alpha;
-                    depths[x] = if alpha > 0.0 { far[x] / alpha } else { 0.0 };
-                }
-            },
-        );
+        gradient: &[f32],
+    ) -> ModelGradient {
+        let camera = self.forward(view, options, None, false);
+        self.work.set_gradient(gradient);
+        self.work.backward(self.isa);
+        let mut out = ModelGradient::zeros(&self.model);
+        self.work.optimise(self.isa, ModelPart::gradient(&mut self.model, &mut out), &camera);
         out
     }
 }
@@ -256,8 +99,8 @@ impl Backend for CpuBackend {
     }
 
     fn upload(&mut self, model: Model, statistics: Statistics) -> Result<(), SplatError> {
-        self.model = model;
-        self.statistics = statistics;
+        check(&model, &statistics)?;
+        (self.model, self.statistics) = (model, statistics);
         Ok(())
     }
 
@@ -275,8 +118,14 @@ impl Backend for CpuBackend {
     }
 
     fn edit(&mut self, change: &mut dyn FnMut(&mut Model, &mut Statistics)) -> Result<(), SplatError> {
-        change(&mut self.model, &mut self.statistics);
-        Ok(())
+        let (mut model, mut statistics) = self.release()?;
+        change(&mut model, &mut statistics);
+        statistics.fit(model.len);
+        self.upload(model, statistics)
+    }
+
+    fn densify(&mut self, round: &Round) -> Result<usize, SplatError> {
+        densify_by_edit(self, round)
     }
 
     fn gaussians(&self) -> usize {
@@ -292,28 +141,46 @@ impl Backend for CpuBackend {
     }
 
     fn render(&mut self, view: &PinholeView, options: &RenderOptions) -> Result<RenderOutput, SplatError> {
-        Ok(Self::render(self, view, options))
+        self.forward(view, options, None, true);
+        let (w, h) = (view.width, view.height);
+        let mut out = RenderOutput {
+            rgb: FloatImage::zeros(w, h, 3),
+            alpha: FloatImage::zeros(w, h, 1),
+            depth: FloatImage::zeros(w, h, 1),
+        };
+        let drawn = self.work.drawn();
+        let rows = out.rgb.data.par_chunks_mut(3 * w.max(1)).zip(out.alpha.data.par_chunks_mut(w.max(1)));
+        rows.zip(out.depth.data.par_chunks_mut(w.max(1))).enumerate().for_each(
+            |(y, ((rgb, alphas), depths))| {
+                let row = y * drawn.stride..y * drawn.stride + w;
+                let planes = drawn.rgb.each_ref().map(|plane| &plane[row.clone()]);
+                let (clear, far) = (&drawn.transmittance[row.clone()], &drawn.depth[row]);
+                for x in 0..w {
+                    for c in 0..3 {
+                        rgb[x * 3 + c] = planes[c][x];
+                    }
+                    let alpha = 1.0 - clear[x];
+                    alphas[x] = alpha;
+                    depths[x] = if alpha > 0.0 { far[x] / alpha } else { 0.0 };
+                }
+            },
+        );
+        Ok(out)
     }
 
     fn step(&mut self, input: &StepInput) -> Result<StepOutput, SplatError> {
-        if self.statistics.gradient.len() != padded(self.model.len) {
-            self.statistics.reset(self.model.len);
-        }
-        let camera = self.camera(input.view, &input.options);
-        self.forward(input.view, &camera, &input.options, Some(&input.target), false);
+        self.statistics.fit(self.model.len);
+        let camera = self.forward(input.view, &input.options, Some(&input.target), false);
         let mut mark = (self.clock)();
-        let value = self.loss(input);
+        self.work.set_target(self.isa, &input.target, input.options.background);
+        let value = self.work.loss(self.isa, input.lambda_dssim);
         self.times.loss += self.lap(&mut mark);
         self.work.backward(self.isa);
         self.times.backward += self.lap(&mut mark);
-        let visible = self.work.bins.order.len();
-        let share = 1.0 / visible.max(1) as f32;
-        let penalties = [input.opacity_penalty * share, input.scale_penalty * share];
-        let (parameters, shared) = (Parameters::of(&self.model), self.shared());
-        let non_finite =
-            self.work.optimise(self.isa, parameters, shared, &camera, Sink::Adam(input.rates), penalties);
+        let model = ModelPart::adam(&mut self.model, &mut self.statistics, input.rates);
+        let non_finite = self.work.optimise(self.isa, model, &camera);
         self.times.optimise += self.lap(&mut mark);
-        let pairs = self.work.bins.list.len();
+        let [visible, pairs] = self.work.visible_and_pairs();
         Ok(StepOutput { loss: value.loss, mse: value.mse, visible, pairs, non_finite })
     }
 
@@ -323,11 +190,13 @@ impl Backend for CpuBackend {
         target: &Target,
         options: &RenderOptions,
     ) -> Result<f64, SplatError> {
-        Ok(Self::mean_square_error(self, view, target, options))
+        self.forward(view, options, Some(target), false);
+        self.work.set_target(self.isa, target, options.background);
+        Ok(f64::from(self.work.loss(self.isa, 0.0).mse))
     }
 
     fn set_gain(&mut self, gain: Option<[f32; 3]>) {
-        Self::set_gain(self, gain);
+        self.work.gain = gain;
     }
 
     fn products(
@@ -336,12 +205,23 @@ impl Backend for CpuBackend {
         target: &Target,
         options: &RenderOptions,
     ) -> Result<[[f64; 3]; 3], SplatError> {
-        Ok(Self::products(self, view, target, options))
-    }
-
-    fn set_scores(&mut self, scores: Scores) -> Result<(), SplatError> {
-        Self::set_scores(self, scores);
-        Ok(())
+        self.set_gain(None);
+        self.forward(view, options, Some(target), false);
+        self.work.set_target(self.isa, target, options.background);
+        let (drawn, wanted) = (self.work.drawn(), self.work.target());
+        let mut sums = [[0.0; 3]; 3];
+        for (c, (r, t)) in drawn.rgb.iter().zip(wanted.target).enumerate() {
+            for y in 0..view.height {
+                for i in y * drawn.stride..y * drawn.stride + view.width {
+                    let w = wanted.weight.map_or(1.0, |weight| f64::from(weight[i]));
+                    let (r, t) = (f64::from(r[i]), f64::from(t[i]));
+                    sums[0][c] += w * r * t;
+                    sums[1][c] += w * r * r;
+                    sums[2][c] += w * t * t;
+                }
+            }
+        }
+        Ok(sums)
     }
 
     fn times(&self) -> KernelTimes {
@@ -352,69 +232,96 @@ impl Backend for CpuBackend {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::cpu::raster::SUMS;
+    use crate::backend::LearningRates;
+    use crate::model::{MEAN, padded};
     use glam::{Mat3, Quat, Vec3};
-    use rand::Rng as _;
     use scene::Gaussians;
 
-    fn gaussians(n: usize) -> Gaussians {
-        let mut rng = scene::rng::rng(3, "reach", 0);
-        let mut of =
-            |low: f32, high: f32| Vec3::from_array(std::array::from_fn(|_| rng.random_range(low..high)));
-        let mut g = Gaussians::default();
-        for _ in 0..n {
-            g.means.push(of(-1.0, 1.0));
-            g.log_scales.push(of(-4.0, -1.5));
-            g.rotations.push(Quat::from_scaled_axis(of(-1.0, 1.0)));
-            g.opacity_logits.push(of(-2.0, 2.0).x);
-            g.sh.extend(of(-1.0, 1.0).to_array());
-        }
-        g
+    fn model(n: usize) -> Model {
+        Model::from_gaussians(&Gaussians {
+            means: vec![Vec3::ZERO; n],
+            log_scales: vec![Vec3::splat(-2.0); n],
+            rotations: vec![Quat::IDENTITY; n],
+            opacity_logits: vec![0.0; n],
+            sh: vec![0.5; 3 * n],
+            sh_degree: 0,
+        })
     }
 
-    /// A picture whose weights leave most tiles out has the gradients that it has when all tiles are drawn.
-    #[test]
-    fn tiles_that_no_weight_reaches_have_no_part_in_the_gradient() {
-        let (width, height) = (100, 70);
-        let view = PinholeView {
+    fn view() -> PinholeView {
+        PinholeView {
             rotation: Mat3::IDENTITY,
-            translation: Vec3::new(0.0, 0.0, 3.0),
-            focal: [90.0; 2],
-            centre: [50.0, 35.0],
-            width,
-            height,
-        };
-        let rgb: Vec<u8> = (0..width * height * 3).map(|i| (i * 37 % 251) as u8).collect();
-        let mask: Vec<u8> = (0..width * height)
-            .map(|i| if (30..44).contains(&(i % width)) && i / width > 50 { 200 } else { 0 })
-            .collect();
-        let target = Target { rgb: &rgb, mask: Some(&mask), transparent: false, photo: None };
-        let options = RenderOptions::default();
-        let mut backend = CpuBackend::default();
-        backend.upload(Model::from_gaussians(&gaussians(300)));
-        let camera = backend.camera(&view, &options);
+            translation: Vec3::Z * 3.0,
+            focal: [40.0; 2],
+            centre: [20.0, 15.0],
+            width: 40,
+            height: 30,
+        }
+    }
+
+    fn step(backend: &mut CpuBackend, rgb: &[u8]) -> StepOutput {
         let input = StepInput {
-            view: &view,
-            target,
-            options,
-            rates: Default::default(),
+            view: &view(),
+            target: Target { rgb, mask: None, transparent: false, photo: None },
+            options: RenderOptions::default(),
+            rates: LearningRates::default(),
             lambda_dssim: 0.2,
-            opacity_penalty: 0.0,
-            scale_penalty: 0.0,
         };
-        let mut found: Vec<(f32, Vec<[f32; SUMS]>, usize)> = Vec::new();
-        for counted in [None, Some(&target)] {
-            backend.forward(&view, &camera, &options, counted, false);
-            let loss = backend.loss(&input).loss;
-            backend.work.backward(backend.isa);
-            let drawn = backend.work.used.iter().filter(|&&u| u > 0).count();
-            found.push((loss, backend.work.sums.clone(), drawn));
+        backend.step(&input).unwrap()
+    }
+
+    #[test]
+    fn models_and_statistics_of_wrong_lengths_are_refused() {
+        let broken: [fn(&mut Model, &mut Statistics); 10] = [
+            |m, _| m.len += 100,
+            |m, _| m.sh_degree = 1,
+            |m, _| m.sh_degree = 4,
+            |m, _| m.geometry[MEAN].truncate(5),
+            |m, _| m.geometry_m[3].clear(),
+            |m, _| m.geometry_v[10].truncate(16),
+            |m, _| m.sh.truncate(7),
+            |m, _| m.sh_v.clear(),
+            |m, _| m.steps.truncate(31),
+            |_, s| s.visible.truncate(16),
+        ];
+        for (k, change) in broken.into_iter().enumerate() {
+            let (mut m, mut s) = (model(20), Statistics::default());
+            s.reset(20);
+            change(&mut m, &mut s);
+            let mut backend = CpuBackend::default();
+            assert!(matches!(backend.upload(m, s), Err(SplatError::InvalidGaussians(_))), "{k}");
+            assert_eq!(backend.gaussians(), 0, "{k}: what was refused is not held");
         }
-        assert!(found[0].2 > 30 && found[1].2 <= 9, "{} and {} tiles", found[0].2, found[1].2);
-        assert_eq!(found[0].0, found[1].0);
-        assert!(found[0].1.iter().any(|sums| sums[0] != 0.0));
-        for (all, some) in found[0].1.iter().zip(&found[1].1) {
-            assert_eq!(all[..9], some[..9]);
-        }
+    }
+
+    #[test]
+    fn an_edit_that_breaks_the_model_is_an_error_and_nothing_is_drawn_of_it() {
+        let mut backend = CpuBackend::default();
+        backend.upload(model(20), Statistics::default()).unwrap();
+        assert!(backend.edit(&mut |model, _| model.len = 1000).is_err());
+        assert_eq!(step(&mut backend, &[9; 3600]).visible, 0);
+    }
+
+    #[test]
+    fn an_edit_that_changes_the_number_of_gaussians_forgets_what_was_seen_of_them() {
+        let mut backend = CpuBackend::default();
+        backend.upload(model(20), Statistics::default()).unwrap();
+        assert_eq!(step(&mut backend, &[9; 3600]).visible, 20);
+        backend
+            .edit(&mut |model, _| {
+                model.append(&vec![(Model::row(Vec3::X, Vec3::ZERO, Quat::IDENTITY, 0.0), 3); 50])
+            })
+            .unwrap();
+        let (_, statistics) = backend.download().unwrap();
+        assert_eq!(statistics.visible, vec![0.0; padded(70)]);
+        assert_eq!(step(&mut backend, &[9; 3600]).visible, 70);
+    }
+
+    #[test]
+    #[should_panic]
+    fn a_target_of_another_size_than_the_view_is_never_read_beyond_its_end() {
+        let mut backend = CpuBackend::default();
+        backend.upload(model(20), Statistics::default()).unwrap();
+        step(&mut backend, &[9; 3599]);
     }
 }

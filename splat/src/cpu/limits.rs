@@ -1,9 +1,11 @@
 //! What the machine can do at most, to hold the kernels against: multiply-adds and bytes a second of one core.
 
-use super::simd::{Isa, Simd, simd_kernel};
+use super::dispatch::{Isa, simd_kernel};
+use super::simd::Simd;
 use std::time::Instant;
 
 /// Chains of multiply-adds that run beside each other: more than latency times ports of any core we know.
+/// Source: chosen by hand.
 const CHAINS: usize = 16;
 
 /// Arguments of [`chains`].
@@ -32,14 +34,14 @@ fn chains_generic<S: Simd>(a: &mut Chains) {
 simd_kernel!(fn chains(arguments: &mut Chains) = chains_generic);
 
 /// Multiply-adds of f32 (one lane each) that a core does in a second: the best of some tries.
-pub fn multiply_adds(isa: Isa) -> f64 {
+pub(crate) fn multiply_adds() -> f64 {
     let mut best = 0.0f64;
     for _ in 0..20 {
         let starts = std::array::from_fn(|i| i as f32);
         let mut a =
             std::hint::black_box(Chains { rounds: 200_000, starts, factor: 0.998, lanes: 0, sum: 0.0 });
         let clock = Instant::now();
-        chains(isa, std::hint::black_box(&mut a));
+        chains(Isa::best(), std::hint::black_box(&mut a));
         let seconds = clock.elapsed().as_secs_f64();
         std::hint::black_box(a.sum);
         best = best.max((a.rounds * CHAINS * a.lanes) as f64 / seconds);
@@ -48,14 +50,13 @@ pub fn multiply_adds(isa: Isa) -> f64 {
 }
 
 /// Bytes that a core reads and writes in a second where nothing fits into the caches: a copy, the best of some tries.
-pub fn bytes() -> f64 {
-    const N: usize = 32 << 20;
-    let (from, mut to) = (vec![1.0f32; N], vec![0.0f32; N]);
+pub(crate) fn bytes() -> f64 {
+    let (from, mut to) = (vec![1.0f32; 32 << 20], vec![0.0f32; 32 << 20]);
     let mut best = 0.0f64;
     for _ in 0..5 {
         let clock = Instant::now();
         std::hint::black_box(&mut to).copy_from_slice(std::hint::black_box(&from));
-        best = best.max((2 * N * 4) as f64 / clock.elapsed().as_secs_f64());
+        best = best.max((2 * size_of_val(&*from)) as f64 / clock.elapsed().as_secs_f64());
     }
     best
 }

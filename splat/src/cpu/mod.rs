@@ -1,21 +1,31 @@
 //! The production backend: f32, 16 × 16 tiles over rayon, SIMD across pixels (rasterisation, loss) and across
 //! Gaussians (projection, optimiser). Results do not depend on the number of threads: every sum has a fixed order.
 
-pub mod bin;
-pub mod limits;
-pub mod loss;
-pub mod optimise;
-pub mod project;
-pub mod raster;
-pub mod sh;
-pub mod simd;
-#[cfg(target_arch = "aarch64")]
-pub mod simd_neon;
-#[cfg(target_arch = "x86_64")]
-pub mod simd_x86;
-
+mod adam;
 mod backend;
+mod bounds;
+pub(crate) mod densify;
+pub(crate) mod dispatch;
+pub(crate) mod limits;
+pub(crate) mod loss;
+mod model_part;
+pub(crate) mod project;
+mod project_backward;
+mod rasterise;
+pub(crate) mod sh;
+mod shared;
+mod simd;
+#[cfg(target_arch = "aarch64")]
+mod simd_neon;
+mod simd_portable;
+#[cfg(target_arch = "x86_64")]
+mod simd_x86;
+mod sort;
 mod target;
+pub(crate) mod tile;
 mod workspace;
 
-pub use backend::{CpuBackend, DEFAULT_NEAR, Gradients};
+pub(crate) use backend::CpuBackend;
+#[cfg(test)]
+pub(crate) use model_part::ModelGradient;
+pub(crate) use tile::TILE;

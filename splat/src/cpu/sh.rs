@@ -4,18 +4,22 @@
 
 use glam::Vec3;
 
+/// Factors by degree. Source: Sloan 2013.
 const C0: f32 = 0.282_094_79;
+/// Source: Sloan 2013.
 const C1: f32 = 0.488_602_51;
+/// Source: Sloan 2013.
 const C2: [f32; 5] = [1.092_548_4, -1.092_548_4, 0.315_391_57, -1.092_548_4, 0.546_274_2];
+/// Source: Sloan 2013.
 const C3: [f32; 7] =
     [-0.590_043_6, 2.890_611_4, -0.457_045_8, 0.373_176_33, -0.457_045_8, 1.445_305_7, -0.590_043_6];
 
-/// Most coefficients a channel.
-pub const MAX_COEFFICIENTS: usize = 16;
+/// Most coefficients a channel. Source: (3 + 1)² of degree 3.
+pub(crate) const MAX_COEFFICIENTS: usize = 16;
 
 /// `Y_k(dir)` for the (degree + 1)² coefficients; `dir` is unit.
 #[inline(always)]
-pub fn basis(dir: Vec3, degree: u32, y: &mut [f32; MAX_COEFFICIENTS]) {
+pub(crate) fn basis(dir: Vec3, degree: u32, y: &mut [f32; MAX_COEFFICIENTS]) {
     let (dx, dy, dz) = (dir.x, dir.y, dir.z);
     y[0] = C0;
     if degree == 0 {
@@ -45,7 +49,7 @@ pub fn basis(dir: Vec3, degree: u32, y: &mut [f32; MAX_COEFFICIENTS]) {
 
 /// `Σ_k w_k ∂Y_k/∂dir`, the gradient with respect to the (unconstrained) direction.
 #[inline(always)]
-pub fn basis_gradient(dir: Vec3, degree: u32, w: &[f32; MAX_COEFFICIENTS]) -> Vec3 {
+pub(crate) fn basis_gradient(dir: Vec3, degree: u32, w: &[f32; MAX_COEFFICIENTS]) -> Vec3 {
     let (x, y, z) = (dir.x, dir.y, dir.z);
     if degree == 0 {
         return Vec3::ZERO;

@@ -3,102 +3,109 @@
 use super::simd::Simd;
 use std::arch::aarch64::*;
 
+/// Calls intrinsics of NEON.
+macro_rules! detected {
+    ($call:expr) => {
+        // SAFETY: every aarch64 has NEON.
+        unsafe { $call }
+    };
+}
+
 /// 4 lanes of NEON, which every aarch64 has.
 #[derive(Clone, Copy, Debug)]
-pub struct Neon(float32x4_t);
+pub(crate) struct Neon(float32x4_t);
 
-// NEON is part of the aarch64 baseline.
+// SAFETY: NEON is part of the aarch64 baseline.
 unsafe impl Simd for Neon {
     type Mask = uint32x4_t;
     const LANES: usize = 4;
 
     #[inline(always)]
     fn splat(v: f32) -> Self {
-        Self(unsafe { vdupq_n_f32(v) })
+        Self(detected!(vdupq_n_f32(v)))
     }
     #[inline(always)]
     unsafe fn load(p: *const f32) -> Self {
+        // SAFETY: the caller vouches for the memory; every aarch64 has NEON.
         Self(unsafe { vld1q_f32(p) })
     }
     #[inline(always)]
     unsafe fn store(self, p: *mut f32) {
+        // SAFETY: the caller vouches for the memory; every aarch64 has NEON.
         unsafe { vst1q_f32(p, self.0) }
     }
     #[inline(always)]
     fn add(self, o: Self) -> Self {
-        Self(unsafe { vaddq_f32(self.0, o.0) })
+        Self(detected!(vaddq_f32(self.0, o.0)))
     }
     #[inline(always)]
     fn sub(self, o: Self) -> Self {
-        Self(unsafe { vsubq_f32(self.0, o.0) })
+        Self(detected!(vsubq_f32(self.0, o.0)))
     }
     #[inline(always)]
     fn mul(self, o: Self) -> Self {
-        Self(unsafe { vmulq_f32(self.0, o.0) })
+        Self(detected!(vmulq_f32(self.0, o.0)))
     }
     #[inline(always)]
     fn div(self, o: Self) -> Self {
-        Self(unsafe { vdivq_f32(self.0, o.0) })
+        Self(detected!(vdivq_f32(self.0, o.0)))
     }
     #[inline(always)]
     fn fma(self, m: Self, a: Self) -> Self {
-        Self(unsafe { vfmaq_f32(a.0, self.0, m.0) })
+        Self(detected!(vfmaq_f32(a.0, self.0, m.0)))
     }
     #[inline(always)]
     fn fnma(self, m: Self, a: Self) -> Self {
-        Self(unsafe { vfmsq_f32(a.0, self.0, m.0) })
+        Self(detected!(vfmsq_f32(a.0, self.0, m.0)))
     }
     #[inline(always)]
     fn min(self, o: Self) -> Self {
-        Self(unsafe { vbslq_f32(vcltq_f32(self.0, o.0), self.0, o.0) })
+        Self(detected!(vbslq_f32(vcltq_f32(self.0, o.0), self.0, o.0)))
     }
     #[inline(always)]
     fn max(self, o: Self) -> Self {
-        Self(unsafe { vbslq_f32(vcgtq_f32(self.0, o.0), self.0, o.0) })
+        Self(detected!(vbslq_f32(vcgtq_f32(self.0, o.0), self.0, o.0)))
     }
     #[inline(always)]
     fn sqrt(self) -> Self {
-        Self(unsafe { vsqrtq_f32(self.0) })
+        Self(detected!(vsqrtq_f32(self.0)))
     }
     #[inline(always)]
     fn abs(self) -> Self {
-        Self(unsafe { vabsq_f32(self.0) })
+        Self(detected!(vabsq_f32(self.0)))
     }
     #[inline(always)]
     fn ge(self, o: Self) -> Self::Mask {
-        unsafe { vcgeq_f32(self.0, o.0) }
+        detected!(vcgeq_f32(self.0, o.0))
     }
     #[inline(always)]
     fn lt(self, o: Self) -> Self::Mask {
-        unsafe { vcltq_f32(self.0, o.0) }
+        detected!(vcltq_f32(self.0, o.0))
     }
     #[inline(always)]
     fn and(a: Self::Mask, b: Self::Mask) -> Self::Mask {
-        unsafe { vandq_u32(a, b) }
-    }
-    #[inline(always)]
-    fn and_not(a: Self::Mask, b: Self::Mask) -> Self::Mask {
-        unsafe { vbicq_u32(a, b) }
+        detected!(vandq_u32(a, b))
     }
     #[inline(always)]
     fn any(m: Self::Mask) -> bool {
-        unsafe { vmaxvq_u32(m) != 0 }
+        detected!(vmaxvq_u32(m) != 0)
     }
     #[inline(always)]
     fn bits(m: Self::Mask) -> u32 {
-        const WEIGHTS: [u32; 4] = [1, 2, 4, 8];
-        unsafe { vaddvq_u32(vandq_u32(m, vld1q_u32(WEIGHTS.as_ptr()))) }
+        let weights: [u32; 4] = [1, 2, 4, 8];
+        detected!(vaddvq_u32(vandq_u32(m, vld1q_u32(weights.as_ptr()))))
     }
     #[inline(always)]
     fn keep(self, m: Self::Mask) -> Self {
-        Self(unsafe { vreinterpretq_f32_u32(vandq_u32(vreinterpretq_u32_f32(self.0), m)) })
+        Self(detected!(vreinterpretq_f32_u32(vandq_u32(vreinterpretq_u32_f32(self.0), m))))
     }
     #[inline(always)]
     fn select(m: Self::Mask, a: Self, b: Self) -> Self {
-        Self(unsafe { vbslq_f32(m, a.0, b.0) })
+        Self(detected!(vbslq_f32(m, a.0, b.0)))
     }
     #[inline(always)]
     fn scale_by_magic(self, magic: Self) -> Self {
+        // SAFETY: every aarch64 has NEON.
         unsafe {
             let shifted = vshlq_n_u32::<23>(vreinterpretq_u32_f32(magic.0));
             Self(vreinterpretq_f32_u32(vaddq_u32(vreinterpretq_u32_f32(self.0), shifted)))
@@ -106,6 +113,6 @@ unsafe impl Simd for Neon {
     }
     #[inline(always)]
     fn sum(self) -> f32 {
-        unsafe { vaddvq_f32(self.0) }
+        detected!(vaddvq_f32(self.0))
     }
 }

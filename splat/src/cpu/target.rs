@@ -1,33 +1,35 @@
 //! Target planes (and weights) from 8-bit pixels, composed over the background where masks mean transparency.
 //! in: interleaved bytes, optional mask, the rendering. out: \[3\] planes and one of weights, rows padded to whole tiles.
 
-use super::bin::TILE;
-use super::loss::{RADIUS, Shape};
-use super::simd::{Isa, Simd, simd_kernel};
+use super::dispatch::{Isa, simd_kernel};
+use super::simd::Simd;
+use super::tile::{PlaneShape, TILE};
 use crate::backend::Target;
+use crate::reference::constants::WINDOW_RADIUS;
 use rayon::prelude::*;
 
-/// Rows a task converts.
+/// Rows a task converts. Source: chosen by hand, never measured.
 const BAND: usize = 32;
+/// A level of 8 bits. Source: derived.
 const BYTE: f32 = 1.0 / 255.0;
 
 /// What the planes are made of.
-pub struct Source<'a> {
+pub(super) struct TargetSource<'a> {
     /// Size of the planes.
-    pub shape: Shape,
+    pub(super) shape: PlaneShape,
     /// The pixels.
-    pub target: &'a Target<'a>,
+    pub(super) target: &'a Target<'a>,
     /// What lies behind transparent pixels.
-    pub background: [f32; 3],
+    pub(super) background: [f32; 3],
     /// Colours are divided by this.
-    pub gain: Option<[f32; 3]>,
+    pub(super) gain: Option<[f32; 3]>,
 }
 
 /// Fills `planes`, and `weight` if the mask means weights (a pixel of weight 0 equals its rendering in `rgb`, so that its
 /// neighbours' SSIM does not see it).
-pub fn compose(
+pub(super) fn compose(
     isa: Isa,
-    source: &Source,
+    source: &TargetSource,
     rgb: &[Vec<f32>; 3],
     planes: &mut [Vec<f32>; 3],
     weight: &mut [f32],
@@ -44,7 +46,7 @@ pub fn compose(
         })
         .for_each(|(channel, y0, out)| {
             let rendered = weighted.then_some(rgb[channel].as_slice());
-            compose_rows(isa, &mut Rows { source, channel, y0, rendered, out });
+            compose_rows(isa, &mut TargetRows { source, channel, y0, rendered, out });
         });
     if let Some(mask) = source.target.mask.filter(|_| weighted) {
         for (out, mask) in weight.chunks_exact_mut(shape.stride()).zip(mask.chunks_exact(shape.width)) {
@@ -56,8 +58,8 @@ pub fn compose(
 }
 
 /// `BAND` rows of one channel.
-struct Rows<'a> {
-    source: &'a Source<'a>,
+struct TargetRows<'a> {
+    source: &'a TargetSource<'a>,
     channel: usize,
     y0: usize,
     /// The rendering, if masks are weights.
@@ -65,12 +67,12 @@ struct Rows<'a> {
     out: &'a mut [f32],
 }
 
-simd_kernel!(fn compose_rows(arguments: &mut Rows) = compose_generic);
+simd_kernel!(fn compose_rows(arguments: &mut TargetRows) = compose_generic);
 
 /// Plain loops, which the compiler makes vectors of for each instruction set.
 #[inline(always)]
 #[allow(clippy::extra_unused_type_parameters)] // it stands for the instruction set that this is compiled for
-fn compose_generic<S: Simd>(a: &mut Rows) {
+fn compose_generic<S: Simd>(a: &mut TargetRows) {
     let (shape, target) = (a.source.shape, a.source.target);
     let (width, stride) = (shape.width, shape.stride());
     let unit = a.source.gain.map_or(BYTE, |gain| BYTE / gain[a.channel]);
@@ -102,18 +104,22 @@ fn compose_generic<S: Simd>(a: &mut Rows) {
 
 /// Which tiles have a pixel that some pixel of weight above 0 sees through the loss's window: nothing else has a gradient.
 /// `weights`: [height × width] bytes.
-pub fn reached_tiles(weights: &[u8], shape: Shape, reached: &mut Vec<bool>) {
+pub(super) fn reached_tiles(weights: &[u8], shape: PlaneShape, reached: &mut Vec<bool>) {
     let (columns, rows) = (shape.stride() / TILE, shape.height.div_ceil(TILE));
     reached.clear();
     reached.resize(columns * rows, false);
-    let tiles = |at: usize, end: usize| at.saturating_sub(RADIUS) / TILE..=(at + RADIUS).min(end - 1) / TILE;
     for (y, row) in weights.chunks_exact(shape.width).enumerate() {
         for x in (0..row.len()).filter(|&x| row[x] > 0) {
-            for ty in tiles(y, shape.height) {
-                tiles(x, shape.width).for_each(|tx| reached[ty * columns + tx] = true);
+            for ty in tiles_around(y, shape.height) {
+                tiles_around(x, shape.width).for_each(|tx| reached[ty * columns + tx] = true);
             }
         }
     }
+}
+
+/// Tiles along a side of `size` pixels that the window at pixel `at` touches.
+fn tiles_around(at: usize, size: usize) -> std::ops::RangeInclusive<usize> {
+    at.saturating_sub(WINDOW_RADIUS) / TILE..=(at + WINDOW_RADIUS).min(size - 1) / TILE
 }
 
 #[cfg(test)]
@@ -122,7 +128,7 @@ mod tests {
 
     #[test]
     fn a_tile_is_reached_where_a_weight_is_within_the_window() {
-        let shape = Shape { width: 70, height: 40 };
+        let shape = PlaneShape { width: 70, height: 40 };
         let mut reached = Vec::new();
         for (x, y) in [(0, 0), (10, 3), (11, 3), (36, 20), (37, 26), (69, 39), (31, 15)] {
             let mut weights = vec![0u8; shape.width * shape.height];
@@ -134,7 +140,8 @@ mod tests {
                 let away = |at: usize, first: usize, size: usize| {
                     first.saturating_sub(at).max((at + 1).saturating_sub(first + size))
                 };
-                let near = away(x, tile.x, tile.width) <= RADIUS && away(y, tile.y, tile.height) <= RADIUS;
+                let near = away(x, tile.x, tile.width) <= WINDOW_RADIUS
+                    && away(y, tile.y, tile.height) <= WINDOW_RADIUS;
                 assert_eq!(found, near, "({x}, {y}) tile {t}");
             }
         }

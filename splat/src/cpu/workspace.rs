@@ -1,58 +1,77 @@
 //! The buffers of a view and the kernels run over them in parallel.
 
-use super::bin::{Bins, TILE};
-use super::loss::Shape;
-use super::optimise::{Optimise, SharedModel, SharedPlane, Sink, optimise};
-use super::project::{CULLED, CameraConstants, Parameters, Project, Record, project};
-use super::raster::{Backward, Extra, Forward, PIXELS, Plane, SUMS, Tile, Visit, backward, forward, visit};
-use super::simd::Isa;
-use super::target::{Source, compose, reached_tiles};
-use crate::backend::{Scores, Target};
+use super::adam::{Adam, adam};
+use super::dispatch::Isa;
+use super::loss::{LossInput, LossValue, loss};
+use super::model_part::ModelPart;
+use super::project::{CULLED, Project, Record, project};
+use super::rasterise::{Backward, Forward, SUMS, Visit, backward, forward, visit};
+use super::shared::SharedSlice;
+use super::sort::Bins;
+use super::target::{TargetSource, compose, reached_tiles};
+use super::tile::{PIXELS, PlaneShape, TILE, Tile, TilePlane};
+use crate::backend::Target;
+use crate::camera::CameraConstants;
+use crate::model::Model;
 use rayon::prelude::*;
 
-/// Gaussians a task projects or optimises.
+/// Gaussians a task projects. Source: chosen by hand, never measured.
 const CHUNK: usize = 512;
 
 /// Everything that lives between the kernels of a step. Kept between steps, so that nothing is allocated in the loop.
+/// Invariant: every plane that is in use has the size that `shape` says, and `used` an entry a tile.
 #[derive(Debug, Default)]
-pub struct Workspace {
-    pub records: Vec<Record>,
-    pub keys: Vec<u32>,
-    pub bins: Bins,
-    pub shape: Shape,
-    pub rgb: [Vec<f32>; 3],
-    pub transmittance: Vec<f32>,
-    pub depth: Vec<f32>,
-    pub used: Vec<u32>,
+pub(super) struct KernelWorkspace {
+    records: Vec<Record>,
+    keys: Vec<u32>,
+    bins: Bins,
+    shape: PlaneShape,
+    rgb: [Vec<f32>; 3],
+    transmittance: Vec<f32>,
+    depth: Vec<f32>,
+    used: Vec<u32>,
     /// Tiles that weights reach; empty: all.
-    pub reached: Vec<bool>,
-    pub target: [Vec<f32>; 3],
-    pub weight: Vec<f32>,
-    pub gradient: [Vec<f32>; 3],
-    pub sums: Vec<[f32; SUMS]>,
+    reached: Vec<bool>,
+    target: [Vec<f32>; 3],
+    weight: Vec<f32>,
+    gradient: [Vec<f32>; 3],
+    sums: Vec<[f32; SUMS]>,
     /// Of the loss.
-    pub parts: Vec<[f64; 3]>,
+    parts: Vec<[f64; 3]>,
     /// Targets are divided by this.
-    pub gain: Option<[f32; 3]>,
-    /// What backward sums for the statistics.
-    pub scores: Scores,
+    pub(super) gain: Option<[f32; 3]>,
 }
 
-impl Workspace {
-    /// project, sort, bin.
-    pub fn project(&mut self, isa: Isa, parameters: Parameters, n: usize, camera: &CameraConstants) {
-        self.records.resize(n, Record::default());
-        self.keys.resize(n, CULLED);
+/// The picture that the last [`KernelWorkspace::forward`] drew: planes whose rows are `stride` apart.
+pub(super) struct DrawnPlanes<'a> {
+    pub(super) stride: usize,
+    pub(super) rgb: &'a [Vec<f32>; 3],
+    pub(super) transmittance: &'a [f32],
+    pub(super) depth: &'a [f32],
+}
+
+/// What it is compared with, and what of it counts.
+pub(super) struct TargetPlanes<'a> {
+    pub(super) target: &'a [Vec<f32>; 3],
+    pub(super) weight: Option<&'a [f32]>,
+}
+
+impl KernelWorkspace {
+    /// The Gaussians' records and depth keys.
+    pub(super) fn project(&mut self, isa: Isa, model: &Model, camera: &CameraConstants) {
+        self.records.resize(model.len, Record::default());
+        self.keys.resize(model.len, CULLED);
         let chunks = self.records.par_chunks_mut(CHUNK).zip(self.keys.par_chunks_mut(CHUNK)).enumerate();
         chunks.for_each(|(chunk, (records, keys))| {
-            project(isa, &mut Project { parameters, camera, start: chunk * CHUNK, records, keys });
+            project(isa, &mut Project { model, camera, start: chunk * CHUNK, records, keys });
         });
     }
 
-    /// Sizes the planes for an image.
-    pub fn resize(&mut self, shape: Shape) {
-        self.shape = shape;
-        let plane = shape.plane();
+    /// Sorts them and puts them into the tiles of an image.
+    pub(super) fn sort(&mut self, width: usize, height: usize) {
+        self.bins.fill(&self.keys, &self.records, width, height);
+        self.shape = PlaneShape { width, height };
+        let plane = self.shape.plane();
         for planes in [&mut self.rgb, &mut self.target, &mut self.gradient] {
             planes.iter_mut().for_each(|p| p.resize(plane, 0.0));
         }
@@ -60,45 +79,55 @@ impl Workspace {
         self.used.resize(plane / PIXELS, 0);
     }
 
-    /// What of the next picture counts: all of it without a target, or where its mask is not a weight.
-    pub fn limit(&mut self, target: Option<&Target>, shape: Shape) {
-        self.reached.clear();
-        if let Some(Target { mask: Some(mask), transparent: false, .. }) = target {
-            reached_tiles(mask, shape, &mut self.reached);
-        }
+    /// Gaussians that touch a tile, and Gaussian–tile pairs.
+    pub(super) fn visible_and_pairs(&self) -> [usize; 2] {
+        [self.bins.visible(), self.bins.pairs()]
     }
 
-    /// Rasterises all tiles that count; the others keep what they show.
-    pub fn forward(&mut self, isa: Isa, background: [f32; 3], with_depth: bool) {
-        if with_depth {
-            self.depth.resize(self.shape.plane(), 0.0);
+    /// The last picture; its depth only where it was asked for.
+    pub(super) fn drawn(&self) -> DrawnPlanes<'_> {
+        let stride = self.shape.stride();
+        DrawnPlanes { stride, rgb: &self.rgb, transmittance: &self.transmittance, depth: &self.depth }
+    }
+
+    /// Rasterises all tiles that count for a target (all of them without one); the others keep what they show.
+    pub(super) fn forward(
+        &mut self,
+        isa: Isa,
+        background: [f32; 3],
+        target: Option<&Target>,
+        with_depth: bool,
+    ) {
+        self.reached.clear();
+        if let Some(Target { mask: Some(mask), transparent: false, .. }) = target {
+            reached_tiles(mask, self.shape, &mut self.reached);
         }
+        self.depth.resize(if with_depth { self.shape.plane() } else { 0 }, 0.0);
         let (shape, records, bins, reached) = (self.shape, &self.records, &self.bins, &self.reached);
-        let rgb = self.rgb.each_mut().map(|p| SharedPlane(p.as_mut_ptr()));
-        let transmittance = SharedPlane(self.transmittance.as_mut_ptr());
-        let depth = with_depth.then_some(SharedPlane(self.depth.as_mut_ptr()));
+        let rgb = self.rgb.each_mut().map(|p| SharedSlice::new(p.as_mut_slice()));
+        let transmittance = SharedSlice::new(self.transmittance.as_mut_slice());
+        let depth = with_depth.then(|| SharedSlice::new(self.depth.as_mut_slice()));
         self.used.par_iter_mut().enumerate().for_each(|(t, used)| {
             if reached.get(t) == Some(&false) {
                 *used = 0;
                 return;
             }
             let tile = shape.tile(t);
-            let list = &bins.list[bins.offsets[t] as usize..bins.offsets[t + 1] as usize];
             let (mut colour, mut clear, mut far) =
-                ([Plane::filled(0.0); 3], Plane::filled(1.0), Plane::filled(0.0));
+                ([TilePlane::filled(0.0); 3], TilePlane::filled(1.0), TilePlane::filled(0.0));
             let mut a = Forward {
                 records,
-                list,
+                list: bins.gaussians_of(t),
                 tile,
                 background,
                 rgb: &mut colour,
                 transmittance: &mut clear,
-                depth: depth.map(|_| &mut far),
+                depth: with_depth.then_some(&mut far),
                 used: 0,
             };
             forward(isa, &mut a);
             *used = a.used as u32;
-            // Tiles do not overlap, so every task writes pixels of its own.
+            // SAFETY: tiles do not overlap, and each is drawn by one task.
             unsafe {
                 for (plane, values) in rgb.iter().zip(&colour) {
                     scatter(values, plane, &tile);
@@ -111,143 +140,161 @@ impl Workspace {
         });
     }
 
-    /// Gaussian–pixel pairs that the last [`Workspace::forward`] evaluated.
-    pub fn gaussian_pixels(&self, isa: Isa) -> u64 {
-        let of = |(t, &used): (usize, &u32)| {
-            let begin = self.bins.offsets[t] as usize;
-            let list = &self.bins.list[begin..begin + used as usize];
+    /// Gaussian–pixel pairs that the last [`KernelWorkspace::forward`] evaluated.
+    pub(super) fn gaussian_pixels(&self, isa: Isa) -> u64 {
+        let mut pixels = 0;
+        for (t, &used) in self.used.iter().enumerate() {
+            let list = &self.bins.gaussians_of(t)[..used as usize];
             let mut a = Visit { records: &self.records, list, tile: self.shape.tile(t), pixels: 0 };
             visit(isa, &mut a);
-            a.pixels
-        };
-        self.used.iter().enumerate().map(of).sum()
+            pixels += a.pixels;
+        }
+        pixels
     }
 
     /// Target planes (and weights) from 8-bit pixels, composed over the background where masks mean transparency.
-    pub fn set_target(&mut self, isa: Isa, target: &Target, background: [f32; 3]) {
-        if target.mask.is_some() && !target.transparent {
-            self.weight.resize(self.shape.plane(), 0.0);
-        }
-        let source = Source { shape: self.shape, target, background, gain: self.gain };
+    pub(super) fn set_target(&mut self, isa: Isa, target: &Target, background: [f32; 3]) {
+        let weighted = target.mask.is_some() && !target.transparent;
+        self.weight.resize(if weighted { self.shape.plane() } else { 0 }, 0.0);
+        let source = TargetSource { shape: self.shape, target, background, gain: self.gain };
         compose(isa, &source, &self.rgb, &mut self.target, &mut self.weight);
     }
 
-    /// Gradients of all pairs from `self.gradient`.
-    pub fn backward(&mut self, isa: Isa) {
+    /// What [`KernelWorkspace::set_target`] made.
+    pub(super) fn target(&self) -> TargetPlanes<'_> {
+        let weight = Some(self.weight.as_slice()).filter(|weight| !weight.is_empty());
+        TargetPlanes { target: &self.target, weight }
+    }
+
+    /// The loss of the picture against the target, and dL/d(colour).
+    pub(super) fn loss(&mut self, isa: Isa, lambda: f32) -> LossValue {
+        let weight = Some(self.weight.as_slice()).filter(|weight| !weight.is_empty());
+        let input = LossInput { shape: self.shape, rgb: &self.rgb, target: &self.target, weight, lambda };
+        loss(isa, &input, &mut self.gradient, &mut self.parts)
+    }
+
+    /// dL/d(colour), [height × width × 3], from elsewhere.
+    pub(super) fn set_gradient(&mut self, gradient: &[f32]) {
+        let (width, stride) = (self.shape.width, self.shape.stride());
+        for (c, plane) in self.gradient.iter_mut().enumerate() {
+            plane.fill(0.0);
+            for (i, pixel) in gradient.chunks_exact(3).enumerate() {
+                plane[i / width * stride + i % width] = pixel[c];
+            }
+        }
+    }
+
+    /// Sums of all pairs from dL/d(colour).
+    pub(super) fn backward(&mut self, isa: Isa) {
         let (shape, records, bins, used) = (self.shape, &self.records, &self.bins, &self.used);
         let (rgb, gradient) = (&self.rgb, &self.gradient);
-        self.sums.resize(bins.list.len(), [0.0; SUMS]);
-        let (scores, target) = (self.scores, &self.target);
-        let all = SharedSums(self.sums.as_mut_ptr());
+        self.sums.resize(bins.pairs(), [0.0; SUMS]);
+        let all = SharedSlice::new(self.sums.as_mut_slice());
         (0..used.len()).into_par_iter().for_each(|t| {
             let used = used[t] as usize;
-            let (begin, end) = (bins.offsets[t] as usize, bins.offsets[t + 1] as usize);
-            // The tiles' ranges do not overlap, so every task writes pairs of its own.
-            let sums = unsafe { all.slice(begin, end) };
+            // SAFETY: the pairs of tiles do not overlap, and each tile is worked on by one task.
+            let sums = unsafe { all.part(bins.pairs_of(t)) };
             sums[used..].fill([0.0; SUMS]);
             if used == 0 {
                 return;
             }
             let tile = shape.tile(t);
-            let local: [Plane; 3] = std::array::from_fn(|c| gather(&gradient[c], &tile));
-            let mut remaining = Plane::filled(0.0);
-            let mut error = Plane::filled(0.0);
-            for (c, gradient) in local.iter().enumerate() {
-                let colour = gather(&rgb[c], &tile);
+            let local = gradient.each_ref().map(|plane| tile.gather(plane));
+            let mut remaining = TilePlane::filled(0.0);
+            for (gradient, plane) in local.iter().zip(rgb) {
+                let colour = tile.gather(plane);
                 for i in 0..PIXELS {
-                    remaining[i] += colour[i] * gradient[i];
-                }
-                if scores == Scores::Error {
-                    let wanted = gather(&target[c], &tile);
-                    for i in 0..PIXELS {
-                        error[i] += (colour[i] - wanted[i]).abs();
-                    }
+                    remaining.0[i] += colour.0[i] * gradient.0[i];
                 }
             }
-            let list = &bins.list[begin..begin + used];
+            let list = &bins.gaussians_of(t)[..used];
             let sums = &mut sums[..used];
-            backward(
-                isa,
-                &mut Backward {
-                    records,
-                    list,
-                    tile,
-                    gradient: &local,
-                    remaining: &mut remaining,
-                    sums,
-                    extra: match scores {
-                        Scores::Gradient => Extra::Nothing,
-                        Scores::Magnitudes => Extra::Magnitudes,
-                        Scores::Error => Extra::Error(&error),
-                    },
-                },
-            );
+            let remaining = &mut remaining;
+            backward(isa, &mut Backward { records, list, tile, gradient: &local, remaining, sums });
         });
     }
 
     /// project backward and Adam (or plain gradients); returns how many gradients were not finite.
-    pub fn optimise(
-        &self,
-        isa: Isa,
-        parameters: Parameters,
-        shared: SharedModel,
-        camera: &CameraConstants,
-        sink: Sink,
-        penalties: [f32; 2],
-    ) -> usize {
-        let n = self.keys.len();
-        let run = |chunk: usize| {
-            let start = chunk * CHUNK;
-            let mut a = Optimise {
-                parameters,
-                shared,
-                camera,
-                bins: &self.bins,
-                keys: &self.keys,
-                sums: &self.sums,
-                start,
-                end: (start + CHUNK).min(n),
-                sink,
-                opacity_penalty: penalties[0],
-                scale_penalty: penalties[1],
-                scores: self.scores,
-                non_finite: 0,
-            };
-            optimise(isa, &mut a);
+    pub(super) fn optimise(&self, isa: Isa, model: ModelPart, camera: &CameraConstants) -> usize {
+        let parts = rayon::iter::split(model, ModelPart::halve);
+        let steps = parts.map(|part| {
+            let (bins, keys, sums) = (&self.bins, &self.keys, &self.sums);
+            let mut a = Adam { part, camera, bins, keys, sums, non_finite: 0 };
+            adam(isa, &mut a);
             a.non_finite
-        };
-        (0..n.div_ceil(CHUNK)).into_par_iter().map(run).sum()
-    }
-}
-
-/// The pairs' sums, of which every task writes its own range.
-#[derive(Clone, Copy)]
-struct SharedSums(*mut [f32; SUMS]);
-// Ranges of different tasks do not overlap.
-unsafe impl Send for SharedSums {}
-unsafe impl Sync for SharedSums {}
-
-impl SharedSums {
-    /// # Safety
-    /// Within the array, and nobody else uses the range meanwhile.
-    #[allow(clippy::mut_from_ref)]
-    unsafe fn slice(&self, begin: usize, end: usize) -> &mut [[f32; SUMS]] {
-        unsafe { std::slice::from_raw_parts_mut(self.0.add(begin), end - begin) }
+        });
+        steps.sum()
     }
 }
 
 /// # Safety
-/// `plane` covers the tile and no other task writes its pixels.
-unsafe fn scatter(values: &Plane, plane: &SharedPlane, tile: &Tile) {
-    for (y, row) in values.chunks_exact(TILE).enumerate() {
-        unsafe { std::ptr::copy_nonoverlapping(row.as_ptr(), plane.0.add(tile.row(y)), TILE) };
+/// No other task uses the tile's pixels of the plane.
+unsafe fn scatter(values: &TilePlane, plane: &SharedSlice<f32>, tile: &Tile) {
+    for (y, row) in values.0.chunks_exact(TILE).enumerate() {
+        // SAFETY: the row is the tile's, of which the caller vouches that no other task uses it.
+        unsafe { plane.part(tile.row(y)..tile.row(y) + TILE) }.copy_from_slice(row);
     }
 }
 
-fn gather(plane: &[f32], tile: &Tile) -> Plane {
-    let mut out = Plane::filled(0.0);
-    for (y, row) in out.chunks_exact_mut(TILE).enumerate() {
-        row.copy_from_slice(&plane[tile.row(y)..tile.row(y) + TILE]);
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::view::{PinholeView, RenderOptions};
+    use glam::{Mat3, Quat, Vec3};
+    use rand::Rng as _;
+    use scene::Gaussians;
+
+    fn gaussians(n: usize) -> Gaussians {
+        let mut rng = scene::rng::rng(3, "reach", 0);
+        let mut of =
+            |low: f32, high: f32| Vec3::from_array(std::array::from_fn(|_| rng.random_range(low..high)));
+        let mut g = Gaussians::default();
+        for _ in 0..n {
+            g.means.push(of(-1.0, 1.0));
+            g.log_scales.push(of(-4.0, -1.5));
+            g.rotations.push(Quat::from_scaled_axis(of(-1.0, 1.0)));
+            g.opacity_logits.push(of(-2.0, 2.0).x);
+            g.sh.extend(of(-1.0, 1.0).to_array());
+        }
+        g
     }
-    out
+
+    /// A picture whose weights leave most tiles out has the gradients that it has when all tiles are drawn.
+    #[test]
+    fn tiles_that_no_weight_reaches_have_no_part_in_the_gradient() {
+        let (width, height) = (100, 70);
+        let view = PinholeView {
+            rotation: Mat3::IDENTITY,
+            translation: Vec3::new(0.0, 0.0, 3.0),
+            focal: [90.0; 2],
+            centre: [50.0, 35.0],
+            width,
+            height,
+        };
+        let rgb: Vec<u8> = (0..width * height * 3).map(|i| (i * 37 % 251) as u8).collect();
+        let mask: Vec<u8> = (0..width * height)
+            .map(|i| if (30..44).contains(&(i % width)) && i / width > 50 { 200 } else { 0 })
+            .collect();
+        let target = Target { rgb: &rgb, mask: Some(&mask), transparent: false, photo: None };
+        let (isa, model) = (Isa::best(), Model::from_gaussians(&gaussians(300)));
+        let camera = CameraConstants::new(&view, &RenderOptions::default(), 0);
+        let mut work = KernelWorkspace::default();
+        work.project(isa, &model, &camera);
+        work.sort(width, height);
+        let mut found: Vec<(f32, Vec<[f32; SUMS]>, usize)> = Vec::new();
+        for counted in [None, Some(&target)] {
+            work.forward(isa, [0.0; 3], counted, false);
+            work.set_target(isa, &target, [0.0; 3]);
+            let loss = work.loss(isa, 0.2).loss;
+            work.backward(isa);
+            let drawn = work.used.iter().filter(|&&u| u > 0).count();
+            found.push((loss, work.sums.clone(), drawn));
+        }
+        assert!(found[0].2 > 30 && found[1].2 <= 9, "{} and {} tiles", found[0].2, found[1].2);
+        assert_eq!(found[0].0, found[1].0);
+        assert!(found[0].1.iter().any(|sums| sums[0] != 0.0));
+        for (all, some) in found[0].1.iter().zip(&found[1].1) {
+            assert_eq!(all[..9], some[..9]);
+        }
+    }
 }

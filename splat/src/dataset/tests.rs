@@ -24,8 +24,8 @@ fn capture(unit: f64, radius: f64, points: usize) -> Reconstruction {
 }
 
 /// Views and points of a model in the normalised frame.
-fn normalised(model: &Reconstruction) -> (Normalisation, Vec<PinholeView>, Vec<Vec3>) {
-    let n = Normalisation::of(model);
+fn normalised(model: &Reconstruction) -> (NormalisedFrame, Vec<PinholeView>, Vec<Vec3>) {
+    let n = NormalisedFrame::of(model);
     let views = model.images.values().map(|i| n.view(&model.cameras[&1], &i.pose)).collect();
     (n, views, model.points.values().map(|p| n.point(p.position)).collect())
 }
@@ -78,7 +78,7 @@ fn cameras_at_one_place_are_measured_by_the_points_and_nothing_at_all_by_itself(
     }
     let (n, views, _) = normalised(&capture(1.0, 0.0, 0));
     assert!(n.scale.is_finite() && n.scale > 0.0 && views.iter().all(|v| v.translation.is_finite()));
-    assert_eq!(Normalisation::of(&Reconstruction::default()).scale, 1.0);
+    assert_eq!(NormalisedFrame::of(&Reconstruction::default()).scale, 1.0);
 }
 
 #[test]
@@ -91,11 +91,11 @@ fn gaussians_come_back_from_the_normalised_frame_as_they_were() {
         sh: vec![0.1; 6],
         sh_degree: 0,
     };
-    let n = Normalisation::of(&capture(1e6, 2.0, 9));
-    let inner = n.to_normalised(world.clone());
+    let n = NormalisedFrame::of(&capture(1e6, 2.0, 9));
+    let inner = n.normalise(world.clone());
     assert!((inner.means[0] - Vec3::new(0.0, 0.0, 0.5)).length() < 1e-6, "{:?}", inner.means);
     assert!((inner.log_scales[1] - Vec3::splat(10.0 - 2e6f32.ln())).length() < 1e-5);
-    let back = n.to_world(inner);
+    let back = n.denormalise(inner);
     for i in 0..2 {
         assert!((back.means[i] - world.means[i]).length() < 2.0, "{:?}", back.means);
         assert!((back.log_scales[i] - world.log_scales[i]).length() < 1e-5, "{:?}", back.log_scales);

@@ -5,21 +5,26 @@ use super::buffers::{Buffers, Limit, PHOTOS, Sizes, capacity, most_pairs, tiles}
 use super::context::{Gpu, Opening};
 use super::flight::{Flight, Pending, Report, WINDOW};
 use super::kernels::Kernels;
-use super::layout::{BLOCK, Frame, HALT, NON_FINITE, TRUNCATE, VISIBLE};
+use super::layout::{BLOCK, Counter, Frame, FrameFlag};
 use super::pages::Pages;
-use super::photos::{Photo, Photos};
-use crate::adapter::Adapter;
-use crate::backend::{Backend, KernelTimes, Round, Scores, StepInput, StepOutput, Target};
-use crate::cpu::{DEFAULT_NEAR, optimise::Statistics, project::CameraConstants};
-use crate::{PinholeView, RenderOptions, RenderOutput, SplatError, model::Model, train::Decision};
+use super::photos::{Photos, PlacedPhoto};
+use crate::backend::{Backend, KernelTimes, Round, StepInput, StepOutput, Target, check};
+use crate::camera::CameraConstants;
+use crate::cpu::densify::densify_by_edit;
+use crate::error::SplatError;
+use crate::model::Model;
+use crate::statistics::Statistics;
+use crate::view::{PinholeView, RenderOptions, RenderOutput};
+use scene::Decision;
 use scene::FloatImage;
+use scene::decision::{Choice, Measurement, Quantity, Remark, Rule, Subject};
 use std::ops::RangeInclusive;
 
 /// What lies on the device for the view, and how the kernels are bound to it and to the model.
 pub(super) type Screen = (Buffers, Bound);
 
 /// The GPU backend. The model lives on the device; a copy stays on the host only until the first step.
-pub struct GpuBackend {
+pub(crate) struct GpuBackend {
     pub(super) gpu: Gpu,
     pub(super) kernels: Kernels,
     pub(super) sizes: Sizes,
@@ -28,7 +33,7 @@ pub struct GpuBackend {
     pub(super) screen: Option<Screen>,
     /// The model as uploaded, while the device has no moments.
     untrained: Option<(Model, Statistics)>,
-    photos: Photos,
+    pub(super) photos: Photos,
     flight: Flight,
     /// Steps that may be under way: few after a change, in case its pairs need room.
     window: usize,
@@ -38,14 +43,13 @@ pub struct GpuBackend {
     pub(super) remarks: Vec<Decision>,
     limit: Option<u64>,
     gain: Option<[f32; 3]>,
-    magnitudes: u32,
-    /// [`TRUNCATE`] once there is no room for all pairs.
+    /// [`FrameFlag::Truncate`] once there is no room for all pairs.
     truncate: u32,
 }
 
 impl GpuBackend {
     /// Opens an adapter and compiles the kernels.
-    pub fn open(opening: &Opening) -> Result<Self, SplatError> {
+    pub(crate) fn open(opening: &Opening) -> Result<Self, SplatError> {
         let gpu = Gpu::open(opening)?;
         let kernels = Kernels::new(&gpu)?;
         let flight = Flight::new(&gpu)?;
@@ -65,24 +69,8 @@ impl GpuBackend {
             remarks: Vec::new(),
             limit: opening.memory,
             gain: None,
-            magnitudes: 0,
             truncate: 0,
         })
-    }
-
-    /// What it runs on.
-    pub fn adapter(&self) -> &Adapter {
-        &self.gpu.adapter
-    }
-
-    /// The device itself.
-    pub fn gpu(&self) -> &Gpu {
-        &self.gpu
-    }
-
-    /// Pages of the model, and photos that stay on the device.
-    pub fn held(&self) -> [usize; 2] {
-        [self.pages.as_ref().map_or(0, |p| p.list.len()), self.photos.count()]
     }
 
     /// Room for Gaussians, pairs and pixels. What stays of the same size keeps its contents.
@@ -166,9 +154,7 @@ impl GpuBackend {
     }
 
     pub(super) fn frame_of(&self, view: &PinholeView, options: &RenderOptions) -> Frame {
-        let degree = options.sh_degree.unwrap_or(3).min(self.sh_degree);
-        let near = options.near.unwrap_or(DEFAULT_NEAR);
-        let camera = CameraConstants::new(view, options, near, degree);
+        let camera = CameraConstants::new(view, options, self.sh_degree);
         let [r, g, b] = options.background;
         let [ur, ug, ub] = self.gain.unwrap_or([1.0; 3]).map(f32::recip);
         let (n, sh_stride) = self.pages.as_ref().map_or((0, 3), |p| (p.n, p.sh_stride));
@@ -199,16 +185,17 @@ impl GpuBackend {
             let mut again = Vec::new();
             for (step, report) in finished {
                 let overfull = report.pairs() > step.frame.pair_capacity as usize;
-                let halted = *step.stages.end() == Stage::Optimise && report.counters[HALT as usize] != 0;
-                if (overfull && step.frame.flags & TRUNCATE == 0) || halted {
+                let halted =
+                    *step.stages.end() == Stage::Optimise && report.counters[Counter::Halt as usize] != 0;
+                if (overfull && step.frame.flags & FrameFlag::Truncate as u32 == 0) || halted {
                     again.push(step);
                     continue;
                 }
                 last = report;
                 if let (Some(lambda), Some(photo)) = (step.step, &step.photo) {
                     let (loss, mse) = report.loss(photo.weights, lambda);
-                    let counter = |k: u32| report.counters[k as usize] as usize;
-                    let (visible, non_finite) = (counter(VISIBLE), counter(NON_FINITE));
+                    let [visible, non_finite] = [Counter::Visible, Counter::NonFinite]
+                        .map(|counter| report.counters[counter as usize] as usize);
                     self.done.push(StepOutput { loss, mse, visible, pairs: report.pairs(), non_finite });
                 }
             }
@@ -220,7 +207,7 @@ impl GpuBackend {
             }
             self.window = 1;
             if let Some((buffers, _)) = &self.screen {
-                self.gpu.write(&buffers.counters, 4 * u64::from(HALT), &[0u32]);
+                self.gpu.write(&buffers.counters, 4 * Counter::Halt as u64, &[0u32]);
             }
             again.into_iter().for_each(|step| self.submit(step));
         }
@@ -236,24 +223,22 @@ impl GpuBackend {
         let model: u64 = self.pages.as_ref().map_or(0, |p| p.memory().iter().map(|b| b.1).sum());
         let others = model + self.photos.memory();
         let (before, limit) = (self.sizes, self.limit);
-        let total = |pairs| Buffers::plan(&Sizes { pairs, ..before }).iter().map(|b| b.1).sum::<u64>();
-        let allowed = |pairs: &usize| limit.is_none_or(|limit| total(*pairs) + others <= limit);
-        let tried = [wanted, most.next_multiple_of(BLOCK as usize).min(largest)];
-        for pairs in tried.into_iter().filter(|&p| p > before.pairs).filter(allowed) {
-            if self.try_resize(Sizes { pairs, ..before })? {
+        for pairs in [wanted, most.next_multiple_of(BLOCK as usize).min(largest)] {
+            let sizes = Sizes { pairs, ..before };
+            let total = Buffers::plan(&sizes).iter().map(|b| b.1).sum::<u64>() + others;
+            let allowed = pairs > before.pairs && limit.is_none_or(|limit| total <= limit);
+            if allowed && self.try_resize(sizes)? {
                 return Ok(());
             }
         }
         if most > self.sizes.pairs {
-            self.truncate = TRUNCATE;
-            self.remarks.push(Decision {
-                subject: "pairs of Gaussians and tiles".to_owned(),
-                choice: format!("at most {}, the nearest", self.sizes.pairs),
-                evidence: format!(
-                    "a view needs {most}, for which there is no memory on {}",
-                    self.gpu.adapter
-                ),
-            });
+            self.truncate = FrameFlag::Truncate as u32;
+            let decision =
+                Decision::new(Subject::TilePairs, Choice::count(self.sizes.pairs), Rule::OutOfMemory)
+                    .remarked(Remark::NearestOnly)
+                    .with(Measurement::count(Quantity::NeededTilePairs, most))
+                    .quoting(self.gpu.adapter.to_string());
+            self.remarks.push(decision);
         }
         Ok(())
     }
@@ -263,7 +248,7 @@ impl GpuBackend {
         &mut self,
         frame: Frame,
         stages: RangeInclusive<Stage>,
-        photo: Option<Photo>,
+        photo: Option<PlacedPhoto>,
     ) -> Result<Report, SplatError> {
         self.settle_all()?;
         self.submit(Pending { frame, stages, photo, step: None });
@@ -271,7 +256,7 @@ impl GpuBackend {
     }
 
     /// Puts the target on the device, if it is not there yet.
-    pub(super) fn place(&mut self, target: &Target) -> Option<Photo> {
+    pub(super) fn place(&mut self, target: &Target) -> Option<PlacedPhoto> {
         let budget = self.limit.map(|limit| (limit as f64 * PHOTOS) as u64);
         let (buffers, _) = self.screen.as_ref()?;
         Some(self.photos.place(&self.gpu, &buffers.goal, target, budget))
@@ -287,11 +272,9 @@ impl GpuBackend {
         let inverse = if photo.weights > 0.0 { 1.0 / (3.0 * photo.weights) } else { 0.0 };
         let frame = self.frame_of(input.view, &input.options);
         let frame = Frame {
-            flags: frame.flags | photo.flags | self.magnitudes,
+            flags: frame.flags | photo.flags,
             lambda: input.lambda_dssim,
             inv_count: inverse as f32,
-            opacity_penalty: input.opacity_penalty,
-            scale_penalty: input.scale_penalty,
             rate_mean: input.rates.mean,
             rate_log_scale: input.rates.log_scale,
             rate_rotation: input.rates.rotation,
@@ -317,6 +300,7 @@ impl GpuBackend {
     ) -> Result<(), SplatError> {
         let (mut model, mut statistics) = self.download()?;
         change(&mut model, &mut statistics);
+        statistics.fit(model.len);
         self.upload(model, statistics)
     }
 }
@@ -327,6 +311,7 @@ impl Backend for GpuBackend {
     }
 
     fn upload(&mut self, model: Model, statistics: Statistics) -> Result<(), SplatError> {
+        check(&model, &statistics)?;
         self.settle_all()?;
         self.sh_degree = model.sh_degree;
         let training = self.sizes.training;
@@ -353,7 +338,7 @@ impl Backend for GpuBackend {
         self.settle_all()?;
         match self.densify_here(round)? {
             Some(unseen) => Ok(unseen),
-            None => crate::backend::densify_by_edit(self, round),
+            None => densify_by_edit(self, round),
         }
     }
 
@@ -483,11 +468,6 @@ impl Backend for GpuBackend {
 
     fn set_gain(&mut self, gain: Option<[f32; 3]>) {
         self.gain = gain;
-    }
-
-    fn set_scores(&mut self, scores: Scores) -> Result<(), SplatError> {
-        self.magnitudes = super::scores::score_flag(scores)?;
-        Ok(())
     }
 
     fn times(&self) -> KernelTimes {

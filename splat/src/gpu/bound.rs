@@ -3,18 +3,18 @@
 use super::buffers::{Buffers, JOB, JOBS, Sizes, blocks};
 use super::context::Gpu;
 use super::kernels::{Kernels, Module};
-use super::layout::{BLOCK, CLEARED, GROUP, PAIRS, SPARE, ScanJob, SortJob, VISIBLE};
+use super::layout::{BLOCK, CLEARED, Counter, GROUP, ScanJob, SortJob};
 use super::pages::Pages;
 use std::ops::RangeInclusive;
 
-/// Passes of the sort by depth: 32 bits, four at a time.
+/// Passes of the sort by depth: 32 bits, four at a time. Source: derived.
 const DEPTH_PASSES: usize = 8;
-/// The most passes of the sort by tile.
+/// The most passes of the sort by tile. Source: those of 32 bits.
 const TILE_PASSES: usize = 8;
 
 /// What a step consists of, in order.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
-pub enum Stage {
+pub(crate) enum Stage {
     /// Gaussians to the screen.
     Project,
     /// By depth, then by tile.
@@ -33,7 +33,7 @@ pub enum Stage {
 
 impl Stage {
     /// All of them.
-    pub const ALL: [Self; 7] = [
+    pub(crate) const ALL: [Self; 7] = [
         Self::Project,
         Self::Sort,
         Self::Forward,
@@ -44,7 +44,7 @@ impl Stage {
     ];
 
     /// Its place in a step; products are where the loss would be.
-    pub fn number(self) -> u32 {
+    pub(crate) fn number(self) -> u32 {
         match self {
             Self::Project => 0,
             Self::Sort => 1,
@@ -56,7 +56,7 @@ impl Stage {
     }
 
     /// What is run of a range.
-    pub fn of(range: &RangeInclusive<Self>) -> impl Iterator<Item = Self> + use<> {
+    pub(crate) fn of(range: &RangeInclusive<Self>) -> impl Iterator<Item = Self> + use<> {
         let (first, last) = (*range.start(), *range.end());
         Self::ALL
             .into_iter()
@@ -65,7 +65,7 @@ impl Stage {
 }
 
 /// The bind groups; valid as long as the buffers are.
-pub struct Bound {
+pub(crate) struct Bound {
     /// By page: project, optimise, and for how many Gaussians.
     pages: Vec<(wgpu::BindGroup, Option<wgpu::BindGroup>, u32)>,
     scan_flags: wgpu::BindGroup,
@@ -104,33 +104,34 @@ impl<'a> Jobs<'a> {
 
 impl Bound {
     /// Binds everything and writes the jobs of scan and sort.
-    pub fn new(gpu: &Gpu, kernels: &Kernels, b: &Buffers, pages: &Pages, sizes: &Sizes) -> Self {
+    pub(crate) fn new(gpu: &Gpu, kernels: &Kernels, b: &Buffers, pages: &Pages, sizes: &Sizes) -> Self {
         let group = |module: &Module, buffers: &[&wgpu::Buffer]| {
             let resources: Vec<_> = buffers.iter().map(|b| b.as_entire_binding()).collect();
             module.bind(gpu, &resources)
         };
         let mut jobs = Jobs { gpu, buffer: &b.jobs, next: 0 };
-        let mut scan = |n: u32, total: u32, data: &wgpu::Buffer| {
-            let job = jobs.put(ScanJob { n, total, ..ScanJob::default() });
+        let mut scan = |n: u32, total: Counter, data: &wgpu::Buffer| {
+            let job = jobs.put(ScanJob { n, total: total as u32, ..ScanJob::default() });
             let rest = [data, &b.block_sums, &b.counters].map(|b| b.as_entire_binding());
             kernels.scan.bind(gpu, &[&[job][..], &rest[..]].concat())
         };
         let (n, depth_blocks, tile_blocks) = (pages.n as u32, blocks(pages.n), blocks(sizes.pairs));
-        let scan_flags = scan(n, VISIBLE, &b.flags);
-        let scan_counts = scan(n, PAIRS, &b.counts);
-        let scan_depth_table = scan(16 * depth_blocks, SPARE, &b.table);
-        let scan_tile_table = scan(16 * tile_blocks, SPARE, &b.table);
+        let scan_flags = scan(n, Counter::Visible, &b.flags);
+        let scan_counts = scan(n, Counter::Pairs, &b.counts);
+        let scan_depth_table = scan(16 * depth_blocks, Counter::Spare, &b.table);
+        let scan_tile_table = scan(16 * tile_blocks, Counter::Spare, &b.table);
         let mut sort = |pass: u32, job: SortJob, keys: [&wgpu::Buffer; 2], values: [&wgpu::Buffer; 2]| {
             let (from, to) = (pass as usize % 2, 1 - pass as usize % 2);
             let job = jobs.put(SortJob { shift: 4 * pass, ..job });
             let rest = [&b.counters, &b.table, keys[from], values[from], keys[to], values[to]];
             kernels.sort.bind(gpu, &[&[job][..], &rest.map(|b| b.as_entire_binding())[..]].concat())
         };
-        let job = SortJob { count: VISIBLE, blocks: depth_blocks, limit: n, ..SortJob::default() };
+        let job =
+            SortJob { count: Counter::Visible as u32, blocks: depth_blocks, limit: n, ..SortJob::default() };
         let (keys, order) = ([&b.depth_keys_a, &b.depth_keys_b], [&b.order_a, &b.order_b]);
         let by_depth = (0..DEPTH_PASSES as u32).map(|pass| sort(pass, job, keys, order)).collect();
         let limit = sizes.pairs as u32;
-        let job = SortJob { count: PAIRS, blocks: tile_blocks, limit, ..SortJob::default() };
+        let job = SortJob { count: Counter::Pairs as u32, blocks: tile_blocks, limit, ..SortJob::default() };
         let (keys, pairs) = ([&b.tile_keys_a, &b.tile_keys_b], [&b.pairs_a, &b.pairs_b]);
         let by_tile = (0..TILE_PASSES as u32)
             .map(|pass| sort(pass, SortJob { number: u32::from(pass == 0), ..job }, keys, pairs))
@@ -140,14 +141,14 @@ impl Bound {
             let loss = [f, &b.image, &b.goal, &b.by_mean, &b.by_square, &b.by_product, &b.partial, &b.result];
             let backward =
                 [f, &b.records, &b.colours, &b.sorted, &b.ranges, &b.image, &b.sums_a, &b.sums_b, &b.sums_c];
-            [group(&kernels.loss, &loss), group(&kernels.backward, &backward)]
+            [group(&kernels.loss, &loss), group(&kernels.rasterise_backward, &backward)]
         });
         let page = |p: &super::pages::Page| {
             let project = [f, &p.uniform, &p.geometry, &p.sh, &b.records, &b.colours, &b.boxes, &b.flags];
             let optimise = || {
                 let model = [f, &p.uniform, &p.geometry, &p.sh, &p.moments];
                 let rest = [&b.sums_a, &b.sums_b, &b.sums_c, &b.spans, &b.counters];
-                group(&kernels.optimise, &[&model[..], &rest[..]].concat())
+                group(&kernels.adam, &[&model[..], &rest[..]].concat())
             };
             (
                 group(&kernels.project, &project),
@@ -196,7 +197,7 @@ impl Bound {
     }
 
     /// Encodes the stages for a view of `tiles` tiles.
-    pub fn encode(
+    pub(crate) fn encode(
         &self,
         kernels: &Kernels,
         buffers: &Buffers,
@@ -245,12 +246,12 @@ impl Bound {
             }
             // One more than there are tiles: the pairs that belong to none.
             (Stage::Backward, Some([_, backward])) => {
-                kernels.backward.run(pass, 0, backward, tiles + 1, 1);
+                kernels.rasterise_backward.run(pass, 0, backward, tiles + 1, 1);
             }
             (Stage::Optimise, Some(_)) => {
                 for (_, optimise, count) in &self.pages {
                     if let Some(optimise) = optimise {
-                        kernels.optimise.run(pass, 0, optimise, count.div_ceil(GROUP), 1);
+                        kernels.adam.run(pass, 0, optimise, count.div_ceil(GROUP), 1);
                     }
                 }
             }
@@ -258,7 +259,7 @@ impl Bound {
         }
     }
 
-    /// Sorts the first `n` keys of `depth_keys_a` with their values in `order_a`, n being counter [`VISIBLE`].
+    /// Sorts the first `n` keys of `depth_keys_a` with their values in `order_a`, n being [`Counter::Visible`].
     pub(super) fn sort_by_key(&self, kernels: &Kernels, pass: &mut wgpu::ComputePass) {
         for bound in &self.by_depth {
             radix(kernels, pass, bound, &self.scan_depth_table, blocks(self.n as usize));
@@ -279,11 +280,11 @@ impl Bound {
     }
 }
 
-/// Values up to which one group scans all of them: a dispatch of three costs more.
+/// Values up to which one group scans all of them: a dispatch of three costs more. Source: chosen by hand, never measured.
 const WHOLE: u32 = 4 * BLOCK;
 
 /// Prefix sums of `n` values.
-pub fn scan(kernels: &Kernels, pass: &mut wgpu::ComputePass, bound: &wgpu::BindGroup, n: u32) {
+pub(crate) fn scan(kernels: &Kernels, pass: &mut wgpu::ComputePass, bound: &wgpu::BindGroup, n: u32) {
     if n <= WHOLE {
         kernels.scan.run(pass, 3, bound, 1, 1);
         return;

@@ -1,35 +1,36 @@
 //! What lies on the device beside the model (`pages`): the view's intermediate results, the picture and its target.
 
 use super::context::Gpu;
-use super::layout::{BLOCK, COUNTERS, Frame, TILE};
+use super::layout::{BLOCK, COUNTERS, Frame};
 use super::pages;
-use crate::SplatError;
+use crate::cpu::TILE;
+use crate::error::SplatError;
 
-/// Bytes of a job of scan or sort in the buffer of jobs: the strictest alignment of uniforms.
-pub const JOB: u64 = 256;
-/// Jobs: four scans, eight passes by depth, eight by tile.
-pub const JOBS: u64 = 20;
-/// Bytes that a step reports: counters, the loss's sums.
-pub const REPORT: u64 = 4 * COUNTERS as u64 + 48;
+/// Bytes of a job of scan or sort in the buffer of jobs: the strictest alignment of uniforms. Source: WebGPU.
+pub(crate) const JOB: u64 = 256;
+/// Jobs: four scans, eight passes by depth, eight by tile. Source: derived.
+pub(crate) const JOBS: u64 = 20;
+/// Bytes that a step reports: counters, the loss's sums. Source: derived.
+pub(crate) const REPORT: u64 = 4 * COUNTERS as u64 + 48;
 
 /// Sizes that the buffers must have.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct Sizes {
+pub(crate) struct Sizes {
     /// Gaussians.
-    pub room: usize,
+    pub(crate) room: usize,
     /// Gaussian-tile pairs.
-    pub pairs: usize,
+    pub(crate) pairs: usize,
     /// Pixels.
-    pub pixels: usize,
+    pub(crate) pixels: usize,
     /// Tiles.
-    pub tiles: usize,
+    pub(crate) tiles: usize,
     /// Whether a step will be taken: moments, targets and gradients are needed.
-    pub training: bool,
+    pub(crate) training: bool,
 }
 
 impl Sizes {
     /// Whether buffers of these sizes serve a view that needs `other`.
-    pub fn hold(&self, other: &Self) -> bool {
+    pub(crate) fn hold(&self, other: &Self) -> bool {
         self.room >= other.room
             && self.pairs >= other.pairs
             && self.pixels >= other.pixels
@@ -39,29 +40,29 @@ impl Sizes {
 }
 
 /// Blocks of scan and sort for `n` values.
-pub fn blocks(n: usize) -> u32 {
+pub(crate) fn blocks(n: usize) -> u32 {
     (n.max(1) as u32).div_ceil(BLOCK)
 }
 
 /// Tiles of an image.
-pub fn tiles(width: usize, height: usize) -> usize {
-    width.div_ceil(TILE as usize) * height.div_ceil(TILE as usize)
+pub(crate) fn tiles(width: usize, height: usize) -> usize {
+    width.div_ceil(TILE) * height.div_ceil(TILE)
 }
 
 /// Declares the buffers: name, and words of four bytes as a function of the sizes.
 macro_rules! buffers {
     ($sizes:ident, $($(#[$doc:meta])* $name:ident: $words:expr,)*) => {
         /// The buffers by their names in the WGSL.
-        pub struct Buffers { $($(#[$doc])* pub $name: wgpu::Buffer,)* }
+        pub(crate) struct Buffers { $($(#[$doc])* pub(crate) $name: wgpu::Buffer,)* }
 
         impl Buffers {
             /// Bytes of each buffer at these sizes.
-            pub fn plan($sizes: &Sizes) -> Vec<(&'static str, u64)> {
+            pub(crate) fn plan($sizes: &Sizes) -> Vec<(&'static str, u64)> {
                 vec![$((stringify!($name), 4 * ($words) as u64),)*]
             }
 
             /// Allocates all of them; those of the same size as in `old` are taken over.
-            pub fn new(gpu: &Gpu, $sizes: &Sizes, old: Option<Self>) -> Result<Self, SplatError> {
+            pub(crate) fn new(gpu: &Gpu, $sizes: &Sizes, old: Option<Self>) -> Result<Self, SplatError> {
                 $(let $name = old.as_ref().map(|o| o.$name.clone());)*
                 drop(old);
                 Ok(Self { $($name: gpu.buffer(stringify!($name), 4 * ($words) as u64, $name)?,)* })
@@ -118,8 +119,8 @@ buffers!(
     sums_a: if s.training { 4 * s.pairs } else { 4 },
     /// \[pairs\] vec4.
     sums_b: if s.training { 4 * s.pairs } else { 4 },
-    /// \[pairs\] vec4.
-    sums_c: if s.training { 4 * s.pairs } else { 4 },
+    /// \[pairs\] vec2.
+    sums_c: if s.training { 2 * s.pairs } else { 4 },
     /// [tiles + 1] vec4.
     ranges: 4 * (s.tiles + 1),
     /// [H × W] vec4.
@@ -140,18 +141,18 @@ buffers!(
     result: 12,
 );
 
-/// Bytes of a pair in the largest buffer of pairs.
+/// Bytes of a pair in the largest buffer of pairs. Source: a vector of four.
 const PAIR: u64 = 16;
 
 /// The most pairs that buffers of `largest` bytes hold: whole blocks.
-pub fn most_pairs(largest: u64) -> usize {
+pub(crate) fn most_pairs(largest: u64) -> usize {
     let most = (largest / PAIR).min(u64::from(u32::MAX / 2)) as usize;
     (most / BLOCK as usize * BLOCK as usize).max(BLOCK as usize)
 }
 
 /// What keeps a model from being larger.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Limit {
+pub(crate) enum Limit {
     /// The largest buffer.
     Binding,
     /// The memory that may be used.
@@ -159,13 +160,15 @@ pub enum Limit {
 }
 
 /// Tiles that a Gaussian touches, reckoned generously: room for its pairs. Where there is less, the farthest are not drawn.
+/// Source: chosen by hand, never measured.
 const PAIRS_EACH: usize = 8;
-/// Part of the memory that photos may stay in; where they do not fit they are sent anew in every step.
-pub const PHOTOS: f64 = 0.25;
+/// PagePart of the memory that photos may stay in; where they do not fit they are sent anew in every step.
+/// Source: chosen by hand, never measured.
+pub(crate) const PHOTOS: f64 = 0.25;
 
 /// The most Gaussians that can be trained on pictures of so many pixels, where no buffer may have more than `largest` bytes
 /// and all of them together no more than `memory`; and which of the two it is.
-pub fn capacity(sh_stride: usize, pixels: usize, largest: u64, memory: Option<u64>) -> (usize, Limit) {
+pub(crate) fn capacity(sh_stride: usize, pixels: usize, largest: u64, memory: Option<u64>) -> (usize, Limit) {
     let fits = |n: usize| -> Option<Limit> {
         let sizes = Sizes {
             room: n,

@@ -1,15 +1,15 @@
 //! Adapters and devices.
 
 use super::pipelines::Pipelines;
-use crate::SplatError;
 use crate::adapter::{Adapter, AdapterKind};
+use crate::error::SplatError;
 use std::sync::{Arc, Mutex};
 
-/// Bytes of a transfer at a time.
+/// Bytes of a transfer at a time. Source: chosen by hand, never measured.
 const PIECE: u64 = 64 << 20;
 
 /// The adapters of this machine, hardware first.
-pub fn adapters() -> Vec<Adapter> {
+pub(crate) fn adapters() -> Vec<Adapter> {
     enumerate().iter().map(describe).collect()
 }
 
@@ -55,23 +55,23 @@ fn describe(adapter: &wgpu::Adapter) -> Adapter {
 
 /// What to open, and what of it to use.
 #[derive(Clone, Debug, Default)]
-pub struct Opening {
+pub(crate) struct Opening {
     /// The first adapter whose name contains this (any case); the first at all without.
-    pub name: Option<String>,
+    pub(crate) name: Option<String>,
     /// Bytes of its memory that may be used.
-    pub memory: Option<u64>,
+    pub(crate) memory: Option<u64>,
     /// Kernels without subgroup operations even where the adapter has them.
-    pub plain: bool,
+    pub(crate) plain: bool,
     /// No more than every adapter has (the defaults of WebGPU: eight storage buffers a stage, 16 KiB shared), and no binding
     /// larger than this.
-    pub binding: Option<u64>,
+    pub(crate) binding: Option<u64>,
 }
 
-/// Subgroups of these sizes neither span two Gaussians of `backward` nor are too short to bring anything.
+/// Subgroups of these sizes neither span two Gaussians of `rasterise_backward` nor are too short to bring anything.
 const SUBGROUP_SIZES: std::ops::RangeInclusive<u32> = 4..=32;
 
 /// Counts the threads whose lane or subgroup is not the one that their number in the group says.
-pub const LANES: &str = "
+pub(crate) const LANES: &str = "
 @group(0) @binding(0) var<storage, read_write> wrong: atomic<u32>;
 @compute @workgroup_size(256)
 fn main(@builtin(local_invocation_index) local: u32, @builtin(subgroup_invocation_id) lane: u32, @builtin(subgroup_size) lanes: u32) {
@@ -95,23 +95,23 @@ fn limits(adapter: &wgpu::Adapter, binding: Option<u64>) -> wgpu::Limits {
 }
 
 /// An open adapter.
-pub struct Gpu {
+pub(crate) struct Gpu {
     /// Makes buffers and pipelines.
-    pub device: wgpu::Device,
+    pub(crate) device: wgpu::Device,
     /// Takes work.
-    pub queue: wgpu::Queue,
+    pub(crate) queue: wgpu::Queue,
     /// What it is.
-    pub adapter: Adapter,
+    pub(crate) adapter: Adapter,
     /// Whether kernels use subgroup operations.
-    pub subgroups: bool,
+    pub(crate) subgroups: bool,
     /// Pipelines kept between runs.
-    pub pipelines: Option<Pipelines>,
+    pub(crate) pipelines: Option<Pipelines>,
     failure: Arc<Mutex<Option<String>>>,
 }
 
 impl Gpu {
     /// Opens an adapter with all that it can do that is of use.
-    pub fn open(opening: &Opening) -> Result<Self, SplatError> {
+    pub(crate) fn open(opening: &Opening) -> Result<Self, SplatError> {
         let wanted = opening.name.clone().unwrap_or_default().to_lowercase();
         let all = enumerate();
         let found = all.iter().find(|a| a.get_info().name.to_lowercase().contains(&wanted));
@@ -188,26 +188,26 @@ impl Gpu {
     }
 
     /// An error if anything went wrong since the device was opened.
-    pub fn check(&self) -> Result<(), SplatError> {
+    pub(crate) fn check(&self) -> Result<(), SplatError> {
         let failure = self.failure.lock().ok().and_then(|f| f.clone());
         failure.map_or(Ok(()), |reason| Err(self.error(reason)))
     }
 
     /// An error of this adapter.
-    pub fn error(&self, reason: impl Into<String>) -> SplatError {
+    pub(crate) fn error(&self, reason: impl Into<String>) -> SplatError {
         SplatError::Gpu { adapter: self.adapter.name.clone(), reason: reason.into() }
     }
 }
 
 impl Gpu {
     /// Bytes that a buffer may have so that a kernel can see all of it.
-    pub fn largest_buffer(&self) -> u64 {
+    pub(crate) fn largest_buffer(&self) -> u64 {
         let limits = self.device.limits();
         limits.max_storage_buffer_binding_size.min(limits.max_buffer_size)
     }
 
     /// A storage buffer of `bytes` (that can also be copied and be a uniform); `old` where it has that size already.
-    pub fn buffer(
+    pub(crate) fn buffer(
         &self,
         name: &str,
         bytes: u64,
@@ -243,21 +243,21 @@ impl Gpu {
     }
 
     /// A uniform that stays as it is.
-    pub fn uniform<T: bytemuck::Pod>(&self, value: T) -> Result<wgpu::Buffer, SplatError> {
+    pub(crate) fn uniform<T: bytemuck::Pod>(&self, value: T) -> Result<wgpu::Buffer, SplatError> {
         let buffer = self.buffer("uniform", size_of::<T>() as u64, None)?;
         self.write(&buffer, 0, &[value]);
         Ok(buffer)
     }
 
     /// Waits until all that was submitted is done, so that what it used can be freed.
-    pub fn wait(&self) -> Result<(), SplatError> {
+    pub(crate) fn wait(&self) -> Result<(), SplatError> {
         let waited = self.device.poll(wgpu::PollType::wait_indefinitely());
         self.check()?;
         waited.map(|_| ()).map_err(|e| self.error(e.to_string()))
     }
 
     /// Writes `data` from byte `at` on.
-    pub fn write<T: bytemuck::Pod>(&self, buffer: &wgpu::Buffer, at: u64, data: &[T]) {
+    pub(crate) fn write<T: bytemuck::Pod>(&self, buffer: &wgpu::Buffer, at: u64, data: &[T]) {
         for (k, piece) in bytemuck::cast_slice::<T, u8>(data).chunks(PIECE as usize).enumerate() {
             self.queue.write_buffer(buffer, at + k as u64 * PIECE, piece);
             if piece.len() as u64 == PIECE {
@@ -267,7 +267,7 @@ impl Gpu {
     }
 
     /// The first `count` values from byte `at` on.
-    pub fn read<T: bytemuck::Pod>(
+    pub(crate) fn read<T: bytemuck::Pod>(
         &self,
         buffer: &wgpu::Buffer,
         at: u64,
@@ -296,7 +296,7 @@ impl Gpu {
     }
 
     /// Waits for the device and copies the beginning of a mappable buffer.
-    pub fn fetch(&self, staging: &wgpu::Buffer, into: &mut [u8]) -> Result<(), SplatError> {
+    pub(crate) fn fetch(&self, staging: &wgpu::Buffer, into: &mut [u8]) -> Result<(), SplatError> {
         let range = 0..into.len() as u64;
         staging.map_async(wgpu::MapMode::Read, range.clone(), |_| ());
         let waited = self.device.poll(wgpu::PollType::wait_indefinitely());

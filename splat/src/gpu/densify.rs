@@ -1,22 +1,22 @@
 //! A round of densification on the device: candidates by score, halves, what stays, and the model gathered anew. Only
-//! the number of Gaussians comes back. Twin of `crate::densify`; its random numbers are others.
+//! the number of Gaussians comes back. Twin of `cpu/densify.rs`; its random numbers are others.
 
 use super::backend::GpuBackend;
 use super::bound::scan;
 use super::buffers::{Sizes, blocks};
-use super::layout::{DensifyJob, DensifyView, HalveJob, NON_FINITE, ScanJob, VISIBLE};
-use crate::SplatError;
+use super::layout::{Counter, DensifyJob, DensifyView, HalveJob, ScanJob};
 use crate::backend::Round;
-use crate::config::Selection;
-use crate::densify::{MIN_OPACITY, least_views};
-use crate::train::Decision;
+use crate::cpu::densify::{MIN_OPACITY, least_views};
+use crate::error::SplatError;
+use scene::Decision;
+use scene::decision::{Choice, Rule, Subject};
 
 impl GpuBackend {
     /// Carries the round out; how many were removed because hardly any view has them. Nothing, and nothing has changed,
-    /// where the host has to do it: another selection, no moments yet, or nothing would be left.
+    /// where the host has to do it: no moments yet, or nothing would be left.
     pub(super) fn densify_here(&mut self, round: &Round) -> Result<Option<usize>, SplatError> {
         let n = self.pages.as_ref().filter(|p| p.training).map_or(0, |p| p.n);
-        if round.selection == Selection::Opacity || n == 0 {
+        if n == 0 {
             return Ok(None);
         }
         let wanted = round.room.min(n);
@@ -39,7 +39,6 @@ impl GpuBackend {
             least: least_views(views.len()) as u32,
             iteration: round.iteration,
             seed: round.seed as u32 ^ (round.seed >> 32) as u32,
-            threshold: round.threshold,
             floor: (MIN_OPACITY / (1.0 - MIN_OPACITY)).ln(),
             ..DensifyJob::default()
         };
@@ -75,14 +74,19 @@ impl GpuBackend {
         bound.sort_by_key(kernels, &mut encoder.begin_compute_pass(&Default::default()));
         each(&mut encoder, 1, &|_| room, false);
         each(&mut encoder, 2, &|count| count + room, true);
-        let scan_job = gpu.uniform(ScanJob { n: n as u32 + room, total: VISIBLE, ..ScanJob::default() })?;
+        let scan_job = gpu.uniform(ScanJob {
+            n: n as u32 + room,
+            total: Counter::Visible as u32,
+            ..ScanJob::default()
+        })?;
         let scanned = [&scan_job, &flags, &sums, &buffers.counters].map(wgpu::Buffer::as_entire_binding);
         let scanned = kernels.scan.bind(gpu, &scanned);
         scan(kernels, &mut encoder.begin_compute_pass(&Default::default()), &scanned, n as u32 + room);
         each(&mut encoder, 3, &|_| n as u32 + room, false);
         gpu.queue.submit([encoder.finish()]);
         let counters: Vec<u32> = gpu.read(&buffers.counters, 0, 4)?;
-        let (kept, unseen) = (counters[VISIBLE as usize] as usize, counters[NON_FINITE as usize] as usize);
+        let (kept, unseen) =
+            (counters[Counter::Visible as usize] as usize, counters[Counter::NonFinite as usize] as usize);
         if kept == 0 {
             return Ok(None);
         }
@@ -106,20 +110,15 @@ impl GpuBackend {
     }
 
     fn no_room(&mut self, n: usize) {
-        let subject = "growth on the adapter".to_owned();
-        if self.remarks.iter().any(|r| r.subject == subject) {
+        if self.remarks.iter().any(|r| r.subject == Subject::GrowthLimit) {
             return;
         }
-        let evidence = format!("there was no memory for more on {}", self.gpu.adapter);
-        self.remarks.push(Decision {
-            subject,
-            choice: format!("cut short, first at {n} Gaussians"),
-            evidence,
-        });
+        let decision = Decision::new(Subject::GrowthLimit, Choice::count(n), Rule::OutOfMemory);
+        self.remarks.push(decision.quoting(self.gpu.adapter.to_string()));
     }
 }
 
-fn camera(v: &crate::PinholeView) -> DensifyView {
+fn camera(v: &crate::view::PinholeView) -> DensifyView {
     let rows = v.rotation.transpose();
     let row = |r: glam::Vec3, t: f32| r.extend(t).to_array();
     DensifyView {

@@ -5,44 +5,44 @@ use super::bound::{Bound, Stage};
 use super::buffers::{Buffers, REPORT};
 use super::context::Gpu;
 use super::kernels::Kernels;
-use super::layout::{COUNTERS, Frame, PAIRS};
-use super::photos::Photo;
-use crate::SplatError;
+use super::layout::{COUNTERS, Counter, Frame};
+use super::photos::PlacedPhoto;
 use crate::backend::KernelTimes;
+use crate::error::SplatError;
 use std::ops::RangeInclusive;
 
-/// The most steps that are under way.
-pub const WINDOW: usize = 16;
-/// Time stamps of a step: begin and end of each stage.
+/// The most steps that are under way. Source: chosen by hand, never measured.
+pub(crate) const WINDOW: usize = 16;
+/// Time stamps of a step: begin and end of each stage. Source: twice its six stages.
 const STAMPS: u32 = 12;
-/// Bytes between the stamps of steps, as resolving them asks for.
+/// Bytes between the stamps of steps, as resolving them asks for. Source: WebGPU.
 const STAMPS_APART: u64 = 256;
 
 /// A step that was submitted.
 #[derive(Clone)]
-pub struct Pending {
+pub(crate) struct Pending {
     /// What the kernels know.
-    pub frame: Frame,
+    pub(crate) frame: Frame,
     /// What is run.
-    pub stages: RangeInclusive<Stage>,
+    pub(crate) stages: RangeInclusive<Stage>,
     /// The target.
-    pub photo: Option<Photo>,
+    pub(crate) photo: Option<PlacedPhoto>,
     /// Weight of D-SSIM, and whether it is a training step that is to be reported.
-    pub step: Option<f32>,
+    pub(crate) step: Option<f32>,
 }
 
 /// What comes back from the device after a step.
 #[derive(Clone, Copy, Debug, Default)]
-pub struct Report {
+pub(crate) struct Report {
     /// By their numbers.
-    pub counters: [u32; COUNTERS],
+    pub(crate) counters: [u32; COUNTERS],
     /// First row: sums of w S, w |C − G|, w (C − G)². After products: a row a channel.
-    pub sums: [[f32; 4]; 3],
+    pub(crate) sums: [[f32; 4]; 3],
 }
 
 impl Report {
     /// Loss and mean squared error over a sum of weights.
-    pub fn loss(&self, weights: f64, lambda: f32) -> (f32, f32) {
+    pub(crate) fn loss(&self, weights: f64, lambda: f32) -> (f32, f32) {
         if weights <= 0.0 {
             return (0.0, 0.0);
         }
@@ -52,24 +52,24 @@ impl Report {
     }
 
     /// Pairs that the view needs.
-    pub fn pairs(&self) -> usize {
-        self.counters[PAIRS as usize] as usize
+    pub(crate) fn pairs(&self) -> usize {
+        self.counters[Counter::Pairs as usize] as usize
     }
 }
 
 /// Reports and time stamps of the steps under way.
-pub struct Flight {
+pub(crate) struct Flight {
     reports: wgpu::Buffer,
     staging: wgpu::Buffer,
     stamps: Option<(wgpu::QuerySet, wgpu::Buffer)>,
     pending: Vec<Pending>,
     /// Seconds by kernel so far.
-    pub times: KernelTimes,
+    pub(crate) times: KernelTimes,
 }
 
 impl Flight {
     /// None under way.
-    pub fn new(gpu: &Gpu) -> Result<Self, SplatError> {
+    pub(crate) fn new(gpu: &Gpu) -> Result<Self, SplatError> {
         let steps = WINDOW as u64;
         let buffer = |label, size, usage| {
             gpu.device.create_buffer(&wgpu::BufferDescriptor {
@@ -99,12 +99,18 @@ impl Flight {
     }
 
     /// Steps under way.
-    pub fn count(&self) -> usize {
+    pub(crate) fn count(&self) -> usize {
         self.pending.len()
     }
 
     /// Submits a step; at most [`WINDOW`] until they are collected.
-    pub fn submit(&mut self, gpu: &Gpu, kernels: &Kernels, (b, bound): (&Buffers, &Bound), step: Pending) {
+    pub(crate) fn submit(
+        &mut self,
+        gpu: &Gpu,
+        kernels: &Kernels,
+        (b, bound): (&Buffers, &Bound),
+        step: Pending,
+    ) {
         let slot = self.pending.len() as u64;
         gpu.write(&b.frame, 0, &[step.frame]);
         let mut encoder = gpu.device.create_command_encoder(&Default::default());
@@ -136,7 +142,7 @@ impl Flight {
     }
 
     /// Waits for the steps under way: what they were and what they report.
-    pub fn collect(&mut self, gpu: &Gpu) -> Result<Vec<(Pending, Report)>, SplatError> {
+    pub(crate) fn collect(&mut self, gpu: &Gpu) -> Result<Vec<(Pending, Report)>, SplatError> {
         let pending = std::mem::take(&mut self.pending);
         if pending.is_empty() {
             return Ok(Vec::new());

@@ -2,11 +2,11 @@
 
 use super::context::Gpu;
 use super::layout::{DensifyJob, Frame, GROUP, GatherJob, HalveJob, PageJob, ScanJob, SortJob};
-use crate::SplatError;
+use crate::error::SplatError;
 
 /// What a binding is.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Slot {
+pub(crate) enum BindingSlot {
     /// A uniform of so many bytes.
     Uniform(usize),
     /// A buffer that is read.
@@ -15,103 +15,103 @@ pub enum Slot {
     Write,
 }
 
-use Slot::{Read, Uniform, Write};
+use BindingSlot::{Read, Uniform, Write};
 
 /// A WGSL module.
 #[derive(Clone, Copy, Debug)]
-pub struct Source {
+pub(crate) struct KernelSource {
     /// File name without extension.
-    pub name: &'static str,
+    pub(crate) name: &'static str,
     /// The files that make it up, in order.
-    pub parts: &'static [&'static str],
+    pub(crate) parts: &'static [&'static str],
     /// Bindings 0, 1, … of group 0.
-    pub slots: &'static [Slot],
+    pub(crate) slots: &'static [BindingSlot],
     /// Entry points.
-    pub entries: &'static [&'static str],
+    pub(crate) entries: &'static [&'static str],
 }
 
 const FRAME: &str = include_str!("wgsl/frame.wgsl");
 const SH: &str = include_str!("wgsl/sh.wgsl");
 const PROJECTION: &str = include_str!("wgsl/projection.wgsl");
 const SPLIT: &str = include_str!("wgsl/split.wgsl");
-const VIEW: Slot = Uniform(size_of::<Frame>());
-const PAGE: Slot = Uniform(size_of::<PageJob>());
+const VIEW: BindingSlot = Uniform(size_of::<Frame>());
+const PAGE: BindingSlot = Uniform(size_of::<PageJob>());
 
 /// All modules, in the order of a step.
-pub const SOURCES: [Source; 13] = [
-    Source {
+pub(crate) const SOURCES: [KernelSource; 13] = [
+    KernelSource {
         name: "project",
         parts: &[FRAME, SH, PROJECTION, include_str!("wgsl/project.wgsl")],
         slots: &[VIEW, PAGE, Read, Read, Write, Write, Write, Write],
         entries: &["main"],
     },
-    Source {
+    KernelSource {
         name: "scan",
         parts: &[FRAME, include_str!("wgsl/scan.wgsl")],
         slots: &[Uniform(size_of::<ScanJob>()), Write, Write, Write],
         entries: &["reduce", "spine", "sweep", "whole"],
     },
-    Source {
+    KernelSource {
         name: "compact",
         parts: &[FRAME, include_str!("wgsl/compact.wgsl")],
         slots: &[VIEW, Read, Read, Read, Write, Write],
         entries: &["main"],
     },
-    Source {
+    KernelSource {
         name: "sort",
         parts: &[FRAME, include_str!("wgsl/sort.wgsl")],
         slots: &[Uniform(size_of::<SortJob>()), Read, Write, Read, Read, Write, Write],
         entries: &["histogram", "scatter"],
     },
-    Source {
+    KernelSource {
         name: "pairs",
         parts: &[FRAME, include_str!("wgsl/pairs.wgsl")],
         slots: &[VIEW, Read, Read, Read, Read, Write, Write, Write, Write],
         entries: &["count", "emit"],
     },
-    Source {
+    KernelSource {
         name: "ranges",
         parts: &[FRAME, include_str!("wgsl/ranges.wgsl")],
         slots: &[VIEW, Read, Read, Read, Read, Write, Write],
         entries: &["main"],
     },
-    Source {
+    KernelSource {
         name: "rasterise",
         parts: &[FRAME, include_str!("wgsl/rasterise.wgsl")],
         slots: &[VIEW, Read, Read, Read, Write, Write, Write],
         entries: &["main"],
     },
-    Source {
+    KernelSource {
         name: "loss",
         parts: &[FRAME, include_str!("wgsl/loss.wgsl")],
         slots: &[VIEW, Write, Read, Write, Write, Write, Write, Write],
         entries: &["statistics", "differentiate", "products", "total_products", "total"],
     },
-    Source {
-        name: "backward",
-        parts: &[FRAME, include_str!("wgsl/backward.wgsl")],
+    KernelSource {
+        name: "rasterise_backward",
+        parts: &[FRAME, include_str!("wgsl/rasterise_backward.wgsl")],
         slots: &[VIEW, Read, Read, Read, Read, Read, Write, Write, Write],
         entries: &["main"],
     },
-    Source {
-        name: "optimise",
-        parts: &[FRAME, SH, PROJECTION, include_str!("wgsl/optimise.wgsl")],
+    KernelSource {
+        name: "adam",
+        parts: &[FRAME, SH, PROJECTION, include_str!("wgsl/adam.wgsl")],
         slots: &[VIEW, PAGE, Write, Write, Write, Read, Read, Read, Read, Write],
         entries: &["main"],
     },
-    Source {
+    KernelSource {
         name: "densify",
         parts: &[FRAME, SPLIT, include_str!("wgsl/densify.wgsl")],
         slots: &[Uniform(size_of::<DensifyJob>()), Read, Write, Write, Write, Write, Read, Write, Write],
         entries: &["score", "choose", "judge", "place"],
     },
-    Source {
+    KernelSource {
         name: "gather",
         parts: &[FRAME, include_str!("wgsl/gather.wgsl")],
         slots: &[Uniform(size_of::<GatherJob>()), Read, Read, Write],
         entries: &["main"],
     },
-    Source {
+    KernelSource {
         name: "halve",
         parts: &[FRAME, SPLIT, include_str!("wgsl/halve.wgsl")],
         slots: &[Uniform(size_of::<HalveJob>()), Read, Write],
@@ -119,10 +119,10 @@ pub const SOURCES: [Source; 13] = [
     },
 ];
 
-impl Source {
+impl KernelSource {
     /// The whole module, for adapters with subgroup operations or without: lines between `//#if subgroups`, `//#else` and
     /// `//#endif` are chosen, and where the subgroup's numbers are arguments they are put in or left out.
-    pub fn text(&self, subgroups: bool) -> String {
+    pub(crate) fn text(&self, subgroups: bool) -> String {
         let (mut text, mut kept) = (String::new(), true);
         for line in self.parts.iter().flat_map(|part| part.lines()) {
             match line.trim() {
@@ -148,14 +148,14 @@ impl Source {
 }
 
 /// A module's layout and its pipelines, in the order of its entry points.
-pub struct Module {
+pub(crate) struct Module {
     name: &'static str,
     layout: wgpu::BindGroupLayout,
     pipelines: Vec<wgpu::ComputePipeline>,
 }
 
 impl Module {
-    fn new(gpu: &Gpu, source: &Source) -> Self {
+    fn new(gpu: &Gpu, source: &KernelSource) -> Self {
         let device = &gpu.device;
         let entries: Vec<wgpu::BindGroupLayoutEntry> = (0..)
             .zip(source.slots)
@@ -185,9 +185,9 @@ impl Module {
             label: Some(source.name),
             source: wgpu::ShaderSource::Wgsl(source.text(gpu.subgroups).into()),
         };
-        // Sound because the kernels are ours: every index is held below the length that it is bound with by a test in the
-        // kernel, every loop has an end that does not depend on floats, no divisor is zero. What naga would add else is a
-        // limit on every access to shared memory and a counter in every loop, the innermost ones too.
+        // SAFETY: the kernels are ours: every index is held below the length that it is bound with by a test in the kernel,
+        // every loop has an end that does not depend on floats, no divisor is zero. What naga would add else is a limit on
+        // every access to shared memory and a counter in every loop, the innermost ones too.
         let shader = unsafe {
             device.create_shader_module_trusted(descriptor, wgpu::ShaderRuntimeChecks::unchecked())
         };
@@ -210,7 +210,7 @@ impl Module {
     }
 
     /// Binds buffers to the module's bindings, in order.
-    pub fn bind(&self, gpu: &Gpu, bindings: &[wgpu::BindingResource]) -> wgpu::BindGroup {
+    pub(crate) fn bind(&self, gpu: &Gpu, bindings: &[wgpu::BindingResource]) -> wgpu::BindGroup {
         let entries: Vec<wgpu::BindGroupEntry> = (0..)
             .zip(bindings)
             .map(|(binding, resource)| wgpu::BindGroupEntry { binding, resource: resource.clone() })
@@ -223,7 +223,7 @@ impl Module {
     }
 
     /// Binds buffers and runs an entry point for so many threads: for what happens rarely.
-    pub fn once(
+    pub(crate) fn once(
         &self,
         gpu: &Gpu,
         encoder: &mut wgpu::CommandEncoder,
@@ -238,7 +238,7 @@ impl Module {
     }
 
     /// Runs entry point `entry` in `groups` groups, `layers` times in z.
-    pub fn run(
+    pub(crate) fn run(
         &self,
         pass: &mut wgpu::ComputePass,
         entry: usize,
@@ -256,38 +256,38 @@ impl Module {
 }
 
 /// All pipelines.
-pub struct Kernels {
+pub(crate) struct Kernels {
     /// Gaussians to the screen.
-    pub project: Module,
+    pub(crate) project: Module,
     /// Prefix sums: reduce, spine, sweep.
-    pub scan: Module,
+    pub(crate) scan: Module,
     /// The seen ones.
-    pub compact: Module,
+    pub(crate) compact: Module,
     /// Radix sort: histogram, scatter.
-    pub sort: Module,
+    pub(crate) sort: Module,
     /// Gaussian-tile pairs: count, emit.
-    pub pairs: Module,
+    pub(crate) pairs: Module,
     /// Where tiles begin.
-    pub ranges: Module,
+    pub(crate) ranges: Module,
     /// Pixels.
-    pub rasterise: Module,
+    pub(crate) rasterise: Module,
     /// Loss: statistics, differentiate, total.
-    pub loss: Module,
+    pub(crate) loss: Module,
     /// Rasterise backward.
-    pub backward: Module,
+    pub(crate) rasterise_backward: Module,
     /// Project backward and Adam.
-    pub optimise: Module,
+    pub(crate) adam: Module,
     /// Densification: score, choose, judge, place.
-    pub densify: Module,
+    pub(crate) densify: Module,
     /// Planes from the old model to the new one.
-    pub gather: Module,
+    pub(crate) gather: Module,
     /// Halves of split Gaussians.
-    pub halve: Module,
+    pub(crate) halve: Module,
 }
 
 impl Kernels {
     /// Compiles all of them.
-    pub fn new(gpu: &Gpu) -> Result<Self, SplatError> {
+    pub(crate) fn new(gpu: &Gpu) -> Result<Self, SplatError> {
         let [
             project,
             scan,
@@ -297,8 +297,8 @@ impl Kernels {
             ranges,
             rasterise,
             loss,
-            backward,
-            optimise,
+            rasterise_backward,
+            adam,
             densify,
             gather,
             halve,
@@ -316,8 +316,8 @@ impl Kernels {
             ranges,
             rasterise,
             loss,
-            backward,
-            optimise,
+            rasterise_backward,
+            adam,
             densify,
             gather,
             halve,

@@ -1,51 +1,59 @@
 //! Rust twins of the structs in the WGSL, field by field; a test holds them against naga's offsets.
 
-use crate::cpu::project::CameraConstants;
+use crate::camera::CameraConstants;
+use crate::cpu::TILE;
+use crate::model::GEOMETRY;
 use bytemuck::{Pod, Zeroable};
 
-/// Opacity is scaled with the low-pass.
-pub const ANTIALIAS: u32 = 1;
-/// The target's alpha is a weight.
-pub const WEIGHTED: u32 = 2;
-/// The target's alpha is coverage.
-pub const COVERAGE: u32 = 4;
-/// Gradients are written in place of moving parameters.
-pub const PLAIN_GRADIENT: u32 = 8;
-/// Statistics sum |dL/dxy| over pixels.
-pub const MAGNITUDES: u32 = 16;
-/// Pairs beyond the buffers are left out.
-pub const TRUNCATE: u32 = 32;
+/// Bits of [`Frame::flags`], as `frame.wgsl` has them.
+#[derive(Clone, Copy, Debug)]
+#[repr(u32)]
+pub(crate) enum FrameFlag {
+    /// Opacity is scaled with the low-pass.
+    Antialias = 1,
+    /// The target's alpha is a weight.
+    Weighted = 2,
+    /// The target's alpha is coverage.
+    Coverage = 4,
+    /// Pairs beyond the buffers are left out.
+    Truncate = 8,
+}
 
-/// Entries of the counters: Gaussians seen, pairs needed, gradients that are not finite, sums nobody reads, halt.
-pub const COUNTERS: usize = 8;
-/// Entries that every step begins with at zero.
-pub const CLEARED: usize = 4;
-/// Counter of the Gaussians that are seen.
-pub const VISIBLE: u32 = 0;
-/// Counter of the pairs that are needed.
-pub const PAIRS: u32 = 1;
-/// Counter of gradients that were not finite.
-pub const NON_FINITE: u32 = 2;
-/// Where totals go that nobody reads.
-pub const SPARE: u32 = 3;
-/// Counter that is not zero once a step was not taken because its pairs did not fit: later ones wait for its repetition.
-pub const HALT: u32 = 4;
+/// Entries of the counters, as `frame.wgsl` has them.
+#[derive(Clone, Copy, Debug)]
+#[repr(u32)]
+pub(crate) enum Counter {
+    /// Gaussians that are seen.
+    Visible = 0,
+    /// Pairs that are needed.
+    Pairs = 1,
+    /// Gradients that were not finite; of a round of densification, Gaussians that hardly any view has.
+    NonFinite = 2,
+    /// Where totals go that nobody reads.
+    Spare = 3,
+    /// Not zero once a step was not taken because its pairs did not fit: later ones wait for its repetition.
+    Halt = 4,
+}
 
-/// Gaussians or keys a block of scan and sort holds.
-pub const BLOCK: u32 = 2048;
-/// Threads of a group.
-pub const GROUP: u32 = 256;
-/// Side of a tile, pixels.
-pub const TILE: u32 = 16;
-/// Planes of the geometry: parameters, first and second moments, clock, statistics.
-pub const PLANES: usize = 38;
-/// Plane of the clock.
-pub const CLOCK: usize = 33;
-/// First plane of the statistics.
-pub const STATISTICS: usize = 34;
+/// Counters. Source: the entries above, rounded up to two vectors.
+pub(crate) const COUNTERS: usize = 8;
+/// Counters that every step begins with at zero. Source: those before the last one above.
+pub(crate) const CLEARED: usize = 4;
+
+/// Gaussians or keys that a block of scan and sort holds. Source: eight a thread of `scan.wgsl`.
+pub(crate) const BLOCK: u32 = 2048;
+/// Threads of a group. Source: the most that every adapter has (WebGPU's default limits).
+pub(crate) const GROUP: u32 = 256;
+/// Planes of the geometry: parameters, first and second moments, clock, two statistics. Source: derived.
+pub(crate) const PLANES: usize = STATISTICS + 2;
+/// Plane of the clock. Source: derived.
+pub(crate) const CLOCK: usize = 3 * GEOMETRY;
+/// First plane of the statistics. Source: derived.
+pub(crate) const STATISTICS: usize = CLOCK + 1;
 
 /// A field as the WGSL must have it: name and offset.
-pub type Field = (&'static str, usize);
+#[cfg(test)]
+pub(crate) type Field = (&'static str, usize);
 
 /// Declares a struct that both sides know, and the table of its fields.
 macro_rules! shared_struct {
@@ -53,11 +61,12 @@ macro_rules! shared_struct {
         $(#[$doc])*
         #[repr(C)]
         #[derive(Clone, Copy, Debug, Default, PartialEq, Pod, Zeroable)]
-        pub struct $name { $($(#[$field_doc])* pub $field: $type,)* }
+        pub(crate) struct $name { $($(#[$field_doc])* pub(crate) $field: $type,)* }
 
+        #[cfg(test)]
         impl $name {
             /// Names and offsets of the fields.
-            pub const FIELDS: &[Field] = &[$((stringify!($field), std::mem::offset_of!($name, $field)),)*];
+            pub(crate) const FIELDS: &[Field] = &[$((stringify!($field), std::mem::offset_of!($name, $field)),)*];
         }
     };
 }
@@ -105,10 +114,6 @@ shared_struct!(
         lambda: f32,
         /// 1 / (3 · sum of the weights).
         inv_count: f32,
-        /// See [`crate::backend::StepInput`].
-        opacity_penalty: f32,
-        /// See [`crate::backend::StepInput`].
-        scale_penalty: f32,
         /// Step size of the means.
         rate_mean: f32,
         /// Of the log-scales.
@@ -125,10 +130,6 @@ shared_struct!(
         spare0: u32,
         /// Nothing.
         spare1: u32,
-        /// Nothing.
-        spare2: u32,
-        /// Nothing.
-        spare3: u32,
     }
 );
 
@@ -167,12 +168,12 @@ shared_struct!(
         iteration: u32,
         /// Of training, for the random numbers.
         seed: u32,
-        /// Mean screen gradient of candidates.
-        threshold: f32,
         /// Logit below which a Gaussian is removed.
         floor: f32,
         /// Nothing.
-        spare: u32,
+        spare0: u32,
+        /// Nothing.
+        spare1: u32,
     }
 );
 
@@ -282,22 +283,22 @@ shared_struct!(
 
 impl Frame {
     /// The camera's part; the rest is zero.
-    pub fn of_camera(c: &CameraConstants) -> Self {
-        let row = |a: usize| [c.r[a][0], c.r[a][1], c.r[a][2], c.t[a]];
+    pub(crate) fn of_camera(c: &CameraConstants) -> Self {
+        let [row0, row1, row2] = [0, 1, 2].map(|a| [c.r[a][0], c.r[a][1], c.r[a][2], c.t[a]]);
         let size = c.size.map(|v| v as u32);
         Self {
-            row0: row(0),
-            row1: row(1),
-            row2: row(2),
+            row0,
+            row1,
+            row2,
             position: c.position.extend(0.0).to_array(),
             focal: c.focal,
             centre: c.centre,
             low: c.low,
             high: c.high,
             size,
-            tiles: size.map(|v| v.div_ceil(TILE)),
+            tiles: size.map(|v| v.div_ceil(TILE as u32)),
             sh_used: (c.sh_degree + 1).pow(2),
-            flags: if c.antialias { ANTIALIAS } else { 0 },
+            flags: if c.antialias { FrameFlag::Antialias as u32 } else { 0 },
             near: c.near,
             ..Self::default()
         }

@@ -3,24 +3,25 @@
 //! [`buffers`]; steps under way in [`flight`]; the adapter and its limits in [`context`].
 
 mod backend;
-pub mod bound;
-pub mod buffers;
-pub mod context;
+mod bound;
+mod buffers;
+mod context;
 mod densify;
-pub mod flight;
-pub mod kernels;
-pub mod layout;
-pub mod pages;
-pub mod photos;
-pub mod pipelines;
+mod flight;
+mod kernels;
+mod layout;
+mod limits;
+mod pages;
+mod photos;
+mod pipelines;
+#[cfg(test)]
 mod probe;
-mod roof;
-mod scores;
 
-pub use backend::GpuBackend;
-pub use context::{Gpu, Opening, adapters};
-pub use probe::OnScreen;
-pub use roof::{Roof, measure as roof};
+pub(crate) use backend::GpuBackend;
+pub(crate) use context::{Gpu, Opening, adapters};
+pub use limits::AdapterLimits;
+#[cfg(test)]
+pub(crate) use probe::OnScreen;
 
 #[cfg(test)]
 mod tests;

@@ -4,42 +4,43 @@
 use super::context::Gpu;
 use super::kernels::Kernels;
 use super::layout::{CLOCK, GatherJob, PLANES, PageJob, STATISTICS};
-use crate::SplatError;
-use crate::cpu::optimise::Statistics;
+use crate::error::SplatError;
 use crate::model::{GEOMETRY, Model, padded};
+use crate::statistics::Statistics;
 
 /// Gaussians of a page are a multiple of this, unless it is the last.
+/// Source: chosen by hand, never measured.
 const GRAIN: usize = 64;
 
 /// A range of Gaussians.
-pub struct Page {
+pub(crate) struct Page {
     /// Which they are.
-    pub job: PageJob,
+    pub(crate) job: PageJob,
     /// [`PageJob`] for the kernels.
-    pub uniform: wgpu::Buffer,
-    /// \[38\]\[stride\], or \[11\]\[stride\] where nothing is trained.
-    pub geometry: wgpu::Buffer,
+    pub(crate) uniform: wgpu::Buffer,
+    /// \[36\]\[stride\], or \[11\]\[stride\] where nothing is trained.
+    pub(crate) geometry: wgpu::Buffer,
     /// \[3K\]\[stride\].
-    pub sh: wgpu::Buffer,
+    pub(crate) sh: wgpu::Buffer,
     /// \[2\]\[3K\]\[stride\] first and second moments.
-    pub moments: wgpu::Buffer,
+    pub(crate) moments: wgpu::Buffer,
 }
 
 /// All of them.
-pub struct Pages {
+pub(crate) struct Pages {
     /// In order.
-    pub list: Vec<Page>,
+    pub(crate) list: Vec<Page>,
     /// Gaussians.
-    pub n: usize,
+    pub(crate) n: usize,
     /// SH values of a Gaussian, 3K.
-    pub sh_stride: usize,
+    pub(crate) sh_stride: usize,
     /// Whether there are moments and statistics.
-    pub training: bool,
+    pub(crate) training: bool,
 }
 
 /// The buffers of a page.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Part {
+pub(crate) enum PagePart {
     /// Geometry, clock, statistics.
     Geometry,
     /// Spherical harmonics.
@@ -48,9 +49,9 @@ pub enum Part {
     Moments,
 }
 
-impl Part {
+impl PagePart {
     /// In the order in which they are replaced: the largest first, so that the others fit where it was.
-    pub const ALL: [Self; 3] = [Self::Moments, Self::Geometry, Self::Sh];
+    pub(crate) const ALL: [Self; 3] = [Self::Moments, Self::Geometry, Self::Sh];
 
     fn planes(self, sh_stride: usize, training: bool) -> usize {
         match self {
@@ -63,18 +64,18 @@ impl Part {
 }
 
 /// Bytes of a Gaussian in all parts.
-pub fn bytes_each(sh_stride: usize, training: bool) -> u64 {
-    4 * Part::ALL.iter().map(|p| p.planes(sh_stride, training) as u64).sum::<u64>()
+pub(crate) fn bytes_each(sh_stride: usize, training: bool) -> u64 {
+    4 * PagePart::ALL.iter().map(|p| p.planes(sh_stride, training) as u64).sum::<u64>()
 }
 
 /// Bytes of a Gaussian in the largest part, which is there twice while Gaussians are added and removed.
-pub fn bytes_twice(sh_stride: usize) -> u64 {
-    4 * Part::ALL.iter().map(|p| p.planes(sh_stride, true) as u64).max().unwrap_or(0)
+pub(crate) fn bytes_twice(sh_stride: usize) -> u64 {
+    4 * PagePart::ALL.iter().map(|p| p.planes(sh_stride, true) as u64).max().unwrap_or(0)
 }
 
 /// Gaussians a page holds where no buffer may have more than `largest` bytes.
-pub fn room(largest: u64, sh_stride: usize, training: bool) -> usize {
-    let planes = Part::ALL.iter().map(|p| p.planes(sh_stride, training)).max().unwrap_or(1);
+pub(crate) fn room(largest: u64, sh_stride: usize, training: bool) -> usize {
+    let planes = PagePart::ALL.iter().map(|p| p.planes(sh_stride, training)).max().unwrap_or(1);
     ((largest / (4 * planes as u64)) as usize / GRAIN * GRAIN).clamp(GRAIN, 1 << 26)
 }
 
@@ -90,27 +91,28 @@ fn ranges(n: usize, room: usize) -> Vec<PageJob> {
 
 impl Pages {
     /// Room for `n` Gaussians; parameters are whatever they are.
-    pub fn new(gpu: &Gpu, n: usize, sh_stride: usize, training: bool) -> Result<Self, SplatError> {
+    pub(crate) fn new(gpu: &Gpu, n: usize, sh_stride: usize, training: bool) -> Result<Self, SplatError> {
         let room = room(gpu.largest_buffer(), sh_stride, training);
         let list = ranges(n, room).into_iter().map(|job| {
-            let part = |p: Part| part(gpu, p, &job, sh_stride, training);
-            let (geometry, sh, moments) = (part(Part::Geometry)?, part(Part::Sh)?, part(Part::Moments)?);
+            let part = |p: PagePart| part(gpu, p, &job, sh_stride, training);
+            let (geometry, sh, moments) =
+                (part(PagePart::Geometry)?, part(PagePart::Sh)?, part(PagePart::Moments)?);
             Ok(Page { uniform: gpu.uniform(job)?, job, geometry, sh, moments })
         });
         Ok(Self { list: list.collect::<Result<_, SplatError>>()?, n, sh_stride, training })
     }
 
     /// Bytes of all pages, by part.
-    pub fn memory(&self) -> Vec<(&'static str, u64)> {
+    pub(crate) fn memory(&self) -> Vec<(&'static str, u64)> {
         let sum = |f: fn(&Page) -> &wgpu::Buffer| self.list.iter().map(|p| f(p).size()).sum();
         vec![("geometry", sum(|p| &p.geometry)), ("sh", sum(|p| &p.sh)), ("sh_moments", sum(|p| &p.moments))]
     }
 
     /// Writes parameters, and where there is room for them moments and statistics.
-    pub fn upload(&self, gpu: &Gpu, model: &Model, s: &Statistics) {
+    pub(crate) fn upload(&self, gpu: &Gpu, model: &Model, s: &Statistics) {
         let none = vec![0.0; padded(self.n)];
         let filled = |v: &'_ Vec<f32>| if v.len() < self.n { none.clone() } else { v.clone() };
-        let statistics = [&s.gradient, &s.visible, &s.weight, &s.radius].map(filled);
+        let statistics = [&s.gradient, &s.visible].map(filled);
         let moments = model.geometry_m.iter().chain(&model.geometry_v).chain([&model.steps]);
         for page in &self.list {
             let PageJob { first, count, stride, .. } = page.job;
@@ -139,7 +141,7 @@ impl Pages {
     }
 
     /// Reads everything back; only where there are moments.
-    pub fn download(&self, gpu: &Gpu, sh_degree: u32) -> Result<(Model, Statistics), SplatError> {
+    pub(crate) fn download(&self, gpu: &Gpu, sh_degree: u32) -> Result<(Model, Statistics), SplatError> {
         let mut planes = vec![vec![0.0f32; padded(self.n)]; PLANES];
         let mut sh = [(); 3].map(|()| vec![0.0f32; self.n * self.sh_stride]);
         for page in &self.list {
@@ -159,7 +161,7 @@ impl Pages {
             }
         }
         let statistics = planes.split_off(STATISTICS);
-        let [gradient, visible, weight, radius] = take(statistics);
+        let [gradient, visible] = take(statistics);
         let mut rest = planes.into_iter();
         let mut next = || -> [Vec<f32>; GEOMETRY] { take(rest.by_ref().take(GEOMETRY).collect()) };
         let (geometry, geometry_m, geometry_v) = (next(), next(), next());
@@ -167,12 +169,12 @@ impl Pages {
         debug_assert_eq!(CLOCK, 3 * GEOMETRY);
         let steps = rest.next().unwrap_or_default();
         let model = Model { len: self.n, sh_degree, geometry, geometry_m, geometry_v, sh, sh_m, sh_v, steps };
-        Ok((model, Statistics { gradient, visible, weight, radius }))
+        Ok((model, Statistics { gradient, visible }))
     }
 
     /// The model with another number of SH values a Gaussian: planes are copied, new ones are zero. Nothing where pages
     /// would have to be of another size.
-    pub fn with_sh_stride(&self, gpu: &Gpu, sh_stride: usize) -> Result<Option<Self>, SplatError> {
+    pub(crate) fn with_sh_stride(&self, gpu: &Gpu, sh_stride: usize) -> Result<Option<Self>, SplatError> {
         let (old, new) = (self.sh_stride, Self::new(gpu, self.n, sh_stride, self.training)?);
         if new.list.len() != self.list.len() {
             return Ok(None);
@@ -194,9 +196,9 @@ impl Pages {
     }
 
     /// Makes the model the one whose Gaussian j is the present `source[j]` (densify.wgsl, split.wgsl); halves of split
-    /// Gaussians begin without moments, all without statistics. Part by part, so that only one is there twice; `false`,
+    /// Gaussians begin without moments, all without statistics. PagePart by part, so that only one is there twice; `false`,
     /// and nothing has changed, where there is no memory for that.
-    pub fn gather(
+    pub(crate) fn gather(
         &mut self,
         gpu: &Gpu,
         kernels: &Kernels,
@@ -205,7 +207,7 @@ impl Pages {
     ) -> Result<bool, SplatError> {
         let jobs = ranges(n, room(gpu.largest_buffer(), self.sh_stride, self.training));
         let mut parts = Vec::new();
-        for kind in Part::ALL {
+        for kind in PagePart::ALL {
             let made: Result<Vec<_>, _> =
                 jobs.iter().map(|job| part(gpu, kind, job, self.sh_stride, self.training)).collect();
             let made = match made {
@@ -239,12 +241,12 @@ impl Pages {
         Ok(true)
     }
 
-    fn gather_job(&self, part: Part, job: &PageJob, old: &PageJob) -> GatherJob {
+    fn gather_job(&self, part: PagePart, job: &PageJob, old: &PageJob) -> GatherJob {
         let planes = part.planes(self.sh_stride, self.training) as u32;
         let (clear_fresh, clear_all) = match part {
-            Part::Geometry => (GEOMETRY as u32, STATISTICS as u32),
-            Part::Sh => (planes, planes),
-            Part::Moments => (0, planes),
+            PagePart::Geometry => (GEOMETRY as u32, STATISTICS as u32),
+            PagePart::Sh => (planes, planes),
+            PagePart::Moments => (0, planes),
         };
         GatherJob {
             first: job.first,
@@ -262,26 +264,26 @@ impl Pages {
 }
 
 impl Page {
-    fn part(&self, part: Part) -> &wgpu::Buffer {
+    fn part(&self, part: PagePart) -> &wgpu::Buffer {
         match part {
-            Part::Geometry => &self.geometry,
-            Part::Sh => &self.sh,
-            Part::Moments => &self.moments,
+            PagePart::Geometry => &self.geometry,
+            PagePart::Sh => &self.sh,
+            PagePart::Moments => &self.moments,
         }
     }
 
-    fn part_mut(&mut self, part: Part) -> &mut wgpu::Buffer {
+    fn part_mut(&mut self, part: PagePart) -> &mut wgpu::Buffer {
         match part {
-            Part::Geometry => &mut self.geometry,
-            Part::Sh => &mut self.sh,
-            Part::Moments => &mut self.moments,
+            PagePart::Geometry => &mut self.geometry,
+            PagePart::Sh => &mut self.sh,
+            PagePart::Moments => &mut self.moments,
         }
     }
 }
 
 fn part(
     gpu: &Gpu,
-    part: Part,
+    part: PagePart,
     job: &PageJob,
     sh_stride: usize,
     training: bool,

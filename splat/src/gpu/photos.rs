@@ -1,32 +1,33 @@
 //! Photos that stay on the device: 8-bit RGBA, the mask in alpha, sent once.
 
 use super::context::Gpu;
-use super::layout::{COVERAGE, WEIGHTED};
+use super::layout::FrameFlag;
 use crate::backend::Target;
 use std::collections::HashMap;
 
 /// Bytes of the first buffer that photos share, and of the largest; each is twice the one before.
+/// Source: chosen by hand, never measured.
 const SHELVES: [u64; 2] = [1 << 20, 64 << 20];
 
 /// Where a photo lies, and what its mask means.
 #[derive(Clone)]
-pub struct Photo {
+pub(crate) struct PlacedPhoto {
     /// The buffer; nothing where the photo was written to the goal itself.
-    pub shelf: Option<wgpu::Buffer>,
+    pub(crate) shelf: Option<wgpu::Buffer>,
     /// First byte.
-    pub offset: u64,
+    pub(crate) offset: u64,
     /// Bytes.
-    pub bytes: u64,
+    pub(crate) bytes: u64,
     /// Flags of its mask.
-    pub flags: u32,
+    pub(crate) flags: u32,
     /// Sum of its weights.
-    pub weights: f64,
+    pub(crate) weights: f64,
 }
 
 /// The photos seen so far, by number and size.
 #[derive(Default)]
-pub struct Photos {
-    held: HashMap<(u32, u64), Photo>,
+pub(crate) struct Photos {
+    held: HashMap<(u32, u64), PlacedPhoto>,
     shelves: Vec<wgpu::Buffer>,
     /// Bytes used of the last shelf.
     used: u64,
@@ -36,18 +37,25 @@ pub struct Photos {
 
 impl Photos {
     /// Bytes of all shelves.
-    pub fn memory(&self) -> u64 {
+    pub(crate) fn memory(&self) -> u64 {
         self.shelves.iter().map(wgpu::Buffer::size).sum()
     }
 
     /// How many lie here.
-    pub fn count(&self) -> usize {
+    #[cfg(test)]
+    pub(crate) fn count(&self) -> usize {
         self.held.len()
     }
 
     /// Where the target lies; it is sent if need be: to a shelf if it has a number and there is room for it (of `budget`
     /// bytes), otherwise to `goal`.
-    pub fn place(&mut self, gpu: &Gpu, goal: &wgpu::Buffer, target: &Target, budget: Option<u64>) -> Photo {
+    pub(crate) fn place(
+        &mut self,
+        gpu: &Gpu,
+        goal: &wgpu::Buffer,
+        target: &Target,
+        budget: Option<u64>,
+    ) -> PlacedPhoto {
         let bytes = 4 * (target.rgb.len() / 3) as u64;
         let key = target.photo.map(|number| (number, bytes));
         if let Some(photo) = key.and_then(|key| self.held.get(&key)) {
@@ -57,7 +65,7 @@ impl Photos {
         let place = key.and_then(|_| self.room(gpu, bytes, budget));
         let (shelf, offset) = place.map_or((None, 0), |(shelf, offset)| (Some(shelf), offset));
         gpu.write(shelf.as_ref().unwrap_or(goal), offset, &rgba(target));
-        let photo = Photo { shelf, offset, bytes, flags, weights };
+        let photo = PlacedPhoto { shelf, offset, bytes, flags, weights };
         if let Some(key) = key.filter(|_| photo.shelf.is_some()) {
             self.held.insert(key, photo.clone());
         }
@@ -90,8 +98,10 @@ impl Photos {
 fn mask_of(target: &Target) -> (u32, f64) {
     let count = target.rgb.len() / 3;
     match target.mask {
-        Some(_) if target.transparent => (COVERAGE, count as f64),
-        Some(mask) => (WEIGHTED, mask.iter().map(|&m| u64::from(m)).sum::<u64>() as f64 / 255.0),
+        Some(_) if target.transparent => (FrameFlag::Coverage as u32, count as f64),
+        Some(mask) => {
+            (FrameFlag::Weighted as u32, mask.iter().map(|&m| u64::from(m)).sum::<u64>() as f64 / 255.0)
+        }
         None => (0, count as f64),
     }
 }

@@ -4,11 +4,11 @@
 use std::io::Write;
 use std::path::{Path, PathBuf};
 
-/// Begins the file; the number is that of its layout.
+/// Begins the file; the number is that of its layout. Source: ours.
 const MAGIC: &[u8; 8] = b"SPLATPC1";
 
 /// The cache of one device.
-pub struct Pipelines {
+pub(crate) struct Pipelines {
     cache: wgpu::PipelineCache,
     path: PathBuf,
     /// Bytes that were read.
@@ -49,12 +49,12 @@ fn write(path: &Path, data: &[u8]) -> std::io::Result<()> {
 
 impl Pipelines {
     /// The cache of an adapter that has one; what was kept is checked by us (whole) and by wgpu (this adapter and driver).
-    pub fn open(device: &wgpu::Device, info: &wgpu::AdapterInfo) -> Option<Self> {
+    pub(crate) fn open(device: &wgpu::Device, info: &wgpu::AdapterInfo) -> Option<Self> {
         Self::at(&folder()?, device, info)
     }
 
     /// The same in a folder.
-    pub fn at(folder: &Path, device: &wgpu::Device, info: &wgpu::AdapterInfo) -> Option<Self> {
+    pub(crate) fn at(folder: &Path, device: &wgpu::Device, info: &wgpu::AdapterInfo) -> Option<Self> {
         if !device.features().contains(wgpu::Features::PIPELINE_CACHE) {
             return None;
         }
@@ -63,30 +63,32 @@ impl Pipelines {
         let file = std::fs::read(&path).unwrap_or_default();
         let data = unpack(&file);
         let descriptor = wgpu::PipelineCacheDescriptor { label: Some("splat"), data, fallback: true };
-        // Sound because the data's checksum says that it is what `get_data` gave to `write`.
+        // SAFETY: the data's checksum says that it is what `get_data` gave to `write`.
         let cache = unsafe { device.create_pipeline_cache(&descriptor) };
         Some(Self { cache, path, read: data.map_or(0, <[u8]>::len) })
     }
 
     /// For the making of pipelines.
-    pub fn cache(&self) -> &wgpu::PipelineCache {
+    pub(crate) fn cache(&self) -> &wgpu::PipelineCache {
         &self.cache
     }
 
     /// Keeps what is new. A folder that cannot be written to costs time at the next start, nothing else.
-    pub fn store(&self) {
+    pub(crate) fn store(&self) {
         if let Some(data) = self.cache.get_data().filter(|data| data.len() != self.read) {
             let _ = write(&self.path, &data);
         }
     }
 
     /// Where it is kept.
-    pub fn path(&self) -> &Path {
+    #[cfg(test)]
+    pub(crate) fn path(&self) -> &Path {
         &self.path
     }
 
     /// Bytes that were there from earlier runs.
-    pub fn kept(&self) -> usize {
+    #[cfg(test)]
+    pub(crate) fn kept(&self) -> usize {
         self.read
     }
 }

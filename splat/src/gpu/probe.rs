@@ -2,30 +2,49 @@
 
 use super::backend::GpuBackend;
 use super::bound::Stage;
-use super::layout::{Frame, PLAIN_GRADIENT};
+use super::context::Gpu;
+use super::layout::Frame;
+use crate::adapter::Adapter;
 use crate::backend::{Backend, Target};
-use crate::cpu::Gradients;
+use crate::cpu::ModelGradient;
+use crate::error::SplatError;
 use crate::model::GEOMETRY;
-use crate::{PinholeView, RenderOptions, SplatError};
+use crate::reference::constants::BETAS;
+use crate::view::{PinholeView, RenderOptions};
 
 /// A Gaussian on the screen.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct OnScreen {
+pub(crate) struct OnScreen {
     /// Centre, pixels.
-    pub xy: [f32; 2],
+    pub(crate) xy: [f32; 2],
     /// Σ'⁻¹ (xx, xy, yy), px⁻².
-    pub conic: [f32; 3],
+    pub(crate) conic: [f32; 3],
     /// Opacity, with the antialiasing's part.
-    pub opacity: f32,
+    pub(crate) opacity: f32,
     /// Camera z.
-    pub depth: f32,
+    pub(crate) depth: f32,
     /// Colour, at least 0.
-    pub rgb: [f32; 3],
+    pub(crate) rgb: [f32; 3],
 }
 
 impl GpuBackend {
+    /// What it runs on.
+    pub(crate) fn adapter(&self) -> &Adapter {
+        &self.gpu.adapter
+    }
+
+    /// The device itself.
+    pub(crate) fn gpu(&self) -> &Gpu {
+        &self.gpu
+    }
+
+    /// Pages of the model, and photos that stay on the device.
+    pub(crate) fn held(&self) -> [usize; 2] {
+        [self.pages.as_ref().map_or(0, |p| p.list.len()), self.photos.count()]
+    }
+
     /// Kernel project: \[N\], nothing where a Gaussian is not seen.
-    pub fn projected(
+    pub(crate) fn projected(
         &mut self,
         view: &PinholeView,
         options: &RenderOptions,
@@ -49,7 +68,7 @@ impl GpuBackend {
     }
 
     /// Kernel loss of a picture [H × W × 3]: loss, mean squared error, dL/d(colour) [H × W × 3].
-    pub fn loss(
+    pub(crate) fn loss(
         &mut self,
         view: &PinholeView,
         picture: &[f32],
@@ -76,19 +95,19 @@ impl GpuBackend {
         Ok((loss, mse, gradient))
     }
 
-    /// dL/d(parameters) where dL/d(colour) is `gradient` [H × W × 3]. Adam's first moments are lost.
-    pub fn gradients(
+    /// dL/d(parameters) where dL/d(colour) is `gradient` [H × W × 3]. Adam's moments are lost.
+    pub(crate) fn gradients(
         &mut self,
         view: &PinholeView,
         options: &RenderOptions,
         gradient: &[f32],
-    ) -> Result<Gradients, SplatError> {
+    ) -> Result<ModelGradient, SplatError> {
         self.prepare(view, true)?;
         let frame = self.frame_of(view, options);
         self.run(frame, Stage::Project..=Stage::Forward, None)?;
         let pixels = view.width * view.height;
         let (Some((b, _)), Some(pages)) = (&self.screen, &self.pages) else {
-            return Ok(Gradients::default());
+            return Ok(ModelGradient::default());
         };
         // What the loss leaves in the picture's place: dL/dC and C · dL/dC.
         let image: Vec<[f32; 4]> = self.gpu.read(&b.image, 0, pixels)?;
@@ -103,9 +122,12 @@ impl GpuBackend {
             encoder.clear_buffer(&page.moments, 0, None);
         }
         self.gpu.queue.submit([encoder.finish()]);
-        let frame = Frame { flags: frame.flags | PLAIN_GRADIENT, ..frame };
+        // Rates are zero: nothing moves, and the first moments become (1 − β₁) times the gradient.
         self.run(frame, Stage::Backward..=Stage::Optimise, None)?;
-        let (model, _) = self.download()?;
-        Ok(Gradients { geometry: model.geometry_m, sh: model.sh_m })
+        let (mut model, _) = self.download()?;
+        let share = (1.0 - BETAS[0]) as f32;
+        let moments = model.geometry_m.iter_mut().chain([&mut model.sh_m]);
+        moments.flatten().for_each(|m| *m /= share);
+        Ok(ModelGradient { geometry: model.geometry_m, sh: model.sh_m })
     }
 }

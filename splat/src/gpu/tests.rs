@@ -3,15 +3,15 @@
 
 use super::buffers::{Buffers, Limit, Sizes, capacity, most_pairs};
 use super::context::LANES;
-use super::kernels::{SOURCES, Slot, Source};
-use super::layout::{DensifyJob, DensifyView, Frame, GatherJob, HalveJob, PageJob, ScanJob, SortJob};
+use super::kernels::{BindingSlot, KernelSource, SOURCES};
+use super::layout::{DensifyJob, DensifyView, Frame, GatherJob, HalveJob, PLANES, PageJob, ScanJob, SortJob};
 use super::pages;
 use naga::valid::{Capabilities, ValidationFlags, Validator};
 use naga::{AddressSpace, Module, StorageAccess, TypeInner};
 use std::collections::BTreeSet;
 
 /// Module and name for adapters without and with subgroup operations.
-fn variants(source: &Source) -> [(Module, String); 2] {
+fn variants(source: &KernelSource) -> [(Module, String); 2] {
     [false, true].map(|subgroups| {
         let name = format!("{} (subgroups: {subgroups})", source.name);
         (parse(&source.text(subgroups), &name), name)
@@ -55,7 +55,7 @@ fn structs_of_both_sides_have_the_same_fields_at_the_same_offsets() {
     for (source, name, fields, size) in [
         ("project", "Frame", Frame::FIELDS, size_of::<Frame>()),
         ("project", "Page", PageJob::FIELDS, size_of::<PageJob>()),
-        ("optimise", "Page", PageJob::FIELDS, size_of::<PageJob>()),
+        ("adam", "Page", PageJob::FIELDS, size_of::<PageJob>()),
         ("scan", "Job", ScanJob::FIELDS, size_of::<ScanJob>()),
         ("sort", "Job", SortJob::FIELDS, size_of::<SortJob>()),
         ("densify", "Job", DensifyJob::FIELDS, size_of::<DensifyJob>()),
@@ -101,7 +101,7 @@ fn fields_in_another_order_or_of_another_width_are_noticed() {
 #[test]
 fn bindings_of_both_sides_agree_and_no_stage_has_more_than_eight_storage_buffers() {
     for (source, (module, _)) in SOURCES.iter().flat_map(|s| variants(s).map(|v| (s, v))) {
-        let mut slots: Vec<(u32, Slot)> = module
+        let mut slots: Vec<(u32, BindingSlot)> = module
             .global_variables
             .iter()
             .filter_map(|(_, v)| {
@@ -109,18 +109,20 @@ fn bindings_of_both_sides_agree_and_no_stage_has_more_than_eight_storage_buffers
                 assert_eq!(binding.group, 0);
                 let slot = match v.space {
                     AddressSpace::Uniform => {
-                        Slot::Uniform(module.types[v.ty].inner.size(module.to_ctx()) as usize)
+                        BindingSlot::Uniform(module.types[v.ty].inner.size(module.to_ctx()) as usize)
                     }
-                    AddressSpace::Storage { access } if access.contains(StorageAccess::STORE) => Slot::Write,
-                    _ => Slot::Read,
+                    AddressSpace::Storage { access } if access.contains(StorageAccess::STORE) => {
+                        BindingSlot::Write
+                    }
+                    _ => BindingSlot::Read,
                 };
                 Some((binding.binding, slot))
             })
             .collect();
         slots.sort_by_key(|s| s.0);
-        let expected: Vec<(u32, Slot)> = (0..).zip(source.slots.iter().copied()).collect();
+        let expected: Vec<(u32, BindingSlot)> = (0..).zip(source.slots.iter().copied()).collect();
         assert_eq!(slots, expected, "{}", source.name);
-        let storage = slots.iter().filter(|s| matches!(s.1, Slot::Read | Slot::Write)).count();
+        let storage = slots.iter().filter(|s| matches!(s.1, BindingSlot::Read | BindingSlot::Write)).count();
         assert!(storage <= 8, "{} has {storage} storage buffers", source.name);
     }
 }
@@ -140,9 +142,9 @@ fn no_group_needs_more_shared_memory_than_every_adapter_has() {
 
 #[test]
 fn subgroup_operations_are_only_in_the_kernels_for_adapters_that_have_them() {
-    let differ = |s: &&Source| s.text(false) != s.text(true);
+    let differ = |s: &&KernelSource| s.text(false) != s.text(true);
     let names: Vec<&str> = SOURCES.iter().filter(differ).map(|s| s.name).collect();
-    assert_eq!(names, ["scan", "sort", "backward"]);
+    assert_eq!(names, ["scan", "sort", "rasterise_backward"]);
     for source in SOURCES {
         assert!(!source.text(false).contains("subgroup_"), "{}", source.name);
     }
@@ -180,7 +182,7 @@ fn a_model_that_fits_the_limits_is_found_and_one_more_gaussian_does_not_fit() {
 fn no_page_is_larger_than_a_binding() {
     for (largest, sh_stride) in [(128 << 20, 48), (128 << 20, 3), (64 << 10, 48), (2047 << 20, 27)] {
         let room = pages::room(largest, sh_stride, true) as u64;
-        let each = 4 * (2 * sh_stride as u64).max(38);
+        let each = 4 * (2 * sh_stride as u64).max(PLANES as u64);
         assert!(room * each <= largest && (room + 64) * each > largest, "{largest} {sh_stride}: {room}");
     }
 }

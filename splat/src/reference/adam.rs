@@ -7,62 +7,57 @@
 //! Kingma & Ba 2015, algorithm 1. The clock t belongs to a Gaussian and counts only the steps in which it is
 //! composited into a pixel; in the others nothing of it changes, so that unseen Gaussians do not drift on old momentum.
 
-use super::{Gradients, Parameters};
+use super::constants::{BETAS, EPSILON};
+use super::parameters::Parameters;
+use super::render::ReferenceGradient;
 use glam::DVec3;
-
-/// Decay of the mean gradient.
-pub const BETA1: f64 = 0.9;
-/// Decay of the mean squared gradient.
-pub const BETA2: f64 = 0.999;
-/// Keeps the quotient finite.
-pub const EPSILON: f64 = 1e-15;
 
 /// Step sizes by kind of parameter.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct Rates {
+pub(crate) struct Rates {
     /// Means, scene units.
-    pub mean: f64,
+    pub(crate) mean: f64,
     /// Log-scales.
-    pub log_scale: f64,
+    pub(crate) log_scale: f64,
     /// Quaternions.
-    pub rotation: f64,
+    pub(crate) rotation: f64,
     /// Opacity logits.
-    pub opacity: f64,
+    pub(crate) opacity: f64,
     /// Spherical harmonics of degree 0.
-    pub sh0: f64,
+    pub(crate) sh0: f64,
     /// Higher spherical harmonics.
-    pub sh_rest: f64,
+    pub(crate) sh_rest: f64,
 }
 
 /// Mean and mean square of all gradients, and the clocks.
 #[derive(Clone, Debug, Default, PartialEq)]
-pub struct Moments {
+pub(crate) struct Moments {
     /// Decaying mean of the gradient.
-    pub m: Parameters,
+    pub(crate) m: Parameters,
     /// Decaying mean of its square.
-    pub v: Parameters,
+    pub(crate) v: Parameters,
     /// \[N\] steps in which the Gaussian was seen.
-    pub clock: Vec<u32>,
+    pub(crate) clock: Vec<u32>,
 }
 
 impl Moments {
     /// All zero.
-    pub fn new(p: &Parameters) -> Self {
+    pub(crate) fn new(p: &Parameters) -> Self {
         Self { m: Parameters::zeros_like(p), v: Parameters::zeros_like(p), clock: vec![0; p.len()] }
     }
 }
 
 /// One parameter's step: the new (p, m, v). `t` counts from 1.
-pub fn adam(p: f64, g: f64, m: f64, v: f64, t: u32, rate: f64) -> (f64, f64, f64) {
-    let m = BETA1 * m + (1.0 - BETA1) * g;
-    let v = BETA2 * v + (1.0 - BETA2) * g * g;
+pub(crate) fn adam(p: f64, g: f64, m: f64, v: f64, t: u32, rate: f64) -> (f64, f64, f64) {
+    let m = BETAS[0] * m + (1.0 - BETAS[0]) * g;
+    let v = BETAS[1] * v + (1.0 - BETAS[1]) * g * g;
     let unbiased = |value: f64, beta: f64| value / (1.0 - beta.powi(t as i32));
-    (p - rate * unbiased(m, BETA1) / (unbiased(v, BETA2).sqrt() + EPSILON), m, v)
+    (p - rate * unbiased(m, BETAS[0]) / (unbiased(v, BETAS[1]).sqrt() + EPSILON), m, v)
 }
 
 /// A step of every Gaussian that was composited into a pixel that counts: where all of its gradient is exactly zero, as of one that
 /// is seen only where weights are zero, it stays as it is.
-pub fn step(p: &mut Parameters, moments: &mut Moments, g: &Gradients, rates: &Rates) {
+pub(crate) fn step(p: &mut Parameters, moments: &mut Moments, g: &ReferenceGradient, rates: &Rates) {
     let stride = p.sh_stride();
     for i in (0..p.len()).filter(|&i| g.pixels[i] > 0 && !is_zero(&g.parameters, i)) {
         moments.clock[i] += 1;

@@ -1,13 +1,13 @@
 //! The backward functions against central differences of the forward ones.
 
-use super::rasterise::contributions;
+use super::rasterise::{ImageGradient, contributions};
 use super::render::{backward, render};
-use super::{ImageGradient, Options, Parameters, View};
+use super::{Options, Parameters, ReferenceView};
 use glam::{DMat3, DQuat, DVec2, DVec3};
 use rand::Rng;
 
 /// Random Gaussians in front of a small camera: many overlap, some lie partly outside the picture.
-pub(super) fn random_scene(seed: u64, n: usize, sh_degree: u32) -> (Parameters, View) {
+pub(super) fn random_scene(seed: u64, n: usize, sh_degree: u32) -> (Parameters, ReferenceView) {
     let mut rng = scene::rng::rng(seed, "reference scene", 0);
     let mut real = |low: f64, high: f64| rng.random_range(low..high);
     let mut p = Parameters { sh_degree, ..Parameters::default() };
@@ -29,7 +29,7 @@ pub(super) fn random_scene(seed: u64, n: usize, sh_degree: u32) -> (Parameters, 
         real(-0.3, 0.3),
         real(-3.0, 3.0),
     )));
-    let view = View {
+    let view = ReferenceView {
         rotation,
         translation: DVec3::new(real(-0.2, 0.2), real(-0.2, 0.2), 2.0),
         focal: DVec2::new(20.0, 22.0),
@@ -52,7 +52,7 @@ pub(super) fn random_loss(seed: u64, pixels: usize) -> ImageGradient {
 }
 
 /// L, and which cut-offs decide it: differences across a change of them are not derivatives.
-fn evaluate(p: &Parameters, view: &View, options: &Options, w: &ImageGradient) -> (f64, Vec<u64>) {
+fn evaluate(p: &Parameters, view: &ReferenceView, options: &Options, w: &ImageGradient) -> (f64, Vec<u64>) {
     let r = render(p, view, options);
     let mut sum = 0.0;
     let mut cut_offs = Vec::new();

@@ -12,33 +12,28 @@
 //! A pixel of weight 0 is ignored: its target is taken to be what was rendered, so that windows that reach over it see
 //! no difference there, and its derivative is zero. Where all weights are 0, L is 0.
 
+use super::constants::{SSIM_STABILITY, WINDOW_RADIUS, WINDOW_SIGMA};
 use glam::DVec3;
-
-/// Half the side of the window.
-const RADIUS: i64 = 5;
-/// Standard deviation of the window, px.
-const SIGMA: f64 = 1.5;
-const C1: f64 = 0.01 * 0.01;
-const C2: f64 = 0.03 * 0.03;
 
 /// Values of the loss.
 #[derive(Clone, Debug, Default, PartialEq)]
-pub struct Loss {
+pub(crate) struct ReferenceLoss {
     /// L.
-    pub loss: f64,
+    pub(crate) loss: f64,
     /// L1.
-    pub l1: f64,
+    pub(crate) l1: f64,
     /// Mean SSIM.
-    pub ssim: f64,
+    pub(crate) ssim: f64,
     /// Mean squared error, weighted as L1.
-    pub mse: f64,
+    pub(crate) mse: f64,
     /// [H × W] ∂L/∂x.
-    pub gradient: Vec<DVec3>,
+    pub(crate) gradient: Vec<DVec3>,
 }
 
 /// G * image, zero outside. The window is symmetric, so this is its own adjoint.
 fn blur(image: &[DVec3], width: usize, height: usize) -> Vec<DVec3> {
-    let weight = |d: i64| (-(d * d) as f64 / (2.0 * SIGMA * SIGMA)).exp();
+    const RADIUS: i64 = WINDOW_RADIUS as i64;
+    let weight = |d: i64| (-(d * d) as f64 / (2.0 * WINDOW_SIGMA * WINDOW_SIGMA)).exp();
     let norm: f64 = (-RADIUS..=RADIUS).map(weight).sum();
     let along = |image: &[DVec3], step: (i64, i64)| -> Vec<DVec3> {
         let at = |x: i64, y: i64| {
@@ -57,27 +52,28 @@ fn blur(image: &[DVec3], width: usize, height: usize) -> Vec<DVec3> {
 
 /// SSIM of a pixel and its derivatives with respect to μx, G * x² and G * xy.
 fn similarity(mx: DVec3, my: DVec3, xx: DVec3, yy: DVec3, xy: DVec3) -> [DVec3; 4] {
-    let (a1, b1) = (2.0 * mx * my + C1, mx * mx + my * my + C1);
-    let (a2, b2) = (2.0 * (xy - mx * my) + C2, (xx - mx * mx) + (yy - my * my) + C2);
+    let [c1, c2] = SSIM_STABILITY;
+    let (a1, b1) = (2.0 * mx * my + c1, mx * mx + my * my + c1);
+    let (a2, b2) = (2.0 * (xy - mx * my) + c2, (xx - mx * mx) + (yy - my * my) + c2);
     let s = a1 * a2 / (b1 * b2);
     let by_mx = (2.0 * my * a2 - 2.0 * my * a1) / (b1 * b2) - s * (2.0 * mx / b1 - 2.0 * mx / b2);
     [s, by_mx, -s / b2, 2.0 * a1 / (b1 * b2)]
 }
 
 /// L and its derivative. `rendered`, `target` [H × W]; `weights` [H × W] or all 1.
-pub fn loss(
+pub(crate) fn loss(
     rendered: &[DVec3],
     target: &[DVec3],
     weights: Option<&[f64]>,
     width: usize,
     lambda: f64,
-) -> Loss {
+) -> ReferenceLoss {
     let n = rendered.len();
     let height = n.checked_div(width).unwrap_or(0);
     let weight = |i: usize| weights.map_or(1.0, |w| w[i]);
     let count: f64 = 3.0 * (0..n).map(weight).sum::<f64>();
     if count <= 0.0 {
-        return Loss { ssim: 1.0, gradient: vec![DVec3::ZERO; n], ..Loss::default() };
+        return ReferenceLoss { ssim: 1.0, gradient: vec![DVec3::ZERO; n], ..ReferenceLoss::default() };
     }
     let y: Vec<_> = (0..n).map(|i| if weight(i) > 0.0 { target[i] } else { rendered[i] }).collect();
     let of = |f: &dyn Fn(usize) -> DVec3| blur(&(0..n).map(f).collect::<Vec<_>>(), width, height);
@@ -100,7 +96,7 @@ pub fn loss(
         let by_ssim = by_mx[i] + 2.0 * x[i] * by_xx[i] + y[i] * by_xy[i];
         ((1.0 - lambda) * weight(i) * sign - lambda * by_ssim) / count
     };
-    Loss {
+    ReferenceLoss {
         loss: (1.0 - lambda) * l1 + lambda * (1.0 - ssim),
         l1,
         ssim,
@@ -110,7 +106,7 @@ pub fn loss(
 }
 
 /// What the picture should be where a mask means coverage: image · m + background (1 − m).
-pub fn over_background(image: DVec3, coverage: f64, background: DVec3) -> DVec3 {
+pub(crate) fn over_background(image: DVec3, coverage: f64, background: DVec3) -> DVec3 {
     image * coverage + background * (1.0 - coverage)
 }
 

@@ -11,45 +11,63 @@
 //! ```
 //! Kerbl 2023, eq. 3 and appendix C; backward by ∂C/∂α_i = T_i c_i − S_i / (1 − α_i) with S_i what lies behind i.
 
-use super::project::{MIN_ALPHA, Projected};
-use super::{ImageGradient, View};
+use super::constants::{MAX_ALPHA, MIN_ALPHA, MIN_TRANSMITTANCE};
+use super::parameters::ReferenceView;
+use super::project::Projected;
 use glam::{DVec2, DVec3};
-
-/// Largest α of one Gaussian.
-pub const MAX_ALPHA: f64 = 0.99;
-/// Compositing stops before the transmittance falls below this.
-pub const MIN_TRANSMITTANCE: f64 = 1e-4;
 
 /// A picture, row-major.
 #[derive(Clone, Debug, Default, PartialEq)]
-pub struct Picture {
+pub(crate) struct ReferencePicture {
     /// [H × W] colour over the background.
-    pub rgb: Vec<DVec3>,
+    pub(crate) rgb: Vec<DVec3>,
     /// [H × W] 1 − T.
-    pub alpha: Vec<f64>,
+    pub(crate) alpha: Vec<f64>,
     /// [H × W] expected camera z, scene units; 0 where alpha is 0.
-    pub depth: Vec<f64>,
+    pub(crate) depth: Vec<f64>,
+}
+
+/// ∂L/∂[`ReferencePicture`], all row-major [H × W].
+#[derive(Clone, Debug, Default, PartialEq)]
+pub(crate) struct ImageGradient {
+    /// With respect to the colour.
+    pub(crate) rgb: Vec<DVec3>,
+    /// With respect to alpha.
+    pub(crate) alpha: Vec<f64>,
+    /// With respect to the expected depth.
+    pub(crate) depth: Vec<f64>,
+}
+
+impl ImageGradient {
+    /// A loss that looks at the colour only.
+    pub(crate) fn of_colour(rgb: Vec<DVec3>) -> Self {
+        Self { alpha: vec![0.0; rgb.len()], depth: vec![0.0; rgb.len()], rgb }
+    }
 }
 
 /// What one Gaussian does to one pixel.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Contribution {
+pub(crate) struct Contribution {
     /// Which Gaussian.
-    pub gaussian: usize,
+    pub(crate) gaussian: usize,
     /// α.
-    pub alpha: f64,
+    pub(crate) alpha: f64,
     /// Whether α was held at 0.99.
-    pub clamped: bool,
+    pub(crate) clamped: bool,
     /// Transmittance in front of it.
-    pub transmittance: f64,
+    pub(crate) transmittance: f64,
     /// xy − p, px.
-    pub offset: DVec2,
+    pub(crate) offset: DVec2,
     /// exp(−power).
-    pub falloff: f64,
+    pub(crate) falloff: f64,
 }
 
 /// What the pixel with its centre at `p` is composited from, front to back, and the transmittance behind.
-pub fn contributions(projected: &[Option<Projected>], order: &[usize], p: DVec2) -> (Vec<Contribution>, f64) {
+pub(crate) fn contributions(
+    projected: &[Option<Projected>],
+    order: &[usize],
+    p: DVec2,
+) -> (Vec<Contribution>, f64) {
     let mut list = Vec::new();
     let mut transmittance = 1.0;
     for (i, g) in order.iter().filter_map(|&i| projected[i].map(|g| (i, g))) {
@@ -70,19 +88,19 @@ pub fn contributions(projected: &[Option<Projected>], order: &[usize], p: DVec2)
     (list, transmittance)
 }
 
-fn pixel_centre(i: usize, view: &View) -> DVec2 {
+fn pixel_centre(i: usize, view: &ReferenceView) -> DVec2 {
     DVec2::new((i % view.width) as f64 + 0.5, (i / view.width) as f64 + 0.5)
 }
 
 /// The picture. `projected` and `colours` \[N\], `order` as [`super::sort`] gives it.
-pub fn rasterise(
+pub(crate) fn rasterise(
     projected: &[Option<Projected>],
     colours: &[DVec3],
     order: &[usize],
-    view: &View,
+    view: &ReferenceView,
     background: DVec3,
-) -> Picture {
-    let mut picture = Picture::default();
+) -> ReferencePicture {
+    let mut picture = ReferencePicture::default();
     for i in 0..view.pixels() {
         let (list, transmittance) = contributions(projected, order, pixel_centre(i, view));
         let (mut rgb, mut depth) = (DVec3::ZERO, 0.0);
@@ -101,23 +119,21 @@ pub fn rasterise(
 
 /// ∂L/∂ what [`rasterise`] takes.
 #[derive(Clone, Debug, Default, PartialEq)]
-pub struct RasteriseGradient {
+pub(crate) struct RasteriseGradient {
     /// \[N\] with respect to the projected Gaussians.
-    pub projected: Vec<Projected>,
+    pub(crate) projected: Vec<Projected>,
     /// \[N\] with respect to their colours.
-    pub colours: Vec<DVec3>,
-    /// \[N\] Σ over pixels of |∂L/∂xy|, by component (AbsGS): gradients of opposite pixels do not cancel.
-    pub xy_abs: Vec<DVec2>,
+    pub(crate) colours: Vec<DVec3>,
     /// \[N\] in how many pixels the Gaussian is composited.
-    pub pixels: Vec<u32>,
+    pub(crate) pixels: Vec<u32>,
 }
 
-/// From `d` = ∂L/∂[`Picture`] to the derivatives with respect to the Gaussians on the screen.
-pub fn rasterise_backward(
+/// From `d` = ∂L/∂[`ReferencePicture`] to the derivatives with respect to the Gaussians on the screen.
+pub(crate) fn rasterise_backward(
     projected: &[Option<Projected>],
     colours: &[DVec3],
     order: &[usize],
-    view: &View,
+    view: &ReferenceView,
     background: DVec3,
     d: &ImageGradient,
 ) -> RasteriseGradient {
@@ -125,7 +141,6 @@ pub fn rasterise_backward(
     let mut gradient = RasteriseGradient {
         projected: vec![Projected::default(); n],
         colours: vec![DVec3::ZERO; n],
-        xy_abs: vec![DVec2::ZERO; n],
         pixels: vec![0; n],
     };
     for i in 0..view.pixels() {
@@ -177,7 +192,5 @@ fn add_alpha(
     out.opacity += dl_dalpha * c.falloff;
     let d_power = -dl_dalpha * c.alpha;
     out.conic += d_power * DVec3::new(0.5 * d.x * d.x, d.x * d.y, 0.5 * d.y * d.y);
-    let d_xy = d_power * DVec2::new(g.conic.x * d.x + g.conic.y * d.y, g.conic.y * d.x + g.conic.z * d.y);
-    out.xy += d_xy;
-    gradient.xy_abs[c.gaussian] += d_xy.abs();
+    out.xy += d_power * DVec2::new(g.conic.x * d.x + g.conic.y * d.y, g.conic.y * d.x + g.conic.z * d.y);
 }

@@ -8,14 +8,14 @@
 use glam::DVec3;
 
 /// Y_0 … Y_15 at a unit vector.
-pub fn basis(d: DVec3) -> [f64; 16] {
+pub(crate) fn basis(d: DVec3) -> [f64; 16] {
     let (x, y, z) = (d.x, d.y, d.z);
     let (xx, yy, zz) = (x * x, y * y, z * z);
     [
-        C0,
-        -C1 * y,
-        C1 * z,
-        -C1 * x,
+        SH_LOW[0],
+        -SH_LOW[1] * y,
+        SH_LOW[1] * z,
+        -SH_LOW[1] * x,
         C2[0] * x * y,
         -C2[0] * y * z,
         C2[1] * (2.0 * zz - xx - yy),
@@ -32,15 +32,15 @@ pub fn basis(d: DVec3) -> [f64; 16] {
 }
 
 /// ∇Y_0 … ∇Y_15 of the polynomials in [`basis`], taken as functions of any x, y, z.
-pub fn basis_gradient(d: DVec3) -> [DVec3; 16] {
+pub(crate) fn basis_gradient(d: DVec3) -> [DVec3; 16] {
     let (x, y, z) = (d.x, d.y, d.z);
     let (xx, yy, zz) = (x * x, y * y, z * z);
     let v = DVec3::new;
     [
         DVec3::ZERO,
-        v(0.0, -C1, 0.0),
-        v(0.0, 0.0, C1),
-        v(-C1, 0.0, 0.0),
+        v(0.0, -SH_LOW[1], 0.0),
+        v(0.0, 0.0, SH_LOW[1]),
+        v(-SH_LOW[1], 0.0, 0.0),
         C2[0] * v(y, x, 0.0),
         -C2[0] * v(0.0, z, y),
         C2[1] * v(-2.0 * x, -2.0 * y, 4.0 * z),
@@ -57,7 +57,7 @@ pub fn basis_gradient(d: DVec3) -> [DVec3; 16] {
 }
 
 /// Colour of a Gaussian at `mean` seen from `position`; coefficients [K × 3] above `degree` are left out.
-pub fn sh(coefficients: &[f64], degree: u32, mean: DVec3, position: DVec3) -> DVec3 {
+pub(crate) fn sh(coefficients: &[f64], degree: u32, mean: DVec3, position: DVec3) -> DVec3 {
     raw(coefficients, degree, mean, position).max(DVec3::ZERO)
 }
 
@@ -69,7 +69,7 @@ fn raw(coefficients: &[f64], degree: u32, mean: DVec3, position: DVec3) -> DVec3
 
 /// From `d` = ∂L/∂rgb: adds ∂L/∂coefficients to `d_coefficients` and returns ∂L/∂mean = −∂L/∂position through the
 /// direction. Zero for a channel that the maximum holds at 0.
-pub fn sh_backward(
+pub(crate) fn sh_backward(
     coefficients: &[f64],
     degree: u32,
     mean: DVec3,
@@ -99,13 +99,11 @@ pub fn sh_backward(
     (d_direction - direction * direction.dot(d_direction)) / offset.length()
 }
 
-/// 1 / (2√π)
-const C0: f64 = 0.282_094_791_773_878_14;
-/// √3 / (2√π)
-const C1: f64 = 0.488_602_511_902_919_9;
-/// √15/(2√π), √5/(4√π), √15/(4√π)
+/// Factors of the spherical harmonics of degree 0 and 1: 1 / (2√π), √3 / (2√π). Source: derived.
+const SH_LOW: [f64; 2] = [0.282_094_791_773_878_14, 0.488_602_511_902_919_9];
+/// Degree 2: √15/(2√π), √5/(4√π), √15/(4√π). Source: derived.
 const C2: [f64; 3] = [1.092_548_430_592_079_2, 0.315_391_565_252_520_05, 0.546_274_215_296_039_6];
-/// √70/(8√π), √105/(2√π), √42/(8√π), √7/(4√π), √105/(4√π)
+/// Degree 3: √70/(8√π), √105/(2√π), √42/(8√π), √7/(4√π), √105/(4√π). Source: derived.
 const C3: [f64; 5] = [
     0.590_043_589_926_643_5,
     2.890_611_442_640_554,

@@ -6,7 +6,7 @@ use super::project::Projected;
 
 /// Indices of the Gaussians that are seen, by ascending depth, ties by index. It has no derivative: L is taken as
 /// smooth within an order.
-pub fn sort(projected: &[Option<Projected>]) -> Vec<usize> {
+pub(crate) fn sort(projected: &[Option<Projected>]) -> Vec<usize> {
     let mut seen: Vec<(f64, usize)> =
         projected.iter().enumerate().filter_map(|(i, p)| p.map(|p| (p.depth, i))).collect();
     seen.sort_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));

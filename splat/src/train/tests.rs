@@ -1,10 +1,21 @@
 //! Training of a small synthetic scene.
 
-use super::*;
+use super::rules::{Rules, exposure};
+use super::schedule::EARLY_FROM_STEPS;
+use super::session::{CURVE_EVERY, Session};
+use super::{TrainResult, train};
+use crate::backend::Backend as _;
+use crate::config::TrainConfig;
 use crate::cpu::CpuBackend;
-use crate::dataset::{Normalisation, Pixels, View};
+use crate::dataset::{AlphaMode, Dataset, NormalisedFrame, Pixels, View};
+use crate::error::SplatError;
+use crate::model::Model;
+use crate::statistics::Statistics;
+use crate::view::RenderOptions;
 use glam::{DVec3, Quat, Vec3};
-use scene::{Camera, CameraModel, Pose};
+use rand::Rng as _;
+use scene::decision::{Choice, Decision, Measurement, Quantity, Subject};
+use scene::{Camera, CameraModel, Gaussians, Pose, Progress};
 use std::path::PathBuf;
 
 #[path = "bits_tests.rs"]
@@ -17,7 +28,7 @@ mod units;
 const SIZE: [u32; 2] = [48, 40];
 
 /// Coloured blobs on a ball.
-pub(super) fn truth() -> Gaussians {
+pub(crate) fn truth() -> Gaussians {
     let mut rng = scene::rng::rng(5, "truth", 0);
     let n = 80;
     let mut unit = || Vec3::from_array(std::array::from_fn(|_| rng.random_range(-1.0f32..1.0)));
@@ -44,23 +55,23 @@ fn shiny_truth() -> Gaussians {
 }
 
 /// `views` pictures of the truth from a ring of radius 1; every 6th held out.
-pub(super) fn dataset(views: usize, transparent: bool) -> Dataset {
+pub(crate) fn dataset(views: usize, transparent: bool) -> Dataset {
     pictures_of(&truth(), views, transparent, SIZE)
 }
 
 /// The same of any Gaussians at any size.
-pub(super) fn pictures_of(truth: &Gaussians, views: usize, transparent: bool, size: [u32; 2]) -> Dataset {
+pub(crate) fn pictures_of(truth: &Gaussians, views: usize, transparent: bool, size: [u32; 2]) -> Dataset {
     let mut backend = CpuBackend::default();
-    backend.upload(Model::from_gaussians(truth));
+    backend.upload(Model::from_gaussians(truth), Statistics::default()).unwrap();
     let focal = 45.0 * f64::from(size[0]) / f64::from(SIZE[0]);
     let camera = Camera::centred(1, CameraModel::Pinhole, size[0], size[1], focal);
-    let normalisation = Normalisation { centre: DVec3::ZERO, scale: 1.0 };
+    let normalisation = NormalisedFrame { centre: DVec3::ZERO, scale: 1.0 };
     let view = |k: usize| {
         let angle = k as f64 / views as f64 * std::f64::consts::TAU;
         let eye = DVec3::new(angle.cos(), angle.sin(), 0.3 * (3.0 * angle).sin()).normalize();
         let pose = Pose::look_at(eye, DVec3::ZERO, DVec3::Z);
         let pinhole = normalisation.view(&camera, &pose);
-        let picture = backend.render(&pinhole, &RenderOptions::default());
+        let picture = backend.render(&pinhole, &RenderOptions::default()).unwrap();
         let mask =
             transparent.then(|| picture.alpha.data.iter().map(|a| (a * 255.0).round() as u8).collect());
         let straight = |(i, v): (usize, &f32)| {
@@ -82,11 +93,11 @@ pub(super) fn pictures_of(truth: &Gaussians, views: usize, transparent: bool, si
     Dataset { views: (0..views).map(view).collect(), points, normalisation, alpha: AlphaMode::Transparent }
 }
 
-pub(super) fn config(iterations: u32) -> TrainConfig {
+pub(crate) fn config(iterations: u32) -> TrainConfig {
     TrainConfig { iterations, sh_degree: 1, max_gaussians: 300, seed: 3, ..TrainConfig::default() }
 }
 
-pub(super) fn held_out_psnr(dataset: &Dataset, result: &TrainResult) -> f64 {
+pub(crate) fn held_out_psnr(dataset: &Dataset, result: &TrainResult) -> f64 {
     let mut renderer = crate::Renderer::new(&result.gaussians).unwrap();
     let mut sum = (0.0, 0.0);
     for view in dataset.views.iter().filter(|v| v.held_out) {
@@ -120,12 +131,12 @@ fn unseen_views_of_a_synthetic_scene_are_reproduced() {
 
 #[test]
 fn a_time_limit_is_kept_and_the_schedule_reaches_its_end() {
-    let dataset = dataset(8, false);
-    let mut limited = TrainConfig { time_limit: Some(1.0), ..config(7000) };
-    limited.recipe.passes = f64::INFINITY;
+    // Views enough that the limit comes before the last pass.
+    let dataset = dataset(36, false);
+    let limited = TrainConfig { time_limit: Some(1.0), ..config(7000) };
     let result = train(&dataset, &limited, None, &Progress::silent()).unwrap();
-    // How many steps fit, and how long the last one takes, depends on what else the machine does (`pace` is tested with
-    // machines of all kinds); without the limit it would be all 7,000.
+    // How many steps fit, and how long the last one takes, depends on what else the machine does
+    // (`pace` is tested with machines of all kinds); without the limit it would be all 7,000.
     let last = result.curve.last().unwrap();
     assert!(last.seconds > 0.3 && result.iterations < 7000, "{} s", last.seconds);
     assert_eq!(last.iteration, result.iterations);
@@ -133,16 +144,17 @@ fn a_time_limit_is_kept_and_the_schedule_reaches_its_end() {
 
 #[test]
 fn a_limit_with_time_to_learn_the_photos_by_heart_ends_early_and_says_so() {
-    let dataset = dataset(8, false);
-    let mut limited = TrainConfig { time_limit: Some(3600.0), ..config(7000) };
-    limited.recipe.passes = 50.0;
+    let dataset = dataset(2, false);
+    let limited = TrainConfig { time_limit: Some(3600.0), ..config(7000) };
     let result = train(&dataset, &limited, None, &Progress::silent()).unwrap();
-    assert!((297..=301).contains(&result.iterations), "six training views: {}", result.iterations);
-    let said = result.decisions.iter().find(|d| d.subject == "training time").expect("it says so");
-    assert!(said.choice.ends_with("of 3600 s") && said.evidence.contains("50 for each"), "{said:?}");
+    assert!((297..=301).contains(&result.iterations), "one training view: {}", result.iterations);
+    let told = decision(&result, Subject::TrainingTime);
+    assert_eq!(told.value(Quantity::TimeLimit), Some(3600.0));
+    assert!(told.value(Quantity::Passes).is_some_and(|n| (n - 300.0).abs() < 4.0), "{told:?}");
 }
 
-/// In as many steps, with as many points, more than 120 Gaussians come where there are views enough to judge them.
+/// In as many steps, with as many points, more than 120 Gaussians come where there are views enough
+/// to judge them.
 #[test]
 fn few_views_get_three_gaussians_for_each_point() {
     let grown = |views: usize| {
@@ -165,8 +177,28 @@ fn a_limit_that_is_over_at_once_ends_after_one_step_and_judges_nothing() {
     assert!(result.decisions.len() <= 1, "{:?}", result.decisions);
 }
 
-fn choice<'a>(result: &'a TrainResult, subject: &str) -> &'a str {
-    &result.decisions.iter().find(|d| d.subject.contains(subject)).expect(subject).choice
+pub(crate) fn decision(result: &TrainResult, subject: Subject) -> &Decision {
+    let told = result.decisions.iter().find(|d| d.subject == subject);
+    told.unwrap_or_else(|| panic!("no decision on {subject:?} in {:?}", result.decisions))
+}
+
+/// How many Gaussians a decision removed.
+fn removed(result: &TrainResult, subject: Subject) -> usize {
+    match decision(result, subject).choice {
+        Choice::Count { count, .. } => count,
+        ref other => panic!("{other:?}"),
+    }
+}
+
+/// A training in which a rule takes itself for done.
+fn without(data: &Dataset, config: &TrainConfig, done: fn(&mut Rules)) -> TrainResult {
+    let mut session = Session::open(data, config, None).unwrap();
+    done(&mut session.rules);
+    while !session.is_done() {
+        session.step().unwrap();
+        session.review().unwrap();
+    }
+    session.finish().unwrap()
 }
 
 /// The same photos as a camera takes them that meters each one anew: darker, as they are, brighter.
@@ -185,14 +217,12 @@ fn with_gains(even: &Dataset) -> Dataset {
 fn exposure_is_modelled_where_views_differ_in_it_and_only_there() {
     let even = dataset(24, false);
     let uneven = with_gains(&even);
-    let run = |data: &Dataset, exposure: bool| {
-        let mut config = config(400);
-        config.recipe.exposure = exposure;
-        train(data, &config, None, &Progress::silent()).unwrap()
-    };
-    let (on, off) = (run(&uneven, true), run(&uneven, false));
-    assert_eq!(choice(&on, "exposure"), "modelled");
-    assert_eq!(choice(&run(&even, true), "exposure"), "not modelled");
+    let config = config(400);
+    let run = |data: &Dataset| train(data, &config, None, &Progress::silent()).unwrap();
+    let on = run(&uneven);
+    assert!(decision(&on, Subject::Exposure).is_taken());
+    assert!(!decision(&run(&even), Subject::Exposure).is_taken());
+    let off = without(&uneven, &config, |rules| rules.exposure.looks = exposure::LOOKS.len());
     let (on, off) = (held_out_psnr(&even, &on), held_out_psnr(&even, &off));
     assert!(on > off + 0.5, "{off:.2} dB without, {on:.2} dB with exposure");
 }
@@ -200,17 +230,23 @@ fn exposure_is_modelled_where_views_differ_in_it_and_only_there() {
 #[test]
 fn gains_that_a_second_look_does_not_confirm_are_not_modelled() {
     let (dataset, config) = (dataset(24, false), config(400));
-    let mut trainer = Trainer::new(&dataset, &config, None).unwrap();
-    trainer.state.position = 0.5;
-    trainer.state.findings.exposure_looks = 1;
-    trainer.state.findings.suspected = (0..trainer.views.len()).map(|k| [[0.5, 2.0][k % 2]; 3]).collect();
-    trainer.judge_exposure().unwrap();
-    assert!(trainer.state.findings.gains.is_empty() && trainer.state.findings.suspected.is_empty());
-    let judged = trainer.state.decisions.iter().find(|d| d.subject.contains("exposure")).unwrap();
-    assert_eq!(judged.choice, "not modelled");
+    let mut session = Session::open(&dataset, &config, None).unwrap();
+    session.state.place.position = 0.5;
+    session.rules.exposure.looks = 1;
+    session.rules.exposure.suspected =
+        (0..session.setup.views.len()).map(|k| [[0.5, 2.0][k % 2]; 3]).collect();
+    session.review().unwrap();
+    assert!(session.state.corrections.gains.is_empty() && session.rules.exposure.suspected.is_empty());
+    let judged = session.state.decisions.iter().find(|d| d.subject == Subject::Exposure).unwrap();
+    assert!(!judged.is_taken());
 }
 
-/// A degree whose coefficients the validation views gain nothing by goes and does not come back, one that they confirm stays.
+fn degree(degree: u32) -> Choice {
+    Measurement::new(Quantity::ShDegree, f64::from(degree)).into()
+}
+
+/// A degree whose coefficients the validation views gain nothing by goes and does not come back,
+/// one that they confirm stays.
 #[test]
 fn a_degree_stays_only_where_the_validation_views_gain_by_it() {
     let (dull, shiny) = (truth(), shiny_truth());
@@ -222,26 +258,27 @@ fn a_degree_stays_only_where_the_validation_views_gain_by_it() {
         [("spurious", &dull, &shiny, 0), ("idle", &dull, &idle, 0), ("needed", &shiny, &shiny, 1)]
     {
         let data = pictures_of(photos, 72, false, SIZE);
-        let mut config = config(400);
-        config.recipe.exposure = false;
-        let mut trainer = Trainer::new(&data, &config, None).unwrap();
+        let config = config(400);
+        let mut session = Session::open(&data, &config, None).unwrap();
+        session.rules.exposure.looks = exposure::LOOKS.len();
         let mut statistics = Statistics::default();
         statistics.reset(held.len());
-        trainer.backend.upload(Model::from_gaussians(held), statistics).unwrap();
-        trainer.state.position = 0.29;
-        trainer.decide().unwrap();
-        assert_eq!(trainer.state.findings.degrees_judged, 0, "{what}: too early");
-        trainer.state.position = 0.31;
-        trainer.decide().unwrap();
-        let judged = trainer.state.decisions.iter().find(|d| d.subject.contains("harmonic")).unwrap();
-        assert_eq!(judged.choice, kept.to_string(), "{what}: {}", judged.evidence);
-        trainer.state.position = 0.6;
-        trainer.step().unwrap();
-        assert_eq!(trainer.backend.sh_degree(), kept, "{what}");
+        session.backend.upload(Model::from_gaussians(held), statistics).unwrap();
+        session.state.place.position = 0.29;
+        session.review().unwrap();
+        assert_eq!(session.rules.sh_degree.judged, 0, "{what}: too early");
+        session.state.place.position = 0.31;
+        session.review().unwrap();
+        let judged = session.state.decisions.iter().find(|d| d.subject == Subject::ShDegree).unwrap();
+        assert_eq!(judged.choice, degree(kept), "{what}: {judged:?}");
+        session.state.place.position = 0.6;
+        session.step().unwrap();
+        assert_eq!(session.backend.sh_degree(), kept, "{what}");
     }
 }
 
-/// A whole training of colours that change with the direction: the degree that they have is kept, and helps.
+/// A whole training of colours that change with the direction: the degree that they have is kept,
+/// and helps.
 #[test]
 fn colours_that_change_with_the_direction_are_learnt() {
     let data = pictures_of(&shiny_truth(), 72, false, SIZE);
@@ -249,13 +286,13 @@ fn colours_that_change_with_the_direction_are_learnt() {
         train(&data, &TrainConfig { sh_degree, ..config(400) }, None, &Progress::silent()).unwrap()
     };
     let (none, first) = (run(0), run(1));
-    assert_eq!((choice(&first, "harmonic"), first.gaussians.sh_degree), ("1", 1));
+    assert_eq!((&decision(&first, Subject::ShDegree).choice, first.gaussians.sh_degree), (&degree(1), 1));
     let (none, first) = (held_out_psnr(&data, &none), held_out_psnr(&data, &first));
     assert!(first > none + 2.0, "{none:.2} dB without, {first:.2} dB with degree 1");
 }
 
-/// The bound holds for the mean of many seeds: what the held-out views of one run gain or lose by a Gaussian more or
-/// less scatters by several times the bound.
+/// The bound holds for the mean of many seeds: what the held-out views of one run gain or lose by a
+/// Gaussian more or less scatters by several times the bound.
 #[test]
 fn redundant_gaussians_go_and_the_picture_stays() {
     let mut dataset = dataset(24, false);
@@ -263,10 +300,8 @@ fn redundant_gaussians_go_and_the_picture_stays() {
     let copies: Vec<_> = [1.01, 1.02, 1.03].into_iter().flat_map(copies).collect();
     dataset.points.extend(copies);
     let run = |seed: u64, prune: bool| {
-        let mut config = config(400);
-        config.seed = seed;
-        config.recipe.prune_redundant = prune;
-        let result = train(&dataset, &config, None, &Progress::silent()).unwrap();
+        let config = TrainConfig { seed, ..config(400) };
+        let result = without(&dataset, &config, if prune { |_| {} } else { |rules| rules.prune.done = true });
         (result.gaussians.len(), held_out_psnr(&dataset, &result))
     };
     let runs: Vec<_> = (1..25).map(|seed| (run(seed, false), run(seed, true))).collect();

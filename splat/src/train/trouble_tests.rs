@@ -1,9 +1,10 @@
 //! Data and settings that should not be, and every so often are.
 
 use super::*;
-use crate::PinholeView;
-use crate::RenderOutput;
-use crate::backend::Scores;
+use crate::backend::{Backend, KernelTimes, Round, StepInput, StepOutput, Target};
+use crate::train::checkpoint;
+use crate::train::rules::smoothing::raise_scales;
+use crate::view::{PinholeView, RenderOutput};
 
 #[test]
 fn ten_times_the_learning_rates_recover_or_say_why_not() {
@@ -14,7 +15,7 @@ fn ten_times_the_learning_rates_recover_or_say_why_not() {
                 assert!(result.gaussians.means.iter().all(|m| m.is_finite()));
                 let losses: Vec<f32> = result.curve.iter().map(|p| p.loss).collect();
                 assert!(losses.iter().all(|l| l.is_finite()));
-                let told = result.decisions.iter().any(|d| d.subject == "convergence");
+                let told = result.decisions.iter().any(|d| d.subject == Subject::Convergence);
                 let share = losses[losses.len() - 1] / losses[0];
                 assert_eq!(told, share >= 0.9, "{views} at {rate}: {losses:?}");
                 assert!(share < 0.7 || rate > 5.0, "{views} at {rate}: {losses:?}");
@@ -34,7 +35,8 @@ fn one_view_is_learnt() {
     assert!(losses[losses.len() - 1] < 0.3 * losses[0], "{losses:?}");
 }
 
-/// The processor, which from a step on reports a loss of its own; at once or, as a device does, later.
+/// The processor, which from a step on reports a loss of its own; at once or, as a device does,
+/// later.
 struct Breaks {
     inner: CpuBackend,
     steps: u32,
@@ -56,6 +58,9 @@ impl Backend for Breaks {
     }
     fn edit(&mut self, change: &mut dyn FnMut(&mut Model, &mut Statistics)) -> Result<(), SplatError> {
         self.inner.edit(change)
+    }
+    fn densify(&mut self, round: &Round) -> Result<usize, SplatError> {
+        self.inner.densify(round)
     }
     fn gaussians(&self) -> usize {
         self.inner.gaussians()
@@ -90,9 +95,6 @@ impl Backend for Breaks {
     ) -> Result<f64, SplatError> {
         Backend::mean_square_error(&mut self.inner, view, target, options)
     }
-    fn set_scores(&mut self, scores: Scores) -> Result<(), SplatError> {
-        Backend::set_scores(&mut self.inner, scores)
-    }
     fn set_gain(&mut self, gain: Option<[f32; 3]>) {
         Backend::set_gain(&mut self.inner, gain);
     }
@@ -102,16 +104,17 @@ impl Backend for Breaks {
 }
 
 /// A training whose losses are `loss` from step `at` on.
-fn breaking<'a>(data: &'a Dataset, config: &'a TrainConfig, loss: f32, at: u32, late: bool) -> Trainer<'a> {
-    let mut trainer = Trainer::new(data, config, None).unwrap();
-    let (model, statistics) = trainer.backend.release().unwrap();
+fn breaking<'a>(data: &'a Dataset, config: &'a TrainConfig, loss: f32, at: u32, late: bool) -> Session<'a> {
+    let mut session = Session::open(data, config, None).unwrap();
+    let (model, statistics) = session.backend.release().unwrap();
     let mut inner = CpuBackend::default();
     Backend::upload(&mut inner, model, statistics).unwrap();
-    trainer.backend = Box::new(Breaks { inner, steps: 0, at, loss, late, unreported: Vec::new() });
-    trainer
+    session.backend = Box::new(Breaks { inner, steps: 0, at, loss, late, unreported: Vec::new() });
+    session
 }
 
-/// Training ends at the step whose loss is no number; where a device reports later, at the next point of the curve.
+/// Training ends at the step whose loss is no number; where a device reports later, at the next
+/// point of the curve.
 #[test]
 fn a_loss_that_is_not_finite_stops_training_with_the_flag_to_change() {
     let (dataset, config) = (dataset(4, false), config(200));
@@ -121,9 +124,9 @@ fn a_loss_that_is_not_finite_stops_training_with_the_flag_to_change() {
         (f32::NEG_INFINITY, false, 7),
         (f32::NAN, true, CURVE_EVERY),
     ] {
-        let mut trainer = breaking(&dataset, &config, loss, 7, late);
-        (1..7).for_each(|_| trainer.step().unwrap());
-        let error = (7..=200).find_map(|_| trainer.step().err()).expect("training goes on");
+        let mut session = breaking(&dataset, &config, loss, 7, late);
+        (1..7).for_each(|_| session.step().unwrap());
+        let error = (7..=200).find_map(|_| session.step().err()).expect("training goes on");
         let SplatError::Diverged { iteration, .. } = error else { panic!("{error}") };
         assert_eq!(iteration, told, "{loss}, late {late}");
         assert!(error.to_string().contains("--learning-rate"), "{error}");
@@ -134,9 +137,9 @@ fn a_loss_that_is_not_finite_stops_training_with_the_flag_to_change() {
 #[test]
 fn no_checkpoint_is_left_of_a_training_that_has_diverged() {
     let (dataset, config, folder) = (dataset(4, false), config(200), folder("diverged"));
-    let mut trainer = breaking(&dataset, &config, f32::NAN, 3, true);
-    (0..5).for_each(|_| trainer.step().unwrap());
-    assert!(matches!(trainer.save(&folder), Err(SplatError::Diverged { .. })));
+    let mut session = breaking(&dataset, &config, f32::NAN, 3, true);
+    (0..5).for_each(|_| session.step().unwrap());
+    assert!(matches!(session.save(&folder), Err(SplatError::Diverged { .. })));
     assert!(!folder.join(checkpoint::FILE).exists());
 }
 
@@ -220,7 +223,7 @@ fn smoothing_leaves_no_gaussian_finer_than_what_the_views_sample() {
         let result = train(&dataset, &config, None, &Progress::silent()).unwrap();
         let before = Model::from_gaussians(&result.gaussians);
         let mut after = before.clone();
-        crate::smoothing::raise_scales(&mut after, &views);
+        raise_scales(&mut after, &views);
         let planes = crate::model::LOG_SCALE..crate::model::LOG_SCALE + 3;
         let lifts = planes.flat_map(|p| {
             let pairs = after.geometry[p].iter().zip(&before.geometry[p]);

@@ -1,7 +1,7 @@
 //! Scenes of any unit, read from files as [`Dataset::load`] reads them.
 
 use super::*;
-use crate::DatasetConfig;
+use crate::dataset::DatasetConfig;
 use scene::{PosedImage, Reconstruction, ScenePoint};
 
 /// Where the origin of the test scene lies in the world, in units of the scene's radius.
@@ -46,8 +46,8 @@ fn loaded_in_units(name: &str, photos: &Dataset, units: &[f64]) -> Vec<Dataset> 
     loaded
 }
 
-/// A unit that is a power of two changes no digit of any number, so that nothing may differ but the exponent: training in
-/// one unit is training in the other, bit for bit.
+/// A unit that is a power of two changes no digit of any number, so that nothing may differ but the
+/// exponent: training in one unit is training in the other, bit for bit.
 #[test]
 fn a_scene_in_another_unit_becomes_the_same_gaussians_in_that_unit() {
     let units = [1.0, f64::from(2.0f32.powi(-20)), f64::from(2.0f32.powi(20))];

@@ -5,7 +5,7 @@ use std::path::Path;
 
 /// How the rows are encoded.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Encoding {
+pub(crate) enum Encoding {
     Ascii,
     LittleEndian,
     BigEndian,
@@ -13,7 +13,7 @@ pub enum Encoding {
 
 /// Number types.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Scalar {
+pub(crate) enum Scalar {
     I8,
     U8,
     I16,
@@ -40,7 +40,7 @@ impl Scalar {
     }
 
     /// Size in a binary file.
-    pub fn bytes(self) -> usize {
+    pub(crate) fn bytes(self) -> usize {
         match self {
             Self::I8 | Self::U8 => 1,
             Self::I16 | Self::U16 => 2,
@@ -50,7 +50,7 @@ impl Scalar {
     }
 
     /// The value at the start of `bytes`, which must be long enough.
-    pub fn decode(self, bytes: &[u8], little: bool) -> f64 {
+    pub(crate) fn decode(self, bytes: &[u8], little: bool) -> f64 {
         let mut b = [0_u8; 8];
         let n = self.bytes();
         b[..n].copy_from_slice(&bytes[..n]);
@@ -72,14 +72,14 @@ impl Scalar {
 
 /// A property is a number or a list (type of its count, type of its items).
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Kind {
+pub(crate) enum PlyKind {
     Scalar(Scalar),
     List(Scalar, Scalar),
 }
 
-impl Kind {
+impl PlyKind {
     /// The least bytes it takes in a binary file.
-    pub fn min_bytes(self) -> usize {
+    pub(crate) fn min_bytes(self) -> usize {
         match self {
             Self::Scalar(t) | Self::List(t, _) => t.bytes(),
         }
@@ -88,14 +88,14 @@ impl Kind {
 
 /// A named column.
 #[derive(Clone, Debug)]
-pub struct Property {
+pub(crate) struct Property {
     pub name: String,
-    pub kind: Kind,
+    pub kind: PlyKind,
 }
 
 /// A named table.
 #[derive(Clone, Debug)]
-pub struct Element {
+pub(crate) struct Element {
     pub name: String,
     pub count: u64,
     pub properties: Vec<Property>,
@@ -103,16 +103,16 @@ pub struct Element {
 
 impl Element {
     /// Whether it has a scalar property of that name.
-    pub fn has(&self, name: &str) -> bool {
-        self.properties.iter().any(|p| p.name == name && matches!(p.kind, Kind::Scalar(_)))
+    pub(crate) fn has(&self, name: &str) -> bool {
+        self.properties.iter().any(|p| p.name == name && matches!(p.kind, PlyKind::Scalar(_)))
     }
 
     /// Offset and type of every column, and the size of a row; `None` where lists make rows differ.
-    pub fn fixed_offsets(&self) -> Option<(Vec<(usize, Scalar)>, usize)> {
+    pub(crate) fn fixed_offsets(&self) -> Option<(Vec<(usize, Scalar)>, usize)> {
         let mut at = 0;
         let mut columns = Vec::with_capacity(self.properties.len());
         for property in &self.properties {
-            let Kind::Scalar(t) = property.kind else { return None };
+            let PlyKind::Scalar(t) = property.kind else { return None };
             columns.push((at, t));
             at += t.bytes();
         }
@@ -121,7 +121,7 @@ impl Element {
 }
 
 /// Encoding, elements, and where the rows begin.
-pub fn parse(path: &Path, data: &[u8]) -> Result<(Encoding, Vec<Element>, usize), IoError> {
+pub(crate) fn parse(path: &Path, data: &[u8]) -> Result<(Encoding, Vec<Element>, usize), IoError> {
     let error = |message: &str| Err(IoError::format(path, message.to_string()));
     let mut encoding = None;
     let mut elements: Vec<Element> = Vec::new();
@@ -164,10 +164,10 @@ pub fn parse(path: &Path, data: &[u8]) -> Result<(Encoding, Vec<Element>, usize)
     }
 }
 
-fn parse_kind(words: &[&str]) -> Option<Kind> {
+fn parse_kind(words: &[&str]) -> Option<PlyKind> {
     match words {
-        [t] => Scalar::from_name(t).map(Kind::Scalar),
-        ["list", count, item] => Some(Kind::List(Scalar::from_name(count)?, Scalar::from_name(item)?)),
+        [t] => Scalar::from_name(t).map(PlyKind::Scalar),
+        ["list", count, item] => Some(PlyKind::List(Scalar::from_name(count)?, Scalar::from_name(item)?)),
         _ => None,
     }
 }

@@ -1,4 +1,5 @@
-//! PLY files (Turk 1994): the header, and rows of any element by property name, in all three encodings.
+//! PLY files (Turk 1994): the header, and rows of any element by property name, in all three
+//! encodings.
 
 mod header;
 mod points;
@@ -8,7 +9,7 @@ pub use points::{CloudPoint, read_points_ply, write_points_ply};
 pub use splat::{read_splat_ply, write_splat_ply};
 
 use super::error::IoError;
-use header::{Element, Encoding, Kind, Scalar};
+use header::{Element, Encoding, PlyKind, Scalar};
 use std::path::Path;
 
 /// Takes the number of a row and its values.
@@ -24,19 +25,19 @@ pub(crate) struct Ply<'a> {
 
 impl<'a> Ply<'a> {
     /// Parses the header; counts are checked when an element is read.
-    pub fn parse(path: &'a Path, data: &'a [u8]) -> Result<Self, IoError> {
+    pub(crate) fn parse(path: &'a Path, data: &'a [u8]) -> Result<Self, IoError> {
         let (encoding, elements, start) = header::parse(path, data)?;
         Ok(Self { path, encoding, elements, body: &data[start..] })
     }
 
     /// The element of that name.
-    pub fn element(&self, name: &str) -> Option<&Element> {
+    pub(crate) fn element(&self, name: &str) -> Option<&Element> {
         self.elements.iter().find(|e| e.name == name)
     }
 
-    /// Calls `each(row, values)` for every row of the element, with the wanted scalar properties in the wanted
-    /// order. Every wanted property must exist.
-    pub fn rows(
+    /// Calls `each(row, values)` for every row of the element, with the wanted scalar properties in
+    /// the wanted order. Every wanted property must exist.
+    pub(crate) fn rows(
         &self,
         element: &str,
         wanted: &[&str],
@@ -58,8 +59,9 @@ impl<'a> Ply<'a> {
         ))
     }
 
-    /// Calls `each(row, items)` for every row of the element, with the items of its list that has one of the names.
-    pub fn lists(
+    /// Calls `each(row, items)` for every row of the element, with the items of its list that has
+    /// one of the names.
+    pub(crate) fn lists(
         &self,
         element: &str,
         names: &[&str],
@@ -77,8 +79,8 @@ impl<'a> Ply<'a> {
             for row in 0..candidate.count as usize {
                 for property in &candidate.properties {
                     match property.kind {
-                        Kind::Scalar(t) => drop(self.next(t, &mut body)?),
-                        Kind::List(count, item) => {
+                        PlyKind::Scalar(t) => drop(self.next(t, &mut body)?),
+                        PlyKind::List(count, item) => {
                             items.clear();
                             self.list(count, item, &mut body, &mut items)?;
                             if names.contains(&property.name.as_str()) {
@@ -100,7 +102,7 @@ impl<'a> Ply<'a> {
 
     fn column(&self, element: &Element, name: &str) -> Result<usize, IoError> {
         let found =
-            element.properties.iter().position(|p| p.name == name && matches!(p.kind, Kind::Scalar(_)));
+            element.properties.iter().position(|p| p.name == name && matches!(p.kind, PlyKind::Scalar(_)));
         found.ok_or_else(|| {
             IoError::format(self.path, format!("element '{}' has no property '{name}'", element.name))
         })
@@ -145,8 +147,8 @@ impl<'a> Ply<'a> {
         for row in 0..n {
             for (value, property) in all.iter_mut().zip(&element.properties) {
                 *value = match property.kind {
-                    Kind::Scalar(t) => self.next(t, body)?,
-                    Kind::List(count, item) => self.list(count, item, body, &mut Vec::new())?,
+                    PlyKind::Scalar(t) => self.next(t, body)?,
+                    PlyKind::List(count, item) => self.list(count, item, body, &mut Vec::new())?,
                 };
             }
             values.iter_mut().zip(columns).for_each(|(v, &c)| *v = all[c]);

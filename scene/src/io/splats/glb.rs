@@ -1,5 +1,5 @@
-//! glTF 2.0 binary (`.glb`) with the extension KHR_gaussian_splatting: log scales, opacity in [0, 1], rotations
-//! x y z w, harmonics as `SH_DEGREE_l_COEF_n`. glTF has y up.
+//! glTF 2.0 binary (`.glb`) with the extension KHR_gaussian_splatting: log scales, opacity in [0,
+//! 1], rotations x y z w, harmonics as `SH_DEGREE_l_COEF_n`. glTF has y up.
 
 use super::{Item, push, turn_upright, unit};
 use crate::Gaussians;
@@ -12,8 +12,11 @@ use serde_json::{Map, Value, json};
 use std::io::Write;
 use std::path::Path;
 
+/// The magic numbers of the file and of its chunks. Source: glTF 2.0, section 4.4.
 const MAGIC: u32 = 0x4654_6c67; // "glTF"
+/// See [`MAGIC`]. Source: glTF 2.0, section 4.4.3.
 const JSON: u32 = 0x4e4f_534a;
+/// See [`MAGIC`]. Source: glTF 2.0, section 4.4.3.
 const BIN: u32 = 0x004e_4942;
 const EXTENSION: &str = "KHR_gaussian_splatting";
 

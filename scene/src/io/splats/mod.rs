@@ -1,7 +1,7 @@
 //! Splat formats other than the 3DGS `.ply`: `.splat`, compressed `.ply`, `.spz`, `.ksplat`, glTF.
 //!
-//! All but `.ply` lose precision. `.spz` and glTF have y up; clouds are turned by half a turn about x on the
-//! way, so that a capture with y down stands upright there.
+//! All but `.ply` lose precision. `.spz` and glTF have y up; clouds are rotated by 180° about x on
+//! the way, so that a capture with y down stands upright there.
 
 mod compressed;
 mod glb;
@@ -24,6 +24,7 @@ use glam::{DQuat, Quat, Vec3};
 use std::path::Path;
 
 /// Opacity logits of 8-bit alpha stay within ±8 (0.0003 to 0.9997).
+/// Source: derived, beyond the steps of 8-bit alpha.
 const LOGIT_LIMIT: f32 = 8.0;
 
 /// What is known of one Gaussian while a file is read.
@@ -65,7 +66,7 @@ fn unit(q: Quat) -> Quat {
     if q.length_squared() > 0.0 && q.is_finite() { q.normalize() } else { Quat::IDENTITY }
 }
 
-/// Half a turn about x: y and z change sign. Its own inverse.
+/// A rotation by 180° about x: y and z change sign. Its own inverse.
 fn turn_upright(g: &mut Gaussians) {
     g.transform(&Sim3 { rotation: DQuat::from_xyzw(1.0, 0.0, 0.0, 0.0), ..Sim3::IDENTITY });
 }

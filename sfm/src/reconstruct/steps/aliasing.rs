@@ -2,13 +2,13 @@
 //! trusted.
 
 use super::mapping::grow_model;
-use crate::Decision;
 use crate::incremental::aliasing::{count_agreeing, find_consistent_pairs};
 use crate::incremental::state::{MapState, MappingInput};
 use crate::reconstruct::accept::{Change, Support, accept};
 use crate::reconstruct::context::StepContext;
 use crate::reconstruct::model::{SfmModel, StepResult};
 use scene::TwoViewGeometry;
+use scene::decision::{Choice, Decision, Measurement, Quantity, Rule, Subject};
 
 /// Grows the model anew from the pairs that can be true together.
 pub(super) fn run(mut model: SfmModel, context: &StepContext<'_>) -> StepResult {
@@ -23,15 +23,13 @@ pub(super) fn run(mut model: SfmModel, context: &StepContext<'_>) -> StepResult 
     if !accept(Change::FewerPairs, &before, &after) {
         return Ok((model, Vec::new()));
     }
-    let decision = Decision {
-        what: "repeated structure".to_owned(),
-        chosen: format!("{} image pairs set aside", model.geometries.len() - kept.len()),
-        evidence: format!(
-            "with them the model is aliased: it contradicts trusted pairs ({} of their matches agree with it, {} without \
-             the pairs that were set aside)",
-            before.explained, after.explained
-        ),
-    };
+    let all = model.geometries.len();
+    let removed = all - kept.len();
+    let [with_all, without] =
+        [before, after].map(|s| vec![Measurement::count(Quantity::AgreeingMatches, s.explained)]);
+    let decision = Decision::new(Subject::RepeatedStructure, Choice::share(removed, all), Rule::Evidence)
+        .compared(Choice::count(0), false, with_all)
+        .compared(Choice::count(removed), true, without);
     let mapper = model.adopt(consistent);
     Ok((model, std::iter::once(decision).chain(mapper).collect()))
 }

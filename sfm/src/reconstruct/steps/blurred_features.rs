@@ -6,7 +6,8 @@ use crate::matching::{PairMatches, PreparedFeatures, match_prepared};
 use crate::reconstruct::accept::{Change, Support, accept};
 use crate::reconstruct::context::StepContext;
 use crate::reconstruct::model::{SfmModel, StepResult};
-use crate::{Decision, SfmError, pairs, sift, two_view};
+use crate::{SfmError, pairs, sift, two_view};
+use scene::decision::{Choice, Decision, Measurement, Quantity, Rule, Subject};
 use scene::{Camera, Features, FrameSet, TwoViewGeometry};
 use std::collections::BTreeMap;
 
@@ -49,14 +50,13 @@ pub(super) fn run(mut model: SfmModel, context: &StepContext<'_>) -> StepResult 
         return Ok((model, Vec::new()));
     }
     let images = model.weakly_tied.iter().filter(|weak| **weak).count();
-    let decision = Decision {
-        what: "features of blurred images".to_owned(),
-        chosen: format!("for {images} of {} images", features.len()),
-        evidence: format!(
-            "they share few matches with others; with features of images blurred by {BLUR} px these are {} instead of {}",
-            after.explained, before.explained
-        ),
-    };
+    let choice = Choice::share(images, features.len());
+    let decision = Decision::new(Subject::BlurredFeatures, choice, Rule::Evidence)
+        .measured(Quantity::Blur, f64::from(BLUR))
+        .with_all([
+            Measurement::count(Quantity::MatchesBefore, before.explained),
+            Measurement::count(Quantity::MatchesAfter, after.explained),
+        ]);
     (model.features, model.blurred_matches) = (features, Some(union));
     model.weakly_tied = find_weakly_tied(frames.len(), &model.geometries, strong_tie(&config.sift));
     Ok((model, vec![decision]))

@@ -1,12 +1,13 @@
 //! Images that a ring of cameras misses, put in their places on it, where one camera took them all.
 
+use crate::SfmError;
 use crate::circular::{Motion, MotionInput, ring};
 use crate::incremental::growth::starts_of;
 use crate::incremental::state::{MapState, MappingInput};
 use crate::reconstruct::context::StepContext;
 use crate::reconstruct::model::{SfmModel, StepResult};
 use crate::skip::StepName;
-use crate::{Decision, SfmError};
+use scene::Decision;
 
 /// Completes the ring.
 pub(super) fn run(mut model: SfmModel, context: &StepContext<'_>) -> StepResult {

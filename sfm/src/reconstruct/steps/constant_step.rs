@@ -9,10 +9,11 @@ use crate::matching::{PairMatches, PreparedFeatures, guided_match_prepared};
 use crate::reconstruct::context::StepContext;
 use crate::reconstruct::model::{ConstantStepStart, MappedModel, SfmModel, StepResult};
 use crate::tracks::{build_tracks, positions};
-use crate::{Decision, SfmError, two_view};
+use crate::{SfmError, two_view};
 use glam::DVec2;
 use rayon::prelude::*;
 use scene::TwoViewGeometry;
+use scene::decision::{Choice, Decision, Measurement, Quantity, Remark, Rule, Subject};
 
 /// Farthest that a match may be from the line that the motion gives, pixels: cameras have motions
 /// of their own.
@@ -73,30 +74,34 @@ fn match_along(
     let cameras = model.setup.of_frames();
     let geometries =
         two_view::verify_pairs(features, &cameras, found, &config.two_view, config.seed, progress)?;
-    let decision = describe(&motion, &geometries, &model.geometries);
     let instead = strongest_tie(images, &model.geometries) < FEW;
+    let decision = describe(&motion, instead, &geometries, &model.geometries);
     Ok(ConstantStepStart { motion, geometries, instead, decision })
 }
 
-fn describe(motion: &ConstantStepMotion, along: &[TwoViewGeometry], before: &[TwoViewGeometry]) -> Decision {
-    let [matches, matches_before] =
-        [along, before].map(|pairs| pairs.iter().map(|g| g.inliers.len()).sum::<usize>());
-    Decision {
-        what: "constant-step circular motion".to_owned(),
-        chosen: format!(
-            "{:.2}° from an image to the next{}",
-            motion.step_deg(),
-            if motion.closed { ", and from the last to the first" } else { "" }
-        ),
-        evidence: format!(
-            "{:.0} % of the neighbours' matches agree with it, {:.0} % of wrong ones; {} pairs matched along its lines have \
-             {matches} matches instead of {matches_before} in {}",
-            100.0 * motion.agreeing[0],
-            100.0 * motion.agreeing[1],
-            along.len(),
-            before.len()
-        ),
-    }
+/// `instead`: whether the pairs `along` the motion take the place of those `before`.
+fn describe(
+    motion: &ConstantStepMotion,
+    instead: bool,
+    along: &[TwoViewGeometry],
+    before: &[TwoViewGeometry],
+) -> Decision {
+    let step = Measurement::new(Quantity::AngularStep, motion.step_deg());
+    let decision = Decision::new(Subject::ConstantStepMotion, step, Rule::Evidence)
+        .measured(Quantity::AgreeingShare, motion.agreeing[0])
+        .measured(Quantity::ChanceShare, motion.agreeing[1])
+        .compared(false, !instead, pair_scores(before))
+        .compared(true, instead, pair_scores(along));
+    if motion.closed { decision.remarked(Remark::ClosedCircle) } else { decision }
+}
+
+/// Verified pairs and their matches.
+fn pair_scores(geometries: &[TwoViewGeometry]) -> Vec<Measurement> {
+    let matches = geometries.iter().map(|g| g.inliers.len()).sum::<usize>();
+    vec![
+        Measurement::count(Quantity::Pairs, geometries.len()),
+        Measurement::count(Quantity::Matches, matches),
+    ]
 }
 
 /// The model that begins with all images in their places; `None` where they are not there.
@@ -109,16 +114,11 @@ pub(super) fn place_all_images(
     let input = model.input_from(&tracks, &start.geometries, context);
     let found = start.motion.model(&model.motion_input(&input, context), model.intrinsics)?;
     let Some((state, kept)) = found else { return Ok(None) };
-    let evidence = format!(
-        "{} of {} images hold there, with {:.0} % of the observations in tracks of three and more",
-        state.registered_count(),
-        model.keypoints.len(),
-        100.0 * kept
-    );
-    let (what, chosen) = ("start".to_owned(), "all images on the ring".to_owned());
-    let decision = Some(Decision { what, chosen, evidence });
+    let choice = Choice::share(state.registered_count(), model.keypoints.len());
+    let decision = Decision::new(Subject::CircularStart, choice, Rule::Evidence)
+        .measured(Quantity::KeptObservations, kept);
     let geometries = start.geometries.clone();
-    Ok(Some(MappedModel { state, tracks, geometries, on_ring: true, decision }))
+    Ok(Some(MappedModel { state, tracks, geometries, on_ring: true, decision: Some(decision) }))
 }
 
 /// The median over the images of the most matches with any other.

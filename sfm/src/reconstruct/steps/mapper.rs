@@ -6,7 +6,8 @@ use crate::incremental::state::{MapState, MappingInput};
 use crate::incremental::structureless_resection::{MATCHES, agreement};
 use crate::incremental::{MapperChoice, map as incremental};
 use crate::reconstruct::accept::{Change, Support, accept};
-use crate::{Decision, Knowledge, SfmError, global};
+use crate::{Knowledge, SfmError, global};
+use scene::decision::{Decision, MapperKind, Measurement, Quantity, Rule, Subject};
 use scene::{Camera, Progress};
 
 /// Share of the images that can be tied together below which a model is doubted.
@@ -25,7 +26,7 @@ pub(super) fn map(
         let started = incremental::sketch(input, cameras, known, progress)?;
         let Some(start) = started else { return Ok((None, None)) };
         let model = global::map(input, &start.cameras, known, progress)?;
-        let said = model.as_ref().map(|m| report(input, "global", &[("global", m)]));
+        let said = model.as_ref().map(|m| describe(input, MapperKind::Global, &[(MapperKind::Global, m)]));
         return Ok((model, said));
     }
     let Some(first) = incremental::map(input, cameras, known, progress)? else { return Ok((None, None)) };
@@ -38,12 +39,12 @@ pub(super) fn map(
     };
     let [before, after] = [&first, &second]
         .map(|state| Support { explained: count_agreeing(state, input).0, ..Support::default() });
-    let models = [("incremental", &first), ("global", &second)];
+    let models = [(MapperKind::Incremental, &first), (MapperKind::Global, &second)];
     if accept(Change::GlobalMapper, &before, &after) {
-        let decision = report(input, "global", &models);
+        let decision = describe(input, MapperKind::Global, &models);
         return Ok((Some(second), Some(decision)));
     }
-    let decision = report(input, "incremental", &models);
+    let decision = describe(input, MapperKind::Incremental, &models);
     Ok((Some(first), Some(decision)))
 }
 
@@ -68,14 +69,17 @@ fn count_agreeing(state: &MapState, input: &MappingInput<'_>) -> (usize, usize) 
     sums
 }
 
-fn report(input: &MappingInput<'_>, taken: &str, models: &[(&str, &MapState)]) -> Decision {
-    let mut evidence = Vec::new();
-    for (name, state) in models {
+/// The decision with what each mapper's model explains.
+fn describe(input: &MappingInput<'_>, taken: MapperKind, models: &[(MapperKind, &MapState)]) -> Decision {
+    let mut decision = Decision::new(Subject::Mapper, taken, Rule::Evidence);
+    for &(kind, state) in models {
         let (agreeing, all) = count_agreeing(state, input);
-        evidence.push(format!(
-            "{name}: {} images, {agreeing} of {all} sampled matches of verified pairs agree",
-            state.registered_count()
-        ));
+        let scores = vec![
+            Measurement::count(Quantity::RegisteredImages, state.registered_count()),
+            Measurement::count(Quantity::AgreeingMatches, agreeing),
+            Measurement::count(Quantity::Matches, all),
+        ];
+        decision = decision.compared(kind, kind == taken, scores);
     }
-    Decision { what: "mapper".to_owned(), chosen: taken.to_owned(), evidence: evidence.join("; ") }
+    decision
 }

@@ -4,12 +4,12 @@
 use super::constant_step::place_all_images;
 use super::mapper;
 use super::ties::pairs_decision;
+use crate::SfmError;
 use crate::reconstruct::accept::{Change, Support, accept};
 use crate::reconstruct::context::StepContext;
 use crate::reconstruct::model::{ConstantStepStart, MappedModel, SfmModel, StepResult};
 use crate::tracks::{build_tracks, positions};
-use crate::{Decision, SfmError};
-use scene::{Features, TwoViewGeometry};
+use scene::{Decision, Features, TwoViewGeometry};
 
 /// Share of the images with which a model that grew from other pairs needs no ring to start from:
 /// what it misses finds its place later.

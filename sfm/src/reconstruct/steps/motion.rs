@@ -1,7 +1,7 @@
 //! Whether the images show a turn about one axis or an orbit; of images without poses too, for a
 //! turn needs but three.
 
-use crate::circular::{self, FreeModel, consider};
+use crate::circular::{FreeModel, consider};
 use crate::reconstruct::context::StepContext;
 use crate::reconstruct::model::{ModelStage, SfmModel, StepResult};
 use crate::tracks::build_tracks;
@@ -18,24 +18,17 @@ pub(super) fn run(mut model: SfmModel, context: &StepContext<'_>) -> StepResult 
     // camera.
     let unrotated = !model.rotated.contains(&true);
     let outcome = consider(&model.motion_input(&input, context), free.as_ref(), unrotated)?;
-    let mut decision = outcome.decision.filter(|_| posed || outcome.taken.is_some());
-    if let Some(why) = model.no_turn_because.take() {
-        decision = Some(match decision {
-            Some(mut found) => {
-                found.evidence = format!("{}; along the video: {why}", found.evidence);
-                found
-            }
-            None => circular::decision("free", format!("along the video: {why}")),
-        });
-    }
+    let decision = outcome.decision.filter(|_| posed || outcome.taken.is_some());
     let mut decisions: Vec<_> = decision.into_iter().collect();
     if let Some(turn) = outcome.taken {
         decisions.extend(model.adopt_turn(turn));
+        decisions.extend(model.no_video_motion.take());
         return Ok((model, decisions));
     }
     if let Some(circled) = outcome.circled {
         model.state = circled;
     }
     decisions.append(&mut model.camera_decisions);
+    decisions.extend(model.no_video_motion.take());
     Ok((model, decisions))
 }

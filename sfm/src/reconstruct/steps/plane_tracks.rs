@@ -1,6 +1,7 @@
 //! Observations of a supporting plane (see [`crate::plane_tracks`]), where images are weakly
 //! constrained and the model is no worse for them.
 
+use crate::SfmError;
 use crate::incremental::finish::{free_principal_point, noise_of};
 use crate::incremental::state::{MapState, MappingInput};
 use crate::plane_tracks::plane::widest;
@@ -10,9 +11,9 @@ use crate::reconstruct::context::StepContext;
 use crate::reconstruct::model::{SfmModel, StepResult};
 use crate::statistics::median;
 use crate::tracks::{NONE, Tracks};
-use crate::{Decision, SfmError};
 use glam::{DVec2, DVec3};
 use scene::FrameSet;
+use scene::decision::{Decision, Measurement, Quantity, Remark, Rule, Subject};
 
 /// An image with fewer observations than this is weakly constrained.
 /// Source: docs/decisions/0028.
@@ -68,27 +69,32 @@ pub(super) fn run(mut model: SfmModel, context: &StepContext<'_>) -> StepResult 
     let whole = context.images().filter(|images| images.frames.iter().all(|f| f.mask.is_none()));
     let is_weak = weak as f64 >= WEAK * model.state.registered_count() as f64;
     let Some(frames) = whole.filter(|_| is_weak) else { return Ok((model, Vec::new())) };
+    let counts = [
+        Measurement::count(Quantity::WeakImages, weak),
+        Measurement::count(Quantity::RegisteredImages, model.state.registered_count()),
+    ];
     let found = match add_plane(&model, frames, context)? {
         Ok(found) => found,
-        Err(why) => return Ok((model, vec![decision("not used", why)])),
+        Err(why) => return Ok((model, vec![not_used().with_all(counts).absorbing(why)])),
     };
     let input = model.input(context);
     let (before, after) = (fit(&model.state, &input), fit(&found.without_plane(&input), &input));
     let taken = accept(Change::PlaneTracks, &before, &after);
-    let evidence = found.describe(weak, &model.state, [before, after]);
+    let decision = Decision::new(Subject::PlaneTracks, taken, Rule::Evidence)
+        .with_all(counts)
+        .with_all(found.measurements([before, after]));
+    let mut decisions = vec![decision];
     if !taken {
-        return Ok((model, vec![decision("not used", evidence)]));
+        return Ok((model, decisions));
     }
-    let mut decisions = vec![decision("used", evidence)];
     let PlaneRounds { plane_tracks, mut state, .. } = found;
     let with = plane_tracks.input(&input);
     let now = (model.intrinsics, context.config.camera_model.model());
     let (known, starts) = (&model.setup.known, &model.starts);
     let freed = free_principal_point(&state, &with, known, starts, now, context.progress)?;
-    if let Some((free, evidence)) = freed {
+    if let Some((free, decision)) = freed {
         state = model.settle(state, &with, free, context)?;
-        let what = "camera model with plane tracks".to_owned();
-        decisions.push(Decision { what, chosen: free.describe(), evidence });
+        decisions.push(decision);
         model.intrinsics = free;
     }
     let PlaneTracks { keypoints, sigmas, tracks } = plane_tracks;
@@ -96,8 +102,9 @@ pub(super) fn run(mut model: SfmModel, context: &StepContext<'_>) -> StepResult 
     Ok((model, decisions))
 }
 
-fn decision(chosen: &str, evidence: String) -> Decision {
-    Decision { what: "plane tracks".to_owned(), chosen: chosen.to_owned(), evidence }
+/// No plane that could have been taken.
+fn not_used() -> Decision {
+    Decision::new(Subject::PlaneTracks, false, Rule::NothingFound)
 }
 
 /// The model with observations of the widest plane, looked for again from better poses until that
@@ -106,10 +113,10 @@ fn add_plane(
     model: &SfmModel,
     frames: &FrameSet,
     context: &StepContext<'_>,
-) -> Result<Result<PlaneRounds, String>, SfmError> {
+) -> Result<Result<PlaneRounds, Decision>, SfmError> {
     let input = &model.input(context);
     let Some(mut plane) = widest(&model.state, input) else {
-        return Ok(Err("no plane is seen by most images".to_owned()));
+        return Ok(Err(not_used().remarked(Remark::NoPlane)));
     };
     let unit = noise_of(&model.state, input);
     let (mut bare, mut factor) = (model.state.clone(), 1.0);
@@ -118,7 +125,7 @@ fn add_plane(
         let seen = (frames, model.rotated.as_slice());
         let places = find_plane_tracks(plane, (&bare, input), seen, farthest, context.progress)?;
         if places.is_empty() {
-            return Ok(Err("a plane is seen, but nothing on it".to_owned()));
+            return Ok(Err(not_used().remarked(Remark::EmptyPlane)));
         }
         let mut off = found.take().map_or_else(Vec::new, |last| last.off);
         off.push(median(places.iter().flat_map(|p| &p.observations).map(|s| s.off).collect()));
@@ -129,10 +136,11 @@ fn add_plane(
         let held = plane_tracks.kept_points(&state, input);
         let observations: usize = places.iter().map(|p| p.observations.len()).sum();
         if (held.errors.len() as f64) < KEPT * observations as f64 {
-            let kept = held.errors.len();
-            return Ok(Err(format!(
-                "a plane's windows agree with no model: {kept} of {observations} observations"
-            )));
+            let kept = held.errors.len() as f64 / observations as f64;
+            return Ok(Err(not_used().remarked(Remark::PlaneDisagrees).with_all([
+                Measurement::count(Quantity::PlaneObservations, observations),
+                Measurement::new(Quantity::KeptObservations, kept),
+            ])));
         }
         factor *= (TRUST * median(held.errors) / unit / MEDIAN_LENGTH).clamp(0.2, 5.0);
         plane = plane.closer(&held.places).unwrap_or(plane).about(&held.places, MARGIN * plane.reach);
@@ -143,7 +151,7 @@ fn add_plane(
             break;
         }
     }
-    Ok(found.ok_or_else(|| "a plane is seen, but nothing on it".to_owned()))
+    Ok(found.ok_or_else(|| not_used().remarked(Remark::EmptyPlane)))
 }
 
 /// How many observations of features a model has, and their median error, pixels; infinite where it
@@ -161,23 +169,20 @@ impl PlaneRounds {
         without_plane_points(&self.state, input)
     }
 
-    /// In words; `weak`: images that are weakly constrained, `others`: what is explained of
-    /// features, before and after.
-    fn describe(&self, weak: usize, before: &MapState, others: [Support; 2]) -> String {
-        let off: Vec<String> = self.off.iter().map(|o| format!("{o:.2}")).collect();
-        let [had, has] = others;
-        format!(
-            "{weak} of {} images have fewer than {FEW} observations; {} places of a plane have {}, half of them {} px from \
-             where the model had them in turn; the others, {} of {}, have a median error of {:.3} px, {:.3} px without",
-            before.registered_count(),
-            self.places,
-            self.observations,
-            off.join(", "),
-            has.explained,
-            had.explained,
-            has.error_px.unwrap_or_default(),
-            had.error_px.unwrap_or_default()
-        )
+    /// What was found of the plane, and what is explained of features, before and after.
+    fn measurements(&self, [had, has]: [Support; 2]) -> Vec<Measurement> {
+        let mut all = vec![
+            Measurement::count(Quantity::PlanePlaces, self.places),
+            Measurement::count(Quantity::PlaneObservations, self.observations),
+        ];
+        all.extend(self.off.iter().map(|off| Measurement::new(Quantity::PlaneOffset, *off)));
+        all.extend([
+            Measurement::count(Quantity::ObservationsBefore, had.explained),
+            Measurement::count(Quantity::ObservationsAfter, has.explained),
+            Measurement::new(Quantity::MedianErrorBefore, had.error_px.unwrap_or_default()),
+            Measurement::new(Quantity::MedianErrorAfter, has.error_px.unwrap_or_default()),
+        ]);
+        all
     }
 }
 

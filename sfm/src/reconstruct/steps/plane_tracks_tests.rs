@@ -48,7 +48,7 @@ fn wrong(poses: &[Option<Pose>], true_poses: &[Pose]) -> f64 {
 #[test]
 fn a_floor_holds_cameras_that_few_inexact_points_hold_badly() {
     let (room, before, model, decisions) = outcome("grounded", |_| ());
-    assert_eq!(decisions[0].chosen, "used", "{}", decisions[0].evidence);
+    assert!(decisions[0].is_taken(), "{:?}", decisions[0]);
     let (before, after) = (wrong(&before, &room.poses), wrong(&model.state.poses, &room.poses));
     assert!(after < 0.5 * before, "{after} radians, {before} without the floor");
     let features: usize = room.model(&room.poses, OFF).1.iter().map(Vec::len).sum();
@@ -73,7 +73,7 @@ fn images_that_show_other_floors_are_not_used() {
         }
     };
     let (_, before, model, decisions) = outcome("other", spoil);
-    assert_eq!(decisions[0].chosen, "not used");
+    assert!(!decisions[0].is_taken());
     assert_eq!(model.state.poses, before);
 }
 

@@ -1,5 +1,6 @@
 //! One camera for images of several groups, where a camera for each does no better.
 
+use crate::CameraSharing;
 use crate::incremental::adjust::{Adjustment, select};
 use crate::incremental::finish::{OBSERVATIONS, part_of};
 use crate::incremental::growth::{freedom, starts_of};
@@ -9,7 +10,7 @@ use crate::model_selection::shared_cameras::groups_differ;
 use crate::reconstruct::context::StepContext;
 use crate::reconstruct::model::{SfmModel, StepResult};
 use crate::reconstruct::setup::Setup;
-use crate::{CameraSharing, Decision};
+use scene::decision::{Choice, Decision, Rule, Subject};
 
 /// Joins groups if their images have one size and nothing but a focal length is known of them.
 pub(super) fn run(mut model: SfmModel, context: &StepContext<'_>) -> StepResult {
@@ -46,11 +47,8 @@ pub(super) fn run(mut model: SfmModel, context: &StepContext<'_>) -> StepResult 
     let (differ, evidence) =
         groups_differ((&apart, &setup.known), (&one, &fewer.known), named, sigma, progress)?;
     let kept = if differ { groups } else { fewer.cameras.len() };
-    let decision = Decision {
-        what: "cameras".to_owned(),
-        chosen: format!("{kept} for {groups} groups of images"),
-        evidence,
-    };
+    let choice = Choice::share(kept, groups);
+    let decision = Decision::new(Subject::SharedCameras, choice, Rule::Evidence).compared_all(evidence);
     if !differ {
         (model.setup, model.state) = (fewer, merged);
     }

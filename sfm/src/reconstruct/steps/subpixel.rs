@@ -1,6 +1,7 @@
 //! Keypoints moved to where their windows fit together (see [`crate::refinement`]), where the model
 //! fits them more closely than it fitted those that were detected.
 
+use crate::KeypointPlaces;
 use crate::incremental::state::{MapState, MappingInput};
 use crate::reconstruct::accept::{Change, Support, accept};
 use crate::reconstruct::context::StepContext;
@@ -8,7 +9,7 @@ use crate::reconstruct::model::{SfmModel, StepResult};
 use crate::refinement::refine;
 use crate::statistics::median;
 use crate::tracks::NONE;
-use crate::{Decision, KeypointPlaces};
+use scene::decision::{Decision, Measurement, Quantity, Rule, Subject};
 
 /// Moves keypoints and adjusts the model to them. There is no decision where no image may be read.
 pub(super) fn run(mut model: SfmModel, context: &StepContext<'_>) -> StepResult {
@@ -25,17 +26,12 @@ pub(super) fn run(mut model: SfmModel, context: &StepContext<'_>) -> StepResult 
     let after = fit(&sharper, &moved_input, &refined.moved);
     let taken = accept(Change::MovedKeypoints, &before, &after);
     let observations = model.state.live().map(|(_, p)| p.views.len()).sum::<usize>();
-    let decision = Decision {
-        what: "keypoints".to_owned(),
-        chosen: if taken { "moved to where their windows fit" } else { "as detected" }.to_owned(),
-        evidence: format!(
-            "{} of {observations} observations show what another one shows; half of them are within {:.3} px of the model \
-             when moved, {:.3} px as detected",
-            refined.moved.len(),
-            after.error_px.unwrap_or_default(),
-            before.error_px.unwrap_or_default()
-        ),
-    };
+    let decision = Decision::new(Subject::KeypointRefinement, taken, Rule::Evidence).with_all([
+        Measurement::count(Quantity::Observations, observations),
+        Measurement::count(Quantity::MovedObservations, refined.moved.len()),
+        Measurement::new(Quantity::MedianErrorBefore, before.error_px.unwrap_or_default()),
+        Measurement::new(Quantity::MedianErrorAfter, after.error_px.unwrap_or_default()),
+    ]);
     if taken {
         (model.keypoints, model.sigmas, model.state) = (refined.keypoints, refined.sigmas, sharper);
     }

@@ -1,9 +1,9 @@
 //! How firmly images are tied by their matches, and what is said where they are not.
 
-use crate::Decision;
 use crate::reconstruct::model::SfmModel;
 use crate::sift::{Doubling, SiftConfig};
 use scene::TwoViewGeometry;
+use scene::decision::{Choice, Decision, Measurement, Quantity, Rule, Subject};
 
 /// Other images that hold an image firmly. What is held by fewer gains by matches along its
 /// epipolar lines; what is held by more loses, for those are less exact.
@@ -45,11 +45,9 @@ pub(super) fn pairs_decision(model: &SfmModel) -> Decision {
     let (images, matched) = (model.features.len(), model.stats.pairs_matched);
     let all = images * images.saturating_sub(1) / 2;
     let inliers: usize = model.geometries.iter().map(|g| g.inliers.len()).sum();
-    Decision {
-        what: "image pairs".to_owned(),
-        chosen: format!("{} of {matched} matched pairs", model.geometries.len()),
-        evidence: format!(
-            "{matched} of {all} possible pairs were matched; {inliers} matches agree with one motion a pair"
-        ),
-    }
+    let choice = Choice::share(model.geometries.len(), matched);
+    Decision::new(Subject::ImagePairs, choice, Rule::Evidence).with_all([
+        Measurement::count(Quantity::PossiblePairs, all),
+        Measurement::count(Quantity::Matches, inliers),
+    ])
 }

@@ -17,7 +17,7 @@ pub(super) fn run(mut model: SfmModel, context: &StepContext<'_>) -> StepResult 
     let (video, motion) = match found {
         Ok(found) => found,
         Err(why) => {
-            model.no_turn_because = Some(why);
+            model.no_video_motion = Some(why);
             return Ok((model, Vec::new()));
         }
     };

@@ -15,9 +15,9 @@ struct Job {
     least: u32,         // and must be so many; 0: none
     iteration: u32,
     seed: u32,
-    threshold: f32,     // mean screen gradient
     floor: f32,         // logit below which a Gaussian is removed
-    spare: u32,
+    spare0: u32,
+    spare1: u32,
 }
 
 struct View {
@@ -54,7 +54,7 @@ fn score(@builtin(workgroup_id) group: vec3<u32>, @builtin(num_workgroups) group
     let steps = plane(STATISTICS + 1u, l);
     let gradient = plane(STATISTICS, l) / max(steps, 1.0);
     let i = job.page_first + l;
-    keys[i] = select(NOWHERE, NOWHERE - bitcast<u32>(gradient), steps > 0.0 && gradient > job.threshold && is_finite(gradient));
+    keys[i] = select(NOWHERE, NOWHERE - bitcast<u32>(gradient), steps > 0.0 && gradient > 0.0 && is_finite(gradient));
     values[i] = i;
 }
 

@@ -21,8 +21,6 @@ struct Frame {
     near: f32,
     lambda: f32,            // weight of D-SSIM
     inv_count: f32,         // 1 / (3 * sum of the weights), 0 where there are none
-    opacity_penalty: f32,
-    scale_penalty: f32,
     rate_mean: f32,
     rate_log_scale: f32,
     rate_rotation: f32,
@@ -31,16 +29,12 @@ struct Frame {
     rate_sh_rest: f32,
     spare0: u32,
     spare1: u32,
-    spare2: u32,
-    spare3: u32,
 }
 
 const ANTIALIAS: u32 = 1u;
 const WEIGHTED: u32 = 2u;        // alpha of the target is a weight, 0 = ignored
 const COVERAGE: u32 = 4u;        // alpha of the target is coverage, the background shows through
-const PLAIN_GRADIENT: u32 = 8u;  // optimise writes gradients in place of moving parameters
-const MAGNITUDES: u32 = 16u;      // statistics sum |dL/dxy| over pixels
-const TRUNCATE: u32 = 32u;        // pairs beyond the buffers are left out, the farthest Gaussians' first
+const TRUNCATE: u32 = 8u;        // pairs beyond the buffers are left out, the farthest Gaussians' first
 
 const TILE: u32 = 16u;
 const MIN_ALPHA: f32 = 0.00392156862745098;

@@ -2,7 +2,7 @@
 // channels in z), differentiate, total. And for gains: products (channels in z), total_products. Equations and sources: reference/loss.rs.
 // in: image [H * W] · goal [H * W] 8-bit rgb and mask
 // out: by_mean, by_square, by_product [3][H * W] w dS/d(mu_x), w dS/d(E x^2), w dS/d(E xy) of each channel
-//      image [H * W] becomes (dL/dC, C . dL/dC), which is all that backward needs of the picture
+//      image [H * W] becomes (dL/dC, C . dL/dC), which is all that rasterise_backward needs of the picture
 //      partial [3][tiles] vec4: sums of w S, w |C - G|, w (C - G)^2 · result[0]: their totals
 //      after products: partial and result[channel] sums of w C G, w C^2, w G^2
 // A group filters a tile of 16 x 16 with the 26 x 26 pixels around it, across and then down, in shared memory.

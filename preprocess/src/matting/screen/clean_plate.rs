@@ -1,0 +1,288 @@
+//! What stands still in front of a camera that does not move: texture of the screen, things beside it, the pole.
+
+use super::SAME_LIGHT;
+use super::grid::CellSums;
+use crate::matting::cleanup::hull;
+use crate::matting::colour::{Key, levels, linear};
+use crate::matting::morphology::{Rect, Regions};
+use crate::matting::pool::Pool;
+use glam::Vec3;
+use image::RgbImage;
+
+/// A pixel is screen where at least this share of the samples shows it.
+const SCREEN_SHARE: f32 = 0.08;
+/// The plate is the mean of the samples around this quantile of light: the screen out of the object's shadow.
+const LIT_QUANTILE: f32 = 0.7;
+/// A pixel is still where at least this share of the samples agrees.
+const STILL_SHARE: f32 = 0.6;
+/// Difference up to which samples agree, 8-bit levels of the largest channel.
+const STILL_LEVELS: i32 = 9;
+/// Change of light between most samples of a still thing, as a factor on 8-bit values.
+const STILL_LIGHT: (f32, f32) = (0.75, 1.25);
+/// Change of light on a still thing in any frame.
+const ANY_LIGHT: (f32, f32) = (0.55, 1.5);
+/// Departure from a still thing, 8-bit levels, at which something else surely stands before it.
+const BEFORE_LEVELS: (i32, i32) = (12, 28);
+/// A pole hides the screen in at least this share of the samples and is at most this wide (share of the longer side).
+const ALWAYS_SHARE: f32 = 0.7;
+const POLE_WIDTH: f32 = 0.03;
+/// Pixels beside the pole that are a mixture of it and of what is beside it.
+const POLE_RIM: usize = 2;
+/// Still things cover less than this share of what is seen before the screen, else the object itself stands still.
+const POLE_SHARE: f32 = 0.4;
+/// Share of the picture beside the screen that must be still for the camera to count as standing.
+const STANDING_SHARE: f32 = 0.3;
+
+/// Learnt from samples of a video.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct CleanPlate {
+    /// Width of the planes.
+    pub width: usize,
+    /// Linear light of the empty screen, without the object's shadow; spread to where the screen is never seen.
+    pub light: Vec<Vec3>,
+    /// Colour of what stands still and is no screen; `None` elsewhere.
+    pub things: Vec<Option<[u8; 3]>>,
+    /// Before the screen: narrow, always there in whatever light, joined to what stands still.
+    pub pole: Vec<bool>,
+    /// The pole and its rim: pixels that are a mixture of it and of what is beside it.
+    pub near_pole: Vec<bool>,
+    /// The pole is wider than tall.
+    pub pole_lies: bool,
+    /// Pixels where the screen is never seen.
+    pub outside: Vec<bool>,
+    /// Convex hull of the pixels where it is.
+    pub before_screen: Vec<bool>,
+    /// Pixels that are not plainly before the screen: things, the pole, what lies beside.
+    pub others: Vec<u32>,
+    /// Share of the picture where something stands still.
+    pub share: f32,
+    /// Whether still things before the screen are few beside what moves there: a pole, not the object itself.
+    pub has_pole: bool,
+}
+
+impl CleanPlate {
+    /// `None` where the camera moves (what is no screen is not still) or the frames differ in size.
+    pub fn learn(frames: &[RgbImage], key: &Key) -> Option<Self> {
+        let (width, height) = frames.first()?.dimensions();
+        if frames.len() < 6 || frames.iter().any(|f| f.dimensions() != (width, height)) {
+            return None;
+        }
+        let (width, n) = (width as usize, (width * height) as usize);
+        let mut plate = Self {
+            width,
+            light: vec![Vec3::ZERO; n],
+            things: vec![None; n],
+            outside: vec![true; n],
+            ..Self::default()
+        };
+        let other_counts = plate.gather(frames, key);
+        let outside = plate.outside.iter().filter(|o| **o).count();
+        let still = plate.things.iter().zip(&plate.outside).filter(|(t, o)| **o && t.is_some()).count();
+        if outside * 50 >= n && (still as f32) < STANDING_SHARE * outside as f32 {
+            return None;
+        }
+        plate.spread_light()?;
+        let pool = Pool::default();
+        plate.before_screen = hull(&pool.plane(width, plate.outside.iter().map(|o| u8::from(!o))));
+        plate.forget_islands(&pool);
+        plate.find_pole(&pool, &other_counts, frames.len());
+        plate.others = (0..n as u32).filter(|i| plate.is_other(*i as usize)).collect();
+        let (mut still_inside, mut others_inside) = (0, 0);
+        for i in (0..n).filter(|i| plate.before_screen[*i]) {
+            still_inside += usize::from(plate.things[i].is_some());
+            others_inside += other_counts[i] as usize;
+        }
+        plate.has_pole = (still_inside * frames.len()) as f32 <= POLE_SHARE * others_inside as f32;
+        plate.share = plate.things.iter().filter(|t| t.is_some()).count() as f32 / n as f32;
+        Some(plate)
+    }
+
+    /// Light of the screen, what stands still and where the screen is never seen; returns how many samples show something else
+    /// than the screen.
+    fn gather(&mut self, frames: &[RgbImage], key: &Key) -> Vec<u32> {
+        let (mut lights, mut others) = (Vec::new(), Vec::new());
+        let needed = (SCREEN_SHARE * frames.len() as f32).max(2.0);
+        (0..self.light.len())
+            .map(|i| {
+                lights.clear();
+                others.clear();
+                for frame in frames {
+                    let p = &frame.as_raw()[3 * i..3 * i + 3];
+                    let light = linear(p);
+                    if key.is_like(light) {
+                        lights.push(light);
+                    } else {
+                        others.push([p[0], p[1], p[2]]);
+                    }
+                }
+                self.things[i] = agreed(&mut others, frames.len());
+                if lights.len() as f32 >= needed {
+                    self.outside[i] = false;
+                    self.light[i] = lit_mean(&mut lights);
+                }
+                others.len() as u32
+            })
+            .collect()
+    }
+
+    /// Fills the light where the screen is never seen; `None` if it is seen nowhere.
+    fn spread_light(&mut self) -> Option<()> {
+        let (width, height) = (self.width, self.outside.len() / self.width);
+        let mut cells = CellSums::new(width, height);
+        for y in 0..height {
+            cells.add_row(y, 1, |x| (!self.outside[y * width + x]).then(|| self.light[y * width + x]));
+        }
+        let grid = cells.fill()?;
+        let mut row = Vec::new();
+        for y in 0..height {
+            grid.row(y, width, &mut row);
+            for (i, light) in (y * width..).zip(&row).filter(|(i, _)| self.outside[*i]) {
+                self.light[i] = *light;
+            }
+        }
+        Some(())
+    }
+
+    /// What hides the screen in nearly all samples, is narrow, and joins the still things below or beside it.
+    fn find_pole(&mut self, pool: &Pool, other_counts: &[u32], frames: usize) {
+        let least = ALWAYS_SHARE * frames as f32;
+        let always = pool.plane(self.width, other_counts.iter().map(|c| u8::from(*c as f32 >= least)));
+        let radius = self.pole_radius();
+        let wide = always.erode(radius).dilate(radius);
+        let narrow = (0..always.len()).map(|i| {
+            let is_narrow = always[i] != 0 && wide[i] == 0 && self.before_screen[i];
+            u8::from(self.things[i].is_some() || is_narrow)
+        });
+        let regions = Regions::of(&pool.plane(self.width, narrow));
+        let is_joined = regions.any(|i| self.things[i].is_some());
+        self.pole = (0..always.len())
+            .map(|i| is_joined[regions.labels[i] as usize] && wide[i] == 0 && self.before_screen[i])
+            .collect();
+        let pole = pool.plane(self.width, self.pole.iter().map(|p| u8::from(*p)));
+        self.near_pole = pole.dilate(POLE_RIM).iter().map(|p| *p != 0).collect();
+        let extent = Rect::around(&pole, 0);
+        self.pole_lies = extent.x.len() > extent.y.len();
+    }
+
+    fn is_other(&self, i: usize) -> bool {
+        self.things[i].is_some() || self.pole[i] || !self.before_screen[i]
+    }
+
+    /// Half the width that a pole can have, pixels.
+    pub fn pole_radius(&self) -> usize {
+        ((POLE_WIDTH * self.width.max(self.outside.len() / self.width) as f32) as usize / 2).max(2)
+    }
+
+    /// Whether the pole is to be cut off.
+    pub fn cuts_pole(&self, keep_pole: bool) -> bool {
+        self.has_pole && !keep_pole
+    }
+
+    /// How surely the pixel shows what always stands there, 0 to 1.
+    pub fn similarity(&self, i: usize, rgb: [u8; 3], keep_pole: bool) -> f32 {
+        if self.before_screen[i] && !self.cuts_pole(keep_pole) {
+            return 0.0;
+        }
+        if self.pole[i] {
+            return 1.0;
+        }
+        match self.things[i] {
+            Some(thing) => {
+                let (low, high) = BEFORE_LEVELS;
+                // The light that fits best leaves no more than this: most pixels need no fit.
+                if (levels(&rgb) - levels(&thing)).length_squared() <= (low * low) as f32 {
+                    return 1.0;
+                }
+                (1.0 - (departure(rgb, thing) - low) as f32 / (high - low) as f32).clamp(0.0, 1.0)
+            }
+            // Beside the screen only what is learnt can tell the object from the room.
+            None => f32::from(u8::from(!self.before_screen[i])),
+        }
+    }
+}
+
+/// Mean of the samples whose light is about that of the brighter ones.
+fn lit_mean(samples: &mut [Vec3]) -> Vec3 {
+    let rank = ((samples.len() - 1) as f32 * LIT_QUANTILE).round() as usize;
+    samples.select_nth_unstable_by(rank, |a, b| a.element_sum().total_cmp(&b.element_sum()));
+    let lit = samples[rank].element_sum();
+    let about = samples.iter().filter(|s| SAME_LIGHT.contains(&(s.element_sum() / lit)));
+    let (sum, count) = about.fold((Vec3::ZERO, 0.0), |(sum, count), s| (sum + *s, count + 1.0));
+    sum / count
+}
+
+impl CleanPlate {
+    /// A pole stands on something: what is still before the screen and not connected to anything still beside it or
+    /// to the border of the picture is a part of the object that happens to look alike in most frames.
+    fn forget_islands(&mut self, pool: &Pool) {
+        let still = pool.plane(self.width, self.things.iter().map(|t| u8::from(t.is_some())));
+        let regions = Regions::of(&still);
+        let (at_border, beside) = (regions.at_border(), regions.any(|i| !self.before_screen[i]));
+        for (thing, label) in self.things.iter_mut().zip(regions.labels.iter()) {
+            if !at_border[*label as usize] && !beside[*label as usize] {
+                *thing = None;
+            }
+        }
+    }
+}
+
+/// The colour that most samples share.
+fn agreed(samples: &mut [[u8; 3]], frames: usize) -> Option<[u8; 3]> {
+    let needed = (STILL_SHARE * frames as f32) as usize;
+    if samples.len() < needed.max(3) {
+        return None;
+    }
+    let median = [0, 1, 2].map(|c| {
+        let mid = samples.len() / 2;
+        samples.select_nth_unstable_by_key(mid, |s| s[c]).1[c]
+    });
+    let agreeing = samples.iter().filter(|s| departure_in(**s, median, STILL_LIGHT) <= STILL_LEVELS).count();
+    (agreeing >= needed).then_some(median)
+}
+
+/// Largest difference of a channel, 8-bit levels, from a still thing under the light that fits best.
+fn departure(seen: [u8; 3], thing: [u8; 3]) -> i32 {
+    departure_in(seen, thing, ANY_LIGHT)
+}
+
+fn departure_in(seen: [u8; 3], thing: [u8; 3], range: (f32, f32)) -> i32 {
+    let (a, b) = (levels(&seen), levels(&thing));
+    let light = (a.dot(b) / b.length_squared().max(1.0)).clamp(range.0, range.1);
+    (a - light * b).abs().max_element() as i32
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use image::Rgb;
+
+    /// A box that swings before a green screen, with a dark spot that is always covered, on a pole down to the floor.
+    fn frame(i: u32) -> RgbImage {
+        RgbImage::from_fn(160, 120, |x, y| {
+            let (left, right) = (40 + 3 * i, 90 + 3 * i);
+            if (92..97).contains(&x) && (60..66).contains(&y) {
+                Rgb([9, 9, 12])
+            } else if (left..right).contains(&x) && (40..80).contains(&y) {
+                Rgb([(90 + 13 * ((x + 160 - left) % 11)) as u8, 60 + (y % 7) as u8 * 9, 140])
+            } else if (88..92).contains(&x) && y >= 80 {
+                Rgb([50, 48, 46])
+            } else if y >= 110 {
+                Rgb([120, 110, 100])
+            } else {
+                Rgb([30, 160 + (x / 40) as u8, 60])
+            }
+        })
+    }
+
+    #[test]
+    fn a_pole_is_still_and_a_dark_spot_of_the_object_is_not_taken_for_one() {
+        let frames: Vec<RgbImage> = (0..16).map(frame).collect();
+        let key = Key::new([0.013, 0.36, 0.045].into(), 1.0 / 3f32.sqrt()).unwrap();
+        let plate = CleanPlate::learn(&frames, &key).unwrap();
+        let thing = |x: usize, y: usize| plate.things[y * 160 + x];
+        assert!(thing(90, 95).is_some() && thing(30, 115).is_some(), "pole and floor");
+        assert!(thing(94, 63).is_none() && thing(94, 50).is_none() && thing(20, 20).is_none());
+        assert!(plate.has_pole && plate.outside[63 * 160 + 94] && !plate.outside[20 * 160 + 20]);
+        assert!(CleanPlate::learn(&frames[..3], &key).is_none(), "too few frames to say");
+    }
+}

@@ -1,0 +1,208 @@
+//! Is there a screen, and of which colour?
+
+use crate::matting::colour::{Key, hue_distance, hue_saturation_value, linear};
+use crate::matting::config::KeyChoice;
+use glam::Vec3;
+use image::RgbImage;
+use scene::decision::{Decision, MatteKind, Measurement, Quantity, Remark, Rule, Subject};
+
+const BINS: usize = 72;
+/// Pixels of less saturation or value have no hue to speak of.
+const MIN_SATURATION: f32 = 0.25;
+const MIN_VALUE: f32 = 0.05;
+/// Half-width of the range of hues taken for one screen, degrees.
+const HUE_WINDOW: f32 = 15.0;
+/// A screen covers at least this share of the picture, in the median frame and in the worst but one in ten.
+const MIN_COVERAGE: (f32, f32) = (0.12, 0.05);
+/// A screen is smooth: median relative step of value between neighbours in a picture of 160 pixels.
+const MAX_ROUGHNESS: f32 = 0.03;
+/// A screen is saturated (median of its pixels); a grey-blue wall or table is not taken for one unless it is named.
+const MIN_SCREEN_SATURATION: f32 = 0.5;
+/// Wood, skin, brick and lamp light have these hues: a screen of such a colour is only taken if it is named.
+const NATURAL_HUES: (f32, f32) = (-30.0, 68.0);
+
+/// What was found, and why.
+pub(crate) struct Detection {
+    /// The screen; `None` where there is none.
+    pub key: Option<Key>,
+    /// Whether there is a screen, and the figures.
+    pub decision: Decision,
+}
+
+/// Looks for a screen in thumbnails (about 160 pixels long) of some frames.
+pub(crate) fn detect(thumbnails: &[&RgbImage], choice: KeyChoice) -> Detection {
+    let forced = matches!(choice, KeyChoice::Hue(..));
+    let Some(hue) = dominant_hue(thumbnails, choice) else {
+        return Detection { key: None, decision: no_matte(Rule::NothingFound).remarked(Remark::NoHue) };
+    };
+    let found = HueStatistics::of(thumbnails, hue);
+    let natural = (hue - NATURAL_HUES.0).rem_euclid(360.0) <= NATURAL_HUES.1 - NATURAL_HUES.0;
+    let is_screen = found.coverage >= MIN_COVERAGE.0
+        && found.low_coverage >= MIN_COVERAGE.1
+        && found.roughness <= MAX_ROUGHNESS
+        && found.saturation >= MIN_SCREEN_SATURATION
+        && !natural;
+    let figures = [
+        (Quantity::Hue, hue),
+        (Quantity::Coverage, found.coverage),
+        (Quantity::LeastCoverage, found.low_coverage),
+        (Quantity::Saturation, found.saturation),
+        (Quantity::Roughness, found.roughness),
+    ]
+    .map(|(quantity, value)| Measurement::new(quantity, f64::from(value)));
+    let key = Key::new(found.colour, wedge(thumbnails, hue, found.colour))
+        .filter(|_| is_screen || (forced && found.coverage > 0.01));
+    let decision = match key {
+        Some(_) if forced => Decision::new(Subject::Matte, MatteKind::Screen, Rule::Requested),
+        Some(_) => Decision::new(Subject::Matte, MatteKind::Screen, Rule::Evidence),
+        None if natural => no_matte(Rule::NothingFound).remarked(Remark::NaturalHue),
+        None => no_matte(Rule::NothingFound),
+    };
+    Detection { key, decision: decision.with_all(figures) }
+}
+
+/// The decision that the frames stay as they are.
+pub(crate) fn no_matte(rule: Rule) -> Decision {
+    Decision::new(Subject::Matte, MatteKind::Nothing, rule)
+}
+
+fn pixels(thumbnails: &[&RgbImage]) -> impl Iterator<Item = [u8; 3]> {
+    thumbnails.iter().flat_map(|t| t.pixels().map(|p| p.0))
+}
+
+/// The hue with the most saturated pixels around it.
+fn dominant_hue(thumbnails: &[&RgbImage], choice: KeyChoice) -> Option<f32> {
+    let mut counts = [0.0_f32; BINS];
+    for rgb in pixels(thumbnails) {
+        let (hue, saturation, value) = hue_saturation_value(rgb);
+        if saturation >= MIN_SATURATION && value >= MIN_VALUE && choice.allows(hue) {
+            counts[(hue / 360.0 * BINS as f32) as usize % BINS] += saturation;
+        }
+    }
+    let smoothed: [f32; BINS] =
+        std::array::from_fn(|i| counts[(i + BINS - 1) % BINS] + 2.0 * counts[i] + counts[(i + 1) % BINS]);
+    let best = (0..BINS).max_by(|a, b| smoothed[*a].total_cmp(&smoothed[*b]))?;
+    if smoothed[best] <= 0.0 {
+        return None;
+    }
+    let (before, here, after) = (counts[(best + BINS - 1) % BINS], counts[best], counts[(best + 1) % BINS]);
+    let offset = (after - before) / (before + here + after);
+    Some(((best as f32 + 0.5 + offset) * 360.0 / BINS as f32).rem_euclid(360.0))
+}
+
+fn is_near(rgb: [u8; 3], hue: f32) -> bool {
+    let (h, saturation, value) = hue_saturation_value(rgb);
+    saturation >= MIN_SATURATION && value >= MIN_VALUE && hue_distance(h, hue) <= HUE_WINDOW
+}
+
+struct HueStatistics {
+    coverage: f32,
+    low_coverage: f32,
+    roughness: f32,
+    saturation: f32,
+    colour: Vec3,
+}
+
+impl HueStatistics {
+    fn of(thumbnails: &[&RgbImage], hue: f32) -> Self {
+        let (mut coverage, mut steps, mut saturations) = (Vec::new(), Vec::new(), Vec::new());
+        let mut channels = [Vec::new(), Vec::new(), Vec::new()];
+        for image in thumbnails {
+            let mut inside = 0;
+            for (x, y, p) in image.enumerate_pixels() {
+                if !is_near(p.0, hue) {
+                    continue;
+                }
+                inside += 1;
+                saturations.push(hue_saturation_value(p.0).1);
+                channels.iter_mut().zip(linear(&p.0).to_array()).for_each(|(all, v)| all.push(v));
+                for (dx, dy) in [(1, 0), (0, 1)] {
+                    if x + dx < image.width()
+                        && y + dy < image.height()
+                        && is_near(image.get_pixel(x + dx, y + dy).0, hue)
+                    {
+                        let (a, b) = (value(p.0), value(image.get_pixel(x + dx, y + dy).0));
+                        steps.push((a - b).abs() / a.max(b));
+                    }
+                }
+            }
+            coverage.push(inside as f32 / (image.width() * image.height()).max(1) as f32);
+        }
+        let colour = channels.map(|mut all| quantile(&mut all, 0.5)).into();
+        Self {
+            coverage: quantile(&mut coverage, 0.5),
+            low_coverage: quantile(&mut coverage, 0.1),
+            roughness: if steps.is_empty() { 1.0 } else { quantile(&mut steps, 0.5) },
+            saturation: quantile(&mut saturations, 0.5),
+            colour,
+        }
+    }
+}
+
+fn value(rgb: [u8; 3]) -> f32 {
+    f32::from(rgb[0].max(rgb[1]).max(rgb[2]))
+}
+
+/// The q-quantile; 0 of nothing.
+pub(crate) fn quantile(values: &mut [f32], q: f32) -> f32 {
+    if values.is_empty() {
+        return 0.0;
+    }
+    let rank = ((values.len() - 1) as f32 * q).round() as usize;
+    *values.select_nth_unstable_by(rank, f32::total_cmp).1
+}
+
+/// The narrowest wedge of the key that leaves few pixels of the object any colour difference.
+fn wedge(thumbnails: &[&RgbImage], hue: f32, colour: Vec3) -> f32 {
+    let vlahos = 1.0 / 3f32.sqrt();
+    let others: Vec<Vec3> = pixels(thumbnails)
+        .filter(|p| hue_distance(hue_saturation_value(*p).0, hue) > 2.0 * HUE_WINDOW)
+        .map(|p| linear(&p))
+        .collect();
+    for wedge in [vlahos, 1.0] {
+        let Some(key) = Key::new(colour, wedge) else { return vlahos };
+        // The screen has no chroma across the key's.
+        let spoiled = others.iter().filter(|rgb| key.difference(**rgb) > 0.1 * key.reference).count();
+        if spoiled * 20 <= others.len() {
+            return wedge;
+        }
+    }
+    1.5
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use image::Rgb;
+
+    fn frame(screen: [u8; 3], share: u32) -> RgbImage {
+        RgbImage::from_fn(160, 120, |x, y| {
+            let v = (x * 37 + y * 91) % 97;
+            if x * 100 / 160 < share {
+                Rgb(screen.map(|c| c.saturating_add((v % 3) as u8)))
+            } else {
+                Rgb([v as u8 + 60, 80, 100])
+            }
+        })
+    }
+
+    #[test]
+    fn screens_of_any_hue_are_found_and_rooms_are_not() {
+        for screen in [[30, 190, 60], [40, 60, 180], [190, 20, 170], [125, 180, 10], [20, 60, 24]] {
+            let found = detect(&[&frame(screen, 60), &frame(screen, 50)], KeyChoice::Auto);
+            let key = found.key.unwrap_or_else(|| panic!("{screen:?}: {:?}", found.decision));
+            assert!(hue_distance(key.hue, hue_saturation_value(screen).0) < 4.0, "{screen:?} {}", key.hue);
+        }
+        for (screen, share) in [
+            ([30, 190, 60], 4),
+            ([90, 85, 88], 70),
+            ([180, 120, 70], 70),
+            ([0, 0, 0], 90),
+            ([82, 90, 150], 80),
+        ] {
+            let found = detect(&[&frame(screen, share)], KeyChoice::Auto);
+            assert!(found.key.is_none(), "{screen:?}: {:?}", found.decision);
+        }
+        assert!(detect(&[], KeyChoice::Auto).key.is_none());
+    }
+}

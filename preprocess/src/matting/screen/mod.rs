@@ -1,0 +1,174 @@
+//! The screen: whether there is one, its light without the object, its shadows, and a frame measured against it.
+
+pub(crate) mod clean_plate;
+pub(crate) mod detect;
+mod grid;
+mod illumination;
+mod shadows;
+
+use super::colour::{Key, chroma, linear, luminance};
+use super::morphology::{Rect, box_sum, set_pixels, smooth};
+use super::pool::{BinaryMask, Pool, Raster};
+use super::solve::REACH;
+use super::trimap::Trimap;
+use clean_plate::CleanPlate;
+use detect::quantile;
+use glam::Vec3;
+use image::RgbImage;
+
+/// Light of the screen at one place, as a share of what it usually is there.
+const SAME_LIGHT: std::ops::Range<f32> = 0.85..1.25;
+
+/// A frame, measured against the light of its empty screen.
+pub(crate) struct Screen<'p> {
+    /// Linear colour of the frame.
+    pub image: Raster<'p, Vec3>,
+    /// The same of the empty screen.
+    pub light: Raster<'p, Vec3>,
+    /// Share of the screen's colour difference: 1 on the screen, 0 on the object.
+    pub share: Raster<'p, f32>,
+    /// The same, smoothed.
+    pub smoothed: Raster<'p, f32>,
+    /// What always stands there, other than the screen.
+    pub fixed: BinaryMask<'p>,
+    /// Screen in whatever light: far enough from the object that it cannot be mixed with it.
+    pub shaded: BinaryMask<'p>,
+}
+
+/// Spread of the empty screen: of the smoothed share by its lower half-width, of luma and chroma by mean square.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct ScreenNoise {
+    pub share: f32,
+    pub luma: f32,
+    pub chroma: f32,
+}
+
+impl<'p> Screen<'p> {
+    /// Of a frame whose screen's light is found in itself; `None` where it cannot.
+    pub fn before_field(pool: &'p Pool, frame: &RgbImage, key: &Key) -> Option<Self> {
+        let (rgb, width) = (frame.as_raw(), frame.width() as usize);
+        let field = illumination::fit(rgb, width, key)?;
+        let (mut light, mut row) = (pool.filled(width, 0, Vec3::ZERO), Vec::new());
+        for y in 0..frame.height() as usize {
+            field.row(y, width, &mut row);
+            light.extend(row.iter().map(|l| l.truncate()));
+        }
+        Some(Self::new(rgb, light, key, std::iter::empty()))
+    }
+
+    /// Of a frame of a camera that stands still; what always stands there counts as screen.
+    pub fn before_plate(
+        pool: &'p Pool,
+        frame: &RgbImage,
+        key: &Key,
+        plate: &CleanPlate,
+        keep_pole: bool,
+    ) -> Self {
+        let rgb = frame.as_raw();
+        let standing = plate.others.iter().map(|i| *i as usize).filter_map(|i| {
+            let similarity = plate.similarity(i, [rgb[3 * i], rgb[3 * i + 1], rgb[3 * i + 2]], keep_pole);
+            (similarity > 0.0).then_some((i, similarity))
+        });
+        Self::new(rgb, pool.plane(plate.width, plate.light.iter().copied()), key, standing)
+    }
+
+    /// `standing`: pixels that are not screen, with how surely they show what always stands there.
+    fn new(
+        rgb: &[u8],
+        mut light: Raster<'p, Vec3>,
+        key: &Key,
+        standing: impl Iterator<Item = (usize, f32)>,
+    ) -> Self {
+        let (pool, width) = (light.pool, light.width);
+        let image = pool.plane(width, rgb.chunks_exact(3).map(linear));
+        let both = image.iter().zip(light.iter());
+        let mut share = pool.plane(
+            width,
+            both.clone().map(|(seen, light)| key.difference(*seen) / (key.difference(*light) + 1e-6)),
+        );
+        let mut total =
+            pool.plane(width, both.map(|(seen, light)| seen.element_sum() / (light.element_sum() + 1e-6)));
+        let mut fixed = image.mask(|_| false);
+        for (i, similarity) in standing {
+            light[i] = light[i] + similarity * (image[i] - light[i]);
+            share[i] += similarity * (1.0 - share[i]);
+            total[i] += similarity * (1.0 - total[i]);
+            fixed[i] = 1;
+        }
+        let smoothed = smooth(&share);
+        let shaded = shadows::find(&smoothed, &total);
+        let mut screen = Self { image, light, share, smoothed, fixed, shaded };
+        screen.take_out_shadows();
+        screen
+    }
+
+    /// How the empty screen scatters, now that its light is known.
+    pub fn noise(&self) -> ScreenNoise {
+        let near = self.smoothed.iter().step_by(7).filter(|s| (0.8..1.2).contains(*s));
+        let mut samples: Vec<f32> = near.map(|s| (s - 1.0).abs()).collect();
+        // Of normal noise the median distance is this part of a standard deviation.
+        let share = 1.4826 * quantile(&mut samples, 0.5);
+        let (mut luma, mut colour, mut n) = (0.0, 0.0, 1e-6);
+        for (i, smoothed) in self.smoothed.iter().enumerate().step_by(7) {
+            if (smoothed - 1.0).abs() >= 3.0 * share + 0.01 {
+                continue;
+            }
+            let delta = self.image[i] - self.light[i];
+            luma += luminance(delta).powi(2);
+            colour += chroma(delta).length_squared();
+            n += 1.0;
+        }
+        ScreenNoise { share, luma: luma / n, chroma: colour / n }
+    }
+
+    /// The screen's light in the band, from the screen beside it: shadows have edges that coarse cells cannot follow.
+    pub fn measure_beside(&mut self, trimap: &Trimap, key: &Key) {
+        let rect = Rect::around(&trimap.not_screen, REACH);
+        let mut weights = self.share.map(|_| 0.0);
+        let mut sums = self.light.map(|_| Vec3::ZERO);
+        for i in rect.rows(weights.width).flatten() {
+            weights[i] = f32::from((trimap.not_screen[i] | self.fixed[i]) ^ 1);
+            sums[i] = weights[i] * self.image[i];
+        }
+        box_sum(&mut weights, &rect, REACH);
+        box_sum(&mut sums, &rect, REACH);
+        for i in set_pixels(&trimap.band) {
+            if self.fixed[i] == 0 && weights[i] >= (2 * REACH + 1) as f32 {
+                self.light[i] = sums[i] / weights[i];
+                self.share[i] = key.difference(self.image[i]) / (key.difference(self.light[i]) + 1e-6);
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use image::Rgb;
+
+    /// A grey box before a green screen of which every second pixel is brighter.
+    fn frame() -> RgbImage {
+        RgbImage::from_fn(96, 64, |x, y| match (x, y) {
+            (30..60, 20..44) => Rgb([120, 118, 122]),
+            _ => Rgb([40, 168 + 4 * ((x + y) % 2) as u8, 60]),
+        })
+    }
+
+    #[test]
+    fn shares_are_one_on_the_screen_and_none_on_the_object_and_the_scatter_is_measured() {
+        let (pool, key) = (Pool::default(), Key::new([0.02, 0.4, 0.045].into(), 1.0 / 3f32.sqrt()).unwrap());
+        let mut screen = Screen::before_field(&pool, &frame(), &key).unwrap();
+        let (empty, object, edge) = (8 * 96 + 8, 32 * 96 + 45, 32 * 96 + 29);
+        assert!((screen.smoothed[empty] - 1.0).abs() < 0.02 && screen.share[object] < 0.05);
+        let noise = screen.noise();
+        let step = luminance(linear(&[40, 172, 60])) - luminance(linear(&[40, 168, 60]));
+        assert!((noise.luma.sqrt() / (0.5 * step) - 1.0).abs() < 0.2, "{noise:?} {step}");
+        let trimap = Trimap::new(&screen, noise.share, frame().as_raw(), &key);
+        screen.light[edge] *= 0.5;
+        screen.measure_beside(&trimap, &key);
+        assert!(
+            (screen.light[edge].y / linear(&[40, 170, 60]).y - 1.0).abs() < 0.02,
+            "from the screen beside it"
+        );
+    }
+}

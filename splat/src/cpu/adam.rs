@@ -1,0 +1,306 @@
+//! project backward and Adam, fused: screen gradients → parameters.
+//! in: sums of [`super::rasterise::Backward`] by pair. out: parameters and moments moved one step, or plain gradients.
+//!
+//! Adam (Kingma and Ba 2015) runs on each Gaussian's own clock: a step counts only where the Gaussian was visible, so
+//! that the others keep parameters and moments as they are instead of drifting on stale momentum.
+
+use super::dispatch::simd_kernel;
+use super::model_part::{AdamPart, GradientSink, ModelPart};
+use super::project::{CULLED, Projection, colour, project_lanes};
+use super::project_backward::geometry_gradient;
+use super::rasterise::SUMS;
+use super::sh;
+use super::simd::{Simd, array};
+use super::sort::Bins;
+use crate::backend::LearningRates;
+use crate::camera::CameraConstants;
+use crate::model::{GEOMETRY, LANE_PAD, LOG_SCALE, MEAN, OPACITY, ROTATION};
+use crate::reference::constants::{BETAS, EPSILON};
+use glam::Vec3;
+
+/// ln β₁, ln β₂. Source: derived.
+const LN_BETAS: [f32; 2] = [-0.105_360_516, -0.001_000_500_3];
+/// Moments below these are set to zero, so that no denormal numbers slow the loop: first and second moments.
+/// Source: chosen by hand, never measured; the steps that they are part of are below 1e-3 of the rate.
+const TINY: [f32; 2] = [1e-18, 1e-30];
+/// Gradients from here on count as not finite. Source: their squares must stay below the greatest f32, 3.4e38.
+const HUGE: f32 = 1e18;
+
+/// Bytes that are fetched at a time. Source: the cache lines of every processor with these instruction sets.
+const CACHE_LINE: usize = 64;
+
+/// Arguments of [`adam`].
+pub(super) struct Adam<'a> {
+    /// The Gaussians.
+    pub(super) part: ModelPart<'a>,
+    /// The camera.
+    pub(super) camera: &'a CameraConstants,
+    /// The view's pairs.
+    pub(super) bins: &'a Bins,
+    /// Depth keys of forward.
+    pub(super) keys: &'a [u32],
+    /// Sums by pair.
+    pub(super) sums: &'a [[f32; SUMS]],
+    /// Out: Gaussians whose gradient was not finite.
+    pub(super) non_finite: usize,
+}
+
+/// Fetches what a block will read from places that no pattern foretells: its pairs' sums, and the colours of Gaussians that
+/// are seen among others that are not.
+#[inline(always)]
+fn fetch_ahead<S: Simd>(a: &Adam, block: usize) {
+    let used = (a.camera.sh_degree as usize + 1).pow(2) * 3 * size_of::<f32>();
+    for i in block..(block + S::LANES).min(a.part.count) {
+        let number = a.part.first + i;
+        let positions = a.bins.positions_of(number);
+        if a.keys[number] == CULLED || positions.is_empty() {
+            continue;
+        }
+        for &position in positions {
+            let sums: *const [f32; SUMS] = &raw const a.sums[position as usize];
+            S::prefetch(sums.cast());
+            S::prefetch(sums.wrapping_add(1).cast::<u8>().wrapping_sub(1));
+        }
+        let GradientSink::Adam(state) = &a.part.sink else { continue };
+        for plane in [&*a.part.sh, &*state.sh_m, &*state.sh_v] {
+            let first = plane.as_ptr().wrapping_add(i * a.part.sh_stride).cast::<u8>();
+            (0..used).step_by(CACHE_LINE).for_each(|at| S::prefetch(first.wrapping_add(at)));
+        }
+    }
+}
+
+#[inline(always)]
+fn adam_generic<S: Simd>(a: &mut Adam) {
+    let mut lanes = [[0.0f32; LANE_PAD]; SUMS];
+    for block in (0..a.part.count).step_by(S::LANES) {
+        fetch_ahead::<S>(a, block + S::LANES);
+        let mut alive = [0.0f32; LANE_PAD];
+        let mut any = false;
+        for lane in 0..S::LANES.min(a.part.count - block) {
+            let number = a.part.first + block + lane;
+            let positions = a.bins.positions_of(number);
+            if a.keys[number] == CULLED || positions.is_empty() {
+                continue;
+            }
+            let mut total = [0.0f32; SUMS];
+            for &position in positions {
+                for (t, s) in total.iter_mut().zip(&a.sums[position as usize]) {
+                    *t += s;
+                }
+            }
+            if total.iter().any(|v| !v.is_finite()) {
+                a.non_finite += 1;
+                continue;
+            }
+            // Touched no pixel, or none that counts: it must not drift on former steps' momentum.
+            if total[9] <= 0.0 || total[..9].iter().all(|&v| v == 0.0) {
+                continue;
+            }
+            for (column, t) in lanes.iter_mut().zip(total) {
+                column[lane] = t;
+            }
+            alive[lane] = 1.0;
+            any = true;
+        }
+        if any {
+            adam_block::<S>(a, block, &lanes, &alive);
+        }
+    }
+}
+
+/// The Gaussians from `block` on that are alive: `lanes` are their sums.
+#[inline(always)]
+fn adam_block<S: Simd>(a: &mut Adam, block: usize, lanes: &[[f32; LANE_PAD]; SUMS], alive: &[f32; LANE_PAD]) {
+    let mut parameters = [S::splat(0.0); GEOMETRY];
+    for (value, plane) in parameters.iter_mut().zip(&a.part.geometry) {
+        *value = S::read(&plane[block..]);
+    }
+    let p = project_lanes(&parameters, a.camera);
+    let mut sums = [S::splat(0.0); SUMS];
+    for (sum, lane) in sums.iter_mut().zip(lanes) {
+        *sum = S::read(lane);
+    }
+    let mut gradient = geometry_gradient(a.camera, &p, &sums, &parameters);
+    let alive = S::read(alive).ge(S::splat(0.5));
+    let mut finite = alive;
+    for g in gradient {
+        finite = S::and(finite, g.abs().lt(S::splat(HUGE)));
+    }
+    let corrections = match &a.part.sink {
+        GradientSink::Adam(state) => bias_corrections::<S>(&state.steps[block..]),
+        GradientSink::Gradient { .. } => [S::splat(1.0); 2],
+    };
+    let mut correction = [[1.0f32; LANE_PAD]; 2];
+    for (lanes, c) in correction.iter_mut().zip(corrections) {
+        c.write(lanes);
+    }
+    // Colours move only where the shape does: a Gaussian is left as it is, or takes the whole step.
+    let mut by_direction = [[0.0f32; LANE_PAD]; 3];
+    for lane in (0..S::LANES).filter(|lane| S::bits(finite) & (1 << lane) != 0) {
+        let rgb = [lanes[6][lane], lanes[7][lane], lanes[8][lane]];
+        let corrections = [correction[0][lane], correction[1][lane]];
+        let g = colour_step(&mut a.part, a.camera, block + lane, rgb, corrections);
+        for (plane, value) in by_direction.iter_mut().zip(g.to_array()) {
+            plane[lane] = value;
+        }
+    }
+    for (k, plane) in by_direction.iter().enumerate() {
+        let part = S::read(plane);
+        gradient[MEAN + k] = gradient[MEAN + k].add(part);
+        finite = S::and(finite, part.abs().lt(S::splat(HUGE)));
+    }
+    let lost = S::bits(alive) & !S::bits(finite);
+    a.non_finite += lost.count_ones() as usize;
+    match &mut a.part.sink {
+        GradientSink::Gradient { geometry, .. } => {
+            for (plane, g) in geometry.iter_mut().zip(gradient) {
+                g.keep(finite).write(&mut plane[block..]);
+            }
+        }
+        GradientSink::Adam(state) => {
+            move_geometry(&mut a.part.geometry, state, block, &parameters, &gradient, finite, corrections);
+            note_statistics(state, block, a.camera, &p, &sums, finite);
+        }
+    }
+}
+
+/// `1 / (1 − β₁ᵗ)` and `1 / (1 − β₂ᵗ)` of the step that the clocks are about to take.
+#[inline(always)]
+fn bias_corrections<S: Simd>(clock: &[f32]) -> [S; 2] {
+    let one = S::splat(1.0);
+    let t = S::read(clock).add(one);
+    let c1 = one.sub(t.mul(S::splat(LN_BETAS[0])).exp());
+    let c2 = one.sub(t.mul(S::splat(LN_BETAS[1])).exp());
+    [one.div(c1), one.div(c2)]
+}
+
+/// Clocks, moments and parameters of the Gaussians from `block` on, where `on`.
+#[inline(always)]
+fn move_geometry<S: Simd>(
+    geometry: &mut [&mut [f32]; GEOMETRY],
+    state: &mut AdamPart,
+    block: usize,
+    parameters: &[S; GEOMETRY],
+    gradient: &[S; GEOMETRY],
+    on: S::Mask,
+    [c1, c2]: [S; 2],
+) {
+    let (zero, one) = (S::splat(0.0), S::splat(1.0));
+    let clock = &mut state.steps[block..];
+    let t = S::read(clock);
+    S::select(on, t.add(one), t).write(clock);
+    let [beta1, beta2] = BETAS.map(|beta| beta as f32);
+    for (k, &g) in gradient.iter().enumerate() {
+        let rate = match k {
+            0..LOG_SCALE => state.rates.mean,
+            LOG_SCALE..ROTATION => state.rates.log_scale,
+            ROTATION..OPACITY => state.rates.rotation,
+            _ => state.rates.opacity,
+        };
+        let (m, v) = (&mut state.geometry_m[k][block..], &mut state.geometry_v[k][block..]);
+        let (m0, v0) = (S::read(m), S::read(v));
+        let g = g.keep(on);
+        let m1 = m0.mul(S::splat(beta1)).add(g.mul(S::splat(1.0 - beta1)));
+        let v1 = v0.mul(S::splat(beta2)).add(g.mul(g).mul(S::splat(1.0 - beta2)));
+        let m1 = m1.keep(m1.abs().ge(S::splat(TINY[0])));
+        let v1 = v1.keep(v1.ge(S::splat(TINY[1])));
+        let step = m1.mul(c1).div(v1.mul(c2).sqrt().add(S::splat(EPSILON as f32))).mul(S::splat(rate));
+        parameters[k].sub(S::select(on, step, zero)).write(&mut geometry[k][block..]);
+        S::select(on, m1, m0).write(m);
+        S::select(on, v1, v0).write(v);
+    }
+}
+
+#[inline(always)]
+fn note_statistics<S: Simd>(
+    state: &mut AdamPart,
+    block: usize,
+    c: &CameraConstants,
+    p: &Projection<S>,
+    sums: &[S; SUMS],
+    on: S::Mask,
+) {
+    let gx = p.conic[0].mul(sums[1]).add(p.conic[1].mul(sums[2])).mul(S::splat(0.5 * c.size[0]));
+    let gy = p.conic[1].mul(sums[1]).add(p.conic[2].mul(sums[2])).mul(S::splat(0.5 * c.size[1]));
+    let norm = gx.fma(gx, gy.mul(gy)).sqrt();
+    let (gradient, visible) = (&mut state.gradient[block..], &mut state.visible[block..]);
+    S::read(gradient).add(norm.keep(on)).write(gradient);
+    S::read(visible).add(S::splat(1.0).keep(on)).write(visible);
+}
+
+/// Spherical harmonics of Gaussian `i` of the part: their step, and the colour's part of dL/dmean (infinite, and no step, where it
+/// is not finite).
+#[inline(always)]
+fn colour_step(
+    part: &mut ModelPart,
+    camera: &CameraConstants,
+    i: usize,
+    d_rgb: [f32; 3],
+    corrections: [f32; 2],
+) -> Vec3 {
+    let degree = camera.sh_degree;
+    let mean = Vec3::new(part.geometry[MEAN][i], part.geometry[MEAN + 1][i], part.geometry[MEAN + 2][i]);
+    let used = (degree as usize + 1).pow(2);
+    let own = i * part.sh_stride..i * part.sh_stride + used * 3;
+    let coefficients = &mut part.sh[own.clone()];
+    let offset = mean - camera.position;
+    let distance = offset.length();
+    let dir = offset.normalize_or_zero();
+    let mut basis = [0.0; sh::MAX_COEFFICIENTS];
+    sh::basis(dir, degree, &mut basis);
+    let rgb = colour(coefficients, &basis, degree);
+    let d_rgb = array!(c in 3 => if rgb[c] > 0.0 { d_rgb[c] } else { 0.0 });
+    let mut by_basis = [0.0; sh::MAX_COEFFICIENTS];
+    for (w, sh) in by_basis[..used].iter_mut().zip(coefficients.chunks_exact(3)) {
+        *w = sh[0] * d_rgb[0] + sh[1] * d_rgb[1] + sh[2] * d_rgb[2];
+    }
+    let g = sh::basis_gradient(dir, degree, &by_basis);
+    let by_mean = if distance > 0.0 { (g - dir * g.dot(dir)) / distance } else { Vec3::ZERO };
+    if !by_mean.is_finite() {
+        return Vec3::INFINITY;
+    }
+    match &mut part.sink {
+        GradientSink::Gradient { sh, .. } => {
+            for (out, y) in sh[own].chunks_exact_mut(3).zip(basis) {
+                out.copy_from_slice(&d_rgb.map(|d| d * y));
+            }
+        }
+        GradientSink::Adam(state) => {
+            let moments = [&mut state.sh_m[own.clone()], &mut state.sh_v[own]];
+            move_colour(coefficients, moments, &basis, d_rgb, corrections, &state.rates);
+        }
+    }
+    by_mean
+}
+
+#[inline(always)]
+fn move_colour(
+    value: &mut [f32],
+    [m, v]: [&mut [f32]; 2],
+    basis: &[f32; sh::MAX_COEFFICIENTS],
+    d_rgb: [f32; 3],
+    [c1, c2]: [f32; 2],
+    rates: &LearningRates,
+) {
+    let mut gradient = [0.0f32; sh::MAX_COEFFICIENTS * 3];
+    for (out, y) in gradient.chunks_exact_mut(3).zip(basis) {
+        out.copy_from_slice(&d_rgb.map(|d| d * y));
+    }
+    let mut rate = [rates.sh_rest; sh::MAX_COEFFICIENTS * 3];
+    rate[..3].fill(rates.sh0);
+    let [beta1, beta2] = BETAS.map(|beta| beta as f32);
+    let n = value.len().min(m.len()).min(v.len());
+    for k in 0..n {
+        let g = gradient[k];
+        let m1 = beta1 * m[k] + (1.0 - beta1) * g;
+        let v1 = beta2 * v[k] + (1.0 - beta2) * g * g;
+        m[k] = if m1.abs() >= TINY[0] { m1 } else { 0.0 };
+        v[k] = if v1 >= TINY[1] { v1 } else { 0.0 };
+        value[k] -= rate[k] * (m[k] * c1) / ((v[k] * c2).sqrt() + EPSILON as f32);
+    }
+}
+
+simd_kernel!(
+    /// Gradients of a part of a model, and their step.
+    pub(super) fn adam(arguments: &mut Adam) = adam_generic
+);

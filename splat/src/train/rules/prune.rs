@@ -1,0 +1,189 @@
+//! Near the end Gaussians go that the pictures do not miss.
+//!
+//! A picture is linear in each α, so that without Gaussian i a pixel changes by exactly `ΔC = −α_i
+//! dC/dα_i`. The energy `Σ_pixels |ΔC|²` costs nothing new: where dL/dC is a random sign r for each
+//! pixel and channel, `o dL/do = Σ r · α dC/dα` has the mean 0 and the variance `Σ |α dC/dα|²`
+//! (Hutchinson 1990). One backward pass a view gives one draw for every Gaussian; the draws of the
+//! views add up.
+
+use crate::backend::Backend as _;
+use crate::cpu::CpuBackend;
+use crate::error::SplatError;
+use crate::model::{Model, OPACITY};
+use crate::statistics::Statistics;
+use crate::train::context::RuleContext;
+use crate::view::{PinholeView, RenderOptions};
+use rand::Rng as _;
+use scene::decision::{Choice, Decision, Measurement, Quantity, Rule, Subject};
+use serde::{Deserialize, Serialize};
+
+/// Position in the schedule at which Gaussians are removed; what follows lets the others close the
+/// gaps.
+/// Source: chosen by hand, never measured.
+const AT: f64 = 0.9;
+/// What removing them may cost the training views before that, dB.
+/// Source: chosen by hand: rows of docs/benchmarks.md below 0.2 dB are alike.
+const LOSS: f64 = 0.05;
+/// Steps of a schedule with a time limit that must be left, which the search costs half of.
+/// Source: a search costs as much as thirty steps.
+const LEAST_STEPS_LEFT: f64 = 60.0;
+/// Training views whose pictures judge the removal. Source: chosen by hand, never measured.
+const JUDGES: usize = 8;
+/// Training views from which the energies are estimated: all of an ordinary capture. What only the
+/// others see would go without a trace. Source: docs/decisions/13.
+const WITNESSES: usize = 100;
+/// Pictures above this many pixels are halved for the energies: they only order the Gaussians.
+/// Source: chosen by hand, never measured.
+const PIXELS: usize = 60_000;
+/// Alpha is limited to 0.99, where its gradient vanishes; energies are taken at opacities below.
+/// Source: `reference::rasterise::MAX_ALPHA` less a hundredth.
+const MOST_OPAQUE: f32 = 0.98;
+/// At least one in this many Gaussians stays. Source: chosen by hand, never measured.
+const LEAST_KEPT: usize = 4;
+/// The number that goes is found to one in this many Gaussians: six trials. Source: chosen by hand,
+/// never measured.
+const RESOLUTION: usize = 64;
+
+/// State of the rule.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub(crate) struct PruneRule {
+    /// Whether redundant Gaussians were looked for.
+    pub(crate) done: bool,
+}
+
+impl PruneRule {
+    /// Removes redundant Gaussians, once.
+    pub(super) fn review(&mut self, step: &mut RuleContext) -> Result<(), SplatError> {
+        let left = step.expected_steps() - f64::from(step.state.place.iteration);
+        let short = step.setup.config.time_limit.is_some() && left < LEAST_STEPS_LEFT;
+        if self.done || step.position() < AT || short {
+            return Ok(());
+        }
+        self.done = true;
+        prune_redundant(step)
+    }
+}
+
+/// Removes as many of the Gaussians that the pictures miss least as may go at a loss of [`LOSS`].
+fn prune_redundant(step: &mut RuleContext) -> Result<(), SplatError> {
+    let judges = step.setup.some_views(JUDGES);
+    let before = step.psnr(&judges, 0, None)?;
+    let (mut model, mut statistics) = step.backend.release()?;
+    let n = model.len;
+    let order = by_energy(step, &model)?;
+    // The loss grows with what is removed: bisection.
+    let (mut good, mut bad) = (n, n / LEAST_KEPT);
+    while good > bad + n / RESOLUTION + 1 {
+        let middle = (good + bad) / 2;
+        step.backend.upload(model.drawn(&first_sorted(&order, middle)), Statistics::default())?;
+        let loss = before - step.psnr(&judges, 0, None)?;
+        if loss <= LOSS { good = middle } else { bad = middle }
+    }
+    if good < n {
+        model.select(&first_sorted(&order, good));
+        statistics.reset(good);
+    }
+    step.backend.upload(model, statistics)?;
+    let after = step.psnr(&judges, 0, None)?;
+    let decision = Decision::new(Subject::RedundantGaussians, Choice::share(n - good, n), Rule::Evidence)
+        .with(Measurement::count(Quantity::TrainingViews, judges.len()))
+        .measured(Quantity::PsnrBefore, before)
+        .measured(Quantity::PsnrAfter, after);
+    step.state.decisions.push(decision);
+    Ok(())
+}
+
+/// The Gaussians by falling energy.
+fn by_energy(step: &RuleContext, whole: &Model) -> Result<Vec<u32>, SplatError> {
+    let (setup, witnesses) = (step.setup, step.setup.some_views(WITNESSES));
+    let views = witnesses.iter().map(|&v| setup.dataset.views[v].view);
+    let views: Vec<PinholeView> =
+        views.map(|view| view.at_level(u32::from(view.width * view.height > PIXELS))).collect();
+    let energies = energies(whole, &views, step.options(), setup.config.seed)?;
+    let mut order: Vec<u32> = (0..whole.len as u32).collect();
+    order.sort_by(|&a, &b| energies[b as usize].total_cmp(&energies[a as usize]).then(a.cmp(&b)));
+    Ok(order)
+}
+
+/// The first of an order, ascending.
+fn first_sorted(order: &[u32], count: usize) -> Vec<u32> {
+    let mut kept = order[..count].to_vec();
+    kept.sort_unstable();
+    kept
+}
+
+/// For each Gaussian the energy `Σ |ΔC|²` that the pictures of the views would lose without it,
+/// estimated by one draw a view (relative deviation √(2 / views)).
+fn energies(
+    whole: &Model,
+    views: &[PinholeView],
+    options: RenderOptions,
+    seed: u64,
+) -> Result<Vec<f32>, SplatError> {
+    let limit = (MOST_OPAQUE / (1.0 - MOST_OPAQUE)).ln();
+    let all: Vec<u32> = (0..whole.len as u32).collect();
+    let mut model = whole.drawn(&all);
+    model.geometry[OPACITY].iter_mut().for_each(|logit| *logit = logit.min(limit));
+    // o dL/do = dL/dlogit / (1 − o)
+    let slopes: Vec<f32> = model.geometry[OPACITY].iter().map(|l| 1.0 / (1.0 + l.exp())).collect();
+    let mut backend = CpuBackend::default();
+    backend.upload(model, Statistics::default())?;
+    let mut energies = vec![0.0f32; whole.len];
+    for (index, view) in views.iter().enumerate() {
+        let mut rng = scene::rng::rng(seed, "energies", index as u64);
+        let values = view.width * view.height * 3;
+        let signs: Vec<f32> = (0..values).map(|_| if rng.random::<bool>() { 1.0 } else { -1.0 }).collect();
+        let found = backend.gradients(view, &options, &signs);
+        for ((e, g), slope) in energies.iter_mut().zip(&found.geometry[OPACITY]).zip(&slopes) {
+            *e += (g / slope).powi(2);
+        }
+    }
+    Ok(energies)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use glam::{Mat3, Quat, Vec3};
+    use scene::Gaussians;
+
+    #[test]
+    fn energies_are_what_the_picture_loses_without_the_gaussian() {
+        let mut rng = scene::rng::rng(2, "blobs", 0);
+        let n = 12;
+        let mut unit = || Vec3::from_array(std::array::from_fn(|_| rng.random_range(-1.0f32..1.0)));
+        let means: Vec<Vec3> = (0..n).map(|_| unit() * 0.4).collect();
+        let model = Model::from_gaussians(&Gaussians {
+            log_scales: vec![Vec3::splat(-2.0); n],
+            rotations: vec![Quat::IDENTITY; n],
+            opacity_logits: (0..n).map(|i| [-2.0, 0.0, 3.0][i % 3]).collect(),
+            sh: (0..n).flat_map(|_| unit().to_array()).collect(),
+            sh_degree: 0,
+            means,
+        });
+        let view = PinholeView {
+            rotation: Mat3::IDENTITY,
+            translation: Vec3::Z * 2.0,
+            focal: [60.0; 2],
+            centre: [24.0, 20.0],
+            width: 48,
+            height: 40,
+        };
+        // The same view again and again: the mean of the draws is the energy itself.
+        const DRAWS: usize = 400;
+        let estimated = energies(&model, &[view; DRAWS], RenderOptions::default(), 1).unwrap();
+        let mut backend = CpuBackend::default();
+        let mut picture = |kept: &[u32]| {
+            backend.upload(model.drawn(kept), Statistics::default()).unwrap();
+            backend.render(&view, &RenderOptions::default()).unwrap().rgb.data
+        };
+        let all: Vec<u32> = (0..n as u32).collect();
+        let whole = picture(&all);
+        for (i, &energy) in estimated.iter().enumerate() {
+            let others: Vec<u32> = all.iter().copied().filter(|&k| k as usize != i).collect();
+            let exact: f32 = picture(&others).iter().zip(&whole).map(|(a, b)| (a - b).powi(2)).sum();
+            let found = energy / DRAWS as f32;
+            assert!((found / exact - 1.0).abs() < 0.3, "gaussian {i}: {found} for {exact}");
+        }
+    }
+}

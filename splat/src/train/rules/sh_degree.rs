@@ -1,0 +1,163 @@
+//! How far colours depend on the direction they are seen from: degrees of the spherical harmonics
+//! come in one after the other, and stay if the validation views are better for it.
+
+use crate::cpu::sh;
+use crate::error::SplatError;
+use crate::model::{MAX_SH_DEGREE, Model};
+use crate::train::context::RuleContext;
+use crate::train::evidence::LEAST_GAIN;
+use crate::train::schedule::GROWTH_END;
+use glam::Vec3;
+use rayon::prelude::*;
+use scene::decision::{Choice, Decision, Measurement, Quantity, Rule, Subject};
+use scene::gaussians::SH_C0;
+use serde::{Deserialize, Serialize};
+
+/// Positions in the schedule from which each higher degree is in use. Source: chosen by hand, never
+/// measured.
+const FROM: [f64; MAX_SH_DEGREE as usize] = [0.2, 0.35, 0.5];
+/// Part of the schedule between a degree's beginning and its judgement. Source: chosen by hand,
+/// never measured.
+const TRIAL: f64 = 0.1;
+/// Training views over whose directions a degree's mean is taken, at most. Source: chosen by hand,
+/// never measured.
+const DIRECTIONS: usize = 32;
+
+/// Degrees are judged while there are views to judge them.
+const _: () = assert!(FROM[MAX_SH_DEGREE as usize - 1] + TRIAL < GROWTH_END);
+
+/// State of the rule.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub(crate) struct ShDegreeRule {
+    /// Degree above which the validation views gained nothing.
+    limit: Option<u32>,
+    /// Degrees judged so far.
+    pub(crate) judged: u32,
+}
+
+impl ShDegreeRule {
+    /// Raises the degree to that of the step's position.
+    pub(super) fn before_step(&mut self, step: &mut RuleContext) -> Result<(), SplatError> {
+        let highest = step.setup.config.sh_degree.min(self.limit.unwrap_or(MAX_SH_DEGREE));
+        let passed = FROM.iter().filter(|&&from| step.position() >= from).count();
+        let degree = (passed as u32).min(highest);
+        if step.backend.sh_degree() < degree { step.backend.set_sh_degree(degree) } else { Ok(()) }
+    }
+
+    /// A degree that was in use for a while stays if the validation views are better for it.
+    pub(super) fn review(&mut self, step: &mut RuleContext) -> Result<(), SplatError> {
+        let highest = step.setup.config.sh_degree;
+        let begun = FROM.get(self.judged as usize).filter(|_| self.judged < highest && self.limit.is_none());
+        let due = |from: &f64| (from + TRIAL..GROWTH_END).contains(&step.position());
+        if step.setup.validation.is_empty() || !begun.is_some_and(due) {
+            return Ok(());
+        }
+        let setup = step.setup;
+        let (level, lower) = (step.level(), self.judged);
+        self.judged += 1;
+        let with = step.psnr(&setup.validation, level, Some(self.judged))?;
+        let without = psnr_without(step, level, lower)?;
+        let pays = with - without >= LEAST_GAIN;
+        if !pays {
+            self.limit = Some(lower);
+            step.backend.set_sh_degree(lower)?;
+        }
+        if !pays || self.judged == highest {
+            let [lower, higher] = [lower, self.judged].map(degree_choice);
+            let chosen = if pays { &higher } else { &lower }.clone();
+            let decision = Decision::new(Subject::ShDegree, chosen, Rule::Evidence)
+                .with(Measurement::count(Quantity::ValidationViews, setup.validation.len()))
+                .compared(lower, !pays, vec![Measurement::new(Quantity::Psnr, without)])
+                .compared(higher, pays, vec![Measurement::new(Quantity::Psnr, with)]);
+            step.state.decisions.push(decision);
+        }
+        Ok(())
+    }
+}
+
+fn degree_choice(degree: u32) -> Choice {
+    Measurement::new(Quantity::ShDegree, f64::from(degree)).into()
+}
+
+/// PSNR of the validation views with degrees up to `degree` alone. A degree that is in use carries
+/// a part of the constant colour, so that leaving it out says too much for it: its mean over the
+/// training views' directions takes the place of what it says.
+fn psnr_without(step: &mut RuleContext, level: u32, degree: u32) -> Result<f64, SplatError> {
+    let setup = step.setup;
+    let every = setup.views.len().div_ceil(DIRECTIONS);
+    let some = setup.views.iter().step_by(every);
+    let cameras: Vec<Vec3> = some.map(|&v| setup.dataset.views[v].view.position()).collect();
+    let mut before = Vec::new();
+    step.backend.edit(&mut |model, _| before = fold_degree(model, degree + 1, &cameras))?;
+    let psnr = step.psnr(&setup.validation, level, Some(degree));
+    step.backend.edit(&mut |model, _| {
+        let stride = model.sh_stride();
+        for (sh, constant) in model.sh.chunks_exact_mut(stride).zip(&before) {
+            sh[..3].copy_from_slice(constant);
+        }
+    })?;
+    psnr
+}
+
+/// Adds to the constant colour the mean of one degree's part over the directions from `cameras`;
+/// returns the constants as they were.
+fn fold_degree(model: &mut Model, degree: u32, cameras: &[Vec3]) -> Vec<[f32; 3]> {
+    let stride = model.sh_stride();
+    let means: Vec<Vec3> = (0..model.len).map(|i| model.mean(i)).collect();
+    let all = model.sh.par_chunks_exact_mut(stride).zip(&means);
+    all.map(|(sh, mean)| {
+        let before = [sh[0], sh[1], sh[2]];
+        let sum = sum_of_degree(sh, *mean, degree, cameras);
+        let share = 1.0 / (SH_C0 * cameras.len().max(1) as f32);
+        sh.iter_mut().zip(sum).for_each(|(v, s)| *v += s * share);
+        before
+    })
+    .collect()
+}
+
+/// Sum over the cameras of one degree's part of the colour of a Gaussian at `mean`.
+fn sum_of_degree(sh: &[f32], mean: Vec3, degree: u32, cameras: &[Vec3]) -> [f32; 3] {
+    let band = (degree * degree) as usize..((degree + 1) * (degree + 1)) as usize;
+    let mut sum = [0.0f32; 3];
+    for camera in cameras {
+        let mut basis = [0.0; sh::MAX_COEFFICIENTS];
+        sh::basis((mean - *camera).normalize_or_zero(), degree, &mut basis);
+        for (k, y) in band.clone().zip(&basis[band.clone()]) {
+            sum.iter_mut().zip(&sh[3 * k..]).for_each(|(s, v)| *s += y * v);
+        }
+    }
+    sum
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use glam::Quat;
+    use scene::Gaussians;
+
+    #[test]
+    fn the_constant_colour_takes_a_degrees_mean_over_the_directions() {
+        let mut model = Model::from_gaussians(&Gaussians {
+            means: vec![Vec3::ZERO],
+            log_scales: vec![Vec3::ZERO],
+            rotations: vec![Quat::IDENTITY],
+            opacity_logits: vec![0.0],
+            sh: vec![0.2, 0.3, 0.4, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.5, -0.5, 0.0],
+            sh_degree: 1,
+        });
+        let colour = |model: &Model, eye: Vec3, degree: u32| {
+            let mut basis = [0.0; sh::MAX_COEFFICIENTS];
+            sh::basis(-eye.normalize(), degree, &mut basis);
+            crate::cpu::project::colour(&model.sh, &basis, degree)
+        };
+        let cameras = [Vec3::new(2.0, 0.0, 0.0), Vec3::new(1.0, 1.0, 0.0), Vec3::new(3.0, 0.1, 1.0)];
+        let mean: Vec<f32> =
+            (0..3).map(|c| cameras.iter().map(|e| colour(&model, *e, 1)[c]).sum::<f32>() / 3.0).collect();
+        assert_ne!(colour(&model, cameras[0], 0)[0], mean[0]);
+        let before = fold_degree(&mut model, 1, &cameras);
+        assert_eq!(before, vec![[0.2, 0.3, 0.4]]);
+        for (c, mean) in mean.iter().enumerate() {
+            assert!((colour(&model, cameras[0], 0)[c] - mean).abs() < 1e-6);
+        }
+    }
+}

@@ -1,0 +1,93 @@
+//! What stays as it is throughout a training: the data, the configuration, and what follows from
+//! them.
+
+use crate::config::TrainConfig;
+use crate::dataset::Dataset;
+use crate::error::SplatError;
+use crate::footprint::footprint;
+use crate::hull::VisualHull;
+
+/// One training view in this many judges while Gaussians and degrees are added, and is trained on
+/// afterwards.
+/// Source: chosen by hand; what all rows of docs/benchmarks.md were trained with.
+const VALIDATION_EVERY: usize = 12;
+/// With fewer training views than this all are needed. Source: docs/decisions/13: only sets of 60
+/// and more spare some.
+const VALIDATION_FROM: usize = 60;
+
+/// Data and configuration of a training.
+pub(crate) struct TrainingSetup<'a> {
+    pub(crate) dataset: &'a Dataset,
+    pub(crate) config: &'a TrainConfig,
+    /// Training views, ascending.
+    pub(crate) views: Vec<usize>,
+    /// Those of them that only judge until growth ends; none where all are needed.
+    pub(crate) validation: Vec<usize>,
+    /// Points of the sparse cloud, where there is one and no validation views.
+    pub(crate) cloud_points: Option<usize>,
+    /// The configured number of Gaussians, or what the device can hold.
+    pub(crate) max_gaussians: usize,
+    /// Width of a pixel in the scene, normalised units.
+    pub(crate) pixel: f32,
+    /// What the mattes leave room for, where the background shows through.
+    pub(crate) hull: Option<VisualHull>,
+}
+
+impl<'a> TrainingSetup<'a> {
+    /// For a device that holds `max_gaussians`. Errors: no training views.
+    pub(crate) fn new(
+        dataset: &'a Dataset,
+        config: &'a TrainConfig,
+        max_gaussians: usize,
+    ) -> Result<Self, SplatError> {
+        let views = dataset.training_views();
+        if views.is_empty() {
+            return Err(SplatError::TooFewViews(0));
+        }
+        let validation = validation(&views);
+        let cloud = crate::init::cloud(dataset).filter(|_| validation.is_empty());
+        let matted = views.iter().filter(|_| dataset.is_transparent()).map(|&v| &dataset.views[v]);
+        let hull = VisualHull::of(matted);
+        let cloud_points = cloud.map(|points| points.len());
+        let pixel = footprint(dataset);
+        Ok(Self { dataset, config, views, validation, cloud_points, max_gaussians, pixel, hull })
+    }
+
+    /// `count` of the training views, evenly: the middle one of each share; all where there are no
+    /// more.
+    pub(crate) fn some_views(&self, count: usize) -> Vec<usize> {
+        evenly(&self.views, count)
+    }
+}
+
+/// The training views that judge: none where all are needed.
+fn validation(views: &[usize]) -> Vec<usize> {
+    if views.len() < VALIDATION_FROM {
+        return Vec::new();
+    }
+    views.iter().skip(VALIDATION_EVERY / 2).step_by(VALIDATION_EVERY).copied().collect()
+}
+
+fn evenly(views: &[usize], count: usize) -> Vec<usize> {
+    let count = count.min(views.len());
+    (0..count).map(|k| views[(2 * k + 1) * views.len() / (2 * count)]).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn views_are_chosen_from_the_middle_of_equal_shares() {
+        let views: Vec<usize> = (0..41).map(|k| 3 * k).collect();
+        assert_eq!(evenly(&views, 100), views);
+        assert_eq!(evenly(&views, 4), [15, 45, 75, 105]);
+        assert!(evenly(&[], 4).is_empty());
+    }
+
+    #[test]
+    fn validation_views_are_spared_only_where_there_are_many() {
+        assert!(validation(&(0..59).collect::<Vec<_>>()).is_empty());
+        assert_eq!(validation(&(0..60).collect::<Vec<_>>()), [6, 18, 30, 42, 54]);
+    }
+}

@@ -1,0 +1,308 @@
+//! The command line: what can be said to sat-recon.
+
+use clap::{Args, Parser, Subcommand, ValueEnum};
+use serde::{Deserialize, Serialize};
+use std::path::PathBuf;
+
+/// Camera poses, a sparse cloud and a 3D Gaussian splat from a video or photos of an object.
+///
+/// `sat-recon INPUT` is short for `sat-recon run INPUT`.
+#[derive(Parser, Debug)]
+#[command(version, propagate_version = true, args_override_self = true, infer_subcommands = false)]
+pub struct Cli {
+    /// What to do.
+    #[command(subcommand)]
+    pub command: Command,
+    /// Flags of every command.
+    #[command(flatten)]
+    pub global: Global,
+}
+
+/// Flags that every command understands.
+#[derive(Args, Clone, Debug)]
+pub struct Global {
+    /// A TOML file of flags, placed before the typed ones (`iterations = 2000` is `--iterations
+    /// 2000`)
+    #[arg(long, global = true, value_name = "FILE", help_heading = "General")]
+    pub config: Option<PathBuf>,
+    /// Worker threads (default: one a core); results do not depend on it
+    #[arg(long, global = true, value_name = "N", help_heading = "General")]
+    pub threads: Option<usize>,
+    /// Print the result as JSON on standard output
+    #[arg(long, global = true, help_heading = "General")]
+    pub json: bool,
+    /// Say nothing but errors
+    #[arg(short, long, global = true, conflicts_with = "verbose", help_heading = "General")]
+    pub quiet: bool,
+    /// Say what was found out on the way
+    #[arg(short, long, global = true, help_heading = "General")]
+    pub verbose: bool,
+}
+
+/// The commands. Those from `frames` to `report` are one pipeline stopped early.
+#[derive(Subcommand, Debug)]
+pub enum Command {
+    /// From a video, a folder of photos or a posed data set to a splat and a report
+    Run(Box<PipelineArgs>),
+    /// Only choose and write the frames (and masks)
+    Frames(Box<PipelineArgs>),
+    /// Up to camera poses and the sparse cloud
+    Sfm(Box<PipelineArgs>),
+    /// Up to the trained splat
+    Train(Box<PipelineArgs>),
+    /// Up to the metrics of the held-out views
+    Eval(Box<PipelineArgs>),
+    /// Everything, and write report.html anew
+    Report(Box<PipelineArgs>),
+    /// Render a trained splat along the input cameras, an orbit or a spiral
+    Render(RenderArgs),
+    /// Write a result in another format
+    Export(ExportArgs),
+    /// Our poses beside COLMAP's or a ground truth's
+    Compare(CompareArgs),
+    /// Quality against time: trains at several presets and time limits, draws the curve
+    Bench(BenchArgs),
+    /// Look at a trained splat in a browser, served to this machine alone
+    View(ViewArgs),
+    /// What is installed, which adapters there are, and what will be slow
+    Doctor,
+}
+
+/// What the pipeline's commands take.
+#[derive(Args, Clone, Debug, Serialize)]
+pub struct PipelineArgs {
+    /// A video, a folder of photos, a COLMAP data set, a transforms.json, or a former output folder
+    /// (its input and flags are used again)
+    pub input: PathBuf,
+    /// Output folder (default: the input's name with `_recon`, in the current folder)
+    #[arg(short, long, value_name = "OUT", help_heading = "General")]
+    pub output: Option<PathBuf>,
+    /// Preset: places flags before the configuration file's and the typed ones
+    #[arg(long, value_enum, default_value_t = splat::Quality::Balanced, help_heading = "General")]
+    pub quality: splat::Quality,
+    /// Seed of all randomness
+    #[arg(long, default_value_t = 0, help_heading = "General")]
+    pub seed: u64,
+    /// Solve the poses even where the input brings its own
+    #[arg(long, help_heading = "General")]
+    pub ignore_poses: bool,
+    /// Write the models as text too
+    #[arg(long, help_heading = "General")]
+    pub text: bool,
+    /// Take features, matches and camera groups from this database.db of COLMAP's (images are known
+    /// by their names)
+    #[arg(long, value_name = "FILE", help_heading = "Structure from motion")]
+    pub database: Option<PathBuf>,
+    /// Of --database take the features only, and match them anew
+    #[arg(long, requires = "database", help_heading = "Structure from motion")]
+    pub rematch: bool,
+    /// Write OUT/database.db too: features, matches and verified pairs, on which COLMAP's mappers
+    /// run
+    #[arg(long, help_heading = "Structure from motion")]
+    pub colmap_database: bool,
+    /// Take the camera of an earlier run (its folder: within its standard deviations) or of a
+    /// COLMAP model (as it is)
+    #[arg(
+        long,
+        value_name = "FOLDER",
+        conflicts_with = "intrinsics",
+        help_heading = "Structure from motion"
+    )]
+    pub camera_from: Option<PathBuf>,
+    /// Choice of frames.
+    #[command(flatten)]
+    pub frames: preprocess::FrameConfig,
+    /// Cutting the object out of a screen.
+    #[command(flatten)]
+    pub key: preprocess::KeyConfig,
+    /// Structure from motion.
+    #[command(flatten)]
+    pub sfm: sfm::SfmConfig,
+    /// What the splat is trained on.
+    #[command(flatten)]
+    pub dataset: splat::DatasetConfig,
+    /// Training.
+    #[command(flatten)]
+    pub train: splat::TrainConfig,
+    /// Evaluation.
+    #[command(flatten)]
+    pub eval: EvalConfig,
+}
+
+/// How the held-out views are judged.
+#[derive(Args, Clone, Debug, Serialize, Deserialize)]
+pub struct EvalConfig {
+    /// Weights for LPIPS, a .safetensors file of AlexNet's or VGG-16's made by
+    /// tools/lpips_weights.py; may be given for each
+    #[arg(long, value_name = "FILE", help_heading = "Evaluation")]
+    pub lpips_weights: Vec<PathBuf>,
+    /// How often the held-out views are rendered to measure frames per second
+    #[arg(long, default_value_t = 15, value_parser = clap::value_parser!(u32).range(1..=1000), help_heading = "Evaluation")]
+    pub fps_loops: u32,
+    /// The true shape.
+    #[command(flatten)]
+    #[serde(default)]
+    pub mesh: MeshConfig,
+}
+
+/// The true shape.
+#[derive(Args, Clone, Debug, Default, Serialize, Deserialize)]
+pub struct MeshConfig {
+    /// True shape of the object (.ply, .obj, .glb): accuracy, completeness, F-score and Chamfer
+    /// distance of the cloud and the splat
+    #[arg(long, value_name = "FILE", help_heading = "Evaluation")]
+    pub mesh: Option<PathBuf>,
+    /// True cameras in the frame of --mesh (as for compare --truth); the model is moved onto their
+    /// centres (default: it is in that frame)
+    #[arg(long, value_name = "TRUTH", requires = "mesh", help_heading = "Evaluation")]
+    pub mesh_truth: Option<PathBuf>,
+}
+
+/// The path of a rendered camera.
+#[derive(ValueEnum, Clone, Copy, Debug, PartialEq, Eq)]
+pub enum RenderPath {
+    /// The input cameras
+    Input,
+    /// The held-out input cameras
+    Test,
+    /// A circle through the input cameras' mean height and distance
+    Orbit,
+    /// A circle that rises and falls
+    Spiral,
+}
+
+/// What a rendered picture shows.
+#[derive(ValueEnum, Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Channel {
+    /// Colour
+    Color,
+    /// Expected depth, near bright
+    Depth,
+    /// Coverage
+    Alpha,
+    /// Surface direction from depth, as colour
+    Normals,
+}
+
+/// What `render` takes.
+#[derive(Args, Clone, Debug)]
+pub struct RenderArgs {
+    /// A former output folder
+    pub run: PathBuf,
+    /// A folder for PNG files, or a file ending in .mp4
+    #[arg(short, long, value_name = "OUT")]
+    pub output: PathBuf,
+    /// Where the camera goes
+    #[arg(long, value_enum, default_value_t = RenderPath::Orbit)]
+    pub path: RenderPath,
+    /// What to show
+    #[arg(long, value_enum, default_value_t = Channel::Color)]
+    pub channel: Channel,
+    /// Pictures along an orbit or spiral
+    #[arg(long, default_value_t = 120, value_parser = clap::value_parser!(u32).range(1..=100_000))]
+    pub count: u32,
+    /// Frames a second of an mp4
+    #[arg(long, default_value_t = 30.0)]
+    pub fps: f64,
+    /// Background colour, red green blue in [0, 1]
+    #[arg(long, num_args = 3, default_values_t = [0.0, 0.0, 0.0])]
+    pub background: Vec<f32>,
+    /// Where to render.
+    #[command(flatten)]
+    pub device: splat::DeviceConfig,
+}
+
+/// What `export` takes.
+#[derive(Args, Clone, Debug)]
+pub struct ExportArgs {
+    /// A former output folder, or a splat file
+    pub input: PathBuf,
+    /// The file or folder to write; its ending says the format: .html (a page to open in a
+    /// browser), .ply (3DGS order), .compressed.ply, .splat, .spz, .glb (these also read, and
+    /// .ksplat), .json (transforms), .db (COLMAP's database, of a run with --colmap-database), or a
+    /// folder (COLMAP model, --text for text)
+    #[arg(short, long, value_name = "OUT", required_unless_present_any = ["html", "mesh"])]
+    pub output: Option<PathBuf>,
+    /// One self-contained page that opens from disk (default output: RUN/view.html)
+    #[arg(long)]
+    pub html: bool,
+    /// A triangle mesh: the splat's surface as the input cameras see it, fused, with colours; .ply
+    /// or .glb (default output: RUN/mesh.ply)
+    #[arg(long, conflicts_with = "html")]
+    pub mesh: bool,
+    /// Most voxels along the longest side of the object from which --mesh is made (fewer where they
+    /// would be smaller than 1.5 pixels)
+    #[arg(long, default_value_t = splat::fusion::DEFAULT_RESOLUTION, requires = "mesh", value_name = "N",
+          value_parser = clap::value_parser!(u32).range(16..=2048))]
+    pub mesh_resolution: u32,
+    /// Write a COLMAP model as text
+    #[arg(long)]
+    pub text: bool,
+}
+
+/// What `compare` takes.
+#[derive(Args, Clone, Debug)]
+pub struct CompareArgs {
+    /// Former output folders, or COLMAP models; METHOD:CASE=FOLDER names a run in the tables, or a
+    /// folder of another tool's renders (pictures named like the held-out views of a run of the
+    /// same case)
+    #[arg(required = true)]
+    pub runs: Vec<String>,
+    /// Also write the tables of quality, training and rendering cost into this folder: Markdown,
+    /// CSV, LaTeX, JSON
+    #[arg(long, value_name = "FOLDER")]
+    pub tables: Option<PathBuf>,
+    /// Also write a page that shows the runs beside each other
+    #[arg(long, value_name = "FILE.html")]
+    pub report: Option<PathBuf>,
+    /// Tables that --tables wrote earlier (tables.json), or published figures in that form, to
+    /// stand in the tables too
+    #[arg(long, value_name = "FILE.json")]
+    pub beside: Vec<PathBuf>,
+    /// Weights for LPIPS of other tools' renders, as for `eval`
+    #[arg(long, value_name = "FILE")]
+    pub lpips_weights: Vec<PathBuf>,
+    /// Ground truth: Middlebury *_par.txt, a folder of *.camera, a COLMAP model, or a
+    /// transforms.json
+    #[arg(long)]
+    pub truth: Option<PathBuf>,
+    /// Run Debian's COLMAP on the same frames and show it beside
+    #[arg(long)]
+    pub colmap: bool,
+}
+
+/// What `bench` takes.
+#[derive(Args, Clone, Debug)]
+pub struct BenchArgs {
+    /// What `run` takes: a video, a folder of photos, a posed data set
+    pub input: PathBuf,
+    /// Output folder (default: the input's name with `_bench`, in the current folder)
+    #[arg(short, long, value_name = "OUT")]
+    pub output: Option<PathBuf>,
+    /// Presets to measure
+    #[arg(long, value_enum, value_delimiter = ',', default_values = ["draft", "fast", "balanced", "best"], value_name = "LIST")]
+    pub qualities: Vec<splat::Quality>,
+    /// Time limits to measure, such as 30s,60s,5m
+    #[arg(long, value_delimiter = ',', value_parser = splat::config::parse_duration, value_name = "LIST")]
+    pub times: Vec<f64>,
+    /// Only the time limits, no presets
+    #[arg(long)]
+    pub only_times: bool,
+    /// Figures of other tools to draw beside, instead of those that come with the program (same
+    /// format as data/bench/peers.json)
+    #[arg(long, value_name = "FILE")]
+    pub peers: Option<PathBuf>,
+    /// Flags of `run`, after `--`
+    #[arg(last = true, value_name = "FLAGS")]
+    pub flags: Vec<String>,
+}
+
+/// What `view` takes.
+#[derive(Args, Clone, Debug)]
+pub struct ViewArgs {
+    /// A former output folder
+    pub run: PathBuf,
+    /// Port on 127.0.0.1 (0: any that is free)
+    #[arg(long, default_value_t = 0)]
+    pub port: u16,
+}

@@ -1,0 +1,35 @@
+//! One training, measured.
+
+use serde::{Deserialize, Serialize};
+
+/// One training, measured: ours or another tool's.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct Point {
+    /// The tool.
+    pub method: String,
+    /// What it was told.
+    pub setting: String,
+    /// Wall time of training (images loaded, splat written), s.
+    #[serde(default)]
+    pub wall_s: Option<f64>,
+    /// CPU time of training, user and system, s.
+    #[serde(default)]
+    pub cpu_s: Option<f64>,
+    /// Gaussians at the end.
+    #[serde(default)]
+    pub gaussians: Option<usize>,
+    /// Peak resident memory of training, MiB.
+    #[serde(default)]
+    pub peak_mib: Option<f64>,
+    /// Mean over the held-out views, dB.
+    pub psnr: f64,
+    /// The worst held-out view, dB.
+    #[serde(default)]
+    pub psnr_worst: Option<f64>,
+    /// Mean over the held-out views.
+    #[serde(default)]
+    pub ssim: Option<f64>,
+    /// Mean over the held-out views (AlexNet, or VGG-16 where only that was given).
+    #[serde(default)]
+    pub lpips: Option<f64>,
+}
