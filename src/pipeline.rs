@@ -342,7 +342,7 @@ impl Pipeline {
             || {
                 let progress = self.progress("undistort");
                 let reconstruction = scene::io::read_model(&self.out.join("sparse/0"))?;
-                sfm::undistort::undistort(frames, &reconstruction, &training_set, &progress)?;
+                sfm::undistort(frames, &reconstruction, &training_set, &progress)?;
                 Ok(0_u32)
             },
         )?;

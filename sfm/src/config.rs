@@ -1,4 +1,5 @@
-//! What a user can say about structure from motion, declared once: flag, default, file key and report row.
+//! What a user can say about structure from motion, declared once: flag, default, file key and
+//! report row.
 
 use crate::circular::MotionConfig;
 use crate::incremental::MapperConfig;
@@ -6,6 +7,7 @@ use crate::klt::KltConfig;
 use crate::matching::MatchConfig;
 use crate::pairs::PairConfig;
 use crate::sift::SiftConfig;
+use crate::skip::{self, StepName};
 use crate::two_view::TwoViewConfig;
 use crate::{Calibration, SfmError};
 use scene::{Camera, CameraModel};
@@ -35,7 +37,7 @@ pub enum CameraModelChoice {
 
 impl CameraModelChoice {
     /// The model, if the user named one.
-    pub fn model(self) -> Option<CameraModel> {
+    pub(crate) fn model(self) -> Option<CameraModel> {
         match self {
             Self::Auto => None,
             Self::SimplePinhole => Some(CameraModel::SimplePinhole),
@@ -64,7 +66,8 @@ pub enum CameraSharing {
 #[derive(clap::ValueEnum, Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum KeypointPlaces {
-    /// Where the windows about them show what one observation of the point shows, if the model fits that more closely
+    /// Where the windows about them show what one observation of the point shows, if the model fits
+    /// that more closely
     #[default]
     Windows,
     /// Where they were detected
@@ -84,10 +87,12 @@ pub struct SfmConfig {
     /// Camera model to solve for
     #[arg(long, value_enum, default_value_t = CameraModelChoice::Auto, help_heading = "Structure from motion")]
     pub camera_model: CameraModelChoice,
-    /// Known intrinsics, kept as they are: `f,cx,cy`, `fx,fy,cx,cy`, or all parameters of --camera-model
+    /// Known intrinsics, kept as they are: `f,cx,cy`, `fx,fy,cx,cy`, or all parameters of
+    /// --camera-model
     #[arg(long, value_delimiter = ',', value_name = "PARAMS", help_heading = "Structure from motion")]
     pub intrinsics: Option<Vec<f64>>,
-    /// Standard deviations of --intrinsics, one a number (0: exact); the last adjustments take them for priors
+    /// Standard deviations of --intrinsics, one a number (0: exact); the last adjustments take them
+    /// for priors
     #[arg(
         long,
         value_delimiter = ',',
@@ -105,6 +110,16 @@ pub struct SfmConfig {
     /// Where keypoints lie in the last adjustment of photos
     #[arg(long, value_enum, default_value_t = KeypointPlaces::Windows, help_heading = "Structure from motion")]
     pub keypoints: KeypointPlaces,
+    /// Steps that are left out.
+    #[arg(
+        long,
+        value_enum,
+        value_delimiter = ',',
+        value_name = "STEPS",
+        help_heading = "Structure from motion",
+        long_help = skip::HELP
+    )]
+    pub skip: Vec<StepName>,
     /// The motion.
     #[command(flatten)]
     pub motion: MotionConfig,
@@ -129,9 +144,9 @@ pub struct SfmConfig {
 }
 
 impl SfmConfig {
-    /// What is known of a camera whose images have this size: an earlier calibration, or what `--intrinsics` and
-    /// `--intrinsics-sigma` say.
-    pub fn calibration_of(&self, width: u32, height: u32) -> Result<Option<Calibration>, SfmError> {
+    /// What is known of a camera whose images have this size: an earlier calibration, or what
+    /// `--intrinsics` and `--intrinsics-sigma` say.
+    pub(crate) fn calibration_of(&self, width: u32, height: u32) -> Result<Option<Calibration>, SfmError> {
         if let Some(known) = &self.calibration {
             let (of_width, of_height) = (known.camera.width, known.camera.height);
             let other = || SfmError::OtherShape { width, height, of_width, of_height };
@@ -146,8 +161,9 @@ impl SfmConfig {
         Ok(Some(Calibration { camera, sigmas }))
     }
 
-    /// The model and parameters that `--intrinsics` means; an error where their number fits no model.
-    pub fn known_intrinsics(&self) -> Result<Option<(CameraModel, Vec<f64>)>, SfmError> {
+    /// The model and parameters that `--intrinsics` means; an error where their number fits no
+    /// model.
+    pub(crate) fn known_intrinsics(&self) -> Result<Option<(CameraModel, Vec<f64>)>, SfmError> {
         let Some(params) = &self.intrinsics else { return Ok(None) };
         let named = self.camera_model.model();
         let model = named.or(match params.len() {

@@ -37,17 +37,20 @@ pub struct Knowledge {
     pub fixed: bool,
     /// Standard deviation of the focal length known beforehand, as a share of it.
     pub focal_sigma: Option<f64>,
-    /// How well what is `fixed` is known; `None`: exactly. The last adjustments solve for it with this as a prior.
+    /// How well what is `fixed` is known; `None`: exactly. The last adjustments solve for it with
+    /// this as a prior.
     pub calibration: Option<Calibration>,
 }
 
 impl Knowledge {
     /// Nothing is to be solved for, ever.
+    #[cfg(test)]
     pub fn exact() -> Self {
         Self { fixed: true, ..Self::default() }
     }
 
-    /// Which parameters of camera `index`, all of it known, the last adjustments solve for, and what holds them.
+    /// Which parameters of camera `index`, all of it known, the last adjustments solve for, and
+    /// what holds them.
     pub(crate) fn freedom(&self, index: usize, parameters: usize) -> (Vec<bool>, Vec<IntrinsicsPrior>) {
         let Some(Calibration { camera, sigmas }) = &self.calibration else {
             return (vec![false; parameters], Vec::new());

@@ -1,34 +1,51 @@
-//! Structure from motion: features, matching, verification, triangulation, bundle adjustment.
+//! Structure from motion: features, matching, verification, mapping, bundle adjustment.
+//!
+//! ```no_run
+//! # fn main() -> Result<(), sfm::SfmError> {
+//! let frames = scene::FrameSet::default();
+//! let result = sfm::reconstruct(&frames, &sfm::SfmConfig::default(), &scene::Progress::silent())?;
+//! println!("{} of {} images have a pose", result.stats.registered, result.stats.images);
+//! # Ok(())
+//! # }
+//! ```
 
 pub mod bundle;
-pub mod ceres;
-pub mod circular;
-pub mod config;
-pub mod error;
+mod ceres;
+mod circular;
+mod config;
+mod disjoint_sets;
+mod error;
 mod global;
-pub mod incremental;
+mod incremental;
 pub mod klt;
-pub mod knowledge;
-pub mod mapper;
+mod knowledge;
 pub mod matching;
-pub mod model_selection;
-pub mod pairs;
+mod model_selection;
+mod pairs;
 mod plane_tracks;
 pub mod ransac;
 mod reconstruct;
 mod refinement;
-pub mod result;
+mod result;
 pub mod sift;
+mod skip;
 pub mod solvers;
 mod statistics;
-pub mod tracks;
-pub mod triangulation;
+mod tracks;
+mod triangulation;
 pub mod two_view;
-pub mod undistort;
+mod undistort;
 
+pub use circular::{Motion, MotionConfig};
 pub use config::{CameraModelChoice, CameraSharing, KeypointPlaces, SfmConfig};
 pub use error::SfmError;
-pub use knowledge::{Calibration, Knowledge};
+pub use incremental::{MapperChoice, MapperConfig};
+pub use klt::KltConfig;
+pub use knowledge::Calibration;
+pub use pairs::PairConfig;
 pub use reconstruct::{Supplied, reconstruct, reconstruct_features, reconstruct_from, triangulate_given};
 pub use result::{PoseDeviation, SfmResult, SfmStats, StepTime, Uncertainty};
+pub use skip::StepName;
 pub use undistort::undistort;
+
+pub(crate) use knowledge::Knowledge;

@@ -1,9 +1,11 @@
-//! Keypoints of one point moved to where the windows about them show the same, once a model says how they are warped.
+//! Keypoints of one point moved to where the windows about them show the same, once a model says
+//! how they are warped.
 //!
-//! A detector finds each observation by itself, and not the same spot of the surface from every side. One observation of a point,
-//! the one that looks at it from the middle, says which spot is meant; where that lies in the other images is found by its
-//! window (Lucas & Kanade 1981), which begins as the model says it is sheared and stretched (keypoints refined over tracks:
-//! Dusmanu, Schönberger & Pollefeys, ECCV 2020; Lindenberger et al., ICCV 2021).
+//! A detector finds each observation by itself, and not the same spot of the surface from every
+//! side. One observation of a point, the one that looks at it from the middle, says which spot is
+//! meant; where that lies in the other images is found by its window (Lucas & Kanade 1981), which
+//! begins as the model says it is sheared and stretched (keypoints refined over tracks: Dusmanu,
+//! Schönberger & Pollefeys, ECCV 2020; Lindenberger et al., ICCV 2021).
 
 use crate::SfmError;
 use crate::incremental::state::{MapPoint, MapState, MappingInput};
@@ -15,20 +17,30 @@ use glam::{DMat2, DVec2, DVec3};
 use rayon::prelude::*;
 use scene::{Camera, Frame, FrameSet, Pose, Progress};
 
-/// Scale of a keypoint up to which its window is looked at in the image's own size; each halving doubles it.
+/// Scale of a keypoint up to which its window is looked at in the image's own size; each halving
+/// doubles it.
+/// Source: chosen by hand, never measured.
 const SCALE: f64 = 4.0;
-/// Images are halved down to this side, and so often at most.
+/// Images are halved down to this side, pixels.
+/// Source: chosen by hand, never measured.
 const LEAST_SIDE: u32 = 32;
+/// And so often at most.
+/// Source: chosen by hand, never measured.
 const LEVELS: usize = 5;
 /// Least correlation of a window with the one of the observation that says what is meant.
+/// Source: chosen by hand, never measured.
 const CORRELATION: f64 = 0.9;
 /// Farthest that a keypoint is moved, in its scales.
+/// Source: docs/decisions/0020 (0.3 and 0.6 scales were worse on temple_ring).
 const FARTHEST: f64 = 1.0;
 /// Standard deviation of a keypoint that was not moved, in its scales.
+/// Source: chosen by hand, never measured.
 const UNMOVED: f64 = 0.25;
 /// What windows that correlate perfectly are still off by, pixels of the level.
+/// Source: chosen by hand, never measured.
 const FLOOR_PX: f64 = 0.05;
 /// Most points; of more, those with the longest tracks (a patch takes a kilobyte).
+/// Source: derived: a hundred megabytes of patches.
 const MOST_POINTS: usize = 100_000;
 
 /// Keypoints that fit together better than those they come from.
@@ -61,8 +73,8 @@ struct FoundWindow {
     deviation: f64,
 }
 
-/// Looks for the windows of all points of a model. `rotated`: images that `input` shows rotated by 180°. No image is
-/// kept; each is read twice.
+/// Looks for the windows of all points of a model. `rotated`: images that `input` shows rotated by
+/// 180°. No image is kept; each is read twice.
 pub(crate) fn refine(
     state: &MapState,
     input: &MappingInput<'_>,
@@ -80,31 +92,36 @@ pub(crate) fn refine(
         others.for_each(|(_, v)| views_of[v[0] as usize].push((k, *v)));
     }
     progress.begin("windows of keypoints", 2 * n);
-    let seen_in = |image: usize| -> Result<Pyramid, SfmError> {
-        progress.tick()?;
-        load(&frames.frames[image], rotated[image])
-    };
-    let patches =
-        |(image, own): (usize, &Vec<usize>)| -> Result<Vec<(usize, Option<Box<ReferencePatch>>)>, SfmError> {
-            let pyramid = seen_in(image)?;
-            Ok(own.iter().map(|&k| (k, anchors[k].patch(&pyramid, input))).collect())
-        };
-    let taken: Vec<_> =
-        of_image.par_iter().enumerate().with_max_len(1).map(patches).collect::<Result<_, _>>()?;
+    let taken: Result<Vec<_>, SfmError> = of_image
+        .par_iter()
+        .enumerate()
+        .with_max_len(1)
+        .map(|(image, own)| {
+            progress.tick()?;
+            let pyramid = load(&frames.frames[image], rotated[image])?;
+            Ok(own.iter().map(|&k| (k, anchors[k].patch(&pyramid, input))).collect::<Vec<_>>())
+        })
+        .collect();
     let mut patch_of: Vec<Option<Box<ReferencePatch>>> = (0..anchors.len()).map(|_| None).collect();
-    taken.into_iter().flatten().for_each(|(k, patch)| patch_of[k] = patch);
-    let find = |(image, views): (usize, &Vec<(usize, [u32; 2])>)| -> Result<Vec<FoundWindow>, SfmError> {
-        let pyramid = seen_in(image)?;
-        let one = |&(k, view): &(usize, [u32; 2])| {
-            let (place, deviation) =
-                anchors[k].found(view, patch_of[k].as_deref()?, &pyramid, state, input)?;
-            Some(FoundWindow { anchor: k, view, place, deviation })
-        };
-        Ok(views.iter().filter_map(one).collect())
-    };
-    let found: Vec<Vec<FoundWindow>> =
-        views_of.par_iter().enumerate().with_max_len(1).map(find).collect::<Result<_, _>>()?;
-    Ok(gather(&anchors, found.into_iter().flatten(), input))
+    taken?.into_iter().flatten().for_each(|(k, patch)| patch_of[k] = patch);
+    let found: Result<Vec<Vec<FoundWindow>>, SfmError> = views_of
+        .par_iter()
+        .enumerate()
+        .with_max_len(1)
+        .map(|(image, views)| {
+            progress.tick()?;
+            let pyramid = load(&frames.frames[image], rotated[image])?;
+            let mut windows = Vec::new();
+            for &(anchor, view) in views {
+                let Some(patch) = patch_of[anchor].as_deref() else { continue };
+                if let Some((place, deviation)) = anchors[anchor].find(view, patch, &pyramid, state, input) {
+                    windows.push(FoundWindow { anchor, view, place, deviation });
+                }
+            }
+            Ok(windows)
+        })
+        .collect();
+    Ok(gather(&anchors, found?.into_iter().flatten(), input))
 }
 
 /// The points with the longest tracks, in their order.
@@ -151,21 +168,23 @@ fn anchor<'a>(point: &'a MapPoint, state: &MapState, input: &MappingInput<'_>) -
     let camera = &state.cameras[input.camera_of[view[0] as usize]];
     let shape = image_of_tangents(camera, &state.poses[view[0] as usize]?, point.position, tangents)?;
     let wanted = (sigma_of(input, view) / SCALE).log2().ceil().max(0.0) as usize;
-    let side = |v: &[u32; 2]| {
-        let camera = &state.cameras[input.camera_of[v[0] as usize]];
-        camera.width.min(camera.height)
-    };
-    let deepest = |v: &[u32; 2]| (side(v) / LEAST_SIDE).max(1).ilog2() as usize;
-    let level = point.views.iter().map(deepest).min()?.min(wanted).min(LEVELS - 1);
+    let cameras = point.views.iter().map(|v| &state.cameras[input.camera_of[v[0] as usize]]);
+    let side = cameras.map(|c| c.width.min(c.height)).min()?;
+    let deepest = (side / LEAST_SIDE).max(1).ilog2() as usize;
+    let level = deepest.min(wanted).min(LEVELS - 1);
     Some(AnchoredPoint { point, first, level, tangents, shape })
 }
 
 /// Derivatives of a point's image by steps along two tangents of its surface, pixels a unit.
 fn image_of_tangents(camera: &Camera, pose: &Pose, x: DVec3, tangents: [DVec3; 2]) -> Option<DMat2> {
     let h = 1e-4 * pose.transform(x).z.abs();
-    let at = |x: DVec3| camera.project(pose.transform(x));
-    let along = |t: DVec3| Some((at(x + t * h)? - at(x - t * h)?) / (2.0 * h));
-    let m = DMat2::from_cols(along(tangents[0])?, along(tangents[1])?);
+    let mut columns = [DVec2::ZERO; 2];
+    for (column, t) in columns.iter_mut().zip(tangents) {
+        let ahead = camera.project(pose.transform(x + t * h))?;
+        let behind = camera.project(pose.transform(x - t * h))?;
+        *column = (ahead - behind) / (2.0 * h);
+    }
+    let m = DMat2::from_cols(columns[0], columns[1]);
     let area = m.x_axis.length() * m.y_axis.length();
     (m.is_finite() && m.determinant().abs() > 1e-3 * area).then_some(m)
 }
@@ -181,7 +200,7 @@ impl AnchoredPoint<'_> {
     }
 
     /// Place of the window in a view's image and its standard deviation, pixels.
-    fn found(
+    fn find(
         &self,
         view: [u32; 2],
         patch: &ReferencePatch,
@@ -210,10 +229,11 @@ fn gather(
     input: &MappingInput<'_>,
 ) -> RefinedKeypoints {
     let mut keypoints = input.keypoints.to_vec();
-    let raw = |(image, points): (usize, &Vec<DVec2>)| -> Vec<f32> {
-        (0..points.len()).map(|k| (UNMOVED * sigma_of(input, [image as u32, k as u32])) as f32).collect()
-    };
-    let mut sigmas: Vec<Vec<f32>> = keypoints.iter().enumerate().map(raw).collect();
+    let mut sigmas: Vec<Vec<f32>> = Vec::with_capacity(keypoints.len());
+    for (image, points) in (0u32..).zip(&keypoints) {
+        let features = 0..points.len() as u32;
+        sigmas.push(features.map(|k| (UNMOVED * sigma_of(input, [image, k])) as f32).collect());
+    }
     let mut of_anchor: Vec<Vec<f64>> = vec![Vec::new(); anchors.len()];
     let mut moved = Vec::new();
     for f in found {

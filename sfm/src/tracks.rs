@@ -5,36 +5,38 @@ use scene::{Features, TwoViewGeometry};
 use std::collections::HashMap;
 
 /// "Belongs to no track" (or point).
-pub const NONE: u32 = u32::MAX;
+/// Source: a value that no index has.
+pub(crate) const NONE: u32 = u32::MAX;
 
 /// Keypoints joined over images; a track has at most one keypoint an image.
 #[derive(Clone, Debug, Default)]
-pub struct Tracks {
+pub(crate) struct Tracks {
     /// For each image and feature: its track, or [`NONE`].
     pub of: Vec<Vec<u32>>,
     /// For each track: (image, feature), ascending by image; at least two.
     pub views: Vec<Vec<[u32; 2]>>,
 }
 
-/// For each feature the first of its image at the same place: SIFT repeats a keypoint for each of its orientations,
-/// and a place must not count twice.
-pub fn first_at_place(features: &Features) -> Vec<u32> {
+/// For each feature the first of its image at the same place: SIFT repeats a keypoint for each of
+/// its orientations, and a place must not count twice.
+pub(crate) fn first_at_place(features: &Features) -> Vec<u32> {
     let mut seen: HashMap<(u32, u32), u32> = HashMap::with_capacity(features.len());
     let places = features.keypoints.iter().zip(0u32..);
     places.map(|(k, i)| *seen.entry((k.x.to_bits(), k.y.to_bits())).or_insert(i)).collect()
 }
 
 /// Keypoint positions of an image.
-pub fn positions(features: &Features) -> Vec<DVec2> {
+pub(crate) fn positions(features: &Features) -> Vec<DVec2> {
     features.keypoints.iter().map(scene::Keypoint::position).collect()
 }
 
 /// Joins the inlier matches of all pairs.
 ///
-/// A wrong match joins two points, which shows where the union would hold two keypoints of one image. So matches are
-/// taken in the order of their support (how many third keypoints match both ends, then the pair's inliers), and a match
-/// that would bring about such a conflict is left out. The result does not depend on the order of the pairs.
-pub fn build_tracks(features: &[Features], geometries: &[TwoViewGeometry]) -> Tracks {
+/// A wrong match joins two points, which shows where the union would hold two keypoints of one
+/// image. So matches are taken in the order of their support (how many third keypoints match both
+/// ends, then the pair's inliers), and a match that would bring about such a conflict is left out.
+/// The result does not depend on the order of the pairs.
+pub(crate) fn build_tracks(features: &[Features], geometries: &[TwoViewGeometry]) -> Tracks {
     let places: Vec<Vec<u32>> = features.iter().map(first_at_place).collect();
     let mut start = vec![0usize];
     for f in features {
@@ -56,13 +58,12 @@ pub fn build_tracks(features: &[Features], geometries: &[TwoViewGeometry]) -> Tr
         if forest.parent[root] as usize != root || members.len() < 2 {
             continue;
         }
-        let view = |&node: &u32| {
+        let mut views: Vec<[u32; 2]> = Vec::with_capacity(members.len());
+        for &node in members {
             let image = forest.image_of[node as usize];
-            [image, node - start[image as usize] as u32]
-        };
-        let views: Vec<[u32; 2]> = members.iter().map(view).collect();
-        for [image, feature] in &views {
-            tracks.of[*image as usize][*feature as usize] = tracks.views.len() as u32;
+            let feature = node - start[image as usize] as u32;
+            tracks.of[image as usize][feature as usize] = tracks.views.len() as u32;
+            views.push([image, feature]);
         }
         tracks.views.push(views);
     }
@@ -89,9 +90,11 @@ fn edges_by_support(places: &[Vec<u32>], start: &[usize], geometries: &[TwoViewG
         neighbours[*b as usize].push(*a);
     }
     neighbours.iter_mut().for_each(|n| n.sort_unstable());
-    let support = |[a, b]: [u32; 2]| common(&neighbours[a as usize], &neighbours[b as usize]);
-    let mut ranked: Vec<(usize, usize, [u32; 2])> =
-        edges.iter().map(|(e, inliers)| (support(*e), *inliers, *e)).collect();
+    let mut ranked: Vec<(usize, usize, [u32; 2])> = Vec::with_capacity(edges.len());
+    for ([a, b], inliers) in edges {
+        let support = common(&neighbours[a as usize], &neighbours[b as usize]);
+        ranked.push((support, inliers, [a, b]));
+    }
     ranked.sort_unstable_by_key(|(s, n, e)| (std::cmp::Reverse((*s, *n)), *e));
     ranked.into_iter().map(|(_, _, e)| e).collect()
 }
@@ -141,8 +144,9 @@ impl Forest {
         if a == b {
             return;
         }
-        let images = |list: &[u32]| list.iter().map(|&n| self.image_of[n as usize]).collect::<Vec<_>>();
-        if common(&images(&self.members[a as usize]), &images(&self.members[b as usize])) > 0 {
+        let images: [Vec<u32>; 2] = [a, b]
+            .map(|root| self.members[root as usize].iter().map(|&n| self.image_of[n as usize]).collect());
+        if common(&images[0], &images[1]) > 0 {
             return;
         }
         let (root, child) = if a < b { (a, b) } else { (b, a) };

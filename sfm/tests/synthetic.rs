@@ -8,8 +8,7 @@ use scene::synthetic::{
     CameraPath, SceneShape, SyntheticOptions, SyntheticScene, default_camera, synthetic_scene,
 };
 use scene::{Camera, CameraModel, Features, Frame, FrameSet, Keypoint, Progress};
-use sfm::mapper::MapperChoice;
-use sfm::{SfmConfig, SfmResult, reconstruct_features};
+use sfm::{MapperChoice, SfmConfig, SfmResult, reconstruct_features};
 
 fn frames_of(names: impl Iterator<Item = String>, width: u32, height: u32) -> FrameSet {
     let frame = |name| Frame { name, width, height, ..Frame::default() };

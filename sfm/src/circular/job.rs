@@ -9,6 +9,7 @@ use super::prior::AnglePrior;
 use super::vertical_lines::{self, Segment};
 use crate::incremental::state::{MapState, MappingInput};
 use crate::model_selection::camera::FreeIntrinsics;
+use crate::skip::StepName;
 use crate::{Knowledge, SfmConfig, SfmError};
 use scene::{Camera, CameraModel, FrameSet, Progress};
 
@@ -50,7 +51,9 @@ impl MotionInput<'_> {
 
     /// Lines of the room, where they are asked how the camera looks down.
     pub(crate) fn edges(&self, turn: &CircularMotion) -> Result<Vec<Segment>, SfmError> {
-        let asked = !self.known[0].fixed && self.config.known_elevation.is_none();
+        let asked = !self.known[0].fixed
+            && self.config.known_elevation.is_none()
+            && !self.input.skips(StepName::VerticalLines);
         match self.room.filter(|_| asked) {
             Some(frames) => vertical_lines::room_edges(frames, turn),
             None => Ok(Vec::new()),
@@ -77,7 +80,8 @@ impl VideoJob<'_> {
             camera_of: self.camera_of,
             geometries: &[],
             config: &self.config.mapper,
-            may_be_rotated: false,
+            is_video: true,
+            skip: &self.config.skip,
             seed: self.config.seed,
         }
     }

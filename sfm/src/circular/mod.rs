@@ -55,4 +55,4 @@ pub(crate) use choose::consider;
 pub use config::{Motion, MotionConfig};
 pub(crate) use job::{FreeModel, MotionInput, VideoJob};
 pub(crate) use solution::CircularSolution;
-pub(crate) use video::{VideoModel, solve_video};
+pub(crate) use video::solve_video;

@@ -139,7 +139,7 @@ impl AxisModel {
             let gone = self.state.filter(context.input, context.input.config.max_reprojection_px);
             let added = self.state.grow_all(context.input);
             let all: usize = self.state.live().map(|(_, p)| p.views.len()).sum();
-            if all < 3 * context.input.config.min_sightings {
+            if all < 3 * context.input.config.min_observations {
                 return Ok(false);
             }
             if (added + gone) * 100 < all {

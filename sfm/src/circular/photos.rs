@@ -60,7 +60,7 @@ fn triples_of(job: &MotionInput<'_>) -> Vec<([usize; 3], Vec<KeyPair>)> {
         for c in b + 1..job.input.keypoints.len() {
             let of_pairs = [(a, b), (b, c), (a, c)].map(|p| pairs.get(&p).map_or(0, |g| g.inliers.len()));
             let weakest = of_pairs[0].min(of_pairs[1]).min(of_pairs[2]);
-            if weakest >= job.input.config.min_sightings {
+            if weakest >= job.input.config.min_observations {
                 found.push((weakest, [a, b, c]));
             }
         }
@@ -121,7 +121,7 @@ impl AxisModel {
     /// The image that sees most of the model and whose observations agree on an angle, with that.
     /// `tried`: how many points each saw when it was asked last.
     fn next_photo(&self, context: &CircularContext<'_>, tried: &mut [usize]) -> Option<(usize, f64)> {
-        let least = context.input.config.min_sightings;
+        let least = context.input.config.min_observations;
         let mut ranked: Vec<(usize, usize)> = (0..tried.len())
             .filter(|&i| self.turn.angles[i].is_none())
             .map(|i| (visible(&self.state, context.input, i).len(), i))

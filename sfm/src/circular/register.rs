@@ -183,7 +183,7 @@ impl AxisModel {
     /// The angle of a frame within `span` of `start`; `None` where it sees too little of the model.
     fn resect_near(&self, context: &CircularContext<'_>, frame: usize, start: f64, span: f64) -> Option<f64> {
         let seen = observed_points(self, context, frame);
-        let least = context.input.config.min_sightings.min(LEAST_OBSERVATIONS);
+        let least = context.input.config.min_observations.min(LEAST_OBSERVATIONS);
         if seen.len() < least {
             return None;
         }

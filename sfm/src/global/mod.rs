@@ -1,15 +1,15 @@
-//! Global mapping: rotations of all images at once, then positions, then points and their adjustment. An alternative to
-//! the incremental mapper that no early mistake can lead astray, and a check on it.
+//! Global mapping: rotations of all images at once, then positions, then points and their
+//! adjustment. An alternative to the incremental mapper that no early mistake can lead astray, and
+//! a check on it.
 
 pub(crate) mod positions;
 pub(crate) mod rotations;
 
 use crate::bundle::RobustLoss;
 use crate::incremental::adjust::{Adjustment, adjust};
-use crate::incremental::growth::{freedom, grow, settle};
+use crate::incremental::growth::{expel, freedom, grow, settle, starts_of};
 use crate::incremental::initial::relative_pose;
 use crate::incremental::state::{MapState, MappingInput};
-use crate::incremental::{expel, starts_of};
 use crate::{Knowledge, SfmError};
 use glam::DQuat;
 use rayon::prelude::*;
@@ -17,12 +17,15 @@ use rotations::RotationEdge;
 use scene::{Camera, Pose, Progress, TwoViewKind};
 
 /// Pairs farther from the averaged rotations than this are wrong, radians.
+/// Source: chosen by hand, never measured.
 const WRONG_PAIR: f64 = 0.15;
-/// Errors to which observations are held, one adjustment after the other, pixels for an image of 1000.
+/// Errors to which observations are held, one adjustment after the other, pixels for an image of
+/// 1000.
+/// Source: chosen by hand, never measured.
 const LIMITS: [f64; 4] = [60.0, 25.0, 10.0, 5.0];
 
-/// The model of the largest connected part of the view graph; `None` where it has fewer than three images. `cameras`:
-/// intrinsics that are about right.
+/// The model of the largest connected part of the view graph; `None` where it has fewer than three
+/// images. `cameras`: intrinsics that are about right.
 pub(crate) fn map(
     input: &MappingInput<'_>,
     cameras: &[Camera],
@@ -67,16 +70,17 @@ pub(crate) fn map(
 
 /// The rotations of all verified pairs for the present intrinsics.
 fn view_graph(input: &MappingInput<'_>, cameras: &[Camera]) -> Vec<RotationEdge> {
-    let edge = |g: &scene::TwoViewGeometry| {
-        if matches!(g.kind, TwoViewKind::Watermark | TwoViewKind::Degenerate) {
-            return None;
-        }
+    let moving = input
+        .geometries
+        .par_iter()
+        .filter(|g| !matches!(g.kind, TwoViewKind::Watermark | TwoViewKind::Degenerate));
+    let edges = moving.filter_map(|g| {
         let of_pair = [g.a, g.b].map(|i| &cameras[input.camera_of[i]]);
         let pose = relative_pose(input, of_pair, g).or(g.b_from_a)?;
         let weight = (g.inliers.len() as f64).sqrt();
         pose.is_finite().then_some(RotationEdge { a: g.a, b: g.b, b_from_a: pose.rotation, weight })
-    };
-    input.geometries.par_iter().filter_map(edge).collect()
+    });
+    edges.collect()
 }
 
 /// Adjusts with ever smaller bounds on the errors, then takes out images that see next to nothing.
@@ -96,8 +100,8 @@ fn tighten(
         state.filter(input, limit);
         state.grow_all(input);
     }
-    let blind = |image: &usize| state.observations(*image) < input.config.min_sightings;
-    let blind: Vec<usize> = state.order.iter().copied().filter(blind).collect();
+    let mut blind = state.order.clone();
+    blind.retain(|&image| state.observations(image) < input.config.min_observations);
     blind.into_iter().for_each(|image| state.unregister(image));
     Ok(())
 }

@@ -1,6 +1,6 @@
-//! Global positioning: all camera centres and points at once from bearings, once rotations are known (Pan et al.,
-//! "Global Structure-from-Motion Revisited", ECCV 2024). No pair's direction of motion is asked, which says nothing
-//! where cameras move along a line, and no start is needed.
+//! Global positioning: all camera centres and points at once from bearings, once rotations are
+//! known (Pan et al., "Global Structure-from-Motion Revisited", ECCV 2024). No pair's direction of
+//! motion is asked, which says nothing where cameras move along a line, and no start is needed.
 
 use crate::SfmError;
 use crate::ceres::{self, PositionInput};
@@ -10,17 +10,20 @@ use rand::Rng as _;
 use scene::{Camera, Progress, rng};
 
 /// Tracks that every image should see some of, as long as there are any.
+/// Source: chosen by hand, never measured.
 const TRACKS_PER_IMAGE: usize = 120;
 /// Fewest views of a track: two bearings always meet nearly somewhere.
+/// Source: derived: two bearings meet whatever the directions of motion.
 const FEWEST_VIEWS: usize = 3;
 /// Views of a track that are used at most.
+/// Source: chosen by hand, never measured.
 const MOST_VIEWS: usize = 12;
 /// Where the loss bends: bearings off by so much (radians) pull less.
+/// Source: chosen by hand, never measured.
 const BEND: f64 = 0.1;
-const ITERATIONS: i32 = 100;
 
-/// Centres of the images with a rotation, and the points that gave them with their tracks; `None` where too few
-/// tracks are seen often enough.
+/// Centres of the images with a rotation, and the points that gave them with their tracks; `None`
+/// where too few tracks are seen often enough.
 pub(crate) struct Positions {
     /// World frame; images without a rotation or without a track have none.
     pub centres: Vec<Option<DVec3>>,
@@ -40,7 +43,7 @@ pub(crate) fn solve(
     let mut images = 0;
     let mut problem = PositionInput {
         loss_scale: BEND,
-        max_iterations: ITERATIONS,
+        max_iterations: 100,
         function_tolerance: 1e-5,
         ..PositionInput::default()
     };
@@ -71,15 +74,19 @@ pub(crate) fn solve(
     if !ceres::positions(&problem, &mut centres, &mut points, progress)? {
         return Ok(None);
     }
-    let place = |values: &[f64], i: usize| DVec3::from_slice(&values[3 * i..]);
-    let of_image = |&n: &u32| (n != u32::MAX).then(|| place(&centres, n as usize));
-    Ok(Some(Positions {
-        centres: number.iter().map(of_image).collect(),
-        points: tracks.iter().enumerate().map(|(i, (track, _))| (*track, place(&points, i))).collect(),
-    }))
+    let mut found = Positions { centres: Vec::new(), points: Vec::new() };
+    for n in number {
+        let known = n != u32::MAX;
+        found.centres.push(known.then(|| DVec3::from_slice(&centres[3 * n as usize..])));
+    }
+    for ((track, _), point) in tracks.iter().zip(points.chunks_exact(3)) {
+        found.points.push((*track, DVec3::from_slice(point)));
+    }
+    Ok(Some(found))
 }
 
-/// The longest tracks, until every image sees enough of them: (track, views in images with a rotation).
+/// The longest tracks, until every image sees enough of them: (track, views in images with a
+/// rotation).
 fn choose_tracks(input: &MappingInput<'_>, rotations: &[Option<DQuat>]) -> Vec<(u32, Vec<[u32; 2]>)> {
     let mut ranked: Vec<(usize, u32)> = Vec::new();
     for (track, views) in (0u32..).zip(&input.tracks.views) {
@@ -96,8 +103,8 @@ fn choose_tracks(input: &MappingInput<'_>, rotations: &[Option<DQuat>]) -> Vec<(
         let views: Vec<[u32; 2]> = views.copied().filter(|v| rotations[v[0] as usize].is_some()).collect();
         if views.iter().any(|v| seen[v[0] as usize] < TRACKS_PER_IMAGE) {
             // Of a long track some views, spread evenly.
-            let some = |i: usize| views[i * known / known.min(MOST_VIEWS)];
-            let some: Vec<[u32; 2]> = (0..known.min(MOST_VIEWS)).map(some).collect();
+            let most = known.min(MOST_VIEWS);
+            let some: Vec<[u32; 2]> = (0..most).map(|i| views[i * known / most]).collect();
             some.iter().for_each(|v| seen[v[0] as usize] += 1);
             chosen.push((track, some));
         }

@@ -1,9 +1,11 @@
 //! Rotation averaging: rotations of all images at once from those of their pairs.
 //!
-//! `ω_ij = log(R_jᵀ-frame residual)` of every pair is explained by small turns of its two images, a sparse linear
-//! system solved again and again with weights that let wrong pairs go: first 1/|ω| (least absolute deviations), then
-//! Geman and McClure's. Chatterjee & Govindu, "Efficient and Robust Large-Scale Rotation Averaging", ICCV 2013.
+//! `ω_ij = log(R_jᵀ-frame residual)` of every pair is explained by small turns of its two images, a
+//! sparse linear system solved again and again with weights that let wrong pairs go: first 1/|ω|
+//! (least absolute deviations), then Geman and McClure's. Chatterjee & Govindu, "Efficient and
+//! Robust Large-Scale Rotation Averaging", ICCV 2013.
 
+use crate::disjoint_sets::DisjointSets;
 use glam::{DQuat, DVec3};
 
 /// A pair and the rotation between its images.
@@ -17,19 +19,23 @@ pub(crate) struct RotationEdge {
 }
 
 /// Rounds with 1/|ω| and with Geman and McClure's weights.
+/// Source: chosen by hand, never measured.
 const ROUNDS: [usize; 2] = [12, 30];
 /// Width of Geman and McClure's loss, radians.
+/// Source: chosen by hand, never measured.
 const WIDTH: f64 = 0.05;
 /// Residuals below this weigh as this in the first rounds, radians.
+/// Source: chosen by hand, never measured.
 const SMALLEST: f64 = 0.005;
 /// Largest turn of a round at which the search ends, radians.
+/// Source: derived: far below what pairs are exact to.
 const SETTLED: f64 = 1e-6;
-/// Steps of the linear solver, and the reduction of its residual.
+/// Steps of the linear solver at most.
+/// Source: chosen by hand; conjugate gradients end with as many steps as unknowns.
 const STEPS: usize = 2000;
-const REDUCTION: f64 = 1e-9;
 
-/// `image_from_world` of the images in the largest connected part of the graph (others: `None`); its first image's is
-/// the identity. The same for the same edges in the same order.
+/// `image_from_world` of the images in the largest connected part of the graph (others: `None`);
+/// its first image's is the identity. The same for the same edges in the same order.
 pub(crate) fn average(images: usize, edges: &[RotationEdge]) -> Vec<Option<DQuat>> {
     let mut rotations = along_tree(images, edges);
     let known: Vec<&RotationEdge> = edges.iter().filter(|e| rotations[e.a].is_some()).collect();
@@ -62,7 +68,8 @@ pub(crate) fn average(images: usize, edges: &[RotationEdge]) -> Vec<Option<DQuat
     rotations
 }
 
-/// What an edge says beyond the present rotations, as a turn in the world frame: `R_bᵀ R_ba R_a = exp(ω)`.
+/// What an edge says beyond the present rotations, as a turn in the world frame: `R_bᵀ R_ba R_a =
+/// exp(ω)`.
 pub(crate) fn residual(rotations: &[Option<DQuat>], e: &RotationEdge) -> Option<DVec3> {
     let q = rotations[e.b]?.inverse() * e.b_from_a * rotations[e.a]?;
     Some(if q.w < 0.0 { (-q).to_scaled_axis() } else { q.to_scaled_axis() })
@@ -72,19 +79,16 @@ pub(crate) fn residual(rotations: &[Option<DQuat>], e: &RotationEdge) -> Option<
 fn along_tree(images: usize, edges: &[RotationEdge]) -> Vec<Option<DQuat>> {
     let mut order: Vec<usize> = (0..edges.len()).collect();
     order.sort_by(|&i, &k| edges[k].weight.total_cmp(&edges[i].weight).then(i.cmp(&k)));
-    let mut part: Vec<usize> = (0..images).collect();
+    let mut parts = DisjointSets::new(images);
     let mut neighbours: Vec<Vec<(usize, DQuat)>> = vec![Vec::new(); images];
     for i in order {
         let e = &edges[i];
-        let (a, b) = (find(&mut part, e.a), find(&mut part, e.b));
-        if a != b {
-            part[a.max(b)] = a.min(b);
+        if parts.join(e.a, e.b) {
             neighbours[e.a].push((e.b, e.b_from_a));
             neighbours[e.b].push((e.a, e.b_from_a.inverse()));
         }
     }
-    let mut sizes = vec![0usize; images];
-    (0..images).for_each(|i| sizes[find(&mut part, i)] += 1);
+    let sizes = parts.sizes();
     let mut rotations = vec![None; images];
     let largest = (0..images).max_by_key(|&i| (sizes[i], std::cmp::Reverse(i)));
     let Some(root) = largest.filter(|&i| sizes[i] > 1) else { return rotations };
@@ -102,16 +106,8 @@ fn along_tree(images: usize, edges: &[RotationEdge]) -> Vec<Option<DQuat>> {
     rotations
 }
 
-fn find(part: &mut [usize], mut i: usize) -> usize {
-    while part[i] != i {
-        part[i] = part[part[i]];
-        i = part[i];
-    }
-    i
-}
-
-/// Turns with the least `Σ w |ω − (turn_b − turn_a)|²`, that of `root` being 0: conjugate gradients on the graph's
-/// Laplacian, preconditioned by its diagonal.
+/// Turns with the least `Σ w |ω − (turn_b − turn_a)|²`, that of `root` being 0: conjugate gradients
+/// on the graph's Laplacian, preconditioned by its diagonal.
 fn solve(images: usize, root: usize, system: &[(usize, usize, DVec3, f64)]) -> Vec<DVec3> {
     let mut diagonal = vec![0.0; images];
     let mut r = vec![DVec3::ZERO; images];
@@ -122,18 +118,16 @@ fn solve(images: usize, root: usize, system: &[(usize, usize, DVec3, f64)]) -> V
         r[b] += omega * w;
     }
     r[root] = DVec3::ZERO;
-    let free = |i: usize| i != root && diagonal[i] > 0.0;
-    let precondition = |r: &[DVec3]| -> Vec<DVec3> {
-        r.iter().enumerate().map(|(i, v)| if free(i) { *v / diagonal[i] } else { DVec3::ZERO }).collect()
-    };
-    let dot = |x: &[DVec3], y: &[DVec3]| x.iter().zip(y).map(|(x, y)| x.dot(*y)).sum::<f64>();
+    // What is not solved for stays where it is.
+    diagonal[root] = 0.0;
     let mut x = vec![DVec3::ZERO; images];
-    let mut z = precondition(&r);
+    let mut z = precondition(&r, &diagonal);
     let mut p = z.clone();
     let mut rz = dot(&r, &z);
     let first = rz;
     for _ in 0..STEPS {
-        if !(rz > REDUCTION * REDUCTION * first) {
+        // The residual is reduced by nine digits.
+        if !(rz > 1e-18 * first) {
             break;
         }
         let mut q = vec![DVec3::ZERO; images];
@@ -149,7 +143,7 @@ fn solve(images: usize, root: usize, system: &[(usize, usize, DVec3, f64)]) -> V
         }
         x.iter_mut().zip(&p).for_each(|(x, p)| *x += *p * alpha);
         r.iter_mut().zip(&q).for_each(|(r, q)| *r -= *q * alpha);
-        z = precondition(&r);
+        z = precondition(&r, &diagonal);
         let next = dot(&r, &z);
         let beta = next / rz;
         rz = next;
@@ -158,13 +152,23 @@ fn solve(images: usize, root: usize, system: &[(usize, usize, DVec3, f64)]) -> V
     x
 }
 
+/// Each entry over its diagonal one; zero where that is.
+fn precondition(r: &[DVec3], diagonal: &[f64]) -> Vec<DVec3> {
+    r.iter().zip(diagonal).map(|(v, d)| if *d > 0.0 { *v / *d } else { DVec3::ZERO }).collect()
+}
+
+fn dot(x: &[DVec3], y: &[DVec3]) -> f64 {
+    x.iter().zip(y).map(|(x, y)| x.dot(*y)).sum()
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
     use rand::Rng as _;
     use scene::rng::rng;
 
-    /// Rotations of `n` images and noisy edges between those up to `reach` apart on a ring; every `wrong`-th is wild.
+    /// Rotations of `n` images and noisy edges between those up to `reach` apart on a ring; every
+    /// `wrong`-th is wild.
     fn graph(n: usize, reach: usize, noise: f64, wrong: usize) -> (Vec<DQuat>, Vec<RotationEdge>) {
         let mut random = rng(3, "rotations", n as u64);
         let mut turn = |size: f64| {

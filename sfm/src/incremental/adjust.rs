@@ -23,7 +23,7 @@ pub(crate) struct Adjustment {
 
 impl Adjustment {
     /// While the model grows: rough, robust.
-    pub fn growing(free: Vec<Vec<bool>>, priors: Vec<IntrinsicsPrior>) -> Self {
+    pub(crate) fn growing(free: Vec<Vec<bool>>, priors: Vec<IntrinsicsPrior>) -> Self {
         let solve = SolveOptions {
             loss: RobustLoss::SoftL1(1.0),
             max_iterations: 20,
@@ -100,12 +100,11 @@ pub(crate) fn select(state: &MapState, input: &MappingInput<'_>, what: &Adjustme
         Some(wanted) => covering_points(state, candidates, wanted, moves),
         None => candidates,
     };
-    let pose = |&i: &usize| state.poses[i].unwrap_or(Pose::IDENTITY);
     let mut problem = BundleProblem {
         cameras: state.cameras.clone(),
         camera_free: what.free.clone(),
         priors: what.priors.clone(),
-        poses: images.iter().map(pose).collect(),
+        poses: images.iter().map(|&i| state.poses[i].unwrap_or(Pose::IDENTITY)).collect(),
         pose_camera: images.iter().map(|&i| input.camera_of[i] as u32).collect(),
         pose_constant: images.iter().map(|&i| !moves(i)).collect(),
         ..BundleProblem::default()
@@ -125,15 +124,18 @@ pub(crate) fn select(state: &MapState, input: &MappingInput<'_>, what: &Adjustme
     Selected { problem, points, images }
 }
 
-/// The longest tracks first, until every image that `moves` sees `wanted` of the chosen points or has no more.
+/// The longest tracks first, until every image that `moves` sees `wanted` of the chosen points or
+/// has no more.
 fn covering_points(
     state: &MapState,
     candidates: Vec<u32>,
     wanted: usize,
     moves: impl Fn(usize) -> bool,
 ) -> Vec<u32> {
-    let views = |id: u32| state.points[id as usize].as_ref().map_or(0, |p| p.views.len());
-    let mut ranked: Vec<(usize, u32)> = candidates.into_iter().map(|id| (views(id), id)).collect();
+    let mut ranked: Vec<(usize, u32)> = Vec::with_capacity(candidates.len());
+    for id in candidates {
+        ranked.push((state.points[id as usize].as_ref().map_or(0, |p| p.views.len()), id));
+    }
     ranked.sort_unstable_by_key(|&(n, id)| (std::cmp::Reverse(n), id));
     let mut seen = vec![0usize; state.poses.len()];
     let mut chosen = Vec::new();
@@ -148,8 +150,8 @@ fn covering_points(
     chosen
 }
 
-/// Whether intrinsics are such as real cameras have: fields of view of 1° to 150°, mild distortion, a principal point
-/// inside the image.
+/// Whether intrinsics are such as real cameras have: fields of view of 1° to 150°, mild distortion,
+/// a principal point inside the image.
 pub(crate) fn plausible(camera: &Camera) -> bool {
     let size = f64::from(camera.width.max(camera.height));
     let focal = camera.focal() / size;

@@ -8,19 +8,27 @@ use crate::model_selection::camera::{CameraChoice, FreeIntrinsics, apply, choose
 use crate::model_selection::noise::{noise_in_units, redundancy};
 use crate::model_selection::principal_point;
 use crate::model_selection::rotated_images::{group_size, rotate_problem, suspects};
+use crate::skip::StepName;
 use crate::{Knowledge, PoseDeviation, SfmError, Uncertainty};
 use scene::decision::{Choice, Decision, Rule, Subject};
 use scene::{Camera, CameraModel, Progress};
 
-/// Observations that the choice of the camera model is based on, and the first round of the last adjustment.
+/// Observations that the choice of the camera model is based on, and the first round of the last
+/// adjustment.
+/// Source: chosen by hand for the time that the choice takes.
 pub(crate) const OBSERVATIONS: usize = 6000;
 /// The same for the question whether images were rotated, of the images that are asked together.
+/// Source: chosen by hand for the time that the question takes.
 const OBSERVATIONS_ROTATED: usize = 20_000;
-/// Iterations times observations that the last adjustment may take: points creep on long after poses stand.
+/// Iterations times observations that the last adjustment may take: points creep on long after
+/// poses stand.
+/// Source: chosen by hand for the time that it takes.
 const LAST_EFFORT: usize = 300_000;
 /// Observations farther off than so many standard deviations of the noise are dropped at the end.
+/// Source: chosen by hand, never measured.
 const FINAL_SIGMAS: f64 = 8.0;
 /// They are never held to less than this, pixels.
+/// Source: chosen by hand, never measured.
 const FINAL_LEAST_PX: f64 = 1.0;
 
 /// What the evidence says about the cameras.
@@ -29,11 +37,13 @@ pub(crate) struct CameraVerdict {
     /// For each image whether it was rotated by 180° against the others of its camera.
     pub rotated: Option<Vec<bool>>,
     pub decisions: Vec<Decision>,
-    /// The part of the model that the decision was based on, adjusted with what was decided (images rotated).
+    /// The part of the model that the decision was based on, adjusted with what was decided (images
+    /// rotated).
     pub adjusted: Selected,
 }
 
-/// Decides on the camera model of a model that has been adjusted.
+/// Decides on the camera model of a model that has been adjusted, and on which of its images were
+/// rotated.
 pub(crate) fn decide(
     state: &MapState,
     input: &MappingInput<'_>,
@@ -45,35 +55,44 @@ pub(crate) fn decide(
     let (free, priors) = freedom(&state.cameras, known, starts, state.registered_count());
     let mut what = Adjustment::growing(free, priors);
     what.points_per_image = Some(part_of(state, OBSERVATIONS));
-    let Selected { problem, images, points } = select(state, input, &what);
-    let sigma = noise_in_units(&problem);
-    let choice = choose(&problem, known, named, false, sigma, progress)?;
-    let verdict = |choice: CameraChoice, rotated, mut decisions: Vec<Decision>| {
-        decisions.push(choice.decision);
-        let adjusted = Selected { problem: choice.problem, images: images.clone(), points: points.clone() };
-        CameraVerdict { intrinsics: choice.intrinsics, rotated, decisions, adjusted }
-    };
-    if !input.may_be_rotated {
-        return Ok(verdict(choice, None, Vec::new()));
+    let part = select(state, input, &what);
+    let sigma = noise_in_units(&part.problem);
+    let choice = choose(&part.problem, known, named, false, sigma, progress)?;
+    if input.is_video || input.skips(StepName::RotatedImages) {
+        return Ok(CameraVerdict::new(choice, part, None, Vec::new()));
     }
     let together = group_size(state.registered_count()).max(1);
-    let more =
-        Adjustment { points_per_image: Some((OBSERVATIONS_ROTATED / together).clamp(50, 1000)), ..what };
-    let suspects = suspects(&select(state, input, &more).problem, known, progress)?;
+    what.points_per_image = Some((OBSERVATIONS_ROTATED / together).clamp(50, 1000));
+    let suspects = suspects(&select(state, input, &what).problem, known, progress)?;
     if suspects.is_empty() {
-        return Ok(verdict(choice, None, Vec::new()));
+        return Ok(CameraVerdict::new(choice, part, None, Vec::new()));
     }
-    let ways: Vec<_> = suspects.iter().map(|s| rotate_problem(&problem, s)).collect();
+    let ways: Vec<_> = suspects.iter().map(|s| rotate_problem(&part.problem, s)).collect();
     let (better, alternatives) = choose_rotated(&choice, &ways, known, named, sigma, progress)?;
-    let count = |way: usize| suspects[way].iter().filter(|t| **t).count();
-    let suspected = Choice::share(0, images.len());
-    let mut decision =
-        Decision::new(Subject::RotatedImages, suspected, Rule::Evidence).compared_all(alternatives);
-    let Some((way, better)) = better else { return Ok(verdict(choice, None, vec![decision])) };
-    decision.choice = Choice::share(count(way), images.len());
+    let images = part.images.len();
+    let mut decision = Decision::new(Subject::RotatedImages, Choice::share(0, images), Rule::Evidence)
+        .compared_all(alternatives);
+    let Some((way, better)) = better else {
+        return Ok(CameraVerdict::new(choice, part, None, vec![decision]));
+    };
+    let mirrored = &suspects[way];
+    decision.choice = Choice::share(mirrored.iter().filter(|t| **t).count(), images);
     let mut rotated = vec![false; input.keypoints.len()];
-    images.iter().zip(&suspects[way]).for_each(|(&image, &t)| rotated[image] = t);
-    Ok(verdict(better, Some(rotated), vec![decision]))
+    part.images.iter().zip(mirrored).for_each(|(&image, &t)| rotated[image] = t);
+    Ok(CameraVerdict::new(better, part, Some(rotated), vec![decision]))
+}
+
+impl CameraVerdict {
+    fn new(
+        choice: CameraChoice,
+        part: Selected,
+        rotated: Option<Vec<bool>>,
+        mut decisions: Vec<Decision>,
+    ) -> Self {
+        decisions.push(choice.decision);
+        let adjusted = Selected { problem: choice.problem, ..part };
+        Self { intrinsics: choice.intrinsics, rotated, decisions, adjusted }
+    }
 }
 
 /// Points an image contributes where a part of them is enough.
@@ -81,7 +100,8 @@ pub(crate) fn part_of(state: &MapState, observations: usize) -> usize {
     (observations / state.registered_count().max(1)).clamp(50, 1000)
 }
 
-/// The camera model once more, by all observations of a model that has gained some: its principal point, where it was held.
+/// The camera model once more, by all observations of a model that has gained some: its principal
+/// point, where it was held.
 pub(crate) fn free_principal_point(
     state: &MapState,
     input: &MappingInput<'_>,
@@ -95,19 +115,12 @@ pub(crate) fn free_principal_point(
     principal_point::free_principal_point(&problem, known, (now, named), noise_in_units(&problem), progress)
 }
 
-/// Takes over the adjusted part, then triangulates, adjusts to convergence and filters with the chosen intrinsics.
-pub(crate) fn polish(
-    state: &mut MapState,
-    input: &MappingInput<'_>,
-    known: &[Knowledge],
-    starts: &[Camera],
-    verdict: &CameraVerdict,
-    progress: &Progress,
-) -> Result<(), SfmError> {
-    take(state, &verdict.adjusted);
+/// Takes over the part of a model that was adjusted with what was decided, and drops what does not
+/// fit it.
+pub(crate) fn take_decided(state: &mut MapState, input: &MappingInput<'_>, adjusted: &Selected) {
+    take(state, adjusted);
     state.refine_points(input, |_| false);
-    trim(state, input, &verdict.adjusted.problem);
-    converge(state, input, known, starts, verdict.intrinsics, progress)
+    trim(state, input, &adjusted.problem);
 }
 
 /// Triangulates, adjusts and filters until little changes.

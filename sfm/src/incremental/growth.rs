@@ -3,22 +3,42 @@
 use super::adjust::{Adjustment, adjust, plausible};
 use super::resection::{Resection, next_images, resect};
 use super::state::{MapState, MappingInput};
-use super::structureless_resection::resect_structureless;
+use super::structureless_resection::{consistency, resect_structureless};
 use crate::bundle::{IntrinsicsPrior, free_parameters};
+use crate::skip::StepName;
 use crate::tracks::NONE;
 use crate::{Knowledge, SfmError};
 use scene::{Camera, Progress};
 
 /// Images from which on distortion is solved for while the model grows.
+/// Source: chosen by hand, never measured.
 const IMAGES_FOR_DISTORTION: usize = 6;
-/// Images up to which the model is adjusted after each registration; then after more and more of them.
+/// Images up to which the model is adjusted after each registration; then after one more for each
+/// so many.
+/// Source: chosen by hand, never measured.
 const IMAGES_FOR_EACH: usize = 12;
 /// Images up to which it is the whole model that is adjusted.
+/// Source: docs/decisions/0009.
 const IMAGES_FOR_LOCAL: usize = 60;
 /// Images that move in a local adjustment.
+/// Source: chosen by hand, never measured.
 const LOCAL_IMAGES: usize = 8;
 /// Points an image contributes to an adjustment while the model grows.
+/// Source: chosen by hand, never measured.
 const POINTS_PER_IMAGE: usize = 60;
+
+/// Share of an image's verified matches that must agree with its pose.
+/// Source: chosen by hand, never measured.
+const MIN_CONSISTENT: f64 = 0.3;
+
+/// What priors and repairs refer to: the start's intrinsics where they were known, the small
+/// model's where not.
+pub(crate) fn starts_of(cameras: &[Camera], known: &[Knowledge], state: &MapState) -> Vec<Camera> {
+    let all = cameras.iter().zip(&state.cameras).zip(known);
+    all.map(|((start, now), k)| if k.focal_sigma.is_some() || k.fixed { start } else { now })
+        .cloned()
+        .collect()
+}
 
 /// Which intrinsics are free with `images` images in the model, and what holds them.
 pub(crate) fn freedom(
@@ -36,13 +56,16 @@ pub(crate) fn freedom(
     for (camera, (start, k)) in starts.iter().zip(known).enumerate() {
         let focals = start.model.num_focals();
         if let (Some(share), false) = (k.focal_sigma, k.fixed) {
-            let prior = |parameter: usize| {
-                let mean = start.params[parameter];
-                IntrinsicsPrior { camera, parameter, mean, sigma: share * mean }
-            };
-            priors.extend((0..focals).map(prior));
+            let focal = start.params[..focals].iter().enumerate();
+            priors.extend(focal.map(|(parameter, &mean)| IntrinsicsPrior {
+                camera,
+                parameter,
+                mean,
+                sigma: share * mean,
+            }));
         }
-        // Distortion of ordinary lenses is a few per cent at the corner; this matters only where the views say nothing.
+        // Distortion of ordinary lenses is a few per cent at the corner; this matters only where
+        // the views say nothing.
         let relative = start.mean_focal() / f64::from(start.width.max(start.height));
         let mild =
             |parameter| IntrinsicsPrior { camera, parameter, mean: 0.0, sigma: 0.5 * relative * relative };
@@ -77,6 +100,9 @@ pub(crate) fn grow(
             resect(state, input, image, search).map(|r| (image, r))
         });
         let next = next.or_else(|| {
+            if input.skips(StepName::StructurelessResection) {
+                return None;
+            }
             let (image, pose) = resect_structureless(state, input, &structureless)?;
             structureless[image] = true;
             Some((image, Resection { pose, focal: None }))
@@ -85,7 +111,8 @@ pub(crate) fn grow(
             if fresh {
                 break;
             }
-            // A last effort: everything triangulated and adjusted, then the images that failed once more.
+            // A last effort: everything triangulated and adjusted, then the images that failed once
+            // more.
             settle(state, input, known, starts, progress)?;
             (fresh, last_full) = (true, state.registered_count());
             tried.fill(0);
@@ -123,7 +150,7 @@ pub(crate) fn grow(
             Some(moved) => state.filter_seen_by(input, input.config.max_reprojection_px, moved),
             None => state.filter(input, input.config.max_reprojection_px),
         };
-        if state.observations(image) < input.config.min_sightings {
+        if state.observations(image) < input.config.min_observations {
             state.unregister(image);
         } else {
             progress.tick_with(&format!("{images} images"))?;
@@ -154,6 +181,19 @@ pub(crate) fn settle(
         }
     }
     Ok(())
+}
+
+/// Takes out images whose pose most of their verified matches contradict, or that see too little.
+pub(crate) fn expel(state: &mut MapState, input: &MappingInput<'_>) {
+    let mut wrong = state.order.clone();
+    wrong.retain(|&image| is_doubtful(state, input, image));
+    wrong.into_iter().for_each(|image| state.unregister(image));
+}
+
+fn is_doubtful(state: &MapState, input: &MappingInput<'_>, image: usize) -> bool {
+    let (agreeing, all) = consistency(state, input, image);
+    let few = state.observations(image) < input.config.min_observations;
+    few || (all >= 2 * input.config.min_observations && (agreeing as f64) < MIN_CONSISTENT * all as f64)
 }
 
 /// Puts intrinsics that ran away back to their start.

@@ -1,9 +1,9 @@
-//! Two models of parts of a scene become one where they share points (and so, images): the similarity between them is
-//! found robustly from points of the same tracks and checked in the images of both.
+//! Two models of parts of a scene become one where they share points (and so, images): the
+//! similarity between them is found robustly from points of the same tracks and checked in the
+//! images of both.
 
-use super::growth::{grow, settle};
+use super::growth::{expel, grow, settle, starts_of};
 use super::state::{MapState, MappingInput};
-use super::{expel, starts_of};
 use crate::ransac::{Estimator, RansacConfig, ransac};
 use crate::triangulation::PointView;
 use crate::{Knowledge, SfmError};
@@ -11,10 +11,12 @@ use glam::DVec3;
 use scene::sim3::{Sim3, umeyama};
 use scene::{Camera, Progress};
 
-/// Fewest common points that must agree, and the share of them.
-const MIN_POINTS: usize = 15;
+/// Share of the common points that must agree.
+/// Source: chosen by hand, never measured.
 const MIN_SHARE: f64 = 0.3;
-/// Error allowed in the images of the other model, in largest reprojection errors: each model is bent in its own way.
+/// Error allowed in the images of the other model, in largest reprojection errors: each model is
+/// bent in its own way.
+/// Source: chosen by hand, never measured.
 const TOLERANCE: f64 = 3.0;
 
 /// A point that both models have, with an observation in each.
@@ -25,8 +27,9 @@ struct Common<'a> {
     in_target: PointView<'a>,
 }
 
-/// Finds the similarity `target_from_source`; the residual is the larger reprojection error of the moved point in a
-/// view of the target and of the target's point, moved back, in a view of the source. Pixels.
+/// Finds the similarity `target_from_source`; the residual is the larger reprojection error of the
+/// moved point in a view of the target and of the target's point, moved back, in a view of the
+/// source. Pixels.
 struct Similarity<'a>(Vec<Common<'a>>);
 
 impl Estimator for Similarity<'_> {
@@ -80,15 +83,15 @@ pub(crate) fn similarity(base: &MapState, other: &MapState, input: &MappingInput
     let count = all.len();
     let config = RansacConfig {
         threshold: TOLERANCE * input.config.max_reprojection_px,
-        min_inliers: MIN_POINTS.max((MIN_SHARE * count as f64) as usize),
+        min_inliers: input.config.min_observations.max((MIN_SHARE * count as f64) as usize),
         seed: input.seed,
         ..RansacConfig::default()
     };
     ransac(&Similarity(all), &config, count as u64).map(|found| found.model.0)
 }
 
-/// Takes the images that `other` alone has over into `base`, then adjusts and grows it; `None` where the models share
-/// too little or the whole is no larger.
+/// Takes the images that `other` alone has over into `base`, then adjusts and grows it; `None`
+/// where the models share too little or the whole is no larger.
 pub(crate) fn join(
     base: &MapState,
     other: &MapState,
@@ -178,7 +181,8 @@ mod tests {
                 camera_of: &self.camera_of,
                 geometries: &self.geometries,
                 config: &self.config,
-                may_be_rotated: false,
+                is_video: true,
+                skip: &[],
                 seed: 0,
             }
         }

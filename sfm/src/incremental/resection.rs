@@ -8,8 +8,9 @@ use crate::tracks::NONE;
 use glam::{DVec2, DVec3};
 use scene::{Camera, Pose};
 
-/// Focal lengths to try for a camera that nothing is known of, as factors of the guess: fields of view of about 90° to
-/// 12° for a guess of 1.2 image widths.
+/// Focal lengths to try for a camera that nothing is known of, as factors of the guess: fields of
+/// view of about 90° to 12° for a guess of 1.2 image widths.
+/// Source: derived: a geometric series of factors of about 1.45 over the fields of view.
 pub(crate) const FOCAL_FACTORS: [f64; 6] = [1.0, 0.7, 1.45, 0.45, 2.1, 3.2];
 
 /// Observations of model points by an image that is not registered: (feature, point).
@@ -18,9 +19,10 @@ pub(crate) fn visible(state: &MapState, input: &MappingInput<'_>, image: usize) 
     tracks.filter_map(|(&t, feature)| Some((feature, *state.of_track[t as usize].first()?))).collect()
 }
 
-/// How well the observations are spread: on each of six grids of 2ˡ × 2ˡ cells an occupied cell counts 4ˡ
-/// (Schönberger & Frahm, CVPR 2016, §4.2).
+/// How well the observations are spread: on each of six grids of 2ˡ × 2ˡ cells an occupied cell
+/// counts 4ˡ (Schönberger & Frahm, CVPR 2016, §4.2).
 pub(crate) fn spread(camera: &Camera, pixels: impl Iterator<Item = DVec2>) -> usize {
+    /// Source: Schönberger & Frahm, CVPR 2016, section 4.2.
     const LEVELS: usize = 6;
     let finest = 1usize << LEVELS;
     let mut occupied = vec![false; finest * finest];
@@ -43,12 +45,13 @@ pub(crate) fn spread(camera: &Camera, pixels: impl Iterator<Item = DVec2>) -> us
     score
 }
 
-/// Unregistered images by how well their observations of the model are spread, best first: (image, observations).
+/// Unregistered images by how well their observations of the model are spread, best first: (image,
+/// observations).
 pub(crate) fn next_images(state: &MapState, input: &MappingInput<'_>) -> Vec<(usize, usize)> {
     let mut ranked: Vec<(usize, usize, usize)> = Vec::new();
     for image in (0..state.poses.len()).filter(|&i| state.poses[i].is_none()) {
         let seen = visible(state, input, image);
-        if seen.len() < input.config.min_sightings {
+        if seen.len() < input.config.min_observations {
             continue;
         }
         let pixels = seen.iter().map(|(f, _)| input.keypoints[image][*f as usize]);
@@ -65,7 +68,8 @@ pub(crate) struct Resection {
     pub focal: Option<f64>,
 }
 
-/// P3P in LO-RANSAC. With `search_focal`, several focal lengths are tried and the best one refined with the pose.
+/// P3P in LO-RANSAC. With `search_focal`, several focal lengths are tried and the best one refined
+/// with the pose.
 pub(crate) fn resect(
     state: &MapState,
     input: &MappingInput<'_>,
@@ -80,7 +84,7 @@ pub(crate) fn resect(
     let camera = &state.cameras[input.camera_of[image]];
     let config = RansacConfig {
         threshold: 2.0 * input.config.max_reprojection_px,
-        min_inliers: input.config.min_sightings.max(6),
+        min_inliers: input.config.min_observations.max(6),
         max_iterations: 3000,
         seed: input.seed,
         ..RansacConfig::default()
@@ -97,7 +101,7 @@ pub(crate) fn resect(
         }
     }
     let (_, inliers, pose, camera) = best?;
-    if (inliers.len() as f64) < input.config.min_sighting_ratio * seen.len() as f64 {
+    if (inliers.len() as f64) < input.config.min_observation_ratio * seen.len() as f64 {
         return None;
     }
     if !search_focal {

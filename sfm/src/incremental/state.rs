@@ -1,6 +1,7 @@
 //! The growing model: poses, points and who sees what.
 
-use super::MapperConfig;
+use super::config::MapperConfig;
+use crate::skip::StepName;
 use crate::tracks::{NONE, Tracks};
 use crate::triangulation::{Gates, PointView, refine_point, triangulate, widest_angle};
 use glam::{DVec2, DVec3};
@@ -11,7 +12,8 @@ use scene::{Camera, Pose, TwoViewGeometry};
 pub(crate) struct MappingInput<'a> {
     /// For each image its keypoints' positions.
     pub keypoints: &'a [Vec<DVec2>],
-    /// For each image the standard deviation of each keypoint relative to the others'; where it is empty, all are 1.
+    /// For each image the standard deviation of each keypoint relative to the others'; where it is
+    /// empty, all are 1.
     pub sigmas: &'a [Vec<f32>],
     /// Keypoints joined over images.
     pub tracks: &'a Tracks,
@@ -21,10 +23,20 @@ pub(crate) struct MappingInput<'a> {
     pub geometries: &'a [TwoViewGeometry],
     /// The user's choices.
     pub config: &'a MapperConfig,
-    /// Whether images may have been rotated on their way (photos, not the frames of a video).
-    pub may_be_rotated: bool,
+    /// Whether images are the frames of a video, in the order of time; photos may have been rotated
+    /// on their way.
+    pub is_video: bool,
+    /// Steps, and parts of them, that are left out.
+    pub skip: &'a [StepName],
     /// Seed of all randomness.
     pub seed: u64,
+}
+
+impl MappingInput<'_> {
+    /// Whether a step or a part of one is left out.
+    pub(crate) fn skips(&self, step: StepName) -> bool {
+        self.skip.contains(&step)
+    }
 }
 
 /// A point of the growing model.
@@ -39,7 +51,7 @@ pub(crate) struct MapPoint {
 }
 
 /// The growing model.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Default)]
 pub(crate) struct MapState {
     /// Intrinsics, by camera index.
     pub cameras: Vec<Camera>,
@@ -56,7 +68,7 @@ pub(crate) struct MapState {
 }
 
 impl MapState {
-    pub fn new(input: &MappingInput<'_>, cameras: Vec<Camera>) -> Self {
+    pub(crate) fn new(input: &MappingInput<'_>, cameras: Vec<Camera>) -> Self {
         Self {
             cameras,
             poses: vec![None; input.keypoints.len()],
@@ -67,13 +79,13 @@ impl MapState {
         }
     }
 
-    pub fn gates(input: &MappingInput<'_>) -> Gates {
+    pub(crate) fn gates(input: &MappingInput<'_>) -> Gates {
         let config = input.config;
         Gates { max_error_px: config.max_reprojection_px, min_angle: config.min_angle_deg.to_radians() }
     }
 
     /// Registers (or moves) an image.
-    pub fn register(&mut self, image: usize, pose: Pose) {
+    pub(crate) fn register(&mut self, image: usize, pose: Pose) {
         if self.poses[image].is_none() {
             self.order.push(image);
         }
@@ -81,7 +93,7 @@ impl MapState {
     }
 
     /// Takes an image and its observations out.
-    pub fn unregister(&mut self, image: usize) {
+    pub(crate) fn unregister(&mut self, image: usize) {
         self.poses[image] = None;
         self.order.retain(|&i| i != image);
         for feature in 0..self.point_of[image].len() {
@@ -89,23 +101,27 @@ impl MapState {
         }
     }
 
-    pub fn registered_count(&self) -> usize {
+    pub(crate) fn registered_count(&self) -> usize {
         self.order.len()
     }
 
     /// The points that exist, with their numbers.
-    pub fn live(&self) -> impl Iterator<Item = (u32, &MapPoint)> {
+    pub(crate) fn live(&self) -> impl Iterator<Item = (u32, &MapPoint)> {
         self.points.iter().zip(0u32..).filter_map(|(p, id)| p.as_ref().map(|p| (id, p)))
     }
 
-    pub fn view<'a>(&'a self, input: &MappingInput<'_>, [image, feature]: [u32; 2]) -> Option<PointView<'a>> {
+    pub(crate) fn view<'a>(
+        &'a self,
+        input: &MappingInput<'_>,
+        [image, feature]: [u32; 2],
+    ) -> Option<PointView<'a>> {
         let image = image as usize;
         let camera = &self.cameras[input.camera_of[image]];
         Some(PointView::new(self.poses[image].as_ref()?, camera, input.keypoints[image][feature as usize]))
     }
 
     /// Squared reprojection error of an observation, without the ray that [`PointView`] computes.
-    pub fn error_sq(&self, input: &MappingInput<'_>, [image, feature]: [u32; 2], x: DVec3) -> f64 {
+    pub(crate) fn error_sq(&self, input: &MappingInput<'_>, [image, feature]: [u32; 2], x: DVec3) -> f64 {
         let image = image as usize;
         let Some(pose) = &self.poses[image] else { return f64::INFINITY };
         let projected = self.cameras[input.camera_of[image]].project(pose.transform(x));
@@ -120,7 +136,7 @@ impl MapState {
     }
 
     /// Takes an observation away; a point left with fewer than two goes too.
-    pub fn drop_view(&mut self, view: [u32; 2]) {
+    pub(crate) fn drop_view(&mut self, view: [u32; 2]) {
         let point = std::mem::replace(&mut self.point_of[view[0] as usize][view[1] as usize], NONE);
         if point == NONE {
             return;
@@ -133,7 +149,7 @@ impl MapState {
         }
     }
 
-    pub fn drop_point(&mut self, point: u32) {
+    pub(crate) fn drop_point(&mut self, point: u32) {
         if let Some(p) = self.points[point as usize].take() {
             for [image, feature] in p.views {
                 self.point_of[image as usize][feature as usize] = NONE;
@@ -142,9 +158,9 @@ impl MapState {
         }
     }
 
-    /// Extends a track's points to registered images that agree with them, and triangulates what is left over.
-    /// Returns how many observations were added.
-    pub fn grow_track(&mut self, input: &MappingInput<'_>, track: u32) -> usize {
+    /// Extends a track's points to registered images that agree with them, and triangulates what is
+    /// left over. Returns how many observations were added.
+    pub(crate) fn grow_track(&mut self, input: &MappingInput<'_>, track: u32) -> usize {
         let loose: Vec<[u32; 2]> = input.tracks.views[track as usize]
             .iter()
             .copied()
@@ -158,12 +174,11 @@ impl MapState {
         let limit = input.config.max_reprojection_px.powi(2);
         let (mut rest, mut added) = (Vec::new(), 0);
         for view in loose {
-            let fits = |p: &u32| {
-                self.points[*p as usize]
-                    .as_ref()
-                    .is_some_and(|x| self.error_sq(input, view, x.position) < limit)
-            };
-            match self.of_track[track as usize].iter().copied().find(fits) {
+            let point = self.of_track[track as usize].iter().copied().find(|p| {
+                let point = self.points[*p as usize].as_ref();
+                point.is_some_and(|x| self.error_sq(input, view, x.position) < limit)
+            });
+            match point {
                 Some(point) => {
                     self.add_view(point, view);
                     added += 1;
@@ -178,7 +193,7 @@ impl MapState {
     }
 
     /// Gives a track a point at a known place, seen by all registered images of the track.
-    pub fn place(&mut self, input: &MappingInput<'_>, track: u32, position: DVec3) {
+    pub(crate) fn place(&mut self, input: &MappingInput<'_>, track: u32, position: DVec3) {
         let point = self.points.len() as u32;
         self.points.push(Some(MapPoint { position, track, views: Vec::new() }));
         self.of_track[track as usize].push(point);
@@ -203,23 +218,23 @@ impl MapState {
     }
 
     /// [`MapState::grow_track`] for every track that an image sees.
-    pub fn grow_image(&mut self, input: &MappingInput<'_>, image: usize) -> usize {
+    pub(crate) fn grow_image(&mut self, input: &MappingInput<'_>, image: usize) -> usize {
         let tracks: Vec<u32> = input.tracks.of[image].iter().copied().filter(|&t| t != NONE).collect();
         tracks.into_iter().map(|t| self.grow_track(input, t)).sum()
     }
 
     /// [`MapState::grow_track`] for every track.
-    pub fn grow_all(&mut self, input: &MappingInput<'_>) -> usize {
+    pub(crate) fn grow_all(&mut self, input: &MappingInput<'_>) -> usize {
         (0..input.tracks.views.len() as u32).map(|t| self.grow_track(input, t)).sum()
     }
 
     /// Moves points to their least-squares place for the present poses; `held` says which stay.
-    pub fn refine_points(&mut self, input: &MappingInput<'_>, held: impl Fn(u32) -> bool) {
+    pub(crate) fn refine_points(&mut self, input: &MappingInput<'_>, held: impl Fn(u32) -> bool) {
         (0..self.points.len() as u32).filter(|&id| !held(id)).for_each(|id| self.refine_point(input, id));
     }
 
     /// Moves one point to its least-squares place for the present poses.
-    pub fn refine_point(&mut self, input: &MappingInput<'_>, id: u32) {
+    pub(crate) fn refine_point(&mut self, input: &MappingInput<'_>, id: u32) {
         let Some(point) = self.points[id as usize].as_ref() else { return };
         let views: Vec<PointView<'_>> =
             point.views.iter().filter_map(|v| self.bare_view(input, *v)).collect();
@@ -230,7 +245,7 @@ impl MapState {
     }
 
     /// The points that some of these images see, ascending.
-    pub fn seen_by(&self, images: &[usize]) -> Vec<u32> {
+    pub(crate) fn seen_by(&self, images: &[usize]) -> Vec<u32> {
         let all = images.iter().flat_map(|&i| self.point_of[i].iter().copied());
         let mut ids: Vec<u32> = all.filter(|&id| id != NONE).collect();
         ids.sort_unstable();
@@ -250,14 +265,19 @@ impl MapState {
         Some(PointView { pose, camera, pixel, centre: DVec3::ZERO, ray: DVec3::ZERO })
     }
 
-    /// Drops observations with a larger error than `max_error_px` or behind the camera, and points seen under too small
-    /// an angle. Returns how many observations went.
-    pub fn filter(&mut self, input: &MappingInput<'_>, max_error_px: f64) -> usize {
+    /// Drops observations with a larger error than `max_error_px` or behind the camera, and points
+    /// seen under too small an angle. Returns how many observations went.
+    pub(crate) fn filter(&mut self, input: &MappingInput<'_>, max_error_px: f64) -> usize {
         self.filter_points(input, max_error_px, 0..self.points.len() as u32)
     }
 
     /// [`MapState::filter`] of the points that some of these images see.
-    pub fn filter_seen_by(&mut self, input: &MappingInput<'_>, max_error_px: f64, images: &[usize]) -> usize {
+    pub(crate) fn filter_seen_by(
+        &mut self,
+        input: &MappingInput<'_>,
+        max_error_px: f64,
+        images: &[usize],
+    ) -> usize {
         self.filter_points(input, max_error_px, self.seen_by(images).into_iter())
     }
 
@@ -291,15 +311,19 @@ impl MapState {
     }
 
     /// All residual lengths, pixels.
-    pub fn errors(&self, input: &MappingInput<'_>) -> Vec<f64> {
-        let of_point = |p: &MapPoint| -> Vec<f64> {
-            p.views.iter().map(|v| self.error_sq(input, *v, p.position).sqrt()).collect()
-        };
-        self.live().flat_map(|(_, p)| of_point(p)).collect()
+    pub(crate) fn errors(&self, input: &MappingInput<'_>) -> Vec<f64> {
+        let observations = self.live().flat_map(|(_, p)| p.views.iter().map(|v| (*v, p.position)));
+        observations.map(|(view, x)| self.error_sq(input, view, x).sqrt()).collect()
+    }
+
+    /// `Σ max(0, 1 − e²/T²)` over all observations, `T` the largest error of one that is kept.
+    pub(crate) fn agreement(&self, input: &MappingInput<'_>) -> f64 {
+        let limit = input.config.max_reprojection_px;
+        self.errors(input).iter().map(|e| (1.0 - (e / limit).powi(2)).max(0.0)).sum()
     }
 
     /// How many observations of points an image has.
-    pub fn observations(&self, image: usize) -> usize {
+    pub(crate) fn observations(&self, image: usize) -> usize {
         self.point_of[image].iter().filter(|&&p| p != NONE).count()
     }
 }

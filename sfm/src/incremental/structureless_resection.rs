@@ -1,27 +1,32 @@
-//! Poses from verified pairs, for images that see too few points of the model: rotation and direction from one pair,
-//! the distance from the few points or from other pairs (structure-less resection: Zheng & Wu, ICCV 2015). And the
-//! same consistency as a check of every pose.
+//! Poses from verified pairs, for images that see too few points of the model: rotation and
+//! direction from one pair, the distance from the few points or from other pairs (structure-less
+//! resection: Zheng & Wu, ICCV 2015). And the same consistency as a check of every pose.
 
 use super::initial::relative_pose;
 use super::resection::visible;
 use super::state::{MapState, MappingInput};
 use crate::solvers::{essential_from_pose, sampson_sq};
 use glam::{DMat3, DQuat, DVec2, DVec3};
-use scene::{Pose, TwoViewGeometry};
+use scene::{Camera, Pose, TwoViewGeometry};
 
 /// Pairs of an image that give hypotheses.
+/// Source: chosen by hand, never measured.
 const PAIRS: usize = 4;
 /// Matches of a pair that are compared.
-const MATCHES: usize = 200;
+/// Source: chosen by hand, never measured.
+pub(crate) const MATCHES: usize = 200;
 /// Fewest points that settle the distance.
+/// Source: chosen by hand, never measured.
 const MIN_POINTS: usize = 4;
-/// Fewest points that settle it by agreeing on it among themselves, and how far they may be from their median.
+/// Fewest points that settle it by agreeing on it among themselves.
+/// Source: chosen by hand, never measured.
 const MIN_SCALES: usize = 5;
+/// How far they may be from their median, as a share of it.
+/// Source: chosen by hand; the test below shows what it tells apart.
 const SCALE_SPREAD: f64 = 0.12;
-/// Fewest matches with other images that settle it.
-const MIN_MATCHES: usize = 15;
 /// Frames of a video so few apart show the same place.
-const NEAR_IN_TIME: usize = 5;
+/// Source: docs/decisions/0004.
+pub(crate) const NEAR_IN_TIME: usize = 5;
 
 /// Matches of an image with a registered one, in ideal pixels from the principal point.
 struct Link<'a> {
@@ -33,6 +38,10 @@ struct Link<'a> {
 }
 
 impl Link<'_> {
+    fn is_near_in_time(&self) -> bool {
+        self.geometry.a.abs_diff(self.geometry.b) <= NEAR_IN_TIME
+    }
+
     /// How many matches agree with a pose of this image.
     fn count_agreeing(&self, pose: &Pose, limit: f64) -> usize {
         let relative = pose.compose(&self.other.inverse());
@@ -62,17 +71,19 @@ fn link<'a>(
     let cameras = [other, image].map(|i| &state.cameras[input.camera_of[i]]);
     let focal = cameras.map(|c| c.mean_focal());
     let step = geometry.inliers.len().div_ceil(MATCHES).max(1);
-    let ends =
-        geometry.inliers.iter().step_by(step).map(|m| if geometry.a == image { [m[1], m[0]] } else { *m });
-    let ideal = |i: usize, image: usize, feature: u32| {
-        let pixel = input.keypoints[image].get(feature as usize)?;
-        Some(cameras[i].unproject(*pixel) * focal[i])
-    };
-    let matches = ends.filter_map(|m| Some((ideal(0, other, m[0])?, ideal(1, image, m[1])?))).collect();
+    let (of_other, of_image) = (&input.keypoints[other], &input.keypoints[image]);
+    let mut matches = Vec::with_capacity(geometry.inliers.len().div_ceil(step));
+    for m in geometry.inliers.iter().step_by(step) {
+        let [there, here] = if geometry.a == image { [m[1], m[0]] } else { *m };
+        if let (Some(there), Some(here)) = (of_other.get(there as usize), of_image.get(here as usize)) {
+            matches.push((cameras[0].unproject(*there) * focal[0], cameras[1].unproject(*here) * focal[1]));
+        }
+    }
     Some(Link { geometry, other: pose, focal, matches })
 }
 
-/// Matches of a pair: (agreeing with the model's poses, all); `None` where an image is not registered.
+/// Matches of a pair: (agreeing with the model's poses, all); `None` where an image is not
+/// registered.
 pub(crate) fn agreement(
     state: &MapState,
     input: &MappingInput<'_>,
@@ -83,16 +94,16 @@ pub(crate) fn agreement(
     Some((link.count_agreeing(&pose, 2.0 * input.config.max_reprojection_px), link.matches.len()))
 }
 
-/// Matches of an image with registered ones: (agreeing with its pose, all). Of a frame of a video those with its
-/// neighbours in time, where these are enough: others may show another place that looks alike.
+/// Matches of an image with registered ones: (agreeing with its pose, all). Of a frame of a video
+/// those with its neighbours in time, where these are enough: others may show another place that
+/// looks alike.
 pub(crate) fn consistency(state: &MapState, input: &MappingInput<'_>, image: usize) -> (usize, usize) {
     let Some(pose) = state.poses[image] else { return (0, 0) };
     let mut links = links(state, input, image);
-    if !input.may_be_rotated {
-        let near = |l: &Link<'_>| l.geometry.a.abs_diff(l.geometry.b) <= NEAR_IN_TIME;
-        let matches: usize = links.iter().filter(|l| near(l)).map(|l| l.matches.len()).sum();
-        if matches >= 2 * input.config.min_sightings {
-            links.retain(near);
+    if input.is_video {
+        let near = links.iter().filter(|l| l.is_near_in_time());
+        if near.map(|l| l.matches.len()).sum::<usize>() >= 2 * input.config.min_observations {
+            links.retain(Link::is_near_in_time);
         }
     }
     let limit = 2.0 * input.config.max_reprojection_px;
@@ -100,8 +111,8 @@ pub(crate) fn consistency(state: &MapState, input: &MappingInput<'_>, image: usi
     (agreeing, links.iter().map(|l| l.matches.len()).sum())
 }
 
-/// The unregistered image, and its pose, for which verified pairs and few points agree best; `None` where no distance
-/// is settled.
+/// The unregistered image, and its pose, for which verified pairs and few points agree best; `None`
+/// where no distance is settled.
 pub(crate) fn resect_structureless(
     state: &MapState,
     input: &MappingInput<'_>,
@@ -149,13 +160,6 @@ fn pose_from_links(
         })
         .collect();
     let limit = 2.0 * input.config.max_reprojection_px;
-    let near = |pose: &Pose| {
-        let error = |(u, x): &(DVec2, DVec3)| {
-            let c = pose.transform(*x);
-            if c.z > 0.0 { (c.truncate() / c.z).distance(*u) * camera.mean_focal() } else { f64::INFINITY }
-        };
-        seen.iter().filter(|s| error(s) < limit).count()
-    };
     let mut best: Option<(usize, Pose)> = None;
     for (i, link) in links.iter().take(PAIRS).enumerate() {
         let Some(line) = line_of(state, input, image, link) else { continue };
@@ -166,14 +170,15 @@ fn pose_from_links(
         scales.extend(others().filter_map(|l| scale_from_pair(&line, l)));
         for s in scales.into_iter().filter(|s| s.is_finite() && *s > 0.0) {
             let pose = line.at(s);
-            let points = near(&pose);
+            let points = seen.iter().filter(|(u, x)| error_px(camera, &pose, *u, *x) < limit).count();
             let agreeing: usize = others().map(|l| l.count_agreeing(&pose, limit)).sum();
             let all: usize = others().map(|l| l.matches.len()).sum();
             let by_points = points >= MIN_POINTS && points * 10 >= seen.len() * 3;
-            let by_pairs = agreeing >= MIN_MATCHES && agreeing * 10 >= all * 6;
-            // Rotation and direction of the pair may be off by more pixels than the distance by per cent.
+            let by_pairs = agreeing >= input.config.min_observations && agreeing * 10 >= all * 6;
+            // Rotation and direction of the pair may be off by more pixels than the distance by per
+            // cent.
             let by_scale = common == Some(s);
-            let contradicted = all >= 2 * MIN_MATCHES && agreeing * 10 < all * 4;
+            let contradicted = all >= 2 * input.config.min_observations && agreeing * 10 < all * 4;
             let score = 3 * points + agreeing;
             if (by_points || by_pairs || by_scale) && !contradicted && best.is_none_or(|(b, _)| score > b) {
                 best = Some((score, pose));
@@ -183,7 +188,15 @@ fn pose_from_links(
     best.map(|(_, pose)| pose)
 }
 
-/// The distance on which nearly all points agree to some per cent: wrong matches scatter over orders of magnitude.
+/// Distance of a point's image from where it is seen (a ray's `x/z, y/z`), pixels; infinite behind
+/// the camera.
+fn error_px(camera: &Camera, pose: &Pose, ray: DVec2, x: DVec3) -> f64 {
+    let c = pose.transform(x);
+    if c.z > 0.0 { (c.truncate() / c.z).distance(ray) * camera.mean_focal() } else { f64::INFINITY }
+}
+
+/// The distance on which nearly all points agree to some per cent: wrong matches scatter over
+/// orders of magnitude.
 fn common_scale(scales: &[f64]) -> Option<f64> {
     let mut sorted = scales.to_vec();
     sorted.sort_unstable_by(f64::total_cmp);
@@ -205,23 +218,26 @@ fn line_of(state: &MapState, input: &MappingInput<'_>, image: usize, link: &Link
     })
 }
 
-/// The distance at which a point falls on its pixel, in the least-squares sense: `u × (a + s b) = 0`.
+/// The distance at which a point falls on its pixel, in the least-squares sense: `u × (a + s b) =
+/// 0`.
 fn scale_from_point(line: &Line, u: DVec2, x: DVec3) -> Option<f64> {
     let (a, b) = (line.rotation * x + line.start, line.step);
     let (p, q) = (a.truncate() - u * a.z, b.truncate() - u * b.z);
     (q.length_squared() > 1e-12).then(|| -p.dot(q) / q.length_squared())
 }
 
-/// The distance at which a pair's matches fulfil its epipolar constraint, `u · ((t₀ + s t₁) × v) = 0`: the median.
+/// The distance at which a pair's matches fulfil its epipolar constraint, `u · ((t₀ + s t₁) × v) =
+/// 0`: the median.
 fn scale_from_pair(line: &Line, link: &Link<'_>) -> Option<f64> {
     let relative = line.rotation * link.other.rotation.conjugate();
     let offset = line.start - relative * link.other.translation;
-    let scale = |(other, own): &(DVec2, DVec2)| {
+    let mut scales = Vec::with_capacity(link.matches.len());
+    for (other, own) in &link.matches {
         let v = relative * (*other / link.focal[0]).extend(1.0);
         let u = (*own / link.focal[1]).extend(1.0);
-        -u.dot(offset.cross(v)) / u.dot(line.step.cross(v))
-    };
-    let mut scales: Vec<f64> = link.matches.iter().map(scale).filter(|s| s.is_finite()).collect();
+        scales.push(-u.dot(offset.cross(v)) / u.dot(line.step.cross(v)));
+    }
+    scales.retain(|s| s.is_finite());
     scales.sort_unstable_by(f64::total_cmp);
     scales.get(scales.len() / 2).copied()
 }

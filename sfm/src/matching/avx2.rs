@@ -1,19 +1,21 @@
 //! The AVX2 kernel: 4 rows against 32 columns at a time, 16 columns a vector.
 //!
-//! `vpmaddubsw` multiplies 32 pairs of 7-bit numbers and adds them two by two without overflow; sums wrap modulo
-//! 2¹⁶ and begin at −32768, so that the unsigned dot product is compared as a signed number.
+//! `vpmaddubsw` multiplies 32 pairs of 7-bit numbers and adds them two by two without overflow;
+//! sums wrap modulo 2¹⁶ and begin at −32768, so that the unsigned dot product is compared as a
+//! signed number.
 
 // Tiles are small squares: rows and vectors are counted, not iterated.
 #![allow(clippy::needless_range_loop)]
 
-use super::kernel::TopTwo;
-use super::prepared::{DIM, PANEL, Panel, PreparedFeatures};
+use super::prepared::{DIM, PANEL, Panel, PreparedFeatures, ROWS};
+use super::top_two::TopTwo;
 use std::arch::x86_64::*;
 
-const ROWS: usize = 4;
 /// Steps of two components.
+/// Source: derived from `DIM`.
 const STEPS: usize = DIM / 2;
 /// Descriptors of `b` that stay in the second-level cache while the rows of `a` pass (128 KiB).
+/// Source: chosen by hand for common caches; no result depends on it.
 const BLOCK: usize = 1024;
 /// Two panels: the columns of a tile.
 type Avx2Columns = [Panel; 2];
@@ -73,7 +75,8 @@ fn seconds(columns: &TopTwo, j: usize) -> __m256i {
     unsafe { _mm256_loadu_si256(values.as_ptr().cast()) }
 }
 
-/// Whether a dot product of the tile is above the second-best of its row or of its column: nearly always no.
+/// Whether a dot product of the tile is above the second-best of its row or of its column: nearly
+/// always no.
 #[inline]
 #[target_feature(enable = "avx2")]
 fn beats(dots: &Avx2Dots, i: usize, j: usize, rows: &TopTwo, columns: &TopTwo) -> bool {

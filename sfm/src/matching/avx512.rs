@@ -1,23 +1,27 @@
 //! The AVX-512 kernel: 4 rows against 64 columns at a time, 16 columns a vector.
 //!
-//! `vpdpbusd` multiplies 64 pairs of 8-bit numbers and adds them four by four to 32-bit sums, which begin at −32768 so
-//! that they compare with the biased numbers of [`TopTwo`].
+//! `vpdpbusd` multiplies 64 pairs of 8-bit numbers and adds them four by four to 32-bit sums, which
+//! begin at −32768 so that they compare with the biased numbers of [`TopTwo`].
 
 // Tiles are small squares: rows and vectors are counted, not iterated.
 #![allow(clippy::needless_range_loop)]
 
-use super::kernel::TopTwo;
-use super::prepared::{DIM, PANEL, Panel, PreparedFeatures};
+use super::prepared::{DIM, PANEL, Panel, PreparedFeatures, ROWS};
+use super::top_two::TopTwo;
 use std::arch::x86_64::*;
 
-const ROWS: usize = 4;
 /// Vectors of columns.
+/// Source: derived: 4 × 4 sums fill 16 of the 32 registers.
 const WIDE: usize = 4;
 /// Steps of four components.
+/// Source: derived from `DIM`.
 const STEPS: usize = DIM / 4;
 /// Descriptors of `b` that stay in the second-level cache while the rows of `a` pass (256 KiB).
+/// Source: chosen by hand for common caches; no result depends on it.
 const BLOCK: usize = 2048;
-/// Fours of rows that a tile meets while it lies in the first-level cache (8 KiB, and as much for the tile).
+/// Fours of rows that a tile meets while it lies in the first-level cache (8 KiB, and as much for
+/// the tile).
+/// Source: derived from its size.
 const FOURS: usize = 16;
 /// Four panels: the columns of a tile.
 type Avx512Columns = [Panel; WIDE];
@@ -69,7 +73,8 @@ fn multiply(rows: &Avx512Words, tile: &Avx512Columns) -> Avx512Dots {
     for (k, row) in rows.iter().enumerate() {
         let mut column = [_mm512_setzero_si512(); WIDE];
         for n in 0..WIDE {
-            // SAFETY: k < STEPS, and a panel holds STEPS vectors of 64 bytes, the first of them aligned.
+            // SAFETY: k < STEPS, and a panel holds STEPS vectors of 64 bytes, the first of them
+            // aligned.
             column[n] = unsafe { _mm512_load_si512(tile[n].0.as_ptr().add(k * 64).cast()) };
         }
         for r in 0..ROWS {

@@ -6,7 +6,8 @@ use serde::{Deserialize, Serialize};
 #[derive(Clone, Debug, PartialEq, clap::Args, Serialize, Deserialize)]
 #[serde(default)]
 pub struct MatchConfig {
-    /// A match must be closer than this share of the distance of the second-best (Lowe 2004, section 7.1).
+    /// A match must be closer than this share of the distance of the second-best (Lowe 2004,
+    /// section 7.1).
     #[arg(long, default_value_t = Self::default().match_ratio, help_heading = "Matching")]
     pub match_ratio: f32,
     /// Largest distance of matched descriptors (unit vectors: 0 is equal, 1.41 unrelated).

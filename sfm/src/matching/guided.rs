@@ -6,32 +6,19 @@ use super::prepared::{PreparedFeatures, squared_distance};
 use glam::{DMat3, DVec2, DVec3};
 use scene::{Features, Keypoint};
 
-/// Features as near as this to the best partner (other orientations of the same spot) do not count as second-best.
+/// Features as near as this to the best partner (other orientations of the same spot) do not count
+/// as second-best.
+/// Source: chosen by hand, never measured.
 const SAME_SPOT_PX: f64 = 3.0;
 /// Cells a side of the grid over the image, at most.
+/// Source: chosen by hand for speed; no result depends on it.
 const MAX_CELLS: usize = 64;
 
-/// Matches (feature of a, feature of b) no farther than `max_epipolar_px` from each other's epipolar lines
-/// (`x_bᵀ F x_a = 0`, pixels), best from both sides, with the looser [`MatchConfig::guided_ratio`]: fewer rivals
-/// remain along a line. Sorted by the feature of a; none where `f` is not finite or zero.
-pub fn guided_match(
-    a: &Features,
-    b: &Features,
-    f: &DMat3,
-    max_epipolar_px: f64,
-    config: &MatchConfig,
-) -> Vec<[u32; 2]> {
-    guided_match_prepared(
-        (a, &PreparedFeatures::new(a)),
-        (b, &PreparedFeatures::new(b)),
-        f,
-        max_epipolar_px,
-        config,
-    )
-}
-
-/// [`guided_match`] of descriptors that are prepared already.
-pub fn guided_match_prepared(
+/// Matches (feature of a, feature of b) no farther than `max_epipolar_px` from each other's
+/// epipolar lines (`x_bᵀ F x_a = 0`, pixels), best from both sides, with the looser
+/// [`MatchConfig::guided_ratio`]: fewer rivals remain along a line. Sorted by the feature of a;
+/// none where `f` is not finite or zero.
+pub(crate) fn guided_match_prepared(
     a: (&Features, &PreparedFeatures),
     b: (&Features, &PreparedFeatures),
     f: &DMat3,
@@ -132,7 +119,8 @@ impl KeypointGrid {
         grid
     }
 
-    /// Visits every keypoint in a cell that the band of half-width `max_px` around `line` touches (and a few more).
+    /// Visits every keypoint in a cell that the band of half-width `max_px` around `line` touches
+    /// (and a few more).
     fn along(&self, line: DVec3, max_px: f64, mut visit: impl FnMut(u32, DVec2)) {
         // In cell units: n · q + c = 0.
         let normal = line.truncate();
@@ -143,7 +131,8 @@ impl KeypointGrid {
         let n = normal / length;
         let c = (normal.dot(self.origin) + line.z) / length / self.cell;
         let half = max_px / self.cell;
-        // Walk along the axis on which the line advances faster; across it the band is at most √2 as wide.
+        // Walk along the axis on which the line advances faster; across it the band is at most √2
+        // as wide.
         let along_x = n.y.abs() >= n.x.abs();
         let (walk, across) = if along_x { (0, 1) } else { (1, 0) };
         let (n_walk, n_across) = if along_x { (n.x, n.y) } else { (n.y, n.x) };

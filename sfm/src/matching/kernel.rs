@@ -1,65 +1,14 @@
 //! Best and second-best partners of all descriptors of two images, from both sides in one sweep.
 //!
-//! Dot products are formed tile by tile and compared at once; no distance is ever stored. Every kernel gives the
-//! same result: integers are exact, and among equals the lowest index stays.
+//! Dot products are formed tile by tile and compared at once; no distance is ever stored. Every
+//! kernel gives the same result: integers are exact, and among equals the lowest index stays.
 
-use super::prepared::PreparedFeatures;
+use super::prepared::{PreparedFeatures, best_group};
+use super::top_two::{TopTwo, add_bias};
 use crate::sift::dispatch;
 
-/// No partner above the floor.
-pub(super) const NONE: u32 = u32::MAX;
-
-/// For each descriptor of one image: its two largest dot products with the other image's, and the best one's index.
-#[derive(Clone, Debug)]
-pub(super) struct TopTwo {
-    /// Largest, `dot − 32768`.
-    pub best: Vec<i16>,
-    /// Second largest, `dot − 32768`.
-    pub second: Vec<i16>,
-    /// Index of the best, or [`NONE`].
-    pub index: Vec<u32>,
-}
-
-impl TopTwo {
-    /// `len` descriptors (rounded up so that whole vectors can be read); nothing up to `floor` is looked at.
-    fn new(len: usize, floor: u16) -> Self {
-        let padded = len.next_multiple_of(64);
-        let floor = add_bias(floor);
-        Self { best: vec![floor; padded], second: vec![floor; padded], index: vec![NONE; padded] }
-    }
-
-    #[inline(always)]
-    pub fn offer(&mut self, i: usize, dot: i16, partner: u32) {
-        if dot > self.best[i] {
-            self.second[i] = self.best[i];
-            self.best[i] = dot;
-            self.index[i] = partner;
-        } else if dot > self.second[i] {
-            self.second[i] = dot;
-        }
-    }
-}
-
-#[inline(always)]
-fn add_bias(dot: u16) -> i16 {
-    (dot ^ 0x8000) as i16
-}
-
-/// The dot product behind a biased number.
-pub(super) fn remove_bias(dot: i16) -> u16 {
-    (dot as u16) ^ 0x8000
-}
-
-/// Components that the fastest kernel of this machine takes at once.
-pub(super) fn best_group() -> usize {
-    #[cfg(target_arch = "x86_64")]
-    if std::arch::is_x86_feature_detected!("avx512bw") && std::arch::is_x86_feature_detected!("avx512vnni") {
-        return 4;
-    }
-    if cfg!(target_arch = "aarch64") { 1 } else { 2 }
-}
-
-/// The two best partners above `floor`, seen from `a` and from `b`, by the fastest kernel of this machine.
+/// The two best partners above `floor`, seen from `a` and from `b`, by the fastest kernel of this
+/// machine.
 pub(super) fn top_two(a: &PreparedFeatures, b: &PreparedFeatures, floor: u16) -> (TopTwo, TopTwo) {
     #[cfg(target_arch = "x86_64")]
     {

@@ -1,8 +1,9 @@
-//! Matching of descriptors: exhaustive or along known epipolar lines, with the ratio test and the mutual test (Lowe 2004, section 7.1).
+//! Matching of descriptors: exhaustive or along known epipolar lines, with the ratio test and the
+//! mutual test (Lowe 2004, section 7.1).
 //!
-//! No pair is skipped after a look at its coarsest features: on `temple_ring` the 300 largest of each image, asked
-//! for five matches, would spare half of the unrelated pairs, but lose one in eight of those with 30 to 60 matches,
-//! which hold wide steps together.
+//! No pair is skipped after a look at its coarsest features: on `temple_ring` the 300 largest of
+//! each image, asked for five matches, would spare half of the unrelated pairs, but lose one in
+//! eight of those with 30 to 60 matches, which hold wide steps together.
 
 #[cfg(target_arch = "x86_64")]
 mod avx2;
@@ -16,23 +17,24 @@ mod neon;
 mod prepared;
 #[cfg(test)]
 mod tests;
+mod top_two;
 
 pub use config::MatchConfig;
-pub use guided::{guided_match, guided_match_prepared};
+pub(crate) use guided::guided_match_prepared;
 pub use prepared::PreparedFeatures;
 
 use crate::SfmError;
-use kernel::{NONE, TopTwo, remove_bias};
 use prepared::{dot_at_distance, squared_distance};
 use rayon::prelude::*;
 use scene::{Features, Progress};
+use top_two::{NONE, TopTwo, remove_bias};
 
-/// Matches (feature of a, feature of b), sorted by the feature of a.
-pub fn match_features(a: &Features, b: &Features, config: &MatchConfig) -> Vec<[u32; 2]> {
+#[cfg(test)]
+pub(crate) fn match_features(a: &Features, b: &Features, config: &MatchConfig) -> Vec<[u32; 2]> {
     match_prepared(&PreparedFeatures::new(a), &PreparedFeatures::new(b), config)
 }
 
-/// [`match_features`] of descriptors that are prepared already.
+/// Matches (feature of a, feature of b), sorted by the feature of a.
 pub fn match_prepared(a: &PreparedFeatures, b: &PreparedFeatures, config: &MatchConfig) -> Vec<[u32; 2]> {
     if a.is_empty() || b.is_empty() || config.match_ratio <= 0.0 {
         return Vec::new();
@@ -42,18 +44,13 @@ pub fn match_prepared(a: &PreparedFeatures, b: &PreparedFeatures, config: &Match
     let (rows, columns) = kernel::top_two(a, b, floor);
     let ratio2 = config.match_ratio * config.match_ratio;
     let max2 = config.match_max_distance * config.match_max_distance;
-    let distinct = |side: &TopTwo, i: usize| {
-        let (best, second) = (remove_bias(side.best[i]), remove_bias(side.second[i]));
-        let d2 = squared_distance(best);
-        d2 <= max2 && d2 < ratio2 * squared_distance(second)
-    };
     let mut matches = Vec::new();
     for i in 0..a.len() {
         let j = rows.index[i];
-        if j == NONE || !distinct(&rows, i) {
+        if j == NONE || !is_distinct(&rows, i, ratio2, max2) {
             continue;
         }
-        let mutual = columns.index[j as usize] == i as u32 && distinct(&columns, j as usize);
+        let mutual = columns.index[j as usize] == i as u32 && is_distinct(&columns, j as usize, ratio2, max2);
         if mutual || config.one_way_matches {
             matches.push([i as u32, j]);
         }
@@ -61,11 +58,19 @@ pub fn match_prepared(a: &PreparedFeatures, b: &PreparedFeatures, config: &Match
     matches
 }
 
+/// Whether the best partner of descriptor `i` is near, and much nearer than the second-best; both
+/// limits squared.
+fn is_distinct(side: &TopTwo, i: usize, ratio2: f32, max2: f32) -> bool {
+    let (best, second) = (remove_bias(side.best[i]), remove_bias(side.second[i]));
+    let d2 = squared_distance(best);
+    d2 <= max2 && d2 < ratio2 * squared_distance(second)
+}
+
 /// The matches of one pair of images: `(a, b, matches)`.
 pub type PairMatches = (usize, usize, Vec<[u32; 2]>);
 
-/// Matches of every pair, in the order of `pairs`; pairs that name a missing image have none. The same for any
-/// number of threads.
+/// Matches of every pair, in the order of `pairs`; pairs that name a missing image have none. The
+/// same for any number of threads.
 pub fn match_pairs(
     features: &[Features],
     pairs: &[(usize, usize)],
@@ -77,14 +82,14 @@ pub fn match_pairs(
 }
 
 /// [`match_pairs`] of descriptors that are prepared already.
-pub fn match_prepared_pairs(
+pub(crate) fn match_prepared_pairs(
     prepared: &[PreparedFeatures],
     pairs: &[(usize, usize)],
     config: &MatchConfig,
     progress: &Progress,
 ) -> Result<Vec<PairMatches>, SfmError> {
     progress.begin("matching", pairs.len());
-    let one = |&(a, b): &(usize, usize)| {
+    let found = pairs.par_iter().map(|&(a, b)| {
         progress.check()?;
         let matches = match (prepared.get(a), prepared.get(b)) {
             (Some(left), Some(right)) => match_prepared(left, right, config),
@@ -92,6 +97,6 @@ pub fn match_prepared_pairs(
         };
         progress.tick()?;
         Ok((a, b, matches))
-    };
-    pairs.par_iter().map(one).collect()
+    });
+    found.collect()
 }

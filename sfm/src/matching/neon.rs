@@ -1,19 +1,21 @@
 //! The NEON kernel: 4 rows against 16 columns at a time, 8 columns a vector.
 //!
-//! `umlal` multiplies eight pairs of 7-bit numbers and adds them to sums of 16 bits, one component of all columns after
-//! the other; sums without sign wrap modulo 2¹⁶ and are compared with their highest bit flipped.
+//! `umlal` multiplies eight pairs of 7-bit numbers and adds them to sums of 16 bits, one component
+//! of all columns after the other; sums without sign wrap modulo 2¹⁶ and are compared with their
+//! highest bit flipped.
 
 // Tiles are small squares: rows and vectors are counted, not iterated.
 #![allow(clippy::needless_range_loop)]
 
-use super::kernel::TopTwo;
-use super::prepared::{DIM, PANEL, Panel, PreparedFeatures};
+use super::prepared::{DIM, PANEL, Panel, PreparedFeatures, ROWS};
+use super::top_two::TopTwo;
 use std::arch::aarch64::*;
 
-const ROWS: usize = 4;
 /// Columns of a vector.
+/// Source: derived: lanes of 16 bits in a vector of 128.
 const LANES: usize = 8;
 /// Descriptors of `b` that stay in the second-level cache while the rows of `a` pass (128 KiB).
+/// Source: chosen by hand for common caches; no result depends on it.
 const BLOCK: usize = 1024;
 /// Dot products of a tile, biased.
 type NeonDots = [[int16x8_t; 2]; ROWS];
@@ -62,7 +64,8 @@ fn lower(row: i16, columns: &TopTwo, j: usize) -> int16x8_t {
     vminq_s16(vdupq_n_s16(row), unsafe { vld1q_s16(values.as_ptr()) })
 }
 
-/// Whether a dot product of the tile is above the second-best of its row or of its column: nearly always no.
+/// Whether a dot product of the tile is above the second-best of its row or of its column: nearly
+/// always no.
 #[inline]
 #[target_feature(enable = "neon")]
 fn beats(dots: &NeonDots, i: usize, j: usize, rows: &TopTwo, columns: &TopTwo) -> bool {

@@ -2,11 +2,18 @@
 
 use scene::Features;
 
-/// Length of a prepared descriptor; with it any dot product of two of them fits 16 bits without sign.
+/// Length of a prepared descriptor; with it any dot product of two of them fits 16 bits without
+/// sign.
+/// Source: derived: `250² < 2¹⁶`, while 256² is not.
 pub(super) const NORM: f32 = 250.0;
 /// Descriptors a panel.
+/// Source: derived: lanes of 16 bits in a vector of 256.
 pub(super) const PANEL: usize = 16;
+/// Rows that a kernel takes at once.
+/// Source: chosen by hand, so that the sums of a tile stay in registers.
+pub(super) const ROWS: usize = 4;
 /// Bytes of a descriptor.
+/// Source: Lowe 2004, section 6.1.
 pub(super) const DIM: usize = Features::DIM;
 
 /// The bytes of [`PANEL`] descriptors, aligned so that no vector of them lies in two cache lines.
@@ -14,17 +21,17 @@ pub(super) const DIM: usize = Features::DIM;
 #[repr(C, align(64))]
 pub(super) struct Panel(pub [u8; PANEL * DIM]);
 
-/// The descriptors of one image, scaled to length 250 and rounded to 7 bits: RootSIFT loses less than 2 % of a
-/// unit by it, and two products of 7-bit numbers fit a signed 16-bit word, which is what the processor multiplies
-/// fastest. Made once an image.
+/// The descriptors of one image, scaled to length 250 and rounded to 7 bits: RootSIFT loses less
+/// than 2 % of a unit by it, and two products of 7-bit numbers fit a signed 16-bit word, which is
+/// what the processor multiplies fastest. Made once an image.
 #[derive(Clone, Debug, Default)]
 pub struct PreparedFeatures {
     /// Number of descriptors.
     len: usize,
     /// [len padded to a multiple of 64 × 128], row-major; padding is zero.
     rows: Vec<u8>,
-    /// The same in panels of 16 descriptors: [panel × 128 / group × 16 × group], `group` consecutive components of
-    /// each in turn.
+    /// The same in panels of 16 descriptors: [panel × 128 / group × 16 × group], `group`
+    /// consecutive components of each in turn.
     panels: Vec<Panel>,
     /// 1, 2 or 4: how many components the kernel multiplies and adds at once.
     group: usize,
@@ -33,7 +40,7 @@ pub struct PreparedFeatures {
 impl PreparedFeatures {
     /// From descriptors of any length (they are normalised here).
     pub fn new(features: &Features) -> Self {
-        Self::with_group(features, super::kernel::best_group())
+        Self::with_group(features, best_group())
     }
 
     /// For a kernel that takes `group` components at once.
@@ -60,12 +67,12 @@ impl PreparedFeatures {
     }
 
     /// Number of descriptors.
-    pub fn len(&self) -> usize {
+    pub(crate) fn len(&self) -> usize {
         self.len
     }
 
     /// Whether there are none.
-    pub fn is_empty(&self) -> bool {
+    pub(crate) fn is_empty(&self) -> bool {
         self.len == 0
     }
 
@@ -83,6 +90,15 @@ impl PreparedFeatures {
     pub(super) fn panels(&self) -> &[Panel] {
         &self.panels
     }
+}
+
+/// Components that the fastest kernel of this machine takes at once.
+pub(super) fn best_group() -> usize {
+    #[cfg(target_arch = "x86_64")]
+    if std::arch::is_x86_feature_detected!("avx512bw") && std::arch::is_x86_feature_detected!("avx512vnni") {
+        return 4;
+    }
+    if cfg!(target_arch = "aarch64") { 1 } else { 2 }
 }
 
 /// Squared Euclidean distance of the unit vectors behind a dot product of prepared descriptors.

@@ -4,6 +4,12 @@ use glam::{DMat3, DVec3};
 use rand::Rng;
 use scene::{Keypoint, rng};
 
+/// [`guided_match_prepared`] of features.
+fn guided_match(a: &Features, b: &Features, f: &DMat3, px: f64, config: &MatchConfig) -> Vec<[u32; 2]> {
+    let [left, right] = [a, b].map(PreparedFeatures::new);
+    guided_match_prepared((a, &left), (b, &right), f, px, config)
+}
+
 /// Descriptors of random directions, as RootSIFT stores them.
 fn random(n: usize, stream: &str) -> Features {
     let mut r = rng::rng(9, stream, n as u64);

@@ -7,19 +7,25 @@ use rayon::prelude::*;
 use scene::{Features, FrameSet, Progress};
 use std::collections::{BTreeMap, BTreeSet};
 
-/// Matches that make a pair a likely one, and the share of the smaller image's features that they must be.
+/// Matches that make a pair a likely one.
+/// Source: chosen by hand, never measured.
 const LIKELY: usize = 30;
+/// Share of the smaller image's features that they must be.
+/// Source: chosen by hand, never measured.
 const LIKELY_SHARE: f64 = 0.015;
 /// Pairs that an image adds in a round.
+/// Source: chosen by hand, never measured.
 const A_ROUND: usize = 6;
 /// Rounds at most: each reaches twice as far along a chain of images.
+/// Source: derived: each round doubles the reach, so that any set ends before.
 const ROUNDS: usize = 24;
 /// An image with fewer likely partners than this is matched with every other one in the end.
+/// Source: docs/decisions/0009 (one with next to none).
 const FEW_PARTNERS: usize = 2;
 
-/// Matches of all pairs of a small set, and of those of a large one that may show the same points; ascending by pair.
-/// The same for any number of threads.
-pub fn match_related(
+/// Matches of all pairs of a small set, and of those of a large one that may show the same points;
+/// ascending by pair. The same for any number of threads.
+pub(crate) fn match_related(
     frames: &FrameSet,
     features: &[Features],
     pairs: &PairConfig,
@@ -83,7 +89,8 @@ impl Graph {
         }
     }
 
-    /// Untried pairs with common partners, those with most of them first, [`A_ROUND`] an image that has not got enough.
+    /// Untried pairs with common partners, those with most of them first, [`A_ROUND`] an image that
+    /// has not got enough.
     fn led_to(&self) -> Vec<(usize, usize)> {
         let mut next = BTreeSet::new();
         for (a, of_a) in self.partners.iter().enumerate() {

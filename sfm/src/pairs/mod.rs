@@ -1,14 +1,15 @@
 //! Which pairs of images are matched at all.
 //!
-//! Small sets: every pair. Larger ones: neighbours in time (videos) and, for every image, those that look most alike
-//! (`retrieval`); from there on along the matches themselves, for what matches a common third image may match too
-//! (Agarwal et al., "Building Rome in a Day", ICCV 2009: query expansion). So true pairs are found whatever the
-//! image retrieval says of them, and what cannot match is not tried.
+//! Small sets: every pair. Larger ones: neighbours in time (videos) and, for every image, those
+//! that look most alike (`retrieval`); from there on along the matches themselves, for what matches
+//! a common third image may match too (Agarwal et al., "Building Rome in a Day", ICCV 2009: query
+//! expansion). So true pairs are found whatever the image retrieval says of them, and what cannot
+//! match is not tried.
 
 mod expansion;
 mod retrieval;
 
-pub use expansion::match_related;
+pub(crate) use expansion::match_related;
 
 use scene::{Features, FrameSet};
 use serde::{Deserialize, Serialize};
@@ -21,7 +22,8 @@ pub struct PairConfig {
     /// Up to so many photos every pair is matched.
     #[arg(long, default_value_t = Self::default().exhaustive_up_to, help_heading = "Matching")]
     pub exhaustive_up_to: usize,
-    /// The same for the frames of a video: what repeats on an object shows by the pairs that are missing.
+    /// The same for the frames of a video: what repeats on an object shows by the pairs that are
+    /// missing.
     #[arg(long, default_value_t = Self::default().exhaustive_frames_up_to, help_heading = "Matching")]
     pub exhaustive_frames_up_to: usize,
     /// Beyond that, every frame of a video is matched with so many that follow it.
@@ -46,10 +48,14 @@ impl PairConfig {
     }
 }
 
-/// The pairs `(a, b)`, `a < b`, in ascending order that are matched first: all of a small set. The order of files is
-/// never trusted to be the order of a ring: of photos only image retrieval counts, of videos image retrieval closes the loops. The
-/// same for any number of threads.
-pub fn first_pairs(frames: &FrameSet, features: &[Features], config: &PairConfig) -> Vec<(usize, usize)> {
+/// The pairs `(a, b)`, `a < b`, in ascending order that are matched first: all of a small set. The
+/// order of files is never trusted to be the order of a ring: of photos only image retrieval
+/// counts, of videos image retrieval closes the loops. The same for any number of threads.
+pub(crate) fn first_pairs(
+    frames: &FrameSet,
+    features: &[Features],
+    config: &PairConfig,
+) -> Vec<(usize, usize)> {
     let n = frames.len().min(features.len());
     if config.exhaustive(n, frames.is_video) {
         return (0..n).flat_map(|a| (a + 1..n).map(move |b| (a, b))).collect();
@@ -77,7 +83,8 @@ mod tests {
         FrameSet { frames: vec![Frame::default(); n], is_video, ..FrameSet::default() }
     }
 
-    /// A ring of places: each image sees 40 of them, and so shares some with its neighbours on the ring.
+    /// A ring of places: each image sees 40 of them, and so shares some with its neighbours on the
+    /// ring.
     fn ring(n: usize) -> Vec<Features> {
         let place = |p: usize| {
             let mut r = rng::rng(7, "place", p as u64);

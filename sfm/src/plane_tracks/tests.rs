@@ -142,7 +142,17 @@ pub(crate) fn input<'a>(
     config: &'a MapperConfig,
 ) -> MappingInput<'a> {
     let (sigmas, geometries) = (&[], &[]);
-    MappingInput { keypoints, sigmas, tracks, camera_of, geometries, config, may_be_rotated: true, seed: 0 }
+    MappingInput {
+        keypoints,
+        sigmas,
+        tracks,
+        camera_of,
+        geometries,
+        config,
+        is_video: false,
+        skip: &[],
+        seed: 0,
+    }
 }
 
 fn lengths(room: &Room, places: &[PlanePoint]) -> Vec<f64> {

@@ -10,12 +10,12 @@ pub(super) struct Clock {
 }
 
 impl Clock {
-    pub fn start() -> Self {
+    pub(crate) fn start() -> Self {
         Self { wall: Instant::now(), cpu: cpu_seconds() }
     }
 
     /// Notes what has passed since the last lap.
-    pub fn lap(&mut self, step: &str, steps: &mut Vec<StepTime>) {
+    pub(crate) fn lap(&mut self, step: &str, steps: &mut Vec<StepTime>) {
         let (wall, cpu) = (Instant::now(), cpu_seconds());
         let wall_s = (wall - self.wall).as_secs_f64();
         steps.push(StepTime { step: step.to_owned(), wall_s, cpu_s: cpu - self.cpu });
@@ -23,8 +23,8 @@ impl Clock {
     }
 }
 
-/// User and system time of this process, seconds, from `/proc/self/stat` (fields 14 and 15, in hundredths on Linux);
-/// 0 elsewhere.
+/// User and system time of this process, seconds, from `/proc/self/stat` (fields 14 and 15, in
+/// hundredths on Linux); 0 elsewhere.
 fn cpu_seconds() -> f64 {
     let stat = std::fs::read_to_string("/proc/self/stat").unwrap_or_default();
     // The second field is the program's name in brackets and may hold blanks.

@@ -1,29 +1,31 @@
 //! The solved model as the types that cross borders.
 
-use super::SolvedModel;
+use crate::incremental::state::MapState;
 use crate::tracks::NONE;
-use crate::{SfmError, SfmResult, Uncertainty};
+use crate::{SfmError, SfmStats, Uncertainty};
 use glam::DVec2;
 use rayon::prelude::*;
-use scene::{FrameSet, Observation, PosedImage, Progress, Reconstruction, ScenePoint, TrackElement};
+use scene::{
+    Features, Frame, FrameSet, Observation, PosedImage, Progress, Reconstruction, ScenePoint, TrackElement,
+    TwoViewGeometry,
+};
+use std::collections::BTreeMap;
 
 /// Images with fewer observations than this are weakly constrained.
+/// Source: chosen by hand; names images in the report alone.
 const FEW_OBSERVATIONS: usize = 30;
-/// A rotation is uncertain if its standard deviation is above this (degrees) and so many times the usual one.
-const WEAK_ROTATION_DEG: f64 = 0.1;
-const WEAK_FACTOR: f64 = 5.0;
+/// A rotation is uncertain if its standard deviation is above this, degrees, and so many times the
+/// usual one.
+/// Source: chosen by hand; names images in the report alone.
+const WEAK_ROTATION: (f64, f64) = (0.1, 5.0);
 
-/// Fills in the model, its statistics and what is missing.
-pub(super) fn fill(
-    result: &mut SfmResult,
-    frames: &FrameSet,
-    solved: SolvedModel,
-    progress: &Progress,
-) -> Result<(), SfmError> {
-    progress.check()?;
-    let model = convert(&solved, frames);
+/// Features below which an image is said to have too few.
+/// Source: chosen by hand; words of a message alone.
+const FEW_FEATURES: usize = 50;
+
+/// What is counted of a model.
+pub(super) fn fill_statistics(stats: &mut SfmStats, model: &Reconstruction) {
     let mut errors = model.reprojection_errors();
-    let stats = &mut result.stats;
     stats.registered = model.images.len();
     stats.points = model.points.len();
     stats.observations = errors.len();
@@ -32,48 +34,43 @@ pub(super) fn fill(
     stats.reprojection_rms_px = (squares / errors.len().max(1) as f64).sqrt();
     errors.sort_unstable_by(f64::total_cmp);
     stats.reprojection_median_px = errors.get(errors.len() / 2).copied().unwrap_or(0.0);
-    for (i, frame) in frames.frames.iter().enumerate() {
-        if !model.images.contains_key(&(i as u32 + 1)) {
-            result.missing.push((frame.name.clone(), why_missing(result, i)));
-        }
-    }
-    result.weak_images = weak_images(&model, solved.uncertainty.as_ref());
-    result.decisions.extend(solved.decisions);
-    result.uncertainty = solved.uncertainty;
-    result.reconstruction = Some(model);
-    Ok(())
 }
 
 /// Images with few observations, or with a rotation far less certain than that of most.
-fn weak_images(model: &Reconstruction, uncertainty: Option<&Uncertainty>) -> Vec<(String, String)> {
-    let rotation = |id: &u32| {
-        let d = uncertainty?.images.get(id)?.rotation;
-        Some(d.iter().fold(0.0_f64, |most, r| most.max(*r)).to_degrees())
-    };
-    let mut all: Vec<f64> = model.images.keys().filter_map(rotation).collect();
+pub(super) fn weak_images(
+    model: &Reconstruction,
+    uncertainty: Option<&Uncertainty>,
+) -> Vec<(String, String)> {
+    let mut deviations: BTreeMap<u32, f64> = BTreeMap::new();
+    for (id, image) in uncertainty.iter().flat_map(|u| &u.images) {
+        let largest = image.rotation.iter().fold(0.0_f64, |most, r| most.max(*r));
+        deviations.insert(*id, largest.to_degrees());
+    }
+    deviations.retain(|id, _| model.images.contains_key(id));
+    let mut all: Vec<f64> = deviations.values().copied().collect();
     all.sort_unstable_by(f64::total_cmp);
     let usual = all.get(all.len() / 2).copied().unwrap_or(0.0);
-    let weak = |image: &PosedImage| {
+    let mut weak = Vec::new();
+    for image in model.images.values() {
         let seen = image.observations.iter().filter(|o| o.point.is_some()).count();
-        let deviation = rotation(&image.id).unwrap_or(0.0);
-        let why = if seen < FEW_OBSERVATIONS {
-            format!("only {seen} points hold its pose")
-        } else if deviation > WEAK_ROTATION_DEG.max(WEAK_FACTOR * usual) {
-            format!("its rotation is known to {deviation:.2}° only (most images: {usual:.2}°)")
-        } else {
-            return None;
-        };
-        Some((image.name.clone(), why))
-    };
-    model.images.values().filter_map(weak).collect()
+        let deviation = deviations.get(&image.id).copied().unwrap_or(0.0);
+        if seen < FEW_OBSERVATIONS {
+            weak.push((image.name.clone(), format!("only {seen} points hold its pose")));
+        } else if deviation > WEAK_ROTATION.0.max(WEAK_ROTATION.1 * usual) {
+            let why = format!("its rotation is known to {deviation:.2}° only (most images: {usual:.2}°)");
+            weak.push((image.name.clone(), why));
+        }
+    }
+    weak
 }
 
-fn why_missing(result: &SfmResult, image: usize) -> String {
-    let features = result.features[image].len();
+/// Why an image has no pose.
+pub(super) fn why_missing(image: usize, features: &Features, verified: &[TwoViewGeometry]) -> String {
+    let features = features.len();
     let pairs: Vec<usize> =
-        result.geometries.iter().filter(|g| g.a == image || g.b == image).map(|g| g.inliers.len()).collect();
+        verified.iter().filter(|g| g.a == image || g.b == image).map(|g| g.inliers.len()).collect();
     match pairs.iter().max() {
-        _ if features < 50 => format!("only {features} features"),
+        _ if features < FEW_FEATURES => format!("only {features} features"),
         None => format!("none of its {features} features could be matched with another image's"),
         Some(best) => format!(
             "matches {} images (at best {best} points), but its pose does not agree with the model",
@@ -82,9 +79,31 @@ fn why_missing(result: &SfmResult, image: usize) -> String {
     }
 }
 
-/// Image number = index of the frame + 1; points are numbered from 1 in the order in which they were found.
-pub(super) fn convert(solved: &SolvedModel, frames: &FrameSet) -> Reconstruction {
-    let state = &solved.state;
+/// Why no image has a pose.
+pub(super) fn why_no_model(features: &[Features], verified: &[TwoViewGeometry]) -> String {
+    let most = features.iter().map(Features::len).max().unwrap_or(0);
+    if most < FEW_FEATURES {
+        return format!(
+            "at most {most} features were found in an image: too dark, too blurred or without texture"
+        );
+    }
+    if verified.is_empty() {
+        return "no two images show the same points: film more slowly, or from fewer sides".to_owned();
+    }
+    format!(
+        "{} image pairs agree, but none has enough baseline to start from: move the camera sideways",
+        verified.len()
+    )
+}
+
+/// Image number = index of the frame + 1; points are numbered from 1 in the order in which they
+/// were found.
+pub(super) fn convert(
+    state: &MapState,
+    camera_of: &[usize],
+    keypoints: &[Vec<DVec2>],
+    frames: &[Frame],
+) -> Reconstruction {
     let mut model = Reconstruction::default();
     let mut number = vec![0u64; state.points.len()];
     for ((id, _), n) in state.live().zip(1u64..) {
@@ -92,13 +111,13 @@ pub(super) fn convert(solved: &SolvedModel, frames: &FrameSet) -> Reconstruction
     }
     for (image, pose) in state.poses.iter().enumerate() {
         let Some(pose) = pose else { continue };
-        let camera = &state.cameras[solved.camera_of[image]];
+        let camera = &state.cameras[camera_of[image]];
         model.cameras.insert(camera.id, camera.clone());
-        let point = |p: u32| (p != NONE).then(|| number[p as usize]);
-        let keypoints = solved.keypoints[image].iter().zip(&state.point_of[image]);
-        let observations = keypoints.map(|(&pixel, &p)| Observation { pixel, point: point(p) }).collect();
-        let id = image as u32 + 1;
-        let name = frames.frames[image].name.clone();
+        let seen = keypoints[image].iter().zip(&state.point_of[image]);
+        let observations = seen
+            .map(|(&pixel, &p)| Observation { pixel, point: (p != NONE).then(|| number[p as usize]) })
+            .collect();
+        let (id, name) = (image as u32 + 1, frames[image].name.clone());
         model.images.insert(id, PosedImage { id, camera: camera.id, name, pose: *pose, observations });
     }
     for (id, p) in state.live() {
@@ -114,27 +133,21 @@ pub(super) fn convert(solved: &SolvedModel, frames: &FrameSet) -> Reconstruction
 }
 
 /// Gives every point the mean colour of the pixels at which it is seen.
-pub(super) fn colour(result: &mut SfmResult, frames: &FrameSet, progress: &Progress) -> Result<(), SfmError> {
-    let Some(model) = &mut result.reconstruction else { return Ok(()) };
+pub(super) fn colour(
+    model: &mut Reconstruction,
+    frames: &FrameSet,
+    progress: &Progress,
+) -> Result<(), SfmError> {
     progress.begin("colours", model.images.len());
-    type Samples = Vec<(u64, [u8; 3])>;
     let images: Vec<&PosedImage> = model.images.values().collect();
-    let sample = |posed: &&PosedImage| -> Result<Samples, SfmError> {
-        progress.tick()?;
-        let path = &frames.frames[posed.id as usize - 1].path;
-        let unreadable = |reason: String| SfmError::UnreadableImage { path: path.clone(), reason };
-        let reader = image::ImageReader::open(path).and_then(|r| r.with_guessed_format());
-        let decoded = reader.map_err(|e| unreadable(e.to_string()))?.decode();
-        let pixels = decoded.map_err(|e| unreadable(e.to_string()))?.to_rgb8();
-        let at = |p: DVec2| {
-            let x = (p.x.max(0.0) as u32).min(pixels.width().saturating_sub(1));
-            let y = (p.y.max(0.0) as u32).min(pixels.height().saturating_sub(1));
-            pixels.get_pixel(x, y).0
-        };
-        Ok(posed.observations.iter().filter_map(|o| Some((o.point?, at(o.pixel)))).collect())
-    };
-    let samples: Result<Vec<Samples>, SfmError> = images.par_iter().map(sample).collect();
-    let mut sums: std::collections::BTreeMap<u64, [u32; 4]> = std::collections::BTreeMap::new();
+    let samples: Result<Vec<_>, SfmError> = images
+        .par_iter()
+        .map(|posed| {
+            progress.tick()?;
+            sample(posed, &frames.frames[posed.id as usize - 1])
+        })
+        .collect();
+    let mut sums: BTreeMap<u64, [u32; 4]> = BTreeMap::new();
     for (id, rgb) in samples?.into_iter().flatten() {
         let sum = sums.entry(id).or_default();
         (0..3).for_each(|c| sum[c] += u32::from(rgb[c]));
@@ -146,6 +159,22 @@ pub(super) fn colour(result: &mut SfmResult, frames: &FrameSet, progress: &Progr
         }
     }
     Ok(())
+}
+
+/// The colours at which one image sees its points.
+fn sample(posed: &PosedImage, frame: &Frame) -> Result<Vec<(u64, [u8; 3])>, SfmError> {
+    let reader = image::ImageReader::open(&frame.path).and_then(|r| r.with_guessed_format());
+    let decoded = reader.map_err(|e| e.to_string()).and_then(|r| r.decode().map_err(|e| e.to_string()));
+    let decoded = decoded.map_err(|reason| SfmError::UnreadableImage { path: frame.path.clone(), reason })?;
+    let pixels = decoded.to_rgb8();
+    let mut colours = Vec::new();
+    for observation in &posed.observations {
+        let Some(point) = observation.point else { continue };
+        let x = (observation.pixel.x.max(0.0) as u32).min(pixels.width().saturating_sub(1));
+        let y = (observation.pixel.y.max(0.0) as u32).min(pixels.height().saturating_sub(1));
+        colours.push((point, pixels.get_pixel(x, y).0));
+    }
+    Ok(colours)
 }
 
 #[cfg(test)]

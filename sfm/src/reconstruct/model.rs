@@ -1,99 +1,232 @@
-//! What a model is made of, and one that has grown from it.
+//! What goes through the steps: the one model of a reconstruction, from its features to its
+//! covariances.
 
+use super::context::StepContext;
 use super::setup::Setup;
-use super::steps::constant_step::ConstantStepStart;
+use crate::circular::initialize::constant_step::{ConstantStepMotion, hold_on_ring};
+use crate::circular::{CircularSolution, MotionInput};
+use crate::incremental::finish::converge;
 use crate::incremental::state::{MapState, MappingInput};
-use crate::tracks::{Tracks, build_tracks};
-use crate::{SfmConfig, SfmError, circular, mapper};
-use scene::{Camera, Decision, Features, FrameSet, Progress, TwoViewGeometry};
+use crate::matching::PairMatches;
+use crate::model_selection::camera::{self, FreeIntrinsics};
+use crate::tracks::Tracks;
+use crate::{SfmConfig, SfmError, SfmResult, SfmStats, Uncertainty};
+use glam::DVec2;
+use scene::{Camera, Decision, Features, FrameSet, Reconstruction, TwoViewGeometry};
 
-/// Power of a keypoint's scale with which its standard deviation grows.
-const SIGMA_BY_SCALE: f32 = 1.0;
-
-/// Standard deviations of an image's keypoints, 1 for the finest: blurred structure is found less exactly (Zeisl et al.,
-/// "Estimation of Location Uncertainty for Scale Invariant Feature Points", BMVC 2009).
-pub(crate) fn keypoint_sigmas(features: &Features) -> Vec<f32> {
-    features.keypoints.iter().map(|k| k.scale.max(1.0).powf(SIGMA_BY_SCALE)).collect()
+/// How far a model has come; says which steps it takes.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum ModelStage {
+    /// No image has a pose.
+    Unposed,
+    /// Images have poses, free of each other.
+    Posed,
+    /// All images have one angle each about one axis; nothing is solved for any more.
+    OneAxis,
 }
 
-/// What is known before the first pose.
-pub(crate) struct StepContext<'a> {
-    /// The images, where more may be taken from them than the features.
-    pub images: Option<&'a FrameSet>,
-    pub config: &'a SfmConfig,
-    pub setup: &'a Setup,
-    pub is_video: bool,
-    pub features: &'a [Features],
+/// What a step hands on: the model, and what the evidence decided.
+pub(crate) type StepResult = Result<(SfmModel, Vec<Decision>), SfmError>;
+
+/// A constant-step circular motion, and the pairs matched along it.
+pub(crate) struct ConstantStepStart {
+    pub motion: ConstantStepMotion,
+    pub geometries: Vec<TwoViewGeometry>,
+    /// Whether these pairs are to take the others' place.
+    pub instead: bool,
+    pub decision: Decision,
+}
+
+/// Poses and points with the tracks and pairs that they come from.
+pub(crate) struct MappedModel {
+    pub state: MapState,
+    pub tracks: Tracks,
+    pub geometries: Vec<TwoViewGeometry>,
+    /// It began with all images in their places on a ring, and is held by that.
+    pub on_ring: bool,
+    /// How it was made, where there was a choice.
+    pub decision: Option<Decision>,
+}
+
+/// The model of a reconstruction. Vectors have one entry an image unless said otherwise.
+pub(crate) struct SfmModel {
+    pub stage: ModelStage,
+    /// Cameras as they are known beforehand, and which image was taken with which.
+    pub setup: Setup,
+    pub features: Vec<Features>,
+    /// Matches before verification, a pair of images each; `None` until they are known.
+    pub matches: Option<Vec<PairMatches>>,
+    /// The same of weakly tied images with the features of blurred copies, where those are used.
+    pub blurred_matches: Option<Vec<PairMatches>>,
+    /// Images that share few matches with any other.
+    pub weakly_tied: Vec<bool>,
+    /// That and why the search for one axis along a video found none.
+    pub no_video_motion: Option<Decision>,
+    pub constant_step: Option<ConstantStepStart>,
+    /// Verified pairs, as the solver sees the images.
+    pub geometries: Vec<TwoViewGeometry>,
+    /// Verified pairs of the images as they are, where `geometries` are others by now.
+    pub verified: Option<Vec<TwoViewGeometry>>,
+    /// Positions of keypoints as the solver sees the images, pixels.
+    pub keypoints: Vec<Vec<DVec2>>,
+    /// Standard deviations of keypoints relative to each other's.
     pub sigmas: Vec<Vec<f32>>,
-    /// The motion from each image to the next, where they go round evenly.
-    pub start: Option<ConstantStepStart>,
+    pub tracks: Tracks,
+    /// Poses and points; of no image before the mapping.
+    pub state: MapState,
+    /// The images were placed on a ring, and poses are held near it.
+    pub on_ring: bool,
+    /// Intrinsics that priors refer to, one a camera.
+    pub starts: Vec<Camera>,
+    /// What is solved for of the cameras.
+    pub intrinsics: FreeIntrinsics,
+    /// What was found about the cameras of free poses.
+    pub camera_decisions: Vec<Decision>,
+    /// Images that the solver sees rotated by 180°.
+    pub rotated: Vec<bool>,
+    pub uncertainty: Option<Uncertainty>,
+    pub stats: SfmStats,
+    pub reconstruction: Option<Reconstruction>,
+    /// Images without a pose: name, and why.
+    pub missing: Vec<(String, String)>,
+    /// Weakly constrained images: name, and why.
+    pub weak_images: Vec<(String, String)>,
 }
 
-impl<'a> StepContext<'a> {
-    /// The same with other cameras, for a model that has grown.
-    pub fn with_setup<'b>(&self, setup: &'b Setup) -> StepContext<'b>
-    where
-        'a: 'b,
-    {
-        StepContext { setup, sigmas: self.sigmas.clone(), start: None, ..*self }
+impl SfmModel {
+    /// Nothing but what is known before the images are looked at.
+    pub(crate) fn new(frames: &FrameSet, config: &SfmConfig) -> Result<Self, SfmError> {
+        let setup = Setup::new(frames, config)?;
+        Ok(Self {
+            stage: ModelStage::Unposed,
+            starts: setup.cameras.clone(),
+            setup,
+            features: Vec::new(),
+            matches: None,
+            blurred_matches: None,
+            weakly_tied: vec![false; frames.len()],
+            no_video_motion: None,
+            constant_step: None,
+            geometries: Vec::new(),
+            verified: None,
+            keypoints: Vec::new(),
+            sigmas: Vec::new(),
+            tracks: Tracks::default(),
+            state: MapState::default(),
+            on_ring: false,
+            intrinsics: camera::before_the_choice(config.camera_model.model()),
+            camera_decisions: Vec::new(),
+            rotated: vec![false; frames.len()],
+            uncertainty: None,
+            stats: SfmStats { images: frames.len(), ..SfmStats::default() },
+            reconstruction: None,
+            missing: Vec::new(),
+            weak_images: Vec::new(),
+        })
     }
 
-    pub fn input(
+    /// What mappers and adjustments see of it.
+    pub(crate) fn input<'a>(&'a self, context: &'a StepContext<'_>) -> MappingInput<'a> {
+        self.input_from(&self.tracks, &self.geometries, context)
+    }
+
+    /// The same with other pairs.
+    pub(crate) fn input_from<'a>(
         &'a self,
-        keypoints: &'a [Vec<glam::DVec2>],
         tracks: &'a Tracks,
         geometries: &'a [TwoViewGeometry],
+        context: &'a StepContext<'_>,
     ) -> MappingInput<'a> {
         MappingInput {
-            keypoints,
+            keypoints: &self.keypoints,
             sigmas: &self.sigmas,
             tracks,
             camera_of: &self.setup.camera_of,
             geometries,
-            config: &self.config.mapper,
-            may_be_rotated: !self.is_video,
-            seed: self.config.seed,
+            config: &context.config.mapper,
+            is_video: context.frames.is_video,
+            skip: &context.config.skip,
+            seed: context.config.seed,
         }
     }
 
-    pub fn motion_input<'b>(
-        &'b self,
-        input: &'b MappingInput<'b>,
-        starts: &'b [Camera],
-        progress: &'b Progress,
-    ) -> circular::MotionInput<'b> {
-        circular::MotionInput {
+    /// What the search for circular motion sees beside `input`.
+    pub(crate) fn motion_input<'a>(
+        &'a self,
+        input: &'a MappingInput<'a>,
+        context: &'a StepContext<'_>,
+    ) -> MotionInput<'a> {
+        MotionInput {
             input,
             cameras: &self.setup.cameras,
             known: &self.setup.known,
-            starts,
-            named: self.config.camera_model.model(),
-            config: &self.config.motion,
+            starts: &self.starts,
+            named: context.config.camera_model.model(),
+            config: &context.config.motion,
             features: &[],
-            room: self.images,
-            progress,
+            room: context.images(),
+            progress: context.progress,
         }
     }
-}
 
-/// A model that has grown, with what it has grown from and which mapper made it, where there was a choice.
-pub(crate) struct MappedModel {
-    pub state: MapState,
-    pub tracks: Tracks,
-    pub mapper: Option<Decision>,
-    /// It began with all images in their places on a ring, and is held by that.
-    pub ringed: bool,
-}
+    /// Takes over what a mapper made.
+    pub(crate) fn adopt(&mut self, mapped: MappedModel) -> Option<Decision> {
+        self.stage = ModelStage::Posed;
+        self.state = mapped.state;
+        self.tracks = mapped.tracks;
+        self.geometries = mapped.geometries;
+        self.on_ring = mapped.on_ring;
+        mapped.decision
+    }
 
-pub(crate) fn grow_model(
-    given: &StepContext<'_>,
-    keypoints: &[Vec<glam::DVec2>],
-    geometries: &[TwoViewGeometry],
-    progress: &Progress,
-) -> Result<Option<MappedModel>, SfmError> {
-    let tracks = build_tracks(given.features, geometries);
-    let (cameras, known) = (&given.setup.cameras, &given.setup.known);
-    let (state, mapper) =
-        mapper::map(&given.input(keypoints, &tracks, geometries), cameras, known, progress)?;
-    Ok(state.map(|state| MappedModel { state, tracks, mapper, ringed: false }))
+    /// Takes over a model about one axis.
+    pub(crate) fn adopt_turn(&mut self, solution: CircularSolution) -> Vec<Decision> {
+        self.stage = ModelStage::OneAxis;
+        self.state = solution.state;
+        self.uncertainty = solution.uncertainty;
+        solution.decisions
+    }
+
+    /// Poses and points adjusted with `intrinsics` until little changes; near the ring, where
+    /// images were placed on one.
+    pub(crate) fn settle(
+        &self,
+        mut state: MapState,
+        input: &MappingInput<'_>,
+        intrinsics: FreeIntrinsics,
+        context: &StepContext<'_>,
+    ) -> Result<MapState, SfmError> {
+        if self.on_ring {
+            return hold_on_ring(&state, &self.motion_input(input, context), intrinsics);
+        }
+        converge(&mut state, input, &self.setup.known, &self.starts, intrinsics, context.progress)?;
+        Ok(state)
+    }
+
+    /// Keeps the verified pairs of the images as they are, before the solver's become others.
+    pub(crate) fn keep_verified(&mut self) {
+        self.verified.get_or_insert_with(|| self.geometries.clone());
+    }
+
+    /// What is handed back. `initial_cameras`: one a frame.
+    pub(crate) fn into_result(
+        self,
+        initial_cameras: Vec<Camera>,
+        reason: String,
+        decisions: Vec<Decision>,
+    ) -> SfmResult {
+        SfmResult {
+            reconstruction: self.reconstruction,
+            reason,
+            missing: self.missing,
+            weak_images: self.weak_images,
+            decisions,
+            uncertainty: self.uncertainty,
+            stats: self.stats,
+            initial_cameras,
+            features: self.features,
+            matches: self.matches.unwrap_or_default(),
+            geometries: self.verified.unwrap_or(self.geometries),
+        }
+    }
 }

@@ -1,28 +1,34 @@
-//! Poses that came without points: features of the images are matched along the lines of the given poses and triangulated.
+//! Poses that came without points: features of the images are matched along the lines of the given
+//! poses and triangulated.
 //!
-//! in: frames and a model whose images bear their names · out: the same cameras and poses, with observations and points.
-//! Nothing is adjusted: what does not agree with the poses becomes no point.
+//! in: frames and a model whose images bear their names · out: the same cameras and poses, with
+//! observations and points. Nothing is adjusted: what does not agree with the poses becomes no
+//! point.
 
-use super::SolvedModel;
 use super::export::{colour, convert};
 use super::steps::densify::{WIDEST, line_between, merge_geometry, undistort_features};
 use crate::incremental::state::{MapState, MappingInput};
 use crate::matching::{PreparedFeatures, guided_match_prepared};
 use crate::tracks::{build_tracks, positions};
 use crate::triangulation::angle_between;
-use crate::{SfmConfig, SfmError, SfmResult, sift};
+use crate::{SfmConfig, SfmError, sift};
 use glam::{DVec2, DVec3};
 use rayon::prelude::*;
 use scene::{Camera, Features, Frame, FrameSet, Pose, Progress, Reconstruction, TwoViewGeometry};
 use std::collections::{BTreeMap, BTreeSet};
 
-/// An image is matched with so many nearest ones, and with the one nearest to each of these angles (degrees) from it: with
-/// neighbours alone a video has no baselines.
+/// An image is matched with so many nearest ones.
+/// Source: chosen by hand, never measured.
 const NEAREST: usize = 5;
+/// And with the one nearest to each of these angles from it, degrees: with neighbours alone a video
+/// has no baselines.
+/// Source: chosen by hand, never measured.
 const FARTHER_DEG: [f64; 5] = [6.0, 10.0, 15.0, 22.0, 30.0];
 /// Farthest that a match may be from the line that the poses give, pixels.
+/// Source: chosen by hand, never measured.
 const BAND_PX: f64 = 2.0;
-/// Matches of a pair that are not yet chance.
+/// Fewest matches of a pair.
+/// Source: the matches that determine a fundamental matrix linearly (Longuet-Higgins 1981).
 const LEAST_MATCHES: usize = 8;
 
 /// The model with points; without any where the images share none, or are fewer than two.
@@ -41,8 +47,8 @@ pub fn triangulate_given(
     let frames = FrameSet { frames: posed, ..frames.clone() };
     let cameras: Vec<Camera> = model.cameras.values().cloned().collect();
     let image_of: Vec<u32> = frames.frames.iter().map(|f| ids[f.name.as_str()]).collect();
-    let camera_of = |id: &u32| cameras.iter().position(|c| c.id == model.images[id].camera).unwrap_or(0);
-    let camera_of: Vec<usize> = image_of.iter().map(camera_of).collect();
+    let ids = image_of.iter().map(|id| model.images[id].camera);
+    let camera_of: Vec<usize> = ids.map(|id| cameras.iter().position(|c| c.id == id).unwrap_or(0)).collect();
     let poses: Vec<Pose> = image_of.iter().map(|id| model.images[id].pose).collect();
     let features = sift::extract_all(&frames, &config.sift, progress)?;
     let keypoints: Vec<Vec<DVec2>> = features.iter().map(positions).collect();
@@ -57,7 +63,8 @@ pub fn triangulate_given(
         camera_of: &camera_of,
         geometries: &geometries,
         config: &config.mapper,
-        may_be_rotated: false,
+        is_video: frames.is_video,
+        skip: &config.skip,
         seed: config.seed,
     };
     let mut state = MapState::new(&input, cameras.clone());
@@ -67,11 +74,9 @@ pub fn triangulate_given(
         state.refine_points(&input, |_| false);
         state.filter(&input, config.mapper.max_reprojection_px);
     }
-    let solved = SolvedModel { state, camera_of, keypoints, decisions: Vec::new(), uncertainty: None };
-    let reconstruction = Some(convert(&solved, &frames));
-    let mut result = SfmResult { reconstruction, ..SfmResult::default() };
-    colour(&mut result, &frames, progress)?;
-    Ok(result.reconstruction.map_or_else(|| model.clone(), |found| renumber(found, &image_of)))
+    let mut found = convert(&state, &camera_of, &keypoints, &frames.frames);
+    colour(&mut found, &frames, progress)?;
+    Ok(renumber(found, &image_of))
 }
 
 /// Pairs of images that may share points, lower index first.
@@ -83,22 +88,19 @@ fn neighbours(poses: &[Pose]) -> Vec<(usize, usize)> {
     let mut pairs = BTreeSet::new();
     for a in 0..poses.len() {
         // Cameras side by side look the same way: then the distance tells which are near.
-        let apart =
-            |b: usize| angle_between(axes[a], axes[b]) + 0.1 * centres[a].distance(centres[b]) / extent;
-        let mut others: Vec<(f64, usize)> =
-            (0..poses.len()).filter(|&b| b != a).map(|b| (apart(b), b)).collect();
+        let mut others: Vec<(f64, usize)> = Vec::new();
+        for b in (0..poses.len()).filter(|&b| b != a) {
+            let distance = centres[a].distance(centres[b]) / extent;
+            others.push((angle_between(axes[a], axes[b]) + 0.1 * distance, b));
+        }
         others.retain(|(far, _)| *far <= WIDEST);
         others.sort_by(|x, y| x.0.total_cmp(&y.0).then(x.1.cmp(&y.1)));
-        let mut add = |b: usize| pairs.insert((a.min(b), a.max(b)));
-        others.iter().take(NEAREST).for_each(|(_, b)| {
-            add(*b);
+        let farther = FARTHER_DEG.map(f64::to_radians).into_iter();
+        let farther = farther.filter_map(|angle| {
+            others.iter().min_by(|x, y| (x.0 - angle).abs().total_cmp(&(y.0 - angle).abs()))
         });
-        for angle in FARTHER_DEG.map(f64::to_radians) {
-            let off = |o: &&(f64, usize)| (o.0 - angle).abs();
-            others.iter().min_by(|x, y| off(x).total_cmp(&off(y))).into_iter().for_each(|(_, b)| {
-                add(*b);
-            });
-        }
+        let partners = others.iter().take(NEAREST).chain(farther);
+        pairs.extend(partners.map(|&(_, b)| (a.min(b), a.max(b))));
     }
     pairs.into_iter().collect()
 }
@@ -119,8 +121,8 @@ fn along_the_poses(
     let one = |&(a, b): &(usize, usize)| -> Result<Option<TwoViewGeometry>, SfmError> {
         progress.tick()?;
         let (f, b_from_a) = line_between((&poses[a], cameras[a]), (&poses[b], cameras[b]));
-        let side = |i: usize| (&ideal[i], &prepared[i]);
-        let found = guided_match_prepared(side(a), side(b), &f, BAND_PX, &config.matching);
+        let [a_side, b_side] = [a, b].map(|i| (&ideal[i], &prepared[i]));
+        let found = guided_match_prepared(a_side, b_side, &f, BAND_PX, &config.matching);
         Ok(merge_geometry(None, (a, b), found, &f, b_from_a, LEAST_MATCHES))
     };
     let found: Result<Vec<Option<TwoViewGeometry>>, SfmError> = pairs.par_iter().map(one).collect();
@@ -129,17 +131,16 @@ fn along_the_poses(
 
 /// The model with the images' numbers as they were given.
 fn renumber(mut model: Reconstruction, image_of: &[u32]) -> Reconstruction {
-    let number = |own: u32| image_of[own as usize - 1];
     let images = std::mem::take(&mut model.images);
     model.images = images
         .into_values()
         .map(|mut image| {
-            image.id = number(image.id);
+            image.id = image_of[image.id as usize - 1];
             (image.id, image)
         })
         .collect();
     for element in model.points.values_mut().flat_map(|p| &mut p.track) {
-        element.image = number(element.image);
+        element.image = image_of[element.image as usize - 1];
     }
     model
 }
@@ -161,7 +162,8 @@ mod tests {
         assert!((1..=2).all(|s| pairs.iter().filter(|p| steps(p) == s).count() == 144));
         assert!(pairs.iter().any(|p| steps(p) >= 11), "nothing far enough to triangulate by");
         assert!(neighbours(&ring(1)).is_empty() && neighbours(&[]).is_empty());
-        // Opposite sides of an object share nothing; cameras side by side are told apart by their places.
+        // Opposite sides of an object share nothing; cameras side by side are told apart by their
+        // places.
         assert!(neighbours(&ring(2)).is_empty());
         let side = |k: i32| {
             let eye = DVec3::new(f64::from(k), 0.0, 0.0);

@@ -5,8 +5,10 @@ use scene::{Camera, CameraModel, FrameSet};
 use std::collections::BTreeMap;
 
 /// Focal length assumed where nothing is known, in longer image sides (a field of view of 45°).
+/// Source: chosen by hand; the mapper tries multiples of it.
 const FOCAL_GUESS: f64 = 1.2;
 /// Standard deviation of a focal length from EXIF, as a share of it.
+/// Source: chosen by hand, never measured.
 const EXIF_SIGMA: f64 = 0.05;
 
 /// Cameras, and which image was taken with which.
@@ -20,7 +22,7 @@ pub(crate) struct Setup {
 }
 
 impl Setup {
-    pub fn new(frames: &FrameSet, config: &SfmConfig) -> Result<Self, SfmError> {
+    pub(crate) fn new(frames: &FrameSet, config: &SfmConfig) -> Result<Self, SfmError> {
         // Until the evidence has spoken, one focal length and one radial term.
         let model = config.camera_model.model().unwrap_or(CameraModel::SimpleRadial);
         let mut setup = Self { cameras: Vec::new(), known: Vec::new(), camera_of: Vec::new() };
@@ -56,7 +58,7 @@ impl Setup {
     }
 
     /// One camera a frame.
-    pub fn of_frames(&self) -> Vec<Camera> {
+    pub(crate) fn of_frames(&self) -> Vec<Camera> {
         self.camera_of.iter().map(|&c| self.cameras[c].clone()).collect()
     }
 }

@@ -1,4 +1,3 @@
-use super::steps::matching::STRONG_TIE;
 use super::*;
 use scene::Frame;
 
@@ -23,15 +22,4 @@ fn one_image_is_an_error_and_black_images_are_no_model() {
     let result = reconstruct(&black, &SfmConfig::default(), &Progress::silent()).unwrap();
     assert!(result.reconstruction.is_none() && result.reason.contains("features"), "{}", result.reason);
     std::fs::remove_dir_all(folder).unwrap();
-}
-
-#[test]
-fn fewer_features_are_tied_by_fewer_matches_and_more_by_no_more() {
-    use crate::sift::{Doubling, SiftConfig};
-    let tie =
-        |max_features, doubling| strong_tie(&SiftConfig { max_features, doubling, ..SiftConfig::default() });
-    assert_eq!(strong_tie(&SiftConfig::default()), STRONG_TIE);
-    assert_eq!(tie(8192, Doubling::Auto), STRONG_TIE);
-    assert_eq!(tie(2048, Doubling::Auto), STRONG_TIE / 2);
-    assert_eq!(tie(2048, Doubling::Never), STRONG_TIE / 4);
 }

@@ -65,7 +65,8 @@ impl RefinementScene {
         centre - ray * (centre.z / ray.z)
     }
 
-    /// Files of the images as `shown` has their brightness; those that `rotated` marks are rotated by 180°.
+    /// Files of the images as `shown` has their brightness; those that `rotated` marks are rotated
+    /// by 180°.
     fn frames(&self, rotated: &[bool], shown: impl Fn(usize, f64) -> f64) -> FrameSet {
         let frame = |k: usize| {
             let path = self.folder.join(format!("{k}.png"));
@@ -98,7 +99,8 @@ impl RefinementScene {
             camera_of: &vec![0; images],
             geometries: &[],
             config: &config,
-            may_be_rotated: true,
+            is_video: false,
+            skip: &[],
             seed: 0,
         };
         let mut state = MapState::new(&input, vec![self.camera.clone()]);
@@ -113,7 +115,8 @@ impl RefinementScene {
         refine(&state, &input, frames, rotated, &Progress::silent())
     }
 
-    /// Largest and median distance of the moved keypoints from the spot that the first image's keypoint shows.
+    /// Largest and median distance of the moved keypoints from the spot that the first image's
+    /// keypoint shows.
     fn off(&self, refined: &RefinedKeypoints) -> (f64, f64) {
         let distance = |[image, feature]: &[u32; 2]| {
             let (image, feature) = (*image as usize, *feature as usize);

@@ -4,19 +4,20 @@ use glam::DVec2;
 
 /// How a model constrains a match in image b.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub enum Constraint {
+pub(crate) enum Constraint {
     /// To a strip along an epipolar line.
     Line,
     /// To a disc around a point.
     Point,
 }
 
-/// log10 of the number of false alarms: how many models that agree as well as this one are expected among matches
-/// whose points in image b fell anywhere within their bounding box. Below 0 chance becomes unlikely. The least
-/// over all numbers of inliers, so that it needs no threshold but the largest `limit`. Moisan & Stival, "A
-/// Probabilistic Criterion to Detect Rigid Point Matches", IJCV 2004: `NFA = M (n − s) C(n, k) C(k, s) α^(k − s)`
-/// with sample size `s` and `M` models a sample. `squared`: squared residuals of all matches, pixels.
-pub fn log10_false_alarms(
+/// log10 of the number of false alarms: how many models that agree as well as this one are expected
+/// among matches whose points in image b fell anywhere within their bounding box. Below 0 chance
+/// becomes unlikely. The least over all numbers of inliers, so that it needs no threshold but the
+/// largest `limit`. Moisan & Stival, "A Probabilistic Criterion to Detect Rigid Point Matches",
+/// IJCV 2004: `NFA = M (n − s) C(n, k) C(k, s) α^(k − s)` with sample size `s` and `M` models a
+/// sample. `squared`: squared residuals of all matches, pixels.
+pub(crate) fn log10_false_alarms(
     squared: &[f64],
     points_b: &[DVec2],
     constraint: Constraint,

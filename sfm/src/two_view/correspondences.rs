@@ -5,7 +5,7 @@ use scene::{Camera, Features};
 use std::collections::HashSet;
 
 /// One-to-one matches with finite points.
-pub struct Correspondences {
+pub(crate) struct Correspondences {
     /// (feature of a, feature of b).
     pub matches: Vec<[u32; 2]>,
     /// Ideal (undistorted) pixels from the principal point, image a.
@@ -24,7 +24,7 @@ pub struct Correspondences {
 
 impl Correspondences {
     /// Of the matches whose features exist, are finite and are not taken by an earlier match.
-    pub fn new(
+    pub(crate) fn new(
         features_a: &Features,
         features_b: &Features,
         camera_a: &Camera,
@@ -63,7 +63,7 @@ impl Correspondences {
     }
 
     /// Only these, in this order.
-    pub fn subset(&self, indices: &[usize]) -> Self {
+    pub(crate) fn subset(&self, indices: &[usize]) -> Self {
         Self {
             matches: indices.iter().map(|&i| self.matches[i]).collect(),
             a: indices.iter().map(|&i| self.a[i]).collect(),
@@ -73,17 +73,22 @@ impl Correspondences {
     }
 
     /// How many there are.
-    pub fn len(&self) -> usize {
+    pub(crate) fn len(&self) -> usize {
         self.matches.len()
     }
 
     /// Rays of match `i`, `z = 1`, camera frames.
-    pub fn rays(&self, i: usize) -> (DVec3, DVec3) {
+    pub(crate) fn rays(&self, i: usize) -> (DVec3, DVec3) {
         ((self.a[i] / self.focal[0]).extend(1.0), (self.b[i] / self.focal[1]).extend(1.0))
     }
 
+    /// How far match `i` moves between the images, pixels.
+    pub(crate) fn displacement(&self, i: usize) -> f64 {
+        (self.a[i] + self.principal[0]).distance(self.b[i] + self.principal[1])
+    }
+
     /// The points divided by [`Correspondences::size`].
-    pub fn scaled(&self) -> (Vec<DVec2>, Vec<DVec2>) {
+    pub(crate) fn scaled(&self) -> (Vec<DVec2>, Vec<DVec2>) {
         (self.a.iter().map(|p| *p / self.size).collect(), self.b.iter().map(|p| *p / self.size).collect())
     }
 
@@ -94,50 +99,54 @@ impl Correspondences {
     }
 
     /// A fundamental matrix of scaled points as one of pixels, unit norm.
-    pub fn fundamental_to_pixels(&self, f: &DMat3) -> DMat3 {
+    pub(crate) fn fundamental_to_pixels(&self, f: &DMat3) -> DMat3 {
         unit(self.scaled_from_pixels(1).transpose() * *f * self.scaled_from_pixels(0))
     }
 
     /// A fundamental matrix of ideal pixels from the principal point as one of pixels, unit norm.
-    pub fn ideal_to_pixels(&self, f: &DMat3) -> DMat3 {
-        let from = |p: DVec2| DMat3::from_cols(DVec3::X, DVec3::Y, (-p).extend(1.0));
-        unit(from(self.principal[1]).transpose() * *f * from(self.principal[0]))
+    pub(crate) fn ideal_to_pixels(&self, f: &DMat3) -> DMat3 {
+        let [a, b] = self.principal.map(|p| DMat3::from_cols(DVec3::X, DVec3::Y, (-p).extend(1.0)));
+        unit(b.transpose() * *f * a)
     }
 
     /// A homography of scaled points as one of pixels, unit norm.
-    pub fn homography_to_pixels(&self, h: &DMat3) -> DMat3 {
+    pub(crate) fn homography_to_pixels(&self, h: &DMat3) -> DMat3 {
         unit(self.scaled_from_pixels(1).inverse() * *h * self.scaled_from_pixels(0))
     }
 
     /// A homography of scaled points as one of normalised coordinates.
-    pub fn homography_to_rays(&self, h: &DMat3) -> DMat3 {
-        let diagonal = |s: f64| DMat3::from_diagonal(DVec3::new(s, s, 1.0));
-        diagonal(self.size / self.focal[1]) * *h * diagonal(self.focal[0] / self.size)
+    pub(crate) fn homography_to_rays(&self, h: &DMat3) -> DMat3 {
+        scaling(self.size / self.focal[1]) * *h * scaling(self.focal[0] / self.size)
     }
 
-    /// A fundamental matrix of scaled points as the matrix that is essential if the focal lengths are right.
-    pub fn fundamental_to_rays(&self, f: &DMat3) -> DMat3 {
-        let diagonal = |s: f64| DMat3::from_diagonal(DVec3::new(s, s, 1.0));
-        unit(diagonal(self.focal[1] / self.size) * *f * diagonal(self.focal[0] / self.size))
+    /// A fundamental matrix of scaled points as the matrix that is essential if the focal lengths
+    /// are right.
+    pub(crate) fn fundamental_to_rays(&self, f: &DMat3) -> DMat3 {
+        unit(scaling(self.focal[1] / self.size) * *f * scaling(self.focal[0] / self.size))
     }
 }
 
 /// The matches by descending similarity of their descriptors; `None` where a descriptor is missing.
 fn most_similar_first(a: &Features, b: &Features, matches: &[[u32; 2]]) -> Option<Vec<[u32; 2]>> {
-    let has_descriptor = |features: &Features, i: u32| {
-        let start = i as usize * Features::DIM;
-        (i as usize) < features.len() && start + Features::DIM <= features.descriptors.len()
-    };
     if matches.is_empty() || !matches.iter().all(|&[i, j]| has_descriptor(a, i) && has_descriptor(b, j)) {
         return None;
     }
-    let distance = |&[i, j]: &[u32; 2]| -> u32 {
-        let pairs = a.descriptor(i as usize).iter().zip(b.descriptor(j as usize));
-        pairs.map(|(p, q)| u32::from(p.abs_diff(*q)).pow(2)).sum()
-    };
     let mut sorted = matches.to_vec();
-    sorted.sort_by_cached_key(|m| (distance(m), *m));
+    sorted.sort_by_cached_key(|&[i, j]| {
+        let pairs = a.descriptor(i as usize).iter().zip(b.descriptor(j as usize));
+        (pairs.map(|(p, q)| u32::from(p.abs_diff(*q)).pow(2)).sum::<u32>(), [i, j])
+    });
     Some(sorted)
+}
+
+fn has_descriptor(features: &Features, i: u32) -> bool {
+    let start = i as usize * Features::DIM;
+    (i as usize) < features.len() && start + Features::DIM <= features.descriptors.len()
+}
+
+/// Scales the plane by `s`, in homogeneous coordinates.
+pub(super) fn scaling(s: f64) -> DMat3 {
+    DMat3::from_diagonal(DVec3::new(s, s, 1.0))
 }
 
 fn unit(m: DMat3) -> DMat3 {

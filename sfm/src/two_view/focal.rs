@@ -7,14 +7,17 @@ use rayon::prelude::*;
 use scene::{Camera, Features, TwoViewGeometry, TwoViewKind};
 
 /// The pairs that are asked at most, the ones with most parallax and inliers first.
+/// Source: chosen by hand for the time that it takes.
 const MOST_PAIRS: usize = 80;
 /// Matches of a pair that are used at most.
+/// Source: chosen by hand for the time that it takes.
 const MOST_MATCHES: usize = 200;
 
-/// How well the pairs agree with focal lengths of `factors` times those of `cameras`: for each factor the mean
-/// robust epipolar error of the best relative poses (Cauchy's loss of width 1 px, pixels squared; smaller is
-/// better). A pair of views whose axes meet says little by itself (Sturm 2001), many together say more; where the
-/// curve is flat nothing is known. Empty where no pair can be asked.
+/// How well the pairs agree with focal lengths of `factors` times those of `cameras`: for each
+/// factor the mean robust epipolar error of the best relative poses (Cauchy's loss of width 1 px,
+/// pixels squared; smaller is better). A pair of views whose axes meet says little by itself (Sturm
+/// 2001), many together say more; where the curve is flat nothing is known. Empty where no pair can
+/// be asked.
 pub fn focal_evidence(
     features: &[Features],
     cameras: &[Camera],
@@ -47,26 +50,17 @@ pub fn focal_evidence(
     (0..factors.len()).map(|k| costs.iter().map(|c| c[k]).sum::<f64>() / pairs.len() as f64).collect()
 }
 
-/// The factor nearest to 1 whose [`focal_evidence`] is within half a percent of the best: where the curve is flat
-/// the guess is kept as far as the pairs allow. `None` without evidence.
-pub fn likely_focal_factor(factors: &[f64], evidence: &[f64]) -> Option<f64> {
-    let least = evidence.iter().copied().filter(|e| e.is_finite()).min_by(f64::total_cmp)?;
-    let good = factors.iter().zip(evidence).filter(|(_, e)| **e <= 1.005 * least);
-    good.map(|(f, _)| *f).min_by(|f, g| f.ln().abs().total_cmp(&g.ln().abs()))
-}
-
-/// Mean Cauchy loss of the best pose at this multiple of the focal lengths. `f`: fundamental matrix, pixels.
+/// Mean Cauchy loss of the best pose at this multiple of the focal lengths. `f`: fundamental
+/// matrix, pixels.
 fn pair_cost(all: &Correspondences, f: DMat3, factor: f64) -> f64 {
     let focal = all.focal.map(|x| x * factor);
-    let k = |i: usize| {
-        let p = all.principal[i];
-        DMat3::from_cols(DVec3::X * focal[i], DVec3::Y * focal[i], p.extend(1.0))
-    };
+    let k = [0, 1]
+        .map(|i| DMat3::from_cols(DVec3::X * focal[i], DVec3::Y * focal[i], all.principal[i].extend(1.0)));
     let rays: Vec<(DVec3, DVec3)> = (0..all.len())
         .map(|i| ((all.a[i] / focal[0]).extend(1.0), (all.b[i] / focal[1]).extend(1.0)))
         .collect();
     let worst = 4.0_f64.ln_1p();
-    let Some((pose, _)) = pose_from_essential(&(k(1).transpose() * f * k(0)), &rays) else { return worst };
+    let Some((pose, _)) = pose_from_essential(&(k[1].transpose() * f * k[0]), &rays) else { return worst };
     let indices: Vec<usize> = (0..all.len()).collect();
     let pose = refine_relative(&pose, focal, Pairs { a: &all.a, b: &all.b, indices: &indices }, 1.0, 15);
     let inverse = focal.map(|f| DMat3::from_diagonal(DVec3::new(1.0 / f, 1.0 / f, 1.0)));

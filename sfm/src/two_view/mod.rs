@@ -1,6 +1,7 @@
 //! Geometric verification of image pairs: which matches agree with one rigid motion, and which.
 
 mod chance;
+mod config;
 mod correspondences;
 mod focal;
 mod gric;
@@ -9,8 +10,9 @@ mod pose;
 mod static_matches;
 mod wide;
 
-pub use focal::{focal_evidence, likely_focal_factor};
-pub use wide::second_look;
+pub use config::TwoViewConfig;
+pub use focal::focal_evidence;
+pub(crate) use wide::second_look;
 
 use crate::SfmError;
 use crate::matching::{MatchConfig, PreparedFeatures, guided_match_prepared};
@@ -19,61 +21,22 @@ use correspondences::Correspondences;
 use models::TwoViewModels;
 use rayon::prelude::*;
 use scene::{Camera, Features, Progress, TwoViewGeometry, TwoViewKind};
-use serde::{Deserialize, Serialize};
 use static_matches::StaticMatches;
 
 /// Half-width of the band along an epipolar line in which partners are sought, pixels.
+/// Source: chosen by hand, never measured.
 const GUIDED_PX: f64 = 1.0;
 
-/// How pairs are verified.
-#[derive(clap::Args, Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(default)]
-pub struct TwoViewConfig {
-    /// Largest epipolar or transfer error of an inlier match, pixels.
-    #[arg(long, default_value_t = Self::default().max_error_px, help_heading = "Verification")]
-    pub max_error_px: f64,
-    /// Pairs with fewer inlier matches are dropped.
-    #[arg(long, default_value_t = Self::default().min_inliers, help_heading = "Verification")]
-    pub min_inliers: usize,
-    /// Pairs of which a smaller part of the matches agrees are not searched for to the end.
-    #[arg(long, default_value_t = Self::default().min_inlier_ratio, help_heading = "Verification")]
-    pub min_inlier_ratio: f64,
-    /// Probability of finding a model where there is one.
-    #[arg(long, default_value_t = Self::default().verify_confidence, help_heading = "Verification")]
-    pub verify_confidence: f64,
-    /// Most samples drawn for a model.
-    #[arg(long, default_value_t = Self::default().max_samples, help_heading = "Verification")]
-    pub max_samples: usize,
-    /// Matches that move by less than this between the images may be a watermark, pixels.
-    #[arg(long, default_value_t = Self::default().static_px, help_heading = "Verification")]
-    pub static_px: f64,
-    /// Pairs whose agreement random matches would reach more often than 10 to this power are dropped.
-    #[arg(long, default_value_t = Self::default().max_log10_false_alarms, allow_hyphen_values = true, help_heading = "Verification")]
-    pub max_log10_false_alarms: f64,
-}
-
-impl Default for TwoViewConfig {
-    fn default() -> Self {
-        Self {
-            max_error_px: 4.0,
-            min_inliers: 15,
-            min_inlier_ratio: 0.25,
-            verify_confidence: 0.9999,
-            max_samples: 3000,
-            static_px: 1.5,
-            max_log10_false_alarms: -2.0,
-        }
-    }
-}
-
-/// Finds the motion that explains the matches of images `a` and `b`: an essential matrix where the focal lengths
-/// can be trusted as far as this pair tells (it keeps at least 95 % of the fundamental matrix's inliers), else a
-/// fundamental matrix; a homography where that is the better description (a plane, or a rotation without
-/// baseline). Matches that stay in place while others move (watermark, dust, the background of a turntable) are
-/// dropped; where nothing else agrees the pair is a [`TwoViewKind::Watermark`]. Matches that are not finite, out of range or not one-to-one are dropped. All matrices refer to
-/// ideal (undistorted) pixels. [`TwoViewKind::Degenerate`] with no inliers where nothing is found.
+/// Finds the motion that explains the matches of images `a` and `b`: an essential matrix where the
+/// focal lengths can be trusted as far as this pair tells (it keeps at least 95 % of the
+/// fundamental matrix's inliers), else a fundamental matrix; a homography where that is the better
+/// description (a plane, or a rotation without baseline). Matches that stay in place while others
+/// move (watermark, dust, the background of a turntable) are dropped; where nothing else agrees the
+/// pair is a [`TwoViewKind::Watermark`]. Matches that are not finite, out of range or not
+/// one-to-one are dropped. All matrices refer to ideal (undistorted) pixels.
+/// [`TwoViewKind::Degenerate`] with no inliers where nothing is found.
 #[allow(clippy::too_many_arguments)] // two of everything
-pub fn verify_pair(
+pub(crate) fn verify_pair(
     a: usize,
     b: usize,
     features_a: &Features,
@@ -97,30 +60,40 @@ pub fn verify_pair(
     };
     let all = Correspondences::new(features_a, features_b, camera_a, camera_b, matches);
     let parts = StaticMatches::of(&all, config);
-    let stream = ((a as u64) << 32) ^ b as u64;
-    let verify = |some: &Correspondences| {
-        let enough = some.len() >= config.min_inliers.max(8);
-        let models = if enough { TwoViewModels::find(some, config, seed, stream) } else { None };
-        let believed = models
-            .filter(|m| m.log10_false_alarms(some, config.max_error_px) < config.max_log10_false_alarms);
-        believed.map(|m| m.choose(some, config, none.clone())).filter(|g| g.kind != TwoViewKind::Degenerate)
-    };
     if !parts.suspicious {
-        return verify(&all).unwrap_or(none);
+        return find_motion(&all, &none, config, seed).unwrap_or(none);
     }
     // The static matches agree with each other perfectly and would win: only what moves is asked.
-    let watermark = || TwoViewGeometry {
-        kind: TwoViewKind::Watermark,
-        inliers: parts.still.iter().map(|&i| all.matches[i]).collect(),
-        ..none.clone()
-    };
-    let moving = verify(&all.subset(&parts.moving));
-    moving.unwrap_or_else(|| if parts.still.len() >= config.min_inliers { watermark() } else { none.clone() })
+    if let Some(moving) = find_motion(&all.subset(&parts.moving), &none, config, seed) {
+        return moving;
+    }
+    if parts.still.len() < config.min_inliers {
+        return none;
+    }
+    let inliers = parts.still.iter().map(|&i| all.matches[i]).collect();
+    TwoViewGeometry { kind: TwoViewKind::Watermark, inliers, ..none }
 }
 
-/// Adds matches found later (along epipolar lines, say) to a verified pair: those that fit its model within the
-/// error bound are verified anew together with the old inliers. The old geometry where that loses inliers.
-pub fn merge_guided(
+/// The motion that explains matches beyond chance. `none`: what the pair is without one.
+fn find_motion(
+    all: &Correspondences,
+    none: &TwoViewGeometry,
+    config: &TwoViewConfig,
+    seed: u64,
+) -> Option<TwoViewGeometry> {
+    if all.len() < config.min_inliers.max(8) {
+        return None;
+    }
+    let models = TwoViewModels::find(all, config, seed, ((none.a as u64) << 32) ^ none.b as u64)?;
+    let alarms = models.log10_false_alarms(all, config.max_error_px);
+    let chosen = (alarms < config.max_log10_false_alarms).then(|| models.choose(all, config, none.clone()));
+    chosen.filter(|g| g.kind != TwoViewKind::Degenerate)
+}
+
+/// Adds matches found later (along epipolar lines, say) to a verified pair: those that fit its
+/// model within the error bound are verified anew together with the old inliers. The old geometry
+/// where that loses inliers.
+pub(crate) fn merge_guided(
     geometry: &TwoViewGeometry,
     features: [&Features; 2],
     cameras: [&Camera; 2],
@@ -129,30 +102,32 @@ pub fn merge_guided(
     seed: u64,
 ) -> TwoViewGeometry {
     let limit = config.max_error_px * config.max_error_px;
-    let fits = |&[i, j]: &[u32; 2]| {
+    let mut union = geometry.inliers.clone();
+    for &[i, j] in more {
         let (Some(p), Some(q)) =
             (features[0].keypoints.get(i as usize), features[1].keypoints.get(j as usize))
         else {
-            return false;
+            continue;
         };
         let p = cameras[0].unproject(p.position()) * cameras[0].focal() + cameras[0].principal_point();
         let q = cameras[1].unproject(q.position()) * cameras[1].focal() + cameras[1].principal_point();
-        match (geometry.f, geometry.h) {
-            (Some(f), _) => sampson_sq(&f, p, q) < limit,
-            (None, Some(h)) => transfer_sq(&h, p, q) < limit,
-            (None, None) => false,
+        let error_sq = match (geometry.f, geometry.h) {
+            (Some(f), _) => sampson_sq(&f, p, q),
+            (None, Some(h)) => transfer_sq(&h, p, q),
+            (None, None) => f64::INFINITY,
+        };
+        if error_sq < limit {
+            union.push([i, j]);
         }
-    };
-    let mut union = geometry.inliers.clone();
-    union.extend(more.iter().filter(|m| fits(m)));
+    }
     let (a, b) = (geometry.a, geometry.b);
     let merged = verify_pair(a, b, features[0], features[1], cameras[0], cameras[1], &union, config, seed);
     if merged.inliers.len() >= geometry.inliers.len() { merged } else { geometry.clone() }
 }
 
-/// Seeks more matches of verified pairs along their epipolar lines, over all threads; `wanted` says of which pairs.
-/// The same for any number of threads.
-pub fn match_along_lines(
+/// Seeks more matches of verified pairs along their epipolar lines, over all threads; `wanted` says
+/// of which pairs. The same for any number of threads.
+pub(crate) fn match_along_lines(
     features: &[Features],
     cameras: &[Camera],
     geometries: Vec<TwoViewGeometry>,
@@ -166,21 +141,23 @@ pub fn match_along_lines(
     }
     progress.begin("guided matching", geometries.len());
     let prepared: Vec<PreparedFeatures> = features.par_iter().map(PreparedFeatures::new).collect();
-    let one = |g: TwoViewGeometry| {
+    let pairs = geometries.into_par_iter();
+    let merged = pairs.map(|g| {
         progress.tick()?;
         let epipolar = matches!(g.kind, TwoViewKind::Calibrated | TwoViewKind::Uncalibrated);
         let Some(f) = g.f.filter(|_| epipolar && wanted(&g)) else { return Ok(g) };
-        let side = |i: usize| (&features[i], &prepared[i]);
-        let more = guided_match_prepared(side(g.a), side(g.b), &f, GUIDED_PX, matching);
-        let (features, cameras) = ([&features[g.a], &features[g.b]], [&cameras[g.a], &cameras[g.b]]);
-        Ok(merge_guided(&g, features, cameras, &more, verification, seed))
-    };
-    geometries.into_par_iter().map(one).collect()
+        let [a, b] = [g.a, g.b].map(|i| (&features[i], &prepared[i]));
+        let more = guided_match_prepared(a, b, &f, GUIDED_PX, matching);
+        let cameras = [&cameras[g.a], &cameras[g.b]];
+        Ok(merge_guided(&g, [a.0, b.0], cameras, &more, verification, seed))
+    });
+    merged.collect()
 }
 
-/// Verifies pairs over all threads. `cameras` holds one camera a frame. The result is sorted by `(a, b)`, does
-/// not depend on the number of threads and holds only pairs with `min_inliers`; matches given as `(b, a)` are
-/// turned round, pairs of an image with itself or with a missing one are dropped.
+/// Verifies pairs over all threads. `cameras` holds one camera a frame. The result is sorted by
+/// `(a, b)`, does not depend on the number of threads and holds only pairs with `min_inliers`;
+/// matches given as `(b, a)` are turned round, pairs of an image with itself or with a missing one
+/// are dropped.
 pub fn verify_pairs(
     features: &[Features],
     cameras: &[Camera],

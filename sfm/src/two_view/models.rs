@@ -1,7 +1,7 @@
 //! The candidate models of a pair and the choice among them.
 
-use super::TwoViewConfig;
 use super::chance::{Constraint, log10_false_alarms};
+use super::config::TwoViewConfig;
 use super::correspondences::Correspondences;
 use super::gric::{gric, noise};
 use super::pose::{best_pose, median_angle, pure_rotation};
@@ -14,19 +14,25 @@ use glam::{DMat3, DVec3};
 use scene::{Pose, TwoViewGeometry, TwoViewKind};
 
 /// An essential matrix is trusted if it keeps this part of the fundamental matrix's inliers.
+/// Source: chosen by hand, never measured.
 const ESSENTIAL_OVER_FUNDAMENTAL: f64 = 0.95;
 
 /// What the three searches found.
-pub struct TwoViewModels {
+pub(crate) struct TwoViewModels {
     fundamental: Option<RansacResult<DMat3>>,
     essential: Option<RansacResult<EssentialModel>>,
     homography: Option<RansacResult<(DMat3, DMat3)>>,
 }
 
 impl TwoViewModels {
-    /// Searches for a homography and a fundamental matrix and, if one of them has enough inliers, for an
-    /// essential matrix, which costs ten times as much a sample. `None` if none has enough.
-    pub fn find(all: &Correspondences, config: &TwoViewConfig, seed: u64, stream: u64) -> Option<Self> {
+    /// Searches for a homography and a fundamental matrix and, if one of them has enough inliers,
+    /// for an essential matrix, which costs ten times as much a sample. `None` if none has enough.
+    pub(crate) fn find(
+        all: &Correspondences,
+        config: &TwoViewConfig,
+        seed: u64,
+        stream: u64,
+    ) -> Option<Self> {
         let n = all.len();
         let pixels = RansacConfig {
             threshold: config.max_error_px,
@@ -56,7 +62,7 @@ impl TwoViewModels {
     }
 
     /// The model that explains the matches best, with its pose.
-    pub fn choose(
+    pub(crate) fn choose(
         self,
         all: &Correspondences,
         config: &TwoViewConfig,
@@ -97,7 +103,7 @@ impl TwoViewModels {
     }
 
     /// The least log10 of the number of false alarms of the three models.
-    pub fn log10_false_alarms(&self, all: &Correspondences, limit: f64) -> f64 {
+    pub(crate) fn log10_false_alarms(&self, all: &Correspondences, limit: f64) -> f64 {
         let (a, b) = all.scaled();
         let unit = all.size * all.size;
         let alarms = |squared: Vec<f64>, constraint, sample, models| {

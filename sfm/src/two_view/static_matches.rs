@@ -1,16 +1,19 @@
-//! Matches that do not move between the images: watermarks, sensor dust, the background of a turntable.
+//! Matches that do not move between the images: watermarks, sensor dust, the background of a
+//! turntable.
 
-use super::TwoViewConfig;
+use super::config::TwoViewConfig;
 use super::correspondences::Correspondences;
 
 /// How many static matches make a suspicious peak.
+/// Source: chosen by hand, never measured.
 const FEWEST: usize = 8;
-/// Static matches must outnumber the slow ones (up to four times the displacement) by this factor: where a
-/// camera moves, displacements are spread, and some are small by chance.
+/// Static matches must outnumber the slow ones (up to four times the displacement) by this factor:
+/// where a camera moves, displacements are spread, and some are small by chance.
+/// Source: chosen by hand, never measured.
 const PEAK: usize = 2;
 
 /// What is known about matches that stay in place.
-pub struct StaticMatches {
+pub(crate) struct StaticMatches {
     /// Indices of the matches that move, ascending.
     pub moving: Vec<usize>,
     /// Indices of those that do not.
@@ -21,11 +24,10 @@ pub struct StaticMatches {
 
 impl StaticMatches {
     /// Splits by displacement in pixels.
-    pub fn of(all: &Correspondences, config: &TwoViewConfig) -> Self {
-        let displacement = |i: usize| (all.a[i] + all.principal[0]).distance(all.b[i] + all.principal[1]);
+    pub(crate) fn of(all: &Correspondences, config: &TwoViewConfig) -> Self {
         let (still, moving): (Vec<usize>, Vec<usize>) =
-            (0..all.len()).partition(|&i| displacement(i) <= config.static_px);
-        let slow = moving.iter().filter(|&&i| displacement(i) <= 4.0 * config.static_px).count();
+            (0..all.len()).partition(|&i| all.displacement(i) <= config.static_px);
+        let slow = moving.iter().filter(|&&i| all.displacement(i) <= 4.0 * config.static_px).count();
         let suspicious = still.len() >= FEWEST && still.len() > PEAK * slow;
         Self { moving, still, suspicious }
     }

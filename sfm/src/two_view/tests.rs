@@ -25,7 +25,8 @@ fn features_at(pixels: &[DVec2]) -> Features {
     Features { keypoints, descriptors: Vec::new() }
 }
 
-/// `n` true matches with noise, then `outliers` random ones; feature `i` of a matches feature `i` of b.
+/// `n` true matches with noise, then `outliers` random ones; feature `i` of a matches feature `i`
+/// of b.
 fn pair(seed: u64, n: usize, outliers: usize, shape: Shape, noise_px: f64) -> Pair {
     let s = two_views(seed, n, shape, 1.0);
     let mut r = rng(seed, "pair", 0);
@@ -173,7 +174,8 @@ fn extreme_focal_lengths_are_verified() {
         for widths in [0.2, 50.0] {
             let mut p = pair(seed, 100, 30, Shape::General, 0.0);
             let focal = 640.0 * widths;
-            // The same scene through other lenses: pixels follow from the points of normalised coordinates.
+            // The same scene through other lenses: pixels follow from the points of normalised
+            // coordinates.
             let s = two_views(seed, 100, Shape::General, 1.0);
             for (features, points) in p.features.iter_mut().zip([&s.a, &s.b]) {
                 for (k, u) in features.keypoints.iter_mut().zip(points) {
@@ -269,6 +271,13 @@ fn with_known_intrinsics_few_matches_are_a_pair_and_random_ones_are_not() {
     }
 }
 
+/// The factor nearest to 1 whose evidence is within half a percent of the best.
+fn likely_factor(factors: &[f64], evidence: &[f64]) -> f64 {
+    let least = evidence.iter().copied().fold(f64::INFINITY, f64::min);
+    let good = factors.iter().zip(evidence).filter(|(_, e)| **e <= 1.005 * least).map(|(f, _)| *f);
+    good.min_by(|f, g| f.ln().abs().total_cmp(&g.ln().abs())).unwrap()
+}
+
 #[test]
 fn many_pairs_tell_the_focal_length_that_one_cannot() {
     let factors = [0.4, 0.5, 0.63, 0.8, 1.0, 1.25, 1.6, 2.0, 2.5];
@@ -285,9 +294,8 @@ fn many_pairs_tell_the_focal_length_that_one_cannot() {
         }
         let cameras = vec![guess; features.len()];
         let evidence = focal_evidence(&features, &cameras, &geometries, &factors);
-        let factor = likely_focal_factor(&factors, &evidence).unwrap();
+        let factor = likely_factor(&factors, &evidence);
         assert!((factor * wrong - 1.0).abs() < 0.3, "guess × {wrong}: {factor} {evidence:?}");
     }
     assert!(focal_evidence(&[], &[], &[], &factors).is_empty());
-    assert!(likely_focal_factor(&factors, &[]).is_none());
 }

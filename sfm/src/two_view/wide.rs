@@ -1,7 +1,8 @@
-//! A second look at pairs that did not pass, once the intrinsics are known: fewer matches are enough then.
+//! A second look at pairs that did not pass, once the intrinsics are known: fewer matches are
+//! enough then.
 
-use super::TwoViewConfig;
 use super::chance::{Constraint, log10_false_alarms};
+use super::config::TwoViewConfig;
 use super::correspondences::Correspondences;
 use super::pose::{best_pose, median_angle};
 use crate::SfmError;
@@ -11,19 +12,26 @@ use crate::solvers::sampson_sq;
 use rayon::prelude::*;
 use scene::{Camera, Features, Progress, TwoViewGeometry, TwoViewKind};
 
-/// Ratio and distance of descriptors that views from afar still keep.
+/// Ratio of distances of descriptors that views from afar still keep.
+/// Source: chosen by hand, never measured.
 const WIDE_RATIO: f32 = 0.87;
+/// Distance of descriptors that they keep.
+/// Source: chosen by hand, never measured.
 const WIDE_DISTANCE: f32 = 0.8;
 /// Fewest matches that may agree.
+/// Source: chosen by hand, never measured.
 const WIDE_INLIERS: usize = 10;
 /// Largest epipolar error, pixels: with known intrinsics the model is exact.
+/// Source: chosen by hand, never measured.
 const WIDE_ERROR_PX: f64 = 2.0;
-/// Random matches would agree as well less often than 10 to this power: most pairs looked at show different places.
+/// Random matches would agree as well less often than 10 to this power: most pairs looked at show
+/// different places.
+/// Source: chosen by hand, never measured.
 const WIDE_LOG10_FALSE_ALARMS: f64 = -5.0;
 
-/// Matches `pairs` loosely and keeps those that one motion of the solved cameras explains beyond chance. `cameras`: one
-/// a frame. The same for any number of threads.
-pub fn second_look(
+/// Matches `pairs` loosely and keeps those that one motion of the solved cameras explains beyond
+/// chance. `cameras`: one a frame. The same for any number of threads.
+pub(crate) fn second_look(
     features: &[Features],
     cameras: &[Camera],
     pairs: &[(usize, usize)],
@@ -65,10 +73,7 @@ fn verify_wide(a: usize, b: usize, all: &Correspondences, seed: u64) -> Option<T
     let alarms = log10_false_alarms(&squared, &all.b, Constraint::Line, 5, 10.0, WIDE_ERROR_PX);
     let pose = best_pose(all, &found.inliers, &[found.model.e], None, WIDE_ERROR_PX)?;
     // What does not move at all is no view from afar.
-    let moving = found
-        .inliers
-        .iter()
-        .filter(|&&i| (all.a[i] + all.principal[0]).distance(all.b[i] + all.principal[1]) > 4.0 * still);
+    let moving = found.inliers.iter().filter(|&&i| all.displacement(i) > 4.0 * still);
     if alarms > WIDE_LOG10_FALSE_ALARMS || moving.count() < WIDE_INLIERS {
         return None;
     }

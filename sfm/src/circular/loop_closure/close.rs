@@ -13,6 +13,7 @@ use crate::circular::problem::Relation;
 use crate::circular::register::resect_angle;
 use crate::incremental::state::MappingInput;
 use crate::klt::KltTrack;
+use crate::skip::StepName;
 use crate::statistics::median;
 use glam::DVec2;
 use scene::decision::{Decision, Measurement, Quantity, Remark, Rule, Subject};
@@ -162,6 +163,9 @@ impl VideoJob<'_> {
     /// What the pictures of all frames of the video say of a whole turn, given the angles of the
     /// chosen ones.
     fn photometric_closure(&self, angles: &[Option<f64>]) -> Option<PhotometricClosure> {
+        if self.config.skip.contains(&StepName::PhotometricClosure) {
+            return None;
+        }
         let film = self.frames.film.as_ref()?;
         let mut known = Vec::new();
         for (frame, angle) in self.frames.frames.iter().zip(angles) {

@@ -1,29 +1,31 @@
-//! Repeated structure (a can printed twice, twin solar arrays) ties images together that show different sides, and
-//! aliases the model: found by the pairs it contradicts, undone by dropping the pairs that cannot be true.
+//! Repeated structure (a can printed twice, twin solar arrays) ties images together that show
+//! different sides, and aliases the model: found by the pairs it contradicts, undone by dropping
+//! the pairs that cannot be true.
 //!
-//! A pair of neighbours agrees in the object and in all that surrounds it, a false one only in what repeats. So the
-//! strongest pairs (in a video: neighbours in time) give the rotations, by a spanning tree and robust averaging
-//! (Hartley, Aftab & Trumpf, CVPR 2011), and a pair whose rotation differs from theirs is false (Zach, Klopschitz &
-//! Pollefeys, CVPR 2010: loops must close).
+//! A pair of neighbours agrees in the object and in all that surrounds it, a false one only in what
+//! repeats. So the strongest pairs (in a video: neighbours in time) give the rotations, by a
+//! spanning tree and robust averaging (Hartley, Aftab & Trumpf, CVPR 2011), and a pair whose
+//! rotation differs from theirs is false (Zach, Klopschitz & Pollefeys, CVPR 2010: loops must
+//! close).
 
 use super::initial::relative_pose;
 use super::state::{MapState, MappingInput};
-use super::structureless_resection::agreement;
+use super::structureless_resection::{NEAR_IN_TIME, agreement};
+use crate::disjoint_sets::DisjointSets;
 use glam::{DQuat, DVec3};
 use scene::TwoViewGeometry;
-use scene::decision::{Choice, Decision, Measurement, Quantity, Rule, Subject};
 
-/// Frames of a video that far apart are neighbours in time.
-const NEIGHBOURS: usize = 5;
 /// A pair farther from the model's or the averaged rotation than this is contradicted.
+/// Source: docs/decisions/0004.
 const CONTRADICTED_DEG: f64 = 15.0;
 /// The same while the rotations of the tree have not been averaged: what they may drift.
+/// Source: chosen by hand, never measured.
 const DRIFT_DEG: f64 = 35.0;
 /// Share of a pair's matches below which the model does not agree with it.
+/// Source: docs/decisions/0004 (contradicted by most of its matches); the share was chosen by hand.
 const MIN_AGREEING: f64 = 0.4;
-/// How many more of the trusted matches another model must agree with to be taken.
-const BETTER: f64 = 1.02;
 /// Sweeps of the averaging; it takes about the square of the longest chain.
+/// Source: derived: information passes one edge a sweep, so that 600 sweeps even out chains of 24.
 const SWEEPS: usize = 600;
 
 /// A verified pair and the rotation between its images for the present intrinsics.
@@ -36,8 +38,8 @@ struct PairRotation {
     weight: f64,
 }
 
-/// The pairs that can be true together, where the model contradicts pairs that it should not; `None` where it is
-/// whole. `is_video`: the images are in the order of time.
+/// The pairs that can be true together, where the model contradicts pairs that it should not;
+/// `None` where it is whole. `is_video`: the images are in the order of time.
 pub(crate) fn find_consistent_pairs(
     state: &MapState,
     input: &MappingInput<'_>,
@@ -68,46 +70,10 @@ fn keep_consistent(tree: &[PairRotation], edges: &[PairRotation], images: usize)
     near(&rotations, CONTRADICTED_DEG.to_radians())
 }
 
-/// Whether `model` bears out more of the pairs than `other`, and has about as many images.
-pub(crate) fn is_better(
-    model: &MapState,
-    other: &MapState,
-    input: &MappingInput<'_>,
-    is_video: bool,
-) -> bool {
-    let (now, before) = (count_agreeing(model, input, is_video), count_agreeing(other, input, is_video));
-    let shares = if is_video { (now.0, before.0) } else { (now.1, before.1) };
-    model.registered_count() * 10 >= other.registered_count() * 9
-        && shares.0 as f64 > BETTER * shares.1 as f64
-}
-
-/// What was found, for the report.
-pub(crate) fn decision(
-    model: &MapState,
-    aliased: &MapState,
-    input: &MappingInput<'_>,
-    kept: usize,
-    is_video: bool,
-) -> Decision {
-    let (now, before) = (count_agreeing(model, input, is_video), count_agreeing(aliased, input, is_video));
-    let [with_all, without] = [before, now].map(|s| if is_video { s.0 } else { s.1 });
-    let removed = input.geometries.len() - kept;
-    Decision::new(Subject::RepeatedStructure, Choice::share(removed, input.geometries.len()), Rule::Evidence)
-        .compared(Choice::count(0), false, vec![Measurement::count(Quantity::AgreeingMatches, with_all)])
-        .compared(Choice::count(removed), true, vec![Measurement::count(Quantity::AgreeingMatches, without)])
-}
-
-/// Matches that agree with a model: of neighbours in time, and of all pairs.
-fn count_agreeing(state: &MapState, input: &MappingInput<'_>, is_video: bool) -> (usize, usize) {
-    let mut sums = (0, 0);
-    for g in input.geometries {
-        let Some((agreeing, _)) = agreement(state, input, g) else { continue };
-        sums.1 += agreeing;
-        if is_video && g.a.abs_diff(g.b) <= NEIGHBOURS {
-            sums.0 += agreeing;
-        }
-    }
-    sums
+/// Matches that agree with a model: of all pairs; of a video, of neighbours in time.
+pub(crate) fn count_agreeing(state: &MapState, input: &MappingInput<'_>, is_video: bool) -> usize {
+    let trusted = input.geometries.iter().filter(|g| !is_video || g.a.abs_diff(g.b) <= NEAR_IN_TIME);
+    trusted.filter_map(|g| agreement(state, input, g)).map(|(agreeing, _)| agreeing).sum()
 }
 
 /// Geometries by trust: in a video neighbours in time first; then by the number of matches.
@@ -115,7 +81,7 @@ fn by_trust(geometries: &[TwoViewGeometry], is_video: bool) -> Vec<usize> {
     let mut ranked: Vec<usize> = (0..geometries.len()).collect();
     ranked.sort_by_key(|&i| {
         let g = &geometries[i];
-        let far = is_video && g.a.abs_diff(g.b) > NEIGHBOURS;
+        let far = is_video && g.a.abs_diff(g.b) > NEAR_IN_TIME;
         (far, std::cmp::Reverse(g.inliers.len()), g.a, g.b)
     });
     ranked
@@ -130,30 +96,23 @@ fn edge(state: &MapState, input: &MappingInput<'_>, geometry: usize) -> Option<P
 
 /// Kruskal's tree of the most trusted pairs.
 fn spanning_tree(input: &MappingInput<'_>, state: &MapState, ranked: &[usize]) -> Vec<PairRotation> {
-    let mut root: Vec<usize> = (0..input.keypoints.len()).collect();
-    fn find(root: &mut [usize], mut i: usize) -> usize {
-        while root[i] != i {
-            root[i] = root[root[i]];
-            i = root[i];
-        }
-        i
-    }
+    let mut parts = DisjointSets::new(input.keypoints.len());
     let mut tree = Vec::new();
     for &g in ranked {
         let (a, b) = (input.geometries[g].a, input.geometries[g].b);
-        let (ra, rb) = (find(&mut root, a), find(&mut root, b));
-        if ra == rb {
+        if parts.find(a) == parts.find(b) {
             continue;
         }
         if let Some(edge) = edge(state, input, g) {
-            root[ra] = rb;
+            parts.join(a, b);
             tree.push(edge);
         }
     }
     tree
 }
 
-/// Whether a model has both images, another rotation between them, and poses that their matches do not agree with.
+/// Whether a model has both images, another rotation between them, and poses that their matches do
+/// not agree with.
 fn is_contradicted(state: &MapState, input: &MappingInput<'_>, edge: &PairRotation) -> bool {
     let rotation = |i: usize| state.poses[i].map(|p| p.rotation);
     residual_of(rotation(edge.a), rotation(edge.b), edge)
@@ -189,7 +148,8 @@ fn along(tree: &[PairRotation], images: usize) -> Vec<Option<DQuat>> {
     rotations
 }
 
-/// Moves every rotation to the weighted L1 mean of what its pairs say (one Weiszfeld step each), sweep after sweep.
+/// Moves every rotation to the weighted L1 mean of what its pairs say (one Weiszfeld step each),
+/// sweep after sweep.
 fn average(rotations: &mut [Option<DQuat>], edges: &[&PairRotation]) {
     let mut of_image = vec![Vec::new(); rotations.len()];
     for e in edges {

@@ -16,8 +16,8 @@ fn edge(geometry: usize, a: usize, b: usize, turned_deg: f64) -> PairRotation {
     PairRotation { geometry, a, b, b_from_a, weight: 10.0 }
 }
 
-/// 36 images 10° apart: true edges between neighbours up to three steps, round the ring, and `false_` ones that take
-/// one side for the other.
+/// 36 images 10° apart: true edges between neighbours up to three steps, round the ring, and
+/// `false_` ones that take one side for the other.
 fn ring(false_edges: bool) -> (Vec<PairRotation>, Vec<PairRotation>) {
     let mut edges = Vec::new();
     for a in 0..36 {

@@ -1,46 +1,68 @@
-//! Few images: once a model stands, its own epipolar lines are searched for matches in all pairs, those that were too
-//! few to verify by themselves among them. The points gained bind wide steps together.
+//! Few images: once a model stands, its own epipolar lines are searched for matches in all pairs,
+//! those that were too few to verify by themselves among them. The points gained bind wide steps
+//! together.
 
 use crate::SfmError;
+use crate::incremental::finish::noise_of;
+use crate::incremental::initial::calibration;
 use crate::incremental::state::{MapState, MappingInput};
 use crate::matching::{PreparedFeatures, guided_match_prepared};
-use crate::reconstruct::StepContext;
+use crate::reconstruct::accept::{Change, Support, accept};
+use crate::reconstruct::context::StepContext;
+use crate::reconstruct::model::{SfmModel, StepResult};
 use crate::solvers::essential_from_pose;
-use crate::tracks::{Tracks, build_tracks};
+use crate::tracks::build_tracks;
 use crate::triangulation::angle_between;
 use glam::{DMat3, DVec2, DVec3};
 use rayon::prelude::*;
-use scene::{Camera, Features, Pose, Progress, TwoViewGeometry, TwoViewKind};
+use scene::{Camera, Features, Pose, TwoViewGeometry, TwoViewKind};
+use std::collections::HashSet;
 
 /// Images up to which it is worth its cost (some milliseconds a pair).
-pub(crate) const UP_TO: usize = 30;
+/// Source: docs/decisions/0009.
+const UP_TO: usize = 30;
 /// Images that look farther apart than this share no points, radians.
+/// Source: chosen by hand, never measured.
 pub(crate) const WIDEST: f64 = 1.2;
-/// Half-width of the band along the lines, in standard deviations of the model's errors, and its least, pixels.
+/// Half-width of the band along the lines, in standard deviations of the model's errors: all but 6
+/// in 100,000 of normal ones.
+/// Source: chosen by hand, never measured.
 const BAND_SIGMAS: f64 = 4.0;
+/// The least half-width, pixels: the grid of the keypoints.
+/// Source: chosen by hand, never measured.
 const LEAST_BAND_PX: f64 = 1.0;
-/// Share of observations that must be gained for the new tracks to be taken.
-const GAIN: f64 = 1.03;
 
-/// Verified pairs with what lies on the model's epipolar lines, and the tracks they make; `None` where little is gained.
-/// `input`: of the images the way up that their sensors were; `sigma_px`: noise of the model's observations.
-pub(crate) fn along_the_model(
-    given: &StepContext<'_>,
-    input: &MappingInput<'_>,
-    state: &MapState,
-    sigma_px: f64,
-    progress: &Progress,
-) -> Result<Option<(Vec<TwoViewGeometry>, Tracks)>, SfmError> {
-    let n = given.features.len();
-    if n > UP_TO {
-        return Ok(None);
+/// Takes the pairs with what lies on the model's epipolar lines, and the tracks they make, where
+/// that is more.
+pub(super) fn run(mut model: SfmModel, context: &StepContext<'_>) -> StepResult {
+    if model.features.len() > UP_TO {
+        return Ok((model, Vec::new()));
     }
+    let more = match_along_model(&model, context)?;
+    let [before, after] = [&model.geometries, &more].map(|pairs| Support {
+        explained: pairs.iter().map(|g| g.inliers.len()).sum(),
+        ..Support::default()
+    });
+    if accept(Change::DenserTracks, &before, &after) {
+        model.keep_verified();
+        model.tracks = build_tracks(&model.features, &more);
+        model.geometries = more;
+        let input = model.input(context);
+        model.state = model.settle(regrow(&model.state, &input), &input, model.intrinsics, context)?;
+    }
+    Ok((model, Vec::new()))
+}
+
+/// All pairs, with the matches that lie on the lines of the model's poses.
+fn match_along_model(model: &SfmModel, context: &StepContext<'_>) -> Result<Vec<TwoViewGeometry>, SfmError> {
+    let (state, input, progress) = (&model.state, model.input(context), context.progress);
+    let n = model.features.len();
     let cameras: Vec<&Camera> = input.camera_of.iter().map(|&c| &state.cameras[c]).collect();
     let ideal: Vec<Features> =
-        (0..n).map(|i| undistort_features(&given.features[i], &input.keypoints[i], cameras[i])).collect();
-    let prepared: Vec<PreparedFeatures> = given.features.par_iter().map(PreparedFeatures::new).collect();
-    let matching = &given.config.matching;
-    let band = (BAND_SIGMAS * sigma_px).clamp(LEAST_BAND_PX, input.config.max_reprojection_px);
+        (0..n).map(|i| undistort_features(&model.features[i], &input.keypoints[i], cameras[i])).collect();
+    let prepared: Vec<PreparedFeatures> = model.features.par_iter().map(PreparedFeatures::new).collect();
+    let band = BAND_SIGMAS * noise_of(state, &input);
+    let band = band.clamp(LEAST_BAND_PX, input.config.max_reprojection_px);
     let pairs: Vec<(usize, usize)> = (0..n).flat_map(|a| (a + 1..n).map(move |b| (a, b))).collect();
     progress.begin("matching along the model's lines", pairs.len());
     let one = |&(a, b): &(usize, usize)| -> Result<Option<TwoViewGeometry>, SfmError> {
@@ -49,27 +71,21 @@ pub(crate) fn along_the_model(
         let (Some(pose_a), Some(pose_b)) = (&state.poses[a], &state.poses[b]) else {
             return Ok(known.cloned());
         };
-        let axis = |pose: &Pose| pose.rotation.conjugate() * DVec3::Z;
-        if angle_between(axis(pose_a), axis(pose_b)) > WIDEST {
+        let [axis_a, axis_b] = [pose_a, pose_b].map(|pose| pose.rotation.conjugate() * DVec3::Z);
+        if angle_between(axis_a, axis_b) > WIDEST {
             return Ok(known.cloned());
         }
         let (f, b_from_a) = line_between((pose_a, cameras[a]), (pose_b, cameras[b]));
-        let side = |i: usize| (&ideal[i], &prepared[i]);
-        let found = guided_match_prepared(side(a), side(b), &f, band, matching);
-        Ok(merge_geometry(known, (a, b), found, &f, b_from_a, input.config.min_sightings))
+        let [a_side, b_side] = [a, b].map(|i| (&ideal[i], &prepared[i]));
+        let found = guided_match_prepared(a_side, b_side, &f, band, &context.config.matching);
+        Ok(merge_geometry(known, (a, b), found, &f, b_from_a, input.config.min_observations))
     };
     let more: Result<Vec<Option<TwoViewGeometry>>, SfmError> = pairs.par_iter().map(one).collect();
-    let more: Vec<TwoViewGeometry> = more?.into_iter().flatten().collect();
-    let count = |all: &[TwoViewGeometry]| all.iter().map(|g| g.inliers.len()).sum::<usize>() as f64;
-    if count(&more) < GAIN * count(input.geometries) {
-        return Ok(None);
-    }
-    let tracks = build_tracks(given.features, &more);
-    Ok(Some((more, tracks)))
+    Ok(more?.into_iter().flatten().collect())
 }
 
 /// The same poses and intrinsics with the points of other tracks.
-pub(crate) fn regrow(state: &MapState, input: &MappingInput<'_>) -> MapState {
+fn regrow(state: &MapState, input: &MappingInput<'_>) -> MapState {
     let mut grown = MapState::new(input, state.cameras.clone());
     for &image in &state.order {
         if let Some(pose) = state.poses[image] {
@@ -87,7 +103,8 @@ pub(crate) fn line_between(a: (&Pose, &Camera), b: (&Pose, &Camera)) -> (DMat3, 
     (calibration(b.1).inverse().transpose() * e * calibration(a.1).inverse(), b_from_a)
 }
 
-/// One-to-one matches: the pair's own inliers first, then what was found and does not contradict them.
+/// One-to-one matches: the pair's own inliers first, then what was found and does not contradict
+/// them.
 pub(crate) fn merge_geometry(
     known: Option<&TwoViewGeometry>,
     (a, b): (usize, usize),
@@ -97,8 +114,7 @@ pub(crate) fn merge_geometry(
     fewest: usize,
 ) -> Option<TwoViewGeometry> {
     let mut inliers = known.map(|g| g.inliers.clone()).unwrap_or_default();
-    let taken = |k: usize| inliers.iter().map(|m| m[k]).collect::<std::collections::HashSet<u32>>();
-    let (of_a, of_b) = (taken(0), taken(1));
+    let (of_a, of_b): (HashSet<u32>, HashSet<u32>) = inliers.iter().map(|m| (m[0], m[1])).unzip();
     let fresh: Vec<[u32; 2]> =
         found.into_iter().filter(|m| !of_a.contains(&m[0]) && !of_b.contains(&m[1])).collect();
     if known.is_none() && fresh.len() < fewest {
@@ -106,18 +122,20 @@ pub(crate) fn merge_geometry(
     }
     inliers.extend(fresh);
     inliers.sort_unstable();
-    let unknown = || TwoViewGeometry {
+    if let Some(known) = known {
+        return Some(TwoViewGeometry { inliers, ..known.clone() });
+    }
+    Some(TwoViewGeometry {
         a,
         b,
         kind: TwoViewKind::Calibrated,
-        inliers: Vec::new(),
+        inliers,
         f: Some(*f),
         e: Some(essential_from_pose(&b_from_a)),
         h: None,
         b_from_a: Some(b_from_a),
         median_angle: 0.0,
-    };
-    Some(TwoViewGeometry { inliers, ..known.cloned().unwrap_or_else(unknown) })
+    })
 }
 
 /// Keypoints where an ideal camera of the same focal length would see them.
@@ -128,9 +146,4 @@ pub(crate) fn undistort_features(features: &Features, keypoints: &[DVec2], camer
         (k.x, k.y) = (p.x as f32, p.y as f32);
     }
     result
-}
-
-fn calibration(c: &Camera) -> DMat3 {
-    let (f, p) = (c.focal(), c.principal_point());
-    DMat3::from_cols(DVec3::X * f.x, DVec3::Y * f.y, DVec3::new(p.x, p.y, 1.0))
 }

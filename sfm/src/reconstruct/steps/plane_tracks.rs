@@ -1,162 +1,201 @@
-//! Whether a model is better for observations of a supporting plane (see [`crate::plane_tracks`]).
+//! Observations of a supporting plane (see [`crate::plane_tracks`]), where images are weakly
+//! constrained and the model is no worse for them.
 
 use crate::SfmError;
 use crate::incremental::finish::{free_principal_point, noise_of};
 use crate::incremental::state::{MapState, MappingInput};
-use crate::model_selection::camera::FreeIntrinsics;
 use crate::plane_tracks::plane::widest;
 use crate::plane_tracks::{PlanePoint, find_plane_tracks};
-use crate::reconstruct::StepContext;
+use crate::reconstruct::accept::{Change, Support, accept};
+use crate::reconstruct::context::StepContext;
+use crate::reconstruct::model::{SfmModel, StepResult};
 use crate::statistics::median;
 use crate::tracks::{NONE, Tracks};
 use glam::{DVec2, DVec3};
+use scene::FrameSet;
 use scene::decision::{Decision, Measurement, Quantity, Remark, Rule, Subject};
-use scene::{Camera, FrameSet, Progress};
 
-/// An image with fewer observations than this is weakly held, and so many of the images have to be (share).
+/// An image with fewer observations than this is weakly constrained.
+/// Source: docs/decisions/0028.
 const FEW: usize = 200;
+/// Share of the images that must be so.
+/// Source: docs/decisions/0028.
 const WEAK: f64 = 0.1;
-/// The plane is looked at up to so often, each time from better poses: how far windows are looked for, squares.
+/// The plane is looked at up to so often, each time from better poses: how far windows are looked
+/// for, squares.
+/// Source: docs/decisions/0028 (three to ten rounds are taken; three alone cost case 1 0.18° for
+/// 0.10°).
 const FARTHEST: [usize; 16] = [10, 6, 4, 4, 3, 3, 3, 3, 3, 3, 3, 3, 3, 3, 3, 3];
-/// Until what it shows is off by hardly less than the time before.
+/// Until what it shows is off by hardly less than the time before, as a share.
+/// Source: chosen by hand, never measured.
 const LESS: f64 = 0.995;
-/// What is known to show nothing is left out the next time, but for a margin, as a share of the reach.
+/// What is known to show nothing is left out the next time, but for a margin, as a share of the
+/// reach.
+/// Source: chosen by hand, never measured.
 const MARGIN: f64 = 0.1;
-/// Standard deviation of its observations, as a share of what residuals say: those of features err together, and by twice as much as
-/// residuals show at least (`single_axis/smoothness.rs`), while what all images show in common errs with none of them.
+/// Standard deviation of its observations, as a share of what residuals say: those of features err
+/// together, and by twice as much as residuals show at least, while what all images show in common
+/// errs with none of them.
+/// Source: docs/decisions/0007 (variances are too small by 2 to 6).
 const TRUST: f64 = 0.5;
 /// Share of the plane's observations that the adjusted model must keep.
+/// Source: docs/decisions/0028.
 const KEPT: f64 = 0.6;
-/// Share of the others that it must keep, and by how much their median error may grow.
-const OTHERS_KEPT: f64 = 0.9;
-const GROWN: f64 = 1.1;
 /// The median length of an error of two normal coordinates, in standard deviations.
+/// Source: the median of the Rayleigh distribution, `√(2 ln 2)`.
 const MEDIAN_LENGTH: f64 = 1.1774;
 
 /// Keypoints, their standard deviations and tracks, those of the plane behind the others.
-pub(crate) struct PlaneTracks {
-    pub keypoints: Vec<Vec<DVec2>>,
-    pub sigmas: Vec<Vec<f32>>,
-    pub tracks: Tracks,
+struct PlaneTracks {
+    keypoints: Vec<Vec<DVec2>>,
+    sigmas: Vec<Vec<f32>>,
+    tracks: Tracks,
 }
 
-/// A model with observations of the plane, and what is solved for of its cameras.
-pub(crate) struct PlaneTracksModel {
-    pub plane_tracks: PlaneTracks,
-    pub state: MapState,
-    pub intrinsics: FreeIntrinsics,
+/// A model with observations of a plane, and how it came about.
+struct PlaneRounds {
+    plane_tracks: PlaneTracks,
+    state: MapState,
+    observations: usize,
+    places: usize,
+    /// Median distances of the observations from where the model had them, pixels, a round each.
+    off: Vec<f64>,
 }
 
-/// The model with observations of the plane, where they are of use (see [`try_plane_tracks`]); its principal point, where all observations together
-/// determine it. `settled` adjusts a model with given intrinsics; those of `cameras` are chosen already.
-pub(crate) fn add_plane_tracks(
-    given: &StepContext<'_>,
-    (state, input): (&MapState, &MappingInput<'_>),
-    rotated: &[bool],
-    (starts, intrinsics): (&[Camera], FreeIntrinsics),
-    settled: impl Fn(MapState, &MappingInput<'_>, FreeIntrinsics) -> Result<MapState, SfmError>,
-    progress: &Progress,
-) -> Result<(Option<PlaneTracksModel>, Vec<Decision>), SfmError> {
-    let settle = |state: MapState, input: &MappingInput<'_>| settled(state, input, intrinsics);
-    let (found, decision) = try_plane_tracks(given.images, (state, input), rotated, settle, progress)?;
-    let mut decisions: Vec<Decision> = decision.into_iter().collect();
-    let Some((plane_tracks, mut state)) = found else { return Ok((None, decisions)) };
-    let (with, before) = (plane_tracks.input(input), (intrinsics, given.config.camera_model.model()));
-    let Some((free, decision)) =
-        free_principal_point(&state, &with, &given.setup.known, starts, before, progress)?
-    else {
-        return Ok((Some(PlaneTracksModel { plane_tracks, state, intrinsics }), decisions));
-    };
-    state = settled(state, &with, free)?;
-    decisions.push(decision);
-    Ok((Some(PlaneTracksModel { plane_tracks, state, intrinsics: free }), decisions))
-}
-
-/// The model with observations of the plane, where images are weakly held, there is such a plane, and the model is no worse for the
-/// points it has. `images`: where they may be read. `settle` adjusts a model. The decision says what was found; there is none where nothing was asked.
-fn try_plane_tracks(
-    images: Option<&FrameSet>,
-    (state, input): (&MapState, &MappingInput<'_>),
-    rotated: &[bool],
-    settle: impl Fn(MapState, &MappingInput<'_>) -> Result<MapState, SfmError>,
-    progress: &Progress,
-) -> Result<(Option<(PlaneTracks, MapState)>, Option<Decision>), SfmError> {
-    let weak = state.order.iter().filter(|&&i| state.observations(i) < FEW).count();
+/// Adds them, and frees the principal point where all observations together determine it.
+pub(super) fn run(mut model: SfmModel, context: &StepContext<'_>) -> StepResult {
+    let weak = model.state.order.iter().filter(|&&i| model.state.observations(i) < FEW).count();
     // What masks leave out may stand still while the object turns.
-    let whole = images.filter(|images| images.frames.iter().all(|f| f.mask.is_none()));
-    let Some(frames) = whole.filter(|_| weak as f64 >= WEAK * state.registered_count() as f64) else {
-        return Ok((None, None));
-    };
-    let refused = Decision::new(Subject::PlaneTracks, false, Rule::NothingFound).with_all([
+    let whole = context.images().filter(|images| images.frames.iter().all(|f| f.mask.is_none()));
+    let is_weak = weak as f64 >= WEAK * model.state.registered_count() as f64;
+    let Some(frames) = whole.filter(|_| is_weak) else { return Ok((model, Vec::new())) };
+    let counts = [
         Measurement::count(Quantity::WeakImages, weak),
-        Measurement::count(Quantity::RegisteredImages, state.registered_count()),
-    ]);
-    let Some(mut plane) = widest(state, input) else {
-        return Ok((None, Some(refused.remarked(Remark::NoPlane))));
+        Measurement::count(Quantity::RegisteredImages, model.state.registered_count()),
+    ];
+    let found = match add_plane(&model, frames, context)? {
+        Ok(found) => found,
+        Err(why) => return Ok((model, vec![not_used().with_all(counts).absorbing(why)])),
     };
-    let unit = noise_of(state, input);
-    let (mut model, mut found, mut factor) = (state.clone(), None, 1.0);
-    let mut off: Vec<f64> = Vec::new();
+    let input = model.input(context);
+    let (before, after) = (fit(&model.state, &input), fit(&found.without_plane(&input), &input));
+    let taken = accept(Change::PlaneTracks, &before, &after);
+    let decision = Decision::new(Subject::PlaneTracks, taken, Rule::Evidence)
+        .with_all(counts)
+        .with_all(found.measurements([before, after]));
+    let mut decisions = vec![decision];
+    if !taken {
+        return Ok((model, decisions));
+    }
+    let PlaneRounds { plane_tracks, mut state, .. } = found;
+    let with = plane_tracks.input(&input);
+    let now = (model.intrinsics, context.config.camera_model.model());
+    let (known, starts) = (&model.setup.known, &model.starts);
+    let freed = free_principal_point(&state, &with, known, starts, now, context.progress)?;
+    if let Some((free, decision)) = freed {
+        state = model.settle(state, &with, free, context)?;
+        decisions.push(decision);
+        model.intrinsics = free;
+    }
+    let PlaneTracks { keypoints, sigmas, tracks } = plane_tracks;
+    (model.keypoints, model.sigmas, model.tracks, model.state) = (keypoints, sigmas, tracks, state);
+    Ok((model, decisions))
+}
+
+/// No plane that could have been taken.
+fn not_used() -> Decision {
+    Decision::new(Subject::PlaneTracks, false, Rule::NothingFound)
+}
+
+/// The model with observations of the widest plane, looked for again from better poses until that
+/// changes little; why not, where there is none.
+fn add_plane(
+    model: &SfmModel,
+    frames: &FrameSet,
+    context: &StepContext<'_>,
+) -> Result<Result<PlaneRounds, Decision>, SfmError> {
+    let input = &model.input(context);
+    let Some(mut plane) = widest(&model.state, input) else {
+        return Ok(Err(not_used().remarked(Remark::NoPlane)));
+    };
+    let unit = noise_of(&model.state, input);
+    let (mut bare, mut factor) = (model.state.clone(), 1.0);
+    let mut found: Option<PlaneRounds> = None;
     for farthest in FARTHEST {
-        let places = find_plane_tracks(plane, (&model, input), (frames, rotated), farthest, progress)?;
+        let seen = (frames, model.rotated.as_slice());
+        let places = find_plane_tracks(plane, (&bare, input), seen, farthest, context.progress)?;
         if places.is_empty() {
-            return Ok((None, Some(refused.remarked(Remark::EmptyPlane))));
+            return Ok(Err(not_used().remarked(Remark::EmptyPlane)));
         }
+        let mut off = found.take().map_or_else(Vec::new, |last| last.off);
         off.push(median(places.iter().flat_map(|p| &p.observations).map(|s| s.off).collect()));
         let plane_tracks = PlaneTracks::new(input, &places, TRUST * factor / unit);
         let with = plane_tracks.input(input);
-        let next = settle(plane_tracks.add_points(&model, input, &places, &with), &with)?;
-        let held = plane_tracks.kept_points(&next, input);
-        let asked: usize = places.iter().map(|p| p.observations.len()).sum();
-        if (held.errors.len() as f64) < KEPT * asked as f64 {
-            let decision = refused.remarked(Remark::PlaneDisagrees).with_all([
-                Measurement::count(Quantity::PlaneObservations, asked),
-                Measurement::new(Quantity::KeptObservations, held.errors.len() as f64 / asked as f64),
-            ]);
-            return Ok((None, Some(decision)));
+        let start = plane_tracks.add_points(&bare, input, &places, &with);
+        let state = model.settle(start, &with, model.intrinsics, context)?;
+        let held = plane_tracks.kept_points(&state, input);
+        let observations: usize = places.iter().map(|p| p.observations.len()).sum();
+        if (held.errors.len() as f64) < KEPT * observations as f64 {
+            let kept = held.errors.len() as f64 / observations as f64;
+            return Ok(Err(not_used().remarked(Remark::PlaneDisagrees).with_all([
+                Measurement::count(Quantity::PlaneObservations, observations),
+                Measurement::new(Quantity::KeptObservations, kept),
+            ])));
         }
         factor *= (TRUST * median(held.errors) / unit / MEDIAN_LENGTH).clamp(0.2, 5.0);
         plane = plane.closer(&held.places).unwrap_or(plane).about(&held.places, MARGIN * plane.reach);
-        model = without_plane_points(&next, input);
-        found = Some((plane_tracks, next, asked, places.len()));
-        if off.len() > 1 && off[off.len() - 1] > LESS * off[off.len() - 2] {
+        bare = without_plane_points(&state, input);
+        let ends = off.len() > 1 && off[off.len() - 1] > LESS * off[off.len() - 2];
+        found = Some(PlaneRounds { plane_tracks, state, observations, places: places.len(), off });
+        if ends {
             break;
         }
     }
-    let Some((plane_tracks, next, observations, places)) = found else { return Ok((None, None)) };
-    let ((had, before), (has, after)) = (other_errors(state, input), other_errors(&model, input));
-    let taken = has as f64 >= OTHERS_KEPT * had as f64 && after <= GROWN * before;
-    let offsets = off.into_iter().map(|o| Measurement::new(Quantity::PlaneOffset, o));
-    let decision = Decision { choice: taken.into(), rule: Rule::Evidence, ..refused }
-        .with_all([
-            Measurement::count(Quantity::PlanePlaces, places),
-            Measurement::count(Quantity::PlaneObservations, observations),
-        ])
-        .with_all(offsets)
-        .with_all([
-            Measurement::count(Quantity::ObservationsBefore, had),
-            Measurement::count(Quantity::ObservationsAfter, has),
-            Measurement::new(Quantity::MedianErrorBefore, before),
-            Measurement::new(Quantity::MedianErrorAfter, after),
-        ]);
-    Ok((taken.then_some((plane_tracks, next)), Some(decision)))
+    Ok(found.ok_or_else(|| not_used().remarked(Remark::EmptyPlane)))
 }
 
-/// How many observations of features a model has, and their median error, pixels.
-fn other_errors(state: &MapState, input: &MappingInput<'_>) -> (usize, f64) {
+/// How many observations of features a model has, and their median error, pixels; infinite where it
+/// has none.
+fn fit(state: &MapState, input: &MappingInput<'_>) -> Support {
     let errors = state.errors(input);
-    (errors.len(), if errors.is_empty() { f64::INFINITY } else { median(errors) })
+    let explained = errors.len();
+    let error_px = if errors.is_empty() { f64::INFINITY } else { median(errors) };
+    Support { explained, error_px: Some(error_px), ..Support::default() }
 }
 
-/// Observations of the plane that a model has kept: their errors, pixels, over their standard deviations, and where the places are.
+impl PlaneRounds {
+    /// The model without the plane's points.
+    fn without_plane(&self, input: &MappingInput<'_>) -> MapState {
+        without_plane_points(&self.state, input)
+    }
+
+    /// What was found of the plane, and what is explained of features, before and after.
+    fn measurements(&self, [had, has]: [Support; 2]) -> Vec<Measurement> {
+        let mut all = vec![
+            Measurement::count(Quantity::PlanePlaces, self.places),
+            Measurement::count(Quantity::PlaneObservations, self.observations),
+        ];
+        all.extend(self.off.iter().map(|off| Measurement::new(Quantity::PlaneOffset, *off)));
+        all.extend([
+            Measurement::count(Quantity::ObservationsBefore, had.explained),
+            Measurement::count(Quantity::ObservationsAfter, has.explained),
+            Measurement::new(Quantity::MedianErrorBefore, had.error_px.unwrap_or_default()),
+            Measurement::new(Quantity::MedianErrorAfter, has.error_px.unwrap_or_default()),
+        ]);
+        all
+    }
+}
+
+/// Observations of the plane that a model has kept: their errors, pixels, over their standard
+/// deviations, and where the places are.
 struct KeptPlanePoints {
     errors: Vec<f64>,
     places: Vec<DVec3>,
 }
 
 impl PlaneTracks {
-    /// Behind the keypoints of `input` those of the plane; `per_px`: what a standard deviation of a pixel is in units of the
-    /// others'.
+    /// Behind the keypoints of `input` those of the plane; `per_px`: what a standard deviation of a
+    /// pixel is in units of the others'.
     fn new(input: &MappingInput<'_>, places: &[PlanePoint], per_px: f64) -> Self {
         let mut keypoints = input.keypoints.to_vec();
         let all_one = || input.keypoints.iter().map(|k| vec![1.0; k.len()]).collect();
@@ -178,7 +217,7 @@ impl PlaneTracks {
     }
 
     /// `input` with the plane.
-    pub fn input<'a>(&'a self, input: &MappingInput<'a>) -> MappingInput<'a> {
+    fn input<'a>(&'a self, input: &MappingInput<'a>) -> MappingInput<'a> {
         MappingInput { keypoints: &self.keypoints, sigmas: &self.sigmas, tracks: &self.tracks, ..*input }
     }
 

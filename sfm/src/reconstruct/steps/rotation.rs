@@ -1,67 +1,54 @@
-//! Images that were rotated on their way here are rotated back for the solver, and the model is rotated again for them.
+//! Images that were rotated on their way here are rotated back for the solver, and the model is
+//! rotated again for them.
 
-use crate::incremental::state::{MapState, MappingInput};
 use crate::model_selection::rotated_images::{rotate_camera, rotate_geometry, rotate_pixel, rotate_pose};
-use crate::reconstruct::SolvedModel;
-use glam::DVec2;
-use scene::{Camera, TwoViewGeometry};
+use crate::reconstruct::model::SfmModel;
+use scene::Camera;
 
-/// Keypoints and verified pairs of the images the way up that the sensor was.
-pub(crate) fn rotate_inputs(
-    input: &MappingInput<'_>,
-    cameras: &[Camera],
-    rotated: &[bool],
-) -> (Vec<Vec<DVec2>>, Vec<TwoViewGeometry>) {
-    let camera = |image: usize| &cameras[input.camera_of[image]];
-    let mut geometries = input.geometries.to_vec();
-    for g in geometries.iter_mut().filter(|g| rotated[g.a] || rotated[g.b]) {
-        rotate_geometry(g, [camera(g.a), camera(g.b)], [rotated[g.a], rotated[g.b]]);
+/// Makes keypoints and verified pairs those of the images the way up that the sensor was.
+pub(super) fn rotate_inputs(model: &mut SfmModel) {
+    model.keep_verified();
+    let (setup, rotated) = (&model.setup, &model.rotated);
+    for g in model.geometries.iter_mut().filter(|g| rotated[g.a] || rotated[g.b]) {
+        let cameras = [g.a, g.b].map(|image| &setup.cameras[setup.camera_of[image]]);
+        rotate_geometry(g, cameras, [rotated[g.a], rotated[g.b]]);
     }
-    (rotate_keypoints(input, cameras, rotated), geometries)
+    rotate_keypoints(model);
 }
 
-/// Keypoints with those of rotated images rotated.
-pub(crate) fn rotate_keypoints(
-    input: &MappingInput<'_>,
-    cameras: &[Camera],
-    rotated: &[bool],
-) -> Vec<Vec<DVec2>> {
-    let mut keypoints = input.keypoints.to_vec();
-    for (image, points) in keypoints.iter_mut().enumerate().filter(|(i, _)| rotated[*i]) {
-        points.iter_mut().for_each(|p| *p = rotate_pixel(&cameras[input.camera_of[image]], *p));
+fn rotate_keypoints(model: &mut SfmModel) {
+    let setup = &model.setup;
+    for (image, points) in model.keypoints.iter_mut().enumerate().filter(|(i, _)| model.rotated[*i]) {
+        let camera = &setup.cameras[setup.camera_of[image]];
+        points.iter_mut().for_each(|p| *p = rotate_pixel(camera, *p));
     }
-    keypoints
 }
 
-/// Rotates the poses of the rotated images.
-pub(crate) fn rotate_poses(state: &mut MapState, rotated: &[bool]) {
-    for (pose, _) in state.poses.iter_mut().zip(rotated).filter(|(_, t)| **t) {
+/// Gives rotated images the keypoints and the pose that fit the image as it is, and their own
+/// camera with the mirrored principal point.
+pub(super) fn rotate_back(model: &mut SfmModel) {
+    rotate_keypoints(model);
+    for (pose, _) in model.state.poses.iter_mut().zip(&model.rotated).filter(|(_, rotated)| **rotated) {
         *pose = pose.as_ref().map(rotate_pose);
     }
-}
-
-/// Gives rotated images their own camera with the mirrored principal point, and the pose that fits the image as it is.
-pub(crate) fn rotate_back(solved: &mut SolvedModel, rotated: &[bool]) {
-    rotate_poses(&mut solved.state, rotated);
-    let shared = solved.state.cameras.len();
+    let shared = model.state.cameras.len();
     for camera in 0..shared {
-        let mut of_rotated = None;
-        for (_, of_image) in rotated.iter().zip(&mut solved.camera_of).filter(|(t, c)| **t && **c == camera) {
-            let cameras = &mut solved.state.cameras;
-            let index = *of_rotated.get_or_insert_with(|| {
-                let number = cameras.len() as u32 + 1;
-                let mirrored = Camera { id: number, ..rotate_camera(&cameras[camera]) };
-                cameras.push(mirrored);
-                cameras.len() - 1
-            });
-            *of_image = index;
+        let images = 0..model.rotated.len();
+        let own: Vec<usize> =
+            images.filter(|&i| model.rotated[i] && model.setup.camera_of[i] == camera).collect();
+        if own.is_empty() {
+            continue;
         }
-        let of_cameras = solved.uncertainty.as_mut().map(|u| &mut u.cameras);
-        if let (Some(index), Some(deviations)) = (of_rotated, of_cameras) {
-            let ids = [camera, index].map(|i| solved.state.cameras[i].id);
-            if let Some(same) = deviations.get(&ids[0]).cloned() {
-                deviations.insert(ids[1], same);
-            }
+        let index = model.state.cameras.len();
+        let id = index as u32 + 1;
+        let mirrored = Camera { id, ..rotate_camera(&model.state.cameras[camera]) };
+        model.state.cameras.push(mirrored);
+        own.into_iter().for_each(|i| model.setup.camera_of[i] = index);
+        let deviations = model.uncertainty.as_mut().map(|u| &mut u.cameras);
+        if let Some(deviations) = deviations
+            && let Some(same) = deviations.get(&model.state.cameras[camera].id).cloned()
+        {
+            deviations.insert(id, same);
         }
     }
 }

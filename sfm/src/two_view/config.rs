@@ -1,0 +1,45 @@
+//! What a user can set about verification.
+
+use serde::{Deserialize, Serialize};
+
+/// How pairs are verified.
+#[derive(clap::Args, Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default)]
+pub struct TwoViewConfig {
+    /// Largest epipolar or transfer error of an inlier match, pixels.
+    #[arg(long, default_value_t = Self::default().max_error_px, help_heading = "Verification")]
+    pub max_error_px: f64,
+    /// Pairs with fewer inlier matches are dropped.
+    #[arg(long, default_value_t = Self::default().min_inliers, help_heading = "Verification")]
+    pub min_inliers: usize,
+    /// Pairs of which a smaller part of the matches agrees are not searched for to the end.
+    #[arg(long, default_value_t = Self::default().min_inlier_ratio, help_heading = "Verification")]
+    pub min_inlier_ratio: f64,
+    /// Probability of finding a model where there is one.
+    #[arg(long, default_value_t = Self::default().verify_confidence, help_heading = "Verification")]
+    pub verify_confidence: f64,
+    /// Most samples drawn for a model.
+    #[arg(long, default_value_t = Self::default().max_samples, help_heading = "Verification")]
+    pub max_samples: usize,
+    /// Matches that move by less than this between the images may be a watermark, pixels.
+    #[arg(long, default_value_t = Self::default().static_px, help_heading = "Verification")]
+    pub static_px: f64,
+    /// Pairs whose agreement random matches would reach more often than 10 to this power are
+    /// dropped.
+    #[arg(long, default_value_t = Self::default().max_log10_false_alarms, allow_hyphen_values = true, help_heading = "Verification")]
+    pub max_log10_false_alarms: f64,
+}
+
+impl Default for TwoViewConfig {
+    fn default() -> Self {
+        Self {
+            max_error_px: 4.0,
+            min_inliers: 15,
+            min_inlier_ratio: 0.25,
+            verify_confidence: 0.9999,
+            max_samples: 3000,
+            static_px: 1.5,
+            max_log10_false_alarms: -2.0,
+        }
+    }
+}
