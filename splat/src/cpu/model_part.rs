@@ -4,7 +4,8 @@ use crate::backend::LearningRates;
 use crate::model::{GEOMETRY, Model, padded};
 use crate::statistics::Statistics;
 
-/// Gaussians of a part at most, a multiple of every vector's lanes. Source: chosen by hand, never measured.
+/// Gaussians of a part at most, a multiple of every vector's lanes. Source: chosen by hand, never
+/// measured.
 const PART: usize = 512;
 
 /// The derivatives of a scalar with respect to the parameters, in the layout of [`Model`].

@@ -1,4 +1,5 @@
-//! What lies on the device beside the model (`pages`): the view's intermediate results, the picture and its target.
+//! What lies on the device beside the model (`pages`): the view's intermediate results, the picture
+//! and its target.
 
 use super::context::Gpu;
 use super::layout::{BLOCK, COUNTERS, Frame};
@@ -6,7 +7,8 @@ use super::pages;
 use crate::cpu::TILE;
 use crate::error::SplatError;
 
-/// Bytes of a job of scan or sort in the buffer of jobs: the strictest alignment of uniforms. Source: WebGPU.
+/// Bytes of a job of scan or sort in the buffer of jobs: the strictest alignment of uniforms.
+/// Source: WebGPU.
 pub(crate) const JOB: u64 = 256;
 /// Jobs: four scans, eight passes by depth, eight by tile. Source: derived.
 pub(crate) const JOBS: u64 = 20;
@@ -159,15 +161,16 @@ pub(crate) enum Limit {
     Memory,
 }
 
-/// Tiles that a Gaussian touches, reckoned generously: room for its pairs. Where there is less, the farthest are not drawn.
-/// Source: chosen by hand, never measured.
+/// Tiles that a Gaussian touches, reckoned generously: room for its pairs. Where there is less, the
+/// farthest are not drawn. Source: chosen by hand, never measured.
 const PAIRS_EACH: usize = 8;
-/// PagePart of the memory that photos may stay in; where they do not fit they are sent anew in every step.
-/// Source: chosen by hand, never measured.
+/// PagePart of the memory that photos may stay in; where they do not fit they are sent anew in
+/// every step. Source: chosen by hand, never measured.
 pub(crate) const PHOTOS: f64 = 0.25;
 
-/// The most Gaussians that can be trained on pictures of so many pixels, where no buffer may have more than `largest` bytes
-/// and all of them together no more than `memory`; and which of the two it is.
+/// The most Gaussians that can be trained on pictures of so many pixels, where no buffer may have
+/// more than `largest` bytes and all of them together no more than `memory`; and which of the two
+/// it is.
 pub(crate) fn capacity(sh_stride: usize, pixels: usize, largest: u64, memory: Option<u64>) -> (usize, Limit) {
     let fits = |n: usize| -> Option<Limit> {
         let sizes = Sizes {

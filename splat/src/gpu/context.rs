@@ -62,12 +62,13 @@ pub(crate) struct Opening {
     pub(crate) memory: Option<u64>,
     /// Kernels without subgroup operations even where the adapter has them.
     pub(crate) plain: bool,
-    /// No more than every adapter has (the defaults of WebGPU: eight storage buffers a stage, 16 KiB shared), and no binding
-    /// larger than this.
+    /// No more than every adapter has (the defaults of WebGPU: eight storage buffers a stage, 16
+    /// KiB shared), and no binding larger than this.
     pub(crate) binding: Option<u64>,
 }
 
-/// Subgroups of these sizes neither span two Gaussians of `rasterise_backward` nor are too short to bring anything.
+/// Subgroups of these sizes neither span two Gaussians of `rasterise_backward` nor are too short to
+/// bring anything.
 const SUBGROUP_SIZES: std::ops::RangeInclusive<u32> = 4..=32;
 
 /// Counts the threads whose lane or subgroup is not the one that their number in the group says.
@@ -156,8 +157,8 @@ impl Gpu {
         Ok(gpu)
     }
 
-    /// Whether the lanes of subgroups are the threads of a group in order, as the kernels take them to be. No
-    /// specification says so; hence a look.
+    /// Whether the lanes of subgroups are the threads of a group in order, as the kernels take them
+    /// to be. No specification says so; hence a look.
     fn lanes_in_order(&self) -> Result<bool, SplatError> {
         let module = self.device.create_shader_module(wgpu::ShaderModuleDescriptor {
             label: Some("lanes"),
@@ -206,7 +207,8 @@ impl Gpu {
         limits.max_storage_buffer_binding_size.min(limits.max_buffer_size)
     }
 
-    /// A storage buffer of `bytes` (that can also be copied and be a uniform); `old` where it has that size already.
+    /// A storage buffer of `bytes` (that can also be copied and be a uniform); `old` where it has
+    /// that size already.
     pub(crate) fn buffer(
         &self,
         name: &str,

@@ -1,5 +1,6 @@
-//! A round of densification on the device: candidates by score, halves, what stays, and the model gathered anew. Only
-//! the number of Gaussians comes back. Twin of `cpu/densify.rs`; its random numbers are others.
+//! A round of densification on the device: candidates by score, halves, what stays, and the model
+//! gathered anew. Only the number of Gaussians comes back. Twin of `cpu/densify.rs`; its random
+//! numbers are others.
 
 use super::backend::GpuBackend;
 use super::bound::scan;
@@ -12,8 +13,8 @@ use scene::Decision;
 use scene::decision::{Choice, Rule, Subject};
 
 impl GpuBackend {
-    /// Carries the round out; how many were removed because hardly any view has them. Nothing, and nothing has changed,
-    /// where the host has to do it: no moments yet, or nothing would be left.
+    /// Carries the round out; how many were removed because hardly any view has them. Nothing, and
+    /// nothing has changed, where the host has to do it: no moments yet, or nothing would be left.
     pub(super) fn densify_here(&mut self, round: &Round) -> Result<Option<usize>, SplatError> {
         let n = self.pages.as_ref().filter(|p| p.training).map_or(0, |p| p.n);
         if n == 0 {

@@ -1,5 +1,6 @@
-//! Steps under way: submitted one after the other, reported together, so that the device never waits for the host.
-//! One report a step (64 bytes) is written on the device; a window of them is read back at a time.
+//! Steps under way: submitted one after the other, reported together, so that the device never
+//! waits for the host. One report a step (64 bytes) is written on the device; a window of them is
+//! read back at a time.
 
 use super::bound::{Bound, Stage};
 use super::buffers::{Buffers, REPORT};

@@ -1,5 +1,6 @@
-//! The model on the device, in pages: no binding is larger than the adapter allows, however many Gaussians there are.
-//! A page holds a range of Gaussians in planes (plane p of its l-th Gaussian is entry `p · stride + l`).
+//! The model on the device, in pages: no binding is larger than the adapter allows, however many
+//! Gaussians there are. A page holds a range of Gaussians in planes (plane p of its l-th Gaussian
+//! is entry `p · stride + l`).
 
 use super::context::Gpu;
 use super::kernels::Kernels;
@@ -50,7 +51,8 @@ pub(crate) enum PagePart {
 }
 
 impl PagePart {
-    /// In the order in which they are replaced: the largest first, so that the others fit where it was.
+    /// In the order in which they are replaced: the largest first, so that the others fit where it
+    /// was.
     pub(crate) const ALL: [Self; 3] = [Self::Moments, Self::Geometry, Self::Sh];
 
     fn planes(self, sh_stride: usize, training: bool) -> usize {
@@ -68,7 +70,8 @@ pub(crate) fn bytes_each(sh_stride: usize, training: bool) -> u64 {
     4 * PagePart::ALL.iter().map(|p| p.planes(sh_stride, training) as u64).sum::<u64>()
 }
 
-/// Bytes of a Gaussian in the largest part, which is there twice while Gaussians are added and removed.
+/// Bytes of a Gaussian in the largest part, which is there twice while Gaussians are added and
+/// removed.
 pub(crate) fn bytes_twice(sh_stride: usize) -> u64 {
     4 * PagePart::ALL.iter().map(|p| p.planes(sh_stride, true) as u64).max().unwrap_or(0)
 }
@@ -172,8 +175,8 @@ impl Pages {
         Ok((model, Statistics { gradient, visible }))
     }
 
-    /// The model with another number of SH values a Gaussian: planes are copied, new ones are zero. Nothing where pages
-    /// would have to be of another size.
+    /// The model with another number of SH values a Gaussian: planes are copied, new ones are zero.
+    /// Nothing where pages would have to be of another size.
     pub(crate) fn with_sh_stride(&self, gpu: &Gpu, sh_stride: usize) -> Result<Option<Self>, SplatError> {
         let (old, new) = (self.sh_stride, Self::new(gpu, self.n, sh_stride, self.training)?);
         if new.list.len() != self.list.len() {
@@ -195,9 +198,10 @@ impl Pages {
         Ok(Some(new))
     }
 
-    /// Makes the model the one whose Gaussian j is the present `source[j]` (densify.wgsl, split.wgsl); halves of split
-    /// Gaussians begin without moments, all without statistics. PagePart by part, so that only one is there twice; `false`,
-    /// and nothing has changed, where there is no memory for that.
+    /// Makes the model the one whose Gaussian j is the present `source[j]` (densify.wgsl,
+    /// split.wgsl); halves of split Gaussians begin without moments, all without statistics.
+    /// PagePart by part, so that only one is there twice; `false`, and nothing has changed, where
+    /// there is no memory for that.
     pub(crate) fn gather(
         &mut self,
         gpu: &Gpu,

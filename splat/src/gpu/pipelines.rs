@@ -1,5 +1,6 @@
-//! Compiled pipelines, kept between runs where the adapter has a cache for them: in the user's cache folder, one file an
-//! adapter and driver. A file that is damaged or of another driver is not used, and replaced.
+//! Compiled pipelines, kept between runs where the adapter has a cache for them: in the user's
+//! cache folder, one file an adapter and driver. A file that is damaged or of another driver is not
+//! used, and replaced.
 
 use std::io::Write;
 use std::path::{Path, PathBuf};
@@ -48,7 +49,8 @@ fn write(path: &Path, data: &[u8]) -> std::io::Result<()> {
 }
 
 impl Pipelines {
-    /// The cache of an adapter that has one; what was kept is checked by us (whole) and by wgpu (this adapter and driver).
+    /// The cache of an adapter that has one; what was kept is checked by us (whole) and by wgpu
+    /// (this adapter and driver).
     pub(crate) fn open(device: &wgpu::Device, info: &wgpu::AdapterInfo) -> Option<Self> {
         Self::at(&folder()?, device, info)
     }
@@ -73,7 +75,8 @@ impl Pipelines {
         &self.cache
     }
 
-    /// Keeps what is new. A folder that cannot be written to costs time at the next start, nothing else.
+    /// Keeps what is new. A folder that cannot be written to costs time at the next start, nothing
+    /// else.
     pub(crate) fn store(&self) {
         if let Some(data) = self.cache.get_data().filter(|data| data.len() != self.read) {
             let _ = write(&self.path, &data);

@@ -1,4 +1,5 @@
-//! Single kernels to look at: what the screen holds of each Gaussian, the loss of a picture, the gradients.
+//! Single kernels to look at: what the screen holds of each Gaussian, the loss of a picture, the
+//! gradients.
 
 use super::backend::GpuBackend;
 use super::bound::Stage;

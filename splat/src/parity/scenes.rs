@@ -101,7 +101,8 @@ pub fn undecided(r: &Rendered, v: &PinholeView) -> Vec<bool> {
             // An exponent is a difference of large numbers where the Gaussian is steep.
             let steep = 1.0 + g.conic.x.max(g.conic.z) * (g.xy - p).length_squared() / (1.0 + power.abs());
             let band = 2e-5 * steep.min(1e4);
-            // Nothing is drawn where the exponent is below 0, which it can only come to be by the rounding of its terms.
+            // Nothing is drawn where the exponent is below 0, which it can only come to be by the
+            // rounding of its terms.
             let negative = power < 2e-6 * terms(&g, p);
             if near(alpha, MIN_ALPHA, band) || near(alpha, MAX_ALPHA, 1e-4) || negative {
                 return true;

@@ -135,7 +135,8 @@ fn whole_steps_move_every_parameter_as_the_reference_does() {
                     let (expected, rate) = parameter(&p, i, k);
                     let error = (f64::from(found) - expected).abs();
                     total += 1;
-                    // The first steps have the size of the rate whatever the gradient: one of 1e-9 may turn sign.
+                    // The first steps have the size of the rate whatever the gradient: one of 1e-9
+                    // may turn sign.
                     astray += usize::from(error > 0.03 * f64::from(rate) + 1e-6 * expected.abs());
                     assert!(
                         error < 2.1 * f64::from(step) * f64::from(rate),

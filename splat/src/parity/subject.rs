@@ -29,9 +29,11 @@ pub trait Subject {
     fn affordable(&self, steps: usize) -> usize {
         steps
     }
-    /// Kernels project and sh: [N], nothing where culled (a backend may also cull what lies outside the picture).
+    /// Kernels project and sh: [N], nothing where culled (a backend may also cull what lies outside
+    /// the picture).
     fn project(&mut self, g: &Gaussians, view: &PinholeView, options: &RenderOptions) -> Vec<Option<Seen>>;
-    /// Kernel loss: loss, mean squared error and dL/d(colour) [H × W × 3]. Targets and weights are multiples of 1/255.
+    /// Kernel loss: loss, mean squared error and dL/d(colour) [H × W × 3]. Targets and weights are
+    /// multiples of 1/255.
     fn loss(
         &mut self,
         size: [usize; 2],

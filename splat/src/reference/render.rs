@@ -29,7 +29,8 @@ pub(crate) struct ReferenceGradient {
     pub(crate) parameters: Parameters,
     /// With respect to the camera.
     pub(crate) pose: PoseGradient,
-    /// \[N\] with respect to the centre on the screen, a px: its norm drives densification (Kerbl 2023, section 5.2).
+    /// \[N\] with respect to the centre on the screen, a px: its norm drives densification (Kerbl
+    /// 2023, section 5.2).
     pub(crate) xy: Vec<DVec2>,
     /// \[N\] in how many pixels the Gaussian is composited.
     pub(crate) pixels: Vec<u32>,
@@ -71,7 +72,8 @@ pub(crate) fn backward(
         parameters.rotations[i] = g.rotation;
         parameters.opacity_logits[i] = g.logit;
         pose += pose_i;
-        // The camera stands at −Rᵀ t; its motion by v in its own frame moves it by −Rᵀ v in the world.
+        // The camera stands at −Rᵀ t; its motion by v in its own frame moves it by −Rᵀ v in the
+        // world.
         pose.translation += view.rotation * through_colour;
     }
     let xy = on_screen.projected.iter().map(|g| g.xy).collect();
