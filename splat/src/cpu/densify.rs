@@ -92,11 +92,11 @@ fn orientation(model: &Model, i: usize) -> Quat {
 /// Removes Gaussians that are transparent or not finite.
 fn prune_transparent(model: &mut Model) {
     let floor = (MIN_OPACITY / (1.0 - MIN_OPACITY)).ln();
-    let stays = |&i: &u32| {
+    let kept = (0..model.len as u32).filter(|&i| {
         let opaque = model.geometry[OPACITY][i as usize] > floor;
         opaque && model.geometry.iter().all(|plane| plane[i as usize].is_finite())
-    };
-    let kept: Vec<u32> = (0..model.len as u32).filter(stays).collect();
+    });
+    let kept: Vec<u32> = kept.collect();
     model.keep(&kept);
 }
 
@@ -110,11 +110,11 @@ pub(crate) fn least_views(views: usize) -> usize {
 /// in the air in pictures from elsewhere.
 fn prune_unseen(model: &mut Model, views: &[PinholeView]) -> usize {
     let least = least_views(views.len());
-    let is_seen = |&i: &u32| {
+    let kept = (0..model.len as u32).into_par_iter().filter(|&i| {
         let x = model.mean(i as usize);
         views.iter().filter(|v| v.sees(v.camera_point(x))).take(least).count() >= least
-    };
-    let kept: Vec<u32> = (0..model.len as u32).into_par_iter().filter(is_seen).collect();
+    });
+    let kept: Vec<u32> = kept.collect();
     model.keep(&kept)
 }
 

@@ -21,15 +21,19 @@ fn enumerate() -> Vec<wgpu::Adapter> {
         ..wgpu::InstanceDescriptor::new_without_display_handle()
     });
     let mut found = pollster::block_on(instance.enumerate_adapters(wgpu::Backends::PRIMARY));
-    let rank = |kind| match kind {
+    found.sort_by_key(|a| rank(kind(a.get_info().device_type)));
+    found
+}
+
+/// Place of a kind in the list of adapters.
+fn rank(kind: AdapterKind) -> u8 {
+    match kind {
         AdapterKind::Discrete => 0,
         AdapterKind::Virtual => 1,
         AdapterKind::Integrated => 2,
         AdapterKind::Unknown => 3,
         AdapterKind::Software => 4,
-    };
-    found.sort_by_key(|a| rank(kind(a.get_info().device_type)));
-    found
+    }
 }
 
 fn kind(device: wgpu::DeviceType) -> AdapterKind {
@@ -95,6 +99,13 @@ fn limits(adapter: &wgpu::Adapter, binding: Option<u64>) -> wgpu::Limits {
     .or_worse_values_from(&adapter.limits())
 }
 
+/// Keeps the first failure.
+fn note(failure: &Mutex<Option<String>>, text: String) {
+    if let Ok(mut failure) = failure.lock() {
+        failure.get_or_insert(text);
+    }
+}
+
 /// An open adapter.
 pub(crate) struct Gpu {
     /// Makes buffers and pipelines.
@@ -138,11 +149,6 @@ impl Gpu {
         let (device, queue) = pollster::block_on(found.request_device(&descriptor))
             .map_err(|e| SplatError::Gpu { adapter: adapter.name.clone(), reason: e.to_string() })?;
         let failure = Arc::new(Mutex::new(None));
-        let note = |slot: &Arc<Mutex<Option<String>>>, text: String| {
-            if let Ok(mut failure) = slot.lock() {
-                failure.get_or_insert(text);
-            }
-        };
         let slot = failure.clone();
         device.on_uncaptured_error(Arc::new(move |error: wgpu::Error| note(&slot, error.to_string())));
         let slot = failure.clone();

@@ -193,7 +193,7 @@ impl Module {
         let shader = unsafe {
             device.create_shader_module_trusted(descriptor, wgpu::ShaderRuntimeChecks::unchecked())
         };
-        let pipeline = |entry: &&str| {
+        let pipelines = source.entries.iter().map(|entry| {
             device.create_compute_pipeline(&wgpu::ComputePipelineDescriptor {
                 label: Some(source.name),
                 layout: Some(&pipeline_layout),
@@ -206,9 +206,8 @@ impl Module {
                 },
                 cache: gpu.pipelines.as_ref().map(|p| p.cache()),
             })
-        };
-        let pipelines = source.entries.iter().map(pipeline).collect();
-        Self { name: source.name, layout, pipelines }
+        });
+        Self { name: source.name, layout, pipelines: pipelines.collect() }
     }
 
     /// Binds buffers to the module's bindings, in order.

@@ -18,8 +18,9 @@ pub(crate) struct Pipelines {
 
 /// `$XDG_CACHE_HOME` or `~/.cache`.
 fn folder() -> Option<PathBuf> {
-    let set = |name| std::env::var_os(name).filter(|v| !v.is_empty()).map(PathBuf::from);
-    let base = set("XDG_CACHE_HOME").or_else(|| set("HOME").map(|home| home.join(".cache")))?;
+    let [cache, home] = ["XDG_CACHE_HOME", "HOME"]
+        .map(|name| std::env::var_os(name).filter(|v| !v.is_empty()).map(PathBuf::from));
+    let base = cache.or_else(|| home.map(|home| home.join(".cache")))?;
     Some(base.join("sat-recon").join("pipelines"))
 }
 

@@ -40,11 +40,10 @@ pub(crate) struct ReferenceGradient {
 pub(crate) fn render(p: &Parameters, view: &ReferenceView, options: &Options) -> Rendered {
     let projected: Vec<_> = (0..p.len()).map(|i| project(&p.geometry(i), view, options)).collect();
     let position = view.position();
-    let colour = |i: usize| match projected[i] {
-        Some(_) => sh(p.sh_of(i), options.sh_degree, p.means[i], position),
-        None => DVec3::ZERO,
-    };
-    let colours: Vec<_> = (0..p.len()).map(colour).collect();
+    let mut colours = vec![DVec3::ZERO; p.len()];
+    for i in (0..p.len()).filter(|&i| projected[i].is_some()) {
+        colours[i] = sh(p.sh_of(i), options.sh_degree, p.means[i], position);
+    }
     let order = sort(&projected);
     let picture = rasterise(&projected, &colours, &order, view, options.background);
     Rendered { projected, colours, order, picture }
