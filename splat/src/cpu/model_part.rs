@@ -42,6 +42,7 @@ pub(super) struct ModelPart<'a> {
 }
 
 /// What becomes of the gradients.
+#[expect(clippy::large_enum_variant, reason = "it lives on the stack: a box would take memory in every step")]
 pub(super) enum GradientSink<'a> {
     /// They are written here, and nothing moves.
     Gradient { geometry: [&'a mut [f32]; GEOMETRY], sh: &'a mut [f32] },

@@ -12,7 +12,7 @@ use scene::Gaussians;
 
 /// Compares a picture where no cut-off is at stake; at most a twentieth of the pixels may be left
 /// out.
-pub fn compare_picture(
+pub(crate) fn compare_picture(
     subject: &mut dyn Subject,
     g: &Gaussians,
     v: &PinholeView,
@@ -46,7 +46,7 @@ pub fn compare_picture(
 }
 
 /// The reference's gradient of L = Σ w · colour in the layout of a backend: 11 planes, then SH.
-pub fn reference_gradient(
+pub(crate) fn reference_gradient(
     g: &Gaussians,
     v: &PinholeView,
     o: &RenderOptions,
@@ -77,7 +77,7 @@ const PLANES: [&str; 11] =
 /// Relative to the value, with a floor of `floor` times the largest of its kind and of a few
 /// roundings of f32: a gradient that vanishes (the rotation of a sphere) is a difference of terms
 /// of the others' size.
-pub fn compare_gradient(
+pub(crate) fn compare_gradient(
     found: &ModelGradient,
     truth: &(Vec<Vec<f64>>, Vec<f64>),
     relative: f64,
@@ -112,7 +112,7 @@ pub fn compare_gradient(
 }
 
 /// Random dL/d(colour), zero where a cut-off is at stake.
-pub fn weights(seed: u64, skip: &[bool]) -> Vec<f32> {
+pub(crate) fn weights(seed: u64, skip: &[bool]) -> Vec<f32> {
     let mut rng = scene::rng::rng(seed, "parity weights", 0);
     skip.iter()
         .flat_map(|&s| [(); 3].map(|()| if s { 0.0 } else { rng.random_range(-1.0f32..1.0) }))
