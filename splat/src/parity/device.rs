@@ -255,3 +255,18 @@ fn compiled_pipelines_are_kept_where_the_adapter_has_a_cache() {
         None => println!("{} has no cache", again[0].adapter()),
     }
 }
+
+#[test]
+fn models_of_wrong_lengths_are_refused() {
+    let mut gpu = opened(Opening::default());
+    let whole = Model::from_gaussians(&ordinary(70, 40, 1));
+    let broken: [fn(&mut Model); 4] =
+        [|m| m.len = 4000, |m| m.sh_degree = 7, |m| m.sh.truncate(9), |m| m.geometry[MEAN].truncate(3)];
+    for change in broken {
+        let mut model = whole.clone();
+        change(&mut model);
+        assert!(gpu.upload(model, Statistics::default()).is_err());
+    }
+    gpu.upload(whole, Statistics::default()).unwrap();
+    assert_eq!(gpu.gaussians(), 40);
+}
