@@ -1,10 +1,10 @@
-//! What `make bench-gpu` measures, as JSON on standard output:
-//! `bench_gpu [--backend gpu] [--gpu NAME] [--synthetic N:WxH ...] [--dataset DIR ...] [--roof] [--export FOLDER]`.
+//! What `make bench-gpu` measures, as JSON on standard output: `bench_gpu [--backend gpu] [--gpu
+//! NAME] [--synthetic N:WxH ...] [--dataset DIR ...] [--roof] [--export FOLDER]`.
 //!
-//! Synthetic scenes: time of a picture and of a training step, by kernel, with the bytes that each kernel has to move and
-//! the operations it has to do. Data sets (`images/` with `sparse/0`, or a `transforms.json`): training, held-out PSNR over
-//! time, pictures a second. `--roof`: what the adapter moves and computes at best. `--export`: a data set for another
-//! trainer.
+//! Synthetic scenes: time of a picture and of a training step, by kernel, with the bytes that each
+//! kernel has to move and the operations it has to do. Data sets (`images/` with `sparse/0`, or a
+//! `transforms.json`): training, held-out PSNR over time, pictures a second. `--roof`: what the
+//! adapter moves and computes at best. `--export`: a data set for another trainer.
 
 #[path = "bench_gpu/export.rs"]
 mod export;
@@ -90,7 +90,8 @@ fn name_of(folder: &Path) -> String {
     folder.file_name().map_or_else(|| "data".to_owned(), |n| n.to_string_lossy().into_owned())
 }
 
-/// Gaussians in a ball, sized so that each covers about as much of the picture as in trained scenes.
+/// Gaussians in a ball, sized so that each covers about as much of the picture as in trained
+/// scenes.
 fn ball(n: usize) -> Gaussians {
     let mut rng = scene::rng::rng(1, "bench", 0);
     let mut unit = || rng.random_range(-1.0f32..1.0);
@@ -144,7 +145,8 @@ fn bytes(visible: f64, pairs: f64, n: f64, pixels: f64) -> Value {
     let parameters = 4.0 * (11.0 + 48.0);
     json!({
         "project": n * (44.0 + 12.0) + visible * (4.0 * 48.0 + 48.0),
-        // Eight passes by depth, four by tile: keys and values are read and written; then boxes, pairs, owners.
+        // Eight passes by depth, four by tile: keys and values are read and written; then boxes,
+        // pairs, owners.
         "sort": visible * (8.0 * 20.0 + 3.0 * 40.0) + pairs * (4.0 * 20.0 + 28.0),
         "forward": pairs * (8.0 + 48.0) + pixels * 20.0,
         "loss": pixels * (16.0 + 4.0 + 36.0) + pixels * (16.0 + 4.0 + 36.0 + 16.0),
@@ -153,8 +155,9 @@ fn bytes(visible: f64, pairs: f64, n: f64, pixels: f64) -> Value {
     })
 }
 
-/// Operations (an addition or a multiplication is one) of each kernel where a pair reaches all of its tile's 256 pixels,
-/// which is more than what early ends leave: pixels finish, and only the pairs looked at count.
+/// Operations (an addition or a multiplication is one) of each kernel where a pair reaches all of
+/// its tile's 256 pixels, which is more than what early ends leave: pixels finish, and only the
+/// pairs looked at count.
 fn operations(visible: f64, pairs: f64) -> Value {
     json!({
         "project": visible * 500.0,
@@ -164,7 +167,8 @@ fn operations(visible: f64, pairs: f64) -> Value {
     })
 }
 
-/// Wall milliseconds of a call in a row of calls that ends when all are done, and milliseconds by kernel.
+/// Wall milliseconds of a call in a row of calls that ends when all are done, and milliseconds by
+/// kernel.
 fn repeat(
     count: usize,
     backend: &mut dyn Backend,

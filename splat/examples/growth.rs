@@ -1,8 +1,9 @@
-//! How a training step grows: `cargo run --release -p splat --example growth [-- --steps 6 --most 3000000]`.
-//! CPU ms a step and memory against Gaussians (640 × 480), pixels (100,000 Gaussians) and views (320 × 240), and the
-//! exponent p of `cost ∝ size^p` fitted to the upper half of each column (1: proportional; 0: does not grow).
-//! The scene is a ball of spheres' shells whose Gaussians cover the same area whatever their number. CPU ms are of all
-//! threads (Linux); memory is what the process holds beyond what it held before the row, at its peak.
+//! How a training step grows: `cargo run --release -p splat --example growth [-- --steps 6 --most
+//! 3000000]`. CPU ms a step and memory against Gaussians (640 × 480), pixels (100,000 Gaussians)
+//! and views (320 × 240), and the exponent p of `cost ∝ size^p` fitted to the upper half of each
+//! column (1: proportional; 0: does not grow). The scene is a ball of spheres' shells whose
+//! Gaussians cover the same area whatever their number. CPU ms are of all threads (Linux); memory
+//! is what the process holds beyond what it held before the row, at its peak.
 
 use clap::Parser;
 use glam::{DVec3, Quat, Vec3};

@@ -1,8 +1,9 @@
-//! What a training step and a rendered frame cost, by stage:
-//! `cargo run --release -p splat --example step_cost -- DATASET_DIR [--gaussians N] [--width W --height H]`.
-//! Trains briefly so that the Gaussians lie as in training, then repeats full-resolution steps that move nothing.
-//! CPU ms are of all threads of the process (Linux). Beside each stage stands the share of what the machine could do: the
-//! stage's own arithmetic (or its bytes) at the rate of a loop that does nothing else (`splat::profile::CoreLimits`).
+//! What a training step and a rendered frame cost, by stage: `cargo run --release -p splat
+//! --example step_cost -- DATASET_DIR [--gaussians N] [--width W --height H]`. Trains briefly so
+//! that the Gaussians lie as in training, then repeats full-resolution steps that move nothing. CPU
+//! ms are of all threads of the process (Linux). Beside each stage stands the share of what the
+//! machine could do: the stage's own arithmetic (or its bytes) at the rate of a loop that does
+//! nothing else (`splat::profile::CoreLimits`).
 
 use clap::Parser;
 use scene::{Camera, CameraModel, Progress};
@@ -75,23 +76,27 @@ fn main() -> Result<()> {
     Ok(())
 }
 
-/// Vector operations (loads and stores apart) that forward and backward spend on a Gaussian and a pixel, counted in
-/// `cpu/rasterise.rs`: exponent and tests (8), 2^x (10), alpha and transmittance (8), colour (3), the new state (3); backward: the
-/// same without colour, and the sums (4), what is behind (4), α dL/dα (7), its moments (4).
+/// Vector operations (loads and stores apart) that forward and backward spend on a Gaussian and a
+/// pixel, counted in `cpu/rasterise.rs`: exponent and tests (8), 2^x (10), alpha and transmittance
+/// (8), colour (3), the new state (3); backward: the same without colour, and the sums (4), what is
+/// behind (4), α dL/dα (7), its moments (4).
 const FORWARD_OPERATIONS: f64 = 32.0;
 const BACKWARD_OPERATIONS: f64 = 48.0;
-/// Vector operations that the loss spends on a pixel, counted in `cpu/loss.rs` for four lines at once: of each channel the moments down (66) and
-/// across (44), the similarity (25), its derivatives down (42) and across (33), the gradient (12).
+/// Vector operations that the loss spends on a pixel, counted in `cpu/loss.rs` for four lines at
+/// once: of each channel the moments down (66) and across (44), the similarity (25), its
+/// derivatives down (42) and across (33), the gradient (12).
 const LOSS_OPERATIONS: f64 = 3.0 * 222.0;
-/// Bytes of a pixel that the loss reads and writes beyond the second-level cache: three planes each of picture and target twice, three planes
-/// of the gradient.
+/// Bytes of a pixel that the loss reads and writes beyond the second-level cache: three planes each
+/// of picture and target twice, three planes of the gradient.
 const LOSS_BYTES: f64 = 4.0 * (2.0 * 6.0 + 3.0);
-/// Bytes of a Gaussian and pass of the radix sort (key, place read, place written) for three passes, and of a pair (tile, place, twice its list).
+/// Bytes of a Gaussian and pass of the radix sort (key, place read, place written) for three
+/// passes, and of a pair (tile, place, twice its list).
 const SORT_BYTES: f64 = 3.0 * 12.0;
 const BIN_BYTES: f64 = 16.0;
 /// Bytes of a Gaussian that project reads (geometry, colour) and writes (a record and a key).
 const PROJECT_BYTES: f64 = 4.0 * (11.0 + 48.0) + 68.0;
-/// Bytes of a visible Gaussian that optimise reads and writes: parameters, two moments, clock, statistics.
+/// Bytes of a visible Gaussian that optimise reads and writes: parameters, two moments, clock,
+/// statistics.
 const OPTIMISE_BYTES: f64 = 2.0 * 4.0 * (3.0 * (11.0 + 48.0) + 3.0);
 /// Bytes of a pair that backward writes and optimise reads.
 const SUM_BYTES: f64 = 40.0;

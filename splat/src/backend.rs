@@ -15,7 +15,8 @@ pub struct Target<'a> {
     pub mask: Option<&'a [u8]>,
     /// Whether the mask is coverage (the background shows through) or a weight (0 = ignored).
     pub transparent: bool,
-    /// Number of the photo: the same number and size always have the same pixels, so that a device may keep them.
+    /// Number of the photo: the same number and size always have the same pixels, so that a device
+    /// may keep them.
     pub photo: Option<u32>,
 }
 
@@ -60,7 +61,8 @@ pub struct Round<'a> {
     pub seed: u64,
     /// Of training.
     pub iteration: u32,
-    /// Views of which some must have a Gaussian in their picture, where those that hardly any has are removed.
+    /// Views of which some must have a Gaussian in their picture, where those that hardly any has
+    /// are removed.
     pub remove_unseen: Option<&'a [PinholeView]>,
 }
 
@@ -104,7 +106,8 @@ pub trait Backend {
     fn upload(&mut self, model: Model, statistics: Statistics) -> Result<(), SplatError>;
     /// The present parameters, moments and statistics.
     fn download(&mut self) -> Result<(Model, Statistics), SplatError>;
-    /// The same, and nothing may stay behind until something is uploaded: no copy where they lie in the host's memory.
+    /// The same, and nothing may stay behind until something is uploaded: no copy where they lie in
+    /// the host's memory.
     fn release(&mut self) -> Result<(Model, Statistics), SplatError> {
         self.download()
     }
@@ -116,7 +119,8 @@ pub trait Backend {
     }
     /// Changes between steps: densification, pruning, another spherical-harmonic degree.
     fn edit(&mut self, change: &mut dyn FnMut(&mut Model, &mut Statistics)) -> Result<(), SplatError>;
-    /// A round of densification; statistics begin anew. How many were removed because hardly any view has them.
+    /// A round of densification; statistics begin anew. How many were removed because hardly any
+    /// view has them.
     fn densify(&mut self, round: &Round) -> Result<usize, SplatError>;
     /// Another spherical-harmonic degree: new coefficients are zero.
     fn set_sh_degree(&mut self, degree: u32) -> Result<(), SplatError> {
@@ -126,7 +130,8 @@ pub trait Backend {
     fn gaussians(&self) -> usize;
     /// Spherical-harmonic degree held.
     fn sh_degree(&self) -> u32;
-    /// The most Gaussians of a degree that can be trained on views of so many pixels, and what limits them.
+    /// The most Gaussians of a degree that can be trained on views of so many pixels, and what
+    /// limits them.
     fn capacity(&self, sh_degree: u32, pixels: usize) -> Option<(usize, String)>;
     /// Renders the Gaussians.
     fn render(&mut self, view: &PinholeView, options: &RenderOptions) -> Result<RenderOutput, SplatError>;
@@ -140,7 +145,8 @@ pub trait Backend {
     }
     /// Forward, loss, backward and Adam.
     fn step(&mut self, input: &StepInput) -> Result<StepOutput, SplatError>;
-    /// Takes a step or begins it: what those steps saw that have ended since this was last asked, oldest first.
+    /// Takes a step or begins it: what those steps saw that have ended since this was last asked,
+    /// oldest first.
     fn advance(&mut self, input: &StepInput) -> Result<Vec<StepOutput>, SplatError> {
         self.step(input).map(|output| vec![output])
     }
@@ -152,16 +158,19 @@ pub trait Backend {
     fn remarks(&mut self) -> Vec<Decision> {
         Vec::new()
     }
-    /// Mean squared error of a picture against a target, over its pixels that count; statistics stay as they are.
+    /// Mean squared error of a picture against a target, over its pixels that count; statistics
+    /// stay as they are.
     fn mean_square_error(
         &mut self,
         view: &PinholeView,
         target: &Target,
         options: &RenderOptions,
     ) -> Result<f64, SplatError>;
-    /// The gain of the view to come: its photo shows the scene times this, so that targets are divided by it.
+    /// The gain of the view to come: its photo shows the scene times this, so that targets are
+    /// divided by it.
     fn set_gain(&mut self, gain: Option<[f32; 3]>);
-    /// Sums over the pixels that count, by channel: Σ r t, Σ r², Σ t² of the rendering r and the photo t (no gain).
+    /// Sums over the pixels that count, by channel: Σ r t, Σ r², Σ t² of the rendering r and the
+    /// photo t (no gain).
     fn products(
         &mut self,
         view: &PinholeView,
@@ -185,8 +194,8 @@ pub trait Backend {
     fn times(&self) -> KernelTimes;
 }
 
-/// Refuses a model whose arrays are not as long as its invariant says, and statistics of another number of Gaussians
-/// (none at all will do: nothing was seen yet).
+/// Refuses a model whose arrays are not as long as its invariant says, and statistics of another
+/// number of Gaussians (none at all will do: nothing was seen yet).
 pub(crate) fn check(model: &Model, statistics: &Statistics) -> Result<(), SplatError> {
     let (n, values) = (padded(model.len), model.len * model.sh_stride());
     let planes = [&model.geometry, &model.geometry_m, &model.geometry_v].into_iter().flatten();

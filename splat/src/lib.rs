@@ -8,6 +8,8 @@
 //! [`train()`] makes Gaussians of a [`Dataset`], [`Renderer`] pictures of Gaussians, [`fusion`] a
 //! mesh.
 
+#![warn(clippy::undocumented_unsafe_blocks, unreachable_pub)]
+
 mod adapter;
 pub mod backend;
 mod camera;

@@ -3,7 +3,8 @@
 //! ```
 //! use splat::profile::ProfiledProcessor;
 //!
-//! let processor = ProfiledProcessor::new(splat::model::Model::default(), splat::clock::cpu_seconds)?;
+//! let processor = ProfiledProcessor::new(splat::model::Model::default(),
+//! splat::clock::cpu_seconds)?;
 //! assert_eq!(processor.times().forward, 0.0);
 //! # Ok::<(), splat::SplatError>(())
 //! ```
@@ -37,7 +38,8 @@ impl CoreLimits {
     }
 }
 
-/// Measures what a graphics adapter does at best: the first one whose name contains `name`, or the first at all.
+/// Measures what a graphics adapter does at best: the first one whose name contains `name`, or the
+/// first at all.
 #[cfg(feature = "gpu")]
 pub fn measure_adapter(name: Option<&str>) -> Result<AdapterLimits, SplatError> {
     let opening = crate::gpu::Opening { name: name.map(str::to_owned), ..Default::default() };

@@ -1,4 +1,5 @@
-//! A data set as another trainer reads it with a few lines: `dataset.json` and raw arrays beside it.
+//! A data set as another trainer reads it with a few lines: `dataset.json` and raw arrays beside
+//! it.
 
 use super::Result;
 use serde_json::json;
@@ -10,9 +11,10 @@ fn write<T: bytemuck::Pod>(folder: &Path, name: &str, values: &[T]) -> Result<()
     Ok(std::fs::write(folder.join(name), bytemuck::cast_slice::<T, u8>(values))?)
 }
 
-/// `dataset.json`: for each view its size, focal lengths, principal point, `cam_from_world` (R by rows, t; normalised frame),
-/// whether it is held out, and its place in `rgba.bin` (8 bits; alpha is 255 where there is no mask). `means.bin` [N][3],
-/// `scales.bin` [N][3], `colours.bin` [N][3]: the Gaussians that our training begins with.
+/// `dataset.json`: for each view its size, focal lengths, principal point, `cam_from_world` (R by
+/// rows, t; normalised frame), whether it is held out, and its place in `rgba.bin` (8 bits; alpha
+/// is 255 where there is no mask). `means.bin` [N][3], `scales.bin` [N][3], `colours.bin` [N][3]:
+/// the Gaussians that our training begins with.
 pub fn export(dataset: &Dataset, config: &TrainConfig, folder: &Path) -> Result<()> {
     std::fs::create_dir_all(folder)?;
     let mut rgba: Vec<u8> = Vec::new();

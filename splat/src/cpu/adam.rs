@@ -1,8 +1,10 @@
 //! project backward and Adam, fused: screen gradients → parameters.
-//! in: sums of [`super::rasterise::Backward`] by pair. out: parameters and moments moved one step, or plain gradients.
+//! in: sums of [`super::rasterise::Backward`] by pair. out: parameters and moments moved one step,
+//! or plain gradients.
 //!
-//! Adam (Kingma and Ba 2015) runs on each Gaussian's own clock: a step counts only where the Gaussian was visible, so
-//! that the others keep parameters and moments as they are instead of drifting on stale momentum.
+//! Adam (Kingma and Ba 2015) runs on each Gaussian's own clock: a step counts only where the
+//! Gaussian was visible, so that the others keep parameters and moments as they are instead of
+//! drifting on stale momentum.
 
 use super::dispatch::simd_kernel;
 use super::model_part::{AdamPart, GradientSink, ModelPart};
@@ -20,13 +22,16 @@ use glam::Vec3;
 
 /// ln β₁, ln β₂. Source: derived.
 const LN_BETAS: [f32; 2] = [-0.105_360_516, -0.001_000_500_3];
-/// Moments below these are set to zero, so that no denormal numbers slow the loop: first and second moments.
-/// Source: chosen by hand, never measured; the steps that they are part of are below 1e-3 of the rate.
+/// Moments below these are set to zero, so that no denormal numbers slow the loop: first and second
+/// moments. Source: chosen by hand, never measured; the steps that they are part of are below 1e-3
+/// of the rate.
 const TINY: [f32; 2] = [1e-18, 1e-30];
-/// Gradients from here on count as not finite. Source: their squares must stay below the greatest f32, 3.4e38.
+/// Gradients from here on count as not finite. Source: their squares must stay below the greatest
+/// f32, 3.4e38.
 const HUGE: f32 = 1e18;
 
-/// Bytes that are fetched at a time. Source: the cache lines of every processor with these instruction sets.
+/// Bytes that are fetched at a time. Source: the cache lines of every processor with these
+/// instruction sets.
 const CACHE_LINE: usize = 64;
 
 /// Arguments of [`adam`].
@@ -45,8 +50,8 @@ pub(super) struct Adam<'a> {
     pub(super) non_finite: usize,
 }
 
-/// Fetches what a block will read from places that no pattern foretells: its pairs' sums, and the colours of Gaussians that
-/// are seen among others that are not.
+/// Fetches what a block will read from places that no pattern foretells: its pairs' sums, and the
+/// colours of Gaussians that are seen among others that are not.
 #[inline(always)]
 fn fetch_ahead<S: Simd>(a: &Adam, block: usize) {
     let used = (a.camera.sh_degree as usize + 1).pow(2) * 3 * size_of::<f32>();
@@ -228,8 +233,8 @@ fn note_statistics<S: Simd>(
     S::read(visible).add(S::splat(1.0).keep(on)).write(visible);
 }
 
-/// Spherical harmonics of Gaussian `i` of the part: their step, and the colour's part of dL/dmean (infinite, and no step, where it
-/// is not finite).
+/// Spherical harmonics of Gaussian `i` of the part: their step, and the colour's part of dL/dmean
+/// (infinite, and no step, where it is not finite).
 #[inline(always)]
 fn colour_step(
     part: &mut ModelPart,

@@ -1,5 +1,6 @@
-//! Which pixels of a tile Gaussians cover, worked out before any of them is drawn and for several at once: how many rows
-//! a Gaussian has cannot be foreseen, and a processor that guesses it wrongly should find all it needs for the next one.
+//! Which pixels of a tile Gaussians cover, worked out before any of them is drawn and for several
+//! at once: how many rows a Gaussian has cannot be foreseen, and a processor that guesses it
+//! wrongly should find all it needs for the next one.
 
 use super::project::Record;
 use super::simd::{Simd, array};
@@ -15,7 +16,8 @@ const COLUMNS: usize = TILE / 4;
 #[derive(Clone, Copy)]
 struct Lanes([f32; BATCH]);
 
-/// Bounds of a batch. Invariant: every number is at least 0 and at most [`TILE`]; only `fill` writes them.
+/// Bounds of a batch. Invariant: every number is at least 0 and at most [`TILE`]; only `fill`
+/// writes them.
 pub(super) struct Bounds {
     /// Columns of pixels, half-open, as numbers to be truncated.
     left: Lanes,
@@ -47,8 +49,9 @@ impl Bounds {
             let [x, y, extent, tilt, chord, bend, slope] = array!(f in 7 => S::read(&shapes[f].0[at..]));
             first_pixel(x.sub(extent)).write(&mut self.left.0[at..]);
             last_pixel(x.add(extent)).write(&mut self.right.0[at..]);
-            // Rows that the ellipse covers within a column of vectors: between the lowest and the highest point of the part
-            // of the ellipse above the column. Offsets are pixel − centre; the whole ellipse's lie at ± tilt.
+            // Rows that the ellipse covers within a column of vectors: between the lowest and the
+            // highest point of the part of the ellipse above the column. Offsets are pixel −
+            // centre; the whole ellipse's lie at ± tilt.
             let zero = S::splat(0.0);
             for column in 0..TILE / S::LANES {
                 let left = S::splat((column * S::LANES) as f32 + 0.5).sub(x);
@@ -84,7 +87,8 @@ fn half_chord<S: Simd>(chord: S, bend: S, dx: S) -> S {
     bend.mul(dx).fnma(dx, chord).max(S::splat(0.0)).sqrt()
 }
 
-/// The first pixel whose centre lies at `edge` (relative to the tile's first pixel corner) or behind it, to be truncated.
+/// The first pixel whose centre lies at `edge` (relative to the tile's first pixel corner) or
+/// behind it, to be truncated.
 #[inline(always)]
 fn first_pixel<S: Simd>(edge: S) -> S {
     // 0.51 and 0.49 instead of 0.5 keep pixels on the rim. NaN becomes 0.

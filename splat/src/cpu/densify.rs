@@ -1,4 +1,5 @@
-//! densify: Gaussians are split where the picture pulls at them, and removed where they do nothing. Twin of `densify.wgsl`.
+//! densify: Gaussians are split where the picture pulls at them, and removed where they do nothing.
+//! Twin of `densify.wgsl`.
 
 use crate::backend::{Backend, Round};
 use crate::error::SplatError;
@@ -11,16 +12,18 @@ use rand::Rng as _;
 use rayon::prelude::*;
 use std::f32::consts::LN_2;
 
-/// Opacity below which a Gaussian is removed. Source: chosen by hand, never measured (Kerbl et al. 2023, section 5.2, have
-/// the rule).
+/// Opacity below which a Gaussian is removed. Source: chosen by hand, never measured (Kerbl et al.
+/// 2023, section 5.2, have the rule).
 pub(crate) const MIN_OPACITY: f32 = 0.005;
-/// Gaussians that fewer views than this have in their picture are removed where the background shows through.
-/// Source: chosen by hand; that they go is worth 1.0 to 1.5 dB (docs/benchmarks.md, ablations).
+/// Gaussians that fewer views than this have in their picture are removed where the background
+/// shows through. Source: chosen by hand; that they go is worth 1.0 to 1.5 dB (docs/benchmarks.md,
+/// ablations).
 const LEAST_VIEWS: usize = 5;
 /// How far the halves lie from the old centre, in standard deviations of the longest axis.
 /// Source: chosen by hand, never measured.
 const OFFSETS: std::ops::Range<f32> = 0.4..0.6;
-/// What halves lose of the logarithms of their shorter axes. Source: chosen by hand, never measured.
+/// What halves lose of the logarithms of their shorter axes. Source: chosen by hand, never
+/// measured.
 const SHRINK: f32 = 0.16;
 
 /// A round of densification by the host; how many were removed because hardly any view has them.
@@ -89,11 +92,11 @@ fn orientation(model: &Model, i: usize) -> Quat {
 /// Removes Gaussians that are transparent or not finite.
 fn prune_transparent(model: &mut Model) {
     let floor = (MIN_OPACITY / (1.0 - MIN_OPACITY)).ln();
-    let stays = |&i: &u32| {
+    let kept = (0..model.len as u32).filter(|&i| {
         let opaque = model.geometry[OPACITY][i as usize] > floor;
         opaque && model.geometry.iter().all(|plane| plane[i as usize].is_finite())
-    };
-    let kept: Vec<u32> = (0..model.len as u32).filter(stays).collect();
+    });
+    let kept: Vec<u32> = kept.collect();
     model.keep(&kept);
 }
 
@@ -102,15 +105,16 @@ pub(crate) fn least_views(views: usize) -> usize {
     LEAST_VIEWS.min(views / 8)
 }
 
-/// Removes Gaussians whose centre hardly any view has in its picture; returns how many. No other view contradicts them,
-/// so that they settle just before a camera, explain its picture, and hang in the air in pictures from elsewhere.
+/// Removes Gaussians whose centre hardly any view has in its picture; returns how many. No other
+/// view contradicts them, so that they settle just before a camera, explain its picture, and hang
+/// in the air in pictures from elsewhere.
 fn prune_unseen(model: &mut Model, views: &[PinholeView]) -> usize {
     let least = least_views(views.len());
-    let is_seen = |&i: &u32| {
+    let kept = (0..model.len as u32).into_par_iter().filter(|&i| {
         let x = model.mean(i as usize);
         views.iter().filter(|v| v.sees(v.camera_point(x))).take(least).count() >= least
-    };
-    let kept: Vec<u32> = (0..model.len as u32).into_par_iter().filter(is_seen).collect();
+    });
+    let kept: Vec<u32> = kept.collect();
     model.keep(&kept)
 }
 

@@ -50,8 +50,8 @@ impl Isa {
     }
 }
 
-/// `simd_kernel!(pub fn name(arguments: &mut Type) = generic::<_>)`: `name(isa, arguments)` runs `generic::<S>(arguments)` compiled
-/// for the instruction set.
+/// `simd_kernel!(pub fn name(arguments: &mut Type) = generic::<_>)`: `name(isa, arguments)` runs
+/// `generic::<S>(arguments)` compiled for the instruction set.
 macro_rules! simd_kernel {
     ($(#[$meta:meta])* $visibility:vis fn $name:ident($argument:ident: $type:ty) = $generic:ident) => {
         $(#[$meta])*
@@ -72,7 +72,8 @@ macro_rules! simd_kernel {
                 // SAFETY: an `Isa` of this kind exists only where AVX2 and FMA were detected.
                 $crate::cpu::dispatch::InstructionSet::Avx2 => unsafe { avx2($argument) },
                 #[cfg(target_arch = "x86_64")]
-                // SAFETY: an `Isa` of this kind exists only where AVX-512 F, AVX2 and FMA were detected.
+                // SAFETY: an `Isa` of this kind exists only where AVX-512 F, AVX2 and FMA were
+                // detected.
                 $crate::cpu::dispatch::InstructionSet::Avx512 => unsafe { avx512($argument) },
                 #[cfg(target_arch = "aarch64")]
                 $crate::cpu::dispatch::InstructionSet::Neon => $generic::<$crate::cpu::simd_neon::Neon>($argument),

@@ -1,17 +1,19 @@
-//! What the machine can do at most, to hold the kernels against: multiply-adds and bytes a second of one core.
+//! What the machine can do at most, to hold the kernels against: multiply-adds and bytes a second
+//! of one core.
 
 use super::dispatch::{Isa, simd_kernel};
 use super::simd::Simd;
 use std::time::Instant;
 
-/// Chains of multiply-adds that run beside each other: more than latency times ports of any core we know.
-/// Source: chosen by hand.
+/// Chains of multiply-adds that run beside each other: more than latency times ports of any core we
+/// know. Source: chosen by hand.
 const CHAINS: usize = 16;
 
 /// Arguments of [`chains`].
 struct Chains {
     rounds: usize,
-    /// First value of each chain and the factor: arguments, for a chain that the compiler can foresee is not computed.
+    /// First value of each chain and the factor: arguments, for a chain that the compiler can
+    /// foresee is not computed.
     starts: [f32; CHAINS],
     factor: f32,
     lanes: usize,
@@ -49,7 +51,8 @@ pub(crate) fn multiply_adds() -> f64 {
     best
 }
 
-/// Bytes that a core reads and writes in a second where nothing fits into the caches: a copy, the best of some tries.
+/// Bytes that a core reads and writes in a second where nothing fits into the caches: a copy, the
+/// best of some tries.
 pub(crate) fn bytes() -> f64 {
     let (from, mut to) = (vec![1.0f32; 32 << 20], vec![0.0f32; 32 << 20]);
     let mut best = 0.0f64;

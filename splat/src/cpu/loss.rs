@@ -1,9 +1,11 @@
 //! loss: `(1 − λ) mean|C − G| + λ (1 − SSIM)` and its gradient dL/dC.
-//! in: colour and target as \[3\] planes (rows padded to whole tiles), optional weights. out: gradient planes, loss, squared error.
+//! in: colour and target as \[3\] planes (rows padded to whole tiles), optional weights. out:
+//! gradient planes, loss, squared error.
 //!
-//! SSIM: Wang et al. 2004, 11 × 11 Gaussian window with σ = 1.5, zero padding, per channel. The window is separable;
-//! gradients go back through the same (symmetric) window. Lines are filtered down first, which reads the planes where they
-//! lie and several lines at once, then across; a band's derivatives of SSIM stay in the second-level cache.
+//! SSIM: Wang et al. 2004, 11 × 11 Gaussian window with σ = 1.5, zero padding, per channel. The
+//! window is separable; gradients go back through the same (symmetric) window. Lines are filtered
+//! down first, which reads the planes where they lie and several lines at once, then across; a
+//! band's derivatives of SSIM stay in the second-level cache.
 
 use super::dispatch::{Isa, simd_kernel};
 use super::simd::Simd;
@@ -16,10 +18,11 @@ use std::cell::RefCell;
 const TAPS: usize = 2 * WINDOW_RADIUS + 1;
 /// Zeros on both sides of a line. Source: the most lanes, and more than the reach of the window.
 const BORDER: usize = 16;
-/// Rows a task works on. The derivatives of the ten rows around them are worked out by their neighbours too.
-/// Source: chosen by hand, never measured.
+/// Rows a task works on. The derivatives of the ten rows around them are worked out by their
+/// neighbours too. Source: chosen by hand, never measured.
 const BAND: usize = 64;
-/// Most rows that are filtered at once. Source: four sums each fill the 32 registers of AVX-512 and NEON.
+/// Most rows that are filtered at once. Source: four sums each fill the 32 registers of AVX-512 and
+/// NEON.
 const ROWS: usize = 4;
 
 /// The window's weights, exp(−x² / (2 · 1.5²)) normalised, between `ROWS − 1` zeros.
@@ -57,7 +60,8 @@ pub(crate) struct LossInput<'a> {
     pub(crate) rgb: &'a [Vec<f32>; 3],
     /// What it should be.
     pub(crate) target: &'a [Vec<f32>; 3],
-    /// Weight of each pixel; all 1 if missing. Pixels of weight 0 must have equal colour and target.
+    /// Weight of each pixel; all 1 if missing. Pixels of weight 0 must have equal colour and
+    /// target.
     pub(crate) weight: Option<&'a [f32]>,
     /// λ.
     pub(crate) lambda: f32,
@@ -67,8 +71,8 @@ thread_local! {
     static LINES: RefCell<Vec<f32>> = const { RefCell::new(Vec::new()) };
 }
 
-/// The loss; fills `gradient` (planes like `rgb`, zero outside the image). `parts` is scratch space, kept by the caller.
-/// Every plane must have the size that the shape says.
+/// The loss; fills `gradient` (planes like `rgb`, zero outside the image). `parts` is scratch
+/// space, kept by the caller. Every plane must have the size that the shape says.
 pub(crate) fn loss(
     isa: Isa,
     input: &LossInput,
@@ -191,14 +195,15 @@ fn across<S: Simd>(line: &[f32], x: usize, w: &[S; WINDOW_RADIUS + 1]) -> S {
     sum
 }
 
-/// The window's weights of row `r` for the output rows from `y` on, last one first; 0 where it is out of reach.
+/// The window's weights of row `r` for the output rows from `y` on, last one first; 0 where it is
+/// out of reach.
 #[inline(always)]
 fn taps<'a, const R: usize>(a: &Band<'a>, r: usize, y: usize) -> &'a [f32] {
     &a.window[ROWS + r + WINDOW_RADIUS - y - R..][..R]
 }
 
-/// Lines `y` to `y + R` of colour, target, the sum of their squares and their product, filtered down: four bordered lines
-/// each.
+/// Lines `y` to `y + R` of colour, target, the sum of their squares and their product, filtered
+/// down: four bordered lines each.
 #[inline(always)]
 fn moments_down<S: Simd, const R: usize>(a: &Band, y: usize, out: &mut [f32]) {
     let shape = a.input.shape;
@@ -339,7 +344,8 @@ fn gradient_line<S: Simd>(a: &mut Band, y: usize, derivatives: &[f32], w: &[S; W
         l1 = difference.abs().fma(weight, l1);
         l2 = difference.mul(difference).fma(weight, l2);
         let sign = S::select(difference.lt(zero), zero.sub(one), one.keep(zero.lt(difference)));
-        // The maps carry the weights of the windows' centres; the pixel's own only says whether it counts.
+        // The maps carry the weights of the windows' centres; the pixel's own only says whether it
+        // counts.
         let g = sign.mul(l1_scale).mul(weight).add(ssim.mul(ssim_scale).keep(zero.lt(weight)));
         g.write(&mut out[i..]);
     }

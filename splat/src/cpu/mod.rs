@@ -1,5 +1,6 @@
-//! The production backend: f32, 16 × 16 tiles over rayon, SIMD across pixels (rasterisation, loss) and across
-//! Gaussians (projection, optimiser). Results do not depend on the number of threads: every sum has a fixed order.
+//! The production backend: f32, 16 × 16 tiles over rayon, SIMD across pixels (rasterisation, loss)
+//! and across Gaussians (projection, optimiser). Results do not depend on the number of threads:
+//! every sum has a fixed order.
 
 mod adam;
 mod backend;

@@ -4,7 +4,8 @@ use crate::backend::LearningRates;
 use crate::model::{GEOMETRY, Model, padded};
 use crate::statistics::Statistics;
 
-/// Gaussians of a part at most, a multiple of every vector's lanes. Source: chosen by hand, never measured.
+/// Gaussians of a part at most, a multiple of every vector's lanes. Source: chosen by hand, never
+/// measured.
 const PART: usize = 512;
 
 /// The derivatives of a scalar with respect to the parameters, in the layout of [`Model`].
@@ -41,6 +42,7 @@ pub(super) struct ModelPart<'a> {
 }
 
 /// What becomes of the gradients.
+#[expect(clippy::large_enum_variant, reason = "it lives on the stack: a box would take memory in every step")]
 pub(super) enum GradientSink<'a> {
     /// They are written here, and nothing moves.
     Gradient { geometry: [&'a mut [f32]; GEOMETRY], sh: &'a mut [f32] },

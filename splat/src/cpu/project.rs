@@ -2,7 +2,8 @@
 //! in: means, log-scales, quaternions (w x y z), logits as planes \[11\]\[N\]; camera.
 //! out: `records` \[N\] of [`Record`], `keys` \[N\] depth bits or [`CULLED`].
 //!
-//! `Σ' = J W Σ Wᵀ Jᵀ + 0.3 I` (Zwicker et al., EWA splatting, 2002; the 0.3 px² low-pass: Kerbl et al. 2023).
+//! `Σ' = J W Σ Wᵀ Jᵀ + 0.3 I` (Zwicker et al., EWA splatting, 2002; the 0.3 px² low-pass: Kerbl et
+//! al. 2023).
 
 use super::dispatch::simd_kernel;
 use super::sh;
@@ -194,7 +195,8 @@ pub(super) fn project_lanes<S: Simd>(g: &[S; GEOMETRY], c: &CameraConstants) -> 
     let det_ratio = sharp.mul(inv_det);
     let opacity = if c.antialias { sigmoid.mul(det_ratio.sqrt()) } else { sigmoid };
     let visible = opacity.ge(S::splat(MIN_ALPHA as f32));
-    // A log-scale or a logit that is not a number passes the limits above and those of exp; it must not be drawn.
+    // A log-scale or a logit that is not a number passes the limits above and those of exp; it must
+    // not be drawn.
     let lowest = S::splat(f32::NEG_INFINITY);
     let shaped = S::and(g[LOG_SCALE + 1].ge(lowest), g[LOG_SCALE + 2].ge(lowest));
     let shaped = S::and(shaped, g[OPACITY].ge(lowest));

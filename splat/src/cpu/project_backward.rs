@@ -1,5 +1,5 @@
-//! project backward: dL/d(sums of a Gaussian's pairs) → dL/d(geometric parameters), of a vector of Gaussians.
-//! Twin of the backward half of `reference/project.rs`.
+//! project backward: dL/d(sums of a Gaussian's pairs) → dL/d(geometric parameters), of a vector of
+//! Gaussians. Twin of the backward half of `reference/project.rs`.
 
 use super::project::{Projection, camera_rows, dot3, twice};
 use super::rasterise::SUMS;

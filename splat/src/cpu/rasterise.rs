@@ -1,8 +1,10 @@
 //! rasterise: the Gaussians of a tile → its pixels, forward and backward.
-//! in: `records`, the tile's list (front to back). Pixels are planes whose rows are padded to whole tiles.
+//! in: `records`, the tile's list (front to back). Pixels are planes whose rows are padded to whole
+//! tiles.
 //!
-//! `C = Σ T_i α_i c_i + T background`, `T_i = Π_{j<i} (1 − α_j)` (Kerbl et al. 2023, eq. 3). SIMD across the pixels of
-//! a row; inside a tile only the columns and rows of the Gaussian's box are visited.
+//! `C = Σ T_i α_i c_i + T background`, `T_i = Π_{j<i} (1 − α_j)` (Kerbl et al. 2023, eq. 3). SIMD
+//! across the pixels of a row; inside a tile only the columns and rows of the Gaussian's box are
+//! visited.
 
 use super::bounds::{BATCH, Bounds};
 use super::dispatch::simd_kernel;
@@ -15,7 +17,8 @@ use crate::reference::constants::{MAX_ALPHA, MIN_TRANSMITTANCE};
 /// Σ v, Σ v dx, Σ v dy, Σ v dx², Σ v dx dy, Σ v dy², Σ T α dL/dC (3), Σ T α. Source: derived.
 pub(super) const SUMS: usize = 10;
 
-/// Exponents of a Gaussian along a column of vectors: `power = dy (dy half_yy + dx xy) + dx² half_xx`.
+/// Exponents of a Gaussian along a column of vectors: `power = dy (dy half_yy + dx xy) + dx²
+/// half_xx`.
 struct VectorColumn<S: Simd> {
     dx: S,
     square: S,
@@ -46,7 +49,8 @@ pub(super) struct Forward<'a> {
     pub(super) tile: Tile,
     /// Colour behind everything.
     pub(super) background: [f32; 3],
-    /// Out: \[3\] planes of the colour, composed over the background, the tile's 256 pixels row by row.
+    /// Out: \[3\] planes of the colour, composed over the background, the tile's 256 pixels row by
+    /// row.
     pub(super) rgb: &'a mut [TilePlane; 3],
     /// Out: transmittance.
     pub(super) transmittance: &'a mut TilePlane,

@@ -1,5 +1,5 @@
-//! Real spherical harmonics to degree 3 in the sign convention of the 3DGS files.
-//! Values of Y_lm as tabulated in Sloan, "Efficient Spherical Harmonic Evaluation", JCGT 2013, with the
+//! Real spherical harmonics to degree 3 in the sign convention of the 3DGS files. Values of Y_lm as
+//! tabulated in Sloan, "Efficient Spherical Harmonic Evaluation", JCGT 2013, with the
 //! Condon–Shortley sign.
 
 use glam::Vec3;

@@ -28,7 +28,8 @@ impl<'a, T> SharedSlice<'a, T> {
     #[allow(clippy::mut_from_ref)] // that is what it is for
     pub(super) unsafe fn part(&self, range: Range<usize>) -> &mut [T] {
         assert!(range.start <= range.end && range.end <= self.len, "{range:?} of {}", self.len);
-        // SAFETY: the range lies within the slice, which is lent for 'a, and the caller vouches that nobody else uses it.
+        // SAFETY: the range lies within the slice, which is lent for 'a, and the caller vouches
+        // that nobody else uses it.
         unsafe { std::slice::from_raw_parts_mut(self.start.add(range.start), range.len()) }
     }
 }

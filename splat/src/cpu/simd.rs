@@ -1,17 +1,18 @@
 //! Vectors of f32 with one source for every instruction set.
 //!
-//! A kernel is written once, generic over [`Simd`] and `#[inline(always)]`; `simd_kernel!` makes the wrappers that
-//! carry `#[target_feature]`, so that the intrinsics inline into code compiled for them, and picks one at run time.
+//! A kernel is written once, generic over [`Simd`] and `#[inline(always)]`; `simd_kernel!` makes
+//! the wrappers that carry `#[target_feature]`, so that the intrinsics inline into code compiled
+//! for them, and picks one at run time.
 
 /// A vector of `LANES` f32.
 ///
 /// # Safety
-/// Values may only be made where the instruction set of the type is present. That holds for code reached through
-/// `simd_kernel!`, because an [`Isa`] exists only if it was detected.
+/// Values may only be made where the instruction set of the type is present. That holds for code
+/// reached through `simd_kernel!`, because an [`Isa`] exists only if it was detected.
 pub(crate) unsafe trait Simd: Copy {
     /// Result of a comparison.
     type Mask: Copy;
-    /// Lanes, a divisor of 16.
+    /// Lanes, a divisor of 16. Source: the registers of the instruction set.
     const LANES: usize;
 
     /// All lanes `v`.
@@ -46,7 +47,8 @@ pub(crate) unsafe trait Simd: Copy {
     fn mul(self, o: Self) -> Self;
     /// `self / o`
     fn div(self, o: Self) -> Self;
-    /// `1 / self` of normal numbers; relative error below 3e-7. A division of 16 lanes takes as long as a dozen products.
+    /// `1 / self` of normal numbers; relative error below 3e-7. A division of 16 lanes takes as
+    /// long as a dozen products.
     #[inline(always)]
     fn reciprocal(self) -> Self {
         Self::splat(1.0).div(self)
@@ -92,7 +94,8 @@ pub(crate) unsafe trait Simd: Copy {
         Self::read(&[0., 1., 2., 3., 4., 5., 6., 7., 8., 9., 10., 11., 12., 13., 14., 15.])
     }
 
-    /// `2^self` for self in [−126, 127]; relative error below 2e-7. The minimax polynomial was fitted for this.
+    /// `2^self` for self in [−126, 127]; relative error below 2e-7. The minimax polynomial was
+    /// fitted for this.
     #[inline(always)]
     fn exp2(self) -> Self {
         let magic = self.add(Self::splat(MAGIC));
@@ -118,8 +121,8 @@ const MAGIC: f32 = 12_582_912.0;
 const EXP2: [f32; 6] =
     [1.000_000_1, 0.693_146_97, 0.240_221_2, 0.055_507_133, 0.009_675_542, 0.001_327_647_2];
 
-/// `array!(k in 3 => f(k))` is `[f(0), f(1), f(2)]` without a closure: closures are functions of their own, which the
-/// compiler may leave without the instruction set of the kernel around them.
+/// `array!(k in 3 => f(k))` is `[f(0), f(1), f(2)]` without a closure: closures are functions of
+/// their own, which the compiler may leave without the instruction set of the kernel around them.
 macro_rules! array {
     ($k:ident in 2 => $e:expr) => {
         [{ let $k: usize = 0; $e }, { let $k: usize = 1; $e }]

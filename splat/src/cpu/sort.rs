@@ -1,5 +1,6 @@
 //! sort and bin: Gaussians by depth, then by tile.
-//! in: `keys` \[N\] depth bits, `records` \[N\]. out: [`Bins`]: for each 16 × 16 tile the Gaussians that can reach it, front to back.
+//! in: `keys` \[N\] depth bits, `records` \[N\]. out: [`Bins`]: for each 16 × 16 tile the Gaussians
+//! that can reach it, front to back.
 //!
 //! One radix sort a view by depth (ties by index), then a stable counting sort by tile.
 
@@ -65,7 +66,8 @@ impl Bins {
         self.scatter();
     }
 
-    /// `order`: the Gaussians that are not culled by ascending key, ties by index (LSD radix sort, 11 bits a pass).
+    /// `order`: the Gaussians that are not culled by ascending key, ties by index (LSD radix sort,
+    /// 11 bits a pass).
     fn sort(&mut self, keys: &[u32]) {
         self.order.clear();
         self.order.extend((0..keys.len() as u32).filter(|&i| keys[i as usize] != CULLED));
@@ -87,7 +89,8 @@ impl Bins {
         }
     }
 
-    /// Pairs of the sorted Gaussians with the tiles they touch, and the number of pairs of each tile.
+    /// Pairs of the sorted Gaussians with the tiles they touch, and the number of pairs of each
+    /// tile.
     fn pair(&mut self, records: &[Record], n: usize) {
         let tiles = self.tiles_x * self.tiles_y;
         self.offsets.clear();
@@ -151,8 +154,8 @@ fn tile_of(pixel: f32) -> usize {
     (pixel * (1.0 / TILE as f32)) as u32 as usize
 }
 
-/// Half-open range of tiles in row `ty` that the ellipse `alpha ≥ 1/255` overlaps: the row's band cuts the convex
-/// ellipse in a convex set, whose projection on x is an interval.
+/// Half-open range of tiles in row `ty` that the ellipse `alpha ≥ 1/255` overlaps: the row's band
+/// cuts the convex ellipse in a convex set, whose projection on x is an interval.
 fn row_span(g: &Record, ty: usize, tiles: usize) -> [usize; 2] {
     let (a, b, c) = (2.0 * g.half_xx, g.xy, 2.0 * g.half_yy);
     let reach = 2.0 * (g.log2_opacity + LOG2_255);

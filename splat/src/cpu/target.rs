@@ -1,5 +1,7 @@
-//! Target planes (and weights) from 8-bit pixels, composed over the background where masks mean transparency.
-//! in: interleaved bytes, optional mask, the rendering. out: \[3\] planes and one of weights, rows padded to whole tiles.
+//! Target planes (and weights) from 8-bit pixels, composed over the background where masks mean
+//! transparency.
+//! in: interleaved bytes, optional mask, the rendering. out: \[3\] planes and one of weights, rows
+//! padded to whole tiles.
 
 use super::dispatch::{Isa, simd_kernel};
 use super::simd::Simd;
@@ -25,8 +27,8 @@ pub(super) struct TargetSource<'a> {
     pub(super) gain: Option<[f32; 3]>,
 }
 
-/// Fills `planes`, and `weight` if the mask means weights (a pixel of weight 0 equals its rendering in `rgb`, so that its
-/// neighbours' SSIM does not see it).
+/// Fills `planes`, and `weight` if the mask means weights (a pixel of weight 0 equals its rendering
+/// in `rgb`, so that its neighbours' SSIM does not see it).
 pub(super) fn compose(
     isa: Isa,
     source: &TargetSource,
@@ -102,8 +104,8 @@ fn compose_generic<S: Simd>(a: &mut TargetRows) {
     }
 }
 
-/// Which tiles have a pixel that some pixel of weight above 0 sees through the loss's window: nothing else has a gradient.
-/// `weights`: [height × width] bytes.
+/// Which tiles have a pixel that some pixel of weight above 0 sees through the loss's window:
+/// nothing else has a gradient. `weights`: [height × width] bytes.
 pub(super) fn reached_tiles(weights: &[u8], shape: PlaneShape, reached: &mut Vec<bool>) {
     let (columns, rows) = (shape.stride() / TILE, shape.height.div_ceil(TILE));
     reached.clear();

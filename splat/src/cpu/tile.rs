@@ -7,8 +7,8 @@ pub(crate) const TILE: usize = 16;
 /// Pixels of a tile. Source: derived.
 pub(crate) const PIXELS: usize = TILE * TILE;
 
-/// A value for each pixel of a tile, row by row. Aligned, so that no vector lies across two cache lines: those cost twice,
-/// and what was just stored comes late to the load that wants it.
+/// A value for each pixel of a tile, row by row. Aligned, so that no vector lies across two cache
+/// lines: those cost twice, and what was just stored comes late to the load that wants it.
 #[repr(C, align(64))]
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct TilePlane(pub(crate) [f32; PIXELS]);

@@ -18,8 +18,9 @@ use rayon::prelude::*;
 /// Gaussians a task projects. Source: chosen by hand, never measured.
 const CHUNK: usize = 512;
 
-/// Everything that lives between the kernels of a step. Kept between steps, so that nothing is allocated in the loop.
-/// Invariant: every plane that is in use has the size that `shape` says, and `used` an entry a tile.
+/// Everything that lives between the kernels of a step. Kept between steps, so that nothing is
+/// allocated in the loop. Invariant: every plane that is in use has the size that `shape` says, and
+/// `used` an entry a tile.
 #[derive(Debug, Default)]
 pub(super) struct KernelWorkspace {
     records: Vec<Record>,
@@ -42,7 +43,8 @@ pub(super) struct KernelWorkspace {
     pub(super) gain: Option<[f32; 3]>,
 }
 
-/// The picture that the last [`KernelWorkspace::forward`] drew: planes whose rows are `stride` apart.
+/// The picture that the last [`KernelWorkspace::forward`] drew: planes whose rows are `stride`
+/// apart.
 pub(super) struct DrawnPlanes<'a> {
     pub(super) stride: usize,
     pub(super) rgb: &'a [Vec<f32>; 3],
@@ -90,7 +92,8 @@ impl KernelWorkspace {
         DrawnPlanes { stride, rgb: &self.rgb, transmittance: &self.transmittance, depth: &self.depth }
     }
 
-    /// Rasterises all tiles that count for a target (all of them without one); the others keep what they show.
+    /// Rasterises all tiles that count for a target (all of them without one); the others keep what
+    /// they show.
     pub(super) fn forward(
         &mut self,
         isa: Isa,
@@ -152,7 +155,8 @@ impl KernelWorkspace {
         pixels
     }
 
-    /// Target planes (and weights) from 8-bit pixels, composed over the background where masks mean transparency.
+    /// Target planes (and weights) from 8-bit pixels, composed over the background where masks mean
+    /// transparency.
     pub(super) fn set_target(&mut self, isa: Isa, target: &Target, background: [f32; 3]) {
         let weighted = target.mask.is_some() && !target.transparent;
         self.weight.resize(if weighted { self.shape.plane() } else { 0 }, 0.0);
@@ -259,7 +263,8 @@ mod tests {
         g
     }
 
-    /// A picture whose weights leave most tiles out has the gradients that it has when all tiles are drawn.
+    /// A picture whose weights leave most tiles out has the gradients that it has when all tiles
+    /// are drawn.
     #[test]
     fn tiles_that_no_weight_reaches_have_no_part_in_the_gradient() {
         let (width, height) = (100, 70);

@@ -23,7 +23,8 @@ use std::ops::RangeInclusive;
 /// What lies on the device for the view, and how the kernels are bound to it and to the model.
 pub(super) type Screen = (Buffers, Bound);
 
-/// The GPU backend. The model lives on the device; a copy stays on the host only until the first step.
+/// The GPU backend. The model lives on the device; a copy stays on the host only until the first
+/// step.
 pub(crate) struct GpuBackend {
     pub(super) gpu: Gpu,
     pub(super) kernels: Kernels,
@@ -175,8 +176,9 @@ impl GpuBackend {
         }
     }
 
-    /// Waits for the steps under way and notes what they saw. Where pairs did not fit nothing has moved: those steps are
-    /// repeated with more room, or without the farthest pairs where there is no more. Returns the last one's report.
+    /// Waits for the steps under way and notes what they saw. Where pairs did not fit nothing has
+    /// moved: those steps are repeated with more room, or without the farthest pairs where there is
+    /// no more. Returns the last one's report.
     pub(super) fn settle_all(&mut self) -> Result<Report, SplatError> {
         let mut last = Report::default();
         loop {

@@ -259,7 +259,8 @@ impl Bound {
         }
     }
 
-    /// Sorts the first `n` keys of `depth_keys_a` with their values in `order_a`, n being [`Counter::Visible`].
+    /// Sorts the first `n` keys of `depth_keys_a` with their values in `order_a`, n being
+    /// [`Counter::Visible`].
     pub(super) fn sort_by_key(&self, kernels: &Kernels, pass: &mut wgpu::ComputePass) {
         for bound in &self.by_depth {
             radix(kernels, pass, bound, &self.scan_depth_table, blocks(self.n as usize));
@@ -280,7 +281,8 @@ impl Bound {
     }
 }
 
-/// Values up to which one group scans all of them: a dispatch of three costs more. Source: chosen by hand, never measured.
+/// Values up to which one group scans all of them: a dispatch of three costs more. Source: chosen
+/// by hand, never measured.
 const WHOLE: u32 = 4 * BLOCK;
 
 /// Prefix sums of `n` values.

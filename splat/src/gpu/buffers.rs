@@ -1,4 +1,5 @@
-//! What lies on the device beside the model (`pages`): the view's intermediate results, the picture and its target.
+//! What lies on the device beside the model (`pages`): the view's intermediate results, the picture
+//! and its target.
 
 use super::context::Gpu;
 use super::layout::{BLOCK, COUNTERS, Frame};
@@ -6,7 +7,8 @@ use super::pages;
 use crate::cpu::TILE;
 use crate::error::SplatError;
 
-/// Bytes of a job of scan or sort in the buffer of jobs: the strictest alignment of uniforms. Source: WebGPU.
+/// Bytes of a job of scan or sort in the buffer of jobs: the strictest alignment of uniforms.
+/// Source: WebGPU.
 pub(crate) const JOB: u64 = 256;
 /// Jobs: four scans, eight passes by depth, eight by tile. Source: derived.
 pub(crate) const JOBS: u64 = 20;
@@ -159,37 +161,40 @@ pub(crate) enum Limit {
     Memory,
 }
 
-/// Tiles that a Gaussian touches, reckoned generously: room for its pairs. Where there is less, the farthest are not drawn.
-/// Source: chosen by hand, never measured.
+/// Tiles that a Gaussian touches, reckoned generously: room for its pairs. Where there is less, the
+/// farthest are not drawn. Source: chosen by hand, never measured.
 const PAIRS_EACH: usize = 8;
-/// PagePart of the memory that photos may stay in; where they do not fit they are sent anew in every step.
-/// Source: chosen by hand, never measured.
+/// Part of the memory that photos may stay in; where they do not fit they are sent anew in
+/// every step. Source: chosen by hand, never measured.
 pub(crate) const PHOTOS: f64 = 0.25;
 
-/// The most Gaussians that can be trained on pictures of so many pixels, where no buffer may have more than `largest` bytes
-/// and all of them together no more than `memory`; and which of the two it is.
-pub(crate) fn capacity(sh_stride: usize, pixels: usize, largest: u64, memory: Option<u64>) -> (usize, Limit) {
-    let fits = |n: usize| -> Option<Limit> {
-        let sizes = Sizes {
-            room: n,
-            pairs: (PAIRS_EACH * n).clamp(BLOCK as usize, most_pairs(largest)),
-            pixels,
-            tiles: pixels.div_ceil(128),
-            training: true,
-        };
-        let plan = Buffers::plan(&sizes);
-        if plan.iter().any(|b| b.1 > largest) {
-            return Some(Limit::Binding);
-        }
-        let each = pages::bytes_each(sh_stride, true) + pages::bytes_twice(sh_stride);
-        let total = plan.iter().map(|b| b.1).sum::<u64>() + each * n as u64;
-        memory.filter(|&m| total as f64 > m as f64 * (1.0 - PHOTOS)).map(|_| Limit::Memory)
+/// What keeps a model of `n` Gaussians from being trained, if anything does; see [`capacity`].
+fn limit_of(n: usize, sh_stride: usize, pixels: usize, largest: u64, memory: Option<u64>) -> Option<Limit> {
+    let sizes = Sizes {
+        room: n,
+        pairs: (PAIRS_EACH * n).clamp(BLOCK as usize, most_pairs(largest)),
+        pixels,
+        tiles: pixels.div_ceil(128),
+        training: true,
     };
+    let plan = Buffers::plan(&sizes);
+    if plan.iter().any(|b| b.1 > largest) {
+        return Some(Limit::Binding);
+    }
+    let each = pages::bytes_each(sh_stride, true) + pages::bytes_twice(sh_stride);
+    let total = plan.iter().map(|b| b.1).sum::<u64>() + each * n as u64;
+    memory.filter(|&m| total as f64 > m as f64 * (1.0 - PHOTOS)).map(|_| Limit::Memory)
+}
+
+/// The most Gaussians that can be trained on pictures of so many pixels, where no buffer may have
+/// more than `largest` bytes and all of them together no more than `memory`; and which of the two
+/// it is.
+pub(crate) fn capacity(sh_stride: usize, pixels: usize, largest: u64, memory: Option<u64>) -> (usize, Limit) {
     // The greatest n that fits lies in low .. high.
     let (mut low, mut high, mut limit) = (0usize, 1usize << 27, Limit::Binding);
     while high - low > 1 {
         let middle = low + (high - low) / 2;
-        match fits(middle) {
+        match limit_of(middle, sh_stride, pixels, largest, memory) {
             None => low = middle,
             Some(reason) => (high, limit) = (middle, reason),
         }

@@ -21,15 +21,19 @@ fn enumerate() -> Vec<wgpu::Adapter> {
         ..wgpu::InstanceDescriptor::new_without_display_handle()
     });
     let mut found = pollster::block_on(instance.enumerate_adapters(wgpu::Backends::PRIMARY));
-    let rank = |kind| match kind {
+    found.sort_by_key(|a| rank(kind(a.get_info().device_type)));
+    found
+}
+
+/// Place of a kind in the list of adapters.
+fn rank(kind: AdapterKind) -> u8 {
+    match kind {
         AdapterKind::Discrete => 0,
         AdapterKind::Virtual => 1,
         AdapterKind::Integrated => 2,
         AdapterKind::Unknown => 3,
         AdapterKind::Software => 4,
-    };
-    found.sort_by_key(|a| rank(kind(a.get_info().device_type)));
-    found
+    }
 }
 
 fn kind(device: wgpu::DeviceType) -> AdapterKind {
@@ -62,12 +66,13 @@ pub(crate) struct Opening {
     pub(crate) memory: Option<u64>,
     /// Kernels without subgroup operations even where the adapter has them.
     pub(crate) plain: bool,
-    /// No more than every adapter has (the defaults of WebGPU: eight storage buffers a stage, 16 KiB shared), and no binding
-    /// larger than this.
+    /// No more than every adapter has (the defaults of WebGPU: eight storage buffers a stage, 16
+    /// KiB shared), and no binding larger than this.
     pub(crate) binding: Option<u64>,
 }
 
-/// Subgroups of these sizes neither span two Gaussians of `rasterise_backward` nor are too short to bring anything.
+/// Subgroups of these sizes neither span two Gaussians of `rasterise_backward` nor are too short to
+/// bring anything.
 const SUBGROUP_SIZES: std::ops::RangeInclusive<u32> = 4..=32;
 
 /// Counts the threads whose lane or subgroup is not the one that their number in the group says.
@@ -92,6 +97,13 @@ fn limits(adapter: &wgpu::Adapter, binding: Option<u64>) -> wgpu::Limits {
         ..wgpu::Limits::default()
     }
     .or_worse_values_from(&adapter.limits())
+}
+
+/// Keeps the first failure.
+fn note(failure: &Mutex<Option<String>>, text: String) {
+    if let Ok(mut failure) = failure.lock() {
+        failure.get_or_insert(text);
+    }
 }
 
 /// An open adapter.
@@ -137,11 +149,6 @@ impl Gpu {
         let (device, queue) = pollster::block_on(found.request_device(&descriptor))
             .map_err(|e| SplatError::Gpu { adapter: adapter.name.clone(), reason: e.to_string() })?;
         let failure = Arc::new(Mutex::new(None));
-        let note = |slot: &Arc<Mutex<Option<String>>>, text: String| {
-            if let Ok(mut failure) = slot.lock() {
-                failure.get_or_insert(text);
-            }
-        };
         let slot = failure.clone();
         device.on_uncaptured_error(Arc::new(move |error: wgpu::Error| note(&slot, error.to_string())));
         let slot = failure.clone();
@@ -156,8 +163,8 @@ impl Gpu {
         Ok(gpu)
     }
 
-    /// Whether the lanes of subgroups are the threads of a group in order, as the kernels take them to be. No
-    /// specification says so; hence a look.
+    /// Whether the lanes of subgroups are the threads of a group in order, as the kernels take them
+    /// to be. No specification says so; hence a look.
     fn lanes_in_order(&self) -> Result<bool, SplatError> {
         let module = self.device.create_shader_module(wgpu::ShaderModuleDescriptor {
             label: Some("lanes"),
@@ -206,7 +213,8 @@ impl Gpu {
         limits.max_storage_buffer_binding_size.min(limits.max_buffer_size)
     }
 
-    /// A storage buffer of `bytes` (that can also be copied and be a uniform); `old` where it has that size already.
+    /// A storage buffer of `bytes` (that can also be copied and be a uniform); `old` where it has
+    /// that size already.
     pub(crate) fn buffer(
         &self,
         name: &str,

@@ -1,9 +1,11 @@
-//! A round of densification on the device: candidates by score, halves, what stays, and the model gathered anew. Only
-//! the number of Gaussians comes back. Twin of `cpu/densify.rs`; its random numbers are others.
+//! A round of densification on the device: candidates by score, halves, what stays, and the model
+//! gathered anew. Only the number of Gaussians comes back. Twin of `cpu/densify.rs`; its random
+//! numbers are others.
 
 use super::backend::GpuBackend;
 use super::bound::scan;
 use super::buffers::{Sizes, blocks};
+use super::context::Gpu;
 use super::layout::{Counter, DensifyJob, DensifyView, HalveJob, ScanJob};
 use crate::backend::Round;
 use crate::cpu::densify::{MIN_OPACITY, least_views};
@@ -12,8 +14,8 @@ use scene::Decision;
 use scene::decision::{Choice, Rule, Subject};
 
 impl GpuBackend {
-    /// Carries the round out; how many were removed because hardly any view has them. Nothing, and nothing has changed,
-    /// where the host has to do it: no moments yet, or nothing would be left.
+    /// Carries the round out; how many were removed because hardly any view has them. Nothing, and
+    /// nothing has changed, where the host has to do it: no moments yet, or nothing would be left.
     pub(super) fn densify_here(&mut self, round: &Round) -> Result<Option<usize>, SplatError> {
         let n = self.pages.as_ref().filter(|p| p.training).map_or(0, |p| p.n);
         if n == 0 {
@@ -42,12 +44,11 @@ impl GpuBackend {
             floor: (MIN_OPACITY / (1.0 - MIN_OPACITY)).ln(),
             ..DensifyJob::default()
         };
-        let words = |name: &str, count: usize| gpu.buffer(name, 4 * count.max(1) as u64, None);
-        let (flags, source) = (words("stays", n + room)?, words("source", n + room)?);
-        let sums = words("stays' sums", blocks(n + room) as usize)?;
+        let (flags, source) = (words(gpu, "stays", n + room)?, words(gpu, "source", n + room)?);
+        let sums = words(gpu, "stays' sums", blocks(n + room) as usize)?;
         let cameras: Vec<DensifyView> = views.iter().map(camera).collect();
         let cameras = if cameras.is_empty() { vec![DensifyView::default()] } else { cameras };
-        let view_buffer = words("views", cameras.len() * size_of::<DensifyView>() / 4)?;
+        let view_buffer = words(gpu, "views", cameras.len() * size_of::<DensifyView>() / 4)?;
         gpu.write(&view_buffer, 0, &cameras);
         gpu.write(&buffers.counters, 0, &[n as u32, 0, 0, 0, 0]);
         let mut encoder = gpu.device.create_command_encoder(&Default::default());
@@ -118,13 +119,17 @@ impl GpuBackend {
     }
 }
 
+/// A buffer of `count` words of four bytes, of one at least.
+fn words(gpu: &Gpu, name: &str, count: usize) -> Result<wgpu::Buffer, SplatError> {
+    gpu.buffer(name, 4 * count.max(1) as u64, None)
+}
+
 fn camera(v: &crate::view::PinholeView) -> DensifyView {
-    let rows = v.rotation.transpose();
-    let row = |r: glam::Vec3, t: f32| r.extend(t).to_array();
+    let [row0, row1, row2] = [0, 1, 2].map(|k| v.rotation.row(k).extend(v.translation[k]).to_array());
     DensifyView {
-        row0: row(rows.x_axis, v.translation.x),
-        row1: row(rows.y_axis, v.translation.y),
-        row2: row(rows.z_axis, v.translation.z),
+        row0,
+        row1,
+        row2,
         lens: [v.focal[0], v.focal[1], v.centre[0], v.centre[1]],
         size: [v.width as f32, v.height as f32, 0.0, 0.0],
     }

@@ -1,5 +1,6 @@
-//! Steps under way: submitted one after the other, reported together, so that the device never waits for the host.
-//! One report a step (64 bytes) is written on the device; a window of them is read back at a time.
+//! Steps under way: submitted one after the other, reported together, so that the device never
+//! waits for the host. One report a step (64 bytes) is written on the device; a window of them is
+//! read back at a time.
 
 use super::bound::{Bound, Stage};
 use super::buffers::{Buffers, REPORT};
@@ -67,18 +68,20 @@ pub(crate) struct Flight {
     pub(crate) times: KernelTimes,
 }
 
+/// Word `k` of a report.
+fn word(report: &[u8], k: usize) -> u32 {
+    bytemuck::pod_read_unaligned(&report[4 * k..4 * k + 4])
+}
+
+fn buffer(gpu: &Gpu, label: &str, size: u64, usage: wgpu::BufferUsages) -> wgpu::Buffer {
+    let label = Some(label);
+    gpu.device.create_buffer(&wgpu::BufferDescriptor { label, size, usage, mapped_at_creation: false })
+}
+
 impl Flight {
     /// None under way.
     pub(crate) fn new(gpu: &Gpu) -> Result<Self, SplatError> {
         let steps = WINDOW as u64;
-        let buffer = |label, size, usage| {
-            gpu.device.create_buffer(&wgpu::BufferDescriptor {
-                label: Some(label),
-                size,
-                usage,
-                mapped_at_creation: false,
-            })
-        };
         let stamps = gpu.device.features().contains(wgpu::Features::TIMESTAMP_QUERY).then(|| {
             let set = gpu.device.create_query_set(&wgpu::QuerySetDescriptor {
                 label: None,
@@ -86,12 +89,12 @@ impl Flight {
                 count: STAMPS * WINDOW as u32,
             });
             let usage = wgpu::BufferUsages::QUERY_RESOLVE | wgpu::BufferUsages::COPY_SRC;
-            (set, buffer("stamps", STAMPS_APART * steps, usage))
+            (set, buffer(gpu, "stamps", STAMPS_APART * steps, usage))
         });
         let usage = wgpu::BufferUsages::MAP_READ | wgpu::BufferUsages::COPY_DST;
         Ok(Self {
             reports: gpu.buffer("reports", REPORT * steps, None)?,
-            staging: buffer("staging", (REPORT + STAMPS_APART) * steps, usage),
+            staging: buffer(gpu, "staging", (REPORT + STAMPS_APART) * steps, usage),
             stamps,
             pending: Vec::new(),
             times: KernelTimes::default(),
@@ -163,10 +166,10 @@ impl Flight {
             .zip(numbers.chunks_exact(REPORT as usize))
             .zip(stamps.chunks(STAMPS_APART as usize))
         {
-            let word = |k: usize| bytemuck::pod_read_unaligned::<u32>(&own[4 * k..4 * k + 4]);
-            let counters = std::array::from_fn(word);
-            let sums =
-                std::array::from_fn(|r| std::array::from_fn(|k| f32::from_bits(word(COUNTERS + 4 * r + k))));
+            let counters = std::array::from_fn(|k| word(own, k));
+            let sums = std::array::from_fn(|r| {
+                std::array::from_fn(|k| f32::from_bits(word(own, COUNTERS + 4 * r + k)))
+            });
             self.note_times(gpu, &step.stages, stamps);
             out.push((step, Report { counters, sums }));
         }

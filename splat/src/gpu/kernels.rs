@@ -120,8 +120,9 @@ pub(crate) const SOURCES: [KernelSource; 13] = [
 ];
 
 impl KernelSource {
-    /// The whole module, for adapters with subgroup operations or without: lines between `//#if subgroups`, `//#else` and
-    /// `//#endif` are chosen, and where the subgroup's numbers are arguments they are put in or left out.
+    /// The whole module, for adapters with subgroup operations or without: lines between
+    /// `//#if subgroups`, `//#else` and `//#endif` are chosen, and where the subgroup's numbers are
+    /// arguments they are put in or left out.
     pub(crate) fn text(&self, subgroups: bool) -> String {
         let (mut text, mut kept) = (String::new(), true);
         for line in self.parts.iter().flat_map(|part| part.lines()) {
@@ -185,13 +186,14 @@ impl Module {
             label: Some(source.name),
             source: wgpu::ShaderSource::Wgsl(source.text(gpu.subgroups).into()),
         };
-        // SAFETY: the kernels are ours: every index is held below the length that it is bound with by a test in the kernel,
-        // every loop has an end that does not depend on floats, no divisor is zero. What naga would add else is a limit on
-        // every access to shared memory and a counter in every loop, the innermost ones too.
+        // SAFETY: the kernels are ours: every index is held below the length that it is bound with
+        // by a test in the kernel, every loop has an end that does not depend on floats, no divisor
+        // is zero. What naga would add else is a limit on every access to shared memory and a
+        // counter in every loop, the innermost ones too.
         let shader = unsafe {
             device.create_shader_module_trusted(descriptor, wgpu::ShaderRuntimeChecks::unchecked())
         };
-        let pipeline = |entry: &&str| {
+        let pipelines = source.entries.iter().map(|entry| {
             device.create_compute_pipeline(&wgpu::ComputePipelineDescriptor {
                 label: Some(source.name),
                 layout: Some(&pipeline_layout),
@@ -204,9 +206,8 @@ impl Module {
                 },
                 cache: gpu.pipelines.as_ref().map(|p| p.cache()),
             })
-        };
-        let pipelines = source.entries.iter().map(pipeline).collect();
-        Self { name: source.name, layout, pipelines }
+        });
+        Self { name: source.name, layout, pipelines: pipelines.collect() }
     }
 
     /// Binds buffers to the module's bindings, in order.

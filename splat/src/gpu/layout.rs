@@ -27,11 +27,13 @@ pub(crate) enum Counter {
     Visible = 0,
     /// Pairs that are needed.
     Pairs = 1,
-    /// Gradients that were not finite; of a round of densification, Gaussians that hardly any view has.
+    /// Gradients that were not finite; of a round of densification, Gaussians that hardly any view
+    /// has.
     NonFinite = 2,
     /// Where totals go that nobody reads.
     Spare = 3,
-    /// Not zero once a step was not taken because its pairs did not fit: later ones wait for its repetition.
+    /// Not zero once a step was not taken because its pairs did not fit: later ones wait for its
+    /// repetition.
     Halt = 4,
 }
 
@@ -44,7 +46,8 @@ pub(crate) const CLEARED: usize = 4;
 pub(crate) const BLOCK: u32 = 2048;
 /// Threads of a group. Source: the most that every adapter has (WebGPU's default limits).
 pub(crate) const GROUP: u32 = 256;
-/// Planes of the geometry: parameters, first and second moments, clock, two statistics. Source: derived.
+/// Planes of the geometry: parameters, first and second moments, clock, two statistics. Source:
+/// derived.
 pub(crate) const PLANES: usize = STATISTICS + 2;
 /// Plane of the clock. Source: derived.
 pub(crate) const CLOCK: usize = 3 * GEOMETRY;

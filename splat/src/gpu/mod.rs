@@ -1,6 +1,7 @@
-//! The backend for graphics adapters, through wgpu: one WGSL kernel a file in `wgsl/`, Rust twins of its structs in
-//! [`layout`], pipelines in [`kernels`]; the model on the device in [`pages`], photos in [`photos`], the view's results in
-//! [`buffers`]; steps under way in [`flight`]; the adapter and its limits in [`context`].
+//! The backend for graphics adapters, through wgpu: one WGSL kernel a file in `wgsl/`, Rust twins
+//! of its structs in [`layout`], pipelines in [`kernels`]; the model on the device in [`pages`],
+//! photos in [`photos`], the view's results in [`buffers`]; steps under way in [`flight`]; the
+//! adapter and its limits in [`context`].
 
 mod backend;
 mod bound;

@@ -1,5 +1,6 @@
-//! The model on the device, in pages: no binding is larger than the adapter allows, however many Gaussians there are.
-//! A page holds a range of Gaussians in planes (plane p of its l-th Gaussian is entry `p · stride + l`).
+//! The model on the device, in pages: no binding is larger than the adapter allows, however many
+//! Gaussians there are. A page holds a range of Gaussians in planes (plane p of its l-th Gaussian
+//! is entry `p · stride + l`).
 
 use super::context::Gpu;
 use super::kernels::Kernels;
@@ -50,7 +51,8 @@ pub(crate) enum PagePart {
 }
 
 impl PagePart {
-    /// In the order in which they are replaced: the largest first, so that the others fit where it was.
+    /// In the order in which they are replaced: the largest first, so that the others fit where it
+    /// was.
     pub(crate) const ALL: [Self; 3] = [Self::Moments, Self::Geometry, Self::Sh];
 
     fn planes(self, sh_stride: usize, training: bool) -> usize {
@@ -68,7 +70,8 @@ pub(crate) fn bytes_each(sh_stride: usize, training: bool) -> u64 {
     4 * PagePart::ALL.iter().map(|p| p.planes(sh_stride, training) as u64).sum::<u64>()
 }
 
-/// Bytes of a Gaussian in the largest part, which is there twice while Gaussians are added and removed.
+/// Bytes of a Gaussian in the largest part, which is there twice while Gaussians are added and
+/// removed.
 pub(crate) fn bytes_twice(sh_stride: usize) -> u64 {
     4 * PagePart::ALL.iter().map(|p| p.planes(sh_stride, true) as u64).max().unwrap_or(0)
 }
@@ -81,12 +84,12 @@ pub(crate) fn room(largest: u64, sh_stride: usize, training: bool) -> usize {
 
 /// Where the pages of `n` Gaussians begin, and how many each has; one even if there are none.
 fn ranges(n: usize, room: usize) -> Vec<PageJob> {
-    let page = |k: usize| {
+    let pages = (0..n.div_ceil(room).max(1)).map(|k| {
         let count = room.min(n - k * room);
         let [first, count, stride] = [k * room, count, padded(count.max(1))].map(|v| v as u32);
         PageJob { first, count, stride, spare: 0 }
-    };
-    (0..n.div_ceil(room).max(1)).map(page).collect()
+    });
+    pages.collect()
 }
 
 impl Pages {
@@ -104,40 +107,45 @@ impl Pages {
 
     /// Bytes of all pages, by part.
     pub(crate) fn memory(&self) -> Vec<(&'static str, u64)> {
-        let sum = |f: fn(&Page) -> &wgpu::Buffer| self.list.iter().map(|p| f(p).size()).sum();
-        vec![("geometry", sum(|p| &p.geometry)), ("sh", sum(|p| &p.sh)), ("sh_moments", sum(|p| &p.moments))]
+        let parts =
+            [("geometry", PagePart::Geometry), ("sh", PagePart::Sh), ("sh_moments", PagePart::Moments)];
+        let sizes = parts.map(|(name, part)| (name, self.list.iter().map(|p| p.part(part).size()).sum()));
+        sizes.to_vec()
     }
 
     /// Writes parameters, and where there is room for them moments and statistics.
     pub(crate) fn upload(&self, gpu: &Gpu, model: &Model, s: &Statistics) {
         let none = vec![0.0; padded(self.n)];
-        let filled = |v: &'_ Vec<f32>| if v.len() < self.n { none.clone() } else { v.clone() };
-        let statistics = [&s.gradient, &s.visible].map(filled);
+        let statistics = [&s.gradient, &s.visible].map(|sums| if sums.len() < self.n { &none } else { sums });
         let moments = model.geometry_m.iter().chain(&model.geometry_v).chain([&model.steps]);
         for page in &self.list {
             let PageJob { first, count, stride, .. } = page.job;
             let (first, count, stride) = (first as usize, count as usize, stride as usize);
             let mut geometry = Vec::with_capacity(page.geometry.size() as usize / 4);
-            let planes = model.geometry.iter().chain(moments.clone()).chain(&statistics);
+            let planes = model.geometry.iter().chain(moments.clone()).chain(statistics);
             for plane in planes.take(if self.training { PLANES } else { GEOMETRY }) {
                 geometry.extend_from_slice(&plane[first..first + count]);
                 geometry.resize(geometry.len() + stride - count, 0.0);
             }
             gpu.write(&page.geometry, 0, &geometry);
-            let turned = |values: &[f32]| {
-                let mut out = vec![0.0; self.sh_stride * stride];
-                let own = values[first * self.sh_stride..].chunks_exact(self.sh_stride).take(count);
-                for (l, gaussian) in own.enumerate() {
-                    gaussian.iter().enumerate().for_each(|(k, v)| out[k * stride + l] = *v);
-                }
-                out
-            };
-            gpu.write(&page.sh, 0, &turned(&model.sh));
+            gpu.write(&page.sh, 0, &self.planes_of(&page.job, &model.sh));
             if self.training {
-                gpu.write(&page.moments, 0, &turned(&model.sh_m));
-                gpu.write(&page.moments, 4 * (self.sh_stride * stride) as u64, &turned(&model.sh_v));
+                gpu.write(&page.moments, 0, &self.planes_of(&page.job, &model.sh_m));
+                let second = 4 * (self.sh_stride * stride) as u64;
+                gpu.write(&page.moments, second, &self.planes_of(&page.job, &model.sh_v));
             }
         }
+    }
+
+    /// A page's part of [N × K × 3] values as planes.
+    fn planes_of(&self, job: &PageJob, values: &[f32]) -> Vec<f32> {
+        let [first, count, stride] = [job.first, job.count, job.stride].map(|v| v as usize);
+        let mut out = vec![0.0; self.sh_stride * stride];
+        let own = values[first * self.sh_stride..].chunks_exact(self.sh_stride).take(count);
+        for (l, gaussian) in own.enumerate() {
+            gaussian.iter().enumerate().for_each(|(k, v)| out[k * stride + l] = *v);
+        }
+        out
     }
 
     /// Reads everything back; only where there are moments.
@@ -172,8 +180,8 @@ impl Pages {
         Ok((model, Statistics { gradient, visible }))
     }
 
-    /// The model with another number of SH values a Gaussian: planes are copied, new ones are zero. Nothing where pages
-    /// would have to be of another size.
+    /// The model with another number of SH values a Gaussian: planes are copied, new ones are zero.
+    /// Nothing where pages would have to be of another size.
     pub(crate) fn with_sh_stride(&self, gpu: &Gpu, sh_stride: usize) -> Result<Option<Self>, SplatError> {
         let (old, new) = (self.sh_stride, Self::new(gpu, self.n, sh_stride, self.training)?);
         if new.list.len() != self.list.len() {
@@ -195,9 +203,10 @@ impl Pages {
         Ok(Some(new))
     }
 
-    /// Makes the model the one whose Gaussian j is the present `source[j]` (densify.wgsl, split.wgsl); halves of split
-    /// Gaussians begin without moments, all without statistics. PagePart by part, so that only one is there twice; `false`,
-    /// and nothing has changed, where there is no memory for that.
+    /// Makes the model the one whose Gaussian j is the present `source[j]` (densify.wgsl,
+    /// split.wgsl); halves of split Gaussians begin without moments, all without statistics.
+    /// Part by part, so that only one is there twice; `false`, and nothing has changed, where
+    /// there is no memory for that.
     pub(crate) fn gather(
         &mut self,
         gpu: &Gpu,
@@ -232,11 +241,11 @@ impl Pages {
             parts.push(made.into_iter());
         }
         let mut next = |k: usize| parts[k].next().ok_or_else(|| gpu.error("a page is missing"));
-        let page = |job: PageJob| {
+        self.list.clear();
+        for job in jobs {
             let (moments, geometry, sh) = (next(0)?, next(1)?, next(2)?);
-            Ok(Page { uniform: gpu.uniform(job)?, job, geometry, sh, moments })
-        };
-        self.list = jobs.into_iter().map(page).collect::<Result<_, SplatError>>()?;
+            self.list.push(Page { uniform: gpu.uniform(job)?, job, geometry, sh, moments });
+        }
         self.n = n;
         Ok(true)
     }

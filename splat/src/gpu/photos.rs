@@ -47,8 +47,8 @@ impl Photos {
         self.held.len()
     }
 
-    /// Where the target lies; it is sent if need be: to a shelf if it has a number and there is room for it (of `budget`
-    /// bytes), otherwise to `goal`.
+    /// Where the target lies; it is sent if need be: to a shelf if it has a number and there is
+    /// room for it (of `budget` bytes), otherwise to `goal`.
     pub(crate) fn place(
         &mut self,
         gpu: &Gpu,

@@ -1,5 +1,6 @@
-//! Compiled pipelines, kept between runs where the adapter has a cache for them: in the user's cache folder, one file an
-//! adapter and driver. A file that is damaged or of another driver is not used, and replaced.
+//! Compiled pipelines, kept between runs where the adapter has a cache for them: in the user's
+//! cache folder, one file an adapter and driver. A file that is damaged or of another driver is not
+//! used, and replaced.
 
 use std::io::Write;
 use std::path::{Path, PathBuf};
@@ -17,8 +18,9 @@ pub(crate) struct Pipelines {
 
 /// `$XDG_CACHE_HOME` or `~/.cache`.
 fn folder() -> Option<PathBuf> {
-    let set = |name| std::env::var_os(name).filter(|v| !v.is_empty()).map(PathBuf::from);
-    let base = set("XDG_CACHE_HOME").or_else(|| set("HOME").map(|home| home.join(".cache")))?;
+    let [cache, home] = ["XDG_CACHE_HOME", "HOME"]
+        .map(|name| std::env::var_os(name).filter(|v| !v.is_empty()).map(PathBuf::from));
+    let base = cache.or_else(|| home.map(|home| home.join(".cache")))?;
     Some(base.join("sat-recon").join("pipelines"))
 }
 
@@ -48,7 +50,8 @@ fn write(path: &Path, data: &[u8]) -> std::io::Result<()> {
 }
 
 impl Pipelines {
-    /// The cache of an adapter that has one; what was kept is checked by us (whole) and by wgpu (this adapter and driver).
+    /// The cache of an adapter that has one; what was kept is checked by us (whole) and by wgpu
+    /// (this adapter and driver).
     pub(crate) fn open(device: &wgpu::Device, info: &wgpu::AdapterInfo) -> Option<Self> {
         Self::at(&folder()?, device, info)
     }
@@ -73,7 +76,8 @@ impl Pipelines {
         &self.cache
     }
 
-    /// Keeps what is new. A folder that cannot be written to costs time at the next start, nothing else.
+    /// Keeps what is new. A folder that cannot be written to costs time at the next start, nothing
+    /// else.
     pub(crate) fn store(&self) {
         if let Some(data) = self.cache.get_data().filter(|data| data.len() != self.read) {
             let _ = write(&self.path, &data);

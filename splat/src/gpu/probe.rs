@@ -1,4 +1,5 @@
-//! Single kernels to look at: what the screen holds of each Gaussian, the loss of a picture, the gradients.
+//! Single kernels to look at: what the screen holds of each Gaussian, the loss of a picture, the
+//! gradients.
 
 use super::backend::GpuBackend;
 use super::bound::Stage;
@@ -55,7 +56,7 @@ impl GpuBackend {
         let flags: Vec<u32> = self.gpu.read(&b.flags, 0, n)?;
         let records: Vec<[f32; 8]> = self.gpu.read(&b.records, 0, n)?;
         let colours: Vec<[f32; 4]> = self.gpu.read(&b.colours, 0, n)?;
-        let seen = |((r, c), &flag): ((&[f32; 8], &[f32; 4]), &u32)| {
+        let all = records.iter().zip(&colours).zip(&flags).map(|((r, c), &flag)| {
             (flag == 1).then(|| OnScreen {
                 xy: [r[0], r[1]],
                 conic: [r[2], r[3], r[4]],
@@ -63,8 +64,8 @@ impl GpuBackend {
                 depth: r[6],
                 rgb: [c[0], c[1], c[2]],
             })
-        };
-        Ok(records.iter().zip(&colours).zip(&flags).map(seen).collect())
+        });
+        Ok(all.collect())
     }
 
     /// Kernel loss of a picture [H × W × 3]: loss, mean squared error, dL/d(colour) [H × W × 3].

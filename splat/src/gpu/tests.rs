@@ -1,5 +1,6 @@
-//! What can be checked of the kernels without an adapter: naga accepts every module, the structs and the bindings of
-//! both sides agree, and no stage has more storage buffers than every adapter allows.
+//! What can be checked of the kernels without an adapter: naga accepts every module, the structs
+//! and the bindings of both sides agree, and no stage has more storage buffers than every adapter
+//! allows.
 
 use super::buffers::{Buffers, Limit, Sizes, capacity, most_pairs};
 use super::context::LANES;

@@ -12,7 +12,8 @@ use glam::Vec3;
 use rand::Rng;
 use scene::Gaussians;
 
-/// Gaussians in plain sight, and after them as many that no pixel shows: behind the camera, or transparent.
+/// Gaussians in plain sight, and after them as many that no pixel shows: behind the camera, or
+/// transparent.
 fn seen_and_unseen(n: usize) -> Gaussians {
     let mut rng = scene::rng::rng(1, "seen and unseen", 0);
     let mut real = |low: f32, high: f32| rng.random_range(low..high);
@@ -71,7 +72,8 @@ fn model_of(g: &Gaussians, moments: &Moments) -> Model {
     model
 }
 
-/// Clocks from none to long past the bias correction, each with moments such as gradients of a size have left.
+/// Clocks from none to long past the bias correction, each with moments such as gradients of a size
+/// have left.
 fn aged(g: &Gaussians, seed: u64) -> Moments {
     let p = Parameters::from_gaussians(g);
     let mut moments = Moments::new(&p);
@@ -113,7 +115,8 @@ fn held(model: &Model, i: usize, k: usize) -> [f32; 3] {
     std::array::from_fn(|which| if k < 11 { geometry[which][k][i] } else { sh[which][at] })
 }
 
-/// A first step has the size of the rate whatever the gradient, and one of 1e-9 may turn its sign; all others are compared.
+/// A first step has the size of the rate whatever the gradient, and one of 1e-9 may turn its sign;
+/// all others are compared.
 #[test]
 fn a_step_on_any_clock_is_the_references_and_nothing_of_the_unseen_moves() {
     for mut subject in subjects() {
@@ -159,8 +162,8 @@ fn a_step_on_any_clock_is_the_references_and_nothing_of_the_unseen_moves() {
     }
 }
 
-/// Views of the left, of the right and of both in turns: the clocks count apart, and a first look moves a Gaussian by the
-/// whole rate, however late it comes.
+/// Views of the left, of the right and of both in turns: the clocks count apart, and a first look
+/// moves a Gaussian by the whole rate, however late it comes.
 #[test]
 fn gaussians_seen_now_and_then_are_moved_by_their_own_clocks() {
     let (o, g) = (RenderOptions::default(), ordinary(40, 90, 0));

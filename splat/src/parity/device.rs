@@ -1,5 +1,5 @@
-//! What only an adapter has: photos that stay there, steps under way, pages of the model, densification by kernels,
-//! subgroup operations, limits.
+//! What only an adapter has: photos that stay there, steps under way, pages of the model,
+//! densification by kernels, subgroup operations, limits.
 
 use super::scenes::{ordinary, view};
 use super::steps::{Goal, RATES};
@@ -68,7 +68,8 @@ fn steps_under_way_end_in_the_same_bytes_as_steps_that_are_waited_for() {
 
 #[test]
 fn a_step_whose_pairs_do_not_fit_is_repeated_before_those_after_it() {
-    // From far away each Gaussian has one pair; then the camera goes near, and the pairs of one are many.
+    // From far away each Gaussian has one pair; then the camera goes near, and the pairs of one are
+    // many.
     let g = ordinary(63, 1500, 0);
     let near = view(110, 90);
     let near = (near, Goal::of(&ordinary(62, 60, 0), &near, &RenderOptions::default()));
@@ -130,7 +131,8 @@ fn a_round_of_densification_by_kernels_is_that_of_the_host() {
             (before, unseen.unwrap(), gpu.download().unwrap(), gpu)
         });
         let [(before, unseen, (host, _), _), (_, unseen_here, (here, statistics), mut gpu)] = both;
-        // The halves lie a little elsewhere, so that one on a picture's border may be judged otherwise.
+        // The halves lie a little elsewhere, so that one on a picture's border may be judged
+        // otherwise.
         assert!(unseen > 10 && unseen.abs_diff(unseen_here) <= 2, "{at}: {unseen} and {unseen_here}");
         assert!(here.len.abs_diff(host.len) <= 2, "{at}: {} and {}", host.len, here.len);
         assert!(
@@ -150,7 +152,8 @@ fn a_round_of_densification_by_kernels_is_that_of_the_host() {
     }
 }
 
-/// Everything is the same but the centres of halves, which lie 0.4 to 0.6 of the longest axis from the old ones.
+/// Everything is the same but the centres of halves, which lie 0.4 to 0.6 of the longest axis from
+/// the old ones.
 fn compare_halves(host: &Model, here: &Model, at: &str) {
     assert_eq!(
         (&host.sh, &host.sh_m, &host.sh_v, &host.steps),
@@ -251,4 +254,19 @@ fn compiled_pipelines_are_kept_where_the_adapter_has_a_cache() {
         Some(pipelines) => assert!(pipelines.kept() > 0 && pipelines.path().is_file()),
         None => println!("{} has no cache", again[0].adapter()),
     }
+}
+
+#[test]
+fn models_of_wrong_lengths_are_refused() {
+    let mut gpu = opened(Opening::default());
+    let whole = Model::from_gaussians(&ordinary(70, 40, 1));
+    let broken: [fn(&mut Model); 4] =
+        [|m| m.len = 4000, |m| m.sh_degree = 7, |m| m.sh.truncate(9), |m| m.geometry[MEAN].truncate(3)];
+    for change in broken {
+        let mut model = whole.clone();
+        change(&mut model);
+        assert!(gpu.upload(model, Statistics::default()).is_err());
+    }
+    gpu.upload(whole, Statistics::default()).unwrap();
+    assert_eq!(gpu.gaussians(), 40);
 }

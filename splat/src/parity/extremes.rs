@@ -1,4 +1,5 @@
-//! What no scene should hold and every scene may: results stay finite and, where f32 can hold them, right.
+//! What no scene should hold and every scene may: results stay finite and, where f32 can hold them,
+//! right.
 
 use super::pictures::{compare_gradient, reference_gradient, weights};
 use super::scenes::{One, of, ordinary, rendered, undecided, view};
@@ -50,13 +51,13 @@ fn tame() -> Vec<(&'static str, Gaussians)> {
 enum Lost {
     /// The determinant of its covariance on the screen, px⁴, is beyond 1e30: it is not drawn.
     Range,
-    /// A needle longer on the screen than some thousand times its width there: it is drawn as it should, but its gradient, a difference
-    /// of products, keeps no digit in f32.
+    /// A needle longer on the screen than some thousand times its width there: it is drawn as it
+    /// should, but its gradient, a difference of products, keeps no digit in f32.
     Cancelled,
 }
 
-/// Cases at the end of what f32 can hold, and the Gaussians for which it cannot. What is left must be right; of all is asked
-/// that it is finite.
+/// Cases at the end of what f32 can hold, and the Gaussians for which it cannot. What is left must
+/// be right; of all is asked that it is finite.
 fn wild() -> Vec<(&'static str, Gaussians, Vec<(usize, Lost)>)> {
     use Lost::{Cancelled, Range};
     let one = One::default();
@@ -153,8 +154,8 @@ fn extreme_gaussians_have_the_references_gradients() {
     }
 }
 
-/// The tolerances are those of the cases above. Gaussians beyond the range stay in the scene that is drawn: there the picture
-/// is the reference's without them.
+/// The tolerances are those of the cases above. Gaussians beyond the range stay in the scene that
+/// is drawn: there the picture is the reference's without them.
 #[test]
 fn what_f32_can_hold_of_wild_scenes_has_the_references_picture_and_gradient() {
     for mut subject in subjects() {

@@ -12,7 +12,7 @@ use scene::Gaussians;
 use std::sync::{Mutex, MutexGuard, OnceLock};
 
 /// One device for all tests, each call by itself.
-pub struct Adapter;
+pub(crate) struct Adapter;
 
 fn device() -> MutexGuard<'static, GpuBackend> {
     static DEVICE: OnceLock<Mutex<GpuBackend>> = OnceLock::new();

@@ -1,5 +1,6 @@
-//! Every backend against the f64 reference: kernel by kernel, whole pictures, whole gradients, whole training steps,
-//! and what happens at the extremes. The tests are generic over [`subject::Subject`].
+//! Every backend against the f64 reference: kernel by kernel, whole pictures, whole gradients,
+//! whole training steps, and what happens at the extremes. The tests are generic over
+//! [`subject::Subject`].
 
 mod adam;
 mod allocations;

@@ -10,8 +10,9 @@ use glam::DVec3;
 use rand::Rng;
 use scene::Gaussians;
 
-/// Compares a picture where no cut-off is at stake; at most a twentieth of the pixels may be left out.
-pub fn compare_picture(
+/// Compares a picture where no cut-off is at stake; at most a twentieth of the pixels may be left
+/// out.
+pub(crate) fn compare_picture(
     subject: &mut dyn Subject,
     g: &Gaussians,
     v: &PinholeView,
@@ -45,7 +46,7 @@ pub fn compare_picture(
 }
 
 /// The reference's gradient of L = Σ w · colour in the layout of a backend: 11 planes, then SH.
-pub fn reference_gradient(
+pub(crate) fn reference_gradient(
     g: &Gaussians,
     v: &PinholeView,
     o: &RenderOptions,
@@ -73,9 +74,10 @@ pub fn reference_gradient(
 const PLANES: [&str; 11] =
     ["mean x", "mean y", "mean z", "scale x", "scale y", "scale z", "q w", "q x", "q y", "q z", "opacity"];
 
-/// Relative to the value, with a floor of `floor` times the largest of its kind and of a few roundings of f32: a gradient that
-/// vanishes (the rotation of a sphere) is a difference of terms of the others' size.
-pub fn compare_gradient(
+/// Relative to the value, with a floor of `floor` times the largest of its kind and of a few
+/// roundings of f32: a gradient that vanishes (the rotation of a sphere) is a difference of terms
+/// of the others' size.
+pub(crate) fn compare_gradient(
     found: &ModelGradient,
     truth: &(Vec<Vec<f64>>, Vec<f64>),
     relative: f64,
@@ -83,7 +85,8 @@ pub fn compare_gradient(
     what: &str,
 ) {
     let groups = [0..3, 3..6, 6..10, 10..11];
-    // Kinds whose gradient vanishes (rotations of spheres) are compared with the scale of the others.
+    // Kinds whose gradient vanishes (rotations of spheres) are compared with the scale of the
+    // others.
     let overall = truth.0.iter().flatten().fold(0.0f64, |m, v| m.max(v.abs()));
     let rounding = 4.0 * f64::from(f32::EPSILON) * overall;
     let largest = |values: &mut dyn Iterator<Item = &f64>| values.fold(0.0f64, |m, v| m.max(v.abs()));
@@ -109,7 +112,7 @@ pub fn compare_gradient(
 }
 
 /// Random dL/d(colour), zero where a cut-off is at stake.
-pub fn weights(seed: u64, skip: &[bool]) -> Vec<f32> {
+pub(crate) fn weights(seed: u64, skip: &[bool]) -> Vec<f32> {
     let mut rng = scene::rng::rng(seed, "parity weights", 0);
     skip.iter()
         .flat_map(|&s| [(); 3].map(|()| if s { 0.0 } else { rng.random_range(-1.0f32..1.0) }))

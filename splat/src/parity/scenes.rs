@@ -10,12 +10,12 @@ use scene::Gaussians;
 
 /// A Gaussian, to be pushed into a scene.
 #[derive(Clone, Copy, Debug)]
-pub struct One {
-    pub mean: Vec3,
-    pub log_scale: Vec3,
-    pub rotation: Quat,
-    pub logit: f32,
-    pub sh0: Vec3,
+pub(crate) struct One {
+    pub(crate) mean: Vec3,
+    pub(crate) log_scale: Vec3,
+    pub(crate) rotation: Quat,
+    pub(crate) logit: f32,
+    pub(crate) sh0: Vec3,
 }
 
 impl Default for One {
@@ -25,7 +25,7 @@ impl Default for One {
     }
 }
 
-pub fn of(list: &[One]) -> Gaussians {
+pub(crate) fn of(list: &[One]) -> Gaussians {
     Gaussians {
         means: list.iter().map(|g| g.mean).collect(),
         log_scales: list.iter().map(|g| g.log_scale).collect(),
@@ -37,7 +37,7 @@ pub fn of(list: &[One]) -> Gaussians {
 }
 
 /// N Gaussians of ordinary shapes around the origin, depths distinct in f32 seen from [`view`].
-pub fn ordinary(seed: u64, n: usize, sh_degree: u32) -> Gaussians {
+pub(crate) fn ordinary(seed: u64, n: usize, sh_degree: u32) -> Gaussians {
     let mut rng = scene::rng::rng(seed, "parity scene", 0);
     let mut real = |low: f32, high: f32| rng.random_range(low..high);
     let mut g = Gaussians { sh_degree, ..Gaussians::default() };
@@ -53,7 +53,7 @@ pub fn ordinary(seed: u64, n: usize, sh_degree: u32) -> Gaussians {
 }
 
 /// A camera two units in front of the origin; sides that are no multiple of a tile.
-pub fn view(width: usize, height: usize) -> PinholeView {
+pub(crate) fn view(width: usize, height: usize) -> PinholeView {
     PinholeView {
         rotation: Mat3::from_rotation_z(0.3),
         translation: Vec3::new(0.05, -0.03, 2.0),
@@ -64,7 +64,7 @@ pub fn view(width: usize, height: usize) -> PinholeView {
     }
 }
 
-pub fn reference_view(v: &PinholeView) -> reference::ReferenceView {
+pub(crate) fn reference_view(v: &PinholeView) -> reference::ReferenceView {
     reference::ReferenceView {
         rotation: v.rotation.as_dmat3(),
         translation: v.translation.as_dvec3(),
@@ -75,7 +75,7 @@ pub fn reference_view(v: &PinholeView) -> reference::ReferenceView {
     }
 }
 
-pub fn reference_options(o: &RenderOptions) -> reference::Options {
+pub(crate) fn reference_options(o: &RenderOptions) -> reference::Options {
     reference::Options {
         near: f64::from(o.near.unwrap_or(crate::camera::DEFAULT_NEAR)),
         antialias: o.antialias,
@@ -85,12 +85,12 @@ pub fn reference_options(o: &RenderOptions) -> reference::Options {
 }
 
 /// The reference's picture.
-pub fn rendered(g: &Gaussians, v: &PinholeView, o: &RenderOptions) -> Rendered {
+pub(crate) fn rendered(g: &Gaussians, v: &PinholeView, o: &RenderOptions) -> Rendered {
     reference::render(&reference::Parameters::from_gaussians(g), &reference_view(v), &reference_options(o))
 }
 
 /// Whether rounding to f32 may decide a cut-off of the pixel (skip, clamp or stop) the other way.
-pub fn undecided(r: &Rendered, v: &PinholeView) -> Vec<bool> {
+pub(crate) fn undecided(r: &Rendered, v: &PinholeView) -> Vec<bool> {
     let near = |value: f64, limit: f64, band: f64| (value / limit - 1.0).abs() < band;
     let pixel = |i: usize| {
         let p = glam::DVec2::new((i % v.width) as f64 + 0.5, (i / v.width) as f64 + 0.5);
@@ -101,7 +101,8 @@ pub fn undecided(r: &Rendered, v: &PinholeView) -> Vec<bool> {
             // An exponent is a difference of large numbers where the Gaussian is steep.
             let steep = 1.0 + g.conic.x.max(g.conic.z) * (g.xy - p).length_squared() / (1.0 + power.abs());
             let band = 2e-5 * steep.min(1e4);
-            // Nothing is drawn where the exponent is below 0, which it can only come to be by the rounding of its terms.
+            // Nothing is drawn where the exponent is below 0, which it can only come to be by the
+            // rounding of its terms.
             let negative = power < 2e-6 * terms(&g, p);
             if near(alpha, MIN_ALPHA, band) || near(alpha, MAX_ALPHA, 1e-4) || negative {
                 return true;

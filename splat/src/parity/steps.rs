@@ -13,19 +13,19 @@ use glam::DVec3;
 use rand::Rng;
 use scene::Gaussians;
 
-pub const RATES: LearningRates =
+pub(crate) const RATES: LearningRates =
     LearningRates { mean: 2e-3, log_scale: 1e-2, rotation: 2e-3, opacity: 5e-2, sh0: 5e-3, sh_rest: 5e-4 };
 
 /// 8-bit pixels and a mask.
-pub struct Goal {
-    pub rgb: Vec<u8>,
-    pub mask: Option<Vec<u8>>,
-    pub transparent: bool,
+pub(crate) struct Goal {
+    pub(crate) rgb: Vec<u8>,
+    pub(crate) mask: Option<Vec<u8>>,
+    pub(crate) transparent: bool,
 }
 
 impl Goal {
     /// A picture of other Gaussians.
-    pub fn of(g: &Gaussians, v: &PinholeView, o: &RenderOptions) -> Self {
+    pub(crate) fn of(g: &Gaussians, v: &PinholeView, o: &RenderOptions) -> Self {
         let picture = rendered(g, v, o).picture;
         let byte = |v: f64| (v.clamp(0.0, 1.0) * 255.0).round() as u8;
         Self {
@@ -35,7 +35,7 @@ impl Goal {
         }
     }
 
-    pub fn input<'a>(
+    pub(crate) fn input<'a>(
         &'a self,
         view: &'a PinholeView,
         options: RenderOptions,
@@ -57,7 +57,7 @@ impl Goal {
 }
 
 /// One step as the reference takes it.
-pub fn reference_step(p: &mut Parameters, moments: &mut Moments, input: &StepInput) -> ReferenceLoss {
+pub(crate) fn reference_step(p: &mut Parameters, moments: &mut Moments, input: &StepInput) -> ReferenceLoss {
     let (v, o) = (reference_view(input.view), reference_options(&input.options));
     let r = render(p, &v, &o);
     let byte = |v: u8| f64::from(v) / 255.0;
@@ -87,7 +87,7 @@ pub fn reference_step(p: &mut Parameters, moments: &mut Moments, input: &StepInp
 }
 
 /// Value k of Gaussian i in the order of [`Model`], and its rate: 11 of geometry, then SH.
-pub fn parameter(p: &Parameters, i: usize, k: usize) -> (f64, f32) {
+pub(crate) fn parameter(p: &Parameters, i: usize, k: usize) -> (f64, f32) {
     match k {
         0..3 => (p.means[i][k], RATES.mean),
         3..6 => (p.log_scales[i][k - 3], RATES.log_scale),
@@ -135,7 +135,8 @@ fn whole_steps_move_every_parameter_as_the_reference_does() {
                     let (expected, rate) = parameter(&p, i, k);
                     let error = (f64::from(found) - expected).abs();
                     total += 1;
-                    // The first steps have the size of the rate whatever the gradient: one of 1e-9 may turn sign.
+                    // The first steps have the size of the rate whatever the gradient: one of 1e-9
+                    // may turn sign.
                     astray += usize::from(error > 0.03 * f64::from(rate) + 1e-6 * expected.abs());
                     assert!(
                         error < 2.1 * f64::from(step) * f64::from(rate),

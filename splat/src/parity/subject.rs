@@ -14,24 +14,26 @@ use scene::Gaussians;
 
 /// A Gaussian on the screen as a backend sees it.
 #[derive(Clone, Copy, Debug)]
-pub struct Seen {
-    pub xy: [f32; 2],
-    pub conic: [f32; 3],
-    pub depth: f32,
-    pub opacity: f32,
-    pub rgb: [f32; 3],
+pub(crate) struct Seen {
+    pub(crate) xy: [f32; 2],
+    pub(crate) conic: [f32; 3],
+    pub(crate) depth: f32,
+    pub(crate) opacity: f32,
+    pub(crate) rgb: [f32; 3],
 }
 
 /// A backend under test.
-pub trait Subject {
+pub(crate) trait Subject {
     fn name(&self) -> String;
     /// How many of `steps` steps it is worth to take: an emulated adapter is slow.
     fn affordable(&self, steps: usize) -> usize {
         steps
     }
-    /// Kernels project and sh: [N], nothing where culled (a backend may also cull what lies outside the picture).
+    /// Kernels project and sh: [N], nothing where culled (a backend may also cull what lies outside
+    /// the picture).
     fn project(&mut self, g: &Gaussians, view: &PinholeView, options: &RenderOptions) -> Vec<Option<Seen>>;
-    /// Kernel loss: loss, mean squared error and dL/d(colour) [H × W × 3]. Targets and weights are multiples of 1/255.
+    /// Kernel loss: loss, mean squared error and dL/d(colour) [H × W × 3]. Targets and weights are
+    /// multiples of 1/255.
     fn loss(
         &mut self,
         size: [usize; 2],
@@ -54,7 +56,7 @@ pub trait Subject {
 }
 
 /// Everyone who is tested here.
-pub fn subjects() -> Vec<Box<dyn Subject>> {
+pub(crate) fn subjects() -> Vec<Box<dyn Subject>> {
     let cpu = |isa| Box::new(Cpu { isa, backend: CpuBackend::new(isa) }) as Box<dyn Subject>;
     #[allow(unused_mut)]
     let mut all: Vec<_> = Isa::available().into_iter().map(cpu).collect();

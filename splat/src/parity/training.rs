@@ -24,7 +24,8 @@ fn dataset(truth: &Gaussians, count: usize) -> Dataset {
         let eye = 3.0 * DVec3::new(angle.cos(), angle.sin(), 0.3 * (3.0 * angle).sin()).normalize();
         let pose = Pose::look_at(eye, DVec3::ZERO, DVec3::Z);
         let picture = renderer.render(&camera, &pose, &RenderOptions::default()).unwrap();
-        // Noise, as photos have it: what is left when the scene is learnt does not hang on single gaussians.
+        // Noise, as photos have it: what is left when the scene is learnt does not hang on single
+        // gaussians.
         let mut rng = scene::rng::rng(9, "parity noise", k as u64);
         let mut byte = |v: &f32| (v * 255.0 + rng.random_range(-16.0..16.0)).round().clamp(0.0, 255.0) as u8;
         let rgb = picture.rgb.data.iter().map(&mut byte).collect();
@@ -99,15 +100,16 @@ fn a_limit_on_the_adapters_memory_means_fewer_gaussians_and_says_so() {
 fn two_hundred_steps_with_densification_end_where_the_processors_do() {
     let truth = ordinary(41, 150, 0);
     let dataset = dataset(&truth, 16);
-    // What is rounded differently drifts apart: held-out views by tenths of a decibel, the steps of the last quarter
-    // hardly.
+    // What is rounded differently drifts apart: held-out views by tenths of a decibel, the steps of
+    // the last quarter hardly.
     let mut ends = [0.0; 2];
     for seed in [0, 1] {
         let both = [BackendChoice::Cpu, BackendChoice::Gpu].map(|b| trained(&dataset, b, seed));
         let [a, b] = both.each_ref().map(|r| held_out_psnr(&dataset, r));
         assert!(a > 24.0 && (a - b).abs() < 0.7, "held out, seed {seed}: {a:.3} dB and {b:.3} dB");
-        // What is removed at the end is as many as a loss of 0.05 dB allows: a steep function of what is rounded
-        // differently, so that what has grown is compared, and the pictures of what is left.
+        // What is removed at the end is as many as a loss of 0.05 dB allows: a steep function of
+        // what is rounded differently, so that what has grown is compared, and the pictures of what
+        // is left.
         let [n, m] = both.each_ref().map(grown);
         assert!(n > 160 && n.abs_diff(m) * 20 < n, "seed {seed}: {n} and {m} gaussians");
         println!("seed {seed}: held out {a:.3} {b:.3} dB, {n} and {m} gaussians");

@@ -4,8 +4,9 @@
 //! m ← β1 m + (1 − β1) g        v ← β2 v + (1 − β2) g²
 //! p ← p − rate · m̂ / (√v̂ + ε)   m̂ = m / (1 − β1ᵗ)   v̂ = v / (1 − β2ᵗ)
 //! ```
-//! Kingma & Ba 2015, algorithm 1. The clock t belongs to a Gaussian and counts only the steps in which it is
-//! composited into a pixel; in the others nothing of it changes, so that unseen Gaussians do not drift on old momentum.
+//! Kingma & Ba 2015, algorithm 1. The clock t belongs to a Gaussian and counts only the steps in
+//! which it is composited into a pixel; in the others nothing of it changes, so that unseen
+//! Gaussians do not drift on old momentum.
 
 use super::constants::{BETAS, EPSILON};
 use super::parameters::Parameters;
@@ -55,8 +56,8 @@ pub(crate) fn adam(p: f64, g: f64, m: f64, v: f64, t: u32, rate: f64) -> (f64, f
     (p - rate * unbiased(m, BETAS[0]) / (unbiased(v, BETAS[1]).sqrt() + EPSILON), m, v)
 }
 
-/// A step of every Gaussian that was composited into a pixel that counts: where all of its gradient is exactly zero, as of one that
-/// is seen only where weights are zero, it stays as it is.
+/// A step of every Gaussian that was composited into a pixel that counts: where all of its gradient
+/// is exactly zero, as of one that is seen only where weights are zero, it stays as it is.
 pub(crate) fn step(p: &mut Parameters, moments: &mut Moments, g: &ReferenceGradient, rates: &Rates) {
     let stride = p.sh_stride();
     for i in (0..p.len()).filter(|&i| g.pixels[i] > 0 && !is_zero(&g.parameters, i)) {

@@ -34,7 +34,8 @@ impl ReferenceView {
         -(self.rotation.transpose() * self.translation)
     }
 
-    /// The view with a small motion in the camera frame after its pose: x_cam ← exp(\[ω\]×) x_cam + v.
+    /// The view with a small motion in the camera frame after its pose: x_cam ← exp(\[ω\]×) x_cam +
+    /// v.
     pub(crate) fn moved(&self, omega: DVec3, v: DVec3) -> Self {
         let rotation = DMat3::from_quat(DQuat::from_scaled_axis(omega));
         Self { rotation: rotation * self.rotation, translation: rotation * self.translation + v, ..*self }

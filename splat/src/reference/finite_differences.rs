@@ -88,7 +88,8 @@ fn component(p: &mut Parameters, k: usize) -> (&mut f64, &'static str) {
     }
 }
 
-/// Compares; `at(h)` is L with the variable moved by h. Whether it could be checked away from cut-offs.
+/// Compares; `at(h)` is L with the variable moved by h. Whether it could be checked away from
+/// cut-offs.
 fn agrees(at: &dyn Fn(f64) -> (f64, Vec<u64>), analytic: f64, floor: f64, what: &str) -> bool {
     let h = 2e-6;
     let ((right, right_cut), (left, left_cut)) = (at(h), at(-h));

@@ -5,12 +5,14 @@
 //! ```text
 //! L = (1 − λ) L1 + λ (1 − SSIM)                                    Kerbl 2023, eq. 7
 //! L1 = Σ w |x − y| / (3 Σ w)        SSIM = Σ w S / (3 Σ w)         sums over pixels and channels
-//! S = (2 μx μy + c1)(2 σxy + c2) / ((μx² + μy² + c1)(σx² + σy² + c2))    Wang 2004, eq. 13, each channel by itself
+//! S = (2 μx μy + c1)(2 σxy + c2) / ((μx² + μy² + c1)(σx² + σy² + c2))    Wang 2004, eq. 13, each
+//! channel by itself
 //! μx = G * x,  σx² = G * x² − μx²,  σxy = G * (x y) − μx μy
 //! ```
-//! G is an 11 × 11 Gaussian window of σ = 1.5 that sums to 1, zero outside the image; c1 = 0.01², c2 = 0.03².
-//! A pixel of weight 0 is ignored: its target is taken to be what was rendered, so that windows that reach over it see
-//! no difference there, and its derivative is zero. Where all weights are 0, L is 0.
+//! G is an 11 × 11 Gaussian window of σ = 1.5 that sums to 1, zero outside the image; c1 = 0.01²,
+//! c2 = 0.03². A pixel of weight 0 is ignored: its target is taken to be what was rendered, so that
+//! windows that reach over it see no difference there, and its derivative is zero. Where all
+//! weights are 0, L is 0.
 
 use super::constants::{SSIM_STABILITY, WINDOW_RADIUS, WINDOW_SIGMA};
 use glam::DVec3;
@@ -32,9 +34,9 @@ pub(crate) struct ReferenceLoss {
 
 /// G * image, zero outside. The window is symmetric, so this is its own adjoint.
 fn blur(image: &[DVec3], width: usize, height: usize) -> Vec<DVec3> {
-    const RADIUS: i64 = WINDOW_RADIUS as i64;
+    let radius = WINDOW_RADIUS as i64;
     let weight = |d: i64| (-(d * d) as f64 / (2.0 * WINDOW_SIGMA * WINDOW_SIGMA)).exp();
-    let norm: f64 = (-RADIUS..=RADIUS).map(weight).sum();
+    let norm: f64 = (-radius..=radius).map(weight).sum();
     let along = |image: &[DVec3], step: (i64, i64)| -> Vec<DVec3> {
         let at = |x: i64, y: i64| {
             let inside = (0..width as i64).contains(&x) && (0..height as i64).contains(&y);
@@ -42,7 +44,7 @@ fn blur(image: &[DVec3], width: usize, height: usize) -> Vec<DVec3> {
         };
         let pixel = |i: usize| {
             let (x, y) = ((i % width) as i64, (i / width) as i64);
-            let taps = (-RADIUS..=RADIUS).map(|d| weight(d) / norm * at(x + d * step.0, y + d * step.1));
+            let taps = (-radius..=radius).map(|d| weight(d) / norm * at(x + d * step.0, y + d * step.1));
             taps.fold(DVec3::ZERO, |a, b| a + b)
         };
         (0..image.len()).map(pixel).collect()

@@ -49,7 +49,8 @@ pub(crate) struct ReferenceView {
     pub(crate) translation: DVec3,
     /// Focal lengths fx, fy, pixels.
     pub(crate) focal: DVec2,
-    /// Principal point cx, cy, pixels; pixel (column, row) has its centre at (column + 0.5, row + 0.5).
+    /// Principal point cx, cy, pixels; pixel (column, row) has its centre at (column + 0.5, row +
+    /// 0.5).
     pub(crate) centre: DVec2,
     /// Width, pixels.
     pub(crate) width: usize,

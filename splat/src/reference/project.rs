@@ -1,25 +1,31 @@
 //! project: Gaussian → screen.
 //!
-//! in: mean μ, log-scales, quaternion q, opacity logit · out: [`Projected`] or nothing where it cannot be seen.
+//! in: mean μ, log-scales, quaternion q, opacity logit · out: [`Projected`] or nothing where it
+//! cannot be seen.
 //!
 //! ```text
 //! x = R μ + t                          camera frame; nothing where z < near
 //! xy = (fx x/z + cx, fy y/z + cy)      px
 //! M = R(q/|q|) diag(exp(log_scale))    Σ = M Mᵀ, world frame
-//! J = [fx/z 0 −fx u/z; 0 fy/z −fy v/z] Jacobian of xy at x (Zwicker 2002, eq. 29), u = x/z and v = y/z held where
-//!                                      they are at most 15 % of the image beyond its border (Kerbl 2023)
-//! Σ' = J R Σ Rᵀ Jᵀ + 0.3 I             px²; the 0.3 keeps a splat at least about a pixel wide (Kerbl 2023)
+//! J = [fx/z 0 −fx u/z; 0 fy/z −fy v/z] Jacobian of xy at x (Zwicker 2002, eq. 29), u = x/z and v =
+//! y/z held where
+//!                                      they are at most 15 % of the image beyond its border (Kerbl
+//!                                      2023)
+//! Σ' = J R Σ Rᵀ Jᵀ + 0.3 I             px²; the 0.3 keeps a splat at least about a pixel wide
+//! (Kerbl 2023)
 //! conic = Σ'⁻¹                         px⁻²
-//! o = sigmoid(logit) · ρ               ρ = 1, or √(det(Σ' − 0.3 I) / det Σ') with antialiasing (Yu 2024)
+//! o = sigmoid(logit) · ρ               ρ = 1, or √(det(Σ' − 0.3 I) / det Σ') with antialiasing (Yu
+//! 2024)
 //! ```
-//! With a = Mᵀ Rᵀ j₀ and b = Mᵀ Rᵀ j₁ (j the rows of J): Σ' − 0.3 I = [a·a a·b; a·b b·b], and its determinant is
-//! |a × b|², which unlike the difference of products loses nothing for needles.
+//! With a = Mᵀ Rᵀ j₀ and b = Mᵀ Rᵀ j₁ (j the rows of J): Σ' − 0.3 I = [a·a a·b; a·b b·b], and its
+//! determinant is |a × b|², which unlike the difference of products loses nothing for needles.
 
 use super::constants::{JACOBIAN_MARGIN, LOW_PASS, MAX_LOG_SCALE, MIN_ALPHA};
 use super::parameters::{GaussianGeometry, Options, ReferenceView};
 use glam::{DMat3, DQuat, DVec2, DVec3};
 
-/// What the rasteriser needs to know of a Gaussian, without its colour; also the gradient with respect to it.
+/// What the rasteriser needs to know of a Gaussian, without its colour; also the gradient with
+/// respect to it.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub(crate) struct Projected {
     /// Centre, px.
@@ -33,7 +39,8 @@ pub(crate) struct Projected {
 }
 
 impl Projected {
-    /// Half the sides of the exact bounding box of { alpha ≥ 1/255 }, px: √(2 ln(255 o) Σ'_xx), √(2 ln(255 o) Σ'_yy).
+    /// Half the sides of the exact bounding box of { alpha ≥ 1/255 }, px: √(2 ln(255 o) Σ'_xx), √(2
+    /// ln(255 o) Σ'_yy).
     pub(crate) fn half_extent(&self) -> DVec2 {
         let p = (self.opacity / MIN_ALPHA).ln();
         let det = self.conic.x * self.conic.z - self.conic.y * self.conic.y;
@@ -61,7 +68,8 @@ pub(super) struct ForwardValues {
     pub(super) out: Projected,
 }
 
-/// The Gaussian on the screen; `None` where it is nearer than `near`, not finite, or more transparent than 1/255.
+/// The Gaussian on the screen; `None` where it is nearer than `near`, not finite, or more
+/// transparent than 1/255.
 pub(crate) fn project(g: &GaussianGeometry, view: &ReferenceView, options: &Options) -> Option<Projected> {
     forward(g, view, options).map(|f| f.out)
 }

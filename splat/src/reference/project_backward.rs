@@ -1,4 +1,5 @@
-//! project backward: ∂L/∂[`Projected`] → ∂L/∂[`GaussianGeometry`] and ∂L/∂pose, through the equations of [`super::project`].
+//! project backward: ∂L/∂[`Projected`] → ∂L/∂[`GaussianGeometry`] and ∂L/∂pose, through the
+//! equations of [`super::project`].
 
 use super::constants::{LOW_PASS, MAX_LOG_SCALE};
 use super::derivatives::PoseGradient;
@@ -6,8 +7,8 @@ use super::parameters::{GaussianGeometry, Options, ReferenceView};
 use super::project::{ForwardValues, Projected, forward, rotation_matrix};
 use glam::{DMat2, DMat3, DQuat, DVec2, DVec3, DVec4};
 
-/// From `d` = ∂L/∂[`Projected`] to ∂L/∂[`GaussianGeometry`] and ∂L/∂pose (the colour's part of both is in [`super::sh`]).
-/// All zero where [`super::project::project`] gives nothing.
+/// From `d` = ∂L/∂[`Projected`] to ∂L/∂[`GaussianGeometry`] and ∂L/∂pose (the colour's part of both
+/// is in [`super::sh`]). All zero where [`super::project::project`] gives nothing.
 pub(crate) fn project_backward(
     g: &GaussianGeometry,
     view: &ReferenceView,

@@ -1,6 +1,7 @@
 //! rasterise: Gaussians in order of depth → picture.
 //!
-//! in: \[N\] [`Projected`], \[N\] rgb, order, background · out: rgb [H × W], alpha [H × W], depth [H × W]
+//! in: \[N\] [`Projected`], \[N\] rgb, order, background · out: rgb [H × W], alpha [H × W], depth
+//! [H × W]
 //!
 //! ```text
 //! for each pixel centre p, T = 1, for each Gaussian i in order:
@@ -9,7 +10,8 @@
 //!   C += T α rgb;  D += T α z;  T ← T (1 − α)
 //! rgb = C + T background;  alpha = 1 − T;  depth = D / (1 − T), 0 where nothing is seen
 //! ```
-//! Kerbl 2023, eq. 3 and appendix C; backward by ∂C/∂α_i = T_i c_i − S_i / (1 − α_i) with S_i what lies behind i.
+//! Kerbl 2023, eq. 3 and appendix C; backward by ∂C/∂α_i = T_i c_i − S_i / (1 − α_i) with S_i what
+//! lies behind i.
 
 use super::constants::{MAX_ALPHA, MIN_ALPHA, MIN_TRANSMITTANCE};
 use super::parameters::ReferenceView;
@@ -62,7 +64,8 @@ pub(crate) struct Contribution {
     pub(crate) falloff: f64,
 }
 
-/// What the pixel with its centre at `p` is composited from, front to back, and the transmittance behind.
+/// What the pixel with its centre at `p` is composited from, front to back, and the transmittance
+/// behind.
 pub(crate) fn contributions(
     projected: &[Option<Projected>],
     order: &[usize],
@@ -128,7 +131,8 @@ pub(crate) struct RasteriseGradient {
     pub(crate) pixels: Vec<u32>,
 }
 
-/// From `d` = ∂L/∂[`ReferencePicture`] to the derivatives with respect to the Gaussians on the screen.
+/// From `d` = ∂L/∂[`ReferencePicture`] to the derivatives with respect to the Gaussians on the
+/// screen.
 pub(crate) fn rasterise_backward(
     projected: &[Option<Projected>],
     colours: &[DVec3],

@@ -29,7 +29,8 @@ pub(crate) struct ReferenceGradient {
     pub(crate) parameters: Parameters,
     /// With respect to the camera.
     pub(crate) pose: PoseGradient,
-    /// \[N\] with respect to the centre on the screen, a px: its norm drives densification (Kerbl 2023, section 5.2).
+    /// \[N\] with respect to the centre on the screen, a px: its norm drives densification (Kerbl
+    /// 2023, section 5.2).
     pub(crate) xy: Vec<DVec2>,
     /// \[N\] in how many pixels the Gaussian is composited.
     pub(crate) pixels: Vec<u32>,
@@ -39,11 +40,10 @@ pub(crate) struct ReferenceGradient {
 pub(crate) fn render(p: &Parameters, view: &ReferenceView, options: &Options) -> Rendered {
     let projected: Vec<_> = (0..p.len()).map(|i| project(&p.geometry(i), view, options)).collect();
     let position = view.position();
-    let colour = |i: usize| match projected[i] {
-        Some(_) => sh(p.sh_of(i), options.sh_degree, p.means[i], position),
-        None => DVec3::ZERO,
-    };
-    let colours: Vec<_> = (0..p.len()).map(colour).collect();
+    let mut colours = vec![DVec3::ZERO; p.len()];
+    for i in (0..p.len()).filter(|&i| projected[i].is_some()) {
+        colours[i] = sh(p.sh_of(i), options.sh_degree, p.means[i], position);
+    }
     let order = sort(&projected);
     let picture = rasterise(&projected, &colours, &order, view, options.background);
     Rendered { projected, colours, order, picture }
@@ -71,7 +71,8 @@ pub(crate) fn backward(
         parameters.rotations[i] = g.rotation;
         parameters.opacity_logits[i] = g.logit;
         pose += pose_i;
-        // The camera stands at −Rᵀ t; its motion by v in its own frame moves it by −Rᵀ v in the world.
+        // The camera stands at −Rᵀ t; its motion by v in its own frame moves it by −Rᵀ v in the
+        // world.
         pose.translation += view.rotation * through_colour;
     }
     let xy = on_screen.projected.iter().map(|g| g.xy).collect();

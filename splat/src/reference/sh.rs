@@ -2,8 +2,9 @@
 //!
 //! in: coefficients [K × 3], direction · out: rgb = max(0, 0.5 + Σ_k Y_k(dir) sh_k)
 //!
-//! Y are the real spherical harmonics up to degree 3 with the Condon–Shortley phase, l² + l + m being the index
-//! (Ramamoorthi & Hanrahan 2001; the signs are those of the 3DGS paper's PLY files).
+//! Y are the real spherical harmonics up to degree 3 with the Condon–Shortley phase, l² + l + m
+//! being the index (Ramamoorthi & Hanrahan 2001; the signs are those of the 3DGS paper's PLY
+//! files).
 
 use glam::DVec3;
 
@@ -56,7 +57,8 @@ pub(crate) fn basis_gradient(d: DVec3) -> [DVec3; 16] {
     ]
 }
 
-/// Colour of a Gaussian at `mean` seen from `position`; coefficients [K × 3] above `degree` are left out.
+/// Colour of a Gaussian at `mean` seen from `position`; coefficients [K × 3] above `degree` are
+/// left out.
 pub(crate) fn sh(coefficients: &[f64], degree: u32, mean: DVec3, position: DVec3) -> DVec3 {
     raw(coefficients, degree, mean, position).max(DVec3::ZERO)
 }
@@ -67,8 +69,8 @@ fn raw(coefficients: &[f64], degree: u32, mean: DVec3, position: DVec3) -> DVec3
     used.zip(y).fold(DVec3::splat(0.5), |sum, (c, y)| sum + DVec3::from_slice(c) * y)
 }
 
-/// From `d` = ∂L/∂rgb: adds ∂L/∂coefficients to `d_coefficients` and returns ∂L/∂mean = −∂L/∂position through the
-/// direction. Zero for a channel that the maximum holds at 0.
+/// From `d` = ∂L/∂rgb: adds ∂L/∂coefficients to `d_coefficients` and returns ∂L/∂mean =
+/// −∂L/∂position through the direction. Zero for a channel that the maximum holds at 0.
 pub(crate) fn sh_backward(
     coefficients: &[f64],
     degree: u32,

@@ -1,11 +1,12 @@
 //! sort: the order in which Gaussians are composited.
 //!
-//! in: \[N\] [`Projected`] or nothing · out: indices of those that are seen, nearest first, ties by index.
+//! in: \[N\] [`Projected`] or nothing · out: indices of those that are seen, nearest first, ties by
+//! index.
 
 use super::project::Projected;
 
-/// Indices of the Gaussians that are seen, by ascending depth, ties by index. It has no derivative: L is taken as
-/// smooth within an order.
+/// Indices of the Gaussians that are seen, by ascending depth, ties by index. It has no derivative:
+/// L is taken as smooth within an order.
 pub(crate) fn sort(projected: &[Option<Projected>]) -> Vec<usize> {
     let mut seen: Vec<(f64, usize)> =
         projected.iter().enumerate().filter_map(|(i, p)| p.map(|p| (p.depth, i))).collect();

@@ -1,9 +1,13 @@
-// adam: project backward and Adam, fused: sums of `rasterise_backward` -> parameters moved one step.
-// in: sums [pairs][10] in arrays of four, four and two · spans [N] (first, end) of the Gaussian's pairs · counters
-// in, out, of a page: geometry [36][stride]: 11 planes of parameters, 11 of first and 11 of second moments, the clock, and
+// adam: project backward and Adam, fused: sums of `rasterise_backward` -> parameters moved one
+// step.
+// in: sums [pairs][10] in arrays of four, four and two · spans [N] (first, end) of the Gaussian's
+// pairs · counters
+// in, out, of a page: geometry [36][stride]: 11 planes of parameters, 11 of first and 11 of second
+// moments, the clock, and
 //          two of statistics: sum of |dL/dxy| in half images, steps seen
 //          sh [3K][stride] · sh_moments [2][3K][stride] first and second
-// Equations and sources: reference/project.rs, reference/adam.rs. The clock counts the steps in which a Gaussian was seen.
+// Equations and sources: reference/project.rs, reference/adam.rs. The clock counts the steps in
+// which a Gaussian was seen.
 
 @group(0) @binding(0) var<uniform> frame: Frame;
 @group(0) @binding(1) var<uniform> page: Page;
@@ -116,8 +120,8 @@ fn colour_step(l: u32, mean: vec3<f32>, d_rgb: vec3<f32>, c1: f32, c2: f32) -> v
 @compute @workgroup_size(256)
 fn main(@builtin(workgroup_id) group: vec3<u32>, @builtin(num_workgroups) groups: vec3<u32>, @builtin(local_invocation_index) local: u32) {
     let l = group_number(group, groups) * 256u + local;
-    // Where the buffers were too small the step is not taken, nor those after it; the host enlarges them and repeats it,
-    // or says that they cannot be larger.
+    // Where the buffers were too small the step is not taken, nor those after it; the host enlarges
+    // them and repeats it, or says that they cannot be larger.
     let overfull = atomicLoad(&counters[PAIRS]) > frame.pair_capacity && (frame.flags & TRUNCATE) == 0u;
     if (overfull) {
         atomicStore(&counters[HALT], 1u);

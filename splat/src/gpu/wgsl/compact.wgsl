@@ -1,6 +1,7 @@
 // compact: the Gaussians that are seen, by index.
 // in: boxes [N] · positions [N] (scanned flags) · records · counters
-// out: keys [visible] depth as bits, ascending as the depth is since it is positive · values [visible] index of the Gaussian
+// out: keys [visible] depth as bits, ascending as the depth is since it is positive · values
+// [visible] index of the Gaussian
 
 @group(0) @binding(0) var<uniform> frame: Frame;
 @group(0) @binding(1) var<storage, read> boxes: array<vec2<u32>>;

@@ -1,7 +1,9 @@
 // densify: which Gaussians are split and which stay. Twin: densify.rs.
-// score: keys [N], ascending from the greatest mean screen gradient, NOWHERE for no candidate · values [N] numbers
+// score: keys [N], ascending from the greatest mean screen gradient, NOWHERE for no candidate ·
+// values [N] numbers
 // (then `sort`) choose: chosen [N] is 1 for the first `room` candidates
-// judge: flags [N + room] is 1 for what stays: the Gaussians, then the new halves in order of their scores
+// judge: flags [N + room] is 1 for what stays: the Gaussians, then the new halves in order of their
+// scores
 // (then `scan`) place: source [kept] where each comes from (CHILD, FRESH: split.wgsl)
 // score and judge run once a page; the others once.
 
@@ -83,7 +85,8 @@ fn seen(x: vec3<f32>) -> bool {
 
 @compute @workgroup_size(256)
 fn judge(@builtin(workgroup_id) group: vec3<u32>, @builtin(num_workgroups) groups: vec3<u32>, @builtin(local_invocation_index) local: u32) {
-    // The page's Gaussians, then all ranks of new halves, of which those of the page's Gaussians are looked at.
+    // The page's Gaussians, then all ranks of new halves, of which those of the page's Gaussians
+    // are looked at.
     let item = group_number(group, groups) * 256u + local;
     var i = job.page_first + item;
     var at = i;

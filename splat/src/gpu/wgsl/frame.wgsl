@@ -1,4 +1,5 @@
-// frame: what every kernel knows of the view and the step; placed before each kernel. Rust twin: layout.rs (Frame).
+// frame: what every kernel knows of the view and the step; placed before each kernel. Rust twin:
+// layout.rs (Frame).
 
 struct Frame {
     row0: vec4<f32>,        // rows of R of x_cam = R x + t, t in w

@@ -1,5 +1,7 @@
-// gather: planes of a page of the old model -> planes of a page of the new one, by `source` (split.wgsl).
-// in: source [new N] · old [planes][stride] · out: new [planes][stride]; what comes from other old pages is left to them.
+// gather: planes of a page of the old model -> planes of a page of the new one, by `source`
+// (split.wgsl).
+// in: source [new N] · old [planes][stride] · out: new [planes][stride]; what comes from other old
+// pages is left to them.
 
 struct Job {
     first: u32,         // the new page

@@ -1,4 +1,5 @@
-// halve: the Gaussians of a page that come from a split take their places and scales; `source` and how: split.wgsl.
+// halve: the Gaussians of a page that come from a split take their places and scales; `source` and
+// how: split.wgsl.
 
 struct Job {
     first: u32,

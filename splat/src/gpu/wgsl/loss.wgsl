@@ -1,11 +1,15 @@
-// loss: L = (1 - lambda) mean |C - G| + lambda (1 - SSIM) and dL/dC, in three dispatches: statistics (each of the three
-// channels in z), differentiate, total. And for gains: products (channels in z), total_products. Equations and sources: reference/loss.rs.
+// loss: L = (1 - lambda) mean |C - G| + lambda (1 - SSIM) and dL/dC, in three dispatches:
+// statistics (each of the three channels in z), differentiate, total. And for gains: products
+// (channels in z), total_products. Equations and sources: reference/loss.rs.
 // in: image [H * W] · goal [H * W] 8-bit rgb and mask
-// out: by_mean, by_square, by_product [3][H * W] w dS/d(mu_x), w dS/d(E x^2), w dS/d(E xy) of each channel
-//      image [H * W] becomes (dL/dC, C . dL/dC), which is all that rasterise_backward needs of the picture
+// out: by_mean, by_square, by_product [3][H * W] w dS/d(mu_x), w dS/d(E x^2), w dS/d(E xy) of each
+// channel
+//      image [H * W] becomes (dL/dC, C . dL/dC), which is all that rasterise_backward needs of the
+//      picture
 //      partial [3][tiles] vec4: sums of w S, w |C - G|, w (C - G)^2 · result[0]: their totals
 //      after products: partial and result[channel] sums of w C G, w C^2, w G^2
-// A group filters a tile of 16 x 16 with the 26 x 26 pixels around it, across and then down, in shared memory.
+// A group filters a tile of 16 x 16 with the 26 x 26 pixels around it, across and then down, in
+// shared memory.
 
 @group(0) @binding(0) var<uniform> frame: Frame;
 @group(0) @binding(1) var<storage, read_write> image: array<vec4<f32>>;
@@ -49,7 +53,8 @@ fn sample(pixel: vec2<i32>, channel: u32) -> Sample {
     var s = Sample(x, goal_rgba[channel] * frame.unit[channel], 1.0);
     if ((frame.flags & WEIGHTED) != 0u) {
         s.weight = goal_rgba.w;
-        // What is ignored is taken to be as rendered, so that its neighbours' windows see no difference.
+        // What is ignored is taken to be as rendered, so that its neighbours' windows see no
+        // difference.
         s.y = select(x, s.y, goal_rgba.w > 0.0);
     }
     if ((frame.flags & COVERAGE) != 0u) {

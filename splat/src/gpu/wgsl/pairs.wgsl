@@ -1,8 +1,9 @@
 // pairs: the Gaussian-tile pairs, in order of depth.
 // count: for the Gaussian of rank r, how many tiles it touches -> counts [N]; then scanned.
-// emit:  its pairs -> keys [pairs] tile · owners [pairs] Gaussian; spans [N] (first, end) of the Gaussian's pairs.
-// A tile is touched where the ellipse alpha >= 1/255 reaches it: the least of the quadratic form over the tile's
-// rectangle lies at the centre or on an edge that faces it, where it is a parabola's lowest point.
+// emit:  its pairs -> keys [pairs] tile · owners [pairs] Gaussian; spans [N] (first, end) of the
+// Gaussian's pairs. A tile is touched where the ellipse alpha >= 1/255 reaches it: the least of the
+// quadratic form over the tile's rectangle lies at the centre or on an edge that faces it, where it
+// is a parabola's lowest point.
 
 @group(0) @binding(0) var<uniform> frame: Frame;
 @group(0) @binding(1) var<storage, read> counters: array<u32>;

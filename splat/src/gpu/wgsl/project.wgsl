@@ -1,8 +1,11 @@
 // project: Gaussian i -> screen, and its colour.
 // in: geometry [11][stride] · sh [3K][stride], of a page
-// out: records [N][2] vec4: (x, y, conic xx, conic xy) · (conic yy, opacity, depth, 0) · colours [N]: (r, g, b, 0)
-//      boxes [N][2]: half-open box of tiles, (x0 | y0 << 16, x1 | y1 << 16) · flags [N]: 1 where seen
-// Sigma' = J W Sigma W^T J^T + 0.3 I  (Zwicker 2002; 0.3 px^2 low-pass: Kerbl 2023). z < near: not seen.
+// out: records [N][2] vec4: (x, y, conic xx, conic xy) · (conic yy, opacity, depth, 0) · colours
+// [N]: (r, g, b, 0)
+//      boxes [N][2]: half-open box of tiles, (x0 | y0 << 16, x1 | y1 << 16) · flags [N]: 1 where
+//      seen
+// Sigma' = J W Sigma W^T J^T + 0.3 I  (Zwicker 2002; 0.3 px^2 low-pass: Kerbl 2023). z < near: not
+// seen.
 
 @group(0) @binding(0) var<uniform> frame: Frame;
 @group(0) @binding(1) var<uniform> page: Page;

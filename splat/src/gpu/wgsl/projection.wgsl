@@ -1,7 +1,7 @@
-// projection: Gaussian -> screen, shared by project and adam. Needs `page` and `geometry`: 11 planes of `page.stride`
-// (mean x y z, log-scale x y z, quaternion w x y z, logit). Equations and sources: reference/project.rs.
-// The model lies in pages, so that no binding is larger than the adapter allows: Gaussian i is entry i - page.first of its
-// page, and a kernel runs once a page.
+// projection: Gaussian -> screen, shared by project and adam. Needs `page` and `geometry`: 11
+// planes of `page.stride` (mean x y z, log-scale x y z, quaternion w x y z, logit). Equations and
+// sources: reference/project.rs. The model lies in pages, so that no binding is larger than the
+// adapter allows: Gaussian i is entry i - page.first of its page, and a kernel runs once a page.
 
 struct Page {
     first: u32,    // number of its first Gaussian

@@ -1,7 +1,10 @@
 // ranges: where each tile's pairs begin and end, and whose they are.
-// in: keys [pairs] tiles, ascending · values [pairs] pair numbers in that order · owners [pairs] Gaussian of each number
-// out: ranges [tiles + 1] (begin, end, 0, 0), half-open (cleared before); the last one: pairs of no tile
-//      sorted [pairs] (Gaussian, pair number) in order of tiles, so that the pixels' kernels look up once
+// in: keys [pairs] tiles, ascending · values [pairs] pair numbers in that order · owners [pairs]
+// Gaussian of each number
+// out: ranges [tiles + 1] (begin, end, 0, 0), half-open (cleared before); the last one: pairs of no
+// tile
+//      sorted [pairs] (Gaussian, pair number) in order of tiles, so that the pixels' kernels look
+//      up once
 
 @group(0) @binding(0) var<uniform> frame: Frame;
 @group(0) @binding(1) var<storage, read> counters: array<u32>;

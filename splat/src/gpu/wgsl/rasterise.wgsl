@@ -1,7 +1,10 @@
 // rasterise: the Gaussians of a tile -> its pixels, front to back.
-// in: records · colours · sorted [pairs] (Gaussian, pair number) by tile · ranges [tiles] (begin, end, -, -)
-// out: image [H * W] (rgb over the background, transmittance) · depth [H * W] expected z · ranges.z: pairs looked at
-// C = sum of T alpha rgb + T background (Kerbl 2023, eq. 3); skip alpha < 1/255, stop before T < 1e-4.
+// in: records · colours · sorted [pairs] (Gaussian, pair number) by tile · ranges [tiles] (begin,
+// end, -, -)
+// out: image [H * W] (rgb over the background, transmittance) · depth [H * W] expected z ·
+// ranges.z: pairs looked at
+// C = sum of T alpha rgb + T background (Kerbl 2023, eq. 3); skip alpha < 1/255, stop before T <
+// 1e-4.
 
 @group(0) @binding(0) var<uniform> frame: Frame;
 @group(0) @binding(1) var<storage, read> records: array<vec4<f32>>;

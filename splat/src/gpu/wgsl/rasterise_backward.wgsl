@@ -1,13 +1,18 @@
-// rasterise_backward: dL/d(colour) of a tile's pixels -> sums for each of its Gaussians, replayed front to back.
-// in: records · colours · sorted [pairs] (Gaussian, pair number) by tile · ranges [tiles] (begin, end, used, -)
+// rasterise_backward: dL/d(colour) of a tile's pixels -> sums for each of its Gaussians, replayed
+// front to back.
+// in: records · colours · sorted [pairs] (Gaussian, pair number) by tile · ranges [tiles] (begin,
+// end, used, -)
 //      gradient [H * W] (dL/d(rgb), C . dL/d(rgb) of the pixel's colour C)
-// out: sums [pairs][10] in arrays of four, four and two, at the pair's number, so that a Gaussian's pairs lie side by side and no
-//      atomics are needed: with v = alpha dL/d(alpha), d = xy - pixel: v, v dx, v dy, v dx^2, v dx dy, v dy^2, T alpha dL/d(rgb) (3), T alpha
+// out: sums [pairs][10] in arrays of four, four and two, at the pair's number, so that a Gaussian's
+// pairs lie side by side and no atomics are needed:
+//      with v = alpha dL/d(alpha), d = xy - pixel: v, v dx, v dy, v dx^2, v dx
+//      dy, v dy^2, T alpha dL/d(rgb) (3), T alpha
 //
-// Eight Gaussians at a time: each thread follows its pixel and leaves T alpha and v of each of the eight in `left`;
-// then 32 threads a Gaussian add up eight pixels of a column each; then the 32 are added up, across the subgroup where
-// the adapter has such operations, and by one thread a sum where not.
-// v = alpha (T rgb . g - behind / (1 - alpha)), behind = g . (what lies behind, the background too): Kerbl 2023.
+// Eight Gaussians at a time: each thread follows its pixel and leaves T alpha and v of each of the
+// eight in `left`; then 32 threads a Gaussian add up eight pixels of a column each; then the 32 are
+// added up, across the subgroup where the adapter has such operations, and by one thread a sum
+// where not. v = alpha (T rgb . g - behind / (1 - alpha)), behind = g . (what lies behind, the
+// background too): Kerbl 2023.
 
 @group(0) @binding(0) var<uniform> frame: Frame;
 @group(0) @binding(1) var<storage, read> records: array<vec4<f32>>;
@@ -42,7 +47,8 @@ fn put(pair: u32, which: u32, sum: f32) {
     }
 }
 
-// One pixel past up to eight Gaussians from position `first`; `behind` and the transmittance are kept between calls.
+// One pixel past up to eight Gaussians from position `first`; `behind` and the transmittance are
+// kept between calls.
 fn follow(first: u32, count: u32, local: u32, centre: vec2<f32>, g: vec3<f32>, state: ptr<function, vec2<f32>>, finished: ptr<function, bool>) {
     for (var k = 0u; k < 8u; k++) {
         var weight = 0.0;
@@ -92,7 +98,8 @@ fn main(@builtin(workgroup_id) group: vec3<u32>, @builtin(num_workgroups) groups
     var state = vec2<f32>(1.0, g.w);
     var finished = !inside;
 
-    // In the second part the thread adds up eight pixels of one column, two rows apart, for Gaussian local / 32.
+    // In the second part the thread adds up eight pixels of one column, two rows apart, for
+    // Gaussian local / 32.
     let lane = local % 32u;
     let column = corner + vec2<u32>(lane % TILE, lane / TILE);
     var column_gradient: array<vec3<f32>, 8>;

@@ -1,5 +1,5 @@
-// scan: exclusive prefix sums of u32, in place, in three dispatches: reduce, spine, sweep; or in one, whole, by one group
-// where there are few values.
+// scan: exclusive prefix sums of u32, in place, in three dispatches: reduce, spine, sweep; or in
+// one, whole, by one group where there are few values.
 // in, out: data [n] · sums [ceil(n / 2048)] · counters[job.total] becomes the sum of all.
 // Blelloch 1990, "Prefix Sums and Their Applications"; blocks of 2,048, 8 values a thread.
 

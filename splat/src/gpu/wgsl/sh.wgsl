@@ -1,4 +1,5 @@
-// sh: real spherical harmonics to degree 3 at a unit vector. Equations and sources: reference/sh.rs.
+// sh: real spherical harmonics to degree 3 at a unit vector. Equations and sources:
+// reference/sh.rs.
 
 fn sh_basis(d: vec3<f32>) -> array<f32, 16> {
     let x = d.x; let y = d.y; let z = d.z;
@@ -30,7 +31,8 @@ fn sh_basis_gradient(d: vec3<f32>) -> array<vec3<f32>, 16> {
     );
 }
 
-// 0.5 + sum of Y_k sh_k, not limited, of the page's Gaussian l; `sh` holds planes (coefficient, channel) of the page.
+// 0.5 + sum of Y_k sh_k, not limited, of the page's Gaussian l; `sh` holds planes (coefficient,
+// channel) of the page.
 fn sh_colour(l: u32, basis: ptr<function, array<f32, 16>>) -> vec3<f32> {
     var rgb = vec3<f32>(0.5);
     for (var k = 0u; k < frame.sh_used; k++) {

@@ -1,5 +1,6 @@
 // sort: one pass of a stable radix sort of (key, value) pairs by four bits of the key.
-// histogram: keys -> table [16][blocks], how many keys of each digit a block of 2,048 holds; then the table is scanned;
+// histogram: keys -> table [16][blocks], how many keys of each digit a block of 2,048 holds; then
+// the table is scanned;
 // scatter: each pair to table[digit][block] + its rank among the block's keys of that digit.
 // Satish, Harris, Garland 2009, "Designing Efficient Sorting Algorithms for Manycore GPUs".
 
@@ -26,7 +27,8 @@ const EACH: u32 = 8u;
 const BLOCK: u32 = 2048u;
 
 var<workgroup> digits: array<atomic<u32>, 16>;
-// Counts of 16 digits, two to a word of 16 bits each, scanned over the threads: [word][thread], or [word][subgroup].
+// Counts of 16 digits, two to a word of 16 bits each, scanned over the threads: [word][thread], or
+// [word][subgroup].
 var<workgroup> ranks: array<array<u32, 256>, 8>;
 
 fn digit_of(key: u32) -> u32 {

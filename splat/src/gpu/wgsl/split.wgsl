@@ -1,6 +1,7 @@
-// split: how a Gaussian becomes two, and the numbers it is done by; shared by densify and halve. Twin: densify.rs (split).
-// Half of the longest axis each: centres 0.4 to 0.6 of its deviation apart from the old one, that axis halved, the
-// others shorter by exp(-0.16).
+// split: how a Gaussian becomes two, and the numbers it is done by; shared by densify and halve.
+// Twin: densify.rs (split).
+// Half of the longest axis each: centres 0.4 to 0.6 of its deviation apart from the old one, that
+// axis halved, the others shorter by exp(-0.16).
 
 const CHILD: u32 = 0x80000000u;   // in `source`: the half that is new
 const FRESH: u32 = 0x40000000u;   // in `source`: either half: moments begin anew
