@@ -4,9 +4,7 @@
 use super::buffers::{Buffers, Limit, Sizes, capacity, most_pairs};
 use super::context::LANES;
 use super::kernels::{BindingSlot, KernelSource, SOURCES};
-use super::layout::{
-    DensifyJob, DensifyView, Frame, GatherJob, HalveJob, PLANES, PageJob, ScanJob, SortJob,
-};
+use super::layout::{DensifyJob, DensifyView, Frame, GatherJob, HalveJob, PLANES, PageJob, ScanJob, SortJob};
 use super::pages;
 use naga::valid::{Capabilities, ValidationFlags, Validator};
 use naga::{AddressSpace, Module, StorageAccess, TypeInner};
