@@ -75,8 +75,8 @@ fn main() -> Result<()> {
         }
     }
     let record = json!({
-        "backend": decision.choice,
-        "why": decision.evidence,
+        "backend": decision.sentences().choice,
+        "why": decision.sentences().evidence,
         "adapters": splat::adapters(),
         "roof": roof,
         "synthetic": synthetic,

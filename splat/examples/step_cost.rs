@@ -46,9 +46,8 @@ fn main() -> Result<()> {
         Some(cli.dataset.join("images")).filter(|p| p.is_dir() && cli.dataset.join("sparse").is_dir());
     let images = images.unwrap_or(cli.dataset.clone());
     let dataset = Dataset::load(&images, None, &model, &DatasetConfig::default(), &Progress::silent())?;
-    let mut config =
+    let config =
         TrainConfig { iterations: cli.warm_up, max_gaussians: cli.gaussians, ..TrainConfig::default() };
-    config.recipe.prune_redundant = false;
     let result = train(&dataset, &config, None, &Progress::silent())?;
     let normalised = Model::from_gaussians(&dataset.normalisation.normalise(result.gaussians.clone()));
     println!(
@@ -99,7 +98,7 @@ const SUM_BYTES: f64 = 40.0;
 
 fn steps(cli: &Cli, dataset: &Dataset, model: &Model, threads: usize, machine: &CoreLimits) -> Result<()> {
     let mut backend = ProfiledProcessor::new(model.clone(), cpu_seconds)?;
-    let views = dataset.training_views();
+    let views: Vec<usize> = (0..dataset.views.len()).filter(|&v| !dataset.views[v].held_out).collect();
     let (mut pairs, mut visible, mut touched, mut pixels_seen) = (0, 0, 0, 0);
     let mut start = KernelTimes::default();
     for k in 0..cli.steps + 3 {

@@ -9,10 +9,14 @@
 //! ```
 
 use crate::backend::{Backend as _, KernelTimes, StepInput, StepOutput};
+use crate::config::TrainConfig;
 use crate::cpu::{CpuBackend, limits};
+use crate::dataset::Dataset;
 use crate::error::SplatError;
+use crate::init::initial_gaussians;
 use crate::model::Model;
 use crate::statistics::Statistics;
+use scene::Gaussians;
 
 #[cfg(feature = "gpu")]
 pub use crate::gpu::AdapterLimits;
@@ -38,6 +42,11 @@ impl CoreLimits {
 pub fn measure_adapter(name: Option<&str>) -> Result<AdapterLimits, SplatError> {
     let opening = crate::gpu::Opening { name: name.map(str::to_owned), ..Default::default() };
     AdapterLimits::measure(&crate::gpu::Gpu::open(&opening)?)
+}
+
+/// The Gaussians that training begins with, normalised frame: for exports to another trainer.
+pub fn first_gaussians(dataset: &Dataset, config: &TrainConfig) -> Result<Gaussians, SplatError> {
+    initial_gaussians(dataset, config.max_gaussians, config.seed)
 }
 
 /// Training steps on the processor whose kernels are timed by a clock of choice.

@@ -2,8 +2,8 @@
 
 use super::Result;
 use serde_json::json;
-use splat::init::initial_gaussians;
-use splat::{Dataset, TrainConfig};
+use splat::profile::first_gaussians;
+use splat::{AlphaMode, Dataset, TrainConfig};
 use std::path::Path;
 
 fn write<T: bytemuck::Pod>(folder: &Path, name: &str, values: &[T]) -> Result<()> {
@@ -28,7 +28,7 @@ pub fn export(dataset: &Dataset, config: &TrainConfig, folder: &Path) -> Result<
             rgba.extend([c[0], c[1], c[2], pixels.mask.as_ref().map_or(255, |m| m[i])]);
         }
     }
-    let first = initial_gaussians(dataset, config.max_gaussians, config.recipe.hull_points, config.seed)?;
+    let first = first_gaussians(dataset, config)?;
     let k = first.sh_coefficients() * 3;
     let colours: Vec<f32> = (0..first.len())
         .flat_map(|i| [first.sh[i * k], first.sh[i * k + 1], first.sh[i * k + 2]])
@@ -38,6 +38,8 @@ pub fn export(dataset: &Dataset, config: &TrainConfig, folder: &Path) -> Result<
     write(folder, "means.bin", &first.means)?;
     write(folder, "scales.bin", &first.log_scales.iter().map(|s| s.exp()).collect::<Vec<_>>())?;
     write(folder, "colours.bin", &colours)?;
-    let text = json!({"transparent": dataset.is_transparent(), "gaussians": first.len(), "views": views});
+    let masked = dataset.views.iter().any(|view| view.levels[0].mask.is_some());
+    let transparent = masked && dataset.alpha == AlphaMode::Transparent;
+    let text = json!({"transparent": transparent, "gaussians": first.len(), "views": views});
     Ok(std::fs::write(folder.join("dataset.json"), text.to_string())?)
 }
