@@ -3,7 +3,7 @@ SHELL := /bin/bash
 .SHELLFLAGS := -eu -o pipefail -c
 .DEFAULT_GOAL := help
 
-PACKAGES := pkg-config clang libclang-dev libopencv-dev libceres-dev ffmpeg mesa-vulkan-drivers
+PACKAGES := pkg-config g++ libceres-dev libsqlite3-dev ffmpeg mesa-vulkan-drivers
 CACHE := $(or $(XDG_CACHE_HOME),$(HOME)/.cache)/sat-recon
 # In CI the checkout is fresh each time: the build products live in the user's cache.
 ifneq ($(CI),)
@@ -36,7 +36,7 @@ test: setup viewer  ## every test (real data is looked for in ../shared/data)
 	@tools/setup.sh colmap chromium
 	cargo test --workspace --locked
 
-# The trainer alone: the other crates need OpenCV's and Ceres' libraries for that processor.
+# The trainer alone: `sfm` needs Ceres' libraries for that processor.
 ARM := aarch64-unknown-linux-gnu
 neon: export CARGO_TARGET_AARCH64_UNKNOWN_LINUX_GNU_LINKER := aarch64-linux-gnu-gcc
 neon: export CARGO_TARGET_AARCH64_UNKNOWN_LINUX_GNU_RUNNER := qemu-aarch64-static -L /usr/aarch64-linux-gnu

@@ -5,8 +5,8 @@ use std::process::Command;
 
 fn main() {
     println!("cargo:rerun-if-changed=src/ceres/mod.rs");
-    let sources = ["bundle.cc", "turn.cc", "position.cc"];
-    let headers = ["bundle.h", "turn.h", "position.h", "blocks.h", "levels.h", "normal.h"];
+    let sources = ["bundle.cc", "circular.cc", "position.cc"];
+    let headers = ["bundle.h", "circular.h", "position.h", "blocks.h", "levels.h", "normal.h"];
     for file in sources.iter().chain(&headers) {
         println!("cargo:rerun-if-changed=src/ceres/{file}");
     }

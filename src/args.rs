@@ -21,7 +21,8 @@ pub struct Cli {
 /// Flags that every command understands.
 #[derive(Args, Clone, Debug)]
 pub struct Global {
-    /// A TOML file of flags, placed before the typed ones (`iterations = 2000` is `--iterations 2000`)
+    /// A TOML file of flags, placed before the typed ones (`iterations = 2000` is `--iterations
+    /// 2000`)
     #[arg(long, global = true, value_name = "FILE", help_heading = "General")]
     pub config: Option<PathBuf>,
     /// Worker threads (default: one a core); results do not depend on it
@@ -70,7 +71,8 @@ pub enum Command {
 /// What the pipeline's commands take.
 #[derive(Args, Clone, Debug, Serialize)]
 pub struct PipelineArgs {
-    /// A video, a folder of photos, a COLMAP data set, a transforms.json, or a former output folder (its input and flags are used again)
+    /// A video, a folder of photos, a COLMAP data set, a transforms.json, or a former output folder
+    /// (its input and flags are used again)
     pub input: PathBuf,
     /// Output folder (default: the input's name with `_recon`, in the current folder)
     #[arg(short, long, value_name = "OUT", help_heading = "General")]
@@ -87,16 +89,19 @@ pub struct PipelineArgs {
     /// Write the models as text too
     #[arg(long, help_heading = "General")]
     pub text: bool,
-    /// Take features, matches and camera groups from this database.db of COLMAP's (images are known by their names)
+    /// Take features, matches and camera groups from this database.db of COLMAP's (images are known
+    /// by their names)
     #[arg(long, value_name = "FILE", help_heading = "Structure from motion")]
     pub database: Option<PathBuf>,
     /// Of --database take the features only, and match them anew
     #[arg(long, requires = "database", help_heading = "Structure from motion")]
     pub rematch: bool,
-    /// Write OUT/database.db too: features, matches and verified pairs, on which COLMAP's mappers run
+    /// Write OUT/database.db too: features, matches and verified pairs, on which COLMAP's mappers
+    /// run
     #[arg(long, help_heading = "Structure from motion")]
     pub colmap_database: bool,
-    /// Take the camera of an earlier run (its folder: within its standard deviations) or of a COLMAP model (as it is)
+    /// Take the camera of an earlier run (its folder: within its standard deviations) or of a
+    /// COLMAP model (as it is)
     #[arg(
         long,
         value_name = "FOLDER",
@@ -127,7 +132,8 @@ pub struct PipelineArgs {
 /// How the held-out views are judged.
 #[derive(Args, Clone, Debug, Serialize, Deserialize)]
 pub struct EvalConfig {
-    /// Weights for LPIPS, a .safetensors file of AlexNet's or VGG-16's made by tools/lpips_weights.py; may be given for each
+    /// Weights for LPIPS, a .safetensors file of AlexNet's or VGG-16's made by
+    /// tools/lpips_weights.py; may be given for each
     #[arg(long, value_name = "FILE", help_heading = "Evaluation")]
     pub lpips_weights: Vec<PathBuf>,
     /// How often the held-out views are rendered to measure frames per second
@@ -142,10 +148,12 @@ pub struct EvalConfig {
 /// The true shape.
 #[derive(Args, Clone, Debug, Default, Serialize, Deserialize)]
 pub struct MeshConfig {
-    /// True shape of the object (.ply, .obj, .glb): accuracy, completeness, F-score and Chamfer distance of the cloud and the splat
+    /// True shape of the object (.ply, .obj, .glb): accuracy, completeness, F-score and Chamfer
+    /// distance of the cloud and the splat
     #[arg(long, value_name = "FILE", help_heading = "Evaluation")]
     pub mesh: Option<PathBuf>,
-    /// True cameras in the frame of --mesh (as for compare --truth); the model is moved onto their centres (default: it is in that frame)
+    /// True cameras in the frame of --mesh (as for compare --truth); the model is moved onto their
+    /// centres (default: it is in that frame)
     #[arg(long, value_name = "TRUTH", requires = "mesh", help_heading = "Evaluation")]
     pub mesh_truth: Option<PathBuf>,
 }
@@ -209,16 +217,21 @@ pub struct RenderArgs {
 pub struct ExportArgs {
     /// A former output folder, or a splat file
     pub input: PathBuf,
-    /// The file or folder to write; its ending says the format: .html (a page to open in a browser), .ply (3DGS order), .compressed.ply, .splat, .spz, .glb (these also read, and .ksplat), .json (transforms), .db (COLMAP's database, of a run with --colmap-database), or a folder (COLMAP model, --text for text)
+    /// The file or folder to write; its ending says the format: .html (a page to open in a
+    /// browser), .ply (3DGS order), .compressed.ply, .splat, .spz, .glb (these also read, and
+    /// .ksplat), .json (transforms), .db (COLMAP's database, of a run with --colmap-database), or a
+    /// folder (COLMAP model, --text for text)
     #[arg(short, long, value_name = "OUT", required_unless_present_any = ["html", "mesh"])]
     pub output: Option<PathBuf>,
     /// One self-contained page that opens from disk (default output: RUN/view.html)
     #[arg(long)]
     pub html: bool,
-    /// A triangle mesh: the splat's surface as the input cameras see it, fused, with colours; .ply or .glb (default output: RUN/mesh.ply)
+    /// A triangle mesh: the splat's surface as the input cameras see it, fused, with colours; .ply
+    /// or .glb (default output: RUN/mesh.ply)
     #[arg(long, conflicts_with = "html")]
     pub mesh: bool,
-    /// Most voxels along the longest side of the object from which --mesh is made (fewer where they would be smaller than 1.5 pixels)
+    /// Most voxels along the longest side of the object from which --mesh is made (fewer where they
+    /// would be smaller than 1.5 pixels)
     #[arg(long, default_value_t = splat::fusion::DEFAULT_RESOLUTION, requires = "mesh", value_name = "N",
           value_parser = clap::value_parser!(u32).range(16..=2048))]
     pub mesh_resolution: u32,
@@ -230,23 +243,27 @@ pub struct ExportArgs {
 /// What `compare` takes.
 #[derive(Args, Clone, Debug)]
 pub struct CompareArgs {
-    /// Former output folders, or COLMAP models; METHOD:CASE=FOLDER names a run in the tables, or a folder of another
-    /// tool's renders (pictures named like the held-out views of a run of the same case)
+    /// Former output folders, or COLMAP models; METHOD:CASE=FOLDER names a run in the tables, or a
+    /// folder of another tool's renders (pictures named like the held-out views of a run of the
+    /// same case)
     #[arg(required = true)]
     pub runs: Vec<String>,
-    /// Also write the tables of quality, training and rendering cost into this folder: Markdown, CSV, LaTeX, JSON
+    /// Also write the tables of quality, training and rendering cost into this folder: Markdown,
+    /// CSV, LaTeX, JSON
     #[arg(long, value_name = "FOLDER")]
     pub tables: Option<PathBuf>,
     /// Also write a page that shows the runs beside each other
     #[arg(long, value_name = "FILE.html")]
     pub report: Option<PathBuf>,
-    /// Tables that --tables wrote earlier (tables.json), or published figures in that form, to stand in the tables too
+    /// Tables that --tables wrote earlier (tables.json), or published figures in that form, to
+    /// stand in the tables too
     #[arg(long, value_name = "FILE.json")]
     pub beside: Vec<PathBuf>,
     /// Weights for LPIPS of other tools' renders, as for `eval`
     #[arg(long, value_name = "FILE")]
     pub lpips_weights: Vec<PathBuf>,
-    /// Ground truth: Middlebury *_par.txt, a folder of *.camera, a COLMAP model, or a transforms.json
+    /// Ground truth: Middlebury *_par.txt, a folder of *.camera, a COLMAP model, or a
+    /// transforms.json
     #[arg(long)]
     pub truth: Option<PathBuf>,
     /// Run Debian's COLMAP on the same frames and show it beside
@@ -271,7 +288,8 @@ pub struct BenchArgs {
     /// Only the time limits, no presets
     #[arg(long)]
     pub only_times: bool,
-    /// Figures of other tools to draw beside, instead of those that come with the program (same format as data/bench/peers.json)
+    /// Figures of other tools to draw beside, instead of those that come with the program (same
+    /// format as data/bench/peers.json)
     #[arg(long, value_name = "FILE")]
     pub peers: Option<PathBuf>,
     /// Flags of `run`, after `--`

@@ -7,14 +7,16 @@ use sfm::Calibration;
 use std::collections::BTreeMap;
 use std::path::Path;
 
-/// A run's standard deviations are those that the noise of the observations gives; what its camera model leaves out is not in
-/// them. Another run uses them times this factor. Source: chosen by hand, never measured.
+/// A run's standard deviations are those that the noise of the observations gives; what its camera
+/// model leaves out is not in them. Another run uses them times this factor. Source: chosen by
+/// hand, never measured.
 const TRUST: f64 = 3.0;
-/// Standard deviations of what a run held fixed: focal lengths (share of them), principal points (longer image sides),
-/// distortion (no unit). Source: chosen by hand, never measured.
+/// Standard deviations of what a run held fixed: focal lengths (share of them), principal points
+/// (longer image sides), distortion (no unit). Source: chosen by hand, never measured.
 const HELD: [f64; 3] = [0.05, 0.03, 0.1];
 
-/// The camera that took most of the images: of a run's folder with its standard deviations, of a COLMAP model exactly.
+/// The camera that took most of the images: of a run's folder with its standard deviations, of a
+/// COLMAP model exactly.
 pub fn read(path: &Path) -> Result<Calibration> {
     let folder = path.join("sparse/0");
     let folder = if folder.is_dir() { folder.as_path() } else { path };

@@ -1,4 +1,5 @@
-//! Where flags come from: preset, then former run, then configuration file, then what was typed; later ones win.
+//! Where flags come from: preset, then former run, then configuration file, then what was typed;
+//! later ones win.
 
 use crate::args::{Cli, Command, PipelineArgs};
 use anyhow::{Context, Result, bail};
@@ -19,7 +20,8 @@ pub struct Recorded {
 /// Flags without a value that may stand before the command.
 const BARE_GLOBALS: [&str; 5] = ["-v", "--verbose", "-q", "--quiet", "--json"];
 
-/// The preset's flags (`balanced` is the flags' defaults): those of the poses, then those of the splat.
+/// The preset's flags (`balanced` is the flags' defaults): those of the poses, then those of the
+/// splat.
 fn preset(quality: Quality) -> Vec<String> {
     let poses: &[(&str, &str)] = match quality {
         Quality::Draft => &[

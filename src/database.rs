@@ -1,4 +1,5 @@
-//! COLMAP's `database.db` at the border of the solver: what it supplies, and what a run leaves for it.
+//! COLMAP's `database.db` at the border of the solver: what it supplies, and what a run leaves for
+//! it.
 
 use crate::args::PipelineArgs;
 use crate::stage::describe_input;
@@ -60,9 +61,9 @@ pub fn write(
 /// Source: chosen by hand, never measured.
 const FEWEST_SHARED: usize = 15;
 
-/// Features (and matches, unless `rematch`) of the frames, and a decision that says what was found. Images are known by name,
-/// or by name without ending. Camera groups and known focal lengths are put into `frames`; keypoints are scaled where
-/// the frames were.
+/// Features (and matches, unless `rematch`) of the frames, and a decision that says what was found.
+/// Images are known by name, or by name without ending. Camera groups and known focal lengths are
+/// put into `frames`; keypoints are scaled where the frames were.
 fn read(path: &Path, frames: &mut FrameSet, rematch: bool) -> Result<(Supplied, Decision)> {
     let database = scene::io::read_database(path)?;
     let mut features = vec![Features::default(); frames.len()];
@@ -139,8 +140,8 @@ fn fitted(image: &DatabaseImage, camera: &Camera, frame: &mut Frame) -> Result<F
     Ok(features)
 }
 
-/// Matches as they were before verification, or where none were kept the verified ones; none at all where there are none
-/// of the frames.
+/// Matches as they were before verification, or where none were kept the verified ones; none at all
+/// where there are none of the frames.
 fn matches(database: &Database, frame_of: &BTreeMap<u32, usize>) -> Option<Vec<sfm::matching::PairMatches>> {
     let of_frames = |(a, b): ImagePair, m: &[[u32; 2]]| {
         let (a, b) = (*frame_of.get(&a)?, *frame_of.get(&b)?);
@@ -152,11 +153,13 @@ fn matches(database: &Database, frame_of: &BTreeMap<u32, usize>) -> Option<Vec<s
     (!chosen.is_empty()).then_some(chosen)
 }
 
-/// What COLMAP is to find: cameras as they were solved (with their focal lengths marked as known) or else as they were
-/// assumed, features, matches and verified pairs. Image number = 1 + index of the frame, as in the model.
+/// What COLMAP is to find: cameras as they were solved (with their focal lengths marked as known)
+/// or else as they were assumed, features, matches and verified pairs. Image number = 1 + index of
+/// the frame, as in the model.
 ///
-/// Of a followed video the features are those of the key frames and after them the followed points (without
-/// descriptors), the pairs all frames that share points: keypoints are numbered as in the model.
+/// Of a followed video the features are those of the key frames and after them the followed points
+/// (without descriptors), the pairs all frames that share points: keypoints are numbered as in the
+/// model.
 fn contents(result: SfmResult, frames: &FrameSet) -> Database {
     let SfmResult { reconstruction, initial_cameras, mut features, matches, geometries, .. } = result;
     let model = reconstruction.unwrap_or_default();

@@ -17,7 +17,8 @@ use splat::{Dataset, DatasetConfig, DeviceConfig, RenderOptions, Renderer, View}
 use std::path::{Path, PathBuf};
 
 impl ViewMetrics {
-    /// Its picture of a kind (`photos`, `renders`) in a run folder. Names in files stay inside their folder.
+    /// Its picture of a kind (`photos`, `renders`) in a run folder. Names in files stay inside
+    /// their folder.
     pub fn picture(&self, run: &Path, kind: &str) -> Result<PathBuf> {
         let path = run.join("eval").join(kind).join(scene::io::safe_name(&self.picture)?);
         anyhow::ensure!(path.is_file(), "{} is missing; run sat-recon eval again", path.display());

@@ -106,8 +106,9 @@ pub fn import_poses(model: &Path, frames: &FrameSet) -> Result<Reconstruction> {
     Ok(reconstruction)
 }
 
-/// Poses that come without points get those that their photos agree on, and a decision says so. Where all photos have
-/// mattes there is nothing to gain: Gaussians begin inside the visual hull as well.
+/// Poses that come without points get those that their photos agree on, and a decision says so.
+/// Where all photos have mattes there is nothing to gain: Gaussians begin inside the visual hull as
+/// well.
 pub fn with_points(
     given: Reconstruction,
     frames: &FrameSet,
@@ -129,7 +130,8 @@ fn stem(name: &str) -> String {
     Path::new(name).with_extension("").to_string_lossy().into_owned()
 }
 
-/// Scales a camera (and its keypoints) to the size of the frames on disk; another aspect ratio is an error.
+/// Scales a camera (and its keypoints) to the size of the frames on disk; another aspect ratio is
+/// an error.
 fn fit_camera(reconstruction: &mut Reconstruction, id: u32, width: u32, height: u32) -> Result<()> {
     let Some(camera) = reconstruction.cameras.get_mut(&id) else { return Ok(()) };
     if (camera.width, camera.height) == (width, height) {

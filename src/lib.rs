@@ -1,4 +1,5 @@
-//! sat-recon, wired together: the stages of `preprocess`, `sfm` and `splat` as one resumable pipeline.
+//! sat-recon, wired together: the stages of `preprocess`, `sfm` and `splat` as one resumable
+//! pipeline.
 
 pub mod args;
 pub mod bench;

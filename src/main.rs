@@ -22,8 +22,8 @@ fn main() -> ExitCode {
     }
 }
 
-/// Keeps Mesa's device-select layer, which asks the desktop for its favourite adapter, from complaining on standard
-/// error where there is no desktop.
+/// Keeps Mesa's device-select layer, which asks the desktop for its favourite adapter, from
+/// complaining on standard error where there is no desktop.
 fn quiet_drivers() {
     if std::env::var_os("XDG_RUNTIME_DIR").is_none() {
         // SAFETY: no other thread runs yet that could read the environment.

@@ -2,12 +2,14 @@
 
 mod evaluation;
 mod known;
+mod schema;
 mod verdict;
 
 pub use evaluation::{
     Evaluation, Metrics, Percentile, RenderingCost, ShapeEvaluation, TrainingViews, ViewMetrics,
 };
 pub use known::{KnownConfig, KnownRun};
+pub use schema::run_schema;
 pub use verdict::{Level, Light};
 
 use crate::args::PipelineArgs;
@@ -135,7 +137,8 @@ pub struct RunRecord {
     pub splat: Option<SplatSummary>,
     /// The metrics.
     pub evaluation: Option<Evaluation>,
-    /// All decisions of the run in the order of their subjects, defaults that no stage examined among them.
+    /// All decisions of the run in the order of their subjects, defaults that no stage examined
+    /// among them.
     pub decisions: Vec<Decision>,
     /// The report's traffic light.
     pub verdict: Vec<Light>,

@@ -69,8 +69,8 @@ impl Stages {
         let _ = std::fs::remove_file(self.path(&format!("{name}.json"))); // what is not there is forgotten
     }
 
-    /// Runs `work` unless its result is current and its `outputs` are there; remembers the result when it is
-    /// complete. The second value says whether it ran.
+    /// Runs `work` unless its result is current and its `outputs` are there; remembers the result
+    /// when it is complete. The second value says whether it ran.
     pub fn run<T: Serialize + DeserializeOwned>(
         &self,
         name: &str,
@@ -91,8 +91,8 @@ impl Stages {
     }
 }
 
-/// Hash of anything that serialises: stage name and version (or what tells its sources from those of another build),
-/// configuration, fingerprints of what it reads.
+/// Hash of anything that serialises: stage name and version (or what tells its sources from those
+/// of another build), configuration, fingerprints of what it reads.
 pub fn fingerprint(parts: &impl Serialize) -> Result<String> {
     Ok(blake3::hash(&serde_json::to_vec(parts)?).to_hex()[..32].to_owned())
 }
@@ -169,8 +169,8 @@ fn give_back_memory() {
     }
 }
 
-/// From here on, large blocks that are freed go back to the system at once. glibc keeps what is smaller than the largest block it ever freed,
-/// and growing Gaussians free many.
+/// From here on, large blocks that are freed go back to the system at once. glibc keeps what is
+/// smaller than the largest block it ever freed, and growing Gaussians free many.
 pub fn free_large_blocks_at_once() {
     #[cfg(all(target_os = "linux", target_env = "gnu"))]
     // SAFETY: sets a number under the allocator's own lock.

@@ -20,7 +20,6 @@ for crate in scene preprocess sfm splat; do
     git grep -nE "^$other\b" -- "$crate/Cargo.toml" && complain "$crate must not know $other"
   done
 done
-git grep -nE '\bopencv::' -- 'scene/*.rs' 'sfm/*.rs' 'splat/*.rs' 'src/*.rs' && complain "opencv belongs to preprocess"
 git grep -nE '\bcxx::' -- '*.rs' ':!sfm/src/ceres' ':!sfm/build.rs' && complain "cxx belongs to sfm/src/ceres"
 git grep -nE '\bwgpu::' -- '*.rs' ':!splat/src/gpu' && complain "wgpu belongs to splat/src/gpu"
 git grep -nE 'todo!\(|unimplemented!\(|dbg!\(|#\[ignore' -- '*.rs' && complain "something was left undone"

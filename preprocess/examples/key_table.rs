@@ -200,7 +200,8 @@ fn keyed(capture: &Capture, matte: MatteMode) -> (Mattes, f64) {
     let count = (repeats * frames.len()) as f64;
     let (wall, cpu) = (start.elapsed().as_secs_f64() / count, (cpu_seconds() - cpu) / count);
     if matte == MatteMode::Soft {
-        eprintln!("{} at {} light: {}", capture.name, capture.light, keyer.evidence);
+        let why = keyer.decision.sentences().evidence.join("; ");
+        eprintln!("{} at {} light: {why}", capture.name, capture.light);
         let threads = rayon::current_num_threads();
         eprintln!(
             "    {:.1} CPU ms a frame; {:.0} frames a second on {threads} threads",

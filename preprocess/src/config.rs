@@ -58,30 +58,37 @@ impl Default for FrameConfig {
 impl FrameConfig {
     /// Refuses what cannot be meant.
     pub fn validate(&self) -> Result<(), PreprocessError> {
-        let refuse = |text: String| Err(PreprocessError::Config(text));
         if self.frames == Some(0) {
-            return refuse("--frames 0 takes no frame; give at least 2".to_owned());
+            return Err(PreprocessError::Config("--frames 0 takes no frame; give at least 2".to_owned()));
         }
         if self.every == Some(0) {
-            return refuse("--every 0 means nothing; --every 1 takes all frames".to_owned());
+            return Err(PreprocessError::Config(
+                "--every 0 means nothing; --every 1 takes all frames".to_owned(),
+            ));
         }
         if let Some(fps) = self.fps
             && !(fps.is_finite() && fps > 0.0)
         {
-            return refuse(format!("--fps {fps} is not a positive number"));
+            return Err(PreprocessError::Config(format!("--fps {fps} is not a positive number")));
         }
         for (name, value) in [("--start", self.start), ("--end", self.end)] {
             if let Some(v) = value
                 && !v.is_finite()
             {
-                return refuse(format!("{name} {v} is not a time"));
+                return Err(PreprocessError::Config(format!("{name} {v} is not a time")));
             }
         }
         if self.max_size != 0 && self.max_size < 16 {
-            return refuse(format!("--max-size {} is too small; give at least 16", self.max_size));
+            return Err(PreprocessError::Config(format!(
+                "--max-size {} is too small; give at least 16",
+                self.max_size
+            )));
         }
         if !(self.duplicate_levels.is_finite() && self.duplicate_levels >= 0.0) {
-            return refuse(format!("--duplicate-levels {} is not 0 or more", self.duplicate_levels));
+            return Err(PreprocessError::Config(format!(
+                "--duplicate-levels {} is not 0 or more",
+                self.duplicate_levels
+            )));
         }
         Ok(())
     }

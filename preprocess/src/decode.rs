@@ -1,19 +1,27 @@
-//! Frames of a video in order, each with its index and time: OpenCV first, an `ffmpeg` pipe where OpenCV
-//! cannot do it (HDR, a stream that is not the first, damage that OpenCV stops at).
+//! Frames of a video in order, each with its index and time, through a pipe from `ffmpeg`.
 
 use crate::PreprocessError;
 use crate::hdr::ToneMap;
 use crate::probe::{Transfer, VideoInfo, file_url};
-use crate::tool::Running;
-use opencv::core::{CV_8UC3, Mat};
-use opencv::prelude::*;
-use opencv::videoio::{self, VideoCapture};
+use crate::tool::{Running, reason};
+use image::RgbImage;
 use scene::Progress;
 use std::ffi::OsStr;
-use std::io::Read;
+use std::io::{BufRead, BufReader, Read};
 use std::path::Path;
-use std::process::ChildStdout;
+use std::process::{ChildStderr, ChildStdout};
+use std::sync::mpsc::{Receiver, Sender, channel};
+use std::thread::JoinHandle;
 use std::time::Duration;
+
+/// A frame's time and its packet's differ by less than this, seconds.
+/// Source: derived; above the 1 ms to which Matroska rounds, and half the distance of frames at 240 a second.
+const SAME_TIME_S: f64 = 0.002;
+
+/// Bytes that the pipe holds.
+/// Source: pipe(7), the most that Linux lets everybody ask for.
+#[cfg(target_os = "linux")]
+const PIPE_BYTES: usize = 1 << 20;
 
 /// A decoded frame as coded: not turned, pixels not yet square.
 pub(crate) struct Decoded {
@@ -21,164 +29,169 @@ pub(crate) struct Decoded {
     pub index: usize,
     /// Presentation time, seconds from the start of the container.
     pub time_s: f64,
-    /// 8-bit, blue first.
-    pub bgr: Mat,
+    /// Width and height as coded, pixels: where they change inside a video, `rgb` is scaled to those of the
+    /// header.
+    pub coded_size: (u32, u32),
+    /// Gamma-coded SDR.
+    pub rgb: RgbImage,
 }
 
-/// A video being decoded from its first frame on.
-pub(crate) enum Source {
-    /// OpenCV's reader over FFmpeg.
-    OpenCv(OpenCvSource),
-    /// Raw frames from an `ffmpeg` process.
-    Pipe(PipeSource),
-}
-
-impl Source {
-    /// The next frame; `None` at the end, be it by damage.
-    pub fn next(&mut self) -> Result<Option<Decoded>, PreprocessError> {
-        match self {
-            Self::OpenCv(source) => source.next(),
-            Self::Pipe(source) => source.next(),
-        }
-    }
-}
-
-/// OpenCV's reader. It says the time of a frame, which tells lost frames from shown ones, but not for those
-/// drained at the end of the file (0 there): these follow one another.
-pub(crate) struct OpenCvSource {
-    capture: VideoCapture,
+/// A video being decoded from its first frame on by an `ffmpeg` process. Raw frames come through its standard
+/// output; standard error tells each frame's time and size (the filter `showinfo`) and damage.
+pub(crate) struct Source {
+    running: Running,
+    stdout: ChildStdout,
+    shown: Receiver<Shown>,
+    complaints: JoinHandle<Complaints>,
+    tone_map: Option<ToneMap>,
+    size: (u32, u32),
+    bytes: usize,
     times_s: Vec<f64>,
-    stream_start_s: f64,
     next_index: usize,
 }
 
-impl OpenCvSource {
-    /// `None` where OpenCV does not open the file.
-    pub fn open(path: &Path, info: &VideoInfo) -> Result<Option<Self>, PreprocessError> {
-        let url = file_url(path);
-        let Some(name) = url.to_str() else { return Ok(None) };
-        crate::quiet::silence();
-        let mut capture = VideoCapture::from_file(name, videoio::CAP_FFMPEG)?;
-        if !capture.is_opened()? {
-            return Ok(None);
-        }
-        // OpenCV 4.6 turns 90° and 270° the wrong way round: frames are turned by us.
-        capture.set(videoio::CAP_PROP_ORIENTATION_AUTO, 0.0)?;
-        Ok(Some(Self {
-            capture,
+/// What `showinfo` says about a frame.
+#[derive(Debug, PartialEq)]
+struct Shown {
+    /// Seconds from the start of the container; `None` where the stream does not say.
+    time_s: Option<f64>,
+    size: (u32, u32),
+}
+
+/// The decoder's complaints: how many, and the last.
+#[derive(Default)]
+struct Complaints {
+    count: usize,
+    last: String,
+}
+
+impl Source {
+    /// Starts the decoder.
+    pub fn open(path: &Path, info: &VideoInfo) -> Result<Self, PreprocessError> {
+        let tone_map = (info.transfer != Transfer::Sdr).then(|| ToneMap::new(info.transfer, info.is_bt2020));
+        let (format, bytes) = if tone_map.is_some() { ("rgb48le", 6) } else { ("rgb24", 3) };
+        let (url, map, filters) = (file_url(path), format!("0:{}", info.stream), filters(info));
+        let before =
+            ["-nostdin", "-hide_banner", "-nostats", "-v", "repeat+level+info", "-noautorotate", "-i"];
+        let after = ["-map", &map, "-vf", &filters, "-fps_mode", "passthrough"];
+        let output = ["-f", "rawvideo", "-pix_fmt", format, "-"];
+        let args = [
+            &before.map(OsStr::new)[..],
+            &[url.as_os_str()],
+            &after.map(OsStr::new),
+            &output.map(OsStr::new),
+        ];
+        let (running, stdout, stderr) = Running::start_piped("ffmpeg", &args.concat())?;
+        // Where the system refuses, both sides only wait for each other more often.
+        #[cfg(target_os = "linux")]
+        let _ = rustix::pipe::fcntl_setpipe_size(&stdout, PIPE_BYTES);
+        let (send, shown) = channel();
+        Ok(Self {
+            running,
+            stdout,
+            shown,
+            complaints: std::thread::spawn(move || listen(stderr, &send)),
+            tone_map,
+            size: info.size,
+            bytes: info.size.0 as usize * info.size.1 as usize * bytes,
             times_s: info.times_s.clone(),
-            stream_start_s: info.stream_start_s,
             next_index: 0,
-        }))
+        })
     }
 
-    fn next(&mut self) -> Result<Option<Decoded>, PreprocessError> {
-        let mut bgr = Mat::default();
-        if !self.capture.read(&mut bgr)? || bgr.empty() {
+    /// The next frame; `None` at the end, be it by damage.
+    pub fn next(&mut self) -> Result<Option<Decoded>, PreprocessError> {
+        let mut buffer = vec![0; self.bytes];
+        let (Ok(()), Ok(shown)) = (self.stdout.read_exact(&mut buffer), self.shown.recv()) else {
             return Ok(None);
-        }
-        let position_s = self.capture.get(videoio::CAP_PROP_POS_MSEC)? / 1000.0;
-        let index =
-            if position_s > 0.0 { self.index_at(position_s + self.stream_start_s) } else { self.next_index };
+        };
+        let index = shown.time_s.map_or(self.next_index, |time_s| self.index_at(time_s));
         self.next_index = index + 1;
-        let time_s =
-            self.times_s.get(index).copied().unwrap_or_else(|| self.times_s.last().copied().unwrap_or(0.0));
-        Ok(Some(Decoded { index, time_s, bgr }))
+        let known = self.times_s.get(index).copied().or(shown.time_s).or(self.times_s.last().copied());
+        let pixels = match &self.tone_map {
+            Some(map) => map.apply(&buffer),
+            None => buffer,
+        };
+        let (width, height) = self.size;
+        let rgb = RgbImage::from_raw(width, height, pixels).ok_or_else(|| {
+            PreprocessError::Config(format!("a frame of {width} x {height} pixels is too large"))
+        })?;
+        Ok(Some(Decoded { index, time_s: known.unwrap_or(0.0), coded_size: shown.size, rgb }))
     }
 
-    /// The frame not yet shown whose time is nearest; the next one where none is near.
+    /// The frame not yet shown whose time is nearest, which tells lost frames from shown ones; the next one
+    /// where none is near.
     fn index_at(&self, time_s: f64) -> usize {
         let after = self.times_s.partition_point(|t| *t < time_s);
         let near = [after.saturating_sub(1), after].into_iter().filter(|i| *i < self.times_s.len());
         let distance = |i: usize| (self.times_s[i] - time_s).abs();
         let nearest = near.min_by(|a, b| distance(*a).total_cmp(&distance(*b)));
-        nearest.filter(|i| distance(*i) < 0.002 && *i >= self.next_index).unwrap_or(self.next_index)
-    }
-}
-
-/// Frames through a pipe.
-pub(crate) struct PipeSource {
-    running: Option<Running>,
-    stdout: ChildStdout,
-    tone_map: Option<ToneMap>,
-    size: (u32, u32),
-    times_s: Vec<f64>,
-    next_index: usize,
-    buffer: Vec<u8>,
-}
-
-impl PipeSource {
-    /// `times_s`: presentation times of the frames as `ffmpeg` puts them out.
-    pub fn open(path: &Path, info: &VideoInfo, times_s: Vec<f64>) -> Result<Self, PreprocessError> {
-        let tone_map = (info.transfer != Transfer::Sdr).then(|| ToneMap::new(info.transfer, info.is_bt2020));
-        let (format, bytes) = if tone_map.is_some() { ("bgr48le", 6) } else { ("bgr24", 3) };
-        let (url, map) = (file_url(path), format!("0:{}", info.stream));
-        let size = format!("{}x{}", info.size.0, info.size.1);
-        let before = ["-nostdin", "-v", "quiet", "-noautorotate", "-i"].map(OsStr::new);
-        let after = [
-            "-map",
-            &map,
-            "-fps_mode",
-            "passthrough",
-            "-s",
-            &size,
-            "-f",
-            "rawvideo",
-            "-pix_fmt",
-            format,
-            "-",
-        ];
-        let args = [&before[..], &[url.as_os_str()], &after.map(OsStr::new)[..]].concat();
-        let mut running = Running::start("ffmpeg", &args, false)?;
-        let reason = "its output cannot be read".to_owned();
-        let stdout = running.take_stdout().ok_or(PreprocessError::MissingTool { tool: "ffmpeg", reason })?;
-        let buffer = vec![0; info.size.0 as usize * info.size.1 as usize * bytes];
-        Ok(Self { running: Some(running), stdout, tone_map, size: info.size, times_s, next_index: 0, buffer })
+        nearest.filter(|i| distance(*i) < SAME_TIME_S && *i >= self.next_index).unwrap_or(self.next_index)
     }
 
-    fn next(&mut self) -> Result<Option<Decoded>, PreprocessError> {
-        if self.stdout.read_exact(&mut self.buffer).is_err() {
-            drop(self.running.take());
-            return Ok(None);
-        }
-        let (width, height) = (self.size.0 as i32, self.size.1 as i32);
-        let mut bgr = Mat::new_rows_cols_with_default(height, width, CV_8UC3, 0.0.into())?;
-        match &self.tone_map {
-            Some(map) => map.apply(&self.buffer, bgr.data_bytes_mut()?),
-            None => bgr.data_bytes_mut()?.copy_from_slice(&self.buffer),
-        }
-        let index = self.next_index;
-        self.next_index += 1;
-        let time_s = self.times_s.get(index).or(self.times_s.last()).copied().unwrap_or(0.0);
-        Ok(Some(Decoded { index, time_s, bgr }))
-    }
-}
-
-/// Listens to a decoder that reports damage, beside the real decoding.
-pub(crate) struct DamageCheck {
-    running: Running,
-}
-
-impl DamageCheck {
-    /// Starts `ffmpeg` on the stream; deblocking is left out, as damage shows before it.
-    pub fn start(path: &Path, stream: usize) -> Result<Self, PreprocessError> {
-        let (url, map) = (file_url(path), format!("0:{stream}"));
-        let before =
-            ["-nostdin", "-v", "error", "-threads", "1", "-skip_loop_filter", "all", "-i"].map(OsStr::new);
-        let after = ["-map", &map, "-f", "null", "-"].map(OsStr::new);
-        let args = [&before[..], &[url.as_os_str()], &after[..]].concat();
-        Ok(Self { running: Running::start("ffmpeg", &args, true)? })
-    }
-
-    /// The decoder's complaints: how many, and the last.
+    /// Waits for the decoder's end. Its complaints about damage: how many, and the last.
     pub fn finish(
         self,
         path: &Path,
         limit: Duration,
         progress: &Progress,
     ) -> Result<Option<(usize, String)>, PreprocessError> {
-        let output = self.running.finish(path, limit, progress)?;
-        let count = output.stderr.lines().filter(|l| !l.trim().is_empty()).count();
-        Ok((count > 0).then(|| (count, output.reason())))
+        drop(self.stdout);
+        self.running.finish(path, limit, progress)?;
+        let complaints = self.complaints.join().unwrap_or_default();
+        Ok((complaints.count > 0).then_some((complaints.count, complaints.last)))
+    }
+}
+
+/// Times in microseconds, told with the coded size; then RGB by the stream's matrix (Rec. 601 where it names
+/// none), as large as the header says.
+fn filters(info: &VideoInfo) -> String {
+    let (width, height) = info.size;
+    let matrix = if info.is_bt709 { "bt601" } else { "auto" };
+    format!(
+        "settb=1/1000000,showinfo=checksum=0,scale={width}:{height}:flags=bicubic:in_color_matrix={matrix}"
+    )
+}
+
+/// Reads what `ffmpeg` says to its end, so that it never blocks on a full pipe.
+fn listen(stderr: ChildStderr, shown: &Sender<Shown>) -> Complaints {
+    let mut complaints = Complaints::default();
+    let (mut lines, mut bytes) = (BufReader::new(stderr), Vec::new());
+    while lines.read_until(b'\n', &mut bytes).is_ok_and(|n| n > 0) {
+        let line = String::from_utf8_lossy(&bytes);
+        if line.contains("[error] ") || line.contains("[fatal] ") {
+            complaints.count += 1;
+            complaints.last = reason(&line);
+        } else if let Some(frame) = shown_frame(&line) {
+            // Nobody receives after the last frame of interest.
+            let _ = shown.send(frame);
+        }
+        bytes.clear();
+    }
+    complaints
+}
+
+/// A line like `[Parsed_showinfo_1 @ 0x5] [info] n: 1 pts: 33333 pts_time:0.03 fmt:yuv420p s:720x1280 i:P`.
+fn shown_frame(line: &str) -> Option<Shown> {
+    let (_, fields) = line.strip_prefix("[Parsed_showinfo")?.split_once("] n:")?;
+    let value = |key: &str| fields.split_once(key)?.1.split_whitespace().next();
+    let (width, height) = value(" s:")?.split_once('x')?;
+    let time_s = value(" pts:")?.parse::<f64>().ok().map(|microseconds| microseconds / 1e6);
+    Some(Shown { time_s, size: (width.parse().ok()?, height.parse().ok()?) })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn lines_about_frames_are_told_from_others() {
+        let line = "[Parsed_showinfo_1 @ 0x5] [info] n:  12 pts: 400000 pts_time:0.4     pos:    29345 \
+            fmt:yuv420p sar:0/1 s:720x1280 i:P iskey:1 type:I \n";
+        assert_eq!(shown_frame(line), Some(Shown { time_s: Some(0.4), size: (720, 1280) }));
+        let unknown = line.replace(" 400000", "NOPTS");
+        assert_eq!(shown_frame(&unknown), Some(Shown { time_s: None, size: (720, 1280) }));
+        assert_eq!(shown_frame("[Parsed_showinfo_1 @ 0x5] [info] config in time_base: 1/1000000\n"), None);
+        assert_eq!(shown_frame("[info]     title           : n: 1 pts: 0 s:1x1\n"), None);
     }
 }

@@ -129,9 +129,6 @@ pub enum PreprocessError {
         /// The codec's words.
         reason: String,
     },
-    /// OpenCV failed inside.
-    #[error("OpenCV: {0}")]
-    OpenCv(#[from] opencv::Error),
 }
 
 impl PreprocessError {

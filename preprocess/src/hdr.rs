@@ -31,16 +31,17 @@ impl ToneMap {
         }
     }
 
-    /// `bgr48`: little-endian 16-bit blue, green, red. `bgr`: as many 8-bit pixels.
-    pub fn apply(&self, bgr48: &[u8], bgr: &mut [u8]) {
-        let rows = bgr48.par_chunks(6 * 4096).zip(bgr.par_chunks_mut(3 * 4096));
+    /// `rgb48`: little-endian 16-bit red, green, blue. Returns as many 8-bit pixels.
+    pub fn apply(&self, rgb48: &[u8]) -> Vec<u8> {
+        let mut rgb = vec![0; rgb48.len() / 2];
+        let rows = rgb48.par_chunks(6 * 4096).zip(rgb.par_chunks_mut(3 * 4096));
         rows.for_each(|(source, target)| {
             for (s, t) in source.chunks_exact(6).zip(target.chunks_exact_mut(3)) {
                 let value = |i: usize| self.linear[usize::from(u16::from_le_bytes([s[2 * i], s[2 * i + 1]]))];
-                let [r, g, b] = self.pixel([value(2), value(1), value(0)]);
-                t.copy_from_slice(&[b, g, r]);
+                t.copy_from_slice(&self.pixel([value(0), value(1), value(2)]));
             }
         });
+        rgb
     }
 
     fn pixel(&self, mut rgb: [f32; 3]) -> [u8; 3] {
@@ -93,8 +94,7 @@ mod tests {
 
     fn grey(map: &ToneMap, value: f32) -> u8 {
         let v = ((value * 65535.0) as u16).to_le_bytes();
-        let mut out = [0; 3];
-        map.apply(&[v[0], v[1], v[0], v[1], v[0], v[1]], &mut out);
+        let out = map.apply(&[v[0], v[1], v[0], v[1], v[0], v[1]]);
         assert!(out.iter().all(|c| c.abs_diff(out[0]) <= 1), "grey stays grey: {out:?}");
         out[0]
     }

@@ -1,8 +1,8 @@
 //! From a video or a folder of photos to upright frames with masks: the first stage.
 //!
-//! Video is decoded with OpenCV, its traps (display rotation, time stamps, silent damage, HDR, the colour
-//! matrix) solved with the help of `ffprobe` and `ffmpeg`.
+//! Video is decoded by `ffmpeg`; display rotation, time stamps and colour come from `ffprobe`.
 
+mod area;
 mod config;
 mod decode;
 mod error;
@@ -16,7 +16,6 @@ mod output;
 mod photos;
 mod pixels;
 mod probe;
-mod quiet;
 mod select;
 mod tool;
 mod video;

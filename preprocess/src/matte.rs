@@ -6,6 +6,7 @@ use crate::output::{Staging, write_png};
 use crate::pixels::fitted;
 use image::{ExtendedColorType, GrayImage, Rgb, RgbImage};
 use rayon::prelude::*;
+use scene::decision::{Decision, MatteKind, Measurement, Quantity, Remark};
 use scene::io::{load_mask, load_rgb, resize_area};
 use scene::{Frame, FrameSet, Progress};
 use std::path::Path;
@@ -19,7 +20,7 @@ const SHEET: (usize, u32) = (48, 200);
 
 /// Cuts the object out of its screen: soft 8-bit mattes in `out/masks` (white = keep), images without spill in
 /// `out/images`, both whole or not at all. Where no screen is found (or `--key off`) the frames come back as they
-/// are, with the evidence in the notes. Masks that the frames already have are kept: a pixel stays as far as both allow.
+/// are, with a decision that says why. Masks that the frames already have are kept: a pixel stays as far as both allow.
 pub fn matte_frames(
     frames: &FrameSet,
     out: &Path,
@@ -35,12 +36,11 @@ pub fn matte_frames(
     let thumbnails: Vec<RgbImage> = samples.iter().map(thumbnail).collect();
     let mut keyer = match Keyer::find(&thumbnails, config)? {
         Ok(keyer) => keyer,
-        Err(evidence) => {
-            result.notes.push(format!("no matte: {evidence}"));
+        Err(decision) => {
+            result.decisions.push(decision);
             return Ok(result);
         }
     };
-    result.notes.push(format!("matte: {}", keyer.evidence));
     if frames.is_video {
         result.notes.extend(keyer.learn(&samples));
     }
@@ -48,13 +48,13 @@ pub fn matte_frames(
     let staging = Staging::new(out)?;
     staging.make("masks")?;
     progress.begin("mattes", frames.len());
-    let job = Job { keyer: &keyer, staging: &staging, background: config.background };
+    let writer = MatteWriter { keyer: &keyer, staging: &staging, background: config.background };
     let done: Result<Vec<(Frame, f32)>, PreprocessError> = frames
         .frames
         .par_iter()
         .map_init(Scratch::default, |scratch, frame| {
             progress.tick()?;
-            job.one(frame, scratch)
+            writer.one(frame, scratch)
         })
         .collect();
     let done = done?;
@@ -62,7 +62,9 @@ pub fn matte_frames(
     let empty: Vec<&str> =
         done.iter().filter(|(_, share)| *share < EMPTY_SHARE).map(|(f, _)| f.name.as_str()).collect();
     if config.key == "auto" && 2 * empty.len() > done.len() {
-        result.notes.push(format!("no matte: nothing stands before the screen in {} frames", empty.len()));
+        let decision = Decision { choice: MatteKind::Nothing.into(), ..keyer.decision.clone() };
+        let empty = Measurement::count(Quantity::EmptyFrames, empty.len());
+        result.decisions.push(decision.remarked(Remark::EmptyFrames).with(empty));
         return Ok(result);
     }
     staging.publish(&["images", "masks"], &[])?;
@@ -74,7 +76,7 @@ pub fn matte_frames(
         ));
     }
     let share = done.iter().map(|(_, share)| share).sum::<f32>() / done.len() as f32;
-    result.notes.push(format!("the object covers {:.1} % of the mean frame", 100.0 * share));
+    result.decisions.push(keyer.decision.clone().measured(Quantity::ObjectShare, f64::from(share)));
     result.frames = done.into_iter().map(|(frame, _)| frame).collect();
     Ok(result)
 }
@@ -97,13 +99,13 @@ fn thumbnail(image: &RgbImage) -> RgbImage {
     resize_area(image, w, h)
 }
 
-struct Job<'a> {
+struct MatteWriter<'a> {
     keyer: &'a Keyer,
     staging: &'a Staging,
     background: Background,
 }
 
-impl Job<'_> {
+impl MatteWriter<'_> {
     /// Writes matte and image of one frame; returns its new entry and the share of the picture that is kept.
     fn one(&self, frame: &Frame, scratch: &mut Scratch) -> Result<(Frame, f32), PreprocessError> {
         let image = load_rgb(&frame.path).map_err(PreprocessError::image(&frame.path))?;
@@ -140,8 +142,10 @@ fn composed(
             (rgba, ExtendedColorType::Rgba8)
         }
         Background::Black => {
-            let dim = |v: u8, a: u8| ((u16::from(v) * u16::from(a) + 127) / 255) as u8;
-            (pixels.flat_map(|((_, a), f)| f.0.map(|v| dim(v, *a))).collect(), ExtendedColorType::Rgb8)
+            let rgb = pixels
+                .flat_map(|((_, a), f)| f.0.map(|v| ((u16::from(v) * u16::from(*a) + 127) / 255) as u8))
+                .collect();
+            (rgb, ExtendedColorType::Rgb8)
         }
         Background::Keep => {
             let rgb = pixels.flat_map(|((p, a), f)| if *a > 0 { f.0 } else { p.0 }).collect();

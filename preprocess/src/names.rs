@@ -38,8 +38,11 @@ fn trimmed(s: &[u8]) -> &[u8] {
 /// The name with everything replaced that splits lines of COLMAP's text files or means something to a shell
 /// or a file system; unlike all in `used`, into which it goes.
 pub(crate) fn safe_name(stem: &str, extension: &str, used: &mut HashSet<String>) -> String {
-    let safe = |c: char| if c.is_alphanumeric() || "._-+()@=".contains(c) { c } else { '_' };
-    let mut stem: String = stem.chars().map(safe).take(120).collect();
+    let mut stem: String = stem
+        .chars()
+        .map(|c| if c.is_alphanumeric() || "._-+()@=".contains(c) { c } else { '_' })
+        .take(120)
+        .collect();
     if stem.is_empty() || stem.starts_with(['.', '-']) {
         stem.insert(0, '_');
     }

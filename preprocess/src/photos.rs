@@ -50,16 +50,16 @@ pub fn photo_frames(
     }
     let staging = Staging::new(out)?;
     staging.make("masks")?;
-    let job = Job { folder: &listing.folder, config, masks: &masks, staging: &staging };
+    let writer = PhotoWriter { folder: &listing.folder, config, masks: &masks, staging: &staging };
     let mut used = HashSet::new();
     let named: Vec<(usize, &String, String)> =
-        listing.names.iter().enumerate().map(|(i, n)| (i, n, job.target_name(n, &mut used))).collect();
+        listing.names.iter().enumerate().map(|(i, n)| (i, n, writer.target_name(n, &mut used))).collect();
     progress.begin("photos", named.len());
     let results: Result<Vec<_>, PreprocessError> = named
         .par_iter()
         .map(|(index, name, target)| {
             progress.tick()?;
-            match job.photo(*index, name, target) {
+            match writer.photo(*index, name, target) {
                 Err(e @ PreprocessError::Image { .. }) => Ok(Err(e)),
                 Err(e) => Err(e),
                 Ok(photo) => Ok(Ok(photo)),
@@ -68,7 +68,7 @@ pub fn photo_frames(
         .collect();
     let (photos, failed): (Vec<_>, Vec<_>) = results?.into_iter().partition(Result::is_ok);
     let failed: Vec<String> = failed.into_iter().filter_map(Result::err).map(|e| e.to_string()).collect();
-    let photos: Vec<Photo> = photos.into_iter().flatten().collect();
+    let photos: Vec<WrittenPhoto> = photos.into_iter().flatten().collect();
     if photos.is_empty() {
         let detail = format!(
             "; {} cannot be read, the first: {}",
@@ -169,7 +169,7 @@ impl Listing {
 }
 
 /// A photo that was written.
-struct Photo {
+struct WrittenPhoto {
     frame: Frame,
     key: String,
     mask_problem: Option<String>,
@@ -183,14 +183,14 @@ enum MaskSource {
     Alpha,
 }
 
-struct Job<'a> {
+struct PhotoWriter<'a> {
     folder: &'a Path,
     config: &'a FrameConfig,
     masks: &'a MaskFiles,
     staging: &'a Staging,
 }
 
-impl Job<'_> {
+impl PhotoWriter<'_> {
     /// The file name in the output: the same where the file can be copied.
     fn target_name(&self, name: &str, used: &mut HashSet<String>) -> String {
         let (stem, extension) = name.rsplit_once('.').unwrap_or((name, "png"));
@@ -219,7 +219,7 @@ impl Job<'_> {
             && format == says
     }
 
-    fn photo(&self, index: usize, name: &str, target: &str) -> Result<Photo, PreprocessError> {
+    fn photo(&self, index: usize, name: &str, target: &str) -> Result<WrittenPhoto, PreprocessError> {
         let path = self.folder.join(name);
         let info = image_info(&path).map_err(|e| unreadable(&path, e))?;
         let loaded = load_image(&path).map_err(|e| unreadable(&path, e))?;
@@ -257,7 +257,7 @@ impl Job<'_> {
         };
         let key =
             format!("{size:?} {:?} {:?} {:?} {:?}", exif.make, exif.model, exif.focal_mm, exif.focal_35mm);
-        Ok(Photo { frame, key, mask_problem, source })
+        Ok(WrittenPhoto { frame, key, mask_problem, source })
     }
 
     fn mask(
@@ -295,9 +295,9 @@ fn stored_orientation(path: &Path) -> Orientation {
     decoder.and_then(|mut d| d.orientation().ok()).unwrap_or(Orientation::NoTransforms)
 }
 
-fn mask_notes(photos: &[Photo], masks: &MaskFiles) -> Result<Vec<String>, PreprocessError> {
-    let count = |source| photos.iter().filter(|p| p.source == source).count();
-    let (files, alpha) = (count(MaskSource::File), count(MaskSource::Alpha));
+fn mask_notes(photos: &[WrittenPhoto], masks: &MaskFiles) -> Result<Vec<String>, PreprocessError> {
+    let [files, alpha] = [MaskSource::File, MaskSource::Alpha]
+        .map(|source| photos.iter().filter(|p| p.source == source).count());
     let mut notes = Vec::new();
     if let Some(folder) = &masks.folder
         && files == 0
@@ -315,7 +315,7 @@ fn mask_notes(photos: &[Photo], masks: &MaskFiles) -> Result<Vec<String>, Prepro
 }
 
 /// Numbers the cameras: photos of one size, device and focal length share one.
-fn grouped(photos: Vec<Photo>, notes: &mut Vec<String>) -> Vec<Frame> {
+fn grouped(photos: Vec<WrittenPhoto>, notes: &mut Vec<String>) -> Vec<Frame> {
     let mut groups: Vec<String> = Vec::new();
     let mut sizes = HashSet::new();
     let mut frames = Vec::with_capacity(photos.len());

@@ -1,16 +1,18 @@
 //! From a decoded frame to an upright one with square pixels and the right colours; sharpness and likeness.
 
-use crate::PreprocessError;
+use crate::area;
 use crate::probe::{Turn, VideoInfo};
-use image::RgbImage;
-use opencv::core::{self, Mat, Size};
-use opencv::imgproc;
-use opencv::prelude::*;
+use image::imageops::{self, FilterType};
+use image::{GrayImage, Rgb, RgbImage};
+use std::borrow::Cow;
 
 /// Longest side at which sharpness is measured, pixels: sensor noise is averaged away, blur is not.
-const SHARPNESS_SIDE: i32 = 640;
+const SHARPNESS_SIDE: u32 = 640;
 /// Width of the thumbnails that are compared for likeness, pixels.
-const THUMBNAIL_SIDE: i32 = 160;
+const THUMBNAIL_SIDE: u32 = 160;
+/// A Gaussian of standard deviation 1 pixel at a distance of 2, 1 and 0 pixels, in 1/256.
+/// Source: derived; exp(-x²/2) over its sum, 0.0545, 0.2442 and 0.4026, rounded so that the sum is 1.
+const GAUSSIAN: [u32; 3] = [14, 62, 104];
 
 /// Width and height that fit into `max_size` (0: as they are), at least one pixel each.
 pub(crate) fn fitted(width: u32, height: u32, max_size: u32) -> (u32, u32) {
@@ -23,47 +25,33 @@ pub(crate) fn fitted(width: u32, height: u32, max_size: u32) -> (u32, u32) {
 }
 
 /// Area average where it shrinks, cubic where it grows.
-pub(crate) fn resized(image: &Mat, width: u32, height: u32) -> Result<Mat, PreprocessError> {
-    let size = Size::new(width as i32, height as i32);
-    if image.size()? == size {
-        return Ok(image.clone());
+fn resized(image: &RgbImage, (width, height): (u32, u32)) -> Cow<'_, RgbImage> {
+    if image.dimensions() == (width, height) {
+        Cow::Borrowed(image)
+    } else if width <= image.width() && height <= image.height() {
+        Cow::Owned(area::shrunk(image, width, height))
+    } else {
+        Cow::Owned(imageops::resize(image, width, height, FilterType::CatmullRom))
     }
-    let shrinks = size.width <= image.cols() && size.height <= image.rows();
-    let method = if shrinks { imgproc::INTER_AREA } else { imgproc::INTER_CUBIC };
-    let mut out = Mat::default();
-    imgproc::resize(image, &mut out, size, 0.0, 0.0, method)?;
-    Ok(out)
 }
 
 /// The picture as it is to be seen.
-pub(crate) fn turned(image: &Mat, turn: Turn) -> Result<Mat, PreprocessError> {
-    let mut out = image.clone();
+fn turned(mut image: RgbImage, turn: Turn) -> RgbImage {
     if turn.mirror {
-        let mut flipped = Mat::default();
-        core::flip(&out, &mut flipped, 1)?;
-        out = flipped;
+        imageops::flip_horizontal_in_place(&mut image);
     }
-    let code = match turn.quarters % 4 {
-        1 => core::ROTATE_90_CLOCKWISE,
-        2 => core::ROTATE_180,
-        3 => core::ROTATE_90_COUNTERCLOCKWISE,
-        _ => return Ok(out),
-    };
-    let mut rotated = Mat::default();
-    core::rotate(&out, &mut rotated, code)?;
-    Ok(rotated)
+    match turn.quarters % 4 {
+        1 => imageops::rotate90(&image),
+        2 => imageops::rotate180(&image),
+        3 => imageops::rotate270(&image),
+        _ => image,
+    }
 }
 
-/// Upright sRGB of a decoded frame: colour matrix, square pixels, size, turn.
-/// `correct_matrix`: the frame was converted by the Rec. 601 matrix although it is coded by Rec. 709 (OpenCV
-/// ignores the stream's matrix).
-pub(crate) fn finished(
-    bgr: &Mat,
-    info: &VideoInfo,
-    max_size: u32,
-    correct_matrix: bool,
-) -> Result<RgbImage, PreprocessError> {
-    let (w, h) = (bgr.cols() as u32, bgr.rows() as u32);
+/// Upright sRGB of a decoded frame: square pixels, size, turn, colour matrix.
+/// `correct_matrix`: the frame was converted by the Rec. 601 matrix although it is coded by Rec. 709.
+pub(crate) fn finished(rgb: &RgbImage, info: &VideoInfo, max_size: u32, correct_matrix: bool) -> RgbImage {
+    let (w, h) = rgb.dimensions();
     let square = if (info.pixel_aspect - 1.0).abs() < 0.005 {
         (w, h)
     } else if info.pixel_aspect > 1.0 {
@@ -71,20 +59,12 @@ pub(crate) fn finished(
     } else {
         (w, (f64::from(h) / info.pixel_aspect).round() as u32)
     };
-    let size = fitted(square.0, square.1, max_size);
-    let upright = turned(&resized(bgr, size.0, size.1)?, info.turn)?;
-    let (width, height) = (upright.cols() as usize, upright.rows() as usize);
-    let mut rgb = Vec::with_capacity(width * height * 3);
-    for row in 0..height {
-        let line = upright.at_row::<core::Vec3b>(row as i32)?;
-        if correct_matrix {
-            rgb.extend(line.iter().flat_map(|p| rec709_from_rec601([p[2], p[1], p[0]])));
-        } else {
-            rgb.extend(line.iter().flat_map(|p| [p[2], p[1], p[0]]));
-        }
+    let sized = resized(rgb, fitted(square.0, square.1, max_size));
+    let mut upright = turned(sized.into_owned(), info.turn);
+    if correct_matrix {
+        upright.pixels_mut().for_each(|p| p.0 = rec709_from_rec601(p.0));
     }
-    RgbImage::from_raw(width as u32, height as u32, rgb)
-        .ok_or_else(|| PreprocessError::Config(format!("a frame of {width} x {height} pixels is too large")))
+    upright
 }
 
 /// Undoes the Rec. 601 decoding matrix and applies that of Rec. 709 (ITU-R BT.601, BT.709: Y, Cb, Cr from
@@ -109,22 +89,16 @@ pub(crate) struct Look {
 
 impl Look {
     /// Of a decoded frame.
-    pub fn of(bgr: &Mat) -> Result<Self, PreprocessError> {
-        let (w, h) = fitted(bgr.cols() as u32, bgr.rows() as u32, SHARPNESS_SIDE as u32);
-        let small = resized(bgr, w, h)?;
-        let (mut luma, mut smooth, mut edges) = (Mat::default(), Mat::default(), Mat::default());
-        imgproc::cvt_color_def(&small, &mut luma, imgproc::COLOR_BGR2GRAY)?;
-        imgproc::gaussian_blur_def(&luma, &mut smooth, Size::new(5, 5), 1.0)?;
-        imgproc::laplacian(&smooth, &mut edges, core::CV_16S, 1, 1.0, 0.0, core::BORDER_DEFAULT)?;
-        let deviation = |m: &Mat| -> Result<f64, PreprocessError> {
-            let (mut mean, mut sigma) = (Mat::default(), Mat::default());
-            core::mean_std_dev_def(m, &mut mean, &mut sigma)?;
-            Ok(*sigma.at::<f64>(0)?)
-        };
-        let sharpness = (deviation(&edges)? / (deviation(&smooth)? + 0.5)).powi(2);
-        let (tw, th) = fitted(w, h, THUMBNAIL_SIDE as u32);
-        let thumbnail = resized(&luma, tw, th)?.data_bytes()?.to_vec();
-        Ok(Self { sharpness, thumbnail, size: (tw, th) })
+    pub fn of(rgb: &RgbImage) -> Self {
+        let (w, h) = fitted(rgb.width(), rgb.height(), SHARPNESS_SIDE);
+        let luma = luma_of(&resized(rgb, (w, h)));
+        let smooth = smoothed(&luma);
+        let edges = laplacian(&smooth);
+        let levels = smooth.as_raw().iter().map(|v| i16::from(*v));
+        let sharpness = (deviation(edges.into_iter()) / (deviation(levels) + 0.5)).powi(2);
+        let (tw, th) = fitted(w, h, THUMBNAIL_SIDE);
+        let thumbnail = area::shrunk(&luma, tw, th).into_raw();
+        Self { sharpness, thumbnail, size: (tw, th) }
     }
 
     /// Difference that all but one pixel in 200 stay below, 8-bit levels: moving texture shows even where the
@@ -148,37 +122,124 @@ impl Look {
     }
 }
 
+/// Luma of gamma-coded values in 1/32768 (ITU-R BT.601: 0.299, 0.587, 0.114).
+fn luma_of(rgb: &RgbImage) -> GrayImage {
+    let level = |p: &Rgb<u8>| {
+        let [r, g, b] = p.0.map(u32::from);
+        ((9798 * r + 19_235 * g + 3735 * b + (1 << 14)) >> 15) as u8
+    };
+    let levels = rgb.pixels().map(level).collect();
+    GrayImage::from_raw(rgb.width(), rgb.height(), levels).unwrap_or_default()
+}
+
+/// A 5 x 5 Gaussian of standard deviation 1 pixel; mirrored at the borders.
+fn smoothed(image: &GrayImage) -> GrayImage {
+    let (w, h) = (image.width() as usize, image.height() as usize);
+    let row = |y: isize| &image.as_raw()[w * mirrored(y, h)..][..w];
+    let (mut columns, mut padded) = (vec![0_u32; w], vec![0_u32; w + 4]);
+    let mut out = Vec::with_capacity(w * h);
+    for y in 0..h as isize {
+        let [a, b, c, d, e] = [-2, -1, 0, 1, 2].map(|dy| row(y + dy));
+        for (x, sum) in columns.iter_mut().enumerate() {
+            let [a, b, c, d, e] = [a[x], b[x], c[x], d[x], e[x]].map(u32::from);
+            *sum = GAUSSIAN[0] * (a + e) + GAUSSIAN[1] * (b + d) + GAUSSIAN[2] * c;
+        }
+        padded[2..w + 2].copy_from_slice(&columns);
+        for (place, x) in [(0, -2), (1, -1), (w + 2, w as isize), (w + 3, w as isize + 1)] {
+            padded[place] = columns[mirrored(x, w)];
+        }
+        out.extend((0..w).map(|x| {
+            let p = &padded[x..x + 5];
+            let sum = GAUSSIAN[0] * (p[0] + p[4]) + GAUSSIAN[1] * (p[1] + p[3]) + GAUSSIAN[2] * p[2];
+            ((sum + (1 << 15)) >> 16) as u8
+        }));
+    }
+    GrayImage::from_raw(image.width(), image.height(), out).unwrap_or_default()
+}
+
+/// Sum of the four neighbours less four times the pixel, of every pixel; mirrored at the borders.
+fn laplacian(image: &GrayImage) -> Vec<i16> {
+    let (w, h) = (image.width() as usize, image.height() as usize);
+    let row = |y: isize| &image.as_raw()[w * mirrored(y, h)..][..w];
+    let mut out = Vec::with_capacity(w * h);
+    let mut padded = vec![0_u8; w + 2];
+    for y in 0..h as isize {
+        let (above, here, below) = (row(y - 1), row(y), row(y + 1));
+        padded[1..=w].copy_from_slice(here);
+        (padded[0], padded[w + 1]) = (here[mirrored(-1, w)], here[mirrored(w as isize, w)]);
+        out.extend((0..w).map(|x| {
+            let [a, l, c, r, b] = [above[x], padded[x], here[x], padded[x + 2], below[x]].map(i16::from);
+            a + l + r + b - 4 * c
+        }));
+    }
+    out
+}
+
+/// The place inside `0..n` of one outside it: mirrored about the first and the last.
+fn mirrored(i: isize, n: usize) -> usize {
+    let last = n as isize - 1;
+    (last - (last - i.abs()).abs()).clamp(0, last) as usize
+}
+
+/// Standard deviation; 0 of nothing.
+fn deviation(values: impl ExactSizeIterator<Item = i16>) -> f64 {
+    let count = values.len().max(1) as f64;
+    let (mut sum, mut squares) = (0_i64, 0_i64);
+    for value in values.map(i64::from) {
+        (sum, squares) = (sum + value, squares + value * value);
+    }
+    let mean = sum as f64 / count;
+    (squares as f64 / count - mean * mean).max(0.0).sqrt()
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
-    use opencv::core::{CV_8UC3, Scalar, Vec3b};
 
-    fn chart(gain: f32, blur: i32) -> Mat {
-        let mut m = Mat::new_rows_cols_with_default(240, 320, CV_8UC3, Scalar::all(0.0)).unwrap();
-        for y in 0..240 {
-            for x in 0..320 {
-                let v = if ((x / 13) + (y / 17)) % 2 == 0 { 220.0 } else { 40.0 };
-                *m.at_2d_mut::<Vec3b>(y, x).unwrap() = Vec3b::all((v * gain) as u8);
-            }
-        }
-        if blur > 1 {
-            let mut out = Mat::default();
-            imgproc::blur_def(&m, &mut out, Size::new(blur, blur)).unwrap();
-            return out;
-        }
-        m
+    fn chart(gain: f32, blur: u32) -> RgbImage {
+        let level = |x: u32, y: u32| if ((x / 13) + (y / 17)).is_multiple_of(2) { 220.0 } else { 40.0 };
+        let sharp = RgbImage::from_fn(320, 240, |x, y| Rgb([(level(x, y) * gain) as u8; 3]));
+        let half = blur / 2;
+        let mean = |x: u32, y: u32| {
+            let near = |v: u32, n: u32| v.saturating_sub(half)..=(v + half).min(n - 1);
+            let levels = near(y, 240).flat_map(|y| near(x, 320).map(move |x| (x, y)));
+            let levels: Vec<u32> = levels.map(|(x, y)| u32::from(sharp[(x, y)][0])).collect();
+            Rgb([(levels.iter().sum::<u32>() / levels.len() as u32) as u8; 3])
+        };
+        RgbImage::from_fn(320, 240, mean)
     }
 
     #[test]
     fn sharpness_falls_with_blur_and_not_with_exposure() {
-        let sharp = Look::of(&chart(1.0, 1)).unwrap().sharpness;
-        let dark = Look::of(&chart(0.25, 1)).unwrap().sharpness;
-        let blurred = Look::of(&chart(1.0, 7)).unwrap().sharpness;
+        let sharp = Look::of(&chart(1.0, 1)).sharpness;
+        let dark = Look::of(&chart(0.25, 1)).sharpness;
+        let blurred = Look::of(&chart(1.0, 7)).sharpness;
         assert!((dark / sharp - 1.0).abs() < 0.1, "{dark} {sharp}");
         assert!(blurred < 0.5 * sharp && blurred < 0.5 * dark, "{blurred} {sharp}");
-        let black =
-            Look::of(&Mat::new_rows_cols_with_default(48, 64, CV_8UC3, Scalar::all(0.0)).unwrap()).unwrap();
+        let black = Look::of(&RgbImage::new(64, 48));
         assert_eq!(black.sharpness, 0.0);
+    }
+
+    #[test]
+    fn the_edge_filters_answer_a_point_by_their_kernels() {
+        let mut point = GrayImage::new(9, 9);
+        point.put_pixel(4, 4, image::Luma([255]));
+        let smooth = smoothed(&point);
+        let expected = |dx: usize, dy: usize| {
+            let weight = |d: usize| (-0.5 * (d as f64).powi(2)).exp() / 2.4837;
+            255.0 * weight(dx) * weight(dy)
+        };
+        for (x, y, v) in smooth.enumerate_pixels() {
+            let (dx, dy) = (x.abs_diff(4) as usize, y.abs_diff(4) as usize);
+            let value = if dx.max(dy) <= 2 { expected(dx, dy) } else { 0.0 };
+            assert!((f64::from(v[0]) - value).abs() < 1.0, "{x} {y} {} {value}", v[0]);
+        }
+        let edges = laplacian(&point);
+        assert_eq!((edges[40], edges[39], edges[31], edges[30]), (-1020, 255, 255, 0));
+        let mut corner = GrayImage::new(3, 3);
+        corner.put_pixel(1, 0, image::Luma([7]));
+        assert_eq!(laplacian(&corner)[0], 14, "mirrored about the first pixel");
+        assert_eq!([-2, -1, 0, 4, 5, 6].map(|i| mirrored(i, 5)), [2, 1, 0, 4, 3, 2]);
     }
 
     #[test]

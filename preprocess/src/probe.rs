@@ -36,8 +36,6 @@ pub(crate) struct Turn {
 pub(crate) struct VideoInfo {
     /// Number of the stream in the container.
     pub stream: usize,
-    /// Whether it is the first video stream (the one that OpenCV opens).
-    pub is_first_video: bool,
     /// Coded width and height, pixels.
     pub size: (u32, u32),
     /// Width of a pixel over its height.
@@ -58,8 +56,6 @@ pub(crate) struct VideoInfo {
     pub missing: usize,
     /// Presentation times of all frames in order, seconds from the start of the container.
     pub times_s: Vec<f64>,
-    /// Time of the stream's first frame by its header, seconds from the start of the container.
-    pub stream_start_s: f64,
 }
 
 /// `file:` and the absolute path: no name can be taken for an option, a protocol or a pattern.
@@ -87,41 +83,7 @@ pub(crate) fn probe(path: &Path, progress: &Progress) -> Result<VideoInfo, Prepr
     let (times, hidden) = packet_times(path, &info, origin, progress)?;
     info.missing = info.missing.saturating_sub(times.len() + hidden);
     info.times_s = times;
-    info.stream_start_s -= origin;
     Ok(info)
-}
-
-/// Presentation times of what the decoder really puts out: decodes the whole stream.
-pub(crate) fn decoded_times(
-    path: &Path,
-    stream: usize,
-    limit: Duration,
-    progress: &Progress,
-) -> Result<Vec<f64>, PreprocessError> {
-    let (url, stream) = (file_url(path), stream.to_string());
-    let args = [
-        "-v",
-        "quiet",
-        "-select_streams",
-        &stream,
-        "-show_entries",
-        "frame=best_effort_timestamp_time:format=start_time",
-        "-of",
-        "compact=p=0",
-        "-i",
-    ];
-    let args = [&args.map(OsStr::new)[..], &[url.as_os_str()]].concat();
-    let output = tool::run("ffprobe", &args, path, limit, progress)?;
-    let field =
-        |line: &str, key: &str| line.split('|').find_map(|f| f.strip_prefix(key)?.parse::<f64>().ok());
-    let origin = output.stdout.lines().rev().find_map(|l| field(l, "start_time=")).unwrap_or(0.0);
-    let mut times = Vec::new();
-    for line in output.stdout.lines().filter(|l| l.contains("best_effort_timestamp_time=")) {
-        let step = if times.len() > 1 { times[times.len() - 1] - times[times.len() - 2] } else { 1.0 / 30.0 };
-        let guess = times.last().map_or(0.0, |t| t + step);
-        times.push(field(line, "best_effort_timestamp_time=").map_or(guess, |t| t - origin));
-    }
-    Ok(times)
 }
 
 fn check_file(path: &Path) -> Result<(), PreprocessError> {
@@ -181,7 +143,6 @@ fn choose_stream(path: &Path, streams: &[Value]) -> Result<VideoInfo, Preprocess
     };
     Ok(VideoInfo {
         stream: stream["index"].as_u64().unwrap_or(0) as usize,
-        is_first_video: streams.iter().find(is_video).is_some_and(|s| s["index"] == stream["index"]),
         size,
         pixel_aspect: pixel_aspect(stream),
         turn,
@@ -192,7 +153,6 @@ fn choose_stream(path: &Path, streams: &[Value]) -> Result<VideoInfo, Preprocess
         encrypted: streams.iter().any(is_encrypted),
         missing: number(&stream["nb_frames"]).map_or(0, |n| n as usize),
         times_s: Vec::new(),
-        stream_start_s: number(&stream["start_time"]).unwrap_or(0.0),
     })
 }
 

@@ -8,7 +8,7 @@ const BORDER_LOSS: f64 = 0.2;
 /// The bucket of every frame.
 #[derive(Clone, Debug)]
 pub(crate) struct Plan {
-    buckets: Vec<Option<Slot>>,
+    buckets: Vec<Option<BucketSlot>>,
     /// Number of buckets that hold a frame.
     pub len: usize,
     /// Frames inside `--start/--end`.
@@ -19,7 +19,7 @@ pub(crate) struct Plan {
 
 /// Where a frame stands.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(crate) struct Slot {
+pub(crate) struct BucketSlot {
     /// Number of the bucket, rising with time.
     pub bucket: usize,
     /// Factor on sharpness, 1 in the middle of the bucket.
@@ -53,7 +53,7 @@ impl Plan {
             };
             let bucket = position.floor().max(0.0);
             let off = 2.0 * (position - bucket) - 1.0;
-            buckets[i] = Some(Slot { bucket: bucket as usize, weight: 1.0 - BORDER_LOSS * off * off });
+            buckets[i] = Some(BucketSlot { bucket: bucket as usize, weight: 1.0 - BORDER_LOSS * off * off });
         }
         let mut used: Vec<usize> = buckets.iter().flatten().map(|s| s.bucket).collect();
         used.dedup();
@@ -61,7 +61,7 @@ impl Plan {
     }
 
     /// Where frame `index` stands; `None` outside the range asked for.
-    pub fn slot(&self, index: usize) -> Option<Slot> {
+    pub fn slot(&self, index: usize) -> Option<BucketSlot> {
         self.buckets.get(index).copied().flatten()
     }
 }

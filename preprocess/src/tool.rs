@@ -2,9 +2,10 @@
 
 use crate::PreprocessError;
 use scene::Progress;
+use std::ffi::OsStr;
 use std::io::Read;
 use std::path::Path;
-use std::process::{Child, Command, Stdio};
+use std::process::{Child, ChildStderr, ChildStdout, Command, Stdio};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
@@ -24,10 +25,14 @@ pub(crate) struct Output {
 impl Output {
     /// Last line of standard error without the demuxer's address prefix.
     pub fn reason(&self) -> String {
-        let line = self.stderr.lines().rev().find(|l| !l.trim().is_empty()).unwrap_or("no message");
-        let line = line.rsplit_once("] ").map_or(line, |(_, rest)| rest);
-        line.rsplit_once(": ").map_or(line, |(_, rest)| rest).trim().to_owned()
+        reason(self.stderr.lines().rev().find(|l| !l.trim().is_empty()).unwrap_or("no message"))
     }
+}
+
+/// A line of `ffmpeg`'s or `ffprobe`'s without the address prefix, level and context.
+pub(crate) fn reason(line: &str) -> String {
+    let line = line.rsplit_once("] ").map_or(line, |(_, rest)| rest);
+    line.rsplit_once(": ").map_or(line, |(_, rest)| rest).trim().to_owned()
 }
 
 /// A running helper program whose output is being collected; killed when dropped.
@@ -40,24 +45,29 @@ pub(crate) struct Running {
 }
 
 impl Running {
-    /// Starts `tool`; `collect_stdout` is false where the caller reads the pipe itself ([`Running::take_stdout`]).
-    pub fn start(
-        tool: &'static str,
-        args: &[&std::ffi::OsStr],
-        collect_stdout: bool,
-    ) -> Result<Self, PreprocessError> {
-        let mut command = Command::new(tool);
-        command.args(args).stdin(Stdio::null()).stdout(Stdio::piped()).stderr(Stdio::piped());
-        let mut child =
-            command.spawn().map_err(|e| PreprocessError::MissingTool { tool, reason: e.to_string() })?;
-        let stdout = if collect_stdout { child.stdout.take().map(collect) } else { None };
-        let stderr = child.stderr.take().map(collect);
-        Ok(Self { tool, child, stdout, stderr, started: Instant::now() })
+    /// Starts `tool`.
+    pub fn start(tool: &'static str, args: &[&OsStr]) -> Result<Self, PreprocessError> {
+        let (mut running, stdout, stderr) = Self::start_piped(tool, args)?;
+        running.stdout = Some(collect(stdout));
+        running.stderr = Some(collect(stderr));
+        Ok(running)
     }
 
-    /// The standard output pipe, where it is not collected.
-    pub fn take_stdout(&mut self) -> Option<std::process::ChildStdout> {
-        self.child.stdout.take()
+    /// Starts `tool`, whose standard output and standard error the caller reads.
+    pub fn start_piped(
+        tool: &'static str,
+        args: &[&OsStr],
+    ) -> Result<(Self, ChildStdout, ChildStderr), PreprocessError> {
+        let missing = |reason: String| PreprocessError::MissingTool { tool, reason };
+        let mut command = Command::new(tool);
+        command.args(args).stdin(Stdio::null()).stdout(Stdio::piped()).stderr(Stdio::piped());
+        let mut child = command.spawn().map_err(|e| missing(e.to_string()))?;
+        let (stdout, stderr) = (child.stdout.take(), child.stderr.take());
+        let running = Self { tool, child, stdout: None, stderr: None, started: Instant::now() };
+        match (stdout, stderr) {
+            (Some(stdout), Some(stderr)) => Ok((running, stdout, stderr)),
+            _ => Err(missing("its output cannot be read".to_owned())),
+        }
     }
 
     /// Waits for the end, at most `limit` from the start.
@@ -111,29 +121,24 @@ fn collect(mut pipe: impl Read + Send + 'static) -> JoinHandle<String> {
 /// Runs a program to its end.
 pub(crate) fn run(
     tool: &'static str,
-    args: &[&std::ffi::OsStr],
+    args: &[&OsStr],
     input: &Path,
     limit: Duration,
     progress: &Progress,
 ) -> Result<Output, PreprocessError> {
-    Running::start(tool, args, true)?.finish(input, limit, progress)
+    Running::start(tool, args)?.finish(input, limit, progress)
 }
 
 /// First line of `tool -version`, shortened to the version.
 fn version_of(tool: &'static str) -> Result<String, String> {
-    let args = [std::ffi::OsStr::new("-version")];
+    let args = [OsStr::new("-version")];
     let output = run(tool, &args, Path::new(tool), Duration::from_secs(10), &Progress::silent());
     let output = output.map_err(|e| e.to_string())?;
     let line = output.stdout.lines().next().unwrap_or_default();
     line.split_whitespace().nth(2).map(str::to_owned).ok_or_else(|| format!("unexpected answer: {line}"))
 }
 
-/// Versions of what this stage calls: OpenCV, ffprobe, ffmpeg; an error says what is missing.
+/// Versions of what this stage calls: ffprobe, ffmpeg; an error says what is missing.
 pub fn versions() -> Vec<(String, Result<String, String>)> {
-    let opencv = opencv::core::get_version_string().map_err(|e| e.to_string());
-    vec![
-        ("OpenCV".to_owned(), opencv),
-        ("ffprobe".to_owned(), version_of("ffprobe")),
-        ("ffmpeg".to_owned(), version_of("ffmpeg")),
-    ]
+    ["ffprobe", "ffmpeg"].map(|tool| (tool.to_owned(), version_of(tool))).into()
 }

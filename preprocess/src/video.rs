@@ -1,14 +1,13 @@
 //! From a video to upright, sharp, distinct frames.
 
-use crate::decode::{DamageCheck, Decoded, OpenCvSource, PipeSource, Source};
+use crate::decode::{Decoded, Source};
 use crate::film::{FILM, Reel};
 use crate::output::{Staging, write_png};
 use crate::pixels::{self, Look};
 use crate::probe::{self, Transfer, VideoInfo};
-use crate::select::{Plan, Slot};
+use crate::select::{BucketSlot, Plan};
 use crate::{FrameConfig, PreprocessError};
 use image::ExtendedColorType;
-use opencv::prelude::*;
 use scene::{Film, Frame, FrameSet, Progress};
 use std::path::Path;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -32,27 +31,13 @@ pub fn video_frames(
 ) -> Result<FrameSet, PreprocessError> {
     config.validate()?;
     let info = probe::probe(input, progress)?;
-    let job = Job { input, config, progress, staging: Staging::new(out)?, failed: AtomicBool::new(false) };
+    let extraction =
+        Extraction { input, config, progress, staging: Staging::new(out)?, failed: AtomicBool::new(false) };
     let mut notes = info.notes();
-    let check = DamageCheck::start(input, info.stream)?;
-    let needs_pipe = info.transfer != Transfer::Sdr || info.is_bt2020 || !info.is_first_video;
-    let opened = if needs_pipe { None } else { OpenCvSource::open(input, &info)? };
-    let (mut info, mut taken) = match opened {
-        Some(source) => {
-            let taken = job.take(Source::OpenCv(source), &info)?;
-            (info, taken)
-        }
-        None => job.take_by_pipe(info)?,
-    };
     let expected = info.times_s.len();
-    if !needs_pipe && !taken.stopped_early && taken.decoded < expected {
-        // OpenCV stops at the first packet it cannot decode; ffmpeg goes on behind it.
-        let (again, retaken) = job.take_by_pipe(info.clone())?;
-        if retaken.decoded > taken.decoded {
-            (info, taken) = (again, retaken);
-        }
-    }
-    let complaints = if taken.stopped_early { None } else { check.finish(input, DECODE_LIMIT, progress)? };
+    let mut source = Source::open(input, &info)?;
+    let taken = extraction.take(&mut source, &info)?;
+    let complaints = if taken.stopped_early { None } else { source.finish(input, DECODE_LIMIT, progress)? };
     if taken.frames.is_empty() && info.encrypted {
         return Err(PreprocessError::Encrypted { path: input.to_owned() });
     }
@@ -61,11 +46,11 @@ pub fn video_frames(
         return Err(PreprocessError::NothingDecodes { path: input.to_owned(), expected, reason });
     }
     notes.extend(taken.notes(expected + info.missing, complaints));
-    let (frames, film) = job.publish(taken)?;
+    let (frames, film) = extraction.publish(taken)?;
     Ok(FrameSet { frames, is_video: true, notes, film, ..FrameSet::default() })
 }
 
-struct Job<'a> {
+struct Extraction<'a> {
     input: &'a Path,
     config: &'a FrameConfig,
     progress: &'a Progress,
@@ -88,24 +73,13 @@ struct Taken {
 
 struct Best {
     score: f64,
-    slot: Slot,
+    slot: BucketSlot,
     frame: Decoded,
     look: Look,
 }
 
-impl Job<'_> {
-    /// Decodes by `ffmpeg`, whose frames may differ in number from the packets (damage).
-    fn take_by_pipe(&self, mut info: VideoInfo) -> Result<(VideoInfo, Taken), PreprocessError> {
-        let times = probe::decoded_times(self.input, info.stream, DECODE_LIMIT, self.progress)?;
-        if !times.is_empty() {
-            info.times_s.clone_from(&times);
-        }
-        let source = PipeSource::open(self.input, &info, times)?;
-        let taken = self.take(Source::Pipe(source), &info)?;
-        Ok((info, taken))
-    }
-
-    fn take(&self, source: Source, info: &VideoInfo) -> Result<Taken, PreprocessError> {
+impl Extraction<'_> {
+    fn take(&self, source: &mut Source, info: &VideoInfo) -> Result<Taken, PreprocessError> {
         let plan = Plan::new(&info.times_s, self.config);
         if plan.len == 0 && !info.times_s.is_empty() {
             return Err(PreprocessError::EmptyRange {
@@ -117,7 +91,7 @@ impl Job<'_> {
             });
         }
         self.progress.begin("frames", plan.end);
-        let correct_matrix = info.is_bt709 && matches!(source, Source::OpenCv(_));
+        let correct_matrix = info.is_bt709;
         let (send, receive) = mpsc::sync_channel::<Decoded>(2 * WRITERS);
         let (receive, written) = (Mutex::new(receive), Mutex::new(Vec::new()));
         let mut taken = std::thread::scope(|scope| {
@@ -139,7 +113,7 @@ impl Job<'_> {
     /// Decodes to the end and hands the chosen frames to the writers.
     fn select(
         &self,
-        mut source: Source,
+        source: &mut Source,
         plan: &Plan,
         send: &SyncSender<Decoded>,
     ) -> Result<Taken, PreprocessError> {
@@ -169,12 +143,11 @@ impl Job<'_> {
                 }
             }
             let Some(slot) = plan.slot(frame.index) else { continue };
-            let dimensions = (frame.bgr.cols(), frame.bgr.rows());
-            if *size.get_or_insert(dimensions) != dimensions {
+            if *size.get_or_insert(frame.coded_size) != frame.coded_size {
                 taken.resized += 1;
                 continue;
             }
-            let look = Look::of(&frame.bgr)?;
+            let look = Look::of(&frame.rgb);
             taken.reel.push(&look, frame.time_s);
             let score = look.sharpness * slot.weight;
             if best.as_ref().is_some_and(|b| b.slot.bucket != slot.bucket) && !flush(best.take(), &mut taken)
@@ -199,8 +172,8 @@ impl Job<'_> {
     ) -> Result<(), PreprocessError> {
         let mut result = Ok(());
         loop {
-            let job = receive.lock().unwrap_or_else(|e| e.into_inner()).recv();
-            let Ok(frame) = job else { return result };
+            let frame = receive.lock().unwrap_or_else(|e| e.into_inner()).recv();
+            let Ok(frame) = frame else { return result };
             if self.failed.load(Ordering::Relaxed) {
                 continue;
             }
@@ -220,7 +193,7 @@ impl Job<'_> {
         info: &VideoInfo,
         correct_matrix: bool,
     ) -> Result<Frame, PreprocessError> {
-        let image = pixels::finished(&frame.bgr, info, self.config.max_size, correct_matrix)?;
+        let image = pixels::finished(&frame.rgb, info, self.config.max_size, correct_matrix);
         let name = format!("frame_{:06}.png", frame.index);
         let (width, height) = image.dimensions();
         write_png(
@@ -244,15 +217,6 @@ impl Job<'_> {
 
     fn publish(self, taken: Taken) -> Result<(Vec<Frame>, Option<Film>), PreprocessError> {
         self.progress.check()?;
-        // A first decoding that stopped at damage may have left frames that the second did not choose.
-        let chosen: std::collections::HashSet<&str> = taken.frames.iter().map(|f| f.name.as_str()).collect();
-        let folder = self.staging.path("images", "");
-        for entry in std::fs::read_dir(&folder).map_err(PreprocessError::io(&folder))? {
-            let entry = entry.map_err(PreprocessError::io(&folder))?;
-            if !entry.file_name().to_str().is_some_and(|n| chosen.contains(n)) {
-                std::fs::remove_file(entry.path()).map_err(PreprocessError::io(entry.path()))?;
-            }
-        }
         let film = taken.reel.write(&self.staging)?;
         match &film {
             Some(_) => self.staging.publish(&["images", FILM], &["masks"])?,

@@ -11,6 +11,7 @@ use preprocess::matting::{Background, MatteMode};
 use preprocess::{
     FrameConfig, KeyConfig, PreprocessError, contact_sheet, matte_frames, photo_frames, video_frames,
 };
+use scene::decision::{MatteKind, Remark};
 use scene::{FrameSet, Progress};
 use screen::{CLOTHS, Cloth, LIGHTS, Light, Score, Shot, cut_outs, encode, film, score};
 use std::path::Path;
@@ -27,6 +28,11 @@ fn filmed(cut_outs: &[image::RgbaImage], light: Light, cloth: Cloth, folder: &Pa
     let set =
         video_frames(&folder.join("video.mp4"), &folder.join("frames"), &all, &Progress::silent()).unwrap();
     (shots, set)
+}
+
+/// Whether the frames were left as they are.
+fn is_refused(out: &FrameSet) -> bool {
+    matches!(&out.decisions[..], [d] if d.choice == MatteKind::Nothing.into())
 }
 
 #[test]
@@ -110,9 +116,9 @@ fn captures_without_a_screen_come_back_untouched_with_the_evidence() {
         let dir = Scratch::new(&format!("off-{name}"));
         let set = photo_frames(&folder, &dir.0.join("in"), &small, &Progress::silent()).unwrap();
         let out = matte(&set, &dir.0.join("out"), &KeyConfig::with_key("auto")).unwrap();
-        println!("{name}: {:?}", out.notes);
+        println!("{name}: {:?}", out.decisions);
         assert_eq!(out.frames, set.frames, "{name}");
-        assert!(out.notes.last().unwrap().contains("no screen") && !dir.0.join("out").exists());
+        assert!(is_refused(&out) && !dir.0.join("out").exists());
     }
     for name in ["can_orbit", "checkerboard_rotated"] {
         let Some(video) = shared(&format!("phone_video/{name}.mp4")) else { return };
@@ -120,7 +126,7 @@ fn captures_without_a_screen_come_back_untouched_with_the_evidence() {
         let config = FrameConfig { frames: Some(12), end: Some(6.0), ..small.clone() };
         let set = video_frames(&video, &dir.0.join("in"), &config, &Progress::silent()).unwrap();
         let out = matte(&set, &dir.0.join("out"), &KeyConfig::with_key("auto")).unwrap();
-        println!("{name}: {:?}", out.notes);
+        println!("{name}: {:?}", out.decisions);
         assert_eq!(out.frames, set.frames, "{name}: {:?}", out.notes);
     }
 }
@@ -138,7 +144,7 @@ fn real_screens_are_found_whatever_their_hue() {
             &KeyConfig { background: Background::Black, ..KeyConfig::with_key("auto") },
         )
         .unwrap();
-        println!("{name}: {:?}", out.notes);
+        println!("{name}: {:?}", out.decisions);
         let kept: f64 = out
             .frames
             .iter()
@@ -216,10 +222,8 @@ fn modes_and_backgrounds_do_what_they_say() {
     // A lit room is not keyed by light: the object would be cut to pieces.
     let out = run("black", MatteMode::Soft, Background::Black).unwrap();
     assert_eq!(out.frames, set.frames);
-    assert!(out.notes.iter().any(|n| n.contains("cannot be keyed by light")), "{:?}", out.notes);
-    assert!(
-        run("#00ffff", MatteMode::Soft, Background::Keep).unwrap().notes.iter().any(|n| n.contains("no "))
-    );
+    assert_eq!(out.decisions[0].remarks, [Remark::NotKeyableByLight]);
+    assert!(is_refused(&run("#00ffff", MatteMode::Soft, Background::Keep).unwrap()));
     assert!(run("grene", MatteMode::Soft, Background::Keep).is_err());
     assert!(contact_sheet(&FrameSet::default(), &dir.0.join("x.png")).is_err());
 }
@@ -241,7 +245,7 @@ fn a_screen_before_which_nothing_stands_is_left_alone_and_one_frame_is_enough_fo
     let set = load("in");
     let out = matte(&set, &dir.0.join("out"), &KeyConfig::default()).unwrap();
     assert_eq!(out.frames, set.frames, "{:?}", out.notes);
-    assert!(out.notes.last().unwrap().contains("nothing stands before the screen"), "{:?}", out.notes);
+    assert!(is_refused(&out) && out.decisions[0].remarks == [Remark::EmptyFrames], "{:?}", out.decisions);
     let one = painted(&dir.0.join("one"), 1);
     let out = matte(&one, &dir.0.join("out1"), &KeyConfig::default()).unwrap();
     let mask = image::open(out.frames[0].mask.as_ref().unwrap()).unwrap().to_luma8();

@@ -1,4 +1,5 @@
-//! Writes photos of a made-up object and their true cameras: `synthetic_photos FOLDER [PHOTOS] [STEP_DEG] [WIDTH]`.
+//! Writes photos of a made-up object and their true cameras: `synthetic_photos FOLDER [PHOTOS]
+//! [STEP_DEG] [WIDTH]`.
 
 use scene::CameraModel;
 use scene::io::write_model_bin;

@@ -4,7 +4,8 @@ use glam::{DVec2, DVec3};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-/// The camera models that are read, solved and written. `u, v` are normalised image coordinates `x/z, y/z`.
+/// The camera models that are read, solved and written. `u, v` are normalised image coordinates
+/// `x/z, y/z`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "SCREAMING_SNAKE_CASE")]
 pub enum CameraModel {
@@ -137,8 +138,8 @@ impl Camera {
         }
     }
 
-    /// Ideal from distorted normalised coordinates: Newton's method on [`Camera::distort`] with a numeric
-    /// Jacobian; falls back to the distorted point where the model cannot be inverted.
+    /// Ideal from distorted normalised coordinates: Newton's method on [`Camera::distort`] with a
+    /// numeric Jacobian; falls back to the distorted point where the model cannot be inverted.
     pub fn undistort(&self, d: DVec2) -> DVec2 {
         if self.distortion().iter().all(|&k| k == 0.0) {
             return d;

@@ -223,6 +223,10 @@ pub enum Remark {
     CheckInput,
     /// Only the nearest pairs are drawn.
     NearestOnly,
+    /// The hue is one of wood, skin and lamp light.
+    NaturalHue,
+    /// Light does not tell the object from the room.
+    NotKeyableByLight,
     /// The pixels have no distinct hue.
     NoHue,
     /// Nothing stands before the screen in most frames.
@@ -300,7 +304,8 @@ impl Decision {
         self
     }
 
-    /// Adds an alternative with its scores; `accepted`: whether it was preferred to those before it.
+    /// Adds an alternative with its scores; `accepted`: whether it was preferred to those before
+    /// it.
     #[must_use]
     pub fn compared(mut self, choice: impl Into<Choice>, accepted: bool, scores: Vec<Measurement>) -> Self {
         self.alternatives.push(Alternative { choice: choice.into(), accepted, scores });

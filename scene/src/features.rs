@@ -29,7 +29,8 @@ impl Keypoint {
 pub struct Features {
     /// N keypoints.
     pub keypoints: Vec<Keypoint>,
-    /// N × 128 bytes, row-major: RootSIFT, `round(512 sqrt(h / Σh))` clamped to 255 (COLMAP's scale).
+    /// N × 128 bytes, row-major: RootSIFT, `round(512 sqrt(h / Σh))` clamped to 255 (COLMAP's
+    /// scale).
     pub descriptors: Vec<u8>,
 }
 

@@ -45,7 +45,8 @@ pub struct FrameSet {
     pub film: Option<Film>,
 }
 
-/// Small grey pictures of the frames of a video, chosen or not, as coded (not turned): one below the other in an 8-bit PNG.
+/// Small grey pictures of the frames of a video, chosen or not, as coded (not turned): one below
+/// the other in an 8-bit PNG.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct Film {
     /// Where it lies.

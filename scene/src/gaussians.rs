@@ -17,7 +17,8 @@ pub struct Gaussians {
     pub rotations: Vec<Quat>,
     /// \[N\] opacity = 1 / (1 + exp(−logit)).
     pub opacity_logits: Vec<f32>,
-    /// [N × K × 3], K = (degree + 1)²; coefficient-major: `sh[(i·K + k)·3 + channel]`; rgb = 0.5 + Σ Y_k sh_k, clamped at 0.
+    /// [N × K × 3], K = (degree + 1)²; coefficient-major: `sh[(i·K + k)·3 + channel]`; rgb = 0.5 +
+    /// Σ Y_k sh_k, clamped at 0.
     pub sh: Vec<f32>,
     /// 0 to 3.
     pub sh_degree: u32,

@@ -1,4 +1,5 @@
-//! The types that cross the borders between stages, the geometry they need and the files they are kept in.
+//! The types that cross the borders between stages, the geometry they need and the files they are
+//! kept in.
 //!
 //! # Conventions
 //! | thing | convention |

@@ -1,6 +1,7 @@
 //! Image quality of 8-bit images: PSNR and SSIM, full frame or inside a mask.
 //!
-//! Both work on what a file holds: round a render to 8 bits ([`crate::FloatImage::to_rgb8`]) before it is judged.
+//! Both work on what a file holds: round a render to 8 bits ([`crate::FloatImage::to_rgb8`]) before
+//! it is judged.
 
 use image::{GrayImage, RgbImage};
 use rayon::prelude::*;
@@ -51,8 +52,9 @@ fn keeps(value: u8) -> bool {
     value >= 128
 }
 
-/// Peak signal-to-noise ratio, dB: `−10 log10(MSE)` with the mean over pixels and channels of squared differences
-/// of values in [0, 1]; infinite for equal images. With a mask: over the pixels it keeps (≥ 128).
+/// Peak signal-to-noise ratio, dB: `−10 log10(MSE)` with the mean over pixels and channels of
+/// squared differences of values in [0, 1]; infinite for equal images. With a mask: over the pixels
+/// it keeps (≥ 128).
 pub fn psnr(a: &RgbImage, b: &RgbImage, mask: Option<&GrayImage>) -> Result<f64, MetricsError> {
     check(a, b, mask, 1)?;
     let square =
@@ -84,12 +86,14 @@ fn window() -> [f64; SSIM_WINDOW] {
     std::array::from_fn(|i| g(i) / sum)
 }
 
-/// Structural similarity (Wang et al. 2004): 11 × 11 Gaussian window with σ 1.5, C1 = 0.01², C2 = 0.03² for values
-/// in [0, 1], computed for each channel and averaged over all pixels whose window lies inside the image (a border
-/// of 5 pixels is left out). Equals scikit-image's `structural_similarity(gaussian_weights=True, sigma=1.5,
-/// use_sample_covariance=False, data_range=1)`; kornia's `ssim` with `padding="valid"` takes the same pixels, with
-/// its default `"same"` it adds the border with reflected windows, and the 3DGS paper's adds it with zeros.
-/// With a mask: the mean over the same pixels as far as the mask keeps them (windows may reach outside the mask).
+/// Structural similarity (Wang et al. 2004): 11 × 11 Gaussian window with σ 1.5, C1 = 0.01², C2 =
+/// 0.03² for values in [0, 1], computed for each channel and averaged over all pixels whose window
+/// lies inside the image (a border of 5 pixels is left out). Equals scikit-image's
+/// `structural_similarity(gaussian_weights=True, sigma=1.5, use_sample_covariance=False,
+/// data_range=1)`; kornia's `ssim` with `padding="valid"` takes the same pixels, with its default
+/// `"same"` it adds the border with reflected windows, and the 3DGS paper's adds it with zeros.
+/// With a mask: the mean over the same pixels as far as the mask keeps them (windows may reach
+/// outside the mask).
 pub fn ssim(a: &RgbImage, b: &RgbImage, mask: Option<&GrayImage>) -> Result<f64, MetricsError> {
     check(a, b, mask, SSIM_WINDOW as u32)?;
     let (width, height) = (a.width() as usize, a.height() as usize);
@@ -112,8 +116,9 @@ pub fn ssim(a: &RgbImage, b: &RgbImage, mask: Option<&GrayImage>) -> Result<f64,
     if n == 0 { Err(MetricsError::EmptyMask) } else { Ok(sum / (3 * n) as f64) }
 }
 
-/// Vertically filtered rows (f64: in f32 the variances of bright flat areas drown in rounding) of `u = a + b`, `v = a − b`, `u²`, `v²`. These four are enough:
-/// `2 μa μb = (μu² − μv²)/2`, `μa² + μb² = (μu² + μv²)/2`, and likewise for the variances.
+/// Vertically filtered rows (f64: in f32 the variances of bright flat areas drown in rounding) of
+/// `u = a + b`, `v = a − b`, `u²`, `v²`. These four are enough: `2 μa μb = (μu² − μv²)/2`, `μa² +
+/// μb² = (μu² + μv²)/2`, and likewise for the variances.
 struct RowBuffers {
     weights: [f64; SSIM_WINDOW],
     filtered: [Vec<f64>; 4],
@@ -124,7 +129,8 @@ impl RowBuffers {
         Self { weights: window(), filtered: std::array::from_fn(|_| vec![0.0; stride]) }
     }
 
-    /// Sum of SSIM over the pixels of output row `y` (input rows y to y + 10) and channels, and number of pixels.
+    /// Sum of SSIM over the pixels of output row `y` (input rows y to y + 10) and channels, and
+    /// number of pixels.
     fn row(&mut self, a: &[u8], b: &[u8], y: usize, kept: Option<&[u8]>) -> (f64, usize) {
         let stride = self.filtered[0].len();
         self.filtered.iter_mut().for_each(|f| f.fill(0.0));

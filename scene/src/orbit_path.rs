@@ -15,8 +15,8 @@ pub struct OrbitPath {
 }
 
 impl OrbitPath {
-    /// The focus is the point nearest to all viewing rays (least squares); up is the mean of the cameras' up. `Err` says why there
-    /// is no such circle.
+    /// The focus is the point nearest to all viewing rays (least squares); up is the mean of the
+    /// cameras' up. `Err` says why there is no such circle.
     pub fn fit(poses: &[Pose]) -> Result<Self, &'static str> {
         // The diagonal keeps the normal equations regular where all rays are parallel.
         let mut normal = DMat3::from_diagonal(DVec3::splat(1e-9));

@@ -21,8 +21,8 @@ pub struct Overview {
 }
 
 impl Overview {
-    /// About the ring's centre and axis where the cameras stand on one, else about the mean of the centres and the
-    /// direction that is up in most images.
+    /// About the ring's centre and axis where the cameras stand on one, else about the mean of the
+    /// centres and the direction that is up in most images.
     pub fn of(model: &Reconstruction, ring: Option<&Ring>) -> Self {
         let centres: Vec<DVec3> = model.images.values().map(|i| i.pose.centre()).collect();
         let mean = centres.iter().sum::<DVec3>() / centres.len().max(1) as f64;
@@ -35,7 +35,8 @@ impl Overview {
         Self { shown_from_world: Sim3 { scale, rotation, translation: -scale * (rotation * middle) }, reach }
     }
 
-    /// Centre of a camera and the four corners of its image plane, shown frame; `None` where it has no intrinsics.
+    /// Centre of a camera and the four corners of its image plane, shown frame; `None` where it has
+    /// no intrinsics.
     pub fn frustum(&self, model: &Reconstruction, image: &PosedImage) -> Option<[DVec3; 5]> {
         let camera = model.cameras.get(&image.camera)?;
         let (w, h) = (f64::from(camera.width), f64::from(camera.height));
@@ -49,13 +50,14 @@ impl Overview {
     }
 }
 
-/// The direction that is up in most images, world frame, not normalised: the mean of the cameras' −y axes.
+/// The direction that is up in most images, world frame, not normalised: the mean of the cameras'
+/// −y axes.
 pub fn up(model: &Reconstruction) -> DVec3 {
     model.images.values().map(|i| i.pose.rotation.conjugate() * -DVec3::Y).sum()
 }
 
-/// Moves the median of the points (of the camera centres, where there are none) to the origin and scales the median distance
-/// of the camera centres from it to `radius`.
+/// Moves the median of the points (of the camera centres, where there are none) to the origin and
+/// scales the median distance of the camera centres from it to `radius`.
 pub fn centred(model: &Reconstruction, radius: f64) -> Sim3 {
     let centres: Vec<DVec3> = model.images.values().map(|i| i.pose.centre()).collect();
     let points: Vec<DVec3> = model.points.values().map(|p| p.position).collect();
@@ -66,7 +68,8 @@ pub fn centred(model: &Reconstruction, radius: f64) -> Sim3 {
     Sim3 { scale, translation: -scale * centre, ..Sim3::IDENTITY }
 }
 
-/// Distances of the points from the first camera that `low` and `high` (shares) of them stay below; `None` without points.
+/// Distances of the points from the first camera that `low` and `high` (shares) of them stay below;
+/// `None` without points.
 pub fn depth_range(model: &Reconstruction, low: f64, high: f64) -> Option<[f64; 2]> {
     let first = model.images.values().next().map_or(DVec3::ZERO, |i| i.pose.centre());
     let depths: Vec<f64> = model.points.values().map(|p| p.position.distance(first)).collect();

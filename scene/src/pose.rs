@@ -32,8 +32,9 @@ impl Pose {
         Self { rotation, translation: -(rotation * centre) }
     }
 
-    /// `cam_from_world` of a camera at `eye` that looks at `target`; `up` is the world direction that
-    /// appears upwards in the image (image y points down). `up` must not be parallel to the view direction.
+    /// `cam_from_world` of a camera at `eye` that looks at `target`; `up` is the world direction
+    /// that appears upwards in the image (image y points down). `up` must not be parallel to the
+    /// view direction.
     pub fn look_at(eye: DVec3, target: DVec3, up: DVec3) -> Self {
         let z = (target - eye).normalize();
         let x = z.cross(up).normalize();

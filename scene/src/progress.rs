@@ -11,7 +11,8 @@ pub struct Cancelled;
 pub trait ProgressSink: Send + Sync {
     /// A new piece of work of `total` steps (0 where unknown) begins.
     fn begin(&self, what: &str, total: u64);
-    /// `done` steps of the present work are done; `detail` is a short figure to show beside (may be empty).
+    /// `done` steps of the present work are done; `detail` is a short figure to show beside (may be
+    /// empty).
     fn update(&self, done: u64, detail: &str);
     /// A sentence for the user (shown with `-v`).
     fn note(&self, message: &str);

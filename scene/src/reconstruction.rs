@@ -63,8 +63,8 @@ pub struct Reconstruction {
 }
 
 impl Reconstruction {
-    /// Checks that all references resolve both ways, tracks have two observations and numbers are finite;
-    /// the message names the first thing that does not.
+    /// Checks that all references resolve both ways, tracks have two observations and numbers are
+    /// finite; the message names the first thing that does not.
     pub fn validate(&self) -> Result<(), String> {
         for image in self.images.values() {
             if !self.cameras.contains_key(&image.camera) {
@@ -113,7 +113,8 @@ impl Reconstruction {
         Ok(())
     }
 
-    /// Residual of one observation, pixels (`projection − measurement`); `None` behind the camera or unresolved.
+    /// Residual of one observation, pixels (`projection − measurement`); `None` behind the camera
+    /// or unresolved.
     pub fn residual(&self, point: &ScenePoint, element: &TrackElement) -> Option<DVec2> {
         let image = self.images.get(&element.image)?;
         let camera = self.cameras.get(&image.camera)?;

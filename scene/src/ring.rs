@@ -1,4 +1,5 @@
-//! Cameras on a circle: turntables, orbits, and objects that turn before a camera that stands still.
+//! Cameras on a circle: turntables, orbits, and objects that turn before a camera that stands
+//! still.
 
 mod sequence;
 
@@ -18,7 +19,8 @@ pub struct Ring {
     pub axis: DVec3,
     /// Its radius, scene units.
     pub radius: f64,
-    /// One per pose, radians about the axis, counted on over full turns: each lies within π of the one before.
+    /// One per pose, radians about the axis, counted on over full turns: each lies within π of the
+    /// one before.
     pub angles: Vec<f64>,
     /// Root mean square distance of the centres from the circle, in radii.
     pub misfit: f64,
@@ -34,9 +36,9 @@ pub struct Arc {
 }
 
 impl Ring {
-    /// The plane through the centres (least squares) and in it the circle of least algebraic error (Kåsa 1976).
-    /// `poses` are `cam_from_world`, in the order of filming. `None` with fewer than four poses, or where their
-    /// centres lie on a line or are not finite.
+    /// The plane through the centres (least squares) and in it the circle of least algebraic error
+    /// (Kåsa 1976). `poses` are `cam_from_world`, in the order of filming. `None` with fewer than
+    /// four poses, or where their centres lie on a line or are not finite.
     pub fn fit(poses: &[Pose]) -> Option<Self> {
         if poses.len() < 4 {
             return None;
@@ -79,8 +81,9 @@ impl Ring {
         arcs.max_by(|a, b| a.angle.total_cmp(&b.angle)).unwrap_or(Arc { angle: TAU, ends: [0, 0] })
     }
 
-    /// The largest and the median angle between poses that follow each other, for one unit of `places`: where in
-    /// the sequence each pose stands (ascending), so that a frame that is missing does not look like a jump.
+    /// The largest and the median angle between poses that follow each other, for one unit of
+    /// `places`: where in the sequence each pose stands (ascending), so that a frame that is
+    /// missing does not look like a jump.
     pub fn steps(&self, places: &[f64]) -> (Arc, f64) {
         let mut steps: Vec<Arc> = (1..self.angles.len().min(places.len()))
             .filter(|&i| places[i] > places[i - 1])
@@ -94,8 +97,8 @@ impl Ring {
         (last, steps.get(steps.len() / 2).map_or(0.0, |s| s.angle))
     }
 
-    /// The steady rate that fits the angles best (least squares), radians for one unit of `places`, and how far each
-    /// angle is from it, radians.
+    /// The steady rate that fits the angles best (least squares), radians for one unit of `places`,
+    /// and how far each angle is from it, radians.
     pub fn steadiness(&self, places: &[f64]) -> (f64, Vec<f64>) {
         let n = self.angles.len().max(1) as f64;
         let (x0, y0) = (places.iter().sum::<f64>() / n, self.angles.iter().sum::<f64>() / n);
@@ -110,7 +113,8 @@ impl Ring {
 fn normal(points: &[DVec3]) -> DVec3 {
     let mut spread = DMat3::ZERO;
     points.iter().for_each(|d| spread += DMat3::from_cols(*d * d.x, *d * d.y, *d * d.z));
-    // Turned over, the least eigenvalue is the largest; the fourth row stands apart below all of them.
+    // Turned over, the least eigenvalue is the largest; the fourth row stands apart below all of
+    // them.
     let top = spread.x_axis.x + spread.y_axis.y + spread.z_axis.z;
     let mut m = [[0.0; 4]; 4];
     for (r, row) in m.iter_mut().take(3).enumerate() {

@@ -1,11 +1,13 @@
-//! The only source of randomness: named streams, so that results do not depend on the number of threads.
+//! The only source of randomness: named streams, so that results do not depend on the number of
+//! threads.
 
 use rand_pcg::Pcg64Mcg;
 
 /// The generator of a stream.
 pub type Rng = Pcg64Mcg;
 
-/// The generator for item `index` of `stream` under the user's `seed`: the same for any thread count.
+/// The generator for item `index` of `stream` under the user's `seed`: the same for any thread
+/// count.
 pub fn rng(seed: u64, stream: &str, index: u64) -> Rng {
     let mut h = 0xcbf2_9ce4_8422_2325_u64; // FNV-1a over the name, then two rounds of splitmix64
     for byte in stream.bytes() {

@@ -7,8 +7,9 @@ use glam::{DQuat, DVec3};
 /// Number of functions up to degree 3. Source: derived, (3 + 1)².
 pub const SH_COUNT: usize = 16;
 
-/// The functions `Y_0 … Y_15` at a unit direction, with the Condon–Shortley phase: degree 1 is
-/// `−c y, c z, −c x`, c = √(3/4π) (Ramamoorthi and Hanrahan 2001; the constants of KHR_gaussian_splatting).
+/// The functions `Y_0 … Y_15` at a unit direction, with the Condon–Shortley phase: degree 1 is `−c
+/// y, c z, −c x`, c = √(3/4π) (Ramamoorthi and Hanrahan 2001; the constants of
+/// KHR_gaussian_splatting).
 pub fn sh_basis(d: DVec3) -> [f64; SH_COUNT] {
     let (x, y, z) = (d.x, d.y, d.z);
     let (xx, yy, zz) = (x * x, y * y, z * z);
@@ -39,9 +40,10 @@ pub struct ShRotation {
 }
 
 impl ShRotation {
-    /// For functions turned by `rotation`: `f'(d) = f(R⁻¹ d)`. The functions of one degree stay among themselves
-    /// under rotation, so each block follows exactly from their values at directions spread over the sphere:
-    /// with equal weights over a spherical design, `M_ij = Σ_k Y_i(d_k) Y_j(R⁻¹ d_k) · 4π / N`.
+    /// For functions turned by `rotation`: `f'(d) = f(R⁻¹ d)`. The functions of one degree stay
+    /// among themselves under rotation, so each block follows exactly from their values at
+    /// directions spread over the sphere: with equal weights over a spherical design, `M_ij = Σ_k
+    /// Y_i(d_k) Y_j(R⁻¹ d_k) · 4π / N`.
     pub fn new(rotation: DQuat) -> Self {
         let samples = quadrature();
         let back = rotation.conjugate();
@@ -61,7 +63,8 @@ impl ShRotation {
         Self { blocks: [block(1), block(2), block(3)] }
     }
 
-    /// Turns the coefficients of one Gaussian in place: `K × 3`, coefficient-major, K = 1, 4, 9 or 16.
+    /// Turns the coefficients of one Gaussian in place: `K × 3`, coefficient-major, K = 1, 4, 9 or
+    /// 16.
     pub fn apply(&self, sh: &mut [f32]) {
         for (block, degree) in self.blocks.iter().zip(1..) {
             let (first, n) = (degree * degree, 2 * degree + 1);
@@ -78,8 +81,8 @@ impl ShRotation {
     }
 }
 
-/// Directions and weights that integrate polynomials up to degree 7 over the sphere exactly: 4 Gauss–Legendre
-/// nodes in z times 8 equal angles.
+/// Directions and weights that integrate polynomials up to degree 7 over the sphere exactly: 4
+/// Gauss–Legendre nodes in z times 8 equal angles.
 fn quadrature() -> Vec<(DVec3, f64)> {
     let nodes = [
         (0.861_136_311_594_052_6, 0.347_854_845_137_453_85),

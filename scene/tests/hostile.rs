@@ -1,4 +1,5 @@
-//! Every reader against cut-off and bit-flipped files: an error or a valid value, no panic, no huge allocation.
+//! Every reader against cut-off and bit-flipped files: an error or a valid value, no panic, no huge
+//! allocation.
 
 mod common;
 
@@ -53,7 +54,8 @@ fn gaussians(n: usize, sh_degree: u32) -> Gaussians {
     g
 }
 
-/// Replaces a file by a new one: overwriting in place makes some file systems wait for the disk each time.
+/// Replaces a file by a new one: overwriting in place makes some file systems wait for the disk
+/// each time.
 fn put(path: &Path, bytes: &[u8]) {
     fs::remove_file(path).unwrap();
     fs::write(path, bytes).unwrap();

@@ -1,4 +1,5 @@
-//! LPIPS against the `lpips` package, both with weights from the same formula (`tests/oracle/lpips_distances.py`).
+//! LPIPS against the `lpips` package, both with weights from the same formula
+//! (`tests/oracle/lpips_distances.py`).
 
 mod patterns;
 

@@ -23,8 +23,8 @@ fn cloud(n: usize, sh_degree: u32) -> Gaussians {
     g
 }
 
-/// Largest differences: position, log scale, rotation (radians), opacity, harmonics; each Gaussian against the
-/// nearest of the other cloud.
+/// Largest differences: position, log scale, rotation (radians), opacity, harmonics; each Gaussian
+/// against the nearest of the other cloud.
 fn differences(a: &Gaussians, b: &Gaussians) -> [f32; 5] {
     assert_eq!((a.len(), a.sh_degree), (b.len(), b.sh_degree));
     let k = a.sh_coefficients() * 3;

@@ -146,12 +146,12 @@ impl Dataset {
     }
 
     /// Indices of the views to train on.
-    pub(crate) fn training_views(&self) -> Vec<usize> {
+    pub fn training_views(&self) -> Vec<usize> {
         (0..self.views.len()).filter(|&i| !self.views[i].held_out).collect()
     }
 
     /// Whether a background shows through somewhere.
-    pub(crate) fn is_transparent(&self) -> bool {
+    pub fn is_transparent(&self) -> bool {
         self.alpha == AlphaMode::Transparent && self.views.iter().any(|v| v.levels[0].mask.is_some())
     }
 }

@@ -1,4 +1,5 @@
-//! The charts of a sweep, one SVG. (plotters, as in the report: axes, scales and text are its work.)
+//! The charts of a sweep, one SVG. (plotters, as in the report: axes, scales and text are its
+//! work.)
 
 use super::point::Point;
 use anyhow::{Result, anyhow};
@@ -112,7 +113,8 @@ fn panel(
     Ok(())
 }
 
-/// Round numbers from `from` to `to` on a logarithmic axis: within a decade many, then 1, 2 and 5 of each, of many decades their beginnings.
+/// Round numbers from `from` to `to` on a logarithmic axis: within a decade many, then 1, 2 and 5
+/// of each, of many decades their beginnings.
 fn ticks(from: f64, to: f64) -> Vec<f64> {
     let decades = from.log10().floor() as i32..=to.log10().ceil() as i32;
     let steps: &[f64] = match to / from {

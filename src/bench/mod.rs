@@ -1,5 +1,6 @@
-//! `bench`: quality against time. The same input trained at several presets and time limits; a table, JSON and charts
-//! of PSNR, SSIM (and LPIPS) against wall time, CPU time, Gaussians and memory, what is known of other tools beside.
+//! `bench`: quality against time. The same input trained at several presets and time limits; a
+//! table, JSON and charts of PSNR, SSIM (and LPIPS) against wall time, CPU time, Gaussians and
+//! memory, what is known of other tools beside.
 
 mod charts;
 mod peers;
@@ -42,7 +43,8 @@ enum Setting {
 }
 
 impl Setting {
-    /// The flags that say it. A limit has the preset `best` for what is not time: it bounds nothing else.
+    /// The flags that say it. A limit has the preset `best` for what is not time: it bounds nothing
+    /// else.
     fn flags(&self) -> Vec<String> {
         match self {
             Self::Quality(quality) => vec![format!("--quality={}", name(*quality))],
@@ -62,7 +64,8 @@ fn name(quality: splat::Quality) -> String {
     format!("{quality:?}").to_lowercase()
 }
 
-/// Measures all points (those that an earlier call measured are kept), writes `bench.json` and `bench.svg`.
+/// Measures all points (those that an earlier call measured are kept), writes `bench.json` and
+/// `bench.svg`.
 pub fn run(args: &BenchArgs, global: &crate::args::Global, verbosity: Verbosity) -> Result<Outcome> {
     let presets = args.qualities.iter().filter(|_| !args.only_times);
     let mut settings: Vec<Setting> = presets.map(|q| Setting::Quality(*q)).collect();
@@ -110,7 +113,8 @@ pub fn run(args: &BenchArgs, global: &crate::args::Global, verbosity: Verbosity)
     Ok(Outcome::Done)
 }
 
-/// Trains with the flags and evaluates, into the folder that all points share: frames and poses are made once.
+/// Trains with the flags and evaluates, into the folder that all points share: frames and poses are
+/// made once.
 fn measure(
     input: &Path,
     out: &Path,

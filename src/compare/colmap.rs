@@ -28,7 +28,8 @@ pub struct Models {
     pub spent: Spent,
 }
 
-/// First line of `colmap help` up to the version; an error that says what to install where there is none.
+/// First line of `colmap help` up to the version; an error that says what to install where there is
+/// none.
 pub fn installed() -> Result<String> {
     let output = Command::new("colmap").arg("help").env("QT_QPA_PLATFORM", "offscreen").output();
     let output = output.context("colmap is not installed or not in PATH (Debian: apt-get install colmap)")?;
@@ -37,8 +38,8 @@ pub fn installed() -> Result<String> {
     Ok(line.split(" -- ").next().unwrap_or(line).trim().to_owned())
 }
 
-/// Extracts, matches every pair and maps with COLMAP's defaults (one camera, no GPU), inside the masks of the run where
-/// it has any.
+/// Extracts, matches every pair and maps with COLMAP's defaults (one camera, no GPU), inside the
+/// masks of the run where it has any.
 pub fn run(name: &str, run: &Path, frames: Option<&FrameSet>, verbosity: Verbosity) -> Result<Models> {
     let images = run.join("images");
     if !images.is_dir() {

@@ -1,4 +1,5 @@
-//! `compare`: models beside each other and beside a ground truth, COLMAP on the same frames, and the tables of papers.
+//! `compare`: models beside each other and beside a ground truth, COLMAP on the same frames, and
+//! the tables of papers.
 
 mod colmap;
 mod page;

@@ -72,8 +72,8 @@ const TRAINING: [Heading; 4] =
 const RENDERING: [Heading; 4] =
     [("FPS", 1, true), ("median ms", 2, false), ("95 % ms", 2, false), ("peak MiB", 0, false)];
 
-/// The entries of all that can be evaluated: runs with metrics first, then folders of renders, which are compared
-/// with the photos of a run of the same case.
+/// The entries of all that can be evaluated: runs with metrics first, then folders of renders,
+/// which are compared with the photos of a run of the same case.
 pub fn entries(inputs: &[Named], networks: &[Lpips]) -> Result<Vec<Entry>> {
     let is_run = |n: &&Named| n.path.join("run.json").is_file();
     let mut all: Vec<Entry> = Vec::new();
@@ -180,7 +180,8 @@ fn over_black(path: &Path) -> Result<RgbImage> {
     Ok(picture.rgb)
 }
 
-/// Quality, training cost and rendering cost with what earlier tables hold; tables without a number are left out.
+/// Quality, training cost and rendering cost with what earlier tables hold; tables without a number
+/// are left out.
 pub fn tables(entries: &[Entry], beside: &[Table]) -> Vec<Table> {
     let names = |pick: fn(&Entry) -> &String| {
         let mut names: Vec<String> = Vec::new();

@@ -30,7 +30,8 @@ pub struct Table {
     pub columns: Vec<TableColumn>,
     /// [methods × cases × columns].
     pub values: Vec<Vec<Vec<Option<f64>>>>,
-    /// Methods whose numbers were published, not measured here: they stand beside the others and are never the best.
+    /// Methods whose numbers were published, not measured here: they stand beside the others and
+    /// are never the best.
     #[serde(default)]
     pub published: Vec<String>,
 }
@@ -43,7 +44,8 @@ impl Table {
         Self { title: title.to_owned(), methods, cases, columns, values, published: Vec::new() }
     }
 
-    /// Whether there is a row of cases for every method and a number or none for every column of them.
+    /// Whether there is a row of cases for every method and a number or none for every column of
+    /// them.
     pub fn is_whole(&self) -> bool {
         let row = |cases: &Vec<Vec<_>>| {
             cases.len() == self.cases.len() && cases.iter().all(|c| c.len() == self.columns.len())
@@ -51,7 +53,8 @@ impl Table {
         self.values.len() == self.methods.len() && self.values.iter().all(row)
     }
 
-    /// Takes in another table's numbers (which must be whole); methods, cases and columns that are new come last.
+    /// Takes in another table's numbers (which must be whole); methods, cases and columns that are
+    /// new come last.
     pub fn merge(&mut self, other: &Self) {
         let place = |all: &mut Vec<String>, name: &String| {
             all.iter().position(|n| n == name).unwrap_or_else(|| {
@@ -102,7 +105,8 @@ impl Table {
         self
     }
 
-    /// The number as it is shown, and whether none that was measured in its column is better (two at least).
+    /// The number as it is shown, and whether none that was measured in its column is better (two
+    /// at least).
     fn cell(&self, method: usize, case: usize, column: usize) -> (String, bool) {
         let Some(value) = self.values[method][case][column] else { return ("–".into(), false) };
         let TableColumn { digits, more_is_better, .. } = self.columns[column].clone();

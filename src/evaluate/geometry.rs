@@ -1,4 +1,5 @@
-//! ShapeEvaluation of a splat: against a true mesh where one is given, against the silhouettes where there are any.
+//! ShapeEvaluation of a splat: against a true mesh where one is given, against the silhouettes
+//! where there are any.
 
 use crate::args::MeshConfig;
 use crate::record::ShapeEvaluation;

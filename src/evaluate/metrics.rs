@@ -6,8 +6,8 @@ use image::{GrayImage, RgbImage};
 use scene::lpips::{Backbone, Lpips};
 use scene::metrics;
 
-/// PSNR of a picture that equals its photo, dB: infinity has no place in JSON, nor in a mean. One level in one pixel
-/// in ten thousand is 88 dB. Source: derived, above any picture that differs.
+/// PSNR of a picture that equals its photo, dB: infinity has no place in JSON, nor in a mean. One
+/// level in one pixel in ten thousand is 88 dB. Source: derived, above any picture that differs.
 pub const EXACT_DB: f64 = 100.0;
 
 /// One of the figures.
@@ -51,8 +51,8 @@ impl Figure {
 }
 
 impl Metrics {
-    /// Judges an 8-bit picture by its photo: full frame, and inside the mask where that keeps anything. An exact
-    /// picture counts as [`EXACT_DB`].
+    /// Judges an 8-bit picture by its photo: full frame, and inside the mask where that keeps
+    /// anything. An exact picture counts as [`EXACT_DB`].
     pub fn judge(
         render: &RgbImage,
         photo: &RgbImage,
@@ -100,7 +100,8 @@ impl Metrics {
         Self::combined(all, |values| values.iter().sum::<f64>() / values.len() as f64)
     }
 
-    /// What `percent` of the views stay below, each figure by itself; between two views interpolated linearly.
+    /// What `percent` of the views stay below, each figure by itself; between two views
+    /// interpolated linearly.
     pub fn percentile(all: &[Self], percent: u32) -> Self {
         Self::combined(all, |mut values| {
             values.sort_by(f64::total_cmp);

@@ -1,4 +1,5 @@
-//! Speed and memory of rendering, by the paper's protocol: a warm-up, the test set looped, mean of the median five.
+//! Speed and memory of rendering, by the paper's protocol: a warm-up, the test set looped, mean of
+//! the median five.
 
 use crate::record::RenderingCost;
 use anyhow::Result;

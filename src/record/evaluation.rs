@@ -24,7 +24,8 @@ pub struct Percentile {
     pub metrics: Metrics,
 }
 
-/// Views that training saw, judged like the held-out ones: how much better they are is what was learnt by heart.
+/// Views that training saw, judged like the held-out ones: how much better they are is what was
+/// learnt by heart.
 #[derive(Clone, Debug, Serialize, Deserialize, JsonSchema)]
 pub struct TrainingViews {
     /// How many were judged.
@@ -97,7 +98,8 @@ pub struct RenderingCost {
     pub frame_ms_p99: f64,
     /// How often the test set was rendered.
     pub loops: usize,
-    /// Peak resident memory with nothing but the splat loaded, MiB (0 where the system does not tell).
+    /// Peak resident memory with nothing but the splat loaded, MiB (0 where the system does not
+    /// tell).
     pub peak_mib: f64,
 }
 

@@ -126,7 +126,8 @@ pub fn series(names: [&str; 2], all: &[Series], as_dots: bool) -> Result<String>
     })
 }
 
-/// A bar for each, from zero to its first number, with a whisker to its second; the marked ones in red.
+/// A bar for each, from zero to its first number, with a whisker to its second; the marked ones in
+/// red.
 pub fn bars(names: [&str; 2], all: &[(f64, f64, bool)]) -> Result<String> {
     let top = all.iter().map(|b| b.1).filter(|v| v.is_finite()).fold(0.0, f64::max).max(1e-9) * 1.05;
     let x = |i: usize, part: f64| i as f64 + 0.5 + part;

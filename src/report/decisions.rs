@@ -20,7 +20,8 @@ const DEFAULTS: [(Subject, fn(&RunRecord) -> Option<Decision>); 8] = [
     (Subject::Illumination, illumination),
 ];
 
-/// All decisions of a run in the order of their subjects, one or more for each that a run always decides.
+/// All decisions of a run in the order of their subjects, one or more for each that a run always
+/// decides.
 pub(super) fn all(record: &RunRecord) -> Vec<Decision> {
     let poses = record.poses.iter().flat_map(|p| &p.decisions);
     let splat = record.splat.iter().flat_map(|s| &s.decisions);
@@ -99,8 +100,8 @@ fn exposure(record: &RunRecord) -> Option<Decision> {
     Some(Decision::new(Subject::Exposure, false, Rule::Default))
 }
 
-/// Where the object turned before a camera and a lamp that stood still, the lamp moves with the camera in the object's
-/// frame.
+/// Where the object turned before a camera and a lamp that stood still, the lamp moves with the
+/// camera in the object's frame.
 fn illumination(record: &RunRecord) -> Option<Decision> {
     record.splat.as_ref()?;
     let decisions = record.poses.iter().flat_map(|p| &p.decisions);

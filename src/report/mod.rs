@@ -16,7 +16,8 @@ use maud::{Markup, html};
 use scene::{FrameSet, Reconstruction};
 use std::path::Path;
 
-/// Sets the record's decisions and verdict from what the run knows and from the model in its folder.
+/// Sets the record's decisions and verdict from what the run knows and from the model in its
+/// folder.
 pub fn judge(out: &Path, record: &mut RunRecord) -> Result<()> {
     record.decisions = decisions::all(record);
     record.verdict = verdict::verdict(record, model(out, record)?.as_ref());

@@ -126,7 +126,8 @@ fn closure(model: &Reconstruction, frames: &FrameSet) -> Option<Light> {
     Some(light("loop", level, reason))
 }
 
-/// The PSNR that is judged: inside the matte where there are mattes, since black pixels around an object are easy to render.
+/// The PSNR that is judged: inside the matte where there are mattes, since black pixels around an
+/// object are easy to render.
 fn judged(metrics: &Metrics) -> f64 {
     metrics.psnr_mask.unwrap_or(metrics.psnr)
 }

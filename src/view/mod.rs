@@ -66,10 +66,12 @@ pub struct ViewScene {
 /// Shares of the points that are nearer than the near and than the far depth of the page.
 /// Source: chosen by hand, never measured.
 const DEPTHS: [f64; 2] = [0.02, 0.98];
-/// Median distance of the cameras from the middle of what they look at, in the page. Browsers' splats are 16-bit and
-/// fixed-point numbers: this is where both are fine, whatever the units of the scene are. Source: chosen by hand, never measured.
+/// Median distance of the cameras from the middle of what they look at, in the page. Browsers'
+/// splats are 16-bit and fixed-point numbers: this is where both are fine, whatever the units of
+/// the scene are. Source: chosen by hand, never measured.
 const RADIUS: f64 = 16.0;
-/// Nothing is shown beyond this, in the page's units: it lies behind the far plane. Source: viewer/src, the far plane.
+/// Nothing is shown beyond this, in the page's units: it lies behind the far plane. Source:
+/// viewer/src, the far plane.
 const FARTHEST: f32 = 2000.0;
 
 /// A finished run, as far as it is looked at, moved into the page's frame.
@@ -79,7 +81,8 @@ pub struct Run {
     pub folder: PathBuf,
     /// PINHOLE cameras that the splat was trained with.
     pub model: Reconstruction,
-    /// The splat as `.spz`: a sixth of the bytes that a browser has to fetch, decode and sort into its textures.
+    /// The splat as `.spz`: a sixth of the bytes that a browser has to fetch, decode and sort into
+    /// its textures.
     pub splat: Vec<u8>,
     /// Whether it was trained with --antialias.
     pub antialias: bool,
@@ -218,7 +221,8 @@ mod tests {
     use scene::sim3::Sim3;
     use scene::synthetic::{SyntheticOptions, synthetic_scene};
 
-    /// Opens a run of a simulated scene at this scale, with three Gaussians: in the middle, beside it, at a million radii.
+    /// Opens a run of a simulated scene at this scale, with three Gaussians: in the middle, beside
+    /// it, at a million radii.
     fn opened(scale: f64) -> (Run, Gaussians) {
         let dir = std::env::temp_dir().join(format!("sat-recon-view-{scale}-{}", std::process::id()));
         std::fs::create_dir_all(dir.join("undistorted/sparse/0")).unwrap();

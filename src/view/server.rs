@@ -1,4 +1,5 @@
-//! `view`: the page over HTTP, on 127.0.0.1 alone. Four kinds of address are answered; no path leads to a file.
+//! `view`: the page over HTTP, on 127.0.0.1 alone. Four kinds of address are answered; no path
+//! leads to a file.
 
 use super::{Run, Splat, bundle, page};
 use crate::args::ViewArgs;

@@ -1,4 +1,5 @@
-//! Bad files where a finished run, a splat or weights are expected: refused by name, with what to do.
+//! Bad files where a finished run, a splat or weights are expected: refused by name, with what to
+//! do.
 
 use super::end_to_end::finished_run;
 use super::support::{expect_code, folder, text};

@@ -1,4 +1,5 @@
-//! Bad input: a clear message that names the file, the right exit code, nothing left behind that looks whole.
+//! Bad input: a clear message that names the file, the right exit code, nothing left behind that
+//! looks whole.
 
 use super::support::{expect_code, folder, shared, text};
 use image::RgbImage;

@@ -23,7 +23,8 @@ fn a_sweep_measures_every_setting_once_and_draws_the_curve() {
         assert!(point["gaussians"].as_u64().unwrap() <= 8000, "{point}");
     }
     assert!(points[0]["psnr"].as_f64().unwrap() > 20.0, "{}", points[0]);
-    // Without the limit it would be the 15,000 steps of `best`; how many fit into it depends on the machine.
+    // Without the limit it would be the 15,000 steps of `best`; how many fit into it depends on the
+    // machine.
     let wall = points[1]["wall_s"].as_f64().unwrap();
     assert!(wall > 1.0 && wall < 40.0, "{wall} s");
     let svg = std::fs::read_to_string(out.join("bench.svg")).unwrap();

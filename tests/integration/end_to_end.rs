@@ -1,4 +1,5 @@
-//! From a video file alone to poses, a splat, metrics and a report, on the sample that the project ships.
+//! From a video file alone to poses, a splat, metrics and a report, on the sample that the project
+//! ships.
 
 use super::support::{expect_code, folder, json, sample, text};
 use std::path::Path;
@@ -41,6 +42,22 @@ fn a_video_becomes_poses_a_splat_metrics_and_a_report() {
 }
 
 #[test]
+fn the_record_of_a_run_follows_the_published_schema() {
+    let schema = json(&Path::new(env!("CARGO_MANIFEST_DIR")).join("docs/run.schema.json"));
+    let validator = jsonschema::validator_for(&schema).unwrap();
+    let mut run = json(&finished_run().join("run.json"));
+    let wrong: Vec<String> =
+        validator.iter_errors(&run).map(|e| format!("{}: {e}", e.instance_path())).collect();
+    assert!(wrong.is_empty(), "{wrong:#?}");
+    for subject in ["camera-model", "motion", "background", "sh-degree", "gaussian-count"] {
+        let decisions = run["decisions"].as_array().unwrap();
+        assert!(decisions.iter().any(|d| d["subject"] == subject), "{subject}: {decisions:?}");
+    }
+    run["decisions"][0]["rule"] = "whim".into();
+    assert!(!validator.is_valid(&run), "a rule that does not exist is refused");
+}
+
+#[test]
 fn the_poses_of_the_sample_agree_with_its_truth() {
     let out = finished_run();
     let said =
@@ -63,7 +80,7 @@ fn the_report_is_one_file_with_everything_in_it() {
         "<h3>SH degree",
         "<h3>Number of Gaussians",
         "<h3>Exposure",
-        "<h3>Light",
+        "<h3>Illumination",
         "<h2>Frames",
         "<h2>Poses",
         "id=\"poses-data\"",
@@ -242,7 +259,8 @@ fn runs_and_the_renders_of_other_tools_stand_in_the_tables_of_a_paper() {
     expect_code(&["compare", "other:nowhere=/nowhere"], 1);
 }
 
-/// Poses that training moves are a model of their own, near the one that was given; it goes when they are kept.
+/// Poses that training moves are a model of their own, near the one that was given; it goes when
+/// they are kept.
 #[test]
 fn refined_poses_are_written_beside_the_model_and_go_with_the_training_that_made_them() {
     let dir = folder("refined");

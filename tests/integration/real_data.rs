@@ -1,6 +1,6 @@
 //! Real captures with truth: each figure is one the product promises.
 
-use super::support::{expect_code, folder, json, sample, shared, text};
+use super::support::{decided, expect_code, folder, json, measured, sample, shared, text};
 use std::path::Path;
 
 fn poses(name: &str, input: &Path, flags: &[&str], code: i32) -> std::path::PathBuf {
@@ -110,11 +110,12 @@ fn a_satellite_that_yaws_before_a_green_screen_is_keyed_and_posed_from_the_video
     assert_eq!(errors["registered"], 48, "{errors}");
     assert!(errors["centre_median_pct"].as_f64().unwrap() <= 0.1, "{errors}");
     assert!(errors["auc"]["5"].as_f64().unwrap() >= 75.0, "{errors}");
-    let decisions = json(&out.join("run.json"))["poses"]["decisions"].to_string();
-    assert!(decisions.contains("single-axis"), "{decisions}");
-    assert!(decisions.contains("points followed across the loop closure"), "{decisions}");
-    assert!(decisions.contains(", photometric similarity to 0."), "{decisions}");
-    // Upright lines of the room say how the camera looks down; the principal point alone leaves 0.6°.
+    let motion = decided(&json(&out.join("run.json")), "motion");
+    assert_eq!(motion["choice"]["motion"], "single-axis", "{motion}");
+    assert!(measured(&motion, "loop-points") > Some(0.0), "{motion}");
+    assert!(measured(&motion, "loop-deviation") < Some(1.0), "{motion}");
+    // Upright lines of the room say how the camera looks down; the principal point alone leaves
+    // 0.6°.
     assert!(errors["rotation_median_deg"].as_f64().unwrap() <= 0.3, "{errors}");
     assert!(out.join("mattes.png").is_file());
     // The same frames as photos.

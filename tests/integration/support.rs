@@ -39,7 +39,8 @@ pub fn text(path: &Path) -> &str {
     path.to_str().expect("a path in UTF-8")
 }
 
-/// A file or folder of the real data; `None` (said loudly) where the data is missing, a failure in CI.
+/// A file or folder of the real data; `None` (said loudly) where the data is missing, a failure in
+/// CI.
 pub fn shared(relative: &str) -> Option<PathBuf> {
     let root = std::env::var_os("SAT_RECON_SHARED")
         .map_or_else(|| Path::new(env!("CARGO_MANIFEST_DIR")).join("../shared"), PathBuf::from);
@@ -55,6 +56,18 @@ pub fn shared(relative: &str) -> Option<PathBuf> {
 /// A file of the sample data that the project ships.
 pub fn sample(relative: &str) -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("data").join(relative)
+}
+
+/// The number of a quantity among the measurements of a decision in `run.json`.
+pub fn measured(decision: &serde_json::Value, quantity: &str) -> Option<f64> {
+    let all = decision["measurements"].as_array()?;
+    all.iter().find(|m| m["quantity"] == quantity)?["value"].as_f64()
+}
+
+/// The first decision on a subject in `run.json`.
+pub fn decided(run: &serde_json::Value, subject: &str) -> serde_json::Value {
+    let all = run["decisions"].as_array().into_iter().flatten();
+    all.clone().find(|d| d["subject"] == subject).cloned().unwrap_or_default()
 }
 
 /// JSON of a file.

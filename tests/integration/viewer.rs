@@ -7,7 +7,8 @@ use std::net::TcpStream;
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
 
-/// Whether there is a viewer and a browser to look at it; said loudly where not, a failure in CI with Node.js.
+/// Whether there is a viewer and a browser to look at it; said loudly where not, a failure in CI
+/// with Node.js.
 fn can_look() -> bool {
     let has =
         |program: &str| Command::new(program).arg("--version").output().is_ok_and(|o| o.status.success());
@@ -30,7 +31,8 @@ fn chromium() -> PathBuf {
     found.unwrap_or_else(|| "chromium".into())
 }
 
-/// What a person in front of the browser finds; the canvas of the camera lies in `folder/view.png` afterwards.
+/// What a person in front of the browser finds; the canvas of the camera lies in `folder/view.png`
+/// afterwards.
 fn look(address: &str, folder: &Path, what: &str) -> serde_json::Value {
     let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("viewer/test.mjs");
     let browser = chromium();
@@ -43,7 +45,8 @@ fn look(address: &str, folder: &Path, what: &str) -> serde_json::Value {
     seen
 }
 
-/// Everything that the viewer promises, in the browser; from the first held-out camera it shows what we render.
+/// Everything that the viewer promises, in the browser; from the first held-out camera it shows
+/// what we render.
 fn does_all_that_is_promised(address: &str, folder: &Path) {
     std::fs::create_dir_all(folder).unwrap();
     let seen = look(address, folder, "0");

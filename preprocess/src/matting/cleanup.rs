@@ -1,7 +1,7 @@
 //! What a matte looks like as a whole: the screen's outline, garbage beside it, still things, holes, specks.
 
 use super::morphology::{Rect, Regions, ends};
-use super::pool::{Mask, Plane};
+use super::pool::{BinaryMask, Raster};
 use super::screen::Screen;
 use super::screen::clean_plate::CleanPlate;
 use super::solve::Matte;
@@ -14,27 +14,10 @@ const SPECK_SHARE: f32 = 0.01;
 const SPECK_PIXELS: usize = 24;
 /// Others so near to a large one are parts of it, pixels.
 const PART_GAP: usize = 8;
-/// Enclosed holes larger than this share of the picture are never closed.
-const HOLE_SHARE: f32 = 0.01;
-/// A hole is one if its mean colour is the screen's up to this share of it: where the screen is seen in other
-/// frames at the same place, where nothing is known, and where it is never seen otherwise.
-const HOLE_TOLERANCE: (f32, f32, f32) = (0.10, 0.08, 0.025);
-/// Pixels of pure screen colour that a hole needs for this to be said.
-const HOLE_PIXELS: f32 = 9.0;
-/// A hole of which less than this share is three pixels and more from its rim is a slit: the blur of both sides colours it, and
-/// nothing but the hue can be asked of it, up to this tolerance.
-const SLIT_SHARE: f32 = 0.15;
-const SLIT_TOLERANCE: f32 = 0.35;
-/// Both sides only take away from the colour difference of a slit: one that keeps this share of the screen's and is this slender
-/// (crinkles of foil are round) is open.
-const SLIT_SCREEN: f32 = 0.5;
-const SLENDER: f32 = 6.0;
-/// Light in a hole, as a share of the screen's around: the object shades it and throws light on it. Only the colour tells.
-const HOLE_LIGHT: std::ops::Range<f32> = 0.8..1.25;
+/// An enclosed hole shows the screen if its mean colour is the screen's up to this share of its light.
+const HOLE_TOLERANCE: f32 = 0.08;
 /// Steps across an upright pole.
 const ACROSS: [(i64, i64); 5] = [(1, 0), (2, 1), (2, -1), (4, 1), (4, -1)];
-/// Share of an object that is seen before the screen, at least.
-const BEFORE_SHARE: f32 = 0.2;
 
 /// Cleans the matte in place; all that is done is done in the rectangle around what is not 0.
 pub(crate) fn clean(
@@ -66,21 +49,21 @@ pub(crate) fn clean(
         restore_before_pole(&mut matte.alpha, plate);
     }
     remove_what_lies_beside(&mut matte.alpha, &rect, inside);
-    close_reflections(&mut matte.alpha, screen, &rect, plate);
+    close_reflections(&mut matte.alpha, screen, &rect);
     remove_specks(&mut matte.alpha, &rect);
 }
 
 /// What is seen on both sides of the pole, in some direction across it, is seen before it too.
 fn restore_before_pole(alpha: &mut [f32], plate: &CleanPlate) {
-    let is_before = |i: &usize| {
-        let mut across = ACROSS.iter().map(|&(u, v)| if plate.pole_lies { (v, u) } else { (u, v) });
-        plate.pole[*i]
-            && alpha[*i] <= 0.5
-            && across.any(|(dx, dy)| {
+    let pole = plate.others.iter().map(|i| *i as usize).filter(|i| plate.pole[*i] && alpha[*i] <= 0.5);
+    let restored: Vec<usize> = pole
+        .filter(|i| {
+            let mut across = ACROSS.iter().map(|&(u, v)| if plate.pole_lies { (v, u) } else { (u, v) });
+            across.any(|(dx, dy)| {
                 meets_object(alpha, plate, *i, (dx, dy)) && meets_object(alpha, plate, *i, (-dx, -dy))
             })
-    };
-    let restored: Vec<usize> = plate.others.iter().map(|i| *i as usize).filter(is_before).collect();
+        })
+        .collect();
     restored.into_iter().for_each(|i| alpha[i] = 1.0);
 }
 
@@ -97,20 +80,19 @@ fn meets_object(alpha: &[f32], plate: &CleanPlate, i: usize, (dx, dy): (i64, i64
         .is_some_and(|j| alpha[j] > 0.5)
 }
 
-/// What hardly reaches before the screen is no part of the object.
-fn remove_what_lies_beside(alpha: &mut Plane<f32>, rect: &Rect, inside: &[bool]) {
-    let regions = Regions::of(&rect.mask(alpha, |a| a > 0.02));
-    let mut before = vec![0_usize; regions.sizes.len()];
+/// What lies rather beside the screen than before it is no part of the object.
+fn remove_what_lies_beside(alpha: &mut Raster<f32>, rect: &Rect, inside: &[bool]) {
+    let regions = Regions::of(&rect.mask(alpha, |a| a > 0.0));
+    let mut beside = vec![0_i64; regions.sizes.len()];
     for (i, label) in rect.rows(alpha.width).flatten().zip(regions.labels.iter()) {
-        before[*label as usize] += usize::from(inside[i]);
+        beside[*label as usize] += if inside[i] { -1 } else { 1 };
     }
-    let sizes = before.iter().zip(&regions.sizes);
-    let beside: Vec<bool> = sizes.map(|(b, size)| (*b as f32) < BEFORE_SHARE * *size as f32).collect();
-    set(alpha, rect, &regions, &beside, 0.0);
+    let beside: Vec<bool> = beside.iter().map(|sum| *sum > 0).collect();
+    fill(alpha, rect, &regions, &beside, 0.0);
 }
 
 /// Gives all pixels of some regions of the rectangle this alpha.
-fn set(alpha: &mut Plane<f32>, rect: &Rect, regions: &Regions, chosen: &[bool], value: f32) {
+fn fill(alpha: &mut Raster<f32>, rect: &Rect, regions: &Regions, chosen: &[bool], value: f32) {
     if !chosen[1..].contains(&true) {
         return;
     }
@@ -122,7 +104,7 @@ fn set(alpha: &mut Plane<f32>, rect: &Rect, regions: &Regions, chosen: &[bool], 
 }
 
 /// Convex hull of the pixels that are surely screen (all of the picture where there are hardly any).
-pub(crate) fn hull(screen: &Mask) -> Vec<bool> {
+pub(crate) fn hull(screen: &BinaryMask) -> Vec<bool> {
     let (width, solid) = (screen.width, screen.erode(3));
     let rows = solid.chunks_exact(width).enumerate();
     let points: Vec<(i64, i64)> = rows
@@ -166,96 +148,36 @@ fn crossing(chain: &[(i64, i64)], y: i64) -> Option<f64> {
     Some(a.1 as f64 + t * (b.1 - a.1) as f64)
 }
 
-/// Foil mirrors the screen: an enclosed patch that looks like screen but not exactly like the screen at this place
-/// is a part of the object.
-fn close_reflections(alpha: &mut Plane<f32>, screen: &Screen, rect: &Rect, plate: Option<&CleanPlate>) {
-    let (width, largest) = (alpha.width, HOLE_SHARE * alpha.len() as f32);
+/// Foil mirrors the screen: an enclosed hole whose colour, in the light that fits best, is not the screen's at this place
+/// is a part of the object. Its rim is mixed with the object and says nothing; of a slit that is all.
+fn close_reflections(alpha: &mut Raster<f32>, screen: &Screen, rect: &Rect) {
     let open = rect.mask(alpha, |a| a < 0.5);
     let regions = Regions::of(&open);
     let mut closed = regions.at_border();
-    for (closed, size) in closed.iter_mut().zip(&regions.sizes) {
-        *closed = !*closed && *size > 0 && (*size as f32) < largest;
-    }
-    if !closed.contains(&true) {
+    closed.iter_mut().for_each(|c| *c = !*c);
+    if !closed[1..].contains(&true) {
         return;
     }
-    let (mut patches, deep) = (vec![Patch::default(); closed.len()], open.erode(2));
-    for (i, (label, deep)) in rect.rows(width).flatten().zip(regions.labels.iter().zip(deep.iter())) {
-        if closed[*label as usize] {
-            let patch = &mut patches[*label as usize];
-            patch.add(i % width, i / width, *deep != 0, screen.share[i]);
-            patch.seen += plate.map_or(0.0, |p| if p.outside[i] { 0.0 } else { 1.0 });
-            // The rim is mixed with the object and says nothing.
-            if alpha[i] <= 0.02 {
-                patch.image += screen.image[i];
-                patch.screen += screen.light[i];
-                patch.pure += 1.0;
-            }
+    let mut sums = vec![(0, Vec3::ZERO, Vec3::ZERO); closed.len()];
+    let deep = open.erode(2);
+    for (i, (label, deep)) in rect.rows(alpha.width).flatten().zip(regions.labels.iter().zip(deep.iter())) {
+        if closed[*label as usize] && *deep != 0 && alpha[i] <= 0.0 {
+            let (pixels, image, light) = &mut sums[*label as usize];
+            *pixels += 1;
+            *image += screen.image[i];
+            *light += screen.light[i];
         }
     }
-    closed
-        .iter_mut()
-        .zip(&patches)
-        .for_each(|(closed, p)| *closed = *closed && p.is_reflection(plate.is_some()));
-    set(alpha, rect, &regions, &closed, 1.0);
+    for (closed, (pixels, image, light)) in closed.iter_mut().zip(sums) {
+        let fitted = image.element_sum() / light.element_sum() * light;
+        let departure = (image - fitted).abs().element_sum() / image.element_sum();
+        *closed &= pixels >= SPECK_PIXELS && departure > HOLE_TOLERANCE;
+    }
+    fill(alpha, rect, &regions, &closed, 1.0);
 }
 
-/// Sums over an enclosed patch that looks like screen.
-#[derive(Clone, Debug, Default)]
-struct Patch {
-    size: f32,
-    /// Pixels three and more from the rim.
-    deep: f32,
-    /// Pixels where the screen is seen in other frames.
-    seen: f32,
-    /// Pixels without any of the object, and the light of the picture and of the screen there.
-    pure: f32,
-    image: Vec3,
-    screen: Vec3,
-    /// Share of the screen's colour difference.
-    share: f32,
-    /// First and last column and row.
-    bounds: Option<[usize; 4]>,
-}
-
-impl Patch {
-    fn add(&mut self, x: usize, y: usize, deep: bool, share: f32) {
-        self.size += 1.0;
-        self.deep += f32::from(u8::from(deep));
-        self.share += share.clamp(0.0, 1.5);
-        let b = self.bounds.unwrap_or([x, x, y, y]);
-        self.bounds = Some([b[0].min(x), b[1].max(x), b[2].min(y), b[3].max(y)]);
-    }
-
-    /// Square of the length by the area: about 2 for a round patch, the ratio of length and width for a straight slit.
-    fn slenderness(&self) -> f32 {
-        let [x0, x1, y0, y1] = self.bounds.unwrap_or_default();
-        ((x1 - x0 + 1).pow(2) + (y1 - y0 + 1).pow(2)) as f32 / self.size.max(1.0)
-    }
-
-    fn is_reflection(&self, has_plate: bool) -> bool {
-        if self.deep < SLIT_SHARE * self.size {
-            let open = self.slenderness() > SLENDER && self.share > SLIT_SCREEN * self.size;
-            return !open && self.pure >= HOLE_PIXELS && self.departure(0.0..f32::MAX) > SLIT_TOLERANCE;
-        }
-        let tolerance = match has_plate {
-            false => HOLE_TOLERANCE.1,
-            true if self.seen > 0.5 * self.pure => HOLE_TOLERANCE.0,
-            true => HOLE_TOLERANCE.2,
-        };
-        self.pure >= HOLE_PIXELS && self.departure(HOLE_LIGHT) > tolerance
-    }
-
-    /// Departure from the screen in the light, within limits, that fits best; share of its light.
-    fn departure(&self, limits: std::ops::Range<f32>) -> f32 {
-        let (image, screen) = (self.image.element_sum().max(1e-9), self.screen.element_sum().max(1e-9));
-        let level = (image / screen).clamp(limits.start, limits.end);
-        (self.image - level * self.screen).abs().element_sum() / (level * screen)
-    }
-}
-
-fn remove_specks(alpha: &mut Plane<f32>, rect: &Rect) {
-    let regions = Regions::of(&rect.mask(alpha, |a| a > 0.02));
+fn remove_specks(alpha: &mut Raster<f32>, rect: &Rect) {
+    let regions = Regions::of(&rect.mask(alpha, |a| a > 0.0));
     let (largest, sizes) = (regions.largest(), &regions.sizes);
     let least = ((SPECK_SHARE * largest as f32) as usize).max(SPECK_PIXELS.min(largest));
     let mut small: Vec<bool> = sizes.iter().map(|s| (1..least).contains(s)).collect();
@@ -267,7 +189,7 @@ fn remove_specks(alpha: &mut Plane<f32>, rect: &Rect) {
             *small &= !is_near[k] || sizes[k] < SPECK_PIXELS;
         }
     }
-    set(alpha, rect, &regions, &small, 0.0);
+    fill(alpha, rect, &regions, &small, 0.0);
 }
 
 #[cfg(test)]

@@ -79,8 +79,6 @@ pub(crate) struct Key {
     pub across: Vec3,
     /// How much of the chroma across is taken off, at least `1/√3`.
     pub wedge: f32,
-    /// Linear colour of the screen.
-    pub colour: Vec3,
     /// Hue, degrees.
     pub hue: f32,
     /// Colour difference of the screen.
@@ -100,7 +98,7 @@ impl Key {
         let along = chroma / norm;
         let across = 1.0 / 3f32.sqrt() * Vec3::ONE.cross(along);
         let (hue, _, _) = hue_saturation_value(colour.to_array().map(srgb8));
-        let mut key = Self { along, across, wedge, colour, hue, reference: 0.0, purity: 0.0 };
+        let mut key = Self { along, across, wedge, hue, reference: 0.0, purity: 0.0 };
         key.reference = key.difference(colour);
         key.purity = key.reference / colour.element_sum();
         Some(key)
@@ -112,12 +110,11 @@ impl Key {
         self.along.dot(rgb) - self.wedge * self.across.dot(rgb).abs()
     }
 
-    /// Whether linear light has at least these shares of the screen's colour difference and, for its own light, of the
-    /// screen's purity.
+    /// Whether linear light looks like the screen: enough of its colour difference and, for its own light, of its purity.
     #[inline(always)]
-    pub fn is_like(&self, rgb: Vec3, difference: f32, purity: f32) -> bool {
+    pub fn is_like(&self, rgb: Vec3) -> bool {
         let own = self.difference(rgb);
-        own > difference * self.reference && own > purity * self.purity * rgb.element_sum()
+        own > 0.08 * self.reference && own > 0.7 * self.purity * rgb.element_sum()
     }
 }
 

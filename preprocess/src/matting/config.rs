@@ -69,6 +69,16 @@ pub(crate) enum KeyChoice {
     Off,
 }
 
+impl KeyChoice {
+    /// Whether a screen may have this hue, degrees.
+    pub fn allows(self, hue: f32) -> bool {
+        match self {
+            Self::Hue(low, high) => (hue - low).rem_euclid(360.0) <= high - low,
+            _ => true,
+        }
+    }
+}
+
 impl KeyConfig {
     /// The defaults with another `--key`.
     pub fn with_key(key: &str) -> Self {

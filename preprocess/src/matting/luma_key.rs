@@ -1,9 +1,11 @@
 //! Luma key: a lit object in a dark room.
 
 use super::morphology::{Regions, smooth};
-use super::pool::{Mask, Plane, Pool};
+use super::pool::{BinaryMask, Pool, Raster};
 use super::screen::detect::quantile;
+use crate::matting::screen::detect::no_matte;
 use image::RgbImage;
+use scene::decision::{Decision, Measurement, Quantity, Remark, Rule};
 
 /// The object is brighter than the room by this many spreads of the room's light, and by as many 8-bit levels.
 const SPREADS: f32 = 6.0;
@@ -18,7 +20,7 @@ const UNDECIDED: f32 = 1.0;
 
 /// Light of every pixel, smoothed, and between which levels a pixel passes from room to object.
 struct Lit<'p> {
-    light: Plane<'p, f32>,
+    light: Raster<'p, f32>,
     low: f32,
     high: f32,
 }
@@ -36,14 +38,14 @@ impl<'p> Lit<'p> {
     }
 
     /// What is rather object than room.
-    fn bright(&self) -> Mask<'p> {
+    fn bright(&self) -> BinaryMask<'p> {
         self.light.mask(|v| v > 0.5 * (self.low + self.high))
     }
 }
 
 /// Why light cannot tell the object from the room in these (small) frames, if it cannot: nothing is lit, the lamp lights clutter
 /// too, or most of the object is as dark as the room. A key would then keep the clutter or cut the object to pieces.
-pub(crate) fn doubt(frames: &[RgbImage]) -> Option<String> {
+pub(crate) fn doubt(frames: &[RgbImage]) -> Option<Decision> {
     let (mut lit, mut largest, mut undecided) = (Vec::new(), Vec::new(), Vec::new());
     for frame in frames.iter().filter(|f| !f.is_empty()) {
         let pool = Pool::default();
@@ -57,12 +59,13 @@ pub(crate) fn doubt(frames: &[RgbImage]) -> Option<String> {
     }
     let [lit, largest, undecided] = [&mut lit, &mut largest, &mut undecided].map(|v| quantile(v, 0.5));
     (lit < LIT.1 || largest < LIT.0 || undecided > UNDECIDED).then(|| {
-        format!(
-            "the room cannot be keyed by light: {:.1} % of the median frame is lit, {:.0} % of this is one thing, and {undecided:.1} \
-             times as many pixels are between room and object; the mattes would not be those of the object (give masks, or --key off)",
-            100.0 * lit,
-            100.0 * largest
-        )
+        let figures = [
+            (Quantity::LitShare, lit),
+            (Quantity::LargestLitPart, largest),
+            (Quantity::UndecidedPixels, undecided),
+        ]
+        .map(|(quantity, value)| Measurement::new(quantity, f64::from(value)));
+        no_matte(Rule::Contradicted).remarked(Remark::NotKeyableByLight).with_all(figures)
     })
 }
 
@@ -79,14 +82,14 @@ pub(crate) fn matte(pool: &Pool, rgb: &[u8], width: usize) -> Vec<u8> {
         .collect()
 }
 
-fn large_parts<'p>(mask: &Mask<'p>) -> Mask<'p> {
+fn large_parts<'p>(mask: &BinaryMask<'p>) -> BinaryMask<'p> {
     let regions = Regions::of(mask);
     let least = (PART_SHARE * regions.largest() as f32) as usize;
     regions.labels.mask(|l| l != 0 && regions.sizes[l as usize] > least)
 }
 
 /// Large openings are gaps between parts, not dark surfaces.
-fn close_enclosed(mask: &mut Mask) {
+fn close_enclosed(mask: &mut BinaryMask) {
     let regions = Regions::of(&mask.mask(|v| v == 0));
     let (at_border, most) = (regions.at_border(), mask.len() / 500);
     for (m, label) in mask.iter_mut().zip(regions.labels.iter()) {
@@ -142,7 +145,7 @@ mod tests {
             })
         };
         assert!(doubt(&[room(140, 3)]).is_none());
-        assert!(doubt(&[room(140, 130)]).unwrap().contains("is one thing"));
+        assert!(doubt(&[room(140, 130)]).unwrap().remarks == [Remark::NotKeyableByLight]);
         assert!(doubt(&[room(9, 3)]).is_some() && doubt(&[RgbImage::new(20, 20)]).is_some());
     }
 }

@@ -18,7 +18,8 @@ use colour::{Key, hue_distance, hue_saturation_value};
 use config::KeyChoice;
 use image::{GrayImage, RgbImage};
 use pool::Pool;
-use refine_network::Outline;
+use refine_network::OutlineInputs;
+use scene::decision::{Decision, MatteKind, Rule, Subject};
 use screen::Screen;
 use screen::clean_plate::CleanPlate;
 use solve::Matte;
@@ -32,8 +33,8 @@ pub struct Keyer {
     mode: MatteMode,
     keep_pole: bool,
     plate: Option<CleanPlate>,
-    /// Why this key: one sentence.
-    pub evidence: String,
+    /// Why this key.
+    pub decision: Decision,
 }
 
 /// A frame is blank if all but this share of its pixels at either end differ by at most so many 8-bit levels; every so manyth is asked.
@@ -45,22 +46,22 @@ const BLANK_STEP: usize = 61;
 pub const THUMBNAIL_SIDE: u32 = 160;
 
 impl Keyer {
-    /// Looks for a screen in thumbnails ([`THUMBNAIL_SIDE`] long) of some frames, as far as they are not blank. `Err` holds the evidence against one.
+    /// Looks for a screen in thumbnails ([`THUMBNAIL_SIDE`] long) of some frames, as far as they are not blank. `Err` holds the decision against one.
     pub fn find(
         thumbnails: &[RgbImage],
         config: &KeyConfig,
-    ) -> Result<Result<Self, String>, crate::PreprocessError> {
+    ) -> Result<Result<Self, Decision>, crate::PreprocessError> {
         let choice = config.choice()?;
         if choice == KeyChoice::Off {
-            return Ok(Err("keying is off".to_owned()));
+            return Ok(Err(screen::detect::no_matte(Rule::Requested)));
         }
         let (mode, keep_pole) = (config.matte, config.keep_pole);
         if choice == KeyChoice::Black {
             if let Some(doubt) = luma_key::doubt(thumbnails) {
                 return Ok(Err(doubt));
             }
-            let evidence = "keyed by light, before a dark room".to_owned();
-            return Ok(Ok(Self { key: None, mode, keep_pole, plate: None, evidence }));
+            let decision = Decision::new(Subject::Matte, MatteKind::Luminance, Rule::Requested);
+            return Ok(Ok(Self { key: None, mode, keep_pole, plate: None, decision }));
         }
         let mut telling: Vec<&RgbImage> = thumbnails.iter().filter(|t| !is_blank(t)).collect();
         if telling.is_empty() {
@@ -68,8 +69,8 @@ impl Keyer {
         }
         let found = screen::detect::detect(&telling, choice);
         Ok(match found.key {
-            Some(key) => Ok(Self { key: Some(key), mode, keep_pole, plate: None, evidence: found.evidence }),
-            None => Err(found.evidence),
+            Some(key) => Ok(Self { key: Some(key), mode, keep_pole, plate: None, decision: found.decision }),
+            None => Err(found.decision),
         })
     }
 
@@ -146,7 +147,7 @@ impl Keyer {
         else {
             return Vec::new();
         };
-        let outline = Outline::new(&screen, &trimap, &matte.alpha, image.as_raw(), key, 1);
+        let outline = OutlineInputs::new(&screen, &trimap, &matte.alpha, image.as_raw(), key, 1);
         let rows = outline.pixels.iter().map(|i| *i as usize).flat_map(|i| {
             let told = [matte.alpha[i], f32::from(truth.as_raw()[i]) / 255.0];
             outline.inputs(&matte, i).into_iter().chain(told)

@@ -1,6 +1,6 @@
 //! Small filters of planes and masks; windows are cut at the border.
 
-use super::pool::{Mask, Plane, Pooled};
+use super::pool::{BinaryMask, Raster, RasterValue};
 use bytemuck::cast_slice_mut;
 use std::ops::Range;
 
@@ -15,7 +15,7 @@ pub(crate) struct Rect {
 
 impl Rect {
     /// The smallest around the non-zero part of a mask, grown by `margin`, within the picture.
-    pub fn around(mask: &Mask, margin: usize) -> Self {
+    pub fn around(mask: &BinaryMask, margin: usize) -> Self {
         let mut x = Range { start: mask.width, end: 0 }; // empty until a pixel is seen
         let mut y = Range { start: usize::MAX, end: 0 };
         for (row, line) in mask.chunks_exact(mask.width).enumerate() {
@@ -40,7 +40,11 @@ impl Rect {
     }
 
     /// The part of a plane that it covers, as a mask.
-    pub fn mask<'p, T: Pooled>(&self, plane: &Plane<'p, T>, is_set: impl Fn(T) -> bool) -> Mask<'p> {
+    pub fn mask<'p, T: RasterValue>(
+        &self,
+        plane: &Raster<'p, T>,
+        is_set: impl Fn(T) -> bool,
+    ) -> BinaryMask<'p> {
         let mut mask = plane.pool.filled(self.x.len(), 0, 0);
         self.rows(plane.width).for_each(|row| mask.extend(plane[row].iter().map(|v| u8::from(is_set(*v)))));
         mask
@@ -63,7 +67,7 @@ pub(crate) fn set_pixels(mask: &[u8]) -> impl Iterator<Item = usize> {
 
 /// Sums over windows of `(2r + 1)²` that lie in `rect` (outside of it values count as 0), in place, channel by channel.
 /// Summed anew for every pixel: a running sum would leave rounding errors larger than the smallest weights.
-pub(crate) fn box_sum<T: Pooled + bytemuck::Pod>(plane: &mut Plane<T>, rect: &Rect, r: usize) {
+pub(crate) fn box_sum<T: RasterValue + bytemuck::Pod>(plane: &mut Raster<T>, rect: &Rect, r: usize) {
     let (channels, pitch, pool) = (size_of::<T>() / size_of::<f32>(), plane.width, plane.pool);
     let (w, h) = (channels * rect.x.len(), rect.y.len());
     let values: &mut [f32] = cast_slice_mut(plane);
@@ -86,52 +90,17 @@ pub(crate) fn box_sum<T: Pooled + bytemuck::Pod>(plane: &mut Plane<T>, rect: &Re
     }
 }
 
-/// The same by running sums: four additions a pixel whatever `r` is, at the price of rounding errors.
-pub(crate) fn box_sum_running<T: Pooled + bytemuck::Pod>(plane: &mut Plane<T>, rect: &Rect, r: usize) {
-    let (c, pitch) = (size_of::<T>() / size_of::<f32>(), plane.width);
-    let (w, h) = (c * rect.x.len(), rect.y.len());
-    let values: &mut [f32] = cast_slice_mut(plane);
-    let mut scratch = vec![0.0_f32; w * h];
-    for (y, target) in rect.y.clone().zip(scratch.chunks_exact_mut(w.max(1))) {
-        let source = &values[c * (y * pitch + rect.x.start)..][..w];
-        for k in 0..c {
-            let mut sum: f32 = 0.0;
-            for x in 0..r.min(w / c) {
-                sum += source[c * x + k];
-            }
-            for x in 0..w / c {
-                sum += source.get(c * (x + r) + k).copied().unwrap_or(0.0);
-                target[c * x + k] = sum;
-                sum -= if x >= r { source[c * (x - r) + k] } else { 0.0 };
-            }
-        }
-    }
-    let mut sums = vec![0.0_f32; w];
-    for row in scratch.chunks_exact(w.max(1)).take(r) {
-        add(&mut sums, row);
-    }
-    for y in 0..h {
-        if y + r < h {
-            add(&mut sums, &scratch[(y + r) * w..][..w]);
-        }
-        values[c * ((rect.y.start + y) * pitch + rect.x.start)..][..w].copy_from_slice(&sums);
-        if y >= r {
-            sums.iter_mut().zip(&scratch[(y - r) * w..][..w]).for_each(|(s, v)| *s -= v);
-        }
-    }
-}
-
 fn add(sums: &mut [f32], row: &[f32]) {
     sums.iter_mut().zip(row).for_each(|(s, v)| *s += v);
 }
 
 /// Binomial 3 × 3 smoothing; the border repeats.
-pub(crate) fn smooth<'p>(plane: &Plane<'p, f32>) -> Plane<'p, f32> {
+pub(crate) fn smooth<'p>(plane: &Raster<'p, f32>) -> Raster<'p, f32> {
     smooth_within(plane, &Rect { x: 0..plane.width, y: 0..plane.height() })
 }
 
 /// The same in the rows and columns of `rect` only, beside which values count as those at its border; 0 elsewhere.
-pub(crate) fn smooth_within<'p>(plane: &Plane<'p, f32>, rect: &Rect) -> Plane<'p, f32> {
+pub(crate) fn smooth_within<'p>(plane: &Raster<'p, f32>, rect: &Rect) -> Raster<'p, f32> {
     let mut out = plane.pool.filled(plane.width, plane.len(), 0.0);
     let (w, last) = (rect.x.len(), rect.y.end.saturating_sub(1));
     if w == 0 {
@@ -152,7 +121,7 @@ pub(crate) fn smooth_within<'p>(plane: &Plane<'p, f32>, rect: &Rect) -> Plane<'p
     out
 }
 
-impl<'p> Mask<'p> {
+impl<'p> BinaryMask<'p> {
     /// Grows what is set by `r` pixels in every direction (a square).
     pub fn dilate(&self, r: usize) -> Self {
         let mut rows = self.map(|v| *v);
@@ -183,14 +152,14 @@ fn unite(target: &mut [u8], source: &[u8]) {
 /// Connected regions (8 neighbours) of a mask.
 pub(crate) struct Regions<'p> {
     /// The region of every pixel; 0 outside of the mask.
-    pub labels: Plane<'p, u32>,
+    pub labels: Raster<'p, u32>,
     /// Pixels of every region; element 0 is unused.
     pub sizes: Vec<usize>,
 }
 
 impl<'p> Regions<'p> {
     /// Works on runs of pixels: rows are joined where runs touch.
-    pub fn of(mask: &Mask<'p>) -> Self {
+    pub fn of(mask: &BinaryMask<'p>) -> Self {
         let width = mask.width;
         let mut parent = vec![0_u32];
         // Runs of the whole picture: first pixel, end, label; and those of the row above.
@@ -267,7 +236,7 @@ mod tests {
     use super::*;
     use crate::matting::pool::Pool;
 
-    fn mask<'p>(pool: &'p Pool, width: usize, values: &[u8]) -> Mask<'p> {
+    fn mask<'p>(pool: &'p Pool, width: usize, values: &[u8]) -> BinaryMask<'p> {
         pool.plane(width, values.iter().copied())
     }
 

@@ -15,14 +15,14 @@ pub(crate) struct Pool {
 }
 
 /// What planes are made of.
-pub(crate) trait Pooled: Copy + 'static {
+pub(crate) trait RasterValue: Copy + 'static {
     /// The free memory for values of this type.
     fn free(pool: &Pool) -> &RefCell<Vec<Vec<Self>>>;
 }
 
 macro_rules! pooled {
     ($($value:ty: $free:ident),*) => {$(
-        impl Pooled for $value {
+        impl RasterValue for $value {
             fn free(pool: &Pool) -> &RefCell<Vec<Vec<Self>>> {
                 &pool.$free
             }
@@ -33,20 +33,20 @@ pooled!(u8: bytes, u32: words, f32: numbers, Vec3: colours);
 
 impl Pool {
     /// A plane of these values, row by row.
-    pub fn plane<T: Pooled>(&self, width: usize, values: impl Iterator<Item = T>) -> Plane<'_, T> {
+    pub fn plane<T: RasterValue>(&self, width: usize, values: impl Iterator<Item = T>) -> Raster<'_, T> {
         let mut memory = T::free(self).borrow_mut().pop().unwrap_or_default();
         memory.extend(values);
-        Plane { values: memory, width, pool: self }
+        Raster { values: memory, width, pool: self }
     }
 
     /// A plane of `count` equal values.
-    pub fn filled<T: Pooled>(&self, width: usize, count: usize, value: T) -> Plane<'_, T> {
+    pub fn filled<T: RasterValue>(&self, width: usize, count: usize, value: T) -> Raster<'_, T> {
         self.plane(width, std::iter::repeat_n(value, count))
     }
 }
 
 /// A value for every pixel, row by row.
-pub(crate) struct Plane<'p, T: Pooled> {
+pub(crate) struct Raster<'p, T: RasterValue> {
     values: Vec<T>,
     /// Pixels in a row.
     pub width: usize,
@@ -55,9 +55,9 @@ pub(crate) struct Plane<'p, T: Pooled> {
 }
 
 /// A byte for every pixel: 0 or 1.
-pub(crate) type Mask<'p> = Plane<'p, u8>;
+pub(crate) type BinaryMask<'p> = Raster<'p, u8>;
 
-impl<'p, T: Pooled> Plane<'p, T> {
+impl<'p, T: RasterValue> Raster<'p, T> {
     /// Number of rows.
     pub fn height(&self) -> usize {
         self.values.len() / self.width
@@ -69,17 +69,17 @@ impl<'p, T: Pooled> Plane<'p, T> {
     }
 
     /// Another plane of the same shape.
-    pub fn map<U: Pooled>(&self, value: impl FnMut(&T) -> U) -> Plane<'p, U> {
+    pub fn map<U: RasterValue>(&self, value: impl FnMut(&T) -> U) -> Raster<'p, U> {
         self.pool.plane(self.width, self.values.iter().map(value))
     }
 
     /// The mask of the pixels whose value is so.
-    pub fn mask(&self, mut is_set: impl FnMut(T) -> bool) -> Mask<'p> {
+    pub fn mask(&self, mut is_set: impl FnMut(T) -> bool) -> BinaryMask<'p> {
         self.map(|v| u8::from(is_set(*v)))
     }
 }
 
-impl<T: Pooled> Drop for Plane<'_, T> {
+impl<T: RasterValue> Drop for Raster<'_, T> {
     fn drop(&mut self) {
         let mut memory = std::mem::take(&mut self.values);
         memory.clear();
@@ -87,7 +87,7 @@ impl<T: Pooled> Drop for Plane<'_, T> {
     }
 }
 
-impl<T: Pooled> Deref for Plane<'_, T> {
+impl<T: RasterValue> Deref for Raster<'_, T> {
     type Target = [T];
 
     fn deref(&self) -> &[T] {
@@ -95,7 +95,7 @@ impl<T: Pooled> Deref for Plane<'_, T> {
     }
 }
 
-impl<T: Pooled> DerefMut for Plane<'_, T> {
+impl<T: RasterValue> DerefMut for Raster<'_, T> {
     fn deref_mut(&mut self) -> &mut [T] {
         &mut self.values
     }

@@ -2,10 +2,10 @@
 //! (`tools/train_outline.py`; decision 0027).
 
 use super::colour::{Key, coded, levels};
-use super::morphology::{Rect, Regions, box_sum_running, set_pixels};
-use super::pool::Plane;
+use super::morphology::{Rect, set_pixels};
+use super::pool::Raster;
 use super::screen::Screen;
-use super::solve::Matte;
+use super::solve::{CLEAR, Matte, without_haze};
 use super::trimap::Trimap;
 use glam::Vec3;
 use std::sync::LazyLock;
@@ -13,34 +13,15 @@ use std::sync::LazyLock;
 /// The network sees as far, pixels.
 const REACH: usize = 3;
 const SIDE: usize = 2 * REACH + 1;
-/// Of each pixel around: luma, colour difference, chroma across it, alpha.
-const PLANES: usize = 4;
-const PATCH: usize = SIDE * SIDE * PLANES;
-/// And of the middle: luma of the screen, luma, colour difference and chroma across of the object around, and how much of it is solid.
-const LIGHTS: usize = 5;
-/// Numbers the network sees of a pixel.
-pub(crate) const INPUTS: usize = PATCH + LIGHTS;
-/// Alpha of pixels that are asked about.
-const SOFT: std::ops::Range<f32> = 0.02..0.98;
-/// Slits of a pixel or two keep at least this share of the key's hue (coded colour along its chroma), and less than this of the luma around.
-const SLIT_SHARE: f32 = 0.1;
-const SLIT_LUMA: f32 = 0.95;
-/// Luma is measured in so many 8-bit levels.
-const LEVELS: f32 = 64.0;
-/// Least colour difference of the screen, 8-bit levels.
-const LEAST_DIFFERENCE: f32 = 4.0;
-
+/// Numbers the network sees of a pixel: of each pixel around luma, colour difference, chroma across it and alpha; of the
+/// middle luma of the screen, luma, colour difference and chroma across of the object around, and how much of that is solid.
+pub(crate) const INPUTS: usize = 4 * SIDE * SIDE + 5;
 /// Units of the two hidden layers.
 const HIDDEN: (usize, usize) = (96, 32);
 /// Units of a layer that are summed at a time: what the processor's registers hold.
 const UNITS: usize = 32;
-/// The key's alpha is this far from 0 and 1 where the network's word is added to its logit.
-const LEAST_ALPHA: f32 = 0.02;
-/// Fewer open pixels than this are no slit.
-const SLIT_PIXELS: usize = 10;
-/// What is nearer to 0 or 1 is 0 or 1.
-const CLEAR: f32 = 0.03;
-
+/// Luma is measured in so many 8-bit levels.
+const LEVELS: f32 = 64.0;
 /// An input is at most so many standard deviations off the mean.
 const FARTHEST: f32 = 4.0;
 
@@ -48,13 +29,13 @@ const FARTHEST: f32 = 4.0;
 struct Network {
     mean: Box<[f32; INPUTS]>,
     scale: Box<[f32; INPUTS]>,
-    first: Vec<Block>,
-    second: Vec<Block>,
+    first: Vec<UnitBlock>,
+    second: Vec<UnitBlock>,
     third: ([f32; HIDDEN.1], f32),
 }
 
 /// Some units of a layer: weights by input, and offsets.
-struct Block {
+struct UnitBlock {
     weights: Vec<[f32; UNITS]>,
     offsets: [f32; UNITS],
 }
@@ -66,13 +47,12 @@ static NETWORK: LazyLock<Network> = LazyLock::new(|| {
     fn row<const N: usize>(numbers: &mut impl Iterator<Item = f32>) -> [f32; N] {
         std::array::from_fn(|_| numbers.next().unwrap_or(0.0))
     }
-    fn blocks<const N: usize>(numbers: &mut impl Iterator<Item = f32>, inputs: usize) -> Vec<Block> {
+    fn blocks<const N: usize>(numbers: &mut impl Iterator<Item = f32>, inputs: usize) -> Vec<UnitBlock> {
         let rows: Vec<[f32; N]> = (0..=inputs).map(|_| row(numbers)).collect();
-        let part = |k: usize, r: &[f32; N]| std::array::from_fn(|u| r[k * UNITS + u]);
         (0..N / UNITS)
-            .map(|k| Block {
-                weights: rows[..inputs].iter().map(|r| part(k, r)).collect(),
-                offsets: part(k, &rows[inputs]),
+            .map(|k| UnitBlock {
+                weights: rows[..inputs].iter().map(|r| r.as_chunks().0[k]).collect(),
+                offsets: rows[inputs].as_chunks().0[k],
             })
             .collect()
     }
@@ -101,7 +81,7 @@ impl Network {
 
 /// `max(0, W x + b)` of two pixels: the weights are more than the first cache holds, so that each is fetched for both.
 #[inline(always)]
-fn layer<const M: usize, const N: usize>(inputs: &[[f32; M]; 2], blocks: &[Block]) -> [[f32; N]; 2] {
+fn layer<const M: usize, const N: usize>(inputs: &[[f32; M]; 2], blocks: &[UnitBlock]) -> [[f32; N]; 2] {
     let mut out = [[0.0; N]; 2];
     let [out_a, out_b] = &mut out;
     let outs = out_a.as_chunks_mut::<UNITS>().0.iter_mut().zip(out_b.as_chunks_mut::<UNITS>().0);
@@ -124,49 +104,41 @@ fn describe(coded: Vec3, key: &Key) -> Vec3 {
 }
 
 /// The pixels of a frame that the network is asked about, and what it sees of them.
-pub(crate) struct Outline<'a, 'p> {
+pub(crate) struct OutlineInputs<'a, 'p> {
     screen: &'a Screen<'p>,
     trimap: &'a Trimap<'p>,
     key: &'a Key,
-    planes: [Plane<'p, f32>; PLANES],
+    planes: [Raster<'p, f32>; 4],
     /// The pixels that are asked about.
-    pub pixels: Plane<'p, u32>,
+    pub pixels: Raster<'p, u32>,
     /// Where the pixels of a window lie, seen in each of eight ways.
     ways: [[u32; SIDE * SIDE]; 8],
 }
 
-impl<'a, 'p> Outline<'a, 'p> {
-    /// Gathers the pixels of a solved and cleaned frame that are asked about: those whose alpha is not clear and so many beside them,
-    /// those on either side of a half, and dark ones of solid parts that keep some of the screen's hue: slits.
+impl<'a, 'p> OutlineInputs<'a, 'p> {
+    /// Gathers the pixels of a solved and cleaned frame that are asked about: those whose alpha is soft and so many beside
+    /// them, and those on either side of a half.
     pub fn new(
         screen: &'a Screen<'p>,
         trimap: &'a Trimap<'p>,
-        alpha: &Plane<'p, f32>,
+        alpha: &Raster<'p, f32>,
         rgb: &[u8],
         key: &'a Key,
         beside: usize,
     ) -> Self {
         let (width, height) = (alpha.width, alpha.height());
         let solid = alpha.mask(|a| a >= 0.5);
-        let mut near = alpha.mask(|a| (a > SOFT.start) & (a < SOFT.end)).dilate(beside);
+        let mut near = alpha.mask(|a| (a > 0.0) & (a < 1.0)).dilate(beside);
         let outline = solid.dilate(1);
         near.iter_mut()
             .zip(outline.iter().zip(solid.erode(1).iter()))
             .for_each(|(n, (g, s))| *n |= g & (1 - s));
-        let rect = Rect::around(&near, REACH);
-        let planes = see(alpha, rgb, key, &rect);
-        let mut sums = planes[0].map(|v| *v);
-        box_sum_running(&mut sums, &rect, REACH);
-        let least = SLIT_SHARE * key.along.dot(coded(key.colour));
-        for i in rect.rows(width).flatten().filter(|i| alpha[*i] >= SOFT.end) {
-            let is_dark = planes[0][i] * ((SIDE * SIDE) as f32) < SLIT_LUMA * sums[i];
-            near[i] |= u8::from(is_dark && key.along.dot(levels(&rgb[3 * i..])) > least);
-        }
+        let planes = see(alpha, rgb, key, &Rect::around(&near, REACH));
         let inner = Rect { x: REACH..width.saturating_sub(REACH), y: REACH..height.saturating_sub(REACH) };
-        let is_asked = |i: &usize| {
+        let pixels = set_pixels(&near).filter(|i| {
             screen.fixed[*i] == 0 && inner.x.contains(&(i % width)) && inner.y.contains(&(i / width))
-        };
-        let pixels = alpha.pool.plane(width, set_pixels(&near).filter(is_asked).map(|i| i as u32));
+        });
+        let pixels = alpha.pool.plane(width, pixels.map(|i| i as u32));
         Self { screen, trimap, key, planes, pixels, ways: std::array::from_fn(|way| offsets(way, width)) }
     }
 
@@ -177,12 +149,12 @@ impl<'a, 'p> Outline<'a, 'p> {
         let width = matte.alpha.width;
         let screen = describe(coded(self.screen.light[i]), self.key);
         let object = describe(coded(matte.object_around(i, self.trimap.band[i] != 0)), self.key);
-        let scale = 1.0 / screen.y.max(LEAST_DIFFERENCE);
+        let scale = 1.0 / screen.y.max(1.0);
         let corner = i - REACH * width - REACH;
         let window = corner..corner + (SIDE - 1) * width + SIDE;
         let way = &self.ways[way(&self.planes[3][window.clone()], width)];
         let mut out = [0.0; INPUTS];
-        for (target, plane) in out[..PATCH].chunks_exact_mut(SIDE * SIDE).zip(&self.planes) {
+        for (target, plane) in out[..4 * SIDE * SIDE].chunks_exact_mut(SIDE * SIDE).zip(&self.planes) {
             let window = &plane[window.clone()];
             target.iter_mut().zip(way).for_each(|(v, at)| *v = window[*at as usize]);
         }
@@ -190,17 +162,19 @@ impl<'a, 'p> Outline<'a, 'p> {
         out[luma].iter_mut().for_each(|v| *v = (*v - screen.x) / LEVELS);
         out[along].iter_mut().for_each(|v| *v = (*v * scale).clamp(-1.0, 2.0));
         out[across].iter_mut().for_each(|v| *v = ((*v - screen.z) * scale).clamp(-2.0, 2.0));
-        out[PATCH] = screen.x / LEVELS;
-        out[PATCH + 1] = (object.x - screen.x) / LEVELS;
-        out[PATCH + 2] = (object.y * scale).clamp(-1.0, 2.0);
-        out[PATCH + 3] = ((object.z - screen.z) * scale).clamp(-2.0, 2.0);
-        out[PATCH + 4] = matte.solid_around(i);
+        out[4 * SIDE * SIDE..].copy_from_slice(&[
+            screen.x / LEVELS,
+            (object.x - screen.x) / LEVELS,
+            (object.y * scale).clamp(-1.0, 2.0),
+            ((object.z - screen.z) * scale).clamp(-2.0, 2.0),
+            matte.solid_around(i),
+        ]);
         out
     }
 }
 
 /// Planes of what the network sees in a rectangle of a frame: luma, colour difference, chroma across, alpha.
-fn see<'p>(alpha: &Plane<'p, f32>, rgb: &[u8], key: &Key, rect: &Rect) -> [Plane<'p, f32>; PLANES] {
+fn see<'p>(alpha: &Raster<'p, f32>, rgb: &[u8], key: &Key, rect: &Rect) -> [Raster<'p, f32>; 4] {
     let [mut luma, mut along, mut across] = [(); 3].map(|()| alpha.map(|_| 0.0));
     for i in rect.rows(alpha.width).flatten() {
         [luma[i], along[i], across[i]] = describe(levels(&rgb[3 * i..]), key).to_array();
@@ -234,7 +208,7 @@ fn offsets(way: usize, width: usize) -> [u32; SIDE * SIDE] {
 
 scene::dispatch! {
     /// Solves alpha of the pixels of the outline once more.
-    fn ask(outline: &Outline, matte: &mut Matte) {
+    fn ask(outline: &OutlineInputs, matte: &mut Matte) {
         let network = &*NETWORK;
         let mut inputs = [[0.0; INPUTS]; 2];
         for pair in outline.pixels.chunks(2) {
@@ -253,27 +227,10 @@ scene::dispatch! {
 /// Alpha after the network's word.
 #[inline(always)]
 fn told(alpha: f32, word: f32) -> f32 {
-    let alpha = alpha.clamp(LEAST_ALPHA, 1.0 - LEAST_ALPHA);
+    let alpha = alpha.clamp(CLEAR, 1.0 - CLEAR);
     let logit = (alpha / (1.0 - alpha)).ln() + word;
     // No number in a weight or a pixel can make a matte that is none.
-    match 1.0 / (1.0 + (-logit).exp()) {
-        a if a > 1.0 - CLEAR => 1.0,
-        a if a >= CLEAR => a,
-        _ => 0.0,
-    }
-}
-
-/// Closes what was opened inside of solid parts and is too small for a slit.
-fn close_specks(alpha: &mut Plane<f32>, band: &[u8], asked: &[u32]) {
-    let opened: Vec<usize> =
-        asked.iter().map(|i| *i as usize).filter(|i| band[*i] == 0 && alpha[*i] < 0.5).collect();
-    if opened.is_empty() {
-        return;
-    }
-    let regions = Regions::of(&alpha.mask(|a| a < 0.5));
-    for i in opened.into_iter().filter(|i| regions.sizes[regions.labels[*i] as usize] < SLIT_PIXELS) {
-        alpha[i] = 1.0;
-    }
+    without_haze(1.0 / (1.0 + (-logit).exp()))
 }
 
 /// Solves the outline of a cleaned matte once more.
@@ -284,9 +241,8 @@ pub(crate) fn refine<'p>(
     rgb: &[u8],
     key: &Key,
 ) {
-    let outline = Outline::new(screen, trimap, &matte.alpha, rgb, key, 0);
+    let outline = OutlineInputs::new(screen, trimap, &matte.alpha, rgb, key, 0);
     ask(&outline, matte);
-    close_specks(&mut matte.alpha, &trimap.band, &outline.pixels);
 }
 
 #[cfg(test)]
@@ -336,40 +292,21 @@ mod tests {
     }
 
     #[test]
-    fn slits_of_solid_parts_are_asked_about_and_other_dark_lines_are_not() {
+    fn both_sides_of_the_outline_are_asked_about_and_no_solid_part() {
         let (width, height) = (60, 40);
         let key = Key::new([0.02, 0.4, 0.05].into(), 1.0 / 3f32.sqrt()).unwrap();
         let panel = |i: usize| (10..50).contains(&(i % width)) && (8..32).contains(&(i / width));
         let rgb: Vec<u8> = (0..width * height)
-            .flat_map(|i| match i % width {
-                _ if !panel(i) => [40, 170, 60],
-                30 => [90, 125, 80],
-                20 => [90, 90, 90],
-                _ => [210, 205, 200],
-            })
+            .flat_map(|i| if panel(i) { [210, 205, 200] } else { [40, 170, 60] })
             .collect();
         let pool = Pool::default();
         let image = RgbImage::from_raw(width as u32, height as u32, rgb.clone()).unwrap();
         let screen = Screen::before_field(&pool, &image, &key).unwrap();
         let trimap = Trimap::new(&screen, 0.0, &rgb, &key);
         let alpha = pool.plane(width, (0..width * height).map(|i| f32::from(u8::from(panel(i)))));
-        let outline = Outline::new(&screen, &trimap, &alpha, &rgb, &key, 0);
+        let outline = OutlineInputs::new(&screen, &trimap, &alpha, &rgb, &key, 0);
         let asked = |x: usize| outline.pixels.contains(&((20 * width + x) as u32));
-        assert!(asked(30) && !asked(20) && !asked(40), "slit, grey line, panel");
-        assert!(asked(9) && asked(10) && !asked(7), "both sides of the outline, screen");
-    }
-
-    #[test]
-    fn a_slit_that_was_opened_stays_and_single_pixels_are_closed() {
-        let width = 40;
-        let slit = |i: usize| i % width == 20 && (5..30).contains(&(i / width));
-        let gap = |i: usize| i % width == 30 && (10..14).contains(&(i / width));
-        let (pool, band) = (Pool::default(), vec![0; 40 * width]);
-        let mut alpha = pool.plane(width, (0..40 * width).map(|i| if slit(i) || gap(i) { 0.1 } else { 1.0 }));
-        close_specks(&mut alpha, &band, &(0..40 * width as u32).collect::<Vec<_>>());
-        for i in 0..alpha.len() {
-            assert_eq!(alpha[i], if slit(i) { 0.1 } else { 1.0 }, "pixel {i}");
-        }
+        assert!(asked(9) && asked(10) && !asked(7) && !asked(30));
     }
 
     #[test]

@@ -2,52 +2,43 @@
 
 use super::colour::{chroma, coded, luminance};
 use super::morphology::{Rect, box_sum, set_pixels, smooth_within};
-use super::pool::Plane;
+use super::pool::Raster;
 use super::screen::{Screen, ScreenNoise};
 use super::trimap::Trimap;
 use glam::Vec3;
 
-/// Radius of the neighbourhood from which the colour of the foreground is learnt, pixels.
-const REACH: usize = 3;
+/// Radius of the neighbourhood from which the colours of foreground and screen are learnt, pixels.
+pub(crate) const REACH: usize = 3;
+/// Alpha nearer to 0 or 1 than this is 0 or 1.
+pub(crate) const CLEAR: f32 = 0.03;
 /// Weight of a mixed pixel beside a solid one when the foreground's colour is learnt.
 const MIXED_WEIGHT: f32 = 0.05;
-/// Chroma of 4:2:0 video is blurred: standard deviation of alpha from chroma at an edge, and how its square grows with the
-/// pixel's light over the screen's (chroma is coded after gamma).
+/// Chroma of 4:2:0 video is blurred: standard deviation of alpha from chroma at an edge; its square grows with the pixel's
+/// light.
 const CHROMA_ERROR: f32 = 0.12;
-const CHROMA_GLARE: f32 = 0.6;
-/// The lens mixes over about a pixel in linear light before chroma is coded and spread over two or three: how much of what a half
-/// covered pixel shows too much of the brighter side is taken off.
+/// The lens mixes over about a pixel in linear light before chroma is coded and spread over two or three: how much of what a
+/// half covered pixel shows too much of the brighter side is taken off.
 const OPTICAL: f32 = 1.5;
-/// The same for luma: of itself, and by how well the light of object and screen is known (share of their sum).
-const LUMA_ERROR: f32 = 0.05;
+/// How well the light of object and screen is known, share of their sum.
 const LIGHT_ERROR: f32 = 0.06;
-/// Uncertain light of the object weighs with the object's part of the pixel: about half at an edge, squared.
-const HALF: f32 = 0.25;
 /// The object's rim is lit by the screen and mixes with its blur: alpha from chroma falls short by this factor there.
 const RIM_GAIN: f32 = 1.06;
-/// What the rim's light is asked of: pixels around, summed twice (5 × 5, weighed to the middle), and how firmly it is held to the
-/// neighbourhood's, as a share of as many pixels that are object alone.
-const RIM_REACH: usize = 1;
-const RIM_HOLD: f32 = 0.01;
-/// Light of the rim as a factor on the neighbourhood's.
-const RIM_LIGHT: (f32, f32) = (0.2, 2.0);
+/// How firmly the rim's light is held to the neighbourhood's: weight, in pixels that are object alone.
+const RIM_HOLD: f32 = 0.1;
 /// Smoothing has made the edge this much too soft.
 const EDGE_CONTRAST: f32 = 1.2;
-/// Where nothing around is solid (rods), chroma is spread over more than the object is wide: alpha from it falls short
-/// by this factor, and the colour is not taken out of more than this share of the screen.
+/// Where less than half a pixel around is solid (rods), chroma is spread over more than the object is wide: alpha from it
+/// falls short by this factor.
 const THIN_GAIN: f32 = 1.2;
-const THIN_FLOOR: f32 = 0.7;
-/// Weight of colours around from which on something solid is near.
-const SOLID_WEIGHT: f32 = 0.5;
 
 /// The matte of one frame, and what it was solved with.
 pub(crate) struct Matte<'p> {
     /// The object's part of every pixel, 0 to 1.
-    pub alpha: Plane<'p, f32>,
+    pub alpha: Raster<'p, f32>,
     /// Foreground colour of the neighbourhood, linear; in the band a mean, elsewhere a sum.
-    pub foreground: Plane<'p, Vec3>,
+    pub foreground: Raster<'p, Vec3>,
     /// Of how many solid pixels.
-    pub weight: Plane<'p, f32>,
+    pub weight: Raster<'p, f32>,
 }
 
 impl<'p> Matte<'p> {
@@ -81,9 +72,9 @@ impl<'p> Matte<'p> {
 fn learn_foreground<'p>(
     screen: &Screen<'p>,
     trimap: &Trimap,
-    alpha: Plane<'p, f32>,
+    alpha: Raster<'p, f32>,
     rect: &Rect,
-) -> (Matte<'p>, Plane<'p, f32>) {
+) -> (Matte<'p>, Raster<'p, f32>) {
     let mut foreground = screen.image.map(|_| Vec3::ZERO);
     let (mut weight, mut spread) = (alpha.map(|_| 0.0), alpha.map(|_| 0.0));
     for i in rect.rows(alpha.width).flatten().filter(|i| trimap.not_screen[*i] != 0) {
@@ -95,7 +86,6 @@ fn learn_foreground<'p>(
         let value = (screen.image[i] - s * screen.light[i]).max(Vec3::ZERO);
         foreground[i] = own * value;
         let y = luminance(if t > 1e-3 { value / t } else { Vec3::ZERO });
-        let t = if is_solid { t } else { t.max(THIN_FLOOR) };
         weight[i] = own * t;
         spread[i] = own * t * y * y;
     }
@@ -115,14 +105,14 @@ fn learn_foreground<'p>(
 struct BandSolver<'a, 'p> {
     screen: &'a Screen<'p>,
     /// Pixels of the band.
-    band: Plane<'p, u32>,
+    band: Raster<'p, u32>,
     /// Around what is not screen.
     rect: Rect,
     matte: Matte<'p>,
     /// Variance of the luma of the foreground around.
-    spread: Plane<'p, f32>,
+    spread: Raster<'p, f32>,
     /// Light of the rim as a factor on the foreground's.
-    rim: Plane<'p, f32>,
+    rim: Raster<'p, f32>,
 }
 
 impl<'p> BandSolver<'_, 'p> {
@@ -136,11 +126,7 @@ impl<'p> BandSolver<'_, 'p> {
             let i = i as usize;
             let alpha = rim_alpha(mean[i]);
             let alpha = if self.matte.weight[i] < 1e-5 { alpha } else { self.with_luma(i, alpha, noise) };
-            self.matte.alpha[i] = match (alpha - 0.5) * EDGE_CONTRAST + 0.5 {
-                a if a < 0.03 => 0.0,
-                a if a > 0.97 => 1.0,
-                a => a,
-            };
+            self.matte.alpha[i] = without_haze((alpha - 0.5) * EDGE_CONTRAST + 0.5);
         }
     }
 
@@ -151,12 +137,12 @@ impl<'p> BandSolver<'_, 'p> {
 
     /// Alpha from chroma alone. Chroma is sampled at every other pixel: smoothing over 3 × 3 costs no detail and removes the
     /// steps.
-    fn ask_chroma(&mut self) -> Plane<'p, f32> {
+    fn ask_chroma(&mut self) -> Raster<'p, f32> {
         for &i in self.band.iter() {
             let i = i as usize;
             let weight = self.matte.weight[i];
             let alpha = if weight < 1e-5 { 1.0 - self.screen.share[i] } else { self.alpha_from_chroma(i) };
-            let alpha = if weight < SOLID_WEIGHT { THIN_GAIN * alpha } else { alpha };
+            let alpha = if weight < 0.5 { THIN_GAIN * alpha } else { alpha };
             self.matte.alpha[i] = alpha.clamp(-0.2, 1.2);
         }
         smooth_within(&self.matte.alpha, &self.rect)
@@ -165,7 +151,7 @@ impl<'p> BandSolver<'_, 'p> {
     /// An object's rim is darker than what lies behind it where it turns away from the lamp, and brighter where it shines. Of the light
     /// alpha from chroma knows little, so that luma Y tells it: the factor k on the neighbourhood's light F with the least
     /// `Σ (Y − (1 − α) B − α k F)² / F² + λ (k − 1)²`, B the screen's.
-    fn light_rim(&self, mean: &[f32]) -> Plane<'p, f32> {
+    fn light_rim(&self, mean: &[f32]) -> Raster<'p, f32> {
         let (mut lit, mut told) = (self.rim.map(|_| 0.0), self.rim.map(|_| 0.0));
         for i in self.band.iter().map(|i| *i as usize).filter(|i| self.matte.weight[*i] >= 1e-5) {
             let alpha = rim_alpha(mean[i]);
@@ -174,14 +160,13 @@ impl<'p> BandSolver<'_, 'p> {
             told[i] = alpha * alpha;
         }
         for plane in [&mut lit, &mut told] {
-            box_sum(plane, &self.rect, RIM_REACH);
-            box_sum(plane, &self.rect, RIM_REACH);
+            // Twice 3 × 3: 5 × 5 pixels, weighed to the middle.
+            box_sum(plane, &self.rect, 1);
+            box_sum(plane, &self.rect, 1);
         }
-        let hold = RIM_HOLD * ((2 * RIM_REACH + 1) as f32).powi(4);
         for &i in self.band.iter() {
             let i = i as usize;
-            let factor = (lit[i] + hold) / (told[i] + hold);
-            lit[i] = if self.matte.weight[i] >= 1e-5 { factor.clamp(RIM_LIGHT.0, RIM_LIGHT.1) } else { 1.0 };
+            lit[i] = ((lit[i] + RIM_HOLD) / (told[i] + RIM_HOLD)).max(0.0);
         }
         lit
     }
@@ -205,12 +190,9 @@ impl<'p> BandSolver<'_, 'p> {
         let fd = self.object(i) - b;
         let (c2, fy) = (chroma(fd).length_squared(), luminance(fd));
         let (y2, screen) = (fy * fy, luminance(b));
-        let brighter = luminance(p) / (screen + 1e-6);
-        let glare = if brighter > 1.0 { brighter.powf(CHROMA_GLARE) } else { 1.0 };
-        let weight_c = c2 / (noise.chroma + CHROMA_ERROR * CHROMA_ERROR * c2 * glare + 1e-9);
+        let weight_c = c2 / (noise.chroma + CHROMA_ERROR * CHROMA_ERROR * c2 + 1e-9);
         let light = LIGHT_ERROR * (screen + screen + fy);
-        let luma = noise.luma + HALF * self.spread[i] + light * light + LUMA_ERROR * LUMA_ERROR * y2;
-        let weight_y = y2 / (luma + 1e-9);
+        let weight_y = y2 / (noise.luma + self.spread[i] + light * light + 1e-9);
         let alpha_y = (luminance(p - b) * fy / (y2 + 1e-9)).clamp(0.0, 1.0);
         (weight_c * alpha_c + weight_y * alpha_y) / (weight_c + weight_y + 1e-9)
     }
@@ -220,6 +202,16 @@ impl<'p> BandSolver<'_, 'p> {
 #[inline(always)]
 fn coded_chroma(light: Vec3) -> Vec3 {
     chroma(coded(light) / 255.0)
+}
+
+/// Alpha without what is hardly there or hardly missing.
+#[inline(always)]
+pub(crate) fn without_haze(alpha: f32) -> f32 {
+    match alpha {
+        a if a > 1.0 - CLEAR => 1.0,
+        a if a >= CLEAR => a,
+        _ => 0.0,
+    }
 }
 
 fn rim_alpha(mean: f32) -> f32 {

@@ -1,28 +1,25 @@
 //! What is surely object, what is surely screen, and the band between, where alpha has to be solved.
 
 use super::colour::{Key, coded, levels};
-use super::morphology::{Regions, set_pixels};
-use super::pool::Mask;
+use super::morphology::set_pixels;
+use super::pool::BinaryMask;
 use super::screen::Screen;
 
 /// Least departure from the screen (share of its colour difference) that counts.
 const MIN_DEPARTURE: f32 = 0.06;
-/// A region that nowhere departs by this much is a shadow or noise.
-const MIN_PEAK: f32 = 0.30;
-/// Inside of solid parts, what keeps this share of the screen's coded colour difference is a slit, and as far around it is solved anew.
+/// Inside of solid parts, what keeps this share of the screen's coded colour difference is a slit.
 const SLIT_SHARE: f32 = 0.6;
-const SLIT_RIM: usize = 2;
 
 /// The parts of a frame by what they are.
 pub(crate) struct Trimap<'p> {
     /// What departs from the screen, and two pixels around it.
-    pub not_screen: Mask<'p>,
+    pub not_screen: BinaryMask<'p>,
     /// Surely object.
-    pub core: Mask<'p>,
+    pub core: BinaryMask<'p>,
     /// Object that shows its own colour: all of it but its rim.
-    pub interior: Mask<'p>,
+    pub interior: BinaryMask<'p>,
     /// Neither surely screen nor surely object.
-    pub band: Mask<'p>,
+    pub band: BinaryMask<'p>,
 }
 
 impl<'p> Trimap<'p> {
@@ -31,13 +28,12 @@ impl<'p> Trimap<'p> {
         let threshold = 1.0 - MIN_DEPARTURE.max(5.0 * noise);
         let mut seeds = screen.smoothed.mask(|s| (s < threshold) | (s > 2.0 - threshold + 0.1));
         seeds.iter_mut().zip(screen.shaded.iter()).for_each(|(seed, shaded)| *seed &= 1 - shaded);
-        let mut not_screen = seeds.dilate(2);
-        drop_faint_regions(&mut not_screen, &screen.smoothed);
+        let not_screen = seeds.dilate(2);
         let mut solid = screen.smoothed.mask(|s| s < 0.5);
         let mut core = solid.erode(2);
         let slits = find_slits(&core, screen, rgb, key);
         solid.iter_mut().zip(slits.iter()).for_each(|(solid, slit)| *solid &= 1 - slit);
-        core.iter_mut().zip(slits.dilate(SLIT_RIM).iter()).for_each(|(core, near)| *core &= 1 - near);
+        core.iter_mut().zip(slits.dilate(2).iter()).for_each(|(core, near)| *core &= 1 - near);
         let mut band = not_screen.map(|v| *v);
         band.iter_mut().zip(core.iter()).for_each(|(band, core)| *band &= 1 - core);
         Self { interior: solid.erode(1), not_screen, core, band }
@@ -47,7 +43,7 @@ impl<'p> Trimap<'p> {
 /// Slits of one or two pixels between bright parts: 4:2:0 averages coded chroma, and in linear light what is left of the screen's
 /// looks like a tint of the bright parts. What keeps [`SLIT_SHARE`] of the screen's colour difference in coded values is solved, not
 /// solid.
-fn find_slits<'p>(core: &Mask<'p>, screen: &Screen, rgb: &[u8], key: &Key) -> Mask<'p> {
+fn find_slits<'p>(core: &BinaryMask<'p>, screen: &Screen, rgb: &[u8], key: &Key) -> BinaryMask<'p> {
     let mut slits = core.map(|_| 0);
     for i in set_pixels(core) {
         let kept = key.difference(levels(&rgb[3 * i..]));
@@ -57,14 +53,6 @@ fn find_slits<'p>(core: &Mask<'p>, screen: &Screen, rgb: &[u8], key: &Key) -> Ma
         }
     }
     slits
-}
-
-fn drop_faint_regions(mask: &mut Mask, smoothed: &[f32]) {
-    let regions = Regions::of(mask);
-    let is_strong = regions.any(|i| 1.0 - smoothed[i] >= MIN_PEAK);
-    for (m, label) in mask.iter_mut().zip(regions.labels.iter()) {
-        *m &= u8::from(is_strong[*label as usize]);
-    }
 }
 
 #[cfg(test)]
@@ -78,7 +66,7 @@ mod tests {
     fn panels() -> RgbImage {
         RgbImage::from_fn(120, 60, |x, y| match (x, y) {
             (20..50, 15..45) => Rgb([120, 118, 122]),
-            (85, 15..45) => Rgb([110, 150, 100]),
+            (85, 15..45) => Rgb([140, 220, 145]),
             (70..100, 15..45) => Rgb([225, 220, 215]),
             (5..9, 50..54) => Rgb([52, 166, 70]),
             _ => Rgb([40, 170, 60]),
@@ -91,7 +79,7 @@ mod tests {
         let key = Key::new([0.02, 0.4, 0.045].into(), 1.0 / 3f32.sqrt()).unwrap();
         let screen = Screen::before_field(&pool, &image, &key).unwrap();
         let trimap = Trimap::new(&screen, 0.0, image.as_raw(), &key);
-        let at = |mask: &Mask, x: usize, y: usize| mask[y * 120 + x];
+        let at = |mask: &BinaryMask, x: usize, y: usize| mask[y * 120 + x];
         assert_eq!([at(&trimap.core, 35, 30), at(&trimap.core, 75, 30), at(&trimap.core, 60, 30)], [1, 1, 0]);
         assert_eq!([at(&trimap.band, 20, 30), at(&trimap.band, 35, 30), at(&trimap.band, 60, 30)], [1, 0, 0]);
         assert_eq!([at(&trimap.core, 85, 30), at(&trimap.band, 85, 30)], [0, 1], "the slit");

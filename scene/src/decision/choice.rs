@@ -95,7 +95,8 @@ pub enum MatteKind {
 pub enum Choice {
     /// A camera model.
     Camera {
-        /// The model; `None` where there is no camera, or cameras of several models came with the input.
+        /// The model; `None` where there is no camera, or cameras of several models came with the
+        /// input.
         model: Option<CameraModel>,
         /// Its principal point.
         principal_point: PrincipalPoint,

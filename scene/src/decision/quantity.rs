@@ -19,7 +19,8 @@ pub(super) enum Unit {
     Of(&'static str, usize),
 }
 
-/// Declares the quantities, each with the name by which sentences call it and the way its numbers are written.
+/// Declares the quantities, each with the name by which sentences call it and the way its numbers
+/// are written.
 macro_rules! quantities {
     ($($(#[doc = $doc:literal])+ $variant:ident = ($name:literal, $unit:expr),)+) => {
         /// What a number measures. The comment tells the unit of its value.
@@ -205,6 +206,16 @@ quantities! {
     Saturation = ("saturation", Plain(2)),
     /// Relative step of brightness between neighbouring pixels of the screen, 0 to 1.
     Roughness = ("roughness", Percent(1)),
+    /// Part of the median frame that is lit, 0 to 1.
+    LitShare = ("lit part of the median frame", Percent(1)),
+    /// Largest connected part of it, 0 to 1.
+    LargestLitPart = ("its largest connected part", Percent(0)),
+    /// Pixels between dark and lit, times those lit.
+    UndecidedPixels = ("pixels between dark and lit, relative to those lit", Plain(1)),
+    /// Frames in which nothing stands before the screen.
+    EmptyFrames = ("empty frames", Plain(0)),
+    /// Part of the mean frame that the object covers, 0 to 1.
+    ObjectShare = ("object in the mean frame", Percent(1)),
     /// Frames.
     Frames = ("frames", Plain(0)),
     /// Frames with a matte.
@@ -247,7 +258,8 @@ quantities! {
     NeededTilePairs = ("pairs needed by a view", Plain(0)),
 }
 
-/// A number, and its standard deviation where it is known. Values that are not finite are written as `null`.
+/// A number, and its standard deviation where it is known. Values that are not finite are written
+/// as `null`.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct Measurement {
     /// What is measured.
@@ -277,7 +289,8 @@ impl Measurement {
         Self { quantity, value, deviation: Some(deviation).filter(|d| d.is_finite()) }
     }
 
-    /// The intrinsics of a camera by name, with their standard deviations in the same order, if any.
+    /// The intrinsics of a camera by name, with their standard deviations in the same order, if
+    /// any.
     pub fn of_camera<'a>(camera: &'a Camera, deviations: &'a [f64]) -> impl Iterator<Item = Self> + 'a {
         let focals: &[Quantity] = match camera.model.num_focals() {
             1 => &[Quantity::FocalLength],

@@ -260,6 +260,8 @@ impl Remark {
             Self::Overfitting => "more steps would overfit the photos",
             Self::CheckInput => "check poses and masks, or lower --learning-rate",
             Self::NearestOnly => "only the nearest are drawn",
+            Self::NaturalHue => "the hue is one of wood, skin and lamp light; name it with --key to use it",
+            Self::NotKeyableByLight => "the object cannot be keyed by light: give masks, or use --key off",
             Self::NoHue => "hardly any pixel has a distinct hue",
             Self::EmptyFrames => "most frames show nothing before the screen",
             Self::RandomBackground => "training draws random colours behind the object",

@@ -1,9 +1,10 @@
 //! Marching cubes (Lorensen and Cline, SIGGRAPH 1987), its table made from its definition.
 //!
-//! Corner c of a cell lies at (c & 1, c >> 1 & 1, c >> 2 & 1). On each face, seen from outside and walked anticlockwise, the
-//! surface enters where the corners change from outside to inside and leaves where they change back: every run of corners
-//! inside is cut off by one segment. Where a face is ambiguous this separates the corners inside, a rule of the face alone,
-//! so that both cells at it agree and the surface has no holes. The segments close to loops; loops become fans.
+//! Corner c of a cell lies at (c & 1, c >> 1 & 1, c >> 2 & 1). On each face, seen from outside and
+//! walked anticlockwise, the surface enters where the corners change from outside to inside and
+//! leaves where they change back: every run of corners inside is cut off by one segment. Where a
+//! face is ambiguous this separates the corners inside, a rule of the face alone, so that both
+//! cells at it agree and the surface has no holes. The segments close to loops; loops become fans.
 
 use std::sync::OnceLock;
 
@@ -29,7 +30,8 @@ pub(super) const fn axis_of(edge: usize) -> usize {
     edge / 4
 }
 
-/// For every set of corners inside (bit c: corner c): triangles of edges, anticlockwise seen from outside.
+/// For every set of corners inside (bit c: corner c): triangles of edges, anticlockwise seen from
+/// outside.
 pub(super) fn table() -> &'static [Vec<[u8; 3]>; 256] {
     static TABLE: OnceLock<[Vec<[u8; 3]>; 256]> = OnceLock::new();
     TABLE.get_or_init(|| std::array::from_fn(triangles))

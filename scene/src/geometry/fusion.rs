@@ -1,8 +1,10 @@
-//! Depth maps fused to a surface: a truncated signed distance in sparse blocks of voxels, and its zero set as a mesh.
+//! Depth maps fused to a surface: a truncated signed distance in sparse blocks of voxels, and its
+//! zero set as a mesh.
 //!
-//! Curless and Levoy, "A Volumetric Method for Building Complex Models from Range Images", SIGGRAPH 1996; weights that fall
-//! off behind the surface: Bylow et al., "Real-Time Camera Tracking and 3D Reconstruction Using Signed Distance Functions",
-//! RSS 2013. Blocks: Nießner et al., "Real-time 3D Reconstruction at Scale using Voxel Hashing", 2013.
+//! Curless and Levoy, "A Volumetric Method for Building Complex Models from Range Images", SIGGRAPH
+//! 1996; weights that fall off behind the surface: Bylow et al., "Real-Time Camera Tracking and 3D
+//! Reconstruction Using Signed Distance Functions", RSS 2013. Blocks: Nießner et al., "Real-time 3D
+//! Reconstruction at Scale using Voxel Hashing", 2013.
 
 use super::Mesh;
 use super::cubes::{EDGES, axis_of, table};
@@ -15,13 +17,15 @@ use std::collections::{BTreeSet, HashMap};
 const SIDE: i32 = 8;
 /// Voxels of a block. Source: derived from [`SIDE`].
 const VOXELS: usize = (SIDE * SIDE * SIDE) as usize;
-/// Blocks reach this far around every measured point, voxels. Source: chosen by hand, never measured.
+/// Blocks reach this far around every measured point, voxels. Source: chosen by hand, never
+/// measured.
 const MARGIN: f64 = 2.0;
 /// Behind the surface a view counts fully as far as this, then less and less, in truncation
 /// distances. Source: chosen by hand, never measured.
 const FULL_WEIGHT_BEHIND: f32 = 0.25;
-/// Weight of a ray that probably meets nothing. A rod one pixel wide is missed by every third ray that should meet it: with
-/// full weight these would erase it. Share of 1. Source: decision record 14 (docs/decisions, mesh from depths).
+/// Weight of a ray that probably meets nothing. A rod one pixel wide is missed by every third ray
+/// that should meet it: with full weight these would erase it. Share of 1. Source: decision record
+/// 14 (docs/decisions, mesh from depths).
 const PROBABLY_NOTHING: f32 = 0.1;
 /// Colours come from views that put the surface no farther off, in truncation distances.
 /// Source: chosen by hand, never measured.
@@ -34,8 +38,9 @@ pub struct DepthMap {
     pub camera: Camera,
     /// `cam_from_world`.
     pub pose: Pose,
-    /// [height × width] camera z, scene units; infinite where the ray meets nothing, −∞ where it probably does not (beside
-    /// what it could have met); anything else that is not a positive number is unknown.
+    /// [height × width] camera z, scene units; infinite where the ray meets nothing, −∞ where it
+    /// probably does not (beside what it could have met); anything else that is not a positive
+    /// number is unknown.
     pub depth: Vec<f32>,
     /// [height × width × 3] sRGB.
     pub rgb: Vec<u8>,
@@ -88,8 +93,8 @@ pub enum FusionError {
     Cancelled(#[from] crate::Cancelled),
 }
 
-/// The surface that the depth maps agree on, with colours at its vertices; no triangles where there is none. The same for
-/// any number of threads.
+/// The surface that the depth maps agree on, with colours at its vertices; no triangles where there
+/// is none. The same for any number of threads.
 pub fn fuse(maps: &[DepthMap], options: &FusionOptions, progress: &Progress) -> Result<Mesh, FusionError> {
     let mut places = BTreeSet::new();
     progress.begin("find the surface", maps.len());
@@ -255,8 +260,9 @@ fn extract(blocks: &[FusionBlock], options: &FusionOptions) -> Mesh {
     mesh
 }
 
-/// The triangles of the cell whose lowest corner is voxel `cell` of the first block of `near` (its neighbours in
-/// the directions of rising coordinates, by corner); none where a corner was not seen.
+/// The triangles of the cell whose lowest corner is voxel `cell` of the first block of `near` (its
+/// neighbours in the directions of rising coordinates, by corner); none where a corner was not
+/// seen.
 fn polygonise(
     near: &[Option<&FusionBlock>; 8],
     cell: [i32; 3],
@@ -307,7 +313,8 @@ mod tests {
     use crate::CameraModel;
     use std::collections::BTreeMap;
 
-    /// The unit sphere (times `scale`) at `centre`, red where x > 0 and green elsewhere, seen from this direction.
+    /// The unit sphere (times `scale`) at `centre`, red where x > 0 and green elsewhere, seen from
+    /// this direction.
     fn sphere(from: DVec3, scale: f64, centre: DVec3) -> DepthMap {
         let camera = Camera::centred(1, CameraModel::Pinhole, 200, 160, 220.0);
         let pose = Pose::look_at(centre + from.normalize() * 4.0 * scale, centre, DVec3::new(0.1, 0.2, 1.0));

@@ -58,7 +58,8 @@ impl Mesh {
         area(&self.corners(i))
     }
 
-    /// Unit normal of each vertex: the mean of its triangles', by their areas; zero where it has none.
+    /// Unit normal of each vertex: the mean of its triangles', by their areas; zero where it has
+    /// none.
     pub fn normals(&self) -> Vec<DVec3> {
         let mut normals = vec![DVec3::ZERO; self.vertices.len()];
         // Lengths of tiny scenes would vanish when squared.
@@ -99,7 +100,8 @@ fn area([a, b, c]: &[DVec3; 3]) -> f64 {
     (*b - *a).cross(*c - *a).length() / 2.0
 }
 
-/// The point of a triangle nearest to `p`: Ericson, "Real-Time Collision Detection", 2005, section 5.1.5.
+/// The point of a triangle nearest to `p`: Ericson, "Real-Time Collision Detection", 2005, section
+/// 5.1.5.
 pub(super) fn nearest_on_triangle(p: DVec3, [a, b, c]: &[DVec3; 3]) -> DVec3 {
     let (ab, ac, ap) = (*b - *a, *c - *a, p - *a);
     let (d1, d2) = (ab.dot(ap), ac.dot(ap));

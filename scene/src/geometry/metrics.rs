@@ -7,7 +7,8 @@ use rstar::{PointDistance, RTree};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-/// How points and surface differ. Distances are in per cent of the mesh's size (diagonal of its box).
+/// How points and surface differ. Distances are in per cent of the mesh's size (diagonal of its
+/// box).
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct GeometryErrors {
     /// Points that were judged.
@@ -24,7 +25,8 @@ pub struct GeometryErrors {
     pub precision_pct: f64,
     /// Share of the surface within the threshold, per cent.
     pub recall_pct: f64,
-    /// Harmonic mean of precision and recall, per cent (Knapitsch et al., "Tanks and Temples", 2017).
+    /// Harmonic mean of precision and recall, per cent (Knapitsch et al., "Tanks and Temples",
+    /// 2017).
     pub f_score_pct: f64,
     /// Mean of the two mean distances.
     pub chamfer_pct: f64,
@@ -32,8 +34,8 @@ pub struct GeometryErrors {
     pub threshold_pct: f64,
 }
 
-/// Judges `points` against `mesh` (same frame and units). `surface`: points spread evenly over the part of the mesh that
-/// is to be found. `None` where either is empty or the mesh has no extent.
+/// Judges `points` against `mesh` (same frame and units). `surface`: points spread evenly over the
+/// part of the mesh that is to be found. `None` where either is empty or the mesh has no extent.
 pub fn compare_points(
     points: &[DVec3],
     mesh: &Mesh,

@@ -1,4 +1,5 @@
-//! Shapes: triangle meshes, their distances and what is seen of them, and their making from depth maps.
+//! Shapes: triangle meshes, their distances and what is seen of them, and their making from depth
+//! maps.
 
 mod cubes;
 mod fusion;

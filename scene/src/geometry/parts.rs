@@ -3,7 +3,8 @@
 use super::Mesh;
 
 impl Mesh {
-    /// Leaves only the connected parts whose area is at least this share of the largest part's, and their vertices.
+    /// Leaves only the connected parts whose area is at least this share of the largest part's, and
+    /// their vertices.
     pub fn keep_large_parts(&mut self, least_share: f64) {
         let mut parts = Parts((0..self.vertices.len() as u32).collect());
         for &[a, b, c] in &self.triangles {

@@ -1,4 +1,5 @@
-//! Which points of a mesh some camera sees: what no camera sees cannot be asked of a reconstruction.
+//! Which points of a mesh some camera sees: what no camera sees cannot be asked of a
+//! reconstruction.
 
 use super::Mesh;
 use crate::{Camera, Pose};
@@ -15,8 +16,9 @@ pub struct DepthView {
 }
 
 impl DepthView {
-    /// Draws the mesh, through the camera's lens. A pixel holds the depth at its centre, interpolated in 1 / z, which is
-    /// exact for a plane up to the lens distortion within a triangle; triangles that reach behind the camera are left out.
+    /// Draws the mesh, through the camera's lens. A pixel holds the depth at its centre,
+    /// interpolated in 1 / z, which is exact for a plane up to the lens distortion within a
+    /// triangle; triangles that reach behind the camera are left out.
     pub fn new(mesh: &Mesh, camera: &Camera, pose: &Pose) -> Self {
         let (w, h) = (camera.width as usize, camera.height as usize);
         let mut view = Self { camera: camera.clone(), pose: *pose, depth: vec![f64::INFINITY; w * h] };

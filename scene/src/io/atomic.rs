@@ -1,4 +1,5 @@
-//! Files and folders that are whole or absent: written beside the target (by `tempfile`), renamed when complete.
+//! Files and folders that are whole or absent: written beside the target (by `tempfile`), renamed
+//! when complete.
 
 use super::error::IoError;
 use std::fs::{self, File, OpenOptions};
@@ -48,8 +49,8 @@ fn sync_parent(path: &Path) {
     }
 }
 
-/// Writes a file through `write`: the target keeps its old content (or stays absent) unless all of it has
-/// reached the disk. Missing parent folders are made.
+/// Writes a file through `write`: the target keeps its old content (or stays absent) unless all of
+/// it has reached the disk. Missing parent folders are made.
 pub fn write_atomic(
     path: &Path,
     write: impl FnOnce(&mut BufWriter<File>) -> io::Result<()>,
@@ -61,7 +62,8 @@ pub fn write_atomic(
     })
 }
 
-/// [`write_atomic`] for writers that want a path: `write` fills the file of that name, which is empty.
+/// [`write_atomic`] for writers that want a path: `write` fills the file of that name, which is
+/// empty.
 pub(crate) fn write_file_atomic(
     path: &Path,
     write: impl FnOnce(&Path) -> io::Result<()>,
@@ -79,8 +81,8 @@ fn fill_and_rename(path: &Path, write: impl FnOnce(&Path) -> io::Result<()>) -> 
     Ok(temporary.persist(path)?)
 }
 
-/// Fills a new folder through `fill` and puts it in the place of `path` when that succeeded; what was there
-/// before is removed only then.
+/// Fills a new folder through `fill` and puts it in the place of `path` when that succeeded; what
+/// was there before is removed only then.
 pub fn replace_folder<E: From<IoError>>(
     path: &Path,
     fill: impl FnOnce(&Path) -> Result<(), E>,

@@ -59,7 +59,8 @@ impl<'a> ByteReader<'a> {
         Ok(out)
     }
 
-    /// A 64-bit count of records of at least `record` bytes: believed only if the file has room for them.
+    /// A 64-bit count of records of at least `record` bytes: believed only if the file has room for
+    /// them.
     pub(crate) fn count(&mut self, record: usize, what: &str) -> Result<usize, IoError> {
         let n = self.u64(what)?;
         self.check_room(n, record, what)

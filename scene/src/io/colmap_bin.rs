@@ -11,7 +11,8 @@ use std::path::Path;
 
 /// The number of "no point". Source: COLMAP's format.html, binary format.
 const NO_POINT: u64 = u64::MAX;
-/// Least bytes of a camera, an image, an observation and a point. Source: COLMAP's format.html, binary format.
+/// Least bytes of a camera, an image, an observation and a point. Source: COLMAP's format.html,
+/// binary format.
 const CAMERA_BYTES: usize = 4 + 4 + 8 + 8 + 3 * 8;
 /// See [`CAMERA_BYTES`]. Source: COLMAP's format.html, binary format.
 const IMAGE_BYTES: usize = 4 + 7 * 8 + 4 + 1 + 8;

@@ -52,7 +52,8 @@ fn clip(word: &str) -> String {
     word.chars().take(40).collect()
 }
 
-/// Lines that are not comments, numbered from 1; empty ones included (an image may have no keypoints).
+/// Lines that are not comments, numbered from 1; empty ones included (an image may have no
+/// keypoints).
 fn lines<'a>(path: &'a Path, text: &'a str) -> impl Iterator<Item = Words<'a>> {
     let numbered = text.lines().enumerate().map(move |(i, rest)| Words { path, line: i + 1, rest });
     numbered.filter(|w| !w.rest.starts_with('#'))
@@ -146,7 +147,8 @@ pub(super) fn parse_points(path: &Path, text: &str) -> Result<BTreeMap<u64, Scen
     Ok(points)
 }
 
-/// The shortest text that reads back as the same number; exponents only where plain digits would be long.
+/// The shortest text that reads back as the same number; exponents only where plain digits would be
+/// long.
 struct Num(f64);
 
 impl std::fmt::Display for Num {

@@ -40,7 +40,8 @@ pub struct ExifCamera {
 }
 
 impl ExifCamera {
-    /// From the TIFF structure of an EXIF chunk (without the `Exif\0\0` before it). What is damaged counts as absent.
+    /// From the TIFF structure of an EXIF chunk (without the `Exif\0\0` before it). What is damaged
+    /// counts as absent.
     pub fn parse(chunk: &[u8]) -> Self {
         let read = Reader::new().continue_on_error(true).read_raw(chunk.to_vec());
         let read = read.or_else(|e| e.distill_partial_result(|_damaged| {}));
@@ -65,8 +66,9 @@ impl ExifCamera {
 
     /// Focal length in pixels of an image of this size; `None` where EXIF does not say.
     ///
-    /// The 35 mm equivalent is defined by the angle of view over the diagonal (CIPA DCG-001):
-    /// `f_px = f₃₅ · diagonal_px / 43.267 mm`. Else `f_px = f_mm · px/mm`, scaled if the image was resized since.
+    /// The 35 mm equivalent is defined by the angle of view over the diagonal (CIPA DCG-001): `f_px
+    /// = f₃₅ · diagonal_px / 43.267 mm`. Else `f_px = f_mm · px/mm`, scaled if the image was
+    /// resized since.
     pub fn focal_px(&self, width: u32, height: u32) -> Option<f64> {
         let diagonal = f64::from(width).hypot(f64::from(height));
         let from_35mm = self.focal_35mm.map(|f| f * diagonal / FILM_MM[0].hypot(FILM_MM[1]));
@@ -129,7 +131,8 @@ fn text(exif: &Exif, tag: Tag) -> Option<String> {
 mod tests {
     use super::*;
 
-    /// A little-endian TIFF whose IFD0 points to an EXIF IFD with focal length 50/10 mm, resolution 5000 px/cm.
+    /// A little-endian TIFF whose IFD0 points to an EXIF IFD with focal length 50/10 mm, resolution
+    /// 5000 px/cm.
     fn chunk() -> Vec<u8> {
         let mut c = b"II*\0\x08\0\0\0".to_vec();
         let entry = |c: &mut Vec<u8>, tag: u16, kind: u16, count: u32, value: u32| {

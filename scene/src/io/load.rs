@@ -84,7 +84,8 @@ fn decode(path: &Path) -> Result<DynamicImage, IoError> {
     Ok(image)
 }
 
-/// An image of any bit depth and channel count as 8-bit colour and alpha, turned upright as EXIF says.
+/// An image of any bit depth and channel count as 8-bit colour and alpha, turned upright as EXIF
+/// says.
 pub fn load_image(path: &Path) -> Result<LoadedImage, IoError> {
     let image = decode(path)?;
     let alpha = image.color().has_alpha().then(|| {
@@ -130,7 +131,8 @@ fn turns_sideways(orientation: Orientation) -> bool {
     matches!(orientation, Rotate90 | Rotate270 | Rotate90FlipH | Rotate270FlipH)
 }
 
-/// For each target pixel along one axis: the first source pixel and the weights (summing to 1) of its box.
+/// For each target pixel along one axis: the first source pixel and the weights (summing to 1) of
+/// its box.
 fn boxes(from: u32, to: u32) -> Vec<(usize, Vec<f32>)> {
     let scale = f64::from(from) / f64::from(to);
     let span = |i: u32| {
@@ -144,8 +146,8 @@ fn boxes(from: u32, to: u32) -> Vec<(usize, Vec<f32>)> {
     (0..to).map(span).collect()
 }
 
-/// The image at another size: every target pixel is the mean of the source over its own area (exact for any
-/// ratio; sRGB values, not linear light). Sizes of 0 become 1.
+/// The image at another size: every target pixel is the mean of the source over its own area (exact
+/// for any ratio; sRGB values, not linear light). Sizes of 0 become 1.
 pub fn resize_area<P: Pixel<Subpixel = u8>>(
     image: &ImageBuffer<P, Vec<u8>>,
     width: u32,

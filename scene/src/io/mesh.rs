@@ -8,8 +8,8 @@ use gltf::mesh::Mode;
 use std::collections::BTreeSet;
 use std::path::Path;
 
-/// Reads a mesh; the ending says the format: `.ply`, `.obj`, `.glb` (its scene, with the transforms of its nodes).
-/// Polygons become fans of triangles. Colours, normals and materials are left out.
+/// Reads a mesh; the ending says the format: `.ply`, `.obj`, `.glb` (its scene, with the transforms
+/// of its nodes). Polygons become fans of triangles. Colours, normals and materials are left out.
 pub fn read_mesh(path: &Path) -> Result<Mesh, IoError> {
     let ending = path.extension().map(|e| e.to_string_lossy().to_ascii_lowercase()).unwrap_or_default();
     let mesh = match ending.as_str() {
@@ -163,7 +163,8 @@ mod tests {
         assert_eq!((obj.area(), obj.triangles.len()), (4.0, 2));
     }
 
-    /// A triangle with legs 1 and 2, moved by 5 and scaled by 3, as binary glTF; `count` of its positions as said.
+    /// A triangle with legs 1 and 2, moved by 5 and scaled by 3, as binary glTF; `count` of its
+    /// positions as said.
     fn glb(count: u32, nodes: &str) -> Vec<u8> {
         let positions: [f32; 9] = [0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 2.0, 0.0];
         let blob: Vec<u8> = positions.iter().flat_map(|v| v.to_le_bytes()).collect();

@@ -9,8 +9,9 @@ use serde_json::json;
 use std::io::Write;
 use std::path::Path;
 
-/// Writes a mesh with its normals and, if it has them, colours; the ending says the format: `.ply` (binary, in the mesh's
-/// frame) or `.glb` (its node is rotated by 180° about x, like splats, because glTF has y up).
+/// Writes a mesh with its normals and, if it has them, colours; the ending says the format: `.ply`
+/// (binary, in the mesh's frame) or `.glb` (its node is rotated by 180° about x, like splats,
+/// because glTF has y up).
 pub fn write_mesh(path: &Path, mesh: &Mesh) -> Result<(), IoError> {
     mesh.validate().map_err(|m| IoError::format(path, format!("no usable mesh: {m}")))?;
     let ending = path.extension().map(|e| e.to_string_lossy().to_ascii_lowercase()).unwrap_or_default();

@@ -1,8 +1,8 @@
 //! File formats: COLMAP models and databases, `transforms.json`, PLY, images, ground truth.
 //!
-//! Every reader treats its file as hostile: counts are checked against the size of the file before memory is
-//! reserved, numbers against NaN, names against paths that lead out of the folder. Every writer goes through
-//! [`atomic`]: what exists under its final name is whole.
+//! Every reader treats its file as hostile: counts are checked against the size of the file before
+//! memory is reserved, numbers against NaN, names against paths that lead out of the folder. Every
+//! writer goes through [`atomic`]: what exists under its final name is whole.
 
 pub mod atomic;
 mod bytes;

@@ -17,9 +17,10 @@ pub fn find_model(dir: &Path) -> Option<PathBuf> {
     ["", "sparse/0", "sparse", "0"].into_iter().map(|sub| dir.join(sub)).find(|d| has_model(d))
 }
 
-/// Reads a COLMAP model (binary if both forms are there) from the folder that holds it or one above (see
-/// [`find_model`]). `rigs` and `frames` files of COLMAP 3.12 and later are not needed: `images` holds each
-/// image's own pose there too. The result is valid ([`Reconstruction::validate`]).
+/// Reads a COLMAP model (binary if both forms are there) from the folder that holds it or one above
+/// (see [`find_model`]). `rigs` and `frames` files of COLMAP 3.12 and later are not needed:
+/// `images` holds each image's own pose there too. The result is valid
+/// ([`Reconstruction::validate`]).
 pub fn read_model(dir: &Path) -> Result<Reconstruction, IoError> {
     let Some(found) = find_model(dir) else {
         return Err(IoError::format(
@@ -41,7 +42,8 @@ pub fn write_model_bin(model: &Reconstruction, dir: &Path) -> Result<(), IoError
     colmap_bin::write(model, dir)
 }
 
-/// Writes `cameras.txt`, `images.txt`, `points3D.txt` with COLMAP's comment headers; numbers read back exactly.
+/// Writes `cameras.txt`, `images.txt`, `points3D.txt` with COLMAP's comment headers; numbers read
+/// back exactly.
 pub fn write_model_txt(model: &Reconstruction, dir: &Path) -> Result<(), IoError> {
     check(model, dir)?;
     colmap_txt::write(model, dir)

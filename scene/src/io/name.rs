@@ -10,8 +10,8 @@ pub struct UnsafeName {
     pub why: &'static str,
 }
 
-/// The name itself if joining it to a folder stays inside that folder on every system: relative, no `..`, no
-/// backslash, no drive letter, no control characters, at most 1,024 bytes.
+/// The name itself if joining it to a folder stays inside that folder on every system: relative, no
+/// `..`, no backslash, no drive letter, no control characters, at most 1,024 bytes.
 pub fn safe_name(name: &str) -> Result<&str, UnsafeName> {
     let bytes = name.as_bytes();
     let drive = bytes.len() > 1 && bytes[1] == b':' && bytes[0].is_ascii_alphabetic();

@@ -19,7 +19,8 @@ use std::path::{Path, PathBuf};
 pub struct TransformsFrame {
     /// Image number in the reconstruction.
     pub image: u32,
-    /// File of the image, relative to the folder of the JSON file (with its extension, if the file was found).
+    /// File of the image, relative to the folder of the JSON file (with its extension, if the file
+    /// was found).
     pub file_path: String,
     /// Whether that file is there.
     pub found: bool,
@@ -79,8 +80,9 @@ struct Document {
     intrinsics: Intrinsics,
 }
 
-/// Reads a `transforms.json`. A frame's own intrinsics go before those at the top. Sizes that are not given are
-/// taken from the image files, whose names may lack their extension. Frames with equal intrinsics share a camera.
+/// Reads a `transforms.json`. A frame's own intrinsics go before those at the top. Sizes that are
+/// not given are taken from the image files, whose names may lack their extension. Frames with
+/// equal intrinsics share a camera.
 pub fn read_transforms(path: &Path) -> Result<TransformsFile, IoError> {
     let text = read_text(path)?;
     let document: Document = serde_json::from_str(&text)
@@ -136,7 +138,8 @@ fn locate(folder: &Path, name: String) -> (String, Option<PathBuf>) {
     }
 }
 
-/// `cam_from_world` of a camera-to-world matrix with OpenGL axes; a uniform scale in it is taken out.
+/// `cam_from_world` of a camera-to-world matrix with OpenGL axes; a uniform scale in it is taken
+/// out.
 fn pose_of(path: &Path, entry: &FrameEntry) -> Result<Pose, IoError> {
     let m = &entry.transform_matrix;
     if !(3..=4).contains(&m.len()) || m.iter().any(|row| row.len() != 4) {
@@ -233,8 +236,8 @@ pub struct TransformsOptions {
     pub ply_file_path: Option<String>,
 }
 
-/// Writes nerfstudio's dialect (`camera_model` OPENCV): intrinsics at the top if all images share a camera, else
-/// in each frame.
+/// Writes nerfstudio's dialect (`camera_model` OPENCV): intrinsics at the top if all images share a
+/// camera, else in each frame.
 pub fn write_transforms(
     path: &Path,
     model: &Reconstruction,

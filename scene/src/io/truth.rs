@@ -7,8 +7,8 @@ use crate::{Camera, CameraModel, Pose, PosedImage, Reconstruction};
 use glam::{DMat3, DVec3};
 use std::path::Path;
 
-/// Reads true cameras, whatever form they have: a COLMAP model folder, a folder of Strecha `*.camera` files,
-/// `transforms.json`, or a Middlebury `*_par.txt`.
+/// Reads true cameras, whatever form they have: a COLMAP model folder, a folder of Strecha
+/// `*.camera` files, `transforms.json`, or a Middlebury `*_par.txt`.
 pub fn read_truth(path: &Path) -> Result<Reconstruction, IoError> {
     if path.is_dir() {
         if !has_model(path) && !camera_files(path)?.is_empty() {
@@ -22,8 +22,9 @@ pub fn read_truth(path: &Path) -> Result<Reconstruction, IoError> {
     read_middlebury(path)
 }
 
-/// Middlebury multi-view: a line with the number of images, then `name k11 … k33 r11 … r33 t1 t2 t3` with
-/// `x ~ K [R | t] X`, row by row (Seitz et al. 2006). The image size is not in the file and stays 0.
+/// Middlebury multi-view: a line with the number of images, then `name k11 … k33 r11 … r33 t1 t2
+/// t3` with `x ~ K [R | t] X`, row by row (Seitz et al. 2006). The image size is not in the file
+/// and stays 0.
 pub fn read_middlebury(path: &Path) -> Result<Reconstruction, IoError> {
     let mut model = Reconstruction::default();
     for (number, line) in read_text(path)?.lines().enumerate() {
@@ -45,8 +46,8 @@ pub fn read_middlebury(path: &Path) -> Result<Reconstruction, IoError> {
     Ok(model)
 }
 
-/// Strecha et al. 2008: one `IMAGE.camera` an image: K, a line of zeros, R (camera to world), the centre, the
-/// image size.
+/// Strecha et al. 2008: one `IMAGE.camera` an image: K, a line of zeros, R (camera to world), the
+/// centre, the image size.
 pub fn read_strecha(dir: &Path) -> Result<Reconstruction, IoError> {
     let mut model = Reconstruction::default();
     for name in camera_files(dir)? {

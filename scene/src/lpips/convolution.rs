@@ -21,8 +21,8 @@ pub(crate) struct Convolution {
 const PATCH_VALUES: usize = 8 << 20;
 
 impl Convolution {
-    /// `max(0, W * x + b)`, zeros outside the image. Patches are unfolded a band of rows at a time, so that each
-    /// band is one matrix product [out × in·k²] · [in·k² × pixels].
+    /// `max(0, W * x + b)`, zeros outside the image. Patches are unfolded a band of rows at a time,
+    /// so that each band is one matrix product [out × in·k²] · [in·k² × pixels].
     pub(crate) fn apply(&self, x: &Maps) -> Maps {
         let size = |n: usize| (n + 2 * self.padding - self.kernel) / self.stride + 1;
         let (height, width) = (size(x.height), size(x.width));
@@ -53,7 +53,8 @@ impl Convolution {
         for (row, bias) in out.chunks_exact_mut(pixels).zip(&self.bias) {
             row.fill(*bias);
         }
-        // SAFETY: the three matrices are row-major and exactly as large as the sizes and strides say.
+        // SAFETY: the three matrices are row-major and exactly as large as the sizes and strides
+        // say.
         unsafe {
             matrixmultiply::sgemm(
                 outputs,

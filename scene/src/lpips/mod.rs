@@ -1,9 +1,9 @@
 //! LPIPS: the distance of two images in the features of a classification network.
 //!
-//! Zhang, Isola, Efros, Shechtman, Wang, "The Unreasonable Effectiveness of Deep Features as a Perceptual Metric",
-//! CVPR 2018, version 0.1 of its linear layers. The weights are the user's: a `.safetensors` file with the backbone
-//! under torchvision's names (`features.0.weight`, …) and the linear layers under those of the `lpips` package
-//! (`lin0.model.1.weight`, …).
+//! Zhang, Isola, Efros, Shechtman, Wang, "The Unreasonable Effectiveness of Deep Features as a
+//! Perceptual Metric", CVPR 2018, version 0.1 of its linear layers. The weights are the user's: a
+//! `.safetensors` file with the backbone under torchvision's names (`features.0.weight`, …) and the
+//! linear layers under those of the `lpips` package (`lin0.model.1.weight`, …).
 
 mod convolution;
 mod network;
@@ -31,9 +31,9 @@ pub(crate) struct Maps {
 impl Lpips {
     /// The distance of two images of the same size: 0 for equal ones, about 1 for unrelated ones.
     ///
-    /// Per layer, the squared differences of unit-length features are weighted and averaged over the image; the
-    /// layers are added. With a mask, each layer is averaged with the share of kept pixels (≥ 128) that fall into
-    /// each of its cells as weight.
+    /// Per layer, the squared differences of unit-length features are weighted and averaged over
+    /// the image; the layers are added. With a mask, each layer is averaged with the share of kept
+    /// pixels (≥ 128) that fall into each of its cells as weight.
     pub fn distance(
         &self,
         a: &RgbImage,
@@ -62,7 +62,8 @@ fn normalised(image: &RgbImage) -> Maps {
     Maps { data, channels: 3, height, width }
 }
 
-/// Weighted mean over the cells of `Σ_c w_c (â_c − b̂_c)²`, features scaled to unit length over the channels.
+/// Weighted mean over the cells of `Σ_c w_c (â_c − b̂_c)²`, features scaled to unit length over the
+/// channels.
 fn layer_distance(a: &Maps, b: &Maps, weights: &[f32], mask: Option<&GrayImage>) -> f64 {
     let cells = a.width * a.height;
     let inverse_length = |m: &Maps| -> Vec<f32> {

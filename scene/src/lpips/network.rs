@@ -16,7 +16,8 @@ pub enum Backbone {
     Vgg,
 }
 
-/// A convolution as torchvision numbers it, `(index, out, in, kernel, stride, padding)`, or a pooling.
+/// A convolution as torchvision numbers it, `(index, out, in, kernel, stride, padding)`, or a
+/// pooling.
 enum Layer {
     Conv(usize, usize, usize, usize, usize, usize),
     /// Window and stride.

@@ -6,8 +6,8 @@ use crate::{FrameSet, Pose, Reconstruction};
 /// Camera centres farther from their circle than this go round nothing, radii.
 /// Source: chosen by hand, never measured.
 const MAX_MISFIT: f64 = 0.1;
-/// A gap of an eighth of a rotation is wide: surfaces that face it are seen at a grazing angle only,
-/// degrees. Source: derived, incidence beyond 90° − 45°/2 from the nearest camera.
+/// A gap of an eighth of a rotation is wide: surfaces that face it are seen at a grazing angle
+/// only, degrees. Source: derived, incidence beyond 90° − 45°/2 from the nearest camera.
 const WIDE_GAP_DEG: f64 = 45.0;
 /// A gap is wide beyond this many steps, too. Source: chosen by hand, never measured.
 const WIDE_GAP_STEPS: f64 = 4.0;
@@ -49,7 +49,8 @@ pub struct RingClosure {
 }
 
 impl RingSequence {
-    /// The circle of the cameras that have a pose; `None` where they stand on none (see [`Ring::fit`]).
+    /// The circle of the cameras that have a pose; `None` where they stand on none (see
+    /// [`Ring::fit`]).
     pub fn of(model: &Reconstruction, frames: &FrameSet) -> Option<Self> {
         let placed = frames.frames.iter().enumerate();
         let found: Vec<(f64, &str, Pose)> = placed

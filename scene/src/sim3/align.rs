@@ -1,14 +1,15 @@
-//! Similarities that fit point pairs: least squares, and least trimmed squares where some pairs are wrong.
+//! Similarities that fit point pairs: least squares, and least trimmed squares where some pairs are
+//! wrong.
 
 use super::{Sim3, nearest_rotation};
 use crate::rng::rng;
 use glam::{DMat3, DVec3};
 use rand::seq::index::sample;
 
-/// The similarity with the least `Σ |target − (s R source + t)|²`. S. Umeyama, "Least-squares estimation of
-/// transformation parameters between two point patterns", PAMI 13(4), 1991 (the rotation by Horn's equivalent
-/// quaternion form). `None` for fewer than 3 pairs and where all source points coincide; for points on one
-/// line the rotation about it is arbitrary.
+/// The similarity with the least `Σ |target − (s R source + t)|²`. S. Umeyama, "Least-squares
+/// estimation of transformation parameters between two point patterns", PAMI 13(4), 1991 (the
+/// rotation by Horn's equivalent quaternion form). `None` for fewer than 3 pairs and where all
+/// source points coincide; for points on one line the rotation about it is arbitrary.
 pub fn umeyama(source: &[DVec3], target: &[DVec3]) -> Option<Sim3> {
     let n = source.len();
     if n < 3 || n != target.len() {
@@ -41,9 +42,10 @@ const STEPS: usize = 30;
 
 /// The similarity that fits three quarters of the pairs best, and which pairs it rests on.
 ///
-/// Least trimmed squares (Rousseeuw and Van Driessen 2006): [`umeyama`] of all pairs and of 500 random triples,
-/// each followed by concentration steps on the best 75 %; the winner is fitted once more to all pairs within
-/// three robust standard deviations. Repeatable. `None` as for [`umeyama`].
+/// Least trimmed squares (Rousseeuw and Van Driessen 2006): [`umeyama`] of all pairs and of 500
+/// random triples, each followed by concentration steps on the best 75 %; the winner is fitted once
+/// more to all pairs within three robust standard deviations. Repeatable. `None` as for
+/// [`umeyama`].
 pub fn robust_alignment(source: &[DVec3], target: &[DVec3]) -> Option<(Sim3, Vec<bool>)> {
     let n = source.len();
     if n < 3 || n != target.len() {

@@ -7,8 +7,8 @@ use glam::{DQuat, DVec3};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 
-/// Thresholds of [`PoseErrors::auc`], degrees. Source: Jin et al., IJCV 2021 (5, 10), with 1 and 3 for what is
-/// more exact.
+/// Thresholds of [`PoseErrors::auc`], degrees. Source: Jin et al., IJCV 2021 (5, 10), with 1 and 3
+/// for what is more exact.
 pub const AUC_THRESHOLDS_DEG: [f64; 4] = [1.0, 3.0, 5.0, 10.0];
 
 /// Median, mean and maximum.
@@ -52,9 +52,10 @@ pub struct PoseErrors {
     pub registered: usize,
     /// Images of the ground truth.
     pub total: usize,
-    /// Area under the curve of recall against error up to 1, 3, 5 and 10°, percent. The error of a pair of
-    /// images is the larger of the angle between relative rotations and the angle between relative translation
-    /// directions; a pair with an unregistered image fails. `None` for fewer than two images.
+    /// Area under the curve of recall against error up to 1, 3, 5 and 10°, percent. The error of a
+    /// pair of images is the larger of the angle between relative rotations and the angle between
+    /// relative translation directions; a pair with an unregistered image fails. `None` for fewer
+    /// than two images.
     pub auc: Option<[f64; 4]>,
     /// Angle between estimated and true rotation after alignment, degrees, registered images.
     pub rotation_deg: Option<ErrorStatistics>,
@@ -64,15 +65,16 @@ pub struct PoseErrors {
     pub extent: f64,
     /// Units of the ground truth a unit of the model.
     pub scale: Option<f64>,
-    /// Median over registered images of 100 (f / f_true − 1), f the mean of fx and fy, rescaled where the image
-    /// widths differ.
+    /// Median over registered images of 100 (f / f_true − 1), f the mean of fx and fy, rescaled
+    /// where the image widths differ.
     pub focal_err_pct: Option<f64>,
     /// The registered images, by name; empty where no alignment exists (fewer than 3 images).
     pub images: Vec<ImageError>,
 }
 
-/// Compares the poses of a model with ground truth: the definitions of the project's `compare_poses.py`.
-/// Images are matched by file name without folder, and where that finds nothing without extension too.
+/// Compares the poses of a model with ground truth: the definitions of the project's
+/// `compare_poses.py`. Images are matched by file name without folder, and where that finds nothing
+/// without extension too.
 pub fn compare_poses(model: &Reconstruction, truth: &Reconstruction) -> PoseErrors {
     let names = Names::new(model);
     let mut wanted: Vec<&PosedImage> = truth.images.values().collect();
@@ -161,8 +163,8 @@ fn auc(pairs: &[(Option<&PosedImage>, &PosedImage)], extent: f64) -> Option<[f64
     (count > 0.0).then(|| sums.map(|s| 100.0 * s / count))
 }
 
-/// The larger of the relative rotation's and the relative translation direction's error. Where the true centres
-/// coincide only the rotation counts; coinciding estimated centres are 180° off.
+/// The larger of the relative rotation's and the relative translation direction's error. Where the
+/// true centres coincide only the rotation counts; coinciding estimated centres are 180° off.
 fn pair_error_deg(estimated: [&PosedImage; 2], truth: [&PosedImage; 2], extent: f64) -> f64 {
     let relative = |[a, b]: [&PosedImage; 2]| -> (DQuat, DVec3) {
         let baseline = a.pose.rotation * (b.pose.centre() - a.pose.centre());

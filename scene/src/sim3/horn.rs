@@ -2,10 +2,10 @@
 
 use glam::{DMat3, DQuat};
 
-/// The rotation R that maximises `tr(Rᵀ M)`: the one nearest to `M` (and to any multiple `s M`, s > 0) in the
-/// Frobenius norm. B. K. P. Horn, "Closed-form solution of absolute orientation using unit quaternions",
-/// JOSA A 4(4), 1987: the eigenvector of the largest eigenvalue of a symmetric 4×4 matrix. Never a reflection.
-/// The identity where `M` is zero or not finite.
+/// The rotation R that maximises `tr(Rᵀ M)`: the one nearest to `M` (and to any multiple `s M`, s >
+/// 0) in the Frobenius norm. B. K. P. Horn, "Closed-form solution of absolute orientation using
+/// unit quaternions", JOSA A 4(4), 1987: the eigenvector of the largest eigenvalue of a symmetric
+/// 4×4 matrix. Never a reflection. The identity where `M` is zero or not finite.
 pub fn nearest_rotation(m: DMat3) -> DQuat {
     let size = m.to_cols_array().iter().fold(0.0_f64, |a, v| a.max(v.abs()));
     if size <= 0.0 || !m.is_finite() {

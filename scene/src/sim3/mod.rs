@@ -49,7 +49,8 @@ impl Sim3 {
         }
     }
 
-    /// The same camera when the world is moved: `cam_from_target` (in target units) of `cam_from_source`.
+    /// The same camera when the world is moved: `cam_from_target` (in target units) of
+    /// `cam_from_source`.
     pub fn transform_pose(&self, cam_from_source: &Pose) -> Pose {
         let rotation = cam_from_source.rotation * self.rotation.conjugate();
         Pose::from_centre(rotation, self.transform(cam_from_source.centre()))

@@ -1,5 +1,5 @@
-//! Exact synthetic scenes for tests and benches: points and keypoints with known correspondences, and a small
-//! ray-traced object with real pixels.
+//! Exact synthetic scenes for tests and benches: points and keypoints with known correspondences,
+//! and a small ray-traced object with real pixels.
 
 mod photos;
 mod points;
@@ -27,14 +27,16 @@ pub(crate) fn direction(r: &mut Rng) -> DVec3 {
     DVec3::new(s * angle.cos(), s * angle.sin(), z)
 }
 
-/// Pose of a camera on a circle about the z axis, looking at the origin: `azimuth` and `elevation` in radians.
+/// Pose of a camera on a circle about the z axis, looking at the origin: `azimuth` and `elevation`
+/// in radians.
 pub fn orbit_pose(azimuth: f64, elevation: f64, distance: f64) -> Pose {
     let (s, c) = azimuth.sin_cos();
     let eye = DVec3::new(c * elevation.cos(), s * elevation.cos(), elevation.sin()) * distance;
     Pose::look_at(eye, DVec3::ZERO, DVec3::Z)
 }
 
-/// The camera all synthetic scenes share: focal length 1.2 image widths, principal point at the centre.
+/// The camera all synthetic scenes share: focal length 1.2 image widths, principal point at the
+/// centre.
 pub fn default_camera(model: CameraModel, width: u32, height: u32) -> Camera {
     Camera::centred(1, model, width, height, 1.2 * f64::from(width.max(height)))
 }

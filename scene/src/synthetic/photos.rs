@@ -7,22 +7,25 @@ use glam::{DVec2, DVec3};
 use image::{GrayImage, Luma, Rgb, RgbImage};
 use rayon::prelude::*;
 
-/// Half sides of the object, scene units: a block whose corners a sphere cuts off. Source: chosen by hand, never measured.
+/// Half sides of the object, scene units: a block whose corners a sphere cuts off. Source: chosen
+/// by hand, never measured.
 const HALF: DVec3 = DVec3::new(0.9, 0.65, 0.5);
 /// Radius of that sphere, scene units. Source: chosen by hand, never measured.
 const CORNER_RADIUS: f64 = 1.05;
-/// The ground is a disc of this radius under the object, scene units. Source: chosen by hand, never measured.
+/// The ground is a disc of this radius under the object, scene units. Source: chosen by hand, never
+/// measured.
 const GROUND_RADIUS: f64 = 2.5;
 /// Samples along each side of a pixel. Source: chosen by hand, never measured.
 const SAMPLES: usize = 2;
 
-/// The object, with or without its ground. The texture is solid and dull (no highlights), so pixels of one
-/// surface point look alike in all views.
+/// The object, with or without its ground. The texture is solid and dull (no highlights), so pixels
+/// of one surface point look alike in all views.
 #[derive(Clone, Debug, PartialEq)]
 pub struct TexturedScene {
     /// Scene units a unit of the object (its radius is about 1).
     pub unit: f64,
-    /// Whether it stands on a textured disc; otherwise nothing but the object is before the background.
+    /// Whether it stands on a textured disc; otherwise nothing but the object is before the
+    /// background.
     pub ground: bool,
     /// Colour where no ray hits, sRGB.
     pub background: [u8; 3],
@@ -153,8 +156,8 @@ fn linear(v: f64) -> f64 {
     if v <= 0.040_45 { v / 12.92 } else { ((v + 0.055) / 1.055).powf(2.4) }
 }
 
-/// `n` photos from a circle, `step_deg` apart, 25° above the ground and 4 units away, with the true cameras
-/// (images `view_000.png` …, in the order of the photos; no points).
+/// `n` photos from a circle, `step_deg` apart, 25° above the ground and 4 units away, with the true
+/// cameras (images `view_000.png` …, in the order of the photos; no points).
 pub fn photo_ring(
     scene: &TexturedScene,
     camera: &Camera,

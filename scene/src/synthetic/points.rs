@@ -27,7 +27,8 @@ pub enum CameraPath {
     Ring,
     /// Evenly on a part of the circle, this many degrees from first to last.
     Arc(f64),
-    /// Anywhere on the sphere (for [`SceneShape::Plane`]: its upper part), distances varying by 30 %.
+    /// Anywhere on the sphere (for [`SceneShape::Plane`]: its upper part), distances varying by 30
+    /// %.
     Random,
 }
 
@@ -79,10 +80,12 @@ impl Default for SyntheticOptions {
 /// A scene of which everything is known.
 #[derive(Clone, Debug)]
 pub struct SyntheticScene {
-    /// True cameras, poses and points (those with two true observations or more). Observations are the keypoints
-    /// of `features`, unrounded, in the same order; outliers and clutter observe no point.
+    /// True cameras, poses and points (those with two true observations or more). Observations are
+    /// the keypoints of `features`, unrounded, in the same order; outliers and clutter observe no
+    /// point.
     pub truth: Reconstruction,
-    /// By image, in the order of `truth.images`. Descriptors are random a point and vary a little an observation.
+    /// By image, in the order of `truth.images`. Descriptors are random a point and vary a little
+    /// an observation.
     pub features: Vec<Features>,
     /// For every image and keypoint: the point it claims to see (outliers claim wrongly).
     pub claims: Vec<Vec<Option<u64>>>,
@@ -233,7 +236,8 @@ fn see(
     observations
 }
 
-/// Keypoints with descriptors: 128 bytes a point, a few units of noise an observation; clutter has its own.
+/// Keypoints with descriptors: 128 bytes a point, a few units of noise an observation; clutter has
+/// its own.
 fn features_of(observations: &[SyntheticObservation], seed: u64, image: u32) -> Features {
     let mut features = Features::default();
     for (k, s) in observations.iter().enumerate() {

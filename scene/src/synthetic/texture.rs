@@ -28,8 +28,8 @@ fn noise(x: DVec3, seed: u32) -> f64 {
     mix(mix(edge(0, 0), edge(1, 0), w.y), mix(edge(0, 1), edge(1, 1), w.y), w.z)
 }
 
-/// Linear colour in [0, 1] at a point of the surface: six octaves of noise (cells of 1/2 to 1/64 unit) for the
-/// brightness, slow ones for the hue.
+/// Linear colour in [0, 1] at a point of the surface: six octaves of noise (cells of 1/2 to 1/64
+/// unit) for the brightness, slow ones for the hue.
 pub(super) fn colour(x: DVec3, seed: u32) -> DVec3 {
     let mut brightness = 0.0;
     let (mut frequency, mut amplitude, mut total) = (2.0, 1.0, 0.0);

@@ -3,8 +3,8 @@
 
 use std::path::{Path, PathBuf};
 
-/// A path below the shared data folder (`$SAT_RECON_SHARED/data` or `../shared/data` beside the repository).
-/// Where it is missing the test is skipped aloud, or fails in CI.
+/// A path below the shared data folder (`$SAT_RECON_SHARED/data` or `../shared/data` beside the
+/// repository). Where it is missing the test is skipped aloud, or fails in CI.
 pub fn shared(sub: &str) -> Option<PathBuf> {
     let root = std::env::var_os("SAT_RECON_SHARED")
         .map_or_else(|| Path::new(env!("CARGO_MANIFEST_DIR")).join("../../shared"), PathBuf::from);

@@ -75,7 +75,7 @@ mod ffi {
 
     /// A motion about one axis: a bundle adjustment whose poses are `D_i (R Z(θ_i) X + t)`. P frames.
     #[derive(Clone, Debug, Default)]
-    pub struct TurnInput {
+    pub struct CircularInput {
         /// Cameras, points, observations and options; its `pose_held` is not used.
         pub bundle: BundleInput,
         /// Whether R and t are held.
@@ -126,7 +126,7 @@ mod ffi {
 
     unsafe extern "C++" {
         include!("bundle.h");
-        include!("turn.h");
+        include!("circular.h");
         include!("position.h");
         fn solve_positions(
             input: &PositionInput,
@@ -150,8 +150,8 @@ mod ffi {
             pose_covariance: &mut [f64],
             camera_covariance: &mut [f64],
         ) -> Result<bool>;
-        fn solve_turn(
-            input: &TurnInput,
+        fn solve_circular(
+            input: &CircularInput,
             intrinsics: &mut [f64],
             axis: &mut [f64],
             angles: &mut [f64],
@@ -160,14 +160,14 @@ mod ffi {
             monitor: &Monitor<'_>,
         ) -> Result<BundleOutcome>;
         #[allow(clippy::too_many_arguments)]
-        fn turn_covariance(
-            input: &TurnInput,
+        fn circular_covariance(
+            input: &CircularInput,
             intrinsics: &[f64],
             axis: &[f64],
             angles: &[f64],
             offsets: &[f64],
             points: &[f64],
-            turn_covariance: &mut [f64],
+            circular_covariance: &mut [f64],
             camera_covariance: &mut [f64],
         ) -> Result<bool>;
         fn camera_information(
@@ -180,9 +180,9 @@ mod ffi {
     }
 }
 
-pub(crate) mod turn;
+pub(crate) mod circular;
 
-pub(crate) use ffi::{BundleInput, BundleOutcome, PositionInput, TurnInput};
+pub(crate) use ffi::{BundleInput, BundleOutcome, CircularInput, PositionInput};
 
 /// Camera centres [P × 3] and points [N × 3] that agree with the bearings, from any start; both hold the result.
 /// `false` where it is of no use.

@@ -1,19 +1,18 @@
-//! What is known of the axis' direction: the camera's elevation where a user measured it or the room shows it, and how well it was found.
+//! What is known of the axis' direction: the camera's elevation, where a user measured it or the
+//! room shows it.
 
-use super::model::{AxisModel, CircularContext};
-use super::motion::{CircularMotion, wrap_angle};
-use super::problem::{CircularCovariance, ElevationPrior};
-use crate::SfmError;
-use crate::model_selection::camera::{FreeIntrinsics, PRINCIPAL_POINT_SIGMA};
+use super::motion::CircularMotion;
+use super::problem::ElevationPrior;
 use glam::DVec3;
-use scene::decision::{Choice, Decision, Measurement, Quantity, Remark, Rule, Subject};
+use scene::decision::{Measurement, Remark};
 
-/// Standard deviation of an elevation that somebody measured (a spirit level, a phone's inclinometer), radians.
+/// Standard deviation of an elevation that somebody measured (a spirit level, a phone's
+/// inclinometer), radians.
+/// Source: decision 0007, 0.1 degrees is believed.
 const ELEVATION_SIGMA: f64 = 0.1 * std::f64::consts::PI / 180.0;
-/// It is held to a part of that: observations of a point err together, and say too much (`smoothness`).
+/// It is held to a part of that, for observations of a point err together and say too much.
+/// Source: decision 0007, the observations pulled it by 0.15 degrees.
 const FIRMNESS: f64 = 6.0;
-/// An elevation is doubtful that leads so many standard deviations away from what is usual.
-const DOUBTFUL: f64 = 3.0;
 
 /// How the camera looks down on the plane of the turn, from elsewhere than the turn.
 #[derive(Clone, Debug, PartialEq)]
@@ -55,75 +54,4 @@ impl Elevation {
 /// Angle by which the camera looks down on the plane of the turn, radians.
 pub(crate) fn elevation(turn: &CircularMotion) -> f64 {
     -(turn.direction().z * turn.upward()).clamp(-1.0, 1.0).asin()
-}
-
-/// What is to be said of the axis, and of an elevation that was given. `factor`: on the standard deviations, for the noise
-/// of single observations is too small.
-pub(crate) fn decisions(
-    model: &AxisModel,
-    context: &CircularContext<'_>,
-    intrinsics: FreeIntrinsics,
-    covariance: &CircularCovariance,
-    factor: f64,
-) -> Result<Vec<Decision>, SfmError> {
-    let [sideways, mut towards] =
-        with_principal_point(model, context, intrinsics)?.unwrap_or(covariance.axis);
-    if let Some(elevation) = &model.elevation {
-        towards = towards.max(elevation.sigma / factor);
-    }
-    let z = model.turn.direction();
-    let angles: Vec<f64> = model.turn.angles.iter().flatten().copied().collect();
-    let steps: Vec<f64> = angles.windows(2).map(|w| wrap_angle(w[1] - w[0]).to_degrees()).collect();
-    let mean = steps.iter().sum::<f64>() / steps.len().max(1) as f64;
-    let spread = steps.iter().map(|s| (s - mean).powi(2)).sum::<f64>() / steps.len().max(1) as f64;
-    let worst = covariance.angles.iter().copied().fold(0.0, f64::max).to_degrees();
-    let axis = Decision::new(Subject::RotationAxis, Choice::Direction(z.to_array()), Rule::Evidence)
-        .with_all([
-            Measurement::new(Quantity::AxisTiltSideways, factor * sideways.to_degrees()),
-            Measurement::new(Quantity::AxisTiltTowards, factor * towards.to_degrees()),
-            Measurement::new(Quantity::AngleDeviation, worst),
-            Measurement::estimate(Quantity::AngularStep, mean, spread.sqrt()),
-            Measurement::count(Quantity::RegisteredImages, angles.len()),
-        ]);
-    let given = model.elevation.as_ref().or(context.elevation.as_ref());
-    let given = given.map(|given| elevation_decision(model, given, context.known[0].fixed));
-    Ok(std::iter::once(axis).chain(given).collect())
-}
-
-/// Standard deviations of the axis' direction where the principal point is no better known than the observations and its prior say;
-/// `None` where it was solved for or is known. Held at the centre it would seem exact, and the axis with it.
-fn with_principal_point(
-    model: &AxisModel,
-    context: &CircularContext<'_>,
-    intrinsics: FreeIntrinsics,
-) -> Result<Option<[f64; 2]>, SfmError> {
-    let whole = FreeIntrinsics { principal_point: true, held: None, ..intrinsics };
-    if context.known[0].fixed || whole == intrinsics {
-        return Ok(None);
-    }
-    Ok(model.covariance(context, whole)?.map(|(.., covariance)| covariance.axis))
-}
-
-fn elevation_decision(model: &AxisModel, given: &Elevation, known: bool) -> Decision {
-    let found = elevation(&model.turn);
-    let camera = &model.state.cameras[0];
-    let (width, height) = (f64::from(camera.width), f64::from(camera.height));
-    let off = camera.principal_point() - glam::DVec2::new(width, height) / 2.0;
-    let usual = DOUBTFUL * PRINCIPAL_POINT_SIGMA * width.max(height);
-    let far = off.length() > usual || (found - given.angle).abs() > DOUBTFUL * given.sigma;
-    let rule = if model.elevation.is_none() && !known { Rule::Contradicted } else { Rule::Evidence };
-    let choice = Measurement::new(Quantity::Elevation, found.to_degrees());
-    let mut decision = Decision::new(Subject::CameraElevation, choice, rule).remarked(given.source);
-    match (&model.elevation, known) {
-        (None, true) => decision.remarks.push(Remark::KnownCamera),
-        (None, false) => decision.remarks.push(given.doubt),
-        (Some(_), _) if far => decision.remarks.push(given.doubt),
-        (Some(_), _) => {}
-    }
-    let (angle, sigma) = (given.angle.to_degrees(), given.sigma.to_degrees());
-    decision
-        .estimated(Quantity::GivenElevation, angle, sigma)
-        .with_all(given.figures.iter().copied())
-        .measured(Quantity::PrincipalPointOffset, off.length())
-        .measured(Quantity::UsualOffset, usual)
 }

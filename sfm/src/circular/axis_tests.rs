@@ -1,11 +1,17 @@
 //! A measured elevation of the camera, believed and doubted.
 
-use super::axis::{decisions, elevation};
+use super::axis::elevation;
+use super::axis_report::decisions;
+use super::config::MotionConfig;
 use super::initialize::key_frames::VideoTracks;
+use super::limits::FINAL_ROUNDS;
+use super::solution::ChosenModel;
 use super::tests::{Filmed, Turntable};
-use super::*;
+use scene::decision::{Decision, Quantity, Remark, Rule};
+use scene::{Camera, CameraModel};
 
-/// Pixels by which the principal point of the films is off the centre, along the axis: half a degree.
+/// Pixels by which the principal point of the films is off the centre, along the axis: half a
+/// degree.
 const OFF_PX: f64 = 7.0;
 
 /// A film of a turn whose camera has its principal point off the centre, with lens distortion `k`.
@@ -34,8 +40,8 @@ fn solved_with(table: &Turntable, given: Option<f64>, noise_px: f64) -> (f64, Ve
     let starts = grown.state.cameras.clone();
     let job = filmed.job(&input, &starts);
     let context = job.context(&[]);
-    let (model, intrinsics, _) =
-        adjust_and_choose(&context, &job, &starts, grown.turn, ROUNDS).unwrap().unwrap();
+    let solved = ChosenModel::adjust(&context, &job, &starts, grown.turn, FINAL_ROUNDS);
+    let ChosenModel { model, intrinsics, .. } = solved.unwrap().unwrap();
     let (.., covariance) = model.covariance(&context, intrinsics).unwrap().unwrap();
     let said = decisions(&model, &context, intrinsics, &covariance, 1.0).unwrap();
     let tilt = model.turn.direction().cross(table.turn.direction()).length().asin();
@@ -89,8 +95,9 @@ fn an_elevation_is_not_used_where_the_camera_is_known() {
     let video = filmed.video();
     let input = video.input(&material);
     let job = filmed.job(&input, &filmed.cameras);
-    let solved = adjust_and_choose(&job.context(&[]), &job, &filmed.cameras, table.turn.clone(), ROUNDS);
-    let (model, ..) = solved.unwrap().unwrap();
+    let turn = table.turn.clone();
+    let solved = ChosenModel::adjust(&job.context(&[]), &job, &filmed.cameras, turn, FINAL_ROUNDS);
+    let model = solved.unwrap().unwrap().model;
     assert!(model.elevation.is_none());
     let tilt = model.turn.direction().cross(table.turn.direction()).length().to_degrees();
     assert!(tilt < 0.05, "{tilt}°");

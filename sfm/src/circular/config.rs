@@ -43,8 +43,9 @@ pub struct MotionConfig {
     /// Distance of the camera from the axis, where it is known: the model is in metres then
     #[arg(long, value_name = "METRES", help_heading = "Motion")]
     pub known_distance: Option<f64>,
-    /// Angle by which the camera looks down on the plane in which the object turns (0: level), where it was measured, to about a tenth of a degree:
-    /// says where the principal point is along the axis, which a turn does not
+    /// Angle by which the camera looks down on the plane in which the object turns (0: level),
+    /// where it was measured, to about a tenth of a degree: says where the principal point is along
+    /// the axis, which a turn does not
     #[arg(long, value_name = "DEG", allow_negative_numbers = true, help_heading = "Motion")]
     pub known_elevation: Option<f64>,
 }
@@ -52,12 +53,12 @@ pub struct MotionConfig {
 impl MotionConfig {
     /// Refuses what cannot be meant.
     pub fn validate(&self) -> Result<(), SfmError> {
-        let bad = |flag: &'static str, value: f64| Err(SfmError::BadNumber { flag, value });
-        match (self.known_rate, self.known_distance, self.known_elevation) {
-            (Some(rate), ..) if !(rate.is_finite() && rate != 0.0) => bad("--known-rate", rate),
-            (_, Some(d), _) if !(d.is_finite() && d > 0.0) => bad("--known-distance", d),
-            (.., Some(e)) if !(e.is_finite() && e.abs() < 90.0) => bad("--known-elevation", e),
-            _ => Ok(()),
-        }
+        let (flag, value) = match (self.known_rate, self.known_distance, self.known_elevation) {
+            (Some(rate), ..) if !(rate.is_finite() && rate != 0.0) => ("--known-rate", rate),
+            (_, Some(d), _) if !(d.is_finite() && d > 0.0) => ("--known-distance", d),
+            (.., Some(e)) if !(e.is_finite() && e.abs() < 90.0) => ("--known-elevation", e),
+            _ => return Ok(()),
+        };
+        Err(SfmError::BadNumber { flag, value })
     }
 }

@@ -1,7 +1,7 @@
 //! Exact turns at the ends of what is filmed: other senses, axes, rates and lengths.
 
+use super::motion::CircularMotion;
 use super::tests::{Turntable, favours_single, problem, solve, solve_from};
-use super::*;
 use crate::bundle::{SolveOptions, free_parameters};
 use glam::DVec3;
 
@@ -82,8 +82,9 @@ fn the_unit_of_the_scene_does_not_matter() {
     }
 }
 
-/// Standard deviation of the principal point along an axis that is vertical in the image, for noise of one pixel, with all
-/// intrinsics free and lens distortion `k`; infinite where it is not determined.
+/// Standard deviation of the principal point along an axis that is vertical in the image, for noise
+/// of one pixel, with all intrinsics free and lens distortion `k`; infinite where it is not
+/// determined.
 fn deviation_along(k: f64, sideways: f64) -> f64 {
     let mut table = table(DVec3::new(0.0, -1.0, -0.3), DVec3::new(sideways, 0.0, 4.0), steady(36, 10.0), 9);
     table.camera.params[3] = k;

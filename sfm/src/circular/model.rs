@@ -1,8 +1,9 @@
-//! A growing model whose poses are a turn: triangulated, adjusted and filtered under the constraint.
+//! A growing model whose poses are a turn: triangulated, adjusted and filtered under the
+//! constraint.
 
 use super::axis::Elevation;
-use super::jumps::not_jumping;
 use super::motion::CircularMotion;
+use super::prior::AnglePrior;
 use super::problem::{CircularCovariance, CircularProblem, Relation};
 use crate::bundle::{BundleProblem, RobustLoss, SolveOptions};
 use crate::incremental::adjust::{Adjustment, Selected, plausible, select, take};
@@ -14,17 +15,22 @@ use crate::statistics::median;
 use crate::{Knowledge, SfmError};
 use scene::{Camera, Progress};
 
-/// Points an image contributes while the model settles.
+/// Points that an image contributes while the model settles.
+/// Source: chosen by hand, never measured.
 const POINTS_PER_IMAGE: usize = 150;
-/// Iterations times observations of an adjustment of all points. What many observations leave to be done after three iterations is in single
-/// points, which settle alone before each.
+/// Points that an image contributes to a first look.
+/// Source: chosen by hand, never measured.
+const ROUGH_POINTS: usize = 50;
+/// Iterations times observations of an adjustment of all points: what is left after three
+/// iterations on many observations is in single points, which settle alone before each.
+/// Source: decision 0018; ten times as much changed nothing.
 const EFFORT: usize = 400_000;
-/// Relative decrease of the cost at which it ends before.
+/// Relative decrease of the cost at which such an adjustment ends.
+/// Source: chosen by hand, never measured.
 const SETTLED: f64 = 1e-6;
-/// Observations farther off than so many standard deviations of the noise are dropped at the end.
+/// Residuals beyond this are dropped at the end (but none below a pixel), standard deviations.
+/// Source: chosen by hand, never measured.
 const FINAL_SIGMAS: f64 = 8.0;
-/// They are never held to less than this, pixels.
-const FINAL_LEAST_PX: f64 = 1.0;
 
 /// A model under the constraint.
 #[derive(Clone, Debug)]
@@ -38,6 +44,7 @@ pub(crate) struct AxisModel {
 }
 
 /// What stays the same while a model is adjusted.
+#[derive(Clone)]
 pub(crate) struct CircularContext<'a> {
     /// Keypoints and tracks.
     pub input: &'a MappingInput<'a>,
@@ -45,41 +52,21 @@ pub(crate) struct CircularContext<'a> {
     pub known: &'a [Knowledge],
     /// The cameras that priors refer to.
     pub starts: &'a [Camera],
-    /// What is known of the angles, by frame.
-    pub relations: &'a [Relation],
+    /// What is known of the angles beside the observations.
+    pub priors: &'a [AnglePrior<'a>],
     /// How the camera looks down on the plane of the turn, where a user measured it.
     pub elevation: Option<Elevation>,
-    /// What a whole turn says of them beside the observations.
-    pub closing: Option<Relation>,
-    /// When each frame of a video was taken: until more is known of the angles, they are taken not to jump. Empty otherwise.
-    pub times: &'a [f64],
-    /// For each frame how many of its keypoints, the first ones, are features; the others are followed points, which
-    /// are measured otherwise. Empty where all are features.
+    /// For each frame how many of its keypoints, the first ones, are features; the others are
+    /// followed points, which are measured otherwise. Empty where all are features.
     pub features: &'a [usize],
     /// Says how far it is, and when to stop.
     pub progress: &'a Progress,
 }
 
-impl<'a> CircularContext<'a> {
-    /// What is there before anything is known of the motion.
-    pub fn plain(
-        input: &'a MappingInput<'a>,
-        known: &'a [Knowledge],
-        starts: &'a [Camera],
-        times: &'a [f64],
-        progress: &'a Progress,
-    ) -> Self {
-        Self {
-            input,
-            known,
-            starts,
-            relations: &[],
-            elevation: None,
-            closing: None,
-            times,
-            features: &[],
-            progress,
-        }
+impl CircularContext<'_> {
+    /// Whether a keypoint (frame, number) is a followed point and no feature.
+    fn is_followed(&self, [frame, number]: [u32; 2]) -> bool {
+        self.features.get(frame as usize).is_some_and(|&n| number as usize >= n)
     }
 }
 
@@ -102,15 +89,8 @@ impl AxisModel {
         let angles = selected.images.iter().map(|&i| self.turn.angles[i].unwrap_or(0.0)).collect();
         let bundle = std::mem::take(&mut selected.problem);
         let mut problem = CircularProblem::new(bundle, self.turn.axis, angles);
-        let place = |frame: u32| selected.images.binary_search(&(frame as usize)).ok().map(|i| i as u32);
-        let unknown = context.relations.is_empty();
-        let believed = if unknown { not_jumping(&self.turn.angles, context.times) } else { Vec::new() };
-        for r in context.relations.iter().chain(&believed).chain(&context.closing) {
-            let frames = r.frames.map(|f| f.and_then(place));
-            if frames.iter().flatten().count() == r.frames.iter().flatten().count() {
-                problem.relations.push(Relation { frames, ..*r });
-            }
-        }
+        let relations = context.priors.iter().flat_map(|p| p.relations(&self.turn.angles));
+        problem.relations.extend(relations.filter_map(|r| renumbered(&r, &selected.images)));
         problem.levels.extend(self.elevation.as_ref().map(|e| e.level(&self.turn)));
         (problem, selected)
     }
@@ -125,14 +105,19 @@ impl AxisModel {
         take(&mut self.state, &selected);
     }
 
-    /// Adjusts, filters and triangulates a few times; robustly, with focal length and distortion free. `false` where
-    /// it ends in nonsense.
+    /// Adjusts, filters and triangulates a few times; robustly, with focal length and distortion
+    /// free. `false` where it ends in nonsense.
     pub fn settle(&mut self, context: &CircularContext<'_>, rounds: usize) -> Result<bool, SfmError> {
         self.settle_with(context, rounds, POINTS_PER_IMAGE, self.state.registered_count())
     }
 
-    /// [`AxisModel::settle`] with so many points an image; `images` stands for how many images the general solver
-    /// would need to free as much of the intrinsics.
+    /// One round with few points.
+    pub fn settle_rough(&mut self, context: &CircularContext<'_>, images: usize) -> Result<bool, SfmError> {
+        self.settle_with(context, 1, ROUGH_POINTS, images)
+    }
+
+    /// [`AxisModel::settle`] with so many points an image; `images` stands for how many images the
+    /// general solver would need to free as much of the intrinsics.
     pub fn settle_with(
         &mut self,
         context: &CircularContext<'_>,
@@ -164,7 +149,8 @@ impl AxisModel {
         Ok(true)
     }
 
-    /// The adjustment of all points with the chosen intrinsics, its observations at the measured noise.
+    /// The adjustment of all points with the chosen intrinsics, its observations at the measured
+    /// noise.
     pub fn prepare(
         &self,
         context: &CircularContext<'_>,
@@ -187,35 +173,24 @@ impl AxisModel {
         (problem, selected, options)
     }
 
-    /// Gives features and followed points each the noise that their residuals show, `r² ≈ 2 ln 2 σ²` at the median,
-    /// corrected for what the points' three coordinates take up.
+    /// Gives features and followed points each the noise that their residuals show,
+    /// `r² ≈ 2 ln 2 σ²` at the median, corrected for what the points' three coordinates take up.
     pub fn weigh(&self, context: &CircularContext<'_>, bundle: &mut BundleProblem, selected: &Selected) {
         let points = selected.points.iter().filter_map(|&id| self.state.points[id as usize].as_ref());
-        let kind = |[frame, feature]: [u32; 2]| {
-            usize::from(context.features.get(frame as usize).is_some_and(|&n| feature as usize >= n))
-        };
-        let kinds: Vec<usize> = points.flat_map(|p| p.views.iter().map(|v| kind(*v))).collect();
-        if kinds.len() != bundle.observations.len() {
+        let followed: Vec<bool> = points.flat_map(|p| &p.views).map(|v| context.is_followed(*v)).collect();
+        if followed.len() != bundle.observations.len() {
             let sigma = noise(bundle);
             bundle.observations.iter_mut().for_each(|o| o.sigma_px = sigma);
             return;
         }
-        let mut views = vec![0usize; bundle.points.len()];
-        bundle.observations.iter().for_each(|o| views[o.point as usize] += 1);
-        let sigmas: [f64; 2] = std::array::from_fn(|k| {
-            let own = || bundle.observations.iter().zip(&kinds).filter(move |(_, kind)| **kind == k);
-            let errors: Vec<f64> = own().map(|(o, _)| error_sq(bundle, o) / o.sigma_px.powi(2)).collect();
-            let n = 2.0 * errors.len() as f64;
-            let taken: f64 = own().map(|(o, _)| 3.0 / views[o.point as usize] as f64).sum();
-            let freedom = ((n - taken) / n.max(1.0)).clamp(0.1, 1.0);
-            (median(errors) / (2.0 * std::f64::consts::LN_2) / freedom).sqrt().max(1e-3)
-        });
-        for (o, kind) in bundle.observations.iter_mut().zip(&kinds) {
-            o.sigma_px *= sigmas[*kind];
+        let [features, points] = [false, true].map(|kind| noise_of_kind(bundle, &followed, kind));
+        for (o, followed) in bundle.observations.iter_mut().zip(&followed) {
+            o.sigma_px *= if *followed { points } else { features };
         }
     }
 
-    /// Adjusts with the chosen intrinsics, triangulates and filters at the level of the noise, for so many rounds at most.
+    /// Adjusts with the chosen intrinsics, triangulates and filters at the level of the noise, for
+    /// so many rounds at most.
     pub fn polish(
         &mut self,
         context: &CircularContext<'_>,
@@ -235,8 +210,7 @@ impl AxisModel {
             if part.is_some() {
                 self.state.refine_points(context.input, |_| false);
             }
-            let limit =
-                (FINAL_SIGMAS * sigma).clamp(FINAL_LEAST_PX, context.input.config.max_reprojection_px);
+            let limit = (FINAL_SIGMAS * sigma).clamp(1.0, context.input.config.max_reprojection_px);
             let gone = self.state.filter(context.input, limit);
             let added = if round + 1 < rounds { self.state.grow_all(context.input) } else { 0 };
             if round > 0 && (gone + added) * 500 < all {
@@ -257,13 +231,10 @@ impl AxisModel {
         Ok(covariance.map(|c| (problem, selected.images, c)))
     }
 
-    /// Puts the model into the turntable's frame: axis up, first camera at azimuth 0, `radius` from the axis, the origin
-    /// at the height of the points' median.
+    /// Puts the model into the turntable's frame: axis up, first camera at azimuth 0, `radius` from
+    /// the axis, the origin at the height of the points' median.
     pub fn orient(&mut self, radius: f64) {
-        let mut heights: Vec<f64> = self.state.live().map(|(_, p)| p.position.z).collect();
-        let middle = heights.len() / 2;
-        let height =
-            if heights.is_empty() { 0.0 } else { *heights.select_nth_unstable_by(middle, f64::total_cmp).1 };
+        let height = median(self.state.live().map(|(_, p)| p.position.z).collect());
         let (turn, moved) = self.turn.canonical(height, radius);
         for (frame, pose) in self.state.poses.iter_mut().enumerate() {
             if pose.is_some() {
@@ -275,4 +246,30 @@ impl AxisModel {
         }
         self.turn = turn;
     }
+}
+
+/// A relation between frames as one between the poses of a problem; `None` where it lacks one.
+fn renumbered(relation: &Relation, images: &[usize]) -> Option<Relation> {
+    let mut frames = [None; 3];
+    for (pose, frame) in frames.iter_mut().zip(relation.frames) {
+        if let Some(frame) = frame {
+            *pose = Some(images.binary_search(&(frame as usize)).ok()? as u32);
+        }
+    }
+    Some(Relation { frames, ..*relation })
+}
+
+/// Noise of the observations that are followed points, or of those that are not, in units of what
+/// is thought of each.
+fn noise_of_kind(bundle: &BundleProblem, followed: &[bool], kind: bool) -> f64 {
+    let mut views = vec![0usize; bundle.points.len()];
+    bundle.observations.iter().for_each(|o| views[o.point as usize] += 1);
+    let (mut errors, mut taken) = (Vec::new(), 0.0);
+    for (o, _) in bundle.observations.iter().zip(followed).filter(|(_, followed)| **followed == kind) {
+        errors.push(error_sq(bundle, o) / o.sigma_px.powi(2));
+        taken += 3.0 / views[o.point as usize] as f64;
+    }
+    let n = 2.0 * errors.len() as f64;
+    let freedom = ((n - taken) / n.max(1.0)).clamp(0.1, 1.0);
+    (median(errors) / (2.0 * std::f64::consts::LN_2) / freedom).sqrt().max(1e-3)
 }

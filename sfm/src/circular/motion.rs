@@ -3,7 +3,8 @@
 use glam::{DMat3, DQuat, DVec3};
 use scene::Pose;
 
-/// Frame `i` sees the turntable's point X at `R Z(θ_i) X + t`, where Z turns about the turntable's z axis.
+/// Frame `i` sees the turntable's point X at `R Z(θ_i) X + t`, where Z turns about the turntable's
+/// z axis.
 #[derive(Clone, Debug, PartialEq)]
 pub struct CircularMotion {
     /// Camera from turntable at angle 0.
@@ -13,10 +14,11 @@ pub struct CircularMotion {
 }
 
 impl CircularMotion {
-    /// From the axis' direction in the camera frame and a place on it, angles counted from the first frame that has one.
+    /// From the axis' direction in the camera frame and a place on it, angles counted from the
+    /// first frame that has one.
     ///
-    /// The turntable's origin is the axis' point nearest to the camera, and the camera stands at azimuth 0 at angle 0.
-    /// `None` where the camera is on the axis.
+    /// The turntable's origin is the axis' point nearest to the camera, and the camera stands at
+    /// azimuth 0 at angle 0. `None` where the camera is on the axis.
     pub fn new(direction: DVec3, place: DVec3, angles: Vec<Option<f64>>) -> Option<Self> {
         let z = direction.try_normalize()?;
         let foot = place - z * z.dot(place);
@@ -35,11 +37,11 @@ impl CircularMotion {
 
     /// Distance of the camera from the axis.
     pub fn radius(&self) -> f64 {
-        let (z, t) = (self.direction(), self.axis.translation);
-        (t - z * z.dot(t)).length()
+        distance_from_axis(&self.axis)
     }
 
-    /// 1 where the axis points upwards in the image (towards the camera where it is seen end on), else -1.
+    /// 1 where the axis points upwards in the image (towards the camera where it is seen end on),
+    /// else -1.
     pub fn upward(&self) -> f64 {
         let z = self.direction();
         let down = if z.y.abs() > 0.1 * z.z.abs() { z.y > 0.0 } else { z.z > 0.0 };
@@ -51,9 +53,9 @@ impl CircularMotion {
         self.angles.get(frame).copied().flatten().map(|a| pose_at(&self.axis, a))
     }
 
-    /// The same motion with the axis upwards ([`CircularMotion::upward`]), the origin at
-    /// `height` along the present axis, the first frame's camera at azimuth 0, and the camera `radius` from the axis.
-    /// The second value takes points along: new from old.
+    /// The same motion with the axis upwards ([`CircularMotion::upward`]), the origin at `height`
+    /// along the present axis, the first frame's camera at azimuth 0, and the camera `radius` from
+    /// the axis. The second value takes points along: new from old.
     pub fn canonical(&self, height: f64, radius: f64) -> (Self, impl Fn(DVec3) -> DVec3 + use<>) {
         let (z, sign) = (self.direction(), self.upward());
         let scale = radius / self.radius();
@@ -66,9 +68,16 @@ impl CircularMotion {
         let axis = Pose::from_matrix(rotation, (t + z * height) * scale);
         // x_cam = R Z(θ) X + t: at the first frame old and new agree.
         let (old, new) = (pose_at(&self.axis, first), axis);
-        let moved = move |p: DVec3| new.rotation.conjugate() * (old.transform(p) * scale - new.translation);
-        (Self { axis, angles }, moved)
+        (Self { axis, angles }, move |p| {
+            new.rotation.conjugate() * (old.transform(p) * scale - new.translation)
+        })
     }
+}
+
+/// Distance of the camera from an axis.
+pub(crate) fn distance_from_axis(axis: &Pose) -> f64 {
+    let (z, t) = (axis.rotation * DVec3::Z, axis.translation);
+    (t - z * z.dot(t)).length()
 }
 
 /// The pose at an angle.

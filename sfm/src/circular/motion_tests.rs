@@ -2,16 +2,20 @@
 
 use super::evidence::Comparison;
 use super::initialize::key_frames::VideoTracks;
+use super::orbit;
 use super::tests::{Filmed, Turntable};
-use super::*;
+use crate::incremental::adjust::Adjustment;
 use crate::incremental::adjust::adjust;
+use crate::incremental::state::MapState;
+use crate::model_selection::camera::FreeIntrinsics;
 use crate::solvers::testing::{normal, unit_vector};
 use glam::{DQuat, DVec3};
-use scene::Pose;
 use scene::decision::MotionModel;
 use scene::rng::rng;
+use scene::{CameraModel, Pose, Progress};
 
-/// What is found of true poses seen with 0.2 px of noise; the model of free poses, and that of an orbit.
+/// What is found of true poses seen with 0.2 px of noise; the model of free poses, and that of an
+/// orbit.
 fn found(table: &Turntable, seed: u64) -> (Comparison, MapState, Option<MapState>) {
     let filmed = Filmed::new(table.poses.len(), table.camera.clone(), false);
     let material = VideoTracks::of_klt(&table.tracks(0.2, seed), table.poses.len());
@@ -53,7 +57,8 @@ fn a_camera_that_goes_round_with_small_motions_is_an_orbit() {
         let (comparison, ..) = found(&table, seed);
         assert_eq!(comparison.choice(), MotionModel::Orbit, "seed {seed}: {:?}", comparison.describe());
         let [turn, shift] = comparison.orbit_sigma;
-        // Of a random direction each coordinate has a third of the variance; the circle takes up a part.
+        // Of a random direction each coordinate has a third of the variance; the circle takes up a
+        // part.
         assert!((0.003..0.008).contains(&turn), "{turn}");
         assert!((0.002..0.008).contains(&shift), "{shift}");
     }
@@ -73,7 +78,8 @@ fn poses_far_from_any_circle_are_free() {
     assert_eq!(comparison.choice(), MotionModel::Free, "{:?}", comparison.describe());
 }
 
-/// Median error of the cameras' places in the shape that they form (scale taken out), radii: distances between every two.
+/// Median error of the cameras' places in the shape that they form (scale taken out), radii:
+/// distances between every two.
 fn median_error(found: &MapState, table: &Turntable) -> f64 {
     let centres: Vec<DVec3> = found.poses.iter().flatten().map(Pose::centre).collect();
     let truth: Vec<DVec3> = table.poses.iter().map(Pose::centre).collect();

@@ -1,10 +1,11 @@
-//! Adjustment under the constraint of one axis: axis, angles, intrinsics and points that fit all observations best.
+//! Adjustment under the constraint of one axis: axis, angles, intrinsics and points that fit all
+//! observations best.
 
-use super::motion::pose_at;
+use super::motion::{distance_from_axis, pose_at};
 use crate::SfmError;
 use crate::bundle::{Adjustable, BundleProblem, BundleSummary, SceneNormalisation, SolveOptions};
-use crate::ceres::TurnInput;
-use crate::ceres::turn::{TurnState, covariance, solve};
+use crate::ceres::CircularInput;
+use crate::ceres::circular::{CircularState, covariance, solve};
 use glam::{DQuat, DVec3};
 use scene::{Pose, Progress};
 
@@ -21,7 +22,16 @@ pub struct Relation {
     pub sigma: f64,
 }
 
-/// `n · z = target` within a standard deviation, z the unit direction of the axis in the camera's frame.
+impl Relation {
+    /// `θ_to − θ_from = target` within `sigma`, radians.
+    pub fn difference(from: usize, to: usize, target: f64, sigma: f64) -> Self {
+        let frames = [Some(from as u32), Some(to as u32), None];
+        Self { frames, coefficients: [-1.0, 1.0, 0.0], target, sigma }
+    }
+}
+
+/// `n · z = target` within a standard deviation, z the unit direction of the axis in the camera's
+/// frame.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ElevationPrior {
     /// Unit vector of the camera's frame.
@@ -37,7 +47,8 @@ pub struct ElevationPrior {
 pub struct CircularProblem {
     /// Cameras, points, observations; its poses follow from the rest.
     pub bundle: BundleProblem,
-    /// Camera from turntable at angle 0; the turntable's origin is near the axis' point nearest to the camera.
+    /// Camera from turntable at angle 0; the turntable's origin is near the axis' point nearest to
+    /// the camera.
     pub axis: Pose,
     /// By pose, radians; the first is held.
     pub angles: Vec<f64>,
@@ -56,7 +67,8 @@ pub struct CircularProblem {
 pub struct CircularCovariance {
     /// For each camera: row-major over its parameters, 0 where held.
     pub cameras: Vec<Vec<f64>>,
-    /// Of the axis' direction: across it, in the plane of the axis and the camera, and out of it, radians.
+    /// Of the axis' direction: across it, in the plane of the axis and the camera, and out of it,
+    /// radians.
     pub axis: [f64; 2],
     /// Of the angles, radians; 0 where held.
     pub angles: Vec<f64>,
@@ -76,8 +88,8 @@ impl CircularProblem {
 
     /// The poses of `bundle` as a turn with offsets.
     pub fn with_offsets(bundle: BundleProblem, axis: Pose, angles: Vec<f64>) -> Self {
-        let offset = |(pose, angle): (&Pose, &f64)| pose.compose(&pose_at(&axis, *angle).inverse());
-        let offsets = bundle.poses.iter().zip(&angles).map(offset).collect();
+        let pairs = bundle.poses.iter().zip(&angles);
+        let offsets = pairs.map(|(pose, angle)| pose.compose(&pose_at(&axis, *angle).inverse())).collect();
         let mut problem = Self::new(bundle, axis, angles);
         problem.offsets = offsets;
         problem.refresh();
@@ -86,14 +98,14 @@ impl CircularProblem {
 
     /// Distance of the camera from the axis.
     pub fn radius(&self) -> f64 {
-        let (z, t) = (self.axis.rotation * DVec3::Z, self.axis.translation);
-        (t - z * z.dot(t)).length()
+        distance_from_axis(&self.axis)
     }
 
     /// Computes the poses from axis, angles and offsets.
     fn refresh(&mut self) {
-        let pose = |(angle, offset): (&f64, &Pose)| offset.compose(&pose_at(&self.axis, *angle));
-        self.bundle.poses = self.angles.iter().zip(&self.offsets).map(pose).collect();
+        let pairs = self.angles.iter().zip(&self.offsets);
+        self.bundle.poses =
+            pairs.map(|(angle, offset)| offset.compose(&pose_at(&self.axis, *angle))).collect();
     }
 
     /// Minimises in place. An unusable result leaves everything as it was (`usable` is false then).
@@ -110,7 +122,6 @@ impl CircularProblem {
         }
         let outcome = solve(&input, &mut state, progress)?;
         let m = input.bundle.weights.len();
-        let rms = |cost: f64| (2.0 * cost / m as f64).max(0.0).sqrt();
         let numbers = [&state.intrinsics, &state.axis, &state.angles, &state.offsets, &state.points];
         let finite = numbers.iter().all(|values| values.iter().all(|v| v.is_finite()));
         let usable = outcome.usable && finite && outcome.final_cost <= outcome.initial_cost;
@@ -118,8 +129,8 @@ impl CircularProblem {
             self.take(&state, scale);
         }
         Ok(BundleSummary {
-            initial_rms: rms(outcome.initial_cost),
-            final_rms: rms(outcome.final_cost),
+            initial_rms: root_mean_square(outcome.initial_cost, m),
+            final_rms: root_mean_square(outcome.final_cost, m),
             iterations: outcome.iterations,
             observations: m,
             converged: outcome.converged,
@@ -127,8 +138,8 @@ impl CircularProblem {
         })
     }
 
-    /// Standard deviations of axis, angles and intrinsics; `None` where the observations do not determine them. Offsets
-    /// are taken as they are.
+    /// Standard deviations of axis, angles and intrinsics; `None` where the observations do not
+    /// determine them. Offsets are taken as they are.
     pub fn covariance(&self, options: &SolveOptions) -> Result<Option<CircularCovariance>, SfmError> {
         let scale = self.radius();
         let input = self.input(options, scale);
@@ -137,7 +148,7 @@ impl CircularProblem {
         }
         let Some((of_turn, of_cameras)) = covariance(&input, &self.state(scale))? else { return Ok(None) };
         let size = 3 + self.angles.len();
-        let deviation = |i: usize| of_turn[i * size + i].max(0.0).sqrt();
+        let deviations: Vec<f64> = (0..size).map(|i| of_turn[i * size + i].max(0.0).sqrt()).collect();
         let mut rest = of_cameras.as_slice();
         let mut cameras = Vec::new();
         for camera in &self.bundle.cameras {
@@ -145,44 +156,36 @@ impl CircularProblem {
             cameras.push(own.to_vec());
             rest = others;
         }
-        let angles = (0..self.angles.len()).map(|i| deviation(3 + i)).collect();
+        let angles = deviations[3..].to_vec();
         let n = self.angles.len();
         let joint = (0..n * n).map(|k| of_turn[(3 + k / n) * size + 3 + k % n]).collect();
-        Ok(Some(CircularCovariance { cameras, axis: [deviation(0), deviation(1)], angles, joint }))
+        Ok(Some(CircularCovariance { cameras, axis: [deviations[0], deviations[1]], angles, joint }))
     }
 
-    /// The poses' standard deviations in the shape that free poses have: rotation about the camera's axes and centre.
+    /// The poses' standard deviations in the shape that free poses have: rotation about the
+    /// camera's axes and centre.
     pub fn pose_deviations(&self, covariance: &CircularCovariance) -> Vec<[f64; 6]> {
         let about = self.axis.rotation * DVec3::Z;
-        let of_pose = |(pose, sd): (&Pose, &f64)| {
+        let mut deviations = Vec::with_capacity(self.bundle.poses.len());
+        for (pose, sd) in self.bundle.poses.iter().zip(&covariance.angles) {
             let centre = pose.centre();
-            [
-                about.x.abs() * sd,
-                about.y.abs() * sd,
-                about.z.abs() * sd,
-                centre.y.abs() * sd,
-                centre.x.abs() * sd,
-                0.0,
-            ]
-        };
-        self.bundle.poses.iter().zip(&covariance.angles).map(of_pose).collect()
+            let of_pose = [about.x, about.y, about.z, centre.y, centre.x, 0.0];
+            deviations.push(of_pose.map(|v: f64| v.abs() * sd));
+        }
+        deviations
     }
 
-    fn state(&self, scale: f64) -> TurnState {
-        let pose = |p: &Pose| {
-            let (q, t) = (p.rotation, p.translation / scale);
-            [q.x, q.y, q.z, q.w, t.x, t.y, t.z]
-        };
-        TurnState {
+    fn state(&self, scale: f64) -> CircularState {
+        CircularState {
             intrinsics: self.bundle.cameras.iter().flat_map(|c| c.params.iter().copied()).collect(),
-            axis: pose(&self.axis).to_vec(),
+            axis: numbers_of(&self.axis, scale).to_vec(),
             angles: self.angles.clone(),
-            offsets: self.offsets.iter().flat_map(pose).collect(),
+            offsets: self.offsets.iter().flat_map(|p| numbers_of(p, scale)).collect(),
             points: self.bundle.points.iter().flat_map(|x| (*x / scale).to_array()).collect(),
         }
     }
 
-    fn take(&mut self, state: &TurnState, scale: f64) {
+    fn take(&mut self, state: &CircularState, scale: f64) {
         let mut values = state.intrinsics.iter();
         for camera in &mut self.bundle.cameras {
             camera.params.iter_mut().zip(&mut values).for_each(|(p, v)| *p = *v);
@@ -198,18 +201,19 @@ impl CircularProblem {
         self.refresh();
     }
 
-    fn input(&self, options: &SolveOptions, scale: f64) -> TurnInput {
+    fn input(&self, options: &SolveOptions, scale: f64) -> CircularInput {
         let bundle = self.bundle.input(options, &SceneNormalisation { centre: DVec3::ZERO, scale });
         let z = self.axis.rotation * DVec3::Z;
         let out = (self.axis.translation - z * z.dot(self.axis.translation)).normalize();
-        // Turning about `out × z` tips the axis towards the camera; along `z × out` it moves sideways.
+        // Turning about `out × z` tips the axis towards the camera; along `z × out` it moves
+        // sideways.
         let basis = [out, z.cross(out), z.cross(out)];
-        let mut input = TurnInput {
+        let mut input = CircularInput {
             bundle,
             axis_basis: basis.iter().flat_map(|v| v.to_array()).collect(),
             angle_held: (0..self.angles.len()).map(|i| u8::from(i == 0)).collect(),
             offset_sigma: self.offset_sigma.unwrap_or_default().to_vec(),
-            ..TurnInput::default()
+            ..CircularInput::default()
         };
         for r in &self.relations {
             input.relation_angles.extend(r.frames.map(|f| f.unwrap_or(u32::MAX)));
@@ -224,6 +228,17 @@ impl CircularProblem {
         }
         input
     }
+}
+
+/// Root mean square residual of `m` observations from ½ Σ ρ.
+fn root_mean_square(cost: f64, m: usize) -> f64 {
+    (2.0 * cost / m as f64).max(0.0).sqrt()
+}
+
+/// Quaternion and translation of a pose, its translation divided by `scale`.
+fn numbers_of(pose: &Pose, scale: f64) -> [f64; 7] {
+    let (q, t) = (pose.rotation, pose.translation / scale);
+    [q.x, q.y, q.z, q.w, t.x, t.y, t.z]
 }
 
 /// A pose from quaternion and translation, its translation multiplied by `scale`.

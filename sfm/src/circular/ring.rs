@@ -1,43 +1,38 @@
-//! Images that a ring of cameras misses: where the images that stand go round in the order of their files at an even
-//! rate, the places of the others are known but for the ring's small motions, and few matches are enough to say whether
-//! an image is there.
+//! Images that a ring of cameras misses: where the images that stand go round in the order of their
+//! files at an even rate, the places of the others are known but for the ring's small motions, and
+//! few matches are enough to say whether an image is there (decision 0016).
 
+use super::limits::{FINAL_ROUNDS, LEAST_SIGMA, OUTLIER_SIGMAS, is_majority};
 use super::model::CircularContext;
 use super::motion::{CircularMotion, pose_at, wrap_angle};
 use super::orbit;
+use super::prior::{EVEN, constant_rate};
 use crate::SfmError;
 use crate::incremental::state::MapState;
 use crate::incremental::structureless_resection::consistency;
 use crate::model_selection::camera::FreeIntrinsics;
-use crate::statistics::median;
+use crate::statistics::{MEDIAN_LENGTH, median};
 use scene::Pose;
 use scene::decision::{Choice, Decision, Measurement, Quantity, Rule, Subject};
 use std::f64::consts::TAU;
 
 /// Images from which on a ring is believed.
+/// Source: chosen by hand, never measured.
 const LEAST_IMAGES: usize = 8;
-/// Farthest that the steps in a gap may be from those elsewhere, as a share of these times the root of their number.
-const UNEVEN: f64 = 0.35;
-/// Farthest that the images that stand may be from a turn: tilt (radians) and slip (radii).
-const FARTHEST: [f64; 2] = [0.05, 0.1];
-/// An image farther from its place than so many standard deviations of the others is looked at again, if that is more than
-/// these (radians, radii).
-const SUSPECT: f64 = 6.0;
+/// An image nearer to its place than this is never suspected: radians, radii.
+/// Source: chosen by hand, never measured.
 const SUSPECT_LEAST: [f64; 2] = [0.02, 0.03];
-/// Fewest matches and points that hold an image at its place, and the share of its matches that must agree with it.
+/// Fewest matches and points that hold an image at its place.
+/// Source: chosen by hand, never measured.
 const LEAST_MATCHES: usize = 12;
-const AGREEING: f64 = 0.5;
-/// Adjustments of the completed ring.
-const ROUNDS: usize = 3;
-/// Small motions are at least about so large, radians and radii.
-const LEAST_SIGMA: f64 = 1e-4;
 
 /// A ring and where its images stand on it.
 #[derive(Clone, Debug)]
 struct CameraRing {
     turn: CircularMotion,
     table_from_world: Pose,
-    /// Standard deviations of the images' own motions: rotation (radians), translation (radii), a coordinate.
+    /// Standard deviations of the images' own motions: rotation (radians), translation (radii), a
+    /// coordinate.
     sigma: [f64; 2],
 }
 
@@ -48,25 +43,19 @@ impl CameraRing {
             return None;
         }
         let (turn, misfit) = CircularMotion::of_poses(poses)?;
-        if !(misfit.tilt <= FARTHEST[0] && misfit.slip <= FARTHEST[1]) {
+        if !orbit::is_very_near(&misfit) {
             return None;
         }
         let worlds: Vec<Pose> = (0..poses.len())
             .filter_map(|i| Some(turn.pose(i)?.inverse().compose(poses[i].as_ref()?)))
             .collect();
-        let radius = turn.radius();
-        let apart = |a: &Pose, b: &Pose| {
-            let [turn, shift] = offset(a, b);
-            turn + shift / radius
-        };
-        let typical = |a: &Pose| median(worlds.iter().map(|b| apart(a, b)).collect());
-        let table_from_world = *worlds.iter().min_by(|a, b| typical(a).total_cmp(&typical(b)))?;
+        let table_from_world = middle_of(&worlds, turn.radius())?;
         let mut ring = Self { turn, table_from_world, sigma: [LEAST_SIGMA; 2] };
         let offsets: Vec<[f64; 2]> =
             (0..poses.len()).filter_map(|i| ring.offset(i, poses[i].as_ref()?)).collect();
         for k in 0..2 {
             let middle = median(offsets.iter().map(|o| o[k]).collect());
-            ring.sigma[k] = (middle / orbit::MEDIAN_LENGTH).max(LEAST_SIGMA);
+            ring.sigma[k] = (middle / MEDIAN_LENGTH).max(LEAST_SIGMA);
         }
         Some(ring)
     }
@@ -75,23 +64,44 @@ impl CameraRing {
         pose_at(&self.turn.axis, angle).compose(&self.table_from_world)
     }
 
-    /// How far a pose of image `i` is from its place on the ring: rotation (radians), translation (radii).
+    /// How far a pose of image `i` is from its place on the ring: rotation (radians), translation
+    /// (radii).
     fn offset(&self, i: usize, pose: &Pose) -> Option<[f64; 2]> {
         let [turn, shift] = offset(pose, &self.pose_at(self.turn.angles[i]?));
         Some([turn, shift / self.turn.radius()])
     }
 
     fn suspects(&self, poses: &[Option<Pose>]) -> Vec<usize> {
-        let limit: [f64; 2] = std::array::from_fn(|k| (SUSPECT * self.sigma[k]).max(SUSPECT_LEAST[k]));
-        let off = |i: usize| {
-            let offset = poses[i].as_ref().and_then(|p| self.offset(i, p));
-            offset.is_some_and(|o| o[0] > limit[0] || o[1] > limit[1])
-        };
-        (0..poses.len()).filter(|&i| off(i)).collect()
+        let limit: [f64; 2] = std::array::from_fn(|k| (OUTLIER_SIGMAS * self.sigma[k]).max(SUSPECT_LEAST[k]));
+        let mut found = Vec::new();
+        for (i, pose) in poses.iter().enumerate() {
+            let offset = pose.as_ref().and_then(|p| self.offset(i, p));
+            if offset.is_some_and(|o| o[0] > limit[0] || o[1] > limit[1]) {
+                found.push(i);
+            }
+        }
+        found
     }
 }
 
-/// Standard deviations of the motions that cameras on a ring have of their own, a coordinate: radians, radii; `None` where they are on none.
+/// The pose with the smallest median distance from all of them, translations in radii.
+fn middle_of(poses: &[Pose], radius: f64) -> Option<Pose> {
+    let mut best: Option<(f64, Pose)> = None;
+    for a in poses {
+        let distances = poses.iter().map(|b| {
+            let [turn, shift] = offset(a, b);
+            turn + shift / radius
+        });
+        let typical = median(distances.collect());
+        if best.is_none_or(|(least, _)| typical.total_cmp(&least).is_lt()) {
+            best = Some((typical, *a));
+        }
+    }
+    best.map(|(_, pose)| pose)
+}
+
+/// Standard deviations of the motions that cameras on a ring have of their own, a coordinate:
+/// radians, radii; `None` where they are on none.
 pub(crate) fn own_motions(poses: &[Option<Pose>]) -> Option<[f64; 2]> {
     CameraRing::of(poses).map(|ring| ring.sigma)
 }
@@ -102,11 +112,12 @@ fn offset(a: &Pose, b: &Pose) -> [f64; 2] {
     [2.0 * between.rotation.xyz().length().min(1.0).asin(), between.translation.length()]
 }
 
-/// Angles of the images without one that lie between images with one, if the images go round evenly in their order.
+/// Angles of the images without one that lie between images with one, if the images go round evenly
+/// in their order.
 fn angles_between(angles: &[Option<f64>]) -> Vec<Option<f64>> {
     let mut found = vec![None; angles.len()];
     let known: Vec<(usize, f64)> = angles.iter().enumerate().filter_map(|(i, a)| Some((i, (*a)?))).collect();
-    let Some(rate) = orbit::even_rate(angles) else { return found };
+    let Some(rate) = constant_rate(angles) else { return found };
     // Once round: after the last image comes the first.
     let Some(&(first, angle)) = known.first() else { return found };
     let closing = (first + angles.len(), angle);
@@ -116,9 +127,9 @@ fn angles_between(angles: &[Option<f64>]) -> Vec<Option<f64>> {
         let count = (j - i) as f64;
         let expected = rate * count;
         let total = expected + wrap_angle(to - from - expected);
-        // Between the last and the first the ring may not be closed: there the steps would not come out even.
-        if j - i < 2 || (total - expected).abs() > UNEVEN * rate.abs() * count.sqrt() || expected.abs() > TAU
-        {
+        // Between the last and the first the ring may not be closed: there the steps would not come
+        // out even.
+        if j - i < 2 || (total - expected).abs() > EVEN * rate.abs() * count.sqrt() || expected.abs() > TAU {
             continue;
         }
         for image in i + 1..j {
@@ -128,7 +139,8 @@ fn angles_between(angles: &[Option<f64>]) -> Vec<Option<f64>> {
     found
 }
 
-/// The model with the images that it misses in their places, as far as their matches agree; `None` where that adds none.
+/// The model with the images that it misses in their places, as far as their matches agree; `None`
+/// where that adds none.
 pub(crate) fn complete(
     state: &MapState,
     context: &CircularContext<'_>,
@@ -162,7 +174,7 @@ pub(crate) fn complete(
     if added.is_empty() {
         return Ok(None);
     }
-    for _ in 0..ROUNDS {
+    for _ in 0..FINAL_ROUNDS {
         next.grow_all(context.input);
         let Some(adjusted) = orbit::adjust(&next, context, intrinsics, ring.sigma)? else {
             return Ok(None);
@@ -189,17 +201,19 @@ pub(crate) fn complete(
 /// Takes out the added images whose matches do not agree with their places, until all others' do.
 fn drop_strangers(state: &mut MapState, added: &mut Vec<usize>, context: &CircularContext<'_>) {
     loop {
-        let stranger = |&i: &usize| {
-            let (agreeing, all) = consistency(state, context.input, i);
-            agreeing < LEAST_MATCHES || (agreeing as f64) < AGREEING * all as f64
-        };
-        let gone: Vec<usize> = added.iter().copied().filter(stranger).collect();
+        let gone: Vec<usize> = added.iter().copied().filter(|&i| is_stranger(state, i, context)).collect();
         if gone.is_empty() {
             return;
         }
         gone.iter().for_each(|&i| state.unregister(i));
         added.retain(|i| !gone.contains(i));
     }
+}
+
+/// Whether few of the matches of an image agree with its place.
+fn is_stranger(state: &MapState, image: usize, context: &CircularContext<'_>) -> bool {
+    let (agreeing, all) = consistency(state, context.input, image);
+    agreeing < LEAST_MATCHES || !is_majority(agreeing, all)
 }
 
 #[cfg(test)]
@@ -229,7 +243,8 @@ mod tests {
 
     #[test]
     fn what_does_not_go_round_evenly_is_left_alone() {
-        // The order of the files is not that of the ring: a constant stride would still be even, so it is broken.
+        // The order of the files is not that of the ring: a constant stride would still be even, so
+        // it is broken.
         let mut shuffled: Vec<Option<f64>> =
             (0..36).map(|i| Some(f64::from(i * 23 % 36) * TAU / 36.0)).collect();
         [(1, 17), (3, 29), (8, 22), (12, 33)].into_iter().for_each(|(a, b)| shuffled.swap(a, b));

@@ -1,18 +1,21 @@
 use super::evidence::Comparison;
-use super::initialize::key_frames::{VideoTracks, drop_still};
+use super::initialize::key_frames::{VideoTracks, drop_stationary};
+use super::job::{MotionInput, VideoJob};
+use super::limits::FINAL_ROUNDS;
 use super::model::AxisModel;
+use super::motion::CircularMotion;
 use super::motion::{pose_at, wrap_angle};
 use super::problem::CircularProblem;
-use super::video::VideoJob;
-use super::*;
-use crate::SfmConfig;
+use super::solution::ChosenModel;
 use crate::bundle::{BundleObservation, BundleProblem, SolveOptions, free_parameters};
+use crate::incremental::state::MappingInput;
 use crate::klt::KltTrack;
 use crate::solvers::testing::{normal, unit_vector};
+use crate::{Knowledge, SfmConfig};
 use glam::{DQuat, DVec2, DVec3};
 use rand::Rng as _;
 use scene::rng::rng;
-use scene::{Frame, FrameSet, Pose};
+use scene::{Camera, CameraModel, Frame, FrameSet, Pose, Progress};
 
 /// A sphere of points that turns before a camera that looks down on it.
 pub(super) struct Turntable {
@@ -147,7 +150,7 @@ pub(super) fn solve_from(
     fixed: bool,
 ) -> Result<(AxisModel, Option<Comparison>), String> {
     let filmed = Filmed::new(table.poses.len(), camera, fixed);
-    drop_still(&mut tracks);
+    drop_stationary(&mut tracks);
     let job = filmed.video();
     let material = VideoTracks::of_klt(&tracks, table.poses.len());
     let input = job.input(&material);
@@ -155,8 +158,8 @@ pub(super) fn solve_from(
     let starts = grown.state.cameras.clone();
     let job = filmed.job(&input, &starts);
     let context = job.context(&[]);
-    let solved = adjust_and_choose(&context, &job, &starts, grown.turn, ROUNDS).unwrap();
-    let (model, intrinsics, _) = solved.ok_or("no model")?;
+    let solved = ChosenModel::adjust(&context, &job, &starts, grown.turn, FINAL_ROUNDS).unwrap();
+    let ChosenModel { model, intrinsics, .. } = solved.ok_or("no model")?;
     let comparison = Comparison::of(Some(&model), &model.state, &context, intrinsics).unwrap();
     Ok((model, comparison))
 }

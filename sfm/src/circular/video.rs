@@ -1,42 +1,27 @@
-//! Turns in videos: tracks, a seed, growth along the frames, the loop closure of a whole turn, the last adjustment.
+//! Turns in videos: points are followed, a first motion grows along the frames, a whole turn is
+//! closed, and the motion that the angles show is held in the last adjustment.
 
+use super::angle_process::{LearntMotion, learn_motion};
+use super::choose::{motion_decision, with_comparison};
+use super::config::Motion;
 use super::evidence::Comparison;
-use super::initialize::key_frames::{KeyFrames, VideoTracks, drop_still};
-use super::initialize::seed::{KEYS, KeyPair, Seed, explained_share, seeds, steady};
+use super::initialize::best_start::{SeedCameras, best_start};
+use super::initialize::key_frames::{KeyFrames, VideoTracks, drop_stationary};
+use super::initialize::video_seed::VideoStart;
+use super::job::{MotionInput, VideoJob};
+use super::limits::{FINAL_ROUNDS, MOST};
 use super::loop_closure::close::ClosedVideo;
-use super::model::{AxisModel, CircularContext};
+use super::model::AxisModel;
 use super::motion::CircularMotion;
-use super::prior::{known_rate, learn_motion};
-use super::{
-    CircularSolution, Motion, MotionInput, ROUNDS, ROUNDS_BEFORE, adjust_and_choose, finish, motion_decision,
-};
-use crate::Knowledge;
-use crate::incremental::resection::FOCAL_FACTORS;
+use super::prior::AnglePrior;
+use super::problem::Relation;
+use super::solution::{ChosenModel, CircularSolution};
+use crate::SfmError;
 use crate::incremental::state::MappingInput;
 use crate::klt::{KltTrack, track};
-use crate::statistics::median;
-use crate::{SfmConfig, SfmError};
 use glam::DVec2;
 use scene::decision::{Decision, Measurement, MotionModel, Quantity, Remark, Rule, Subject};
-use scene::{Camera, Features, FrameSet, Progress, TwoViewGeometry};
-
-/// Motion between two key frames of the seed, as a share of the longer image side.
-const KEY_MOTION: f64 = 0.012;
-/// Share of it that is still enough where tracks do not last until they have moved as far.
-const KEY_MOTION_LEAST: f64 = 0.25;
-/// Least share of the matches that a seed must explain.
-const EXPLAINED: f64 = 0.5;
-/// Least share of the frames that must get an angle where the evidence decides.
-const REGISTERED: f64 = 0.8;
-/// What a video is solved with.
-pub(crate) struct VideoJob<'a> {
-    pub frames: &'a FrameSet,
-    pub config: &'a SfmConfig,
-    pub cameras: &'a [Camera],
-    pub camera_of: &'a [usize],
-    pub known: &'a [Knowledge],
-    pub progress: &'a Progress,
-}
+use scene::{Camera, Features, TwoViewGeometry};
 
 /// A model about one axis with the keypoints it refers to.
 pub(crate) struct VideoModel {
@@ -47,119 +32,241 @@ pub(crate) struct VideoModel {
     pub matched: usize,
 }
 
-/// Where a model grows from: key frames, `stride` apart from the `first`, and what may be their motion.
-struct VideoStart {
-    first: usize,
-    stride: usize,
-    keys: usize,
-    seeds: Vec<Seed>,
-}
+/// What a step makes of a video, or the decision that says why it shows no single-axis motion.
+type Step<T> = Result<Result<T, Decision>, SfmError>;
 
 /// The model of a video in which something turns about one axis; else the reason why it is none.
-pub(crate) fn solve_video(job: &VideoJob<'_>) -> Result<Result<(VideoModel, Decision), Decision>, SfmError> {
-    if job.cameras.len() != 1 || job.frames.len() < 4 {
-        let remark = if job.cameras.len() != 1 { Remark::SeveralCameras } else { Remark::TooFewFrames };
-        return Ok(Err(not_found().remarked(remark)));
+pub(crate) fn solve_video(job: &VideoJob<'_>) -> Step<(VideoModel, Decision)> {
+    if let Some(why) = unsuitable(job) {
+        return Ok(Err(not_found().remarked(why)));
     }
-    let mut tracks = track(job.frames, &job.config.klt, job.progress)?;
-    let still = drop_still(&mut tracks);
-    let tracked = [
-        Measurement::count(Quantity::TrackedPoints, tracks.len()),
-        Measurement::count(Quantity::StationaryPoints, still),
-    ];
-    let n = job.frames.len();
-    let material = VideoTracks::of_klt(&tracks, n);
-    let input = job.input(&material);
-    let model = match job.grow(&input, &tracks)? {
-        Ok(model) => model,
-        Err(why) => return Ok(Err(not_found().with_all(tracked).absorbing(why))),
+    let followed = FollowedPoints::of(job)?;
+    let grown = match job.grow(&job.input(&followed.material), &followed.tracks)? {
+        Ok(grown) => grown,
+        Err(why) => return Ok(Err(followed.not_found().absorbing(why))),
     };
-    let config = job.config;
-    let keys = KeyFrames::new(job.frames, &model, &config.sift, &config.matching, job.progress)?;
-    let ClosedVideo { material, turn, cameras, closing, closure } = job.close(&keys, &tracks, model)?;
-    let input = job.input(&material);
-    let counts: Vec<usize> = keys.features.iter().map(Features::len).collect();
-    let free_job = MotionInput {
-        input: &input,
-        cameras: job.cameras,
-        known: job.known,
-        starts: &cameras,
-        named: config.camera_model.model(),
-        config: &config.motion,
-        features: &counts,
-        room: Some(job.frames),
-        progress: job.progress,
+    let (data, closed) = VideoData::close(job, &followed, grown)?;
+    let Some(mut chosen) = data.adjust(closed)? else {
+        return Ok(Err(followed.not_found().remarked(Remark::TracksDisagree)));
     };
-    let times = job.times();
-    let rate = config.motion.known_rate.map(f64::to_radians);
-    let relations = rate.map_or(Vec::new(), |r| known_rate(&turn.angles, &times, r));
-    let mut context = CircularContext { times: &times, closing, ..free_job.context(&relations) };
-    let Some((mut model, intrinsics, camera)) =
-        adjust_and_choose(&context, &free_job, &cameras, turn, ROUNDS_BEFORE)?
-    else {
-        return Ok(Err(not_found().with_all(tracked).remarked(Remark::TracksDisagree)));
+    let evidence = match data.judge(&chosen, &followed)? {
+        Ok(evidence) => evidence,
+        Err(why) => return Ok(Err(why)),
     };
-    let comparison = Comparison::of(Some(&model), &model.state, &context, intrinsics)?;
-    let evidence = motion_decision(Rule::Evidence).with_all(tracked).absorbing(closure);
-    let evidence = match &comparison {
-        Some(comparison) => evidence.absorbing(comparison.describe()),
-        None => Decision { rule: Rule::TooFewObservations, ..evidence },
-    };
-    let registered = model.state.registered_count();
-    let single = comparison.is_some_and(|c| c.favours_single()) && registered as f64 >= REGISTERED * n as f64;
-    if config.motion.motion == Motion::Auto && !single {
-        let counts = [
-            Measurement::count(Quantity::RegisteredImages, registered),
-            Measurement::count(Quantity::Frames, n),
-        ];
-        return Ok(Err(not_found().with_all(counts).absorbing(evidence)));
-    }
-    let motion = match model.covariance(&context, intrinsics)? {
-        Some((_, images, c)) if rate.is_none() => {
-            let learn = |closing| learn_motion(&model.turn.angles, &times, &images, &c, closing);
-            let first = learn(None);
-            // With angles that are nearly right, photometric similarity says more.
-            let range = first.as_ref().and_then(|l| job.range_by_similarity(&l.by_frame(n)));
-            range.and_then(|r| learn(Some(r))).or(first)
-        }
-        _ => None,
-    };
-    let (held, loose) =
-        motion.as_ref().map(|l| (l.holding_relations(), l.loose_relations())).unwrap_or_default();
-    if motion.is_some() {
-        (context.relations, context.closing) = (&held, None);
-    }
-    model.polish(&context, intrinsics, ROUNDS)?;
-    if motion.is_some() {
-        context.relations = &loose;
-    }
-    let excess = motion.as_ref().map_or(1.0, |l| l.excess);
-    let mut solution = finish(&mut model, &context, &free_job, intrinsics, (camera, excess))?;
-    solution.decisions.extend(motion.map(|l| l.decision));
-    let decision = Decision { choice: MotionModel::SingleAxis.into(), ..evidence };
-    Ok(Ok((job.video_model(solution, material, keys), decision)))
+    let motion = data.learn(&chosen)?;
+    data.polish(&mut chosen, motion.as_ref())?;
+    let solution = data.finish(chosen, motion)?;
+    Ok(Ok((data.into_model(solution), evidence)))
 }
 
 /// The decision that a video shows no single-axis motion.
-fn not_found() -> Decision {
+pub(crate) fn not_found() -> Decision {
     Decision::new(Subject::VideoMotion, false, Rule::Evidence)
 }
 
+/// Why a video is not even looked at.
+fn unsuitable(job: &VideoJob<'_>) -> Option<Remark> {
+    match (job.cameras.len(), job.frames.len()) {
+        (1, 4..) => None,
+        (1, _) => Some(Remark::TooFewFrames),
+        _ => Some(Remark::SeveralCameras),
+    }
+}
+
+/// Points followed through a video.
+struct FollowedPoints {
+    tracks: Vec<KltTrack>,
+    material: VideoTracks,
+    /// How many there are, for the report.
+    counts: [Measurement; 2],
+}
+
+impl FollowedPoints {
+    /// Those that move.
+    fn of(job: &VideoJob<'_>) -> Result<Self, SfmError> {
+        let mut tracks = track(job.frames, &job.config.klt, job.progress)?;
+        let stationary = drop_stationary(&mut tracks);
+        let material = VideoTracks::of_klt(&tracks, job.frames.len());
+        let counts = [
+            Measurement::count(Quantity::TrackedPoints, tracks.len()),
+            Measurement::count(Quantity::StationaryPoints, stationary),
+        ];
+        Ok(Self { tracks, material, counts })
+    }
+
+    fn not_found(&self) -> Decision {
+        not_found().with_all(self.counts)
+    }
+}
+
 impl VideoJob<'_> {
-    pub(crate) fn input<'a>(&'a self, material: &'a VideoTracks) -> MappingInput<'a> {
-        MappingInput {
-            sigmas: &[],
-            keypoints: &material.keypoints,
-            tracks: &material.tracks,
-            camera_of: self.camera_of,
-            geometries: &[],
-            config: &self.config.mapper,
-            may_be_rotated: false,
-            seed: self.config.seed,
+    /// From followed points alone: the best seed, grown over the whole video.
+    pub(crate) fn grow(&self, input: &MappingInput<'_>, tracks: &[KltTrack]) -> Step<AxisModel> {
+        let start = match VideoStart::find(self, tracks) {
+            Ok(start) => start,
+            Err(why) => return Ok(Err(why)),
+        };
+        let times = self.times();
+        let priors = [AnglePrior::Steady { times: &times }];
+        let given = SeedCameras { cameras: self.cameras, known: &self.known[0], points_per_image: 100 };
+        let context = self.context(input, self.cameras, &priors);
+        let found = best_start(&context, &given, &start.seeds, |seed| start.angles(seed, times.len()))?;
+        let Some((mut model, cameras)) = found else {
+            return Ok(Err(not_found().remarked(Remark::NoTriangulation)));
+        };
+        model.extend(&self.context(input, &cameras, &priors), &times)?;
+        if model.state.registered_count() < 3 {
+            return Ok(Err(not_found().remarked(Remark::NoExtension)));
+        }
+        Ok(Ok(model))
+    }
+}
+
+/// What the model of a video refers to from its loop closure on; stays the same.
+struct VideoData<'a> {
+    job: &'a VideoJob<'a>,
+    times: Vec<f64>,
+    keys: KeyFrames,
+    /// For each frame how many of its keypoints are features.
+    feature_counts: Vec<usize>,
+    /// Keypoints and tracks of features and followed points.
+    material: VideoTracks,
+    /// The cameras that priors refer to.
+    starts: Vec<Camera>,
+    /// What a whole turn says of the angle between the first and the last frame.
+    closing: Option<Relation>,
+}
+
+/// A turn that is to be adjusted, and what was found at its loop closure.
+struct ClosedTurn {
+    turn: CircularMotion,
+    closure: Decision,
+}
+
+/// A model that is to be judged, with what is known of its loop closure.
+struct JudgedModel {
+    chosen: ChosenModel,
+    closure: Decision,
+}
+
+impl<'a> VideoData<'a> {
+    /// Features of key frames join the followed points, and a whole turn is closed.
+    fn close(
+        job: &'a VideoJob<'a>,
+        followed: &FollowedPoints,
+        grown: AxisModel,
+    ) -> Result<(Self, ClosedTurn), SfmError> {
+        let config = job.config;
+        let keys = KeyFrames::new(job.frames, &grown, &config.sift, &config.matching, job.progress)?;
+        let closed = job.close(&keys, &followed.tracks, grown)?;
+        let ClosedVideo { material, turn, cameras, closing, closure } = closed;
+        let feature_counts = keys.features.iter().map(Features::len).collect();
+        let times = job.times();
+        let data = Self { job, times, keys, feature_counts, material, starts: cameras, closing };
+        Ok((data, ClosedTurn { turn, closure }))
+    }
+
+    fn motion_input<'b>(&'b self, input: &'b MappingInput<'b>) -> MotionInput<'b> {
+        let job = self.job;
+        MotionInput {
+            input,
+            cameras: job.cameras,
+            known: job.known,
+            starts: &self.starts,
+            named: job.config.camera_model.model(),
+            config: &job.config.motion,
+            features: &self.feature_counts,
+            room: Some(job.frames),
+            progress: job.progress,
         }
     }
 
-    fn video_model(&self, solution: CircularSolution, material: VideoTracks, keys: KeyFrames) -> VideoModel {
+    /// What is known of the angles before the motion is learnt.
+    fn priors(&self) -> Vec<AnglePrior<'_>> {
+        let times = &self.times;
+        let rate = self.job.config.motion.known_rate.map(f64::to_radians);
+        let of_rate = rate.map_or(AnglePrior::Steady { times }, |rate| AnglePrior::KnownRate { times, rate });
+        std::iter::once(of_rate).chain(self.closing.map(AnglePrior::LoopClosure)).collect()
+    }
+
+    /// The model adjusted with the intrinsics that it determines.
+    fn adjust(&self, closed: ClosedTurn) -> Result<Option<JudgedModel>, SfmError> {
+        let input = self.job.input(&self.material);
+        let (job, priors) = (self.motion_input(&input), self.priors());
+        let ClosedTurn { turn, closure } = closed;
+        // One round less than at the end, which follows (decision 0018).
+        let chosen = ChosenModel::adjust(&job.context(&priors), &job, &self.starts, turn, FINAL_ROUNDS - 1)?;
+        Ok(chosen.map(|chosen| JudgedModel { chosen, closure }))
+    }
+
+    /// Whether one axis is the better description of enough frames; the decision for or against it.
+    fn judge(&self, judged: &JudgedModel, followed: &FollowedPoints) -> Step<Decision> {
+        let input = self.job.input(&self.material);
+        let (job, priors) = (self.motion_input(&input), self.priors());
+        let ChosenModel { model, intrinsics, .. } = &judged.chosen;
+        let comparison = Comparison::of(Some(model), &model.state, &job.context(&priors), *intrinsics)?;
+        let evidence = motion_decision(Rule::Evidence).with_all(followed.counts);
+        let evidence = with_comparison(evidence.absorbing(judged.closure.clone()), comparison.as_ref());
+        let (registered, frames) = (model.state.registered_count(), self.job.frames.len());
+        let is_single =
+            comparison.is_some_and(|c| c.favours_single()) && registered as f64 >= MOST * frames as f64;
+        if self.job.config.motion.motion == Motion::Auto && !is_single {
+            let counts = [
+                Measurement::count(Quantity::RegisteredImages, registered),
+                Measurement::count(Quantity::Frames, frames),
+            ];
+            return Ok(Err(not_found().with_all(counts).absorbing(evidence)));
+        }
+        Ok(Ok(Decision { choice: MotionModel::SingleAxis.into(), ..evidence }))
+    }
+
+    /// How steadily the object turns, where its rate is not known.
+    fn learn(&self, judged: &JudgedModel) -> Result<Option<LearntMotion>, SfmError> {
+        if self.job.config.motion.known_rate.is_some() {
+            return Ok(None);
+        }
+        let input = self.job.input(&self.material);
+        let (job, priors) = (self.motion_input(&input), self.priors());
+        let ChosenModel { model, intrinsics, .. } = &judged.chosen;
+        let Some((_, images, covariance)) = model.covariance(&job.context(&priors), *intrinsics)? else {
+            return Ok(None);
+        };
+        let angles = &model.turn.angles;
+        let first = learn_motion(angles, &self.times, &images, &covariance, None);
+        // With angles that are nearly right, photometric similarity says more.
+        let by_frame = first.as_ref().map(|l| l.by_frame(self.job.frames.len()));
+        let range = by_frame.and_then(|angles| self.job.range_by_similarity(&angles));
+        let closed = range.and_then(|r| learn_motion(angles, &self.times, &images, &covariance, Some(r)));
+        Ok(closed.or(first))
+    }
+
+    /// The last adjustment, its angles held to the learnt motion.
+    fn polish(&self, judged: &mut JudgedModel, motion: Option<&LearntMotion>) -> Result<(), SfmError> {
+        let input = self.job.input(&self.material);
+        let job = self.motion_input(&input);
+        let priors = motion.map_or_else(|| self.priors(), |m| vec![m.holding_prior()]);
+        let ChosenModel { model, intrinsics, .. } = &mut judged.chosen;
+        model.polish(&job.context(&priors), *intrinsics, FINAL_ROUNDS)
+    }
+
+    /// The finished model with its standard deviations, for which the angles are as loose as they
+    /// are known.
+    fn finish(
+        &self,
+        judged: JudgedModel,
+        motion: Option<LearntMotion>,
+    ) -> Result<CircularSolution, SfmError> {
+        let input = self.job.input(&self.material);
+        let job = self.motion_input(&input);
+        let priors = motion.as_ref().map_or_else(|| self.priors(), |m| vec![m.loose_prior()]);
+        let excess = motion.as_ref().map_or(1.0, |m| m.excess);
+        let mut solution = judged.chosen.finish(&job.context(&priors), &job, excess)?;
+        solution.decisions.extend(motion.as_ref().map(|m| m.decision.clone()));
+        Ok(solution)
+    }
+
+    fn into_model(self, solution: CircularSolution) -> VideoModel {
+        let Self { keys, material, .. } = self;
         let mut geometries = keys.near;
         geometries.extend(keys.closure);
         geometries.sort_by_key(|g| (g.a, g.b));
@@ -171,184 +278,4 @@ impl VideoJob<'_> {
             matched: keys.matched,
         }
     }
-
-    /// Presentation times, or the frames' numbers where they are not known.
-    pub(crate) fn times(&self) -> Vec<f64> {
-        let times: Vec<f64> = self.frames.frames.iter().filter_map(|f| f.time_s).collect();
-        let ascending = times.windows(2).all(|w| w[1] > w[0]);
-        if times.len() == self.frames.len() && ascending {
-            times
-        } else {
-            (0..self.frames.len()).map(|i| i as f64).collect()
-        }
-    }
-
-    /// From followed points alone: the best seed, grown over the whole video.
-    pub(crate) fn grow(
-        &self,
-        input: &MappingInput<'_>,
-        tracks: &[KltTrack],
-    ) -> Result<Result<AxisModel, Decision>, SfmError> {
-        let times = self.times();
-        let start = match self.first_guess(tracks) {
-            Ok(start) => start,
-            Err(why) => return Ok(Err(why)),
-        };
-        let VideoStart { first, stride, keys, seeds: found } = start;
-        let mut chosen: Option<(f64, AxisModel, Vec<Camera>)> = None;
-        for seed in &found {
-            let (cameras, turn) = self.motion_of_seed(seed, first, stride, keys);
-            let Some(turn) = turn else { continue };
-            let context = self.context(input, &cameras, &times);
-            let mut model = AxisModel::new(input, cameras.clone(), turn);
-            if !model.settle_with(&context, 3, 100, 2)? {
-                continue;
-            }
-            let score = model.agreement(input);
-            if chosen.as_ref().is_none_or(|(best, ..)| score > *best) {
-                chosen = Some((score, model, cameras));
-            }
-        }
-        let Some((_, mut model, cameras)) = chosen else {
-            return Ok(Err(not_found().remarked(Remark::NoTriangulation)));
-        };
-        let context = self.context(input, &cameras, &times);
-        model.extend(&context, &times)?;
-        let registered = model.state.registered_count();
-        if registered < 3 {
-            return Ok(Err(not_found().remarked(Remark::NoExtension)));
-        }
-        Ok(Ok(model))
-    }
-
-    /// Seeds from a few key frames: as far apart as the tracks need to move, or nearer where that leaves too few of them. Points
-    /// on the axis or near it hardly move at all.
-    fn first_guess(&self, tracks: &[KltTrack]) -> Result<VideoStart, Decision> {
-        let n = self.frames.len();
-        let Some(widest) = stride(tracks, n, self.cameras[0].width.max(self.cameras[0].height)) else {
-            return Err(not_found().remarked(Remark::NoMotion));
-        };
-        let guess = self.cameras[0].mean_focal();
-        let known = self.known[0].fixed || self.known[0].focal_sigma.is_some();
-        let focals: Vec<f64> =
-            if known { vec![guess] } else { FOCAL_FACTORS.iter().map(|f| f * guess).collect() };
-        let mut best: Option<f64> = None;
-        let strides = || std::iter::successors(Some(widest), |s| (*s > 1).then_some(s / 2));
-        // Key frames that are all tied to the next, if there are such.
-        for (tied, stride) in strides().map(|s| (true, s)).chain(strides().map(|s| (false, s))) {
-            let keys = KEYS.min((n - 1) / stride + 1);
-            let found = window(tracks, n, stride, keys, &self.cameras[0]);
-            let Some((first, pairs)) = found.filter(|(_, pairs)| !tied || all_keys_tied(pairs, keys)) else {
-                continue;
-            };
-            let seeds = seeds(&pairs, keys, &steady(), &focals, guess, known);
-            let share = seeds.first().map_or(0.0, |s| explained_share(&pairs, s));
-            if share >= EXPLAINED {
-                return Ok(VideoStart { first, stride, keys, seeds });
-            }
-            best = Some(best.map_or(share, |b| b.max(share)));
-        }
-        Err(match best {
-            Some(share) => {
-                not_found().remarked(Remark::WeakExplanation).measured(Quantity::ExplainedMotion, share)
-            }
-            None => not_found().remarked(Remark::ShortTracks),
-        })
-    }
-
-    pub(crate) fn context<'a>(
-        &'a self,
-        input: &'a MappingInput<'a>,
-        starts: &'a [Camera],
-        times: &'a [f64],
-    ) -> CircularContext<'a> {
-        CircularContext::plain(input, self.known, starts, times, self.progress)
-    }
-
-    /// Camera and turn of a seed; frames between key frames get angles in between.
-    fn motion_of_seed(
-        &self,
-        seed: &Seed,
-        first: usize,
-        stride: usize,
-        keys: usize,
-    ) -> (Vec<Camera>, Option<CircularMotion>) {
-        let mut cameras = self.cameras.to_vec();
-        if !self.known[0].fixed {
-            let focals = cameras[0].model.num_focals();
-            cameras[0].params[..focals].fill(seed.focal);
-        }
-        let mut angles = vec![None; self.frames.len()];
-        for k in 0..keys - 1 {
-            for i in 0..=stride {
-                let share = i as f64 / stride as f64;
-                angles[first + k * stride + i] =
-                    Some(seed.angles[k] + share * (seed.angles[k + 1] - seed.angles[k]));
-            }
-        }
-        (cameras, CircularMotion::new(seed.direction(), seed.place(), angles))
-    }
-}
-
-/// The fewest frames over which the tracks move by [`KEY_MOTION`]; where they do not last as long, those over which they move
-/// farthest.
-fn stride(tracks: &[KltTrack], frames: usize, side: u32) -> Option<usize> {
-    let wanted = KEY_MOTION * f64::from(side);
-    let mut farthest = (0.0, 0);
-    for s in 1..=((frames - 1) / 2).max(1) {
-        let moves = |t: &KltTrack| -> Vec<f64> {
-            t.positions.windows(s + 1).step_by(s).map(|w| w[0].distance(w[s])).collect()
-        };
-        let all: Vec<f64> = tracks.iter().flat_map(moves).collect();
-        if all.len() < 20 {
-            break;
-        }
-        let moved = median(all);
-        if moved > farthest.0 {
-            farthest = (moved, s);
-        }
-        if moved >= wanted {
-            break;
-        }
-    }
-    (farthest.0 >= KEY_MOTION_LEAST * wanted).then_some(farthest.1)
-}
-
-/// Whether every key frame shares tracks with the next.
-fn all_keys_tied(pairs: &[KeyPair], keys: usize) -> bool {
-    (0..keys - 1).all(|k| pairs.iter().any(|p| p.keys == [k, k + 1]))
-}
-
-/// The window of key frames that share most tracks, and their matches.
-fn window(
-    tracks: &[KltTrack],
-    frames: usize,
-    stride: usize,
-    keys: usize,
-    camera: &Camera,
-) -> Option<(usize, Vec<KeyPair>)> {
-    let span = (keys - 1) * stride;
-    if keys < 3 || span >= frames {
-        return None;
-    }
-    let ideal = |p: DVec2| camera.unproject(p) * camera.mean_focal();
-    let pairs_at = |first: usize| -> Vec<KeyPair> {
-        let pair = |i: usize, k: usize| {
-            let (a, b) = (first + i * stride, first + k * stride);
-            let at =
-                |t: &KltTrack, f: usize| f.checked_sub(t.first).and_then(|d| t.positions.get(d)).copied();
-            let both = |t: &KltTrack| Some([ideal(at(t, a)?), ideal(at(t, b)?)]);
-            KeyPair { keys: [i, k], points: tracks.iter().filter_map(both).collect() }
-        };
-        (0..keys)
-            .flat_map(|i| (i + 1..keys.min(i + 4)).map(move |k| (i, k)))
-            .map(|(i, k)| pair(i, k))
-            .collect()
-    };
-    let score = |pairs: &[KeyPair]| pairs.iter().map(|p| p.points.len().min(100)).sum::<usize>();
-    let starts = (0..frames - span).step_by(stride);
-    let (first, mut pairs) =
-        starts.map(|s| (s, pairs_at(s))).max_by_key(|(s, p)| (score(p), std::cmp::Reverse(*s)))?;
-    pairs.retain(|p| p.points.len() >= 8);
-    Some((first, pairs))
 }

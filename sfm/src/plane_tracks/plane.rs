@@ -11,25 +11,41 @@ use scene::rng::rng;
 use std::collections::HashMap;
 
 /// Triples of points that are tried.
+/// Source: chosen by hand, never measured.
 const TRIALS: usize = 1000;
-/// A point lies in the plane if its observations, taken to it along the first one's ray, are nowhere farther off than this, pixels.
+/// A point lies in the plane if its observations, taken to it along the first one's ray, are
+/// nowhere farther off than this, pixels.
+/// Source: the default of `--max-reprojection-px`.
 const FITS_PX: f64 = 4.0;
-/// Points and images count by how much of the images they cover, in squares of this share of the longer side.
+/// Points and images count by how much of the images they cover, in squares of this share of the
+/// longer side.
+/// Source: chosen by hand, never measured.
 const SQUARE: f64 = 0.05;
-/// Fewest points, and the share of the images that have to see some of them.
+/// Fewest points.
+/// Source: chosen by hand, never measured.
 const FEWEST: usize = 30;
+/// Share of the images that have to see some of them.
+/// Source: chosen by hand, never measured.
 const SEEN_BY: f64 = 0.6;
-/// Cameras are level if they leave their plane by less than this share of their extent, and go round something if the plane has this
-/// share of it in both directions. What they look at stands on ground that is level too, more often than not.
+/// Cameras are level if they leave their plane by less than this share of their extent. What they
+/// look at stands on ground that is level too, more often than not.
+/// Source: chosen by hand, never measured; planes through any three points were worse (decision
+/// 0028).
 const FLAT: f64 = 0.03;
+/// They go round something if their plane has this share of their extent in both directions.
+/// Source: chosen by hand, never measured.
 const ROUND: f64 = 0.4;
-/// What is seen of a plane is counted in squares, up to so many typical distances of a camera from it, along so many rays of an image
-/// each way; what this share of the images shows is looked at.
+/// What is seen of a plane is counted in so many squares each way, along as many rays of an image.
+/// Source: chosen by hand, never measured.
 const SQUARES: usize = 64;
+/// They reach up to so many typical distances of a camera from the plane.
+/// Source: chosen by hand, never measured.
 const FARTHEST: f64 = 2.0;
-const RAYS: usize = 64;
+/// What this share of the images shows is looked at.
+/// Source: chosen by hand, never measured.
 const SHARED: f64 = 0.33;
 /// Rays nearer to the plane than this (sine) say nothing of it.
+/// Source: chosen by hand, never measured.
 const GRAZING: f64 = 0.05;
 
 /// A plane with a frame of its own.
@@ -64,7 +80,8 @@ impl ScenePlane {
         (normal.length() > thin).then_some(Self { origin: points[0], axes: [u, v], reach: 0.0 })
     }
 
-    /// The plane that places of this one lie in when they are known better: least squares, without those far from it.
+    /// The plane that places of this one lie in when they are known better: least squares, without
+    /// those far from it.
     pub fn closer(&self, places: &[DVec3]) -> Option<Self> {
         let mut kept = places.to_vec();
         let mut plane = *self;
@@ -77,20 +94,19 @@ impl ScenePlane {
             let turn = DQuat::from_rotation_arc(plane.normal(), normal);
             let origin = plane.origin + normal * normal.dot(middle - plane.origin);
             plane = Self { origin, axes: plane.axes.map(|a| turn * a), ..plane };
-            let far = |x: &DVec3| normal.dot(*x - origin).abs();
-            let usual = median(places.iter().map(far).collect());
-            kept = places.iter().copied().filter(|x| far(x) <= 3.0 * usual).collect();
+            let far: Vec<f64> = places.iter().map(|x| normal.dot(*x - origin).abs()).collect();
+            let usual = median(far.clone());
+            kept = places.iter().zip(&far).filter(|(_, f)| **f <= 3.0 * usual).map(|(x, _)| *x).collect();
         }
         Some(plane)
     }
 
     /// The part of it about some places.
     pub fn about(&self, places: &[DVec3], margin: f64) -> Self {
-        let range = |axis: DVec3| {
-            let at = || places.iter().map(|x| axis.dot(*x - self.origin));
-            (at().fold(f64::INFINITY, f64::min), at().fold(f64::NEG_INFINITY, f64::max))
-        };
-        let [u, v] = self.axes.map(range);
+        let [u, v] = self.axes.map(|axis| {
+            let at = places.iter().map(|x| axis.dot(*x - self.origin));
+            at.fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), a| (low.min(a), high.max(a)))
+        });
         let reach = 0.5 * (u.1 - u.0).max(v.1 - v.0) + margin;
         if !(reach < self.reach) {
             return *self;
@@ -136,30 +152,15 @@ pub(crate) fn widest(state: &MapState, input: &MappingInput<'_>) -> Option<Scene
     if points.all.len() < FEWEST {
         return None;
     }
-    let mut below = 0.0;
-    let sums: Vec<f64> = points
-        .all
-        .iter()
-        .map(|p| {
-            below += p.weight;
-            below
-        })
-        .collect();
     let level = level_of(state);
-    let tried = |k: usize| {
-        let mut rng = rng(input.seed, "plane", k as u64);
-        let one = |at: f64| points.all[sums.partition_point(|s| *s <= at).min(sums.len() - 1)].point.position;
-        let three = std::array::from_fn(|_| one(below * rng.random::<f64>()));
-        let plane = match level {
-            Some(normal) => ScenePlane::across(normal, three[0]),
-            None => ScenePlane::through(three)?,
-        };
-        let score: f64 = points.fitting(&plane).map(|p| p.weight).sum();
-        points.has_cameras_on_one_side(&plane).then_some((score, k, plane))
-    };
+    let sums = points.cumulative_weights();
     let best = (0..TRIALS)
         .into_par_iter()
-        .filter_map(tried)
+        .filter_map(|k| {
+            let plane = points.sample_plane(k, level, &sums)?;
+            let score: f64 = points.fitting(&plane).map(|p| p.weight).sum();
+            points.has_cameras_on_one_side(&plane).then_some((score, k, plane))
+        })
         .max_by(|a, b| a.0.total_cmp(&b.0).then(b.1.cmp(&a.1)))?;
     let plane = points.refine_plane(points.refine_plane(best.2));
     let mut fitting: Vec<&PointRay<'_>> = points.fitting(&plane).collect();
@@ -179,15 +180,16 @@ fn level_of(state: &MapState) -> Option<DVec3> {
     round.then_some(normal)
 }
 
-/// Mean of points, their sums of squares along their principal axes, ascending, and the axis along which they spread least.
+/// Mean of points, their sums of squares along their principal axes, ascending, and the axis along
+/// which they spread least.
 fn spread_of(points: &[DVec3]) -> (DVec3, [f64; 3], DVec3) {
     let middle = points.iter().sum::<DVec3>() / points.len().max(1) as f64;
     let (values, axes) = symmetric_eigen(&moments(points.iter().map(|x| (1.0, *x - middle))));
     (middle, values, DVec3::from_array(axes[0]))
 }
 
-/// The same plane with its origin in the middle of what many images show of it, and its reach about that; `None` where they
-/// show nothing.
+/// The same plane with its origin in the middle of what many images show of it, and its reach about
+/// that; `None` where they show nothing.
 fn frame_plane(plane: ScenePlane, points: &PlanePoints<'_>) -> Option<ScenePlane> {
     let (state, input) = (points.state, points.input);
     let far: Vec<f64> = state.poses.iter().flatten().map(|p| p.centre().distance(plane.origin)).collect();
@@ -198,13 +200,13 @@ fn frame_plane(plane: ScenePlane, points: &PlanePoints<'_>) -> Option<ScenePlane
         let camera = &state.cameras[input.camera_of[image]];
         let size = DVec2::new(f64::from(camera.width), f64::from(camera.height));
         let mut own = Vec::new();
-        for k in 0..RAYS * RAYS {
-            let at = DVec2::new((k % RAYS) as f64 + 0.5, (k / RAYS) as f64 + 0.5) / RAYS as f64;
+        for k in 0..SQUARES * SQUARES {
+            let at = DVec2::new((k % SQUARES) as f64 + 0.5, (k / SQUARES) as f64 + 0.5) / SQUARES as f64;
             let ray = pose.rotation.conjugate() * camera.ray(at * size);
             let Some(x) = plane.intersect(pose.centre(), ray) else { continue };
             let [u, v] = plane.axes.map(|a| a.dot(x - plane.origin) / square + 0.5 * SQUARES as f64);
-            let inside = |w: f64| w >= 0.0 && w < SQUARES as f64;
-            if inside(u) && inside(v) {
+            let inside = 0.0..SQUARES as f64;
+            if inside.contains(&u) && inside.contains(&v) {
                 own.push(v as usize * SQUARES + u as usize);
             }
         }
@@ -212,61 +214,85 @@ fn frame_plane(plane: ScenePlane, points: &PlanePoints<'_>) -> Option<ScenePlane
         own.dedup();
         own.into_iter().for_each(|k| seen[k] += 1);
     }
-    let enough = |n: usize| n as f64 >= SHARED * state.registered_count() as f64;
-    let kept: Vec<usize> = (0..seen.len()).filter(|k| enough(seen[*k])).collect();
-    let range = |of: &dyn Fn(usize) -> usize| {
-        let all = || kept.iter().map(|k| of(*k));
-        Some((all().min()? as f64 * square, (all().max()? + 1) as f64 * square))
-    };
-    let (u, v) = (range(&|k| k % SQUARES)?, range(&|k| k / SQUARES)?);
-    let middle = |r: (f64, f64)| 0.5 * (r.0 + r.1) - 0.5 * SQUARES as f64 * square;
-    let origin = plane.origin + plane.axes[0] * middle(u) + plane.axes[1] * middle(v);
+    let least = SHARED * state.registered_count() as f64;
+    let kept: Vec<usize> = (0..seen.len()).filter(|k| seen[*k] as f64 >= least).collect();
+    let u = range_of(kept.iter().map(|k| k % SQUARES), square)?;
+    let v = range_of(kept.iter().map(|k| k / SQUARES), square)?;
+    let [du, dv] = [u, v].map(|r| 0.5 * (r.0 + r.1) - 0.5 * SQUARES as f64 * square);
+    let origin = plane.origin + plane.axes[0] * du + plane.axes[1] * dv;
     Some(ScenePlane { origin, reach: 0.5 * (u.1 - u.0).max(v.1 - v.0), ..plane })
+}
+
+/// From where to where some squares lie.
+fn range_of(squares: impl Iterator<Item = usize> + Clone, size: f64) -> Option<(f64, f64)> {
+    Some((squares.clone().min()? as f64 * size, (squares.max()? + 1) as f64 * size))
 }
 
 impl<'a> PlanePoints<'a> {
     fn new(state: &'a MapState, input: &'a MappingInput<'a>) -> Self {
-        let square = |[image, feature]: [u32; 2]| {
-            let camera = &state.cameras[input.camera_of[image as usize]];
-            let side = SQUARE * f64::from(camera.width.max(camera.height));
-            let p = (input.keypoints[image as usize][feature as usize] / side).floor();
-            (image, p.x as i32, p.y as i32)
-        };
         let mut crowd: HashMap<(u32, i32, i32), f64> = HashMap::new();
-        for (_, point) in state.live() {
-            point.views.iter().for_each(|v| *crowd.entry(square(*v)).or_default() += 1.0);
+        for view in state.live().flat_map(|(_, p)| &p.views) {
+            *crowd.entry(square_of(*view, state, input)).or_default() += 1.0;
         }
-        let sighted = |(_, point): (u32, &'a MapPoint)| {
-            let view = *point.views.first()?;
-            let pose = state.poses[view[0] as usize]?;
-            let camera = &state.cameras[input.camera_of[view[0] as usize]];
-            let pixel = input.keypoints[view[0] as usize][view[1] as usize];
+        let mut all = Vec::new();
+        for (_, point) in state.live() {
+            let Some(&[image, feature]) = point.views.first() else { continue };
+            let Some(pose) = state.poses[image as usize] else { continue };
+            let camera = &state.cameras[input.camera_of[image as usize]];
+            let pixel = input.keypoints[image as usize][feature as usize];
             let ray = pose.rotation.conjugate() * camera.ray(pixel);
-            let weight = point.views.iter().map(|v| 1.0 / crowd[&square(*v)]).sum();
-            Some(PointRay { point, centre: pose.centre(), ray, weight })
-        };
-        Self { all: state.live().filter_map(sighted).collect(), state, input }
+            let weight = point.views.iter().map(|v| 1.0 / crowd[&square_of(*v, state, input)]).sum();
+            all.push(PointRay { point, centre: pose.centre(), ray, weight });
+        }
+        Self { all, state, input }
     }
 
-    /// Reprojection errors of the other observations of a point that is put where its first ray meets the plane.
+    /// Sums of the weights of all points up to each.
+    fn cumulative_weights(&self) -> Vec<f64> {
+        let mut below = 0.0;
+        let mut sums = Vec::with_capacity(self.all.len());
+        for p in &self.all {
+            below += p.weight;
+            sums.push(below);
+        }
+        sums
+    }
+
+    /// The k-th plane that is tried: through three points drawn by their weights, or through one
+    /// across a known normal.
+    fn sample_plane(&self, k: usize, level: Option<DVec3>, sums: &[f64]) -> Option<ScenePlane> {
+        let mut rng = rng(self.input.seed, "plane", k as u64);
+        let total = sums.last()?;
+        let three = std::array::from_fn(|_| {
+            let at = total * rng.random::<f64>();
+            self.all[sums.partition_point(|s| *s <= at).min(sums.len() - 1)].point.position
+        });
+        match level {
+            Some(normal) => Some(ScenePlane::across(normal, three[0])),
+            None => ScenePlane::through(three),
+        }
+    }
+
+    /// Reprojection errors of the other observations of a point that is put where its first ray
+    /// meets the plane.
     fn errors<'b>(
         &'b self,
         p: &'b PointRay<'a>,
         plane: &ScenePlane,
     ) -> Option<impl Iterator<Item = Option<DVec2>> + 'b> {
         let x = plane.intersect(p.centre, p.ray)?;
-        let error = move |&[image, feature]: &[u32; 2]| {
+        Some(p.point.views[1..].iter().map(move |&[image, feature]| {
             let pose = self.state.poses[image as usize]?;
             let camera = &self.state.cameras[self.input.camera_of[image as usize]];
             let seen = self.input.keypoints[image as usize][feature as usize];
             Some(camera.project(pose.transform(x))? - seen)
-        };
-        Some(p.point.views[1..].iter().map(error))
+        }))
     }
 
     fn fitting<'b>(&'b self, plane: &'b ScenePlane) -> impl Iterator<Item = &'b PointRay<'a>> + 'b {
-        let near = |e: Option<DVec2>| e.is_some_and(|e| e.length_squared() < FITS_PX * FITS_PX);
-        self.all.iter().filter(move |p| self.errors(p, plane).is_some_and(|mut all| all.all(near)))
+        self.all.iter().filter(move |p| {
+            self.errors(p, plane).is_some_and(|mut all| all.all(|e| e.is_some_and(is_small)))
+        })
     }
 
     /// Whether nearly all cameras look at the same side of it.
@@ -278,7 +304,8 @@ impl<'a> PlanePoints<'a> {
         above * 20 <= all || above * 20 >= 19 * all
     }
 
-    /// The plane that its points' observations agree with best: Gauss–Newton on their errors, with Huber's weights.
+    /// The plane that its points' observations agree with best: Gauss–Newton on their errors, with
+    /// Huber's weights.
     fn refine_plane(&self, plane: ScenePlane) -> ScenePlane {
         let start = plane;
         let mut plane = plane;
@@ -288,21 +315,17 @@ impl<'a> PlanePoints<'a> {
         if fitting.len() < 3 || size == 0.0 {
             return plane;
         }
-        let residuals = |plane: &ScenePlane| -> Vec<DVec2> {
-            let of = |p: &&PointRay<'a>| {
-                let found =
-                    self.errors(p, plane).map(|e| e.map(|e| e.unwrap_or_default()).collect::<Vec<_>>());
-                found.unwrap_or_else(|| vec![DVec2::ZERO; p.point.views.len() - 1])
-            };
-            fitting.iter().flat_map(of).collect()
-        };
         for _ in 0..6 {
             let step = [1e-4, 1e-4, 1e-4 * size];
-            let now = residuals(&plane);
+            let now = self.residuals(&fitting, &plane);
             let by: [Vec<DVec2>; 3] = std::array::from_fn(|k| {
                 let mut d = [0.0; 3];
                 d[k] = step[k];
-                residuals(&plane.perturb(d)).iter().zip(&now).map(|(a, b)| (*a - *b) / step[k]).collect()
+                self.residuals(&fitting, &plane.perturb(d))
+                    .iter()
+                    .zip(&now)
+                    .map(|(a, b)| (*a - *b) / step[k])
+                    .collect()
             });
             let (mut h, mut g) = ([[0.0; 3]; 3], [0.0; 3]);
             for (i, e) in now.iter().enumerate() {
@@ -317,4 +340,28 @@ impl<'a> PlanePoints<'a> {
         }
         plane
     }
+
+    /// All errors of some points at a plane; 0 where they are not seen.
+    fn residuals(&self, points: &[&PointRay<'a>], plane: &ScenePlane) -> Vec<DVec2> {
+        let mut all = Vec::new();
+        for p in points {
+            match self.errors(p, plane) {
+                Some(errors) => all.extend(errors.map(Option::unwrap_or_default)),
+                None => all.resize(all.len() + p.point.views.len() - 1, DVec2::ZERO),
+            }
+        }
+        all
+    }
+}
+
+fn is_small(error: DVec2) -> bool {
+    error.length_squared() < FITS_PX * FITS_PX
+}
+
+/// The image of an observation and the square of it in which it lies.
+fn square_of([image, feature]: [u32; 2], state: &MapState, input: &MappingInput<'_>) -> (u32, i32, i32) {
+    let camera = &state.cameras[input.camera_of[image as usize]];
+    let side = SQUARE * f64::from(camera.width.max(camera.height));
+    let p = (input.keypoints[image as usize][feature as usize] / side).floor();
+    (image, p.x as i32, p.y as i32)
 }

@@ -1,4 +1,5 @@
-//! A floor whose texture is known everywhere, with an object's points above it, seen from a ring of cameras.
+//! A floor whose texture is known everywhere, with an object's points above it, seen from a ring of
+//! cameras.
 
 use super::plane::{ScenePlane, widest};
 use super::*;
@@ -85,7 +86,8 @@ impl Room {
         texture(x.x / self.unit, x.y / self.unit)
     }
 
-    /// Points of the floor and of an object above it, which cameras see to `off` pixels (uniformly); poses as they are given.
+    /// Points of the floor and of an object above it, which cameras see to `off` pixels
+    /// (uniformly); poses as they are given.
     pub(crate) fn model(&self, poses: &[Pose], off: f64) -> (MapState, Vec<Vec<DVec2>>, Tracks) {
         let mut random = rng(5, "points", 0);
         let mut within = |r: f64| r * (2.0 * random.random::<f64>() - 1.0);

@@ -1,15 +1,22 @@
-//! Where a window of the common picture lies in that of one image: correlation at whole squares, then Lucas & Kanade (1981)
-//! with the common picture's gradients, which have less noise (inverse compositional: Baker & Matthews 2004).
+//! Where a window of the common picture lies in that of one image: correlation at whole squares,
+//! then Lucas & Kanade (1981) with the common picture's gradients, which have less noise (inverse
+//! compositional: Baker & Matthews 2004).
 
 use super::sheet::SheetPicture;
 use glam::{DMat2, DVec2};
 
 /// Half of a window's side less a half, squares.
+/// Source: decision 0028; sides of 19 and 33 squares did as well.
 pub(crate) const HALF: usize = 12;
+/// Side of a window, squares.
+/// Source: derivation from [`HALF`].
 const SIDE: usize = 2 * HALF + 1;
 /// Least correlation.
+/// Source: decision 0028; 0.3 was worse.
 const CORRELATION: f32 = 0.4;
-/// Neighbours show noise in common (pictures are smoothed and interpolated, and JPEG works on blocks): so many stand for one.
+/// Neighbours show noise in common (pictures are smoothed and interpolated, and JPEG works on
+/// blocks): so many stand for one.
+/// Source: chosen by hand, never measured.
 const ALIKE: f64 = 4.0;
 
 /// A window of the common picture, its mean taken off.
@@ -34,7 +41,6 @@ pub(crate) struct WindowShift {
 impl PlaneWindow {
     /// `None` where the picture is not known or shows nothing.
     pub fn of(picture: &SheetPicture, side: usize, middle: [usize; 2]) -> Option<Self> {
-        let at = |x: usize, y: usize| picture[y * side + x];
         let [left, top] = [middle[0].checked_sub(HALF + 1)?, middle[1].checked_sub(HALF + 1)?];
         if left + SIDE + 2 > side || top + SIDE + 2 > side {
             return None;
@@ -42,8 +48,10 @@ impl PlaneWindow {
         let (mut values, mut gradients) = (Vec::with_capacity(SIDE * SIDE), Vec::with_capacity(SIDE * SIDE));
         for y in top + 1..=top + SIDE {
             for x in left + 1..=left + SIDE {
-                values.push(at(x, y));
-                gradients.push([0.5 * (at(x + 1, y) - at(x - 1, y)), 0.5 * (at(x, y + 1) - at(x, y - 1))]);
+                let i = y * side + x;
+                values.push(picture[i]);
+                let across = 0.5 * (picture[i + 1] - picture[i - 1]);
+                gradients.push([across, 0.5 * (picture[i + side] - picture[i - side])]);
             }
         }
         let norm = centre(&mut values);
@@ -64,39 +72,51 @@ impl PlaneWindow {
         })
     }
 
+    /// Its middle, squares from the corner.
+    pub fn centre(&self) -> DVec2 {
+        DVec2::new(self.middle[0] as f64, self.middle[1] as f64) + 0.5
+    }
+
     /// Looks for it up to so many squares from its place.
     pub fn find(&self, picture: &SheetPicture, side: usize, farthest: usize) -> Option<WindowShift> {
-        let mut best = (0.0, 0, 0);
         let r = farthest as isize;
         let mut own = vec![0.0; SIDE * SIDE];
-        let mut look = |dx: isize, dy: isize, best: &mut (f32, isize, isize)| {
-            self.copy(picture, side, DVec2::new(dx as f64, dy as f64), &mut own)?;
-            let c = self.correlation(&mut own);
-            if c > best.0 {
-                *best = (c, dx, dy);
-            }
-            Some(())
-        };
+        let mut best = BestShift::default();
+        best.offer([0, 0], self.correlation_at(picture, side, [0, 0], &mut own)?);
         // Hardly anything there, and not because it is elsewhere.
-        look(0, 0, &mut best)?;
-        if best.0 < if r <= 6 { 0.6 * CORRELATION } else { 0.2 * CORRELATION } {
+        if best.correlation < if r <= 6 { 0.6 * CORRELATION } else { 0.2 * CORRELATION } {
             return None;
         }
         // Every second place, then those about the best: what is seen from afar is smooth.
         for k in 0..(r + 1) * (r + 1) {
-            look(2 * (k % (r + 1)) - r, 2 * (k / (r + 1)) - r, &mut best)?;
+            let by = [2 * (k % (r + 1)) - r, 2 * (k / (r + 1)) - r];
+            best.offer(by, self.correlation_at(picture, side, by, &mut own)?);
         }
-        let (_, x, y) = best;
+        let [x, y] = best.by;
         for k in 0..9 {
-            look(x + k % 3 - 1, y + k / 3 - 1, &mut best)?;
+            let by = [x + k % 3 - 1, y + k / 3 - 1];
+            best.offer(by, self.correlation_at(picture, side, by, &mut own)?);
         }
-        let (c, dx, dy) = best;
-        if c <= CORRELATION || dx.abs() >= r || dy.abs() >= r {
+        if best.correlation <= CORRELATION || best.by.iter().any(|d| d.abs() >= r) {
             return None;
         }
-        self.closer(picture, side, DVec2::new(dx as f64, dy as f64))
+        self.closer(picture, side, DVec2::new(best.by[0] as f64, best.by[1] as f64))
     }
 
+    /// Correlation at a shift; `None` where the picture does not show it.
+    fn correlation_at(
+        &self,
+        picture: &SheetPicture,
+        side: usize,
+        by: [isize; 2],
+        own: &mut [f32],
+    ) -> Option<f32> {
+        self.copy(picture, side, DVec2::new(by[0] as f64, by[1] as f64), own)?;
+        let norm = centre(own);
+        Some(if norm > 0.0 { dot(own, &self.values) / (norm * self.norm) } else { 0.0 })
+    }
+
+    /// Refines a shift to a fraction of a square.
     fn closer(&self, picture: &SheetPicture, side: usize, from: DVec2) -> Option<WindowShift> {
         let mut by = from;
         let mut own = vec![0.0; SIDE * SIDE];
@@ -156,10 +176,20 @@ impl PlaneWindow {
     pub fn shown_by(&self, picture: &SheetPicture, side: usize) -> bool {
         self.copy(picture, side, DVec2::ZERO, &mut [0.0; SIDE * SIDE]).is_some()
     }
+}
 
-    fn correlation(&self, own: &mut [f32]) -> f32 {
-        let norm = centre(own);
-        if norm > 0.0 { dot(own, &self.values) / (norm * self.norm) } else { 0.0 }
+/// The shift at which a window correlates best.
+#[derive(Default)]
+struct BestShift {
+    correlation: f32,
+    by: [isize; 2],
+}
+
+impl BestShift {
+    fn offer(&mut self, by: [isize; 2], correlation: f32) {
+        if correlation > self.correlation {
+            *self = Self { correlation, by };
+        }
     }
 }
 

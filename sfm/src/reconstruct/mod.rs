@@ -272,12 +272,8 @@ fn solve(
     let Some(MappedModel { mut state, tracks, ringed, .. }) = mapped else {
         return circular_motion_alone(given, keypoints, geometries, progress);
     };
-    let (shared, decision) = shared_cameras::share_cameras(
-        given,
-        &given.input(&keypoints, &tracks, geometries),
-        &state,
-        progress,
-    )?;
+    let input = given.input(&keypoints, &tracks, geometries);
+    let (shared, decision) = shared_cameras::share_cameras(given, &input, &state, progress)?;
     decisions.extend(decision);
     let joined = shared.map(|(setup, joined)| {
         state = joined;

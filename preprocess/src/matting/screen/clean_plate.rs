@@ -1,6 +1,7 @@
 //! What stands still in front of a camera that does not move: texture of the screen, things beside it, the pole.
 
-use super::grid::Cells;
+use super::SAME_LIGHT;
+use super::grid::CellSums;
 use crate::matting::cleanup::hull;
 use crate::matting::colour::{Key, levels, linear};
 use crate::matting::morphology::{Rect, Regions};
@@ -10,14 +11,8 @@ use image::RgbImage;
 
 /// A pixel is screen where at least this share of the samples shows it.
 const SCREEN_SHARE: f32 = 0.08;
-/// Least purity (colour difference by light, of that of the key) and least colour difference (of the key's) of screen.
-const SCREEN_LIKE: (f32, f32) = (0.75, 0.06);
 /// The plate is the mean of the samples around this quantile of light: the screen out of the object's shadow.
 const LIT_QUANTILE: f32 = 0.7;
-/// Samples that count for the plate, by their light as a share of that quantile.
-const LIT_RANGE: std::ops::Range<f32> = 0.86..1.18;
-/// Cells from which the plate is spread to where the screen is never seen, pixels.
-const PLATE_CELL: usize = 8;
 /// A pixel is still where at least this share of the samples agrees.
 const STILL_SHARE: f32 = 0.6;
 /// Difference up to which samples agree, 8-bit levels of the largest channel.
@@ -91,8 +86,7 @@ impl CleanPlate {
         plate.before_screen = hull(&pool.plane(width, plate.outside.iter().map(|o| u8::from(!o))));
         plate.forget_islands(&pool);
         plate.find_pole(&pool, &other_counts, frames.len());
-        let is_other = |i: &usize| plate.things[*i].is_some() || plate.pole[*i] || !plate.before_screen[*i];
-        plate.others = (0..n).filter(is_other).map(|i| i as u32).collect();
+        plate.others = (0..n as u32).filter(|i| plate.is_other(*i as usize)).collect();
         let (mut still_inside, mut others_inside) = (0, 0);
         for i in (0..n).filter(|i| plate.before_screen[*i]) {
             still_inside += usize::from(plate.things[i].is_some());
@@ -115,7 +109,7 @@ impl CleanPlate {
                 for frame in frames {
                     let p = &frame.as_raw()[3 * i..3 * i + 3];
                     let light = linear(p);
-                    if key.is_like(light, SCREEN_LIKE.1, SCREEN_LIKE.0) {
+                    if key.is_like(light) {
                         lights.push(light);
                     } else {
                         others.push([p[0], p[1], p[2]]);
@@ -134,11 +128,11 @@ impl CleanPlate {
     /// Fills the light where the screen is never seen; `None` if it is seen nowhere.
     fn spread_light(&mut self) -> Option<()> {
         let (width, height) = (self.width, self.outside.len() / self.width);
-        let mut cells = Cells::new(width, height, PLATE_CELL);
+        let mut cells = CellSums::new(width, height);
         for y in 0..height {
             cells.add_row(y, 1, |x| (!self.outside[y * width + x]).then(|| self.light[y * width + x]));
         }
-        let grid = cells.fill(PLATE_CELL as u32, 2 * (width + height) / PLATE_CELL)?;
+        let grid = cells.fill()?;
         let mut row = Vec::new();
         for y in 0..height {
             grid.row(y, width, &mut row);
@@ -155,8 +149,10 @@ impl CleanPlate {
         let always = pool.plane(self.width, other_counts.iter().map(|c| u8::from(*c as f32 >= least)));
         let radius = self.pole_radius();
         let wide = always.erode(radius).dilate(radius);
-        let is_narrow = |i: usize| always[i] != 0 && wide[i] == 0 && self.before_screen[i];
-        let narrow = (0..always.len()).map(|i| u8::from(self.things[i].is_some() || is_narrow(i)));
+        let narrow = (0..always.len()).map(|i| {
+            let is_narrow = always[i] != 0 && wide[i] == 0 && self.before_screen[i];
+            u8::from(self.things[i].is_some() || is_narrow)
+        });
         let regions = Regions::of(&pool.plane(self.width, narrow));
         let is_joined = regions.any(|i| self.things[i].is_some());
         self.pole = (0..always.len())
@@ -166,6 +162,10 @@ impl CleanPlate {
         self.near_pole = pole.dilate(POLE_RIM).iter().map(|p| *p != 0).collect();
         let extent = Rect::around(&pole, 0);
         self.pole_lies = extent.x.len() > extent.y.len();
+    }
+
+    fn is_other(&self, i: usize) -> bool {
+        self.things[i].is_some() || self.pole[i] || !self.before_screen[i]
     }
 
     /// Half the width that a pole can have, pixels.
@@ -190,8 +190,7 @@ impl CleanPlate {
             Some(thing) => {
                 let (low, high) = BEFORE_LEVELS;
                 // The light that fits best leaves no more than this: most pixels need no fit.
-                let apart = |c: usize| (i32::from(rgb[c]) - i32::from(thing[c])).pow(2);
-                if apart(0) + apart(1) + apart(2) <= low * low {
+                if (levels(&rgb) - levels(&thing)).length_squared() <= (low * low) as f32 {
                     return 1.0;
                 }
                 (1.0 - (departure(rgb, thing) - low) as f32 / (high - low) as f32).clamp(0.0, 1.0)
@@ -205,9 +204,9 @@ impl CleanPlate {
 /// Mean of the samples whose light is about that of the brighter ones.
 fn lit_mean(samples: &mut [Vec3]) -> Vec3 {
     let rank = ((samples.len() - 1) as f32 * LIT_QUANTILE).round() as usize;
-    let by_light = |a: &Vec3, b: &Vec3| a.element_sum().total_cmp(&b.element_sum());
-    let lit = samples.select_nth_unstable_by(rank, by_light).1.element_sum();
-    let about = samples.iter().filter(|s| LIT_RANGE.contains(&(s.element_sum() / lit)));
+    samples.select_nth_unstable_by(rank, |a, b| a.element_sum().total_cmp(&b.element_sum()));
+    let lit = samples[rank].element_sum();
+    let about = samples.iter().filter(|s| SAME_LIGHT.contains(&(s.element_sum() / lit)));
     let (sum, count) = about.fold((Vec3::ZERO, 0.0), |(sum, count), s| (sum + *s, count + 1.0));
     sum / count
 }

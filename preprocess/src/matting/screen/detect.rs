@@ -4,6 +4,7 @@ use crate::matting::colour::{Key, hue_distance, hue_saturation_value, linear};
 use crate::matting::config::KeyChoice;
 use glam::Vec3;
 use image::RgbImage;
+use scene::decision::{Decision, MatteKind, Measurement, Quantity, Remark, Rule, Subject};
 
 const BINS: usize = 72;
 /// Pixels of less saturation or value have no hue to speak of.
@@ -24,51 +25,45 @@ const NATURAL_HUES: (f32, f32) = (-30.0, 68.0);
 pub(crate) struct Detection {
     /// The screen; `None` where there is none.
     pub key: Option<Key>,
-    /// One sentence for the report.
-    pub evidence: String,
+    /// Whether there is a screen, and the figures.
+    pub decision: Decision,
 }
 
 /// Looks for a screen in thumbnails (about 160 pixels long) of some frames.
 pub(crate) fn detect(thumbnails: &[&RgbImage], choice: KeyChoice) -> Detection {
     let forced = matches!(choice, KeyChoice::Hue(..));
-    let allowed = |hue: f32| match choice {
-        KeyChoice::Hue(low, high) => (hue - low).rem_euclid(360.0) <= high - low,
-        _ => true,
+    let Some(hue) = dominant_hue(thumbnails, choice) else {
+        return Detection { key: None, decision: no_matte(Rule::NothingFound).remarked(Remark::NoHue) };
     };
-    let Some(hue) = dominant_hue(thumbnails, allowed) else {
-        return Detection { key: None, evidence: "no screen: hardly a pixel has a distinct hue".to_owned() };
-    };
-    let found = Statistics::of(thumbnails, hue);
+    let found = HueStatistics::of(thumbnails, hue);
     let natural = (hue - NATURAL_HUES.0).rem_euclid(360.0) <= NATURAL_HUES.1 - NATURAL_HUES.0;
     let is_screen = found.coverage >= MIN_COVERAGE.0
         && found.low_coverage >= MIN_COVERAGE.1
         && found.roughness <= MAX_ROUGHNESS
         && found.saturation >= MIN_SCREEN_SATURATION
         && !natural;
-    let figures = format!(
-        "hue {hue:.0}°, {:.0} % of the median frame ({:.0} % of the worst), saturation {:.2}, roughness {:.1} %",
-        100.0 * found.coverage,
-        100.0 * found.low_coverage,
-        found.saturation,
-        100.0 * found.roughness
-    );
-    let key = Key::new(found.colour, wedge(thumbnails, hue, found.colour));
-    match key {
-        Some(key) if is_screen || (forced && found.coverage > 0.01) => {
-            Detection { key: Some(key), evidence: format!("screen found: {figures}") }
-        }
-        _ => Detection {
-            key: None,
-            evidence: format!(
-                "no screen: the most frequent colour has {figures}{}",
-                if natural {
-                    " and is one of wood, skin and lamp light (name it with --key to use it)"
-                } else {
-                    ""
-                }
-            ),
-        },
-    }
+    let figures = [
+        (Quantity::Hue, hue),
+        (Quantity::Coverage, found.coverage),
+        (Quantity::LeastCoverage, found.low_coverage),
+        (Quantity::Saturation, found.saturation),
+        (Quantity::Roughness, found.roughness),
+    ]
+    .map(|(quantity, value)| Measurement::new(quantity, f64::from(value)));
+    let key = Key::new(found.colour, wedge(thumbnails, hue, found.colour))
+        .filter(|_| is_screen || (forced && found.coverage > 0.01));
+    let decision = match key {
+        Some(_) if forced => Decision::new(Subject::Matte, MatteKind::Screen, Rule::Requested),
+        Some(_) => Decision::new(Subject::Matte, MatteKind::Screen, Rule::Evidence),
+        None if natural => no_matte(Rule::NothingFound).remarked(Remark::NaturalHue),
+        None => no_matte(Rule::NothingFound),
+    };
+    Detection { key, decision: decision.with_all(figures) }
+}
+
+/// The decision that the frames stay as they are.
+pub(crate) fn no_matte(rule: Rule) -> Decision {
+    Decision::new(Subject::Matte, MatteKind::Nothing, rule)
 }
 
 fn pixels(thumbnails: &[&RgbImage]) -> impl Iterator<Item = [u8; 3]> {
@@ -76,17 +71,18 @@ fn pixels(thumbnails: &[&RgbImage]) -> impl Iterator<Item = [u8; 3]> {
 }
 
 /// The hue with the most saturated pixels around it.
-fn dominant_hue(thumbnails: &[&RgbImage], allowed: impl Fn(f32) -> bool) -> Option<f32> {
+fn dominant_hue(thumbnails: &[&RgbImage], choice: KeyChoice) -> Option<f32> {
     let mut counts = [0.0_f32; BINS];
     for rgb in pixels(thumbnails) {
         let (hue, saturation, value) = hue_saturation_value(rgb);
-        if saturation >= MIN_SATURATION && value >= MIN_VALUE && allowed(hue) {
+        if saturation >= MIN_SATURATION && value >= MIN_VALUE && choice.allows(hue) {
             counts[(hue / 360.0 * BINS as f32) as usize % BINS] += saturation;
         }
     }
-    let around = |i: usize| counts[(i + BINS - 1) % BINS] + 2.0 * counts[i] + counts[(i + 1) % BINS];
-    let best = (0..BINS).max_by(|a, b| around(*a).total_cmp(&around(*b)))?;
-    if around(best) <= 0.0 {
+    let smoothed: [f32; BINS] =
+        std::array::from_fn(|i| counts[(i + BINS - 1) % BINS] + 2.0 * counts[i] + counts[(i + 1) % BINS]);
+    let best = (0..BINS).max_by(|a, b| smoothed[*a].total_cmp(&smoothed[*b]))?;
+    if smoothed[best] <= 0.0 {
         return None;
     }
     let (before, here, after) = (counts[(best + BINS - 1) % BINS], counts[best], counts[(best + 1) % BINS]);
@@ -99,7 +95,7 @@ fn is_near(rgb: [u8; 3], hue: f32) -> bool {
     saturation >= MIN_SATURATION && value >= MIN_VALUE && hue_distance(h, hue) <= HUE_WINDOW
 }
 
-struct Statistics {
+struct HueStatistics {
     coverage: f32,
     low_coverage: f32,
     roughness: f32,
@@ -107,7 +103,7 @@ struct Statistics {
     colour: Vec3,
 }
 
-impl Statistics {
+impl HueStatistics {
     fn of(thumbnails: &[&RgbImage], hue: f32) -> Self {
         let (mut coverage, mut steps, mut saturations) = (Vec::new(), Vec::new(), Vec::new());
         let mut channels = [Vec::new(), Vec::new(), Vec::new()];
@@ -194,7 +190,7 @@ mod tests {
     fn screens_of_any_hue_are_found_and_rooms_are_not() {
         for screen in [[30, 190, 60], [40, 60, 180], [190, 20, 170], [125, 180, 10], [20, 60, 24]] {
             let found = detect(&[&frame(screen, 60), &frame(screen, 50)], KeyChoice::Auto);
-            let key = found.key.unwrap_or_else(|| panic!("{screen:?}: {}", found.evidence));
+            let key = found.key.unwrap_or_else(|| panic!("{screen:?}: {:?}", found.decision));
             assert!(hue_distance(key.hue, hue_saturation_value(screen).0) < 4.0, "{screen:?} {}", key.hue);
         }
         for (screen, share) in [
@@ -205,7 +201,7 @@ mod tests {
             ([82, 90, 150], 80),
         ] {
             let found = detect(&[&frame(screen, share)], KeyChoice::Auto);
-            assert!(found.key.is_none(), "{screen:?}: {}", found.evidence);
+            assert!(found.key.is_none(), "{screen:?}: {:?}", found.decision);
         }
         assert!(detect(&[], KeyChoice::Auto).key.is_none());
     }

@@ -1,25 +1,21 @@
 //! The light of the empty screen at every pixel: a smooth field through what is surely screen.
 
-use super::grid::{Cells, Grid};
+use super::SAME_LIGHT;
+use super::grid::{CellGrid, CellSums};
 use crate::matting::colour::{Key, linear};
 use glam::Vec4;
 
-/// Side of a cell, pixels.
-const CELL: usize = 16;
-/// Pixels that a cell needs to count.
-const NEEDED: u32 = 24;
-
 /// Linear colour and colour difference (`w`) of the screen, from the confident screen pixels of one frame; `None` where
 /// there are none.
-pub(crate) fn fit(rgb: &[u8], width: usize, key: &Key) -> Option<Grid<Vec4>> {
+pub(crate) fn fit(rgb: &[u8], width: usize, key: &Key) -> Option<CellGrid<Vec4>> {
     let first = average(rgb, width, key, None)?;
     average(rgb, width, key, Some(&first))
 }
 
 /// Averages in cells what looks like the key's screen or, better, like the screen as it was found `before`.
-fn average(rgb: &[u8], width: usize, key: &Key, before: Option<&Grid<Vec4>>) -> Option<Grid<Vec4>> {
+fn average(rgb: &[u8], width: usize, key: &Key, before: Option<&CellGrid<Vec4>>) -> Option<CellGrid<Vec4>> {
     let height = rgb.len() / 3 / width;
-    let (mut cells, mut row) = (Cells::new(width, height, CELL), Vec::new());
+    let (mut cells, mut row) = (CellSums::new(width, height), Vec::new());
     // Every second pixel of every second row tells enough.
     for (y, line) in rgb.chunks_exact(3 * width).enumerate().step_by(2) {
         if let Some(grid) = before {
@@ -29,13 +25,13 @@ fn average(rgb: &[u8], width: usize, key: &Key, before: Option<&Grid<Vec4>>) -> 
             let linear = linear(&line[3 * x..3 * x + 3]);
             let difference = key.difference(linear);
             let is_screen = match row.get(x) {
-                Some(screen) => difference > 0.85 * screen.w && difference < 1.25 * screen.w,
-                None => key.is_like(linear, 0.08, 0.7),
+                Some(screen) => SAME_LIGHT.contains(&(difference / screen.w)),
+                None => key.is_like(linear),
             };
             is_screen.then(|| linear.extend(difference))
         });
     }
-    cells.fill(NEEDED, 2 * (width + height) / CELL)
+    cells.fill()
 }
 
 #[cfg(test)]

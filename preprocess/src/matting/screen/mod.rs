@@ -7,32 +7,32 @@ mod illumination;
 mod shadows;
 
 use super::colour::{Key, chroma, linear, luminance};
-use super::morphology::{Rect, box_sum_running, set_pixels, smooth};
-use super::pool::{Mask, Plane, Pool};
+use super::morphology::{Rect, box_sum, set_pixels, smooth};
+use super::pool::{BinaryMask, Pool, Raster};
+use super::solve::REACH;
 use super::trimap::Trimap;
 use clean_plate::CleanPlate;
 use detect::quantile;
 use glam::Vec3;
 use image::RgbImage;
 
-/// Radius in which the light of the screen beside the object is measured, pixels, and the pixels it takes.
-const BESIDE: usize = 5;
-const BESIDE_PIXELS: f32 = 8.0;
+/// Light of the screen at one place, as a share of what it usually is there.
+const SAME_LIGHT: std::ops::Range<f32> = 0.85..1.25;
 
 /// A frame, measured against the light of its empty screen.
 pub(crate) struct Screen<'p> {
     /// Linear colour of the frame.
-    pub image: Plane<'p, Vec3>,
+    pub image: Raster<'p, Vec3>,
     /// The same of the empty screen.
-    pub light: Plane<'p, Vec3>,
+    pub light: Raster<'p, Vec3>,
     /// Share of the screen's colour difference: 1 on the screen, 0 on the object.
-    pub share: Plane<'p, f32>,
+    pub share: Raster<'p, f32>,
     /// The same, smoothed.
-    pub smoothed: Plane<'p, f32>,
+    pub smoothed: Raster<'p, f32>,
     /// What always stands there, other than the screen.
-    pub fixed: Mask<'p>,
+    pub fixed: BinaryMask<'p>,
     /// Screen in whatever light: far enough from the object that it cannot be mixed with it.
-    pub shaded: Mask<'p>,
+    pub shaded: BinaryMask<'p>,
 }
 
 /// Spread of the empty screen: of the smoothed share by its lower half-width, of luma and chroma by mean square.
@@ -75,7 +75,7 @@ impl<'p> Screen<'p> {
     /// `standing`: pixels that are not screen, with how surely they show what always stands there.
     fn new(
         rgb: &[u8],
-        mut light: Plane<'p, Vec3>,
+        mut light: Raster<'p, Vec3>,
         key: &Key,
         standing: impl Iterator<Item = (usize, f32)>,
     ) -> Self {
@@ -98,7 +98,7 @@ impl<'p> Screen<'p> {
         let smoothed = smooth(&share);
         let shaded = shadows::find(&smoothed, &total);
         let mut screen = Self { image, light, share, smoothed, fixed, shaded };
-        screen.take_out_shadows(&total);
+        screen.take_out_shadows();
         screen
     }
 
@@ -109,8 +109,10 @@ impl<'p> Screen<'p> {
         // Of normal noise the median distance is this part of a standard deviation.
         let share = 1.4826 * quantile(&mut samples, 0.5);
         let (mut luma, mut colour, mut n) = (0.0, 0.0, 1e-6);
-        let is_empty = |i: &usize| (self.smoothed[*i] - 1.0).abs() < 3.0 * share + 0.01;
-        for i in (0..self.share.len()).step_by(7).filter(is_empty) {
+        for (i, smoothed) in self.smoothed.iter().enumerate().step_by(7) {
+            if (smoothed - 1.0).abs() >= 3.0 * share + 0.01 {
+                continue;
+            }
             let delta = self.image[i] - self.light[i];
             luma += luminance(delta).powi(2);
             colour += chroma(delta).length_squared();
@@ -121,21 +123,19 @@ impl<'p> Screen<'p> {
 
     /// The screen's light in the band, from the screen beside it: shadows have edges that coarse cells cannot follow.
     pub fn measure_beside(&mut self, trimap: &Trimap, key: &Key) {
-        let rect = Rect::around(&trimap.not_screen, BESIDE);
+        let rect = Rect::around(&trimap.not_screen, REACH);
         let mut weights = self.share.map(|_| 0.0);
         let mut sums = self.light.map(|_| Vec3::ZERO);
         for i in rect.rows(weights.width).flatten() {
             weights[i] = f32::from((trimap.not_screen[i] | self.fixed[i]) ^ 1);
             sums[i] = weights[i] * self.image[i];
         }
-        box_sum_running(&mut weights, &rect, BESIDE);
-        box_sum_running(&mut sums, &rect, BESIDE);
+        box_sum(&mut weights, &rect, REACH);
+        box_sum(&mut sums, &rect, REACH);
         for i in set_pixels(&trimap.band) {
-            if self.fixed[i] == 0 && weights[i] >= BESIDE_PIXELS {
+            if self.fixed[i] == 0 && weights[i] >= (2 * REACH + 1) as f32 {
                 self.light[i] = sums[i] / weights[i];
-                let brighter = luminance(self.image[i]) / (luminance(self.light[i]) + 1e-6);
-                let share = key.difference(self.image[i]) / (key.difference(self.light[i]) + 1e-6);
-                self.share[i] = shadows::without_glare(share, brighter);
+                self.share[i] = key.difference(self.image[i]) / (key.difference(self.light[i]) + 1e-6);
             }
         }
     }

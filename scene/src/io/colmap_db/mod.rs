@@ -1,7 +1,8 @@
-//! COLMAP's `database.db` (<https://colmap.github.io/database.html>): cameras, images, features, matches, verified pairs.
+//! COLMAP's `database.db` (<https://colmap.github.io/database.html>): cameras, images, features,
+//! matches, verified pairs.
 //!
-//! Written with the tables of COLMAP 3.8, which 3.12 and later bring up to date themselves when they open the file
-//! (rigs, frames, pose priors); read with those of either.
+//! Written with the tables of COLMAP 3.8, which 3.12 and later bring up to date themselves when
+//! they open the file (rigs, frames, pose priors); read with those of either.
 
 #[cfg(feature = "colmap-db")]
 mod read;
@@ -16,7 +17,8 @@ pub use write::write_database;
 use crate::{Camera, Features, TwoViewGeometry};
 use std::collections::BTreeMap;
 
-/// The largest image number and the factor of [`pair_number`]: 2³¹ − 1. Source: COLMAP's database.html.
+/// The largest image number and the factor of [`pair_number`]: 2³¹ − 1. Source: COLMAP's
+/// database.html.
 const MAX_IMAGES: i64 = 2_147_483_647;
 
 /// Two image numbers, the smaller one first.
@@ -29,7 +31,8 @@ pub struct DatabaseImage {
     pub name: String,
     /// Number of its camera.
     pub camera: u32,
-    /// Its features. A file may hold keypoints without descriptors: [`Features::descriptors`] is empty then.
+    /// Its features. A file may hold keypoints without descriptors: [`Features::descriptors`] is
+    /// empty then.
     pub features: Features,
 }
 

@@ -10,8 +10,9 @@ use rusqlite::{Connection, OpenFlags, Row};
 use std::io::Read;
 use std::path::Path;
 
-/// Reads COLMAP's database, version 3.8 to 4.2. Every count is checked against the bytes that are there, every number
-/// of an image, camera or feature against what it refers to; the message names file and table.
+/// Reads COLMAP's database, version 3.8 to 4.2. Every count is checked against the bytes that are
+/// there, every number of an image, camera or feature against what it refers to; the message names
+/// file and table.
 pub fn read_database(path: &Path) -> Result<Database, IoError> {
     let source = DatabaseSource { path, connection: open(path)? };
     let mut database = Database::default();
@@ -116,7 +117,8 @@ impl DatabaseSource<'_> {
         }
     }
 
-    /// The bytes of `rows` × `cols` values of `size` bytes, believed only if there are so many, and `cols`.
+    /// The bytes of `rows` × `cols` values of `size` bytes, believed only if there are so many, and
+    /// `cols`.
     fn array<'r>(
         &self,
         table: &str,
@@ -352,8 +354,8 @@ fn named((a, b): ImagePair) -> String {
     format!("images {a} and {b}")
 }
 
-/// `x y`, `x y scale angle` or `x y a11 a12 a21 a22`, whose scale is the mean length of the columns and whose angle is
-/// that of the first (COLMAP's `FeatureKeypoint`).
+/// `x y`, `x y scale angle` or `x y a11 a12 a21 a22`, whose scale is the mean length of the columns
+/// and whose angle is that of the first (COLMAP's `FeatureKeypoint`).
 fn keypoint(v: &[f32]) -> Keypoint {
     let (scale, angle) = match *v {
         [_, _, scale, angle] => (scale, angle),

@@ -28,9 +28,9 @@ CREATE TABLE two_view_geometries (pair_id INTEGER PRIMARY KEY NOT NULL, rows INT
     cols INTEGER NOT NULL, data BLOB, config INTEGER NOT NULL, F BLOB, E BLOB, H BLOB, qvec BLOB, tvec BLOB);
 ";
 
-/// Writes `database` as a file that COLMAP opens as its own. What stood under the name is replaced only by a whole
-/// file. Refused where an image name would lead out of its folder, a camera is missing, or a match names a feature that
-/// is not there.
+/// Writes `database` as a file that COLMAP opens as its own. What stood under the name is replaced
+/// only by a whole file. Refused where an image name would lead out of its folder, a camera is
+/// missing, or a match names a feature that is not there.
 pub fn write_database(path: &Path, database: &Database) -> Result<(), IoError> {
     check(database).map_err(|m| IoError::format(path, format!("refused to write: {m}")))?;
     write_file_atomic(path, |temporary| {

@@ -1,4 +1,5 @@
-//! PLY files (Turk 1994): the header, and rows of any element by property name, in all three encodings.
+//! PLY files (Turk 1994): the header, and rows of any element by property name, in all three
+//! encodings.
 
 mod header;
 mod points;
@@ -34,8 +35,8 @@ impl<'a> Ply<'a> {
         self.elements.iter().find(|e| e.name == name)
     }
 
-    /// Calls `each(row, values)` for every row of the element, with the wanted scalar properties in the wanted
-    /// order. Every wanted property must exist.
+    /// Calls `each(row, values)` for every row of the element, with the wanted scalar properties in
+    /// the wanted order. Every wanted property must exist.
     pub(crate) fn rows(
         &self,
         element: &str,
@@ -58,7 +59,8 @@ impl<'a> Ply<'a> {
         ))
     }
 
-    /// Calls `each(row, items)` for every row of the element, with the items of its list that has one of the names.
+    /// Calls `each(row, items)` for every row of the element, with the items of its list that has
+    /// one of the names.
     pub(crate) fn lists(
         &self,
         element: &str,

@@ -17,8 +17,8 @@ const FIXED: [&str; 14] = [
 /// Source: derived, exp(±40) and sigmoid(±40) are 0, 1 or beyond any scene in f32.
 const EXTREME: f64 = 40.0;
 
-/// Reads a splat by property names: any order, any encoding, extra properties skipped. `f_rest_*` may be
-/// absent or hold degree 1, 2 or 3, channel-major.
+/// Reads a splat by property names: any order, any encoding, extra properties skipped. `f_rest_*`
+/// may be absent or hold degree 1, 2 or 3, channel-major.
 pub fn read_splat_ply(path: &Path) -> Result<Gaussians, IoError> {
     parse_splat_ply(path, &read_file(path)?)
 }
@@ -50,7 +50,8 @@ pub(crate) fn parse_splat_ply(path: &Path, data: &[u8]) -> Result<Gaussians, IoE
     Ok(g)
 }
 
-/// Finite, or an infinity that has a meaning: opacity (column 6) of both signs, scale (7 to 9) of zero.
+/// Finite, or an infinity that has a meaning: opacity (column 6) of both signs, scale (7 to 9) of
+/// zero.
 fn acceptable(column: usize, value: f64) -> bool {
     value.is_finite()
         || (column == 6 && value.is_infinite())
@@ -79,8 +80,8 @@ fn count_rest(ply: &Ply) -> Result<usize, IoError> {
     }
 }
 
-/// Writes a splat in the 3DGS order (`x y z nx ny nz f_dc_* f_rest_* opacity scale_* rot_*`), binary
-/// little-endian, `f_rest_*` channel-major, rotations w x y z.
+/// Writes a splat in the 3DGS order (`x y z nx ny nz f_dc_* f_rest_* opacity scale_* rot_*`),
+/// binary little-endian, `f_rest_*` channel-major, rotations w x y z.
 pub fn write_splat_ply(path: &Path, g: &Gaussians) -> Result<(), IoError> {
     g.validate().map_err(|message| IoError::format(path, message))?;
     write_atomic(path, |w| write_to(w, g))

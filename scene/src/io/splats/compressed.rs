@@ -1,6 +1,7 @@
-//! Compressed PLY (PlayCanvas/SuperSplat): chunks of 256 Gaussians with the bounds of their positions, scales and
-//! colours; in each, positions and scales as 11 + 10 + 11 bits, rotations as 2 + 3 × 10 bits (smallest three),
-//! colour and alpha as 4 × 8 bits; higher harmonics as bytes over [−4, 4].
+//! Compressed PLY (PlayCanvas/SuperSplat): chunks of 256 Gaussians with the bounds of their
+//! positions, scales and colours; in each, positions and scales as 11 + 10 + 11 bits, rotations as
+//! 2 + 3 × 10 bits (smallest three), colour and alpha as 4 × 8 bits; higher harmonics as bytes over
+//! [−4, 4].
 
 use super::{Item, push, unit};
 use crate::Gaussians;
@@ -120,7 +121,8 @@ fn pack_11_10_11(v: Vec3) -> u32 {
     q(v.x, 2047.0) << 21 | q(v.y, 1023.0) << 11 | q(v.z, 2047.0)
 }
 
-/// Top two bits: which of w, x, y, z is largest and left out; the others in that order, 10 bits each, over ±1/√2.
+/// Top two bits: which of w, x, y, z is largest and left out; the others in that order, 10 bits
+/// each, over ±1/√2.
 fn unpack_rotation(v: u32) -> Quat {
     let part = |shift: u32| ((v >> shift & 1023) as f32 / 1023.0 - 0.5) * std::f32::consts::SQRT_2;
     let (a, b, c) = (part(20), part(10), part(0));

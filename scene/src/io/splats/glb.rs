@@ -1,5 +1,5 @@
-//! glTF 2.0 binary (`.glb`) with the extension KHR_gaussian_splatting: log scales, opacity in [0, 1], rotations
-//! x y z w, harmonics as `SH_DEGREE_l_COEF_n`. glTF has y up.
+//! glTF 2.0 binary (`.glb`) with the extension KHR_gaussian_splatting: log scales, opacity in [0,
+//! 1], rotations x y z w, harmonics as `SH_DEGREE_l_COEF_n`. glTF has y up.
 
 use super::{Item, push, turn_upright, unit};
 use crate::Gaussians;

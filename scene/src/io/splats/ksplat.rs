@@ -1,6 +1,6 @@
-//! `.ksplat` of mkkellogg's GaussianSplats3D, version 0.1: a 4,096-byte header, a 1,024-byte header a section,
-//! then per section the lengths of partly filled buckets, bucket centres, and Gaussians in one of three levels of
-//! compression (0: floats; 1: 16-bit; 2: 16-bit with 8-bit harmonics).
+//! `.ksplat` of mkkellogg's GaussianSplats3D, version 0.1: a 4,096-byte header, a 1,024-byte header
+//! a section, then per section the lengths of partly filled buckets, bucket centres, and Gaussians
+//! in one of three levels of compression (0: floats; 1: 16-bit; 2: 16-bit with 8-bit harmonics).
 
 use super::{Item, push, unit};
 use crate::Gaussians;

@@ -1,7 +1,7 @@
 //! Splat formats other than the 3DGS `.ply`: `.splat`, compressed `.ply`, `.spz`, `.ksplat`, glTF.
 //!
-//! All but `.ply` lose precision. `.spz` and glTF have y up; clouds are rotated by 180° about x on the
-//! way, so that a capture with y down stands upright there.
+//! All but `.ply` lose precision. `.spz` and glTF have y up; clouds are rotated by 180° about x on
+//! the way, so that a capture with y down stands upright there.
 
 mod compressed;
 mod glb;

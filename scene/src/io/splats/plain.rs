@@ -1,5 +1,5 @@
-//! `.splat` (antimatter15): 32 bytes a Gaussian, no header: `f32 x y z`, `f32 scale` × 3 (linear), `u8 r g b a`,
-//! `u8` quaternion w x y z as `128 q + 128`. No view-dependent colour.
+//! `.splat` (antimatter15): 32 bytes a Gaussian, no header: `f32 x y z`, `f32 scale` × 3 (linear),
+//! `u8 r g b a`, `u8` quaternion w x y z as `128 q + 128`. No view-dependent colour.
 
 use super::{Item, push, unit, unit_byte};
 use crate::Gaussians;
@@ -37,7 +37,8 @@ pub fn read_dot_splat(path: &Path) -> Result<Gaussians, IoError> {
     Ok(g)
 }
 
-/// Writes a `.splat`, the largest and most opaque Gaussians first (viewers show them while they load).
+/// Writes a `.splat`, the largest and most opaque Gaussians first (viewers show them while they
+/// load).
 pub fn write_dot_splat(path: &Path, g: &Gaussians) -> Result<(), IoError> {
     let weight = |i: usize| g.opacity(i) * g.log_scales[i].element_sum().exp();
     let mut order: Vec<usize> = (0..g.len()).collect();

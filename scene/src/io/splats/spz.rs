@@ -1,8 +1,10 @@
-//! Niantic's `.spz`, versions 2 to 4 (<https://github.com/nianticlabs/spz>): attribute after attribute, quantised.
+//! Niantic's `.spz`, versions 2 to 4 (<https://github.com/nianticlabs/spz>): attribute after
+//! attribute, quantised.
 //!
-//! Positions 24-bit fixed point, alphas, colours `0.15 sh0 + 0.5`, log scales `b/16 − 10`, rotations (version 2:
-//! x y z as bytes; later: smallest three in 32 bits), harmonics `(b − 128)/128`. Versions 2 and 3 are one gzip
-//! stream behind a 16-byte header, version 4 has a table of zstd streams. Axes: right, up, back.
+//! Positions 24-bit fixed point, alphas, colours `0.15 sh0 + 0.5`, log scales `b/16 − 10`,
+//! rotations (version 2: x y z as bytes; later: smallest three in 32 bits), harmonics `(b −
+//! 128)/128`. Versions 2 and 3 are one gzip stream behind a 16-byte header, version 4 has a table
+//! of zstd streams. Axes: right, up, back.
 
 use super::{Item, push, turn_upright, unit, unit_byte};
 use crate::Gaussians;
@@ -20,8 +22,8 @@ use std::path::Path;
 const MAGIC: u32 = 0x5053_474e;
 /// More Gaussians than that are refused. Source: chosen by hand, never measured.
 const MAX_POINTS: u32 = 1 << 26;
-/// Largest ratio of unpacked to packed bytes: gzip cannot shrink by more (1032), and zstd streams that
-/// claim to are refused. Source: RFC 1951, 258 bytes for 2 bits.
+/// Largest ratio of unpacked to packed bytes: gzip cannot shrink by more (1032), and zstd streams
+/// that claim to are refused. Source: RFC 1951, 258 bytes for 2 bits.
 const MAX_RATIO: u64 = 1100;
 /// Scale of colour coefficients. Source: Niantic's spz format.
 const COLOUR_SCALE: f32 = 0.15;
@@ -87,7 +89,8 @@ pub fn read_spz(path: &Path) -> Result<Gaussians, IoError> {
     decode(path, &header, &body)
 }
 
-/// Version 4: at byte 16 the place of a table of (compressed, uncompressed) sizes, then the zstd streams.
+/// Version 4: at byte 16 the place of a table of (compressed, uncompressed) sizes, then the zstd
+/// streams.
 fn inflate_streams(path: &Path, data: &[u8], header: &SpzHeader) -> Result<Vec<u8>, IoError> {
     let damaged =
         || IoError::format(path, "the table of streams does not fit the header; the file is damaged");
@@ -149,8 +152,8 @@ fn decode(path: &Path, header: &SpzHeader, body: &[u8]) -> Result<Gaussians, IoE
     Ok(g)
 }
 
-/// Version 2: three bytes, x y z over [−1, 1], w ≥ 0. Later: the index of the largest of x, y, z, w in the top two
-/// bits, then the others in order, a sign and 9 bits of magnitude over 1/√2 each.
+/// Version 2: three bytes, x y z over [−1, 1], w ≥ 0. Later: the index of the largest of x, y, z, w
+/// in the top two bits, then the others in order, a sign and 9 bits of magnitude over 1/√2 each.
 fn unpack_rotation(b: &[u8]) -> Quat {
     if b.len() == 3 {
         let v = Vec3::new(f32::from(b[0]), f32::from(b[1]), f32::from(b[2])) / 127.5 - 1.0;

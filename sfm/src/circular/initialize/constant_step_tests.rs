@@ -27,7 +27,8 @@ fn ring(places: &[usize], step_deg: f64, seed: u64) -> Turntable {
     table
 }
 
-/// By image where its points are seen and which they are; for images up to four apart their matches, `wrong` of them at random.
+/// By image where its points are seen and which they are; for images up to four apart their
+/// matches, `wrong` of them at random.
 fn seen(table: &Turntable, wrong: f64, seed: u64) -> (Vec<Vec<DVec2>>, Vec<Vec<u32>>, Vec<PairMatches>) {
     let n = table.poses.len();
     let of = |frame: usize| -> Vec<(DVec2, u32)> {

@@ -7,28 +7,32 @@ use glam::{DQuat, DVec3};
 use scene::Pose;
 
 /// Pairs of frames that are compared at most when an axis is fitted.
+/// Source: chosen by hand, never measured.
 const MOST_PAIRS: usize = 20_000;
 /// Rounds of reweighting.
+/// Source: chosen by hand, never measured.
 const ROUNDS: usize = 10;
 /// Relative rotations smaller than this say little about the axis, radians.
+/// Source: chosen by hand, never measured.
 const LEAST_ANGLE: f64 = 1e-4;
 
 /// How far poses are from a [`CircularMotion`].
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct CircularMisfit {
-    /// Median angle between the axes of relative rotations and the common one, weighted by the sine of their half
-    /// angle: the tilt that is left in a pose, radians.
+    /// Median angle between the axes of relative rotations and the common one, weighted by the sine
+    /// of their half angle: the tilt that is left in a pose, radians.
     pub tilt: f64,
     /// Median distance of relative translations from those of the turn, in radii.
     pub slip: f64,
 }
 
 impl CircularMotion {
-    /// The turn that explains free poses best, and how far they are from it. `None` where they do not turn (fewer than
-    /// two poses, no rotation, or no distance from the axis).
+    /// The turn that explains free poses best, and how far they are from it. `None` where they do
+    /// not turn (fewer than two poses, no rotation, or no distance from the axis).
     ///
-    /// Axis: the direction that the vector parts of relative rotations share, `max Σ w (a·v_ij)²`, reweighted for its
-    /// outliers (iteratively reweighted least squares, Holland & Welsch 1977). Place: `t_ij = (I − R_ij) t`.
+    /// Axis: the direction that the vector parts of relative rotations share, `max Σ w (a·v_ij)²`,
+    /// reweighted for its outliers (iteratively reweighted least squares, Holland & Welsch 1977).
+    /// Place: `t_ij = (I − R_ij) t`.
     pub fn of_poses(poses: &[Option<Pose>]) -> Option<(Self, CircularMisfit)> {
         let known: Vec<(usize, Pose)> =
             poses.iter().enumerate().filter_map(|(i, p)| Some((i, (*p)?))).collect();
@@ -79,8 +83,7 @@ pub(crate) fn common_axis(vectors: &[DVec3]) -> Option<(DVec3, f64)> {
         let found = DVec3::from_array(rows[2]);
         let off: Vec<f64> = vectors.iter().map(|v| (*v - found * found.dot(*v)).length()).collect();
         tilt = median(off.clone());
-        let scale = (2.0 * tilt).max(1e-12);
-        weights = off.iter().map(|d| 1.0 / (1.0 + (d / scale).powi(2))).collect();
+        weights = cauchy_weights(&off, (2.0 * tilt).max(1e-12));
         axis = Some(found);
     }
     axis.map(|a| (a, tilt))
@@ -110,11 +113,15 @@ fn common_place(relative: &[Pose], axis: DVec3) -> Option<(DVec3, f64)> {
         let off = relative.iter().map(|p| (p.translation - (place - p.rotation * place)).length());
         let off: Vec<f64> = off.collect();
         let slip = median(off.clone());
-        let scale = (2.0 * slip).max(1e-12 * place.length());
-        weights = off.iter().map(|d| 1.0 / (1.0 + (d / scale).powi(2))).collect();
+        weights = cauchy_weights(&off, (2.0 * slip).max(1e-12 * place.length()));
         found = Some((place, slip));
     }
     found.filter(|(place, _)| place.is_finite() && place.length() > 0.0)
+}
+
+/// Weights of reweighted least squares with Cauchy's loss.
+fn cauchy_weights(distances: &[f64], scale: f64) -> Vec<f64> {
+    distances.iter().map(|d| 1.0 / (1.0 + (d / scale).powi(2))).collect()
 }
 
 #[cfg(test)]

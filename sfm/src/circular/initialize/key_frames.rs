@@ -1,7 +1,10 @@
-//! Keypoints and tracks of a video: points followed from frame to frame, and features of key frames across wide steps.
+//! Keypoints and tracks of a video: points followed from frame to frame, and features of key frames
+//! across wide steps.
 
 use crate::SfmError;
+use crate::circular::limits::{INLIER_PX, LEAST_OBSERVATIONS};
 use crate::circular::model::AxisModel;
+use crate::circular::motion::wrap_angle;
 use crate::klt::KltTrack;
 use crate::matching::{MatchConfig, match_pairs};
 use crate::sift::{SiftConfig, extract_all};
@@ -11,22 +14,24 @@ use glam::{DMat3, DVec2, DVec3};
 use scene::{Features, FrameSet, Progress, TwoViewGeometry, TwoViewKind};
 
 /// Turn between key frames, radians.
+/// Source: chosen by hand, never measured.
 const KEY_STEP: f64 = 0.15;
 /// Key frames are matched up to this turn, radians.
+/// Source: chosen by hand, never measured.
 const MATCH_SPAN: f64 = 1.0;
-/// Largest epipolar error of a match between key frames, pixels.
-const EPIPOLAR_PX: f64 = 4.0;
-/// A match that moves by less stands still, pixels.
-const STILL_PX: f64 = 1.5;
-/// A track that stays within this over its life stands still: pixels, and pixels a frame.
-const STILL_TRACK_PX: (f64, f64) = (1.0, 0.08);
+/// A match that moves by less is stationary, pixels.
+/// Source: chosen by hand, never measured.
+const STATIONARY_PX: f64 = 1.5;
+/// A track that stays within this over its life is stationary, pixels a frame and at least one.
+/// Source: chosen by hand, never measured.
+const STATIONARY_RATE_PX: f64 = 0.08;
 
 /// Drops tracks that do not move (the screen, the pole, a watermark). Returns how many there were.
-pub(crate) fn drop_still(tracks: &mut Vec<KltTrack>) -> usize {
+pub(crate) fn drop_stationary(tracks: &mut Vec<KltTrack>) -> usize {
     let before = tracks.len();
     tracks.retain(|t| {
         let farthest = t.positions.iter().map(|p| p.distance(t.positions[0])).fold(0.0, f64::max);
-        farthest > STILL_TRACK_PX.0.max(STILL_TRACK_PX.1 * t.positions.len() as f64)
+        farthest > (STATIONARY_RATE_PX * t.positions.len() as f64).max(1.0)
     });
     before - tracks.len()
 }
@@ -100,39 +105,45 @@ impl KeyFrames {
         progress: &Progress,
     ) -> Result<Self, SfmError> {
         let keys = key_frames(&model.turn.angles);
-        let some = FrameSet {
-            frames: keys.iter().map(|&(f, _)| frames.frames[f].clone()).collect(),
-            is_video: true,
-            ..FrameSet::default()
-        };
+        let some = some_frames(frames, keys.iter().map(|k| k.0));
         let of_keys = extract_all(&some, sift, progress)?;
-        let mut near_pairs = Vec::new();
-        let mut closing_pairs = Vec::new();
-        for i in 0..keys.len() {
-            for k in i + 1..keys.len() {
-                let turn = keys[k].1 - keys[i].1;
-                if turn.abs() <= MATCH_SPAN {
-                    near_pairs.push((i, k));
-                } else if crate::circular::motion::wrap_angle(turn).abs() <= 0.7 * MATCH_SPAN {
-                    closing_pairs.push((i, k));
+        let (near_pairs, closing_pairs) = pairs_to_match(&keys);
+        let mut verified = Vec::new();
+        for pairs in [&near_pairs, &closing_pairs] {
+            let mut geometries = Vec::new();
+            for (i, k, m) in match_pairs(&of_keys, pairs, matching, progress)? {
+                let inliers = agreeing_matches(model, [keys[i].0, keys[k].0], [&of_keys[i], &of_keys[k]], &m);
+                if inliers.len() >= LEAST_OBSERVATIONS {
+                    geometries.push(geometry(keys[i].0, keys[k].0, inliers));
                 }
             }
+            verified.push(geometries);
         }
-        let match_all = |pairs: &[(usize, usize)]| -> Result<Vec<TwoViewGeometry>, SfmError> {
-            let matches = match_pairs(&of_keys, pairs, matching, progress)?;
-            let verified = matches.into_iter().map(|(i, k, m)| {
-                let kept = agreeing_matches(model, [keys[i].0, keys[k].0], [&of_keys[i], &of_keys[k]], &m);
-                geometry(keys[i].0, keys[k].0, kept)
-            });
-            Ok(verified.filter(|g| g.inliers.len() >= 8).collect())
-        };
-        let (near, closure) = (match_all(&near_pairs)?, match_all(&closing_pairs)?);
+        let closure = verified.pop().unwrap_or_default();
+        let near = verified.pop().unwrap_or_default();
         let mut features = vec![Features::default(); frames.len()];
         for ((frame, _), f) in keys.iter().zip(of_keys) {
             features[*frame] = f;
         }
         Ok(Self { features, near, closure, matched: near_pairs.len() + closing_pairs.len() })
     }
+}
+
+/// Pairs of key frames whose angles are near each other, and pairs that a whole turn brought
+/// together again.
+fn pairs_to_match(keys: &[(usize, f64)]) -> (Vec<(usize, usize)>, Vec<(usize, usize)>) {
+    let (mut near, mut closing) = (Vec::new(), Vec::new());
+    for i in 0..keys.len() {
+        for k in i + 1..keys.len() {
+            let turn = keys[k].1 - keys[i].1;
+            if turn.abs() <= MATCH_SPAN {
+                near.push((i, k));
+            } else if wrap_angle(turn).abs() <= 0.7 * MATCH_SPAN {
+                closing.push((i, k));
+            }
+        }
+    }
+    (near, closing)
 }
 
 /// Frames about [`KEY_STEP`] apart, with their angles.
@@ -159,13 +170,22 @@ fn agreeing_matches(
     let f = camera.mean_focal();
     let inverse = DMat3::from_diagonal(DVec3::new(1.0 / f, 1.0 / f, 1.0));
     let m = inverse * essential_from_pose(&b.compose(&a.inverse())) * inverse;
-    let fits = |&[i, k]: &[u32; 2]| {
-        let (p, q) =
-            (features[0].keypoints[i as usize].position(), features[1].keypoints[k as usize].position());
-        p.distance(q) > STILL_PX
-            && sampson_sq(&m, camera.unproject(p) * f, camera.unproject(q) * f) < EPIPOLAR_PX * EPIPOLAR_PX
-    };
-    matches.iter().copied().filter(fits).collect()
+    let mut agreeing = Vec::new();
+    for &[i, k] in matches {
+        let p = features[0].keypoints[i as usize].position();
+        let q = features[1].keypoints[k as usize].position();
+        let error = sampson_sq(&m, camera.unproject(p) * f, camera.unproject(q) * f);
+        if p.distance(q) > STATIONARY_PX && error < INLIER_PX * INLIER_PX {
+            agreeing.push([i, k]);
+        }
+    }
+    agreeing
+}
+
+/// Some frames of a video, in their order.
+pub(crate) fn some_frames(all: &FrameSet, numbers: impl Iterator<Item = usize>) -> FrameSet {
+    let frames = numbers.map(|f| all.frames[f].clone()).collect();
+    FrameSet { frames, is_video: true, ..FrameSet::default() }
 }
 
 fn geometry(a: usize, b: usize, inliers: Vec<[u32; 2]>) -> TwoViewGeometry {

@@ -1,34 +1,41 @@
-//! Closing a turn by photometric similarity. Camera and lamp stand still, so a whole turn later every pixel is what it was: of all that a video
-//! shows, the first frames alone are as like the last ones as their neighbours are. How unlike pictures are grows with the angle between
-//! them; the angle across the loop closure is the one at which the pairs across it lie on the same curve as the pairs on either side. Nothing
-//! is followed or matched, so it works on thin and shiny objects too. At other places of the same video, where nothing is missing, the
-//! same search says how exact it is.
+//! Closing a turn by photometric similarity. Camera and lamp stand still, so a whole turn later
+//! every pixel is what it was: of all that a video shows, the first frames alone are as like the
+//! last ones as their neighbours are. How unlike pictures are grows with the angle between them;
+//! the angle across the loop closure is the one at which the pairs across it lie on the same curve
+//! as the pairs on either side. Nothing is followed or matched, so it works on thin and shiny
+//! objects too. At other places of the same video, where nothing is missing, the same search says
+//! how exact it is (decision 0026).
 
+use super::{COMPARABLE, LEAST};
+use crate::circular::limits::OUTLIER_SIGMAS;
 use crate::solvers::linalg::solve_spd;
-use crate::statistics::median;
+use crate::statistics::{SIGMA_PER_MAD, median};
 use scene::Film;
+use std::f64::consts::TAU;
 
-/// Pictures up to so far from the loop closure are compared, and pairs up to so far apart (radians, but at least so many steps).
-const SIDE: (f64, f64) = (0.23, 7.0);
-const PAIR: (f64, f64) = (0.175, 6.0);
-/// Pairs farther apart than this are not compared, however few frames there are, radians.
-const FARTHEST: f64 = 0.5;
-/// Most pictures on either side.
-const MOST: usize = 14;
+/// Pictures up to so far from the loop closure are compared, radians.
+/// Source: chosen by hand, never measured.
+const SIDE: f64 = 0.23;
+/// And at least so many steps; twice as many pictures at most.
+/// Source: chosen by hand, never measured.
+const SIDE_STEPS: usize = 7;
+/// Pairs up to so far apart are compared, radians, and at least a step less than [`SIDE_STEPS`].
+/// Source: chosen by hand, never measured.
+const PAIR: f64 = 0.175;
 /// How far the angles may miss a whole turn, radians.
+/// Source: chosen by hand, never measured.
 const SPAN: f64 = 0.26;
 /// Places at which the search is tried where nothing is missing.
+/// Source: decision 0026.
 const TRIALS: usize = 24;
-/// Largest share of them that may go astray (by more than this many deviations), and the largest deviation, in steps.
-const ASTRAY: (f64, f64) = (0.25, 6.0);
+/// Largest deviation of the search that is of use, steps; the least that is believed is a tenth.
+/// Source: chosen by hand, never measured.
 const LARGEST: f64 = 0.3;
 /// A loop closure fits at most so many times worse than the median of these places.
+/// Source: decision 0026.
 const WORSE: f64 = 4.0;
-/// Least deviation that is believed, steps.
-const LEAST: f64 = 0.03;
-/// Fewest pairs across the loop closure; a sixth of those beside it at least, or what hardly overlaps would fit best.
-const FEWEST: usize = 6;
 /// Terms of the curve: noise, slope, bend, turn.
+/// Source: chosen by hand, never measured.
 const TERMS: usize = 4;
 
 /// What a whole turn of the film says of the angles.
@@ -40,32 +47,23 @@ pub(crate) struct PhotometricClosure {
     pub sigma: f64,
 }
 
-/// Compares the two ends of a whole turn. `angle`: what the model says for a time, radians, rising. `None` where there is no whole
-/// turn, where photometric similarity does not tell places of this film apart, or where something else changed between its ends.
+/// Compares the two ends of a whole turn. `angle`: what the model says for a time, radians, rising.
+/// `None` where there is no whole turn, where photometric similarity does not tell places of this
+/// film apart, or where something else changed between its ends.
 pub(crate) fn excess(film: &Film, angle: impl Fn(f64) -> Option<f64>) -> Option<PhotometricClosure> {
     let strip = Strip::read(film, angle)?;
     let (first, last) = (*strip.angles.first()?, *strip.angles.last()?);
     // Of more frames than are compared only some are taken.
-    let step = ((last - first) / (strip.angles.len() - 1) as f64).max(SIDE.0 / MOST as f64);
-    let pair = PAIR.0.max(PAIR.1 * step);
-    if pair > FARTHEST || last - first < std::f64::consts::TAU - pair {
+    let step = ((last - first) / (strip.angles.len() - 1) as f64).max(SIDE / (2 * SIDE_STEPS) as f64);
+    let pair = PAIR.max((SIDE_STEPS - 1) as f64 * step);
+    if pair > COMPARABLE || last - first < TAU - pair {
         return None;
     }
-    let search = GapSearch { strip: &strip, side: SIDE.0.max(SIDE.1 * step), pair, step };
-    let ends = (first + 2.0 * search.side, last - 2.0 * search.side);
-    let places = (0..TRIALS).map(|k| ends.0 + (ends.1 - ends.0) * k as f64 / (TRIALS - 1) as f64);
-    let trials: Vec<GapEstimate> = places.filter_map(|a| search.at(a, a, 0.0)).collect();
-    let deviation = 1.4826 * median(trials.iter().map(|t| t.excess.abs()).collect());
-    let sigma = deviation.max(LEAST * step);
-    let astray = trials.iter().filter(|t| t.excess.abs() > ASTRAY.1 * sigma).count();
-    if 2 * trials.len() < TRIALS || astray as f64 > ASTRAY.0 * trials.len() as f64 || sigma > LARGEST * step {
-        return None;
-    }
-    let turn = std::f64::consts::TAU;
-    let rough = search.at(last, first.max(last - turn), turn)?.excess;
+    let search = GapSearch { strip: &strip, side: SIDE.max(SIDE_STEPS as f64 * step), pair, step };
+    let (sigma, usual) = search.accuracy(first, last)?;
+    let rough = search.at(last, first.max(last - TAU), TAU)?.excess;
     // Again, with the frames that are found to be the neighbours.
-    let found = search.at(last, first.max(last - turn - rough), turn)?;
-    let usual = median(trials.iter().map(|t| t.misfit).collect());
+    let found = search.at(last, first.max(last - TAU - rough), TAU)?;
     let fits = found.misfit < WORSE * usual && found.excess.abs() < 0.95 * SPAN && !found.rim;
     fits.then_some(PhotometricClosure { excess: found.excess, sigma })
 }
@@ -101,41 +99,53 @@ impl Strip {
     /// One picture, smoothed by (1, 2, 1) / 4 in both directions.
     fn smooth(&self, i: usize) -> Vec<f32> {
         let (w, h) = self.size;
-        let p = &self.pictures[i * w * h..(i + 1) * w * h];
-        let at = |x: usize, y: usize| f32::from(p[y * w + x]);
-        let row =
-            |x: usize, y: usize| at(x.saturating_sub(1), y) + 2.0 * at(x, y) + at((x + 1).min(w - 1), y);
-        let both = |k: usize| {
-            let (x, y) = (k % w, k / w);
-            (row(x, y.saturating_sub(1)) + 2.0 * row(x, y) + row(x, (y + 1).min(h - 1))) / 16.0
-        };
-        (0..w * h).map(both).collect()
+        let picture = &self.pictures[i * w * h..(i + 1) * w * h];
+        let mut across = Vec::with_capacity(w * h);
+        for row in picture.chunks_exact(w) {
+            for x in 0..w {
+                let [a, b, c] = [x.saturating_sub(1), x, (x + 1).min(w - 1)].map(|x| f32::from(row[x]));
+                across.push(a + 2.0 * b + c);
+            }
+        }
+        let mut both = Vec::with_capacity(w * h);
+        for y in 0..h {
+            for x in 0..w {
+                let [a, b, c] = [y.saturating_sub(1), y, (y + 1).min(h - 1)].map(|y| across[y * w + x]);
+                both.push((a + 2.0 * b + c) / 16.0);
+            }
+        }
+        both
     }
 
-    /// At most [`MOST`] frames with angles in a range, evenly chosen.
+    /// Some frames with angles in a range, evenly chosen.
     fn within(&self, from: f64, to: f64) -> Vec<usize> {
         let a = self.angles.partition_point(|v| *v < from - 1e-9);
         let b = self.angles.partition_point(|v| *v <= to + 1e-9);
-        (a..b).step_by((b - a).div_ceil(MOST).max(1)).collect()
+        (a..b).step_by((b - a).div_ceil(2 * SIDE_STEPS).max(1)).collect()
     }
 }
 
 /// Root mean square difference of two pictures, levels.
 fn unlike(a: &[f32], b: &[f32]) -> f64 {
-    let part = |(a, b): (&[f32], &[f32])| -> f64 {
-        f64::from(a.iter().zip(b).map(|(a, b)| (a - b) * (a - b)).sum::<f32>())
-    };
-    (a.chunks(256).zip(b.chunks(256)).map(part).sum::<f64>() / a.len().max(1) as f64).sqrt()
+    let mut sum = 0.0;
+    for (a, b) in a.chunks(256).zip(b.chunks(256)) {
+        sum += f64::from(a.iter().zip(b).map(|(a, b)| (a - b) * (a - b)).sum::<f32>());
+    }
+    (sum / a.len().max(1) as f64).sqrt()
 }
 
-/// What a search found: by how much the angles say too much, how badly that fits, and whether frames farther on cannot be compared.
+/// What a search found: by how much the angles say too much, how badly that fits, and whether
+/// frames farther on cannot be compared.
 struct GapEstimate {
     excess: f64,
     misfit: f64,
     rim: bool,
 }
 
-/// Pairs are (angle between, how unlike).
+/// Two pictures: the angle between them, and how unlike they are.
+type PicturePair = (f64, f64);
+
+/// How the ends of a turn are compared: over which side, pairs and steps, radians.
 struct GapSearch<'a> {
     strip: &'a Strip,
     side: f64,
@@ -144,50 +154,73 @@ struct GapSearch<'a> {
 }
 
 impl GapSearch<'_> {
-    /// The frames up to `end` and those from `start` on, which by the model follow `turn` later: by how much their angles say too much,
-    /// and how badly the best fits.
+    /// Standard deviation of what is found where nothing is missing, and the median misfit there;
+    /// `None` where the search goes astray.
+    fn accuracy(&self, first: f64, last: f64) -> Option<(f64, f64)> {
+        let ends = (first + 2.0 * self.side, last - 2.0 * self.side);
+        let places = (0..TRIALS).map(|k| ends.0 + (ends.1 - ends.0) * k as f64 / (TRIALS - 1) as f64);
+        let trials: Vec<GapEstimate> = places.filter_map(|a| self.at(a, a, 0.0)).collect();
+        let deviation = SIGMA_PER_MAD * median(trials.iter().map(|t| t.excess.abs()).collect());
+        let sigma = deviation.max(LARGEST / 10.0 * self.step);
+        let astray = trials.iter().filter(|t| t.excess.abs() > OUTLIER_SIGMAS * sigma).count();
+        let is_of_use = 2 * trials.len() >= TRIALS && 4 * astray <= trials.len();
+        (is_of_use && !(sigma > LARGEST * self.step))
+            .then(|| (sigma, median(trials.iter().map(|t| t.misfit).collect())))
+    }
+
+    /// The frames up to `end` and those from `start` on, which by the model follow `turn` later: by
+    /// how much their angles say too much, and how badly the best fits.
     fn at(&self, end: f64, start: f64, turn: f64) -> Option<GapEstimate> {
         let before = self.strip.within(end - self.side, end);
         let from = if turn > 0.0 { start } else { start + 1e-6 };
-        let after: Vec<usize> = self
-            .strip
-            .within(from, start + self.side)
-            .into_iter()
-            .filter(|i| turn > 0.0 || !before.contains(i))
-            .collect();
-        let pictures = |of: &[usize]| -> Vec<Vec<f32>> { of.iter().map(|&i| self.strip.smooth(i)).collect() };
-        let (a, b) = (pictures(&before), pictures(&after));
-        let angle = |i: &usize| self.strip.angles[*i];
-        let mut near: Vec<(f64, f64)> = Vec::new();
-        for (of, images) in [(&before, &a), (&after, &b)] {
-            for i in 0..of.len() {
-                for k in i + 1..of.len() {
-                    near.push((angle(&of[k]) - angle(&of[i]), unlike(&images[i], &images[k])));
-                }
-            }
-        }
+        let mut after = self.strip.within(from, start + self.side);
+        after.retain(|i| turn > 0.0 || !before.contains(i));
+        let [a, b] = [&before, &after].map(|of| self.pictures(of));
+        let mut near = pairs_within(&a);
+        near.extend(pairs_within(&b));
         near.retain(|p| p.0 <= self.pair);
         let mut across = Vec::new();
-        for (i, x) in before.iter().zip(&a) {
-            across.extend(after.iter().zip(&b).map(|(k, y)| (angle(k) + turn - angle(i), unlike(x, y))));
+        for (x, image) in &a {
+            across.extend(b.iter().map(|(y, other)| (y + turn - x, unlike(image, other))));
         }
-        let cost = |s: f64| self.misfit(&near, across.iter().map(|(x, y)| ((x + s).abs(), *y)));
-        let mut best = least(-SPAN, SPAN, self.step / 16.0, cost)?;
-        best = least(best.0 - self.step / 10.0, best.0 + self.step / 10.0, self.step / 200.0, cost)?;
+        let mut best = self.least(-SPAN, SPAN, self.step / 16.0, &near, &across)?;
+        let around = self.step / 10.0;
+        best = self.least(best.0 - around, best.0 + around, self.step / 200.0, &near, &across)?;
         // At the rim of what can be compared the best lies beyond it.
-        let rim = cost(best.0 + 0.5 * self.step).is_none();
+        let rim = self.misfit(&near, &across, best.0 + 0.5 * self.step).is_none();
         Some(GapEstimate { excess: best.0, misfit: best.1, rim })
     }
 
-    /// Mean square of the relative distances from the curve that fits best, over the slope of the curve.
-    fn misfit(&self, near: &[(f64, f64)], across: impl Iterator<Item = (f64, f64)>) -> Option<f64> {
-        let mut all = near.to_vec();
-        all.extend(across.filter(|p| p.0 <= self.pair));
-        if all.len() < near.len() + FEWEST.max(near.len() / 6) || near.len() < 2 * TERMS {
+    /// Angles and smoothed pictures of some frames.
+    fn pictures(&self, frames: &[usize]) -> Vec<(f64, Vec<f32>)> {
+        frames.iter().map(|&i| (self.strip.angles[i], self.strip.smooth(i))).collect()
+    }
+
+    /// The shift of the angles across at which the misfit is least on a grid, and that misfit.
+    fn least(
+        &self,
+        from: f64,
+        to: f64,
+        spacing: f64,
+        near: &[PicturePair],
+        across: &[PicturePair],
+    ) -> Option<(f64, f64)> {
+        let steps = ((to - from) / spacing).round() as usize;
+        let shifts = (0..=steps).map(|k| from + spacing * k as f64);
+        let values = shifts.filter_map(|s| Some((s, self.misfit(near, across, s)?)));
+        values.min_by(|a, b| a.1.total_cmp(&b.1))
+    }
+
+    /// Mean square of the relative distances from the curve that fits best, over the slope of the
+    /// curve, with the angles across shifted.
+    fn misfit(&self, near: &[PicturePair], across: &[PicturePair], shift: f64) -> Option<f64> {
+        let shifted = across.iter().map(|(x, y)| ((x + shift).abs(), *y)).filter(|p| p.0 <= self.pair);
+        let mut all: Vec<PicturePair> = near.iter().copied().chain(shifted).collect();
+        // What hardly overlaps would fit best.
+        if all.len() < near.len() + LEAST.max(near.len() / 6) || near.len() < 2 * TERMS {
             return None;
         }
         let soft = 0.2 * self.step / self.pair;
-        let terms = |x: f64| [1.0, x, x * x, x * x * x];
         let (mut normal, mut right) = ([[0.0; TERMS]; TERMS], [0.0; TERMS]);
         for (x, y) in &mut all {
             *x /= self.pair;
@@ -199,23 +232,28 @@ impl GapSearch<'_> {
         }
         (0..TERMS).for_each(|i| normal[i][i] *= 1.0 + 1e-9);
         let curve = solve_spd(&normal, &right)?;
-        let off = |(x, y): &(f64, f64)| {
+        let mut sum = 0.0;
+        for (x, y) in &all {
             let t = terms(*x);
             let value: f64 = (0..TERMS).map(|i| curve[i] * t[i]).sum();
-            ((y - value) / (x + soft)).powi(2)
-        };
-        (curve[1] > 0.0).then(|| all.iter().map(off).sum::<f64>() / (all.len() as f64 * curve[1] * curve[1]))
+            sum += ((y - value) / (x + soft)).powi(2);
+        }
+        (curve[1] > 0.0).then(|| sum / (all.len() as f64 * curve[1] * curve[1]))
     }
 }
 
-/// Where a cost is least on a grid, and that cost.
-fn least(from: f64, to: f64, spacing: f64, cost: impl Fn(f64) -> Option<f64>) -> Option<(f64, f64)> {
-    let steps = ((to - from) / spacing).round() as usize;
-    let values = (0..=steps).filter_map(|k| {
-        let s = from + spacing * k as f64;
-        Some((s, cost(s)?))
-    });
-    values.min_by(|a, b| a.1.total_cmp(&b.1))
+/// Powers of an angle.
+fn terms(x: f64) -> [f64; TERMS] {
+    [1.0, x, x * x, x * x * x]
+}
+
+/// All pairs of some pictures.
+fn pairs_within(pictures: &[(f64, Vec<f32>)]) -> Vec<PicturePair> {
+    let mut pairs = Vec::new();
+    for (i, (a, image)) in pictures.iter().enumerate() {
+        pairs.extend(pictures[i + 1..].iter().map(|(b, other)| (b - a, unlike(image, other))));
+    }
+    pairs
 }
 
 #[cfg(test)]
@@ -225,7 +263,8 @@ mod tests {
 
     const SIZE: (usize, usize) = (64, 40);
 
-    /// `frames` pictures of bright spots on a drum, `step` apart, `lamp` by frame; in a file of the test's own.
+    /// `frames` pictures of bright spots on a drum, `step` apart, `lamp` by frame; in a file of the
+    /// test's own.
     fn film(name: &str, frames: usize, step: f64, lamp: impl Fn(usize) -> f64) -> Film {
         use rand::Rng;
         let mut r = scene::rng::rng(1, name, 0);

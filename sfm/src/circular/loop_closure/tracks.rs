@@ -1,8 +1,11 @@
-//! The loop closure of a whole turn: the first frames show again what the last ones show, so points are followed on from the
-//! last frame to the first, and say by how much the angles miss the whole turn.
+//! The loop closure of a whole turn: the first frames show again what the last ones show, so points
+//! are followed on from the last frame to the first, and say by how much the angles miss the whole
+//! turn (decision 0017).
 
+use super::{COMPARABLE, LEAST};
 use crate::SfmError;
-use crate::circular::initialize::key_frames::drop_still;
+use crate::circular::initialize::key_frames::{drop_stationary, some_frames};
+use crate::circular::limits::{INLIER_PX, is_majority};
 use crate::circular::model::AxisModel;
 use crate::circular::motion::wrap_angle;
 use crate::circular::register::resect_angle;
@@ -10,17 +13,23 @@ use crate::klt::{KltConfig, track};
 use crate::triangulation::{Gates, PointView, triangulate};
 use glam::{DVec2, DVec3};
 use scene::{FrameSet, Progress};
+use std::collections::BTreeMap;
 
 /// Frames on either side.
+/// Source: decision 0017; twelve changed nothing for the better (decision 0019).
 const SIDE: usize = 6;
-/// The frame that goes on from the last one shows the object turned by no more, as far as the angles are known, radians.
-const JUMP: f64 = 0.5;
-/// Search for the error of a closed turn, radians to either side.
-const SPAN: f64 = 0.5;
-/// Points with which a frame's angle is asked, at least.
-const FEWEST: usize = 6;
-/// Largest reprojection error of such a point, pixels, and the least angle between its rays, radians.
-const GATES: Gates = Gates { max_error_px: 4.0, min_angle: 0.02 };
+/// Largest reprojection error of a point, pixels, and the least angle between its rays, radians.
+/// Source of the angle: chosen by hand, never measured.
+const GATES: Gates = Gates { max_error_px: INLIER_PX, min_angle: 0.02 };
+
+/// What a frame or a pair of frames says of a closed turn.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct LoopGap {
+    /// By how much the angle across the loop closure is too small, radians.
+    pub missing: f64,
+    /// That angle, radians.
+    pub angle: f64,
+}
 
 /// Points followed across the loop closure.
 #[derive(Clone, Debug, Default)]
@@ -32,7 +41,8 @@ pub(crate) struct LoopClosure {
 }
 
 impl LoopClosure {
-    /// Follows points from the last frames to those that a whole turn later show the same; none where no frame does.
+    /// Follows points from the last frames to those that a whole turn later show the same; none
+    /// where no frame does.
     pub fn follow(
         frames: &FrameSet,
         angles: &[Option<f64>],
@@ -41,57 +51,65 @@ impl LoopClosure {
     ) -> Result<Self, SfmError> {
         let Some((last, next)) = ends(angles) else { return Ok(Self::default()) };
         let order: Vec<usize> = (last + 1 - SIDE..=last).chain(next..next + SIDE).collect();
-        let some = FrameSet {
-            frames: order.iter().map(|&f| frames.frames[f].clone()).collect(),
-            is_video: true,
-            ..FrameSet::default()
-        };
-        let mut followed = track(&some, klt, progress)?;
-        drop_still(&mut followed);
+        let mut followed = track(&some_frames(frames, order.iter().copied()), klt, progress)?;
+        drop_stationary(&mut followed);
         // Two observations on one side make a point, one on the other a tie.
         followed.retain(|t| t.first + 1 < SIDE && t.first + t.positions.len() > SIDE);
-        let views = |first: usize, positions: &[DVec2]| {
-            order[first..].iter().copied().zip(positions.iter().copied()).collect()
-        };
-        Ok(Self { tracks: followed.iter().map(|t| views(t.first, &t.positions)).collect(), last })
+        let mut tracks = Vec::new();
+        for t in &followed {
+            tracks.push(order[t.first..].iter().copied().zip(t.positions.iter().copied()).collect());
+        }
+        Ok(Self { tracks, last })
     }
 
-    /// For each frame after the loop closure by how much the angle from there to the last frame is too small, and that angle.
-    pub fn gaps(&self, model: &AxisModel) -> Vec<(f64, f64)> {
+    /// For each frame after the loop closure by how much the angle from there to the last frame is
+    /// too small, and that angle.
+    pub fn gaps(&self, model: &AxisModel) -> Vec<LoopGap> {
         let Some(end) = model.turn.angles.get(self.last).copied().flatten() else { return Vec::new() };
         let camera = &model.state.cameras[0];
-        let before = |frame: usize| frame <= self.last && frame + SIDE > self.last;
-        let mut seen: std::collections::BTreeMap<usize, Vec<(DVec2, DVec3)>> = Default::default();
+        let mut gaps = Vec::new();
+        for (frame, seen) in self.seen_again(model) {
+            let Some(start) = model.turn.angles[frame].filter(|_| seen.len() >= LEAST) else { continue };
+            let found = resect_angle(camera, &model.turn.axis, &seen, start, COMPARABLE);
+            if found.inliers >= LEAST && is_majority(found.inliers, found.asked) {
+                gaps.push(LoopGap { missing: -wrap_angle(found.angle - start), angle: end - start });
+            }
+        }
+        gaps
+    }
+
+    /// By frame after the loop closure the points that it sees, triangulated before it.
+    fn seen_again(&self, model: &AxisModel) -> BTreeMap<usize, Vec<(DVec2, DVec3)>> {
+        let camera = &model.state.cameras[0];
+        let mut seen: BTreeMap<usize, Vec<(DVec2, DVec3)>> = BTreeMap::new();
         for track in &self.tracks {
-            let view = |&(frame, pixel): &(usize, DVec2)| {
-                model.turn.pose(frame).filter(|_| before(frame)).map(|p| PointView::new(&p, camera, pixel))
-            };
-            let views: Vec<PointView<'_>> = track.iter().filter_map(view).collect();
+            let before = track.iter().filter(|(frame, _)| self.is_before(*frame));
+            let views: Vec<PointView<'_>> = before
+                .filter_map(|&(frame, pixel)| Some(PointView::new(&model.turn.pose(frame)?, camera, pixel)))
+                .collect();
             let Some(point) = triangulate(&views, &GATES) else { continue };
-            for &(frame, pixel) in track.iter().filter(|(frame, _)| !before(*frame)) {
+            for &(frame, pixel) in track.iter().filter(|(frame, _)| !self.is_before(*frame)) {
                 seen.entry(frame).or_default().push((pixel, point.position));
             }
         }
-        let gap = |(frame, seen): (&usize, &Vec<(DVec2, DVec3)>)| {
-            let start = model.turn.angles[*frame].filter(|_| seen.len() >= FEWEST)?;
-            let found = resect_angle(camera, &model.turn.axis, seen, start, SPAN);
-            let agreed = found.inliers >= FEWEST && found.inliers * 2 >= found.asked;
-            agreed.then(|| (-wrap_angle(found.angle - start), end - start))
-        };
-        seen.iter().filter_map(gap).collect()
+        seen
+    }
+
+    fn is_before(&self, frame: usize) -> bool {
+        frame <= self.last && frame + SIDE > self.last
     }
 }
 
-/// The last frame that has an angle, and the first of the frames that go on from it a whole turn before.
+/// The last frame that has an angle, and the first of the frames that go on from it a whole turn
+/// before.
 fn ends(angles: &[Option<f64>]) -> Option<(usize, usize)> {
     let last = angles.iter().rposition(Option::is_some)?;
     let (start, end) = (angles.iter().flatten().next().copied()?, angles[last]?);
     let whole = std::f64::consts::TAU.copysign(end - start);
-    let off = |frame: usize| angles[frame].map(|a| (a - (end - whole)).abs());
     let enough = (last + 1).checked_sub(2 * SIDE)?;
-    let known = (0..=enough).filter_map(|frame| Some((off(frame)?, frame)));
+    let known = (0..=enough).filter_map(|frame| Some(((angles[frame]? - (end - whole)).abs(), frame)));
     let (off, next) = known.min_by(|a, b| a.0.total_cmp(&b.0))?;
-    (off <= JUMP).then_some((last, next))
+    (off <= COMPARABLE).then_some((last, next))
 }
 
 #[cfg(test)]
@@ -102,7 +120,7 @@ mod tests {
     use crate::circular::tests::{Filmed, Turntable};
 
     /// What the loop closure says of a turn whose angles are all `share` of the true ones.
-    fn gaps(share: f64, sense: f64) -> Vec<(f64, f64)> {
+    fn gaps(share: f64, sense: f64) -> Vec<LoopGap> {
         let table = Turntable::new(72, 5.0 * sense, 3);
         let filmed = Filmed::new(72, table.camera.clone(), true);
         let material = VideoTracks::of_klt(&[], 72);
@@ -120,8 +138,8 @@ mod tests {
         for (share, sense) in [(1.0, 1.0), (0.95, 1.0), (0.95, -1.0), (1.04, 1.0), (1.04, -1.0)] {
             let found = gaps(share, sense);
             assert_eq!(found.len(), SIDE, "{share} {sense}");
-            for (gap, angle) in found {
-                let (said, stretch) = (gap / angle, 1.0 / share - 1.0);
+            for LoopGap { missing, angle } in found {
+                let (said, stretch) = (missing / angle, 1.0 / share - 1.0);
                 // The steps within the six frames lack their share too.
                 let near = 1e-6 + 0.12 * stretch.abs();
                 assert!((said - stretch).abs() < near, "{share} {sense}: {said} for {stretch}");

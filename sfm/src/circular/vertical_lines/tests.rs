@@ -5,7 +5,8 @@ use glam::{DQuat, DVec2};
 
 const TRUTH_DEG: f64 = 8.0;
 
-/// A camera that looks down by some degrees on a turn about an axis that is thought to lean by `thought_deg`.
+/// A camera that looks down by some degrees on a turn about an axis that is thought to lean by
+/// `thought_deg`.
 fn seen(thought_deg: f64) -> (Camera, CircularMotion) {
     let camera = Camera::centred(1, CameraModel::SimpleRadial, 640, 480, 520.0);
     let lean = thought_deg.to_radians();
@@ -13,7 +14,8 @@ fn seen(thought_deg: f64) -> (Camera, CircularMotion) {
     (camera, CircularMotion::new(up, DVec3::new(0.0, 0.0, 2.0), vec![Some(0.0), Some(0.1)]).unwrap())
 }
 
-/// The image of a line through a point at depth 3 seen at `pixel`, along `up` turned by some degrees in the image.
+/// The image of a line through a point at depth 3 seen at `pixel`, along `up` turned by some
+/// degrees in the image.
 fn line(camera: &Camera, pixel: DVec2, askew_deg: f64) -> Segment {
     let truth = TRUTH_DEG.to_radians();
     let up = DQuat::from_rotation_z(askew_deg.to_radians()) * DVec3::new(0.0, -truth.cos(), -truth.sin());

@@ -1,12 +1,12 @@
 //! The border to Ceres for motions about one axis.
 
-use super::{BundleOutcome, BundleState, Monitor, TurnInput, ffi, num_params};
+use super::{BundleOutcome, BundleState, CircularInput, Monitor, ffi, num_params};
 use crate::SfmError;
 use scene::Progress;
 
-/// The numbers that change: see [`TurnInput`] for P and the cameras.
+/// The numbers that change: see [`CircularInput`] for P and the cameras.
 #[derive(Clone, Debug, Default)]
-pub(crate) struct TurnState {
+pub(crate) struct CircularState {
     /// The cameras' parameters, one camera after the other.
     pub intrinsics: Vec<f64>,
     /// [7] camera from turntable: quaternion x y z w, translation.
@@ -21,13 +21,13 @@ pub(crate) struct TurnState {
 
 /// Minimises; `state` holds the result. Not finite or inconsistent input is an error, not a crash.
 pub(crate) fn solve(
-    input: &TurnInput,
-    state: &mut TurnState,
+    input: &CircularInput,
+    state: &mut CircularState,
     progress: &Progress,
 ) -> Result<BundleOutcome, SfmError> {
     check(input, state)?;
-    let TurnState { intrinsics, axis, angles, offsets, points } = state;
-    let outcome = ffi::solve_turn(input, intrinsics, axis, angles, offsets, points, &Monitor(progress))
+    let CircularState { intrinsics, axis, angles, offsets, points } = state;
+    let outcome = ffi::solve_circular(input, intrinsics, axis, angles, offsets, points, &Monitor(progress))
         .map_err(|e| SfmError::Solver(e.to_string()))?;
     if outcome.cancelled {
         progress.check()?;
@@ -35,24 +35,32 @@ pub(crate) fn solve(
     Ok(outcome)
 }
 
-/// Covariances of the axis' freedoms and the angles [(3 + P)²] and of each camera's parameters, for observations of
-/// unit noise; `None` where the problem does not determine them.
+/// Covariances of the axis' freedoms and the angles [(3 + P)²] and of each camera's parameters, for
+/// observations of unit noise; `None` where the problem does not determine them.
 pub(crate) fn covariance(
-    input: &TurnInput,
-    state: &TurnState,
+    input: &CircularInput,
+    state: &CircularState,
 ) -> Result<Option<(Vec<f64>, Vec<f64>)>, SfmError> {
     check(input, state)?;
     let size = 3 + state.angles.len();
     let mut of_turn = vec![0.0; size * size];
     let mut of_cameras = vec![0.0; input.bundle.camera_models.iter().map(|&m| num_params(m).pow(2)).sum()];
-    let TurnState { intrinsics, axis, angles, offsets, points } = state;
-    let done =
-        ffi::turn_covariance(input, intrinsics, axis, angles, offsets, points, &mut of_turn, &mut of_cameras)
-            .map_err(|e| SfmError::Solver(e.to_string()))?;
+    let CircularState { intrinsics, axis, angles, offsets, points } = state;
+    let done = ffi::circular_covariance(
+        input,
+        intrinsics,
+        axis,
+        angles,
+        offsets,
+        points,
+        &mut of_turn,
+        &mut of_cameras,
+    )
+    .map_err(|e| SfmError::Solver(e.to_string()))?;
     Ok(done.then_some((of_turn, of_cameras)))
 }
 
-fn check(input: &TurnInput, state: &TurnState) -> Result<(), SfmError> {
+fn check(input: &CircularInput, state: &CircularState) -> Result<(), SfmError> {
     let frames = state.angles.len();
     // The same checks as for free poses, with poses of the right number that nothing reads.
     let bundle = BundleState {
@@ -72,8 +80,8 @@ fn check(input: &TurnInput, state: &TurnState) -> Result<(), SfmError> {
         && input.relation_targets.len() == relations
         && input.level_normals.len() == 3 * input.level_weights.len()
         && input.level_targets.len() == input.level_weights.len();
-    let frame = |(k, &i): (usize, &u32)| (i as usize) < frames || (k % 3 == 2 && i == u32::MAX);
-    let indices = input.relation_angles.iter().enumerate().all(frame);
+    let mut numbers = input.relation_angles.iter().enumerate();
+    let indices = numbers.all(|(k, &i)| (i as usize) < frames || (k % 3 == 2 && i == u32::MAX));
     let all = [
         &state.axis,
         &state.angles,
@@ -88,8 +96,8 @@ fn check(input: &TurnInput, state: &TurnState) -> Result<(), SfmError> {
     ];
     let finite = all.iter().all(|values| values.iter().all(|v| v.is_finite()));
     match (shapes && indices, finite) {
-        (false, _) => Err(SfmError::Solver("the turn is inconsistent".to_owned())),
-        (_, false) => Err(SfmError::Solver("a number of the turn is not finite".to_owned())),
+        (false, _) => Err(SfmError::Solver("the circular motion is inconsistent".to_owned())),
+        (_, false) => Err(SfmError::Solver("a number of the circular motion is not finite".to_owned())),
         _ => Ok(()),
     }
 }

@@ -7,7 +7,7 @@
 
 namespace sat_recon {
 
-struct TurnInput;
+struct CircularInput;
 struct BundleOutcome;
 struct Monitor;
 
@@ -17,17 +17,17 @@ struct Monitor;
 //   angles     [P]             θ_i, radians
 //   offsets    [P × 7]         D_i: quaternion x y z w, translation; the identity where the motion is about one axis
 //   points     [N × 3]         turntable frame
-BundleOutcome solve_turn(const TurnInput &input, rust::Slice<double> intrinsics, rust::Slice<double> axis,
+BundleOutcome solve_circular(const CircularInput &input, rust::Slice<double> intrinsics, rust::Slice<double> axis,
                          rust::Slice<double> angles, rust::Slice<double> offsets, rust::Slice<double> points,
                          const Monitor &monitor);
 
 // Marginal covariance, for unit noise, after the points are eliminated; offsets are taken as constant.
-//   turn_covariance   [(3 + P)²]        row-major over the axis' three freedoms (see TurnInput) and the angles; 0 where held
+//   circular_covariance   [(3 + P)²]        row-major over the axis' three freedoms (see CircularInput) and the angles; 0 where held
 //   camera_covariance [Σ num_params²]   row-major for each camera; 0 where constant
 // Returns false where the normal matrix cannot be inverted.
-bool turn_covariance(const TurnInput &input, rust::Slice<const double> intrinsics, rust::Slice<const double> axis,
+bool circular_covariance(const CircularInput &input, rust::Slice<const double> intrinsics, rust::Slice<const double> axis,
                      rust::Slice<const double> angles, rust::Slice<const double> offsets,
-                     rust::Slice<const double> points, rust::Slice<double> turn_covariance,
+                     rust::Slice<const double> points, rust::Slice<double> circular_covariance,
                      rust::Slice<double> camera_covariance);
 
 }  // namespace sat_recon

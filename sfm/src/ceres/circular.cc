@@ -1,5 +1,5 @@
-// Adjustment of a motion about one axis by Ceres with analytic Jacobians. See turn.h for the shapes.
-#include "turn.h"
+// Adjustment of a motion about one axis by Ceres with analytic Jacobians. See circular.h for the shapes.
+#include "circular.h"
 
 #include <glog/logging.h>
 
@@ -15,9 +15,9 @@ constexpr std::uint32_t kNone = 0xffffffff;
 
 // w (π(D (R Z(θ) X + t)) − pixel). Blocks: axis (R, t), angle, offset D, point, intrinsics. Poses have the ambient
 // Jacobian [∂ω ∂t 0], from which the manifolds pick.
-class TurnReprojection final : public ceres::CostFunction {
+class CircularReprojection final : public ceres::CostFunction {
  public:
-  TurnReprojection(int model, const double *pixel, double weight) : model_(model), weight_(weight) {
+  CircularReprojection(int model, const double *pixel, double weight) : model_(model), weight_(weight) {
     pixel_[0] = pixel[0];
     pixel_[1] = pixel[1];
     set_num_residuals(2);
@@ -184,13 +184,13 @@ class OffsetPrior final : public ceres::CostFunction {
   const double *sigma_;
 };
 
-int RelationSize(const TurnInput &input, std::size_t relation) {
+int RelationSize(const CircularInput &input, std::size_t relation) {
   return input.relation_angles[3 * relation + 2] == kNone ? 2 : 3;
 }
 
 }  // namespace
 
-BundleOutcome solve_turn(const TurnInput &input, rust::Slice<double> intrinsics, rust::Slice<double> axis,
+BundleOutcome solve_circular(const CircularInput &input, rust::Slice<double> intrinsics, rust::Slice<double> axis,
                          rust::Slice<double> angles, rust::Slice<double> offsets, rust::Slice<double> points,
                          const Monitor &monitor) {
   FLAGS_minloglevel = 3;
@@ -208,7 +208,7 @@ BundleOutcome solve_turn(const TurnInput &input, rust::Slice<double> intrinsics,
   ownership.loss_function_ownership = ceres::DO_NOT_TAKE_OWNERSHIP;
   ownership.manifold_ownership = ceres::TAKE_OWNERSHIP;
   ownership.disable_all_safety_checks = true;
-  std::deque<TurnReprojection> costs;
+  std::deque<CircularReprojection> costs;
   std::vector<std::unique_ptr<ceres::CostFunction>> priors;
   ceres::Problem problem(ownership);
   const auto ordering = std::make_shared<ceres::ParameterBlockOrdering>();
@@ -268,9 +268,9 @@ BundleOutcome solve_turn(const TurnInput &input, rust::Slice<double> intrinsics,
   return MakeOutcome(summary);
 }
 
-bool turn_covariance(const TurnInput &input, rust::Slice<const double> intrinsics, rust::Slice<const double> axis,
+bool circular_covariance(const CircularInput &input, rust::Slice<const double> intrinsics, rust::Slice<const double> axis,
                      rust::Slice<const double> angles, rust::Slice<const double> offsets,
-                     rust::Slice<const double> points, rust::Slice<double> turn_covariance,
+                     rust::Slice<const double> points, rust::Slice<double> circular_covariance,
                      rust::Slice<double> camera_covariance) {
   const BundleInput &bundle = input.bundle;
   int size = 0;
@@ -289,7 +289,7 @@ bool turn_covariance(const TurnInput &input, rust::Slice<const double> intrinsic
     PointRows rows;
     for (const std::size_t i : of_point[point]) {
       const std::size_t pose = bundle.observation_pose[i], camera = bundle.pose_camera[pose];
-      const TurnReprojection cost(bundle.camera_models[camera], bundle.pixels.data() + 2 * i, bundle.weights[i]);
+      const CircularReprojection cost(bundle.camera_models[camera], bundle.pixels.data() + 2 * i, bundle.weights[i]);
       double const *const blocks[5] = {axis.data(), angles.data() + pose, offsets.data() + kPoseSize * pose,
                                        points.data() + 3 * point, intrinsics.data() + bundle.camera_offsets[camera]};
       double residuals[2], by_axis[2 * kPoseSize], by_angle[2], by_camera[16];
@@ -332,7 +332,7 @@ bool turn_covariance(const TurnInput &input, rust::Slice<const double> intrinsic
   AddIntrinsicsPriors(bundle, of_cameras, normal);
   Eigen::MatrixXd covariance;
   if (!Invert(normal, covariance)) return false;
-  CopyBlock(covariance, columns, turn_covariance.data());
+  CopyBlock(covariance, columns, circular_covariance.data());
   CopyCameraBlocks(covariance, of_cameras, camera_covariance.data());
   return true;
 }
