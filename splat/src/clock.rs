@@ -1,4 +1,9 @@
 //! Time spent, in seconds.
+//!
+//! ```
+//! let begun = splat::clock::cpu_seconds();
+//! assert!(splat::clock::cpu_seconds() >= begun);
+//! ```
 
 use std::path::PathBuf;
 use std::sync::OnceLock;

@@ -1,4 +1,13 @@
 //! What training can be told.
+//!
+//! ```
+//! use splat::TrainConfig;
+//! use splat::config::parse_duration;
+//!
+//! let config = TrainConfig { time_limit: Some(parse_duration("1.5m")?), ..TrainConfig::default() };
+//! assert_eq!(config.time_limit, Some(90.0));
+//! # Ok::<(), String>(())
+//! ```
 
 use crate::device::DeviceConfig;
 use crate::model::MAX_SH_DEGREE;

@@ -1,4 +1,11 @@
 //! The parameters in training: planes of f32, Adam's moments beside them.
+//!
+//! ```
+//! use splat::model::Model;
+//!
+//! let model = Model::from_gaussians(&scene::Gaussians::default());
+//! assert_eq!((model.len, model.sh.len()), (0, 0));
+//! ```
 
 use glam::{Quat, Vec3};
 use scene::Gaussians;

@@ -2,7 +2,25 @@
 //!
 //! Expected depth, which renderers give, lies between two surfaces at every edge and is drawn
 //! towards whatever shines through; the median does not. Scalar f64, on the kernels of
-//! [`crate::reference`], with tiles: it is for judging, not for drawing.
+//! `reference`, with tiles: it is for judging, not for drawing.
+//!
+//! ```
+//! use glam::{Quat, Vec3};
+//! use scene::{Camera, CameraModel, Gaussians, Pose};
+//! use splat::surface::median_depth;
+//!
+//! let disc = Gaussians {
+//!     means: vec![Vec3::new(0.0, 0.0, 2.0)],
+//!     log_scales: vec![Vec3::new(0.0, 0.0, -6.0)],
+//!     rotations: vec![Quat::IDENTITY],
+//!     opacity_logits: vec![3.0],
+//!     sh: vec![0.0; 3],
+//!     sh_degree: 0,
+//! };
+//! let camera = Camera::centred(1, CameraModel::Pinhole, 32, 24, 30.0);
+//! let depth = median_depth(&disc, &camera, &Pose::IDENTITY, 0.01, false);
+//! assert!((depth[12 * 32 + 16].unwrap() - 2.0).abs() < 0.01);
+//! ```
 
 use crate::cpu::TILE;
 use crate::dataset::{Dataset, MATTE_MARGIN_PX, Pixels};

@@ -1,8 +1,8 @@
 //! The training loop.
 //!
-//! A [`session`] takes steps; its [`schedule`] says at which resolution and by which step sizes,
-//! its [`pace`] how many there will be within a time limit; [`rules`] change the Gaussians and
-//! decide by evidence. [`setup`] is what stays as it is, [`state`] what a [`checkpoint`] keeps.
+//! A `session` takes steps; its `schedule` says at which resolution and by which step sizes,
+//! its `pace` how many there will be within a time limit; `rules` change the Gaussians and
+//! decide by evidence. `setup` is what stays as it is, `state` what a `checkpoint` keeps.
 //!
 //! ```no_run
 //! use scene::Progress;
