@@ -100,14 +100,14 @@ fn panel(
     let groups = theirs.chain([(points.iter().collect::<Vec<_>>(), OURS)]);
     for (group, colour) in groups {
         for (index, p) in group.iter().enumerate() {
-            let Some(at) = place(p) else { continue };
+            let (Some(x), Some(y)) = (x(p).filter(|v| *v > 0.0), y(p)) else { continue };
             // Another tool's name once is enough; ours say which setting they are.
             let label = match (colour == OURS, index) {
                 (true, _) => p.setting.clone(),
                 (false, 0) => p.method.clone(),
                 _ => String::new(),
             };
-            chart.draw_series([EmptyElement::at(at)
+            chart.draw_series([EmptyElement::at((x, y))
                 + Circle::new((0, 0), 4, colour.filled())
                 + Text::new(label, (7, -6), ("sans-serif", 11).into_font().color(&colour))])?;
         }

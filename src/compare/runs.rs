@@ -198,7 +198,11 @@ pub fn tables(entries: &[Entry], beside: &[Table]) -> Vec<Table> {
         table("rendering cost", &RENDERING, entries, |e| e.rendering.to_vec()),
     ];
     let merged = all.into_iter().map(|mut table| {
-        beside.iter().filter(|b| b.title == table.title).for_each(|b| table.merge(b));
+        for other in beside {
+            if other.title == table.title {
+                table.merge(other);
+            }
+        }
         table.without_empty_columns()
     });
     merged.filter(|t| !t.is_empty()).collect()
