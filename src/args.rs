@@ -31,10 +31,10 @@ pub struct Global {
     /// Print the result as JSON on standard output
     #[arg(long, global = true, help_heading = "General")]
     pub json: bool,
-    /// Say nothing but errors
+    /// Print errors only
     #[arg(short, long, global = true, conflicts_with = "verbose", help_heading = "General")]
     pub quiet: bool,
-    /// Say what was found out on the way
+    /// Print the evidence behind each decision, too
     #[arg(short, long, global = true, help_heading = "General")]
     pub verbose: bool,
 }
@@ -44,7 +44,7 @@ pub struct Global {
 pub enum Command {
     /// From a video, a folder of photos or a posed data set to a splat and a report
     Run(Box<PipelineArgs>),
-    /// Only choose and write the frames (and masks)
+    /// Only select and write the frames (and masks)
     Frames(Box<PipelineArgs>),
     /// Up to camera poses and the sparse cloud
     Sfm(Box<PipelineArgs>),
@@ -52,19 +52,19 @@ pub enum Command {
     Train(Box<PipelineArgs>),
     /// Up to the metrics of the held-out views
     Eval(Box<PipelineArgs>),
-    /// Everything, and write report.html anew
+    /// All stages, then write report.html again
     Report(Box<PipelineArgs>),
     /// Render a trained splat along the input cameras, an orbit or a spiral
     Render(RenderArgs),
     /// Write a result in another format
     Export(ExportArgs),
-    /// Our poses beside COLMAP's or a ground truth's
+    /// Compare poses with those of COLMAP or a ground truth
     Compare(CompareArgs),
     /// Quality against time: trains at several presets and time limits, draws the curve
     Bench(BenchArgs),
-    /// Look at a trained splat in a browser, served to this machine alone
+    /// View a trained splat in a browser, served to this machine only
     View(ViewArgs),
-    /// What is installed, which adapters there are, and what will be slow
+    /// Show installed libraries, graphics adapters, and what will be slow
     Doctor,
 }
 
@@ -80,20 +80,20 @@ pub struct PipelineArgs {
     /// Preset: places flags before the configuration file's and the typed ones
     #[arg(long, value_enum, default_value_t = splat::Quality::Balanced, help_heading = "General")]
     pub quality: splat::Quality,
-    /// Seed of all randomness
+    /// Seed of the random numbers
     #[arg(long, default_value_t = 0, help_heading = "General")]
     pub seed: u64,
-    /// Solve the poses even where the input brings its own
+    /// Estimate the poses even if the input provides them
     #[arg(long, help_heading = "General")]
     pub ignore_poses: bool,
-    /// Write the models as text too
+    /// Also write the models as text
     #[arg(long, help_heading = "General")]
     pub text: bool,
     /// Take features, matches and camera groups from this database.db of COLMAP's (images are known
     /// by their names)
     #[arg(long, value_name = "FILE", help_heading = "Structure from motion")]
     pub database: Option<PathBuf>,
-    /// Of --database take the features only, and match them anew
+    /// Take only the features from --database and match them again
     #[arg(long, requires = "database", help_heading = "Structure from motion")]
     pub rematch: bool,
     /// Write OUT/database.db too: features, matches and verified pairs, on which COLMAP's mappers
@@ -165,7 +165,7 @@ pub enum RenderPath {
     Input,
     /// The held-out input cameras
     Test,
-    /// A circle through the input cameras' mean height and distance
+    /// A circle at the mean height and distance of the input cameras
     Orbit,
     /// A circle that rises and falls
     Spiral,

@@ -182,13 +182,8 @@ fn typed_flags(argv: &[String], input: &Path) -> Vec<String> {
 fn with_absolute_paths(mut flags: Vec<String>) -> Vec<String> {
     let command = Cli::command();
     let Some(run) = command.find_subcommand("run") else { return flags };
-    let takes_path = |a: &&clap::Arg| a.get_value_hint() == clap::ValueHint::AnyPath;
-    let names: Vec<String> =
-        run.get_arguments().filter(takes_path).filter_map(|a| Some(format!("--{}", a.get_long()?))).collect();
-    let absolute = |path: &str| match std::path::absolute(path) {
-        Ok(path) => path.display().to_string(),
-        Err(_) => path.to_owned(),
-    };
+    let paths = run.get_arguments().filter(|a| a.get_value_hint() == clap::ValueHint::AnyPath);
+    let names: Vec<String> = paths.filter_map(|a| Some(format!("--{}", a.get_long()?))).collect();
     for i in 0..flags.len() {
         let (name, value) = flags[i].split_once('=').unwrap_or((&flags[i], ""));
         let (is_path, name, value) = (names.iter().any(|n| n == name), name.to_owned(), value.to_owned());
@@ -199,6 +194,10 @@ fn with_absolute_paths(mut flags: Vec<String>) -> Vec<String> {
         }
     }
     flags
+}
+
+fn absolute(path: &str) -> String {
+    std::path::absolute(path).map_or_else(|_| path.to_owned(), |path| path.display().to_string())
 }
 
 fn former_run(input: &Path) -> Result<Option<Recorded>> {

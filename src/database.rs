@@ -112,11 +112,12 @@ fn read(path: &Path, frames: &mut FrameSet, rematch: bool) -> Result<(Supplied, 
 }
 
 fn find<'a>(database: &'a Database, name: &str) -> Option<(u32, &'a DatabaseImage)> {
-    let stem = |n: &str| Path::new(n).with_extension("");
-    let by = |same: &dyn Fn(&str) -> bool| {
-        database.images.iter().find(|(_, image)| same(&image.name)).map(|(id, image)| (*id, image))
-    };
-    by(&|n| n == name).or_else(|| by(&|n| stem(n) == stem(name)))
+    let stem = Path::new(name).with_extension("");
+    let named = database.images.iter().find(|(_, image)| image.name == name);
+    let similar = database.images.iter();
+    let found =
+        named.or_else(|| similar.clone().find(|(_, i)| Path::new(&i.name).with_extension("") == stem));
+    found.map(|(id, image)| (*id, image))
 }
 
 /// The features of an image in the pixels of its frame.
@@ -125,7 +126,7 @@ fn fitted(image: &DatabaseImage, camera: &Camera, frame: &mut Frame) -> Result<F
     let sy = f64::from(frame.height) / f64::from(camera.height);
     if (sx / sy - 1.0).abs() > 0.01 {
         let (w, h) = (camera.width, camera.height);
-        bail!("{} is {w}×{h} there, but {}×{} here: was it turned?", image.name, frame.width, frame.height);
+        bail!("{} is {w}×{h} there, but {}×{} here: was it rotated?", image.name, frame.width, frame.height);
     }
     if camera.has_prior_focal {
         frame.focal_prior_px = Some(camera.mean_focal() * sx);
@@ -143,21 +144,31 @@ fn fitted(image: &DatabaseImage, camera: &Camera, frame: &mut Frame) -> Result<F
 /// Matches as they were before verification, or where none were kept the verified ones; none at all
 /// where there are none of the frames.
 fn matches(database: &Database, frame_of: &BTreeMap<u32, usize>) -> Option<Vec<sfm::matching::PairMatches>> {
-    let of_frames = |(a, b): ImagePair, m: &[[u32; 2]]| {
-        let (a, b) = (*frame_of.get(&a)?, *frame_of.get(&b)?);
-        (!m.is_empty()).then(|| (a, b, m.to_vec()))
-    };
-    let raw: Vec<_> = database.matches.iter().filter_map(|(p, m)| of_frames(*p, m)).collect();
-    let verified = || database.geometries.iter().filter_map(|(p, g)| of_frames(*p, &g.inliers)).collect();
-    let chosen = if raw.is_empty() { verified() } else { raw };
+    let raw = database.matches.iter().map(|(pair, matches)| (*pair, matches.as_slice()));
+    let mut chosen = of_frames(raw, frame_of);
+    if chosen.is_empty() {
+        chosen = of_frames(database.geometries.iter().map(|(p, g)| (*p, g.inliers.as_slice())), frame_of);
+    }
     (!chosen.is_empty()).then_some(chosen)
+}
+
+/// Matches by the indices of their frames; those of other images, and empty ones, are left out.
+fn of_frames<'a>(
+    matches: impl Iterator<Item = (ImagePair, &'a [[u32; 2]])>,
+    frame_of: &BTreeMap<u32, usize>,
+) -> Vec<sfm::matching::PairMatches> {
+    let numbered = matches.filter(|(_, m)| !m.is_empty()).filter_map(|((a, b), m)| {
+        let (a, b) = (*frame_of.get(&a)?, *frame_of.get(&b)?);
+        Some((a, b, m.to_vec()))
+    });
+    numbered.collect()
 }
 
 /// What COLMAP is to find: cameras as they were solved (with their focal lengths marked as known)
 /// or else as they were assumed, features, matches and verified pairs. Image number = 1 + index of
 /// the frame, as in the model.
 ///
-/// Of a followed video the features are those of the key frames and after them the followed points
+/// Of a tracked video the features are those of the key frames and after them the tracked points
 /// (without descriptors), the pairs all frames that share points: keypoints are numbered as in the
 /// model.
 fn contents(result: SfmResult, frames: &FrameSet) -> Database {
@@ -167,18 +178,18 @@ fn contents(result: SfmResult, frames: &FrameSet) -> Database {
     for (id, camera) in &model.cameras {
         database.cameras.insert(*id, Camera { has_prior_focal: true, ..camera.clone() });
     }
-    let number = |(a, b): (usize, usize)| (a as u32 + 1, b as u32 + 1);
-    database.matches = matches.into_iter().map(|(a, b, m)| (number((a, b)), m)).collect();
-    database.geometries = geometries.into_iter().map(|g| (number((g.a, g.b)), g)).collect();
+    database.matches = matches.into_iter().map(|(a, b, m)| (pair_of(a, b), m)).collect();
+    database.geometries = geometries.into_iter().map(|g| (pair_of(g.a, g.b), g)).collect();
     features.resize(frames.len(), Features::default());
     let mut followed = false;
     for (i, (frame, mut features)) in frames.frames.iter().zip(features).enumerate() {
         let posed = model.images.get(&(i as u32 + 1));
         let more = posed.map_or(&[][..], |p| p.observations.get(features.len()..).unwrap_or(&[]));
         followed |= !more.is_empty();
-        let point =
-            |pixel: glam::DVec2| Keypoint { x: pixel.x as f32, y: pixel.y as f32, scale: 1.0, angle: 0.0 };
-        features.keypoints.extend(more.iter().map(|o| point(o.pixel)));
+        features.keypoints.extend(more.iter().map(|o| {
+            let [x, y] = o.pixel.as_vec2().to_array();
+            Keypoint { x, y, scale: 1.0, angle: 0.0 }
+        }));
         features.descriptors.resize(features.len() * Features::DIM, 0);
         let assumed = &initial_cameras[i];
         let camera = posed.map_or(assumed.id, |p| p.camera);
@@ -190,6 +201,11 @@ fn contents(result: SfmResult, frames: &FrameSet) -> Database {
         database.matches = database.geometries.iter().map(|(p, g)| (*p, g.inliers.clone())).collect();
     }
     database
+}
+
+/// The numbers of the images of two frames.
+fn pair_of(a: usize, b: usize) -> ImagePair {
+    (a as u32 + 1, b as u32 + 1)
 }
 
 /// Pairs of images that see the same points, with those observations as matches.
@@ -204,11 +220,11 @@ fn shared_points(model: &Reconstruction) -> BTreeMap<ImagePair, TwoViewGeometry>
         }
     }
     matches.retain(|(a, b), m| a != b && m.len() >= FEWEST_SHARED);
-    let geometry = |((a, b), inliers): (ImagePair, Vec<[u32; 2]>)| {
+    let pairs = matches.into_iter().map(|(pair, inliers)| {
+        let (a, b) = (pair.0 as usize - 1, pair.1 as usize - 1);
         let kind = TwoViewKind::Calibrated;
         let (f, e, h, b_from_a) = (None, None, None, None);
-        let (first, second) = (a as usize - 1, b as usize - 1);
-        ((a, b), TwoViewGeometry { a: first, b: second, kind, inliers, f, e, h, b_from_a, median_angle: 0.0 })
-    };
-    matches.into_iter().map(geometry).collect()
+        (pair, TwoViewGeometry { a, b, kind, inliers, f, e, h, b_from_a, median_angle: 0.0 })
+    });
+    pairs.collect()
 }

@@ -53,14 +53,14 @@ fn instruction_set() -> &'static str {
 
 fn memory() -> Option<String> {
     let info = std::fs::read_to_string("/proc/meminfo").ok()?;
-    let kib = |key: &str| -> Option<f64> {
-        info.lines().find(|l| l.starts_with(key))?.split_whitespace().nth(1)?.parse().ok()
-    };
-    Some(format!(
-        "{:.1} GiB, {:.1} GiB free",
-        kib("MemTotal:")? / 1048576.0,
-        kib("MemAvailable:")? / 1048576.0
-    ))
+    let (all, free) = (gib(&info, "MemTotal:")?, gib(&info, "MemAvailable:")?);
+    Some(format!("{all:.1} GiB, {free:.1} GiB free"))
+}
+
+/// A line of `/proc/meminfo`, which is in KiB.
+fn gib(info: &str, key: &str) -> Option<f64> {
+    let kib: f64 = info.lines().find(|l| l.starts_with(key))?.split_whitespace().nth(1)?.parse().ok()?;
+    Some(kib / f64::from(1 << 20))
 }
 
 /// The graphics adapters by name and kind; where none can be opened, the installed drivers.

@@ -29,8 +29,7 @@ impl ViewMetrics {
 impl Evaluation {
     /// Whether all of its pictures are in the run folder.
     pub fn is_whole(&self, run: &Path) -> bool {
-        let has = |v: &ViewMetrics| ["photos", "renders"].iter().all(|kind| v.picture(run, kind).is_ok());
-        self.views.iter().all(has)
+        self.views.iter().all(|v| ["photos", "renders"].iter().all(|kind| v.picture(run, kind).is_ok()))
     }
 
     /// The figures in a few words.
@@ -102,14 +101,19 @@ pub fn evaluate(
             let picture = format!("{i:03}_{}.png", plain(&view.name));
             let compared = Compared::of(&mut renderer, view, &dataset)?;
             let metrics = compared.judge(&networks)?;
-            compared.write(folder, &picture)?;
+            compared
+                .write(folder, &picture)
+                .with_context(|| format!("cannot write {picture} into {}", folder.display()))?;
             evaluation.views.push(ViewMetrics { name: view.name.clone(), picture, metrics });
             progress.tick_with(&format!("{:.2} dB", metrics.psnr))?;
         }
         let all: Vec<Metrics> = evaluation.views.iter().map(|v| v.metrics).collect();
         evaluation.mean = Metrics::mean(&all);
-        let percentile = |percent| Percentile { percent, metrics: Metrics::percentile(&all, percent) };
-        evaluation.percentiles = if all.is_empty() { vec![] } else { PERCENTS.map(percentile).to_vec() };
+        if !all.is_empty() {
+            let percentiles =
+                PERCENTS.map(|p| Percentile { percent: p, metrics: Metrics::percentile(&all, p) });
+            evaluation.percentiles = percentiles.to_vec();
+        }
         evaluation.training = training_views(&mut renderer, &dataset, all.len(), progress)?;
         write_json(&folder.join("metrics.json"), &evaluation)
     })?;
@@ -188,18 +192,20 @@ impl Compared {
 
     /// Into `renders`, `photos` and, where there is one, `masks`.
     fn write(&self, folder: &Path, picture: &str) -> Result<()> {
-        let path = |kind: &str| -> Result<PathBuf> {
-            std::fs::create_dir_all(folder.join(kind))?;
-            Ok(folder.join(kind).join(picture))
-        };
-        let failed = || format!("cannot write {picture} into {}", folder.display());
-        self.render.save(path("renders")?).with_context(failed)?;
-        self.photo.save(path("photos")?).with_context(failed)?;
+        self.render.save(inside(folder, "renders", picture)?)?;
+        self.photo.save(inside(folder, "photos", picture)?)?;
         if let Some(mask) = &self.mask {
-            mask.save(path("masks")?).with_context(failed)?;
+            mask.save(inside(folder, "masks", picture)?)?;
         }
         Ok(())
     }
+}
+
+/// Where a picture of a kind goes; its folder is made.
+fn inside(folder: &Path, kind: &str, picture: &str) -> Result<PathBuf> {
+    let folder = folder.join(kind);
+    std::fs::create_dir_all(&folder).with_context(|| format!("cannot make {}", folder.display()))?;
+    Ok(folder.join(picture))
 }
 
 /// The photo as it is compared, and its mask.

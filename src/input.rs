@@ -51,10 +51,12 @@ impl Input {
 }
 
 fn posed_model(folder: &Path) -> Option<PathBuf> {
-    let is_model = |p: &Path| p.join("cameras.bin").is_file() || p.join("cameras.txt").is_file();
     let models = [folder.join("sparse/0"), folder.join("sparse"), folder.to_path_buf()];
     let transforms = folder.join("transforms.json");
-    models.into_iter().find(|p| is_model(p)).or_else(|| transforms.is_file().then_some(transforms))
+    models
+        .into_iter()
+        .find(|p| p.join("cameras.bin").is_file() || p.join("cameras.txt").is_file())
+        .or_else(|| transforms.is_file().then_some(transforms))
 }
 
 /// Reads the poses that came with the images and gives each posed image the name of its frame.

@@ -71,14 +71,14 @@ pub struct ImageDeviation {
 
 impl Deviations {
     pub(crate) fn of(uncertainty: &sfm::Uncertainty, model: &Reconstruction) -> Self {
-        let image = |(id, d): (&u32, &sfm::PoseDeviation)| {
+        let images = uncertainty.images.iter().filter_map(|(id, d)| {
             let name = model.images.get(id)?.name.clone();
             Some(ImageDeviation { name, rotation_deg: d.rotation.map(f64::to_degrees), centre: d.centre })
-        };
+        });
         Self {
             sigma_px: uncertainty.sigma_px,
             cameras: uncertainty.cameras.clone(),
-            images: uncertainty.images.iter().filter_map(image).collect(),
+            images: images.collect(),
         }
     }
 }

@@ -73,49 +73,34 @@ fn camera_path(model: &Reconstruction, args: &RenderArgs) -> Result<Vec<View>> {
 /// The 8-bit picture of a channel.
 fn picture(output: &RenderOutput, channel: Channel, camera: &Camera) -> RgbImage {
     let (w, h) = (camera.width, camera.height);
-    let at = |x: u32, y: u32| (y * w + x) as usize;
-    let grey = |v: f32| image::Rgb([(v.clamp(0.0, 1.0) * 255.0).round() as u8; 3]);
     match channel {
         Channel::Color => output.rgb.to_rgb8(),
-        Channel::Alpha => RgbImage::from_fn(w, h, |x, y| grey(output.alpha.data[at(x, y)])),
+        Channel::Alpha => RgbImage::from_fn(w, h, |x, y| grey(output.alpha.data[(y * w + x) as usize])),
         Channel::Depth => {
-            let seen = || {
-                output
-                    .depth
-                    .data
-                    .iter()
-                    .zip(&output.alpha.data)
-                    .filter(|(d, a)| **a > 0.5 && d.is_finite())
-                    .map(|(d, _)| *d)
-            };
-            let (near, far) = (seen().fold(f32::INFINITY, f32::min), seen().fold(0.0, f32::max));
-            let shade = |i: usize| {
-                let (d, a) = (output.depth.data[i], output.alpha.data[i]);
-                if a > 0.5 { 1.0 - 0.9 * (d - near) / (far - near).max(1e-12) } else { 0.0 }
-            };
-            RgbImage::from_fn(w, h, |x, y| grey(shade(at(x, y))))
+            let shades = scene::image::depth_shades(&output.depth.data, &output.alpha.data);
+            RgbImage::from_fn(w, h, |x, y| grey(shades[(y * w + x) as usize]))
         }
         Channel::Normals => RgbImage::from_fn(w, h, |x, y| normal_colour(output, camera, x, y)),
     }
 }
 
+fn grey(value: f32) -> image::Rgb<u8> {
+    image::Rgb([(value.clamp(0.0, 1.0) * 255.0).round() as u8; 3])
+}
+
+/// The direction of the surface through a pixel and its neighbours as a colour; black where it is
+/// not seen.
 fn normal_colour(output: &RenderOutput, camera: &Camera, x: u32, y: u32) -> image::Rgb<u8> {
-    let point = |x: u32, y: u32| {
+    let depths = [[x, y], [x + 1, y], [x, y + 1]].map(|[x, y]| {
         let i = (y * camera.width + x) as usize;
-        let d = f64::from(output.depth.data[i]);
-        (output.alpha.data[i] > 0.5).then(|| {
-            camera.unproject(glam::DVec2::new(f64::from(x) + 0.5, f64::from(y) + 0.5)).extend(1.0) * d
-        })
-    };
-    if x + 1 >= camera.width || y + 1 >= camera.height {
-        return image::Rgb([0; 3]);
-    }
-    let (Some(p), Some(px), Some(py)) = (point(x, y), point(x + 1, y), point(x, y + 1)) else {
-        return image::Rgb([0; 3]);
-    };
-    let n = (py - p).cross(px - p).normalize_or_zero();
-    let byte = |v: f64| ((v * 0.5 + 0.5).clamp(0.0, 1.0) * 255.0).round() as u8;
-    image::Rgb([byte(n.x), byte(-n.y), byte(-n.z)])
+        let inside = x < camera.width && y < camera.height;
+        (inside && output.alpha.data[i] > 0.5).then(|| f64::from(output.depth.data[i]))
+    });
+    let [Some(here), Some(right), Some(below)] = depths else { return image::Rgb([0; 3]) };
+    let normal = camera.surface_normal([x, y], [here, right, below]);
+    image::Rgb(
+        [normal.x, -normal.y, -normal.z].map(|v| ((v * 0.5 + 0.5).clamp(0.0, 1.0) * 255.0).round() as u8),
+    )
 }
 
 /// A folder of PNG files or ffmpeg's standard input.

@@ -181,13 +181,9 @@ pub fn free_large_blocks_at_once() {
 
 fn cpu_seconds() -> f64 {
     use nix::sys::resource::{UsageWho, getrusage};
-    let spent = |who| {
-        getrusage(who).map_or(0.0, |u| {
-            let s = |t: nix::sys::time::TimeVal| t.tv_sec() as f64 + t.tv_usec() as f64 * 1e-6;
-            s(u.user_time()) + s(u.system_time())
-        })
-    };
-    spent(UsageWho::RUSAGE_SELF) + spent(UsageWho::RUSAGE_CHILDREN)
+    let used = [UsageWho::RUSAGE_SELF, UsageWho::RUSAGE_CHILDREN].into_iter().flat_map(getrusage);
+    let times = used.flat_map(|u| [u.user_time(), u.system_time()]);
+    times.map(|t| t.tv_sec() as f64 + t.tv_usec() as f64 * 1e-6).sum()
 }
 
 fn peak_mib() -> Option<f64> {

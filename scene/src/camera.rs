@@ -182,6 +182,16 @@ impl Camera {
         self.unproject(pixel).extend(1.0).normalize()
     }
 
+    /// Normal of the surface through a pixel and its right and lower neighbours, whose depths are
+    /// given; camera frame, unit (zero where the three points are collinear).
+    pub fn surface_normal(&self, pixel: [u32; 2], [here, right, below]: [f64; 3]) -> DVec3 {
+        let centre = DVec2::new(f64::from(pixel[0]) + 0.5, f64::from(pixel[1]) + 0.5);
+        let p = self.unproject(centre).extend(1.0) * here;
+        let px = self.unproject(centre + DVec2::X).extend(1.0) * right;
+        let py = self.unproject(centre + DVec2::Y).extend(1.0) * below;
+        (py - p).cross(px - p).normalize_or_zero()
+    }
+
     /// The camera of the same image at another size (pixels scale about the image corner).
     pub fn scaled(&self, width: u32, height: u32) -> Self {
         let s =
@@ -219,6 +229,12 @@ mod tests {
                 assert!((u - x.truncate() / x.z).length() < 1e-10, "{model:?} {x}");
             }
         }
+    }
+
+    #[test]
+    fn a_plane_that_faces_the_camera_has_its_normal_along_the_optical_axis() {
+        let camera = Camera::centred(1, CameraModel::Pinhole, 64, 48, 50.0);
+        assert!((camera.surface_normal([10, 20], [2.0; 3]) + DVec3::Z).length() < 1e-12);
     }
 
     #[test]

@@ -7,8 +7,8 @@
 //! | pose | `cam_from_world`: `x_cam = R x_world + t`; variables are named `target_from_source` |
 //! | axes | right-handed; camera x right, y down, z forward (COLMAP, OpenCV) |
 //! | pixel | (0, 0) is the image corner, the first pixel's centre is (0.5, 0.5) (COLMAP) |
-//! | quaternion | Hamilton, unit; files hold w x y z, glam holds x y z w: converted at the file border only |
-//! | units | pixels `_px`, seconds `_s`, radians in code, degrees `_deg` in config and reports, scene units otherwise |
+//! | quaternion | Hamilton, unit; w x y z in files, x y z w in glam: converted by `io` only |
+//! | units | `_px`, `_s`, radians in code, `_deg` in config and reports, else scene units |
 //! | numbers | f64 here and in `sfm`; f32 in splat's production backends |
 //! | colour | 8-bit sRGB in files; splats are trained on sRGB values in [0, 1] |
 //! | gaussians | scale = exp(log_scale), opacity = sigmoid(logit), rgb = 0.5 + C0 sh0 + … |

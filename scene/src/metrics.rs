@@ -81,9 +81,10 @@ const SIGMA: f64 = 1.5;
 const BORDER: usize = SSIM_WINDOW / 2;
 
 fn window() -> [f64; SSIM_WINDOW] {
-    let g = |i: usize| (-(i as f64 - BORDER as f64).powi(2) / (2.0 * SIGMA * SIGMA)).exp();
-    let sum: f64 = (0..SSIM_WINDOW).map(g).sum();
-    std::array::from_fn(|i| g(i) / sum)
+    let weights: [f64; SSIM_WINDOW] =
+        std::array::from_fn(|i| (-(i as f64 - BORDER as f64).powi(2) / (2.0 * SIGMA * SIGMA)).exp());
+    let sum: f64 = weights.iter().sum();
+    weights.map(|w| w / sum)
 }
 
 /// Structural similarity (Wang et al. 2004): 11 × 11 Gaussian window with σ 1.5, C1 = 0.01², C2 =

@@ -84,8 +84,8 @@ pub fn quantile(mut values: Vec<f64>, share: f64) -> Option<f64> {
 }
 
 fn median_point(points: &[DVec3]) -> DVec3 {
-    let median = |axis: usize| quantile(points.iter().map(|p| p[axis]).collect(), 0.5).unwrap_or(0.0);
-    DVec3::new(median(0), median(1), median(2))
+    let medians = [0, 1, 2].map(|axis| quantile(points.iter().map(|p| p[axis]).collect(), 0.5));
+    DVec3::from_array(medians.map(|m| m.unwrap_or(0.0)))
 }
 
 #[cfg(test)]

@@ -59,8 +59,9 @@ impl Ring {
         let (x, y) = axis.any_orthonormal_pair();
         let plane: Vec<DVec2> = flat.iter().map(|c| DVec2::new(c.dot(x), c.dot(y))).collect();
         let (centre, radius) = circle(&plane)?;
-        let off = |(c, p): (&DVec3, &DVec2)| c.dot(axis).powi(2) + ((*p - centre).length() - radius).powi(2);
-        let misfit = (flat.iter().zip(&plane).map(off).sum::<f64>() / n).sqrt() / radius;
+        let off = flat.iter().zip(&plane);
+        let off = off.map(|(c, p)| c.dot(axis).powi(2) + ((*p - centre).length() - radius).powi(2));
+        let misfit = (off.sum::<f64>() / n).sqrt() / radius;
         let angles = unwrapped(plane.iter().map(|p| (*p - centre).to_angle()));
         Some(Self {
             centre: mean + (x * centre.x + y * centre.y) * size,
@@ -74,10 +75,10 @@ impl Ring {
     /// The largest arc without a camera; a full turn's poses leave one about as wide as their step.
     pub fn largest_gap(&self) -> Arc {
         let mut order: Vec<usize> = (0..self.angles.len()).collect();
-        let at = |i: usize| self.angles[i].rem_euclid(TAU);
-        order.sort_by(|&a, &b| at(a).total_cmp(&at(b)));
+        let at: Vec<f64> = self.angles.iter().map(|a| a.rem_euclid(TAU)).collect();
+        order.sort_by(|&a, &b| at[a].total_cmp(&at[b]));
         let pairs = order.iter().zip(order.iter().cycle().skip(1));
-        let arcs = pairs.map(|(&a, &b)| Arc { angle: (at(b) - at(a)).rem_euclid(TAU), ends: [a, b] });
+        let arcs = pairs.map(|(&a, &b)| Arc { angle: (at[b] - at[a]).rem_euclid(TAU), ends: [a, b] });
         arcs.max_by(|a, b| a.angle.total_cmp(&b.angle)).unwrap_or(Arc { angle: TAU, ends: [0, 0] })
     }
 

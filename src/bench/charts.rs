@@ -44,12 +44,11 @@ fn panels() -> Vec<((&'static str, Pick), (&'static str, Pick))> {
 
 /// Every chart for which there are figures; x is logarithmic.
 pub fn draw(points: &[Point], peers: &[Point]) -> Result<String> {
-    let of = |(x, y): (Pick, Pick), all: &[Point]| -> Vec<(f64, f64)> {
-        let places = all.iter().filter_map(|p| Some((x(p)?, y(p)?)));
-        places.filter(|(x, y)| *x > 0.0 && x.is_finite() && y.is_finite()).collect()
-    };
     let mut wanted = panels();
-    wanted.retain(|(x, y)| !of((x.1, y.1), points).is_empty());
+    wanted.retain(|((_, x), (_, y))| {
+        let mut places = points.iter().filter_map(|p| Some((x(p)?, y(p)?)));
+        places.any(|(x, y)| x > 0.0 && x.is_finite() && y.is_finite())
+    });
     let rows = wanted.len().div_ceil(COLUMNS).max(1);
     let mut text = String::new();
     {
@@ -64,6 +63,11 @@ pub fn draw(points: &[Point], peers: &[Point]) -> Result<String> {
     Ok(text)
 }
 
+/// The least and the largest value.
+fn bounds(values: impl Iterator<Item = f64>) -> (f64, f64) {
+    values.fold((f64::INFINITY, f64::NEG_INFINITY), |(a, b), v| (a.min(v), b.max(v)))
+}
+
 fn panel(
     area: &Area,
     (x_name, x): (&str, Pick),
@@ -71,12 +75,10 @@ fn panel(
     points: &[Point],
     peers: &[Point],
 ) -> std::result::Result<(), Box<dyn std::error::Error>> {
-    let place = |p: &Point| Some((x(p).filter(|v| *v > 0.0)?, y(p)?));
-    let all: Vec<(f64, f64)> = points.iter().chain(peers).filter_map(place).collect();
-    let bounds = |pick: fn(&(f64, f64)) -> f64| {
-        all.iter().map(pick).fold((f64::INFINITY, f64::NEG_INFINITY), |(a, b), v| (a.min(v), b.max(v)))
-    };
-    let ((x0, x1), (y0, y1)) = (bounds(|p| p.0), bounds(|p| p.1));
+    let all: Vec<(f64, f64)> =
+        points.iter().chain(peers).filter_map(|p| Some((x(p).filter(|v| *v > 0.0)?, y(p)?))).collect();
+    let (x0, x1) = bounds(all.iter().map(|p| p.0));
+    let (y0, y1) = bounds(all.iter().map(|p| p.1));
     let pad = ((y1 - y0) * 0.12).max(y1.abs() * 1e-3);
     let mut chart =
         ChartBuilder::on(area).margin(10).x_label_area_size(34).y_label_area_size(54).build_cartesian_2d(
@@ -98,14 +100,14 @@ fn panel(
     let groups = theirs.chain([(points.iter().collect::<Vec<_>>(), OURS)]);
     for (group, colour) in groups {
         for (index, p) in group.iter().enumerate() {
-            let Some(at) = place(p) else { continue };
+            let (Some(x), Some(y)) = (x(p).filter(|v| *v > 0.0), y(p)) else { continue };
             // Another tool's name once is enough; ours say which setting they are.
             let label = match (colour == OURS, index) {
                 (true, _) => p.setting.clone(),
                 (false, 0) => p.method.clone(),
                 _ => String::new(),
             };
-            chart.draw_series([EmptyElement::at(at)
+            chart.draw_series([EmptyElement::at((x, y))
                 + Circle::new((0, 0), 4, colour.filled())
                 + Text::new(label, (7, -6), ("sans-serif", 11).into_font().color(&colour))])?;
         }

@@ -10,6 +10,7 @@ pub use point::Point;
 
 use crate::args::BenchArgs;
 use crate::config;
+use crate::evaluate::metrics::number;
 use crate::outcome::Outcome;
 use crate::pipeline::{Pipeline, Until};
 use crate::record::RunRecord;
@@ -122,8 +123,7 @@ fn measure(
     flags: &[String],
     verbosity: Verbosity,
 ) -> Result<(Point, String)> {
-    let text = |path: &Path| path.to_str().map(str::to_owned).context("the path is not UTF-8");
-    let mut argv = vec!["sat-recon".to_owned(), "eval".into(), text(input)?, "-o".into(), text(out)?];
+    let mut argv = vec!["sat-recon".to_owned(), "eval".into(), utf8(input)?, "-o".into(), utf8(out)?];
     argv.extend(flags.iter().cloned());
     let parsed = match config::parse(argv)? {
         Ok(parsed) => parsed,
@@ -136,6 +136,10 @@ fn measure(
         bail!("no poses were found, so that there is nothing to train on");
     }
     point(setting, &record)
+}
+
+fn utf8(path: &Path) -> Result<String> {
+    path.to_str().map(str::to_owned).context("the path is not UTF-8")
 }
 
 fn point(setting: &str, record: &RunRecord) -> Result<(Point, String)> {
@@ -164,7 +168,6 @@ fn point(setting: &str, record: &RunRecord) -> Result<(Point, String)> {
 }
 
 fn row(p: &Point) -> String {
-    let number = |v: Option<f64>, digits: usize| v.map_or("–".to_owned(), |v| format!("{v:.digits$}"));
     format!(
         "| {} | {} | {} | {} | {} | {} | {:.2} | {} | {} | {} |",
         p.method,

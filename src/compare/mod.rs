@@ -9,6 +9,7 @@ pub mod tables;
 use tables::Cells;
 
 use crate::args::CompareArgs;
+use crate::evaluate::metrics::number;
 use crate::outcome::Outcome;
 use crate::record::KnownRun;
 use crate::stage::{write_json, write_whole};
@@ -236,35 +237,34 @@ fn pose_cells(rows: &[Row]) -> Cells {
         "CPU s",
         "peak MiB",
     ];
-    let number = |v: Option<f64>, digits: usize| v.map_or("–".to_owned(), |v| format!("{v:.digits$}"));
-    let cells = |row: &Row| {
-        let auc = row.auc.as_ref().map_or("–".to_owned(), |auc| {
-            let at = |t: &f64| format!("{:.1}", auc.get(&t.to_string()).copied().unwrap_or(0.0));
-            AUC_THRESHOLDS_DEG.iter().map(at).collect::<Vec<_>>().join(" / ")
-        });
-        let degrees = [row.rotation_median_deg, row.rotation_max_deg].map(|v| number(v, 3));
-        let centres = [row.centre_median_pct, row.centre_max_pct].map(|v| number(v, 3));
-        vec![
-            row.name.clone(),
-            format!("{} of {}", row.registered, row.total),
-            row.points.to_string(),
-            format!("{:.2}", row.reprojection_px),
-            auc,
-            format!("{}° / {}°", degrees[0], degrees[1]),
-            centres.join(" / "),
-            number(row.focal_err_pct, 2),
-            number(row.cpu_s, 1),
-            number(row.peak_mib, 0),
-        ]
-    };
-    (heads, rows.iter().map(cells).collect())
+    (heads, rows.iter().map(cells_of_row).collect())
+}
+
+fn cells_of_row(row: &Row) -> Vec<String> {
+    let auc = row.auc.as_ref().map_or("–".to_owned(), |auc| {
+        let percents = AUC_THRESHOLDS_DEG.iter().map(|t| auc.get(&t.to_string()).copied().unwrap_or(0.0));
+        percents.map(|percent| format!("{percent:.1}")).collect::<Vec<_>>().join(" / ")
+    });
+    let degrees = [row.rotation_median_deg, row.rotation_max_deg].map(|v| number(v, 3));
+    let centres = [row.centre_median_pct, row.centre_max_pct].map(|v| number(v, 3));
+    vec![
+        row.name.clone(),
+        format!("{} of {}", row.registered, row.total),
+        row.points.to_string(),
+        format!("{:.2}", row.reprojection_px),
+        auc,
+        format!("{}° / {}°", degrees[0], degrees[1]),
+        centres.join(" / "),
+        number(row.focal_err_pct, 2),
+        number(row.cpu_s, 1),
+        number(row.peak_mib, 0),
+    ]
 }
 
 fn pose_table(rows: &[Row]) -> String {
     let (heads, cells) = pose_cells(rows);
-    let line = |cells: &[String]| format!("| {} |", cells.join(" | "));
     let heading = [format!("| {} |", heads.join(" | ")), format!("|{}", "---|".repeat(heads.len()))];
-    let lines = heading.into_iter().chain(cells.iter().map(|r| line(r)));
+    let lines = heading.into_iter().chain(cells.iter().map(|row| format!("| {} |", row.join(" | "))));
     lines.chain(rows.iter().filter_map(agreement_line)).collect::<Vec<_>>().join("\n")
 }
 

@@ -22,6 +22,14 @@ pub struct EntryView {
     pub photo: PathBuf,
 }
 
+impl EntryView {
+    /// A held-out view of a run in its folder.
+    fn of_run(view: &ViewMetrics, run: &Path) -> Result<Self> {
+        let (render, photo) = (view.picture(run, "renders")?, view.picture(run, "photos")?);
+        Ok(Self { name: view.name.clone(), metrics: view.metrics, render, photo })
+    }
+}
+
 /// What one method gave on one case.
 #[derive(Clone, Debug)]
 pub struct Entry {
@@ -48,6 +56,11 @@ pub struct Named {
 }
 
 impl Named {
+    /// Whether it is the folder of a run.
+    fn is_run(&self) -> bool {
+        self.path.join("run.json").is_file()
+    }
+
     /// Splits the label off. A path that exists is a path, whatever it is called.
     pub fn parse(text: &str) -> Self {
         let plain = Self { label: None, path: PathBuf::from(text) };
@@ -75,12 +88,11 @@ const RENDERING: [Heading; 4] =
 /// The entries of all that can be evaluated: runs with metrics first, then folders of renders,
 /// which are compared with the photos of a run of the same case.
 pub fn entries(inputs: &[Named], networks: &[Lpips]) -> Result<Vec<Entry>> {
-    let is_run = |n: &&Named| n.path.join("run.json").is_file();
     let mut all: Vec<Entry> = Vec::new();
-    for named in inputs.iter().filter(is_run) {
+    for named in inputs.iter().filter(|n| n.is_run()) {
         all.extend(of_run(named)?);
     }
-    for named in inputs.iter().filter(|n| !is_run(n)) {
+    for named in inputs.iter().filter(|n| !n.is_run()) {
         let Some((method, case)) = &named.label else { continue };
         let Some(run) = all.iter().find(|e| e.case == *case && e.run.is_some()) else {
             bail!(
@@ -107,11 +119,8 @@ fn of_run(named: &Named) -> Result<Option<Entry>> {
     let run = KnownRun::read(&named.path)?;
     let evaluation: Evaluation = serde_json::from_value(read_json(&path)?)
         .with_context(|| format!("{} is damaged; run sat-recon eval again", path.display()))?;
-    let view = |v: &ViewMetrics| -> Result<EntryView> {
-        let [render, photo] = ["renders", "photos"].map(|kind| v.picture(&named.path, kind));
-        Ok(EntryView { name: v.name.clone(), metrics: v.metrics, render: render?, photo: photo? })
-    };
-    let views = evaluation.views.iter().map(view).collect::<Result<Vec<_>>>()?;
+    let views = evaluation.views.iter().map(|v| EntryView::of_run(v, &named.path));
+    let views = views.collect::<Result<Vec<_>>>()?;
     let cost = run.cost("train");
     let training = [
         cost.map(|c| c.wall_s),
@@ -143,10 +152,9 @@ fn default_label(config: &KnownConfig) -> (String, String) {
 fn of_renders(method: &str, run: &Entry, folder: &Path, networks: &[Lpips]) -> Result<Entry> {
     let mut views = Vec::new();
     for view in &run.views {
-        let stem = |path: &Path| path.file_stem().map(|s| s.to_string_lossy().into_owned());
-        let names = [stem(Path::new(&view.name)), stem(&view.render)];
-        let file =
-            names.into_iter().flatten().flat_map(|n| ["png", "jpg", "jpeg"].map(|e| format!("{n}.{e}")));
+        let stems = [Path::new(&view.name), &view.render].into_iter().filter_map(Path::file_stem);
+        let names = stems.map(|s| s.to_string_lossy().into_owned());
+        let file = names.flat_map(|n| ["png", "jpg", "jpeg"].map(|e| format!("{n}.{e}")));
         let Some(render) = file.map(|f| folder.join(f)).find(|f| f.is_file()) else {
             bail!("{} holds no render of the view {} (as .png or .jpg)", folder.display(), view.name);
         };
@@ -183,40 +191,55 @@ fn over_black(path: &Path) -> Result<RgbImage> {
 /// Quality, training cost and rendering cost with what earlier tables hold; tables without a number
 /// are left out.
 pub fn tables(entries: &[Entry], beside: &[Table]) -> Vec<Table> {
-    let names = |pick: fn(&Entry) -> &String| {
-        let mut names: Vec<String> = Vec::new();
-        entries.iter().for_each(|e| {
-            if !names.contains(pick(e)) {
-                names.push(pick(e).clone());
-            }
-        });
-        names
-    };
-    let (methods, cases) = (names(|e| &e.method), names(|e| &e.case));
-    let build = |title: &str, headings: Vec<Heading>, values: &dyn Fn(&Entry) -> Vec<Option<f64>>| {
-        let column = |(name, digits, more_is_better): Heading| TableColumn {
-            name: name.to_owned(),
-            digits,
-            more_is_better,
-        };
-        let columns: Vec<TableColumn> = headings.into_iter().map(column).collect();
-        let mut table = Table::new(title, &methods, &cases, &columns);
-        for entry in entries {
-            let place = |all: &[String], name: &String| all.iter().position(|n| n == name);
-            if let (Some(m), Some(c)) = (place(&methods, &entry.method), place(&cases, &entry.case)) {
-                table.values[m][c] = values(entry);
+    let quality: Vec<Heading> = FIGURES.iter().map(|f| (f.name, f.digits, f.more_is_better)).collect();
+    let all = [
+        table("quality", &quality, entries, |e| FIGURES.iter().map(|f| (f.of)(&e.quality)).collect()),
+        table("training cost", &TRAINING, entries, |e| e.training.to_vec()),
+        table("rendering cost", &RENDERING, entries, |e| e.rendering.to_vec()),
+    ];
+    let merged = all.into_iter().map(|mut table| {
+        for other in beside {
+            if other.title == table.title {
+                table.merge(other);
             }
         }
-        beside.iter().filter(|b| b.title == title).for_each(|b| table.merge(b));
         table.without_empty_columns()
-    };
-    let quality = FIGURES.iter().map(|f| (f.name, f.digits, f.more_is_better)).collect();
-    let all = [
-        build("quality", quality, &|e| FIGURES.iter().map(|f| (f.of)(&e.quality)).collect()),
-        build("training cost", TRAINING.to_vec(), &|e| e.training.to_vec()),
-        build("rendering cost", RENDERING.to_vec(), &|e| e.rendering.to_vec()),
-    ];
-    all.into_iter().filter(|t| !t.is_empty()).collect()
+    });
+    merged.filter(|t| !t.is_empty()).collect()
+}
+
+fn table(
+    title: &str,
+    headings: &[Heading],
+    entries: &[Entry],
+    values: fn(&Entry) -> Vec<Option<f64>>,
+) -> Table {
+    let methods = distinct(entries.iter().map(|e| &e.method));
+    let cases = distinct(entries.iter().map(|e| &e.case));
+    let columns: Vec<TableColumn> = headings
+        .iter()
+        .map(|&(name, digits, more_is_better)| TableColumn { name: name.to_owned(), digits, more_is_better })
+        .collect();
+    let mut table = Table::new(title, &methods, &cases, &columns);
+    for entry in entries {
+        let method = methods.iter().position(|m| *m == entry.method);
+        let case = cases.iter().position(|c| *c == entry.case);
+        if let (Some(m), Some(c)) = (method, case) {
+            table.values[m][c] = values(entry);
+        }
+    }
+    table
+}
+
+/// Each name once, in the order in which they come first.
+fn distinct<'a>(names: impl Iterator<Item = &'a String>) -> Vec<String> {
+    let mut all: Vec<String> = Vec::new();
+    for name in names {
+        if !all.contains(name) {
+            all.push(name.clone());
+        }
+    }
+    all
 }
 
 /// Tables that `--tables` wrote, or figures that were published.

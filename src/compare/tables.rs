@@ -47,30 +47,23 @@ impl Table {
     /// Whether there is a row of cases for every method and a number or none for every column of
     /// them.
     pub fn is_whole(&self) -> bool {
-        let row = |cases: &Vec<Vec<_>>| {
-            cases.len() == self.cases.len() && cases.iter().all(|c| c.len() == self.columns.len())
-        };
-        self.values.len() == self.methods.len() && self.values.iter().all(row)
+        self.values.len() == self.methods.len()
+            && self.values.iter().all(|cases| cases.len() == self.cases.len())
+            && self.values.iter().flatten().all(|case| case.len() == self.columns.len())
     }
 
     /// Takes in another table's numbers (which must be whole); methods, cases and columns that are
     /// new come last.
     pub fn merge(&mut self, other: &Self) {
-        let place = |all: &mut Vec<String>, name: &String| {
-            all.iter().position(|n| n == name).unwrap_or_else(|| {
-                all.push(name.clone());
-                all.len() - 1
-            })
-        };
-        let methods: Vec<usize> = other.methods.iter().map(|m| place(&mut self.methods, m)).collect();
-        let cases: Vec<usize> = other.cases.iter().map(|c| place(&mut self.cases, c)).collect();
-        let column = |column: &TableColumn| {
-            self.columns.iter().position(|c| c.name == column.name).unwrap_or_else(|| {
-                self.columns.push(column.clone());
-                self.columns.len() - 1
-            })
-        };
-        let columns: Vec<usize> = other.columns.iter().map(column).collect();
+        let methods: Vec<usize> =
+            other.methods.iter().map(|m| find_or_push(&mut self.methods, m, |a, b| a == b)).collect();
+        let cases: Vec<usize> =
+            other.cases.iter().map(|c| find_or_push(&mut self.cases, c, |a, b| a == b)).collect();
+        let columns: Vec<usize> = other
+            .columns
+            .iter()
+            .map(|c| find_or_push(&mut self.columns, c, |a, b| a.name == b.name))
+            .collect();
         self.values.resize(self.methods.len(), Vec::new());
         for method in &mut self.values {
             method.resize(self.cases.len(), Vec::new());
@@ -149,7 +142,6 @@ impl Table {
 
     /// One line a method and case.
     pub fn csv(&self) -> String {
-        let quoted = |t: &str| format!("\"{}\"", t.replace('"', "\"\""));
         let names: Vec<String> = self.columns.iter().map(|c| quoted(&c.name)).collect();
         let mut text = format!("table,method,case,{}\n", names.join(","));
         for (method, values) in self.methods.iter().zip(&self.values) {
@@ -185,6 +177,18 @@ impl Table {
         }
         text + "\\bottomrule\n\\end{tabular}\n"
     }
+}
+
+/// The index of an equal element, which is added where there is none.
+fn find_or_push<T: Clone>(all: &mut Vec<T>, wanted: &T, is_equal: fn(&T, &T) -> bool) -> usize {
+    all.iter().position(|t| is_equal(t, wanted)).unwrap_or_else(|| {
+        all.push(wanted.clone());
+        all.len() - 1
+    })
+}
+
+fn quoted(text: &str) -> String {
+    format!("\"{}\"", text.replace('"', "\"\""))
 }
 
 fn escape_latex(text: &str) -> String {

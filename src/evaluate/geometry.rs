@@ -2,6 +2,7 @@
 //! where there are any.
 
 use crate::args::MeshConfig;
+use crate::evaluate::metrics::number;
 use crate::record::ShapeEvaluation;
 use anyhow::{Context, Result};
 use glam::DVec3;
@@ -34,19 +35,11 @@ const SLACK_PCT: f64 = 0.5;
 impl ShapeEvaluation {
     /// The figures in a few words.
     pub fn sentence(&self) -> String {
-        let errors = |name: &str, e: &Option<GeometryErrors>| {
-            e.map(|e| {
-                format!(
-                    "{name} F-score {:.1} % (precision {:.1}, recall {:.1}) at {} %, Chamfer {:.3} %",
-                    e.f_score_pct, e.precision_pct, e.recall_pct, e.threshold_pct, e.chamfer_pct
-                )
-            })
-        };
         let floaters = self.floaters_pct.map(|f| format!("{f:.2} % of the opacity outside the silhouettes"));
         [
-            errors("cloud", &self.cloud),
-            errors("surface", &self.surface),
-            errors("mesh", &self.fused),
+            in_words("cloud", &self.cloud),
+            in_words("surface", &self.surface),
+            in_words("mesh", &self.fused),
             floaters,
         ]
         .into_iter()
@@ -57,23 +50,28 @@ impl ShapeEvaluation {
 
     /// Rows of a table: quantity, then cloud, surface, mesh.
     pub(crate) fn rows(&self) -> Vec<(&'static str, [String; 3])> {
-        let row = |name: &'static str, pick: fn(&GeometryErrors) -> f64| {
-            let cell = |e: &Option<GeometryErrors>| {
-                e.as_ref().map_or("–".to_owned(), |e| format!("{:.3}", pick(e)))
-            };
-            (name, [cell(&self.cloud), cell(&self.surface), cell(&self.fused)])
-        };
-        vec![
-            row("accuracy, mean, % of the size", |e| e.accuracy_mean_pct),
-            row("accuracy, median", |e| e.accuracy_median_pct),
-            row("completeness, mean", |e| e.completeness_mean_pct),
-            row("completeness, median", |e| e.completeness_median_pct),
-            row("precision at 1 %, %", |e| e.precision_pct),
-            row("recall at 1 %, %", |e| e.recall_pct),
-            row("F-score at 1 %, %", |e| e.f_score_pct),
-            row("Chamfer distance, %", |e| e.chamfer_pct),
-        ]
+        let rows: [(&'static str, fn(&GeometryErrors) -> f64); 8] = [
+            ("accuracy, mean, % of the size", |e| e.accuracy_mean_pct),
+            ("accuracy, median", |e| e.accuracy_median_pct),
+            ("completeness, mean", |e| e.completeness_mean_pct),
+            ("completeness, median", |e| e.completeness_median_pct),
+            ("precision at 1 %, %", |e| e.precision_pct),
+            ("recall at 1 %, %", |e| e.recall_pct),
+            ("F-score at 1 %, %", |e| e.f_score_pct),
+            ("Chamfer distance, %", |e| e.chamfer_pct),
+        ];
+        let judged = [&self.cloud, &self.surface, &self.fused];
+        rows.map(|(name, pick)| (name, judged.map(|e| number(e.as_ref().map(pick), 3)))).to_vec()
     }
+}
+
+fn in_words(name: &str, errors: &Option<GeometryErrors>) -> Option<String> {
+    errors.map(|e| {
+        format!(
+            "{name} F-score {:.1} % (precision {:.1}, recall {:.1}) at {} %, Chamfer {:.3} %",
+            e.f_score_pct, e.precision_pct, e.recall_pct, e.threshold_pct, e.chamfer_pct
+        )
+    })
 }
 
 /// Judges the model in `out` and its splat. `None` where there is neither a mesh nor a matte.

@@ -10,6 +10,11 @@ use scene::metrics;
 /// level in one pixel in ten thousand is 88 dB. Source: derived, above any picture that differs.
 pub const EXACT_DB: f64 = 100.0;
 
+/// A number with so many digits; a dash where there is none.
+pub(crate) fn number(value: Option<f64>, digits: usize) -> String {
+    value.map_or("–".to_owned(), |v| format!("{v:.digits$}"))
+}
+
 /// One of the figures.
 pub struct Figure {
     /// Heading.
@@ -46,7 +51,7 @@ pub const FIGURES: [Figure; 8] = [
 impl Figure {
     /// As it is shown; a dash where there is none.
     pub fn shown(&self, metrics: &Metrics) -> String {
-        (self.of)(metrics).map_or("–".into(), |v| format!("{v:.*}", self.digits))
+        number((self.of)(metrics), self.digits)
     }
 }
 

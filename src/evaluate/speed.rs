@@ -64,15 +64,19 @@ pub fn measure(
         }
     }
     frames.sort_by(f64::total_cmp);
-    let quantile = |q: f64| frames[((frames.len() - 1) as f64 * q).round() as usize];
     Ok(RenderingCost {
         frames_per_second: mean_of_middle(&mut rates),
-        frame_ms_median: quantile(0.5),
-        frame_ms_p95: quantile(0.95),
-        frame_ms_p99: quantile(0.99),
+        frame_ms_median: nearest_rank(&frames, 0.5),
+        frame_ms_p95: nearest_rank(&frames, 0.95),
+        frame_ms_p99: nearest_rank(&frames, 0.99),
         loops: rates.len(),
         peak_mib: meter.stop().peak_mib,
     })
+}
+
+/// The value that a share of the sorted values stays below.
+fn nearest_rank(sorted: &[f64], share: f64) -> f64 {
+    sorted[((sorted.len() - 1) as f64 * share).round() as usize]
 }
 
 /// Mean of the five values in the middle, or of all where there are fewer.

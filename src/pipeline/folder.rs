@@ -12,12 +12,15 @@ pub fn default_output(input: &Path) -> PathBuf {
 
 /// The output folder can be moved: what is remembered of it are relative paths.
 pub fn relative_to(mut frames: FrameSet, out: &Path) -> FrameSet {
-    let shorten = |p: &Path| p.strip_prefix(out).map_or_else(|_| p.to_path_buf(), Path::to_path_buf);
     for frame in &mut frames.frames {
-        frame.path = shorten(&frame.path);
-        frame.mask = frame.mask.as_deref().map(shorten);
+        frame.path = without_prefix(&frame.path, out);
+        frame.mask = frame.mask.as_deref().map(|mask| without_prefix(mask, out));
     }
     frames
+}
+
+fn without_prefix(path: &Path, prefix: &Path) -> PathBuf {
+    path.strip_prefix(prefix).unwrap_or(path).to_path_buf()
 }
 
 /// The remembered frames where the output folder lies now.

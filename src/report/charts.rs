@@ -65,14 +65,17 @@ fn padded(values: impl Iterator<Item = f64>) -> Range<f64> {
     low - pad..high + pad
 }
 
+/// Digits that labels of a range need: small numbers need theirs, large ones none.
+fn digits(range: &Range<f64>) -> usize {
+    (1.0 - (range.end - range.start).max(1e-9).log10()).ceil().clamp(0.0, 6.0) as usize
+}
+
 fn axes<'a, 'b>(
     area: &'a Area<'b>,
     x: Range<f64>,
     y: Range<f64>,
     [x_name, y_name]: [&str; 2],
 ) -> Result<Chart<'a, 'b>> {
-    // Small numbers need their digits, large ones none.
-    let digits = |r: &Range<f64>| (1.0 - (r.end - r.start).max(1e-9).log10()).ceil().clamp(0.0, 6.0) as usize;
     let (dx, dy) = (digits(&x), digits(&y));
     let mut chart = ChartBuilder::on(area)
         .margin(8)
@@ -130,18 +133,19 @@ pub fn series(names: [&str; 2], all: &[Series], as_dots: bool) -> Result<String>
 /// red.
 pub fn bars(names: [&str; 2], all: &[(f64, f64, bool)]) -> Result<String> {
     let top = all.iter().map(|b| b.1).filter(|v| v.is_finite()).fold(0.0, f64::max).max(1e-9) * 1.05;
-    let x = |i: usize, part: f64| i as f64 + 0.5 + part;
     svg(|area| {
         let mut chart = axes(area, 0.5..all.len().max(1) as f64 + 0.5, 0.0..top, names)?;
-        let colour = |marked: bool| if marked { RED } else { COLOURS[0] };
-        let bar = |(i, &(value, _, marked)): (usize, &(f64, f64, bool))| {
-            Rectangle::new([(x(i, 0.1), 0.0), (x(i, 0.9), value)], colour(marked).filled())
+        let placed = || {
+            all.iter().enumerate().map(|(i, &(value, high, is_marked))| {
+                (i as f64 + 1.0, value, high, if is_marked { RED } else { COLOURS[0] })
+            })
         };
-        chart.draw_series(all.iter().enumerate().map(bar)).map_err(|e| anyhow!("{e}"))?;
-        let whisker = |(i, &(value, high, marked)): (usize, &(f64, f64, bool))| {
-            PathElement::new(vec![(x(i, 0.5), value), (x(i, 0.5), high)], colour(marked).mix(0.5))
-        };
-        chart.draw_series(all.iter().enumerate().map(whisker)).map_err(|e| anyhow!("{e}"))?;
+        let bars = placed()
+            .map(|(x, value, _, colour)| Rectangle::new([(x - 0.4, 0.0), (x + 0.4, value)], colour.filled()));
+        chart.draw_series(bars).map_err(|e| anyhow!("{e}"))?;
+        let whiskers = placed()
+            .map(|(x, value, high, colour)| PathElement::new(vec![(x, value), (x, high)], colour.mix(0.5)));
+        chart.draw_series(whiskers).map_err(|e| anyhow!("{e}"))?;
         Ok(())
     })
 }
@@ -160,9 +164,10 @@ pub fn error_histogram(errors: &[f64]) -> Result<String> {
     let top = f64::from(counts.iter().copied().max().unwrap_or(1).max(1)) * 1.05;
     svg(|area| {
         let mut chart = axes(area, 0.0..LARGEST_ERROR, 0.0..top, ["reprojection error, px", "observations"])?;
+        let width = LARGEST_ERROR / BINS as f64;
         let bars = counts.iter().enumerate().map(|(i, &n)| {
-            let x = |i: usize| i as f64 * LARGEST_ERROR / BINS as f64;
-            Rectangle::new([(x(i), 0.0), (x(i + 1), f64::from(n))], COLOURS[0].filled())
+            let left = i as f64 * width;
+            Rectangle::new([(left, 0.0), (left + width, f64::from(n))], COLOURS[0].filled())
         });
         chart.draw_series(bars).map_err(|e| anyhow!("{e}"))?;
         Ok(())

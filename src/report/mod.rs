@@ -40,8 +40,8 @@ fn model(out: &Path, record: &RunRecord) -> Result<Option<Reconstruction>> {
 /// The input's name and that of the folder it lies in.
 fn title(record: &RunRecord) -> String {
     let input = &record.config.input;
-    let name = |path: Option<&Path>| Some(path?.file_name()?.to_string_lossy().into_owned());
-    let names: Vec<String> = [name(input.parent()), name(Some(input))].into_iter().flatten().collect();
+    let parts = [input.parent(), Some(input.as_path())].into_iter().flatten();
+    let names: Vec<_> = parts.filter_map(Path::file_name).map(|n| n.to_string_lossy()).collect();
     names.join("/")
 }
 

@@ -100,8 +100,7 @@ impl Run {
         let mut gaussians = scene::io::read_splat_ply(&splat)?;
         let page_from_world = overview::centred(&model, RADIUS);
         gaussians.transform(&page_from_world);
-        let near = |m: &glam::Vec3| m.abs().max_element() < FARTHEST;
-        let shown: Vec<bool> = gaussians.means.iter().map(near).collect();
+        let shown: Vec<bool> = gaussians.means.iter().map(|m| m.abs().max_element() < FARTHEST).collect();
         gaussians.retain(|i| shown[i]);
         let spz = scene::io::splats::encode_spz(&gaussians).map_err(anyhow::Error::msg)?;
         let model = page_from_world.transform_reconstruction(&model);
@@ -183,9 +182,8 @@ fn bundle() -> Result<&'static str> {
 
 /// Fills the page in. What is put in cannot end its script.
 fn page(scene: &ViewScene, splat: &str) -> Result<String> {
-    let harmless = |text: &str| text.replace("</", "<\\/");
-    let json = harmless(&serde_json::to_string(scene)?).replace("<!--", "<\\u0021--");
-    let title = scene.title.replace('&', "&amp;").replace('<', "&lt;");
+    let json = crate::report::html::json(scene)?.into_string();
+    let title = maud::Render::render(&scene.title).into_string();
     let template = include_str!("../../viewer/page.html");
     let (head, rest) = template.split_once("{{title}}").context("the page has no title")?;
     let (style, rest) = rest.split_once("{{scene}}").context("the page has no scene")?;

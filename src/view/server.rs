@@ -45,9 +45,10 @@ pub fn run(args: &ViewArgs, quiet: bool) -> Result<Outcome> {
 }
 
 fn answer(request: Request, run: &Run, page: &str, port: u16) -> std::io::Result<()> {
-    let own = |value: &str| value == format!("127.0.0.1:{port}") || value == format!("localhost:{port}");
+    let own = [format!("127.0.0.1:{port}"), format!("localhost:{port}")];
     // A page of another site that resolves its name to this machine sends its own name.
-    let is_local = request.headers().iter().any(|h| h.field.equiv("Host") && own(h.value.as_str()));
+    let is_local =
+        request.headers().iter().any(|h| h.field.equiv("Host") && own.iter().any(|o| o == h.value.as_str()));
     if !is_local || *request.method() != Method::Get {
         return request.respond(Response::from_string("forbidden").with_status_code(403));
     }

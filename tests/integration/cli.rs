@@ -14,6 +14,15 @@ fn help_names_every_command_and_ends_well() {
 }
 
 #[test]
+fn help_is_plain_text() {
+    for command in ["run", "render", "export", "compare", "bench", "view", "doctor"] {
+        let said = expect_code(&[command, "--help"], 0);
+        assert!(!said.contains("[`") && !said.contains("crate::"), "{command}: a link of rustdoc: {said}");
+        assert!(!said.contains("ighting") && !said.contains("likeness"), "{command}: {said}");
+    }
+}
+
+#[test]
 fn no_arguments_and_unknown_flags_are_usage_errors_with_exit_code_1() {
     expect_code(&[], 1);
     expect_code(&["video.mp4", "--no-such-flag"], 1);

@@ -48,18 +48,22 @@ fn edge_between(a: usize, b: usize) -> usize {
     EDGES.iter().position(|e| *e == [a.min(b), a.max(b)]).unwrap_or(0)
 }
 
+/// Whether a corner of a cell is inside, of which `inside` has a bit each.
+fn is_in(inside: usize, corner: usize) -> bool {
+    inside >> corner & 1 == 1
+}
+
 fn triangles(inside: usize) -> Vec<[u8; 3]> {
-    let is_in = |corner: usize| inside >> corner & 1 == 1;
     // Which edge follows which along the surface's border.
     let mut next = [None; 12];
     for (axis, side) in [(0, 0), (0, 1), (1, 0), (1, 1), (2, 0), (2, 1)] {
         let corners = face(axis, side);
         for k in 0..4 {
-            if is_in(corners[k]) || !is_in(corners[(k + 1) % 4]) {
+            if is_in(inside, corners[k]) || !is_in(inside, corners[(k + 1) % 4]) {
                 continue;
             }
             let enters = edge_between(corners[k], corners[(k + 1) % 4]);
-            let last = (k + 1..k + 4).find(|&j| !is_in(corners[(j + 1) % 4])).unwrap_or(k + 3);
+            let last = (k + 1..k + 4).find(|&j| !is_in(inside, corners[(j + 1) % 4])).unwrap_or(k + 3);
             next[enters] = Some(edge_between(corners[last % 4], corners[(last + 1) % 4]));
         }
     }

@@ -166,9 +166,8 @@ fn touched(map: &DepthMap, voxel: f64) -> BTreeSet<[i32; 3]> {
 
 impl FusionBlock {
     fn fused(at: [i32; 3], maps: &[DepthMap], options: &FusionOptions) -> Self {
-        let zero = || vec![0.0; VOXELS];
         let (views, colour) = (vec![0; VOXELS], vec![[0.0; 4]; VOXELS]);
-        let mut block = Self { at, distance: zero(), weight: zero(), views, colour };
+        let mut block = Self { at, distance: vec![0.0; VOXELS], weight: vec![0.0; VOXELS], views, colour };
         maps.iter().for_each(|map| block.add(map, options));
         block
     }
@@ -297,10 +296,13 @@ fn polygonise(
     }
 }
 
+fn mean_colour(sum: [f32; 4]) -> Option<[f32; 3]> {
+    (sum[3] > 0.0).then(|| [sum[0] / sum[3], sum[1] / sum[3], sum[2] / sum[3]])
+}
+
 /// The colour between two sums of colours; grey where no view gave one.
 fn mixed(a: [f32; 4], b: [f32; 4], t: f32) -> [u8; 3] {
-    let mean = |s: [f32; 4]| (s[3] > 0.0).then(|| [s[0] / s[3], s[1] / s[3], s[2] / s[3]]);
-    match (mean(a), mean(b)) {
+    match (mean_colour(a), mean_colour(b)) {
         (Some(a), Some(b)) => std::array::from_fn(|c| (a[c] + (b[c] - a[c]) * t).round() as u8),
         (Some(one), None) | (None, Some(one)) => one.map(|v| v.round() as u8),
         (None, None) => [128; 3],

@@ -42,9 +42,9 @@ impl Mesh {
 
     /// Diagonal of the axis-parallel box around the triangles' corners.
     pub fn size(&self) -> f64 {
-        let corners = || self.triangles.iter().flatten().map(|&v| self.vertices[v as usize]);
-        let low = corners().fold(DVec3::INFINITY, DVec3::min);
-        let high = corners().fold(DVec3::NEG_INFINITY, DVec3::max);
+        let corners = self.triangles.iter().flatten().map(|&v| self.vertices[v as usize]);
+        let low = corners.clone().fold(DVec3::INFINITY, DVec3::min);
+        let high = corners.fold(DVec3::NEG_INFINITY, DVec3::max);
         if self.triangles.is_empty() { 0.0 } else { (high - low).length() }
     }
 

@@ -108,8 +108,8 @@ pub fn load_mask(path: &Path) -> Result<GrayImage, IoError> {
         return Ok(image.into_luma8());
     }
     let both = image.into_luma_alpha8();
-    let product = |p: &image::LumaA<u8>| ((u16::from(p.0[0]) * u16::from(p.0[1]) + 127) / 255) as u8;
-    let values = both.pixels().map(product).collect();
+    let products = both.pixels().map(|p| (u16::from(p.0[0]) * u16::from(p.0[1]) + 127) / 255);
+    let values = products.map(|v| v as u8).collect();
     Ok(GrayImage::from_raw(both.width(), both.height(), values).unwrap_or_default())
 }
 
@@ -135,15 +135,15 @@ fn turns_sideways(orientation: Orientation) -> bool {
 /// its box.
 fn boxes(from: u32, to: u32) -> Vec<(usize, Vec<f32>)> {
     let scale = f64::from(from) / f64::from(to);
-    let span = |i: u32| {
+    let spans = (0..to).map(|i| {
         let (a, b) = (f64::from(i) * scale, (f64::from(i + 1) * scale).min(f64::from(from)));
         let first = (a as usize).min(from as usize - 1);
         let last = (b.ceil() as usize).clamp(first + 1, from as usize);
-        let overlap = |j: usize| (b.min(j as f64 + 1.0) - a.max(j as f64)).max(0.0);
-        let total: f64 = (first..last).map(overlap).sum();
-        (first, (first..last).map(|j| (overlap(j) / total) as f32).collect())
-    };
-    (0..to).map(span).collect()
+        let overlaps = (first..last).map(|j| (b.min(j as f64 + 1.0) - a.max(j as f64)).max(0.0));
+        let total: f64 = overlaps.clone().sum();
+        (first, overlaps.map(|o| (o / total) as f32).collect())
+    });
+    spans.collect()
 }
 
 /// The image at another size: every target pixel is the mean of the source over its own area (exact

@@ -82,8 +82,8 @@ fn write_glb(path: &Path, mesh: &Mesh) -> Result<(), IoError> {
     let accessor = json!({"componentType": 5126, "count": n, "type": "VEC3"});
     attributes["NORMAL"] = json!(add(normals.flat_map(bytes_of).collect(), vertices, accessor));
     if !mesh.colors.is_empty() {
-        let colour = |c: &[u8; 3]| [linear(c[0]), linear(c[1]), linear(c[2]), u16::MAX].map(u16::to_le_bytes);
-        let colours = mesh.colors.iter().flat_map(|c| colour(c).concat()).collect();
+        let colours = mesh.colors.iter().map(|c| [linear(c[0]), linear(c[1]), linear(c[2]), u16::MAX]);
+        let colours = colours.flat_map(|c| c.map(u16::to_le_bytes).concat()).collect();
         let accessor = json!({"componentType": 5123, "normalized": true, "count": n, "type": "VEC4"});
         attributes["COLOR_0"] = json!(add(colours, vertices, accessor));
     }

@@ -145,9 +145,8 @@ fn pose_of(path: &Path, entry: &FrameEntry) -> Result<Pose, IoError> {
     if !(3..=4).contains(&m.len()) || m.iter().any(|row| row.len() != 4) {
         return Err(IoError::format(path, format!("{}: expected a 4×4 transform_matrix", entry.file_path)));
     }
-    let column = |c: usize| DVec3::new(m[0][c], m[1][c], m[2][c]);
-    let world_from_gl = DMat3::from_cols(column(0), column(1), column(2));
-    let centre = column(3);
+    let [x, y, z, centre] = [0, 1, 2, 3].map(|c| DVec3::new(m[0][c], m[1][c], m[2][c]));
+    let world_from_gl = DMat3::from_cols(x, y, z);
     if !world_from_gl.is_finite() || !centre.is_finite() {
         return Err(IoError::not_finite(path, format!("the transform_matrix of {}", entry.file_path)));
     }
@@ -164,6 +163,11 @@ fn pose_of(path: &Path, entry: &FrameEntry) -> Result<Pose, IoError> {
 
 /// A rotation by 180° about x: y down and z forward instead of y up and z backward.
 const GL_FROM_CV: DQuat = DQuat::from_xyzw(1.0, 0.0, 0.0, 0.0);
+
+/// Focal length, pixels, of an angle of view (radians) over so many pixels.
+fn focal_from_angle(angle: f64, size: f64) -> f64 {
+    size / 2.0 / (angle / 2.0).tan()
+}
 
 fn camera_of(
     path: &Path,
@@ -201,9 +205,8 @@ fn camera_of(
             format!("{name}: expected an image size, found {width} × {height}"),
         ));
     }
-    let from_angle = |angle: Option<f64>, size: f64| angle.map(|a| size / 2.0 / (a / 2.0).tan());
-    let fx = either(|i| i.fl_x).or_else(|| from_angle(either(|i| i.camera_angle_x), width));
-    let fy = either(|i| i.fl_y).or_else(|| from_angle(either(|i| i.camera_angle_y), height));
+    let fx = either(|i| i.fl_x).or_else(|| Some(focal_from_angle(either(|i| i.camera_angle_x)?, width)));
+    let fy = either(|i| i.fl_y).or_else(|| Some(focal_from_angle(either(|i| i.camera_angle_y)?, height)));
     let (Some(fx), Some(fy)) = (fx.or(fy), fy.or(fx)) else {
         return Err(IoError::format(path, format!("{name}: neither fl_x nor camera_angle_x is given")));
     };
@@ -285,26 +288,25 @@ pub fn write_transforms(
 
 fn intrinsics_of(camera: &Camera) -> Map<String, Value> {
     let (focal, centre) = (camera.focal(), camera.principal_point());
-    let mut map = Map::new();
-    let mut put = |key: &str, value: Value| map.insert(key.into(), value);
-    put("w", json!(camera.width));
-    put("h", json!(camera.height));
-    put("fl_x", json!(focal.x));
-    put("fl_y", json!(focal.y));
-    put("cx", json!(centre.x));
-    put("cy", json!(centre.y));
-    for (i, key) in ["k1", "k2", "p1", "p2"].into_iter().enumerate() {
-        put(key, json!(camera.distortion().get(i).copied().unwrap_or(0.0)));
-    }
-    map
+    let distortion = [0, 1, 2, 3].map(|i| camera.distortion().get(i).copied().unwrap_or(0.0));
+    let entries = [
+        ("w", json!(camera.width)),
+        ("h", json!(camera.height)),
+        ("fl_x", json!(focal.x)),
+        ("fl_y", json!(focal.y)),
+        ("cx", json!(centre.x)),
+        ("cy", json!(centre.y)),
+        ("k1", json!(distortion[0])),
+        ("k2", json!(distortion[1])),
+        ("p1", json!(distortion[2])),
+        ("p2", json!(distortion[3])),
+    ];
+    entries.into_iter().map(|(key, value)| (key.to_owned(), value)).collect()
 }
 
 fn matrix_of(pose: &Pose) -> Value {
     let world_from_gl = DMat3::from_quat(pose.rotation.conjugate() * GL_FROM_CV.conjugate());
     let centre = pose.centre();
-    let row = |r: usize| {
-        let m = world_from_gl.row(r);
-        json!([m.x, m.y, m.z, centre[r]])
-    };
-    json!([row(0), row(1), row(2), [0.0, 0.0, 0.0, 1.0]])
+    let rows = [0, 1, 2].map(|r| world_from_gl.row(r).extend(centre[r]).to_array());
+    json!([rows[0], rows[1], rows[2], [0.0, 0.0, 0.0, 1.0]])
 }

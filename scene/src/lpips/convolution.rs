@@ -24,8 +24,8 @@ impl Convolution {
     /// `max(0, W * x + b)`, zeros outside the image. Patches are unfolded a band of rows at a time,
     /// so that each band is one matrix product [out × in·k²] · [in·k² × pixels].
     pub(crate) fn apply(&self, x: &Maps) -> Maps {
-        let size = |n: usize| (n + 2 * self.padding - self.kernel) / self.stride + 1;
-        let (height, width) = (size(x.height), size(x.width));
+        let [height, width] =
+            [x.height, x.width].map(|n| (n + 2 * self.padding - self.kernel) / self.stride + 1);
         let (outputs, depth) = (self.bias.len(), self.inputs * self.kernel * self.kernel);
         let rows = (PATCH_VALUES / (depth * width)).clamp(1, height);
         let bands: Vec<Vec<f32>> = (0..height.div_ceil(rows))

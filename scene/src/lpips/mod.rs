@@ -66,14 +66,7 @@ fn normalised(image: &RgbImage) -> Maps {
 /// channels.
 fn layer_distance(a: &Maps, b: &Maps, weights: &[f32], mask: Option<&GrayImage>) -> f64 {
     let cells = a.width * a.height;
-    let inverse_length = |m: &Maps| -> Vec<f32> {
-        let mut square = vec![0.0_f32; cells];
-        for plane in m.data.chunks_exact(cells) {
-            square.iter_mut().zip(plane).for_each(|(s, v)| *s += v * v);
-        }
-        square.into_iter().map(|s| 1.0 / (s.sqrt() + EPSILON)).collect()
-    };
-    let (la, lb) = (inverse_length(a), inverse_length(b));
+    let (la, lb) = (inverse_lengths(a), inverse_lengths(b));
     let mut distance = vec![0.0_f32; cells];
     for ((pa, pb), w) in a.data.chunks_exact(cells).zip(b.data.chunks_exact(cells)).zip(weights) {
         for i in 0..cells {
@@ -81,10 +74,19 @@ fn layer_distance(a: &Maps, b: &Maps, weights: &[f32], mask: Option<&GrayImage>)
             distance[i] += w * d * d;
         }
     }
-    let weight = mask.map(|m| coverage(m, a.width, a.height));
-    let weight = |i: usize| weight.as_ref().map_or(1.0, |w| w[i]);
-    let total: f64 = (0..cells).map(weight).sum();
-    (0..cells).map(|i| weight(i) * f64::from(distance[i])).sum::<f64>() / total
+    let weights = mask.map_or_else(|| vec![1.0; cells], |m| coverage(m, a.width, a.height));
+    let weighted = weights.iter().zip(&distance).map(|(w, d)| w * f64::from(*d));
+    weighted.sum::<f64>() / weights.iter().sum::<f64>()
+}
+
+/// For each cell the inverse of the feature's length over the channels.
+fn inverse_lengths(maps: &Maps) -> Vec<f32> {
+    let cells = maps.width * maps.height;
+    let mut squares = vec![0.0_f32; cells];
+    for plane in maps.data.chunks_exact(cells) {
+        squares.iter_mut().zip(plane).for_each(|(s, v)| *s += v * v);
+    }
+    squares.into_iter().map(|s| 1.0 / (s.sqrt() + EPSILON)).collect()
 }
 
 /// Share of kept pixels in each cell of a `width × height` grid over the mask.

@@ -15,8 +15,7 @@ pub fn umeyama(source: &[DVec3], target: &[DVec3]) -> Option<Sim3> {
     if n < 3 || n != target.len() {
         return None;
     }
-    let mean = |points: &[DVec3]| points.iter().copied().sum::<DVec3>() / n as f64;
-    let (a, b) = (mean(source), mean(target));
+    let [a, b] = [source, target].map(|points| points.iter().copied().sum::<DVec3>() / n as f64);
     let mut variance = 0.0;
     let mut covariance = DMat3::ZERO;
     for (s, t) in source.iter().zip(target) {
@@ -95,8 +94,8 @@ fn concentrate(source: &[DVec3], target: &[DVec3], subset: Vec<usize>, keep: usi
     let mut order = subset;
     let mut best: Option<(Sim3, f64)> = None;
     for _ in 0..STEPS {
-        let pick = |points: &[DVec3]| order.iter().map(|&i| points[i]).collect::<Vec<_>>();
-        let Some(sim) = umeyama(&pick(source), &pick(target)) else { break };
+        let [from, to] = [source, target].map(|points| order.iter().map(|&i| points[i]).collect::<Vec<_>>());
+        let Some(sim) = umeyama(&from, &to) else { break };
         let squares: Vec<f64> = residuals(&sim, source, target).iter().map(|r| r * r).collect();
         order = (0..source.len()).collect();
         order.select_nth_unstable_by(keep - 1, |&i, &j| squares[i].total_cmp(&squares[j]).then(i.cmp(&j)));

@@ -3,7 +3,7 @@
 use super::align::{box_diagonal, residuals, robust_alignment};
 use crate::pose::rotation_angle;
 use crate::{PosedImage, Reconstruction};
-use glam::{DQuat, DVec3};
+use glam::DVec3;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 
@@ -166,11 +166,10 @@ fn auc(pairs: &[(Option<&PosedImage>, &PosedImage)], extent: f64) -> Option<[f64
 /// The larger of the relative rotation's and the relative translation direction's error. Where the
 /// true centres coincide only the rotation counts; coinciding estimated centres are 180° off.
 fn pair_error_deg(estimated: [&PosedImage; 2], truth: [&PosedImage; 2], extent: f64) -> f64 {
-    let relative = |[a, b]: [&PosedImage; 2]| -> (DQuat, DVec3) {
+    let [(re, de), (rt, dt)] = [estimated, truth].map(|[a, b]| {
         let baseline = a.pose.rotation * (b.pose.centre() - a.pose.centre());
         (b.pose.rotation * a.pose.rotation.conjugate(), baseline)
-    };
-    let ((re, de), (rt, dt)) = (relative(estimated), relative(truth));
+    });
     let direction = if dt.length() <= 1e-9 * extent {
         0.0
     } else if de.length() == 0.0 {
@@ -186,13 +185,13 @@ fn focal_error(
     truth: &Reconstruction,
     both: &[(&PosedImage, &PosedImage)],
 ) -> Option<f64> {
-    let error = |(e, t): &(&PosedImage, &PosedImage)| {
+    let errors = both.iter().filter_map(|(e, t)| {
         let (ce, ct) = (model.cameras.get(&e.camera)?, truth.cameras.get(&t.camera)?);
         let known = ct.width > 0 && ce.width > 0;
         let rescale = if known { f64::from(ct.width) / f64::from(ce.width) } else { 1.0 };
         Some(100.0 * (ce.mean_focal() * rescale / ct.mean_focal() - 1.0))
-    };
-    ErrorStatistics::of(&both.iter().filter_map(error).collect::<Vec<_>>()).map(|s| s.median)
+    });
+    ErrorStatistics::of(&errors.collect::<Vec<_>>()).map(|s| s.median)
 }
 
 #[cfg(test)]

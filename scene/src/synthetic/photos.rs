@@ -165,8 +165,8 @@ pub fn photo_ring(
     step_deg: f64,
 ) -> (Vec<RgbImage>, Reconstruction) {
     let elevation = 25_f64.to_radians();
-    let pose = |i: usize| orbit_pose((i as f64 * step_deg).to_radians(), elevation, 4.0 * scene.unit);
-    let poses: Vec<Pose> = (0..n).map(pose).collect();
+    let angles = (0..n).map(|i| (i as f64 * step_deg).to_radians());
+    let poses: Vec<Pose> = angles.map(|a| orbit_pose(a, elevation, 4.0 * scene.unit)).collect();
     let photos = poses.iter().map(|pose| scene.render(camera, pose)).collect();
     (photos, posed_images(camera, &poses))
 }

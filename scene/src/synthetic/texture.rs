@@ -17,7 +17,6 @@ fn noise(x: DVec3, seed: u32) -> f64 {
     let f = x - cell;
     let w = f * f * (DVec3::splat(3.0) - 2.0 * f);
     let (i, j, k) = (cell.x as i32, cell.y as i32, cell.z as i32);
-    let mix = |a: f64, b: f64, t: f64| a + (b - a) * t;
     let edge = |dj: i32, dk: i32| {
         mix(
             lattice(i, j.wrapping_add(dj), k.wrapping_add(dk), seed),
@@ -44,4 +43,8 @@ pub(super) fn colour(x: DVec3, seed: u32) -> DVec3 {
     let hue =
         DVec3::new(noise(x * 1.7, seed ^ 0x51), noise(x * 1.7, seed ^ 0x52), noise(x * 1.7, seed ^ 0x53));
     level * (DVec3::splat(0.45) + 0.55 * hue)
+}
+
+fn mix(a: f64, b: f64, t: f64) -> f64 {
+    a + (b - a) * t
 }

@@ -6,7 +6,7 @@ use serde::{Deserialize, Serialize};
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, clap::ValueEnum, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Doubling {
-    /// Doubled up to [`SiftConfig::doubling_limit_mp`] megapixels.
+    /// Doubled up to the size of --doubling-limit-mp.
     #[default]
     Auto,
     /// Always doubled (first octave −1).

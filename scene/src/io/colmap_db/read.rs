@@ -305,13 +305,12 @@ impl DatabaseSource<'_> {
         if !data.is_empty() && cols != 2 {
             return Err(self.error(table, format!("{}: {cols} numbers a match, not 2", named(pair))));
         }
-        let index = |b: &[u8; 4]| u32::from_le_bytes(*b);
         let matches: Vec<[u32; 2]> = data
             .as_chunks::<8>()
             .0
             .iter()
             .map(|m| m.as_chunks::<4>().0)
-            .map(|m| [index(&m[0]), index(&m[1])])
+            .map(|m| [u32::from_le_bytes(m[0]), u32::from_le_bytes(m[1])])
             .collect();
         let counts = [pair.0, pair.1].map(|id| database.images[&id].features.len());
         if let Some(m) = matches.iter().find(|m| m[0] as usize >= counts[0] || m[1] as usize >= counts[1]) {

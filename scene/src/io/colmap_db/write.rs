@@ -48,10 +48,9 @@ fn check(database: &Database) -> Result<(), String> {
             return Err(format!("{id} is no image number"));
         }
     }
-    let counts = |id: u32| database.images.get(&id).map_or(0, |i| i.features.len());
     let inliers = database.geometries.iter().map(|(p, g)| (p, &g.inliers));
     for (&(a, b), matches) in database.matches.iter().chain(inliers) {
-        let (rows_a, rows_b) = (counts(a), counts(b));
+        let [rows_a, rows_b] = [a, b].map(|id| database.images.get(&id).map_or(0, |i| i.features.len()));
         if a >= b || matches.iter().any(|&[i, j]| i as usize >= rows_a || j as usize >= rows_b) {
             return Err(format!("a match of images {a} and {b} names a feature that is not there"));
         }

@@ -35,15 +35,14 @@ pub(crate) fn parse_splat_ply(path: &Path, data: &[u8]) -> Result<Gaussians, IoE
         if let Some(column) = v.iter().enumerate().position(|(c, x)| !acceptable(c, *x)) {
             return Err(IoError::not_finite(path, format!("property '{}' of vertex {i}", wanted[column])));
         }
-        let f = |c: usize| v[c] as f32;
-        let extreme = |c: usize| v[c].clamp(-EXTREME, EXTREME) as f32;
-        g.means.push(Vec3::new(f(0), f(1), f(2)));
-        g.opacity_logits.push(extreme(6));
-        g.log_scales.push(Vec3::new(extreme(7), extreme(8), extreme(9)));
-        g.rotations.push(Quat::from_xyzw(f(11), f(12), f(13), f(10)));
-        g.sh.extend([f(3), f(4), f(5)]);
+        let bounded = [6, 7, 8, 9].map(|c| v[c].clamp(-EXTREME, EXTREME) as f32);
+        g.means.push(Vec3::from_array([0, 1, 2].map(|c| v[c] as f32)));
+        g.opacity_logits.push(bounded[0]);
+        g.log_scales.push(Vec3::new(bounded[1], bounded[2], bounded[3]));
+        g.rotations.push(Quat::from_array([11, 12, 13, 10].map(|c| v[c] as f32)));
+        g.sh.extend([3, 4, 5].map(|c| v[c] as f32));
         for k in 0..rest {
-            g.sh.extend([f(14 + k), f(14 + rest + k), f(14 + 2 * rest + k)]);
+            g.sh.extend([14 + k, 14 + rest + k, 14 + 2 * rest + k].map(|c| v[c] as f32));
         }
         Ok(())
     })?;

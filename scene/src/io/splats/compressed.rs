@@ -67,7 +67,6 @@ pub fn read_compressed_ply(path: &Path) -> Result<Gaussians, IoError> {
             return Err(IoError::format(path, format!("vertex {i} has no chunk; the file is damaged")));
         };
         let [position, rotation, scale, colour] = [0, 1, 2, 3].map(|k| v[k] as u32);
-        let mix = |[low, high]: [Vec3; 2], t: Vec3| low + (high - low) * t;
         let bytes = colour.to_be_bytes().map(|b| f32::from(b) / 255.0);
         let rgb = mix(bounds[2], Vec3::new(bytes[0], bytes[1], bytes[2]));
         sh[..3].copy_from_slice(&((rgb - 0.5) / SH_C0).to_array());
@@ -117,15 +116,43 @@ fn unpack_11_10_11(v: u32) -> Vec3 {
 }
 
 fn pack_11_10_11(v: Vec3) -> u32 {
-    let q = |v: f32, max: f32| (v.clamp(0.0, 1.0) * max).round() as u32;
-    q(v.x, 2047.0) << 21 | q(v.y, 1023.0) << 11 | q(v.z, 2047.0)
+    let [x, y, z] = (v.clamp(Vec3::ZERO, Vec3::ONE) * Vec3::new(2047.0, 1023.0, 2047.0)).to_array();
+    (x.round() as u32) << 21 | (y.round() as u32) << 11 | z.round() as u32
+}
+
+/// The value between two bounds, at a share of each axis.
+fn mix([low, high]: [Vec3; 2], share: Vec3) -> Vec3 {
+    low + (high - low) * share
+}
+
+/// Where a value lies between two bounds: the inverse of [`mix`].
+fn share([low, high]: [Vec3; 2], v: Vec3) -> Vec3 {
+    (v - low) / (high - low).max(Vec3::splat(1e-30))
+}
+
+/// The bounds of some values.
+fn bounds_of(values: impl Iterator<Item = Vec3> + Clone) -> [Vec3; 2] {
+    [values.clone().fold(Vec3::INFINITY, Vec3::min), values.fold(Vec3::NEG_INFINITY, Vec3::max)]
+}
+
+/// Ten bits of a value in [0, 1], two zeros between each and the next.
+fn every_third_bit(v: f32) -> u32 {
+    (0..10).fold(0u32, |out, bit| out | ((v * 1023.0) as u32 >> bit & 1) << (3 * bit))
+}
+
+fn colour(g: &Gaussians, i: usize) -> Vec3 {
+    Vec3::from_slice(&g.sh[i * g.sh_coefficients() * 3..]) * SH_C0 + 0.5
+}
+
+fn bounded_log_scale(g: &Gaussians, i: usize) -> Vec3 {
+    g.log_scales[i].clamp(Vec3::splat(-20.0), Vec3::splat(20.0))
 }
 
 /// Top two bits: which of w, x, y, z is largest and left out; the others in that order, 10 bits
 /// each, over ±1/√2.
 fn unpack_rotation(v: u32) -> Quat {
-    let part = |shift: u32| ((v >> shift & 1023) as f32 / 1023.0 - 0.5) * std::f32::consts::SQRT_2;
-    let (a, b, c) = (part(20), part(10), part(0));
+    let [a, b, c] =
+        [20, 10, 0].map(|shift| ((v >> shift & 1023) as f32 / 1023.0 - 0.5) * std::f32::consts::SQRT_2);
     let m = (1.0 - a * a - b * b - c * c).max(0.0).sqrt();
     let (w, x, y, z) = match v >> 30 {
         0 => (m, a, b, c),
@@ -153,12 +180,9 @@ pub(super) fn morton_order(means: &[Vec3]) -> Vec<usize> {
     let low = means.iter().fold(Vec3::INFINITY, |a, &m| a.min(m));
     let high = means.iter().fold(Vec3::NEG_INFINITY, |a, &m| a.max(m));
     let size = (high - low).max(Vec3::splat(f32::MIN_POSITIVE));
-    let spread = |v: f32| (0..10).fold(0u32, |out, bit| out | ((v * 1023.0) as u32 >> bit & 1) << (3 * bit));
-    let code = |m: Vec3| {
-        let t = (m - low) / size;
-        spread(t.x) << 2 | spread(t.y) << 1 | spread(t.z)
-    };
-    let mut keyed: Vec<(u32, usize)> = means.iter().enumerate().map(|(i, &m)| (code(m), i)).collect();
+    let codes = means.iter().map(|&m| ((m - low) / size).to_array().map(every_third_bit));
+    let mut keyed: Vec<(u32, usize)> =
+        codes.enumerate().map(|(i, [x, y, z])| (x << 2 | y << 1 | z, i)).collect();
     keyed.sort_unstable();
     keyed.into_iter().map(|k| k.1).collect()
 }
@@ -174,8 +198,6 @@ pub fn write_compressed_ply(path: &Path, g: &Gaussians) -> Result<(), IoError> {
 fn write_to(w: &mut impl Write, g: &Gaussians) -> io::Result<()> {
     let k = g.sh_coefficients();
     let order = morton_order(&g.means);
-    let rgb = |i: usize| Vec3::from_slice(&g.sh[i * k * 3..]) * SH_C0 + 0.5;
-    let log_scale = |i: usize| g.log_scales[i].clamp(Vec3::splat(-20.0), Vec3::splat(20.0));
     writeln!(w, "ply\nformat binary_little_endian 1.0\nelement chunk {}", g.len().div_ceil(CHUNK))?;
     BOUNDS.iter().try_for_each(|name| writeln!(w, "property float {name}"))?;
     writeln!(w, "element vertex {}", g.len())?;
@@ -188,31 +210,29 @@ fn write_to(w: &mut impl Write, g: &Gaussians) -> io::Result<()> {
     let chunks: Vec<(&[usize], Bounds)> = order
         .chunks(CHUNK)
         .map(|c| {
-            let around = |f: &dyn Fn(usize) -> Vec3| {
-                let low = c.iter().fold(Vec3::INFINITY, |a, &i| a.min(f(i)));
-                [low, c.iter().fold(Vec3::NEG_INFINITY, |a, &i| a.max(f(i)))]
-            };
-            (c, [around(&|i| g.means[i]), around(&log_scale), around(&rgb)])
+            let means = bounds_of(c.iter().map(|&i| g.means[i]));
+            let log_scales = bounds_of(c.iter().map(|&i| bounded_log_scale(g, i)));
+            (c, [means, log_scales, bounds_of(c.iter().map(|&i| colour(g, i)))])
         })
         .collect();
     for v in chunks.iter().flat_map(|c| c.1.as_flattened().iter().flat_map(|v| v.to_array())) {
         w.write_all(&v.to_le_bytes())?;
     }
     for (members, bounds) in &chunks {
-        let share = |[low, high]: [Vec3; 2], v: Vec3| (v - low) / (high - low).max(Vec3::splat(1e-30));
         for &i in *members {
-            let c = share(bounds[2], rgb(i)).to_array().map(super::unit_byte);
-            let colour = u32::from_be_bytes([c[0], c[1], c[2], super::unit_byte(g.opacity(i))]);
+            let c = share(bounds[2], colour(g, i)).to_array().map(super::unit_byte);
+            let packed_colour = u32::from_be_bytes([c[0], c[1], c[2], super::unit_byte(g.opacity(i))]);
             let position = pack_11_10_11(share(bounds[0], g.means[i]));
-            let scale = pack_11_10_11(share(bounds[1], log_scale(i)));
-            for v in [position, pack_rotation(g.rotations[i]), scale, colour] {
+            let scale = pack_11_10_11(share(bounds[1], bounded_log_scale(g, i)));
+            for v in [position, pack_rotation(g.rotations[i]), scale, packed_colour] {
                 w.write_all(&v.to_le_bytes())?;
             }
         }
     }
     for &i in order.iter().filter(|_| k > 1) {
-        let byte = |j: usize| (g.sh[i * k * 3 + (j % (k - 1) + 1) * 3 + j / (k - 1)] / 8.0 + 0.5) * 256.0;
-        w.write_all(&(0..3 * (k - 1)).map(|j| byte(j).clamp(0.0, 255.0) as u8).collect::<Vec<_>>())?;
+        let values = (0..3 * (k - 1)).map(|j| g.sh[i * k * 3 + (j % (k - 1) + 1) * 3 + j / (k - 1)]);
+        let bytes = values.map(|v| ((v / 8.0 + 0.5) * 256.0).clamp(0.0, 255.0) as u8);
+        w.write_all(&bytes.collect::<Vec<_>>())?;
     }
     Ok(())
 }

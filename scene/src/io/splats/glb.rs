@@ -59,17 +59,15 @@ pub fn write_splat_glb(path: &Path, g: &Gaussians) -> Result<(), IoError> {
     b.add("POSITION", "VEC3", n, g.means.iter().flat_map(|m| m.to_array()));
     b.accessors[0]["min"] = json!(low.to_array());
     b.accessors[0]["max"] = json!(high.to_array());
-    let colour = |i: usize| {
-        let rgb = Vec3::from_slice(&g.sh[i * k * 3..]) * SH_C0 + 0.5;
-        rgb.clamp(Vec3::ZERO, Vec3::ONE).extend(g.opacity(i)).to_array()
-    };
-    b.add("COLOR_0", "VEC4", n, (0..n).flat_map(colour));
+    let colours = (0..n).map(|i| (i, Vec3::from_slice(&g.sh[i * k * 3..]) * SH_C0 + 0.5));
+    let rgba = colours.map(|(i, rgb)| rgb.clamp(Vec3::ZERO, Vec3::ONE).extend(g.opacity(i)));
+    b.add("COLOR_0", "VEC4", n, rgba.flat_map(|c| c.to_array()));
     b.add(&format!("{EXTENSION}:SCALE"), "VEC3", n, g.log_scales.iter().flat_map(|s| s.to_array()));
     b.add(&format!("{EXTENSION}:ROTATION"), "VEC4", n, g.rotations.iter().flat_map(|&q| unit(q).to_array()));
     b.add(&format!("{EXTENSION}:OPACITY"), "SCALAR", n, (0..n).map(|i| g.opacity(i)));
     for (c, name) in sh_names(g.sh_degree).enumerate() {
-        let at = |i: usize| (i * k + c) * 3;
-        b.add(&name, "VEC3", n, (0..n).flat_map(|i| g.sh[at(i)..at(i) + 3].iter().copied()));
+        let triples = (0..n).map(|i| &g.sh[(i * k + c) * 3..][..3]);
+        b.add(&name, "VEC3", n, triples.flatten().copied());
     }
     let extension = json!({"kernel": "ellipse", "colorSpace": "srgb_rec709_display",
         "sortingMethod": "cameraDistance", "projection": "perspective"});
@@ -159,6 +157,10 @@ pub fn read_splat_glb(path: &Path) -> Result<Gaussians, IoError> {
     Ok(g)
 }
 
+fn number(value: &Value, key: &str) -> Option<usize> {
+    value[key].as_u64().map(|n| n as usize)
+}
+
 impl<'a> Glb<'a> {
     fn parse(path: &'a Path, data: &'a [u8]) -> Result<Self, IoError> {
         let mut r = ByteReader::new(path, data);
@@ -189,7 +191,6 @@ impl<'a> Glb<'a> {
         let error = |what: &str| IoError::format(self.path, format!("attribute {name}: {what}"));
         let accessor = index.as_u64().and_then(|i| self.document["accessors"].get(i as usize));
         let accessor = accessor.ok_or_else(|| error("is missing"))?;
-        let number = |v: &Value, key: &str| v[key].as_u64().map(|n| n as usize);
         let expected = ["", "SCALAR", "VEC2", "VEC3", "VEC4"][width];
         if accessor["type"] != expected || accessor.get("sparse").is_some() {
             return Err(error(&format!("expected a dense accessor of type {expected}")));

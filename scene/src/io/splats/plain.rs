@@ -40,9 +40,10 @@ pub fn read_dot_splat(path: &Path) -> Result<Gaussians, IoError> {
 /// Writes a `.splat`, the largest and most opaque Gaussians first (viewers show them while they
 /// load).
 pub fn write_dot_splat(path: &Path, g: &Gaussians) -> Result<(), IoError> {
-    let weight = |i: usize| g.opacity(i) * g.log_scales[i].element_sum().exp();
+    let sizes = g.log_scales.iter().enumerate();
+    let weights: Vec<f32> = sizes.map(|(i, s)| g.opacity(i) * s.element_sum().exp()).collect();
     let mut order: Vec<usize> = (0..g.len()).collect();
-    order.sort_by(|&i, &j| weight(j).total_cmp(&weight(i)).then(i.cmp(&j)));
+    order.sort_by(|&i, &j| weights[j].total_cmp(&weights[i]).then(i.cmp(&j)));
     let stride = g.sh_coefficients() * 3;
     write_atomic(path, |w| {
         for i in order {
@@ -62,7 +63,7 @@ impl ByteReader<'_> {
     /// Three floats.
     pub(super) fn vec3(&mut self, what: &str) -> Result<Vec3, IoError> {
         let b = self.take(12, what)?;
-        let f = |i: usize| f32::from_le_bytes([b[i], b[i + 1], b[i + 2], b[i + 3]]);
-        Ok(Vec3::new(f(0), f(4), f(8)))
+        let floats = [0, 4, 8].map(|i| f32::from_le_bytes([b[i], b[i + 1], b[i + 2], b[i + 3]]));
+        Ok(Vec3::from_array(floats))
     }
 }
