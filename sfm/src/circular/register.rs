@@ -140,7 +140,7 @@ impl AxisModel {
 
     /// Registers the frames after the last and before the first, as far as they see enough of the
     /// model. `times`: when each frame was taken, ascending.
-    pub fn extend(&mut self, context: &CircularContext<'_>, times: &[f64]) -> Result<(), SfmError> {
+    pub(crate) fn extend(&mut self, context: &CircularContext<'_>, times: &[f64]) -> Result<(), SfmError> {
         let mut known = (0..times.len()).filter(|&f| self.turn.angles[f].is_some());
         let Some(first) = known.next() else { return Ok(()) };
         let last = known.last().unwrap_or(first);
@@ -193,7 +193,7 @@ impl AxisModel {
     }
 
     /// Gives a frame its angle and triangulates what it sees.
-    pub fn register(&mut self, context: &CircularContext<'_>, frame: usize, angle: f64) {
+    pub(crate) fn register(&mut self, context: &CircularContext<'_>, frame: usize, angle: f64) {
         self.turn.angles[frame] = Some(angle);
         if let Some(pose) = self.turn.pose(frame) {
             self.state.register(frame, pose);
