@@ -143,7 +143,7 @@ impl AxisModel {
     pub(crate) fn extend(&mut self, context: &CircularContext<'_>, times: &[f64]) -> Result<(), SfmError> {
         let mut known = (0..times.len()).filter(|&f| self.turn.angles[f].is_some());
         let Some(first) = known.next() else { return Ok(()) };
-        let last = known.last().unwrap_or(first);
+        let last = known.next_back().unwrap_or(first);
         self.walk(context, times, last + 1..times.len(), &mut FrameWalk::new(last, first))?;
         self.walk(context, times, (0..first).rev(), &mut FrameWalk::new(first, last))
     }
