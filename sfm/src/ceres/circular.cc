@@ -1,4 +1,5 @@
-// Adjustment of a motion about one axis by Ceres with analytic Jacobians. See circular.h for the shapes.
+// Adjustment of a motion about one axis by Ceres with analytic Jacobians. See circular.h for the
+// shapes.
 #include "circular.h"
 
 #include <glog/logging.h>
@@ -13,8 +14,8 @@ namespace {
 
 constexpr std::uint32_t kNone = 0xffffffff;
 
-// w (π(D (R Z(θ) X + t)) − pixel). Blocks: axis (R, t), angle, offset D, point, intrinsics. Poses have the ambient
-// Jacobian [∂ω ∂t 0], from which the manifolds pick.
+// w (π(D (R Z(θ) X + t)) − pixel). Blocks: axis (R, t), angle, offset D, point, intrinsics. Poses
+// have the ambient Jacobian [∂ω ∂t 0], from which the manifolds pick.
 class CircularReprojection final : public ceres::CostFunction {
  public:
   CircularReprojection(int model, const double *pixel, double weight) : model_(model), weight_(weight) {
@@ -67,8 +68,8 @@ class CircularReprojection final : public ceres::CostFunction {
   double weight_, pixel_[2];
 };
 
-// R ← exp(b₀ δ₀ + b₁ δ₁) R, t ← t + b₂ δ₂ with unit vectors b: turning about the axis, moving along it and scaling the
-// scene change nothing in the images, so three freedoms are left.
+// R ← exp(b₀ δ₀ + b₁ δ₁) R, t ← t + b₂ δ₂ with unit vectors b: turning about the axis, moving along
+// it and scaling the scene change nothing in the images, so three freedoms are left.
 class AxisManifold final : public ceres::Manifold {
  public:
   explicit AxisManifold(const double *basis) : b_(basis) {}
@@ -134,7 +135,8 @@ class AngleRelation final : public ceres::CostFunction {
   double target_, weight_;
 };
 
-// w (n · R e_z − target): the axis makes a known angle with a direction n of the camera's frame. d(n · z) = ω · (z × n).
+// w (n · R e_z − target): the axis makes a known angle with a direction n of the camera's frame.
+// d(n · z) = ω · (z × n).
 class AxisLevel final : public ceres::CostFunction {
  public:
   AxisLevel(const double *normal, double target, double weight) : normal_(normal), target_(target), weight_(weight) {

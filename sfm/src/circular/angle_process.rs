@@ -51,12 +51,12 @@ pub(crate) struct LearntMotion {
 
 impl LearntMotion {
     /// Holds every angle against the first: the adjustment of all else under the learnt motion.
-    pub fn holding_prior(&self) -> AnglePrior<'_> {
+    pub(crate) fn holding_prior(&self) -> AnglePrior<'_> {
         self.prior(vec![HELD; self.images.len()])
     }
 
     /// The same as loose as the angles are known, for standard deviations of all else.
-    pub fn loose_prior(&self) -> AnglePrior<'_> {
+    pub(crate) fn loose_prior(&self) -> AnglePrior<'_> {
         self.prior(self.deviations.iter().map(|d| d.max(HELD)).collect())
     }
 
@@ -65,7 +65,7 @@ impl LearntMotion {
     }
 
     /// By frame, of so many.
-    pub fn by_frame(&self, frames: usize) -> Vec<Option<f64>> {
+    pub(crate) fn by_frame(&self, frames: usize) -> Vec<Option<f64>> {
         let mut angles = vec![None; frames];
         self.images.iter().zip(&self.angles).for_each(|(&f, a)| angles[f] = Some(*a));
         angles

@@ -31,7 +31,7 @@ pub(crate) struct Elevation {
 
 impl Elevation {
     /// What somebody measured.
-    pub fn from_measurement(degrees: f64) -> Self {
+    pub(crate) fn from_measurement(degrees: f64) -> Self {
         Self {
             angle: degrees.to_radians(),
             sigma: ELEVATION_SIGMA,
@@ -42,7 +42,7 @@ impl Elevation {
     }
 
     /// The camera sees the upward axis u with `e_z · u = −sin(elevation)`.
-    pub fn level(&self, turn: &CircularMotion) -> ElevationPrior {
+    pub(crate) fn level(&self, turn: &CircularMotion) -> ElevationPrior {
         ElevationPrior {
             normal: DVec3::Z * turn.upward(),
             target: -self.angle.sin(),

@@ -35,13 +35,13 @@ mod job;
 mod limits;
 mod loop_closure;
 mod model;
-pub mod motion;
+pub(crate) mod motion;
 #[cfg(test)]
 mod motion_tests;
 mod orbit;
 mod photos;
 mod prior;
-pub mod problem;
+pub(crate) mod problem;
 mod register;
 pub(crate) mod ring;
 mod solution;

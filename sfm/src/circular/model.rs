@@ -72,7 +72,7 @@ impl CircularContext<'_> {
 
 impl AxisModel {
     /// Triangulates all tracks from the turn's poses.
-    pub fn new(input: &MappingInput<'_>, cameras: Vec<Camera>, turn: CircularMotion) -> Self {
+    pub(crate) fn new(input: &MappingInput<'_>, cameras: Vec<Camera>, turn: CircularMotion) -> Self {
         let mut state = MapState::new(input, cameras);
         for frame in 0..input.keypoints.len() {
             if let Some(pose) = turn.pose(frame) {
@@ -84,7 +84,11 @@ impl AxisModel {
     }
 
     /// The adjustment of the present model.
-    pub fn problem(&self, context: &CircularContext<'_>, what: &Adjustment) -> (CircularProblem, Selected) {
+    pub(crate) fn problem(
+        &self,
+        context: &CircularContext<'_>,
+        what: &Adjustment,
+    ) -> (CircularProblem, Selected) {
         let mut selected = select(&self.state, context.input, what);
         let angles = selected.images.iter().map(|&i| self.turn.angles[i].unwrap_or(0.0)).collect();
         let bundle = std::mem::take(&mut selected.problem);
@@ -96,7 +100,7 @@ impl AxisModel {
     }
 
     /// Takes a solved adjustment over.
-    pub fn take(&mut self, problem: CircularProblem, mut selected: Selected) {
+    pub(crate) fn take(&mut self, problem: CircularProblem, mut selected: Selected) {
         self.turn.axis = problem.axis;
         for (&image, angle) in selected.images.iter().zip(&problem.angles) {
             self.turn.angles[image] = Some(*angle);
@@ -107,18 +111,22 @@ impl AxisModel {
 
     /// Adjusts, filters and triangulates a few times; robustly, with focal length and distortion
     /// free. `false` where it ends in nonsense.
-    pub fn settle(&mut self, context: &CircularContext<'_>, rounds: usize) -> Result<bool, SfmError> {
+    pub(crate) fn settle(&mut self, context: &CircularContext<'_>, rounds: usize) -> Result<bool, SfmError> {
         self.settle_with(context, rounds, POINTS_PER_IMAGE, self.state.registered_count())
     }
 
     /// One round with few points.
-    pub fn settle_rough(&mut self, context: &CircularContext<'_>, images: usize) -> Result<bool, SfmError> {
+    pub(crate) fn settle_rough(
+        &mut self,
+        context: &CircularContext<'_>,
+        images: usize,
+    ) -> Result<bool, SfmError> {
         self.settle_with(context, 1, ROUGH_POINTS, images)
     }
 
     /// [`AxisModel::settle`] with so many points an image; `images` stands for how many images the
     /// general solver would need to free as much of the intrinsics.
-    pub fn settle_with(
+    pub(crate) fn settle_with(
         &mut self,
         context: &CircularContext<'_>,
         rounds: usize,
@@ -151,7 +159,7 @@ impl AxisModel {
 
     /// The adjustment of all points with the chosen intrinsics, its observations at the measured
     /// noise.
-    pub fn prepare(
+    pub(crate) fn prepare(
         &self,
         context: &CircularContext<'_>,
         intrinsics: FreeIntrinsics,
@@ -175,7 +183,12 @@ impl AxisModel {
 
     /// Gives features and followed points each the noise that their residuals show,
     /// `r² ≈ 2 ln 2 σ²` at the median, corrected for what the points' three coordinates take up.
-    pub fn weigh(&self, context: &CircularContext<'_>, bundle: &mut BundleProblem, selected: &Selected) {
+    pub(crate) fn weigh(
+        &self,
+        context: &CircularContext<'_>,
+        bundle: &mut BundleProblem,
+        selected: &Selected,
+    ) {
         let points = selected.points.iter().filter_map(|&id| self.state.points[id as usize].as_ref());
         let followed: Vec<bool> = points.flat_map(|p| &p.views).map(|v| context.is_followed(*v)).collect();
         if followed.len() != bundle.observations.len() {
@@ -191,7 +204,7 @@ impl AxisModel {
 
     /// Adjusts with the chosen intrinsics, triangulates and filters at the level of the noise, for
     /// so many rounds at most.
-    pub fn polish(
+    pub(crate) fn polish(
         &mut self,
         context: &CircularContext<'_>,
         intrinsics: FreeIntrinsics,
@@ -221,7 +234,7 @@ impl AxisModel {
     }
 
     /// Standard deviations of the final adjustment, with the problem they belong to.
-    pub fn covariance(
+    pub(crate) fn covariance(
         &self,
         context: &CircularContext<'_>,
         intrinsics: FreeIntrinsics,
@@ -233,7 +246,7 @@ impl AxisModel {
 
     /// Puts the model into the turntable's frame: axis up, first camera at azimuth 0, `radius` from
     /// the axis, the origin at the height of the points' median.
-    pub fn orient(&mut self, radius: f64) {
+    pub(crate) fn orient(&mut self, radius: f64) {
         let height = median(self.state.live().map(|(_, p)| p.position.z).collect());
         let (turn, moved) = self.turn.canonical(height, radius);
         for (frame, pose) in self.state.poses.iter_mut().enumerate() {

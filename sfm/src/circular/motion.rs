@@ -6,7 +6,7 @@ use scene::Pose;
 /// Frame `i` sees the turntable's point X at `R Z(θ_i) X + t`, where Z turns about the turntable's
 /// z axis.
 #[derive(Clone, Debug, PartialEq)]
-pub struct CircularMotion {
+pub(crate) struct CircularMotion {
     /// Camera from turntable at angle 0.
     pub axis: Pose,
     /// By frame, radians; `None` where it is not known.
@@ -19,7 +19,7 @@ impl CircularMotion {
     ///
     /// The turntable's origin is the axis' point nearest to the camera, and the camera stands at
     /// azimuth 0 at angle 0. `None` where the camera is on the axis.
-    pub fn new(direction: DVec3, place: DVec3, angles: Vec<Option<f64>>) -> Option<Self> {
+    pub(crate) fn new(direction: DVec3, place: DVec3, angles: Vec<Option<f64>>) -> Option<Self> {
         let z = direction.try_normalize()?;
         let foot = place - z * z.dot(place);
         let x = -foot.try_normalize()?;
@@ -31,32 +31,32 @@ impl CircularMotion {
     }
 
     /// The axis' direction, camera frame.
-    pub fn direction(&self) -> DVec3 {
+    pub(crate) fn direction(&self) -> DVec3 {
         self.axis.rotation * DVec3::Z
     }
 
     /// Distance of the camera from the axis.
-    pub fn radius(&self) -> f64 {
+    pub(crate) fn radius(&self) -> f64 {
         distance_from_axis(&self.axis)
     }
 
     /// 1 where the axis points upwards in the image (towards the camera where it is seen end on),
     /// else -1.
-    pub fn upward(&self) -> f64 {
+    pub(crate) fn upward(&self) -> f64 {
         let z = self.direction();
         let down = if z.y.abs() > 0.1 * z.z.abs() { z.y > 0.0 } else { z.z > 0.0 };
         if down { -1.0 } else { 1.0 }
     }
 
     /// `cam_from_world` of a frame.
-    pub fn pose(&self, frame: usize) -> Option<Pose> {
+    pub(crate) fn pose(&self, frame: usize) -> Option<Pose> {
         self.angles.get(frame).copied().flatten().map(|a| pose_at(&self.axis, a))
     }
 
     /// The same motion with the axis upwards ([`CircularMotion::upward`]), the origin at `height`
     /// along the present axis, the first frame's camera at azimuth 0, and the camera `radius` from
     /// the axis. The second value takes points along: new from old.
-    pub fn canonical(&self, height: f64, radius: f64) -> (Self, impl Fn(DVec3) -> DVec3 + use<>) {
+    pub(crate) fn canonical(&self, height: f64, radius: f64) -> (Self, impl Fn(DVec3) -> DVec3 + use<>) {
         let (z, sign) = (self.direction(), self.upward());
         let scale = radius / self.radius();
         let first = self.angles.iter().flatten().next().copied().unwrap_or(0.0);

@@ -37,7 +37,7 @@ pub(crate) enum AnglePrior<'a> {
 
 impl AnglePrior<'_> {
     /// The relations that it puts between frames of these angles (radians, by frame).
-    pub fn relations(&self, angles: &[Option<f64>]) -> Vec<Relation> {
+    pub(crate) fn relations(&self, angles: &[Option<f64>]) -> Vec<Relation> {
         match self {
             Self::KnownRate { times, rate } => known_rate(angles, times, *rate),
             Self::Steady { times } => steady(angles, times),

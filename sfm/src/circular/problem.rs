@@ -11,7 +11,7 @@ use scene::{Pose, Progress};
 
 /// `Σ c θ = target` within a standard deviation, over two or three frames.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Relation {
+pub(crate) struct Relation {
     /// Indices of the frames; the last one may be missing.
     pub frames: [Option<u32>; 3],
     /// Coefficients.
@@ -24,7 +24,7 @@ pub struct Relation {
 
 impl Relation {
     /// `θ_to − θ_from = target` within `sigma`, radians.
-    pub fn difference(from: usize, to: usize, target: f64, sigma: f64) -> Self {
+    pub(crate) fn difference(from: usize, to: usize, target: f64, sigma: f64) -> Self {
         let frames = [Some(from as u32), Some(to as u32), None];
         Self { frames, coefficients: [-1.0, 1.0, 0.0], target, sigma }
     }
@@ -33,7 +33,7 @@ impl Relation {
 /// `n · z = target` within a standard deviation, z the unit direction of the axis in the camera's
 /// frame.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct ElevationPrior {
+pub(crate) struct ElevationPrior {
     /// Unit vector of the camera's frame.
     pub normal: DVec3,
     /// Sine of the angle between the axis and the plane across `normal`.
@@ -44,7 +44,7 @@ pub struct ElevationPrior {
 
 /// An adjustment whose poses are `D_i (R Z(θ_i) X + t)`.
 #[derive(Clone, Debug)]
-pub struct CircularProblem {
+pub(crate) struct CircularProblem {
     /// Cameras, points, observations; its poses follow from the rest.
     pub bundle: BundleProblem,
     /// Camera from turntable at angle 0; the turntable's origin is near the axis' point nearest to
@@ -64,7 +64,7 @@ pub struct CircularProblem {
 
 /// Standard deviations from the normal equations, for observations with the given ones.
 #[derive(Clone, Debug, Default)]
-pub struct CircularCovariance {
+pub(crate) struct CircularCovariance {
     /// For each camera: row-major over its parameters, 0 where held.
     pub cameras: Vec<Vec<f64>>,
     /// Of the axis' direction: across it, in the plane of the axis and the camera, and out of it,
@@ -78,7 +78,7 @@ pub struct CircularCovariance {
 
 impl CircularProblem {
     /// A pure turn with the cameras, points and observations of `bundle`.
-    pub fn new(bundle: BundleProblem, axis: Pose, angles: Vec<f64>) -> Self {
+    pub(crate) fn new(bundle: BundleProblem, axis: Pose, angles: Vec<f64>) -> Self {
         let offsets = vec![Pose::IDENTITY; angles.len()];
         let (relations, levels) = (Vec::new(), Vec::new());
         let mut problem = Self { bundle, axis, angles, relations, levels, offsets, offset_sigma: None };
@@ -87,7 +87,7 @@ impl CircularProblem {
     }
 
     /// The poses of `bundle` as a turn with offsets.
-    pub fn with_offsets(bundle: BundleProblem, axis: Pose, angles: Vec<f64>) -> Self {
+    pub(crate) fn with_offsets(bundle: BundleProblem, axis: Pose, angles: Vec<f64>) -> Self {
         let pairs = bundle.poses.iter().zip(&angles);
         let offsets = pairs.map(|(pose, angle)| pose.compose(&pose_at(&axis, *angle).inverse())).collect();
         let mut problem = Self::new(bundle, axis, angles);
@@ -97,7 +97,7 @@ impl CircularProblem {
     }
 
     /// Distance of the camera from the axis.
-    pub fn radius(&self) -> f64 {
+    pub(crate) fn radius(&self) -> f64 {
         distance_from_axis(&self.axis)
     }
 
@@ -109,7 +109,11 @@ impl CircularProblem {
     }
 
     /// Minimises in place. An unusable result leaves everything as it was (`usable` is false then).
-    pub fn solve(&mut self, options: &SolveOptions, progress: &Progress) -> Result<BundleSummary, SfmError> {
+    pub(crate) fn solve(
+        &mut self,
+        options: &SolveOptions,
+        progress: &Progress,
+    ) -> Result<BundleSummary, SfmError> {
         let scale = self.radius();
         let input = self.input(options, scale);
         if input.bundle.weights.is_empty() {
@@ -140,7 +144,7 @@ impl CircularProblem {
 
     /// Standard deviations of axis, angles and intrinsics; `None` where the observations do not
     /// determine them. Offsets are taken as they are.
-    pub fn covariance(&self, options: &SolveOptions) -> Result<Option<CircularCovariance>, SfmError> {
+    pub(crate) fn covariance(&self, options: &SolveOptions) -> Result<Option<CircularCovariance>, SfmError> {
         let scale = self.radius();
         let input = self.input(options, scale);
         if input.bundle.weights.is_empty() {
@@ -164,7 +168,7 @@ impl CircularProblem {
 
     /// The poses' standard deviations in the shape that free poses have: rotation about the
     /// camera's axes and centre.
-    pub fn pose_deviations(&self, covariance: &CircularCovariance) -> Vec<[f64; 6]> {
+    pub(crate) fn pose_deviations(&self, covariance: &CircularCovariance) -> Vec<[f64; 6]> {
         let about = self.axis.rotation * DVec3::Z;
         let mut deviations = Vec::with_capacity(self.bundle.poses.len());
         for (pose, sd) in self.bundle.poses.iter().zip(&covariance.angles) {

@@ -140,10 +140,10 @@ impl AxisModel {
 
     /// Registers the frames after the last and before the first, as far as they see enough of the
     /// model. `times`: when each frame was taken, ascending.
-    pub fn extend(&mut self, context: &CircularContext<'_>, times: &[f64]) -> Result<(), SfmError> {
+    pub(crate) fn extend(&mut self, context: &CircularContext<'_>, times: &[f64]) -> Result<(), SfmError> {
         let mut known = (0..times.len()).filter(|&f| self.turn.angles[f].is_some());
         let Some(first) = known.next() else { return Ok(()) };
-        let last = known.last().unwrap_or(first);
+        let last = known.next_back().unwrap_or(first);
         self.walk(context, times, last + 1..times.len(), &mut FrameWalk::new(last, first))?;
         self.walk(context, times, (0..first).rev(), &mut FrameWalk::new(first, last))
     }
@@ -193,7 +193,7 @@ impl AxisModel {
     }
 
     /// Gives a frame its angle and triangulates what it sees.
-    pub fn register(&mut self, context: &CircularContext<'_>, frame: usize, angle: f64) {
+    pub(crate) fn register(&mut self, context: &CircularContext<'_>, frame: usize, angle: f64) {
         self.turn.angles[frame] = Some(angle);
         if let Some(pose) = self.turn.pose(frame) {
             self.state.register(frame, pose);

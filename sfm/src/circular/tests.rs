@@ -26,7 +26,7 @@ pub(super) struct Turntable {
 }
 
 impl Turntable {
-    pub fn new(frames: usize, step_deg: f64, seed: u64) -> Self {
+    pub(crate) fn new(frames: usize, step_deg: f64, seed: u64) -> Self {
         let mut r = rng(seed, "turntable", 0);
         let mut camera = Camera::centred(1, CameraModel::SimpleRadial, 640, 480, 700.0);
         camera.params[3] = -0.05;
@@ -39,7 +39,7 @@ impl Turntable {
         Self { camera, turn, points, poses }
     }
 
-    pub fn sees(&self, frame: usize, x: DVec3) -> Option<DVec2> {
+    pub(crate) fn sees(&self, frame: usize, x: DVec3) -> Option<DVec2> {
         let pose = &self.poses[frame];
         let facing = x.normalize().dot((pose.centre() - x).normalize()) > 0.2;
         let pixel = self.camera.project(pose.transform(x)).filter(|_| facing)?;
@@ -48,7 +48,7 @@ impl Turntable {
     }
 
     /// Runs of frames in which a point is seen.
-    pub fn tracks(&self, noise_px: f64, seed: u64) -> Vec<KltTrack> {
+    pub(crate) fn tracks(&self, noise_px: f64, seed: u64) -> Vec<KltTrack> {
         let mut r = rng(seed, "track noise", 0);
         let mut tracks = Vec::new();
         for x in &self.points {
@@ -69,7 +69,7 @@ impl Turntable {
     }
 
     /// Largest error of an angle against the truth, radians; all frames must have one.
-    pub fn worst_angle(&self, model: &AxisModel) -> f64 {
+    pub(crate) fn worst_angle(&self, model: &AxisModel) -> f64 {
         let found: Vec<f64> =
             model.turn.angles.iter().map(|a| a.expect("every frame has an angle")).collect();
         let sense = if model.turn.direction().dot(self.turn.direction()) < 0.0 { -1.0 } else { 1.0 };
@@ -102,7 +102,7 @@ pub(super) struct Filmed {
 
 impl Filmed {
     /// `fixed`: the intrinsics are known.
-    pub fn new(frames: usize, camera: Camera, fixed: bool) -> Self {
+    pub(crate) fn new(frames: usize, camera: Camera, fixed: bool) -> Self {
         Self {
             frames: video(frames),
             config: SfmConfig::default(),
@@ -113,12 +113,12 @@ impl Filmed {
         }
     }
 
-    pub fn video(&self) -> VideoJob<'_> {
+    pub(crate) fn video(&self) -> VideoJob<'_> {
         let Self { frames, config, progress, cameras, known, camera_of } = self;
         VideoJob { frames, config, cameras, camera_of, known, progress }
     }
 
-    pub fn job<'a>(&'a self, input: &'a MappingInput<'a>, starts: &'a [Camera]) -> MotionInput<'a> {
+    pub(crate) fn job<'a>(&'a self, input: &'a MappingInput<'a>, starts: &'a [Camera]) -> MotionInput<'a> {
         let Self { config, progress, cameras, known, .. } = self;
         MotionInput {
             input,

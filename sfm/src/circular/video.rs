@@ -104,7 +104,7 @@ impl VideoJob<'_> {
     pub(crate) fn grow(&self, input: &MappingInput<'_>, tracks: &[KltTrack]) -> Step<AxisModel> {
         let start = match VideoStart::find(self, tracks) {
             Ok(start) => start,
-            Err(why) => return Ok(Err(why)),
+            Err(why) => return Ok(Err(*why)),
         };
         let times = self.times();
         let priors = [AnglePrior::Steady { times: &times }];

@@ -86,9 +86,10 @@ pub(crate) fn find_plane_tracks(
         .collect::<Result<_, SfmError>>()?;
     let common = sheet.common(&pictures);
     let views = PlaneViews { state, input, sheet, pictures };
-    let middles = || (0..sheet.side / (2 * HALF)).map(|i| HALF + 1 + 2 * HALF * i);
-    let windows: Vec<PlaneWindow> = middles()
-        .flat_map(|y| middles().map(move |x| [x, y]))
+    let middles: Vec<usize> = (0..sheet.side / (2 * HALF)).map(|i| HALF + 1 + 2 * HALF * i).collect();
+    let windows: Vec<PlaneWindow> = middles
+        .iter()
+        .flat_map(|y| middles.iter().map(move |x| [*x, *y]))
         .filter_map(|m| PlaneWindow::of(&common, sheet.side, m))
         .collect();
     Ok(windows.par_iter().filter_map(|window| views.point(window, farthest)).collect())

@@ -61,7 +61,7 @@ pub(crate) struct ScenePlane {
 
 impl ScenePlane {
     /// Unit normal.
-    pub fn normal(&self) -> DVec3 {
+    pub(crate) fn normal(&self) -> DVec3 {
         self.axes[0].cross(self.axes[1])
     }
 
@@ -82,7 +82,7 @@ impl ScenePlane {
 
     /// The plane that places of this one lie in when they are known better: least squares, without
     /// those far from it.
-    pub fn closer(&self, places: &[DVec3]) -> Option<Self> {
+    pub(crate) fn closer(&self, places: &[DVec3]) -> Option<Self> {
         let mut kept = places.to_vec();
         let mut plane = *self;
         for _ in 0..3 {
@@ -102,7 +102,7 @@ impl ScenePlane {
     }
 
     /// The part of it about some places.
-    pub fn about(&self, places: &[DVec3], margin: f64) -> Self {
+    pub(crate) fn about(&self, places: &[DVec3], margin: f64) -> Self {
         let [u, v] = self.axes.map(|axis| {
             let at = places.iter().map(|x| axis.dot(*x - self.origin));
             at.fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), a| (low.min(a), high.max(a)))

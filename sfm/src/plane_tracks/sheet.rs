@@ -36,7 +36,10 @@ pub(crate) type SheetPicture = Vec<f32>;
 impl Sheet {
     /// With squares about as large as a pixel of a typical camera sees; `None` where no camera
     /// looks at it.
-    pub fn new<'a>(plane: ScenePlane, views: impl Iterator<Item = (&'a Camera, Pose)>) -> Option<Self> {
+    pub(crate) fn new<'a>(
+        plane: ScenePlane,
+        views: impl Iterator<Item = (&'a Camera, Pose)>,
+    ) -> Option<Self> {
         let scales: Vec<f64> = views
             .filter_map(|(camera, pose)| shape(camera, &pose, plane.origin, plane.axes))
             .map(|m| m.determinant().abs().sqrt())
@@ -56,18 +59,18 @@ impl Sheet {
 
     /// Place of a position on the sheet, squares from its corner; the middles of squares are at
     /// halves.
-    pub fn place(&self, at: DVec2) -> DVec3 {
+    pub(crate) fn place(&self, at: DVec2) -> DVec3 {
         let d = (at - DVec2::splat(0.5 * self.side as f64)) * self.unit;
         self.plane.origin + self.plane.axes[0] * d.x + self.plane.axes[1] * d.y
     }
 
     /// Derivatives of an image position by the position on the sheet, pixels a square.
-    pub fn shape(&self, camera: &Camera, pose: &Pose, at: DVec2) -> Option<DMat2> {
+    pub(crate) fn shape(&self, camera: &Camera, pose: &Pose, at: DVec2) -> Option<DMat2> {
         shape(camera, pose, self.place(at), self.plane.axes.map(|a| a * self.unit))
     }
 
     /// The sheet as an image shows it.
-    pub fn seen_by(&self, camera: &Camera, pose: &Pose, pyramid: &Pyramid) -> SheetPicture {
+    pub(crate) fn seen_by(&self, camera: &Camera, pose: &Pose, pyramid: &Pyramid) -> SheetPicture {
         let middle = DVec2::splat(0.5 * self.side as f64);
         let pixels = self.shape(camera, pose, middle).map_or(1.0, |m| m.determinant().abs().sqrt());
         let deepest = pyramid.levels.len() - 1;
@@ -94,7 +97,7 @@ impl Sheet {
     }
 
     /// What most images show of each square: the median. NaN where few show it.
-    pub fn common(&self, pictures: &[Option<SheetPicture>]) -> SheetPicture {
+    pub(crate) fn common(&self, pictures: &[Option<SheetPicture>]) -> SheetPicture {
         let rows = (0..self.side).into_par_iter().map(|y| self.common_row(pictures, y));
         rows.collect::<Vec<_>>().concat()
     }

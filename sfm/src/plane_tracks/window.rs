@@ -40,7 +40,7 @@ pub(crate) struct WindowShift {
 
 impl PlaneWindow {
     /// `None` where the picture is not known or shows nothing.
-    pub fn of(picture: &SheetPicture, side: usize, middle: [usize; 2]) -> Option<Self> {
+    pub(crate) fn of(picture: &SheetPicture, side: usize, middle: [usize; 2]) -> Option<Self> {
         let [left, top] = [middle[0].checked_sub(HALF + 1)?, middle[1].checked_sub(HALF + 1)?];
         if left + SIDE + 2 > side || top + SIDE + 2 > side {
             return None;
@@ -73,12 +73,12 @@ impl PlaneWindow {
     }
 
     /// Its middle, squares from the corner.
-    pub fn centre(&self) -> DVec2 {
+    pub(crate) fn centre(&self) -> DVec2 {
         DVec2::new(self.middle[0] as f64, self.middle[1] as f64) + 0.5
     }
 
     /// Looks for it up to so many squares from its place.
-    pub fn find(&self, picture: &SheetPicture, side: usize, farthest: usize) -> Option<WindowShift> {
+    pub(crate) fn find(&self, picture: &SheetPicture, side: usize, farthest: usize) -> Option<WindowShift> {
         let r = farthest as isize;
         let mut own = vec![0.0; SIDE * SIDE];
         let mut best = BestShift::default();
@@ -173,7 +173,7 @@ impl PlaneWindow {
     }
 
     /// Whether all of it is there.
-    pub fn shown_by(&self, picture: &SheetPicture, side: usize) -> bool {
+    pub(crate) fn shown_by(&self, picture: &SheetPicture, side: usize) -> bool {
         self.copy(picture, side, DVec2::ZERO, &mut [0.0; SIDE * SIDE]).is_some()
     }
 }

@@ -72,7 +72,7 @@ impl ConstantStepMotion {
     /// From matches before verification, of which most may be wrong. `positions`: by image, where
     /// its features are; `known`: the focal length is. `None` where the images do not go round
     /// evenly, as far as the matches say.
-    pub fn of(
+    pub(crate) fn of(
         camera: &Camera,
         known: bool,
         positions: &[Vec<DVec2>],
@@ -118,24 +118,24 @@ impl ConstantStepMotion {
     }
 
     /// How many images on `b` is from `a`, the short way round.
-    pub fn places(&self, a: usize, b: usize) -> f64 {
+    pub(crate) fn places(&self, a: usize, b: usize) -> f64 {
         let (on, n) = (b as f64 - a as f64, self.images as f64);
         if self.closed { on - n * (on / n).round() } else { on }
     }
 
     /// The turn between them, radians.
-    pub fn between(&self, a: usize, b: usize) -> f64 {
+    pub(crate) fn between(&self, a: usize, b: usize) -> f64 {
         self.places(a, b) * self.step
     }
 
     /// `F` in pixels from image `a` to image `b`.
-    pub fn fundamental(&self, a: usize, b: usize) -> DMat3 {
+    pub(crate) fn fundamental(&self, a: usize, b: usize) -> DMat3 {
         let shift = DMat3::from_cols(DVec3::X, DVec3::Y, (-self.centre).extend(1.0));
         shift.transpose() * self.seed.fundamental(self.between(a, b)) * shift
     }
 
     /// Degrees from an image to the next one.
-    pub fn step_deg(&self) -> f64 {
+    pub(crate) fn step_deg(&self) -> f64 {
         self.step.to_degrees()
     }
 
@@ -146,7 +146,7 @@ impl ConstantStepMotion {
 
     /// The images whose poses are not where the motion has them, from the place where most of them
     /// say the ring is.
-    pub fn astray(&self, poses: &[Option<Pose>]) -> usize {
+    pub(crate) fn astray(&self, poses: &[Option<Pose>]) -> usize {
         let known = poses.iter().flatten().count();
         match CircularMotion::of_poses(poses) {
             Some((found, misfit)) if misfit.tilt <= ASTRAY && misfit.slip <= ASTRAY => {
@@ -170,7 +170,7 @@ impl ConstantStepMotion {
     /// own, and the share of the observations in lasting tracks that it keeps. `None` where those
     /// say that the images go round otherwise: the lines of a turn about a vertical axis look much
     /// the same whatever its angle.
-    pub fn model(
+    pub(crate) fn model(
         &self,
         job: &MotionInput<'_>,
         intrinsics: FreeIntrinsics,

@@ -18,7 +18,7 @@ const LEAST_ANGLE: f64 = 1e-4;
 
 /// How far poses are from a [`CircularMotion`].
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct CircularMisfit {
+pub(crate) struct CircularMisfit {
     /// Median angle between the axes of relative rotations and the common one, weighted by the sine
     /// of their half angle: the tilt that is left in a pose, radians.
     pub tilt: f64,
@@ -33,7 +33,7 @@ impl CircularMotion {
     /// Axis: the direction that the vector parts of relative rotations share, `max Σ w (a·v_ij)²`,
     /// reweighted for its outliers (iteratively reweighted least squares, Holland & Welsch 1977).
     /// Place: `t_ij = (I − R_ij) t`.
-    pub fn of_poses(poses: &[Option<Pose>]) -> Option<(Self, CircularMisfit)> {
+    pub(crate) fn of_poses(poses: &[Option<Pose>]) -> Option<(Self, CircularMisfit)> {
         let known: Vec<(usize, Pose)> =
             poses.iter().enumerate().filter_map(|(i, p)| Some((i, (*p)?))).collect();
         let relative = relative_poses(&known);

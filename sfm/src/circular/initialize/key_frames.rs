@@ -45,7 +45,7 @@ pub(crate) struct VideoTracks {
 
 impl VideoTracks {
     /// Of followed points alone.
-    pub fn of_klt(tracks: &[KltTrack], frames: usize) -> Self {
+    pub(crate) fn of_klt(tracks: &[KltTrack], frames: usize) -> Self {
         let mut material = Self {
             keypoints: vec![Vec::new(); frames],
             tracks: Tracks { of: vec![Vec::new(); frames], views: Vec::new() },
@@ -61,7 +61,7 @@ impl VideoTracks {
     }
 
     /// A point that was seen at a pixel of each of some frames.
-    pub fn add(&mut self, observations: impl Iterator<Item = (usize, DVec2)>) {
+    pub(crate) fn add(&mut self, observations: impl Iterator<Item = (usize, DVec2)>) {
         let id = self.tracks.views.len() as u32;
         let mut views = Vec::new();
         for (frame, p) in observations {
@@ -73,7 +73,11 @@ impl VideoTracks {
     }
 
     /// Of features of some frames, joined by verified matches, and followed points after them.
-    pub fn of_both(features: &[Features], geometries: &[TwoViewGeometry], tracks: &[KltTrack]) -> Self {
+    pub(crate) fn of_both(
+        features: &[Features],
+        geometries: &[TwoViewGeometry],
+        tracks: &[KltTrack],
+    ) -> Self {
         let mut material = Self {
             keypoints: features.iter().map(positions).collect(),
             tracks: build_tracks(features, geometries),
@@ -97,7 +101,7 @@ pub(crate) struct KeyFrames {
 
 impl KeyFrames {
     /// Finds and matches features of frames about 9° apart.
-    pub fn new(
+    pub(crate) fn new(
         frames: &FrameSet,
         model: &AxisModel,
         sift: &SiftConfig,

@@ -54,7 +54,7 @@ pub(crate) enum AnglePattern {
 impl AnglePattern {
     /// Angles by key frame, radians, in both senses. Source of the steps: chosen by hand, never
     /// measured.
-    pub fn angles(self) -> Vec<[f64; KEYS]> {
+    pub(crate) fn angles(self) -> Vec<[f64; KEYS]> {
         let steps_deg: &[f64] = match self {
             Self::Video => &[1.5, 2.5, 4.0, 5.5, 7.5, 10.0, 13.5, 18.0],
             Self::Ring => &[3.0, 4.5, 6.0, 8.0, 10.0, 12.5, 15.0, 20.0, 30.0],
@@ -84,12 +84,12 @@ pub(crate) struct FocalSearch {
 
 impl FocalSearch {
     /// About the focal length of a camera, as far as it is not known.
-    pub fn new(camera: &Camera, known: &Knowledge) -> Self {
+    pub(crate) fn new(camera: &Camera, known: &Knowledge) -> Self {
         Self::about(camera.mean_focal(), known.fixed || known.focal_sigma.is_some())
     }
 
     /// About a guess, pixels.
-    pub fn about(guess: f64, is_known: bool) -> Self {
+    pub(crate) fn about(guess: f64, is_known: bool) -> Self {
         let tried = if is_known { vec![guess] } else { FOCAL_FACTORS.iter().map(|f| f * guess).collect() };
         Self { tried, guess, is_known }
     }
@@ -134,17 +134,17 @@ pub(crate) struct Seed {
 
 impl Seed {
     /// Direction of the axis.
-    pub fn direction(&self) -> DVec3 {
+    pub(crate) fn direction(&self) -> DVec3 {
         self.frame * DVec3::Z
     }
 
     /// Direction of its point nearest to the camera.
-    pub fn place(&self) -> DVec3 {
+    pub(crate) fn place(&self) -> DVec3 {
         self.frame * DVec3::X
     }
 
     /// The cameras with the seed's focal length in the first one, where that is not known.
-    pub fn cameras(&self, cameras: &[Camera], known: &Knowledge) -> Vec<Camera> {
+    pub(crate) fn cameras(&self, cameras: &[Camera], known: &Knowledge) -> Vec<Camera> {
         let mut cameras = cameras.to_vec();
         if !known.fixed {
             let focals = cameras[0].model.num_focals();
@@ -155,7 +155,7 @@ impl Seed {
 
     /// `F` of ideal pixels for a turn by `angle` (radians): `t = (I − R) t₀ ∝ sin(θ/2) t₀ −
     /// cos(θ/2) a × t₀`, which stays finite as the angle vanishes.
-    pub fn fundamental(&self, angle: f64) -> DMat3 {
+    pub(crate) fn fundamental(&self, angle: f64) -> DMat3 {
         let (a, t0) = (self.direction(), self.place());
         let (s, c) = (0.5 * angle).sin_cos();
         let e = skew(t0 * s - a.cross(t0) * c) * DMat3::from_axis_angle(a, angle);

@@ -27,11 +27,11 @@ pub(crate) struct VideoStart {
 impl VideoStart {
     /// Seeds from a few key frames: as far apart as the tracks need to move, or nearer where that
     /// leaves too few of them. Points on the axis or near it hardly move at all.
-    pub(crate) fn find(job: &VideoJob<'_>, tracks: &[KltTrack]) -> Result<Self, Decision> {
+    pub(crate) fn find(job: &VideoJob<'_>, tracks: &[KltTrack]) -> Result<Self, Box<Decision>> {
         let not_found = Decision::new(Subject::VideoMotion, false, Rule::Evidence);
         let (n, camera) = (job.frames.len(), &job.cameras[0]);
         let Some(widest) = stride(tracks, n, camera.width.max(camera.height)) else {
-            return Err(not_found.remarked(Remark::NoMotion));
+            return Err(Box::new(not_found.remarked(Remark::NoMotion)));
         };
         let focal = FocalSearch::new(camera, &job.known[0]);
         let strides: Vec<usize> =
@@ -53,12 +53,12 @@ impl VideoStart {
             }
             best = Some(best.map_or(share, |b| b.max(share)));
         }
-        Err(match best {
+        Err(Box::new(match best {
             Some(share) => {
                 not_found.remarked(Remark::WeakExplanation).measured(Quantity::ExplainedMotion, share)
             }
             None => not_found.remarked(Remark::ShortTracks),
-        })
+        }))
     }
 
     /// Angles of a seed by frame; frames between key frames get angles in between.

@@ -43,7 +43,7 @@ pub(crate) struct LoopClosure {
 impl LoopClosure {
     /// Follows points from the last frames to those that a whole turn later show the same; none
     /// where no frame does.
-    pub fn follow(
+    pub(crate) fn follow(
         frames: &FrameSet,
         angles: &[Option<f64>],
         klt: &KltConfig,
@@ -64,7 +64,7 @@ impl LoopClosure {
 
     /// For each frame after the loop closure by how much the angle from there to the last frame is
     /// too small, and that angle.
-    pub fn gaps(&self, model: &AxisModel) -> Vec<LoopGap> {
+    pub(crate) fn gaps(&self, model: &AxisModel) -> Vec<LoopGap> {
         let Some(end) = model.turn.angles.get(self.last).copied().flatten() else { return Vec::new() };
         let camera = &model.state.cameras[0];
         let mut gaps = Vec::new();
