@@ -2,16 +2,24 @@
 
 use image::{ImageBuffer, Pixel};
 
+/// Most pixels in a block whose mean [`whole_means`] takes.
+/// Source: derived; up to 64 the reciprocal in 1/65536 gives each sum of bytes its mean to the level, and sums
+/// of columns stay below 2¹⁶.
+const WHOLE_LIMIT: usize = 64;
+/// What the place of a border between pixels may be off by rounding, pixels.
+/// Source: derived; f64 places up to 2¹⁶ are exact to 2⁻³⁶, and a share of 10⁻⁶ of a pixel changes no level.
+const ROUNDING: f64 = 1e-6;
+
 /// One axis: for each new pixel its first old one and the weights of that and those behind it (sum 1).
 struct Axis(Vec<(usize, Vec<f32>)>);
 
 impl Axis {
-    fn new(from: u32, to: u32) -> Self {
-        let scale = f64::from(from) / f64::from(to);
+    fn new(from: usize, to: usize) -> Self {
+        let scale = from as f64 / to as f64;
         let new = (0..to).map(|i| {
-            let (start, end) = (f64::from(i) * scale, (f64::from(i + 1) * scale).min(f64::from(from)));
+            let (start, end) = (i as f64 * scale, ((i + 1) as f64 * scale).min(from as f64));
             // An end that exceeds a border between pixels by rounding alone takes nothing from behind it.
-            let (first, last) = ((start + 1e-6).floor(), (end - 1e-6).ceil());
+            let (first, last) = ((start + ROUNDING).floor(), (end - ROUNDING).ceil());
             let covered = |k: u32| {
                 let left = first + f64::from(k);
                 ((left + 1.0).min(end) - left.max(start)) as f32
@@ -24,19 +32,56 @@ impl Axis {
     }
 }
 
-/// The mean over each new pixel's area, rounded. `width`, `height`: at least 1, at most the image's.
+/// The mean over each new pixel's area, rounded to the nearest level, halves upwards.
+/// `width`, `height`: at least 1, at most the image's.
 pub(crate) fn shrunk<P>(image: &ImageBuffer<P, Vec<u8>>, width: u32, height: u32) -> ImageBuffer<P, Vec<u8>>
 where
     P: Pixel<Subpixel = u8>,
 {
     let channels = usize::from(P::CHANNEL_COUNT);
-    let line = image.width() as usize * channels;
-    let (columns, rows) = (Axis::new(image.width(), width), Axis::new(image.height(), height));
+    let size = (image.width() as usize, image.height() as usize);
+    let new = (width as usize, height as usize);
+    let factors = (size.0 / new.0, size.1 / new.1);
+    let whole = size == (new.0 * factors.0, new.1 * factors.1) && factors.0 * factors.1 <= WHOLE_LIMIT;
+    let out = match (whole, channels) {
+        (true, 1) => whole_means::<1>(image.as_raw(), size.0, factors),
+        (true, 3) => whole_means::<3>(image.as_raw(), size.0, factors),
+        _ => weighted_means(image.as_raw(), size, new, channels),
+    };
+    ImageBuffer::from_raw(width, height, out).unwrap_or_else(|| ImageBuffer::new(width, height))
+}
+
+/// Means of blocks of `factors` pixels, of lines of `width` pixels of `C` channels.
+fn whole_means<const C: usize>(image: &[u8], width: usize, factors: (usize, usize)) -> Vec<u8> {
+    let count = (factors.0 * factors.1) as u32;
+    let reciprocal = (1_u32 << 16).div_ceil(count);
+    let mut sums = vec![0_u16; C * width];
+    let mut out = Vec::with_capacity(image.len() / count as usize);
+    for rows in image.chunks_exact(C * width * factors.1) {
+        sums.fill(0);
+        for row in rows.chunks_exact(C * width) {
+            sums.iter_mut().zip(row).for_each(|(sum, v)| *sum += u16::from(*v));
+        }
+        for block in sums.chunks_exact(C * factors.0) {
+            let mut total = [count / 2; C];
+            for pixel in block.chunks_exact(C) {
+                total.iter_mut().zip(pixel).for_each(|(t, v)| *t += u32::from(*v));
+            }
+            out.extend_from_slice(&total.map(|t| ((t * reciprocal) >> 16) as u8));
+        }
+    }
+    out
+}
+
+/// Means where borders of new pixels cut old ones.
+fn weighted_means(image: &[u8], size: (usize, usize), new: (usize, usize), channels: usize) -> Vec<u8> {
+    let line = size.0 * channels;
+    let (columns, rows) = (Axis::new(size.0, new.0), Axis::new(size.1, new.1));
     let mut sums = vec![0.0_f32; line];
-    let mut out = Vec::with_capacity(width as usize * height as usize * channels);
+    let mut out = Vec::with_capacity(new.0 * new.1 * channels);
     for (first, weights) in &rows.0 {
         sums.fill(0.0);
-        for (old, weight) in image.as_raw().chunks_exact(line).skip(*first).zip(weights) {
+        for (old, weight) in image.chunks_exact(line).skip(*first).zip(weights) {
             sums.iter_mut().zip(old).for_each(|(sum, v)| *sum += weight * f32::from(*v));
         }
         for (first, weights) in &columns.0 {
@@ -47,7 +92,7 @@ where
             }
         }
     }
-    ImageBuffer::from_raw(width, height, out).unwrap_or_else(|| ImageBuffer::new(width, height))
+    out
 }
 
 #[cfg(test)]
@@ -63,6 +108,19 @@ mod tests {
         assert_eq!(shrunk(&image, 2, 1).into_raw(), expected.map(|v: f32| v.round() as u8));
         let colours = RgbImage::from_fn(6, 4, |x, y| Rgb([x as u8, y as u8, 200]));
         assert_eq!(shrunk(&colours, 3, 2).get_pixel(1, 1).0, [3, 3, 200], "halves are rounded up");
+    }
+
+    #[test]
+    fn whole_factors_give_the_level_of_the_exact_mean() {
+        for (width, height) in [(2, 2), (3, 3), (4, 4), (6, 6), (8, 8), (5, 7), (1, 64)] {
+            let count = width * height;
+            for sum in 0..=255 * count {
+                let level = |i: u32| (sum / count + u32::from(i < sum % count)) as u8;
+                let image = GrayImage::from_fn(width, height, |x, y| Luma([level(y * width + x)]));
+                let mean = (2 * sum + count) / (2 * count);
+                assert_eq!(shrunk(&image, 1, 1).as_raw()[..], [mean as u8], "{sum} of {width} x {height}");
+            }
+        }
     }
 
     #[test]

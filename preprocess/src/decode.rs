@@ -18,6 +18,11 @@ use std::time::Duration;
 /// Source: derived; above the 1 ms to which Matroska rounds, and half the distance of frames at 240 a second.
 const SAME_TIME_S: f64 = 0.002;
 
+/// Bytes that the pipe holds.
+/// Source: pipe(7), the most that Linux lets everybody ask for.
+#[cfg(target_os = "linux")]
+const PIPE_BYTES: usize = 1 << 20;
+
 /// A decoded frame as coded: not turned, pixels not yet square.
 pub(crate) struct Decoded {
     /// Index in presentation order.
@@ -77,6 +82,9 @@ impl Source {
             &output.map(OsStr::new),
         ];
         let (running, stdout, stderr) = Running::start_piped("ffmpeg", &args.concat())?;
+        // Where the system refuses, both sides only wait for each other more often.
+        #[cfg(target_os = "linux")]
+        let _ = rustix::pipe::fcntl_setpipe_size(&stdout, PIPE_BYTES);
         let (send, shown) = channel();
         Ok(Self {
             running,

@@ -93,8 +93,9 @@ impl Look {
         let (w, h) = fitted(rgb.width(), rgb.height(), SHARPNESS_SIDE);
         let luma = luma_of(&resized(rgb, (w, h)));
         let smooth = smoothed(&luma);
-        let levels = smooth.as_raw().iter().map(|v| i32::from(*v));
-        let sharpness = (deviation(laplacian(&smooth)) / (deviation(levels) + 0.5)).powi(2);
+        let edges = laplacian(&smooth);
+        let levels = smooth.as_raw().iter().map(|v| i16::from(*v));
+        let sharpness = (deviation(edges.into_iter()) / (deviation(levels) + 0.5)).powi(2);
         let (tw, th) = fitted(w, h, THUMBNAIL_SIDE);
         let thumbnail = area::shrunk(&luma, tw, th).into_raw();
         Self { sharpness, thumbnail, size: (tw, th) }
@@ -157,17 +158,21 @@ fn smoothed(image: &GrayImage) -> GrayImage {
 }
 
 /// Sum of the four neighbours less four times the pixel, of every pixel; mirrored at the borders.
-fn laplacian(image: &GrayImage) -> impl Iterator<Item = i32> {
+fn laplacian(image: &GrayImage) -> Vec<i16> {
     let (w, h) = (image.width() as usize, image.height() as usize);
-    let row = move |y: isize| &image.as_raw()[w * mirrored(y, h)..][..w];
-    (0..h as isize).flat_map(move |y| {
+    let row = |y: isize| &image.as_raw()[w * mirrored(y, h)..][..w];
+    let mut out = Vec::with_capacity(w * h);
+    let mut padded = vec![0_u8; w + 2];
+    for y in 0..h as isize {
         let (above, here, below) = (row(y - 1), row(y), row(y + 1));
-        (0..w).map(move |x| {
-            let (left, right) = (mirrored(x as isize - 1, w), mirrored(x as isize + 1, w));
-            let [a, l, c, r, b] = [above[x], here[left], here[x], here[right], below[x]].map(i32::from);
+        padded[1..=w].copy_from_slice(here);
+        (padded[0], padded[w + 1]) = (here[mirrored(-1, w)], here[mirrored(w as isize, w)]);
+        out.extend((0..w).map(|x| {
+            let [a, l, c, r, b] = [above[x], padded[x], here[x], padded[x + 2], below[x]].map(i16::from);
             a + l + r + b - 4 * c
-        })
-    })
+        }));
+    }
+    out
 }
 
 /// The place inside `0..n` of one outside it: mirrored about the first and the last.
@@ -177,13 +182,14 @@ fn mirrored(i: isize, n: usize) -> usize {
 }
 
 /// Standard deviation; 0 of nothing.
-fn deviation(values: impl Iterator<Item = i32>) -> f64 {
-    let (mut count, mut sum, mut squares) = (0_i64, 0_i64, 0_i64);
+fn deviation(values: impl ExactSizeIterator<Item = i16>) -> f64 {
+    let count = values.len().max(1) as f64;
+    let (mut sum, mut squares) = (0_i64, 0_i64);
     for value in values.map(i64::from) {
-        (count, sum, squares) = (count + 1, sum + value, squares + value * value);
+        (sum, squares) = (sum + value, squares + value * value);
     }
-    let mean = sum as f64 / count.max(1) as f64;
-    (squares as f64 / count.max(1) as f64 - mean * mean).max(0.0).sqrt()
+    let mean = sum as f64 / count;
+    (squares as f64 / count - mean * mean).max(0.0).sqrt()
 }
 
 #[cfg(test)]
@@ -228,11 +234,11 @@ mod tests {
             let value = if dx.max(dy) <= 2 { expected(dx, dy) } else { 0.0 };
             assert!((f64::from(v[0]) - value).abs() < 1.0, "{x} {y} {} {value}", v[0]);
         }
-        let edges: Vec<i32> = laplacian(&point).collect();
+        let edges = laplacian(&point);
         assert_eq!((edges[40], edges[39], edges[31], edges[30]), (-1020, 255, 255, 0));
         let mut corner = GrayImage::new(3, 3);
         corner.put_pixel(1, 0, image::Luma([7]));
-        assert_eq!(laplacian(&corner).next(), Some(14), "mirrored about the first pixel");
+        assert_eq!(laplacian(&corner)[0], 14, "mirrored about the first pixel");
         assert_eq!([-2, -1, 0, 4, 5, 6].map(|i| mirrored(i, 5)), [2, 1, 0, 4, 3, 2]);
     }
 
