@@ -1,5 +1,5 @@
-//! Frames of a video in order, each with its index and time: OpenCV first, an `ffmpeg` pipe where OpenCV
-//! cannot do it (HDR, a stream that is not the first, damage that OpenCV stops at).
+//! Frames of a video in order, each with its index and time: OpenCV first, an `ffmpeg` pipe where
+//! OpenCV cannot do it (HDR, a stream that is not the first, damage that OpenCV stops at).
 
 use crate::PreprocessError;
 use crate::hdr::ToneMap;
@@ -35,7 +35,7 @@ pub(crate) enum FrameSource {
 
 impl FrameSource {
     /// The next frame; `None` at the end, be it by damage.
-    pub fn next(&mut self) -> Result<Option<Decoded>, PreprocessError> {
+    pub(crate) fn next(&mut self) -> Result<Option<Decoded>, PreprocessError> {
         match self {
             Self::OpenCv(source) => source.next(),
             Self::Pipe(source) => source.next(),
@@ -43,8 +43,8 @@ impl FrameSource {
     }
 }
 
-/// OpenCV's reader. It says the time of a frame, which tells lost frames from shown ones, but not for those
-/// drained at the end of the file (0 there): these follow one another.
+/// OpenCV's reader. It says the time of a frame, which tells lost frames from shown ones, but not
+/// for those drained at the end of the file (0 there): these follow one another.
 pub(crate) struct OpenCvSource {
     capture: VideoCapture,
     times_s: Vec<f64>,
@@ -54,7 +54,7 @@ pub(crate) struct OpenCvSource {
 
 impl OpenCvSource {
     /// `None` where OpenCV does not open the file.
-    pub fn open(path: &Path, info: &VideoInfo) -> Result<Option<Self>, PreprocessError> {
+    pub(crate) fn open(path: &Path, info: &VideoInfo) -> Result<Option<Self>, PreprocessError> {
         let url = file_url(path);
         let Some(name) = url.to_str() else { return Ok(None) };
         crate::quiet::silence();
@@ -111,7 +111,7 @@ pub(crate) struct PipeSource {
 
 impl PipeSource {
     /// `times_s`: presentation times of the frames as `ffmpeg` puts them out.
-    pub fn open(path: &Path, info: &VideoInfo, times_s: Vec<f64>) -> Result<Self, PreprocessError> {
+    pub(crate) fn open(path: &Path, info: &VideoInfo, times_s: Vec<f64>) -> Result<Self, PreprocessError> {
         let tone_map = (info.transfer != Transfer::Sdr).then(|| ToneMap::new(info.transfer, info.is_bt2020));
         let (format, bytes) = if tone_map.is_some() { ("bgr48le", 6) } else { ("bgr24", 3) };
         let (url, map) = (file_url(path), format!("0:{}", info.stream));
@@ -163,7 +163,7 @@ pub(crate) struct DamageCheck {
 
 impl DamageCheck {
     /// Starts `ffmpeg` on the stream; deblocking is left out, as damage shows before it.
-    pub fn start(path: &Path, stream: usize) -> Result<Self, PreprocessError> {
+    pub(crate) fn start(path: &Path, stream: usize) -> Result<Self, PreprocessError> {
         let (url, map) = (file_url(path), format!("0:{stream}"));
         let before =
             ["-nostdin", "-v", "error", "-threads", "1", "-skip_loop_filter", "all", "-i"].map(OsStr::new);
@@ -173,7 +173,7 @@ impl DamageCheck {
     }
 
     /// The decoder's complaints: how many, and the last.
-    pub fn finish(
+    pub(crate) fn finish(
         self,
         path: &Path,
         limit: Duration,

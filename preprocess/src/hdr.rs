@@ -3,9 +3,10 @@
 use crate::probe::Transfer;
 use rayon::prelude::*;
 
-/// Light of diffuse white in HDR video, cd/m² (ITU-R BT.2408, 2.1).
+/// Light of diffuse white in HDR video, cd/m². Source: ITU-R BT.2408, section 2.1.
 const REFERENCE_WHITE: f32 = 203.0;
 /// Below this share of white the picture is kept as it is; above, highlights roll off.
+/// Source: chosen by hand, never measured.
 const KNEE: f32 = 0.6;
 
 /// A tone-mapping from 16-bit HDR values to 8-bit sRGB.
@@ -18,7 +19,7 @@ pub(crate) struct ToneMap {
 
 impl ToneMap {
     /// `wide_gamut`: primaries are Rec. 2020.
-    pub fn new(transfer: Transfer, wide_gamut: bool) -> Self {
+    pub(crate) fn new(transfer: Transfer, wide_gamut: bool) -> Self {
         let curve = |i: u32| {
             let v = i as f32 / 65535.0;
             if transfer == Transfer::Pq { pq_to_nits(v) / REFERENCE_WHITE } else { hlg_to_scene(v) }
@@ -32,7 +33,7 @@ impl ToneMap {
     }
 
     /// `bgr48`: little-endian 16-bit blue, green, red. `bgr`: as many 8-bit pixels.
-    pub fn apply(&self, bgr48: &[u8], bgr: &mut [u8]) {
+    pub(crate) fn apply(&self, bgr48: &[u8], bgr: &mut [u8]) {
         let rows = bgr48.par_chunks(6 * 4096).zip(bgr.par_chunks_mut(3 * 4096));
         rows.for_each(|(source, target)| {
             for (s, t) in source.chunks_exact(6).zip(target.chunks_exact_mut(3)) {
@@ -46,7 +47,8 @@ impl ToneMap {
 
     fn pixel(&self, mut rgb: [f32; 3]) -> [u8; 3] {
         if self.is_hlg {
-            // System gamma 1.2 of a 1000 cd/m² screen (BT.2100, table 5), on luminance so that hue stays.
+            // System gamma 1.2 of a 1000 cd/m² screen (BT.2100, table 5), on luminance so that hue
+            // stays.
             let luminance = 0.2627 * rgb[0] + 0.6780 * rgb[1] + 0.0593 * rgb[2];
             let gain = 1000.0 / REFERENCE_WHITE * luminance.max(1e-6).powf(0.2);
             rgb = rgb.map(|v| v * gain);

@@ -1,7 +1,7 @@
 //! From a video or a folder of photos to upright frames with masks: the first stage.
 //!
-//! Video is decoded with OpenCV, its traps (display rotation, time stamps, silent damage, HDR, the colour
-//! matrix) solved with the help of `ffprobe` and `ffmpeg`.
+//! Video is decoded with OpenCV, its traps (display rotation, time stamps, silent damage, HDR, the
+//! colour matrix) solved with the help of `ffprobe` and `ffmpeg`.
 
 mod config;
 mod decode;

@@ -1,6 +1,8 @@
-//! From a decoded frame to an upright one with square pixels and the right colours; sharpness and similarity.
+//! From a decoded frame to an upright one with square pixels and the right colours; sharpness and
+//! similarity.
 
 use crate::PreprocessError;
+use crate::matting::THUMBNAIL_SIDE;
 use crate::probe::{DisplayTurn, VideoInfo};
 use image::RgbImage;
 use opencv::core::{self, Mat, Size};
@@ -8,9 +10,8 @@ use opencv::imgproc;
 use opencv::prelude::*;
 
 /// Longest side at which sharpness is measured, pixels: sensor noise is averaged away, blur is not.
+/// Source: chosen by hand, never measured.
 const SHARPNESS_SIDE: i32 = 640;
-/// Width of the thumbnails that are compared, pixels.
-const THUMBNAIL_SIDE: i32 = 160;
 
 /// Width and height that fit into `max_size` (0: as they are), at least one pixel each.
 pub(crate) fn fitted(width: u32, height: u32, max_size: u32) -> (u32, u32) {
@@ -55,9 +56,9 @@ pub(crate) fn turned(image: &Mat, turn: DisplayTurn) -> Result<Mat, PreprocessEr
     Ok(rotated)
 }
 
-/// Upright sRGB of a decoded frame: colour matrix, square pixels, size, turn.
-/// `correct_matrix`: the frame was converted by the Rec. 601 matrix although it is coded by Rec. 709 (OpenCV
-/// ignores the stream's matrix).
+/// Upright sRGB of a decoded frame: colour matrix, square pixels, size, turn. `correct_matrix`: the
+/// frame was converted by the Rec. 601 matrix although it is coded by Rec. 709 (OpenCV ignores the
+/// stream's matrix).
 pub(crate) fn finished(
     bgr: &Mat,
     info: &VideoInfo,
@@ -94,8 +95,8 @@ fn deviation(image: &Mat) -> Result<f64, PreprocessError> {
     Ok(*sigma.at::<f64>(0)?)
 }
 
-/// Undoes the Rec. 601 decoding matrix and applies that of Rec. 709 (ITU-R BT.601, BT.709: Y, Cb, Cr from
-/// Kr, Kb); limited-range scaling is the same for both and cancels.
+/// Undoes the Rec. 601 decoding matrix and applies that of Rec. 709 (ITU-R BT.601, BT.709: Y, Cb,
+/// Cr from Kr, Kb); limited-range scaling is the same for both and cancels.
 fn rec709_from_rec601([r, g, b]: [u8; 3]) -> [u8; 3] {
     let (r, g, b) = (f32::from(r), f32::from(g), f32::from(b));
     let y = 0.299 * r + 0.587 * g + 0.114 * b;
@@ -116,7 +117,7 @@ pub(crate) struct Look {
 
 impl Look {
     /// Of a decoded frame.
-    pub fn of(bgr: &Mat) -> Result<Self, PreprocessError> {
+    pub(crate) fn of(bgr: &Mat) -> Result<Self, PreprocessError> {
         let (w, h) = fitted(bgr.cols() as u32, bgr.rows() as u32, SHARPNESS_SIDE as u32);
         let small = resized(bgr, w, h)?;
         let (mut luma, mut smooth, mut edges) = (Mat::default(), Mat::default(), Mat::default());
@@ -124,14 +125,14 @@ impl Look {
         imgproc::gaussian_blur_def(&luma, &mut smooth, Size::new(5, 5), 1.0)?;
         imgproc::laplacian(&smooth, &mut edges, core::CV_16S, 1, 1.0, 0.0, core::BORDER_DEFAULT)?;
         let sharpness = (deviation(&edges)? / (deviation(&smooth)? + 0.5)).powi(2);
-        let (tw, th) = fitted(w, h, THUMBNAIL_SIDE as u32);
+        let (tw, th) = fitted(w, h, THUMBNAIL_SIDE);
         let thumbnail = resized(&luma, tw, th)?.data_bytes()?.to_vec();
         Ok(Self { sharpness, thumbnail, size: (tw, th) })
     }
 
-    /// Difference that all but one pixel in 200 stay below, 8-bit levels: moving texture shows even where the
-    /// object is small in the picture.
-    pub fn difference(&self, other: &Self) -> f32 {
+    /// Difference that all but one pixel in 200 stay below, 8-bit levels: moving texture shows even
+    /// where the object is small in the picture.
+    pub(crate) fn difference(&self, other: &Self) -> f32 {
         if self.thumbnail.len() != other.thumbnail.len() {
             return f32::INFINITY;
         }

@@ -8,8 +8,9 @@ use std::ffi::{OsStr, OsString};
 use std::path::Path;
 use std::time::Duration;
 
-const HEADER_LIMIT: Duration = Duration::from_secs(30);
-const PACKETS_LIMIT: Duration = Duration::from_secs(120);
+/// Time that `ffprobe` may take for one file.
+/// Source: chosen by hand, never measured.
+const PROBE_LIMIT: Duration = Duration::from_secs(120);
 
 /// How a stream's light values are to be understood.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -22,7 +23,8 @@ pub(crate) enum Transfer {
     Pq,
 }
 
-/// The eight ways in which an upright image can lie in memory: `(flip x before, quarter turns clockwise)`.
+/// The eight ways in which an upright image can lie in memory: `(flip x before, quarter turns
+/// clockwise)`.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(crate) struct DisplayTurn {
     /// Mirror left and right first.
@@ -76,7 +78,7 @@ pub(crate) fn probe(path: &Path, progress: &Progress) -> Result<VideoInfo, Prepr
     let args =
         ["-v", "error", "-print_format", "json", "-show_streams", "-show_format", "-i"].map(OsStr::new);
     let args = [&args[..], &[url.as_os_str()]].concat();
-    let output = tool::run("ffprobe", &args, path, HEADER_LIMIT, progress)?;
+    let output = tool::run("ffprobe", &args, path, PROBE_LIMIT, progress)?;
     let json: Value = serde_json::from_str(&output.stdout).unwrap_or(Value::Null);
     let streams = json["streams"].as_array().filter(|s| !s.is_empty());
     let Some(streams) = streams.filter(|_| output.success) else {
@@ -214,8 +216,8 @@ fn pixel_aspect(stream: &Value) -> f64 {
     ratio.filter(|r| r.is_finite() && *r > 0.125 && *r < 8.0).unwrap_or(1.0)
 }
 
-/// The quarter turn that the display matrix asks for. The matrix holds rows `[a b u]`, `[c d v]` and takes
-/// picture to screen by `(x', y') = (a x + c y, b x + d y)` (ISO/IEC 14496-12, 8.3.2.3).
+/// The quarter turn that the display matrix asks for. The matrix holds rows `[a b u]`, `[c d v]`
+/// and takes picture to screen by `(x', y') = (a x + c y, b x + d y)` (ISO/IEC 14496-12, 8.3.2.3).
 fn display_turn(side_data: &[Value]) -> (DisplayTurn, Option<f64>) {
     let Some(data) = side_data.iter().find(|d| d["side_data_type"] == "Display Matrix") else {
         return (DisplayTurn::default(), None);
@@ -271,7 +273,7 @@ fn packet_times(
         "-i",
     ];
     let args = [&args.map(OsStr::new)[..], &[url.as_os_str()]].concat();
-    let output = tool::run("ffprobe", &args, path, PACKETS_LIMIT, progress)?;
+    let output = tool::run("ffprobe", &args, path, PROBE_LIMIT, progress)?;
     Ok(parse_packets(&output, origin))
 }
 
@@ -280,8 +282,9 @@ fn packet_field<'a>(line: &'a str, key: &str) -> Option<&'a str> {
     line.split('|').find_map(|f| f.strip_prefix(key)?.strip_prefix('='))
 }
 
-/// Packets marked `D` lie outside the edit list and are never shown. Where a time stamp is missing, the
-/// decoding time serves, else the last time and duration. Returns the times in order and how many are never shown.
+/// Packets marked `D` lie outside the edit list and are never shown. Where a time stamp is missing,
+/// the decoding time serves, else the last time and duration. Returns the times in order and how
+/// many are never shown.
 fn parse_packets(output: &Output, origin: f64) -> (Vec<f64>, usize) {
     let (mut times, mut hidden, mut next) = (Vec::new(), 0, 0.0);
     for line in output.stdout.lines() {

@@ -1,4 +1,5 @@
-//! Helper programs (`ffprobe`, `ffmpeg`): run to the end, never longer than allowed, stopped on cancel.
+//! Helper programs (`ffprobe`, `ffmpeg`): run to the end, never longer than allowed, stopped on
+//! cancel.
 
 use crate::PreprocessError;
 use scene::Progress;
@@ -9,6 +10,7 @@ use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
 /// The most text kept from each stream of a helper program, bytes.
+/// Source: chosen by hand, never measured.
 const OUTPUT_LIMIT: u64 = 256 << 20;
 
 /// What a finished program said.
@@ -23,7 +25,7 @@ pub(crate) struct Output {
 
 impl Output {
     /// Last line of standard error without the demuxer's address prefix.
-    pub fn reason(&self) -> String {
+    pub(crate) fn reason(&self) -> String {
         let line = self.stderr.lines().rev().find(|l| !l.trim().is_empty()).unwrap_or("no message");
         let line = line.rsplit_once("] ").map_or(line, |(_, rest)| rest);
         line.rsplit_once(": ").map_or(line, |(_, rest)| rest).trim().to_owned()
@@ -40,8 +42,9 @@ pub(crate) struct Running {
 }
 
 impl Running {
-    /// Starts `tool`; `collect_stdout` is false where the caller reads the pipe itself ([`Running::take_stdout`]).
-    pub fn start(
+    /// Starts `tool`; `collect_stdout` is false where the caller reads the pipe itself
+    /// ([`Running::take_stdout`]).
+    pub(crate) fn start(
         tool: &'static str,
         args: &[&std::ffi::OsStr],
         collect_stdout: bool,
@@ -56,12 +59,12 @@ impl Running {
     }
 
     /// The standard output pipe, where it is not collected.
-    pub fn take_stdout(&mut self) -> Option<std::process::ChildStdout> {
+    pub(crate) fn take_stdout(&mut self) -> Option<std::process::ChildStdout> {
         self.child.stdout.take()
     }
 
     /// Waits for the end, at most `limit` from the start.
-    pub fn finish(
+    pub(crate) fn finish(
         mut self,
         input: &Path,
         limit: Duration,

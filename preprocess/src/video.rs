@@ -17,13 +17,17 @@ use std::sync::{Mutex, mpsc};
 use std::time::Duration;
 
 /// Time a helper program may take for one whole decoding.
+/// Source: chosen by hand, never measured.
 const DECODE_LIMIT: Duration = Duration::from_secs(1800);
+/// Threads that write frames beside the one that decodes.
+/// Source: chosen by hand, never measured.
 const WRITERS: usize = 2;
 
-/// Extracts frames of `input` into `out/images/frame_NNNNNN.png` (the number is the index in the video, in order of
-/// presentation). Frames are upright (display matrix), have square pixels and SDR colours; `time_s` is the
-/// presentation time from the start of the container. One frame of each bucket of time is taken, the sharpest,
-/// unless it shows the same as the one before. Damage that decoders pass over in silence is told in the notes.
+/// Extracts frames of `input` into `out/images/frame_NNNNNN.png` (the number is the index in the
+/// video, in order of presentation). Frames are upright (display matrix), have square pixels and
+/// SDR colours; `time_s` is the presentation time from the start of the container. One frame of
+/// each bucket of time is taken, the sharpest, unless it shows the same as the one before. Damage
+/// that decoders pass over in silence is told in the notes.
 pub fn video_frames(
     input: &Path,
     out: &Path,
@@ -190,7 +194,8 @@ impl Extraction<'_> {
         Ok(taken)
     }
 
-    /// Writes frames until there are no more; after an error it only drains the queue, so that nobody waits.
+    /// Writes frames until there are no more; after an error it only drains the queue, so that
+    /// nobody waits.
     fn write(
         &self,
         receive: &Mutex<Receiver<Decoded>>,
@@ -245,7 +250,8 @@ impl Extraction<'_> {
 
     fn publish(self, taken: Taken) -> Result<(Vec<Frame>, Option<Film>), PreprocessError> {
         self.progress.check()?;
-        // A first decoding that stopped at damage may have left frames that the second did not choose.
+        // A first decoding that stopped at damage may have left frames that the second did not
+        // choose.
         let chosen: std::collections::HashSet<&str> = taken.frames.iter().map(|f| f.name.as_str()).collect();
         let folder = self.staging.path("images", "");
         for entry in std::fs::read_dir(&folder).map_err(PreprocessError::io(&folder))? {
