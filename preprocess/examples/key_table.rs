@@ -86,8 +86,8 @@ fn composited(name: &str, light: Light, cloth: Cloth, cut_outs: &[image::RgbaIma
     Capture { name, light: light.name, video, frames, shots, screen, stands: false, folder }
 }
 
-/// A case of the test bed: `video.mp4` and `mattes/frame_NNNNNN.png`. Its foreground has no green of its own, so all
-/// that is left counts as spill.
+/// A case of the test bed: `video.mp4` and `mattes/frame_NNNNNN.png`. Its foreground has no green
+/// of its own, so all that is left counts as spill.
 fn filmed_case(case: &Path) -> Capture {
     let name = case.file_name().expect("a folder").to_string_lossy().into_owned();
     let folder = scratch(&name);
@@ -153,7 +153,8 @@ fn rows(capture: &Capture) {
     std::fs::remove_dir_all(&capture.folder).expect("clean up");
 }
 
-/// Into the folder KEY_TABLE_DUMP: pictures of the worst frame, and a folder like a case of the test bed, with our mattes beside.
+/// Into the folder KEY_TABLE_DUMP: pictures of the worst frame, and a folder like a case of the
+/// test bed, with our mattes beside.
 fn dump(capture: &Capture, mattes: &Mattes) {
     let Some(folder) = std::env::var_os("KEY_TABLE_DUMP").map(PathBuf::from) else { return };
     let iou = |(i, s): &&(usize, Shot)| score(&mattes[*i].0, &mattes[*i].1, s).iou;

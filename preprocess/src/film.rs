@@ -9,6 +9,7 @@ use scene::Film;
 /// Its name in the output folder.
 pub(crate) const FILM: &str = ".film.png";
 /// Most pictures that are kept; of longer videos every second, fourth, … frame.
+/// Source: chosen by hand, never measured.
 const MOST: usize = 1024;
 
 /// Pictures as they come from the decoder.
@@ -21,12 +22,12 @@ pub(crate) struct Reel {
 }
 
 impl Reel {
-    pub fn new() -> Self {
+    pub(crate) fn new() -> Self {
         Self { size: (0, 0), pictures: Vec::new(), times_s: Vec::new(), seen: 0, stride: 1 }
     }
 
     /// Takes a frame that came after all others.
-    pub fn push(&mut self, look: &Look, time_s: f64) {
+    pub(crate) fn push(&mut self, look: &Look, time_s: f64) {
         let wanted = self.seen.is_multiple_of(self.stride);
         self.seen += 1;
         let first = self.times_s.is_empty();
@@ -51,7 +52,7 @@ impl Reel {
     }
 
     /// Writes it among the staged files; `None` where it holds nothing to compare.
-    pub fn write(self, staging: &Staging) -> Result<Option<Film>, PreprocessError> {
+    pub(crate) fn write(self, staging: &Staging) -> Result<Option<Film>, PreprocessError> {
         let (width, height) = self.size;
         let frames = self.times_s.len() as u32;
         if frames < 2 || width == 0 || height == 0 {

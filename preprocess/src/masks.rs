@@ -16,8 +16,9 @@ pub(crate) struct MaskFiles {
 }
 
 impl MaskFiles {
-    /// Takes mask files out of `names` (they lie among the photos), then looks through the mask folder.
-    pub fn find(
+    /// Takes mask files out of `names` (they lie among the photos), then looks through the mask
+    /// folder.
+    pub(crate) fn find(
         photos: &Path,
         names: &mut Vec<String>,
         config: &FrameConfig,
@@ -56,12 +57,12 @@ impl MaskFiles {
     }
 
     /// The file for this image.
-    pub fn of(&self, image: &str) -> Option<&Path> {
+    pub(crate) fn of(&self, image: &str) -> Option<&Path> {
         self.found.get(image).map(PathBuf::as_path)
     }
 
     /// Number of images with a file.
-    pub fn len(&self) -> usize {
+    pub(crate) fn len(&self) -> usize {
         self.found.len()
     }
 }

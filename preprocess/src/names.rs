@@ -35,8 +35,8 @@ fn trimmed(s: &[u8]) -> &[u8] {
     &s[zeros.min(s.len() - 1)..]
 }
 
-/// The name with everything replaced that splits lines of COLMAP's text files or means something to a shell
-/// or a file system; unlike all in `used`, into which it goes.
+/// The name with everything replaced that splits lines of COLMAP's text files or means something to
+/// a shell or a file system; unlike all in `used`, into which it goes.
 pub(crate) fn safe_name(stem: &str, extension: &str, used: &mut HashSet<String>) -> String {
     let mut stem: String = stem
         .chars()

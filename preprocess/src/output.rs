@@ -6,7 +6,8 @@ use image::{ExtendedColorType, ImageEncoder};
 use std::io::{BufWriter, Write};
 use std::path::{Path, PathBuf};
 
-/// `out/images` and `out/masks` while they are being written: temporary folders beside, removed when dropped.
+/// `out/images` and `out/masks` while they are being written: temporary folders beside, removed
+/// when dropped.
 pub(crate) struct Staging {
     out: PathBuf,
     folder: PathBuf,
@@ -14,7 +15,7 @@ pub(crate) struct Staging {
 
 impl Staging {
     /// Makes the temporary folder inside `out` (made too where it is missing).
-    pub fn new(out: &Path) -> Result<Self, PreprocessError> {
+    pub(crate) fn new(out: &Path) -> Result<Self, PreprocessError> {
         let folder = out.join(".frames.tmp");
         remove(&folder)?;
         std::fs::create_dir_all(folder.join("images")).map_err(PreprocessError::io(&folder))?;
@@ -22,23 +23,23 @@ impl Staging {
     }
 
     /// Where an image or mask is written now.
-    pub fn path(&self, kind: &str, name: &str) -> PathBuf {
+    pub(crate) fn path(&self, kind: &str, name: &str) -> PathBuf {
         self.folder.join(kind).join(name)
     }
 
     /// Makes a further folder.
-    pub fn make(&self, kind: &str) -> Result<(), PreprocessError> {
+    pub(crate) fn make(&self, kind: &str) -> Result<(), PreprocessError> {
         let path = self.folder.join(kind);
         std::fs::create_dir_all(&path).map_err(PreprocessError::io(path))
     }
 
     /// Where it will lie at the end.
-    pub fn final_path(&self, kind: &str, name: &str) -> PathBuf {
+    pub(crate) fn final_path(&self, kind: &str, name: &str) -> PathBuf {
         self.out.join(kind).join(name)
     }
 
     /// Puts each folder in the place of an older one; of `stale`, older ones are removed.
-    pub fn publish(self, kinds: &[&str], stale: &[&str]) -> Result<(), PreprocessError> {
+    pub(crate) fn publish(self, kinds: &[&str], stale: &[&str]) -> Result<(), PreprocessError> {
         for kind in kinds.iter().chain(stale) {
             let (target, old) = (self.out.join(kind), self.folder.join(format!("old-{kind}")));
             if target.symlink_metadata().is_ok() {

@@ -18,9 +18,10 @@ const READ: [&str; 5] = ["png", "jpg", "jpeg", "tif", "tiff"];
 const NOT_READ: [&str; 13] =
     ["heic", "heif", "avif", "webp", "dng", "cr2", "cr3", "nef", "arw", "raf", "bmp", "gif", "jxl"];
 
-/// Brings the photos of `input_dir` (not of folders inside it) to `out/images`: upright by EXIF, 8-bit, without alpha,
-/// at most `--max-size` long; those that are so already are copied byte for byte. Masks come from files or from the
-/// alpha channel and go to `out/masks`. Photos that cannot be read are left out and named in the notes.
+/// Brings the photos of `input_dir` (not of folders inside it) to `out/images`: upright by EXIF,
+/// 8-bit, without alpha, at most `--max-size` long; those that are so already are copied byte for
+/// byte. Masks come from files or from the alpha channel and go to `out/masks`. Photos that cannot
+/// be read are left out and named in the notes.
 pub fn photo_frames(
     input_dir: &Path,
     out: &Path,
@@ -199,7 +200,8 @@ impl PhotoWriter<'_> {
         safe_name(stem, if copies { extension } else { "png" }, used)
     }
 
-    /// Whether the file is already what is wanted: upright, 8-bit, opaque, small enough, and of the format it says.
+    /// Whether the file is already what is wanted: upright, 8-bit, opaque, small enough, and of the
+    /// format it says.
     fn can_copy(&self, path: &Path, info: &ImageInfo) -> bool {
         let Ok(reader) = ImageReader::open(path).and_then(ImageReader::with_guessed_format) else {
             return false;

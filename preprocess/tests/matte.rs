@@ -74,7 +74,8 @@ fn mattes_of_a_noisy_screen_with_spill_meet_their_truth() {
     assert!(mean <= 0.0014, "mean error of alpha {mean}");
 }
 
-/// Coded as videos are, with a pole: the sample of the test bed, of which every sixth frame has a true matte.
+/// Coded as videos are, with a pole: the sample of the test bed, of which every sixth frame has a
+/// true matte.
 #[test]
 fn mattes_of_the_sample_video_meet_their_truth() {
     let (dir, every) = (Scratch::new("matte-sample"), 6);
@@ -277,7 +278,8 @@ fn black_white_and_tiny_frames_do_no_harm() {
     );
 }
 
-/// A video of a standing camera before a green wall: a box that swings, and some frames in which nothing can be told.
+/// A video of a standing camera before a green wall: a box that swings, and some frames in which
+/// nothing can be told.
 fn interrupted(dir: &Path) -> FrameSet {
     std::fs::create_dir_all(dir).unwrap();
     for i in 0..24_u32 {

@@ -31,7 +31,7 @@ const LEVELS: usize = 5;
 /// Source: chosen by hand, never measured.
 const CORRELATION: f64 = 0.9;
 /// Farthest that a keypoint is moved, in its scales.
-/// Source: docs/decisions/0020 (0.3 and 0.6 scales were worse on temple_ring).
+/// Source: docs/decisions/05 (0.3 and 0.6 scales were worse on temple_ring).
 const FARTHEST: f64 = 1.0;
 /// Standard deviation of a keypoint that was not moved, in its scales.
 /// Source: chosen by hand, never measured.

@@ -1,4 +1,5 @@
-//! What a matte looks like as a whole: the screen's outline, garbage beside it, still things, holes, specks.
+//! What a matte looks like as a whole: the screen's outline, garbage beside it, still things,
+//! holes, specks.
 
 use super::morphology::{Rect, Regions, ends};
 use super::pool::{BinaryMask, Raster};
@@ -9,15 +10,17 @@ use super::trimap::Trimap;
 use glam::Vec3;
 
 /// Objects smaller than this share of the largest are specks.
-const SPECK_SHARE: f32 = 0.01;
-/// Specks are also smaller than this, pixels.
+/// Source: chosen by hand, never measured.
+pub(crate) const SPECK_SHARE: f32 = 0.01;
+/// Specks are also smaller than this, pixels; smaller holes are kept.
+/// Source: docs/decisions/04 (rods of case 4); `key_table` is the same for holes of 9 pixels.
 const SPECK_PIXELS: usize = 24;
 /// Others so near to a large one are parts of it, pixels.
+/// Source: docs/decisions/04: rods kept on case 4 0.984 -> 0.997.
 const PART_GAP: usize = 8;
-/// An enclosed hole shows the screen if its mean colour is the screen's up to this share of its light.
+/// An enclosed hole shows the screen if its mean colour is the screen's up to this share of its
+/// light. Source: `key_table` is the same from 0.025 to 0.10.
 const HOLE_TOLERANCE: f32 = 0.08;
-/// Steps across an upright pole.
-const ACROSS: [(i64, i64); 5] = [(1, 0), (2, 1), (2, -1), (4, 1), (4, -1)];
 
 /// Cleans the matte in place; all that is done is done in the rectangle around what is not 0.
 pub(crate) fn clean(
@@ -58,7 +61,9 @@ fn restore_before_pole(alpha: &mut [f32], plate: &CleanPlate) {
     let pole = plate.others.iter().map(|i| *i as usize).filter(|i| plate.pole[*i] && alpha[*i] <= 0.5);
     let restored: Vec<usize> = pole
         .filter(|i| {
-            let mut across = ACROSS.iter().map(|&(u, v)| if plate.pole_lies { (v, u) } else { (u, v) });
+            let mut across = [(1, 0), (2, 1), (2, -1), (4, 1), (4, -1)]
+                .iter()
+                .map(|&(u, v)| if plate.pole_lies { (v, u) } else { (u, v) });
             across.any(|(dx, dy)| {
                 meets_object(alpha, plate, *i, (dx, dy)) && meets_object(alpha, plate, *i, (-dx, -dy))
             })
@@ -67,8 +72,9 @@ fn restore_before_pole(alpha: &mut [f32], plate: &CleanPlate) {
     restored.into_iter().for_each(|i| alpha[i] = 1.0);
 }
 
-/// Whether a line from a pixel of the pole meets the object on one side. Straight across, the object may end on the pole's rim;
-/// aslant it has to reach beyond: there are specks of shadow on the rim, and a line through two of them runs far along the pole.
+/// Whether a line from a pixel of the pole meets the object on one side. Straight across, the
+/// object may end on the pole's rim; aslant it has to reach beyond: there are specks of shadow on
+/// the rim, and a line through two of them runs far along the pole.
 fn meets_object(alpha: &[f32], plate: &CleanPlate, i: usize, (dx, dy): (i64, i64)) -> bool {
     let (width, height) = (plate.width as i64, (alpha.len() / plate.width) as i64);
     let (x, y) = (i as i64 % width, i as i64 / width);
@@ -103,7 +109,8 @@ fn fill(alpha: &mut Raster<f32>, rect: &Rect, regions: &Regions, chosen: &[bool]
     }
 }
 
-/// Convex hull of the pixels that are surely screen (all of the picture where there are hardly any).
+/// Convex hull of the pixels that are surely screen (all of the picture where there are hardly
+/// any).
 pub(crate) fn hull(screen: &BinaryMask) -> Vec<bool> {
     let (width, solid) = (screen.width, screen.erode(3));
     let rows = solid.chunks_exact(width).enumerate();
@@ -148,8 +155,9 @@ fn crossing(chain: &[(i64, i64)], y: i64) -> Option<f64> {
     Some(a.1 as f64 + t * (b.1 - a.1) as f64)
 }
 
-/// Foil mirrors the screen: an enclosed hole whose colour, in the light that fits best, is not the screen's at this place
-/// is a part of the object. Its rim is mixed with the object and says nothing; of a slit that is all.
+/// Foil mirrors the screen: an enclosed hole whose colour, in the light that fits best, is not the
+/// screen's at this place is a part of the object. Its rim is mixed with the object and says
+/// nothing; of a slit that is all.
 fn close_reflections(alpha: &mut Raster<f32>, screen: &Screen, rect: &Rect) {
     let open = rect.mask(alpha, |a| a < 0.5);
     let regions = Regions::of(&open);
@@ -232,7 +240,8 @@ mod tests {
                 ..CleanPlate::default()
             };
             let mut alpha = vec![0.0; n];
-            // The object reaches down to a slanted edge, the pole up to row 20; both are seen in the other's place.
+            // The object reaches down to a slanted edge, the pole up to row 20; both are seen in
+            // the other's place.
             let edge = |u: usize| 40.0 + 0.25 * (u as f32 - 40.0);
             for (u, v) in (0..80).flat_map(|u| (0..80).map(move |v| (u, v))) {
                 plate.pole[at(u, v)] = (36..43).contains(&u) && v >= 20;

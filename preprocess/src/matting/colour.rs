@@ -12,8 +12,8 @@ static LINEAR: LazyLock<[f32; 256]> = LazyLock::new(|| {
     })
 });
 
-/// Steps of linear light in the table of [`srgb8`]. Source: derivation; half a step moves no 8-bit value by more than
-/// one, the test `srgb_survives_linear_light` asks that each comes back.
+/// Steps of linear light in the table of [`srgb8`].
+/// Source: a power of two at which every 8-bit value comes back from linear light (test).
 const SRGB_STEPS: usize = 8192;
 static SRGB: LazyLock<Vec<u8>> = LazyLock::new(|| {
     (0..=SRGB_STEPS).map(|i| (srgb_from_linear(i as f32 / SRGB_STEPS as f32) * 255.0).round() as u8).collect()
@@ -67,10 +67,11 @@ pub(crate) fn hue_distance(a: f32, b: f32) -> f32 {
     d.min(360.0 - d)
 }
 
-/// The screen's colour as a direction in the plane of chroma (what remains of linear RGB without its mean).
+/// The screen's colour as a direction in the plane of chroma (what remains of linear RGB without
+/// its mean).
 ///
-/// The colour difference of a pixel is `d = c·k − w |c·k⊥|`: for a green key and `w = 1/√3` it is Vlahos'
-/// `G − max(R, B)` up to scale (US patent 4,100,569), and it turns with the hue of the key.
+/// The colour difference of a pixel is `d = c·k − w |c·k⊥|`: for a green key and `w = 1/√3` it is
+/// Vlahos' `G − max(R, B)` up to scale (US patent 4,100,569), and it turns with the hue of the key.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Key {
     /// Unit vector along the key's chroma.
@@ -89,7 +90,7 @@ pub(crate) struct Key {
 
 impl Key {
     /// From the linear colour of the screen; `None` for a grey one.
-    pub fn new(colour: Vec3, wedge: f32) -> Option<Self> {
+    pub(super) fn new(colour: Vec3, wedge: f32) -> Option<Self> {
         let chroma = chroma(colour);
         let norm = chroma.length();
         if norm < 1e-5 {
@@ -104,15 +105,17 @@ impl Key {
         Some(key)
     }
 
-    /// The colour difference; for the screen itself its chroma, at most 0 for neutral and other colours.
+    /// The colour difference; for the screen itself its chroma, at most 0 for neutral and other
+    /// colours.
     #[inline(always)]
-    pub fn difference(&self, rgb: Vec3) -> f32 {
+    pub(super) fn difference(&self, rgb: Vec3) -> f32 {
         self.along.dot(rgb) - self.wedge * self.across.dot(rgb).abs()
     }
 
-    /// Whether linear light looks like the screen: enough of its colour difference and, for its own light, of its purity.
+    /// Whether linear light looks like the screen: enough of its colour difference and, for its own
+    /// light, of its purity.
     #[inline(always)]
-    pub fn is_like(&self, rgb: Vec3) -> bool {
+    pub(super) fn is_like(&self, rgb: Vec3) -> bool {
         let own = self.difference(rgb);
         own > 0.08 * self.reference && own > 0.7 * self.purity * rgb.element_sum()
     }

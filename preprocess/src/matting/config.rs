@@ -21,7 +21,8 @@ pub enum MatteMode {
     /// Soft matte by colour difference in linear light, edges refined, spill removed.
     #[default]
     Soft,
-    /// Every pixel of the key's hue is background, all others are not: the usual simple rule, for comparison.
+    /// Every pixel of the key's hue is background, all others are not: the usual simple rule, for
+    /// comparison.
     Plain,
 }
 
@@ -31,7 +32,8 @@ const DEFAULT_KEY: &str = "auto";
 #[derive(clap::Args, Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default)]
 pub struct KeyConfig {
-    /// Colour of the screen: `auto` finds it and does nothing where there is none; `black` keys a dark room by light, if one thing alone is lit.
+    /// Colour of the screen: `auto` finds it and does nothing where there is none; `black` keys a
+    /// dark room by light, if one thing alone is lit.
     #[arg(long, value_name = "auto|green|blue|black|#rrggbb|off", default_value = DEFAULT_KEY, help_heading = "Matte")]
     pub key: String,
     /// What stands behind the object in the images that are written.
@@ -71,7 +73,7 @@ pub(crate) enum KeyChoice {
 
 impl KeyChoice {
     /// Whether a screen may have this hue, degrees.
-    pub fn allows(self, hue: f32) -> bool {
+    pub(crate) fn allows(self, hue: f32) -> bool {
         match self {
             Self::Hue(low, high) => (hue - low).rem_euclid(360.0) <= high - low,
             _ => true,

@@ -5,9 +5,9 @@ use super::screen::Screen;
 use super::solve::Matte;
 use glam::Vec3;
 
-/// Foreground colour, 8-bit sRGB, of every pixel with alpha above 0 (black elsewhere): the screen's part is taken out
-/// (`F = (I − (1 − α) B) / α`), at thin alpha the neighbourhood's colour steps in, and what is left of the
-/// key's colour difference is removed.
+/// Foreground colour, 8-bit sRGB, of every pixel with alpha above 0 (black elsewhere): the screen's
+/// part is taken out (`F = (I − (1 − α) B) / α`), at thin alpha the neighbourhood's colour steps
+/// in, and what is left of the key's colour difference is removed.
 pub(crate) fn foreground(screen: &Screen, matte: &Matte, key: &Key) -> Vec<u8> {
     let mut out = vec![0_u8; 3 * matte.alpha.len()];
     for (i, target) in out.chunks_exact_mut(3).enumerate() {

@@ -1,5 +1,6 @@
 //! Luma key: a lit object in a dark room.
 
+use super::cleanup::SPECK_SHARE;
 use super::morphology::{Regions, smooth};
 use super::pool::{BinaryMask, Pool, Raster};
 use super::screen::detect::quantile;
@@ -7,16 +8,16 @@ use crate::matting::screen::detect::no_matte;
 use image::RgbImage;
 use scene::decision::{Decision, Measurement, Quantity, Remark, Rule};
 
-/// The object is brighter than the room by this many spreads of the room's light, and by as many 8-bit levels.
+/// The object is brighter than the room by this many spreads of the room's light.
+/// Source: chosen by hand, never measured.
 const SPREADS: f32 = 6.0;
+/// And by as many 8-bit levels. Source: chosen by hand, never measured.
 const LEVELS: f32 = 8.0;
-/// Parts smaller than this share of the largest are lamps and reflections.
-const PART_SHARE: f32 = 0.02;
 
-/// Least share of what is lit that is one thing, and least share of the picture that is lit, in the median frame.
+/// Least share of what is lit that is one thing, and least share of the picture that is lit, in the
+/// median frame. Source: docs/decisions/04 for the first; the second was chosen by hand, never
+/// measured.
 const LIT: (f32, f32) = (0.95, 0.002);
-/// Most pixels that are neither room nor lit, as a share of the lit ones: rims, dark sides.
-const UNDECIDED: f32 = 1.0;
 
 /// Light of every pixel, smoothed, and between which levels a pixel passes from room to object.
 struct Lit<'p> {
@@ -43,8 +44,9 @@ impl<'p> Lit<'p> {
     }
 }
 
-/// Why light cannot tell the object from the room in these (small) frames, if it cannot: nothing is lit, the lamp lights clutter
-/// too, or most of the object is as dark as the room. A key would then keep the clutter or cut the object to pieces.
+/// Why light cannot tell the object from the room in these (small) frames, if it cannot: nothing is
+/// lit, the lamp lights clutter too, or most of the object is as dark as the room. A key would then
+/// keep the clutter or cut the object to pieces.
 pub(crate) fn doubt(frames: &[RgbImage]) -> Option<Decision> {
     let (mut lit, mut largest, mut undecided) = (Vec::new(), Vec::new(), Vec::new());
     for frame in frames.iter().filter(|f| !f.is_empty()) {
@@ -58,7 +60,7 @@ pub(crate) fn doubt(frames: &[RgbImage]) -> Option<Decision> {
         undecided.push(between / count.max(1.0));
     }
     let [lit, largest, undecided] = [&mut lit, &mut largest, &mut undecided].map(|v| quantile(v, 0.5));
-    (lit < LIT.1 || largest < LIT.0 || undecided > UNDECIDED).then(|| {
+    (lit < LIT.1 || largest < LIT.0 || undecided > 1.0).then(|| {
         let figures = [
             (Quantity::LitShare, lit),
             (Quantity::LargestLitPart, largest),
@@ -82,9 +84,10 @@ pub(crate) fn matte(pool: &Pool, rgb: &[u8], width: usize) -> Vec<u8> {
         .collect()
 }
 
+/// Smaller parts are lamps and reflections.
 fn large_parts<'p>(mask: &BinaryMask<'p>) -> BinaryMask<'p> {
     let regions = Regions::of(mask);
-    let least = (PART_SHARE * regions.largest() as f32) as usize;
+    let least = (SPECK_SHARE * regions.largest() as f32) as usize;
     regions.labels.mask(|l| l != 0 && regions.sizes[l as usize] > least)
 }
 

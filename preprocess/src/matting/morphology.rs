@@ -15,7 +15,7 @@ pub(crate) struct Rect {
 
 impl Rect {
     /// The smallest around the non-zero part of a mask, grown by `margin`, within the picture.
-    pub fn around(mask: &BinaryMask, margin: usize) -> Self {
+    pub(super) fn around(mask: &BinaryMask, margin: usize) -> Self {
         let mut x = Range { start: mask.width, end: 0 }; // empty until a pixel is seen
         let mut y = Range { start: usize::MAX, end: 0 };
         for (row, line) in mask.chunks_exact(mask.width).enumerate() {
@@ -34,13 +34,13 @@ impl Rect {
     }
 
     /// Indices of its pixels in a picture of this width, row by row.
-    pub fn rows(&self, width: usize) -> impl Iterator<Item = Range<usize>> + use<> {
+    pub(super) fn rows(&self, width: usize) -> impl Iterator<Item = Range<usize>> + use<> {
         let x = self.x.clone();
         self.y.clone().map(move |y| y * width + x.start..y * width + x.end)
     }
 
     /// The part of a plane that it covers, as a mask.
-    pub fn mask<'p, T: RasterValue>(
+    pub(super) fn mask<'p, T: RasterValue>(
         &self,
         plane: &Raster<'p, T>,
         is_set: impl Fn(T) -> bool,
@@ -65,8 +65,9 @@ pub(crate) fn set_pixels(mask: &[u8]) -> impl Iterator<Item = usize> {
     mask.iter().enumerate().filter(|(_, v)| **v != 0).map(|(i, _)| i)
 }
 
-/// Sums over windows of `(2r + 1)²` that lie in `rect` (outside of it values count as 0), in place, channel by channel.
-/// Summed anew for every pixel: a running sum would leave rounding errors larger than the smallest weights.
+/// Sums over windows of `(2r + 1)²` that lie in `rect` (outside of it values count as 0), in place,
+/// channel by channel. Summed anew for every pixel: a running sum would leave rounding errors
+/// larger than the smallest weights.
 pub(crate) fn box_sum<T: RasterValue + bytemuck::Pod>(plane: &mut Raster<T>, rect: &Rect, r: usize) {
     let (channels, pitch, pool) = (size_of::<T>() / size_of::<f32>(), plane.width, plane.pool);
     let (w, h) = (channels * rect.x.len(), rect.y.len());
@@ -99,7 +100,8 @@ pub(crate) fn smooth<'p>(plane: &Raster<'p, f32>) -> Raster<'p, f32> {
     smooth_within(plane, &Rect { x: 0..plane.width, y: 0..plane.height() })
 }
 
-/// The same in the rows and columns of `rect` only, beside which values count as those at its border; 0 elsewhere.
+/// The same in the rows and columns of `rect` only, beside which values count as those at its
+/// border; 0 elsewhere.
 pub(crate) fn smooth_within<'p>(plane: &Raster<'p, f32>, rect: &Rect) -> Raster<'p, f32> {
     let mut out = plane.pool.filled(plane.width, plane.len(), 0.0);
     let (w, last) = (rect.x.len(), rect.y.end.saturating_sub(1));
@@ -123,7 +125,7 @@ pub(crate) fn smooth_within<'p>(plane: &Raster<'p, f32>, rect: &Rect) -> Raster<
 
 impl<'p> BinaryMask<'p> {
     /// Grows what is set by `r` pixels in every direction (a square).
-    pub fn dilate(&self, r: usize) -> Self {
+    pub(super) fn dilate(&self, r: usize) -> Self {
         let mut rows = self.map(|v| *v);
         for d in 1..=r.min(self.width - 1) {
             for (source, target) in self.chunks_exact(self.width).zip(rows.chunks_exact_mut(self.width)) {
@@ -140,7 +142,7 @@ impl<'p> BinaryMask<'p> {
     }
 
     /// Shrinks what is set by `r` pixels; the border does not shrink it.
-    pub fn erode(&self, r: usize) -> Self {
+    pub(super) fn erode(&self, r: usize) -> Self {
         self.mask(|v| v == 0).dilate(r).mask(|v| v == 0)
     }
 }
@@ -159,7 +161,7 @@ pub(crate) struct Regions<'p> {
 
 impl<'p> Regions<'p> {
     /// Works on runs of pixels: rows are joined where runs touch.
-    pub fn of(mask: &BinaryMask<'p>) -> Self {
+    pub(super) fn of(mask: &BinaryMask<'p>) -> Self {
         let width = mask.width;
         let mut parent = vec![0_u32];
         // Runs of the whole picture: first pixel, end, label; and those of the row above.
@@ -171,7 +173,8 @@ impl<'p> Regions<'p> {
             let mut candidate = above.start;
             while let Some(start) = row[x..end].iter().position(|v| *v != 0).map(|d| x + d) {
                 x = row[start..].iter().position(|v| *v == 0).map_or(width, |d| start + d);
-                // Runs above that end before this one's left neighbour can touch none of the later ones either.
+                // Runs above that end before this one's left neighbour can touch none of the later
+                // ones either.
                 while candidate < above.end && runs[candidate].1 + width < base + start {
                     candidate += 1;
                 }
@@ -203,7 +206,7 @@ impl<'p> Regions<'p> {
     }
 
     /// Which regions have a pixel, of those given, at which something holds.
-    pub fn any(&self, is_so: impl Fn(usize) -> bool) -> Vec<bool> {
+    pub(super) fn any(&self, is_so: impl Fn(usize) -> bool) -> Vec<bool> {
         let mut any = vec![false; self.sizes.len()];
         for (i, label) in self.labels.iter().enumerate().filter(|(_, label)| **label != 0) {
             any[*label as usize] |= is_so(i);
@@ -212,13 +215,13 @@ impl<'p> Regions<'p> {
     }
 
     /// Which regions reach the border of the picture.
-    pub fn at_border(&self) -> Vec<bool> {
+    pub(super) fn at_border(&self) -> Vec<bool> {
         let (w, n) = (self.labels.width, self.labels.len());
         self.any(|i| i < w || i + w >= n || i % w == 0 || i % w == w - 1)
     }
 
     /// Pixels of the largest region.
-    pub fn largest(&self) -> usize {
+    pub(super) fn largest(&self) -> usize {
         self.sizes.iter().copied().max().unwrap_or(0)
     }
 }

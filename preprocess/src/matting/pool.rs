@@ -1,5 +1,5 @@
-//! Planes of a picture whose memory is used again: handed back to the system after every frame and faulted in
-//! anew, its pages would cost a tenth of the time of a matte.
+//! Planes of a picture whose memory is used again: handed back to the system after every frame and
+//! faulted in anew, its pages would cost a tenth of the time of a matte.
 
 use glam::Vec3;
 use std::cell::RefCell;
@@ -33,14 +33,18 @@ pooled!(u8: bytes, u32: words, f32: numbers, Vec3: colours);
 
 impl Pool {
     /// A plane of these values, row by row.
-    pub fn plane<T: RasterValue>(&self, width: usize, values: impl Iterator<Item = T>) -> Raster<'_, T> {
+    pub(super) fn plane<T: RasterValue>(
+        &self,
+        width: usize,
+        values: impl Iterator<Item = T>,
+    ) -> Raster<'_, T> {
         let mut memory = T::free(self).borrow_mut().pop().unwrap_or_default();
         memory.extend(values);
         Raster { values: memory, width, pool: self }
     }
 
     /// A plane of `count` equal values.
-    pub fn filled<T: RasterValue>(&self, width: usize, count: usize, value: T) -> Raster<'_, T> {
+    pub(super) fn filled<T: RasterValue>(&self, width: usize, count: usize, value: T) -> Raster<'_, T> {
         self.plane(width, std::iter::repeat_n(value, count))
     }
 }
@@ -59,22 +63,22 @@ pub(crate) type BinaryMask<'p> = Raster<'p, u8>;
 
 impl<'p, T: RasterValue> Raster<'p, T> {
     /// Number of rows.
-    pub fn height(&self) -> usize {
+    pub(super) fn height(&self) -> usize {
         self.values.len() / self.width
     }
 
     /// Appends values, such as those of a row.
-    pub fn extend(&mut self, values: impl Iterator<Item = T>) {
+    pub(super) fn extend(&mut self, values: impl Iterator<Item = T>) {
         self.values.extend(values);
     }
 
     /// Another plane of the same shape.
-    pub fn map<U: RasterValue>(&self, value: impl FnMut(&T) -> U) -> Raster<'p, U> {
+    pub(super) fn map<U: RasterValue>(&self, value: impl FnMut(&T) -> U) -> Raster<'p, U> {
         self.pool.plane(self.width, self.values.iter().map(value))
     }
 
     /// The mask of the pixels whose value is so.
-    pub fn mask(&self, mut is_set: impl FnMut(T) -> bool) -> BinaryMask<'p> {
+    pub(super) fn mask(&self, mut is_set: impl FnMut(T) -> bool) -> BinaryMask<'p> {
         self.map(|v| u8::from(is_set(*v)))
     }
 }

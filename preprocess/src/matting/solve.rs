@@ -1,4 +1,5 @@
-//! The soft matte of one frame: alpha in the band between what is surely screen and what is surely object.
+//! The soft matte of one frame: alpha in the band between what is surely screen and what is surely
+//! object.
 
 use super::colour::{chroma, coded, luminance};
 use super::morphology::{Rect, box_sum, set_pixels, smooth_within};
@@ -8,27 +9,39 @@ use super::trimap::Trimap;
 use glam::Vec3;
 
 /// Radius of the neighbourhood from which the colours of foreground and screen are learnt, pixels.
+/// Source: `key_table`: for the screen 3 and 5 differ by less than 0.0004 of IoU; for the foreground chosen by hand, never
+/// measured.
 pub(crate) const REACH: usize = 3;
 /// Alpha nearer to 0 or 1 than this is 0 or 1.
+/// Source: `key_table`: at 0.02 mean errors of alpha of the composites grow by 0.00003.
 pub(crate) const CLEAR: f32 = 0.03;
 /// Weight of a mixed pixel beside a solid one when the foreground's colour is learnt.
+/// Source: `key_table` is the same from 0.02 to 0.1.
 const MIXED_WEIGHT: f32 = 0.05;
-/// Chroma of 4:2:0 video is blurred: standard deviation of alpha from chroma at an edge; its square grows with the pixel's
-/// light.
+/// Chroma of 4:2:0 video is blurred: standard deviation of alpha from chroma at an edge.
+/// Source: `key_table`: at 0.06 the IoU of case 3 falls by 0.0003.
 const CHROMA_ERROR: f32 = 0.12;
-/// The lens mixes over about a pixel in linear light before chroma is coded and spread over two or three: how much of what a
-/// half covered pixel shows too much of the brighter side is taken off.
+/// The lens mixes over about a pixel in linear light before chroma is coded and spread over two or
+/// three: how much of what a half covered pixel shows too much of the brighter side is taken off.
+/// Source: `key_table`: without it the IoU of case 3 falls by 0.0003.
 const OPTICAL: f32 = 1.5;
-/// How well the light of object and screen is known, share of their sum.
+/// How well the light of object and screen is known, share of their sum. Source: `key_table`:
+/// without it the IoU of the temple falls by 0.0007 and more, at 0.12 that of case 3 by 0.0003.
 const LIGHT_ERROR: f32 = 0.06;
-/// The object's rim is lit by the screen and mixes with its blur: alpha from chroma falls short by this factor there.
+/// The object's rim is lit by the screen and mixes with its blur: alpha from chroma falls short by
+/// this factor there. Source: `key_table`: without it the IoU of the composites falls by 0.0004 to
+/// 0.0027.
 const RIM_GAIN: f32 = 1.06;
-/// How firmly the rim's light is held to the neighbourhood's: weight, in pixels that are object alone.
+/// How firmly the rim's light is held to the neighbourhood's: weight, in pixels that are object
+/// alone. Source: `key_table` is the same from 0.1 to 0.8; at 8 the IoU of the temple before blue
+/// falls by 0.0015.
 const RIM_HOLD: f32 = 0.1;
 /// Smoothing has made the edge this much too soft.
+/// Source: `key_table`: without it the IoU of case 3 falls by 0.0009.
 const EDGE_CONTRAST: f32 = 1.2;
-/// Where less than half a pixel around is solid (rods), chroma is spread over more than the object is wide: alpha from it
-/// falls short by this factor.
+/// Where less than half a pixel around is solid (rods), chroma is spread over more than the object
+/// is wide: alpha from it falls short by this factor. Source: `key_table`: without it the IoU of
+/// case 3 falls by 0.0002.
 const THIN_GAIN: f32 = 1.2;
 
 /// The matte of one frame, and what it was solved with.
@@ -43,7 +56,7 @@ pub(crate) struct Matte<'p> {
 
 impl<'p> Matte<'p> {
     /// Solves the matte of a frame.
-    pub fn solve(screen: &Screen<'p>, trimap: &Trimap<'p>, noise: &ScreenNoise) -> Self {
+    pub(super) fn solve(screen: &Screen<'p>, trimap: &Trimap<'p>, noise: &ScreenNoise) -> Self {
         let rect = Rect::around(&trimap.not_screen, REACH);
         let alpha = trimap.core.map(|v| f32::from(*v));
         let band = screen.share.pool.plane(alpha.width, set_pixels(&trimap.band).map(|i| i as u32));
@@ -55,20 +68,20 @@ impl<'p> Matte<'p> {
     }
 
     /// Foreground colour of the neighbourhood of any pixel.
-    pub fn object_around(&self, i: usize, in_band: bool) -> Vec3 {
+    pub(super) fn object_around(&self, i: usize, in_band: bool) -> Vec3 {
         // Outside of the band the sums have not been divided.
         if in_band { self.foreground[i] } else { 1.0 / self.weight[i].max(1e-5) * self.foreground[i] }
     }
 
     /// How much of what is around a pixel is solid, 0 to 1.
-    pub fn solid_around(&self, i: usize) -> f32 {
+    pub(super) fn solid_around(&self, i: usize) -> f32 {
         (self.weight[i] / ((2 * REACH + 1) * (2 * REACH + 1)) as f32).min(1.0)
     }
 }
 
-/// Mean foreground colour around every pixel of the band and the variance of its luma. Solid pixels count as they are, with
-/// the screen's light that falls on them, for so does the object's part of a mixed pixel; where there are none
-/// (rods) the screen's share is taken out of the mixed ones.
+/// Mean foreground colour around every pixel of the band and the variance of its luma. Solid pixels
+/// count as they are, with the screen's light that falls on them, for so does the object's part of
+/// a mixed pixel; where there are none (rods) the screen's share is taken out of the mixed ones.
 fn learn_foreground<'p>(
     screen: &Screen<'p>,
     trimap: &Trimap,
@@ -116,8 +129,8 @@ struct BandSolver<'a, 'p> {
 }
 
 impl<'p> BandSolver<'_, 'p> {
-    /// Alpha as the place of the pixel between screen and foreground, from chroma and from luma, each weighed by
-    /// how well it can tell (inverse variance).
+    /// Alpha as the place of the pixel between screen and foreground, from chroma and from luma,
+    /// each weighed by how well it can tell (inverse variance).
     fn solve(&mut self, noise: &ScreenNoise) {
         let mean = self.ask_chroma();
         self.rim = self.light_rim(&mean);
@@ -135,8 +148,8 @@ impl<'p> BandSolver<'_, 'p> {
         self.rim[i] * self.matte.foreground[i]
     }
 
-    /// Alpha from chroma alone. Chroma is sampled at every other pixel: smoothing over 3 × 3 costs no detail and removes the
-    /// steps.
+    /// Alpha from chroma alone. Chroma is sampled at every other pixel: smoothing over 3 × 3 costs
+    /// no detail and removes the steps.
     fn ask_chroma(&mut self) -> Raster<'p, f32> {
         for &i in self.band.iter() {
             let i = i as usize;
@@ -148,9 +161,10 @@ impl<'p> BandSolver<'_, 'p> {
         smooth_within(&self.matte.alpha, &self.rect)
     }
 
-    /// An object's rim is darker than what lies behind it where it turns away from the lamp, and brighter where it shines. Of the light
-    /// alpha from chroma knows little, so that luma Y tells it: the factor k on the neighbourhood's light F with the least
-    /// `Σ (Y − (1 − α) B − α k F)² / F² + λ (k − 1)²`, B the screen's.
+    /// An object's rim is darker than what lies behind it where it turns away from the lamp, and
+    /// brighter where it shines. Of the light alpha from chroma knows little, so that luma Y tells
+    /// it: the factor k on the neighbourhood's light F with the least `Σ (Y − (1 − α) B − α k F)² /
+    /// F² + λ (k − 1)²`, B the screen's.
     fn light_rim(&self, mean: &[f32]) -> Raster<'p, f32> {
         let (mut lit, mut told) = (self.rim.map(|_| 0.0), self.rim.map(|_| 0.0));
         for i in self.band.iter().map(|i| *i as usize).filter(|i| self.matte.weight[*i] >= 1e-5) {
@@ -171,15 +185,17 @@ impl<'p> BandSolver<'_, 'p> {
         lit
     }
 
-    /// From chroma as it is coded: there the averaging of 4:2:0 is linear and an edge keeps its place. In linear light the
-    /// chroma that spreads over it weighs by the light of the pixel that it spreads to.
+    /// From chroma as it is coded: there the averaging of 4:2:0 is linear and an edge keeps its
+    /// place. In linear light the chroma that spreads over it weighs by the light of the pixel that
+    /// it spreads to.
     fn alpha_from_chroma(&self, i: usize) -> f32 {
         let (screen, object) = (self.screen.light[i], self.object(i));
         let (b, f) = (coded_chroma(screen), coded_chroma(object));
         let fb = f - b;
         let norm = fb.length_squared() + 1e-9;
         let alpha = (coded_chroma(self.screen.image[i]) - b).dot(fb) / norm;
-        // The lens mixes light before it is coded: of a half covered pixel the brighter side shows more.
+        // The lens mixes light before it is coded: of a half covered pixel the brighter side shows
+        // more.
         let half = (coded_chroma(0.5 * (screen + object)) - b).dot(fb) / norm;
         let a = alpha.clamp(0.0, 1.0);
         alpha - OPTICAL * (half - 0.5) * a * (1.0 - a)

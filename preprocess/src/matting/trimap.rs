@@ -1,13 +1,16 @@
-//! What is surely object, what is surely screen, and the band between, where alpha has to be solved.
+//! What is surely object, what is surely screen, and the band between, where alpha has to be
+//! solved.
 
 use super::colour::{Key, coded, levels};
 use super::morphology::set_pixels;
 use super::pool::BinaryMask;
 use super::screen::Screen;
 
-/// Least departure from the screen (share of its colour difference) that counts.
+/// Least departure from the screen that counts, share of its colour difference.
+/// Source: `key_table` is the same from 0.03 to 0.1.
 const MIN_DEPARTURE: f32 = 0.06;
 /// Inside of solid parts, what keeps this share of the screen's coded colour difference is a slit.
+/// Source: `key_table`: at 0.5 the IoU of lego before blue falls by 0.0006.
 const SLIT_SHARE: f32 = 0.6;
 
 /// The parts of a frame by what they are.
@@ -24,7 +27,7 @@ pub(crate) struct Trimap<'p> {
 
 impl<'p> Trimap<'p> {
     /// Of a frame, given the scatter of its screen's smoothed share.
-    pub fn new(screen: &Screen<'p>, noise: f32, rgb: &[u8], key: &Key) -> Self {
+    pub(super) fn new(screen: &Screen<'p>, noise: f32, rgb: &[u8], key: &Key) -> Self {
         let threshold = 1.0 - MIN_DEPARTURE.max(5.0 * noise);
         let mut seeds = screen.smoothed.mask(|s| (s < threshold) | (s > 2.0 - threshold + 0.1));
         seeds.iter_mut().zip(screen.shaded.iter()).for_each(|(seed, shaded)| *seed &= 1 - shaded);
@@ -40,9 +43,9 @@ impl<'p> Trimap<'p> {
     }
 }
 
-/// Slits of one or two pixels between bright parts: 4:2:0 averages coded chroma, and in linear light what is left of the screen's
-/// looks like a tint of the bright parts. What keeps [`SLIT_SHARE`] of the screen's colour difference in coded values is solved, not
-/// solid.
+/// Slits of one or two pixels between bright parts: 4:2:0 averages coded chroma, and in linear
+/// light what is left of the screen's looks like a tint of the bright parts. What keeps
+/// [`SLIT_SHARE`] of the screen's colour difference in coded values is solved, not solid.
 fn find_slits<'p>(core: &BinaryMask<'p>, screen: &Screen, rgb: &[u8], key: &Key) -> BinaryMask<'p> {
     let mut slits = core.map(|_| 0);
     for i in set_pixels(core) {
@@ -61,8 +64,8 @@ mod tests {
     use crate::matting::pool::Pool;
     use image::{Rgb, RgbImage};
 
-    /// Panels before a green screen: a grey one at the left, two bright ones with a slit of a pixel between, and a faint
-    /// stain on the screen.
+    /// Panels before a green screen: a grey one at the left, two bright ones with a slit of a pixel
+    /// between, and a faint stain on the screen.
     fn panels() -> RgbImage {
         RgbImage::from_fn(120, 60, |x, y| match (x, y) {
             (20..50, 15..45) => Rgb([120, 118, 122]),

@@ -1,5 +1,5 @@
-//! Cut-outs composited over an unevenly lit green screen with spill, filmed with noise and 4:2:0 H.264; the true
-//! matte is known. And how a matte is scored.
+//! Cut-outs composited over an unevenly lit green screen with spill, filmed with noise and 4:2:0
+//! H.264; the true matte is known. And how a matte is scored.
 
 use image::{GrayImage, RgbImage, RgbaImage};
 use rand::Rng as _;
@@ -64,7 +64,8 @@ pub fn to_srgb(v: f32) -> u8 {
     (coded * 255.0).round() as u8
 }
 
-/// Every `step`-th cut-out of `lego400` (its alpha) or of `temple_ring` (the stone by its light), centred.
+/// Every `step`-th cut-out of `lego400` (its alpha) or of `temple_ring` (the stone by its light),
+/// centred.
 pub fn cut_outs(folder: &Path, step: usize) -> Vec<RgbaImage> {
     let mut paths: Vec<PathBuf> =
         std::fs::read_dir(folder.join("images")).unwrap().map(|e| e.unwrap().path()).collect();
@@ -255,7 +256,8 @@ fn grown(mask: &[bool], r: i32, wanted: bool) -> Vec<bool> {
     (0..mask.len()).map(|i| near(mask, i, r, wanted) == wanted).collect()
 }
 
-/// Share kept of what an opening with a square of five pixels takes away: rods, seen within one pixel.
+/// Share kept of what an opening with a square of five pixels takes away: rods, seen within one
+/// pixel.
 fn thin(a: &[bool], truth: &[bool]) -> f64 {
     let opened = grown(&grown(truth, 2, false), 2, true);
     let rods: Vec<bool> = (0..truth.len()).map(|i| truth[i] && !opened[i]).collect();
@@ -289,8 +291,8 @@ fn boundary_f(a: &[bool], b: &[bool]) -> f64 {
     2.0 * precision * recall / (precision + recall).max(1e-9)
 }
 
-/// Mean of `max(0, G − max(R, B))` (of a blue screen `max(0, B − max(R, G))`) beyond that of the clean foreground, where
-/// both mattes show the object, within four pixels of its outline.
+/// Mean of `max(0, G − max(R, B))` (of a blue screen `max(0, B − max(R, G))`) beyond that of the
+/// clean foreground, where both mattes show the object, within four pixels of its outline.
 fn spill(matte: &GrayImage, colours: &RgbImage, shot: &Shot, truth: &[bool]) -> f64 {
     let (own, a, b) = (shot.channel, (shot.channel + 1) % 3, (shot.channel + 2) % 3);
     let excess = |p: &image::Rgb<u8>| (f64::from(p[own]) - f64::from(p[a].max(p[b]))).max(0.0);

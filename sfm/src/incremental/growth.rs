@@ -18,7 +18,7 @@ const IMAGES_FOR_DISTORTION: usize = 6;
 /// Source: chosen by hand, never measured.
 const IMAGES_FOR_EACH: usize = 12;
 /// Images up to which it is the whole model that is adjusted.
-/// Source: docs/decisions/0009.
+/// Source: docs/decisions/05.
 const IMAGES_FOR_LOCAL: usize = 60;
 /// Images that move in a local adjustment.
 /// Source: chosen by hand, never measured.

@@ -25,7 +25,7 @@ const MIN_SCALES: usize = 5;
 /// Source: chosen by hand; the test below shows what it tells apart.
 const SCALE_SPREAD: f64 = 0.12;
 /// Frames of a video so few apart show the same place.
-/// Source: docs/decisions/0004.
+/// Source: docs/decisions/07.
 pub(crate) const NEAR_IN_TIME: usize = 5;
 
 /// Matches of an image with a registered one, in ideal pixels from the principal point.

@@ -20,7 +20,7 @@ const A_ROUND: usize = 6;
 /// Source: derived: each round doubles the reach, so that any set ends before.
 const ROUNDS: usize = 24;
 /// An image with fewer likely partners than this is matched with every other one in the end.
-/// Source: docs/decisions/0009 (one with next to none).
+/// Source: docs/decisions/05 (one with next to none).
 const FEW_PARTNERS: usize = 2;
 
 /// Matches of all pairs of a small set, and of those of a large one that may show the same points;

@@ -54,10 +54,10 @@ impl Demand {
 }
 
 impl Change {
-    /// Sources: blurred copies, docs/decisions/0016 (where both sets find the same spots matches
-    /// are half as many again); global mapper, docs/decisions/0009; ring, docs/decisions/0019;
-    /// fewer pairs, docs/decisions/0004; moved keypoints, docs/decisions/0020; plane tracks,
-    /// docs/decisions/0028; the share of 0.8 of moved observations and the gain of 3 % of denser
+    /// Sources: blurred copies, docs/decisions/09 (where both sets find the same spots matches
+    /// are half as many again); global mapper, docs/decisions/05; ring, docs/decisions/09;
+    /// fewer pairs, docs/decisions/07; moved keypoints, docs/decisions/05; plane tracks,
+    /// docs/decisions/11; the share of 0.8 of moved observations and the gain of 3 % of denser
     /// tracks were chosen by hand and never measured.
     fn demand(self) -> Demand {
         match self {

@@ -1,4 +1,5 @@
-//! Values known at some pixels, spread to all: means in square cells, gaps filled from around, interpolated between.
+//! Values known at some pixels, spread to all: means in square cells, gaps filled from around,
+//! interpolated between.
 
 use std::ops::{Add, Div, Mul, Sub};
 
@@ -14,8 +15,9 @@ impl<T> Interpolate for T where
 }
 
 /// Side of a cell, pixels, and the pixels that it needs to count.
+/// Source: `key_table` is the same to 0.0001 of IoU with 6 and 16 pixels.
 const SIDE: usize = 8;
-/// Rounds of relaxation.
+/// Rounds of relaxation. Source: `key_table` is the same with 200.
 const ROUNDS: usize = 16;
 
 /// A coarse picture over a fine one.
@@ -35,14 +37,14 @@ pub(crate) struct CellSums<V> {
 
 impl<V: Interpolate> CellSums<V> {
     /// Empty cells over a picture.
-    pub fn new(width: usize, height: usize) -> Self {
+    pub(super) fn new(width: usize, height: usize) -> Self {
         let (columns, rows) = (width.div_ceil(SIDE), height.div_ceil(SIDE));
         Self { sums: vec![(V::default(), 0); columns * rows], width, columns }
     }
 
     /// Counts every `step`-th pixel of row `y` that has a value.
     #[inline(always)]
-    pub fn add_row(&mut self, y: usize, step: usize, mut value: impl FnMut(usize) -> Option<V>) {
+    pub(super) fn add_row(&mut self, y: usize, step: usize, mut value: impl FnMut(usize) -> Option<V>) {
         let row = &mut self.sums[y / SIDE * self.columns..][..self.columns];
         let mut x = 0;
         for (cell, (sum, count)) in row.iter_mut().enumerate() {
@@ -57,9 +59,9 @@ impl<V: Interpolate> CellSums<V> {
         }
     }
 
-    /// Means of the cells; those that hold too few pixels are filled from their neighbours, layer by layer, and relaxed
-    /// (discrete Laplace equation). `None` where no cell is known.
-    pub fn fill(self) -> Option<CellGrid<V>> {
+    /// Means of the cells; those that hold too few pixels are filled from their neighbours, layer
+    /// by layer, and relaxed (discrete Laplace equation). `None` where no cell is known.
+    pub(super) fn fill(self) -> Option<CellGrid<V>> {
         let (columns, rows) = (self.columns, self.sums.len() / self.columns);
         let mut cells: Vec<Option<V>> =
             self.sums.iter().map(|(sum, n)| (*n as usize >= SIDE).then(|| *sum / *n as f32)).collect();
@@ -100,7 +102,7 @@ fn mean_of<V: Interpolate>(values: impl Iterator<Item = V>) -> Option<V> {
 
 impl<V: Interpolate> CellGrid<V> {
     /// The values along a row of pixels.
-    pub fn row(&self, y: usize, width: usize, out: &mut Vec<V>) {
+    pub(super) fn row(&self, y: usize, width: usize, out: &mut Vec<V>) {
         let p = ((y as f32 + 0.5) / SIDE as f32 - 0.5).clamp(0.0, (self.rows - 1) as f32);
         let top = (p as usize).min(self.rows.saturating_sub(2));
         let [above, below] = [top, (top + 1).min(self.rows - 1)].map(|row| &self.cells[row * self.columns..]);

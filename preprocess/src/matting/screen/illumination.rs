@@ -5,14 +5,15 @@ use super::grid::{CellGrid, CellSums};
 use crate::matting::colour::{Key, linear};
 use glam::Vec4;
 
-/// Linear colour and colour difference (`w`) of the screen, from the confident screen pixels of one frame; `None` where
-/// there are none.
+/// Linear colour and colour difference (`w`) of the screen, from the confident screen pixels of one
+/// frame; `None` where there are none.
 pub(crate) fn fit(rgb: &[u8], width: usize, key: &Key) -> Option<CellGrid<Vec4>> {
     let first = average(rgb, width, key, None)?;
     average(rgb, width, key, Some(&first))
 }
 
-/// Averages in cells what looks like the key's screen or, better, like the screen as it was found `before`.
+/// Averages in cells what looks like the key's screen or, better, like the screen as it was found
+/// `before`.
 fn average(rgb: &[u8], width: usize, key: &Key, before: Option<&CellGrid<Vec4>>) -> Option<CellGrid<Vec4>> {
     let height = rgb.len() / 3 / width;
     let (mut cells, mut row) = (CellSums::new(width, height), Vec::new());

@@ -1,4 +1,5 @@
-//! The screen: whether there is one, its light without the object, its shadows, and a frame measured against it.
+//! The screen: whether there is one, its light without the object, its shadows, and a frame
+//! measured against it.
 
 pub(crate) mod clean_plate;
 pub(crate) mod detect;
@@ -16,7 +17,8 @@ use detect::quantile;
 use glam::Vec3;
 use image::RgbImage;
 
-/// Light of the screen at one place, as a share of what it usually is there.
+/// Light of the screen at one place, as a share of what a first fit says. Source: chosen by hand,
+/// never measured.
 const SAME_LIGHT: std::ops::Range<f32> = 0.85..1.25;
 
 /// A frame, measured against the light of its empty screen.
@@ -35,7 +37,8 @@ pub(crate) struct Screen<'p> {
     pub shaded: BinaryMask<'p>,
 }
 
-/// Spread of the empty screen: of the smoothed share by its lower half-width, of luma and chroma by mean square.
+/// Spread of the empty screen: of the smoothed share by its lower half-width, of luma and chroma by
+/// mean square.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct ScreenNoise {
     pub share: f32,
@@ -45,7 +48,7 @@ pub(crate) struct ScreenNoise {
 
 impl<'p> Screen<'p> {
     /// Of a frame whose screen's light is found in itself; `None` where it cannot.
-    pub fn before_field(pool: &'p Pool, frame: &RgbImage, key: &Key) -> Option<Self> {
+    pub(super) fn before_field(pool: &'p Pool, frame: &RgbImage, key: &Key) -> Option<Self> {
         let (rgb, width) = (frame.as_raw(), frame.width() as usize);
         let field = illumination::fit(rgb, width, key)?;
         let (mut light, mut row) = (pool.filled(width, 0, Vec3::ZERO), Vec::new());
@@ -57,7 +60,7 @@ impl<'p> Screen<'p> {
     }
 
     /// Of a frame of a camera that stands still; what always stands there counts as screen.
-    pub fn before_plate(
+    pub(super) fn before_plate(
         pool: &'p Pool,
         frame: &RgbImage,
         key: &Key,
@@ -103,7 +106,7 @@ impl<'p> Screen<'p> {
     }
 
     /// How the empty screen scatters, now that its light is known.
-    pub fn noise(&self) -> ScreenNoise {
+    pub(super) fn noise(&self) -> ScreenNoise {
         let near = self.smoothed.iter().step_by(7).filter(|s| (0.8..1.2).contains(*s));
         let mut samples: Vec<f32> = near.map(|s| (s - 1.0).abs()).collect();
         // Of normal noise the median distance is this part of a standard deviation.
@@ -121,8 +124,9 @@ impl<'p> Screen<'p> {
         ScreenNoise { share, luma: luma / n, chroma: colour / n }
     }
 
-    /// The screen's light in the band, from the screen beside it: shadows have edges that coarse cells cannot follow.
-    pub fn measure_beside(&mut self, trimap: &Trimap, key: &Key) {
+    /// The screen's light in the band, from the screen beside it: shadows have edges that coarse
+    /// cells cannot follow.
+    pub(super) fn measure_beside(&mut self, trimap: &Trimap, key: &Key) {
         let rect = Rect::around(&trimap.not_screen, REACH);
         let mut weights = self.share.map(|_| 0.0);
         let mut sums = self.light.map(|_| Vec3::ZERO);

@@ -1,17 +1,20 @@
-//! Shadows and reflections on the screen: its light in this frame, as a factor on what it is without them.
+//! Shadows and reflections on the screen: its light in this frame, as a factor on what it is
+//! without them.
 
 use super::Screen;
 use super::grid::CellSums;
 use crate::matting::morphology::smooth;
 use crate::matting::pool::{BinaryMask, Raster};
 
-/// Light of a shadow and of a reflection, as a share of the screen's.
+/// Light of a shadow and of a reflection, as a share of the screen's. Source: `key_table`: without
+/// it the IoU of lego before blue falls by 0.0011, of the temple by 0.0016.
 const RANGE: std::ops::Range<f32> = 0.05..1.7;
 /// Least purity of screen in a shadow: colour difference by light, as a share of the screen's.
+/// Source: `key_table`: at 0.75 the IoU of case 3 falls by 0.0020.
 const PURITY: f32 = 0.9;
 
-/// Marks the screen in whatever light it is: its hue is the screen's, its light (`total`) any. What is mixed with the object
-/// is a band; what survives an opening is not.
+/// Marks the screen in whatever light it is: its hue is the screen's, its light (`total`) any. What
+/// is mixed with the object is a band; what survives an opening is not.
 pub(super) fn find<'p>(share: &Raster<'p, f32>, total: &Raster<'p, f32>) -> BinaryMask<'p> {
     let (share, total) = (smooth(share), smooth(&smooth(total)));
     let both = share.iter().zip(total.iter());
@@ -23,7 +26,8 @@ pub(super) fn find<'p>(share: &Raster<'p, f32>, total: &Raster<'p, f32>) -> Bina
 }
 
 impl Screen<'_> {
-    /// Brings `light`, `share` and `smoothed` to the light of this frame, measured where the screen is `shaded`.
+    /// Brings `light`, `share` and `smoothed` to the light of this frame, measured where the screen
+    /// is `shaded`.
     pub(super) fn take_out_shadows(&mut self) {
         let (width, height) = (self.share.width, self.share.height());
         let near_fixed = self.fixed.dilate(1);

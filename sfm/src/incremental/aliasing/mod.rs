@@ -16,13 +16,13 @@ use glam::{DQuat, DVec3};
 use scene::TwoViewGeometry;
 
 /// A pair farther from the model's or the averaged rotation than this is contradicted.
-/// Source: docs/decisions/0004.
+/// Source: docs/decisions/07.
 const CONTRADICTED_DEG: f64 = 15.0;
 /// The same while the rotations of the tree have not been averaged: what they may drift.
 /// Source: chosen by hand, never measured.
 const DRIFT_DEG: f64 = 35.0;
 /// Share of a pair's matches below which the model does not agree with it.
-/// Source: docs/decisions/0004 (contradicted by most of its matches); the share was chosen by hand.
+/// Source: docs/decisions/07 (contradicted by most of its matches); the share was chosen by hand.
 const MIN_AGREEING: f64 = 0.4;
 /// Sweeps of the averaging; it takes about the square of the longest chain.
 /// Source: derived: information passes one edge a sweep, so that 600 sweeps even out chains of 24.

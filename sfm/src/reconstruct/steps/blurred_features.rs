@@ -12,7 +12,7 @@ use scene::{Camera, Features, FrameSet, TwoViewGeometry};
 use std::collections::BTreeMap;
 
 /// Blur of the second set, standard deviation in pixels.
-/// Source: docs/decisions/0016.
+/// Source: docs/decisions/09.
 const BLUR: f32 = 1.4;
 /// Pairs of which it is tried first whether the blurred copies have matches enough.
 /// Source: chosen by hand, never measured.

@@ -17,15 +17,15 @@ use scene::decision::{Choice, Decision, Measurement, Quantity, Remark, Rule, Sub
 
 /// Farthest that a match may be from the line that the motion gives, pixels: cameras have motions
 /// of their own.
-/// Source: docs/decisions/0019.
+/// Source: docs/decisions/09.
 const BAND_PX: f64 = 8.0;
 /// Images farther apart than this hardly show the same, radians.
-/// Source: docs/decisions/0019.
+/// Source: docs/decisions/09.
 const FARTHEST: f64 = 0.9;
 /// Where most images share no more matches than this with any other, the pairs along the motion
 /// take the others' place. Above, pairs that are verified alone are the more exact ones, and the
 /// motion is for what they leave out.
-/// Source: docs/decisions/0019.
+/// Source: docs/decisions/09.
 const FEW: usize = 100;
 
 /// Matches and verifies the pairs of images near each other anew along the lines of a constant-step

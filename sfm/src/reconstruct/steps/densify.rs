@@ -19,7 +19,7 @@ use scene::{Camera, Features, Pose, TwoViewGeometry, TwoViewKind};
 use std::collections::HashSet;
 
 /// Images up to which it is worth its cost (some milliseconds a pair).
-/// Source: docs/decisions/0009.
+/// Source: docs/decisions/05.
 const UP_TO: usize = 30;
 /// Images that look farther apart than this share no points, radians.
 /// Source: chosen by hand, never measured.

@@ -16,14 +16,14 @@ use scene::FrameSet;
 use scene::decision::{Decision, Measurement, Quantity, Remark, Rule, Subject};
 
 /// An image with fewer observations than this is weakly constrained.
-/// Source: docs/decisions/0028.
+/// Source: docs/decisions/11.
 const FEW: usize = 200;
 /// Share of the images that must be so.
-/// Source: docs/decisions/0028.
+/// Source: docs/decisions/11.
 const WEAK: f64 = 0.1;
 /// The plane is looked at up to so often, each time from better poses: how far windows are looked
 /// for, squares.
-/// Source: docs/decisions/0028 (three to ten rounds are taken; three alone cost case 1 0.18° for
+/// Source: docs/decisions/11 (three to ten rounds are taken; three alone cost case 1 0.18° for
 /// 0.10°).
 const FARTHEST: [usize; 16] = [10, 6, 4, 4, 3, 3, 3, 3, 3, 3, 3, 3, 3, 3, 3, 3];
 /// Until what it shows is off by hardly less than the time before, as a share.
@@ -36,10 +36,10 @@ const MARGIN: f64 = 0.1;
 /// Standard deviation of its observations, as a share of what residuals say: those of features err
 /// together, and by twice as much as residuals show at least, while what all images show in common
 /// errs with none of them.
-/// Source: docs/decisions/0007 (variances are too small by 2 to 6).
+/// Source: docs/decisions/08 (variances are too small by 2 to 6).
 const TRUST: f64 = 0.5;
 /// Share of the plane's observations that the adjusted model must keep.
-/// Source: docs/decisions/0028.
+/// Source: docs/decisions/11.
 const KEPT: f64 = 0.6;
 /// The median length of an error of two normal coordinates, in standard deviations.
 /// Source: the median of the Rayleigh distribution, `√(2 ln 2)`.

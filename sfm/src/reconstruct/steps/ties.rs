@@ -16,7 +16,7 @@ pub(super) const STRONG_TIE: usize = 300;
 /// Source: the default of `--max-features`.
 const FEATURES_OF_TIES: usize = 4096;
 /// Share of the images that must be weakly tied for other ways to match them to be looked for.
-/// Source: docs/decisions/0016.
+/// Source: docs/decisions/09.
 const WEAK_SHARE: f64 = 0.5;
 /// [`STRONG_TIE`] where fewer features are asked for: fewer matches hold an image then as firmly as
 /// that allows.
