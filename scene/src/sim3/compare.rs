@@ -199,6 +199,7 @@ mod tests {
     use super::*;
     use crate::sim3::Sim3;
     use crate::{Camera, CameraModel, Pose};
+    use glam::DQuat;
 
     fn ring(n: u32) -> Reconstruction {
         let mut model = Reconstruction::default();
