@@ -1,7 +1,7 @@
 //! Whether photos show a turn about one axis, an orbit or neither.
 
 use super::config::Motion;
-use super::evidence::Comparison;
+use super::evidence::MotionComparison;
 use super::job::{FreeModel, MotionInput};
 use super::limits::{FINAL_ROUNDS, WHOLE};
 use super::model::CircularContext;
@@ -83,14 +83,14 @@ fn compare(
     let context = job.context(&[]);
     let freedom = base.map(|f| f.intrinsics).or(solved.as_ref().map(|s| s.intrinsics));
     let comparison = match freedom {
-        Some(freedom) => Comparison::of(single, state, &context, freedom)?,
+        Some(freedom) => MotionComparison::of(single, state, &context, freedom)?,
         None => None,
     };
     evidence = with_comparison(evidence, comparison.as_ref());
     if matches!(motion, Motion::SingleAxis | Motion::Orbit) {
         evidence.rule = Rule::Requested;
     }
-    let choice = comparison.as_ref().map_or(MotionModel::Free, Comparison::choice);
+    let choice = comparison.as_ref().map_or(MotionModel::Free, MotionComparison::choice);
     let fewer = solved.is_some() && images < free.map_or(0, |f| f.state.registered_count());
     let is_single = motion == Motion::SingleAxis || (choice == MotionModel::SingleAxis && !fewer);
     if let Some(solved) = solved.filter(|_| is_single) {
@@ -119,7 +119,7 @@ pub(crate) fn motion_decision(rule: Rule) -> Decision {
 }
 
 /// The evidence with what the comparison of motions says.
-pub(crate) fn with_comparison(evidence: Decision, comparison: Option<&Comparison>) -> Decision {
+pub(crate) fn with_comparison(evidence: Decision, comparison: Option<&MotionComparison>) -> Decision {
     match comparison {
         Some(comparison) => evidence.absorbing(comparison.describe()),
         None => Decision { rule: Rule::TooFewObservations, ..evidence },

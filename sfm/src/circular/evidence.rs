@@ -48,7 +48,7 @@ pub(crate) struct MotionScore {
 
 /// All assumptions on the same observations, the simplest first; the last is the free motion.
 #[derive(Clone, Debug)]
-pub(crate) struct Comparison {
+pub(crate) struct MotionComparison {
     pub verdicts: Vec<MotionScore>,
     /// Standard deviation of one residual coordinate under the free motion, pixels.
     pub sigma_px: f64,
@@ -62,7 +62,7 @@ pub(crate) struct Comparison {
     price: f64,
 }
 
-impl Comparison {
+impl MotionComparison {
     /// Adjusts the observations of `base` (some model of the same images) under each assumption; one axis where there is a
     /// model about one. `None` where there are too few observations.
     pub fn of(

@@ -1,6 +1,6 @@
 //! Which motion the evidence finds, on exact scenes.
 
-use super::evidence::Comparison;
+use super::evidence::MotionComparison;
 use super::initialize::key_frames::VideoTracks;
 use super::orbit;
 use super::tests::{Filmed, Turntable};
@@ -16,7 +16,7 @@ use scene::{CameraModel, Pose, Progress};
 
 /// What is found of true poses seen with 0.2 px of noise; the model of free poses, and that of an
 /// orbit.
-fn found(table: &Turntable, seed: u64) -> (Comparison, MapState, Option<MapState>) {
+fn found(table: &Turntable, seed: u64) -> (MotionComparison, MapState, Option<MapState>) {
     let filmed = Filmed::new(table.poses.len(), table.camera.clone(), false);
     let material = VideoTracks::of_klt(&table.tracks(0.2, seed), table.poses.len());
     let video = filmed.video();
@@ -30,7 +30,7 @@ fn found(table: &Turntable, seed: u64) -> (Comparison, MapState, Option<MapState
     let job = filmed.job(&input, cameras);
     let context = job.context(&[]);
     let intrinsics = FreeIntrinsics { model: CameraModel::SimpleRadial, principal_point: false, held: None };
-    let comparison = Comparison::of(None, &state, &context, intrinsics).unwrap().unwrap();
+    let comparison = MotionComparison::of(None, &state, &context, intrinsics).unwrap().unwrap();
     let (free, priors) = crate::incremental::growth::freedom(cameras, known, cameras, usize::MAX);
     adjust(&mut state, &input, &Adjustment::growing(free, priors), &Progress::silent()).unwrap();
     let circled = orbit::adjust(&state, &context, intrinsics, comparison.orbit_sigma).unwrap();

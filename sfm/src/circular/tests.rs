@@ -1,4 +1,4 @@
-use super::evidence::Comparison;
+use super::evidence::MotionComparison;
 use super::initialize::key_frames::{VideoTracks, drop_stationary};
 use super::job::{MotionInput, VideoJob};
 use super::limits::FINAL_ROUNDS;
@@ -138,7 +138,7 @@ impl Filmed {
 pub(super) fn solve(
     table: &Turntable,
     tracks: Vec<KltTrack>,
-) -> Result<(AxisModel, Option<Comparison>), String> {
+) -> Result<(AxisModel, Option<MotionComparison>), String> {
     solve_from(table, tracks, Camera::centred(1, CameraModel::SimpleRadial, 640, 480, 768.0), false)
 }
 
@@ -148,7 +148,7 @@ pub(super) fn solve_from(
     mut tracks: Vec<KltTrack>,
     camera: Camera,
     fixed: bool,
-) -> Result<(AxisModel, Option<Comparison>), String> {
+) -> Result<(AxisModel, Option<MotionComparison>), String> {
     let filmed = Filmed::new(table.poses.len(), camera, fixed);
     drop_stationary(&mut tracks);
     let job = filmed.video();
@@ -160,11 +160,11 @@ pub(super) fn solve_from(
     let context = job.context(&[]);
     let solved = ChosenModel::adjust(&context, &job, &starts, grown.turn, FINAL_ROUNDS).unwrap();
     let ChosenModel { model, intrinsics, .. } = solved.ok_or("no model")?;
-    let comparison = Comparison::of(Some(&model), &model.state, &context, intrinsics).unwrap();
+    let comparison = MotionComparison::of(Some(&model), &model.state, &context, intrinsics).unwrap();
     Ok((model, comparison))
 }
 
-pub(super) fn favours_single(comparison: Option<Comparison>) {
+pub(super) fn favours_single(comparison: Option<MotionComparison>) {
     let comparison = comparison.unwrap();
     assert!(comparison.favours_single(), "{:?}", comparison.describe());
 }

@@ -4,7 +4,7 @@
 use super::angle_process::{LearntMotion, learn_motion};
 use super::choose::{motion_decision, with_comparison};
 use super::config::Motion;
-use super::evidence::Comparison;
+use super::evidence::MotionComparison;
 use super::initialize::best_start::{SeedCameras, best_start};
 use super::initialize::key_frames::{KeyFrames, VideoTracks, drop_stationary};
 use super::initialize::video_seed::VideoStart;
@@ -204,7 +204,7 @@ impl<'a> VideoData<'a> {
         let input = self.job.input(&self.material);
         let (job, priors) = (self.motion_input(&input), self.priors());
         let ChosenModel { model, intrinsics, .. } = &judged.chosen;
-        let comparison = Comparison::of(Some(model), &model.state, &job.context(&priors), *intrinsics)?;
+        let comparison = MotionComparison::of(Some(model), &model.state, &job.context(&priors), *intrinsics)?;
         let evidence = motion_decision(Rule::Evidence).with_all(followed.counts);
         let evidence = with_comparison(evidence.absorbing(judged.closure.clone()), comparison.as_ref());
         let (registered, frames) = (model.state.registered_count(), self.job.frames.len());

@@ -6,7 +6,7 @@ use scene::{FrameSet, Progress};
 
 /// Where features come from, and so what may be read from the images.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) enum FeatureSource {
+pub(crate) enum FeatureOrigin {
     /// They are found in the images, which may be read again.
     Images,
     /// They were supplied; the images are read for the points' colours alone.
@@ -19,14 +19,14 @@ pub(crate) enum FeatureSource {
 pub(crate) struct StepContext<'a> {
     pub frames: &'a FrameSet,
     pub config: &'a SfmConfig,
-    pub source: FeatureSource,
+    pub source: FeatureOrigin,
     pub progress: &'a Progress,
 }
 
 impl<'a> StepContext<'a> {
     /// The images, where more may be taken from them than colours.
     pub(crate) fn images(&self) -> Option<&'a FrameSet> {
-        (self.source == FeatureSource::Images).then_some(self.frames)
+        (self.source == FeatureOrigin::Images).then_some(self.frames)
     }
 
     /// Whether a step or a part of one is left out.

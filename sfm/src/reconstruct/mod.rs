@@ -15,7 +15,7 @@ pub use posed::triangulate_given;
 
 use crate::matching::PairMatches;
 use crate::{SfmConfig, SfmError, SfmResult};
-use context::{FeatureSource, StepContext};
+use context::{FeatureOrigin, StepContext};
 use model::SfmModel;
 use scene::{Features, FrameSet, Progress};
 
@@ -49,7 +49,7 @@ pub fn reconstruct_from(
     progress: &Progress,
 ) -> Result<SfmResult, SfmError> {
     let supplied = supplied.unwrap_or_default();
-    let source = if supplied.features.is_some() { FeatureSource::Supplied } else { FeatureSource::Images };
+    let source = if supplied.features.is_some() { FeatureOrigin::Supplied } else { FeatureOrigin::Images };
     solve(supplied, &StepContext { frames, config, source, progress })
 }
 
@@ -62,7 +62,7 @@ pub fn reconstruct_features(
     progress: &Progress,
 ) -> Result<SfmResult, SfmError> {
     let supplied = Supplied { features: Some(features), matches: None };
-    solve(supplied, &StepContext { frames, config, source: FeatureSource::WithoutImages, progress })
+    solve(supplied, &StepContext { frames, config, source: FeatureOrigin::WithoutImages, progress })
 }
 
 fn solve(supplied: Supplied, context: &StepContext<'_>) -> Result<SfmResult, SfmError> {

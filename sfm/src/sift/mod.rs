@@ -3,6 +3,7 @@
 //! range and noise, so that a dark image is not an empty one.
 
 mod blur;
+mod candidate;
 mod config;
 mod describe;
 mod detect;
@@ -17,6 +18,7 @@ pub use config::{Doubling, SiftConfig};
 
 use crate::SfmError;
 use blur::LumaPlane;
+use candidate::Candidate;
 use describe::DescriptorTables;
 use image::GrayImage;
 use noise::ImageStatistics;
@@ -29,18 +31,6 @@ use std::sync::{Mutex, PoisonError};
 
 /// The smallest side of an octave that is still searched, samples.
 const MIN_OCTAVE_SIDE: usize = 16;
-
-/// A keypoint in the samples of its octave and level, with what selection needs.
-#[derive(Clone, Copy, Debug)]
-struct Candidate {
-    keypoint: Keypoint,
-    strength: f32,
-    octave: u32,
-    level: u32,
-    x: f32,
-    y: f32,
-    sigma: f32,
-}
 
 /// Features of a one-channel image with values in [0, 1] (samples that are not finite count as 0).
 ///

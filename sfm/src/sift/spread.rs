@@ -1,6 +1,6 @@
 //! Which keypoints stay when there are too many: the strongest of every part of the image.
 
-use super::Candidate;
+use super::candidate::Candidate;
 
 /// Cells a side of the grid over the image.
 const CELLS: usize = 16;

@@ -1,6 +1,6 @@
 use super::*;
 use crate::plane_tracks::tests::{CAMERAS, Room};
-use crate::reconstruct::context::FeatureSource;
+use crate::reconstruct::context::FeatureOrigin;
 use crate::reconstruct::setup::Setup;
 use crate::{Knowledge, SfmConfig};
 use scene::{Pose, Progress};
@@ -26,7 +26,7 @@ fn outcome(name: &str, spoil: impl Fn(&Room)) -> (Room, Vec<Option<Pose>>, SfmMo
     let room = Room::new(name, 1.0, 0.05);
     spoil(&room);
     let (config, progress) = (SfmConfig::default(), Progress::silent());
-    let source = FeatureSource::Images;
+    let source = FeatureOrigin::Images;
     let context = StepContext { frames: &room.frames, config: &config, source, progress: &progress };
     let model = alone(&room, &context, OFF);
     let before = model.state.poses.clone();
@@ -81,7 +81,7 @@ fn images_that_show_other_floors_are_not_used() {
 fn nothing_is_asked_where_images_may_not_be_read_or_have_masks() {
     let mut room = Room::new("unread", 1.0, 0.0);
     let (config, progress) = (SfmConfig::default(), Progress::silent());
-    for source in [FeatureSource::Supplied, FeatureSource::Images] {
+    for source in [FeatureOrigin::Supplied, FeatureOrigin::Images] {
         let context = StepContext { frames: &room.frames, config: &config, source, progress: &progress };
         let model = alone(&room, &context, 0.0);
         let features: usize = model.keypoints.iter().map(Vec::len).sum();

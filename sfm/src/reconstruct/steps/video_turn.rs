@@ -2,14 +2,14 @@
 //! from followed points, without any of the other steps.
 
 use crate::circular::{Motion, VideoJob, solve_video};
-use crate::reconstruct::context::{FeatureSource, StepContext};
+use crate::reconstruct::context::{FeatureOrigin, StepContext};
 use crate::reconstruct::model::{SfmModel, StepResult};
 
 /// Solves for a turn, where the frames are a video's and nothing was supplied.
 pub(super) fn run(mut model: SfmModel, context: &StepContext<'_>) -> StepResult {
     let StepContext { frames, config, source, progress } = *context;
     let wanted = matches!(config.motion.motion, Motion::Auto | Motion::SingleAxis);
-    if !frames.is_video || !wanted || source != FeatureSource::Images || model.matches.is_some() {
+    if !frames.is_video || !wanted || source != FeatureOrigin::Images || model.matches.is_some() {
         return Ok((model, Vec::new()));
     }
     let (cameras, camera_of, known) = (&model.setup.cameras, &model.setup.camera_of, &model.setup.known);
