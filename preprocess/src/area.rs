@@ -3,8 +3,7 @@
 use image::{ImageBuffer, Pixel};
 
 /// Most pixels in a block whose mean [`whole_means`] takes.
-/// Source: derived; up to 64 the reciprocal in 1/65536 gives each sum of bytes its mean to the level, and sums
-/// of columns stay below 2¹⁶.
+/// Source: derived; sums of 64 bytes and of the rows of a block stay below 2¹⁶.
 const WHOLE_LIMIT: usize = 64;
 /// What the place of a border between pixels may be off by rounding, pixels.
 /// Source: derived; f64 places up to 2¹⁶ are exact to 2⁻³⁶, and a share of 10⁻⁶ of a pixel changes no level.
@@ -54,7 +53,6 @@ where
 /// Means of blocks of `factors` pixels, of lines of `width` pixels of `C` channels.
 fn whole_means<const C: usize>(image: &[u8], width: usize, factors: (usize, usize)) -> Vec<u8> {
     let count = (factors.0 * factors.1) as u32;
-    let reciprocal = (1_u32 << 16).div_ceil(count);
     let mut sums = vec![0_u16; C * width];
     let mut out = Vec::with_capacity(image.len() / count as usize);
     for rows in image.chunks_exact(C * width * factors.1) {
@@ -67,7 +65,7 @@ fn whole_means<const C: usize>(image: &[u8], width: usize, factors: (usize, usiz
             for pixel in block.chunks_exact(C) {
                 total.iter_mut().zip(pixel).for_each(|(t, v)| *t += u32::from(*v));
             }
-            out.extend_from_slice(&total.map(|t| ((t * reciprocal) >> 16) as u8));
+            out.extend_from_slice(&total.map(|t| (t / count) as u8));
         }
     }
     out

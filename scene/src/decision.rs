@@ -1,5 +1,5 @@
 //! Decisions that a run makes by itself: what was decided, between which alternatives, by which
-//! numbers. They are kept as data; [`sentences`] is the one place that turns them into English.
+//! numbers. They are kept as data; `sentences` is the one place that turns them into English.
 //!
 //! ```
 //! use scene::decision::{Choice, Decision, Measurement, MotionModel, Quantity, Rule, Subject};

@@ -60,7 +60,7 @@ impl FloatImage {
     }
 }
 
-/// Grey values of a depth map, near bright: from 1 at the nearest to [`FARTHEST_SHADE`] at the
+/// Grey values of a depth map, near bright: from 1 at the nearest to `FARTHEST_SHADE` at the
 /// farthest depth; 0 where less than half of a pixel is covered. `alpha`: coverage of each pixel, 0
 /// to 1.
 pub fn depth_shades(depth: &[f32], alpha: &[f32]) -> Vec<f32> {

@@ -71,7 +71,7 @@ fn our_own_database_gives_the_same_poses_again_and_its_features_alone_do_too() {
         let again = dir.join(name);
         let base = ["sfm", text(&video), "-o", text(&again), "--frames", "18", "--motion", "free"];
         let said = expect_code(&[&base[..], &["--database", text(&database), "-v"], more].concat(), 0);
-        assert!(said.contains("features: from the database"), "{said}");
+        assert!(said.contains("Features: from the database"), "{said}");
         // Verification begins with the cameras of the database, so other matches pass. The
         // principal point across the orbit is known to 2 px of 400 (run.json's deviations), and its
         // error turns all cameras alike: 3 sigma of a difference.
