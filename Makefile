@@ -14,7 +14,7 @@ SAT_RECON := $(TARGET)/release/sat-recon
 VENV := $(CACHE)/venv
 SHARED := $(or $(SAT_RECON_SHARED),../shared)
 
-.PHONY: help setup viewer build demo test neon lint bench tables bench-gpu compare benchmarks-page oracle testbed site \
+.PHONY: help setup viewer build demo test neon lint same-bytes bench tables bench-gpu compare benchmarks-page oracle testbed site \
   tutorial-pictures
 help:  ## this list
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed 's/:.*##/\t/' | expand -t 20
@@ -47,8 +47,12 @@ neon:  ## the trainer's kernels as compiled for ARM (NEON) against the reference
 	cargo test -p splat --no-default-features --target $(ARM) --locked --lib -- \
 	    parity::kernels parity::pictures parity::adam parity::scores parity::steps parity::extreme --skip two_hundred --skip ten_thousand --skip hundred_thousand
 
-lint: setup  ## formatting, clippy, file and function lengths, borders between crates
-	@tools/lint.sh
+lint: setup  ## formatting, clippy, lengths, imports, sources of constants, borders between crates
+	@tools/setup.sh python3; tools/lint.sh
+
+same-bytes: build  ## results of this program against those recorded for BASE (a commit), on this machine
+	@tools/setup.sh python3
+	python3 tools/same_bytes.py $(SAT_RECON) $(SHARED) --out build/same_bytes $(if $(BASE),--against $(BASE))
 
 EXAMPLES := ring_growth key_table features_table ablation step_cost growth
 bench: build  ## all benchmarks on real data, and docs/benchmarks.md from their results (hours)

@@ -1,5 +1,6 @@
 #!/usr/bin/env bash
-# Formatting, clippy, lengths of files and functions, and the borders between the crates.
+# Formatting, clippy, lengths of files and functions, imports, sources of constants, and the borders
+# between the crates.
 set -euo pipefail
 cd "$(dirname "$0")/.."
 fail=0
@@ -12,6 +13,9 @@ RUSTDOCFLAGS="-D warnings" cargo doc --workspace --no-deps --locked --quiet || c
 while read -r lines file; do
   [ "$lines" -gt 500 ] && complain "$file has $lines lines; 500 is the most"
 done < <(git ls-files '*.rs' '*.wgsl' '*.cc' '*.h' '*.py' '*.sh' '*.js' '*.ts' | xargs wc -l | grep -v ' total$')
+
+python3 tools/structure.py --check || complain "the structure has got worse"
+python3 tools/benchmarks_page.py docs/results --out docs/benchmarks.md --check || complain "docs/benchmarks.md is not what docs/results says"
 
 # The stage crates know `scene` and nothing of each other; native libraries stay in their corner.
 for crate in scene preprocess sfm splat; do

@@ -46,8 +46,6 @@ quantities! {
     Bic = ("BIC", Plain(0)),
     /// By how much BIC is lower than that of what it is compared with.
     BicMargin = ("BIC margin", Signed(0)),
-    /// Both margins together, standard deviations over the images.
-    Significance = ("significance", Of("standard deviations", 1)),
     /// Root mean square error of observations that were held out, pixels.
     HeldOutError = ("held-out error", Of("px", 3)),
     /// Decrease of the held-out squared error an observation, in variances of the noise.

@@ -168,7 +168,11 @@ pub fn choose(
             }
         }
         let found = Comparison::new(&trial.score, &best.score);
-        let better = found.is_preferred() && context.determined(&trial)?;
+        let better = if parameters(intrinsics) < parameters(best.intrinsics) {
+            found.prefers_simpler()
+        } else {
+            found.prefers_richer() && context.determined(&trial)?
+        };
         let mut alternative = trial.as_alternative(better);
         alternative.scores.extend(found.measurements());
         decision.alternatives.push(alternative);
@@ -231,7 +235,7 @@ pub fn choose_rotated(
     let bits = 2.0 * std::f64::consts::LN_2 * ways[way].poses.len() as f64;
     let mut found = Comparison::new(&choice.score, &untouched.score);
     found.margin -= bits;
-    let better = found.is_preferred();
+    let better = found.prefers_rotated();
     let bic = |bic| Measurement::new(Quantity::Bic, bic);
     let alternatives = vec![
         Alternative {

@@ -33,7 +33,7 @@ pub(crate) fn free_principal_point(
     let again = context.trial(&free.gone_back_to(&held), now)?;
     let held = if again.score.bic < held.score.bic { again } else { held };
     let found = Comparison::new(&free.score, &held.score);
-    let taken = found.is_preferred() && context.determined(&free)?;
+    let taken = found.prefers_richer() && context.determined(&free)?;
     let decision = Decision::new(Subject::CameraModelWithPlane, whole.choice(), Rule::Evidence).compared(
         now.choice(),
         !taken,

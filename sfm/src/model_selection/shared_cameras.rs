@@ -23,7 +23,7 @@ pub(crate) fn groups_differ(
     };
     let (one, several) = (adjusted(together)?, adjusted(apart)?);
     let found = Comparison::new(&several.score, &one.score);
-    let differ = found.is_preferred();
+    let differ = found.prefers_richer();
     let mut apart = group_alternative(&several, differ);
     apart.scores.extend(found.measurements());
     Ok((differ, vec![apart, group_alternative(&one, !differ)]))
