@@ -18,7 +18,7 @@ POSES = [
     ("centre median / max, %", "{centre_median_pct:.3f} / {centre_max_pct:.3f}"),
     ("CPU s", "{cpu_s:.1f}"), ("wall s", "{wall_s:.1f}"), ("peak MiB", "{peak_mib:.0f}"),
 ]
-STEPS = ["matching", "verification", "mapping", "camera model", "final adjustment", "covariance"]
+STEPS = ["matching", "verification", "mapping", "camera-model", "final-adjustment", "covariance"]
 SPLATS = [
     ("input", "{input}"), ("setting", "{setting}"), ("PSNR / SSIM", "{psnr:.2f} / {ssim:.4f}"),
     ("worst view", "{psnr_worst:.2f}"), ("Gaussians", "{gaussians:,}"), ("wall s", "{wall_s:.1f}"),
