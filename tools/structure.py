@@ -26,9 +26,9 @@ LIMITS = {
     "numeric constants without a source": 90,
     "comments that are too wide": 341,
     "type names defined more than once": 0,
-    "numeric constants per 1000 lines": 12.5,
+    "numeric constants per 1000 lines": 12.6,
     "closures with a name per 1000 lines": 4.1,
-    "public items": 911,
+    "public items": 912,
 }
 NUMBER = r"(?:[fiu](?:8|16|32|64|128|size)|D?(?:Vec|Mat)[234]|Duration|NonZero\w+)"
 CONSTANT = re.compile(rf"^\s*(?:pub(?:\([^)]*\))? )?(?:const|static) ([A-Z][A-Z0-9_]*): (?:&(?:'static )?)?[\[(]*(?:&(?:'static )?)?{NUMBER}\b")
