@@ -38,6 +38,10 @@ TABLES = {
         ("input", "{input}"), ("registered", "{registered} of {total}"), ("motion", "{motion}"),
         ("steps", "{step_mean_deg:.4f}°"), ("standard deviation", "{step_sd_deg:.4f}°"), ("CPU s", "{cpu_s:.1f}"),
     ],
+    "skips": [
+        ("input", "{input}"), ("left out", "{skipped}"), ("registered", "{registered} of {total}"), ("AUC@1", "{auc_1:.1f}"),
+        ("steps, sd", "{step_sd_deg:.4f}°"), ("change", "{change:+.2f}"), ("5 seeds", "{low:.1f} to {high:.1f}"), ("CPU s", "{cpu_s:.1f}"),
+    ],
     "dino": [
         ("registered", "{registered} of {total}"), ("pairs of observations", "{pairs}"),
         ("symmetric epipolar error, mean / median, px", "{error_mean_px:.3f} / {error_median_px:.3f}"),
