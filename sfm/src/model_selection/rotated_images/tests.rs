@@ -1,9 +1,10 @@
 use super::*;
-use crate::Knowledge;
-use crate::bundle::free_parameters;
+use crate::bundle::{BundleObservation, SolveOptions, free_parameters};
 use crate::solvers::essential_from_pose;
+use glam::{DMat3, DVec2, DVec3};
 use rand::Rng as _;
 use scene::rng::rng;
+use scene::{Camera, CameraModel, Pose, TwoViewGeometry};
 
 const MODELS: [CameraModel; 3] = [CameraModel::SimplePinhole, CameraModel::Radial, CameraModel::Opencv];
 

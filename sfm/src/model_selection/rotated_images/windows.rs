@@ -2,7 +2,7 @@
 //! answers are joined where the windows overlap. What two images that share no points say about each other is little,
 //! and the joint information of all would grow with the square of their number.
 
-use super::{FEWEST_IMAGES, OffsetLikelihood};
+use super::offsets::{FEWEST_IMAGES, OffsetLikelihood};
 use crate::SfmError;
 use crate::bundle::{BundleObservation, BundleProblem};
 use scene::Progress;
