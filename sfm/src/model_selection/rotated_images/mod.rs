@@ -14,17 +14,14 @@ mod windows;
 pub use rotate::{rotate_camera, rotate_geometry, rotate_pixel, rotate_pose, rotate_problem};
 
 use crate::bundle::BundleProblem;
+use crate::limits::{FEWEST_VIEWS, JOINT_IMAGES};
 use crate::{Knowledge, SfmError};
-use offsets::{FEWEST_IMAGES, OffsetLikelihood};
+use offsets::OffsetLikelihood;
 use scene::Progress;
-
-/// Images of a camera beyond which they are asked in windows.
-/// Source: docs/decisions/06; the joint information of n principal points costs the cube of n.
-const JOINT_IMAGES: usize = 100;
 
 /// How many of `images` images are asked together.
 pub fn group_size(images: usize) -> usize {
-    if images > JOINT_IMAGES { windows::WINDOW } else { images }
+    images.min(JOINT_IMAGES)
 }
 
 /// Which poses of an adjusted problem may be those of images that were rotated: some assignments,
@@ -43,7 +40,7 @@ pub fn suspects(
     for (camera, known) in known.iter().enumerate() {
         let of_camera = |&p: &usize| problem.pose_camera[p] as usize == camera;
         let poses: Vec<usize> = (0..problem.poses.len()).filter(of_camera).collect();
-        if known.fixed || poses.len() < FEWEST_IMAGES {
+        if known.fixed || poses.len() < 2 * FEWEST_VIEWS {
             continue;
         }
         let splits: Vec<Vec<bool>> = if poses.len() > JOINT_IMAGES {

@@ -1,6 +1,6 @@
 //! What changes where an image is rotated by 180°: pixels, poses, cameras and pairs.
 
-use crate::bundle::{BundleObservation, BundleProblem};
+use crate::bundle::BundleProblem;
 use glam::{DMat3, DQuat, DVec2, DVec3};
 use scene::{Camera, CameraModel, Pose, TwoViewGeometry};
 
@@ -15,7 +15,8 @@ pub fn rotate_pose(pose: &Pose) -> Pose {
     Pose { rotation: (turn * pose.rotation).normalize(), translation: turn * pose.translation }
 }
 
-/// The camera of the rotated image: principal point mirrored, tangential distortion of the other sign.
+/// The camera of the rotated image: principal point mirrored, tangential distortion of the other
+/// sign.
 pub fn rotate_camera(camera: &Camera) -> Camera {
     let mut rotated = camera.clone();
     let n = camera.model.num_focals();
@@ -29,18 +30,16 @@ pub fn rotate_camera(camera: &Camera) -> Camera {
 
 /// The geometry of a pair of which the first, the second or both images are rotated.
 pub fn rotate_geometry(geometry: &mut TwoViewGeometry, cameras: [&Camera; 2], rotated: [bool; 2]) {
-    let of_pixels = |i: usize| {
-        let (w, h) = (f64::from(cameras[i].width), f64::from(cameras[i].height));
-        let matrix = DMat3::from_cols(-DVec3::X, -DVec3::Y, DVec3::new(w, h, 1.0));
-        if rotated[i] { matrix } else { DMat3::IDENTITY }
-    };
-    let of_rays = |i: usize| {
-        if rotated[i] { DMat3::from_diagonal(DVec3::new(-1.0, -1.0, 1.0)) } else { DMat3::IDENTITY }
-    };
     // Each of these matrices is its own inverse.
-    geometry.f = geometry.f.map(|f| of_pixels(1).transpose() * f * of_pixels(0));
-    geometry.h = geometry.h.map(|h| of_pixels(1) * h * of_pixels(0));
-    geometry.e = geometry.e.map(|e| of_rays(1) * e * of_rays(0));
+    let (mut pixels, mut rays) = ([DMat3::IDENTITY; 2], [DMat3::IDENTITY; 2]);
+    for i in (0..2).filter(|&i| rotated[i]) {
+        let (w, h) = (f64::from(cameras[i].width), f64::from(cameras[i].height));
+        pixels[i] = DMat3::from_cols(-DVec3::X, -DVec3::Y, DVec3::new(w, h, 1.0));
+        rays[i] = DMat3::from_diagonal(DVec3::new(-1.0, -1.0, 1.0));
+    }
+    geometry.f = geometry.f.map(|f| pixels[1].transpose() * f * pixels[0]);
+    geometry.h = geometry.h.map(|h| pixels[1] * h * pixels[0]);
+    geometry.e = geometry.e.map(|e| rays[1] * e * rays[0]);
     geometry.b_from_a = geometry.b_from_a.map(|pose| {
         let own = if rotated[1] { rotate_pose(&pose) } else { pose };
         let before = if rotated[0] { rotate_pose(&Pose::IDENTITY) } else { Pose::IDENTITY };
@@ -54,10 +53,9 @@ pub fn rotate_problem(problem: &BundleProblem, rotated: &[bool]) -> BundleProble
     for (pose, _) in result.poses.iter_mut().zip(rotated).filter(|(_, t)| **t) {
         *pose = rotate_pose(pose);
     }
-    let turn = |o: &mut BundleObservation| {
+    for o in result.observations.iter_mut().filter(|o| rotated[o.pose as usize]) {
         let camera = &problem.cameras[problem.pose_camera[o.pose as usize] as usize];
         o.pixel = rotate_pixel(camera, o.pixel);
-    };
-    result.observations.iter_mut().filter(|o| rotated[o.pose as usize]).for_each(turn);
+    }
     result
 }
