@@ -19,6 +19,7 @@ mod global;
 mod incremental;
 pub mod klt;
 mod knowledge;
+mod limits;
 pub mod matching;
 mod model_selection;
 mod pairs;

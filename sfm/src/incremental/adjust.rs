@@ -2,7 +2,7 @@
 
 use super::state::{MapState, MappingInput};
 use crate::SfmError;
-use crate::bundle::{BundleObservation, BundleProblem, IntrinsicsPrior, RobustLoss, SolveOptions};
+use crate::bundle::{BundleObservation, BundleProblem, IntrinsicsPrior, SolveOptions};
 use scene::{Camera, Pose, Progress};
 use std::collections::HashMap;
 
@@ -24,13 +24,7 @@ pub(crate) struct Adjustment {
 impl Adjustment {
     /// While the model grows: rough, robust.
     pub(crate) fn growing(free: Vec<Vec<bool>>, priors: Vec<IntrinsicsPrior>) -> Self {
-        let solve = SolveOptions {
-            loss: RobustLoss::SoftL1(1.0),
-            max_iterations: 20,
-            function_tolerance: 1e-4,
-            ..SolveOptions::default()
-        };
-        Self { free, priors, moving: None, points_per_image: None, solve }
+        Self { free, priors, moving: None, points_per_image: None, solve: SolveOptions::rough() }
     }
 }
 
@@ -91,13 +85,14 @@ pub(crate) fn select(state: &MapState, input: &MappingInput<'_>, what: &Adjustme
     let mut images = state.order.clone();
     images.sort_unstable();
     let index: HashMap<usize, u32> = images.iter().copied().zip(0..).collect();
-    let moves = |image: usize| what.moving.as_ref().is_none_or(|m| m.contains(&image));
+    let mut moves = vec![what.moving.is_none(); state.poses.len()];
+    what.moving.iter().flatten().for_each(|&image| moves[image] = true);
     let candidates: Vec<u32> = match &what.moving {
         Some(moving) => state.seen_by(moving),
         None => state.live().map(|(id, _)| id).collect(),
     };
     let points = match what.points_per_image {
-        Some(wanted) => covering_points(state, candidates, wanted, moves),
+        Some(wanted) => covering_points(state, candidates, wanted, &moves),
         None => candidates,
     };
     let mut problem = BundleProblem {
@@ -106,7 +101,7 @@ pub(crate) fn select(state: &MapState, input: &MappingInput<'_>, what: &Adjustme
         priors: what.priors.clone(),
         poses: images.iter().map(|&i| state.poses[i].unwrap_or(Pose::IDENTITY)).collect(),
         pose_camera: images.iter().map(|&i| input.camera_of[i] as u32).collect(),
-        pose_constant: images.iter().map(|&i| !moves(i)).collect(),
+        pose_constant: images.iter().map(|&i| !moves[i]).collect(),
         ..BundleProblem::default()
     };
     for &id in &points {
@@ -126,12 +121,7 @@ pub(crate) fn select(state: &MapState, input: &MappingInput<'_>, what: &Adjustme
 
 /// The longest tracks first, until every image that `moves` sees `wanted` of the chosen points or
 /// has no more.
-fn covering_points(
-    state: &MapState,
-    candidates: Vec<u32>,
-    wanted: usize,
-    moves: impl Fn(usize) -> bool,
-) -> Vec<u32> {
+fn covering_points(state: &MapState, candidates: Vec<u32>, wanted: usize, moves: &[bool]) -> Vec<u32> {
     let mut ranked: Vec<(usize, u32)> = Vec::with_capacity(candidates.len());
     for id in candidates {
         ranked.push((state.points[id as usize].as_ref().map_or(0, |p| p.views.len()), id));
@@ -141,7 +131,7 @@ fn covering_points(
     let mut chosen = Vec::new();
     for (_, id) in ranked {
         let Some(point) = &state.points[id as usize] else { continue };
-        if point.views.iter().any(|v| seen[v[0] as usize] < wanted && moves(v[0] as usize)) {
+        if point.views.iter().any(|v| seen[v[0] as usize] < wanted && moves[v[0] as usize]) {
             point.views.iter().for_each(|v| seen[v[0] as usize] += 1);
             chosen.push(id);
         }

@@ -3,8 +3,11 @@
 use super::adjust::{Adjustment, Selected, select, take};
 use super::growth::freedom;
 use super::state::{MapState, MappingInput};
-use crate::bundle::{BundleProblem, RobustLoss, SolveOptions};
-use crate::model_selection::camera::{CameraChoice, FreeIntrinsics, apply, choose, choose_rotated};
+use crate::bundle::{BundleProblem, SolveOptions};
+use crate::limits::{LEAST_ERROR_PX, OUTLIER_SIGMAS};
+use crate::model_selection::camera::{
+    CameraChoice, FreeIntrinsics, apply, choose, choose_rotated, deviation,
+};
 use crate::model_selection::noise::{noise_in_units, redundancy};
 use crate::model_selection::principal_point;
 use crate::model_selection::rotated_images::{group_size, rotate_problem, suspects};
@@ -24,12 +27,6 @@ const OBSERVATIONS_ROTATED: usize = 20_000;
 /// poses stand.
 /// Source: chosen by hand for the time that it takes.
 const LAST_EFFORT: usize = 300_000;
-/// Observations farther off than so many standard deviations of the noise are dropped at the end.
-/// Source: chosen by hand, never measured.
-const FINAL_SIGMAS: f64 = 8.0;
-/// They are never held to less than this, pixels.
-/// Source: chosen by hand, never measured.
-const FINAL_LEAST_PX: f64 = 1.0;
 
 /// What the evidence says about the cameras.
 pub(crate) struct CameraVerdict {
@@ -156,8 +153,8 @@ pub(crate) fn noise_of(state: &MapState, input: &MappingInput<'_>) -> f64 {
 
 /// Drops observations that lie outside the noise of an adjustment; how many.
 fn trim(state: &mut MapState, input: &MappingInput<'_>, problem: &BundleProblem) -> usize {
-    let limit = FINAL_SIGMAS * noise_in_units(problem);
-    state.filter(input, limit.clamp(FINAL_LEAST_PX, input.config.max_reprojection_px))
+    let limit = OUTLIER_SIGMAS * noise_in_units(problem);
+    state.filter(input, limit.clamp(LEAST_ERROR_PX, input.config.max_reprojection_px))
 }
 
 fn prepare(
@@ -173,13 +170,7 @@ fn prepare(
     let sigma = noise_in_units(&selected.problem);
     selected.problem.observations.iter_mut().for_each(|o| o.sigma_px *= sigma);
     let most = (LAST_EFFORT / selected.problem.observations.len().max(1)).clamp(6, 30);
-    let options = SolveOptions {
-        loss: RobustLoss::Cauchy(2.0),
-        max_iterations: most as u32,
-        function_tolerance: 2e-5,
-        ..SolveOptions::default()
-    };
-    (selected, options)
+    (selected, SolveOptions::precise(most as u32))
 }
 
 /// Standard deviations of poses and intrinsics.
@@ -197,8 +188,8 @@ pub(crate) fn uncertainty(
     let mut result = Uncertainty { sigma_px: factor * noise_of(state, input), ..Uncertainty::default() };
     for (camera, c) in selected.problem.cameras.iter().zip(&covariance.cameras) {
         let n = camera.params.len();
-        let deviation = |i: usize| factor * c[i * n + i].max(0.0).sqrt();
-        result.cameras.insert(camera.id, (0..n).map(deviation).collect());
+        let deviations = (0..n).map(|i| factor * deviation(camera, c, i));
+        result.cameras.insert(camera.id, deviations.collect());
     }
     for (&image, d) in selected.images.iter().zip(&covariance.poses) {
         let [a, b, c, x, y, z] = d.map(|v| factor * v);

@@ -5,31 +5,26 @@ use super::resection::{Resection, next_images, resect};
 use super::state::{MapState, MappingInput};
 use super::structureless_resection::{consistency, resect_structureless};
 use crate::bundle::{IntrinsicsPrior, free_parameters};
+use crate::limits::{AGREEING_SHARE, JOINT_IMAGES};
 use crate::skip::StepName;
 use crate::tracks::NONE;
 use crate::{Knowledge, SfmError};
 use scene::{Camera, Progress};
 
-/// Images from which on distortion is solved for while the model grows.
+/// Images of the small models that are compared before one is grown; with more, distortion is solved
+/// for.
 /// Source: chosen by hand, never measured.
-const IMAGES_FOR_DISTORTION: usize = 6;
+pub(super) const SMALL: usize = 5;
 /// Images up to which the model is adjusted after each registration; then after one more for each
 /// so many.
 /// Source: chosen by hand, never measured.
 const IMAGES_FOR_EACH: usize = 12;
-/// Images up to which it is the whole model that is adjusted.
-/// Source: docs/decisions/05.
-const IMAGES_FOR_LOCAL: usize = 60;
 /// Images that move in a local adjustment.
 /// Source: chosen by hand, never measured.
 const LOCAL_IMAGES: usize = 8;
 /// Points an image contributes to an adjustment while the model grows.
 /// Source: chosen by hand, never measured.
 const POINTS_PER_IMAGE: usize = 60;
-
-/// Share of an image's verified matches that must agree with its pose.
-/// Source: chosen by hand, never measured.
-const MIN_CONSISTENT: f64 = 0.3;
 
 /// What priors and repairs refer to: the start's intrinsics where they were known, the small
 /// model's where not.
@@ -47,7 +42,7 @@ pub(crate) fn freedom(
     starts: &[Camera],
     images: usize,
 ) -> (Vec<Vec<bool>>, Vec<IntrinsicsPrior>) {
-    let distortion = images >= IMAGES_FOR_DISTORTION;
+    let distortion = images > SMALL;
     let free = cameras.iter().zip(known).map(|(c, k)| {
         let free = !k.fixed && images > 2;
         free_parameters(c, free, false, free && distortion)
@@ -127,19 +122,20 @@ pub(crate) fn grow(
         state.register(image, found.pose);
         state.grow_image(input, image);
         let images = state.registered_count();
-        let full = images <= IMAGES_FOR_LOCAL || images as f64 > 1.08 * last_full as f64;
+        let full = images <= JOINT_IMAGES || images as f64 > 1.08 * last_full as f64;
         if full {
             last_full = images;
         }
         // A few images more do not bend a model that stands; the next adjustment takes them along.
-        if images > IMAGES_FOR_EACH && images < IMAGES_FOR_LOCAL && images < most && images < due {
+        if images > IMAGES_FOR_EACH && images < JOINT_IMAGES && images < most && images < due {
             progress.tick_with(&format!("{images} images"))?;
             continue;
         }
         due = images + 1 + images / IMAGES_FOR_EACH;
         let (free, priors) = freedom(&state.cameras, known, starts, images);
         let mut what = Adjustment::growing(free, priors);
-        what.points_per_image = Some(if images > 6 { POINTS_PER_IMAGE } else { 3 * POINTS_PER_IMAGE });
+        what.points_per_image =
+            Some(if images > SMALL + 1 { POINTS_PER_IMAGE } else { 3 * POINTS_PER_IMAGE });
         if !full {
             what.moving = Some(neighbours(state, image, LOCAL_IMAGES));
             what.free = state.cameras.iter().map(|c| vec![false; c.params.len()]).collect();
@@ -193,7 +189,7 @@ pub(crate) fn expel(state: &mut MapState, input: &MappingInput<'_>) {
 fn is_doubtful(state: &MapState, input: &MappingInput<'_>, image: usize) -> bool {
     let (agreeing, all) = consistency(state, input, image);
     let few = state.observations(image) < input.config.min_observations;
-    few || (all >= 2 * input.config.min_observations && (agreeing as f64) < MIN_CONSISTENT * all as f64)
+    few || (all >= 2 * input.config.min_observations && (agreeing as f64) < AGREEING_SHARE * all as f64)
 }
 
 /// Puts intrinsics that ran away back to their start.

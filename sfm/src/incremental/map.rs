@@ -2,17 +2,14 @@
 //! Frahm, CVPR 2016).
 
 use super::adjust::plausible;
-use super::growth::{expel, grow, settle, starts_of};
+use super::growth::{SMALL, expel, grow, settle, starts_of};
 use super::initial::{rank_pairs, start};
 use super::merge;
 use super::resection::FOCAL_FACTORS;
 use super::state::{MapState, MappingInput};
+use crate::limits::WHOLE;
 use crate::{Knowledge, SfmError};
 use scene::{Camera, Progress, TwoViewGeometry};
-
-/// Images of the small models that are compared before one is grown.
-/// Source: chosen by hand, never measured.
-const SMALL: usize = 5;
 
 /// The best model that grows from some first pair among `geometries`, joined by what others have
 /// beyond it where they share points; `None` where none grows.
@@ -46,7 +43,7 @@ pub(crate) fn map(
         settle(&mut state, input, known, &starts, progress)?;
         expel(&mut state, input);
         state.order.iter().for_each(|&i| used[i] = true);
-        let done = state.registered_count() * 10 >= images * 9;
+        let done = state.registered_count() as f64 >= WHOLE * images as f64;
         models.push(state);
         if done {
             break;

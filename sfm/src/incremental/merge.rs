@@ -4,6 +4,7 @@
 
 use super::growth::{expel, grow, settle, starts_of};
 use super::state::{MapState, MappingInput};
+use crate::limits::AGREEING_SHARE;
 use crate::ransac::{Estimator, RansacConfig, ransac};
 use crate::triangulation::PointView;
 use crate::{Knowledge, SfmError};
@@ -11,9 +12,6 @@ use glam::DVec3;
 use scene::sim3::{Sim3, umeyama};
 use scene::{Camera, Progress};
 
-/// Share of the common points that must agree.
-/// Source: chosen by hand, never measured.
-const MIN_SHARE: f64 = 0.3;
 /// Error allowed in the images of the other model, in largest reprojection errors: each model is
 /// bent in its own way.
 /// Source: chosen by hand, never measured.
@@ -83,7 +81,7 @@ pub(crate) fn similarity(base: &MapState, other: &MapState, input: &MappingInput
     let count = all.len();
     let config = RansacConfig {
         threshold: TOLERANCE * input.config.max_reprojection_px,
-        min_inliers: input.config.min_observations.max((MIN_SHARE * count as f64) as usize),
+        min_inliers: input.config.min_observations.max((AGREEING_SHARE * count as f64) as usize),
         seed: input.seed,
         ..RansacConfig::default()
     };

@@ -1,32 +1,30 @@
-//! The evidence decides the camera model: observations that took no part in the adjustment, and BIC.
+//! The evidence decides the camera model: observations that took no part in the adjustment, and
+//! BIC.
 //!
-//! Candidates are compared on the same observations: each is adjusted without the held-out ones, which then say how well
-//! it predicts (paired by image), while BIC (Schwarz 1978) on the robust cost over the measured noise says whether the
-//! parameters pay for themselves. Both must agree, and the normal equations must determine what was freed.
+//! Candidates are compared on the same observations: each is adjusted without the held-out ones,
+//! which then say how well it predicts (paired by image), while BIC (Schwarz 1978) on the robust
+//! cost over the measured noise says whether the parameters pay for themselves. Both must agree,
+//! and the normal equations must determine what was freed.
 
-use super::evidence::{Comparison, Score};
-use super::noise::{TRUNCATION, error_sq};
-use crate::bundle::{
-    BundleObservation, BundleProblem, IntrinsicsPrior, RobustLoss, SolveOptions, free_parameters,
-};
+use super::evidence::{Comparison, Score, cost_of_groups, is_determined};
+use super::noise::{error_sq, inflation};
+use crate::bundle::{BundleObservation, BundleProblem, IntrinsicsPrior, SolveOptions, free_parameters};
+use crate::limits::{FEWEST_VIEWS, LOSS, OUTLIER_SIGMAS};
 use crate::{Knowledge, SfmError};
 use scene::decision::{Alternative, Choice, Decision, Measurement, PrincipalPoint, Quantity, Rule, Subject};
 use scene::{Camera, CameraModel, Progress};
 
-/// Standard deviation of a principal point from the image centre, in longer image sides (lenses and crops of real
-/// cameras).
+/// Standard deviation of a principal point from the image centre, in longer image sides.
+/// Source: lenses and crops of real cameras (docs/decisions/06: 3 %).
 pub(crate) const PRINCIPAL_POINT_SIGMA: f64 = 0.03;
-/// Standard deviation of radial distortion half the longer image side from the centre, as a share of that distance: 0.05 for
-/// lenses that are not fisheyes, less by the root of 8, since observations err together and their variances come out that much too
-/// small (`single_axis/smoothness.rs`).
-const DISTORTION_SIGMA: f64 = 0.018;
-/// Largest standard deviation of a focal length that counts as determined, as a share of it.
-const DETERMINED_FOCAL: f64 = 0.02;
-/// Largest standard deviation of a principal point that counts as determined, in longer image sides.
-const DETERMINED_POINT: f64 = 0.01;
-/// Scale of the robust loss, standard deviations. Source: the usual 2.385 for 95 % efficiency (Holland & Welsch 1977), rounded
-/// down for the many wrong matches.
-const LOSS: f64 = 2.0;
+/// Standard deviation of a focal length that a file states, as a share of it; with less said, one
+/// is not known better.
+/// Source: docs/decisions/06 (5 %).
+pub(crate) const FOCAL_SIGMA: f64 = 0.05;
+/// Standard deviation of radial distortion half the longer image side from the centre, as a share
+/// of that distance: 0.05, divided by √8 as residuals are correlated.
+/// Source: docs/decisions/06.
+const DISTORTION_SIGMA: f64 = 0.05 / (2.0 * std::f64::consts::SQRT_2);
 
 /// What is solved for.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -61,8 +59,8 @@ impl FreeIntrinsics {
     }
 }
 
-/// The camera in another model: shared parameters are taken over, new ones are zero; two focal lengths become their
-/// mean.
+/// The camera in another model: shared parameters are taken over, new ones are zero; two focal
+/// lengths become their mean.
 pub fn convert_camera(camera: &Camera, model: CameraModel) -> Camera {
     let mut params = match (camera.model.num_focals(), model.num_focals()) {
         (2, 2) => camera.params[..2].to_vec(),
@@ -75,16 +73,16 @@ pub fn convert_camera(camera: &Camera, model: CameraModel) -> Camera {
     Camera { model, params, ..camera.clone() }
 }
 
+/// Standard deviation of a principal point beforehand, pixels.
+pub(super) fn point_sigma(camera: &Camera) -> f64 {
+    PRINCIPAL_POINT_SIGMA * f64::from(camera.width.max(camera.height))
+}
+
 /// The prior of a free principal point.
 pub fn principal_point_priors(index: usize, camera: &Camera) -> [IntrinsicsPrior; 2] {
-    let (w, h) = (f64::from(camera.width), f64::from(camera.height));
-    let prior = |k: usize, mean: f64| IntrinsicsPrior {
-        camera: index,
-        parameter: camera.model.num_focals() + k,
-        mean,
-        sigma: PRINCIPAL_POINT_SIGMA * w.max(h),
-    };
-    [prior(0, w / 2.0), prior(1, h / 2.0)]
+    let (first, sigma) = (camera.model.num_focals(), point_sigma(camera));
+    let centre = [camera.width, camera.height].map(|side| f64::from(side) / 2.0);
+    [0, 1].map(|k| IntrinsicsPrior { camera: index, parameter: first + k, mean: centre[k], sigma })
 }
 
 /// The priors of radial distortion: what each term does half an image side from the centre.
@@ -129,8 +127,9 @@ pub fn before_the_choice(named: Option<CameraModel>) -> FreeIntrinsics {
     FreeIntrinsics { model, principal_point: false, held: None }
 }
 
-/// Chooses for all cameras of `problem` that are not known. `named`: the user's model, which stays. `principal_point`: that
-/// it is free already. `sigma`: noise of the observations, pixels. The problem's points and poses are those of a finished adjustment; nothing in it is changed.
+/// Chooses for all cameras of `problem` that are not known. `named`: the user's model, which stays.
+/// `principal_point`: that it is free already. `sigma`: noise of the observations, pixels. The
+/// problem's points and poses are those of a finished adjustment; nothing in it is changed.
 pub fn choose(
     problem: &BundleProblem,
     known: &[Knowledge],
@@ -141,72 +140,85 @@ pub fn choose(
 ) -> Result<CameraChoice, SfmError> {
     let start = FreeIntrinsics { principal_point, ..before_the_choice(named) };
     let all_known = known.iter().all(|k| k.fixed);
-    let decision = if all_known {
-        Decision::new(Subject::CameraModel, known_choice(problem, known), Rule::Given)
-    } else {
-        Decision::new(Subject::CameraModel, start.choice(), Rule::TooFewObservations)
-    };
-    let (training, held_out) = split(problem);
-    if problem.poses.len() < 3 || held_out.len() < 100 || all_known {
+    let selection = CameraSelection::new(problem, known, sigma, progress);
+    if all_known || !selection.has_enough() {
+        let decision = if all_known {
+            Decision::new(Subject::CameraModel, known_choice(problem, known), Rule::Given)
+        } else {
+            Decision::new(Subject::CameraModel, start.choice(), Rule::TooFewObservations)
+        };
         let problem = problem.clone();
         let score = Score { bic: f64::NAN, ..Score::default() };
         return Ok(CameraChoice { intrinsics: start, score, decision, problem });
     }
-    let context = CameraSelection { training, held_out, sigma, known, progress };
-    let mut best = context.trial(problem, start)?;
-    let mut decision = Decision::new(Subject::CameraModel, start.choice(), Rule::Evidence)
+    let best = selection.trial(problem, start)?;
+    let decision = Decision::new(Subject::CameraModel, start.choice(), Rule::Evidence)
         .measured(Quantity::Noise, sigma)
         .compared(start.choice(), true, best.scores());
-    let mut consider = |intrinsics: FreeIntrinsics, best: &mut CameraTrial| -> Result<bool, SfmError> {
-        let trial = context.trial(&best.problem, intrinsics)?;
-        if trial.score.bic < best.score.bic {
-            // It went on from where the other had come to. So may the other, or BIC compares numbers of iterations.
-            let again = context.trial(&trial.gone_back_to(best), best.intrinsics)?;
-            if again.score.bic < best.score.bic {
-                *best = again;
-                decision.alternatives.push(best.as_alternative(true));
-            }
-        }
-        let found = Comparison::new(&trial.score, &best.score);
-        let better = if parameters(intrinsics) < parameters(best.intrinsics) {
-            found.prefers_simpler()
-        } else {
-            found.prefers_richer() && context.determined(&trial)?
-        };
-        let mut alternative = trial.as_alternative(better);
-        alternative.scores.extend(found.measurements());
-        decision.alternatives.push(alternative);
-        if better {
-            *best = trial;
-        }
-        Ok(better)
-    };
-    let with = |best: &CameraTrial, model| FreeIntrinsics { model, ..best.intrinsics };
-    let freed = |best: &CameraTrial| FreeIntrinsics { principal_point: true, ..best.intrinsics };
+    let mut search = CameraSearch { selection, best, decision };
     if !start.principal_point {
-        consider(freed(&best), &mut best)?;
+        search.free_principal_point()?;
     }
     if named.is_none() {
-        let doubted = best.intrinsics;
-        if !consider(with(&best, CameraModel::SimplePinhole), &mut best)?
-            && consider(with(&best, CameraModel::Radial), &mut best)?
+        let doubted = search.best.intrinsics;
+        if !search.consider_model(CameraModel::SimplePinhole)?
+            && search.consider_model(CameraModel::Radial)?
         {
-            consider(with(&best, CameraModel::Opencv), &mut best)?;
-        } else if best.intrinsics.model == CameraModel::SimplePinhole {
-            consider(with(&best, CameraModel::Pinhole), &mut best)?;
+            search.consider_model(CameraModel::Opencv)?;
+        } else if search.best.intrinsics.model == CameraModel::SimplePinhole {
+            search.consider_model(CameraModel::Pinhole)?;
         }
         // With another model the principal point is another question.
-        if !best.intrinsics.principal_point && best.intrinsics != doubted {
-            consider(freed(&best), &mut best)?;
+        if !search.best.intrinsics.principal_point && search.best.intrinsics != doubted {
+            search.free_principal_point()?;
         }
     }
+    let CameraSearch { best, mut decision, .. } = search;
     decision.choice = best.intrinsics.choice();
     Ok(CameraChoice { intrinsics: best.intrinsics, score: best.score, decision, problem: best.problem })
 }
 
-/// Which of several ways to rotate images (see [`crate::model_selection::rotated_images`]) the observations support, with the choice that goes with it:
-/// a free principal point that predicts better than the untouched images' best model and pays for itself and for one
-/// bit an image. `None` where the evidence is not clear. The alternatives say what was found.
+/// The best candidate so far, with what was decided on the way to it.
+struct CameraSearch<'a> {
+    selection: CameraSelection<'a>,
+    best: CameraTrial,
+    decision: Decision,
+}
+
+impl CameraSearch<'_> {
+    fn free_principal_point(&mut self) -> Result<bool, SfmError> {
+        self.consider(FreeIntrinsics { principal_point: true, ..self.best.intrinsics })
+    }
+
+    fn consider_model(&mut self, model: CameraModel) -> Result<bool, SfmError> {
+        self.consider(FreeIntrinsics { model, ..self.best.intrinsics })
+    }
+
+    /// Adjusts another candidate and says whether it is the best one now.
+    fn consider(&mut self, intrinsics: FreeIntrinsics) -> Result<bool, SfmError> {
+        let trial = self.selection.trial(&self.best.problem, intrinsics)?;
+        if let Some(again) = self.selection.again(&self.best, &trial)? {
+            self.decision.alternatives.push(again.as_alternative(true));
+            self.best = again;
+        }
+        let found = Comparison::new(&trial.score, &self.best.score);
+        let better = if parameters(intrinsics) < parameters(self.best.intrinsics) {
+            found.prefers_simpler()
+        } else {
+            found.prefers_richer() && self.selection.determines(&trial)?
+        };
+        self.decision.alternatives.push(trial.compared(&found, better));
+        if better {
+            self.best = trial;
+        }
+        Ok(better)
+    }
+}
+
+/// Which of several ways to rotate images (see [`crate::model_selection::rotated_images`]) the
+/// observations support, with the choice that goes with it: a free principal point that predicts
+/// better than the untouched images' best model and pays for itself and for one bit an image.
+/// `None` where the evidence is not clear. The alternatives say what was found.
 pub fn choose_rotated(
     untouched: &CameraChoice,
     ways: &[BundleProblem],
@@ -218,8 +230,7 @@ pub fn choose_rotated(
     let free = FreeIntrinsics { principal_point: true, ..untouched.intrinsics };
     let mut least: Option<(usize, CameraTrial)> = None;
     for (way, problem) in ways.iter().enumerate() {
-        let (training, held_out) = split(problem);
-        let trial = CameraSelection { training, held_out, sigma, known, progress }.trial(problem, free)?;
+        let trial = CameraSelection::new(problem, known, sigma, progress).trial(problem, free)?;
         if least.as_ref().is_none_or(|(_, t)| trial.score.bic < t.score.bic) {
             least = Some((way, trial));
         }
@@ -232,10 +243,10 @@ pub fn choose_rotated(
         trial.problem.cameras.iter().zip(&start.cameras).map(|(c, old)| convert_camera(c, old.model));
     let start = BundleProblem { cameras: cameras.collect(), ..start };
     let choice = choose(&start, known, named, true, sigma, progress)?;
-    let bits = 2.0 * std::f64::consts::LN_2 * ways[way].poses.len() as f64;
+    let bits = cost_of_groups(ways[way].poses.len());
     let mut found = Comparison::new(&choice.score, &untouched.score);
     found.margin -= bits;
-    let better = found.prefers_rotated();
+    let better = found.prefers_richer();
     let bic = |bic| Measurement::new(Quantity::Bic, bic);
     let alternatives = vec![
         Alternative {
@@ -265,15 +276,34 @@ fn parameters(intrinsics: FreeIntrinsics) -> usize {
     intrinsics.model.num_params() - if intrinsics.principal_point { 0 } else { 2 }
 }
 
+/// Candidates for one adjustment: what they are adjusted to, and what they have to predict.
 pub(super) struct CameraSelection<'a> {
-    pub training: Vec<BundleObservation>,
-    pub held_out: Vec<BundleObservation>,
-    pub sigma: f64,
-    pub known: &'a [Knowledge],
-    pub progress: &'a Progress,
+    training: Vec<BundleObservation>,
+    held_out: Vec<BundleObservation>,
+    images: usize,
+    sigma: f64,
+    inflation: f64,
+    known: &'a [Knowledge],
+    progress: &'a Progress,
 }
 
-impl CameraSelection<'_> {
+impl<'a> CameraSelection<'a> {
+    pub(super) fn new(
+        problem: &BundleProblem,
+        known: &'a [Knowledge],
+        sigma: f64,
+        progress: &'a Progress,
+    ) -> Self {
+        let (training, held_out) = split(problem);
+        let (images, inflation) = (problem.poses.len(), inflation(problem));
+        Self { training, held_out, images, sigma, inflation, known, progress }
+    }
+
+    /// Whether there is enough to choose by.
+    pub(super) fn has_enough(&self) -> bool {
+        self.images >= FEWEST_VIEWS && self.held_out.len() >= 100
+    }
+
     pub(super) fn trial(
         &self,
         from: &BundleProblem,
@@ -297,7 +327,7 @@ impl CameraSelection<'_> {
         for o in &self.held_out {
             let squared = error_sq(&problem, o) / (o.sigma_px * self.sigma).powi(2);
             let of_image = &mut held_out[o.pose as usize];
-            *of_image = (of_image.0 + squared.min(TRUNCATION * TRUNCATION), of_image.1 + 1);
+            *of_image = (of_image.0 + squared.min(OUTLIER_SIGMAS.powi(2)), of_image.1 + 1);
         }
         let all: f64 = held_out.iter().map(|s| s.0).sum::<f64>() / self.held_out.len().max(1) as f64;
         let held_out_px = all.sqrt() * self.sigma;
@@ -305,34 +335,47 @@ impl CameraSelection<'_> {
         Ok(CameraTrial { intrinsics, problem, score: Score { bic, cost, held_out }, held_out_px })
     }
 
-    /// Whether the normal equations pin down what was freed.
-    pub(super) fn determined(&self, trial: &CameraTrial) -> Result<bool, SfmError> {
+    /// `best` once more, from where `other` has come to, if it looked better and that helps: the
+    /// other went on from where `best` had come to, and BIC would compare numbers of iterations.
+    pub(super) fn again(
+        &self,
+        best: &CameraTrial,
+        other: &CameraTrial,
+    ) -> Result<Option<CameraTrial>, SfmError> {
+        if !(other.score.bic < best.score.bic) {
+            return Ok(None);
+        }
+        let again = self.trial(&other.gone_back_to(best), best.intrinsics)?;
+        Ok((again.score.bic < best.score.bic).then_some(again))
+    }
+
+    /// Whether the normal equations pin down focal lengths and what was freed of principal points.
+    pub(super) fn determines(&self, trial: &CameraTrial) -> Result<bool, SfmError> {
         let Some(covariance) = trial.problem.covariance(&options())? else { return Ok(false) };
         let free = trial.problem.cameras.iter().zip(&covariance.cameras).zip(self.known);
         Ok(free.filter(|(_, known)| !known.fixed).all(|((camera, c), _)| {
-            let n = camera.params.len();
-            let deviation = |i: usize| c[i * n + i].max(0.0).sqrt();
             let focals = camera.model.num_focals();
-            let focal = (0..focals).map(|i| deviation(i) / camera.params[i].abs()).fold(0.0, f64::max);
-            let point =
-                deviation(focals).max(deviation(focals + 1)) / f64::from(camera.width.max(camera.height));
-            focal < DETERMINED_FOCAL && (!trial.intrinsics.principal_point || point < DETERMINED_POINT)
+            let point = if trial.intrinsics.principal_point { 2 } else { 0 };
+            (0..focals + point).all(|i| {
+                let prior = if i < focals { FOCAL_SIGMA * camera.params[i] } else { point_sigma(camera) };
+                is_determined(deviation(camera, c, i), self.inflation, prior)
+            })
         }))
     }
 }
 
+/// Standard deviation of a camera's parameter, from the covariance of all of them, row by row.
+pub(crate) fn deviation(camera: &Camera, covariance: &[f64], parameter: usize) -> f64 {
+    covariance[parameter * camera.params.len() + parameter].max(0.0).sqrt()
+}
+
 pub(super) fn options() -> SolveOptions {
-    SolveOptions {
-        loss: RobustLoss::Cauchy(LOSS),
-        max_iterations: 25,
-        function_tolerance: 2e-5,
-        ..SolveOptions::default()
-    }
+    SolveOptions::precise(25)
 }
 
 impl CameraTrial {
     /// Where this trial has come to, with principal points as `other` has them, if it holds them.
-    pub(super) fn gone_back_to(&self, other: &Self) -> BundleProblem {
+    fn gone_back_to(&self, other: &Self) -> BundleProblem {
         let mut problem = self.problem.clone();
         if !other.intrinsics.principal_point {
             for (camera, held) in problem.cameras.iter_mut().zip(&other.problem.cameras) {
@@ -358,9 +401,17 @@ impl CameraTrial {
     pub(super) fn as_alternative(&self, accepted: bool) -> Alternative {
         Alternative { choice: self.intrinsics.choice(), accepted, scores: self.scores() }
     }
+
+    /// The same with how it compares to the best one.
+    pub(super) fn compared(&self, found: &Comparison, accepted: bool) -> Alternative {
+        let mut alternative = self.as_alternative(accepted);
+        alternative.scores.extend(found.measurements());
+        alternative
+    }
 }
 
-/// Gives every camera the chosen model, freedom and priors; those that are known, what is known of them.
+/// Gives every camera the chosen model, freedom and priors; those that are known, what is known of
+/// them.
 pub fn apply(problem: &mut BundleProblem, intrinsics: FreeIntrinsics, known: &[Knowledge]) {
     let old: Vec<Camera> = problem.cameras.clone();
     let mut priors = Vec::new();
@@ -374,10 +425,10 @@ pub fn apply(problem: &mut BundleProblem, intrinsics: FreeIntrinsics, known: &[K
         *camera = convert_camera(&old[i], intrinsics.model);
         problem.camera_free[i] = intrinsics.free(camera);
         // Priors on focal lengths hold in every model; those on distortion are replaced.
-        let focal = |p: &&IntrinsicsPrior| p.camera == i && p.parameter < old[i].model.num_focals();
-        if let Some(p) = problem.priors.iter().find(focal) {
-            priors
-                .extend((0..camera.model.num_focals()).map(|parameter| IntrinsicsPrior { parameter, ..*p }));
+        let mut of_camera = problem.priors.iter().filter(|p| p.camera == i);
+        if let Some(p) = of_camera.find(|p| p.parameter < old[i].model.num_focals()) {
+            let focals = 0..camera.model.num_focals();
+            priors.extend(focals.map(|parameter| IntrinsicsPrior { parameter, ..*p }));
         }
         if intrinsics.principal_point {
             priors.extend(principal_point_priors(i, camera));

@@ -1,4 +1,5 @@
-//! Which of several models the evidence supports: camera model, principal point, shared cameras, rotated images.
+//! Which of several models the evidence supports: camera model, principal point, shared cameras,
+//! rotated images.
 
 pub mod camera;
 pub(crate) mod evidence;

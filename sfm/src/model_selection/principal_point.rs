@@ -1,19 +1,21 @@
 //! The principal point once more, when a model has gained observations.
 
-use super::camera::{CameraSelection, CameraTrial, FreeIntrinsics, PRINCIPAL_POINT_SIGMA, options, split};
-use super::evidence::Comparison;
+use super::camera::{CameraSelection, CameraTrial, FreeIntrinsics, deviation, options, point_sigma};
+use super::evidence::{Comparison, is_determined};
 use crate::bundle::BundleProblem;
 use crate::{Knowledge, SfmError};
 use scene::decision::{Decision, Measurement, Quantity, Rule, Subject};
-use scene::{Camera, CameraModel, Progress};
+use scene::{CameraModel, Progress};
 
-/// A coordinate of it that observations leave less of than this share of its standard deviation beforehand is determined whatever glints add:
-/// what slides over an object errs together, by up to 18 times what single observations say (docs/decisions/11).
-const DETERMINED_SHARE: f64 = 0.02;
+/// What slides over an object (glints) errs together in all images, and the fit takes it up, so
+/// that no residual shows it: by how much a coordinate was off, in its standard deviations.
+/// Source: docs/decisions/11, case 1.
+const GLINTS: f64 = 18.0;
 
-/// Whether more observations than [`choose`] had determine a principal point that was held: with both terms of radial distortion, whose
-/// centre it is; else one coordinate of it, as an orbit tells the one across its axis far better than the other. `None` where they
-/// determine neither, or the user named a model.
+/// Whether more observations than the choice of the model had determine a principal point that was
+/// held: with both terms of radial distortion, whose centre it is; else one coordinate of it, as an
+/// orbit tells the one across its axis far better than the other. `None` where they determine
+/// neither, or the user named a model.
 pub(crate) fn free_principal_point(
     problem: &BundleProblem,
     known: &[Knowledge],
@@ -22,38 +24,31 @@ pub(crate) fn free_principal_point(
     progress: &Progress,
 ) -> Result<Option<(FreeIntrinsics, Decision)>, SfmError> {
     let asked = named.is_none() && !now.principal_point && !known.iter().any(|k| k.fixed);
-    let (training, held_out) = split(problem);
-    if !asked || problem.poses.len() < 3 || held_out.len() < 100 {
+    let selection = CameraSelection::new(problem, known, sigma, progress);
+    if !asked || !selection.has_enough() {
         return Ok(None);
     }
-    let context = CameraSelection { training, held_out, sigma, known, progress };
-    let held = context.trial(problem, now)?;
+    let held = selection.trial(problem, now)?;
     let whole = FreeIntrinsics { model: CameraModel::Radial, principal_point: true, held: None };
-    let free = context.trial(&held.problem, whole)?;
-    let again = context.trial(&free.gone_back_to(&held), now)?;
-    let held = if again.score.bic < held.score.bic { again } else { held };
+    let free = selection.trial(&held.problem, whole)?;
+    let held = selection.again(&held, &free)?.unwrap_or(held);
     let found = Comparison::new(&free.score, &held.score);
-    let taken = found.prefers_richer() && context.determined(&free)?;
-    let decision = Decision::new(Subject::CameraModelWithPlane, whole.choice(), Rule::Evidence).compared(
-        now.choice(),
-        !taken,
-        held.scores(),
-    );
-    let mut tried = free.as_alternative(taken);
-    tried.scores.extend(found.measurements());
-    let mut decision = decision.compared_all([tried]);
+    let taken = found.prefers_richer() && selection.determines(&free)?;
+    let mut decision = Decision::new(Subject::CameraModelWithPlane, whole.choice(), Rule::Evidence)
+        .compared(now.choice(), !taken, held.scores())
+        .compared_all([free.compared(&found, taken)]);
     if taken {
         return Ok(Some((whole, decision)));
     }
     for coordinate in 0..2 {
         let one = FreeIntrinsics { principal_point: true, held: Some(1 - coordinate), ..now };
-        let free = context.trial(&held.problem, one)?;
-        let share = context.left_of_prior(&free, coordinate)?;
-        let is_determined = share < DETERMINED_SHARE && free.score.bic < held.score.bic;
-        let mut tried = free.as_alternative(is_determined);
-        tried.scores.push(Measurement::new(Quantity::ShareOfPrior, share));
-        decision.alternatives.push(tried);
-        if is_determined {
+        let free = selection.trial(&held.problem, one)?;
+        let share = share_of_prior(&free, coordinate)?;
+        let taken = is_determined(share, GLINTS, 1.0) && free.score.bic < held.score.bic;
+        let mut alternative = free.as_alternative(taken);
+        alternative.scores.push(Measurement::new(Quantity::ShareOfPrior, share));
+        decision.alternatives.push(alternative);
+        if taken {
             decision.choice = one.choice();
             return Ok(Some((one, decision)));
         }
@@ -61,17 +56,14 @@ pub(crate) fn free_principal_point(
     Ok(None)
 }
 
-impl CameraSelection<'_> {
-    /// The standard deviation of a coordinate of the principal point, as a share of that beforehand: of the camera that is known least.
-    fn left_of_prior(&self, trial: &CameraTrial, coordinate: usize) -> Result<f64, SfmError> {
-        let Some(covariance) = trial.problem.covariance(&options())? else { return Ok(f64::INFINITY) };
-        let share = |(camera, c): (&Camera, &Vec<f64>)| {
-            let i = camera.model.num_focals() + coordinate;
-            let before = PRINCIPAL_POINT_SIGMA * f64::from(camera.width.max(camera.height));
-            c[i * camera.params.len() + i].max(0.0).sqrt() / before
-        };
-        Ok(trial.problem.cameras.iter().zip(&covariance.cameras).map(share).fold(0.0, f64::max))
-    }
+/// The standard deviation of a coordinate of the principal point, as a share of that beforehand: of
+/// the camera that is known least.
+fn share_of_prior(trial: &CameraTrial, coordinate: usize) -> Result<f64, SfmError> {
+    let Some(covariance) = trial.problem.covariance(&options())? else { return Ok(f64::INFINITY) };
+    let shares = trial.problem.cameras.iter().zip(&covariance.cameras).map(|(camera, c)| {
+        deviation(camera, c, camera.model.num_focals() + coordinate) / point_sigma(camera)
+    });
+    Ok(shares.fold(0.0, f64::max))
 }
 
 #[cfg(test)]
@@ -81,11 +73,11 @@ mod tests {
     use crate::model_selection::camera::before_the_choice;
     use glam::{DMat3, DQuat, DVec3};
     use rand::Rng as _;
-    use scene::Pose;
     use scene::rng::rng;
+    use scene::{Camera, Pose};
 
-    /// What 24 cameras see that go round points in a circle and look down on them a little, `focal` times their distance; the solver's
-    /// camera has its principal point at the centre, the true one has not.
+    /// What 24 cameras see that go round points in a circle and look down on them a little; the
+    /// solver's camera has its principal point at the centre, the true one has not.
     fn orbit(across: f64, noise_px: f64) -> BundleProblem {
         let mut camera = Camera::centred(1, CameraModel::SimpleRadial, 640, 480, 530.0);
         let centred = camera.clone();

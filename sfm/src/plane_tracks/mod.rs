@@ -14,6 +14,7 @@ mod window;
 use crate::SfmError;
 use crate::incremental::state::{MapState, MappingInput};
 use crate::klt::pyramid::Pyramid;
+use crate::limits::FEWEST_VIEWS;
 use crate::sift::load_luma;
 use glam::{DMat2, DVec2, DVec3};
 use plane::ScenePlane;
@@ -27,10 +28,7 @@ use window::{HALF, PlaneWindow};
 const LEVELS: usize = 5;
 /// Observations known less exactly than this are left out, pixels.
 /// Source: chosen by hand, never measured.
-const LOOSE_PX: f64 = 1.5;
-/// Fewest images that see a window.
-/// Source: chosen by hand, never measured.
-const LEAST: usize = 3;
+const LOOSE_PX: f64 = 0.75;
 
 /// A place of the plane and its observations.
 #[derive(Clone, Debug)]
@@ -44,7 +42,7 @@ pub(crate) struct PlanePoint {
 pub(crate) struct PlaneObservation {
     pub image: usize,
     pub pixel: DVec2,
-    /// Standard deviation of a coordinate, pixels.
+    /// Standard deviation of a coordinate for independent noise of its squares, pixels.
     pub deviation: f64,
     /// How far it is from where the model has it, pixels.
     pub off: f64,
@@ -110,7 +108,7 @@ impl PlaneViews<'_> {
         let pictures = self.pictures.iter().flatten();
         let shown = pictures.filter(|p| window.shown_by(p, self.sheet.side)).count();
         let position = self.sheet.place(window.centre());
-        (observations.len() >= LEAST && 2 * observations.len() >= shown)
+        (observations.len() >= FEWEST_VIEWS && 2 * observations.len() >= shown)
             .then_some(PlanePoint { position, observations })
     }
 

@@ -1,6 +1,7 @@
 //! A plane that many images see much of: the ground or the table below an object.
 
 use crate::incremental::state::{MapPoint, MapState, MappingInput};
+use crate::limits::{FEW_OBSERVATIONS, FEWEST_VIEWS};
 use crate::solvers::linalg::{moments, solve_spd, symmetric_eigen};
 use crate::statistics::median;
 use glam::{DQuat, DVec2, DVec3};
@@ -13,17 +14,10 @@ use std::collections::HashMap;
 /// Triples of points that are tried.
 /// Source: chosen by hand, never measured.
 const TRIALS: usize = 1000;
-/// A point lies in the plane if its observations, taken to it along the first one's ray, are
-/// nowhere farther off than this, pixels.
-/// Source: the default of `--max-reprojection-px`.
-const FITS_PX: f64 = 4.0;
 /// Points and images count by how much of the images they cover, in squares of this share of the
 /// longer side.
 /// Source: chosen by hand, never measured.
 const SQUARE: f64 = 0.05;
-/// Fewest points.
-/// Source: chosen by hand, never measured.
-const FEWEST: usize = 30;
 /// Share of the images that have to see some of them.
 /// Source: chosen by hand, never measured.
 const SEEN_BY: f64 = 0.6;
@@ -44,9 +38,6 @@ const FARTHEST: f64 = 2.0;
 /// What this share of the images shows is looked at.
 /// Source: chosen by hand, never measured.
 const SHARED: f64 = 0.33;
-/// Rays nearer to the plane than this (sine) say nothing of it.
-/// Source: chosen by hand, never measured.
-const GRAZING: f64 = 0.05;
 
 /// A plane with a frame of its own.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -124,9 +115,8 @@ impl ScenePlane {
     /// Where a ray meets it.
     fn intersect(&self, from: DVec3, along: DVec3) -> Option<DVec3> {
         let n = self.normal();
-        let slope = n.dot(along);
-        let far = n.dot(self.origin - from) / slope;
-        (slope.abs() > GRAZING && far.is_finite() && far > 0.0).then(|| from + along * far)
+        let far = n.dot(self.origin - from) / n.dot(along);
+        (far.is_finite() && far > 0.0).then(|| from + along * far)
     }
 }
 
@@ -149,7 +139,7 @@ struct PlanePoints<'a> {
 /// The plane that covers most of the images; `None` where none covers much.
 pub(crate) fn widest(state: &MapState, input: &MappingInput<'_>) -> Option<ScenePlane> {
     let points = PlanePoints::new(state, input);
-    if points.all.len() < FEWEST {
+    if points.all.len() < FEW_OBSERVATIONS {
         return None;
     }
     let level = level_of(state);
@@ -167,8 +157,9 @@ pub(crate) fn widest(state: &MapState, input: &MappingInput<'_>) -> Option<Scene
     fitting.retain(|p| plane.intersect(p.centre, p.ray).is_some());
     let mut seen = vec![0usize; state.poses.len()];
     fitting.iter().flat_map(|p| &p.point.views).for_each(|v| seen[v[0] as usize] += 1);
-    let seeing = seen.iter().filter(|n| **n >= 3).count();
-    let enough = fitting.len() >= FEWEST && seeing as f64 >= SEEN_BY * state.registered_count() as f64;
+    let seeing = seen.iter().filter(|n| **n >= FEWEST_VIEWS).count();
+    let enough =
+        fitting.len() >= FEW_OBSERVATIONS && seeing as f64 >= SEEN_BY * state.registered_count() as f64;
     if enough { frame_plane(plane, &points) } else { None }
 }
 
@@ -289,9 +280,13 @@ impl<'a> PlanePoints<'a> {
         }))
     }
 
+    /// Points in the plane: their observations, taken to it along the first one's ray, are nowhere
+    /// farther off than an observation of the model may be.
     fn fitting<'b>(&'b self, plane: &'b ScenePlane) -> impl Iterator<Item = &'b PointRay<'a>> + 'b {
+        let most = self.input.config.max_reprojection_px.powi(2);
         self.all.iter().filter(move |p| {
-            self.errors(p, plane).is_some_and(|mut all| all.all(|e| e.is_some_and(is_small)))
+            let mut errors = self.errors(p, plane).into_iter().flatten().peekable();
+            errors.peek().is_some() && errors.all(|e| e.is_some_and(|e| e.length_squared() < most))
         })
     }
 
@@ -352,10 +347,6 @@ impl<'a> PlanePoints<'a> {
         }
         all
     }
-}
-
-fn is_small(error: DVec2) -> bool {
-    error.length_squared() < FITS_PX * FITS_PX
 }
 
 /// The image of an observation and the square of it in which it lies.

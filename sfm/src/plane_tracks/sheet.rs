@@ -2,23 +2,18 @@
 
 use super::plane::ScenePlane;
 use crate::klt::pyramid::{Pyramid, PyramidLevel};
+use crate::limits::FEWEST_VIEWS;
 use crate::statistics::median;
 use glam::{DMat2, DVec2, DVec3};
 use rayon::prelude::*;
 use scene::{Camera, Pose};
 
-/// Most squares along a side.
-/// Source: chosen by hand, never measured.
-const MOST: usize = 1024;
 /// Most squares of the sheet in all images together, four bytes each.
 /// Source: derivation, 160 MB.
 const MOST_OF_ALL: usize = 40_000_000;
 /// Images that see a square so much more narrowly than the sheet shows it (area) leave it out.
 /// Source: docs/decisions/11; a third and a half changed nothing or made it worse.
 const NARROW: f64 = 0.1;
-/// Fewest images that a square of the common picture stands on.
-/// Source: chosen by hand, never measured.
-const FEWEST: usize = 5;
 
 /// Squares of a plane, side by side.
 #[derive(Clone, Copy, Debug)]
@@ -47,10 +42,10 @@ impl Sheet {
         if scales.is_empty() {
             return None;
         }
-        let most = MOST.min((MOST_OF_ALL / scales.len()).isqrt());
+        let most = (MOST_OF_ALL / scales.len()).isqrt();
         let unit = (1.0 / median(scales)).max(2.0 * plane.reach / most as f64);
         let side = (2.0 * plane.reach / unit).ceil() as usize;
-        (unit.is_finite() && unit > 0.0 && (1..=MOST + 1).contains(&side)).then_some(Self {
+        (unit.is_finite() && unit > 0.0 && (1..=most + 1).contains(&side)).then_some(Self {
             plane,
             unit,
             side,
@@ -109,7 +104,7 @@ impl Sheet {
             values.clear();
             values.extend(pictures.iter().flatten().map(|p| p[at]).filter(|v| v.is_finite()));
             let middle = values.len() / 2;
-            row.push(if values.len() < FEWEST {
+            row.push(if values.len() < FEWEST_VIEWS {
                 f32::NAN
             } else {
                 *values.select_nth_unstable_by(middle, f32::total_cmp).1

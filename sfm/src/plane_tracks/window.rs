@@ -14,10 +14,6 @@ const SIDE: usize = 2 * HALF + 1;
 /// Least correlation.
 /// Source: docs/decisions/11; 0.3 was worse.
 const CORRELATION: f32 = 0.4;
-/// Neighbours show noise in common (pictures are smoothed and interpolated, and JPEG works on
-/// blocks): so many stand for one.
-/// Source: chosen by hand, never measured.
-const ALIKE: f64 = 4.0;
 
 /// A window of the common picture, its mean taken off.
 pub(crate) struct PlaneWindow {
@@ -31,7 +27,8 @@ pub(crate) struct PlaneWindow {
     inverse: DMat2,
 }
 
-/// Where a window was found: how far from its own place, squares, and the covariance of that.
+/// Where a window was found: how far from its own place, squares, and the covariance of that if the
+/// noise of its squares is independent.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct WindowShift {
     pub by: DVec2,
@@ -144,7 +141,7 @@ impl PlaneWindow {
         let kept = by.distance(from) < 1.5 && c > f64::from(CORRELATION);
         // Variance of what the window leaves, in units of the common picture.
         let left = f64::from(dot(&own, &own)) / gain.powi(2) * (1.0 - c * c).max(0.0) / own.len() as f64;
-        let covariance = self.inverse * (ALIKE * left);
+        let covariance = self.inverse * left;
         (kept && covariance.is_finite()).then_some(WindowShift { by, covariance })
     }
 

@@ -1,8 +1,24 @@
 //! Whether a step's result is taken: by what of the images and observations a model explains,
 //! before and after.
 //!
-//! Models that differ in their parameters are compared by [`crate::model_selection`]; here models
-//! are compared whose matches and observations differ, so that no likelihood is common to both.
+//! This is another question than the one of [`crate::model_selection::evidence`]: models that
+//! differ in their parameters are compared there, by their likelihoods on the same observations;
+//! here models are compared whose matches and observations differ, so that no likelihood is common
+//! to both, and what counts is how much they explain.
+
+/// A change that has a cost, or a risk, must explain more by this factor.
+/// Source: docs/decisions/05 and 07 (2 % more matches).
+const MORE: f64 = 1.02;
+/// A second set of features must have as many matches again: where both find the same spots, they
+/// are half as many again and nothing is won.
+/// Source: docs/decisions/09.
+const DOUBLE: f64 = 2.0;
+/// Share of images and observations that a change must keep; errors may grow by its inverse.
+/// Source: docs/decisions/11 (a tenth).
+const KEPT: f64 = 0.9;
+/// Share of a plane's observations that an adjusted model must keep; of noise it keeps few.
+/// Source: docs/decisions/11.
+const OF_PLANE: f64 = 0.6;
 
 /// What changes with a step.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -21,6 +37,8 @@ pub(crate) enum Change {
     DenserTracks,
     /// Keypoints moved to where their windows fit; support and error: of the moved ones.
     MovedKeypoints,
+    /// Places of a plane; support: their observations before and after an adjustment.
+    PlanePlaces,
     /// Observations of a plane; support and error: of all others.
     PlaneTracks,
 }
@@ -34,6 +52,13 @@ pub(crate) struct Support {
     pub explained: usize,
     /// Their median error, pixels, where it is asked.
     pub error_px: Option<f64>,
+}
+
+impl Support {
+    /// So many matches or observations; images and error are not asked.
+    pub(crate) fn of(explained: usize) -> Self {
+        Self { explained, ..Self::default() }
+    }
 }
 
 /// Ratios of after to before that a change must reach: images at least, what is explained at least
@@ -54,21 +79,16 @@ impl Demand {
 }
 
 impl Change {
-    /// Sources: blurred copies, docs/decisions/09 (where both sets find the same spots matches
-    /// are half as many again); global mapper, docs/decisions/05; ring, docs/decisions/09;
-    /// fewer pairs, docs/decisions/07; moved keypoints, docs/decisions/05; plane tracks,
-    /// docs/decisions/11; the share of 0.8 of moved observations and the gain of 3 % of denser
-    /// tracks were chosen by hand and never measured.
     fn demand(self) -> Demand {
         match self {
-            Self::BlurredFeatures => Demand::growth(2.0),
-            Self::GlobalMapper => Demand::growth(1.02),
+            Self::BlurredFeatures => Demand::growth(DOUBLE),
+            Self::GlobalMapper | Self::DenserTracks => Demand::growth(MORE),
             Self::ImagesOnRing => Demand::growth(1.0),
-            Self::FewerPairs => Demand { images: 0.9, ..Demand::growth(1.02) },
+            Self::FewerPairs => Demand { images: KEPT, ..Demand::growth(MORE) },
             Self::MorePairs => Demand { images: 1.0, ..Demand::ANY },
-            Self::DenserTracks => Demand::growth(1.03),
-            Self::MovedKeypoints => Demand { explained: 0.8, error: 1.0, ..Demand::ANY },
-            Self::PlaneTracks => Demand { explained: 0.9, error: 1.1, ..Demand::ANY },
+            Self::MovedKeypoints => Demand { explained: KEPT, error: 1.0, ..Demand::ANY },
+            Self::PlanePlaces => Demand { explained: OF_PLANE, ..Demand::ANY },
+            Self::PlaneTracks => Demand { explained: KEPT, error: 1.0 / KEPT, ..Demand::ANY },
         }
     }
 }
@@ -89,24 +109,20 @@ pub(crate) fn accept(change: Change, before: &Support, after: &Support) -> bool 
 mod tests {
     use super::*;
 
-    fn explains(explained: usize) -> Support {
-        Support { explained, ..Support::default() }
-    }
-
     #[test]
     fn growth_is_asked_where_a_change_costs_something() {
-        assert!(accept(Change::BlurredFeatures, &explains(100), &explains(201)));
-        assert!(!accept(Change::BlurredFeatures, &explains(100), &explains(199)));
-        assert!(!accept(Change::GlobalMapper, &explains(0), &explains(0)), "nothing is no gain");
-        assert!(accept(Change::MorePairs, &explains(7), &explains(0)));
+        assert!(accept(Change::BlurredFeatures, &Support::of(100), &Support::of(201)));
+        assert!(!accept(Change::BlurredFeatures, &Support::of(100), &Support::of(199)));
+        assert!(!accept(Change::GlobalMapper, &Support::of(0), &Support::of(0)), "nothing is no gain");
+        assert!(accept(Change::MorePairs, &Support::of(7), &Support::of(0)));
     }
 
     #[test]
     fn images_and_errors_must_not_be_lost() {
-        let images = |images, explained| Support { images, ..explains(explained) };
+        let images = |images, explained| Support { images, ..Support::of(explained) };
         assert!(accept(Change::FewerPairs, &images(100, 1000), &images(90, 1100)));
         assert!(!accept(Change::FewerPairs, &images(100, 1000), &images(89, 1100)));
-        let error = |error_px| Support { error_px: Some(error_px), ..explains(100) };
+        let error = |error_px| Support { error_px: Some(error_px), ..Support::of(100) };
         assert!(accept(Change::MovedKeypoints, &error(0.3), &error(0.2)));
         assert!(!accept(Change::MovedKeypoints, &error(0.3), &error(0.3)));
         assert!(!accept(Change::MovedKeypoints, &error(f64::INFINITY), &error(f64::INFINITY)));

@@ -1,6 +1,7 @@
 //! The solved model as the types that cross borders.
 
 use crate::incremental::state::MapState;
+use crate::limits::FEW_OBSERVATIONS;
 use crate::tracks::NONE;
 use crate::{SfmError, SfmStats, Uncertainty};
 use glam::DVec2;
@@ -11,17 +12,10 @@ use scene::{
 };
 use std::collections::BTreeMap;
 
-/// Images with fewer observations than this are weakly constrained.
-/// Source: chosen by hand; names images in the report alone.
-const FEW_OBSERVATIONS: usize = 30;
 /// A rotation is uncertain if its standard deviation is above this, degrees, and so many times the
 /// usual one.
 /// Source: chosen by hand; names images in the report alone.
 const WEAK_ROTATION: (f64, f64) = (0.1, 5.0);
-
-/// Features below which an image is said to have too few.
-/// Source: chosen by hand; words of a message alone.
-const FEW_FEATURES: usize = 50;
 
 /// What is counted of a model.
 pub(super) fn fill_statistics(stats: &mut SfmStats, model: &Reconstruction) {
@@ -70,7 +64,7 @@ pub(super) fn why_missing(image: usize, features: &Features, verified: &[TwoView
     let pairs: Vec<usize> =
         verified.iter().filter(|g| g.a == image || g.b == image).map(|g| g.inliers.len()).collect();
     match pairs.iter().max() {
-        _ if features < FEW_FEATURES => format!("only {features} features"),
+        _ if features < FEW_OBSERVATIONS => format!("only {features} features"),
         None => format!("none of its {features} features could be matched with another image's"),
         Some(best) => format!(
             "matches {} images (at best {best} points), but its pose does not agree with the model",
@@ -82,7 +76,7 @@ pub(super) fn why_missing(image: usize, features: &Features, verified: &[TwoView
 /// Why no image has a pose.
 pub(super) fn why_no_model(features: &[Features], verified: &[TwoViewGeometry]) -> String {
     let most = features.iter().map(Features::len).max().unwrap_or(0);
-    if most < FEW_FEATURES {
+    if most < FEW_OBSERVATIONS {
         return format!(
             "at most {most} features were found in an image: too dark, too blurred or without texture"
         );

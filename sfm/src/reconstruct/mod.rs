@@ -1,7 +1,6 @@
 //! From frames to a model: what is asked for, and the steps that lead there.
 
 mod accept;
-mod clock;
 mod context;
 mod export;
 mod model;

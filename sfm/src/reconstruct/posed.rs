@@ -6,8 +6,9 @@
 //! point.
 
 use super::export::{colour, convert};
-use super::steps::densify::{WIDEST, line_between, merge_geometry, undistort_features};
+use super::steps::densify::{line_between, merge_geometry, undistort_features};
 use crate::incremental::state::{MapState, MappingInput};
+use crate::limits::WIDEST_ANGLE;
 use crate::matching::{PreparedFeatures, guided_match_prepared};
 use crate::tracks::{build_tracks, positions};
 use crate::triangulation::angle_between;
@@ -17,19 +18,10 @@ use rayon::prelude::*;
 use scene::{Camera, Features, Frame, FrameSet, Pose, Progress, Reconstruction, TwoViewGeometry};
 use std::collections::{BTreeMap, BTreeSet};
 
-/// An image is matched with so many nearest ones.
-/// Source: chosen by hand, never measured.
-const NEAREST: usize = 5;
-/// And with the one nearest to each of these angles from it, degrees: with neighbours alone a video
-/// has no baselines.
+/// An image is matched with the one nearest to each of these angles from it, degrees, as with
+/// neighbours alone a video has no baselines; and with as many nearest ones.
 /// Source: chosen by hand, never measured.
 const FARTHER_DEG: [f64; 5] = [6.0, 10.0, 15.0, 22.0, 30.0];
-/// Farthest that a match may be from the line that the poses give, pixels.
-/// Source: chosen by hand, never measured.
-const BAND_PX: f64 = 2.0;
-/// Fewest matches of a pair.
-/// Source: the matches that determine a fundamental matrix linearly (Longuet-Higgins 1981).
-const LEAST_MATCHES: usize = 8;
 
 /// The model with points; without any where the images share none, or are fewer than two.
 pub fn triangulate_given(
@@ -93,13 +85,13 @@ fn neighbours(poses: &[Pose]) -> Vec<(usize, usize)> {
             let distance = centres[a].distance(centres[b]) / extent;
             others.push((angle_between(axes[a], axes[b]) + 0.1 * distance, b));
         }
-        others.retain(|(far, _)| *far <= WIDEST);
+        others.retain(|(far, _)| *far <= WIDEST_ANGLE);
         others.sort_by(|x, y| x.0.total_cmp(&y.0).then(x.1.cmp(&y.1)));
         let farther = FARTHER_DEG.map(f64::to_radians).into_iter();
         let farther = farther.filter_map(|angle| {
             others.iter().min_by(|x, y| (x.0 - angle).abs().total_cmp(&(y.0 - angle).abs()))
         });
-        let partners = others.iter().take(NEAREST).chain(farther);
+        let partners = others.iter().take(FARTHER_DEG.len()).chain(farther);
         pairs.extend(partners.map(|&(_, b)| (a.min(b), a.max(b))));
     }
     pairs.into_iter().collect()
@@ -117,13 +109,15 @@ fn along_the_poses(
         (0..features.len()).map(|i| undistort_features(&features[i], &keypoints[i], cameras[i])).collect();
     let prepared: Vec<PreparedFeatures> = features.par_iter().map(PreparedFeatures::new).collect();
     let pairs = neighbours(poses);
+    // Lines of poses that are given are as exact as those that a pair's own matches make.
+    let band = 0.5 * config.two_view.max_error_px;
     progress.begin("matching along the given poses", pairs.len());
     let one = |&(a, b): &(usize, usize)| -> Result<Option<TwoViewGeometry>, SfmError> {
         progress.tick()?;
         let (f, b_from_a) = line_between((&poses[a], cameras[a]), (&poses[b], cameras[b]));
         let [a_side, b_side] = [a, b].map(|i| (&ideal[i], &prepared[i]));
-        let found = guided_match_prepared(a_side, b_side, &f, BAND_PX, &config.matching);
-        Ok(merge_geometry(None, (a, b), found, &f, b_from_a, LEAST_MATCHES))
+        let found = guided_match_prepared(a_side, b_side, &f, band, &config.matching);
+        Ok(merge_geometry(None, (a, b), found, &f, b_from_a, config.mapper.min_observations))
     };
     let found: Result<Vec<Option<TwoViewGeometry>>, SfmError> = pairs.par_iter().map(one).collect();
     Ok(found?.into_iter().flatten().collect())

@@ -1,5 +1,6 @@
 //! Which cameras there are and what is known of them before anything is solved.
 
+use crate::model_selection::camera::FOCAL_SIGMA;
 use crate::{Calibration, CameraSharing, Knowledge, SfmConfig, SfmError};
 use scene::{Camera, CameraModel, FrameSet};
 use std::collections::BTreeMap;
@@ -7,9 +8,6 @@ use std::collections::BTreeMap;
 /// Focal length assumed where nothing is known, in longer image sides (a field of view of 45°).
 /// Source: chosen by hand; the mapper tries multiples of it.
 const FOCAL_GUESS: f64 = 1.2;
-/// Standard deviation of a focal length from EXIF, as a share of it.
-/// Source: chosen by hand, never measured.
-const EXIF_SIGMA: f64 = 0.05;
 
 /// Cameras, and which image was taken with which.
 pub(crate) struct Setup {
@@ -48,7 +46,7 @@ impl Setup {
                 (camera.model, camera.params) = (known.model, known.params.clone());
             }
             camera.has_prior_focal = given.is_some() || prior.is_some();
-            let focal_sigma = prior.map(|_| EXIF_SIGMA);
+            let focal_sigma = prior.map(|_| FOCAL_SIGMA);
             let fixed = given.is_some();
             let calibration = given.filter(|c| c.sigmas.iter().any(|s| *s > 0.0));
             setup.known.push(Knowledge { fixed, focal_sigma, calibration });

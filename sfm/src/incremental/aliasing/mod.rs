@@ -12,6 +12,7 @@ use super::initial::relative_pose;
 use super::state::{MapState, MappingInput};
 use super::structureless_resection::{NEAR_IN_TIME, agreement};
 use crate::disjoint_sets::DisjointSets;
+use crate::limits::AGREEING_SHARE;
 use glam::{DQuat, DVec3};
 use scene::TwoViewGeometry;
 
@@ -21,9 +22,6 @@ const CONTRADICTED_DEG: f64 = 15.0;
 /// The same while the rotations of the tree have not been averaged: what they may drift.
 /// Source: chosen by hand, never measured.
 const DRIFT_DEG: f64 = 35.0;
-/// Share of a pair's matches below which the model does not agree with it.
-/// Source: docs/decisions/07 (contradicted by most of its matches); the share was chosen by hand.
-const MIN_AGREEING: f64 = 0.4;
 /// Sweeps of the averaging; it takes about the square of the longest chain.
 /// Source: derived: information passes one edge a sweep, so that 600 sweeps even out chains of 24.
 const SWEEPS: usize = 600;
@@ -118,7 +116,7 @@ fn is_contradicted(state: &MapState, input: &MappingInput<'_>, edge: &PairRotati
     residual_of(rotation(edge.a), rotation(edge.b), edge)
         .is_some_and(|angle| angle > CONTRADICTED_DEG.to_radians())
         && agreement(state, input, &input.geometries[edge.geometry])
-            .is_some_and(|(agreeing, all)| (agreeing as f64) < MIN_AGREEING * all as f64)
+            .is_some_and(|(agreeing, all)| (agreeing as f64) < AGREEING_SHARE * all as f64)
 }
 
 fn residual(rotations: &[Option<DQuat>], edge: &PairRotation) -> Option<f64> {

@@ -1,18 +1,16 @@
-//! Many images: the question which were rotated is asked of windows of images that see the same points, and the
-//! answers are joined where the windows overlap. What two images that share no points say about each other is little,
-//! and the joint information of all would grow with the square of their number.
+//! Many images: the question which were rotated is asked of windows of images that see the same
+//! points, and the answers are joined where the windows overlap. What two images that share no
+//! points say about each other is little, and the joint information of all would grow with the
+//! square of their number.
 
-use super::{FEWEST_IMAGES, OffsetLikelihood};
+use super::offsets::OffsetLikelihood;
 use crate::SfmError;
 use crate::bundle::{BundleObservation, BundleProblem};
+use crate::limits::{FEWEST_VIEWS, JOINT_IMAGES};
 use scene::Progress;
 
-/// Images of a window, and how many of them, the first to join it that were in none before, need no other window.
-pub(super) const WINDOW: usize = 60;
-const CORE: usize = 30;
-
-/// For each of `poses` (of one camera) whether it belongs to the smaller of two groups; `None` where one group does as
-/// well in every window.
+/// For each of `poses` (of one camera) whether it belongs to the smaller of two groups; `None`
+/// where one group does as well in every window.
 pub(super) fn split(
     problem: &BundleProblem,
     camera: usize,
@@ -59,7 +57,8 @@ impl<'a> ObservationIndex<'a> {
         Self { of_pose, of_point }
     }
 
-    /// The adjustment of some poses alone, in their order, with the points that at least two of them see.
+    /// The adjustment of some poses alone, in their order, with the points that at least two of
+    /// them see.
     fn restrict(&self, problem: &BundleProblem, poses: &[usize]) -> BundleProblem {
         let mut views = vec![0u32; problem.points.len()];
         let own = || poses.iter().flat_map(|&p| self.of_pose[p].iter().copied());
@@ -89,9 +88,10 @@ impl<'a> ObservationIndex<'a> {
     }
 }
 
-/// Windows in which every pose that shares points with enough others is one of the first [`CORE`] new ones. Each grows
-/// from a pose by those that share most observations with what it has, in turn any and a new one, so that windows overlap
-/// and yet get on where all images see the same; the next starts at its rim.
+/// Windows in which every pose that shares points with enough others is one of the first new ones.
+/// Each grows from a pose by those that share most observations with what it has, in turn any and a
+/// new one, so that windows overlap and yet get on where all images see the same; the next starts
+/// at its rim.
 fn windows(observations: &ObservationIndex<'_>, poses: &[usize]) -> Vec<Vec<usize>> {
     let n = observations.of_pose.len();
     let mut eligible = vec![false; n];
@@ -102,7 +102,7 @@ fn windows(observations: &ObservationIndex<'_>, poses: &[usize]) -> Vec<Vec<usiz
         let (mut shared, mut free) = (vec![0usize; n], eligible.clone());
         let mut window: Vec<usize> = Vec::new();
         let mut next = Some(start);
-        while let Some(pose) = next.filter(|_| window.len() < WINDOW) {
+        while let Some(pose) = next.filter(|_| window.len() < JOINT_IMAGES) {
             window.push(pose);
             free[pose] = false;
             for o in &observations.of_pose[pose] {
@@ -116,18 +116,18 @@ fn windows(observations: &ObservationIndex<'_>, poses: &[usize]) -> Vec<Vec<usiz
             next = fresh.or_else(|| most(&eligible));
         }
         let mut fresh = window.iter().copied().filter(|&p| open[p]).collect::<Vec<usize>>();
-        let beyond = fresh.split_off(fresh.len().min(CORE));
+        let beyond = fresh.split_off(fresh.len().min(JOINT_IMAGES / 2));
         fresh.iter().for_each(|&p| open[p] = false);
         rim = beyond.last().copied();
-        if window.len() >= FEWEST_IMAGES {
+        if window.len() >= 2 * FEWEST_VIEWS {
             found.push(window);
         }
     }
     found
 }
 
-/// For each of `n` poses the sum of its signs over the windows. What a window calls the other group is turned round where
-/// its neighbours do; the windows that agree most clearly are joined first.
+/// For each of `n` poses the sum of its signs over the windows. What a window calls the other group
+/// is turned round where its neighbours do; the windows that agree most clearly are joined first.
 fn join_signs(parts: &[Vec<(usize, f64)>], n: usize) -> Vec<f64> {
     let mut of_pose: Vec<Vec<(usize, f64)>> = vec![Vec::new(); n];
     for (part, signs) in parts.iter().enumerate() {

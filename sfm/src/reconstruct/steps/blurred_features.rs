@@ -17,9 +17,6 @@ const BLUR: f32 = 1.4;
 /// Pairs of which it is tried first whether the blurred copies have matches enough.
 /// Source: chosen by hand, never measured.
 const PROBES: usize = 16;
-/// Images up to which that is not worth it: three times the probes.
-/// Source: derived from `PROBES`.
-const PROBE_BEYOND: usize = 3 * PROBES;
 
 /// Looks for matches of weakly tied images in blurred copies; both sets are kept where their
 /// matches double, for where both find the same spots they are half as many again and nothing is
@@ -69,7 +66,7 @@ fn is_weak(model: &SfmModel, a: usize, b: usize) -> bool {
 
 /// The matches of pairs.
 fn matches_of<'a>(pairs: impl IntoIterator<Item = &'a TwoViewGeometry>) -> Support {
-    Support { explained: pairs.into_iter().map(|g| g.inliers.len()).sum(), ..Support::default() }
+    Support::of(pairs.into_iter().map(|g| g.inliers.len()).sum())
 }
 
 fn blurring(context: &StepContext<'_>) -> sift::SiftConfig {
@@ -82,7 +79,7 @@ fn blurring(context: &StepContext<'_>) -> sift::SiftConfig {
 fn promising(model: &SfmModel, frames: &FrameSet, context: &StepContext<'_>) -> Result<bool, SfmError> {
     let StepContext { config, progress, .. } = *context;
     let tied: Vec<&TwoViewGeometry> = model.geometries.iter().filter(|g| is_weak(model, g.a, g.b)).collect();
-    if frames.len() <= PROBE_BEYOND || tied.len() <= 2 * PROBES {
+    if frames.len() <= 3 * PROBES || tied.len() <= 2 * PROBES {
         return Ok(true);
     }
     let probes: Vec<&TwoViewGeometry> = tied.iter().step_by(tied.len().div_ceil(PROBES)).copied().collect();

@@ -5,6 +5,7 @@
 use super::ties::most_are_weak;
 use crate::circular::Motion;
 use crate::circular::initialize::constant_step::ConstantStepMotion;
+use crate::limits::WIDEST_ANGLE;
 use crate::matching::{PairMatches, PreparedFeatures, guided_match_prepared};
 use crate::reconstruct::context::StepContext;
 use crate::reconstruct::model::{ConstantStepStart, MappedModel, SfmModel, StepResult};
@@ -15,13 +16,6 @@ use rayon::prelude::*;
 use scene::TwoViewGeometry;
 use scene::decision::{Choice, Decision, Measurement, Quantity, Remark, Rule, Subject};
 
-/// Farthest that a match may be from the line that the motion gives, pixels: cameras have motions
-/// of their own.
-/// Source: docs/decisions/09.
-const BAND_PX: f64 = 8.0;
-/// Images farther apart than this hardly show the same, radians.
-/// Source: docs/decisions/09.
-const FARTHEST: f64 = 0.9;
 /// Where most images share no more matches than this with any other, the pairs along the motion
 /// take the others' place. Above, pairs that are verified alone are the more exact ones, and the
 /// motion is for what they leave out.
@@ -56,18 +50,20 @@ fn match_along(
 ) -> Result<ConstantStepStart, SfmError> {
     let StepContext { config, progress, .. } = *context;
     let (features, images) = (&model.features, model.features.len());
+    // Cameras have motions of their own (docs/decisions/09: lines 8 px wide).
+    let band = 2.0 * config.two_view.max_error_px;
     progress.begin("constant-step circular motion", images);
     let prepared: Vec<PreparedFeatures> = features.par_iter().map(PreparedFeatures::new).collect();
     let pairs: Vec<(usize, usize)> = (0..images)
         .flat_map(|a| (a + 1..images).map(move |b| (a, b)))
-        .filter(|&(a, b)| motion.between(a, b).abs() <= FARTHEST)
+        .filter(|&(a, b)| motion.between(a, b).abs() <= WIDEST_ANGLE)
         .collect();
     let found: Vec<PairMatches> = pairs
         .par_iter()
         .map(|&(a, b)| {
             let [a_side, b_side] = [a, b].map(|i| (&features[i], &prepared[i]));
             let f = motion.fundamental(a, b);
-            (a, b, guided_match_prepared(a_side, b_side, &f, BAND_PX, &config.matching))
+            (a, b, guided_match_prepared(a_side, b_side, &f, band, &config.matching))
         })
         .collect();
     progress.check()?;

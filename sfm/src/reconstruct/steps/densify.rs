@@ -6,6 +6,7 @@ use crate::SfmError;
 use crate::incremental::finish::noise_of;
 use crate::incremental::initial::calibration;
 use crate::incremental::state::{MapState, MappingInput};
+use crate::limits::{LEAST_ERROR_PX, OUTLIER_SIGMAS, WIDEST_ANGLE};
 use crate::matching::{PreparedFeatures, guided_match_prepared};
 use crate::reconstruct::accept::{Change, Support, accept};
 use crate::reconstruct::context::StepContext;
@@ -21,16 +22,6 @@ use std::collections::HashSet;
 /// Images up to which it is worth its cost (some milliseconds a pair).
 /// Source: docs/decisions/05.
 const UP_TO: usize = 30;
-/// Images that look farther apart than this share no points, radians.
-/// Source: chosen by hand, never measured.
-pub(crate) const WIDEST: f64 = 1.2;
-/// Half-width of the band along the lines, in standard deviations of the model's errors: all but 6
-/// in 100,000 of normal ones.
-/// Source: chosen by hand, never measured.
-const BAND_SIGMAS: f64 = 4.0;
-/// The least half-width, pixels: the grid of the keypoints.
-/// Source: chosen by hand, never measured.
-const LEAST_BAND_PX: f64 = 1.0;
 
 /// Takes the pairs with what lies on the model's epipolar lines, and the tracks they make, where
 /// that is more.
@@ -39,10 +30,8 @@ pub(super) fn run(mut model: SfmModel, context: &StepContext<'_>) -> StepResult 
         return Ok((model, Vec::new()));
     }
     let more = match_along_model(&model, context)?;
-    let [before, after] = [&model.geometries, &more].map(|pairs| Support {
-        explained: pairs.iter().map(|g| g.inliers.len()).sum(),
-        ..Support::default()
-    });
+    let [before, after] =
+        [&model.geometries, &more].map(|pairs| Support::of(pairs.iter().map(|g| g.inliers.len()).sum()));
     if accept(Change::DenserTracks, &before, &after) {
         model.keep_verified();
         model.tracks = build_tracks(&model.features, &more);
@@ -61,8 +50,8 @@ fn match_along_model(model: &SfmModel, context: &StepContext<'_>) -> Result<Vec<
     let ideal: Vec<Features> =
         (0..n).map(|i| undistort_features(&model.features[i], &input.keypoints[i], cameras[i])).collect();
     let prepared: Vec<PreparedFeatures> = model.features.par_iter().map(PreparedFeatures::new).collect();
-    let band = BAND_SIGMAS * noise_of(state, &input);
-    let band = band.clamp(LEAST_BAND_PX, input.config.max_reprojection_px);
+    let band = OUTLIER_SIGMAS * noise_of(state, &input);
+    let band = band.clamp(LEAST_ERROR_PX, input.config.max_reprojection_px);
     let pairs: Vec<(usize, usize)> = (0..n).flat_map(|a| (a + 1..n).map(move |b| (a, b))).collect();
     progress.begin("matching along the model's lines", pairs.len());
     let one = |&(a, b): &(usize, usize)| -> Result<Option<TwoViewGeometry>, SfmError> {
@@ -72,7 +61,7 @@ fn match_along_model(model: &SfmModel, context: &StepContext<'_>) -> Result<Vec<
             return Ok(known.cloned());
         };
         let [axis_a, axis_b] = [pose_a, pose_b].map(|pose| pose.rotation.conjugate() * DVec3::Z);
-        if angle_between(axis_a, axis_b) > WIDEST {
+        if angle_between(axis_a, axis_b) > WIDEST_ANGLE {
             return Ok(known.cloned());
         }
         let (f, b_from_a) = line_between((pose_a, cameras[a]), (pose_b, cameras[b]));

@@ -5,14 +5,11 @@ use crate::disjoint_sets::DisjointSets;
 use crate::incremental::state::{MapState, MappingInput};
 use crate::incremental::structureless_resection::{MATCHES, agreement};
 use crate::incremental::{MapperChoice, map as incremental};
+use crate::limits::WHOLE;
 use crate::reconstruct::accept::{Change, Support, accept};
 use crate::{Knowledge, SfmError, global};
 use scene::decision::{Decision, MapperKind, Measurement, Quantity, Rule, Subject};
 use scene::{Camera, Progress};
-
-/// Share of the images that can be tied together below which a model is doubted.
-/// Source: chosen by hand, never measured.
-const COMPLETE: f64 = 0.95;
 
 /// The model of all images that can be tied together; what was decided, where there was a choice.
 pub(super) fn map(
@@ -30,15 +27,14 @@ pub(super) fn map(
         return Ok((model, said));
     }
     let Some(first) = incremental::map(input, cameras, known, progress)? else { return Ok((None, None)) };
-    let complete = first.registered_count() as f64 >= COMPLETE * largest_part(input) as f64;
+    let complete = first.registered_count() as f64 >= WHOLE * largest_part(input) as f64;
     if choice == MapperChoice::Incremental || complete {
         return Ok((Some(first), None));
     }
     let Some(second) = global::map(input, &first.cameras, known, progress)? else {
         return Ok((Some(first), None));
     };
-    let [before, after] = [&first, &second]
-        .map(|state| Support { explained: count_agreeing(state, input).0, ..Support::default() });
+    let [before, after] = [&first, &second].map(|state| Support::of(count_agreeing(state, input).0));
     let models = [(MapperKind::Incremental, &first), (MapperKind::Global, &second)];
     if accept(Change::GlobalMapper, &before, &after) {
         let decision = describe(input, MapperKind::Global, &models);

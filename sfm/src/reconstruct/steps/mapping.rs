@@ -5,16 +5,12 @@ use super::constant_step::place_all_images;
 use super::mapper;
 use super::ties::pairs_decision;
 use crate::SfmError;
+use crate::limits::WHOLE;
 use crate::reconstruct::accept::{Change, Support, accept};
 use crate::reconstruct::context::StepContext;
 use crate::reconstruct::model::{ConstantStepStart, MappedModel, SfmModel, StepResult};
 use crate::tracks::{build_tracks, positions};
 use scene::{Decision, Features, TwoViewGeometry};
-
-/// Share of the images with which a model that grew from other pairs needs no ring to start from:
-/// what it misses finds its place later.
-/// Source: chosen by hand, never measured.
-const WHOLE: f64 = 0.9;
 
 /// Standard deviations of an image's keypoints, in proportion to their scales and 1 for the finest:
 /// blurred structure is found less exactly (Zeisl et al., "Estimation of Location Uncertainty for
@@ -85,10 +81,10 @@ fn grow_or_place(
     if !start.instead {
         placed = place_all_images(model, start, context)?;
     }
-    let before = Support { explained: before, ..Support::default() };
+    let before = Support::of(before);
     Ok(match placed {
         Some(placed) => {
-            let after = Support { explained: images_in_place(&placed, start), ..Support::default() };
+            let after = Support::of(images_in_place(&placed, start));
             if accept(Change::ImagesOnRing, &before, &after) { Some(placed) } else { grown }
         }
         None => grown,

@@ -19,37 +19,27 @@
 mod aliasing;
 mod blurred_features;
 mod camera_model;
-mod circle_completion;
-mod colours;
 mod constant_step;
-mod covariance;
 pub(super) mod densify;
-mod features;
-mod final_adjustment;
-mod guided_matching;
-mod isolated_points;
+mod finish;
 mod mapper;
 mod mapping;
-mod matching;
 mod motion;
+mod observe;
 mod plane_tracks;
-mod points;
-mod rotation;
 mod second_attempt;
 mod shared_cameras;
 mod subpixel;
 #[cfg(test)]
 mod tests;
 mod ties;
-mod verification;
-mod video_turn;
 
-use super::clock::Clock;
 use super::context::StepContext;
 use super::export::why_no_model;
 use super::model::{ModelStage, SfmModel, StepResult};
 use crate::skip::StepName;
-use crate::{SfmError, SfmResult};
+use crate::{SfmError, SfmResult, StepTime};
+use std::time::Instant;
 
 /// A step of the sequence.
 struct ReconstructionStep {
@@ -85,33 +75,38 @@ const POSED: &[ModelStage] = &[ModelStage::Posed];
 
 /// All steps in their order.
 const STEPS: [ReconstructionStep; 22] = [
-    ReconstructionStep::always("video-turn", UNPOSED, video_turn::run),
-    ReconstructionStep::always("features", UNPOSED, features::run),
-    ReconstructionStep::always("matching", UNPOSED, matching::run),
-    ReconstructionStep::always("verification", UNPOSED, verification::run),
+    ReconstructionStep::always("video-turn", UNPOSED, motion::solve_video_turn),
+    ReconstructionStep::always("features", UNPOSED, observe::extract_features),
+    ReconstructionStep::always("matching", UNPOSED, observe::match_features),
+    ReconstructionStep::always("verification", UNPOSED, observe::verify),
     ReconstructionStep::unless(StepName::BlurredFeatures, "blurred-features", UNPOSED, blurred_features::run),
     ReconstructionStep::unless(StepName::ConstantStep, "constant-step", UNPOSED, constant_step::run),
-    ReconstructionStep::unless(StepName::GuidedMatching, "guided-matching", UNPOSED, guided_matching::run),
+    ReconstructionStep::unless(
+        StepName::GuidedMatching,
+        "guided-matching",
+        UNPOSED,
+        observe::match_along_lines,
+    ),
     ReconstructionStep::always("mapping", UNPOSED, mapping::run),
     ReconstructionStep::unless(StepName::Aliasing, "aliasing", POSED, aliasing::run),
     ReconstructionStep::unless(StepName::SecondAttempt, "second-attempt", POSED, second_attempt::run),
-    ReconstructionStep::unless(
-        StepName::CircleCompletion,
-        "circle-completion",
-        POSED,
-        circle_completion::run,
-    ),
+    ReconstructionStep::unless(StepName::CircleCompletion, "circle-completion", POSED, motion::complete_ring),
     ReconstructionStep::unless(StepName::SharedCameras, "shared-cameras", POSED, shared_cameras::run),
-    ReconstructionStep::always("camera-model", POSED, camera_model::run),
-    ReconstructionStep::always("final-adjustment", POSED, final_adjustment::run),
+    ReconstructionStep::always("camera-model", POSED, camera_model::choose_camera_model),
+    ReconstructionStep::always("final-adjustment", POSED, finish::adjust),
     ReconstructionStep::unless(StepName::Densify, "densify", POSED, densify::run),
     ReconstructionStep::unless(StepName::Subpixel, "subpixel", POSED, subpixel::run),
     ReconstructionStep::unless(StepName::PlaneTracks, "plane-tracks", POSED, plane_tracks::run),
-    ReconstructionStep::unless(StepName::IsolatedPoints, "isolated-points", POSED, isolated_points::run),
-    ReconstructionStep::always("motion", &[ModelStage::Unposed, ModelStage::Posed], motion::run),
-    ReconstructionStep::always("covariance", POSED, covariance::run),
-    ReconstructionStep::always("points", &[ModelStage::Posed, ModelStage::OneAxis], points::run),
-    ReconstructionStep::always("colours", &[ModelStage::Posed, ModelStage::OneAxis], colours::run),
+    ReconstructionStep::unless(
+        StepName::IsolatedPoints,
+        "isolated-points",
+        POSED,
+        finish::remove_isolated_points,
+    ),
+    ReconstructionStep::always("motion", &[ModelStage::Unposed, ModelStage::Posed], motion::choose_motion),
+    ReconstructionStep::always("covariance", POSED, finish::compute_covariance),
+    ReconstructionStep::always("points", &[ModelStage::Posed, ModelStage::OneAxis], finish::convert_model),
+    ReconstructionStep::always("colours", &[ModelStage::Posed, ModelStage::OneAxis], finish::colour_points),
 ];
 
 /// Takes the model through all steps of its stage that are not to be skipped, and notes what each
@@ -133,4 +128,34 @@ pub(super) fn run(mut model: SfmModel, context: &StepContext<'_>) -> Result<SfmR
     let unposed = model.stage == ModelStage::Unposed;
     let reason = if unposed { why_no_model(&model.features, &model.geometries) } else { String::new() };
     Ok(model.into_result(initial_cameras, reason, decisions))
+}
+
+/// Measures laps of wall-clock and processor time.
+struct Clock {
+    wall: Instant,
+    cpu: f64,
+}
+
+impl Clock {
+    fn start() -> Self {
+        Self { wall: Instant::now(), cpu: cpu_seconds() }
+    }
+
+    /// Notes what has passed since the last lap.
+    fn lap(&mut self, step: &str, steps: &mut Vec<StepTime>) {
+        let (wall, cpu) = (Instant::now(), cpu_seconds());
+        let wall_s = (wall - self.wall).as_secs_f64();
+        steps.push(StepTime { step: step.to_owned(), wall_s, cpu_s: cpu - self.cpu });
+        (self.wall, self.cpu) = (wall, cpu);
+    }
+}
+
+/// User and system time of this process, seconds, from `/proc/self/stat` (fields 14 and 15, in
+/// hundredths on Linux); 0 elsewhere.
+fn cpu_seconds() -> f64 {
+    let stat = std::fs::read_to_string("/proc/self/stat").unwrap_or_default();
+    // The second field is the program's name in brackets and may hold blanks.
+    let fields: Vec<&str> = stat.rsplit(')').next().unwrap_or_default().split_whitespace().collect();
+    let ticks = |i: usize| fields.get(i).and_then(|f| f.parse::<f64>().ok()).unwrap_or(0.0);
+    (ticks(11) + ticks(12)) / 100.0
 }

@@ -1,13 +1,72 @@
-//! Whether the images show a turn about one axis or an orbit; of images without poses too, for a
-//! turn needs but three.
+//! Circular motion: the turn of a video, images that a ring of cameras misses, and whether the
+//! images show a turn about one axis or an orbit.
 
-use crate::circular::{FreeModel, consider};
-use crate::reconstruct::context::StepContext;
+use crate::SfmError;
+use crate::circular::{FreeModel, Motion, MotionInput, VideoJob, consider, ring, solve_video};
+use crate::incremental::growth::starts_of;
+use crate::incremental::state::{MapState, MappingInput};
+use crate::reconstruct::context::{FeatureOrigin, StepContext};
 use crate::reconstruct::model::{ModelStage, SfmModel, StepResult};
+use crate::skip::StepName;
 use crate::tracks::build_tracks;
+use scene::Decision;
 
-/// Decides on the motion.
-pub(super) fn run(mut model: SfmModel, context: &StepContext<'_>) -> StepResult {
+/// The model of a video in which something turns about one axis before a camera that stands still:
+/// from followed points, without any of the other steps. Not where features were supplied.
+pub(super) fn solve_video_turn(mut model: SfmModel, context: &StepContext<'_>) -> StepResult {
+    let StepContext { frames, config, source, progress } = *context;
+    let wanted = matches!(config.motion.motion, Motion::Auto | Motion::SingleAxis);
+    if !frames.is_video || !wanted || source != FeatureOrigin::Images || model.matches.is_some() {
+        return Ok((model, Vec::new()));
+    }
+    let (cameras, camera_of, known) = (&model.setup.cameras, &model.setup.camera_of, &model.setup.known);
+    let found = solve_video(&VideoJob { frames, config, cameras, camera_of, known, progress })?;
+    let (video, motion) = match found {
+        Ok(found) => found,
+        Err(why) => {
+            model.no_video_motion = Some(why);
+            return Ok((model, Vec::new()));
+        }
+    };
+    model.stats.pairs_matched = video.matched;
+    model.stats.pairs_verified = video.geometries.len();
+    model.stats.features = video.keypoints.iter().map(Vec::len).sum();
+    model.features = video.features;
+    model.geometries = video.geometries;
+    model.keypoints = video.keypoints;
+    let mut decisions = vec![motion];
+    decisions.extend(model.adopt_turn(video.solution));
+    Ok((model, decisions))
+}
+
+/// Images that a ring of cameras misses, put in their places on it, where one camera took them all.
+pub(super) fn complete_ring(mut model: SfmModel, context: &StepContext<'_>) -> StepResult {
+    let completed = complete_circle(&model, &model.state, &model.input(context), context)?;
+    let Some((state, decision)) = completed else { return Ok((model, Vec::new())) };
+    model.state = state;
+    Ok((model, vec![decision]))
+}
+
+/// The poses and points of `state` with the images that its ring misses; `None` where it is no ring
+/// or misses none.
+pub(super) fn complete_circle(
+    model: &SfmModel,
+    state: &MapState,
+    input: &MappingInput<'_>,
+    context: &StepContext<'_>,
+) -> Result<Option<(MapState, Decision)>, SfmError> {
+    let asked = context.config.motion.motion != Motion::Free && !context.skips(StepName::CircleCompletion);
+    if !asked || model.setup.cameras.len() != 1 {
+        return Ok(None);
+    }
+    let starts = starts_of(&model.setup.cameras, &model.setup.known, state);
+    let motion = MotionInput { starts: &starts, ..model.motion_input(input, context) };
+    ring::complete(state, &motion.context(&[]), model.intrinsics)
+}
+
+/// Whether the images show a turn about one axis or an orbit; of images without poses too, for a
+/// turn needs but three.
+pub(super) fn choose_motion(mut model: SfmModel, context: &StepContext<'_>) -> StepResult {
     let posed = model.stage == ModelStage::Posed;
     if !posed {
         model.tracks = build_tracks(&model.features, &model.geometries);

@@ -4,6 +4,7 @@
 use crate::SfmError;
 use crate::incremental::finish::{free_principal_point, noise_of};
 use crate::incremental::state::{MapState, MappingInput};
+use crate::model_selection::noise::median_noise;
 use crate::plane_tracks::plane::widest;
 use crate::plane_tracks::{PlanePoint, find_plane_tracks};
 use crate::reconstruct::accept::{Change, Support, accept};
@@ -38,12 +39,6 @@ const MARGIN: f64 = 0.1;
 /// errs with none of them.
 /// Source: docs/decisions/08 (variances are too small by 2 to 6).
 const TRUST: f64 = 0.5;
-/// Share of the plane's observations that the adjusted model must keep.
-/// Source: docs/decisions/11.
-const KEPT: f64 = 0.6;
-/// The median length of an error of two normal coordinates, in standard deviations.
-/// Source: the median of the Rayleigh distribution, `√(2 ln 2)`.
-const MEDIAN_LENGTH: f64 = 1.1774;
 
 /// Keypoints, their standard deviations and tracks, those of the plane behind the others.
 struct PlaneTracks {
@@ -129,20 +124,20 @@ fn add_plane(
         }
         let mut off = found.take().map_or_else(Vec::new, |last| last.off);
         off.push(median(places.iter().flat_map(|p| &p.observations).map(|s| s.off).collect()));
-        let plane_tracks = PlaneTracks::new(input, &places, TRUST * factor / unit);
+        let plane_tracks = PlaneTracks::new(input, &places, factor / unit);
         let with = plane_tracks.input(input);
         let start = plane_tracks.add_points(&bare, input, &places, &with);
         let state = model.settle(start, &with, model.intrinsics, context)?;
         let held = plane_tracks.kept_points(&state, input);
         let observations: usize = places.iter().map(|p| p.observations.len()).sum();
-        if (held.errors.len() as f64) < KEPT * observations as f64 {
-            let kept = held.errors.len() as f64 / observations as f64;
+        if !accept(Change::PlanePlaces, &Support::of(observations), &Support::of(held.errors_sq.len())) {
+            let kept = held.errors_sq.len() as f64 / observations as f64;
             return Ok(Err(not_used().remarked(Remark::PlaneDisagrees).with_all([
                 Measurement::count(Quantity::PlaneObservations, observations),
                 Measurement::new(Quantity::KeptObservations, kept),
             ])));
         }
-        factor *= (TRUST * median(held.errors) / unit / MEDIAN_LENGTH).clamp(0.2, 5.0);
+        factor *= (TRUST * median_noise(held.errors_sq) / unit).clamp(0.2, 5.0);
         plane = plane.closer(&held.places).unwrap_or(plane).about(&held.places, MARGIN * plane.reach);
         bare = without_plane_points(&state, input);
         let ends = off.len() > 1 && off[off.len() - 1] > LESS * off[off.len() - 2];
@@ -186,10 +181,10 @@ impl PlaneRounds {
     }
 }
 
-/// Observations of the plane that a model has kept: their errors, pixels, over their standard
-/// deviations, and where the places are.
+/// Observations of the plane that a model has kept: their squared errors, pixels², over their
+/// variances, and where the places are.
 struct KeptPlanePoints {
-    errors: Vec<f64>,
+    errors_sq: Vec<f64>,
     places: Vec<DVec3>,
 }
 
@@ -224,12 +219,12 @@ impl PlaneTracks {
     /// What a model has kept of the plane.
     fn kept_points(&self, model: &MapState, input: &MappingInput<'_>) -> KeptPlanePoints {
         let (first, with) = (input.tracks.views.len() as u32, self.input(input));
-        let mut held = KeptPlanePoints { errors: Vec::new(), places: Vec::new() };
+        let mut held = KeptPlanePoints { errors_sq: Vec::new(), places: Vec::new() };
         for (_, point) in model.live().filter(|(_, p)| p.track >= first) {
             held.places.push(point.position);
-            held.errors.extend(point.views.iter().map(|v| {
+            held.errors_sq.extend(point.views.iter().map(|v| {
                 let sigma = self.sigmas[v[0] as usize][v[1] as usize];
-                model.error_sq(&with, *v, point.position).sqrt() / f64::from(sigma)
+                model.error_sq(&with, *v, point.position) / f64::from(sigma).powi(2)
             }));
         }
         held

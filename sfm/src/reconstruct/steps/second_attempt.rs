@@ -1,8 +1,8 @@
 //! Where images of a small set are missing: pairs that did not pass are matched again, loosely and
 //! with the solved intrinsics, and the model is grown anew from all pairs.
 
-use super::circle_completion::complete_circle;
 use super::mapping::grow_model;
+use super::motion::complete_circle;
 use crate::SfmError;
 use crate::reconstruct::accept::{Change, Support, accept};
 use crate::reconstruct::context::StepContext;
@@ -11,9 +11,6 @@ use crate::two_view;
 use scene::{Camera, TwoViewGeometry};
 use std::collections::BTreeSet;
 
-/// Images up to which pairs are looked at a second time, as this takes about 40 ms a pair.
-/// Source: chosen by hand for that cost, never measured otherwise.
-const UP_TO: usize = 40;
 /// How often, each time with the pairs that the last one found.
 /// Source: chosen by hand, never measured.
 const LOOKS: usize = 2;
@@ -21,7 +18,7 @@ const LOOKS: usize = 2;
 /// Looks again where some image has no pose, after the ring is completed if the model is one.
 pub(super) fn run(mut model: SfmModel, context: &StepContext<'_>) -> StepResult {
     let images = model.keypoints.len();
-    if model.state.registered_count() >= images || images > UP_TO {
+    if model.state.registered_count() >= images || images > context.config.pairs.exhaustive_up_to {
         return Ok((model, Vec::new()));
     }
     let first = images_in_the_end(&model, None, context)?;

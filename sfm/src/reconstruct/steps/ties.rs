@@ -12,17 +12,13 @@ const TIES: usize = 2;
 /// Matches that each of them must share with it, of the default number of features.
 /// Source: chosen by hand, never measured.
 pub(super) const STRONG_TIE: usize = 300;
-/// That default number of features an image; undoubled images have about a quarter.
-/// Source: the default of `--max-features`.
-const FEATURES_OF_TIES: usize = 4096;
-/// Share of the images that must be weakly tied for other ways to match them to be looked for.
-/// Source: docs/decisions/09.
-const WEAK_SHARE: f64 = 0.5;
+
 /// [`STRONG_TIE`] where fewer features are asked for: fewer matches hold an image then as firmly as
-/// that allows.
+/// that allows. Images that are not doubled have about a quarter of the features.
 pub(super) fn strong_tie(sift: &SiftConfig) -> usize {
     let share = if sift.doubling == Doubling::Never { 4 } else { 1 };
-    STRONG_TIE * sift.max_features.min(FEATURES_OF_TIES / share) / FEATURES_OF_TIES
+    let usual = SiftConfig::default().max_features;
+    STRONG_TIE * sift.max_features.min(usual / share) / usual
 }
 
 /// Images that fewer than [`TIES`] others share `strong` matches with.
@@ -35,9 +31,10 @@ pub(super) fn find_weakly_tied(images: usize, geometries: &[TwoViewGeometry], st
     ties.into_iter().map(|n| n < TIES).collect()
 }
 
-/// Whether so many images are weakly tied that other ways to match them are looked for.
+/// Whether half of the images are weakly tied, so that other ways to match them are looked for
+/// (docs/decisions/09).
 pub(super) fn most_are_weak(weakly_tied: &[bool]) -> bool {
-    weakly_tied.iter().filter(|weak| **weak).count() as f64 >= WEAK_SHARE * weakly_tied.len() as f64
+    2 * weakly_tied.iter().filter(|weak| **weak).count() >= weakly_tied.len()
 }
 
 /// How many pairs were verified.
