@@ -13,7 +13,7 @@ mod spread;
 #[cfg(test)]
 mod tests;
 
-pub(crate) use blur::dispatch;
+pub(crate) use blur::{LANES, dispatch};
 pub use config::{Doubling, SiftConfig};
 
 use crate::SfmError;
@@ -195,7 +195,7 @@ pub fn extract_all(
     // Scale spaces are handed from image to image: fresh memory is written once by the system and once as zeros.
     let idle: Mutex<Vec<Vec<Octave>>> = Mutex::new(Vec::new());
     let idle = || idle.lock().unwrap_or_else(PoisonError::into_inner);
-    let one = |frame: &Frame| {
+    let extracted = frames.frames.par_iter().with_max_len(1).map(|frame| {
         progress.check()?;
         let luma = load_luma(frame)?;
         let mask = frame.mask.as_deref().map(|path| read_mask(path, frame)).transpose()?;
@@ -204,8 +204,8 @@ pub fn extract_all(
         idle().push(octaves);
         progress.tick_with(&format!("{} in {}", features.len(), frame.name))?;
         Ok(features)
-    };
-    frames.frames.par_iter().with_max_len(1).map(one).collect()
+    });
+    extracted.collect()
 }
 
 /// Grey levels of a frame, whose size must be what it says.
@@ -215,7 +215,8 @@ pub(crate) fn load_luma(frame: &Frame) -> Result<FloatImage, SfmError> {
     Ok(FloatImage::luma(&image))
 }
 
-fn read_mask(path: &Path, frame: &Frame) -> Result<GrayImage, SfmError> {
+/// The mask of a frame, whose size must be the frame's.
+pub(crate) fn read_mask(path: &Path, frame: &Frame) -> Result<GrayImage, SfmError> {
     let mask = load_mask(path).map_err(|e| unreadable(path, &e))?;
     check_size(path, mask.dimensions(), frame)?;
     Ok(mask)
