@@ -45,9 +45,9 @@ impl Default for KltConfig {
 /// Levels of the pyramids: windows reach about 7 · 2³ pixels.
 /// Source: SRC_LEVELS
 const LEVELS: usize = 4;
-/// Least correlation of a window with the one that says what is meant.
+/// Least correlation of a window with the track's first one.
 /// Source: SRC_CORR
-pub(crate) const CORRELATION: f64 = 0.85;
+const CORRELATION: f64 = 0.85;
 
 /// A point followed through consecutive frames.
 #[derive(Clone, Debug, PartialEq)]
