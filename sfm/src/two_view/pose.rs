@@ -26,7 +26,7 @@ pub(crate) fn best_pose(
     if let Some(h) = homography {
         let rays_a: Vec<DVec3> = rays.iter().map(|r| r.0).collect();
         let motions = motions_from_homography(&all.homography_to_rays(h), &rays_a);
-        candidates.extend(motions.iter().map(|m| m.b_from_a).filter(|p| p.translation.length() > 1e-6));
+        candidates.extend(motions.into_iter().filter(|p| p.translation.length() > 1e-6));
     }
     let pairs = Pairs { a: &all.a, b: &all.b, indices: inliers };
     let mut best: Option<(f64, Pose)> = None;
