@@ -7,7 +7,7 @@ use scene::pose::rotation_angle;
 use scene::{Camera, CameraModel, Features, Frame, FrameSet, Pose, Progress, TwoViewGeometry, TwoViewKind};
 use sfm::matching::{MatchConfig, match_pairs};
 use sfm::sift::{SiftConfig, extract_all};
-use sfm::two_view::{TwoViewConfig, focal_evidence, verify_pairs};
+use sfm::two_view::{TwoViewConfig, verify_pairs};
 use std::path::{Path, PathBuf};
 
 type Truth = Vec<(String, DMat3, Pose)>;
@@ -71,17 +71,6 @@ fn table(
     let verified =
         verify_pairs(features, cameras, matches.clone(), &TwoViewConfig::default(), 0, &Progress::silent())?;
     println!("\n{name}: {} pairs verified in {:.2} CPU s", verified.len(), cpu_seconds() - start);
-    let factors: Vec<f64> = (-8..=8).map(|i| 2f64.powf(f64::from(i) / 4.0)).collect();
-    let start = cpu_seconds();
-    let evidence = focal_evidence(features, cameras, &verified, &factors);
-    println!(
-        "mean robust epipolar error by factor of the focal length ({:.2} CPU s):",
-        cpu_seconds() - start
-    );
-    for (factor, cost) in factors.iter().zip(&evidence) {
-        print!("  × {factor:.2}: {cost:.4}");
-    }
-    println!();
     println!(
         "views apart   pairs verified  calibrated F planar panoramic  inliers  rotation error median 90 %  translation"
     );

@@ -1,7 +1,8 @@
 //! Bundle adjustment: poses, intrinsics and points that fit all observations best.
 //!
-//! The scene is moved to its median and scaled to unit size before it is solved, so that units and the place of the
-//! origin do not matter (Triggs et al., "Bundle adjustment: a modern synthesis", 1999, on scaling and gauge).
+//! The scene is moved to its median and scaled to unit size before it is solved, so that units and
+//! the place of the origin do not matter (Triggs et al., "Bundle adjustment: a modern synthesis", 1999,
+//! on scaling and gauge).
 
 mod adjustable;
 mod points;
@@ -10,9 +11,9 @@ pub use adjustable::Adjustable;
 
 use crate::SfmError;
 use crate::ceres::{self, BundleInput, BundleState};
+use crate::statistics::median;
 use glam::{DQuat, DVec2, DVec3};
-use scene::{Camera, Pose, Progress, Reconstruction, TrackElement};
-use std::collections::{BTreeMap, BTreeSet};
+use scene::{Camera, Pose, Progress};
 
 /// How residuals are weighed.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -20,8 +21,6 @@ pub enum RobustLoss {
     /// `r²`
     #[default]
     Squared,
-    /// Quadratic up to the scale, then linear.
-    Huber(f64),
     /// `2 s² (√(1 + r²/s²) − 1)`
     SoftL1(f64),
     /// `s² log(1 + r²/s²)`
@@ -39,8 +38,8 @@ pub struct SolveOptions {
     pub function_tolerance: f64,
     /// Relative change of the parameters at which to stop.
     pub parameter_tolerance: f64,
-    /// Whether points first settle alone (turns under Cauchy's loss only). Near the end that saves steps; far from it, observations
-    /// across a joint that is still wrong might be taken for outliers.
+    /// Whether points first settle alone (turns under Cauchy's loss only). Near the end that saves steps;
+    /// far from it, observations across a joint that is still wrong might be taken for outliers.
     pub points_first: bool,
 }
 
@@ -143,7 +142,8 @@ impl BundleProblem {
         let mut state = self.state(&frame);
         let outcome = ceres::solve(&input, &mut state, progress)?;
         let m = input.weights.len();
-        let rms = |cost: f64| (2.0 * cost / m as f64).max(0.0).sqrt();
+        let costs = [outcome.initial_cost, outcome.final_cost];
+        let [initial_rms, final_rms] = costs.map(|cost| (2.0 * cost / m as f64).max(0.0).sqrt());
         let numbers = [&state.intrinsics, &state.poses, &state.points];
         let finite = numbers.iter().all(|values| values.iter().all(|v| v.is_finite()));
         let usable = outcome.usable && finite && outcome.final_cost <= outcome.initial_cost;
@@ -151,8 +151,8 @@ impl BundleProblem {
             self.take(&state, &frame);
         }
         Ok(BundleSummary {
-            initial_rms: rms(outcome.initial_cost),
-            final_rms: rms(outcome.final_cost),
+            initial_rms,
+            final_rms,
             iterations: outcome.iterations,
             observations: m,
             converged: outcome.converged,
@@ -194,13 +194,9 @@ impl BundleProblem {
     }
 
     fn state(&self, frame: &SceneNormalisation) -> BundleState {
-        let pose = |p: &Pose| {
-            let Pose { rotation: q, translation: t } = frame.pose_in(p);
-            [q.x, q.y, q.z, q.w, t.x, t.y, t.z]
-        };
         BundleState {
             intrinsics: self.cameras.iter().flat_map(|c| c.params.iter().copied()).collect(),
-            poses: self.poses.iter().flat_map(pose).collect(),
+            poses: self.poses.iter().flat_map(|p| numbers_of(&frame.pose_in(p))).collect(),
             points: self.points.iter().flat_map(|&x| frame.point_in(x).to_array()).collect(),
         }
     }
@@ -240,9 +236,8 @@ impl BundleProblem {
         };
         (input.loss, input.loss_scale) = match options.loss {
             RobustLoss::Squared => (0, 1.0),
-            RobustLoss::Huber(s) => (1, s),
-            RobustLoss::SoftL1(s) => (2, s),
-            RobustLoss::Cauchy(s) => (3, s),
+            RobustLoss::SoftL1(s) => (1, s),
+            RobustLoss::Cauchy(s) => (2, s),
         };
         input.free_poses = input.pose_held.iter().filter(|&&h| h != 7).count();
         for (camera, free) in self.cameras.iter().zip(&self.camera_free) {
@@ -292,6 +287,10 @@ impl BundleProblem {
     }
 }
 
+fn numbers_of(Pose { rotation: q, translation: t }: &Pose) -> [f64; 7] {
+    [q.x, q.y, q.z, q.w, t.x, t.y, t.z]
+}
+
 /// Standard deviations of rotation and centre from a covariance over (ω, t) in the normalised scene:
 /// `c = −Rᵀ t`, so `δc = −Rᵀ (δt + t × δω)`.
 fn pose_deviation(pose: &Pose, covariance: &[f64], scale: f64) -> [f64; 6] {
@@ -321,15 +320,11 @@ pub(crate) struct SceneNormalisation {
 
 impl SceneNormalisation {
     fn of(problem: &BundleProblem) -> Self {
-        let median = |mut values: Vec<f64>| {
-            let middle = values.len() / 2;
-            if values.is_empty() { 0.0 } else { *values.select_nth_unstable_by(middle, f64::total_cmp).1 }
-        };
         let finite: Vec<DVec3> = problem.points.iter().copied().filter(|x| x.is_finite()).collect();
-        let axis = |i: usize| median(finite.iter().map(|x| x[i]).collect());
-        let centre = DVec3::new(axis(0), axis(1), axis(2));
-        let spread = |all: Vec<DVec3>| median(all.iter().map(|x| (*x - centre).length()).collect());
-        let scale = spread(finite).max(spread(problem.poses.iter().map(Pose::centre).collect()) * 1e-3);
+        let centre = DVec3::from_array([0, 1, 2].map(|i| median(finite.iter().map(|x| x[i]).collect())));
+        let of_points = median(finite.iter().map(|x| (*x - centre).length()).collect());
+        let of_poses = median(problem.poses.iter().map(|p| (p.centre() - centre).length()).collect());
+        let scale = of_points.max(of_poses * 1e-3);
         Self { centre, scale: if scale > 0.0 && scale.is_finite() { scale } else { 1.0 } }
     }
 
@@ -353,39 +348,6 @@ impl SceneNormalisation {
     }
 }
 
-/// What [`adjust`] solves for.
-#[derive(Clone, Debug)]
-pub struct BundleOptions {
-    /// When to stop, and the loss (its scale in pixels).
-    pub solve: SolveOptions,
-    /// Whether focal lengths are solved for.
-    pub refine_focal: bool,
-    /// Whether principal points are.
-    pub refine_principal_point: bool,
-    /// Whether distortion is.
-    pub refine_distortion: bool,
-    /// Numbers of images whose pose is held.
-    pub constant_images: BTreeSet<u32>,
-    /// Numbers of cameras whose intrinsics are held.
-    pub constant_cameras: BTreeSet<u32>,
-    /// Images to adjust; `None`: all. Points seen elsewhere too are held by those observations' constant poses.
-    pub only_images: Option<BTreeSet<u32>>,
-}
-
-impl Default for BundleOptions {
-    fn default() -> Self {
-        Self {
-            solve: SolveOptions::default(),
-            refine_focal: true,
-            refine_principal_point: false,
-            refine_distortion: true,
-            constant_images: BTreeSet::new(),
-            constant_cameras: BTreeSet::new(),
-            only_images: None,
-        }
-    }
-}
-
 /// Which parameters of a camera are solved for.
 pub fn free_parameters(camera: &Camera, focal: bool, principal_point: bool, distortion: bool) -> Vec<bool> {
     let n = camera.model.num_focals();
@@ -400,91 +362,6 @@ pub fn free_parameters(camera: &Camera, focal: bool, principal_point: bool, dist
             }
         })
         .collect()
-}
-
-/// Adjusts a model in place and refreshes the points' mean errors.
-///
-/// With `only_images`, the points these images see are adjusted with them, and every other image that sees such a point
-/// takes part with a constant pose.
-pub fn adjust(
-    model: &mut Reconstruction,
-    options: &BundleOptions,
-    progress: &Progress,
-) -> Result<BundleSummary, SfmError> {
-    let (mut problem, point_ids) = problem_of(model, options);
-    let summary = problem.solve(&options.solve, progress)?;
-    for (camera, solved) in model.cameras.values_mut().zip(&problem.cameras) {
-        camera.params.clone_from(&solved.params);
-    }
-    for (image, pose) in model.images.values_mut().zip(&problem.poses) {
-        image.pose = *pose;
-    }
-    for (id, position) in point_ids.iter().zip(&problem.points) {
-        if let Some(point) = model.points.get_mut(id) {
-            point.position = *position;
-        }
-    }
-    refresh_errors(model);
-    Ok(summary)
-}
-
-/// The adjustment of a whole model, and the numbers of its points in the problem's order.
-pub fn problem_of(model: &Reconstruction, options: &BundleOptions) -> (BundleProblem, Vec<u64>) {
-    let cameras: BTreeMap<u32, u32> = model.cameras.keys().copied().zip(0..).collect();
-    let poses: BTreeMap<u32, u32> = model.images.keys().copied().zip(0..).collect();
-    let adjusted = |image: &u32| options.only_images.as_ref().is_none_or(|only| only.contains(image));
-    let mut problem = BundleProblem {
-        cameras: model.cameras.values().cloned().collect(),
-        camera_free: model
-            .cameras
-            .values()
-            .map(|c| {
-                let free = !options.constant_cameras.contains(&c.id);
-                let BundleOptions { refine_focal, refine_principal_point, refine_distortion, .. } = *options;
-                free_parameters(
-                    c,
-                    free && refine_focal,
-                    free && refine_principal_point,
-                    free && refine_distortion,
-                )
-            })
-            .collect(),
-        poses: model.images.values().map(|i| i.pose).collect(),
-        pose_camera: model.images.values().map(|i| cameras.get(&i.camera).copied().unwrap_or(0)).collect(),
-        pose_constant: model
-            .images
-            .keys()
-            .map(|i| !adjusted(i) || options.constant_images.contains(i))
-            .collect(),
-        ..BundleProblem::default()
-    };
-    let mut ids = Vec::new();
-    for (id, point) in &model.points {
-        if !point.track.iter().any(|e| adjusted(&e.image)) {
-            continue;
-        }
-        let index = ids.len() as u32;
-        let observation = |e: &TrackElement| {
-            let pixel = model.images.get(&e.image)?.observations.get(e.observation as usize)?.pixel;
-            Some(BundleObservation { pose: *poses.get(&e.image)?, point: index, pixel, sigma_px: 1.0 })
-        };
-        problem.observations.extend(point.track.iter().filter_map(observation));
-        problem.points.push(point.position);
-        ids.push(*id);
-    }
-    problem.point_constant = vec![false; ids.len()];
-    (problem, ids)
-}
-
-fn refresh_errors(model: &mut Reconstruction) {
-    let error = |point| {
-        let point: &scene::ScenePoint = point;
-        let errors: Vec<f64> =
-            point.track.iter().filter_map(|e| model.residual(point, e)).map(DVec2::length).collect();
-        errors.iter().sum::<f64>() / errors.len().max(1) as f64
-    };
-    let errors: Vec<f64> = model.points.values().map(error).collect();
-    model.points.values_mut().zip(errors).for_each(|(p, e)| p.error_px = e);
 }
 
 #[cfg(test)]

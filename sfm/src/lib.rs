@@ -9,7 +9,9 @@
 //! # }
 //! ```
 
-pub mod bundle;
+#![warn(unreachable_pub)]
+
+mod bundle;
 mod ceres;
 mod circular;
 mod config;
@@ -17,20 +19,20 @@ mod disjoint_sets;
 mod error;
 mod global;
 mod incremental;
-pub mod klt;
+mod klt;
 mod knowledge;
 mod limits;
 pub mod matching;
 mod model_selection;
 mod pairs;
 mod plane_tracks;
-pub mod ransac;
+mod ransac;
 mod reconstruct;
 mod refinement;
 mod result;
 pub mod sift;
 mod skip;
-pub mod solvers;
+mod solvers;
 mod statistics;
 mod tracks;
 mod triangulation;
@@ -49,4 +51,4 @@ pub use result::{PoseDeviation, SfmResult, SfmStats, StepTime, Uncertainty};
 pub use skip::StepName;
 pub use undistort::undistort;
 
-pub(crate) use knowledge::Knowledge;
+use knowledge::Knowledge;

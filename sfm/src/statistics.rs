@@ -9,9 +9,6 @@ pub(crate) fn median(mut values: Vec<f64>) -> f64 {
 /// The median absolute deviation of a normal variable, in standard deviations.
 /// Source: the 75th percentile of the standard normal distribution.
 pub(crate) const MEDIAN_DEVIATION: f64 = 0.6745;
-/// Its inverse, as it is usually rounded: standard deviation over median absolute deviation.
-/// Source: 1 / [`MEDIAN_DEVIATION`].
-pub(crate) const SIGMA_PER_MAD: f64 = 1.4826;
 /// The median length of a vector of three standard normal coordinates.
 /// Source: the square root of the median of a chi-square variable with three degrees of freedom.
 pub(crate) const MEDIAN_LENGTH: f64 = 1.538;

@@ -10,8 +10,10 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 /// Quality of resampled JPEG files.
+/// Source: SRC_JPEG
 const JPEG_QUALITY: u8 = 97;
 /// An undistorted image is at most this much larger or smaller than its source, each way.
+/// Source: COLMAP, `max_scale` of its undistortion.
 const SIZE_LIMIT: f64 = 2.0;
 
 /// Writes `images/`, `masks/` (where frames have masks) and the model `sparse/0` without distortion into `out_dir`, and

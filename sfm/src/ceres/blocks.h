@@ -136,9 +136,8 @@ class IntrinsicsPrior final : public ceres::CostFunction {
 
 inline std::unique_ptr<ceres::LossFunction> MakeLoss(const BundleInput &input) {
   switch (input.loss) {
-    case 1: return std::make_unique<ceres::HuberLoss>(input.loss_scale);
-    case 2: return std::make_unique<ceres::SoftLOneLoss>(input.loss_scale);
-    case 3: return std::make_unique<ceres::CauchyLoss>(input.loss_scale);
+    case 1: return std::make_unique<ceres::SoftLOneLoss>(input.loss_scale);
+    case 2: return std::make_unique<ceres::CauchyLoss>(input.loss_scale);
     default: return nullptr;
   }
 }

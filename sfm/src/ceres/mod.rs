@@ -42,7 +42,7 @@ mod ffi {
         pub pixels: Vec<f64>,
         /// [M] 1 / standard deviation of each observation, px⁻¹.
         pub weights: Vec<f64>,
-        /// 0: squared, 1: Huber, 2: soft L1, 3: Cauchy.
+        /// 0: squared, 1: soft L1, 2: Cauchy.
         pub loss: i32,
         /// Where the robust loss bends, in standard deviations.
         pub loss_scale: f64,

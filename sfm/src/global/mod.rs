@@ -16,13 +16,9 @@ use rayon::prelude::*;
 use rotations::RotationEdge;
 use scene::{Camera, Pose, Progress, TwoViewKind};
 
-/// Pairs farther from the averaged rotations than this are wrong, radians.
-/// Source: chosen by hand, never measured.
-const WRONG_PAIR: f64 = 0.15;
-/// Errors to which observations are held, one adjustment after the other, pixels for an image of
-/// 1000.
-/// Source: chosen by hand, never measured.
-const LIMITS: [f64; 4] = [60.0, 25.0, 10.0, 5.0];
+/// Error to which observations are held at first, as a share of the longer side.
+/// Source: SRC_START
+const START: f64 = 0.06;
 
 /// The model of the largest connected part of the view graph; `None` where it has fewer than three
 /// images. `cameras`: intrinsics that are about right.
@@ -40,9 +36,7 @@ pub(crate) fn map(
         progress.check()?;
         rotations = rotations::average(images, &edges);
         let before = edges.len();
-        let agrees =
-            |e: &RotationEdge| rotations::residual(&rotations, e).is_none_or(|r| r.length() < WRONG_PAIR);
-        edges.retain(agrees);
+        edges.retain(|e| rotations::agrees(&rotations, e));
         if edges.len() == before {
             break;
         }
@@ -83,7 +77,8 @@ fn view_graph(input: &MappingInput<'_>, cameras: &[Camera]) -> Vec<RotationEdge>
     edges.collect()
 }
 
-/// Adjusts with ever smaller bounds on the errors, then takes out images that see next to nothing.
+/// Adjusts with bounds on the errors that are halved again and again, then takes out images that see
+/// next to nothing.
 fn tighten(
     state: &mut MapState,
     input: &MappingInput<'_>,
@@ -92,7 +87,9 @@ fn tighten(
     progress: &Progress,
 ) -> Result<(), SfmError> {
     let side = starts.iter().map(|c| c.width.max(c.height)).max().unwrap_or(1000);
-    for limit in LIMITS.map(|l| (l * f64::from(side) / 1000.0).max(input.config.max_reprojection_px)) {
+    let last = input.config.max_reprojection_px;
+    let halved = std::iter::successors(Some(START * f64::from(side)), |l| (*l > last).then_some(l / 2.0));
+    for limit in halved.map(|l| l.max(last)) {
         let (free, priors) = freedom(&state.cameras, known, starts, state.registered_count());
         let mut what = Adjustment::growing(free, priors);
         what.solve.loss = RobustLoss::SoftL1(0.25 * limit);

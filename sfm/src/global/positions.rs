@@ -9,17 +9,11 @@ use glam::{DQuat, DVec3};
 use rand::Rng as _;
 use scene::{Camera, Progress, rng};
 
-/// Tracks that every image should see some of, as long as there are any.
-/// Source: chosen by hand, never measured.
+/// Tracks of which every image should see as many, as long as there are any.
+/// Source: SRC_POSITIONS
 const TRACKS_PER_IMAGE: usize = 120;
-/// Fewest views of a track: two bearings always meet nearly somewhere.
-/// Source: derived: two bearings meet whatever the directions of motion.
-const FEWEST_VIEWS: usize = 3;
-/// Views of a track that are used at most.
-/// Source: chosen by hand, never measured.
-const MOST_VIEWS: usize = 12;
 /// Where the loss bends: bearings off by so much (radians) pull less.
-/// Source: chosen by hand, never measured.
+/// Source: SRC_POSITIONS
 const BEND: f64 = 0.1;
 
 /// Centres of the images with a rotation, and the points that gave them with their tracks; `None`
@@ -91,22 +85,20 @@ fn choose_tracks(input: &MappingInput<'_>, rotations: &[Option<DQuat>]) -> Vec<(
     let mut ranked: Vec<(usize, u32)> = Vec::new();
     for (track, views) in (0u32..).zip(&input.tracks.views) {
         let known = views.iter().filter(|v| rotations[v[0] as usize].is_some()).count();
-        if known >= FEWEST_VIEWS {
+        // Two bearings meet nearly somewhere whatever the directions of motion.
+        if known > 2 {
             ranked.push((known, track));
         }
     }
     ranked.sort_unstable_by_key(|&(n, track)| (std::cmp::Reverse(n), track));
     let mut seen = vec![0usize; rotations.len()];
     let mut chosen = Vec::new();
-    for (known, track) in ranked {
+    for (_, track) in ranked {
         let views = input.tracks.views[track as usize].iter();
         let views: Vec<[u32; 2]> = views.copied().filter(|v| rotations[v[0] as usize].is_some()).collect();
         if views.iter().any(|v| seen[v[0] as usize] < TRACKS_PER_IMAGE) {
-            // Of a long track some views, spread evenly.
-            let most = known.min(MOST_VIEWS);
-            let some: Vec<[u32; 2]> = (0..most).map(|i| views[i * known / most]).collect();
-            some.iter().for_each(|v| seen[v[0] as usize] += 1);
-            chosen.push((track, some));
+            views.iter().for_each(|v| seen[v[0] as usize] += 1);
+            chosen.push((track, views));
         }
     }
     chosen

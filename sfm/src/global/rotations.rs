@@ -18,21 +18,15 @@ pub(crate) struct RotationEdge {
     pub weight: f64,
 }
 
-/// Rounds with 1/|ω| and with Geman and McClure's weights.
-/// Source: chosen by hand, never measured.
-const ROUNDS: [usize; 2] = [12, 30];
+/// Rounds with 1/|ω| and with Geman and McClure's weights, at most.
+/// Source: SRC_ROTATIONS
+const ROUNDS: usize = 30;
 /// Width of Geman and McClure's loss, radians.
-/// Source: chosen by hand, never measured.
+/// Source: SRC_ROTATIONS
 const WIDTH: f64 = 0.05;
-/// Residuals below this weigh as this in the first rounds, radians.
-/// Source: chosen by hand, never measured.
-const SMALLEST: f64 = 0.005;
 /// Largest turn of a round at which the search ends, radians.
 /// Source: derived: far below what pairs are exact to.
 const SETTLED: f64 = 1e-6;
-/// Steps of the linear solver at most.
-/// Source: chosen by hand; conjugate gradients end with as many steps as unknowns.
-const STEPS: usize = 2000;
 
 /// `image_from_world` of the images in the largest connected part of the graph (others: `None`);
 /// its first image's is the identity. The same for the same edges in the same order.
@@ -40,19 +34,13 @@ pub(crate) fn average(images: usize, edges: &[RotationEdge]) -> Vec<Option<DQuat
     let mut rotations = along_tree(images, edges);
     let known: Vec<&RotationEdge> = edges.iter().filter(|e| rotations[e.a].is_some()).collect();
     let Some(root) = rotations.iter().position(Option::is_some) else { return rotations };
-    for (kind, rounds) in ROUNDS.into_iter().enumerate() {
-        for _ in 0..rounds {
+    for loss in [least_absolute, geman_mcclure] {
+        for _ in 0..ROUNDS {
             let system: Vec<(usize, usize, DVec3, f64)> = known
                 .iter()
                 .filter_map(|e| {
                     let omega = residual(&rotations, e)?;
-                    let size = omega.length();
-                    let loss = if kind == 0 {
-                        1.0 / size.max(SMALLEST)
-                    } else {
-                        (WIDTH * WIDTH / (WIDTH * WIDTH + size * size)).powi(2)
-                    };
-                    Some((e.a, e.b, omega, e.weight * loss))
+                    Some((e.a, e.b, omega, e.weight * loss(omega.length())))
                 })
                 .collect();
             let turns = solve(images, root, &system);
@@ -70,9 +58,23 @@ pub(crate) fn average(images: usize, edges: &[RotationEdge]) -> Vec<Option<DQuat
 
 /// What an edge says beyond the present rotations, as a turn in the world frame: `R_bᵀ R_ba R_a =
 /// exp(ω)`.
-pub(crate) fn residual(rotations: &[Option<DQuat>], e: &RotationEdge) -> Option<DVec3> {
+fn residual(rotations: &[Option<DQuat>], e: &RotationEdge) -> Option<DVec3> {
     let q = rotations[e.b]?.inverse() * e.b_from_a * rotations[e.a]?;
     Some(if q.w < 0.0 { (-q).to_scaled_axis() } else { q.to_scaled_axis() })
+}
+
+/// Weight of a residual for the least absolute deviation; all small ones weigh the same.
+fn least_absolute(size: f64) -> f64 {
+    1.0 / size.max(WIDTH / 10.0)
+}
+
+fn geman_mcclure(size: f64) -> f64 {
+    (WIDTH * WIDTH / (WIDTH * WIDTH + size * size)).powi(2)
+}
+
+/// Whether an edge is within three widths of the rotations: farther off it weighs a hundredth.
+pub(crate) fn agrees(rotations: &[Option<DQuat>], e: &RotationEdge) -> bool {
+    residual(rotations, e).is_none_or(|r| r.length() < 3.0 * WIDTH)
 }
 
 /// Rotations along the tree of the heaviest edges, of the largest connected part alone.
@@ -125,7 +127,8 @@ fn solve(images: usize, root: usize, system: &[(usize, usize, DVec3, f64)]) -> V
     let mut p = z.clone();
     let mut rz = dot(&r, &z);
     let first = rz;
-    for _ in 0..STEPS {
+    // In exact arithmetic conjugate gradients end with as many steps as unknowns.
+    for _ in 0..3 * images {
         // The residual is reduced by nine digits.
         if !(rz > 1e-18 * first) {
             break;

@@ -9,12 +9,11 @@ use glam::DVec2;
 use image::GrayImage;
 
 /// Half the side of the square over which gradients are summed, pixels.
+/// Source: SRC_BLOCK
 const BLOCK: usize = 3;
 /// A corner's smaller eigenvalue is at least this share of the strongest that the mask keeps.
+/// Source: SRC_SHARE
 const SHARE: f32 = 0.0005;
-/// Pixels about a corner that the mask must keep in all directions: what lies on a contour may slide along it, but rods and struts
-/// are contour on both sides, and of thin objects nothing would be left with more.
-const MARGIN: i64 = 1;
 
 /// Which pixels a mask keeps; everything without a mask.
 pub(super) fn is_unmasked(mask: Option<&GrayImage>, x: i64, y: i64, width: usize, height: usize) -> bool {
@@ -28,7 +27,8 @@ pub(super) fn is_unmasked(mask: Option<&GrayImage>, x: i64, y: i64, width: usize
     })
 }
 
-/// New corners, strongest first, at least `distance` pixels from each other and from `taken`; at most `most`.
+/// New corners, strongest first, at least `distance` pixels from each other and from `taken`; at most
+/// `most`.
 pub(super) fn corners(
     level: &PyramidLevel,
     mask: Option<&GrayImage>,
@@ -80,8 +80,11 @@ pub(super) fn corners(
     chosen
 }
 
+/// Whether the mask keeps a pixel and its four neighbours: what lies on a contour may slide along it,
+/// but rods and struts are contour on both sides, and of thin objects nothing would be left with a
+/// wider margin (docs/decisions, tried.md: corners at the matte's edge).
 fn inside(mask: Option<&GrayImage>, x: i64, y: i64, w: usize, h: usize) -> bool {
-    let around = [(0, 0), (MARGIN, 0), (-MARGIN, 0), (0, MARGIN), (0, -MARGIN)];
+    let around = [(0, 0), (1, 0), (-1, 0), (0, 1), (0, -1)];
     mask.is_none() || around.iter().all(|(dx, dy)| is_unmasked(mask, x + dx, y + dy, w, h))
 }
 
@@ -91,8 +94,7 @@ fn strengths(level: &PyramidLevel) -> Vec<f32> {
     let (w, h) = (level.width, level.height);
     let mut moments = [vec![0.0f32; w * h], vec![0.0f32; w * h], vec![0.0f32; w * h]];
     for y in 1..h - 1 {
-        let row = |y: usize| &level.data[y * w..(y + 1) * w];
-        let (above, own, below) = (row(y - 1), row(y), row(y + 1));
+        let (above, own, below) = (level.row(y - 1), level.row(y), level.row(y + 1));
         let [xx, xy, yy] = moments.each_mut().map(|m| &mut m[y * w..(y + 1) * w]);
         for x in 1..w - 1 {
             let gx = 0.5 * (own[x + 1] - own[x - 1]);
@@ -156,8 +158,8 @@ impl CornerGrid {
     }
 
     fn place(&self, p: DVec2) -> (usize, usize) {
-        let index = |v: f64, n: usize| ((v / self.cell).max(0.0) as usize).min(n - 1);
-        (index(p.x, self.columns), index(p.y, self.rows))
+        let p = p / self.cell;
+        ((p.x as usize).min(self.columns - 1), (p.y as usize).min(self.rows - 1))
     }
 
     fn add(&mut self, p: DVec2) {

@@ -1,5 +1,5 @@
-//! Tracks through the frames of a video: corners followed from frame to frame, kept where following back returns to the
-//! start (forward-backward check: Kalal, Mikolajczyk & Matas, ICPR 2010).
+//! Tracks through the frames of a video: corners followed from frame to frame, kept where following
+//! back returns to the start (forward-backward check: Kalal, Mikolajczyk & Matas, ICPR 2010).
 
 mod corners;
 pub(crate) mod pyramid;
@@ -7,9 +7,10 @@ pub(crate) mod reference;
 mod register;
 #[cfg(test)]
 mod tests;
-mod window;
+pub(crate) mod window;
 
 use crate::SfmError;
+use crate::sift::{load_luma, read_mask};
 use corners::{corners, is_unmasked};
 use glam::{DMat2, DVec2};
 use image::GrayImage;
@@ -17,8 +18,7 @@ use pyramid::Pyramid;
 use rayon::prelude::*;
 use reference::{Reference, Warp};
 use register::follow;
-use scene::io::load::{load_mask, load_rgb};
-use scene::{FloatImage, Frame, FrameSet, Progress};
+use scene::{Frame, FrameSet, Progress};
 use serde::{Deserialize, Serialize};
 
 /// Settings of the tracker.
@@ -43,11 +43,11 @@ impl Default for KltConfig {
 }
 
 /// Levels of the pyramids: windows reach about 7 · 2³ pixels.
+/// Source: SRC_LEVELS
 const LEVELS: usize = 4;
 /// Least correlation of a window with the track's first one.
+/// Source: SRC_CORR
 const CORRELATION: f64 = 0.85;
-/// Frames that are read at once.
-const BATCH: usize = 8;
 
 /// A point followed through consecutive frames.
 #[derive(Clone, Debug, PartialEq)]
@@ -64,37 +64,46 @@ struct KltPicture {
 }
 
 fn read(frame: &Frame) -> Result<KltPicture, SfmError> {
-    let unreadable = |path: &std::path::Path, e: scene::io::IoError| SfmError::UnreadableImage {
-        path: path.to_owned(),
-        reason: e.to_string(),
-    };
-    let rgb = load_rgb(&frame.path).map_err(|e| unreadable(&frame.path, e))?;
-    let mask = frame.mask.as_deref().map(|p| load_mask(p).map_err(|e| unreadable(p, e))).transpose()?;
-    Ok(KltPicture { pyramid: Pyramid::new(&FloatImage::luma(&rgb), LEVELS), mask })
+    let mask = frame.mask.as_deref().map(|path| read_mask(path, frame)).transpose()?;
+    Ok(KltPicture { pyramid: Pyramid::new(&load_luma(frame)?, LEVELS), mask })
 }
 
-/// Follows corners through all frames of a video, in their order; tracks of at least three frames. Corners in the black
-/// of a mask are neither begun nor followed. Does not depend on the number of threads.
+impl KltPicture {
+    /// Where a window lies about `start`; `None` where it differs too much or the mask drops the place.
+    fn find(&self, reference: &Reference, start: Warp) -> Option<Warp> {
+        let level = &self.pyramid.levels[0];
+        let (warp, correlation) = reference.find(level, start)?;
+        let (x, y) = (warp.place.x.floor() as i64, warp.place.y.floor() as i64);
+        let kept = is_unmasked(self.mask.as_ref(), x, y, level.width, level.height);
+        (correlation >= CORRELATION && kept).then_some(warp)
+    }
+}
+
+/// Whether no other track is within two pixels of a place, which is taken then: two tracks that run
+/// into each other are one point or an occlusion, and the older one goes on.
+fn take_if_free(taken: &mut Vec<DVec2>, place: DVec2) -> bool {
+    let free = taken.iter().all(|q| q.distance_squared(place) > 4.0);
+    taken.extend(free.then_some(place));
+    free
+}
+
+/// Follows corners through all frames of a video, in their order; tracks of at least three frames.
+/// Corners in the black of a mask are neither begun nor followed. Does not depend on the number of
+/// threads.
 pub fn track(frames: &FrameSet, config: &KltConfig, progress: &Progress) -> Result<Vec<KltTrack>, SfmError> {
     progress.begin("tracks", frames.len());
     let mut tracker = Tracker::new(config);
-    for (batch, some) in frames.frames.chunks(BATCH).enumerate() {
+    let mut frame = 0;
+    // As many frames are read at once as there are threads.
+    for some in frames.frames.chunks(rayon::current_num_threads()) {
         let pictures: Result<Vec<KltPicture>, SfmError> = some.par_iter().map(read).collect();
-        for (k, picture) in pictures?.into_iter().enumerate() {
-            tracker.advance(batch * BATCH + k, picture);
+        for picture in pictures? {
+            tracker.advance(frame, picture);
+            frame += 1;
             progress.tick()?;
         }
     }
     Ok(tracker.finish())
-}
-
-/// [`track`] for images in memory.
-pub fn track_images(images: &[FloatImage], config: &KltConfig) -> Vec<KltTrack> {
-    let mut tracker = Tracker::new(config);
-    for (i, image) in images.iter().enumerate() {
-        tracker.advance(i, KltPicture { pyramid: Pyramid::new(image, LEVELS), mask: None });
-    }
-    tracker.finish()
 }
 
 /// A track that goes on, with its first window and how that lies in the last frame.
@@ -132,19 +141,13 @@ impl<'a> Tracker<'a> {
                 self.live.par_iter().map(|t| self.follow_one(&last, &next, t)).collect();
             let mut taken: Vec<DVec2> = Vec::new();
             for (mut live, step) in std::mem::take(&mut self.live).into_iter().zip(found) {
-                // Two tracks that run into each other are one point or an occlusion: the older one goes on.
-                let mut free = |w: &Warp| {
-                    let free = taken.iter().all(|q| q.distance_squared(w.place) > 4.0);
-                    taken.extend(free.then_some(w.place));
-                    free
-                };
                 match step {
-                    TrackStep::On(warp) if free(&warp) => {
+                    TrackStep::On(warp) if take_if_free(&mut taken, warp.place) => {
                         live.track.positions.push(warp.place);
                         live.shape = warp.shape;
                         self.live.push(live);
                     }
-                    TrackStep::Anew(reference, warp) if free(&warp) => {
+                    TrackStep::Anew(reference, warp) if take_if_free(&mut taken, warp.place) => {
                         let start = live.track.positions.last().copied().unwrap_or(warp.place);
                         self.done.push(live.track);
                         let track = KltTrack { first: frame - 1, positions: vec![start, warp.place] };
@@ -181,28 +184,20 @@ impl<'a> Tracker<'a> {
         if back.is_none_or(|b| !(b.distance(p) <= self.config.track_return_px)) {
             return TrackStep::Lost;
         }
-        let level = &next.pyramid.levels[0];
-        let find = |reference: &Reference, shape: DMat2| {
-            let (warp, correlation) = reference.find(level, Warp { shape, place: found })?;
-            let (x, y) = (warp.place.x.floor() as i64, warp.place.y.floor() as i64);
-            let kept = is_unmasked(next.mask.as_ref(), x, y, level.width, level.height);
-            (correlation >= CORRELATION && kept).then_some(warp)
-        };
-        if let Some(warp) = find(&live.reference, live.shape) {
+        if let Some(warp) = next.find(&live.reference, Warp { shape: live.shape, place: found }) {
             return TrackStep::On(warp);
         }
-        let anew = Reference::new(&last.pyramid.levels[0], p);
-        anew.and_then(|r| find(&r, DMat2::IDENTITY).map(|w| TrackStep::Anew(Box::new(r), w)))
-            .unwrap_or(TrackStep::Lost)
+        let Some(anew) = Reference::new(&last.pyramid.levels[0], p) else { return TrackStep::Lost };
+        let warp = next.find(&anew, Warp { shape: DMat2::IDENTITY, place: found });
+        warp.map_or(TrackStep::Lost, |warp| TrackStep::Anew(Box::new(anew), warp))
     }
 
     fn finish(mut self) -> Vec<KltTrack> {
         self.done.extend(self.live.into_iter().map(|l| l.track));
         self.done.retain(|t| t.positions.len() >= 3);
         self.done.sort_by(|a, b| {
-            let key = |t: &KltTrack| (t.first, t.positions[0].y, t.positions[0].x);
-            let (a, b) = (key(a), key(b));
-            a.0.cmp(&b.0).then(a.1.total_cmp(&b.1)).then(a.2.total_cmp(&b.2))
+            let (p, q) = (a.positions[0], b.positions[0]);
+            a.first.cmp(&b.first).then(p.y.total_cmp(&q.y)).then(p.x.total_cmp(&q.x))
         });
         self.done
     }

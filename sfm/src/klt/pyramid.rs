@@ -1,7 +1,12 @@
 //! Grey images at halved sizes, and samples between their pixels.
 
-use super::window::{HALF, KltWindow, SIDE, WIDE};
+use super::window::{KltWindow, ReferencePatch, SIDE};
+use crate::sift::LANES;
 use scene::FloatImage;
+
+/// The smallest side of a level, pixels.
+/// Source: derived: twice the side of the window, so that it fits at more than one place.
+pub(crate) const LEAST_SIDE: usize = 2 * (SIDE + 1);
 
 /// One level.
 #[derive(Clone, Debug, Default)]
@@ -26,8 +31,8 @@ impl PyramidLevel {
         }
         let mut data = vec![0.0; width * height];
         for y in 0..height {
-            let row = |y: usize| &across[y * width..(y + 1) * width];
-            let (above, own, below) = (row(y.saturating_sub(1)), row(y), row((y + 1).min(height - 1)));
+            let rows = [y.saturating_sub(1), y, (y + 1).min(height - 1)];
+            let [above, own, below] = rows.map(|y| &across[y * width..(y + 1) * width]);
             for (x, out) in data[y * width..(y + 1) * width].iter_mut().enumerate() {
                 *out = 0.25 * (above[x] + below[x]) + 0.5 * own[x];
             }
@@ -35,17 +40,20 @@ impl PyramidLevel {
         Self { width, height, data }
     }
 
-    /// Half the size: 1 3 3 1 in both directions about the corner that four pixels share, so that positions are
-    /// exactly halved where pixel centres are at halves.
+    /// Row `y`.
+    pub(super) fn row(&self, y: usize) -> &[f32] {
+        &self.data[y * self.width..(y + 1) * self.width]
+    }
+
+    /// Half the size: 1 3 3 1 in both directions about the corner that four pixels share, so that
+    /// positions are exactly halved where pixel centres are at halves.
     pub fn halve(&self) -> Self {
-        const W: [f32; 4] = [0.125, 0.375, 0.375, 0.125];
         let (width, height) = (self.width / 2, self.height / 2);
         let mut across = vec![0.0; width * self.height];
         for (y, out) in across.chunks_exact_mut(width.max(1)).enumerate().take(self.height) {
-            let row = &self.data[y * self.width..(y + 1) * self.width];
+            let row = self.row(y);
             for (x, o) in out.iter_mut().enumerate() {
-                let at = |k: usize| row[(2 * x + k).saturating_sub(1).min(self.width - 1)];
-                *o = (0..4).map(|k| W[k] * at(k)).sum();
+                *o = binomial(|k| row[(2 * x + k).saturating_sub(1).min(self.width - 1)]);
             }
         }
         let mut data = vec![0.0; width * height];
@@ -55,45 +63,44 @@ impl PyramidLevel {
                 &across[r * width..(r + 1) * width]
             });
             for (x, o) in out.iter_mut().enumerate() {
-                *o = (0..4).map(|k| W[k] * rows[k][x]).sum();
+                *o = binomial(|k| rows[k][x]);
             }
         }
         Self { width, height, data }
     }
 
-    /// Bilinear samples on a square of `side` about the pixel position (x, y), row by row; `false` where the square
-    /// leaves the image.
+    /// Bilinear samples of the window about the pixel position (x, y) and of the ring about it, row by
+    /// row; `None` where they leave the image.
     #[inline(always)]
-    pub fn window(&self, x: f32, y: f32, side: usize, out: &mut [f32]) -> bool {
-        let half = (side / 2) as f32;
+    pub(crate) fn patch(&self, x: f32, y: f32) -> Option<ReferencePatch> {
+        let half = (SIDE / 2 + 1) as f32;
         // Sample i lies at pixel position x − half + i, whose index coordinate is half a pixel less.
         let (left, top) = (x - half - 0.5, y - half - 0.5);
         if !(left >= 0.0 && top >= 0.0) {
-            return false;
+            return None;
         }
         let (column, row) = (left as usize, top as usize);
-        if column + side >= self.width || row + side >= self.height {
-            return false;
+        if column + SIDE + 2 >= self.width || row + SIDE + 2 >= self.height {
+            return None;
         }
         let (fx, fy) = (left - column as f32, top - row as f32);
         let w = [(1.0 - fx) * (1.0 - fy), fx * (1.0 - fy), (1.0 - fx) * fy, fx * fy];
-        for (j, line) in out.chunks_exact_mut(side).enumerate().take(side) {
+        let mut out = [0.0; (SIDE + 2) * (SIDE + 2)];
+        for (j, line) in out.chunks_exact_mut(SIDE + 2).enumerate() {
             let start = (row + j) * self.width + column;
-            let above = &self.data[start..start + side + 1];
-            let below = &self.data[start + self.width..start + self.width + side + 1];
-            for i in 0..side {
+            let above = &self.data[start..start + SIDE + 3];
+            let below = &self.data[start + self.width..start + self.width + SIDE + 3];
+            for i in 0..SIDE + 2 {
                 line[i] = w[0] * above[i] + w[1] * above[i + 1] + w[2] * below[i] + w[3] * below[i + 1];
             }
         }
-        true
+        Some(out)
     }
-}
 
-impl PyramidLevel {
-    /// [`PyramidLevel::window`] of [`SIDE`] pixels in padded rows.
+    /// Bilinear samples of the window in padded rows; whether they lie in the image.
     #[inline(always)]
     pub(super) fn padded_window(&self, x: f32, y: f32, out: &mut KltWindow) -> bool {
-        let (left, top) = (x - HALF as f32 - 0.5, y - HALF as f32 - 0.5);
+        let (left, top) = (x - (SIDE / 2) as f32 - 0.5, y - (SIDE / 2) as f32 - 0.5);
         if !(left >= 0.0 && top >= 0.0) {
             return false;
         }
@@ -102,22 +109,28 @@ impl PyramidLevel {
             return false;
         }
         let (fx, fy) = (left - column as f32, top - row as f32);
-        let mut line = [0.0f32; WIDE + 1];
+        let mut line = [0.0f32; LANES + 1];
         for (j, out) in out.iter_mut().enumerate() {
             let start = (row + j) * self.width + column;
-            // SIDE + 1 = WIDE: a sample more than pixels, for those between.
-            let above = &self.data[start..start + WIDE];
-            let below = &self.data[start + self.width..start + self.width + WIDE];
-            for i in 0..WIDE {
+            // SIDE + 1 = LANES: a sample more than pixels, for those between.
+            let above = &self.data[start..start + LANES];
+            let below = &self.data[start + self.width..start + self.width + LANES];
+            for i in 0..LANES {
                 line[i] = above[i] + fy * (below[i] - above[i]);
             }
-            for i in 0..WIDE {
+            for i in 0..LANES {
                 out[i] = line[i] + fx * (line[i + 1] - line[i]);
             }
             out[SIDE] = 0.0;
         }
         true
     }
+}
+
+/// The mean of four samples by the weights 1 3 3 1.
+#[inline(always)]
+fn binomial(sample: impl Fn(usize) -> f32) -> f32 {
+    0.125 * sample(0) + 0.375 * sample(1) + 0.375 * sample(2) + 0.125 * sample(3)
 }
 
 /// An image at full size and halved again and again.
@@ -131,7 +144,7 @@ impl Pyramid {
         let mut all = vec![PyramidLevel::smooth(image)];
         while all.len() < levels.max(1) {
             let next = all[all.len() - 1].halve();
-            if next.width.min(next.height) < 32 {
+            if next.width.min(next.height) < LEAST_SIDE {
                 break;
             }
             all.push(next);

@@ -1,43 +1,39 @@
-//! A track's first window, to which every later one is compared: without it errors of each step would add up. The
-//! window may shear and stretch as the surface turns (Shi & Tomasi, CVPR 1994; solved with the template's own gradients:
-//! Baker & Matthews, IJCV 2004).
+//! A track's first window, to which every later one is compared: without it errors of each step
+//! would add up. The window may shear and stretch as the surface turns (Shi & Tomasi, CVPR 1994;
+//! solved with the template's own gradients: Baker & Matthews, IJCV 2004).
 
 use super::pyramid::PyramidLevel;
-use super::window::{COUNT, EMPTY, HALF, KltWindow, SIDE, WIDE, centre, dot};
-use crate::sift::dispatch;
+use super::register::{SHORT, STEPS};
+use super::window::{EMPTY, KltWindow, ReferencePatch, SIDE, centre, dot};
+use crate::sift::{LANES, dispatch};
 use crate::solvers::linalg::solve_spd;
 use glam::{DMat2, DVec2};
 use std::sync::LazyLock;
 
-/// Most steps.
-const STEPS: usize = 15;
-/// A shorter step ends the search, pixels at the window's border.
-const SHORT: f64 = 0.01;
 /// Farthest that the place may move from where it was looked for, pixels.
+/// Source: SRC_FARTHEST
 const FARTHEST: f64 = 2.0;
 /// A window that is stretched or squeezed by more shows too little of the same.
-const STRETCH: (f64, f64) = (0.55, 1.8);
-
-/// Side of a window with the ring that gradients need.
-const OUTER: usize = SIDE + 2;
+/// Source: SRC_STRETCH
+const STRETCH: f64 = 1.8;
 /// Standard deviation of the weights of a window of which the middle counts most, pixels.
+/// Source: docs/decisions/05 (tried.md: 1.8 px and uniform weights are worse).
 const MIDDLE: f32 = 2.5;
 /// Those weights: far from the middle windows see other surfaces from another side.
 static WEIGHTS: LazyLock<KltWindow> = LazyLock::new(|| {
-    let weight = |j: usize, i: usize| {
-        let (x, y) = (i as f32 - HALF as f32, j as f32 - HALF as f32);
-        if i < SIDE { (-0.5 * (x * x + y * y) / (MIDDLE * MIDDLE)).exp() } else { 0.0 }
-    };
-    std::array::from_fn(|j| std::array::from_fn(|i| weight(j, i)))
+    let mut weights = EMPTY;
+    for (j, row) in weights.iter_mut().enumerate() {
+        for (i, weight) in row[..SIDE].iter_mut().enumerate() {
+            let (x, y) = from_middle(i, j);
+            *weight = (-0.5 * (x * x + y * y) / (MIDDLE * MIDDLE)).exp();
+        }
+    }
+    weights
 });
 
-/// The pixels of a window and of the ring about it.
-pub(crate) type ReferencePatch = [f32; OUTER * OUTER];
-
-/// The patch about a pixel; `None` near the border.
-pub(crate) fn patch(level: &PyramidLevel, p: DVec2) -> Option<ReferencePatch> {
-    let mut patch = [0.0; OUTER * OUTER];
-    level.window(p.x as f32, p.y as f32, OUTER, &mut patch).then_some(patch)
+/// Column `i` and row `j` of a window, from its middle.
+fn from_middle(i: usize, j: usize) -> (f32, f32) {
+    (i as f32 - (SIDE / 2) as f32, j as f32 - (SIDE / 2) as f32)
 }
 
 /// A window with its gradients and what the normal equations need of it.
@@ -62,7 +58,7 @@ pub(crate) struct Warp {
 impl Reference {
     /// The window about a pixel; `None` near the border and where nothing is to be seen.
     pub fn new(level: &PyramidLevel, p: DVec2) -> Option<Self> {
-        Self::of(&patch(level, p)?, None)
+        Self::of(&level.patch(p.x as f32, p.y as f32)?, None)
     }
 
     /// The window of a patch, of which the middle counts most; `None` where nothing is to be seen.
@@ -74,10 +70,10 @@ impl Reference {
         let (mut values, mut slopes) = (EMPTY, Box::new([EMPTY; 6]));
         for j in 0..SIDE {
             for i in 0..SIDE {
-                let at = (j + 1) * OUTER + i + 1;
+                let at = (j + 1) * (SIDE + 2) + i + 1;
                 let gx = 0.5 * (patch[at + 1] - patch[at - 1]);
-                let gy = 0.5 * (patch[at + OUTER] - patch[at - OUTER]);
-                let (wx, wy) = (i as f32 - HALF as f32, j as f32 - HALF as f32);
+                let gy = 0.5 * (patch[at + SIDE + 2] - patch[at - SIDE - 2]);
+                let (wx, wy) = from_middle(i, j);
                 values[j][i] = patch[at];
                 for (slope, s) in slopes.iter_mut().zip([gx * wx, gx * wy, gy * wx, gy * wy, gx, gy]) {
                     slope[j][i] = s;
@@ -88,10 +84,9 @@ impl Reference {
         slopes.iter_mut().for_each(centre);
         let bare = slopes.clone();
         if let Some(weights) = weights {
-            let weigh = |slope: &mut KltWindow| {
+            for slope in slopes.iter_mut() {
                 slope.iter_mut().flatten().zip(weights.iter().flatten()).for_each(|(s, w)| *s *= w);
-            };
-            slopes.iter_mut().for_each(weigh);
+            }
         }
         let mut normal = [[0.0; 6]; 6];
         for (a, row) in normal.iter_mut().enumerate() {
@@ -109,15 +104,15 @@ impl Reference {
         })
     }
 
-    /// Standard deviation of a place where the windows have this correlation, pixels: what is left over, `2 (1 − c) Σ v² / n`
-    /// a pixel, times the inverse of the normal equations.
+    /// Standard deviation of a place where the windows have this correlation, pixels: what is left over,
+    /// `2 (1 − c) Σ v² / n` a pixel, times the inverse of the normal equations.
     pub fn deviation(&self, correlation: f64) -> f64 {
-        let variance = |k: usize| {
+        let [x, y] = [4, 5].map(|k| {
             let unit = std::array::from_fn(|i| if i == k { 1.0 } else { 0.0 });
             solve_spd(&self.normal, &unit).map_or(f64::INFINITY, |column: [f64; 6]| column[k])
-        };
-        let left = 2.0 * (1.0 - correlation).max(0.0) * f64::from(self.power / COUNT);
-        (left * 0.5 * (variance(4) + variance(5))).sqrt()
+        });
+        let left = 2.0 * (1.0 - correlation).max(0.0) * f64::from(self.power / (SIDE * SIDE) as f32);
+        (left * 0.5 * (x + y)).sqrt()
     }
 
     /// The window's place and shape in an image, found near `start`, and the correlation there.
@@ -139,7 +134,7 @@ fn search(reference: &Reference, level: &PyramidLevel, start: Warp) -> Option<(W
         }
         let gain = (reference.power / power).sqrt();
         for (row, values) in window.iter_mut().zip(&reference.values) {
-            for k in 0..WIDE {
+            for k in 0..LANES {
                 row[k] = gain * row[k] - values[k];
             }
         }
@@ -158,7 +153,7 @@ fn search(reference: &Reference, level: &PyramidLevel, start: Warp) -> Option<(W
         if !(warp.place.distance(start.place) < FARTHEST) {
             return None;
         }
-        let longest = d[0].abs().max(d[1].abs()).max(d[2].abs()).max(d[3].abs()) * HALF as f64;
+        let longest = d[0].abs().max(d[1].abs()).max(d[2].abs()).max(d[3].abs()) * (SIDE / 2) as f64;
         if longest.max(d[4].hypot(d[5])) < SHORT {
             break;
         }
@@ -168,7 +163,7 @@ fn search(reference: &Reference, level: &PyramidLevel, start: Warp) -> Option<(W
     let correlation =
         dot(&window, &reference.values) / (dot(&window, &window) * reference.power).sqrt();
     let (low, high) = stretches(warp.shape);
-    let good = low > STRETCH.0 && high < STRETCH.1 && warp.place.is_finite();
+    let good = low > 1.0 / STRETCH && high < STRETCH && warp.place.is_finite();
     if good { Some((warp, f64::from(correlation))) } else { None }
 }
 }
@@ -183,7 +178,7 @@ fn stretches(m: DMat2) -> (f64, f64) {
 /// Bilinear samples of the warped window; `None` where it leaves the image.
 #[inline(always)]
 fn sample(level: &PyramidLevel, warp: &Warp, out: &mut KltWindow) -> Option<()> {
-    let h = HALF as f64;
+    let h = (SIDE / 2) as f64;
     for corner in [DVec2::new(-h, -h), DVec2::new(h, -h), DVec2::new(-h, h), DVec2::new(h, h)] {
         let p = warp.place + warp.shape * corner - 0.5;
         let inside =
@@ -192,23 +187,24 @@ fn sample(level: &PyramidLevel, warp: &Warp, out: &mut KltWindow) -> Option<()> 
             return None;
         }
     }
-    // The last pixel that has neighbours to the right and below; rounding and the empty column may lie beyond.
+    // The last pixel that has neighbours to the right and below; rounding and the empty column may
+    // lie beyond.
     let (last_x, last_y) = ((level.width - 2) as f32, (level.height - 2) as f32);
     let (right, down) = (warp.shape.x_axis, warp.shape.y_axis);
     let (dx, dy) = (right.x as f32, right.y as f32);
     for (j, line) in out.iter_mut().enumerate() {
         let start = warp.place + down * (j as f64 - h) - right * h - 0.5;
         let (x0, y0) = (start.x as f32, start.y as f32);
-        let (mut fx, mut fy, mut at) = ([0.0f32; WIDE], [0.0f32; WIDE], [0i32; WIDE]);
-        for i in 0..WIDE {
+        let (mut fx, mut fy, mut at) = ([0.0f32; LANES], [0.0f32; LANES], [0i32; LANES]);
+        for i in 0..LANES {
             let (x, y) = ((x0 + dx * i as f32).max(0.0), (y0 + dy * i as f32).max(0.0));
-            // Limited to the image, so that the casts are exact.
+            // SAFETY: both are at least 0 and at most the last column and row, which fit 32 bits.
             let (column, row) =
                 unsafe { (x.min(last_x).to_int_unchecked::<i32>(), y.min(last_y).to_int_unchecked::<i32>()) };
             (fx[i], fy[i]) = (x - column as f32, y - row as f32);
             at[i] = row * level.width as i32 + column;
         }
-        let mut pixels = [[0.0f32; WIDE]; 4];
+        let mut pixels = [[0.0f32; LANES]; 4];
         for i in 0..SIDE {
             let at = at[i] as usize;
             let above = &level.data[at..at + 2];
@@ -216,7 +212,7 @@ fn sample(level: &PyramidLevel, warp: &Warp, out: &mut KltWindow) -> Option<()> 
             (pixels[0][i], pixels[1][i]) = (above[0], above[1]);
             (pixels[2][i], pixels[3][i]) = (below[0], below[1]);
         }
-        for i in 0..WIDE {
+        for i in 0..LANES {
             let [a, b, c, d] = [pixels[0][i], pixels[1][i], pixels[2][i], pixels[3][i]];
             let (top, bottom) = (a + fx[i] * (b - a), c + fx[i] * (d - c));
             line[i] = top + fy[i] * (bottom - top);

@@ -1,6 +1,17 @@
 use super::*;
+use scene::FloatImage;
 
 const SIZE: (usize, usize) = (300, 260);
+
+/// [`track`] of images in memory.
+fn track_images(images: &[FloatImage]) -> Vec<KltTrack> {
+    let config = KltConfig::default();
+    let mut tracker = Tracker::new(&config);
+    for (i, image) in images.iter().enumerate() {
+        tracker.advance(i, KltPicture { pyramid: Pyramid::new(image, LEVELS), mask: None });
+    }
+    tracker.finish()
+}
 
 /// Smooth random texture at a place.
 fn value(p: DVec2) -> f32 {
@@ -28,7 +39,7 @@ fn follows_shifts_to_a_part_of_a_pixel_whatever_the_light() {
     let shift = |i: usize| DVec2::new(2.37 * i as f64, -1.21 * i as f64);
     let images: Vec<FloatImage> =
         (0..5).map(|i| texture(shift(i), 1.0 - 0.15 * i as f32, 0.05 * i as f32)).collect();
-    let tracks = track_images(&images, &KltConfig::default());
+    let tracks = track_images(&images);
     let whole: Vec<&KltTrack> = tracks.iter().filter(|t| t.positions.len() == 5).collect();
     assert!(whole.len() > 100, "{} of {}", whole.len(), tracks.len());
     for t in whole {
@@ -46,7 +57,7 @@ fn far_jumps_are_found_through_the_pyramid() {
         texture(DVec2::new(4.5, 3.0), 1.0, 0.0),
         texture(DVec2::new(12.0, -3.0), 1.0, 0.0),
     ];
-    let tracks = track_images(&images, &KltConfig::default());
+    let tracks = track_images(&images);
     let right = |t: &&KltTrack| (t.positions[2] - t.positions[0] - DVec2::new(12.0, -3.0)).length() < 0.05;
     assert!(
         tracks.len() > 50 && tracks.iter().filter(right).count() * 10 >= tracks.len() * 8,
@@ -58,12 +69,12 @@ fn far_jumps_are_found_through_the_pyramid() {
 #[test]
 fn flat_and_unrelated_images_give_no_tracks() {
     let flat = FloatImage { data: vec![0.5; SIZE.0 * SIZE.1], ..FloatImage::zeros(SIZE.0, SIZE.1, 1) };
-    assert!(track_images(&[flat.clone(), flat.clone(), flat.clone()], &KltConfig::default()).is_empty());
+    assert!(track_images(&[flat.clone(), flat.clone(), flat.clone()]).is_empty());
     let tiny = FloatImage::zeros(8, 8, 1);
-    assert!(track_images(&[tiny.clone(), tiny.clone(), tiny], &KltConfig::default()).is_empty());
+    assert!(track_images(&[tiny.clone(), tiny.clone(), tiny]).is_empty());
     let images = [texture(DVec2::ZERO, 1.0, 0.0), flat.clone(), texture(DVec2::ZERO, 1.0, 0.0)];
-    assert!(track_images(&images, &KltConfig::default()).is_empty());
-    assert!(track_images(&[], &KltConfig::default()).is_empty());
+    assert!(track_images(&images).is_empty());
+    assert!(track_images(&[]).is_empty());
 }
 
 #[test]

@@ -7,16 +7,13 @@
 // Tiles are small squares: rows and vectors are counted, not iterated.
 #![allow(clippy::needless_range_loop)]
 
-use super::prepared::{DIM, PANEL, Panel, PreparedFeatures, ROWS};
+use super::prepared::{BLOCK, PANEL, Panel, PreparedFeatures, ROWS};
 use super::top_two::TopTwo;
+use scene::Features;
 use std::arch::x86_64::*;
 
-/// Steps of two components.
-/// Source: derived from `DIM`.
-const STEPS: usize = DIM / 2;
-/// Descriptors of `b` that stay in the second-level cache while the rows of `a` pass (128 KiB).
-/// Source: chosen by hand for common caches; no result depends on it.
-const BLOCK: usize = 1024;
+/// Four rows: two components of each at every step, twice.
+type Avx2Words = [[u32; ROWS]; Features::DIM / 2];
 /// Two panels: the columns of a tile.
 type Avx2Columns = [Panel; 2];
 /// Dot products of a tile, biased.
@@ -26,7 +23,7 @@ type Avx2Dots = [[__m256i; 2]; ROWS];
 #[target_feature(enable = "avx2")]
 pub(super) fn sweep(a: &PreparedFeatures, b: &PreparedFeatures, rows: &mut TopTwo, columns: &mut TopTwo) {
     let (tiles, _) = b.panels().as_chunks::<2>();
-    let mut expanded = [[0_u32; ROWS]; STEPS];
+    let mut expanded: Avx2Words = [[0; ROWS]; Features::DIM / 2];
     for (block, tiles) in tiles.chunks(BLOCK / (2 * PANEL)).enumerate() {
         for i in (0..a.len()).step_by(ROWS) {
             for r in 0..ROWS {
@@ -48,11 +45,11 @@ pub(super) fn sweep(a: &PreparedFeatures, b: &PreparedFeatures, rows: &mut TopTw
 /// Biased dot products of 4 rows with the 32 columns of a tile.
 #[inline]
 #[target_feature(enable = "avx2")]
-fn multiply(rows: &[[u32; ROWS]; STEPS], tile: &Avx2Columns) -> Avx2Dots {
+fn multiply(rows: &Avx2Words, tile: &Avx2Columns) -> Avx2Dots {
     let mut sums = [[_mm256_set1_epi16(i16::MIN); 2]; ROWS];
     let [left, right] = tile;
     for (k, row) in rows.iter().enumerate() {
-        // SAFETY: k < STEPS, and both panels hold STEPS vectors of 32 bytes.
+        // SAFETY: both panels hold a vector of 32 bytes for each of the steps that are counted.
         let (x, y) = unsafe {
             let (x, y) = (left.0.as_ptr().add(k * 32), right.0.as_ptr().add(k * 32));
             (_mm256_loadu_si256(x.cast()), _mm256_loadu_si256(y.cast()))

@@ -6,43 +6,35 @@
 // Tiles are small squares: rows and vectors are counted, not iterated.
 #![allow(clippy::needless_range_loop)]
 
-use super::prepared::{DIM, PANEL, Panel, PreparedFeatures, ROWS};
+use super::prepared::{BLOCK, PANEL, Panel, PreparedFeatures, ROWS};
 use super::top_two::TopTwo;
+use scene::Features;
 use std::arch::x86_64::*;
 
-/// Vectors of columns.
-/// Source: derived: 4 × 4 sums fill 16 of the 32 registers.
-const WIDE: usize = 4;
-/// Steps of four components.
-/// Source: derived from `DIM`.
-const STEPS: usize = DIM / 4;
-/// Descriptors of `b` that stay in the second-level cache while the rows of `a` pass (256 KiB).
-/// Source: chosen by hand for common caches; no result depends on it.
-const BLOCK: usize = 2048;
 /// Fours of rows that a tile meets while it lies in the first-level cache (8 KiB, and as much for
 /// the tile).
 /// Source: derived from its size.
 const FOURS: usize = 16;
-/// Four panels: the columns of a tile.
-type Avx512Columns = [Panel; WIDE];
+/// As many panels as rows: the columns of a tile.
+type Avx512Columns = [Panel; ROWS];
 /// Four rows: the word of each at every step.
-type Avx512Words = [[i32; ROWS]; STEPS];
+type Avx512Words = [[i32; ROWS]; Features::DIM / 4];
 /// Dot products of a tile, biased.
-type Avx512Dots = [[__m512i; WIDE]; ROWS];
+type Avx512Dots = [[__m512i; ROWS]; ROWS];
 
 /// See [`super::kernel::top_two`].
 #[target_feature(enable = "avx512f,avx512bw,avx512vnni")]
 pub(super) fn sweep(a: &PreparedFeatures, b: &PreparedFeatures, rows: &mut TopTwo, columns: &mut TopTwo) {
-    let (tiles, _) = b.panels().as_chunks::<WIDE>();
-    let mut words = [[[0_i32; ROWS]; STEPS]; FOURS];
-    for (block, tiles) in tiles.chunks(BLOCK / (WIDE * PANEL)).enumerate() {
+    let (tiles, _) = b.panels().as_chunks::<ROWS>();
+    let mut words: [Avx512Words; FOURS] = [[[0; ROWS]; Features::DIM / 4]; FOURS];
+    for (block, tiles) in tiles.chunks(BLOCK / (ROWS * PANEL)).enumerate() {
         for first in (0..a.len()).step_by(FOURS * ROWS) {
             let fours = (a.len() - first).div_ceil(ROWS).min(FOURS);
             for (f, words) in words[..fours].iter_mut().enumerate() {
                 fill(words, a, first + f * ROWS);
             }
             for (t, tile) in tiles.iter().enumerate() {
-                let j = block * BLOCK + t * WIDE * PANEL;
+                let j = block * BLOCK + t * ROWS * PANEL;
                 for (f, words) in words[..fours].iter().enumerate() {
                     let (i, dots) = (first + f * ROWS, multiply(words, tile));
                     let lanes = above(&dots, i, j, rows, columns);
@@ -69,17 +61,17 @@ fn fill(words: &mut Avx512Words, a: &PreparedFeatures, i: usize) {
 #[inline]
 #[target_feature(enable = "avx512f,avx512bw,avx512vnni")]
 fn multiply(rows: &Avx512Words, tile: &Avx512Columns) -> Avx512Dots {
-    let mut sums = [[_mm512_set1_epi32(i32::from(i16::MIN)); WIDE]; ROWS];
+    let mut sums = [[_mm512_set1_epi32(i32::from(i16::MIN)); ROWS]; ROWS];
     for (k, row) in rows.iter().enumerate() {
-        let mut column = [_mm512_setzero_si512(); WIDE];
-        for n in 0..WIDE {
-            // SAFETY: k < STEPS, and a panel holds STEPS vectors of 64 bytes, the first of them
-            // aligned.
+        let mut column = [_mm512_setzero_si512(); ROWS];
+        for n in 0..ROWS {
+            // SAFETY: a panel holds a vector of 64 bytes for each of the steps that are counted, the
+            // first of them aligned.
             column[n] = unsafe { _mm512_load_si512(tile[n].0.as_ptr().add(k * 64).cast()) };
         }
         for r in 0..ROWS {
             let four = _mm512_set1_epi32(row[r]);
-            for n in 0..WIDE {
+            for n in 0..ROWS {
                 sums[r][n] = _mm512_dpbusd_epi32(sums[r][n], column[n], four);
             }
         }
@@ -91,8 +83,8 @@ fn multiply(rows: &Avx512Words, tile: &Avx512Columns) -> Avx512Dots {
 #[inline]
 #[target_feature(enable = "avx512f,avx512bw,avx512vnni")]
 fn above(dots: &Avx512Dots, i: usize, j: usize, rows: &TopTwo, columns: &TopTwo) -> [u64; ROWS] {
-    let mut column = [_mm512_setzero_si512(); WIDE];
-    for n in 0..WIDE {
+    let mut column = [_mm512_setzero_si512(); ROWS];
+    for n in 0..ROWS {
         let values = &columns.second[j + n * PANEL..j + (n + 1) * PANEL];
         // SAFETY: 16 values of 2 bytes.
         column[n] = _mm512_cvtepi16_epi32(unsafe { _mm256_loadu_si256(values.as_ptr().cast()) });
@@ -100,7 +92,7 @@ fn above(dots: &Avx512Dots, i: usize, j: usize, rows: &TopTwo, columns: &TopTwo)
     let mut lanes = [0; ROWS];
     for r in 0..ROWS {
         let row = _mm512_set1_epi32(i32::from(rows.second[i + r]));
-        for n in 0..WIDE {
+        for n in 0..ROWS {
             let mask = _mm512_cmpgt_epi32_mask(dots[r][n], _mm512_min_epi32(row, column[n]));
             lanes[r] |= u64::from(mask) << (n * PANEL);
         }
@@ -112,7 +104,7 @@ fn above(dots: &Avx512Dots, i: usize, j: usize, rows: &TopTwo, columns: &TopTwo)
 #[inline(never)]
 #[target_feature(enable = "avx512f,avx512bw,avx512vnni")]
 fn offer(
-    dots: &[__m512i; WIDE],
+    dots: &[__m512i; ROWS],
     mut lanes: u64,
     [i, j]: [usize; 2],
     len: [usize; 2],
@@ -122,7 +114,7 @@ fn offer(
     if i >= len[0] {
         return;
     }
-    let mut values = [[0_i32; PANEL]; WIDE];
+    let mut values = [[0_i32; PANEL]; ROWS];
     for (values, dots) in values.iter_mut().zip(dots) {
         // SAFETY: 64 bytes.
         unsafe { _mm512_storeu_si512(values.as_mut_ptr().cast(), *dots) };

@@ -8,11 +8,8 @@ use scene::{Features, Keypoint};
 
 /// Features as near as this to the best partner (other orientations of the same spot) do not count
 /// as second-best.
-/// Source: chosen by hand, never measured.
+/// Source: SRC_SPOT
 const SAME_SPOT_PX: f64 = 3.0;
-/// Cells a side of the grid over the image, at most.
-/// Source: chosen by hand for speed; no result depends on it.
-const MAX_CELLS: usize = 64;
 
 /// Matches (feature of a, feature of b) no farther than `max_epipolar_px` from each other's
 /// epipolar lines (`x_bᵀ F x_a = 0`, pixels), best from both sides, with the looser
@@ -30,12 +27,8 @@ pub(crate) fn guided_match_prepared(
     }
     let forward = one_way(a, b, f, max_epipolar_px, config);
     let backward = one_way(b, a, &f.transpose(), max_epipolar_px, config);
-    let mutual = |(i, j): (usize, Option<u32>)| {
-        let j = j?;
-        let back = backward.get(j as usize).copied().flatten();
-        (config.one_way_matches || back == Some(i as u32)).then_some([i as u32, j])
-    };
-    forward.into_iter().enumerate().filter_map(mutual).collect()
+    let matches = forward.into_iter().enumerate().filter_map(|(i, j)| Some([i as u32, j?]));
+    matches.filter(|&[i, j]| config.one_way_matches || backward[j as usize] == Some(i)).collect()
 }
 
 /// For every feature of `from`: its distinct best partner in `to`.
@@ -51,7 +44,7 @@ fn one_way(
     let ratio2 = config.guided_ratio * config.guided_ratio;
     let max2 = config.match_max_distance * config.match_max_distance;
     let mut near = Vec::new();
-    let partner = |(i, keypoint): (usize, &Keypoint)| {
+    let partners = from.0.keypoints.iter().enumerate().map(|(i, keypoint)| {
         let x = keypoint.position().extend(1.0);
         let line = *f * x;
         let own = line.truncate().length();
@@ -68,12 +61,12 @@ fn one_way(
         let &(best, j) = near.iter().max_by_key(|&&(dot, j)| (dot, std::cmp::Reverse(j)))?;
         let place = to.0.keypoints[j as usize].position();
         let elsewhere =
-            |&&(_, k): &&(u16, u32)| to.0.keypoints[k as usize].position().distance(place) > SAME_SPOT_PX;
-        let second = near.iter().filter(elsewhere).map(|&(dot, _)| dot).max().unwrap_or(0);
+            near.iter().filter(|(_, k)| to.0.keypoints[*k as usize].position().distance(place) > SAME_SPOT_PX);
+        let second = elsewhere.map(|&(dot, _)| dot).max().unwrap_or(0);
         let d2 = squared_distance(best);
         (d2 <= max2 && d2 < ratio2 * squared_distance(second)).then_some(j)
-    };
-    from.0.keypoints.iter().enumerate().map(partner).collect()
+    });
+    partners.collect()
 }
 
 /// Keypoints by cell of a regular grid over their bounding box.
@@ -90,10 +83,11 @@ struct KeypointGrid {
 
 impl KeypointGrid {
     fn new(keypoints: &[Keypoint], max_px: f64) -> Self {
-        let finite = || keypoints.iter().map(Keypoint::position).filter(|p| p.is_finite());
-        let origin = finite().reduce(DVec2::min).unwrap_or(DVec2::ZERO);
-        let extent = finite().reduce(DVec2::max).unwrap_or(DVec2::ZERO) - origin;
-        let cell = (extent.max_element() / MAX_CELLS as f64).max(2.0 * max_px).max(8.0);
+        let finite = keypoints.iter().map(Keypoint::position).filter(|p| p.is_finite());
+        let origin = finite.clone().reduce(DVec2::min).unwrap_or(DVec2::ZERO);
+        let extent = finite.reduce(DVec2::max).unwrap_or(DVec2::ZERO) - origin;
+        // About one keypoint a cell, and a band that is not wider than one.
+        let cell = (extent.max_element() / (keypoints.len() as f64).sqrt()).max(2.0 * max_px).max(1.0);
         let size = [(extent.x / cell) as usize + 1, (extent.y / cell) as usize + 1];
         let starts = vec![0; size[0] * size[1] + 1];
         let mut grid = Self { origin, cell, size, starts, members: Vec::new(), places: Vec::new() };

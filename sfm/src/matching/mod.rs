@@ -27,7 +27,7 @@ use crate::SfmError;
 use prepared::{dot_at_distance, squared_distance};
 use rayon::prelude::*;
 use scene::{Features, Progress};
-use top_two::{NONE, TopTwo, remove_bias};
+use top_two::{TopTwo, remove_bias};
 
 #[cfg(test)]
 pub(crate) fn match_features(a: &Features, b: &Features, config: &MatchConfig) -> Vec<[u32; 2]> {
@@ -46,11 +46,9 @@ pub fn match_prepared(a: &PreparedFeatures, b: &PreparedFeatures, config: &Match
     let max2 = config.match_max_distance * config.match_max_distance;
     let mut matches = Vec::new();
     for i in 0..a.len() {
-        let j = rows.index[i];
-        if j == NONE || !is_distinct(&rows, i, ratio2, max2) {
-            continue;
-        }
-        let mutual = columns.index[j as usize] == i as u32 && is_distinct(&columns, j as usize, ratio2, max2);
+        let Some(j) = rows.partner(i).filter(|_| is_distinct(&rows, i, ratio2, max2)) else { continue };
+        let mutual = columns.partner(j as usize) == Some(i as u32)
+            && is_distinct(&columns, j as usize, ratio2, max2);
         if mutual || config.one_way_matches {
             matches.push([i as u32, j]);
         }

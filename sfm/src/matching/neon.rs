@@ -7,17 +7,12 @@
 // Tiles are small squares: rows and vectors are counted, not iterated.
 #![allow(clippy::needless_range_loop)]
 
-use super::prepared::{DIM, PANEL, Panel, PreparedFeatures, ROWS};
+use super::prepared::{BLOCK, PANEL, Panel, PreparedFeatures, ROWS};
 use super::top_two::TopTwo;
+use scene::Features;
 use std::arch::aarch64::*;
 
-/// Columns of a vector.
-/// Source: derived: lanes of 16 bits in a vector of 128.
-const LANES: usize = 8;
-/// Descriptors of `b` that stay in the second-level cache while the rows of `a` pass (128 KiB).
-/// Source: chosen by hand for common caches; no result depends on it.
-const BLOCK: usize = 1024;
-/// Dot products of a tile, biased.
+/// Dot products of a tile, biased; a vector holds half of a panel's columns.
 type NeonDots = [[int16x8_t; 2]; ROWS];
 
 /// See [`super::kernel::top_two`]; of panels of single components.
@@ -42,8 +37,8 @@ pub(super) fn sweep(a: &PreparedFeatures, b: &PreparedFeatures, rows: &mut TopTw
 #[target_feature(enable = "neon")]
 fn multiply(rows: [&[u8]; ROWS], panel: &Panel) -> NeonDots {
     let mut sums = [[vdupq_n_u16(0); 2]; ROWS];
-    for k in 0..DIM {
-        // SAFETY: k < DIM, and a panel holds DIM vectors of 16 bytes.
+    for k in 0..Features::DIM {
+        // SAFETY: k < Features::DIM, and a panel holds Features::DIM vectors of 16 bytes.
         let column = unsafe { vld1q_u8(panel.0.as_ptr().add(k * PANEL)) };
         for r in 0..ROWS {
             let own = vdupq_n_u8(rows[r][k]);
@@ -59,7 +54,7 @@ fn multiply(rows: [&[u8]; ROWS], panel: &Panel) -> NeonDots {
 #[inline]
 #[target_feature(enable = "neon")]
 fn lower(row: i16, columns: &TopTwo, j: usize) -> int16x8_t {
-    let values = &columns.second[j..j + LANES];
+    let values = &columns.second[j..j + PANEL / 2];
     // SAFETY: 8 values of 2 bytes.
     vminq_s16(vdupq_n_s16(row), unsafe { vld1q_s16(values.as_ptr()) })
 }
@@ -72,7 +67,7 @@ fn beats(dots: &NeonDots, i: usize, j: usize, rows: &TopTwo, columns: &TopTwo) -
     let mut any = vdupq_n_u16(0);
     for (dots, &second) in dots.iter().zip(&rows.second[i..i + ROWS]) {
         for n in 0..2 {
-            any = vorrq_u16(any, vcgtq_s16(dots[n], lower(second, columns, j + n * LANES)));
+            any = vorrq_u16(any, vcgtq_s16(dots[n], lower(second, columns, j + n * PANEL / 2)));
         }
     }
     vmaxvq_u16(any) != 0
@@ -84,18 +79,18 @@ fn beats(dots: &NeonDots, i: usize, j: usize, rows: &TopTwo, columns: &TopTwo) -
 fn offer(dots: &NeonDots, [i, j]: [usize; 2], len: [usize; 2], rows: &mut TopTwo, columns: &mut TopTwo) {
     for r in 0..ROWS.min(len[0] - i) {
         for n in 0..2 {
-            let first = j + n * LANES;
+            let first = j + n * PANEL / 2;
             let above = vcgtq_s16(dots[r][n], lower(rows.second[i + r], columns, first));
             if vmaxvq_u16(above) == 0 {
                 continue;
             }
-            let (mut values, mut beaten) = ([0_i16; LANES], [0_u16; LANES]);
+            let (mut values, mut beaten) = ([0_i16; PANEL / 2], [0_u16; PANEL / 2]);
             // SAFETY: 16 bytes each.
             unsafe {
                 vst1q_s16(values.as_mut_ptr(), dots[r][n]);
                 vst1q_u16(beaten.as_mut_ptr(), above);
             }
-            for lane in (0..LANES).filter(|&lane| beaten[lane] != 0 && first + lane < len[1]) {
+            for lane in (0..PANEL / 2).filter(|&lane| beaten[lane] != 0 && first + lane < len[1]) {
                 rows.offer(i + r, values[lane], (first + lane) as u32);
                 columns.offer(first + lane, values[lane], (i + r) as u32);
             }

@@ -1,9 +1,5 @@
 //! The two best partners of each descriptor.
 
-/// No partner above the floor.
-/// Source: a value that no index has.
-pub(super) const NONE: u32 = u32::MAX;
-
 /// For each descriptor of one image: its two largest dot products with the other image's, and the
 /// best one's index.
 #[derive(Clone, Debug)]
@@ -12,7 +8,7 @@ pub(super) struct TopTwo {
     pub best: Vec<i16>,
     /// Second largest, `dot − 32768`.
     pub second: Vec<i16>,
-    /// Index of the best, or [`NONE`].
+    /// Index of the best; `u32::MAX` where none is above the floor.
     pub index: Vec<u32>,
 }
 
@@ -22,7 +18,12 @@ impl TopTwo {
     pub(super) fn new(len: usize, floor: u16) -> Self {
         let padded = len.next_multiple_of(64);
         let floor = add_bias(floor);
-        Self { best: vec![floor; padded], second: vec![floor; padded], index: vec![NONE; padded] }
+        Self { best: vec![floor; padded], second: vec![floor; padded], index: vec![u32::MAX; padded] }
+    }
+
+    /// The best partner of descriptor `i`.
+    pub(super) fn partner(&self, i: usize) -> Option<u32> {
+        Some(self.index[i]).filter(|&j| j != u32::MAX)
     }
 
     #[inline(always)]

@@ -8,20 +8,14 @@ use scene::{Features, FrameSet, Progress};
 use std::collections::{BTreeMap, BTreeSet};
 
 /// Matches that make a pair a likely one.
-/// Source: chosen by hand, never measured.
+/// Source: SRC_PAIRS
 const LIKELY: usize = 30;
 /// Share of the smaller image's features that they must be.
-/// Source: chosen by hand, never measured.
+/// Source: SRC_PAIRS
 const LIKELY_SHARE: f64 = 0.015;
 /// Pairs that an image adds in a round.
-/// Source: chosen by hand, never measured.
+/// Source: SRC_PAIRS
 const A_ROUND: usize = 6;
-/// Rounds at most: each reaches twice as far along a chain of images.
-/// Source: derived: each round doubles the reach, so that any set ends before.
-const ROUNDS: usize = 24;
-/// An image with fewer likely partners than this is matched with every other one in the end.
-/// Source: docs/decisions/05 (one with next to none).
-const FEW_PARTNERS: usize = 2;
 
 /// Matches of all pairs of a small set, and of those of a large one that may show the same points;
 /// ascending by pair. The same for any number of threads.
@@ -40,14 +34,12 @@ pub(crate) fn match_related(
         return Ok(found);
     }
     let mut graph = Graph::new(features, pairs.pair_candidates);
-    let mut rounds = 0;
     let mut seen = 0;
     loop {
         graph.tried.extend(batch);
         found[seen..].iter().for_each(|(a, b, matches)| graph.add(*a, *b, matches.len()));
         seen = found.len();
-        rounds += 1;
-        batch = if rounds <= ROUNDS { graph.led_to() } else { Vec::new() };
+        batch = graph.led_to();
         if batch.is_empty() {
             batch = graph.of_the_lonely();
             if batch.is_empty() {
@@ -110,13 +102,14 @@ impl Graph {
         next.into_iter().collect()
     }
 
-    /// Once: all untried pairs of images that have found next to nobody, as long as they are few.
+    /// Once: all untried pairs of images that have found one partner or none, as long as they are few:
+    /// two hold an image in a chain.
     fn of_the_lonely(&mut self) -> Vec<(usize, usize)> {
         if std::mem::replace(&mut self.lonely_tried, true) {
             return Vec::new();
         }
         let n = self.partners.len();
-        let lonely = (0..n).filter(|&i| self.features[i] > 0 && self.partners[i].len() < FEW_PARTNERS);
+        let lonely = (0..n).filter(|&i| self.features[i] > 0 && self.partners[i].len() < 2);
         let all = lonely.take(self.enough).flat_map(|a| (0..n).map(move |b| (a.min(b), a.max(b))));
         let untried: BTreeSet<(usize, usize)> =
             all.filter(|p| p.0 != p.1 && !self.tried.contains(p)).collect();

@@ -2,21 +2,19 @@
 //! features (VLAD: Jégou et al., CVPR 2010; intra-normalisation: Arandjelović and Zisserman, "All
 //! about VLAD", CVPR 2013).
 
-use crate::sift::dispatch;
+use crate::sift::{LANES, dispatch};
 use rayon::prelude::*;
 use scene::Features;
 
 /// Words of the vocabulary.
 /// Source: Jégou et al., CVPR 2010 (16 to 256).
 const WORDS: usize = 32;
-/// Descriptors that the vocabulary is learnt from, over all images.
-/// Source: chosen by hand, never measured.
-const TRAINING: usize = 16_384;
 /// Rounds of Lloyd's algorithm.
-/// Source: chosen by hand, never measured.
+/// Source: SRC_PAIRS
 const ROUNDS: usize = 5;
-/// Features of an image that enter its global descriptor.
-/// Source: chosen by hand, never measured.
+/// Features of an image that enter its global descriptor; from sixteen times as many, over all
+/// images, the vocabulary is learnt.
+/// Source: SRC_PAIRS
 const PER_IMAGE: usize = 1024;
 
 /// For every image the `most` others that look most like it, the most alike first; the same for any
@@ -34,11 +32,11 @@ pub(super) fn most_alike(features: &[Features], most: usize) -> Vec<Vec<usize>> 
     ranked.collect()
 }
 
-/// In 16 partial sums, which the compiler turns into vectors.
+/// In partial sums, which the compiler turns into vectors.
 fn dot(a: &[f32], b: &[f32]) -> f32 {
-    let mut sums = [0.0_f32; 16];
-    for (x, y) in a.as_chunks::<16>().0.iter().zip(b.as_chunks::<16>().0) {
-        for i in 0..16 {
+    let mut sums = [0.0_f32; LANES];
+    for (x, y) in a.as_chunks::<LANES>().0.iter().zip(b.as_chunks::<LANES>().0) {
+        for i in 0..LANES {
             sums[i] += x[i] * y[i];
         }
     }
@@ -56,7 +54,7 @@ fn sample(features: &Features, most: usize) -> impl Iterator<Item = Descriptor> 
 
 /// [n × (WORDS · 128)] unit vectors; their dot product says how much two images look alike.
 fn signatures(features: &[Features]) -> Vec<Vec<f32>> {
-    let share = (TRAINING / features.len().max(1)).max(8);
+    let share = (16 * PER_IMAGE / features.len().max(1)).max(8);
     let training: Vec<Descriptor> = features.iter().flat_map(|f| sample(f, share)).collect();
     let words = vocabulary(&training);
     features.par_iter().map(|f| signature(f, &words)).collect()

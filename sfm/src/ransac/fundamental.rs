@@ -44,7 +44,7 @@ impl Estimator for FundamentalEstimator {
         let pairs = Pairs { a: &self.a, b: &self.b, indices: inliers };
         let a: Vec<DVec2> = inliers.iter().map(|&i| self.a[i]).collect();
         let b: Vec<DVec2> = inliers.iter().map(|&i| self.b[i]).collect();
-        let linear = fundamental_8pt(&a, &b, None);
+        let linear = fundamental_8pt(&a, &b);
         let cost = |m: &DMat3| -> f64 { a.iter().zip(&b).map(|(a, b)| sampson_sq(m, *a, *b)).sum() };
         let start = linear.filter(|l| cost(l) < cost(f)).unwrap_or(*f);
         refine_fundamental(&start, pairs, self.loss_scale, 6)

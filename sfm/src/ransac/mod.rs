@@ -5,7 +5,7 @@ mod essential;
 mod fundamental;
 mod homography;
 
-pub use absolute_pose::{AbsolutePoseEstimator, estimate_absolute_pose};
+pub use absolute_pose::estimate_absolute_pose;
 pub use essential::{EssentialEstimator, EssentialModel};
 pub use fundamental::FundamentalEstimator;
 pub use homography::HomographyEstimator;
@@ -73,8 +73,6 @@ pub struct RansacResult<M> {
     pub inliers: Vec<usize>,
     /// Truncated quadratic cost `Σ min(r², T²)` over all data.
     pub score: f64,
-    /// Samples drawn.
-    pub iterations: usize,
 }
 
 /// Finds the model of least truncated quadratic cost (MSAC: Torr & Zisserman 2000): random minimal samples,
@@ -118,12 +116,7 @@ pub fn ransac<E: Estimator>(
     search.optimise(10);
     let (model, mut inliers) = (search.best?, search.inliers);
     inliers.sort_unstable();
-    (inliers.len() >= config.min_inliers).then_some(RansacResult {
-        model,
-        inliers,
-        score: search.score,
-        iterations,
-    })
+    (inliers.len() >= config.min_inliers).then_some(RansacResult { model, inliers, score: search.score })
 }
 
 /// Samples after which one without outliers has been drawn with the given confidence.
@@ -138,6 +131,7 @@ fn needed_samples(inlier_ratio: f64, sample_size: usize, confidence: f64) -> usi
 
 /// How many of the most trustworthy data are drawn from: twice a sample at first, all after 500 samples.
 fn growing_head(iteration: usize, sample_size: usize, n: usize) -> usize {
+    /// Source: SRC_PROSAC
     const ALL_AFTER: usize = 500;
     let first = (2 * sample_size).min(n);
     (first + (n - first) * iteration / ALL_AFTER).min(n)

@@ -53,11 +53,10 @@ fn finds_the_camera_with_zero_to_ninety_percent_outliers_in_any_unit() {
 }
 
 #[test]
-fn the_result_is_the_same_each_time_and_differs_by_stream() {
+fn the_result_is_the_same_each_time() {
     let (_, pixels, points) = resection(1, 100, 60, 1.0);
     let run = |stream| estimate_absolute_pose(&camera(), &pixels, &points, &config(3), stream).unwrap();
     assert_eq!(format!("{:?}", run(4)), format!("{:?}", run(4)));
-    assert!(run(4).iterations > 0);
 }
 
 #[test]

@@ -1,7 +1,7 @@
 //! Separable Gaussian filters on planes of f32, borders replicated.
 //!
-//! One portable source, compiled three times: for AVX-512 and AVX2 where the machine has them and for the baseline.
-//! Products and sums are kept apart (no fused multiply-add), so all give the same bits.
+//! One portable source, compiled three times: for AVX-512 and AVX2 where the machine has them and for
+//! the baseline. Products and sums are kept apart (no fused multiply-add), so all give the same bits.
 
 // Loops over several arrays at once are written with an index: the form the compiler vectorises.
 #![allow(clippy::needless_range_loop)]
@@ -41,21 +41,22 @@ impl LumaPlane {
 /// Half of a symmetric, normalised, sampled Gaussian: `[centre, ±1, ±2, …]`, cut at 4σ.
 pub fn half_kernel(sigma: f32) -> Vec<f32> {
     let radius = (4.0 * sigma).ceil().max(1.0) as usize;
-    let g = |i: usize| (-0.5 * (i as f64 / f64::from(sigma)).powi(2)).exp();
-    let sum = g(0) + 2.0 * (1..=radius).map(g).sum::<f64>();
-    (0..=radius).map(|i| (g(i) / sum) as f32).collect()
+    let half: Vec<f64> = (0..=radius).map(|i| (-0.5 * (i as f64 / f64::from(sigma)).powi(2)).exp()).collect();
+    let sum = half[0] + 2.0 * half[1..].iter().sum::<f64>();
+    half.iter().map(|v| (v / sum) as f32).collect()
 }
 
 pub(crate) use scene::dispatch;
 
 /// Samples of a vector.
-const LANES: usize = 16;
-/// Samples of the four vectors whose sums are formed side by side: the next need not wait for the last.
+/// Source: derived: the 512 bits of the widest registers over the 32 of a sample.
+pub(crate) const LANES: usize = 16;
+/// Samples of the four vectors whose sums are formed side by side.
+/// Source: derived: an addition takes about four cycles, so that the next need not wait for the last.
 const BLOCK: usize = 4 * LANES;
-/// Columns that are read together: the rows that the filter reaches over stay in the first-level cache.
-const STRIP: usize = 8 * BLOCK;
 
-/// Where the blocks of `n` samples begin; the last one overlaps the one before, so that none is left over.
+/// Where the blocks of `n` samples begin; the last one overlaps the one before, so that none is left
+/// over.
 #[inline(always)]
 fn blocks_of(n: usize) -> impl Iterator<Item = usize> {
     let count = if n < BLOCK { 0 } else { n.div_ceil(BLOCK) };
@@ -85,13 +86,13 @@ fn with_pair(sum: [f32; LANES], k: f32, left: &[f32], right: &[f32]) -> [f32; LA
     out
 }
 
-/// The sums of a block: `Σ_k kernel[|k|] side(k)[..BLOCK]`. Four vectors by name, for an array of them would be kept in
-/// memory.
+/// The sums of a block: `Σ_k kernel[|k|] side(k)[..BLOCK]`. Four vectors by name, for an array of them
+/// would be kept in memory.
 #[inline(always)]
 fn block_sum<'a>(kernel: &[f32], side: impl Fn(isize) -> &'a [f32]) -> [[f32; LANES]; 4] {
     let centre = &side(0)[..BLOCK];
-    let scaled = |at: usize| vector(&centre[at..]).map(|v| kernel[0] * v);
-    let (mut a, mut b, mut c, mut d) = (scaled(0), scaled(LANES), scaled(2 * LANES), scaled(3 * LANES));
+    let [mut a, mut b, mut c, mut d] =
+        [0, 1, 2, 3].map(|i| vector(&centre[i * LANES..]).map(|v| kernel[0] * v));
     for (i, &k) in kernel.iter().enumerate().skip(1) {
         let (left, right) = (&side(-(i as isize))[..BLOCK], &side(i as isize)[..BLOCK]);
         a = with_pair(a, k, left, right);
@@ -147,7 +148,9 @@ pub fn gaussian_blur(source: &LumaPlane, sigma: f32, out: &mut LumaPlane) {
     }
     let kernel = half_kernel(sigma);
     let (w, h, radius) = (source.width, source.height, kernel.len() - 1);
-    let step = STRIP.saturating_sub(2 * radius).max(BLOCK);
+    // Eight blocks are read together: the rows that the filter reaches over stay in the first-level
+    // cache.
+    let step = (8 * BLOCK).saturating_sub(2 * radius).max(BLOCK);
     let mut padded = vec![0.0; step + 2 * radius];
     let mut rows: Vec<&[f32]> = Vec::with_capacity(2 * radius + 1);
     for first in (0..w).step_by(step) {
@@ -171,8 +174,9 @@ pub fn gaussian_blur(source: &LumaPlane, sigma: f32, out: &mut LumaPlane) {
     }
 }
 
-/// Twice the size, blurred by σ input pixels on the way: output sample `i` lies at input position `i/2 − 1/4`
-/// (sample indices), so both phases are Gaussian sums of the same width and neither is favoured.
+/// Twice the size, blurred by σ input pixels on the way: output sample `i` lies at input position
+/// `i/2 − 1/4` (sample indices), so both phases are Gaussian sums of the same width and neither is
+/// favoured.
 pub fn gaussian_double(source: &LumaPlane, sigma: f32, out: &mut LumaPlane) {
     out.resize(source.width * 2, source.height * 2);
     if source.data.is_empty() {
@@ -223,7 +227,8 @@ dispatch! {
     }
 }
 
-/// Weights of input samples `i + k`, `k = −radius..=radius`, for output samples `2i` (at −1/4) and `2i + 1` (at +1/4).
+/// Weights of input samples `i + k`, `k = −radius..=radius`, for output samples `2i` (at −1/4) and
+/// `2i + 1` (at +1/4).
 fn phase_kernel(sigma: f32, radius: isize) -> [Vec<f32>; 2] {
     [-0.25, 0.25].map(|shift: f64| {
         let g: Vec<f64> = (-radius..=radius)
@@ -274,8 +279,8 @@ fn area_weights(from: usize, to: usize) -> Vec<(usize, Vec<f32>)> {
             let (lo, hi) = (i as f64 * step, ((i + 1) as f64 * step).min(from as f64));
             let first = (lo as usize).min(from - 1);
             let last = (hi.ceil() as usize).clamp(first + 1, from);
-            let share = |k: usize| (hi.min((k + 1) as f64) - lo.max(k as f64)).max(0.0) / step;
-            (first, (first..last).map(|k| share(k) as f32).collect())
+            let covered = (first..last).map(|k| (hi.min((k + 1) as f64) - lo.max(k as f64)).max(0.0));
+            (first, covered.map(|width| (width / step) as f32).collect())
         })
         .collect()
 }

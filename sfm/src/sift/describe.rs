@@ -1,29 +1,36 @@
-//! Orientation and descriptor of a keypoint (Lowe 2004, sections 5 and 6; Arandjelović and Zisserman 2012).
+//! Orientation and descriptor of a keypoint (Lowe 2004, sections 5 and 6; Arandjelović and Zisserman
+//! 2012).
 
 // Loops over several arrays at once are written with an index: the form the compiler vectorises.
 #![allow(clippy::needless_range_loop)]
 
-use super::blur::{LumaPlane, dispatch};
+use super::blur::{LANES, LumaPlane, dispatch};
 use std::f32::consts::{PI, TAU};
 
+/// Bins of the histogram of orientations.
+/// Source: Lowe 2004, section 5.
 const ORIENTATION_BINS: usize = 36;
-/// How often the histogram is smoothed by (1, 2, 1)/4.
-const SMOOTHINGS: usize = 2;
-/// A further orientation needs this share of the strongest one (Lowe 2004, section 5).
-const PEAK_RATIO: f32 = 0.8;
-/// Spatial bins a side, and orientations a bin.
+/// Spatial bins a side.
+/// Source: Lowe 2004, section 6.2.
 const SPATIAL: usize = 4;
+/// Orientations a bin.
+/// Source: Lowe 2004, section 6.2.
 const ANGLES: usize = 8;
 /// Width of a spatial bin in σ of the keypoint.
+/// Source: SRC_BIN
 const BIN_SIGMAS: f32 = 3.25;
 /// Samples a spatial bin and side.
+/// Source: derived: the most with which a row of the grid still fits two vectors.
 const SAMPLES: usize = 6;
 /// Samples a side: the 4 bins and half a bin around them, where interpolation still reaches.
+/// Source: derived from [`SPATIAL`] and [`SAMPLES`].
 const GRID: usize = (SPATIAL + 1) * SAMPLES;
-/// One more on each side for central differences.
-const PATCH: usize = GRID + 2;
 /// Samples a row, whole vectors.
-const WIDE: usize = 32;
+/// Source: derived from [`GRID`].
+const WIDE: usize = GRID.next_multiple_of(LANES);
+
+/// The samples of a keypoint's grid, with one more on each side for central differences.
+type DescriptorPatch = [[f32; WIDE + 2]; GRID + 2];
 
 /// `atan2(y, x)`, error below 1e-5 rad, without branches, so that loops over it become vector code.
 /// Minimax polynomial of atan on [0, 1] (Abramowitz and Stegun 4.4.49).
@@ -51,7 +58,8 @@ fn fast_atan2(y: f32, x: f32) -> f32 {
 pub fn orientations(level: &LumaPlane, x: f32, y: f32, sigma: f32, most: usize) -> Vec<f32> {
     let mut histogram = [0.0; ORIENTATION_BINS];
     orientation_histogram(level, x, y, 1.5 * sigma, &mut histogram);
-    for _ in 0..SMOOTHINGS {
+    // Smoothed by (1, 4, 6, 4, 1)/16.
+    for _ in 0..2 {
         let before = histogram;
         for (i, h) in histogram.iter_mut().enumerate() {
             let (l, r) = ((i + ORIENTATION_BINS - 1) % ORIENTATION_BINS, (i + 1) % ORIENTATION_BINS);
@@ -66,7 +74,8 @@ pub fn orientations(level: &LumaPlane, x: f32, y: f32, sigma: f32, most: usize) 
     for i in 0..ORIENTATION_BINS {
         let l = histogram[(i + ORIENTATION_BINS - 1) % ORIENTATION_BINS];
         let (v, r) = (histogram[i], histogram[(i + 1) % ORIENTATION_BINS]);
-        if v > l && v >= r && v >= PEAK_RATIO * top {
+        // A further orientation needs 80 % of the strongest one (Lowe 2004, section 5).
+        if v > l && v >= r && v >= 0.8 * top {
             let bin = i as f32 + 0.5 * (l - r) / (l - 2.0 * v + r);
             let angle = bin * TAU / ORIENTATION_BINS as f32;
             peaks.push((v, if angle > PI { angle - TAU } else { angle }));
@@ -78,9 +87,9 @@ pub fn orientations(level: &LumaPlane, x: f32, y: f32, sigma: f32, most: usize) 
 }
 
 dispatch! {
-    /// Gradient magnitudes by direction, Gaussian-weighted with `sigma_w`, shared between the two nearest bins.
+    /// Gradient magnitudes by direction, Gaussian-weighted with `sigma_w`, shared between the two nearest
+    /// bins.
     fn orientation_histogram(level: &LumaPlane, x: f32, y: f32, sigma_w: f32, histogram: &mut [f32; ORIENTATION_BINS]) {
-        const CHUNK: usize = 16;
         let radius = 3.0 * sigma_w;
         let (first_x, last_x) = clip_range(x, radius, level.width);
         let (first_y, last_y) = clip_range(y, radius, level.height);
@@ -93,9 +102,9 @@ dispatch! {
             let (above, here, below) = (level.row(row - 1), level.row(row), level.row(row + 1));
             let mut column = first_x;
             while column <= last_x {
-                let n = CHUNK.min(last_x + 1 - column);
-                let mut weights = [0.0_f32; CHUNK];
-                let mut angles = [0.0_f32; CHUNK];
+                let n = LANES.min(last_x + 1 - column);
+                let mut weights = [0.0_f32; LANES];
+                let mut angles = [0.0_f32; LANES];
                 let (right, left) = (&here[column + 1..column + 1 + n], &here[column - 1..column - 1 + n]);
                 let (down, up) = (&below[column..column + n], &above[column..column + n]);
                 let column_weight = &column_weights[column - first_x..column - first_x + n];
@@ -138,26 +147,28 @@ pub struct DescriptorTables {
 
 impl Default for DescriptorTables {
     fn default() -> Self {
-        let bins_from = |i: usize, centre: f32| (i as f32 - centre) / SAMPLES as f32;
-        let gaussian = |i: usize| {
+        let mut gaussian = [0.0; WIDE];
+        for (i, weight) in gaussian[..GRID].iter_mut().enumerate() {
             let r = bins_from(i, (GRID as f32 - 1.0) / 2.0) / (SPATIAL as f32 / 2.0);
-            if i < GRID { (-0.5 * r * r).exp() } else { 0.0 }
-        };
-        Self {
-            gaussian: std::array::from_fn(gaussian),
-            share: std::array::from_fn(|i| 1.0 - bins_from(i, SAMPLES as f32 - 0.5).abs()),
+            *weight = (-0.5 * r * r).exp();
         }
+        Self { gaussian, share: std::array::from_fn(|i| 1.0 - bins_from(i, SAMPLES as f32 - 0.5).abs()) }
     }
 }
 
+/// Distance of sample `i` from `centre`, spatial bins.
+fn bins_from(i: usize, centre: f32) -> f32 {
+    (i as f32 - centre) / SAMPLES as f32
+}
+
 dispatch! {
-    /// RootSIFT of the neighbourhood, 128 bytes (see `scene::Features::descriptors`). `x, y, sigma`: samples of the
-    /// level. The neighbourhood is read on a grid turned by `angle` and spaced by a share of σ, so that the
-    /// weights of all samples are the same for every keypoint.
+    /// RootSIFT of the neighbourhood, 128 bytes (see `scene::Features::descriptors`). `x, y, sigma`:
+    /// samples of the level. The neighbourhood is read on a grid turned by `angle` and spaced by a share
+    /// of σ, so that the weights of all samples are the same for every keypoint.
     pub fn describe(
         tables: &DescriptorTables, level: &LumaPlane, x: f32, y: f32, sigma: f32, angle: f32, out: &mut [u8],
     ) {
-        let mut patch = [[0.0_f32; WIDE + 2]; PATCH];
+        let mut patch: DescriptorPatch = [[0.0; WIDE + 2]; GRID + 2];
         sample_patch(level, x, y, sigma * BIN_SIGMAS / SAMPLES as f32, angle, &mut patch);
         // Pooled over rows first: the columns stay apart, so that every step is a vector of columns.
         let mut pooled = [[[0.0_f32; WIDE]; ANGLES]; SPATIAL];
@@ -203,7 +214,8 @@ dispatch! {
     }
 }
 
-/// Bilinear samples at `(x, y) + R(angle) spacing (i, j)`, centred; positions beyond the border take its value.
+/// Bilinear samples at `(x, y) + R(angle) spacing (i, j)`, centred; positions beyond the border take
+/// its value.
 #[inline(always)]
 fn sample_patch(
     level: &LumaPlane,
@@ -211,12 +223,12 @@ fn sample_patch(
     y: f32,
     spacing: f32,
     angle: f32,
-    patch: &mut [[f32; WIDE + 2]; PATCH],
+    patch: &mut DescriptorPatch,
 ) {
     let (s, c) = (angle.sin() * spacing, angle.cos() * spacing);
     // Just inside the last sample, so that both neighbours exist.
     let (max_x, max_y) = (level.width as f32 - 1.001, level.height as f32 - 1.001);
-    let half = (PATCH as f32 - 1.0) / 2.0;
+    let half = (GRID as f32 + 1.0) / 2.0;
     let width = level.width as i32;
     let data = &level.data[..level.width * level.height];
     for (j, row) in patch.iter_mut().enumerate() {
@@ -232,7 +244,7 @@ fn sample_patch(
             fx[i] = px - ix as f32;
             fy[i] = py - iy as f32;
         }
-        for i in 0..PATCH {
+        for i in 0..GRID + 2 {
             let at = index[i] as usize;
             let (top, bottom) = (&data[at..at + 2], &data[at + level.width..at + level.width + 2]);
             let upper = top[0] + fx[i] * (top[1] - top[0]);

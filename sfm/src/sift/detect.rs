@@ -3,7 +3,7 @@
 // Loops over several arrays at once are written with an index: the form the compiler vectorises.
 #![allow(clippy::needless_range_loop)]
 
-use super::blur::dispatch;
+use super::blur::{LANES, dispatch};
 use super::pyramid::Octave;
 
 /// An extremum of an octave.
@@ -20,16 +20,17 @@ pub struct Extremum {
 }
 
 /// Samples this close to the border are not searched.
-const BORDER: usize = 5;
+/// Source: OpenCV, SIFT_IMG_BORDER.
+pub(super) const BORDER: usize = 5;
 /// A first look takes samples with this share of the threshold: interpolation can only raise them.
+/// Source: VLFeat, vl_sift_detect.
 const FIRST_LOOK: f32 = 0.8;
-/// Samples that are looked at together.
-const LANES: usize = 32;
 /// How often the quadratic may move on to a neighbouring sample.
+/// Source: OpenCV, SIFT_MAX_INTERP_STEPS.
 const MAX_MOVES: usize = 5;
 
-/// All extrema of an octave whose response reaches `threshold(level)` and whose principal curvatures differ by
-/// less than `edge_ratio`.
+/// All extrema of an octave whose response reaches `threshold(level)` and whose principal curvatures
+/// differ by less than `edge_ratio`.
 pub fn extrema(octave: &Octave, edge_ratio: f32, threshold: impl Fn(usize) -> f32) -> Vec<Extremum> {
     let (w, h) = (octave.levels[0].width, octave.levels[0].height);
     let mut found = Vec::new();
@@ -40,23 +41,13 @@ pub fn extrema(octave: &Octave, edge_ratio: f32, threshold: impl Fn(usize) -> f3
     let layers = octave.scales + 2;
     // Rows y − 1, y, y + 1 of every difference of Gaussians, in a ring.
     let mut ring = vec![vec![0.0_f32; w]; 3 * layers];
-    let fill = |ring: &mut Vec<Vec<f32>>, y: usize| {
-        for layer in 0..layers {
-            difference(
-                octave.levels[layer + 1].row(y),
-                octave.levels[layer].row(y),
-                &mut ring[layer * 3 + y % 3],
-            );
-        }
-    };
-    fill(&mut ring, BORDER - 1);
-    fill(&mut ring, BORDER);
+    fill(octave, BORDER - 1, &mut ring);
+    fill(octave, BORDER, &mut ring);
     let mut candidates = Vec::new();
     for y in BORDER..h - BORDER {
-        fill(&mut ring, y + 1);
+        fill(octave, y + 1, &mut ring);
         for level in 1..=octave.scales {
-            let row = |layer: usize, dy: usize| ring[layer * 3 + (y + dy + 2) % 3].as_slice();
-            let rows = std::array::from_fn(|i| row(level + i / 3 - 1, i % 3));
+            let rows = std::array::from_fn(|i| ring[(level + i / 3 - 1) * 3 + (y + i % 3 + 2) % 3].as_slice());
             candidates.clear();
             scan_row(&rows, FIRST_LOOK * thresholds[level], &mut candidates);
             for &x in &candidates {
@@ -68,6 +59,13 @@ pub fn extrema(octave: &Octave, edge_ratio: f32, threshold: impl Fn(usize) -> f3
     found
 }
 
+/// Row `y` of every difference of Gaussians, into its place of the ring.
+fn fill(octave: &Octave, y: usize, ring: &mut [Vec<f32>]) {
+    for (layer, rows) in ring.chunks_exact_mut(3).enumerate() {
+        difference(octave.levels[layer + 1].row(y), octave.levels[layer].row(y), &mut rows[y % 3]);
+    }
+}
+
 dispatch! {
     fn difference(coarse: &[f32], fine: &[f32], out: &mut [f32]) {
         for ((o, c), f) in out.iter_mut().zip(coarse).zip(fine) {
@@ -77,7 +75,8 @@ dispatch! {
 }
 
 dispatch! {
-    /// Columns at which the middle one of nine rows (three layers of three) is above or below all 26 neighbours.
+    /// Columns at which the middle one of nine rows (three layers of three) is above or below all 26
+    /// neighbours.
     fn scan_row(rows: &[&[f32]; 9], threshold: f32, candidates: &mut Vec<u32>) {
         let n = rows[4].len();
         let middle = rows[4];
@@ -152,8 +151,8 @@ fn derivatives(octave: &Octave, x: usize, y: usize, level: usize) -> ([f32; 3], 
     (gradient, [[xx, xy, xs], [xy, yy, ys], [xs, ys, ss]])
 }
 
-/// Moves to the top of the quadratic through the 27 neighbours (Brown and Lowe 2002); `None` where it leaves the
-/// octave, does not settle, or lies on an edge.
+/// Moves to the top of the quadratic through the 27 neighbours (Brown and Lowe 2002); `None` where it
+/// leaves the octave, does not settle, or lies on an edge.
 fn refine(
     octave: &Octave,
     mut x: usize,
@@ -195,16 +194,16 @@ fn refine(
     None
 }
 
-/// Where the response is largest in the plane at level `level + offset`: the nine responses are interpolated to that
-/// level first, so that the shape along scale does not pull at the position. Around a Gaussian spot the response is
-/// `(1 − a) e^(−a)`, `a = r² / 2w²`; its fourth root has no term in `a²`, so a parabola through it has the least bias.
+/// Where the response is largest in the plane at level `level + offset`: the nine responses are
+/// interpolated to that level first, so that the shape along scale does not pull at the position.
+/// Around a Gaussian spot the response is `(1 − a) e^(−a)`, `a = r² / 2w²`; its fourth root has no
+/// term in `a²`, so a parabola through it has the least bias.
 fn top_in_plane(octave: &Octave, x: usize, y: usize, level: usize, offset: f32) -> Option<[f32; 2]> {
     let sign = octave.dog(level, x, y).signum();
     let mut v = [[0.0_f32; 3]; 3];
     for (j, row) in v.iter_mut().enumerate() {
         for (i, v) in row.iter_mut().enumerate() {
-            let d = |s: usize| sign * octave.dog(level + s - 1, x + i - 1, y + j - 1);
-            let (below, here, above) = (d(0), d(1), d(2));
+            let [below, here, above] = [0, 1, 2].map(|s| sign * octave.dog(level + s - 1, x + i - 1, y + j - 1));
             let value = here + offset * ((above - below) + offset * (above + below - 2.0 * here)) / 2.0;
             if value <= 0.0 {
                 return None;

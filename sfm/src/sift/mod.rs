@@ -1,6 +1,16 @@
-//! Scale-invariant features: SIFT (Lowe, "Distinctive Image Features from Scale-Invariant Keypoints", IJCV 2004)
-//! with RootSIFT descriptors (Arandjelović and Zisserman, CVPR 2012) and thresholds that follow each image's own
-//! range and noise, so that a dark image is not an empty one.
+//! Scale-invariant features: SIFT (Lowe, "Distinctive Image Features from Scale-Invariant Keypoints",
+//! IJCV 2004) with RootSIFT descriptors (Arandjelović and Zisserman, CVPR 2012) and thresholds that
+//! follow each image's own range and noise, so that a dark image is not an empty one.
+//!
+//! ```
+//! let mut image = scene::FloatImage::zeros(64, 64, 1);
+//! for (i, v) in image.data.iter_mut().enumerate() {
+//!     let (x, y) = ((i % 64) as f32 - 31.5, (i / 64) as f32 - 31.5);
+//!     *v = (-(x * x + y * y) / 50.0).exp(); // a spot of 5 pixels
+//! }
+//! let features = sfm::sift::extract(&image, None, &sfm::sift::SiftConfig::default());
+//! assert!(features.keypoints.iter().any(|k| (k.x - 32.0).hypot(k.y - 32.0) < 0.1));
+//! ```
 
 mod blur;
 mod candidate;
@@ -13,7 +23,7 @@ mod spread;
 #[cfg(test)]
 mod tests;
 
-pub(crate) use blur::dispatch;
+pub(crate) use blur::{LANES, dispatch};
 pub use config::{Doubling, SiftConfig};
 
 use crate::SfmError;
@@ -29,13 +39,11 @@ use scene::{Features, FloatImage, Frame, FrameSet, Keypoint, Progress};
 use std::path::Path;
 use std::sync::{Mutex, PoisonError};
 
-/// The smallest side of an octave that is still searched, samples.
-const MIN_OCTAVE_SIDE: usize = 16;
-
 /// Features of a one-channel image with values in [0, 1] (samples that are not finite count as 0).
 ///
-/// `mask` (white = keep; any size, stretched over the image) drops keypoints that lie in black; it never changes
-/// the pixels, so it makes no edges. Positions and scales are in input pixels, the first pixel's centre at 0.5.
+/// `mask` (white = keep; any size, stretched over the image) drops keypoints that lie in black; it
+/// never changes the pixels, so it makes no edges. Positions and scales are in input pixels, the first
+/// pixel's centre at 0.5.
 pub fn extract(image: &FloatImage, mask: Option<&GrayImage>, config: &SiftConfig) -> Features {
     extract_with(&mut Vec::new(), image, mask, config)
 }
@@ -48,9 +56,6 @@ fn extract_with(
     config: &SiftConfig,
 ) -> Features {
     let work = working_image(image, config.max_feature_size);
-    if work.width < MIN_OCTAVE_SIDE || work.height < MIN_OCTAVE_SIDE {
-        return Features::default();
-    }
     // Working pixels to input pixels.
     let ratio = [image.width as f32 / work.width as f32, image.height as f32 / work.height as f32];
     let keep = |x: f32, y: f32| match mask {
@@ -79,7 +84,7 @@ fn extract_with(
     let size = [work.width as f32, work.height as f32];
     // Directions cost more than places: only what may stay gets them.
     let most = config.max_features;
-    let likely = spread::strongest_everywhere(&candidates, most.saturating_add(spread::ROUND), size);
+    let likely = spread::strongest_everywhere(&candidates, spread::with_margin(most), size);
     let oriented: Vec<Candidate> = likely.iter().flat_map(|c| orient(octaves, c, config)).collect();
     let chosen = spread::strongest_everywhere(&oriented, most, size);
     describe_all(octaves, &chosen, ratio, config.pre_blur.max(0.0))
@@ -95,8 +100,8 @@ fn working_image(image: &FloatImage, max_side: usize) -> LumaPlane {
         return plane;
     }
     let scale = max_side.max(1) as f64 / longest as f64;
-    let side = |n: usize| ((n as f64 * scale).round() as usize).max(1);
-    blur::reduce(&plane, side(image.width), side(image.height))
+    let [width, height] = [image.width, image.height].map(|n| ((n as f64 * scale).round() as usize).max(1));
+    blur::reduce(&plane, width, height)
 }
 
 /// The scale space of an image, built in `octaves`; the part of them that is in use.
@@ -111,7 +116,7 @@ fn scale_space<'a>(octaves: &'a mut Vec<Octave>, work: &LumaPlane, config: &Sift
             }
             Some(finer) => rest[0].next_of(finer),
         }
-        if rest[0].levels[0].width.min(rest[0].levels[0].height) < MIN_OCTAVE_SIDE {
+        if rest[0].levels[0].width.min(rest[0].levels[0].height) <= 2 * detect::BORDER {
             break;
         }
         used += 1;
@@ -161,8 +166,8 @@ fn orient(octaves: &[Octave], candidate: &Candidate, config: &SiftConfig) -> Vec
         let level = &octaves[candidate.octave as usize].levels[candidate.level as usize];
         describe::orientations(level, candidate.x, candidate.y, candidate.sigma, config.max_orientations)
     };
-    let with = |angle| Candidate { keypoint: Keypoint { angle, ..candidate.keypoint }, ..*candidate };
-    angles.into_iter().map(with).collect()
+    let oriented = angles.into_iter().map(|angle| Keypoint { angle, ..candidate.keypoint });
+    oriented.map(|keypoint| Candidate { keypoint, ..*candidate }).collect()
 }
 
 /// `pre_blur`: what the image was blurred by before, working pixels; it adds to the keypoints' scales.
@@ -185,7 +190,8 @@ fn describe_all(octaves: &[Octave], chosen: &[Candidate], ratio: [f32; 2], pre_b
     features
 }
 
-/// Features of every frame, in their order; images are read from disk here. The same for any number of threads.
+/// Features of every frame, in their order; images are read from disk here. The same for any number of
+/// threads.
 pub fn extract_all(
     frames: &FrameSet,
     config: &SiftConfig,
@@ -195,7 +201,7 @@ pub fn extract_all(
     // Scale spaces are handed from image to image: fresh memory is written once by the system and once as zeros.
     let idle: Mutex<Vec<Vec<Octave>>> = Mutex::new(Vec::new());
     let idle = || idle.lock().unwrap_or_else(PoisonError::into_inner);
-    let one = |frame: &Frame| {
+    let extracted = frames.frames.par_iter().with_max_len(1).map(|frame| {
         progress.check()?;
         let luma = load_luma(frame)?;
         let mask = frame.mask.as_deref().map(|path| read_mask(path, frame)).transpose()?;
@@ -204,8 +210,8 @@ pub fn extract_all(
         idle().push(octaves);
         progress.tick_with(&format!("{} in {}", features.len(), frame.name))?;
         Ok(features)
-    };
-    frames.frames.par_iter().with_max_len(1).map(one).collect()
+    });
+    extracted.collect()
 }
 
 /// Grey levels of a frame, whose size must be what it says.
@@ -215,7 +221,8 @@ pub(crate) fn load_luma(frame: &Frame) -> Result<FloatImage, SfmError> {
     Ok(FloatImage::luma(&image))
 }
 
-fn read_mask(path: &Path, frame: &Frame) -> Result<GrayImage, SfmError> {
+/// The mask of a frame, whose size must be the frame's.
+pub(crate) fn read_mask(path: &Path, frame: &Frame) -> Result<GrayImage, SfmError> {
     let mask = load_mask(path).map_err(|e| unreadable(path, &e))?;
     check_size(path, mask.dimensions(), frame)?;
     Ok(mask)

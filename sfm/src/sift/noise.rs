@@ -3,11 +3,11 @@
 use super::blur::LumaPlane;
 use super::pyramid::NOMINAL_BLUR;
 
-/// Rounding three channels to 8 bits leaves this much noise in luma: `√(0.299² + 0.587² + 0.114²) / (255 √12)`.
-const QUANTISATION_NOISE: f32 = 0.669 / (255.0 * 3.464_101_6);
 /// Side of the blocks whose noise is looked at, pixels.
+/// Source: SRC_NOISE
 const BLOCK: usize = 16;
 /// Share of the blocks that are assumed to hold nothing but noise at the finest scale.
+/// Source: SRC_NOISE
 const QUIET_SHARE: f64 = 0.1;
 
 /// What thresholds are made from.
@@ -17,7 +17,8 @@ pub struct ImageStatistics {
     pub range: f32,
     /// Standard deviation of the noise of a pixel.
     pub noise: f32,
-    /// Standard deviation of the blur that was given to the image after its noise was measured, pixels.
+    /// Standard deviation of the blur that was given to the image after its noise was measured,
+    /// pixels.
     pub pre_blur: f32,
 }
 
@@ -27,9 +28,9 @@ impl ImageStatistics {
         Self { range: brightness_range(image, &keep), noise: noise_sigma(image, &keep), pre_blur: 0.0 }
     }
 
-    /// Standard deviation that the noise has in a difference of Gaussians of blurs `fine` and `coarse` (pixels of
-    /// the image): the image's own blur is no filter, so it is taken off, `pre_blur` is one, and for white noise
-    /// `‖G_a − G_b‖² = (1/a² + 1/b² − 4/(a² + b²)) / 4π`.
+    /// Standard deviation that the noise has in a difference of Gaussians of blurs `fine` and `coarse`
+    /// (pixels of the image): the image's own blur is no filter, so it is taken off, `pre_blur` is one,
+    /// and for white noise `‖G_a − G_b‖² = (1/a² + 1/b² − 4/(a² + b²)) / 4π`.
     pub fn dog_noise(&self, fine: f32, coarse: f32) -> f32 {
         let own = NOMINAL_BLUR * NOMINAL_BLUR;
         let before = self.pre_blur * self.pre_blur;
@@ -42,7 +43,8 @@ impl ImageStatistics {
 
 /// Spread between the 0.001 and 0.999 quantiles, from a histogram of 4096 bins over [0, 1].
 fn brightness_range(image: &LumaPlane, keep: &impl Fn(usize, usize) -> bool) -> f32 {
-    const BINS: usize = 4096;
+    /// Source: derived: a sixteenth of a grey level of eight bits.
+    const BINS: usize = 16 * 256;
     let mut histogram = vec![0_u32; BINS];
     let mut total = 0_u32;
     let stride = 1 + image.data.len() / 4_000_000; // quantiles of a big image need no more than that
@@ -54,7 +56,7 @@ fn brightness_range(image: &LumaPlane, keep: &impl Fn(usize, usize) -> bool) -> 
             }
         }
     }
-    let quantile = |share: f64| {
+    let [low, high] = [0.001, 0.999].map(|share| {
         let wanted = (share * f64::from(total)) as u32;
         let mut seen = 0;
         let bin = histogram.iter().position(|&n| {
@@ -62,12 +64,13 @@ fn brightness_range(image: &LumaPlane, keep: &impl Fn(usize, usize) -> bool) -> 
             seen > wanted
         });
         bin.unwrap_or(0) as f32 / BINS as f32
-    };
-    if total == 0 { 0.0 } else { quantile(0.999) - quantile(0.001) }
+    });
+    high - low
 }
 
-/// Noise from the diagonal second difference `(a − b − c + d) / 2` of 2×2 pixels (the finest Haar detail, Donoho
-/// 1995), block by block; the quietest blocks are those without texture. Clipped pixels (0 or 1) say nothing of noise.
+/// Noise from the diagonal second difference `(a − b − c + d) / 2` of 2×2 pixels (the finest Haar
+/// detail, Donoho 1995), block by block; the quietest blocks are those without texture. Clipped pixels
+/// (0 or 1) say nothing of noise.
 fn noise_sigma(image: &LumaPlane, keep: &impl Fn(usize, usize) -> bool) -> f32 {
     let mut blocks = Vec::new();
     for by in 0..image.height / BLOCK {
@@ -96,5 +99,6 @@ fn noise_sigma(image: &LumaPlane, keep: &impl Fn(usize, usize) -> bool) -> f32 {
     }
     let quiet = (blocks.len() as f64 * QUIET_SHARE) as usize;
     let sigma = if blocks.is_empty() { 0.0 } else { *blocks.select_nth_unstable_by(quiet, f32::total_cmp).1 };
-    sigma.max(QUANTISATION_NOISE)
+    // Rounding three channels to 8 bits leaves √(0.299² + 0.587² + 0.114²) / (255 √12) in luma.
+    sigma.max(0.669 / (255.0 * 12.0_f32.sqrt()))
 }

@@ -2,12 +2,15 @@
 
 use super::blur::{LumaPlane, gaussian_blur, gaussian_double, halve};
 
-/// Blur that a camera's image is assumed to have, pixels (Lowe 2004, section 3.3).
-pub const NOMINAL_BLUR: f32 = 0.5;
-/// Blur of the first level of every octave, pixels of that octave (Lowe 2004, section 3.3).
-pub const BASE_SIGMA: f32 = 1.6;
+/// Blur that a camera's image is assumed to have, pixels.
+/// Source: Lowe 2004, section 3.3.
+pub(super) const NOMINAL_BLUR: f32 = 0.5;
+/// Blur of the first level of every octave, pixels of that octave.
+/// Source: Lowe 2004, section 3.3.
+const BASE_SIGMA: f32 = 1.6;
 
-/// One octave: `scales + 3` levels of the same size; level `i` has blur `1.6 · 2^(i / scales)` octave pixels.
+/// One octave: `scales + 3` levels of the same size; level `i` has blur `1.6 · 2^(i / scales)` octave
+/// pixels.
 #[derive(Debug, Default)]
 pub struct Octave {
     /// Blurred images, finest first.
@@ -47,7 +50,8 @@ impl Octave {
         self.fill();
     }
 
-    /// The octave above: level `scales` of the finer one has twice the base blur; every second sample is kept.
+    /// The octave above: level `scales` of the finer one has twice the base blur; every second sample is
+    /// kept.
     pub fn next_of(&mut self, finer: &Self) {
         self.prepare(finer.scales);
         halve(&finer.levels[finer.scales], &mut self.levels[0]);

@@ -3,18 +3,20 @@
 use super::candidate::Candidate;
 
 /// Cells a side of the grid over the image.
+/// Source: SRC_NOISE
 const CELLS: usize = 16;
-/// Candidates of a round, at most: who is not among so many more than stay would not stay with several directions
-/// either.
-pub const ROUND: usize = CELLS * CELLS;
+/// A candidate of every cell more than `most`: who is not among so many would not stay with several
+/// directions either.
+pub(super) fn with_margin(most: usize) -> usize {
+    most.saturating_add(CELLS * CELLS)
+}
 
-/// At most `most` candidates: first the strongest of every cell, then the second of every cell, and so on, stronger
-/// ones first within a round. The result is in the order of the input.
+/// At most `most` candidates: first the strongest of every cell, then the second of every cell, and so
+/// on, stronger ones first within a round. The result is in the order of the input.
 pub fn strongest_everywhere(candidates: &[Candidate], most: usize, size: [f32; 2]) -> Vec<Candidate> {
     if candidates.len() <= most {
         return candidates.to_vec();
     }
-    let cell = |v: f32, side: f32| ((v / side * CELLS as f32).max(0.0) as usize).min(CELLS - 1);
     let mut order: Vec<usize> = (0..candidates.len()).collect();
     order.sort_by(|&a, &b| candidates[b].strength.total_cmp(&candidates[a].strength).then(a.cmp(&b)));
     let mut taken = vec![0_u32; CELLS * CELLS];
@@ -22,7 +24,8 @@ pub fn strongest_everywhere(candidates: &[Candidate], most: usize, size: [f32; 2
         .into_iter()
         .map(|i| {
             let k = &candidates[i].keypoint;
-            let count = &mut taken[cell(k.y, size[1]) * CELLS + cell(k.x, size[0])];
+            let [column, row] = [k.x / size[0], k.y / size[1]].map(|v| ((v * CELLS as f32) as usize).min(CELLS - 1));
+            let count = &mut taken[row * CELLS + column];
             *count += 1;
             (*count, i)
         })

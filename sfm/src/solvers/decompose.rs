@@ -57,19 +57,11 @@ pub fn pose_from_essential(e: &DMat3, rays: &[(DVec3, DVec3)]) -> Option<(Pose, 
     (votes[0].1.in_front > votes[1].1.in_front).then(|| votes[0])
 }
 
-/// A motion that a homography of normalised coordinates allows.
-#[derive(Clone, Copy, Debug)]
-pub struct PlanarMotion {
-    /// Relative pose; the translation is in units of the plane's distance from camera a.
-    pub b_from_a: Pose,
-    /// Unit normal of the plane, frame a, towards the plane: `nᵀ x = 1` on it. Zero for a pure rotation.
-    pub normal: DVec3,
-}
-
-/// Motions with `H ~ R + t nᵀ` whose plane lies in front of most of the `rays` of camera a: one (pure rotation)
-/// or up to four. `h` maps normalised coordinates of a to those of b and has a positive determinant.
-/// Ma, Soatto, Košecká & Sastry, "An Invitation to 3-D Vision", §5.3.3 (cf. Malis & Vargas, INRIA RR-6303).
-pub fn motions_from_homography(h: &DMat3, rays: &[DVec3]) -> Vec<PlanarMotion> {
+/// Motions `b_from_a` with `H ~ R + t nᵀ` whose plane lies in front of most of the `rays` of camera a:
+/// one (pure rotation) or up to four; translations in units of the plane's distance from camera a. `h`
+/// maps normalised coordinates of a to those of b and has a positive determinant. Ma, Soatto, Košecká &
+/// Sastry, "An Invitation to 3-D Vision", §5.3.3 (cf. Malis & Vargas, INRIA RR-6303).
+pub fn motions_from_homography(h: &DMat3, rays: &[DVec3]) -> Vec<Pose> {
     let (u, s, v) = svd3(h);
     if !(s.is_finite() && s.z > 0.0 && h.determinant() > 0.0) {
         return Vec::new();
@@ -78,10 +70,7 @@ pub fn motions_from_homography(h: &DMat3, rays: &[DVec3]) -> Vec<PlanarMotion> {
     let (s1, s3) = (s.x / s.y, s.z / s.y);
     if s1 - s3 < 1e-9 {
         let rotation = u * v.transpose();
-        return vec![PlanarMotion {
-            b_from_a: Pose::from_matrix(rotation, DVec3::ZERO),
-            normal: DVec3::ZERO,
-        }];
+        return vec![Pose::from_matrix(rotation, DVec3::ZERO)];
     }
     let v = v * v.determinant().signum();
     let span = (s1 * s1 - s3 * s3).sqrt();
@@ -97,7 +86,7 @@ pub fn motions_from_homography(h: &DMat3, rays: &[DVec3]) -> Vec<PlanarMotion> {
         let normal = if 2 * in_front >= rays.len() { normal } else { -normal };
         let pose = Pose::from_matrix(rotation, (h - rotation) * normal);
         if pose.is_finite() {
-            result.push(PlanarMotion { b_from_a: pose, normal });
+            result.push(pose);
         }
     }
     result
@@ -136,8 +125,8 @@ mod tests {
             let error = motions
                 .iter()
                 .map(|m| {
-                    rotation_angle(m.b_from_a.rotation, s.b_from_a.rotation)
-                        + angle(m.b_from_a.translation, s.b_from_a.translation)
+                    rotation_angle(m.rotation, s.b_from_a.rotation)
+                        + angle(m.translation, s.b_from_a.translation)
                 })
                 .fold(f64::INFINITY, f64::min);
             assert!(error < 1e-6, "seed {seed}: {error}");
@@ -150,8 +139,8 @@ mod tests {
             let s = two_views(seed, 30, Shape::NoBaseline, 1.0);
             let motions = motions_from_homography(&(s.b_from_a.matrix() * 2.0), &[DVec3::Z]);
             assert_eq!(motions.len(), 1, "seed {seed}");
-            assert_eq!(motions[0].b_from_a.translation, DVec3::ZERO, "seed {seed}");
-            assert!(rotation_angle(motions[0].b_from_a.rotation, s.b_from_a.rotation) < 1e-7, "seed {seed}");
+            assert_eq!(motions[0].translation, DVec3::ZERO, "seed {seed}");
+            assert!(rotation_angle(motions[0].rotation, s.b_from_a.rotation) < 1e-7, "seed {seed}");
         }
     }
 

@@ -5,7 +5,7 @@ use super::polynomial::real_roots;
 use glam::{DMat3, DVec2};
 
 /// Fundamental matrices with `b_iᵀ F a_i = 0` and `det F = 0` (at most three, unit Frobenius norm). The points
-/// should be of the order of 1 (see [`super::Normaliser`]). Hartley & Zisserman, "Multiple View Geometry"
+/// should be of the order of 1 (see [`super::fundamental_8pt::Normaliser`]). Hartley & Zisserman, "Multiple View Geometry"
 /// (2nd ed.), §11.1.2. Not refined.
 pub fn fundamental_7pt(a: &[DVec2; 7], b: &[DVec2; 7]) -> Vec<DMat3> {
     let rows: [[f64; 9]; 7] = std::array::from_fn(|i| {
@@ -40,7 +40,8 @@ pub fn fundamental_7pt(a: &[DVec2; 7], b: &[DVec2; 7]) -> Vec<DMat3> {
 mod tests {
     use super::*;
     use crate::solvers::testing::{Shape, TwoViews, array, two_views};
-    use crate::solvers::{Normaliser, sampson_sq};
+    use crate::solvers::fundamental_8pt::Normaliser;
+    use crate::solvers::sampson_sq;
 
     /// Largest Sampson distance of all pairs under the best solution of the first seven, relative to the extent.
     fn best(s: &TwoViews) -> f64 {

@@ -35,10 +35,10 @@ impl Normaliser {
     }
 }
 
-/// The fundamental matrix (rank 2, unit Frobenius norm) that minimises the weighted algebraic error of
-/// `b_iᵀ F a_i = 0` in normalised coordinates; `None` below eight pairs or where they do not determine it.
-/// Hartley 1997. With weights `1 / ‖∇‖²` of a previous estimate it is one step towards the Sampson error.
-pub fn fundamental_8pt(a: &[DVec2], b: &[DVec2], weights: Option<&[f64]>) -> Option<DMat3> {
+/// The fundamental matrix (rank 2, unit Frobenius norm) that minimises the algebraic error of
+/// `b_iᵀ F a_i = 0` in normalised coordinates; `None` below eight pairs or where they do not determine
+/// it. Hartley 1997.
+pub fn fundamental_8pt(a: &[DVec2], b: &[DVec2]) -> Option<DMat3> {
     let n = a.len().min(b.len());
     if n < 8 {
         return None;
@@ -48,9 +48,8 @@ pub fn fundamental_8pt(a: &[DVec2], b: &[DVec2], weights: Option<&[f64]>) -> Opt
     let mut m = [[0.0; 9]; 9];
     for i in 0..n {
         let (p, q) = (na.apply(a[i]).extend(1.0).to_array(), nb.apply(b[i]).extend(1.0).to_array());
-        let weight = weights.map_or(1.0, |w| w[i]);
         let row: [f64; 9] = std::array::from_fn(|k| q[k / 3] * p[k % 3]);
-        accumulate(&mut m, &row, weight);
+        accumulate(&mut m, &row);
     }
     let (values, vectors) = symmetric_eigen(&m);
     if values[1].is_nan() || values[1] <= 1e-14 * values[8] {
@@ -63,11 +62,11 @@ pub fn fundamental_8pt(a: &[DVec2], b: &[DVec2], weights: Option<&[f64]>) -> Opt
     f.is_finite().then_some(f)
 }
 
-/// `m += weight · row rowᵀ`.
-pub(super) fn accumulate<const N: usize>(m: &mut [[f64; N]; N], row: &[f64; N], weight: f64) {
+/// `m += row rowᵀ`.
+pub(super) fn accumulate<const N: usize>(m: &mut [[f64; N]; N], row: &[f64; N]) {
     for (line, x) in m.iter_mut().zip(row) {
         for (cell, y) in line.iter_mut().zip(row) {
-            *cell += weight * x * y;
+            *cell += x * y;
         }
     }
 }
@@ -87,7 +86,7 @@ mod tests {
                 let a: Vec<DVec2> = s.a.iter().map(change).collect();
                 let b: Vec<DVec2> = s.b.iter().map(change).collect();
                 let f =
-                    fundamental_8pt(&a, &b, None).unwrap_or_else(|| panic!("seed {seed} {scale} {shift}"));
+                    fundamental_8pt(&a, &b).unwrap_or_else(|| panic!("seed {seed} {scale} {shift}"));
                 let worst = a.iter().zip(&b).map(|(a, b)| sampson_sq(&f, *a, *b)).fold(0.0, f64::max).sqrt();
                 let rounding = 1e-7 * shift; // f of pixels around 1e7 keeps half of the digits
                 assert!(worst < 1e-7 * scale + rounding, "seed {seed} {scale} {shift}: {worst}");
@@ -100,12 +99,12 @@ mod tests {
         for seed in 0..100 {
             for shape in [Shape::Plane, Shape::Line] {
                 let s = two_views(seed, 30, shape, 1.0);
-                assert!(fundamental_8pt(&s.a, &s.b, None).is_none(), "seed {seed} {shape:?}");
+                assert!(fundamental_8pt(&s.a, &s.b).is_none(), "seed {seed} {shape:?}");
             }
         }
         for bad in [DVec2::NAN, DVec2::INFINITY, DVec2::ZERO] {
-            assert!(fundamental_8pt(&[bad; 9], &[DVec2::ONE; 9], None).is_none(), "{bad}");
+            assert!(fundamental_8pt(&[bad; 9], &[DVec2::ONE; 9]).is_none(), "{bad}");
         }
-        assert!(fundamental_8pt(&[], &[], None).is_none());
+        assert!(fundamental_8pt(&[], &[]).is_none());
     }
 }

@@ -53,8 +53,8 @@ pub fn homography_dlt(a: &[DVec2], b: &[DVec2]) -> Option<DMat3> {
     let mut m = [[0.0; 9]; 9];
     for i in 0..n {
         let (p, q) = (na.apply(a[i]), nb.apply(b[i]));
-        accumulate(&mut m, &[p.x, p.y, 1.0, 0.0, 0.0, 0.0, -q.x * p.x, -q.x * p.y, -q.x], 1.0);
-        accumulate(&mut m, &[0.0, 0.0, 0.0, p.x, p.y, 1.0, -q.y * p.x, -q.y * p.y, -q.y], 1.0);
+        accumulate(&mut m, &[p.x, p.y, 1.0, 0.0, 0.0, 0.0, -q.x * p.x, -q.x * p.y, -q.x]);
+        accumulate(&mut m, &[0.0, 0.0, 0.0, p.x, p.y, 1.0, -q.y * p.x, -q.y * p.y, -q.y]);
     }
     let (values, vectors) = symmetric_eigen(&m);
     if values[1].is_nan() || values[1] <= 1e-12 * values[8] {

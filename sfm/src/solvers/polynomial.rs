@@ -1,6 +1,7 @@
 //! Real roots of polynomials of low degree.
 
 /// Highest degree that [`real_roots`] takes.
+/// Source: Nistér, PAMI 2004: the polynomial of five pairs has degree 10.
 pub const MAX_DEGREE: usize = 10;
 
 /// At most [`MAX_DEGREE`] real numbers.

@@ -152,7 +152,7 @@ mod tests {
             let (a, b) = (pixels(&s.a, 0.5, 2 * seed), pixels(&s.b, 0.5, 2 * seed + 1));
             let (a, b): (Vec<DVec2>, Vec<DVec2>) =
                 a.iter().zip(&b).map(|(a, b)| (*a / FOCAL, *b / FOCAL)).unzip();
-            let linear = crate::solvers::fundamental_8pt(&a, &b, None).unwrap();
+            let linear = crate::solvers::fundamental_8pt(&a, &b).unwrap();
             let all: Vec<usize> = (0..60).collect();
             let refined =
                 refine_fundamental(&linear, Pairs { a: &a, b: &b, indices: &all }, 1.0, 20).unwrap();

@@ -37,7 +37,6 @@ pub(crate) fn log10_false_alarms(
     for i in 1..=n {
         factorial[i] = factorial[i - 1] + (i as f64).log10();
     }
-    let choose = |n: usize, k: usize| factorial[n] - factorial[k] - factorial[n - k];
     let mut least = f64::INFINITY;
     for k in sample_size + 1..=n {
         let residual = sorted[k - 1].max(0.25 * 0.25); // finer agreement than measurement is no evidence
@@ -49,10 +48,15 @@ pub(crate) fn log10_false_alarms(
             Constraint::Point => std::f64::consts::PI * residual / (extent.x * extent.y),
         };
         let chance = share.min(1.0).log10() * (k - sample_size) as f64;
-        let count = (models * (n - sample_size) as f64).log10() + choose(n, k) + choose(k, sample_size);
+        let count = (models * (n - sample_size) as f64).log10() + choose(&factorial, n, k) + choose(&factorial, k, sample_size);
         least = least.min(count + chance);
     }
     least
+}
+
+/// log10 of the number of ways to choose `k` of `n`.
+fn choose(factorial: &[f64], n: usize, k: usize) -> f64 {
+    factorial[n] - factorial[k] - factorial[n - k]
 }
 
 #[cfg(test)]

@@ -30,6 +30,14 @@ pub struct TwoViewConfig {
     pub max_log10_false_alarms: f64,
 }
 
+impl TwoViewConfig {
+    /// The error that right matches are taken to have, pixels: the largest is four of it. Robust losses
+    /// bend there, and partners along an epipolar line are sought so far from it.
+    pub(crate) fn sigma_px(&self) -> f64 {
+        self.max_error_px / 4.0
+    }
+}
+
 impl Default for TwoViewConfig {
     fn default() -> Self {
         Self {

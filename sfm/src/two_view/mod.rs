@@ -3,7 +3,6 @@
 mod chance;
 mod config;
 mod correspondences;
-mod focal;
 mod gric;
 mod models;
 mod pose;
@@ -11,7 +10,6 @@ mod static_matches;
 mod wide;
 
 pub use config::TwoViewConfig;
-pub use focal::focal_evidence;
 pub(crate) use wide::second_look;
 
 use crate::SfmError;
@@ -22,10 +20,6 @@ use models::TwoViewModels;
 use rayon::prelude::*;
 use scene::{Camera, Features, Progress, TwoViewGeometry, TwoViewKind};
 use static_matches::StaticMatches;
-
-/// Half-width of the band along an epipolar line in which partners are sought, pixels.
-/// Source: chosen by hand, never measured.
-const GUIDED_PX: f64 = 1.0;
 
 /// Finds the motion that explains the matches of images `a` and `b`: an essential matrix where the
 /// focal lengths can be trusted as far as this pair tells (it keeps at least 95 % of the
@@ -147,7 +141,7 @@ pub(crate) fn match_along_lines(
         let epipolar = matches!(g.kind, TwoViewKind::Calibrated | TwoViewKind::Uncalibrated);
         let Some(f) = g.f.filter(|_| epipolar && wanted(&g)) else { return Ok(g) };
         let [a, b] = [g.a, g.b].map(|i| (&features[i], &prepared[i]));
-        let more = guided_match_prepared(a, b, &f, GUIDED_PX, matching);
+        let more = guided_match_prepared(a, b, &f, verification.sigma_px(), matching);
         let cameras = [&cameras[g.a], &cameras[g.b]];
         Ok(merge_guided(&g, [a.0, b.0], cameras, &more, verification, seed))
     });

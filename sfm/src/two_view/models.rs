@@ -14,7 +14,7 @@ use glam::{DMat3, DVec3};
 use scene::{Pose, TwoViewGeometry, TwoViewKind};
 
 /// An essential matrix is trusted if it keeps this part of the fundamental matrix's inliers.
-/// Source: chosen by hand, never measured.
+/// Source: SRC_EF
 const ESSENTIAL_OVER_FUNDAMENTAL: f64 = 0.95;
 
 /// What the three searches found.
@@ -45,7 +45,7 @@ impl TwoViewModels {
         };
         let scaled = RansacConfig { threshold: config.max_error_px / all.size, ..pixels };
         let (a, b) = all.scaled();
-        let loss_scale = 0.25 * config.max_error_px;
+        let loss_scale = config.sigma_px();
         let homography = HomographyEstimator { a: a.clone(), b: b.clone() };
         let homography = ransac(&homography, &scaled, stream);
         let fundamental = FundamentalEstimator { a, b, loss_scale: loss_scale / all.size };
@@ -106,21 +106,19 @@ impl TwoViewModels {
     pub(crate) fn log10_false_alarms(&self, all: &Correspondences, limit: f64) -> f64 {
         let (a, b) = all.scaled();
         let unit = all.size * all.size;
-        let alarms = |squared: Vec<f64>, constraint, sample, models| {
-            log10_false_alarms(&squared, &all.b, constraint, sample, models, limit)
-        };
         let each = 0..all.len();
         let f = self.fundamental.as_ref().map(|m| {
-            let squared = each.clone().map(|i| unit * sampson_sq(&m.model, a[i], b[i])).collect();
-            alarms(squared, Constraint::Line, 7, 3.0)
+            let squared: Vec<f64> = each.clone().map(|i| unit * sampson_sq(&m.model, a[i], b[i])).collect();
+            log10_false_alarms(&squared, &all.b, Constraint::Line, 7, 3.0, limit)
         });
         let e = self.essential.as_ref().map(|m| {
-            let squared = each.clone().map(|i| sampson_sq(&m.model.f, all.a[i], all.b[i])).collect();
-            alarms(squared, Constraint::Line, 5, 10.0)
+            let squared: Vec<f64> =
+                each.clone().map(|i| sampson_sq(&m.model.f, all.a[i], all.b[i])).collect();
+            log10_false_alarms(&squared, &all.b, Constraint::Line, 5, 10.0, limit)
         });
         let h = self.homography.as_ref().map(|m| {
-            let squared = each.clone().map(|i| unit * transfer_sq(&m.model.0, a[i], b[i])).collect();
-            alarms(squared, Constraint::Point, 4, 1.0)
+            let squared: Vec<f64> = each.clone().map(|i| unit * transfer_sq(&m.model.0, a[i], b[i])).collect();
+            log10_false_alarms(&squared, &all.b, Constraint::Point, 4, 1.0, limit)
         });
         [f, e, h].into_iter().flatten().fold(f64::INFINITY, f64::min)
     }

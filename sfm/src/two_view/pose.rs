@@ -2,6 +2,7 @@
 
 use super::correspondences::{Correspondences, scaling};
 use crate::solvers::linalg::svd3;
+use crate::statistics::median;
 use crate::solvers::{
     Pairs, cheirality, essential_from_pose, motions_from_homography, pose_from_essential, refine_relative,
     sampson_sq,
@@ -25,7 +26,7 @@ pub(crate) fn best_pose(
     if let Some(h) = homography {
         let rays_a: Vec<DVec3> = rays.iter().map(|r| r.0).collect();
         let motions = motions_from_homography(&all.homography_to_rays(h), &rays_a);
-        candidates.extend(motions.iter().map(|m| m.b_from_a).filter(|p| p.translation.length() > 1e-6));
+        candidates.extend(motions.into_iter().filter(|p| p.translation.length() > 1e-6));
     }
     let pairs = Pairs { a: &all.a, b: &all.b, indices: inliers };
     let mut best: Option<(f64, Pose)> = None;
@@ -55,7 +56,7 @@ fn truncated_cost(pose: &Pose, all: &Correspondences, inliers: &[usize], thresho
 /// tried, for a guessed one may be wrong. The rotation between two sets of unit rays: Arun, Huang &
 /// Blostein, PAMI 1987.
 pub(crate) fn pure_rotation(all: &Correspondences, inliers: &[usize], h: &DMat3) -> Option<DQuat> {
-    let allowed = 1.5 * median(inliers.iter().map(|&i| transfer_px(h, all, i)).collect())? + 0.25;
+    let allowed = 1.5 * median(inliers.iter().map(|&i| transfer_px(h, all, i)).collect()) + 0.25;
     let mut best: Option<(f64, DQuat)> = None;
     for factor in [0.5, 0.6, 0.7, 0.84, 1.0, 1.2, 1.4, 1.7, 2.0] {
         let (to_b, from_a) =
@@ -73,7 +74,7 @@ pub(crate) fn pure_rotation(all: &Correspondences, inliers: &[usize], h: &DMat3)
             continue;
         }
         let m = to_b * r * from_a;
-        let error = median(inliers.iter().map(|&i| transfer_px(&m, all, i)).collect())?;
+        let error = median(inliers.iter().map(|&i| transfer_px(&m, all, i)).collect());
         if error <= allowed && best.as_ref().is_none_or(|(least, _)| error < *least) {
             best = Some((error, DQuat::from_mat3(&r).normalize()));
         }
@@ -94,13 +95,5 @@ pub(crate) fn median_angle(b_from_a: &Pose, all: &Correspondences, inliers: &[us
         let a = b_from_a.rotation * a;
         a.cross(b).length().atan2(a.dot(b))
     });
-    median(angles.collect()).unwrap_or(0.0)
-}
-
-fn median(mut values: Vec<f64>) -> Option<f64> {
-    if values.is_empty() {
-        return None;
-    }
-    let middle = values.len() / 2;
-    Some(*values.select_nth_unstable_by(middle, f64::total_cmp).1)
+    median(angles.collect())
 }

@@ -4,12 +4,9 @@
 use super::config::TwoViewConfig;
 use super::correspondences::Correspondences;
 
-/// How many static matches make a suspicious peak.
-/// Source: chosen by hand, never measured.
-const FEWEST: usize = 8;
 /// Static matches must outnumber the slow ones (up to four times the displacement) by this factor:
 /// where a camera moves, displacements are spread, and some are small by chance.
-/// Source: chosen by hand, never measured.
+/// Source: SRC_PEAK
 const PEAK: usize = 2;
 
 /// What is known about matches that stay in place.
@@ -28,7 +25,8 @@ impl StaticMatches {
         let (still, moving): (Vec<usize>, Vec<usize>) =
             (0..all.len()).partition(|&i| all.displacement(i) <= config.static_px);
         let slow = moving.iter().filter(|&&i| all.displacement(i) <= 4.0 * config.static_px).count();
-        let suspicious = still.len() >= FEWEST && still.len() > PEAK * slow;
+        // Fewer than a pair needs cannot win.
+        let suspicious = still.len() >= config.min_inliers && still.len() > PEAK * slow;
         Self { moving, still, suspicious }
     }
 }

@@ -252,7 +252,8 @@ fn with_known_intrinsics_few_matches_are_a_pair_and_random_ones_are_not() {
             (0..p.matches.len() * Features::DIM).map(|_| r.random_range(0..90)).collect();
         p.features.iter_mut().for_each(|f| f.descriptors.clone_from(&descriptors));
         let matching = MatchConfig::default();
-        let found = second_look(&p.features, &p.cameras, &[(0, 1)], &matching, 1, &Progress::silent());
+        let configs = (&matching, &TwoViewConfig::default());
+        let found = second_look(&p.features, &p.cameras, &[(0, 1)], configs, 1, &Progress::silent());
         (found.unwrap(), p.truth)
     };
     for seed in 0..10 {
@@ -269,33 +270,4 @@ fn with_known_intrinsics_few_matches_are_a_pair_and_random_ones_are_not() {
         assert!(sampson_sq(&found[0].f.unwrap(), a, b) < 4.0, "F refers to pixels, seed {seed}");
         assert!(look(seed, 0, 36).0.is_empty(), "seed {seed}");
     }
-}
-
-/// The factor nearest to 1 whose evidence is within half a percent of the best.
-fn likely_factor(factors: &[f64], evidence: &[f64]) -> f64 {
-    let least = evidence.iter().copied().fold(f64::INFINITY, f64::min);
-    let good = factors.iter().zip(evidence).filter(|(_, e)| **e <= 1.005 * least).map(|(f, _)| *f);
-    good.min_by(|f, g| f.ln().abs().total_cmp(&g.ln().abs())).unwrap()
-}
-
-#[test]
-fn many_pairs_tell_the_focal_length_that_one_cannot() {
-    let factors = [0.4, 0.5, 0.63, 0.8, 1.0, 1.25, 1.6, 2.0, 2.5];
-    for wrong in [0.5, 1.0, 2.0] {
-        let guess = Camera::centred(1, CameraModel::SimplePinhole, 640, 480, FOCAL * wrong);
-        let (mut features, mut geometries) = (Vec::new(), Vec::new());
-        for seed in 0..30 {
-            let p = pair(seed, 150, 20, Shape::General, 0.3);
-            let [a, b] = p.features;
-            let i = features.len();
-            let config = TwoViewConfig::default();
-            geometries.push(verify_pair(i, i + 1, &a, &b, &guess, &guess, &p.matches, &config, 1));
-            features.extend([a, b]);
-        }
-        let cameras = vec![guess; features.len()];
-        let evidence = focal_evidence(&features, &cameras, &geometries, &factors);
-        let factor = likely_factor(&factors, &evidence);
-        assert!((factor * wrong - 1.0).abs() < 0.3, "guess × {wrong}: {factor} {evidence:?}");
-    }
-    assert!(focal_evidence(&[], &[], &[], &factors).is_empty());
 }

@@ -9,7 +9,7 @@
 use super::{COMPARABLE, LEAST};
 use crate::circular::limits::OUTLIER_SIGMAS;
 use crate::solvers::linalg::solve_spd;
-use crate::statistics::{SIGMA_PER_MAD, median};
+use crate::statistics::{MEDIAN_DEVIATION, median};
 use scene::Film;
 use std::f64::consts::TAU;
 
@@ -160,7 +160,7 @@ impl GapSearch<'_> {
         let ends = (first + 2.0 * self.side, last - 2.0 * self.side);
         let places = (0..TRIALS).map(|k| ends.0 + (ends.1 - ends.0) * k as f64 / (TRIALS - 1) as f64);
         let trials: Vec<GapEstimate> = places.filter_map(|a| self.at(a, a, 0.0)).collect();
-        let deviation = SIGMA_PER_MAD * median(trials.iter().map(|t| t.excess.abs()).collect());
+        let deviation = median(trials.iter().map(|t| t.excess.abs()).collect()) / MEDIAN_DEVIATION;
         let sigma = deviation.max(LARGEST / 10.0 * self.step);
         let astray = trials.iter().filter(|t| t.excess.abs() > OUTLIER_SIGMAS * sigma).count();
         let is_of_use = 2 * trials.len() >= TRIALS && 4 * astray <= trials.len();

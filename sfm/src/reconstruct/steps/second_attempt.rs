@@ -67,7 +67,7 @@ fn attempt(
     let pairs: Vec<(usize, usize)> = all.filter(|p| !passed.contains(p)).collect();
     let cameras: Vec<Camera> = model.setup.camera_of.iter().map(|&c| state.cameras[c].clone()).collect();
     let (features, configs) = (&model.features, (&config.matching, &config.two_view));
-    let wide = two_view::second_look(features, &cameras, &pairs, configs.0, config.seed, progress)?;
+    let wide = two_view::second_look(features, &cameras, &pairs, configs, config.seed, progress)?;
     if wide.is_empty() {
         return Ok(None);
     }
