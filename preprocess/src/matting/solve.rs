@@ -9,8 +9,8 @@ use super::trimap::Trimap;
 use glam::Vec3;
 
 /// Radius of the neighbourhood from which the colours of foreground and screen are learnt, pixels.
-/// Source: `key_table`: for the screen 3 and 5 differ by less than 0.0004 of IoU; for the foreground chosen by hand, never
-/// measured.
+/// Source: `key_table`: for the screen 3 and 5 differ by less than 0.0004 of IoU; for the
+/// foreground chosen by hand, never measured.
 const REACH: usize = 3;
 /// Alpha nearer to 0 or 1 than this is 0 or 1.
 /// Source: `key_table`: at 0.02 mean errors of alpha of the composites grow by 0.00003.
