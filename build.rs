@@ -1,19 +1,18 @@
-//! Takes the web viewer into the program where `make viewer` has built it (it needs Node.js; all
-//! else works without), and what tells the sources of each step from those of another build.
+//! Takes the web viewer into the program, with gzip, where `make viewer` has built it (it needs
+//! Node.js; all else works without), and what tells the sources of each step from those of another
+//! build.
 
+use flate2::{Compression, write::GzEncoder};
 use std::hash::{DefaultHasher, Hasher};
+use std::io::Write as _;
 use std::path::{Path, PathBuf};
 
 fn main() {
     println!("cargo:rerun-if-changed=viewer/dist");
     let root = std::env::var("CARGO_MANIFEST_DIR").unwrap_or_default();
-    let bundle = Path::new(&root).join("viewer/dist/viewer.js");
-    let value = if bundle.is_file() { format!("Some(include_str!({bundle:?}))") } else { "None".to_owned() };
-    let out = std::env::var("OUT_DIR").unwrap_or_default();
-    let code =
-        format!("/// The viewer's script, where it was built.\npub const BUNDLE: Option<&str> = {value};\n");
-    let written = std::fs::write(Path::new(&out).join("bundle.rs"), code);
-    written.expect("the build folder can be written");
+    let out = PathBuf::from(std::env::var("OUT_DIR").unwrap_or_default());
+    take_viewer_in(&Path::new(&root).join("viewer/dist/viewer.js"), &out)
+        .expect("the build folder can be written");
     // A stage that another build ran is not current. Unreadable sources only mean that it may be.
     for (name, crates) in
         [("FRAMES", ["preprocess", "scene"]), ("SFM", ["sfm", "scene"]), ("SPLAT", ["splat", "scene"])]
@@ -28,6 +27,22 @@ fn main() {
         }
         println!("cargo:rustc-env={name}_SOURCES={:016x}", hasher.finish());
     }
+}
+
+/// Writes the script with gzip, and the constant that holds it, or that there is none.
+fn take_viewer_in(script: &Path, out: &Path) -> std::io::Result<()> {
+    let mut value = "None";
+    if let Ok(script) = std::fs::read(script) {
+        let mut encoder = GzEncoder::new(Vec::new(), Compression::best());
+        encoder.write_all(&script)?;
+        std::fs::write(out.join("viewer.js.gz"), encoder.finish()?)?;
+        value = r#"Some(include_bytes!(concat!(env!("OUT_DIR"), "/viewer.js.gz")))"#;
+    }
+    let code = format!(
+        "/// The viewer's script with gzip, where it was built.\n\
+         pub const BUNDLE: Option<&[u8]> = {value};\n"
+    );
+    std::fs::write(out.join("bundle.rs"), code)
 }
 
 /// All files below a folder, in order.

@@ -54,7 +54,8 @@ TABLES = ["poses", "variants", "dino", "steps", "orbits", "turns", "quality", "r
           "splats", "times", "shapes", "ablation", "step", "growth"]
 
 def measured(command, **options):
-    """Runs a command; returns exit code, wall seconds, CPU seconds and peak MiB of its processes."""
+    """Runs a command; returns exit code, wall seconds, CPU seconds and peak MiB of its
+    processes."""
     before = resource.getrusage(resource.RUSAGE_CHILDREN)
     begun = time.time()
     process = subprocess.Popen(command, **options)
@@ -175,7 +176,8 @@ def turn_row(table, name, tool, model, truth, total, cpu):
 
 
 def bench_turns(binary, out, only, tools, table):
-    """Turns of the test bed: what is known, and how many frames are taken; `tools` are run beside."""
+    """Turns of the test bed: what is known, and how many frames are taken; `tools` are run
+    beside."""
     for name, case in TURNS:
         if (only and name not in only) or not os.path.isfile(os.path.join(case, "video.mp4")):
             continue

@@ -1,12 +1,14 @@
 #!/usr/bin/env python3
-"""Everything that needs a graphics card, in under ten minutes, as JSON, with a plot of the speed-accuracy curves beside it.
+"""Everything that needs a graphics card, in under ten minutes, as JSON, with a plot of the
+speed-accuracy curves beside it.
 
     bench_gpu.py BENCH SHARED --out FILE [--gpu NAME] [--sat-recon PROGRAM] [--python PYTHON]
 
-BENCH is splat's example `bench_gpu`. Where there is only an emulated adapter the same runs are made small (a dry run, marked
-as such; the scenes of 1 and 5 million Gaussians are left out and it is said). gsplat runs in PYTHON (bench_gpu_gsplat.py) on
-the same scenes, numbers of Gaussians and data sets. temple_ring has no posed copy: PROGRAM solves it. Memory is the
-highest of one-second samples of nvidia-smi, where that is there.
+BENCH is splat's example `bench_gpu`. Where there is only an emulated adapter the same runs are made
+small (a dry run, marked as such; the scenes of 1 and 5 million Gaussians are left out and it is
+said). gsplat runs in PYTHON (bench_gpu_gsplat.py) on the same scenes, numbers of Gaussians and data
+sets. temple_ring has no posed copy: PROGRAM solves it. Memory is the highest of one-second samples
+of nvidia-smi, where that is there.
 """
 import argparse
 import json
@@ -55,7 +57,8 @@ class Memory:
 
 
 def call(command, seconds):
-    """The JSON object that a program prints, its time and memory; what went wrong in place of a result."""
+    """The JSON object that a program prints, its time and memory; what went wrong in place of a
+    result."""
     print(f"  {' '.join(command)}", flush=True)
     begun = time.time()
     try:
@@ -72,7 +75,8 @@ def call(command, seconds):
 
 
 def floors(scene, roof):
-    """Milliseconds that each kernel needs at least: its bytes at the adapter's bandwidth, its operations at its rate."""
+    """Milliseconds that each kernel needs at least: its bytes at the adapter's bandwidth, its
+    operations at its rate."""
     if not roof:
         return {}
     out = {}
@@ -84,7 +88,8 @@ def floors(scene, roof):
 
 
 def posed(args, folder, work, seconds):
-    """The data set as it is, or solved first where it has no poses; nothing where that cannot be done."""
+    """The data set as it is, or solved first where it has no poses; nothing where that cannot be
+    done."""
     if os.path.isdir(os.path.join(folder, "sparse")) or os.path.isfile(os.path.join(folder, "transforms.json")):
         return folder
     if not args.sat_recon or not os.path.isdir(os.path.join(folder, "images")):

@@ -3,9 +3,10 @@
 
     bench_gpu_gsplat.py [--scene N:WIDTHxHEIGHT ...] [--data FOLDER ...] [--iterations N] [--seconds S] [--device cuda]
 
-FOLDERs are written by `bench_gpu --export`. gsplat and torch come from PyPI; gsplat compiles its kernels at the first call.
-Where either is missing, or no card is found, the object says so. Training: gsplat's own strategy and the step sizes of the
-3DGS paper, from the same first Gaussians as ours; the held-out views are scored at 8 bits while the clock stands still.
+FOLDERs are written by `bench_gpu --export`. gsplat and torch come from PyPI; gsplat compiles its
+kernels at the first call. Where either is missing, or no card is found, the object says so.
+Training: gsplat's own strategy and the step sizes of the 3DGS paper, from the same first Gaussians
+as ours; the held-out views are scored at 8 bits while the clock stands still.
 """
 import argparse
 import json
@@ -43,7 +44,8 @@ class Clock:
 
 
 def ssim(torch, device):
-    """1 - SSIM of two pictures [H, W, 3]: 11 x 11 Gaussian window, sigma 1.5, zero padding (Wang et al. 2004)."""
+    """1 - SSIM of two pictures [H, W, 3]: 11 x 11 Gaussian window, sigma 1.5, zero padding (Wang et
+    al. 2004)."""
     conv = torch.nn.functional.conv2d
     d = torch.arange(11, device=device) - 5.0
     window = torch.exp(-d * d / 4.5)

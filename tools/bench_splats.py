@@ -23,7 +23,8 @@ def captures(bench, shared):
 
 
 def sweep(binary, source, folder, *options):
-    """The points that `sat-recon bench` measures: frames and poses are made once for all of them."""
+    """The points that `sat-recon bench` measures: frames and poses are made once for all of
+    them."""
     subprocess.run([binary, "bench", source, "-o", folder, "-q", *options], check=True)
     with open(os.path.join(folder, "bench.json")) as file:
         return json.load(file)["points"]

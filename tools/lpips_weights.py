@@ -1,5 +1,6 @@
 #!/usr/bin/env python3
-"""Makes a weights file for --lpips-weights from the files that torchvision and the lpips package use.
+"""Makes a weights file for --lpips-weights from the files that torchvision and the lpips package
+use.
 
     lpips_weights.py BACKBONE.pth LINEAR.pth OUT.safetensors
 

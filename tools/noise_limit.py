@@ -1,11 +1,14 @@
 #!/usr/bin/env python3
-"""How alike two pictures of the same still can be at best, for the noise in them: PSNR and SSIM of the expected pictures against the filmed ones.
+"""How alike two pictures of the same still can be at best, for the noise in them: PSNR and SSIM of
+the expected pictures against the filmed ones.
 
     noise_limit.py FILMED EXPECTED [--every 8]
 
-FILMED: the images/ of a still case of the test bed. EXPECTED: those of `develop.py CASE RENDERS FOLDER --takes 16`, the mean of other draws
-of the noise, which no rendering can come closer than in squared error. Every 8th picture from the first is compared, as held-out
-views are. SSIM as elsewhere here: Gaussian window of 11 pixels, sigma 1.5, where it fits into the picture, mean over the channels (Wang et al. 2004).
+FILMED: the images/ of a still case of the test bed. EXPECTED: those of `develop.py CASE RENDERS
+FOLDER --takes 16`, the mean of other draws of the noise, which no rendering can come closer than in
+squared error. Every 8th picture from the first is compared, as held-out views are. SSIM as
+elsewhere here: Gaussian window of 11 pixels, sigma 1.5, where it fits into the picture, mean over
+the channels (Wang et al. 2004).
 """
 import argparse
 import os

@@ -1,10 +1,12 @@
-"""Films random shapes before a screen: what the key's outline is learnt from besides the test bed (tools/train_outline.py).
+"""Films random shapes before a screen: what the key's outline is learnt from besides the test bed
+(tools/train_outline.py).
 
     python3 tools/outline_shapes.py FOLDER FIRST LAST       scenes FIRST to LAST - 1, each a folder with video.mp4 and mattes/
 
-Polygons, ellipses, rods, panels with slits, rings and lattices in foil, cells, stripes and plain colours, lighter or darker towards
-their rims, some of which mirror the screen; a green or blue screen with uneven light, folds and the shapes' shadow; lens and motion blur,
-photon and read noise, H.264 4:2:0. Some scenes are cut-outs without a lens, sharp or with a rim that is mixed with black.
+Polygons, ellipses, rods, panels with slits, rings and lattices in foil, cells, stripes and plain
+colours, lighter or darker towards their rims, some of which mirror the screen; a green or blue
+screen with uneven light, folds and the shapes' shadow; lens and motion blur, photon and read noise,
+H.264 4:2:0. Some scenes are cut-outs without a lens, sharp or with a rim that is mixed with black.
 Needs numpy, scipy, pillow and ffmpeg.
 """
 

@@ -1,11 +1,13 @@
 #!/usr/bin/env python3
-"""Says whether a program gives the same bytes as the program of another commit, on a fixed list of captures.
+"""Says whether a program gives the same bytes as the program of another commit, on a fixed list of
+captures.
 
     same_bytes.py SAT_RECON SHARED --out FOLDER [--label NAME] [--against NAME] [--only CAPTURE ...]
 
-Runs the list, hashes mattes, poses and cloud (`sparse/0`) and `splat.ply`, and keeps the hashes in FOLDER/NAME.json
-(default: the commit of the working tree, with `-dirty` where files differ from it). With `--against` the hashes are compared with those kept under that
-name, and what differs is listed; the exit code is 1 then. Hashes depend on the processor: compare on one machine.
+Runs the list, hashes mattes, poses and cloud (`sparse/0`) and `splat.ply`, and keeps the hashes in
+FOLDER/NAME.json (default: the commit of the working tree, with `-dirty` where files differ from
+it). With `--against` the hashes are compared with those kept under that name, and what differs is
+listed; the exit code is 1 then. Hashes depend on the processor: compare on one machine.
 """
 import argparse
 import hashlib
@@ -39,7 +41,8 @@ def commit():
 
 
 def digest(path):
-    """One hash over a file, or over names and bytes of all files of a folder; None where there is neither."""
+    """One hash over a file, or over names and bytes of all files of a folder; None where there is
+    neither."""
     if not os.path.exists(path):
         return None
     total = hashlib.sha256()

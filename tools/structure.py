@@ -5,9 +5,10 @@
     structure.py --check    prints what breaks a rule, a line each, and exits with 1 where something does
     structure.py --list constants|closures|types|circles|pub CRATE    prints the places behind one figure
 
-Code inside `#[cfg(test)]` and in test files is left out. Rules: no circle of imports between files; every numeric constant
-says its source; comments stay within 100 columns; a type's name is used once; few numeric constants, closures with names
-and public items. Where the code does not keep a rule yet, LIMITS says how far it is off: it may not get worse.
+Code inside `#[cfg(test)]` and in test files is left out. Rules: no circle of imports between files;
+every numeric constant says its source; comments stay within 100 columns; a type's name is used
+once; few numeric constants, closures with names and public items. Where the code does not keep a
+rule yet, LIMITS says how far it is off: it may not get worse.
 """
 import argparse
 import collections

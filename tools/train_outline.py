@@ -1,12 +1,15 @@
-"""Trains the network that solves the key's outline once more (preprocess/src/matting/refine_network.rs). Needs numpy.
+"""Trains the network that solves the key's outline once more
+(preprocess/src/matting/refine_network.rs). Needs numpy.
 
     target/release/examples/outline_samples SAMPLES FOLDER...       (again for more files)
     python3 tools/train_outline.py WEIGHTS SAMPLES... [--test SAMPLES...] [--epochs 22] [--most 9000000]
 
-Rows of samples are inputs, alpha of the key, true alpha (little-endian f32). Two hidden layers of rectified units; the network's output
-is added to the logit of the key's alpha. Cross entropy against the true alpha, AdamW (Loshchilov & Hutter 2019), one cycle of the step.
-Inputs x are taken as (x - mean) scale, at most 4 either way. WEIGHTS: mean, scale, W1 [inputs, 96], b1, W2 [96, 32], b2, w3 [32], b3, little-endian f32.
-Ten million rows take 9 GB of memory and some 35 seconds an epoch.
+Rows of samples are inputs, alpha of the key, true alpha (little-endian f32). Two hidden layers of
+rectified units; the network's output is added to the logit of the key's alpha. Cross entropy
+against the true alpha, AdamW (Loshchilov & Hutter 2019), one cycle of the step. Inputs x are taken
+as (x - mean) scale, at most 4 either way. WEIGHTS: mean, scale, W1 [inputs, 96], b1, W2 [96, 32],
+b2, w3 [32], b3, little-endian f32. Ten million rows take 9 GB of memory and some 35 seconds an
+epoch.
 """
 
 import argparse

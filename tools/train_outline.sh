@@ -1,8 +1,10 @@
 #!/usr/bin/env bash
 # Films what the key's outline is learnt from and trains it (docs/decisions/04).
-#   bash tools/train_outline.sh FOLDER ["SEED..." [SCENES [EPOCHS]]]      (130 satellites, 140 scenes, 22)
-# Writes FOLDER/outline.f32; copy it to preprocess/src/matting/refine_network.f32 to use it. What is filmed already is kept: stop it and start it again at will. Some two
-# and a half hours of two cores, 25 GB of disk and 18 of memory. Needs blender, ffmpeg, and python3 with numpy, scipy and pillow (PYTHON=...).
+#   bash tools/train_outline.sh FOLDER ["SEED..." [SCENES [EPOCHS]]]  (130 satellites, 140 scenes, 22)
+# Writes FOLDER/outline.f32; copy it to preprocess/src/matting/refine_network.f32 to use it. What is
+# filmed already is kept: stop it and start it again at will. Some two and a half hours of two
+# cores, 25 GB of disk and 18 of memory. Needs blender, ffmpeg, and python3 with numpy, scipy and
+# pillow (PYTHON=...).
 set -euo pipefail
 out=$(realpath -m "${1:?usage: train_outline.sh FOLDER [SEEDS [SCENES [EPOCHS]]]}")
 cd "$(dirname "$0")/.."
@@ -22,8 +24,9 @@ film() {
     touch "$folder/filmed"
 }
 
-# Frames a twelfth of a turn apart are coded one by one, and well. In a video most are made from their neighbours, and what is coded of them is less: each
-# film once more, coded by 3, 5 or 7 steps of x264's quality worse.
+# Frames a twelfth of a turn apart are coded one by one, and well. In a video most are made from
+# their neighbours, and what is coded of them is less: each film once more, coded by 3, 5 or 7 steps
+# of x264's quality worse.
 code_coarsely() {
     local film=$1 crf=$2 folder
     folder=$out/coarse/$(basename "$(dirname "$film")")_$(basename "$film")

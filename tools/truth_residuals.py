@@ -1,11 +1,13 @@
 #!/usr/bin/env python3
-"""How well a truth's own cameras explain the sightings of a model, and which part of the rotations' error is common.
+"""How well a truth's own cameras explain the sightings of a model, and which part of the rotations'
+error is common.
 
     truth_residuals.py MODEL PAR        MODEL: COLMAP model; PAR: Middlebury's camera file (name, K, R, t on each line)
 
-The points of the model's tracks are placed anew for either set of cameras (least squares under Cauchy's loss), so that
-only cameras are compared: where the truth leaves the larger residuals, a distance from it is no longer an error of the
-model alone. The cost is 2 sum log(1 + (e / 2 s)^2), e in pixels, s the noise given with --noise-px.
+The points of the model's tracks are placed anew for either set of cameras (least squares under
+Cauchy's loss), so that only cameras are compared: where the truth leaves the larger residuals, a
+distance from it is no longer an error of the model alone. The cost is 2 sum log(1 + (e / 2 s)^2), e
+in pixels, s the noise given with --noise-px.
 
 Needs numpy and pycolmap. Shares no code with what it judges.
 """
@@ -28,7 +30,8 @@ def cameras_of_model(model):
 
 
 def cameras_of_truth(path, names, half_pixel):
-    """The same of a Middlebury file; its pixel centres are integers, COLMAP's lie half a pixel farther."""
+    """The same of a Middlebury file; its pixel centres are integers, COLMAP's lie half a pixel
+    farther."""
     lines = [line.split() for line in open(path, encoding="utf-8").read().splitlines()]
     values = {f[0]: np.array(f[1:22], float) for f in lines if len(f) >= 22}
     rows = np.array([values[name] for name in names])

@@ -5,7 +5,8 @@
     turntable.py MODEL...                       no truth: the angles between neighbours by name
     turntable.py --self-test
 
-For each model one line of JSON. Needs nothing beside Python's standard library, shares no code with what it judges.
+For each model one line of JSON. Needs nothing beside Python's standard library, shares no code with
+what it judges.
     angle_rms_deg   root mean square of (angle found - true angle) over the images, the mean taken out: the angle
                     about the model's own axis; where angle 0 lies is nobody's business
     axis_tilt_deg   between the axes of rotation in the camera's frame
@@ -14,7 +15,8 @@ For each model one line of JSON. Needs nothing beside Python's standard library,
     closing_deg     error of the angle between the first and the last image
     step_*_deg      mean and standard deviation of the steps between neighbours, the last and the first among them
     period_deg      amplitudes of the error's first three harmonics over the true angle
-Images are matched by name without extension; with --by-suffix by what follows the first "-" of a name (shuffled copies).
+Images are matched by name without extension; with --by-suffix by what follows the first "-" of a
+name (shuffled copies).
 """
 import argparse
 import json
@@ -94,7 +96,8 @@ def read_poses(folder):
 
 
 def common_axis(relative):
-    """The direction most vector parts of rotations are along: dominant eigenvector of their sum of squares."""
+    """The direction most vector parts of rotations are along: dominant eigenvector of their sum of
+    squares."""
     S = [[sum(q[1 + i] * q[1 + k] for q in relative) for k in range(3)] for i in range(3)]
     for _ in range(12):  # squaring: the dominant direction is left
         n = max(abs(x) for row in S for x in row)
@@ -105,7 +108,8 @@ def common_axis(relative):
 
 
 def turn(poses, names):
-    """(axis in the camera's frame, angle of each image in degrees, spread of the rotations beside the axis)."""
+    """(axis in the camera's frame, angle of each image in degrees, spread of the rotations beside
+    the axis)."""
     first = inverse(poses[names[0]][0])
     about = [times(poses[n][0], first) for n in names]  # camera from camera of the first image
     axis = common_axis(about)
@@ -122,7 +126,8 @@ def wrapped(degrees):
 
 
 def similarity_errors(found, true):
-    """Distances of `found` from `true` after the best similarity (Horn 1987: the largest eigenvalue's quaternion)."""
+    """Distances of `found` from `true` after the best similarity (Horn 1987: the largest
+    eigenvalue's quaternion)."""
     n = len(found)
     mf, mt = ([sum(p[i] for p in points) / n for i in range(3)] for points in (found, true))
     F, T = ([[p[i] - m[i] for i in range(3)] for p in points] for points, m in ((found, mf), (true, mt)))
@@ -145,7 +150,8 @@ def similarity_errors(found, true):
 
 
 def harmonics(errors, true):
-    """Amplitudes of the first three harmonics of the errors over the true angle (least squares on a full turn)."""
+    """Amplitudes of the first three harmonics of the errors over the true angle (least squares on a
+    full turn)."""
     n = len(errors)
     return [2 / n * math.hypot(sum(e * math.cos(k * math.radians(a)) for e, a in zip(errors, true)),
                                sum(e * math.sin(k * math.radians(a)) for e, a in zip(errors, true))) for k in (1, 2, 3)]
@@ -178,11 +184,13 @@ def judge(model, truth, total):
 
 
 def circle_radius(centres, axis, pose):
-    """Distance of the cameras from the axis: `axis` is in the camera's frame, so it is turned into the world first."""
+    """Distance of the cameras from the axis: `axis` is in the camera's frame, so it is turned into
+    the world first."""
     R = rotation(pose[0])
     a = [sum(R[k][i] * axis[k] for k in range(3)) for i in range(3)]
     flat = [[c[i] - dot(a, c) * a[i] for i in range(3)] for c in centres]
-    # Of a circle: the point whose squared distances to all centres differ least (linear least squares, Kasa 1976).
+    # Of a circle: the point whose squared distances to all centres differ least (linear least
+    # squares, Kasa 1976).
     u = max(([1, 0, 0], [0, 1, 0], [0, 0, 1]), key=lambda e: 1 - dot(e, a) ** 2)
     u = [u[i] - dot(u, a) * a[i] for i in range(3)]
     n = math.sqrt(dot(u, u))

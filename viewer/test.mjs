@@ -1,6 +1,7 @@
-// Uses the viewer in headless Chromium as a person would: node test.mjs CHROMIUM ADDRESS FOLDER [CAMERA | load]
-// Prints JSON: what worked, how long loading took, what the console said. The canvas seen from the camera goes to
-// FOLDER/view.png. With `load` it only loads. `puppeteer-core` drives the browser.
+// Uses the viewer in headless Chromium as a person would: node test.mjs CHROMIUM ADDRESS FOLDER
+// [CAMERA | load] Prints JSON: what worked, how long loading took, what the console said. The
+// canvas seen from the camera goes to FOLDER/view.png. With `load` it only loads. `puppeteer-core`
+// drives the browser.
 import fs from "node:fs";
 import path from "node:path";
 import puppeteer from "puppeteer-core";
@@ -17,7 +18,8 @@ page.on("console", (m) => { if (m.type() === "error") errors.push(m.text()); });
 page.on("pageerror", (e) => errors.push(String(e)));
 page.on("request", (r) => { if (/^https?:/.test(r.url()) && !r.url().startsWith(new URL(address).origin)) errors.push(`fetches ${r.url()}`); });
 await page.setViewport({ width: 400, height: 320 });
-// Without the glide after every movement, whose hundred frames take minutes where a processor draws them.
+// Without the glide after every movement, whose hundred frames take minutes where a processor draws
+// them.
 await page.emulateMediaFeatures([{ name: "prefers-reduced-motion", value: "reduce" }]);
 const client = await page.createCDPSession();
 await client.send("Browser.setDownloadBehavior", { behavior: "allow", downloadPath: folder });
@@ -41,7 +43,8 @@ async function arrives(kind, act) {
   await page.waitForFunction(`arrived.${kind} > ${before}`, { timeout: 60000 });
 }
 
-// Sorting and drawing follow each other for a few frames: waits until they are done and pictures are equal.
+// Sorting and drawing follow each other for a few frames: waits until they are done and pictures
+// are equal.
 async function settled() {
   let [last, equal] = ["", 0];
   for (let i = 0; i < 200 && equal < 2; i++) {

@@ -2,10 +2,11 @@
 
     python3 develop.py CASE RENDERS FOLDER [--every K] [--blue]
 
-RENDERS is the folder render.py wrote; with K only every K-th frame is filmed, at a K-th of the rate. In order: layers
-joined, lamp and room mixed, lens distortion and off-centre principal point (resampling), vignetting, exposure, photon
-and read noise in linear light, clipping, sRGB, 8 bits, then H.264 4:2:0 or JPEG. The truth goes through the same lens.
-With --blue, green and blue light are exchanged before the sensor: the screen is blue, and other colours are others too.
+RENDERS is the folder render.py wrote; with K only every K-th frame is filmed, at a K-th of the
+rate. In order: layers joined, lamp and room mixed, lens distortion and off-centre principal point
+(resampling), vignetting, exposure, photon and read noise in linear light, clipping, sRGB, 8 bits,
+then H.264 4:2:0 or JPEG. The truth goes through the same lens. With --blue, green and blue light
+are exchanged before the sensor: the screen is blue, and other colours are others too.
 """
 
 import argparse
@@ -20,7 +21,8 @@ from imagefiles import read_exr, write_png
 
 
 class LensMap:
-    """Where each of 2 x 2 points in every pixel lies in the wide render; bilinear, then averaged."""
+    """Where each of 2 x 2 points in every pixel lies in the wide render; bilinear, then
+    averaged."""
 
     def __init__(self, shot, density):
         lens = shot.lens
@@ -32,7 +34,8 @@ class LensMap:
         y = np.clip(f * y + height / 2 - 0.5, 0, height - 1.001)
         left, top = np.floor(x).astype(np.int64), np.floor(y).astype(np.int64)
         a, b = x - left, y - top
-        # Corner of the cell as a flat index, weights of its four corners; the four points of a pixel together.
+        # Corner of the cell as a flat index, weights of its four corners; the four points of a
+        # pixel together.
         corner = top * width + left
         weights = np.stack([(1 - a) * (1 - b), a * (1 - b), (1 - a) * b, a * b])
         points = [(j, i) for j in range(2) for i in range(2)]
@@ -49,7 +52,8 @@ class LensMap:
 
 
 def ratio(back, base):
-    """Change of light that the satellite brings: 0 in its shadow, a little over 1 where it reflects.
+    """Change of light that the satellite brings: 0 in its shadow, a little over 1 where it
+    reflects.
 
     Few samples leave single bright pixels: the median of 3 x 3 takes them out, and what the
     satellite adds is limited to two fifths."""
@@ -102,7 +106,8 @@ class Renders:
 
 
 def sensor(light, case, r2, rng):
-    """Linear light to sRGB bytes: cos^2-like fall-off, then noise whose variance is light + constant."""
+    """Linear light to sRGB bytes: cos^2-like fall-off, then noise whose variance is light +
+    constant."""
     light = light * (case.exposure / (1 + 0.22 * r2))[..., None]
     variance = np.maximum(light, 0) / case.full_well + (case.read_noise / case.full_well) ** 2
     light = np.clip(light + rng.normal(size=light.shape) * np.sqrt(variance), 0, 1)
@@ -140,7 +145,8 @@ def write_truth(truth, case, shot, i, folder):
 
 
 def quaternion(R):
-    """Unit quaternion (w, x, y, z), w >= 0, from the largest eigenvector of Bar-Itzhack's matrix."""
+    """Unit quaternion (w, x, y, z), w >= 0, from the largest eigenvector of Bar-Itzhack's
+    matrix."""
     K = np.array(
         [
             [R[0, 0] - R[1, 1] - R[2, 2], 0, 0, 0],
@@ -154,7 +160,8 @@ def quaternion(R):
 
 
 def write_model(case, shot, frames, folder):
-    """The true poses of `frames` as a COLMAP text model without points, and the true angles of a yaw."""
+    """The true poses of `frames` as a COLMAP text model without points, and the true angles of a
+    yaw."""
     os.makedirs(f"{folder}/sparse", exist_ok=True)
     with open(f"{folder}/sparse/cameras.txt", "w") as file:
         file.write(f"# the true camera\n1 {shot.lens.colmap()}\n")
@@ -173,7 +180,8 @@ def write_model(case, shot, frames, folder):
 
 
 def encoder(case, shot, options, folder):
-    """ffmpeg reading raw RGB: a video (H.264, 4:2:0, BT.709), JPEG stills, or PNG stills that are means."""
+    """ffmpeg reading raw RGB: a video (H.264, 4:2:0, BT.709), JPEG stills, or PNG stills that are
+    means."""
     source = f"ffmpeg -y -v error -f rawvideo -pix_fmt rgb24 -s {shot.lens.width}x{shot.lens.height}"
     if case.video_fps:
         rest = (

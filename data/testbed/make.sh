@@ -6,7 +6,8 @@
 #   OBJECT=variant:SEED another satellite, drawn at random
 #   ROOM=SEED ... has other things beside the green screen of cases 3 and 4 (into another FOLDER)
 #   EVERY=K ... renders and films only every K-th frame of the shot, at a K-th of the rate
-#   BLUE=1 ... exchanges green and blue in the light that reaches the sensor: a blue screen, another mock-up
+#   BLUE=1 ... exchanges green and blue in the light that reaches the sensor: a blue screen, another
+#   mock-up
 # Frames that exist are kept: stop it and start it again at will. Needs blender, python3-numpy
 # (Debian's, which is also what Debian's Blender uses) and ffmpeg. Uses one thread.
 set -euo pipefail

@@ -200,7 +200,8 @@ def yaw(root, shot):
 
 
 def render(scene, shot, eye, vertices, folder, name, wanted):
-    """One layer's frames as far as they are missing, with the processor seconds of each in cpu_s.txt."""
+    """One layer's frames as far as they are missing, with the processor seconds of each in
+    cpu_s.txt."""
     os.makedirs(f"{folder}/{name}", exist_ok=True)
     spent = time.process_time()
     frames, _, density = cases.layers(shot)[name]
@@ -238,7 +239,8 @@ def main():
     if shot.path == "yaw":
         yaw(root, shot)
     part = slice(*(int(x) if x else None for x in options.frames.split(":")))
-    # Coarse to fine, so that a part of the shot can be developed (`--every`) long before all of it is there.
+    # Coarse to fine, so that a part of the shot can be developed (`--every`) long before all of it
+    # is there.
     for stride in STRIDES:
         for name in [options.layer] if options.layer else cases.layers(shot):
             set_layer(scene, shot, eye, set(descendants(root)), name)

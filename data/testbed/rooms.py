@@ -96,7 +96,8 @@ def lit_room(_shot):
 
 
 def dark_room(_shot):
-    """A laboratory of low reflectance with clutter along its walls; one lamp, hardly any other light."""
+    """A laboratory of low reflectance with clutter along its walls; one lamp, hardly any other
+    light."""
     black = m.mottled("dark wall", (0.012, 0.012, 0.013), (0.045, 0.044, 0.042), 5)
     floor = m.mottled("dark floor", (0.015, 0.014, 0.013), (0.055, 0.05, 0.045), 14)
     s.sheet("floor", 9, 9, floor, at=(0, 0, -1.15))
@@ -134,8 +135,8 @@ def _shelves(dark, wood):
 
 
 def _furniture(rng, green, seam, materials):
-    """Another cloth, and things beside it: cabinets stand upright, posters hang by eye, boards lean, stands have
-    three legs and a column."""
+    """Another cloth, and things beside it: cabinets stand upright, posters hang by eye, boards
+    lean, stands have three legs and a column."""
     width, turn, hang = rng.uniform(1.7, 2.4), rng.uniform(-5, 5), rng.gauss(0, 0.5)
     middle = rng.uniform(-0.1, 0.1)
     s.sheet("screen", width, 2.3, green, at=(middle, 1.25, 0.10), turn_deg=(90, hang, turn), wave=_cloth, steps=90)
@@ -168,8 +169,8 @@ def _furniture(rng, green, seam, materials):
 
 
 def green_screen(_shot, seed=None):
-    """A green cloth with folds and a seam before a grey wall; it does not fill the picture. With a seed the cloth
-    hangs otherwise and other things stand and hang beside it (`furniture`)."""
+    """A green cloth with folds and a seam before a grey wall; it does not fill the picture. With a
+    seed the cloth hangs otherwise and other things stand and hang beside it (`furniture`)."""
     green = m.mottled("green cloth", (0.030, 0.30, 0.062), (0.040, 0.38, 0.080), 3, 0.9)
     seam = m.plain("seam", (0.022, 0.22, 0.045), 0.9)
     wall = m.mottled("grey wall", (0.22, 0.21, 0.20), (0.36, 0.35, 0.33), 4)

@@ -17,7 +17,8 @@ BODY = (0.30, 0.26, 0.34)  # metres
 
 
 def mounted():
-    """An empty `Satellite`, which stands on the yaw axis, and what its parts are fixed to, a little off it."""
+    """An empty `Satellite`, which stands on the yaw axis, and what its parts are fixed to, a little
+    off it."""
     root = bpy.data.objects.new("Satellite", None)
     mount = bpy.data.objects.new("Mount", None)
     for thing in (root, mount):

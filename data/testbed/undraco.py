@@ -1,4 +1,5 @@
-"""glTF models whose meshes Draco has compressed, as plain ones: Debian's Blender has no decoder, its package draco has.
+"""glTF models whose meshes Draco has compressed, as plain ones: Debian's Blender has no decoder,
+its package draco has.
 
     python3 undraco.py COMPRESSED.glb PLAIN.glb
 """

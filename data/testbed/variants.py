@@ -1,7 +1,9 @@
-"""Other satellites than the mock-up, drawn at random: what the key's outline is learnt from (tools/train_outline.sh).
+"""Other satellites than the mock-up, drawn at random: what the key's outline is learnt from
+(tools/train_outline.sh).
 
-Bodies of boxes and drums in foil or paint, arrays of panels with slits, dishes, nozzles, rods, lattices. About as large as the mock-up.
-From seed TRIMMED on edges are of another material than faces, and more is white.
+Bodies of boxes and drums in foil or paint, arrays of panels with slits, dishes, nozzles, rods,
+lattices. About as large as the mock-up. From seed TRIMMED on edges are of another material than
+faces, and more is white.
 """
 
 import math

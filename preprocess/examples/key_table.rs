@@ -1,9 +1,9 @@
 //! Prints how well mattes of a simulated green screen are recovered, beside simpler ways.
 //!
-//! `cargo run --release -p preprocess --example key_table [-- CASE...]`: the named cases of the test bed (folders with
-//! `video.mp4` and `mattes/`), or cut-outs of `../shared/data` (or SAT_RECON_SHARED) before a simulated screen.
-//! `--no-head` first: rows only. KEY_TABLE_BRIEF: only ours. KEY_TABLE_DUMP: a folder for pictures of the worst frame and
-//! for a case with all mattes.
+//! `cargo run --release -p preprocess --example key_table [-- CASE...]`: the named cases of the
+//! test bed (folders with `video.mp4` and `mattes/`), or cut-outs of `../shared/data` (or
+//! SAT_RECON_SHARED) before a simulated screen. `--no-head` first: rows only. KEY_TABLE_BRIEF: only
+//! ours. KEY_TABLE_DUMP: a folder for pictures of the worst frame and for a case with all mattes.
 
 #[path = "../tests/common/screen.rs"]
 mod screen;

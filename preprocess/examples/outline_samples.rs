@@ -1,7 +1,8 @@
 //! Writes what the key's network is trained with (`tools/train_outline.py`).
 //!
-//! `cargo run --release -p preprocess --example outline_samples -- OUT [--every K] FOLDER...`: of every K-th frame of each folder's
-//! `video.mp4` with a true matte (`mattes/frame_NNNNNN.png`), rows of little-endian f32: inputs, alpha of the key, true alpha.
+//! `cargo run --release -p preprocess --example outline_samples -- OUT [--every K] FOLDER...`: of
+//! every K-th frame of each folder's `video.mp4` with a true matte (`mattes/frame_NNNNNN.png`),
+//! rows of little-endian f32: inputs, alpha of the key, true alpha.
 
 use image::RgbImage;
 use preprocess::matting::{KeyConfig, Keyer, Scratch, THUMBNAIL_SIDE};

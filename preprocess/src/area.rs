@@ -5,11 +5,12 @@ use image::{ImageBuffer, Pixel};
 /// Most pixels in a block whose mean [`whole_means`] takes.
 /// Source: derived; sums of 64 bytes and of the rows of a block stay below 2¹⁶.
 const WHOLE_LIMIT: usize = 64;
-/// What the place of a border between pixels may be off by rounding, pixels.
-/// Source: derived; f64 places up to 2¹⁶ are exact to 2⁻³⁶, and a share of 10⁻⁶ of a pixel changes no level.
+/// What the place of a border between pixels may be off by rounding, pixels. Source: derived; f64
+/// places up to 2¹⁶ are exact to 2⁻³⁶, and a share of 10⁻⁶ of a pixel changes no level.
 const ROUNDING: f64 = 1e-6;
 
-/// One axis: for each new pixel its first old one and the weights of that and those behind it (sum 1).
+/// One axis: for each new pixel its first old one and the weights of that and those behind it (sum
+/// 1).
 struct Axis(Vec<(usize, Vec<f32>)>);
 
 impl Axis {
@@ -17,7 +18,8 @@ impl Axis {
         let scale = from as f64 / to as f64;
         let new = (0..to).map(|i| {
             let (start, end) = (i as f64 * scale, ((i + 1) as f64 * scale).min(from as f64));
-            // An end that exceeds a border between pixels by rounding alone takes nothing from behind it.
+            // An end that exceeds a border between pixels by rounding alone takes nothing from
+            // behind it.
             let (first, last) = ((start + ROUNDING).floor(), (end - ROUNDING).ceil());
             let covered = |k: u32| {
                 let left = first + f64::from(k);

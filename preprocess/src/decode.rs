@@ -14,8 +14,8 @@ use std::sync::mpsc::{Receiver, Sender, channel};
 use std::thread::JoinHandle;
 use std::time::Duration;
 
-/// A frame's time and its packet's differ by less than this, seconds.
-/// Source: derived; above the 1 ms to which Matroska rounds, and half the distance of frames at 240 a second.
+/// A frame's time and its packet's differ by less than this, seconds. Source: derived; above the 1
+/// ms to which Matroska rounds, and half the distance of frames at 240 a second.
 const SAME_TIME_S: f64 = 0.002;
 
 /// Bytes that the pipe holds.
@@ -29,15 +29,16 @@ pub(crate) struct Decoded {
     pub index: usize,
     /// Presentation time, seconds from the start of the container.
     pub time_s: f64,
-    /// Width and height as coded, pixels: where they change inside a video, `rgb` is scaled to those of the
-    /// header.
+    /// Width and height as coded, pixels: where they change inside a video, `rgb` is scaled to
+    /// those of the header.
     pub coded_size: (u32, u32),
     /// Gamma-coded SDR.
     pub rgb: RgbImage,
 }
 
-/// A video being decoded from its first frame on by an `ffmpeg` process. Raw frames come through its standard
-/// output; standard error tells each frame's time and size (the filter `showinfo`) and damage.
+/// A video being decoded from its first frame on by an `ffmpeg` process. Raw frames come through
+/// its standard output; standard error tells each frame's time and size (the filter `showinfo`) and
+/// damage.
 pub(crate) struct Source {
     running: Running,
     stdout: ChildStdout,
@@ -119,8 +120,8 @@ impl Source {
         Ok(Some(Decoded { index, time_s: known.unwrap_or(0.0), coded_size: shown.size, rgb }))
     }
 
-    /// The frame not yet shown whose time is nearest, which tells lost frames from shown ones; the next one
-    /// where none is near.
+    /// The frame not yet shown whose time is nearest, which tells lost frames from shown ones; the
+    /// next one where none is near.
     fn index_at(&self, time_s: f64) -> usize {
         let after = self.times_s.partition_point(|t| *t < time_s);
         let near = [after.saturating_sub(1), after].into_iter().filter(|i| *i < self.times_s.len());
@@ -143,8 +144,8 @@ impl Source {
     }
 }
 
-/// Times in microseconds, told with the coded size; then RGB by the stream's matrix (Rec. 601 where it names
-/// none), as large as the header says.
+/// Times in microseconds, told with the coded size; then RGB by the stream's matrix (Rec. 601 where
+/// it names none), as large as the header says.
 fn filters(info: &VideoInfo) -> String {
     let (width, height) = info.size;
     let matrix = if info.is_bt709 { "bt601" } else { "auto" };
@@ -171,7 +172,8 @@ fn listen(stderr: ChildStderr, shown: &Sender<Shown>) -> Complaints {
     complaints
 }
 
-/// A line like `[Parsed_showinfo_1 @ 0x5] [info] n: 1 pts: 33333 pts_time:0.03 fmt:yuv420p s:720x1280 i:P`.
+/// A line like `[Parsed_showinfo_1 @ 0x5] [info] n: 1 pts: 33333 pts_time:0.03 fmt:yuv420p
+/// s:720x1280 i:P`.
 fn shown_frame(line: &str) -> Option<Shown> {
     let (_, fields) = line.strip_prefix("[Parsed_showinfo")?.split_once("] n:")?;
     let value = |key: &str| fields.split_once(key)?.1.split_whitespace().next();

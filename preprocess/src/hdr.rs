@@ -46,7 +46,8 @@ impl ToneMap {
 
     fn pixel(&self, mut rgb: [f32; 3]) -> [u8; 3] {
         if self.is_hlg {
-            // System gamma 1.2 of a 1000 cd/m² screen (BT.2100, table 5), on luminance so that hue stays.
+            // System gamma 1.2 of a 1000 cd/m² screen (BT.2100, table 5), on luminance so that hue
+            // stays.
             let luminance = 0.2627 * rgb[0] + 0.6780 * rgb[1] + 0.0593 * rgb[2];
             let gain = 1000.0 / REFERENCE_WHITE * luminance.max(1e-6).powf(0.2);
             rgb = rgb.map(|v| v * gain);

@@ -1,4 +1,5 @@
-//! From a decoded frame to an upright one with square pixels and the right colours; sharpness and likeness.
+//! From a decoded frame to an upright one with square pixels and the right colours; sharpness and
+//! likeness.
 
 use crate::area;
 use crate::probe::{Turn, VideoInfo};
@@ -10,8 +11,8 @@ use std::borrow::Cow;
 const SHARPNESS_SIDE: u32 = 640;
 /// Width of the thumbnails that are compared for likeness, pixels.
 const THUMBNAIL_SIDE: u32 = 160;
-/// A Gaussian of standard deviation 1 pixel at a distance of 2, 1 and 0 pixels, in 1/256.
-/// Source: derived; exp(-x²/2) over its sum, 0.0545, 0.2442 and 0.4026, rounded so that the sum is 1.
+/// A Gaussian of standard deviation 1 pixel at a distance of 2, 1 and 0 pixels, in 1/256. Source:
+/// derived; exp(-x²/2) over its sum, 0.0545, 0.2442 and 0.4026, rounded so that the sum is 1.
 const GAUSSIAN: [u32; 3] = [14, 62, 104];
 
 /// Width and height that fit into `max_size` (0: as they are), at least one pixel each.
@@ -48,8 +49,8 @@ fn turned(mut image: RgbImage, turn: Turn) -> RgbImage {
     }
 }
 
-/// Upright sRGB of a decoded frame: square pixels, size, turn, colour matrix.
-/// `correct_matrix`: the frame was converted by the Rec. 601 matrix although it is coded by Rec. 709.
+/// Upright sRGB of a decoded frame: square pixels, size, turn, colour matrix. `correct_matrix`: the
+/// frame was converted by the Rec. 601 matrix although it is coded by Rec. 709.
 pub(crate) fn finished(rgb: &RgbImage, info: &VideoInfo, max_size: u32, correct_matrix: bool) -> RgbImage {
     let (w, h) = rgb.dimensions();
     let square = if (info.pixel_aspect - 1.0).abs() < 0.005 {
@@ -67,8 +68,8 @@ pub(crate) fn finished(rgb: &RgbImage, info: &VideoInfo, max_size: u32, correct_
     upright
 }
 
-/// Undoes the Rec. 601 decoding matrix and applies that of Rec. 709 (ITU-R BT.601, BT.709: Y, Cb, Cr from
-/// Kr, Kb); limited-range scaling is the same for both and cancels.
+/// Undoes the Rec. 601 decoding matrix and applies that of Rec. 709 (ITU-R BT.601, BT.709: Y, Cb,
+/// Cr from Kr, Kb); limited-range scaling is the same for both and cancels.
 fn rec709_from_rec601([r, g, b]: [u8; 3]) -> [u8; 3] {
     let (r, g, b) = (f32::from(r), f32::from(g), f32::from(b));
     let y = 0.299 * r + 0.587 * g + 0.114 * b;
@@ -101,8 +102,8 @@ impl Look {
         Self { sharpness, thumbnail, size: (tw, th) }
     }
 
-    /// Difference that all but one pixel in 200 stay below, 8-bit levels: moving texture shows even where the
-    /// object is small in the picture.
+    /// Difference that all but one pixel in 200 stay below, 8-bit levels: moving texture shows even
+    /// where the object is small in the picture.
     pub fn difference(&self, other: &Self) -> f32 {
         if self.thumbnail.len() != other.thumbnail.len() {
             return f32::INFINITY;

@@ -22,7 +22,8 @@ pub(crate) enum Transfer {
     Pq,
 }
 
-/// The eight ways in which an upright image can lie in memory: `(flip x before, quarter turns clockwise)`.
+/// The eight ways in which an upright image can lie in memory: `(flip x before, quarter turns
+/// clockwise)`.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(crate) struct Turn {
     /// Mirror left and right first.
@@ -174,8 +175,8 @@ fn pixel_aspect(stream: &Value) -> f64 {
     ratio.filter(|r| r.is_finite() && *r > 0.125 && *r < 8.0).unwrap_or(1.0)
 }
 
-/// The quarter turn that the display matrix asks for. The matrix holds rows `[a b u]`, `[c d v]` and takes
-/// picture to screen by `(x', y') = (a x + c y, b x + d y)` (ISO/IEC 14496-12, 8.3.2.3).
+/// The quarter turn that the display matrix asks for. The matrix holds rows `[a b u]`, `[c d v]`
+/// and takes picture to screen by `(x', y') = (a x + c y, b x + d y)` (ISO/IEC 14496-12, 8.3.2.3).
 fn display_turn(side_data: &[Value]) -> (Turn, Option<f64>) {
     let Some(data) = side_data.iter().find(|d| d["side_data_type"] == "Display Matrix") else {
         return (Turn::default(), None);
@@ -235,8 +236,9 @@ fn packet_times(
     Ok(parse_packets(&output, origin))
 }
 
-/// Packets marked `D` lie outside the edit list and are never shown. Where a time stamp is missing, the
-/// decoding time serves, else the last time and duration. Returns the times in order and how many are never shown.
+/// Packets marked `D` lie outside the edit list and are never shown. Where a time stamp is missing,
+/// the decoding time serves, else the last time and duration. Returns the times in order and how
+/// many are never shown.
 fn parse_packets(output: &Output, origin: f64) -> (Vec<f64>, usize) {
     let (mut times, mut hidden, mut next) = (Vec::new(), 0, 0.0);
     for line in output.stdout.lines() {

@@ -1,4 +1,5 @@
-//! Helper programs (`ffprobe`, `ffmpeg`): run to the end, never longer than allowed, stopped on cancel.
+//! Helper programs (`ffprobe`, `ffmpeg`): run to the end, never longer than allowed, stopped on
+//! cancel.
 
 use crate::PreprocessError;
 use scene::Progress;

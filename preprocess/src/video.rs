@@ -19,10 +19,11 @@ use std::time::Duration;
 const DECODE_LIMIT: Duration = Duration::from_secs(1800);
 const WRITERS: usize = 2;
 
-/// Extracts frames of `input` into `out/images/frame_NNNNNN.png` (the number is the index in the video, in order of
-/// presentation). Frames are upright (display matrix), have square pixels and SDR colours; `time_s` is the
-/// presentation time from the start of the container. One frame of each bucket of time is taken, the sharpest,
-/// unless it shows the same as the one before. Damage that decoders pass over in silence is told in the notes.
+/// Extracts frames of `input` into `out/images/frame_NNNNNN.png` (the number is the index in the
+/// video, in order of presentation). Frames are upright (display matrix), have square pixels and
+/// SDR colours; `time_s` is the presentation time from the start of the container. One frame of
+/// each bucket of time is taken, the sharpest, unless it shows the same as the one before. Damage
+/// that decoders pass over in silence is told in the notes.
 pub fn video_frames(
     input: &Path,
     out: &Path,
@@ -162,7 +163,8 @@ impl Extraction<'_> {
         Ok(taken)
     }
 
-    /// Writes frames until there are no more; after an error it only drains the queue, so that nobody waits.
+    /// Writes frames until there are no more; after an error it only drains the queue, so that
+    /// nobody waits.
     fn write(
         &self,
         receive: &Mutex<Receiver<Decoded>>,

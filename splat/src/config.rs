@@ -4,7 +4,8 @@
 //! use splat::TrainConfig;
 //! use splat::config::parse_duration;
 //!
-//! let config = TrainConfig { time_limit: Some(parse_duration("1.5m")?), ..TrainConfig::default() };
+//! let time_limit = Some(parse_duration("1.5m")?);
+//! let config = TrainConfig { time_limit, ..TrainConfig::default() };
 //! assert_eq!(config.time_limit, Some(90.0));
 //! # Ok::<(), String>(())
 //! ```

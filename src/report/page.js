@@ -1,10 +1,12 @@
-// The report's moving parts: cameras and points to turn, and photo against render. No other script is needed.
+// The report's moving parts: cameras and points to turn, and photo against render. No other script
+// is needed.
 "use strict";
 
 // Bytes of a base64 text.
 const bytesOf = (text) => Uint8Array.from(atob(text), (c) => c.charCodeAt(0));
 
-// Cameras and points on a canvas: drag turns, wheel or two fingers zoom, a tap names a camera, a double tap starts anew.
+// Cameras and points on a canvas: drag turns, wheel or two fingers zoom, a tap names a camera, a
+// double tap starts anew.
 function poseView(canvas, data) {
   const points = new Int16Array(bytesOf(data.points).buffer);
   const colours = bytesOf(data.colours);
@@ -16,7 +18,8 @@ function poseView(canvas, data) {
   let size = [1, 1];
   let pending = false;
 
-  // Screen x, y and depth of a point: a turntable about the vertical axis, seen from a little above.
+  // Screen x, y and depth of a point: a turntable about the vertical axis, seen from a little
+  // above.
   function project(x, y, z) {
     const [cy, sy, cp, sp] = [Math.cos(view.yaw), Math.sin(view.yaw), Math.cos(view.pitch), Math.sin(view.pitch)];
     const [right, back] = [cy * x - sy * y, sy * x + cy * y];

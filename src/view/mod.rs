@@ -10,6 +10,7 @@ use base64::engine::general_purpose::STANDARD;
 use glam::DVec3;
 use scene::{Reconstruction, overview};
 use serde::Serialize;
+use std::io::Read as _;
 use std::path::{Path, PathBuf};
 
 /// Quality of the photos in the page, of 100. Source: chosen by hand, never measured.
@@ -173,11 +174,18 @@ impl Run {
     }
 }
 
-/// The viewer's script, or what to do without.
-fn bundle() -> Result<&'static str> {
+/// Says what to do where the program holds no viewer.
+fn check_bundle() -> Result<&'static [u8]> {
     BUNDLE.context(
         "this sat-recon was built without the viewer: install Node.js and npm, run 'make build' again",
     )
+}
+
+/// The viewer's script.
+fn bundle() -> Result<String> {
+    let mut script = String::new();
+    flate2::read::GzDecoder::new(check_bundle()?).read_to_string(&mut script)?;
+    Ok(script)
 }
 
 /// Fills the page in. What is put in cannot end its script.
@@ -189,12 +197,12 @@ fn page(scene: &ViewScene, splat: &str) -> Result<String> {
     let (style, rest) = rest.split_once("{{scene}}").context("the page has no scene")?;
     let (between, rest) = rest.split_once("{{splat}}").context("the page has no splat")?;
     let (before, end) = rest.split_once("{{bundle}}").context("the page has no script")?;
-    Ok([head, &title, style, &json, between, splat, before, bundle()?, end].concat())
+    Ok([head, &title, style, &json, between, splat, before, &bundle()?, end].concat())
 }
 
 /// One HTML file that needs no network and no other file.
 pub fn write_page(folder: &Path, target: &Path) -> Result<()> {
-    bundle()?;
+    check_bundle()?;
     let run = Run::open(folder)?;
     let photo = |index: usize| {
         let picture = scene::io::load_rgb(&run.photo(index)?).ok()?;

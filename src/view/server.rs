@@ -1,7 +1,7 @@
 //! `view`: the page over HTTP, on 127.0.0.1 alone. Four kinds of address are answered; no path
 //! leads to a file.
 
-use super::{Run, Splat, bundle, page};
+use super::{Run, Splat, check_bundle, page};
 use crate::args::ViewArgs;
 use crate::outcome::Outcome;
 use crate::terminal::CANCELLED;
@@ -24,7 +24,7 @@ enum Answer {
 
 /// Serves until Ctrl-C.
 pub fn run(args: &ViewArgs, quiet: bool) -> Result<Outcome> {
-    bundle()?;
+    check_bundle()?;
     let run = Run::open(&args.run)?;
     let scene = run.scene(Splat { url: Some("splat.spz") }, |i| run.photo(i).map(|_| format!("photo/{i}")));
     let page = page(&scene, "")?;

@@ -1,8 +1,9 @@
 #!/usr/bin/env python3
 """LPIPS of formula-made images by the `lpips` package: scene/tests/fixtures/lpips.json.
 
-Weights cannot be shipped, so both sides fill the networks with the same numbers from an integer formula; the
-Rust test (scene/tests/lpips.rs) does the same. Needs numpy, torch, torchvision and lpips.
+Weights cannot be shipped, so both sides fill the networks with the same numbers from an integer
+formula; the Rust test (scene/tests/lpips.rs) does the same. Needs numpy, torch, torchvision and
+lpips.
 """
 
 import json

@@ -1,9 +1,9 @@
 #!/usr/bin/env python3
 """A model with rigs and frames as COLMAP 4 writes it: scene/tests/fixtures/rigs/.
 
-Two cameras on one rig, three frames of a made-up scene: cameras, rigs, frames, images and points as binary files, in
-text/ as text, and poses.json with what pycolmap says of each image (the pose of its frame joined with its sensor's). Needs
-numpy and pycolmap.
+Two cameras on one rig, three frames of a made-up scene: cameras, rigs, frames, images and points as
+binary files, in text/ as text, and poses.json with what pycolmap says of each image (the pose of
+its frame joined with its sensor's). Needs numpy and pycolmap.
 """
 import json
 import os

@@ -3,9 +3,10 @@
 
     sift.py DATA OUT        DATA: ../shared/data
 
-Writes OUT/SET/{opencv,colmap}/IMAGE.bin: u32 count, count x (x, y, scale, angle) f32 (first pixel's centre at
-0.5, 0.5), count x 128 bytes RootSIFT (512 sqrt(h / sum h)). And OUT/homography/SET_CHANGE/: a photo (a.png), the same
-moved by a known homography (b.png; h.txt, b from a), and their features. Needs numpy, opencv-python-headless, pycolmap.
+Writes OUT/SET/{opencv,colmap}/IMAGE.bin: u32 count, count x (x, y, scale, angle) f32 (first pixel's
+centre at 0.5, 0.5), count x 128 bytes RootSIFT (512 sqrt(h / sum h)). And
+OUT/homography/SET_CHANGE/: a photo (a.png), the same moved by a known homography (b.png; h.txt, b
+from a), and their features. Needs numpy, opencv-python-headless, pycolmap.
 """
 import functools
 import glob

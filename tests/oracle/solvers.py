@@ -1,9 +1,9 @@
 #!/usr/bin/env python3
 """Solutions of OpenCV's (and, where installed, kornia's) solvers for random minimal problems.
 
-Writes tests/fixtures/solvers/opencv.json, which the unit tests of `sfm::solvers` compare with. Needs numpy and
-opencv-python-headless; with kornia and torch present, kornia's eight- and five-point solvers are checked against
-the same data and must agree with OpenCV's.
+Writes tests/fixtures/solvers/opencv.json, which the unit tests of `sfm::solvers` compare with.
+Needs numpy and opencv-python-headless; with kornia and torch present, kornia's eight- and
+five-point solvers are checked against the same data and must agree with OpenCV's.
 """
 
 import json
@@ -96,7 +96,8 @@ def decomposition(rng):
 
 
 def check_kornia(a, b, f):
-    """kornia's normalised eight-point algorithm gives the same matrix, where kornia is installed."""
+    """kornia's normalised eight-point algorithm gives the same matrix, where kornia is
+    installed."""
     try:
         import kornia.geometry.epipolar as epipolar
         import torch

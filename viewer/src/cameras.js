@@ -1,4 +1,5 @@
-// Input cameras: `cam_from_world` with x right, y down, z forward, as COLMAP has it; three looks along -z, y up.
+// Input cameras: `cam_from_world` with x right, y down, z forward, as COLMAP has it; three looks
+// along -z, y up.
 import * as THREE from "three";
 
 // Position and orientation in the world.

@@ -1,4 +1,5 @@
-// The splat of a run in a browser: orbit, fly, jump between the input cameras, compare with their photos.
+// The splat of a run in a browser: orbit, fly, jump between the input cameras, compare with their
+// photos.
 import * as THREE from "three";
 import { OrbitControls } from "three/addons/controls/OrbitControls.js";
 import { SparkRenderer } from "@sparkjsdev/spark";
@@ -20,7 +21,8 @@ renderer.setClearColor(0x000000, 1);
 document.getElementById("canvas").append(renderer.domElement);
 
 const scene = new THREE.Scene();
-// The low-pass of 0.3 px² and the order by depth that the splat was trained with; after `blurAmount` Spark scales the opacity.
+// The low-pass of 0.3 px² and the order by depth that the splat was trained with; after
+// `blurAmount` Spark scales the opacity.
 const [preBlurAmount, blurAmount] = data.antialias ? [0.0, 0.3] : [0.3, 0.0];
 const spark = new SparkRenderer({
   renderer, preBlurAmount, blurAmount, sortRadial: false, maxStdDev: 3.33, minAlpha: 1 / 255,
@@ -126,7 +128,8 @@ function draw() {
   renderer.render(scene, camera);
 }
 
-// At rest the controls still move the camera by their rounding, and every new pose is sorted and drawn anew, for ever.
+// At rest the controls still move the camera by their rounding, and every new pose is sorted and
+// drawn anew, for ever.
 function follow() {
   const [position, quaternion] = [camera.position.clone(), camera.quaternion.clone()];
   if (controls.update()) return;

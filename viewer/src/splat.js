@@ -2,7 +2,8 @@
 import * as THREE from "three";
 import { SplatMesh, dyno } from "@sparkjsdev/spark";
 
-// The browser's own decoder where it has one: a callback for each of 60 million letters takes seconds.
+// The browser's own decoder where it has one: a callback for each of 60 million letters takes
+// seconds.
 function decoded(text) {
   if (Uint8Array.fromBase64) return Uint8Array.fromBase64(text);
   const letters = atob(text);

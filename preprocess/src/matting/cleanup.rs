@@ -1,8 +1,8 @@
 //! What a matte looks like as a whole: the screen's outline, garbage beside it, still things,
 //! holes, specks.
 
-use super::morphology::{Rect, Regions, ends};
-use super::pool::{BinaryMask, Raster};
+use super::morphology::{Rect, Regions, hull};
+use super::pool::Raster;
 use super::screen::Screen;
 use super::screen::clean_plate::CleanPlate;
 use super::solve::Matte;
@@ -109,52 +109,6 @@ fn fill(alpha: &mut Raster<f32>, rect: &Rect, regions: &Regions, chosen: &[bool]
     }
 }
 
-/// Convex hull of the pixels that are surely screen (all of the picture where there are hardly
-/// any).
-pub(crate) fn hull(screen: &BinaryMask) -> Vec<bool> {
-    let (width, solid) = (screen.width, screen.erode(3));
-    let rows = solid.chunks_exact(width).enumerate();
-    let points: Vec<(i64, i64)> = rows
-        .filter_map(|(y, row)| ends(row).map(|(a, b)| [(y as i64, a as i64), (y as i64, b as i64)]))
-        .flatten()
-        .collect();
-    if points.len() < 8 {
-        return vec![true; screen.len()];
-    }
-    let (left, right) = (chain(&points, -1), chain(&points, 1));
-    let mut inside = vec![false; screen.len()];
-    for (y, row) in inside.chunks_exact_mut(width).enumerate() {
-        if let (Some(a), Some(b)) = (crossing(&left, y as i64), crossing(&right, y as i64)) {
-            let (a, b) = (a.min(b).floor().max(0.0) as usize, a.max(b).ceil() as usize);
-            row[a..=b.min(width - 1)].fill(true);
-        }
-    }
-    inside
-}
-
-/// The points, sorted by row, on one side of their convex hull (Andrew 1979).
-fn chain(points: &[(i64, i64)], side: i64) -> Vec<(i64, i64)> {
-    let mut chain: Vec<(i64, i64)> = Vec::new();
-    for &p in points {
-        // Of the two points of a row only the one on this side can lie on the chain.
-        while let [.., o, a] = chain[..]
-            && side * ((a.0 - o.0) * (p.1 - o.1) - (a.1 - o.1) * (p.0 - o.0)) >= 0
-        {
-            chain.pop();
-        }
-        chain.push(p);
-    }
-    chain
-}
-
-/// Where a chain of points with rising rows crosses row `y`.
-fn crossing(chain: &[(i64, i64)], y: i64) -> Option<f64> {
-    let i = chain.windows(2).position(|w| w[0].0 <= y && y <= w[1].0)?;
-    let (a, b) = (chain[i], chain[i + 1]);
-    let t = if b.0 > a.0 { (y - a.0) as f64 / (b.0 - a.0) as f64 } else { 0.0 };
-    Some(a.1 as f64 + t * (b.1 - a.1) as f64)
-}
-
 /// Foil mirrors the screen: an enclosed hole whose colour, in the light that fits best, is not the
 /// screen's at this place is a part of the object. Its rim is mixed with the object and says
 /// nothing; of a slit that is all.
@@ -259,21 +213,5 @@ mod tests {
                 }
             }
         }
-    }
-
-    #[test]
-    fn the_hull_bridges_the_object_and_leaves_out_what_is_beside_the_screen() {
-        let (width, height) = (80, 60);
-        let screen: Vec<u8> = (0..width * height)
-            .map(|i| {
-                let (x, y) = (i % width, i / width);
-                u8::from((10..70).contains(&x) && (5..55).contains(&y) && !(30..50).contains(&x))
-            })
-            .collect();
-        let pool = Pool::default();
-        let inside = hull(&pool.plane(width, screen.into_iter()));
-        assert!(inside[30 * width + 40] && inside[20 * width + 20]);
-        assert!(!inside[30 * width + 3] && !inside[2 * width + 40] && !inside[58 * width + 40]);
-        assert!(hull(&pool.filled(width, 4800, 0)).iter().all(|v| *v));
     }
 }

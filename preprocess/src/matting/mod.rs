@@ -129,7 +129,7 @@ impl Keyer {
         };
         let noise = screen.noise();
         let trimap = Trimap::new(&screen, noise.share, image.as_raw(), key);
-        screen.measure_beside(&trimap, key);
+        solve::measure_light_beside(&mut screen, &trimap, key);
         let mut matte = Matte::solve(&screen, &trimap, &noise);
         cleanup::clean(&mut matte, &screen, &trimap, plate, self.keep_pole);
         Some((screen, trimap, matte))

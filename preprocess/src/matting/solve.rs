@@ -1,7 +1,7 @@
 //! The soft matte of one frame: alpha in the band between what is surely screen and what is surely
 //! object.
 
-use super::colour::{chroma, coded, luminance};
+use super::colour::{Key, chroma, coded, luminance};
 use super::morphology::{Rect, box_sum, set_pixels, smooth_within};
 use super::pool::Raster;
 use super::screen::{Screen, ScreenNoise};
@@ -9,9 +9,9 @@ use super::trimap::Trimap;
 use glam::Vec3;
 
 /// Radius of the neighbourhood from which the colours of foreground and screen are learnt, pixels.
-/// Source: `key_table`: for the screen 3 and 5 differ by less than 0.0004 of IoU; for the foreground chosen by hand, never
-/// measured.
-pub(crate) const REACH: usize = 3;
+/// Source: `key_table`: for the screen 3 and 5 differ by less than 0.0004 of IoU; for the
+/// foreground chosen by hand, never measured.
+const REACH: usize = 3;
 /// Alpha nearer to 0 or 1 than this is 0 or 1.
 /// Source: `key_table`: at 0.02 mean errors of alpha of the composites grow by 0.00003.
 pub(crate) const CLEAR: f32 = 0.03;
@@ -43,6 +43,26 @@ const EDGE_CONTRAST: f32 = 1.2;
 /// is wide: alpha from it falls short by this factor. Source: `key_table`: without it the IoU of
 /// case 3 falls by 0.0002.
 const THIN_GAIN: f32 = 1.2;
+
+/// The screen's light in the band, from the screen beside it: shadows have edges that coarse cells
+/// cannot follow.
+pub(super) fn measure_light_beside(screen: &mut Screen, trimap: &Trimap, key: &Key) {
+    let rect = Rect::around(&trimap.not_screen, REACH);
+    let mut weights = screen.share.map(|_| 0.0);
+    let mut sums = screen.light.map(|_| Vec3::ZERO);
+    for i in rect.rows(weights.width).flatten() {
+        weights[i] = f32::from((trimap.not_screen[i] | screen.fixed[i]) ^ 1);
+        sums[i] = weights[i] * screen.image[i];
+    }
+    box_sum(&mut weights, &rect, REACH);
+    box_sum(&mut sums, &rect, REACH);
+    for i in set_pixels(&trimap.band) {
+        if screen.fixed[i] == 0 && weights[i] >= (2 * REACH + 1) as f32 {
+            screen.light[i] = sums[i] / weights[i];
+            screen.share[i] = key.difference(screen.image[i]) / (key.difference(screen.light[i]) + 1e-6);
+        }
+    }
+}
 
 /// The matte of one frame, and what it was solved with.
 pub(crate) struct Matte<'p> {
@@ -237,7 +257,7 @@ fn rim_alpha(mean: f32) -> f32 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::matting::colour::{Key, srgb8};
+    use crate::matting::colour::srgb8;
     use crate::matting::pool::Pool;
     use image::{Rgb, RgbImage};
 
@@ -255,13 +275,16 @@ mod tests {
         let mut screen = Screen::before_field(&pool, &frame, &key).unwrap();
         let noise = screen.noise();
         let trimap = Trimap::new(&screen, noise.share, frame.as_raw(), &key);
-        screen.measure_beside(&trimap, &key);
+        let edge = 48 * 120 + 60 + 24;
+        let before = screen.light[edge];
+        screen.light[edge] *= 0.5;
+        measure_light_beside(&mut screen, &trimap, &key);
+        assert!((screen.light[edge] / before - 1.0).length() < 0.05, "from the screen beside it");
         let matte = Matte::solve(&screen, &trimap, &noise);
         let apart = |i: usize| (matte.alpha[i] - truth(i as u32 % 120, i as u32 / 120)).abs();
         let worst = (0..matte.alpha.len()).map(apart).fold(0.0, f32::max);
         let mean = (0..matte.alpha.len()).map(apart).sum::<f32>() / set_pixels(&trimap.band).count() as f32;
         assert!(worst < 0.3 && mean < 0.08, "worst {worst}, mean of the band {mean}");
-        let edge = 48 * 120 + 60 + 24;
         assert!(
             (matte.object_around(edge, true) - object).length() < 0.06,
             "{}",

@@ -2,9 +2,8 @@
 //! it, the pole.
 
 use super::grid::CellSums;
-use crate::matting::cleanup::hull;
 use crate::matting::colour::{Key, levels, linear};
-use crate::matting::morphology::{Rect, Regions};
+use crate::matting::morphology::{Rect, Regions, hull};
 use crate::matting::pool::Pool;
 use glam::Vec3;
 use image::RgbImage;

@@ -8,18 +8,12 @@ mod illumination;
 mod shadows;
 
 use super::colour::{Key, chroma, linear, luminance};
-use super::morphology::{Rect, box_sum, set_pixels, smooth};
+use super::morphology::smooth;
 use super::pool::{BinaryMask, Pool, Raster};
-use super::solve::REACH;
-use super::trimap::Trimap;
 use clean_plate::CleanPlate;
 use detect::quantile;
 use glam::Vec3;
 use image::RgbImage;
-
-/// Light of the screen at one place, as a share of what a first fit says. Source: chosen by hand,
-/// never measured.
-const SAME_LIGHT: std::ops::Range<f32> = 0.85..1.25;
 
 /// A frame, measured against the light of its empty screen.
 pub(crate) struct Screen<'p> {
@@ -105,6 +99,22 @@ impl<'p> Screen<'p> {
         screen
     }
 
+    /// Brings `light`, `share` and `smoothed` to the light of this frame, measured where the screen
+    /// is `shaded`.
+    fn take_out_shadows(&mut self) {
+        let Some(field) = shadows::measure(&self.smoothed, &self.shaded, &self.fixed) else { return };
+        let (width, mut row) = (self.share.width, Vec::new());
+        for y in 0..self.share.height() {
+            field.row(y, width, &mut row);
+            for (i, k) in (y * width..).zip(&row) {
+                let k = if self.fixed[i] != 0 { 1.0 } else { *k };
+                self.light[i] *= k;
+                self.share[i] /= k;
+            }
+        }
+        self.smoothed = smooth(&self.share);
+    }
+
     /// How the empty screen scatters, now that its light is known.
     pub(super) fn noise(&self) -> ScreenNoise {
         let near = self.smoothed.iter().step_by(7).filter(|s| (0.8..1.2).contains(*s));
@@ -122,26 +132,6 @@ impl<'p> Screen<'p> {
             n += 1.0;
         }
         ScreenNoise { share, luma: luma / n, chroma: colour / n }
-    }
-
-    /// The screen's light in the band, from the screen beside it: shadows have edges that coarse
-    /// cells cannot follow.
-    pub(super) fn measure_beside(&mut self, trimap: &Trimap, key: &Key) {
-        let rect = Rect::around(&trimap.not_screen, REACH);
-        let mut weights = self.share.map(|_| 0.0);
-        let mut sums = self.light.map(|_| Vec3::ZERO);
-        for i in rect.rows(weights.width).flatten() {
-            weights[i] = f32::from((trimap.not_screen[i] | self.fixed[i]) ^ 1);
-            sums[i] = weights[i] * self.image[i];
-        }
-        box_sum(&mut weights, &rect, REACH);
-        box_sum(&mut sums, &rect, REACH);
-        for i in set_pixels(&trimap.band) {
-            if self.fixed[i] == 0 && weights[i] >= (2 * REACH + 1) as f32 {
-                self.light[i] = sums[i] / weights[i];
-                self.share[i] = key.difference(self.image[i]) / (key.difference(self.light[i]) + 1e-6);
-            }
-        }
     }
 }
 
@@ -161,18 +151,11 @@ mod tests {
     #[test]
     fn shares_are_one_on_the_screen_and_none_on_the_object_and_the_scatter_is_measured() {
         let (pool, key) = (Pool::default(), Key::new([0.02, 0.4, 0.045].into(), 1.0 / 3f32.sqrt()).unwrap());
-        let mut screen = Screen::before_field(&pool, &frame(), &key).unwrap();
-        let (empty, object, edge) = (8 * 96 + 8, 32 * 96 + 45, 32 * 96 + 29);
+        let screen = Screen::before_field(&pool, &frame(), &key).unwrap();
+        let (empty, object) = (8 * 96 + 8, 32 * 96 + 45);
         assert!((screen.smoothed[empty] - 1.0).abs() < 0.02 && screen.share[object] < 0.05);
         let noise = screen.noise();
         let step = luminance(linear(&[40, 172, 60])) - luminance(linear(&[40, 168, 60]));
         assert!((noise.luma.sqrt() / (0.5 * step) - 1.0).abs() < 0.2, "{noise:?} {step}");
-        let trimap = Trimap::new(&screen, noise.share, frame().as_raw(), &key);
-        screen.light[edge] *= 0.5;
-        screen.measure_beside(&trimap, &key);
-        assert!(
-            (screen.light[edge].y / linear(&[40, 170, 60]).y - 1.0).abs() < 0.02,
-            "from the screen beside it"
-        );
     }
 }

@@ -1,8 +1,7 @@
 //! Shadows and reflections on the screen: its light in this frame, as a factor on what it is
 //! without them.
 
-use super::Screen;
-use super::grid::CellSums;
+use super::grid::{CellGrid, CellSums};
 use crate::matting::morphology::smooth;
 use crate::matting::pool::{BinaryMask, Raster};
 
@@ -25,31 +24,17 @@ pub(super) fn find<'p>(share: &Raster<'p, f32>, total: &Raster<'p, f32>) -> Bina
     candidates.erode(2).dilate(2)
 }
 
-impl Screen<'_> {
-    /// Brings `light`, `share` and `smoothed` to the light of this frame, measured where the screen
-    /// is `shaded`.
-    pub(super) fn take_out_shadows(&mut self) {
-        let (width, height) = (self.share.width, self.share.height());
-        let near_fixed = self.fixed.dilate(1);
-        let mut cells = CellSums::new(width, height);
-        for y in (0..height).step_by(2) {
-            let line = y * width..(y + 1) * width;
-            let (shaded, fixed, smoothed) =
-                (&self.shaded[line.clone()], &near_fixed[line.clone()], &self.smoothed[line]);
-            cells.add_row(y, 2, |x| (shaded[x] > fixed[x]).then_some(smoothed[x]));
-        }
-        let Some(field) = cells.fill() else { return };
-        let mut row = Vec::new();
-        for y in 0..height {
-            field.row(y, width, &mut row);
-            for (i, k) in (y * width..).zip(&row) {
-                let k = if self.fixed[i] != 0 { 1.0 } else { *k };
-                self.light[i] *= k;
-                self.share[i] /= k;
-            }
-        }
-        self.smoothed = smooth(&self.share);
+/// Light of the screen in this frame, as a factor on what it is without shadows: the smoothed share
+/// where the screen is `shaded` and nothing `fixed` is near.
+pub(super) fn measure(share: &Raster<f32>, shaded: &BinaryMask, fixed: &BinaryMask) -> Option<CellGrid<f32>> {
+    let (width, height) = (share.width, share.height());
+    let near_fixed = fixed.dilate(1);
+    let mut cells = CellSums::new(width, height);
+    for y in (0..height).step_by(2) {
+        let start = y * width;
+        cells.add_row(y, 2, |x| (shaded[start + x] > near_fixed[start + x]).then_some(share[start + x]));
     }
+    cells.fill()
 }
 
 #[cfg(test)]
