@@ -1,39 +1,24 @@
 //! What the angles of a video themselves say of its motion: that the object turns steadily, as
 //! steadily as they show.
 
+use super::limits::{COMPARABLE, FRAMES_TO_CHOOSE, HELD, LEAST_OBSERVATIONS};
 use super::prior::AnglePrior;
 use super::problem::CircularCovariance;
 use super::whiten::{cholesky, dot, whiten};
 use scene::decision::{Decision, Measurement, Quantity, Rule, Subject};
 
-/// Fewest frames from which the motion is learnt.
-/// Source: chosen by hand, never measured.
-const FEWEST: usize = 10;
-/// Most frames from which its strength is learnt (a Cholesky factor for each one that is tried).
-/// Source: chosen by hand, never measured.
-const MOST: usize = 100;
 /// Least factor on the angles' covariance that is tried, and how many doublings of it. Errors of
 /// one track in many frames are not independent: outlines and glints slide along. Where there is
 /// little texture, a smaller factor would take the drift of a few tracks for the motion.
 /// Source: docs/decisions/10, on textured objects the angles themselves say 4 to 8.
 const EXCESS: (f64, i32) = (8.0, 3);
-/// Frames within such a turn see the same errors, radians: where a step is a smaller share of it
-/// than the least factor says, more frames say no more, and the factor grows with their number.
-/// Source: docs/decisions/09.
-const SAME_ERRORS: f64 = 0.5;
 /// Motions that are less likely than the best by this (logarithm) are not averaged.
-/// Source: chosen by hand, never measured.
+/// Source: derived; all that are left out weigh a few percent.
 const UNLIKELY: f64 = 4.0;
-/// Most motions that are averaged.
-/// Source: chosen by hand, never measured.
-const AVERAGED: usize = 12;
 /// Odds against a steady turn from which on it is not taken for one.
 /// Source: Kass & Raftery 1995, "strong" evidence; docs/decisions/08, turns by hand have odds of
 /// thousands.
 const SLOW_ODDS: f64 = 20.0;
-/// Standard deviation with which the learnt angles are held, radians.
-/// Source: chosen by hand, never measured.
-const HELD: f64 = 2e-6;
 
 /// The angles under what was learnt of the motion.
 pub(crate) struct LearntMotion {
@@ -238,7 +223,7 @@ pub(crate) fn learn_motion(
     closing: Option<(f64, f64)>,
 ) -> Option<LearntMotion> {
     let n = images.len();
-    if n < FEWEST || covariance.joint.len() != n * n {
+    if n < LEAST_OBSERVATIONS || covariance.joint.len() != n * n {
         return None;
     }
     let (first, last) = (times[images[0]], times[images[n - 1]]);
@@ -248,11 +233,13 @@ pub(crate) fn learn_motion(
         covariance: covariance.joint.clone(),
     };
     let step = (found.angles[n - 1] - found.angles[0]).abs() / (n - 1) as f64;
-    let least = EXCESS.0.max(SAME_ERRORS / step.max(1e-3));
+    // Frames within such a turn see the same errors: where a step is a smaller share of it, more
+    // frames say no more, and the factor grows with their number (docs/decisions/09).
+    let least = EXCESS.0.max(COMPARABLE / step.max(1e-3));
     if let Some((range, sigma)) = closing {
         found.close(range, sigma * sigma / least);
     }
-    let trials = ProcessTrials::of(&found.thin(MOST), least)?;
+    let trials = ProcessTrials::of(&found.thin(FRAMES_TO_CHOOSE), least)?;
     let average = trials.average(&found)?;
     let mut decision = Decision::new(
         Subject::RotationRate,
@@ -307,7 +294,7 @@ impl ProcessTrials {
     fn average(&self, found: &MeasuredAngles) -> Option<ProcessAverage> {
         let n = found.len();
         let is_steady = self.is_steady();
-        let asked: Vec<_> = self.0.iter().filter(|t| t.1.sway == 0.0 || !is_steady).take(AVERAGED).collect();
+        let asked: Vec<_> = self.0.iter().filter(|t| t.1.sway == 0.0 || !is_steady).collect();
         let likeliest = asked.first()?.0;
         let (mut sum, mut squares, mut total, mut excess) = (vec![0.0; n], vec![0.0; n], 0.0, 0.0);
         let mut slope = 0.0;

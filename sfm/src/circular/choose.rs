@@ -3,7 +3,7 @@
 use super::config::Motion;
 use super::evidence::MotionComparison;
 use super::job::{FreeModel, MotionInput};
-use super::limits::{FINAL_ROUNDS, WHOLE};
+use super::limits::{FINAL_ROUNDS, TIGHT};
 use super::model::CircularContext;
 use super::motion::CircularMotion;
 use super::orbit;
@@ -12,12 +12,9 @@ use super::solution::{ChosenModel, CircularSolution, rough_noise};
 use crate::SfmError;
 use crate::incremental::finish::noise_of;
 use crate::incremental::state::MapState;
+use crate::limits::WHOLE;
 use scene::decision::{Decision, Measurement, MotionModel, Quantity, Remark, Rule, Subject};
 
-/// A circle that cameras keep to no better than this holds them no firmer than their observations
-/// do: radians, radii.
-/// Source: docs/decisions/09, a circle kept to 0.6 degrees and 1 % held `fountain_p11` back.
-const TIGHT: f64 = 0.01;
 /// One axis is not looked at further where it leaves so many times the residuals of free poses.
 /// Source: chosen by hand, never measured.
 const HOPELESS: f64 = 3.0;

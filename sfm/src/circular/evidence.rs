@@ -1,5 +1,6 @@
 //! Single axis, orbit or free: the same observations, adjusted under each assumption, decide.
 
+use super::limits::FRAMES_TO_CHOOSE;
 use super::model::{AxisModel, CircularContext};
 use super::orbit;
 use super::problem::CircularProblem;
@@ -8,6 +9,7 @@ use crate::bundle::{Adjustable, BundleObservation, BundleProblem, RobustLoss, So
 use crate::incremental::adjust::{Adjustment, Selected, select};
 use crate::incremental::growth::freedom;
 use crate::incremental::state::MapState;
+use crate::limits::OUTLIER_SIGMAS;
 use crate::model_selection::camera::{FreeIntrinsics, apply, split};
 use crate::model_selection::evidence::gain;
 use crate::model_selection::noise::{error_sq, noise};
@@ -17,11 +19,6 @@ use scene::decision::{Decision, Measurement, MotionModel, Quantity, Rule, Subjec
 
 /// Observations that the choice is based on.
 const OBSERVATIONS: usize = 6000;
-/// Most images that it is based on, evenly: more cost more (an orbit's small motions are as many as free poses) and say
-/// nothing else.
-const IMAGES: usize = 100;
-/// Residuals beyond so many standard deviations count as this much.
-const TRUNCATION: f64 = 4.0;
 /// A held-out error that is larger by so many standard errors, and by this factor, speaks against a motion.
 const WORSE: (f64, f64) = (3.0, 1.02);
 
@@ -223,10 +220,10 @@ fn retriangulate(problem: &mut BundleProblem) {
     }
 }
 
-/// Leaves at most [`IMAGES`] of the images.
+/// Leaves at most [`FRAMES_TO_CHOOSE`] of the images.
 fn thin(state: &mut MapState) {
     let registered: Vec<usize> = (0..state.poses.len()).filter(|&i| state.poses[i].is_some()).collect();
-    for image in surplus(&registered, IMAGES) {
+    for image in surplus(&registered, FRAMES_TO_CHOOSE) {
         state.unregister(image);
     }
 }
@@ -305,7 +302,7 @@ impl MotionTrial<'_> {
         let mut sums = vec![(0.0, 0usize); bundle.poses.len()];
         for o in &self.held_out {
             let error = error_sq(bundle, o) / self.sigma.powi(2);
-            sums[o.pose as usize].0 += error.min(TRUNCATION * TRUNCATION);
+            sums[o.pose as usize].0 += error.min(OUTLIER_SIGMAS * OUTLIER_SIGMAS);
             sums[o.pose as usize].1 += 1;
         }
         let all: f64 = sums.iter().map(|s| s.0).sum::<f64>() / self.held_out.len().max(1) as f64;

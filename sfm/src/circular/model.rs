@@ -9,6 +9,7 @@ use crate::bundle::{BundleProblem, RobustLoss, SolveOptions};
 use crate::incremental::adjust::{Adjustment, Selected, plausible, select, take};
 use crate::incremental::growth::freedom;
 use crate::incremental::state::{MapState, MappingInput};
+use crate::limits::OUTLIER_SIGMAS;
 use crate::model_selection::camera::{FreeIntrinsics, apply};
 use crate::model_selection::noise::{error_sq, noise};
 use crate::statistics::median;
@@ -18,9 +19,6 @@ use scene::{Camera, Progress};
 /// Points that an image contributes while the model settles.
 /// Source: chosen by hand, never measured.
 const POINTS_PER_IMAGE: usize = 150;
-/// Points that an image contributes to a first look.
-/// Source: chosen by hand, never measured.
-const ROUGH_POINTS: usize = 50;
 /// Iterations times observations of an adjustment of all points: what is left after three
 /// iterations on many observations is in single points, which settle alone before each.
 /// Source: docs/decisions/08; ten times as much changed nothing.
@@ -28,9 +26,6 @@ const EFFORT: usize = 400_000;
 /// Relative decrease of the cost at which such an adjustment ends.
 /// Source: chosen by hand, never measured.
 const SETTLED: f64 = 1e-6;
-/// Residuals beyond this are dropped at the end (but none below a pixel), standard deviations.
-/// Source: chosen by hand, never measured.
-const FINAL_SIGMAS: f64 = 8.0;
 
 /// A model under the constraint.
 #[derive(Clone, Debug)]
@@ -121,7 +116,7 @@ impl AxisModel {
         context: &CircularContext<'_>,
         images: usize,
     ) -> Result<bool, SfmError> {
-        self.settle_with(context, 1, ROUGH_POINTS, images)
+        self.settle_with(context, 1, POINTS_PER_IMAGE / 3, images)
     }
 
     /// [`AxisModel::settle`] with so many points an image; `images` stands for how many images the
@@ -223,7 +218,7 @@ impl AxisModel {
             if part.is_some() {
                 self.state.refine_points(context.input, |_| false);
             }
-            let limit = (FINAL_SIGMAS * sigma).clamp(1.0, context.input.config.max_reprojection_px);
+            let limit = (OUTLIER_SIGMAS * sigma).clamp(1.0, context.input.config.max_reprojection_px);
             let gone = self.state.filter(context.input, limit);
             let added = if round + 1 < rounds { self.state.grow_all(context.input) } else { 0 };
             if round > 0 && (gone + added) * 500 < all {

@@ -2,6 +2,7 @@
 //! offsets that are about as large as they turn out to be.
 
 use super::initialize::free_poses::CircularMisfit;
+use super::limits::HELD;
 use super::model::{AxisModel, CircularContext};
 use super::motion::CircularMotion;
 use super::prior::AnglePrior;
@@ -17,12 +18,6 @@ use scene::Pose;
 /// Poses farther from a circle than this are no orbit and no turn: tilt (radians), slip (radii).
 /// Source: chosen by hand, never measured.
 const FARTHEST: [f64; 2] = [0.1, 0.2];
-/// Offsets are never thought to be smaller, radians and radii: less is none.
-/// Source: chosen by hand, never measured.
-const LEAST: f64 = 1e-6;
-/// Adjustments near a circle: observations that fit the first one take part in the next.
-/// Source: chosen by hand, never measured.
-const ROUNDS: usize = 2;
 
 /// Free poses as a turn with offsets, in the turntable's frame, and how far they are from a pure
 /// turn. `None` where they do not turn.
@@ -69,7 +64,7 @@ pub(crate) fn strengths(problem: &CircularProblem) -> [f64; 2] {
     let turns = problem.offsets.iter().map(|o| 2.0 * o.rotation.xyz().length()).collect();
     let shifts = problem.offsets.iter().map(|o| o.translation.length()).collect();
     let [turn, shift]: [f64; 2] = [turns, shifts].map(|lengths| median(lengths) / MEDIAN_LENGTH);
-    [turn.max(LEAST), (shift / problem.radius()).max(LEAST)]
+    [turn.max(HELD), (shift / problem.radius()).max(HELD)]
 }
 
 /// The effective number of the offsets, `Σ σ²/(σ² + s²)` with the standard deviations s to which
@@ -105,7 +100,8 @@ pub(crate) fn hold(
     sigma: [f64; 2],
 ) -> Result<Option<MapState>, SfmError> {
     let mut held: Option<MapState> = None;
-    for _ in 0..ROUNDS {
+    // What fits the first adjustment takes part in the second.
+    for _ in 0..2 {
         let Some(mut next) = adjust(held.as_ref().unwrap_or(state), context, intrinsics, sigma)? else {
             break;
         };

@@ -4,11 +4,11 @@
 use super::initialize::best_start::{SeedCameras, best_start};
 use super::initialize::seed::{AnglePattern, FocalSearch, KEYS, KeyPair, seeds};
 use super::job::MotionInput;
-use super::limits::WHOLE;
 use super::model::{AxisModel, CircularContext};
 use super::register::{observed_points, resect_angle};
 use crate::SfmError;
 use crate::incremental::resection::visible;
+use crate::limits::WHOLE;
 use scene::{TwoViewGeometry, TwoViewKind};
 use std::cmp::Reverse;
 use std::collections::HashMap;

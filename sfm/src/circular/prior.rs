@@ -3,20 +3,14 @@
 //! What is known of the axis instead (a measured elevation) is an
 //! [`ElevationPrior`](super::problem::ElevationPrior).
 
-use super::limits::{LEAST_SIGMA, MOST};
+use super::limits::{LEAST_OBSERVATIONS, LEAST_SIGMA, MOST, RATE_CHANGE};
 use super::motion::wrap_angle;
 use super::problem::Relation;
 use crate::statistics::{MEDIAN_DEVIATION, median};
 
-/// Standard deviation of the change of the rate from one step to the next, as a share of the rate.
-/// Source: docs/decisions/08, "no jumps"; far weaker than a dozen good observations.
-const RATE_CHANGE: f64 = 0.5;
 /// A step is even if it is no farther from the median than this share of it.
 /// Source: chosen by hand, never measured.
 pub(crate) const EVEN: f64 = 0.35;
-/// Fewest steps that tell whether they are even.
-/// Source: chosen by hand, never measured.
-const LEAST_STEPS: usize = 6;
 
 /// A prior on the angles of a circular motion.
 #[derive(Clone, Debug)]
@@ -102,7 +96,7 @@ pub(crate) fn constant_rate(angles: &[Option<f64>]) -> Option<f64> {
     let steps: Vec<f64> = angles.windows(2).filter_map(|w| Some(wrap_angle(w[1]? - w[0]?))).collect();
     let rate = median(steps.clone());
     let even = steps.iter().filter(|s| (*s - rate).abs() <= EVEN * rate.abs()).count();
-    let enough = steps.len() >= LEAST_STEPS && even as f64 >= MOST * steps.len() as f64;
+    let enough = steps.len() + 1 >= LEAST_OBSERVATIONS && even as f64 >= MOST * steps.len() as f64;
     (enough && rate != 0.0).then_some(rate)
 }
 

@@ -1,6 +1,6 @@
 //! Growing a turn along a video: each frame has one unknown, its angle.
 
-use super::limits::{INLIER_PX, LEAST_OBSERVATIONS};
+use super::limits::{COMPARABLE, INLIER_PX, LEAST_OBSERVATIONS};
 use super::model::{AxisModel, CircularContext};
 use super::motion::pose_at;
 use crate::SfmError;
@@ -18,18 +18,9 @@ const SAMPLES: i32 = 40;
 /// Golden section steps after it.
 /// Source: derivation: they narrow a sample to less than 0.0002 of its width.
 const GOLDEN: usize = 18;
-/// Most observations that are asked for an angle.
-/// Source: chosen by hand, never measured.
-const MOST: usize = 400;
-/// Turn after which the model is adjusted again, radians.
-/// Source: chosen by hand, never measured.
-const ADJUST_EVERY: f64 = 0.35;
 /// Frames that may be given the angle that the rate says, until one is resected again.
 /// Source: chosen by hand, never measured.
 const MOST_EXTRAPOLATED: usize = 12;
-/// Frames back from which the rate is read off.
-/// Source: chosen by hand, never measured.
-const RATE_FRAMES: usize = 6;
 
 /// An angle, and the observations that agree with it of those that were asked.
 #[derive(Clone, Copy, Debug)]
@@ -47,15 +38,13 @@ struct AngleSearch<'a> {
     camera: &'a Camera,
     axis: &'a Pose,
     seen: &'a [(DVec2, DVec3)],
-    /// Every so many-th of them is asked.
-    step: usize,
 }
 
 impl AngleSearch<'_> {
     /// Squared reprojection errors at an angle, pixels².
     fn errors(&self, angle: f64) -> impl Iterator<Item = f64> {
         let pose = pose_at(self.axis, angle);
-        self.seen.iter().step_by(self.step).map(move |(pixel, x)| {
+        self.seen.iter().map(move |(pixel, x)| {
             self.camera.project(pose.transform(*x)).map_or(f64::INFINITY, |p| p.distance_squared(*pixel))
         })
     }
@@ -93,7 +82,7 @@ pub(crate) fn resect_angle(
     start: f64,
     span: f64,
 ) -> Resected {
-    let search = AngleSearch { camera, axis, seen, step: seen.len().div_ceil(MOST).max(1) };
+    let search = AngleSearch { camera, axis, seen };
     let samples = SAMPLES.max((span / SEARCH_STEP) as i32);
     let grid = (-samples / 2..=samples / 2).map(|k| start + span * f64::from(k) / f64::from(samples / 2));
     let costs = grid.map(|a| (search.cost(a), a));
@@ -225,8 +214,8 @@ impl FrameWalk {
     /// The turn from the last frame to another at the present rate, radians.
     fn expected_step(&mut self, model: &AxisModel, times: &[f64], frame: usize) -> f64 {
         let newest = self.resected[self.resected.len() - 1];
-        if self.resected.len() > RATE_FRAMES {
-            self.back = self.resected[self.resected.len() - 1 - RATE_FRAMES];
+        if self.resected.len() > LEAST_OBSERVATIONS {
+            self.back = self.resected[self.resected.len() - 1 - LEAST_OBSERVATIONS];
         }
         let [end, start] = [newest, self.back].map(|f| model.turn.angles[f].unwrap_or(0.0));
         let rate = (end - start) / (times[newest] - times[self.back]);
@@ -247,7 +236,7 @@ impl FrameWalk {
         self.turned += step;
         self.resected.push(frame);
         self.last = frame;
-        let due = self.turned > ADJUST_EVERY;
+        let due = self.turned > 0.5 * COMPARABLE;
         if due {
             self.turned = 0.0;
         }

@@ -2,7 +2,7 @@
 //! files at an even rate, the places of the others are known but for the ring's small motions, and
 //! few matches are enough to say whether an image is there (docs/decisions/09).
 
-use super::limits::{FINAL_ROUNDS, LEAST_SIGMA, OUTLIER_SIGMAS, is_majority};
+use super::limits::{FINAL_ROUNDS, LEAST_OBSERVATIONS, LEAST_SIGMA, TIGHT, is_majority};
 use super::model::CircularContext;
 use super::motion::{CircularMotion, pose_at, wrap_angle};
 use super::orbit;
@@ -10,21 +10,12 @@ use super::prior::{EVEN, constant_rate};
 use crate::SfmError;
 use crate::incremental::state::MapState;
 use crate::incremental::structureless_resection::consistency;
+use crate::limits::OUTLIER_SIGMAS;
 use crate::model_selection::camera::FreeIntrinsics;
 use crate::statistics::{MEDIAN_LENGTH, median};
 use scene::Pose;
 use scene::decision::{Choice, Decision, Measurement, Quantity, Rule, Subject};
 use std::f64::consts::TAU;
-
-/// Images from which on a ring is believed.
-/// Source: chosen by hand, never measured.
-const LEAST_IMAGES: usize = 8;
-/// An image nearer to its place than this is never suspected: radians, radii.
-/// Source: chosen by hand, never measured.
-const SUSPECT_LEAST: [f64; 2] = [0.02, 0.03];
-/// Fewest matches and points that hold an image at its place.
-/// Source: chosen by hand, never measured.
-const LEAST_MATCHES: usize = 12;
 
 /// A ring and where its images stand on it.
 #[derive(Clone, Debug)]
@@ -39,7 +30,7 @@ struct CameraRing {
 impl CameraRing {
     /// The ring that most of the poses are on; `None` where they are on none.
     fn of(poses: &[Option<Pose>]) -> Option<Self> {
-        if poses.iter().flatten().count() < LEAST_IMAGES {
+        if poses.iter().flatten().count() < LEAST_OBSERVATIONS {
             return None;
         }
         let (turn, misfit) = CircularMotion::of_poses(poses)?;
@@ -72,7 +63,8 @@ impl CameraRing {
     }
 
     fn suspects(&self, poses: &[Option<Pose>]) -> Vec<usize> {
-        let limit: [f64; 2] = std::array::from_fn(|k| (OUTLIER_SIGMAS * self.sigma[k]).max(SUSPECT_LEAST[k]));
+        // What is as near as a rig keeps its cameras is never suspected.
+        let limit = self.sigma.map(|sigma| OUTLIER_SIGMAS * sigma.max(0.5 * TIGHT));
         let mut found = Vec::new();
         for (i, pose) in poses.iter().enumerate() {
             let offset = pose.as_ref().and_then(|p| self.offset(i, p));
@@ -183,7 +175,8 @@ pub(crate) fn complete(
         next.filter(context.input, context.input.config.max_reprojection_px);
         drop_strangers(&mut next, &mut added, context);
     }
-    let weak: Vec<usize> = added.iter().copied().filter(|&i| next.observations(i) < LEAST_MATCHES).collect();
+    let weak: Vec<usize> =
+        added.iter().copied().filter(|&i| next.observations(i) < LEAST_OBSERVATIONS).collect();
     weak.iter().for_each(|&i| next.unregister(i));
     added.retain(|i| !weak.contains(i));
     let others = state.registered_count() - state.order.iter().filter(|i| added.contains(i)).count();
@@ -213,7 +206,7 @@ fn drop_strangers(state: &mut MapState, added: &mut Vec<usize>, context: &Circul
 /// Whether few of the matches of an image agree with its place.
 fn is_stranger(state: &MapState, image: usize, context: &CircularContext<'_>) -> bool {
     let (agreeing, all) = consistency(state, context.input, image);
-    agreeing < LEAST_MATCHES || !is_majority(agreeing, all)
+    agreeing < LEAST_OBSERVATIONS || !is_majority(agreeing, all)
 }
 
 #[cfg(test)]

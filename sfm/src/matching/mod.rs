@@ -47,8 +47,8 @@ pub fn match_prepared(a: &PreparedFeatures, b: &PreparedFeatures, config: &Match
     let mut matches = Vec::new();
     for i in 0..a.len() {
         let Some(j) = rows.partner(i).filter(|_| is_distinct(&rows, i, ratio2, max2)) else { continue };
-        let mutual = columns.partner(j as usize) == Some(i as u32)
-            && is_distinct(&columns, j as usize, ratio2, max2);
+        let mutual =
+            columns.partner(j as usize) == Some(i as u32) && is_distinct(&columns, j as usize, ratio2, max2);
         if mutual || config.one_way_matches {
             matches.push([i as u32, j]);
         }

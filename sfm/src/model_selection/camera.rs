@@ -24,7 +24,7 @@ pub(crate) const FOCAL_SIGMA: f64 = 0.05;
 /// Standard deviation of radial distortion half the longer image side from the centre, as a share
 /// of that distance: 0.05, divided by √8 as residuals are correlated.
 /// Source: docs/decisions/06.
-const DISTORTION_SIGMA: f64 = 0.05 / (2.0 * std::f64::consts::SQRT_2);
+pub(crate) const DISTORTION_SIGMA: f64 = 0.05 / (2.0 * std::f64::consts::SQRT_2);
 
 /// What is solved for.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

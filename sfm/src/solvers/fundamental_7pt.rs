@@ -39,9 +39,9 @@ pub fn fundamental_7pt(a: &[DVec2; 7], b: &[DVec2; 7]) -> Vec<DMat3> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::solvers::testing::{Shape, TwoViews, array, two_views};
     use crate::solvers::fundamental_8pt::Normaliser;
     use crate::solvers::sampson_sq;
+    use crate::solvers::testing::{Shape, TwoViews, array, two_views};
 
     /// Largest Sampson distance of all pairs under the best solution of the first seven, relative to the extent.
     fn best(s: &TwoViews) -> f64 {

@@ -17,9 +17,7 @@ mod refine_relative;
 #[cfg(test)]
 pub(crate) mod testing;
 
-pub use decompose::{
-    cheirality, motions_from_homography, pose_from_essential,
-};
+pub use decompose::{cheirality, motions_from_homography, pose_from_essential};
 pub use epipolar::{essential_from_pose, sampson_sq, transfer_sq};
 pub use essential_5pt::essential_5pt;
 pub use fundamental_7pt::fundamental_7pt;

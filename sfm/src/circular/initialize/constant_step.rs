@@ -5,7 +5,7 @@
 use super::seed::{AnglePattern, FocalSearch, KeyPair, Seed, at_steps, seeds};
 use crate::SfmError;
 use crate::circular::job::MotionInput;
-use crate::circular::limits::LEAST_OBSERVATIONS;
+use crate::circular::limits::{FINAL_ROUNDS, LEAST_OBSERVATIONS, TIGHT};
 use crate::circular::model::AxisModel;
 use crate::circular::motion::{CircularMotion, wrap_angle};
 use crate::circular::{orbit, ring};
@@ -18,9 +18,6 @@ use glam::{DMat3, DVec2, DVec3};
 use scene::{Camera, Pose};
 use std::f64::consts::TAU;
 
-/// Fewest images of a ring.
-/// Source: chosen by hand, never measured.
-const LEAST_IMAGES: usize = 12;
 /// Neighbours up to so many places on are looked at.
 /// Source: docs/decisions/09.
 const NEIGHBOURS: usize = 3;
@@ -36,16 +33,6 @@ const NEAR_PX: f64 = 6.0;
 /// Share of the matches that agree with the turn, over the share of wrong ones that do.
 /// Source: chosen by hand between the shares of docs/decisions/09, never measured.
 const LEAST_GAIN: f64 = 0.25;
-/// What cameras that go round by hand or on a gantry are off their circle, as long as it is not
-/// known: radians, radii.
-/// Source: chosen by hand, never measured.
-const OWN_MOTIONS: [f64; 2] = [0.015, 0.01];
-/// Adjustments of a model that begins with all images on the circle.
-/// Source: chosen by hand, never measured.
-const ROUNDS: usize = 5;
-/// How many times farther than at the end observations may be from their places at first.
-/// Source: chosen by hand, never measured.
-const WIDE: f64 = 3.0;
 /// Share of the observations in tracks of three and more that a ring keeps: two views of a point do
 /// not tell the angle between them, three do.
 /// Source: docs/decisions/09: 0.72 to 0.89 of ten rings (0.60 and 0.65 of a turntable in the deepest
@@ -78,7 +65,7 @@ impl ConstantStepMotion {
         positions: &[Vec<DVec2>],
         matches: &[PairMatches],
     ) -> Option<Self> {
-        if positions.len() < LEAST_IMAGES {
+        if positions.len() < LEAST_OBSERVATIONS {
             return None;
         }
         let matches = NeighbourMatches::new(camera, positions, matches);
@@ -178,13 +165,13 @@ impl ConstantStepMotion {
         let Some(turn) = self.turn() else { return Ok(None) };
         let cameras = self.seed.cameras(job.cameras, &job.known[0]);
         let limit = job.input.config.max_reprojection_px;
-        let wide = MapperConfig { max_reprojection_px: WIDE * limit, ..job.input.config.clone() };
+        let wide = MapperConfig { max_reprojection_px: 3.0 * limit, ..job.input.config.clone() };
         let loose = MappingInput { config: &wide, ..*job.input };
         let mut state = AxisModel::new(&loose, cameras.clone(), turn).state;
-        for round in 0..ROUNDS {
-            let input = if round < ROUNDS / 2 { &loose } else { job.input };
+        for round in 0..2 * FINAL_ROUNDS {
+            let input = if round < FINAL_ROUNDS { &loose } else { job.input };
             let job = MotionInput { input, starts: &cameras, ..*job };
-            let Some(next) = orbit::adjust(&state, &job.context(&[]), intrinsics, OWN_MOTIONS)? else {
+            let Some(next) = orbit::adjust(&state, &job.context(&[]), intrinsics, [TIGHT; 2])? else {
                 return Ok(None);
             };
             state = next;
@@ -196,7 +183,7 @@ impl ConstantStepMotion {
         weak.iter().for_each(|&i| state.unregister(i));
         let kept: usize = state.live().map(|(_, p)| p.views.len()).filter(|n| *n >= 3).sum();
         let all: usize = job.input.tracks.views.iter().map(Vec::len).filter(|n| *n >= 3).sum();
-        let holds = kept as f64 >= KEPT * all as f64 && state.registered_count() >= LEAST_IMAGES;
+        let holds = kept as f64 >= KEPT * all as f64 && state.registered_count() >= LEAST_OBSERVATIONS;
         Ok(holds.then_some((state, kept as f64 / all.max(1) as f64)))
     }
 }
@@ -208,7 +195,7 @@ pub(crate) fn hold_on_ring(
     job: &MotionInput<'_>,
     intrinsics: FreeIntrinsics,
 ) -> Result<MapState, SfmError> {
-    let sigma = ring::own_motions(&state.poses).unwrap_or(OWN_MOTIONS);
+    let sigma = ring::own_motions(&state.poses).unwrap_or([TIGHT; 2]);
     Ok(orbit::hold(state, &job.context(&[]), intrinsics, sigma)?.unwrap_or_else(|| state.clone()))
 }
 

@@ -1,5 +1,6 @@
 //! A motion about one axis, read off free poses.
 
+use crate::circular::limits::LEAST_SIGMA;
 use crate::circular::motion::{CircularMotion, wrap_angle};
 use crate::solvers::linalg::{moments, symmetric_eigen};
 use crate::statistics::median;
@@ -12,9 +13,6 @@ const MOST_PAIRS: usize = 20_000;
 /// Rounds of reweighting.
 /// Source: chosen by hand, never measured.
 const ROUNDS: usize = 10;
-/// Relative rotations smaller than this say little about the axis, radians.
-/// Source: chosen by hand, never measured.
-const LEAST_ANGLE: f64 = 1e-4;
 
 /// How far poses are from a [`CircularMotion`].
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -77,7 +75,7 @@ pub(crate) fn common_axis(vectors: &[DVec3]) -> Option<(DVec3, f64)> {
     let mut tilt = 0.0;
     for _ in 0..ROUNDS {
         let (values, rows) = symmetric_eigen(&moments(weights.iter().copied().zip(vectors.iter().copied())));
-        if !(values[2] > LEAST_ANGLE * LEAST_ANGLE) {
+        if !(values[2] > LEAST_SIGMA * LEAST_SIGMA) {
             return None;
         }
         let found = DVec3::from_array(rows[2]);

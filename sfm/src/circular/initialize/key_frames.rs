@@ -2,7 +2,7 @@
 //! across wide steps.
 
 use crate::SfmError;
-use crate::circular::limits::{INLIER_PX, LEAST_OBSERVATIONS};
+use crate::circular::limits::{COMPARABLE, INLIER_PX, LEAST_OBSERVATIONS};
 use crate::circular::model::AxisModel;
 use crate::circular::motion::wrap_angle;
 use crate::klt::KltTrack;
@@ -16,9 +16,6 @@ use scene::{Features, FrameSet, Progress, TwoViewGeometry, TwoViewKind};
 /// Turn between key frames, radians.
 /// Source: chosen by hand, never measured.
 const KEY_STEP: f64 = 0.15;
-/// Key frames are matched up to this turn, radians.
-/// Source: chosen by hand, never measured.
-const MATCH_SPAN: f64 = 1.0;
 /// A match that moves by less is stationary, pixels.
 /// Source: chosen by hand, never measured.
 const STATIONARY_PX: f64 = 1.5;
@@ -140,9 +137,9 @@ fn pairs_to_match(keys: &[(usize, f64)]) -> (Vec<(usize, usize)>, Vec<(usize, us
     for i in 0..keys.len() {
         for k in i + 1..keys.len() {
             let turn = keys[k].1 - keys[i].1;
-            if turn.abs() <= MATCH_SPAN {
+            if turn.abs() <= 2.0 * COMPARABLE {
                 near.push((i, k));
-            } else if wrap_angle(turn).abs() <= 0.7 * MATCH_SPAN {
+            } else if wrap_angle(turn).abs() <= 1.5 * COMPARABLE {
                 closing.push((i, k));
             }
         }

@@ -3,6 +3,7 @@
 //! adjustment of the epipolar error (no points).
 
 use crate::Knowledge;
+use crate::circular::limits::RATE_CHANGE;
 use crate::circular::motion::wrap_angle;
 use crate::incremental::resection::FOCAL_FACTORS;
 use crate::solvers::levenberg::{Normal, cauchy, minimise};
@@ -26,9 +27,6 @@ const WIDTHS_PX: [f64; 2] = [2.0, 0.7];
 /// Standard deviation of the logarithm of the focal length about the guess.
 /// Source: chosen by hand, never measured.
 const FOCAL_SIGMA: f64 = 0.5;
-/// Standard deviation of second differences of the angles, as a share of the step.
-/// Source: chosen by hand, never measured.
-const RATE_SIGMA: f64 = 0.15;
 /// Seeds that are adjusted; a fifth of them may share a focal length, a quarter of them is
 /// returned.
 /// Source: chosen by hand, never measured.
@@ -364,7 +362,7 @@ impl SeedProblem<'_> {
             return expected;
         }
         let step = (seed.angles[keys - 1] / (keys - 1) as f64).abs().max(1e-3);
-        let w = 1.0 / (RATE_SIGMA * step);
+        let w = 1.0 / (RATE_CHANGE * step);
         for k in 1..keys - 1 {
             let mut gradient = [0.0; UNKNOWNS];
             gradient[3 + k] = -2.0 * w;

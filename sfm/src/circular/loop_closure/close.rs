@@ -5,7 +5,7 @@ use super::tracks::{LoopClosure, LoopGap};
 use crate::SfmError;
 use crate::circular::initialize::key_frames::{KeyFrames, VideoTracks};
 use crate::circular::job::VideoJob;
-use crate::circular::limits::{LEAST_OBSERVATIONS, is_majority};
+use crate::circular::limits::{COMPARABLE, LEAST_OBSERVATIONS, is_majority};
 use crate::circular::model::AxisModel;
 use crate::circular::motion::{CircularMotion, wrap_angle};
 use crate::circular::prior::AnglePrior;
@@ -20,18 +20,13 @@ use scene::decision::{Decision, Measurement, Quantity, Remark, Rule, Subject};
 use scene::{Camera, TwoViewGeometry};
 use std::f64::consts::TAU;
 
-/// Whole turns are closed where the first and the last frame are at least so far apart, radians.
-/// Source: chosen by hand, never measured.
-const CLOSED_FROM: f64 = 5.2;
-/// Search for the error of a closed turn by matched pairs, radians to either side.
-/// Source: chosen by hand, never measured.
-const PAIR_SPAN: f64 = 0.2;
+/// Errors of steps are evened out over so much of a turn on either side, and a closed turn is
+/// searched for so far, radians.
+/// Source: derived; half of what views that have much in common may be turned by.
+const NEARBY: f64 = 0.5 * COMPARABLE;
 /// Angles across the loop closure that agree differ by less from their median, radians.
-/// Source: chosen by hand, never measured.
+/// Source: derived; ten times what matches of one pair leave of an angle (docs/decisions/10).
 const AGREE_WITHIN: f64 = 0.01;
-/// Errors of steps are evened out over so much of a turn on either side, radians.
-/// Source: chosen by hand, never measured.
-const EVEN_WITHIN: f64 = 0.3;
 
 /// Followed points and features together, and the turn they are to be adjusted from.
 pub(crate) struct ClosedVideo {
@@ -86,14 +81,14 @@ impl VideoJob<'_> {
         let range = high - low;
         let mut closure = Decision::new(Subject::VideoMotion, true, Rule::Evidence)
             .measured(Quantity::RotationRange, range.to_degrees());
-        let evidence = if range < CLOSED_FROM {
+        let evidence = if range < TAU - 2.0 * COMPARABLE {
             LoopEvidence::default()
         } else {
             self.loop_evidence(keys, &input, &joined)?
         };
         let AxisModel { mut turn, state, .. } = joined;
         let Some(stretch) = evidence.stretch() else {
-            let why = if range < CLOSED_FROM { Remark::NoLoop } else { Remark::LoopNotObserved };
+            let why = if range < TAU - 2.0 * COMPARABLE { Remark::NoLoop } else { Remark::LoopNotObserved };
             let closure = closure.remarked(why);
             return Ok(ClosedVideo { material, turn, cameras: state.cameras, closing: None, closure });
         };
@@ -204,7 +199,7 @@ fn closure_error(model: &AxisModel, input: &MappingInput<'_>, g: &TwoViewGeometr
     if seen.len() < LEAST_OBSERVATIONS {
         return None;
     }
-    let found = resect_angle(&model.state.cameras[0], &model.turn.axis, &seen, b, PAIR_SPAN);
+    let found = resect_angle(&model.state.cameras[0], &model.turn.axis, &seen, b, NEARBY);
     (found.inliers >= LEAST_OBSERVATIONS && is_majority(found.inliers, found.asked))
         .then(|| LoopGap { missing: wrap_angle(found.angle - b), angle: b - a })
 }
@@ -215,7 +210,7 @@ fn even_out(known: &[TimedAngle]) -> Vec<TimedAngle> {
     for own in known {
         let near: Vec<DVec2> = known
             .iter()
-            .filter(|k| (k.angle - own.angle).abs() <= EVEN_WITHIN)
+            .filter(|k| (k.angle - own.angle).abs() <= NEARBY)
             .map(|k| DVec2::new(k.time - own.time, k.angle - own.angle))
             .collect();
         let mean = near.iter().sum::<DVec2>() / near.len() as f64;

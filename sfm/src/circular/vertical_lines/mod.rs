@@ -17,7 +17,7 @@ pub(crate) use edges::Segment;
 use super::axis::Elevation;
 use super::motion::CircularMotion;
 use crate::SfmError;
-use crate::model_selection::camera::{PRINCIPAL_POINT_SIGMA, convert_camera};
+use crate::model_selection::camera::{DISTORTION_SIGMA, PRINCIPAL_POINT_SIGMA, convert_camera};
 use crate::solvers::linalg::{moments, symmetric_eigen};
 use crate::statistics::{MEDIAN_DEVIATION, median};
 use glam::DVec3;
@@ -40,31 +40,15 @@ const SHARE: f64 = 0.3;
 /// Of the others most lean by little, for things are set up askew, radians.
 /// Source: chosen by hand, never measured.
 const ASKEW: f64 = 2.0 * PI / 180.0;
-/// The share of those; the rest leans by anything that is looked at.
-/// Source: chosen by hand, never measured.
-const ASKEW_SHARE: f64 = 0.7;
 /// Lines that lean by more are not looked at, radians.
 /// Source: chosen by hand, never measured.
 const MOST_LEAN: f64 = 7.0 * PI / 180.0;
-/// Lines that say less of the axis are not looked at, radians.
-/// Source: chosen by hand, never measured.
-const VAGUE: f64 = 1.5 * PI / 180.0;
 /// Steps between the leans that are tried, radians, a thousand to each side.
 /// Source: chosen by hand, a tenth of the accuracy of docs/decisions/11.
 const STEP: f64 = 0.01 * PI / 180.0;
 /// Log of the odds, against lines of which none is vertical, at which it is believed.
 /// Source: docs/decisions/11, e² let two rooms in that e⁴ left out.
 const CLEAR: f64 = 2.0;
-/// It is not believed if it leaves more than this, radians.
-/// Source: docs/decisions/11, 0.6 degrees let rooms in that 0.4 left out.
-const LOOSE: f64 = 0.6 * PI / 180.0;
-/// Distortions are tried up to five such steps to each side: what the first term changes half an
-/// image side from the centre, as a share.
-/// Source: chosen by hand, never measured.
-const BEND_STEP: f64 = 0.005;
-/// The standard deviation of that.
-/// Source: chosen by hand, never measured.
-const BEND_SIGMA: f64 = 0.012;
 
 /// What one line says: by how much the axis leans towards the camera from where it is thought to
 /// be.
@@ -101,7 +85,7 @@ pub(crate) fn elevation(segments: &[Segment], camera: &Camera, turn: &CircularMo
     let votes = &bends[found.bend].1;
     let both =
         [1.0, -1.0].map(|side| votes.iter().filter(|v| v.lever * side > 0.0 && v.agrees(found.lean)).count());
-    if found.log_odds < CLEAR || found.sigma > LOOSE || both.contains(&0) {
+    if found.log_odds < CLEAR || found.sigma > 5.0 * VERTICAL_SIGMA || both.contains(&0) {
         return None;
     }
     let leaning = up * found.lean.cos() + side.cross(up) * found.lean.sin();
@@ -131,7 +115,7 @@ fn vote(segment: &Segment, camera: &Camera, up: DVec3, side: DVec3) -> Option<Vo
     let (normal, seen) = plane_of(segment.points.iter().map(|p| camera.ray(*p)).collect())?;
     let (across, lever) = (normal.dot(up), normal.dot(side.cross(up)));
     let sigma = seen.hypot(VERTICAL_SIGMA);
-    let usable = across.abs() < MOST_LEAN.sin() && sigma < VAGUE * lever.abs() && sigma.is_finite();
+    let usable = across.abs() < MOST_LEAN.sin() && sigma < ASKEW * lever.abs() && sigma.is_finite();
     // The normal points to one side: levers of lines left and right of the axis differ in sign.
     let right = if normal.dot(side) < 0.0 { -1.0 } else { 1.0 };
     usable.then(|| Vote { lean: (-across / lever).atan(), lever: lever * right, sigma })
@@ -173,10 +157,10 @@ fn with_distortions(camera: &Camera) -> impl Iterator<Item = (f64, Camera)> + us
     let side = f64::from(camera.width.max(camera.height));
     let shrink = (2.0 * camera.mean_focal() / side).powi(2);
     (-5..=5).map(move |k| {
-        let share = f64::from(k) * BEND_STEP;
+        let share = 0.5 * f64::from(k) * DISTORTION_SIGMA;
         let mut other = distorted.clone();
         other.params[first] += share * shrink;
-        (-0.5 * (share / BEND_SIGMA).powi(2), other)
+        (-0.5 * (share / DISTORTION_SIGMA).powi(2), other)
     })
 }
 
@@ -226,8 +210,8 @@ fn gauss(x: f64, sigma: f64) -> f64 {
 fn log_odds(votes: &[Vote], lean: f64) -> f64 {
     let mut sum = 0.0;
     for v in votes {
-        let askew = ASKEW_SHARE * gauss(v.lean * v.lever, ASKEW.hypot(v.sigma));
-        let others = askew + (1.0 - ASKEW_SHARE) / (2.0 * MOST_LEAN);
+        let askew = (1.0 - SHARE) * gauss(v.lean * v.lever, ASKEW.hypot(v.sigma));
+        let others = askew + SHARE / (2.0 * MOST_LEAN);
         let vertical = gauss((lean - v.lean) * v.lever, v.sigma);
         sum += (SHARE * vertical / others + 1.0 - SHARE).ln();
     }
