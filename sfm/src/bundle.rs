@@ -7,7 +7,7 @@
 mod adjustable;
 mod points;
 
-pub use adjustable::Adjustable;
+pub(crate) use adjustable::Adjustable;
 
 use crate::SfmError;
 use crate::ceres::{self, BundleInput, BundleState};
@@ -17,7 +17,7 @@ use scene::{Camera, Pose, Progress};
 
 /// How residuals are weighed.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub enum RobustLoss {
+pub(crate) enum RobustLoss {
     /// `r²`
     #[default]
     Squared,
@@ -29,7 +29,7 @@ pub enum RobustLoss {
 
 /// When to stop, and how to weigh residuals.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct SolveOptions {
+pub(crate) struct SolveOptions {
     /// Loss; its scale in standard deviations of the observations.
     pub loss: RobustLoss,
     /// Most iterations.
@@ -57,7 +57,7 @@ impl Default for SolveOptions {
 
 /// One observation of a point by a pose.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct BundleObservation {
+pub(crate) struct BundleObservation {
     /// Index of the pose.
     pub pose: u32,
     /// Index of the point.
@@ -70,7 +70,7 @@ pub struct BundleObservation {
 
 /// What is known of an intrinsic parameter beforehand.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct IntrinsicsPrior {
+pub(crate) struct IntrinsicsPrior {
     /// Index of the camera.
     pub camera: usize,
     /// Index of the parameter, in the model's order.
@@ -83,7 +83,7 @@ pub struct IntrinsicsPrior {
 
 /// An adjustment in plain arrays.
 #[derive(Clone, Debug, Default)]
-pub struct BundleProblem {
+pub(crate) struct BundleProblem {
     /// Cameras.
     pub cameras: Vec<Camera>,
     /// For each camera, which of its parameters are solved for.
@@ -106,7 +106,7 @@ pub struct BundleProblem {
 
 /// What an adjustment did.
 #[derive(Clone, Debug, Default, PartialEq)]
-pub struct BundleSummary {
+pub(crate) struct BundleSummary {
     /// Root mean square of the weighted residual length before (robust cost).
     pub initial_rms: f64,
     /// The same after.
@@ -123,7 +123,7 @@ pub struct BundleSummary {
 
 /// Covariances from the normal equations, for observations with the given standard deviations.
 #[derive(Clone, Debug, Default)]
-pub struct BundleCovariance {
+pub(crate) struct BundleCovariance {
     /// For each camera: row-major over its parameters, 0 where held.
     pub cameras: Vec<Vec<f64>>,
     /// For each pose: standard deviations of the rotation about the camera's axes (radians) and of the camera centre
@@ -133,7 +133,11 @@ pub struct BundleCovariance {
 
 impl BundleProblem {
     /// Minimises in place. An unusable result leaves everything as it was (`usable` is false then).
-    pub fn solve(&mut self, options: &SolveOptions, progress: &Progress) -> Result<BundleSummary, SfmError> {
+    pub(crate) fn solve(
+        &mut self,
+        options: &SolveOptions,
+        progress: &Progress,
+    ) -> Result<BundleSummary, SfmError> {
         let frame = SceneNormalisation::of(self);
         let input = self.input(options, &frame);
         if input.weights.is_empty() {
@@ -161,7 +165,7 @@ impl BundleProblem {
     }
 
     /// Standard deviations of poses and intrinsics; `None` where the observations do not determine them.
-    pub fn covariance(&self, options: &SolveOptions) -> Result<Option<BundleCovariance>, SfmError> {
+    pub(crate) fn covariance(&self, options: &SolveOptions) -> Result<Option<BundleCovariance>, SfmError> {
         let frame = SceneNormalisation::of(self);
         let input = self.input(options, &frame);
         if input.weights.is_empty() {
@@ -184,7 +188,10 @@ impl BundleProblem {
 
     /// Information (inverse covariance) of all free intrinsics jointly after poses and points are eliminated, row-major
     /// over the free parameters of all cameras in their order, without the priors; `None` where that cannot be done.
-    pub fn intrinsics_information(&self, options: &SolveOptions) -> Result<Option<Vec<f64>>, SfmError> {
+    pub(crate) fn intrinsics_information(
+        &self,
+        options: &SolveOptions,
+    ) -> Result<Option<Vec<f64>>, SfmError> {
         let frame = SceneNormalisation::of(self);
         let input = self.input(options, &frame);
         if input.weights.is_empty() {
@@ -349,7 +356,12 @@ impl SceneNormalisation {
 }
 
 /// Which parameters of a camera are solved for.
-pub fn free_parameters(camera: &Camera, focal: bool, principal_point: bool, distortion: bool) -> Vec<bool> {
+pub(crate) fn free_parameters(
+    camera: &Camera,
+    focal: bool,
+    principal_point: bool,
+    distortion: bool,
+) -> Vec<bool> {
     let n = camera.model.num_focals();
     (0..camera.params.len())
         .map(|i| {

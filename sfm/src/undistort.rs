@@ -60,7 +60,7 @@ pub fn undistort(
 }
 
 /// The PINHOLE camera whose image is the largest rectangle inside the undistorted image of `camera`.
-pub fn pinhole(camera: &Camera) -> Camera {
+pub(crate) fn pinhole(camera: &Camera) -> Camera {
     let (focal, size) = (camera.focal(), DVec2::new(f64::from(camera.width), f64::from(camera.height)));
     let centre = camera.principal_point();
     let new = |width: u32, height: u32, c: DVec2| Camera {

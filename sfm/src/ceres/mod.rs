@@ -12,10 +12,11 @@ fn is_cancelled(monitor: &Monitor<'_>) -> bool {
 }
 
 #[cxx::bridge(namespace = "sat_recon")]
+#[allow(unreachable_pub)] // the code that cxx makes of shared types
 mod ffi {
     /// A bundle adjustment problem apart from the values that change. P poses, N points, M observations.
     #[derive(Clone, Debug, Default)]
-    pub struct BundleInput {
+    pub(crate) struct BundleInput {
         /// COLMAP model number of each camera.
         pub camera_models: Vec<i32>,
         /// Index of each camera's first parameter in the arrays over intrinsics.
@@ -56,7 +57,7 @@ mod ffi {
 
     /// What became of it.
     #[derive(Clone, Debug, Default)]
-    pub struct BundleOutcome {
+    pub(crate) struct BundleOutcome {
         /// ½ Σ ρ before.
         pub initial_cost: f64,
         /// ½ Σ ρ after.
@@ -75,7 +76,7 @@ mod ffi {
 
     /// A motion about one axis: a bundle adjustment whose poses are `D_i (R Z(θ_i) X + t)`. P frames.
     #[derive(Clone, Debug, Default)]
-    pub struct CircularInput {
+    pub(crate) struct CircularInput {
         /// Cameras, points, observations and options; its `pose_held` is not used.
         pub bundle: BundleInput,
         /// Whether R and t are held.
@@ -104,7 +105,7 @@ mod ffi {
 
     /// Bearings from P cameras to N points, M of them; rotations are known.
     #[derive(Clone, Debug, Default)]
-    pub struct PositionInput {
+    pub(crate) struct PositionInput {
         /// [M] camera of each bearing.
         pub observation_camera: Vec<u32>,
         /// [M] point of each bearing.

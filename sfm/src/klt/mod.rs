@@ -51,7 +51,7 @@ const CORRELATION: f64 = 0.85;
 
 /// A point followed through consecutive frames.
 #[derive(Clone, Debug, PartialEq)]
-pub struct KltTrack {
+pub(crate) struct KltTrack {
     /// The first frame.
     pub first: usize,
     /// Its place there and in the frames after it, pixels.
@@ -90,7 +90,11 @@ fn take_if_free(taken: &mut Vec<DVec2>, place: DVec2) -> bool {
 /// Follows corners through all frames of a video, in their order; tracks of at least three frames.
 /// Corners in the black of a mask are neither begun nor followed. Does not depend on the number of
 /// threads.
-pub fn track(frames: &FrameSet, config: &KltConfig, progress: &Progress) -> Result<Vec<KltTrack>, SfmError> {
+pub(crate) fn track(
+    frames: &FrameSet,
+    config: &KltConfig,
+    progress: &Progress,
+) -> Result<Vec<KltTrack>, SfmError> {
     progress.begin("tracks", frames.len());
     let mut tracker = Tracker::new(config);
     let mut frame = 0;

@@ -19,7 +19,7 @@ pub(crate) struct PyramidLevel {
 
 impl PyramidLevel {
     /// Smoothed by the binomial 1 2 1 in both directions, which halves the noise and costs little detail.
-    pub fn smooth(image: &FloatImage) -> Self {
+    pub(crate) fn smooth(image: &FloatImage) -> Self {
         let (width, height) = (image.width, image.height);
         let source: Vec<f32> = image.data.iter().step_by(image.channels.max(1)).copied().collect();
         let mut across = vec![0.0; width * height];
@@ -47,7 +47,7 @@ impl PyramidLevel {
 
     /// Half the size: 1 3 3 1 in both directions about the corner that four pixels share, so that
     /// positions are exactly halved where pixel centres are at halves.
-    pub fn halve(&self) -> Self {
+    pub(crate) fn halve(&self) -> Self {
         let (width, height) = (self.width / 2, self.height / 2);
         let mut across = vec![0.0; width * self.height];
         for (y, out) in across.chunks_exact_mut(width.max(1)).enumerate().take(self.height) {
@@ -140,7 +140,7 @@ pub(crate) struct Pyramid {
 }
 
 impl Pyramid {
-    pub fn new(image: &FloatImage, levels: usize) -> Self {
+    pub(crate) fn new(image: &FloatImage, levels: usize) -> Self {
         let mut all = vec![PyramidLevel::smooth(image)];
         while all.len() < levels.max(1) {
             let next = all[all.len() - 1].halve();

@@ -60,8 +60,9 @@ fn one_way(
         // The lowest index wins among equals, whatever the order of the cells.
         let &(best, j) = near.iter().max_by_key(|&&(dot, j)| (dot, std::cmp::Reverse(j)))?;
         let place = to.0.keypoints[j as usize].position();
-        let elsewhere =
-            near.iter().filter(|(_, k)| to.0.keypoints[*k as usize].position().distance(place) > SAME_SPOT_PX);
+        let elsewhere = near
+            .iter()
+            .filter(|(_, k)| to.0.keypoints[*k as usize].position().distance(place) > SAME_SPOT_PX);
         let second = elsewhere.map(|&(dot, _)| dot).max().unwrap_or(0);
         let d2 = squared_distance(best);
         (d2 <= max2 && d2 < ratio2 * squared_distance(second)).then_some(j)

@@ -48,7 +48,9 @@ impl PreparedFeatures {
         let len = features.len();
         let padded = len.next_multiple_of(4 * PANEL);
         let mut rows = vec![0; padded * Features::DIM];
-        for (row, descriptor) in rows.chunks_exact_mut(Features::DIM).zip(features.descriptors.chunks_exact(Features::DIM)) {
+        for (row, descriptor) in
+            rows.chunks_exact_mut(Features::DIM).zip(features.descriptors.chunks_exact(Features::DIM))
+        {
             let norm = descriptor.iter().map(|&d| f32::from(d).powi(2)).sum::<f32>().sqrt();
             let scale = if norm > 0.0 { NORM / norm } else { 0.0 };
             for (r, &d) in row.iter_mut().zip(descriptor) {

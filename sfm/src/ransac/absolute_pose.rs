@@ -58,7 +58,7 @@ impl Estimator for AbsolutePoseEstimator {
 
 /// `cam_from_world` of a camera from pixels and the world points they see; the inliers are indices into both.
 /// Pairs with a number that is not finite are outliers. The threshold of `config` is in pixels.
-pub fn estimate_absolute_pose(
+pub(crate) fn estimate_absolute_pose(
     camera: &Camera,
     pixels: &[DVec2],
     points: &[DVec3],

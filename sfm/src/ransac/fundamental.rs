@@ -6,7 +6,7 @@ use glam::{DMat3, DVec2};
 
 /// Finds `F` with `bᵀ F a = 0`. Points and threshold have the same unit and should be of the order of 1 (divide
 /// pixels of both images by one number); the residual is Sampson's.
-pub struct FundamentalEstimator {
+pub(crate) struct FundamentalEstimator {
     /// Points of image a.
     pub a: Vec<DVec2>,
     /// Points of image b.

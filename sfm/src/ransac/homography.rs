@@ -9,7 +9,7 @@ pub type HomographyModel = (DMat3, DMat3);
 
 /// Finds `H` with `b ~ H a`. Points and threshold have the same unit; the residual is the larger of the two
 /// transfer errors.
-pub struct HomographyEstimator {
+pub(crate) struct HomographyEstimator {
     /// Points of image a.
     pub a: Vec<DVec2>,
     /// Points of image b.

@@ -5,16 +5,16 @@ mod essential;
 mod fundamental;
 mod homography;
 
-pub use absolute_pose::estimate_absolute_pose;
-pub use essential::{EssentialEstimator, EssentialModel};
-pub use fundamental::FundamentalEstimator;
-pub use homography::HomographyEstimator;
+pub(crate) use absolute_pose::estimate_absolute_pose;
+pub(crate) use essential::{EssentialEstimator, EssentialModel};
+pub(crate) use fundamental::FundamentalEstimator;
+pub(crate) use homography::HomographyEstimator;
 
 use rand::Rng as _;
 use scene::rng::rng;
 
 /// A model that can be found from a minimal sample, scored and refined.
-pub trait Estimator {
+pub(crate) trait Estimator {
     /// What is estimated.
     type Model: Clone;
     /// Data that a minimal sample holds.
@@ -31,7 +31,7 @@ pub trait Estimator {
 
 /// How long to search, and what counts as an inlier.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct RansacConfig {
+pub(crate) struct RansacConfig {
     /// Largest residual of an inlier, in the estimator's unit.
     pub threshold: f64,
     /// Probability with which at least one sample without outliers shall have been drawn.
@@ -66,7 +66,7 @@ impl Default for RansacConfig {
 
 /// The best model found.
 #[derive(Clone, Debug)]
-pub struct RansacResult<M> {
+pub(crate) struct RansacResult<M> {
     /// The model, refined on its inliers.
     pub model: M,
     /// Data within the threshold, ascending.
@@ -80,7 +80,7 @@ pub struct RansacResult<M> {
 /// enough samples have been drawn for the inlier ratio found. Candidates that exceed the best cost are dropped
 /// half-way. The result depends on the data, the configuration and `stream_index` only. `None` if no model has
 /// `min_inliers`.
-pub fn ransac<E: Estimator>(
+pub(crate) fn ransac<E: Estimator>(
     estimator: &E,
     config: &RansacConfig,
     stream_index: u64,

@@ -217,14 +217,7 @@ dispatch! {
 /// Bilinear samples at `(x, y) + R(angle) spacing (i, j)`, centred; positions beyond the border take
 /// its value.
 #[inline(always)]
-fn sample_patch(
-    level: &LumaPlane,
-    x: f32,
-    y: f32,
-    spacing: f32,
-    angle: f32,
-    patch: &mut DescriptorPatch,
-) {
+fn sample_patch(level: &LumaPlane, x: f32, y: f32, spacing: f32, angle: f32, patch: &mut DescriptorPatch) {
     let (s, c) = (angle.sin() * spacing, angle.cos() * spacing);
     // Just inside the last sample, so that both neighbours exist.
     let (max_x, max_y) = (level.width as f32 - 1.001, level.height as f32 - 1.001);

@@ -47,7 +47,8 @@ pub fn extrema(octave: &Octave, edge_ratio: f32, threshold: impl Fn(usize) -> f3
     for y in BORDER..h - BORDER {
         fill(octave, y + 1, &mut ring);
         for level in 1..=octave.scales {
-            let rows = std::array::from_fn(|i| ring[(level + i / 3 - 1) * 3 + (y + i % 3 + 2) % 3].as_slice());
+            let rows =
+                std::array::from_fn(|i| ring[(level + i / 3 - 1) * 3 + (y + i % 3 + 2) % 3].as_slice());
             candidates.clear();
             scan_row(&rows, FIRST_LOOK * thresholds[level], &mut candidates);
             for &x in &candidates {
@@ -203,7 +204,8 @@ fn top_in_plane(octave: &Octave, x: usize, y: usize, level: usize, offset: f32) 
     let mut v = [[0.0_f32; 3]; 3];
     for (j, row) in v.iter_mut().enumerate() {
         for (i, v) in row.iter_mut().enumerate() {
-            let [below, here, above] = [0, 1, 2].map(|s| sign * octave.dog(level + s - 1, x + i - 1, y + j - 1));
+            let [below, here, above] =
+                [0, 1, 2].map(|s| sign * octave.dog(level + s - 1, x + i - 1, y + j - 1));
             let value = here + offset * ((above - below) + offset * (above + below - 2.0 * here)) / 2.0;
             if value <= 0.0 {
                 return None;

@@ -24,7 +24,8 @@ pub fn strongest_everywhere(candidates: &[Candidate], most: usize, size: [f32; 2
         .into_iter()
         .map(|i| {
             let k = &candidates[i].keypoint;
-            let [column, row] = [k.x / size[0], k.y / size[1]].map(|v| ((v * CELLS as f32) as usize).min(CELLS - 1));
+            let [column, row] =
+                [k.x / size[0], k.y / size[1]].map(|v| ((v * CELLS as f32) as usize).min(CELLS - 1));
             let count = &mut taken[row * CELLS + column];
             *count += 1;
             (*count, i)

@@ -8,7 +8,7 @@ use scene::Pose;
 /// of the smallest `‖δa‖² + ‖δb‖²` that satisfies it, in the unit of the points squared. Hartley & Zisserman
 /// (2nd ed.), eq. 11.9. Infinite where the gradient vanishes.
 #[inline]
-pub fn sampson_sq(f: &DMat3, a: DVec2, b: DVec2) -> f64 {
+pub(crate) fn sampson_sq(f: &DMat3, a: DVec2, b: DVec2) -> f64 {
     let fa = f.x_axis * a.x + f.y_axis * a.y + f.z_axis;
     let (bx, by) =
         (f.x_axis.x * b.x + f.x_axis.y * b.y + f.x_axis.z, f.y_axis.x * b.x + f.y_axis.y * b.y + f.y_axis.z);
@@ -19,13 +19,13 @@ pub fn sampson_sq(f: &DMat3, a: DVec2, b: DVec2) -> f64 {
 
 /// Squared transfer error `‖b − H a‖²`; infinite where `H a` is at or behind the plane at infinity.
 #[inline]
-pub fn transfer_sq(h: &DMat3, a: DVec2, b: DVec2) -> f64 {
+pub(crate) fn transfer_sq(h: &DMat3, a: DVec2, b: DVec2) -> f64 {
     let p = h.x_axis * a.x + h.y_axis * a.y + h.z_axis;
     if p.z > 0.0 { (p.truncate() / p.z).distance_squared(b) } else { f64::INFINITY }
 }
 
 /// `E = [t]× R` of a relative pose; zero for a pure rotation.
-pub fn essential_from_pose(b_from_a: &Pose) -> DMat3 {
+pub(crate) fn essential_from_pose(b_from_a: &Pose) -> DMat3 {
     skew(b_from_a.translation) * b_from_a.matrix()
 }
 

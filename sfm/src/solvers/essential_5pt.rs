@@ -12,7 +12,7 @@ type Cubic = [f64; 20]; // x³ y³ x²y xy² x²z x² y²z y² xyz xy | xz² xz 
 /// Essential matrices with `b_iᵀ E a_i = 0` (at most ten, Frobenius norm √2): none where the five pairs do not
 /// determine finitely many. Rays of any length, camera frames. Nistér, "An Efficient Solution to the Five-Point
 /// Relative Pose Problem", PAMI 2004 (§3.1–3.2.3; roots by [`super::polynomial::real_roots`] instead of Sturm chains). Not refined.
-pub fn essential_5pt(a: &[DVec3; 5], b: &[DVec3; 5]) -> Vec<DMat3> {
+pub(crate) fn essential_5pt(a: &[DVec3; 5], b: &[DVec3; 5]) -> Vec<DMat3> {
     let rows: [[f64; 9]; 5] = std::array::from_fn(|i| {
         let (a, b) = (a[i].normalize_or_zero().to_array(), b[i].normalize_or_zero().to_array());
         std::array::from_fn(|k| b[k / 3] * a[k % 3])

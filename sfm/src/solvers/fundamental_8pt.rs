@@ -38,7 +38,7 @@ impl Normaliser {
 /// The fundamental matrix (rank 2, unit Frobenius norm) that minimises the algebraic error of
 /// `b_iᵀ F a_i = 0` in normalised coordinates; `None` below eight pairs or where they do not determine
 /// it. Hartley 1997.
-pub fn fundamental_8pt(a: &[DVec2], b: &[DVec2]) -> Option<DMat3> {
+pub(crate) fn fundamental_8pt(a: &[DVec2], b: &[DVec2]) -> Option<DMat3> {
     let n = a.len().min(b.len());
     if n < 8 {
         return None;
@@ -85,8 +85,7 @@ mod tests {
                 let change = |p: &DVec2| *p * scale + DVec2::splat(shift);
                 let a: Vec<DVec2> = s.a.iter().map(change).collect();
                 let b: Vec<DVec2> = s.b.iter().map(change).collect();
-                let f =
-                    fundamental_8pt(&a, &b).unwrap_or_else(|| panic!("seed {seed} {scale} {shift}"));
+                let f = fundamental_8pt(&a, &b).unwrap_or_else(|| panic!("seed {seed} {scale} {shift}"));
                 let worst = a.iter().zip(&b).map(|(a, b)| sampson_sq(&f, *a, *b)).fold(0.0, f64::max).sqrt();
                 let rounding = 1e-7 * shift; // f of pixels around 1e7 keeps half of the digits
                 assert!(worst < 1e-7 * scale + rounding, "seed {seed} {scale} {shift}: {worst}");

@@ -133,10 +133,9 @@ fn decompositions_hold_the_motions_of_opencv() {
         for motion in expected {
             let rotation = scene::Pose::from_matrix(matrix(&motion["rotation"]), DVec3::ZERO).rotation;
             let t = DVec3::from_slice(&numbers(&motion["translation"]));
-            let hit = motions.iter().any(|m| {
-                rotation_angle(m.rotation, rotation) < 1e-6
-                    && m.translation.distance(t) < 1e-6
-            });
+            let hit = motions
+                .iter()
+                .any(|m| rotation_angle(m.rotation, rotation) < 1e-6 && m.translation.distance(t) < 1e-6);
             assert!(hit, "case {i}");
         }
     }

@@ -9,7 +9,7 @@ use scene::Pose;
 /// `rays`: unit vectors, camera frame. `points`: world frame, scene units. Each result is a `cam_from_world`.
 /// Persson & Nordberg, "Lambda Twist", ECCV 2018; like Ding et al., "Revisiting the P3P Problem", CVPR 2023, it
 /// intersects two conics by way of a degenerate one of their pencil. The depths are polished, the pose is not.
-pub fn p3p(rays: &[DVec3; 3], points: &[DVec3; 3]) -> Vec<Pose> {
+pub(crate) fn p3p(rays: &[DVec3; 3], points: &[DVec3; 3]) -> Vec<Pose> {
     let mut poses = Vec::with_capacity(4);
     let unit = rays.map(DVec3::normalize_or_zero);
     let sides = [points[0] - points[1], points[0] - points[2], points[1] - points[2]];

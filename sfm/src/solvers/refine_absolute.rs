@@ -6,7 +6,7 @@ use scene::Pose;
 
 /// A refined camera.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct AbsoluteRefinement {
+pub(crate) struct AbsoluteRefinement {
     /// `cam_from_world`.
     pub pose: Pose,
     /// Focal length, pixels.
@@ -17,7 +17,7 @@ pub struct AbsoluteRefinement {
 /// `indices`. `pixels`: ideal (undistorted) pixels from the principal point; `points`: world. Six unknowns, or
 /// seven with `free_focal`. Points behind the starting camera are left out. The start is returned where nothing
 /// is better.
-pub fn refine_absolute(
+pub(crate) fn refine_absolute(
     start: AbsoluteRefinement,
     pixels: &[DVec2],
     points: &[DVec3],

@@ -7,7 +7,7 @@ use scene::Pose;
 
 /// The pairs to fit: `indices` into `a` and `b`.
 #[derive(Clone, Copy)]
-pub struct Pairs<'a> {
+pub(crate) struct Pairs<'a> {
     /// Points of image a.
     pub a: &'a [DVec2],
     /// Points of image b.
@@ -19,7 +19,7 @@ pub struct Pairs<'a> {
 /// The relative pose (unit translation) near `b_from_a` that minimises Cauchy's loss, of width `scale`, of the
 /// Sampson error. Points: ideal pixels from the principal point; `focal`: pixels, of a and of b. Five unknowns:
 /// a rotation vector and two on the sphere of translations. The start is returned where nothing is better.
-pub fn refine_relative(
+pub(crate) fn refine_relative(
     b_from_a: &Pose,
     focal: [f64; 2],
     pairs: Pairs,
@@ -51,7 +51,12 @@ pub fn refine_relative(
 /// The fundamental matrix (rank 2, unit norm) near `f` that minimises the same loss in the unit of the points.
 /// Seven unknowns, `F = U diag(cos θ, sin θ, 0) Vᵀ`: Bartoli & Sturm, "Nonlinear Estimation of the Fundamental
 /// Matrix with Minimal Parameters", PAMI 2004. The points should be of the order of 1 to 1000.
-pub fn refine_fundamental(f: &DMat3, pairs: Pairs, scale: f64, max_iterations: usize) -> Option<DMat3> {
+pub(crate) fn refine_fundamental(
+    f: &DMat3,
+    pairs: Pairs,
+    scale: f64,
+    max_iterations: usize,
+) -> Option<DMat3> {
     let (u, s, v) = svd3(&nearest_rank2(f)?);
     let (u, v) = (u * u.determinant().signum(), v * v.determinant().signum());
     let matrix = |u: &DMat3, d: DVec3, v: &DMat3| *u * DMat3::from_diagonal(d) * v.transpose();

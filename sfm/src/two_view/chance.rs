@@ -48,7 +48,9 @@ pub(crate) fn log10_false_alarms(
             Constraint::Point => std::f64::consts::PI * residual / (extent.x * extent.y),
         };
         let chance = share.min(1.0).log10() * (k - sample_size) as f64;
-        let count = (models * (n - sample_size) as f64).log10() + choose(&factorial, n, k) + choose(&factorial, k, sample_size);
+        let count = (models * (n - sample_size) as f64).log10()
+            + choose(&factorial, n, k)
+            + choose(&factorial, k, sample_size);
         least = least.min(count + chance);
     }
     least

@@ -117,7 +117,8 @@ impl TwoViewModels {
             log10_false_alarms(&squared, &all.b, Constraint::Line, 5, 10.0, limit)
         });
         let h = self.homography.as_ref().map(|m| {
-            let squared: Vec<f64> = each.clone().map(|i| unit * transfer_sq(&m.model.0, a[i], b[i])).collect();
+            let squared: Vec<f64> =
+                each.clone().map(|i| unit * transfer_sq(&m.model.0, a[i], b[i])).collect();
             log10_false_alarms(&squared, &all.b, Constraint::Point, 4, 1.0, limit)
         });
         [f, e, h].into_iter().flatten().fold(f64::INFINITY, f64::min)

@@ -2,11 +2,11 @@
 
 use super::correspondences::{Correspondences, scaling};
 use crate::solvers::linalg::svd3;
-use crate::statistics::median;
 use crate::solvers::{
     Pairs, cheirality, essential_from_pose, motions_from_homography, pose_from_essential, refine_relative,
     sampson_sq,
 };
+use crate::statistics::median;
 use glam::{DMat3, DQuat, DVec3};
 use scene::Pose;
 

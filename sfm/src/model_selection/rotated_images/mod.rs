@@ -29,23 +29,23 @@ const NEARLY_AS_GOOD: f64 = 0.9;
 const DIRECTIONS: usize = 8;
 
 /// How many of `images` images are asked together.
-pub fn group_size(images: usize) -> usize {
+pub(crate) fn group_size(images: usize) -> usize {
     if images > JOINT_IMAGES { windows::WINDOW } else { images }
 }
 
 /// A pixel of the rotated image.
-pub fn rotate_pixel(camera: &Camera, pixel: DVec2) -> DVec2 {
+pub(crate) fn rotate_pixel(camera: &Camera, pixel: DVec2) -> DVec2 {
     DVec2::new(f64::from(camera.width), f64::from(camera.height)) - pixel
 }
 
 /// The pose of the rotated camera.
-pub fn rotate_pose(pose: &Pose) -> Pose {
+pub(crate) fn rotate_pose(pose: &Pose) -> Pose {
     let turn = DQuat::from_xyzw(0.0, 0.0, 1.0, 0.0);
     Pose { rotation: (turn * pose.rotation).normalize(), translation: turn * pose.translation }
 }
 
 /// The camera of the rotated image: principal point mirrored, tangential distortion of the other sign.
-pub fn rotate_camera(camera: &Camera) -> Camera {
+pub(crate) fn rotate_camera(camera: &Camera) -> Camera {
     let mut rotated = camera.clone();
     let n = camera.model.num_focals();
     let p = rotate_pixel(camera, camera.principal_point());
@@ -57,7 +57,7 @@ pub fn rotate_camera(camera: &Camera) -> Camera {
 }
 
 /// The geometry of a pair of which the first, the second or both images are rotated.
-pub fn rotate_geometry(geometry: &mut TwoViewGeometry, cameras: [&Camera; 2], rotated: [bool; 2]) {
+pub(crate) fn rotate_geometry(geometry: &mut TwoViewGeometry, cameras: [&Camera; 2], rotated: [bool; 2]) {
     let of_pixels = |i: usize| {
         let (w, h) = (f64::from(cameras[i].width), f64::from(cameras[i].height));
         let matrix = DMat3::from_cols(-DVec3::X, -DVec3::Y, DVec3::new(w, h, 1.0));
@@ -78,7 +78,7 @@ pub fn rotate_geometry(geometry: &mut TwoViewGeometry, cameras: [&Camera; 2], ro
 }
 
 /// The same adjustment with some images rotated.
-pub fn rotate_problem(problem: &BundleProblem, rotated: &[bool]) -> BundleProblem {
+pub(crate) fn rotate_problem(problem: &BundleProblem, rotated: &[bool]) -> BundleProblem {
     let mut result = problem.clone();
     for (pose, _) in result.poses.iter_mut().zip(rotated).filter(|(_, t)| **t) {
         *pose = rotate_pose(pose);
@@ -97,7 +97,7 @@ pub fn rotate_problem(problem: &BundleProblem, rotated: &[bool]) -> BundleProble
 /// Every image gets a principal point `c + δᵢ` of its own. Their joint information, after poses and points are
 /// eliminated, says what any assignment of signs `δᵢ = ±d` costs; good ones are found by local search. More than
 /// `JOINT_IMAGES` are asked in windows, for one assignment at most.
-pub fn suspects(
+pub(crate) fn suspects(
     problem: &BundleProblem,
     known: &[Knowledge],
     progress: &Progress,
