@@ -1,8 +1,8 @@
 //! Bundle adjustment: poses, intrinsics and points that fit all observations best.
 //!
 //! The scene is moved to its median and scaled to unit size before it is solved, so that units and
-//! the place of the origin do not matter (Triggs et al., "Bundle adjustment: a modern synthesis", 1999,
-//! on scaling and gauge).
+//! the place of the origin do not matter (Triggs et al., "Bundle adjustment: a modern synthesis",
+//! 1999, on scaling and gauge).
 
 mod adjustable;
 mod points;
@@ -38,8 +38,9 @@ pub(crate) struct SolveOptions {
     pub function_tolerance: f64,
     /// Relative change of the parameters at which to stop.
     pub parameter_tolerance: f64,
-    /// Whether points first settle alone (turns under Cauchy's loss only). Near the end that saves steps;
-    /// far from it, observations across a joint that is still wrong might be taken for outliers.
+    /// Whether points first settle alone (turns under Cauchy's loss only). Near the end that saves
+    /// steps; far from it, observations across a joint that is still wrong might be taken for
+    /// outliers.
     pub points_first: bool,
 }
 
@@ -126,8 +127,8 @@ pub(crate) struct BundleSummary {
 pub(crate) struct BundleCovariance {
     /// For each camera: row-major over its parameters, 0 where held.
     pub cameras: Vec<Vec<f64>>,
-    /// For each pose: standard deviations of the rotation about the camera's axes (radians) and of the camera centre
-    /// along the world's axes; 0 where held.
+    /// For each pose: standard deviations of the rotation about the camera's axes (radians) and of
+    /// the camera centre along the world's axes; 0 where held.
     pub poses: Vec<[f64; 6]>,
 }
 
@@ -164,7 +165,8 @@ impl BundleProblem {
         })
     }
 
-    /// Standard deviations of poses and intrinsics; `None` where the observations do not determine them.
+    /// Standard deviations of poses and intrinsics; `None` where the observations do not determine
+    /// them.
     pub(crate) fn covariance(&self, options: &SolveOptions) -> Result<Option<BundleCovariance>, SfmError> {
         let frame = SceneNormalisation::of(self);
         let input = self.input(options, &frame);
@@ -186,8 +188,9 @@ impl BundleProblem {
         Ok(Some(BundleCovariance { cameras, poses }))
     }
 
-    /// Information (inverse covariance) of all free intrinsics jointly after poses and points are eliminated, row-major
-    /// over the free parameters of all cameras in their order, without the priors; `None` where that cannot be done.
+    /// Information (inverse covariance) of all free intrinsics jointly after poses and points are
+    /// eliminated, row-major over the free parameters of all cameras in their order, without the
+    /// priors; `None` where that cannot be done.
     pub(crate) fn intrinsics_information(
         &self,
         options: &SolveOptions,
@@ -271,8 +274,8 @@ impl BundleProblem {
         input
     }
 
-    /// Gauge: where fewer than two poses and no points are constant, the first pose is held, and that coordinate of the
-    /// farthest pose's translation that changes most with the scale.
+    /// Gauge: where fewer than two poses and no points are constant, the first pose is held, and
+    /// that coordinate of the farthest pose's translation that changes most with the scale.
     fn held_poses(&self, frame: &SceneNormalisation) -> Vec<u8> {
         let mut held: Vec<u8> = self.pose_constant.iter().map(|&c| if c { 7 } else { 0 }).collect();
         let constant = held.iter().filter(|&&h| h == 7).count();
@@ -298,8 +301,8 @@ fn numbers_of(Pose { rotation: q, translation: t }: &Pose) -> [f64; 7] {
     [q.x, q.y, q.z, q.w, t.x, t.y, t.z]
 }
 
-/// Standard deviations of rotation and centre from a covariance over (ω, t) in the normalised scene:
-/// `c = −Rᵀ t`, so `δc = −Rᵀ (δt + t × δω)`.
+/// Standard deviations of rotation and centre from a covariance over (ω, t) in the normalised
+/// scene: `c = −Rᵀ t`, so `δc = −Rᵀ (δt + t × δω)`.
 fn pose_deviation(pose: &Pose, covariance: &[f64], scale: f64) -> [f64; 6] {
     let back = -pose.matrix().transpose();
     let t = pose.translation;

@@ -69,7 +69,8 @@ fn read(frame: &Frame) -> Result<KltPicture, SfmError> {
 }
 
 impl KltPicture {
-    /// Where a window lies about `start`; `None` where it differs too much or the mask drops the place.
+    /// Where a window lies about `start`; `None` where it differs too much or the mask drops the
+    /// place.
     fn find(&self, reference: &Reference, start: Warp) -> Option<Warp> {
         let level = &self.pyramid.levels[0];
         let (warp, correlation) = reference.find(level, start)?;
@@ -121,7 +122,8 @@ struct LiveTrack {
 enum TrackStep {
     /// Its first window was found again.
     On(Warp),
-    /// Its first window shows too little of it by now: another track begins with that of the last frame.
+    /// Its first window shows too little of it by now: another track begins with that of the last
+    /// frame.
     Anew(Box<Reference>, Warp),
     /// It is gone.
     Lost,

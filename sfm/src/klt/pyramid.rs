@@ -18,7 +18,8 @@ pub(crate) struct PyramidLevel {
 }
 
 impl PyramidLevel {
-    /// Smoothed by the binomial 1 2 1 in both directions, which halves the noise and costs little detail.
+    /// Smoothed by the binomial 1 2 1 in both directions, which halves the noise and costs little
+    /// detail.
     pub(crate) fn smooth(image: &FloatImage) -> Self {
         let (width, height) = (image.width, image.height);
         let source: Vec<f32> = image.data.iter().step_by(image.channels.max(1)).copied().collect();
@@ -69,12 +70,13 @@ impl PyramidLevel {
         Self { width, height, data }
     }
 
-    /// Bilinear samples of the window about the pixel position (x, y) and of the ring about it, row by
-    /// row; `None` where they leave the image.
+    /// Bilinear samples of the window about the pixel position (x, y) and of the ring about it, row
+    /// by row; `None` where they leave the image.
     #[inline(always)]
     pub(crate) fn patch(&self, x: f32, y: f32) -> Option<ReferencePatch> {
         let half = (SIDE / 2 + 1) as f32;
-        // Sample i lies at pixel position x − half + i, whose index coordinate is half a pixel less.
+        // Sample i lies at pixel position x − half + i, whose index coordinate is half a pixel
+        // less.
         let (left, top) = (x - half - 0.5, y - half - 0.5);
         if !(left >= 0.0 && top >= 0.0) {
             return None;

@@ -41,7 +41,8 @@ fn from_middle(i: usize, j: usize) -> (f32, f32) {
 pub(crate) struct Reference {
     /// Without their mean.
     values: KltWindow,
-    /// Derivatives by shear and stretch (4) and shift (2), without their means, times the pixels' weights.
+    /// Derivatives by shear and stretch (4) and shift (2), without their means, times the pixels'
+    /// weights.
     slopes: Box<[KltWindow; 6]>,
     /// `Σ w s sᵀ` over the pixels.
     normal: [[f64; 6]; 6],
@@ -104,8 +105,8 @@ impl Reference {
         })
     }
 
-    /// Standard deviation of a place where the windows have this correlation, pixels: what is left over,
-    /// `2 (1 − c) Σ v² / n` a pixel, times the inverse of the normal equations.
+    /// Standard deviation of a place where the windows have this correlation, pixels: what is left
+    /// over, `2 (1 − c) Σ v² / n` a pixel, times the inverse of the normal equations.
     pub(crate) fn deviation(&self, correlation: f64) -> f64 {
         let [x, y] = [4, 5].map(|k| {
             let unit = std::array::from_fn(|i| if i == k { 1.0 } else { 0.0 });

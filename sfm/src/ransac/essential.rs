@@ -16,8 +16,8 @@ pub(crate) struct EssentialModel {
     pub f: DMat3,
 }
 
-/// Finds the essential matrix of two cameras with known focal lengths. The threshold is in pixels, the residual
-/// Sampson's.
+/// Finds the essential matrix of two cameras with known focal lengths. The threshold is in pixels,
+/// the residual Sampson's.
 pub(crate) struct EssentialEstimator {
     /// Ideal pixels from the principal point, image a.
     a: Vec<DVec2>,

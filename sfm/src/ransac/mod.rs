@@ -40,13 +40,14 @@ pub(crate) struct RansacConfig {
     pub min_iterations: usize,
     /// Samples drawn at most.
     pub max_iterations: usize,
-    /// A model with fewer inliers is none. It also bounds the search: a model with as many inliers is found with
-    /// the given confidence, and smaller ones are not waited for.
+    /// A model with fewer inliers is none. It also bounds the search: a model with as many inliers
+    /// is found with the given confidence, and smaller ones are not waited for.
     pub min_inliers: usize,
     /// The user's seed.
     pub seed: u64,
-    /// Whether the data are sorted, the most trustworthy first. Every other sample is then drawn from a growing
-    /// head of the list (after PROSAC: Chum & Matas, CVPR 2005), the rest from all data.
+    /// Whether the data are sorted, the most trustworthy first. Every other sample is then drawn
+    /// from a growing head of the list (after PROSAC: Chum & Matas, CVPR 2005), the rest from all
+    /// data.
     pub best_first: bool,
 }
 
@@ -75,11 +76,11 @@ pub(crate) struct RansacResult<M> {
     pub score: f64,
 }
 
-/// Finds the model of least truncated quadratic cost (MSAC: Torr & Zisserman 2000): random minimal samples,
-/// each new best refined on its inliers while that helps (LO-RANSAC: Chum, Matas & Kittler 2003), stop when
-/// enough samples have been drawn for the inlier ratio found. Candidates that exceed the best cost are dropped
-/// half-way. The result depends on the data, the configuration and `stream_index` only. `None` if no model has
-/// `min_inliers`.
+/// Finds the model of least truncated quadratic cost (MSAC: Torr & Zisserman 2000): random minimal
+/// samples, each new best refined on its inliers while that helps (LO-RANSAC: Chum, Matas & Kittler
+/// 2003), stop when enough samples have been drawn for the inlier ratio found. Candidates that
+/// exceed the best cost are dropped half-way. The result depends on the data, the configuration and
+/// `stream_index` only. `None` if no model has `min_inliers`.
 pub(crate) fn ransac<E: Estimator>(
     estimator: &E,
     config: &RansacConfig,
@@ -129,7 +130,8 @@ fn needed_samples(inlier_ratio: f64, sample_size: usize, confidence: f64) -> usi
     ((1.0 - confidence).max(1e-12).ln() / (-good).ln_1p()).ceil() as usize
 }
 
-/// How many of the most trustworthy data are drawn from: twice a sample at first, all after 500 samples.
+/// How many of the most trustworthy data are drawn from: twice a sample at first, all after 500
+/// samples.
 fn growing_head(iteration: usize, sample_size: usize, n: usize) -> usize {
     /// Source: SRC_PROSAC
     const ALL_AFTER: usize = 500;

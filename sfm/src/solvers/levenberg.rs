@@ -41,9 +41,10 @@ pub(crate) fn cauchy(squared: f64, scale: f64) -> (f64, f64) {
     (scale * scale * x.ln_1p(), 1.0 / (1.0 + x))
 }
 
-/// Minimises from `state`: `evaluate` gives cost and normal equations (`None` where the state is not allowed),
-/// `apply_step` applies a step in the tangent space. Returns the best state; the start where nothing is better.
-/// Marquardt's diagonal scaling, so that units do not matter. Madsen, Nielsen & Tingleff 2004, §3.2.
+/// Minimises from `state`: `evaluate` gives cost and normal equations (`None` where the state is
+/// not allowed), `apply_step` applies a step in the tangent space. Returns the best state; the
+/// start where nothing is better. Marquardt's diagonal scaling, so that units do not matter.
+/// Madsen, Nielsen & Tingleff 2004,  3.2.
 pub(crate) fn minimise<const D: usize, S: Clone>(
     state: S,
     max_iterations: usize,

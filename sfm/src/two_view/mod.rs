@@ -17,7 +17,8 @@
 //! let matches = vec![(0, 1, (0..64).map(|i| [i, i]).collect())];
 //! let cameras = [camera.clone(), camera];
 //! let config = TwoViewConfig::default();
-//! let pairs = verify_pairs(&[view(0.0), view(0.5)], &cameras, matches, &config, 0, &Progress::silent())?;
+//! let pairs = verify_pairs(&[view(0.0), view(0.5)], &cameras, matches, &config, 0,
+//! &Progress::silent())?;
 //! assert_eq!((pairs[0].kind, pairs[0].inliers.len()), (TwoViewKind::Calibrated, 64));
 //! # Ok::<(), sfm::SfmError>(())
 //! ```
