@@ -1,13 +1,13 @@
 //! Bundle adjustment: poses, intrinsics and points that fit all observations best.
 //!
 //! The scene is moved to its median and scaled to unit size before it is solved, so that units and
-//! the place of the origin do not matter (Triggs et al., "Bundle adjustment: a modern synthesis", 1999,
-//! on scaling and gauge).
+//! the place of the origin do not matter (Triggs et al., "Bundle adjustment: a modern synthesis",
+//! 1999, on scaling and gauge).
 
 mod adjustable;
 mod points;
 
-pub use adjustable::Adjustable;
+pub(crate) use adjustable::Adjustable;
 
 use crate::SfmError;
 use crate::ceres::{self, BundleInput, BundleState};
@@ -17,7 +17,7 @@ use scene::{Camera, Pose, Progress};
 
 /// How residuals are weighed.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub enum RobustLoss {
+pub(crate) enum RobustLoss {
     /// `r²`
     #[default]
     Squared,
@@ -29,7 +29,7 @@ pub enum RobustLoss {
 
 /// When to stop, and how to weigh residuals.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct SolveOptions {
+pub(crate) struct SolveOptions {
     /// Loss; its scale in standard deviations of the observations.
     pub loss: RobustLoss,
     /// Most iterations.
@@ -38,8 +38,9 @@ pub struct SolveOptions {
     pub function_tolerance: f64,
     /// Relative change of the parameters at which to stop.
     pub parameter_tolerance: f64,
-    /// Whether points first settle alone (turns under Cauchy's loss only). Near the end that saves steps;
-    /// far from it, observations across a joint that is still wrong might be taken for outliers.
+    /// Whether points first settle alone (turns under Cauchy's loss only). Near the end that saves
+    /// steps; far from it, observations across a joint that is still wrong might be taken for
+    /// outliers.
     pub points_first: bool,
 }
 
@@ -57,7 +58,7 @@ impl Default for SolveOptions {
 
 /// One observation of a point by a pose.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct BundleObservation {
+pub(crate) struct BundleObservation {
     /// Index of the pose.
     pub pose: u32,
     /// Index of the point.
@@ -70,7 +71,7 @@ pub struct BundleObservation {
 
 /// What is known of an intrinsic parameter beforehand.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct IntrinsicsPrior {
+pub(crate) struct IntrinsicsPrior {
     /// Index of the camera.
     pub camera: usize,
     /// Index of the parameter, in the model's order.
@@ -83,7 +84,7 @@ pub struct IntrinsicsPrior {
 
 /// An adjustment in plain arrays.
 #[derive(Clone, Debug, Default)]
-pub struct BundleProblem {
+pub(crate) struct BundleProblem {
     /// Cameras.
     pub cameras: Vec<Camera>,
     /// For each camera, which of its parameters are solved for.
@@ -106,7 +107,7 @@ pub struct BundleProblem {
 
 /// What an adjustment did.
 #[derive(Clone, Debug, Default, PartialEq)]
-pub struct BundleSummary {
+pub(crate) struct BundleSummary {
     /// Root mean square of the weighted residual length before (robust cost).
     pub initial_rms: f64,
     /// The same after.
@@ -123,17 +124,21 @@ pub struct BundleSummary {
 
 /// Covariances from the normal equations, for observations with the given standard deviations.
 #[derive(Clone, Debug, Default)]
-pub struct BundleCovariance {
+pub(crate) struct BundleCovariance {
     /// For each camera: row-major over its parameters, 0 where held.
     pub cameras: Vec<Vec<f64>>,
-    /// For each pose: standard deviations of the rotation about the camera's axes (radians) and of the camera centre
-    /// along the world's axes; 0 where held.
+    /// For each pose: standard deviations of the rotation about the camera's axes (radians) and of
+    /// the camera centre along the world's axes; 0 where held.
     pub poses: Vec<[f64; 6]>,
 }
 
 impl BundleProblem {
     /// Minimises in place. An unusable result leaves everything as it was (`usable` is false then).
-    pub fn solve(&mut self, options: &SolveOptions, progress: &Progress) -> Result<BundleSummary, SfmError> {
+    pub(crate) fn solve(
+        &mut self,
+        options: &SolveOptions,
+        progress: &Progress,
+    ) -> Result<BundleSummary, SfmError> {
         let frame = SceneNormalisation::of(self);
         let input = self.input(options, &frame);
         if input.weights.is_empty() {
@@ -160,8 +165,9 @@ impl BundleProblem {
         })
     }
 
-    /// Standard deviations of poses and intrinsics; `None` where the observations do not determine them.
-    pub fn covariance(&self, options: &SolveOptions) -> Result<Option<BundleCovariance>, SfmError> {
+    /// Standard deviations of poses and intrinsics; `None` where the observations do not determine
+    /// them.
+    pub(crate) fn covariance(&self, options: &SolveOptions) -> Result<Option<BundleCovariance>, SfmError> {
         let frame = SceneNormalisation::of(self);
         let input = self.input(options, &frame);
         if input.weights.is_empty() {
@@ -182,9 +188,13 @@ impl BundleProblem {
         Ok(Some(BundleCovariance { cameras, poses }))
     }
 
-    /// Information (inverse covariance) of all free intrinsics jointly after poses and points are eliminated, row-major
-    /// over the free parameters of all cameras in their order, without the priors; `None` where that cannot be done.
-    pub fn intrinsics_information(&self, options: &SolveOptions) -> Result<Option<Vec<f64>>, SfmError> {
+    /// Information (inverse covariance) of all free intrinsics jointly after poses and points are
+    /// eliminated, row-major over the free parameters of all cameras in their order, without the
+    /// priors; `None` where that cannot be done.
+    pub(crate) fn intrinsics_information(
+        &self,
+        options: &SolveOptions,
+    ) -> Result<Option<Vec<f64>>, SfmError> {
         let frame = SceneNormalisation::of(self);
         let input = self.input(options, &frame);
         if input.weights.is_empty() {
@@ -264,8 +274,8 @@ impl BundleProblem {
         input
     }
 
-    /// Gauge: where fewer than two poses and no points are constant, the first pose is held, and that coordinate of the
-    /// farthest pose's translation that changes most with the scale.
+    /// Gauge: where fewer than two poses and no points are constant, the first pose is held, and
+    /// that coordinate of the farthest pose's translation that changes most with the scale.
     fn held_poses(&self, frame: &SceneNormalisation) -> Vec<u8> {
         let mut held: Vec<u8> = self.pose_constant.iter().map(|&c| if c { 7 } else { 0 }).collect();
         let constant = held.iter().filter(|&&h| h == 7).count();
@@ -291,8 +301,8 @@ fn numbers_of(Pose { rotation: q, translation: t }: &Pose) -> [f64; 7] {
     [q.x, q.y, q.z, q.w, t.x, t.y, t.z]
 }
 
-/// Standard deviations of rotation and centre from a covariance over (ω, t) in the normalised scene:
-/// `c = −Rᵀ t`, so `δc = −Rᵀ (δt + t × δω)`.
+/// Standard deviations of rotation and centre from a covariance over (ω, t) in the normalised
+/// scene: `c = −Rᵀ t`, so `δc = −Rᵀ (δt + t × δω)`.
 fn pose_deviation(pose: &Pose, covariance: &[f64], scale: f64) -> [f64; 6] {
     let back = -pose.matrix().transpose();
     let t = pose.translation;
@@ -349,7 +359,12 @@ impl SceneNormalisation {
 }
 
 /// Which parameters of a camera are solved for.
-pub fn free_parameters(camera: &Camera, focal: bool, principal_point: bool, distortion: bool) -> Vec<bool> {
+pub(crate) fn free_parameters(
+    camera: &Camera,
+    focal: bool,
+    principal_point: bool,
+    distortion: bool,
+) -> Vec<bool> {
     let n = camera.model.num_focals();
     (0..camera.params.len())
         .map(|i| {

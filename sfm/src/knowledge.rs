@@ -32,7 +32,7 @@ impl Calibration {
 
 /// What is known of one of the cameras.
 #[derive(Clone, Debug, Default)]
-pub struct Knowledge {
+pub(crate) struct Knowledge {
     /// All of it: the model grows with it as it is, and nothing is chosen.
     pub fixed: bool,
     /// Standard deviation of the focal length known beforehand, as a share of it.
@@ -45,7 +45,7 @@ pub struct Knowledge {
 impl Knowledge {
     /// Nothing is to be solved for, ever.
     #[cfg(test)]
-    pub fn exact() -> Self {
+    pub(crate) fn exact() -> Self {
         Self { fixed: true, ..Self::default() }
     }
 

@@ -5,7 +5,7 @@ use scene::{Camera, Pose};
 
 /// An observation to triangulate from.
 #[derive(Clone, Copy, Debug)]
-pub struct PointView<'a> {
+pub(crate) struct PointView<'a> {
     /// `cam_from_world`.
     pub pose: Pose,
     /// Its camera.
@@ -20,13 +20,13 @@ pub struct PointView<'a> {
 
 impl<'a> PointView<'a> {
     /// An observation of `pixel` by a posed camera.
-    pub fn new(pose: &Pose, camera: &'a Camera, pixel: DVec2) -> Self {
+    pub(crate) fn new(pose: &Pose, camera: &'a Camera, pixel: DVec2) -> Self {
         let ray = pose.rotation.conjugate() * camera.ray(pixel);
         Self { pose: *pose, camera, pixel, centre: pose.centre(), ray }
     }
 
     /// Squared reprojection error, pixels²; infinite behind the camera.
-    pub fn error_sq(&self, x: DVec3) -> f64 {
+    pub(crate) fn error_sq(&self, x: DVec3) -> f64 {
         let projected = self.camera.project(self.pose.transform(x));
         projected.map_or(f64::INFINITY, |p| p.distance_squared(self.pixel))
     }
@@ -34,7 +34,7 @@ impl<'a> PointView<'a> {
 
 /// What a triangulated point must satisfy.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Gates {
+pub(crate) struct Gates {
     /// Largest reprojection error, pixels.
     pub max_error_px: f64,
     /// Smallest angle between some two of its rays, radians.
@@ -43,7 +43,7 @@ pub struct Gates {
 
 /// A triangulated point.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Triangulated {
+pub(crate) struct Triangulated {
     /// World frame.
     pub position: DVec3,
     /// Indices of the views that agree with it, ascending; at least two.
@@ -53,13 +53,13 @@ pub struct Triangulated {
 }
 
 /// Angle between two unit vectors, radians; accurate for small ones.
-pub fn angle_between(a: DVec3, b: DVec3) -> f64 {
+pub(crate) fn angle_between(a: DVec3, b: DVec3) -> f64 {
     a.cross(b).length().atan2(a.dot(b))
 }
 
-/// The point nearest to all rays, `Σ (I − d dᵀ) (x − c) = 0`; `None` where they are parallel. Solved about the mean
-/// centre, so that the origin does not matter.
-pub fn nearest_to_rays<'a>(views: impl Iterator<Item = &'a PointView<'a>> + Clone) -> Option<DVec3> {
+/// The point nearest to all rays, `Σ (I − d dᵀ) (x − c) = 0`; `None` where they are parallel.
+/// Solved about the mean centre, so that the origin does not matter.
+pub(crate) fn nearest_to_rays<'a>(views: impl Iterator<Item = &'a PointView<'a>> + Clone) -> Option<DVec3> {
     let n = views.clone().count();
     let origin = views.clone().map(|v| v.centre).sum::<DVec3>() / n.max(1) as f64;
     let (mut a, mut b) = (DMat3::ZERO, DVec3::ZERO);
@@ -77,9 +77,9 @@ pub fn nearest_to_rays<'a>(views: impl Iterator<Item = &'a PointView<'a>> + Clon
     Some(a.inverse() * b + origin).filter(|x| x.is_finite())
 }
 
-/// Gauss–Newton on the reprojection error from `start`: the point of least squared error over `views`.
-/// The start is returned where no step helps.
-pub fn refine_point<'a>(
+/// Gauss–Newton on the reprojection error from `start`: the point of least squared error over
+/// `views`. The start is returned where no step helps.
+pub(crate) fn refine_point<'a>(
     start: DVec3,
     views: impl Iterator<Item = &'a PointView<'a>> + Clone,
     iterations: usize,
@@ -109,8 +109,8 @@ pub fn refine_point<'a>(
     x
 }
 
-/// Residual and its derivative by the point; the distortion's own derivative is taken as that of its radial scale,
-/// which is enough for convergence.
+/// Residual and its derivative by the point; the distortion's own derivative is taken as that of
+/// its radial scale, which is enough for convergence.
 pub(crate) fn linearise(view: &PointView<'_>, x: DVec3) -> Option<([f64; 2], [DVec3; 2])> {
     let local = view.pose.transform(x);
     let residual = view.camera.project(local)? - view.pixel;
@@ -121,9 +121,10 @@ pub(crate) fn linearise(view: &PointView<'_>, x: DVec3) -> Option<([f64; 2], [DV
     Some((residual.to_array(), [row(DVec3::X, focal.x, u.x), row(DVec3::Y, focal.y, u.y)]))
 }
 
-/// Robust triangulation: hypotheses from pairs of views (all where few, a fixed spread where many), the one with the
-/// least truncated squared error is refined on its inliers (LO-RANSAC over views; Schönberger & Frahm 2016, §4.3).
-pub fn triangulate(views: &[PointView<'_>], gates: &Gates) -> Option<Triangulated> {
+/// Robust triangulation: hypotheses from pairs of views (all where few, a fixed spread where many),
+/// the one with the least truncated squared error is refined on its inliers (LO-RANSAC over views;
+/// Schönberger & Frahm 2016,  4.3).
+pub(crate) fn triangulate(views: &[PointView<'_>], gates: &Gates) -> Option<Triangulated> {
     let limit = gates.max_error_px * gates.max_error_px;
     let cost = |x: DVec3| views.iter().map(|v| v.error_sq(x).min(limit)).sum::<f64>();
     let mut best: Option<(f64, DVec3)> = None;
@@ -158,8 +159,9 @@ pub fn triangulate(views: &[PointView<'_>], gates: &Gates) -> Option<Triangulate
     (inliers.len() >= 2 && angle >= gates.min_angle).then_some(Triangulated { position: x, inliers, angle })
 }
 
-/// Largest angle at `x` between two of the centres, radians. For many centres against the first and its farthest only.
-pub fn widest_angle(x: DVec3, centres: impl Iterator<Item = DVec3>) -> f64 {
+/// Largest angle at `x` between two of the centres, radians. For many centres against the first and
+/// its farthest only.
+pub(crate) fn widest_angle(x: DVec3, centres: impl Iterator<Item = DVec3>) -> f64 {
     let rays: Vec<DVec3> = centres.map(|c| (c - x).normalize_or_zero()).collect();
     let widest = |from: DVec3| {
         let angles = rays.iter().map(|r| (angle_between(from, *r), *r));
@@ -170,7 +172,8 @@ pub fn widest_angle(x: DVec3, centres: impl Iterator<Item = DVec3>) -> f64 {
     widest(far).0
 }
 
-/// Pairs of views to try: all up to six views, else each with the ones a third and a half of the list away.
+/// Pairs of views to try: all up to six views, else each with the ones a third and a half of the
+/// list away.
 fn pairs(n: usize) -> Vec<(usize, usize)> {
     if n <= 6 {
         return (0..n).flat_map(|i| (i + 1..n).map(move |k| (i, k))).collect();

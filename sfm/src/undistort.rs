@@ -16,12 +16,12 @@ const JPEG_QUALITY: u8 = 97;
 /// Source: COLMAP, `max_scale` of its undistortion.
 const SIZE_LIMIT: f64 = 2.0;
 
-/// Writes `images/`, `masks/` (where frames have masks) and the model `sparse/0` without distortion into `out_dir`, and
-/// returns that model: PINHOLE cameras, observations moved along.
+/// Writes `images/`, `masks/` (where frames have masks) and the model `sparse/0` without distortion
+/// into `out_dir`, and returns that model: PINHOLE cameras, observations moved along.
 ///
-/// Focal lengths stay as they are and the image becomes the largest rectangle without blank pixels (COLMAP's
-/// `blank_pixels = 0`). Images of cameras without distortion are linked or copied. Frames without a pose are not
-/// written.
+/// Focal lengths stay as they are and the image becomes the largest rectangle without blank pixels
+/// (COLMAP's `blank_pixels = 0`). Images of cameras without distortion are linked or copied. Frames
+/// without a pose are not written.
 pub fn undistort(
     frames: &FrameSet,
     reconstruction: &Reconstruction,
@@ -59,8 +59,9 @@ pub fn undistort(
     Ok(model)
 }
 
-/// The PINHOLE camera whose image is the largest rectangle inside the undistorted image of `camera`.
-pub fn pinhole(camera: &Camera) -> Camera {
+/// The PINHOLE camera whose image is the largest rectangle inside the undistorted image of
+/// `camera`.
+pub(crate) fn pinhole(camera: &Camera) -> Camera {
     let (focal, size) = (camera.focal(), DVec2::new(f64::from(camera.width), f64::from(camera.height)));
     let centre = camera.principal_point();
     let new = |width: u32, height: u32, c: DVec2| Camera {

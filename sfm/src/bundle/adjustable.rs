@@ -5,7 +5,7 @@ use crate::SfmError;
 use scene::Progress;
 
 /// An adjustment of some motion.
-pub trait Adjustable: Clone {
+pub(crate) trait Adjustable: Clone {
     /// Cameras, points, observations.
     fn bundle(&self) -> &BundleProblem;
     /// The same, to be changed (its poses are read only).

@@ -2,9 +2,9 @@
 //! they are.
 //!
 //! Far from its observations' middle a redescending loss bends the other way than the parabola that
-//! reweighted least squares take for it, so that a single point creeps there for tens of steps, which a
-//! joint adjustment would take for all. Alone it costs next to nothing, and Newton's step with the
-//! loss's own curvature (Triggs et al. 1999, section 4.3) is there in two or three.
+//! reweighted least squares take for it, so that a single point creeps there for tens of steps,
+//! which a joint adjustment would take for all. Alone it costs next to nothing, and Newton's step
+//! with the loss's own curvature (Triggs et al. 1999, section 4.3) is there in two or three.
 
 use super::{BundleProblem, RobustLoss};
 use crate::solvers::levenberg::cauchy;
@@ -17,8 +17,9 @@ use rayon::prelude::*;
 const ENOUGH: f64 = 1e-3;
 
 impl BundleProblem {
-    /// For each point where its cost under Cauchy's loss (scale in standard deviations) is least nearby;
-    /// where it is now under other losses, where it is held, and where nothing better is found.
+    /// For each point where its cost under Cauchy's loss (scale in standard deviations) is least
+    /// nearby; where it is now under other losses, where it is held, and where nothing better is
+    /// found.
     pub(crate) fn settle_points(&self, loss: RobustLoss) -> Vec<DVec3> {
         let RobustLoss::Cauchy(width) = loss else { return self.points.clone() };
         let mut of_point: Vec<Vec<(PointView<'_>, f64)>> = vec![Vec::new(); self.points.len()];

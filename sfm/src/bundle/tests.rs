@@ -3,7 +3,8 @@ use rand::Rng as _;
 use scene::CameraModel;
 use scene::rng::rng;
 
-/// A ring of eight cameras round 120 points in the unit ball, measured exactly; `unit` scales and `shift` moves it.
+/// A ring of eight cameras round 120 points in the unit ball, measured exactly; `unit` scales and
+/// `shift` moves it.
 fn ring(model: CameraModel, unit: f64, shift: DVec3) -> BundleProblem {
     let mut random = rng(1, "ring", 0);
     let mut camera = Camera::centred(1, model, 640, 480, 600.0);
@@ -39,7 +40,8 @@ fn ring(model: CameraModel, unit: f64, shift: DVec3) -> BundleProblem {
     problem
 }
 
-/// Moves everything but the first pose by about a hundredth of the scene and the focal length by 5 %.
+/// Moves everything but the first pose by about a hundredth of the scene and the focal length by 5
+/// %.
 fn disturb(problem: &mut BundleProblem, unit: f64) {
     let mut random = rng(2, "disturb", 0);
     let mut small = || DVec3::from_array(std::array::from_fn(|_| random.random_range(-0.02..0.02)));

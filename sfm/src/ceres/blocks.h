@@ -1,4 +1,5 @@
-// What the adjustments share: projection with derivatives, manifolds, priors on intrinsics, solver options.
+// What the adjustments share: projection with derivatives, manifolds, priors on intrinsics, solver
+// options.
 #pragma once
 
 #include <ceres/ceres.h>
@@ -31,8 +32,9 @@ inline constexpr Layout kLayouts[5] = {
     {8, {0, 1, 2, 3, 4, 5, 6, 7}},      // OPENCV
 };
 
-// w (π(x) − pixel) for a point x in the camera frame. `by_x`: its derivative by x; `by_intrinsics` [2 × size]: by the
-// parameters; either may be null. Behind the camera a large constant without slope, and false.
+// w (π(x) − pixel) for a point x in the camera frame. `by_x`: its derivative by x; `by_intrinsics`
+// [2 × size]: by the parameters; either may be null. Behind the camera a large constant without
+// slope, and false.
 inline bool Project(int model, const double *intrinsics, const Eigen::Vector3d &x, const double *pixel, double weight,
                     double *residuals, Jacobian2x3 *by_x, double *by_intrinsics) {
   const Layout &layout = kLayouts[model];
@@ -72,7 +74,8 @@ inline bool Project(int model, const double *intrinsics, const Eigen::Vector3d &
   return true;
 }
 
-// R ← exp(ω) R, t ← t + δ; one coordinate of t may be held (−1: none), which fixes the scale of the scene.
+// R ← exp(ω) R, t ← t + δ; one coordinate of t may be held (−1: none), which fixes the scale of the
+// scene.
 class PoseManifold final : public ceres::Manifold {
  public:
   explicit PoseManifold(int held) : held_(held) {}
@@ -102,7 +105,8 @@ class PoseManifold final : public ceres::Manifold {
   bool MinusJacobian(const double *, double *jacobian) const override { return Selection(jacobian, true); }
 
  private:
-  // [7 × tangent], or its transpose: the columns (ω, t without the held coordinate) of the ambient Jacobian.
+  // [7 × tangent], or its transpose: the columns (ω, t without the held coordinate) of the ambient
+  // Jacobian.
   bool Selection(double *jacobian, bool transposed) const {
     const int n = TangentSize();
     std::fill(jacobian, jacobian + kPoseSize * n, 0.0);

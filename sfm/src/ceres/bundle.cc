@@ -12,8 +12,9 @@
 namespace sat_recon {
 namespace {
 
-// w (π(x) − pixel) and its derivatives by (rotation vector, translation), point and intrinsics. The pose's ambient
-// Jacobian is [∂ω ∂t 0]: PoseManifold's "PlusJacobian" picks the first six columns, which spares the quaternion's.
+// w (π(x) − pixel) and its derivatives by (rotation vector, translation), point and intrinsics. The
+// pose's ambient Jacobian is [∂ω ∂t 0]: PoseManifold's "PlusJacobian" picks the first six columns,
+// which spares the quaternion's.
 class Reprojection final : public ceres::CostFunction {
  public:
   Reprojection(int model, const double *pixel, double weight) : model_(model), weight_(weight) {
@@ -54,7 +55,8 @@ class Reprojection final : public ceres::CostFunction {
 BundleOutcome solve_bundle(const BundleInput &input, rust::Slice<double> intrinsics, rust::Slice<double> poses,
                            rust::Slice<double> points, const Monitor &monitor) {
   FLAGS_minloglevel = 3;  // glog would write Ceres' warnings to stderr
-  // Ceres orders the blocks of a group by address: in one allocation their order does not depend on the heap.
+  // Ceres orders the blocks of a group by address: in one allocation their order does not depend on
+  // the heap.
   std::vector<double> together(intrinsics.begin(), intrinsics.end());
   together.insert(together.end(), poses.begin(), poses.end());
   double *const intrinsics_at = together.data();
@@ -163,7 +165,8 @@ void AddReducedNormal(const BundleInput &input, const Columns &columns, rust::Sl
   }
 }
 
-// The level of each column: its pose's; of a camera's that of its poses, where they lie in one, else the border.
+// The level of each column: its pose's; of a camera's that of its poses, where they lie in one,
+// else the border.
 std::vector<int> LevelsOfColumns(const BundleInput &input, const Columns &columns) {
   constexpr int kUnused = -2;
   const std::vector<int> of_pose = PoseLevels(input);

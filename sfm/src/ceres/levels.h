@@ -11,9 +11,10 @@
 
 namespace sat_recon {
 
-// A symmetric matrix whose columns lie in levels: a column has entries in common with those of its own level, of the
-// levels beside it and of the border only; the border's may have entries with all. What the inverse costs grows with
-// the number of levels times the cube of their size; nothing is approximated.
+// A symmetric matrix whose columns lie in levels: a column has entries in common with those of its
+// own level, of the levels beside it and of the border only; the border's may have entries with
+// all. What the inverse costs grows with the number of levels times the cube of their size; nothing
+// is approximated.
 class LevelMatrix {
  public:
   static constexpr int kBorder = -1;
@@ -31,7 +32,8 @@ class LevelMatrix {
     }
   }
 
-  // The entry at (a, b). Of those that lie in two levels one is kept, for (a, b) and (b, a); the other is a spare place.
+  // The entry at (a, b). Of those that lie in two levels one is kept, for (a, b) and (b, a); the
+  // other is a spare place.
   double &operator()(int a, int b) {
     const int of_a = level_[a], of_b = level_[b];
     if (of_a == of_b) return of_a == kBorder ? corner_(offset_[a], offset_[b]) : diagonal_[of_a](offset_[a], offset_[b]);
@@ -45,8 +47,9 @@ class LevelMatrix {
     return level == kBorder ? corner_(offset_[a], offset_[b]) : diagonal_[level](offset_[a], offset_[b]);
   }
 
-  // Puts the inverse's entries within each level and within the border in the place of the matrix's; false where there
-  // is no inverse. Block Cholesky down the levels, then the inverse up again (Takahashi, Fagan & Chen 1973).
+  // Puts the inverse's entries within each level and within the border in the place of the
+  // matrix's; false where there is no inverse. Block Cholesky down the levels, then the inverse up
+  // again (Takahashi, Fagan & Chen 1973).
   bool Invert() {
     const std::vector<Eigen::VectorXd> scale = Scale();
     const int levels = static_cast<int>(diagonal_.size());
@@ -102,8 +105,8 @@ class LevelMatrix {
     return true;
   }
 
-  // With Y = (what lies below) L⁻¹ and Z the inverse below: (L Lᵀ)⁻¹ + Yᵀ Z Y. `with_border`: Z's entries of the border
-  // with the level above on entry, with this level on return.
+  // With Y = (what lies below) L⁻¹ and Z the inverse below: (L Lᵀ)⁻¹ + Yᵀ Z Y. `with_border`: Z's
+  // entries of the border with the level above on entry, with this level on return.
   void InvertLevel(int l, Eigen::MatrixXd &with_border) {
     const auto lower = diagonal_[l].triangularView<Eigen::Lower>();
     const int size = static_cast<int>(diagonal_[l].rows());
@@ -138,8 +141,8 @@ class LevelMatrix {
   double spare_ = 0;
 };
 
-// Poses by how many common points they are away from one at the rim, each piece of the scene after the other; −1 where
-// a pose is constant. Poses that share a point are at most one level apart.
+// Poses by how many common points they are away from one at the rim, each piece of the scene after
+// the other; −1 where a pose is constant. Poses that share a point are at most one level apart.
 inline std::vector<int> PoseLevels(const BundleInput &input) {
   const std::size_t poses = input.pose_held.size();
   std::vector<std::vector<std::uint32_t>> of_pose(poses), of_point(input.point_held.size());

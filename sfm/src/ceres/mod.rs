@@ -1,5 +1,5 @@
-//! The one border to Ceres. Plain numbers cross it; everything is checked here first, because a failed check
-//! inside Ceres would end the process.
+//! The one border to Ceres. Plain numbers cross it; everything is checked here first, because a
+//! failed check inside Ceres would end the process.
 
 use crate::SfmError;
 use scene::Progress;
@@ -12,10 +12,12 @@ fn is_cancelled(monitor: &Monitor<'_>) -> bool {
 }
 
 #[cxx::bridge(namespace = "sat_recon")]
+#[allow(unreachable_pub)] // the code that cxx makes of shared types
 mod ffi {
-    /// A bundle adjustment problem apart from the values that change. P poses, N points, M observations.
+    /// A bundle adjustment problem apart from the values that change. P poses, N points, M
+    /// observations.
     #[derive(Clone, Debug, Default)]
-    pub struct BundleInput {
+    pub(crate) struct BundleInput {
         /// COLMAP model number of each camera.
         pub camera_models: Vec<i32>,
         /// Index of each camera's first parameter in the arrays over intrinsics.
@@ -56,7 +58,7 @@ mod ffi {
 
     /// What became of it.
     #[derive(Clone, Debug, Default)]
-    pub struct BundleOutcome {
+    pub(crate) struct BundleOutcome {
         /// ½ Σ ρ before.
         pub initial_cost: f64,
         /// ½ Σ ρ after.
@@ -73,14 +75,16 @@ mod ffi {
         pub message: String,
     }
 
-    /// A motion about one axis: a bundle adjustment whose poses are `D_i (R Z(θ_i) X + t)`. P frames.
+    /// A motion about one axis: a bundle adjustment whose poses are `D_i (R Z(θ_i) X + t)`. P
+    /// frames.
     #[derive(Clone, Debug, Default)]
-    pub struct CircularInput {
+    pub(crate) struct CircularInput {
         /// Cameras, points, observations and options; its `pose_held` is not used.
         pub bundle: BundleInput,
         /// Whether R and t are held.
         pub axis_held: bool,
-        /// [3 × 3] column-major: R turns about the first two (unit, across the axis), t moves along the third.
+        /// [3 × 3] column-major: R turns about the first two (unit, across the axis), t moves along
+        /// the third.
         pub axis_basis: Vec<f64>,
         /// [P] 1: the angle is held.
         pub angle_held: Vec<u8>,
@@ -104,7 +108,7 @@ mod ffi {
 
     /// Bearings from P cameras to N points, M of them; rotations are known.
     #[derive(Clone, Debug, Default)]
-    pub struct PositionInput {
+    pub(crate) struct PositionInput {
         /// [M] camera of each bearing.
         pub observation_camera: Vec<u32>,
         /// [M] point of each bearing.
@@ -184,8 +188,8 @@ pub(crate) mod circular;
 
 pub(crate) use ffi::{BundleInput, BundleOutcome, CircularInput, PositionInput};
 
-/// Camera centres [P × 3] and points [N × 3] that agree with the bearings, from any start; both hold the result.
-/// `false` where it is of no use.
+/// Camera centres [P × 3] and points [N × 3] that agree with the bearings, from any start; both
+/// hold the result. `false` where it is of no use.
 pub(crate) fn positions(
     input: &PositionInput,
     centres: &mut [f64],
@@ -238,8 +242,8 @@ pub(crate) fn solve(
     Ok(outcome)
 }
 
-/// Covariances of poses [P × 36] and of each camera's parameters, for observations of unit noise; `None` where the
-/// problem does not determine them.
+/// Covariances of poses [P × 36] and of each camera's parameters, for observations of unit noise;
+/// `None` where the problem does not determine them.
 pub(crate) fn covariance(
     input: &BundleInput,
     state: &BundleState,
@@ -254,8 +258,8 @@ pub(crate) fn covariance(
     Ok(done.then_some((of_poses, of_cameras)))
 }
 
-/// Joint information of all free intrinsics, [F × F] (without their priors); `None` where poses and points cannot be
-/// eliminated.
+/// Joint information of all free intrinsics, [F × F] (without their priors); `None` where poses and
+/// points cannot be eliminated.
 pub(crate) fn camera_information(
     input: &BundleInput,
     state: &BundleState,

@@ -62,7 +62,8 @@ inline int Place(std::vector<int> &columns, int column) {
 class ObservationRows {
  public:
   explicit ObservationRows(PointRows &rows) : rows_(rows) {}
-  // Column `k` of a row-major 2 × `stride` Jacobian belongs to column `column` of the system (−1: constant).
+  // Column `k` of a row-major 2 × `stride` Jacobian belongs to column `column` of the system (−1:
+  // constant).
   void Add(int column, const double *jacobian, int stride, int k) {
     if (column < 0) return;
     at_.push_back(Place(rows_.columns, column));

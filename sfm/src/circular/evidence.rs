@@ -62,7 +62,7 @@ pub(crate) struct MotionComparison {
 impl MotionComparison {
     /// Adjusts the observations of `base` (some model of the same images) under each assumption; one axis where there is a
     /// model about one. `None` where there are too few observations.
-    pub fn of(
+    pub(super) fn of(
         single: Option<&AxisModel>,
         base: &MapState,
         context: &CircularContext<'_>,
@@ -121,7 +121,7 @@ impl MotionComparison {
 
     /// One axis where it pays against free poses and an orbit with less does not predict clearly better; else
     /// an orbit where the evidence is for one; else free. What predicts clearly worse than free poses is out.
-    pub fn choice(&self) -> MotionModel {
+    pub(super) fn choice(&self) -> MotionModel {
         let Some(free) = self.of_motion(MotionModel::Free) else { return MotionModel::Free };
         let orbit =
             self.of_motion(MotionModel::Orbit).filter(|v| self.orbit_evidence > 0.0 && !worse(v, free));
@@ -136,12 +136,12 @@ impl MotionComparison {
     }
 
     /// Whether one axis is the better description.
-    pub fn favours_single(&self) -> bool {
+    pub(super) fn favours_single(&self) -> bool {
         self.choice() == MotionModel::SingleAxis
     }
 
     /// The figures as evidence for the choice.
-    pub fn describe(&self) -> Decision {
+    pub(super) fn describe(&self) -> Decision {
         let choice = self.choice();
         let free = self.of_motion(MotionModel::Free);
         let decision = Decision::new(Subject::Motion, choice, Rule::Evidence).with_all([

@@ -77,8 +77,8 @@ fn view_graph(input: &MappingInput<'_>, cameras: &[Camera]) -> Vec<RotationEdge>
     edges.collect()
 }
 
-/// Adjusts with bounds on the errors that are halved again and again, then takes out images that see
-/// next to nothing.
+/// Adjusts with bounds on the errors that are halved again and again, then takes out images that
+/// see next to nothing.
 fn tighten(
     state: &mut MapState,
     input: &MappingInput<'_>,

@@ -27,8 +27,8 @@ pub(super) fn is_unmasked(mask: Option<&GrayImage>, x: i64, y: i64, width: usize
     })
 }
 
-/// New corners, strongest first, at least `distance` pixels from each other and from `taken`; at most
-/// `most`.
+/// New corners, strongest first, at least `distance` pixels from each other and from `taken`; at
+/// most `most`.
 pub(super) fn corners(
     level: &PyramidLevel,
     mask: Option<&GrayImage>,
@@ -80,9 +80,9 @@ pub(super) fn corners(
     chosen
 }
 
-/// Whether the mask keeps a pixel and its four neighbours: what lies on a contour may slide along it,
-/// but rods and struts are contour on both sides, and of thin objects nothing would be left with a
-/// wider margin (docs/decisions, tried.md: corners at the matte's edge).
+/// Whether the mask keeps a pixel and its four neighbours: what lies on a contour may slide along
+/// it, but rods and struts are contour on both sides, and of thin objects nothing would be left
+/// with a wider margin (docs/decisions, tried.md: corners at the matte's edge).
 fn inside(mask: Option<&GrayImage>, x: i64, y: i64, w: usize, h: usize) -> bool {
     let around = [(0, 0), (1, 0), (-1, 0), (0, 1), (0, -1)];
     mask.is_none() || around.iter().all(|(dx, dy)| is_unmasked(mask, x + dx, y + dy, w, h))

@@ -51,7 +51,7 @@ const CORRELATION: f64 = 0.85;
 
 /// A point followed through consecutive frames.
 #[derive(Clone, Debug, PartialEq)]
-pub struct KltTrack {
+pub(crate) struct KltTrack {
     /// The first frame.
     pub first: usize,
     /// Its place there and in the frames after it, pixels.
@@ -69,7 +69,8 @@ fn read(frame: &Frame) -> Result<KltPicture, SfmError> {
 }
 
 impl KltPicture {
-    /// Where a window lies about `start`; `None` where it differs too much or the mask drops the place.
+    /// Where a window lies about `start`; `None` where it differs too much or the mask drops the
+    /// place.
     fn find(&self, reference: &Reference, start: Warp) -> Option<Warp> {
         let level = &self.pyramid.levels[0];
         let (warp, correlation) = reference.find(level, start)?;
@@ -90,7 +91,11 @@ fn take_if_free(taken: &mut Vec<DVec2>, place: DVec2) -> bool {
 /// Follows corners through all frames of a video, in their order; tracks of at least three frames.
 /// Corners in the black of a mask are neither begun nor followed. Does not depend on the number of
 /// threads.
-pub fn track(frames: &FrameSet, config: &KltConfig, progress: &Progress) -> Result<Vec<KltTrack>, SfmError> {
+pub(crate) fn track(
+    frames: &FrameSet,
+    config: &KltConfig,
+    progress: &Progress,
+) -> Result<Vec<KltTrack>, SfmError> {
     progress.begin("tracks", frames.len());
     let mut tracker = Tracker::new(config);
     let mut frame = 0;
@@ -117,7 +122,8 @@ struct LiveTrack {
 enum TrackStep {
     /// Its first window was found again.
     On(Warp),
-    /// Its first window shows too little of it by now: another track begins with that of the last frame.
+    /// Its first window shows too little of it by now: another track begins with that of the last
+    /// frame.
     Anew(Box<Reference>, Warp),
     /// It is gone.
     Lost,

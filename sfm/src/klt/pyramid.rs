@@ -18,8 +18,9 @@ pub(crate) struct PyramidLevel {
 }
 
 impl PyramidLevel {
-    /// Smoothed by the binomial 1 2 1 in both directions, which halves the noise and costs little detail.
-    pub fn smooth(image: &FloatImage) -> Self {
+    /// Smoothed by the binomial 1 2 1 in both directions, which halves the noise and costs little
+    /// detail.
+    pub(crate) fn smooth(image: &FloatImage) -> Self {
         let (width, height) = (image.width, image.height);
         let source: Vec<f32> = image.data.iter().step_by(image.channels.max(1)).copied().collect();
         let mut across = vec![0.0; width * height];
@@ -47,7 +48,7 @@ impl PyramidLevel {
 
     /// Half the size: 1 3 3 1 in both directions about the corner that four pixels share, so that
     /// positions are exactly halved where pixel centres are at halves.
-    pub fn halve(&self) -> Self {
+    pub(crate) fn halve(&self) -> Self {
         let (width, height) = (self.width / 2, self.height / 2);
         let mut across = vec![0.0; width * self.height];
         for (y, out) in across.chunks_exact_mut(width.max(1)).enumerate().take(self.height) {
@@ -69,12 +70,13 @@ impl PyramidLevel {
         Self { width, height, data }
     }
 
-    /// Bilinear samples of the window about the pixel position (x, y) and of the ring about it, row by
-    /// row; `None` where they leave the image.
+    /// Bilinear samples of the window about the pixel position (x, y) and of the ring about it, row
+    /// by row; `None` where they leave the image.
     #[inline(always)]
     pub(crate) fn patch(&self, x: f32, y: f32) -> Option<ReferencePatch> {
         let half = (SIDE / 2 + 1) as f32;
-        // Sample i lies at pixel position x − half + i, whose index coordinate is half a pixel less.
+        // Sample i lies at pixel position x − half + i, whose index coordinate is half a pixel
+        // less.
         let (left, top) = (x - half - 0.5, y - half - 0.5);
         if !(left >= 0.0 && top >= 0.0) {
             return None;
@@ -140,7 +142,7 @@ pub(crate) struct Pyramid {
 }
 
 impl Pyramid {
-    pub fn new(image: &FloatImage, levels: usize) -> Self {
+    pub(crate) fn new(image: &FloatImage, levels: usize) -> Self {
         let mut all = vec![PyramidLevel::smooth(image)];
         while all.len() < levels.max(1) {
             let next = all[all.len() - 1].halve();

@@ -41,7 +41,8 @@ fn from_middle(i: usize, j: usize) -> (f32, f32) {
 pub(crate) struct Reference {
     /// Without their mean.
     values: KltWindow,
-    /// Derivatives by shear and stretch (4) and shift (2), without their means, times the pixels' weights.
+    /// Derivatives by shear and stretch (4) and shift (2), without their means, times the pixels'
+    /// weights.
     slopes: Box<[KltWindow; 6]>,
     /// `Σ w s sᵀ` over the pixels.
     normal: [[f64; 6]; 6],
@@ -57,12 +58,12 @@ pub(crate) struct Warp {
 
 impl Reference {
     /// The window about a pixel; `None` near the border and where nothing is to be seen.
-    pub fn new(level: &PyramidLevel, p: DVec2) -> Option<Self> {
+    pub(crate) fn new(level: &PyramidLevel, p: DVec2) -> Option<Self> {
         Self::of(&level.patch(p.x as f32, p.y as f32)?, None)
     }
 
     /// The window of a patch, of which the middle counts most; `None` where nothing is to be seen.
-    pub fn central(patch: &ReferencePatch) -> Option<Self> {
+    pub(crate) fn central(patch: &ReferencePatch) -> Option<Self> {
         Self::of(patch, Some(&WEIGHTS))
     }
 
@@ -104,9 +105,9 @@ impl Reference {
         })
     }
 
-    /// Standard deviation of a place where the windows have this correlation, pixels: what is left over,
-    /// `2 (1 − c) Σ v² / n` a pixel, times the inverse of the normal equations.
-    pub fn deviation(&self, correlation: f64) -> f64 {
+    /// Standard deviation of a place where the windows have this correlation, pixels: what is left
+    /// over, `2 (1 − c) Σ v² / n` a pixel, times the inverse of the normal equations.
+    pub(crate) fn deviation(&self, correlation: f64) -> f64 {
         let [x, y] = [4, 5].map(|k| {
             let unit = std::array::from_fn(|i| if i == k { 1.0 } else { 0.0 });
             solve_spd(&self.normal, &unit).map_or(f64::INFINITY, |column: [f64; 6]| column[k])
@@ -116,7 +117,7 @@ impl Reference {
     }
 
     /// The window's place and shape in an image, found near `start`, and the correlation there.
-    pub fn find(&self, level: &PyramidLevel, start: Warp) -> Option<(Warp, f64)> {
+    pub(crate) fn find(&self, level: &PyramidLevel, start: Warp) -> Option<(Warp, f64)> {
         search(self, level, start)
     }
 }

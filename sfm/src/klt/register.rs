@@ -13,8 +13,8 @@ pub(super) const STEPS: usize = 15;
 /// Source: SRC_SHORT
 pub(super) const SHORT: f64 = 0.004;
 
-/// What registration needs of a template's window: its gradients without their means, and the inverse
-/// normal matrix.
+/// What registration needs of a template's window: its gradients without their means, and the
+/// inverse normal matrix.
 struct Template {
     gx: KltWindow,
     gy: KltWindow,
@@ -51,8 +51,8 @@ impl Template {
         Some(Self { gx, gy, own, inverse, deviation })
     }
 
-    /// Where the window fits on `level` near the start, brightness and contrast aside; `None` where it
-    /// is lost.
+    /// Where the window fits on `level` near the start, brightness and contrast aside; `None` where
+    /// it is lost.
     #[inline(always)]
     fn fit(&self, level: &PyramidLevel, (start_x, start_y): (f32, f32)) -> Option<(f32, f32)> {
         let mut window = EMPTY;

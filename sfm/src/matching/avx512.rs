@@ -65,8 +65,8 @@ fn multiply(rows: &Avx512Words, tile: &Avx512Columns) -> Avx512Dots {
     for (k, row) in rows.iter().enumerate() {
         let mut column = [_mm512_setzero_si512(); ROWS];
         for n in 0..ROWS {
-            // SAFETY: a panel holds a vector of 64 bytes for each of the steps that are counted, the
-            // first of them aligned.
+            // SAFETY: a panel holds a vector of 64 bytes for each of the steps that are counted,
+            // the first of them aligned.
             column[n] = unsafe { _mm512_load_si512(tile[n].0.as_ptr().add(k * 64).cast()) };
         }
         for r in 0..ROWS {

@@ -4,6 +4,17 @@
 //! No pair is skipped after a look at its coarsest features: on `temple_ring` the 300 largest of
 //! each image, asked for five matches, would spare half of the unrelated pairs, but lose one in
 //! eight of those with 30 to 60 matches, which hold wide steps together.
+//!
+//! ```
+//! use scene::{Features, Keypoint};
+//! use sfm::matching::{MatchConfig, PreparedFeatures, match_prepared};
+//!
+//! let mut descriptors = vec![0; 2 * Features::DIM];
+//! (descriptors[5], descriptors[Features::DIM + 9]) = (255, 255);
+//! let features = Features { keypoints: vec![Keypoint::default(); 2], descriptors };
+//! let prepared = PreparedFeatures::new(&features);
+//! assert_eq!(match_prepared(&prepared, &prepared, &MatchConfig::default()), [[0, 0], [1, 1]]);
+//! ```
 
 #[cfg(target_arch = "x86_64")]
 mod avx2;

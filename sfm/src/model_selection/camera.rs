@@ -28,7 +28,7 @@ pub(crate) const DISTORTION_SIGMA: f64 = 0.05 / (2.0 * std::f64::consts::SQRT_2)
 
 /// What is solved for.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct FreeIntrinsics {
+pub(crate) struct FreeIntrinsics {
     /// Camera model.
     pub model: CameraModel,
     /// Whether the principal point is free.
@@ -39,7 +39,7 @@ pub struct FreeIntrinsics {
 
 impl FreeIntrinsics {
     /// As a choice in a decision.
-    pub fn choice(self) -> Choice {
+    pub(crate) fn choice(self) -> Choice {
         let principal_point = match (self.principal_point, self.held) {
             (false, _) => PrincipalPoint::Centre,
             (true, None) => PrincipalPoint::Free,
@@ -50,7 +50,7 @@ impl FreeIntrinsics {
     }
 
     /// Free parameters of one camera.
-    pub fn free(self, camera: &Camera) -> Vec<bool> {
+    pub(crate) fn free(self, camera: &Camera) -> Vec<bool> {
         let mut free = free_parameters(camera, true, self.principal_point, true);
         if let Some(k) = self.held {
             free[camera.model.num_focals() + k] = false;
@@ -61,7 +61,7 @@ impl FreeIntrinsics {
 
 /// The camera in another model: shared parameters are taken over, new ones are zero; two focal
 /// lengths become their mean.
-pub fn convert_camera(camera: &Camera, model: CameraModel) -> Camera {
+pub(crate) fn convert_camera(camera: &Camera, model: CameraModel) -> Camera {
     let mut params = match (camera.model.num_focals(), model.num_focals()) {
         (2, 2) => camera.params[..2].to_vec(),
         (_, n) => vec![camera.mean_focal(); n],
@@ -79,7 +79,7 @@ pub(super) fn point_sigma(camera: &Camera) -> f64 {
 }
 
 /// The prior of a free principal point.
-pub fn principal_point_priors(index: usize, camera: &Camera) -> [IntrinsicsPrior; 2] {
+pub(crate) fn principal_point_priors(index: usize, camera: &Camera) -> [IntrinsicsPrior; 2] {
     let (first, sigma) = (camera.model.num_focals(), point_sigma(camera));
     let centre = [camera.width, camera.height].map(|side| f64::from(side) / 2.0);
     [0, 1].map(|k| IntrinsicsPrior { camera: index, parameter: first + k, mean: centre[k], sigma })
@@ -110,7 +110,7 @@ pub(super) struct CameraTrial {
 
 /// The chosen camera model and how well it does.
 #[derive(Clone, Debug)]
-pub struct CameraChoice {
+pub(crate) struct CameraChoice {
     /// What is to be solved for.
     pub intrinsics: FreeIntrinsics,
     /// How well the chosen model does; its BIC is not finite where there was nothing to choose by.
@@ -122,7 +122,7 @@ pub struct CameraChoice {
 }
 
 /// What is solved for before the evidence has spoken; `named`: the user's model.
-pub fn before_the_choice(named: Option<CameraModel>) -> FreeIntrinsics {
+pub(crate) fn before_the_choice(named: Option<CameraModel>) -> FreeIntrinsics {
     let model = named.unwrap_or(CameraModel::SimpleRadial);
     FreeIntrinsics { model, principal_point: false, held: None }
 }
@@ -130,7 +130,7 @@ pub fn before_the_choice(named: Option<CameraModel>) -> FreeIntrinsics {
 /// Chooses for all cameras of `problem` that are not known. `named`: the user's model, which stays.
 /// `principal_point`: that it is free already. `sigma`: noise of the observations, pixels. The
 /// problem's points and poses are those of a finished adjustment; nothing in it is changed.
-pub fn choose(
+pub(crate) fn choose(
     problem: &BundleProblem,
     known: &[Knowledge],
     named: Option<CameraModel>,
@@ -219,7 +219,7 @@ impl CameraSearch<'_> {
 /// observations support, with the choice that goes with it: a free principal point that predicts
 /// better than the untouched images' best model and pays for itself and for one bit an image.
 /// `None` where the evidence is not clear. The alternatives say what was found.
-pub fn choose_rotated(
+pub(crate) fn choose_rotated(
     untouched: &CameraChoice,
     ways: &[BundleProblem],
     known: &[Knowledge],
@@ -412,7 +412,7 @@ impl CameraTrial {
 
 /// Gives every camera the chosen model, freedom and priors; those that are known, what is known of
 /// them.
-pub fn apply(problem: &mut BundleProblem, intrinsics: FreeIntrinsics, known: &[Knowledge]) {
+pub(crate) fn apply(problem: &mut BundleProblem, intrinsics: FreeIntrinsics, known: &[Knowledge]) {
     let old: Vec<Camera> = problem.cameras.clone();
     let mut priors = Vec::new();
     for (i, camera) in problem.cameras.iter_mut().enumerate() {

@@ -81,7 +81,7 @@ pub(crate) struct Comparison {
 
 impl Comparison {
     /// Of `other` against `model`, two adjustments of the same observations.
-    pub fn new(other: &Score, model: &Score) -> Self {
+    pub(crate) fn new(other: &Score, model: &Score) -> Self {
         let differences: Vec<f64> = model.cost.iter().zip(&other.cost).map(|(m, o)| m - o).collect();
         let (gain, error) = gain(&model.held_out, &other.held_out);
         let deviation = deviation_of_sum(&differences);
@@ -89,18 +89,18 @@ impl Comparison {
     }
 
     /// Whether the other model, which has more parameters, is to be preferred.
-    pub fn prefers_richer(&self) -> bool {
+    pub(crate) fn prefers_richer(&self) -> bool {
         let asked = if self.gain > SIGNIFICANT * self.error { PREDICTED } else { CLEAR };
         self.gain > 0.0 && self.margin > asked
     }
 
     /// Whether the other model, which has fewer parameters, is to be preferred.
-    pub fn prefers_simpler(&self) -> bool {
+    pub(crate) fn prefers_simpler(&self) -> bool {
         self.gain > -self.error && self.margin > SIMPLER
     }
 
     /// The numbers that decide.
-    pub fn measurements(&self) -> [Measurement; 2] {
+    pub(crate) fn measurements(&self) -> [Measurement; 2] {
         [
             Measurement::estimate(Quantity::BicMargin, self.margin, self.deviation),
             Measurement::estimate(Quantity::HeldOutGain, self.gain, self.error),

@@ -75,20 +75,20 @@ fn ratio<'a>(sums: impl Iterator<Item = &'a SumOfResiduals> + Clone) -> f64 {
 
 /// Robust standard deviation of one residual coordinate, pixels: the median squared length of a
 /// two-dimensional normal residual is 2 ln 2 σ².
-pub fn noise(problem: &BundleProblem) -> f64 {
+pub(crate) fn noise(problem: &BundleProblem) -> f64 {
     median_noise(problem.observations.iter().map(|o| error_sq(problem, o)).collect())
 }
 
 /// [`noise`] in units of the observations' own standard deviations. Of short tracks it is too
 /// small, for a point takes up 3 of the 2 n coordinates of its n observations; that keeps the
 /// robust loss tight where tracks are short and many wrong.
-pub fn noise_in_units(problem: &BundleProblem) -> f64 {
+pub(crate) fn noise_in_units(problem: &BundleProblem) -> f64 {
     median_noise(problem.observations.iter().map(|o| error_sq(problem, o) / o.sigma_px.powi(2)).collect())
 }
 
 /// What [`noise_in_units`] is to be multiplied by to be the noise of the observations, not of the
 /// residuals: the root of coordinates over redundancy.
-pub fn redundancy(problem: &BundleProblem) -> f64 {
+pub(crate) fn redundancy(problem: &BundleProblem) -> f64 {
     let coordinates = 2 * problem.observations.len();
     let unknowns = 3 * problem.points.len() + 6 * problem.poses.len();
     (coordinates as f64 / coordinates.saturating_sub(unknowns).max(1) as f64).sqrt()

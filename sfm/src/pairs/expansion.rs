@@ -102,8 +102,8 @@ impl Graph {
         next.into_iter().collect()
     }
 
-    /// Once: all untried pairs of images that have found one partner or none, as long as they are few:
-    /// two hold an image in a chain.
+    /// Once: all untried pairs of images that have found one partner or none, as long as they are
+    /// few: two hold an image in a chain.
     fn of_the_lonely(&mut self) -> Vec<(usize, usize)> {
         if std::mem::replace(&mut self.lonely_tried, true) {
             return Vec::new();

@@ -5,8 +5,9 @@ use crate::solvers::{AbsoluteRefinement, p3p, refine_absolute};
 use glam::{DVec2, DVec3};
 use scene::{Camera, Pose};
 
-/// Finds the pose of a calibrated camera. The threshold is in pixels, the residual the reprojection error.
-pub struct AbsolutePoseEstimator {
+/// Finds the pose of a calibrated camera. The threshold is in pixels, the residual the reprojection
+/// error.
+pub(super) struct AbsolutePoseEstimator {
     pixels: Vec<DVec2>,
     rays: Vec<DVec3>,
     points: Vec<DVec3>,
@@ -15,9 +16,9 @@ pub struct AbsolutePoseEstimator {
 }
 
 impl AbsolutePoseEstimator {
-    /// For ideal (undistorted) pixels from the principal point, the world points they see and the focal length in
-    /// pixels. Refinement uses a robust loss of width `loss_scale` px.
-    pub fn new(pixels: Vec<DVec2>, points: Vec<DVec3>, focal: f64, loss_scale: f64) -> Self {
+    /// For ideal (undistorted) pixels from the principal point, the world points they see and the
+    /// focal length in pixels. Refinement uses a robust loss of width `loss_scale` px.
+    pub(super) fn new(pixels: Vec<DVec2>, points: Vec<DVec3>, focal: f64, loss_scale: f64) -> Self {
         let rays = pixels.iter().map(|p| (*p / focal).extend(1.0).normalize()).collect();
         Self { pixels, rays, points, focal, loss_scale }
     }
@@ -56,9 +57,10 @@ impl Estimator for AbsolutePoseEstimator {
     }
 }
 
-/// `cam_from_world` of a camera from pixels and the world points they see; the inliers are indices into both.
-/// Pairs with a number that is not finite are outliers. The threshold of `config` is in pixels.
-pub fn estimate_absolute_pose(
+/// `cam_from_world` of a camera from pixels and the world points they see; the inliers are indices
+/// into both. Pairs with a number that is not finite are outliers. The threshold of `config` is in
+/// pixels.
+pub(crate) fn estimate_absolute_pose(
     camera: &Camera,
     pixels: &[DVec2],
     points: &[DVec3],

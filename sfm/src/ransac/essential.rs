@@ -9,16 +9,16 @@ use glam::{DMat3, DVec2, DVec3};
 
 /// An essential matrix and the same for pixels.
 #[derive(Clone, Copy, Debug)]
-pub struct EssentialModel {
+pub(crate) struct EssentialModel {
     /// `bᵀ E a = 0` for rays.
     pub e: DMat3,
     /// `bᵀ F a = 0` for ideal pixels from the principal point.
     pub f: DMat3,
 }
 
-/// Finds the essential matrix of two cameras with known focal lengths. The threshold is in pixels, the residual
-/// Sampson's.
-pub struct EssentialEstimator {
+/// Finds the essential matrix of two cameras with known focal lengths. The threshold is in pixels,
+/// the residual Sampson's.
+pub(crate) struct EssentialEstimator {
     /// Ideal pixels from the principal point, image a.
     a: Vec<DVec2>,
     b: Vec<DVec2>,
@@ -29,18 +29,18 @@ pub struct EssentialEstimator {
 
 impl EssentialEstimator {
     /// For ideal (undistorted) pixels from the principal point and focal lengths in pixels.
-    pub fn new(a: Vec<DVec2>, b: Vec<DVec2>, focal: [f64; 2], loss_scale: f64) -> Self {
+    pub(crate) fn new(a: Vec<DVec2>, b: Vec<DVec2>, focal: [f64; 2], loss_scale: f64) -> Self {
         Self { a, b, focal, loss_scale }
     }
 
     /// The model of an essential matrix.
-    pub fn model(&self, e: DMat3) -> EssentialModel {
+    pub(crate) fn model(&self, e: DMat3) -> EssentialModel {
         let inverse = self.focal.map(|f| DMat3::from_diagonal(DVec3::new(1.0 / f, 1.0 / f, 1.0)));
         EssentialModel { e, f: inverse[1] * e * inverse[0] }
     }
 
     /// Ray of datum `i` in each camera frame, `z = 1`.
-    pub fn rays(&self, i: usize) -> (DVec3, DVec3) {
+    pub(crate) fn rays(&self, i: usize) -> (DVec3, DVec3) {
         ((self.a[i] / self.focal[0]).extend(1.0), (self.b[i] / self.focal[1]).extend(1.0))
     }
 }

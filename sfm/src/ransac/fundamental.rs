@@ -4,9 +4,9 @@ use super::Estimator;
 use crate::solvers::{Pairs, fundamental_7pt, fundamental_8pt, refine_fundamental, sampson_sq};
 use glam::{DMat3, DVec2};
 
-/// Finds `F` with `bᵀ F a = 0`. Points and threshold have the same unit and should be of the order of 1 (divide
-/// pixels of both images by one number); the residual is Sampson's.
-pub struct FundamentalEstimator {
+/// Finds `F` with `bᵀ F a = 0`. Points and threshold have the same unit and should be of the order
+/// of 1 (divide pixels of both images by one number); the residual is Sampson's.
+pub(crate) struct FundamentalEstimator {
     /// Points of image a.
     pub a: Vec<DVec2>,
     /// Points of image b.
@@ -51,8 +51,8 @@ impl Estimator for FundamentalEstimator {
     }
 }
 
-/// Whether all pairs lie on matching sides of the epipoles, as points in front of both cameras do: the oriented
-/// epipolar constraint `e_b × b ~⁺ F a`. Chum, Werner & Matas, ICPR 2004.
+/// Whether all pairs lie on matching sides of the epipoles, as points in front of both cameras do:
+/// the oriented epipolar constraint `e_b × b ~⁺ F a`. Chum, Werner & Matas, ICPR 2004.
 pub(super) fn is_oriented(f: &DMat3, a: &[DVec2], b: &[DVec2]) -> bool {
     // Columns of F span the plane normal to the epipole of b.
     let crosses = [f.x_axis.cross(f.y_axis), f.y_axis.cross(f.z_axis), f.z_axis.cross(f.x_axis)];

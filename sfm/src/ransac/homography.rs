@@ -5,11 +5,11 @@ use crate::solvers::{homography_4pt, homography_dlt, transfer_sq};
 use glam::{DMat3, DVec2};
 
 /// A homography and its inverse.
-pub type HomographyModel = (DMat3, DMat3);
+pub(super) type HomographyModel = (DMat3, DMat3);
 
-/// Finds `H` with `b ~ H a`. Points and threshold have the same unit; the residual is the larger of the two
-/// transfer errors.
-pub struct HomographyEstimator {
+/// Finds `H` with `b ~ H a`. Points and threshold have the same unit; the residual is the larger of
+/// the two transfer errors.
+pub(crate) struct HomographyEstimator {
     /// Points of image a.
     pub a: Vec<DVec2>,
     /// Points of image b.

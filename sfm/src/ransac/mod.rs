@@ -5,16 +5,16 @@ mod essential;
 mod fundamental;
 mod homography;
 
-pub use absolute_pose::estimate_absolute_pose;
-pub use essential::{EssentialEstimator, EssentialModel};
-pub use fundamental::FundamentalEstimator;
-pub use homography::HomographyEstimator;
+pub(crate) use absolute_pose::estimate_absolute_pose;
+pub(crate) use essential::{EssentialEstimator, EssentialModel};
+pub(crate) use fundamental::FundamentalEstimator;
+pub(crate) use homography::HomographyEstimator;
 
 use rand::Rng as _;
 use scene::rng::rng;
 
 /// A model that can be found from a minimal sample, scored and refined.
-pub trait Estimator {
+pub(crate) trait Estimator {
     /// What is estimated.
     type Model: Clone;
     /// Data that a minimal sample holds.
@@ -31,7 +31,7 @@ pub trait Estimator {
 
 /// How long to search, and what counts as an inlier.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct RansacConfig {
+pub(crate) struct RansacConfig {
     /// Largest residual of an inlier, in the estimator's unit.
     pub threshold: f64,
     /// Probability with which at least one sample without outliers shall have been drawn.
@@ -40,13 +40,14 @@ pub struct RansacConfig {
     pub min_iterations: usize,
     /// Samples drawn at most.
     pub max_iterations: usize,
-    /// A model with fewer inliers is none. It also bounds the search: a model with as many inliers is found with
-    /// the given confidence, and smaller ones are not waited for.
+    /// A model with fewer inliers is none. It also bounds the search: a model with as many inliers
+    /// is found with the given confidence, and smaller ones are not waited for.
     pub min_inliers: usize,
     /// The user's seed.
     pub seed: u64,
-    /// Whether the data are sorted, the most trustworthy first. Every other sample is then drawn from a growing
-    /// head of the list (after PROSAC: Chum & Matas, CVPR 2005), the rest from all data.
+    /// Whether the data are sorted, the most trustworthy first. Every other sample is then drawn
+    /// from a growing head of the list (after PROSAC: Chum & Matas, CVPR 2005), the rest from all
+    /// data.
     pub best_first: bool,
 }
 
@@ -66,7 +67,7 @@ impl Default for RansacConfig {
 
 /// The best model found.
 #[derive(Clone, Debug)]
-pub struct RansacResult<M> {
+pub(crate) struct RansacResult<M> {
     /// The model, refined on its inliers.
     pub model: M,
     /// Data within the threshold, ascending.
@@ -75,12 +76,12 @@ pub struct RansacResult<M> {
     pub score: f64,
 }
 
-/// Finds the model of least truncated quadratic cost (MSAC: Torr & Zisserman 2000): random minimal samples,
-/// each new best refined on its inliers while that helps (LO-RANSAC: Chum, Matas & Kittler 2003), stop when
-/// enough samples have been drawn for the inlier ratio found. Candidates that exceed the best cost are dropped
-/// half-way. The result depends on the data, the configuration and `stream_index` only. `None` if no model has
-/// `min_inliers`.
-pub fn ransac<E: Estimator>(
+/// Finds the model of least truncated quadratic cost (MSAC: Torr & Zisserman 2000): random minimal
+/// samples, each new best refined on its inliers while that helps (LO-RANSAC: Chum, Matas & Kittler
+/// 2003), stop when enough samples have been drawn for the inlier ratio found. Candidates that
+/// exceed the best cost are dropped half-way. The result depends on the data, the configuration and
+/// `stream_index` only. `None` if no model has `min_inliers`.
+pub(crate) fn ransac<E: Estimator>(
     estimator: &E,
     config: &RansacConfig,
     stream_index: u64,
@@ -129,7 +130,8 @@ fn needed_samples(inlier_ratio: f64, sample_size: usize, confidence: f64) -> usi
     ((1.0 - confidence).max(1e-12).ln() / (-good).ln_1p()).ceil() as usize
 }
 
-/// How many of the most trustworthy data are drawn from: twice a sample at first, all after 500 samples.
+/// How many of the most trustworthy data are drawn from: twice a sample at first, all after 500
+/// samples.
 fn growing_head(iteration: usize, sample_size: usize, n: usize) -> usize {
     /// Source: SRC_PROSAC
     const ALL_AFTER: usize = 500;

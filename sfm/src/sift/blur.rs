@@ -1,14 +1,15 @@
 //! Separable Gaussian filters on planes of f32, borders replicated.
 //!
-//! One portable source, compiled three times: for AVX-512 and AVX2 where the machine has them and for
-//! the baseline. Products and sums are kept apart (no fused multiply-add), so all give the same bits.
+//! One portable source, compiled three times: for AVX-512 and AVX2 where the machine has them and
+//! for the baseline. Products and sums are kept apart (no fused multiply-add), so all give the same
+//! bits.
 
 // Loops over several arrays at once are written with an index: the form the compiler vectorises.
 #![allow(clippy::needless_range_loop)]
 
 /// A row-major plane.
 #[derive(Clone, Debug, Default)]
-pub struct LumaPlane {
+pub(super) struct LumaPlane {
     /// Columns.
     pub width: usize,
     /// Rows.
@@ -19,7 +20,7 @@ pub struct LumaPlane {
 
 impl LumaPlane {
     /// Gives the plane that size; what it holds then is not defined.
-    pub fn resize(&mut self, width: usize, height: usize) {
+    pub(super) fn resize(&mut self, width: usize, height: usize) {
         self.width = width;
         self.height = height;
         self.data.resize(width * height, 0.0);
@@ -27,19 +28,19 @@ impl LumaPlane {
 
     /// Row `y`.
     #[inline(always)]
-    pub fn row(&self, y: usize) -> &[f32] {
+    pub(super) fn row(&self, y: usize) -> &[f32] {
         &self.data[y * self.width..(y + 1) * self.width]
     }
 
     /// The sample at column `x`, row `y`.
     #[inline(always)]
-    pub fn at(&self, x: usize, y: usize) -> f32 {
+    pub(super) fn at(&self, x: usize, y: usize) -> f32 {
         self.data[y * self.width + x]
     }
 }
 
 /// Half of a symmetric, normalised, sampled Gaussian: `[centre, ±1, ±2, …]`, cut at 4σ.
-pub fn half_kernel(sigma: f32) -> Vec<f32> {
+pub(super) fn half_kernel(sigma: f32) -> Vec<f32> {
     let radius = (4.0 * sigma).ceil().max(1.0) as usize;
     let half: Vec<f64> = (0..=radius).map(|i| (-0.5 * (i as f64 / f64::from(sigma)).powi(2)).exp()).collect();
     let sum = half[0] + 2.0 * half[1..].iter().sum::<f64>();
@@ -52,11 +53,12 @@ pub(crate) use scene::dispatch;
 /// Source: derived: the 512 bits of the widest registers over the 32 of a sample.
 pub(crate) const LANES: usize = 16;
 /// Samples of the four vectors whose sums are formed side by side.
-/// Source: derived: an addition takes about four cycles, so that the next need not wait for the last.
+/// Source: derived: an addition takes about four cycles, so that the next need not wait for the
+/// last.
 const BLOCK: usize = 4 * LANES;
 
-/// Where the blocks of `n` samples begin; the last one overlaps the one before, so that none is left
-/// over.
+/// Where the blocks of `n` samples begin; the last one overlaps the one before, so that none is
+/// left over.
 #[inline(always)]
 fn blocks_of(n: usize) -> impl Iterator<Item = usize> {
     let count = if n < BLOCK { 0 } else { n.div_ceil(BLOCK) };
@@ -86,8 +88,8 @@ fn with_pair(sum: [f32; LANES], k: f32, left: &[f32], right: &[f32]) -> [f32; LA
     out
 }
 
-/// The sums of a block: `Σ_k kernel[|k|] side(k)[..BLOCK]`. Four vectors by name, for an array of them
-/// would be kept in memory.
+/// The sums of a block: `Σ_k kernel[|k|] side(k)[..BLOCK]`. Four vectors by name, for an array of
+/// them would be kept in memory.
 #[inline(always)]
 fn block_sum<'a>(kernel: &[f32], side: impl Fn(isize) -> &'a [f32]) -> [[f32; LANES]; 4] {
     let centre = &side(0)[..BLOCK];
@@ -122,7 +124,8 @@ dispatch! {
 }
 
 dispatch! {
-    /// The horizontal pass of a part of a row; `padded` holds `radius` further samples on both sides.
+    /// The horizontal pass of a part of a row; `padded` holds `radius` further samples on both
+    /// sides.
     fn horizontal(padded: &[f32], kernel: &[f32], out: &mut [f32]) {
         let radius = kernel.len() - 1;
         for at in blocks_of(out.len()) {
@@ -141,7 +144,7 @@ dispatch! {
 }
 
 /// Blurs `source` by σ pixels into `out` (resized).
-pub fn gaussian_blur(source: &LumaPlane, sigma: f32, out: &mut LumaPlane) {
+pub(super) fn gaussian_blur(source: &LumaPlane, sigma: f32, out: &mut LumaPlane) {
     out.resize(source.width, source.height);
     if source.data.is_empty() {
         return;
@@ -177,7 +180,7 @@ pub fn gaussian_blur(source: &LumaPlane, sigma: f32, out: &mut LumaPlane) {
 /// Twice the size, blurred by σ input pixels on the way: output sample `i` lies at input position
 /// `i/2 − 1/4` (sample indices), so both phases are Gaussian sums of the same width and neither is
 /// favoured.
-pub fn gaussian_double(source: &LumaPlane, sigma: f32, out: &mut LumaPlane) {
+pub(super) fn gaussian_double(source: &LumaPlane, sigma: f32, out: &mut LumaPlane) {
     out.resize(source.width * 2, source.height * 2);
     if source.data.is_empty() {
         return;
@@ -240,7 +243,7 @@ fn phase_kernel(sigma: f32, radius: isize) -> [Vec<f32>; 2] {
 }
 
 /// Every second sample, beginning with the first.
-pub fn halve(source: &LumaPlane, out: &mut LumaPlane) {
+pub(super) fn halve(source: &LumaPlane, out: &mut LumaPlane) {
     let (w, h) = (source.width.div_ceil(2), source.height.div_ceil(2));
     out.resize(w, h);
     for y in 0..h {
@@ -252,7 +255,7 @@ pub fn halve(source: &LumaPlane, out: &mut LumaPlane) {
 }
 
 /// Area-averaged reduction to `width × height` (not larger than the source).
-pub fn reduce(source: &LumaPlane, width: usize, height: usize) -> LumaPlane {
+pub(super) fn reduce(source: &LumaPlane, width: usize, height: usize) -> LumaPlane {
     let columns = area_weights(source.width, width);
     let rows = area_weights(source.height, height);
     let mut out = LumaPlane { width, height, data: vec![0.0; width * height] };

@@ -2,8 +2,8 @@
 
 use serde::{Deserialize, Serialize};
 
-/// Whether the scale space begins with a doubled image (Lowe 2004, section 3.3: about four times the
-/// keypoints).
+/// Whether the scale space begins with a doubled image (Lowe 2004, section 3.3: about four times
+/// the keypoints).
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, clap::ValueEnum, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Doubling {
@@ -29,8 +29,8 @@ pub struct SiftConfig {
     /// Largest image that `auto` doubles, megapixels.
     #[arg(long, default_value_t = Self::default().doubling_limit_mp, help_heading = "Features")]
     pub doubling_limit_mp: f64,
-    /// Longer sides are reduced to this before features are searched, pixels (positions stay in input
-    /// pixels).
+    /// Longer sides are reduced to this before features are searched, pixels (positions stay in
+    /// input pixels).
     #[arg(long, default_value_t = Self::default().max_feature_size, help_heading = "Features")]
     pub max_feature_size: usize,
     /// Most octaves; fewer where the image is small.
@@ -39,7 +39,8 @@ pub struct SiftConfig {
     /// Scales an octave that are searched for extrema (Lowe: 3).
     #[arg(long, default_value_t = Self::default().scales_per_octave, help_heading = "Features")]
     pub scales_per_octave: usize,
-    /// Smallest difference-of-Gaussians response, as a share of the image's own range of brightness.
+    /// Smallest difference-of-Gaussians response, as a share of the image's own range of
+    /// brightness.
     #[arg(long, default_value_t = Self::default().contrast_threshold, help_heading = "Features")]
     pub contrast_threshold: f32,
     /// Smallest response in standard deviations of what the image's own noise makes at that scale.
@@ -51,8 +52,8 @@ pub struct SiftConfig {
     /// Most orientations a keypoint gets.
     #[arg(long, default_value_t = Self::default().max_orientations, help_heading = "Features")]
     pub max_orientations: usize,
-    /// Blurs images before features are searched, pixels: what is lost in noise at full sharpness may
-    /// match then.
+    /// Blurs images before features are searched, pixels: what is lost in noise at full sharpness
+    /// may match then.
     #[arg(long, default_value_t = Self::default().pre_blur, help_heading = "Features")]
     pub pre_blur: f32,
     /// Leaves every feature upright (for cameras that do not roll).

@@ -1,5 +1,5 @@
-//! Orientation and descriptor of a keypoint (Lowe 2004, sections 5 and 6; Arandjelović and Zisserman
-//! 2012).
+//! Orientation and descriptor of a keypoint (Lowe 2004, sections 5 and 6; Arandjelović and
+//! Zisserman 2012).
 
 // Loops over several arrays at once are written with an index: the form the compiler vectorises.
 #![allow(clippy::needless_range_loop)]
@@ -55,7 +55,7 @@ fn fast_atan2(y: f32, x: f32) -> f32 {
 
 /// Dominant directions of the gradient around a keypoint, strongest first, radians in (−π, π].
 /// `x, y, sigma`: samples of the level.
-pub fn orientations(level: &LumaPlane, x: f32, y: f32, sigma: f32, most: usize) -> Vec<f32> {
+pub(super) fn orientations(level: &LumaPlane, x: f32, y: f32, sigma: f32, most: usize) -> Vec<f32> {
     let mut histogram = [0.0; ORIENTATION_BINS];
     orientation_histogram(level, x, y, 1.5 * sigma, &mut histogram);
     // Smoothed by (1, 4, 6, 4, 1)/16.
@@ -87,8 +87,8 @@ pub fn orientations(level: &LumaPlane, x: f32, y: f32, sigma: f32, most: usize) 
 }
 
 dispatch! {
-    /// Gradient magnitudes by direction, Gaussian-weighted with `sigma_w`, shared between the two nearest
-    /// bins.
+    /// Gradient magnitudes by direction, Gaussian-weighted with `sigma_w`, shared between the two
+    /// nearest bins.
     fn orientation_histogram(level: &LumaPlane, x: f32, y: f32, sigma_w: f32, histogram: &mut [f32; ORIENTATION_BINS]) {
         let radius = 3.0 * sigma_w;
         let (first_x, last_x) = clip_range(x, radius, level.width);
@@ -138,7 +138,7 @@ fn clip_range(centre: f32, radius: f32, size: usize) -> (usize, usize) {
 
 /// Weights that every descriptor shares.
 #[derive(Clone, Debug)]
-pub struct DescriptorTables {
+pub(super) struct DescriptorTables {
     /// [WIDE] Gaussian weight along one axis (0 beyond the grid); σ is half the descriptor's width.
     gaussian: [f32; WIDE],
     /// [2 SAMPLES] linear share of the samples `SAMPLES b ..` in spatial bin `b`.
@@ -162,15 +162,17 @@ fn bins_from(i: usize, centre: f32) -> f32 {
 }
 
 dispatch! {
-    /// RootSIFT of the neighbourhood, 128 bytes (see `scene::Features::descriptors`). `x, y, sigma`:
-    /// samples of the level. The neighbourhood is read on a grid turned by `angle` and spaced by a share
-    /// of σ, so that the weights of all samples are the same for every keypoint.
+    /// RootSIFT of the neighbourhood, 128 bytes (see `scene::Features::descriptors`).
+    /// `x, y, sigma`: samples of the level. The neighbourhood is read on a grid turned by `angle`
+    /// and spaced by a share of σ, so that the weights of all samples are the same for every
+    /// keypoint.
     pub fn describe(
         tables: &DescriptorTables, level: &LumaPlane, x: f32, y: f32, sigma: f32, angle: f32, out: &mut [u8],
     ) {
         let mut patch: DescriptorPatch = [[0.0; WIDE + 2]; GRID + 2];
         sample_patch(level, x, y, sigma * BIN_SIGMAS / SAMPLES as f32, angle, &mut patch);
-        // Pooled over rows first: the columns stay apart, so that every step is a vector of columns.
+        // Pooled over rows first: the columns stay apart, so that every step is a vector of
+        // columns.
         let mut pooled = [[[0.0_f32; WIDE]; ANGLES]; SPATIAL];
         for row in 0..GRID {
             let (mut magnitude, mut direction) = ([0.0_f32; WIDE], [0.0_f32; WIDE]);
@@ -214,8 +216,8 @@ dispatch! {
     }
 }
 
-/// Bilinear samples at `(x, y) + R(angle) spacing (i, j)`, centred; positions beyond the border take
-/// its value.
+/// Bilinear samples at `(x, y) + R(angle) spacing (i, j)`, centred; positions beyond the border
+/// take its value.
 #[inline(always)]
 fn sample_patch(level: &LumaPlane, x: f32, y: f32, spacing: f32, angle: f32, patch: &mut DescriptorPatch) {
     let (s, c) = (angle.sin() * spacing, angle.cos() * spacing);
@@ -253,7 +255,8 @@ fn clamp(v: f32, max: f32) -> f32 {
     if v < max { v } else { max }
 }
 
-/// Unit length, clamped at 0.2, unit length again (Lowe 2004, section 6.1), then `round(512 √(h / Σh))`.
+/// Unit length, clamped at 0.2, unit length again (Lowe 2004, section 6.1), then
+/// `round(512 √(h / Σh))`.
 #[inline(always)]
 fn quantise(histogram: &[f32], out: &mut [u8]) {
     let norm = histogram.iter().map(|h| h * h).sum::<f32>().sqrt();

@@ -8,7 +8,7 @@ use super::pyramid::Octave;
 
 /// An extremum of an octave.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Extremum {
+pub(super) struct Extremum {
     /// Column, octave samples (0 is the first sample's centre).
     pub x: f32,
     /// Row, octave samples.
@@ -29,9 +29,9 @@ const FIRST_LOOK: f32 = 0.8;
 /// Source: OpenCV, SIFT_MAX_INTERP_STEPS.
 const MAX_MOVES: usize = 5;
 
-/// All extrema of an octave whose response reaches `threshold(level)` and whose principal curvatures
-/// differ by less than `edge_ratio`.
-pub fn extrema(octave: &Octave, edge_ratio: f32, threshold: impl Fn(usize) -> f32) -> Vec<Extremum> {
+/// All extrema of an octave whose response reaches `threshold(level)` and whose principal
+/// curvatures differ by less than `edge_ratio`.
+pub(super) fn extrema(octave: &Octave, edge_ratio: f32, threshold: impl Fn(usize) -> f32) -> Vec<Extremum> {
     let (w, h) = (octave.levels[0].width, octave.levels[0].height);
     let mut found = Vec::new();
     if w <= 2 * BORDER || h <= 2 * BORDER {
@@ -76,8 +76,8 @@ dispatch! {
 }
 
 dispatch! {
-    /// Columns at which the middle one of nine rows (three layers of three) is above or below all 26
-    /// neighbours.
+    /// Columns at which the middle one of nine rows (three layers of three) is above or below all
+    /// 26 neighbours.
     fn scan_row(rows: &[&[f32]; 9], threshold: f32, candidates: &mut Vec<u32>) {
         let n = rows[4].len();
         let middle = rows[4];
@@ -152,8 +152,8 @@ fn derivatives(octave: &Octave, x: usize, y: usize, level: usize) -> ([f32; 3], 
     (gradient, [[xx, xy, xs], [xy, yy, ys], [xs, ys, ss]])
 }
 
-/// Moves to the top of the quadratic through the 27 neighbours (Brown and Lowe 2002); `None` where it
-/// leaves the octave, does not settle, or lies on an edge.
+/// Moves to the top of the quadratic through the 27 neighbours (Brown and Lowe 2002); `None` where
+/// it leaves the octave, does not settle, or lies on an edge.
 fn refine(
     octave: &Octave,
     mut x: usize,

@@ -1,6 +1,7 @@
-//! Scale-invariant features: SIFT (Lowe, "Distinctive Image Features from Scale-Invariant Keypoints",
-//! IJCV 2004) with RootSIFT descriptors (Arandjelović and Zisserman, CVPR 2012) and thresholds that
-//! follow each image's own range and noise, so that a dark image is not an empty one.
+//! Scale-invariant features: SIFT (Lowe, "Distinctive Image Features from Scale-Invariant
+//! Keypoints", IJCV 2004) with RootSIFT descriptors (Arandjelović and Zisserman, CVPR 2012) and
+//! thresholds that follow each image's own range and noise, so that a dark image is not an empty
+//! one.
 //!
 //! ```
 //! let mut image = scene::FloatImage::zeros(64, 64, 1);
@@ -42,8 +43,8 @@ use std::sync::{Mutex, PoisonError};
 /// Features of a one-channel image with values in [0, 1] (samples that are not finite count as 0).
 ///
 /// `mask` (white = keep; any size, stretched over the image) drops keypoints that lie in black; it
-/// never changes the pixels, so it makes no edges. Positions and scales are in input pixels, the first
-/// pixel's centre at 0.5.
+/// never changes the pixels, so it makes no edges. Positions and scales are in input pixels, the
+/// first pixel's centre at 0.5.
 pub fn extract(image: &FloatImage, mask: Option<&GrayImage>, config: &SiftConfig) -> Features {
     extract_with(&mut Vec::new(), image, mask, config)
 }
@@ -170,7 +171,8 @@ fn orient(octaves: &[Octave], candidate: &Candidate, config: &SiftConfig) -> Vec
     oriented.map(|keypoint| Candidate { keypoint, ..*candidate }).collect()
 }
 
-/// `pre_blur`: what the image was blurred by before, working pixels; it adds to the keypoints' scales.
+/// `pre_blur`: what the image was blurred by before, working pixels; it adds to the keypoints'
+/// scales.
 fn describe_all(octaves: &[Octave], chosen: &[Candidate], ratio: [f32; 2], pre_blur: f32) -> Features {
     let tables = DescriptorTables::default();
     let mut features = Features {
@@ -190,15 +192,16 @@ fn describe_all(octaves: &[Octave], chosen: &[Candidate], ratio: [f32; 2], pre_b
     features
 }
 
-/// Features of every frame, in their order; images are read from disk here. The same for any number of
-/// threads.
+/// Features of every frame, in their order; images are read from disk here. The same for any number
+/// of threads.
 pub fn extract_all(
     frames: &FrameSet,
     config: &SiftConfig,
     progress: &Progress,
 ) -> Result<Vec<Features>, SfmError> {
     progress.begin("features", frames.len());
-    // Scale spaces are handed from image to image: fresh memory is written once by the system and once as zeros.
+    // Scale spaces are handed from image to image: fresh memory is written once by the system and
+    // once as zeros.
     let idle: Mutex<Vec<Vec<Octave>>> = Mutex::new(Vec::new());
     let idle = || idle.lock().unwrap_or_else(PoisonError::into_inner);
     let extracted = frames.frames.par_iter().with_max_len(1).map(|frame| {

@@ -12,7 +12,7 @@ const QUIET_SHARE: f64 = 0.1;
 
 /// What thresholds are made from.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct ImageStatistics {
+pub(super) struct ImageStatistics {
     /// Difference of the 0.999 and 0.001 quantiles of brightness.
     pub range: f32,
     /// Standard deviation of the noise of a pixel.
@@ -24,14 +24,14 @@ pub struct ImageStatistics {
 
 impl ImageStatistics {
     /// Of the pixels for which `keep(x, y)` holds.
-    pub fn measure(image: &LumaPlane, keep: impl Fn(usize, usize) -> bool) -> Self {
+    pub(super) fn measure(image: &LumaPlane, keep: impl Fn(usize, usize) -> bool) -> Self {
         Self { range: brightness_range(image, &keep), noise: noise_sigma(image, &keep), pre_blur: 0.0 }
     }
 
-    /// Standard deviation that the noise has in a difference of Gaussians of blurs `fine` and `coarse`
-    /// (pixels of the image): the image's own blur is no filter, so it is taken off, `pre_blur` is one,
-    /// and for white noise `‖G_a − G_b‖² = (1/a² + 1/b² − 4/(a² + b²)) / 4π`.
-    pub fn dog_noise(&self, fine: f32, coarse: f32) -> f32 {
+    /// Standard deviation that the noise has in a difference of Gaussians of blurs `fine` and
+    /// `coarse` (pixels of the image): the image's own blur is no filter, so it is taken off,
+    /// `pre_blur` is one, and for white noise `‖G_a − G_b‖² = (1/a² + 1/b² − 4/(a² + b²)) / 4π`.
+    pub(super) fn dog_noise(&self, fine: f32, coarse: f32) -> f32 {
         let own = NOMINAL_BLUR * NOMINAL_BLUR;
         let before = self.pre_blur * self.pre_blur;
         let a = (fine * fine - own).max(0.05) + before;
@@ -69,8 +69,8 @@ fn brightness_range(image: &LumaPlane, keep: &impl Fn(usize, usize) -> bool) -> 
 }
 
 /// Noise from the diagonal second difference `(a − b − c + d) / 2` of 2×2 pixels (the finest Haar
-/// detail, Donoho 1995), block by block; the quietest blocks are those without texture. Clipped pixels
-/// (0 or 1) say nothing of noise.
+/// detail, Donoho 1995), block by block; the quietest blocks are those without texture. Clipped
+/// pixels (0 or 1) say nothing of noise.
 fn noise_sigma(image: &LumaPlane, keep: &impl Fn(usize, usize) -> bool) -> f32 {
     let mut blocks = Vec::new();
     for by in 0..image.height / BLOCK {

@@ -9,10 +9,10 @@ pub(super) const NOMINAL_BLUR: f32 = 0.5;
 /// Source: Lowe 2004, section 3.3.
 const BASE_SIGMA: f32 = 1.6;
 
-/// One octave: `scales + 3` levels of the same size; level `i` has blur `1.6 · 2^(i / scales)` octave
-/// pixels.
+/// One octave: `scales + 3` levels of the same size; level `i` has blur `1.6 · 2^(i / scales)`
+/// octave pixels.
 #[derive(Debug, Default)]
-pub struct Octave {
+pub(super) struct Octave {
     /// Blurred images, finest first.
     pub levels: Vec<LumaPlane>,
     /// Input pixels an octave pixel.
@@ -25,18 +25,18 @@ pub struct Octave {
 
 impl Octave {
     /// Blur of a (fractional) level, octave pixels.
-    pub fn sigma(&self, level: f32) -> f32 {
+    pub(super) fn sigma(&self, level: f32) -> f32 {
         BASE_SIGMA * (level / self.scales as f32).exp2()
     }
 
     /// Difference of Gaussians `level + 1` minus `level`.
     #[inline(always)]
-    pub fn dog(&self, level: usize, x: usize, y: usize) -> f32 {
+    pub(super) fn dog(&self, level: usize, x: usize, y: usize) -> f32 {
         self.levels[level + 1].at(x, y) - self.levels[level].at(x, y)
     }
 
     /// The first octave of an image, doubled or not. `step`: input pixels an image pixel.
-    pub fn first(&mut self, image: &LumaPlane, doubled: bool, scales: usize, step: f32) {
+    pub(super) fn first(&mut self, image: &LumaPlane, doubled: bool, scales: usize, step: f32) {
         self.prepare(scales);
         if doubled {
             let sigma = (BASE_SIGMA * BASE_SIGMA / 4.0 - NOMINAL_BLUR * NOMINAL_BLUR).sqrt();
@@ -50,9 +50,9 @@ impl Octave {
         self.fill();
     }
 
-    /// The octave above: level `scales` of the finer one has twice the base blur; every second sample is
-    /// kept.
-    pub fn next_of(&mut self, finer: &Self) {
+    /// The octave above: level `scales` of the finer one has twice the base blur; every second
+    /// sample is kept.
+    pub(super) fn next_of(&mut self, finer: &Self) {
         self.prepare(finer.scales);
         halve(&finer.levels[finer.scales], &mut self.levels[0]);
         (self.step, self.origin) = (finer.step * 2.0, finer.origin);

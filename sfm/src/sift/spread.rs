@@ -11,9 +11,9 @@ pub(super) fn with_margin(most: usize) -> usize {
     most.saturating_add(CELLS * CELLS)
 }
 
-/// At most `most` candidates: first the strongest of every cell, then the second of every cell, and so
-/// on, stronger ones first within a round. The result is in the order of the input.
-pub fn strongest_everywhere(candidates: &[Candidate], most: usize, size: [f32; 2]) -> Vec<Candidate> {
+/// At most `most` candidates: first the strongest of every cell, then the second of every cell, and
+/// so on, stronger ones first within a round. The result is in the order of the input.
+pub(super) fn strongest_everywhere(candidates: &[Candidate], most: usize, size: [f32; 2]) -> Vec<Candidate> {
     if candidates.len() <= most {
         return candidates.to_vec();
     }

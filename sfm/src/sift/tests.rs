@@ -82,7 +82,8 @@ fn finds_spots_at_their_subpixel_position_and_scale() {
             let best = features.keypoints.iter().min_by(|a, b| error(a).total_cmp(&error(b)));
             let k = best.unwrap_or_else(|| panic!("case {case}: nothing found, σ {s}"));
             assert!(error(k) < 0.03, "case {case} {doubling:?}: {x} {y} σ {s} found at {} {}", k.x, k.y);
-            // The difference of σ and 2^⅓ σ responds most where their geometric mean is the spot's size.
+            // The difference of σ and 2^⅓ σ responds most where their geometric mean is the spot's
+            // size.
             let expected = (s * s * 2.0_f64.powf(-1.0 / 3.0) + 0.25).sqrt();
             let ratio = f64::from(k.scale) / expected;
             assert!((0.88..1.12).contains(&ratio), "case {case} {doubling:?}: σ {s} found as {}", k.scale);
@@ -177,7 +178,8 @@ fn a_real_image_turned_by_a_quarter_matches_itself() {
     let mut errors: Vec<f64> = matches.iter().map(error).collect();
     errors.sort_by(f64::total_cmp);
     let quantile = |q: f64| errors[(errors.len() as f64 * q) as usize];
-    // Coarse octaves keep every second sample from the first on, so a turn moves their grid: no half pixel is lost.
+    // Coarse octaves keep every second sample from the first on, so a turn moves their grid: no
+    // half pixel is lost.
     assert!(quantile(0.5) < 0.01, "median {} of the scale", quantile(0.5));
     assert!(quantile(0.97) < 0.25, "97 %: {} of the scale", quantile(0.97));
 }
@@ -258,7 +260,8 @@ fn a_cap_keeps_features_everywhere() {
     assert!(few.keypoints.iter().all(|k| all.keypoints.contains(k)));
 }
 
-/// Parts of a row, blocks and single samples, borders nearer than the filter reaches: all by the definition.
+/// Parts of a row, blocks and single samples, borders nearer than the filter reaches: all by the
+/// definition.
 #[test]
 fn a_blur_is_the_weighted_sum_at_every_size() {
     let mut rng = scene::rng::rng(1, "blur", 0);

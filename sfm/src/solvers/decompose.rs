@@ -5,9 +5,9 @@ use super::linalg::svd3;
 use glam::{DMat3, DVec3};
 use scene::Pose;
 
-/// The four `b_from_a` (unit translation) of an essential matrix, `R ∈ {U W Vᵀ, U Wᵀ Vᵀ}`, `t = ± u₃`; `None`
-/// for zero or non-finite `E`. Hartley & Zisserman (2nd ed.), §9.6.2.
-pub fn poses_from_essential(e: &DMat3) -> Option<[Pose; 4]> {
+/// The four `b_from_a` (unit translation) of an essential matrix, `R ∈ {U W Vᵀ, U Wᵀ Vᵀ}`,
+/// `t = ± u₃`; `None` for zero or non-finite `E`. Hartley & Zisserman (2nd ed.),  9.6.2.
+pub(super) fn poses_from_essential(e: &DMat3) -> Option<[Pose; 4]> {
     if !e.is_finite() || *e == DMat3::ZERO {
         return None;
     }
@@ -21,16 +21,21 @@ pub fn poses_from_essential(e: &DMat3) -> Option<[Pose; 4]> {
 
 /// How a set of ray pairs votes on a relative pose.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct Cheirality {
+pub(crate) struct Cheirality {
     /// Pairs whose point lies in front of both cameras.
     pub in_front: usize,
     /// Pairs with enough parallax to tell.
     pub decided: usize,
 }
 
-/// Counts the pairs in front of both cameras. Pairs with less parallax than `min_angle` (radians) cannot tell
-/// and are left out, unless the rays point in opposite directions: those count against the pose.
-pub fn cheirality(b_from_a: &Pose, rays: impl Iterator<Item = (DVec3, DVec3)>, min_angle: f64) -> Cheirality {
+/// Counts the pairs in front of both cameras. Pairs with less parallax than `min_angle` (radians)
+/// cannot tell and are left out, unless the rays point in opposite directions: those count against
+/// the pose.
+pub(crate) fn cheirality(
+    b_from_a: &Pose,
+    rays: impl Iterator<Item = (DVec3, DVec3)>,
+    min_angle: f64,
+) -> Cheirality {
     let mut result = Cheirality::default();
     for (a, b) in rays {
         let turned = b_from_a.rotation * a;
@@ -46,9 +51,10 @@ pub fn cheirality(b_from_a: &Pose, rays: impl Iterator<Item = (DVec3, DVec3)>, m
     result
 }
 
-/// The pose of an essential matrix with the most points in front of both cameras, and its votes; `None` where
-/// the best two tie (a twisted pair that the points cannot tell apart) or nothing has parallax.
-pub fn pose_from_essential(e: &DMat3, rays: &[(DVec3, DVec3)]) -> Option<(Pose, Cheirality)> {
+/// The pose of an essential matrix with the most points in front of both cameras, and its votes;
+/// `None` where the best two tie (a twisted pair that the points cannot tell apart) or nothing has
+/// parallax.
+pub(crate) fn pose_from_essential(e: &DMat3, rays: &[(DVec3, DVec3)]) -> Option<(Pose, Cheirality)> {
     let mut votes: Vec<(Pose, Cheirality)> = poses_from_essential(e)?
         .into_iter()
         .map(|pose| (pose, cheirality(&pose, rays.iter().copied(), 1e-9)))
@@ -57,11 +63,12 @@ pub fn pose_from_essential(e: &DMat3, rays: &[(DVec3, DVec3)]) -> Option<(Pose, 
     (votes[0].1.in_front > votes[1].1.in_front).then(|| votes[0])
 }
 
-/// Motions `b_from_a` with `H ~ R + t nᵀ` whose plane lies in front of most of the `rays` of camera a:
-/// one (pure rotation) or up to four; translations in units of the plane's distance from camera a. `h`
-/// maps normalised coordinates of a to those of b and has a positive determinant. Ma, Soatto, Košecká &
-/// Sastry, "An Invitation to 3-D Vision", §5.3.3 (cf. Malis & Vargas, INRIA RR-6303).
-pub fn motions_from_homography(h: &DMat3, rays: &[DVec3]) -> Vec<Pose> {
+/// Motions `b_from_a` with `H ~ R + t nᵀ` whose plane lies in front of most of the `rays` of camera
+/// a: one (pure rotation) or up to four; translations in units of the plane's distance from camera
+/// a. `h` maps normalised coordinates of a to those of b and has a positive determinant. Ma,
+/// Soatto, Košecká & Sastry, "An Invitation to 3-D Vision",  5.3.3 (cf. Malis & Vargas, INRIA
+/// RR-6303).
+pub(crate) fn motions_from_homography(h: &DMat3, rays: &[DVec3]) -> Vec<Pose> {
     let (u, s, v) = svd3(h);
     if !(s.is_finite() && s.z > 0.0 && h.determinant() > 0.0) {
         return Vec::new();

@@ -4,11 +4,11 @@ use super::linalg::skew;
 use glam::{DMat3, DVec2, DVec3};
 use scene::Pose;
 
-/// Sampson's squared distance of the pair from the epipolar geometry `bᵀ F a = 0`: a first-order approximation
-/// of the smallest `‖δa‖² + ‖δb‖²` that satisfies it, in the unit of the points squared. Hartley & Zisserman
-/// (2nd ed.), eq. 11.9. Infinite where the gradient vanishes.
+/// Sampson's squared distance of the pair from the epipolar geometry `bᵀ F a = 0`: a first-order
+/// approximation of the smallest `‖δa‖² + ‖δb‖²` that satisfies it, in the unit of the points
+/// squared. Hartley & Zisserman (2nd ed.), eq. 11.9. Infinite where the gradient vanishes.
 #[inline]
-pub fn sampson_sq(f: &DMat3, a: DVec2, b: DVec2) -> f64 {
+pub(crate) fn sampson_sq(f: &DMat3, a: DVec2, b: DVec2) -> f64 {
     let fa = f.x_axis * a.x + f.y_axis * a.y + f.z_axis;
     let (bx, by) =
         (f.x_axis.x * b.x + f.x_axis.y * b.y + f.x_axis.z, f.y_axis.x * b.x + f.y_axis.y * b.y + f.y_axis.z);
@@ -19,19 +19,20 @@ pub fn sampson_sq(f: &DMat3, a: DVec2, b: DVec2) -> f64 {
 
 /// Squared transfer error `‖b − H a‖²`; infinite where `H a` is at or behind the plane at infinity.
 #[inline]
-pub fn transfer_sq(h: &DMat3, a: DVec2, b: DVec2) -> f64 {
+pub(crate) fn transfer_sq(h: &DMat3, a: DVec2, b: DVec2) -> f64 {
     let p = h.x_axis * a.x + h.y_axis * a.y + h.z_axis;
     if p.z > 0.0 { (p.truncate() / p.z).distance_squared(b) } else { f64::INFINITY }
 }
 
 /// `E = [t]× R` of a relative pose; zero for a pure rotation.
-pub fn essential_from_pose(b_from_a: &Pose) -> DMat3 {
+pub(crate) fn essential_from_pose(b_from_a: &Pose) -> DMat3 {
     skew(b_from_a.translation) * b_from_a.matrix()
 }
 
-/// Depths `(λ_a, λ_b)` along the two rays at which they pass closest, in units of the baseline: the solution of
-/// `λ_b b = λ_a R a + t` (least squares in the plane normal to `a × b`). `None` for parallel rays.
-pub fn ray_depths(b_from_a: &Pose, ray_a: DVec3, ray_b: DVec3) -> Option<(f64, f64)> {
+/// Depths `(λ_a, λ_b)` along the two rays at which they pass closest, in units of the baseline: the
+/// solution of `λ_b b = λ_a R a + t` (least squares in the plane normal to `a × b`). `None` for
+/// parallel rays.
+pub(super) fn ray_depths(b_from_a: &Pose, ray_a: DVec3, ray_b: DVec3) -> Option<(f64, f64)> {
     let a = b_from_a.rotation * ray_a;
     let n = a.cross(ray_b);
     let n2 = n.length_squared();
@@ -61,7 +62,8 @@ mod tests {
 
     #[test]
     fn a_small_shift_costs_its_distance_from_the_epipolar_line() {
-        // Sideways motion: lines are rows, both images share the error, so half of the squared offset remains.
+        // Sideways motion: lines are rows, both images share the error, so half of the squared
+        // offset remains.
         let e = essential_from_pose(&Pose { translation: DVec3::X, ..Pose::IDENTITY });
         let error = sampson_sq(&e, DVec2::new(0.1, 0.2), DVec2::new(0.3, 0.2 + 1e-3));
         assert!((error - 0.5e-6).abs() < 1e-12, "{error}");

@@ -9,17 +9,19 @@ type Linear = [f64; 4]; // x y z 1
 type Quadratic = [f64; 10]; // x² xy y² xz yz z² x y z 1
 type Cubic = [f64; 20]; // x³ y³ x²y xy² x²z x² y²z y² xyz xy | xz² xz x yz² yz y z³ z² z 1
 
-/// Essential matrices with `b_iᵀ E a_i = 0` (at most ten, Frobenius norm √2): none where the five pairs do not
-/// determine finitely many. Rays of any length, camera frames. Nistér, "An Efficient Solution to the Five-Point
-/// Relative Pose Problem", PAMI 2004 (§3.1–3.2.3; roots by [`super::polynomial::real_roots`] instead of Sturm chains). Not refined.
-pub fn essential_5pt(a: &[DVec3; 5], b: &[DVec3; 5]) -> Vec<DMat3> {
+/// Essential matrices with `b_iᵀ E a_i = 0` (at most ten, Frobenius norm √2): none where the five
+/// pairs do not determine finitely many. Rays of any length, camera frames. Nistér, "An Efficient
+/// Solution to the Five-Point Relative Pose Problem", PAMI 2004 ( 3.1–3.2.3; roots by
+/// [`super::polynomial::real_roots`] instead of Sturm chains). Not refined.
+pub(crate) fn essential_5pt(a: &[DVec3; 5], b: &[DVec3; 5]) -> Vec<DMat3> {
     let rows: [[f64; 9]; 5] = std::array::from_fn(|i| {
         let (a, b) = (a[i].normalize_or_zero().to_array(), b[i].normalize_or_zero().to_array());
         std::array::from_fn(|k| b[k / 3] * a[k % 3])
     });
     let Some((basis, eliminated)) = best_elimination(null_space(&rows)) else { return Vec::new() };
     let b_matrix = polynomial_matrix(&eliminated);
-    // Planes give double roots; the tolerance is the error that elimination leaves in the coefficients.
+    // Planes give double roots; the tolerance is the error that elimination leaves in the
+    // coefficients.
     let roots = real_roots_with_tolerance(&determinant(&b_matrix), 1e-11);
     let mut result = Vec::with_capacity(roots.len());
     for &z in roots.iter() {
@@ -117,8 +119,9 @@ fn constraints(basis: &[[f64; 9]; 4]) -> [Cubic; 10] {
     result
 }
 
-/// Eliminates with the basis as it is, or, where a pivot is small (the determinant of `B(z)` would cancel to
-/// noise), with the basis vectors in another order. The basis used and the reduced system.
+/// Eliminates with the basis as it is, or, where a pivot is small (the determinant of `B(z)` would
+/// cancel to noise), with the basis vectors in another order. The basis used and the reduced
+/// system.
 fn best_elimination(mut basis: [[f64; 9]; 4]) -> Option<([[f64; 9]; 4], [Cubic; 10])> {
     /// Source: SRC_PIVOT
     const GOOD_PIVOT: f64 = 2e-3;
@@ -139,8 +142,9 @@ fn best_elimination(mut basis: [[f64; 9]; 4]) -> Option<([[f64; 9]; 4], [Cubic; 
     best
 }
 
-/// Gaussian elimination of the first ten monomials with partial pivoting; only the last six rows are reduced
-/// above the diagonal, for only they are used. With the smallest pivot; `None` where the system is singular.
+/// Gaussian elimination of the first ten monomials with partial pivoting; only the last six rows
+/// are reduced above the diagonal, for only they are used. With the smallest pivot; `None` where
+/// the system is singular.
 fn eliminate(mut m: [Cubic; 10]) -> Option<([Cubic; 10], f64)> {
     let scale = m.iter().flatten().fold(0.0_f64, |s, x| s.max(x.abs()));
     let mut smallest = f64::INFINITY;
@@ -169,7 +173,8 @@ fn eliminate(mut m: [Cubic; 10]) -> Option<([Cubic; 10], f64)> {
     Some((m, smallest))
 }
 
-/// The 3 × 3 matrix `B(z)` with `B (x, y, 1)ᵀ = 0`: coefficients ascending in z, of degree 3, 3 and 4.
+/// The 3 × 3 matrix `B(z)` with `B (x, y, 1)ᵀ = 0`: coefficients ascending in z, of degree 3, 3 and
+/// 4.
 fn polynomial_matrix(m: &[Cubic; 10]) -> [[[f64; 5]; 3]; 3] {
     std::array::from_fn(|r| {
         // Rows 4, 6, 8 lead with x²z, y²z, xyz; rows 5, 7, 9 with x², y², xy: (first) − z (second).

@@ -4,10 +4,10 @@ use super::linalg::{mat3_from_rows, null_space};
 use super::polynomial::real_roots;
 use glam::{DMat3, DVec2};
 
-/// Fundamental matrices with `b_iᵀ F a_i = 0` and `det F = 0` (at most three, unit Frobenius norm). The points
-/// should be of the order of 1 (see [`super::fundamental_8pt::Normaliser`]). Hartley & Zisserman, "Multiple View Geometry"
-/// (2nd ed.), §11.1.2. Not refined.
-pub fn fundamental_7pt(a: &[DVec2; 7], b: &[DVec2; 7]) -> Vec<DMat3> {
+/// Fundamental matrices with `b_iᵀ F a_i = 0` and `det F = 0` (at most three, unit Frobenius norm).
+/// The points should be of the order of 1 (see [`super::fundamental_8pt::Normaliser`]). Hartley &
+/// Zisserman, "Multiple View Geometry" (2nd ed.),  11.1.2. Not refined.
+pub(crate) fn fundamental_7pt(a: &[DVec2; 7], b: &[DVec2; 7]) -> Vec<DMat3> {
     let rows: [[f64; 9]; 7] = std::array::from_fn(|i| {
         let (a, b) = (a[i].extend(1.0).to_array(), b[i].extend(1.0).to_array());
         std::array::from_fn(|k| b[k / 3] * a[k % 3])
@@ -43,7 +43,8 @@ mod tests {
     use crate::solvers::sampson_sq;
     use crate::solvers::testing::{Shape, TwoViews, array, two_views};
 
-    /// Largest Sampson distance of all pairs under the best solution of the first seven, relative to the extent.
+    /// Largest Sampson distance of all pairs under the best solution of the first seven, relative
+    /// to the extent.
     fn best(s: &TwoViews) -> f64 {
         let (na, nb) =
             (Normaliser::of(s.a.iter().copied()).unwrap(), Normaliser::of(s.b.iter().copied()).unwrap());

@@ -3,10 +3,10 @@
 use super::linalg::{mat3_from_rows, nearest_rank2, symmetric_eigen};
 use glam::{DMat3, DVec2};
 
-/// An isotropic change of coordinates `(x − centre) · scale` that puts points of any unit near the origin at a
-/// mean distance of √2. Hartley, "In Defense of the Eight-Point Algorithm", PAMI 1997.
+/// An isotropic change of coordinates `(x − centre) · scale` that puts points of any unit near the
+/// origin at a mean distance of √2. Hartley, "In Defense of the Eight-Point Algorithm", PAMI 1997.
 #[derive(Clone, Copy, Debug)]
-pub struct Normaliser {
+pub(super) struct Normaliser {
     /// Mean of the points.
     pub centre: DVec2,
     /// √2 over their mean distance from it.
@@ -15,7 +15,7 @@ pub struct Normaliser {
 
 impl Normaliser {
     /// For these points; `None` where there are none, all coincide or one is not finite.
-    pub fn of(points: impl Iterator<Item = DVec2> + Clone) -> Option<Self> {
+    pub(super) fn of(points: impl Iterator<Item = DVec2> + Clone) -> Option<Self> {
         let count = points.clone().count() as f64;
         let centre = points.clone().sum::<DVec2>() / count;
         let distance = points.map(|p| p.distance(centre)).sum::<f64>() / count;
@@ -24,21 +24,21 @@ impl Normaliser {
     }
 
     /// The point in the new coordinates.
-    pub fn apply(&self, p: DVec2) -> DVec2 {
+    pub(super) fn apply(&self, p: DVec2) -> DVec2 {
         (p - self.centre) * self.scale
     }
 
     /// The change of coordinates as a matrix on homogeneous points.
-    pub fn matrix(&self) -> DMat3 {
+    pub(super) fn matrix(&self) -> DMat3 {
         let t = -self.centre * self.scale;
         DMat3::from_cols_array(&[self.scale, 0.0, 0.0, 0.0, self.scale, 0.0, t.x, t.y, 1.0])
     }
 }
 
 /// The fundamental matrix (rank 2, unit Frobenius norm) that minimises the algebraic error of
-/// `b_iᵀ F a_i = 0` in normalised coordinates; `None` below eight pairs or where they do not determine
-/// it. Hartley 1997.
-pub fn fundamental_8pt(a: &[DVec2], b: &[DVec2]) -> Option<DMat3> {
+/// `b_iᵀ F a_i = 0` in normalised coordinates; `None` below eight pairs or where they do not
+/// determine it. Hartley 1997.
+pub(crate) fn fundamental_8pt(a: &[DVec2], b: &[DVec2]) -> Option<DMat3> {
     let n = a.len().min(b.len());
     if n < 8 {
         return None;

@@ -4,10 +4,11 @@ use super::fundamental_8pt::{Normaliser, accumulate};
 use super::linalg::{mat3_from_rows, symmetric_eigen};
 use glam::{DMat3, DVec2, DVec3};
 
-/// The homography `b_i ~ H a_i` (unit Frobenius norm): both quadruples are taken to the projective basis.
-/// `None` where three points of a side are collinear, or where no plane seen from one side by both cameras can
-/// give the four pairs (a weight would be negative). Hartley & Zisserman (2nd ed.), §4.1, §21.4.
-pub fn homography_4pt(a: &[DVec2; 4], b: &[DVec2; 4]) -> Option<DMat3> {
+/// The homography `b_i ~ H a_i` (unit Frobenius norm): both quadruples are taken to the projective
+/// basis. `None` where three points of a side are collinear, or where no plane seen from one side
+/// by both cameras can give the four pairs (a weight would be negative). Hartley & Zisserman (2nd
+/// ed.),  4.1,  21.4.
+pub(crate) fn homography_4pt(a: &[DVec2; 4], b: &[DVec2; 4]) -> Option<DMat3> {
     let (origin_a, origin_b) = (a[0], b[0]); // far from the origin the determinants below would cancel
     let (basis_a, weights_a) = projective_basis(&a.map(|p| p - origin_a))?;
     let (basis_b, weights_b) = projective_basis(&b.map(|p| p - origin_b))?;
@@ -41,9 +42,10 @@ fn projective_basis(p: &[DVec2; 4]) -> Option<(DMat3, DVec3)> {
     (smallest > 1e-10 * size).then(|| (m, parts / area))
 }
 
-/// The homography that minimises the algebraic error of `b_i × H a_i = 0` in normalised coordinates (unit
-/// Frobenius norm); `None` below four pairs or where they do not determine it. Hartley & Zisserman, alg. 4.2.
-pub fn homography_dlt(a: &[DVec2], b: &[DVec2]) -> Option<DMat3> {
+/// The homography that minimises the algebraic error of `b_i × H a_i = 0` in normalised coordinates
+/// (unit Frobenius norm); `None` below four pairs or where they do not determine it. Hartley &
+/// Zisserman, alg. 4.2.
+pub(crate) fn homography_dlt(a: &[DVec2], b: &[DVec2]) -> Option<DMat3> {
     let n = a.len().min(b.len());
     if n < 4 {
         return None;

@@ -3,7 +3,7 @@
 use super::linalg::solve_spd;
 
 /// Robust cost with the normal equations of its quadratic model.
-pub struct Normal<const D: usize> {
+pub(crate) struct Normal<const D: usize> {
     cost: f64,
     jtj: [[f64; D]; D],
     jtr: [f64; D],
@@ -11,13 +11,13 @@ pub struct Normal<const D: usize> {
 
 impl<const D: usize> Normal<D> {
     /// Nothing summed yet.
-    pub fn new() -> Self {
+    pub(crate) fn new() -> Self {
         Self { cost: 0.0, jtj: [[0.0; D]; D], jtr: [0.0; D] }
     }
 
     /// Adds a residual with its gradient under a weight (of iterative reweighting).
     #[inline]
-    pub fn add(&mut self, residual: f64, gradient: &[f64; D], weight: f64) {
+    pub(crate) fn add(&mut self, residual: f64, gradient: &[f64; D], weight: f64) {
         for i in 0..D {
             let wg = weight * gradient[i];
             self.jtr[i] += wg * residual;
@@ -29,22 +29,23 @@ impl<const D: usize> Normal<D> {
 
     /// Adds to the cost.
     #[inline]
-    pub fn add_cost(&mut self, cost: f64) {
+    pub(crate) fn add_cost(&mut self, cost: f64) {
         self.cost += cost;
     }
 }
 
 /// Cauchy's loss `s² ln(1 + r²/s²)` of a squared residual and its derivative by `r²`.
 #[inline]
-pub fn cauchy(squared: f64, scale: f64) -> (f64, f64) {
+pub(crate) fn cauchy(squared: f64, scale: f64) -> (f64, f64) {
     let x = squared / (scale * scale);
     (scale * scale * x.ln_1p(), 1.0 / (1.0 + x))
 }
 
-/// Minimises from `state`: `evaluate` gives cost and normal equations (`None` where the state is not allowed),
-/// `apply_step` applies a step in the tangent space. Returns the best state; the start where nothing is better.
-/// Marquardt's diagonal scaling, so that units do not matter. Madsen, Nielsen & Tingleff 2004, §3.2.
-pub fn minimise<const D: usize, S: Clone>(
+/// Minimises from `state`: `evaluate` gives cost and normal equations (`None` where the state is
+/// not allowed), `apply_step` applies a step in the tangent space. Returns the best state; the
+/// start where nothing is better. Marquardt's diagonal scaling, so that units do not matter.
+/// Madsen, Nielsen & Tingleff 2004,  3.2.
+pub(crate) fn minimise<const D: usize, S: Clone>(
     state: S,
     max_iterations: usize,
     evaluate: impl Fn(&S) -> Option<Normal<D>>,

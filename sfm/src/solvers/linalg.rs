@@ -1,11 +1,12 @@
-//! Small dense linear algebra of fixed size: null spaces, symmetric eigenproblems, 3 × 3 singular values and
-//! positive definite systems. Golub & Van Loan, "Matrix Computations" (4th ed.), §5.1, §4.2, §8.5, §8.6.3.
+//! Small dense linear algebra of fixed size: null spaces, symmetric eigenproblems, 3 × 3 singular
+//! values and positive definite systems. Golub & Van Loan, "Matrix Computations" (4th ed.),  5.1,
+//!  4.2,  8.5,  8.6.3.
 
 use glam::{DMat3, DVec3};
 
-/// `K = N − M` orthonormal vectors orthogonal to the `M` rows of `a`: Householder QR of `aᵀ`. Where the rows
-/// are dependent the null space is larger and some basis of a part of it is returned.
-pub fn null_space<const M: usize, const N: usize, const K: usize>(a: &[[f64; N]; M]) -> [[f64; N]; K] {
+/// `K = N − M` orthonormal vectors orthogonal to the `M` rows of `a`: Householder QR of `aᵀ`. Where
+/// the rows are dependent the null space is larger and some basis of a part of it is returned.
+pub(crate) fn null_space<const M: usize, const N: usize, const K: usize>(a: &[[f64; N]; M]) -> [[f64; N]; K] {
     let mut rows = *a;
     let mut beta = [0.0; M];
     for j in 0..M {
@@ -40,9 +41,9 @@ fn reflect<const N: usize>(x: &mut [f64; N], v: &[f64; N], beta: f64, from: usiz
     }
 }
 
-/// Eigenvalues in ascending order and their unit eigenvectors (row `i` belongs to value `i`) of a symmetric
-/// matrix: cyclic Jacobi rotations.
-pub fn symmetric_eigen<const N: usize>(matrix: &[[f64; N]; N]) -> ([f64; N], [[f64; N]; N]) {
+/// Eigenvalues in ascending order and their unit eigenvectors (row `i` belongs to value `i`) of a
+/// symmetric matrix: cyclic Jacobi rotations.
+pub(crate) fn symmetric_eigen<const N: usize>(matrix: &[[f64; N]; N]) -> ([f64; N], [[f64; N]; N]) {
     let mut a = *matrix;
     let mut v = [[0.0; N]; N];
     for (i, row) in v.iter_mut().enumerate() {
@@ -92,9 +93,9 @@ fn turn<const N: usize>(x: &mut [f64; N], y: &mut [f64; N], c: f64, s: f64) {
     }
 }
 
-/// Solution of `a x = b` for a symmetric positive definite `a`, of which only the lower triangle is read: Cholesky.
-/// `None` where it is not.
-pub fn solve_spd<const N: usize>(a: &[[f64; N]; N], b: &[f64; N]) -> Option<[f64; N]> {
+/// Solution of `a x = b` for a symmetric positive definite `a`, of which only the lower triangle is
+/// read: Cholesky. `None` where it is not.
+pub(crate) fn solve_spd<const N: usize>(a: &[[f64; N]; N], b: &[f64; N]) -> Option<[f64; N]> {
     let mut l = [[0.0; N]; N];
     for i in 0..N {
         for j in 0..=i {
@@ -119,7 +120,7 @@ pub fn solve_spd<const N: usize>(a: &[[f64; N]; N], b: &[f64; N]) -> Option<[f64
 }
 
 /// `Σ w v vᵀ` of weighted vectors.
-pub fn moments(vectors: impl Iterator<Item = (f64, DVec3)>) -> [[f64; 3]; 3] {
+pub(crate) fn moments(vectors: impl Iterator<Item = (f64, DVec3)>) -> [[f64; 3]; 3] {
     let mut sum = [[0.0; 3]; 3];
     for (w, v) in vectors.map(|(w, v)| (w, v.to_array())) {
         (0..9).for_each(|k| sum[k / 3][k % 3] += w * v[k / 3] * v[k % 3]);
@@ -127,9 +128,9 @@ pub fn moments(vectors: impl Iterator<Item = (f64, DVec3)>) -> [[f64; 3]; 3] {
     sum
 }
 
-/// `m = u · diag(s) · vᵀ` with `s` descending and `u`, `v` orthogonal (their determinants may be −1): one-sided
-/// Jacobi, accurate for small singular values too.
-pub fn svd3(m: &DMat3) -> (DMat3, DVec3, DMat3) {
+/// `m = u · diag(s) · vᵀ` with `s` descending and `u`, `v` orthogonal (their determinants may be
+/// −1): one-sided Jacobi, accurate for small singular values too.
+pub(crate) fn svd3(m: &DMat3) -> (DMat3, DVec3, DMat3) {
     let mut a = [m.x_axis, m.y_axis, m.z_axis];
     let mut v = [DVec3::X, DVec3::Y, DVec3::Z];
     for _ in 0..30 {
@@ -162,8 +163,9 @@ pub fn svd3(m: &DMat3) -> (DMat3, DVec3, DMat3) {
     (DMat3::from_cols(u0, u1, u2), s, DMat3::from_cols(v[order[0]], v[order[1]], v[order[2]]))
 }
 
-/// The rank-2 matrix nearest to `m` (Frobenius norm), scaled to unit norm. `None` for zero or non-finite `m`.
-pub fn nearest_rank2(m: &DMat3) -> Option<DMat3> {
+/// The rank-2 matrix nearest to `m` (Frobenius norm), scaled to unit norm. `None` for zero or
+/// non-finite `m`.
+pub(crate) fn nearest_rank2(m: &DMat3) -> Option<DMat3> {
     let (u, s, v) = svd3(m);
     let norm = s.x.hypot(s.y);
     let f = DMat3::from_cols(u.x_axis * (s.x / norm), u.y_axis * (s.y / norm), DVec3::ZERO) * v.transpose();
@@ -171,12 +173,12 @@ pub fn nearest_rank2(m: &DMat3) -> Option<DMat3> {
 }
 
 /// `[v]×`: `skew(v) w = v × w`.
-pub fn skew(v: DVec3) -> DMat3 {
+pub(crate) fn skew(v: DVec3) -> DMat3 {
     DMat3::from_cols(DVec3::new(0.0, v.z, -v.y), DVec3::new(-v.z, 0.0, v.x), DVec3::new(v.y, -v.x, 0.0))
 }
 
 /// The matrix whose rows, one after another, are the nine numbers.
-pub fn mat3_from_rows(m: &[f64; 9]) -> DMat3 {
+pub(crate) fn mat3_from_rows(m: &[f64; 9]) -> DMat3 {
     DMat3::from_cols_array(m).transpose()
 }
 

@@ -17,12 +17,12 @@ mod refine_relative;
 #[cfg(test)]
 pub(crate) mod testing;
 
-pub use decompose::{cheirality, motions_from_homography, pose_from_essential};
-pub use epipolar::{essential_from_pose, sampson_sq, transfer_sq};
-pub use essential_5pt::essential_5pt;
-pub use fundamental_7pt::fundamental_7pt;
-pub use fundamental_8pt::fundamental_8pt;
-pub use homography_4pt::{homography_4pt, homography_dlt};
-pub use p3p::p3p;
-pub use refine_absolute::{AbsoluteRefinement, refine_absolute};
-pub use refine_relative::{Pairs, refine_fundamental, refine_relative};
+pub(crate) use decompose::{cheirality, motions_from_homography, pose_from_essential};
+pub(crate) use epipolar::{essential_from_pose, sampson_sq, transfer_sq};
+pub(crate) use essential_5pt::essential_5pt;
+pub(crate) use fundamental_7pt::fundamental_7pt;
+pub(crate) use fundamental_8pt::fundamental_8pt;
+pub(crate) use homography_4pt::{homography_4pt, homography_dlt};
+pub(crate) use p3p::p3p;
+pub(crate) use refine_absolute::{AbsoluteRefinement, refine_absolute};
+pub(crate) use refine_relative::{Pairs, refine_fundamental, refine_relative};

@@ -1,4 +1,5 @@
-//! Agreement with OpenCV on the problems of `tests/fixtures/solvers/opencv.json` (`make oracle` makes it anew).
+//! Agreement with OpenCV on the problems of `tests/fixtures/solvers/opencv.json` (`make oracle`
+//! makes it anew).
 
 use super::decompose::poses_from_essential;
 use super::fundamental_8pt::Normaliser;

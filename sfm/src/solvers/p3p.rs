@@ -6,10 +6,11 @@ use glam::{DMat3, DVec3};
 use scene::Pose;
 
 /// Poses with `λᵢ xᵢ = R Xᵢ + t`, `λᵢ > 0`: at most four; none where the points are collinear.
-/// `rays`: unit vectors, camera frame. `points`: world frame, scene units. Each result is a `cam_from_world`.
-/// Persson & Nordberg, "Lambda Twist", ECCV 2018; like Ding et al., "Revisiting the P3P Problem", CVPR 2023, it
-/// intersects two conics by way of a degenerate one of their pencil. The depths are polished, the pose is not.
-pub fn p3p(rays: &[DVec3; 3], points: &[DVec3; 3]) -> Vec<Pose> {
+/// `rays`: unit vectors, camera frame. `points`: world frame, scene units. Each result is a
+/// `cam_from_world`. Persson & Nordberg, "Lambda Twist", ECCV 2018; like Ding et al., "Revisiting
+/// the P3P Problem", CVPR 2023, it intersects two conics by way of a degenerate one of their
+/// pencil. The depths are polished, the pose is not.
+pub(crate) fn p3p(rays: &[DVec3; 3], points: &[DVec3; 3]) -> Vec<Pose> {
     let mut poses = Vec::with_capacity(4);
     let unit = rays.map(DVec3::normalize_or_zero);
     let sides = [points[0] - points[1], points[0] - points[2], points[1] - points[2]];
@@ -98,8 +99,8 @@ fn depths(squared: &[f64; 3], cosines: &[f64; 3]) -> Vec<DVec3> {
     found
 }
 
-/// The two lines into which a degenerate conic of the pencil `d1 + γ d2` falls: of all real ones that whose
-/// lines are farthest from complex.
+/// The two lines into which a degenerate conic of the pencil `d1 + γ d2` falls: of all real ones
+/// that whose lines are farthest from complex.
 fn degenerate_conic(d1: &[[f64; 3]; 3], d2: &[[f64; 3]; 3]) -> Option<[DVec3; 2]> {
     let (m1, m2) = (as_mat(d1), as_mat(d2));
     let mixed = |p: &DMat3, q: &DMat3| {
@@ -138,7 +139,8 @@ fn on_line(line: DVec3, d1: &[[f64; 3]; 3], d2: &[[f64; 3]; 3]) -> Vec<DVec3> {
     }
 }
 
-/// Gauss–Newton on the three equations; `None` where it does not end at a solution in front of the camera.
+/// Gauss–Newton on the three equations; `None` where it does not end at a solution in front of the
+/// camera.
 fn polish(start: DVec3, squared: &[f64; 3], cosines: &[f64; 3]) -> Option<DVec3> {
     let residual = |l: DVec3| {
         DVec3::new(

@@ -2,11 +2,11 @@
 
 /// Highest degree that [`real_roots`] takes.
 /// Source: Nistér, PAMI 2004: the polynomial of five pairs has degree 10.
-pub const MAX_DEGREE: usize = 10;
+pub(super) const MAX_DEGREE: usize = 10;
 
 /// At most [`MAX_DEGREE`] real numbers.
 #[derive(Clone, Copy, Debug, Default)]
-pub struct Roots {
+pub(super) struct Roots {
     values: [f64; MAX_DEGREE],
     len: usize,
 }
@@ -28,18 +28,19 @@ impl std::ops::Deref for Roots {
     }
 }
 
-/// Real roots of `Σ c[i] xⁱ` (degree ≤ 10), each once, in no special order. Roots within [−1, 1] come from the
-/// polynomial itself, the others from the reversed one, so that huge roots and vanishing leading coefficients do
-/// no harm. Between neighbouring extrema there is at most one root (Yuksel, "High-Performance Polynomial Root
-/// Finding for Graphics", 2022): the extrema are the roots of the derivative, found in the same way. Empty for
-/// constants and for coefficients that are not finite.
-pub fn real_roots(c: &[f64]) -> Roots {
+/// Real roots of `Σ c[i] xⁱ` (degree ≤ 10), each once, in no special order. Roots within [−1, 1]
+/// come from the polynomial itself, the others from the reversed one, so that huge roots and
+/// vanishing leading coefficients do no harm. Between neighbouring extrema there is at most one
+/// root (Yuksel, "High-Performance Polynomial Root Finding for Graphics", 2022): the extrema are
+/// the roots of the derivative, found in the same way. Empty for constants and for coefficients
+/// that are not finite.
+pub(super) fn real_roots(c: &[f64]) -> Roots {
     real_roots_with_tolerance(c, 1e-14)
 }
 
-/// Like [`real_roots`]; an extremum counts as a double root where the value is below `tolerance` times the sum
-/// of the absolute terms: the relative error of the coefficients.
-pub fn real_roots_with_tolerance(c: &[f64], tolerance: f64) -> Roots {
+/// Like [`real_roots`]; an extremum counts as a double root where the value is below `tolerance`
+/// times the sum of the absolute terms: the relative error of the coefficients.
+pub(super) fn real_roots_with_tolerance(c: &[f64], tolerance: f64) -> Roots {
     let mut roots = Roots::default();
     let scale = c.iter().fold(0.0_f64, |m, x| m.max(x.abs()));
     if c.len() < 2 || c.len() > MAX_DEGREE + 1 || scale == 0.0 || !c.iter().all(|x| x.is_finite()) {
@@ -64,7 +65,7 @@ pub fn real_roots_with_tolerance(c: &[f64], tolerance: f64) -> Roots {
 }
 
 /// Real roots of `a x² + b x + c`, without cancellation; none, one (where `a` vanishes) or two.
-pub fn quadratic_roots(a: f64, b: f64, c: f64) -> Roots {
+pub(super) fn quadratic_roots(a: f64, b: f64, c: f64) -> Roots {
     let mut roots = Roots::default();
     let discriminant = b * b - 4.0 * a * c;
     // A double root may come out slightly negative: within rounding of the terms it counts as zero.
@@ -90,7 +91,8 @@ fn evaluate(c: &[f64], x: f64) -> f64 {
 /// Roots of `c` within [−1, 1]. `c` has at least two coefficients.
 fn roots_in_unit_interval(c: &[f64], tolerance: f64) -> Roots {
     let degree = c.len() - 1;
-    // derivatives[k] is the k-th derivative up to a factor; its coefficients are used to degree − k.
+    // derivatives[k] is the k-th derivative up to a factor; its coefficients are used to degree −
+    // k.
     let mut derivatives = [[0.0; MAX_DEGREE + 1]; MAX_DEGREE + 1];
     derivatives[0][..=degree].copy_from_slice(c);
     for k in 1..degree {
@@ -107,8 +109,8 @@ fn roots_in_unit_interval(c: &[f64], tolerance: f64) -> Roots {
     roots
 }
 
-/// Roots of `p` in [−1, 1] between its `extrema`; `slope · factor` is its derivative (`None`: p is linear).
-/// Extrema that are zero within `double` count too, where it is given.
+/// Roots of `p` in [−1, 1] between its `extrema`; `slope · factor` is its derivative (`None`: p is
+/// linear). Extrema that are zero within `double` count too, where it is given.
 fn refine_level(
     p: &[f64],
     slope: Option<&[f64]>,
@@ -136,7 +138,8 @@ fn magnitude(p: &[f64], x: f64) -> f64 {
     p.iter().rev().fold(0.0, |sum, c| sum * x.abs() + c.abs())
 }
 
-/// The one root between two points of opposite sign: Newton's method kept inside a shrinking bracket.
+/// The one root between two points of opposite sign: Newton's method kept inside a shrinking
+/// bracket.
 fn bracketed_root(p: &[f64], slope: Option<&[f64]>, factor: f64, bracket: (f64, f64), rises: bool) -> f64 {
     let Some(slope) = slope else { return (-p[0] / p[1]).clamp(bracket.0, bracket.1) };
     let (mut low, mut high) = bracket;

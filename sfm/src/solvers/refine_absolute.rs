@@ -1,4 +1,5 @@
-//! The pose of a camera, and on request its focal length, that minimises a robust reprojection error.
+//! The pose of a camera, and on request its focal length, that minimises a robust reprojection
+//! error.
 
 use super::levenberg::{Normal, cauchy, minimise};
 use glam::{DQuat, DVec2, DVec3};
@@ -6,18 +7,18 @@ use scene::Pose;
 
 /// A refined camera.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct AbsoluteRefinement {
+pub(crate) struct AbsoluteRefinement {
     /// `cam_from_world`.
     pub pose: Pose,
     /// Focal length, pixels.
     pub focal: f64,
 }
 
-/// The camera near `start` that minimises Cauchy's loss, of width `scale` px, of the reprojection error over
-/// `indices`. `pixels`: ideal (undistorted) pixels from the principal point; `points`: world. Six unknowns, or
-/// seven with `free_focal`. Points behind the starting camera are left out. The start is returned where nothing
-/// is better.
-pub fn refine_absolute(
+/// The camera near `start` that minimises Cauchy's loss, of width `scale` px, of the reprojection
+/// error over `indices`. `pixels`: ideal (undistorted) pixels from the principal point; `points`:
+/// world. Six unknowns, or seven with `free_focal`. Points behind the starting camera are left out.
+/// The start is returned where nothing is better.
+pub(crate) fn refine_absolute(
     start: AbsoluteRefinement,
     pixels: &[DVec2],
     points: &[DVec3],

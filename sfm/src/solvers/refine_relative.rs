@@ -7,7 +7,7 @@ use scene::Pose;
 
 /// The pairs to fit: `indices` into `a` and `b`.
 #[derive(Clone, Copy)]
-pub struct Pairs<'a> {
+pub(crate) struct Pairs<'a> {
     /// Points of image a.
     pub a: &'a [DVec2],
     /// Points of image b.
@@ -16,10 +16,11 @@ pub struct Pairs<'a> {
     pub indices: &'a [usize],
 }
 
-/// The relative pose (unit translation) near `b_from_a` that minimises Cauchy's loss, of width `scale`, of the
-/// Sampson error. Points: ideal pixels from the principal point; `focal`: pixels, of a and of b. Five unknowns:
-/// a rotation vector and two on the sphere of translations. The start is returned where nothing is better.
-pub fn refine_relative(
+/// The relative pose (unit translation) near `b_from_a` that minimises Cauchy's loss, of width
+/// `scale`, of the Sampson error. Points: ideal pixels from the principal point; `focal`: pixels,
+/// of a and of b. Five unknowns: a rotation vector and two on the sphere of translations. The start
+/// is returned where nothing is better.
+pub(crate) fn refine_relative(
     b_from_a: &Pose,
     focal: [f64; 2],
     pairs: Pairs,
@@ -48,10 +49,16 @@ pub fn refine_relative(
     minimise(start, max_iterations, evaluate, moved)
 }
 
-/// The fundamental matrix (rank 2, unit norm) near `f` that minimises the same loss in the unit of the points.
-/// Seven unknowns, `F = U diag(cos θ, sin θ, 0) Vᵀ`: Bartoli & Sturm, "Nonlinear Estimation of the Fundamental
-/// Matrix with Minimal Parameters", PAMI 2004. The points should be of the order of 1 to 1000.
-pub fn refine_fundamental(f: &DMat3, pairs: Pairs, scale: f64, max_iterations: usize) -> Option<DMat3> {
+/// The fundamental matrix (rank 2, unit norm) near `f` that minimises the same loss in the unit of
+/// the points. Seven unknowns, `F = U diag(cos θ, sin θ, 0) Vᵀ`: Bartoli & Sturm, "Nonlinear
+/// Estimation of the Fundamental Matrix with Minimal Parameters", PAMI 2004. The points should be
+/// of the order of 1 to 1000.
+pub(crate) fn refine_fundamental(
+    f: &DMat3,
+    pairs: Pairs,
+    scale: f64,
+    max_iterations: usize,
+) -> Option<DMat3> {
     let (u, s, v) = svd3(&nearest_rank2(f)?);
     let (u, v) = (u * u.determinant().signum(), v * v.determinant().signum());
     let matrix = |u: &DMat3, d: DVec3, v: &DMat3| *u * DMat3::from_diagonal(d) * v.transpose();
@@ -95,7 +102,8 @@ fn sampson_normal<const D: usize>(f: &DMat3, tangents: &[DMat3; D], pairs: Pairs
         }
         let root = d.sqrt();
         let residual = c / root;
-        // d residual / d F = (b aᵀ − (c/d) (P F a aᵀ + b (P Fᵀ b)ᵀ)) / √d, P dropping the third coordinate.
+        // d residual / d F = (b aᵀ − (c/d) (P F a aᵀ + b (P Fᵀ b)ᵀ)) / √d, P dropping the third
+        // coordinate.
         let left = (b - fa.extend(0.0) * (c / d)) / root;
         let right = fb.extend(0.0) * (c / (d * root));
         let g = [left * a.x - b * right.x, left * a.y - b * right.y, left * a.z - b * right.z];

@@ -6,7 +6,7 @@ use scene::Pose;
 use scene::rng::{Rng, rng};
 
 /// Two cameras at `z = 1` coordinates and the points they see.
-pub struct TwoViews {
+pub(crate) struct TwoViews {
     /// Relative pose, translation as it is (not unit).
     pub b_from_a: Pose,
     /// Points in frame a.
@@ -19,7 +19,7 @@ pub struct TwoViews {
 
 /// What the points look like.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub enum Shape {
+pub(crate) enum Shape {
     /// In a box.
     General,
     /// On a slanted plane.
@@ -32,7 +32,7 @@ pub enum Shape {
     Infinity,
 }
 
-pub fn unit_vector(r: &mut Rng) -> DVec3 {
+pub(crate) fn unit_vector(r: &mut Rng) -> DVec3 {
     loop {
         let v = DVec3::new(r.random_range(-1.0..1.0), r.random_range(-1.0..1.0), r.random_range(-1.0..1.0));
         if v.length() > 0.1 && v.length() < 1.0 {
@@ -41,12 +41,12 @@ pub fn unit_vector(r: &mut Rng) -> DVec3 {
     }
 }
 
-pub fn rotation(r: &mut Rng, max_angle: f64) -> DQuat {
+pub(crate) fn rotation(r: &mut Rng, max_angle: f64) -> DQuat {
     DQuat::from_axis_angle(unit_vector(r), r.random_range(0.2..1.0) * max_angle)
 }
 
 /// `n` points seen by two cameras that both look at them from about five units of `unit`.
-pub fn two_views(seed: u64, n: usize, shape: Shape, unit: f64) -> TwoViews {
+pub(crate) fn two_views(seed: u64, n: usize, shape: Shape, unit: f64) -> TwoViews {
     let mut r = rng(seed, "two views", 0);
     // An axis across the view, so that there is a baseline.
     let axis = DVec3::new(r.random_range(-1.0..1.0), 1.0, r.random_range(-0.5..0.5)).normalize();
@@ -80,16 +80,16 @@ pub fn two_views(seed: u64, n: usize, shape: Shape, unit: f64) -> TwoViews {
 }
 
 /// Angle between two directions, radians.
-pub fn angle(a: DVec3, b: DVec3) -> f64 {
+pub(crate) fn angle(a: DVec3, b: DVec3) -> f64 {
     a.cross(b).length().atan2(a.dot(b))
 }
 
 /// A number from the normal distribution (Box–Muller).
-pub fn normal(r: &mut Rng) -> f64 {
+pub(crate) fn normal(r: &mut Rng) -> f64 {
     let u: f64 = r.random_range(f64::MIN_POSITIVE..1.0);
     (-2.0 * u.ln()).sqrt() * (std::f64::consts::TAU * r.random_range(0.0..1.0)).cos()
 }
 
-pub fn array<const N: usize, T: Copy>(v: &[T]) -> [T; N] {
+pub(crate) fn array<const N: usize, T: Copy>(v: &[T]) -> [T; N] {
     std::array::from_fn(|i| v[i])
 }

@@ -31,8 +31,8 @@ pub struct TwoViewConfig {
 }
 
 impl TwoViewConfig {
-    /// The error that right matches are taken to have, pixels: the largest is four of it. Robust losses
-    /// bend there, and partners along an epipolar line are sought so far from it.
+    /// The error that right matches are taken to have, pixels: the largest is four of it. Robust
+    /// losses bend there, and partners along an epipolar line are sought so far from it.
     pub(crate) fn sigma_px(&self) -> f64 {
         self.max_error_px / 4.0
     }

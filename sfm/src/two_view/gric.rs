@@ -18,9 +18,9 @@ pub(crate) fn gric(squared: impl Iterator<Item = f64>, sigma: f64, dimension: f6
     sum + 4.0_f64.ln() * dimension * count + (4.0 * count).ln() * parameters
 }
 
-/// Standard deviation of one-dimensional residuals from their median absolute value (and half as much
-/// again because the model was fitted to them), kept between a quarter of a pixel and half of the
-/// `limit`. `squared`: squared residuals of the inliers, pixels.
+/// Standard deviation of one-dimensional residuals from their median absolute value (and half as
+/// much again because the model was fitted to them), kept between a quarter of a pixel and half of
+/// the `limit`. `squared`: squared residuals of the inliers, pixels.
 pub(crate) fn noise(squared: Vec<f64>, limit: f64) -> f64 {
     let highest = (0.5 * limit).max(0.25);
     if squared.is_empty() {

@@ -1,4 +1,27 @@
 //! Geometric verification of image pairs: which matches agree with one rigid motion, and which.
+//!
+//! ```
+//! use scene::{Camera, CameraModel, Features, Keypoint, Progress, TwoViewKind};
+//! use sfm::two_view::{TwoViewConfig, verify_pairs};
+//!
+//! // Points of a grid in space, seen from two places side by side.
+//! let camera = Camera::centred(1, CameraModel::SimplePinhole, 640, 480, 500.0);
+//! let view = |x0: f32| {
+//!     let keypoints = (0..64).map(|i| {
+//!         let (x, y, z) = ((i % 4) as f32 - 1.5, (i / 4 % 4) as f32 - 1.5, 4.0 + (i / 16) as f32);
+//!         let (x, y) = (500.0 * (x - x0) / z + 320.0, 500.0 * y / z + 240.0);
+//!         Keypoint { x, y, scale: 2.0, angle: 0.0 }
+//!     });
+//!     Features { keypoints: keypoints.collect(), descriptors: Vec::new() }
+//! };
+//! let matches = vec![(0, 1, (0..64).map(|i| [i, i]).collect())];
+//! let cameras = [camera.clone(), camera];
+//! let config = TwoViewConfig::default();
+//! let pairs = verify_pairs(&[view(0.0), view(0.5)], &cameras, matches, &config, 0,
+//! &Progress::silent())?;
+//! assert_eq!((pairs[0].kind, pairs[0].inliers.len()), (TwoViewKind::Calibrated, 64));
+//! # Ok::<(), sfm::SfmError>(())
+//! ```
 
 mod chance;
 mod config;

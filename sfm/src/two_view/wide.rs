@@ -20,9 +20,10 @@ const WIDE_RATIO: f32 = 0.87;
 const WIDE_DISTANCE: f32 = 0.8;
 
 /// Matches `pairs` loosely and keeps those that one motion of the solved cameras explains beyond
-/// chance: with half of the error that is allowed elsewhere, as known intrinsics make the model exact,
-/// and with as few false alarms over all pairs as are allowed elsewhere for one (Bonferroni), as most
-/// of them show different places. `cameras`: one a frame. The same for any number of threads.
+/// chance: with half of the error that is allowed elsewhere, as known intrinsics make the model
+/// exact, and with as few false alarms over all pairs as are allowed elsewhere for one
+/// (Bonferroni), as most of them show different places. `cameras`: one a frame. The same for any
+/// number of threads.
 pub(crate) fn second_look(
     features: &[Features],
     cameras: &[Camera],

@@ -11,7 +11,7 @@ mod rotate;
 mod tests;
 mod windows;
 
-pub use rotate::{rotate_camera, rotate_geometry, rotate_pixel, rotate_pose, rotate_problem};
+pub(crate) use rotate::{rotate_camera, rotate_geometry, rotate_pixel, rotate_pose, rotate_problem};
 
 use crate::bundle::BundleProblem;
 use crate::limits::{FEWEST_VIEWS, JOINT_IMAGES};
@@ -20,7 +20,7 @@ use offsets::OffsetLikelihood;
 use scene::Progress;
 
 /// How many of `images` images are asked together.
-pub fn group_size(images: usize) -> usize {
+pub(crate) fn group_size(images: usize) -> usize {
     images.min(JOINT_IMAGES)
 }
 
@@ -31,7 +31,7 @@ pub fn group_size(images: usize) -> usize {
 /// Every image gets a principal point `c + δᵢ` of its own. Their joint information, after poses and
 /// points are eliminated, says what any assignment of signs `δᵢ = ±d` costs; good ones are found by
 /// local search. More than `JOINT_IMAGES` are asked in windows, for one assignment at most.
-pub fn suspects(
+pub(crate) fn suspects(
     problem: &BundleProblem,
     known: &[Knowledge],
     progress: &Progress,

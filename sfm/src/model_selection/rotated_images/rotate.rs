@@ -5,19 +5,19 @@ use glam::{DMat3, DQuat, DVec2, DVec3};
 use scene::{Camera, CameraModel, Pose, TwoViewGeometry};
 
 /// A pixel of the rotated image.
-pub fn rotate_pixel(camera: &Camera, pixel: DVec2) -> DVec2 {
+pub(crate) fn rotate_pixel(camera: &Camera, pixel: DVec2) -> DVec2 {
     DVec2::new(f64::from(camera.width), f64::from(camera.height)) - pixel
 }
 
 /// The pose of the rotated camera.
-pub fn rotate_pose(pose: &Pose) -> Pose {
+pub(crate) fn rotate_pose(pose: &Pose) -> Pose {
     let turn = DQuat::from_xyzw(0.0, 0.0, 1.0, 0.0);
     Pose { rotation: (turn * pose.rotation).normalize(), translation: turn * pose.translation }
 }
 
 /// The camera of the rotated image: principal point mirrored, tangential distortion of the other
 /// sign.
-pub fn rotate_camera(camera: &Camera) -> Camera {
+pub(crate) fn rotate_camera(camera: &Camera) -> Camera {
     let mut rotated = camera.clone();
     let n = camera.model.num_focals();
     let p = rotate_pixel(camera, camera.principal_point());
@@ -29,7 +29,7 @@ pub fn rotate_camera(camera: &Camera) -> Camera {
 }
 
 /// The geometry of a pair of which the first, the second or both images are rotated.
-pub fn rotate_geometry(geometry: &mut TwoViewGeometry, cameras: [&Camera; 2], rotated: [bool; 2]) {
+pub(crate) fn rotate_geometry(geometry: &mut TwoViewGeometry, cameras: [&Camera; 2], rotated: [bool; 2]) {
     // Each of these matrices is its own inverse.
     let (mut pixels, mut rays) = ([DMat3::IDENTITY; 2], [DMat3::IDENTITY; 2]);
     for i in (0..2).filter(|&i| rotated[i]) {
@@ -48,7 +48,7 @@ pub fn rotate_geometry(geometry: &mut TwoViewGeometry, cameras: [&Camera; 2], ro
 }
 
 /// The same adjustment with some images rotated.
-pub fn rotate_problem(problem: &BundleProblem, rotated: &[bool]) -> BundleProblem {
+pub(crate) fn rotate_problem(problem: &BundleProblem, rotated: &[bool]) -> BundleProblem {
     let mut result = problem.clone();
     for (pose, _) in result.poses.iter_mut().zip(rotated).filter(|(_, t)| **t) {
         *pose = rotate_pose(pose);
