@@ -9,7 +9,7 @@
 mod screen;
 
 use image::{GrayImage, RgbImage};
-use preprocess::matting::{KeyConfig, Keyer, MatteMode, Scratch, THUMBNAIL_SIDE};
+use preprocess::matting::{KeyConfig, Keyer, Scratch, THUMBNAIL_SIDE};
 use preprocess::{FrameConfig, video_frames};
 use rayon::prelude::*;
 use scene::Progress;
@@ -138,12 +138,11 @@ fn rows(capture: &Capture) {
             cost.map_or(String::new(), |ms| format!("{ms:.1}"))
         );
     };
-    let (ours, cost) = keyed(capture, MatteMode::Soft);
+    let (ours, cost) = keyed(capture);
     print("ours", &ours, Some(cost));
     dump(capture, &ours);
     if std::env::var_os("KEY_TABLE_BRIEF").is_none() {
-        let (plain, cost) = keyed(capture, MatteMode::Plain);
-        print("green to black", &plain, Some(cost));
+        print("green to black", &plain(capture), None);
         let best = [0.01, 0.02, 0.03, 0.05, 0.08, 0.12, 0.16]
             .map(|similarity| chromakey(capture, similarity))
             .into_iter()
@@ -179,12 +178,12 @@ fn dump(capture: &Capture, mattes: &Mattes) {
 }
 
 /// Mattes of all frames and what one cost, CPU ms.
-fn keyed(capture: &Capture, matte: MatteMode) -> (Mattes, f64) {
+fn keyed(capture: &Capture) -> (Mattes, f64) {
     let frames = &capture.frames;
     let thumbnails: Vec<RgbImage> =
         frames.iter().map(|f| resize_area(f, THUMBNAIL_SIDE, THUMBNAIL_SIDE * HEIGHT / WIDTH)).collect();
-    let config = KeyConfig { matte, ..KeyConfig::with_key("auto") };
-    let mut keyer = Keyer::find(&thumbnails, &config).expect("config").expect("a screen");
+    let mut keyer =
+        Keyer::find(&thumbnails, &KeyConfig::with_key("auto")).expect("config").expect("a screen");
     if capture.stands {
         let samples: Vec<RgbImage> = frames.iter().step_by(frames.len().div_ceil(24)).cloned().collect();
         let cpu = cpu_seconds();
@@ -193,24 +192,46 @@ fn keyed(capture: &Capture, matte: MatteMode) -> (Mattes, f64) {
     }
     let (start, cpu) = (Instant::now(), cpu_seconds());
     let brief = std::env::var_os("KEY_TABLE_BRIEF").is_some();
-    let repeats = if matte == MatteMode::Soft && !brief { 200_usize.div_ceil(frames.len()) } else { 1 };
+    let repeats = if !brief { 200_usize.div_ceil(frames.len()) } else { 1 };
     let mut result = Vec::new();
     for _ in 0..repeats {
         result = frames.par_iter().map_init(Scratch::default, |scratch, f| keyer.matte(f, scratch)).collect();
     }
     let count = (repeats * frames.len()) as f64;
     let (wall, cpu) = (start.elapsed().as_secs_f64() / count, (cpu_seconds() - cpu) / count);
-    if matte == MatteMode::Soft {
-        let why = keyer.decision.sentences().evidence.join("; ");
-        eprintln!("{} at {} light: {why}", capture.name, capture.light);
-        let threads = rayon::current_num_threads();
-        eprintln!(
-            "    {:.1} CPU ms a frame; {:.0} frames a second on {threads} threads",
-            1e3 * cpu,
-            1.0 / wall
-        );
-    }
+    let why = keyer.decision.sentences().evidence.join("; ");
+    eprintln!("{} at {} light: {why}", capture.name, capture.light);
+    let threads = rayon::current_num_threads();
+    eprintln!("    {:.1} CPU ms a frame; {:.0} frames a second on {threads} threads", 1e3 * cpu, 1.0 / wall);
     (result, 1e3 * cpu)
+}
+
+/// The usual rule: what has the screen's hue and some saturation is background.
+fn plain(capture: &Capture) -> Mattes {
+    let hue = hue_saturation_value(capture.screen).0;
+    let cover = |rgb: [u8; 3]| {
+        let (own, saturation, value) = hue_saturation_value(rgb);
+        let apart = (own - hue).rem_euclid(360.0);
+        if saturation > 0.3 && value > 0.1 && apart.min(360.0 - apart) < 35.0 { 0 } else { 255 }
+    };
+    let matte = |f: &RgbImage| {
+        let alpha = f.pixels().map(|p| cover(p.0)).collect();
+        (GrayImage::from_raw(WIDTH, HEIGHT, alpha).expect("size"), f.clone())
+    };
+    capture.frames.iter().map(matte).collect()
+}
+
+/// Hue in degrees, saturation and value in [0, 1] (Smith 1978).
+fn hue_saturation_value(rgb: [u8; 3]) -> (f32, f32, f32) {
+    let [r, g, b] = rgb.map(f32::from);
+    let (max, span) = (r.max(g).max(b), r.max(g).max(b) - r.min(g).min(b));
+    let sixth = match max {
+        _ if span <= 0.0 => 0.0,
+        m if m == r => (g - b) / span,
+        m if m == g => (b - r) / span + 2.0,
+        _ => (r - g) / span + 4.0,
+    };
+    ((60.0 * sixth).rem_euclid(360.0), span / max.max(1.0), max / 255.0)
 }
 
 fn chromakey(capture: &Capture, similarity: f64) -> Mattes {

@@ -7,7 +7,7 @@ mod screen;
 
 use common::{Scratch, shared};
 use image::{GrayImage, Rgb, RgbImage};
-use preprocess::matting::{Background, MatteMode};
+use preprocess::matting::Background;
 use preprocess::{
     FrameConfig, KeyConfig, PreprocessError, contact_sheet, matte_frames, photo_frames, video_frames,
 };
@@ -200,32 +200,30 @@ fn thin_rods_stay_and_garbage_beside_the_screen_goes() {
 }
 
 #[test]
-fn modes_and_backgrounds_do_what_they_say() {
+fn keys_and_backgrounds_do_what_they_say() {
     let dir = Scratch::new("modes");
     let set = painted(&dir.0.join("in"), 2);
-    let run = |key: &str, matte_mode, background| {
-        let config = KeyConfig { key: key.to_owned(), matte: matte_mode, background, ..KeyConfig::default() };
+    let run = |key: &str, background| {
+        let config = KeyConfig { key: key.to_owned(), background, ..KeyConfig::default() };
         matte(&set, &dir.0.join("out"), &config)
     };
-    let out = run("green", MatteMode::Plain, Background::Black).unwrap();
-    let mask = image::open(out.frames[0].mask.as_ref().unwrap()).unwrap().to_luma8();
-    assert!(mask.iter().all(|v| *v == 0 || *v == 255), "hard");
+    let out = run("green", Background::Black).unwrap();
     assert_eq!(image::open(&out.frames[0].path).unwrap().to_rgb8().get_pixel(20, 20).0, [0, 0, 0]);
-    let out = run("auto", MatteMode::Soft, Background::Transparent).unwrap();
+    let out = run("auto", Background::Transparent).unwrap();
     let image = image::open(&out.frames[0].path).unwrap();
     assert_eq!((image.color(), image.to_rgba8().get_pixel(20, 20)[3]), (image::ColorType::Rgba8, 0));
-    let out = run("auto", MatteMode::Soft, Background::Keep).unwrap();
+    let out = run("auto", Background::Keep).unwrap();
     assert_eq!(
         image::open(&out.frames[0].path).unwrap().to_rgb8().get_pixel(20, 20),
         image::open(&set.frames[0].path).unwrap().to_rgb8().get_pixel(20, 20)
     );
-    assert_eq!(run("off", MatteMode::Soft, Background::Keep).unwrap().frames, set.frames);
+    assert_eq!(run("off", Background::Keep).unwrap().frames, set.frames);
     // A lit room is not keyed by light: the object would be cut to pieces.
-    let out = run("black", MatteMode::Soft, Background::Black).unwrap();
+    let out = run("black", Background::Black).unwrap();
     assert_eq!(out.frames, set.frames);
     assert_eq!(out.decisions[0].remarks, [Remark::NotKeyableByLight]);
-    assert!(is_refused(&run("#00ffff", MatteMode::Soft, Background::Keep).unwrap()));
-    assert!(run("grene", MatteMode::Soft, Background::Keep).is_err());
+    assert!(is_refused(&run("#00ffff", Background::Keep).unwrap()));
+    assert!(run("grene", Background::Keep).is_err());
     assert!(contact_sheet(&FrameSet::default(), &dir.0.join("x.png")).is_err());
 }
 

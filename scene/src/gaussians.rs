@@ -3,8 +3,23 @@
 use glam::{Quat, Vec3};
 use serde::{Deserialize, Serialize};
 
+/// Factors of degree 0 and 1: 1 / (2√π), √3 / (2√π). Source: derived from unit norm on the sphere.
+pub const SH_LOW: [f64; 2] = [0.282_094_791_773_878_1, 0.488_602_511_902_919_9];
+/// Factors of degree 2 by |m|: √15/(2√π), √5/(4√π), √15/(4√π) (xy and its like; z²; x² − y²).
+/// Source: derived as [`SH_LOW`].
+pub const SH_2: [f64; 3] = [1.092_548_430_592_079, 0.315_391_565_252_52, 0.546_274_215_296_039_5];
+/// Factors of degree 3: √70/(8√π), √105/(2√π), √42/(8√π), √7/(4√π), √105/(4√π) (|m| = 3; xyz; |m| =
+/// 1; m = 0; z (x² − y²)). Source: derived as [`SH_LOW`].
+pub const SH_3: [f64; 5] = [
+    0.590_043_589_926_643_5,
+    2.890_611_442_640_554,
+    0.457_045_799_464_465_7,
+    0.373_176_332_590_115_4,
+    1.445_305_721_320_277,
+];
+
 /// Zeroth-order spherical-harmonic constant `1 / (2 √π)`, no unit. Source: derived.
-pub const SH_C0: f32 = 0.282_094_79;
+pub const SH_C0: f32 = SH_LOW[0] as f32;
 
 /// N Gaussians as arrays; all have the same spherical-harmonic degree.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]

@@ -76,13 +76,17 @@ pub fn psnr(a: &RgbImage, b: &RgbImage, mask: Option<&GrayImage>) -> Result<f64,
 /// Side of SSIM's window, pixels. Source: Wang et al., TIP 2004, section III-B.
 pub const SSIM_WINDOW: usize = 11;
 /// Standard deviation of SSIM's window, pixels. Source: Wang et al., TIP 2004, section III-B.
-const SIGMA: f64 = 1.5;
-/// Pixels at the border without a whole window. Source: derived from [`SSIM_WINDOW`].
-const BORDER: usize = SSIM_WINDOW / 2;
+pub const SSIM_SIGMA: f64 = 1.5;
+/// Pixels from the window's middle to its side. Source: derived from [`SSIM_WINDOW`].
+pub const SSIM_REACH: usize = SSIM_WINDOW / 2;
+/// K₁ and K₂ of the stabilising constants C = (K L)², L the range of values.
+/// Source: Wang et al., TIP 2004, section III-B.
+pub const SSIM_K: [f64; 2] = [0.01, 0.03];
 
 fn window() -> [f64; SSIM_WINDOW] {
-    let weights: [f64; SSIM_WINDOW] =
-        std::array::from_fn(|i| (-(i as f64 - BORDER as f64).powi(2) / (2.0 * SIGMA * SIGMA)).exp());
+    let weights: [f64; SSIM_WINDOW] = std::array::from_fn(|i| {
+        (-(i as f64 - SSIM_REACH as f64).powi(2) / (2.0 * SSIM_SIGMA * SSIM_SIGMA)).exp()
+    });
     let sum: f64 = weights.iter().sum();
     weights.map(|w| w / sum)
 }
@@ -98,10 +102,10 @@ fn window() -> [f64; SSIM_WINDOW] {
 pub fn ssim(a: &RgbImage, b: &RgbImage, mask: Option<&GrayImage>) -> Result<f64, MetricsError> {
     check(a, b, mask, SSIM_WINDOW as u32)?;
     let (width, height) = (a.width() as usize, a.height() as usize);
-    let rows = height - 2 * BORDER;
+    let rows = height - 2 * SSIM_REACH;
     let kept_columns = |y: usize| {
-        let at = (y + BORDER) * width + BORDER;
-        mask.map(|m| &m.as_raw()[at..at + width - 2 * BORDER])
+        let at = (y + SSIM_REACH) * width + SSIM_REACH;
+        mask.map(|m| &m.as_raw()[at..at + width - 2 * SSIM_REACH])
     };
     let results: Vec<(f64, usize)> = (0..rows)
         .into_par_iter()
@@ -148,7 +152,7 @@ impl RowBuffers {
                 fvv[x] += w * v * v;
             }
         }
-        let n = stride - 6 * BORDER;
+        let n = stride - 6 * SSIM_REACH;
         let mut sum = 0.0;
         let mut pixels = 0;
         let mut values = [0.0_f64; 3 * CHUNK];
@@ -167,10 +171,7 @@ impl RowBuffers {
 
     /// SSIM of the samples from `start` on.
     fn horizontal(&self, start: usize, out: &mut [f64]) {
-        // Stabilising constants (K₁ L)², (K₂ L)². Source: Wang et al., TIP 2004, section III-B.
-        const C1: f64 = (0.01 * 255.0) * (0.01 * 255.0);
-        // Source: see C1.
-        const C2: f64 = (0.03 * 255.0) * (0.03 * 255.0);
+        let [c1, c2] = SSIM_K.map(|k| (k * 255.0) * (k * 255.0));
         let mut means = [[0.0_f64; 3 * CHUNK]; 4];
         for (mean, filtered) in means.iter_mut().zip(&self.filtered) {
             for (i, &w) in self.weights.iter().enumerate() {
@@ -182,8 +183,8 @@ impl RowBuffers {
         for (x, value) in out.iter_mut().enumerate() {
             let (uu, vv) = (mu[x] * mu[x], mv[x] * mv[x]);
             let (su, sv) = (muu[x] - uu, mvv[x] - vv);
-            let numerator = ((uu - vv) / 2.0 + C1) * ((su - sv) / 2.0 + C2);
-            *value = numerator / (((uu + vv) / 2.0 + C1) * ((su + sv) / 2.0 + C2));
+            let numerator = ((uu - vv) / 2.0 + c1) * ((su - sv) / 2.0 + c2);
+            *value = numerator / (((uu + vv) / 2.0 + c1) * ((su + sv) / 2.0 + c2));
         }
     }
 }

@@ -1,6 +1,6 @@
 //! Real spherical harmonics up to degree 3 as 3D Gaussian splatting uses them, and how they turn.
 
-use crate::Gaussians;
+use crate::gaussians::{Gaussians, SH_2, SH_3, SH_LOW};
 use crate::sim3::Sim3;
 use glam::{DQuat, DVec3};
 
@@ -14,22 +14,22 @@ pub fn sh_basis(d: DVec3) -> [f64; SH_COUNT] {
     let (x, y, z) = (d.x, d.y, d.z);
     let (xx, yy, zz) = (x * x, y * y, z * z);
     [
-        0.282_094_791_773_878_1,
-        -0.488_602_511_902_919_9 * y,
-        0.488_602_511_902_919_9 * z,
-        -0.488_602_511_902_919_9 * x,
-        1.092_548_430_592_079 * x * y,
-        -1.092_548_430_592_079 * y * z,
-        0.315_391_565_252_52 * (2.0 * zz - xx - yy),
-        -1.092_548_430_592_079 * x * z,
-        0.546_274_215_296_039_5 * (xx - yy),
-        -0.590_043_589_926_643_5 * y * (3.0 * xx - yy),
-        2.890_611_442_640_554 * x * y * z,
-        -0.457_045_799_464_465_7 * y * (4.0 * zz - xx - yy),
-        0.373_176_332_590_115_4 * z * (2.0 * zz - 3.0 * xx - 3.0 * yy),
-        -0.457_045_799_464_465_7 * x * (4.0 * zz - xx - yy),
-        1.445_305_721_320_277 * z * (xx - yy),
-        -0.590_043_589_926_643_5 * x * (xx - 3.0 * yy),
+        SH_LOW[0],
+        -SH_LOW[1] * y,
+        SH_LOW[1] * z,
+        -SH_LOW[1] * x,
+        SH_2[0] * x * y,
+        -SH_2[0] * y * z,
+        SH_2[1] * (2.0 * zz - xx - yy),
+        -SH_2[0] * x * z,
+        SH_2[2] * (xx - yy),
+        -SH_3[0] * y * (3.0 * xx - yy),
+        SH_3[1] * x * y * z,
+        -SH_3[2] * y * (4.0 * zz - xx - yy),
+        SH_3[3] * z * (2.0 * zz - 3.0 * xx - 3.0 * yy),
+        -SH_3[2] * x * (4.0 * zz - xx - yy),
+        SH_3[4] * z * (xx - yy),
+        -SH_3[0] * x * (xx - 3.0 * yy),
     ]
 }
 

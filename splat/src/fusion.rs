@@ -30,28 +30,44 @@ use scene::{Gaussians, Pose, Progress};
 /// Most voxels along the longest side of the object, unless asked for otherwise. Source:
 /// docs/decisions/16.
 pub const DEFAULT_RESOLUTION: u32 = 400;
-/// Most views that are fused, spread evenly. Source: chosen by hand, never measured.
-const MOST_VIEWS: usize = 120;
-/// A voxel is at least so many pixels of the surface wide: seen aslant, pixels lie farther apart.
-/// Source: docs/decisions/16.
-const PIXELS_OF_A_VOXEL: f64 = 1.5;
-/// Distances are cut off here, voxels. Source: docs/decisions/16.
-const TRUNCATION: f64 = 5.0;
-/// Most memory of the volume, bytes. Source: docs/decisions/16.
-const MOST_BYTES: usize = 3 << 30;
-/// Parts smaller than this share of the largest one's area are left out. Source: docs/decisions/16;
-/// a boom or an antenna is a few thousandths.
-const LEAST_PART: f64 = 0.001;
-/// A surface is seen by at least this share of the views: half of them look at its back, and some
-/// are in each other's way.
-/// Source: chosen by hand, never measured.
-const LEAST_VIEWS: f64 = 0.05;
-/// Of the measured points, this share at either end says nothing of the object's size. Source:
-/// chosen by hand, never measured.
-const TAIL: f64 = 0.005;
-/// Points of a map by which sizes are told, at most. Source: chosen by hand: [`TAIL`] of it are
-/// 100.
-const POINTS_OF_A_MAP: usize = 20_000;
+
+/// How views are fused.
+struct FusionLimits {
+    /// Most views that are fused, spread evenly. Source: chosen by hand, never measured.
+    most_views: usize,
+    /// A voxel is at least so many pixels of the surface wide: seen aslant, pixels lie farther
+    /// apart. Source: docs/decisions/16.
+    pixels_of_a_voxel: f64,
+    /// Distances are cut off here, voxels. Source: docs/decisions/16.
+    truncation: f64,
+    /// Most memory of the volume, bytes. Source: docs/decisions/16.
+    most_bytes: usize,
+    /// Parts smaller than this share of the largest one's area are left out. Source:
+    /// docs/decisions/16; a boom or an antenna is a few thousandths.
+    least_part: f64,
+    /// A surface is seen by at least this share of the views: half of them look at its back, and
+    /// some are in each other's way. Source: chosen by hand, never measured.
+    least_views: f64,
+    /// Of the measured points, this share at either end says nothing of the object's size. Source:
+    /// chosen by hand, never measured.
+    tail: f64,
+    /// Points of a map by which sizes are told, at most. Source: chosen by hand:
+    /// [`FusionLimits::tail`] of it are 100.
+    points_of_a_map: usize,
+}
+
+/// The values in force.
+const LIMITS: FusionLimits = FusionLimits {
+    most_views: 120,
+    pixels_of_a_voxel: 1.5,
+    truncation: 5.0,
+    most_bytes: 3 << 30,
+    least_part: 0.001,
+    least_views: 0.05,
+    tail: 0.005,
+    points_of_a_map: 20_000,
+};
+
 /// Masks are white from here, of 255. Source: the middle.
 const WHITE: u8 = 128;
 
@@ -71,7 +87,7 @@ pub fn fused_mesh(
     let n = &dataset.normalisation;
     let normalised = Sim3 { scale: n.scale, translation: -n.scale * n.centre, ..Sim3::IDENTITY };
     let gaussians = n.normalise(gaussians.clone());
-    let count = dataset.views.len().min(MOST_VIEWS);
+    let count = dataset.views.len().min(LIMITS.most_views);
     progress.begin("depth maps", count);
     let mut maps = Vec::with_capacity(count);
     for k in 0..count {
@@ -88,17 +104,17 @@ pub fn fused_mesh(
         return Ok(Mesh::default());
     }
     let options = FusionOptions {
-        voxel: (size / f64::from(resolution.max(2))).max(PIXELS_OF_A_VOXEL * pixel(&maps)),
-        truncation: TRUNCATION,
+        voxel: (size / f64::from(resolution.max(2))).max(LIMITS.pixels_of_a_voxel * pixel(&maps)),
+        truncation: LIMITS.truncation,
         // The error of a few views is no surface, where there are others to contradict it.
         least_views: match maps.len() {
             0..3 => 1,
-            n => (n as f64 * LEAST_VIEWS).round().max(2.0) as u8,
+            n => (n as f64 * LIMITS.least_views).round().max(2.0) as u8,
         },
-        most_bytes: MOST_BYTES,
+        most_bytes: LIMITS.most_bytes,
     };
     let mut mesh = fuse(&maps, &options, progress)?;
-    mesh.keep_large_parts(LEAST_PART);
+    mesh.keep_large_parts(LIMITS.least_part);
     let world = normalised.inverse();
     mesh.vertices.iter_mut().for_each(|v| *v = world.transform(*v));
     Ok(mesh)
@@ -114,7 +130,7 @@ fn depth_map(
     resolution: u32,
 ) -> Option<DepthMap> {
     // Twice as fine as voxels may be.
-    let most = (2.0 * PIXELS_OF_A_VOXEL * f64::from(resolution)) as usize;
+    let most = (2.0 * LIMITS.pixels_of_a_voxel * f64::from(resolution)) as usize;
     let pixels = view.levels.iter().find(|p| p.width.max(p.height) <= most).or(view.levels.last())?;
     let camera = view.camera.scaled(pixels.width as u32, pixels.height as u32);
     let near = DEFAULT_NEAR * median_distance(gaussians, pose.centre());
@@ -165,7 +181,7 @@ fn points(maps: &[DepthMap]) -> Vec<DVec3> {
 
 fn points_of_map(map: &DepthMap) -> Vec<DVec3> {
     let world_from_cam = map.pose.inverse();
-    let step = map.depth.len().div_ceil(POINTS_OF_A_MAP).max(1);
+    let step = map.depth.len().div_ceil(LIMITS.points_of_a_map).max(1);
     (0..map.depth.len()).step_by(step).filter_map(|i| map.point(i, &world_from_cam)).collect()
 }
 
@@ -197,7 +213,7 @@ fn extent(maps: &[DepthMap]) -> f64 {
     (0..3)
         .filter_map(|axis| {
             let along: Vec<f64> = points.iter().map(|p| p[axis]).collect();
-            Some(quantile(along.clone(), 1.0 - TAIL)? - quantile(along, TAIL)?)
+            Some(quantile(along.clone(), 1.0 - LIMITS.tail)? - quantile(along, LIMITS.tail)?)
         })
         .fold(0.0, f64::max)
 }

@@ -12,8 +12,6 @@ const EMPTY: u8 = 8;
 /// Level of the outlines (1: half the resolution): mattes and poses are no more exact.
 /// Source: chosen by hand, never measured.
 const LEVEL: usize = 1;
-/// By how many of their pixels outlines are widened. Source: [`MATTE_MARGIN_PX`].
-const MARGIN: usize = MATTE_MARGIN_PX >> LEVEL;
 /// Views with a matte from which a hull is told. Source: chosen by hand, never measured.
 const LEAST_VIEWS: usize = 8;
 /// Views that may contradict a place before it counts as outside. Source: chosen by hand: mattes
@@ -69,11 +67,12 @@ impl Silhouette {
         let pixels = &view.levels[level];
         let mask = pixels.mask.as_ref()?;
         let (w, h) = (pixels.width, pixels.height);
+        let margin = MATTE_MARGIN_PX >> LEVEL;
         let mut covered = vec![false; w * h];
         for i in (0..w * h).filter(|i| mask[*i] >= EMPTY) {
             let (x, y) = (i % w, i / w);
-            for row in y.saturating_sub(MARGIN)..(y + MARGIN + 1).min(h) {
-                covered[row * w + x.saturating_sub(MARGIN)..row * w + (x + MARGIN + 1).min(w)].fill(true);
+            for row in y.saturating_sub(margin)..(y + margin + 1).min(h) {
+                covered[row * w + x.saturating_sub(margin)..row * w + (x + margin + 1).min(w)].fill(true);
             }
         }
         Some(Self { view: view.view.at_level(level as u32), covered })

@@ -17,15 +17,24 @@ const OPACITY: f32 = 0.3;
 /// Points of a sparse cloud with fewer than which it is not used. Source: chosen by hand, never
 /// measured.
 const LEAST_POINTS: usize = 16;
-/// Gaussians placed where there is no sparse cloud. Source: chosen by hand, never measured.
-const RANDOM_POINTS: usize = 15_000;
-/// Points drawn for them at most. Source: chosen by hand: one in 27 may lie inside the hull.
-const CANDIDATES: usize = 400_000;
-/// Radius of the ball in which they are drawn, distances of the cameras from what they look at.
-/// Source: chosen by hand, never measured.
-const BALL: f64 = 0.6;
-/// Matte (of 255) below which a view excludes a point. Source: 6 %, chosen by hand, never measured.
-const EMPTY: u8 = 16;
+
+/// The cloud that is drawn where there is no sparse one.
+struct RandomCloud {
+    /// Gaussians that are placed. Source: chosen by hand, never measured.
+    points: usize,
+    /// Points drawn for them at most. Source: chosen by hand: one in 27 may lie inside the hull.
+    candidates: usize,
+    /// Radius of the ball in which they are drawn, distances of the cameras from what they look at.
+    /// Source: chosen by hand, never measured.
+    ball: f64,
+    /// Matte (of 255) below which a view excludes a point. Source: 6 %, chosen by hand, never
+    /// measured.
+    empty: u8,
+}
+
+/// The values in force.
+const RANDOM: RandomCloud = RandomCloud { points: 15_000, candidates: 400_000, ball: 0.6, empty: 16 };
+
 /// Determinant a view at which optical axes are parallel. Source: a spread of the axes of about
 /// 0.6°.
 const PARALLEL: f64 = 1e-4;
@@ -54,7 +63,7 @@ pub(crate) fn cloud(dataset: &Dataset) -> Option<Vec<ColouredPoint>> {
 /// visual hull (or the cameras' common frustum). Isotropic; the scale is the root mean square
 /// distance to the three nearest neighbours.
 pub(crate) fn initial_gaussians(dataset: &Dataset, max: usize, seed: u64) -> Result<Gaussians, SplatError> {
-    let points = cloud(dataset).unwrap_or_else(|| random_points(dataset, max.min(RANDOM_POINTS), seed));
+    let points = cloud(dataset).unwrap_or_else(|| random_points(dataset, max.min(RANDOM.points), seed));
     if points.is_empty() {
         return Err(SplatError::NoGaussians("the cameras see no common space; check the poses".to_owned()));
     }
@@ -141,7 +150,7 @@ fn look_at(view: &View, x: Vec3) -> PointInView {
     }
     let pixels = &view.levels[0];
     let at = py as usize * pixels.width + px as usize;
-    if pixels.mask.as_ref().is_some_and(|m| m[at] < EMPTY) {
+    if pixels.mask.as_ref().is_some_and(|m| m[at] < RANDOM.empty) {
         return PointInView::Masked;
     }
     PointInView::Colour([pixels.rgb[at * 3], pixels.rgb[at * 3 + 1], pixels.rgb[at * 3 + 2]])
@@ -153,8 +162,8 @@ fn random_points(dataset: &Dataset, wanted: usize, seed: u64) -> Vec<ColouredPoi
     let Some((centre, distance)) = focus(&views) else { return Vec::new() };
     let mut rng = scene::rng::rng(seed, "random points", 0);
     let candidates =
-        std::iter::repeat_with(|| centre.as_vec3() + in_ball(&mut rng) * (BALL * distance) as f32);
-    let agreed = candidates.take(CANDIDATES).filter_map(|x| Some((x, mean_colour(&views, x)?)));
+        std::iter::repeat_with(|| centre.as_vec3() + in_ball(&mut rng) * (RANDOM.ball * distance) as f32);
+    let agreed = candidates.take(RANDOM.candidates).filter_map(|x| Some((x, mean_colour(&views, x)?)));
     agreed.take(wanted).collect()
 }
 

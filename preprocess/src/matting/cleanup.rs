@@ -1,35 +1,22 @@
 //! What a matte looks like as a whole: the screen's outline, garbage beside it, still things,
-//! holes, specks.
+//! specks.
 
 use super::morphology::{Rect, Regions, hull};
 use super::pool::Raster;
-use super::screen::Screen;
 use super::screen::clean_plate::CleanPlate;
 use super::solve::Matte;
 use super::trimap::Trimap;
-use glam::Vec3;
 
 /// Objects smaller than this share of the largest are specks.
 /// Source: chosen by hand, never measured.
 pub(crate) const SPECK_SHARE: f32 = 0.01;
-/// Specks are also smaller than this, pixels; smaller holes are kept.
-/// Source: docs/decisions/04 (rods of case 4); `key_table` is the same for holes of 9 pixels.
+/// Specks are also smaller than this, pixels. Source: docs/decisions/04 (rods of case 4).
 const SPECK_PIXELS: usize = 24;
 /// Others so near to a large one are parts of it, pixels.
 /// Source: docs/decisions/04: rods kept on case 4 0.984 -> 0.997.
 const PART_GAP: usize = 8;
-/// An enclosed hole shows the screen if its mean colour is the screen's up to this share of its
-/// light. Source: `key_table` is the same from 0.025 to 0.10.
-const HOLE_TOLERANCE: f32 = 0.08;
-
 /// Cleans the matte in place; all that is done is done in the rectangle around what is not 0.
-pub(crate) fn clean(
-    matte: &mut Matte,
-    screen: &Screen,
-    trimap: &Trimap,
-    plate: Option<&CleanPlate>,
-    keep_pole: bool,
-) {
+pub(crate) fn clean(matte: &mut Matte, trimap: &Trimap, plate: Option<&CleanPlate>, keep_pole: bool) {
     let own;
     let inside = match plate {
         Some(plate) => &plate.before_screen,
@@ -51,8 +38,6 @@ pub(crate) fn clean(
     if let Some(plate) = plate.filter(|p| p.cuts_pole(keep_pole)) {
         restore_before_pole(&mut matte.alpha, plate);
     }
-    remove_what_lies_beside(&mut matte.alpha, &rect, inside);
-    close_reflections(&mut matte.alpha, screen, &rect);
     remove_specks(&mut matte.alpha, &rect);
 }
 
@@ -86,17 +71,6 @@ fn meets_object(alpha: &[f32], plate: &CleanPlate, i: usize, (dx, dy): (i64, i64
         .is_some_and(|j| alpha[j] > 0.5)
 }
 
-/// What lies rather beside the screen than before it is no part of the object.
-fn remove_what_lies_beside(alpha: &mut Raster<f32>, rect: &Rect, inside: &[bool]) {
-    let regions = Regions::of(&rect.mask(alpha, |a| a > 0.0));
-    let mut beside = vec![0_i64; regions.sizes.len()];
-    for (i, label) in rect.rows(alpha.width).flatten().zip(regions.labels.iter()) {
-        beside[*label as usize] += if inside[i] { -1 } else { 1 };
-    }
-    let beside: Vec<bool> = beside.iter().map(|sum| *sum > 0).collect();
-    fill(alpha, rect, &regions, &beside, 0.0);
-}
-
 /// Gives all pixels of some regions of the rectangle this alpha.
 fn fill(alpha: &mut Raster<f32>, rect: &Rect, regions: &Regions, chosen: &[bool], value: f32) {
     if !chosen[1..].contains(&true) {
@@ -107,35 +81,6 @@ fn fill(alpha: &mut Raster<f32>, rect: &Rect, regions: &Regions, chosen: &[bool]
             alpha[i] = value;
         }
     }
-}
-
-/// Foil mirrors the screen: an enclosed hole whose colour, in the light that fits best, is not the
-/// screen's at this place is a part of the object. Its rim is mixed with the object and says
-/// nothing; of a slit that is all.
-fn close_reflections(alpha: &mut Raster<f32>, screen: &Screen, rect: &Rect) {
-    let open = rect.mask(alpha, |a| a < 0.5);
-    let regions = Regions::of(&open);
-    let mut closed = regions.at_border();
-    closed.iter_mut().for_each(|c| *c = !*c);
-    if !closed[1..].contains(&true) {
-        return;
-    }
-    let mut sums = vec![(0, Vec3::ZERO, Vec3::ZERO); closed.len()];
-    let deep = open.erode(2);
-    for (i, (label, deep)) in rect.rows(alpha.width).flatten().zip(regions.labels.iter().zip(deep.iter())) {
-        if closed[*label as usize] && *deep != 0 && alpha[i] <= 0.0 {
-            let (pixels, image, light) = &mut sums[*label as usize];
-            *pixels += 1;
-            *image += screen.image[i];
-            *light += screen.light[i];
-        }
-    }
-    for (closed, (pixels, image, light)) in closed.iter_mut().zip(sums) {
-        let fitted = image.element_sum() / light.element_sum() * light;
-        let departure = (image - fitted).abs().element_sum() / image.element_sum();
-        *closed &= pixels >= SPECK_PIXELS && departure > HOLE_TOLERANCE;
-    }
-    fill(alpha, rect, &regions, &closed, 1.0);
 }
 
 fn remove_specks(alpha: &mut Raster<f32>, rect: &Rect) {

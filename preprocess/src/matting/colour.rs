@@ -67,21 +67,21 @@ pub(crate) fn hue_distance(a: f32, b: f32) -> f32 {
     d.min(360.0 - d)
 }
 
+/// 1 / √3: tangent of the angle within which hues keep a colour difference.
+/// Source: Vlahos, US patent 4,100,569.
+const TAN_30: f32 = 0.577_350_26;
+
 /// The screen's colour as a direction in the plane of chroma (what remains of linear RGB without
 /// its mean).
 ///
-/// The colour difference of a pixel is `d = c·k − w |c·k⊥|`: for a green key and `w = 1/√3` it is
-/// Vlahos' `G − max(R, B)` up to scale (US patent 4,100,569), and it turns with the hue of the key.
+/// The colour difference of a pixel is `d = c·k − |c·k⊥| / √3`: for a green key it is Vlahos' `G −
+/// max(R, B)` up to scale (US patent 4,100,569), and it turns with the hue of the key.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Key {
     /// Unit vector along the key's chroma.
     pub along: Vec3,
     /// Unit vector across it, in the plane of chroma.
     pub across: Vec3,
-    /// How much of the chroma across is taken off, at least `1/√3`.
-    pub wedge: f32,
-    /// Hue, degrees.
-    pub hue: f32,
     /// Colour difference of the screen.
     pub reference: f32,
     /// The same by the screen's light.
@@ -90,16 +90,15 @@ pub(crate) struct Key {
 
 impl Key {
     /// From the linear colour of the screen; `None` for a grey one.
-    pub(super) fn new(colour: Vec3, wedge: f32) -> Option<Self> {
+    pub(super) fn new(colour: Vec3) -> Option<Self> {
         let chroma = chroma(colour);
         let norm = chroma.length();
         if norm < 1e-5 {
             return None;
         }
         let along = chroma / norm;
-        let across = 1.0 / 3f32.sqrt() * Vec3::ONE.cross(along);
-        let (hue, _, _) = hue_saturation_value(colour.to_array().map(srgb8));
-        let mut key = Self { along, across, wedge, hue, reference: 0.0, purity: 0.0 };
+        let across = TAN_30 * Vec3::ONE.cross(along);
+        let mut key = Self { along, across, reference: 0.0, purity: 0.0 };
         key.reference = key.difference(colour);
         key.purity = key.reference / colour.element_sum();
         Some(key)
@@ -109,7 +108,7 @@ impl Key {
     /// colours.
     #[inline(always)]
     pub(super) fn difference(&self, rgb: Vec3) -> f32 {
-        self.along.dot(rgb) - self.wedge * self.across.dot(rgb).abs()
+        self.along.dot(rgb) - TAN_30 * self.across.dot(rgb).abs()
     }
 
     /// Whether linear light looks like the screen: enough of its colour difference and, for its own
@@ -139,13 +138,13 @@ mod tests {
 
     #[test]
     fn the_difference_of_a_green_key_is_that_of_vlahos() {
-        let key = Key::new(Vec3::new(0.0, 0.6, 0.0), 1.0 / 3f32.sqrt()).unwrap();
+        let key = Key::new(Vec3::new(0.0, 0.6, 0.0)).unwrap();
         let scale = key.difference(Vec3::Y);
         for rgb in [[0.2_f32, 0.7, 0.1], [0.5, 0.4, 0.9], [0.3, 0.3, 0.3], [0.0, 0.5, 0.45]] {
             let vlahos = rgb[1] - rgb[0].max(rgb[2]);
             assert!((key.difference(rgb.into()) / scale - vlahos).abs() < 1e-6, "{rgb:?}");
         }
-        assert!(Key::new(Vec3::splat(0.4), 0.6).is_none());
+        assert!(Key::new(Vec3::splat(0.4)).is_none());
     }
 
     #[test]

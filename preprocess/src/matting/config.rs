@@ -14,18 +14,6 @@ pub enum Background {
     Keep,
 }
 
-/// How a matte comes about.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, clap::ValueEnum, Serialize, Deserialize)]
-#[serde(rename_all = "lowercase")]
-pub enum MatteMode {
-    /// Soft matte by colour difference in linear light, edges refined, spill removed.
-    #[default]
-    Soft,
-    /// Every pixel of the key's hue is background, all others are not: the usual simple rule, for
-    /// comparison.
-    Plain,
-}
-
 const DEFAULT_KEY: &str = "auto";
 
 /// How the object is cut out of a green (blue, …) screen.
@@ -39,9 +27,6 @@ pub struct KeyConfig {
     /// What stands behind the object in the images that are written.
     #[arg(long, value_enum, default_value_t, help_heading = "Matte")]
     pub background: Background,
-    /// Soft mattes, or the plain rule "all pixels of the screen's hue are background".
-    #[arg(long, value_enum, default_value_t, help_heading = "Matte")]
-    pub matte: MatteMode,
     /// Keep what stands still before the screen (the pole that holds the object).
     #[arg(long, help_heading = "Matte")]
     pub keep_pole: bool,
@@ -49,12 +34,7 @@ pub struct KeyConfig {
 
 impl Default for KeyConfig {
     fn default() -> Self {
-        Self {
-            key: DEFAULT_KEY.to_owned(),
-            background: Background::default(),
-            matte: MatteMode::default(),
-            keep_pole: false,
-        }
+        Self { key: DEFAULT_KEY.to_owned(), background: Background::default(), keep_pole: false }
     }
 }
 

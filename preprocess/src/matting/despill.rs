@@ -39,7 +39,7 @@ mod tests {
 
     #[test]
     fn despilling_greys_the_key_and_leaves_other_colours() {
-        let key = Key::new(Vec3::new(0.02, 0.5, 0.05), 1.0 / 3f32.sqrt()).unwrap();
+        let key = Key::new(Vec3::new(0.02, 0.5, 0.05)).unwrap();
         for colour in [[0.5, 0.5, 0.5], [0.8, 0.3, 0.1], [0.2, 0.2, 0.9]].map(Vec3::from) {
             assert_eq!(without_spill(colour, &key), colour);
         }

@@ -13,9 +13,9 @@ mod screen;
 mod solve;
 mod trimap;
 
-pub use config::{Background, KeyConfig, MatteMode};
+pub use config::{Background, KeyConfig};
 
-use colour::{Key, hue_distance, hue_saturation_value};
+use colour::Key;
 use config::KeyChoice;
 use image::{GrayImage, RgbImage};
 use pool::Pool;
@@ -32,7 +32,6 @@ use trimap::Trimap;
 pub struct Keyer {
     /// `None`: a dark room, keyed by light.
     key: Option<Key>,
-    mode: MatteMode,
     keep_pole: bool,
     plate: Option<CleanPlate>,
     /// Why this key.
@@ -54,13 +53,13 @@ impl Keyer {
         if choice == KeyChoice::Off {
             return Ok(Err(screen::detect::no_matte(Rule::Requested)));
         }
-        let (mode, keep_pole) = (config.matte, config.keep_pole);
+        let keep_pole = config.keep_pole;
         if choice == KeyChoice::Black {
             if let Some(doubt) = luma_key::doubt(thumbnails) {
                 return Ok(Err(doubt));
             }
             let decision = Decision::new(Subject::Matte, MatteKind::Luminance, Rule::Requested);
-            return Ok(Ok(Self { key: None, mode, keep_pole, plate: None, decision }));
+            return Ok(Ok(Self { key: None, keep_pole, plate: None, decision }));
         }
         let mut telling: Vec<&RgbImage> = thumbnails.iter().filter(|t| !is_blank(t)).collect();
         if telling.is_empty() {
@@ -68,7 +67,7 @@ impl Keyer {
         }
         let found = screen::detect::detect(&telling, choice);
         Ok(match found.key {
-            Some(key) => Ok(Self { key: Some(key), mode, keep_pole, plate: None, decision: found.decision }),
+            Some(key) => Ok(Self { key: Some(key), keep_pole, plate: None, decision: found.decision }),
             None => Err(found.decision),
         })
     }
@@ -76,8 +75,7 @@ impl Keyer {
     /// Learns from frames of a video, where the camera stands still: the screen's folds, what lies
     /// beside it, the pole. Returns what was found out.
     pub fn learn(&mut self, frames: &[RgbImage]) -> Option<String> {
-        let key = self.key.filter(|_| self.mode == MatteMode::Soft);
-        self.plate = key.and_then(|key| CleanPlate::learn(frames, &key));
+        self.plate = self.key.and_then(|key| CleanPlate::learn(frames, &key));
         let plate = self.plate.as_ref().filter(|p| p.share > 1e-3)?;
         Some(format!(
             "the camera stands still: {:.1} % of the picture is neither screen nor moving and is {}",
@@ -93,12 +91,11 @@ impl Keyer {
     /// Matte (white = object) and foreground colours of one frame.
     pub fn matte(&self, image: &RgbImage, scratch: &mut Scratch) -> (GrayImage, RgbImage) {
         let (width, height) = image.dimensions();
-        if self.mode == MatteMode::Soft && is_blank(image) {
+        if is_blank(image) {
             return (GrayImage::new(width, height), image.clone());
         }
         let (alpha, colours) = match &self.key {
             None => (luma_key::matte(&scratch.0, image.as_raw(), width as usize), image.as_raw().clone()),
-            Some(key) if self.mode == MatteMode::Plain => (plain(image, key), image.as_raw().clone()),
             Some(key) => self.soft(image, key, &scratch.0),
         };
         let matte = GrayImage::from_raw(width, height, alpha).unwrap_or_default();
@@ -107,7 +104,8 @@ impl Keyer {
 
     fn soft(&self, image: &RgbImage, key: &Key, pool: &Pool) -> (Vec<u8>, Vec<u8>) {
         let Some((screen, trimap, mut matte)) = self.solve(image, key, pool) else {
-            return (plain(image, key), image.as_raw().clone());
+            // A frame without any screen shows nothing but the object.
+            return (vec![255; image.as_raw().len() / 3], image.as_raw().clone());
         };
         refine_network::refine(&screen, &trimap, &mut matte, image.as_raw(), key);
         let alpha = matte.alpha.iter().map(|a| (a * 255.0 + 0.5) as u8).collect();
@@ -127,11 +125,10 @@ impl Keyer {
             Some(plate) => Screen::before_plate(pool, image, key, plate, self.keep_pole),
             None => Screen::before_field(pool, image, key)?,
         };
-        let noise = screen.noise();
-        let trimap = Trimap::new(&screen, noise.share, image.as_raw(), key);
+        let trimap = Trimap::new(&screen, screen.noise(), image.as_raw(), key);
         solve::measure_light_beside(&mut screen, &trimap, key);
-        let mut matte = Matte::solve(&screen, &trimap, &noise);
-        cleanup::clean(&mut matte, &screen, &trimap, plate, self.keep_pole);
+        let mut matte = Matte::solve(&screen, &trimap);
+        cleanup::clean(&mut matte, &trimap, plate, self.keep_pole);
         Some((screen, trimap, matte))
     }
 
@@ -139,7 +136,7 @@ impl Keyer {
     /// inputs, alpha so far, true alpha; for training it (`tools/train_outline.py`). Empty where
     /// nothing is keyed by colour or the sizes differ.
     pub fn outline_samples(&self, image: &RgbImage, truth: &GrayImage, scratch: &mut Scratch) -> Vec<f32> {
-        let Some(key) = self.key.as_ref().filter(|_| self.mode == MatteMode::Soft && !is_blank(image)) else {
+        let Some(key) = self.key.as_ref().filter(|_| !is_blank(image)) else {
             return Vec::new();
         };
         let (true, Some((screen, trimap, matte))) =
@@ -166,15 +163,6 @@ fn is_blank(image: &RgbImage) -> bool {
         let mut samples: Vec<f32> = image.pixels().step_by(61).map(|p| f32::from(p[c])).collect();
         quantile(&mut samples, 0.998) - quantile(&mut samples, 0.002) <= BLANK_LEVELS
     })
-}
-
-/// The usual rule: what has the key's hue and some saturation is background.
-fn plain(image: &RgbImage, key: &Key) -> Vec<u8> {
-    let is_screen = |rgb: [u8; 3]| {
-        let (hue, saturation, value) = hue_saturation_value(rgb);
-        saturation > 0.3 && value > 0.1 && hue_distance(hue, key.hue) < 35.0
-    };
-    image.pixels().map(|p| if is_screen(p.0) { 0 } else { 255 }).collect()
 }
 
 /// Memory kept between frames; one a thread.

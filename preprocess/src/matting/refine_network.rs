@@ -306,7 +306,7 @@ mod tests {
     #[test]
     fn both_sides_of_the_outline_are_asked_about_and_no_solid_part() {
         let (width, height) = (60, 40);
-        let key = Key::new([0.02, 0.4, 0.05].into(), 1.0 / 3f32.sqrt()).unwrap();
+        let key = Key::new([0.02, 0.4, 0.05].into()).unwrap();
         let panel = |i: usize| (10..50).contains(&(i % width)) && (8..32).contains(&(i / width));
         let rgb: Vec<u8> = (0..width * height)
             .flat_map(|i| if panel(i) { [210, 205, 200] } else { [40, 170, 60] })

@@ -4,7 +4,7 @@
 use super::colour::{Key, chroma, coded, luminance};
 use super::morphology::{Rect, box_sum, set_pixels, smooth_within};
 use super::pool::Raster;
-use super::screen::{Screen, ScreenNoise};
+use super::screen::Screen;
 use super::trimap::Trimap;
 use glam::Vec3;
 
@@ -76,14 +76,14 @@ pub(crate) struct Matte<'p> {
 
 impl<'p> Matte<'p> {
     /// Solves the matte of a frame.
-    pub(super) fn solve(screen: &Screen<'p>, trimap: &Trimap<'p>, noise: &ScreenNoise) -> Self {
+    pub(super) fn solve(screen: &Screen<'p>, trimap: &Trimap<'p>) -> Self {
         let rect = Rect::around(&trimap.not_screen, REACH);
         let alpha = trimap.core.map(|v| f32::from(*v));
         let band = screen.share.pool.plane(alpha.width, set_pixels(&trimap.band).map(|i| i as u32));
         let (matte, spread) = learn_foreground(screen, trimap, alpha, &rect);
         let rim = screen.share.map(|_| 1.0);
         let mut solver = BandSolver { screen, band, rect, matte, spread, rim };
-        solver.solve(noise);
+        solver.solve();
         solver.matte
     }
 
@@ -151,14 +151,14 @@ struct BandSolver<'a, 'p> {
 impl<'p> BandSolver<'_, 'p> {
     /// Alpha as the place of the pixel between screen and foreground, from chroma and from luma,
     /// each weighed by how well it can tell (inverse variance).
-    fn solve(&mut self, noise: &ScreenNoise) {
+    fn solve(&mut self) {
         let mean = self.ask_chroma();
         self.rim = self.light_rim(&mean);
         let mean = self.ask_chroma();
         for &i in self.band.iter() {
             let i = i as usize;
             let alpha = rim_alpha(mean[i]);
-            let alpha = if self.matte.weight[i] < 1e-5 { alpha } else { self.with_luma(i, alpha, noise) };
+            let alpha = if self.matte.weight[i] < 1e-5 { alpha } else { self.with_luma(i, alpha) };
             self.matte.alpha[i] = without_haze((alpha - 0.5) * EDGE_CONTRAST + 0.5);
         }
     }
@@ -221,14 +221,14 @@ impl<'p> BandSolver<'_, 'p> {
         alpha - OPTICAL * (half - 0.5) * a * (1.0 - a)
     }
 
-    fn with_luma(&self, i: usize, alpha_c: f32, noise: &ScreenNoise) -> f32 {
+    fn with_luma(&self, i: usize, alpha_c: f32) -> f32 {
         let (p, b) = (self.screen.image[i], self.screen.light[i]);
         let fd = self.object(i) - b;
         let (c2, fy) = (chroma(fd).length_squared(), luminance(fd));
         let (y2, screen) = (fy * fy, luminance(b));
-        let weight_c = c2 / (noise.chroma + CHROMA_ERROR * CHROMA_ERROR * c2 + 1e-9);
+        let weight_c = c2 / (CHROMA_ERROR * CHROMA_ERROR * c2 + 1e-9);
         let light = LIGHT_ERROR * (screen + screen + fy);
-        let weight_y = y2 / (noise.luma + self.spread[i] + light * light + 1e-9);
+        let weight_y = y2 / (self.spread[i] + light * light + 1e-9);
         let alpha_y = (luminance(p - b) * fy / (y2 + 1e-9)).clamp(0.0, 1.0);
         (weight_c * alpha_c + weight_y * alpha_y) / (weight_c + weight_y + 1e-9)
     }
@@ -271,16 +271,16 @@ mod tests {
         let frame = RgbImage::from_fn(120, 96, |x, y| {
             Rgb((truth(x, y) * object + (1.0 - truth(x, y)) * light).to_array().map(srgb8))
         });
-        let (pool, key) = (Pool::default(), Key::new(light, 1.0 / 3f32.sqrt()).unwrap());
+        let (pool, key) = (Pool::default(), Key::new(light).unwrap());
         let mut screen = Screen::before_field(&pool, &frame, &key).unwrap();
         let noise = screen.noise();
-        let trimap = Trimap::new(&screen, noise.share, frame.as_raw(), &key);
+        let trimap = Trimap::new(&screen, noise, frame.as_raw(), &key);
         let edge = 48 * 120 + 60 + 24;
         let before = screen.light[edge];
         screen.light[edge] *= 0.5;
         measure_light_beside(&mut screen, &trimap, &key);
         assert!((screen.light[edge] / before - 1.0).length() < 0.05, "from the screen beside it");
-        let matte = Matte::solve(&screen, &trimap, &noise);
+        let matte = Matte::solve(&screen, &trimap);
         let apart = |i: usize| (matte.alpha[i] - truth(i as u32 % 120, i as u32 / 120)).abs();
         let worst = (0..matte.alpha.len()).map(apart).fold(0.0, f32::max);
         let mean = (0..matte.alpha.len()).map(apart).sum::<f32>() / set_pixels(&trimap.band).count() as f32;

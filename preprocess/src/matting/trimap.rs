@@ -29,7 +29,7 @@ impl<'p> Trimap<'p> {
     /// Of a frame, given the scatter of its screen's smoothed share.
     pub(super) fn new(screen: &Screen<'p>, noise: f32, rgb: &[u8], key: &Key) -> Self {
         let threshold = 1.0 - MIN_DEPARTURE.max(5.0 * noise);
-        let mut seeds = screen.smoothed.mask(|s| (s < threshold) | (s > 2.0 - threshold + 0.1));
+        let mut seeds = screen.smoothed.mask(|s| s < threshold);
         seeds.iter_mut().zip(screen.shaded.iter()).for_each(|(seed, shaded)| *seed &= 1 - shaded);
         let not_screen = seeds.dilate(2);
         let mut solid = screen.smoothed.mask(|s| s < 0.5);
@@ -79,7 +79,7 @@ mod tests {
     #[test]
     fn parts_are_told_apart_and_a_slit_between_bright_panels_is_not_solid() {
         let (pool, image) = (Pool::default(), panels());
-        let key = Key::new([0.02, 0.4, 0.045].into(), 1.0 / 3f32.sqrt()).unwrap();
+        let key = Key::new([0.02, 0.4, 0.045].into()).unwrap();
         let screen = Screen::before_field(&pool, &image, &key).unwrap();
         let trimap = Trimap::new(&screen, 0.0, image.as_raw(), &key);
         let at = |mask: &BinaryMask, x: usize, y: usize| mask[y * 120 + x];

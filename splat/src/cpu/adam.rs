@@ -19,9 +19,8 @@ use crate::camera::CameraConstants;
 use crate::model::{GEOMETRY, LANE_PAD, LOG_SCALE, MEAN, OPACITY, ROTATION};
 use crate::reference::constants::{BETAS, EPSILON};
 use glam::Vec3;
+use scene::sh::SH_COUNT;
 
-/// ln β₁, ln β₂. Source: derived.
-const LN_BETAS: [f32; 2] = [-0.105_360_516, -0.001_000_500_3];
 /// Moments below these are set to zero, so that no denormal numbers slow the loop: first and second
 /// moments. Source: chosen by hand, never measured; the steps that they are part of are below 1e-3
 /// of the rate.
@@ -29,10 +28,6 @@ const TINY: [f32; 2] = [1e-18, 1e-30];
 /// Gradients from here on count as not finite. Source: their squares must stay below the greatest
 /// f32, 3.4e38.
 const HUGE: f32 = 1e18;
-
-/// Bytes that are fetched at a time. Source: the cache lines of every processor with these
-/// instruction sets.
-const CACHE_LINE: usize = 64;
 
 /// Arguments of [`adam`].
 pub(super) struct Adam<'a> {
@@ -69,7 +64,8 @@ fn fetch_ahead<S: Simd>(a: &Adam, block: usize) {
         let GradientSink::Adam(state) = &a.part.sink else { continue };
         for plane in [&*a.part.sh, &*state.sh_m, &*state.sh_v] {
             let first = plane.as_ptr().wrapping_add(i * a.part.sh_stride).cast::<u8>();
-            (0..used).step_by(CACHE_LINE).for_each(|at| S::prefetch(first.wrapping_add(at)));
+            // Cache lines are as long as the widest vectors.
+            (0..used).step_by(LANE_PAD * size_of::<f32>()).for_each(|at| S::prefetch(first.wrapping_add(at)));
         }
     }
 }
@@ -174,8 +170,8 @@ fn adam_block<S: Simd>(a: &mut Adam, block: usize, lanes: &[[f32; LANE_PAD]; SUM
 fn bias_corrections<S: Simd>(clock: &[f32]) -> [S; 2] {
     let one = S::splat(1.0);
     let t = S::read(clock).add(one);
-    let c1 = one.sub(t.mul(S::splat(LN_BETAS[0])).exp());
-    let c2 = one.sub(t.mul(S::splat(LN_BETAS[1])).exp());
+    let c1 = one.sub(t.mul(S::splat(BETAS[0].ln() as f32)).exp());
+    let c2 = one.sub(t.mul(S::splat(BETAS[1].ln() as f32)).exp());
     [one.div(c1), one.div(c2)]
 }
 
@@ -251,11 +247,11 @@ fn colour_step(
     let offset = mean - camera.position;
     let distance = offset.length();
     let dir = offset.normalize_or_zero();
-    let mut basis = [0.0; sh::MAX_COEFFICIENTS];
+    let mut basis = [0.0; SH_COUNT];
     sh::basis(dir, degree, &mut basis);
     let rgb = colour(coefficients, &basis, degree);
     let d_rgb = array!(c in 3 => if rgb[c] > 0.0 { d_rgb[c] } else { 0.0 });
-    let mut by_basis = [0.0; sh::MAX_COEFFICIENTS];
+    let mut by_basis = [0.0; SH_COUNT];
     for (w, sh) in by_basis[..used].iter_mut().zip(coefficients.chunks_exact(3)) {
         *w = sh[0] * d_rgb[0] + sh[1] * d_rgb[1] + sh[2] * d_rgb[2];
     }
@@ -282,16 +278,16 @@ fn colour_step(
 fn move_colour(
     value: &mut [f32],
     [m, v]: [&mut [f32]; 2],
-    basis: &[f32; sh::MAX_COEFFICIENTS],
+    basis: &[f32; SH_COUNT],
     d_rgb: [f32; 3],
     [c1, c2]: [f32; 2],
     rates: &LearningRates,
 ) {
-    let mut gradient = [0.0f32; sh::MAX_COEFFICIENTS * 3];
+    let mut gradient = [0.0f32; SH_COUNT * 3];
     for (out, y) in gradient.chunks_exact_mut(3).zip(basis) {
         out.copy_from_slice(&d_rgb.map(|d| d * y));
     }
-    let mut rate = [rates.sh_rest; sh::MAX_COEFFICIENTS * 3];
+    let mut rate = [rates.sh_rest; SH_COUNT * 3];
     rate[..3].fill(rates.sh0);
     let [beta1, beta2] = BETAS.map(|beta| beta as f32);
     let n = value.len().min(m.len()).min(v.len());

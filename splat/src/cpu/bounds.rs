@@ -5,16 +5,15 @@
 use super::project::Record;
 use super::simd::{Simd, array};
 use super::tile::{TILE, Tile};
+use crate::model::LANE_PAD;
 
-/// Gaussians whose bounds are worked out together. Source: the most lanes.
-pub(super) const BATCH: usize = 16;
 /// Most columns of vectors of a tile. Source: the fewest lanes are four.
 const COLUMNS: usize = TILE / 4;
 
 /// A number for each Gaussian of a batch.
 #[repr(C, align(64))]
 #[derive(Clone, Copy)]
-struct Lanes([f32; BATCH]);
+struct Lanes([f32; LANE_PAD]);
 
 /// Bounds of a batch. Invariant: every number is at least 0 and at most [`TILE`]; only `fill`
 /// writes them.
@@ -29,23 +28,23 @@ pub(super) struct Bounds {
 
 impl Bounds {
     pub(super) fn new() -> Self {
-        let zero = Lanes([0.0; BATCH]);
+        let zero = Lanes([0.0; LANE_PAD]);
         Self { left: zero, right: zero, top: [zero; COLUMNS], bottom: [zero; COLUMNS] }
     }
 
-    /// Works out the bounds of up to [`BATCH`] of a tile's Gaussians.
+    /// Works out the bounds of up to [`LANE_PAD`] of a tile's Gaussians.
     #[inline(always)]
     pub(super) fn fill<S: Simd>(&mut self, records: &[Record], list: &[u32], tile: &Tile) {
         // x, y, extent, tilt, chord, bend, slope
-        let mut shapes = [Lanes([0.0; BATCH]); 7];
-        for (k, &i) in list.iter().take(BATCH).enumerate() {
+        let mut shapes = [Lanes([0.0; LANE_PAD]); 7];
+        for (k, &i) in list.iter().take(LANE_PAD).enumerate() {
             let g = &records[i as usize];
             let (x, y) = (g.x - tile.x as f32, g.y - tile.y as f32);
             for (to, from) in shapes.iter_mut().zip([x, y, g.extent_x, g.tilt, g.chord, g.bend, g.slope]) {
                 to.0[k] = from;
             }
         }
-        for at in (0..BATCH).step_by(S::LANES) {
+        for at in (0..LANE_PAD).step_by(S::LANES) {
             let [x, y, extent, tilt, chord, bend, slope] = array!(f in 7 => S::read(&shapes[f].0[at..]));
             first_pixel(x.sub(extent)).write(&mut self.left.0[at..]);
             last_pixel(x.add(extent)).write(&mut self.right.0[at..]);

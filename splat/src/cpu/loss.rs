@@ -10,28 +10,25 @@
 use super::dispatch::{Isa, simd_kernel};
 use super::simd::Simd;
 use super::tile::PlaneShape;
-use crate::reference::constants::{SSIM_STABILITY, WINDOW_RADIUS, WINDOW_SIGMA};
+use crate::model::LANE_PAD;
 use rayon::prelude::*;
+use scene::metrics::{SSIM_K, SSIM_REACH, SSIM_SIGMA, SSIM_WINDOW};
 use std::cell::RefCell;
 
-/// Weights of the window. Source: derived.
-const TAPS: usize = 2 * WINDOW_RADIUS + 1;
-/// Zeros on both sides of a line. Source: the most lanes, and more than the reach of the window.
-const BORDER: usize = 16;
 /// Rows a task works on. The derivatives of the ten rows around them are worked out by their
 /// neighbours too. Source: chosen by hand, never measured.
-const BAND: usize = 64;
+pub(super) const BAND: usize = 64;
 /// Most rows that are filtered at once. Source: four sums each fill the 32 registers of AVX-512 and
 /// NEON.
 const ROWS: usize = 4;
 
 /// The window's weights, exp(−x² / (2 · 1.5²)) normalised, between `ROWS − 1` zeros.
-fn window() -> [f32; TAPS + 2 * (ROWS - 1)] {
-    let spread = 2.0 * WINDOW_SIGMA * WINDOW_SIGMA;
-    let raw: [f64; TAPS] =
-        std::array::from_fn(|i| (-(i as f64 - WINDOW_RADIUS as f64).powi(2) / spread).exp());
+fn window() -> [f32; SSIM_WINDOW + 2 * (ROWS - 1)] {
+    let spread = 2.0 * SSIM_SIGMA * SSIM_SIGMA;
+    let raw: [f64; SSIM_WINDOW] =
+        std::array::from_fn(|i| (-(i as f64 - SSIM_REACH as f64).powi(2) / spread).exp());
     let sum: f64 = raw.iter().sum();
-    let mut padded = [0.0; TAPS + 2 * (ROWS - 1)];
+    let mut padded = [0.0; SSIM_WINDOW + 2 * (ROWS - 1)];
     for (tap, w) in padded[ROWS - 1..].iter_mut().zip(raw) {
         *tap = (w / sum) as f32;
     }
@@ -40,7 +37,7 @@ fn window() -> [f32; TAPS + 2 * (ROWS - 1)] {
 
 /// Values of a bordered line.
 fn bordered(shape: &PlaneShape) -> usize {
-    shape.stride() + 2 * BORDER
+    shape.stride() + 2 * LANE_PAD
 }
 
 /// Result of the loss.
@@ -120,7 +117,7 @@ struct Band<'a> {
     input: &'a LossInput<'a>,
     channel: usize,
     y0: usize,
-    window: &'a [f32; TAPS + 2 * (ROWS - 1)],
+    window: &'a [f32; SSIM_WINDOW + 2 * (ROWS - 1)],
     scale: f32,
     /// The gradient's rows.
     out: &'a mut [f32],
@@ -142,24 +139,24 @@ fn band_of<S: Simd, const R: usize>(a: &mut Band) {
     let shape = a.input.shape;
     let (line, stride) = (bordered(&shape), shape.stride());
     let y1 = (a.y0 + BAND).min(shape.height);
-    let around = a.y0.saturating_sub(WINDOW_RADIUS)..(y1 + WINDOW_RADIUS).min(shape.height);
+    let around = a.y0.saturating_sub(SSIM_REACH)..(y1 + SSIM_REACH).min(shape.height);
     let mut buffer = LINES.take();
-    let size = 4 * R * line + 3 * (BAND + 2 * WINDOW_RADIUS) * stride + BORDER;
+    let size = 4 * R * line + 3 * (BAND + 2 * SSIM_REACH) * stride + LANE_PAD;
     if buffer.len() < size {
         buffer.resize(size, 0.0);
     }
     // Loads that straddle cache lines cost twice.
-    let aligned = buffer.as_ptr().align_offset(64).min(BORDER);
+    let aligned = buffer.as_ptr().align_offset(64).min(LANE_PAD);
     let (lines, maps) = buffer[aligned..].split_at_mut(4 * R * line);
     for line in lines.chunks_exact_mut(line) {
-        line[..BORDER].fill(0.0);
-        line[BORDER + stride..].fill(0.0);
+        line[..LANE_PAD].fill(0.0);
+        line[LANE_PAD + stride..].fill(0.0);
     }
     let dissimilar = a.input.lambda > 0.0;
     if !dissimilar {
         lines.fill(0.0);
     }
-    let mut across = [S::splat(0.0); WINDOW_RADIUS + 1];
+    let mut across = [S::splat(0.0); SSIM_REACH + 1];
     for (tap, &w) in across.iter_mut().zip(&a.window[ROWS - 1..]) {
         *tap = S::splat(w);
     }
@@ -186,11 +183,11 @@ fn band_of<S: Simd, const R: usize>(a: &mut Band) {
 
 /// Σ w_k line[x + k − 5] of a bordered line; `w` are the window's first half and its middle.
 #[inline(always)]
-fn across<S: Simd>(line: &[f32], x: usize, w: &[S; WINDOW_RADIUS + 1]) -> S {
-    let taps = &line[BORDER + x - WINDOW_RADIUS..BORDER + x + WINDOW_RADIUS + S::LANES];
-    let mut sum = S::read(&taps[WINDOW_RADIUS..]).mul(w[WINDOW_RADIUS]);
-    for (k, &tap) in w[..WINDOW_RADIUS].iter().enumerate() {
-        sum = S::read(&taps[k..]).add(S::read(&taps[2 * WINDOW_RADIUS - k..])).fma(tap, sum);
+fn across<S: Simd>(line: &[f32], x: usize, w: &[S; SSIM_REACH + 1]) -> S {
+    let taps = &line[LANE_PAD + x - SSIM_REACH..LANE_PAD + x + SSIM_REACH + S::LANES];
+    let mut sum = S::read(&taps[SSIM_REACH..]).mul(w[SSIM_REACH]);
+    for (k, &tap) in w[..SSIM_REACH].iter().enumerate() {
+        sum = S::read(&taps[k..]).add(S::read(&taps[2 * SSIM_REACH - k..])).fma(tap, sum);
     }
     sum
 }
@@ -199,7 +196,7 @@ fn across<S: Simd>(line: &[f32], x: usize, w: &[S; WINDOW_RADIUS + 1]) -> S {
 /// out of reach.
 #[inline(always)]
 fn taps<'a, const R: usize>(a: &Band<'a>, r: usize, y: usize) -> &'a [f32] {
-    &a.window[ROWS + r + WINDOW_RADIUS - y - R..][..R]
+    &a.window[ROWS + r + SSIM_REACH - y - R..][..R]
 }
 
 /// Lines `y` to `y + R` of colour, target, the sum of their squares and their product, filtered
@@ -208,7 +205,7 @@ fn taps<'a, const R: usize>(a: &Band<'a>, r: usize, y: usize) -> &'a [f32] {
 fn moments_down<S: Simd, const R: usize>(a: &Band, y: usize, out: &mut [f32]) {
     let shape = a.input.shape;
     let (line, stride) = (bordered(&shape), shape.stride());
-    let rows = y.saturating_sub(WINDOW_RADIUS)..(y + R + WINDOW_RADIUS).min(shape.height);
+    let rows = y.saturating_sub(SSIM_REACH)..(y + R + SSIM_REACH).min(shape.height);
     let (rgb, target) = (&a.input.rgb[a.channel], &a.input.target[a.channel]);
     for i in (0..stride).step_by(S::LANES) {
         let inside = S::iota().lt(S::splat(shape.width as f32 - i as f32));
@@ -231,7 +228,7 @@ fn moments_down<S: Simd, const R: usize>(a: &Band, y: usize, out: &mut [f32]) {
         }
         for (e, lines) in e.iter().zip(out.chunks_exact_mut(4 * line)) {
             for (e, line) in e.iter().zip(lines.chunks_exact_mut(line)) {
-                e.keep(inside).write(&mut line[BORDER + i..]);
+                e.keep(inside).write(&mut line[LANE_PAD + i..]);
             }
         }
     }
@@ -244,11 +241,11 @@ fn similarity_line<S: Simd>(
     y: usize,
     moments: &[f32],
     out: &mut [f32],
-    w: &[S; WINDOW_RADIUS + 1],
+    w: &[S; SSIM_REACH + 1],
 ) {
     let shape = a.input.shape;
     let (line, stride, width) = (bordered(&shape), shape.stride(), shape.width);
-    let [c1, c2] = [S::splat(SSIM_STABILITY[0] as f32), S::splat(SSIM_STABILITY[1] as f32)];
+    let [c1, c2] = SSIM_K.map(|k| S::splat((k * k) as f32));
     let (one, two) = (S::splat(1.0), S::splat(2.0));
     let mut sum = S::splat(0.0);
     let (x_line, rest) = moments.split_at(line);
@@ -294,7 +291,7 @@ fn derivatives_down<S: Simd, const R: usize>(
     out: &mut [f32],
 ) {
     let (line, stride) = (bordered(&a.input.shape), a.input.shape.stride());
-    let rows = y.saturating_sub(WINDOW_RADIUS)..(y + R + WINDOW_RADIUS).min(around.end);
+    let rows = y.saturating_sub(SSIM_REACH)..(y + R + SSIM_REACH).min(around.end);
     for i in (0..stride).step_by(S::LANES) {
         let mut e = [[S::splat(0.0); 3]; R];
         for r in rows.clone() {
@@ -309,7 +306,7 @@ fn derivatives_down<S: Simd, const R: usize>(
         }
         for (e, lines) in e.iter().zip(out.chunks_exact_mut(4 * line)) {
             for (e, line) in e.iter().zip(lines.chunks_exact_mut(line)) {
-                e.write(&mut line[BORDER + i..]);
+                e.write(&mut line[LANE_PAD + i..]);
             }
         }
     }
@@ -317,7 +314,7 @@ fn derivatives_down<S: Simd, const R: usize>(
 
 /// The gradient of line `y` from the derivatives' lines, and the line's part of the sums.
 #[inline(always)]
-fn gradient_line<S: Simd>(a: &mut Band, y: usize, derivatives: &[f32], w: &[S; WINDOW_RADIUS + 1]) {
+fn gradient_line<S: Simd>(a: &mut Band, y: usize, derivatives: &[f32], w: &[S; SSIM_REACH + 1]) {
     let shape = a.input.shape;
     let (line, stride, width) = (bordered(&shape), shape.stride(), shape.width);
     let (zero, one, two) = (S::splat(0.0), S::splat(1.0), S::splat(2.0));

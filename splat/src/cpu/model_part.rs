@@ -6,7 +6,7 @@ use crate::statistics::Statistics;
 
 /// Gaussians of a part at most, a multiple of every vector's lanes. Source: chosen by hand, never
 /// measured.
-const PART: usize = 512;
+pub(super) const PART: usize = 512;
 
 /// The derivatives of a scalar with respect to the parameters, in the layout of [`Model`].
 #[derive(Clone, Debug, Default)]

@@ -11,6 +11,7 @@ use super::simd::{Simd, array};
 use crate::camera::CameraConstants;
 use crate::model::{GEOMETRY, LANE_PAD, LOG_SCALE, MEAN, Model, OPACITY, ROTATION};
 use crate::reference::constants::{LOW_PASS, MAX_LOG_SCALE, MIN_ALPHA};
+use scene::sh::SH_COUNT;
 use std::f32::consts::LOG2_E;
 
 /// `log2(255)`: alpha below 1/255 is not drawn. Source: derived.
@@ -276,7 +277,7 @@ fn project_generic<S: Simd>(a: &mut Project) {
                 a.keys[block + lane] = CULLED;
                 continue;
             }
-            let mut basis = [0.0; sh::MAX_COEFFICIENTS];
+            let mut basis = [0.0; SH_COUNT];
             let sh = &a.model.sh[i * stride..(i + 1) * stride];
             sh::basis((a.model.mean(i) - c.position).normalize_or_zero(), c.sh_degree, &mut basis);
             a.keys[block + lane] = depth.to_bits();
@@ -300,7 +301,7 @@ fn project_generic<S: Simd>(a: &mut Project) {
 
 /// `0.5 + Σ Y_k sh_k`, not limited.
 #[inline(always)]
-pub(crate) fn colour(coefficients: &[f32], basis: &[f32; sh::MAX_COEFFICIENTS], degree: u32) -> [f32; 3] {
+pub(crate) fn colour(coefficients: &[f32], basis: &[f32; SH_COUNT], degree: u32) -> [f32; 3] {
     let mut rgb = [0.5; 3];
     let used = (degree as usize + 1).pow(2);
     for (y, sh) in basis[..used].iter().zip(coefficients.chunks_exact(3)) {

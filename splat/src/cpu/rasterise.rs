@@ -6,11 +6,12 @@
 //! across the pixels of a row; inside a tile only the columns and rows of the Gaussian's box are
 //! visited.
 
-use super::bounds::{BATCH, Bounds};
+use super::bounds::Bounds;
 use super::dispatch::simd_kernel;
 use super::project::{LOG2_255, Record};
 use super::simd::{Simd, array};
 use super::tile::{PIXELS, TILE, Tile, TilePlane};
+use crate::model::LANE_PAD;
 use crate::reference::constants::{MAX_ALPHA, MIN_TRANSMITTANCE};
 
 /// Sums that backward keeps of each Gaussian–tile pair: with `v = α dL/dα`, `d` = centre − pixel:
@@ -89,12 +90,12 @@ fn forward_loop<S: Simd, const DEPTH: bool>(a: &mut Forward, depth: &mut TilePla
     let (records, all, tile) = (a.records, a.list, a.tile);
     let (rgb, transmittance) = (&mut *a.rgb, &mut *a.transmittance);
     let mut bounds = Bounds::new();
-    for (index, list) in all.chunks(BATCH).enumerate() {
+    for (index, list) in all.chunks(LANE_PAD).enumerate() {
         if finished::<S>(transmittance) {
-            a.used = index * BATCH;
+            a.used = index * LANE_PAD;
             return;
         }
-        prefetch::<S>(records, all, (index + 1) * BATCH);
+        prefetch::<S>(records, all, (index + 1) * LANE_PAD);
         bounds.fill::<S>(records, list, &tile);
         for (k, &i) in list.iter().enumerate() {
             let g = &records[i as usize];
@@ -150,7 +151,7 @@ pub(super) struct Visit<'a> {
 #[inline(always)]
 fn visit_generic<S: Simd>(a: &mut Visit) {
     let mut bounds = Bounds::new();
-    for list in a.list.chunks(BATCH) {
+    for list in a.list.chunks(LANE_PAD) {
         bounds.fill::<S>(a.records, list, &a.tile);
         for k in 0..list.len() {
             let [x0, x1] = bounds.columns::<S>(k);
@@ -170,7 +171,7 @@ simd_kernel!(
 /// Fetches the records of the batch that begins at `index`: records lie in no order of the tile's.
 #[inline(always)]
 fn prefetch<S: Simd>(records: &[Record], list: &[u32], index: usize) {
-    for &next in list.iter().skip(index).take(BATCH) {
+    for &next in list.iter().skip(index).take(LANE_PAD) {
         S::prefetch(records.as_ptr().wrapping_add(next as usize).cast());
     }
 }
@@ -216,8 +217,8 @@ fn backward_generic<S: Simd>(a: &mut Backward) {
     let mut transmittance = tile.start();
     let threshold = S::splat(-LOG2_255);
     let mut bounds = Bounds::new();
-    for (index, (list, sums)) in all.chunks(BATCH).zip(a.sums.chunks_mut(BATCH)).enumerate() {
-        prefetch::<S>(records, all, (index + 1) * BATCH);
+    for (index, (list, sums)) in all.chunks(LANE_PAD).zip(a.sums.chunks_mut(LANE_PAD)).enumerate() {
+        prefetch::<S>(records, all, (index + 1) * LANE_PAD);
         bounds.fill::<S>(records, list, &tile);
         for (k, (&i, sums)) in list.iter().zip(sums).enumerate() {
             let g = &records[i as usize];

@@ -3,85 +3,86 @@
 //! Condon–Shortley sign.
 
 use glam::Vec3;
+use scene::gaussians::{SH_2, SH_3, SH_LOW};
+use scene::sh::SH_COUNT;
 
-/// Factors by degree. Source: Sloan 2013.
-const C0: f32 = 0.282_094_79;
-/// Source: Sloan 2013.
-const C1: f32 = 0.488_602_51;
-/// Source: Sloan 2013.
-const C2: [f32; 5] = [1.092_548_4, -1.092_548_4, 0.315_391_57, -1.092_548_4, 0.546_274_2];
-/// Source: Sloan 2013.
-const C3: [f32; 7] =
-    [-0.590_043_6, 2.890_611_4, -0.457_045_8, 0.373_176_33, -0.457_045_8, 1.445_305_7, -0.590_043_6];
-
-/// Most coefficients a channel. Source: (3 + 1)² of degree 3.
-pub(crate) const MAX_COEFFICIENTS: usize = 16;
+/// The factors with the signs of the files, by index l² + l + m. Source: [`scene::gaussians`],
+/// derived.
+const Y: [f32; SH_COUNT] = {
+    let ([a, b], [c, d, e], [f, g, h, i, j]) = (SH_LOW, SH_2, SH_3);
+    let all = [a, -b, b, -b, c, -c, d, -c, e, -f, g, -h, i, -h, j, -f];
+    let (mut y, mut k) = ([0.0; SH_COUNT], 0);
+    while k < SH_COUNT {
+        y[k] = all[k] as f32;
+        k += 1;
+    }
+    y
+};
 
 /// `Y_k(dir)` for the (degree + 1)² coefficients; `dir` is unit.
 #[inline(always)]
-pub(crate) fn basis(dir: Vec3, degree: u32, y: &mut [f32; MAX_COEFFICIENTS]) {
+pub(crate) fn basis(dir: Vec3, degree: u32, y: &mut [f32; SH_COUNT]) {
     let (dx, dy, dz) = (dir.x, dir.y, dir.z);
-    y[0] = C0;
+    y[0] = Y[0];
     if degree == 0 {
         return;
     }
-    (y[1], y[2], y[3]) = (-C1 * dy, C1 * dz, -C1 * dx);
+    (y[1], y[2], y[3]) = (Y[1] * dy, Y[2] * dz, Y[3] * dx);
     if degree == 1 {
         return;
     }
     let (xx, yy, zz, xy) = (dx * dx, dy * dy, dz * dz, dx * dy);
-    y[4] = C2[0] * xy;
-    y[5] = C2[1] * dy * dz;
-    y[6] = C2[2] * (2.0 * zz - xx - yy);
-    y[7] = C2[3] * dx * dz;
-    y[8] = C2[4] * (xx - yy);
+    y[4] = Y[4] * xy;
+    y[5] = Y[5] * dy * dz;
+    y[6] = Y[6] * (2.0 * zz - xx - yy);
+    y[7] = Y[7] * dx * dz;
+    y[8] = Y[8] * (xx - yy);
     if degree == 2 {
         return;
     }
-    y[9] = C3[0] * dy * (3.0 * xx - yy);
-    y[10] = C3[1] * xy * dz;
-    y[11] = C3[2] * dy * (4.0 * zz - xx - yy);
-    y[12] = C3[3] * dz * (2.0 * zz - 3.0 * xx - 3.0 * yy);
-    y[13] = C3[4] * dx * (4.0 * zz - xx - yy);
-    y[14] = C3[5] * dz * (xx - yy);
-    y[15] = C3[6] * dx * (xx - 3.0 * yy);
+    y[9] = Y[9] * dy * (3.0 * xx - yy);
+    y[10] = Y[10] * xy * dz;
+    y[11] = Y[11] * dy * (4.0 * zz - xx - yy);
+    y[12] = Y[12] * dz * (2.0 * zz - 3.0 * xx - 3.0 * yy);
+    y[13] = Y[13] * dx * (4.0 * zz - xx - yy);
+    y[14] = Y[14] * dz * (xx - yy);
+    y[15] = Y[15] * dx * (xx - 3.0 * yy);
 }
 
 /// `Σ_k w_k ∂Y_k/∂dir`, the gradient with respect to the (unconstrained) direction.
 #[inline(always)]
-pub(crate) fn basis_gradient(dir: Vec3, degree: u32, w: &[f32; MAX_COEFFICIENTS]) -> Vec3 {
+pub(crate) fn basis_gradient(dir: Vec3, degree: u32, w: &[f32; SH_COUNT]) -> Vec3 {
     let (x, y, z) = (dir.x, dir.y, dir.z);
     if degree == 0 {
         return Vec3::ZERO;
     }
-    let mut g = Vec3::new(-C1 * w[3], -C1 * w[1], C1 * w[2]);
+    let mut g = Vec3::new(Y[3] * w[3], Y[1] * w[1], Y[2] * w[2]);
     if degree == 1 {
         return g;
     }
-    g.x += C2[0] * y * w[4] - 2.0 * C2[2] * x * w[6] + C2[3] * z * w[7] + 2.0 * C2[4] * x * w[8];
-    g.y += C2[0] * x * w[4] + C2[1] * z * w[5] - 2.0 * C2[2] * y * w[6] - 2.0 * C2[4] * y * w[8];
-    g.z += C2[1] * y * w[5] + 4.0 * C2[2] * z * w[6] + C2[3] * x * w[7];
+    g.x += Y[4] * y * w[4] - 2.0 * Y[6] * x * w[6] + Y[7] * z * w[7] + 2.0 * Y[8] * x * w[8];
+    g.y += Y[4] * x * w[4] + Y[5] * z * w[5] - 2.0 * Y[6] * y * w[6] - 2.0 * Y[8] * y * w[8];
+    g.z += Y[5] * y * w[5] + 4.0 * Y[6] * z * w[6] + Y[7] * x * w[7];
     if degree == 2 {
         return g;
     }
     let (xx, yy, zz) = (x * x, y * y, z * z);
-    g.x += C3[0] * 6.0 * x * y * w[9] + C3[1] * y * z * w[10]
-        - 2.0 * C3[2] * x * y * w[11]
-        - 6.0 * C3[3] * x * z * w[12]
-        + C3[4] * (4.0 * zz - 3.0 * xx - yy) * w[13]
-        + 2.0 * C3[5] * x * z * w[14]
-        + 3.0 * C3[6] * (xx - yy) * w[15];
-    g.y +=
-        3.0 * C3[0] * (xx - yy) * w[9] + C3[1] * x * z * w[10] + C3[2] * (4.0 * zz - xx - 3.0 * yy) * w[11]
-            - 6.0 * C3[3] * y * z * w[12]
-            - 2.0 * C3[4] * x * y * w[13]
-            - 2.0 * C3[5] * y * z * w[14]
-            - 6.0 * C3[6] * x * y * w[15];
-    g.z += C3[1] * x * y * w[10]
-        + 8.0 * C3[2] * y * z * w[11]
-        + C3[3] * (6.0 * zz - 3.0 * xx - 3.0 * yy) * w[12]
-        + 8.0 * C3[4] * x * z * w[13]
-        + C3[5] * (xx - yy) * w[14];
+    g.x += Y[9] * 6.0 * x * y * w[9] + Y[10] * y * z * w[10]
+        - 2.0 * Y[11] * x * y * w[11]
+        - 6.0 * Y[12] * x * z * w[12]
+        + Y[13] * (4.0 * zz - 3.0 * xx - yy) * w[13]
+        + 2.0 * Y[14] * x * z * w[14]
+        + 3.0 * Y[15] * (xx - yy) * w[15];
+    g.y += 3.0 * Y[9] * (xx - yy) * w[9] + Y[10] * x * z * w[10] + Y[11] * (4.0 * zz - xx - 3.0 * yy) * w[11]
+        - 6.0 * Y[12] * y * z * w[12]
+        - 2.0 * Y[13] * x * y * w[13]
+        - 2.0 * Y[14] * y * z * w[14]
+        - 6.0 * Y[15] * x * y * w[15];
+    g.z += Y[10] * x * y * w[10]
+        + 8.0 * Y[11] * y * z * w[11]
+        + Y[12] * (6.0 * zz - 3.0 * xx - 3.0 * yy) * w[12]
+        + 8.0 * Y[13] * x * z * w[13]
+        + Y[14] * (xx - yy) * w[14];
     g
 }
 

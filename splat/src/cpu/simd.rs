@@ -12,8 +12,8 @@
 pub(crate) unsafe trait Simd: Copy {
     /// Result of a comparison.
     type Mask: Copy;
-    /// Lanes, a divisor of 16. Source: the registers of the instruction set.
-    const LANES: usize;
+    /// Lanes, a divisor of 16. Source: the size of the registers.
+    const LANES: usize = size_of::<Self>() / size_of::<f32>();
 
     /// All lanes `v`.
     fn splat(v: f32) -> Self;

@@ -18,8 +18,6 @@ pub(crate) struct Neon(float32x4_t);
 // SAFETY: NEON is part of the aarch64 baseline.
 unsafe impl Simd for Neon {
     type Mask = uint32x4_t;
-    // Source: the size of the registers.
-    const LANES: usize = 4;
 
     #[inline(always)]
     fn splat(v: f32) -> Self {

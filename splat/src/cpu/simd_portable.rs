@@ -21,8 +21,6 @@ impl Portable {
 // SAFETY: plain Rust runs everywhere.
 unsafe impl Simd for Portable {
     type Mask = [bool; 8];
-    // Source: the size of the registers.
-    const LANES: usize = 8;
 
     #[inline(always)]
     fn splat(v: f32) -> Self {

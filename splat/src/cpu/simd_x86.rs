@@ -18,8 +18,6 @@ pub(crate) struct Avx2(__m256);
 // SAFETY: values are made only by kernels that `simd_kernel!` starts, after detection.
 unsafe impl Simd for Avx2 {
     type Mask = __m256;
-    // Source: the size of the registers.
-    const LANES: usize = 8;
 
     #[inline(always)]
     fn prefetch(p: *const u8) {
@@ -140,8 +138,6 @@ pub(crate) struct Avx512(__m512);
 // SAFETY: values are made only by kernels that `simd_kernel!` starts, after detection.
 unsafe impl Simd for Avx512 {
     type Mask = __mmask16;
-    // Source: the size of the registers.
-    const LANES: usize = 16;
 
     #[inline(always)]
     fn prefetch(p: *const u8) {

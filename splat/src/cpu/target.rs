@@ -4,14 +4,13 @@
 //! padded to whole tiles.
 
 use super::dispatch::{Isa, simd_kernel};
+use super::loss::BAND;
 use super::simd::Simd;
 use super::tile::{PlaneShape, TILE};
 use crate::backend::Target;
-use crate::reference::constants::WINDOW_RADIUS;
 use rayon::prelude::*;
+use scene::metrics::SSIM_REACH;
 
-/// Rows a task converts. Source: chosen by hand, never measured.
-const BAND: usize = 32;
 /// A level of 8 bits. Source: derived.
 const BYTE: f32 = 1.0 / 255.0;
 
@@ -121,7 +120,7 @@ pub(super) fn reached_tiles(weights: &[u8], shape: PlaneShape, reached: &mut Vec
 
 /// Tiles along a side of `size` pixels that the window at pixel `at` touches.
 fn tiles_around(at: usize, size: usize) -> std::ops::RangeInclusive<usize> {
-    at.saturating_sub(WINDOW_RADIUS) / TILE..=(at + WINDOW_RADIUS).min(size - 1) / TILE
+    at.saturating_sub(SSIM_REACH) / TILE..=(at + SSIM_REACH).min(size - 1) / TILE
 }
 
 #[cfg(test)]
@@ -142,8 +141,8 @@ mod tests {
                 let away = |at: usize, first: usize, size: usize| {
                     first.saturating_sub(at).max((at + 1).saturating_sub(first + size))
                 };
-                let near = away(x, tile.x, tile.width) <= WINDOW_RADIUS
-                    && away(y, tile.y, tile.height) <= WINDOW_RADIUS;
+                let near =
+                    away(x, tile.x, tile.width) <= SSIM_REACH && away(y, tile.y, tile.height) <= SSIM_REACH;
                 assert_eq!(found, near, "({x}, {y}) tile {t}");
             }
         }

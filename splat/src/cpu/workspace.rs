@@ -4,6 +4,7 @@ use super::adam::{Adam, adam};
 use super::dispatch::Isa;
 use super::loss::{LossInput, LossValue, loss};
 use super::model_part::ModelPart;
+use super::model_part::PART;
 use super::project::{CULLED, Project, Record, project};
 use super::rasterise::{Backward, Forward, SUMS, Visit, backward, forward, visit};
 use super::shared::SharedSlice;
@@ -14,9 +15,6 @@ use crate::backend::Target;
 use crate::camera::CameraConstants;
 use crate::model::Model;
 use rayon::prelude::*;
-
-/// Gaussians a task projects. Source: chosen by hand, never measured.
-const CHUNK: usize = 512;
 
 /// Everything that lives between the kernels of a step. Kept between steps, so that nothing is
 /// allocated in the loop. Invariant: every plane that is in use has the size that `shape` says, and
@@ -63,9 +61,9 @@ impl KernelWorkspace {
     pub(super) fn project(&mut self, isa: Isa, model: &Model, camera: &CameraConstants) {
         self.records.resize(model.len, Record::default());
         self.keys.resize(model.len, CULLED);
-        let chunks = self.records.par_chunks_mut(CHUNK).zip(self.keys.par_chunks_mut(CHUNK)).enumerate();
+        let chunks = self.records.par_chunks_mut(PART).zip(self.keys.par_chunks_mut(PART)).enumerate();
         chunks.for_each(|(chunk, (records, keys))| {
-            project(isa, &mut Project { model, camera, start: chunk * CHUNK, records, keys });
+            project(isa, &mut Project { model, camera, start: chunk * PART, records, keys });
         });
     }
 

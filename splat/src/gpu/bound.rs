@@ -3,14 +3,12 @@
 use super::buffers::{Buffers, JOB, JOBS, Sizes, blocks};
 use super::context::Gpu;
 use super::kernels::{Kernels, Module};
-use super::layout::{BLOCK, CLEARED, Counter, GROUP, ScanJob, SortJob};
+use super::layout::{BLOCK, Counter, GROUP, ScanJob, SortJob};
 use super::pages::Pages;
 use std::ops::RangeInclusive;
 
-/// Passes of the sort by depth: 32 bits, four at a time. Source: derived.
-const DEPTH_PASSES: usize = 8;
-/// The most passes of the sort by tile. Source: those of 32 bits.
-const TILE_PASSES: usize = 8;
+/// The most passes of a sort: keys of 32 bits, four at a time. Source: derived.
+pub(super) const SORT_PASSES: usize = 8;
 
 /// What a step consists of, in order.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
@@ -129,11 +127,11 @@ impl Bound {
         let job =
             SortJob { count: Counter::Visible as u32, blocks: depth_blocks, limit: n, ..SortJob::default() };
         let (keys, order) = ([&b.depth_keys_a, &b.depth_keys_b], [&b.order_a, &b.order_b]);
-        let by_depth = (0..DEPTH_PASSES as u32).map(|pass| sort(pass, job, keys, order)).collect();
+        let by_depth = (0..SORT_PASSES as u32).map(|pass| sort(pass, job, keys, order)).collect();
         let limit = sizes.pairs as u32;
         let job = SortJob { count: Counter::Pairs as u32, blocks: tile_blocks, limit, ..SortJob::default() };
         let (keys, pairs) = ([&b.tile_keys_a, &b.tile_keys_b], [&b.pairs_a, &b.pairs_b]);
-        let by_tile = (0..TILE_PASSES as u32)
+        let by_tile = (0..SORT_PASSES as u32)
             .map(|pass| sort(pass, SortJob { number: u32::from(pass == 0), ..job }, keys, pairs))
             .collect();
         let f = &b.frame;
@@ -207,7 +205,7 @@ impl Bound {
         stamps: Option<(&wgpu::QuerySet, u32)>,
     ) {
         if stages.contains(&Stage::Project) {
-            encoder.clear_buffer(&buffers.counters, 0, Some(4 * CLEARED as u64));
+            encoder.clear_buffer(&buffers.counters, 0, Some(4 * Counter::Halt as u64));
             encoder.clear_buffer(&buffers.ranges, 0, None);
             encoder.clear_buffer(&buffers.spans, 0, None);
         }
@@ -313,5 +311,5 @@ fn radix(
 /// Passes that the numbers 0 to `tiles` need, made even so that the result lies where it began.
 fn tile_passes(tiles: u32) -> usize {
     let bits = u32::BITS - tiles.leading_zeros();
-    (bits.div_ceil(8) as usize * 2).clamp(2, TILE_PASSES)
+    (bits.div_ceil(8) as usize * 2).clamp(2, SORT_PASSES)
 }

@@ -11,13 +11,12 @@ use super::photos::PlacedPhoto;
 use crate::backend::KernelTimes;
 use crate::error::SplatError;
 use std::ops::RangeInclusive;
+use wgpu::QUERY_RESOLVE_BUFFER_ALIGNMENT;
 
 /// The most steps that are under way. Source: chosen by hand, never measured.
 pub(crate) const WINDOW: usize = 16;
 /// Time stamps of a step: begin and end of each stage. Source: twice its six stages.
 const STAMPS: u32 = 12;
-/// Bytes between the stamps of steps, as resolving them asks for. Source: WebGPU.
-const STAMPS_APART: u64 = 256;
 
 /// A step that was submitted.
 #[derive(Clone)]
@@ -89,12 +88,12 @@ impl Flight {
                 count: STAMPS * WINDOW as u32,
             });
             let usage = wgpu::BufferUsages::QUERY_RESOLVE | wgpu::BufferUsages::COPY_SRC;
-            (set, buffer(gpu, "stamps", STAMPS_APART * steps, usage))
+            (set, buffer(gpu, "stamps", QUERY_RESOLVE_BUFFER_ALIGNMENT * steps, usage))
         });
         let usage = wgpu::BufferUsages::MAP_READ | wgpu::BufferUsages::COPY_DST;
         Ok(Self {
             reports: gpu.buffer("reports", REPORT * steps, None)?,
-            staging: buffer(gpu, "staging", (REPORT + STAMPS_APART) * steps, usage),
+            staging: buffer(gpu, "staging", (REPORT + QUERY_RESOLVE_BUFFER_ALIGNMENT) * steps, usage),
             stamps,
             pending: Vec::new(),
             times: KernelTimes::default(),
@@ -138,7 +137,7 @@ impl Flight {
         if let Some((set, buffer)) = &self.stamps {
             let [from, to] =
                 [step.stages.start().number(), step.stages.end().number() + 1].map(|k| first + 2 * k);
-            encoder.resolve_query_set(set, from..to, buffer, STAMPS_APART * slot);
+            encoder.resolve_query_set(set, from..to, buffer, QUERY_RESOLVE_BUFFER_ALIGNMENT * slot);
         }
         gpu.queue.submit([encoder.finish()]);
         self.pending.push(step);
@@ -154,17 +153,23 @@ impl Flight {
         let mut encoder = gpu.device.create_command_encoder(&Default::default());
         encoder.copy_buffer_to_buffer(&self.reports, 0, &self.staging, 0, REPORT * steps);
         if let Some((_, buffer)) = &self.stamps {
-            encoder.copy_buffer_to_buffer(buffer, 0, &self.staging, reports, STAMPS_APART * steps);
+            encoder.copy_buffer_to_buffer(
+                buffer,
+                0,
+                &self.staging,
+                reports,
+                QUERY_RESOLVE_BUFFER_ALIGNMENT * steps,
+            );
         }
         gpu.queue.submit([encoder.finish()]);
-        let mut bytes = vec![0u8; (reports + STAMPS_APART * steps) as usize];
+        let mut bytes = vec![0u8; (reports + QUERY_RESOLVE_BUFFER_ALIGNMENT * steps) as usize];
         gpu.fetch(&self.staging, &mut bytes)?;
         let (numbers, stamps) = bytes.split_at(reports as usize);
         let mut out = Vec::with_capacity(pending.len());
         for ((step, own), stamps) in pending
             .into_iter()
             .zip(numbers.chunks_exact(REPORT as usize))
-            .zip(stamps.chunks(STAMPS_APART as usize))
+            .zip(stamps.chunks(QUERY_RESOLVE_BUFFER_ALIGNMENT as usize))
         {
             let counters = std::array::from_fn(|k| word(own, k));
             let sums = std::array::from_fn(|r| {

@@ -33,14 +33,12 @@ pub(crate) enum Counter {
     /// Where totals go that nobody reads.
     Spare = 3,
     /// Not zero once a step was not taken because its pairs did not fit: later ones wait for its
-    /// repetition.
+    /// repetition. Every step clears the counters before this one.
     Halt = 4,
 }
 
 /// Counters. Source: the entries above, rounded up to two vectors.
 pub(crate) const COUNTERS: usize = 8;
-/// Counters that every step begins with at zero. Source: those before the last one above.
-pub(crate) const CLEARED: usize = 4;
 
 /// Gaussians or keys that a block of scan and sort holds. Source: eight a thread of `scan.wgsl`.
 pub(crate) const BLOCK: u32 = 2048;

@@ -6,7 +6,7 @@ use std::io::Write;
 use std::path::{Path, PathBuf};
 
 /// Begins the file; the number is that of its layout. Source: ours.
-const MAGIC: &[u8; 8] = b"SPLATPC1";
+const MAGIC: &str = "SPLATPC1";
 
 /// The cache of one device.
 pub(crate) struct Pipelines {
@@ -31,7 +31,7 @@ fn checksum(bytes: &[u8]) -> u64 {
 
 /// The contents of a file of ours; nothing where it is missing, cut short or damaged.
 fn unpack(file: &[u8]) -> Option<&[u8]> {
-    let (sum, data) = file.strip_prefix(MAGIC.as_slice())?.split_first_chunk::<8>()?;
+    let (sum, data) = file.strip_prefix(MAGIC.as_bytes())?.split_first_chunk::<8>()?;
     (u64::from_le_bytes(*sum) == checksum(data)).then_some(data)
 }
 
@@ -42,7 +42,7 @@ fn write(path: &Path, data: &[u8]) -> std::io::Result<()> {
     }
     let partial = path.with_extension(format!("{}.partial", std::process::id()));
     let mut file = std::fs::File::create(&partial)?;
-    file.write_all(MAGIC)?;
+    file.write_all(MAGIC.as_bytes())?;
     file.write_all(&checksum(data).to_le_bytes())?;
     file.write_all(data)?;
     drop(file);

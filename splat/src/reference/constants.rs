@@ -19,13 +19,6 @@ pub(crate) const MAX_ALPHA: f64 = 0.99;
 /// Compositing stops before the transmittance falls below this. Source: Kerbl 2023, appendix C.
 pub(crate) const MIN_TRANSMITTANCE: f64 = 1e-4;
 
-/// Half the side of SSIM's window, px. Source: Wang 2004, section III (11 × 11).
-pub(crate) const WINDOW_RADIUS: usize = 5;
-/// Standard deviation of SSIM's window, px. Source: Wang 2004, section III.
-pub(crate) const WINDOW_SIGMA: f64 = 1.5;
-/// SSIM's C1 and C2 for values in [0, 1]. Source: Wang 2004, section III, K1 = 0.01 and K2 = 0.03.
-pub(crate) const SSIM_STABILITY: [f64; 2] = [0.01 * 0.01, 0.03 * 0.03];
-
 /// Decay of Adam's mean gradient and mean squared gradient. Source: Kingma & Ba 2015, algorithm 1.
 pub(crate) const BETAS: [f64; 2] = [0.9, 0.999];
 /// Keeps Adam's quotient finite. Source: chosen by hand, never measured.

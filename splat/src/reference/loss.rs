@@ -14,8 +14,8 @@
 //! windows that reach over it see no difference there, and its derivative is zero. Where all
 //! weights are 0, L is 0.
 
-use super::constants::{SSIM_STABILITY, WINDOW_RADIUS, WINDOW_SIGMA};
 use glam::DVec3;
+use scene::metrics::{SSIM_K, SSIM_REACH, SSIM_SIGMA};
 
 /// Values of the loss.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -34,8 +34,8 @@ pub(crate) struct ReferenceLoss {
 
 /// G * image, zero outside. The window is symmetric, so this is its own adjoint.
 fn blur(image: &[DVec3], width: usize, height: usize) -> Vec<DVec3> {
-    let radius = WINDOW_RADIUS as i64;
-    let weight = |d: i64| (-(d * d) as f64 / (2.0 * WINDOW_SIGMA * WINDOW_SIGMA)).exp();
+    let radius = SSIM_REACH as i64;
+    let weight = |d: i64| (-(d * d) as f64 / (2.0 * SSIM_SIGMA * SSIM_SIGMA)).exp();
     let norm: f64 = (-radius..=radius).map(weight).sum();
     let along = |image: &[DVec3], step: (i64, i64)| -> Vec<DVec3> {
         let at = |x: i64, y: i64| {
@@ -54,7 +54,7 @@ fn blur(image: &[DVec3], width: usize, height: usize) -> Vec<DVec3> {
 
 /// SSIM of a pixel and its derivatives with respect to μx, G * x² and G * xy.
 fn similarity(mx: DVec3, my: DVec3, xx: DVec3, yy: DVec3, xy: DVec3) -> [DVec3; 4] {
-    let [c1, c2] = SSIM_STABILITY;
+    let [c1, c2] = SSIM_K.map(|k| k * k);
     let (a1, b1) = (2.0 * mx * my + c1, mx * mx + my * my + c1);
     let (a2, b2) = (2.0 * (xy - mx * my) + c2, (xx - mx * mx) + (yy - my * my) + c2);
     let s = a1 * a2 / (b1 * b2);

@@ -7,6 +7,7 @@
 //! files).
 
 use glam::DVec3;
+use scene::gaussians::{SH_2, SH_3, SH_LOW};
 
 /// Y_0 … Y_15 at a unit vector.
 pub(crate) fn basis(d: DVec3) -> [f64; 16] {
@@ -17,18 +18,18 @@ pub(crate) fn basis(d: DVec3) -> [f64; 16] {
         -SH_LOW[1] * y,
         SH_LOW[1] * z,
         -SH_LOW[1] * x,
-        C2[0] * x * y,
-        -C2[0] * y * z,
-        C2[1] * (2.0 * zz - xx - yy),
-        -C2[0] * x * z,
-        C2[2] * (xx - yy),
-        -C3[0] * y * (3.0 * xx - yy),
-        C3[1] * x * y * z,
-        -C3[2] * y * (4.0 * zz - xx - yy),
-        C3[3] * z * (2.0 * zz - 3.0 * xx - 3.0 * yy),
-        -C3[2] * x * (4.0 * zz - xx - yy),
-        C3[4] * z * (xx - yy),
-        -C3[0] * x * (xx - 3.0 * yy),
+        SH_2[0] * x * y,
+        -SH_2[0] * y * z,
+        SH_2[1] * (2.0 * zz - xx - yy),
+        -SH_2[0] * x * z,
+        SH_2[2] * (xx - yy),
+        -SH_3[0] * y * (3.0 * xx - yy),
+        SH_3[1] * x * y * z,
+        -SH_3[2] * y * (4.0 * zz - xx - yy),
+        SH_3[3] * z * (2.0 * zz - 3.0 * xx - 3.0 * yy),
+        -SH_3[2] * x * (4.0 * zz - xx - yy),
+        SH_3[4] * z * (xx - yy),
+        -SH_3[0] * x * (xx - 3.0 * yy),
     ]
 }
 
@@ -42,18 +43,18 @@ pub(crate) fn basis_gradient(d: DVec3) -> [DVec3; 16] {
         v(0.0, -SH_LOW[1], 0.0),
         v(0.0, 0.0, SH_LOW[1]),
         v(-SH_LOW[1], 0.0, 0.0),
-        C2[0] * v(y, x, 0.0),
-        -C2[0] * v(0.0, z, y),
-        C2[1] * v(-2.0 * x, -2.0 * y, 4.0 * z),
-        -C2[0] * v(z, 0.0, x),
-        C2[2] * v(2.0 * x, -2.0 * y, 0.0),
-        -C3[0] * v(6.0 * x * y, 3.0 * (xx - yy), 0.0),
-        C3[1] * v(y * z, x * z, x * y),
-        -C3[2] * v(-2.0 * x * y, 4.0 * zz - xx - 3.0 * yy, 8.0 * y * z),
-        C3[3] * v(-6.0 * x * z, -6.0 * y * z, 6.0 * zz - 3.0 * xx - 3.0 * yy),
-        -C3[2] * v(4.0 * zz - 3.0 * xx - yy, -2.0 * x * y, 8.0 * x * z),
-        C3[4] * v(2.0 * x * z, -2.0 * y * z, xx - yy),
-        -C3[0] * v(3.0 * (xx - yy), -6.0 * x * y, 0.0),
+        SH_2[0] * v(y, x, 0.0),
+        -SH_2[0] * v(0.0, z, y),
+        SH_2[1] * v(-2.0 * x, -2.0 * y, 4.0 * z),
+        -SH_2[0] * v(z, 0.0, x),
+        SH_2[2] * v(2.0 * x, -2.0 * y, 0.0),
+        -SH_3[0] * v(6.0 * x * y, 3.0 * (xx - yy), 0.0),
+        SH_3[1] * v(y * z, x * z, x * y),
+        -SH_3[2] * v(-2.0 * x * y, 4.0 * zz - xx - 3.0 * yy, 8.0 * y * z),
+        SH_3[3] * v(-6.0 * x * z, -6.0 * y * z, 6.0 * zz - 3.0 * xx - 3.0 * yy),
+        -SH_3[2] * v(4.0 * zz - 3.0 * xx - yy, -2.0 * x * y, 8.0 * x * z),
+        SH_3[4] * v(2.0 * x * z, -2.0 * y * z, xx - yy),
+        -SH_3[0] * v(3.0 * (xx - yy), -6.0 * x * y, 0.0),
     ]
 }
 
@@ -100,19 +101,6 @@ pub(crate) fn sh_backward(
     }
     (d_direction - direction * direction.dot(d_direction)) / offset.length()
 }
-
-/// Factors of the spherical harmonics of degree 0 and 1: 1 / (2√π), √3 / (2√π). Source: derived.
-const SH_LOW: [f64; 2] = [0.282_094_791_773_878_14, 0.488_602_511_902_919_9];
-/// Degree 2: √15/(2√π), √5/(4√π), √15/(4√π). Source: derived.
-const C2: [f64; 3] = [1.092_548_430_592_079_2, 0.315_391_565_252_520_05, 0.546_274_215_296_039_6];
-/// Degree 3: √70/(8√π), √105/(2√π), √42/(8√π), √7/(4√π), √105/(4√π). Source: derived.
-const C3: [f64; 5] = [
-    0.590_043_589_926_643_5,
-    2.890_611_442_640_554,
-    0.457_045_799_464_465_8,
-    0.373_176_332_590_115_4,
-    1.445_305_721_320_277,
-];
 
 #[cfg(test)]
 mod tests {

@@ -14,7 +14,7 @@ use std::io::Write;
 use std::path::{Path, PathBuf};
 
 /// Begins the file. Source: this format, in its second version.
-const MAGIC: &[u8; 8] = b"SPLATCK2";
+const MAGIC: &str = "SPLATCK2";
 
 /// Name of the file in the checkpoint folder.
 pub(crate) const FILE: &str = "training.checkpoint";
@@ -82,7 +82,7 @@ fn write_file(
     std::fs::create_dir_all(path.parent().unwrap_or(path))?;
     let partial = path.with_extension("partial");
     let mut file = std::io::BufWriter::new(std::fs::File::create(&partial)?);
-    file.write_all(MAGIC)?;
+    file.write_all(MAGIC.as_bytes())?;
     file.write_all(&(header.len() as u64).to_le_bytes())?;
     file.write_all(&header)?;
     for value in arrays(model, statistics).into_iter().flatten() {
@@ -114,7 +114,7 @@ fn unusable(path: &Path, reason: impl ToString) -> SplatError {
 const SHORT: &str = "it is cut short";
 
 fn parse(bytes: &[u8]) -> Result<Checkpoint, String> {
-    let rest = bytes.strip_prefix(MAGIC.as_slice()).ok_or("it is not a checkpoint of this version")?;
+    let rest = bytes.strip_prefix(MAGIC.as_bytes()).ok_or("it is not a checkpoint of this version")?;
     let (length, rest) = rest.split_first_chunk::<8>().ok_or(SHORT)?;
     let length = usize::try_from(u64::from_le_bytes(*length)).map_err(|e| e.to_string())?;
     let (header, mut rest) = rest.split_at_checked(length).ok_or(SHORT)?;

@@ -21,9 +21,9 @@ const STILL_LIGHT: (f32, f32) = (0.75, 1.25);
 /// Change of light on a still thing in any frame, as a factor on 8-bit values.
 /// Source: chosen by hand, never measured.
 const ANY_LIGHT: (f32, f32) = (0.55, 1.5);
-/// Departure from a still thing, 8-bit levels, at which something else may and does stand before
-/// it. Source: chosen by hand, never measured.
-const BEFORE_LEVELS: (i32, i32) = (12, 28);
+/// Departure from a still thing, 8-bit levels, from which something else stands before it.
+/// Source: `key_table` is the same where it is a ramp from 12 to 28.
+const BEFORE_LEVELS: i32 = 20;
 /// A pole hides the screen in at least this share of the samples.
 /// Source: `key_table`: at 0.6 the IoU of case 3 falls by 0.0005.
 const ALWAYS_SHARE: f32 = 0.7;
@@ -180,30 +180,16 @@ impl CleanPlate {
         self.has_pole && !keep_pole
     }
 
-    /// How surely the pixel shows what always stands there, 0 to 1.
-    pub(crate) fn similarity(&self, i: usize, rgb: [u8; 3], keep_pole: bool) -> f32 {
-        if self.before_screen[i] && !self.cuts_pole(keep_pole) {
-            return 0.0;
-        }
-        if self.pole[i] {
-            return 1.0;
-        }
+    /// Whether the pixel shows what always stands there and is to be cut.
+    pub(crate) fn shows_still(&self, i: usize, rgb: [u8; 3], keep_pole: bool) -> bool {
         match self.things[i] {
-            Some(thing) => {
-                let (low, high) = BEFORE_LEVELS;
-                // The light that fits best leaves no more than this: most pixels need no fit.
-                if (levels(&rgb) - levels(&thing)).length_squared() <= (low * low) as f32 {
-                    return 1.0;
-                }
-                (1.0 - (departure(rgb, thing) - low) as f32 / (high - low) as f32).clamp(0.0, 1.0)
-            }
+            _ if self.before_screen[i] && !self.cuts_pole(keep_pole) => false,
+            Some(thing) if !self.pole[i] => departure_in(rgb, thing, ANY_LIGHT) < BEFORE_LEVELS,
             // Beside the screen only what is learnt can tell the object from the room.
-            None => f32::from(u8::from(!self.before_screen[i])),
+            _ => self.pole[i] || !self.before_screen[i],
         }
     }
-}
 
-impl CleanPlate {
     /// A pole stands on something: what is still before the screen and not connected to anything
     /// still beside it or to the border of the picture is a part of the object that happens to look
     /// alike in most frames.
@@ -234,11 +220,7 @@ fn agreed(samples: &mut [[u8; 3]], frames: usize) -> Option<[u8; 3]> {
 }
 
 /// Largest difference of a channel, 8-bit levels, from a still thing under the light that fits
-/// best.
-fn departure(seen: [u8; 3], thing: [u8; 3]) -> i32 {
-    departure_in(seen, thing, ANY_LIGHT)
-}
-
+/// best within a range.
 fn departure_in(seen: [u8; 3], thing: [u8; 3], range: (f32, f32)) -> i32 {
     let (a, b) = (levels(&seen), levels(&thing));
     let light = (a.dot(b) / b.length_squared().max(1.0)).clamp(range.0, range.1);
@@ -272,7 +254,7 @@ mod tests {
     #[test]
     fn a_pole_is_still_and_a_dark_spot_of_the_object_is_not_taken_for_one() {
         let frames: Vec<RgbImage> = (0..16).map(frame).collect();
-        let key = Key::new([0.013, 0.36, 0.045].into(), 1.0 / 3f32.sqrt()).unwrap();
+        let key = Key::new([0.013, 0.36, 0.045].into()).unwrap();
         let plate = CleanPlate::learn(&frames, &key).unwrap();
         let thing = |x: usize, y: usize| plate.things[y * 160 + x];
         assert!(thing(90, 95).is_some() && thing(30, 115).is_some(), "pole and floor");

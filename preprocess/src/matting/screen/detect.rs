@@ -58,8 +58,7 @@ pub(crate) fn detect(thumbnails: &[&RgbImage], choice: KeyChoice) -> Detection {
         (Quantity::Roughness, found.roughness),
     ]
     .map(|(quantity, value)| Measurement::new(quantity, f64::from(value)));
-    let key = Key::new(found.colour, wedge(thumbnails, hue, found.colour))
-        .filter(|_| is_screen || (forced && found.coverage > 0.01));
+    let key = Key::new(found.colour).filter(|_| is_screen || (forced && found.coverage > 0.01));
     let decision = match key {
         Some(_) if forced => Decision::new(Subject::Matte, MatteKind::Screen, Rule::Requested),
         Some(_) => Decision::new(Subject::Matte, MatteKind::Screen, Rule::Evidence),
@@ -160,24 +159,6 @@ pub(crate) fn quantile(values: &mut [f32], q: f32) -> f32 {
     *values.select_nth_unstable_by(rank, f32::total_cmp).1
 }
 
-/// The narrowest wedge of the key that leaves few pixels of the object any colour difference.
-fn wedge(thumbnails: &[&RgbImage], hue: f32, colour: Vec3) -> f32 {
-    let vlahos = 1.0 / 3f32.sqrt();
-    let others: Vec<Vec3> = pixels(thumbnails)
-        .filter(|p| hue_distance(hue_saturation_value(*p).0, hue) > 2.0 * HUE_WINDOW)
-        .map(|p| linear(&p))
-        .collect();
-    for wedge in [vlahos, 1.0] {
-        let Some(key) = Key::new(colour, wedge) else { return vlahos };
-        // The screen has no chroma across the key's.
-        let spoiled = others.iter().filter(|rgb| key.difference(**rgb) > 0.1 * key.reference).count();
-        if spoiled * 20 <= others.len() {
-            return wedge;
-        }
-    }
-    1.5
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -198,8 +179,9 @@ mod tests {
     fn screens_of_any_hue_are_found_and_rooms_are_not() {
         for screen in [[30, 190, 60], [40, 60, 180], [190, 20, 170], [125, 180, 10], [20, 60, 24]] {
             let found = detect(&[&frame(screen, 60), &frame(screen, 50)], KeyChoice::Auto);
-            let key = found.key.unwrap_or_else(|| panic!("{screen:?}: {:?}", found.decision));
-            assert!(hue_distance(key.hue, hue_saturation_value(screen).0) < 4.0, "{screen:?} {}", key.hue);
+            assert!(found.key.is_some(), "{screen:?}: {:?}", found.decision);
+            let hue = found.decision.value(Quantity::Hue).unwrap() as f32;
+            assert!(hue_distance(hue, hue_saturation_value(screen).0) < 4.0, "{screen:?} {hue}");
         }
         for (screen, share) in [
             ([30, 190, 60], 4),

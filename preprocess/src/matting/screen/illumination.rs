@@ -55,7 +55,7 @@ mod tests {
             let linear = if inside { [0.3, 0.25, 0.2] } else { [0.1 * l, 0.8 * l, 0.2 * l] };
             rgb.extend(linear.map(srgb8));
         }
-        let key = Key::new([0.05, 0.4, 0.1].into(), 1.0 / 3f32.sqrt()).unwrap();
+        let key = Key::new([0.05, 0.4, 0.1].into()).unwrap();
         let grid = fit(&rgb, width, &key).unwrap();
         let mut row = Vec::new();
         grid.row(64, width, &mut row);

@@ -52,7 +52,7 @@ mod tests {
             let is_object = (70..100).contains(&x) && (20..70).contains(&y);
             Rgb(if is_object { [120, 110, 100] } else { light.map(|v| srgb8(shade * v)) })
         });
-        let (pool, key) = (Pool::default(), Key::new(light.into(), 1.0 / 3f32.sqrt()).unwrap());
+        let (pool, key) = (Pool::default(), Key::new(light.into()).unwrap());
         let screen = Screen::before_field(&pool, &frame, &key).unwrap();
         let at = |x: usize, y: usize| y * 120 + x;
         assert_eq!([(30, 45), (5, 5), (85, 45)].map(|(x, y)| screen.shaded[at(x, y)]), [1, 1, 0]);

@@ -12,33 +12,46 @@ use crate::train::state::TrainingState;
 use scene::decision::{Choice, Decision, Measurement, Quantity, Remark, Rule, Subject};
 use serde::{Deserialize, Serialize};
 
-/// Rounds of densification in a schedule that is long enough. Source: chosen by hand, never
-/// measured.
-const ROUNDS: f64 = 40.0;
-/// Steps between rounds at least: fewer do not tell where Gaussians are missing. Source: chosen by
-/// hand, never measured.
-const LEAST_STEPS: u32 = 50;
+/// How many Gaussians there are to be, and how that is looked at.
+struct GrowthPlan {
+    /// Rounds of densification in a schedule that is long enough. Source: chosen by hand, never
+    /// measured.
+    rounds: f64,
+    /// Steps between rounds at least: fewer do not tell where Gaussians are missing. Source: chosen
+    /// by hand, never measured.
+    least_steps: u32,
+    /// Gaussians at the end of growth for each step of the schedule, where there are views enough.
+    /// Source: docs/decisions/tried.md: half as many lose 0.2 dB at one minute.
+    a_step: f64,
+    /// The same for each step and training view. Source: chosen by hand, never measured apart.
+    a_step_and_view: f64,
+    /// The same for each pair of training views: with few views more of them fit the views that are
+    /// there instead of the scene.
+    /// Source: docs/decisions/13.
+    a_pair: f64,
+    /// The same for each point of the sparse cloud, where no views can be spared to judge growth:
+    /// the points tell how many places of the scene photos agree on. Source: docs/decisions/13.
+    a_point: f64,
+    /// Looks at the growth of the number of Gaussians, evenly over growth. Source: chosen by hand,
+    /// never measured.
+    looks: f64,
+    /// Looks in a row without such a gain after which growth ends: validation of a moving target is
+    /// noisy.
+    /// Source: chosen by hand, never measured.
+    patience: u32,
+}
 
-/// Gaussians at the end of growth for each step of the schedule, where there are views enough.
-/// Source: docs/decisions/tried.md: half as many lose 0.2 dB at one minute.
-const A_STEP: f64 = 50.0;
-/// The same for each step and training view. Source: chosen by hand, never measured apart.
-const A_STEP_AND_VIEW: f64 = 0.45;
-/// The same for each pair of training views: with few views more of them fit the views that are
-/// there instead of the scene.
-/// Source: docs/decisions/13.
-const A_PAIR: f64 = 60.0;
-/// The same for each point of the sparse cloud, where no views can be spared to judge growth: the
-/// points tell how many places of the scene photos agree on. Source: docs/decisions/13.
-const A_POINT: f64 = 3.0;
-
-/// Looks at the growth of the number of Gaussians, evenly over growth. Source: chosen by hand,
-/// never measured.
-const LOOKS: f64 = 8.0;
-/// Looks in a row without such a gain after which growth ends: validation of a moving target is
-/// noisy.
-/// Source: chosen by hand, never measured.
-const PATIENCE: u32 = 2;
+/// The values in force.
+const PLAN: GrowthPlan = GrowthPlan {
+    rounds: 40.0,
+    least_steps: 50,
+    a_step: 50.0,
+    a_step_and_view: 0.45,
+    a_pair: 60.0,
+    a_point: 3.0,
+    looks: 8.0,
+    patience: 2,
+};
 
 /// What the validation views had at a look.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
@@ -103,14 +116,14 @@ impl GrowthRule {
 
     fn is_due(&self, step: &RuleContext) -> bool {
         step.position() < GROWTH_END
-            && step.state.place.iteration >= self.round_step + LEAST_STEPS
-            && step.position() >= self.round_position + GROWTH_END / ROUNDS
+            && step.state.place.iteration >= self.round_step + PLAN.least_steps
+            && step.position() >= self.round_position + GROWTH_END / PLAN.rounds
     }
 
     /// Growth ends where the validation views stop gaining by it.
     pub(super) fn review(&mut self, step: &mut RuleContext) -> Result<(), SplatError> {
         let setup = step.setup;
-        let due = GROWTH_END / LOOKS * f64::from(self.looks + 1);
+        let due = GROWTH_END / PLAN.looks * f64::from(self.looks + 1);
         let is_due = (due..GROWTH_END).contains(&step.position());
         if setup.validation.is_empty() || self.limit.is_some() || !is_due {
             return Ok(());
@@ -127,7 +140,7 @@ impl GrowthRule {
             return Ok(());
         }
         self.idle_looks += 1;
-        if let Some(best) = best.filter(|b| self.idle_looks >= PATIENCE && gaussians > b.gaussians) {
+        if let Some(best) = best.filter(|b| self.idle_looks >= PLAN.patience && gaussians > b.gaussians) {
             self.limit = Some(gaussians);
             let decision = Decision::new(Subject::GaussianCount, Choice::count(gaussians), Rule::Evidence)
                 .remarked(Remark::GrowthStopped)
@@ -164,9 +177,9 @@ fn gaussians_at_end(first: usize, steps: f64, setup: &TrainingSetup) -> usize {
 /// The same for so many training views and points of the sparse cloud (`None`: no bound by them).
 fn planned(first: usize, steps: f64, views: usize, points: Option<usize>, config: &TrainConfig) -> usize {
     let views = views as f64;
-    let a_step = (A_STEP_AND_VIEW * views).min(A_STEP);
-    let by_points = points.map_or(f64::INFINITY, |n| A_POINT * n as f64);
-    let determined = (A_PAIR * 0.5 * views * views).min(by_points);
+    let a_step = (PLAN.a_step_and_view * views).min(PLAN.a_step);
+    let by_points = points.map_or(f64::INFINITY, |n| PLAN.a_point * n as f64);
+    let determined = (PLAN.a_pair * 0.5 * views * views).min(by_points);
     ((steps * a_step).min(determined) as usize).min(config.max_gaussians).max(first)
 }
 

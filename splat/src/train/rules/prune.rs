@@ -17,32 +17,47 @@ use rand::Rng as _;
 use scene::decision::{Choice, Decision, Measurement, Quantity, Rule, Subject};
 use serde::{Deserialize, Serialize};
 
-/// Position in the schedule at which Gaussians are removed; what follows lets the others close the
-/// gaps.
-/// Source: chosen by hand, never measured.
-const AT: f64 = 0.9;
-/// What removing them may cost the training views before that, dB.
-/// Source: chosen by hand: rows of docs/benchmarks.md below 0.2 dB are alike.
-const LOSS: f64 = 0.05;
-/// Steps of a schedule with a time limit that must be left, which the search costs half of.
-/// Source: a search costs as much as thirty steps.
-const LEAST_STEPS_LEFT: f64 = 60.0;
-/// Training views whose pictures judge the removal. Source: chosen by hand, never measured.
-const JUDGES: usize = 8;
-/// Training views from which the energies are estimated: all of an ordinary capture. What only the
-/// others see would go without a trace. Source: docs/decisions/13.
-const WITNESSES: usize = 100;
-/// Pictures above this many pixels are halved for the energies: they only order the Gaussians.
-/// Source: chosen by hand, never measured.
-const PIXELS: usize = 60_000;
-/// Alpha is limited to 0.99, where its gradient vanishes; energies are taken at opacities below.
-/// Source: `reference::rasterise::MAX_ALPHA` less a hundredth.
-const MOST_OPAQUE: f32 = 0.98;
-/// At least one in this many Gaussians stays. Source: chosen by hand, never measured.
-const LEAST_KEPT: usize = 4;
-/// The number that goes is found to one in this many Gaussians: six trials. Source: chosen by hand,
-/// never measured.
-const RESOLUTION: usize = 64;
+/// When redundant Gaussians are looked for, by what, and how closely.
+struct PruneSearch {
+    /// Position in the schedule at which Gaussians are removed; what follows lets the others close
+    /// the gaps. Source: chosen by hand, never measured.
+    at: f64,
+    /// What removing them may cost the training views before that, dB.
+    /// Source: chosen by hand: rows of docs/benchmarks.md below 0.2 dB are alike.
+    loss: f64,
+    /// Steps of a schedule with a time limit that must be left, which the search costs half of.
+    /// Source: a search costs as much as thirty steps.
+    least_steps_left: f64,
+    /// Training views whose pictures judge the removal. Source: chosen by hand, never measured.
+    judges: usize,
+    /// Training views from which the energies are estimated: all of an ordinary capture. What only
+    /// the others see would go without a trace. Source: docs/decisions/13.
+    witnesses: usize,
+    /// Pictures above this many pixels are halved for the energies: they only order the Gaussians.
+    /// Source: chosen by hand, never measured.
+    pixels: usize,
+    /// Alpha is limited to 0.99, where its gradient vanishes; energies are taken at opacities
+    /// below. Source: `reference::rasterise::MAX_ALPHA` less a hundredth.
+    most_opaque: f32,
+    /// At least one in this many Gaussians stays. Source: chosen by hand, never measured.
+    least_kept: usize,
+    /// The number that goes is found to one in this many Gaussians: six trials. Source: chosen by
+    /// hand, never measured.
+    resolution: usize,
+}
+
+/// The values in force.
+const SEARCH: PruneSearch = PruneSearch {
+    at: 0.9,
+    loss: 0.05,
+    least_steps_left: 60.0,
+    judges: 8,
+    witnesses: 100,
+    pixels: 60_000,
+    most_opaque: 0.98,
+    least_kept: 4,
+    resolution: 64,
+};
 
 /// State of the rule.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
@@ -55,8 +70,8 @@ impl PruneRule {
     /// Removes redundant Gaussians, once.
     pub(super) fn review(&mut self, step: &mut RuleContext) -> Result<(), SplatError> {
         let left = step.expected_steps() - f64::from(step.state.place.iteration);
-        let short = step.setup.config.time_limit.is_some() && left < LEAST_STEPS_LEFT;
-        if self.done || step.position() < AT || short {
+        let short = step.setup.config.time_limit.is_some() && left < SEARCH.least_steps_left;
+        if self.done || step.position() < SEARCH.at || short {
             return Ok(());
         }
         self.done = true;
@@ -64,20 +79,21 @@ impl PruneRule {
     }
 }
 
-/// Removes as many of the Gaussians that the pictures miss least as may go at a loss of [`LOSS`].
+/// Removes as many of the Gaussians that the pictures miss least as may go at a loss of
+/// [`PruneSearch::loss`].
 fn prune_redundant(step: &mut RuleContext) -> Result<(), SplatError> {
-    let judges = step.setup.some_views(JUDGES);
+    let judges = step.setup.some_views(SEARCH.judges);
     let before = step.psnr(&judges, 0, None)?;
     let (mut model, mut statistics) = step.backend.release()?;
     let n = model.len;
     let order = by_energy(step, &model)?;
     // The loss grows with what is removed: bisection.
-    let (mut good, mut bad) = (n, n / LEAST_KEPT);
-    while good > bad + n / RESOLUTION + 1 {
+    let (mut good, mut bad) = (n, n / SEARCH.least_kept);
+    while good > bad + n / SEARCH.resolution + 1 {
         let middle = (good + bad) / 2;
         step.backend.upload(model.drawn(&first_sorted(&order, middle)), Statistics::default())?;
         let loss = before - step.psnr(&judges, 0, None)?;
-        if loss <= LOSS { good = middle } else { bad = middle }
+        if loss <= SEARCH.loss { good = middle } else { bad = middle }
     }
     if good < n {
         model.select(&first_sorted(&order, good));
@@ -95,10 +111,10 @@ fn prune_redundant(step: &mut RuleContext) -> Result<(), SplatError> {
 
 /// The Gaussians by falling energy.
 fn by_energy(step: &RuleContext, whole: &Model) -> Result<Vec<u32>, SplatError> {
-    let (setup, witnesses) = (step.setup, step.setup.some_views(WITNESSES));
+    let (setup, witnesses) = (step.setup, step.setup.some_views(SEARCH.witnesses));
     let views = witnesses.iter().map(|&v| setup.dataset.views[v].view);
     let views: Vec<PinholeView> =
-        views.map(|view| view.at_level(u32::from(view.width * view.height > PIXELS))).collect();
+        views.map(|view| view.at_level(u32::from(view.width * view.height > SEARCH.pixels))).collect();
     let energies = energies(whole, &views, step.options(), setup.config.seed)?;
     let mut order: Vec<u32> = (0..whole.len as u32).collect();
     order.sort_by(|&a, &b| energies[b as usize].total_cmp(&energies[a as usize]).then(a.cmp(&b)));
@@ -120,7 +136,7 @@ fn energies(
     options: RenderOptions,
     seed: u64,
 ) -> Result<Vec<f32>, SplatError> {
-    let limit = (MOST_OPAQUE / (1.0 - MOST_OPAQUE)).ln();
+    let limit = (SEARCH.most_opaque / (1.0 - SEARCH.most_opaque)).ln();
     let all: Vec<u32> = (0..whole.len as u32).collect();
     let mut model = whole.drawn(&all);
     model.geometry[OPACITY].iter_mut().for_each(|logit| *logit = logit.min(limit));

@@ -11,6 +11,7 @@ use glam::Vec3;
 use rayon::prelude::*;
 use scene::decision::{Choice, Decision, Measurement, Quantity, Rule, Subject};
 use scene::gaussians::SH_C0;
+use scene::sh::SH_COUNT;
 use serde::{Deserialize, Serialize};
 
 /// Positions in the schedule from which each higher degree is in use. Source: chosen by hand, never
@@ -120,7 +121,7 @@ fn sum_of_degree(sh: &[f32], mean: Vec3, degree: u32, cameras: &[Vec3]) -> [f32;
     let band = (degree * degree) as usize..((degree + 1) * (degree + 1)) as usize;
     let mut sum = [0.0f32; 3];
     for camera in cameras {
-        let mut basis = [0.0; sh::MAX_COEFFICIENTS];
+        let mut basis = [0.0; SH_COUNT];
         sh::basis((mean - *camera).normalize_or_zero(), degree, &mut basis);
         for (k, y) in band.clone().zip(&basis[band.clone()]) {
             sum.iter_mut().zip(&sh[3 * k..]).for_each(|(s, v)| *s += y * v);
@@ -146,7 +147,7 @@ mod tests {
             sh_degree: 1,
         });
         let colour = |model: &Model, eye: Vec3, degree: u32| {
-            let mut basis = [0.0; sh::MAX_COEFFICIENTS];
+            let mut basis = [0.0; SH_COUNT];
             sh::basis(-eye.normalize(), degree, &mut basis);
             crate::cpu::project::colour(&model.sh, &basis, degree)
         };

@@ -15,9 +15,6 @@ use serde::{Deserialize, Serialize};
 /// Variance of the smallest Gaussian, squared sampling intervals.
 /// Source: Yu et al. 2024, Mip-Splatting, the 3D smoothing filter.
 const VARIANCE: f32 = 0.2;
-/// A Gaussian counts as seen up to this far outside a picture, as a share of its size.
-/// Source: [`JACOBIAN_MARGIN`].
-const MARGIN: f32 = JACOBIAN_MARGIN as f32;
 
 /// State of the rule.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
@@ -78,7 +75,8 @@ fn sampling_rate(view: &PinholeView, x: Vec3) -> f32 {
 
 /// Whether a coordinate lies in a picture of that size or in the margin around it.
 fn is_near(p: f32, size: usize) -> bool {
-    p >= -MARGIN * size as f32 && p <= (1.0 + MARGIN) * size as f32
+    let margin = JACOBIAN_MARGIN as f32;
+    p >= -margin * size as f32 && p <= (1.0 + margin) * size as f32
 }
 
 #[cfg(test)]

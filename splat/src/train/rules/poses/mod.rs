@@ -19,19 +19,25 @@ use scene::decision::{Decision, Measurement, Quantity, Rule, Subject};
 use scene::{Gaussians, Pose};
 use serde::{Deserialize, Serialize};
 
-/// Positions of the schedule at which is asked whether poses are to be refined; both have to say
-/// so.
-/// Source: docs/decisions/14.
-const LOOKS: [f64; 2] = [0.2, 0.3];
-/// Position of the schedule from which views are moved when told to. Source: chosen by hand, never
-/// measured.
-const FROM: f64 = 0.1;
-/// Position until which views are moved: the last steps see poses that stand. Source: chosen by
-/// hand, never measured.
-const UNTIL: f64 = 0.96;
-/// Before anything is known a view is expected to be off by this, radians and normalised units.
-/// Source: chosen by hand (0.3°, about what docs/decisions/14 calls wrong).
-const FIRST_SPREAD: [f64; 2] = [0.005; 2];
+/// When poses are judged and moved.
+struct PoseSchedule {
+    /// Positions of the schedule at which is asked whether poses are to be refined; both have to
+    /// say so. Source: docs/decisions/14.
+    looks: [f64; 2],
+    /// Position of the schedule from which views are moved when told to. Source: chosen by hand,
+    /// never measured.
+    from: f64,
+    /// Position until which views are moved: the last steps see poses that stand. Source: chosen by
+    /// hand, never measured.
+    until: f64,
+    /// Before anything is known a view is expected to be off by this, radians and normalised units.
+    /// Source: chosen by hand (0.3°, about what docs/decisions/14 calls wrong).
+    first_spread: [f64; 2],
+}
+
+/// The values in force.
+const SCHEDULE: PoseSchedule =
+    PoseSchedule { looks: [0.2, 0.3], from: 0.1, until: 0.96, first_spread: [0.005; 2] };
 
 /// State of the rule; the poses in force are in the training's state.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
@@ -55,23 +61,23 @@ impl PoseRule {
             return Ok(());
         }
         if self.refined || asked == PoseRefinement::On {
-            let due = FROM + EVERY * f64::from(self.places);
-            return if position >= due && due <= UNTIL { self.refine(step) } else { Ok(()) };
+            let due = SCHEDULE.from + EVERY * f64::from(self.places);
+            return if position >= due && due <= SCHEDULE.until { self.refine(step) } else { Ok(()) };
         }
         let judged = self.explained.len();
         let settled = self.explained.iter().any(|e| *e < EXPLAINED);
-        if settled || LOOKS.get(judged).is_none_or(|&at| position < at) {
+        if settled || SCHEDULE.looks.get(judged).is_none_or(|&at| position < at) {
             return Ok(());
         }
         let explained = explained_by_motions(step)?;
         self.explained.push(explained);
         let on = explained >= EXPLAINED;
-        if on && judged + 1 < LOOKS.len() {
+        if on && judged + 1 < SCHEDULE.looks.len() {
             return Ok(());
         }
         // Refining goes on at the places that are left from here.
         self.refined = on;
-        self.places = ((position - FROM) / EVERY).max(0.0) as u32;
+        self.places = ((position - SCHEDULE.from) / EVERY).max(0.0) as u32;
         let decision = Decision::new(Subject::TrainingPoses, on, Rule::Evidence)
             .measured(Quantity::ExplainedError, explained)
             .measured(Quantity::NeededExplanation, EXPLAINED);
@@ -83,7 +89,7 @@ impl PoseRule {
     fn refine(&mut self, step: &mut RuleContext) -> Result<(), SplatError> {
         self.places += 1;
         let setup = step.setup;
-        let spread = self.spread.unwrap_or(FIRST_SPREAD);
+        let spread = self.spread.unwrap_or(SCHEDULE.first_spread);
         let (mut poses, mut squares) = (Vec::with_capacity(setup.views.len()), [0.0f64; 2]);
         for &v in &setup.views {
             let (given, view) = (setup.dataset.views[v].view, step.camera(v));
@@ -129,7 +135,7 @@ fn explained_by_motions(step: &mut RuleContext) -> Result<f64, SplatError> {
     for &v in setup.views.iter().step_by(setup.views.len().div_ceil(SAMPLE)) {
         let view = step.camera(v);
         let equations = motion_equations(step, v, &view, PixelSubset::Blocks(0))?;
-        let view = moved(&view, &equations.motion(&[0.0; 6], FIRST_SPREAD));
+        let view = moved(&view, &equations.motion(&[0.0; 6], SCHEDULE.first_spread));
         before += equations.outside;
         after += motion_equations(step, v, &view, PixelSubset::Blocks(0))?.outside;
     }

@@ -12,20 +12,25 @@ use crate::train::context::RuleContext;
 use crate::view::{PinholeView, RenderOutput};
 use rayon::prelude::*;
 
-/// Side of the blocks of pixels that take turns in moving and in judging, pixels.
-/// Source: chosen by hand, never measured; wider than the loss's window (11 pixels), so that most
-/// pixels are independent.
-const BLOCK: usize = 16;
-/// What a splat shows wrong is wrong over many pixels: so many residuals say as much as one that is
-/// independent, a count.
-/// Source: docs/decisions/14 (with 1 weak directions wandered by pixels, with 100 case 2 lost 3
-/// dB).
-const PIXELS_AS_ONE: f64 = 1000.0;
-/// Residuals above this multiple of their root mean square count by their size alone, a ratio.
-/// Source: Huber 1981 has 1.345 of a robust deviation; chosen by hand, never measured.
-const HUBER: f64 = 2.0;
-/// Coverage below which there is no surface to align. Source: chosen by hand, never measured.
-const COVERED: f32 = 0.3;
+/// What counts as evidence of a motion.
+struct Alignment {
+    /// Side of the blocks of pixels that take turns in moving and in judging, pixels. Source:
+    /// chosen by hand, never measured; wider than the loss's window (11 pixels), so that most
+    /// pixels are independent.
+    block: usize,
+    /// What a splat shows wrong is wrong over many pixels: so many residuals say as much as one
+    /// that is independent, a count. Source: docs/decisions/14 (with 1 weak directions wandered by
+    /// pixels, with 100 case 2 lost 3 dB).
+    pixels_as_one: f64,
+    /// Residuals above this multiple of their root mean square count by their size alone, a ratio.
+    /// Source: Huber 1981 has 1.345 of a robust deviation; chosen by hand, never measured.
+    huber: f64,
+    /// Coverage below which there is no surface to align. Source: chosen by hand, never measured.
+    covered: f32,
+}
+
+/// The values in force.
+const ALIGNMENT: Alignment = Alignment { block: 16, pixels_as_one: 1000.0, huber: 2.0, covered: 0.3 };
 
 /// Which pixels are asked.
 #[derive(Clone, Copy, PartialEq, Eq)]
@@ -39,7 +44,7 @@ impl PixelSubset {
     fn has(self, x: usize, y: usize) -> bool {
         match self {
             Self::All => true,
-            Self::Blocks(colour) => (x / BLOCK + y / BLOCK) % 2 == colour,
+            Self::Blocks(colour) => (x / ALIGNMENT.block + y / ALIGNMENT.block) % 2 == colour,
         }
     }
 }
@@ -72,7 +77,7 @@ impl MotionEquations {
     /// The most likely motion, if `so_far` has been gone already and rotations and translations are
     /// as large as `spread`.
     pub(super) fn motion(mut self, so_far: &Motion, spread: [f64; 2]) -> Motion {
-        let noise = (self.inside / self.count.max(1.0)).max(f64::EPSILON) * PIXELS_AS_ONE;
+        let noise = (self.inside / self.count.max(1.0)).max(f64::EPSILON) * ALIGNMENT.pixels_as_one;
         for k in 0..6 {
             let weight = noise / spread[k / 3].max(f64::EPSILON).powi(2);
             self.a[k][k] += weight;
@@ -96,7 +101,7 @@ pub(super) fn motion_equations(
     let photo = PhotoResidual { target, gain, view: &view, shown: &shown };
     let rows: Vec<f64> = (0..view.height).into_par_iter().map(|y| photo.row_error(y)).collect();
     let values = 3 * view.width * view.height;
-    let limit = HUBER * (rows.iter().sum::<f64>() / values.max(1) as f64).sqrt();
+    let limit = ALIGNMENT.huber * (rows.iter().sum::<f64>() / values.max(1) as f64).sqrt();
     let rows: Vec<MotionEquations> =
         (0..view.height).into_par_iter().map(|y| photo.row(y, subset, limit as f32)).collect();
     Ok(rows.iter().fold(MotionEquations::default(), MotionEquations::add))
@@ -147,7 +152,7 @@ impl PhotoResidual<'_> {
             sums.count += 3.0;
             let z = self.shown.depth.data[i];
             let inner = x > 0 && y > 0 && x + 1 < w && y + 1 < h;
-            if inner && weight > 0.0 && self.shown.alpha.data[i] >= COVERED && z > 0.0 {
+            if inner && weight > 0.0 && self.shown.alpha.data[i] >= ALIGNMENT.covered && z > 0.0 {
                 let (matrix, side) = self.gradients(i, &e, weight, limit);
                 sums.note(&self.flow(x, y, z), matrix, side);
             }
