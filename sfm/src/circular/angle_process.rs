@@ -5,13 +5,9 @@ use super::limits::{COMPARABLE, FRAMES_TO_CHOOSE, HELD, LEAST_OBSERVATIONS};
 use super::prior::AnglePrior;
 use super::problem::CircularCovariance;
 use super::whiten::{cholesky, dot, whiten};
+use crate::model_selection::evidence::TRACK_EXCESS;
 use scene::decision::{Decision, Measurement, Quantity, Rule, Subject};
 
-/// Least factor on the angles' covariance that is tried, and how many doublings of it. Errors of
-/// one track in many frames are not independent: outlines and glints slide along. Where there is
-/// little texture, a smaller factor would take the drift of a few tracks for the motion.
-/// Source: docs/decisions/10, on textured objects the angles themselves say 4 to 8.
-const EXCESS: (f64, i32) = (8.0, 3);
 /// Motions that are less likely than the best by this (logarithm) are not averaged.
 /// Source: derived; all that are left out weigh a few percent.
 const UNLIKELY: f64 = 4.0;
@@ -75,7 +71,7 @@ impl AngleProcess {
         let mut slow = vec![(0.0, 1.0)];
         slow.extend(slow_deviations());
         let mut all = Vec::new();
-        for excess in (0..EXCESS.1).map(|k| excess * 2f64.powi(k)) {
+        for excess in [excess, 2.0 * excess, 4.0 * excess] {
             for jitter in [1e-6, 3e-5, 1.2e-4, 5e-4] {
                 all.extend(slow.iter().map(|&(sway, lasts)| Self { excess, jitter, sway, lasts }));
             }
@@ -235,7 +231,7 @@ pub(crate) fn learn_motion(
     let step = (found.angles[n - 1] - found.angles[0]).abs() / (n - 1) as f64;
     // Frames within such a turn see the same errors: where a step is a smaller share of it, more
     // frames say no more, and the factor grows with their number (docs/decisions/09).
-    let least = EXCESS.0.max(COMPARABLE / step.max(1e-3));
+    let least = TRACK_EXCESS.max(COMPARABLE / step.max(1e-3));
     if let Some((range, sigma)) = closing {
         found.close(range, sigma * sigma / least);
     }
@@ -438,7 +434,7 @@ mod tests {
         let mut ratio = 0.0;
         for seed in 0..20 {
             // Errors of tracks last: eight times the variance that independent ones would have.
-            let (learnt, truth, _) = learn(|t| 6.0 * t, 2e-4 * EXCESS.0.sqrt(), 2e-4, 100 + seed);
+            let (learnt, truth, _) = learn(|t| 6.0 * t, 2e-4 * TRACK_EXCESS.sqrt(), 2e-4, 100 + seed);
             let middle = FRAMES / 2;
             let off = learnt.angles[middle] - learnt.angles[0] - truth[middle];
             ratio += (off / learnt.deviations[middle]).powi(2) / 20.0;

@@ -11,23 +11,15 @@ use crate::incremental::growth::freedom;
 use crate::incremental::state::MapState;
 use crate::limits::OUTLIER_SIGMAS;
 use crate::model_selection::camera::{FreeIntrinsics, apply, split};
-use crate::model_selection::evidence::gain;
+use crate::model_selection::evidence::{gain, is_motion_as_good, predicts_worse};
 use crate::model_selection::noise::{error_sq, noise};
 use crate::triangulation::{PointView, nearest_to_rays, refine_point};
 use scene::Progress;
 use scene::decision::{Decision, Measurement, MotionModel, Quantity, Rule, Subject};
 
 /// Observations that the choice is based on.
+/// Source: docs/decisions/08; 60 an image, ten times what a free pose has parameters.
 const OBSERVATIONS: usize = 6000;
-/// A held-out error that is larger by so many standard errors, and by this factor, speaks against a motion.
-const WORSE: (f64, f64) = (3.0, 1.02);
-
-/// Observations of a point err together in neighbouring frames, so that variances come out 2 to 8 times too small (`smoothness`): the
-/// least of it.
-const DEPENDENCE: f64 = 2.0;
-
-/// Smaller held-out errors are all alike, pixels: noise is never held to be less either.
-const LEAST_PX: f64 = 1e-3;
 
 /// What one assumption yields on the common observations.
 #[derive(Clone, Debug)]
@@ -111,24 +103,27 @@ impl MotionComparison {
         self.verdicts.iter().find(|v| v.motion == motion)
     }
 
-    /// Whether one axis explains the observations as well as free poses do, for what these cost: what followed points have in common in a frame
-    /// is taken up by a free pose, so that its gain counts for less.
+    /// Whether one axis explains the observations as well as free poses do, for what these cost.
     fn pays(&self, single: &MotionScore, free: &MotionScore) -> bool {
         let cost = |v: &MotionScore| v.bic - v.parameters as f64 * self.price;
-        let gain = (cost(single) - cost(free)) / DEPENDENCE;
-        gain < (free.parameters - single.parameters.min(free.parameters)) as f64 * self.price
+        let more = free.parameters.saturating_sub(single.parameters);
+        is_motion_as_good(cost(single) - cost(free), more, self.price)
     }
 
     /// One axis where it pays against free poses and an orbit with less does not predict clearly better; else
     /// an orbit where the evidence is for one; else free. What predicts clearly worse than free poses is out.
     pub(super) fn choice(&self) -> MotionModel {
         let Some(free) = self.of_motion(MotionModel::Free) else { return MotionModel::Free };
-        let orbit =
-            self.of_motion(MotionModel::Orbit).filter(|v| self.orbit_evidence > 0.0 && !worse(v, free));
-        let single =
-            self.of_motion(MotionModel::SingleAxis).filter(|v| self.pays(v, free) && !worse(v, free));
+        let orbit = self
+            .of_motion(MotionModel::Orbit)
+            .filter(|v| self.orbit_evidence > 0.0 && !predicts_worse(&v.by_pose, &free.by_pose));
+        let single = self
+            .of_motion(MotionModel::SingleAxis)
+            .filter(|v| self.pays(v, free) && !predicts_worse(&v.by_pose, &free.by_pose));
         match (single, orbit) {
-            (Some(s), Some(o)) if o.bic < s.bic && worse(s, o) => MotionModel::Orbit,
+            (Some(s), Some(o)) if o.bic < s.bic && predicts_worse(&s.by_pose, &o.by_pose) => {
+                MotionModel::Orbit
+            }
             (Some(_), _) => MotionModel::SingleAxis,
             (None, Some(_)) => MotionModel::Orbit,
             (None, None) => MotionModel::Free,
@@ -166,12 +161,6 @@ impl MotionComparison {
             decision.compared(verdict.motion, verdict.motion == choice, scores)
         })
     }
-}
-
-/// Whether the held-out error of `a` is clearly larger than that of `b`.
-fn worse(a: &MotionScore, b: &MotionScore) -> bool {
-    let (gain, error) = gain(&a.by_pose, &b.by_pose);
-    gain > WORSE.0 * error && a.held_out_px > WORSE.1 * b.held_out_px.max(LEAST_PX)
 }
 
 /// The adjustments of one axis and of free poses over the images that both models have.

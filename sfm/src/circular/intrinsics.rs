@@ -15,19 +15,14 @@ use super::vertical_lines::{self, Segment};
 use crate::Knowledge;
 use crate::SfmError;
 use crate::bundle::{RobustLoss, SolveOptions};
-use crate::model_selection::camera::{FreeIntrinsics, PRINCIPAL_POINT_SIGMA, apply, known_choice};
+use crate::model_selection::camera::{FreeIntrinsics, apply, known_choice, point_sigma};
+use crate::model_selection::evidence::{TRACK_EXCESS, contradicts_prior, is_determined};
 use glam::DVec3;
 use scene::decision::{Alternative, Decision, Measurement, Quantity, Rule, Subject};
 use scene::{CameraModel, Progress};
 
-/// A coordinate whose standard deviation is this share of what it was before is determined. Observations of a point err together,
-/// by which variances come out 2 to 6 times too small (`smoothness`): a tenth stands for a fifth.
-const DETERMINED: f64 = 0.1;
-/// BIC may grow by so much where a prior comes in: it needs no evidence, but must not be contradicted.
-const CONTRADICTED: f64 = 30.0;
-/// Factor on what the observations say against a measured elevation, for their variances are too small.
-const EXCESS: f64 = 3.0;
 /// An axis leans at most so much (tangent) in the image where one coordinate is across it.
+/// Source: derived; the other coordinate is then half along it.
 const LEAN: f64 = 0.5;
 
 /// Camera model and freedom by evidence; the principal point where it is determined. The observations of `problem` have
@@ -57,7 +52,7 @@ pub(crate) fn choose_for_turn(
     if let Some(along) = along_axis(problem) {
         let partial = FreeIntrinsics { principal_point: true, held: Some(along), ..chosen };
         if let Some(found) = trial.of(&best.solution, partial)? {
-            let taken = is_determined(&found, 1 - along, (best.bic, 10.0));
+            let taken = is_taken(&found, 1 - along, best.bic);
             decision.alternatives.push(found.as_alternative(taken));
             if taken {
                 best = found;
@@ -123,10 +118,9 @@ impl IntrinsicsTrials<'_> {
         let observations_alone = whole.held.is_none().then_some(None);
         for elevation in given.map(Some).into_iter().chain(observations_alone) {
             let levels: Vec<ElevationPrior> = elevation.iter().map(|e| e.level(&turn)).collect();
-            let most = if levels.is_empty() { CONTRADICTED } else { EXCESS * CONTRADICTED };
             let start = CircularProblem { levels, ..solved.clone() };
             let Some(found) = self.of(&start, whole)? else { continue };
-            let taken = is_determined(&found, along, (best.bic, most));
+            let taken = is_taken(&found, along, best.bic);
             let mut alternative = found.as_alternative(taken);
             if let Some(e) = &elevation {
                 let (angle, sigma) = (e.angle.to_degrees(), e.sigma.to_degrees());
@@ -184,13 +178,12 @@ impl IntrinsicsTrial {
     }
 }
 
-/// Whether a coordinate of the principal point (0: x, 1: y) is determined. `before`: BIC of what is there without, and by
-/// how much it may grow (a prior needs no evidence, but must not contradict it).
-fn is_determined(found: &IntrinsicsTrial, coordinate: usize, before: (f64, f64)) -> bool {
-    let camera = &found.solution.bundle.cameras[0];
-    let prior = PRINCIPAL_POINT_SIGMA * f64::from(camera.width.max(camera.height));
+/// Whether a coordinate of the principal point (0: x, 1: y) is determined, and its prior and what
+/// else was known not contradicted. `before`: BIC of what is there without.
+fn is_taken(found: &IntrinsicsTrial, coordinate: usize, before: f64) -> bool {
+    let prior = point_sigma(&found.solution.bundle.cameras[0]);
     let (_, sd) = found.values[found.focals + coordinate];
-    sd < DETERMINED * prior && found.bic - before.0 < before.1
+    is_determined(sd, TRACK_EXCESS.sqrt(), prior) && !contradicts_prior(found.bic - before)
 }
 
 /// The image coordinate (0: x, 1: y) along which the axis lies; `None` where it leans or is seen end on.

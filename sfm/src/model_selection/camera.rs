@@ -74,7 +74,7 @@ pub(crate) fn convert_camera(camera: &Camera, model: CameraModel) -> Camera {
 }
 
 /// Standard deviation of a principal point beforehand, pixels.
-pub(super) fn point_sigma(camera: &Camera) -> f64 {
+pub(crate) fn point_sigma(camera: &Camera) -> f64 {
     PRINCIPAL_POINT_SIGMA * f64::from(camera.width.max(camera.height))
 }
 

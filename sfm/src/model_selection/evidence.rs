@@ -35,6 +35,38 @@ const SIGNIFICANT: f64 = 2.0;
 /// for all that lies within three standard deviations of the prior.
 const DETERMINED: f64 = 1.0 / 3.0;
 
+/// Factor by which variances from followed points are too small at least: outlines and glints slide
+/// along, so that one track errs in many frames together. Differences of cost count for as much
+/// less.
+/// Source: docs/decisions/10, on textured objects the angles themselves say 4 to 8.
+pub(crate) const TRACK_EXCESS: f64 = 8.0;
+/// A held-out error that is larger by less is none that anybody sees.
+/// Source: derived; a fiftieth of the noise of an observation.
+const NOTICEABLE: f64 = 1.02;
+
+/// Whether BIC, which grew by so much as a prior came in, contradicts the prior: it needs no
+/// evidence of its own.
+pub(crate) fn contradicts_prior(growth: f64) -> bool {
+    !(growth < TRACK_EXCESS * PREDICTED)
+}
+
+/// Whether a model with fewer parameters of a motion is as good as one with so many more, of which
+/// each costs `price`: what followed points have in common in a frame is taken up by a free pose,
+/// so that its gain counts for less.
+pub(crate) fn is_motion_as_good(gain: f64, more: usize, price: f64) -> bool {
+    gain / TRACK_EXCESS < more as f64 * price
+}
+
+/// Whether a model predicts held-out observations clearly worse than another: for each image the
+/// sum of squared errors in units of the noise, and their number.
+pub(crate) fn predicts_worse(model: &[(f64, usize)], other: &[(f64, usize)]) -> bool {
+    let (gain, error) = gain(model, other);
+    let all = |held_out: &[(f64, usize)]| held_out.iter().map(|h| h.0).sum::<f64>();
+    let count = model.iter().map(|h| h.1).sum::<usize>() as f64;
+    // Errors far below the noise are all alike.
+    gain > SIGNIFICANT * error && all(model) > NOTICEABLE * NOTICEABLE * all(other).max(count)
+}
+
 /// Whether observations determine a parameter: `deviation`, its standard deviation for independent
 /// observations; `inflation`, by how much that is too small, as observations err together;
 /// `prior`, its standard deviation beforehand.
