@@ -12,8 +12,10 @@ use crate::incremental::state::{MapPoint, MapState, MappingInput};
 use crate::klt::pyramid::{LEAST_SIDE, Pyramid, PyramidLevel};
 use crate::klt::reference::{Reference, Warp};
 use crate::klt::window::ReferencePatch;
+use crate::model_selection::accept::Support;
 use crate::sift::load_luma;
 use crate::statistics::median;
+use crate::tracks::NONE;
 use glam::{DMat2, DVec2, DVec3};
 use rayon::prelude::*;
 use scene::{Camera, Frame, FrameSet, Pose, Progress};
@@ -253,6 +255,23 @@ fn gather(
     let unit = if all.is_empty() { 1.0 } else { median(all) as f32 };
     sigmas.iter_mut().flatten().for_each(|s| *s /= unit);
     RefinedKeypoints { keypoints, sigmas, moved, unsure }
+}
+
+/// How many of `observations` a model has, and their median reprojection error, pixels; infinite
+/// where it has none.
+pub(crate) fn fit(state: &MapState, input: &MappingInput<'_>, observations: &[[u32; 2]]) -> Support {
+    let mut errors = Vec::with_capacity(observations.len());
+    for view in observations {
+        let point = state.point_of[view[0] as usize][view[1] as usize];
+        if point != NONE
+            && let Some(point) = &state.points[point as usize]
+        {
+            errors.push(state.error_sq(input, *view, point.position));
+        }
+    }
+    let explained = errors.len();
+    let error_px = if errors.is_empty() { f64::INFINITY } else { median(errors).sqrt() };
+    Support { explained, error_px: Some(error_px), ..Support::default() }
 }
 
 #[cfg(test)]

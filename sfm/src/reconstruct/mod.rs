@@ -1,6 +1,5 @@
 //! From frames to a model: what is asked for, and the steps that lead there.
 
-mod accept;
 mod context;
 mod export;
 mod model;

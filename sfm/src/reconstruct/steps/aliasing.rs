@@ -4,7 +4,7 @@
 use super::mapping::grow_model;
 use crate::incremental::aliasing::{count_agreeing, find_consistent_pairs};
 use crate::incremental::state::{MapState, MappingInput};
-use crate::reconstruct::accept::{Change, Support, accept};
+use crate::model_selection::accept::{Change, Support, accept};
 use crate::reconstruct::context::StepContext;
 use crate::reconstruct::model::{SfmModel, StepResult};
 use scene::TwoViewGeometry;

@@ -3,7 +3,7 @@
 
 use super::ties::{find_weakly_tied, most_are_weak, strong_tie};
 use crate::matching::{PairMatches, PreparedFeatures, match_prepared};
-use crate::reconstruct::accept::{Change, Support, accept};
+use crate::model_selection::accept::{Change, Support, accept};
 use crate::reconstruct::context::StepContext;
 use crate::reconstruct::model::{SfmModel, StepResult};
 use crate::{SfmError, pairs, sift, two_view};

@@ -8,7 +8,7 @@ use crate::incremental::initial::calibration;
 use crate::incremental::state::{MapState, MappingInput};
 use crate::limits::{LEAST_ERROR_PX, OUTLIER_SIGMAS, WIDEST_ANGLE};
 use crate::matching::{PreparedFeatures, guided_match_prepared};
-use crate::reconstruct::accept::{Change, Support, accept};
+use crate::model_selection::accept::{Change, Support, accept};
 use crate::reconstruct::context::StepContext;
 use crate::reconstruct::model::{SfmModel, StepResult};
 use crate::solvers::essential_from_pose;

@@ -6,7 +6,7 @@ use crate::incremental::state::{MapState, MappingInput};
 use crate::incremental::structureless_resection::{MATCHES, agreement};
 use crate::incremental::{MapperChoice, map as incremental};
 use crate::limits::WHOLE;
-use crate::reconstruct::accept::{Change, Support, accept};
+use crate::model_selection::accept::{Change, Support, accept};
 use crate::{Knowledge, SfmError, global};
 use scene::decision::{Decision, MapperKind, Measurement, Quantity, Rule, Subject};
 use scene::{Camera, Progress};

@@ -6,7 +6,7 @@ use super::mapper;
 use super::ties::pairs_decision;
 use crate::SfmError;
 use crate::limits::WHOLE;
-use crate::reconstruct::accept::{Change, Support, accept};
+use crate::model_selection::accept::{Change, Support, accept};
 use crate::reconstruct::context::StepContext;
 use crate::reconstruct::model::{ConstantStepStart, MappedModel, SfmModel, StepResult};
 use crate::tracks::{build_tracks, positions};

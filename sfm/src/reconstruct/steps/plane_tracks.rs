@@ -4,10 +4,10 @@
 use crate::SfmError;
 use crate::incremental::finish::{free_principal_point, noise_of};
 use crate::incremental::state::{MapState, MappingInput};
+use crate::model_selection::accept::{Change, Support, accept};
 use crate::model_selection::noise::median_noise;
 use crate::plane_tracks::plane::widest;
 use crate::plane_tracks::{PlanePoint, find_plane_tracks};
-use crate::reconstruct::accept::{Change, Support, accept};
 use crate::reconstruct::context::StepContext;
 use crate::reconstruct::model::{SfmModel, StepResult};
 use crate::statistics::median;

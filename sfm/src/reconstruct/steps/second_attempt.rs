@@ -4,7 +4,7 @@
 use super::mapping::grow_model;
 use super::motion::complete_circle;
 use crate::SfmError;
-use crate::reconstruct::accept::{Change, Support, accept};
+use crate::model_selection::accept::{Change, Support, accept};
 use crate::reconstruct::context::StepContext;
 use crate::reconstruct::model::{MappedModel, SfmModel, StepResult};
 use crate::two_view;

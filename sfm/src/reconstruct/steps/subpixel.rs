@@ -2,13 +2,11 @@
 //! fits them more closely than it fitted those that were detected.
 
 use crate::KeypointPlaces;
-use crate::incremental::state::{MapState, MappingInput};
-use crate::reconstruct::accept::{Change, Support, accept};
+use crate::incremental::state::MappingInput;
+use crate::model_selection::accept::{Change, accept};
 use crate::reconstruct::context::StepContext;
 use crate::reconstruct::model::{SfmModel, StepResult};
-use crate::refinement::refine;
-use crate::statistics::median;
-use crate::tracks::NONE;
+use crate::refinement::{fit, refine};
 use scene::decision::{Decision, Measurement, Quantity, Rule, Subject};
 
 /// Moves keypoints and adjusts the model to them. There is no decision where no image may be read.
@@ -36,21 +34,4 @@ pub(super) fn run(mut model: SfmModel, context: &StepContext<'_>) -> StepResult 
         (model.keypoints, model.sigmas, model.state) = (refined.keypoints, refined.sigmas, sharper);
     }
     Ok((model, vec![decision]))
-}
-
-/// How many of `observations` a model has, and their median reprojection error, pixels; infinite
-/// where it has none.
-fn fit(state: &MapState, input: &MappingInput<'_>, observations: &[[u32; 2]]) -> Support {
-    let mut errors = Vec::with_capacity(observations.len());
-    for view in observations {
-        let point = state.point_of[view[0] as usize][view[1] as usize];
-        if point != NONE
-            && let Some(point) = &state.points[point as usize]
-        {
-            errors.push(state.error_sq(input, *view, point.position));
-        }
-    }
-    let explained = errors.len();
-    let error_px = if errors.is_empty() { f64::INFINITY } else { median(errors).sqrt() };
-    Support { explained, error_px: Some(error_px), ..Support::default() }
 }
