@@ -14,8 +14,9 @@ use glam::{DMat3, DVec2, DVec3};
 use scene::{Features, FrameSet, Progress, TwoViewGeometry, TwoViewKind};
 
 /// Turn between key frames, radians.
-/// Source: chosen by hand, never measured.
-const KEY_STEP: f64 = 0.15;
+/// Source: measured: AUC@1 of case 3 is 96.8, 97.9 and 98.2 with 0.15, 0.1 and 0.06, at 25, 28 and
+/// 34 CPU seconds.
+const KEY_STEP: f64 = 0.1;
 /// A match that moves by less is stationary, pixels.
 /// Source: chosen by hand, never measured.
 const STATIONARY_PX: f64 = 1.5;
