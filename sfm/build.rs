@@ -4,15 +4,10 @@ use std::path::PathBuf;
 use std::process::Command;
 
 fn main() {
-    println!("cargo:rerun-if-changed=src/ceres/mod.rs");
-    let sources = ["bundle.cc", "circular.cc", "position.cc"];
-    let headers = ["bundle.h", "circular.h", "position.h", "blocks.h", "levels.h", "normal.h"];
-    for file in sources.iter().chain(&headers) {
-        println!("cargo:rerun-if-changed=src/ceres/{file}");
-    }
+    println!("cargo:rerun-if-changed=src/ceres");
     let mut build = cxx_build::bridge("src/ceres/mod.rs");
     build
-        .files(sources.map(|file| format!("src/ceres/{file}")))
+        .file("src/ceres/solver.cc")
         .include("src/ceres")
         .std("c++17")
         .opt_level(2)
