@@ -17,7 +17,7 @@ const HELD: [f64; 3] = [0.05, 0.03, 0.1];
 
 /// The camera that took most of the images: of a run's folder with its standard deviations, of a
 /// COLMAP model exactly.
-pub fn read(path: &Path) -> Result<Calibration> {
+pub(crate) fn read(path: &Path) -> Result<Calibration> {
     let folder = path.join("sparse/0");
     let folder = if folder.is_dir() { folder.as_path() } else { path };
     let model = scene::io::read_model(folder).with_context(|| {

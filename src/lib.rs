@@ -1,6 +1,8 @@
 //! sat-recon, wired together: the stages of `preprocess`, `sfm` and `splat` as one resumable
 //! pipeline.
 
+#![warn(clippy::undocumented_unsafe_blocks, unreachable_pub)]
+
 pub mod args;
 pub mod bench;
 mod calibration;

@@ -21,11 +21,11 @@ impl Axis {
             // An end that exceeds a border between pixels by rounding alone takes nothing from
             // behind it.
             let (first, last) = ((start + ROUNDING).floor(), (end - ROUNDING).ceil());
-            let covered = |k: u32| {
+            let covered = (0..(last - first) as u32).map(|k| {
                 let left = first + f64::from(k);
                 ((left + 1.0).min(end) - left.max(start)) as f32
-            };
-            let weights: Vec<f32> = (0..(last - first) as u32).map(covered).collect();
+            });
+            let weights: Vec<f32> = covered.collect();
             let sum: f32 = weights.iter().sum();
             (first as usize, weights.iter().map(|w| w / sum).collect())
         });

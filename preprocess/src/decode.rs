@@ -68,7 +68,7 @@ struct Complaints {
 
 impl Source {
     /// Starts the decoder.
-    pub fn open(path: &Path, info: &VideoInfo) -> Result<Self, PreprocessError> {
+    pub(crate) fn open(path: &Path, info: &VideoInfo) -> Result<Self, PreprocessError> {
         let tone_map = (info.transfer != Transfer::Sdr).then(|| ToneMap::new(info.transfer, info.is_bt2020));
         let (format, bytes) = if tone_map.is_some() { ("rgb48le", 6) } else { ("rgb24", 3) };
         let (url, map, filters) = (file_url(path), format!("0:{}", info.stream), filters(info));
@@ -101,7 +101,7 @@ impl Source {
     }
 
     /// The next frame; `None` at the end, be it by damage.
-    pub fn next(&mut self) -> Result<Option<Decoded>, PreprocessError> {
+    pub(crate) fn next(&mut self) -> Result<Option<Decoded>, PreprocessError> {
         let mut buffer = vec![0; self.bytes];
         let (Ok(()), Ok(shown)) = (self.stdout.read_exact(&mut buffer), self.shown.recv()) else {
             return Ok(None);
@@ -131,7 +131,7 @@ impl Source {
     }
 
     /// Waits for the decoder's end. Its complaints about damage: how many, and the last.
-    pub fn finish(
+    pub(crate) fn finish(
         self,
         path: &Path,
         limit: Duration,

@@ -3,9 +3,10 @@
 use crate::probe::Transfer;
 use rayon::prelude::*;
 
-/// Light of diffuse white in HDR video, cd/m² (ITU-R BT.2408, 2.1).
+/// Light of diffuse white in HDR video, cd/m². Source: ITU-R BT.2408, 2.1.
 const REFERENCE_WHITE: f32 = 203.0;
-/// Below this share of white the picture is kept as it is; above, highlights roll off.
+/// Below this share of white the picture is kept as it is; above, highlights roll off. Source:
+/// chosen by hand, never measured.
 const KNEE: f32 = 0.6;
 
 /// A tone-mapping from 16-bit HDR values to 8-bit sRGB.
@@ -18,13 +19,14 @@ pub(crate) struct ToneMap {
 
 impl ToneMap {
     /// `wide_gamut`: primaries are Rec. 2020.
-    pub fn new(transfer: Transfer, wide_gamut: bool) -> Self {
-        let curve = |i: u32| {
-            let v = i as f32 / 65535.0;
-            if transfer == Transfer::Pq { pq_to_nits(v) / REFERENCE_WHITE } else { hlg_to_scene(v) }
+    pub(crate) fn new(transfer: Transfer, wide_gamut: bool) -> Self {
+        let coded = (0..=u16::MAX).map(|i| f32::from(i) / f32::from(u16::MAX));
+        let linear = match transfer {
+            Transfer::Pq => coded.map(|v| pq_to_nits(v) / REFERENCE_WHITE).collect(),
+            _ => coded.map(hlg_to_scene).collect(),
         };
         Self {
-            linear: (0..=65535).map(curve).collect(),
+            linear,
             srgb: (0..=4095).map(|i| (srgb_from_linear(i as f32 / 4095.0) * 255.0).round() as u8).collect(),
             is_hlg: transfer == Transfer::Hlg,
             wide_gamut,
@@ -32,13 +34,13 @@ impl ToneMap {
     }
 
     /// `rgb48`: little-endian 16-bit red, green, blue. Returns as many 8-bit pixels.
-    pub fn apply(&self, rgb48: &[u8]) -> Vec<u8> {
+    pub(crate) fn apply(&self, rgb48: &[u8]) -> Vec<u8> {
         let mut rgb = vec![0; rgb48.len() / 2];
         let rows = rgb48.par_chunks(6 * 4096).zip(rgb.par_chunks_mut(3 * 4096));
         rows.for_each(|(source, target)| {
             for (s, t) in source.chunks_exact(6).zip(target.chunks_exact_mut(3)) {
-                let value = |i: usize| self.linear[usize::from(u16::from_le_bytes([s[2 * i], s[2 * i + 1]]))];
-                t.copy_from_slice(&self.pixel([value(0), value(1), value(2)]));
+                let coded = [[s[0], s[1]], [s[2], s[3]], [s[4], s[5]]].map(u16::from_le_bytes);
+                t.copy_from_slice(&self.pixel(coded.map(|v| self.linear[usize::from(v)])));
             }
         });
         rgb

@@ -2,6 +2,8 @@
 //!
 //! Video is decoded by `ffmpeg`; display rotation, time stamps and colour come from `ffprobe`.
 
+#![warn(clippy::undocumented_unsafe_blocks, unreachable_pub)]
+
 mod area;
 mod config;
 mod decode;

@@ -8,8 +8,8 @@ use std::ffi::{OsStr, OsString};
 use std::path::Path;
 use std::time::Duration;
 
-const HEADER_LIMIT: Duration = Duration::from_secs(30);
-const PACKETS_LIMIT: Duration = Duration::from_secs(120);
+/// Time `ffprobe` may take. Source: chosen by hand, never measured.
+const PROBE_LIMIT: Duration = Duration::from_secs(120);
 
 /// How a stream's light values are to be understood.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -73,7 +73,7 @@ pub(crate) fn probe(path: &Path, progress: &Progress) -> Result<VideoInfo, Prepr
     let args =
         ["-v", "error", "-print_format", "json", "-show_streams", "-show_format", "-i"].map(OsStr::new);
     let args = [&args[..], &[url.as_os_str()]].concat();
-    let output = tool::run("ffprobe", &args, path, HEADER_LIMIT, progress)?;
+    let output = tool::run("ffprobe", &args, path, PROBE_LIMIT, progress)?;
     let json: Value = serde_json::from_str(&output.stdout).unwrap_or(Value::Null);
     let streams = json["streams"].as_array().filter(|s| !s.is_empty());
     let Some(streams) = streams.filter(|_| output.success) else {
@@ -116,9 +116,8 @@ fn check_file(path: &Path) -> Result<(), PreprocessError> {
 }
 
 fn choose_stream(path: &Path, streams: &[Value]) -> Result<VideoInfo, PreprocessError> {
-    let is_video = |s: &&Value| s["codec_type"] == "video";
-    let is_picture = |s: &&Value| s["disposition"]["attached_pic"] == 1;
-    let Some(stream) = streams.iter().filter(is_video).find(|s| !is_picture(s)) else {
+    let mut videos = streams.iter().filter(|s| s["codec_type"] == "video");
+    let Some(stream) = videos.find(|s| s["disposition"]["attached_pic"] != 1) else {
         let mut kinds: Vec<_> = streams.iter().filter_map(|s| s["codec_type"].as_str()).collect();
         kinds.dedup();
         let found =
@@ -232,7 +231,7 @@ fn packet_times(
         "-i",
     ];
     let args = [&args.map(OsStr::new)[..], &[url.as_os_str()]].concat();
-    let output = tool::run("ffprobe", &args, path, PACKETS_LIMIT, progress)?;
+    let output = tool::run("ffprobe", &args, path, PROBE_LIMIT, progress)?;
     Ok(parse_packets(&output, origin))
 }
 

@@ -10,7 +10,8 @@ use std::process::{Child, ChildStderr, ChildStdout, Command, Stdio};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
-/// The most text kept from each stream of a helper program, bytes.
+/// The most text kept from each stream of a helper program, bytes. Source: chosen by hand: the
+/// packets of a video of days.
 const OUTPUT_LIMIT: u64 = 256 << 20;
 
 /// What a finished program said.
@@ -25,7 +26,7 @@ pub(crate) struct Output {
 
 impl Output {
     /// Last line of standard error without the demuxer's address prefix.
-    pub fn reason(&self) -> String {
+    pub(crate) fn reason(&self) -> String {
         reason(self.stderr.lines().rev().find(|l| !l.trim().is_empty()).unwrap_or("no message"))
     }
 }
@@ -47,7 +48,7 @@ pub(crate) struct Running {
 
 impl Running {
     /// Starts `tool`.
-    pub fn start(tool: &'static str, args: &[&OsStr]) -> Result<Self, PreprocessError> {
+    pub(crate) fn start(tool: &'static str, args: &[&OsStr]) -> Result<Self, PreprocessError> {
         let (mut running, stdout, stderr) = Self::start_piped(tool, args)?;
         running.stdout = Some(collect(stdout));
         running.stderr = Some(collect(stderr));
@@ -55,7 +56,7 @@ impl Running {
     }
 
     /// Starts `tool`, whose standard output and standard error the caller reads.
-    pub fn start_piped(
+    pub(crate) fn start_piped(
         tool: &'static str,
         args: &[&OsStr],
     ) -> Result<(Self, ChildStdout, ChildStderr), PreprocessError> {
@@ -72,7 +73,7 @@ impl Running {
     }
 
     /// Waits for the end, at most `limit` from the start.
-    pub fn finish(
+    pub(crate) fn finish(
         mut self,
         input: &Path,
         limit: Duration,

@@ -15,8 +15,9 @@ use std::sync::mpsc::{Receiver, SyncSender};
 use std::sync::{Mutex, mpsc};
 use std::time::Duration;
 
-/// Time a helper program may take for one whole decoding.
+/// Time a helper program may take for one whole decoding. Source: chosen by hand, never measured.
 const DECODE_LIMIT: Duration = Duration::from_secs(1800);
+/// Threads that write frames. Source: chosen by hand, never measured.
 const WRITERS: usize = 2;
 
 /// Extracts frames of `input` into `out/images/frame_NNNNNN.png` (the number is the index in the

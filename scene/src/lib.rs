@@ -14,6 +14,8 @@
 //! | gaussians | scale = exp(log_scale), opacity = sigmoid(logit), rgb = 0.5 + C0 sh0 + … |
 //! | masks | white = keep, black = ignore (COLMAP) |
 
+#![warn(clippy::undocumented_unsafe_blocks, unreachable_pub)]
+
 pub mod camera;
 pub mod decision;
 pub mod features;

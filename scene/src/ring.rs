@@ -149,12 +149,12 @@ fn circle(points: &[DVec2]) -> Option<(DVec2, f64)> {
 
 fn unwrapped(angles: impl Iterator<Item = f64>) -> Vec<f64> {
     let mut previous: Option<f64> = None;
-    let next = |angle: f64| {
+    let steady = angles.map(|angle| {
         let turned = previous.map_or(angle, |p| p + (angle - p + PI).rem_euclid(TAU) - PI);
         previous = Some(turned);
         turned
-    };
-    angles.map(next).collect()
+    });
+    steady.collect()
 }
 
 #[cfg(test)]

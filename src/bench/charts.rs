@@ -43,7 +43,7 @@ fn panels() -> Vec<((&'static str, Pick), (&'static str, Pick))> {
 }
 
 /// Every chart for which there are figures; x is logarithmic.
-pub fn draw(points: &[Point], peers: &[Point]) -> Result<String> {
+pub(crate) fn draw(points: &[Point], peers: &[Point]) -> Result<String> {
     let mut wanted = panels();
     wanted.retain(|((_, x), (_, y))| {
         let mut places = points.iter().filter_map(|p| Some((x(p)?, y(p)?)));

@@ -20,7 +20,7 @@ struct Peers {
 
 /// What is known of other tools on this input, and where it is from: by the names of the folders on
 /// its path, or everything in `file`.
-pub fn of(input: &Path, file: Option<&Path>) -> Result<Option<(Vec<Point>, String)>> {
+pub(crate) fn of(input: &Path, file: Option<&Path>) -> Result<Option<(Vec<Point>, String)>> {
     let mut all: Vec<Peers> = match file {
         Some(path) => {
             let text =

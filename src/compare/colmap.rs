@@ -11,7 +11,7 @@ use std::sync::atomic::Ordering;
 
 /// CPU seconds (user and system) and peak memory of processes that ran one after another.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct Spent {
+pub(crate) struct Spent {
     /// Sum, seconds.
     pub cpu_s: f64,
     /// Largest resident size, MiB.
@@ -19,7 +19,7 @@ pub struct Spent {
 }
 
 /// What COLMAP made of the frames.
-pub struct Models {
+pub(crate) struct Models {
     /// "COLMAP 3.8", and whether it was given masks.
     pub name: String,
     /// Folders of its models, the largest first as it numbers them.
@@ -30,7 +30,7 @@ pub struct Models {
 
 /// First line of `colmap help` up to the version; an error that says what to install where there is
 /// none.
-pub fn installed() -> Result<String> {
+pub(crate) fn installed() -> Result<String> {
     let output = Command::new("colmap").arg("help").env("QT_QPA_PLATFORM", "offscreen").output();
     let output = output.context("colmap is not installed or not in PATH (Debian: apt-get install colmap)")?;
     let said = String::from_utf8_lossy(&output.stdout).into_owned();
@@ -40,7 +40,7 @@ pub fn installed() -> Result<String> {
 
 /// Extracts, matches every pair and maps with COLMAP's defaults (one camera, no GPU), inside the
 /// masks of the run where it has any.
-pub fn run(name: &str, run: &Path, frames: Option<&FrameSet>, verbosity: Verbosity) -> Result<Models> {
+pub(crate) fn run(name: &str, run: &Path, frames: Option<&FrameSet>, verbosity: Verbosity) -> Result<Models> {
     let images = run.join("images");
     if !images.is_dir() {
         bail!("{} has no images/ for COLMAP to run on; name an output folder of sat-recon", run.display());
@@ -140,8 +140,10 @@ impl ColmapJob {
 
 /// Waits for a child; its exit code (−1: a signal) and what it alone used.
 fn wait(child: Child) -> Result<(i32, Spent)> {
+    // SAFETY: `rusage` consists of integers, for which zero is a value.
     let (mut status, mut usage) = (0, unsafe { std::mem::zeroed::<libc::rusage>() });
     loop {
+        // SAFETY: both pointers are to variables that outlive the call.
         let id = unsafe { libc::wait4(child.id() as libc::pid_t, &raw mut status, 0, &raw mut usage) };
         if id >= 0 {
             break;

@@ -4,14 +4,14 @@ use scene::FrameSet;
 use std::path::{Path, PathBuf};
 
 /// The output folder of an input: its name with `_recon`, in the current folder.
-pub fn default_output(input: &Path) -> PathBuf {
+pub(crate) fn default_output(input: &Path) -> PathBuf {
     let absolute = std::path::absolute(input).unwrap_or_else(|_| input.to_path_buf());
     let stem = absolute.file_stem().map_or_else(|| "scene".into(), |s| s.to_string_lossy().into_owned());
     PathBuf::from(format!("{stem}_recon"))
 }
 
 /// The output folder can be moved: what is remembered of it are relative paths.
-pub fn relative_to(mut frames: FrameSet, out: &Path) -> FrameSet {
+pub(crate) fn relative_to(mut frames: FrameSet, out: &Path) -> FrameSet {
     for frame in &mut frames.frames {
         frame.path = without_prefix(&frame.path, out);
         frame.mask = frame.mask.as_deref().map(|mask| without_prefix(mask, out));
@@ -24,7 +24,7 @@ fn without_prefix(path: &Path, prefix: &Path) -> PathBuf {
 }
 
 /// The remembered frames where the output folder lies now.
-pub fn absolute_in(mut frames: FrameSet, out: &Path) -> FrameSet {
+pub(crate) fn absolute_in(mut frames: FrameSet, out: &Path) -> FrameSet {
     for frame in &mut frames.frames {
         frame.path = out.join(&frame.path);
         frame.mask = frame.mask.as_deref().map(|m| out.join(m));

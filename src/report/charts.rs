@@ -27,7 +27,7 @@ type Chart<'a, 'b> = ChartContext<
 
 /// Points under a name.
 #[derive(Clone, Debug, Default)]
-pub struct Series {
+pub(crate) struct Series {
     /// Shown where there are several.
     pub name: String,
     /// x, y.
@@ -36,7 +36,7 @@ pub struct Series {
 
 impl Series {
     /// Without a name.
-    pub fn of(points: impl Iterator<Item = (f64, f64)>) -> Self {
+    pub(crate) fn of(points: impl Iterator<Item = (f64, f64)>) -> Self {
         Self { name: String::new(), points: points.collect() }
     }
 }
@@ -100,7 +100,7 @@ fn axes<'a, 'b>(
 }
 
 /// Lines, or dots where the order along x means nothing; with a key where there are several.
-pub fn series(names: [&str; 2], all: &[Series], as_dots: bool) -> Result<String> {
+pub(crate) fn series(names: [&str; 2], all: &[Series], as_dots: bool) -> Result<String> {
     let points = || all.iter().flat_map(|s| &s.points);
     let (x, y) = (padded(points().map(|p| p.0)), padded(points().map(|p| p.1)));
     svg(|area| {
@@ -131,7 +131,7 @@ pub fn series(names: [&str; 2], all: &[Series], as_dots: bool) -> Result<String>
 
 /// A bar for each, from zero to its first number, with a whisker to its second; the marked ones in
 /// red.
-pub fn bars(names: [&str; 2], all: &[(f64, f64, bool)]) -> Result<String> {
+pub(crate) fn bars(names: [&str; 2], all: &[(f64, f64, bool)]) -> Result<String> {
     let top = all.iter().map(|b| b.1).filter(|v| v.is_finite()).fold(0.0, f64::max).max(1e-9) * 1.05;
     svg(|area| {
         let mut chart = axes(area, 0.5..all.len().max(1) as f64 + 0.5, 0.0..top, names)?;
@@ -156,7 +156,7 @@ const BINS: usize = 40;
 const LARGEST_ERROR: f64 = 4.0;
 
 /// Histogram of errors, pixels; the last bar holds all above.
-pub fn error_histogram(errors: &[f64]) -> Result<String> {
+pub(crate) fn error_histogram(errors: &[f64]) -> Result<String> {
     let mut counts = [0_u32; BINS];
     for e in errors {
         counts[((e / LARGEST_ERROR * BINS as f64) as usize).min(BINS - 1)] += 1;

@@ -8,16 +8,21 @@ use crate::matting::screen::detect::no_matte;
 use image::RgbImage;
 use scene::decision::{Decision, Measurement, Quantity, Remark, Rule};
 
-/// The object is brighter than the room by this many spreads of the room's light.
-/// Source: chosen by hand, never measured.
-const SPREADS: f32 = 6.0;
-/// And by as many 8-bit levels. Source: chosen by hand, never measured.
-const LEVELS: f32 = 8.0;
+/// What is lit, and when light alone tells the object from the room.
+struct LitCriteria {
+    /// The object is brighter than the room by this many spreads of the room's light.
+    /// Source: chosen by hand, never measured.
+    spreads: f32,
+    /// And by as many 8-bit levels. Source: chosen by hand, never measured.
+    levels: f32,
+    /// Least share of what is lit that is one thing, and least share of the picture that is lit, in
+    /// the median frame. Source: docs/decisions/04 for the first; the second was chosen by hand,
+    /// never measured.
+    lit: (f32, f32),
+}
 
-/// Least share of what is lit that is one thing, and least share of the picture that is lit, in the
-/// median frame. Source: docs/decisions/04 for the first; the second was chosen by hand, never
-/// measured.
-const LIT: (f32, f32) = (0.95, 0.002);
+/// The values in force.
+const LIT_OBJECT: LitCriteria = LitCriteria { spreads: 6.0, levels: 8.0, lit: (0.95, 0.002) };
 
 /// Light of every pixel, smoothed, and between which levels a pixel passes from room to object.
 struct Lit<'p> {
@@ -34,8 +39,8 @@ impl<'p> Lit<'p> {
         let mut sample: Vec<f32> = light.iter().step_by(5).copied().collect();
         let level = quantile(&mut sample, 0.3);
         let spread = 1.5 * (level - quantile(&mut sample, 0.05));
-        let low = level + (SPREADS * spread).max(LEVELS);
-        Self { light, low, high: 1.5 * low + LEVELS }
+        let low = level + (LIT_OBJECT.spreads * spread).max(LIT_OBJECT.levels);
+        Self { light, low, high: 1.5 * low + LIT_OBJECT.levels }
     }
 
     /// What is rather object than room.
@@ -60,7 +65,7 @@ pub(crate) fn doubt(frames: &[RgbImage]) -> Option<Decision> {
         undecided.push(between / count.max(1.0));
     }
     let [lit, largest, undecided] = [&mut lit, &mut largest, &mut undecided].map(|v| quantile(v, 0.5));
-    (lit < LIT.1 || largest < LIT.0 || undecided > 1.0).then(|| {
+    (lit < LIT_OBJECT.lit.1 || largest < LIT_OBJECT.lit.0 || undecided > 1.0).then(|| {
         let figures = [
             (Quantity::LitShare, lit),
             (Quantity::LargestLitPart, largest),

@@ -13,6 +13,7 @@ mod screen;
 mod solve;
 mod trimap;
 
+pub use crate::pixels::THUMBNAIL_SIDE;
 pub use config::{Background, KeyConfig};
 
 use colour::Key;
@@ -37,10 +38,6 @@ pub struct Keyer {
     /// Why this key.
     pub decision: Decision,
 }
-
-/// Longest side of the pictures in which a screen is looked for and frames are compared, pixels.
-/// Source: chosen by hand, never measured.
-pub const THUMBNAIL_SIDE: u32 = 160;
 
 impl Keyer {
     /// Looks for a screen in thumbnails ([`THUMBNAIL_SIDE`] long) of some frames, as far as they

@@ -15,34 +15,50 @@ const REACH: usize = 3;
 /// Alpha nearer to 0 or 1 than this is 0 or 1.
 /// Source: `key_table`: at 0.02 mean errors of alpha of the composites grow by 0.00003.
 pub(crate) const CLEAR: f32 = 0.03;
-/// Weight of a mixed pixel beside a solid one when the foreground's colour is learnt.
-/// Source: `key_table` is the same from 0.02 to 0.1.
-const MIXED_WEIGHT: f32 = 0.05;
-/// Chroma of 4:2:0 video is blurred: standard deviation of alpha from chroma at an edge.
-/// Source: `key_table`: at 0.06 the IoU of case 3 falls by 0.0003.
-const CHROMA_ERROR: f32 = 0.12;
-/// The lens mixes over about a pixel in linear light before chroma is coded and spread over two or
-/// three: how much of what a half covered pixel shows too much of the brighter side is taken off.
-/// Source: `key_table`: without it the IoU of case 3 falls by 0.0003.
-const OPTICAL: f32 = 1.5;
-/// How well the light of object and screen is known, share of their sum. Source: `key_table`:
-/// without it the IoU of the temple falls by 0.0007 and more, at 0.12 that of case 3 by 0.0003.
-const LIGHT_ERROR: f32 = 0.06;
-/// The object's rim is lit by the screen and mixes with its blur: alpha from chroma falls short by
-/// this factor there. Source: `key_table`: without it the IoU of the composites falls by 0.0004 to
-/// 0.0027.
-const RIM_GAIN: f32 = 1.06;
-/// How firmly the rim's light is held to the neighbourhood's: weight, in pixels that are object
-/// alone. Source: `key_table` is the same from 0.1 to 0.8; at 8 the IoU of the temple before blue
-/// falls by 0.0015.
-const RIM_HOLD: f32 = 0.1;
-/// Smoothing has made the edge this much too soft.
-/// Source: `key_table`: without it the IoU of case 3 falls by 0.0009.
-const EDGE_CONTRAST: f32 = 1.2;
-/// Where less than half a pixel around is solid (rods), chroma is spread over more than the object
-/// is wide: alpha from it falls short by this factor. Source: `key_table`: without it the IoU of
-/// case 3 falls by 0.0002.
-const THIN_GAIN: f32 = 1.2;
+
+/// What a lens, 4:2:0 coding and the light of screen and object do to an edge.
+struct EdgeModel {
+    /// Weight of a mixed pixel beside a solid one when the foreground's colour is learnt.
+    /// Source: `key_table` is the same from 0.02 to 0.1.
+    mixed_weight: f32,
+    /// Chroma of 4:2:0 video is blurred: standard deviation of alpha from chroma at an edge.
+    /// Source: `key_table`: at 0.06 the IoU of case 3 falls by 0.0003.
+    chroma_error: f32,
+    /// The lens mixes over about a pixel in linear light before chroma is coded and spread over two
+    /// or three: how much of what a half covered pixel shows too much of the brighter side is taken
+    /// off. Source: `key_table`: without it the IoU of case 3 falls by 0.0003.
+    optical: f32,
+    /// How well the light of object and screen is known, share of their sum. Source: `key_table`:
+    /// without it the IoU of the temple falls by 0.0007 and more, at 0.12 that of case 3 by 0.0003.
+    light_error: f32,
+    /// The object's rim is lit by the screen and mixes with its blur: alpha from chroma falls short
+    /// by this factor there. Source: `key_table`: without it the IoU of the composites falls by
+    /// 0.0004 to 0.0027.
+    rim_gain: f32,
+    /// How firmly the rim's light is held to the neighbourhood's: weight, in pixels that are object
+    /// alone. Source: `key_table` is the same from 0.1 to 0.8; at 8 the IoU of the temple before
+    /// blue falls by 0.0015.
+    rim_hold: f32,
+    /// Smoothing has made the edge this much too soft.
+    /// Source: `key_table`: without it the IoU of case 3 falls by 0.0009.
+    edge_contrast: f32,
+    /// Where less than half a pixel around is solid (rods), chroma is spread over more than the
+    /// object is wide: alpha from it falls short by this factor. Source: `key_table`: without it
+    /// the IoU of case 3 falls by 0.0002.
+    thin_gain: f32,
+}
+
+/// The values in force.
+const EDGE: EdgeModel = EdgeModel {
+    mixed_weight: 0.05,
+    chroma_error: 0.12,
+    optical: 1.5,
+    light_error: 0.06,
+    rim_gain: 1.06,
+    rim_hold: 0.1,
+    edge_contrast: 1.2,
+    thin_gain: 1.2,
+};
 
 /// The screen's light in the band, from the screen beside it: shadows have edges that coarse cells
 /// cannot follow.
@@ -114,7 +130,7 @@ fn learn_foreground<'p>(
         let is_solid = trimap.interior[i] != 0;
         let s = if is_solid { 0.0 } else { screen.smoothed[i].max(screen.share[i]).clamp(0.0, 1.0) };
         let t = 1.0 - s;
-        let own = if is_solid { 1.0 } else { MIXED_WEIGHT * t * t * t };
+        let own = if is_solid { 1.0 } else { EDGE.mixed_weight * t * t * t };
         // t · (un-premultiplied colour) = I − s B
         let value = (screen.image[i] - s * screen.light[i]).max(Vec3::ZERO);
         foreground[i] = own * value;
@@ -159,7 +175,7 @@ impl<'p> BandSolver<'_, 'p> {
             let i = i as usize;
             let alpha = rim_alpha(mean[i]);
             let alpha = if self.matte.weight[i] < 1e-5 { alpha } else { self.with_luma(i, alpha) };
-            self.matte.alpha[i] = without_haze((alpha - 0.5) * EDGE_CONTRAST + 0.5);
+            self.matte.alpha[i] = without_haze((alpha - 0.5) * EDGE.edge_contrast + 0.5);
         }
     }
 
@@ -175,7 +191,7 @@ impl<'p> BandSolver<'_, 'p> {
             let i = i as usize;
             let weight = self.matte.weight[i];
             let alpha = if weight < 1e-5 { 1.0 - self.screen.share[i] } else { self.alpha_from_chroma(i) };
-            let alpha = if weight < 0.5 { THIN_GAIN * alpha } else { alpha };
+            let alpha = if weight < 0.5 { EDGE.thin_gain * alpha } else { alpha };
             self.matte.alpha[i] = alpha.clamp(-0.2, 1.2);
         }
         smooth_within(&self.matte.alpha, &self.rect)
@@ -200,7 +216,7 @@ impl<'p> BandSolver<'_, 'p> {
         }
         for &i in self.band.iter() {
             let i = i as usize;
-            lit[i] = ((lit[i] + RIM_HOLD) / (told[i] + RIM_HOLD)).max(0.0);
+            lit[i] = ((lit[i] + EDGE.rim_hold) / (told[i] + EDGE.rim_hold)).max(0.0);
         }
         lit
     }
@@ -218,7 +234,7 @@ impl<'p> BandSolver<'_, 'p> {
         // more.
         let half = (coded_chroma(0.5 * (screen + object)) - b).dot(fb) / norm;
         let a = alpha.clamp(0.0, 1.0);
-        alpha - OPTICAL * (half - 0.5) * a * (1.0 - a)
+        alpha - EDGE.optical * (half - 0.5) * a * (1.0 - a)
     }
 
     fn with_luma(&self, i: usize, alpha_c: f32) -> f32 {
@@ -226,8 +242,8 @@ impl<'p> BandSolver<'_, 'p> {
         let fd = self.object(i) - b;
         let (c2, fy) = (chroma(fd).length_squared(), luminance(fd));
         let (y2, screen) = (fy * fy, luminance(b));
-        let weight_c = c2 / (CHROMA_ERROR * CHROMA_ERROR * c2 + 1e-9);
-        let light = LIGHT_ERROR * (screen + screen + fy);
+        let weight_c = c2 / (EDGE.chroma_error * EDGE.chroma_error * c2 + 1e-9);
+        let light = EDGE.light_error * (screen + screen + fy);
         let weight_y = y2 / (self.spread[i] + light * light + 1e-9);
         let alpha_y = (luminance(p - b) * fy / (y2 + 1e-9)).clamp(0.0, 1.0);
         (weight_c * alpha_c + weight_y * alpha_y) / (weight_c + weight_y + 1e-9)
@@ -251,7 +267,7 @@ pub(crate) fn without_haze(alpha: f32) -> f32 {
 }
 
 fn rim_alpha(mean: f32) -> f32 {
-    (RIM_GAIN * mean).clamp(0.0, 1.0)
+    (EDGE.rim_gain * mean).clamp(0.0, 1.0)
 }
 
 #[cfg(test)]

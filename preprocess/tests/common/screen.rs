@@ -6,30 +6,30 @@ use rand::Rng as _;
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
-pub const WIDTH: u32 = 640;
-pub const HEIGHT: u32 = 480;
+pub(crate) const WIDTH: u32 = 640;
+pub(crate) const HEIGHT: u32 = 480;
 
 /// A cloth: its linear colour where its light is 1.
 #[derive(Clone, Copy)]
-pub struct Cloth {
+pub(crate) struct Cloth {
     pub name: &'static str,
     pub linear: [f32; 3],
 }
 
-pub const CLOTHS: [Cloth; 2] = [
+pub(crate) const CLOTHS: [Cloth; 2] = [
     Cloth { name: "green", linear: [0.045, 0.34, 0.075] },
     Cloth { name: "blue", linear: [0.035, 0.085, 0.36] },
 ];
 
 impl Cloth {
     /// The channel in which it is bright.
-    pub fn channel(&self) -> usize {
+    pub(crate) fn channel(&self) -> usize {
         (0..3).max_by(|a, b| self.linear[*a].total_cmp(&self.linear[*b])).unwrap_or(1)
     }
 }
 
 /// One frame: what is filmed and what is true.
-pub struct Shot {
+pub(crate) struct Shot {
     pub filmed: RgbImage,
     pub alpha: GrayImage,
     /// Foreground before spill, 8-bit sRGB.
@@ -40,7 +40,7 @@ pub struct Shot {
 
 /// How much light there is and what the sensor makes of it (as in cases 3 and 4 of the test bed).
 #[derive(Clone, Copy)]
-pub struct Light {
+pub(crate) struct Light {
     pub name: &'static str,
     /// Factor on linear light, exposure included.
     pub gain: f32,
@@ -48,17 +48,17 @@ pub struct Light {
     pub read_noise: f32,
 }
 
-pub const LIGHTS: [Light; 2] = [
+pub(crate) const LIGHTS: [Light; 2] = [
     Light { name: "100 %", gain: 1.0, full_well: 6000.0, read_noise: 3.0 },
     Light { name: "10 %", gain: 0.2, full_well: 1500.0, read_noise: 4.0 },
 ];
 
-pub fn to_linear(v: u8) -> f32 {
+pub(crate) fn to_linear(v: u8) -> f32 {
     let v = f32::from(v) / 255.0;
     if v <= 0.04045 { v / 12.92 } else { ((v + 0.055) / 1.055).powf(2.4) }
 }
 
-pub fn to_srgb(v: f32) -> u8 {
+pub(crate) fn to_srgb(v: f32) -> u8 {
     let v = v.clamp(0.0, 1.0);
     let coded = if v <= 0.0031308 { 12.92 * v } else { 1.055 * v.powf(1.0 / 2.4) - 0.055 };
     (coded * 255.0).round() as u8
@@ -66,7 +66,7 @@ pub fn to_srgb(v: f32) -> u8 {
 
 /// Every `step`-th cut-out of `lego400` (its alpha) or of `temple_ring` (the stone by its light),
 /// centred.
-pub fn cut_outs(folder: &Path, step: usize) -> Vec<RgbaImage> {
+pub(crate) fn cut_outs(folder: &Path, step: usize) -> Vec<RgbaImage> {
     let mut paths: Vec<PathBuf> =
         std::fs::read_dir(folder.join("images")).unwrap().map(|e| e.unwrap().path()).collect();
     paths.sort();
@@ -118,14 +118,14 @@ fn cut_by_light(rgba: &mut RgbaImage) {
 }
 
 /// The screen's light: a lamp off centre, falling to half, with folds.
-pub fn screen_light(x: f32, y: f32) -> f32 {
+pub(crate) fn screen_light(x: f32, y: f32) -> f32 {
     let (u, v) = (x / WIDTH as f32 - 0.35, y / HEIGHT as f32 - 0.4);
     let folds = 0.02 * (x * 0.05 + y * 0.01).sin() + 0.012 * (x * 0.13 - y * 0.02).sin();
     (1.15 - 1.1 * (u * u + v * v)) * (1.0 + folds)
 }
 
 /// Films one cut-out.
-pub fn film(cut_out: &RgbaImage, light: Light, cloth: Cloth, index: u64) -> Shot {
+pub(crate) fn film(cut_out: &RgbaImage, light: Light, cloth: Cloth, index: u64) -> Shot {
     let mut rng = scene::rng::rng(7, "screen", index);
     let alpha = GrayImage::from_fn(WIDTH, HEIGHT, |x, y| image::Luma([cut_out.get_pixel(x, y)[3]]));
     let wide = image::imageops::blur(&alpha, 6.0);
@@ -154,7 +154,7 @@ fn normal(rng: &mut scene::rng::Rng) -> f32 {
 }
 
 /// H.264, 4:2:0, Rec. 709, as a phone writes it.
-pub fn encode(shots: &[Shot], video: &Path) {
+pub(crate) fn encode(shots: &[Shot], video: &Path) {
     let folder = video.with_extension("png");
     std::fs::create_dir_all(&folder).unwrap();
     for (i, shot) in shots.iter().enumerate() {
@@ -191,7 +191,7 @@ pub fn encode(shots: &[Shot], video: &Path) {
 
 /// How good mattes are, averaged over frames.
 #[derive(Clone, Copy, Debug, Default)]
-pub struct Score {
+pub(crate) struct Score {
     pub iou: f64,
     pub alpha_error: f64,
     pub boundary_f: f64,
@@ -206,7 +206,7 @@ pub struct Score {
 }
 
 impl Score {
-    pub fn mean(scores: &[Self]) -> Self {
+    pub(crate) fn mean(scores: &[Self]) -> Self {
         let n = scores.len() as f64;
         let mean = |f: fn(&Self) -> f64| scores.iter().map(f).sum::<f64>() / n;
         Self {
@@ -222,7 +222,7 @@ impl Score {
 }
 
 /// Scores one matte (and its foreground colours) against the truth.
-pub fn score(matte: &GrayImage, colours: &RgbImage, shot: &Shot) -> Score {
+pub(crate) fn score(matte: &GrayImage, colours: &RgbImage, shot: &Shot) -> Score {
     let (a, b): (Vec<bool>, Vec<bool>) = (inside(matte), inside(&shot.alpha));
     let both = a.iter().zip(&b).filter(|(a, b)| **a && **b).count() as f64;
     let either = a.iter().zip(&b).filter(|(a, b)| **a || **b).count() as f64;

@@ -229,21 +229,28 @@ impl FusionBlock {
 /// A vertex: the edge of the grid that it lies on, by its lower end and its axis.
 type Edge = ([i32; 3], usize);
 
+/// The triangles of one block, given its neighbours.
+fn patch(
+    block: &FusionBlock,
+    by_place: &HashMap<[i32; 3], &FusionBlock>,
+    options: &FusionOptions,
+) -> Vec<[(Edge, DVec3, [u8; 3]); 3]> {
+    let mut patch = Vec::new();
+    let near: [Option<&FusionBlock>; 8] = std::array::from_fn(|c| {
+        let at: [i32; 3] = std::array::from_fn(|k| block.at[k] + (c as i32 >> k & 1));
+        by_place.get(&at).copied()
+    });
+    for i in 0..VOXELS as i32 {
+        polygonise(&near, [i % SIDE, i / SIDE % SIDE, i / (SIDE * SIDE)], options, &mut patch);
+    }
+    patch
+}
+
 /// The zero set of the blocks.
 fn extract(blocks: &[FusionBlock], options: &FusionOptions) -> Mesh {
     let by_place: HashMap<[i32; 3], &FusionBlock> = blocks.iter().map(|b| (b.at, b)).collect();
-    let patch = |block: &FusionBlock| {
-        let mut patch = Vec::new();
-        let near: [Option<&FusionBlock>; 8] = std::array::from_fn(|c| {
-            let at: [i32; 3] = std::array::from_fn(|k| block.at[k] + (c as i32 >> k & 1));
-            by_place.get(&at).copied()
-        });
-        for i in 0..VOXELS as i32 {
-            polygonise(&near, [i % SIDE, i / SIDE % SIDE, i / (SIDE * SIDE)], options, &mut patch);
-        }
-        patch
-    };
-    let patches: Vec<Vec<[(Edge, DVec3, [u8; 3]); 3]>> = blocks.par_iter().map(patch).collect();
+    let patches: Vec<Vec<[(Edge, DVec3, [u8; 3]); 3]>> =
+        blocks.par_iter().map(|block| patch(block, &by_place, options)).collect();
     let mut mesh = Mesh::default();
     let mut known: HashMap<Edge, u32> = HashMap::new();
     for corners in patches.iter().flatten() {

@@ -84,15 +84,15 @@ impl Mesh {
             return Vec::new();
         }
         let mut random = rng(seed, "mesh", 0);
-        let point = |k: usize| {
+        let points = (0..n).map(|k| {
             // One point a stratum of area: evener than drawing each anywhere.
             let at = (k as f64 + random.random::<f64>()) / n as f64 * sum;
             let i = up_to.partition_point(|&a| a < at).min(up_to.len() - 1);
             let [a, b, c] = self.corners(i);
             let (u, v) = (random.random::<f64>().sqrt(), random.random::<f64>());
             a * (1.0 - u) + b * (u * (1.0 - v)) + c * (u * v)
-        };
-        (0..n).map(point).collect()
+        });
+        points.collect()
     }
 }
 

@@ -74,14 +74,14 @@ fn camera_files(dir: &Path) -> Result<Vec<String>, IoError> {
 }
 
 fn numbers(path: &Path, words: &[&str]) -> Result<Vec<f64>, IoError> {
-    let parse = |w: &&str| {
+    let parsed = words.iter().map(|w| {
         let value: Option<f64> = w.parse().ok();
         value.filter(|v| v.is_finite()).ok_or_else(|| {
             let found: String = w.chars().take(40).collect();
             IoError::format(path, format!("expected a finite number, found {found:?}"))
         })
-    };
-    words.iter().map(parse).collect()
+    });
+    parsed.collect()
 }
 
 /// A matrix written row by row.

@@ -132,7 +132,7 @@ fn surface_point(shape: SceneShape, r: &mut crate::rng::Rng) -> (DVec3, DVec3) {
 fn poses(options: &SyntheticOptions, seed: u64) -> Vec<Pose> {
     let n = options.num_cameras;
     let elevation = options.elevation_deg.to_radians();
-    let pose = |i: usize| {
+    let poses = (0..n).map(|i| {
         let share = |parts: usize| i as f64 / parts.max(1) as f64;
         match options.path {
             CameraPath::Ring => orbit_pose(share(n) * std::f64::consts::TAU, elevation, options.distance),
@@ -150,8 +150,8 @@ fn poses(options: &SyntheticOptions, seed: u64) -> Vec<Pose> {
                 Pose::look_at(from.normalize() * distance, DVec3::ZERO, up)
             }
         }
-    };
-    (0..n).map(pose).collect()
+    });
+    poses.collect()
 }
 
 /// Makes a scene; the same seed gives the same scene, whatever the unit.

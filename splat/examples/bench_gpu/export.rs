@@ -15,7 +15,7 @@ fn write<T: bytemuck::Pod>(folder: &Path, name: &str, values: &[T]) -> Result<()
 /// rows, t; normalised frame), whether it is held out, and its place in `rgba.bin` (8 bits; alpha
 /// is 255 where there is no mask). `means.bin` [N][3], `scales.bin` [N][3], `colours.bin` [N][3]:
 /// the Gaussians that our training begins with.
-pub fn export(dataset: &Dataset, config: &TrainConfig, folder: &Path) -> Result<()> {
+pub(crate) fn export(dataset: &Dataset, config: &TrainConfig, folder: &Path) -> Result<()> {
     std::fs::create_dir_all(folder)?;
     let mut rgba: Vec<u8> = Vec::new();
     let mut views = Vec::new();

@@ -21,8 +21,6 @@ mod probe;
 pub(crate) use backend::GpuBackend;
 pub(crate) use context::{Gpu, Opening, adapters};
 pub use limits::AdapterLimits;
-#[cfg(test)]
-pub(crate) use probe::OnScreen;
 
 #[cfg(test)]
 mod tests;

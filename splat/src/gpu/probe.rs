@@ -10,23 +10,9 @@ use crate::backend::{Backend, Target};
 use crate::cpu::ModelGradient;
 use crate::error::SplatError;
 use crate::model::GEOMETRY;
+use crate::parity::subject::Seen;
 use crate::reference::constants::BETAS;
 use crate::view::{PinholeView, RenderOptions};
-
-/// A Gaussian on the screen.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub(crate) struct OnScreen {
-    /// Centre, pixels.
-    pub(crate) xy: [f32; 2],
-    /// Σ'⁻¹ (xx, xy, yy), px⁻².
-    pub(crate) conic: [f32; 3],
-    /// Opacity, with the antialiasing's part.
-    pub(crate) opacity: f32,
-    /// Camera z.
-    pub(crate) depth: f32,
-    /// Colour, at least 0.
-    pub(crate) rgb: [f32; 3],
-}
 
 impl GpuBackend {
     /// What it runs on.
@@ -49,7 +35,7 @@ impl GpuBackend {
         &mut self,
         view: &PinholeView,
         options: &RenderOptions,
-    ) -> Result<Vec<Option<OnScreen>>, SplatError> {
+    ) -> Result<Vec<Option<Seen>>, SplatError> {
         self.prepare(view, false)?;
         self.run(self.frame_of(view, options), Stage::Project..=Stage::Project, None)?;
         let (Some((b, _)), n) = (&self.screen, self.gaussians()) else { return Ok(Vec::new()) };
@@ -57,7 +43,7 @@ impl GpuBackend {
         let records: Vec<[f32; 8]> = self.gpu.read(&b.records, 0, n)?;
         let colours: Vec<[f32; 4]> = self.gpu.read(&b.colours, 0, n)?;
         let all = records.iter().zip(&colours).zip(&flags).map(|((r, c), &flag)| {
-            (flag == 1).then(|| OnScreen {
+            (flag == 1).then(|| Seen {
                 xy: [r[0], r[1]],
                 conic: [r[2], r[3], r[4]],
                 opacity: r[5],

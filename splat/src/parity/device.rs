@@ -12,6 +12,7 @@ use crate::view::{PinholeView, RenderOptions};
 use glam::{Mat3, Vec3};
 use scene::Gaussians;
 use scene::decision::Choice;
+use std::collections::HashMap;
 
 fn opened(opening: Opening) -> GpuBackend {
     GpuBackend::open(&opening).expect("an adapter; mesa-vulkan-drivers brings one")
@@ -118,14 +119,14 @@ fn a_round_of_densification_by_kernels_is_that_of_the_host() {
             PinholeView { translation: v.translation + Vec3::X * (0.02 * k as f32 - 0.7), ..v }
         })
         .collect();
-    for (opening, room) in [(plain(), 150), (small(), 150), (plain(), 250), (plain(), 0)] {
+    for (opening, room) in [(plain(), 150), (small(), 150), (plain(), 2000), (plain(), 0)] {
         let at = format!("{opening:?} room {room}");
         let both = [false, true].map(|by_kernels| {
             let mut gpu = uploaded(opening.clone(), &g);
             for photo in photos.iter().cycle().take(6) {
                 gpu.step(&input(photo, None)).unwrap();
             }
-            let before = gpu.download().unwrap().0;
+            let before = gpu.download().unwrap();
             let round = Round { room, seed: 4, iteration: 6, remove_unseen: Some(&views[..]) };
             let unseen = if by_kernels { gpu.densify(&round) } else { densify_by_edit(&mut gpu, &round) };
             (before, unseen.unwrap(), gpu.download().unwrap(), gpu)
@@ -136,15 +137,15 @@ fn a_round_of_densification_by_kernels_is_that_of_the_host() {
         assert!(unseen > 10 && unseen.abs_diff(unseen_here) <= 2, "{at}: {unseen} and {unseen_here}");
         assert!(here.len.abs_diff(host.len) <= 2, "{at}: {} and {}", host.len, here.len);
         assert!(
-            room == 0 || here.len + unseen_here > before.len + 30,
+            room == 0 || here.len + unseen_here > before.0.len + 30,
             "{at}: {} of {}",
             here.len,
-            before.len
+            before.0.len
         );
         let zero = |p: &Vec<f32>| p.iter().all(|&v| v == 0.0);
         assert!(zero(&statistics.gradient) && zero(&statistics.visible));
         if here.len == host.len && unseen == unseen_here {
-            compare_halves(&host, &here, &at);
+            compare_halves(&before, &host, &here, &at);
         }
         // And training goes on.
         let out = gpu.step(&input(&photos[0], None)).unwrap();
@@ -152,30 +153,50 @@ fn a_round_of_densification_by_kernels_is_that_of_the_host() {
     }
 }
 
+/// What a half has of its Gaussian unchanged.
+fn inherited(m: &Model, i: usize) -> Vec<u32> {
+    let unmoved = (0..11).filter(|p| !(MEAN..LOG_SCALE + 3).contains(p)).map(|p| m.geometry[p][i]);
+    let k = m.sh_stride();
+    unmoved.chain(m.sh[i * k..(i + 1) * k].iter().copied()).map(f32::to_bits).collect()
+}
+
+/// Moments and clock of a Gaussian.
+fn moments(m: &Model, i: usize) -> Vec<f32> {
+    let k = i * m.sh_stride()..(i + 1) * m.sh_stride();
+    let geometry = m.geometry_m.iter().chain(&m.geometry_v).map(|plane| plane[i]);
+    geometry.chain(m.sh_m[k.clone()].iter().chain(&m.sh_v[k]).copied()).chain([m.steps[i]]).collect()
+}
+
 /// Everything is the same but the centres of halves, which lie 0.4 to 0.6 of the longest axis from
-/// the old ones.
-fn compare_halves(host: &Model, here: &Model, at: &str) {
-    assert_eq!(
-        (&host.sh, &host.sh_m, &host.sh_v, &host.steps),
-        (&here.sh, &here.sh_m, &here.sh_v, &here.steps),
-        "{at}"
-    );
-    for p in (0..11).filter(|p| !(MEAN..LOG_SCALE + 3).contains(p)) {
-        assert_eq!(host.geometry[p], here.geometry[p], "{at} plane {p}");
-    }
-    assert_eq!(host.geometry_m, here.geometry_m, "{at}");
-    assert_eq!(host.geometry_v, here.geometry_v, "{at}");
-    let mut moved = 0;
+/// the old ones, and the order of halves whose scores are quotients that hardly differ: WGSL's
+/// division is off by up to 2.5 ULP, and the host's by a half.
+fn compare_halves(before: &(Model, Statistics), host: &Model, here: &Model, at: &str) {
+    let (old, statistics) = before;
+    let origin: HashMap<Vec<u32>, usize> = (0..old.len).map(|i| (inherited(old, i), i)).collect();
+    assert_eq!(origin.len(), old.len, "all differ");
+    let score = |i: usize| statistics.gradient[i] / statistics.visible[i];
+    let mut places: HashMap<Vec<u32>, Vec<usize>> = HashMap::new();
+    (0..here.len).for_each(|i| places.entry(inherited(here, i)).or_default().push(i));
+    let (mut moved, mut swapped) = (0, 0);
     for i in 0..host.len {
-        let scale =
-            |m: &Model| -> Vec3 { Vec3::from_array(std::array::from_fn(|k| m.geometry[LOG_SCALE + k][i])) };
-        assert!((scale(host) - scale(here)).abs().max_element() < 1e-5, "{at} gaussian {i}");
-        let longest = (scale(host) + Vec3::splat(std::f32::consts::LN_2)).max_element().exp();
-        let apart = host.mean(i).distance(here.mean(i));
+        let own = inherited(host, i);
+        let there = places.get(&own).and_then(|p| p.iter().copied().min_by_key(|j| j.abs_diff(i)));
+        let j = there.unwrap_or_else(|| panic!("{at} gaussian {i} is not here"));
+        let [a, b] = [&own, &inherited(host, j)].map(|own| score(origin[own]));
+        assert!(i == j || (a - b).abs() <= 3.0 * f32::EPSILON * a, "{at} gaussian {i} at {j}: {a} and {b}");
+        swapped += usize::from(i != j);
+        assert_eq!(moments(host, i), moments(here, j), "{at} gaussian {i}");
+        let scale = |m: &Model, i| Vec3::from_array(std::array::from_fn(|k| m.geometry[LOG_SCALE + k][i]));
+        assert!((scale(host, i) - scale(here, j)).abs().max_element() < 1e-5, "{at} gaussian {i}");
+        let longest = (scale(host, i) + Vec3::splat(std::f32::consts::LN_2)).max_element().exp();
+        let apart = host.mean(i).distance(here.mean(j));
+        let is_half = scale(host, i) != scale(old, origin[&own]);
+        assert!(is_half || apart <= 0.0, "{at} gaussian {i} was not split and moved by {apart}");
         assert!(apart <= 0.21 * longest + 1e-5, "{at} gaussian {i}: {apart} of {longest}");
         moved += usize::from(apart > 0.0);
     }
-    assert!(moved * 2 < host.len, "{at}: {moved} of {} lie elsewhere", host.len);
+    println!("{at}: {moved} of {} lie elsewhere, {swapped} at other places of the list", host.len);
+    assert!(swapped * 20 <= host.len, "{at}: {swapped} of {} have other places", host.len);
 }
 
 #[test]

@@ -1,12 +1,12 @@
 //! The first adapter of this machine, hardware or not, as a subject. A machine without any fails.
 
 use super::subject::{Seen, Subject};
-use crate::backend::{Backend, StepInput, StepOutput, Target};
+use crate::backend::{Backend, Target};
 use crate::cpu::ModelGradient;
 use crate::gpu::{GpuBackend, Opening};
 use crate::model::Model;
 use crate::statistics::Statistics;
-use crate::{PinholeView, RenderOptions, RenderOutput};
+use crate::{PinholeView, RenderOptions};
 use glam::{Mat3, Vec3};
 use scene::Gaussians;
 use std::sync::{Mutex, MutexGuard, OnceLock};
@@ -31,6 +31,10 @@ impl Subject for Adapter {
         device().adapter().to_string()
     }
 
+    fn with(&mut self, run: &mut dyn FnMut(&mut dyn Backend)) {
+        run(&mut *device());
+    }
+
     fn affordable(&self, steps: usize) -> usize {
         if device().adapter().kind.is_hardware() { steps } else { steps.min(300) }
     }
@@ -38,15 +42,7 @@ impl Subject for Adapter {
     fn project(&mut self, g: &Gaussians, view: &PinholeView, options: &RenderOptions) -> Vec<Option<Seen>> {
         let mut gpu = device();
         gpu.upload(Model::from_gaussians(g), Statistics::default()).unwrap();
-        let all = gpu.projected(view, options).unwrap();
-        let seen = |s: crate::gpu::OnScreen| Seen {
-            xy: s.xy,
-            conic: s.conic,
-            depth: s.depth,
-            opacity: s.opacity,
-            rgb: s.rgb,
-        };
-        all.into_iter().map(|s| s.map(seen)).collect()
+        gpu.projected(view, options).unwrap()
     }
 
     fn loss(
@@ -67,12 +63,6 @@ impl Subject for Adapter {
         gpu.loss(&view, rgb, &target, lambda).unwrap()
     }
 
-    fn render(&mut self, g: &Gaussians, view: &PinholeView, options: &RenderOptions) -> RenderOutput {
-        let mut gpu = device();
-        gpu.upload(Model::from_gaussians(g), Statistics::default()).unwrap();
-        gpu.render(view, options).unwrap()
-    }
-
     fn gradients(
         &mut self,
         g: &Gaussians,
@@ -83,13 +73,5 @@ impl Subject for Adapter {
         let mut gpu = device();
         gpu.upload(Model::from_gaussians(g), Statistics::default()).unwrap();
         gpu.gradients(view, options, d).unwrap()
-    }
-
-    fn step(&mut self, model: &mut Model, input: &StepInput) -> StepOutput {
-        let mut gpu = device();
-        gpu.upload(std::mem::take(model), Statistics::default()).unwrap();
-        let out = gpu.step(input).unwrap();
-        *model = gpu.download().unwrap().0;
-        out
     }
 }

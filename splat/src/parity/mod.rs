@@ -14,6 +14,6 @@ mod pictures;
 mod scenes;
 mod scores;
 mod steps;
-mod subject;
+pub(crate) mod subject;
 #[cfg(feature = "gpu")]
 mod training;

@@ -15,16 +15,23 @@ use scene::Gaussians;
 /// A Gaussian on the screen as a backend sees it.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Seen {
+    /// Centre, pixels.
     pub(crate) xy: [f32; 2],
+    /// Σ'⁻¹ (xx, xy, yy), px⁻².
     pub(crate) conic: [f32; 3],
+    /// Camera z.
     pub(crate) depth: f32,
+    /// Opacity, with the antialiasing's part.
     pub(crate) opacity: f32,
+    /// Colour, at least 0.
     pub(crate) rgb: [f32; 3],
 }
 
 /// A backend under test.
 pub(crate) trait Subject {
     fn name(&self) -> String;
+    /// The backend itself, which nobody else uses meanwhile.
+    fn with(&mut self, run: &mut dyn FnMut(&mut dyn Backend));
     /// How many of `steps` steps it is worth to take: an emulated adapter is slow.
     fn affordable(&self, steps: usize) -> usize {
         steps
@@ -42,7 +49,14 @@ pub(crate) trait Subject {
         weight: Option<&[f32]>,
         lambda: f32,
     ) -> (f32, f32, Vec<f32>);
-    fn render(&mut self, g: &Gaussians, view: &PinholeView, options: &RenderOptions) -> RenderOutput;
+    fn render(&mut self, g: &Gaussians, view: &PinholeView, options: &RenderOptions) -> RenderOutput {
+        let mut out = None;
+        self.with(&mut |backend| {
+            backend.upload(Model::from_gaussians(g), Statistics::default()).unwrap();
+            out = Some(backend.render(view, options).unwrap());
+        });
+        out.unwrap()
+    }
     /// From dL/d(colour) [H × W × 3].
     fn gradients(
         &mut self,
@@ -52,7 +66,15 @@ pub(crate) trait Subject {
         d: &[f32],
     ) -> ModelGradient;
     /// A training step; the model is changed.
-    fn step(&mut self, model: &mut Model, input: &StepInput) -> StepOutput;
+    fn step(&mut self, model: &mut Model, input: &StepInput) -> StepOutput {
+        let mut out = None;
+        self.with(&mut |backend| {
+            backend.upload(std::mem::take(model), Statistics::default()).unwrap();
+            out = Some(backend.step(input).unwrap());
+            *model = backend.release().unwrap().0;
+        });
+        out.unwrap()
+    }
 }
 
 /// Everyone who is tested here.
@@ -73,6 +95,10 @@ struct Cpu {
 impl Subject for Cpu {
     fn name(&self) -> String {
         format!("cpu {:?}", self.isa.kind())
+    }
+
+    fn with(&mut self, run: &mut dyn FnMut(&mut dyn Backend)) {
+        run(&mut self.backend);
     }
 
     fn project(&mut self, g: &Gaussians, view: &PinholeView, options: &RenderOptions) -> Vec<Option<Seen>> {
@@ -125,11 +151,6 @@ impl Subject for Cpu {
         (value.loss, value.mse, interleaved)
     }
 
-    fn render(&mut self, g: &Gaussians, view: &PinholeView, options: &RenderOptions) -> RenderOutput {
-        self.backend.upload(Model::from_gaussians(g), Statistics::default()).unwrap();
-        self.backend.render(view, options).unwrap()
-    }
-
     fn gradients(
         &mut self,
         g: &Gaussians,
@@ -139,12 +160,5 @@ impl Subject for Cpu {
     ) -> ModelGradient {
         self.backend.upload(Model::from_gaussians(g), Statistics::default()).unwrap();
         self.backend.gradients(view, options, d)
-    }
-
-    fn step(&mut self, model: &mut Model, input: &StepInput) -> StepOutput {
-        self.backend.upload(std::mem::take(model), Statistics::default()).unwrap();
-        let out = self.backend.step(input).unwrap();
-        *model = self.backend.release().unwrap().0;
-        out
     }
 }

@@ -3,26 +3,32 @@
 use super::state::CurvePoint;
 use scene::decision::{Decision, Quantity, Remark, Rule, Subject};
 
-/// Training goes the wrong way where its loss is this many times that of the first steps, a ratio.
-/// Source: docs/decisions/12.
-const GROWN: f32 = 2.0;
-/// A loss below this is that of a scene of which nothing has to be learnt. Source: chosen by hand,
-/// never measured.
-const MATTERS: f32 = 0.02;
-/// Points of the curve in a row that must say so. Source: one point may be a single bad view.
-const IN_A_ROW: usize = 2;
-/// A training at the end of which the loss is this share of the first and more has learnt nothing.
-/// Source: chosen by hand; docs/decisions/12 has unlearnt trainings at 1.
-const LEARNT: f32 = 0.9;
+/// When a curve says that training goes wrong or has learnt nothing.
+struct TrendLimits {
+    /// Training goes the wrong way where its loss is this many times that of the first steps, a
+    /// ratio. Source: docs/decisions/12.
+    grown: f32,
+    /// A loss below this is that of a scene of which nothing has to be learnt. Source: chosen by
+    /// hand, never measured.
+    matters: f32,
+    /// Points of the curve in a row that must say so. Source: one point may be a single bad view.
+    in_a_row: usize,
+    /// A training at the end of which the loss is this share of the first and more has learnt
+    /// nothing. Source: chosen by hand; docs/decisions/12 has unlearnt trainings at 1.
+    learnt: f32,
+}
+
+/// The values in force.
+const LIMITS: TrendLimits = TrendLimits { grown: 2.0, matters: 0.02, in_a_row: 2, learnt: 0.9 };
 
 /// Why training cannot go on, if its loss stays far above what it began with: steps are too large
 /// then, and all that comes is worse than the first Gaussians were.
 pub(super) fn runaway(curve: &[CurvePoint]) -> Option<String> {
     let first = curve.first()?.loss;
-    let last = &curve[curve.len().saturating_sub(IN_A_ROW).max(1)..];
-    let has_grown = last.iter().all(|p| p.loss > GROWN * first && p.loss > MATTERS);
-    (last.len() == IN_A_ROW && has_grown).then(|| {
-        let now = last[IN_A_ROW - 1].loss;
+    let last = &curve[curve.len().saturating_sub(LIMITS.in_a_row).max(1)..];
+    let has_grown = last.iter().all(|p| p.loss > LIMITS.grown * first && p.loss > LIMITS.matters);
+    (last.len() == LIMITS.in_a_row && has_grown).then(|| {
+        let now = last[LIMITS.in_a_row - 1].loss;
         format!("the loss has grown from {first:.4} to {now:.4}; lower --learning-rate")
     })
 }
@@ -30,7 +36,7 @@ pub(super) fn runaway(curve: &[CurvePoint]) -> Option<String> {
 /// What is to be said of a training that ended about where it began.
 pub(super) fn stuck(curve: &[CurvePoint]) -> Option<Decision> {
     let [first, .., last] = curve else { return None };
-    (last.loss >= LEARNT * first.loss && last.loss > MATTERS).then(|| {
+    (last.loss >= LIMITS.learnt * first.loss && last.loss > LIMITS.matters).then(|| {
         Decision::new(Subject::Convergence, false, Rule::Evidence)
             .remarked(Remark::CheckInput)
             .measured(Quantity::FirstLoss, f64::from(first.loss))

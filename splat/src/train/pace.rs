@@ -6,14 +6,11 @@ use crate::config::{MAX_COARSE_LEVELS, TrainConfig};
 use crate::train::schedule::{Place, TUNED_STEPS, level};
 use serde::{Deserialize, Serialize};
 
-/// Levels of resolution: the coarse ones and the full one. Source: derived.
-const LEVELS: usize = MAX_COARSE_LEVELS as usize + 1;
-
 /// The pace of a training. Part of its checkpoint, so that a resumed one knows what steps cost.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub(crate) struct Pace {
     /// Mean seconds of a step at each level, 0 where not yet seen.
-    cost: [f64; LEVELS],
+    cost: [f64; MAX_COARSE_LEVELS as usize + 1],
     /// What the last step added to the position.
     stride: f64,
 }

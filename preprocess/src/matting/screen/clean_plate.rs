@@ -2,36 +2,44 @@
 //! it, the pole.
 
 use super::grid::CellSums;
-use crate::matting::colour::{Key, levels, linear};
+use crate::matting::colour::{Key, linear};
 use crate::matting::morphology::{Rect, Regions, hull};
 use crate::matting::pool::Pool;
 use glam::Vec3;
 use image::RgbImage;
 
-/// A pixel is still where at least this share of the samples agrees, and the camera stands where
-/// this share of what is beside the screen is still. Source: for the second `key_table` is the same
-/// at 0.3; the first was chosen by hand, never measured.
-const STILL_SHARE: f32 = 0.6;
-/// Difference up to which samples agree, 8-bit levels of the largest channel.
-/// Source: chosen by hand, never measured.
-const STILL_LEVELS: i32 = 9;
-/// Change of light between most samples of a still thing, as a factor on 8-bit values.
-/// Source: chosen by hand, never measured.
-const STILL_LIGHT: (f32, f32) = (0.75, 1.25);
-/// Change of light on a still thing in any frame, as a factor on 8-bit values.
-/// Source: chosen by hand, never measured.
-const ANY_LIGHT: (f32, f32) = (0.55, 1.5);
-/// Departure from a still thing, 8-bit levels, from which something else stands before it.
-/// Source: `key_table` is the same where it is a ramp from 12 to 28.
-const BEFORE_LEVELS: i32 = 20;
-/// A pole hides the screen in at least this share of the samples.
-/// Source: `key_table`: at 0.6 the IoU of case 3 falls by 0.0005.
-const ALWAYS_SHARE: f32 = 0.7;
-/// A pole is at most this wide, share of the longer side. Source: chosen by hand, never measured.
-const POLE_WIDTH: f32 = 0.03;
-/// Still things cover less than this share of what is seen before the screen, else the object
-/// itself stands still. Source: chosen by hand, never measured.
-const POLE_SHARE: f32 = 0.4;
+/// What stands still, and what of it is a pole.
+struct PlateCriteria {
+    /// A pixel is still where at least this share of the samples agrees, and the camera stands
+    /// where this share of what is beside the screen is still. Source: for the second `key_table`
+    /// is the same at 0.3; the first was chosen by hand, never measured.
+    still_share: f32,
+    /// Difference up to which samples agree, 8-bit levels of the largest channel.
+    /// Source: chosen by hand, never measured.
+    still_levels: u8,
+    /// Departure from a still thing, 8-bit levels, from which something else stands before it.
+    /// Source: `key_table` is the same where it is a ramp from 12 to 28.
+    before_levels: u8,
+    /// A pole hides the screen in at least this share of the samples.
+    /// Source: `key_table`: at 0.6 the IoU of case 3 falls by 0.0005.
+    always_share: f32,
+    /// A pole is at most this wide, share of the longer side. Source: chosen by hand, never
+    /// measured.
+    pole_width: f32,
+    /// Still things cover less than this share of what is seen before the screen, else the object
+    /// itself stands still. Source: chosen by hand, never measured.
+    pole_share: f32,
+}
+
+/// The values in force.
+const CRITERIA: PlateCriteria = PlateCriteria {
+    still_share: 0.6,
+    still_levels: 9,
+    before_levels: 20,
+    always_share: 0.7,
+    pole_width: 0.03,
+    pole_share: 0.4,
+};
 
 /// Learnt from samples of a video.
 #[derive(Clone, Debug, Default)]
@@ -79,7 +87,7 @@ impl CleanPlate {
         let other_counts = plate.gather(frames, key);
         let outside = plate.outside.iter().filter(|o| **o).count();
         let still = plate.things.iter().zip(&plate.outside).filter(|(t, o)| **o && t.is_some()).count();
-        if outside * 50 >= n && (still as f32) < STILL_SHARE * outside as f32 {
+        if outside * 50 >= n && (still as f32) < CRITERIA.still_share * outside as f32 {
             return None;
         }
         plate.spread_light()?;
@@ -93,7 +101,7 @@ impl CleanPlate {
             still_inside += usize::from(plate.things[i].is_some());
             others_inside += other_counts[i] as usize;
         }
-        plate.has_pole = (still_inside * frames.len()) as f32 <= POLE_SHARE * others_inside as f32;
+        plate.has_pole = (still_inside * frames.len()) as f32 <= CRITERIA.pole_share * others_inside as f32;
         plate.share = plate.things.iter().filter(|t| t.is_some()).count() as f32 / n as f32;
         Some(plate)
     }
@@ -147,7 +155,7 @@ impl CleanPlate {
     /// What hides the screen in nearly all samples, is narrow, and joins the still things below or
     /// beside it.
     fn find_pole(&mut self, pool: &Pool, other_counts: &[u32], frames: usize) {
-        let least = ALWAYS_SHARE * frames as f32;
+        let least = CRITERIA.always_share * frames as f32;
         let always = pool.plane(self.width, other_counts.iter().map(|c| u8::from(*c as f32 >= least)));
         let radius = self.pole_radius();
         let wide = always.erode(radius).dilate(radius);
@@ -172,7 +180,7 @@ impl CleanPlate {
 
     /// Half the width that a pole can have, pixels.
     pub(crate) fn pole_radius(&self) -> usize {
-        ((POLE_WIDTH * self.width.max(self.outside.len() / self.width) as f32) as usize / 2).max(2)
+        ((CRITERIA.pole_width * self.width.max(self.outside.len() / self.width) as f32) as usize / 2).max(2)
     }
 
     /// Whether the pole is to be cut off.
@@ -184,7 +192,7 @@ impl CleanPlate {
     pub(crate) fn shows_still(&self, i: usize, rgb: [u8; 3], keep_pole: bool) -> bool {
         match self.things[i] {
             _ if self.before_screen[i] && !self.cuts_pole(keep_pole) => false,
-            Some(thing) if !self.pole[i] => departure_in(rgb, thing, ANY_LIGHT) < BEFORE_LEVELS,
+            Some(thing) if !self.pole[i] => departure(rgb, thing) < CRITERIA.before_levels,
             // Beside the screen only what is learnt can tell the object from the room.
             _ => self.pole[i] || !self.before_screen[i],
         }
@@ -207,7 +215,7 @@ impl CleanPlate {
 
 /// The colour that most samples share.
 fn agreed(samples: &mut [[u8; 3]], frames: usize) -> Option<[u8; 3]> {
-    let needed = (STILL_SHARE * frames as f32) as usize;
+    let needed = (CRITERIA.still_share * frames as f32) as usize;
     if samples.len() < needed.max(3) {
         return None;
     }
@@ -215,16 +223,13 @@ fn agreed(samples: &mut [[u8; 3]], frames: usize) -> Option<[u8; 3]> {
         let mid = samples.len() / 2;
         samples.select_nth_unstable_by_key(mid, |s| s[c]).1[c]
     });
-    let agreeing = samples.iter().filter(|s| departure_in(**s, median, STILL_LIGHT) <= STILL_LEVELS).count();
+    let agreeing = samples.iter().filter(|s| departure(**s, median) <= CRITERIA.still_levels).count();
     (agreeing >= needed).then_some(median)
 }
 
-/// Largest difference of a channel, 8-bit levels, from a still thing under the light that fits
-/// best within a range.
-fn departure_in(seen: [u8; 3], thing: [u8; 3], range: (f32, f32)) -> i32 {
-    let (a, b) = (levels(&seen), levels(&thing));
-    let light = (a.dot(b) / b.length_squared().max(1.0)).clamp(range.0, range.1);
-    (a - light * b).abs().max_element() as i32
+/// Largest difference of a channel, 8-bit levels.
+fn departure(seen: [u8; 3], thing: [u8; 3]) -> u8 {
+    (0..3).map(|c| seen[c].abs_diff(thing[c])).fold(0, u8::max)
 }
 
 #[cfg(test)]

@@ -6,28 +6,43 @@ use glam::Vec3;
 use image::RgbImage;
 use scene::decision::{Decision, MatteKind, Measurement, Quantity, Remark, Rule, Subject};
 
-/// Pixels of less saturation have no hue to speak of. Source: chosen by hand, never measured.
-const MIN_SATURATION: f32 = 0.25;
-/// Pixels of less value have no hue to speak of; share of white. Source: chosen by hand, never
-/// measured.
-const MIN_VALUE: f32 = 0.05;
-/// Half-width of the range of hues taken for one screen, degrees. Source: chosen by hand, never
-/// measured.
-const HUE_WINDOW: f32 = 15.0;
+/// What pixels have a hue, and what of one hue is a screen.
+struct ScreenCriteria {
+    /// Pixels of less saturation have no hue to speak of. Source: chosen by hand, never measured.
+    min_saturation: f32,
+    /// Pixels of less value have no hue to speak of; share of white. Source: chosen by hand, never
+    /// measured.
+    min_value: f32,
+    /// Half-width of the range of hues taken for one screen, degrees. Source: chosen by hand, never
+    /// measured.
+    hue_window: f32,
+    /// A screen covers at least this share of the picture, in the median frame and in the worst but
+    /// one in ten. Source: chosen by hand, never measured.
+    min_coverage: (f32, f32),
+    /// A screen is smooth: median relative step of value between neighbours in a picture of 160
+    /// pixels. Source: chosen by hand, never measured.
+    max_roughness: f32,
+    /// A screen is saturated (median of its pixels); a grey-blue wall or table is not taken for one
+    /// unless it is named. Source: chosen by hand, never measured.
+    min_screen_saturation: f32,
+    /// Wood, skin, brick and lamp light have these hues, degrees: a screen of such a colour is only
+    /// taken if it is named. Source: chosen by hand, never measured.
+    natural_hues: (f32, f32),
+}
+
+/// The values in force.
+const CRITERIA: ScreenCriteria = ScreenCriteria {
+    min_saturation: 0.25,
+    min_value: 0.05,
+    hue_window: 15.0,
+    min_coverage: (0.12, 0.05),
+    max_roughness: 0.03,
+    min_screen_saturation: 0.5,
+    natural_hues: (-30.0, 68.0),
+};
+
 /// Bins of the histogram of hues, a third of the window wide. Source: derivation.
-const BINS: usize = (3.0 * 360.0 / HUE_WINDOW) as usize;
-/// A screen covers at least this share of the picture, in the median frame and in the worst but one
-/// in ten. Source: chosen by hand, never measured.
-const MIN_COVERAGE: (f32, f32) = (0.12, 0.05);
-/// A screen is smooth: median relative step of value between neighbours in a picture of 160 pixels.
-/// Source: chosen by hand, never measured.
-const MAX_ROUGHNESS: f32 = 0.03;
-/// A screen is saturated (median of its pixels); a grey-blue wall or table is not taken for one
-/// unless it is named. Source: chosen by hand, never measured.
-const MIN_SCREEN_SATURATION: f32 = 0.5;
-/// Wood, skin, brick and lamp light have these hues, degrees: a screen of such a colour is only
-/// taken if it is named. Source: chosen by hand, never measured.
-const NATURAL_HUES: (f32, f32) = (-30.0, 68.0);
+const BINS: usize = (3.0 * 360.0 / CRITERIA.hue_window) as usize;
 
 /// What was found, and why.
 pub(crate) struct Detection {
@@ -44,11 +59,12 @@ pub(crate) fn detect(thumbnails: &[&RgbImage], choice: KeyChoice) -> Detection {
         return Detection { key: None, decision: no_matte(Rule::NothingFound).remarked(Remark::NoHue) };
     };
     let found = HueStatistics::of(thumbnails, hue);
-    let natural = (hue - NATURAL_HUES.0).rem_euclid(360.0) <= NATURAL_HUES.1 - NATURAL_HUES.0;
-    let is_screen = found.coverage >= MIN_COVERAGE.0
-        && found.low_coverage >= MIN_COVERAGE.1
-        && found.roughness <= MAX_ROUGHNESS
-        && found.saturation >= MIN_SCREEN_SATURATION
+    let natural = (hue - CRITERIA.natural_hues.0).rem_euclid(360.0)
+        <= CRITERIA.natural_hues.1 - CRITERIA.natural_hues.0;
+    let is_screen = found.coverage >= CRITERIA.min_coverage.0
+        && found.low_coverage >= CRITERIA.min_coverage.1
+        && found.roughness <= CRITERIA.max_roughness
+        && found.saturation >= CRITERIA.min_screen_saturation
         && !natural;
     let figures = [
         (Quantity::Hue, hue),
@@ -82,7 +98,7 @@ fn dominant_hue(thumbnails: &[&RgbImage], choice: KeyChoice) -> Option<f32> {
     let mut counts = [0.0_f32; BINS];
     for rgb in pixels(thumbnails) {
         let (hue, saturation, value) = hue_saturation_value(rgb);
-        if saturation >= MIN_SATURATION && value >= MIN_VALUE && choice.allows(hue) {
+        if saturation >= CRITERIA.min_saturation && value >= CRITERIA.min_value && choice.allows(hue) {
             counts[(hue / 360.0 * BINS as f32) as usize % BINS] += saturation;
         }
     }
@@ -99,7 +115,9 @@ fn dominant_hue(thumbnails: &[&RgbImage], choice: KeyChoice) -> Option<f32> {
 
 fn is_near(rgb: [u8; 3], hue: f32) -> bool {
     let (h, saturation, value) = hue_saturation_value(rgb);
-    saturation >= MIN_SATURATION && value >= MIN_VALUE && hue_distance(h, hue) <= HUE_WINDOW
+    saturation >= CRITERIA.min_saturation
+        && value >= CRITERIA.min_value
+        && hue_distance(h, hue) <= CRITERIA.hue_window
 }
 
 struct HueStatistics {

@@ -12,9 +12,8 @@ impl Measurement {
     /// The number with its unit and standard deviation.
     pub(super) fn figure(&self) -> String {
         match self.quantity.words().1 {
-            Unit::Plain(digits) => self.written(1.0, digits, ""),
             Unit::Signed(digits) if self.deviation.is_none() => format!("{:+.digits$}", self.value),
-            Unit::Signed(digits) => self.written(1.0, digits, ""),
+            Unit::Plain(digits) | Unit::Signed(digits) => self.written(1.0, digits, ""),
             Unit::Percent(digits) => self.written(100.0, digits, " %"),
             Unit::Of(unit @ "°", digits) => self.written(1.0, digits, unit),
             Unit::Of(unit, digits) => self.written(1.0, digits, &format!(" {unit}")),

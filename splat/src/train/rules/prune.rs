@@ -187,7 +187,7 @@ mod tests {
         };
         // The same view again and again: the mean of the draws is the energy itself.
         const DRAWS: usize = 400;
-        let estimated = energies(&model, &[view; DRAWS], RenderOptions::default(), 1).unwrap();
+        let estimated = energies(&model, &vec![view; DRAWS], RenderOptions::default(), 1).unwrap();
         let mut backend = CpuBackend::default();
         let mut picture = |kept: &[u32]| {
             backend.upload(model.drawn(kept), Statistics::default()).unwrap();
