@@ -1,6 +1,7 @@
 //! From frames to a model: what is asked for, and the steps that lead there.
 
 mod accept;
+mod along_poses;
 mod context;
 mod export;
 mod model;
