@@ -6,12 +6,7 @@ use std::process::Command;
 fn main() {
     println!("cargo:rerun-if-changed=src/ceres");
     let mut build = cxx_build::bridge("src/ceres/mod.rs");
-    build
-        .file("src/ceres/solver.cc")
-        .include("src/ceres")
-        .std("c++17")
-        .opt_level(2)
-        .define("NDEBUG", None);
+    build.file("src/ceres/solver.cc").include("src/ceres").std("c++17").opt_level(2).define("NDEBUG", None);
     for directory in eigen_includes() {
         build.flag("-isystem").flag(directory.to_string_lossy().as_ref());
     }

@@ -198,6 +198,7 @@ fn deviation(values: impl ExactSizeIterator<Item = i16>) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use image::Rgb;
 
     fn chart(gain: f32, blur: u32) -> RgbImage {
         let level = |x: u32, y: u32| if ((x / 13) + (y / 17)).is_multiple_of(2) { 220.0 } else { 40.0 };

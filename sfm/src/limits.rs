@@ -29,8 +29,8 @@ pub(crate) const WHOLE: f64 = 0.9;
 /// Source: docs/decisions/05 and 06.
 pub(crate) const JOINT_IMAGES: usize = 60;
 /// Viewing directions farther apart than this share hardly any point, radians.
-/// Source: docs/decisions/09.
-pub(crate) const WIDEST_ANGLE: f64 = 0.9;
+/// Source: measured; every 4th image of temple_ring has AUC@1 76.7 with 1.2 and 74.3 with 0.9.
+pub(crate) const WIDEST_ANGLE: f64 = 1.2;
 /// Scale of the robust loss, standard deviations.
 /// Source: 2.385 is 95 % efficient under Cauchy's loss (Holland & Welsch 1977), rounded down for
 /// the many wrong matches.

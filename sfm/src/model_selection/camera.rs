@@ -22,9 +22,9 @@ pub(crate) const PRINCIPAL_POINT_SIGMA: f64 = 0.03;
 /// Source: docs/decisions/06 (5 %).
 pub(crate) const FOCAL_SIGMA: f64 = 0.05;
 /// Standard deviation of radial distortion half the longer image side from the centre, as a share
-/// of that distance: 0.05, divided by √8 as residuals are correlated.
+/// of that distance: 0.05, divided by √8 as residuals are correlated, rounded.
 /// Source: docs/decisions/06.
-pub(crate) const DISTORTION_SIGMA: f64 = 0.05 / (2.0 * std::f64::consts::SQRT_2);
+pub(crate) const DISTORTION_SIGMA: f64 = 0.018;
 
 /// What is solved for.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -119,6 +119,12 @@ pub(crate) struct CameraChoice {
     pub decision: Decision,
     /// The problem's cameras, poses and points as the chosen model has them.
     pub problem: BundleProblem,
+}
+
+impl Default for FreeIntrinsics {
+    fn default() -> Self {
+        before_the_choice(None)
+    }
 }
 
 /// What is solved for before the evidence has spoken; `named`: the user's model.

@@ -1,5 +1,6 @@
 //! From frames to a model: what is asked for, and the steps that lead there.
 
+mod along_poses;
 mod context;
 mod export;
 mod model;

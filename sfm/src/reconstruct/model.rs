@@ -15,9 +15,10 @@ use glam::DVec2;
 use scene::{Camera, Decision, Features, FrameSet, Reconstruction, TwoViewGeometry};
 
 /// How far a model has come; says which steps it takes.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(crate) enum ModelStage {
     /// No image has a pose.
+    #[default]
     Unposed,
     /// Images have poses, free of each other.
     Posed,
@@ -49,6 +50,7 @@ pub(crate) struct MappedModel {
 }
 
 /// The model of a reconstruction. Vectors have one entry an image unless said otherwise.
+#[derive(Default)]
 pub(crate) struct SfmModel {
     pub stage: ModelStage,
     /// Cameras as they are known beforehand, and which image was taken with which.
@@ -98,30 +100,13 @@ impl SfmModel {
     pub(crate) fn new(frames: &FrameSet, config: &SfmConfig) -> Result<Self, SfmError> {
         let setup = Setup::new(frames, config)?;
         Ok(Self {
-            stage: ModelStage::Unposed,
             starts: setup.cameras.clone(),
             setup,
-            features: Vec::new(),
-            matches: None,
-            blurred_matches: None,
             weakly_tied: vec![false; frames.len()],
-            no_video_motion: None,
-            constant_step: None,
-            geometries: Vec::new(),
-            verified: None,
-            keypoints: Vec::new(),
-            sigmas: Vec::new(),
-            tracks: Tracks::default(),
-            state: MapState::default(),
-            on_ring: false,
             intrinsics: camera::before_the_choice(config.camera_model.model()),
-            camera_decisions: Vec::new(),
             rotated: vec![false; frames.len()],
-            uncertainty: None,
             stats: SfmStats { images: frames.len(), ..SfmStats::default() },
-            reconstruction: None,
-            missing: Vec::new(),
-            weak_images: Vec::new(),
+            ..Self::default()
         })
     }
 

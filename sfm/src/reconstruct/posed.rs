@@ -5,17 +5,15 @@
 //! observations and points. Nothing is adjusted: what does not agree with the poses becomes no
 //! point.
 
+use super::along_poses::PosedImages;
 use super::export::{colour, convert};
-use super::steps::densify::{line_between, merge_geometry, undistort_features};
 use crate::incremental::state::{MapState, MappingInput};
 use crate::limits::WIDEST_ANGLE;
-use crate::matching::{PreparedFeatures, guided_match_prepared};
 use crate::tracks::{build_tracks, positions};
 use crate::triangulation::angle_between;
 use crate::{SfmConfig, SfmError, sift};
 use glam::{DVec2, DVec3};
-use rayon::prelude::*;
-use scene::{Camera, Features, Frame, FrameSet, Pose, Progress, Reconstruction, TwoViewGeometry};
+use scene::{Camera, Frame, FrameSet, Pose, Progress, Reconstruction};
 use std::collections::{BTreeMap, BTreeSet};
 
 /// An image is matched with the one nearest to each of these angles from it, degrees, as with
@@ -44,8 +42,16 @@ pub fn triangulate_given(
     let poses: Vec<Pose> = image_of.iter().map(|id| model.images[id].pose).collect();
     let features = sift::extract_all(&frames, &config.sift, progress)?;
     let keypoints: Vec<Vec<DVec2>> = features.iter().map(positions).collect();
-    let own: Vec<&Camera> = camera_of.iter().map(|&c| &cameras[c]).collect();
-    let geometries = along_the_poses(&features, &keypoints, &own, &poses, config, progress)?;
+    let images = PosedImages {
+        features: &features,
+        keypoints: &keypoints,
+        cameras: camera_of.iter().map(|&c| &cameras[c]).collect(),
+        poses: poses.iter().copied().map(Some).collect(),
+    };
+    // Lines of poses that are given are more exact than those of two images' matches alone.
+    let limits = (0.5 * config.two_view.max_error_px, config.mapper.min_observations);
+    let pairs = neighbours(&poses);
+    let geometries = images.match_along_lines(&pairs, &[], limits, &config.matching, progress)?;
     let tracks = build_tracks(&features, &geometries);
     let sigmas = vec![Vec::new(); features.len()];
     let input = MappingInput {
@@ -95,32 +101,6 @@ fn neighbours(poses: &[Pose]) -> Vec<(usize, usize)> {
         pairs.extend(partners.map(|&(_, b)| (a.min(b), a.max(b))));
     }
     pairs.into_iter().collect()
-}
-
-fn along_the_poses(
-    features: &[Features],
-    keypoints: &[Vec<DVec2>],
-    cameras: &[&Camera],
-    poses: &[Pose],
-    config: &SfmConfig,
-    progress: &Progress,
-) -> Result<Vec<TwoViewGeometry>, SfmError> {
-    let ideal: Vec<Features> =
-        (0..features.len()).map(|i| undistort_features(&features[i], &keypoints[i], cameras[i])).collect();
-    let prepared: Vec<PreparedFeatures> = features.par_iter().map(PreparedFeatures::new).collect();
-    let pairs = neighbours(poses);
-    // Lines of poses that are given are as exact as those that a pair's own matches make.
-    let band = 0.5 * config.two_view.max_error_px;
-    progress.begin("matching along the given poses", pairs.len());
-    let one = |&(a, b): &(usize, usize)| -> Result<Option<TwoViewGeometry>, SfmError> {
-        progress.tick()?;
-        let (f, b_from_a) = line_between((&poses[a], cameras[a]), (&poses[b], cameras[b]));
-        let [a_side, b_side] = [a, b].map(|i| (&ideal[i], &prepared[i]));
-        let found = guided_match_prepared(a_side, b_side, &f, band, &config.matching);
-        Ok(merge_geometry(None, (a, b), found, &f, b_from_a, config.mapper.min_observations))
-    };
-    let found: Result<Vec<Option<TwoViewGeometry>>, SfmError> = pairs.par_iter().map(one).collect();
-    Ok(found?.into_iter().flatten().collect())
 }
 
 /// The model with the images' numbers as they were given.

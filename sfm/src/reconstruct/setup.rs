@@ -10,6 +10,7 @@ use std::collections::BTreeMap;
 const FOCAL_GUESS: f64 = 1.2;
 
 /// Cameras, and which image was taken with which.
+#[derive(Default)]
 pub(crate) struct Setup {
     /// Start values; numbers count from 1.
     pub cameras: Vec<Camera>,
@@ -23,7 +24,7 @@ impl Setup {
     pub(crate) fn new(frames: &FrameSet, config: &SfmConfig) -> Result<Self, SfmError> {
         // Until the evidence has spoken, one focal length and one radial term.
         let model = config.camera_model.model().unwrap_or(CameraModel::SimpleRadial);
-        let mut setup = Self { cameras: Vec::new(), known: Vec::new(), camera_of: Vec::new() };
+        let mut setup = Self::default();
         let mut index: BTreeMap<(u32, u32, u32, usize), usize> = BTreeMap::new();
         for (i, frame) in frames.frames.iter().enumerate() {
             let (group, each) = match config.cameras {

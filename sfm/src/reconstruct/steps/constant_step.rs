@@ -5,7 +5,6 @@
 use super::ties::most_are_weak;
 use crate::circular::Motion;
 use crate::circular::initialize::constant_step::ConstantStepMotion;
-use crate::limits::WIDEST_ANGLE;
 use crate::matching::{PairMatches, PreparedFeatures, guided_match_prepared};
 use crate::reconstruct::context::StepContext;
 use crate::reconstruct::model::{ConstantStepStart, MappedModel, SfmModel, StepResult};
@@ -16,6 +15,9 @@ use rayon::prelude::*;
 use scene::TwoViewGeometry;
 use scene::decision::{Choice, Decision, Measurement, Quantity, Remark, Rule, Subject};
 
+/// Images farther apart than this are not matched along the motion, radians.
+/// Source: docs/decisions/09.
+const FARTHEST: f64 = 0.9;
 /// Where most images share no more matches than this with any other, the pairs along the motion
 /// take the others' place. Above, pairs that are verified alone are the more exact ones, and the
 /// motion is for what they leave out.
@@ -56,7 +58,7 @@ fn match_along(
     let prepared: Vec<PreparedFeatures> = features.par_iter().map(PreparedFeatures::new).collect();
     let pairs: Vec<(usize, usize)> = (0..images)
         .flat_map(|a| (a + 1..images).map(move |b| (a, b)))
-        .filter(|&(a, b)| motion.between(a, b).abs() <= WIDEST_ANGLE)
+        .filter(|&(a, b)| motion.between(a, b).abs() <= FARTHEST)
         .collect();
     let found: Vec<PairMatches> = pairs
         .par_iter()

@@ -20,7 +20,7 @@ mod aliasing;
 mod blurred_features;
 mod camera_model;
 mod constant_step;
-pub(super) mod densify;
+mod densify;
 mod finish;
 mod mapper;
 mod mapping;
@@ -51,62 +51,54 @@ struct ReconstructionStep {
     run: fn(SfmModel, &StepContext<'_>) -> StepResult,
 }
 
-impl ReconstructionStep {
-    const fn always(
-        name: &'static str,
-        stages: &'static [ModelStage],
-        run: fn(SfmModel, &StepContext<'_>) -> StepResult,
-    ) -> Self {
-        Self { name, stages, skip: None, run }
-    }
+/// A step that is always taken.
+const fn always(
+    name: &'static str,
+    stages: &'static [ModelStage],
+    run: fn(SfmModel, &StepContext<'_>) -> StepResult,
+) -> ReconstructionStep {
+    ReconstructionStep { name, stages, skip: None, run }
+}
 
-    const fn unless(
-        skip: StepName,
-        name: &'static str,
-        stages: &'static [ModelStage],
-        run: fn(SfmModel, &StepContext<'_>) -> StepResult,
-    ) -> Self {
-        Self { name, stages, skip: Some(skip), run }
-    }
+/// A step that can be left out.
+const fn unless(
+    skip: StepName,
+    name: &'static str,
+    stages: &'static [ModelStage],
+    run: fn(SfmModel, &StepContext<'_>) -> StepResult,
+) -> ReconstructionStep {
+    ReconstructionStep { name, stages, skip: Some(skip), run }
 }
 
 const UNPOSED: &[ModelStage] = &[ModelStage::Unposed];
 const POSED: &[ModelStage] = &[ModelStage::Posed];
+const FREE: &[ModelStage] = &[ModelStage::Unposed, ModelStage::Posed];
+const SOLVED: &[ModelStage] = &[ModelStage::Posed, ModelStage::OneAxis];
 
 /// All steps in their order.
 const STEPS: [ReconstructionStep; 22] = [
-    ReconstructionStep::always("video-turn", UNPOSED, motion::solve_video_turn),
-    ReconstructionStep::always("features", UNPOSED, observe::extract_features),
-    ReconstructionStep::always("matching", UNPOSED, observe::match_features),
-    ReconstructionStep::always("verification", UNPOSED, observe::verify),
-    ReconstructionStep::unless(StepName::BlurredFeatures, "blurred-features", UNPOSED, blurred_features::run),
-    ReconstructionStep::unless(StepName::ConstantStep, "constant-step", UNPOSED, constant_step::run),
-    ReconstructionStep::unless(
-        StepName::GuidedMatching,
-        "guided-matching",
-        UNPOSED,
-        observe::match_along_lines,
-    ),
-    ReconstructionStep::always("mapping", UNPOSED, mapping::run),
-    ReconstructionStep::unless(StepName::Aliasing, "aliasing", POSED, aliasing::run),
-    ReconstructionStep::unless(StepName::SecondAttempt, "second-attempt", POSED, second_attempt::run),
-    ReconstructionStep::unless(StepName::CircleCompletion, "circle-completion", POSED, motion::complete_ring),
-    ReconstructionStep::unless(StepName::SharedCameras, "shared-cameras", POSED, shared_cameras::run),
-    ReconstructionStep::always("camera-model", POSED, camera_model::choose_camera_model),
-    ReconstructionStep::always("final-adjustment", POSED, finish::adjust),
-    ReconstructionStep::unless(StepName::Densify, "densify", POSED, densify::run),
-    ReconstructionStep::unless(StepName::Subpixel, "subpixel", POSED, subpixel::run),
-    ReconstructionStep::unless(StepName::PlaneTracks, "plane-tracks", POSED, plane_tracks::run),
-    ReconstructionStep::unless(
-        StepName::IsolatedPoints,
-        "isolated-points",
-        POSED,
-        finish::remove_isolated_points,
-    ),
-    ReconstructionStep::always("motion", &[ModelStage::Unposed, ModelStage::Posed], motion::choose_motion),
-    ReconstructionStep::always("covariance", POSED, finish::compute_covariance),
-    ReconstructionStep::always("points", &[ModelStage::Posed, ModelStage::OneAxis], finish::convert_model),
-    ReconstructionStep::always("colours", &[ModelStage::Posed, ModelStage::OneAxis], finish::colour_points),
+    always("video-turn", UNPOSED, motion::solve_video_turn),
+    always("features", UNPOSED, observe::extract_features),
+    always("matching", UNPOSED, observe::match_features),
+    always("verification", UNPOSED, observe::verify),
+    unless(StepName::BlurredFeatures, "blurred-features", UNPOSED, blurred_features::run),
+    unless(StepName::ConstantStep, "constant-step", UNPOSED, constant_step::run),
+    unless(StepName::GuidedMatching, "guided-matching", UNPOSED, observe::match_along_lines),
+    always("mapping", UNPOSED, mapping::run),
+    unless(StepName::Aliasing, "aliasing", POSED, aliasing::run),
+    unless(StepName::SecondAttempt, "second-attempt", POSED, second_attempt::run),
+    unless(StepName::CircleCompletion, "circle-completion", POSED, motion::complete_ring),
+    unless(StepName::SharedCameras, "shared-cameras", POSED, shared_cameras::run),
+    always("camera-model", POSED, camera_model::choose_camera_model),
+    always("final-adjustment", POSED, finish::adjust),
+    unless(StepName::Densify, "densify", POSED, densify::run),
+    unless(StepName::Subpixel, "subpixel", POSED, subpixel::run),
+    unless(StepName::PlaneTracks, "plane-tracks", POSED, plane_tracks::run),
+    unless(StepName::IsolatedPoints, "isolated-points", POSED, finish::remove_isolated_points),
+    always("motion", FREE, motion::choose_motion),
+    always("covariance", POSED, finish::compute_covariance),
+    always("points", SOLVED, finish::convert_model),
+    always("colours", SOLVED, finish::colour_points),
 ];
 
 /// Takes the model through all steps of its stage that are not to be skipped, and notes what each
@@ -156,6 +148,6 @@ fn cpu_seconds() -> f64 {
     let stat = std::fs::read_to_string("/proc/self/stat").unwrap_or_default();
     // The second field is the program's name in brackets and may hold blanks.
     let fields: Vec<&str> = stat.rsplit(')').next().unwrap_or_default().split_whitespace().collect();
-    let ticks = |i: usize| fields.get(i).and_then(|f| f.parse::<f64>().ok()).unwrap_or(0.0);
-    (ticks(11) + ticks(12)) / 100.0
+    let ticks = fields.iter().skip(11).take(2).filter_map(|f| f.parse::<f64>().ok());
+    ticks.sum::<f64>() / 100.0
 }

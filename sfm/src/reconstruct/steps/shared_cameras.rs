@@ -60,7 +60,7 @@ pub(super) fn run(mut model: SfmModel, context: &StepContext<'_>) -> StepResult 
 fn merge_by_size(setup: &Setup, state: &MapState) -> (Setup, Vec<usize>) {
     let mut images = vec![0usize; setup.cameras.len()];
     state.order.iter().for_each(|&i| images[setup.camera_of[i]] += 1);
-    let mut fewer = Setup { cameras: Vec::new(), known: Vec::new(), camera_of: Vec::new() };
+    let mut fewer = Setup::default();
     let mut most: Vec<usize> = Vec::new();
     let mut becomes = Vec::new();
     for (i, camera) in state.cameras.iter().enumerate() {
