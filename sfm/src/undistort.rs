@@ -1,6 +1,7 @@
 //! Pinhole images for training: distortion removed, no black borders.
 
 use crate::SfmError;
+use crate::sift::unreadable;
 use glam::DVec2;
 use image::{DynamicImage, ImageFormat, RgbImage, RgbaImage};
 use rayon::prelude::*;
@@ -63,36 +64,38 @@ pub fn undistort(
 /// `camera`.
 pub(crate) fn pinhole(camera: &Camera) -> Camera {
     let (focal, size) = (camera.focal(), DVec2::new(f64::from(camera.width), f64::from(camera.height)));
-    let centre = camera.principal_point();
-    let new = |width: u32, height: u32, c: DVec2| Camera {
-        model: CameraModel::Pinhole,
-        width,
-        height,
-        params: vec![focal.x, focal.y, c.x, c.y],
-        ..camera.clone()
-    };
     if camera.distortion().iter().all(|&k| k == 0.0) {
-        return new(camera.width, camera.height, centre);
+        return with_size(camera, camera.width, camera.height, camera.principal_point());
     }
-    let steps = 200;
-    let along = |from: DVec2, to: DVec2| {
-        (0..=steps).map(move |i| camera.unproject(from.lerp(to, f64::from(i) / f64::from(steps))))
-    };
     let (x, y) = (DVec2::X * size.x, DVec2::Y * size.y);
-    let left = along(DVec2::ZERO, y).map(|u| u.x).fold(f64::NEG_INFINITY, f64::max);
-    let right = along(x, size).map(|u| u.x).fold(f64::INFINITY, f64::min);
-    let top = along(DVec2::ZERO, x).map(|u| u.y).fold(f64::NEG_INFINITY, f64::max);
-    let bottom = along(y, size).map(|u| u.y).fold(f64::INFINITY, f64::min);
-    // Rounded inwards to whole pixels about the same principal point.
-    let length = |low: f64, high: f64, f: f64, full: f64| {
-        let pixels = ((high - low) * f).floor();
-        if pixels.is_finite() { pixels.clamp((full / SIZE_LIMIT).ceil(), full * SIZE_LIMIT) } else { full }
-    };
-    let (width, height) = (length(left, right, focal.x, size.x), length(top, bottom, focal.y, size.y));
+    let left = along(camera, DVec2::ZERO, y).map(|u| u.x).fold(f64::NEG_INFINITY, f64::max);
+    let right = along(camera, x, size).map(|u| u.x).fold(f64::INFINITY, f64::min);
+    let top = along(camera, DVec2::ZERO, x).map(|u| u.y).fold(f64::NEG_INFINITY, f64::max);
+    let bottom = along(camera, y, size).map(|u| u.y).fold(f64::INFINITY, f64::min);
+    let width = whole_pixels((right - left) * focal.x, size.x);
+    let height = whole_pixels((bottom - top) * focal.y, size.y);
     // The rectangle's middle stays in the middle.
     let middle = DVec2::new((left + right) / 2.0, (top + bottom) / 2.0);
     let middle = if middle.is_finite() { middle } else { camera.unproject(size / 2.0) };
-    new(width as u32, height as u32, DVec2::new(width, height) / 2.0 - middle * focal)
+    with_size(camera, width as u32, height as u32, DVec2::new(width, height) / 2.0 - middle * focal)
+}
+
+/// The PINHOLE camera with the same focal lengths and this size and principal point.
+fn with_size(camera: &Camera, width: u32, height: u32, centre: DVec2) -> Camera {
+    let focal = camera.focal();
+    let params = vec![focal.x, focal.y, centre.x, centre.y];
+    Camera { model: CameraModel::Pinhole, width, height, params, ..camera.clone() }
+}
+
+/// Undistorted places of 201 pixels from one to another.
+fn along(camera: &Camera, from: DVec2, to: DVec2) -> impl Iterator<Item = DVec2> + '_ {
+    (0..=200).map(move |i| camera.unproject(from.lerp(to, f64::from(i) / 200.0)))
+}
+
+/// A length rounded inwards to whole pixels, within the limits; `full` where it is not finite.
+fn whole_pixels(length: f64, full: f64) -> f64 {
+    let pixels = length.floor();
+    if pixels.is_finite() { pixels.clamp((full / SIZE_LIMIT).ceil(), full * SIZE_LIMIT) } else { full }
 }
 
 fn cannot_write(path: &Path, error: &impl std::fmt::Display) -> SfmError {
@@ -115,10 +118,8 @@ fn transfer(source: &Path, target: &Path, old: &Camera, new: &Camera) -> Result<
         }
         return Ok(());
     }
-    let unreadable = |reason: String| SfmError::UnreadableImage { path: source.to_owned(), reason };
     let reader = image::ImageReader::open(source).and_then(|r| r.with_guessed_format());
-    let decoded =
-        reader.map_err(|e| unreadable(e.to_string()))?.decode().map_err(|e| unreadable(e.to_string()))?;
+    let decoded = reader.map_err(|e| unreadable(source, &e))?.decode().map_err(|e| unreadable(source, &e))?;
     if (decoded.width(), decoded.height()) != (old.width, old.height) {
         return Err(SfmError::SizeMismatch {
             path: source.to_owned(),

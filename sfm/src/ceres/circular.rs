@@ -1,6 +1,6 @@
 //! The border to Ceres for motions about one axis.
 
-use super::{BundleOutcome, BundleState, CircularInput, Monitor, ffi, num_params};
+use super::{BundleOutcome, BundleState, CircularInput, Monitor, all_finite, ffi, num_params};
 use crate::SfmError;
 use scene::Progress;
 
@@ -94,7 +94,7 @@ fn check(input: &CircularInput, state: &CircularState) -> Result<(), SfmError> {
         &input.level_targets,
         &input.level_weights,
     ];
-    let finite = all.iter().all(|values| values.iter().all(|v| v.is_finite()));
+    let finite = all.iter().all(|values| all_finite(values));
     match (shapes && indices, finite) {
         (false, _) => Err(SfmError::Solver("the circular motion is inconsistent".to_owned())),
         (_, false) => Err(SfmError::Solver("a number of the circular motion is not finite".to_owned())),

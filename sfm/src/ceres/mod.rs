@@ -197,13 +197,12 @@ pub(crate) fn positions(
     progress: &Progress,
 ) -> Result<bool, SfmError> {
     let count = input.observation_camera.len();
-    let inside =
-        |indices: &[u32], n: usize| indices.len() == count && indices.iter().all(|&i| (i as usize) < n);
-    let shapes = inside(&input.observation_camera, centres.len() / 3)
-        && inside(&input.observation_point, points.len() / 3)
+    let shapes = all_below(&input.observation_camera, centres.len() / 3)
+        && all_below(&input.observation_point, points.len() / 3)
+        && input.observation_point.len() == count
         && input.directions.len() == 3 * count;
-    let finite = |values: &[f64]| values.iter().all(|v| v.is_finite());
-    if count == 0 || !shapes || !finite(centres) || !finite(points) || !finite(&input.directions) {
+    if count == 0 || !shapes || !all_finite(centres) || !all_finite(points) || !all_finite(&input.directions)
+    {
         return Err(SfmError::Solver("the bearings are inconsistent".to_owned()));
     }
     let mut scales = vec![1.0; count];
@@ -212,7 +211,7 @@ pub(crate) fn positions(
     if outcome.cancelled {
         progress.check()?;
     }
-    Ok(outcome.usable && finite(centres) && finite(points))
+    Ok(outcome.usable && all_finite(centres) && all_finite(points))
 }
 
 /// The numbers that change: see [`BundleInput`] for P and N.
@@ -277,6 +276,14 @@ fn num_params(model: i32) -> usize {
     scene::CameraModel::from_colmap_id(model).map_or(0, scene::CameraModel::num_params)
 }
 
+fn all_below(indices: &[u32], n: usize) -> bool {
+    indices.iter().all(|&i| (i as usize) < n)
+}
+
+fn all_finite(values: &[f64]) -> bool {
+    values.iter().all(|v| v.is_finite())
+}
+
 fn check(input: &BundleInput, state: &BundleState) -> Result<(), SfmError> {
     let (poses, points, observations) = (input.pose_held.len(), input.point_held.len(), input.weights.len());
     let end = input.camera_offsets.iter().zip(&input.camera_models).map(|(o, &m)| o + num_params(m)).max();
@@ -292,14 +299,13 @@ fn check(input: &BundleInput, state: &BundleState) -> Result<(), SfmError> {
         && input.observation_point.len() == observations
         && input.pixels.len() == observations * 2
         && input.camera_models.iter().all(|&m| num_params(m) > 0);
-    let inside = |indices: &[u32], n: usize| indices.iter().all(|&i| (i as usize) < n);
-    let indices = inside(&input.observation_pose, poses)
-        && inside(&input.observation_point, points)
-        && inside(&input.pose_camera, input.camera_models.len());
+    let indices = all_below(&input.observation_pose, poses)
+        && all_below(&input.observation_point, points)
+        && all_below(&input.pose_camera, input.camera_models.len());
     let finite =
         [&state.intrinsics, &state.poses, &state.points, &input.pixels, &input.weights, &input.prior_sigma]
             .iter()
-            .all(|values| values.iter().all(|v| v.is_finite()));
+            .all(|values| all_finite(values));
     match (shapes && indices, finite, observations) {
         (false, _, _) => Err(SfmError::Solver("the problem is inconsistent".to_owned())),
         (_, false, _) => Err(SfmError::Solver("a number is not finite".to_owned())),

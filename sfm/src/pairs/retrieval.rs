@@ -10,11 +10,11 @@ use scene::Features;
 /// Source: Jégou et al., CVPR 2010 (16 to 256).
 const WORDS: usize = 32;
 /// Rounds of Lloyd's algorithm.
-/// Source: SRC_PAIRS
+/// Source: measured: see `expansion`, with which it was halved and doubled.
 const ROUNDS: usize = 5;
 /// Features of an image that enter its global descriptor; from sixteen times as many, over all
 /// images, the vocabulary is learnt.
-/// Source: SRC_PAIRS
+/// Source: measured: see `expansion`, with which it was halved and doubled.
 const PER_IMAGE: usize = 1024;
 
 /// For every image the `most` others that look most like it, the most alike first; the same for any

@@ -45,10 +45,13 @@ impl Estimator for FundamentalEstimator {
         let a: Vec<DVec2> = inliers.iter().map(|&i| self.a[i]).collect();
         let b: Vec<DVec2> = inliers.iter().map(|&i| self.b[i]).collect();
         let linear = fundamental_8pt(&a, &b);
-        let cost = |m: &DMat3| -> f64 { a.iter().zip(&b).map(|(a, b)| sampson_sq(m, *a, *b)).sum() };
-        let start = linear.filter(|l| cost(l) < cost(f)).unwrap_or(*f);
+        let start = linear.filter(|l| total_error(l, &a, &b) < total_error(f, &a, &b)).unwrap_or(*f);
         refine_fundamental(&start, pairs, self.loss_scale, 6)
     }
+}
+
+fn total_error(f: &DMat3, a: &[DVec2], b: &[DVec2]) -> f64 {
+    a.iter().zip(b).map(|(a, b)| sampson_sq(f, *a, *b)).sum()
 }
 
 /// Whether all pairs lie on matching sides of the epipoles, as points in front of both cameras do:

@@ -231,7 +231,8 @@ pub(crate) fn read_mask(path: &Path, frame: &Frame) -> Result<GrayImage, SfmErro
     Ok(mask)
 }
 
-fn unreadable(path: &Path, reason: &impl ToString) -> SfmError {
+/// What an image that cannot be read is reported as.
+pub(crate) fn unreadable(path: &Path, reason: &impl ToString) -> SfmError {
     SfmError::UnreadableImage { path: path.to_owned(), reason: reason.to_string() }
 }
 

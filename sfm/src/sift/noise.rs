@@ -4,10 +4,10 @@ use super::blur::LumaPlane;
 use super::pyramid::NOMINAL_BLUR;
 
 /// Side of the blocks whose noise is looked at, pixels.
-/// Source: SRC_NOISE
+/// Source: measured: see `spread`, with which both were halved and doubled.
 const BLOCK: usize = 16;
 /// Share of the blocks that are assumed to hold nothing but noise at the finest scale.
-/// Source: SRC_NOISE
+/// Source: measured: see `spread`, with which both were halved and doubled.
 const QUIET_SHARE: f64 = 0.1;
 
 /// What thresholds are made from.

@@ -3,7 +3,8 @@
 use super::candidate::Candidate;
 
 /// Cells a side of the grid over the image.
-/// Source: SRC_NOISE
+/// Source: measured: halved and doubled with the two of `noise`, temple_ring keeps its bytes and
+/// the rotation error of fountain_p11 is 0.050° and 0.060° (0.060°).
 const CELLS: usize = 16;
 /// A candidate of every cell more than `most`: who is not among so many would not stay with several
 /// directions either.

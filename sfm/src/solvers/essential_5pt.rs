@@ -1,7 +1,7 @@
 //! Essential matrices of five ray pairs.
 
 use super::linalg::{mat3_from_rows, null_space};
-use super::polynomial::real_roots_with_tolerance;
+use super::polynomial::{evaluate, real_roots_with_tolerance};
 use glam::DMat3;
 use glam::DVec3;
 
@@ -179,8 +179,8 @@ fn polynomial_matrix(m: &[Cubic; 10]) -> [[[f64; 5]; 3]; 3] {
     std::array::from_fn(|r| {
         // Rows 4, 6, 8 lead with x²z, y²z, xyz; rows 5, 7, 9 with x², y², xy: (first) − z (second).
         let (p, q) = (&m[4 + 2 * r], &m[5 + 2 * r]);
-        let cubic = |i: usize| [p[i + 2], p[i + 1] - q[i + 2], p[i] - q[i + 1], -q[i], 0.0];
-        [cubic(10), cubic(13), [p[19], p[18] - q[19], p[17] - q[18], p[16] - q[17], -q[16]]]
+        let [x, y] = [10, 13].map(|i| [p[i + 2], p[i + 1] - q[i + 2], p[i] - q[i + 1], -q[i], 0.0]);
+        [x, y, [p[19], p[18] - q[19], p[17] - q[18], p[16] - q[17], -q[16]]]
     })
 }
 
@@ -207,8 +207,7 @@ fn determinant(b: &[[[f64; 5]; 3]; 3]) -> [f64; 11] {
 /// The null vector `(x, y, 1)` of `B(z)`: the longest cross product of two of its rows.
 fn solve_xy(b: &[[[f64; 5]; 3]; 3], z: f64) -> Option<(f64, f64)> {
     let rows: [DVec3; 3] = std::array::from_fn(|r| {
-        let value = |c: usize| b[r][c].iter().rev().fold(0.0, |sum, a| sum * z + a);
-        DVec3::new(value(0), value(1), value(2)).normalize_or_zero()
+        DVec3::from_array([0, 1, 2].map(|c| evaluate(&b[r][c], z))).normalize_or_zero()
     });
     let crosses = [rows[0].cross(rows[1]), rows[1].cross(rows[2]), rows[2].cross(rows[0])];
     let n = crosses.into_iter().max_by(|p, q| p.length_squared().total_cmp(&q.length_squared()))?;

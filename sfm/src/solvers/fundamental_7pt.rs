@@ -1,6 +1,6 @@
 //! Fundamental matrices of seven point pairs.
 
-use super::linalg::{mat3_from_rows, null_space};
+use super::linalg::{determinant_of_pencil, mat3_from_rows, null_space};
 use super::polynomial::real_roots;
 use glam::{DMat3, DVec2};
 
@@ -14,13 +14,7 @@ pub(crate) fn fundamental_7pt(a: &[DVec2; 7], b: &[DVec2; 7]) -> Vec<DMat3> {
     });
     let basis: [[f64; 9]; 2] = null_space(&rows);
     let (f, g) = (mat3_from_rows(&basis[0]), mat3_from_rows(&basis[1]));
-    // det(x F + G) is a cubic in x; the coefficients are determinants with mixed columns.
-    let mixed = |p: &DMat3, q: &DMat3| {
-        p.x_axis.dot(p.y_axis.cross(q.z_axis))
-            + p.x_axis.dot(q.y_axis.cross(p.z_axis))
-            + q.x_axis.dot(p.y_axis.cross(p.z_axis))
-    };
-    let cubic = [g.determinant(), mixed(&g, &f), mixed(&f, &g), f.determinant()];
+    let cubic = determinant_of_pencil(&g, &f);
     let scale = cubic.iter().fold(0.0_f64, |m, c| m.max(c.abs()));
     let mut result = Vec::with_capacity(3);
     for &x in real_roots(&cubic).iter() {

@@ -172,6 +172,18 @@ pub(crate) fn nearest_rank2(m: &DMat3) -> Option<DMat3> {
     f.is_finite().then_some(f)
 }
 
+/// Coefficients of `det(p + x q)`, ascending: determinants with mixed columns.
+pub(crate) fn determinant_of_pencil(p: &DMat3, q: &DMat3) -> [f64; 4] {
+    [p.determinant(), mixed_determinant(p, q), mixed_determinant(q, p), q.determinant()]
+}
+
+/// The sum of the determinants of `p` with one of its columns taken from `q`.
+fn mixed_determinant(p: &DMat3, q: &DMat3) -> f64 {
+    p.x_axis.dot(p.y_axis.cross(q.z_axis))
+        + p.x_axis.dot(q.y_axis.cross(p.z_axis))
+        + q.x_axis.dot(p.y_axis.cross(p.z_axis))
+}
+
 /// `[v]×`: `skew(v) w = v × w`.
 pub(crate) fn skew(v: DVec3) -> DMat3 {
     DMat3::from_cols(DVec3::new(0.0, v.z, -v.y), DVec3::new(-v.z, 0.0, v.x), DVec3::new(v.y, -v.x, 0.0))

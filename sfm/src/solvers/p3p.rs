@@ -1,6 +1,6 @@
 //! Pose of a camera from three rays and the points they see.
 
-use super::linalg::symmetric_eigen;
+use super::linalg::{determinant_of_pencil, symmetric_eigen};
 use super::polynomial::{quadratic_roots, real_roots};
 use glam::{DMat3, DVec3};
 use scene::Pose;
@@ -102,13 +102,7 @@ fn depths(squared: &[f64; 3], cosines: &[f64; 3]) -> Vec<DVec3> {
 /// The two lines into which a degenerate conic of the pencil `d1 + γ d2` falls: of all real ones
 /// that whose lines are farthest from complex.
 fn degenerate_conic(d1: &[[f64; 3]; 3], d2: &[[f64; 3]; 3]) -> Option<[DVec3; 2]> {
-    let (m1, m2) = (as_mat(d1), as_mat(d2));
-    let mixed = |p: &DMat3, q: &DMat3| {
-        p.x_axis.dot(p.y_axis.cross(q.z_axis))
-            + p.x_axis.dot(q.y_axis.cross(p.z_axis))
-            + q.x_axis.dot(p.y_axis.cross(p.z_axis))
-    };
-    let cubic = [m1.determinant(), mixed(&m1, &m2), mixed(&m2, &m1), m2.determinant()];
+    let cubic = determinant_of_pencil(&as_mat(d1), &as_mat(d2));
     let mut best: Option<(f64, [DVec3; 2])> = None;
     for &gamma in real_roots(&cubic).iter() {
         let norm = (1.0 + gamma * gamma).sqrt();
@@ -128,10 +122,9 @@ fn degenerate_conic(d1: &[[f64; 3]; 3], d2: &[[f64; 3]; 3]) -> Option<[DVec3; 2]
 fn on_line(line: DVec3, d1: &[[f64; 3]; 3], d2: &[[f64; 3]; 3]) -> Vec<DVec3> {
     let Some(n) = line.try_normalize() else { return Vec::new() };
     let (u, v) = n.any_orthonormal_pair();
-    let restricted = |m: &DMat3| (u.dot(*m * u), u.dot(*m * v), v.dot(*m * v));
-    let size = |(a, b, c): (f64, f64, f64)| a.abs() + b.abs() + c.abs();
-    let (first, second) = (restricted(&as_mat(d1)), restricted(&as_mat(d2)));
-    let (a, b, c) = if size(first) >= size(second) { first } else { second };
+    let [first, second] = [d1, d2].map(as_mat).map(|m| DVec3::new(u.dot(m * u), u.dot(m * v), v.dot(m * v)));
+    let larger = if first.abs().element_sum() >= second.abs().element_sum() { first } else { second };
+    let [a, b, c] = larger.to_array();
     if a.abs() >= c.abs() {
         quadratic_roots(a, 2.0 * b, c).iter().map(|s| u * *s + v).collect()
     } else {

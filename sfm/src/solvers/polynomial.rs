@@ -84,7 +84,8 @@ pub(super) fn quadratic_roots(a: f64, b: f64, c: f64) -> Roots {
     roots
 }
 
-fn evaluate(c: &[f64], x: f64) -> f64 {
+/// `Σ c[i] xⁱ`.
+pub(super) fn evaluate(c: &[f64], x: f64) -> f64 {
     c.iter().rev().fold(0.0, |sum, c| sum * x + c)
 }
 
