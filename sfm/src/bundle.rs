@@ -9,8 +9,8 @@ mod points;
 
 pub(crate) use adjustable::Adjustable;
 
-use crate::SfmError;
 use crate::ceres::{self, BundleInput, BundleState};
+use crate::error::SfmError;
 use crate::statistics::median;
 use glam::{DQuat, DVec2, DVec3};
 use scene::{Camera, Pose, Progress};

@@ -2,14 +2,15 @@
 //! report row.
 
 use crate::circular::MotionConfig;
+use crate::error::SfmError;
 use crate::incremental::MapperConfig;
 use crate::klt::KltConfig;
+use crate::knowledge::Calibration;
 use crate::matching::MatchConfig;
 use crate::pairs::PairConfig;
 use crate::sift::SiftConfig;
 use crate::skip::{self, StepName};
 use crate::two_view::TwoViewConfig;
-use crate::{Calibration, SfmError};
 use scene::{Camera, CameraModel};
 use serde::{Deserialize, Serialize};
 
@@ -74,7 +75,7 @@ pub enum KeypointPlaces {
     Detected,
 }
 
-/// Configuration of [`crate::reconstruct`].
+/// Configuration of [`crate::reconstruct::reconstruct`].
 #[derive(clap::Args, Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(default)]
 pub struct SfmConfig {

@@ -50,5 +50,3 @@ pub use reconstruct::{Supplied, reconstruct, reconstruct_features, reconstruct_f
 pub use result::{PoseDeviation, SfmResult, SfmStats, StepTime, Uncertainty};
 pub use skip::StepName;
 pub use undistort::undistort;
-
-use knowledge::Knowledge;

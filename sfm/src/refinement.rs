@@ -7,7 +7,7 @@
 //! begins as the model says it is sheared and stretched (keypoints refined over tracks: Dusmanu,
 //! Schönberger & Pollefeys, ECCV 2020; Lindenberger et al., ICCV 2021).
 
-use crate::SfmError;
+use crate::error::SfmError;
 use crate::incremental::state::{MapPoint, MapState, MappingInput};
 use crate::klt::pyramid::{LEAST_SIDE, Pyramid, PyramidLevel};
 use crate::klt::reference::{Reference, Warp};

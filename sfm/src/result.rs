@@ -62,7 +62,7 @@ pub struct Uncertainty {
     pub sigma_px: f64,
 }
 
-/// What [`crate::reconstruct`] found.
+/// What [`crate::reconstruct::reconstruct`] found.
 #[derive(Clone, Debug, Default)]
 pub struct SfmResult {
     /// The model; `None` where the images carry none. Image number = 1 + index of the frame.
@@ -83,7 +83,7 @@ pub struct SfmResult {
     pub initial_cameras: Vec<Camera>,
     /// One per frame.
     pub features: Vec<Features>,
-    /// Matches before verification, where [`crate::SfmConfig::keep_matches`] asks for them.
+    /// Matches before verification, where [`crate::config::SfmConfig::keep_matches`] asks for them.
     pub matches: Vec<crate::matching::PairMatches>,
     /// Verified pairs.
     pub geometries: Vec<TwoViewGeometry>,

@@ -1,6 +1,6 @@
 //! Pinhole images for training: distortion removed, no black borders.
 
-use crate::SfmError;
+use crate::error::SfmError;
 use crate::sift::unreadable;
 use glam::DVec2;
 use image::{DynamicImage, ImageFormat, RgbImage, RgbaImage};

@@ -1,7 +1,7 @@
 //! What adjustments of any motion have in common.
 
 use super::{BundleProblem, BundleSummary, SolveOptions};
-use crate::SfmError;
+use crate::error::SfmError;
 use scene::Progress;
 
 /// An adjustment of some motion.

@@ -1,7 +1,7 @@
 //! The border to Ceres for motions about one axis.
 
 use super::{BundleOutcome, BundleState, CircularInput, Monitor, all_finite, ffi, num_params};
-use crate::SfmError;
+use crate::error::SfmError;
 use scene::Progress;
 
 /// The numbers that change: see [`CircularInput`] for P and the cameras.

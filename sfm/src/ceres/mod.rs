@@ -1,7 +1,7 @@
 //! The one border to Ceres. Plain numbers cross it; everything is checked here first, because a
 //! failed check inside Ceres would end the process.
 
-use crate::SfmError;
+use crate::error::SfmError;
 use scene::Progress;
 
 /// What Ceres asks between iterations.

@@ -4,7 +4,7 @@ use super::axis::{Elevation, elevation};
 use super::model::{AxisModel, CircularContext};
 use super::motion::wrap_angle;
 use super::problem::CircularCovariance;
-use crate::SfmError;
+use crate::error::SfmError;
 use crate::model_selection::camera::{FreeIntrinsics, PRINCIPAL_POINT_SIGMA};
 use scene::decision::{Choice, Decision, Measurement, Quantity, Remark, Rule, Subject};
 

@@ -9,7 +9,7 @@ use super::motion::CircularMotion;
 use super::orbit;
 use super::photos;
 use super::solution::{ChosenModel, CircularSolution, rough_noise};
-use crate::SfmError;
+use crate::error::SfmError;
 use crate::incremental::finish::noise_of;
 use crate::incremental::state::MapState;
 use crate::limits::WHOLE;

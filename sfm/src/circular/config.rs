@@ -1,6 +1,6 @@
 //! What a user can say about the motion.
 
-use crate::SfmError;
+use crate::error::SfmError;
 use serde::{Deserialize, Serialize};
 
 /// How object and camera move against each other.

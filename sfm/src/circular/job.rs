@@ -7,10 +7,12 @@ use super::model::CircularContext;
 use super::motion::CircularMotion;
 use super::prior::AnglePrior;
 use super::vertical_lines::{self, Segment};
+use crate::config::SfmConfig;
+use crate::error::SfmError;
 use crate::incremental::state::{MapState, MappingInput};
+use crate::knowledge::Knowledge;
 use crate::model_selection::camera::FreeIntrinsics;
 use crate::skip::StepName;
-use crate::{Knowledge, SfmConfig, SfmError};
 use scene::{Camera, CameraModel, FrameSet, Progress};
 
 /// The general model, as the general solver left it.

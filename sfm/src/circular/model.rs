@@ -6,14 +6,15 @@ use super::motion::CircularMotion;
 use super::prior::AnglePrior;
 use super::problem::{CircularCovariance, CircularProblem, Relation};
 use crate::bundle::{BundleProblem, RobustLoss, SolveOptions};
+use crate::error::SfmError;
 use crate::incremental::adjust::{Adjustment, Selected, plausible, select, take};
 use crate::incremental::growth::freedom;
 use crate::incremental::state::{MapState, MappingInput};
+use crate::knowledge::Knowledge;
 use crate::limits::OUTLIER_SIGMAS;
 use crate::model_selection::camera::{FreeIntrinsics, apply};
 use crate::model_selection::noise::{error_sq, noise};
 use crate::statistics::median;
-use crate::{Knowledge, SfmError};
 use scene::{Camera, Progress};
 
 /// Points that an image contributes while the model settles.

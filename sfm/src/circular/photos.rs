@@ -6,7 +6,7 @@ use super::initialize::seed::{AnglePattern, FocalSearch, KEYS, KeyPair, seeds};
 use super::job::MotionInput;
 use super::model::{AxisModel, CircularContext};
 use super::register::{observed_points, resect_angle};
-use crate::SfmError;
+use crate::error::SfmError;
 use crate::incremental::resection::visible;
 use crate::limits::WHOLE;
 use scene::{TwoViewGeometry, TwoViewKind};

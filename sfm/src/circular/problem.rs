@@ -2,10 +2,10 @@
 //! observations best.
 
 use super::motion::{distance_from_axis, pose_at};
-use crate::SfmError;
 use crate::bundle::{Adjustable, BundleProblem, BundleSummary, SceneNormalisation, SolveOptions};
 use crate::ceres::CircularInput;
 use crate::ceres::circular::{CircularState, covariance, solve};
+use crate::error::SfmError;
 use glam::{DQuat, DVec3};
 use scene::{Pose, Progress};
 

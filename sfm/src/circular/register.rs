@@ -3,7 +3,7 @@
 use super::limits::{COMPARABLE, INLIER_PX, LEAST_OBSERVATIONS};
 use super::model::{AxisModel, CircularContext};
 use super::motion::pose_at;
-use crate::SfmError;
+use crate::error::SfmError;
 use crate::incremental::resection::visible;
 use glam::{DVec2, DVec3};
 use scene::{Camera, Pose};

@@ -7,7 +7,7 @@ use super::model::CircularContext;
 use super::motion::{CircularMotion, pose_at, wrap_angle};
 use super::orbit;
 use super::prior::{EVEN, constant_rate};
-use crate::SfmError;
+use crate::error::SfmError;
 use crate::incremental::state::MapState;
 use crate::incremental::structureless_resection::consistency;
 use crate::limits::OUTLIER_SIGMAS;

@@ -5,13 +5,14 @@ use super::intrinsics::choose_for_turn;
 use super::job::MotionInput;
 use super::model::{AxisModel, CircularContext};
 use super::motion::CircularMotion;
+use crate::error::SfmError;
 use crate::incremental::adjust::Adjustment;
 use crate::incremental::finish::noise_of;
 use crate::incremental::growth::freedom;
 use crate::incremental::state::MapState;
 use crate::model_selection::camera::{FreeIntrinsics, convert_camera};
 use crate::model_selection::noise::noise;
-use crate::{PoseDeviation, SfmError, Uncertainty};
+use crate::result::{PoseDeviation, Uncertainty};
 use scene::Camera;
 use scene::decision::Decision;
 

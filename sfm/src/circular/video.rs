@@ -16,7 +16,7 @@ use super::motion::CircularMotion;
 use super::prior::AnglePrior;
 use super::problem::Relation;
 use super::solution::{ChosenModel, CircularSolution};
-use crate::SfmError;
+use crate::error::SfmError;
 use crate::incremental::state::MappingInput;
 use crate::klt::{KltTrack, track};
 use glam::DVec2;

@@ -6,11 +6,12 @@ pub(crate) mod positions;
 pub(crate) mod rotations;
 
 use crate::bundle::RobustLoss;
+use crate::error::SfmError;
 use crate::incremental::adjust::{Adjustment, adjust};
 use crate::incremental::growth::{expel, freedom, grow, settle, starts_of};
 use crate::incremental::initial::relative_pose;
 use crate::incremental::state::{MapState, MappingInput};
-use crate::{Knowledge, SfmError};
+use crate::knowledge::Knowledge;
 use glam::DQuat;
 use rayon::prelude::*;
 use rotations::RotationEdge;

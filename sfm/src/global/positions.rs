@@ -2,8 +2,8 @@
 //! known (Pan et al., "Global Structure-from-Motion Revisited", ECCV 2024). No pair's direction of
 //! motion is asked, which says nothing where cameras move along a line, and no start is needed.
 
-use crate::SfmError;
 use crate::ceres::{self, PositionInput};
+use crate::error::SfmError;
 use crate::incremental::state::MappingInput;
 use glam::{DQuat, DVec3};
 use rand::Rng as _;

@@ -1,8 +1,8 @@
 //! Bundle adjustment of the growing model.
 
 use super::state::{MapState, MappingInput};
-use crate::SfmError;
 use crate::bundle::{BundleObservation, BundleProblem, IntrinsicsPrior, SolveOptions};
+use crate::error::SfmError;
 use scene::{Camera, Pose, Progress};
 use std::collections::HashMap;
 

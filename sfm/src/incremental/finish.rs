@@ -4,6 +4,8 @@ use super::adjust::{Adjustment, Selected, select, take};
 use super::growth::freedom;
 use super::state::{MapState, MappingInput};
 use crate::bundle::{BundleProblem, SolveOptions};
+use crate::error::SfmError;
+use crate::knowledge::Knowledge;
 use crate::limits::{LEAST_ERROR_PX, OUTLIER_SIGMAS};
 use crate::model_selection::camera::{
     CameraChoice, FreeIntrinsics, apply, choose, choose_rotated, deviation,
@@ -11,8 +13,8 @@ use crate::model_selection::camera::{
 use crate::model_selection::noise::{noise_in_units, redundancy};
 use crate::model_selection::principal_point;
 use crate::model_selection::rotated_images::{group_size, rotate_problem, suspects};
+use crate::result::{PoseDeviation, Uncertainty};
 use crate::skip::StepName;
-use crate::{Knowledge, PoseDeviation, SfmError, Uncertainty};
 use scene::decision::{Choice, Decision, Rule, Subject};
 use scene::{Camera, CameraModel, Progress};
 

@@ -5,10 +5,11 @@ use super::resection::{Resection, next_images, resect};
 use super::state::{MapState, MappingInput};
 use super::structureless_resection::{consistency, resect_structureless};
 use crate::bundle::{IntrinsicsPrior, free_parameters};
+use crate::error::SfmError;
+use crate::knowledge::Knowledge;
 use crate::limits::{AGREEING_SHARE, JOINT_IMAGES};
 use crate::skip::StepName;
 use crate::tracks::NONE;
-use crate::{Knowledge, SfmError};
 use scene::{Camera, Progress};
 
 /// Images of the small models that are compared before one is grown; with more, distortion is solved

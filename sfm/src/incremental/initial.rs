@@ -2,7 +2,7 @@
 
 use super::adjust::{Adjustment, adjust};
 use super::state::{MapState, MappingInput};
-use crate::SfmError;
+use crate::error::SfmError;
 use crate::solvers::{Pairs, pose_from_essential, refine_relative};
 use glam::{DMat3, DVec2, DVec3};
 use scene::{Camera, Pose, Progress, TwoViewGeometry, TwoViewKind};

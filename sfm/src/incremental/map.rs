@@ -7,8 +7,9 @@ use super::initial::{rank_pairs, start};
 use super::merge;
 use super::resection::FOCAL_FACTORS;
 use super::state::{MapState, MappingInput};
+use crate::error::SfmError;
+use crate::knowledge::Knowledge;
 use crate::limits::WHOLE;
-use crate::{Knowledge, SfmError};
 use scene::{Camera, Progress, TwoViewGeometry};
 
 /// The best model that grows from some first pair among `geometries`, joined by what others have

@@ -4,10 +4,11 @@
 
 use super::growth::{expel, grow, settle, starts_of};
 use super::state::{MapState, MappingInput};
+use crate::error::SfmError;
+use crate::knowledge::Knowledge;
 use crate::limits::AGREEING_SHARE;
 use crate::ransac::{Estimator, RansacConfig, ransac};
 use crate::triangulation::PointView;
-use crate::{Knowledge, SfmError};
 use glam::DVec3;
 use scene::sim3::{Sim3, umeyama};
 use scene::{Camera, Progress};

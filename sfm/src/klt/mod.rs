@@ -9,7 +9,7 @@ mod register;
 mod tests;
 pub(crate) mod window;
 
-use crate::SfmError;
+use crate::error::SfmError;
 use crate::sift::{load_luma, read_mask};
 use corners::{corners, is_unmasked};
 use glam::{DMat2, DVec2};

@@ -34,7 +34,7 @@ pub use config::MatchConfig;
 pub(crate) use guided::guided_match_prepared;
 pub use prepared::PreparedFeatures;
 
-use crate::SfmError;
+use crate::error::SfmError;
 use prepared::{dot_at_distance, squared_distance};
 use rayon::prelude::*;
 use scene::{Features, Progress};

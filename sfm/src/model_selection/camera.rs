@@ -9,8 +9,9 @@
 use super::evidence::{Comparison, Score, cost_of_groups, is_determined};
 use super::noise::{error_sq, inflation};
 use crate::bundle::{BundleObservation, BundleProblem, IntrinsicsPrior, SolveOptions, free_parameters};
+use crate::error::SfmError;
+use crate::knowledge::Knowledge;
 use crate::limits::{FEWEST_VIEWS, LOSS, OUTLIER_SIGMAS};
-use crate::{Knowledge, SfmError};
 use scene::decision::{Alternative, Choice, Decision, Measurement, PrincipalPoint, Quantity, Rule, Subject};
 use scene::{Camera, CameraModel, Progress};
 

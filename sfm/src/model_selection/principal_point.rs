@@ -3,7 +3,8 @@
 use super::camera::{CameraSelection, CameraTrial, FreeIntrinsics, deviation, options, point_sigma};
 use super::evidence::{Comparison, is_determined};
 use crate::bundle::BundleProblem;
-use crate::{Knowledge, SfmError};
+use crate::error::SfmError;
+use crate::knowledge::Knowledge;
 use scene::decision::{Decision, Measurement, Quantity, Rule, Subject};
 use scene::{CameraModel, Progress};
 

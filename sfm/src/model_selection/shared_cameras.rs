@@ -3,7 +3,8 @@
 use super::camera::{CameraSelection, CameraTrial, before_the_choice};
 use super::evidence::Comparison;
 use crate::bundle::BundleProblem;
-use crate::{Knowledge, SfmError};
+use crate::error::SfmError;
+use crate::knowledge::Knowledge;
 use scene::decision::{Alternative, Choice, Measurement, Quantity};
 use scene::{CameraModel, Progress};
 

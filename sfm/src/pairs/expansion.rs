@@ -1,7 +1,7 @@
 //! Matching round by round: the pairs that look promising, then those that matches lead to.
 
 use super::{PairConfig, first_pairs};
-use crate::SfmError;
+use crate::error::SfmError;
 use crate::matching::{MatchConfig, PairMatches, PreparedFeatures, match_prepared_pairs};
 use rayon::prelude::*;
 use scene::{Features, FrameSet, Progress};

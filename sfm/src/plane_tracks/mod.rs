@@ -11,7 +11,7 @@ mod sheet;
 pub(crate) mod tests;
 mod window;
 
-use crate::SfmError;
+use crate::error::SfmError;
 use crate::incremental::state::{MapState, MappingInput};
 use crate::klt::pyramid::Pyramid;
 use crate::limits::FEWEST_VIEWS;

@@ -1,6 +1,6 @@
 //! Matches along the epipolar lines of images whose poses are known.
 
-use crate::SfmError;
+use crate::error::SfmError;
 use crate::incremental::initial::calibration;
 use crate::limits::WIDEST_ANGLE;
 use crate::matching::{MatchConfig, PreparedFeatures, guided_match_prepared};

@@ -1,6 +1,6 @@
 //! What a reconstruction is given, and what stays as it is from the first step to the last.
 
-use crate::SfmConfig;
+use crate::config::SfmConfig;
 use crate::skip::StepName;
 use scene::{FrameSet, Progress};
 

@@ -1,9 +1,10 @@
 //! The solved model as the types that cross borders.
 
+use crate::error::SfmError;
 use crate::incremental::state::MapState;
 use crate::limits::FEW_OBSERVATIONS;
+use crate::result::{SfmStats, Uncertainty};
 use crate::tracks::NONE;
-use crate::{SfmError, SfmStats, Uncertainty};
 use glam::DVec2;
 use rayon::prelude::*;
 use scene::{
@@ -174,7 +175,7 @@ fn sample(posed: &PosedImage, frame: &Frame) -> Result<Vec<(u64, [u8; 3])>, SfmE
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::PoseDeviation;
+    use crate::result::PoseDeviation;
     use scene::Pose;
 
     #[test]

@@ -12,8 +12,10 @@ mod tests;
 
 pub use posed::triangulate_given;
 
+use crate::config::SfmConfig;
+use crate::error::SfmError;
 use crate::matching::PairMatches;
-use crate::{SfmConfig, SfmError, SfmResult};
+use crate::result::SfmResult;
 use context::{FeatureOrigin, StepContext};
 use model::SfmModel;
 use scene::{Features, FrameSet, Progress};

@@ -5,12 +5,14 @@ use super::context::StepContext;
 use super::setup::Setup;
 use crate::circular::initialize::constant_step::{ConstantStepMotion, hold_on_ring};
 use crate::circular::{CircularSolution, MotionInput};
+use crate::config::SfmConfig;
+use crate::error::SfmError;
 use crate::incremental::finish::converge;
 use crate::incremental::state::{MapState, MappingInput};
 use crate::matching::PairMatches;
 use crate::model_selection::camera::{self, FreeIntrinsics};
+use crate::result::{SfmResult, SfmStats, Uncertainty};
 use crate::tracks::Tracks;
-use crate::{SfmConfig, SfmError, SfmResult, SfmStats, Uncertainty};
 use glam::DVec2;
 use scene::{Camera, Decision, Features, FrameSet, Reconstruction, TwoViewGeometry};
 

@@ -7,11 +7,13 @@
 
 use super::along_poses::PosedImages;
 use super::export::{colour, convert};
+use crate::config::SfmConfig;
+use crate::error::SfmError;
 use crate::incremental::state::{MapState, MappingInput};
 use crate::limits::WIDEST_ANGLE;
+use crate::sift;
 use crate::tracks::{build_tracks, positions};
 use crate::triangulation::angle_between;
-use crate::{SfmConfig, SfmError, sift};
 use glam::{DVec2, DVec3};
 use scene::{Camera, Frame, FrameSet, Pose, Progress, Reconstruction};
 use std::collections::{BTreeMap, BTreeSet};

@@ -1,7 +1,10 @@
 //! Which cameras there are and what is known of them before anything is solved.
 
+use crate::config::{CameraSharing, SfmConfig};
+use crate::error::SfmError;
+use crate::knowledge::Calibration;
+use crate::knowledge::Knowledge;
 use crate::model_selection::camera::FOCAL_SIGMA;
-use crate::{Calibration, CameraSharing, Knowledge, SfmConfig, SfmError};
 use scene::{Camera, CameraModel, FrameSet};
 use std::collections::BTreeMap;
 

@@ -27,7 +27,7 @@ mod tests;
 pub(crate) use blur::{LANES, dispatch};
 pub use config::{Doubling, SiftConfig};
 
-use crate::SfmError;
+use crate::error::SfmError;
 use blur::LumaPlane;
 use candidate::Candidate;
 use describe::DescriptorTables;

@@ -35,7 +35,7 @@ mod wide;
 pub use config::TwoViewConfig;
 pub(crate) use wide::second_look;
 
-use crate::SfmError;
+use crate::error::SfmError;
 use crate::matching::{MatchConfig, PreparedFeatures, guided_match_prepared};
 use crate::solvers::{sampson_sq, transfer_sq};
 use correspondences::Correspondences;

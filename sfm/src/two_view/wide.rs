@@ -5,7 +5,7 @@ use super::chance::{Constraint, log10_false_alarms};
 use super::config::TwoViewConfig;
 use super::correspondences::Correspondences;
 use super::pose::{best_pose, median_angle};
-use crate::SfmError;
+use crate::error::SfmError;
 use crate::matching::{MatchConfig, PreparedFeatures, match_prepared};
 use crate::ransac::{EssentialEstimator, Estimator, RansacConfig, ransac};
 use crate::solvers::sampson_sq;

@@ -3,8 +3,9 @@
 use super::seed::Seed;
 use crate::circular::model::{AxisModel, CircularContext};
 use crate::circular::motion::CircularMotion;
+use crate::error::SfmError;
 use crate::incremental::state::MappingInput;
-use crate::{Knowledge, SfmError};
+use crate::knowledge::Knowledge;
 use scene::Camera;
 
 /// The cameras that a seed's model starts with.

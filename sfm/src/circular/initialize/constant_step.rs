@@ -3,12 +3,12 @@
 //! where those of one pair are too few or too often wrong (docs/decisions/09).
 
 use super::seed::{AnglePattern, FocalSearch, KeyPair, Seed, at_steps, seeds};
-use crate::SfmError;
 use crate::circular::job::MotionInput;
 use crate::circular::limits::{FINAL_ROUNDS, LEAST_OBSERVATIONS, TIGHT};
 use crate::circular::model::AxisModel;
 use crate::circular::motion::{CircularMotion, wrap_angle};
 use crate::circular::{orbit, ring};
+use crate::error::SfmError;
 use crate::incremental::MapperConfig;
 use crate::incremental::state::{MapState, MappingInput};
 use crate::matching::PairMatches;

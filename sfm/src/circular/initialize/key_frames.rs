@@ -1,10 +1,10 @@
 //! Keypoints and tracks of a video: points followed from frame to frame, and features of key frames
 //! across wide steps.
 
-use crate::SfmError;
 use crate::circular::limits::{COMPARABLE, INLIER_PX, LEAST_OBSERVATIONS};
 use crate::circular::model::AxisModel;
 use crate::circular::motion::wrap_angle;
+use crate::error::SfmError;
 use crate::klt::KltTrack;
 use crate::matching::{MatchConfig, match_pairs};
 use crate::sift::{SiftConfig, extract_all};

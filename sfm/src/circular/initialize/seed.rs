@@ -2,10 +2,10 @@
 //! explain the motion of the tracks between key frames. A coarse search over all directions, then
 //! adjustment of the epipolar error (no points).
 
-use crate::Knowledge;
 use crate::circular::limits::RATE_CHANGE;
 use crate::circular::motion::wrap_angle;
 use crate::incremental::resection::FOCAL_FACTORS;
+use crate::knowledge::Knowledge;
 use crate::solvers::levenberg::{Normal, cauchy, minimise};
 use crate::solvers::linalg::skew;
 use crate::solvers::sampson_sq;

@@ -2,7 +2,6 @@
 
 use super::photometric::{self, PhotometricClosure};
 use super::tracks::{LoopClosure, LoopGap};
-use crate::SfmError;
 use crate::circular::initialize::key_frames::{KeyFrames, VideoTracks};
 use crate::circular::job::VideoJob;
 use crate::circular::limits::{COMPARABLE, LEAST_OBSERVATIONS, is_majority};
@@ -11,6 +10,7 @@ use crate::circular::motion::{CircularMotion, wrap_angle};
 use crate::circular::prior::AnglePrior;
 use crate::circular::problem::Relation;
 use crate::circular::register::resect_angle;
+use crate::error::SfmError;
 use crate::incremental::state::MappingInput;
 use crate::klt::KltTrack;
 use crate::skip::StepName;

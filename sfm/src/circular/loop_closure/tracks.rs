@@ -2,12 +2,12 @@
 //! are followed on from the last frame to the first, and say by how much the angles miss the whole
 //! turn (docs/decisions/10).
 
-use crate::SfmError;
 use crate::circular::initialize::key_frames::{drop_stationary, some_frames};
 use crate::circular::limits::{COMPARABLE, INLIER_PX, LEAST_OBSERVATIONS, is_majority};
 use crate::circular::model::AxisModel;
 use crate::circular::motion::wrap_angle;
 use crate::circular::register::resect_angle;
+use crate::error::SfmError;
 use crate::klt::{KltConfig, track};
 use crate::triangulation::{Gates, PointView, triangulate};
 use glam::{DVec2, DVec3};

@@ -1,6 +1,6 @@
 //! Straight edges of what stands still, along one coordinate of the image.
 
-use crate::SfmError;
+use crate::error::SfmError;
 use crate::sift::load_luma;
 use glam::DVec2;
 use scene::{FloatImage, FrameSet};

@@ -16,7 +16,7 @@ pub(crate) use edges::Segment;
 
 use super::axis::Elevation;
 use super::motion::CircularMotion;
-use crate::SfmError;
+use crate::error::SfmError;
 use crate::model_selection::camera::{DISTORTION_SIGMA, PRINCIPAL_POINT_SIGMA, convert_camera};
 use crate::solvers::linalg::{moments, symmetric_eigen};
 use crate::statistics::{MEDIAN_DEVIATION, median};

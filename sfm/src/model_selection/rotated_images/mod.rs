@@ -14,8 +14,9 @@ mod windows;
 pub(crate) use rotate::{rotate_camera, rotate_geometry, rotate_pixel, rotate_pose, rotate_problem};
 
 use crate::bundle::BundleProblem;
+use crate::error::SfmError;
+use crate::knowledge::Knowledge;
 use crate::limits::{FEWEST_VIEWS, JOINT_IMAGES};
-use crate::{Knowledge, SfmError};
 use offsets::OffsetLikelihood;
 use scene::Progress;
 

@@ -1,7 +1,7 @@
 //! The likelihood of principal points of the images' own, and the two groups that it suggests.
 
-use crate::SfmError;
 use crate::bundle::{BundleProblem, IntrinsicsPrior, SolveOptions};
+use crate::error::SfmError;
 use crate::model_selection::camera::principal_point_priors;
 use crate::model_selection::evidence::may_be_two_groups;
 use crate::model_selection::noise::noise_in_units;

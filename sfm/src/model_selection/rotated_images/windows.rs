@@ -4,8 +4,8 @@
 //! square of their number.
 
 use super::offsets::OffsetLikelihood;
-use crate::SfmError;
 use crate::bundle::{BundleObservation, BundleProblem};
+use crate::error::SfmError;
 use crate::limits::{FEWEST_VIEWS, JOINT_IMAGES};
 use scene::Progress;
 

@@ -2,11 +2,12 @@
 //! dark the finest structure is noise, and what is left of the object shows at larger scales only.
 
 use super::ties::{find_weakly_tied, most_are_weak, strong_tie};
+use crate::error::SfmError;
 use crate::matching::{PairMatches, PreparedFeatures, match_prepared};
 use crate::model_selection::accept::{Change, Support, accept};
 use crate::reconstruct::context::StepContext;
 use crate::reconstruct::model::{SfmModel, StepResult};
-use crate::{SfmError, pairs, sift, two_view};
+use crate::{pairs, sift, two_view};
 use scene::decision::{Choice, Decision, Measurement, Quantity, Rule, Subject};
 use scene::{Camera, Features, FrameSet, TwoViewGeometry};
 use std::collections::BTreeMap;

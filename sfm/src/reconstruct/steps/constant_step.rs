@@ -5,11 +5,12 @@
 use super::ties::most_are_weak;
 use crate::circular::Motion;
 use crate::circular::initialize::constant_step::ConstantStepMotion;
+use crate::error::SfmError;
 use crate::matching::{PairMatches, PreparedFeatures, guided_match_prepared};
 use crate::reconstruct::context::StepContext;
 use crate::reconstruct::model::{ConstantStepStart, MappedModel, SfmModel, StepResult};
 use crate::tracks::{build_tracks, positions};
-use crate::{SfmError, two_view};
+use crate::two_view;
 use glam::DVec2;
 use rayon::prelude::*;
 use scene::TwoViewGeometry;

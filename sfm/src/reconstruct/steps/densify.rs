@@ -2,7 +2,7 @@
 //! those that were too few to verify by themselves among them. The points gained bind wide steps
 //! together.
 
-use crate::SfmError;
+use crate::error::SfmError;
 use crate::incremental::finish::noise_of;
 use crate::incremental::state::{MapState, MappingInput};
 use crate::limits::{LEAST_ERROR_PX, OUTLIER_SIGMAS};

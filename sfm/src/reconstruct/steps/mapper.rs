@@ -2,12 +2,14 @@
 //! observations bear out.
 
 use crate::disjoint_sets::DisjointSets;
+use crate::error::SfmError;
+use crate::global;
 use crate::incremental::state::{MapState, MappingInput};
 use crate::incremental::structureless_resection::{MATCHES, agreement};
 use crate::incremental::{MapperChoice, map as incremental};
+use crate::knowledge::Knowledge;
 use crate::limits::WHOLE;
 use crate::model_selection::accept::{Change, Support, accept};
-use crate::{Knowledge, SfmError, global};
 use scene::decision::{Decision, MapperKind, Measurement, Quantity, Rule, Subject};
 use scene::{Camera, Progress};
 

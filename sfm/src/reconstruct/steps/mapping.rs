@@ -4,7 +4,7 @@
 use super::constant_step::place_all_images;
 use super::mapper;
 use super::ties::pairs_decision;
-use crate::SfmError;
+use crate::error::SfmError;
 use crate::limits::WHOLE;
 use crate::model_selection::accept::{Change, Support, accept};
 use crate::reconstruct::context::StepContext;

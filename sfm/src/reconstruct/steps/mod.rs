@@ -37,8 +37,9 @@ mod ties;
 use super::context::StepContext;
 use super::export::why_no_model;
 use super::model::{ModelStage, SfmModel, StepResult};
+use crate::error::SfmError;
+use crate::result::{SfmResult, StepTime};
 use crate::skip::StepName;
-use crate::{SfmError, SfmResult, StepTime};
 use std::time::Instant;
 
 /// A step of the sequence.

@@ -1,8 +1,8 @@
 //! Circular motion: the turn of a video, images that a ring of cameras misses, and whether the
 //! images show a turn about one axis or an orbit.
 
-use crate::SfmError;
 use crate::circular::{FreeModel, Motion, MotionInput, VideoJob, consider, ring, solve_video};
+use crate::error::SfmError;
 use crate::incremental::growth::starts_of;
 use crate::incremental::state::{MapState, MappingInput};
 use crate::reconstruct::context::{FeatureOrigin, StepContext};

@@ -1,7 +1,7 @@
 //! Observations of a supporting plane (see [`crate::plane_tracks`]), where images are weakly
 //! constrained and the model is no worse for them.
 
-use crate::SfmError;
+use crate::error::SfmError;
 use crate::incremental::finish::{free_principal_point, noise_of};
 use crate::incremental::state::{MapState, MappingInput};
 use crate::model_selection::accept::{Change, Support, accept};

@@ -1,8 +1,9 @@
 use super::*;
+use crate::config::SfmConfig;
+use crate::knowledge::Knowledge;
 use crate::plane_tracks::tests::{CAMERAS, Room};
 use crate::reconstruct::context::FeatureOrigin;
 use crate::reconstruct::setup::Setup;
-use crate::{Knowledge, SfmConfig};
 use scene::{Pose, Progress};
 
 /// Keypoints are up to so far off, pixels.

@@ -3,7 +3,7 @@
 
 use super::mapping::grow_model;
 use super::motion::complete_circle;
-use crate::SfmError;
+use crate::error::SfmError;
 use crate::model_selection::accept::{Change, Support, accept};
 use crate::reconstruct::context::StepContext;
 use crate::reconstruct::model::{MappedModel, SfmModel, StepResult};

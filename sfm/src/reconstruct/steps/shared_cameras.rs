@@ -1,6 +1,6 @@
 //! One camera for images of several groups, where a camera for each does no better.
 
-use crate::CameraSharing;
+use crate::config::CameraSharing;
 use crate::incremental::adjust::{Adjustment, select};
 use crate::incremental::finish::{OBSERVATIONS, part_of};
 use crate::incremental::growth::{freedom, starts_of};

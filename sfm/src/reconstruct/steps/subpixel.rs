@@ -1,7 +1,7 @@
 //! Keypoints moved to where their windows fit together (see [`crate::refinement`]), where the model
 //! fits them more closely than it fitted those that were detected.
 
-use crate::KeypointPlaces;
+use crate::config::KeypointPlaces;
 use crate::incremental::state::MappingInput;
 use crate::model_selection::accept::{Change, accept};
 use crate::reconstruct::context::StepContext;
