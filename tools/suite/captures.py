@@ -14,7 +14,7 @@ import numpy as np
 
 import motions
 
-REVISION = 1  # to be raised when the same parameters give other pictures: results are made anew
+REVISION = 2  # to be raised when the same parameters give other pictures: results are made anew
 
 # Half A may be used to choose rules and thresholds; half B never: it says how well they carry over.
 HALVES = {
@@ -31,13 +31,18 @@ MODELS = {  # glTF files below SHARED/data/spacecraft_glb
 SIZES_M = {
     "mockup": (0.479, 0.236), "aura": (0.221, 0.468), "iss": (0.496, 0.100), "statue": (0.416, 0.461),
     "microphone": (0.243, 0.438), "product": (0.303, 0.399), "hubble": (0.499, 0.277), "landsat": (0.447, 0.244),
+    "twins": (0.352, 0.356),
     "terra": (0.484, 0.170), "bust": (0.394, 0.461), "chair": (0.289, 0.422), "bottle": (0.150, 0.478),
 }
 MOTIONS = ["yaw", "hand", "tumble", "orbit", "walk"]
+# Photos for the made-wrong set alone: on a turntable before black, in a room that stands still, and
+# an orbit in the middle of which the object was moved.
+EXTRA_MOTIONS = ["stand", "stage", "moved"]
 LIGHTS = ["low", "full", "sun"]
 RATES = [4, 15, 30]
 
 WIDTH, HEIGHT = 640, 480
+TABLE_M = -0.62  # height of the table in the room; Source: web/places.js
 RADIUS_M = 0.5  # of the object's bounding sphere
 YAW_RATE_DEG_S = 10.0
 HAND_S, TUMBLE_S, WALK_S = 12.0, 12.0, 12.0
@@ -60,7 +65,7 @@ class Capture:
 
     @property
     def half(self):
-        return next(h for h, names in HALVES.items() if self.object in names)
+        return next((h for h, names in HALVES.items() if self.object in names), "A")
 
     def key(self):
         """Hash of all that the pictures depend on."""
@@ -99,6 +104,11 @@ def selected(words, small=False):
     return [c for c in pool if not words or any(w in c.name for w in words)]
 
 
+def extra(words):
+    """Captures of the made-wrong set alone; only those that are asked for by their whole name."""
+    return [parse(w) for w in words if len(w.split("-")) == 3 and w.split("-")[1] in EXTRA_MOTIONS]
+
+
 def lens_of(capture):
     """A phone's camera: f, principal point, two radial distortion terms (COLMAP's RADIAL)."""
     rng = capture.rng("lens")
@@ -129,9 +139,9 @@ def light_of(capture):
 
 def ground_of(capture):
     """Green screen, black, or a room."""
-    if capture.motion in ("orbit", "walk"):
+    if capture.motion in ("orbit", "walk", "stage", "moved"):
         return "room"
-    return "black" if capture.motion == "tumble" or capture.light == "sun" else "green"
+    return "black" if capture.motion in ("tumble", "stand") or capture.light == "sun" else "green"
 
 
 def distance_of(capture, lens, offset):
@@ -140,8 +150,8 @@ def distance_of(capture, lens, offset):
     A turning object is a cylinder, others the bounding sphere.
     """
     room = [min(lens["cx"], WIDTH - lens["cx"]) / lens["f"], min(lens["cy"], HEIGHT - lens["cy"]) / lens["f"]]
-    share = {"orbit": 0.66, "walk": 0.66}.get(capture.motion, 0.9)
-    if capture.motion not in ("yaw", "hand"):
+    share = {"orbit": 0.66, "walk": 0.66, "moved": 0.6, "stage": 0.75}.get(capture.motion, 0.9)
+    if capture.motion not in ("yaw", "hand", "stand"):
         return (RADIUS_M + offset) / math.sin(math.atan(share * room[1]))
     flat, height = (x + offset for x in SIZES_M[capture.object])
     steep = math.radians(MOST_ELEVATION_DEG)
@@ -180,10 +190,17 @@ def poses_of(capture, lens, mount):
     offset = float(np.linalg.norm(mount[:3, 3]))
     distance = distance_of(capture, lens, offset)
     rng = capture.rng("motion")
-    if capture.motion in ("orbit", "walk"):
-        cameras = (motions.orbit_cameras(rng, 36, ORBIT_STEP_DEG, distance, math.radians(rng.uniform(10, 25)))
-                   if capture.motion == "orbit" else motions.hand_held_cameras(rng, capture.fps, WALK_S, distance))
-        return [(np.eye(3), np.zeros(3))] * len(cameras), cameras, {"type": capture.motion}
+    if capture.motion == "walk":
+        cameras = motions.hand_held_cameras(rng, capture.fps, WALK_S, distance)
+        return [(np.eye(3), np.zeros(3))] * len(cameras), cameras, {"type": "walk"}
+    if capture.motion in ("orbit", "moved"):
+        cameras = motions.orbit_cameras(rng, 36, ORBIT_STEP_DEG, distance, math.radians(rng.uniform(10, 25)))
+        bodies = [(np.eye(3), np.zeros(3))] * len(cameras)
+        if capture.motion == "moved":
+            table = TABLE_M + SIZES_M[capture.object][1]
+            bodies = [(np.eye(3), np.array([-0.1, 0.05, table]))] * 18
+            bodies += [(motions.axis_angle([0, 0, 1], math.radians(70)), np.array([0.2, -0.15, table]))] * 18
+        return bodies, cameras, {"type": capture.motion}
     camera = still_camera(capture, distance)
     if capture.motion == "tumble":
         bodies, record = tumbling(capture, rng, camera)
@@ -195,8 +212,10 @@ def poses_of(capture, lens, mount):
 def turning(capture, rng, camera):
     """A turn about the body's z axis: by a motor, or by hand."""
     sign = int(rng.choice([-1, 1]))
-    if capture.motion == "yaw":
-        angles, total = motions.yaw_angles(YAW_RATE_DEG_S, capture.fps), 360.0
+    if capture.motion in ("stand", "stage"):
+        angles, record = ORBIT_STEP_DEG * np.arange(36), {"type": "turntable"}
+    elif capture.motion == "yaw":
+        angles = motions.yaw_angles(YAW_RATE_DEG_S, capture.fps)
         record = {"type": "steady turn", "rate_deg_s": sign * YAW_RATE_DEG_S}
     else:
         total = float(rng.uniform(350, 400))

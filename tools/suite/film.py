@@ -127,10 +127,12 @@ def plan_of(capture):
     plan = {
         "width": captures.WIDTH, "height": captures.HEIGHT, "lens": lens, "density": DENSITY, "margin": MARGIN,
         "object": capture.object, "mount": mount.T.ravel().tolist(), "ground": captures.ground_of(capture),
-        "light": captures.light_of(capture), "room_seed": captures.OBJECTS.index(capture.object),
-        "pole": capture.motion != "tumble", "first": 0, "frames": frames,
+        "light": captures.light_of(capture), "room_seed": len(capture.object) + ord(capture.object[0]),
+        "pole": capture.motion not in ("tumble", "stand", "moved"), "first": 0, "frames": frames,
         "samples": sorted({round(k * (count - 1) / 5) for k in range(6)}),
     }
+    if capture.motion == "moved":
+        record["camera_from_room"] = [[R.tolist(), t.tolist()] for R, t in cameras]
     poses = [(R @ B, R @ b + t) for (B, b), (R, t) in zip(bodies, cameras)]
     return plan, poses, record
 

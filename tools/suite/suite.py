@@ -9,6 +9,7 @@ made again; the folder of each is printed. See data/README.md.
 import argparse
 import os
 import shutil
+import signal
 import subprocess
 import sys
 
@@ -45,13 +46,14 @@ def main():
     parser.add_argument("--list", action="store_true", help="print the names and make nothing")
     parser.add_argument("--cache", default=cache_folder())
     args = parser.parse_args()
-    chosen = captures.selected(args.names, args.small)
+    chosen = captures.selected(args.names, args.small) + captures.extra(args.names)
     if not chosen:
         parser.error("no capture has such a name (--list names them)")
     if args.list:
         print("\n".join(c.name for c in chosen))
         return 0
     install_three(args.cache)
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(143))  # the browser is ended, too
     failed = 0
     for capture in chosen:
         try:

@@ -111,6 +111,17 @@ function product() {
   return group(b, rod([-0.05, 0, 0.3], [0.05, 0, 0.3], 0.012, paint(0.1, 0.1, 0.1)));
 }
 
+/** A carton whose four sides show the same print. */
+function twins() {
+  const side = material({ map: print(61, [0.15, 0.35, 0.75], [0.98, 0.98, 0.94], ["CRISP", "net weight 375 g", "store dry"]), roughness: 0.35 });
+  const sides = [0, 1, 2, 3].map((k) => {
+    const turned = group(sheet(0.42, 0.6, side, [0, -0.21, 0], [90, 0, 0]));
+    turned.rotation.z = (k * Math.PI) / 2;
+    return turned;
+  });
+  return group(box([0.415, 0.415, 0.6], paint(0.7, 0.7, 0.68)), sides);
+}
+
 /** A wooden chair with a latticed back. */
 function chair() {
   const wood = (seed) => material({ map: mottled(seed, [0.34, 0.2, 0.1], [0.72, 0.5, 0.3], { cells: 6, octaves: 6, repeat: [1, 0.35] }), roughness: 0.5 });
@@ -149,4 +160,4 @@ function bottle() {
   );
 }
 
-export const OBJECTS = { mockup, statue, bust, microphone, product, chair, bottle };
+export const OBJECTS = { mockup, statue, bust, microphone, product, chair, bottle, twins };

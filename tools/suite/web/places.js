@@ -86,8 +86,8 @@ export function lamp(sun, strength, direction) {
   light.position.copy(at);
   light.castShadow = true;
   light.shadow.mapSize.set(1024, 1024);
-  light.shadow.bias = -0.0006;
-  light.shadow.normalBias = 0.004;
+  light.shadow.bias = -0.001;
+  light.shadow.normalBias = 0.012;
   light.shadow.radius = sun ? 1 : 3;
   light.shadow.camera.near = 0.5;
   light.shadow.camera.far = sun ? 4 : 6;
