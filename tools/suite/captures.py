@@ -34,7 +34,9 @@ SIZES_M = {
     "twins": (0.352, 0.356),
     "terra": (0.484, 0.170), "bust": (0.394, 0.461), "chair": (0.289, 0.422), "bottle": (0.150, 0.478),
 }
-MOTIONS = ["yaw", "hand", "tumble", "orbit", "walk"]
+MOTIONS = ["yaw", "hand", "tumble", "orbit", "walk", "few"]
+PHOTOS = ["orbit", "few"]  # motions that are photos: they have no frame rate
+IN_A_ROOM = ["orbit", "walk", "few", "stage", "moved"]
 # Photos for the made-wrong set alone: on a turntable before black, in a room that stands still, and
 # an orbit in the middle of which the object was moved.
 EXTRA_MOTIONS = ["stand", "stage", "moved"]
@@ -47,6 +49,7 @@ RADIUS_M = 0.5  # of the object's bounding sphere
 YAW_RATE_DEG_S = 10.0
 HAND_S, TUMBLE_S, WALK_S = 12.0, 12.0, 12.0
 ORBIT_STEP_DEG = 10.0
+FEW = 10  # photos of `few`
 MOST_ELEVATION_DEG = 14.0  # of a camera on a tripod above the object
 
 
@@ -88,9 +91,9 @@ def parse(name):
 
 
 def all_captures():
-    """Every capture: an orbit is photos, so it has no frame rate."""
+    """Every capture of the suite."""
     return [Capture(o, m, light, fps) for o in OBJECTS for m in MOTIONS for light in LIGHTS
-            for fps in (RATES if m != "orbit" else [0])]
+            for fps in ([0] if m in PHOTOS else RATES)]
 
 
 # What is made first: each class once or twice, on four objects of half A and two of half B.
@@ -132,14 +135,14 @@ def light_of(capture):
         "sun": {"lamp": 1.0, "room": 0.03, "white": 0.9, "full_well": 6000, "read_noise": 3.0},
     }
     light = kinds[capture.light] | {"sun": capture.light == "sun", "direction": direction}
-    if light["sun"] and capture.motion in ("orbit", "walk"):
+    if light["sun"] and capture.motion in IN_A_ROOM:
         light["room"] = 0.15  # in a room walls throw light back
     return light
 
 
 def ground_of(capture):
     """Green screen, black, or a room."""
-    if capture.motion in ("orbit", "walk", "stage", "moved"):
+    if capture.motion in IN_A_ROOM:
         return "room"
     return "black" if capture.motion in ("tumble", "stand") or capture.light == "sun" else "green"
 
@@ -150,7 +153,7 @@ def distance_of(capture, lens, offset):
     A turning object is a cylinder, others the bounding sphere.
     """
     room = [min(lens["cx"], WIDTH - lens["cx"]) / lens["f"], min(lens["cy"], HEIGHT - lens["cy"]) / lens["f"]]
-    share = {"orbit": 0.66, "walk": 0.66, "moved": 0.6, "stage": 0.75}.get(capture.motion, 0.9)
+    share = {"orbit": 0.66, "walk": 0.66, "few": 0.66, "moved": 0.6, "stage": 0.75}.get(capture.motion, 0.9)
     if capture.motion not in ("yaw", "hand", "stand"):
         return (RADIUS_M + offset) / math.sin(math.atan(share * room[1]))
     flat, height = (x + offset for x in SIZES_M[capture.object])
@@ -190,9 +193,9 @@ def poses_of(capture, lens, mount):
     offset = float(np.linalg.norm(mount[:3, 3]))
     distance = distance_of(capture, lens, offset)
     rng = capture.rng("motion")
-    if capture.motion == "walk":
-        cameras = motions.hand_held_cameras(rng, capture.fps, WALK_S, distance)
-        return [(np.eye(3), np.zeros(3))] * len(cameras), cameras, {"type": "walk"}
+    if capture.motion in ("walk", "few"):
+        cameras = motions.hand_held_cameras(rng, capture.fps or FEW / WALK_S, WALK_S, distance)
+        return [(np.eye(3), np.zeros(3))] * len(cameras), cameras, {"type": capture.motion}
     if capture.motion in ("orbit", "moved"):
         cameras = motions.orbit_cameras(rng, 36, ORBIT_STEP_DEG, distance, math.radians(rng.uniform(10, 25)))
         bodies = [(np.eye(3), np.zeros(3))] * len(cameras)

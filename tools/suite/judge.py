@@ -53,7 +53,7 @@ def pair_errors(found, true):
 
 
 def aligned_errors(found, true):
-    """Errors in degrees of each rotation after the alignment of the worlds with the least median."""
+    """Errors in degrees of each rotation, the worlds aligned for the least median."""
     turns = np.swapaxes(true, 1, 2) @ found
     best = None
     for k in np.unique(np.linspace(0, len(turns) - 1, min(len(turns), ALIGNMENTS)).astype(int)):

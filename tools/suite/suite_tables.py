@@ -8,7 +8,7 @@ import captures
 METRICS = {
     "yaw": ("angle_rms_deg", "angles, ° RMS"), "hand": ("angle_rms_deg", "angles, ° RMS"),
     "tumble": ("rotation_median_deg", "attitude, ° median"), "orbit": ("rotation_median_deg", "rotation, ° median"),
-    "walk": ("rotation_median_deg", "rotation, ° median"),
+    "walk": ("rotation_median_deg", "rotation, ° median"), "few": ("auc_3", "AUC@3"),
 }
 WORST = {"yaw": "angle_max_deg", "hand": "angle_max_deg"}
 

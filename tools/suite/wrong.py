@@ -111,7 +111,7 @@ def two_objects_real(source, folder):
 
 
 def mirror_half(folder, files, camera, poses, seed):
-    """Half of the photos mirrored left to right: two truths, for the mirrored ones see a mirrored object."""
+    """Half of the photos mirrored left to right; the mirrored ones see a mirrored object."""
     flip = np.diag([-1.0, 1.0, 1.0])
     mirrored = set(random.Random(seed).sample(files, len(files) // 2))
     truths = {"plain": (camera, {}), "mirrored": (camera, {})}

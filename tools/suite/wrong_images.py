@@ -14,7 +14,7 @@ def save(pixels, path):
 
 
 def copy_photo(path, target, mirrored=False):
-    """As JPEG under another name, over black where it is transparent; the same bytes if they may be."""
+    """As JPEG under another name, over black where it is transparent; a JPEG byte for byte."""
     if path.endswith(".jpg") and not mirrored:
         with open(path, "rb") as source, open(target, "wb") as copy:
             copy.write(source.read())
@@ -58,7 +58,7 @@ def encode(path, pictures, fps):
 
 
 def side_by_side(left, right):
-    """Two videos of one size, halved, in the middle of a picture that goes on with their margins."""
+    """Two videos of one size, halved, in the middle of a picture that repeats their margins."""
     half = [(v[:, ::2, ::2] // 4 + v[:, 1::2, ::2] // 4 + v[:, ::2, 1::2] // 4 + v[:, 1::2, 1::2] // 4) for v in (left, right)]
     both = np.concatenate(half, axis=2)
     pad = (left.shape[1] - both.shape[1]) // 2

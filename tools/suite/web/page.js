@@ -8,7 +8,7 @@ import { lamp, PLACES, surroundings } from "./places.js";
 
 const post = (path, body) => fetch(path, { method: "POST", body });
 
-/** Shadows by four comparisons, weighted by place, instead of seventeen: most of a frame's time went there. */
+/** Shadows by four comparisons, weighted by place, instead of seventeen: they cost the most. */
 function cheapShadows() {
   const chunk = THREE.ShaderChunk.shadowmap_pars_fragment, from = chunk.indexOf("#if defined( SHADOWMAP_TYPE_PCF )");
   const to = chunk.indexOf("#elif defined( SHADOWMAP_TYPE_PCF_SOFT )"), at = (x, y) =>
@@ -19,7 +19,7 @@ function cheapShadows() {
     ${chunk.slice(to)}`;
 }
 
-/** The object inside the unit sphere of radius 0.5 about the origin of its body frame, moved by `mount`. */
+/** The object inside a sphere of radius 0.5 about the origin of its body frame, moved by `mount`. */
 async function body(plan) {
   let thing;
   if (OBJECTS[plan.object]) thing = OBJECTS[plan.object]();
@@ -84,7 +84,7 @@ class Pass {
   }
 }
 
-/** The picture through the lens: x_d = x (1 + k1 r^2 + k2 r^4); four points in every pixel. Row 0 is the top. */
+/** The picture through the lens, x_d = x (1 + k1 r^2 + k2 r^4): four points a pixel, top row first. */
 const LENS = `
 uniform sampler2D wide; uniform vec2 size, wide_size, centre, k; uniform float f, wide_f;
 vec4 seen(vec2 pixel) {

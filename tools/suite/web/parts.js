@@ -3,7 +3,7 @@ import * as THREE from "three";
 
 export const material = (settings) => new THREE.MeshStandardMaterial({ roughness: 0.6, metalness: 0, ...settings });
 
-/** A surface of the place: light from all sides is what it glows with, which costs little to draw. */
+/** A surface of the place: it glows instead of being lit from all sides, which is cheap to draw. */
 export const matt = (map, glow) =>
   new THREE.MeshLambertMaterial({ map, emissiveMap: map, emissive: new THREE.Color(glow, glow, glow), side: THREE.DoubleSide });
 export const paint = (r, g, b, roughness = 0.6, metalness = 0) =>

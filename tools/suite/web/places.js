@@ -1,4 +1,4 @@
-// Where the object is filmed, and its light. World frame: metres, z up, the object about the origin.
+// Where the object is filmed, and its light. World: metres, z up, the object about the origin.
 import * as THREE from "three";
 import { box, group, lathe, matt, paint, rod, sheet } from "./parts.js";
 import { mottled, patches, random } from "./textures.js";

@@ -91,7 +91,7 @@ export function drawn(seed, width, height, draw) {
 
 const rgb = (r, g, b) => `rgb(${Math.round(255 * r)},${Math.round(255 * g)},${Math.round(255 * b)})`;
 
-/** Random rectangles, discs and lines of many colours about `tone`: a poster, a painted block. */
+/** Random rectangles and discs of many colours about `tone`: a poster, a painted block. */
 export function patches(seed, tone, { width = 256, height = 256, count = 70 } = {}) {
   return drawn(seed, width, height, (g, w, h, next) => {
     g.fillStyle = rgb(...tone);
