@@ -1,7 +1,7 @@
 #!/usr/bin/env python3
 """Runs sat-recon on the captures of the suite that are made, and on the made-wrong set.
 
-    bench_suite.py SAT_RECON --out FOLDER [--only PART ...] [--colmap] [--table] [--wrong | --right]
+    bench_suite.py SAT_RECON --out FOLDER [--only PART ...] [--colmap] [--tool TOOL] [--table]
 
 One JSON file a capture in FOLDER/results: it is not run again with the same program, so a run can
 be stopped and started. `--only` takes parts of names (`wrong` for the made-wrong set); `--table`
@@ -121,10 +121,11 @@ def judged(model_folder, entry, names, run):
     return record | ({"cameras": camera} if camera else {})
 
 
-def run_colmap(name, entry, out):
-    """A row of COLMAP 4.2.1's incremental mapper on the frames that sat-recon took."""
+def run_colmap(_binary, name, entry, out):
+    """A row of COLMAP 4.2.1's incremental mapper on the photos, or on the frames that sat-recon took."""
     ours, folder = os.path.join(out, "runs", name), os.path.abspath(os.path.join(out, "colmap", name))
-    images = os.path.abspath(os.path.join(ours, "images"))
+    is_video = entry["input"].endswith(".mp4")
+    images = os.path.abspath(os.path.join(ours, "images") if is_video else entry["input"])
     shutil.rmtree(folder, ignore_errors=True)
     os.makedirs(folder)
     frames = (read_json(os.path.join(ours, "run.json")).get("frames") or {}).get("frames", [])
@@ -141,7 +142,10 @@ def run_colmap(name, entry, out):
         command = [sys.executable, "-c", program, os.path.join(HERE, ".."), images, folder, masks]
         code, wall, cpu, peak = bench.measured(command, stdout=log, stderr=log)
     row = {"capture": name, "tool": "COLMAP 4.2.1", "exit": code, "stated": "-", "cpu_s": cpu, "wall_s": wall, "peak_mib": peak}
-    return row | judged(os.path.join(folder, "incremental"), entry, frames_of(ours), {})
+    return row | judged(os.path.join(folder, "incremental"), entry, frames_of(os.path.dirname(images)), {})
+
+
+TOOLS = {"sat-recon": run_program, "colmap": run_colmap}
 
 
 def main():
@@ -150,6 +154,7 @@ def main():
     parser.add_argument("--out", required=True)
     parser.add_argument("--only", nargs="*", default=[])
     parser.add_argument("--colmap", action="store_true")
+    parser.add_argument("--tool", choices=TOOLS, help="only this one")
     parser.add_argument("--table", action="store_true", help="print the tables of what is there, run nothing")
     parser.add_argument("--cache", default=suite.cache_folder())
     args = parser.parse_args()
@@ -158,12 +163,14 @@ def main():
     for name, entry in found_captures(args.cache).items():
         if args.only and not any(part in name for part in args.only):
             continue
-        for tool, run in (("sat-recon", run_program), ("colmap", run_colmap)):
+        for tool, run in TOOLS.items():
+            if args.tool and tool != args.tool:
+                continue
             path = os.path.join(results, f"{name.replace('/', '_')}.{tool}.json")
             row = read_json(path)
             wanted = tool == "sat-recon" and row.get("program") != program or tool == "colmap" and args.colmap and not row
             if wanted and not args.table:
-                row = run(args.binary, name, entry, args.out) if tool == "sat-recon" else run(name, entry, args.out)
+                row = run(args.binary, name, entry, args.out)
                 row |= {"program": program, "half": entry["half"], "group": entry["group"], "asked": entry.get("case", {}).get("asked")}
                 os.makedirs(results, exist_ok=True)
                 with open(path, "w") as file:
