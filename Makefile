@@ -14,7 +14,7 @@ SAT_RECON := $(TARGET)/release/sat-recon
 VENV := $(CACHE)/venv
 SHARED := $(or $(SAT_RECON_SHARED),../shared)
 
-.PHONY: help setup viewer build demo test neon lint same-bytes bench tables bench-gpu compare benchmarks-page oracle testbed site \
+.PHONY: help setup viewer build demo test neon lint same-bytes bench tables bench-gpu compare benchmarks-page oracle testbed suite bench-suite site \
   tutorial-pictures
 help:  ## this list
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed 's/:.*##/\t/' | expand -t 20
@@ -48,7 +48,7 @@ neon:  ## the trainer's kernels as compiled for ARM (NEON) against the reference
 	    parity::kernels parity::pictures parity::adam parity::scores parity::steps parity::extreme --skip two_hundred --skip ten_thousand --skip hundred_thousand
 
 lint: setup  ## formatting, clippy, lengths, imports, sources of constants, borders between crates
-	@tools/setup.sh python3; tools/lint.sh
+	@tools/setup.sh python3 python3-numpy; tools/lint.sh
 
 same-bytes: build  ## results of this program against those recorded for BASE (a commit), on this machine
 	@tools/setup.sh python3
@@ -86,6 +86,15 @@ testbed: setup  ## render the simulated captures with Blender (slow)
 	bash data/testbed/make.sh build/testbed
 	mkdir -p build/testbed/blue && ln -sfn ../renders build/testbed/blue/renders
 	BLUE=1 bash data/testbed/make.sh build/testbed/blue case3 case4
+
+# NAME: parts of captures' names, for instance NAME="mockup-yaw -tumble-sun-15".
+suite: $(VENV)/pycolmap  ## film rendered captures with truth (slow; NAME=... a part, SMALL=1 the first few of each class)
+	@tools/setup.sh chromium ffmpeg
+	$(VENV)/bin/python tools/suite/suite.py $(SHARED) $(NAME) $(if $(SMALL),--small)
+	$(if $(NAME),,$(VENV)/bin/python tools/suite/wrong.py $(SHARED))
+
+bench-suite: build $(VENV)/pycolmap  ## poses of all captures that `make suite` has filmed, judged, by class (NAME=..., COLMAP=1)
+	$(VENV)/bin/python tools/suite/bench_suite.py $(SAT_RECON) --out build/suite $(if $(NAME),--only $(NAME)) $(if $(COLMAP),--colmap)
 
 $(VENV)/bin/python:
 	@tools/setup.sh python3-venv

@@ -17,6 +17,11 @@ done < <(git ls-files '*.rs' '*.wgsl' '*.cc' '*.h' '*.py' '*.sh' '*.js' '*.ts' |
 python3 tools/structure.py --check || complain "the structure has got worse"
 python3 tools/benchmarks_page.py docs/results --out docs/benchmarks.md --check || complain "docs/benchmarks.md is not what docs/results says"
 
+# The arithmetic of the suite of rendered captures; where `python3` has no numpy, Debian's has.
+python=python3
+$python -c "import numpy" 2>/dev/null || python=/usr/bin/python3
+$python -m unittest discover -q -s tools/suite || complain "tools/suite fails its tests"
+
 # The stage crates know `scene` and nothing of each other; native libraries stay in their corner.
 for crate in scene preprocess sfm splat; do
   for other in preprocess sfm splat sat_recon; do
