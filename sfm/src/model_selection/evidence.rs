@@ -1,6 +1,6 @@
 //! Does the richer model pay, and is a parameter determined? The rules by which a camera model is
 //! preferred to another, with all their thresholds. (What is taken where models explain different
-//! matches, so that no likelihood is common to both, is another question: `reconstruct/accept.rs`.)
+//! matches, so that no likelihood is common to both, is another question: `accept.rs`.)
 //!
 //! Models are adjusted to the same observations. `BIC = C + k ln n` (Schwarz, Annals of Statistics
 //! 1978) weighs the robust cost C, which stands for -2 log likelihood, against the k parameters
