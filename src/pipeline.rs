@@ -293,6 +293,7 @@ impl Pipeline {
                 .as_ref()
                 .zip(result.reconstruction.as_ref())
                 .map(|(u, model)| Deviations::of(u, model)),
+            motion: result.motion.clone(),
             decisions: result.decisions.clone(),
             figures: figures(&result.stats),
             ..PoseSummary::default()

@@ -34,6 +34,7 @@ pub mod sift;
 mod skip;
 mod solvers;
 mod statistics;
+mod torque_free;
 mod tracks;
 mod triangulation;
 pub mod two_view;

@@ -1,5 +1,6 @@
 //! What structure from motion hands back.
 
+use scene::motion_report::MotionReport;
 use scene::{Camera, Decision, Features, Reconstruction, TwoViewGeometry};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
@@ -77,6 +78,8 @@ pub struct SfmResult {
     pub decisions: Vec<Decision>,
     /// Standard deviations of poses and intrinsics.
     pub uncertainty: Option<Uncertainty>,
+    /// How the object moves, where it turns or tumbles.
+    pub motion: Option<MotionReport>,
     /// Counts and costs.
     pub stats: SfmStats,
     /// One per frame: intrinsics as they were before the model was solved (for the database).

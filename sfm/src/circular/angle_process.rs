@@ -4,8 +4,8 @@
 use super::limits::{COMPARABLE, FRAMES_TO_CHOOSE, HELD, LEAST_OBSERVATIONS};
 use super::prior::AnglePrior;
 use super::problem::CircularCovariance;
-use super::whiten::{cholesky, dot, whiten};
 use crate::model_selection::evidence::TRACK_EXCESS;
+use crate::solvers::cholesky::{cholesky, dot, whiten};
 use scene::decision::{Decision, Measurement, Quantity, Rule, Subject};
 
 /// Motions that are less likely than the best by this (logarithm) are not averaged.

@@ -5,6 +5,7 @@ use super::intrinsics::choose_for_turn;
 use super::job::MotionInput;
 use super::model::{AxisModel, CircularContext};
 use super::motion::CircularMotion;
+use super::motion_report;
 use crate::error::SfmError;
 use crate::incremental::adjust::Adjustment;
 use crate::incremental::finish::noise_of;
@@ -15,6 +16,7 @@ use crate::model_selection::noise::noise;
 use crate::result::{PoseDeviation, Uncertainty};
 use scene::Camera;
 use scene::decision::Decision;
+use scene::motion_report::MotionReport;
 
 /// Points that the images contribute to the choice of the intrinsics, all together; one image at
 /// most a hundredth.
@@ -26,6 +28,8 @@ pub(crate) struct CircularSolution {
     pub state: MapState,
     pub decisions: Vec<Decision>,
     pub uncertainty: Option<Uncertainty>,
+    /// How the object turns, where times are known.
+    pub motion: Option<MotionReport>,
 }
 
 /// A model about one axis with its intrinsics.
@@ -63,17 +67,18 @@ impl ChosenModel {
     }
 
     /// Figures of the finished model, and the world frame. `excess`: factor on variances that the
-    /// noise of single observations gives, for the axis.
+    /// noise of single observations gives, for the axis. `times`: by frame, seconds.
     pub(crate) fn finish(
         mut self,
         context: &CircularContext<'_>,
         job: &MotionInput<'_>,
         excess: f64,
+        times: Option<&[f64]>,
     ) -> Result<CircularSolution, SfmError> {
         let Self { model, intrinsics, camera } = &mut self;
         model.orient(job.config.known_distance.unwrap_or(1.0));
         let mut decisions = vec![camera.clone()];
-        let mut uncertainty = None;
+        let (mut uncertainty, mut motion) = (None, None);
         if let Some((problem, images, covariance)) = model.covariance(context, *intrinsics)? {
             let sigma_px = noise(&problem.bundle);
             let mut result = Uncertainty { sigma_px, ..Uncertainty::default() };
@@ -88,8 +93,9 @@ impl ChosenModel {
             let factor = excess.sqrt();
             decisions.extend(axis_report::decisions(model, context, *intrinsics, &covariance, factor)?);
             uncertainty = Some(result);
+            motion = times.and_then(|t| motion_report::report(model, &covariance, &images, t, factor));
         }
-        Ok(CircularSolution { state: self.model.state, decisions, uncertainty })
+        Ok(CircularSolution { state: self.model.state, decisions, uncertainty, motion })
     }
 }
 

@@ -260,7 +260,10 @@ impl<'a> VideoData<'a> {
         let job = self.motion_input(&input);
         let priors = motion.as_ref().map_or_else(|| self.priors(), |m| vec![m.loose_prior()]);
         let excess = motion.as_ref().map_or(1.0, |m| m.excess);
-        let mut solution = judged.chosen.finish(&job.context(&priors), &job, excess)?;
+        let mut solution = {
+            let times = self.job.frames.times();
+            judged.chosen.finish(&job.context(&priors), &job, excess, times.as_deref())?
+        };
         solution.decisions.extend(motion.as_ref().map(|m| m.decision.clone()));
         Ok(solution)
     }

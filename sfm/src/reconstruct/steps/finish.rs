@@ -25,8 +25,8 @@ pub(super) fn remove_isolated_points(mut model: SfmModel, context: &StepContext<
 
 /// Standard deviations of poses and intrinsics at the last adjustment.
 pub(super) fn compute_covariance(mut model: SfmModel, context: &StepContext<'_>) -> StepResult {
-    let (known, starts) = (&model.setup.known, &model.starts);
-    model.uncertainty = uncertainty(&model.state, &model.input(context), known, starts, model.intrinsics)?;
+    let what = model.final_adjustment(model.intrinsics);
+    model.uncertainty = uncertainty(&model.state, &model.input(context), &what)?;
     Ok((model, Vec::new()))
 }
 
