@@ -1,5 +1,6 @@
 //! The pipeline: frames, poses, undistortion, splat, evaluation, report, each resumable.
 
+mod all_frames;
 mod folder;
 
 use crate::args::PipelineArgs;
@@ -298,6 +299,7 @@ impl Pipeline {
             figures: figures(&result.stats),
             ..PoseSummary::default()
         };
+        all_frames::write(&self.out.join("frames.json"), &result.frames, frames)?;
         let reconstruction = database::write(&self.args, &self.out, result, frames)?;
         Ok((reconstruction, summary))
     }

@@ -48,6 +48,6 @@ pub use klt::KltConfig;
 pub use knowledge::Calibration;
 pub use pairs::PairConfig;
 pub use reconstruct::{Supplied, reconstruct, reconstruct_features, reconstruct_from, triangulate_given};
-pub use result::{PoseDeviation, SfmResult, SfmStats, StepTime, Uncertainty};
+pub use result::{FramePose, PoseDeviation, SfmResult, SfmStats, StepTime, Uncertainty};
 pub use skip::StepName;
 pub use undistort::undistort;

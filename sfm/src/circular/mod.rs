@@ -26,6 +26,7 @@ mod axis_report;
 mod axis_tests;
 mod choose;
 mod config;
+mod deviations;
 pub(crate) mod evidence;
 #[cfg(test)]
 mod extreme_tests;

@@ -1,5 +1,6 @@
 //! How an object turns about one axis, in numbers.
 
+use super::deviations::AxisDeviation;
 use super::model::AxisModel;
 use super::problem::CircularCovariance;
 use glam::DVec3;
@@ -11,6 +12,7 @@ use scene::motion_report::{Estimate, MotionReport, MotionSample};
 pub(super) fn report(
     model: &AxisModel,
     covariance: &CircularCovariance,
+    axis_deviation: AxisDeviation,
     images: &[usize],
     times: &[f64],
     factor: f64,
@@ -35,11 +37,10 @@ pub(super) fn report(
         let rate = (angles[to] - angles[from]) / (times[to] - times[from]);
         MotionSample { time_s: times[i], rate_deg_s: (axis * (sign * rate.to_degrees())).to_array() }
     };
-    let [across, towards] = covariance.axis;
     Some(MotionReport {
         motion: MotionModel::SingleAxis,
         axis_camera: axis.to_array(),
-        axis_camera_deviation_deg: factor * across.hypot(towards).to_degrees(),
+        axis_camera_deviation_deg: axis_deviation.length().to_degrees(),
         axis_body: (DVec3::Z * sign).to_array(),
         axis_body_deviation_deg: 0.0,
         rate_deg_s: Estimate::new(slope.abs(), factor * variance.max(0.0).sqrt()).in_degrees(),

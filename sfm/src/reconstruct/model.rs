@@ -12,7 +12,7 @@ use crate::incremental::finish::{FinalAdjustment, converge};
 use crate::incremental::state::{MapState, MappingInput};
 use crate::matching::PairMatches;
 use crate::model_selection::camera::{self, FreeIntrinsics};
-use crate::result::{SfmResult, SfmStats, Uncertainty};
+use crate::result::{FramePose, PoseDeviation, SfmResult, SfmStats, Uncertainty};
 use crate::tracks::Tracks;
 use glam::DVec2;
 use scene::motion_report::MotionReport;
@@ -88,6 +88,8 @@ pub(crate) struct SfmModel {
     pub intrinsics: FreeIntrinsics,
     /// What the motion says of the poses, by image.
     pub expected: Option<ExpectedPoses>,
+    /// What the motion says the poses are known to, by image.
+    pub deviations: Option<Vec<PoseDeviation>>,
     /// What was found about the cameras of free poses.
     pub camera_decisions: Vec<Decision>,
     /// Images that the solver sees rotated by 180°.
@@ -95,6 +97,8 @@ pub(crate) struct SfmModel {
     pub uncertainty: Option<Uncertainty>,
     /// How the object moves, where that is more than free poses.
     pub motion: Option<MotionReport>,
+    /// Of a video: poses of all its frames.
+    pub frames: Vec<FramePose>,
     pub stats: SfmStats,
     pub reconstruction: Option<Reconstruction>,
     /// Images without a pose: name, and why.
@@ -178,6 +182,7 @@ impl SfmModel {
         self.state = solution.state;
         self.uncertainty = solution.uncertainty;
         self.motion = solution.motion;
+        self.frames = solution.frames;
         solution.decisions
     }
 
@@ -227,6 +232,7 @@ impl SfmModel {
             decisions,
             uncertainty: self.uncertainty,
             motion: self.motion,
+            frames: self.frames,
             stats: self.stats,
             initial_cameras,
             features: self.features,

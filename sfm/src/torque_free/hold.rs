@@ -1,5 +1,6 @@
 //! Whether free poses are those of a torque-free body, and the model held near that motion.
 
+use super::deviations;
 use super::likely::{DETERMINED, LikelyMotion};
 use super::motion::TorqueFreeMotion;
 use super::report::report;
@@ -12,6 +13,7 @@ use crate::incremental::finish::{FinalAdjustment, converge};
 use crate::incremental::state::MapState;
 use crate::model_selection::camera::{FreeIntrinsics, deviation, point_sigma};
 use crate::model_selection::evidence::{TRACK_EXCESS, is_determined};
+use crate::result::{FramePose, PoseDeviation};
 use scene::decision::{Decision, Measurement, MotionModel, Quantity, Rule, Subject};
 use scene::motion_report::MotionReport;
 use scene::{CameraModel, Pose};
@@ -29,17 +31,23 @@ pub(crate) struct HeldModel {
     /// By image.
     pub expected: ExpectedPoses,
     pub report: MotionReport,
+    /// By image.
+    pub deviations: Vec<PoseDeviation>,
+    /// Poses of the frames that were asked for.
+    pub frames: Vec<FramePose>,
     pub intrinsics: FreeIntrinsics,
     /// On the camera.
     pub decisions: Vec<Decision>,
 }
 
 /// The model held near a torque-free motion where the evidence is for one; what was found, where
-/// the motion was compared at all. `times`: by image, seconds.
+/// the motion was compared at all. `times`: by image; `film`: of all frames of
+/// the video, seconds.
 pub(crate) fn consider(
     job: &MotionInput<'_>,
     free: &FreeModel<'_>,
     times: &[f64],
+    film: &[f64],
 ) -> Result<(Option<HeldModel>, Option<Decision>), SfmError> {
     if !matches!(job.config.motion, Motion::Auto | Motion::Tumble) || job.cameras.len() != 1 {
         return Ok((None, None));
@@ -70,7 +78,7 @@ pub(crate) fn consider(
         ])
         .compared(MotionModel::TorqueFree, taken, score.figures(&of_free))
         .compared(MotionModel::Free, !taken, of_free.figures(&of_free));
-    let holder = Holder { job, free, times, known };
+    let holder = Holder { job, free, times, film, known };
     let held = if taken { holder.with_best_camera(motion)? } else { None };
     Ok((held, Some(decision)))
 }
@@ -137,6 +145,8 @@ struct Holder<'a> {
     free: &'a FreeModel<'a>,
     /// By image, seconds.
     times: &'a [f64],
+    /// Of all frames of the video, seconds.
+    film: &'a [f64],
     /// What free poses are known to.
     known: BundleCovariance,
 }
@@ -168,8 +178,17 @@ impl Holder<'_> {
     fn finished(&self, held: Held, intrinsics: FreeIntrinsics, decisions: Vec<Decision>) -> HeldModel {
         let Held { state, expected, likely } = held;
         let times: Vec<f64> = registered(&state).iter().map(|&i| self.times[i]).collect();
-        let report = report(&likely, &times, TRACK_EXCESS.sqrt());
-        HeldModel { state, expected, report, intrinsics, decisions }
+        let factor = TRACK_EXCESS.sqrt();
+        let report = report(&likely, &times, factor);
+        let deviations = deviations::of_poses(&likely, self.times, factor);
+        let poses = likely.motion.poses(self.film);
+        let mut frames = Vec::with_capacity(self.film.len());
+        for ((&time_s, pose), deviation) in
+            self.film.iter().zip(poses).zip(deviations::of_poses(&likely, self.film, factor))
+        {
+            frames.push(FramePose { time_s, pose, deviation });
+        }
+        HeldModel { state, expected, report, deviations, frames, intrinsics, decisions }
     }
 
     /// Standard deviation of the principal point, of the coordinate that is known less, as a share

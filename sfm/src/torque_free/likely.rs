@@ -12,7 +12,7 @@ use glam::DVec3;
 /// world's frame and scale.
 pub(super) const DETERMINED: usize = 13;
 /// Of which so many, the first, say how the body turns.
-pub(super) const OF_TURN: usize = 8;
+const OF_TURN: usize = 8;
 /// Half the width of the differences by which derivatives are taken: radians, logarithms, shares of
 /// the distance.
 /// Source: derived: the cube root of the precision of the integration.

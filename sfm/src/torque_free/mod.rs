@@ -3,6 +3,7 @@
 //! Free poses that obey Euler's equations within what they are known to are held near the motion
 //! that they show; its spin, nutation and ratios of inertia are reported.
 
+mod deviations;
 mod dynamics;
 mod fit;
 mod hold;

@@ -1,8 +1,8 @@
 //! What a torque-free motion is, in numbers with their standard deviations.
 
-use super::dynamics::{RESPONSE, TorqueFreeBody};
-use super::likely::{DETERMINED, LikelyMotion, OF_TURN};
-use crate::solvers::cholesky::cholesky;
+use super::deviations::steps;
+use super::dynamics::TorqueFreeBody;
+use super::likely::LikelyMotion;
 use glam::{DQuat, DVec3};
 use scene::decision::MotionModel;
 use scene::motion_report::{Estimate, MotionReport, MotionSample, TumbleReport};
@@ -60,8 +60,7 @@ pub(super) fn report(likely: &LikelyMotion, times: &[f64], factor: f64) -> Motio
     let mut of_axes = [0.0; 2];
     for step in steps(likely) {
         let [high, low] = [1.0, -1.0].map(|sign| {
-            let mut moved = turn.clone();
-            moved.body = turn.body.stepped(&step.map(|v| sign * DIFFERENCE * v));
+            let moved = likely.motion.stepped(&step.map(|v| sign * DIFFERENCE * v)).turn;
             Figures::of(&moved.body, &moved.attitudes(times), found.axis)
         });
         let numbers = |f: &Figures| [f.rate, f.nutation, f.period, f.ratios[0], f.ratios[1]];
@@ -93,18 +92,6 @@ pub(super) fn report(likely: &LikelyMotion, times: &[f64], factor: f64) -> Motio
         }),
         samples: samples.collect(),
     }
-}
-
-/// Steps of the body whose squares sum up to its covariance: the columns of the Cholesky factor.
-fn steps(likely: &LikelyMotion) -> Vec<[f64; RESPONSE.end]> {
-    let rows = likely.covariance.iter().take(OF_TURN);
-    let flat = rows.flat_map(|row: &[f64; DETERMINED]| row[..OF_TURN].to_vec()).collect();
-    let Some(lower) = cholesky(flat, OF_TURN) else { return Vec::new() };
-    let held = RESPONSE.end - OF_TURN;
-    let column = |k: usize| -> [f64; RESPONSE.end] {
-        std::array::from_fn(|i| if i < held + k { 0.0 } else { lower[(i - held) * OF_TURN + k] })
-    };
-    (0..OF_TURN).map(column).collect()
 }
 
 /// After which the rates repeat in the body's frame, seconds: `4 K(k²) / n` with the complete

@@ -75,7 +75,8 @@ fn hold_to_tumble(
     let input = model.input(context);
     let job = model.motion_input(&input, context);
     let free = FreeModel { state: &model.state, intrinsics: model.intrinsics };
-    let (held, decision) = torque_free::consider(&job, &free, times)?;
+    let film = context.frames.film.as_ref().map_or(&[][..], |film| &film.times_s);
+    let (held, decision) = torque_free::consider(&job, &free, times, film)?;
     if let Some(decision) = decision {
         match decisions.pop() {
             Some(before) => decisions.push(decision.absorbing(before)),
@@ -84,7 +85,8 @@ fn hold_to_tumble(
     }
     if let Some(held) = held {
         (model.state, model.expected, model.motion) = (held.state, Some(held.expected), Some(held.report));
-        model.intrinsics = held.intrinsics;
+        (model.intrinsics, model.deviations) = (held.intrinsics, Some(held.deviations));
+        model.frames = held.frames;
         decisions.extend(held.decisions);
     }
     Ok(())
