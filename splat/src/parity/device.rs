@@ -208,7 +208,8 @@ fn compare_halves(before: &(Model, Statistics), host: &Model, here: &Model, at: 
         moved += usize::from(apart > 0.0);
     }
     println!("{at}: {moved} of {} lie elsewhere, {swapped} at other places of the list", host.len);
-    assert!(missing <= MOST_OTHERWISE, "{at}: {missing} were judged otherwise");
+    // Each counts where it is and where its other half is.
+    assert!(missing <= 2 * MOST_OTHERWISE, "{at}: {missing} were judged otherwise");
     assert!(swapped * 20 <= host.len, "{at}: {swapped} of {} have other places", host.len);
 }
 
