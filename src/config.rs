@@ -200,7 +200,8 @@ fn absolute(path: &str) -> String {
     std::path::absolute(path).map_or_else(|_| path.to_owned(), |path| path.display().to_string())
 }
 
-fn former_run(input: &Path) -> Result<Option<Recorded>> {
+/// What the run in this folder was told, if there was one.
+pub(crate) fn former_run(input: &Path) -> Result<Option<Recorded>> {
     let path = input.join(".stages").join("args.json");
     if !path.is_file() {
         return Ok(None);

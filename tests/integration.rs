@@ -9,6 +9,7 @@ mod integration {
     pub mod determinism;
     pub mod documentation;
     pub mod end_to_end;
+    pub mod faults;
     pub mod real_data;
     pub mod resume;
     pub mod shapes;

@@ -4,7 +4,7 @@
 use super::{Run, Splat, check_bundle, page};
 use crate::args::ViewArgs;
 use crate::outcome::Outcome;
-use crate::terminal::CANCELLED;
+use crate::terminal::{CANCELLED, say};
 use anyhow::{Result, anyhow};
 use std::fs::File;
 use std::net::{Ipv4Addr, SocketAddr};
@@ -33,7 +33,7 @@ pub fn run(args: &ViewArgs, quiet: bool) -> Result<Outcome> {
         .map_err(|e| anyhow!("cannot listen on {address}: {e}; choose another port with --port"))?;
     let port = server.server_addr().to_ip().map_or(args.port, |a| a.port());
     if !quiet {
-        eprintln!("open http://127.0.0.1:{port} in a browser; Ctrl-C ends");
+        say(&format!("open http://127.0.0.1:{port} in a browser; Ctrl-C ends"));
     }
     while !CANCELLED.load(Ordering::Relaxed) {
         if let Some(request) = server.recv_timeout(Duration::from_millis(200))? {
