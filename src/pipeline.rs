@@ -6,7 +6,7 @@ use crate::args::PipelineArgs;
 use crate::config::Recorded;
 use crate::database;
 use crate::evaluate;
-use crate::input::{self, Input};
+use crate::input::{self, Imported, Input};
 use crate::outcome::Outcome;
 use crate::record::{Deviations, Evaluation, PoseSummary, RunRecord, SplatSummary};
 use crate::report;
@@ -252,9 +252,11 @@ impl Pipeline {
             let progress = self.progress("sfm");
             let (reconstruction, mut summary) = match &self.input {
                 Input::Posed { model, .. } => {
-                    let given = input::import_poses(model, frames)?;
-                    let (model, decisions) = input::with_points(given, frames, &self.args.sfm, &progress)?;
-                    (Some(model), PoseSummary { imported: true, decisions, ..PoseSummary::default() })
+                    let Imported { model, missing, notes } = input::import_poses(model, frames)?;
+                    let (model, decisions) = input::with_points(model, frames, &self.args.sfm, &progress)?;
+                    let summary =
+                        PoseSummary { imported: true, missing, notes, decisions, ..Default::default() };
+                    (Some(model), summary)
                 }
                 _ => self.solve_poses(frames, new, &progress)?,
             };
@@ -286,6 +288,9 @@ impl Pipeline {
         let identity = finished.identity()?;
         let poses = finished.value;
         self.say_decisions(&poses.decisions);
+        for note in &poses.notes {
+            self.say(&format!("          {note}"));
+        }
         for (name, why) in &poses.missing {
             self.say(&format!("          missing {name}: {why}"));
         }

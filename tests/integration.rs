@@ -4,6 +4,7 @@ mod integration {
     pub mod bad_files;
     pub mod bad_input;
     pub mod bench;
+    pub mod borders;
     pub mod cli;
     pub mod colmap;
     pub mod determinism;

@@ -155,9 +155,10 @@ int main(int argc, char **argv) {
                 if (!counts && seen == wanted && !strcmp(mode, "kill")) {
                     fclose(log);
                     kill(child, SIGKILL);
-                    do pid = waitpid(child, &status, __WALL);
-                    while (pid == child ? WIFSTOPPED(status) : errno == EINTR);
-                    return 137; // what the program started is killed with this tracer
+                    // Its threads must be waited for too; its children are killed with this tracer.
+                    while ((pid = waitpid(-1, &status, __WALL)) > 0 || errno == EINTR)
+                        if (pid == child && !WIFSTOPPED(status)) break;
+                    return 137;
                 }
                 int full = !strcmp(mode, "full") && seen >= wanted && kind & SPACE;
                 if (full || (!strcmp(mode, "read") && seen == wanted)) {
