@@ -1,5 +1,6 @@
 //! The pipeline: frames, poses, undistortion, splat, evaluation, report, each resumable.
 
+mod all_frames;
 mod folder;
 
 use crate::args::PipelineArgs;
@@ -38,8 +39,15 @@ pub enum Until {
 /// What each stage writes into the output folder and no other does. The record and the report tell
 /// of all stages: whichever runs anew takes them away.
 const FRAMES: [&str; 6] = ["images", "masks", ".film.png", "mattes.png", "run.json", "report.html"];
-const SFM: [&str; 6] =
-    ["sparse/0", "transforms.json", "sparse_points.ply", "database.db", "run.json", "report.html"];
+const SFM: [&str; 7] = [
+    "sparse/0",
+    "transforms.json",
+    "sparse_points.ply",
+    "database.db",
+    "frames.json",
+    "run.json",
+    "report.html",
+];
 const UNDISTORT: [&str; 1] = ["undistorted"];
 const TRAIN: [&str; 4] = ["splat.ply", "refined", "run.json", "report.html"];
 const EVAL: [&str; 3] = ["eval", "run.json", "report.html"];
@@ -316,10 +324,12 @@ impl Pipeline {
                 .as_ref()
                 .zip(result.reconstruction.as_ref())
                 .map(|(u, model)| Deviations::of(u, model)),
+            motion: result.motion.clone(),
             decisions: result.decisions.clone(),
             figures: figures(&result.stats),
             ..PoseSummary::default()
         };
+        all_frames::write(&new.join("frames.json"), &result.frames, frames)?;
         let reconstruction = database::write(&self.args, new, result, frames)?;
         Ok((reconstruction, summary))
     }
