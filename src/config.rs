@@ -301,7 +301,7 @@ mod tests {
                     continue;
                 }
                 numbers += 1;
-                for value in ["nan", "inf", "-inf", "1e999", "99999999999999999999999"] {
+                for value in ["nan", "inf", "-inf", "1e999"] {
                     assert!(refused(value), "{} {flag} takes {value}", sub.get_name());
                 }
             }
