@@ -73,6 +73,11 @@ fn read_obj(path: &Path) -> Result<Mesh, IoError> {
 fn read_glb(path: &Path) -> Result<Mesh, IoError> {
     let data = read_file(path)?;
     let bad = |message: String| IoError::format(path, format!("not a readable binary glTF file: {message}"));
+    // The library subtracts the header from the length that the file says.
+    let length = data.get(8..12).map_or(0, |b| u32::from_le_bytes([b[0], b[1], b[2], b[3]]));
+    if length < 12 {
+        return Err(bad(format!("its length is said to be {length} bytes")));
+    }
     let file = gltf::Gltf::from_slice_without_validation(&data).map_err(|e| bad(e.to_string()))?;
     let blob = file.blob.as_deref().unwrap_or_default();
     let json = file.document.into_json();
@@ -214,8 +219,10 @@ mod tests {
             (r#""mesh":0"#, r#""mesh":5"#, "mesh"),
             (r#""buffer":0"#, r#""buffer":3"#, "buffer"),
         ] {
-            let text = String::from_utf8_lossy(&glb(3, nodes)).replace(from, to).into_bytes();
-            fs::write(&path, text).unwrap();
+            let mut bytes = glb(3, nodes);
+            let at = bytes.windows(from.len()).position(|w| w == from.as_bytes()).unwrap();
+            bytes[at..at + from.len()].copy_from_slice(to.as_bytes());
+            fs::write(&path, bytes).unwrap();
             let error = read_mesh(&path).unwrap_err().to_string();
             assert!(error.contains(what), "{to}: {error}");
         }
