@@ -11,7 +11,7 @@ use crate::input::{self, Imported, Input};
 use crate::outcome::Outcome;
 use crate::record::{Deviations, Evaluation, PoseSummary, RunRecord, SplatSummary};
 use crate::report;
-use crate::stage::{Done, Finished, Stage, Stages, describe_input, fingerprint, write_json};
+use crate::stage::{Done, Finished, StageSpec, Stages, describe_input, fingerprint, write_json};
 use crate::terminal::{CANCELLED, TerminalSink, Verbosity, print, say};
 use anyhow::{Context, Result};
 use folder::{absolute_in, output_folder, relative_to};
@@ -190,7 +190,7 @@ impl Pipeline {
             describe_input(source)?,
             self.masks_beside(source).as_deref().map(describe_input).transpose()?,
         ))?;
-        let stage = Stage { name: "frames", fingerprint: &print, owns: &FRAMES };
+        let stage = StageSpec { name: "frames", fingerprint: &print, owns: &FRAMES };
         let done = self.stages.run(&stage, |new| {
             let progress = self.progress("frames");
             let frames = match &self.input {
@@ -255,7 +255,7 @@ impl Pipeline {
                 ))?
             }
         };
-        let stage = Stage { name: "sfm", fingerprint: &print, owns: &SFM };
+        let stage = StageSpec { name: "sfm", fingerprint: &print, owns: &SFM };
         let done = self.stages.run(&stage, |new| {
             let progress = self.progress("sfm");
             let (reconstruction, mut summary) = match &self.input {
@@ -369,7 +369,7 @@ impl Pipeline {
     fn splat(&mut self, frames: &FrameSet, poses_print: &str, until: Until) -> Result<()> {
         let training_set = self.out.join("undistorted");
         let print = fingerprint(&("undistort", 1, poses_print))?;
-        let stage = Stage { name: "undistort", fingerprint: &print, owns: &UNDISTORT };
+        let stage = StageSpec { name: "undistort", fingerprint: &print, owns: &UNDISTORT };
         let done = self.stages.run(&stage, |new| {
             let progress = self.progress("undistort");
             let reconstruction = scene::io::read_model(&self.out.join("sparse/0"))?;
@@ -386,7 +386,7 @@ impl Pipeline {
             &self.args.train,
             self.args.seed,
         ))?;
-        let stage = Stage { name: "train", fingerprint: &print, owns: &TRAIN };
+        let stage = StageSpec { name: "train", fingerprint: &print, owns: &TRAIN };
         let done = self.stages.run(&stage, |new| self.train(&training_set, new, &print))?;
         // The splat is in its place: the checkpoint has done its work.
         self.stages.discard("train")?;
@@ -400,7 +400,7 @@ impl Pipeline {
         }
         let mesh = self.args.eval.mesh.mesh.as_deref().map(describe_input).transpose()?;
         let print = fingerprint(&("eval", 4, &print, &self.args.eval, mesh))?;
-        let stage = Stage { name: "eval", fingerprint: &print, owns: &EVAL };
+        let stage = StageSpec { name: "eval", fingerprint: &print, owns: &EVAL };
         let done: Done<Evaluation> = self.stages.run(&stage, |new| {
             let progress = self.progress("eval");
             let args = &self.args;

@@ -42,7 +42,7 @@ impl<T> Finished<T> {
 
 /// A stage that is to run unless its result is there.
 #[derive(Clone, Copy, Debug)]
-pub struct Stage<'a> {
+pub struct StageSpec<'a> {
     /// Its name.
     pub name: &'a str,
     /// Of its version, its configuration and what it reads.
@@ -120,7 +120,7 @@ impl Stages {
     /// is given, laid out like the output folder; the result is put in place when it is complete.
     pub fn run<T: Serialize + DeserializeOwned>(
         &self,
-        stage: &Stage,
+        stage: &StageSpec,
         work: impl FnOnce(&Path) -> Result<T>,
     ) -> Result<Done<T>> {
         let known = last::<T>(&self.out, stage.name).filter(|k| k.fingerprint == stage.fingerprint);

@@ -14,7 +14,7 @@ use crate::evaluate::metrics::number;
 use crate::outcome::Outcome;
 use crate::pipeline::{Pipeline, Until};
 use crate::record::RunRecord;
-use crate::stage::{Done, Stage, Stages, describe_input, fingerprint, write_json, write_whole};
+use crate::stage::{Done, StageSpec, Stages, describe_input, fingerprint, write_json, write_whole};
 use crate::terminal::{Verbosity, print, say};
 use anyhow::{Context, Result, bail};
 use serde::Serialize;
@@ -93,7 +93,7 @@ pub fn run(args: &BenchArgs, global: &crate::args::Global, verbosity: Verbosity)
         let told: Vec<String> = setting.flags().into_iter().chain(args.flags.iter().cloned()).collect();
         let print = fingerprint(&("bench", 2, PROGRAM, &told, describe_input(&args.input)?))?;
         let stage = format!("bench-{}", setting.name().replace(' ', ""));
-        let stage = Stage { name: &stage, fingerprint: &print, owns: &[] };
+        let stage = StageSpec { name: &stage, fingerprint: &print, owns: &[] };
         let Done { finished, ran, .. } =
             stages.run(&stage, |_| measure(&args.input, &stages, &setting.name(), &told, verbosity))?;
         if verbosity > Verbosity::Quiet {

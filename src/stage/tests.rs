@@ -34,8 +34,8 @@ impl Drop for Out {
 
 const OWNS: [&str; 3] = ["images", "deep/0", "extra"];
 
-fn stage<'a>(fingerprint: &'a str) -> Stage<'a> {
-    Stage { name: "frames", fingerprint, owns: &OWNS }
+fn stage<'a>(fingerprint: &'a str) -> StageSpec<'a> {
+    StageSpec { name: "frames", fingerprint, owns: &OWNS }
 }
 
 /// Writes the text into two of the outputs and into the third only where it is `extra`.
