@@ -2,7 +2,7 @@
 
 use crate::args::ExportArgs;
 use crate::outcome::Outcome;
-use crate::terminal::{CANCELLED, TerminalSink, Verbosity};
+use crate::terminal::{CANCELLED, TerminalSink, Verbosity, say};
 use anyhow::{Context, Result, bail};
 use scene::Progress;
 use scene::io::{SplatFormat, read_splat, write_splat};
@@ -47,7 +47,7 @@ pub fn run(args: &ExportArgs, verbosity: Verbosity) -> Result<Outcome> {
         }
         other => bail!("no format is known by the ending .{other}; see 'sat-recon export --help'"),
     }
-    eprintln!("wrote {}", output.display());
+    say(&format!("wrote {}", output.display()));
     Ok(Outcome::Done)
 }
 
@@ -65,14 +65,14 @@ fn write_mesh(args: &ExportArgs, output: &Path, verbosity: Verbosity) -> Result<
     let progress = Progress::new(Box::new(TerminalSink::new(verbosity, None)), &CANCELLED);
     let config = crate::render::dataset_config(&args.input);
     let dataset = crate::evaluate::load_dataset(&args.input.join("undistorted"), &config, &progress)?;
-    let antialias = crate::evaluate::trained_with_antialias(&args.input)?;
+    let antialias = crate::evaluate::trained_with_antialias(&args.input);
     let mesh = splat::fusion::fused_mesh(&gaussians, &dataset, antialias, args.mesh_resolution, &progress)?;
     if mesh.triangles.is_empty() {
         bail!("{} has no surface: nowhere do its cameras see it half opaque", splat.display());
     }
     scene::io::write_mesh(output, &mesh)?;
     if verbosity > Verbosity::Quiet {
-        eprintln!("{} vertices, {} triangles", mesh.vertices.len(), mesh.triangles.len());
+        say(&format!("{} vertices, {} triangles", mesh.vertices.len(), mesh.triangles.len()));
     }
     Ok(())
 }

@@ -36,6 +36,8 @@ pub struct PoseSummary {
     pub imported: bool,
     /// Why there is no model.
     pub no_model: Option<String>,
+    /// What was repaired in poses that came with the input.
+    pub notes: Vec<String>,
     /// Images without a pose, and why.
     pub missing: Vec<(String, String)>,
     /// Images whose pose is weakly constrained, and why.

@@ -3,7 +3,7 @@
 use crate::args::{Channel, RenderArgs, RenderPath};
 use crate::outcome::Outcome;
 use crate::record::KnownRun;
-use crate::terminal::{CANCELLED, TerminalSink, Verbosity};
+use crate::terminal::{CANCELLED, TerminalSink, Verbosity, say};
 use anyhow::{Context, Result, bail};
 use image::RgbImage;
 use scene::{Camera, OrbitPath, Pose, Progress, Reconstruction};
@@ -23,7 +23,7 @@ pub fn run(args: &RenderArgs, verbosity: Verbosity) -> Result<Outcome> {
     let progress = Progress::new(Box::new(TerminalSink::new(verbosity, None)), &CANCELLED);
     progress.begin("render", views.len());
     let (mut renderer, device) = splat::Renderer::on(&args.device, &gaussians)?;
-    renderer.antialias = crate::evaluate::trained_with_antialias(&args.run)?;
+    renderer.antialias = crate::evaluate::trained_with_antialias(&args.run);
     let mut sink = PictureSink::open(&args.output, args.fps)?;
     for (name, camera, pose) in &views {
         let output = renderer.render(camera, pose, &options)?;
@@ -32,7 +32,8 @@ pub fn run(args: &RenderArgs, verbosity: Verbosity) -> Result<Outcome> {
     }
     sink.finish()?;
     if verbosity > Verbosity::Quiet {
-        eprintln!("{} pictures in {}, by: {}", views.len(), args.output.display(), device.sentences().choice);
+        let by = device.sentences().choice;
+        say(&format!("{} pictures in {}, by: {by}", views.len(), args.output.display()));
     }
     Ok(Outcome::Done)
 }

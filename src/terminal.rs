@@ -1,5 +1,6 @@
 //! Progress on a terminal (a bar a stage) or in a log (plain lines), and Ctrl-C.
 
+use anyhow::Context as _;
 use indicatif::{ProgressBar, ProgressStyle};
 use scene::progress::ProgressSink;
 use std::io::{IsTerminal, Write};
@@ -18,6 +19,23 @@ pub enum Verbosity {
     Verbose,
 }
 
+/// Prints a line (or several) on standard output. A reader that has gone away has read enough; a
+/// full disk is an error.
+pub fn print(text: &str) -> anyhow::Result<()> {
+    let mut out = std::io::stdout().lock();
+    match writeln!(out, "{text}").and_then(|()| out.flush()) {
+        Err(e) if e.kind() != std::io::ErrorKind::BrokenPipe => {
+            Err(e).context("cannot write to standard output")
+        }
+        _ => Ok(()),
+    }
+}
+
+/// Prints a line on standard error; where nobody can read it, nothing is lost.
+pub fn say(line: &str) {
+    let _ = writeln!(std::io::stderr(), "{line}");
+}
+
 /// Turned true by the first Ctrl-C.
 pub static CANCELLED: AtomicBool = AtomicBool::new(false);
 
@@ -27,7 +45,7 @@ pub fn install_ctrl_c() -> anyhow::Result<()> {
         if CANCELLED.swap(true, Ordering::SeqCst) {
             std::process::exit(1);
         }
-        eprintln!("\nstopping after the present step; once more to stop at once");
+        say("\nstopping after the present step; once more to stop at once");
     })?;
     Ok(())
 }
@@ -114,7 +132,7 @@ impl ProgressSink for TerminalSink {
             } else {
                 String::new()
             };
-            eprintln!("{}: {done}{of}, {rate:.1}/s{eta} {detail}", state.what);
+            say(&format!("{}: {done}{of}, {rate:.1}/s{eta} {detail}", state.what));
         }
     }
 
@@ -127,7 +145,7 @@ impl ProgressSink for TerminalSink {
             let state = self.lock();
             match &state.bar {
                 Some(bar) => bar.println(message),
-                None => eprintln!("{message}"),
+                None => say(message),
             }
         }
     }

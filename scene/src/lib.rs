@@ -19,6 +19,7 @@
 pub mod camera;
 pub mod decision;
 pub mod features;
+pub mod flag;
 pub mod frames;
 pub mod gaussians;
 pub mod geometry;

@@ -108,8 +108,17 @@ fn unknown(path: &Path, formats: &str) -> IoError {
     IoError::format(path, format!("no splat format is known by this name; use {formats}"))
 }
 
-/// Reads a splat in the format its name says (`.ply` may be compressed).
+/// Reads a splat in the format its name says (`.ply` may be compressed); one without Gaussians is
+/// refused.
 pub fn read_splat(path: &Path) -> Result<Gaussians, IoError> {
+    let splat = read_any(path)?;
+    if splat.is_empty() {
+        return Err(IoError::format(path, "holds no gaussians; export it again"));
+    }
+    Ok(splat)
+}
+
+fn read_any(path: &Path) -> Result<Gaussians, IoError> {
     match SplatFormat::of(path) {
         Some(SplatFormat::Ply | SplatFormat::CompressedPly) if compressed::is_compressed(path)? => {
             read_compressed_ply(path)
