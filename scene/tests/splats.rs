@@ -150,3 +150,18 @@ fn sog_keeps_harmonics_that_few_gaussians_share_and_refuses_damaged_files() {
         let _ = read_splat(&path); // right or refused, but never a panic
     }
 }
+
+#[test]
+fn a_sog_file_of_splat_transform_holds_its_four_gaussians() {
+    // splat-transform 3.7.0, from the four Gaussians of minimal.splat.
+    let path =
+        std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/fixtures/splat_transform_four.sog");
+    let g = read_splat(&path).unwrap();
+    assert_eq!((g.len(), g.sh_degree), (4, 0));
+    for [x, z] in [[-1.0, -1.0], [0.0, -1.0], [-1.0, 0.0], [0.0, 0.0]] {
+        let near = (0..4).find(|&i| (g.means[i] - Vec3::new(x, 0.0, z)).length() < 1e-3);
+        let i = near.unwrap_or_else(|| panic!("none at {x}, {z}: {:?}", g.means));
+        assert!((g.log_scales[i] - 0.1_f32.ln()).abs().max_element() < 0.04, "{}", g.log_scales[i]);
+        assert!((g.opacity(i) - 0.9).abs() < 0.01);
+    }
+}
