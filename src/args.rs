@@ -219,7 +219,7 @@ pub struct ExportArgs {
     /// A former output folder, or a splat file
     pub input: PathBuf,
     /// The file or folder to write; its ending says the format: .html (a page to open in a
-    /// browser), .ply (3DGS order), .compressed.ply, .splat, .spz, .glb (these also read, and
+    /// browser), .ply (3DGS order), .compressed.ply, .splat, .spz, .sog, .glb (these also read, and
     /// .ksplat), .json (transforms), .db (COLMAP's database, of a run with --colmap-database), or a
     /// folder (COLMAP model, --text for text)
     #[arg(short, long, value_name = "OUT", required_unless_present_any = ["html", "mesh"])]
