@@ -33,6 +33,7 @@ mod extreme_tests;
 pub(crate) mod initialize;
 mod intrinsics;
 mod job;
+mod learnt_motion;
 pub(crate) mod limits;
 mod loop_closure;
 mod model;

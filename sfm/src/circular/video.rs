@@ -1,7 +1,7 @@
 //! Turns in videos: points are followed, a first motion grows along the frames, a whole turn is
 //! closed, and the motion that the angles show is held in the last adjustment.
 
-use super::angle_process::{AngleAt, LearntMotion, learn_motion};
+use super::angle_process::learn_motion;
 use super::choose::{motion_decision, with_comparison};
 use super::config::Motion;
 use super::evidence::MotionComparison;
@@ -9,6 +9,7 @@ use super::initialize::best_start::{SeedCameras, best_start};
 use super::initialize::key_frames::{KeyFrames, VideoTracks, drop_stationary};
 use super::initialize::video_seed::VideoStart;
 use super::job::{MotionInput, VideoJob};
+use super::learnt_motion::{AngleAt, LearntMotion};
 use super::limits::{FINAL_ROUNDS, MOST};
 use super::loop_closure::close::ClosedVideo;
 use super::model::AxisModel;
