@@ -1,6 +1,8 @@
 //! The pipeline: frames, poses, undistortion, splat, evaluation, report, each resumable.
 
 mod folder;
+mod model;
+mod world;
 
 use crate::args::PipelineArgs;
 use crate::config::Recorded;
@@ -8,16 +10,13 @@ use crate::database;
 use crate::evaluate;
 use crate::input::{self, Input};
 use crate::outcome::Outcome;
-use crate::record::{Deviations, Evaluation, PoseSummary, RunRecord, SplatSummary};
+use crate::record::{Evaluation, PoseSummary, RunRecord, SplatSummary};
 use crate::report;
 use crate::stage::{Cost, Stages, describe_input, fingerprint, write_json};
 use crate::terminal::{CANCELLED, TerminalSink, Verbosity};
 use anyhow::{Context, Result, bail};
 use folder::{absolute_in, default_output, relative_to};
-use scene::io::TransformsOptions;
-use scene::io::ply::CloudPoint;
 use scene::{Decision, FrameSet, Progress, Reconstruction};
-use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 /// Where to stop.
@@ -35,8 +34,25 @@ pub enum Until {
     Report,
 }
 
+/// The stages in their order, by the names under which they are told.
+const STAGES: [&str; 6] = ["frames", "poses", "undistort", "train", "eval", "report"];
+
+impl Until {
+    /// How many stages there are up to this one.
+    fn stages(self) -> usize {
+        match self {
+            Self::Frames => 1,
+            Self::Sfm => 2,
+            Self::Train => 4,
+            Self::Eval => 5,
+            Self::Report => 6,
+        }
+    }
+}
+
 /// One run into one output folder.
 pub struct Pipeline {
+    until: Until,
     args: PipelineArgs,
     input: Input,
     out: PathBuf,
@@ -66,19 +82,8 @@ impl Pipeline {
         if let Some(recorded) = recorded {
             write_json(&stages.path("args.json"), &recorded)?;
         }
-        let record = RunRecord {
-            version: env!("CARGO_PKG_VERSION"),
-            libraries: crate::doctor::library_versions(),
-            config: args.clone(),
-            costs: Vec::new(),
-            frames: None,
-            poses: None,
-            splat: None,
-            evaluation: None,
-            decisions: Vec::new(),
-            verdict: Vec::new(),
-        };
-        Ok(Self { args, input, out, stages, verbosity, json, record })
+        let record = RunRecord::begun(args.clone(), Vec::new());
+        Ok(Self { until: Until::Report, args, input, out, stages, verbosity, json, record })
     }
 
     /// Runs the stages that are not current, as far as `until`.
@@ -88,6 +93,7 @@ impl Pipeline {
 
     /// The same, and all that the run knows.
     pub fn run_recorded(mut self, until: Until) -> Result<(Outcome, RunRecord)> {
+        self.until = until;
         if until >= Until::Eval {
             evaluate::load_networks(&self.args.eval.lpips_weights)?; // before hours of work, not after
         }
@@ -116,7 +122,15 @@ impl Pipeline {
     }
 
     fn progress(&self, stage: &str) -> Progress {
-        Progress::new(Box::new(TerminalSink::new(self.verbosity, self.stages.log(stage))), &CANCELLED)
+        let (number, of) = self.place(stage);
+        let sink = TerminalSink::new(self.verbosity, self.stages.log(stage)).of_stage(number, of);
+        Progress::new(Box::new(sink), &CANCELLED)
+    }
+
+    /// Which of how many stages it is.
+    fn place(&self, stage: &str) -> (usize, usize) {
+        let before = STAGES.iter().position(|s| *s == stage).unwrap_or(0);
+        (before + 1, self.until.stages())
     }
 
     fn say(&self, line: &str) {
@@ -140,7 +154,8 @@ impl Pipeline {
         } else {
             "as before".into()
         };
-        self.say(&format!("{stage:<9} {line} ({spent})"));
+        let (number, of) = self.place(stage);
+        self.say(&format!("{number}/{of} {stage:<9} {line} ({spent})"));
         self.record.costs.push((stage.to_owned(), cost));
     }
 
@@ -210,7 +225,7 @@ impl Pipeline {
             Input::Posed { model, .. } => {
                 database::refuse(&self.args)?;
                 let points = (env!("SFM_SOURCES"), &self.args.sfm);
-                fingerprint(&("import", 2, frames_print, describe_input(model)?, self.args.text, points))?
+                fingerprint(&("import", 3, frames_print, describe_input(model)?, self.args.text, points))?
             }
             _ => {
                 let database = database::print(&self.args)?;
@@ -221,6 +236,7 @@ impl Pipeline {
                     &self.args.sfm,
                     self.args.seed,
                     self.args.text,
+                    self.args.keep_frame,
                     database,
                 ))?
             }
@@ -228,18 +244,19 @@ impl Pipeline {
         let known: Option<PoseSummary> = self.stages.current("sfm", &print).map(|f| f.value);
         let has_model = known.is_none_or(|k| k.no_model.is_none());
         let mut model = if has_model {
-            vec![self.out.join("sparse/0"), self.out.join("transforms.json")]
+            vec![self.out.join("sparse/0"), self.out.join(crate::transforms::CLOUD)]
         } else {
             vec![]
         };
         model.extend(self.args.colmap_database.then(|| self.out.join("database.db")));
         let (finished, ran) = self.stages.run("sfm", &print, &model, || {
-            let progress = self.progress("sfm");
+            let progress = self.progress("poses");
             let (reconstruction, mut summary) = match &self.input {
                 Input::Posed { model, .. } => {
-                    let given = input::import_poses(model, frames)?;
+                    let (given, turn) = input::import_poses(model, self.input.source(), frames)?;
                     let (model, decisions) = input::with_points(given, frames, &self.args.sfm, &progress)?;
-                    (Some(model), PoseSummary { imported: true, decisions, ..PoseSummary::default() })
+                    let world = world::given(&model, frames, turn);
+                    (Some(model), PoseSummary { imported: true, decisions, world, ..PoseSummary::default() })
                 }
                 _ => self.solve_poses(frames, &progress)?,
             };
@@ -248,11 +265,14 @@ impl Pipeline {
                 summary.registered = reconstruction.images.len();
                 summary.points = reconstruction.points.len();
                 summary.mean_error_px = reconstruction.mean_reprojection_error();
-                self.write_model(reconstruction, frames)?;
+                model::write(reconstruction, &self.out, self.args.text)?;
             }
             Ok(summary)
         })?;
         let poses = finished.value;
+        if poses.no_model.is_none() {
+            model::write_transforms(&self.out, frames, &self.args.dataset)?;
+        }
         let line = match &poses.no_model {
             Some(reason) => format!("no model: {reason}"),
             None => format!(
@@ -283,53 +303,22 @@ impl Pipeline {
         frames: &FrameSet,
         progress: &Progress,
     ) -> Result<(Option<Reconstruction>, PoseSummary)> {
-        let result = database::solve(&self.args, frames, progress)?;
-        let summary = PoseSummary {
+        let mut result = database::solve(&self.args, frames, progress)?;
+        let mut summary = PoseSummary {
             no_model: result.reconstruction.is_none().then(|| result.reason.clone()),
             missing: result.missing.clone(),
             weak: result.weak_images.clone(),
-            deviations: result
-                .uncertainty
-                .as_ref()
-                .zip(result.reconstruction.as_ref())
-                .map(|(u, model)| Deviations::of(u, model)),
             decisions: result.decisions.clone(),
             figures: figures(&result.stats),
             ..PoseSummary::default()
         };
+        if let Some(model) = &result.reconstruction {
+            let uncertainty = result.uncertainty.as_ref();
+            let placed = world::place(model, uncertainty, frames, &self.args, &mut summary);
+            result.reconstruction = Some(placed);
+        }
         let reconstruction = database::write(&self.args, &self.out, result, frames)?;
         Ok((reconstruction, summary))
-    }
-
-    fn write_model(&self, reconstruction: &Reconstruction, frames: &FrameSet) -> Result<()> {
-        let target = self.out.join("sparse").join("0");
-        scene::io::atomic::replace_folder(&target, |folder| {
-            scene::io::write_model_bin(reconstruction, folder)?;
-            if self.args.text {
-                scene::io::write_model_txt(reconstruction, folder)?;
-            }
-            Ok::<(), scene::io::IoError>(())
-        })?;
-        let mask_of = |f: &scene::Frame| {
-            Some(f.mask.as_ref()?.strip_prefix(&self.out).ok()?.to_string_lossy().into_owned())
-        };
-        let masks: BTreeMap<String, String> =
-            frames.frames.iter().filter_map(|f| Some((f.name.clone(), mask_of(f)?))).collect();
-        let points: Vec<CloudPoint> =
-            reconstruction.points.values().map(|p| CloudPoint { position: p.position, rgb: p.rgb }).collect();
-        let cloud = "sparse_points.ply";
-        scene::io::ply::write_points_ply(&self.out.join(cloud), &points)?;
-        let options = TransformsOptions {
-            image_folder: "images".into(),
-            masks: reconstruction
-                .images
-                .values()
-                .filter_map(|i| Some((i.id, masks.get(&i.name)?.clone())))
-                .collect(),
-            ply_file_path: Some(cloud.into()),
-        };
-        scene::io::write_transforms(&self.out.join("transforms.json"), reconstruction, &options)?;
-        Ok(())
     }
 
     fn splat(&mut self, frames: &FrameSet, poses_print: &str, until: Until) -> Result<()> {
@@ -410,7 +399,7 @@ impl Pipeline {
         config.seconds_gone = begun.elapsed().as_secs_f64();
         let result = splat::train::train(&dataset, &config, Some(&checkpoints), &progress)?;
         scene::io::ply::write_splat_ply(&self.out.join("splat.ply"), &result.gaussians)?;
-        self.write_refined(&result.poses)?;
+        model::write_refined(&self.out, &result.poses)?;
         let summary = SplatSummary {
             gaussians: result.gaussians.len(),
             sh_degree: result.gaussians.sh_degree,
@@ -422,27 +411,6 @@ impl Pipeline {
         Ok(summary)
     }
 
-    /// `refined/0`: the model with the poses that training moved; none where it moved none.
-    fn write_refined(&self, poses: &[(String, scene::Pose)]) -> Result<()> {
-        let folder = self.out.join("refined");
-        match std::fs::remove_dir_all(&folder) {
-            Err(e) if e.kind() != std::io::ErrorKind::NotFound => {
-                return Err(e).with_context(|| format!("cannot clear {}", folder.display()));
-            }
-            _ if poses.is_empty() => return Ok(()),
-            _ => {}
-        }
-        let mut model = scene::io::read_model(&self.out.join("sparse/0"))?;
-        for image in model.images.values_mut() {
-            if let Some((_, pose)) = poses.iter().find(|(name, _)| *name == image.name) {
-                image.pose = *pose;
-            }
-        }
-        Ok(scene::io::atomic::replace_folder(&folder.join("0"), |new| {
-            scene::io::write_model_bin(&model, new)
-        })?)
-    }
-
     fn say_result(&self, until: Until) -> Result<()> {
         if self.json {
             println!("{}", serde_json::to_string_pretty(&self.record)?);
@@ -451,14 +419,9 @@ impl Pipeline {
         {
             println!("{}", evaluation.markdown());
         }
-        let what = match until {
-            Until::Frames => "images/",
-            Until::Sfm => "sparse/0, transforms.json",
-            Until::Train => "splat.ply",
-            Until::Eval => "eval/metrics.json, splat.ply",
-            Until::Report => "report.html, splat.ply, sparse/0",
-        };
-        self.say(&format!("in {}: {what}", self.out.display()));
+        if self.verbosity > Verbosity::Quiet {
+            crate::closing::say(&self.out, &self.record);
+        }
         Ok(())
     }
 }

@@ -8,13 +8,16 @@ mod verdict;
 pub use evaluation::{
     Evaluation, Metrics, Percentile, RenderingCost, ShapeEvaluation, TrainingViews, ViewMetrics,
 };
+pub(crate) use known::up_of;
 pub use known::{KnownConfig, KnownRun};
 pub use schema::run_schema;
 pub use verdict::{Level, Light};
 
 use crate::args::PipelineArgs;
 use crate::stage::Cost;
-use scene::{Decision, FrameSet, Reconstruction};
+use glam::DMat3;
+use scene::sim3::Sim3;
+use scene::{Decision, FrameSet, Reconstruction, WorldFrame};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
@@ -33,6 +36,8 @@ pub struct PoseSummary {
     pub mean_error_px: f64,
     /// Whether the poses came with the input.
     pub imported: bool,
+    /// Where the world lies in which poses, points and splat are written, and what says so.
+    pub world: Option<WorldFrame>,
     /// Why there is no model.
     pub no_model: Option<String>,
     /// Images without a pose, and why.
@@ -70,10 +75,19 @@ pub struct ImageDeviation {
 }
 
 impl Deviations {
-    pub(crate) fn of(uncertainty: &sfm::Uncertainty, model: &Reconstruction) -> Self {
+    /// `world_from_solver`: how the model was moved since.
+    pub(crate) fn of(
+        uncertainty: &sfm::Uncertainty,
+        model: &Reconstruction,
+        world_from_solver: &Sim3,
+    ) -> Self {
+        let Sim3 { scale, rotation, .. } = *world_from_solver;
+        let turn = DMat3::from_quat(rotation) * scale;
         let images = uncertainty.images.iter().filter_map(|(id, d)| {
             let name = model.images.get(id)?.name.clone();
-            Some(ImageDeviation { name, rotation_deg: d.rotation.map(f64::to_degrees), centre: d.centre })
+            let covariance = turn * DMat3::from_cols_array_2d(&d.centre) * turn.transpose();
+            let centre = [0, 1, 2].map(|i| covariance.col(i)[i].max(0.0).sqrt());
+            Some(ImageDeviation { name, rotation_deg: d.rotation.map(f64::to_degrees), centre })
         });
         Self {
             sigma_px: uncertainty.sigma_px,
@@ -142,4 +156,22 @@ pub struct RunRecord {
     pub decisions: Vec<Decision>,
     /// The report's traffic light.
     pub verdict: Vec<Light>,
+}
+
+impl RunRecord {
+    /// Of a run that has done nothing yet.
+    pub(crate) fn begun(config: PipelineArgs, verdict: Vec<Light>) -> Self {
+        Self {
+            version: env!("CARGO_PKG_VERSION"),
+            libraries: crate::doctor::library_versions(),
+            config,
+            costs: Vec::new(),
+            frames: None,
+            poses: None,
+            splat: None,
+            evaluation: None,
+            decisions: Vec::new(),
+            verdict,
+        }
+    }
 }

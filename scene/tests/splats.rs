@@ -63,6 +63,7 @@ fn every_format_keeps_a_cloud_within_its_precision() {
         ("a.glb", 3, [1e-6, 1e-6, 2e-3, 1e-3, 1e-5]),
         ("a.spz", 3, [4e-4, 0.04, 6e-3, 3e-3, 0.02]),
         ("a.spz", 0, [4e-4, 0.04, 6e-3, 3e-3, 0.02]),
+        ("a.sog", 0, [4e-4, 0.02, 0.02, 3e-3, 0.01]),
         ("a.compressed.ply", 2, [6e-3, 2e-3, 6e-3, 3e-3, 0.02]),
         ("a.compressed.ply", 0, [6e-3, 2e-3, 6e-3, 3e-3, 0.02]),
         ("a.splat", 0, [0.0, 1e-5, 0.03, 3e-3, 0.01]),

@@ -130,6 +130,8 @@ pub(crate) struct BundleCovariance {
     /// For each pose: standard deviations of the rotation about the camera's axes (radians) and of
     /// the camera centre along the world's axes; 0 where held.
     pub poses: Vec<[f64; 6]>,
+    /// For each pose: covariance of the camera centre, world frame, scene units squared.
+    pub centres: Vec<[[f64; 3]; 3]>,
 }
 
 impl BundleProblem {
@@ -183,9 +185,14 @@ impl BundleProblem {
             cameras.push(own.to_vec());
             rest = others;
         }
-        let poses = self.poses.iter().zip(of_poses.chunks_exact(36));
-        let poses = poses.map(|(pose, c)| pose_deviation(&frame.pose_in(pose), c, frame.scale)).collect();
-        Ok(Some(BundleCovariance { cameras, poses }))
+        let mut result = BundleCovariance { cameras, ..BundleCovariance::default() };
+        for (pose, c) in self.poses.iter().zip(of_poses.chunks_exact(36)) {
+            let centre = centre_covariance(&frame.pose_in(pose), c, frame.scale);
+            let variances = [c[0], c[7], c[14], centre[0][0], centre[1][1], centre[2][2]];
+            result.poses.push(variances.map(|v| v.max(0.0).sqrt()));
+            result.centres.push(centre);
+        }
+        Ok(Some(result))
     }
 
     /// Information (inverse covariance) of all free intrinsics jointly after poses and points are
@@ -301,9 +308,9 @@ fn numbers_of(Pose { rotation: q, translation: t }: &Pose) -> [f64; 7] {
     [q.x, q.y, q.z, q.w, t.x, t.y, t.z]
 }
 
-/// Standard deviations of rotation and centre from a covariance over (ω, t) in the normalised
-/// scene: `c = −Rᵀ t`, so `δc = −Rᵀ (δt + t × δω)`.
-fn pose_deviation(pose: &Pose, covariance: &[f64], scale: f64) -> [f64; 6] {
+/// Covariance of the camera centre from one over (ω, t) in the normalised scene: `c = −Rᵀ t`, so
+/// `δc = −Rᵀ (δt + t × δω)`.
+fn centre_covariance(pose: &Pose, covariance: &[f64], scale: f64) -> [[f64; 3]; 3] {
     let back = -pose.matrix().transpose();
     let t = pose.translation;
     let columns: [DVec3; 6] = std::array::from_fn(|k| {
@@ -311,12 +318,10 @@ fn pose_deviation(pose: &Pose, covariance: &[f64], scale: f64) -> [f64; 6] {
         back * if k < 3 { t.cross(axis) } else { axis }
     });
     std::array::from_fn(|i| {
-        if i < 3 {
-            return covariance[i * 6 + i].max(0.0).sqrt();
-        }
-        let row: [f64; 6] = std::array::from_fn(|k| columns[k][i - 3]);
-        let sum: f64 = (0..36).map(|n| row[n / 6] * covariance[n] * row[n % 6]).sum();
-        sum.max(0.0).sqrt() * scale
+        std::array::from_fn(|j| {
+            let sum: f64 = (0..36).map(|n| columns[n / 6][i] * covariance[n] * columns[n % 6][j]).sum();
+            sum * scale * scale
+        })
     })
 }
 

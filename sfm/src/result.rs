@@ -42,13 +42,13 @@ pub struct SfmStats {
     pub steps: Vec<StepTime>,
 }
 
-/// Standard deviations of a pose from the final adjustment.
+/// How uncertain a pose is after the final adjustment.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct PoseDeviation {
-    /// Of the rotation about the camera's x, y and z axes, radians.
+    /// Standard deviations of the rotation about the camera's x, y and z axes, radians.
     pub rotation: [f64; 3],
-    /// Of the camera centre along the world's axes, scene units.
-    pub centre: [f64; 3],
+    /// Covariance of the camera centre, world frame, scene units squared.
+    pub centre: [[f64; 3]; 3],
 }
 
 /// Standard deviations from the final adjustment (gauge: first camera and the scale fixed).

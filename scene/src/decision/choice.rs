@@ -89,6 +89,17 @@ pub enum MatteKind {
     Luminance,
 }
 
+/// What says which direction is up.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "kebab-case")]
+pub enum UpEvidence {
+    /// The axis about which the object, or the camera, turns.
+    CircleAxis,
+    /// The cameras, which are held level.
+    #[default]
+    LevelCameras,
+}
+
 /// What was chosen, or could have been.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "kebab-case")]
@@ -126,6 +137,8 @@ pub enum Choice {
     Value(Measurement),
     /// A direction in the camera's frame, unit length.
     Direction([f64; 3]),
+    /// What says which direction is up.
+    Up(UpEvidence),
     /// A device by its name.
     Device(String),
 }
@@ -163,6 +176,12 @@ impl From<BackgroundModel> for Choice {
 impl From<LightModel> for Choice {
     fn from(light: LightModel) -> Self {
         Self::Light(light)
+    }
+}
+
+impl From<UpEvidence> for Choice {
+    fn from(evidence: UpEvidence) -> Self {
+        Self::Up(evidence)
     }
 }
 

@@ -4,6 +4,7 @@
 use super::motion::{distance_from_axis, pose_at};
 use crate::bundle::{Adjustable, BundleProblem, BundleSummary, SceneNormalisation, SolveOptions};
 use crate::ceres::CircularInput;
+use crate::result::PoseDeviation;
 use crate::ceres::circular::{CircularState, covariance, solve};
 use crate::error::SfmError;
 use glam::{DQuat, DVec3};
@@ -166,17 +167,17 @@ impl CircularProblem {
         Ok(Some(CircularCovariance { cameras, axis: [deviations[0], deviations[1]], angles, joint }))
     }
 
-    /// The poses' standard deviations in the shape that free poses have: rotation about the
-    /// camera's axes and centre.
-    pub(crate) fn pose_deviations(&self, covariance: &CircularCovariance) -> Vec<[f64; 6]> {
+    /// How uncertain the angles make the poses: all of them move along their circle.
+    pub(crate) fn pose_deviations(&self, covariance: &CircularCovariance) -> Vec<PoseDeviation> {
         let about = self.axis.rotation * DVec3::Z;
-        let mut deviations = Vec::with_capacity(self.bundle.poses.len());
-        for (pose, sd) in self.bundle.poses.iter().zip(&covariance.angles) {
+        let poses = self.bundle.poses.iter().zip(&covariance.angles);
+        let uncertain = poses.map(|(pose, sd)| {
             let centre = pose.centre();
-            let of_pose = [about.x, about.y, about.z, centre.y, centre.x, 0.0];
-            deviations.push(of_pose.map(|v: f64| v.abs() * sd));
-        }
-        deviations
+            let along = [-centre.y, centre.x, 0.0].map(|v| v * sd);
+            let rotation = about.to_array().map(|v| v.abs() * sd);
+            PoseDeviation { rotation, centre: along.map(|a| along.map(|b| a * b)) }
+        });
+        uncertain.collect()
     }
 
     fn state(&self, scale: f64) -> CircularState {

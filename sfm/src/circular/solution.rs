@@ -12,7 +12,7 @@ use crate::incremental::growth::freedom;
 use crate::incremental::state::MapState;
 use crate::model_selection::camera::{FreeIntrinsics, convert_camera};
 use crate::model_selection::noise::noise;
-use crate::result::{PoseDeviation, Uncertainty};
+use crate::result::Uncertainty;
 use scene::Camera;
 use scene::decision::Decision;
 
@@ -82,8 +82,7 @@ impl ChosenModel {
                 result.cameras.insert(camera.id, (0..n).map(|i| c[i * n + i].max(0.0).sqrt()).collect());
             }
             for (&image, d) in images.iter().zip(&problem.pose_deviations(&covariance)) {
-                let deviation = PoseDeviation { rotation: [d[0], d[1], d[2]], centre: [d[3], d[4], d[5]] };
-                result.images.insert(image as u32 + 1, deviation);
+                result.images.insert(image as u32 + 1, *d);
             }
             let factor = excess.sqrt();
             decisions.extend(axis_report::decisions(model, context, *intrinsics, &covariance, factor)?);

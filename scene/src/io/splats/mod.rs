@@ -1,4 +1,5 @@
-//! Splat formats other than the 3DGS `.ply`: `.splat`, compressed `.ply`, `.spz`, `.ksplat`, glTF.
+//! Splat formats other than the 3DGS `.ply`: `.splat`, compressed `.ply`, `.spz`, `.sog`, `.ksplat`,
+//! glTF.
 //!
 //! All but `.ply` lose precision. `.spz` and glTF have y up; clouds are rotated by 180° about x on
 //! the way, so that a capture with y down stands upright there.
@@ -7,6 +8,7 @@ mod compressed;
 mod glb;
 mod ksplat;
 mod plain;
+mod sog;
 mod spz;
 
 pub use compressed::{read_compressed_ply, write_compressed_ply};
@@ -14,6 +16,7 @@ pub(super) use glb::write_chunks;
 pub use glb::{read_splat_glb, write_splat_glb};
 pub use ksplat::read_ksplat;
 pub use plain::{read_dot_splat, write_dot_splat};
+pub use sog::{read_sog, write_sog};
 pub use spz::{encode_spz, read_spz, write_spz};
 
 use super::error::IoError;
@@ -84,6 +87,8 @@ pub enum SplatFormat {
     Spz,
     /// `.ksplat` (read only).
     Ksplat,
+    /// PlayCanvas `.sog`.
+    Sog,
     /// glTF `.glb` with KHR_gaussian_splatting.
     Glb,
 }
@@ -97,6 +102,7 @@ impl SplatFormat {
             (".ply", Self::Ply),
             (".splat", Self::Splat),
             (".spz", Self::Spz),
+            (".sog", Self::Sog),
             (".ksplat", Self::Ksplat),
             (".glb", Self::Glb),
         ];
@@ -117,9 +123,10 @@ pub fn read_splat(path: &Path) -> Result<Gaussians, IoError> {
         Some(SplatFormat::Ply | SplatFormat::CompressedPly) => read_splat_ply(path),
         Some(SplatFormat::Splat) => read_dot_splat(path),
         Some(SplatFormat::Spz) => read_spz(path),
+        Some(SplatFormat::Sog) => read_sog(path),
         Some(SplatFormat::Ksplat) => read_ksplat(path),
         Some(SplatFormat::Glb) => read_splat_glb(path),
-        None => Err(unknown(path, ".ply, .splat, .spz, .ksplat or .glb")),
+        None => Err(unknown(path, ".ply, .splat, .spz, .sog, .ksplat or .glb")),
     }
 }
 
@@ -131,7 +138,10 @@ pub fn write_splat(path: &Path, g: &Gaussians) -> Result<(), IoError> {
         Some(SplatFormat::CompressedPly) => write_compressed_ply(path, g),
         Some(SplatFormat::Splat) => write_dot_splat(path, g),
         Some(SplatFormat::Spz) => write_spz(path, g),
+        Some(SplatFormat::Sog) => write_sog(path, g),
         Some(SplatFormat::Glb) => write_splat_glb(path, g),
-        Some(SplatFormat::Ksplat) | None => Err(unknown(path, ".ply, .compressed.ply, .splat, .spz or .glb")),
+        Some(SplatFormat::Ksplat) | None => {
+            Err(unknown(path, ".ply, .compressed.ply, .splat, .spz, .sog or .glb"))
+        },
     }
 }

@@ -1,0 +1,144 @@
+//! Codebooks: the 256 numbers, or the few thousand vectors, that stand for all others.
+
+use std::cmp::Ordering;
+use std::collections::BinaryHeap;
+
+/// Rounds of Lloyd's algorithm. Source: chosen by hand, never measured.
+const ROUNDS: usize = 12;
+
+/// At most `size` numbers of which the nearest is near each value (Lloyd, 1982, from equal shares of
+/// the sorted values), ascending.
+pub(super) fn of_numbers(values: &[f32], size: usize) -> Vec<f32> {
+    let mut sorted = values.to_vec();
+    sorted.sort_unstable_by(f32::total_cmp);
+    let n = sorted.len();
+    let mut book: Vec<f32> = (0..size).map(|i| sorted[((2 * i + 1) * n / (2 * size)).min(n - 1)]).collect();
+    for _ in 0..ROUNDS {
+        let mut first = 0;
+        for k in 0..size {
+            let end = match book.get(k + 1) {
+                Some(next) => {
+                    let border = (book[k] + next) / 2.0;
+                    first + sorted[first..].partition_point(|v| *v <= border)
+                }
+                None => n,
+            };
+            if end > first {
+                let sum: f64 = sorted[first..end].iter().map(|v| f64::from(*v)).sum();
+                book[k] = (sum / (end - first) as f64) as f32;
+            }
+            first = end;
+        }
+    }
+    book.sort_unstable_by(f32::total_cmp);
+    book
+}
+
+/// The number of the nearest entry of an ascending codebook.
+pub(super) fn nearest(book: &[f32], value: f32) -> u8 {
+    let above = book.partition_point(|v| *v < value).min(book.len() - 1);
+    let below = above.saturating_sub(1);
+    (if (book[above] - value).abs() < (value - book[below]).abs() { above } else { below }) as u8
+}
+
+/// Vectors of one entry of the palette.
+struct Leaf {
+    /// Sum of the squared distances from their mean.
+    error: f64,
+    members: Vec<u32>,
+    /// The component that varies most, and its mean.
+    split: (usize, f64),
+}
+
+impl PartialEq for Leaf {
+    fn eq(&self, other: &Self) -> bool {
+        self.cmp(other) == Ordering::Equal
+    }
+}
+impl Eq for Leaf {}
+impl PartialOrd for Leaf {
+    fn partial_cmp(&self, other: &Self) -> Option<Ordering> {
+        Some(self.cmp(other))
+    }
+}
+impl Ord for Leaf {
+    fn cmp(&self, other: &Self) -> Ordering {
+        self.error.total_cmp(&other.error).then_with(|| other.members[0].cmp(&self.members[0]))
+    }
+}
+
+impl Leaf {
+    fn new(vectors: &[f32], width: usize, members: Vec<u32>) -> (Self, Vec<f64>) {
+        let n = members.len() as f64;
+        let (mut mean, mut squares) = (vec![0.0_f64; width], vec![0.0_f64; width]);
+        for &m in &members {
+            for (c, v) in vectors[m as usize * width..][..width].iter().enumerate() {
+                mean[c] += f64::from(*v);
+                squares[c] += f64::from(*v).powi(2);
+            }
+        }
+        mean.iter_mut().for_each(|m| *m /= n);
+        let spread = |c: usize| (squares[c] - n * mean[c] * mean[c]).max(0.0);
+        let widest = (0..width).max_by(|&a, &b| spread(a).total_cmp(&spread(b))).unwrap_or(0);
+        let error = (0..width).map(spread).sum();
+        (Self { error, members, split: (widest, mean[widest]) }, mean)
+    }
+}
+
+/// A palette of at most `size` vectors and the entry of each vector: what varies most is halved
+/// until there are so many (a tree-structured quantiser: Gersho and Gray 1992, section 12.4).
+pub(super) fn of_vectors(vectors: &[f32], width: usize, size: usize) -> (Vec<f32>, Vec<u16>) {
+    let count = vectors.len() / width;
+    let mut leaves = BinaryHeap::from([Leaf::new(vectors, width, (0..count as u32).collect()).0]);
+    let mut done = Vec::new();
+    while leaves.len() + done.len() < size {
+        let Some(Leaf { error, members, split: (axis, mean) }) = leaves.pop() else { break };
+        let below = |m: &u32| f64::from(vectors[*m as usize * width + axis]) <= mean;
+        let (low, high): (Vec<u32>, Vec<u32>) = members.into_iter().partition(below);
+        if error <= 0.0 || low.is_empty() || high.is_empty() {
+            let members = if low.is_empty() { high } else { [low, high].concat() };
+            done.push(Leaf { error, members, split: (axis, mean) });
+            continue;
+        }
+        leaves.extend([low, high].map(|members| Leaf::new(vectors, width, members).0));
+    }
+    let (mut palette, mut labels) = (Vec::new(), vec![0_u16; count]);
+    let all = leaves.into_sorted_vec().into_iter().chain(done);
+    for (number, leaf) in (0..=u16::MAX).zip(all) {
+        let (leaf, mean) = Leaf::new(vectors, width, leaf.members);
+        palette.extend(mean.iter().map(|v| *v as f32));
+        leaf.members.iter().for_each(|m| labels[*m as usize] = number);
+    }
+    (palette, labels)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::rng::rng;
+    use rand::Rng;
+
+    #[test]
+    fn numbers_are_near_their_entry_and_few_numbers_are_kept() {
+        let mut r = rng(1, "codebook", 0);
+        let values: Vec<f32> = (0..5000).map(|_| r.random_range(-1.0_f32..1.0).powi(3)).collect();
+        let book = of_numbers(&values, 256);
+        let worst = values.iter().map(|v| (v - book[usize::from(nearest(&book, *v))]).abs());
+        assert!(worst.fold(0.0, f32::max) < 0.02);
+        let book = of_numbers(&[2.0, -1.0, 2.0], 256);
+        assert_eq!([-1.0, 2.0].map(|v| book[usize::from(nearest(&book, v))]), [-1.0, 2.0]);
+    }
+
+    #[test]
+    fn a_palette_as_large_as_the_vectors_keeps_them_and_a_small_one_their_clusters() {
+        let mut r = rng(2, "palette", 0);
+        let vectors: Vec<f32> = (0..300).map(|_| r.random_range(-1.0..1.0)).collect();
+        let (palette, labels) = of_vectors(&vectors, 3, 100);
+        let kept = |i: usize| &palette[usize::from(labels[i]) * 3..][..3] == &vectors[i * 3..][..3];
+        assert!((0..100).all(kept));
+        let clustered: Vec<f32> = (0..100).flat_map(|i| [(i % 4) as f32, 0.0, (i % 2) as f32]).collect();
+        let (palette, labels) = of_vectors(&clustered, 3, 64);
+        assert_eq!(palette.len(), 4 * 3);
+        assert!((0..100).all(|i| labels[i] == labels[i % 4]));
+    }
+}
