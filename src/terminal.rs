@@ -61,8 +61,9 @@ impl TerminalSink {
     }
 
     /// The same of one of several stages.
-    pub fn of_stage(self, number: usize, of: usize) -> Self {
-        Self { stage: format!("{number}/{of} "), ..self }
+    pub fn of_stage(mut self, number: usize, of: usize) -> Self {
+        self.stage = format!("{number}/{of} ");
+        self
     }
 
     fn lock(&self) -> std::sync::MutexGuard<'_, ProgressState> {

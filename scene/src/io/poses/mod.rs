@@ -10,7 +10,7 @@ mod realityscan;
 
 pub use metashape::write_metashape;
 
-use super::error::{IoError, read_text};
+use super::error::IoError;
 use super::load::image_info;
 use super::transforms::{WORLD_FROM_TRANSFORMS, read_transforms};
 use super::{read_model, safe_name};
