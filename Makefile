@@ -14,7 +14,7 @@ SAT_RECON := $(TARGET)/release/sat-recon
 VENV := $(CACHE)/venv
 SHARED := $(or $(SAT_RECON_SHARED),../shared)
 
-.PHONY: help setup viewer build demo test neon lint same-bytes bench tables bench-gpu compare benchmarks-page oracle testbed suite bench-suite site \
+.PHONY: help setup viewer build demo test crash-test fuzz sanitize neon lint same-bytes bench tables bench-gpu compare benchmarks-page oracle testbed suite bench-suite site \
   tutorial-pictures
 help:  ## this list
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed 's/:.*##/\t/' | expand -t 20
@@ -35,6 +35,20 @@ demo: build  ## a satellite that yaws before a green screen: video to splat, the
 test: setup viewer  ## every test (real data is looked for in ../shared/data)
 	@tools/setup.sh colmap chromium
 	cargo test --workspace --locked
+
+crash-test: setup  ## kill the program, fill its disk and fail its reads at every call to the file system (hours)
+	SAT_RECON_CRASH=all cargo test --release --locked --test integration -- faults:: --nocapture
+
+# TIME: seconds for all targets together; TARGET="spz ksplat": some of them.
+fuzz: setup  ## feed every reader of files with mutated files (TIME=60 seconds, TARGET=...)
+	cargo run --release --locked -p fuzz -- $(or $(TIME),60) $(TARGET)
+
+# Nightly Rust brings the sanitizer and Miri; both see the code of this project and its dependencies.
+HOST := $(shell rustc -vV 2>/dev/null | sed -n 's/^host: //p')
+sanitize: setup  ## readers under the address sanitizer, scalar kernels under Miri, advisories (needs nightly Rust)
+	RUSTFLAGS=-Zsanitizer=address cargo +nightly run --target $(HOST) -p fuzz -- $(or $(TIME),60)
+	MIRIFLAGS=-Zmiri-disable-isolation cargo +nightly miri test -p scene --lib -- io::bytes io::name io::splats::plain flag
+	cargo deny --offline check advisories || cargo audit
 
 # The trainer alone: `sfm` needs Ceres' libraries for that processor.
 ARM := aarch64-unknown-linux-gnu

@@ -1,6 +1,7 @@
 //! The command line: what can be said to sat-recon.
 
 use clap::{Args, Parser, Subcommand, ValueEnum};
+use scene::flag::between;
 use serde::{Deserialize, Serialize};
 use std::path::PathBuf;
 
@@ -26,7 +27,7 @@ pub struct Global {
     #[arg(long, global = true, value_name = "FILE", help_heading = "General")]
     pub config: Option<PathBuf>,
     /// Worker threads (default: one a core); results do not depend on it
-    #[arg(long, global = true, value_name = "N", help_heading = "General")]
+    #[arg(long, global = true, value_parser = between::<usize>(1, 1024), value_name = "N", help_heading = "General")]
     pub threads: Option<usize>,
     /// Print the result as JSON on standard output
     #[arg(long, global = true, help_heading = "General")]
@@ -221,10 +222,10 @@ pub struct RenderArgs {
     #[arg(long, default_value_t = 120, value_parser = clap::value_parser!(u32).range(1..=100_000))]
     pub count: u32,
     /// Frames a second of an mp4
-    #[arg(long, default_value_t = 30.0)]
+    #[arg(long, default_value_t = 30.0, value_parser = between::<f64>(0.01, 1e4))]
     pub fps: f64,
     /// Background colour, red green blue in [0, 1]
-    #[arg(long, num_args = 3, default_values_t = [0.0, 0.0, 0.0])]
+    #[arg(long, num_args = 3, default_values_t = [0.0, 0.0, 0.0], value_parser = between::<f32>(0.0, 1.0))]
     pub background: Vec<f32>,
     /// Where to render.
     #[command(flatten)]
@@ -237,8 +238,8 @@ pub struct ExportArgs {
     /// A former output folder, or a splat file
     pub input: PathBuf,
     /// The file or folder to write; its ending says the format: .html (a page to open in a
-    /// browser), .ply (3DGS order), .compressed.ply, .splat, .spz, .sog, .glb (these also read,
-    /// and .ksplat), .json (transforms), .db (COLMAP's database, of a run with --colmap-database), or a
+    /// browser), .ply (3DGS order), .compressed.ply, .splat, .spz, .sog, .glb (these also read, and
+    /// .ksplat), .json (transforms), .db (COLMAP's database, of a run with --colmap-database), or a
     /// folder (COLMAP model, --text for text)
     #[arg(short, long, value_name = "OUT", required_unless_present_any = ["html", "mesh", "tool"])]
     pub output: Option<PathBuf>,

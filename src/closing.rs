@@ -66,7 +66,7 @@ fn lamp(level: Level, colour: bool) -> String {
 /// Says the last lines of a run on standard error.
 pub(crate) fn say(out: &Path, record: &RunRecord) {
     let colour = std::io::stderr().is_terminal() && std::env::var_os("NO_COLOR").is_none();
-    eprint!("{}", lines(out, record, colour));
+    crate::terminal::say(lines(out, record, colour).trim_end());
 }
 
 #[cfg(test)]
@@ -86,7 +86,8 @@ mod tests {
         let out = std::env::temp_dir().join(format!("sat-recon-closing-{}", std::process::id()));
         std::fs::create_dir_all(&out).unwrap();
         std::fs::write(out.join("report.html"), "").unwrap();
-        let light = |what: &str, level, reason: &str| Light { what: what.into(), level, reason: reason.into() };
+        let light =
+            |what: &str, level, reason: &str| Light { what: what.into(), level, reason: reason.into() };
         let bad = record(vec![
             light("frames with a pose", Level::Bad, "no model: too dark"),
             light("loop", Level::Good, "closed"),

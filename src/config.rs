@@ -205,7 +205,8 @@ fn absolute(path: &str) -> String {
     std::path::absolute(path).map_or_else(|_| path.to_owned(), |path| path.display().to_string())
 }
 
-fn former_run(input: &Path) -> Result<Option<Recorded>> {
+/// What the run in this folder was told, if there was one.
+pub(crate) fn former_run(input: &Path) -> Result<Option<Recorded>> {
     let path = input.join(".stages").join("args.json");
     if !path.is_file() {
         return Ok(None);
@@ -244,6 +245,8 @@ fn collect(table: &toml::Table, path: &Path, flags: &mut Vec<String>) -> Result<
 #[cfg(test)]
 mod tests {
     use super::*;
+    use clap::Parser;
+    use clap::error::ErrorKind;
 
     fn argv(text: &str) -> Vec<String> {
         text.split_whitespace().map(str::to_owned).collect()
@@ -281,6 +284,34 @@ mod tests {
         let wanted = ["--camera-from", &absolute("cam"), "--seed", "3", &database, "--mesh", "/m.ply"];
         assert_eq!(flags, wanted);
         assert_eq!(with_absolute_paths(flags.clone()), flags);
+    }
+
+    #[test]
+    fn no_flag_takes_nan_or_infinity() {
+        let command = Cli::command();
+        let mut numbers = 0;
+        for sub in command.get_subcommands() {
+            for argument in sub.get_arguments().filter(|a| a.get_long().is_some()) {
+                let flag = format!("--{}", argument.get_long().unwrap());
+                let line = |value: &str| {
+                    let mut argv = vec!["sat-recon".to_owned(), sub.get_name().to_owned(), "x".to_owned()];
+                    argv.extend(["-o".to_owned(), "y".to_owned()].into_iter().filter(|_| flag != "--output"));
+                    argv.push(format!("{flag}={value}"));
+                    Cli::try_parse_from(argv)
+                };
+                let refused =
+                    |value: &str| line(value).is_err_and(|e| e.kind() == ErrorKind::ValueValidation);
+                // Takes numbers, and no text.
+                if !refused("text") || refused("1") && refused("50") {
+                    continue;
+                }
+                numbers += 1;
+                for value in ["nan", "inf", "-inf", "1e999"] {
+                    assert!(refused(value), "{} {flag} takes {value}", sub.get_name());
+                }
+            }
+        }
+        assert!(numbers > 100, "{numbers} numbers");
     }
 
     #[test]

@@ -1,6 +1,7 @@
 //! What is installed, which adapters there are, and what will be slow.
 
 use crate::outcome::Outcome;
+use crate::terminal::print;
 use anyhow::Result;
 
 /// Libraries and programs in use, with their versions; missing ones say so.
@@ -22,13 +23,13 @@ pub fn run(json: bool) -> Result<Outcome> {
     rows.push(graphics(&adapters));
     rows.push(("COLMAP (for compare --colmap)".to_owned(), program_version("colmap")));
     if json {
-        println!("{}", serde_json::to_string_pretty(&rows)?);
+        print(&serde_json::to_string_pretty(&rows)?)?;
     } else {
         for (name, value) in &rows {
-            println!("{name:<32} {value}");
+            print(&format!("{name:<32} {value}"))?;
         }
         for line in advice(cores, &rows, &adapters) {
-            println!("note: {line}");
+            print(&format!("note: {line}"))?;
         }
     }
     Ok(Outcome::Done)

@@ -8,7 +8,7 @@ mod table;
 use crate::args::EvalConfig;
 use crate::record::RenderingCost;
 use crate::record::{Evaluation, Metrics, Percentile, SplatSummary, TrainingViews, ViewMetrics};
-use crate::stage::{Stages, write_json};
+use crate::stage::{self, write_json};
 use anyhow::{Context, Result};
 use image::{GrayImage, RgbImage};
 use scene::Progress;
@@ -27,11 +27,6 @@ impl ViewMetrics {
 }
 
 impl Evaluation {
-    /// Whether all of its pictures are in the run folder.
-    pub fn is_whole(&self, run: &Path) -> bool {
-        self.views.iter().all(|v| ["photos", "renders"].iter().all(|kind| v.picture(run, kind).is_ok()))
-    }
-
     /// The figures in a few words.
     pub fn sentence(&self) -> String {
         if self.views.is_empty() {
@@ -58,9 +53,9 @@ pub fn load_dataset(training_set: &Path, config: &DatasetConfig, progress: &Prog
 }
 
 /// Whether the splat of a run was trained with --antialias.
-pub fn trained_with_antialias(out: &Path) -> Result<bool> {
-    let trained = Stages::open(out)?.last::<SplatSummary>("train");
-    Ok(trained.is_some_and(|finished| finished.value.antialias))
+pub fn trained_with_antialias(out: &Path) -> bool {
+    let trained = stage::last::<SplatSummary>(out, "train");
+    trained.is_some_and(|finished| finished.value.antialias)
 }
 
 /// The networks of the weights that were given.
@@ -68,9 +63,10 @@ pub fn load_networks(weights: &[PathBuf]) -> Result<Vec<Lpips>> {
     weights.iter().map(|path| Ok(Lpips::load(path)?)).collect()
 }
 
-/// Renders the held-out views, compares them with the photos, writes `OUT/eval`.
+/// Renders the held-out views, compares them with the photos, writes `eval` into the folder `new`.
 pub fn evaluate(
     out: &Path,
+    new: &Path,
     dataset: &DatasetConfig,
     config: &EvalConfig,
     device: &DeviceConfig,
@@ -79,7 +75,7 @@ pub fn evaluate(
     let networks = load_networks(&config.lpips_weights)?;
     let gaussians = scene::io::ply::read_splat_ply(&out.join("splat.ply"))?;
     let (mut renderer, chosen) = Renderer::on(device, &gaussians)?;
-    renderer.antialias = trained_with_antialias(out)?;
+    renderer.antialias = trained_with_antialias(out);
     let cameras = speed::held_out_cameras(&out.join("undistorted"), dataset)?;
     let rendering = speed::measure(&mut renderer, &cameras, config.fps_loops, progress)?;
     let mesh = &config.mesh;
@@ -96,7 +92,7 @@ pub fn evaluate(
         ..Evaluation::default()
     };
     progress.begin("evaluate", held_out.len());
-    scene::io::replace_folder(&out.join("eval"), |folder| -> Result<()> {
+    scene::io::replace_folder(&new.join("eval"), |folder| -> Result<()> {
         for (i, view) in held_out.iter().enumerate() {
             let picture = format!("{i:03}_{}.png", plain(&view.name));
             let compared = Compared::of(&mut renderer, view, &dataset)?;

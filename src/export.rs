@@ -4,7 +4,8 @@ use crate::args::ExportArgs;
 use crate::handover::Tool;
 use crate::outcome::Outcome;
 use crate::record::KnownRun;
-use crate::terminal::{CANCELLED, TerminalSink, Verbosity};
+use crate::terminal::{CANCELLED, TerminalSink, Verbosity, say};
+use crate::transforms;
 use anyhow::{Context, Result, bail};
 use clap::ValueEnum;
 use scene::Progress;
@@ -49,7 +50,7 @@ pub fn run(args: &ExportArgs, verbosity: Verbosity) -> Result<Outcome> {
         }
         other => bail!("no format is known by the ending .{other}; see 'sat-recon export --help'"),
     }
-    eprintln!("wrote {}", output.display());
+    say(&format!("wrote {}", output.display()));
     Ok(Outcome::Done)
 }
 
@@ -62,21 +63,30 @@ fn hand_over(args: &ExportArgs, tool: Tool, verbosity: Verbosity) -> Result<Outc
     let output = args.output.as_deref().unwrap_or(&default);
     let progress = Progress::new(Box::new(TerminalSink::new(verbosity, None)), &CANCELLED);
     let advice = crate::handover::write(&args.input, tool, output, &progress)?;
-    eprintln!("wrote {}\nto load it: {advice}", output.display());
+    say(&format!("wrote {}\nto load it: {advice}", output.display()));
     Ok(Outcome::Done)
 }
 
-/// Of a run with its masks, times and held-out views, the points beside it; of another model its
-/// poses.
+/// Of a run with its masks, times and held-out views; of another model its poses, with the points
+/// beside the file.
 fn write_transforms(input: &Path, output: &Path) -> Result<()> {
     let model = read_model(input)?;
-    let known = KnownRun::read(input).ok();
-    let dataset = known.as_ref().map(|k| k.config.dataset.clone()).unwrap_or_default();
-    let frames = known.as_ref().and_then(|k| k.frames.as_ref());
-    if !model.points.is_empty() {
-        crate::transforms::write_cloud(&output.with_file_name(crate::transforms::CLOUD), &model)?;
+    let Ok(known) = KnownRun::read(input) else {
+        if !model.points.is_empty() {
+            transforms::write_cloud(&output.with_file_name(transforms::CLOUD), &model)?;
+        }
+        return transforms::write(output, &model, None, &splat::DatasetConfig::default());
+    };
+    transforms::write(output, &model, known.frames.as_ref(), &known.config.dataset)?;
+    let folder = std::path::absolute(output)?;
+    if folder.parent() != Some(&*std::path::absolute(input)?) {
+        say(&format!(
+            "the paths in {} begin in {}: put it there, or export --for nerfstudio a folder of its own",
+            output.display(),
+            input.display()
+        ));
     }
-    crate::transforms::write(output, &model, frames, &dataset)
+    Ok(())
 }
 
 /// The surface of a run's splat as its input cameras see it.
@@ -93,14 +103,14 @@ fn write_mesh(args: &ExportArgs, output: &Path, verbosity: Verbosity) -> Result<
     let progress = Progress::new(Box::new(TerminalSink::new(verbosity, None)), &CANCELLED);
     let config = crate::render::dataset_config(&args.input);
     let dataset = crate::evaluate::load_dataset(&args.input.join("undistorted"), &config, &progress)?;
-    let antialias = crate::evaluate::trained_with_antialias(&args.input)?;
+    let antialias = crate::evaluate::trained_with_antialias(&args.input);
     let mesh = splat::fusion::fused_mesh(&gaussians, &dataset, antialias, args.mesh_resolution, &progress)?;
     if mesh.triangles.is_empty() {
         bail!("{} has no surface: nowhere do its cameras see it half opaque", splat.display());
     }
     scene::io::write_mesh(output, &mesh)?;
     if verbosity > Verbosity::Quiet {
-        eprintln!("{} vertices, {} triangles", mesh.vertices.len(), mesh.triangles.len());
+        say(&format!("{} vertices, {} triangles", mesh.vertices.len(), mesh.triangles.len()));
     }
     Ok(())
 }

@@ -82,7 +82,11 @@ pub(crate) fn help_all(argv: &[String]) -> Option<String> {
     }
     let mut command = command(true);
     command.build();
-    let named = argv.iter().skip(1).find_map(|a| command.find_subcommand(a)).or_else(|| command.find_subcommand("run"));
+    let named = argv
+        .iter()
+        .skip(1)
+        .find_map(|a| command.find_subcommand(a))
+        .or_else(|| command.find_subcommand("run"));
     let mut named = named?.clone();
     Some(named.render_long_help().to_string())
 }
@@ -93,7 +97,8 @@ pub(crate) fn write_man(args: &ManArgs) -> Result<Outcome> {
     std::fs::create_dir_all(folder).with_context(|| format!("cannot make {}", folder.display()))?;
     clap_mangen::generate_to(command(true), folder)
         .with_context(|| format!("cannot write into {}", folder.display()))?;
-    eprintln!("wrote {}; read them with: man -l {}/sat-recon.1", folder.display(), folder.display());
+    let page = folder.join("sat-recon.1");
+    crate::terminal::say(&format!("wrote {}; read them with: man -l {}", folder.display(), page.display()));
     Ok(Outcome::Done)
 }
 

@@ -5,7 +5,7 @@ use scene::decision::{Choice, Decision, Quantity, Rule, Subject};
 use scene::io::ImportedPoses;
 use scene::sim3::Sim3;
 use scene::{FrameSet, Progress, Reconstruction};
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 
 /// The input, looked at but not yet read.
@@ -59,9 +59,22 @@ fn posed_model(folder: &Path) -> Option<PathBuf> {
         .or_else(|| scene::io::find_poses(folder))
 }
 
-/// Reads the poses that came with the images and gives each posed image the name of its frame. The
-/// similarity leads from the frame of the file into that of the model.
-pub fn import_poses(model: &Path, images: &Path, frames: &FrameSet) -> Result<(Reconstruction, Sim3)> {
+/// Poses that came with the images.
+#[derive(Debug)]
+pub struct Imported {
+    /// Each image has the name of its frame.
+    pub model: Reconstruction,
+    /// From the frame of the file into that of the model.
+    pub world_from_file: Sim3,
+    /// Frames that it has no pose for, and why.
+    pub missing: Vec<(String, String)>,
+    /// What was repaired.
+    pub notes: Vec<String>,
+}
+
+/// Reads the poses that came with the images in the folder `images` and gives each posed image the
+/// name of its frame.
+pub fn import_poses(model: &Path, images: &Path, frames: &FrameSet) -> Result<Imported> {
     let ImportedPoses { model: mut reconstruction, world_from_file } = scene::io::read_poses(model, images)?;
     let mut by_name = BTreeMap::new();
     for frame in &frames.frames {
@@ -98,11 +111,25 @@ pub fn import_poses(model: &Path, images: &Path, frames: &FrameSet) -> Result<(R
             model.display()
         );
     }
+    let mut notes = Vec::new();
     for (id, (width, height)) in sizes {
-        fit_camera(&mut reconstruction, id, width, height)?;
+        notes.extend(fit_camera(&mut reconstruction, id, width, height)?);
     }
-    reconstruction.validate().map_err(|e| anyhow::anyhow!("{}: {e}", model.display()))?;
-    Ok((reconstruction, world_from_file))
+    let repaired = reconstruction.admit().map_err(|e| anyhow::anyhow!("{}: {e}", model.display()))?;
+    notes.extend(repaired);
+    if reconstruction.images.len() < 2 {
+        bail!(
+            "{} has poses for {} of {} images; at least 2 are needed (--ignore-poses estimates them)",
+            model.display(),
+            reconstruction.images.len(),
+            frames.len()
+        );
+    }
+    let why = format!("no pose in {}", model.display());
+    let posed: BTreeSet<&str> = reconstruction.images.values().map(|i| i.name.as_str()).collect();
+    let names = frames.frames.iter().map(|f| &f.name).filter(|name| !posed.contains(name.as_str()));
+    let missing = names.map(|name| (name.clone(), why.clone())).collect();
+    Ok(Imported { model: reconstruction, world_from_file, missing, notes })
 }
 
 /// Poses that come without points get those that their photos agree on, and a decision says so.
@@ -129,13 +156,22 @@ fn stem(name: &str) -> String {
     Path::new(name).with_extension("").to_string_lossy().into_owned()
 }
 
-/// Scales a camera (and its keypoints) to the size of the frames on disk; another aspect ratio is
-/// an error.
-fn fit_camera(reconstruction: &mut Reconstruction, id: u32, width: u32, height: u32) -> Result<()> {
-    let Some(camera) = reconstruction.cameras.get_mut(&id) else { return Ok(()) };
+/// Scales a camera (and its keypoints) to the size of the frames on disk, and says so; another
+/// aspect ratio is an error.
+fn fit_camera(
+    reconstruction: &mut Reconstruction,
+    id: u32,
+    width: u32,
+    height: u32,
+) -> Result<Option<String>> {
+    let Some(camera) = reconstruction.cameras.get_mut(&id) else { return Ok(None) };
     if (camera.width, camera.height) == (width, height) {
-        return Ok(());
+        return Ok(None);
     }
+    let note = format!(
+        "camera {id} was scaled from {}×{} to its images' {width}×{height}",
+        camera.width, camera.height
+    );
     let (sx, sy) = (f64::from(width) / f64::from(camera.width), f64::from(height) / f64::from(camera.height));
     if (sx / sy - 1.0).abs() > 0.01 {
         bail!("camera {id} is {}×{} but its images are {width}×{height}", camera.width, camera.height);
@@ -146,5 +182,5 @@ fn fit_camera(reconstruction: &mut Reconstruction, id: u32, width: u32, height: 
             observation.pixel *= glam::DVec2::new(sx, sy);
         }
     }
-    Ok(())
+    Ok(Some(note))
 }

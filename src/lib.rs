@@ -43,7 +43,6 @@ pub fn run(parsed: config::Parsed) -> Result<Outcome> {
         _ => Verbosity::Normal,
     };
     if let Some(threads) = global.threads {
-        anyhow::ensure!(threads > 0, "--threads must be at least 1");
         rayon::ThreadPoolBuilder::new().num_threads(threads).build_global()?;
     }
     terminal::install_ctrl_c()?;
@@ -63,17 +62,26 @@ pub fn run(parsed: config::Parsed) -> Result<Outcome> {
         | Command::Report(args) => {
             if verbosity > Verbosity::Quiet && !parsed.preset.is_empty() {
                 let name = format!("{:?}", args.quality).to_lowercase();
-                eprintln!("--quality {name} sets {}", parsed.preset.join(" "));
+                terminal::say(&format!("--quality {name} sets {}", parsed.preset.join(" ")));
             }
             pipeline::Pipeline::new(*args, parsed.recorded, verbosity, global.json)?.run(until)
         }
-        Command::Render(args) => render::run(&args, verbosity),
-        Command::Export(args) => export::run(&args, verbosity),
+        Command::Render(args) => {
+            stage::settle(&args.run)?;
+            render::run(&args, verbosity)
+        }
+        Command::Export(args) => {
+            stage::settle(&args.input)?;
+            export::run(&args, verbosity)
+        }
         Command::Compare(args) => compare::run(&args, verbosity, global.json),
         Command::Bench(args) => bench::run(&args, &global, verbosity),
         Command::Batch(args) => batch::run(&args, verbosity, global.json),
         Command::Collect(args) => batch::collect(&args, verbosity, global.json),
-        Command::View(args) => view::server::run(&args, verbosity == Verbosity::Quiet),
+        Command::View(args) => {
+            stage::settle(&args.run)?;
+            view::server::run(&args, verbosity == Verbosity::Quiet)
+        }
         Command::Doctor => doctor::run(global.json),
         Command::Completions { shell } => Ok(help::print_completions(shell)),
         Command::Man(args) => help::write_man(&args),

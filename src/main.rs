@@ -1,23 +1,35 @@
 //! The program: parses, runs one command, turns its outcome into an exit code.
 //!
-//! Exit codes: 0 all well, 2 no model, 3 a partial model, 1 anything else.
+//! Exit codes: 0 all well, 2 no model, 3 a partial model, 4 a result whose report is red, 1 anything
+//! else.
 
+use anyhow::anyhow;
+use sat_recon::terminal::say;
 use sat_recon::{Outcome, config, run};
+use std::ffi::OsString;
+use std::io::ErrorKind;
 use std::process::ExitCode;
 
 fn main() -> ExitCode {
     quiet_drivers();
-    match config::parse(std::env::args().collect()) {
+    let arguments: Result<Vec<String>, OsString> = std::env::args_os().map(OsString::into_string).collect();
+    let arguments = match arguments {
+        Ok(arguments) => arguments,
+        Err(odd) => return fail(&anyhow!("{} is not UTF-8; rename the file", odd.display())),
+    };
+    match config::parse(arguments) {
         Ok(Ok(parsed)) => match run(parsed) {
             Ok(Outcome::Done) => ExitCode::SUCCESS,
             Ok(Outcome::NoModel) => ExitCode::from(2),
             Ok(Outcome::Partial) => ExitCode::from(3),
+            Ok(Outcome::Doubtful) => ExitCode::from(4),
             Err(error) => fail(&error),
         },
-        Ok(Err(usage)) => {
-            let _ = usage.print(); // to a closed pipe there is nothing to say
-            if usage.use_stderr() { ExitCode::from(1) } else { ExitCode::SUCCESS }
-        }
+        Ok(Err(usage)) => match usage.print() {
+            Ok(()) if !usage.use_stderr() => ExitCode::SUCCESS,
+            Err(e) if !usage.use_stderr() && e.kind() == ErrorKind::BrokenPipe => ExitCode::SUCCESS,
+            _ => ExitCode::from(1),
+        },
         Err(error) => fail(&error),
     }
 }
@@ -32,6 +44,6 @@ fn quiet_drivers() {
 }
 
 fn fail(error: &anyhow::Error) -> ExitCode {
-    eprintln!("error: {error:#}");
+    say(&format!("error: {error:#}"));
     ExitCode::from(1)
 }

@@ -1,5 +1,6 @@
 //! The pipeline: frames, poses, undistortion, splat, evaluation, report, each resumable.
 
+mod all_frames;
 mod folder;
 mod model;
 mod world;
@@ -8,14 +9,16 @@ use crate::args::PipelineArgs;
 use crate::config::Recorded;
 use crate::database;
 use crate::evaluate;
-use crate::input::{self, Input};
+use crate::input::{self, Imported, Input};
 use crate::outcome::Outcome;
-use crate::record::{Evaluation, PoseSummary, RunRecord, SplatSummary};
+use crate::record::{Deviations, Evaluation, Level, PoseSummary, RunRecord, SplatSummary};
 use crate::report;
-use crate::stage::{Cost, Stages, describe_input, fingerprint, write_json};
-use crate::terminal::{CANCELLED, TerminalSink, Verbosity};
-use anyhow::{Context, Result, bail};
-use folder::{absolute_in, default_output, relative_to};
+use crate::stage::{Done, Finished, StageSpec, Stages, describe_input, fingerprint, write_json};
+use crate::terminal::{CANCELLED, TerminalSink, Verbosity, print, say};
+use crate::transforms;
+use anyhow::{Context, Result};
+use folder::{absolute_in, output_folder, relative_to};
+use scene::decision::Rule;
 use scene::{Decision, FrameSet, Progress, Reconstruction};
 use std::path::{Path, PathBuf};
 
@@ -34,8 +37,15 @@ pub enum Until {
     Report,
 }
 
-/// The stages in their order, by the names under which they are told.
-const STAGES: [&str; 6] = ["frames", "poses", "undistort", "train", "eval", "report"];
+/// The stages in their order: the name of the record, and the one that users see.
+const STAGES: [[&str; 2]; 6] = [
+    ["frames", "frames"],
+    ["sfm", "poses"],
+    ["undistort", "undistort"],
+    ["train", "train"],
+    ["eval", "eval"],
+    ["report", "report"],
+];
 
 impl Until {
     /// How many stages there are up to this one.
@@ -49,6 +59,24 @@ impl Until {
         }
     }
 }
+
+/// What each stage writes into the output folder and no other does. The record and the report tell
+/// of all stages: whichever runs anew takes them away.
+const FRAMES: [&str; 6] = ["images", "masks", ".film.png", "mattes.png", "run.json", "report.html"];
+const SFM: [&str; 7] = [
+    "sparse/0",
+    "transforms.json",
+    "sparse_points.ply",
+    "database.db",
+    "frames.json",
+    "run.json",
+    "report.html",
+];
+/// Written after the poses, anew where other views are held out.
+const TRANSFORMS: [&str; 1] = ["transforms.json"];
+const UNDISTORT: [&str; 1] = ["undistorted"];
+const TRAIN: [&str; 4] = ["splat.ply", "refined", "run.json", "report.html"];
+const EVAL: [&str; 3] = ["eval", "run.json", "report.html"];
 
 /// One run into one output folder.
 pub struct Pipeline {
@@ -65,20 +93,29 @@ pub struct Pipeline {
 impl Pipeline {
     /// Looks at the input and opens the output folder.
     pub fn new(
+        args: PipelineArgs,
+        recorded: Option<Recorded>,
+        verbosity: Verbosity,
+        json: bool,
+    ) -> Result<Self> {
+        Input::detect(&args.input, args.ignore_poses)?; // before a folder is made for it
+        let out = output_folder(args.output.as_deref(), &args.input)?;
+        Self::within(Stages::open(&out)?, args, recorded, verbosity, json)
+    }
+
+    /// The same in a folder that is open already.
+    pub fn within(
+        stages: Stages,
         mut args: PipelineArgs,
         recorded: Option<Recorded>,
         verbosity: Verbosity,
         json: bool,
     ) -> Result<Self> {
         let input = Input::detect(&args.input, args.ignore_poses)?;
-        let out = args.output.clone().unwrap_or_else(|| default_output(&args.input));
-        if out.is_file() {
-            bail!("{} is a file; name a folder with -o", out.display());
-        }
+        let out = stages.out().to_path_buf();
         if let Some(folder) = &args.camera_from {
             args.sfm.calibration = Some(crate::calibration::read(folder)?);
         }
-        let stages = Stages::open(&out)?;
         if let Some(recorded) = recorded {
             write_json(&stages.path("args.json"), &recorded)?;
         }
@@ -105,7 +142,13 @@ impl Pipeline {
             self.record.poses = Some(poses.clone());
             if poses.no_model.is_some() {
                 outcome = Outcome::NoModel;
+                // What an earlier run made of other poses is no result of this one.
+                self.stages.retire("transforms", &TRANSFORMS)?;
+                self.stages.retire("undistort", &UNDISTORT)?;
+                self.stages.retire("train", &TRAIN)?;
+                self.stages.retire("eval", &EVAL)?;
             } else {
+                self.write_transforms(&frames, &poses_print)?;
                 outcome = if poses.missing.is_empty() { Outcome::Done } else { Outcome::Partial };
                 if until >= Until::Train {
                     self.splat(&frames, &poses_print, until)?;
@@ -118,6 +161,9 @@ impl Pipeline {
         }
         write_json(&self.out.join("run.json"), &self.record)?;
         self.say_result(until)?;
+        if outcome == Outcome::Done && report::overall(&self.record.verdict) == Level::Bad {
+            outcome = Outcome::Doubtful;
+        }
         Ok((outcome, self.record))
     }
 
@@ -129,13 +175,13 @@ impl Pipeline {
 
     /// Which of how many stages it is.
     fn place(&self, stage: &str) -> (usize, usize) {
-        let before = STAGES.iter().position(|s| *s == stage).unwrap_or(0);
+        let before = STAGES.iter().position(|names| names.contains(&stage)).unwrap_or(0);
         (before + 1, self.until.stages())
     }
 
     fn say(&self, line: &str) {
         if self.verbosity > Verbosity::Quiet {
-            eprintln!("{line}");
+            say(line);
         }
     }
 
@@ -148,15 +194,21 @@ impl Pipeline {
         }
     }
 
-    fn finish(&mut self, stage: &str, cost: Cost, ran: bool, line: &str) {
-        let spent = if ran {
+    /// Says what a stage came to and what it cost.
+    fn finish<T>(&mut self, stage: &str, done: Done<T>, line: &str) -> Finished<T> {
+        let cost = done.finished.cost.clone();
+        let spent = if done.ran {
             format!("{:.1} s, {:.1} CPU s, {:.0} MiB", cost.wall_s, cost.cpu_s, cost.peak_mib)
         } else {
             "as before".into()
         };
         let (number, of) = self.place(stage);
         self.say(&format!("{number}/{of} {stage:<9} {line} ({spent})"));
+        if let Some(changed) = &done.changed {
+            self.say(&format!("          made again: {changed}"));
+        }
         self.record.costs.push((stage.to_owned(), cost));
+        done.finished
     }
 
     fn frames(&mut self) -> Result<(FrameSet, String)> {
@@ -167,18 +219,15 @@ impl Pipeline {
             &self.args.frames,
             &self.args.key,
             describe_input(source)?,
+            self.masks_beside(source).as_deref().map(describe_input).transpose()?,
         ))?;
-        if self.stages.current::<FrameSet>("frames", &print).is_none() {
-            self.refuse_foreign_folder()?;
-        }
-        let (finished, ran) = self.stages.run("frames", &print, &[self.out.join("images")], || {
+        let stage = StageSpec { name: "frames", fingerprint: &print, owns: &FRAMES };
+        let done = self.stages.run(&stage, |new| {
             let progress = self.progress("frames");
             let frames = match &self.input {
-                Input::Video(path) => {
-                    preprocess::video_frames(path, &self.out, &self.args.frames, &progress)?
-                }
+                Input::Video(path) => preprocess::video_frames(path, new, &self.args.frames, &progress)?,
                 Input::Photos(path) | Input::Posed { images: path, .. } => {
-                    preprocess::photo_frames(path, &self.out, &self.args.frames, &progress)?
+                    preprocess::photo_frames(path, new, &self.args.frames, &progress)?
                 }
             };
             // Who brings masks has cut the object out already.
@@ -186,38 +235,35 @@ impl Pipeline {
             let frames = if cut || self.args.key.key == "off" {
                 frames
             } else {
-                preprocess::matte_frames(&frames, &self.out, &self.args.key, &progress)?
+                preprocess::matte_frames(&frames, new, &self.args.key, &progress)?
             };
             if frames.frames.iter().any(|f| f.mask.is_some()) {
-                preprocess::contact_sheet(&frames, &self.out.join("mattes.png"))?;
+                preprocess::contact_sheet(&frames, &new.join("mattes.png"))?;
             }
-            Ok(relative_to(frames, &self.out))
+            Ok(relative_to(frames, new))
         })?;
-        let frames = absolute_in(finished.value, &self.out);
+        let frames: &FrameSet = &done.finished.value;
         let sizes = frames.frames.first().map_or(String::new(), |f| format!(", {}×{}", f.width, f.height));
-        self.finish("frames", finished.cost, ran, &format!("{}{sizes}", frames.len()));
+        let line = format!("{}{sizes}", frames.len());
+        let finished = self.finish("frames", done, &line);
+        let identity = finished.identity()?;
+        let frames = absolute_in(finished.value, &self.out);
         for note in &frames.notes {
             self.say(&format!("          {note}"));
         }
         self.say_decisions(&frames.decisions);
-        Ok((frames, print))
+        Ok((frames, identity))
     }
 
-    /// A folder that holds something that no run of ours made is not written over.
-    fn refuse_foreign_folder(&self) -> Result<()> {
-        for name in ["images", "sparse", "masks"] {
-            let path = self.out.join(name);
-            if path.exists()
-                && self.stages.last::<FrameSet>("frames").is_none()
-                && std::fs::read_dir(&path)?.next().is_some()
-            {
-                bail!(
-                    "{} holds files that sat-recon did not write; choose another folder with -o",
-                    path.display()
-                );
-            }
-        }
-        Ok(())
+    /// The folder of masks, where it lies outside the folder of the photos.
+    fn masks_beside(&self, photos: &Path) -> Option<PathBuf> {
+        let masks = match self.args.frames.masks.as_str() {
+            _ if matches!(self.input, Input::Video(_)) => return None,
+            "off" => return None,
+            "auto" => photos.parent()?.join("masks"),
+            given => PathBuf::from(given),
+        };
+        masks.is_dir().then_some(masks)
     }
 
     fn poses(&mut self, frames: &FrameSet, frames_print: &str) -> Result<(PoseSummary, String)> {
@@ -241,38 +287,37 @@ impl Pipeline {
                 ))?
             }
         };
-        let known: Option<PoseSummary> = self.stages.current("sfm", &print).map(|f| f.value);
-        let has_model = known.is_none_or(|k| k.no_model.is_none());
-        let mut model = if has_model {
-            vec![self.out.join("sparse/0"), self.out.join(crate::transforms::CLOUD)]
-        } else {
-            vec![]
-        };
-        model.extend(self.args.colmap_database.then(|| self.out.join("database.db")));
-        let (finished, ran) = self.stages.run("sfm", &print, &model, || {
-            let progress = self.progress("poses");
+        let stage = StageSpec { name: "sfm", fingerprint: &print, owns: &SFM };
+        let done = self.stages.run(&stage, |new| {
+            let progress = self.progress("sfm");
             let (reconstruction, mut summary) = match &self.input {
                 Input::Posed { model, .. } => {
-                    let (given, turn) = input::import_poses(model, self.input.source(), frames)?;
-                    let (model, decisions) = input::with_points(given, frames, &self.args.sfm, &progress)?;
-                    let world = world::given(&model, frames, turn);
-                    (Some(model), PoseSummary { imported: true, decisions, world, ..PoseSummary::default() })
+                    let Imported { model, world_from_file, missing, notes } =
+                        input::import_poses(model, self.input.source(), frames)?;
+                    let (model, decisions) = input::with_points(model, frames, &self.args.sfm, &progress)?;
+                    let world = world::given(&model, frames, world_from_file);
+                    let summary = PoseSummary {
+                        imported: true,
+                        world,
+                        missing,
+                        notes,
+                        decisions,
+                        ..Default::default()
+                    };
+                    (Some(model), summary)
                 }
-                _ => self.solve_poses(frames, &progress)?,
+                _ => self.solve_poses(frames, new, &progress)?,
             };
             summary.total = frames.len();
             if let Some(reconstruction) = &reconstruction {
                 summary.registered = reconstruction.images.len();
                 summary.points = reconstruction.points.len();
                 summary.mean_error_px = reconstruction.mean_reprojection_error();
-                model::write(reconstruction, &self.out, self.args.text)?;
+                model::write(reconstruction, new, self.args.text)?;
             }
             Ok(summary)
         })?;
-        let poses = finished.value;
-        if poses.no_model.is_none() {
-            model::write_transforms(&self.out, frames, &self.args.dataset)?;
-        }
+        let poses: &PoseSummary = &done.finished.value;
         let line = match &poses.no_model {
             Some(reason) => format!("no model: {reason}"),
             None => format!(
@@ -287,55 +332,78 @@ impl Pipeline {
                 }
             ),
         };
-        self.finish("poses", finished.cost, ran, &line);
+        let finished = self.finish("poses", done, &line);
+        let identity = finished.identity()?;
+        let poses = finished.value;
         self.say_decisions(&poses.decisions);
+        for note in &poses.notes {
+            self.say(&format!("          {note}"));
+        }
         for (name, why) in &poses.missing {
             self.say(&format!("          missing {name}: {why}"));
         }
         for (name, why) in &poses.weak {
             self.say(&format!("          weak    {name}: {why}"));
         }
-        Ok((poses, print))
+        Ok((poses, identity))
     }
 
     fn solve_poses(
         &self,
         frames: &FrameSet,
+        new: &Path,
         progress: &Progress,
     ) -> Result<(Option<Reconstruction>, PoseSummary)> {
         let mut result = database::solve(&self.args, frames, progress)?;
-        let mut summary = PoseSummary {
+        let world = world::find(&result, frames, &self.args);
+        if let Some(world) = world.as_ref().filter(|_| !self.args.keep_frame) {
+            world::place(&mut result, &world.sim3());
+        }
+        let rule = if self.args.keep_frame { Rule::Requested } else { Rule::Evidence };
+        result.decisions.extend(world.as_ref().map(|w| w.decision(rule)));
+        let summary = PoseSummary {
             no_model: result.reconstruction.is_none().then(|| result.reason.clone()),
             missing: result.missing.clone(),
             weak: result.weak_images.clone(),
+            deviations: result
+                .uncertainty
+                .as_ref()
+                .zip(result.reconstruction.as_ref())
+                .map(|(u, model)| Deviations::of(u, model)),
+            motion: result.motion.clone(),
+            world,
             decisions: result.decisions.clone(),
             figures: figures(&result.stats),
             ..PoseSummary::default()
         };
-        if let Some(model) = &result.reconstruction {
-            let uncertainty = result.uncertainty.as_ref();
-            let placed = world::place(model, uncertainty, frames, &self.args, &mut summary);
-            result.reconstruction = Some(placed);
-        }
-        let reconstruction = database::write(&self.args, &self.out, result, frames)?;
+        all_frames::write(&new.join("frames.json"), &result.frames, frames)?;
+        let reconstruction = database::write(&self.args, new, result, frames)?;
         Ok((reconstruction, summary))
+    }
+
+    /// Which views are held out is no matter of the poses.
+    fn write_transforms(&self, frames: &FrameSet, poses_print: &str) -> Result<()> {
+        let print = fingerprint(&("transforms", 1, poses_print, &self.args.dataset))?;
+        let stage = StageSpec { name: "transforms", fingerprint: &print, owns: &TRANSFORMS };
+        self.stages.run(&stage, |new| {
+            let model = scene::io::read_model(&self.out.join("sparse/0"))?;
+            let target = new.join("transforms.json");
+            transforms::write(&target, &model, Some(frames), &self.args.dataset)
+        })?;
+        Ok(())
     }
 
     fn splat(&mut self, frames: &FrameSet, poses_print: &str, until: Until) -> Result<()> {
         let training_set = self.out.join("undistorted");
         let print = fingerprint(&("undistort", 1, poses_print))?;
-        let (finished, ran) = self.stages.run(
-            "undistort",
-            &print,
-            &[training_set.join("sparse/0"), training_set.join("images")],
-            || {
-                let progress = self.progress("undistort");
-                let reconstruction = scene::io::read_model(&self.out.join("sparse/0"))?;
-                sfm::undistort(frames, &reconstruction, &training_set, &progress)?;
-                Ok(0_u32)
-            },
-        )?;
-        self.finish("undistort", finished.cost, ran, "images for training");
+        let stage = StageSpec { name: "undistort", fingerprint: &print, owns: &UNDISTORT };
+        let done = self.stages.run(&stage, |new| {
+            let progress = self.progress("undistort");
+            let reconstruction = scene::io::read_model(&self.out.join("sparse/0"))?;
+            sfm::undistort(frames, &reconstruction, &new.join("undistorted"), &progress)?;
+            Ok(0_u32)
+        })?;
+        let print = self.finish("undistort", done, "images for training").identity()?;
 
         let print = fingerprint(&(
             "train",
@@ -345,39 +413,33 @@ impl Pipeline {
             &self.args.train,
             self.args.seed,
         ))?;
-        let (finished, ran) = self
-            .stages
-            .run("train", &print, &[self.out.join("splat.ply")], || self.train(&training_set, &print))?;
-        let splat = finished.value;
-        self.finish(
-            "train",
-            finished.cost,
-            ran,
-            &format!("{} Gaussians, SH degree {}", splat.gaussians, splat.sh_degree),
-        );
-        self.record.splat = Some(splat);
+        let stage = StageSpec { name: "train", fingerprint: &print, owns: &TRAIN };
+        let done = self.stages.run(&stage, |new| self.train(&training_set, new, &print))?;
+        // The splat is in its place: the checkpoint has done its work.
+        self.stages.discard("train")?;
+        let splat: &SplatSummary = &done.finished.value;
+        let line = format!("{} Gaussians, SH degree {}", splat.gaussians, splat.sh_degree);
+        let finished = self.finish("train", done, &line);
+        let print = finished.identity()?;
+        self.record.splat = Some(finished.value);
         if until < Until::Eval {
             return Ok(());
         }
         let mesh = self.args.eval.mesh.mesh.as_deref().map(describe_input).transpose()?;
         let print = fingerprint(&("eval", 4, &print, &self.args.eval, mesh))?;
-        let known = self.stages.current::<Evaluation>("eval", &print);
-        if known.is_some_and(|k| !k.value.is_whole(&self.out)) {
-            self.stages.forget("eval"); // a picture is missing
-        }
-        let (finished, ran) =
-            self.stages.run("eval", &print, &[self.out.join("eval/metrics.json")], || {
-                let progress = self.progress("eval");
-                let args = &self.args;
-                evaluate::evaluate(&self.out, &args.dataset, &args.eval, &args.train.device, &progress)
-            })?;
-        let evaluation = finished.value;
-        self.finish("eval", finished.cost, ran, &evaluation.sentence());
-        self.record.evaluation = Some(evaluation);
+        let stage = StageSpec { name: "eval", fingerprint: &print, owns: &EVAL };
+        let done: Done<Evaluation> = self.stages.run(&stage, |new| {
+            let progress = self.progress("eval");
+            let args = &self.args;
+            evaluate::evaluate(&self.out, new, &args.dataset, &args.eval, &args.train.device, &progress)
+        })?;
+        let line = done.finished.value.sentence();
+        self.record.evaluation = Some(self.finish("eval", done, &line).value);
         Ok(())
     }
 
-    fn train(&self, training_set: &Path, print: &str) -> Result<SplatSummary> {
+    /// Trains, with checkpoints in `.stages/train`, and writes the splat into the folder `new`.
+    fn train(&self, training_set: &Path, new: &Path, print: &str) -> Result<SplatSummary> {
         crate::stage::free_large_blocks_at_once();
         let progress = self.progress("train");
         let checkpoints = self.stages.path("train");
@@ -398,8 +460,8 @@ impl Pipeline {
         config.seed = self.args.seed;
         config.seconds_gone = begun.elapsed().as_secs_f64();
         let result = splat::train::train(&dataset, &config, Some(&checkpoints), &progress)?;
-        scene::io::ply::write_splat_ply(&self.out.join("splat.ply"), &result.gaussians)?;
-        model::write_refined(&self.out, &result.poses)?;
+        scene::io::ply::write_splat_ply(&new.join("splat.ply"), &result.gaussians)?;
+        model::write_refined(&self.out, new, &result.poses)?;
         let summary = SplatSummary {
             gaussians: result.gaussians.len(),
             sh_degree: result.gaussians.sh_degree,
@@ -407,17 +469,16 @@ impl Pipeline {
             curve: result.curve,
             decisions: result.decisions,
         };
-        let _ = std::fs::remove_dir_all(&checkpoints); // the splat is written: the checkpoint has done its work
         Ok(summary)
     }
 
     fn say_result(&self, until: Until) -> Result<()> {
         if self.json {
-            println!("{}", serde_json::to_string_pretty(&self.record)?);
+            print(&serde_json::to_string_pretty(&self.record)?)?;
         } else if let (Until::Eval, Some(evaluation)) = (until, &self.record.evaluation)
             && self.verbosity > Verbosity::Quiet
         {
-            println!("{}", evaluation.markdown());
+            print(&evaluation.markdown())?;
         }
         if self.verbosity > Verbosity::Quiet {
             crate::closing::say(&self.out, &self.record);

@@ -15,8 +15,7 @@ pub use verdict::{Level, Light};
 
 use crate::args::PipelineArgs;
 use crate::stage::Cost;
-use glam::DMat3;
-use scene::sim3::Sim3;
+use scene::motion_report::MotionReport;
 use scene::{Decision, FrameSet, Reconstruction, WorldFrame};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -40,12 +39,17 @@ pub struct PoseSummary {
     pub world: Option<WorldFrame>,
     /// Why there is no model.
     pub no_model: Option<String>,
+    /// What was repaired in poses that came with the input.
+    pub notes: Vec<String>,
     /// Images without a pose, and why.
     pub missing: Vec<(String, String)>,
     /// Images whose pose is weakly constrained, and why.
     pub weak: Vec<(String, String)>,
     /// Standard deviations from the final adjustment.
     pub deviations: Option<Deviations>,
+    /// How the object moves, where it turns or tumbles in a video.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub motion: Option<MotionReport>,
     /// What was decided.
     pub decisions: Vec<Decision>,
     /// Figures by step.
@@ -75,18 +79,10 @@ pub struct ImageDeviation {
 }
 
 impl Deviations {
-    /// `world_from_solver`: how the model was moved since.
-    pub(crate) fn of(
-        uncertainty: &sfm::Uncertainty,
-        model: &Reconstruction,
-        world_from_solver: &Sim3,
-    ) -> Self {
-        let Sim3 { scale, rotation, .. } = *world_from_solver;
-        let turn = DMat3::from_quat(rotation) * scale;
+    pub(crate) fn of(uncertainty: &sfm::Uncertainty, model: &Reconstruction) -> Self {
         let images = uncertainty.images.iter().filter_map(|(id, d)| {
             let name = model.images.get(id)?.name.clone();
-            let covariance = turn * DMat3::from_cols_array_2d(&d.centre) * turn.transpose();
-            let centre = [0, 1, 2].map(|i| covariance.col(i)[i].max(0.0).sqrt());
+            let centre = centre_deviation(d);
             Some(ImageDeviation { name, rotation_deg: d.rotation.map(f64::to_degrees), centre })
         });
         Self {
@@ -95,6 +91,12 @@ impl Deviations {
             images: images.collect(),
         }
     }
+}
+
+/// Standard deviations of a camera centre along the world's axes, scene units.
+pub(crate) fn centre_deviation(deviation: &sfm::PoseDeviation) -> [f64; 3] {
+    let [x, y, z] = [0, 1, 2].map(|i| deviation.centre.col(i)[i]);
+    [x, y, z].map(|variance| variance.max(0.0).sqrt())
 }
 
 /// What is known of the splat.

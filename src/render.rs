@@ -3,7 +3,7 @@
 use crate::args::{Channel, RenderArgs, RenderPath};
 use crate::outcome::Outcome;
 use crate::record::KnownRun;
-use crate::terminal::{CANCELLED, TerminalSink, Verbosity};
+use crate::terminal::{CANCELLED, TerminalSink, Verbosity, say};
 use anyhow::{Context, Result, bail};
 use image::RgbImage;
 use scene::{Camera, OrbitPath, Pose, Progress, Reconstruction};
@@ -23,7 +23,7 @@ pub fn run(args: &RenderArgs, verbosity: Verbosity) -> Result<Outcome> {
     let progress = Progress::new(Box::new(TerminalSink::new(verbosity, None)), &CANCELLED);
     progress.begin("render", views.len());
     let (mut renderer, device) = splat::Renderer::on(&args.device, &gaussians)?;
-    renderer.antialias = crate::evaluate::trained_with_antialias(&args.run)?;
+    renderer.antialias = crate::evaluate::trained_with_antialias(&args.run);
     let mut sink = PictureSink::open(&args.output, args.fps)?;
     for (name, camera, pose) in &views {
         let output = renderer.render(camera, pose, &options)?;
@@ -32,7 +32,8 @@ pub fn run(args: &RenderArgs, verbosity: Verbosity) -> Result<Outcome> {
     }
     sink.finish()?;
     if verbosity > Verbosity::Quiet {
-        eprintln!("{} pictures in {}, by: {}", views.len(), args.output.display(), device.sentences().choice);
+        let by = device.sentences().choice;
+        say(&format!("{} pictures in {}, by: {by}", views.len(), args.output.display()));
     }
     Ok(Outcome::Done)
 }
@@ -65,7 +66,8 @@ fn camera_path(model: &Reconstruction, args: &RenderArgs) -> Result<Vec<View>> {
     }
     let poses: Vec<Pose> = images.iter().map(|i| i.pose).collect();
     let up = crate::record::up_of(&args.run, model);
-    let path = OrbitPath::fit(&poses, up).map_err(|why| anyhow::anyhow!("{why}; render --path input instead"))?;
+    let path =
+        OrbitPath::fit(&poses, up).map_err(|why| anyhow::anyhow!("{why}; render --path input instead"))?;
     let rise = if args.path == RenderPath::Spiral { SPIRAL_RISE } else { 0.0 };
     let views = path.poses(args.count as usize, rise).into_iter().enumerate();
     Ok(views.map(|(i, pose)| (format!("{i:05}"), camera.clone(), pose)).collect())

@@ -1,21 +1,19 @@
 //! Stages of the output folder: fingerprints, skipping what is current, costs.
 
-use anyhow::{Context, Result};
-use schemars::JsonSchema;
-use serde::{Deserialize, Serialize, de::DeserializeOwned};
-use std::path::{Path, PathBuf};
-use std::time::Instant;
+mod commit;
+mod cost;
+mod listing;
+mod lock;
 
-/// What a stage cost.
-#[derive(Clone, Debug, Default, Serialize, Deserialize, JsonSchema)]
-pub struct Cost {
-    /// Wall-clock seconds.
-    pub wall_s: f64,
-    /// CPU seconds, user and system, subprocesses included.
-    pub cpu_s: f64,
-    /// Peak resident memory while it ran, MiB (0 where the system does not tell).
-    pub peak_mib: f64,
-}
+pub use cost::{Cost, Meter, free_large_blocks_at_once};
+pub use listing::OutputFile;
+
+use anyhow::{Context, Result, bail};
+use commit::Workspace;
+use serde::{Deserialize, Serialize, de::DeserializeOwned};
+use std::fs::File;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
 
 /// What is kept of a finished stage, in `.stages/NAME.json`.
 #[derive(Clone, Debug, Serialize, Deserialize)]
@@ -24,22 +22,75 @@ pub struct Finished<T> {
     pub fingerprint: String,
     /// What it cost when it ran.
     pub cost: Cost,
+    /// Paths in the output folder that belong to the stage.
+    #[serde(default)]
+    pub owns: Vec<String>,
+    /// The files that it wrote there.
+    #[serde(default)]
+    pub outputs: Vec<OutputFile>,
     /// What the following stages need of it.
     pub value: T,
 }
 
-/// The `.stages` folder of an output folder.
+impl<T> Finished<T> {
+    /// What stages that read the outputs put into their fingerprints.
+    pub fn identity(&self) -> Result<String> {
+        let contents: Vec<_> = self.outputs.iter().map(|file| (&file.path, &file.hash)).collect();
+        fingerprint(&(&self.fingerprint, contents))
+    }
+}
+
+/// A stage that is to run unless its result is there.
+#[derive(Clone, Copy, Debug)]
+pub struct StageSpec<'a> {
+    /// Its name.
+    pub name: &'a str,
+    /// Of its version, its configuration and what it reads.
+    pub fingerprint: &'a str,
+    /// Paths in the output folder that it writes and no other stage does. What it does not write
+    /// this time is removed.
+    pub owns: &'a [&'a str],
+}
+
+/// A stage's result.
+#[derive(Debug)]
+pub struct Done<T> {
+    /// The result.
+    pub finished: Finished<T>,
+    /// Whether the stage ran.
+    pub ran: bool,
+    /// Which output was no longer as it was written, so that the stage had to run again.
+    pub changed: Option<String>,
+}
+
+/// The `.stages` folder of an output folder, locked against other runs.
 #[derive(Clone, Debug)]
 pub struct Stages {
+    out: PathBuf,
     folder: PathBuf,
+    _lock: Arc<File>,
 }
 
 impl Stages {
-    /// Opens (makes) `OUT/.stages`.
+    /// Opens (makes) `OUT/.stages` for this process alone and puts right what an interrupted run
+    /// has left. Folders with the files of others are refused.
     pub fn open(out: &Path) -> Result<Self> {
         let folder = out.join(".stages");
+        lock::refuse_foreign(out, &folder)?;
         std::fs::create_dir_all(&folder).with_context(|| format!("cannot make {}", folder.display()))?;
-        Ok(Self { folder })
+        let Some(held) = lock::take(&folder)? else {
+            bail!(
+                "another sat-recon is working in {}; wait until it has ended or choose another folder with -o",
+                out.display()
+            );
+        };
+        commit::settle(out, &folder)?;
+        Ok(Self { out: out.to_path_buf(), folder, _lock: Arc::new(held) })
+    }
+
+    /// The output folder.
+    pub fn out(&self) -> &Path {
+        &self.out
     }
 
     /// A path inside the folder.
@@ -48,46 +99,67 @@ impl Stages {
     }
 
     /// The log of a stage, begun anew.
-    pub fn log(&self, name: &str) -> Option<std::fs::File> {
-        std::fs::File::create(self.path(&format!("{name}.log"))).ok()
+    pub fn log(&self, name: &str) -> Option<File> {
+        File::create(self.path(&format!("{name}.log"))).ok()
     }
 
-    /// What an earlier run left of the stage, if its fingerprint is current.
-    pub fn current<T: DeserializeOwned>(&self, name: &str, fingerprint: &str) -> Option<Finished<T>> {
-        let text = std::fs::read(self.path(&format!("{name}.json"))).ok()?;
-        let finished: Finished<T> = serde_json::from_slice(&text).ok()?;
-        (finished.fingerprint == fingerprint).then_some(finished)
+    /// Removes a stage's result: first the record, then what it owns.
+    pub fn retire(&self, name: &str, owns: &[&str]) -> Result<()> {
+        let outputs = owns.iter().map(|owned| self.out.join(owned));
+        std::iter::once(self.path(&format!("{name}.json")))
+            .chain(outputs)
+            .try_for_each(|path| commit::remove(&path))
     }
 
-    /// What an earlier run left of the stage, current or not.
-    pub fn last<T: DeserializeOwned>(&self, name: &str) -> Option<Finished<T>> {
-        serde_json::from_slice(&std::fs::read(self.path(&format!("{name}.json"))).ok()?).ok()
+    /// Removes what a stage kept in `.stages` for itself.
+    pub fn discard(&self, name: &str) -> Result<()> {
+        commit::remove(&self.path(name))
     }
 
-    /// Has the stage run anew the next time.
-    pub fn forget(&self, name: &str) {
-        let _ = std::fs::remove_file(self.path(&format!("{name}.json"))); // what is not there is forgotten
-    }
-
-    /// Runs `work` unless its result is current and its `outputs` are there; remembers the result
-    /// when it is complete. The second value says whether it ran.
+    /// Runs `work` unless an earlier result is current and whole. `work` writes into the folder it
+    /// is given, laid out like the output folder; the result is put in place when it is complete.
     pub fn run<T: Serialize + DeserializeOwned>(
         &self,
-        name: &str,
-        fingerprint: &str,
-        outputs: &[PathBuf],
-        work: impl FnOnce() -> Result<T>,
-    ) -> Result<(Finished<T>, bool)> {
-        if let Some(finished) = self.current(name, fingerprint)
-            && outputs.iter().all(|path| path.exists())
-        {
-            return Ok((finished, false));
+        stage: &StageSpec,
+        work: impl FnOnce(&Path) -> Result<T>,
+    ) -> Result<Done<T>> {
+        let known = last::<T>(&self.out, stage.name).filter(|k| k.fingerprint == stage.fingerprint);
+        let changed = known.as_ref().and_then(|k| listing::difference(&self.out, &k.outputs));
+        if let (Some(finished), None) = (known, &changed) {
+            return Ok(Done { finished, ran: false, changed });
         }
         let meter = Meter::start();
-        let value = work()?;
-        let finished = Finished { fingerprint: fingerprint.to_owned(), cost: meter.stop(), value };
-        write_json(&self.path(&format!("{name}.json")), &finished)?;
-        Ok((finished, true))
+        let workspace = Workspace::new(&self.folder, stage.name)?;
+        let value = work(&workspace.folder())?;
+        let finished = Finished {
+            fingerprint: stage.fingerprint.to_owned(),
+            owns: stage.owns.iter().map(|&owned| owned.to_owned()).collect(),
+            outputs: listing::list(&workspace.folder(), stage.owns)?,
+            cost: meter.stop(),
+            value,
+        };
+        write_json(&workspace.record(), &finished)?;
+        workspace.commit(&self.out)?;
+        Ok(Done { finished, ran: true, changed })
+    }
+}
+
+/// What the last run left of a stage, current or not.
+pub fn last<T: DeserializeOwned>(out: &Path, name: &str) -> Option<Finished<T>> {
+    let record = out.join(".stages").join(format!("{name}.json"));
+    serde_json::from_slice(&std::fs::read(record).ok()?).ok()
+}
+
+/// Finishes what an interrupted run has committed, for commands that only read its folder; not
+/// where a run is at work there.
+pub fn settle(out: &Path) -> Result<()> {
+    let folder = out.join(".stages");
+    if !folder.is_dir() {
+        return Ok(());
+    }
+    match lock::take(&folder) {
+        Ok(Some(_held)) => commit::settle(out, &folder),
+        _ => Ok(()),
     }
 }
 
@@ -100,7 +172,8 @@ pub fn fingerprint(parts: &impl Serialize) -> Result<String> {
 /// What identifies an input without reading all of it: names, sizes and times of change.
 pub fn describe_input(path: &Path) -> Result<Vec<(String, u64, u128)>> {
     let mut found = Vec::new();
-    let mut folders = vec![path.to_path_buf()];
+    // The same from any folder.
+    let mut folders = vec![std::path::absolute(path).unwrap_or_else(|_| path.to_path_buf())];
     while let Some(current) = folders.pop() {
         let meta =
             std::fs::metadata(&current).with_context(|| format!("cannot read {}", current.display()))?;
@@ -136,107 +209,5 @@ pub fn write_whole(path: &Path, bytes: &[u8]) -> Result<()> {
     Ok(scene::io::write_atomic(path, |w| std::io::Write::write_all(w, bytes))?)
 }
 
-/// Measures one stage.
-pub struct Meter {
-    begun: Instant,
-    cpu_s: f64,
-}
-
-impl Meter {
-    /// Begins; the kernel's peak of resident memory is set back where it can be.
-    pub fn start() -> Self {
-        give_back_memory();
-        let _ = std::fs::write("/proc/self/clear_refs", "5"); // not on every kernel: then the peak is the process's
-        Self { begun: Instant::now(), cpu_s: cpu_seconds() }
-    }
-
-    /// What was spent since.
-    pub fn stop(self) -> Cost {
-        Cost {
-            wall_s: self.begun.elapsed().as_secs_f64(),
-            cpu_s: cpu_seconds() - self.cpu_s,
-            peak_mib: peak_mib().unwrap_or(0.0),
-        }
-    }
-}
-
-/// Returns memory that earlier stages have freed to the system, which glibc keeps otherwise.
-fn give_back_memory() {
-    #[cfg(all(target_os = "linux", target_env = "gnu"))]
-    // SAFETY: takes the allocator's own locks; any thread may call it at any time.
-    unsafe {
-        nix::libc::malloc_trim(0);
-    }
-}
-
-/// From here on, large blocks that are freed go back to the system at once. glibc keeps what is
-/// smaller than the largest block it ever freed, and growing Gaussians free many.
-pub fn free_large_blocks_at_once() {
-    #[cfg(all(target_os = "linux", target_env = "gnu"))]
-    // SAFETY: sets a number under the allocator's own lock.
-    unsafe {
-        nix::libc::mallopt(nix::libc::M_MMAP_THRESHOLD, 1 << 18);
-    }
-}
-
-fn cpu_seconds() -> f64 {
-    use nix::sys::resource::{UsageWho, getrusage};
-    let used = [UsageWho::RUSAGE_SELF, UsageWho::RUSAGE_CHILDREN].into_iter().flat_map(getrusage);
-    let times = used.flat_map(|u| [u.user_time(), u.system_time()]);
-    times.map(|t| t.tv_sec() as f64 + t.tv_usec() as f64 * 1e-6).sum()
-}
-
-fn peak_mib() -> Option<f64> {
-    let status = std::fs::read_to_string("/proc/self/status").ok()?;
-    let line = status.lines().find(|l| l.starts_with("VmHWM:"))?;
-    line.split_whitespace().nth(1)?.parse::<f64>().ok().map(|kib| kib / 1024.0)
-}
-
 #[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn a_stage_runs_once_for_one_fingerprint_and_again_for_another() {
-        let folder = std::env::temp_dir().join(format!("sat-recon-stage-{}", std::process::id()));
-        let stages = Stages::open(&folder).unwrap();
-        let mut runs = 0;
-        for (print, expected) in [("a", 1), ("a", 1), ("b", 2)] {
-            let (finished, _) = stages
-                .run("frames", print, &[], || {
-                    runs += 1;
-                    Ok(runs)
-                })
-                .unwrap();
-            assert_eq!(finished.value, expected);
-        }
-        std::fs::remove_dir_all(folder).unwrap();
-    }
-
-    #[test]
-    fn a_stage_whose_output_was_deleted_runs_again() {
-        let folder = std::env::temp_dir().join(format!("sat-recon-deleted-{}", std::process::id()));
-        let stages = Stages::open(&folder).unwrap();
-        let output = folder.join("splat.ply");
-        for expected in [true, false, true] {
-            let made = output.clone();
-            let (_, ran) = stages
-                .run("train", "a", std::slice::from_ref(&output), || Ok(std::fs::write(made, "x")?))
-                .unwrap();
-            assert_eq!(ran, expected);
-            if !ran {
-                std::fs::remove_file(&output).unwrap();
-            }
-        }
-        std::fs::remove_dir_all(folder).unwrap();
-    }
-
-    #[test]
-    fn a_failed_stage_leaves_nothing_to_skip_to() {
-        let folder = std::env::temp_dir().join(format!("sat-recon-failed-{}", std::process::id()));
-        let stages = Stages::open(&folder).unwrap();
-        assert!(stages.run::<u32>("sfm", "a", &[], || anyhow::bail!("no")).is_err());
-        assert!(stages.current::<u32>("sfm", "a").is_none());
-        std::fs::remove_dir_all(folder).unwrap();
-    }
-}
+mod tests;

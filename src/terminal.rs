@@ -1,5 +1,6 @@
 //! Progress on a terminal (a bar a stage) or in a log (plain lines), and Ctrl-C.
 
+use anyhow::Context as _;
 use indicatif::{ProgressBar, ProgressStyle};
 use scene::progress::ProgressSink;
 use std::io::{IsTerminal, Write};
@@ -18,6 +19,23 @@ pub enum Verbosity {
     Verbose,
 }
 
+/// Prints a line (or several) on standard output. A reader that has gone away has read enough; a
+/// full disk is an error.
+pub fn print(text: &str) -> anyhow::Result<()> {
+    let mut out = std::io::stdout().lock();
+    match writeln!(out, "{text}").and_then(|()| out.flush()) {
+        Err(e) if e.kind() != std::io::ErrorKind::BrokenPipe => {
+            Err(e).context("cannot write to standard output")
+        }
+        _ => Ok(()),
+    }
+}
+
+/// Prints a line on standard error; where nobody can read it, nothing is lost.
+pub fn say(line: &str) {
+    let _ = writeln!(std::io::stderr(), "{line}");
+}
+
 /// Turned true by the first Ctrl-C.
 pub static CANCELLED: AtomicBool = AtomicBool::new(false);
 
@@ -27,7 +45,7 @@ pub fn install_ctrl_c() -> anyhow::Result<()> {
         if CANCELLED.swap(true, Ordering::SeqCst) {
             std::process::exit(1);
         }
-        eprintln!("\nstopping after the present step; once more to stop at once");
+        say("\nstopping after the present step; once more to stop at once");
     })?;
     Ok(())
 }
@@ -124,7 +142,7 @@ impl ProgressSink for TerminalSink {
             && state.last_line.elapsed() > LINE_EVERY
         {
             state.last_line = Instant::now();
-            eprintln!("{}", plain_line(&state, done, state.begun.elapsed().as_secs_f64(), detail));
+            say(&plain_line(&state, done, state.begun.elapsed().as_secs_f64(), detail));
         }
     }
 
@@ -137,7 +155,7 @@ impl ProgressSink for TerminalSink {
             let state = self.lock();
             match &state.bar {
                 Some(bar) => bar.println(message),
-                None => eprintln!("{message}"),
+                None => say(message),
             }
         }
     }
@@ -158,8 +176,8 @@ fn rate_in_words(per_second: f64) -> String {
 fn plain_line(state: &ProgressState, done: u64, seconds: f64, detail: &str) -> String {
     let rate = done as f64 / seconds.max(1e-9);
     let of = if state.total > 0 { format!("/{}", state.total) } else { String::new() };
-    let left = (state.total > done && done > 0)
-        .then(|| format!("{:.0} s left", (state.total - done) as f64 / rate));
+    let left =
+        (state.total > done && done > 0).then(|| format!("{:.0} s left", (state.total - done) as f64 / rate));
     let parts = [Some(format!("{}: {done}{of}", state.what)), Some(rate_in_words(rate)), left];
     let parts: Vec<String> = parts.into_iter().flatten().filter(|p| !p.is_empty()).collect();
     format!("{} {detail}", parts.join(", ")).trim_end().to_owned()
@@ -183,7 +201,10 @@ mod tests {
         assert_eq!(words, ["1234/s", "42/s", "3.1/s", "2.5 s each", "81 s each", "", ""]);
         let sink = TerminalSink::new(Verbosity::Normal, None).of_stage(2, 6);
         sink.begin("mapping", 100);
-        assert_eq!(plain_line(&sink.lock(), 50, 100.0, "50 images"), "2/6 mapping: 50/100, 2.0 s each, 100 s left 50 images");
+        assert_eq!(
+            plain_line(&sink.lock(), 50, 100.0, "50 images"),
+            "2/6 mapping: 50/100, 2.0 s each, 100 s left 50 images"
+        );
         sink.update(184, "");
         assert_eq!(plain_line(&sink.lock(), 184, 100.0, ""), "2/6 mapping: 184, 1.8/s");
     }

@@ -4,11 +4,13 @@ mod integration {
     pub mod bad_files;
     pub mod bad_input;
     pub mod bench;
+    pub mod borders;
     pub mod cli;
     pub mod colmap;
     pub mod determinism;
     pub mod documentation;
     pub mod end_to_end;
+    pub mod faults;
     pub mod real_data;
     pub mod resume;
     pub mod shapes;

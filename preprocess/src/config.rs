@@ -1,4 +1,5 @@
 use crate::PreprocessError;
+use scene::flag::between;
 use serde::{Deserialize, Serialize};
 
 /// Frames aimed at where no rate is given. Source: chosen by hand, never measured.
@@ -13,27 +14,27 @@ const DEFAULT_MASKS: &str = "auto";
 pub struct FrameConfig {
     /// Number of frames to take from a video, evenly in time (100 where none of --frames, --fps,
     /// --every is given).
-    #[arg(long, value_name = "N", conflicts_with_all = ["fps", "every"], help_heading = "Frames")]
+    #[arg(long, value_parser = between::<usize>(0, 100_000_000), value_name = "N", conflicts_with_all = ["fps", "every"], help_heading = "Frames")]
     pub frames: Option<usize>,
     /// Frames to take a second of video.
-    #[arg(long, value_name = "F", conflicts_with = "every", help_heading = "Frames")]
+    #[arg(long, value_parser = between::<f64>(0.0, 1e6), value_name = "F", conflicts_with = "every", help_heading = "Frames")]
     pub fps: Option<f64>,
     /// Take one frame of every K.
-    #[arg(long, value_name = "K", help_heading = "Frames")]
+    #[arg(long, value_parser = between::<usize>(0, 1_000_000_000), value_name = "K", help_heading = "Frames")]
     pub every: Option<usize>,
     /// Ignore what lies before this time, seconds.
-    #[arg(long, value_name = "SECONDS", help_heading = "Frames")]
+    #[arg(long, value_parser = between::<f64>(-1e9, 1e9), value_name = "SECONDS", help_heading = "Frames")]
     pub start: Option<f64>,
     /// Ignore what lies after this time, seconds.
-    #[arg(long, value_name = "SECONDS", help_heading = "Frames")]
+    #[arg(long, value_parser = between::<f64>(-1e9, 1e9), value_name = "SECONDS", help_heading = "Frames")]
     pub end: Option<f64>,
     /// Longest side of the images, pixels; larger ones are averaged down (0: leave them as they
     /// are).
-    #[arg(long, value_name = "PIXELS", default_value_t = 0, help_heading = "Frames")]
+    #[arg(long, value_parser = between::<u32>(0, 65_535), value_name = "PIXELS", default_value_t = 0, help_heading = "Frames")]
     pub max_size: u32,
     /// A frame that differs from the one before by less than this (in 199 of 200 pixels, 8-bit
     /// levels) is a duplicate and left out; 0 keeps all.
-    #[arg(long, value_name = "LEVELS", default_value_t = DEFAULT_DUPLICATE_LEVELS, help_heading = "Frames")]
+    #[arg(long, value_parser = between::<f32>(0.0, 256.0), value_name = "LEVELS", default_value_t = DEFAULT_DUPLICATE_LEVELS, help_heading = "Frames")]
     pub duplicate_levels: f32,
     /// Folder of masks for photos, white = keep; `auto` looks for `masks` in and beside the folder,
     /// `off` for none.

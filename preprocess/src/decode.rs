@@ -3,7 +3,7 @@
 use crate::PreprocessError;
 use crate::hdr::ToneMap;
 use crate::probe::{Transfer, VideoInfo, file_url};
-use crate::tool::{Running, reason};
+use crate::tool::{ONE_FILE, Running, reason};
 use image::RgbImage;
 use scene::Progress;
 use std::ffi::OsStr;
@@ -72,13 +72,13 @@ impl Source {
         let tone_map = (info.transfer != Transfer::Sdr).then(|| ToneMap::new(info.transfer, info.is_bt2020));
         let (format, bytes) = if tone_map.is_some() { ("rgb48le", 6) } else { ("rgb24", 3) };
         let (url, map, filters) = (file_url(path), format!("0:{}", info.stream), filters(info));
-        let before =
-            ["-nostdin", "-hide_banner", "-nostats", "-v", "repeat+level+info", "-noautorotate", "-i"];
+        let before = ["-nostdin", "-hide_banner", "-nostats", "-v", "repeat+level+info", "-noautorotate"];
         let after = ["-map", &map, "-vf", &filters, "-fps_mode", "passthrough"];
         let output = ["-f", "rawvideo", "-pix_fmt", format, "-"];
         let args = [
             &before.map(OsStr::new)[..],
-            &[url.as_os_str()],
+            &ONE_FILE.map(OsStr::new),
+            &[OsStr::new("-i"), url.as_os_str()],
             &after.map(OsStr::new),
             &output.map(OsStr::new),
         ];

@@ -31,6 +31,12 @@ impl MaskFiles {
                 .find(|f| f.is_dir() && f != photos),
             given => Some(PathBuf::from(given)),
         };
+        if config.masks == "auto"
+            && let Some(folder) = &folder
+            && leads_out(folder, photos.parent().unwrap_or(photos))
+        {
+            return Err(linked(folder, "name it with --masks"));
+        }
         let mut masks = Self { folder, found: HashMap::new() };
         let images = names.clone();
         for image in &images {
@@ -49,7 +55,11 @@ impl MaskFiles {
                 if let Some(mask) =
                     spellings(image).into_iter().find(|m| present.contains(std::ffi::OsStr::new(m)))
                 {
-                    masks.found.insert(image.clone(), folder.join(mask));
+                    let mask = folder.join(mask);
+                    if leads_out(&mask, folder) {
+                        return Err(linked(&mask, "copy the file there"));
+                    }
+                    masks.found.insert(image.clone(), mask);
                 }
             }
         }
@@ -65,6 +75,18 @@ impl MaskFiles {
     pub(crate) fn len(&self) -> usize {
         self.found.len()
     }
+}
+
+/// Whether a path, links followed, lies outside a folder.
+fn leads_out(path: &Path, folder: &Path) -> bool {
+    match (path.canonicalize(), folder.canonicalize()) {
+        (Ok(path), Ok(folder)) => !path.starts_with(folder),
+        _ => true,
+    }
+}
+
+fn linked(path: &Path, what_to_do: &str) -> PreprocessError {
+    PreprocessError::Config(format!("{} is a link out of its folder; {what_to_do}", path.display()))
 }
 
 /// How the mask of `a.jpg` may be called, the most specific first.

@@ -7,9 +7,9 @@ use crate::output::{Staging, write_png};
 use crate::pixels::fitted;
 use crate::{FrameConfig, PreprocessError};
 use image::metadata::Orientation;
-use image::{ExtendedColorType, GrayImage, ImageDecoder, ImageFormat, ImageReader};
+use image::{ExtendedColorType, GrayImage, ImageDecoder, ImageFormat};
 use rayon::prelude::*;
-use scene::io::load::{ImageInfo, image_info, load_image, resize_area};
+use scene::io::load::{ImageInfo, image_decoder, image_info, load_image, resize_area};
 use scene::{Frame, FrameSet, Progress};
 use std::collections::{BTreeMap, HashSet};
 use std::path::{Path, PathBuf};
@@ -203,12 +203,8 @@ impl PhotoWriter<'_> {
     /// Whether the file is already what is wanted: upright, 8-bit, opaque, small enough, and of the
     /// format it says.
     fn can_copy(&self, path: &Path, info: &ImageInfo) -> bool {
-        let Ok(reader) = ImageReader::open(path).and_then(ImageReader::with_guessed_format) else {
-            return false;
-        };
-        let format = reader.format();
+        let Ok((mut decoder, format)) = image_decoder(path) else { return false };
         let says = path.extension().and_then(ImageFormat::from_extension);
-        let Ok(mut decoder) = reader.into_decoder() else { return false };
         let upright = decoder.orientation().is_ok_and(|o| o == Orientation::NoTransforms);
         let depth = decoder.color_type().bytes_per_pixel() / decoder.color_type().channel_count();
         let size = fitted(info.width, info.height, self.config.max_size);
@@ -292,9 +288,8 @@ fn unreadable(path: &Path, error: scene::io::IoError) -> PreprocessError {
 }
 
 fn stored_orientation(path: &Path) -> Orientation {
-    let reader = ImageReader::open(path).and_then(ImageReader::with_guessed_format).ok();
-    let decoder = reader.and_then(|r| r.into_decoder().ok());
-    decoder.and_then(|mut d| d.orientation().ok()).unwrap_or(Orientation::NoTransforms)
+    let decoder = image_decoder(path).ok();
+    decoder.and_then(|(mut d, _)| d.orientation().ok()).unwrap_or(Orientation::NoTransforms)
 }
 
 fn mask_notes(photos: &[WrittenPhoto], masks: &MaskFiles) -> Result<Vec<String>, PreprocessError> {

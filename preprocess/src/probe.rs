@@ -1,7 +1,7 @@
 //! What a video container says about itself, from `ffprobe`.
 
 use crate::PreprocessError;
-use crate::tool::{self, Output};
+use crate::tool::{self, ONE_FILE, Output};
 use scene::Progress;
 use serde_json::Value;
 use std::ffi::{OsStr, OsString};
@@ -70,9 +70,8 @@ pub(crate) fn file_url(path: &Path) -> OsString {
 pub(crate) fn probe(path: &Path, progress: &Progress) -> Result<VideoInfo, PreprocessError> {
     check_file(path)?;
     let url = file_url(path);
-    let args =
-        ["-v", "error", "-print_format", "json", "-show_streams", "-show_format", "-i"].map(OsStr::new);
-    let args = [&args[..], &[url.as_os_str()]].concat();
+    let args = ["-v", "error", "-print_format", "json", "-show_streams", "-show_format"].map(OsStr::new);
+    let args = [&args[..], &ONE_FILE.map(OsStr::new), &[OsStr::new("-i"), url.as_os_str()]].concat();
     let output = tool::run("ffprobe", &args, path, PROBE_LIMIT, progress)?;
     let json: Value = serde_json::from_str(&output.stdout).unwrap_or(Value::Null);
     let streams = json["streams"].as_array().filter(|s| !s.is_empty());
@@ -228,9 +227,9 @@ fn packet_times(
         "packet=pts_time,dts_time,duration_time,flags",
         "-of",
         "compact=p=0",
-        "-i",
     ];
-    let args = [&args.map(OsStr::new)[..], &[url.as_os_str()]].concat();
+    let args = args.map(OsStr::new);
+    let args = [&args[..], &ONE_FILE.map(OsStr::new), &[OsStr::new("-i"), url.as_os_str()]].concat();
     let output = tool::run("ffprobe", &args, path, PROBE_LIMIT, progress)?;
     Ok(parse_packets(&output, origin))
 }

@@ -14,6 +14,16 @@ use std::time::{Duration, Instant};
 /// packets of a video of days.
 const OUTPUT_LIMIT: u64 = 256 << 20;
 
+/// Before every input: it is one file and holds the pictures itself. A playlist, whatever it is
+/// called, would have other files and addresses opened.
+pub(crate) const ONE_FILE: [&str; 4] = [
+    "-protocol_whitelist",
+    "file",
+    "-format_whitelist",
+    "mov,matroska,avi,mpegts,mpegtsraw,mpeg,mpegvideo,vob,asf,flv,ogg,mxf,nut,gxf,dv,wtv,rm,swf,nsv,ivf,obu,av1,\
+     h261,h263,h264,hevc,vc1,m4v,mjpeg,dirac,y4m,yuv4mpegpipe,gif,apng",
+];
+
 /// What a finished program said.
 pub(crate) struct Output {
     /// Exit status 0.

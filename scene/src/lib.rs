@@ -20,6 +20,7 @@
 pub mod camera;
 pub mod decision;
 pub mod features;
+pub mod flag;
 pub mod frames;
 pub mod gaussians;
 pub mod geometry;
@@ -27,6 +28,7 @@ pub mod image;
 pub mod io;
 pub mod lpips;
 pub mod metrics;
+pub mod motion_report;
 pub mod orbit_path;
 pub mod overview;
 pub mod pose;

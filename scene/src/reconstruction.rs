@@ -1,5 +1,7 @@
 //! Cameras, posed images and points: what structure from motion yields and COLMAP's files hold.
 
+mod outside;
+
 use crate::{Camera, Pose};
 use glam::{DVec2, DVec3};
 use serde::{Deserialize, Serialize};

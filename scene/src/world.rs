@@ -45,8 +45,8 @@ pub struct WorldFrame {
     pub up_evidence: UpEvidence,
     /// Root mean square angle of the cameras' x axes with the horizontal plane, degrees.
     pub roll_deg: f64,
-    /// Angle between the axis of the cameras' circle and the up of level cameras, degrees, where
-    /// there is a circle.
+    /// Angle between the axis of the turn, or of the cameras' circle, and the up of level cameras,
+    /// degrees, where there is one.
     pub axis_tilt_deg: Option<f64>,
     /// What one unit is.
     pub unit: WorldUnit,
@@ -55,24 +55,29 @@ pub struct WorldFrame {
 }
 
 impl WorldFrame {
-    /// Of a model. `ring`: the circle of its cameras, where they stand on one; `is_turn`: it turned
-    /// out to be the motion, so that its axis goes through the object; `metric`: units are metres
-    /// already. `None` of a model without images.
-    pub fn of(model: &Reconstruction, ring: Option<&Ring>, is_turn: bool, metric: bool) -> Option<Self> {
+    /// Of a model. `ring`: the circle of its cameras, where they stand on one; `turn`: the axis about
+    /// which the object turns, where it does (that of the ring, if there is one, goes through the
+    /// object then); `metric`: units are metres already. `None` of a model without images.
+    pub fn of(
+        model: &Reconstruction,
+        ring: Option<&Ring>,
+        turn: Option<DVec3>,
+        metric: bool,
+    ) -> Option<Self> {
         let poses: Vec<Pose> = model.images.values().map(|i| i.pose).collect();
         let level = level_up(&poses)?;
-        let axis = ring.map(|r| if r.axis.dot(level) < 0.0 { -r.axis } else { r.axis });
+        let axis = turn.or(ring.map(|r| r.axis)).map(|a| if a.dot(level) < 0.0 { -a } else { a });
         let tilt_deg = axis.map(|a| a.angle_between(level).to_degrees());
-        let spans = |r: &Ring| 360.0 - r.largest_gap().angle.to_degrees() >= SHORTEST_ARC_DEG;
-        let on_axis = is_turn && axis.is_some();
-        let trusted = ring.is_some_and(spans) && tilt_deg.is_some_and(|t| t < MOST_TILT_DEG);
-        let (up, up_evidence) = match axis.filter(|_| trusted || on_axis) {
-            Some(axis) => (axis, UpEvidence::CircleAxis),
-            None => (level, UpEvidence::LevelCameras),
+        let spans = ring.is_some_and(|r| 360.0 - r.largest_gap().angle.to_degrees() >= SHORTEST_ARC_DEG);
+        let is_upright = spans && tilt_deg.is_some_and(|t| t < MOST_TILT_DEG);
+        let (up, up_evidence) = match axis {
+            Some(axis) if turn.is_some() => (axis, UpEvidence::TurnAxis),
+            Some(axis) if is_upright => (axis, UpEvidence::CircleAxis),
+            _ => (level, UpEvidence::LevelCameras),
         };
         let rotation = upright(up, poses.first()?);
         let mut centre = middle(model, rotation);
-        if let Some(ring) = ring.filter(|_| on_axis) {
+        if let (Some(ring), Some(_)) = (ring, turn) {
             centre = ring.centre + up * (centre - ring.centre).dot(up);
         }
         let radius = if metric { 1.0 } else { object_radius(model, centre) };
@@ -199,7 +204,9 @@ mod tests {
         let sim = tumbled();
         let model = filmed(angles, pitch, &sim);
         let poses: Vec<Pose> = model.images.values().map(|i| i.pose).collect();
-        let frame = WorldFrame::of(&model, Ring::fit(&poses).as_ref(), is_turn, false).unwrap();
+        let ring = Ring::fit(&poses);
+        let turn = ring.as_ref().filter(|_| is_turn).map(|r| r.axis);
+        let frame = WorldFrame::of(&model, ring.as_ref(), turn, false).unwrap();
         let world_from_true = frame.sim3().compose(&sim);
         let up = world_from_true.rotation * DVec3::Z;
         let off = up.angle_between(UP).to_degrees();
@@ -228,7 +235,7 @@ mod tests {
     #[test]
     fn a_turn_has_its_axis_up_however_little_of_it_was_filmed() {
         let frame = found(&steps(0.0, 5.0, 20), 10.0, true, 0.01);
-        assert_eq!(frame.up_evidence, UpEvidence::CircleAxis);
+        assert_eq!(frame.up_evidence, UpEvidence::TurnAxis);
     }
 
     #[test]
@@ -243,7 +250,7 @@ mod tests {
         let model = sim.transform_reconstruction(&model);
         let poses: Vec<Pose> = model.images.values().map(|i| i.pose).collect();
         let ring = Ring::fit(&poses);
-        let frame = WorldFrame::of(&model, ring.as_ref(), false, true).unwrap();
+        let frame = WorldFrame::of(&model, ring.as_ref(), None, true).unwrap();
         assert_eq!((frame.up_evidence, frame.unit), (UpEvidence::LevelCameras, WorldUnit::Metre));
         assert!((frame.sim3().scale - 1.0).abs() < 1e-12, "metres stay metres");
         let x = frame.sim3().rotation * sim.rotation * DVec3::X;
@@ -254,7 +261,7 @@ mod tests {
     fn a_frame_that_is_kept_says_what_is_up_in_it() {
         let model = filmed(&steps(0.0, 10.0, 36), 25.0, &tumbled());
         let poses: Vec<Pose> = model.images.values().map(|i| i.pose).collect();
-        let frame = WorldFrame::of(&model, Ring::fit(&poses).as_ref(), false, false).unwrap();
+        let frame = WorldFrame::of(&model, Ring::fit(&poses).as_ref(), None, false).unwrap();
         let kept = frame.kept(Sim3::IDENTITY);
         let up = DVec3::from_array(kept.up);
         assert!(up.angle_between(tumbled().rotation * DVec3::Z) < 1e-3, "{kept:?}");

@@ -127,3 +127,41 @@ fn the_same_scene_as_spz_and_as_compressed_ply_is_the_same() {
     let g = read_splat(&dir.join("guitar.compressed.ply")).unwrap();
     assert_eq!(g.len(), 90_854);
 }
+
+#[test]
+fn sog_keeps_harmonics_that_few_gaussians_share_and_refuses_damaged_files() {
+    let mut g = cloud(600, 3);
+    let looks: Vec<Vec<f32>> = g.sh.chunks_exact(48).take(8).map(<[f32]>::to_vec).collect();
+    for (i, sh) in g.sh.chunks_exact_mut(48).enumerate() {
+        sh.copy_from_slice(&looks[i % 8]);
+    }
+    let path = folder("sog").join("a.sog");
+    write_splat(&path, &g).unwrap();
+    let found = differences(&g, &read_splat(&path).unwrap());
+    let limits = [4e-4, 0.02, 0.02, 3e-3, 0.01];
+    assert!(found.iter().zip(limits).all(|(f, l)| *f <= l), "{found:?}, allowed {limits:?}");
+    let whole = std::fs::read(&path).unwrap();
+    for n in (0..whole.len()).step_by(whole.len() / 40) {
+        std::fs::write(&path, &whole[..n]).unwrap();
+        assert!(read_splat(&path).is_err(), "cut off at {n} of {}", whole.len());
+        let mut bad = whole.clone();
+        bad[n] ^= 0x55;
+        std::fs::write(&path, &bad).unwrap();
+        let _ = read_splat(&path); // right or refused, but never a panic
+    }
+}
+
+#[test]
+fn a_sog_file_of_splat_transform_holds_its_four_gaussians() {
+    // splat-transform 3.7.0, from the four Gaussians of minimal.splat.
+    let path =
+        std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/fixtures/splat_transform_four.sog");
+    let g = read_splat(&path).unwrap();
+    assert_eq!((g.len(), g.sh_degree), (4, 0));
+    for [x, z] in [[-1.0, -1.0], [0.0, -1.0], [-1.0, 0.0], [0.0, 0.0]] {
+        let near = (0..4).find(|&i| (g.means[i] - Vec3::new(x, 0.0, z)).length() < 1e-3);
+        let i = near.unwrap_or_else(|| panic!("none at {x}, {z}: {:?}", g.means));
+        assert!((g.log_scales[i] - 0.1_f32.ln()).abs().max_element() < 0.04, "{}", g.log_scales[i]);
+        assert!((g.opacity(i) - 0.9).abs() < 0.01);
+    }
+}

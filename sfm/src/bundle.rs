@@ -5,14 +5,16 @@
 //! 1999, on scaling and gauge).
 
 mod adjustable;
+mod information;
 mod points;
 
 pub(crate) use adjustable::Adjustable;
+pub(crate) use information::PoseInformation;
 
 use crate::ceres::{self, BundleInput, BundleState};
 use crate::error::SfmError;
 use crate::statistics::median;
-use glam::{DQuat, DVec2, DVec3};
+use glam::{DMat3, DQuat, DVec2, DVec3};
 use scene::{Camera, Pose, Progress};
 
 /// How residuals are weighed.
@@ -82,6 +84,25 @@ pub(crate) struct IntrinsicsPrior {
     pub sigma: f64,
 }
 
+/// What is expected of the poses beside the observations.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub(crate) struct ExpectedPoses {
+    /// By pose: `cam_from_world`.
+    pub poses: Vec<Pose>,
+    /// A point of the world: a pose is compared with the expected one by its rotation and by where
+    /// it puts this point.
+    pub centre: DVec3,
+    /// Standard deviations of a coordinate of the two: radians, scene units.
+    pub sigma: [f64; 2],
+}
+
+impl ExpectedPoses {
+    /// The same of some poses alone.
+    pub(crate) fn of_images(&self, images: &[usize]) -> Self {
+        Self { poses: images.iter().map(|&i| self.poses[i]).collect(), ..self.clone() }
+    }
+}
+
 /// An adjustment in plain arrays.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct BundleProblem {
@@ -97,6 +118,8 @@ pub(crate) struct BundleProblem {
     pub pose_camera: Vec<u32>,
     /// Which poses are held.
     pub pose_constant: Vec<bool>,
+    /// What is expected of them.
+    pub expected: Option<ExpectedPoses>,
     /// Points, world frame.
     pub points: Vec<DVec3>,
     /// Which points are held.
@@ -131,7 +154,7 @@ pub(crate) struct BundleCovariance {
     /// the camera centre along the world's axes; 0 where held.
     pub poses: Vec<[f64; 6]>,
     /// For each pose: covariance of the camera centre, world frame, scene units squared.
-    pub centres: Vec<[[f64; 3]; 3]>,
+    pub centres: Vec<DMat3>,
 }
 
 impl BundleProblem {
@@ -188,7 +211,7 @@ impl BundleProblem {
         let mut result = BundleCovariance { cameras, ..BundleCovariance::default() };
         for (pose, c) in self.poses.iter().zip(of_poses.chunks_exact(36)) {
             let centre = centre_covariance(&frame.pose_in(pose), c, frame.scale);
-            let variances = [c[0], c[7], c[14], centre[0][0], centre[1][1], centre[2][2]];
+            let variances = [c[0], c[7], c[14], centre.x_axis.x, centre.y_axis.y, centre.z_axis.z];
             result.poses.push(variances.map(|v| v.max(0.0).sqrt()));
             result.centres.push(centre);
         }
@@ -269,6 +292,15 @@ impl BundleProblem {
             let i = input.camera_offsets[prior.camera] + prior.parameter;
             (input.prior_mean[i], input.prior_sigma[i]) = (prior.mean, prior.sigma);
         }
+        if let Some(ExpectedPoses { poses, centre, sigma }) = &self.expected {
+            for pose in poses {
+                let q = pose.rotation;
+                input.expected_rotation.extend([q.x, q.y, q.z, q.w]);
+                input.expected_place.extend((pose.transform(*centre) / frame.scale).to_array());
+            }
+            input.expected_centre = frame.point_in(*centre).to_array().to_vec();
+            input.expected_sigma = vec![sigma[0], sigma[1] / frame.scale];
+        }
         for o in &self.observations {
             let x = self.poses[o.pose as usize].transform(self.points[o.point as usize]);
             if x.z > 1e-9 * frame.scale && o.sigma_px > 0.0 {
@@ -281,12 +313,16 @@ impl BundleProblem {
         input
     }
 
-    /// Gauge: where fewer than two poses and no points are constant, the first pose is held, and
-    /// that coordinate of the farthest pose's translation that changes most with the scale.
+    /// Gauge: where fewer than two poses and no points are constant, and nothing is expected of the
+    /// poses, the first pose is held, and that coordinate of the farthest pose's translation that changes most with the scale.
     fn held_poses(&self, frame: &SceneNormalisation) -> Vec<u8> {
         let mut held: Vec<u8> = self.pose_constant.iter().map(|&c| if c { 7 } else { 0 }).collect();
         let constant = held.iter().filter(|&&h| h == 7).count();
-        if constant >= 2 || held.len() < 2 || self.point_constant.iter().filter(|&&c| c).count() >= 3 {
+        if self.expected.is_some()
+            || constant >= 2
+            || held.len() < 2
+            || self.point_constant.iter().filter(|&&c| c).count() >= 3
+        {
             return held;
         }
         let first = held.iter().position(|&h| h == 7).unwrap_or(0);
@@ -310,22 +346,23 @@ fn numbers_of(Pose { rotation: q, translation: t }: &Pose) -> [f64; 7] {
 
 /// Covariance of the camera centre from one over (ω, t) in the normalised scene: `c = −Rᵀ t`, so
 /// `δc = −Rᵀ (δt + t × δω)`.
-fn centre_covariance(pose: &Pose, covariance: &[f64], scale: f64) -> [[f64; 3]; 3] {
+fn centre_covariance(pose: &Pose, covariance: &[f64], scale: f64) -> DMat3 {
     let back = -pose.matrix().transpose();
     let t = pose.translation;
     let columns: [DVec3; 6] = std::array::from_fn(|k| {
         let axis = DVec3::from_array(std::array::from_fn(|i| f64::from(i == k % 3)));
         back * if k < 3 { t.cross(axis) } else { axis }
     });
-    std::array::from_fn(|i| {
-        std::array::from_fn(|j| {
-            let sum: f64 = (0..36).map(|n| columns[n / 6][i] * covariance[n] * columns[n % 6][j]).sum();
-            sum * scale * scale
-        })
-    })
+    let mut of_centre = DMat3::ZERO;
+    for (n, c) in covariance.iter().enumerate() {
+        let (a, b) = (columns[n / 6], columns[n % 6] * *c);
+        of_centre += DMat3::from_cols(a * b.x, a * b.y, a * b.z);
+    }
+    of_centre * (scale * scale)
 }
 
 /// Moves the scene's median to the origin and scales the median distance from it to 1.
+#[derive(Clone, Debug)]
 pub(crate) struct SceneNormalisation {
     /// What becomes the origin.
     pub centre: DVec3,

@@ -11,6 +11,7 @@ use crate::pairs::PairConfig;
 use crate::sift::SiftConfig;
 use crate::skip::{self, StepName};
 use crate::two_view::TwoViewConfig;
+use scene::flag::between;
 use scene::{Camera, CameraModel};
 use serde::{Deserialize, Serialize};
 
@@ -90,12 +91,12 @@ pub struct SfmConfig {
     pub camera_model: CameraModelChoice,
     /// Known intrinsics, kept as they are: `f,cx,cy`, `fx,fy,cx,cy`, or all parameters of
     /// --camera-model
-    #[arg(long, value_delimiter = ',', value_name = "PARAMS", help_heading = "Structure from motion")]
+    #[arg(long, value_parser = between::<f64>(-1e9, 1e9), value_delimiter = ',', value_name = "PARAMS", help_heading = "Structure from motion")]
     pub intrinsics: Option<Vec<f64>>,
     /// Standard deviations of --intrinsics, one a number (0: exact); the last adjustments take them
     /// for priors
     #[arg(
-        long,
+        long, value_parser = between::<f64>(0.0, 1e9),
         value_delimiter = ',',
         value_name = "SIGMAS",
         requires = "intrinsics",

@@ -1,6 +1,8 @@
 //! What structure from motion hands back.
 
-use scene::{Camera, Decision, Features, Reconstruction, TwoViewGeometry};
+use glam::{DMat3, DVec3};
+use scene::motion_report::MotionReport;
+use scene::{Camera, Decision, Features, Pose, Reconstruction, TwoViewGeometry};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 
@@ -48,7 +50,30 @@ pub struct PoseDeviation {
     /// Standard deviations of the rotation about the camera's x, y and z axes, radians.
     pub rotation: [f64; 3],
     /// Covariance of the camera centre, world frame, scene units squared.
-    pub centre: [[f64; 3]; 3],
+    pub centre: DMat3,
+}
+
+impl PoseDeviation {
+    /// Standard deviation of the camera centre in space, scene units.
+    pub(crate) fn centre_length(&self) -> f64 {
+        (self.centre.x_axis.x + self.centre.y_axis.y + self.centre.z_axis.z).sqrt()
+    }
+}
+
+/// `v vᵀ`: the covariance of a step of one standard deviation along `v`.
+pub(crate) fn outer_square(v: DVec3) -> DMat3 {
+    DMat3::from_cols(v * v.x, v * v.y, v * v.z)
+}
+
+/// The pose of a frame of a video, chosen for the model or not.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct FramePose {
+    /// When it was taken, seconds.
+    pub time_s: f64,
+    /// `cam_from_world`.
+    pub pose: Pose,
+    /// Standard deviations.
+    pub deviation: PoseDeviation,
 }
 
 /// Standard deviations from the final adjustment (gauge: first camera and the scale fixed).
@@ -77,6 +102,11 @@ pub struct SfmResult {
     pub decisions: Vec<Decision>,
     /// Standard deviations of poses and intrinsics.
     pub uncertainty: Option<Uncertainty>,
+    /// How the object moves, where it turns or tumbles.
+    pub motion: Option<MotionReport>,
+    /// Of a video: poses of all its frames, by the motion; between registered frames alone where
+    /// that is free.
+    pub frames: Vec<FramePose>,
     /// Counts and costs.
     pub stats: SfmStats,
     /// One per frame: intrinsics as they were before the model was solved (for the database).

@@ -11,7 +11,7 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 /// Quality of resampled JPEG files.
-/// Source: SRC_JPEG
+/// Source: judgement: a second compression that is hardly seen.
 const JPEG_QUALITY: u8 = 97;
 /// An undistorted image is at most this much larger or smaller than its source, each way.
 /// Source: COLMAP, `max_scale` of its undistortion.
@@ -118,8 +118,8 @@ fn transfer(source: &Path, target: &Path, old: &Camera, new: &Camera) -> Result<
         }
         return Ok(());
     }
-    let reader = image::ImageReader::open(source).and_then(|r| r.with_guessed_format());
-    let decoded = reader.map_err(|e| unreadable(source, &e))?.decode().map_err(|e| unreadable(source, &e))?;
+    let (decoder, _) = scene::io::image_decoder(source).map_err(|e| unreadable(source, &e))?;
+    let decoded = DynamicImage::from_decoder(decoder).map_err(|e| unreadable(source, &e))?;
     if (decoded.width(), decoded.height()) != (old.width, old.height) {
         return Err(SfmError::SizeMismatch {
             path: source.to_owned(),

@@ -13,6 +13,7 @@
 use crate::device::DeviceConfig;
 use crate::model::MAX_SH_DEGREE;
 use clap::{Args, ValueEnum};
+use scene::flag::between;
 use serde::{Deserialize, Serialize};
 
 /// How much time to spend for how much quality: presets of [`TrainConfig`].
@@ -45,28 +46,28 @@ impl Quality {
 #[derive(Args, Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct TrainConfig {
     /// Training steps; one view each
-    #[arg(long, default_value_t = ITERATIONS, help_heading = "Splat")]
+    #[arg(long, value_parser = between::<u32>(0, 1_000_000_000), default_value_t = ITERATIONS, help_heading = "Splat")]
     pub iterations: u32,
     /// Wall time for training (90, 60s, 5m, 1h): the schedule fits itself into it and --iterations
     /// is not used
     #[arg(long, value_parser = parse_duration, value_name = "TIME", help_heading = "Splat")]
     pub time_limit: Option<f64>,
     /// Never more Gaussians than this
-    #[arg(long, default_value_t = MAX_GAUSSIANS, help_heading = "Splat")]
+    #[arg(long, value_parser = between::<usize>(1, 1 << 30), default_value_t = MAX_GAUSSIANS, help_heading = "Splat")]
     pub max_gaussians: usize,
     /// Highest spherical-harmonic degree, 0 to 3
     #[arg(long, default_value_t = MAX_SH_DEGREE, help_heading = "Splat",
           value_parser = clap::value_parser!(u32).range(0..=i64::from(MAX_SH_DEGREE)))]
     pub sh_degree: u32,
     /// Weight of D-SSIM against L1, in [0, 1] (3DGS paper: 0.2)
-    #[arg(long, default_value_t = LAMBDA_DSSIM, help_heading = "Splat")]
+    #[arg(long, value_parser = between::<f32>(0.0, 1.0), default_value_t = LAMBDA_DSSIM, help_heading = "Splat")]
     pub lambda_dssim: f32,
     /// Begin at 1/2^N of the resolution
     #[arg(long, default_value_t = COARSE_LEVELS, help_heading = "Splat",
           value_parser = clap::value_parser!(u32).range(0..=i64::from(MAX_COARSE_LEVELS)))]
     pub coarse_levels: u32,
     /// Factor on every learning rate
-    #[arg(long, default_value_t = 1.0, help_heading = "Splat")]
+    #[arg(long, value_parser = between::<f32>(1e-6, 1e6), default_value_t = 1.0, help_heading = "Splat")]
     pub learning_rate: f32,
     /// Scale opacity with the 2D low-pass (Mip-Splatting), against aliasing
     #[arg(long, help_heading = "Splat")]
@@ -154,8 +155,8 @@ pub fn parse_duration(text: &str) -> Result<f64, String> {
         Some('h') => 3600.0,
         _ => 1.0,
     };
-    match number.parse::<f64>() {
-        Ok(value) if value.is_finite() && value > 0.0 => Ok(value * factor),
+    match number.parse::<f64>().map(|value| value * factor) {
+        Ok(seconds) if seconds.is_finite() && seconds > 0.0 => Ok(seconds),
         _ => Err(format!("{text:?} is not a duration such as 90, 60s, 5m or 1h")),
     }
 }
@@ -194,7 +195,7 @@ mod tests {
         assert_eq!(parse_duration("1.5m"), Ok(90.0));
         assert_eq!(parse_duration("2h"), Ok(7200.0));
         assert_eq!(parse_duration("45"), Ok(45.0));
-        for bad in ["", "s", "-3", "0", "NaN", "inf", "5d"] {
+        for bad in ["", "s", "-3", "0", "NaN", "inf", "5d", "1e308h"] {
             assert!(parse_duration(bad).is_err(), "{bad:?}");
         }
     }

@@ -8,7 +8,7 @@ use crate::record::{KnownRun, Level};
 use crate::report::html;
 use crate::report::overall;
 use crate::stage::{write_json, write_whole};
-use crate::terminal::Verbosity;
+use crate::terminal::{Verbosity, print, say};
 use anyhow::{Context, Result, bail};
 use maud::{Markup, html};
 use serde::Serialize;
@@ -114,7 +114,16 @@ impl Row {
 
 /// Heads of the table.
 const HEADS: [&str; 10] = [
-    "capture", "state", "light", "registered", "images", "gaussians", "PSNR, dB", "CPU s", "peak MiB", "reason",
+    "capture",
+    "state",
+    "light",
+    "registered",
+    "images",
+    "gaussians",
+    "PSNR, dB",
+    "CPU s",
+    "peak MiB",
+    "reason",
 ];
 
 /// The last complaint in the log of a run; nothing where it ended well.
@@ -141,13 +150,13 @@ pub(super) fn write(output: &Path, verbosity: Verbosity, json: bool) -> Result<O
     let page = html::page("captures – sat-recon", &body(&rows));
     write_whole(&output.join("summary.html"), page.as_bytes())?;
     if json {
-        println!("{}", serde_json::to_string_pretty(&rows)?);
+        print(&serde_json::to_string_pretty(&rows)?)?;
     }
     let failed: Vec<&Row> = rows.iter().filter(|r| r.state != "done").collect();
     if verbosity > Verbosity::Quiet {
-        eprintln!("{} of {} captures done", rows.len() - failed.len(), rows.len());
-        failed.iter().for_each(|r| eprintln!("  {}", r.sentence()));
-        eprintln!("open {}", output.join("summary.html").display());
+        say(&format!("{} of {} captures done", rows.len() - failed.len(), rows.len()));
+        failed.iter().for_each(|r| say(&format!("  {}", r.sentence())));
+        say(&format!("open {}", output.join("summary.html").display()));
     }
     Ok(if failed.is_empty() { Outcome::Done } else { Outcome::Partial })
 }

@@ -13,7 +13,7 @@ use crate::args::BatchArgs;
 use crate::outcome::Outcome;
 use crate::record::KnownRun;
 use crate::stage::write_json;
-use crate::terminal::{CANCELLED, Verbosity};
+use crate::terminal::{CANCELLED, Verbosity, print, say};
 use anyhow::{Context, Result, bail};
 use list::Capture;
 use std::fs::File;
@@ -37,7 +37,7 @@ const CORES: usize = 2;
 pub(crate) fn run(args: &BatchArgs, verbosity: Verbosity, json: bool) -> Result<Outcome> {
     let captures = list::captures(&args.source)?;
     if args.list {
-        println!("{}", serde_json::to_string_pretty(&captures)?);
+        print(&serde_json::to_string_pretty(&captures)?)?;
         return Ok(Outcome::Done);
     }
     std::fs::create_dir_all(&args.output)
@@ -144,7 +144,7 @@ impl Batch {
             }
             if self.verbosity > Verbosity::Quiet {
                 let row = collect::Row::of(&self.output, &running.capture, status.code());
-                eprintln!("{}/{} {}", self.done, self.all, row.sentence());
+                say(&format!("{}/{} {}", self.done, self.all, row.sentence()));
             }
         }
         self.running = still;

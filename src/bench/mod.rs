@@ -14,8 +14,8 @@ use crate::evaluate::metrics::number;
 use crate::outcome::Outcome;
 use crate::pipeline::{Pipeline, Until};
 use crate::record::RunRecord;
-use crate::stage::{Stages, describe_input, fingerprint, write_json, write_whole};
-use crate::terminal::Verbosity;
+use crate::stage::{Done, StageSpec, Stages, describe_input, fingerprint, write_json, write_whole};
+use crate::terminal::{Verbosity, print, say};
 use anyhow::{Context, Result, bail};
 use serde::Serialize;
 use std::path::{Path, PathBuf};
@@ -93,10 +93,11 @@ pub fn run(args: &BenchArgs, global: &crate::args::Global, verbosity: Verbosity)
         let told: Vec<String> = setting.flags().into_iter().chain(args.flags.iter().cloned()).collect();
         let print = fingerprint(&("bench", 2, PROGRAM, &told, describe_input(&args.input)?))?;
         let stage = format!("bench-{}", setting.name().replace(' ', ""));
-        let (finished, ran) = stages
-            .run(&stage, &print, &[], || measure(&args.input, &out, &setting.name(), &told, verbosity))?;
+        let stage = StageSpec { name: &stage, fingerprint: &print, owns: &[] };
+        let Done { finished, ran, .. } =
+            stages.run(&stage, |_| measure(&args.input, &stages, &setting.name(), &told, verbosity))?;
         if verbosity > Verbosity::Quiet {
-            eprintln!("{} ({})", row(&finished.value.0), if ran { "measured" } else { "as before" });
+            say(&format!("{} ({})", row(&finished.value.0), if ran { "measured" } else { "as before" }));
         }
         sweep.points.push(finished.value.0);
         sweep.protocol = finished.value.1;
@@ -104,12 +105,12 @@ pub fn run(args: &BenchArgs, global: &crate::args::Global, verbosity: Verbosity)
     }
     write_whole(&out.join("bench.svg"), charts::draw(&sweep.points, &sweep.peers)?.as_bytes())?;
     if global.json {
-        println!("{}", serde_json::to_string_pretty(&sweep)?);
+        print(&serde_json::to_string_pretty(&sweep)?)?;
     } else {
-        print_table(&sweep);
+        print_table(&sweep)?;
     }
     if verbosity > Verbosity::Quiet {
-        eprintln!("in {}: bench.svg, bench.json", out.display());
+        say(&format!("in {}: bench.svg, bench.json", out.display()));
     }
     Ok(Outcome::Done)
 }
@@ -118,19 +119,20 @@ pub fn run(args: &BenchArgs, global: &crate::args::Global, verbosity: Verbosity)
 /// made once.
 fn measure(
     input: &Path,
-    out: &Path,
+    stages: &Stages,
     setting: &str,
     flags: &[String],
     verbosity: Verbosity,
 ) -> Result<(Point, String)> {
-    let mut argv = vec!["sat-recon".to_owned(), "eval".into(), utf8(input)?, "-o".into(), utf8(out)?];
+    let mut argv =
+        vec!["sat-recon".to_owned(), "eval".into(), utf8(input)?, "-o".into(), utf8(stages.out())?];
     argv.extend(flags.iter().cloned());
     let parsed = match config::parse(argv)? {
         Ok(parsed) => parsed,
         Err(usage) => bail!("{usage}"),
     };
     let crate::args::Command::Eval(args) = parsed.cli.command else { bail!("only flags may follow --") };
-    let pipeline = Pipeline::new(*args, parsed.recorded, verbosity, false)?;
+    let pipeline = Pipeline::within(stages.clone(), *args, parsed.recorded, verbosity, false)?;
     let (outcome, record) = pipeline.run_recorded(Until::Eval)?;
     if outcome == Outcome::NoModel {
         bail!("no poses were found, so that there is nothing to train on");
@@ -183,10 +185,10 @@ fn row(p: &Point) -> String {
     )
 }
 
-fn print_table(sweep: &Sweep) {
-    println!("| tool | setting | wall s | CPU s | gaussians | peak MiB | PSNR | worst view | SSIM | LPIPS |");
-    println!("|---|---|---|---|---|---|---|---|---|---|");
-    sweep.points.iter().chain(&sweep.peers).for_each(|p| println!("{}", row(p)));
+fn print_table(sweep: &Sweep) -> Result<()> {
+    print("| tool | setting | wall s | CPU s | gaussians | peak MiB | PSNR | worst view | SSIM | LPIPS |")?;
+    print("|---|---|---|---|---|---|---|---|---|---|")?;
+    sweep.points.iter().chain(&sweep.peers).try_for_each(|p| print(&row(p)))
 }
 
 fn default_output(input: &Path) -> PathBuf {

@@ -125,7 +125,7 @@ impl ColmapJob {
 
     fn run(&mut self, step: &str, mut command: Command) -> Result<()> {
         if self.verbosity > Verbosity::Quiet {
-            eprintln!("colmap {step}");
+            crate::terminal::say(&format!("colmap {step}"));
         }
         let log = File::options().create(true).append(true).open(&self.log)?;
         let child = command.stdin(Stdio::null()).stdout(log.try_clone()?).stderr(log).spawn();

@@ -13,7 +13,7 @@ use crate::evaluate::metrics::number;
 use crate::outcome::Outcome;
 use crate::record::KnownRun;
 use crate::stage::{write_json, write_whole};
-use crate::terminal::Verbosity;
+use crate::terminal::{Verbosity, print};
 use anyhow::{Context, Result};
 use scene::sim3::{AUC_THRESHOLDS_DEG, PoseErrors, compare_poses};
 use scene::{FrameSet, Reconstruction};
@@ -80,10 +80,10 @@ pub fn run(args: &CompareArgs, verbosity: Verbosity, json: bool) -> Result<Outco
     let beside: Vec<_> = args.beside.iter().map(|path| runs::read_tables(path)).collect::<Result<_>>()?;
     let tables = runs::tables(&entries, &beside.concat());
     if json {
-        println!("{}", serde_json::to_string_pretty(&rows)?);
+        print(&serde_json::to_string_pretty(&rows)?)?;
     } else {
-        println!("{}", pose_table(&rows));
-        tables.iter().for_each(|table| println!("\n{}", table.markdown()));
+        print(&pose_table(&rows))?;
+        tables.iter().try_for_each(|table| print(&format!("\n{}", table.markdown())))?;
     }
     if let Some(folder) = &args.tables {
         write_tables(folder, &tables)?;
@@ -174,9 +174,7 @@ fn cost(run: &Path) -> Option<(f64, f64)> {
 
 /// The frames that a run was given.
 fn frames_of(run: &Path) -> Option<FrameSet> {
-    let frames: crate::stage::Finished<FrameSet> =
-        serde_json::from_slice(&std::fs::read(run.join(".stages/frames.json")).ok()?).ok()?;
-    Some(frames.value)
+    crate::stage::last::<FrameSet>(run, "frames").map(|finished| finished.value)
 }
 
 /// Their names without extension: those that were not registered count as failures.

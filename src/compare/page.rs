@@ -23,6 +23,7 @@ type Labelled = (String, KnownRun);
 /// Writes the page: verdicts, tables, poses, decisions, curves, pictures.
 pub(super) fn write(file: &Path, entries: &[Entry], poses: &Cells, tables: &[Table]) -> Result<()> {
     anyhow::ensure!(!entries.is_empty(), "none of the runs was evaluated: run sat-recon on them first");
+    html::refuse_foreign(file)?;
     let mut known: Vec<Labelled> = Vec::new();
     for entry in entries {
         if let Some(run) = &entry.run {

@@ -53,9 +53,8 @@ pub(crate) fn write(run: &Path, tool: Tool, output: &Path, progress: &Progress) 
 
 impl Handed {
     fn open(run: &Path) -> Result<Self> {
-        let model = scene::io::read_model(&run.join("sparse/0")).with_context(|| {
-            format!("{} is not the output folder of a run with poses", run.display())
-        })?;
+        let model = scene::io::read_model(&run.join("sparse/0"))
+            .with_context(|| format!("{} is not the output folder of a run with poses", run.display()))?;
         let known = KnownRun::read(run)?;
         let mut frames = known.frames.clone().context("run.json names no frames; run sat-recon again")?;
         let recorded = std::mem::take(&mut frames.frames);

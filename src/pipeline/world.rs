@@ -1,44 +1,53 @@
 //! The world frame of a run: where its model is moved before anything is written.
 
 use crate::args::PipelineArgs;
-use crate::record::PoseSummary;
-use scene::decision::{MotionModel, Rule};
+use glam::{DMat3, DVec3};
+use scene::decision::MotionModel;
 use scene::sim3::Sim3;
 use scene::{Decision, FrameSet, Reconstruction, RingSequence, WorldFrame};
-use sfm::Uncertainty;
+use sfm::{PoseDeviation, SfmResult};
 
-/// The solved model in its world frame; `summary` gets the frame, what says so, and the standard
-/// deviations in it. With `--keep-frame` the model stays where the solver left it.
-pub(super) fn place(
-    model: &Reconstruction,
-    uncertainty: Option<&Uncertainty>,
-    frames: &FrameSet,
-    args: &PipelineArgs,
-    summary: &mut PoseSummary,
-) -> Reconstruction {
-    let motions = summary.decisions.iter().filter_map(Decision::motion);
-    let is_turn = motions.last() == Some(MotionModel::SingleAxis);
-    // Only a turn about one axis is scaled by it.
+/// Where the world of a solved model lies; with `--keep-frame`, what is up in the solver's frame.
+pub(super) fn find(result: &SfmResult, frames: &FrameSet, args: &PipelineArgs) -> Option<WorldFrame> {
+    let model = result.reconstruction.as_ref()?;
+    let motion = result.decisions.iter().filter_map(Decision::motion).last();
+    let is_turn = motion == Some(MotionModel::SingleAxis);
+    let tumbles = result.motion.as_ref().filter(|m| m.tumble.is_some());
+    let sequence = RingSequence::of(model, frames).filter(|_| tumbles.is_none());
+    let ring = sequence.as_ref().map(|s| &s.ring);
+    let axis = match tumbles {
+        Some(report) => Some(DVec3::from_array(report.axis_body)),
+        None => ring.filter(|_| is_turn).map(|r| r.axis),
+    };
+    // Only a turn about one axis is scaled by a known distance.
     let metric = is_turn && args.sfm.motion.known_distance.is_some();
-    let rule = if args.keep_frame { Rule::Requested } else { Rule::Evidence };
-    let found = found(model, frames, is_turn, metric);
-    let world = if args.keep_frame { found.map(|w| w.kept(Sim3::IDENTITY)) } else { found };
-    let move_by = world.as_ref().map_or(Sim3::IDENTITY, WorldFrame::sim3);
-    let moved = if args.keep_frame { model.clone() } else { move_by.transform_reconstruction(model) };
-    let deviations = uncertainty.map(|u| crate::record::Deviations::of(u, model, &move_by));
-    summary.deviations = deviations;
-    summary.decisions.extend(world.as_ref().map(|w| w.decision(rule)));
-    summary.world = world;
-    moved
+    let world = WorldFrame::of(model, ring, axis, metric)?;
+    Some(if args.keep_frame { world.kept(Sim3::IDENTITY) } else { world })
+}
+
+/// Moves all that was solved.
+pub(super) fn place(result: &mut SfmResult, world_from_solver: &Sim3) {
+    let turn = DMat3::from_quat(world_from_solver.rotation);
+    let resized = turn * world_from_solver.scale;
+    let moved = |d: &mut PoseDeviation| d.centre = resized * d.centre * resized.transpose();
+    if let Some(model) = &mut result.reconstruction {
+        *model = world_from_solver.transform_reconstruction(model);
+    }
+    if let Some(uncertainty) = &mut result.uncertainty {
+        uncertainty.images.values_mut().for_each(moved);
+    }
+    for frame in &mut result.frames {
+        frame.pose = world_from_solver.transform_pose(&frame.pose);
+        moved(&mut frame.deviation);
+    }
+    if let Some(motion) = &mut result.motion {
+        motion.axis_body = (turn * DVec3::from_array(motion.axis_body)).to_array();
+    }
 }
 
 /// What is up in a model that came with the input, whose frame stays as it is. `turn`: from the
 /// frame of its file.
 pub(super) fn given(model: &Reconstruction, frames: &FrameSet, turn: Sim3) -> Option<WorldFrame> {
-    Some(found(model, frames, false, false)?.kept(turn))
-}
-
-fn found(model: &Reconstruction, frames: &FrameSet, is_turn: bool, metric: bool) -> Option<WorldFrame> {
     let sequence = RingSequence::of(model, frames);
-    WorldFrame::of(model, sequence.as_ref().map(|s| &s.ring), is_turn, metric)
+    Some(WorldFrame::of(model, sequence.as_ref().map(|s| &s.ring), None, false)?.kept(turn))
 }

@@ -17,7 +17,9 @@ pub(crate) fn advice(light: &Light) -> Option<&'static str> {
              the object tells its sides apart."
         }
         "loop" => "Film the missing side too, unless it is not wanted.",
-        "reprojection error" => "Check that only the camera or only the object moved, and that the lens kept its zoom.",
+        "reprojection error" => {
+            "Check that only the camera or only the object moved, and that the lens kept its zoom."
+        }
         "weak frames" => "Trust these poses less; more frames beside them, or more light, would hold them.",
         "held-out views" => "Look at eval/ for what differs; --quality best trains longer.",
         "overfitting" => "More photos help, above all between those far apart.",

@@ -1,6 +1,6 @@
 //! Pieces of HTML, escaped by `maud`.
 
-use anyhow::Result;
+use anyhow::{Context as _, Result};
 use base64::Engine as _;
 use base64::engine::general_purpose::STANDARD;
 use maud::{DOCTYPE, Markup, PreEscaped, html};
@@ -26,6 +26,7 @@ pub(crate) fn page(title: &str, body: &Markup) -> String {
                 meta charset="utf-8";
                 meta name="viewport" content="width=device-width, initial-scale=1";
                 link rel="icon" href="data:,";
+                (PreEscaped(GENERATOR))
                 title { (title) }
                 style { (PreEscaped(include_str!("style.css"))) }
             }
@@ -36,6 +37,22 @@ pub(crate) fn page(title: &str, body: &Markup) -> String {
         }
     };
     page.into_string()
+}
+
+/// Says in a page who made it.
+const GENERATOR: &str = "<meta name=\"generator\" content=\"sat-recon\">";
+
+/// A page is written where nothing is or an older page of ours: any other file stays.
+pub(crate) fn refuse_foreign(file: &Path) -> Result<()> {
+    let is_page = file.extension().is_some_and(|e| e.eq_ignore_ascii_case("html"));
+    anyhow::ensure!(is_page, "{}: the name of a page ends in .html", file.display());
+    if file.symlink_metadata().is_ok() {
+        let text = std::fs::read(file).with_context(|| format!("cannot read {}", file.display()))?;
+        let start = String::from_utf8_lossy(&text[..text.len().min(4096)]);
+        let ours = start.contains(GENERATOR);
+        anyhow::ensure!(ours, "{} is no page of sat-recon's; choose another name", file.display());
+    }
+    Ok(())
 }
 
 /// A bulleted list; nothing for none.

@@ -107,7 +107,7 @@ impl Run {
         gaussians.retain(|i| shown[i]);
         let spz = scene::io::splats::encode_spz(&gaussians).map_err(anyhow::Error::msg)?;
         let model = page_from_world.transform_reconstruction(&model);
-        let antialias = crate::evaluate::trained_with_antialias(folder)?;
+        let antialias = crate::evaluate::trained_with_antialias(folder);
         let up = crate::record::up_of(folder, &model);
         Ok(Self { folder: folder.to_path_buf(), model, splat: spz, antialias, up })
     }

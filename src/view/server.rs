@@ -4,11 +4,13 @@
 use super::{Run, Splat, check_bundle, page};
 use crate::args::ViewArgs;
 use crate::outcome::Outcome;
-use crate::terminal::CANCELLED;
+use crate::terminal::{CANCELLED, say};
 use anyhow::{Result, anyhow};
 use std::fs::File;
+use std::io::Cursor;
 use std::net::{Ipv4Addr, SocketAddr};
 use std::path::PathBuf;
+use std::sync::Arc;
 use std::sync::atomic::Ordering;
 use std::time::Duration;
 use tiny_http::{Header, Method, Request, Response, Server};
@@ -33,24 +35,58 @@ pub fn run(args: &ViewArgs, quiet: bool) -> Result<Outcome> {
         .map_err(|e| anyhow!("cannot listen on {address}: {e}; choose another port with --port"))?;
     let port = server.server_addr().to_ip().map_or(args.port, |a| a.port());
     if !quiet {
-        eprintln!("open http://127.0.0.1:{port} in a browser; Ctrl-C ends");
+        say(&format!("open http://127.0.0.1:{port} in a browser; Ctrl-C ends"));
     }
+    let served = Arc::new(Served { run, page, port });
     while !CANCELLED.load(Ordering::Relaxed) {
-        if let Some(request) = server.recv_timeout(Duration::from_millis(200))? {
-            // A browser that has gone away is no error of ours.
-            let _ = answer(request, &run, &page, port);
+        let Some(request) = server.recv_timeout(Duration::from_millis(200))? else { continue };
+        // A client that does not read its answer keeps its own thread waiting and nobody else.
+        if Arc::strong_count(&served) > AT_ONCE {
+            let _ = request.respond(plain("too many requests at once", 503)); // nor is one that has gone away
+            continue;
         }
+        let served = Arc::clone(&served);
+        // A browser that has gone away is no error of ours.
+        let thread = std::thread::Builder::new().spawn(move || drop(answer(request, &served)));
+        thread.map_err(|e| anyhow!("cannot answer a request: {e}"))?;
     }
     Ok(Outcome::Done)
 }
 
-fn answer(request: Request, run: &Run, page: &str, port: u16) -> std::io::Result<()> {
+/// Requests that are answered at the same time. Source: derived; a browser asks for six, and a page
+/// in every window of a desktop.
+const AT_ONCE: usize = 64;
+
+/// What is served.
+struct Served {
+    run: Run,
+    page: String,
+    port: u16,
+}
+
+/// Why a request is not answered: the words, the status code.
+fn refusal(request: &Request, port: u16) -> Option<(&'static str, u16)> {
+    let header = |name: &'static str| request.headers().iter().find(|h| h.field.equiv(name));
     let own = [format!("127.0.0.1:{port}"), format!("localhost:{port}")];
     // A page of another site that resolves its name to this machine sends its own name.
-    let is_local =
-        request.headers().iter().any(|h| h.field.equiv("Host") && own.iter().any(|o| o == h.value.as_str()));
-    if !is_local || *request.method() != Method::Get {
-        return request.respond(Response::from_string("forbidden").with_status_code(403));
+    let is_local = header("Host").is_some_and(|h| own.iter().any(|o| o == h.value.as_str()));
+    // Other sites may link to the page, but not load what is in it.
+    let is_foreign = header("Sec-Fetch-Site").is_some_and(|h| h.value.as_str() == "cross-site");
+    if !is_local || (is_foreign && route(request.url()) != Answer::Page) {
+        return Some(("forbidden", 403));
+    }
+    let is_read = matches!(request.method(), Method::Get | Method::Head);
+    (!is_read).then_some(("only GET and HEAD are answered", 405))
+}
+
+fn plain(text: &str, status: u16) -> Response<Cursor<Vec<u8>>> {
+    let response = of_kind(Response::from_string(text), "text/plain; charset=utf-8").with_status_code(status);
+    if status == 405 { with(response, "Allow", "GET, HEAD") } else { response }
+}
+
+fn answer(request: Request, Served { run, page, port }: &Served) -> std::io::Result<()> {
+    if let Some((text, status)) = refusal(&request, *port) {
+        return request.respond(plain(text, status));
     }
     match route(request.url()) {
         Answer::Page => request.respond(of_kind(Response::from_string(page), "text/html; charset=utf-8")),
@@ -58,20 +94,25 @@ fn answer(request: Request, run: &Run, page: &str, port: u16) -> std::io::Result
             request.respond(of_kind(Response::from_data(&*run.splat), "application/octet-stream"))
         }
         Answer::Photo(index) => file(request, run.photo(index), "application/octet-stream"),
-        Answer::Nothing => request.respond(Response::from_string("not found").with_status_code(404)),
+        Answer::Nothing => request.respond(plain("not found", 404)),
     }
 }
 
 fn file(request: Request, path: Option<PathBuf>, content: &str) -> std::io::Result<()> {
     match path.and_then(|p| File::open(p).ok()) {
         Some(file) => request.respond(of_kind(Response::from_file(file), content)),
-        None => request.respond(Response::from_string("not found").with_status_code(404)),
+        None => request.respond(plain("not found", 404)),
     }
 }
 
-/// Says what an answer is; the names of kinds are constants that always parse.
-fn of_kind<R: std::io::Read>(mut response: Response<R>, content: &str) -> Response<R> {
-    if let Ok(header) = Header::from_bytes("Content-Type", content) {
+/// Says what an answer is, which is not to be guessed.
+fn of_kind<R: std::io::Read>(response: Response<R>, content: &str) -> Response<R> {
+    with(with(response, "Content-Type", content), "X-Content-Type-Options", "nosniff")
+}
+
+/// Adds a header; names and values are constants that always parse.
+fn with<R: std::io::Read>(mut response: Response<R>, name: &str, value: &str) -> Response<R> {
+    if let Ok(header) = Header::from_bytes(name, value) {
         response.add_header(header);
     }
     response

@@ -180,6 +180,55 @@ fn the_server_answers_nothing_outside_its_folder_and_no_other_site() {
     assert!(ask(serving.1, "evil.example", "/").starts_with("HTTP/1.1 403"));
 }
 
+/// The start of the answer to a request that is sent as it is.
+fn raw(port: u16, request: &str) -> String {
+    let mut stream = TcpStream::connect(("127.0.0.1", port)).unwrap();
+    stream.set_read_timeout(Some(std::time::Duration::from_secs(20))).unwrap();
+    stream.write_all(request.as_bytes()).unwrap();
+    let mut start = [0; 1024];
+    let read = stream.read(&mut start).unwrap_or(0);
+    String::from_utf8_lossy(&start[..read]).into_owned()
+}
+
+#[test]
+fn a_client_that_never_reads_keeps_nobody_waiting_and_odd_requests_are_answered_rightly() {
+    if sat_recon::view::BUNDLE.is_none() {
+        return eprintln!("SKIPPED: built without the viewer");
+    }
+    let dir = folder("viewer_stalled");
+    large_run(&dir, 100_000);
+    let serving = serve(&dir);
+    let host = format!("Host: 127.0.0.1:{}\r\nConnection: close\r\n", serving.1);
+    let stalled: Vec<TcpStream> = (0..8)
+        .map(|_| {
+            let mut stream = TcpStream::connect(("127.0.0.1", serving.1)).unwrap();
+            stream.write_all(format!("GET /splat.spz HTTP/1.1\r\n{host}\r\n").as_bytes()).unwrap();
+            stream
+        })
+        .collect();
+    let asks = |method: &str, path: &str, more: &str| {
+        raw(serving.1, &format!("{method} {path} HTTP/1.1\r\n{host}{more}\r\n"))
+    };
+    let page = asks("GET", "/", "");
+    assert!(page.starts_with("HTTP/1.1 200") && page.contains("nosniff"), "{page}");
+    let head = asks("HEAD", "/", "");
+    assert!(head.starts_with("HTTP/1.1 200") && head.trim_end().lines().all(|l| !l.contains('<')), "{head}");
+    for method in ["POST", "PUT", "DELETE", "OPTIONS", "PATCH"] {
+        let said = asks(method, "/", "Content-Length: 0\r\n");
+        assert!(said.starts_with("HTTP/1.1 405") && said.contains("Allow: GET, HEAD"), "{method}: {said}");
+    }
+    let other_site = "Sec-Fetch-Site: cross-site\r\n";
+    assert!(asks("GET", "/splat.spz", other_site).starts_with("HTTP/1.1 403"));
+    assert!(asks("GET", "/", other_site).starts_with("HTTP/1.1 200"), "a link to the page");
+    for odd in ["\r\n\r\n", "GET\r\n\r\n", "GET / HTTP/9.9\r\n\r\n", "\u{0}\u{1}\u{2}\r\n\r\n"] {
+        let said = raw(serving.1, odd);
+        assert!(!said.starts_with("HTTP/1.1 200"), "{odd:?}: {said}");
+    }
+    assert!(asks("GET", "/", "").starts_with("HTTP/1.1 200"), "it still answers");
+    drop(stalled);
+    std::fs::remove_dir_all(dir).unwrap();
+}
+
 #[test]
 fn a_link_that_leads_out_of_the_folder_is_not_followed() {
     if sat_recon::view::BUNDLE.is_none() {

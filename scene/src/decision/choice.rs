@@ -13,6 +13,8 @@ pub enum MotionModel {
     SingleAxis,
     /// Near a circle, with small deviations.
     Orbit,
+    /// A rigid body on which no torque acts, before a camera that keeps its station or drifts.
+    TorqueFree,
     /// Every pose by itself.
     Free,
     /// The poses that came with the input.
@@ -93,7 +95,9 @@ pub enum MatteKind {
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "kebab-case")]
 pub enum UpEvidence {
-    /// The axis about which the object, or the camera, turns.
+    /// The axis about which the object turns.
+    TurnAxis,
+    /// The axis of the circle on which the cameras stand.
     CircleAxis,
     /// The cameras, which are held level.
     #[default]

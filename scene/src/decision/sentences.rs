@@ -74,6 +74,7 @@ impl Subject {
             Self::KeypointRefinement => "Keypoints",
             Self::PlaneTracks => "Plane tracks",
             Self::CameraModelWithPlane => "Camera model with plane tracks",
+            Self::CameraModelWithMotion => "Camera model with the motion",
             Self::VideoMotion => "Single-axis motion in the video",
             Self::RotationAxis => "Rotation axis",
             Self::CameraElevation => "Camera elevation",
@@ -137,6 +138,7 @@ impl Subject {
                 "fixed to the camera, carried by the view-dependent colour".to_owned()
             }
             Choice::Features(FeatureSource::Database) => "from the database".to_owned(),
+            Choice::Up(UpEvidence::TurnAxis) => "the axis about which the object turns".to_owned(),
             Choice::Up(UpEvidence::CircleAxis) => "the axis of the cameras' circle".to_owned(),
             Choice::Up(UpEvidence::LevelCameras) => "as the cameras were held".to_owned(),
             Choice::Matte(MatteKind::Nothing) => "none".to_owned(),
@@ -175,6 +177,7 @@ impl MotionModel {
         match self {
             Self::SingleAxis => "single axis",
             Self::Orbit => "orbit",
+            Self::TorqueFree => "torque-free tumble",
             Self::Free => "free",
             Self::Given => "as given",
         }

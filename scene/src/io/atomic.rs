@@ -2,6 +2,7 @@
 //! when complete.
 
 use super::error::IoError;
+use std::ffi::OsStr;
 use std::fs::{self, File, OpenOptions};
 use std::io::{self, BufWriter, Write};
 use std::path::Path;
@@ -9,6 +10,14 @@ use tempfile::{Builder, TempDir, TempPath};
 
 /// Buffer of written files, bytes. Source: chosen by hand, never measured.
 const BUFFER_BYTES: usize = 1 << 16;
+
+/// How the names of temporary files and folders begin and end.
+const TEMPORARY: [&str; 2] = [".sat-recon-", ".tmp"];
+
+/// Whether a file of this name was being written when the program was interrupted.
+pub fn is_temporary(name: &OsStr) -> bool {
+    name.to_str().is_some_and(|n| n.starts_with(TEMPORARY[0]) && n.ends_with(TEMPORARY[1]))
+}
 
 fn parent_of(path: &Path) -> &Path {
     path.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."))
@@ -31,15 +40,16 @@ fn with_usual_permissions<'a, 'b>(builder: &'a mut Builder<'b, 'b>, mode: u32) -
 /// A hidden file beside `path` that is removed unless it is kept.
 fn file_beside(path: &Path) -> io::Result<TempPath> {
     let mut builder = Builder::new();
-    let file =
-        with_usual_permissions(builder.prefix(".").suffix(".tmp"), 0o666).tempfile_in(parent_of(path))?;
+    let file = with_usual_permissions(builder.prefix(TEMPORARY[0]).suffix(TEMPORARY[1]), 0o666)
+        .tempfile_in(parent_of(path))?;
     Ok(file.into_temp_path())
 }
 
 /// A hidden folder beside `path` that is removed unless it is kept.
 fn folder_beside(path: &Path) -> io::Result<TempDir> {
     let mut builder = Builder::new();
-    with_usual_permissions(builder.prefix(".").suffix(".tmp"), 0o777).tempdir_in(parent_of(path))
+    with_usual_permissions(builder.prefix(TEMPORARY[0]).suffix(TEMPORARY[1]), 0o777)
+        .tempdir_in(parent_of(path))
 }
 
 /// Makes the new name of a file durable; not every file system can, so a failure is no error.

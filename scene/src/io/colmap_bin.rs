@@ -97,16 +97,20 @@ pub(super) fn check_camera(
     }
 }
 
+/// Lengths of quaternions that were written as unit quaternions, with few digits at worst.
+/// Source: derived; four numbers with one digit after the point.
+const UNIT_LENGTH: std::ops::RangeInclusive<f64> = 0.9..=1.1;
+
 /// A pose whose numbers are finite; the quaternion (w, x, y, z) is normalised.
 pub(super) fn check_pose(path: &Path, name: &str, v: &[f64; 7]) -> Result<Pose, IoError> {
     let norm = (v[0] * v[0] + v[1] * v[1] + v[2] * v[2] + v[3] * v[3]).sqrt();
     if v.iter().any(|x| !x.is_finite()) || !norm.is_finite() {
         return Err(IoError::not_finite(path, format!("the pose of image {name}")));
     }
-    if norm < 1e-12 {
+    if !UNIT_LENGTH.contains(&norm) {
         return Err(IoError::format(
             path,
-            format!("the rotation of image {name} is a quaternion of length 0"),
+            format!("the rotation of image {name} is a quaternion of length {norm:.3e}, not 1"),
         ));
     }
     let rotation = DQuat::from_xyzw(v[1] / norm, v[2] / norm, v[3] / norm, v[0] / norm);

@@ -2,16 +2,14 @@
 
 use super::error::IoError;
 use super::exif::ExifCamera;
+use super::limits::{IMAGE_BYTES, IMAGE_SIDE, PNG_METADATA_BYTES};
 use image::metadata::Orientation;
-use image::{DynamicImage, GrayImage, ImageBuffer, ImageDecoder, ImageReader, Limits, Pixel, RgbImage};
+use image::{
+    DynamicImage, GrayImage, ImageBuffer, ImageDecoder, ImageFormat, ImageReader, Limits, Pixel, RgbImage,
+};
 use std::fs::File;
 use std::io::BufReader;
 use std::path::Path;
-
-/// The longest side that is decoded, pixels. Source: the limit of JPEG (ITU-T T.81, B.2.2).
-const MAX_SIDE: u32 = 65_535;
-/// The most decoded bytes of one image. Source: chosen by hand, never measured.
-const MAX_BYTES: u64 = 1 << 30;
 
 /// An upright 8-bit image.
 #[derive(Clone, Debug)]
@@ -53,18 +51,21 @@ fn open(path: &Path) -> Result<ImageReader<BufReader<File>>, IoError> {
     let reader = ImageReader::open(path).map_err(IoError::file("read", path))?;
     let mut reader = reader.with_guessed_format().map_err(IoError::file("read", path))?;
     let mut limits = Limits::no_limits();
-    limits.max_image_width = Some(MAX_SIDE);
-    limits.max_image_height = Some(MAX_SIDE);
-    limits.max_alloc = Some(MAX_BYTES);
+    limits.max_image_width = Some(IMAGE_SIDE);
+    limits.max_image_height = Some(IMAGE_SIDE);
+    // The decoder of PNG counts what it unpacks beside the pixels only.
+    let is_png = reader.format() == Some(ImageFormat::Png);
+    limits.max_alloc = Some(if is_png { PNG_METADATA_BYTES } else { IMAGE_BYTES });
     reader.limits(limits);
     Ok(reader)
 }
 
 fn check_size(path: &Path, decoder: &impl ImageDecoder) -> Result<(), IoError> {
     let (w, h) = decoder.dimensions();
-    if w == 0 || h == 0 || w > MAX_SIDE || h > MAX_SIDE || decoder.total_bytes() > MAX_BYTES {
-        let message =
-            format!("{w} × {h} pixels; accepted are 1 to {MAX_SIDE} a side and {MAX_BYTES} decoded bytes");
+    if w == 0 || h == 0 || w > IMAGE_SIDE || h > IMAGE_SIDE || decoder.total_bytes() > IMAGE_BYTES {
+        let message = format!(
+            "{w} × {h} pixels; accepted are 1 to {IMAGE_SIDE} a side and {IMAGE_BYTES} decoded bytes"
+        );
         return Err(IoError::Image { path: path.into(), message });
     }
     Ok(())
@@ -75,9 +76,17 @@ fn orientation(decoder: &mut impl ImageDecoder) -> Orientation {
     decoder.orientation().unwrap_or(Orientation::NoTransforms)
 }
 
-fn decode(path: &Path) -> Result<DynamicImage, IoError> {
-    let mut decoder = open(path)?.into_decoder().map_err(image_error(path))?;
+/// A decoder of the image as it is stored, within limits, and the format that its content has.
+pub fn image_decoder(path: &Path) -> Result<(impl ImageDecoder + use<>, Option<ImageFormat>), IoError> {
+    let reader = open(path)?;
+    let format = reader.format();
+    let decoder = reader.into_decoder().map_err(image_error(path))?;
     check_size(path, &decoder)?;
+    Ok((decoder, format))
+}
+
+fn decode(path: &Path) -> Result<DynamicImage, IoError> {
+    let (mut decoder, _) = image_decoder(path)?;
     let turn = orientation(&mut decoder);
     let mut image = DynamicImage::from_decoder(decoder).map_err(image_error(path))?;
     image.apply_orientation(turn);
@@ -115,8 +124,7 @@ pub fn load_mask(path: &Path) -> Result<GrayImage, IoError> {
 
 /// Size, alpha and EXIF of an image without decoding its pixels.
 pub fn image_info(path: &Path) -> Result<ImageInfo, IoError> {
-    let mut decoder = open(path)?.into_decoder().map_err(image_error(path))?;
-    check_size(path, &decoder)?;
+    let (mut decoder, _) = image_decoder(path)?;
     let exif = decoder.exif_metadata().ok().flatten().map(|c| ExifCamera::parse(&c)).unwrap_or_default();
     let (mut width, mut height) = decoder.dimensions();
     if turns_sideways(orientation(&mut decoder)) {
@@ -244,6 +252,29 @@ mod tests {
         assert!(
             load_rgb(&path.with_file_name("none.png")).unwrap_err().to_string().starts_with("cannot read")
         );
+    }
+
+    /// A PNG of one pixel whose colour profile unpacks to `mib` MiB of zeros.
+    fn png_with_profile(path: &Path, mib: usize) {
+        image::GrayImage::new(1, 1).save(path).unwrap();
+        let bytes = std::fs::read(path).unwrap();
+        let mut zlib = flate2::write::ZlibEncoder::new(Vec::new(), flate2::Compression::best());
+        (0..mib).for_each(|_| std::io::Write::write_all(&mut zlib, &vec![0; 1 << 20]).unwrap());
+        let data = [b"iCCPx\0\0", &zlib.finish().unwrap()[..]].concat();
+        let length = (data.len() as u32 - 4).to_be_bytes();
+        let chunk = [&length[..], &data, &crc32(&data).to_be_bytes()].concat();
+        std::fs::write(path, [&bytes[..33], &chunk, &bytes[33..]].concat()).unwrap();
+    }
+
+    #[test]
+    fn a_colour_profile_is_unpacked_up_to_a_limit() {
+        let path = test_folder("profile").join("a.png");
+        png_with_profile(&path, 1);
+        let (mut decoder, _) = image_decoder(&path).unwrap();
+        assert_eq!(decoder.icc_profile().unwrap().map(|p| p.len()), Some(1 << 20));
+        png_with_profile(&path, 64);
+        let unpacked = image_decoder(&path).ok().and_then(|(mut d, _)| d.icc_profile().ok().flatten());
+        assert!(unpacked.is_none_or(|p| p.len() <= PNG_METADATA_BYTES as usize));
     }
 
     fn crc32(data: &[u8]) -> u32 {

@@ -73,8 +73,16 @@ fn read_obj(path: &Path) -> Result<Mesh, IoError> {
 fn read_glb(path: &Path) -> Result<Mesh, IoError> {
     let data = read_file(path)?;
     let bad = |message: String| IoError::format(path, format!("not a readable binary glTF file: {message}"));
-    let file = gltf::Gltf::from_slice(&data).map_err(|e| bad(e.to_string()))?;
+    // The library subtracts the header from the length that the file says.
+    let length = data.get(8..12).map_or(0, |b| u32::from_le_bytes([b[0], b[1], b[2], b[3]]));
+    if length < 12 {
+        return Err(bad(format!("its length is said to be {length} bytes")));
+    }
+    let file = gltf::Gltf::from_slice_without_validation(&data).map_err(|e| bad(e.to_string()))?;
     let blob = file.blob.as_deref().unwrap_or_default();
+    let json = file.document.into_json();
+    check_indices(&json).map_err(bad)?;
+    let file = gltf::Document::from_json(json).map_err(|e| bad(e.to_string()))?;
     for accessor in file.accessors() {
         check(&accessor, blob.len()).map_err(bad)?;
     }
@@ -94,6 +102,16 @@ fn read_glb(path: &Path) -> Result<Mesh, IoError> {
         open.extend(node.children().map(|child| (child, world)));
     }
     Ok(mesh)
+}
+
+/// Whether the accessors of all primitives exist, which the library's own check takes for granted.
+fn check_indices(json: &gltf::json::Root) -> Result<(), String> {
+    let primitives = json.meshes.iter().flat_map(|mesh| &mesh.primitives);
+    let highest = primitives.flat_map(|p| p.attributes.values()).map(|index| index.value()).max();
+    match highest {
+        Some(index) if index >= json.accessors.len() => Err(format!("accessor {index} is missing")),
+        _ => Ok(()),
+    }
 }
 
 /// Whether all of an accessor lies in the file.
@@ -195,6 +213,19 @@ mod tests {
         let cycle = r#"[{"children":[1]},{"children":[0],"mesh":0}]"#;
         fs::write(&path, glb(3, cycle)).unwrap();
         assert!(read_mesh(&path).unwrap_err().to_string().contains("two places"));
+        for (from, to, what) in [
+            (r#""POSITION":0"#, r#""POSITION":9"#, "accessor 9 is missing"),
+            (r#""bufferView":0"#, r#""bufferView":7"#, "bufferView"),
+            (r#""mesh":0"#, r#""mesh":5"#, "mesh"),
+            (r#""buffer":0"#, r#""buffer":3"#, "buffer"),
+        ] {
+            let mut bytes = glb(3, nodes);
+            let at = bytes.windows(from.len()).position(|w| w == from.as_bytes()).unwrap();
+            bytes[at..at + from.len()].copy_from_slice(to.as_bytes());
+            fs::write(&path, bytes).unwrap();
+            let error = read_mesh(&path).unwrap_err().to_string();
+            assert!(error.contains(what), "{to}: {error}");
+        }
         let whole = glb(3, nodes);
         for length in 0..whole.len() {
             fs::write(&path, &whole[..length]).unwrap();

@@ -12,6 +12,7 @@ pub mod colmap_db;
 mod colmap_txt;
 mod error;
 pub mod exif;
+mod limits;
 pub mod load;
 mod mesh;
 mod mesh_out;
@@ -28,13 +29,15 @@ pub use atomic::{replace_folder, write_atomic};
 pub use colmap_db::{read_database, write_database};
 pub use error::IoError;
 pub(crate) use error::read_file;
-pub use load::{ImageInfo, LoadedImage, image_info, load_image, load_mask, load_rgb, resize_area, shrunk};
+pub use load::{
+    ImageInfo, LoadedImage, image_decoder, image_info, load_image, load_mask, load_rgb, resize_area, shrunk,
+};
 pub use mesh::read_mesh;
 pub use mesh_out::write_mesh;
 pub use model::{find_model, has_model, read_model, write_model_bin, write_model_txt};
 pub use name::{UnsafeName, safe_name};
-pub use poses::{ImportedPoses, find_poses, is_poses_file, read_poses, write_metashape};
 pub use ply::{CloudPoint, read_points_ply, read_splat_ply, write_points_ply, write_splat_ply};
+pub use poses::{ImportedPoses, find_poses, is_poses_file, read_poses, write_metashape};
 pub use splats::{SplatFormat, read_splat, write_splat};
 pub use transforms::{
     TransformsFile, TransformsFrame, TransformsOptions, WORLD_FROM_TRANSFORMS, read_transforms,

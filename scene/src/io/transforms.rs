@@ -140,6 +140,10 @@ fn locate(folder: &Path, name: String) -> (String, Option<PathBuf>) {
     }
 }
 
+/// Largest difference of a number in a transform_matrix from the nearest rotation's.
+/// Source: derived; numbers with one digit after the point.
+const SKEW: f64 = 0.05;
+
 /// `cam_from_world` of a camera-to-world matrix with OpenGL axes; a uniform scale in it is taken
 /// out.
 fn pose_of(path: &Path, entry: &FrameEntry) -> Result<Pose, IoError> {
@@ -159,7 +163,14 @@ fn pose_of(path: &Path, entry: &FrameEntry) -> Result<Pose, IoError> {
         );
         return Err(IoError::format(path, message));
     }
-    let file_from_cam = nearest_rotation(world_from_gl) * GL_FROM_CV;
+    let rotation = nearest_rotation(world_from_gl);
+    let scale = world_from_gl.determinant().cbrt();
+    let skew = world_from_gl * scale.recip() - DMat3::from_quat(rotation);
+    if skew.to_cols_array().iter().any(|v| v.abs() > SKEW) {
+        let message = format!("{}: the transform_matrix is no rotation (it shears)", entry.file_path);
+        return Err(IoError::format(path, message));
+    }
+    let file_from_cam = rotation * GL_FROM_CV;
     let cam_from_file = Pose::from_centre(file_from_cam.conjugate(), centre);
     Ok(WORLD_FROM_TRANSFORMS.transform_pose(&cam_from_file))
 }

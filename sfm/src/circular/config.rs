@@ -1,6 +1,7 @@
 //! What a user can say about the motion.
 
 use crate::error::SfmError;
+use scene::flag::between;
 use serde::{Deserialize, Serialize};
 
 /// How object and camera move against each other.
@@ -14,6 +15,8 @@ pub enum Motion {
     SingleAxis,
     /// The camera goes round on a circle, with small motions of its own
     Orbit,
+    /// The object is a rigid body that no torque acts on: it tumbles (videos)
+    Tumble,
     /// Nothing is assumed
     Free,
 }
@@ -25,6 +28,7 @@ impl Motion {
             Self::Auto => "auto",
             Self::SingleAxis => "single-axis",
             Self::Orbit => "orbit",
+            Self::Tumble => "tumble",
             Self::Free => "free",
         }
     }
@@ -38,15 +42,15 @@ pub struct MotionConfig {
     #[arg(long, value_enum, default_value_t = Motion::Auto, help_heading = "Motion")]
     pub motion: Motion,
     /// Rate at which the object of a video turns, where it is known (the sign does not matter)
-    #[arg(long, value_name = "DEG_PER_S", help_heading = "Motion")]
+    #[arg(long, value_parser = between::<f64>(-1e6, 1e6), value_name = "DEG_PER_S", help_heading = "Motion")]
     pub known_rate: Option<f64>,
     /// Distance of the camera from the axis, where it is known: the model is in metres then
-    #[arg(long, value_name = "METRES", help_heading = "Motion")]
+    #[arg(long, value_parser = between::<f64>(1e-6, 1e9), value_name = "METRES", help_heading = "Motion")]
     pub known_distance: Option<f64>,
     /// Angle by which the camera looks down on the plane in which the object turns (0: level),
     /// where it was measured, to about a tenth of a degree: says where the principal point is along
     /// the axis, which a turn does not
-    #[arg(long, value_name = "DEG", allow_negative_numbers = true, help_heading = "Motion")]
+    #[arg(long, value_parser = between::<f64>(-90.0, 90.0), value_name = "DEG", allow_negative_numbers = true, help_heading = "Motion")]
     pub known_elevation: Option<f64>,
 }
 

@@ -4,7 +4,6 @@
 use super::motion::{distance_from_axis, pose_at};
 use crate::bundle::{Adjustable, BundleProblem, BundleSummary, SceneNormalisation, SolveOptions};
 use crate::ceres::CircularInput;
-use crate::result::PoseDeviation;
 use crate::ceres::circular::{CircularState, covariance, solve};
 use crate::error::SfmError;
 use glam::{DQuat, DVec3};
@@ -165,19 +164,6 @@ impl CircularProblem {
         let n = self.angles.len();
         let joint = (0..n * n).map(|k| of_turn[(3 + k / n) * size + 3 + k % n]).collect();
         Ok(Some(CircularCovariance { cameras, axis: [deviations[0], deviations[1]], angles, joint }))
-    }
-
-    /// How uncertain the angles make the poses: all of them move along their circle.
-    pub(crate) fn pose_deviations(&self, covariance: &CircularCovariance) -> Vec<PoseDeviation> {
-        let about = self.axis.rotation * DVec3::Z;
-        let poses = self.bundle.poses.iter().zip(&covariance.angles);
-        let uncertain = poses.map(|(pose, sd)| {
-            let centre = pose.centre();
-            let along = [-centre.y, centre.x, 0.0].map(|v| v * sd);
-            let rotation = about.to_array().map(|v| v.abs() * sd);
-            PoseDeviation { rotation, centre: along.map(|a| along.map(|b| a * b)) }
-        });
-        uncertain.collect()
     }
 
     fn state(&self, scale: f64) -> CircularState {

@@ -18,6 +18,7 @@ use pyramid::Pyramid;
 use rayon::prelude::*;
 use reference::{Reference, Warp};
 use register::follow;
+use scene::flag::between;
 use scene::{Frame, FrameSet, Progress};
 use serde::{Deserialize, Serialize};
 
@@ -26,13 +27,13 @@ use serde::{Deserialize, Serialize};
 #[serde(default)]
 pub struct KltConfig {
     /// Points that are followed at once
-    #[arg(long, default_value_t = Self::default().track_points, help_heading = "Motion")]
+    #[arg(long, value_parser = between::<usize>(1, 1_000_000), default_value_t = Self::default().track_points, help_heading = "Motion")]
     pub track_points: usize,
     /// Least distance of a new point from the others, pixels
-    #[arg(long, default_value_t = Self::default().track_distance_px, help_heading = "Motion")]
+    #[arg(long, value_parser = between::<f64>(0.5, 1e4), default_value_t = Self::default().track_distance_px, help_heading = "Motion")]
     pub track_distance_px: f64,
     /// Farthest from its start that a point followed forth and back may end, pixels
-    #[arg(long, default_value_t = Self::default().track_return_px, help_heading = "Motion")]
+    #[arg(long, value_parser = between::<f64>(0.0, 1e4), default_value_t = Self::default().track_return_px, help_heading = "Motion")]
     pub track_return_px: f64,
 }
 
@@ -43,10 +44,10 @@ impl Default for KltConfig {
 }
 
 /// Levels of the pyramids: windows reach about 7 · 2³ pixels.
-/// Source: SRC_LEVELS
+/// Source: derived: farther than points move between frames of a video.
 const LEVELS: usize = 4;
 /// Least correlation of a window with the track's first one.
-/// Source: SRC_CORR
+/// Source: judgement; the forward-backward check decides most.
 const CORRELATION: f64 = 0.85;
 
 /// A point followed through consecutive frames.

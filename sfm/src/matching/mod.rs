@@ -10,7 +10,9 @@
 //! use sfm::matching::{MatchConfig, PreparedFeatures, match_prepared};
 //!
 //! let mut descriptors = vec![0; 2 * Features::DIM];
-//! (descriptors[5], descriptors[Features::DIM + 9]) = (255, 255);
+//! // Two unrelated descriptors of the usual length, 512.
+//! descriptors[..16].fill(128);
+//! descriptors[Features::DIM + 16..Features::DIM + 32].fill(128);
 //! let features = Features { keypoints: vec![Keypoint::default(); 2], descriptors };
 //! let prepared = PreparedFeatures::new(&features);
 //! assert_eq!(match_prepared(&prepared, &prepared, &MatchConfig::default()), [[0, 0], [1, 1]]);

@@ -11,6 +11,7 @@ mod retrieval;
 
 pub(crate) use expansion::match_related;
 
+use scene::flag::between;
 use scene::{Features, FrameSet};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeSet;
@@ -20,17 +21,17 @@ use std::collections::BTreeSet;
 #[serde(default)]
 pub struct PairConfig {
     /// Up to so many photos every pair is matched.
-    #[arg(long, default_value_t = Self::default().exhaustive_up_to, help_heading = "Matching")]
+    #[arg(long, value_parser = between::<usize>(0, 1_000_000), default_value_t = Self::default().exhaustive_up_to, help_heading = "Matching")]
     pub exhaustive_up_to: usize,
     /// The same for the frames of a video: what repeats on an object shows by the pairs that are
     /// missing.
-    #[arg(long, default_value_t = Self::default().exhaustive_frames_up_to, help_heading = "Matching")]
+    #[arg(long, value_parser = between::<usize>(0, 1_000_000), default_value_t = Self::default().exhaustive_frames_up_to, help_heading = "Matching")]
     pub exhaustive_frames_up_to: usize,
     /// Beyond that, every frame of a video is matched with so many that follow it.
-    #[arg(long, default_value_t = Self::default().pair_window, help_heading = "Matching")]
+    #[arg(long, value_parser = between::<usize>(0, 1_000_000), default_value_t = Self::default().pair_window, help_heading = "Matching")]
     pub pair_window: usize,
     /// Beyond that, the search for an image's partners ends when so many have been found.
-    #[arg(long, default_value_t = Self::default().pair_candidates, help_heading = "Matching")]
+    #[arg(long, value_parser = between::<usize>(0, 1_000_000), default_value_t = Self::default().pair_candidates, help_heading = "Matching")]
     pub pair_candidates: usize,
 }
 

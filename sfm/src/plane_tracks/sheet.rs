@@ -2,12 +2,14 @@
 
 use super::plane::ScenePlane;
 use crate::klt::pyramid::{Pyramid, PyramidLevel};
-use crate::limits::FEWEST_VIEWS;
 use crate::statistics::median;
 use glam::{DMat2, DVec2, DVec3};
 use rayon::prelude::*;
 use scene::{Camera, Pose};
 
+/// Fewest images that a square of the common picture stands on.
+/// Source: with three, a floor is found in images of noise alone.
+const FEWEST: usize = 5;
 /// Most squares of the sheet in all images together, four bytes each.
 /// Source: derivation, 160 MB.
 const MOST_OF_ALL: usize = 40_000_000;
@@ -104,7 +106,7 @@ impl Sheet {
             values.clear();
             values.extend(pictures.iter().flatten().map(|p| p[at]).filter(|v| v.is_finite()));
             let middle = values.len() / 2;
-            row.push(if values.len() < FEWEST_VIEWS {
+            row.push(if values.len() < FEWEST {
                 f32::NAN
             } else {
                 *values.select_nth_unstable_by(middle, f32::total_cmp).1

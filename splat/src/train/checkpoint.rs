@@ -1,7 +1,7 @@
 //! Training interrupted and resumed: Gaussians, moments, statistics and the place in the schedule.
 //!
 //! File: magic, length of the header (u64, little endian), header (JSON), arrays of f32 (little
-//! endian) in the order of `arrays`. Written beside its target and renamed, so that what exists is
+//! endian) in the order of `arrays`, CRC-32 of all that (u32, little endian). Written beside its target and renamed, so that what exists is
 //! whole.
 
 use super::rules::Rules;
@@ -13,8 +13,8 @@ use serde::{Deserialize, Serialize};
 use std::io::Write;
 use std::path::{Path, PathBuf};
 
-/// Begins the file. Source: this format, in its second version.
-const MAGIC: &str = "SPLATCK2";
+/// Begins the file. Source: this format, in its third version.
+const MAGIC: &str = "SPLATCK3";
 
 /// Name of the file in the checkpoint folder.
 pub(crate) const FILE: &str = "training.checkpoint";
@@ -82,12 +82,21 @@ fn write_file(
     std::fs::create_dir_all(path.parent().unwrap_or(path))?;
     let partial = path.with_extension("partial");
     let mut file = std::io::BufWriter::new(std::fs::File::create(&partial)?);
-    file.write_all(MAGIC.as_bytes())?;
-    file.write_all(&(header.len() as u64).to_le_bytes())?;
-    file.write_all(&header)?;
-    for value in arrays(model, statistics).into_iter().flatten() {
-        file.write_all(&value.to_le_bytes())?;
+    let mut sum = crc32fast::Hasher::new();
+    let mut put = |bytes: &[u8]| {
+        sum.update(bytes);
+        file.write_all(bytes)
+    };
+    put(MAGIC.as_bytes())?;
+    put(&(header.len() as u64).to_le_bytes())?;
+    put(&header)?;
+    let mut bytes = Vec::new();
+    for array in arrays(model, statistics) {
+        bytes.clear();
+        bytes.extend(array.iter().flat_map(|value| value.to_le_bytes()));
+        put(&bytes)?;
     }
+    file.write_all(&sum.finalize().to_le_bytes())?;
     file.into_inner().map_err(|e| e.into_error())?.sync_all()?;
     std::fs::rename(&partial, path)
 }
@@ -114,7 +123,14 @@ fn unusable(path: &Path, reason: impl ToString) -> SplatError {
 const SHORT: &str = "it is cut short";
 
 fn parse(bytes: &[u8]) -> Result<Checkpoint, String> {
-    let rest = bytes.strip_prefix(MAGIC.as_bytes()).ok_or("it is not a checkpoint of this version")?;
+    if !bytes.starts_with(MAGIC.as_bytes()) {
+        return Err("it is not a checkpoint of this version".to_owned());
+    }
+    let (bytes, sum) = bytes.split_last_chunk::<4>().ok_or(SHORT)?;
+    if crc32fast::hash(bytes) != u32::from_le_bytes(*sum) {
+        return Err("it is cut short or damaged".to_owned());
+    }
+    let rest = bytes.get(MAGIC.len()..).ok_or(SHORT)?;
     let (length, rest) = rest.split_first_chunk::<8>().ok_or(SHORT)?;
     let length = usize::try_from(u64::from_le_bytes(*length)).map_err(|e| e.to_string())?;
     let (header, mut rest) = rest.split_at_checked(length).ok_or(SHORT)?;
@@ -195,6 +211,11 @@ mod tests {
             assert!(parse(&bytes[..cut]).is_err(), "{cut}");
         }
         assert!(parse(&[bytes.as_slice(), &[0]].concat()).is_err());
+        for at in (0..bytes.len()).step_by(97) {
+            let mut flipped = bytes.clone();
+            flipped[at] ^= 4;
+            assert!(parse(&flipped).is_err(), "a bit of byte {at} is wrong");
+        }
         std::fs::remove_dir_all(&folder).unwrap();
     }
 }

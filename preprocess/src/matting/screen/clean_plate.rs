@@ -2,7 +2,7 @@
 //! it, the pole.
 
 use super::grid::CellSums;
-use crate::matting::colour::{Key, linear};
+use crate::matting::colour::{Key, levels, linear};
 use crate::matting::morphology::{Rect, Regions, hull};
 use crate::matting::pool::Pool;
 use glam::Vec3;
@@ -29,6 +29,10 @@ struct PlateCriteria {
     /// Still things cover less than this share of what is seen before the screen, else the object
     /// itself stands still. Source: chosen by hand, never measured.
     pole_share: f32,
+    /// Change of light on a still thing, as a factor on 8-bit values.
+    /// Source: without it the mean IoU of the sample's mattes falls from 0.9897 to 0.9875; from 0.55
+    /// to 1.5 it is 0.9613.
+    light: (f32, f32),
 }
 
 /// The values in force.
@@ -39,6 +43,7 @@ const CRITERIA: PlateCriteria = PlateCriteria {
     always_share: 0.7,
     pole_width: 0.03,
     pole_share: 0.4,
+    light: (0.75, 1.25),
 };
 
 /// Learnt from samples of a video.
@@ -227,9 +232,13 @@ fn agreed(samples: &mut [[u8; 3]], frames: usize) -> Option<[u8; 3]> {
     (agreeing >= needed).then_some(median)
 }
 
-/// Largest difference of a channel, 8-bit levels.
+/// Largest difference of a channel, 8-bit levels, from a still thing under the light that fits
+/// best: the object throws shadows and light on it.
 fn departure(seen: [u8; 3], thing: [u8; 3]) -> u8 {
-    (0..3).map(|c| seen[c].abs_diff(thing[c])).fold(0, u8::max)
+    let (seen, thing) = (levels(&seen), levels(&thing));
+    let (darkest, brightest) = CRITERIA.light;
+    let light = (seen.dot(thing) / thing.length_squared().max(1.0)).clamp(darkest, brightest);
+    (seen - light * thing).abs().max_element() as u8
 }
 
 #[cfg(test)]

@@ -64,11 +64,8 @@ impl Frames {
     fn of(path: &Path, chunk: Node<'_, '_>) -> Result<Self, IoError> {
         let reference = child_text(chunk, "reference").unwrap_or_default();
         let global = ["GEOGCS", "GEOCCS", "PROJCS"].iter().any(|c| reference.contains(c));
-        let mut found = Self {
-            components: BTreeMap::new(),
-            chunk: Sim3::IDENTITY,
-            world_from_file: Sim3::IDENTITY,
-        };
+        let mut found =
+            Self { components: BTreeMap::new(), chunk: Sim3::IDENTITY, world_from_file: Sim3::IDENTITY };
         if global {
             return Ok(found);
         }
@@ -120,8 +117,7 @@ fn child_text<'a>(node: Node<'a, '_>, name: &str) -> Option<&'a str> {
 /// The adjusted calibration of a sensor, else its first.
 fn sensor_camera(path: &Path, sensor: Node<'_, '_>) -> Result<Option<Camera>, IoError> {
     let all = || sensor.children().filter(|n| n.has_tag_name("calibration"));
-    let Some(calibration) =
-        all().find(|n| n.attribute("class") == Some("adjusted")).or_else(|| all().next())
+    let Some(calibration) = all().find(|n| n.attribute("class") == Some("adjusted")).or_else(|| all().next())
     else {
         return Ok(None);
     };
@@ -138,13 +134,11 @@ fn sensor_camera(path: &Path, sensor: Node<'_, '_>) -> Result<Option<Camera>, Io
     let side = |name: &str| resolution?.attribute(name)?.parse::<u32>().ok();
     let size = [side("width").unwrap_or(0), side("height").unwrap_or(0)];
     let f = number("f")?;
-    refuse_distortion(path, "frame with k3, k4, p3, p4 or b2", &[
-        number("k3")?,
-        number("k4")?,
-        number("p3")?,
-        number("p4")?,
-        number("b2")?,
-    ])?;
+    refuse_distortion(
+        path,
+        "frame with k3, k4, p3, p4 or b2",
+        &[number("k3")?, number("k4")?, number("p3")?, number("p4")?, number("b2")?],
+    )?;
     let centre = [number("cx")? + f64::from(size[0]) / 2.0, number("cy")? + f64::from(size[1]) / 2.0];
     let distortion = [number("k1")?, number("k2")?, number("p2")?, number("p1")?];
     Ok(Some(brown(size, [f + number("b1")?, f, centre[0], centre[1]], distortion)))
@@ -204,8 +198,7 @@ fn sensor_xml(camera: &Camera) -> String {
         ("p1", k(3)),
         ("p2", k(2)),
     ];
-    let values: String =
-        values.iter().map(|(name, v)| format!("          <{name}>{v}</{name}>\n")).collect();
+    let values: String = values.iter().map(|(name, v)| format!("          <{name}>{v}</{name}>\n")).collect();
     let size = format!("<resolution width=\"{w}\" height=\"{h}\"/>");
     format!(
         "      <sensor id=\"{}\" label=\"camera {}\" type=\"frame\">\n        {size}\n        \
@@ -268,8 +261,7 @@ mod tests {
             assert!(a.pose.centre().distance(b.pose.centre()) < 1e-9);
             assert!(crate::pose::rotation_angle(a.pose.rotation, b.pose.rotation) < 1e-9);
             let x = DVec3::new(0.1, -0.2, 1.0);
-            let [p, q] =
-                [&model.cameras[&a.camera], &back.cameras[&b.camera]].map(|c| c.project(x).unwrap());
+            let [p, q] = [&model.cameras[&a.camera], &back.cameras[&b.camera]].map(|c| c.project(x).unwrap());
             assert!(p.distance(q) < 1e-9, "{p} {q}");
         }
         std::fs::write(&path, "<document><chunk/></document>").unwrap();

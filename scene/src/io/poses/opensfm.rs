@@ -87,7 +87,6 @@ fn camera(path: &Path, lens: &Lens) -> Result<Camera, IoError> {
 #[cfg(test)]
 mod tests {
     use super::super::{looks_along_x, read_poses};
-    use super::*;
     use crate::io::test_folder;
 
     #[test]

@@ -114,8 +114,17 @@ fn unknown(path: &Path, formats: &str) -> IoError {
     IoError::format(path, format!("no splat format is known by this name; use {formats}"))
 }
 
-/// Reads a splat in the format its name says (`.ply` may be compressed).
+/// Reads a splat in the format its name says (`.ply` may be compressed); one without Gaussians is
+/// refused.
 pub fn read_splat(path: &Path) -> Result<Gaussians, IoError> {
+    let splat = read_any(path)?;
+    if splat.is_empty() {
+        return Err(IoError::format(path, "holds no gaussians; export it again"));
+    }
+    Ok(splat)
+}
+
+fn read_any(path: &Path) -> Result<Gaussians, IoError> {
     match SplatFormat::of(path) {
         Some(SplatFormat::Ply | SplatFormat::CompressedPly) if compressed::is_compressed(path)? => {
             read_compressed_ply(path)
@@ -142,6 +151,6 @@ pub fn write_splat(path: &Path, g: &Gaussians) -> Result<(), IoError> {
         Some(SplatFormat::Glb) => write_splat_glb(path, g),
         Some(SplatFormat::Ksplat) | None => {
             Err(unknown(path, ".ply, .compressed.ply, .splat, .spz, .sog or .glb"))
-        },
+        }
     }
 }

@@ -10,6 +10,7 @@ use super::{Item, push, turn_upright, unit, unit_byte};
 use crate::Gaussians;
 use crate::io::bytes::ByteReader;
 use crate::io::error::{IoError, read_file};
+use crate::io::limits;
 use crate::io::write_atomic;
 use flate2::Compression;
 use flate2::read::GzDecoder;
@@ -20,11 +21,6 @@ use std::path::Path;
 
 /// The magic number. Source: Niantic's spz format.
 const MAGIC: u32 = 0x5053_474e;
-/// More Gaussians than that are refused. Source: chosen by hand, never measured.
-const MAX_POINTS: u32 = 1 << 26;
-/// Largest ratio of unpacked to packed bytes: gzip cannot shrink by more (1032), and zstd streams
-/// that claim to are refused. Source: RFC 1951, 258 bytes for 2 bits.
-const MAX_RATIO: u64 = 1100;
 /// Scale of colour coefficients. Source: Niantic's spz format.
 const COLOUR_SCALE: f32 = 0.15;
 
@@ -47,9 +43,10 @@ fn parse_header(path: &Path, data: &[u8]) -> Result<SpzHeader, IoError> {
     let (version, n) = (r.u32("a version")?, r.u32("a count")?);
     let rest = r.take(4, "a header")?;
     let (sh_degree, fractional_bits) = (u32::from(rest[0]), u32::from(rest[1]));
-    if !(2..=4).contains(&version) || sh_degree > 3 || fractional_bits > 23 || n > MAX_POINTS {
+    if !(2..=4).contains(&version) || sh_degree > 3 || fractional_bits > 23 || n > limits::GAUSSIANS {
         let message = format!(
-            "expected .spz version 2 to 4, degree 0 to 3, at most {MAX_POINTS} gaussians; found version {version}, degree {sh_degree}, {n} gaussians"
+            "expected .spz version 2 to 4, degree 0 to 3, at most {} gaussians; found version {version}, degree {sh_degree}, {n} gaussians",
+            limits::GAUSSIANS
         );
         return Err(IoError::format(path, message));
     }
@@ -74,7 +71,7 @@ pub fn read_spz(path: &Path) -> Result<Gaussians, IoError> {
         decoder.read_exact(&mut head).map_err(broken)?;
         let header = parse_header(path, &head)?;
         let size = (header.n * widths(header.version, header.sh_degree).iter().sum::<usize>()) as u64;
-        if size > MAX_RATIO * data.len() as u64 {
+        if !limits::may_unpack(data.len() as u64, size) {
             return Err(too_big());
         }
         let mut body = Vec::new();
@@ -108,7 +105,7 @@ fn inflate_streams(path: &Path, data: &[u8], header: &SpzHeader) -> Result<Vec<u
         if i >= needed {
             break; // extensions of other makers
         }
-        if size != (header.n * width) as u64 || size > MAX_RATIO.saturating_mul(packed).saturating_mul(8) {
+        if size != (header.n * width) as u64 || !limits::may_unpack(packed, size) {
             return Err(damaged());
         }
         let broken =
@@ -199,8 +196,8 @@ pub fn encode_spz(g: &Gaussians) -> Result<Vec<u8>, String> {
         return Err(".spz holds coordinates up to 8,388,607; scale the scene down first".to_owned());
     }
     let bits = (0..=12).rev().find(|&b| largest * ((1u32 << b) as f32) < 8_388_607.0).unwrap_or(0);
-    if g.len() > MAX_POINTS as usize {
-        return Err(format!("at most {MAX_POINTS} gaussians are written to .spz"));
+    if g.len() > limits::GAUSSIANS as usize {
+        return Err(format!("at most {} gaussians are written to .spz", limits::GAUSSIANS));
     }
     let (magic, version, n) = (MAGIC.to_le_bytes(), 3_u32.to_le_bytes(), (g.len() as u32).to_le_bytes());
     let mut gz = GzEncoder::new(Vec::new(), Compression::default());

@@ -11,12 +11,13 @@
 //! 5. Better observations, each with an adjustment of its own: `densify`, `subpixel`,
 //!    `plane-tracks`; `isolated-points`.
 //! 6. `motion`: whether poses are on a circle, or about one axis; `covariance`.
-//! 7. What is handed back: `points`, `colours`.
+//! 7. What is handed back: `points`, `all-frames`, `colours`.
 //!
 //! Most of them can be left out by `--skip NAME` ([`StepName`]); what a step does is said in its
 //! file.
 
 mod aliasing;
+mod all_frames;
 mod blurred_features;
 mod camera_model;
 mod constant_step;
@@ -77,7 +78,7 @@ const FREE: &[ModelStage] = &[ModelStage::Unposed, ModelStage::Posed];
 const SOLVED: &[ModelStage] = &[ModelStage::Posed, ModelStage::OneAxis];
 
 /// All steps in their order.
-const STEPS: [ReconstructionStep; 22] = [
+const STEPS: [ReconstructionStep; 23] = [
     always("video-turn", UNPOSED, motion::solve_video_turn),
     always("features", UNPOSED, observe::extract_features),
     always("matching", UNPOSED, observe::match_features),
@@ -99,6 +100,7 @@ const STEPS: [ReconstructionStep; 22] = [
     always("motion", FREE, motion::choose_motion),
     always("covariance", POSED, finish::compute_covariance),
     always("points", SOLVED, finish::convert_model),
+    always("all-frames", SOLVED, all_frames::run),
     always("colours", SOLVED, finish::colour_points),
 ];
 

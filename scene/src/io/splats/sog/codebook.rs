@@ -134,7 +134,7 @@ mod tests {
         let mut r = rng(2, "palette", 0);
         let vectors: Vec<f32> = (0..300).map(|_| r.random_range(-1.0..1.0)).collect();
         let (palette, labels) = of_vectors(&vectors, 3, 100);
-        let kept = |i: usize| &palette[usize::from(labels[i]) * 3..][..3] == &vectors[i * 3..][..3];
+        let kept = |i: usize| palette[usize::from(labels[i]) * 3..][..3] == vectors[i * 3..][..3];
         assert!((0..100).all(kept));
         let clustered: Vec<f32> = (0..100).flat_map(|i| [(i % 4) as f32, 0.0, (i % 2) as f32]).collect();
         let (palette, labels) = of_vectors(&clustered, 3, 64);

@@ -56,9 +56,11 @@ pub fn read_sog(path: &Path) -> Result<Gaussians, IoError> {
             sh.push(of(&meta.sh0.codebook, *code)?);
         }
         if let Some(harmonics) = &harmonics {
-            harmonics.of(i, |code| of(harmonics.book, code), &mut sh).map_err(|e| e.unwrap_or_else(|| {
-                IoError::format(path, "a label lies outside the palette; the file is damaged")
-            }))?;
+            harmonics.of(i, |code| of(harmonics.book, code), &mut sh).map_err(|e| {
+                e.unwrap_or_else(|| {
+                    IoError::format(path, "a label lies outside the palette; the file is damaged")
+                })
+            })?;
         }
         let opacity = f32::from(e[3]) / 255.0;
         push(path, &mut g, &Item { mean: mean.into(), log_scale, rotation: rotation(d), opacity, sh: &sh })?;

@@ -1,0 +1,41 @@
+//! Feeds every reader of files from outside with mutated files: no panic, no hang, no more memory
+//! than the file deserves.
+//!
+//!     fuzz SECONDS [TARGET...]
+//!
+//! Seeds are files that our own writers made, and the files in `fuzz/regressions/TARGET/`. What
+//! fails is written to `fuzz/failures/TARGET/`: move it to the regressions when it is mended.
+
+mod meter;
+mod mutate;
+mod run;
+mod seeds;
+mod targets;
+
+use std::process::ExitCode;
+use std::time::Duration;
+
+#[global_allocator]
+static METER: meter::Meter = meter::Meter;
+
+fn main() -> ExitCode {
+    let mut arguments = std::env::args().skip(1);
+    let seconds = arguments.next().and_then(|text| text.parse::<f64>().ok());
+    let Some(seconds) = seconds.filter(|s| s.is_finite() && *s > 0.0) else {
+        eprintln!("usage: fuzz SECONDS [TARGET...]; targets: {}", targets::names().join(" "));
+        return ExitCode::from(1);
+    };
+    let wanted: Vec<String> = arguments.collect();
+    let chosen: Vec<_> =
+        targets::TARGETS.iter().filter(|t| wanted.is_empty() || wanted.iter().any(|w| w == t.name)).collect();
+    let mut failures = 0;
+    println!("| target | executions | accepted | failures |\n|---|---|---|---|");
+    for target in &chosen {
+        let limit = Duration::from_secs_f64(seconds / chosen.len() as f64);
+        let told = run::run(target, run::Until::Time(limit), rand::random());
+        println!("| {} | {} | {} | {} |", target.name, told.executions, told.accepted, told.failures.len());
+        failures += told.failures.len();
+        told.failures.iter().for_each(|failure| eprintln!("{}: {failure}", target.name));
+    }
+    ExitCode::from(u8::from(failures > 0))
+}
