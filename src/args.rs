@@ -232,6 +232,24 @@ pub struct RenderArgs {
     pub device: splat::DeviceConfig,
 }
 
+/// The tools for which there are sets.
+#[derive(ValueEnum, Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Tool {
+    /// COLMAP: images, masks by its names, sparse/0, database.db of a run with --colmap-database
+    Colmap,
+    /// The original 3D Gaussian splatting: PINHOLE images, mattes over black, sparse/0 with test.txt
+    #[value(name = "3dgs")]
+    Gs3d,
+    /// gsplat's simple_trainer: the same without the list of held-out views, which it chooses alike
+    Gsplat,
+    /// brush: PINHOLE images with mattes as alpha, sparse/0
+    Brush,
+    /// nerfstudio: PINHOLE images with mattes as alpha, transforms.json with the split and times
+    Nerfstudio,
+    /// Metashape: images, masks, cameras.xml
+    Metashape,
+}
+
 /// What `export` takes.
 #[derive(Args, Clone, Debug)]
 pub struct ExportArgs {
@@ -246,7 +264,7 @@ pub struct ExportArgs {
     /// A folder that another program loads as it is, with mattes, held-out views and times as it wants
     /// them (default output: RUN_TOOL)
     #[arg(long = "for", value_enum, value_name = "TOOL", conflicts_with_all = ["html", "mesh", "text"])]
-    pub tool: Option<crate::handover::Tool>,
+    pub tool: Option<Tool>,
     /// One self-contained page that opens from disk (default output: RUN/view.html)
     #[arg(long)]
     pub html: bool,

@@ -1,7 +1,6 @@
 //! `export`: a result in another format, chosen by the name of the target.
 
-use crate::args::ExportArgs;
-use crate::handover::Tool;
+use crate::args::{ExportArgs, Tool};
 use crate::outcome::Outcome;
 use crate::record::KnownRun;
 use crate::terminal::{CANCELLED, TerminalSink, Verbosity, say};

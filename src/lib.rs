@@ -14,7 +14,7 @@ pub mod database;
 pub mod doctor;
 pub mod evaluate;
 pub mod export;
-pub mod handover;
+mod handover;
 mod help;
 pub mod input;
 pub mod outcome;

@@ -3,7 +3,10 @@
 mod all_frames;
 mod folder;
 mod model;
+mod until;
 mod world;
+
+pub use until::Until;
 
 use crate::args::PipelineArgs;
 use crate::config::Recorded;
@@ -21,44 +24,6 @@ use folder::{absolute_in, output_folder, relative_to};
 use scene::decision::Rule;
 use scene::{Decision, FrameSet, Progress, Reconstruction};
 use std::path::{Path, PathBuf};
-
-/// Where to stop.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
-pub enum Until {
-    /// After the frames.
-    Frames,
-    /// After the poses.
-    Sfm,
-    /// After the training.
-    Train,
-    /// After the metrics.
-    Eval,
-    /// After the report.
-    Report,
-}
-
-/// The stages in their order: the name of the record, and the one that users see.
-const STAGES: [[&str; 2]; 6] = [
-    ["frames", "frames"],
-    ["sfm", "poses"],
-    ["undistort", "undistort"],
-    ["train", "train"],
-    ["eval", "eval"],
-    ["report", "report"],
-];
-
-impl Until {
-    /// How many stages there are up to this one.
-    fn stages(self) -> usize {
-        match self {
-            Self::Frames => 1,
-            Self::Sfm => 2,
-            Self::Train => 4,
-            Self::Eval => 5,
-            Self::Report => 6,
-        }
-    }
-}
 
 /// What each stage writes into the output folder and no other does. The record and the report tell
 /// of all stages: whichever runs anew takes them away.
@@ -168,15 +133,9 @@ impl Pipeline {
     }
 
     fn progress(&self, stage: &str) -> Progress {
-        let (number, of) = self.place(stage);
+        let (number, of) = self.until.place(stage);
         let sink = TerminalSink::new(self.verbosity, self.stages.log(stage)).of_stage(number, of);
         Progress::new(Box::new(sink), &CANCELLED)
-    }
-
-    /// Which of how many stages it is.
-    fn place(&self, stage: &str) -> (usize, usize) {
-        let before = STAGES.iter().position(|names| names.contains(&stage)).unwrap_or(0);
-        (before + 1, self.until.stages())
     }
 
     fn say(&self, line: &str) {
@@ -202,7 +161,7 @@ impl Pipeline {
         } else {
             "as before".into()
         };
-        let (number, of) = self.place(stage);
+        let (number, of) = self.until.place(stage);
         self.say(&format!("{number}/{of} {stage:<9} {line} ({spent})"));
         if let Some(changed) = &done.changed {
             self.say(&format!("          made again: {changed}"));

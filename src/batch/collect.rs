@@ -1,7 +1,6 @@
 //! The summary of many runs: `summary.html`, `summary.csv`, `summary.json`.
 
-use super::LIST;
-use super::list::Capture;
+use super::list::{Capture, LIST};
 use crate::args::CollectArgs;
 use crate::outcome::Outcome;
 use crate::record::{KnownRun, Level};
@@ -16,7 +15,7 @@ use std::path::Path;
 
 /// A capture in the summary.
 #[derive(Clone, Debug, Serialize)]
-pub(super) struct Row {
+pub(super) struct CaptureRow {
     /// Name of its folder.
     name: String,
     /// Its video or photos.
@@ -39,7 +38,7 @@ pub(super) struct Row {
     reason: String,
 }
 
-impl Row {
+impl CaptureRow {
     /// Of a capture in the output folder. `code`: how its process ended, where that is known.
     pub(super) fn of(output: &Path, capture: &Capture, code: Option<i32>) -> Self {
         let folder = output.join(&capture.name);
@@ -141,7 +140,7 @@ pub(crate) fn run(args: &CollectArgs, verbosity: Verbosity, json: bool) -> Resul
 /// Writes the summary. A failure of any capture is a partial result.
 pub(super) fn write(output: &Path, verbosity: Verbosity, json: bool) -> Result<Outcome> {
     let captures = listed(output)?;
-    let rows: Vec<Row> = captures.iter().map(|c| Row::of(output, c, None)).collect();
+    let rows: Vec<CaptureRow> = captures.iter().map(|c| CaptureRow::of(output, c, None)).collect();
     write_json(&output.join("summary.json"), &rows)?;
     let line = |cells: &[String]| cells.iter().map(|c| quoted(c)).collect::<Vec<_>>().join(",") + "\n";
     let mut csv = line(&HEADS.map(str::to_owned));
@@ -152,7 +151,7 @@ pub(super) fn write(output: &Path, verbosity: Verbosity, json: bool) -> Result<O
     if json {
         print(&serde_json::to_string_pretty(&rows)?)?;
     }
-    let failed: Vec<&Row> = rows.iter().filter(|r| r.state != "done").collect();
+    let failed: Vec<&CaptureRow> = rows.iter().filter(|r| r.state != "done").collect();
     if verbosity > Verbosity::Quiet {
         say(&format!("{} of {} captures done", rows.len() - failed.len(), rows.len()));
         failed.iter().for_each(|r| say(&format!("  {}", r.sentence())));
@@ -190,7 +189,7 @@ fn quoted(cell: &str) -> String {
     }
 }
 
-fn body(rows: &[Row]) -> Markup {
+fn body(rows: &[CaptureRow]) -> Markup {
     let done = rows.iter().filter(|r| r.state == "done").count();
     html! {
         h1 { (done) " of " (rows.len()) " captures" }

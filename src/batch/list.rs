@@ -5,6 +5,8 @@ use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
+/// The list of captures in the output folder.
+pub(super) const LIST: &str = "captures.json";
 /// Endings of files that are taken for videos in a folder.
 const VIDEOS: [&str; 8] = ["mp4", "mov", "mkv", "avi", "webm", "m4v", "mts", "mpg"];
 /// Endings of files that make a folder one of photos.

@@ -15,15 +15,13 @@ use crate::record::KnownRun;
 use crate::stage::write_json;
 use crate::terminal::{CANCELLED, Verbosity, print, say};
 use anyhow::{Context, Result, bail};
-use list::Capture;
+use list::{Capture, LIST};
 use std::fs::File;
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
 use std::sync::atomic::Ordering;
 use std::time::Duration;
 
-/// The list of captures in the output folder.
-const LIST: &str = "captures.json";
 /// Memory that a capture is thought to need until one has ended, MiB. Source: docs/benchmarks.md,
 /// twice the largest peak.
 const FIRST_GUESS_MIB: f64 = 1400.0;
@@ -63,7 +61,7 @@ pub(crate) fn run(args: &BatchArgs, verbosity: Verbosity, json: bool) -> Result<
 }
 
 /// A capture that is being reconstructed.
-struct Running {
+struct RunningCapture {
     capture: Capture,
     child: Child,
 }
@@ -76,7 +74,7 @@ struct Batch {
     /// Most captures at a time.
     most: usize,
     verbosity: Verbosity,
-    running: Vec<Running>,
+    running: Vec<RunningCapture>,
     /// Largest memory that a capture has needed, MiB; 0 before one has ended.
     peak_mib: f64,
     done: usize,
@@ -124,7 +122,7 @@ impl Batch {
             .stderr(file)
             .spawn()
             .context("cannot start a capture")?;
-        self.running.push(Running { capture: capture.clone(), child });
+        self.running.push(RunningCapture { capture: capture.clone(), child });
         Ok(())
     }
 
@@ -143,7 +141,7 @@ impl Batch {
                 self.peak_mib = peaks.fold(self.peak_mib, f64::max);
             }
             if self.verbosity > Verbosity::Quiet {
-                let row = collect::Row::of(&self.output, &running.capture, status.code());
+                let row = collect::CaptureRow::of(&self.output, &running.capture, status.code());
                 say(&format!("{}/{} {}", self.done, self.all, row.sentence()));
             }
         }

@@ -3,34 +3,16 @@
 
 mod images;
 
+use crate::args::Tool;
 use crate::record::KnownRun;
 use crate::transforms;
 use anyhow::{Context, Result, bail};
-use clap::ValueEnum;
 use images::Ground;
 use scene::io::TransformsOptions;
 use scene::{Frame, FrameSet, Progress, Reconstruction};
 use std::collections::BTreeMap;
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
-
-/// The tools for which there are sets.
-#[derive(ValueEnum, Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Tool {
-    /// COLMAP: images, masks by its names, sparse/0, database.db of a run with --colmap-database
-    Colmap,
-    /// The original 3D Gaussian splatting: PINHOLE images, mattes over black, sparse/0 with test.txt
-    #[value(name = "3dgs")]
-    Gs3d,
-    /// gsplat's simple_trainer: the same without the list of held-out views, which it chooses alike
-    Gsplat,
-    /// brush: PINHOLE images with mattes as alpha, sparse/0
-    Brush,
-    /// nerfstudio: PINHOLE images with mattes as alpha, transforms.json with the split and times
-    Nerfstudio,
-    /// Metashape: images, masks, cameras.xml
-    Metashape,
-}
 
 /// A finished run, as far as it is handed over.
 struct Handed {

@@ -4,7 +4,7 @@
 //! `P = R X + t` with y up and z backward, `p = −P / P_z`, pixels `f (1 + k1 |p|² + k2 |p|⁴) p` from
 //! the middle of the image, y up. The names of the images stand in a list beside it.
 
-use super::{GL_FROM_CV, ImportedPoses, add, numbers, rotation, size_of};
+use super::imported::{GL_FROM_CV, ImportedPoses, add, numbers, rotation, size_of};
 use crate::io::error::{IoError, read_text};
 use crate::sim3::Sim3;
 use crate::{Camera, CameraModel, Pose, Reconstruction};
@@ -66,7 +66,7 @@ fn read_list(path: &Path) -> Result<Vec<String>, IoError> {
 
 #[cfg(test)]
 mod tests {
-    use super::super::looks_along_x;
+    use super::super::imported::looks_along_x;
     use super::*;
     use crate::io::test_folder;
 

@@ -4,7 +4,7 @@
 //! fx − fy`; tangential coefficients stand the other way round than OpenCV's (Metashape Pro user
 //! manual, appendix D, camera models).
 
-use super::{ImportedPoses, add, brown, numbers, refuse_distortion, rotation};
+use super::imported::{ImportedPoses, add, brown, numbers, refuse_distortion, rotation};
 use crate::io::error::{IoError, read_text};
 use crate::io::transforms::WORLD_FROM_TRANSFORMS;
 use crate::io::{safe_name, write_atomic};
@@ -214,7 +214,7 @@ fn escaped(text: &str) -> String {
 
 #[cfg(test)]
 mod tests {
-    use super::super::looks_along_x;
+    use super::super::imported::looks_along_x;
     use super::*;
     use crate::io::test_folder;
     use crate::synthetic::{SyntheticOptions, synthetic_scene};

@@ -1,7 +1,7 @@
 //! OpenSfM's `reconstruction.json` (also of OpenDroneMap). The world has z up; camera axes are x
 //! right, y down, z forward; lengths in the image are in units of its longer side.
 
-use super::{ImportedPoses, add, brown, refuse_distortion};
+use super::imported::{ImportedPoses, add, brown, refuse_distortion};
 use crate::io::error::{IoError, read_text};
 use crate::io::transforms::WORLD_FROM_TRANSFORMS;
 use crate::{Camera, Pose, Reconstruction};
@@ -11,7 +11,7 @@ use std::collections::BTreeMap;
 use std::path::Path;
 
 #[derive(Deserialize)]
-struct Entry {
+struct SolvedPart {
     cameras: BTreeMap<String, Lens>,
     shots: BTreeMap<String, Shot>,
 }
@@ -55,7 +55,7 @@ pub(super) fn is_reconstruction(path: &Path) -> Result<bool, IoError> {
 
 /// The reconstruction with the most images.
 pub(super) fn read(path: &Path) -> Result<ImportedPoses, IoError> {
-    let entries: Vec<Entry> = serde_json::from_str(&read_text(path)?)
+    let entries: Vec<SolvedPart> = serde_json::from_str(&read_text(path)?)
         .map_err(|e| IoError::format(path, format!("expected OpenSfM's reconstructions: {e}")))?;
     let mut model = Reconstruction::default();
     let largest = entries.into_iter().max_by_key(|e| e.shots.len());
@@ -86,7 +86,8 @@ fn camera(path: &Path, lens: &Lens) -> Result<Camera, IoError> {
 
 #[cfg(test)]
 mod tests {
-    use super::super::{looks_along_x, read_poses};
+    use super::super::imported::looks_along_x;
+    use super::super::read_poses;
     use crate::io::test_folder;
 
     #[test]

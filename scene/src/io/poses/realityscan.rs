@@ -4,7 +4,7 @@
 //! side. Angles are degrees: the camera-to-world rotation with OpenGL axes is `R_z(−heading)
 //! R_x(pitch) R_y(roll)` in a world with z up.
 
-use super::{GL_FROM_CV, ImportedPoses, add, brown, refuse_distortion, size_of};
+use super::imported::{GL_FROM_CV, ImportedPoses, add, brown, refuse_distortion, size_of};
 use crate::io::error::{IoError, read_text};
 use crate::io::transforms::WORLD_FROM_TRANSFORMS;
 use crate::{Pose, Reconstruction};
@@ -63,7 +63,7 @@ pub(super) fn read(path: &Path, images: &Path) -> Result<ImportedPoses, IoError>
 
 #[cfg(test)]
 mod tests {
-    use super::super::looks_along_x;
+    use super::super::imported::looks_along_x;
     use super::*;
     use crate::io::test_folder;
 
