@@ -97,13 +97,9 @@ impl Pipeline {
         if until >= Until::Sfm {
             let (poses, poses_print) = self.poses(&frames, &frames_print)?;
             self.record.poses = Some(poses.clone());
-            if poses.no_model.is_some() {
-                outcome = Outcome::NoModel;
-            } else {
-                outcome = if poses.missing.is_empty() { Outcome::Done } else { Outcome::Partial };
-                if until >= Until::Train {
-                    self.splat(&frames, &poses_print, until)?;
-                }
+            outcome = poses.outcome();
+            if outcome != Outcome::NoModel && until >= Until::Train {
+                self.splat(&frames, &poses_print, until)?;
             }
         }
         report::judge(&self.out, &mut self.record)?;
@@ -274,6 +270,9 @@ impl Pipeline {
         }
         for (name, why) in &poses.weak {
             self.say(&format!("          weak    {name}: {why}"));
+        }
+        for reason in poses.doubt().iter().flat_map(|d| d.remarks_in_words()) {
+            self.say(&format!("          {reason}"));
         }
         Ok((poses, print))
     }

@@ -84,6 +84,8 @@ pub enum Subject {
     CameraElevation,
     /// Angular rate of the rotation.
     RotationRate,
+    /// Whether the model is right.
+    Plausibility,
     /// Points triangulated for poses that came without any.
     TriangulatedPoints,
     /// The device that trains and renders.
@@ -239,6 +241,26 @@ pub enum Remark {
     MatchedAnew,
     /// Validation views are needed to examine it, and none was set aside.
     NoValidation,
+    /// The model is not probable enough to be believed as it is.
+    Doubtful,
+    /// The focal length is unlike that of real cameras.
+    UnusualFocalLength,
+    /// The lens distortion is unlike that of real cameras.
+    UnusualDistortion,
+    /// Many verified matches contradict the model.
+    ContradictedByMatches,
+    /// Some images have many matches that the model does not explain.
+    UnexplainedMatches,
+    /// Some images see few points that others see.
+    FewPoints,
+    /// Points are seen at too small an angle.
+    NarrowViews,
+    /// Two parts of the model hang together by few points.
+    WeakLink,
+    /// Observations that were held out disagree.
+    HeldOutDisagree,
+    /// A second solution has other rotations.
+    SolutionsDisagree,
 }
 
 /// A decision with all that led to it.
@@ -347,6 +369,11 @@ impl Decision {
     /// Whether what the subject names is done; `false` where that is no question of yes or no.
     pub fn is_taken(&self) -> bool {
         self.choice == Choice::Taken(true)
+    }
+
+    /// Whether it says that the model is to be doubted.
+    pub fn is_doubt(&self) -> bool {
+        self.subject == Subject::Plausibility && self.remarks.contains(&Remark::Doubtful)
     }
 
     /// The number of a quantity among the measurements.

@@ -8,6 +8,7 @@ use crate::bundle::{IntrinsicsPrior, free_parameters};
 use crate::error::SfmError;
 use crate::knowledge::Knowledge;
 use crate::limits::{AGREEING_SHARE, JOINT_IMAGES};
+use crate::plausibility::camera_prior::{FOCAL_LOG_SIGMA, usual_focal_px};
 use crate::skip::StepName;
 use crate::tracks::NONE;
 use scene::{Camera, Progress};
@@ -51,13 +52,13 @@ pub(crate) fn freedom(
     let mut priors = Vec::new();
     for (camera, (start, k)) in starts.iter().zip(known).enumerate() {
         let focals = start.model.num_focals();
-        if let (Some(share), false) = (k.focal_sigma, k.fixed) {
-            let focal = start.params[..focals].iter().enumerate();
-            priors.extend(focal.map(|(parameter, &mean)| IntrinsicsPrior {
-                camera,
-                parameter,
-                mean,
-                sigma: share * mean,
+        if !k.fixed {
+            priors.extend((0..focals).map(|parameter| match k.focal_sigma {
+                Some(share) => {
+                    let mean = start.params[parameter];
+                    IntrinsicsPrior { camera, parameter, mean, sigma: share * mean }
+                }
+                None => usual_focal_prior(camera, parameter, &cameras[camera]),
             }));
         }
         // Distortion of ordinary lenses is a few per cent at the corner; this matters only where
@@ -68,6 +69,17 @@ pub(crate) fn freedom(
         priors.extend((focals + 2..start.params.len()).map(mild));
     }
     (free.collect(), priors)
+}
+
+/// What is known of a parameter that is a focal length of `camera` (the last estimate), as real
+/// cameras have it: normal in the logarithm. Here a normal distribution about the same median whose
+/// slope at the last estimate is that of the log-normal one: `(f − m) / s² = ln(f / m) / (σ² f)`.
+fn usual_focal_prior(index: usize, parameter: usize, camera: &Camera) -> IntrinsicsPrior {
+    let (focal, mean) = (camera.mean_focal(), usual_focal_px(camera.width, camera.height));
+    let ratio = focal / mean;
+    // (r − 1) / (r ln r), which is 1 at r = 1.
+    let spread = if (ratio - 1.0).abs() > 1e-6 { (ratio - 1.0) / (ratio * ratio.ln()) } else { 1.0 };
+    IntrinsicsPrior { camera: index, parameter, mean, sigma: FOCAL_LOG_SIGMA * focal * spread.sqrt() }
 }
 
 /// Registers images until `most` are in, or none can be added.
