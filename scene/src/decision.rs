@@ -243,20 +243,12 @@ pub enum Remark {
     NoValidation,
     /// The model is not probable enough to be believed as it is.
     Doubtful,
-    /// The focal length is unlike that of real cameras.
-    UnusualFocalLength,
-    /// The lens distortion is unlike that of real cameras.
-    UnusualDistortion,
-    /// Many verified matches contradict the model.
-    ContradictedByMatches,
+    /// Focal length or lens distortion are unlike those of real cameras.
+    UnusualCamera,
     /// Some images have many matches that the model does not explain.
     UnexplainedMatches,
-    /// Some images see few points that others see.
-    FewPoints,
     /// Points are seen at too small an angle.
     NarrowViews,
-    /// Two parts of the model hang together by few points.
-    WeakLink,
     /// Observations that were held out disagree.
     HeldOutDisagree,
     /// A second solution has other rotations.

@@ -85,7 +85,8 @@ fn plausibility(poses: &PoseSummary) -> Option<Light> {
     let decision = poses.decisions.iter().find(|d| d.subject == Subject::Plausibility)?;
     let level = if decision.is_doubt() { Level::Bad } else { Level::Good };
     let words = decision.remarks_in_words().collect::<Vec<_>>().join("; ");
-    let reason = format!("{}{}{words}", decision.sentences().choice, if words.is_empty() { "" } else { ": " });
+    let reason =
+        format!("{}{}{words}", decision.sentences().choice, if words.is_empty() { "" } else { ": " });
     Some(light("probability that the model is right", level, reason))
 }
 

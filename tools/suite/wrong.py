@@ -269,9 +269,24 @@ def mirrored_b(source, folder):
     return mirror_half(folder, *source.photos("chair-orbit-full"), 7)
 
 
+@case("right", "half of the photos of a product mirrored")
+def mirrored_product(source, folder):
+    return mirror_half(folder, *source.photos("product-orbit-full"), 9)
+
+
+@case("right", "half of the photos of a spacecraft mirrored")
+def mirrored_craft(source, folder):
+    return mirror_half(folder, *source.photos("mockup-orbit-full"), 10)
+
+
+@case("right", "half of the photos of a carton mirrored, before black")
+def mirrored_black(source, folder):
+    return mirror_half(folder, *source.photos("twins-stand-full"), 11)
+
+
 @case("right", "half of the photos of a bottle mirrored", "B")
 def mirrored_bottle(source, folder):
-    return mirror_half(folder, *source.photos("bottle-orbit-low"), 8)
+    return mirror_half(folder, *source.photos("bottle-stage-full"), 8)
 
 
 @case("right", "a bottle on a turntable in a textured room that stands still, no masks", "B")

@@ -194,40 +194,22 @@ quantities! {
     WeakImages = ("images with few observations", Plain(0)),
     /// Points that three and more images see.
     WellObservedPoints = ("points seen by three and more images", Plain(0)),
-    /// Distance of a focal length from those of real cameras, standard deviations.
-    FocalSurprise = ("focal length off the usual by (standard deviations)", Plain(1)),
-    /// Distance of the distortion from that of real cameras, standard deviations.
-    DistortionSurprise = ("distortion (standard deviations of real lenses)", Plain(1)),
-    /// Images with a pose, 0 to 1.
-    RegisteredShare = ("images with a pose", Percent(0)),
+    /// Distance of focal length and distortion from those of real cameras, standard deviations.
+    CameraSurprise = ("standard deviations of focal length and distortion from the usual", Plain(1)),
     /// Matches of verified pairs that agree with the model, 0 to 1.
     AgreeingPairs = ("matches that agree with the model", Percent(0)),
-    /// Verified pairs that contradict the model, 0 to 1.
-    ContradictingPairs = ("pairs that contradict it", Percent(0)),
-    /// Matched keypoints that the model explains, in the median image, 0 to 1.
-    ExplainedKeypoints = ("matched keypoints explained", Percent(0)),
-    /// The same in the tenth of the images with the least, 0 to 1.
-    LeastExplained = ("in the worst tenth of the images", Percent(0)),
-    /// Points that three and more images see, in the median image.
-    FirmPoints = ("points of three and more images in an image", Plain(0)),
-    /// The same in the tenth of the images with the fewest.
-    LeastFirm = ("in the tenth of the images with the fewest", Plain(0)),
+    /// Matched keypoints that the model explains, in the tenth of the images with the least, 0 to 1.
+    LeastExplained = ("matched keypoints explained in the worst tenth of the images", Percent(0)),
+    /// Points of three and more images, in the tenth of the images with the fewest.
+    LeastFirm = ("points of three and more images in the worst tenth of the images", Plain(0)),
     /// Median of the widest angles at which points are seen, degrees.
     PointAngle = ("angle between the views of a point", Of("°", 1)),
     /// Points across the weakest cut of the images, relative to those of an image.
     WeakestLink = ("points across the weakest link, relative to those of an image", Plain(2)),
     /// Held-out observations that agree with the model, 0 to 1.
     HeldOutAgreement = ("held-out observations that agree", Percent(0)),
-    /// Median difference of relative rotations from those averaged over the pairs, degrees.
-    AveragedDifference = ("rotations averaged over the pairs differ by", Of("°", 2)),
-    /// Images of the model that the average has, 0 to 1.
-    AveragedShare = ("images that the average has", Percent(0)),
     /// Median difference of relative rotations from those of a second solution, degrees.
     SecondDifference = ("a second solution differs by", Of("°", 2)),
-    /// Images of the model that the second solution has, 0 to 1.
-    SecondShare = ("images that it has", Percent(0)),
-    /// Median standard deviation of a rotation, degrees.
-    RotationDeviation = ("standard deviation of a rotation", Of("°", 3)),
     /// Hue of the screen, degrees.
     Hue = ("hue", Of("°", 0)),
     /// Part of the median frame that the screen covers, 0 to 1.

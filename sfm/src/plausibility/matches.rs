@@ -14,42 +14,25 @@ const MATCHES: usize = 150;
 /// Largest distance of what agrees, longer image sides: 2 px of 640.
 /// Source: derived; keypoints are found to half a pixel, and matches are verified to 2 px.
 const LIMIT: f64 = 1.0 / 320.0;
-/// Share of its matches below which a pair contradicts a model.
-/// Source: docs/decisions/09; 87 to 96 % of true matches agree with a motion, 9 to 13 % of false
-/// ones.
-const CONTRADICTED: f64 = 0.5;
-
 /// What agrees within the limit, pixels.
 pub(super) fn limit_px(camera: &Camera) -> f64 {
     LIMIT * f64::from(camera.width.max(camera.height))
 }
 
-/// What verified pairs say of a model.
-#[derive(Clone, Copy, Debug, Default)]
-pub(super) struct PairAgreement {
-    /// Share of the matches between images with a pose that agree.
-    pub matches: f64,
-    /// Share of these pairs that contradict the model.
-    pub contradicting: f64,
-}
-
-/// Looks at all pairs between images with a pose.
-pub(super) fn pair_agreement(state: &MapState, input: &MappingInput<'_>) -> PairAgreement {
+/// Share of the matches of verified pairs between images with a pose that agree with the model.
+pub(super) fn agreeing_share(state: &MapState, input: &MappingInput<'_>) -> f64 {
     let of_pairs: Vec<(usize, usize)> =
         input.geometries.par_iter().filter_map(|g| agreeing(state, input, g)).collect();
     let (agree, all) = of_pairs.iter().fold((0, 0), |s, p| (s.0 + p.0, s.1 + p.1));
-    let against = of_pairs.iter().filter(|p| (p.0 as f64) < CONTRADICTED * p.1 as f64).count();
-    PairAgreement {
-        matches: agree as f64 / all.max(1) as f64,
-        contradicting: against as f64 / of_pairs.len().max(1) as f64,
-    }
+    agree as f64 / all as f64
 }
 
 /// Matches of a pair: (within the limit of their epipolar lines, all); `None` without two poses.
 fn agreeing(state: &MapState, input: &MappingInput<'_>, g: &TwoViewGeometry) -> Option<(usize, usize)> {
     let [a, b] = [state.poses[g.a]?, state.poses[g.b]?];
     let cameras = [g.a, g.b].map(|i| &state.cameras[input.camera_of[i]]);
-    let inverse = cameras.map(|c| DMat3::from_diagonal(DVec3::new(1.0, 1.0, c.mean_focal()) / c.mean_focal()));
+    let inverse =
+        cameras.map(|c| DMat3::from_diagonal(DVec3::new(1.0, 1.0, c.mean_focal()) / c.mean_focal()));
     let m = inverse[1] * essential_from_pose(&b.compose(&a.inverse())) * inverse[0];
     let limit = limit_px(cameras[0]).max(limit_px(cameras[1]));
     let (mut count, mut all) = (0, 0);
@@ -67,8 +50,8 @@ fn agreeing(state: &MapState, input: &MappingInput<'_>, g: &TwoViewGeometry) -> 
     (all > 0).then_some((count, all))
 }
 
-/// For each image with a pose: its keypoints that some verified pair ties to another such image,
-/// and how many of them see a point of the model within the limit.
+/// For each image with a pose that verified pairs tie to others: its keypoints that they tie, and
+/// how many of these see a point of the model within the limit: (these, all).
 pub(super) fn explained_keypoints(state: &MapState, input: &MappingInput<'_>) -> Vec<(usize, usize)> {
     let mut tied: Vec<Vec<bool>> = input.keypoints.iter().map(|k| vec![false; k.len()]).collect();
     for g in input.geometries {
@@ -85,11 +68,15 @@ pub(super) fn explained_keypoints(state: &MapState, input: &MappingInput<'_>) ->
     }
     let mut images = state.order.clone();
     images.sort_unstable();
-    images.iter().map(|&image| {
-        let all = tied[image].iter().filter(|t| **t).count();
-        let explained = (0..tied[image].len()).filter(|&f| tied[image][f] && is_explained(state, input, image, f));
-        (explained.count(), all)
-    }).collect()
+    let mut counts = Vec::with_capacity(images.len());
+    for image in images {
+        let features = || (0..tied[image].len()).filter(|&f| tied[image][f]);
+        let explained = features().filter(|&f| is_explained(state, input, image, f)).count();
+        counts.push((explained, features().count()));
+    }
+    // Of frames between the key frames of a video no pair says anything.
+    counts.retain(|(_, all)| *all > 0);
+    counts
 }
 
 fn is_explained(state: &MapState, input: &MappingInput<'_>, image: usize, feature: usize) -> bool {

@@ -5,7 +5,6 @@ use super::matches::limit_px;
 use crate::incremental::state::{MapState, MappingInput};
 use crate::limits::FEWEST_VIEWS;
 use crate::statistics::median;
-use crate::tracks::Tracks;
 use crate::triangulation::{Gates, PointView, triangulate, widest_angle};
 use rayon::prelude::*;
 
@@ -37,17 +36,22 @@ pub(super) fn firm_points(state: &MapState) -> Vec<usize> {
 }
 
 /// Tracks of four and more images are triangulated from every other one of these; the share of the
-/// remaining observations that agree with that within the limit. `None` of no such track.
-pub(super) fn held_out_share(state: &MapState, input: &MappingInput<'_>, tracks: &Tracks) -> Option<f64> {
-    let long: Vec<Vec<PointView<'_>>> = tracks.views.iter().filter_map(|views| {
-        let seen: Vec<PointView<'_>> = views.iter().filter_map(|v| state.view(input, *v)).collect();
-        (seen.len() >= SPLIT_VIEWS).then_some(seen)
-    }).collect();
+/// remaining observations that agree with that within the limit. No number of no such track.
+pub(super) fn held_out_share(state: &MapState, input: &MappingInput<'_>) -> f64 {
+    let long: Vec<Vec<PointView<'_>>> = input
+        .tracks
+        .views
+        .iter()
+        .filter_map(|views| {
+            let seen: Vec<PointView<'_>> = views.iter().filter_map(|v| state.view(input, *v)).collect();
+            (seen.len() >= SPLIT_VIEWS).then_some(seen)
+        })
+        .collect();
     let step = long.len().div_ceil(TRACKS).max(1);
     let chosen: Vec<&Vec<PointView<'_>>> = long.iter().step_by(step).collect();
     let counts: Vec<(usize, usize)> = chosen.par_iter().map(|views| agreeing(views)).collect();
     let (agree, all) = counts.iter().fold((0, 0), |s, c| (s.0 + c.0, s.1 + c.1));
-    (all > 0).then(|| agree as f64 / all as f64)
+    agree as f64 / all as f64
 }
 
 /// Observations that took no part: (within the limit of the others' point, all).

@@ -1,5 +1,5 @@
-//! A second solution from other evidence by another way: all rotations at once from those of the
-//! pairs, and all of the model from half of the tracks by the global mapper.
+//! A second solution from other evidence by another way: the global mapper's, from half of the
+//! tracks.
 
 use crate::error::SfmError;
 use crate::global;
@@ -9,27 +9,33 @@ use crate::statistics::median;
 use crate::tracks::{NONE, Tracks};
 use glam::DQuat;
 use rand::Rng as _;
-use scene::{Pose, Progress, rng};
+use scene::{Progress, rng};
 
-/// How far the rotations of another solution are from a model's, degrees: (median over the pairs of
-/// images that both have, share of the model's images that it has).
-pub(super) fn disagreement(state: &MapState, other: &[Option<DQuat>]) -> (f64, f64) {
-    let mut turns: Vec<DQuat> = Vec::new();
-    for (pose, other) in state.poses.iter().zip(other) {
-        if let (Some(pose), Some(other)) = (pose, other) {
-            turns.push(other.conjugate() * pose.rotation);
-        }
-    }
-    let mut angles = Vec::new();
+/// How far the relative rotations of another solution are from a model's, median over all pairs of
+/// the model's images, degrees. A pair that the other solution has no poses for counts as opposite.
+pub(super) fn difference_deg(state: &MapState, other: &[Option<DQuat>]) -> f64 {
+    let images = state.registered_count();
+    let pairs = images * images.saturating_sub(1) / 2;
+    let posed = state.poses.iter().zip(other);
+    let turns: Vec<DQuat> = posed
+        .filter_map(|(pose, other)| Some(other.as_ref()?.conjugate() * pose.as_ref()?.rotation))
+        .collect();
+    let mut angles = Vec::with_capacity(pairs);
     for (i, a) in turns.iter().enumerate() {
         angles.extend(turns[i + 1..].iter().map(|b| a.angle_between(*b).to_degrees()));
     }
-    (median(angles), turns.len() as f64 / state.registered_count().max(1) as f64)
+    angles.resize(pairs, OPPOSITE_DEG);
+    median(angles)
 }
+
+/// Rotations that differ by the most that rotations can, degrees.
+/// Source: derived.
+const OPPOSITE_DEG: f64 = 180.0;
 
 /// A random half of the tracks.
 fn half_of(tracks: &Tracks, seed: u64) -> Tracks {
-    let mut half = Tracks { of: tracks.of.iter().map(|of| vec![NONE; of.len()]).collect(), views: Vec::new() };
+    let mut half =
+        Tracks { of: tracks.of.iter().map(|of| vec![NONE; of.len()]).collect(), views: Vec::new() };
     let mut random = rng::rng(seed, "second solution", 0);
     for views in &tracks.views {
         if random.random::<bool>() {
@@ -46,14 +52,15 @@ fn half_of(tracks: &Tracks, seed: u64) -> Tracks {
 pub(super) fn global_rotations(
     state: &MapState,
     input: &MappingInput<'_>,
-    tracks: &Tracks,
     known: &[Knowledge],
     progress: &Progress,
 ) -> Result<Vec<Option<DQuat>>, SfmError> {
-    let half = half_of(tracks, input.seed);
+    let half = half_of(input.tracks, input.seed);
     let input = MappingInput { tracks: &half, ..*input };
-    let model = global::map(&input, &state.cameras, known, progress)?;
-    Ok(model.map_or_else(|| vec![None; state.poses.len()], |m| {
-        m.poses.iter().map(|p| p.as_ref().map(|p: &Pose| p.rotation)).collect()
-    }))
+    let model = match global::map(&input, &state.cameras, known, progress) {
+        Err(SfmError::Solver(_)) => None, // no solution is an answer, too
+        other => other?,
+    };
+    let poses = model.map_or_else(|| vec![None; state.poses.len()], |model| model.poses);
+    Ok(poses.into_iter().map(|pose| pose.map(|p| p.rotation)).collect())
 }
