@@ -1,5 +1,6 @@
 //! The pipeline: frames, poses, undistortion, splat, evaluation, report, each resumable.
 
+mod all_frames;
 mod folder;
 
 use crate::args::PipelineArgs;
@@ -292,10 +293,12 @@ impl Pipeline {
                 .as_ref()
                 .zip(result.reconstruction.as_ref())
                 .map(|(u, model)| Deviations::of(u, model)),
+            motion: result.motion.clone(),
             decisions: result.decisions.clone(),
             figures: figures(&result.stats),
             ..PoseSummary::default()
         };
+        all_frames::write(&self.out.join("frames.json"), &result.frames, frames)?;
         let reconstruction = database::write(&self.args, &self.out, result, frames)?;
         Ok((reconstruction, summary))
     }

@@ -15,6 +15,7 @@ pub use verdict::{Level, Light};
 use crate::args::PipelineArgs;
 use crate::outcome::Outcome;
 use crate::stage::Cost;
+use scene::motion_report::MotionReport;
 use scene::{Decision, FrameSet, Reconstruction};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -42,6 +43,9 @@ pub struct PoseSummary {
     pub weak: Vec<(String, String)>,
     /// Standard deviations from the final adjustment.
     pub deviations: Option<Deviations>,
+    /// How the object moves, where it turns or tumbles in a video.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub motion: Option<MotionReport>,
     /// What was decided.
     pub decisions: Vec<Decision>,
     /// Figures by step.

@@ -76,6 +76,8 @@ pub enum Subject {
     PlaneTracks,
     /// The camera model once more, with tracks on a plane.
     CameraModelWithPlane,
+    /// The camera model once more, with the motion that was found.
+    CameraModelWithMotion,
     /// Single-axis motion from points tracked through a video.
     VideoMotion,
     /// Direction of the rotation axis.

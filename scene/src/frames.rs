@@ -65,6 +65,13 @@ impl FrameSet {
         self.frames.len()
     }
 
+    /// Presentation times of all frames, seconds; `None` where not all have one or they do not rise.
+    pub fn times(&self) -> Option<Vec<f64>> {
+        let times: Vec<f64> = self.frames.iter().filter_map(|f| f.time_s).collect();
+        let rising = times.windows(2).all(|w| w[1] > w[0]);
+        (self.is_video && rising && times.len() == self.len()).then_some(times)
+    }
+
     /// Whether there are none.
     pub fn is_empty(&self) -> bool {
         self.frames.is_empty()

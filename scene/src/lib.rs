@@ -26,6 +26,7 @@ pub mod image;
 pub mod io;
 pub mod lpips;
 pub mod metrics;
+pub mod motion_report;
 pub mod orbit_path;
 pub mod overview;
 pub mod pose;

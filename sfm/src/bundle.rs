@@ -5,9 +5,11 @@
 //! 1999, on scaling and gauge).
 
 mod adjustable;
+mod information;
 mod points;
 
 pub(crate) use adjustable::Adjustable;
+pub(crate) use information::PoseInformation;
 
 use crate::ceres::{self, BundleInput, BundleState};
 use crate::error::SfmError;
@@ -82,6 +84,25 @@ pub(crate) struct IntrinsicsPrior {
     pub sigma: f64,
 }
 
+/// What is expected of the poses beside the observations.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub(crate) struct ExpectedPoses {
+    /// By pose: `cam_from_world`.
+    pub poses: Vec<Pose>,
+    /// A point of the world: a pose is compared with the expected one by its rotation and by where
+    /// it puts this point.
+    pub centre: DVec3,
+    /// Standard deviations of a coordinate of the two: radians, scene units.
+    pub sigma: [f64; 2],
+}
+
+impl ExpectedPoses {
+    /// The same of some poses alone.
+    pub(crate) fn of_images(&self, images: &[usize]) -> Self {
+        Self { poses: images.iter().map(|&i| self.poses[i]).collect(), ..self.clone() }
+    }
+}
+
 /// An adjustment in plain arrays.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct BundleProblem {
@@ -97,6 +118,8 @@ pub(crate) struct BundleProblem {
     pub pose_camera: Vec<u32>,
     /// Which poses are held.
     pub pose_constant: Vec<bool>,
+    /// What is expected of them.
+    pub expected: Option<ExpectedPoses>,
     /// Points, world frame.
     pub points: Vec<DVec3>,
     /// Which points are held.
@@ -262,6 +285,15 @@ impl BundleProblem {
             let i = input.camera_offsets[prior.camera] + prior.parameter;
             (input.prior_mean[i], input.prior_sigma[i]) = (prior.mean, prior.sigma);
         }
+        if let Some(ExpectedPoses { poses, centre, sigma }) = &self.expected {
+            for pose in poses {
+                let q = pose.rotation;
+                input.expected_rotation.extend([q.x, q.y, q.z, q.w]);
+                input.expected_place.extend((pose.transform(*centre) / frame.scale).to_array());
+            }
+            input.expected_centre = frame.point_in(*centre).to_array().to_vec();
+            input.expected_sigma = vec![sigma[0], sigma[1] / frame.scale];
+        }
         for o in &self.observations {
             let x = self.poses[o.pose as usize].transform(self.points[o.point as usize]);
             if x.z > 1e-9 * frame.scale && o.sigma_px > 0.0 {
@@ -274,12 +306,16 @@ impl BundleProblem {
         input
     }
 
-    /// Gauge: where fewer than two poses and no points are constant, the first pose is held, and
-    /// that coordinate of the farthest pose's translation that changes most with the scale.
+    /// Gauge: where fewer than two poses and no points are constant, and nothing is expected of the
+    /// poses, the first pose is held, and that coordinate of the farthest pose's translation that changes most with the scale.
     fn held_poses(&self, frame: &SceneNormalisation) -> Vec<u8> {
         let mut held: Vec<u8> = self.pose_constant.iter().map(|&c| if c { 7 } else { 0 }).collect();
         let constant = held.iter().filter(|&&h| h == 7).count();
-        if constant >= 2 || held.len() < 2 || self.point_constant.iter().filter(|&&c| c).count() >= 3 {
+        if self.expected.is_some()
+            || constant >= 2
+            || held.len() < 2
+            || self.point_constant.iter().filter(|&&c| c).count() >= 3
+        {
             return held;
         }
         let first = held.iter().position(|&h| h == 7).unwrap_or(0);
@@ -321,6 +357,7 @@ fn pose_deviation(pose: &Pose, covariance: &[f64], scale: f64) -> [f64; 6] {
 }
 
 /// Moves the scene's median to the origin and scales the median distance from it to 1.
+#[derive(Clone, Debug)]
 pub(crate) struct SceneNormalisation {
     /// What becomes the origin.
     pub centre: DVec3,

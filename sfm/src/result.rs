@@ -1,6 +1,7 @@
 //! What structure from motion hands back.
 
-use scene::{Camera, Decision, Features, Reconstruction, TwoViewGeometry};
+use scene::motion_report::MotionReport;
+use scene::{Camera, Decision, Features, Pose, Reconstruction, TwoViewGeometry};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 
@@ -51,6 +52,17 @@ pub struct PoseDeviation {
     pub centre: [f64; 3],
 }
 
+/// The pose of a frame of a video, chosen for the model or not.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct FramePose {
+    /// When it was taken, seconds.
+    pub time_s: f64,
+    /// `cam_from_world`.
+    pub pose: Pose,
+    /// Standard deviations.
+    pub deviation: PoseDeviation,
+}
+
 /// Standard deviations from the final adjustment (gauge: first camera and the scale fixed).
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Uncertainty {
@@ -77,6 +89,11 @@ pub struct SfmResult {
     pub decisions: Vec<Decision>,
     /// Standard deviations of poses and intrinsics.
     pub uncertainty: Option<Uncertainty>,
+    /// How the object moves, where it turns or tumbles.
+    pub motion: Option<MotionReport>,
+    /// Of a video: poses of all its frames, by the motion; between registered frames alone where
+    /// that is free.
+    pub frames: Vec<FramePose>,
     /// Counts and costs.
     pub stats: SfmStats,
     /// One per frame: intrinsics as they were before the model was solved (for the database).

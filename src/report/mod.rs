@@ -3,6 +3,7 @@
 pub(crate) mod charts;
 mod decisions;
 pub(crate) mod html;
+mod motion;
 mod poses;
 mod verdict;
 pub(crate) mod views;
@@ -47,6 +48,8 @@ fn title(record: &RunRecord) -> String {
 
 fn body(out: &Path, record: &RunRecord, model: Option<&Reconstruction>) -> Result<Markup> {
     let poses = record.poses.as_ref().map(|p| poses::section(record, p, model)).transpose()?;
+    let moved = record.poses.as_ref().and_then(|p| p.motion.as_ref());
+    let motion = moved.map(motion::section).transpose()?;
     let training = record.splat.as_ref().map(views::training).transpose()?;
     let held_out = record.evaluation.as_ref().map(|e| views::held_out(out, e)).transpose()?;
     Ok(html! {
@@ -54,7 +57,7 @@ fn body(out: &Path, record: &RunRecord, model: Option<&Reconstruction>) -> Resul
         (lights(&record.verdict))
         (decisions::section(record))
         (frames(out, record)?)
-        @for section in [poses, training, held_out].into_iter().flatten() { (section) }
+        @for section in [poses, motion, training, held_out].into_iter().flatten() { (section) }
         (costs(record))
     })
 }

@@ -292,10 +292,11 @@ mod tests {
         let noise = screen.noise();
         let trimap = Trimap::new(&screen, noise, frame.as_raw(), &key);
         let edge = 48 * 120 + 60 + 24;
-        let before = screen.light[edge];
-        screen.light[edge] *= 0.5;
+        let beside = (edge..49 * 120).rfind(|i| trimap.band[*i] != 0).unwrap();
+        let before = screen.light[beside];
+        screen.light[beside] *= 0.5;
         measure_light_beside(&mut screen, &trimap, &key);
-        assert!((screen.light[edge] / before - 1.0).length() < 0.05, "from the screen beside it");
+        assert!((screen.light[beside] / before - 1.0).length() < 0.05, "from the screen beside it");
         let matte = Matte::solve(&screen, &trimap);
         let apart = |i: usize| (matte.alpha[i] - truth(i as u32 % 120, i as u32 / 120)).abs();
         let worst = (0..matte.alpha.len()).map(apart).fold(0.0, f32::max);

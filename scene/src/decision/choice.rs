@@ -13,6 +13,8 @@ pub enum MotionModel {
     SingleAxis,
     /// Near a circle, with small deviations.
     Orbit,
+    /// A rigid body on which no torque acts, before a camera that keeps its station or drifts.
+    TorqueFree,
     /// Every pose by itself.
     Free,
     /// The poses that came with the input.

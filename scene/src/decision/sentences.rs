@@ -81,6 +81,7 @@ impl Subject {
             Self::KeypointRefinement => "Keypoints",
             Self::PlaneTracks => "Plane tracks",
             Self::CameraModelWithPlane => "Camera model with plane tracks",
+            Self::CameraModelWithMotion => "Camera model with the motion",
             Self::VideoMotion => "Single-axis motion in the video",
             Self::RotationAxis => "Rotation axis",
             Self::CameraElevation => "Camera elevation",
@@ -180,6 +181,7 @@ impl MotionModel {
         match self {
             Self::SingleAxis => "single axis",
             Self::Orbit => "orbit",
+            Self::TorqueFree => "torque-free tumble",
             Self::Free => "free",
             Self::Given => "as given",
         }

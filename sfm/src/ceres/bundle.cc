@@ -50,6 +50,51 @@ class Reprojection final : public ceres::CostFunction {
   double weight_, pixel_[2];
 };
 
+// What is expected of a pose beside the observations, in standard deviations: log(R R₀⁻¹), and the
+// place R c + t of a point c of the world. Its Jacobian by (ω, t) is that of Reprojection.
+class ExpectedPose final : public ceres::CostFunction {
+ public:
+  ExpectedPose(const BundleInput &input, std::size_t pose)
+      : rotation_(input.expected_rotation.data() + 4 * pose),
+        place_(input.expected_place.data() + 3 * pose),
+        centre_(input.expected_centre.data()),
+        by_rotation_(1 / input.expected_sigma[0]),
+        by_place_(1 / input.expected_sigma[1]) {
+    set_num_residuals(6);
+    mutable_parameter_block_sizes()->assign({kPoseSize});
+  }
+
+  bool Evaluate(double const *const *parameters, double *residuals, double **jacobians) const override {
+    const Eigen::Map<const Eigen::Quaterniond> q(parameters[0]);
+    const Eigen::Quaterniond step = q.normalized() * rotation_.conjugate();
+    const Eigen::Vector3d half = step.w() < 0 ? Eigen::Vector3d(-step.vec()) : Eigen::Vector3d(step.vec());
+    const double sine = half.norm(), angle = 2 * std::atan2(sine, std::abs(step.w()));
+    const Eigen::Vector3d log = (sine > 1e-12 ? angle / sine : 2.0) * half;
+    const Eigen::Vector3d turned = q.normalized() * centre_;
+    Eigen::Map<Eigen::Matrix<double, 6, 1>> r(residuals);
+    r << by_rotation_ * log, by_place_ * (turned + Eigen::Map<const Eigen::Vector3d>(parameters[0] + 4) - place_);
+    if (jacobians == nullptr || jacobians[0] == nullptr) return true;
+    Eigen::Map<Eigen::Matrix<double, 6, kPoseSize, Eigen::RowMajor>> j(jacobians[0]);
+    j.setZero();
+    // log(exp(ω) exp(r)) ≈ r + (1 − ½ [r]ₓ + ⅟₁₂ [r]ₓ²) ω
+    const Eigen::Matrix3d cross = Skew(log);
+    j.block<3, 3>(0, 0) = by_rotation_ * (Eigen::Matrix3d::Identity() - 0.5 * cross + cross * cross / 12);
+    j.block<3, 3>(3, 0) = -by_place_ * Skew(turned);
+    j.block<3, 3>(3, 3) = by_place_ * Eigen::Matrix3d::Identity();
+    return true;
+  }
+
+ private:
+  static Eigen::Matrix3d Skew(const Eigen::Vector3d &v) {
+    Eigen::Matrix3d m;
+    m << 0, -v.z(), v.y(), v.z(), 0, -v.x(), -v.y(), v.x(), 0;
+    return m;
+  }
+  const Eigen::Map<const Eigen::Quaterniond> rotation_;
+  const Eigen::Map<const Eigen::Vector3d> place_, centre_;
+  double by_rotation_, by_place_;
+};
+
 }  // namespace
 
 BundleOutcome solve_bundle(const BundleInput &input, rust::Slice<double> intrinsics, rust::Slice<double> poses,
@@ -68,6 +113,7 @@ BundleOutcome solve_bundle(const BundleInput &input, rust::Slice<double> intrins
   ownership.manifold_ownership = ceres::TAKE_OWNERSHIP;
   ownership.disable_all_safety_checks = true;
   std::deque<Reprojection> costs;
+  std::deque<ExpectedPose> expected;
   std::vector<std::unique_ptr<ceres::CostFunction>> priors;
   ceres::Problem problem(ownership);
   const std::size_t count = input.observation_pose.size();
@@ -79,6 +125,10 @@ BundleOutcome solve_bundle(const BundleInput &input, rust::Slice<double> intrins
     double *const blocks[3] = {poses_at + kPoseSize * pose, points.data() + 3 * point,
                                intrinsics_at + input.camera_offsets[camera]};
     problem.AddResidualBlock(&costs.back(), loss.get(), blocks, 3);
+  }
+  for (std::size_t i = 0; 4 * i < input.expected_rotation.size(); ++i) {
+    expected.emplace_back(input, i);
+    problem.AddResidualBlock(&expected.back(), nullptr, poses_at + kPoseSize * i);
   }
   const auto group = [&](double *block, int number) {
     if (problem.HasParameterBlock(block)) ordering->AddElementToGroup(block, number);
@@ -149,7 +199,8 @@ void AddObservation(const BundleInput &input, const Columns &columns, const cere
 // Adds JᵀJ over the columns with all points eliminated; priors are not in it.
 template <class Matrix>
 void AddReducedNormal(const BundleInput &input, const Columns &columns, rust::Slice<const double> intrinsics,
-                      rust::Slice<const double> poses, rust::Slice<const double> points, Matrix &normal) {
+                      rust::Slice<const double> poses, rust::Slice<const double> points, Matrix &normal,
+                      Eigen::VectorXd *gradient = nullptr) {
   const std::unique_ptr<ceres::LossFunction> loss = MakeLoss(input);
   std::vector<std::vector<std::size_t>> of_point(input.point_held.size());
   for (std::size_t i = 0; i < input.observation_point.size(); ++i) of_point[input.observation_point[i]].push_back(i);
@@ -161,7 +212,24 @@ void AddReducedNormal(const BundleInput &input, const Columns &columns, rust::Sl
                                        intrinsics.data() + input.camera_offsets[input.pose_camera[pose]]};
       AddObservation(input, columns, loss.get(), i, blocks, rows);
     }
-    if (!rows.at.empty()) Eliminate(rows, input.point_held[point] != 0, normal);
+    if (!rows.at.empty()) Eliminate(rows, input.point_held[point] != 0, normal, gradient);
+  }
+}
+
+// Adds what is expected of the poses.
+template <class Matrix>
+void AddExpectedPoses(const BundleInput &input, const Columns &columns, rust::Slice<const double> poses,
+                      Matrix &normal) {
+  for (std::size_t i = 0; 4 * i < input.expected_rotation.size(); ++i) {
+    double residuals[6];
+    Eigen::Matrix<double, 6, kPoseSize, Eigen::RowMajor> by_pose;
+    double const *const block = poses.data() + kPoseSize * i;
+    double *const jacobian = by_pose.data();
+    ExpectedPose(input, i).Evaluate(&block, residuals, const_cast<double **>(&jacobian));
+    const std::vector<int> &column = columns.pose[i];
+    for (int a = 0; a < 6; ++a)
+      for (int b = 0; b < 6; ++b)
+        if (column[a] >= 0 && column[b] >= 0) normal(column[a], column[b]) += by_pose.col(a).dot(by_pose.col(b));
   }
 }
 
@@ -194,6 +262,7 @@ bool bundle_covariance(const BundleInput &input, rust::Slice<const double> intri
   LevelMatrix normal(LevelsOfColumns(input, columns));
   AddReducedNormal(input, columns, intrinsics, poses, points, normal);
   AddIntrinsicsPriors(input, columns.camera, normal);
+  AddExpectedPoses(input, columns, poses, normal);
   if (!normal.Invert()) return false;
   const LevelMatrix &covariance = normal;
   for (std::size_t i = 0; i < columns.pose.size(); ++i)
@@ -224,6 +293,39 @@ bool camera_information(const BundleInput &input, rust::Slice<const double> intr
   }
   if (!marginal.allFinite()) return false;
   Eigen::Map<Eigen::MatrixXd>(information.data(), rest, rest) = marginal;
+  return true;
+}
+
+bool pose_information(const BundleInput &input, rust::Slice<const double> intrinsics, rust::Slice<const double> poses,
+                      rust::Slice<const double> points, rust::Slice<double> information, rust::Slice<double> slope) {
+  const Columns columns = MakeColumns(input);
+  Eigen::MatrixXd normal = Eigen::MatrixXd::Zero(columns.size, columns.size);
+  Eigen::VectorXd gradient = Eigen::VectorXd::Zero(columns.size);
+  AddReducedNormal(input, columns, intrinsics, poses, points, normal, &gradient);
+  AddIntrinsicsPriors(input, columns.camera, normal);
+  for (std::size_t c = 0; c < columns.camera.size(); ++c)
+    for (std::size_t i = 0; i < columns.camera[c].size(); ++i) {
+      const std::size_t k = input.camera_offsets[c] + i;
+      const int column = columns.camera[c][i];
+      if (input.prior_sigma[k] > 0 && column >= 0)
+        gradient(column) += (intrinsics[k] - input.prior_mean[k]) / (input.prior_sigma[k] * input.prior_sigma[k]);
+    }
+  const int of_poses = static_cast<int>(slope.size()), rest = columns.size - of_poses;
+  if (rest < 0 || information.size() != slope.size() * slope.size()) return false;
+  Eigen::MatrixXd marginal = normal.topLeftCorner(of_poses, of_poses);
+  Eigen::VectorXd left = gradient.head(of_poses);
+  if (rest > 0) {
+    const Eigen::VectorXd scale = normal.diagonal().tail(rest).cwiseMax(1e-300).cwiseSqrt().cwiseInverse();
+    const Eigen::LLT<Eigen::MatrixXd> factor(scale.asDiagonal() * normal.bottomRightCorner(rest, rest) *
+                                             scale.asDiagonal());
+    if (factor.info() != Eigen::Success) return false;
+    const Eigen::MatrixXd cross = scale.asDiagonal() * normal.bottomLeftCorner(rest, of_poses);
+    marginal -= cross.transpose() * factor.solve(cross);
+    left -= cross.transpose() * factor.solve(scale.asDiagonal() * gradient.tail(rest));
+  }
+  if (!marginal.allFinite() || !left.allFinite()) return false;
+  Eigen::Map<Eigen::MatrixXd>(information.data(), of_poses, of_poses) = marginal;
+  Eigen::Map<Eigen::VectorXd>(slope.data(), of_poses) = left;
   return true;
 }
 

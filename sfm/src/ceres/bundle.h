@@ -36,4 +36,12 @@ bool bundle_covariance(const BundleInput &input, rust::Slice<const double> intri
 bool camera_information(const BundleInput &input, rust::Slice<const double> intrinsics, rust::Slice<const double> poses,
                         rust::Slice<const double> points, rust::Slice<double> information);
 
+// The quadratic that the cost is in all poses after points and intrinsics are eliminated; priors on
+// intrinsics are in it, what is expected of poses is not.
+//   information [6P × 6P]  symmetric, over (ω, t) of all poses, none of them held
+//   slope       [6P]       of the cost where it is now
+// Returns false where the intrinsics cannot be eliminated.
+bool pose_information(const BundleInput &input, rust::Slice<const double> intrinsics, rust::Slice<const double> poses,
+                      rust::Slice<const double> points, rust::Slice<double> information, rust::Slice<double> slope);
+
 }  // namespace sat_recon

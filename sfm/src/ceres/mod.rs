@@ -34,6 +34,14 @@ mod ffi {
         pub pose_held: Vec<u8>,
         /// How many poses are not constant.
         pub free_poses: usize,
+        /// [P × 4] expected rotation of each pose, quaternion x y z w; empty: nothing is expected.
+        pub expected_rotation: Vec<f64>,
+        /// [P × 3] where the point `expected_centre` is expected in the camera frame.
+        pub expected_place: Vec<f64>,
+        /// [3] a point of the world whose places are expected.
+        pub expected_centre: Vec<f64>,
+        /// [2] standard deviations of a coordinate of the two: radians, scene units.
+        pub expected_sigma: Vec<f64>,
         /// [N] 1: constant.
         pub point_held: Vec<u8>,
         /// [M] pose of each observation.
@@ -181,6 +189,14 @@ mod ffi {
             points: &[f64],
             information: &mut [f64],
         ) -> Result<bool>;
+        fn pose_information(
+            input: &BundleInput,
+            intrinsics: &[f64],
+            poses: &[f64],
+            points: &[f64],
+            information: &mut [f64],
+            slope: &mut [f64],
+        ) -> Result<bool>;
     }
 }
 
@@ -272,6 +288,22 @@ pub(crate) fn camera_information(
     Ok(done.then_some(information))
 }
 
+/// The quadratic that the cost is in all poses, [6P × 6P] and [6P], points and intrinsics
+/// eliminated; `None` where they cannot be.
+pub(crate) fn pose_information(
+    input: &BundleInput,
+    state: &BundleState,
+) -> Result<Option<(Vec<f64>, Vec<f64>)>, SfmError> {
+    check(input, state)?;
+    let size = 6 * input.pose_held.len();
+    let (mut information, mut slope) = (vec![0.0; size * size], vec![0.0; size]);
+    let BundleState { intrinsics, poses, points } = state;
+    let done = input.pose_held.iter().all(|h| *h == 0)
+        && ffi::pose_information(input, intrinsics, poses, points, &mut information, &mut slope)
+            .map_err(|e| SfmError::Solver(e.to_string()))?;
+    Ok(done.then_some((information, slope)))
+}
+
 fn num_params(model: i32) -> usize {
     scene::CameraModel::from_colmap_id(model).map_or(0, scene::CameraModel::num_params)
 }
@@ -299,12 +331,24 @@ fn check(input: &BundleInput, state: &BundleState) -> Result<(), SfmError> {
         && input.observation_point.len() == observations
         && input.pixels.len() == observations * 2
         && input.camera_models.iter().all(|&m| num_params(m) > 0);
+    let expected = input.expected_rotation.len() / 4;
+    let shapes = shapes
+        && (expected == 0 || expected == poses && input.expected_sigma.iter().all(|s| *s > 0.0))
+        && input.expected_rotation.len() == expected * 4
+        && input.expected_place.len() == expected * 3
+        && (expected == 0 || input.expected_centre.len() == 3 && input.expected_sigma.len() == 2);
     let indices = all_below(&input.observation_pose, poses)
         && all_below(&input.observation_point, points)
         && all_below(&input.pose_camera, input.camera_models.len());
     let finite =
         [&state.intrinsics, &state.poses, &state.points, &input.pixels, &input.weights, &input.prior_sigma]
             .iter()
+            .chain(&[
+                &input.expected_rotation,
+                &input.expected_place,
+                &input.expected_centre,
+                &input.expected_sigma,
+            ])
             .all(|values| all_finite(values));
     match (shapes && indices, finite, observations) {
         (false, _, _) => Err(SfmError::Solver("the problem is inconsistent".to_owned())),

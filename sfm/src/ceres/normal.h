@@ -25,19 +25,26 @@ struct PointRows {
   std::vector<Eigen::MatrixXd> by_camera;
   std::vector<std::vector<int>> at;
   std::vector<Jacobian2x3> by_point;
+  std::vector<Eigen::Vector2d> residual;
 };
 
+// `gradient` (may be null): Jᵀr with the point eliminated is added to it.
 template <class Matrix>
-void Eliminate(const PointRows &rows, bool point_held, Matrix &normal) {
+void Eliminate(const PointRows &rows, bool point_held, Matrix &normal, Eigen::VectorXd *gradient = nullptr) {
   const int n = static_cast<int>(rows.columns.size());
   Eigen::MatrixXd block = Eigen::MatrixXd::Zero(n, n), cross = Eigen::MatrixXd::Zero(n, 3);
   Eigen::Matrix3d own = Eigen::Matrix3d::Zero();
+  Eigen::VectorXd slope = Eigen::VectorXd::Zero(n);
+  Eigen::Vector3d own_slope = Eigen::Vector3d::Zero();
   for (std::size_t i = 0; i < rows.at.size(); ++i) {
     const std::vector<int> &at = rows.at[i];
     const Eigen::MatrixXd square = rows.by_camera[i].transpose() * rows.by_camera[i];
     const Eigen::MatrixXd mixed = rows.by_camera[i].transpose() * rows.by_point[i];
     own += rows.by_point[i].transpose() * rows.by_point[i];
+    own_slope += rows.by_point[i].transpose() * rows.residual[i];
+    const Eigen::VectorXd by_camera = rows.by_camera[i].transpose() * rows.residual[i];
     for (std::size_t a = 0; a < at.size(); ++a) {
+      slope(at[a]) += by_camera(a);
       cross.row(at[a]) += mixed.row(a);
       for (std::size_t b = 0; b < at.size(); ++b) block(at[a], at[b]) += square(a, b);
     }
@@ -46,7 +53,10 @@ void Eliminate(const PointRows &rows, bool point_held, Matrix &normal) {
     const Eigen::LDLT<Eigen::Matrix3d> factor(own);
     if (factor.info() != Eigen::Success || factor.vectorD().minCoeff() <= 0) return;  // no depth: says nothing
     block -= cross * factor.solve(cross.transpose());
+    slope -= cross * factor.solve(own_slope);
   }
+  if (gradient != nullptr)
+    for (int a = 0; a < n; ++a) (*gradient)(rows.columns[a]) += slope(a);
   for (int a = 0; a < n; ++a)
     for (int b = 0; b < n; ++b) normal(rows.columns[a], rows.columns[b]) += block(a, b);
 }
@@ -82,6 +92,7 @@ class ObservationRows {
     rows_.at.push_back(at_);
     rows_.by_camera.push_back(dense);
     rows_.by_point.push_back(weight * by_point);
+    rows_.residual.emplace_back(weight * residuals[0], weight * residuals[1]);
   }
 
  private:

@@ -2,10 +2,11 @@
 //! steadily as they show.
 
 use super::limits::{COMPARABLE, FRAMES_TO_CHOOSE, HELD, LEAST_OBSERVATIONS};
+use super::motion::CircularMotion;
 use super::prior::AnglePrior;
 use super::problem::CircularCovariance;
-use super::whiten::{cholesky, dot, whiten};
 use crate::model_selection::evidence::TRACK_EXCESS;
+use crate::solvers::cholesky::{cholesky, dot, whiten};
 use scene::decision::{Decision, Measurement, Quantity, Rule, Subject};
 
 /// Motions that are less likely than the best by this (logarithm) are not averaged.
@@ -26,8 +27,21 @@ pub(crate) struct LearntMotion {
     pub deviations: Vec<f64>,
     /// Factor on the variances that the observations' noise alone would give.
     pub excess: f64,
+    /// Angles at the times that were asked for, seconds and radians, with standard deviations.
+    pub between: Vec<AngleAt>,
     /// For the report.
     pub decision: Decision,
+}
+
+/// What a motion says of the angle at a time.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct AngleAt {
+    /// Seconds.
+    pub time: f64,
+    /// Radians.
+    pub angle: f64,
+    /// Standard deviation, radians.
+    pub deviation: f64,
 }
 
 impl LearntMotion {
@@ -43,6 +57,20 @@ impl LearntMotion {
 
     fn prior(&self, sigmas: Vec<f64>) -> AnglePrior<'_> {
         AnglePrior::Smooth { frames: &self.images, angles: &self.angles, sigmas }
+    }
+
+    /// The angles between frames as counted by a finished turn, whose first angle is 0 and whose
+    /// sense may be the other one.
+    pub(crate) fn between(&self, turn: &CircularMotion) -> Vec<AngleAt> {
+        let (Some(&first), Some(&start)) = (self.images.first(), self.angles.first()) else {
+            return Vec::new();
+        };
+        let at = |frame: usize| turn.angles[frame].unwrap_or(0.0) - turn.angles[first].unwrap_or(0.0);
+        let agreement: f64 = self.images.iter().zip(&self.angles).map(|(&f, a)| at(f) * (a - start)).sum();
+        let sign = if agreement < 0.0 { -1.0 } else { 1.0 };
+        let zero = turn.angles[first].unwrap_or(0.0);
+        let counted = |a: &AngleAt| AngleAt { angle: zero + sign * (a.angle - start), ..*a };
+        self.between.iter().map(counted).collect()
     }
 
     /// By frame, of so many.
@@ -118,6 +146,7 @@ struct ProcessFit {
     columns: [Vec<f64>; 2],
     normal: [f64; 3],
     rest: Vec<f64>,
+    start: f64,
     slope: f64,
 }
 
@@ -169,6 +198,7 @@ impl MeasuredAngles {
             columns: [one, time],
             normal,
             rest,
+            start,
             slope,
         })
     }
@@ -194,6 +224,18 @@ impl MeasuredAngles {
 }
 
 impl ProcessFit {
+    /// The angle at another time (a share of the video), `xᵀβ + kᵀ S⁻¹ (y − X β)`, and its variance
+    /// (Rasmussen & Williams 2006, 2.7).
+    fn predict(&self, motion: &AngleProcess, times: &[f64], time: f64) -> (f64, f64) {
+        let k: Vec<f64> = times.iter().map(|t| motion.covariance(time, *t)).collect();
+        let w = whiten(&self.l, &k);
+        let [a, b, d] = self.normal;
+        let (p, q) = (1.0 - dot(&self.columns[0], &w), time - dot(&self.columns[1], &w));
+        let line = (d * p * p - 2.0 * b * p * q + a * q * q) / (a * d - b * b);
+        let mean = self.start + self.slope * time + dot(&w, &self.rest);
+        (mean, (motion.covariance(time, time) - dot(&w, &w) + line).max(0.0))
+    }
+
     /// Logarithm of the evidence with start and rate integrated out (type II maximum likelihood,
     /// MacKay 1992).
     fn evidence(&self, n: usize) -> f64 {
@@ -209,14 +251,15 @@ impl ProcessFit {
 /// tracks: the covariance C of the angles knows. A motor that turns steadily over short stretches
 /// does so over long ones, so the motion's own spectrum decides how much of a slow deviation is
 /// believed. Angles are averaged over the motions that are likely. `closing`: the angle between the
-/// first and the last frame as it is known otherwise, with its standard deviation. `None` where
-/// there are too few frames.
+/// first and the last frame as it is known otherwise, with its standard deviation. `asked`: other
+/// times at which angles are asked for, seconds. `None` where there are too few frames.
 pub(crate) fn learn_motion(
     angles: &[Option<f64>],
     times: &[f64],
     images: &[usize],
     covariance: &CircularCovariance,
     closing: Option<(f64, f64)>,
+    asked: &[f64],
 ) -> Option<LearntMotion> {
     let n = images.len();
     if n < LEAST_OBSERVATIONS || covariance.joint.len() != n * n {
@@ -236,7 +279,12 @@ pub(crate) fn learn_motion(
         found.close(range, sigma * sigma / least);
     }
     let trials = ProcessTrials::of(&found.thin(FRAMES_TO_CHOOSE), least)?;
-    let average = trials.average(&found)?;
+    let shares: Vec<f64> = asked.iter().map(|t| (t - first) / (last - first)).collect();
+    let average = trials.average(&found, &shares)?;
+    let mut between = Vec::with_capacity(asked.len());
+    for (&time, &(angle, deviation)) in asked.iter().zip(&average.between) {
+        between.push(AngleAt { time, angle, deviation });
+    }
     let mut decision = Decision::new(
         Subject::RotationRate,
         Measurement::new(Quantity::AngularRate, (average.slope / (last - first)).to_degrees()),
@@ -244,7 +292,7 @@ pub(crate) fn learn_motion(
     );
     decision.measurements.extend(trials.figures(&found, &average));
     let ProcessAverage { angles, deviations, excess, .. } = average;
-    Some(LearntMotion { images: images.to_vec(), angles, deviations, excess, decision })
+    Some(LearntMotion { images: images.to_vec(), angles, deviations, excess, between, decision })
 }
 
 /// Motions with the logarithms of their posterior probabilities, the likeliest first.
@@ -256,6 +304,8 @@ struct ProcessAverage {
     angles: Vec<f64>,
     /// Standard deviations, radians.
     deviations: Vec<f64>,
+    /// Angles at the other times, and their standard deviations, radians.
+    between: Vec<(f64, f64)>,
     excess: f64,
     /// Radians over the whole video.
     slope: f64,
@@ -287,13 +337,14 @@ impl ProcessTrials {
     }
 
     /// The angles given the motions that are likely.
-    fn average(&self, found: &MeasuredAngles) -> Option<ProcessAverage> {
+    fn average(&self, found: &MeasuredAngles, others: &[f64]) -> Option<ProcessAverage> {
         let n = found.len();
         let is_steady = self.is_steady();
         let asked: Vec<_> = self.0.iter().filter(|t| t.1.sway == 0.0 || !is_steady).collect();
         let likeliest = asked.first()?.0;
         let (mut sum, mut squares, mut total, mut excess) = (vec![0.0; n], vec![0.0; n], 0.0, 0.0);
         let mut slope = 0.0;
+        let mut moments = vec![(0.0, 0.0); others.len()];
         for (likely, motion) in asked.into_iter().filter(|t| t.0 > likeliest - UNLIKELY) {
             let Some(fit) = found.fit(motion) else { continue };
             let weight = (likely - self.0[0].0).exp();
@@ -303,12 +354,23 @@ impl ProcessTrials {
                 sum[i] += weight * off;
                 squares[i] += weight * (variance[i] + off * off);
             }
+            for (sums, time) in moments.iter_mut().zip(others) {
+                let (mean, variance) = fit.predict(motion, &found.times, *time);
+                sums.0 += weight * mean;
+                sums.1 += weight * (variance + mean * mean);
+            }
             total += weight;
             excess += weight * motion.excess;
             slope += weight * fit.slope;
         }
         let spread = (0..n).map(|i| (squares[i] / total - (sum[i] / total).powi(2)).max(0.0).sqrt());
+        let spread_of = |(sum, square): &(f64, f64)| {
+            let mean = sum / total;
+            (mean, (square / total - mean * mean).max(0.0).sqrt())
+        };
+        let between = moments.iter().map(spread_of).collect();
         (total > 0.0).then(|| ProcessAverage {
+            between,
             angles: (0..n).map(|i| found.angles[i] + sum[i] / total).collect(),
             deviations: spread.collect(),
             excess: excess / total,
@@ -392,7 +454,7 @@ mod tests {
         let joint =
             (0..FRAMES * FRAMES).map(|k| thought * thought * (k / FRAMES).min(k % FRAMES) as f64).collect();
         let covariance = CircularCovariance { joint, ..CircularCovariance::default() };
-        learn_motion(&angles, &times, &images, &covariance, closing).unwrap()
+        learn_motion(&angles, &times, &images, &covariance, closing, &[]).unwrap()
     }
 
     /// Root mean square of the error, its mean aside.

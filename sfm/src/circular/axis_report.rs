@@ -1,6 +1,7 @@
 //! How well the axis was found, for the report.
 
 use super::axis::{Elevation, elevation};
+use super::deviations::AxisDeviation;
 use super::model::{AxisModel, CircularContext};
 use super::motion::wrap_angle;
 use super::problem::CircularCovariance;
@@ -12,7 +13,8 @@ use scene::decision::{Choice, Decision, Measurement, Quantity, Remark, Rule, Sub
 /// Source: chosen by hand, never measured.
 const DOUBTFUL: f64 = 3.0;
 
-/// What is to be said of the axis, and of an elevation that was given. `factor`: on the standard
+/// What is to be said of the axis, and of an elevation that was given; how well its direction is
+/// known. `factor`: on the standard
 /// deviations, for the noise of single observations is too small.
 pub(crate) fn decisions(
     model: &AxisModel,
@@ -20,12 +22,13 @@ pub(crate) fn decisions(
     intrinsics: FreeIntrinsics,
     covariance: &CircularCovariance,
     factor: f64,
-) -> Result<Vec<Decision>, SfmError> {
+) -> Result<(Vec<Decision>, AxisDeviation), SfmError> {
     let [sideways, mut towards] =
         with_principal_point(model, context, intrinsics)?.unwrap_or(covariance.axis);
     if let Some(elevation) = &model.elevation {
         towards = towards.max(elevation.sigma / factor);
     }
+    let deviation = AxisDeviation { sideways: factor * sideways, towards: factor * towards };
     let z = model.turn.direction();
     let angles: Vec<f64> = model.turn.angles.iter().flatten().copied().collect();
     let steps: Vec<f64> = angles.windows(2).map(|w| wrap_angle(w[1] - w[0]).to_degrees()).collect();
@@ -34,15 +37,15 @@ pub(crate) fn decisions(
     let worst = covariance.angles.iter().copied().fold(0.0, f64::max).to_degrees();
     let axis = Decision::new(Subject::RotationAxis, Choice::Direction(z.to_array()), Rule::Evidence)
         .with_all([
-            Measurement::new(Quantity::AxisTiltSideways, factor * sideways.to_degrees()),
-            Measurement::new(Quantity::AxisTiltTowards, factor * towards.to_degrees()),
+            Measurement::new(Quantity::AxisTiltSideways, deviation.sideways.to_degrees()),
+            Measurement::new(Quantity::AxisTiltTowards, deviation.towards.to_degrees()),
             Measurement::new(Quantity::AngleDeviation, worst),
             Measurement::estimate(Quantity::AngularStep, mean, spread.sqrt()),
             Measurement::count(Quantity::RegisteredImages, angles.len()),
         ]);
     let given = model.elevation.as_ref().or(context.elevation.as_ref());
     let given = given.map(|given| elevation_decision(model, given, context.known[0].fixed));
-    Ok(std::iter::once(axis).chain(given).collect())
+    Ok((std::iter::once(axis).chain(given).collect(), deviation))
 }
 
 /// Standard deviations of the axis' direction where the principal point is no better known than the

@@ -45,7 +45,7 @@ fn solved_with(table: &Turntable, given: Option<f64>, noise_px: f64) -> (f64, Ve
     let (.., covariance) = model.covariance(&context, intrinsics).unwrap().unwrap();
     let said = decisions(&model, &context, intrinsics, &covariance, 1.0).unwrap();
     let tilt = model.turn.direction().cross(table.turn.direction()).length().asin();
-    (tilt.to_degrees(), said)
+    (tilt.to_degrees(), said.0)
 }
 
 /// The standard deviation towards the camera that is said of the axis, degrees.

@@ -46,7 +46,7 @@ pub(crate) fn consider(
     unrotated: bool,
 ) -> Result<MotionOutcome, SfmError> {
     let motion = job.config.motion;
-    if motion == Motion::Free {
+    if matches!(motion, Motion::Free | Motion::Tumble) {
         return Ok(MotionOutcome::free(motion_decision(Rule::Requested)));
     }
     let mut evidence = motion_decision(Rule::Evidence);
@@ -93,7 +93,7 @@ fn compare(
     if let Some(solved) = solved.filter(|_| is_single) {
         let decision = Some(Decision { choice: MotionModel::SingleAxis.into(), ..evidence });
         return Ok(MotionOutcome {
-            taken: Some(solved.finish(&context, job, 1.0)?),
+            taken: Some(solved.finish(&context, job, 1.0, None)?),
             circled: None,
             decision,
         });

@@ -14,6 +14,8 @@ pub enum Motion {
     SingleAxis,
     /// The camera goes round on a circle, with small motions of its own
     Orbit,
+    /// The object is a rigid body that no torque acts on: it tumbles (videos)
+    Tumble,
     /// Nothing is assumed
     Free,
 }
@@ -25,6 +27,7 @@ impl Motion {
             Self::Auto => "auto",
             Self::SingleAxis => "single-axis",
             Self::Orbit => "orbit",
+            Self::Tumble => "tumble",
             Self::Free => "free",
         }
     }

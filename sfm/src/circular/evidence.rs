@@ -4,7 +4,9 @@ use super::limits::FRAMES_TO_CHOOSE;
 use super::model::{AxisModel, CircularContext};
 use super::orbit;
 use super::problem::CircularProblem;
-use crate::bundle::{Adjustable, BundleObservation, BundleProblem, RobustLoss, SolveOptions};
+use crate::bundle::{
+    Adjustable, BundleCovariance, BundleObservation, BundleProblem, RobustLoss, SolveOptions,
+};
 use crate::error::SfmError;
 use crate::incremental::adjust::{Adjustment, Selected, select};
 use crate::incremental::growth::freedom;
@@ -13,6 +15,7 @@ use crate::limits::OUTLIER_SIGMAS;
 use crate::model_selection::camera::{FreeIntrinsics, apply, split};
 use crate::model_selection::evidence::{gain, is_motion_as_good, predicts_worse};
 use crate::model_selection::noise::{error_sq, noise};
+use crate::statistics::median;
 use crate::triangulation::{PointView, nearest_to_rays, refine_point};
 use scene::Progress;
 use scene::decision::{Decision, Measurement, MotionModel, Quantity, Rule, Subject};
@@ -33,6 +36,32 @@ pub(crate) struct MotionScore {
     pub held_out_px: f64,
     /// For each pose the sum of truncated squared held-out errors in units of the noise, and their number.
     by_pose: Vec<(f64, usize)>,
+}
+
+impl MotionScore {
+    /// BIC without what its parameters cost.
+    pub(crate) fn cost(&self, price: f64) -> f64 {
+        self.bic - self.parameters as f64 * price
+    }
+
+    /// Whether it predicts held-out observations clearly worse than another.
+    pub(crate) fn predicts_worse(&self, other: &Self) -> bool {
+        predicts_worse(&self.by_pose, &other.by_pose)
+    }
+
+    /// Its figures beside those of free poses.
+    pub(crate) fn figures(&self, free: &Self) -> Vec<Measurement> {
+        let mut scores = vec![
+            Measurement::count(Quantity::MotionParameters, self.parameters),
+            Measurement::new(Quantity::Bic, self.bic),
+            Measurement::new(Quantity::HeldOutError, self.held_out_px),
+        ];
+        if self.motion != MotionModel::Free {
+            let (gain, error) = gain(&free.by_pose, &self.by_pose);
+            scores.push(Measurement::estimate(Quantity::HeldOutGain, gain, error));
+        }
+        scores
+    }
 }
 
 /// All assumptions on the same observations, the simplest first; the last is the free motion.
@@ -61,22 +90,10 @@ impl MotionComparison {
         intrinsics: FreeIntrinsics,
     ) -> Result<Option<Self>, SfmError> {
         let (turn, mut free) = problems(single, base, context, intrinsics);
-        let (training, held_out) = split(&free);
         let images = free.poses.len();
-        if images < 3 || held_out.len() < 50 {
+        let Some((trial, of_free)) = MotionTrial::of_free(&mut free, context.progress)? else {
             return Ok(None);
-        }
-        let options = SolveOptions {
-            loss: RobustLoss::Cauchy(2.0),
-            max_iterations: 40,
-            function_tolerance: 2e-5,
-            ..SolveOptions::default()
         };
-        let mut trial =
-            MotionTrial { training, held_out, options, sigma: noise(&free), progress: context.progress };
-        trial.adjust(&mut free)?;
-        trial.sigma = noise(&free);
-        let of_free = trial.verdict(MotionModel::Free, &mut free, 6 * images - 7)?;
         let mut verdicts = Vec::new();
         if let Some(mut turn) = turn {
             verdicts.push(trial.verdict(MotionModel::SingleAxis, &mut turn, images + 2)?);
@@ -90,7 +107,7 @@ impl MotionComparison {
             price: trial.price(),
         };
         if let Some((orbit, sigma, gain)) = trial.orbit(&free)? {
-            let cost = |v: &MotionScore| v.bic - v.parameters as f64 * trial.price();
+            let cost = |v: &MotionScore| v.cost(trial.price());
             comparison.orbit_evidence = 0.5 * (gain - cost(&orbit) + cost(&of_free));
             comparison.orbit_sigma = sigma;
             comparison.verdicts.push(orbit);
@@ -105,7 +122,7 @@ impl MotionComparison {
 
     /// Whether one axis explains the observations as well as free poses do, for what these cost.
     fn pays(&self, single: &MotionScore, free: &MotionScore) -> bool {
-        let cost = |v: &MotionScore| v.bic - v.parameters as f64 * self.price;
+        let cost = |v: &MotionScore| v.cost(self.price);
         let more = free.parameters.saturating_sub(single.parameters);
         is_motion_as_good(cost(single) - cost(free), more, self.price)
     }
@@ -116,14 +133,11 @@ impl MotionComparison {
         let Some(free) = self.of_motion(MotionModel::Free) else { return MotionModel::Free };
         let orbit = self
             .of_motion(MotionModel::Orbit)
-            .filter(|v| self.orbit_evidence > 0.0 && !predicts_worse(&v.by_pose, &free.by_pose));
-        let single = self
-            .of_motion(MotionModel::SingleAxis)
-            .filter(|v| self.pays(v, free) && !predicts_worse(&v.by_pose, &free.by_pose));
+            .filter(|v| self.orbit_evidence > 0.0 && !v.predicts_worse(free));
+        let single =
+            self.of_motion(MotionModel::SingleAxis).filter(|v| self.pays(v, free) && !v.predicts_worse(free));
         match (single, orbit) {
-            (Some(s), Some(o)) if o.bic < s.bic && predicts_worse(&s.by_pose, &o.by_pose) => {
-                MotionModel::Orbit
-            }
+            (Some(s), Some(o)) if o.bic < s.bic && s.predicts_worse(o) => MotionModel::Orbit,
             (Some(_), _) => MotionModel::SingleAxis,
             (None, Some(_)) => MotionModel::Orbit,
             (None, None) => MotionModel::Free,
@@ -144,15 +158,7 @@ impl MotionComparison {
             Measurement::new(Quantity::Noise, self.sigma_px),
         ]);
         self.verdicts.iter().fold(decision, |decision, verdict| {
-            let mut scores = vec![
-                Measurement::count(Quantity::MotionParameters, verdict.parameters),
-                Measurement::new(Quantity::Bic, verdict.bic),
-                Measurement::new(Quantity::HeldOutError, verdict.held_out_px),
-            ];
-            if let Some(free) = free.filter(|_| verdict.motion != MotionModel::Free) {
-                let (gain, error) = gain(&free.by_pose, &verdict.by_pose);
-                scores.push(Measurement::estimate(Quantity::HeldOutGain, gain, error));
-            }
+            let mut scores = verdict.figures(free.unwrap_or(verdict));
             if verdict.motion == MotionModel::Orbit {
                 let [rotation, translation] = self.orbit_sigma;
                 scores.push(Measurement::new(Quantity::OrbitRotation, rotation.to_degrees()));
@@ -161,6 +167,52 @@ impl MotionComparison {
             decision.compared(verdict.motion, verdict.motion == choice, scores)
         })
     }
+}
+
+/// The effective number of deviations from a motion, `Σ σ²/(σ² + s²)` with the standard deviations s
+/// to which the observations know a free pose, and by how much twice the logarithm of the evidence
+/// grows because they are not free: `Σ ln (1 + 1/s²) − ln (1 + σ²/s²)`, the widths of what is
+/// expected of a pose that may be anywhere within a radius and a radian, and of one near the motion,
+/// over what is found (Occam factors: MacKay 1992). Rotations (radians) and translations (radii),
+/// `count` coordinates of each.
+pub(crate) fn occam(count: f64, sigma: [f64; 2], seen: [f64; 2]) -> (f64, f64) {
+    let (mut effective, mut gain) = (0.0, 0.0);
+    for (sigma, seen) in sigma.into_iter().zip(seen) {
+        let s2 = seen.max(1e-12).powi(2);
+        let ratio = sigma * sigma / s2;
+        effective += count * ratio / (1.0 + ratio);
+        gain += count * ((1.0 + 1.0 / s2).ln() - (1.0 + ratio).ln());
+    }
+    (effective, gain)
+}
+
+/// Median standard deviation of three coordinates of the poses, from `first` on; 0: held ones.
+pub(crate) fn median_deviation(known: &BundleCovariance, first: usize) -> f64 {
+    let all = known.poses.iter().flat_map(|d| d[first..first + 3].to_vec());
+    median(all.filter(|d| *d > 0.0).collect())
+}
+
+/// Free poses of at most [`FRAMES_TO_CHOOSE`] images with the observations that a choice of the
+/// motion is based on, and the images.
+pub(crate) fn free_problem(
+    base: &MapState,
+    context: &CircularContext<'_>,
+    intrinsics: FreeIntrinsics,
+) -> (BundleProblem, Vec<usize>) {
+    let mut common = base.clone();
+    let (mut problem, images) = thinned(&mut common, context);
+    apply(&mut problem, intrinsics, context.known);
+    (problem, images)
+}
+
+/// The observations of a model's images, of which it keeps [`FRAMES_TO_CHOOSE`].
+fn thinned(common: &mut MapState, context: &CircularContext<'_>) -> (BundleProblem, Vec<usize>) {
+    thin(common);
+    let (free, priors) = freedom(&common.cameras, context.known, context.starts, usize::MAX);
+    let mut what = Adjustment::growing(free, priors);
+    what.points_per_image = Some((OBSERVATIONS / common.registered_count().max(1)).clamp(50, 1000));
+    let Selected { problem, images, .. } = select(common, context.input, &what);
+    (problem, images)
 }
 
 /// The adjustments of one axis and of free poses over the images that both models have.
@@ -176,11 +228,7 @@ fn problems(
             common.unregister(image);
         }
     }
-    thin(&mut common);
-    let (free, priors) = freedom(&common.cameras, context.known, context.starts, usize::MAX);
-    let mut what = Adjustment::growing(free, priors);
-    what.points_per_image = Some((OBSERVATIONS / common.registered_count().max(1)).clamp(50, 1000));
-    let Selected { mut problem, images, .. } = select(&common, context.input, &what);
+    let (mut problem, images) = thinned(&mut common, context);
     let turn = single.map(|single| {
         let mut turning = problem.clone();
         turning.cameras.clone_from(&single.state.cameras);
@@ -210,7 +258,7 @@ fn retriangulate(problem: &mut BundleProblem) {
 }
 
 /// Leaves at most [`FRAMES_TO_CHOOSE`] of the images.
-fn thin(state: &mut MapState) {
+pub(crate) fn thin(state: &mut MapState) {
     let registered: Vec<usize> = (0..state.poses.len()).filter(|&i| state.poses[i].is_some()).collect();
     for image in surplus(&registered, FRAMES_TO_CHOOSE) {
         state.unregister(image);
@@ -224,16 +272,41 @@ fn surplus(images: &[usize], most: usize) -> Vec<usize> {
     (1..images.len()).filter(goes).map(|k| images[k]).collect()
 }
 
-struct MotionTrial<'a> {
+/// Observations on which motions are compared.
+pub(crate) struct MotionTrial<'a> {
     training: Vec<BundleObservation>,
     held_out: Vec<BundleObservation>,
-    options: SolveOptions,
-    sigma: f64,
+    pub options: SolveOptions,
+    /// Standard deviation of one residual coordinate under the free motion, pixels.
+    pub sigma: f64,
     progress: &'a Progress,
 }
 
-impl MotionTrial<'_> {
-    fn adjust<P: Adjustable>(&self, problem: &mut P) -> Result<f64, SfmError> {
+impl<'a> MotionTrial<'a> {
+    /// Adjusts free poses to most of the observations; `None` where there are too few.
+    pub(crate) fn of_free(
+        free: &mut BundleProblem,
+        progress: &'a Progress,
+    ) -> Result<Option<(Self, MotionScore)>, SfmError> {
+        let (training, held_out) = split(free);
+        let images = free.poses.len();
+        if images < 3 || held_out.len() < 50 {
+            return Ok(None);
+        }
+        let options = SolveOptions {
+            loss: RobustLoss::Cauchy(2.0),
+            max_iterations: 40,
+            function_tolerance: 2e-5,
+            ..SolveOptions::default()
+        };
+        let mut trial = Self { training, held_out, options, sigma: noise(free), progress };
+        trial.adjust(free)?;
+        trial.sigma = noise(free);
+        let of_free = trial.verdict(MotionModel::Free, free, 6 * images - 7)?;
+        Ok(Some((trial, of_free)))
+    }
+
+    pub(crate) fn adjust<P: Adjustable>(&self, problem: &mut P) -> Result<f64, SfmError> {
         let bundle = problem.bundle_mut();
         bundle.observations.clone_from(&self.training);
         bundle.observations.iter_mut().for_each(|o| o.sigma_px = self.sigma);
@@ -246,7 +319,7 @@ impl MotionTrial<'_> {
     }
 
     /// What a parameter costs without a prior.
-    fn price(&self) -> f64 {
+    pub(crate) fn price(&self) -> f64 {
         (2.0 * self.training.len() as f64).ln()
     }
 
@@ -261,7 +334,7 @@ impl MotionTrial<'_> {
     }
 
     /// An orbit from adjusted free poses, the strength of its small motions, and what they gain by not being free (see
-    /// [`orbit::occam`]).
+    /// [`occam`]).
     fn orbit(&self, free: &BundleProblem) -> Result<Option<(MotionScore, [f64; 2], f64)>, SfmError> {
         let Some((mut problem, misfit)) = orbit::of_free(free) else { return Ok(None) };
         if !orbit::is_near(&misfit) {
@@ -275,13 +348,15 @@ impl MotionTrial<'_> {
             problem.offset_sigma = Some(sigma);
             cost = self.adjust(&mut problem)?;
         }
-        let (effective, gain) = orbit::occam(&problem, sigma, &known);
+        let seen = [median_deviation(&known, 0), median_deviation(&known, 3) / problem.radius()];
+        // The angle stands for one of a pose's six numbers.
+        let (effective, gain) = occam(2.5 * problem.offsets.len() as f64, sigma, seen);
         let parameters = problem.angles.len() + 2 + effective.round() as usize;
         let bic = cost + parameters as f64 * self.price();
         Ok(Some((self.held_out(MotionModel::Orbit, &problem.bundle, bic, parameters), sigma, gain)))
     }
 
-    fn held_out(
+    pub(crate) fn held_out(
         &self,
         motion: MotionModel,
         bundle: &BundleProblem,

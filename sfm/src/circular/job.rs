@@ -108,12 +108,6 @@ impl VideoJob<'_> {
 
     /// Presentation times, or the frames' numbers where they are not known.
     pub(crate) fn times(&self) -> Vec<f64> {
-        let times: Vec<f64> = self.frames.frames.iter().filter_map(|f| f.time_s).collect();
-        let ascending = times.windows(2).all(|w| w[1] > w[0]);
-        if times.len() == self.frames.len() && ascending {
-            times
-        } else {
-            (0..self.frames.len()).map(|i| i as f64).collect()
-        }
+        self.frames.times().unwrap_or_else(|| (0..self.frames.len()).map(|i| i as f64).collect())
     }
 }

@@ -26,16 +26,18 @@ mod axis_report;
 mod axis_tests;
 mod choose;
 mod config;
-mod evidence;
+mod deviations;
+pub(crate) mod evidence;
 #[cfg(test)]
 mod extreme_tests;
 pub(crate) mod initialize;
 mod intrinsics;
 mod job;
-mod limits;
+pub(crate) mod limits;
 mod loop_closure;
 mod model;
 pub(crate) mod motion;
+mod motion_report;
 #[cfg(test)]
 mod motion_tests;
 mod orbit;
@@ -49,7 +51,6 @@ mod solution;
 mod tests;
 mod vertical_lines;
 mod video;
-mod whiten;
 
 pub(crate) use choose::consider;
 pub use config::{Motion, MotionConfig};

@@ -7,7 +7,7 @@ use super::model::{AxisModel, CircularContext};
 use super::motion::CircularMotion;
 use super::prior::AnglePrior;
 use super::problem::CircularProblem;
-use crate::bundle::{BundleCovariance, BundleProblem};
+use crate::bundle::BundleProblem;
 use crate::error::SfmError;
 use crate::incremental::state::MapState;
 use crate::model_selection::camera::FreeIntrinsics;
@@ -65,30 +65,6 @@ pub(crate) fn strengths(problem: &CircularProblem) -> [f64; 2] {
     let shifts = problem.offsets.iter().map(|o| o.translation.length()).collect();
     let [turn, shift]: [f64; 2] = [turns, shifts].map(|lengths| median(lengths) / MEDIAN_LENGTH);
     [turn.max(HELD), (shift / problem.radius()).max(HELD)]
-}
-
-/// The effective number of the offsets, `Σ σ²/(σ² + s²)` with the standard deviations s to which
-/// the observations know a free pose, and by how much twice the logarithm of the evidence grows
-/// because they are not free: `Σ ln (1 + 1/s²) − ln (1 + σ²/s²)`, the widths of what is expected of
-/// a pose that may be anywhere within a radius and a radian, and of one near the circle, over what
-/// is found (Occam factors: MacKay 1992). The angle stands for one of a pose's six numbers.
-pub(crate) fn occam(problem: &CircularProblem, sigma: [f64; 2], known: &BundleCovariance) -> (f64, f64) {
-    let seen = [median_deviation(known, 0), median_deviation(known, 3) / problem.radius()];
-    let count = 2.5 * problem.offsets.len() as f64;
-    let (mut effective, mut gain) = (0.0, 0.0);
-    for (sigma, seen) in sigma.into_iter().zip(seen) {
-        let s2 = seen.max(1e-12).powi(2);
-        let ratio = sigma * sigma / s2;
-        effective += count * ratio / (1.0 + ratio);
-        gain += count * ((1.0 + 1.0 / s2).ln() - (1.0 + ratio).ln());
-    }
-    (effective, gain)
-}
-
-/// Median standard deviation of three coordinates of the poses, from `first` on; 0: held ones.
-fn median_deviation(known: &BundleCovariance, first: usize) -> f64 {
-    let all = known.poses.iter().flat_map(|d| d[first..first + 3].to_vec());
-    median(all.filter(|d| *d > 0.0).collect())
 }
 
 /// A model held near the circle: adjusted with offsets of this strength, filtered and triangulated

@@ -166,19 +166,6 @@ impl CircularProblem {
         Ok(Some(CircularCovariance { cameras, axis: [deviations[0], deviations[1]], angles, joint }))
     }
 
-    /// The poses' standard deviations in the shape that free poses have: rotation about the
-    /// camera's axes and centre.
-    pub(crate) fn pose_deviations(&self, covariance: &CircularCovariance) -> Vec<[f64; 6]> {
-        let about = self.axis.rotation * DVec3::Z;
-        let mut deviations = Vec::with_capacity(self.bundle.poses.len());
-        for (pose, sd) in self.bundle.poses.iter().zip(&covariance.angles) {
-            let centre = pose.centre();
-            let of_pose = [about.x, about.y, about.z, centre.y, centre.x, 0.0];
-            deviations.push(of_pose.map(|v: f64| v.abs() * sd));
-        }
-        deviations
-    }
-
     fn state(&self, scale: f64) -> CircularState {
         CircularState {
             intrinsics: self.bundle.cameras.iter().flat_map(|c| c.params.iter().copied()).collect(),

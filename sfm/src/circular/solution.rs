@@ -1,10 +1,12 @@
 //! A model about one axis: adjusted, its intrinsics chosen, and finished for the result.
 
 use super::axis_report;
+use super::deviations::AxisDeviation;
 use super::intrinsics::choose_for_turn;
 use super::job::MotionInput;
 use super::model::{AxisModel, CircularContext};
 use super::motion::CircularMotion;
+use super::motion_report;
 use crate::error::SfmError;
 use crate::incremental::adjust::Adjustment;
 use crate::incremental::finish::noise_of;
@@ -12,9 +14,10 @@ use crate::incremental::growth::freedom;
 use crate::incremental::state::MapState;
 use crate::model_selection::camera::{FreeIntrinsics, convert_camera};
 use crate::model_selection::noise::noise;
-use crate::result::{PoseDeviation, Uncertainty};
+use crate::result::{FramePose, Uncertainty};
 use scene::Camera;
 use scene::decision::Decision;
+use scene::motion_report::MotionReport;
 
 /// Points that the images contribute to the choice of the intrinsics, all together; one image at
 /// most a hundredth.
@@ -26,6 +29,13 @@ pub(crate) struct CircularSolution {
     pub state: MapState,
     pub decisions: Vec<Decision>,
     pub uncertainty: Option<Uncertainty>,
+    /// How the object turns, where times are known.
+    pub motion: Option<MotionReport>,
+    /// The turn in the frame of the world.
+    pub turn: CircularMotion,
+    pub axis_deviation: AxisDeviation,
+    /// Poses of all frames of a video, chosen or not.
+    pub frames: Vec<FramePose>,
 }
 
 /// A model about one axis with its intrinsics.
@@ -63,17 +73,19 @@ impl ChosenModel {
     }
 
     /// Figures of the finished model, and the world frame. `excess`: factor on variances that the
-    /// noise of single observations gives, for the axis.
+    /// noise of single observations gives, for the axis. `times`: by frame, seconds.
     pub(crate) fn finish(
         mut self,
         context: &CircularContext<'_>,
         job: &MotionInput<'_>,
         excess: f64,
+        times: Option<&[f64]>,
     ) -> Result<CircularSolution, SfmError> {
         let Self { model, intrinsics, camera } = &mut self;
         model.orient(job.config.known_distance.unwrap_or(1.0));
         let mut decisions = vec![camera.clone()];
-        let mut uncertainty = None;
+        let (mut uncertainty, mut motion) = (None, None);
+        let mut axis_deviation = AxisDeviation::default();
         if let Some((problem, images, covariance)) = model.covariance(context, *intrinsics)? {
             let sigma_px = noise(&problem.bundle);
             let mut result = Uncertainty { sigma_px, ..Uncertainty::default() };
@@ -81,15 +93,20 @@ impl ChosenModel {
                 let n = camera.params.len();
                 result.cameras.insert(camera.id, (0..n).map(|i| c[i * n + i].max(0.0).sqrt()).collect());
             }
-            for (&image, d) in images.iter().zip(&problem.pose_deviations(&covariance)) {
-                let deviation = PoseDeviation { rotation: [d[0], d[1], d[2]], centre: [d[3], d[4], d[5]] };
-                result.images.insert(image as u32 + 1, deviation);
-            }
             let factor = excess.sqrt();
-            decisions.extend(axis_report::decisions(model, context, *intrinsics, &covariance, factor)?);
+            let (said, of_axis) = axis_report::decisions(model, context, *intrinsics, &covariance, factor)?;
+            decisions.extend(said);
+            for ((&image, angle), sigma) in images.iter().zip(&problem.angles).zip(&covariance.angles) {
+                result.images.insert(image as u32 + 1, of_axis.of_pose(&model.turn.axis, *angle, *sigma));
+            }
+            axis_deviation = of_axis;
             uncertainty = Some(result);
+            motion =
+                times.and_then(|t| motion_report::report(model, &covariance, of_axis, &images, t, factor));
         }
-        Ok(CircularSolution { state: self.model.state, decisions, uncertainty })
+        let AxisModel { state, turn, .. } = self.model;
+        let frames = Vec::new();
+        Ok(CircularSolution { state, decisions, uncertainty, motion, turn, axis_deviation, frames })
     }
 }
 

@@ -1,7 +1,7 @@
 //! Turns in videos: points are followed, a first motion grows along the frames, a whole turn is
 //! closed, and the motion that the angles show is held in the last adjustment.
 
-use super::angle_process::{LearntMotion, learn_motion};
+use super::angle_process::{AngleAt, LearntMotion, learn_motion};
 use super::choose::{motion_decision, with_comparison};
 use super::config::Motion;
 use super::evidence::MotionComparison;
@@ -12,13 +12,14 @@ use super::job::{MotionInput, VideoJob};
 use super::limits::{FINAL_ROUNDS, MOST};
 use super::loop_closure::close::ClosedVideo;
 use super::model::AxisModel;
-use super::motion::CircularMotion;
+use super::motion::{CircularMotion, pose_at};
 use super::prior::AnglePrior;
 use super::problem::Relation;
 use super::solution::{ChosenModel, CircularSolution};
 use crate::error::SfmError;
 use crate::incremental::state::MappingInput;
 use crate::klt::{KltTrack, track};
+use crate::result::FramePose;
 use glam::DVec2;
 use scene::decision::{Decision, Measurement, MotionModel, Quantity, Remark, Rule, Subject};
 use scene::{Camera, Features, TwoViewGeometry};
@@ -232,11 +233,13 @@ impl<'a> VideoData<'a> {
             return Ok(None);
         };
         let angles = &model.turn.angles;
-        let first = learn_motion(angles, &self.times, &images, &covariance, None);
+        let film = self.job.frames.film.as_ref().map_or(&[][..], |film| &film.times_s);
+        let first = learn_motion(angles, &self.times, &images, &covariance, None, film);
         // With angles that are nearly right, photometric similarity says more.
         let by_frame = first.as_ref().map(|l| l.by_frame(self.job.frames.len()));
         let range = by_frame.and_then(|angles| self.job.range_by_similarity(&angles));
-        let closed = range.and_then(|r| learn_motion(angles, &self.times, &images, &covariance, Some(r)));
+        let closed =
+            range.and_then(|r| learn_motion(angles, &self.times, &images, &covariance, Some(r), film));
         Ok(closed.or(first))
     }
 
@@ -260,8 +263,20 @@ impl<'a> VideoData<'a> {
         let job = self.motion_input(&input);
         let priors = motion.as_ref().map_or_else(|| self.priors(), |m| vec![m.loose_prior()]);
         let excess = motion.as_ref().map_or(1.0, |m| m.excess);
-        let mut solution = judged.chosen.finish(&job.context(&priors), &job, excess)?;
-        solution.decisions.extend(motion.as_ref().map(|m| m.decision.clone()));
+        let times = self.job.frames.times();
+        let context = job.context(&priors);
+        let mut solution = judged.chosen.finish(&context, &job, excess, times.as_deref())?;
+        if let Some(motion) = motion {
+            let between = motion.between(&solution.turn);
+            let (axis, of_axis) = (solution.turn.axis, solution.axis_deviation);
+            let frame = |a: &AngleAt| FramePose {
+                time_s: a.time,
+                pose: pose_at(&axis, a.angle),
+                deviation: of_axis.of_pose(&axis, a.angle, a.deviation),
+            };
+            solution.frames = between.iter().map(frame).collect();
+            solution.decisions.push(motion.decision);
+        }
         Ok(solution)
     }
 

@@ -3,7 +3,7 @@
 use super::adjust::{Adjustment, Selected, select, take};
 use super::growth::freedom;
 use super::state::{MapState, MappingInput};
-use crate::bundle::{BundleProblem, SolveOptions};
+use crate::bundle::{BundleProblem, ExpectedPoses, SolveOptions};
 use crate::error::SfmError;
 use crate::knowledge::Knowledge;
 use crate::limits::{LEAST_ERROR_PX, OUTLIER_SIGMAS};
@@ -122,18 +122,26 @@ pub(crate) fn take_decided(state: &mut MapState, input: &MappingInput<'_>, adjus
     trim(state, input, &adjusted.problem);
 }
 
+/// What the last adjustments hold on to.
+pub(crate) struct FinalAdjustment<'a> {
+    pub known: &'a [Knowledge],
+    /// Intrinsics that priors refer to, one a camera.
+    pub starts: &'a [Camera],
+    pub intrinsics: FreeIntrinsics,
+    /// What a motion says of the poses, by image.
+    pub expected: Option<&'a ExpectedPoses>,
+}
+
 /// Triangulates, adjusts and filters until little changes.
 pub(crate) fn converge(
     state: &mut MapState,
     input: &MappingInput<'_>,
-    known: &[Knowledge],
-    starts: &[Camera],
-    intrinsics: FreeIntrinsics,
+    what: &FinalAdjustment<'_>,
     progress: &Progress,
 ) -> Result<(), SfmError> {
     for _ in 0..2 {
         let added = state.grow_all(input);
-        let (mut selected, options) = prepare(state, input, known, starts, intrinsics);
+        let (mut selected, options) = what.prepare(state, input);
         let summary = selected.problem.solve(&options, progress)?;
         if !summary.usable {
             break;
@@ -159,31 +167,27 @@ fn trim(state: &mut MapState, input: &MappingInput<'_>, problem: &BundleProblem)
     state.filter(input, limit.clamp(LEAST_ERROR_PX, input.config.max_reprojection_px))
 }
 
-fn prepare(
-    state: &MapState,
-    input: &MappingInput<'_>,
-    known: &[Knowledge],
-    starts: &[Camera],
-    intrinsics: FreeIntrinsics,
-) -> (Selected, SolveOptions) {
-    let (free, priors) = freedom(&state.cameras, known, starts, usize::MAX);
-    let mut selected = select(state, input, &Adjustment::growing(free, priors));
-    apply(&mut selected.problem, intrinsics, known);
-    let sigma = noise_in_units(&selected.problem);
-    selected.problem.observations.iter_mut().for_each(|o| o.sigma_px *= sigma);
-    let most = (LAST_EFFORT / selected.problem.observations.len().max(1)).clamp(6, 30);
-    (selected, SolveOptions::precise(most as u32))
+impl FinalAdjustment<'_> {
+    /// The adjustment of all points, observations at the measured noise.
+    pub(crate) fn prepare(&self, state: &MapState, input: &MappingInput<'_>) -> (Selected, SolveOptions) {
+        let (free, priors) = freedom(&state.cameras, self.known, self.starts, usize::MAX);
+        let mut selected = select(state, input, &Adjustment::growing(free, priors));
+        apply(&mut selected.problem, self.intrinsics, self.known);
+        let sigma = noise_in_units(&selected.problem);
+        selected.problem.observations.iter_mut().for_each(|o| o.sigma_px *= sigma);
+        selected.problem.expected = self.expected.map(|e| e.of_images(&selected.images));
+        let most = (LAST_EFFORT / selected.problem.observations.len().max(1)).clamp(6, 30);
+        (selected, SolveOptions::precise(most as u32))
+    }
 }
 
 /// Standard deviations of poses and intrinsics.
 pub(crate) fn uncertainty(
     state: &MapState,
     input: &MappingInput<'_>,
-    known: &[Knowledge],
-    starts: &[Camera],
-    intrinsics: FreeIntrinsics,
+    what: &FinalAdjustment<'_>,
 ) -> Result<Option<Uncertainty>, SfmError> {
-    let (selected, options) = prepare(state, input, known, starts, intrinsics);
+    let (selected, options) = what.prepare(state, input);
     let Some(covariance) = selected.problem.covariance(&options)? else { return Ok(None) };
     let factor = redundancy(&selected.problem);
     // The problem's observations are already in units of the noise.

@@ -112,6 +112,7 @@ mod tests {
             camera_free: vec![vec![true, false, false, true]],
             cameras: vec![centred],
             priors: Vec::new(),
+            expected: None,
             pose_camera: vec![0; poses.len()],
             pose_constant: vec![false; poses.len()],
             point_constant: vec![false; points.len()],

@@ -3,17 +3,19 @@
 
 use super::context::StepContext;
 use super::setup::Setup;
+use crate::bundle::ExpectedPoses;
 use crate::circular::initialize::constant_step::{ConstantStepMotion, hold_on_ring};
 use crate::circular::{CircularSolution, MotionInput};
 use crate::config::SfmConfig;
 use crate::error::SfmError;
-use crate::incremental::finish::converge;
+use crate::incremental::finish::{FinalAdjustment, converge};
 use crate::incremental::state::{MapState, MappingInput};
 use crate::matching::PairMatches;
 use crate::model_selection::camera::{self, FreeIntrinsics};
-use crate::result::{SfmResult, SfmStats, Uncertainty};
+use crate::result::{FramePose, PoseDeviation, SfmResult, SfmStats, Uncertainty};
 use crate::tracks::Tracks;
 use glam::DVec2;
+use scene::motion_report::MotionReport;
 use scene::{Camera, Decision, Features, FrameSet, Reconstruction, TwoViewGeometry};
 
 /// How far a model has come; says which steps it takes.
@@ -84,11 +86,19 @@ pub(crate) struct SfmModel {
     pub starts: Vec<Camera>,
     /// What is solved for of the cameras.
     pub intrinsics: FreeIntrinsics,
+    /// What the motion says of the poses, by image.
+    pub expected: Option<ExpectedPoses>,
+    /// What the motion says the poses are known to, by image.
+    pub deviations: Option<Vec<PoseDeviation>>,
     /// What was found about the cameras of free poses.
     pub camera_decisions: Vec<Decision>,
     /// Images that the solver sees rotated by 180°.
     pub rotated: Vec<bool>,
     pub uncertainty: Option<Uncertainty>,
+    /// How the object moves, where that is more than free poses.
+    pub motion: Option<MotionReport>,
+    /// Of a video: poses of all its frames.
+    pub frames: Vec<FramePose>,
     pub stats: SfmStats,
     pub reconstruction: Option<Reconstruction>,
     /// Images without a pose: name, and why.
@@ -171,6 +181,8 @@ impl SfmModel {
         self.stage = ModelStage::OneAxis;
         self.state = solution.state;
         self.uncertainty = solution.uncertainty;
+        self.motion = solution.motion;
+        self.frames = solution.frames;
         solution.decisions
     }
 
@@ -186,8 +198,18 @@ impl SfmModel {
         if self.on_ring {
             return hold_on_ring(&state, &self.motion_input(input, context), intrinsics);
         }
-        converge(&mut state, input, &self.setup.known, &self.starts, intrinsics, context.progress)?;
+        converge(&mut state, input, &self.final_adjustment(intrinsics), context.progress)?;
         Ok(state)
+    }
+
+    /// What the last adjustments hold on to.
+    pub(crate) fn final_adjustment(&self, intrinsics: FreeIntrinsics) -> FinalAdjustment<'_> {
+        FinalAdjustment {
+            known: &self.setup.known,
+            starts: &self.starts,
+            intrinsics,
+            expected: self.expected.as_ref(),
+        }
     }
 
     /// Keeps the verified pairs of the images as they are, before the solver's become others.
@@ -209,6 +231,8 @@ impl SfmModel {
             weak_images: self.weak_images,
             decisions,
             uncertainty: self.uncertainty,
+            motion: self.motion,
+            frames: self.frames,
             stats: self.stats,
             initial_cameras,
             features: self.features,

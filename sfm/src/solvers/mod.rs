@@ -1,5 +1,6 @@
 //! Minimal and linear solvers of multiple view geometry: one problem, one file.
 
+pub(crate) mod cholesky;
 mod decompose;
 mod epipolar;
 mod essential_5pt;

@@ -25,8 +25,13 @@ pub(super) fn remove_isolated_points(mut model: SfmModel, context: &StepContext<
 
 /// Standard deviations of poses and intrinsics at the last adjustment.
 pub(super) fn compute_covariance(mut model: SfmModel, context: &StepContext<'_>) -> StepResult {
-    let (known, starts) = (&model.setup.known, &model.starts);
-    model.uncertainty = uncertainty(&model.state, &model.input(context), known, starts, model.intrinsics)?;
+    let what = model.final_adjustment(model.intrinsics);
+    let mut found = uncertainty(&model.state, &model.input(context), &what)?;
+    if let (Some(found), Some(deviations)) = (&mut found, &model.deviations) {
+        // Poses are held near the motion, which itself is no better known than it is.
+        found.images.iter_mut().for_each(|(id, d)| *d = deviations[*id as usize - 1]);
+    }
+    model.uncertainty = found;
     Ok((model, Vec::new()))
 }
 

@@ -12,12 +12,13 @@
 //!    `plane-tracks`; `isolated-points`.
 //! 6. `motion`: whether poses are on a circle, or about one axis; `covariance`; `plausibility`, how
 //!    probable it is that the model is right.
-//! 7. What is handed back: `points`, `colours`.
+//! 7. What is handed back: `points`, `all-frames`, `colours`.
 //!
 //! Most of them can be left out by `--skip NAME` ([`StepName`]); what a step does is said in its
 //! file.
 
 mod aliasing;
+mod all_frames;
 mod blurred_features;
 mod camera_model;
 mod constant_step;
@@ -79,7 +80,7 @@ const FREE: &[ModelStage] = &[ModelStage::Unposed, ModelStage::Posed];
 const SOLVED: &[ModelStage] = &[ModelStage::Posed, ModelStage::OneAxis];
 
 /// All steps in their order.
-const STEPS: [ReconstructionStep; 23] = [
+const STEPS: [ReconstructionStep; 24] = [
     always("video-turn", UNPOSED, motion::solve_video_turn),
     always("features", UNPOSED, observe::extract_features),
     always("matching", UNPOSED, observe::match_features),
@@ -102,6 +103,7 @@ const STEPS: [ReconstructionStep; 23] = [
     always("covariance", POSED, finish::compute_covariance),
     always("plausibility", SOLVED, plausibility::run),
     always("points", SOLVED, finish::convert_model),
+    always("all-frames", SOLVED, all_frames::run),
     always("colours", SOLVED, finish::colour_points),
 ];
 

@@ -8,6 +8,7 @@ use crate::incremental::state::{MapState, MappingInput};
 use crate::reconstruct::context::{FeatureOrigin, StepContext};
 use crate::reconstruct::model::{ModelStage, SfmModel, StepResult};
 use crate::skip::StepName;
+use crate::torque_free;
 use crate::tracks::build_tracks;
 use scene::Decision;
 
@@ -64,6 +65,33 @@ pub(super) fn complete_circle(
     ring::complete(state, &motion.context(&[]), model.intrinsics)
 }
 
+/// Holds free poses of a video near the motion of a torque-free body, where that is what they show.
+fn hold_to_tumble(
+    model: &mut SfmModel,
+    context: &StepContext<'_>,
+    times: &[f64],
+    decisions: &mut Vec<Decision>,
+) -> Result<(), SfmError> {
+    let input = model.input(context);
+    let job = model.motion_input(&input, context);
+    let free = FreeModel { state: &model.state, intrinsics: model.intrinsics };
+    let film = context.frames.film.as_ref().map_or(&[][..], |film| &film.times_s);
+    let (held, decision) = torque_free::consider(&job, &free, times, film)?;
+    if let Some(decision) = decision {
+        match decisions.pop() {
+            Some(before) => decisions.push(decision.absorbing(before)),
+            None => decisions.push(decision),
+        }
+    }
+    if let Some(held) = held {
+        (model.state, model.expected, model.motion) = (held.state, Some(held.expected), Some(held.report));
+        (model.intrinsics, model.deviations) = (held.intrinsics, Some(held.deviations));
+        model.frames = held.frames;
+        decisions.extend(held.decisions);
+    }
+    Ok(())
+}
+
 /// Whether the images show a turn about one axis or an orbit; of images without poses too, for a
 /// turn needs but three.
 pub(super) fn choose_motion(mut model: SfmModel, context: &StepContext<'_>) -> StepResult {
@@ -86,6 +114,8 @@ pub(super) fn choose_motion(mut model: SfmModel, context: &StepContext<'_>) -> S
     }
     if let Some(circled) = outcome.circled {
         model.state = circled;
+    } else if let Some(times) = context.frames.times().filter(|_| posed) {
+        hold_to_tumble(&mut model, context, &times, &mut decisions)?;
     }
     decisions.append(&mut model.camera_decisions);
     decisions.extend(model.no_video_motion.take());

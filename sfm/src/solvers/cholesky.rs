@@ -1,12 +1,12 @@
 //! Cholesky's factor of a covariance, and values in whose units errors are independent.
 
 /// `aᵀ b`.
-pub(super) fn dot(a: &[f64], b: &[f64]) -> f64 {
+pub(crate) fn dot(a: &[f64], b: &[f64]) -> f64 {
     a.iter().zip(b).map(|(x, y)| x * y).sum()
 }
 
 /// Cholesky's lower factor of a symmetric matrix (what is above its diagonal has no meaning).
-pub(super) fn cholesky(mut s: Vec<f64>, n: usize) -> Option<Vec<f64>> {
+pub(crate) fn cholesky(mut s: Vec<f64>, n: usize) -> Option<Vec<f64>> {
     for i in 0..n {
         for k in 0..=i {
             let (above, own) = s.split_at(i * n);
@@ -23,7 +23,7 @@ pub(super) fn cholesky(mut s: Vec<f64>, n: usize) -> Option<Vec<f64>> {
 }
 
 /// `L⁻¹ v`.
-pub(super) fn whiten(l: &[f64], v: &[f64]) -> Vec<f64> {
+pub(crate) fn whiten(l: &[f64], v: &[f64]) -> Vec<f64> {
     let n = v.len();
     let mut out: Vec<f64> = Vec::with_capacity(n);
     for i in 0..n {
