@@ -20,6 +20,9 @@ pub(crate) fn advice(light: &Light) -> Option<&'static str> {
         "reprojection error" => {
             "Check that only the camera or only the object moved, and that the lens kept its zoom."
         }
+        "probability that the model is right" => {
+            "Compare the poses in report.html with how it was filmed before you use them."
+        }
         "weak frames" => "Trust these poses less; more frames beside them, or more light, would hold them.",
         "held-out views" => "Look at eval/ for what differs; --quality best trains longer.",
         "overfitting" => "More photos help, above all between those far apart.",
