@@ -8,14 +8,16 @@ mod verdict;
 pub use evaluation::{
     Evaluation, Metrics, Percentile, RenderingCost, ShapeEvaluation, TrainingViews, ViewMetrics,
 };
+pub(crate) use known::up_of;
 pub use known::{KnownConfig, KnownRun};
 pub use schema::run_schema;
 pub use verdict::{Level, Light};
 
 use crate::args::PipelineArgs;
+use crate::outcome::Outcome;
 use crate::stage::Cost;
 use scene::motion_report::MotionReport;
-use scene::{Decision, FrameSet, Reconstruction};
+use scene::{Decision, FrameSet, Reconstruction, WorldFrame};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
@@ -34,6 +36,8 @@ pub struct PoseSummary {
     pub mean_error_px: f64,
     /// Whether the poses came with the input.
     pub imported: bool,
+    /// Where the world lies in which poses, points and splat are written, and what says so.
+    pub world: Option<WorldFrame>,
     /// Why there is no model.
     pub no_model: Option<String>,
     /// What was repaired in poses that came with the input.
@@ -51,6 +55,23 @@ pub struct PoseSummary {
     pub decisions: Vec<Decision>,
     /// Figures by step.
     pub figures: Vec<(String, f64)>,
+}
+
+impl PoseSummary {
+    /// Why the model is to be doubted, where it is.
+    pub(crate) fn doubt(&self) -> Option<&Decision> {
+        self.decisions.iter().find(|d| d.is_doubt())
+    }
+
+    /// How the search for poses ended.
+    pub(crate) fn outcome(&self) -> Outcome {
+        match (&self.no_model, self.doubt()) {
+            (Some(_), _) => Outcome::NoModel,
+            (None, Some(_)) => Outcome::Doubtful,
+            (None, None) if self.missing.is_empty() => Outcome::Done,
+            (None, None) => Outcome::Partial,
+        }
+    }
 }
 
 /// Standard deviations of poses and intrinsics (gauge: first camera and the scale fixed).
@@ -79,7 +100,8 @@ impl Deviations {
     pub(crate) fn of(uncertainty: &sfm::Uncertainty, model: &Reconstruction) -> Self {
         let images = uncertainty.images.iter().filter_map(|(id, d)| {
             let name = model.images.get(id)?.name.clone();
-            Some(ImageDeviation { name, rotation_deg: d.rotation.map(f64::to_degrees), centre: d.centre })
+            let centre = centre_deviation(d);
+            Some(ImageDeviation { name, rotation_deg: d.rotation.map(f64::to_degrees), centre })
         });
         Self {
             sigma_px: uncertainty.sigma_px,
@@ -87,6 +109,12 @@ impl Deviations {
             images: images.collect(),
         }
     }
+}
+
+/// Standard deviations of a camera centre along the world's axes, scene units.
+pub(crate) fn centre_deviation(deviation: &sfm::PoseDeviation) -> [f64; 3] {
+    let [x, y, z] = [0, 1, 2].map(|i| deviation.centre.col(i)[i]);
+    [x, y, z].map(|variance| variance.max(0.0).sqrt())
 }
 
 /// What is known of the splat.
@@ -148,4 +176,22 @@ pub struct RunRecord {
     pub decisions: Vec<Decision>,
     /// The report's traffic light.
     pub verdict: Vec<Light>,
+}
+
+impl RunRecord {
+    /// Of a run that has done nothing yet.
+    pub(crate) fn begun(config: PipelineArgs, verdict: Vec<Light>) -> Self {
+        Self {
+            version: env!("CARGO_PKG_VERSION"),
+            libraries: crate::doctor::library_versions(),
+            config,
+            costs: Vec::new(),
+            frames: None,
+            poses: None,
+            splat: None,
+            evaluation: None,
+            decisions: Vec::new(),
+            verdict,
+        }
+    }
 }
