@@ -1,6 +1,6 @@
 //! The program: parses, runs one command, turns its outcome into an exit code.
 //!
-//! Exit codes: 0 all well, 2 no model, 3 a partial or doubtful model, 1 anything else.
+//! Exit codes: 0 all well, 2 no model, 3 a partial model, 1 anything else.
 
 use anyhow::anyhow;
 use sat_recon::terminal::say;

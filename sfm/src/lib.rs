@@ -26,7 +26,6 @@ pub mod matching;
 mod model_selection;
 mod pairs;
 mod plane_tracks;
-mod plausibility;
 mod ransac;
 mod reconstruct;
 mod refinement;
