@@ -38,6 +38,9 @@ pub struct Global {
     /// Print the evidence behind each decision, too
     #[arg(short, long, global = true, help_heading = "General")]
     pub verbose: bool,
+    /// Print the help of a command with all its flags
+    #[arg(long, global = true, help_heading = "General")]
+    pub help_all: bool,
 }
 
 /// The commands. Those from `frames` to `report` are one pipeline stopped early.
@@ -63,17 +66,29 @@ pub enum Command {
     Compare(CompareArgs),
     /// Quality against time: trains at several presets and time limits, draws the curve
     Bench(BenchArgs),
+    /// Run many captures, as many at a time as cores and memory allow
+    Batch(BatchArgs),
+    /// Write the summary of a folder of runs
+    Collect(CollectArgs),
     /// View a trained splat in a browser, served to this machine only
     View(ViewArgs),
     /// Show installed libraries, graphics adapters, and what will be slow
     Doctor,
+    /// Print the completions of a shell
+    Completions {
+        /// The shell
+        shell: clap_complete::Shell,
+    },
+    /// Write the manual pages
+    Man(ManArgs),
 }
 
 /// What the pipeline's commands take.
 #[derive(Args, Clone, Debug, Serialize)]
 pub struct PipelineArgs {
-    /// A video, a folder of photos, a COLMAP data set, a transforms.json, or a former output folder
-    /// (its input and flags are used again)
+    /// A video, a folder of photos, a COLMAP data set, poses of another program beside their images
+    /// (transforms.json, Metashape's .xml, RealityScan's .csv, bundle.out, OpenSfM's
+    /// reconstruction.json), or a former output folder (its input and flags are used again)
     pub input: PathBuf,
     /// Output folder (default: the input's name with `_recon`, in the current folder)
     #[arg(short, long, value_name = "OUT", help_heading = "General")]
@@ -90,6 +105,10 @@ pub struct PipelineArgs {
     /// Also write the models as text
     #[arg(long, help_heading = "General")]
     pub text: bool,
+    /// Leave the model in the solver's arbitrary frame instead of turning it upright (y down), with
+    /// the object in the origin and its radius as unit
+    #[arg(long, help_heading = "General")]
+    pub keep_frame: bool,
     /// Take features, matches and camera groups from this database.db of COLMAP's (images are known
     /// by their names)
     #[arg(long, value_name = "FILE", help_heading = "Structure from motion")]
@@ -213,6 +232,24 @@ pub struct RenderArgs {
     pub device: splat::DeviceConfig,
 }
 
+/// The tools for which there are sets.
+#[derive(ValueEnum, Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Tool {
+    /// COLMAP: images, masks by its names, sparse/0, database.db of a run with --colmap-database
+    Colmap,
+    /// The original 3D Gaussian splatting: PINHOLE images, mattes over black, sparse/0 with test.txt
+    #[value(name = "3dgs")]
+    Gs3d,
+    /// gsplat's simple_trainer: the same without the list of held-out views, which it chooses alike
+    Gsplat,
+    /// brush: PINHOLE images with mattes as alpha, sparse/0
+    Brush,
+    /// nerfstudio: PINHOLE images with mattes as alpha, transforms.json with the split and times
+    Nerfstudio,
+    /// Metashape: images, masks, cameras.xml
+    Metashape,
+}
+
 /// What `export` takes.
 #[derive(Args, Clone, Debug)]
 pub struct ExportArgs {
@@ -222,8 +259,12 @@ pub struct ExportArgs {
     /// browser), .ply (3DGS order), .compressed.ply, .splat, .spz, .sog, .glb (these also read, and
     /// .ksplat), .json (transforms), .db (COLMAP's database, of a run with --colmap-database), or a
     /// folder (COLMAP model, --text for text)
-    #[arg(short, long, value_name = "OUT", required_unless_present_any = ["html", "mesh"])]
+    #[arg(short, long, value_name = "OUT", required_unless_present_any = ["html", "mesh", "tool"])]
     pub output: Option<PathBuf>,
+    /// A folder that another program loads as it is, with mattes, held-out views and times as it wants
+    /// them (default output: RUN_TOOL)
+    #[arg(long = "for", value_enum, value_name = "TOOL", conflicts_with_all = ["html", "mesh", "text"])]
+    pub tool: Option<Tool>,
     /// One self-contained page that opens from disk (default output: RUN/view.html)
     #[arg(long)]
     pub html: bool,
@@ -296,6 +337,40 @@ pub struct BenchArgs {
     /// Flags of `run`, after `--`
     #[arg(last = true, value_name = "FLAGS")]
     pub flags: Vec<String>,
+}
+
+/// What `batch` takes.
+#[derive(Args, Clone, Debug)]
+pub struct BatchArgs {
+    /// A list (a video, a folder of photos or a data set a line), or a folder that holds them
+    pub source: PathBuf,
+    /// Folder for all outputs: a folder a capture, its log beside it, and the summary
+    #[arg(short, long, value_name = "OUT", default_value = "batch")]
+    pub output: PathBuf,
+    /// Captures at a time (default: one for every two cores, fewer where memory is short)
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=1024))]
+    pub jobs: Option<u32>,
+    /// Only print the captures and their names as JSON
+    #[arg(long)]
+    pub list: bool,
+    /// Flags of `run`, after `--`
+    #[arg(last = true, value_name = "FLAGS")]
+    pub flags: Vec<String>,
+}
+
+/// What `collect` takes.
+#[derive(Args, Clone, Debug)]
+pub struct CollectArgs {
+    /// The output folder of a batch, or any folder that holds output folders
+    pub output: PathBuf,
+}
+
+/// What `man` takes.
+#[derive(Args, Clone, Debug)]
+pub struct ManArgs {
+    /// Folder for the pages
+    #[arg(short, long, value_name = "FOLDER", default_value = "man")]
+    pub output: PathBuf,
 }
 
 /// What `view` takes.

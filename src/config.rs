@@ -50,6 +50,8 @@ pub fn with_command(mut argv: Vec<String>) -> Vec<String> {
             }
             "help" | "-h" | "--help" | "-V" | "--version" => return argv,
             a if command.find_subcommand(a).is_some() => return argv,
+            // Left as it is, the parser says what it may have been.
+            a if crate::help::mistyped(a).is_some() => return argv,
             _ => break,
         }
     }
@@ -71,6 +73,9 @@ pub struct Parsed {
 
 /// Parses; usage errors are clap's, everything else names the file.
 pub fn parse(argv: Vec<String>) -> Result<std::result::Result<Parsed, clap::Error>> {
+    if let Some(help) = crate::help::help_all(&argv) {
+        return Ok(Err(clap::Error::raw(clap::error::ErrorKind::DisplayHelp, help)));
+    }
     let argv = with_command(argv);
     let first = match parse_argv(&argv) {
         Ok(cli) => cli,
@@ -118,7 +123,7 @@ pub fn parse(argv: Vec<String>) -> Result<std::result::Result<Parsed, clap::Erro
 }
 
 fn parse_argv(argv: &[String]) -> std::result::Result<Cli, clap::Error> {
-    Cli::from_arg_matches(&Cli::command().try_get_matches_from(argv)?)
+    Cli::from_arg_matches(&crate::help::command(false).try_get_matches_from(argv)?)
 }
 
 fn insert_and_parse(argv: &[String], flags: &[String]) -> std::result::Result<Cli, clap::Error> {

@@ -1,15 +1,21 @@
 //! `export`: a result in another format, chosen by the name of the target.
 
-use crate::args::ExportArgs;
+use crate::args::{ExportArgs, Tool};
 use crate::outcome::Outcome;
+use crate::record::KnownRun;
 use crate::terminal::{CANCELLED, TerminalSink, Verbosity, say};
+use crate::transforms;
 use anyhow::{Context, Result, bail};
+use clap::ValueEnum;
 use scene::Progress;
 use scene::io::{SplatFormat, read_splat, write_splat};
 use std::path::Path;
 
 /// Writes a splat or a model.
 pub fn run(args: &ExportArgs, verbosity: Verbosity) -> Result<Outcome> {
+    if let Some(tool) = args.tool {
+        return hand_over(args, tool, verbosity);
+    }
     let default = args.input.join(if args.mesh { "mesh.ply" } else { "view.html" });
     let output = args.output.as_deref().unwrap_or(&default);
     let ending = output.extension().map(|e| e.to_string_lossy().to_ascii_lowercase()).unwrap_or_default();
@@ -20,11 +26,7 @@ pub fn run(args: &ExportArgs, verbosity: Verbosity) -> Result<Outcome> {
             let splat = if args.input.is_dir() { args.input.join("splat.ply") } else { args.input.clone() };
             write_splat(output, &read_splat(&splat)?)?;
         }
-        "json" => scene::io::write_transforms(
-            output,
-            &read_model(&args.input)?,
-            &scene::io::TransformsOptions::default(),
-        )?,
+        "json" => write_transforms(&args.input, output)?,
         "db" => {
             let database = args.input.join("database.db");
             if !database.is_file() {
@@ -49,6 +51,41 @@ pub fn run(args: &ExportArgs, verbosity: Verbosity) -> Result<Outcome> {
     }
     say(&format!("wrote {}", output.display()));
     Ok(Outcome::Done)
+}
+
+/// The set of a run for another program.
+fn hand_over(args: &ExportArgs, tool: Tool, verbosity: Verbosity) -> Result<Outcome> {
+    let name = tool.to_possible_value().map_or_else(String::new, |v| v.get_name().to_owned());
+    let run = std::path::absolute(&args.input)?;
+    let stem = run.file_name().map_or_else(|| "run".into(), |n| n.to_string_lossy().into_owned());
+    let default = run.with_file_name(format!("{stem}_{name}"));
+    let output = args.output.as_deref().unwrap_or(&default);
+    let progress = Progress::new(Box::new(TerminalSink::new(verbosity, None)), &CANCELLED);
+    let advice = crate::handover::write(&args.input, tool, output, &progress)?;
+    say(&format!("wrote {}\nto load it: {advice}", output.display()));
+    Ok(Outcome::Done)
+}
+
+/// Of a run with its masks, times and held-out views; of another model its poses, with the points
+/// beside the file.
+fn write_transforms(input: &Path, output: &Path) -> Result<()> {
+    let model = read_model(input)?;
+    let Ok(known) = KnownRun::read(input) else {
+        if !model.points.is_empty() {
+            transforms::write_cloud(&output.with_file_name(transforms::CLOUD), &model)?;
+        }
+        return transforms::write(output, &model, None, &splat::DatasetConfig::default());
+    };
+    transforms::write(output, &model, known.frames.as_ref(), &known.config.dataset)?;
+    let folder = std::path::absolute(output)?;
+    if folder.parent() != Some(&*std::path::absolute(input)?) {
+        say(&format!(
+            "the paths in {} begin in {}: put it there, or export --for nerfstudio a folder of its own",
+            output.display(),
+            input.display()
+        ));
+    }
+    Ok(())
 }
 
 /// The surface of a run's splat as its input cameras see it.

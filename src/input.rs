@@ -2,6 +2,8 @@
 
 use anyhow::{Context, Result, bail};
 use scene::decision::{Choice, Decision, Quantity, Rule, Subject};
+use scene::io::ImportedPoses;
+use scene::sim3::Sim3;
 use scene::{FrameSet, Progress, Reconstruction};
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
@@ -13,11 +15,11 @@ pub enum Input {
     Video(PathBuf),
     /// A folder of photos.
     Photos(PathBuf),
-    /// Images with a COLMAP model or a `transforms.json`.
+    /// Images with a COLMAP model or another program's file of poses.
     Posed {
         /// Folder of the images.
         images: PathBuf,
-        /// COLMAP model folder or `transforms.json`.
+        /// COLMAP model folder, `transforms.json` or another file that [`scene::io::read_poses`] reads.
         model: PathBuf,
     },
 }
@@ -27,8 +29,7 @@ impl Input {
     pub fn detect(path: &Path, ignore_poses: bool) -> Result<Self> {
         let meta = std::fs::metadata(path).with_context(|| format!("cannot read {}", path.display()))?;
         if meta.is_file() {
-            let is_json = path.extension().is_some_and(|e| e.eq_ignore_ascii_case("json"));
-            if !is_json {
+            if !scene::io::is_poses_file(path) {
                 return Ok(Self::Video(path.to_path_buf()));
             }
             let folder = path.parent().unwrap_or(Path::new(".")).to_path_buf();
@@ -52,11 +53,10 @@ impl Input {
 
 fn posed_model(folder: &Path) -> Option<PathBuf> {
     let models = [folder.join("sparse/0"), folder.join("sparse"), folder.to_path_buf()];
-    let transforms = folder.join("transforms.json");
     models
         .into_iter()
         .find(|p| p.join("cameras.bin").is_file() || p.join("cameras.txt").is_file())
-        .or_else(|| transforms.is_file().then_some(transforms))
+        .or_else(|| scene::io::find_poses(folder))
 }
 
 /// Poses that came with the images.
@@ -64,19 +64,18 @@ fn posed_model(folder: &Path) -> Option<PathBuf> {
 pub struct Imported {
     /// Each image has the name of its frame.
     pub model: Reconstruction,
+    /// From the frame of the file into that of the model.
+    pub world_from_file: Sim3,
     /// Frames that it has no pose for, and why.
     pub missing: Vec<(String, String)>,
     /// What was repaired.
     pub notes: Vec<String>,
 }
 
-/// Reads the poses that came with the images and gives each posed image the name of its frame.
-pub fn import_poses(model: &Path, frames: &FrameSet) -> Result<Imported> {
-    let mut reconstruction = if model.is_dir() {
-        scene::io::read_model(model)?
-    } else {
-        scene::io::read_transforms(model)?.reconstruction
-    };
+/// Reads the poses that came with the images in the folder `images` and gives each posed image the
+/// name of its frame.
+pub fn import_poses(model: &Path, images: &Path, frames: &FrameSet) -> Result<Imported> {
+    let ImportedPoses { model: mut reconstruction, world_from_file } = scene::io::read_poses(model, images)?;
     let mut by_name = BTreeMap::new();
     for frame in &frames.frames {
         by_name.entry(stem(&frame.name)).or_insert(frame);
@@ -130,7 +129,7 @@ pub fn import_poses(model: &Path, frames: &FrameSet) -> Result<Imported> {
     let posed: BTreeSet<&str> = reconstruction.images.values().map(|i| i.name.as_str()).collect();
     let names = frames.frames.iter().map(|f| &f.name).filter(|name| !posed.contains(name.as_str()));
     let missing = names.map(|name| (name.clone(), why.clone())).collect();
-    Ok(Imported { model: reconstruction, missing, notes })
+    Ok(Imported { model: reconstruction, world_from_file, missing, notes })
 }
 
 /// Poses that come without points get those that their photos agree on, and a decision says so.

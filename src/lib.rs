@@ -4,14 +4,18 @@
 #![warn(clippy::undocumented_unsafe_blocks, unreachable_pub)]
 
 pub mod args;
+mod batch;
 pub mod bench;
 mod calibration;
+mod closing;
 pub mod compare;
 pub mod config;
 pub mod database;
 pub mod doctor;
 pub mod evaluate;
 pub mod export;
+mod handover;
+mod help;
 pub mod input;
 pub mod outcome;
 pub mod pipeline;
@@ -20,6 +24,7 @@ pub mod render;
 pub mod report;
 pub mod stage;
 pub mod terminal;
+mod transforms;
 pub mod view;
 
 pub use outcome::Outcome;
@@ -71,10 +76,14 @@ pub fn run(parsed: config::Parsed) -> Result<Outcome> {
         }
         Command::Compare(args) => compare::run(&args, verbosity, global.json),
         Command::Bench(args) => bench::run(&args, &global, verbosity),
+        Command::Batch(args) => batch::run(&args, verbosity, global.json),
+        Command::Collect(args) => batch::collect(&args, verbosity, global.json),
         Command::View(args) => {
             stage::settle(&args.run)?;
             view::server::run(&args, verbosity == Verbosity::Quiet)
         }
         Command::Doctor => doctor::run(global.json),
+        Command::Completions { shell } => Ok(help::print_completions(shell)),
+        Command::Man(args) => help::write_man(&args),
     }
 }

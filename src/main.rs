@@ -20,7 +20,7 @@ fn main() -> ExitCode {
         Ok(Ok(parsed)) => match run(parsed) {
             Ok(Outcome::Done) => ExitCode::SUCCESS,
             Ok(Outcome::NoModel) => ExitCode::from(2),
-            Ok(Outcome::Partial) => ExitCode::from(3),
+            Ok(Outcome::Partial | Outcome::Doubtful) => ExitCode::from(3),
             Err(error) => fail(&error),
         },
         Ok(Err(usage)) => match usage.print() {

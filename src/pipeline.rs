@@ -2,6 +2,11 @@
 
 mod all_frames;
 mod folder;
+mod model;
+mod until;
+mod world;
+
+pub use until::Until;
 
 use crate::args::PipelineArgs;
 use crate::config::Recorded;
@@ -9,32 +14,16 @@ use crate::database;
 use crate::evaluate;
 use crate::input::{self, Imported, Input};
 use crate::outcome::Outcome;
-use crate::record::{Deviations, Evaluation, PoseSummary, RunRecord, SplatSummary};
+use crate::record::{Deviations, Evaluation, Level, PoseSummary, RunRecord, SplatSummary};
 use crate::report;
 use crate::stage::{Done, Finished, StageSpec, Stages, describe_input, fingerprint, write_json};
 use crate::terminal::{CANCELLED, TerminalSink, Verbosity, print, say};
+use crate::transforms;
 use anyhow::{Context, Result};
 use folder::{absolute_in, output_folder, relative_to};
-use scene::io::TransformsOptions;
-use scene::io::ply::CloudPoint;
+use scene::decision::Rule;
 use scene::{Decision, FrameSet, Progress, Reconstruction};
-use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
-
-/// Where to stop.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
-pub enum Until {
-    /// After the frames.
-    Frames,
-    /// After the poses.
-    Sfm,
-    /// After the training.
-    Train,
-    /// After the metrics.
-    Eval,
-    /// After the report.
-    Report,
-}
 
 /// What each stage writes into the output folder and no other does. The record and the report tell
 /// of all stages: whichever runs anew takes them away.
@@ -48,12 +37,15 @@ const SFM: [&str; 7] = [
     "run.json",
     "report.html",
 ];
+/// Written after the poses, anew where other views are held out.
+const TRANSFORMS: [&str; 1] = ["transforms.json"];
 const UNDISTORT: [&str; 1] = ["undistorted"];
 const TRAIN: [&str; 4] = ["splat.ply", "refined", "run.json", "report.html"];
 const EVAL: [&str; 3] = ["eval", "run.json", "report.html"];
 
 /// One run into one output folder.
 pub struct Pipeline {
+    until: Until,
     args: PipelineArgs,
     input: Input,
     out: PathBuf,
@@ -92,19 +84,8 @@ impl Pipeline {
         if let Some(recorded) = recorded {
             write_json(&stages.path("args.json"), &recorded)?;
         }
-        let record = RunRecord {
-            version: env!("CARGO_PKG_VERSION"),
-            libraries: crate::doctor::library_versions(),
-            config: args.clone(),
-            costs: Vec::new(),
-            frames: None,
-            poses: None,
-            splat: None,
-            evaluation: None,
-            decisions: Vec::new(),
-            verdict: Vec::new(),
-        };
-        Ok(Self { args, input, out, stages, verbosity, json, record })
+        let record = RunRecord::begun(args.clone(), Vec::new());
+        Ok(Self { until: Until::Report, args, input, out, stages, verbosity, json, record })
     }
 
     /// Runs the stages that are not current, as far as `until`.
@@ -114,6 +95,7 @@ impl Pipeline {
 
     /// The same, and all that the run knows.
     pub fn run_recorded(mut self, until: Until) -> Result<(Outcome, RunRecord)> {
+        self.until = until;
         if until >= Until::Eval {
             evaluate::load_networks(&self.args.eval.lpips_weights)?; // before hours of work, not after
         }
@@ -126,11 +108,13 @@ impl Pipeline {
             if poses.no_model.is_some() {
                 outcome = Outcome::NoModel;
                 // What an earlier run made of other poses is no result of this one.
+                self.stages.retire("transforms", &TRANSFORMS)?;
                 self.stages.retire("undistort", &UNDISTORT)?;
                 self.stages.retire("train", &TRAIN)?;
                 self.stages.retire("eval", &EVAL)?;
             } else {
                 outcome = if poses.missing.is_empty() { Outcome::Done } else { Outcome::Partial };
+                self.write_transforms(&frames, &poses_print)?;
                 if until >= Until::Train {
                     self.splat(&frames, &poses_print, until)?;
                 }
@@ -141,12 +125,17 @@ impl Pipeline {
             report::write(&self.out, &self.record).context("cannot write the report")?;
         }
         write_json(&self.out.join("run.json"), &self.record)?;
-        self.say_result(until, outcome)?;
+        self.say_result(until)?;
+        if outcome == Outcome::Done && report::overall(&self.record.verdict) == Level::Bad {
+            outcome = Outcome::Doubtful;
+        }
         Ok((outcome, self.record))
     }
 
     fn progress(&self, stage: &str) -> Progress {
-        Progress::new(Box::new(TerminalSink::new(self.verbosity, self.stages.log(stage))), &CANCELLED)
+        let (number, of) = self.until.place(stage);
+        let sink = TerminalSink::new(self.verbosity, self.stages.log(stage)).of_stage(number, of);
+        Progress::new(Box::new(sink), &CANCELLED)
     }
 
     fn say(&self, line: &str) {
@@ -172,7 +161,8 @@ impl Pipeline {
         } else {
             "as before".into()
         };
-        self.say(&format!("{stage:<9} {line} ({spent})"));
+        let (number, of) = self.until.place(stage);
+        self.say(&format!("{number}/{of} {stage:<9} {line} ({spent})"));
         if let Some(changed) = &done.changed {
             self.say(&format!("          made again: {changed}"));
         }
@@ -240,7 +230,7 @@ impl Pipeline {
             Input::Posed { model, .. } => {
                 database::refuse(&self.args)?;
                 let points = (env!("SFM_SOURCES"), &self.args.sfm);
-                fingerprint(&("import", 2, frames_print, describe_input(model)?, self.args.text, points))?
+                fingerprint(&("import", 3, frames_print, describe_input(model)?, self.args.text, points))?
             }
             _ => {
                 let database = database::print(&self.args)?;
@@ -251,6 +241,7 @@ impl Pipeline {
                     &self.args.sfm,
                     self.args.seed,
                     self.args.text,
+                    self.args.keep_frame,
                     database,
                 ))?
             }
@@ -260,10 +251,18 @@ impl Pipeline {
             let progress = self.progress("sfm");
             let (reconstruction, mut summary) = match &self.input {
                 Input::Posed { model, .. } => {
-                    let Imported { model, missing, notes } = input::import_poses(model, frames)?;
+                    let Imported { model, world_from_file, missing, notes } =
+                        input::import_poses(model, self.input.source(), frames)?;
                     let (model, decisions) = input::with_points(model, frames, &self.args.sfm, &progress)?;
-                    let summary =
-                        PoseSummary { imported: true, missing, notes, decisions, ..Default::default() };
+                    let world = world::given(&model, frames, world_from_file);
+                    let summary = PoseSummary {
+                        imported: true,
+                        world,
+                        missing,
+                        notes,
+                        decisions,
+                        ..Default::default()
+                    };
                     (Some(model), summary)
                 }
                 _ => self.solve_poses(frames, new, &progress)?,
@@ -273,7 +272,7 @@ impl Pipeline {
                 summary.registered = reconstruction.images.len();
                 summary.points = reconstruction.points.len();
                 summary.mean_error_px = reconstruction.mean_reprojection_error();
-                self.write_model(reconstruction, frames, new)?;
+                model::write(reconstruction, new, self.args.text)?;
             }
             Ok(summary)
         })?;
@@ -314,7 +313,13 @@ impl Pipeline {
         new: &Path,
         progress: &Progress,
     ) -> Result<(Option<Reconstruction>, PoseSummary)> {
-        let result = database::solve(&self.args, frames, progress)?;
+        let mut result = database::solve(&self.args, frames, progress)?;
+        let world = world::find(&result, frames, &self.args);
+        if let Some(world) = world.as_ref().filter(|_| !self.args.keep_frame) {
+            world::place(&mut result, &world.sim3());
+        }
+        let rule = if self.args.keep_frame { Rule::Requested } else { Rule::Evidence };
+        result.decisions.extend(world.as_ref().map(|w| w.decision(rule)));
         let summary = PoseSummary {
             no_model: result.reconstruction.is_none().then(|| result.reason.clone()),
             missing: result.missing.clone(),
@@ -325,6 +330,7 @@ impl Pipeline {
                 .zip(result.reconstruction.as_ref())
                 .map(|(u, model)| Deviations::of(u, model)),
             motion: result.motion.clone(),
+            world,
             decisions: result.decisions.clone(),
             figures: figures(&result.stats),
             ..PoseSummary::default()
@@ -334,35 +340,15 @@ impl Pipeline {
         Ok((reconstruction, summary))
     }
 
-    /// Writes the model and its other forms into the folder `new`.
-    fn write_model(&self, reconstruction: &Reconstruction, frames: &FrameSet, new: &Path) -> Result<()> {
-        let target = new.join("sparse").join("0");
-        scene::io::atomic::replace_folder(&target, |folder| {
-            scene::io::write_model_bin(reconstruction, folder)?;
-            if self.args.text {
-                scene::io::write_model_txt(reconstruction, folder)?;
-            }
-            Ok::<(), scene::io::IoError>(())
+    /// Which views are held out is no matter of the poses.
+    fn write_transforms(&self, frames: &FrameSet, poses_print: &str) -> Result<()> {
+        let print = fingerprint(&("transforms", 1, poses_print, &self.args.dataset))?;
+        let stage = StageSpec { name: "transforms", fingerprint: &print, owns: &TRANSFORMS };
+        self.stages.run(&stage, |new| {
+            let model = scene::io::read_model(&self.out.join("sparse/0"))?;
+            let target = new.join("transforms.json");
+            transforms::write(&target, &model, Some(frames), &self.args.dataset)
         })?;
-        let mask_of = |f: &scene::Frame| {
-            Some(f.mask.as_ref()?.strip_prefix(&self.out).ok()?.to_string_lossy().into_owned())
-        };
-        let masks: BTreeMap<String, String> =
-            frames.frames.iter().filter_map(|f| Some((f.name.clone(), mask_of(f)?))).collect();
-        let points: Vec<CloudPoint> =
-            reconstruction.points.values().map(|p| CloudPoint { position: p.position, rgb: p.rgb }).collect();
-        let cloud = "sparse_points.ply";
-        scene::io::ply::write_points_ply(&new.join(cloud), &points)?;
-        let options = TransformsOptions {
-            image_folder: "images".into(),
-            masks: reconstruction
-                .images
-                .values()
-                .filter_map(|i| Some((i.id, masks.get(&i.name)?.clone())))
-                .collect(),
-            ply_file_path: Some(cloud.into()),
-        };
-        scene::io::write_transforms(&new.join("transforms.json"), reconstruction, &options)?;
         Ok(())
     }
 
@@ -434,7 +420,7 @@ impl Pipeline {
         config.seconds_gone = begun.elapsed().as_secs_f64();
         let result = splat::train::train(&dataset, &config, Some(&checkpoints), &progress)?;
         scene::io::ply::write_splat_ply(&new.join("splat.ply"), &result.gaussians)?;
-        self.write_refined(&result.poses, new)?;
+        model::write_refined(&self.out, new, &result.poses)?;
         let summary = SplatSummary {
             gaussians: result.gaussians.len(),
             sh_degree: result.gaussians.sh_degree,
@@ -445,23 +431,7 @@ impl Pipeline {
         Ok(summary)
     }
 
-    /// `refined/0`: the model with the poses that training moved; none where it moved none.
-    fn write_refined(&self, poses: &[(String, scene::Pose)], new: &Path) -> Result<()> {
-        if poses.is_empty() {
-            return Ok(());
-        }
-        let mut model = scene::io::read_model(&self.out.join("sparse/0"))?;
-        for image in model.images.values_mut() {
-            if let Some((_, pose)) = poses.iter().find(|(name, _)| *name == image.name) {
-                image.pose = *pose;
-            }
-        }
-        Ok(scene::io::atomic::replace_folder(&new.join("refined/0"), |folder| {
-            scene::io::write_model_bin(&model, folder)
-        })?)
-    }
-
-    fn say_result(&self, until: Until, outcome: Outcome) -> Result<()> {
+    fn say_result(&self, until: Until) -> Result<()> {
         if self.json {
             print(&serde_json::to_string_pretty(&self.record)?)?;
         } else if let (Until::Eval, Some(evaluation)) = (until, &self.record.evaluation)
@@ -469,15 +439,9 @@ impl Pipeline {
         {
             print(&evaluation.markdown())?;
         }
-        let what = match until {
-            _ if outcome == Outcome::NoModel => "report.html",
-            Until::Frames => "images/",
-            Until::Sfm => "sparse/0, transforms.json",
-            Until::Train => "splat.ply",
-            Until::Eval => "eval/metrics.json, splat.ply",
-            Until::Report => "report.html, splat.ply, sparse/0",
-        };
-        self.say(&format!("in {}: {what}", self.out.display()));
+        if self.verbosity > Verbosity::Quiet {
+            crate::closing::say(&self.out, &self.record);
+        }
         Ok(())
     }
 }

@@ -8,6 +8,7 @@ mod verdict;
 pub use evaluation::{
     Evaluation, Metrics, Percentile, RenderingCost, ShapeEvaluation, TrainingViews, ViewMetrics,
 };
+pub(crate) use known::up_of;
 pub use known::{KnownConfig, KnownRun};
 pub use schema::run_schema;
 pub use verdict::{Level, Light};
@@ -15,7 +16,7 @@ pub use verdict::{Level, Light};
 use crate::args::PipelineArgs;
 use crate::stage::Cost;
 use scene::motion_report::MotionReport;
-use scene::{Decision, FrameSet, Reconstruction};
+use scene::{Decision, FrameSet, Reconstruction, WorldFrame};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
@@ -34,6 +35,8 @@ pub struct PoseSummary {
     pub mean_error_px: f64,
     /// Whether the poses came with the input.
     pub imported: bool,
+    /// Where the world lies in which poses, points and splat are written, and what says so.
+    pub world: Option<WorldFrame>,
     /// Why there is no model.
     pub no_model: Option<String>,
     /// What was repaired in poses that came with the input.
@@ -79,7 +82,8 @@ impl Deviations {
     pub(crate) fn of(uncertainty: &sfm::Uncertainty, model: &Reconstruction) -> Self {
         let images = uncertainty.images.iter().filter_map(|(id, d)| {
             let name = model.images.get(id)?.name.clone();
-            Some(ImageDeviation { name, rotation_deg: d.rotation.map(f64::to_degrees), centre: d.centre })
+            let centre = centre_deviation(d);
+            Some(ImageDeviation { name, rotation_deg: d.rotation.map(f64::to_degrees), centre })
         });
         Self {
             sigma_px: uncertainty.sigma_px,
@@ -87,6 +91,12 @@ impl Deviations {
             images: images.collect(),
         }
     }
+}
+
+/// Standard deviations of a camera centre along the world's axes, scene units.
+pub(crate) fn centre_deviation(deviation: &sfm::PoseDeviation) -> [f64; 3] {
+    let [x, y, z] = [0, 1, 2].map(|i| deviation.centre.col(i)[i]);
+    [x, y, z].map(|variance| variance.max(0.0).sqrt())
 }
 
 /// What is known of the splat.
@@ -148,4 +158,22 @@ pub struct RunRecord {
     pub decisions: Vec<Decision>,
     /// The report's traffic light.
     pub verdict: Vec<Light>,
+}
+
+impl RunRecord {
+    /// Of a run that has done nothing yet.
+    pub(crate) fn begun(config: PipelineArgs, verdict: Vec<Light>) -> Self {
+        Self {
+            version: env!("CARGO_PKG_VERSION"),
+            libraries: crate::doctor::library_versions(),
+            config,
+            costs: Vec::new(),
+            frames: None,
+            poses: None,
+            splat: None,
+            evaluation: None,
+            decisions: Vec::new(),
+            verdict,
+        }
+    }
 }

@@ -65,7 +65,9 @@ fn camera_path(model: &Reconstruction, args: &RenderArgs) -> Result<Vec<View>> {
         return Ok(views.collect());
     }
     let poses: Vec<Pose> = images.iter().map(|i| i.pose).collect();
-    let path = OrbitPath::fit(&poses).map_err(|why| anyhow::anyhow!("{why}; render --path input instead"))?;
+    let up = crate::record::up_of(&args.run, model);
+    let path =
+        OrbitPath::fit(&poses, up).map_err(|why| anyhow::anyhow!("{why}; render --path input instead"))?;
     let rise = if args.path == RenderPath::Spiral { SPIRAL_RISE } else { 0.0 };
     let views = path.poses(args.count as usize, rise).into_iter().enumerate();
     Ok(views.map(|(i, pose)| (format!("{i:05}"), camera.clone(), pose)).collect())

@@ -63,6 +63,8 @@ pub struct TerminalSink {
     verbosity: Verbosity,
     state: Mutex<ProgressState>,
     log: Option<Mutex<std::fs::File>>,
+    /// Which of how many stages, put before what is done.
+    stage: String,
 }
 
 /// Seconds between two plain lines. Source: chosen by hand, never measured.
@@ -73,7 +75,13 @@ impl TerminalSink {
     pub fn new(verbosity: Verbosity, log: Option<std::fs::File>) -> Self {
         let now = Instant::now();
         let state = ProgressState { what: String::new(), total: 0, bar: None, begun: now, last_line: now };
-        Self { verbosity, state: Mutex::new(state), log: log.map(Mutex::new) }
+        Self { verbosity, state: Mutex::new(state), log: log.map(Mutex::new), stage: String::new() }
+    }
+
+    /// The same of one of several stages.
+    pub fn of_stage(mut self, number: usize, of: usize) -> Self {
+        self.stage = format!("{number}/{of} ");
+        self
     }
 
     fn lock(&self) -> std::sync::MutexGuard<'_, ProgressState> {
@@ -87,7 +95,7 @@ impl ProgressSink for TerminalSink {
         if let Some(bar) = state.bar.take() {
             bar.finish_and_clear();
         }
-        state.what = what.to_owned();
+        state.what = format!("{}{what}", self.stage);
         state.total = total;
         state.begun = Instant::now();
         state.last_line = state.begun;
@@ -97,21 +105,30 @@ impl ProgressSink for TerminalSink {
         if std::io::stderr().is_terminal() {
             let bar = if total > 0 { ProgressBar::new(total) } else { ProgressBar::new_spinner() };
             let template = if total > 0 {
-                "{msg:24!} {bar:30} {pos}/{len} {per_sec} eta {eta} {prefix}"
+                "{msg:32!} {bar:30} {pos}/{len} {rate} {eta} left {prefix}"
             } else {
-                "{msg:24!} {spinner} {pos} {per_sec} {prefix}"
+                "{msg:32!} {spinner} {pos} {rate} {prefix}"
             };
             if let Ok(style) = ProgressStyle::with_template(template) {
-                bar.set_style(style);
+                let rate = |state: &indicatif::ProgressState, w: &mut dyn std::fmt::Write| {
+                    let _ = w.write_str(&rate_in_words(state.per_sec())); // a String takes all
+                };
+                bar.set_style(style.with_key("rate", rate));
             }
-            bar.set_message(what.to_owned());
+            bar.set_message(format!("{}{what}", self.stage));
             state.bar = Some(bar);
         }
     }
 
     fn update(&self, done: u64, detail: &str) {
         let mut state = self.lock();
+        if done > state.total {
+            state.total = 0; // more than was announced: nobody knows of how many
+        }
         if let Some(bar) = &state.bar {
+            if state.total == 0 {
+                bar.unset_length();
+            }
             bar.set_position(done);
             if !detail.is_empty() {
                 bar.set_prefix(detail.to_owned());
@@ -125,14 +142,7 @@ impl ProgressSink for TerminalSink {
             && state.last_line.elapsed() > LINE_EVERY
         {
             state.last_line = Instant::now();
-            let rate = done as f64 / state.begun.elapsed().as_secs_f64().max(1e-9);
-            let of = if state.total > 0 { format!("/{}", state.total) } else { String::new() };
-            let eta = if state.total > done {
-                format!(", {:.0} s left", (state.total - done) as f64 / rate)
-            } else {
-                String::new()
-            };
-            say(&format!("{}: {done}{of}, {rate:.1}/s{eta} {detail}", state.what));
+            say(&plain_line(&state, done, state.begun.elapsed().as_secs_f64(), detail));
         }
     }
 
@@ -151,10 +161,51 @@ impl ProgressSink for TerminalSink {
     }
 }
 
+/// How fast things are done, in digits that say something: several a second, or seconds for each.
+fn rate_in_words(per_second: f64) -> String {
+    match per_second {
+        r if !(r.is_finite() && r > 0.0) => String::new(),
+        r if r >= 10.0 => format!("{r:.0}/s"),
+        r if r >= 1.0 => format!("{r:.1}/s"),
+        r if r >= 0.1 => format!("{:.1} s each", 1.0 / r),
+        r => format!("{:.0} s each", 1.0 / r),
+    }
+}
+
+/// A line of a log: what is done, how much of it, how fast, and the time that is left.
+fn plain_line(state: &ProgressState, done: u64, seconds: f64, detail: &str) -> String {
+    let rate = done as f64 / seconds.max(1e-9);
+    let of = if state.total > 0 { format!("/{}", state.total) } else { String::new() };
+    let left =
+        (state.total > done && done > 0).then(|| format!("{:.0} s left", (state.total - done) as f64 / rate));
+    let parts = [Some(format!("{}: {done}{of}", state.what)), Some(rate_in_words(rate)), left];
+    let parts: Vec<String> = parts.into_iter().flatten().filter(|p| !p.is_empty()).collect();
+    format!("{} {detail}", parts.join(", ")).trim_end().to_owned()
+}
+
 impl Drop for TerminalSink {
     fn drop(&mut self) {
         if let Some(bar) = self.lock().bar.take() {
             bar.finish_and_clear();
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn rates_are_in_sane_digits_and_more_than_all_is_never_said() {
+        let words = [1234.5, 42.3, 3.14159, 0.4, 0.0123, 0.0, f64::NAN].map(rate_in_words);
+        assert_eq!(words, ["1234/s", "42/s", "3.1/s", "2.5 s each", "81 s each", "", ""]);
+        let sink = TerminalSink::new(Verbosity::Normal, None).of_stage(2, 6);
+        sink.begin("mapping", 100);
+        assert_eq!(
+            plain_line(&sink.lock(), 50, 100.0, "50 images"),
+            "2/6 mapping: 50/100, 2.0 s each, 100 s left 50 images"
+        );
+        sink.update(184, "");
+        assert_eq!(plain_line(&sink.lock(), 184, 100.0, ""), "2/6 mapping: 184, 1.8/s");
     }
 }

@@ -21,6 +21,7 @@ mod sentences;
 
 pub use choice::{
     BackgroundModel, Choice, FeatureSource, LightModel, MapperKind, MatteKind, MotionModel, PrincipalPoint,
+    UpEvidence,
 };
 pub use quantity::{Measurement, Quantity};
 pub use sentences::Sentences;
@@ -86,6 +87,8 @@ pub enum Subject {
     CameraElevation,
     /// Angular rate of the rotation.
     RotationRate,
+    /// Which direction is up in the world.
+    WorldUp,
     /// Points triangulated for poses that came without any.
     TriangulatedPoints,
     /// The device that trains and renders.

@@ -6,6 +6,7 @@
 //! |---|---|
 //! | pose | `cam_from_world`: `x_cam = R x_world + t`; variables are named `target_from_source` |
 //! | axes | right-handed; camera x right, y down, z forward (COLMAP, OpenCV) |
+//! | world | what is written: y down, the object in the origin, its radius 1 ([`WorldFrame`]); glTF and .spz have y up, transforms.json has z up |
 //! | pixel | (0, 0) is the image corner, the first pixel's centre is (0.5, 0.5) (COLMAP) |
 //! | quaternion | Hamilton, unit; w x y z in files, x y z w in glam: converted by `io` only |
 //! | units | `_px`, `_s`, radians in code, `_deg` in config and reports, else scene units |
@@ -39,6 +40,8 @@ pub mod sh;
 pub mod sim3;
 mod simd;
 pub mod synthetic;
+pub mod up;
+pub mod world;
 
 pub use camera::{Camera, CameraModel};
 pub use decision::Decision;
@@ -52,3 +55,4 @@ pub use pose::Pose;
 pub use progress::{Cancelled, Progress};
 pub use reconstruction::{Observation, PosedImage, Reconstruction, ScenePoint, TrackElement};
 pub use ring::{Arc, Closure, Ring, RingClosure, RingSequence};
+pub use world::{WorldFrame, WorldUnit};

@@ -15,21 +15,19 @@ pub struct OrbitPath {
 }
 
 impl OrbitPath {
-    /// The focus is the point nearest to all viewing rays (least squares); up is the mean of the
-    /// cameras' up. `Err` says why there is no such circle.
-    pub fn fit(poses: &[Pose]) -> Result<Self, &'static str> {
+    /// The focus is the point nearest to all viewing rays (least squares); `up` is unit.
+    /// `Err` says why there is no such circle.
+    pub fn fit(poses: &[Pose], up: DVec3) -> Result<Self, &'static str> {
         // The diagonal keeps the normal equations regular where all rays are parallel.
         let mut normal = DMat3::from_diagonal(DVec3::splat(1e-9));
-        let (mut right, mut up) = (DVec3::ZERO, DVec3::ZERO);
+        let mut right = DVec3::ZERO;
         for pose in poses {
             let d = pose.view_direction();
             let project = DMat3::IDENTITY - DMat3::from_cols(d * d.x, d * d.y, d * d.z);
             normal += project;
             right += project * pose.centre();
-            up += pose.rotation.conjugate() * -DVec3::Y;
         }
         let focus = normal.inverse() * right;
-        let up = up.try_normalize().ok_or("the cameras have no common up direction")?;
         let count = poses.len() as f64;
         let height = poses.iter().map(|p| (p.centre() - focus).dot(up)).sum::<f64>() / count;
         let offsets: Vec<DVec3> = poses.iter().map(|p| (p.centre() - focus).reject_from(up)).collect();
@@ -67,7 +65,7 @@ mod tests {
         let angle = |i: u32| f64::from(i) / 12.0 * TAU;
         let eye = |a: f64| focus + DVec3::new(2.0 * a.cos(), 2.0 * a.sin(), 0.5);
         let poses: Vec<Pose> = (0..12).map(|i| Pose::look_at(eye(angle(i)), focus, DVec3::Z)).collect();
-        let path = OrbitPath::fit(&poses).unwrap();
+        let path = OrbitPath::fit(&poses, DVec3::Z).unwrap();
         for (i, pose) in (0..).zip(&poses) {
             assert!((path.pose(angle(i), 0.0).centre() - pose.centre()).length() < 1e-6);
         }
@@ -78,6 +76,6 @@ mod tests {
     #[test]
     fn cameras_at_one_place_have_no_orbit() {
         let pose = Pose::look_at(DVec3::ZERO, DVec3::X, DVec3::Z);
-        assert!(OrbitPath::fit(&[pose; 3]).is_err());
+        assert!(OrbitPath::fit(&[pose; 3], DVec3::Z).is_err());
     }
 }

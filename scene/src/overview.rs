@@ -1,6 +1,7 @@
 //! How a model is shown: turned upright, moved to the origin, scaled to a known size.
 
 use crate::sim3::Sim3;
+use crate::up::level_up;
 use crate::{PosedImage, Reconstruction, Ring};
 use glam::{DMat3, DQuat, DVec2, DVec3};
 
@@ -22,12 +23,13 @@ pub struct Overview {
 
 impl Overview {
     /// About the ring's centre and axis where the cameras stand on one, else about the mean of the
-    /// centres and the direction that is up in most images.
+    /// centres and the direction that is up for level cameras.
     pub fn of(model: &Reconstruction, ring: Option<&Ring>) -> Self {
         let centres: Vec<DVec3> = model.images.values().map(|i| i.pose.centre()).collect();
         let mean = centres.iter().sum::<DVec3>() / centres.len().max(1) as f64;
         let middle = ring.map_or(mean, |r| r.centre);
-        let up = ring.map_or(up(model), |r| r.axis).normalize_or(DVec3::Z);
+        let level = level_up(model.images.values().map(|i| &i.pose));
+        let up = ring.map(|r| r.axis).or(level).unwrap_or(DVec3::Z);
         let (x, y) = up.any_orthonormal_pair();
         let rotation = DQuat::from_mat3(&DMat3::from_cols(x, y, up).transpose());
         let reach = centres.iter().map(|c| c.distance(middle)).fold(0.0, f64::max).max(f64::MIN_POSITIVE);
@@ -48,12 +50,6 @@ impl Overview {
         let [a, b, c, d] = corners;
         Some([image.pose.centre(), a, b, c, d].map(|p| self.shown_from_world.transform(p)))
     }
-}
-
-/// The direction that is up in most images, world frame, not normalised: the mean of the cameras'
-/// −y axes.
-pub fn up(model: &Reconstruction) -> DVec3 {
-    model.images.values().map(|i| i.pose.rotation.conjugate() * -DVec3::Y).sum()
 }
 
 /// Moves the median of the points (of the camera centres, where there are none) to the origin and

@@ -6,7 +6,7 @@ mod sequence;
 pub use sequence::{Closure, RingClosure, RingSequence};
 
 use crate::Pose;
-use crate::sim3::largest_eigenvector;
+use crate::sim3::least_eigenvector;
 use glam::{DMat3, DVec2, DVec3};
 use std::f64::consts::{PI, TAU};
 
@@ -114,18 +114,7 @@ impl Ring {
 fn normal(points: &[DVec3]) -> DVec3 {
     let mut spread = DMat3::ZERO;
     points.iter().for_each(|d| spread += DMat3::from_cols(*d * d.x, *d * d.y, *d * d.z));
-    // Turned over, the least eigenvalue is the largest; the fourth row stands apart below all of
-    // them.
-    let top = spread.x_axis.x + spread.y_axis.y + spread.z_axis.z;
-    let mut m = [[0.0; 4]; 4];
-    for (r, row) in m.iter_mut().take(3).enumerate() {
-        for (c, v) in row.iter_mut().take(3).enumerate() {
-            *v = if r == c { top } else { 0.0 } - spread.col(c)[r];
-        }
-    }
-    m[3][3] = -1.0;
-    let [x, y, z, _] = largest_eigenvector(m);
-    DVec3::new(x, y, z).normalize_or(DVec3::Z)
+    least_eigenvector(spread)
 }
 
 /// Centre and radius that minimise `Σ (|p|² − 2 c·p − k)²`, `k = r² − |c|²`.

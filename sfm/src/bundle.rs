@@ -14,7 +14,7 @@ pub(crate) use information::PoseInformation;
 use crate::ceres::{self, BundleInput, BundleState};
 use crate::error::SfmError;
 use crate::statistics::median;
-use glam::{DQuat, DVec2, DVec3};
+use glam::{DMat3, DQuat, DVec2, DVec3};
 use scene::{Camera, Pose, Progress};
 
 /// How residuals are weighed.
@@ -153,6 +153,8 @@ pub(crate) struct BundleCovariance {
     /// For each pose: standard deviations of the rotation about the camera's axes (radians) and of
     /// the camera centre along the world's axes; 0 where held.
     pub poses: Vec<[f64; 6]>,
+    /// For each pose: covariance of the camera centre, world frame, scene units squared.
+    pub centres: Vec<DMat3>,
 }
 
 impl BundleProblem {
@@ -206,9 +208,14 @@ impl BundleProblem {
             cameras.push(own.to_vec());
             rest = others;
         }
-        let poses = self.poses.iter().zip(of_poses.chunks_exact(36));
-        let poses = poses.map(|(pose, c)| pose_deviation(&frame.pose_in(pose), c, frame.scale)).collect();
-        Ok(Some(BundleCovariance { cameras, poses }))
+        let mut result = BundleCovariance { cameras, ..BundleCovariance::default() };
+        for (pose, c) in self.poses.iter().zip(of_poses.chunks_exact(36)) {
+            let centre = centre_covariance(&frame.pose_in(pose), c, frame.scale);
+            let variances = [c[0], c[7], c[14], centre.x_axis.x, centre.y_axis.y, centre.z_axis.z];
+            result.poses.push(variances.map(|v| v.max(0.0).sqrt()));
+            result.centres.push(centre);
+        }
+        Ok(Some(result))
     }
 
     /// Information (inverse covariance) of all free intrinsics jointly after poses and points are
@@ -337,23 +344,21 @@ fn numbers_of(Pose { rotation: q, translation: t }: &Pose) -> [f64; 7] {
     [q.x, q.y, q.z, q.w, t.x, t.y, t.z]
 }
 
-/// Standard deviations of rotation and centre from a covariance over (ω, t) in the normalised
-/// scene: `c = −Rᵀ t`, so `δc = −Rᵀ (δt + t × δω)`.
-fn pose_deviation(pose: &Pose, covariance: &[f64], scale: f64) -> [f64; 6] {
+/// Covariance of the camera centre from one over (ω, t) in the normalised scene: `c = −Rᵀ t`, so
+/// `δc = −Rᵀ (δt + t × δω)`.
+fn centre_covariance(pose: &Pose, covariance: &[f64], scale: f64) -> DMat3 {
     let back = -pose.matrix().transpose();
     let t = pose.translation;
     let columns: [DVec3; 6] = std::array::from_fn(|k| {
         let axis = DVec3::from_array(std::array::from_fn(|i| f64::from(i == k % 3)));
         back * if k < 3 { t.cross(axis) } else { axis }
     });
-    std::array::from_fn(|i| {
-        if i < 3 {
-            return covariance[i * 6 + i].max(0.0).sqrt();
-        }
-        let row: [f64; 6] = std::array::from_fn(|k| columns[k][i - 3]);
-        let sum: f64 = (0..36).map(|n| row[n / 6] * covariance[n] * row[n % 6]).sum();
-        sum.max(0.0).sqrt() * scale
-    })
+    let mut of_centre = DMat3::ZERO;
+    for (n, c) in covariance.iter().enumerate() {
+        let (a, b) = (columns[n / 6], columns[n % 6] * *c);
+        of_centre += DMat3::from_cols(a * b.x, a * b.y, a * b.z);
+    }
+    of_centre * (scale * scale)
 }
 
 /// Moves the scene's median to the origin and scales the median distance from it to 1.

@@ -1,5 +1,6 @@
 //! What structure from motion hands back.
 
+use glam::{DMat3, DVec3};
 use scene::motion_report::MotionReport;
 use scene::{Camera, Decision, Features, Pose, Reconstruction, TwoViewGeometry};
 use serde::{Deserialize, Serialize};
@@ -43,13 +44,25 @@ pub struct SfmStats {
     pub steps: Vec<StepTime>,
 }
 
-/// Standard deviations of a pose from the final adjustment.
+/// How uncertain a pose is after the final adjustment.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct PoseDeviation {
-    /// Of the rotation about the camera's x, y and z axes, radians.
+    /// Standard deviations of the rotation about the camera's x, y and z axes, radians.
     pub rotation: [f64; 3],
-    /// Of the camera centre along the world's axes, scene units.
-    pub centre: [f64; 3],
+    /// Covariance of the camera centre, world frame, scene units squared.
+    pub centre: DMat3,
+}
+
+impl PoseDeviation {
+    /// Standard deviation of the camera centre in space, scene units.
+    pub(crate) fn centre_length(&self) -> f64 {
+        (self.centre.x_axis.x + self.centre.y_axis.y + self.centre.z_axis.z).sqrt()
+    }
+}
+
+/// `v vᵀ`: the covariance of a step of one standard deviation along `v`.
+pub(crate) fn outer_square(v: DVec3) -> DMat3 {
+    DMat3::from_cols(v * v.x, v * v.y, v * v.z)
 }
 
 /// The pose of a frame of a video, chosen for the model or not.

@@ -3,7 +3,7 @@
 
 use crate::args::MeshConfig;
 use crate::evaluate::metrics::number;
-use crate::record::ShapeEvaluation;
+use crate::record::{PoseSummary, ShapeEvaluation};
 use anyhow::{Context, Result};
 use glam::DVec3;
 use scene::geometry::{GeometryErrors, Mesh, compare_points, seen_by};
@@ -96,7 +96,7 @@ pub fn measure(
     let model = scene::io::read_model(&out.join("undistorted/sparse/0"))?;
     let (mesh_from_model, aligned) = match &config.mesh_truth {
         Some(truth) => align(&model, truth)?,
-        None => (Sim3::IDENTITY, "in the mesh's own frame".to_owned()),
+        None => (source_from_world(out), "in the frame of the input".to_owned()),
     };
     let views: Vec<(&Camera, Pose)> = dataset.views.iter().map(|v| (&v.camera, v.pose)).collect();
     let moved: Vec<(&Camera, Pose)> =
@@ -132,6 +132,12 @@ pub fn measure(
         }
     );
     Ok(Some(ShapeEvaluation { protocol, cloud, surface: splat, fused, floaters_pct }))
+}
+
+/// From the world in which a run was written into the frame of its input.
+fn source_from_world(out: &Path) -> Sim3 {
+    let world = crate::stage::last::<PoseSummary>(out, "sfm").and_then(|poses| poses.value.world);
+    world.map_or(Sim3::IDENTITY, |w| w.sim3().inverse())
 }
 
 /// Onto the true camera centres; and how well that went.

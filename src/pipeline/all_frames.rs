@@ -1,5 +1,6 @@
 //! `frames.json`: poses of all frames of a video, chosen for the model or not.
 
+use crate::record::centre_deviation;
 use crate::stage::write_json;
 use anyhow::Result;
 use scene::FrameSet;
@@ -42,7 +43,7 @@ pub(super) fn write(path: &Path, poses: &[FramePose], frames: &FrameSet) -> Resu
                 rotation: [q.w, q.x, q.y, q.z],
                 translation: f.pose.translation.to_array(),
                 rotation_deviation_deg: f.deviation.rotation.map(f64::to_degrees),
-                centre_deviation: f.deviation.centre,
+                centre_deviation: centre_deviation(&f.deviation),
             }
         })
         .collect();

@@ -1,9 +1,11 @@
 //! What commands read of the `run.json` of an earlier run.
 
-use super::{Light, PoseSummary, SplatSummary};
+use super::{Evaluation, Light, PoseSummary, SplatSummary};
 use crate::stage::Cost;
 use anyhow::{Context, Result};
-use scene::Decision;
+use glam::DVec3;
+use scene::up::{UP, level_up};
+use scene::{Decision, FrameSet, Reconstruction};
 use serde::Deserialize;
 use std::path::{Path, PathBuf};
 
@@ -15,10 +17,14 @@ pub struct KnownRun {
     pub costs: Vec<(String, Cost)>,
     /// The configuration.
     pub config: KnownConfig,
+    /// The frames.
+    pub frames: Option<FrameSet>,
     /// The poses.
     pub poses: Option<PoseSummary>,
     /// The splat.
     pub splat: Option<SplatSummary>,
+    /// The metrics.
+    pub evaluation: Option<Evaluation>,
     /// The decisions.
     pub decisions: Vec<Decision>,
     /// The verdict.
@@ -35,6 +41,13 @@ pub struct KnownConfig {
     pub quality: Option<splat::Quality>,
     /// What the splat was trained on.
     pub dataset: splat::DatasetConfig,
+}
+
+/// Direction that is up in a run's world: as its record says, else as its cameras are held.
+pub(crate) fn up_of(run: &Path, model: &Reconstruction) -> DVec3 {
+    let world = KnownRun::read(run).ok().and_then(|known| known.poses?.world);
+    let level = || level_up(model.images.values().map(|i| &i.pose)).unwrap_or(UP);
+    world.map_or_else(level, |w| DVec3::from_array(w.up)).normalize_or(UP)
 }
 
 impl KnownRun {

@@ -1,5 +1,6 @@
 //! `report.html`: one file, no network, readable on a phone.
 
+mod advice;
 pub(crate) mod charts;
 mod decisions;
 pub(crate) mod html;
@@ -7,6 +8,9 @@ mod motion;
 mod poses;
 mod verdict;
 pub(crate) mod views;
+
+pub(crate) use advice::advice;
+pub(crate) use verdict::overall;
 
 use crate::record::RunRecord;
 use crate::record::{Level, Light};
@@ -62,21 +66,29 @@ fn body(out: &Path, record: &RunRecord, model: Option<&Reconstruction>) -> Resul
     })
 }
 
-/// The verdict with its reasons.
-pub(crate) fn lights(lights: &[Light]) -> Markup {
-    let overall = verdict::overall(lights);
-    let word = match overall {
+/// The verdict in words.
+pub(crate) fn overall_in_words(overall: Level) -> &'static str {
+    match overall {
         Level::Good => "All well",
         Level::Fair => "Usable, with doubts",
         Level::Bad => "Not reliable",
         Level::Unknown => "Not judged yet",
-    };
+    }
+}
+
+/// The verdict with its reasons.
+pub(crate) fn lights(lights: &[Light]) -> Markup {
+    let overall = overall(lights);
+    let word = overall_in_words(overall);
     html! {
         div class={ "verdict " (overall.class()) } {
             b { (word) }
             ul.lights {
                 @for light in lights {
-                    li class=(light.level.class()) { b { (light.what) } ": " (light.reason) }
+                    li class=(light.level.class()) {
+                        b { (light.what) } ": " (light.reason)
+                        @if let Some(advice) = advice(light) { br; small { (advice) } }
+                    }
                 }
             }
         }

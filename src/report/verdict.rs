@@ -16,7 +16,7 @@ impl Level {
     }
 
     /// As a class of the style sheet.
-    pub(super) fn class(self) -> &'static str {
+    pub(crate) fn class(self) -> &'static str {
         match self {
             Self::Unknown => "unknown",
             Self::Good => "good",
@@ -31,7 +31,7 @@ fn light(what: &str, level: Level, reason: String) -> Light {
 }
 
 /// The worst of the lights.
-pub(super) fn overall(lights: &[Light]) -> Level {
+pub(crate) fn overall(lights: &[Light]) -> Level {
     lights.iter().map(|l| l.level).max().unwrap_or(Level::Unknown)
 }
 
@@ -52,20 +52,17 @@ pub(super) fn verdict(record: &RunRecord, model: Option<&Reconstruction>) -> Vec
     if let Some(evaluation) = record.evaluation.as_ref().filter(|e| !e.views.is_empty()) {
         lights.push(quality(evaluation));
         lights.push(overfit(evaluation));
-        lights.push(floaters(evaluation));
+        lights.extend(floaters(evaluation));
     }
     lights
 }
 
-/// Share of the opacity that lies outside the visual hull of the mattes.
-fn floaters(evaluation: &Evaluation) -> Light {
-    match evaluation.geometry.as_ref().and_then(|g| g.floaters_pct) {
-        Some(percent) => {
-            let reason = format!("{percent:.2} % of the opacity lies outside the visual hull of the mattes");
-            light("floaters", Level::below(percent, 1.0, 5.0), reason)
-        }
-        None => light("floaters", Level::Unknown, "not measured".to_owned()),
-    }
+/// Share of the opacity that lies outside the visual hull of the mattes; without mattes there is no
+/// hull to judge by.
+fn floaters(evaluation: &Evaluation) -> Option<Light> {
+    let percent = evaluation.geometry.as_ref()?.floaters_pct?;
+    let reason = format!("{percent:.2} % of the opacity lies outside the visual hull of the mattes");
+    Some(light("floaters", Level::below(percent, 1.0, 5.0), reason))
 }
 
 fn registered(poses: &PoseSummary) -> Light {
@@ -190,6 +187,17 @@ mod tests {
         }
         assert_eq!(overfit(&evaluation(None)).level, Level::Unknown);
         assert_eq!(overall(&[overfit(&evaluation(Some(34.0))), quality(&evaluation(None))]), Level::Fair);
+    }
+
+    #[test]
+    fn floaters_are_no_light_where_there_is_no_matte() {
+        let evaluation = |floaters_pct| Evaluation {
+            geometry: Some(crate::record::ShapeEvaluation { floaters_pct, ..Default::default() }),
+            ..Evaluation::default()
+        };
+        assert_eq!(floaters(&evaluation(None)), None);
+        assert_eq!(floaters(&Evaluation::default()), None);
+        assert_eq!(floaters(&evaluation(Some(7.0))).unwrap().level, Level::Bad);
     }
 
     #[test]

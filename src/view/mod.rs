@@ -87,6 +87,8 @@ pub struct Run {
     pub splat: Vec<u8>,
     /// Whether it was trained with --antialias.
     pub antialias: bool,
+    /// Direction that is up.
+    pub up: DVec3,
 }
 
 impl Run {
@@ -106,7 +108,8 @@ impl Run {
         let spz = scene::io::splats::encode_spz(&gaussians).map_err(anyhow::Error::msg)?;
         let model = page_from_world.transform_reconstruction(&model);
         let antialias = crate::evaluate::trained_with_antialias(folder);
-        Ok(Self { folder: folder.to_path_buf(), model, splat: spz, antialias })
+        let up = crate::record::up_of(folder, &model);
+        Ok(Self { folder: folder.to_path_buf(), model, splat: spz, antialias, up })
     }
 
     /// The training image of the camera with this number in the page.
@@ -123,7 +126,6 @@ impl Run {
     }
 
     fn scene(&self, splat: Splat, photo: impl Fn(usize) -> Option<String>) -> ViewScene {
-        let up = overview::up(&self.model);
         let [near, far] =
             overview::depth_range(&self.model, DEPTHS[0], DEPTHS[1]).unwrap_or([0.5 * RADIUS, 2.0 * RADIUS]);
         let name = std::path::absolute(&self.folder).unwrap_or_else(|_| self.folder.clone());
@@ -132,7 +134,7 @@ impl Run {
             splat,
             points: self.points(),
             cameras: self.cameras(photo),
-            up: up.try_normalize().unwrap_or(-DVec3::Y).to_array(),
+            up: self.up.to_array(),
             radius: RADIUS,
             near,
             far: far.max(near * 1.001),

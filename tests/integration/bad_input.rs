@@ -70,6 +70,8 @@ fn identical_photos_black_photos_and_unrelated_photos_give_no_model() {
     for (name, images) in [("same", same), ("black", black), ("unrelated", unrelated)] {
         let said = run(&photos(name, &images), 2);
         assert!(said.contains("no model") || said.contains("duplicate"), "{name}: {said}");
+        assert!(said.contains("red: Not reliable"), "{name}: the end says the verdict: {said}");
+        assert!(!said.contains("splat.ply"), "{name}: nothing is named that is not there: {said}");
     }
 }
 

@@ -56,3 +56,32 @@ fn a_preset_says_what_it_changes() {
     let said = expect_code(&["missing.mp4", "--quality", "draft"], 1);
     assert!(said.contains("--iterations"), "{said}");
 }
+
+#[test]
+fn a_mistyped_command_is_not_taken_for_a_file() {
+    let said = expect_code(&["trian", "video.mp4"], 1);
+    assert!(said.contains("'train'"), "{said}");
+    let said = expect_code(&["photos"], 1);
+    assert!(said.contains("cannot read photos"), "{said}");
+}
+
+#[test]
+fn the_help_of_a_command_holds_what_applies_to_it_and_help_all_the_rest() {
+    let lines = |arguments: &[&str]| expect_code(arguments, 0).lines().count();
+    assert!(lines(&["frames", "--help"]) < lines(&["run", "--help"]) / 2);
+    assert!(lines(&["run", "--help"]) < lines(&["run", "--help-all"]));
+    assert!(!expect_code(&["frames", "--help"], 0).contains("--iterations"));
+    assert!(expect_code(&["frames", "--help-all"], 0).contains("--iterations"));
+    expect_code(&["frames", "missing.mp4", "--iterations", "5"], 1);
+}
+
+#[test]
+fn completions_and_manual_pages_name_the_commands() {
+    for shell in ["bash", "zsh", "fish"] {
+        assert!(expect_code(&["completions", shell], 0).contains("export"), "{shell}");
+    }
+    let dir = folder("man");
+    expect_code(&["man", "-o", text(&dir)], 0);
+    assert!(std::fs::read_to_string(dir.join("sat-recon-export.1")).unwrap().contains("Metashape"));
+    std::fs::remove_dir_all(dir).unwrap();
+}

@@ -91,6 +91,19 @@ pub enum MatteKind {
     Luminance,
 }
 
+/// What says which direction is up.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "kebab-case")]
+pub enum UpEvidence {
+    /// The axis about which the object turns.
+    TurnAxis,
+    /// The axis of the circle on which the cameras stand.
+    CircleAxis,
+    /// The cameras, which are held level.
+    #[default]
+    LevelCameras,
+}
+
 /// What was chosen, or could have been.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "kebab-case")]
@@ -128,6 +141,8 @@ pub enum Choice {
     Value(Measurement),
     /// A direction in the camera's frame, unit length.
     Direction([f64; 3]),
+    /// What says which direction is up.
+    Up(UpEvidence),
     /// A device by its name.
     Device(String),
 }
@@ -165,6 +180,12 @@ impl From<BackgroundModel> for Choice {
 impl From<LightModel> for Choice {
     fn from(light: LightModel) -> Self {
         Self::Light(light)
+    }
+}
+
+impl From<UpEvidence> for Choice {
+    fn from(evidence: UpEvidence) -> Self {
+        Self::Up(evidence)
     }
 }
 

@@ -158,6 +158,10 @@ quantities! {
     AxisTiltSideways = ("standard deviation of the tilt sideways", Of("°", 4)),
     /// Standard deviation of the axis towards the camera, degrees.
     AxisTiltTowards = ("standard deviation of the tilt towards the camera", Of("°", 4)),
+    /// Root mean square angle of the cameras' x axes with the horizontal plane, degrees.
+    CameraRoll = ("roll of the cameras", Of("°", 1)),
+    /// Angle between the axis of the cameras' circle and the up of level cameras, degrees.
+    AxisFromLevel = ("axis and level cameras differ by", Of("°", 1)),
     /// Largest standard deviation of a rotation angle, degrees.
     AngleDeviation = ("standard deviation of the angles at most", Of("°", 4)),
     /// Angle from an image to the next, degrees.

@@ -4,7 +4,7 @@ mod quantities;
 
 use super::{
     Alternative, BackgroundModel, Choice, Decision, FeatureSource, LightModel, MapperKind, MatteKind,
-    Measurement, MotionModel, PrincipalPoint, Remark, Rule, Subject,
+    Measurement, MotionModel, PrincipalPoint, Remark, Rule, Subject, UpEvidence,
 };
 use serde::{Deserialize, Serialize};
 use std::fmt;
@@ -79,6 +79,7 @@ impl Subject {
             Self::RotationAxis => "Rotation axis",
             Self::CameraElevation => "Camera elevation",
             Self::RotationRate => "Rotation rate",
+            Self::WorldUp => "Up direction",
             Self::TriangulatedPoints => "Sparse points",
             Self::Backend => "Device",
             Self::GaussianLimit => "Largest number of Gaussians",
@@ -137,6 +138,9 @@ impl Subject {
                 "fixed to the camera, carried by the view-dependent colour".to_owned()
             }
             Choice::Features(FeatureSource::Database) => "from the database".to_owned(),
+            Choice::Up(UpEvidence::TurnAxis) => "the axis about which the object turns".to_owned(),
+            Choice::Up(UpEvidence::CircleAxis) => "the axis of the cameras' circle".to_owned(),
+            Choice::Up(UpEvidence::LevelCameras) => "as the cameras were held".to_owned(),
             Choice::Matte(MatteKind::Nothing) => "none".to_owned(),
             Choice::Matte(MatteKind::Screen) => "keyed against a screen".to_owned(),
             Choice::Matte(MatteKind::Luminance) => "keyed by luminance".to_owned(),

@@ -1,4 +1,5 @@
-//! File formats: COLMAP models and databases, `transforms.json`, PLY, images, ground truth.
+//! File formats: COLMAP models and databases, `transforms.json`, poses of other programs, PLY, images,
+//! ground truth.
 //!
 //! Every reader treats its file as hostile: counts are checked against the size of the file before
 //! memory is reserved, numbers against NaN, names against paths that lead out of the folder. Every
@@ -18,6 +19,7 @@ mod mesh_out;
 mod model;
 mod name;
 pub mod ply;
+pub mod poses;
 pub mod splats;
 pub mod transforms;
 pub mod truth;
@@ -35,8 +37,12 @@ pub use mesh_out::write_mesh;
 pub use model::{find_model, has_model, read_model, write_model_bin, write_model_txt};
 pub use name::{UnsafeName, safe_name};
 pub use ply::{CloudPoint, read_points_ply, read_splat_ply, write_points_ply, write_splat_ply};
+pub use poses::{ImportedPoses, find_poses, is_poses_file, read_poses, write_metashape};
 pub use splats::{SplatFormat, read_splat, write_splat};
-pub use transforms::{TransformsFile, TransformsFrame, TransformsOptions, read_transforms, write_transforms};
+pub use transforms::{
+    TransformsFile, TransformsFrame, TransformsOptions, WORLD_FROM_TRANSFORMS, read_transforms,
+    write_transforms,
+};
 pub use truth::read_truth;
 
 /// A fresh folder for a test.

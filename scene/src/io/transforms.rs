@@ -1,16 +1,18 @@
 //! `transforms.json` as NeRF's Blender scenes, instant-ngp and nerfstudio write it.
 //!
-//! Poses there are camera-to-world with OpenGL axes (x right, y up, looking along −z).
+//! Poses there are camera-to-world with OpenGL axes (x right, y up, looking along −z), in a world with
+//! z up: it is turned on the way, as nerfstudio turns COLMAP's models.
 
 use super::error::{IoError, read_text};
 use super::load::image_info;
 use super::{safe_name, write_atomic};
-use crate::sim3::nearest_rotation;
+use crate::sim3::{Sim3, nearest_rotation};
 use crate::{Camera, CameraModel, Pose, PosedImage, Reconstruction};
 use glam::{DMat3, DQuat, DVec3};
 use serde::Deserialize;
 use serde_json::{Map, Value, json};
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
+use std::f64::consts::FRAC_1_SQRT_2;
 use std::io::Write;
 use std::path::{Path, PathBuf};
 
@@ -168,12 +170,21 @@ fn pose_of(path: &Path, entry: &FrameEntry) -> Result<Pose, IoError> {
         let message = format!("{}: the transform_matrix is no rotation (it shears)", entry.file_path);
         return Err(IoError::format(path, message));
     }
-    let world_from_cam = rotation * GL_FROM_CV;
-    Ok(Pose::from_centre(world_from_cam.conjugate(), centre))
+    let file_from_cam = rotation * GL_FROM_CV;
+    let cam_from_file = Pose::from_centre(file_from_cam.conjugate(), centre);
+    Ok(WORLD_FROM_TRANSFORMS.transform_pose(&cam_from_file))
 }
 
 /// A rotation by 180° about x: y down and z forward instead of y up and z backward.
 const GL_FROM_CV: DQuat = DQuat::from_xyzw(1.0, 0.0, 0.0, 0.0);
+
+/// From the world of a `transforms.json`, where z is up, into ours, where y is down: a quarter turn
+/// about x.
+pub const WORLD_FROM_TRANSFORMS: Sim3 = Sim3 {
+    scale: 1.0,
+    rotation: DQuat::from_xyzw(FRAC_1_SQRT_2, 0.0, 0.0, FRAC_1_SQRT_2),
+    translation: DVec3::ZERO,
+};
 
 /// Focal length, pixels, of an angle of view (radians) over so many pixels.
 fn focal_from_angle(angle: f64, size: f64) -> f64 {
@@ -248,6 +259,23 @@ pub struct TransformsOptions {
     pub masks: BTreeMap<u32, String>,
     /// A point cloud to start from, relative to the folder of the JSON file.
     pub ply_file_path: Option<String>,
+    /// Times by image number, seconds: written as they are, and as shares of the whole, as dynamic
+    /// scenes have them.
+    pub times_s: BTreeMap<u32, f64>,
+    /// Numbers of the images that are not to be trained on; nerfstudio splits by itself where there
+    /// are none.
+    pub held_out: BTreeSet<u32>,
+}
+
+impl TransformsOptions {
+    /// The time of an image: seconds, and its share of the time from the first image to the last.
+    fn time(&self, image: u32) -> Option<[f64; 2]> {
+        let time = *self.times_s.get(&image)?;
+        let first = self.times_s.values().copied().fold(f64::INFINITY, f64::min);
+        let last = self.times_s.values().copied().fold(f64::NEG_INFINITY, f64::max);
+        let share = if last > first { (time - first) / (last - first) } else { 0.0 };
+        Some([time, share])
+    }
 }
 
 /// Writes nerfstudio's dialect (`camera_model` OPENCV): intrinsics at the top if all images share a
@@ -272,22 +300,34 @@ pub fn write_transforms(
         document.extend(intrinsics_of(camera));
     }
     let mut frames = Vec::new();
+    let [mut training, mut held_out] = [Vec::new(), Vec::new()];
     for (id, image) in &model.images {
         let mut frame = Map::new();
         let separator = if options.image_folder.is_empty() { "" } else { "/" };
         let file_path = format!("{}{separator}{}", options.image_folder, image.name);
         safe_name(&file_path).map_err(IoError::name(path))?;
         frame.insert("file_path".into(), json!(file_path));
+        if options.held_out.contains(id) { &mut held_out } else { &mut training }.push(file_path);
+        if let Some([seconds, share]) = options.time(*id) {
+            frame.insert("time".into(), json!(share));
+            frame.insert("time_s".into(), json!(seconds));
+        }
         if let Some(mask) = options.masks.get(id) {
             frame.insert("mask_path".into(), json!(mask));
         }
         if let (None, Some(camera)) = (shared, model.cameras.get(&image.camera)) {
             frame.extend(intrinsics_of(camera));
         }
-        frame.insert("transform_matrix".into(), matrix_of(&image.pose));
+        let pose = WORLD_FROM_TRANSFORMS.inverse().transform_pose(&image.pose);
+        frame.insert("transform_matrix".into(), matrix_of(&pose));
         frames.push(Value::Object(frame));
     }
     document.insert("frames".into(), Value::Array(frames));
+    if !held_out.is_empty() && !training.is_empty() {
+        document.insert("train_filenames".into(), json!(training));
+        document.insert("val_filenames".into(), json!(held_out));
+        document.insert("test_filenames".into(), json!(held_out));
+    }
     if let Some(ply) = &options.ply_file_path {
         document.insert("ply_file_path".into(), json!(ply));
     }
@@ -316,8 +356,8 @@ fn intrinsics_of(camera: &Camera) -> Map<String, Value> {
 }
 
 fn matrix_of(pose: &Pose) -> Value {
-    let world_from_gl = DMat3::from_quat(pose.rotation.conjugate() * GL_FROM_CV.conjugate());
+    let file_from_gl = DMat3::from_quat(pose.rotation.conjugate() * GL_FROM_CV.conjugate());
     let centre = pose.centre();
-    let rows = [0, 1, 2].map(|r| world_from_gl.row(r).extend(centre[r]).to_array());
+    let rows = [0, 1, 2].map(|r| file_from_gl.row(r).extend(centre[r]).to_array());
     json!([rows[0], rows[1], rows[2], [0.0, 0.0, 0.0, 1.0]])
 }

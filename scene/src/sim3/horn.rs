@@ -1,6 +1,6 @@
 //! The rotation that fits a 3×3 matrix best, by Horn's quaternion method.
 
-use glam::{DMat3, DQuat};
+use glam::{DMat3, DQuat, DVec3};
 
 /// The rotation R that maximises `tr(Rᵀ M)`: the one nearest to `M` (and to any multiple `s M`, s >
 /// 0) in the Frobenius norm. B. K. P. Horn, "Closed-form solution of absolute orientation using
@@ -22,6 +22,22 @@ pub fn nearest_rotation(m: DMat3) -> DQuat {
     ];
     let [w, x, y, z] = largest_eigenvector(n);
     DQuat::from_xyzw(x, y, z, w).normalize()
+}
+
+/// The unit eigenvector of the least eigenvalue of a symmetric matrix without negative ones.
+pub(crate) fn least_eigenvector(m: DMat3) -> DVec3 {
+    // Turned over, the least eigenvalue is the largest; the fourth row stands apart below all of
+    // them.
+    let top = m.x_axis.x + m.y_axis.y + m.z_axis.z;
+    let mut turned = [[0.0; 4]; 4];
+    for (r, row) in turned.iter_mut().take(3).enumerate() {
+        for (c, v) in row.iter_mut().take(3).enumerate() {
+            *v = if r == c { top } else { 0.0 } - m.col(c)[r];
+        }
+    }
+    turned[3][3] = -1.0;
+    let [x, y, z, _] = largest_eigenvector(turned);
+    DVec3::new(x, y, z).normalize_or(DVec3::Z)
 }
 
 /// Cyclic Jacobi rotations (Golub and Van Loan, section 8.5) on a symmetric 4×4 matrix.
@@ -65,7 +81,6 @@ mod tests {
     use super::*;
     use crate::pose::rotation_angle;
     use crate::rng::rng;
-    use glam::DVec3;
     use rand::Rng;
 
     #[test]

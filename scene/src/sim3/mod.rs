@@ -6,7 +6,7 @@ mod horn;
 
 pub use align::{robust_alignment, umeyama};
 pub use compare::{AUC_THRESHOLDS_DEG, ErrorStatistics, ImageError, PoseErrors, compare_poses};
-pub(crate) use horn::largest_eigenvector;
+pub(crate) use horn::least_eigenvector;
 pub use horn::nearest_rotation;
 
 use crate::{Pose, Reconstruction};

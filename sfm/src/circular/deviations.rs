@@ -1,7 +1,7 @@
 //! How well the poses of a turn are known: by their angles, and by the direction of the axis.
 
 use super::motion::{distance_from_axis, pose_at};
-use crate::result::PoseDeviation;
+use crate::result::{PoseDeviation, outer_square};
 use glam::DVec3;
 use scene::Pose;
 
@@ -29,9 +29,10 @@ impl AxisDeviation {
         let centre = pose_at(axis, angle).centre();
         let height = distance_from_axis(axis)
             * (self.sideways * angle.sin()).hypot(self.towards * (1.0 - angle.cos()));
+        let moved = [DVec3::new(-centre.y, centre.x, 0.0) * sigma, DVec3::Z * height];
         PoseDeviation {
             rotation: rotation.to_array().map(f64::sqrt),
-            centre: [centre.y.abs() * sigma, centre.x.abs() * sigma, height],
+            centre: moved.map(outer_square).into_iter().sum(),
         }
     }
 }

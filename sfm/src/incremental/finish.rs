@@ -197,9 +197,10 @@ pub(crate) fn uncertainty(
         let deviations = (0..n).map(|i| factor * deviation(camera, c, i));
         result.cameras.insert(camera.id, deviations.collect());
     }
-    for (&image, d) in selected.images.iter().zip(&covariance.poses) {
-        let [a, b, c, x, y, z] = d.map(|v| factor * v);
-        let deviation = PoseDeviation { rotation: [a, b, c], centre: [x, y, z] };
+    let poses = covariance.poses.iter().zip(&covariance.centres);
+    for (&image, (d, centre)) in selected.images.iter().zip(poses) {
+        let rotation = [d[0], d[1], d[2]].map(|v| factor * v);
+        let deviation = PoseDeviation { rotation, centre: *centre * (factor * factor) };
         result.images.insert(image as u32 + 1, deviation);
     }
     Ok(Some(result))

@@ -79,6 +79,8 @@ pub(crate) fn grow(
     most: usize,
     progress: &Progress,
 ) -> Result<(), SfmError> {
+    // Each attempt counts anew: images that an earlier one placed are placed again.
+    progress.begin("mapping", most.min(state.poses.len()).saturating_sub(state.registered_count()));
     let mut tried = vec![0usize; state.poses.len()];
     let mut last_full = state.registered_count();
     let mut fresh = false;

@@ -190,7 +190,7 @@ mod tests {
             let name = format!("{id}.png");
             model.images.insert(id, PosedImage { id, camera: 1, name, pose: Pose::IDENTITY, observations });
             let sigma = if id == 5 { 0.02 } else { 0.001 };
-            let deviation = PoseDeviation { rotation: [sigma, 0.0005, 0.0005], centre: [0.0; 3] };
+            let deviation = PoseDeviation { rotation: [sigma, 0.0005, 0.0005], ..PoseDeviation::default() };
             uncertainty.images.insert(id, deviation);
         }
         let names = |u: Option<&Uncertainty>| {

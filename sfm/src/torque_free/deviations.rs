@@ -1,8 +1,9 @@
 //! How well the poses of a torque-free body are known.
 
 use super::likely::{DETERMINED, LikelyMotion};
-use crate::result::PoseDeviation;
+use crate::result::{PoseDeviation, outer_square};
 use crate::solvers::cholesky::cholesky;
+use glam::{DMat3, DVec3};
 use scene::Pose;
 
 /// Half the width of the differences by which derivatives are taken, in standard deviations.
@@ -22,26 +23,25 @@ pub(super) fn steps(likely: &LikelyMotion) -> Vec<[f64; DETERMINED]> {
 /// Standard deviations of the poses at some times, seconds, against the attitude at the epoch and
 /// the centre of mass. `factor`: on all of them.
 pub(super) fn of_poses(likely: &LikelyMotion, times: &[f64], factor: f64) -> Vec<PoseDeviation> {
-    let mut squares = vec![[0.0; 6]; times.len()];
+    let mut squares = vec![(DVec3::ZERO, DMat3::ZERO); times.len()];
     for step in steps(likely) {
         let moved = |sign: f64| likely.motion.stepped(&step.map(|v| sign * DIFFERENCE * v)).poses(times);
         for ((sum, high), low) in squares.iter_mut().zip(moved(1.0)).zip(moved(-1.0)) {
-            for (s, d) in sum.iter_mut().zip(difference(&high, &low)) {
-                *s += (d / (2.0 * DIFFERENCE)).powi(2);
-            }
+            let [turned, moved] = difference(&high, &low).map(|d| d / (2.0 * DIFFERENCE));
+            sum.0 += turned * turned;
+            sum.1 += outer_square(moved);
         }
     }
-    let deviation = |s: [f64; 6]| {
-        let [a, b, c, x, y, z] = s.map(|v| factor * v.sqrt());
-        PoseDeviation { rotation: [a, b, c], centre: [x, y, z] }
-    };
-    squares.into_iter().map(deviation).collect()
+    let deviations = squares.into_iter().map(|(rotation, centre)| PoseDeviation {
+        rotation: rotation.to_array().map(|v| factor * v.sqrt()),
+        centre: centre * (factor * factor),
+    });
+    deviations.collect()
 }
 
 /// From one pose to another: rotation vector, camera frame; centre, world frame.
-fn difference(to: &Pose, from: &Pose) -> [f64; 6] {
+fn difference(to: &Pose, from: &Pose) -> [DVec3; 2] {
     let turn = to.rotation * from.rotation.conjugate();
-    let [a, b, c] = (if turn.w < 0.0 { -turn } else { turn }).to_scaled_axis().to_array();
-    let [x, y, z] = (to.centre() - from.centre()).to_array();
-    [a, b, c, x, y, z]
+    let turned = (if turn.w < 0.0 { -turn } else { turn }).to_scaled_axis();
+    [turned, to.centre() - from.centre()]
 }

@@ -3,7 +3,7 @@
 
 use crate::reconstruct::context::StepContext;
 use crate::reconstruct::model::{SfmModel, StepResult};
-use crate::result::{FramePose, PoseDeviation};
+use crate::result::{FramePose, PoseDeviation, outer_square};
 use scene::Pose;
 
 /// How much less an interpolation errs between neighbours than between frames twice as far apart.
@@ -38,9 +38,9 @@ fn interpolated(known: &[(f64, Pose)], times: &[f64]) -> Vec<FramePose> {
         } else if after > 0 && after < known.len() && !missed.is_empty() {
             let pose = between(&known[after - 1], &known[after], time_s);
             let [a, b] = [after.saturating_sub(2), after - 1].map(|i| missed[i.min(missed.len() - 1)]);
-            let worse = |x: [f64; 3], y: [f64; 3]| std::array::from_fn(|k| FINER * x[k].max(y[k]));
-            let deviation =
-                PoseDeviation { rotation: worse(a.rotation, b.rotation), centre: worse(a.centre, b.centre) };
+            let rotation = std::array::from_fn(|k| FINER * a.rotation[k].max(b.rotation[k]));
+            let worse = if a.centre_length() > b.centre_length() { a } else { b };
+            let deviation = PoseDeviation { rotation, centre: worse.centre * (FINER * FINER) };
             found.push(FramePose { time_s, pose, deviation });
         }
     }
@@ -58,7 +58,7 @@ fn between(a: &(f64, Pose), b: &(f64, Pose), time: f64) -> Pose {
 fn off(a: &Pose, b: &Pose) -> PoseDeviation {
     let turn = a.rotation * b.rotation.conjugate();
     let rotation = (if turn.w < 0.0 { -turn } else { turn }).to_scaled_axis().abs().to_array();
-    PoseDeviation { rotation, centre: (a.centre() - b.centre()).abs().to_array() }
+    PoseDeviation { rotation, centre: outer_square(a.centre() - b.centre()) }
 }
 
 #[cfg(test)]

@@ -1,0 +1,66 @@
+//! Poses that other programs have found: Metashape, RealityScan, Bundler, OpenSfM, nerfstudio.
+//!
+//! Cameras and poses are read; points are not, since these files hold no observations of them or
+//! number them by features that are not there.
+
+mod bundler;
+mod imported;
+mod metashape;
+mod opensfm;
+mod realityscan;
+
+pub use imported::ImportedPoses;
+pub use metashape::write_metashape;
+
+use super::error::IoError;
+use super::read_model;
+use super::transforms::{WORLD_FROM_TRANSFORMS, read_transforms};
+use crate::sim3::Sim3;
+use std::path::{Path, PathBuf};
+
+/// Names under which [`find_poses`] looks for files, with those that only this program knows by
+/// their ending in other folders left out.
+const NAMES: [&str; 6] = [
+    "transforms.json",
+    "reconstruction.json",
+    "cameras.xml",
+    "bundle.out",
+    "bundle/bundle.out",
+    "cameras.csv",
+];
+
+/// Whether a file with this name is one that [`read_poses`] reads.
+pub fn is_poses_file(path: &Path) -> bool {
+    let ending = path.extension().map(|e| e.to_string_lossy().to_ascii_lowercase());
+    matches!(ending.as_deref(), Some("json" | "xml" | "out" | "csv"))
+}
+
+/// The file of poses that lies in a folder of images, if there is one.
+pub fn find_poses(folder: &Path) -> Option<PathBuf> {
+    NAMES.iter().map(|n| folder.join(n)).find(|p| p.is_file())
+}
+
+/// Reads poses in whatever form they have: a folder with a COLMAP model, `transforms.json`,
+/// OpenSfM's `reconstruction.json`, Metashape's `.xml`, Bundler's `.out` (with a list of images
+/// beside it), RealityScan's `.csv`. `images`: the folder of the images, for files that do not
+/// tell their size.
+pub fn read_poses(path: &Path, images: &Path) -> Result<ImportedPoses, IoError> {
+    if path.is_dir() {
+        return Ok(ImportedPoses { model: read_model(path)?, world_from_file: Sim3::IDENTITY });
+    }
+    let ending = path.extension().map(|e| e.to_string_lossy().to_ascii_lowercase());
+    let imported = match ending.as_deref() {
+        Some("xml") => metashape::read(path)?,
+        Some("out") => bundler::read(path, images)?,
+        Some("csv") => realityscan::read(path, images)?,
+        Some("json") if opensfm::is_reconstruction(path)? => opensfm::read(path)?,
+        _ => ImportedPoses {
+            model: read_transforms(path)?.reconstruction,
+            world_from_file: WORLD_FROM_TRANSFORMS,
+        },
+    };
+    if imported.model.images.is_empty() {
+        return Err(IoError::format(path, "expected images with poses, found none"));
+    }
+    Ok(imported)
+}

@@ -1,0 +1,53 @@
+//! The world frame of a run: where its model is moved before anything is written.
+
+use crate::args::PipelineArgs;
+use glam::{DMat3, DVec3};
+use scene::decision::MotionModel;
+use scene::sim3::Sim3;
+use scene::{Decision, FrameSet, Reconstruction, RingSequence, WorldFrame};
+use sfm::{PoseDeviation, SfmResult};
+
+/// Where the world of a solved model lies; with `--keep-frame`, what is up in the solver's frame.
+pub(super) fn find(result: &SfmResult, frames: &FrameSet, args: &PipelineArgs) -> Option<WorldFrame> {
+    let model = result.reconstruction.as_ref()?;
+    let motion = result.decisions.iter().filter_map(Decision::motion).last();
+    let is_turn = motion == Some(MotionModel::SingleAxis);
+    let tumbles = result.motion.as_ref().filter(|m| m.tumble.is_some());
+    let sequence = RingSequence::of(model, frames).filter(|_| tumbles.is_none());
+    let ring = sequence.as_ref().map(|s| &s.ring);
+    let axis = match tumbles {
+        Some(report) => Some(DVec3::from_array(report.axis_body)),
+        None => ring.filter(|_| is_turn).map(|r| r.axis),
+    };
+    // Only a turn about one axis is scaled by a known distance.
+    let metric = is_turn && args.sfm.motion.known_distance.is_some();
+    let world = WorldFrame::of(model, ring, axis, metric)?;
+    Some(if args.keep_frame { world.kept(Sim3::IDENTITY) } else { world })
+}
+
+/// Moves all that was solved.
+pub(super) fn place(result: &mut SfmResult, world_from_solver: &Sim3) {
+    let turn = DMat3::from_quat(world_from_solver.rotation);
+    let resized = turn * world_from_solver.scale;
+    let moved = |d: &mut PoseDeviation| d.centre = resized * d.centre * resized.transpose();
+    if let Some(model) = &mut result.reconstruction {
+        *model = world_from_solver.transform_reconstruction(model);
+    }
+    if let Some(uncertainty) = &mut result.uncertainty {
+        uncertainty.images.values_mut().for_each(moved);
+    }
+    for frame in &mut result.frames {
+        frame.pose = world_from_solver.transform_pose(&frame.pose);
+        moved(&mut frame.deviation);
+    }
+    if let Some(motion) = &mut result.motion {
+        motion.axis_body = (turn * DVec3::from_array(motion.axis_body)).to_array();
+    }
+}
+
+/// What is up in a model that came with the input, whose frame stays as it is. `turn`: from the
+/// frame of its file.
+pub(super) fn given(model: &Reconstruction, frames: &FrameSet, turn: Sim3) -> Option<WorldFrame> {
+    let sequence = RingSequence::of(model, frames);
+    Some(WorldFrame::of(model, sequence.as_ref().map(|s| &s.ring), None, false)?.kept(turn))
+}
