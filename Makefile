@@ -14,7 +14,7 @@ SAT_RECON := $(TARGET)/release/sat-recon
 VENV := $(CACHE)/venv
 SHARED := $(or $(SAT_RECON_SHARED),../shared)
 
-.PHONY: help setup viewer build demo test crash-test fuzz sanitize neon lint same-bytes bench tables bench-gpu compare benchmarks-page oracle testbed suite bench-suite site \
+.PHONY: help setup viewer build demo wheel test crash-test fuzz sanitize neon lint same-bytes bench tables bench-gpu compare benchmarks-page oracle testbed suite bench-suite site \
   tutorial-pictures
 help:  ## this list
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed 's/:.*##/\t/' | expand -t 20
@@ -32,8 +32,12 @@ demo: build  ## a satellite that yaws before a green screen: video to splat, the
 	$(SAT_RECON) data/testbed/case3/video.mp4 -o out/demo --quality draft
 	@echo; echo "Open out/demo/report.html in a browser; the splat is out/demo/splat.ply"
 
+wheel: build  ## a Python wheel with the program inside: build/wheels (needs Python 3.9 with pip)
+	@tools/setup.sh python3-venv binutils
+	tools/wheel.sh $(SAT_RECON) build/wheels
+
 test: setup viewer  ## every test (real data is looked for in ../shared/data)
-	@tools/setup.sh colmap chromium
+	@tools/setup.sh colmap chromium python3-numpy
 	cargo test --workspace --locked
 
 crash-test: setup  ## kill the program, fill its disk and fail its reads at every call to the file system (hours)

@@ -32,6 +32,9 @@ pub struct Global {
     /// Print the result as JSON on standard output
     #[arg(long, global = true, help_heading = "General")]
     pub json: bool,
+    /// How standard error tells what goes on: for people, or an object of JSON a line for programs
+    #[arg(long, global = true, value_enum, default_value_t = Telling::Text, value_name = "FORM", help_heading = "General")]
+    pub progress: Telling,
     /// Print errors only
     #[arg(short, long, global = true, conflicts_with = "verbose", help_heading = "General")]
     pub quiet: bool,
@@ -41,6 +44,16 @@ pub struct Global {
     /// Print the help of a command with all its flags
     #[arg(long, global = true, help_heading = "General")]
     pub help_all: bool,
+}
+
+/// How progress, messages and errors are told.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub enum Telling {
+    /// Bars on a terminal, lines elsewhere
+    Text,
+    /// Lines such as {"event": "progress", "stage": 2, "stages": 6, "what": "features", "done": 3,
+    /// "total": 100, "detail": ""} and {"event": "message", "text": "…"}
+    Json,
 }
 
 /// The commands. Those from `frames` to `report` are one pipeline stopped early.

@@ -19,6 +19,13 @@ pub struct Recorded {
 
 /// Flags without a value that may stand before the command.
 const BARE_GLOBALS: [&str; 5] = ["-v", "--verbose", "-q", "--quiet", "--json"];
+/// Flags with a value that may stand before the command, and are no part of how a run was made.
+const VALUED_GLOBALS: [&str; 3] = ["--config", "--threads", "--progress"];
+
+/// Whether an argument is one of the flags with its value behind an equals sign.
+fn is_joined(argument: &str, flags: &[&str]) -> bool {
+    argument.split_once('=').is_some_and(|(name, _)| flags.contains(&name))
+}
 
 /// The preset's flags (`balanced` is the flags' defaults): those of the poses, then those of the
 /// splat.
@@ -44,10 +51,8 @@ pub fn with_command(mut argv: Vec<String>) -> Vec<String> {
     let mut i = 1;
     while let Some(arg) = argv.get(i) {
         match arg.as_str() {
-            "--config" | "--threads" => i += 2,
-            a if BARE_GLOBALS.contains(&a) || a.starts_with("--config=") || a.starts_with("--threads=") => {
-                i += 1
-            }
+            a if VALUED_GLOBALS.contains(&a) => i += 2,
+            a if BARE_GLOBALS.contains(&a) || is_joined(a, &VALUED_GLOBALS) => i += 1,
             "help" | "-h" | "--help" | "-V" | "--version" => return argv,
             a if command.find_subcommand(a).is_some() => return argv,
             // Left as it is, the parser says what it may have been.
@@ -174,9 +179,10 @@ fn typed_flags(argv: &[String], input: &Path) -> Vec<String> {
             continue;
         }
         match flag.as_str() {
-            "-o" | "--output" | "--config" | "--threads" => skip = true,
-            f if BARE_GLOBALS.contains(&f) => {}
-            f if ["-o", "--output=", "--config=", "--threads="].iter().any(|p| f.starts_with(p)) => {}
+            "-o" | "--output" => skip = true,
+            f if VALUED_GLOBALS.contains(&f) => skip = true,
+            f if BARE_GLOBALS.contains(&f) || is_joined(f, &VALUED_GLOBALS) => {}
+            f if f.starts_with("-o") || f.starts_with("--output=") => {}
             _ => kept.push(flag),
         }
     }

@@ -45,6 +45,7 @@ pub fn run(parsed: config::Parsed) -> Result<Outcome> {
     if let Some(threads) = global.threads {
         rayon::ThreadPoolBuilder::new().num_threads(threads).build_global()?;
     }
+    terminal::tell_as_json(global.progress == args::Telling::Json);
     terminal::install_ctrl_c()?;
     let until = match &parsed.cli.command {
         Command::Frames(_) => Until::Frames,

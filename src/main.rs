@@ -1,9 +1,9 @@
 //! The program: parses, runs one command, turns its outcome into an exit code.
 //!
-//! Exit codes: 0 all well, 2 no model, 3 a partial model, 1 anything else.
+//! Exit codes: 0 all well, 2 no model, 3 a partial or doubtful model, 1 anything else.
 
 use anyhow::anyhow;
-use sat_recon::terminal::say;
+use sat_recon::terminal::say_error;
 use sat_recon::{Outcome, config, run};
 use std::ffi::OsString;
 use std::io::ErrorKind;
@@ -42,6 +42,6 @@ fn quiet_drivers() {
 }
 
 fn fail(error: &anyhow::Error) -> ExitCode {
-    say(&format!("error: {error:#}"));
+    say_error(&format!("{error:#}"));
     ExitCode::from(1)
 }

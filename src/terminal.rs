@@ -3,6 +3,7 @@
 use anyhow::Context as _;
 use indicatif::{ProgressBar, ProgressStyle};
 use scene::progress::ProgressSink;
+use serde_json::json;
 use std::io::{IsTerminal, Write};
 use std::sync::Mutex;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -31,9 +32,30 @@ pub fn print(text: &str) -> anyhow::Result<()> {
     }
 }
 
+/// Whether standard error is for programs.
+static AS_JSON: AtomicBool = AtomicBool::new(false);
+
+/// From now on all that is said on standard error is an object of JSON a line, or not.
+pub fn tell_as_json(json: bool) {
+    AS_JSON.store(json, Ordering::SeqCst);
+}
+
 /// Prints a line on standard error; where nobody can read it, nothing is lost.
 pub fn say(line: &str) {
-    let _ = writeln!(std::io::stderr(), "{line}");
+    say_event(&json!({"event": "message", "text": line}), line);
+}
+
+/// Says why the program ends without a result.
+pub fn say_error(text: &str) {
+    say_event(&json!({"event": "error", "text": text}), &format!("error: {text}"));
+}
+
+fn say_event(event: &serde_json::Value, line: &str) {
+    let _ = if AS_JSON.load(Ordering::SeqCst) {
+        writeln!(std::io::stderr(), "{event}")
+    } else {
+        writeln!(std::io::stderr(), "{line}")
+    };
 }
 
 /// Turned true by the first Ctrl-C.
@@ -63,25 +85,41 @@ pub struct TerminalSink {
     verbosity: Verbosity,
     state: Mutex<ProgressState>,
     log: Option<Mutex<std::fs::File>>,
-    /// Which of how many stages, put before what is done.
-    stage: String,
+    /// Which of how many stages.
+    stage: Option<[usize; 2]>,
 }
 
 /// Seconds between two plain lines. Source: chosen by hand, never measured.
 const LINE_EVERY: Duration = Duration::from_secs(5);
+/// Seconds between two events. Source: what an eye still takes for motion without a break.
+const EVENT_EVERY: Duration = Duration::from_millis(100);
 
 impl TerminalSink {
     /// A sink whose notes go to `log` too.
     pub fn new(verbosity: Verbosity, log: Option<std::fs::File>) -> Self {
         let now = Instant::now();
         let state = ProgressState { what: String::new(), total: 0, bar: None, begun: now, last_line: now };
-        Self { verbosity, state: Mutex::new(state), log: log.map(Mutex::new), stage: String::new() }
+        Self { verbosity, state: Mutex::new(state), log: log.map(Mutex::new), stage: None }
     }
 
     /// The same of one of several stages.
     pub fn of_stage(mut self, number: usize, of: usize) -> Self {
-        self.stage = format!("{number}/{of} ");
+        self.stage = Some([number, of]);
         self
+    }
+
+    /// What is done, behind the number of its stage.
+    fn named(&self, what: &str) -> String {
+        self.stage.map_or_else(|| what.to_owned(), |[number, of]| format!("{number}/{of} {what}"))
+    }
+
+    /// Tells a program how far the stage is.
+    fn tell(&self, what: &str, done: u64, total: u64, detail: &str) {
+        let [stage, stages] = self.stage.unwrap_or([1, 1]);
+        let total = (total > 0).then_some(total);
+        let event = json!({"event": "progress", "stage": stage, "stages": stages, "what": what,
+            "done": done, "total": total, "detail": detail});
+        say_event(&event, "");
     }
 
     fn lock(&self) -> std::sync::MutexGuard<'_, ProgressState> {
@@ -95,14 +133,16 @@ impl ProgressSink for TerminalSink {
         if let Some(bar) = state.bar.take() {
             bar.finish_and_clear();
         }
-        state.what = format!("{}{what}", self.stage);
+        state.what = what.to_owned();
         state.total = total;
         state.begun = Instant::now();
         state.last_line = state.begun;
         if self.verbosity == Verbosity::Quiet {
             return;
         }
-        if std::io::stderr().is_terminal() {
+        if AS_JSON.load(Ordering::SeqCst) {
+            self.tell(what, 0, total, "");
+        } else if std::io::stderr().is_terminal() {
             let bar = if total > 0 { ProgressBar::new(total) } else { ProgressBar::new_spinner() };
             let template = if total > 0 {
                 "{msg:32!} {bar:30} {pos}/{len} {rate} {eta} left {prefix}"
@@ -115,7 +155,7 @@ impl ProgressSink for TerminalSink {
                 };
                 bar.set_style(style.with_key("rate", rate));
             }
-            bar.set_message(format!("{}{what}", self.stage));
+            bar.set_message(self.named(what));
             state.bar = Some(bar);
         }
     }
@@ -137,12 +177,20 @@ impl ProgressSink for TerminalSink {
                 bar.finish_and_clear();
                 state.bar = None;
             }
-        } else if self.verbosity > Verbosity::Quiet
-            && !std::io::stderr().is_terminal()
-            && state.last_line.elapsed() > LINE_EVERY
-        {
-            state.last_line = Instant::now();
-            say(&plain_line(&state, done, state.begun.elapsed().as_secs_f64(), detail));
+            return;
+        }
+        let as_json = AS_JSON.load(Ordering::SeqCst);
+        let pause = if as_json { EVENT_EVERY } else { LINE_EVERY };
+        let is_due = state.last_line.elapsed() > pause || (as_json && done == state.total);
+        if self.verbosity == Verbosity::Quiet || !is_due {
+            return;
+        }
+        state.last_line = Instant::now();
+        if as_json {
+            self.tell(&state.what, done, state.total, detail);
+        } else if !std::io::stderr().is_terminal() {
+            let seconds = state.begun.elapsed().as_secs_f64();
+            say(&plain_line(&self.named(&state.what), &state, done, seconds, detail));
         }
     }
 
@@ -173,12 +221,12 @@ fn rate_in_words(per_second: f64) -> String {
 }
 
 /// A line of a log: what is done, how much of it, how fast, and the time that is left.
-fn plain_line(state: &ProgressState, done: u64, seconds: f64, detail: &str) -> String {
+fn plain_line(what: &str, state: &ProgressState, done: u64, seconds: f64, detail: &str) -> String {
     let rate = done as f64 / seconds.max(1e-9);
     let of = if state.total > 0 { format!("/{}", state.total) } else { String::new() };
     let left =
         (state.total > done && done > 0).then(|| format!("{:.0} s left", (state.total - done) as f64 / rate));
-    let parts = [Some(format!("{}: {done}{of}", state.what)), Some(rate_in_words(rate)), left];
+    let parts = [Some(format!("{what}: {done}{of}")), Some(rate_in_words(rate)), left];
     let parts: Vec<String> = parts.into_iter().flatten().filter(|p| !p.is_empty()).collect();
     format!("{} {detail}", parts.join(", ")).trim_end().to_owned()
 }
@@ -202,10 +250,10 @@ mod tests {
         let sink = TerminalSink::new(Verbosity::Normal, None).of_stage(2, 6);
         sink.begin("mapping", 100);
         assert_eq!(
-            plain_line(&sink.lock(), 50, 100.0, "50 images"),
+            plain_line(&sink.named("mapping"), &sink.lock(), 50, 100.0, "50 images"),
             "2/6 mapping: 50/100, 2.0 s each, 100 s left 50 images"
         );
         sink.update(184, "");
-        assert_eq!(plain_line(&sink.lock(), 184, 100.0, ""), "2/6 mapping: 184, 1.8/s");
+        assert_eq!(plain_line("mapping", &sink.lock(), 184, 100.0, ""), "mapping: 184, 1.8/s");
     }
 }

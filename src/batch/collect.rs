@@ -78,7 +78,7 @@ impl CaptureRow {
         row.gaussians = known.splat.as_ref().map_or(0, |s| s.gaussians);
         let judged = known.evaluation.as_ref().filter(|e| !e.views.is_empty());
         row.psnr = judged.map(|e| e.mean.psnr_mask.unwrap_or(e.mean.psnr));
-        row.cpu_s = known.costs.iter().map(|(_, c)| c.cpu_s).sum();
+        row.cpu_s = known.costs.iter().fold(0.0, |sum, (_, c)| sum + c.cpu_s);
         row.peak_mib = known.costs.iter().map(|(_, c)| c.peak_mib).fold(0.0, f64::max);
         row
     }

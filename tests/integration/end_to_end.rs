@@ -98,15 +98,9 @@ fn the_report_is_one_file_with_everything_in_it() {
     assert!(report.len() < 6 << 20, "{} bytes are too many for a phone", report.len());
     let run = json(&out.join("run.json"));
     let lights = run["verdict"].as_array().unwrap();
-    for what in [
-        "frames with a pose",
-        "loop",
-        "reprojection error",
-        "weak frames",
-        "held-out views",
-        "overfitting",
-        "floaters",
-    ] {
+    for what in
+        ["frames with a pose", "loop", "reprojection error", "weak frames", "held-out views", "overfitting"]
+    {
         assert!(lights.iter().any(|l| l["what"] == what), "{what}: {lights:?}");
     }
     let overfitting = lights.iter().find(|l| l["what"] == "overfitting").unwrap();

@@ -65,7 +65,9 @@ impl Harness {
     /// The calls that a run makes, as the log lists them; those that are tried.
     fn chosen(&self, out: &Path, mode: &str, more: &str) -> Vec<usize> {
         let counted = self.traced(out, &[mode], &self.arguments(out, more));
-        assert_eq!(counted.status.code(), Some(0), "{}", String::from_utf8_lossy(&counted.stderr));
+        // What so short a training makes may be called doubtful.
+        let code = counted.status.code();
+        assert!(matches!(code, Some(0 | 3)), "{}", String::from_utf8_lossy(&counted.stderr));
         let calls = std::fs::read_to_string(self.dir.join("log")).unwrap().lines().count();
         assert!(calls > 50, "{calls} calls");
         let all = std::env::var_os("SAT_RECON_CRASH").is_some();

@@ -1,0 +1,22 @@
+//! The Python package runs this program: its own tests, where Python and numpy are installed.
+
+use std::path::Path;
+use std::process::Command;
+
+#[test]
+fn the_python_package_runs_the_program_and_reads_its_results() {
+    let root = Path::new(env!("CARGO_MANIFEST_DIR"));
+    let numpy = Command::new("python3").args(["-c", "import numpy"]).output();
+    if !numpy.is_ok_and(|o| o.status.success()) {
+        assert!(std::env::var_os("CI").is_none(), "python3 or numpy is missing");
+        eprintln!("skipped: python3 with numpy is not installed");
+        return;
+    }
+    let run = Command::new("python3")
+        .args(["-B", "-m", "unittest", "-v", "test_sat_recon"])
+        .current_dir(root.join("python/tests"))
+        .env("SAT_RECON", env!("CARGO_BIN_EXE_sat-recon"))
+        .output()
+        .unwrap();
+    assert!(run.status.success(), "{}", String::from_utf8_lossy(&run.stderr));
+}
