@@ -32,6 +32,7 @@ pub mod profile;
 mod quantile;
 mod reference;
 mod render;
+pub mod simd;
 pub mod statistics;
 pub mod surface;
 pub mod train;

@@ -9,7 +9,7 @@
 /// # Safety
 /// Values may only be made where the instruction set of the type is present. That holds for code
 /// reached through `simd_kernel!`, because an [`Isa`] exists only if it was detected.
-pub(crate) unsafe trait Simd: Copy {
+pub unsafe trait Simd: Copy {
     /// Result of a comparison.
     type Mask: Copy;
     /// Lanes, a divisor of 16. Source: the size of the registers.
