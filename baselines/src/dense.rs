@@ -79,39 +79,56 @@ fn product_by<S: Simd, const V: usize>(a: &mut Product) {
     let (inputs, outputs) = (a.inputs, a.outputs);
     let (rows, zero) = (a.y.len() / outputs, S::splat(0.0));
     for column in (0..outputs).step_by(PANEL) {
-        let panel = a.panels[column * inputs..][..PANEL * inputs].as_ptr();
+        let panel = &a.panels[column * inputs..][..PANEL * inputs];
         let mut first = [zero; V];
         if let Some(bias) = a.bias {
-            for (v, first) in first.iter_mut().enumerate() {
-                *first = S::read(&bias[column + v * S::LANES..]);
+            for v in 0..V {
+                first[v] = S::read(&bias[column + v * S::LANES..]);
             }
         }
         for row in (0..rows).step_by(ROWS) {
-            let mut sums = [first; ROWS];
-            let x = a.x[row * inputs..][..ROWS * inputs].as_ptr();
-            for i in 0..inputs {
-                let mut w = [zero; V];
-                for (v, w) in w.iter_mut().enumerate() {
-                    // SAFETY: the panel has PANEL = V · LANES weights for each input.
-                    *w = unsafe { S::load(panel.add(i * PANEL + v * S::LANES)) };
-                }
-                for (r, sums) in sums.iter_mut().enumerate() {
-                    // SAFETY: x has ROWS rows of `inputs`.
-                    let value = S::splat(unsafe { *x.add(r * inputs + i) });
-                    for v in 0..V {
-                        sums[v] = value.fma(w[v], sums[v]);
-                    }
-                }
-            }
-            for (r, sums) in sums.iter().enumerate() {
+            let x = &a.x[row * inputs..][..ROWS * inputs];
+            // SAFETY: x has ROWS rows of `inputs`, the panel V · LANES weights for each input.
+            let sums = unsafe { tile::<S, V>(x.as_ptr(), inputs, panel.as_ptr(), first) };
+            for r in 0..ROWS {
                 let y = &mut a.y[(row + r) * outputs + column..][..PANEL];
-                for (v, sum) in sums.iter().enumerate() {
-                    let sum = if a.relu { sum.max(zero) } else { *sum };
+                for v in 0..V {
+                    let sum = if a.relu { sums[r][v].max(zero) } else { sums[r][v] };
                     sum.write(&mut y[v * S::LANES..]);
                 }
             }
         }
     }
+}
+
+/// `first + x W` for a tile of rows and one panel.
+/// # Safety
+/// `x` points to ROWS rows of `inputs`, `w` to V registers for each input.
+#[inline(always)]
+unsafe fn tile<S: Simd, const V: usize>(
+    mut x: *const f32,
+    inputs: usize,
+    mut w: *const f32,
+    first: [S; V],
+) -> [[S; V]; ROWS] {
+    let mut sums = [first; ROWS];
+    for _ in 0..inputs {
+        let mut weights = first;
+        for v in 0..V {
+            // SAFETY: the caller vouches for the panel.
+            weights[v] = unsafe { S::load(w.add(v * S::LANES)) };
+        }
+        for r in 0..ROWS {
+            // SAFETY: the caller vouches for the rows.
+            let value = S::splat(unsafe { *x.add(r * inputs) });
+            for v in 0..V {
+                sums[r][v] = value.fma(weights[v], sums[r][v]);
+            }
+        }
+        // SAFETY: at most one past the end.
+        (x, w) = unsafe { (x.add(1), w.add(PANEL)) };
+    }
+    sums
 }
 
 #[inline(always)]
@@ -147,33 +164,50 @@ fn weights_by<S: Simd, const V: usize>(a: &mut WeightGradient) {
         for i in (0..inputs).step_by(INPUTS) {
             let place = &mut panel[i * PANEL..][..INPUTS * PANEL];
             let mut sums = [[S::splat(0.0); V]; INPUTS];
-            for (k, sums) in sums.iter_mut().enumerate() {
-                for (v, sum) in sums.iter_mut().enumerate() {
-                    *sum = S::read(&place[k * PANEL + v * S::LANES..]);
+            for k in 0..INPUTS {
+                for v in 0..V {
+                    sums[k][v] = S::read(&place[k * PANEL + v * S::LANES..]);
                 }
             }
-            let (x, dy) = (a.x.as_ptr(), a.dy.as_ptr());
-            for row in 0..rows {
-                let mut g = [S::splat(0.0); V];
-                for (v, g) in g.iter_mut().enumerate() {
-                    // SAFETY: dy has `rows` rows of `outputs`, a multiple of PANEL.
-                    *g = unsafe { S::load(dy.add(row * outputs + column + v * S::LANES)) };
-                }
-                for (k, sums) in sums.iter_mut().enumerate() {
-                    // SAFETY: x has `rows` rows of `inputs`, a multiple of INPUTS.
-                    let value = S::splat(unsafe { *x.add(row * inputs + i + k) });
-                    for v in 0..V {
-                        sums[v] = value.fma(g[v], sums[v]);
-                    }
-                }
-            }
-            for (k, sums) in sums.iter().enumerate() {
-                for (v, sum) in sums.iter().enumerate() {
-                    sum.write(&mut place[k * PANEL + v * S::LANES..]);
+            let (x, dy) = (a.x[i..].as_ptr(), a.dy[column..].as_ptr());
+            // SAFETY: x has `rows` rows of `inputs`, dy of `outputs`; both tiles lie inside.
+            let sums = unsafe { outer::<S, V>(rows, (x, inputs), (dy, outputs), sums) };
+            for k in 0..INPUTS {
+                for v in 0..V {
+                    sums[k][v].write(&mut place[k * PANEL + v * S::LANES..]);
                 }
             }
         }
     }
+}
+
+/// `sums + xᵀ dy` for INPUTS columns of `x` and one panel of `dy`; each comes with its stride.
+/// # Safety
+/// Both point to `rows` rows, of INPUTS and of V registers.
+#[inline(always)]
+unsafe fn outer<S: Simd, const V: usize>(
+    rows: usize,
+    (x, x_stride): (*const f32, usize),
+    (dy, dy_stride): (*const f32, usize),
+    mut sums: [[S; V]; INPUTS],
+) -> [[S; V]; INPUTS] {
+    let (mut x_at, mut dy_at) = (0, 0);
+    for _ in 0..rows {
+        let mut gradients = sums[0];
+        for v in 0..V {
+            // SAFETY: the caller vouches for the rows.
+            gradients[v] = unsafe { S::load(dy.add(dy_at + v * S::LANES)) };
+        }
+        for k in 0..INPUTS {
+            // SAFETY: the caller vouches for the rows.
+            let value = S::splat(unsafe { *x.add(x_at + k) });
+            for v in 0..V {
+                sums[k][v] = value.fma(gradients[v], sums[k][v]);
+            }
+        }
+        (x_at, dy_at) = (x_at + x_stride, dy_at + dy_stride);
+    }
+    sums
 }
 
 /// Sets `dy` to 0 where the activation `y` is not positive: backward through the rectifier.

@@ -48,11 +48,6 @@ impl Domain {
         let half = if mean > 0.0 { UNMASKED_HALF * mean } else { UNMASKED_HALF };
         Self { centre: focus.as_vec3(), half: half as f32, cascades: UNMASKED_CASCADES }
     }
-
-    /// Half a side of the largest cube.
-    pub(crate) fn outer(&self) -> f32 {
-        self.half * (1u32 << (self.cascades - 1)) as f32
-    }
 }
 
 /// The point nearest to the optical axes, in the sense of least squares.

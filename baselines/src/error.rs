@@ -27,6 +27,14 @@ pub enum FieldError {
         /// Why.
         reason: &'static str,
     },
+    /// A camera with distortion.
+    #[error("camera {camera} is {model}; rendering needs PINHOLE: undistort the images first")]
+    NotPinhole {
+        /// Camera number.
+        camera: u32,
+        /// COLMAP's name of the model.
+        model: &'static str,
+    },
     /// A file cannot be written.
     #[error("cannot write {path}: {source}")]
     Write {

@@ -1,4 +1,24 @@
 //! Radiance fields other than Gaussians, behind one trait: what the splats are compared with.
+//!
+//! [`train()`] makes a [`TrainedField`] of a [`splat::Dataset`]; a field is a [`RadianceField`] in
+//! the normalised frame of its data set.
+//!
+//! ```no_run
+//! use baselines::{FieldConfig, Method, train};
+//! use scene::Progress;
+//! use splat::{Dataset, DatasetConfig};
+//! use std::path::Path;
+//!
+//! # fn main() -> Result<(), Box<dyn std::error::Error>> {
+//! let model = scene::io::read_model(Path::new("out/sparse/0"))?;
+//! let (data, progress) = (DatasetConfig::default(), Progress::silent());
+//! let dataset = Dataset::load(Path::new("out/images"), None, &model, &data, &progress)?;
+//! let config = FieldConfig::new(Method::InstantNgp, 4000);
+//! let result = train(&dataset, &[], &config, None, &progress)?;
+//! result.field.write(Path::new("out/field.bin"))?;
+//! # Ok(())
+//! # }
+//! ```
 
 #![warn(clippy::undocumented_unsafe_blocks, unreachable_pub)]
 
@@ -10,18 +30,19 @@ mod error;
 mod field;
 mod instant_ngp;
 mod loss;
+mod method;
 mod mlp;
 mod rays;
+mod store;
+mod train;
+mod trained;
+
+#[cfg(test)]
+mod tests;
 
 pub use error::FieldError;
 pub use field::{Kept, RadianceField, StepPlace, StepReport};
+pub use method::Method;
 pub use rays::{Photos, Ray};
-
-use splat::Dataset;
-
-/// An untrained Instant NeRF of a data set.
-pub fn instant_ngp(dataset: &Dataset, seed: u64) -> Box<dyn RadianceField> {
-    let views: Vec<_> = dataset.training_views().iter().map(|&i| dataset.views[i].view).collect();
-    let shape = instant_ngp::NgpShape::new(domain::Domain::of(dataset));
-    Box::new(instant_ngp::InstantNgp::new(shape, &views, seed))
-}
+pub use train::{FieldConfig, FieldResult, train};
+pub use trained::TrainedField;

@@ -57,11 +57,6 @@ impl<'a> Photos<'a> {
         Self { dataset, views, times, transparent: dataset.is_transparent() }
     }
 
-    /// The data set.
-    pub(crate) fn dataset(&self) -> &'a Dataset {
-        self.dataset
-    }
-
     /// Random pixels of random photos, those of step `step`.
     pub(crate) fn sample(&self, count: usize, seed: u64, step: u32) -> Vec<Sighting> {
         /// Rays drawn from one stream of random numbers. Source: chosen by hand.

@@ -166,11 +166,6 @@ impl HashGrid {
         Self { tables: levels.par_iter().enumerate().map(table).collect() }
     }
 
-    /// Features of a point of all levels together.
-    pub(crate) fn width(&self) -> usize {
-        self.tables.len() * FEATURES
-    }
-
     /// Features of many points, by level: `[levels][points]`.
     pub(crate) fn encode(&self, points: &[[f32; 3]], features: &mut Vec<Vec<Corner>>) {
         features.resize(self.tables.len(), Vec::new());

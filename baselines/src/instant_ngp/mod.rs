@@ -10,6 +10,11 @@ mod render;
 mod store;
 mod train;
 
+#[cfg(test)]
+mod reference;
+#[cfg(test)]
+mod tests;
+
 
 use crate::adam::Moments;
 use crate::domain::Domain;
@@ -26,9 +31,16 @@ use splat::{PinholeView, RenderOutput};
 /// Levels of the hash grid. Source: the authors' base configuration.
 const LEVELS: usize = 8;
 /// Most corners of a level, as a power of two. Source: Müller et al. 2022, section 5.4.
-const LOG2_ENTRIES: u32 = 19;
+const LOG2_ENTRIES: u32 = 17;
 /// Samples of a step. Source: Müller et al. 2022, section 5.4 (2¹⁸).
-const SAMPLES: usize = 1 << 18;
+const SAMPLES: usize = 1 << 16;
+
+/// Most cascades, levels and powers of two in files. Source: twice the paper's, or more.
+const MOST_CASCADES: u32 = 8;
+/// See [`MOST_CASCADES`].
+const MOST_LEVELS: usize = 32;
+/// See [`MOST_CASCADES`].
+const MOST_LOG2: u32 = 24;
 
 /// The shape of an Instant NeRF.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
@@ -58,6 +70,17 @@ impl NgpShape {
     /// The defaults for a data set.
     pub(crate) fn new(domain: Domain) -> Self {
         Self { domain, levels: LEVELS, log2_entries: LOG2_ENTRIES, samples: SAMPLES }
+    }
+
+    /// Whether fields of this shape can be made.
+    pub(crate) fn is_sane(&self) -> bool {
+        let Domain { centre, half, cascades } = self.domain;
+        let box_is_sane = centre.is_finite() && half.is_finite() && half > 0.0;
+        box_is_sane
+            && (1..=MOST_CASCADES).contains(&cascades)
+            && (1..=MOST_LEVELS).contains(&self.levels)
+            && (1..=MOST_LOG2).contains(&self.log2_entries)
+            && (1..=SAMPLES).contains(&self.samples)
     }
 
     /// Side of the outermost cube, where the smallest has side 1.

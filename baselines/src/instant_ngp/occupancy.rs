@@ -10,8 +10,9 @@ use splat::PinholeView;
 pub(crate) const SIDE: usize = 128;
 /// Cells of a cascade.
 pub(crate) const CELLS: usize = SIDE * SIDE * SIDE;
-/// Steps along the diagonal of the smallest cube. Source: Müller et al. 2022, appendix E.1.
-const STEPS: f32 = 1024.0;
+/// Steps along the diagonal of the smallest cube. Source: Müller et al. 2022, appendix E.1, have
+/// 1,024; docs/decisions/19.
+const STEPS: f32 = 512.0;
 /// A step in distances from the camera, outside the smallest cube.
 /// Source: Müller et al. 2022, appendix E.1.
 const CONE: f32 = 1.0 / 256.0;
@@ -108,12 +109,6 @@ impl Occupancy {
         self.bits.par_iter_mut().enumerate().for_each(|(i, word)| {
             *word = (0..64).map(|bit| u64::from(density[i * 64 + bit] > limit) << bit).sum();
         });
-    }
-
-    /// Share of the smallest cube's cells that are occupied.
-    pub(crate) fn share(&self) -> f64 {
-        let count: u32 = self.bits[..CELLS / 64].iter().map(|w| w.count_ones()).sum();
-        f64::from(count) / CELLS as f64
     }
 
     #[inline(always)]

@@ -4,7 +4,7 @@ use super::InstantNgp;
 use super::gradient::{Batch, Pass, Sums, TrainingRay};
 use super::hash_grid::{Corner, FEATURES};
 use super::network::{LATENT, Weights, density};
-use super::occupancy::{CELLS, cell_point};
+use super::occupancy::cell_point;
 use crate::adam::AdamRates;
 use crate::field::{StepPlace, StepReport};
 use crate::mlp::Activations;
@@ -36,9 +36,8 @@ const FALLS: [f64; 3] = [0.4, 0.6, 0.8];
 const AVERAGE_FROM: f64 = 0.9;
 /// Steps between updates of the occupancy. Source: Müller et al. 2022, appendix E.2.
 const OCCUPANCY_EVERY: u32 = 16;
-/// Steps during which each update visits every cell. Source: Müller et al. 2022, appendix E.2.
-const OCCUPANCY_WARM_UP: u32 = 256;
-/// Later updates visit one cell in so many. Source: Müller et al. 2022, appendix E.2.
+/// Cells that an update visits, in samples of a step: an update costs less than one step.
+/// Source: Müller et al. 2022, appendix E.2, visit 2²⁰ cells where a step has 2¹⁸ samples.
 const VISITED: usize = 4;
 /// Share of a cell's density that an update keeps. Source: Müller et al. 2022, appendix E.2.
 const KEPT: f32 = 0.95;
@@ -47,6 +46,8 @@ const KEPT: f32 = 0.95;
 const STRETCHES: usize = 32;
 /// Cells that are evaluated together. Source: half a second-level cache of 512 KiB.
 const BLOCK: usize = 512;
+/// Cells of a task. Source: chosen by hand: many tasks for many threads.
+const CHUNK: usize = 1 << 14;
 
 impl InstantNgp {
     /// See [`crate::RadianceField::train_step`].
@@ -147,12 +148,13 @@ impl InstantNgp {
     /// Looks at the densities of cells again.
     fn update_occupancy(&mut self, place: StepPlace) {
         let update = (place.step / OCCUPANCY_EVERY) as usize;
-        let apart = if place.step < OCCUPANCY_WARM_UP { 1 } else { VISITED };
+        let few = (self.occupancy.density.len() / (VISITED * self.shape.samples)).max(1);
+        let apart = if place.step == 0 { 1 } else { few };
         let mut densities = std::mem::take(&mut self.occupancy.density);
         densities.iter_mut().filter(|d| **d > 0.0).for_each(|d| *d *= KEPT);
         let visit = |(index, densities): (usize, &mut [f32])| {
             let mut rng = rng(place.seed, "occupancy", (u64::from(place.step) << 20) + index as u64);
-            let first = index * BLOCK * VISITED;
+            let first = index * CHUNK;
             let cells: Vec<usize> = (0..densities.len())
                 .filter(|i| (first + i + update).is_multiple_of(apart) && densities[*i] >= 0.0)
                 .collect();
@@ -171,8 +173,7 @@ impl InstantNgp {
                 }
             }
         };
-        debug_assert!(CELLS.is_multiple_of(BLOCK * VISITED));
-        densities.par_chunks_mut(BLOCK * VISITED).enumerate().for_each(visit);
+        densities.par_chunks_mut(CHUNK).enumerate().for_each(visit);
         self.occupancy.density = densities;
         self.occupancy.refresh();
     }
