@@ -170,12 +170,12 @@ fn quaternions_are_normalised_and_a_zero_one_is_refused() {
     let dir = folder("quaternion");
     write_model_txt(&small_model(), &dir).unwrap();
     fs::write(dir.join("points3D.txt"), "").unwrap();
-    let cases = [("2 0 0 0", true), ("0 0 0 0", false), ("1e200 0 0 1e200", false)];
+    let cases = [("1.01 0 0 0", true), ("2 0 0 0", false), ("0 0 0 0", false), ("1e200 0 0 1e200", false)];
     for (quaternion, fine) in cases {
         fs::write(dir.join("images.txt"), format!("7 {quaternion} 0 0 0 1 a.png\n\n")).unwrap();
         match read_model(&dir) {
             Ok(model) => assert!(fine && (model.images[&7].pose.rotation.length() - 1.0).abs() < 1e-15),
-            Err(_) => assert!(!fine, "{quaternion}"),
+            Err(e) => assert!(!fine, "{quaternion}: {e}"),
         }
     }
 }

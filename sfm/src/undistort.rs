@@ -11,7 +11,7 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 /// Quality of resampled JPEG files.
-/// Source: SRC_JPEG
+/// Source: judgement: a second compression that is hardly seen.
 const JPEG_QUALITY: u8 = 97;
 /// An undistorted image is at most this much larger or smaller than its source, each way.
 /// Source: COLMAP, `max_scale` of its undistortion.

@@ -20,6 +20,7 @@ import sys
 
 import captures
 import judge
+import judge_motion
 import suite
 import suite_tables
 import truth
@@ -55,14 +56,6 @@ def found_captures(cache):
     return found
 
 
-def read_json(path):
-    try:
-        with open(path) as file:
-            return json.load(file)
-    except (OSError, ValueError):
-        return {}
-
-
 def stated(code):
     """What an exit code says of the model."""
     return {0: "well", 3: "doubtful"}.get(code, "refused")
@@ -89,7 +82,7 @@ def run_program(binary, name, entry, out):
         code, wall, cpu, peak = bench.measured([binary, "sfm", entry["input"], "-o", folder], stdout=log, stderr=log)
     with open(folder + ".log") as log:
         said = [line for line in log.read().splitlines() if line.strip()][-LAST_LINES:]
-    run = read_json(os.path.join(folder, "run.json"))
+    run = judge_motion.read_json(os.path.join(folder, "run.json"))
     row = {"capture": name, "tool": "sat-recon", "exit": code, "stated": stated(code), "cpu_s": cpu, "wall_s": wall, "peak_mib": peak,
            "said": said, "lights": run.get("verdict", [])}
     row["motion_named"], row["steady_named"] = motion_named(run)
@@ -111,10 +104,13 @@ def judged(model_folder, entry, names, run):
         record["model"] = "impossible"
     if entry["group"] != "suite":
         return record
-    motion = read_json(os.path.join(entry["folder"], "motion.json"))
+    motion = judge_motion.read_json(os.path.join(entry["folder"], "motion.json"))
     record["true_motion"] = motion["type"]
     if motion["type"] in ("steady turn", "turn by hand"):
         record |= judge.turn_figures(model_folder, entry["truths"]["body"], names)
+    if "fps" in motion:
+        record |= judge_motion.every_frame(model_folder, entry["truths"]["body"], motion["fps"])
+    record |= judge_motion.report(run, motion)
     images = ((run.get("poses") or {}).get("deviations") or {}).get("images", [])
     record["deviation_ratios"] = judge.deviation_ratios(model, truths["body"], [i for i in images if i])
     camera = (run.get("poses") or {}).get("cameras")
@@ -128,7 +124,7 @@ def run_colmap(_binary, name, entry, out):
     images = os.path.abspath(os.path.join(ours, "images") if is_video else entry["input"])
     shutil.rmtree(folder, ignore_errors=True)
     os.makedirs(folder)
-    frames = (read_json(os.path.join(ours, "run.json")).get("frames") or {}).get("frames", [])
+    frames = (judge_motion.read_json(os.path.join(ours, "run.json")).get("frames") or {}).get("frames", [])
     masks = ""
     for frame in frames:
         if frame.get("mask"):
@@ -167,7 +163,7 @@ def main():
             if args.tool and tool != args.tool:
                 continue
             path = os.path.join(results, f"{name.replace('/', '_')}.{tool}.json")
-            row = read_json(path)
+            row = judge_motion.read_json(path)
             wanted = tool == "sat-recon" and row.get("program") != program or tool == "colmap" and args.colmap and not row
             if wanted and not args.table:
                 row = run(args.binary, name, entry, args.out)

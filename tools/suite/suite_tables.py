@@ -106,6 +106,18 @@ def motion_table(rows):
     return grid(["true motion", "half", "named", "captures"], [[*k, n] for k, n in sorted(counts.items())])
 
 
+def frames_table(rows):
+    """Poses of every frame of the videos, and what the motion report says, by capture."""
+    body = []
+    for r in rows:
+        if r["tool"] == "sat-recon" and r.get("frames"):
+            body.append([r["capture"], r["half"], f"{r['frames']}/{r['frames_total']}", number(r["frames_median_deg"]), number(r["frames_max_deg"]),
+                         number(r.get("frames_error_over_deviation"), 2), number(r.get("rate_error_percent"), 2), number(r.get("axis_error_deg"), 2),
+                         number(r.get("axis_deviation_deg"), 2), number(r.get("inertia_error_percent"), 1)])
+    head = ["capture", "half", "frames", "attitude, ° median", "worst", "median error / σ", "rate, %", "axis, °", "stated, °", "inertia ratios, %"]
+    return grid(head, body)
+
+
 def wrong_table(rows):
     body = []
     for r in rows:
@@ -123,7 +135,7 @@ def tables(rows):
     suite = [r for r in rows if r["group"] == "suite"]
     parts = []
     if suite:
-        parts += ["## By class", class_table(suite), "## Motions", motion_table(suite), "## Stated deviations", deviation_table(suite)]
+        parts += ["## By class", class_table(suite), "## Motions", motion_table(suite), "## Every frame", frames_table(suite), "## Stated deviations", deviation_table(suite)]
     parts += ["## Said and true", verdict_table(rows)]
     if any(r["group"] == "wrong" for r in rows):
         parts += ["## Made wrong", wrong_table(rows)]

@@ -18,7 +18,7 @@ use rotations::RotationEdge;
 use scene::{Camera, Pose, Progress, TwoViewKind};
 
 /// Error to which observations are held at first, as a share of the longer side.
-/// Source: SRC_START
+/// Source: judgement: loose, since global positions are rough; no bench chose it.
 const START: f64 = 0.06;
 
 /// The model of the largest connected part of the view graph; `None` where it has fewer than three

@@ -44,10 +44,10 @@ impl Default for KltConfig {
 }
 
 /// Levels of the pyramids: windows reach about 7 · 2³ pixels.
-/// Source: SRC_LEVELS
+/// Source: derived: farther than points move between frames of a video.
 const LEVELS: usize = 4;
 /// Least correlation of a window with the track's first one.
-/// Source: SRC_CORR
+/// Source: judgement; the forward-backward check decides most.
 const CORRELATION: f64 = 0.85;
 
 /// A point followed through consecutive frames.

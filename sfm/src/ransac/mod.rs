@@ -133,7 +133,7 @@ fn needed_samples(inlier_ratio: f64, sample_size: usize, confidence: f64) -> usi
 /// How many of the most trustworthy data are drawn from: twice a sample at first, all after 500
 /// samples.
 fn growing_head(iteration: usize, sample_size: usize, n: usize) -> usize {
-    /// Source: SRC_PROSAC
+    /// Source: judgement, in place of the growth function of PROSAC (Chum & Matas, CVPR 2005).
     const ALL_AFTER: usize = 500;
     let first = (2 * sample_size).min(n);
     (first + (n - first) * iteration / ALL_AFTER).min(n)

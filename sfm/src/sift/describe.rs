@@ -17,7 +17,7 @@ const SPATIAL: usize = 4;
 /// Source: Lowe 2004, section 6.2.
 const ANGLES: usize = 8;
 /// Width of a spatial bin in σ of the keypoint.
-/// Source: SRC_BIN
+/// Source: judgement, near the 3 of Lowe 2004; no bench chose it.
 const BIN_SIGMAS: f32 = 3.25;
 /// Samples a spatial bin and side.
 /// Source: derived: the most with which a row of the grid still fits two vectors.

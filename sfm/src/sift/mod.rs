@@ -21,6 +21,7 @@ mod detect;
 mod noise;
 mod pyramid;
 mod spread;
+mod window;
 #[cfg(test)]
 mod tests;
 
@@ -39,11 +40,12 @@ use scene::io::load::{load_mask, load_rgb};
 use scene::{Features, FloatImage, Frame, FrameSet, Keypoint, Progress};
 use std::path::Path;
 use std::sync::{Mutex, PoisonError};
+use window::Window;
 
 /// Features of a one-channel image with values in [0, 1] (samples that are not finite count as 0).
 ///
 /// `mask` (white = keep; any size, stretched over the image) drops keypoints that lie in black; it
-/// never changes the pixels, so it makes no edges. Positions and scales are in input pixels, the
+/// never changes the pixels near them, so it makes no edges. Positions and scales are in input pixels, the
 /// first pixel's centre at 0.5.
 pub fn extract(image: &FloatImage, mask: Option<&GrayImage>, config: &SiftConfig) -> Features {
     extract_with(&mut Vec::new(), image, mask, config)
@@ -77,10 +79,13 @@ fn extract_with(
     } else {
         &work
     };
-    let octaves = scale_space(octaves, source, config);
+    let doubled = config.doubles(work.width, work.height);
+    let window = Window::around(&work, keep);
+    let mut part = LumaPlane::default();
+    let octaves = scale_space(octaves, window.part_of(source, &mut part), doubled, config);
     let mut candidates = Vec::new();
     for (index, octave) in octaves.iter().enumerate() {
-        candidates.extend(octave_candidates(octave, index, &statistics, config, keep));
+        candidates.extend(octave_candidates(octave, index, window.first, &statistics, config, keep));
     }
     let size = [work.width as f32, work.height as f32];
     // Directions cost more than places: only what may stay gets them.
@@ -106,15 +111,18 @@ fn working_image(image: &FloatImage, max_side: usize) -> LumaPlane {
 }
 
 /// The scale space of an image, built in `octaves`; the part of them that is in use.
-fn scale_space<'a>(octaves: &'a mut Vec<Octave>, work: &LumaPlane, config: &SiftConfig) -> &'a [Octave] {
+fn scale_space<'a>(
+    octaves: &'a mut Vec<Octave>,
+    work: &LumaPlane,
+    doubled: bool,
+    config: &SiftConfig,
+) -> &'a [Octave] {
     octaves.resize_with(config.octaves.max(1), Octave::default);
     let mut used = 0;
     while used < octaves.len() {
         let (finer, rest) = octaves.split_at_mut(used);
         match finer.last() {
-            None => {
-                rest[0].first(work, config.doubles(work.width, work.height), config.scales_per_octave, 1.0)
-            }
+            None => rest[0].first(work, doubled, config.scales_per_octave, 1.0),
             Some(finer) => rest[0].next_of(finer),
         }
         if rest[0].levels[0].width.min(rest[0].levels[0].height) <= 2 * detect::BORDER {
@@ -125,10 +133,12 @@ fn scale_space<'a>(octaves: &'a mut Vec<Octave>, work: &LumaPlane, config: &Sift
     &octaves[..used]
 }
 
-/// Keypoints of one octave without their directions, positions in working pixels.
+/// Keypoints of one octave without their directions, positions in working pixels. `first`: the
+/// working pixel that the scale space begins with.
 fn octave_candidates(
     octave: &Octave,
     index: usize,
+    first: [usize; 2],
     statistics: &ImageStatistics,
     config: &SiftConfig,
     keep: impl Fn(f32, f32) -> bool,
@@ -140,7 +150,8 @@ fn octave_candidates(
     };
     let mut candidates = Vec::new();
     for found in detect::extrema(octave, config.edge_threshold, threshold) {
-        let (x, y) = (octave.origin + found.x * octave.step, octave.origin + found.y * octave.step);
+        let [x, y] = [(found.x, first[0]), (found.y, first[1])]
+            .map(|(place, first)| first as f32 + octave.origin + place * octave.step);
         if !keep(x, y) {
             continue;
         }

@@ -123,7 +123,7 @@ fn constraints(basis: &[[f64; 9]; 4]) -> [Cubic; 10] {
 /// cancel to noise), with the basis vectors in another order. The basis used and the reduced
 /// system.
 fn best_elimination(mut basis: [[f64; 9]; 4]) -> Option<([[f64; 9]; 4], [Cubic; 10])> {
-    /// Source: SRC_PIVOT
+    /// Source: judgement: well above rounding, after division of cubics in f64.
     const GOOD_PIVOT: f64 = 2e-3;
     let mut best = None;
     let mut best_pivot = 0.0;

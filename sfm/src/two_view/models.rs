@@ -14,7 +14,7 @@ use glam::{DMat3, DVec3};
 use scene::{Pose, TwoViewGeometry, TwoViewKind};
 
 /// An essential matrix is trusted if it keeps this part of the fundamental matrix's inliers.
-/// Source: SRC_EF
+/// Source: as in COLMAP (`min_E_F_inlier_ratio`).
 const ESSENTIAL_OVER_FUNDAMENTAL: f64 = 0.95;
 
 /// What the three searches found.

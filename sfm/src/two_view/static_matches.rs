@@ -6,7 +6,7 @@ use super::correspondences::Correspondences;
 
 /// Static matches must outnumber the slow ones (up to four times the displacement) by this factor:
 /// where a camera moves, displacements are spread, and some are small by chance.
-/// Source: SRC_PEAK
+/// Source: judgement; no bench chose it.
 const PEAK: usize = 2;
 
 /// What is known about matches that stay in place.

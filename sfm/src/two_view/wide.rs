@@ -13,10 +13,10 @@ use rayon::prelude::*;
 use scene::{Camera, Features, Progress, TwoViewGeometry, TwoViewKind};
 
 /// Ratio of distances of descriptors that views from afar still keep.
-/// Source: SRC_WIDE
+/// Source: judgement: looser than the 0.8 of Lowe 2004, as verification follows.
 const WIDE_RATIO: f32 = 0.87;
 /// Distance of descriptors that they keep.
-/// Source: SRC_WIDE
+/// Source: judgement: looser than near matches, as verification follows.
 const WIDE_DISTANCE: f32 = 0.8;
 
 /// Matches `pairs` loosely and keeps those that one motion of the solved cameras explains beyond
