@@ -65,7 +65,8 @@ pub(crate) fn predicts_worse(model: &[(f64, usize)], other: &[(f64, usize)]) -> 
     let all = |held_out: &[(f64, usize)]| held_out.iter().map(|h| h.0).sum::<f64>();
     let count = model.iter().map(|h| h.1).sum::<usize>() as f64;
     // Errors far below the noise are all alike.
-    gain > SIGNIFICANT * TRACK_EXCESS.sqrt() * error && all(model) > NOTICEABLE * NOTICEABLE * all(other).max(count)
+    gain > SIGNIFICANT * TRACK_EXCESS.sqrt() * error
+        && all(model) > NOTICEABLE * NOTICEABLE * all(other).max(count)
 }
 
 /// Whether observations determine a parameter: `deviation`, its standard deviation for independent

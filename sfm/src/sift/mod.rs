@@ -21,9 +21,9 @@ mod detect;
 mod noise;
 mod pyramid;
 mod spread;
-mod window;
 #[cfg(test)]
 mod tests;
+mod window;
 
 pub(crate) use blur::{LANES, dispatch};
 pub use config::{Doubling, SiftConfig};

@@ -2,14 +2,13 @@
 
 use super::blur::LumaPlane;
 
-/// What is kept around the mask's white, pixels: beyond it lies little of the windows of all but
-/// the largest keypoints.
-/// Source: derived; a descriptor reaches 8 σ, and σ is at most 8 in three octaves.
-const MARGIN: usize = 64;
+/// What is kept around the mask's white, pixels.
+/// Source: derived; a descriptor reaches 8 σ, and most keypoints have a σ of less than 4.
+const MARGIN: usize = 32;
 /// Windows begin at multiples of this, pixels, so that octaves sample the same places as they do in
 /// the whole image.
-/// Source: derived; 2⁶ for six octaves, coarser ones have nothing to sample in windows.
-const GRID: usize = 64;
+/// Source: derived; 2⁵ for six octaves of which the first is doubled.
+const GRID: usize = 32;
 
 /// A rectangle of an image.
 pub(super) struct Window {
