@@ -14,6 +14,7 @@ pub mod evaluate;
 pub mod export;
 pub mod input;
 pub mod outcome;
+pub mod pictures;
 pub mod pipeline;
 pub mod record;
 pub mod render;

@@ -11,6 +11,7 @@ mod integration {
     pub mod documentation;
     pub mod end_to_end;
     pub mod faults;
+    pub mod methods;
     pub mod real_data;
     pub mod resume;
     pub mod shapes;

@@ -41,6 +41,9 @@ fn main() -> Result<(), Box<dyn Error>> {
         render.save(out.join(Path::new(&view.name).file_name().unwrap_or_default()).with_extension("png"))?;
     }
     let frame = begun.elapsed().as_secs_f64() / views;
-    println!("{cpu:.0} CPU s; {:.2} dB on {views} held-out views over black; {frame:.2} s a frame", psnr / views);
+    println!(
+        "{cpu:.0} CPU s; {:.2} dB on {views} held-out views over black; {frame:.2} s a frame",
+        psnr / views
+    );
     Ok(())
 }

@@ -31,14 +31,14 @@ impl AdamRates {
 
 /// Both moments of each weight, and the weights' average once that is wanted.
 #[derive(Clone, Debug, Default, PartialEq)]
-pub(crate) struct Moments {
+pub(crate) struct AdamMoments {
     pub(crate) first: Vec<f32>,
     pub(crate) second: Vec<f32>,
     /// Empty until the first step with [`AdamRates::average`].
     pub(crate) average: Vec<f32>,
 }
 
-impl Moments {
+impl AdamMoments {
     /// Of so many weights.
     pub(crate) fn new(count: usize) -> Self {
         Self { first: vec![0.0; count], second: vec![0.0; count], average: Vec::new() }
@@ -111,14 +111,15 @@ mod tests {
 
     #[test]
     fn the_first_step_is_as_long_as_the_rate_and_then_follows_the_formula() {
-        let (mut moments, mut w) = (Moments::new(1), [1.0f32]);
+        let (mut moments, mut w) = (AdamMoments::new(1), [1.0f32]);
         let (mut m, mut v, mut truth) = (0.0f64, 0.0f64, 1.0f64);
         for step in 1..=20 {
             let g = f64::from(step as f32 * 0.3 - 2.0);
             moments.step(&mut w, &mut [g as f32], &AdamRates::new(0.01, 0.99, 1e-8, step));
             m = 0.9 * m + 0.1 * g;
             v = 0.99 * v + 0.01 * g * g;
-            let corrected = (1.0 - 0.99f64.powf(f64::from(step))).sqrt() / (1.0 - 0.9f64.powf(f64::from(step)));
+            let corrected =
+                (1.0 - 0.99f64.powf(f64::from(step))).sqrt() / (1.0 - 0.9f64.powf(f64::from(step)));
             truth -= 0.01 * corrected * m / (v.sqrt() + 1e-8);
             assert!((f64::from(w[0]) - truth).abs() < 1e-6, "step {step}: {} {truth}", w[0]);
         }
@@ -126,7 +127,7 @@ mod tests {
 
     #[test]
     fn weights_without_a_gradient_stay_and_averages_lag() {
-        let (mut moments, mut w) = (Moments::new(40), vec![1.0f32; 40]);
+        let (mut moments, mut w) = (AdamMoments::new(40), vec![1.0f32; 40]);
         let mut gradient = vec![0.0; 40];
         gradient[3] = 1.0;
         let rates = AdamRates { average: true, ..AdamRates::new(0.1, 0.99, 1e-15, 1) };

@@ -250,7 +250,15 @@ mod tests {
             let at = |i, o| f64::from(panels[place(i, o, inputs)]);
             let mut y = vec![0.0; rows * outputs];
             let bias_of = Some(bias.as_slice());
-            product(Product { x: &x, inputs, panels: &panels, bias: bias_of, outputs, y: &mut y, relu: true });
+            product(Product {
+                x: &x,
+                inputs,
+                panels: &panels,
+                bias: bias_of,
+                outputs,
+                y: &mut y,
+                relu: true,
+            });
             let (mut grads, mut sums) = (vec![0.0; inputs * outputs], vec![0.0; outputs]);
             let bias_sums = Some(sums.as_mut_slice());
             weight_gradient(WeightGradient {

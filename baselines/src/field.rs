@@ -1,7 +1,7 @@
 //! What all methods have in common.
 
 use crate::error::FieldError;
-use crate::rays::Photos;
+use crate::rays::PhotoRays;
 use serde_json::Value;
 use splat::{PinholeView, RenderOutput};
 
@@ -43,7 +43,7 @@ pub enum Kept {
 /// Cameras, rays and depths are in the normalised frame of the data set; times are in [0, 1].
 pub trait RadianceField: Send + Sync {
     /// One step of training.
-    fn train_step(&mut self, photos: &Photos, place: StepPlace) -> Result<StepReport, FieldError>;
+    fn train_step(&mut self, photos: &PhotoRays, place: StepPlace) -> Result<StepReport, FieldError>;
 
     /// A picture over a background: colour, opacity, and depth along the camera's axis.
     fn render(&self, view: &PinholeView, time: f32, background: [f32; 3]) -> RenderOutput;

@@ -43,6 +43,6 @@ mod tests;
 pub use error::FieldError;
 pub use field::{Kept, RadianceField, StepPlace, StepReport};
 pub use method::Method;
-pub use rays::{Photos, Ray};
+pub use rays::{PhotoRays, Ray};
 pub use train::{FieldConfig, FieldResult, train};
 pub use trained::TrainedField;

@@ -1,7 +1,9 @@
 //! A small perceptron without biases, evaluated for a block of samples whose activations stay in
 //! the cache (Müller et al. 2022, "fully fused").
 
-use crate::dense::{Product, WeightGradient, padded, padded_rows, product, rectify, transpose, weight_gradient};
+use crate::dense::{
+    Product, WeightGradient, padded, padded_rows, product, rectify, transpose, weight_gradient,
+};
 use rand::Rng as _;
 use scene::rng::Rng;
 
@@ -29,7 +31,9 @@ impl Mlp {
     }
 
     /// Inputs, outputs and the place among the parameters, by layer.
-    fn layers(&self) -> impl DoubleEndedIterator<Item = (usize, usize, std::ops::Range<usize>)> + ExactSizeIterator {
+    fn layers(
+        &self,
+    ) -> impl DoubleEndedIterator<Item = (usize, usize, std::ops::Range<usize>)> + ExactSizeIterator {
         let mut begin = 0;
         let layers: Vec<_> = self
             .widths

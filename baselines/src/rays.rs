@@ -31,7 +31,7 @@ pub(crate) struct Sighting {
 
 /// The training photos.
 #[derive(Debug)]
-pub struct Photos<'a> {
+pub struct PhotoRays<'a> {
     dataset: &'a Dataset,
     views: Vec<&'a View>,
     /// Time of each training view, in [0, 1].
@@ -47,7 +47,7 @@ pub(crate) fn direction(view: &PinholeView, x: f32, y: f32) -> Vec3 {
     (view.rotation.transpose() * in_camera).normalize()
 }
 
-impl<'a> Photos<'a> {
+impl<'a> PhotoRays<'a> {
     /// The views of a data set that are not held out; `times` has one for each view of the set,
     /// and is empty where the scene stands still.
     pub fn new(dataset: &'a Dataset, times: &[f32]) -> Self {

@@ -7,7 +7,7 @@
 use crate::error::FieldError;
 use crate::field::{Kept, RadianceField};
 use crate::method::FieldShape;
-use crate::train::TrainingState;
+use crate::train::FieldState;
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
 use splat::{NormalisedFrame, PinholeView};
@@ -28,7 +28,7 @@ pub(crate) struct Header {
     /// What else the field keeps.
     notes: Value,
     /// Present where training can go on.
-    pub(crate) training: Option<TrainingState>,
+    pub(crate) training: Option<FieldState>,
 }
 
 /// Writes a field, atomically; with the state of its training as a checkpoint.
@@ -37,7 +37,7 @@ pub(crate) fn write(
     shape: FieldShape,
     frame: NormalisedFrame,
     field: &dyn RadianceField,
-    training: Option<&TrainingState>,
+    training: Option<&FieldState>,
 ) -> Result<(), FieldError> {
     let kept = if training.is_some() { Kept::Training } else { Kept::Pictures };
     let (arrays, notes) = field.arrays(kept);
@@ -115,7 +115,11 @@ fn parse(bytes: &[u8]) -> Result<(Header, &[u8]), String> {
     Ok((header, rest))
 }
 
-fn restore(header: &Header, mut rest: &[u8], views: &[PinholeView]) -> Result<Box<dyn RadianceField>, String> {
+fn restore(
+    header: &Header,
+    mut rest: &[u8],
+    views: &[PinholeView],
+) -> Result<Box<dyn RadianceField>, String> {
     let mut arrays = Vec::new();
     for &length in &header.lengths {
         let (own, next) = rest.split_at_checked(length * 4).ok_or(SHORT)?;

@@ -3,7 +3,7 @@
 use crate::error::FieldError;
 use crate::field::{RadianceField, StepPlace};
 use crate::method::{FieldShape, Method};
-use crate::rays::Photos;
+use crate::rays::PhotoRays;
 use crate::store;
 use crate::trained::TrainedField;
 use scene::Progress;
@@ -57,7 +57,7 @@ pub struct FieldResult {
 
 /// Place in the schedule, and what was noted on the way.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
-pub(crate) struct TrainingState {
+pub(crate) struct FieldState {
     /// What the run was told, as JSON: another configuration starts afresh.
     fingerprint: String,
     iteration: u32,
@@ -81,19 +81,30 @@ pub fn train(
     checkpoint_dir: Option<&Path>,
     progress: &Progress,
 ) -> Result<FieldResult, FieldError> {
-    if config.iterations == 0 && config.time_limit.is_none() {
-        let (value, expected) = (config.iterations.to_string(), "at least 1");
-        return Err(FieldError::Config { flag: "--iterations", value, expected });
-    }
     let Some(shape) = FieldShape::of(config.method, dataset) else {
         let (value, expected) = (config.method.name().to_owned(), "a method that is no splat");
         return Err(FieldError::Config { flag: "--method", value, expected });
     };
+    train_shape(shape, (dataset, times), config, checkpoint_dir, progress)
+}
+
+/// The same for a field of a given shape.
+pub(crate) fn train_shape(
+    shape: FieldShape,
+    (dataset, times): (&Dataset, &[f32]),
+    config: &FieldConfig,
+    checkpoint_dir: Option<&Path>,
+    progress: &Progress,
+) -> Result<FieldResult, FieldError> {
+    if config.iterations == 0 && config.time_limit.is_none() {
+        let (value, expected) = (config.iterations.to_string(), "at least 1");
+        return Err(FieldError::Config { flag: "--iterations", value, expected });
+    }
     let path = checkpoint_dir.map(|folder| folder.join(FILE));
     let mut mark = wall_seconds();
     let (mut field, mut state) = open(dataset, shape, config, path.as_deref())?;
     state.seconds += config.seconds_gone;
-    let photos = Photos::new(dataset, times);
+    let photos = PhotoRays::new(dataset, times);
     progress.begin("train", if config.time_limit.is_some() { 0 } else { config.iterations as usize });
     while state.position < 1.0 {
         let place = StepPlace { step: state.iteration, position: state.position, seed: config.seed };
@@ -137,7 +148,7 @@ fn open(
     shape: FieldShape,
     config: &FieldConfig,
     path: Option<&Path>,
-) -> Result<(Box<dyn RadianceField>, TrainingState), FieldError> {
+) -> Result<(Box<dyn RadianceField>, FieldState), FieldError> {
     let views: Vec<PinholeView> = dataset.training_views().iter().map(|&i| dataset.views[i].view).collect();
     let fingerprint = serde_json::to_string(&(config, shape, dataset.normalisation)).unwrap_or_default();
     let own = |header: &store::Header| {
@@ -149,11 +160,11 @@ fn open(
     {
         return Ok((field, state));
     }
-    let state = TrainingState { fingerprint, ..TrainingState::default() };
+    let state = FieldState { fingerprint, ..FieldState::default() };
     Ok((shape.build(&views, config.seed), state))
 }
 
-impl TrainingState {
+impl FieldState {
     /// Ends a stretch of the curve where one is due.
     fn add_curve_point(&mut self) {
         if !(self.iteration.is_multiple_of(CURVE_EVERY) || self.position >= 1.0) {

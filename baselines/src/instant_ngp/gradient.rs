@@ -2,7 +2,7 @@
 //! cache.
 
 use super::hash_grid::{Corner, FEATURES};
-use super::network::{LATENT, Layers, Network, Weights, density, encode_direction, logistic};
+use super::network::{LATENT, Layers, NgpNetwork, Weights, density, encode_direction, logistic};
 use super::occupancy::Sample;
 use crate::composite::{Traced, compose, compose_backward, seen};
 use crate::loss::{huber, square_error};
@@ -50,7 +50,7 @@ pub(crate) struct Sums {
 /// Networks, weights and their transposes.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Pass<'a> {
-    pub(crate) network: &'a Network,
+    pub(crate) network: &'a NgpNetwork,
     pub(crate) weights: Weights<'a>,
     pub(crate) transposed: Weights<'a>,
     /// Weight of a ray's loss.
@@ -59,7 +59,7 @@ pub(crate) struct Pass<'a> {
 
 /// Buffers of a stretch.
 #[derive(Default)]
-struct Scratch {
+struct GroupBuffers {
     layers: Layers,
     directions: Vec<[f32; SH_COUNT]>,
     /// By ray of the group: how many of its samples are seen.
@@ -77,7 +77,7 @@ impl Pass<'_> {
             colour: vec![0.0; self.network.colour.parameters()],
             ..Sums::default()
         };
-        let mut scratch = Scratch::default();
+        let mut scratch = GroupBuffers::default();
         let mut begin = 0;
         while begin < rays.len() {
             let (mut end, mut samples) = (begin, 0);
@@ -91,7 +91,7 @@ impl Pass<'_> {
         sums
     }
 
-    fn group(&self, batch: &Batch, rays: &[TrainingRay], scratch: &mut Scratch, sums: &mut Sums) {
+    fn group(&self, batch: &Batch, rays: &[TrainingRay], scratch: &mut GroupBuffers, sums: &mut Sums) {
         let first = rays[0].begin;
         let samples: usize = rays.iter().map(|r| r.count).sum();
         self.evaluate_densities(batch, first..first + samples, scratch);
@@ -103,7 +103,7 @@ impl Pass<'_> {
         }
     }
 
-    fn evaluate_densities(&self, batch: &Batch, range: std::ops::Range<usize>, scratch: &mut Scratch) {
+    fn evaluate_densities(&self, batch: &Batch, range: std::ops::Range<usize>, scratch: &mut GroupBuffers) {
         let layers = &mut scratch.layers.density;
         self.network.density.reserve(range.len(), layers);
         let width = self.network.density.inputs();
@@ -117,7 +117,13 @@ impl Pass<'_> {
     }
 
     /// Moves the activations of what is seen to the front; says how many there are.
-    fn keep_seen(&self, batch: &Batch, rays: &[TrainingRay], scratch: &mut Scratch, sums: &mut Sums) -> usize {
+    fn keep_seen(
+        &self,
+        batch: &Batch,
+        rays: &[TrainingRay],
+        scratch: &mut GroupBuffers,
+        sums: &mut Sums,
+    ) -> usize {
         let first = rays[0].begin;
         scratch.counts.clear();
         scratch.directions.clear();
@@ -143,9 +149,9 @@ impl Pass<'_> {
     }
 
     /// Colours, losses, and their gradients with respect to the networks' outputs.
-    fn trace(&self, batch: &Batch, rays: &[TrainingRay], scratch: &mut Scratch, sums: &mut Sums) {
+    fn trace(&self, batch: &Batch, rays: &[TrainingRay], scratch: &mut GroupBuffers, sums: &mut Sums) {
         let colour_width = self.network.colour.outputs();
-        let Scratch { layers, counts, traced, of_colour, of_density, .. } = scratch;
+        let GroupBuffers { layers, counts, traced, of_colour, of_density, .. } = scratch;
         let colours = &layers.colour.layers[3];
         let latent = &layers.density.layers[2];
         for (buffer, like) in [(&mut *of_colour, colours), (&mut *of_density, latent)] {
@@ -178,8 +184,8 @@ impl Pass<'_> {
     }
 
     /// From the gradients of the outputs to those of weights and features.
-    fn propagate(&self, survivors: usize, scratch: &mut Scratch, sums: &mut Sums) {
-        let Scratch { layers, of_colour, of_density, .. } = scratch;
+    fn propagate(&self, survivors: usize, scratch: &mut GroupBuffers, sums: &mut Sums) {
+        let GroupBuffers { layers, of_colour, of_density, .. } = scratch;
         let of_inputs = self.network.colour.backward(
             self.transposed.colour,
             &mut layers.colour,

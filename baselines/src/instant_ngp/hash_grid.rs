@@ -1,7 +1,7 @@
 //! The multiresolution hash encoding (Müller et al. 2022, section 3): tables of features at the
 //! corners of grids from coarse to fine, interpolated at a point.
 
-use crate::adam::{AdamRates, Moments};
+use crate::adam::{AdamMoments, AdamRates};
 use rand::Rng as _;
 use rayon::prelude::*;
 use scene::rng::rng;
@@ -26,7 +26,7 @@ const CHUNK: usize = 1 << 14;
 
 /// One grid: where the corners of a cell lie in its table.
 #[derive(Clone, Copy, Debug)]
-pub(crate) struct Level {
+pub(crate) struct GridLevel {
     /// Position in cells = position in [0, 1] × this + ½.
     pub(crate) scale: f32,
     /// Multipliers of the three coordinates of a corner.
@@ -47,27 +47,27 @@ pub(crate) struct Cell {
 
 /// The tables of one level and their optimiser.
 #[derive(Clone, Debug)]
-pub(crate) struct Table {
-    pub(crate) level: Level,
+pub(crate) struct GridTable {
+    pub(crate) level: GridLevel,
     pub(crate) values: Vec<Corner>,
     pub(crate) gradient: Vec<Corner>,
-    pub(crate) moments: Moments,
+    pub(crate) moments: AdamMoments,
 }
 
 /// All levels.
 #[derive(Clone, Debug)]
 pub(crate) struct HashGrid {
-    pub(crate) tables: Vec<Table>,
+    pub(crate) tables: Vec<GridTable>,
 }
 
 /// The grids of `count` levels whose tables have at most `2^log2_entries` corners, over a cube
 /// `side` times as large as the smallest.
-pub(crate) fn levels(count: usize, log2_entries: u32, side: f32) -> Vec<Level> {
+pub(crate) fn levels(count: usize, log2_entries: u32, side: f32) -> Vec<GridLevel> {
     let growth = (FINEST * f64::from(side) / COARSEST).powf(1.0 / (count.max(2) - 1) as f64);
-    (0..count).map(|l| Level::new(COARSEST * growth.powi(l as i32), 1 << log2_entries)).collect()
+    (0..count).map(|l| GridLevel::new(COARSEST * growth.powi(l as i32), 1 << log2_entries)).collect()
 }
 
-impl Level {
+impl GridLevel {
     fn new(cells: f64, most: usize) -> Self {
         // The grid is shifted by half a cell, so that a point never lies on a corner of all levels.
         let scale = cells - 1.0;
@@ -99,12 +99,11 @@ impl Level {
             let y = if c & 2 == 0 { low[1] } else { high[1] };
             let z = if c & 4 == 0 { low[2] } else { high[2] };
             cell.at[c] = if self.dense { x + y + z } else { (x ^ y ^ z) & mask };
-            let (wx, wy, wz) =
-                (if c & 1 == 0 { g[0] } else { f[0] }, if c & 2 == 0 { g[1] } else { f[1] }, if c & 4 == 0 {
-                    g[2]
-                } else {
-                    f[2]
-                });
+            let (wx, wy, wz) = (
+                if c & 1 == 0 { g[0] } else { f[0] },
+                if c & 2 == 0 { g[1] } else { f[1] },
+                if c & 4 == 0 { g[2] } else { f[2] },
+            );
             cell.share[c] = wx * wy * wz;
         }
         cell
@@ -117,7 +116,7 @@ pub(crate) fn inside(position: [f32; 3]) -> [f32; 3] {
     position.map(|v| v.max(0.0).min(1.0))
 }
 
-impl Table {
+impl GridTable {
     /// The features at a point of the unit cube.
     #[inline(always)]
     pub(crate) fn features(&self, position: [f32; 3]) -> Corner {
@@ -154,14 +153,14 @@ impl Table {
 
 impl HashGrid {
     /// Small random features.
-    pub(crate) fn new(levels: &[Level], seed: u64) -> Self {
-        let table = |(index, level): (usize, &Level)| {
+    pub(crate) fn new(levels: &[GridLevel], seed: u64) -> Self {
+        let table = |(index, level): (usize, &GridLevel)| {
             let mut rng = rng(seed, "hash grid", index as u64);
             let values = (0..level.entries)
                 .map(|_| std::array::from_fn(|_| rng.random_range(-INITIAL..INITIAL)))
                 .collect();
             let gradient = vec![[0.0; FEATURES]; level.entries];
-            Table { level: *level, values, gradient, moments: Moments::new(level.entries * FEATURES) }
+            GridTable { level: *level, values, gradient, moments: AdamMoments::new(level.entries * FEATURES) }
         };
         Self { tables: levels.par_iter().enumerate().map(table).collect() }
     }

@@ -15,14 +15,13 @@ mod reference;
 #[cfg(test)]
 mod tests;
 
-
-use crate::adam::Moments;
+use crate::adam::AdamMoments;
 use crate::domain::Domain;
 use crate::field::{Kept, RadianceField, StepPlace, StepReport};
-use crate::rays::{Photos, Ray};
+use crate::rays::{PhotoRays, Ray};
 use crate::{FieldError, rays};
 use hash_grid::HashGrid;
-use network::{Network, Weights};
+use network::{NgpNetwork, Weights};
 use occupancy::{LocalRay, Occupancy};
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
@@ -35,6 +34,9 @@ const LOG2_ENTRIES: u32 = 17;
 /// Samples of a step. Source: Müller et al. 2022, section 5.4 (2¹⁸).
 const SAMPLES: usize = 1 << 16;
 
+/// Rays of the first step, when every cell may hold something.
+/// Source: a thousand samples each make the samples of a step.
+const FIRST_RAYS: usize = 256;
 /// Most cascades, levels and powers of two in files. Source: twice the paper's, or more.
 const MOST_CASCADES: u32 = 8;
 /// See [`MOST_CASCADES`].
@@ -57,10 +59,10 @@ pub(crate) struct NgpShape {
 pub(crate) struct InstantNgp {
     shape: NgpShape,
     grid: HashGrid,
-    network: Network,
+    network: NgpNetwork,
     /// Weights of the density network, then of the colour network.
     weights: [Vec<f32>; 2],
-    moments: [Moments; 2],
+    moments: [AdamMoments; 2],
     occupancy: Occupancy,
     /// Rays of the next step.
     rays: usize,
@@ -93,12 +95,12 @@ impl InstantNgp {
     /// Untrained; `views` are the cameras of the training views.
     pub(crate) fn new(shape: NgpShape, views: &[PinholeView], seed: u64) -> Self {
         let levels = hash_grid::levels(shape.levels, shape.log2_entries, shape.side());
-        let network = Network::new(shape.levels);
+        let network = NgpNetwork::new(shape.levels);
         let weights = network.initial(seed);
-        let moments = [Moments::new(weights[0].len()), Moments::new(weights[1].len())];
+        let moments = [AdamMoments::new(weights[0].len()), AdamMoments::new(weights[1].len())];
         let grid = HashGrid::new(&levels, seed);
         let occupancy = Occupancy::new(&shape.domain, views);
-        Self { shape, grid, network, weights, moments, occupancy, rays: train::FIRST_RAYS }
+        Self { shape, grid, network, weights, moments, occupancy, rays: FIRST_RAYS }
     }
 
     /// A ray in the frame of the smallest cube; distances along it are `2 · half` times as long.
@@ -120,7 +122,7 @@ impl InstantNgp {
 }
 
 impl RadianceField for InstantNgp {
-    fn train_step(&mut self, photos: &Photos, place: StepPlace) -> Result<StepReport, FieldError> {
+    fn train_step(&mut self, photos: &PhotoRays, place: StepPlace) -> Result<StepReport, FieldError> {
         Ok(self.step(photos, place))
     }
 

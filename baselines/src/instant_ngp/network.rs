@@ -17,7 +17,7 @@ const LOG_DENSITY: f32 = 15.0;
 
 /// The perceptrons' shapes.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub(crate) struct Network {
+pub(crate) struct NgpNetwork {
     pub(crate) density: Mlp,
     pub(crate) colour: Mlp,
 }
@@ -53,7 +53,7 @@ pub(crate) fn encode_direction(ray: &Ray) -> [f32; SH_COUNT] {
     sh_basis(ray.direction.as_dvec3()).map(|v| v as f32)
 }
 
-impl Network {
+impl NgpNetwork {
     /// For a hash grid of so many levels.
     pub(crate) fn new(levels: usize) -> Self {
         Self {

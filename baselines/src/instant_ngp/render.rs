@@ -55,7 +55,8 @@ impl InstantNgp {
 
     fn blend(&self, alive: &[Alive], samples: &[Sample], layers: &Layers, out: &mut [RayColour]) {
         let width = self.network.colour.outputs();
-        let rows = layers.density.layers[2].chunks_exact(LATENT).zip(layers.colour.layers[3].chunks_exact(width));
+        let rows =
+            layers.density.layers[2].chunks_exact(LATENT).zip(layers.colour.layers[3].chunks_exact(width));
         let mut rows = samples.iter().zip(rows);
         for a in alive {
             let out = &mut out[a.ray];

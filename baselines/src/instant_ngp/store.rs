@@ -2,7 +2,7 @@
 
 use super::InstantNgp;
 use super::occupancy::Occupancy;
-use crate::adam::Moments;
+use crate::adam::AdamMoments;
 use crate::field::Kept;
 use serde_json::{Value, json};
 
@@ -18,7 +18,7 @@ impl InstantNgp {
         let networks = self.weights.iter().map(Vec::as_slice).zip(&self.moments);
         let tables = self.grid.tables.iter().map(|t| (t.values.as_flattened(), &t.moments));
         for (values, moments) in networks.chain(tables) {
-            let Moments { first, second, average } = moments;
+            let AdamMoments { first, second, average } = moments;
             match kept {
                 Kept::Pictures => arrays.push(moments.shown(values)),
                 Kept::Training => arrays.extend([values, first, second, average]),
@@ -45,12 +45,12 @@ impl InstantNgp {
         };
         let density = take(self.occupancy.density.len(), false)?;
         self.occupancy = Occupancy::from_density(self.shape.domain.cascades, density);
-        let mut take_values = |values: &mut [f32], moments: &mut Moments| -> Result<(), String> {
+        let mut take_values = |values: &mut [f32], moments: &mut AdamMoments| -> Result<(), String> {
             let length = values.len();
             values.copy_from_slice(&take(length, false)?);
             if kept == Kept::Training {
                 let [first, second] = [take(length, false)?, take(length, false)?];
-                *moments = Moments { first, second, average: take(length, true)? };
+                *moments = AdamMoments { first, second, average: take(length, true)? };
             }
             Ok(())
         };

@@ -8,14 +8,11 @@ use super::occupancy::cell_point;
 use crate::adam::AdamRates;
 use crate::field::{StepPlace, StepReport};
 use crate::mlp::Activations;
-use crate::rays::{Photos, Sighting};
+use crate::rays::{PhotoRays, Sighting};
 use rand::Rng as _;
 use rayon::prelude::*;
 use scene::rng::rng;
 
-/// Rays of the first step, when every cell may hold something.
-/// Source: a thousand samples each make the samples of a step.
-pub(super) const FIRST_RAYS: usize = 256;
 /// Most rays of a step. Source: as many as samples: each ray has one at least.
 const MOST_RAYS: usize = 1 << 18;
 /// Learning rate. Source: Müller et al. 2022, section 4.
@@ -51,7 +48,7 @@ const CHUNK: usize = 1 << 14;
 
 impl InstantNgp {
     /// See [`crate::RadianceField::train_step`].
-    pub(super) fn step(&mut self, photos: &Photos, place: StepPlace) -> StepReport {
+    pub(super) fn step(&mut self, photos: &PhotoRays, place: StepPlace) -> StepReport {
         if place.step.is_multiple_of(OCCUPANCY_EVERY) {
             self.update_occupancy(place);
         }
@@ -103,8 +100,10 @@ impl InstantNgp {
 
     /// Gradients by stretch of rays.
     fn gradients(&self, batch: &Batch) -> Vec<Sums> {
-        let transposed =
-            [self.network.density.transposed(&self.weights[0]), self.network.colour.transposed(&self.weights[1])];
+        let transposed = [
+            self.network.density.transposed(&self.weights[0]),
+            self.network.colour.transposed(&self.weights[1]),
+        ];
         let pass = Pass {
             network: &self.network,
             weights: self.weights(),
