@@ -42,15 +42,11 @@ pub(crate) fn compose(
     let mut out = RayColour { transmittance: 1.0, ..RayColour::default() };
     for (density, dt, t, rgb) in samples {
         let weight = out.transmittance * opacity(density, dt);
-        for c in 0..3 {
-            out.rgb[c] += weight * rgb[c];
-        }
+        out.rgb.iter_mut().zip(rgb).for_each(|(sum, v)| *sum += weight * v);
         out.distance += weight * t;
         out.transmittance -= weight;
     }
-    for c in 0..3 {
-        out.rgb[c] += out.transmittance * background[c];
-    }
+    out.rgb.iter_mut().zip(background).for_each(|(sum, v)| *sum += out.transmittance * v);
     out
 }
 

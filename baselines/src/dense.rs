@@ -90,10 +90,10 @@ fn product_by<S: Simd, const V: usize>(a: &mut Product) {
             let x = &a.x[row * inputs..][..ROWS * inputs];
             // SAFETY: x has ROWS rows of `inputs`, the panel V · LANES weights for each input.
             let sums = unsafe { tile::<S, V>(x.as_ptr(), inputs, panel.as_ptr(), first) };
-            for r in 0..ROWS {
+            for (r, sums) in sums.iter().enumerate() {
                 let y = &mut a.y[(row + r) * outputs + column..][..PANEL];
-                for v in 0..V {
-                    let sum = if a.relu { sums[r][v].max(zero) } else { sums[r][v] };
+                for (v, sum) in sums.iter().enumerate() {
+                    let sum = if a.relu { sum.max(zero) } else { *sum };
                     sum.write(&mut y[v * S::LANES..]);
                 }
             }
@@ -114,15 +114,15 @@ unsafe fn tile<S: Simd, const V: usize>(
     let mut sums = [first; ROWS];
     for _ in 0..inputs {
         let mut weights = first;
-        for v in 0..V {
+        for (v, weight) in weights.iter_mut().enumerate() {
             // SAFETY: the caller vouches for the panel.
-            weights[v] = unsafe { S::load(w.add(v * S::LANES)) };
+            *weight = unsafe { S::load(w.add(v * S::LANES)) };
         }
-        for r in 0..ROWS {
+        for (r, sums) in sums.iter_mut().enumerate() {
             // SAFETY: the caller vouches for the rows.
             let value = S::splat(unsafe { *x.add(r * inputs) });
             for v in 0..V {
-                sums[r][v] = value.fma(weights[v], sums[r][v]);
+                sums[v] = value.fma(weights[v], sums[v]);
             }
         }
         // SAFETY: at most one past the end.
@@ -194,15 +194,15 @@ unsafe fn outer<S: Simd, const V: usize>(
     let (mut x_at, mut dy_at) = (0, 0);
     for _ in 0..rows {
         let mut gradients = sums[0];
-        for v in 0..V {
+        for (v, gradient) in gradients.iter_mut().enumerate() {
             // SAFETY: the caller vouches for the rows.
-            gradients[v] = unsafe { S::load(dy.add(dy_at + v * S::LANES)) };
+            *gradient = unsafe { S::load(dy.add(dy_at + v * S::LANES)) };
         }
-        for k in 0..INPUTS {
+        for (k, sums) in sums.iter_mut().enumerate() {
             // SAFETY: the caller vouches for the rows.
             let value = S::splat(unsafe { *x.add(x_at + k) });
             for v in 0..V {
-                sums[k][v] = value.fma(gradients[v], sums[k][v]);
+                sums[v] = value.fma(gradients[v], sums[v]);
             }
         }
         (x_at, dy_at) = (x_at + x_stride, dy_at + dy_stride);

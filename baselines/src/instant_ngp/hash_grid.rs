@@ -113,7 +113,7 @@ impl GridLevel {
 /// A point inside the unit cube, whatever is given (NaN becomes 0): tables are indexed by it.
 #[inline(always)]
 pub(crate) fn inside(position: [f32; 3]) -> [f32; 3] {
-    position.map(|v| v.max(0.0).min(1.0))
+    position.map(|v| if v > 0.0 { v.min(1.0) } else { 0.0 })
 }
 
 impl GridTable {

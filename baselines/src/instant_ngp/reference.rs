@@ -65,7 +65,7 @@ impl ReferenceField {
                 let index = if side.pow(3) as usize <= self.most_entries {
                     at[0] + side * (at[1] + side * at[2])
                 } else {
-                    let hash = at[0] ^ at[1] * 2_654_435_761 ^ at[2] * 805_459_861;
+                    let hash = at[0] ^ (at[1] * 2_654_435_761) ^ (at[2] * 805_459_861);
                     hash % self.most_entries as u64
                 };
                 for k in 0..FEATURES {
@@ -100,9 +100,9 @@ impl ReferenceField {
                 (0..3).for_each(|c| rgb[c] += through * alpha * colour[c]);
                 through *= 1.0 - alpha;
             }
-            for c in 0..3 {
-                rgb[c] += through * f64::from(ray.sighting.background[c]);
-                let e = (rgb[c] - f64::from(ray.sighting.colour[c])).abs();
+            for (c, rgb) in rgb.iter_mut().enumerate() {
+                *rgb += through * f64::from(ray.sighting.background[c]);
+                let e = (*rgb - f64::from(ray.sighting.colour[c])).abs();
                 loss += if e < 0.1 { 0.5 * e * e } else { 0.1 * (e - 0.05) } / 3.0;
             }
             colours.push(rgb);

@@ -46,9 +46,7 @@ impl InstantNgp {
         }
         let unit = 2.0 * self.shape.domain.half;
         for out in out.iter_mut() {
-            for c in 0..3 {
-                out.rgb[c] += out.transmittance * background[c];
-            }
+            out.rgb.iter_mut().zip(background).for_each(|(sum, v)| *sum += out.transmittance * v);
             out.distance *= unit;
         }
     }
@@ -62,9 +60,7 @@ impl InstantNgp {
             let out = &mut out[a.ray];
             for (sample, (latent, rgb)) in rows.by_ref().take(a.samples) {
                 let weight = out.transmittance * opacity(density(latent[0]), sample.dt);
-                for c in 0..3 {
-                    out.rgb[c] += weight * logistic(rgb[c]);
-                }
+                out.rgb.iter_mut().zip(rgb).for_each(|(sum, &v)| *sum += weight * logistic(v));
                 out.distance += weight * sample.t;
                 out.transmittance -= weight;
             }
