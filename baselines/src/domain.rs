@@ -46,7 +46,9 @@ impl Domain {
         }
         let mean = distances.iter().sum::<f64>() / distances.len().max(1) as f64;
         let half = if mean > 0.0 { UNMASKED_HALF * mean } else { UNMASKED_HALF };
-        Self { centre: focus.as_vec3(), half: half as f32, cascades: UNMASKED_CASCADES }
+        // Where masks show nothing at all, there is nothing around the box either.
+        let cascades = if dataset.is_transparent() { 1 } else { UNMASKED_CASCADES };
+        Self { centre: focus.as_vec3(), half: half as f32, cascades }
     }
 }
 
