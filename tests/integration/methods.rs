@@ -6,7 +6,18 @@ use super::support::{expect_code, folder, json, sample, text};
 fn an_instant_nerf_is_trained_judged_and_rendered_and_is_no_splat() {
     let dir = folder("instant-ngp");
     let (out, input) = (dir.join("out"), sample("testbed/case3/video.mp4"));
-    let flags = ["--frames", "20", "--max-size", "160", "--iterations", "60", "--method", "instant-ngp"];
+    let flags = [
+        "--frames",
+        "30",
+        "--max-size",
+        "320",
+        "--iterations",
+        "60",
+        "--method",
+        "instant-ngp",
+        "--fps-loops",
+        "1",
+    ];
     let said = expect_code(&[&["run", text(&input), "-o", text(&out)][..], &flags].concat(), 0);
     assert!(said.contains("instant-ngp, 60 steps"), "{said}");
     assert!(out.join("field.bin").is_file() && !out.join("splat.ply").exists());
