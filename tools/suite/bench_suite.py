@@ -82,7 +82,7 @@ def run_program(binary, name, entry, out):
         code, wall, cpu, peak = bench.measured([binary, "sfm", entry["input"], "-o", folder], stdout=log, stderr=log)
     with open(folder + ".log") as log:
         said = [line for line in log.read().splitlines() if line.strip()][-LAST_LINES:]
-    run = judge_motion.read_json(os.path.join(folder, "run.json"))
+    run = judge.read_json(os.path.join(folder, "run.json"))
     row = {"capture": name, "tool": "sat-recon", "exit": code, "stated": stated(code), "cpu_s": cpu, "wall_s": wall, "peak_mib": peak,
            "said": said, "lights": run.get("verdict", [])}
     row["motion_named"], row["steady_named"] = motion_named(run)
@@ -104,7 +104,7 @@ def judged(model_folder, entry, names, run):
         record["model"] = "impossible"
     if entry["group"] != "suite":
         return record
-    motion = judge_motion.read_json(os.path.join(entry["folder"], "motion.json"))
+    motion = judge.read_json(os.path.join(entry["folder"], "motion.json"))
     record["true_motion"] = motion["type"]
     if motion["type"] in ("steady turn", "turn by hand"):
         record |= judge.turn_figures(model_folder, entry["truths"]["body"], names)
@@ -124,7 +124,7 @@ def run_colmap(_binary, name, entry, out):
     images = os.path.abspath(os.path.join(ours, "images") if is_video else entry["input"])
     shutil.rmtree(folder, ignore_errors=True)
     os.makedirs(folder)
-    frames = (judge_motion.read_json(os.path.join(ours, "run.json")).get("frames") or {}).get("frames", [])
+    frames = (judge.read_json(os.path.join(ours, "run.json")).get("frames") or {}).get("frames", [])
     masks = ""
     for frame in frames:
         if frame.get("mask"):
@@ -163,7 +163,7 @@ def main():
             if args.tool and tool != args.tool:
                 continue
             path = os.path.join(results, f"{name.replace('/', '_')}.{tool}.json")
-            row = judge_motion.read_json(path)
+            row = judge.read_json(path)
             wanted = tool == "sat-recon" and row.get("program") != program or tool == "colmap" and args.colmap and not row
             if wanted and not args.table:
                 row = run(args.binary, name, entry, args.out)

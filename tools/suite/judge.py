@@ -6,6 +6,7 @@ alignment. Where a capture has several truths (photos of two objects), a model i
 tenths of its images belong to one truth and it is right there.
 """
 
+import json
 import os
 import sys
 
@@ -21,6 +22,15 @@ WRONG_IMAGE_DEG = 10.0
 WRONG_IMAGES = 0.1
 MEMBERS = 0.9  # share of a model's images that must belong to the truth it is judged by
 ALIGNMENTS = 60  # images whose own alignment is tried
+
+
+def read_json(path):
+    """What a file of JSON holds; an empty object where it is missing or none."""
+    try:
+        with open(path) as file:
+            return json.load(file)
+    except (OSError, ValueError):
+        return {}
 
 
 def read_model(folder):

@@ -1,40 +1,24 @@
 """Figures of `frames.json` (poses of every frame) and of run.json's motion report, against truth."""
 
-import json
 import math
 import os
 
 import numpy as np
 
 import judge
-
-
-def read_json(path):
-    try:
-        with open(path) as file:
-            return json.load(file)
-    except (OSError, ValueError):
-        return {}
-
-
-def matrix(q):
-    """The rotation matrix of a quaternion w, x, y, z."""
-    w, x, y, z = q
-    return np.array([[1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
-                     [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
-                     [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)]])
+import turntable  # on the path since `judge` was imported
 
 
 def every_frame(folder, truth_folder, fps):
     """Errors of the attitude in all frames of a video, worlds aligned, and errors over deviations
     relative to the frame that is known best."""
-    frames = read_json(os.path.join(folder, "frames.json")).get("frames", [])
+    frames = judge.read_json(os.path.join(folder, "frames.json")).get("frames", [])
     truth = judge.read_model(truth_folder)
     names = sorted(truth)
     pairs = [(f, truth[names[k]][0]) for f in frames if (k := round(f["time_s"] * fps)) < len(names)]
     if len(pairs) < 3:
         return {}
-    found, true = np.array([matrix(f["rotation"]) for f, _ in pairs]), np.array([R for _, R in pairs])
+    found, true = np.array([turntable.rotation(f["rotation"]) for f, _ in pairs]), np.array([R for _, R in pairs])
     deviations = np.array([f["rotation_deviation_deg"] for f, _ in pairs], dtype=float)
     errors = judge.aligned_errors(found, true)
     record = {"frames": len(pairs), "frames_total": len(names), "frames_median_deg": float(np.median(errors)), "frames_max_deg": float(errors.max())}

@@ -135,7 +135,8 @@ def tables(rows):
     suite = [r for r in rows if r["group"] == "suite"]
     parts = []
     if suite:
-        parts += ["## By class", class_table(suite), "## Motions", motion_table(suite), "## Every frame", frames_table(suite), "## Stated deviations", deviation_table(suite)]
+        parts += ["## By class", class_table(suite), "## Motions", motion_table(suite), "## Every frame", frames_table(suite),
+                  "## Stated deviations", deviation_table(suite)]
     parts += ["## Said and true", verdict_table(rows)]
     if any(r["group"] == "wrong" for r in rows):
         parts += ["## Made wrong", wrong_table(rows)]

@@ -4,6 +4,7 @@
 """
 
 import itertools
+import json
 import math
 import os
 import tempfile
@@ -14,6 +15,7 @@ import numpy as np
 import captures
 import film
 import judge
+import judge_motion
 import motions
 import sensor
 import suite_tables
@@ -206,6 +208,41 @@ class Judge(unittest.TestCase):
         for name, (R, t) in poses.items():
             np.testing.assert_allclose(back[name][0], R, atol=1e-9)
             np.testing.assert_allclose(back[name][1], t, atol=1e-9)
+
+
+class EveryFrame(unittest.TestCase):
+    def test_frames_are_found_by_their_times_and_judged_beside_their_deviations(self):
+        rng, fps, frames, true = np.random.default_rng(4), 15, [], {}
+        world = motions.random_rotation(rng)
+        for k in range(200):
+            R = motions.random_rotation(rng)
+            true[f"frame_{k:06d}"] = (R, np.zeros(3))
+            error = rng.normal(size=3) * np.radians(0.2) * (k > 0)
+            size = np.linalg.norm(error)
+            found = (motions.axis_angle(error, size) if size else np.eye(3)) @ R @ world
+            if k % 3 != 1:
+                frames.append({"time_s": k / fps, "rotation": list(motions.matrix_quaternion(found)),
+                               "rotation_deviation_deg": [0.2 * (k > 0) + 1e-9] * 3})
+        with tempfile.TemporaryDirectory() as folder:
+            truth.write_model(folder, "RADIAL 640 480 500 320 240 0 0", [n + ".png" for n in true], list(true.values()))
+            with open(os.path.join(folder, "frames.json"), "w") as file:
+                json.dump({"frames": frames}, file)
+            record = judge_motion.every_frame(folder, folder, fps)
+        self.assertEqual((record["frames"], record["frames_total"]), (len(frames), 200))
+        # The length of three normal errors of one deviation has a median of 1.54 of it.
+        self.assertAlmostEqual(record["frames_median_deg"], 1.54 * 0.2, delta=0.06)
+        self.assertAlmostEqual(record["frames_error_over_deviation"], 1.54 / math.sqrt(3), delta=0.12)
+
+    def test_a_report_is_compared_with_the_motion(self):
+        tilt = math.radians(2)
+        said = {"rate_deg_s": {"value": -10.1}, "axis_camera": [0, math.cos(tilt), math.sin(tilt)],
+                "tumble": {"inertia_ratios": [{"value": 0.44}, {"value": 0.8}]}}
+        true = {"type": "tumble", "rate_deg_s": 10.0, "momentum_camera": [0, -3.0, 0], "inertia": [4.0, 2.0, 5.0]}
+        record = judge_motion.report({"poses": {"motion": said}}, true)
+        self.assertAlmostEqual(record["rate_error_percent"], 1.0)
+        self.assertAlmostEqual(record["axis_error_deg"], 2.0)
+        self.assertAlmostEqual(record["inertia_error_percent"], 10.0)
+        self.assertEqual(judge_motion.report({}, true), {})
 
 
 class Tables(unittest.TestCase):

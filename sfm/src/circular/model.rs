@@ -29,14 +29,11 @@ const EFFORT: usize = 400_000;
 const SETTLED: f64 = 1e-6;
 
 /// Degrees of freedom of the prior on the noise of a track.
-/// Source: the least that is whole; 0.5 to 4 differ by less than a tenth in the angles of the suite's
-/// turns by hand.
+/// Source: judgement, the least that is whole.
 const TRACK_FREEDOM: f64 = 1.0;
 /// Independent views that a followed point counts as, at most.
-/// Source: turns by hand of the suite (half A): 2 and 4 leave 0.05° and 0.06° of 0.09° without; of
-/// case 3, where lines of the room tell the principal point, 2, 4 and 8 leave an axis 0.17°, 0.11°
-/// and 0.08° off.
-const FOLLOWED_VIEWS: f64 = 4.0;
+/// Source: derived; two see a point, the others find the same window again.
+const FOLLOWED_VIEWS: f64 = 2.0;
 
 /// A model under the constraint.
 #[derive(Clone, Debug)]
@@ -195,22 +192,32 @@ impl AxisModel {
         bundle: &mut BundleProblem,
         selected: &Selected,
     ) {
-        let points = selected.points.iter().filter_map(|&id| self.state.points[id as usize].as_ref());
-        let followed: Vec<bool> = points.flat_map(|p| &p.views).map(|v| context.is_followed(*v)).collect();
-        if followed.len() != bundle.observations.len() {
+        let Some(followed) = self.followed(context, bundle, selected) else {
             let sigma = noise(bundle);
             bundle.observations.iter_mut().for_each(|o| o.sigma_px = sigma);
             return;
-        }
+        };
         let [features, points] = [false, true].map(|kind| noise_of_kind(bundle, &followed, kind));
         for (o, followed) in bundle.observations.iter_mut().zip(&followed) {
             o.sigma_px *= if *followed { points } else { features };
         }
-        weigh_tracks(bundle, &followed);
+    }
+
+    /// Which observations of an adjustment are followed points; `None` where it lacks some of the
+    /// model's.
+    fn followed(
+        &self,
+        context: &CircularContext<'_>,
+        bundle: &BundleProblem,
+        selected: &Selected,
+    ) -> Option<Vec<bool>> {
+        let points = selected.points.iter().filter_map(|&id| self.state.points[id as usize].as_ref());
+        let followed: Vec<bool> = points.flat_map(|p| &p.views).map(|v| context.is_followed(*v)).collect();
+        (followed.len() == bundle.observations.len()).then_some(followed)
     }
 
     /// Adjusts with the chosen intrinsics, triangulates and filters at the level of the noise, for
-    /// so many rounds at most.
+    /// so many rounds at most; then the turn and the points alone, each track with its own noise.
     pub(crate) fn polish(
         &mut self,
         context: &CircularContext<'_>,
@@ -236,6 +243,23 @@ impl AxisModel {
             if round > 0 && (gone + added) * 500 < all {
                 break;
             }
+        }
+        self.weigh_out_sliding(context, intrinsics)
+    }
+
+    /// Adjusts the turn and the points, each track with its own noise (see [`weigh_tracks`]). The
+    /// intrinsics, which need all observations, are held.
+    fn weigh_out_sliding(
+        &mut self,
+        context: &CircularContext<'_>,
+        intrinsics: FreeIntrinsics,
+    ) -> Result<(), SfmError> {
+        let (mut problem, selected, options) = self.prepare(context, intrinsics, None);
+        let Some(followed) = self.followed(context, &problem.bundle, &selected) else { return Ok(()) };
+        weigh_tracks(&mut problem.bundle, &followed);
+        problem.bundle.camera_free.iter_mut().flatten().for_each(|free| *free = false);
+        if problem.solve(&options, context.progress)?.usable {
+            self.take(problem, selected);
         }
         Ok(())
     }
@@ -314,4 +338,46 @@ fn noise_of_kind(bundle: &BundleProblem, followed: &[bool], kind: bool) -> f64 {
     let n = 2.0 * errors.len() as f64;
     let freedom = ((n - taken) / n.max(1.0)).clamp(0.1, 1.0);
     (median(errors) / (2.0 * std::f64::consts::LN_2) / freedom).sqrt().max(1e-3)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::bundle::BundleObservation;
+    use glam::{DVec2, DVec3};
+    use scene::{CameraModel, Pose};
+
+    /// Two points, each seen in twelve images: the first to a hundredth of its noise, the second
+    /// three times its noise away, on alternate sides.
+    fn still_and_sliding() -> BundleProblem {
+        let points = vec![DVec3::new(-0.5, 0.0, 5.0), DVec3::new(0.5, 0.0, 5.0)];
+        let mut problem = BundleProblem {
+            poses: vec![Pose::IDENTITY; 12],
+            pose_camera: vec![0; 12],
+            cameras: vec![Camera::centred(1, CameraModel::SimplePinhole, 640, 480, 500.0)],
+            points,
+            ..BundleProblem::default()
+        };
+        for pose in 0..12u32 {
+            for (point, error) in [(0u32, 0.01), (1, 3.0)] {
+                let seen = problem.cameras[0].project(problem.points[point as usize]).unwrap();
+                let pixel = seen + DVec2::X * error * if pose % 2 == 0 { 1.0 } else { -1.0 };
+                problem.observations.push(BundleObservation { pose, point, pixel, sigma_px: 1.0 });
+            }
+        }
+        problem
+    }
+
+    #[test]
+    fn a_track_that_slides_counts_for_less_and_a_followed_one_for_two_views() {
+        let mut features = still_and_sliding();
+        weigh_tracks(&mut features, &[false; 24]);
+        let [still, sliding] = [0, 1].map(|i| features.observations[i].sigma_px);
+        // 12 views of 9 σ² over 24 − 3 coordinates, with one that is as the noise.
+        assert!((sliding - (109.0f64 / 22.0).sqrt()).abs() < 1e-9, "{sliding}");
+        assert!((still - (1.0012f64 / 22.0).sqrt()).abs() < 1e-9, "{still}");
+        let mut followed = still_and_sliding();
+        weigh_tracks(&mut followed, &[true; 24]);
+        assert!((followed.observations[1].sigma_px / sliding - 6.0f64.sqrt()).abs() < 1e-9);
+    }
 }

@@ -57,16 +57,14 @@ pub(crate) fn is_motion_as_good(gain: f64, more: usize, price: f64) -> bool {
     gain / TRACK_EXCESS < more as f64 * price
 }
 
-/// Whether a motion predicts held-out observations clearly worse than another: for each image the
-/// sum of squared errors in units of the noise, and their number. Images err together, as tracks
-/// do, and free poses predict what slides along in some frames.
+/// Whether a model predicts held-out observations clearly worse than another: for each image the
+/// sum of squared errors in units of the noise, and their number.
 pub(crate) fn predicts_worse(model: &[(f64, usize)], other: &[(f64, usize)]) -> bool {
     let (gain, error) = gain(model, other);
     let all = |held_out: &[(f64, usize)]| held_out.iter().map(|h| h.0).sum::<f64>();
     let count = model.iter().map(|h| h.1).sum::<usize>() as f64;
     // Errors far below the noise are all alike.
-    gain > SIGNIFICANT * TRACK_EXCESS.sqrt() * error
-        && all(model) > NOTICEABLE * NOTICEABLE * all(other).max(count)
+    gain > SIGNIFICANT * error && all(model) > NOTICEABLE * NOTICEABLE * all(other).max(count)
 }
 
 /// Whether observations determine a parameter: `deviation`, its standard deviation for independent

@@ -223,6 +223,26 @@ fn masked_keypoints_go_and_the_mask_makes_no_edges() {
 }
 
 #[test]
+fn a_small_white_part_of_a_mask_far_from_the_corner_gives_what_the_whole_image_gives_there() {
+    // The spots about (428, 328) of an image that is much larger than what the mask keeps.
+    let (small, mut image) = (constellation(0.0, 1.0), FloatImage::zeros(640, 480, 1));
+    image.data.fill(small.data[0]);
+    for y in 0..256 {
+        let from = (y + 200) * 640 + 300;
+        image.data[from..from + 256].copy_from_slice(&small.data[y * 256..(y + 1) * 256]);
+    }
+    let inside = |x: u32, y: u32| (348..508).contains(&x) && (248..408).contains(&y);
+    let mask = GrayImage::from_fn(640, 480, |x, y| image::Luma([if inside(x, y) { 255 } else { 0 }]));
+    // With two corners white nothing can be left out.
+    let mut whole = mask.clone();
+    [(0, 0), (639, 479)].into_iter().for_each(|(x, y)| whole.put_pixel(x, y, image::Luma([255])));
+    let config = SiftConfig::default();
+    let (all, kept) = (extract(&image, Some(&whole), &config), extract(&image, Some(&mask), &config));
+    assert!(kept.len() > 50 && kept.len() * 50 > all.len() * 49, "{} of {}", kept.len(), all.len());
+    assert!(repeated(&kept, &all, 1e-2) > 0.98, "{}", repeated(&kept, &all, 1e-2));
+}
+
+#[test]
 fn a_huge_image_is_searched_in_bounded_memory_and_reported_in_its_own_pixels() {
     let list: Vec<_> = (0..12).map(|i| (500.0 + 1000.0 * f64::from(i), 300.0, 40.0, 0.4)).collect();
     // Cheap: the spots touch few pixels, so only those are computed.
