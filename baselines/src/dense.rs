@@ -52,6 +52,8 @@ pub(crate) struct WeightGradient<'a> {
     pub(crate) grads: &'a mut [f32],
     /// [outputs]
     pub(crate) bias: Option<&'a mut [f32]>,
+    /// Room for both factors in the order in which they are read.
+    pub(crate) packed: &'a mut Vec<f32>,
 }
 
 #[inline(always)]
@@ -159,7 +161,11 @@ pub(crate) fn weight_gradient(mut a: WeightGradient) {
 fn weights_by<S: Simd, const V: usize>(a: &mut WeightGradient) {
     let (inputs, outputs) = (a.inputs, a.outputs);
     let rows = a.x.len() / inputs;
+    a.packed.resize(rows * (inputs + PANEL), 0.0);
+    let (x, dy) = a.packed.split_at_mut(rows * inputs);
+    pack::<INPUTS>(a.x, inputs, x);
     for column in (0..outputs).step_by(PANEL) {
+        pack::<PANEL>(&a.dy[column..], outputs, dy);
         let panel = &mut a.grads[column * inputs..][..PANEL * inputs];
         for i in (0..inputs).step_by(INPUTS) {
             let place = &mut panel[i * PANEL..][..INPUTS * PANEL];
@@ -169,9 +175,8 @@ fn weights_by<S: Simd, const V: usize>(a: &mut WeightGradient) {
                     sums[k][v] = S::read(&place[k * PANEL + v * S::LANES..]);
                 }
             }
-            let (x, dy) = (a.x[i..].as_ptr(), a.dy[column..].as_ptr());
-            // SAFETY: x has `rows` rows of `inputs`, dy of `outputs`; both tiles lie inside.
-            let sums = unsafe { outer::<S, V>(rows, (x, inputs), (dy, outputs), sums) };
+            // SAFETY: both hold `rows` rows, of INPUTS and of PANEL values.
+            let sums = unsafe { outer::<S, V>(rows, x[i * rows..].as_ptr(), dy.as_ptr(), sums) };
             for k in 0..INPUTS {
                 for v in 0..V {
                     sums[k][v].write(&mut place[k * PANEL + v * S::LANES..]);
@@ -181,31 +186,43 @@ fn weights_by<S: Simd, const V: usize>(a: &mut WeightGradient) {
     }
 }
 
-/// `sums + xᵀ dy` for INPUTS columns of `x` and one panel of `dy`; each comes with its stride.
+/// Columns of `from`, which is `stride` wide, in blocks of N beside each other: [blocks][rows][N];
+/// as many blocks as fit into `to`.
+#[inline(always)]
+fn pack<const N: usize>(from: &[f32], stride: usize, to: &mut [f32]) {
+    let rows = from.len().div_ceil(stride);
+    for (block, to) in to.chunks_exact_mut(rows * N).enumerate() {
+        for (row, to) in to.as_chunks_mut::<N>().0.iter_mut().enumerate() {
+            to.copy_from_slice(&from[row * stride + block * N..][..N]);
+        }
+    }
+}
+
+/// `sums + xᵀ dy` for INPUTS columns of `x` and one panel of `dy`.
 /// # Safety
-/// Both point to `rows` rows, of INPUTS and of V registers.
+/// Both point to `rows` rows, of INPUTS values and of V registers.
 #[inline(always)]
 unsafe fn outer<S: Simd, const V: usize>(
     rows: usize,
-    (x, x_stride): (*const f32, usize),
-    (dy, dy_stride): (*const f32, usize),
+    mut x: *const f32,
+    mut dy: *const f32,
     mut sums: [[S; V]; INPUTS],
 ) -> [[S; V]; INPUTS] {
-    let (mut x_at, mut dy_at) = (0, 0);
     for _ in 0..rows {
         let mut gradients = sums[0];
         for (v, gradient) in gradients.iter_mut().enumerate() {
             // SAFETY: the caller vouches for the rows.
-            *gradient = unsafe { S::load(dy.add(dy_at + v * S::LANES)) };
+            *gradient = unsafe { S::load(dy.add(v * S::LANES)) };
         }
         for (k, sums) in sums.iter_mut().enumerate() {
             // SAFETY: the caller vouches for the rows.
-            let value = S::splat(unsafe { *x.add(x_at + k) });
+            let value = S::splat(unsafe { *x.add(k) });
             for v in 0..V {
                 sums[v] = value.fma(gradients[v], sums[v]);
             }
         }
-        (x_at, dy_at) = (x_at + x_stride, dy_at + dy_stride);
+        // SAFETY: at most one past the end.
+        (x, dy) = unsafe { (x.add(INPUTS), dy.add(PANEL)) };
     }
     sums
 }
@@ -268,6 +285,7 @@ mod tests {
                 outputs,
                 grads: &mut grads,
                 bias: bias_sums,
+                packed: &mut Vec::new(),
             });
             let (mut back, mut dx) = (vec![0.0; inputs * outputs], vec![0.0; rows * inputs]);
             transpose(&panels, inputs, outputs, &mut back);

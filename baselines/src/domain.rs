@@ -29,7 +29,21 @@ pub(crate) struct Domain {
     pub(crate) cascades: u32,
 }
 
+/// Most cubes in a file. Source: more than the paper's five.
+const MOST_CASCADES: u32 = 8;
+
 impl Domain {
+    /// Whether there can be such cubes.
+    pub(crate) fn is_sane(&self) -> bool {
+        let Self { centre, half, cascades } = *self;
+        centre.is_finite() && half.is_finite() && half > 0.0 && (1..=MOST_CASCADES).contains(&cascades)
+    }
+
+    /// Half a side of the largest cube, normalised units.
+    pub(crate) fn reach(&self) -> f32 {
+        self.half * (1u32 << (self.cascades - 1)) as f32
+    }
+
     /// Around what the training views look at: what their masks show, else a share of the cameras'
     /// distance.
     pub(crate) fn of(dataset: &Dataset) -> Self {

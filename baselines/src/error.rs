@@ -35,6 +35,9 @@ pub enum FieldError {
         /// COLMAP's name of the model.
         model: &'static str,
     },
+    /// The Gaussians of a field cannot be trained.
+    #[error(transparent)]
+    Splat(#[from] splat::SplatError),
     /// A file cannot be written.
     #[error("cannot write {path}: {source}")]
     Write {

@@ -27,6 +27,8 @@ pub struct StepReport {
     pub rays: usize,
     /// Places at which the field was evaluated.
     pub samples: usize,
+    /// Products and sums of the networks' layers, forward and backward.
+    pub operations: f64,
 }
 
 /// What of a field is kept in a file.

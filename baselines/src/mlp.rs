@@ -22,6 +22,13 @@ pub(crate) struct Activations {
     /// Gradients of two neighbouring layers.
     above: Vec<f32>,
     below: Vec<f32>,
+    packed: Vec<f32>,
+}
+
+/// The logistic function.
+#[inline(always)]
+pub(crate) fn logistic(x: f32) -> f32 {
+    1.0 / (1.0 + (-x).exp())
 }
 
 impl Mlp {
@@ -122,7 +129,7 @@ impl Mlp {
         of_outputs: &[f32],
         gradient: &mut [f32],
     ) -> &'a [f32] {
-        let Activations { layers, above, below } = activations;
+        let Activations { layers, above, below, packed } = activations;
         above.clear();
         above.extend_from_slice(of_outputs);
         for (index, (inputs, outputs, range)) in self.layers().enumerate().rev() {
@@ -136,6 +143,7 @@ impl Mlp {
                 outputs,
                 grads: &mut gradient[range.clone()],
                 bias: None,
+                packed,
             });
             below.resize(above.len() / outputs * inputs, 0.0);
             product(Product {

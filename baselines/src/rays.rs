@@ -29,7 +29,31 @@ pub(crate) struct Sighting {
     pub(crate) background: [f32; 3],
 }
 
-/// The training photos.
+/// Which rays a step takes.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct Draw {
+    /// How many.
+    pub(crate) count: usize,
+    /// Share of a picture's sides, in its middle.
+    pub(crate) crop: f32,
+    /// Share of the photos, those of the earliest times; more than 1 is all.
+    pub(crate) admitted: f64,
+}
+
+impl Draw {
+    /// So many rays of all pixels of all photos.
+    pub(crate) fn anywhere(count: usize) -> Self {
+        Self { count, crop: 1.0, admitted: 1.0 }
+    }
+}
+
+/// The pixels along a side that are a share of it, in its middle; one at least.
+fn middle(side: usize, share: f32) -> std::ops::Range<usize> {
+    let left = (0.5 * (1.0 - share) * side as f32) as usize;
+    left.min((side - 1) / 2)..(side - left).max(side / 2 + 1)
+}
+
+/// The training photos: in the order of their times.
 #[derive(Debug)]
 pub struct PhotoRays<'a> {
     dataset: &'a Dataset,
@@ -51,34 +75,59 @@ impl<'a> PhotoRays<'a> {
     /// The views of a data set that are not held out; `times` has one for each view of the set,
     /// and is empty where the scene stands still.
     pub fn new(dataset: &'a Dataset, times: &[f32]) -> Self {
-        let chosen = dataset.training_views();
-        let times = chosen.iter().map(|&i| times.get(i).copied().unwrap_or(0.0)).collect();
+        let mut chosen = dataset.training_views();
+        let time = |i: usize| times.get(i).copied().unwrap_or(0.0);
+        chosen.sort_by(|&a, &b| time(a).total_cmp(&time(b)));
+        let times = chosen.iter().map(|&i| time(i)).collect();
         let views = chosen.iter().map(|&i| &dataset.views[i]).collect();
         Self { dataset, views, times, transparent: dataset.is_transparent() }
     }
 
+    /// Number of photos.
+    pub(crate) fn len(&self) -> usize {
+        self.views.len()
+    }
+
+    /// A photo and its time.
+    pub(crate) fn photo(&self, index: usize) -> (&'a View, f32) {
+        (self.views[index], self.times[index])
+    }
+
+    /// Whether backgrounds show through and are random.
+    pub(crate) fn transparent(&self) -> bool {
+        self.transparent
+    }
+
     /// Random pixels of random photos, those of step `step`.
-    pub(crate) fn sample(&self, count: usize, seed: u64, step: u32) -> Vec<Sighting> {
+    pub(crate) fn sample(&self, draw: Draw, seed: u64, step: u32) -> Vec<Sighting> {
         /// Rays drawn from one stream of random numbers. Source: chosen by hand.
         const STREAM: usize = 256;
-        let streams = count.div_ceil(STREAM);
-        let draw = |stream: usize| {
+        let streams = draw.count.div_ceil(STREAM);
+        let stream = |stream: usize| {
             let mut rng = rng(seed, "rays", (u64::from(step) << 24) + stream as u64);
-            let count = STREAM.min(count - stream * STREAM);
-            (0..count).filter_map(move |_| self.draw(&mut rng))
+            let count = STREAM.min(draw.count - stream * STREAM);
+            (0..count).filter_map(move |_| self.draw(draw, &mut rng))
         };
-        (0..streams).into_par_iter().flat_map_iter(draw).collect()
+        (0..streams).into_par_iter().flat_map_iter(stream).collect()
+    }
+
+    /// How many photos, in the order of their times, a share of them is.
+    fn admitted(&self, share: f64) -> usize {
+        /// Fewest. Source: Pumarola et al. 2021's program.
+        const FEWEST: usize = 3;
+        let count = self.views.len();
+        ((share * count as f64) as usize).clamp(FEWEST.min(count), count)
     }
 
     /// One pixel; none where what was hit a few times over does not count.
-    fn draw(&self, rng: &mut scene::rng::Rng) -> Option<Sighting> {
+    fn draw(&self, draw: Draw, rng: &mut scene::rng::Rng) -> Option<Sighting> {
         /// Tries to hit a pixel that counts. Source: chosen by hand.
         const TRIES: usize = 16;
         for _ in 0..TRIES {
-            let view = rng.random_range(0..self.views.len());
+            let view = rng.random_range(0..self.admitted(draw.admitted));
             let pixels = &self.views[view].levels[0];
-            let x = rng.random_range(0..pixels.width);
-            let y = rng.random_range(0..pixels.height);
+            let x = rng.random_range(middle(pixels.width, draw.crop));
+            let y = rng.random_range(middle(pixels.height, draw.crop));
             let at = y * pixels.width + x;
             let cover = pixels.mask.as_ref().map_or(1.0, |m| f32::from(m[at]) / 255.0);
             if self.dataset.alpha == AlphaMode::Ignore && cover < 0.5 {

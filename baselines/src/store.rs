@@ -10,7 +10,7 @@ use crate::method::FieldShape;
 use crate::train::FieldState;
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
-use splat::{NormalisedFrame, PinholeView};
+use splat::{Dataset, NormalisedFrame};
 use std::io::Write;
 use std::path::Path;
 
@@ -70,11 +70,11 @@ fn write_file(path: &Path, header: &Header, arrays: &[&[f32]]) -> std::io::Resul
     std::fs::rename(&partial, path)
 }
 
-/// Reads a field; `None` where there is no file. `views` are the cameras of its training, `wanted`
-/// says whether it is one to go on with.
+/// Reads a field; `None` where there is no file. The data set is that of its training, where that
+/// goes on; `wanted` says whether it is one to go on with.
 pub(crate) fn read(
     path: &Path,
-    views: &[PinholeView],
+    dataset: Option<&Dataset>,
     wanted: impl Fn(&Header) -> bool,
 ) -> Result<Option<(Header, Box<dyn RadianceField>)>, FieldError> {
     let unusable = |reason: String| FieldError::Read { path: path.to_owned(), reason };
@@ -87,7 +87,7 @@ pub(crate) fn read(
     if !wanted(&header) {
         return Ok(None);
     }
-    let field = restore(&header, rest, views).map_err(unusable)?;
+    let field = restore(&header, rest, dataset).map_err(unusable)?;
     Ok(Some((header, field)))
 }
 
@@ -118,7 +118,7 @@ fn parse(bytes: &[u8]) -> Result<(Header, &[u8]), String> {
 fn restore(
     header: &Header,
     mut rest: &[u8],
-    views: &[PinholeView],
+    dataset: Option<&Dataset>,
 ) -> Result<Box<dyn RadianceField>, String> {
     let mut arrays = Vec::new();
     for &length in &header.lengths {
@@ -126,7 +126,7 @@ fn restore(
         arrays.push(own.as_chunks::<4>().0.iter().map(|&b| f32::from_le_bytes(b)).collect());
         rest = next;
     }
-    let mut field = header.shape.build(views, 0);
+    let mut field = header.shape.build(dataset, 0).map_err(|e| e.to_string())?;
     let kept = if header.training.is_some() { Kept::Training } else { Kept::Pictures };
     field.restore(kept, arrays, &header.notes)?;
     Ok(field)

@@ -8,9 +8,9 @@ use crate::store;
 use crate::trained::TrainedField;
 use scene::Progress;
 use serde::{Deserialize, Serialize};
+use splat::Dataset;
 use splat::clock::wall_seconds;
 use splat::train::CurvePoint;
-use splat::{Dataset, PinholeView};
 use std::path::Path;
 
 /// Steps between points of the curve. Source: as the splats' trainer.
@@ -81,7 +81,7 @@ pub fn train(
     checkpoint_dir: Option<&Path>,
     progress: &Progress,
 ) -> Result<FieldResult, FieldError> {
-    let Some(shape) = FieldShape::of(config.method, dataset) else {
+    let Some(shape) = FieldShape::of(config.method, dataset, times, config.time_limit.is_some()) else {
         let (value, expected) = (config.method.name().to_owned(), "a method that is no splat");
         return Err(FieldError::Config { flag: "--method", value, expected });
     };
@@ -149,19 +149,18 @@ fn open(
     config: &FieldConfig,
     path: Option<&Path>,
 ) -> Result<(Box<dyn RadianceField>, FieldState), FieldError> {
-    let views: Vec<PinholeView> = dataset.training_views().iter().map(|&i| dataset.views[i].view).collect();
     let fingerprint = serde_json::to_string(&(config, shape, dataset.normalisation)).unwrap_or_default();
     let own = |header: &store::Header| {
         header.shape == shape && header.training.as_ref().is_some_and(|t| t.fingerprint == fingerprint)
     };
     if let Some(path) = path
-        && let Some((header, field)) = store::read(path, &views, own)?
+        && let Some((header, field)) = store::read(path, Some(dataset), own)?
         && let Some(state) = header.training
     {
         return Ok((field, state));
     }
     let state = FieldState { fingerprint, ..FieldState::default() };
-    Ok((shape.build(&views, config.seed), state))
+    Ok((shape.build(Some(dataset), config.seed)?, state))
 }
 
 impl FieldState {

@@ -22,9 +22,7 @@ impl TrainedField {
 
     /// How it was made.
     pub fn method(&self) -> Method {
-        match self.shape {
-            FieldShape::InstantNgp(_) => Method::InstantNgp,
-        }
+        self.shape.method()
     }
 
     /// Writes what pictures need.
@@ -34,7 +32,7 @@ impl TrainedField {
 
     /// Reads what [`Self::write`] wrote.
     pub fn read(path: &Path) -> Result<Self, FieldError> {
-        let read = store::read(path, &[], |header| header.training.is_none())?;
+        let read = store::read(path, None, |header| header.training.is_none())?;
         let Some((header, field)) = read else {
             let reason = "it is missing or a checkpoint".to_owned();
             return Err(FieldError::Read { path: path.to_owned(), reason });

@@ -26,6 +26,7 @@ mod gpu;
 mod hull;
 mod init;
 pub mod model;
+pub mod moved;
 #[cfg(test)]
 mod parity;
 pub mod profile;

@@ -2,10 +2,11 @@
 //! cache.
 
 use super::hash_grid::{Corner, FEATURES};
-use super::network::{LATENT, Layers, NgpNetwork, Weights, density, encode_direction, logistic};
+use super::network::{LATENT, Layers, NgpNetwork, Weights, density, encode_direction};
 use super::occupancy::Sample;
 use crate::composite::{Traced, compose, compose_backward, seen};
 use crate::loss::{huber, square_error};
+use crate::mlp::logistic;
 use crate::rays::Sighting;
 use scene::sh::SH_COUNT;
 

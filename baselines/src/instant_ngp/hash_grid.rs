@@ -180,11 +180,12 @@ impl HashGrid {
         });
     }
 
-    /// Features of one point into a row of inputs.
-    #[inline(always)]
-    pub(crate) fn encode_row(&self, position: [f32; 3], row: &mut [f32]) {
-        for (table, slot) in self.tables.iter().zip(row.chunks_exact_mut(FEATURES)) {
-            slot.copy_from_slice(&table.features(position));
+    /// Features of points into rows of inputs, `width` wide.
+    pub(crate) fn encode_rows(&self, points: &[[f32; 3]], rows: &mut [f32], width: usize) {
+        for (level, table) in self.tables.iter().enumerate() {
+            for (row, &p) in rows.chunks_exact_mut(width).zip(points) {
+                row[level * FEATURES..][..FEATURES].copy_from_slice(&table.features(p));
+            }
         }
     }
 }

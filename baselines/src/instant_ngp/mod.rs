@@ -37,11 +37,9 @@ const SAMPLES: usize = 1 << 16;
 /// Rays of the first step, when every cell may hold something.
 /// Source: a thousand samples each make the samples of a step.
 const FIRST_RAYS: usize = 256;
-/// Most cascades, levels and powers of two in files. Source: twice the paper's, or more.
-const MOST_CASCADES: u32 = 8;
-/// See [`MOST_CASCADES`].
+/// Most levels and powers of two in files. Source: twice the paper's, or more.
 const MOST_LEVELS: usize = 32;
-/// See [`MOST_CASCADES`].
+/// See [`MOST_LEVELS`].
 const MOST_LOG2: u32 = 24;
 
 /// The shape of an Instant NeRF.
@@ -76,10 +74,7 @@ impl NgpShape {
 
     /// Whether fields of this shape can be made.
     pub(crate) fn is_sane(&self) -> bool {
-        let Domain { centre, half, cascades } = self.domain;
-        let box_is_sane = centre.is_finite() && half.is_finite() && half > 0.0;
-        box_is_sane
-            && (1..=MOST_CASCADES).contains(&cascades)
+        self.domain.is_sane()
             && (1..=MOST_LEVELS).contains(&self.levels)
             && (1..=MOST_LOG2).contains(&self.log2_entries)
             && (1..=SAMPLES).contains(&self.samples)

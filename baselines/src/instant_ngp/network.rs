@@ -42,12 +42,6 @@ pub(crate) fn density(x: f32) -> f32 {
     x.clamp(-LOG_DENSITY, LOG_DENSITY).exp()
 }
 
-/// The logistic function.
-#[inline(always)]
-pub(crate) fn logistic(x: f32) -> f32 {
-    1.0 / (1.0 + (-x).exp())
-}
-
 /// Spherical harmonics of a ray's direction.
 pub(crate) fn encode_direction(ray: &Ray) -> [f32; SH_COUNT] {
     sh_basis(ray.direction.as_dvec3()).map(|v| v as f32)
@@ -77,8 +71,7 @@ impl NgpNetwork {
         layers: &mut Activations,
     ) {
         self.density.reserve(points.len(), layers);
-        let rows = layers.layers[0].chunks_exact_mut(self.density.inputs());
-        rows.zip(points).for_each(|(row, &p)| grid.encode_row(p, row));
+        grid.encode_rows(points, &mut layers.layers[0], self.density.inputs());
         self.density.forward(weights, layers);
     }
 

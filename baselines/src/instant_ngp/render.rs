@@ -1,9 +1,10 @@
 //! Pictures: rays are marched a few samples at a time until they are opaque.
 
 use super::InstantNgp;
-use super::network::{LATENT, Layers, density, encode_direction, logistic};
+use super::network::{LATENT, Layers, density, encode_direction};
 use super::occupancy::{March, Sample};
 use crate::composite::{OPAQUE, RayColour, opacity};
+use crate::mlp::logistic;
 use crate::rays::Ray;
 use scene::sh::SH_COUNT;
 

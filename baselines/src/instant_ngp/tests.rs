@@ -93,7 +93,7 @@ fn densities_and_colours_agree_with_the_reference() {
         let width = field.network.colour.outputs();
         let samples = batch.samples[range].iter().enumerate().map(|(i, s)| {
             let latent = layers.density.layers[2][i * network::LATENT];
-            let rgb = [0, 1, 2].map(|c| network::logistic(layers.colour.layers[3][i * width + c]));
+            let rgb = [0, 1, 2].map(|c| crate::mlp::logistic(layers.colour.layers[3][i * width + c]));
             (density(latent), s.dt, s.t, rgb)
         });
         let shown = compose(samples, ray.sighting.background);

@@ -8,7 +8,7 @@ use super::occupancy::cell_point;
 use crate::adam::AdamRates;
 use crate::field::{StepPlace, StepReport};
 use crate::mlp::Activations;
-use crate::rays::{PhotoRays, Sighting};
+use crate::rays::{Draw, PhotoRays, Sighting};
 use rand::Rng as _;
 use rayon::prelude::*;
 use scene::rng::rng;
@@ -41,8 +41,8 @@ const KEPT: f32 = 0.95;
 /// Stretches of rays whose gradients are added up apart: many enough for many threads.
 /// Source: chosen by hand; part of the result, as sums have a fixed order.
 const STRETCHES: usize = 32;
-/// Cells that are evaluated together. Source: half a second-level cache of 512 KiB.
-const BLOCK: usize = 512;
+/// Cells that are evaluated together. Source: a second-level cache of 512 KiB.
+const BLOCK: usize = 1024;
 /// Cells of a task. Source: chosen by hand: many tasks for many threads.
 const CHUNK: usize = 1 << 14;
 
@@ -52,22 +52,30 @@ impl InstantNgp {
         if place.step.is_multiple_of(OCCUPANCY_EVERY) {
             self.update_occupancy(place);
         }
-        let sightings = photos.sample(self.rays, place.seed, place.step);
+        let sightings = photos.sample(Draw::anywhere(self.rays), place.seed, place.step);
         let mut batch = self.march(&sightings, place);
         self.grid.encode(&batch.points, &mut batch.features);
         let sums = self.gradients(&batch);
         self.descend(&batch, &sums, place);
         let rays = batch.rays.len().max(1);
         let mean = |of: fn(&Sums) -> f64| sums.iter().map(of).sum::<f64>() / rays as f64;
+        let survivors = sums.iter().map(|s| s.survivors.len()).sum();
         let report = StepReport {
             loss: mean(|s| s.loss),
             square_error: mean(|s| s.square_error),
             rays: batch.rays.len(),
             samples: batch.samples.len(),
+            operations: self.operations(batch.samples.len(), survivors),
         };
         let seen = batch.samples.len().max(1);
         self.rays = (rays * self.shape.samples / seen).clamp(1, (2 * self.rays).min(MOST_RAYS));
         report
+    }
+
+    /// Products of weights and sums of a step: densities of all samples, and all else of those seen.
+    fn operations(&self, samples: usize, survivors: usize) -> f64 {
+        let [density, colour] = [&self.network.density, &self.network.colour].map(|n| 2 * n.parameters());
+        (samples * density + survivors * (2 * density + 3 * colour)) as f64
     }
 
     /// The samples of rays in occupied cells.
