@@ -79,9 +79,11 @@ bench: build  ## all benchmarks on real data, and docs/benchmarks.md from their 
 	python3 tools/bench.py $(SAT_RECON) $(SHARED) --out build/bench --plot docs/speed_accuracy.svg
 	@$(MAKE) benchmarks-page
 
-tables: build  ## the paper's three tables for our own method, its rows beside them (slow)
+# LIMIT: the same wall time for each training, for instance LIMIT=5m (default: the steps of the preset).
+tables: build  ## the paper's three tables, its rows beside them (slow; METHODS="3dgs instant-ngp", LIMIT=5m)
 	@tools/setup.sh python3
-	python3 tools/paper_tables.py $(SAT_RECON) $(SHARED) --out build/tables
+	python3 tools/paper_tables.py $(SAT_RECON) $(SHARED) --out build/tables \
+	    $(if $(METHODS),--methods $(METHODS)) $(if $(LIMIT),--time-limit $(LIMIT))
 
 benchmarks-page:  ## docs/benchmarks.md from the results in build/ and docs/results
 	python3 tools/benchmarks_page.py docs/results $(wildcard build/*/results) --out docs/benchmarks.md --keep docs/results

@@ -14,9 +14,12 @@ fn main() {
     take_viewer_in(&Path::new(&root).join("viewer/dist/viewer.js"), &out)
         .expect("the build folder can be written");
     // A stage that another build ran is not current. Unreadable sources only mean that it may be.
-    for (name, crates) in
-        [("FRAMES", ["preprocess", "scene"]), ("SFM", ["sfm", "scene"]), ("SPLAT", ["splat", "scene"])]
-    {
+    for (name, crates) in [
+        ("FRAMES", ["preprocess", "scene"].as_slice()),
+        ("SFM", &["sfm", "scene"]),
+        ("SPLAT", &["splat", "scene"]),
+        ("BASELINES", &["baselines", "splat", "scene"]),
+    ] {
         let mut hasher = DefaultHasher::new();
         for folder in crates {
             println!("cargo:rerun-if-changed={folder}/src");

@@ -109,6 +109,9 @@ pub struct PipelineArgs {
     /// Preset: places flags before the configuration file's and the typed ones
     #[arg(long, value_enum, default_value_t = splat::Quality::Balanced, help_heading = "General")]
     pub quality: splat::Quality,
+    /// How the scene is represented and learnt: a splat, or a field to compare it with
+    #[arg(long, value_enum, default_value_t = baselines::Method::Gaussians, help_heading = "Splat")]
+    pub method: baselines::Method,
     /// Seed of the random numbers
     #[arg(long, default_value_t = 0, help_heading = "General")]
     pub seed: u64,

@@ -7,9 +7,10 @@ use std::io::IsTerminal;
 use std::path::Path;
 
 /// Files of a run that are worth opening, in this order.
-const WORTH_OPENING: [(&str, &str); 7] = [
+const WORTH_OPENING: [(&str, &str); 8] = [
     ("report.html", "pictures, evidence, poses in 3D"),
     ("splat.ply", "the splat, for any 3DGS viewer"),
+    ("field.bin", "the radiance field; render and eval read it"),
     ("sparse/0", "poses and points, a COLMAP model"),
     ("transforms.json", "the same for nerfstudio"),
     ("mattes.png", "the object as it was cut out"),

@@ -6,14 +6,15 @@ pub mod speed;
 mod table;
 
 use crate::args::EvalConfig;
+use crate::pictures::Pictures;
 use crate::record::RenderingCost;
-use crate::record::{Evaluation, Metrics, Percentile, SplatSummary, TrainingViews, ViewMetrics};
-use crate::stage::{self, write_json};
+use crate::record::{Evaluation, Metrics, Percentile, TrainingViews, ViewMetrics};
+use crate::stage::write_json;
 use anyhow::{Context, Result};
 use image::{GrayImage, RgbImage};
 use scene::Progress;
 use scene::lpips::Lpips;
-use splat::{Dataset, DatasetConfig, DeviceConfig, RenderOptions, Renderer, View};
+use splat::{Dataset, DatasetConfig, DeviceConfig, View};
 use std::path::{Path, PathBuf};
 
 impl ViewMetrics {
@@ -52,12 +53,6 @@ pub fn load_dataset(training_set: &Path, config: &DatasetConfig, progress: &Prog
     Ok(Dataset::load(&training_set.join("images"), masks.as_deref(), &model, config, progress)?)
 }
 
-/// Whether the splat of a run was trained with --antialias.
-pub fn trained_with_antialias(out: &Path) -> bool {
-    let trained = stage::last::<SplatSummary>(out, "train");
-    trained.is_some_and(|finished| finished.value.antialias)
-}
-
 /// The networks of the weights that were given.
 pub fn load_networks(weights: &[PathBuf]) -> Result<Vec<Lpips>> {
     weights.iter().map(|path| Ok(Lpips::load(path)?)).collect()
@@ -73,29 +68,26 @@ pub fn evaluate(
     progress: &Progress,
 ) -> Result<Evaluation> {
     let networks = load_networks(&config.lpips_weights)?;
-    let gaussians = scene::io::ply::read_splat_ply(&out.join("splat.ply"))?;
-    let (mut renderer, chosen) = Renderer::on(device, &gaussians)?;
-    renderer.antialias = trained_with_antialias(out);
+    let (mut pictures, renderer) = Pictures::open(out, device)?;
     let cameras = speed::held_out_cameras(&out.join("undistorted"), dataset)?;
-    let rendering = speed::measure(&mut renderer, &cameras, config.fps_loops, progress)?;
+    let rendering = speed::measure(&mut pictures, &cameras, config.fps_loops, progress)?;
     let mesh = &config.mesh;
     let config = dataset;
     let dataset = load_dataset(&out.join("undistorted"), config, progress)?;
-    let geometry = geometry::measure(out, mesh, &dataset, (&gaussians, renderer.antialias), progress)?;
+    let geometry = match &pictures {
+        Pictures::Splat(renderer, gaussians) => {
+            geometry::measure(out, mesh, &dataset, (gaussians, renderer.antialias), progress)?
+        }
+        Pictures::Field(_) => None,
+    };
     let held_out: Vec<&View> = dataset.views.iter().filter(|v| v.held_out).collect();
     let protocol = protocol(config, &dataset, held_out.len(), &rendering, &networks);
-    let mut evaluation = Evaluation {
-        protocol,
-        rendering,
-        geometry,
-        renderer: chosen.sentences().choice,
-        ..Evaluation::default()
-    };
+    let mut evaluation = Evaluation { protocol, rendering, geometry, renderer, ..Evaluation::default() };
     progress.begin("evaluate", held_out.len());
     scene::io::replace_folder(&new.join("eval"), |folder| -> Result<()> {
         for (i, view) in held_out.iter().enumerate() {
             let picture = format!("{i:03}_{}.png", plain(&view.name));
-            let compared = Compared::of(&mut renderer, view, &dataset)?;
+            let compared = Compared::of(&mut pictures, view, &dataset)?;
             let metrics = compared.judge(&networks)?;
             compared
                 .write(folder, &picture)
@@ -110,7 +102,7 @@ pub fn evaluate(
                 PERCENTS.map(|p| Percentile { percent: p, metrics: Metrics::percentile(&all, p) });
             evaluation.percentiles = percentiles.to_vec();
         }
-        evaluation.training = training_views(&mut renderer, &dataset, all.len(), progress)?;
+        evaluation.training = training_views(&mut pictures, &dataset, all.len(), progress)?;
         write_json(&folder.join("metrics.json"), &evaluation)
     })?;
     Ok(evaluation)
@@ -121,7 +113,7 @@ const PERCENTS: [u32; 3] = [5, 50, 95];
 
 /// Judges training views, as many as are held out, spread evenly.
 fn training_views(
-    renderer: &mut Renderer,
+    pictures: &mut Pictures,
     dataset: &Dataset,
     most: usize,
     progress: &Progress,
@@ -130,7 +122,7 @@ fn training_views(
     let mut all = Vec::new();
     for &index in training.iter().step_by(training.len().div_ceil(most.max(1)).max(1)) {
         progress.check()?;
-        all.push(Compared::of(renderer, &dataset.views[index], dataset)?.judge(&[])?);
+        all.push(Compared::of(pictures, &dataset.views[index], dataset)?.judge(&[])?);
     }
     Ok((most > 0 && !all.is_empty()).then(|| TrainingViews { views: all.len(), mean: Metrics::mean(&all) }))
 }
@@ -176,8 +168,8 @@ struct Compared {
 }
 
 impl Compared {
-    fn of(renderer: &mut Renderer, view: &View, dataset: &Dataset) -> Result<Self> {
-        let output = renderer.render(&view.camera, &view.pose, &RenderOptions::default())?;
+    fn of(pictures: &mut Pictures, view: &View, dataset: &Dataset) -> Result<Self> {
+        let output = pictures.render(&view.camera, &view.pose, [0.0; 3])?;
         let (photo, mask) = target(view, dataset.is_transparent())?;
         Ok(Self { render: output.rgb.to_rgb8(), photo, mask })
     }

@@ -2,6 +2,7 @@
 
 use crate::args::{ExportArgs, Tool};
 use crate::outcome::Outcome;
+use crate::pictures::need_splat;
 use crate::record::KnownRun;
 use crate::terminal::{CANCELLED, TerminalSink, Verbosity, say};
 use crate::transforms;
@@ -23,8 +24,8 @@ pub fn run(args: &ExportArgs, verbosity: Verbosity) -> Result<Outcome> {
         _ if args.mesh => write_mesh(args, output, verbosity)?,
         _ if args.html || ending == "html" => crate::view::write_page(&args.input, output)?,
         _ if SplatFormat::of(output).is_some() => {
-            let splat = if args.input.is_dir() { args.input.join("splat.ply") } else { args.input.clone() };
-            write_splat(output, &read_splat(&splat)?)?;
+            let splat = if args.input.is_dir() { need_splat(&args.input)? } else { read_splat(&args.input)? };
+            write_splat(output, &splat)?;
         }
         "json" => write_transforms(&args.input, output)?,
         "db" => {
@@ -94,18 +95,14 @@ fn write_mesh(args: &ExportArgs, output: &Path, verbosity: Verbosity) -> Result<
     if !matches!(ending.as_deref(), Some("ply" | "glb")) {
         bail!("{}: a mesh is written as .ply or .glb", output.display());
     }
-    let splat = args.input.join("splat.ply");
-    if !splat.is_file() {
-        bail!("{} is missing; --mesh needs the output folder of a run with a splat", splat.display());
-    }
-    let gaussians = scene::io::read_splat_ply(&splat)?;
+    let gaussians = need_splat(&args.input)?;
     let progress = Progress::new(Box::new(TerminalSink::new(verbosity, None)), &CANCELLED);
     let config = crate::render::dataset_config(&args.input);
     let dataset = crate::evaluate::load_dataset(&args.input.join("undistorted"), &config, &progress)?;
-    let antialias = crate::evaluate::trained_with_antialias(&args.input);
+    let antialias = crate::pictures::trained_with_antialias(&args.input);
     let mesh = splat::fusion::fused_mesh(&gaussians, &dataset, antialias, args.mesh_resolution, &progress)?;
     if mesh.triangles.is_empty() {
-        bail!("{} has no surface: nowhere do its cameras see it half opaque", splat.display());
+        bail!("{} has no surface: nowhere do its cameras see it half opaque", args.input.display());
     }
     scene::io::write_mesh(output, &mesh)?;
     if verbosity > Verbosity::Quiet {

@@ -18,6 +18,7 @@ mod handover;
 mod help;
 pub mod input;
 pub mod outcome;
+pub mod pictures;
 pub mod pipeline;
 pub mod record;
 pub mod render;

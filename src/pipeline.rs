@@ -1,6 +1,7 @@
 //! The pipeline: frames, poses, undistortion, splat, evaluation, report, each resumable.
 
 mod all_frames;
+mod field;
 mod folder;
 mod model;
 mod until;
@@ -20,6 +21,7 @@ use crate::stage::{Done, Finished, StageSpec, Stages, describe_input, fingerprin
 use crate::terminal::{CANCELLED, TerminalSink, Verbosity, print, say};
 use crate::transforms;
 use anyhow::{Context, Result};
+use baselines::Method;
 use folder::{absolute_in, output_folder, relative_to};
 use scene::decision::Rule;
 use scene::{Decision, FrameSet, Progress, Reconstruction};
@@ -40,7 +42,7 @@ const SFM: [&str; 7] = [
 /// Written after the poses, anew where other views are held out.
 const TRANSFORMS: [&str; 1] = ["transforms.json"];
 const UNDISTORT: [&str; 1] = ["undistorted"];
-const TRAIN: [&str; 4] = ["splat.ply", "refined", "run.json", "report.html"];
+const TRAIN: [&str; 5] = ["splat.ply", "field.bin", "refined", "run.json", "report.html"];
 const EVAL: [&str; 3] = ["eval", "run.json", "report.html"];
 
 /// One run into one output folder.
@@ -363,7 +365,9 @@ impl Pipeline {
             Ok(0_u32)
         })?;
         let print = self.finish("undistort", done, "images for training").identity()?;
-
+        if self.args.method != Method::Gaussians {
+            return self.field(&training_set, &print, until);
+        }
         let print = fingerprint(&(
             "train",
             env!("SPLAT_SOURCES"),
@@ -381,11 +385,16 @@ impl Pipeline {
         let finished = self.finish("train", done, &line);
         let print = finished.identity()?;
         self.record.splat = Some(finished.value);
+        self.judge(&print, until)
+    }
+
+    /// Judges what was trained, whose identity is `print`, if that is wanted.
+    fn judge(&mut self, print: &str, until: Until) -> Result<()> {
         if until < Until::Eval {
             return Ok(());
         }
         let mesh = self.args.eval.mesh.mesh.as_deref().map(describe_input).transpose()?;
-        let print = fingerprint(&("eval", 4, &print, &self.args.eval, mesh))?;
+        let print = fingerprint(&("eval", 4, print, &self.args.eval, mesh))?;
         let stage = StageSpec { name: "eval", fingerprint: &print, owns: &EVAL };
         let done: Done<Evaluation> = self.stages.run(&stage, |new| {
             let progress = self.progress("eval");
@@ -401,18 +410,7 @@ impl Pipeline {
     fn train(&self, training_set: &Path, new: &Path, print: &str) -> Result<SplatSummary> {
         crate::stage::free_large_blocks_at_once();
         let progress = self.progress("train");
-        let checkpoints = self.stages.path("train");
-        let owner = checkpoints.join("fingerprint");
-        if std::fs::read_to_string(&owner).ok().as_deref() != Some(print) {
-            match std::fs::remove_dir_all(&checkpoints) {
-                Err(e) if e.kind() != std::io::ErrorKind::NotFound => {
-                    return Err(e).context("cannot clear old checkpoints");
-                }
-                _ => {}
-            }
-            std::fs::create_dir_all(&checkpoints)?;
-            crate::stage::write_whole(&owner, print.as_bytes())?;
-        }
+        let checkpoints = self.checkpoints(print)?;
         let begun = std::time::Instant::now();
         let dataset = evaluate::load_dataset(training_set, &self.args.dataset, &progress)?;
         let mut config = self.args.train.clone();

@@ -1,6 +1,7 @@
 //! What a run remembers of its stages: `run.json`, and what later stages and the report read.
 
 mod evaluation;
+mod field;
 mod known;
 mod schema;
 mod verdict;
@@ -8,6 +9,7 @@ mod verdict;
 pub use evaluation::{
     Evaluation, Metrics, Percentile, RenderingCost, ShapeEvaluation, TrainingViews, ViewMetrics,
 };
+pub use field::FieldSummary;
 pub(crate) use known::up_of;
 pub use known::{KnownConfig, KnownRun};
 pub use schema::run_schema;
@@ -151,6 +153,9 @@ pub struct RunRecord {
     pub poses: Option<PoseSummary>,
     /// The splat.
     pub splat: Option<SplatSummary>,
+    /// The field, where --method makes one instead of a splat.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub field: Option<FieldSummary>,
     /// The metrics.
     pub evaluation: Option<Evaluation>,
     /// All decisions of the run in the order of their subjects, defaults that no stage examined
@@ -171,6 +176,7 @@ impl RunRecord {
             frames: None,
             poses: None,
             splat: None,
+            field: None,
             evaluation: None,
             decisions: Vec::new(),
             verdict,

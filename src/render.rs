@@ -2,12 +2,13 @@
 
 use crate::args::{Channel, RenderArgs, RenderPath};
 use crate::outcome::Outcome;
+use crate::pictures::Pictures;
 use crate::record::KnownRun;
 use crate::terminal::{CANCELLED, TerminalSink, Verbosity, say};
 use anyhow::{Context, Result, bail};
 use image::RgbImage;
 use scene::{Camera, OrbitPath, Pose, Progress, Reconstruction};
-use splat::{RenderOptions, RenderOutput};
+use splat::RenderOutput;
 use std::io::Write as _;
 use std::path::Path;
 use std::process::{Command, Stdio};
@@ -16,23 +17,19 @@ use std::process::{Command, Stdio};
 pub fn run(args: &RenderArgs, verbosity: Verbosity) -> Result<Outcome> {
     let model = scene::io::read_model(&args.run.join("undistorted/sparse/0"))
         .with_context(|| format!("{} is not the output folder of a run with a splat", args.run.display()))?;
-    let gaussians = scene::io::ply::read_splat_ply(&args.run.join("splat.ply"))?;
     let views = camera_path(&model, args)?;
     let [r, g, b] = args.background[..] else { bail!("--background takes red, green and blue") };
-    let options = RenderOptions { background: [r, g, b], ..RenderOptions::default() };
     let progress = Progress::new(Box::new(TerminalSink::new(verbosity, None)), &CANCELLED);
     progress.begin("render", views.len());
-    let (mut renderer, device) = splat::Renderer::on(&args.device, &gaussians)?;
-    renderer.antialias = crate::evaluate::trained_with_antialias(&args.run);
+    let (mut pictures, by) = Pictures::open(&args.run, &args.device)?;
     let mut sink = PictureSink::open(&args.output, args.fps)?;
     for (name, camera, pose) in &views {
-        let output = renderer.render(camera, pose, &options)?;
+        let output = pictures.render(camera, pose, [r, g, b])?;
         sink.put(name, &picture(&output, args.channel, camera))?;
         progress.tick()?;
     }
     sink.finish()?;
     if verbosity > Verbosity::Quiet {
-        let by = device.sentences().choice;
         say(&format!("{} pictures in {}, by: {by}", views.len(), args.output.display()));
     }
     Ok(Outcome::Done)

@@ -12,6 +12,7 @@ mod integration {
     pub mod end_to_end;
     pub mod faults;
     pub mod handover;
+    pub mod methods;
     pub mod python;
     pub mod real_data;
     pub mod resume;

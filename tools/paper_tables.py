@@ -1,8 +1,11 @@
 #!/usr/bin/env python3
-"""The paper's three tables (quality, training cost, rendering cost) for our own method, the
-paper's rows beside them.
+"""The paper's three tables (quality, training cost, rendering cost) for the methods that the program
+has, the paper's rows beside them.
 
     paper_tables.py SAT_RECON SHARED --out FOLDER [--testbed FOLDER] [--quality fast] [--only CASE ...]
+                    [--methods 3dgs instant-ngp] [--time-limit 5m]
+
+With --time-limit each method has the same wall time for training; without, the steps of --quality.
 
 Runs sat-recon on test-bed cases 1 to 4 (as `make testbed` renders them; case 3 is in
 data/testbed), temple_ring, can_orbit and oxford_dino, and writes FOLDER/tables.{md,csv,tex,json}
@@ -45,6 +48,8 @@ def main():
     parser.add_argument("--testbed", default=os.path.join(HERE, "../build/testbed"))
     parser.add_argument("--quality", default="fast", choices=["draft", "fast", "balanced", "best"])
     parser.add_argument("--only", nargs="*", help="names of cases")
+    parser.add_argument("--methods", nargs="+", default=["3dgs"], help="as for sat-recon --method")
+    parser.add_argument("--time-limit", help="wall time for each training, as for sat-recon")
     args = parser.parse_args()
     runs = []
     for case, places in captures(args.shared, args.testbed):
@@ -54,18 +59,26 @@ def main():
         if source is None:
             print(f"{case}: no capture (looked at {', '.join(places)})", file=sys.stderr)
             continue
-        folder = os.path.join(args.out, args.quality, case.replace(" ", ""))
-        if not is_finished(folder):
-            code = subprocess.run([args.binary, source, "-o", folder, "-q", "--quality", args.quality]).returncode
-            if code not in (0, 3):
-                print(f"{case}: exit code {code}", file=sys.stderr)
-                continue
-        runs.append(f"sat-recon {args.quality}:{case}={folder}")
+        runs += [run for method in args.methods if (run := trained(args, case, source, method))]
     if not runs:
         sys.exit("there is nothing to tabulate")
     subprocess.run([args.binary, "compare", *runs, "--beside", PAPER, "--tables", args.out,
                     "--report", os.path.join(args.out, "runs.html")], check=True)
     keep(args.out)
+
+
+def trained(args, case, source, method):
+    """The run of a case by a method, as `compare` names it; None where it failed."""
+    budget = args.time_limit or args.quality
+    shown = f"sat-recon {budget}" if method == "3dgs" else f"{method} {budget}"
+    folder = os.path.join(args.out, shown.removeprefix("sat-recon ").replace(" ", "-"), case.replace(" ", ""))
+    if not is_finished(folder):
+        command = [args.binary, source, "-o", folder, "-q", "--quality", args.quality, "--method", method]
+        code = subprocess.run(command + (["--time-limit", args.time_limit] if args.time_limit else [])).returncode
+        if code not in (0, 3):
+            print(f"{case}, {method}: exit code {code}", file=sys.stderr)
+            return None
+    return f"{shown}:{case}={folder}"
 
 
 def keep(folder):

@@ -26,12 +26,14 @@ mod gpu;
 mod hull;
 mod init;
 pub mod model;
+pub mod moved;
 #[cfg(test)]
 mod parity;
 pub mod profile;
 mod quantile;
 mod reference;
 mod render;
+pub mod simd;
 pub mod statistics;
 pub mod surface;
 pub mod train;

@@ -1,10 +1,11 @@
 //! Speed and memory of rendering, by the paper's protocol: a warm-up, the test set looped, mean of
 //! the median five.
 
+use crate::pictures::Pictures;
 use crate::record::RenderingCost;
 use anyhow::Result;
 use scene::{Camera, Pose, Progress};
-use splat::{DatasetConfig, RenderOptions, Renderer};
+use splat::DatasetConfig;
 use std::path::Path;
 use std::time::{Duration, Instant};
 
@@ -35,7 +36,7 @@ pub fn held_out_cameras(training_set: &Path, config: &DatasetConfig) -> Result<V
 
 /// Renders the views `loops` times.
 pub fn measure(
-    renderer: &mut Renderer,
+    pictures: &mut Pictures,
     views: &[(Camera, Pose)],
     loops: u32,
     progress: &Progress,
@@ -44,9 +45,8 @@ pub fn measure(
         return Ok(RenderingCost::default());
     }
     let meter = crate::stage::Meter::start();
-    let options = RenderOptions::default();
     for (camera, pose) in views {
-        renderer.render(camera, pose, &options)?; // warm-up
+        pictures.render(camera, pose, [0.0; 3])?; // warm-up
     }
     let (mut rates, mut frames) = (Vec::new(), Vec::new());
     let begun = Instant::now();
@@ -55,7 +55,7 @@ pub fn measure(
         let round = Instant::now();
         for (camera, pose) in views {
             let frame = Instant::now();
-            renderer.render(camera, pose, &options)?;
+            pictures.render(camera, pose, [0.0; 3])?;
             frames.push(frame.elapsed().as_secs_f64() * 1e3);
         }
         rates.push(views.len() as f64 / round.elapsed().as_secs_f64());

@@ -55,13 +55,14 @@ fn body(out: &Path, record: &RunRecord, model: Option<&Reconstruction>) -> Resul
     let moved = record.poses.as_ref().and_then(|p| p.motion.as_ref());
     let motion = moved.map(motion::section).transpose()?;
     let training = record.splat.as_ref().map(views::training).transpose()?;
+    let field = record.field.as_ref().map(views::field).transpose()?;
     let held_out = record.evaluation.as_ref().map(|e| views::held_out(out, e)).transpose()?;
     Ok(html! {
         h1 { (title(record)) }
         (lights(&record.verdict))
         (decisions::section(record))
         (frames(out, record)?)
-        @for section in [poses, motion, training, held_out].into_iter().flatten() { (section) }
+        @for section in [poses, motion, training, field, held_out].into_iter().flatten() { (section) }
         (costs(record))
     })
 }

@@ -2,7 +2,7 @@
 
 use super::charts::{self, Series};
 use super::html::{self, InlinePicture, figure};
-use crate::record::{Evaluation, ShapeEvaluation, SplatSummary};
+use crate::record::{Evaluation, FieldSummary, ShapeEvaluation, SplatSummary};
 use anyhow::Result;
 use maud::{Markup, html};
 use splat::CurvePoint;
@@ -15,21 +15,48 @@ const MOST_PICTURES: usize = 24;
 
 /// Size and curves of the training.
 pub(super) fn training(splat: &SplatSummary) -> Result<Markup> {
-    let curves: [(&str, fn(&CurvePoint) -> f64, &str); 3] = [
-        ("PSNR, dB", |p| f64::from(p.psnr), "PSNR of the training views, at the resolution in use"),
-        ("loss", |p| f64::from(p.loss), "Loss of the training views"),
-        ("Gaussians", |p| p.gaussians as f64, "Number of Gaussians"),
-    ];
-    let mut figures = Vec::new();
-    for (name, pick, caption) in curves {
-        let curve = Series::of(splat.curve.iter().map(|p| (p.seconds, pick(p))));
-        figures.push(figure(charts::series(["training time, s", name], &[curve], false)?, caption));
-    }
+    let figures = curves(
+        &splat.curve,
+        &[
+            ("PSNR, dB", |p| f64::from(p.psnr), "PSNR of the training views, at the resolution in use"),
+            ("loss", |p| f64::from(p.loss), "Loss of the training views"),
+            ("Gaussians", |p| p.gaussians as f64, "Number of Gaussians"),
+        ],
+    )?;
     Ok(html! {
         h2 { "Splat" }
         p { (splat.gaussians) " Gaussians, SH degree " (splat.sh_degree) "." }
         div.row { @for figure in &figures { (figure) } }
     })
+}
+
+/// Size and curves of a field's training.
+pub(super) fn field(field: &FieldSummary) -> Result<Markup> {
+    let figures = curves(
+        &field.curve,
+        &[
+            ("PSNR, dB", |p| f64::from(p.psnr), "PSNR of the rays of the training views"),
+            ("loss", |p| f64::from(p.loss), "Loss of the rays of the training views"),
+        ],
+    )?;
+    Ok(html! {
+        h2 { "Field" }
+        p { (field.method.name()) ", " (field.iterations) " steps, " (field.parameters) " parameters." }
+        div.row { @for figure in &figures { (figure) } }
+    })
+}
+
+/// What a curve shows: its quantity, how to read it off, and a caption.
+type CurveReading = (&'static str, fn(&CurvePoint) -> f64, &'static str);
+
+/// Charts against training time.
+fn curves(points: &[CurvePoint], readings: &[CurveReading]) -> Result<Vec<Markup>> {
+    let mut figures = Vec::new();
+    for &(name, pick, caption) in readings {
+        let curve = Series::of(points.iter().map(|p| (p.seconds, pick(p))));
+        figures.push(figure(charts::series(["training time, s", name], &[curve], false)?, caption));
+    }
+    Ok(figures)
 }
 
 /// The held-out views: protocol, table, pictures, cost of rendering.

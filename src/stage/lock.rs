@@ -5,8 +5,17 @@ use std::fs::{File, TryLockError};
 use std::path::Path;
 
 /// What a run writes that others could have written too.
-const CONTESTED: [&str; 8] =
-    ["images", "masks", "sparse", "undistorted", "refined", "eval", "transforms.json", "splat.ply"];
+const CONTESTED: [&str; 9] = [
+    "images",
+    "masks",
+    "sparse",
+    "undistorted",
+    "refined",
+    "eval",
+    "transforms.json",
+    "splat.ply",
+    "field.bin",
+];
 
 /// Its name in `.stages`. Once it is there, the output folder is ours.
 const LOCK: &str = "lock";

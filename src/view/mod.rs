@@ -4,7 +4,7 @@ pub mod server;
 
 include!(concat!(env!("OUT_DIR"), "/bundle.rs"));
 
-use anyhow::{Context, Result, bail};
+use anyhow::{Context, Result};
 use base64::Engine as _;
 use base64::engine::general_purpose::STANDARD;
 use glam::DVec3;
@@ -94,20 +94,16 @@ pub struct Run {
 impl Run {
     /// Reads the model and the splat, which must be there; no browser should be handed it unread.
     pub fn open(folder: &Path) -> Result<Self> {
-        let splat = folder.join("splat.ply");
-        if !splat.is_file() {
-            bail!("{} is missing; run 'sat-recon train' on this folder first", splat.display());
-        }
+        let mut gaussians = crate::pictures::need_splat(folder)?;
         let model = scene::io::read_model(&folder.join("undistorted/sparse/0"))?;
         anyhow::ensure!(!model.images.is_empty(), "{} has no cameras", folder.display());
-        let mut gaussians = scene::io::read_splat_ply(&splat)?;
         let page_from_world = overview::centred(&model, RADIUS);
         gaussians.transform(&page_from_world);
         let shown: Vec<bool> = gaussians.means.iter().map(|m| m.abs().max_element() < FARTHEST).collect();
         gaussians.retain(|i| shown[i]);
         let spz = scene::io::splats::encode_spz(&gaussians).map_err(anyhow::Error::msg)?;
         let model = page_from_world.transform_reconstruction(&model);
-        let antialias = crate::evaluate::trained_with_antialias(folder);
+        let antialias = crate::pictures::trained_with_antialias(folder);
         let up = crate::record::up_of(folder, &model);
         Ok(Self { folder: folder.to_path_buf(), model, splat: spz, antialias, up })
     }

@@ -31,11 +31,17 @@ pub(super) fn fill_statistics(stats: &mut SfmStats, model: &Reconstruction) {
     stats.reprojection_median_px = errors.get(errors.len() / 2).copied().unwrap_or(0.0);
 }
 
-/// Images with few observations, or with a rotation far less certain than that of most.
+/// Numbers of a pose that nothing but its observations holds.
+const FREE_POSE: usize = 6;
+
+/// Images with few observations for each free number of a pose, or with a rotation far less certain
+/// than that of most. `turn`: a motion about one axis holds all of a pose but its angle.
 pub(super) fn weak_images(
     model: &Reconstruction,
     uncertainty: Option<&Uncertainty>,
+    turn: bool,
 ) -> Vec<(String, String)> {
+    let fewest = if turn { FEW_OBSERVATIONS.div_ceil(FREE_POSE) } else { FEW_OBSERVATIONS };
     let mut deviations: BTreeMap<u32, f64> = BTreeMap::new();
     for (id, image) in uncertainty.iter().flat_map(|u| &u.images) {
         let largest = image.rotation.iter().fold(0.0_f64, |most, r| most.max(*r));
@@ -49,7 +55,7 @@ pub(super) fn weak_images(
     for image in model.images.values() {
         let seen = image.observations.iter().filter(|o| o.point.is_some()).count();
         let deviation = deviations.get(&image.id).copied().unwrap_or(0.0);
-        if seen < FEW_OBSERVATIONS {
+        if seen < fewest {
             weak.push((image.name.clone(), format!("only {seen} points hold its pose")));
         } else if deviation > WEAK_ROTATION.0.max(WEAK_ROTATION.1 * usual) {
             let why = format!("its rotation is known to {deviation:.2}° only (most images: {usual:.2}°)");
@@ -194,9 +200,10 @@ mod tests {
             uncertainty.images.insert(id, deviation);
         }
         let names = |u: Option<&Uncertainty>| {
-            weak_images(&model, u).into_iter().map(|(name, _)| name).collect::<Vec<String>>()
+            let of = |turn| weak_images(&model, u, turn).into_iter().map(|(name, _)| name);
+            [false, true].map(|turn| of(turn).collect::<Vec<String>>())
         };
-        assert_eq!(names(Some(&uncertainty)), ["3.png", "5.png"]);
-        assert_eq!(names(None), ["3.png"]);
+        assert_eq!(names(Some(&uncertainty)), [vec!["3.png", "5.png"], vec!["5.png"]]);
+        assert_eq!(names(None), [vec!["3.png"], vec![]]);
     }
 }

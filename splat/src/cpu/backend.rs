@@ -2,12 +2,13 @@
 
 use super::densify::densify_by_edit;
 use super::dispatch::Isa;
+use super::loss::LossValue;
 use super::model_part::{ModelGradient, ModelPart};
 use super::workspace::KernelWorkspace;
 use crate::backend::{Backend, KernelTimes, Round, StepInput, StepOutput, Target, check};
 use crate::camera::CameraConstants;
 use crate::error::SplatError;
-use crate::model::Model;
+use crate::model::{Model, Planes};
 use crate::statistics::Statistics;
 use crate::view::{PinholeView, RenderOptions, RenderOutput};
 use rayon::prelude::*;
@@ -75,6 +76,72 @@ impl CpuBackend {
         self.work.forward(self.isa, options.background, target, depth);
         self.times.forward += self.lap(&mut mark);
         camera
+    }
+
+    /// Forward, loss and its gradient back to the screen.
+    fn compare(&mut self, input: &StepInput) -> (CameraConstants, LossValue) {
+        self.statistics.fit(self.model.len);
+        let camera = self.forward(input.view, &input.options, Some(&input.target), false);
+        let mut mark = (self.clock)();
+        self.work.set_target(self.isa, &input.target, input.options.background);
+        let value = self.work.loss(self.isa, input.lambda_dssim);
+        self.times.loss += self.lap(&mut mark);
+        self.work.backward(self.isa);
+        self.times.backward += self.lap(&mut mark);
+        (camera, value)
+    }
+
+    /// From the screen to the parameters, and Adam.
+    fn optimise(&mut self, input: &StepInput, camera: &CameraConstants, value: LossValue) -> StepOutput {
+        let mut mark = (self.clock)();
+        let model = ModelPart::adam(&mut self.model, &mut self.statistics, input.rates);
+        let non_finite = self.work.optimise(self.isa, model, camera);
+        self.times.optimise += self.lap(&mut mark);
+        let [visible, pairs] = self.work.visible_and_pairs();
+        StepOutput { loss: value.loss, mse: value.mse, visible, pairs, non_finite }
+    }
+
+    /// The Gaussians.
+    pub(crate) fn model(&self) -> &Model {
+        &self.model
+    }
+
+    /// What was seen of them.
+    pub(crate) fn statistics(&self) -> &Statistics {
+        &self.statistics
+    }
+
+    /// Puts the geometry given in the place of the model's, which is given back.
+    pub(crate) fn swap_geometry(&mut self, other: &mut Planes) -> Result<(), SplatError> {
+        if other.iter().zip(&self.model.geometry).any(|(o, own)| o.len() != own.len()) {
+            let reason = "a plane has another length than the number of Gaussians asks for";
+            return Err(SplatError::InvalidGaussians(reason.to_owned()));
+        }
+        std::mem::swap(&mut self.model.geometry, other);
+        Ok(())
+    }
+
+    /// A step with the geometry `moved`, which becomes its own gradient; the model's is changed as
+    /// that would be.
+    pub(crate) fn step_moved(
+        &mut self,
+        input: &StepInput,
+        moved: &mut Planes,
+    ) -> Result<StepOutput, SplatError> {
+        let mut gradient = ModelGradient::zeros(&self.model);
+        self.swap_geometry(moved)?;
+        let before = self.model.geometry.clone();
+        let (camera, value) = self.compare(input);
+        self.work.optimise(self.isa, ModelPart::gradient(&mut self.model, &mut gradient), &camera);
+        let output = self.optimise(input, &camera, value);
+        for ((rest, after), before) in moved.iter_mut().zip(&self.model.geometry).zip(&before) {
+            for ((r, a), b) in rest.iter_mut().zip(after).zip(before) {
+                *r += a - b;
+            }
+        }
+        std::mem::swap(&mut self.model.geometry, moved);
+        *moved = gradient.geometry;
+        Ok(output)
     }
 
     /// dL/d(parameters) where dL/d(colour) is `gradient` ([height × width × 3]).
@@ -169,19 +236,8 @@ impl Backend for CpuBackend {
     }
 
     fn step(&mut self, input: &StepInput) -> Result<StepOutput, SplatError> {
-        self.statistics.fit(self.model.len);
-        let camera = self.forward(input.view, &input.options, Some(&input.target), false);
-        let mut mark = (self.clock)();
-        self.work.set_target(self.isa, &input.target, input.options.background);
-        let value = self.work.loss(self.isa, input.lambda_dssim);
-        self.times.loss += self.lap(&mut mark);
-        self.work.backward(self.isa);
-        self.times.backward += self.lap(&mut mark);
-        let model = ModelPart::adam(&mut self.model, &mut self.statistics, input.rates);
-        let non_finite = self.work.optimise(self.isa, model, &camera);
-        self.times.optimise += self.lap(&mut mark);
-        let [visible, pairs] = self.work.visible_and_pairs();
-        Ok(StepOutput { loss: value.loss, mse: value.mse, visible, pairs, non_finite })
+        let (camera, value) = self.compare(input);
+        Ok(self.optimise(input, &camera, value))
     }
 
     fn mean_square_error(

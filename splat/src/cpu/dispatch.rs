@@ -2,11 +2,11 @@
 
 /// An instruction set that this machine has.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) struct Isa(InstructionSet);
+pub struct Isa(InstructionSet);
 
 /// Names of the instruction sets.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) enum InstructionSet {
+pub enum InstructionSet {
     /// Plain Rust, 8 lanes.
     Portable,
     /// AVX2 and FMA, 8 lanes.
@@ -22,7 +22,7 @@ pub(crate) enum InstructionSet {
 
 impl Isa {
     /// All that were detected, the portable one first, the widest last.
-    pub(crate) fn available() -> Vec<Self> {
+    pub fn available() -> Vec<Self> {
         let mut found = vec![Self(InstructionSet::Portable)];
         #[cfg(target_arch = "x86_64")]
         {
@@ -39,49 +39,50 @@ impl Isa {
     }
 
     /// The widest.
-    pub(crate) fn best() -> Self {
+    pub fn best() -> Self {
         static BEST: std::sync::OnceLock<Isa> = std::sync::OnceLock::new();
         *BEST.get_or_init(|| Self::available().pop().unwrap_or(Self(InstructionSet::Portable)))
     }
 
     /// Its name.
-    pub(crate) fn kind(self) -> InstructionSet {
+    pub fn kind(self) -> InstructionSet {
         self.0
     }
 }
 
 /// `simd_kernel!(pub fn name(arguments: &mut Type) = generic::<_>)`: `name(isa, arguments)` runs
 /// `generic::<S>(arguments)` compiled for the instruction set.
+#[macro_export]
 macro_rules! simd_kernel {
     ($(#[$meta:meta])* $visibility:vis fn $name:ident($argument:ident: $type:ty) = $generic:ident) => {
         $(#[$meta])*
-        $visibility fn $name(isa: $crate::cpu::dispatch::Isa, $argument: $type) {
+        $visibility fn $name(isa: $crate::simd::Isa, $argument: $type) {
             #[cfg(target_arch = "x86_64")]
             #[target_feature(enable = "avx2,fma")]
             fn avx2($argument: $type) {
-                $generic::<$crate::cpu::simd_x86::Avx2>($argument);
+                $generic::<$crate::simd::Avx2>($argument);
             }
             #[cfg(target_arch = "x86_64")]
             #[target_feature(enable = "avx512f,avx2,fma")]
             fn avx512($argument: $type) {
-                $generic::<$crate::cpu::simd_x86::Avx512>($argument);
+                $generic::<$crate::simd::Avx512>($argument);
             }
             match isa.kind() {
-                $crate::cpu::dispatch::InstructionSet::Portable => $generic::<$crate::cpu::simd_portable::Portable>($argument),
+                $crate::simd::InstructionSet::Portable => $generic::<$crate::simd::Portable>($argument),
                 #[cfg(target_arch = "x86_64")]
                 // SAFETY: an `Isa` of this kind exists only where AVX2 and FMA were detected.
-                $crate::cpu::dispatch::InstructionSet::Avx2 => unsafe { avx2($argument) },
+                $crate::simd::InstructionSet::Avx2 => unsafe { avx2($argument) },
                 #[cfg(target_arch = "x86_64")]
                 // SAFETY: an `Isa` of this kind exists only where AVX-512 F, AVX2 and FMA were
                 // detected.
-                $crate::cpu::dispatch::InstructionSet::Avx512 => unsafe { avx512($argument) },
+                $crate::simd::InstructionSet::Avx512 => unsafe { avx512($argument) },
                 #[cfg(target_arch = "aarch64")]
-                $crate::cpu::dispatch::InstructionSet::Neon => $generic::<$crate::cpu::simd_neon::Neon>($argument),
+                $crate::simd::InstructionSet::Neon => $generic::<$crate::simd::Neon>($argument),
             }
         }
     };
 }
-pub(crate) use simd_kernel;
+pub(crate) use crate::simd_kernel;
 
 #[cfg(test)]
 mod tests {

@@ -15,12 +15,12 @@ mod project_backward;
 mod rasterise;
 pub(crate) mod sh;
 mod shared;
-mod simd;
+pub(crate) mod simd;
 #[cfg(target_arch = "aarch64")]
-mod simd_neon;
-mod simd_portable;
+pub(crate) mod simd_neon;
+pub(crate) mod simd_portable;
 #[cfg(target_arch = "x86_64")]
-mod simd_x86;
+pub(crate) mod simd_x86;
 mod sort;
 mod target;
 pub(crate) mod tile;

@@ -8,8 +8,8 @@
 ///
 /// # Safety
 /// Values may only be made where the instruction set of the type is present. That holds for code
-/// reached through `simd_kernel!`, because an [`Isa`] exists only if it was detected.
-pub(crate) unsafe trait Simd: Copy {
+/// reached through `simd_kernel!`, because an `Isa` exists only if it was detected.
+pub unsafe trait Simd: Copy {
     /// Result of a comparison.
     type Mask: Copy;
     /// Lanes, a divisor of 16. Source: the size of the registers.

@@ -13,7 +13,7 @@ macro_rules! detected {
 
 /// 4 lanes of NEON, which every aarch64 has.
 #[derive(Clone, Copy, Debug)]
-pub(crate) struct Neon(float32x4_t);
+pub struct Neon(float32x4_t);
 
 // SAFETY: NEON is part of the aarch64 baseline.
 unsafe impl Simd for Neon {

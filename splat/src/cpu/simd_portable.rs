@@ -4,7 +4,7 @@ use super::simd::Simd;
 
 /// Plain Rust: arrays of 8 that LLVM vectorises as far as the target's baseline allows.
 #[derive(Clone, Copy, Debug)]
-pub(crate) struct Portable([f32; 8]);
+pub struct Portable([f32; 8]);
 
 impl Portable {
     #[inline(always)]

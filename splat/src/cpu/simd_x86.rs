@@ -13,7 +13,7 @@ macro_rules! detected {
 
 /// 8 lanes of AVX2 with FMA.
 #[derive(Clone, Copy, Debug)]
-pub(crate) struct Avx2(__m256);
+pub struct Avx2(__m256);
 
 // SAFETY: values are made only by kernels that `simd_kernel!` starts, after detection.
 unsafe impl Simd for Avx2 {
@@ -133,7 +133,7 @@ unsafe impl Simd for Avx2 {
 
 /// 16 lanes of AVX-512 F.
 #[derive(Clone, Copy, Debug)]
-pub(crate) struct Avx512(__m512);
+pub struct Avx512(__m512);
 
 // SAFETY: values are made only by kernels that `simd_kernel!` starts, after detection.
 unsafe impl Simd for Avx512 {

@@ -5,7 +5,7 @@ use crate::incremental::depths::drop_lonely;
 use crate::incremental::finish::uncertainty;
 use crate::reconstruct::context::{FeatureOrigin, StepContext};
 use crate::reconstruct::export::{colour, convert, fill_statistics, weak_images, why_missing};
-use crate::reconstruct::model::{SfmModel, StepResult};
+use crate::reconstruct::model::{ModelStage, SfmModel, StepResult};
 
 /// Adjusts all poses, points and intrinsics with the camera model that was decided on, until little
 /// changes.
@@ -50,7 +50,8 @@ pub(super) fn convert_model(mut model: SfmModel, context: &StepContext<'_>) -> S
             model.missing.push((frame.name.clone(), why_missing(i, &model.features[i], verified)));
         }
     }
-    model.weak_images = weak_images(&reconstruction, model.uncertainty.as_ref());
+    let turn = model.stage == ModelStage::OneAxis;
+    model.weak_images = weak_images(&reconstruction, model.uncertainty.as_ref(), turn);
     model.reconstruction = Some(reconstruction);
     Ok((model, Vec::new()))
 }

@@ -1,0 +1,157 @@
+//! Where Gaussians are at a time: HexPlane features, then a small perceptron (Wu et al. 2024,
+//! section 4.2).
+
+use super::hexplane::{CHUNK, FEATURES, HexPlanes, LEVELS, Place, Smoothness};
+use super::{MOVES, MovingShape};
+use crate::adam::{AdamMoments, AdamRates};
+use crate::stack::{LayerPlan, Stack, StackLayers};
+use rayon::prelude::*;
+use scene::rng::rng;
+use splat::model::Planes;
+
+/// Units of the first layer. Source: Wu et al. 2024's settings for synthetic scenes.
+const WIDTH: usize = 64;
+/// Units of the second layer: those of the paper's three heads beside each other.
+const HEADS: usize = 3 * WIDTH;
+/// Smoothness. Source: Wu et al. 2024's settings: total variation, smoothness in time, L1 of
+/// planes of time.
+const SMOOTHNESS: Smoothness = Smoothness { space: 2e-4, time: 1e-3, still: 1e-4 };
+
+/// Planes and perceptron, and their optimiser.
+#[derive(Clone, Debug)]
+pub(super) struct Deformation {
+    shape: MovingShape,
+    pub(super) stack: Stack,
+    pub(super) planes: HexPlanes,
+    pub(super) weights: Vec<f32>,
+    pub(super) plane_moments: Vec<AdamMoments>,
+    pub(super) weight_moments: AdamMoments,
+}
+
+/// Gradients of planes and weights.
+#[derive(Clone, Debug, PartialEq)]
+pub(super) struct DeformationGradient {
+    pub(super) planes: Vec<Vec<f32>>,
+    pub(super) weights: Vec<f32>,
+}
+
+impl Deformation {
+    /// One that moves nothing yet.
+    pub(super) fn new(shape: MovingShape, seed: u64) -> Self {
+        let layer = |taken, input, outputs, relu| LayerPlan { taken, input, outputs, relu };
+        let plans = [
+            layer(0, Some(0), WIDTH, true),
+            layer(WIDTH, None, HEADS, true),
+            layer(HEADS, None, MOVES, false),
+        ];
+        let stack = Stack::new(&[FEATURES * LEVELS], &plans);
+        let mut weights = stack.initial(&mut rng(seed, "deformation", 0));
+        weights[stack.layer(2)].fill(0.0);
+        let planes = HexPlanes::new(shape.space, shape.times, seed);
+        let plane_moments = planes.values.iter().map(|v| AdamMoments::new(v.len())).collect();
+        let weight_moments = AdamMoments::new(weights.len());
+        Self { shape, stack, planes, weights, plane_moments, weight_moments }
+    }
+
+    /// Numbers learnt.
+    pub(super) fn parameters(&self) -> usize {
+        self.weights.len() + self.planes.values.iter().map(Vec::len).sum::<usize>()
+    }
+
+    /// Where Gaussian `i` lies in the planes at a time.
+    fn place(&self, rest: &Planes, i: usize, time: f32) -> Place {
+        let domain = &self.shape.domain;
+        let reach = 2.0 * domain.reach();
+        let [x, y, z] = [0, 1, 2].map(|a| (rest[a][i] - domain.centre[a]) / reach + 0.5);
+        [x, y, z, time]
+    }
+
+    /// Encodes places and evaluates the perceptron.
+    fn evaluate(&self, places: &[Place], layers: &mut StackLayers) {
+        self.stack.reserve(places.len(), layers);
+        let rows = layers.inputs[0].chunks_exact_mut(FEATURES * LEVELS);
+        rows.zip(places).for_each(|(row, place)| self.planes.encode(place, row));
+        self.stack.forward(&self.weights, layers);
+    }
+
+    /// Unit of what the outputs move.
+    fn unit(&self, plane: usize) -> f32 {
+        if plane < 3 { self.shape.domain.half } else { 1.0 }
+    }
+
+    /// Moves the geometry of `count` Gaussians at rest to where it is at a time.
+    pub(super) fn moved(&self, rest: &Planes, count: usize, time: f32) -> Planes {
+        let mut moved = rest.clone();
+        let width = self.stack.width(2);
+        let chunks: Vec<Vec<f32>> = (0..count.div_ceil(CHUNK))
+            .into_par_iter()
+            .map_init(StackLayers::default, |layers, chunk| {
+                let range = chunk * CHUNK..count.min((chunk + 1) * CHUNK);
+                let places: Vec<Place> = range.map(|i| self.place(rest, i, time)).collect();
+                self.evaluate(&places, layers);
+                layers.outputs[2][..places.len() * width].to_vec()
+            })
+            .collect();
+        let rows = chunks.iter().flat_map(|c| c.chunks_exact(width));
+        for (i, row) in rows.enumerate() {
+            for (plane, value) in row[..MOVES].iter().enumerate() {
+                moved[plane][i] += self.unit(plane) * value;
+            }
+        }
+        moved
+    }
+
+    /// The gradient of planes and weights from that of the moved geometry.
+    pub(super) fn gradient(
+        &self,
+        rest: &Planes,
+        count: usize,
+        time: f32,
+        of_moved: &Planes,
+    ) -> DeformationGradient {
+        let touched: Vec<usize> =
+            (0..count).filter(|&i| of_moved[..MOVES].iter().any(|plane| plane[i] != 0.0)).collect();
+        let places: Vec<Place> = touched.iter().map(|&i| self.place(rest, i, time)).collect();
+        let transposed = self.stack.transposed(&self.weights);
+        let width = self.stack.width(2);
+        let parts: Vec<(Vec<f32>, Vec<f32>)> = places
+            .par_chunks(CHUNK)
+            .zip(touched.par_chunks(CHUNK))
+            .map_init(StackLayers::default, |layers, (places, touched)| {
+                self.evaluate(places, layers);
+                let mut of_outputs = vec![0.0; layers.outputs[2].len()];
+                for (row, &i) in of_outputs.chunks_exact_mut(width).zip(touched) {
+                    for (plane, value) in row[..MOVES].iter_mut().enumerate() {
+                        *value = self.unit(plane) * of_moved[plane][i];
+                    }
+                }
+                let mut gradient = vec![0.0; self.weights.len()];
+                self.stack.backward(&transposed, layers, (&of_outputs, &[]), &mut gradient, true);
+                (gradient, layers.of_inputs[0][..places.len() * FEATURES * LEVELS].to_vec())
+            })
+            .collect();
+        let mut weights = vec![0.0f32; self.weights.len()];
+        let mut of_rows = Vec::with_capacity(places.len() * FEATURES * LEVELS);
+        for (gradient, rows) in parts {
+            weights.iter_mut().zip(gradient).for_each(|(w, g)| *w += g);
+            of_rows.extend(rows);
+        }
+        let planes = self.planes.backward(&places, &of_rows, FEATURES * LEVELS);
+        DeformationGradient { planes, weights }
+    }
+
+    /// A step of Adam on planes and weights, with what makes planes smooth.
+    pub(super) fn step(
+        &mut self,
+        mut gradient: DeformationGradient,
+        planes: &AdamRates,
+        weights: &AdamRates,
+    ) {
+        self.planes.add_smoothness(&SMOOTHNESS, &mut gradient.planes);
+        let values = self.planes.values.par_iter_mut().zip(&mut gradient.planes);
+        values
+            .zip(&mut self.plane_moments)
+            .for_each(|((values, gradient), moments)| moments.step(values, gradient, planes));
+        self.weight_moments.step(&mut self.weights, &mut gradient.weights, weights);
+    }
+}

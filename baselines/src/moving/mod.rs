@@ -1,0 +1,141 @@
+//! 4DGS: Gaussians at rest, moved to each time by HexPlane features and a small perceptron (Wu et
+//! al., "4D Gaussian Splatting for Real-Time Dynamic Scene Rendering", CVPR 2024).
+
+mod deformation;
+mod hexplane;
+mod store;
+mod train;
+
+#[cfg(test)]
+mod tests;
+
+use crate::FieldError;
+use crate::domain::Domain;
+use crate::field::{Kept, RadianceField, StepPlace, StepReport};
+use crate::rays::PhotoRays;
+use deformation::Deformation;
+use scene::FloatImage;
+use serde::{Deserialize, Serialize};
+use serde_json::Value;
+use splat::moved::MovedGaussians;
+use splat::{Dataset, PinholeView, RenderOptions, RenderOutput};
+use std::sync::Mutex;
+
+/// Planes of the geometry that move: mean, logarithms of the scales, quaternion.
+/// Source: Wu et al. 2024's settings (opacity and colour stay).
+const MOVES: usize = 10;
+/// Cells along each axis of space on the first level. Source: Wu et al. 2024's settings.
+const SPACE: usize = 64;
+/// Times that share a cell of time. Source: Wu et al. 2024's settings for synthetic scenes.
+const TIMES_A_CELL: usize = 2;
+/// Most cells of time. Source: Wu et al. 2024's settings for HyperNeRF's scenes.
+const MOST_TIMES: usize = 150;
+/// Most Gaussians. Source: docs/decisions/20.
+const MOST_GAUSSIANS: usize = 60_000;
+/// Most Gaussians in a file. Source: memory: 16 GiB of parameters and moments.
+const MOST_IN_FILES: usize = 1 << 24;
+
+/// The shape of moving Gaussians.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub(crate) struct MovingShape {
+    pub(crate) domain: Domain,
+    /// Cells of the planes along axes of space, on the first level.
+    pub(crate) space: usize,
+    /// Cells of the planes along time.
+    pub(crate) times: usize,
+    /// Most Gaussians.
+    pub(crate) gaussians: usize,
+    /// Width of a pixel in the scene, normalised units.
+    pub(crate) pixel: f32,
+}
+
+/// Moving Gaussians.
+pub(crate) struct Moving {
+    shape: MovingShape,
+    gaussians: MovedGaussians,
+    deformation: Deformation,
+    /// Rounds of densification done.
+    rounds: u32,
+    /// A copy to make pictures with, made when there is one to make.
+    shown: Mutex<Option<MovedGaussians>>,
+}
+
+impl MovingShape {
+    /// The defaults for a data set whose views have `times`.
+    pub(crate) fn new(domain: Domain, dataset: &Dataset, times: &[f32]) -> Self {
+        let mut distinct = times.to_vec();
+        distinct.sort_by(f32::total_cmp);
+        distinct.dedup();
+        let times = (distinct.len() / TIMES_A_CELL).clamp(2, MOST_TIMES);
+        let pixel = MovedGaussians::pixel(dataset);
+        Self { domain, space: SPACE, times, gaussians: MOST_GAUSSIANS, pixel }
+    }
+
+    /// Whether fields of this shape can be made.
+    pub(crate) fn is_sane(&self) -> bool {
+        let Self { domain, space, times, gaussians, pixel } = *self;
+        domain.is_sane()
+            && (2..=8 * SPACE).contains(&space)
+            && (1..=8 * MOST_TIMES).contains(&times)
+            && (1..=MOST_IN_FILES).contains(&gaussians)
+            && pixel.is_finite()
+    }
+}
+
+impl Moving {
+    /// Untrained; without a data set there are no Gaussians yet.
+    pub(crate) fn new(shape: MovingShape, dataset: Option<&Dataset>, seed: u64) -> Result<Self, FieldError> {
+        let first = dataset.map(|d| MovedGaussians::of(d, shape.gaussians, seed));
+        let gaussians = first.transpose()?.unwrap_or_default();
+        let deformation = Deformation::new(shape, seed);
+        Ok(Self { shape, gaussians, deformation, rounds: 0, shown: Mutex::new(None) })
+    }
+
+    fn picture(
+        &self,
+        view: &PinholeView,
+        time: f32,
+        background: [f32; 3],
+    ) -> Result<RenderOutput, splat::SplatError> {
+        let mut moved = self.deformation.moved(
+            &self.gaussians.model().geometry,
+            self.gaussians.model().len,
+            time.clamp(0.0, 1.0),
+        );
+        let mut shown = self.shown.lock().unwrap_or_else(std::sync::PoisonError::into_inner);
+        let gaussians = match &mut *shown {
+            Some(gaussians) => gaussians,
+            none => none.insert(MovedGaussians::new(self.gaussians.model().clone())?),
+        };
+        gaussians.render(&mut moved, view, &RenderOptions { background, ..RenderOptions::default() })
+    }
+}
+
+impl RadianceField for Moving {
+    fn train_step(&mut self, photos: &PhotoRays, place: StepPlace) -> Result<StepReport, FieldError> {
+        *self.shown.get_mut().unwrap_or_else(std::sync::PoisonError::into_inner) = None;
+        self.step(photos, place)
+    }
+
+    fn render(&self, view: &PinholeView, time: f32, background: [f32; 3]) -> RenderOutput {
+        // A model that was made or restored has planes as long as it needs them.
+        self.picture(view, time, background).unwrap_or_else(|_| RenderOutput {
+            rgb: FloatImage::zeros(view.width, view.height, 3),
+            alpha: FloatImage::zeros(view.width, view.height, 1),
+            depth: FloatImage::zeros(view.width, view.height, 1),
+        })
+    }
+
+    fn size(&self) -> usize {
+        let model = self.gaussians.model();
+        self.deformation.parameters() + model.len * splat::model::GEOMETRY + model.sh.len()
+    }
+
+    fn arrays(&self, kept: Kept) -> (Vec<&[f32]>, Value) {
+        self.kept_arrays(kept)
+    }
+
+    fn restore(&mut self, kept: Kept, arrays: Vec<Vec<f32>>, notes: &Value) -> Result<(), String> {
+        self.take_arrays(kept, arrays, notes)
+    }
+}

@@ -1,0 +1,205 @@
+//! Training as a whole: resumed, cancelled, on any number of threads, on odd data.
+
+use crate::domain::Domain;
+use crate::instant_ngp::NgpShape;
+use crate::method::FieldShape;
+use crate::train::{FieldResult, train_shape};
+use crate::{FieldConfig, FieldError, Method, TrainedField};
+use glam::{DVec2, DVec3};
+use scene::progress::ProgressSink;
+use scene::{Camera, CameraModel, Pose, PosedImage, Progress, Reconstruction};
+use splat::{AlphaMode, Dataset, NormalisedFrame, Pixels, View, pyramid};
+use std::path::{Path, PathBuf};
+use std::sync::atomic::{AtomicBool, Ordering};
+
+/// Side of the pictures, pixels.
+const SIZE: u32 = 24;
+
+/// What the views of a test show: a colour and a coverage along each ray of the unit scene.
+pub(crate) type Shown = fn(DVec3, DVec3) -> ([u8; 3], u8);
+
+/// A ball of radius ½, redder to one side.
+pub(crate) fn ball(origin: DVec3, direction: DVec3) -> ([u8; 3], u8) {
+    let along = -origin.dot(direction);
+    let depth = 0.25 - origin.length_squared() + along * along;
+    if depth < 0.0 {
+        return ([0; 3], 0);
+    }
+    let normal = (origin + direction * (along - depth.sqrt())) * 2.0;
+    ([(127.0 + 120.0 * normal.x) as u8, 60, 90], 255)
+}
+
+/// `count` views from a sphere of radius 3 around the origin, in scenes `unit` large.
+pub(crate) fn dataset(count: usize, unit: f64, shown: Shown) -> Dataset {
+    let camera = Camera::centred(1, CameraModel::Pinhole, SIZE, SIZE, f64::from(SIZE) * 1.5);
+    let mut model = Reconstruction::default();
+    model.cameras.insert(1, camera.clone());
+    for i in 0..count {
+        let (height, turn) = (0.6 * (i as f64 * 1.7).sin(), i as f64 * 2.4);
+        let out = DVec3::new(turn.cos(), height, turn.sin()).normalize() * 3.0;
+        let pose = Pose::look_at(out * unit, DVec3::ZERO, -DVec3::Y);
+        let (id, name) = (i as u32 + 1, format!("{i:03}.png"));
+        model.images.insert(id, PosedImage { id, name, camera: 1, pose, observations: vec![] });
+    }
+    let normalisation = NormalisedFrame::of(&model);
+    let view = |image: &PosedImage| {
+        let to_world = image.pose.inverse();
+        let origin = image.pose.centre() / unit;
+        let (mut rgb, mut mask) = (Vec::new(), Vec::new());
+        for at in 0..SIZE * SIZE {
+            let pixel = DVec2::new(f64::from(at % SIZE) + 0.5, f64::from(at / SIZE) + 0.5);
+            let towards = to_world.rotation * camera.unproject(pixel).extend(1.0).normalize();
+            let (colour, cover) = shown(origin, towards);
+            rgb.extend(colour);
+            mask.push(cover);
+        }
+        let mask = mask.iter().any(|&m| m < 255).then_some(mask);
+        let pixels = Pixels { width: SIZE as usize, height: SIZE as usize, rgb, mask };
+        View {
+            name: image.name.clone(),
+            camera: camera.clone(),
+            pose: image.pose,
+            view: normalisation.view(&camera, &image.pose),
+            levels: pyramid(pixels),
+            held_out: false,
+        }
+    };
+    let views = model.images.values().map(view).collect();
+    Dataset { views, points: vec![], normalisation, alpha: AlphaMode::Transparent }
+}
+
+fn folder(name: &str) -> PathBuf {
+    let folder = std::env::temp_dir().join(format!("baselines-{name}-{}", std::process::id()));
+    std::fs::create_dir_all(&folder).unwrap();
+    folder
+}
+
+fn config(iterations: u32) -> FieldConfig {
+    FieldConfig::new(Method::InstantNgp, iterations)
+}
+
+/// Trains a small field.
+fn train(
+    data: &Dataset,
+    config: &FieldConfig,
+    checkpoints: Option<&Path>,
+    progress: &Progress,
+) -> Result<FieldResult, FieldError> {
+    let shape = NgpShape { levels: 4, log2_entries: 13, samples: 1 << 12, ..NgpShape::new(Domain::of(data)) };
+    train_shape(FieldShape::InstantNgp(shape), (data, &[]), config, checkpoints, progress)
+}
+
+/// The bytes of a field after training.
+fn bytes(data: &Dataset, config: &FieldConfig, checkpoints: Option<&Path>, file: &Path) -> Vec<u8> {
+    train(data, config, checkpoints, &Progress::silent()).unwrap().field.write(file).unwrap();
+    std::fs::read(file).unwrap()
+}
+
+/// Mean squared error of the field's picture of a view over black.
+pub(crate) fn square_error(field: &TrainedField, view: &View) -> f64 {
+    let render = field.render(&view.camera, &view.pose, 0.0, [0.0; 3]).unwrap();
+    let pixels = &view.levels[0];
+    let truth = |i: usize| {
+        let cover = pixels.mask.as_ref().map_or(255, |m| m[i / 3]);
+        f64::from(pixels.rgb[i]) * f64::from(cover) / 255.0 / 255.0
+    };
+    let errors = render.rgb.data.iter().enumerate().map(|(i, &v)| (f64::from(v) - truth(i)).powi(2));
+    errors.sum::<f64>() / render.rgb.data.len() as f64
+}
+
+struct StopAt {
+    steps: u64,
+    flag: &'static AtomicBool,
+}
+
+impl ProgressSink for StopAt {
+    fn begin(&self, _: &str, _: u64) {}
+    fn update(&self, done: u64, _: &str) {
+        if done >= self.steps {
+            self.flag.store(true, Ordering::Relaxed);
+        }
+    }
+    fn note(&self, _: &str) {}
+}
+
+#[test]
+fn one_thread_two_threads_and_a_resumed_training_give_the_same_bytes() {
+    let (data, folder) = (dataset(5, 1.0, ball), folder("bytes"));
+    let once = bytes(&data, &config(12), None, &folder.join("once.bin"));
+    for threads in [1, 2] {
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+        let again = pool.install(|| bytes(&data, &config(12), None, &folder.join("again.bin")));
+        assert!(again == once, "{threads} threads");
+    }
+    static STOP: AtomicBool = AtomicBool::new(false);
+    let progress = Progress::new(Box::new(StopAt { steps: 5, flag: &STOP }), &STOP);
+    let stopped = train(&data, &config(12), Some(&folder), &progress);
+    assert!(matches!(stopped, Err(FieldError::Cancelled(_))));
+    let resumed = bytes(&data, &config(12), Some(&folder), &folder.join("resumed.bin"));
+    assert!(resumed == once, "stopped and resumed");
+    let other = FieldConfig { seed: 1, ..config(12) };
+    assert!(bytes(&data, &other, Some(&folder), &folder.join("other.bin")) != once, "another seed");
+    std::fs::remove_dir_all(folder).unwrap();
+}
+
+#[test]
+fn a_damaged_checkpoint_is_refused_with_its_name() {
+    let (data, folder) = (dataset(3, 1.0, ball), folder("damaged"));
+    static STOP: AtomicBool = AtomicBool::new(false);
+    let progress = Progress::new(Box::new(StopAt { steps: 2, flag: &STOP }), &STOP);
+    assert!(train(&data, &config(9), Some(&folder), &progress).is_err());
+    let path = folder.join("field.checkpoint");
+    let whole = std::fs::read(&path).unwrap();
+    // NaN in the last array, with a checksum that fits.
+    let mut with_nan = whole[..whole.len() - 4].to_vec();
+    let at = with_nan.len() - 400;
+    with_nan[at..at + 4].copy_from_slice(&f32::NAN.to_le_bytes());
+    with_nan.extend(crc32fast::hash(&with_nan).to_le_bytes());
+    let mut flipped = whole.clone();
+    flipped[whole.len() / 2] ^= 1;
+    for (what, bytes) in [
+        ("cut short", &whole[..whole.len() - 9]),
+        ("empty", &[][..]),
+        ("a bit is wrong", &flipped),
+        ("NaN", &with_nan),
+    ] {
+        std::fs::write(&path, bytes).unwrap();
+        let error = train(&data, &config(9), Some(&folder), &Progress::silent());
+        let error = error.err().unwrap_or_else(|| panic!("{what} was taken")).to_string();
+        assert!(error.contains("field.checkpoint") && error.contains("delete it"), "{what}: {error}");
+    }
+    std::fs::remove_dir_all(folder).unwrap();
+}
+
+#[test]
+fn scenes_of_any_unit_are_learnt_alike() {
+    let errors = [1e-3, 1.0, 1e3].map(|unit| {
+        let data = dataset(8, unit, ball);
+        let field = train(&data, &config(300), None, &Progress::silent()).unwrap().field;
+        let depth = field.render(&data.views[0].camera, &data.views[0].pose, 0.0, [0.0; 3]).unwrap().depth;
+        let centre = f64::from(depth.data[(SIZE * SIZE / 2 + SIZE / 2) as usize]);
+        assert!((centre / unit - 2.5).abs() < 0.3, "unit {unit}: the ball's front is {centre} away");
+        data.views.iter().map(|v| square_error(&field, v)).sum::<f64>() / 8.0
+    });
+    for error in errors {
+        // A black picture has 0.07; so few steps leave holes at the outline.
+        assert!(error < 0.02, "{errors:?}");
+        assert!((error / errors[1] - 1.0).abs() < 0.3, "{errors:?}");
+    }
+}
+
+#[test]
+fn black_white_empty_and_single_views_are_learnt_without_a_fuss() {
+    let cases: [(&str, usize, Shown); 4] = [
+        ("black", 4, |_, _| ([0; 3], 255)),
+        ("white", 4, |_, _| ([255; 3], 255)),
+        ("nothing", 4, |_, _| ([0; 3], 0)),
+        ("one view", 1, ball),
+    ];
+    for (what, views, shown) in cases {
+        let data = dataset(views, 1.0, shown);
+        let field = train(&data, &config(200), None, &Progress::silent()).unwrap().field;
+        let error = square_error(&field, &data.views[0]);
+        assert!(error < 0.02, "{what}: {error}");
+    }
+}

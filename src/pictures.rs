@@ -1,0 +1,68 @@
+//! What renders the pictures of a run: its splat, or the field of another method.
+
+use crate::record::SplatSummary;
+use anyhow::{Context, Result, bail};
+use baselines::TrainedField;
+use scene::{Camera, Gaussians, Pose};
+use splat::{DeviceConfig, RenderOptions, RenderOutput, Renderer};
+use std::path::Path;
+
+/// The file of a field in a run folder.
+pub(crate) const FIELD: &str = "field.bin";
+
+/// What renders the pictures of a run.
+pub enum Pictures {
+    /// A splat.
+    Splat(Box<Renderer>, Gaussians),
+    /// A field.
+    Field(Box<TrainedField>),
+}
+
+impl Pictures {
+    /// Of what a run has trained, and where it renders, in words.
+    pub fn open(run: &Path, device: &DeviceConfig) -> Result<(Self, String)> {
+        let field = run.join(FIELD);
+        if field.is_file() {
+            let field = TrainedField::read(&field)?;
+            let words = format!("the processor ({})", field.method().name());
+            return Ok((Self::Field(Box::new(field)), words));
+        }
+        let gaussians = scene::io::ply::read_splat_ply(&run.join("splat.ply"))?;
+        let (mut renderer, chosen) = Renderer::on(device, &gaussians)?;
+        renderer.antialias = trained_with_antialias(run);
+        Ok((Self::Splat(Box::new(renderer), gaussians), chosen.sentences().choice))
+    }
+
+    /// Renders a view.
+    pub fn render(&mut self, camera: &Camera, pose: &Pose, background: [f32; 3]) -> Result<RenderOutput> {
+        match self {
+            Self::Splat(renderer, _) => Ok(renderer.render(
+                camera,
+                pose,
+                &RenderOptions { background, ..RenderOptions::default() },
+            )?),
+            Self::Field(field) => Ok(field.render(camera, pose, 0.0, background)?),
+        }
+    }
+}
+
+/// Whether the splat of a run was trained with --antialias.
+pub(crate) fn trained_with_antialias(out: &Path) -> bool {
+    let trained = crate::stage::last::<SplatSummary>(out, "train");
+    trained.is_some_and(|finished| finished.value.antialias)
+}
+
+/// The splat of a run folder; an error that says what to do where there is none.
+pub(crate) fn need_splat(run: &Path) -> Result<Gaussians> {
+    let splat = run.join("splat.ply");
+    if run.join(FIELD).is_file() {
+        bail!(
+            "{} has a field and no splat; 'render' shows it, all else needs a run with --method 3dgs",
+            run.display()
+        );
+    }
+    if !splat.is_file() {
+        bail!("{} is missing; give the output folder of a run that trained a splat", splat.display());
+    }
+    scene::io::read_splat_ply(&splat).with_context(|| format!("cannot read {}", splat.display()))
+}

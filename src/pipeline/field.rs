@@ -1,0 +1,82 @@
+//! The stage `train` of the methods that make a field and no splat.
+
+use super::{Pipeline, TRAIN, Until};
+use crate::pictures::FIELD;
+use crate::record::FieldSummary;
+use crate::stage::{StageSpec, fingerprint};
+use anyhow::{Context, Result};
+use baselines::FieldConfig;
+use splat::BackendChoice;
+use std::path::{Path, PathBuf};
+
+impl Pipeline {
+    /// Trains a field on the training set, whose identity is `print`, and judges it.
+    pub(super) fn field(&mut self, training_set: &Path, print: &str, until: Until) -> Result<()> {
+        let method = self.args.method;
+        if self.args.train.device.backend == BackendChoice::Gpu {
+            anyhow::bail!("--method {} trains on the processor only; leave --backend out", method.name());
+        }
+        let config = FieldConfig {
+            time_limit: self.args.train.time_limit,
+            checkpoint_every: self.args.train.checkpoint_every,
+            seed: self.args.seed,
+            ..FieldConfig::new(method, self.args.train.iterations)
+        };
+        let print = fingerprint(&(env!("BASELINES_SOURCES"), print, &self.args.dataset, &config))?;
+        let stage = StageSpec { name: "train", fingerprint: &print, owns: &TRAIN };
+        let done = self.stages.run(&stage, |new| self.train_field(training_set, new, &print, config))?;
+        self.stages.discard("train")?;
+        let field: &FieldSummary = &done.finished.value;
+        let line = format!(
+            "{}, {} steps, {:.1} million parameters",
+            method.name(),
+            field.iterations,
+            field.parameters as f64 / 1e6
+        );
+        let finished = self.finish("train", done, &line);
+        let print = finished.identity()?;
+        self.record.field = Some(finished.value);
+        self.judge(&print, until)
+    }
+
+    /// The folder of checkpoints, emptied where they belong to another training.
+    pub(super) fn checkpoints(&self, print: &str) -> Result<PathBuf> {
+        let checkpoints = self.stages.path("train");
+        let owner = checkpoints.join("fingerprint");
+        if std::fs::read_to_string(&owner).ok().as_deref() != Some(print) {
+            match std::fs::remove_dir_all(&checkpoints) {
+                Err(e) if e.kind() != std::io::ErrorKind::NotFound => {
+                    return Err(e).context("cannot clear old checkpoints");
+                }
+                _ => {}
+            }
+            std::fs::create_dir_all(&checkpoints)?;
+            crate::stage::write_whole(&owner, print.as_bytes())?;
+        }
+        Ok(checkpoints)
+    }
+
+    /// Trains, with checkpoints in `.stages/train`, and writes the field into the folder `new`.
+    fn train_field(
+        &self,
+        training_set: &Path,
+        new: &Path,
+        print: &str,
+        mut config: FieldConfig,
+    ) -> Result<FieldSummary> {
+        crate::stage::free_large_blocks_at_once();
+        let progress = self.progress("train");
+        let checkpoints = self.checkpoints(print)?;
+        let begun = std::time::Instant::now();
+        let dataset = crate::evaluate::load_dataset(training_set, &self.args.dataset, &progress)?;
+        config.seconds_gone = begun.elapsed().as_secs_f64();
+        let result = baselines::train(&dataset, &[], &config, Some(&checkpoints), &progress)?;
+        result.field.write(&new.join(FIELD))?;
+        Ok(FieldSummary {
+            method: config.method,
+            parameters: result.parameters,
+            iterations: result.iterations,
+            curve: result.curve,
+        })
+    }
+}
