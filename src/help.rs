@@ -19,7 +19,7 @@ const GROUPS: [(&str, &[&str]); 4] = [
 const PIPELINE: [&str; 6] = ["frames", "sfm", "train", "eval", "report", "run"];
 /// Flags of those groups that few will ever need: with the groups that are not named above, they
 /// are shown by `--help-all`.
-const RARE: [&str; 17] = [
+const RARE: [&str; 18] = [
     "rematch",
     "text",
     "known-rate",
@@ -37,6 +37,7 @@ const RARE: [&str; 17] = [
     "fps-loops",
     "mesh-truth",
     "lambda-dssim",
+    "progress",
 ];
 
 /// The command line. `all`: its help hides nothing.

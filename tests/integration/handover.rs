@@ -105,7 +105,7 @@ fn sets_for_nerfstudio_metashape_and_colmap_are_read_back_with_the_same_poses() 
         let read = scene::io::read_poses(&set.join(file), &set.join("images")).unwrap().model;
         assert_eq!(read.images.len(), given.images.len(), "{tool}");
         for image in read.images.values() {
-            let stem = |name: &str| Path::new(name).with_extension("").to_str().unwrap().to_owned();
+            let stem = |name: &str| Path::new(name).file_stem().unwrap().to_owned();
             let of_run = given.images.values().find(|i| stem(&i.name) == stem(&image.name)).unwrap();
             let angle = scene::pose::rotation_angle(image.pose.rotation, of_run.pose.rotation);
             assert!(angle < 1e-6, "{tool} {}: {angle}", image.name);
