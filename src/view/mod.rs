@@ -186,8 +186,14 @@ fn bundle() -> Result<String> {
     Ok(script)
 }
 
-/// Fills the page in. What is put in cannot end its script.
-fn page(scene: &ViewScene, splat: &str) -> Result<String> {
+/// The script as a part of the page.
+fn inline_script() -> Result<String> {
+    Ok(format!("<script>{}</script>", bundle()?))
+}
+
+/// Fills the page in. What is put in cannot end its script. `script`: the element that runs the
+/// viewer.
+fn page(scene: &ViewScene, splat: &str, script: &str) -> Result<String> {
     let json = crate::report::html::json(scene)?.into_string();
     let title = maud::Render::render(&scene.title).into_string();
     let template = include_str!("../../viewer/page.html");
@@ -195,7 +201,7 @@ fn page(scene: &ViewScene, splat: &str) -> Result<String> {
     let (style, rest) = rest.split_once("{{scene}}").context("the page has no scene")?;
     let (between, rest) = rest.split_once("{{splat}}").context("the page has no splat")?;
     let (before, end) = rest.split_once("{{bundle}}").context("the page has no script")?;
-    Ok([head, &title, style, &json, between, splat, before, &bundle()?, end].concat())
+    Ok([head, &title, style, &json, between, splat, before, script, end].concat())
 }
 
 /// One HTML file that needs no network and no other file.
@@ -207,7 +213,10 @@ pub fn write_page(folder: &Path, target: &Path) -> Result<()> {
         Some(format!("data:image/jpeg;base64,{}", STANDARD.encode(small_jpeg(&picture).ok()?)))
     };
     let scene = run.scene(Splat { url: None }, photo);
-    crate::stage::write_whole(target, page(&scene, &STANDARD.encode(&run.splat))?.as_bytes())
+    crate::stage::write_whole(
+        target,
+        page(&scene, &STANDARD.encode(&run.splat), &inline_script()?)?.as_bytes(),
+    )
 }
 
 fn small_jpeg(picture: &image::RgbImage) -> Result<Vec<u8>> {

@@ -1,7 +1,7 @@
-//! `view`: the page over HTTP, on 127.0.0.1 alone. Four kinds of address are answered; no path
+//! `view`: the page over HTTP, on 127.0.0.1 alone. Five kinds of address are answered; no path
 //! leads to a file.
 
-use super::{Run, Splat, check_bundle, page};
+use super::{Run, Splat, bundle, check_bundle, page};
 use crate::args::ViewArgs;
 use crate::outcome::Outcome;
 use crate::terminal::{CANCELLED, say};
@@ -19,6 +19,7 @@ use tiny_http::{Header, Method, Request, Response, Server};
 #[derive(Debug, PartialEq, Eq)]
 enum Answer {
     Page,
+    Script,
     Splat,
     Photo(usize),
     Nothing,
@@ -29,7 +30,7 @@ pub fn run(args: &ViewArgs, quiet: bool) -> Result<Outcome> {
     check_bundle()?;
     let run = Run::open(&args.run)?;
     let scene = run.scene(Splat { url: Some("splat.spz") }, |i| run.photo(i).map(|_| format!("photo/{i}")));
-    let page = page(&scene, "")?;
+    let page = page(&scene, "", r#"<script src="viewer.js"></script>"#)?;
     let address = SocketAddr::from((Ipv4Addr::LOCALHOST, args.port));
     let server = Server::http(address)
         .map_err(|e| anyhow!("cannot listen on {address}: {e}; choose another port with --port"))?;
@@ -37,7 +38,7 @@ pub fn run(args: &ViewArgs, quiet: bool) -> Result<Outcome> {
     if !quiet {
         say(&format!("open http://127.0.0.1:{port} in a browser; Ctrl-C ends"));
     }
-    let served = Arc::new(Served { run, page, port });
+    let served = Arc::new(Served { run, page, script: bundle()?, port });
     while !CANCELLED.load(Ordering::Relaxed) {
         let Some(request) = server.recv_timeout(Duration::from_millis(200))? else { continue };
         // A client that does not read its answer keeps its own thread waiting and nobody else.
@@ -61,8 +62,16 @@ const AT_ONCE: usize = 64;
 struct Served {
     run: Run,
     page: String,
+    script: String,
     port: u16,
 }
+
+/// What the page may do: run the served script alone, with the decoder of splats that it brings
+/// along (WebAssembly, in workers), and load nothing from anywhere else. A name out of a file that
+/// found its way into the page could not run.
+const POLICY: &str = "default-src 'none'; script-src 'self' 'wasm-unsafe-eval'; worker-src blob:; \
+    connect-src 'self' blob: data:; img-src 'self' blob: data:; style-src 'unsafe-inline'; \
+    base-uri 'none'; form-action 'none'; frame-ancestors 'none'";
 
 /// Why a request is not answered: the words, the status code.
 fn refusal(request: &Request, port: u16) -> Option<(&'static str, u16)> {
@@ -84,12 +93,18 @@ fn plain(text: &str, status: u16) -> Response<Cursor<Vec<u8>>> {
     if status == 405 { with(response, "Allow", "GET, HEAD") } else { response }
 }
 
-fn answer(request: Request, Served { run, page, port }: &Served) -> std::io::Result<()> {
+fn answer(request: Request, Served { run, page, script, port }: &Served) -> std::io::Result<()> {
     if let Some((text, status)) = refusal(&request, *port) {
         return request.respond(plain(text, status));
     }
     match route(request.url()) {
-        Answer::Page => request.respond(of_kind(Response::from_string(page), "text/html; charset=utf-8")),
+        Answer::Page => {
+            let page = of_kind(Response::from_string(page), "text/html; charset=utf-8");
+            request.respond(with(page, "Content-Security-Policy", POLICY))
+        }
+        Answer::Script => {
+            request.respond(of_kind(Response::from_string(script), "text/javascript; charset=utf-8"))
+        }
         Answer::Splat => {
             request.respond(of_kind(Response::from_data(&*run.splat), "application/octet-stream"))
         }
@@ -122,6 +137,7 @@ fn with<R: std::io::Read>(mut response: Response<R>, name: &str, value: &str) ->
 fn route(url: &str) -> Answer {
     match url.split('?').next().unwrap_or("") {
         "/" => Answer::Page,
+        "/viewer.js" => Answer::Script,
         "/splat.spz" => Answer::Splat,
         path => match path.strip_prefix("/photo/") {
             Some(digits) if digits.bytes().all(|b| b.is_ascii_digit()) => {
@@ -139,6 +155,7 @@ mod tests {
     #[test]
     fn only_known_addresses_are_answered() {
         assert_eq!(route("/"), Answer::Page);
+        assert_eq!(route("/viewer.js"), Answer::Script);
         assert_eq!(route("/splat.spz?x=1"), Answer::Splat);
         assert_eq!(route("/photo/3"), Answer::Photo(3));
         for url in [

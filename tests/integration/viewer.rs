@@ -180,6 +180,44 @@ fn the_server_answers_nothing_outside_its_folder_and_no_other_site() {
     assert!(ask(serving.1, "evil.example", "/").starts_with("HTTP/1.1 403"));
 }
 
+/// Image and folder names that would be code, if any of them were taken for HTML.
+const HOSTILE: [&str; 4] = [
+    "\"><img src=x onerror=\"window.hacked=1\">.png",
+    "<script>window.hacked=1</script>.png",
+    "'-(window.hacked=1)-'.png",
+    "</script><svg onload=window.hacked=1>.png",
+];
+
+#[test]
+fn names_from_files_are_text_in_every_page_and_the_served_one_forbids_code_in_it() {
+    if !can_look() {
+        return;
+    }
+    let dir = folder("viewer_hostile");
+    let run = dir.join("<img src=x onerror=window.hacked=1>");
+    large_run(&run, 50);
+    let model = run.join("undistorted/sparse/0");
+    let mut named = scene::io::read_model(&model).unwrap();
+    for (image, name) in named.images.values_mut().zip(HOSTILE) {
+        image.name = name.replace('/', "⁄");
+    }
+    scene::io::write_model_bin(&named, &model).unwrap();
+    let page = dir.join("view.html");
+    expect_code(&["export", text(&run), "-o", text(&page)], 0);
+    let serving = serve(&run);
+    let address = format!("http://127.0.0.1:{}/", serving.1);
+    for address in [format!("file://{}", page.display()), address] {
+        assert_eq!(look(&address, &dir, "load")["foreign"], 0, "{address}");
+    }
+    let served = ask(serving.1, &format!("127.0.0.1:{}", serving.1), "/");
+    let (head, body) = served.split_once("\r\n\r\n").unwrap();
+    assert!(head.contains("Content-Security-Policy: default-src 'none'; script-src 'self'"), "{head}");
+    // Data, and the script by its address.
+    let scripts = body.split("<script").skip(1).map(|s| s.split('>').next().unwrap_or_default());
+    assert!(scripts.clone().all(|s| s.contains("type=\"") || s.contains("src=\"viewer.js\"")), "{body}");
+    std::fs::remove_dir_all(dir).unwrap();
+}
+
 /// The start of the answer to a request that is sent as it is.
 fn raw(port: u16, request: &str) -> String {
     let mut stream = TcpStream::connect(("127.0.0.1", port)).unwrap();
