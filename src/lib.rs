@@ -21,6 +21,7 @@ pub mod render;
 pub mod report;
 pub mod stage;
 pub mod terminal;
+pub mod times;
 pub mod view;
 
 pub use outcome::Outcome;

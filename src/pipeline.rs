@@ -14,6 +14,7 @@ use crate::record::{Deviations, Evaluation, PoseSummary, RunRecord, SplatSummary
 use crate::report;
 use crate::stage::{Done, Finished, StageSpec, Stages, describe_input, fingerprint, write_json};
 use crate::terminal::{CANCELLED, TerminalSink, Verbosity, print, say};
+use crate::times::Times;
 use anyhow::{Context, Result};
 use baselines::Method;
 use folder::{absolute_in, output_folder, relative_to};
@@ -51,7 +52,7 @@ const SFM: [&str; 7] = [
     "report.html",
 ];
 const UNDISTORT: [&str; 1] = ["undistorted"];
-const TRAIN: [&str; 5] = ["splat.ply", "field.bin", "refined", "run.json", "report.html"];
+const TRAIN: [&str; 6] = ["splat.ply", "field.bin", "times.json", "refined", "run.json", "report.html"];
 const EVAL: [&str; 3] = ["eval", "run.json", "report.html"];
 
 /// One run into one output folder.
@@ -381,7 +382,8 @@ impl Pipeline {
         })?;
         let print = self.finish("undistort", done, "images for training").identity()?;
         if self.args.method != Method::Gaussians {
-            return self.field(&training_set, &print, until);
+            let times = Times::of(frames, &self.input)?;
+            return self.field((&training_set, &times), &print, until);
         }
         let print = fingerprint(&(
             "train",
