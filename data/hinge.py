@@ -24,7 +24,8 @@ HINGE = (0.0, -0.7, 0.0)
 KNOB = (0.22, (0.0, 1.1, 0.3))  # radius, and centre relative to the hinge
 OPEN = math.radians(110)  # of the lid at time 1
 LIGHT = numpy.array([0.4, 0.3, 0.87])
-DISTANCE = 4.0  # of the cameras
+DISTANCE = 5.0  # of the cameras from what they look at
+TARGET = numpy.array([0.0, -0.2, 0.3])
 ANGLE = 0.6911  # of view, radians; as in NeRF's synthetic scenes
 SAMPLES = 3  # a side of a pixel
 TEST_EVERY = 8  # as sat-recon holds out
@@ -92,7 +93,7 @@ def camera(index):
     right /= numpy.linalg.norm(right)
     matrix = numpy.eye(4)
     matrix[:3, 0], matrix[:3, 1], matrix[:3, 2] = right, numpy.cross(back, right), back
-    matrix[:3, 3] = DISTANCE * back
+    matrix[:3, 3] = TARGET + DISTANCE * back
     return matrix
 
 
