@@ -1,5 +1,5 @@
 //! Fits a field to a data set with a transforms.json within a time limit and renders its held-out
-//! views: `fit DATASET METHOD SECONDS OUT`.
+//! views: `fit DATASET METHOD LIMIT OUT`, where LIMIT is a time (90s, 7m) or a number of steps (500x).
 
 use baselines::{FieldConfig, Method, train};
 use clap::ValueEnum as _;
@@ -58,8 +58,8 @@ fn rounds_of<S: Simd, const N: usize>(sums: &mut [f32; SUMS * 16], factor: S, ro
 
 fn main() -> Result<(), Box<dyn Error>> {
     let arguments: Vec<String> = std::env::args().skip(1).collect();
-    let [folder, method, seconds, out] = &arguments[..] else {
-        return Err("give a data set, a method, seconds and a folder".into());
+    let [folder, method, limit, out] = &arguments[..] else {
+        return Err("give a data set, a method, a limit and a folder".into());
     };
     let (folder, out) = (Path::new(folder), Path::new(out));
     let progress = Progress::silent();
@@ -68,9 +68,13 @@ fn main() -> Result<(), Box<dyn Error>> {
     let of_frame = |name: &str| file.frames.iter().find(|f| f.file_path == name).and_then(|f| f.time);
     let times: Vec<f32> = dataset.views.iter().map(|v| of_frame(&v.name).unwrap_or(0.0) as f32).collect();
     println!("a core's products and sums, best case: {:.0} GFLOP/s", fastest_products() / 1e9);
-    let config = FieldConfig {
-        time_limit: Some(splat::config::parse_duration(seconds)?),
-        ..FieldConfig::new(Method::from_str(method, true)?, 1)
+    let method = Method::from_str(method, true)?;
+    let config = match limit.strip_suffix('x') {
+        Some(steps) => FieldConfig::new(method, steps.parse()?),
+        None => FieldConfig {
+            time_limit: Some(splat::config::parse_duration(limit)?),
+            ..FieldConfig::new(method, 1)
+        },
     };
     let cpu = splat::clock::cpu_seconds();
     let result = train(&dataset, &times, &config, None, &progress)?;
