@@ -128,11 +128,8 @@ impl Moving {
         time: f32,
         background: [f32; 3],
     ) -> Result<RenderOutput, splat::SplatError> {
-        let mut moved = self.deformation.moved(
-            &self.gaussians.model().geometry,
-            self.gaussians.model().len,
-            time.clamp(0.0, 1.0),
-        );
+        let mut moved =
+            self.deformation.moved(&self.gaussians.model().geometry, self.gaussians.model().len, time);
         let mut shown = self.shown.lock().unwrap_or_else(std::sync::PoisonError::into_inner);
         let gaussians = match &mut *shown {
             Some(gaussians) => gaussians,
