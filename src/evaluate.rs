@@ -78,7 +78,7 @@ pub fn evaluate(
         Pictures::Splat(renderer, gaussians) => {
             geometry::measure(out, mesh, &dataset, (gaussians, renderer.antialias), progress)?
         }
-        Pictures::Field(_) => None,
+        Pictures::Field(..) => None,
     };
     let held_out: Vec<&View> = dataset.views.iter().filter(|v| v.held_out).collect();
     let protocol = protocol(config, &dataset, held_out.len(), &rendering, &networks);
@@ -169,7 +169,7 @@ struct Compared {
 
 impl Compared {
     fn of(pictures: &mut Pictures, view: &View, dataset: &Dataset) -> Result<Self> {
-        let output = pictures.render(&view.camera, &view.pose, [0.0; 3])?;
+        let output = pictures.render(&view.camera, &view.pose, pictures.time_of(&view.name), [0.0; 3])?;
         let (photo, mask) = target(view, dataset.is_transparent())?;
         Ok(Self { render: output.rgb.to_rgb8(), photo, mask })
     }

@@ -25,6 +25,7 @@ pub mod render;
 pub mod report;
 pub mod stage;
 pub mod terminal;
+pub mod times;
 mod transforms;
 pub mod view;
 

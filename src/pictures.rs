@@ -1,6 +1,7 @@
 //! What renders the pictures of a run: its splat, or the field of another method.
 
 use crate::record::SplatSummary;
+use crate::times::Times;
 use anyhow::{Context, Result, bail};
 use baselines::TrainedField;
 use scene::{Camera, Gaussians, Pose};
@@ -14,8 +15,8 @@ pub(crate) const FIELD: &str = "field.bin";
 pub enum Pictures {
     /// A splat.
     Splat(Box<Renderer>, Gaussians),
-    /// A field.
-    Field(Box<TrainedField>),
+    /// A field, and when its photos were taken.
+    Field(Box<TrainedField>, Times),
 }
 
 impl Pictures {
@@ -25,7 +26,7 @@ impl Pictures {
         if field.is_file() {
             let field = TrainedField::read(&field)?;
             let words = format!("the processor ({})", field.method().name());
-            return Ok((Self::Field(Box::new(field)), words));
+            return Ok((Self::Field(Box::new(field), Times::read(run)?), words));
         }
         let gaussians = scene::io::ply::read_splat_ply(&run.join("splat.ply"))?;
         let (mut renderer, chosen) = Renderer::on(device, &gaussians)?;
@@ -33,15 +34,29 @@ impl Pictures {
         Ok((Self::Splat(Box::new(renderer), gaussians), chosen.sentences().choice))
     }
 
-    /// Renders a view.
-    pub fn render(&mut self, camera: &Camera, pose: &Pose, background: [f32; 3]) -> Result<RenderOutput> {
+    /// When a photo was taken, in [0, 1]; 0 where nothing moves.
+    pub fn time_of(&self, name: &str) -> f32 {
+        match self {
+            Self::Splat(..) => 0.0,
+            Self::Field(_, times) => times.of_view(name),
+        }
+    }
+
+    /// Renders a view as it is at a time.
+    pub fn render(
+        &mut self,
+        camera: &Camera,
+        pose: &Pose,
+        time: f32,
+        background: [f32; 3],
+    ) -> Result<RenderOutput> {
         match self {
             Self::Splat(renderer, _) => Ok(renderer.render(
                 camera,
                 pose,
                 &RenderOptions { background, ..RenderOptions::default() },
             )?),
-            Self::Field(field) => Ok(field.render(camera, pose, 0.0, background)?),
+            Self::Field(field, _) => Ok(field.render(camera, pose, time, background)?),
         }
     }
 }

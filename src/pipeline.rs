@@ -19,6 +19,7 @@ use crate::record::{Deviations, Evaluation, Level, PoseSummary, RunRecord, Splat
 use crate::report;
 use crate::stage::{Done, Finished, StageSpec, Stages, describe_input, fingerprint, write_json};
 use crate::terminal::{CANCELLED, TerminalSink, Verbosity, print, say};
+use crate::times::Times;
 use crate::transforms;
 use anyhow::{Context, Result};
 use baselines::Method;
@@ -42,7 +43,7 @@ const SFM: [&str; 7] = [
 /// Written after the poses, anew where other views are held out.
 const TRANSFORMS: [&str; 1] = ["transforms.json"];
 const UNDISTORT: [&str; 1] = ["undistorted"];
-const TRAIN: [&str; 5] = ["splat.ply", "field.bin", "refined", "run.json", "report.html"];
+const TRAIN: [&str; 6] = ["splat.ply", "field.bin", "times.json", "refined", "run.json", "report.html"];
 const EVAL: [&str; 3] = ["eval", "run.json", "report.html"];
 
 /// One run into one output folder.
@@ -366,7 +367,8 @@ impl Pipeline {
         })?;
         let print = self.finish("undistort", done, "images for training").identity()?;
         if self.args.method != Method::Gaussians {
-            return self.field(&training_set, &print, until);
+            let times = Times::of(frames, &self.input)?;
+            return self.field((&training_set, &times), &print, until);
         }
         let print = fingerprint(&(
             "train",

@@ -23,8 +23,12 @@ pub fn run(args: &RenderArgs, verbosity: Verbosity) -> Result<Outcome> {
     progress.begin("render", views.len());
     let (mut pictures, by) = Pictures::open(&args.run, &args.device)?;
     let mut sink = PictureSink::open(&args.output, args.fps)?;
-    for (name, camera, pose) in &views {
-        let output = pictures.render(camera, pose, [r, g, b])?;
+    let photos = matches!(args.path, RenderPath::Input | RenderPath::Test);
+    let last = views.len().max(2) - 1;
+    for (i, (name, camera, pose)) in views.iter().enumerate() {
+        // Along a path time goes by from the first photo to the last.
+        let time = if photos { pictures.time_of(name) } else { i as f32 / last as f32 };
+        let output = pictures.render(camera, pose, time, [r, g, b])?;
         sink.put(name, &picture(&output, args.channel, camera))?;
         progress.tick()?;
     }

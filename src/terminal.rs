@@ -245,7 +245,7 @@ mod tests {
 
     #[test]
     fn rates_are_in_sane_digits_and_more_than_all_is_never_said() {
-        let words = [1234.5, 42.3, 3.14159, 0.4, 0.0123, 0.0, f64::NAN].map(rate_in_words);
+        let words = [1234.5, 42.3, 3.123, 0.4, 0.0123, 0.0, f64::NAN].map(rate_in_words);
         assert_eq!(words, ["1234/s", "42/s", "3.1/s", "2.5 s each", "81 s each", "", ""]);
         let sink = TerminalSink::new(Verbosity::Normal, None).of_stage(2, 6);
         sink.begin("mapping", 100);

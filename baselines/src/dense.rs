@@ -14,6 +14,9 @@ pub(crate) const PANEL: usize = 16;
 pub(crate) const ROWS: usize = 6;
 /// Inputs of a tile of weight gradients. Source: eight sums hide the latency of a product of AVX2.
 const INPUTS: usize = 4;
+/// Rows of which weight gradients are added up at a time.
+/// Source: a panel of them and some columns of the other factor fill half a first-level cache.
+const FEW_ROWS: usize = 192;
 
 /// A width rounded up to whole panels.
 pub(crate) fn padded(width: usize) -> usize {
@@ -160,28 +163,38 @@ pub(crate) fn weight_gradient(mut a: WeightGradient) {
 #[inline(always)]
 fn weights_by<S: Simd, const V: usize>(a: &mut WeightGradient) {
     let (inputs, outputs) = (a.inputs, a.outputs);
-    let rows = a.x.len() / inputs;
-    a.packed.resize(rows * (inputs + PANEL), 0.0);
-    let (x, dy) = a.packed.split_at_mut(rows * inputs);
-    pack::<INPUTS>(a.x, inputs, x);
-    for column in (0..outputs).step_by(PANEL) {
-        pack::<PANEL>(&a.dy[column..], outputs, dy);
-        let panel = &mut a.grads[column * inputs..][..PANEL * inputs];
-        for i in (0..inputs).step_by(INPUTS) {
-            let place = &mut panel[i * PANEL..][..INPUTS * PANEL];
-            let mut sums = [[S::splat(0.0); V]; INPUTS];
-            for k in 0..INPUTS {
-                for v in 0..V {
-                    sums[k][v] = S::read(&place[k * PANEL + v * S::LANES..]);
-                }
+    let blocks = a.x.chunks(FEW_ROWS * inputs).zip(a.dy.chunks(FEW_ROWS * outputs));
+    for (x, dy) in blocks {
+        let rows = x.len() / inputs;
+        a.packed.resize(rows * (inputs + PANEL), 0.0);
+        let (packed, panel_of_dy) = a.packed.split_at_mut(rows * inputs);
+        pack::<INPUTS>(x, inputs, packed);
+        for column in (0..outputs).step_by(PANEL) {
+            pack::<PANEL>(&dy[column..], outputs, panel_of_dy);
+            let panel = &mut a.grads[column * inputs..][..PANEL * inputs];
+            for i in (0..inputs).step_by(INPUTS) {
+                let place = &mut panel[i * PANEL..][..INPUTS * PANEL];
+                add_products::<S, V>(rows, &packed[i * rows..], panel_of_dy, place);
             }
-            // SAFETY: both hold `rows` rows, of INPUTS and of PANEL values.
-            let sums = unsafe { outer::<S, V>(rows, x[i * rows..].as_ptr(), dy.as_ptr(), sums) };
-            for k in 0..INPUTS {
-                for v in 0..V {
-                    sums[k][v].write(&mut place[k * PANEL + v * S::LANES..]);
-                }
-            }
+        }
+    }
+}
+
+/// Adds a tile of weight gradients: `xᵀ dy` of INPUTS packed columns and a packed panel.
+#[inline(always)]
+fn add_products<S: Simd, const V: usize>(rows: usize, x: &[f32], dy: &[f32], place: &mut [f32]) {
+    let (x, dy) = (&x[..rows * INPUTS], &dy[..rows * PANEL]);
+    let mut sums = [[S::splat(0.0); V]; INPUTS];
+    for k in 0..INPUTS {
+        for v in 0..V {
+            sums[k][v] = S::read(&place[k * PANEL + v * S::LANES..]);
+        }
+    }
+    // SAFETY: both hold `rows` rows, of INPUTS and of PANEL values.
+    let sums = unsafe { outer::<S, V>(rows, x.as_ptr(), dy.as_ptr(), sums) };
+    for k in 0..INPUTS {
+        for v in 0..V {
+            sums[k][v].write(&mut place[k * PANEL + v * S::LANES..]);
         }
     }
 }

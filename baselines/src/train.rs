@@ -53,6 +53,8 @@ pub struct FieldResult {
     pub iterations: u32,
     /// Parameters learnt.
     pub parameters: usize,
+    /// Products and sums of the networks' layers in all steps of this call.
+    pub operations: f64,
 }
 
 /// Place in the schedule, and what was noted on the way.
@@ -104,12 +106,14 @@ pub(crate) fn train_shape(
     let mut mark = wall_seconds();
     let (mut field, mut state) = open(dataset, shape, config, path.as_deref())?;
     state.seconds += config.seconds_gone;
+    let mut operations = 0.0;
     let photos = PhotoRays::new(dataset, times);
     progress.begin("train", if config.time_limit.is_some() { 0 } else { config.iterations as usize });
     while state.position < 1.0 {
         let place = StepPlace { step: state.iteration, position: state.position, seed: config.seed };
         let report = field.train_step(&photos, place)?;
         state.iteration += 1;
+        operations += report.operations;
         if !(report.loss.is_finite() && report.square_error.is_finite()) {
             let reason = "the loss is not finite";
             return Err(FieldError::Diverged { iteration: state.iteration, reason });
@@ -136,6 +140,7 @@ pub(crate) fn train_shape(
     }
     Ok(FieldResult {
         parameters: field.size(),
+        operations,
         field: TrainedField::new(shape, dataset.normalisation, field),
         curve: state.curve,
         iterations: state.iteration,

@@ -40,7 +40,8 @@ impl TrainedField {
         Ok(Self { shape: header.shape, frame: header.frame, field })
     }
 
-    /// A picture from a camera without distortion, at a time in [0, 1], over a background.
+    /// A picture from a camera without distortion, at a time in [0, 1] (others are the nearest), over
+    /// a background.
     pub fn render(
         &self,
         camera: &Camera,
@@ -51,6 +52,8 @@ impl TrainedField {
         if camera.distortion().iter().any(|&k| k != 0.0) {
             return Err(FieldError::NotPinhole { camera: camera.id, model: camera.model.name() });
         }
+        // Times beyond the photos', and NaN, are their ends.
+        let time = if time > 0.0 { time.min(1.0) } else { 0.0 };
         let mut out = self.field.render(&self.frame.view(camera, pose), time, background);
         let unit = (1.0 / self.frame.scale) as f32;
         out.depth.data.iter_mut().for_each(|z| *z *= unit);

@@ -164,8 +164,10 @@ impl NormalisedFrame {
         let centre = centres.iter().sum::<DVec3>() / n;
         let radius = centres.iter().map(|c| c.distance(centre)).fold(0.0, f64::max);
         let distances = model.points.values().map(|p| p.position.distance(centre)).collect();
-        let median = median(distances).unwrap_or(1.0);
-        let size = if radius > AT_ONE_PLACE * median { radius } else { median };
+        let size = match median(distances) {
+            Some(median) if radius <= AT_ONE_PLACE * median => median,
+            _ => radius,
+        };
         let scale = if size > 0.0 && size.is_finite() { 1.0 / size } else { 1.0 };
         Self { centre, scale }
     }

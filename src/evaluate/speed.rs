@@ -24,20 +24,22 @@ impl RenderingCost {
     }
 }
 
-/// Cameras and poses of the views that are held out of training.
-pub fn held_out_cameras(training_set: &Path, config: &DatasetConfig) -> Result<Vec<(Camera, Pose)>> {
+/// Names, cameras and poses of the views that are held out of training.
+pub fn held_out_cameras(training_set: &Path, config: &DatasetConfig) -> Result<Vec<(String, Camera, Pose)>> {
     let model = scene::io::read_model(&training_set.join("sparse/0"))?;
     let mut images: Vec<_> = model.images.values().collect();
     images.sort_by(|a, b| a.name.cmp(&b.name));
     let count = images.len();
     let chosen = images.iter().enumerate().filter(|(i, _)| config.holds_out(*i, count));
-    Ok(chosen.filter_map(|(_, i)| Some((model.cameras.get(&i.camera)?.clone(), i.pose))).collect())
+    Ok(chosen
+        .filter_map(|(_, i)| Some((i.name.clone(), model.cameras.get(&i.camera)?.clone(), i.pose)))
+        .collect())
 }
 
 /// Renders the views `loops` times.
 pub fn measure(
     pictures: &mut Pictures,
-    views: &[(Camera, Pose)],
+    views: &[(String, Camera, Pose)],
     loops: u32,
     progress: &Progress,
 ) -> Result<RenderingCost> {
@@ -45,17 +47,17 @@ pub fn measure(
         return Ok(RenderingCost::default());
     }
     let meter = crate::stage::Meter::start();
-    for (camera, pose) in views {
-        pictures.render(camera, pose, [0.0; 3])?; // warm-up
+    for (name, camera, pose) in views {
+        pictures.render(camera, pose, pictures.time_of(name), [0.0; 3])?; // warm-up
     }
     let (mut rates, mut frames) = (Vec::new(), Vec::new());
     let begun = Instant::now();
     for _ in 0..loops {
         progress.check()?;
         let round = Instant::now();
-        for (camera, pose) in views {
+        for (name, camera, pose) in views {
             let frame = Instant::now();
-            pictures.render(camera, pose, [0.0; 3])?;
+            pictures.render(camera, pose, pictures.time_of(name), [0.0; 3])?;
             frames.push(frame.elapsed().as_secs_f64() * 1e3);
         }
         rates.push(views.len() as f64 / round.elapsed().as_secs_f64());

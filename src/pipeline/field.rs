@@ -4,14 +4,16 @@ use super::{Pipeline, TRAIN, Until};
 use crate::pictures::FIELD;
 use crate::record::FieldSummary;
 use crate::stage::{StageSpec, fingerprint};
+use crate::times::Times;
 use anyhow::{Context, Result};
 use baselines::FieldConfig;
 use splat::BackendChoice;
 use std::path::{Path, PathBuf};
 
 impl Pipeline {
-    /// Trains a field on the training set, whose identity is `print`, and judges it.
-    pub(super) fn field(&mut self, training_set: &Path, print: &str, until: Until) -> Result<()> {
+    /// Trains a field on the training set, whose identity is `print`, and the times of its photos,
+    /// and judges it.
+    pub(super) fn field(&mut self, set: (&Path, &Times), print: &str, until: Until) -> Result<()> {
         let method = self.args.method;
         if self.args.train.device.backend == BackendChoice::Gpu {
             anyhow::bail!("--method {} trains on the processor only; leave --backend out", method.name());
@@ -22,9 +24,10 @@ impl Pipeline {
             seed: self.args.seed,
             ..FieldConfig::new(method, self.args.train.iterations)
         };
-        let print = fingerprint(&(env!("BASELINES_SOURCES"), print, &self.args.dataset, &config))?;
+        let print =
+            fingerprint(&(env!("BASELINES_SOURCES"), print, &self.args.dataset, &config, set.1.by_name()))?;
         let stage = StageSpec { name: "train", fingerprint: &print, owns: &TRAIN };
-        let done = self.stages.run(&stage, |new| self.train_field(training_set, new, &print, config))?;
+        let done = self.stages.run(&stage, |new| self.train_field(set, new, &print, config))?;
         self.stages.discard("train")?;
         let field: &FieldSummary = &done.finished.value;
         let line = format!(
@@ -59,7 +62,7 @@ impl Pipeline {
     /// Trains, with checkpoints in `.stages/train`, and writes the field into the folder `new`.
     fn train_field(
         &self,
-        training_set: &Path,
+        (training_set, times): (&Path, &Times),
         new: &Path,
         print: &str,
         mut config: FieldConfig,
@@ -70,7 +73,9 @@ impl Pipeline {
         let begun = std::time::Instant::now();
         let dataset = crate::evaluate::load_dataset(training_set, &self.args.dataset, &progress)?;
         config.seconds_gone = begun.elapsed().as_secs_f64();
-        let result = baselines::train(&dataset, &[], &config, Some(&checkpoints), &progress)?;
+        let of_views: Vec<f32> = dataset.views.iter().map(|v| times.of_view(&v.name)).collect();
+        let result = baselines::train(&dataset, &of_views, &config, Some(&checkpoints), &progress)?;
+        times.write(new)?;
         result.field.write(&new.join(FIELD))?;
         Ok(FieldSummary {
             method: config.method,

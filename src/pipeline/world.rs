@@ -10,7 +10,7 @@ use sfm::{PoseDeviation, SfmResult};
 /// Where the world of a solved model lies; with `--keep-frame`, what is up in the solver's frame.
 pub(super) fn find(result: &SfmResult, frames: &FrameSet, args: &PipelineArgs) -> Option<WorldFrame> {
     let model = result.reconstruction.as_ref()?;
-    let motion = result.decisions.iter().filter_map(Decision::motion).last();
+    let motion = result.decisions.iter().filter_map(Decision::motion).next_back();
     let is_turn = motion == Some(MotionModel::SingleAxis);
     let tumbles = result.motion.as_ref().filter(|m| m.tumble.is_some());
     let sequence = RingSequence::of(model, frames).filter(|_| tumbles.is_none());

@@ -12,19 +12,20 @@ use splat::backend::{Round, StepInput, Target};
 use splat::moved::MovedGaussians;
 use splat::{PinholeView, RenderOptions};
 
-/// Share of the schedule in which nothing moves. Source: Wu et al. 2024: 3,000 of 20,000 steps.
-const AT_REST: f64 = 0.15;
+/// Share of the schedule in which nothing moves. Source: docs/decisions/20 (Wu et al. 2024: 3,000 of
+/// 20,000 steps).
+const AT_REST: f64 = 0.08;
 /// Positions from which pictures have half, and full resolution; a quarter before.
-/// Source: docs/decisions/13, as for splats that stand still.
-const RESOLUTIONS: [f64; 2] = [0.3, 0.6];
+/// Source: docs/decisions/13, about as for splats that stand still.
+const RESOLUTIONS: [f64; 2] = [0.2, 0.5];
 /// Smallest side of a photo that is halved, pixels. Source: chosen by hand.
 const SMALLEST: usize = 64;
 /// Rounds of densification, evenly until [`GROWTH_END`]. Source: chosen by hand.
 const ROUNDS: u32 = 12;
 /// Position at which the number of Gaussians stays. Source: Wu et al. 2024 (half of the steps).
 const GROWTH_END: f64 = 0.6;
-/// Share of the Gaussians that a round adds. Source: 15,000 become the most in all rounds.
-const GROWTH: f64 = 0.13;
+/// Share of the Gaussians that a round adds. Source: the first become the most in all rounds.
+const GROWTH: f64 = 0.15;
 /// Rounds with which degrees of the harmonics begin. Source: chosen by hand.
 const DEGREES: [u32; 3] = [4, 6, 8];
 /// Weight of D-SSIM. Source: Wu et al. 2024's settings (L1 alone).
@@ -66,7 +67,7 @@ impl Moving {
         let seen = self.gaussians.step(&input, &mut moved)?;
         if moves {
             let gradient = self.deformation.gradient(&rest, count, time, &moved);
-            let factor = (STEPS / steps).sqrt().clamp(1.0, LARGEST_FACTOR);
+            let factor = (STEPS / steps).clamp(1.0, LARGEST_FACTOR);
             let fall = FALL.powf((place.position - AT_REST) / (1.0 - AT_REST));
             let [planes, weights] = RATES
                 .map(|rate| AdamRates::new((rate * factor * fall) as f32, BETA2, EPSILON, place.step + 1));
