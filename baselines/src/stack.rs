@@ -21,7 +21,7 @@ pub(crate) struct LayerPlan {
 
 /// A layer as stored.
 #[derive(Clone, Debug, PartialEq, Eq)]
-struct Layer {
+struct DenseLayer {
     taken: usize,
     input: Option<usize>,
     /// Columns of both together, whole panels.
@@ -38,7 +38,7 @@ struct Layer {
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(crate) struct Stack {
     inputs: Vec<usize>,
-    layers: Vec<Layer>,
+    layers: Vec<DenseLayer>,
 }
 
 /// What the forward pass of a block leaves for the backward pass; reused between blocks.
@@ -76,7 +76,16 @@ impl Stack {
             let bias = weights.end..weights.end + outputs;
             begin = bias.end;
             let LayerPlan { taken, input, relu, .. } = *plan;
-            layers.push(Layer { taken, input, width, outputs, weights, bias, relu, fan_in: taken + beside });
+            layers.push(DenseLayer {
+                taken,
+                input,
+                width,
+                outputs,
+                weights,
+                bias,
+                relu,
+                fan_in: taken + beside,
+            });
         }
         Self { inputs: inputs.iter().map(|&w| padded(w)).collect(), layers }
     }
@@ -244,7 +253,7 @@ impl Stack {
     }
 }
 
-impl Layer {
+impl DenseLayer {
     /// Whether what it reads lies in no one place.
     fn is_joined(&self) -> bool {
         self.taken > 0 && self.input.is_some()

@@ -26,7 +26,7 @@ pub(crate) struct TrainingRay {
 
 /// The samples of a step.
 #[derive(Clone, Debug, Default)]
-pub(crate) struct Batch {
+pub(crate) struct RayBatch {
     pub(crate) rays: Vec<TrainingRay>,
     pub(crate) samples: Vec<Sample>,
     /// Positions in the unit cube of the hash grid.
@@ -72,7 +72,7 @@ struct GroupBuffers {
 
 impl Pass<'_> {
     /// The gradients of a stretch of rays.
-    pub(crate) fn stretch(&self, batch: &Batch, rays: &[TrainingRay]) -> Sums {
+    pub(crate) fn stretch(&self, batch: &RayBatch, rays: &[TrainingRay]) -> Sums {
         let mut sums = Sums {
             density: vec![0.0; self.network.density.parameters()],
             colour: vec![0.0; self.network.colour.parameters()],
@@ -92,7 +92,7 @@ impl Pass<'_> {
         sums
     }
 
-    fn group(&self, batch: &Batch, rays: &[TrainingRay], scratch: &mut GroupBuffers, sums: &mut Sums) {
+    fn group(&self, batch: &RayBatch, rays: &[TrainingRay], scratch: &mut GroupBuffers, sums: &mut Sums) {
         let first = rays[0].begin;
         let samples: usize = rays.iter().map(|r| r.count).sum();
         self.evaluate_densities(batch, first..first + samples, scratch);
@@ -104,7 +104,12 @@ impl Pass<'_> {
         }
     }
 
-    fn evaluate_densities(&self, batch: &Batch, range: std::ops::Range<usize>, scratch: &mut GroupBuffers) {
+    fn evaluate_densities(
+        &self,
+        batch: &RayBatch,
+        range: std::ops::Range<usize>,
+        scratch: &mut GroupBuffers,
+    ) {
         let layers = &mut scratch.layers.density;
         self.network.density.reserve(range.len(), layers);
         let width = self.network.density.inputs();
@@ -120,7 +125,7 @@ impl Pass<'_> {
     /// Moves the activations of what is seen to the front; says how many there are.
     fn keep_seen(
         &self,
-        batch: &Batch,
+        batch: &RayBatch,
         rays: &[TrainingRay],
         scratch: &mut GroupBuffers,
         sums: &mut Sums,
@@ -150,7 +155,7 @@ impl Pass<'_> {
     }
 
     /// Colours, losses, and their gradients with respect to the networks' outputs.
-    fn trace(&self, batch: &Batch, rays: &[TrainingRay], scratch: &mut GroupBuffers, sums: &mut Sums) {
+    fn trace(&self, batch: &RayBatch, rays: &[TrainingRay], scratch: &mut GroupBuffers, sums: &mut Sums) {
         let colour_width = self.network.colour.outputs();
         let GroupBuffers { layers, counts, traced, of_colour, of_density, .. } = scratch;
         let colours = &layers.colour.layers[3];

@@ -1,7 +1,7 @@
 //! The same field written from the equations in f64, one sample at a time: what the production
 //! code is tested against.
 
-use super::gradient::Batch;
+use super::gradient::RayBatch;
 use super::hash_grid::{COARSEST, FEATURES, FINEST};
 use crate::dense::place;
 
@@ -86,7 +86,7 @@ impl ReferenceField {
     }
 
     /// Colours of a batch's rays, and the mean of Huber's loss.
-    pub(super) fn loss(&self, batch: &Batch) -> (Vec<[f64; 3]>, f64) {
+    pub(super) fn loss(&self, batch: &RayBatch) -> (Vec<[f64; 3]>, f64) {
         let (mut colours, mut loss) = (Vec::new(), 0.0);
         for ray in &batch.rays {
             let direction = ray.sighting.ray.direction.as_dvec3();

@@ -1,6 +1,6 @@
 //! The production code against the reference and finite differences.
 
-use super::gradient::{Batch, Pass, Sums, TrainingRay};
+use super::gradient::{Pass, RayBatch, Sums, TrainingRay};
 use super::hash_grid::FEATURES;
 use super::network::{Weights, density};
 use super::occupancy::Sample;
@@ -24,9 +24,9 @@ fn small_field() -> InstantNgp {
     field
 }
 
-fn batch(field: &InstantNgp, rays: usize, most: usize) -> Batch {
+fn batch(field: &InstantNgp, rays: usize, most: usize) -> RayBatch {
     let mut rng = scene::rng::rng(5, "batch", 1);
-    let mut batch = Batch::default();
+    let mut batch = RayBatch::default();
     for r in 0..rays {
         let direction = Vec3::from(rng.random::<[f32; 3]>().map(|v| v - 0.5)).normalize();
         let ray = Ray { origin: Vec3::ZERO, direction, time: 0.0 };
@@ -54,7 +54,7 @@ fn reference(field: &InstantNgp) -> ReferenceField {
     }
 }
 
-fn gradients(field: &InstantNgp, batch: &Batch) -> Sums {
+fn gradients(field: &InstantNgp, batch: &RayBatch) -> Sums {
     let transposed = [
         field.network.density.transposed(&field.weights[0]),
         field.network.colour.transposed(&field.weights[1]),

@@ -1,7 +1,7 @@
 //! A step of training: march, encode, forward and backward, scatter, Adam, occupancy.
 
 use super::InstantNgp;
-use super::gradient::{Batch, Pass, Sums, TrainingRay};
+use super::gradient::{Pass, RayBatch, Sums, TrainingRay};
 use super::hash_grid::{Corner, FEATURES};
 use super::network::{LATENT, Weights, density};
 use super::occupancy::cell_point;
@@ -79,11 +79,11 @@ impl InstantNgp {
     }
 
     /// The samples of rays in occupied cells.
-    fn march(&self, sightings: &[Sighting], place: StepPlace) -> Batch {
+    fn march(&self, sightings: &[Sighting], place: StepPlace) -> RayBatch {
         let stretch = sightings.len().div_ceil(STRETCHES).max(1);
         let part = |(index, sightings): (usize, &[Sighting])| {
             let mut rng = rng(place.seed, "march", (u64::from(place.step) << 16) + index as u64);
-            let mut batch = Batch::default();
+            let mut batch = RayBatch::default();
             for &sighting in sightings {
                 let begin = batch.samples.len();
                 let mut march = self.occupancy.march(self.local(&sighting.ray), rng.random());
@@ -95,8 +95,8 @@ impl InstantNgp {
             }
             batch
         };
-        let parts: Vec<Batch> = sightings.par_chunks(stretch).enumerate().map(part).collect();
-        let mut all = Batch::default();
+        let parts: Vec<RayBatch> = sightings.par_chunks(stretch).enumerate().map(part).collect();
+        let mut all = RayBatch::default();
         for part in parts {
             let begin = all.samples.len();
             all.rays.extend(part.rays.into_iter().map(|r| TrainingRay { begin: r.begin + begin, ..r }));
@@ -107,7 +107,7 @@ impl InstantNgp {
     }
 
     /// Gradients by stretch of rays.
-    fn gradients(&self, batch: &Batch) -> Vec<Sums> {
+    fn gradients(&self, batch: &RayBatch) -> Vec<Sums> {
         let transposed = [
             self.network.density.transposed(&self.weights[0]),
             self.network.colour.transposed(&self.weights[1]),
@@ -123,7 +123,7 @@ impl InstantNgp {
     }
 
     /// Adam on the networks and, level by level, on the tables.
-    fn descend(&mut self, batch: &Batch, sums: &[Sums], place: StepPlace) {
+    fn descend(&mut self, batch: &RayBatch, sums: &[Sums], place: StepPlace) {
         let falls = FALLS.iter().filter(|&&at| place.position >= at).count();
         let rate = LEARNING_RATE * FALL.powi(falls as i32);
         let rates = AdamRates {

@@ -2,7 +2,7 @@
 //! section 4.2).
 
 use super::hexplane::{CHUNK, FEATURES, HexPlanes, LEVELS, Place, Smoothness};
-use super::{MOVES, MovingShape};
+use super::shape::{MOVES, MovingShape};
 use crate::adam::{AdamMoments, AdamRates};
 use crate::stack::{LayerPlan, Stack, StackLayers};
 use rayon::prelude::*;

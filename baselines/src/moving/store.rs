@@ -1,6 +1,7 @@
 //! What of moving Gaussians is kept in files.
 
-use super::{MOST_IN_FILES, Moving};
+use super::Moving;
+use super::shape::MOST_IN_FILES;
 use crate::field::Kept;
 use crate::kept::{Restored, kept_arrays};
 use glam::{Quat, Vec3};

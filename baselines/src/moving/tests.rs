@@ -2,7 +2,9 @@
 
 use super::deformation::Deformation;
 use super::hexplane::{FEATURES, HexPlanes, LEVELS, Smoothness};
+use super::shape::MOVES;
 use super::*;
+use crate::domain::Domain;
 use glam::Vec3;
 use rand::Rng as _;
 use scene::rng::rng;

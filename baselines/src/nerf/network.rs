@@ -13,7 +13,7 @@ pub(super) const TIME_OCTAVES: usize = 10;
 /// Layers before the density. Source: Mildenhall et al. 2020, appendix A; Pumarola et al. 2021,
 /// section 4.
 pub(super) const TRUNK: usize = 8;
-/// Layer that reads the position again. Source: Mildenhall et al. 2020, appendix A.
+/// DenseLayer that reads the position again. Source: Mildenhall et al. 2020, appendix A.
 pub(super) const SKIP: usize = 5;
 /// Values of an encoded direction.
 pub(super) const ENCODED_DIRECTION: usize = 3 * encoded(DIRECTION_OCTAVES);
