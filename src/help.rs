@@ -37,7 +37,7 @@ const RARE: [&str; 18] = [
     "fps-loops",
     "mesh-truth",
     "lambda-dssim",
-    "progress",
+    "checkpoint-every",
 ];
 
 /// The command line. `all`: its help hides nothing.
