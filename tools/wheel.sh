@@ -19,7 +19,7 @@ mkdir -p "$work/python/src/sat_recon/bin"
 install -m 755 "$program" "$work/python/src/sat_recon/bin/sat-recon"
 strip "$work/python/src/sat_recon/bin/sat-recon"
 "$work/tools/bin/pip" -q wheel --no-deps --no-build-isolation "$work/python" -w "$work/raw"
-PATH="$work/tools/bin:$PATH" "$work/tools/bin/auditwheel" -q repair "$work"/raw/*.whl -w "$work/repaired"
+PATH="$work/tools/bin:$PATH" "$work/tools/bin/auditwheel" repair "$work"/raw/*.whl -w "$work/repaired"
 
 python3 -m venv "$work/fresh"
 "$work/fresh/bin/pip" -q install "$work"/repaired/*.whl

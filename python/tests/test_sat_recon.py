@@ -36,15 +36,18 @@ class ASmallRun(unittest.TestCase):
     def tearDownClass(cls):
         cls.folder.cleanup()
 
-    def test_poses_are_rigid_and_look_at_the_cloud(self):
+    def test_poses_are_rigid_and_look_at_the_object(self):
         poses = self.result.camera_from_world
         self.assertEqual(poses.shape, (24, 4, 4))
         self.assertEqual(len(self.result.names), 24)
         rotation = poses[:, :3, :3]
         np.testing.assert_allclose(rotation @ np.swapaxes(rotation, 1, 2), np.tile(np.eye(3), (24, 1, 1)), atol=1e-9)
         np.testing.assert_allclose(poses @ self.result.world_from_camera, np.tile(np.eye(4), (24, 1, 1)), atol=1e-9)
-        depth = np.einsum("nj,mj->nm", poses[:, 2, :3], self.result.points) + poses[:, 2, 3:]
-        self.assertGreater((depth > 0).mean(), 0.99)
+        # The object alone: the room beyond it is behind some of the cameras.
+        near = self.result.points[np.linalg.norm(self.result.points, axis=1) < 0.5]
+        self.assertGreater(len(near), 20)
+        depth = np.einsum("nj,mj->nm", poses[:, 2, :3], near) + poses[:, 2, 3:]
+        self.assertTrue((depth > 0).all())
 
     def test_points_fall_where_the_program_says(self):
         """Their mean error from the model's files is that of the record."""

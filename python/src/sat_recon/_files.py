@@ -51,6 +51,9 @@ class _Reader:
         self.at += struct.calcsize("<" + form)
         return values
 
+    def skip(self, size: int) -> None:
+        self.at += size
+
     def text(self) -> str:
         end = self.bytes.index(b"\0", self.at)
         text = self.bytes[self.at:end].decode("utf-8")
@@ -87,7 +90,7 @@ def read_images(path: Path) -> tuple[list[str], np.ndarray, np.ndarray]:
     for _ in range(reader.take("Q")[0]):
         values = reader.take("i7di")
         name = reader.text()
-        reader.at += 24 * reader.take("Q")[0]  # x, y, number of the point
+        reader.skip(24 * reader.take("Q")[0])  # x, y, number of the point
         rows.append((name, values))
     rows.sort(key=lambda row: row[0])
     numbers = np.array([values[8] for _, values in rows], dtype=int)
@@ -104,7 +107,7 @@ def read_points(path: Path) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     rows = []
     for _ in range(reader.take("Q")[0]):
         rows.append(reader.take("Q3d3Bd"))
-        reader.at += 8 * reader.take("Q")[0]  # number of the image, of the keypoint
+        reader.skip(8 * reader.take("Q")[0])  # number of the image, of the keypoint
     table = np.array(rows, dtype=float).reshape(-1, 8)
     return table[:, 1:4], table[:, 4:7].astype(np.uint8), table[:, 7]
 
