@@ -14,7 +14,7 @@ const SHORT_LIST: usize = 3;
 /// JSON that cannot end the script it stands in.
 pub(crate) fn json(value: &impl serde::Serialize) -> Result<Markup> {
     let text = serde_json::to_string(value)?;
-    Ok(PreEscaped(text.replace("</", "<\\/").replace("<!--", "<\\u0021--")))
+    Ok(PreEscaped(text.replace('<', "\\u003c")))
 }
 
 /// The frame of a page: `body` between head and scripts.
