@@ -29,9 +29,9 @@ use splat::{PinholeView, RenderOutput};
 
 /// Levels of the hash grid. Source: the authors' base configuration.
 const LEVELS: usize = 8;
-/// Most corners of a level, as a power of two. Source: docs/decisions/20 (the paper: 19).
+/// Most corners of a level, as a power of two. Source: docs/decisions/19 (the paper: 19).
 const LOG2_ENTRIES: u32 = 17;
-/// Samples of a step. Source: docs/decisions/20 (the paper: 2¹⁸).
+/// Samples of a step. Source: docs/decisions/19 (the paper: 2¹⁸).
 const SAMPLES: usize = 1 << 16;
 
 /// Rays of the first step, when every cell may hold something.

@@ -11,7 +11,7 @@ pub(crate) const SIDE: usize = 128;
 /// Cells of a cascade.
 pub(crate) const CELLS: usize = SIDE * SIDE * SIDE;
 /// Steps along the diagonal of the smallest cube. Source: Müller et al. 2022, appendix E.1, have
-/// 1,024; docs/decisions/20.
+/// 1,024; docs/decisions/19.
 const STEPS: f32 = 512.0;
 /// A step in distances from the camera, outside the smallest cube.
 /// Source: Müller et al. 2022, appendix E.1.

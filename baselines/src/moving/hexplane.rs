@@ -15,7 +15,7 @@ const PAIRS: [[usize; 2]; 6] = [[0, 1], [0, 2], [1, 2], [0, 3], [1, 3], [2, 3]];
 /// The coordinate that is the time.
 const TIME: usize = 3;
 /// Features of planes of space at the start; those of planes of time are 1.
-/// Source: docs/decisions/20 (Wu et al. 2024's program has 0.1 to 0.5).
+/// Source: docs/decisions/19 (Wu et al. 2024's program has 0.1 to 0.5).
 const INITIAL: std::ops::Range<f32> = 0.5..1.5;
 /// Samples of a task. Source: chosen by hand: many tasks for many threads.
 pub(super) const CHUNK: usize = 512;

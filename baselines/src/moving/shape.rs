@@ -19,7 +19,7 @@ const SPACE: usize = 64;
 const TIMES_A_CELL: usize = 2;
 /// Most cells of time. Source: Wu et al. 2024's settings for HyperNeRF's scenes.
 const MOST_TIMES: usize = 150;
-/// Most Gaussians. Source: docs/decisions/20.
+/// Most Gaussians. Source: docs/decisions/19.
 const MOST_GAUSSIANS: usize = 30_000;
 /// Gaussians at the start where there is no cloud. Source: chosen by hand: a fifth lie in the object.
 const FIRST: usize = 5_000;

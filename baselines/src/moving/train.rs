@@ -12,7 +12,7 @@ use splat::backend::{Round, StepInput, Target};
 use splat::moved::MovedGaussians;
 use splat::{PinholeView, RenderOptions};
 
-/// Share of the schedule in which nothing moves. Source: docs/decisions/20 (Wu et al. 2024: 3,000 of
+/// Share of the schedule in which nothing moves. Source: docs/decisions/19 (Wu et al. 2024: 3,000 of
 /// 20,000 steps).
 const AT_REST: f64 = 0.08;
 /// Positions from which pictures have half, and full resolution; a quarter before.
@@ -36,7 +36,7 @@ const RATES: [f64; 2] = [1.6e-3, 1.6e-4];
 const FALL: f64 = 0.01;
 /// Steps of the authors' schedule: shorter ones have larger steps. Source: as above.
 const STEPS: f64 = 20_000.0;
-/// Largest factor for that. Source: docs/decisions/20.
+/// Largest factor for that. Source: docs/decisions/19.
 const LARGEST_FACTOR: f64 = 10.0;
 /// Decay of the second moment. Source: Kingma and Ba 2015.
 const BETA2: f32 = 0.999;

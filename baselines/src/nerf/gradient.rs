@@ -10,7 +10,7 @@ use crate::rays::Sighting;
 use scene::rng::Rng;
 
 /// Samples that are evaluated together, unless one ray has more.
-/// Source: docs/decisions/20: a third-level cache holds their activations.
+/// Source: docs/decisions/19: a third-level cache holds their activations.
 const GROUP: usize = 384;
 
 /// A ray of a step.

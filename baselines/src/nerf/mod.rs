@@ -38,7 +38,7 @@ const SAMPLES: [usize; 2] = [64, 128];
 const RAYS: usize = 1024;
 /// Rays of a step of D-NeRF. Source: Pumarola et al. 2021's settings for synthetic scenes.
 const DEFORMED_RAYS: usize = 500;
-/// The same for a training with a time limit. Source: docs/decisions/20.
+/// The same for a training with a time limit. Source: docs/decisions/19.
 const BUDGET_WIDTH: usize = 64;
 /// See [`BUDGET_WIDTH`].
 const BUDGET_SAMPLES: [usize; 2] = [32, 32];
