@@ -27,11 +27,8 @@ ROUNDS = 8  # of fitting, and of finding out which models would be asked for a s
 # Column, scale (as in probability.rs), and the sign of the coefficient.
 FEATURES = [
     ("camera-surprise", "HalfSquare", -1),
-    ("agreeing-pairs", "Odds", 1),
     ("least-explained", "Odds", 1),
-    ("least-firm", "Log", 1),
     ("point-angle", "Log", 1),
-    ("weakest-link", "Scarce", 1),
     ("held-out-agreement", "Odds", 1),
     ("second-difference", "Log", -1),
 ]
@@ -40,7 +37,6 @@ SCALES = {
     "HalfSquare": lambda v: 0.5 * v * v,
     "Odds": lambda v: math.log((v + 0.02) / (1.02 - v)),
     "Log": lambda v: math.log(v + 0.05),
-    "Scarce": lambda v: math.log(min(v, 0.3) + 0.05),
 }
 
 

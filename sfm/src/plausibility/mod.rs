@@ -32,6 +32,9 @@ pub(crate) struct FinishedModel<'a> {
     /// Cameras as they were before anything was solved.
     pub cameras: &'a [Camera],
     pub known: &'a [Knowledge],
+    /// All frames of a video follow a law of motion, a turn or a tumble: with a dozen numbers in place
+    /// of six an image, that is a second opinion already.
+    pub follows_law: bool,
     pub progress: &'a Progress,
 }
 
@@ -41,7 +44,7 @@ impl FinishedModel<'_> {
     pub(crate) fn judge(&self) -> Result<Decision, SfmError> {
         let mut features = self.features();
         let (alone, _) = weigh(&features);
-        if (1.0 - CLEAR..CLEAR).contains(&alone) {
+        if !self.follows_law && (1.0 - CLEAR..CLEAR).contains(&alone) {
             features.extend(self.second_solution()?);
         }
         let (probability, against) = weigh(&features);

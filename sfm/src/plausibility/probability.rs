@@ -45,15 +45,15 @@ impl Term {
 /// What is known of a model adds to its log odds.
 /// Source: tools/plausibility/fit.py on half A of docs/results/plausibility.csv.
 const TERMS: [Term; 5] = [
-    Term::new(Quantity::CameraSurprise, Scale::HalfSquare, -0.502, 2.660, Remark::UnusualCamera),
-    Term::new(Quantity::LeastExplained, Scale::Odds, 1.430, 0.827, Remark::UnexplainedMatches),
-    Term::new(Quantity::PointAngle, Scale::Log, 4.719, 2.947, Remark::NarrowViews),
-    Term::new(Quantity::HeldOutAgreement, Scale::Odds, 2.679, 0.728, Remark::HeldOutDisagree),
-    Term::new(Quantity::SecondDifference, Scale::Log, -0.739, 0.868, Remark::SolutionsDisagree),
+    Term::new(Quantity::CameraSurprise, Scale::HalfSquare, -0.612, 2.484, Remark::UnusualCamera),
+    Term::new(Quantity::LeastExplained, Scale::Odds, 2.079, 0.827, Remark::UnexplainedMatches),
+    Term::new(Quantity::PointAngle, Scale::Log, 3.312, 2.889, Remark::NarrowViews),
+    Term::new(Quantity::HeldOutAgreement, Scale::Odds, 1.512, 0.694, Remark::HeldOutDisagree),
+    Term::new(Quantity::SecondDifference, Scale::Log, -0.800, 0.856, Remark::SolutionsDisagree),
 ];
 /// Log odds of a model with usual features.
 /// Source: the same fit.
-const CONSTANT: f64 = 4.504;
+const CONSTANT: f64 = 4.030;
 /// Log odds that a feature must take away to be named as a reason.
 /// Source: derived; less does not halve the odds.
 const NAMED: f64 = -std::f64::consts::LN_2;

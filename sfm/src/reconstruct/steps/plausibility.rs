@@ -14,6 +14,7 @@ pub(super) fn run(model: SfmModel, context: &StepContext<'_>) -> StepResult {
         input: &input,
         cameras: &model.setup.cameras,
         known: &model.setup.known,
+        follows_law: model.motion.is_some(),
         progress: context.progress,
     };
     let decision = finished.judge()?;
