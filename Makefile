@@ -14,7 +14,7 @@ SAT_RECON := $(TARGET)/release/sat-recon
 VENV := $(CACHE)/venv
 SHARED := $(or $(SAT_RECON_SHARED),../shared)
 
-.PHONY: help setup viewer build demo wheel test crash-test fuzz sanitize neon lint same-bytes bench tables bench-gpu compare benchmarks-page oracle testbed suite bench-suite site \
+.PHONY: help setup viewer build demo wheel test crash-test fuzz sanitize neon lint same-bytes bench tables bench-gpu compare benchmarks-page oracle testbed suite bench-suite plausibility site \
   tutorial-pictures
 help:  ## this list
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed 's/:.*##/\t/' | expand -t 20
@@ -115,6 +115,10 @@ suite: $(VENV)/pycolmap  ## film rendered captures with truth (slow; NAME=... a 
 
 bench-suite: build $(VENV)/pycolmap  ## poses of all captures that `make suite` has filmed, judged, by class (NAME=..., COLMAP=1)
 	$(VENV)/bin/python tools/suite/bench_suite.py $(SAT_RECON) --out build/suite $(if $(NAME),--only $(NAME)) $(if $(COLMAP),--colmap)
+
+plausibility: build $(VENV)/pycolmap  ## features of models, right and wrong, and the probability fitted to them (slow)
+	$(VENV)/bin/python tools/plausibility/collect.py $(SAT_RECON) $(SHARED) --out build/plausibility --table docs/results/plausibility.csv
+	$(VENV)/bin/python tools/plausibility/fit.py docs/results/plausibility.csv
 
 $(VENV)/bin/python:
 	@tools/setup.sh python3-venv

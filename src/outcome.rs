@@ -9,6 +9,6 @@ pub enum Outcome {
     NoModel,
     /// A model that lacks some of the frames.
     Partial,
-    /// A model that is to be doubted: the verdict is red.
+    /// A model that is to be doubted.
     Doubtful,
 }

@@ -108,15 +108,14 @@ impl Pipeline {
         if until >= Until::Sfm {
             let (poses, poses_print) = self.poses(&frames, &frames_print)?;
             self.record.poses = Some(poses.clone());
-            if poses.no_model.is_some() {
-                outcome = Outcome::NoModel;
+            outcome = poses.outcome();
+            if outcome == Outcome::NoModel {
                 // What an earlier run made of other poses is no result of this one.
                 self.stages.retire("transforms", &TRANSFORMS)?;
                 self.stages.retire("undistort", &UNDISTORT)?;
                 self.stages.retire("train", &TRAIN)?;
                 self.stages.retire("eval", &EVAL)?;
             } else {
-                outcome = if poses.missing.is_empty() { Outcome::Done } else { Outcome::Partial };
                 self.write_transforms(&frames, &poses_print)?;
                 if until >= Until::Train {
                     self.splat(&frames, &poses_print, until)?;
@@ -306,6 +305,9 @@ impl Pipeline {
         }
         for (name, why) in &poses.weak {
             self.say(&format!("          weak    {name}: {why}"));
+        }
+        for reason in poses.doubt().iter().flat_map(|d| d.remarks_in_words()) {
+            self.say(&format!("          {reason}"));
         }
         Ok((poses, identity))
     }

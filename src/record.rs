@@ -16,6 +16,7 @@ pub use schema::run_schema;
 pub use verdict::{Level, Light};
 
 use crate::args::PipelineArgs;
+use crate::outcome::Outcome;
 use crate::stage::Cost;
 use scene::motion_report::MotionReport;
 use scene::{Decision, FrameSet, Reconstruction, WorldFrame};
@@ -56,6 +57,23 @@ pub struct PoseSummary {
     pub decisions: Vec<Decision>,
     /// Figures by step.
     pub figures: Vec<(String, f64)>,
+}
+
+impl PoseSummary {
+    /// Why the model is to be doubted, where it is.
+    pub(crate) fn doubt(&self) -> Option<&Decision> {
+        self.decisions.iter().find(|d| d.is_doubt())
+    }
+
+    /// How the search for poses ended.
+    pub(crate) fn outcome(&self) -> Outcome {
+        match (&self.no_model, self.doubt()) {
+            (Some(_), _) => Outcome::NoModel,
+            (None, Some(_)) => Outcome::Doubtful,
+            (None, None) if self.missing.is_empty() => Outcome::Done,
+            (None, None) => Outcome::Partial,
+        }
+    }
 }
 
 /// Standard deviations of poses and intrinsics (gauge: first camera and the scale fixed).

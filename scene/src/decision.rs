@@ -87,6 +87,8 @@ pub enum Subject {
     CameraElevation,
     /// Angular rate of the rotation.
     RotationRate,
+    /// Whether the model is right.
+    Plausibility,
     /// Which direction is up in the world.
     WorldUp,
     /// Points triangulated for poses that came without any.
@@ -244,6 +246,18 @@ pub enum Remark {
     MatchedAnew,
     /// Validation views are needed to examine it, and none was set aside.
     NoValidation,
+    /// The model is not probable enough to be believed as it is.
+    Doubtful,
+    /// Focal length or lens distortion are unlike those of real cameras.
+    UnusualCamera,
+    /// Some images have many matches that the model does not explain.
+    UnexplainedMatches,
+    /// Points are seen at too small an angle.
+    NarrowViews,
+    /// Observations that were held out disagree.
+    HeldOutDisagree,
+    /// A second solution has other rotations.
+    SolutionsDisagree,
 }
 
 /// A decision with all that led to it.
@@ -352,6 +366,11 @@ impl Decision {
     /// Whether what the subject names is done; `false` where that is no question of yes or no.
     pub fn is_taken(&self) -> bool {
         self.choice == Choice::Taken(true)
+    }
+
+    /// Whether it says that the model is to be doubted.
+    pub fn is_doubt(&self) -> bool {
+        self.subject == Subject::Plausibility && self.remarks.contains(&Remark::Doubtful)
     }
 
     /// The number of a quantity among the measurements.

@@ -26,6 +26,7 @@ pub mod matching;
 mod model_selection;
 mod pairs;
 mod plane_tracks;
+mod plausibility;
 mod ransac;
 mod reconstruct;
 mod refinement;

@@ -43,4 +43,4 @@ pub(crate) const HELP: &str = "\
 Steps that are left out, separated by commas; what the evidence would have decided there stays as it was. \
 The steps in their order: video-turn, features, matching, verification, blurred-features, constant-step, \
 guided-matching, mapping, aliasing, second-attempt, circle-completion, shared-cameras, camera-model, \
-final-adjustment, densify, subpixel, plane-tracks, isolated-points, motion, covariance, points, all-frames, colours";
+final-adjustment, densify, subpixel, plane-tracks, isolated-points, motion, covariance, plausibility, points, all-frames, colours";

@@ -331,3 +331,26 @@ fn intrinsics_known_within_deviations_are_corrected_and_exact_ones_are_kept() {
     assert!((focal(Some(1e-5)) - 0.01).abs() < 1e-3);
     assert!(focal(Some(0.05)).abs() < 0.004, "{}", focal(Some(0.05)));
 }
+
+/// The probability that a model is right, and whether it is called doubtful.
+fn plausibility(result: &SfmResult) -> (f64, bool) {
+    let found = result.decisions.iter().find(|d| d.subject == Subject::Plausibility).expect("a decision");
+    let Choice::Value(probability) = found.choice else { panic!("{found:?}") };
+    (probability.value, found.is_doubt())
+}
+
+#[test]
+fn a_ring_is_believed_and_one_with_half_of_its_images_mirrored_is_not() {
+    let right = ring(16);
+    let (probability, doubtful) = plausibility(&solve(&right, &SfmConfig::default()));
+    assert!(probability > 0.9 && !doubtful, "{probability}");
+    let mut mirrored = right;
+    for features in mirrored.features.iter_mut().step_by(2) {
+        features.keypoints.iter_mut().for_each(|k| k.x = 640.0 - k.x);
+    }
+    let result = solve(&mirrored, &SfmConfig::default());
+    let Some(model) = &result.reconstruction else { return };
+    let (probability, doubtful) = plausibility(&result);
+    let images = model.images.len();
+    assert!(doubtful || images <= 9, "{images} images, probability {probability}");
+}

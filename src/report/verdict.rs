@@ -1,6 +1,7 @@
 //! The traffic light: what is well, doubtful or wrong, each with its reason.
 
 use crate::record::{Evaluation, Level, Light, Metrics, PoseSummary, RunRecord};
+use scene::decision::Subject;
 use scene::{Closure, FrameSet, Reconstruction, RingSequence};
 
 impl Level {
@@ -46,6 +47,7 @@ pub(super) fn verdict(record: &RunRecord, model: Option<&Reconstruction>) -> Vec
         if let (Some(model), Some(frames)) = (model, &record.frames) {
             lights.extend(closure(model, frames));
         }
+        lights.extend(plausibility(poses));
         lights.extend(observations(poses));
         lights.push(weak(poses));
     }
@@ -73,6 +75,16 @@ fn registered(poses: &PoseSummary) -> Light {
     let given = if poses.imported { " (poses of the input)" } else { "" };
     let reason = format!("{} of {}{given}", poses.registered, poses.total);
     light("frames with a pose", Level::below(missing, 0.0, 0.2), reason)
+}
+
+/// How probable it is that the model is right.
+fn plausibility(poses: &PoseSummary) -> Option<Light> {
+    let decision = poses.decisions.iter().find(|d| d.subject == Subject::Plausibility)?;
+    let level = if decision.is_doubt() { Level::Bad } else { Level::Good };
+    let words = decision.remarks_in_words().collect::<Vec<_>>().join("; ");
+    let reason =
+        format!("{}{}{words}", decision.sentences().choice, if words.is_empty() { "" } else { ": " });
+    Some(light("probability that the model is right", level, reason))
 }
 
 fn observations(poses: &PoseSummary) -> Option<Light> {

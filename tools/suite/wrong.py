@@ -30,10 +30,11 @@ import wrong_images as images_of
 CASES = {}
 
 
-def case(asked, why):
-    """Registers a function that fills a folder and returns {truth: (camera line, {stem: pose})}."""
+def case(asked, why, half="A"):
+    """Registers a function that fills a folder and returns {truth: (camera line, {stem: pose})};
+    `half`: that of its objects."""
     def register(make):
-        CASES[make.__name__] = (make, asked, why)
+        CASES[make.__name__] = (make, asked, why, half)
         return make
     return register
 
@@ -146,7 +147,7 @@ def still_room(source, folder):
     return as_they_are(folder, *source.photos("product-stage-full"))
 
 
-@case("right", "a dark bust without texture on a turntable before black")
+@case("right", "a dark bust without texture on a turntable before black", "B")
 def textureless(source, folder):
     return as_they_are(folder, *source.photos("bust-stand-full"))
 
@@ -185,14 +186,19 @@ def same_photo(source, folder):
     return {}
 
 
-@case("doubt", "a camera that stands still before an object that stands still, twenty photos with noise")
-def nothing_moves(source, folder):
-    files, _, _ = source.photos("statue-orbit-full")
-    picture = np.asarray(Image.open(files[3])).astype(float)
+def noisy_copies(folder, photo):
+    """The same photo twenty times, each with noise of its own."""
+    picture = np.asarray(Image.open(photo)).astype(float)
     for k in range(20):
         noisy = picture + np.random.default_rng(k).normal(0, 3, picture.shape)
         images_of.save(np.clip(np.rint(noisy), 0, 255).astype(np.uint8), os.path.join(folder, "images", f"photo_{k:03d}.jpg"))
     return {}
+
+
+@case("doubt", "a camera that stands still before an object that stands still, twenty photos with noise")
+def nothing_moves(source, folder):
+    files, _, _ = source.photos("statue-orbit-full")
+    return noisy_copies(folder, files[3])
 
 
 @case("right", "photos whose EXIF says 70 mm where the lens has about 30 mm")
@@ -252,6 +258,64 @@ def two_turns(source, folder):
     return truths | {"other": (other, {f"frame_{k:06d}": second[j] for k, j in enumerate(back)})}
 
 
+@case("right", "photos of two objects, each in a room of its own, shuffled together", "B")
+def two_objects_b(source, folder):
+    sets = {"chair": source.photos("chair-orbit-full"), "hubble": source.photos("hubble-orbit-sun")}
+    return shuffle_together(folder, sets, 6)
+
+
+@case("right", "half of the photos of a chair mirrored", "B")
+def mirrored_b(source, folder):
+    return mirror_half(folder, *source.photos("chair-orbit-full"), 7)
+
+
+@case("right", "half of the photos of a product mirrored")
+def mirrored_product(source, folder):
+    return mirror_half(folder, *source.photos("product-orbit-full"), 9)
+
+
+@case("right", "half of the photos of a spacecraft mirrored")
+def mirrored_craft(source, folder):
+    return mirror_half(folder, *source.photos("mockup-orbit-full"), 10)
+
+
+@case("right", "half of the photos of a carton mirrored, before black")
+def mirrored_black(source, folder):
+    return mirror_half(folder, *source.photos("twins-stand-full"), 11)
+
+
+@case("right", "half of the photos of a bottle mirrored", "B")
+def mirrored_bottle(source, folder):
+    return mirror_half(folder, *source.photos("bottle-stage-full"), 8)
+
+
+@case("right", "a bottle on a turntable in a textured room that stands still, no masks", "B")
+def still_room_b(source, folder):
+    return as_they_are(folder, *source.photos("bottle-stage-full"))
+
+
+@case("right", "a chair on a turntable in a textured room that stands still, no masks", "B")
+def still_room_chair(source, folder):
+    return as_they_are(folder, *source.photos("chair-stage-full"))
+
+
+@case("right", "a spacecraft on a turntable before black: parts that repeat", "B")
+def repeated_craft(source, folder):
+    return as_they_are(folder, *source.photos("hubble-stand-full"))
+
+
+@case("doubt", "a camera that turns about its own centre in another room: no depth can be known", "B")
+def pure_rotation_b(source, folder):
+    files, _, _ = source.photos("chair-orbit-full")
+    return images_of.rotate_about_centre(folder, files[4], 24)
+
+
+@case("doubt", "one photo of a chair twenty times, with noise", "B")
+def nothing_moves_b(source, folder):
+    files, _, _ = source.photos("chair-orbit-full")
+    return noisy_copies(folder, files[7])
+
+
 def make(name, source):
     """The folder of a case, made where it is missing."""
     folder = os.path.join(source.cache, "wrong", f"{name}-{captures.REVISION}")
@@ -260,7 +324,7 @@ def make(name, source):
     part = folder + ".part"
     shutil.rmtree(part, ignore_errors=True)
     os.makedirs(os.path.join(part, "images"))
-    function, asked, why = CASES[name]
+    function, asked, why, half = CASES[name]
     truths = function(source, part)
     if not os.listdir(os.path.join(part, "images")):
         os.rmdir(os.path.join(part, "images"))
@@ -268,7 +332,7 @@ def make(name, source):
         names = sorted(poses)
         truth.write_model(os.path.join(part, "truths", which), camera, [n + ".jpg" for n in names], [poses[n] for n in names])
     with open(os.path.join(part, "case.json"), "w") as file:
-        json.dump({"name": name, "asked": asked, "why": why}, file, indent=1)
+        json.dump({"name": name, "asked": asked, "why": why, "half": half}, file, indent=1)
     os.rename(part, folder)
     return folder
 
@@ -281,7 +345,7 @@ def main():
     parser.add_argument("--cache", default=suite.cache_folder())
     args = parser.parse_args()
     if args.list:
-        print("\n".join(f"{n:18} {asked:6} {why}" for n, (_, asked, why) in CASES.items()))
+        print("\n".join(f"{n:18} {asked:6} {why}" for n, (_, asked, why, _) in CASES.items()))
         return 0
     suite.install_three(args.cache)
     source, failed = Source(args.cache, os.path.abspath(args.shared)), 0

@@ -198,6 +198,22 @@ quantities! {
     WeakImages = ("images with few observations", Plain(0)),
     /// Points that three and more images see.
     WellObservedPoints = ("points seen by three and more images", Plain(0)),
+    /// Distance of focal length and distortion from those of real cameras, standard deviations.
+    CameraSurprise = ("standard deviations of focal length and distortion from the usual", Plain(1)),
+    /// Matches of verified pairs that agree with the model, 0 to 1.
+    AgreeingPairs = ("matches that agree with the model", Percent(0)),
+    /// Matched keypoints that the model explains, in the tenth of the images with the least, 0 to 1.
+    LeastExplained = ("matched keypoints explained in the worst tenth of the images", Percent(0)),
+    /// Points of three and more images, in the tenth of the images with the fewest.
+    LeastFirm = ("points of three and more images in the worst tenth of the images", Plain(0)),
+    /// Median of the widest angles at which points are seen, degrees.
+    PointAngle = ("angle between the views of a point", Of("°", 1)),
+    /// Points across the weakest cut of the images, relative to those of an image.
+    WeakestLink = ("points across the weakest link, relative to those of an image", Plain(2)),
+    /// Held-out observations that agree with the model, 0 to 1.
+    HeldOutAgreement = ("held-out observations that agree", Percent(0)),
+    /// Median difference of relative rotations from those of a second solution, degrees.
+    SecondDifference = ("a second solution differs by", Of("°", 2)),
     /// Hue of the screen, degrees.
     Hue = ("hue", Of("°", 0)),
     /// Part of the median frame that the screen covers, 0 to 1.

@@ -48,6 +48,13 @@ impl Decision {
     }
 }
 
+impl Decision {
+    /// Its remarks in words.
+    pub fn remarks_in_words(&self) -> impl Iterator<Item = &'static str> {
+        self.remarks.iter().map(|remark| remark.clause())
+    }
+}
+
 impl Subject {
     /// The heading of the decision.
     pub fn title(self) -> &'static str {
@@ -79,6 +86,7 @@ impl Subject {
             Self::RotationAxis => "Rotation axis",
             Self::CameraElevation => "Camera elevation",
             Self::RotationRate => "Rotation rate",
+            Self::Plausibility => "Probability that the model is right",
             Self::WorldUp => "Up direction",
             Self::TriangulatedPoints => "Sparse points",
             Self::Backend => "Device",
@@ -277,6 +285,26 @@ impl Remark {
             }
             Self::MatchedAnew => "the features are matched anew",
             Self::NoValidation => "as configured: no view was set aside to examine it",
+            Self::Doubtful => "doubtful: check it before you use it",
+            Self::UnusualCamera => {
+                "focal length or lens distortion are unlike those of real cameras: calibrate the camera and \
+                 give its folder to --camera-from, or give photos that still have their EXIF data"
+            }
+            Self::UnexplainedMatches => {
+                "some images have many matches that the model does not explain: mask what moves by itself, \
+                 and give images of one object alone"
+            }
+            Self::NarrowViews => {
+                "points are seen at small angles only: move the camera around the object, not about itself"
+            }
+            Self::HeldOutDisagree => {
+                "observations that were held out disagree with the model: take images closer together, with \
+                 more light, or with texture on or beside the object"
+            }
+            Self::SolutionsDisagree => {
+                "a second solution from the same images has other rotations: parts that look alike may have \
+                 been mistaken for each other"
+            }
         }
     }
 }

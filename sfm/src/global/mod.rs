@@ -31,17 +31,7 @@ pub(crate) fn map(
 ) -> Result<Option<MapState>, SfmError> {
     progress.begin("global mapping", 0);
     let images = input.keypoints.len();
-    let mut edges = view_graph(input, cameras);
-    let mut rotations: Vec<Option<DQuat>>;
-    loop {
-        progress.check()?;
-        rotations = rotations::average(images, &edges);
-        let before = edges.len();
-        edges.retain(|e| rotations::agrees(&rotations, e));
-        if edges.len() == before {
-            break;
-        }
-    }
+    let rotations = rotations_of_pairs(input, cameras, progress)?;
     let Some(found) = positions::solve(input, cameras, &rotations, progress)? else { return Ok(None) };
     let mut state = MapState::new(input, cameras.to_vec());
     for (image, (rotation, centre)) in rotations.iter().zip(&found.centres).enumerate() {
@@ -61,6 +51,25 @@ pub(crate) fn map(
     settle(&mut state, input, known, &starts, progress)?;
     expel(&mut state, input);
     Ok((state.registered_count() >= 3).then_some(state))
+}
+
+/// Rotations of the images in the largest part of the view graph, from those of the verified pairs;
+/// pairs that do not agree with the others are left out.
+pub(crate) fn rotations_of_pairs(
+    input: &MappingInput<'_>,
+    cameras: &[Camera],
+    progress: &Progress,
+) -> Result<Vec<Option<DQuat>>, SfmError> {
+    let mut edges = view_graph(input, cameras);
+    loop {
+        progress.check()?;
+        let rotations = rotations::average(input.keypoints.len(), &edges);
+        let before = edges.len();
+        edges.retain(|e| rotations::agrees(&rotations, e));
+        if edges.len() == before {
+            return Ok(rotations);
+        }
+    }
 }
 
 /// The rotations of all verified pairs for the present intrinsics.

@@ -8,10 +8,14 @@ use crate::bundle::{IntrinsicsPrior, free_parameters};
 use crate::error::SfmError;
 use crate::knowledge::Knowledge;
 use crate::limits::{AGREEING_SHARE, JOINT_IMAGES};
+use crate::plausibility::camera_prior::{FOCAL_LOG_SIGMA, usual_focal_px};
 use crate::skip::StepName;
 use crate::tracks::NONE;
 use scene::{Camera, Progress};
 
+/// Focal lengths farther from the median than by this factor belong to no camera.
+/// Source: `plausible` of `adjust.rs`: 60 longer image sides over the median of 1.2.
+const EXTREME_RATIO: f64 = 50.0;
 /// Images of the small models that are compared before one is grown; with more, distortion is solved
 /// for.
 /// Source: chosen by hand, never measured.
@@ -51,13 +55,13 @@ pub(crate) fn freedom(
     let mut priors = Vec::new();
     for (camera, (start, k)) in starts.iter().zip(known).enumerate() {
         let focals = start.model.num_focals();
-        if let (Some(share), false) = (k.focal_sigma, k.fixed) {
-            let focal = start.params[..focals].iter().enumerate();
-            priors.extend(focal.map(|(parameter, &mean)| IntrinsicsPrior {
-                camera,
-                parameter,
-                mean,
-                sigma: share * mean,
+        if !k.fixed {
+            priors.extend((0..focals).map(|parameter| match k.focal_sigma {
+                Some(share) => {
+                    let mean = start.params[parameter];
+                    IntrinsicsPrior { camera, parameter, mean, sigma: share * mean }
+                }
+                None => usual_focal_prior(camera, parameter, &cameras[camera]),
             }));
         }
         // Distortion of ordinary lenses is a few per cent at the corner; this matters only where
@@ -68,6 +72,18 @@ pub(crate) fn freedom(
         priors.extend((focals + 2..start.params.len()).map(mild));
     }
     (free.collect(), priors)
+}
+
+/// What is known of a parameter that is a focal length of `camera` (the last estimate), as real
+/// cameras have it: normal in the logarithm. Here a normal distribution about the same median whose
+/// slope at the last estimate is that of the log-normal one: `(f − m) / s² = ln(f / m) / (σ² f)`.
+fn usual_focal_prior(index: usize, parameter: usize, camera: &Camera) -> IntrinsicsPrior {
+    let (focal, mean) = (camera.mean_focal(), usual_focal_px(camera.width, camera.height));
+    // What a failed step has left behind, beyond all lenses, pulls no harder.
+    let ratio = (focal / mean).clamp(1.0 / EXTREME_RATIO, EXTREME_RATIO);
+    // (r − 1) / (r ln r), which is 1 at r = 1.
+    let spread = if (ratio - 1.0).abs() > 1e-6 { (ratio - 1.0) / (ratio * ratio.ln()) } else { 1.0 };
+    IntrinsicsPrior { camera: index, parameter, mean, sigma: FOCAL_LOG_SIGMA * ratio * mean * spread.sqrt() }
 }
 
 /// Registers images until `most` are in, or none can be added.

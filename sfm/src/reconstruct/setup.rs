@@ -5,12 +5,9 @@ use crate::error::SfmError;
 use crate::knowledge::Calibration;
 use crate::knowledge::Knowledge;
 use crate::model_selection::camera::FOCAL_SIGMA;
+use crate::plausibility::camera_prior::usual_focal_px;
 use scene::{Camera, CameraModel, FrameSet};
 use std::collections::BTreeMap;
-
-/// Focal length assumed where nothing is known, in longer image sides (a field of view of 45°).
-/// Source: chosen by hand; the mapper tries multiples of it.
-const FOCAL_GUESS: f64 = 1.2;
 
 /// Cameras, and which image was taken with which.
 #[derive(Default)]
@@ -41,7 +38,7 @@ impl Setup {
             if camera < next {
                 continue;
             }
-            let guess = FOCAL_GUESS * f64::from(frame.width.max(frame.height));
+            let guess = usual_focal_px(frame.width, frame.height);
             let prior = frame.focal_prior_px.filter(|f| f.is_finite() && *f > 0.0);
             let id = next as u32 + 1;
             let mut camera = Camera::centred(id, model, frame.width, frame.height, prior.unwrap_or(guess));

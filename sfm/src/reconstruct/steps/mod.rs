@@ -10,7 +10,8 @@
 //! 4. Cameras: `shared-cameras`, `camera-model`, and the `final-adjustment` with what was decided.
 //! 5. Better observations, each with an adjustment of its own: `densify`, `subpixel`,
 //!    `plane-tracks`; `isolated-points`.
-//! 6. `motion`: whether poses are on a circle, or about one axis; `covariance`.
+//! 6. `motion`: whether poses are on a circle, or about one axis; `covariance`; `plausibility`, how
+//!    probable it is that the model is right.
 //! 7. What is handed back: `points`, `all-frames`, `colours`.
 //!
 //! Most of them can be left out by `--skip NAME` ([`StepName`]); what a step does is said in its
@@ -28,6 +29,7 @@ mod mapping;
 mod motion;
 mod observe;
 mod plane_tracks;
+mod plausibility;
 mod second_attempt;
 mod shared_cameras;
 mod subpixel;
@@ -78,7 +80,7 @@ const FREE: &[ModelStage] = &[ModelStage::Unposed, ModelStage::Posed];
 const SOLVED: &[ModelStage] = &[ModelStage::Posed, ModelStage::OneAxis];
 
 /// All steps in their order.
-const STEPS: [ReconstructionStep; 23] = [
+const STEPS: [ReconstructionStep; 24] = [
     always("video-turn", UNPOSED, motion::solve_video_turn),
     always("features", UNPOSED, observe::extract_features),
     always("matching", UNPOSED, observe::match_features),
@@ -99,6 +101,7 @@ const STEPS: [ReconstructionStep; 23] = [
     unless(StepName::IsolatedPoints, "isolated-points", POSED, finish::remove_isolated_points),
     always("motion", FREE, motion::choose_motion),
     always("covariance", POSED, finish::compute_covariance),
+    always("plausibility", SOLVED, plausibility::run),
     always("points", SOLVED, finish::convert_model),
     always("all-frames", SOLVED, all_frames::run),
     always("colours", SOLVED, finish::colour_points),
