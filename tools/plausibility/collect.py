@@ -41,7 +41,9 @@ COPIES = [
     ("temple_ring", "every2", ["--every", "2"]), ("temple_ring", "every3", ["--every", "3"]),
     ("temple_ring", "every4", ["--every", "4"]), ("temple_ring", "every5", ["--every", "5"]),
     ("temple_ring", "dark", DARK), ("temple_ring", "dark2", [*DARK, "--every", "2"]),
-    ("fountain_p11", "every2", ["--every", "2"]), ("fox", "every2", ["--every", "2"]), ("fox", "every4", ["--every", "4"]),
+    ("fountain_p11", "every2", ["--every", "2"]), ("fountain_p11", "every3", ["--every", "3"]),
+    ("temple_ring", "every6", ["--every", "6"]), ("temple_ring", "dark3", [*DARK, "--every", "3"]), ("temple_ring", "dark4", [*DARK, "--every", "4"]),
+    ("fox", "every2", ["--every", "2"]), ("fox", "every3", ["--every", "3"]), ("fox", "every4", ["--every", "4"]), ("lego400", "every2", ["--every", "2"]),
     ("lego400", "every3", ["--every", "3"]), ("lego400", "every5", ["--every", "5"]), ("lego400", "every9", ["--every", "9"]),
     ("oxford_dino", "every2", ["--every", "2"]), ("oxford_dino", "every3", ["--every", "3"]),
     ("oxford_dino", "dark", ["--gain", "0.1", "--noise", "3"]),
@@ -50,10 +52,18 @@ COPIES = [
 SHIPPED_FILES = {"sample": ("orbit.mp4", "orbit_truth"), "testbed/case3": ("video.mp4", "sparse")}
 SHIPPED = [("sample", "A", []), ("sample_24", "B", ["--frames", "24", "--max-size", "240"]),
            ("sample_36", "A", ["--frames", "36", "--max-size", "320"]), ("testbed/case3", "B", []),
-           ("testbed/case3_free", "A", ["--motion", "free"])]
+           ("testbed/case3_free", "A", ["--motion", "free"]),
+           ("sample_10", "A", ["--frames", "10", "--max-size", "160"]), ("sample_12", "B", ["--frames", "12"]),
+           ("sample_18", "A", ["--frames", "18", "--motion", "free"]), ("sample_30", "B", ["--frames", "30", "--motion", "free"]),
+           ("testbed/case3_36", "B", ["--frames", "36", "--motion", "free"]), ("testbed/case3_60", "A", ["--frames", "60", "--motion", "free"])]
+# Their frames as photos: how many.
+SHIPPED_PHOTOS = [("sample", "A", 18), ("sample", "B", 36), ("testbed/case3", "A", 24), ("testbed/case3", "B", 36),
+                  ("testbed/case3", "A", 48), ("testbed/case3", "B", 72)]
 # Harder copies of captures of the suite.
 THINNED = [("microphone-stand-full", 2), ("microphone-stand-full", 3), ("twins-stand-full", 2), ("twins-stand-full", 3),
-           ("bust-stand-full", 2), ("chair-stand-full", 2), ("chair-stand-full", 3), ("statue-orbit-full", 3), ("chair-orbit-full", 3)]
+           ("bust-stand-full", 2), ("chair-stand-full", 2), ("chair-stand-full", 3), ("statue-orbit-full", 3), ("chair-orbit-full", 3),
+           ("mockup-orbit-full", 2), ("mockup-orbit-full", 3), ("product-orbit-full", 2), ("product-orbit-full", 3),
+           ("hubble-orbit-sun", 2), ("hubble-orbit-sun", 3), ("chair-orbit-full", 2), ("statue-orbit-full", 2)]
 DINO_STEP_DEG = 9.99
 
 
@@ -100,7 +110,17 @@ def real_truth(shared, source):
     return {os.path.splitext(os.path.basename(n))[0]: (p.R, p.t) for n, p in poses.items()}
 
 
-def real_inputs(shared, out):
+def frames_of_video(binary, video, count, folder):
+    """A folder with so many frames of a video."""
+    if not os.path.isdir(folder):
+        made = folder + ".run"
+        subprocess.run([binary, "frames", video, "-o", made, "--frames", str(count)], check=True, stdout=subprocess.DEVNULL)
+        shutil.move(os.path.join(made, "images"), folder)
+        shutil.rmtree(made)
+    return folder
+
+
+def real_inputs(binary, shared, out):
     """Real sets and harder copies of them."""
     found = {}
     for name, (images, truth, half) in REAL.items():
@@ -116,6 +136,11 @@ def real_inputs(shared, out):
         folder, video, truth = os.path.join(TOOLS, "../data", name.split("_")[0]), *SHIPPED_FILES[name.split("_")[0]]
         found["shipped/" + name] = {"half": half, "group": "shipped", "input": os.path.join(folder, video),
                                     "truths": {"body": os.path.join(folder, truth)}, "options": options}
+    for name, half, count in SHIPPED_PHOTOS:
+        folder, video, truth = os.path.join(TOOLS, "../data", name), *SHIPPED_FILES[name]
+        images = frames_of_video(binary, os.path.join(folder, video), count, os.path.join(out, "copies", f"{name.replace('/', '_')}_{count}_photos"))
+        found[f"shipped/{name}_{count}_photos"] = {"half": half, "group": "shipped", "input": images,
+                                                   "truths": {"body": os.path.join(folder, truth)}}
     return found
 
 
@@ -202,7 +227,7 @@ def main():
     program, results = bench_suite.digest(args.binary), os.path.join(args.out, "results")
     os.makedirs(results, exist_ok=True)
     rows = []
-    for name, entry in (real_inputs(args.shared, args.out) | suite_inputs(args.cache, args.out)).items():
+    for name, entry in (real_inputs(args.binary, args.shared, args.out) | suite_inputs(args.cache, args.out)).items():
         if args.only and not any(part in name for part in args.only):
             continue
         path = os.path.join(results, name.replace("/", "_") + ".json")

@@ -4,7 +4,6 @@
 use super::learnt_motion::{AngleAt, LearntMotion};
 use super::limits::{COMPARABLE, FRAMES_TO_CHOOSE, LEAST_OBSERVATIONS};
 use super::problem::CircularCovariance;
-use crate::model_selection::evidence::TRACK_EXCESS;
 use crate::solvers::cholesky::{cholesky, dot, whiten};
 use scene::decision::{Decision, Measurement, Quantity, Rule, Subject};
 
@@ -28,24 +27,25 @@ struct AngleProcess {
 }
 
 impl AngleProcess {
-    /// All that are tried where the angles' covariance is too small by so much at least. Source of
-    /// the jitters (radians): chosen by hand, never measured.
-    fn all(excess: f64) -> Vec<Self> {
-        let mut slow = vec![(0.0, 1.0)];
-        slow.extend(slow_deviations());
+    /// All that are tried where the angles' covariance is too small by `least` at least, each with
+    /// the logarithm of what is thought of it beforehand: the factor is log-normal by a factor of
+    /// two, and a steady turn is as likely as all slow deviations together. Source of the jitters
+    /// (radians): chosen by hand, never measured.
+    fn all(least: f64) -> Vec<(f64, Self)> {
+        let rare = -((slow_deviations().count() as f64).ln());
+        let mut slow = vec![(0.0, 0.0, 1.0)];
+        slow.extend(slow_deviations().map(|(sway, lasts)| (rare, sway, lasts)));
         let mut all = Vec::new();
-        for excess in [excess, 2.0 * excess, 4.0 * excess] {
+        for doubled in 0..3 {
+            let (excess, doubt) = (least * f64::from(1 << doubled), -0.5 * f64::from(doubled * doubled));
             for jitter in [1e-6, 3e-5, 1.2e-4, 5e-4] {
-                all.extend(slow.iter().map(|&(sway, lasts)| Self { excess, jitter, sway, lasts }));
+                let of = |&(prior, sway, lasts): &(f64, f64, f64)| {
+                    (prior + doubt, Self { excess, jitter, sway, lasts })
+                };
+                all.extend(slow.iter().map(of));
             }
         }
         all
-    }
-
-    /// Logarithm of what is thought of it beforehand: a steady turn is as likely as all slow
-    /// deviations together.
-    fn prior(&self) -> f64 {
-        if self.sway > 0.0 { -((slow_deviations().count() as f64).ln()) } else { 0.0 }
     }
 
     /// `E[g(s) g(t)]` for times in shares of the video.
@@ -207,9 +207,9 @@ pub(crate) fn learn_motion(
         covariance: covariance.joint.clone(),
     };
     let step = (found.angles[n - 1] - found.angles[0]).abs() / (n - 1) as f64;
-    // Frames within such a turn see the same errors: where a step is a smaller share of it, more
-    // frames say no more, and the factor grows with their number (docs/decisions/09).
-    let least = TRACK_EXCESS.max(COMPARABLE / step.max(1e-3));
+    // Frames within such a turn see the same points err in the same way: they count as one
+    // (docs/decisions/09).
+    let least = (COMPARABLE / step.max(1e-3)).max(1.0);
     if let Some((range, sigma)) = closing {
         found.close(range, sigma * sigma / least);
     }
@@ -250,8 +250,8 @@ impl ProcessTrials {
     /// All motions on these angles, whose covariance is too small by `least` at least.
     fn of(found: &MeasuredAngles, least: f64) -> Option<Self> {
         let mut tried: Vec<(f64, AngleProcess)> = Vec::new();
-        for motion in AngleProcess::all(least) {
-            tried.extend(found.fit(&motion).map(|fit| (fit.evidence(found.len()) + motion.prior(), motion)));
+        for (prior, motion) in AngleProcess::all(least) {
+            tried.extend(found.fit(&motion).map(|fit| (fit.evidence(found.len()) + prior, motion)));
         }
         tried.retain(|t| t.0.is_finite());
         tried.sort_by(|a, b| b.0.total_cmp(&a.0));
@@ -430,8 +430,8 @@ mod tests {
     fn errors_and_their_standard_deviations_are_of_one_size() {
         let mut ratio = 0.0;
         for seed in 0..20 {
-            // Errors of tracks last: eight times the variance that independent ones would have.
-            let (learnt, truth, _) = learn(|t| 6.0 * t, 2e-4 * TRACK_EXCESS.sqrt(), 2e-4, 100 + seed);
+            // Errors of tracks last: the frames within half a radian, ten of them, count as one.
+            let (learnt, truth, _) = learn(|t| 6.0 * t, 2e-4 * 10f64.sqrt(), 2e-4, 100 + seed);
             let middle = FRAMES / 2;
             let off = learnt.angles[middle] - learnt.angles[0] - truth[middle];
             ratio += (off / learnt.deviations[middle]).powi(2) / 20.0;

@@ -14,21 +14,19 @@ use scene::decision::{Choice, Decision, Measurement, Quantity, Remark, Rule, Sub
 const DOUBTFUL: f64 = 3.0;
 
 /// What is to be said of the axis, and of an elevation that was given; how well its direction is
-/// known. `factor`: on the standard
-/// deviations, for the noise of single observations is too small.
+/// known. `excess`: factor
+/// on the observations' variances, as they err together.
 pub(crate) fn decisions(
     model: &AxisModel,
     context: &CircularContext<'_>,
     intrinsics: FreeIntrinsics,
     covariance: &CircularCovariance,
-    factor: f64,
+    excess: f64,
 ) -> Result<(Vec<Decision>, AxisDeviation), SfmError> {
-    let [sideways, mut towards] =
-        with_principal_point(model, context, intrinsics)?.unwrap_or(covariance.axis);
-    if let Some(elevation) = &model.elevation {
-        towards = towards.max(elevation.sigma / factor);
-    }
-    let deviation = AxisDeviation { sideways: factor * sideways, towards: factor * towards };
+    let [sideways, towards] =
+        with_principal_point(model, context, intrinsics, excess)?.unwrap_or(covariance.axis);
+    let given = model.elevation.as_ref().map_or(0.0, |elevation| elevation.sigma);
+    let deviation = AxisDeviation { sideways, towards: towards.max(given) };
     let z = model.turn.direction();
     let angles: Vec<f64> = model.turn.angles.iter().flatten().copied().collect();
     let steps: Vec<f64> = angles.windows(2).map(|w| wrap_angle(w[1] - w[0]).to_degrees()).collect();
@@ -55,12 +53,13 @@ fn with_principal_point(
     model: &AxisModel,
     context: &CircularContext<'_>,
     intrinsics: FreeIntrinsics,
+    excess: f64,
 ) -> Result<Option<[f64; 2]>, SfmError> {
     let whole = FreeIntrinsics { principal_point: true, held: None, ..intrinsics };
     if context.known[0].fixed || whole == intrinsics {
         return Ok(None);
     }
-    Ok(model.covariance(context, whole)?.map(|(.., covariance)| covariance.axis))
+    Ok(model.covariance(context, whole, excess)?.map(|(.., covariance)| covariance.axis))
 }
 
 fn elevation_decision(model: &AxisModel, given: &Elevation, known: bool) -> Decision {

@@ -42,7 +42,7 @@ fn solved_with(table: &Turntable, given: Option<f64>, noise_px: f64) -> (f64, Ve
     let context = job.context(&[]);
     let solved = ChosenModel::adjust(&context, &job, &starts, grown.turn, FINAL_ROUNDS);
     let ChosenModel { model, intrinsics, .. } = solved.unwrap().unwrap();
-    let (.., covariance) = model.covariance(&context, intrinsics).unwrap().unwrap();
+    let (.., covariance) = model.covariance(&context, intrinsics, 1.0).unwrap().unwrap();
     let said = decisions(&model, &context, intrinsics, &covariance, 1.0).unwrap();
     let tilt = model.turn.direction().cross(table.turn.direction()).length().asin();
     (tilt.to_degrees(), said.0)

@@ -2,7 +2,7 @@
 
 use super::motion::{distance_from_axis, pose_at};
 use crate::result::{PoseDeviation, outer_square};
-use glam::DVec3;
+use glam::{DQuat, DVec3};
 use scene::Pose;
 
 /// Standard deviations of the axis' direction, radians: sideways and towards the camera.
@@ -19,12 +19,14 @@ impl AxisDeviation {
     }
 
     /// Standard deviations of the pose at an angle, itself known to `sigma` (radians), against the
-    /// pose at angle 0: about an axis that is tilted by δ the camera turns wrong by `2 sin(θ/2) δ`.
+    /// pose at angle 0: with the turn Q about the axis, the rotation errs by `(I − Q) δ` where the axis
+    /// is tilted by δ.
     pub(crate) fn of_pose(self, axis: &Pose, angle: f64, sigma: f64) -> PoseDeviation {
         let z = axis.rotation * DVec3::Z;
         let out = (axis.translation - z * z.dot(axis.translation)).normalize();
-        let share = 2.0 * (0.5 * angle).sin().abs();
-        let parts = [z * sigma, out * (self.sideways * share), z.cross(out) * (self.towards * share)];
+        let turn = DQuat::from_axis_angle(z, angle);
+        let tilts = [out * self.sideways, z.cross(out) * self.towards].map(|tilt| tilt - turn * tilt);
+        let parts = [z * sigma, tilts[0], tilts[1]];
         let rotation = parts.iter().map(|p| *p * *p).sum::<DVec3>();
         let centre = pose_at(axis, angle).centre();
         let height = distance_from_axis(axis)
@@ -40,7 +42,6 @@ impl AxisDeviation {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use glam::DQuat;
 
     #[test]
     fn a_tilted_axis_makes_poses_wrong_by_as_much() {
@@ -57,9 +58,9 @@ mod tests {
             for angle in [0.0, 0.4, 1.5, 3.1, 5.0] {
                 let relative =
                     |axis: &Pose| pose_at(axis, angle).rotation * pose_at(axis, 0.0).rotation.conjugate();
-                let off = (relative(&tilted) * relative(&axis).conjugate()).to_scaled_axis().length();
-                let said = DVec3::from_array(deviation.of_pose(&axis, angle, 0.0).rotation).length();
-                assert!((off - said).abs() < 0.02 * tilt, "{angle}: {off} {said}");
+                let off = (relative(&tilted) * relative(&axis).conjugate()).to_scaled_axis().abs();
+                let said = DVec3::from_array(deviation.of_pose(&axis, angle, 0.0).rotation);
+                assert!((off - said).length() < 0.02 * tilt, "{angle}: {off} {said}");
             }
         }
     }

@@ -90,7 +90,7 @@ fn deviation_along(k: f64, sideways: f64) -> f64 {
     table.camera.params[3] = k;
     let mut problem = problem(&table, 1.0, 0.0, 0);
     problem.bundle.camera_free = vec![free_parameters(&table.camera, true, true, true)];
-    let covariance = problem.covariance(&SolveOptions::default()).unwrap();
+    let covariance = problem.covariance(&SolveOptions::default(), 1.0).unwrap();
     covariance.map_or(f64::INFINITY, |c| c.cameras[0][2 * 4 + 2].sqrt())
 }
 

@@ -149,7 +149,7 @@ impl IntrinsicsTrials<'_> {
             ..SolveOptions::default()
         };
         let summary = trial.solve(&options, self.progress)?;
-        let Some(covariance) = trial.covariance(&options)?.filter(|_| summary.usable) else {
+        let Some(covariance) = trial.covariance(&options, 1.0)?.filter(|_| summary.usable) else {
             return Ok(None);
         };
         let camera = &trial.bundle.cameras[0];

@@ -264,14 +264,16 @@ impl AxisModel {
         Ok(())
     }
 
-    /// Standard deviations of the final adjustment, with the problem they belong to.
+    /// Standard deviations of the final adjustment, with the problem they belong to. `excess`: factor
+    /// on the observations' variances.
     pub(crate) fn covariance(
         &self,
         context: &CircularContext<'_>,
         intrinsics: FreeIntrinsics,
+        excess: f64,
     ) -> Result<Option<(CircularProblem, Vec<usize>, CircularCovariance)>, SfmError> {
         let (problem, selected, options) = self.prepare(context, intrinsics, None);
-        let covariance = problem.covariance(&options)?;
+        let covariance = problem.covariance(&options, excess)?;
         Ok(covariance.map(|c| (problem, selected.images, c)))
     }
 

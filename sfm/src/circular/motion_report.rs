@@ -7,15 +7,13 @@ use glam::DVec3;
 use scene::decision::MotionModel;
 use scene::motion_report::{Estimate, MotionReport, MotionSample};
 
-/// The report of a turn; `None` of fewer than three frames. `times`: by frame, seconds. `factor`: on
-/// the standard deviations. `images`: those whose angles the covariance is of.
+/// The report of a turn; `None` of fewer than three frames. `times`: by frame, seconds. `images`: those whose angles the covariance is of.
 pub(super) fn report(
     model: &AxisModel,
     covariance: &CircularCovariance,
     axis_deviation: AxisDeviation,
     images: &[usize],
     times: &[f64],
-    factor: f64,
 ) -> Option<MotionReport> {
     let angles: Option<Vec<f64>> = images.iter().map(|&i| model.turn.angles[i]).collect();
     let angles = angles.filter(|a| a.len() >= 3)?;
@@ -43,7 +41,7 @@ pub(super) fn report(
         axis_camera_deviation_deg: axis_deviation.length().to_degrees(),
         axis_body: (DVec3::Z * sign).to_array(),
         axis_body_deviation_deg: 0.0,
-        rate_deg_s: Estimate::new(slope.abs(), factor * variance.max(0.0).sqrt()).in_degrees(),
+        rate_deg_s: Estimate::new(slope.abs(), variance.max(0.0).sqrt()).in_degrees(),
         tumble: None,
         samples: (0..angles.len()).map(sample).collect(),
     })

@@ -143,14 +143,27 @@ impl CircularProblem {
     }
 
     /// Standard deviations of axis, angles and intrinsics; `None` where the observations do not
-    /// determine them. Offsets are taken as they are.
-    pub(crate) fn covariance(&self, options: &SolveOptions) -> Result<Option<CircularCovariance>, SfmError> {
+    /// determine them. Offsets are taken as they are. `excess`: factor on the variances of the
+    /// observations, not on those of priors.
+    pub(crate) fn covariance(
+        &self,
+        options: &SolveOptions,
+        excess: f64,
+    ) -> Result<Option<CircularCovariance>, SfmError> {
         let scale = self.radius();
-        let input = self.input(options, scale);
+        let mut input = self.input(options, scale);
         if input.bundle.weights.is_empty() {
             return Ok(None);
         }
-        let Some((of_turn, of_cameras)) = covariance(&input, &self.state(scale))? else { return Ok(None) };
+        // Priors that are tighter by the factor, and the factor on the result: the robust loss sees
+        // the observations as they are.
+        let factor = excess.sqrt();
+        input.relation_weights.iter_mut().for_each(|w| *w *= factor);
+        input.level_weights.iter_mut().for_each(|w| *w *= factor);
+        input.bundle.prior_sigma.iter_mut().for_each(|sigma| *sigma /= factor);
+        let Some(found) = covariance(&input, &self.state(scale))? else { return Ok(None) };
+        let [of_turn, of_cameras] =
+            <[Vec<f64>; 2]>::from(found).map(|all| all.iter().map(|c| excess * c).collect::<Vec<f64>>());
         let size = 3 + self.angles.len();
         let deviations: Vec<f64> = (0..size).map(|i| of_turn[i * size + i].max(0.0).sqrt()).collect();
         let mut rest = of_cameras.as_slice();

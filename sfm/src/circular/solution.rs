@@ -72,8 +72,8 @@ impl ChosenModel {
         Ok(Some(Self { model, intrinsics, camera }))
     }
 
-    /// Figures of the finished model, and the world frame. `excess`: factor on variances that the
-    /// noise of single observations gives, for the axis. `times`: by frame, seconds.
+    /// Figures of the finished model, and the world frame. `excess`: factor on the observations'
+    /// variances, as they err together. `times`: by frame, seconds.
     pub(crate) fn finish(
         mut self,
         context: &CircularContext<'_>,
@@ -86,23 +86,21 @@ impl ChosenModel {
         let mut decisions = vec![camera.clone()];
         let (mut uncertainty, mut motion) = (None, None);
         let mut axis_deviation = AxisDeviation::default();
-        if let Some((problem, images, covariance)) = model.covariance(context, *intrinsics)? {
+        if let Some((problem, images, covariance)) = model.covariance(context, *intrinsics, excess)? {
             let sigma_px = noise(&problem.bundle);
             let mut result = Uncertainty { sigma_px, ..Uncertainty::default() };
             for (camera, c) in problem.bundle.cameras.iter().zip(&covariance.cameras) {
                 let n = camera.params.len();
                 result.cameras.insert(camera.id, (0..n).map(|i| c[i * n + i].max(0.0).sqrt()).collect());
             }
-            let factor = excess.sqrt();
-            let (said, of_axis) = axis_report::decisions(model, context, *intrinsics, &covariance, factor)?;
+            let (said, of_axis) = axis_report::decisions(model, context, *intrinsics, &covariance, excess)?;
             decisions.extend(said);
             for ((&image, angle), sigma) in images.iter().zip(&problem.angles).zip(&covariance.angles) {
                 result.images.insert(image as u32 + 1, of_axis.of_pose(&model.turn.axis, *angle, *sigma));
             }
             axis_deviation = of_axis;
             uncertainty = Some(result);
-            motion =
-                times.and_then(|t| motion_report::report(model, &covariance, of_axis, &images, t, factor));
+            motion = times.and_then(|t| motion_report::report(model, &covariance, of_axis, &images, t));
         }
         let AxisModel { state, turn, .. } = self.model;
         let frames = Vec::new();

@@ -348,7 +348,7 @@ fn standard_deviations_match_the_scatter_of_repeated_measurements() {
     let mut table = Turntable::new(10, 36.0, 3);
     table.points.truncate(150);
     let truth = problem(&table, 1.0, 0.0, 0);
-    let covariance = truth.covariance(&SolveOptions::default()).unwrap().unwrap();
+    let covariance = truth.covariance(&SolveOptions::default(), 1.0).unwrap().unwrap();
     let n = truth.bundle.cameras[0].params.len();
     let predicted =
         [covariance.angles[5], covariance.axis[0], covariance.axis[1], covariance.cameras[0][0].sqrt()];

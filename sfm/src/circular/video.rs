@@ -230,7 +230,7 @@ impl<'a> VideoData<'a> {
         let input = self.job.input(&self.material);
         let (job, priors) = (self.motion_input(&input), self.priors());
         let ChosenModel { model, intrinsics, .. } = &judged.chosen;
-        let Some((_, images, covariance)) = model.covariance(&job.context(&priors), *intrinsics)? else {
+        let Some((_, images, covariance)) = model.covariance(&job.context(&priors), *intrinsics, 1.0)? else {
             return Ok(None);
         };
         let angles = &model.turn.angles;

@@ -22,7 +22,7 @@ use scene::{Camera, Progress};
 const DOUBTFUL: f64 = 0.9;
 /// What the model alone says must be as clear as this for no second solution to be asked.
 /// Source: docs/decisions/20.
-const CLEAR: f64 = 0.99;
+const CLEAR: f64 = 1.0;
 
 /// A finished model and what it rests on.
 pub(crate) struct FinishedModel<'a> {
