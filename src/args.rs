@@ -253,7 +253,8 @@ pub struct RenderArgs {
 pub enum Tool {
     /// COLMAP: images, masks by its names, sparse/0, database.db of a run with --colmap-database
     Colmap,
-    /// The original 3D Gaussian splatting: PINHOLE images, mattes over black, sparse/0 with test.txt
+    /// The original 3D Gaussian splatting: PINHOLE images, mattes over black, sparse/0 with
+    /// test.txt
     #[value(name = "3dgs")]
     Gs3d,
     /// gsplat's simple_trainer: the same without the list of held-out views, which it chooses alike
@@ -277,8 +278,8 @@ pub struct ExportArgs {
     /// folder (COLMAP model, --text for text)
     #[arg(short, long, value_name = "OUT", required_unless_present_any = ["html", "mesh", "tool"])]
     pub output: Option<PathBuf>,
-    /// A folder that another program loads as it is, with mattes, held-out views and times as it wants
-    /// them (default output: RUN_TOOL)
+    /// A folder that another program loads as it is, with mattes, held-out views and times as it
+    /// wants them (default output: RUN_TOOL)
     #[arg(long = "for", value_enum, value_name = "TOOL", conflicts_with_all = ["html", "mesh", "text"])]
     pub tool: Option<Tool>,
     /// One self-contained page that opens from disk (default output: RUN/view.html)

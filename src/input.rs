@@ -19,7 +19,8 @@ pub enum Input {
     Posed {
         /// Folder of the images.
         images: PathBuf,
-        /// COLMAP model folder, `transforms.json` or another file that [`scene::io::read_poses`] reads.
+        /// COLMAP model folder, `transforms.json` or another file that [`scene::io::read_poses`]
+        /// reads.
         model: PathBuf,
     },
 }

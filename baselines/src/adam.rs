@@ -1,31 +1,32 @@
 //! Adam (Kingma and Ba 2015), with the average of the weights that is rendered.
 
-use serde::{Deserialize, Serialize};
-
-/// Share of the average that a step keeps. Source: Müller et al. 2022, section 4 (0.95).
-const KEPT: f32 = 0.95;
-/// Decay of the first moment. Source: Kingma and Ba 2015; both papers.
-const BETA1: f32 = 0.9;
-
-/// The constants of a step.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
-pub(crate) struct AdamRates {
-    /// Learning rate, with the correction of both moments' bias.
-    pub(crate) rate: f32,
-    pub(crate) beta2: f32,
+/// What stays the same in all steps.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct AdamSettings {
+    /// Decay of the first and of the second moment.
+    pub(crate) betas: [f32; 2],
+    /// Against division by nothing.
     pub(crate) epsilon: f32,
-    /// Weight decay, added to the gradient.
-    pub(crate) decay: f32,
-    /// Whether the average of the weights is kept up.
-    pub(crate) average: bool,
 }
 
-impl AdamRates {
-    /// Of step `step`, counted from 1.
-    pub(crate) fn new(learning_rate: f32, beta2: f32, epsilon: f32, step: u32) -> Self {
-        let correct = |beta: f32| 1.0 - f64::from(beta).powf(f64::from(step));
-        let rate = f64::from(learning_rate) * correct(beta2).sqrt() / correct(BETA1);
-        Self { rate: rate as f32, beta2, epsilon, decay: 0.0, average: false }
+/// The constants of a step.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct AdamRates {
+    pub(crate) settings: AdamSettings,
+    /// Learning rate, with the correction of both moments' bias.
+    pub(crate) rate: f32,
+    /// Weight decay, added to the gradient.
+    pub(crate) decay: f32,
+    /// Share of the weights' average that the step keeps, where an average is kept up.
+    pub(crate) average: Option<f32>,
+}
+
+impl AdamSettings {
+    /// Of step `step`, counted from 1, without weight decay and average.
+    pub(crate) fn rates(self, learning_rate: f32, step: u32) -> AdamRates {
+        let [first, second] = self.betas.map(|beta| 1.0 - f64::from(beta).powf(f64::from(step)));
+        let rate = f64::from(learning_rate) * second.sqrt() / first;
+        AdamRates { settings: self, rate: rate as f32, decay: 0.0, average: None }
     }
 }
 
@@ -81,14 +82,12 @@ impl AdamMoments {
     }
 
     fn keep_average(&mut self, weights: &[f32], rates: &AdamRates) {
-        if !rates.average {
-            return;
-        }
+        let Some(kept) = rates.average else { return };
         if self.average.is_empty() {
             self.average = weights.to_vec();
         }
         for (a, w) in self.average.iter_mut().zip(weights) {
-            *a = KEPT * *a + (1.0 - KEPT) * w;
+            *a = kept * *a + (1.0 - kept) * w;
         }
     }
 
@@ -100,9 +99,10 @@ impl AdamMoments {
 
 #[inline(always)]
 fn update(w: &mut f32, g: f32, m: &mut f32, v: &mut f32, rates: &AdamRates) {
-    *m = BETA1 * *m + (1.0 - BETA1) * g;
-    *v = rates.beta2 * *v + (1.0 - rates.beta2) * g * g;
-    *w -= rates.rate * *m / (v.sqrt() + rates.epsilon);
+    let AdamSettings { betas: [beta1, beta2], epsilon } = rates.settings;
+    *m = beta1 * *m + (1.0 - beta1) * g;
+    *v = beta2 * *v + (1.0 - beta2) * g * g;
+    *w -= rates.rate * *m / (v.sqrt() + epsilon);
 }
 
 #[cfg(test)]
@@ -115,7 +115,8 @@ mod tests {
         let (mut m, mut v, mut truth) = (0.0f64, 0.0f64, 1.0f64);
         for step in 1..=20 {
             let g = f64::from(step as f32 * 0.3 - 2.0);
-            moments.step(&mut w, &mut [g as f32], &AdamRates::new(0.01, 0.99, 1e-8, step));
+            let settings = AdamSettings { betas: [0.9, 0.99], epsilon: 1e-8 };
+            moments.step(&mut w, &mut [g as f32], &settings.rates(0.01, step));
             m = 0.9 * m + 0.1 * g;
             v = 0.99 * v + 0.01 * g * g;
             let corrected =
@@ -130,7 +131,8 @@ mod tests {
         let (mut moments, mut w) = (AdamMoments::new(40), vec![1.0f32; 40]);
         let mut gradient = vec![0.0; 40];
         gradient[3] = 1.0;
-        let rates = AdamRates { average: true, ..AdamRates::new(0.1, 0.99, 1e-15, 1) };
+        let settings = AdamSettings { betas: [0.9, 0.99], epsilon: 1e-15 };
+        let rates = AdamRates { average: Some(0.95), ..settings.rates(0.1, 1) };
         moments.step_where_touched(&mut w, &mut gradient, &rates);
         assert!((w[3] - 0.9).abs() < 1e-5 && w[4] == 1.0 && gradient[3] == 0.0);
         moments.step_where_touched(&mut w, &mut gradient, &rates);

@@ -60,9 +60,12 @@ pub(crate) struct Traced {
     pub(crate) of_rgb: [f32; 3],
 }
 
+fn dot(a: [f32; 3], b: [f32; 3]) -> f32 {
+    a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+}
+
 /// The gradients of densities and colours from that of the ray's colour.
 pub(crate) fn compose_backward(samples: &mut [Traced], background: [f32; 3], of_ray: [f32; 3]) {
-    let dot = |a: [f32; 3], b: [f32; 3]| a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
     let mut transmittance = 1.0;
     for s in samples.iter_mut() {
         let weight = transmittance * opacity(s.density, s.dt);

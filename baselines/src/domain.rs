@@ -4,19 +4,28 @@ use glam::{DMat3, DVec3, Vec3};
 use serde::{Deserialize, Serialize};
 use splat::{Dataset, View};
 
-/// Coverage (of 255) below which a pixel of a mask shows only background.
-/// Source: 3 %, as the trainer's visual hull.
-const EMPTY: u8 = 8;
-/// Half a side of the box in distances of the cameras from what they look at, where no masks tell.
-/// Source: Müller et al. 2022's public scripts: cameras at 1.32 from a box of half a side 0.5.
-const UNMASKED_HALF: f64 = 0.38;
-/// Boxes around boxes, each twice as large, where no masks tell. Source: as above (side × 16).
-const UNMASKED_CASCADES: u32 = 5;
-/// Weight of a point one unit before the cameras against their axes, per view: decides where axes
-/// are parallel. Source: chosen by hand: small.
-const PRIOR: f64 = 1e-4;
-/// Margin around what masks show. Source: chosen by hand: mattes are exact to a few pixels.
-const MARGIN: f64 = 1.02;
+/// How a cube is chosen for a data set.
+struct DomainSettings {
+    /// Coverage (of 255) below which a pixel of a mask shows only background.
+    /// Source: 3 %, as the trainer's visual hull.
+    empty: u8,
+    /// Factor around what masks show. Source: chosen by hand: mattes are exact to a few pixels.
+    margin: f64,
+    /// Half a side in distances of the cameras from what they look at, where no masks tell. Source:
+    /// Müller et al. 2022's public scripts: cameras at 1.32 from a box of half a side 0.5.
+    unmasked_half: f64,
+    /// Cubes around cubes, each twice as large, where no masks tell. Source: as above (side × 16).
+    unmasked_cascades: u32,
+    /// Weight of a point one unit before the cameras against their axes, per view: decides where
+    /// axes are parallel. Source: chosen by hand: small.
+    prior: f64,
+}
+
+impl Default for DomainSettings {
+    fn default() -> Self {
+        Self { empty: 8, margin: 1.02, unmasked_half: 0.38, unmasked_cascades: 5, prior: 1e-4 }
+    }
+}
 
 /// A cube, and cubes around it: cascade `k` has `2^k` times the half side.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
@@ -29,14 +38,12 @@ pub(crate) struct Domain {
     pub(crate) cascades: u32,
 }
 
-/// Most cubes in a file. Source: more than the paper's five.
-const MOST_CASCADES: u32 = 8;
-
 impl Domain {
     /// Whether there can be such cubes.
     pub(crate) fn is_sane(&self) -> bool {
         let Self { centre, half, cascades } = *self;
-        centre.is_finite() && half.is_finite() && half > 0.0 && (1..=MOST_CASCADES).contains(&cascades)
+        let most = DomainSettings::default().unmasked_cascades;
+        centre.is_finite() && half.is_finite() && half > 0.0 && (1..=most).contains(&cascades)
     }
 
     /// Half a side of the largest cube, normalised units.
@@ -47,47 +54,52 @@ impl Domain {
     /// Around what the training views look at: what their masks show, else a share of the cameras'
     /// distance.
     pub(crate) fn of(dataset: &Dataset) -> Self {
+        let settings = DomainSettings::default();
         let views: Vec<&View> = dataset.views.iter().filter(|v| !v.held_out).collect();
-        let focus = focus(&views);
+        let focus = focus(&views, settings.prior);
         let distances: Vec<f64> =
             views.iter().map(|v| v.view.position().as_dvec3().distance(focus)).collect();
         if dataset.is_transparent() {
-            let reach = |(view, &distance): (&&View, &f64)| distance * tangent_of_mask(view, focus);
-            let half = views.iter().zip(&distances).map(reach).fold(0.0, f64::max);
+            let half = views
+                .iter()
+                .zip(&distances)
+                .map(|(view, distance)| distance * tangent_of_mask(view, focus, settings.empty))
+                .fold(0.0, f64::max);
             if half.is_finite() && half > 0.0 {
-                return Self { centre: focus.as_vec3(), half: (MARGIN * half) as f32, cascades: 1 };
+                let half = (settings.margin * half) as f32;
+                return Self { centre: focus.as_vec3(), half, cascades: 1 };
             }
         }
         let mean = distances.iter().sum::<f64>() / distances.len().max(1) as f64;
-        let half = if mean > 0.0 { UNMASKED_HALF * mean } else { UNMASKED_HALF };
+        let half = settings.unmasked_half * if mean > 0.0 { mean } else { 1.0 };
         // Where masks show nothing at all, there is nothing around the box either.
-        let cascades = if dataset.is_transparent() { 1 } else { UNMASKED_CASCADES };
+        let cascades = if dataset.is_transparent() { 1 } else { settings.unmasked_cascades };
         Self { centre: focus.as_vec3(), half: half as f32, cascades }
     }
 }
 
 /// The point nearest to the optical axes, in the sense of least squares.
-fn focus(views: &[&View]) -> DVec3 {
+fn focus(views: &[&View], prior: f64) -> DVec3 {
     let (mut a, mut b) = (DMat3::ZERO, DVec3::ZERO);
     for view in views {
         let (origin, axis) = (view.view.position().as_dvec3(), view.view.rotation.row(2).as_dvec3());
         let across = DMat3::IDENTITY - DMat3::from_cols(axis * axis.x, axis * axis.y, axis * axis.z);
-        a += across + DMat3::IDENTITY * PRIOR;
-        b += across * origin + (origin + axis) * PRIOR;
+        a += across + DMat3::IDENTITY * prior;
+        b += across * origin + (origin + axis) * prior;
     }
     let x = a.inverse() * b;
     if x.is_finite() { x } else { DVec3::ZERO }
 }
 
-/// Largest tangent of the angle between the direction of `focus` and what a mask shows; 0 where it
-/// shows nothing.
-fn tangent_of_mask(view: &View, focus: DVec3) -> f64 {
+/// Largest tangent of the angle between the direction of `focus` and what a mask shows, which is
+/// what it covers by `empty` at least; 0 where it shows nothing.
+fn tangent_of_mask(view: &View, focus: DVec3, empty: u8) -> f64 {
     let (pixels, camera) = (&view.levels[0], &view.view);
     let towards = (focus.as_vec3() - camera.position()).normalize_or_zero();
     let mut least = 1.0f32;
     for y in 0..pixels.height {
         for x in 0..pixels.width {
-            if pixels.mask.as_ref().is_none_or(|m| m[y * pixels.width + x] >= EMPTY) {
+            if pixels.mask.as_ref().is_none_or(|m| m[y * pixels.width + x] >= empty) {
                 let d = crate::rays::direction(camera, x as f32 + 0.5, y as f32 + 0.5);
                 least = least.min(d.dot(towards));
             }

@@ -1,17 +1,14 @@
 //! Losses of a ray's colour.
 
-/// Error from which Huber's loss grows linearly, in colours of [0, 1].
-/// Source: Müller et al. 2022's published settings.
-const LINEAR_FROM: f32 = 0.1;
-
-/// Huber's loss of a colour, its mean over the channels, and its gradient.
-pub(crate) fn huber(shown: [f32; 3], truth: [f32; 3]) -> (f32, [f32; 3]) {
+/// Huber's loss of a colour, which grows linearly from the error `linear_from`: its mean over the
+/// channels, and its gradient.
+pub(crate) fn huber(shown: [f32; 3], truth: [f32; 3], linear_from: f32) -> (f32, [f32; 3]) {
     let (mut loss, mut gradient) = (0.0, [0.0; 3]);
     for c in 0..3 {
         let e = shown[c] - truth[c];
         let size = e.abs();
-        loss += if size < LINEAR_FROM { 0.5 * e * e } else { LINEAR_FROM * (size - 0.5 * LINEAR_FROM) };
-        gradient[c] = e.clamp(-LINEAR_FROM, LINEAR_FROM) / 3.0;
+        loss += if size < linear_from { 0.5 * e * e } else { linear_from * (size - 0.5 * linear_from) };
+        gradient[c] = e.clamp(-linear_from, linear_from) / 3.0;
     }
     (loss / 3.0, gradient)
 }

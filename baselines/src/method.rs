@@ -54,16 +54,16 @@ pub(crate) enum FieldShape {
 }
 
 impl FieldShape {
-    /// The defaults of a method for a data set whose views have `times`, or with a `budget` those of
-    /// a training with a time limit; none for Gaussians, which are no field.
+    /// The defaults of a method for a data set whose views have `times`, or with a `budget` those
+    /// of a training with a time limit; none for Gaussians, which are no field.
     pub(crate) fn of(method: Method, dataset: &Dataset, times: &[f32], budget: bool) -> Option<Self> {
         let domain = Domain::of(dataset);
-        let nerf = |deformed| NerfShape::new(domain, nearest_point(dataset), deformed, budget);
         match method {
             Method::Gaussians => None,
             Method::InstantNgp => Some(Self::InstantNgp(NgpShape::new(domain))),
-            Method::Nerf => Some(Self::Nerf(nerf(false))),
-            Method::DNerf => Some(Self::Nerf(nerf(true))),
+            Method::Nerf | Method::DNerf => {
+                Some(Self::Nerf(NerfShape::new(domain, dataset, method == Method::DNerf, budget)))
+            }
             Method::MovingGaussians => Some(Self::Moving(MovingShape::new(domain, dataset, times))),
         }
     }
@@ -103,22 +103,4 @@ impl FieldShape {
             Self::Moving(shape) => Box::new(Moving::new(*shape, dataset, seed)?),
         })
     }
-}
-
-/// Distance of the nearest point of the cloud from the cameras, the nearest thousandth left out;
-/// without a cloud a small share of the cameras' frame.
-fn nearest_point(dataset: &Dataset) -> f32 {
-    /// Share of the points that may be wrong. Source: Mildenhall et al. 2020's scripts for photos.
-    const WRONG: usize = 1000;
-    /// Where there is no cloud, normalised units. Source: chosen by hand.
-    const NEAR: f32 = 0.1;
-    let mut depths: Vec<f32> = dataset
-        .training_views()
-        .iter()
-        .map(|&i| &dataset.views[i].view)
-        .flat_map(|v| dataset.points.iter().map(|(p, _)| (v.rotation * *p + v.translation).z))
-        .filter(|z| z.is_finite() && *z > 0.0)
-        .collect();
-    let at = depths.len() / WRONG;
-    if depths.is_empty() { NEAR } else { *depths.select_nth_unstable_by(at, f32::total_cmp).1 }
 }

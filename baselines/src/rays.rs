@@ -36,14 +36,14 @@ pub(crate) struct Draw {
     pub(crate) count: usize,
     /// Share of a picture's sides, in its middle.
     pub(crate) crop: f32,
-    /// Share of the photos, those of the earliest times; more than 1 is all.
-    pub(crate) admitted: f64,
+    /// Photos, those of the earliest times; more than there are is all.
+    pub(crate) admitted: usize,
 }
 
 impl Draw {
     /// So many rays of all pixels of all photos.
     pub(crate) fn anywhere(count: usize) -> Self {
-        Self { count, crop: 1.0, admitted: 1.0 }
+        Self { count, crop: 1.0, admitted: usize::MAX }
     }
 }
 
@@ -76,9 +76,10 @@ impl<'a> PhotoRays<'a> {
     /// and is empty where the scene stands still.
     pub fn new(dataset: &'a Dataset, times: &[f32]) -> Self {
         let mut chosen = dataset.training_views();
-        let time = |i: usize| times.get(i).copied().unwrap_or(0.0);
-        chosen.sort_by(|&a, &b| time(a).total_cmp(&time(b)));
-        let times = chosen.iter().map(|&i| time(i)).collect();
+        let mut all = times.to_vec();
+        all.resize(dataset.views.len(), 0.0);
+        chosen.sort_by(|&a, &b| all[a].total_cmp(&all[b]));
+        let times = chosen.iter().map(|&i| all[i]).collect();
         let views = chosen.iter().map(|&i| &dataset.views[i]).collect();
         Self { dataset, views, times, transparent: dataset.is_transparent() }
     }
@@ -102,21 +103,14 @@ impl<'a> PhotoRays<'a> {
     pub(crate) fn sample(&self, draw: Draw, seed: u64, step: u32) -> Vec<Sighting> {
         /// Rays drawn from one stream of random numbers. Source: chosen by hand.
         const STREAM: usize = 256;
-        let streams = draw.count.div_ceil(STREAM);
-        let stream = |stream: usize| {
-            let mut rng = rng(seed, "rays", (u64::from(step) << 24) + stream as u64);
-            let count = STREAM.min(draw.count - stream * STREAM);
-            (0..count).filter_map(move |_| self.draw(draw, &mut rng))
-        };
-        (0..streams).into_par_iter().flat_map_iter(stream).collect()
-    }
-
-    /// How many photos, in the order of their times, a share of them is.
-    fn admitted(&self, share: f64) -> usize {
-        /// Fewest. Source: Pumarola et al. 2021's program.
-        const FEWEST: usize = 3;
-        let count = self.views.len();
-        ((share * count as f64) as usize).clamp(FEWEST.min(count), count)
+        (0..draw.count.div_ceil(STREAM))
+            .into_par_iter()
+            .flat_map_iter(|stream| {
+                let mut rng = rng(seed, "rays", (u64::from(step) << 24) + stream as u64);
+                let count = STREAM.min(draw.count - stream * STREAM);
+                (0..count).filter_map(move |_| self.draw(draw, &mut rng))
+            })
+            .collect()
     }
 
     /// One pixel; none where what was hit a few times over does not count.
@@ -124,7 +118,7 @@ impl<'a> PhotoRays<'a> {
         /// Tries to hit a pixel that counts. Source: chosen by hand.
         const TRIES: usize = 16;
         for _ in 0..TRIES {
-            let view = rng.random_range(0..self.admitted(draw.admitted));
+            let view = rng.random_range(0..draw.admitted.min(self.views.len()));
             let pixels = &self.views[view].levels[0];
             let x = rng.random_range(middle(pixels.width, draw.crop));
             let y = rng.random_range(middle(pixels.height, draw.crop));
@@ -146,6 +140,18 @@ impl<'a> PhotoRays<'a> {
     }
 }
 
+/// Pixels along a side of the blocks that are traced together: rays beside each other read the same
+/// tables. Source: chosen by hand.
+const BLOCK: usize = 8;
+
+/// The pixels of a block of a picture.
+fn pixels(view: &PinholeView, block: usize) -> impl Iterator<Item = (usize, usize)> + use<> {
+    let columns = view.width.div_ceil(BLOCK);
+    let (x, y) = (block % columns * BLOCK, block / columns * BLOCK);
+    let (right, below) = ((x + BLOCK).min(view.width), (y + BLOCK).min(view.height));
+    (y..below).flat_map(move |y| (x..right).map(move |x| (x, y)))
+}
+
 /// A picture of rays through the centres of its pixels, traced in parallel.
 pub(crate) fn picture(
     view: &PinholeView,
@@ -153,23 +159,16 @@ pub(crate) fn picture(
     background: [f32; 3],
     trace: &(dyn Fn(&[Ray], &mut [RayColour]) + Sync),
 ) -> RenderOutput {
-    /// Pixels along a side of the blocks that are traced together: rays beside each other read the
-    /// same tables.
-    /// Source: chosen by hand.
-    const BLOCK: usize = 8;
-    let columns = view.width.div_ceil(BLOCK);
-    let blocks: Vec<usize> = (0..columns * view.height.div_ceil(BLOCK)).collect();
-    let pixels = |block: usize| {
-        let (x, y) = (block % columns * BLOCK, block / columns * BLOCK);
-        let rows = y..(y + BLOCK).min(view.height);
-        rows.flat_map(move |y| (x..(x + BLOCK).min(view.width)).map(move |x| (x, y)))
-    };
+    let blocks: Vec<usize> = (0..view.width.div_ceil(BLOCK) * view.height.div_ceil(BLOCK)).collect();
     let traced: Vec<Vec<RayColour>> = blocks
         .par_iter()
         .map(|&block| {
-            let towards = |(x, y): (usize, usize)| direction(view, x as f32 + 0.5, y as f32 + 0.5);
-            let ray = |at| Ray { origin: view.position(), direction: towards(at), time };
-            let rays: Vec<Ray> = pixels(block).map(ray).collect();
+            let rays: Vec<Ray> = pixels(view, block)
+                .map(|(x, y)| {
+                    let direction = direction(view, x as f32 + 0.5, y as f32 + 0.5);
+                    Ray { origin: view.position(), direction, time }
+                })
+                .collect();
             let mut out = vec![RayColour { rgb: background, ..RayColour::default() }; rays.len()];
             trace(&rays, &mut out);
             // From distances along the rays to depths along the axis.
@@ -185,7 +184,7 @@ pub(crate) fn picture(
         depth: FloatImage::zeros(w, h, 1),
     };
     for (&block, colours) in blocks.iter().zip(&traced) {
-        for ((x, y), colour) in pixels(block).zip(colours) {
+        for ((x, y), colour) in pixels(view, block).zip(colours) {
             let (at, cover) = (y * w + x, 1.0 - colour.transmittance);
             output.rgb.data[at * 3..][..3].copy_from_slice(&colour.rgb);
             output.alpha.data[at] = cover;

@@ -19,6 +19,13 @@ pub(crate) struct LayerPlan {
     pub(crate) relu: bool,
 }
 
+impl LayerPlan {
+    /// A layer that reads `taken` columns of the one before.
+    pub(crate) fn after(taken: usize, outputs: usize, relu: bool) -> Self {
+        Self { taken, input: None, outputs, relu }
+    }
+}
+
 /// A layer as stored.
 #[derive(Clone, Debug, PartialEq, Eq)]
 struct DenseLayer {

@@ -52,19 +52,15 @@ fn write_file(path: &Path, header: &Header, arrays: &[&[f32]]) -> std::io::Resul
     let partial = path.with_extension("partial");
     let mut file = std::io::BufWriter::new(std::fs::File::create(&partial)?);
     let mut sum = crc32fast::Hasher::new();
-    let mut put = |bytes: &[u8]| {
-        sum.update(bytes);
-        file.write_all(bytes)
-    };
-    put(MAGIC)?;
-    put(&(header.len() as u64).to_le_bytes())?;
-    put(&header)?;
-    let mut bytes = Vec::new();
+    let mut bytes = [MAGIC, &(header.len() as u64).to_le_bytes(), &header].concat();
     for array in arrays {
+        sum.update(&bytes);
+        file.write_all(&bytes)?;
         bytes.clear();
         bytes.extend(array.iter().flat_map(|value| value.to_le_bytes()));
-        put(&bytes)?;
     }
+    sum.update(&bytes);
+    file.write_all(&bytes)?;
     file.write_all(&sum.finalize().to_le_bytes())?;
     file.into_inner().map_err(|e| e.into_error())?.sync_all()?;
     std::fs::rename(&partial, path)
@@ -77,18 +73,21 @@ pub(crate) fn read(
     dataset: Option<&Dataset>,
     wanted: impl Fn(&Header) -> bool,
 ) -> Result<Option<(Header, Box<dyn RadianceField>)>, FieldError> {
-    let unusable = |reason: String| FieldError::Read { path: path.to_owned(), reason };
     let bytes = match std::fs::read(path) {
         Ok(bytes) => bytes,
         Err(e) if e.kind() == std::io::ErrorKind::NotFound => return Ok(None),
-        Err(e) => return Err(unusable(e.to_string())),
+        Err(e) => return Err(unusable(path, e.to_string())),
     };
-    let (header, rest) = parse(&bytes).map_err(unusable)?;
+    let (header, rest) = parse(&bytes).map_err(|reason| unusable(path, reason))?;
     if !wanted(&header) {
         return Ok(None);
     }
-    let field = restore(&header, rest, dataset).map_err(unusable)?;
+    let field = restore(&header, rest, dataset).map_err(|reason| unusable(path, reason))?;
     Ok(Some((header, field)))
+}
+
+fn unusable(path: &Path, reason: String) -> FieldError {
+    FieldError::Read { path: path.to_owned(), reason }
 }
 
 const SHORT: &str = "it is cut short";

@@ -155,14 +155,15 @@ fn open(
     path: Option<&Path>,
 ) -> Result<(Box<dyn RadianceField>, FieldState), FieldError> {
     let fingerprint = serde_json::to_string(&(config, shape, dataset.normalisation)).unwrap_or_default();
-    let own = |header: &store::Header| {
-        header.shape == shape && header.training.as_ref().is_some_and(|t| t.fingerprint == fingerprint)
-    };
-    if let Some(path) = path
-        && let Some((header, field)) = store::read(path, Some(dataset), own)?
-        && let Some(state) = header.training
-    {
-        return Ok((field, state));
+    if let Some(path) = path {
+        let read = store::read(path, Some(dataset), |header| {
+            header.shape == shape && header.training.as_ref().is_some_and(|t| t.fingerprint == fingerprint)
+        })?;
+        if let Some((header, field)) = read
+            && let Some(state) = header.training
+        {
+            return Ok((field, state));
+        }
     }
     let state = FieldState { fingerprint, ..FieldState::default() };
     Ok((shape.build(Some(dataset), config.seed)?, state))

@@ -40,8 +40,8 @@ impl TrainedField {
         Ok(Self { shape: header.shape, frame: header.frame, field })
     }
 
-    /// A picture from a camera without distortion, at a time in [0, 1] (others are the nearest), over
-    /// a background.
+    /// A picture from a camera without distortion, at a time in [0, 1] (others are the nearest),
+    /// over a background.
     pub fn render(
         &self,
         camera: &Camera,

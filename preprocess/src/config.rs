@@ -4,8 +4,6 @@ use serde::{Deserialize, Serialize};
 
 /// Frames aimed at where no rate is given. Source: chosen by hand, never measured.
 pub const DEFAULT_FRAMES: usize = 100;
-/// Difference of duplicates, 8-bit levels. Source: chosen by hand, never measured.
-const DEFAULT_DUPLICATE_LEVELS: f32 = 2.0;
 const DEFAULT_MASKS: &str = "auto";
 
 /// Which frames of a video, or photos of a folder, become the images of the reconstruction.
@@ -34,7 +32,7 @@ pub struct FrameConfig {
     pub max_size: u32,
     /// A frame that differs from the one before by less than this (in 199 of 200 pixels, 8-bit
     /// levels) is a duplicate and left out; 0 keeps all.
-    #[arg(long, value_parser = between::<f32>(0.0, 256.0), value_name = "LEVELS", default_value_t = DEFAULT_DUPLICATE_LEVELS, help_heading = "Frames")]
+    #[arg(long, value_parser = between::<f32>(0.0, 256.0), value_name = "LEVELS", default_value_t = Self::default().duplicate_levels, help_heading = "Frames")]
     pub duplicate_levels: f32,
     /// Folder of masks for photos, white = keep; `auto` looks for `masks` in and beside the folder,
     /// `off` for none.
@@ -54,7 +52,8 @@ impl Default for FrameConfig {
             start: None,
             end: None,
             max_size: 0,
-            duplicate_levels: DEFAULT_DUPLICATE_LEVELS,
+            // Chosen by hand, never measured.
+            duplicate_levels: 2.0,
             masks: DEFAULT_MASKS.to_owned(),
             invert_masks: false,
         }

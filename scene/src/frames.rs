@@ -65,7 +65,8 @@ impl FrameSet {
         self.frames.len()
     }
 
-    /// Presentation times of all frames, seconds; `None` where not all have one or they do not rise.
+    /// Presentation times of all frames, seconds; `None` where not all have one or they do not
+    /// rise.
     pub fn times(&self) -> Option<Vec<f64>> {
         let times: Vec<f64> = self.frames.iter().filter_map(|f| f.time_s).collect();
         let rising = times.windows(2).all(|w| w[1] > w[0]);

@@ -6,7 +6,8 @@
 //! |---|---|
 //! | pose | `cam_from_world`: `x_cam = R x_world + t`; variables are named `target_from_source` |
 //! | axes | right-handed; camera x right, y down, z forward (COLMAP, OpenCV) |
-//! | world | what is written: y down, the object in the origin, its radius 1 ([`WorldFrame`]); glTF and .spz have y up, transforms.json has z up |
+//! | world | what is written: y down, object in the origin, its radius 1 ([`WorldFrame`]) |
+//! | other worlds | y up in glTF and `.spz`, z up in `transforms.json` |
 //! | pixel | (0, 0) is the image corner, the first pixel's centre is (0.5, 0.5) (COLMAP) |
 //! | quaternion | Hamilton, unit; w x y z in files, x y z w in glam: converted by `io` only |
 //! | units | `_px`, `_s`, radians in code, `_deg` in config and reports, else scene units |

@@ -103,17 +103,16 @@ pub fn ssim(a: &RgbImage, b: &RgbImage, mask: Option<&GrayImage>) -> Result<f64,
     check(a, b, mask, SSIM_WINDOW as u32)?;
     let (width, height) = (a.width() as usize, a.height() as usize);
     let rows = height - 2 * SSIM_REACH;
-    let kept_columns = |y: usize| {
-        let at = (y + SSIM_REACH) * width + SSIM_REACH;
-        mask.map(|m| &m.as_raw()[at..at + width - 2 * SSIM_REACH])
-    };
     let results: Vec<(f64, usize)> = (0..rows)
         .into_par_iter()
         .map_init(
             || RowBuffers::new(width * 3),
-            |buffers, y| match kept_columns(y) {
-                Some(kept) if !kept.iter().any(|&v| keeps(v)) => (0.0, 0),
-                kept => buffers.row(a.as_raw(), b.as_raw(), y, kept),
+            |buffers, y| {
+                let at = (y + SSIM_REACH) * width + SSIM_REACH;
+                match mask.map(|m| &m.as_raw()[at..at + width - 2 * SSIM_REACH]) {
+                    Some(kept) if !kept.iter().any(|&v| keeps(v)) => (0.0, 0),
+                    kept => buffers.row(a.as_raw(), b.as_raw(), y, kept),
+                }
             },
         )
         .collect();

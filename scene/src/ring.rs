@@ -103,10 +103,10 @@ impl Ring {
     pub fn steadiness(&self, places: &[f64]) -> (f64, Vec<f64>) {
         let n = self.angles.len().max(1) as f64;
         let (x0, y0) = (places.iter().sum::<f64>() / n, self.angles.iter().sum::<f64>() / n);
-        let pairs = || places.iter().map(|x| x - x0).zip(self.angles.iter().map(|y| y - y0));
-        let (xy, xx) = pairs().fold((0.0, 0.0), |(xy, xx), (x, y)| (xy + x * y, xx + x * x));
+        let pairs = places.iter().map(|x| x - x0).zip(self.angles.iter().map(|y| y - y0));
+        let (xy, xx) = pairs.clone().fold((0.0, 0.0), |(xy, xx), (x, y)| (xy + x * y, xx + x * x));
         let rate = if xx > 0.0 { xy / xx } else { 0.0 };
-        (rate, pairs().map(|(x, y)| y - rate * x).collect())
+        (rate, pairs.map(|(x, y)| y - rate * x).collect())
     }
 }
 

@@ -47,7 +47,7 @@ impl ShRotation {
     pub fn new(rotation: DQuat) -> Self {
         let samples = quadrature();
         let back = rotation.conjugate();
-        let block = |degree: usize| {
+        let blocks = [1, 2, 3].map(|degree| {
             let (first, n) = (degree * degree, 2 * degree + 1);
             let mut m = vec![0.0; n * n];
             for &(d, weight) in &samples {
@@ -59,8 +59,8 @@ impl ShRotation {
                 }
             }
             m
-        };
-        Self { blocks: [block(1), block(2), block(3)] }
+        });
+        Self { blocks }
     }
 
     /// Turns the coefficients of one Gaussian in place: `K × 3`, coefficient-major, K = 1, 4, 9 or

@@ -4,12 +4,13 @@ use crate::Pose;
 use crate::sim3::least_eigenvector;
 use glam::{DMat3, DVec3};
 
-/// The direction that is up in the world.
+/// The direction that is up in the world. Source: as for cameras held level, whose y points down.
 pub const UP: DVec3 = DVec3::NEG_Y;
 
 /// Usual standard deviations of a camera's roll and pitch, degrees: people hold cameras level far
 /// better than they point them at the horizon. Source: chosen by hand, never measured.
 const ROLL_AND_PITCH_DEG: [f64; 2] = [3.0, 20.0];
+
 /// The direction that is up for cameras that are held level, world frame, unit: as far as may be
 /// perpendicular to their x axes (Brown and Lowe, IJCV 74(1), 2007, section 5), and near their −y
 /// axes where those do not say. `None` without cameras.

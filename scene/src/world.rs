@@ -1,8 +1,8 @@
 //! The frame in which models leave the program.
 //!
 //! A solver's frame is arbitrary. What is written is right-handed with y down, as COLMAP and 3DGS
-//! viewers expect: the object in the origin and one unit its radius, and the first image looks along
-//! z. Formats with another convention are turned on the way ([`crate::io`]).
+//! viewers expect: the object in the origin and one unit its radius, and the first image looks
+//! along z. Formats with another convention are turned on the way ([`crate::io`]).
 
 use crate::decision::{Decision, Quantity, Rule, Subject, UpEvidence};
 use crate::overview::quantile;
@@ -55,9 +55,9 @@ pub struct WorldFrame {
 }
 
 impl WorldFrame {
-    /// Of a model. `ring`: the circle of its cameras, where they stand on one; `turn`: the axis about
-    /// which the object turns, where it does (that of the ring, if there is one, goes through the
-    /// object then); `metric`: units are metres already. `None` of a model without images.
+    /// Of a model. `ring`: the circle of its cameras, where they stand on one; `turn`: the axis
+    /// about which the object turns, where it does (that of the ring, if there is one, goes through
+    /// the object then); `metric`: units are metres already. `None` of a model without images.
     pub fn of(
         model: &Reconstruction,
         ring: Option<&Ring>,
@@ -112,17 +112,17 @@ impl WorldFrame {
     /// `world_from_source` as a similarity.
     pub fn sim3(&self) -> Sim3 {
         let m = &self.world_from_source;
-        let column = |c: usize| DVec3::new(m[0][c], m[1][c], m[2][c]);
-        let linear = DMat3::from_cols(column(0), column(1), column(2));
+        let [x, y, z, translation] = [0, 1, 2, 3].map(|c| DVec3::new(m[0][c], m[1][c], m[2][c]));
+        let linear = DMat3::from_cols(x, y, z);
         let scale = linear.determinant().cbrt();
-        Sim3 { scale, rotation: nearest_rotation(linear), translation: column(3) }
+        Sim3 { scale, rotation: nearest_rotation(linear), translation }
     }
 }
 
 fn rows(sim: &Sim3) -> [[f64; 4]; 4] {
     let linear = DMat3::from_quat(sim.rotation) * sim.scale;
-    let row = |r: usize| linear.row(r).extend(sim.translation[r]).to_array();
-    [row(0), row(1), row(2), [0.0, 0.0, 0.0, 1.0]]
+    let [x, y, z] = [0, 1, 2].map(|r| linear.row(r).extend(sim.translation[r]).to_array());
+    [x, y, z, [0.0, 0.0, 0.0, 1.0]]
 }
 
 /// The rotation into a frame with `up` at −y, in which the camera looks along z, seen from above.

@@ -46,24 +46,24 @@ impl Quality {
 #[derive(Args, Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct TrainConfig {
     /// Training steps; one view each
-    #[arg(long, value_parser = between::<u32>(0, 1_000_000_000), default_value_t = ITERATIONS, help_heading = "Splat")]
+    #[arg(long, value_parser = between::<u32>(0, 1_000_000_000), default_value_t = Self::default().iterations, help_heading = "Splat")]
     pub iterations: u32,
     /// Wall time for training (90, 60s, 5m, 1h): the schedule fits itself into it and --iterations
     /// is not used
     #[arg(long, value_parser = parse_duration, value_name = "TIME", help_heading = "Splat")]
     pub time_limit: Option<f64>,
     /// Never more Gaussians than this
-    #[arg(long, value_parser = between::<usize>(1, 1 << 30), default_value_t = MAX_GAUSSIANS, help_heading = "Splat")]
+    #[arg(long, value_parser = between::<usize>(1, 1 << 30), default_value_t = Self::default().max_gaussians, help_heading = "Splat")]
     pub max_gaussians: usize,
     /// Highest spherical-harmonic degree, 0 to 3
     #[arg(long, default_value_t = MAX_SH_DEGREE, help_heading = "Splat",
           value_parser = clap::value_parser!(u32).range(0..=i64::from(MAX_SH_DEGREE)))]
     pub sh_degree: u32,
     /// Weight of D-SSIM against L1, in [0, 1] (3DGS paper: 0.2)
-    #[arg(long, value_parser = between::<f32>(0.0, 1.0), default_value_t = LAMBDA_DSSIM, help_heading = "Splat")]
+    #[arg(long, value_parser = between::<f32>(0.0, 1.0), default_value_t = Self::default().lambda_dssim, help_heading = "Splat")]
     pub lambda_dssim: f32,
     /// Begin at 1/2^N of the resolution
-    #[arg(long, default_value_t = COARSE_LEVELS, help_heading = "Splat",
+    #[arg(long, default_value_t = Self::default().coarse_levels, help_heading = "Splat",
           value_parser = clap::value_parser!(u32).range(0..=i64::from(MAX_COARSE_LEVELS)))]
     pub coarse_levels: u32,
     /// Factor on every learning rate
@@ -80,7 +80,7 @@ pub struct TrainConfig {
     #[arg(long, value_enum, default_value_t = PoseRefinement::Auto, help_heading = "Splat")]
     pub refine_poses: PoseRefinement,
     /// Steps between checkpoints (0: only when stopped)
-    #[arg(long, default_value_t = CHECKPOINT_EVERY, help_heading = "Splat")]
+    #[arg(long, default_value_t = Self::default().checkpoint_every, help_heading = "Splat")]
     pub checkpoint_every: u32,
     /// Seed of all randomness (the command line has one for all stages)
     #[arg(skip)]
@@ -108,35 +108,29 @@ pub enum PoseRefinement {
     Off,
 }
 
-/// Steps. Source: docs/benchmarks.md, splats by preset: a few minutes on two cores.
-const ITERATIONS: u32 = 4000;
-/// Gaussians. Source: docs/decisions/13 (150,000 kept lego400 from gaining between one and five
-/// minutes).
-const MAX_GAUSSIANS: usize = 300_000;
-/// Weight of D-SSIM against L1. Source: Kerbl et al. 2023.
-const LAMBDA_DSSIM: f32 = 0.2;
-/// Halvings of the resolution at the start. Source: docs/decisions/13 (full resolution throughout
-/// loses 0.3 dB).
-const COARSE_LEVELS: u32 = 2;
-/// The most of them. Source: at 1/16 a picture of a megapixel has 60 × 60 pixels.
+/// Most halvings of the resolution at the start. Source: at 1/16 a picture of a megapixel has 60 ×
+/// 60 pixels.
 pub(crate) const MAX_COARSE_LEVELS: u32 = 4;
-/// Steps between checkpoints. Source: chosen by hand: half a minute to a minute of work.
-const CHECKPOINT_EVERY: u32 = 1000;
 
 impl Default for TrainConfig {
     fn default() -> Self {
         Self {
-            iterations: ITERATIONS,
+            // A few minutes on two cores (docs/benchmarks.md, splats by preset).
+            iterations: 4000,
             time_limit: None,
-            max_gaussians: MAX_GAUSSIANS,
+            // 150,000 kept lego400 from gaining between one and five minutes (docs/decisions/13).
+            max_gaussians: 300_000,
             sh_degree: MAX_SH_DEGREE,
-            lambda_dssim: LAMBDA_DSSIM,
-            coarse_levels: COARSE_LEVELS,
+            // Kerbl et al. 2023.
+            lambda_dssim: 0.2,
+            // Full resolution throughout loses 0.3 dB (docs/decisions/13).
+            coarse_levels: 2,
             learning_rate: 1.0,
             antialias: false,
             smoothing: false,
             refine_poses: PoseRefinement::Auto,
-            checkpoint_every: CHECKPOINT_EVERY,
+            // Half a minute to a minute of work.
+            checkpoint_every: 1000,
             seed: 0,
             device: DeviceConfig::default(),
             seconds_gone: 0.0,

@@ -6,19 +6,23 @@ use crate::view::PinholeView;
 use glam::Vec3;
 use rayon::prelude::*;
 
-/// Coverage (of 255) below which a pixel of a matte shows only background. Source: 3 %, chosen by
-/// hand, never measured.
-const EMPTY: u8 = 8;
-/// Level of the outlines (1: half the resolution): mattes and poses are no more exact.
-/// Source: chosen by hand, never measured.
-const LEVEL: usize = 1;
-/// Views with a matte from which a hull is told. Source: chosen by hand, never measured.
-const LEAST_VIEWS: usize = 8;
-/// Views that may contradict a place before it counts as outside. Source: chosen by hand: mattes
-/// lose a rod here and there.
-const FEW: usize = 2;
-/// The same as a share of those that see it, one in so many. Source: see [`FEW`].
-const ONE_IN: usize = 20;
+/// How a hull is told from mattes. All numbers were chosen by hand and never measured.
+struct HullRules {
+    /// Coverage (of 255) below which a pixel of a matte shows only background: 3 %.
+    empty: u8,
+    /// Level of the outlines (1: half the resolution): mattes and poses are no more exact.
+    level: usize,
+    /// Views with a matte from which a hull is told.
+    least_views: usize,
+    /// Views that may contradict a place before it counts as outside: mattes lose a rod here and
+    /// there.
+    few: usize,
+    /// The same as a share of those that see it, one in so many.
+    one_in: usize,
+}
+
+/// See [`HullRules`].
+const RULES: HullRules = HullRules { empty: 8, level: 1, least_views: 8, few: 2, one_in: 20 };
 
 /// The silhouette of one view, widened.
 struct Silhouette {
@@ -39,7 +43,7 @@ impl VisualHull {
     /// From the mattes of `views`; `None` where fewer than eight have one.
     pub(crate) fn of<'a>(views: impl Iterator<Item = &'a View>) -> Option<Self> {
         let silhouettes: Vec<Silhouette> = views.filter_map(Silhouette::of).collect();
-        (silhouettes.len() >= LEAST_VIEWS).then_some(Self { silhouettes })
+        (silhouettes.len() >= RULES.least_views).then_some(Self { silhouettes })
     }
 
     /// Whether too many views show background at `x` (frame of the views).
@@ -49,7 +53,7 @@ impl VisualHull {
             seen += 1;
             empty += usize::from(!covered);
         }
-        empty > FEW && empty * ONE_IN > seen
+        empty > RULES.few && empty * RULES.one_in > seen
     }
 
     /// Removes Gaussians whose centre the hull excludes; returns how many. None where that would
@@ -63,13 +67,13 @@ impl VisualHull {
 
 impl Silhouette {
     fn of(view: &View) -> Option<Self> {
-        let level = LEVEL.min(view.levels.len() - 1);
+        let level = RULES.level.min(view.levels.len() - 1);
         let pixels = &view.levels[level];
         let mask = pixels.mask.as_ref()?;
         let (w, h) = (pixels.width, pixels.height);
-        let margin = MATTE_MARGIN_PX >> LEVEL;
+        let margin = MATTE_MARGIN_PX >> RULES.level;
         let mut covered = vec![false; w * h];
-        for i in (0..w * h).filter(|i| mask[*i] >= EMPTY) {
+        for i in (0..w * h).filter(|i| mask[*i] >= RULES.empty) {
             let (x, y) = (i % w, i / w);
             for row in y.saturating_sub(margin)..(y + margin + 1).min(h) {
                 covered[row * w + x.saturating_sub(margin)..row * w + (x + margin + 1).min(w)].fill(true);

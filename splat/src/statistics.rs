@@ -14,7 +14,7 @@ pub struct Statistics {
 
 impl Statistics {
     /// Whether they are of no Gaussian: nothing was seen yet.
-    pub fn is_empty(&self) -> bool {
+    pub(crate) fn is_empty(&self) -> bool {
         self.gradient.is_empty() && self.visible.is_empty()
     }
 

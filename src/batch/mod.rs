@@ -1,5 +1,5 @@
-//! `batch`: many captures on one machine, as many at a time as cores and memory allow; `collect`: one
-//! table and one page of all of them.
+//! `batch`: many captures on one machine, as many at a time as cores and memory allow; `collect`:
+//! one table and one page of all of them.
 //!
 //! A capture is a process of its own: one that fails, or is killed, takes no other with it. Its log
 //! lies beside its folder. Called again, a batch goes on where it stopped, as each run does.

@@ -1,5 +1,5 @@
-//! `export --for TOOL`: a folder that the tool loads as it is, with nothing in it that would mislead
-//! it.
+//! `export --for TOOL`: a folder that the tool loads as it is, with nothing in it that would
+//! mislead it.
 
 mod images;
 

@@ -56,6 +56,8 @@ pub(crate) struct Pass<'a> {
     pub(crate) transposed: Weights<'a>,
     /// Weight of a ray's loss.
     pub(crate) weight: f32,
+    /// See [`huber`].
+    pub(crate) linear_from: f32,
 }
 
 /// Buffers of a stretch.
@@ -175,7 +177,7 @@ impl Pass<'_> {
             }));
             let background = ray.sighting.background;
             let shown = compose(traced.iter().map(|s| (s.density, s.dt, 0.0, s.rgb)), background);
-            let (loss, of_ray) = huber(shown.rgb, ray.sighting.colour);
+            let (loss, of_ray) = huber(shown.rgb, ray.sighting.colour, self.linear_from);
             sums.loss += f64::from(loss);
             sums.square_error += square_error(shown.rgb, ray.sighting.colour);
             compose_backward(traced, background, of_ray.map(|g| g * self.weight));

@@ -1,28 +1,22 @@
 //! The multiresolution hash encoding (Müller et al. 2022, section 3): tables of features at the
 //! corners of grids from coarse to fine, interpolated at a point.
 
+use super::settings::{GridSettings, NgpShape};
 use crate::adam::{AdamMoments, AdamRates};
 use rand::Rng as _;
 use rayon::prelude::*;
-use scene::rng::rng;
+use scene::rng::{Rng, rng};
 
 /// Features of a corner: one register of 128 bits.
 /// Source: the authors' base configuration (8 levels of 4 features; the paper has 16 of 2).
 pub(crate) const FEATURES: usize = 4;
 /// Features of one corner.
 pub(crate) type Corner = [f32; FEATURES];
-/// Cells along a side of the coarsest grid. Source: Müller et al. 2022, table 1.
-pub(crate) const COARSEST: f64 = 16.0;
-/// Cells along a side of the finest grid over the unit cube.
-/// Source: Müller et al. 2022, section 5.4.
-pub(crate) const FINEST: f64 = 2048.0;
 /// Multipliers of the coordinates in the hash. Source: Müller et al. 2022, section 3.
 const PRIMES: [u32; 3] = [1, 2_654_435_761, 805_459_861];
-/// Largest feature at the start, either sign. Source: Müller et al. 2022, section 4.
-const INITIAL: f32 = 1e-4;
-/// Samples that one task encodes, so that a level's features stay in the cache.
-/// Source: chosen by hand; the result does not depend on it.
-const CHUNK: usize = 1 << 14;
+/// Samples or cells of a task: many tasks for many threads, few enough samples that a level's
+/// features stay in the cache. Source: chosen by hand.
+pub(super) const CHUNK: usize = 1 << 14;
 
 /// One grid: where the corners of a cell lie in its table.
 #[derive(Clone, Copy, Debug)]
@@ -58,13 +52,6 @@ pub(crate) struct GridTable {
 #[derive(Clone, Debug)]
 pub(crate) struct HashGrid {
     pub(crate) tables: Vec<GridTable>,
-}
-
-/// The grids of `count` levels whose tables have at most `2^log2_entries` corners, over a cube
-/// `side` times as large as the smallest.
-pub(crate) fn levels(count: usize, log2_entries: u32, side: f32) -> Vec<GridLevel> {
-    let growth = (FINEST * f64::from(side) / COARSEST).powf(1.0 / (count.max(2) - 1) as f64);
-    (0..count).map(|l| GridLevel::new(COARSEST * growth.powi(l as i32), 1 << log2_entries)).collect()
 }
 
 impl GridLevel {
@@ -117,6 +104,15 @@ pub(crate) fn inside(position: [f32; 3]) -> [f32; 3] {
 }
 
 impl GridTable {
+    /// Random features, up to `initial` either way.
+    fn new(level: GridLevel, initial: f32, rng: &mut Rng) -> Self {
+        let values = (0..level.entries)
+            .map(|_| std::array::from_fn(|_| rng.random_range(-initial..initial)))
+            .collect();
+        let gradient = vec![[0.0; FEATURES]; level.entries];
+        Self { level, values, gradient, moments: AdamMoments::new(level.entries * FEATURES) }
+    }
+
     /// The features at a point of the unit cube.
     #[inline(always)]
     pub(crate) fn features(&self, position: [f32; 3]) -> Corner {
@@ -152,17 +148,17 @@ impl GridTable {
 }
 
 impl HashGrid {
-    /// Small random features.
-    pub(crate) fn new(levels: &[GridLevel], seed: u64) -> Self {
-        let table = |(index, level): (usize, &GridLevel)| {
-            let mut rng = rng(seed, "hash grid", index as u64);
-            let values = (0..level.entries)
-                .map(|_| std::array::from_fn(|_| rng.random_range(-INITIAL..INITIAL)))
-                .collect();
-            let gradient = vec![[0.0; FEATURES]; level.entries];
-            GridTable { level: *level, values, gradient, moments: AdamMoments::new(level.entries * FEATURES) }
-        };
-        Self { tables: levels.par_iter().enumerate().map(table).collect() }
+    /// Small random features: cells grow by the same factor from level to level.
+    pub(super) fn new(shape: &NgpShape, settings: &GridSettings, seed: u64) -> Self {
+        let GridSettings { coarsest, finest, initial } = *settings;
+        let steps = (shape.levels.max(2) - 1) as f64;
+        let growth = (finest * f64::from(shape.side()) / coarsest).powf(1.0 / steps);
+        let tables = (0..shape.levels).into_par_iter().map(|index| {
+            let cells = coarsest * growth.powi(index as i32);
+            let level = GridLevel::new(cells, 1 << shape.log2_entries);
+            GridTable::new(level, initial, &mut rng(seed, "hash grid", index as u64))
+        });
+        Self { tables: tables.collect() }
     }
 
     /// Features of many points, by level: `[levels][points]`.

@@ -7,6 +7,7 @@ mod hash_grid;
 mod network;
 mod occupancy;
 mod render;
+mod settings;
 mod store;
 mod train;
 
@@ -16,46 +17,22 @@ mod reference;
 mod tests;
 
 use crate::adam::AdamMoments;
-use crate::domain::Domain;
 use crate::field::{Kept, RadianceField, StepPlace, StepReport};
 use crate::rays::{PhotoRays, Ray};
 use crate::{FieldError, rays};
 use hash_grid::HashGrid;
 use network::{NgpNetwork, Weights};
 use occupancy::{LocalRay, Occupancy};
-use serde::{Deserialize, Serialize};
 use serde_json::Value;
+use settings::NgpSettings;
+pub(crate) use settings::NgpShape;
 use splat::{PinholeView, RenderOutput};
-
-/// Levels of the hash grid. Source: the authors' base configuration.
-const LEVELS: usize = 8;
-/// Most corners of a level, as a power of two. Source: docs/decisions/19 (the paper: 19).
-const LOG2_ENTRIES: u32 = 17;
-/// Samples of a step. Source: docs/decisions/19 (the paper: 2¹⁸).
-const SAMPLES: usize = 1 << 16;
-
-/// Rays of the first step, when every cell may hold something.
-/// Source: a thousand samples each make the samples of a step.
-const FIRST_RAYS: usize = 256;
-/// Most levels and powers of two in files. Source: twice the paper's, or more.
-const MOST_LEVELS: usize = 32;
-/// See [`MOST_LEVELS`].
-const MOST_LOG2: u32 = 24;
-
-/// The shape of an Instant NeRF.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
-pub(crate) struct NgpShape {
-    pub(crate) domain: Domain,
-    pub(crate) levels: usize,
-    pub(crate) log2_entries: u32,
-    /// Samples of a step.
-    pub(crate) samples: usize,
-}
 
 /// An Instant NeRF.
 #[derive(Clone, Debug)]
 pub(crate) struct InstantNgp {
     shape: NgpShape,
+    settings: NgpSettings,
     grid: HashGrid,
     network: NgpNetwork,
     /// Weights of the density network, then of the colour network.
@@ -66,36 +43,17 @@ pub(crate) struct InstantNgp {
     rays: usize,
 }
 
-impl NgpShape {
-    /// The defaults for a data set.
-    pub(crate) fn new(domain: Domain) -> Self {
-        Self { domain, levels: LEVELS, log2_entries: LOG2_ENTRIES, samples: SAMPLES }
-    }
-
-    /// Whether fields of this shape can be made.
-    pub(crate) fn is_sane(&self) -> bool {
-        self.domain.is_sane()
-            && (1..=MOST_LEVELS).contains(&self.levels)
-            && (1..=MOST_LOG2).contains(&self.log2_entries)
-            && (1..=SAMPLES).contains(&self.samples)
-    }
-
-    /// Side of the outermost cube, where the smallest has side 1.
-    fn side(&self) -> f32 {
-        (1u32 << (self.domain.cascades - 1)) as f32
-    }
-}
-
 impl InstantNgp {
     /// Untrained; `views` are the cameras of the training views.
     pub(crate) fn new(shape: NgpShape, views: &[PinholeView], seed: u64) -> Self {
-        let levels = hash_grid::levels(shape.levels, shape.log2_entries, shape.side());
-        let network = NgpNetwork::new(shape.levels);
+        let settings = NgpSettings::default();
+        let network = NgpNetwork::new(shape.levels, settings.hidden);
         let weights = network.initial(seed);
         let moments = [AdamMoments::new(weights[0].len()), AdamMoments::new(weights[1].len())];
-        let grid = HashGrid::new(&levels, seed);
-        let occupancy = Occupancy::new(&shape.domain, views);
-        Self { shape, grid, network, weights, moments, occupancy, rays: FIRST_RAYS }
+        let grid = HashGrid::new(&shape, &settings.grid, seed);
+        let occupancy = Occupancy::new(&shape.domain, settings.occupancy, views);
+        let rays = settings.first_rays;
+        Self { shape, settings, grid, network, weights, moments, occupancy, rays }
     }
 
     /// A ray in the frame of the smallest cube; distances along it are `2 · half` times as long.

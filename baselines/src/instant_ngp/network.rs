@@ -9,8 +9,6 @@ use scene::sh::{SH_COUNT, sh_basis};
 /// Outputs of the density network, the first of which is the density's logarithm.
 /// Source: Müller et al. 2022, section 5.4.
 pub(crate) const LATENT: usize = 16;
-/// Width of the hidden layers. Source: Müller et al. 2022, section 5.4.
-const HIDDEN: usize = 64;
 /// Largest logarithm of a density: the exponential's gradient is truncated there.
 /// Source: Müller et al. 2022's published settings.
 const LOG_DENSITY: f32 = 15.0;
@@ -48,11 +46,11 @@ pub(crate) fn encode_direction(ray: &Ray) -> [f32; SH_COUNT] {
 }
 
 impl NgpNetwork {
-    /// For a hash grid of so many levels.
-    pub(crate) fn new(levels: usize) -> Self {
+    /// For a hash grid of so many levels, with hidden layers of so many units.
+    pub(crate) fn new(levels: usize, hidden: usize) -> Self {
         Self {
-            density: Mlp::new(&[levels * FEATURES, HIDDEN, LATENT]),
-            colour: Mlp::new(&[LATENT + SH_COUNT, HIDDEN, HIDDEN, 3]),
+            density: Mlp::new(&[levels * FEATURES, hidden, LATENT]),
+            colour: Mlp::new(&[LATENT + SH_COUNT, hidden, hidden, 3]),
         }
     }
 

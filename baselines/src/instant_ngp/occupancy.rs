@@ -1,6 +1,7 @@
 //! Which cells of space hold something: a grid of bits by cascade, and the march of rays through
 //! it (Müller et al. 2022, appendix E).
 
+use super::settings::OccupancySettings;
 use crate::domain::Domain;
 use glam::Vec3;
 use rayon::prelude::*;
@@ -10,22 +11,12 @@ use splat::PinholeView;
 pub(crate) const SIDE: usize = 128;
 /// Cells of a cascade.
 pub(crate) const CELLS: usize = SIDE * SIDE * SIDE;
-/// Steps along the diagonal of the smallest cube. Source: Müller et al. 2022, appendix E.1, have
-/// 1,024; docs/decisions/19.
-const STEPS: f32 = 512.0;
-/// A step in distances from the camera, outside the smallest cube.
-/// Source: Müller et al. 2022, appendix E.1.
-const CONE: f32 = 1.0 / 256.0;
-/// Opacity of one smallest step from which a cell counts as occupied.
-/// Source: Müller et al. 2022, appendix E.2.
-const OPAQUE: f32 = 0.01;
-/// Most samples of a ray. Source: the diagonal of the smallest cube.
-const MOST: usize = 1024;
 
 /// Densities by cell, and the cells that count as occupied.
 #[derive(Clone, Debug)]
 pub(crate) struct Occupancy {
     cascades: u32,
+    settings: OccupancySettings,
     /// Half a side of the smallest cube is ½ here: [cascades × CELLS], −1 where no camera looks.
     pub(crate) density: Vec<f32>,
     bits: Vec<u64>,
@@ -59,11 +50,6 @@ pub(crate) struct March {
     left: usize,
 }
 
-/// Shortest step.
-pub(crate) fn shortest() -> f32 {
-    3f32.sqrt() / STEPS
-}
-
 /// Centre of a cell of a cascade, moved by `jitter` ∈ [−½, ½]³ cells.
 pub(crate) fn cell_point(cell: usize, jitter: [f32; 3]) -> [f32; 3] {
     let (cascade, at) = (cell / CELLS, cell % CELLS);
@@ -74,17 +60,14 @@ pub(crate) fn cell_point(cell: usize, jitter: [f32; 3]) -> [f32; 3] {
 
 impl Occupancy {
     /// All that some camera sees may hold something.
-    pub(crate) fn new(domain: &Domain, views: &[PinholeView]) -> Self {
+    pub(super) fn new(domain: &Domain, settings: OccupancySettings, views: &[PinholeView]) -> Self {
         let cascades = domain.cascades;
-        let seen = |cell: usize| {
-            let p = (Vec3::from(cell_point(cell, [0.0; 3])) - 0.5) * (2.0 * domain.half) + domain.centre;
-            // Half the diagonal of a cell: what a camera sees of the cell counts, not of its centre.
-            let reach = domain.half * (1u32 << (cell / CELLS)) as f32 * 3f32.sqrt() / SIDE as f32;
-            views.iter().any(|v| near_frustum(v, p, reach))
-        };
-        let density = (0..cascades as usize * CELLS).into_par_iter();
-        let density = density.map(|cell| if seen(cell) { 0.0 } else { -1.0 }).collect();
-        let mut new = Self { cascades, density, bits: vec![0; cascades as usize * CELLS / 64] };
+        let density = (0..cascades as usize * CELLS)
+            .into_par_iter()
+            .map(|cell| if is_seen(cell, domain, views) { 0.0 } else { -1.0 })
+            .collect();
+        let bits = vec![0; cascades as usize * CELLS / 64];
+        let mut new = Self { cascades, settings, density, bits };
         new.bits.iter_mut().enumerate().for_each(|(i, word)| {
             for bit in 0..64 {
                 *word |= u64::from(new.density[i * 64 + bit] >= 0.0) << bit;
@@ -93,18 +76,13 @@ impl Occupancy {
         new
     }
 
-    /// Of densities that were kept.
-    pub(crate) fn from_density(cascades: u32, density: Vec<f32>) -> Self {
-        let mut new = Self { cascades, bits: vec![0; density.len() / 64], density };
-        new.refresh();
-        new
-    }
-
-    /// Marks the cells whose density is above the mean, or opaque enough.
-    pub(crate) fn refresh(&mut self) {
+    /// Takes densities of all cells, and marks the cells whose density is above the mean, or opaque
+    /// enough.
+    pub(crate) fn set_density(&mut self, density: Vec<f32>) {
+        self.density = density;
         let finest = &self.density[..CELLS];
         let sum: f64 = finest.iter().map(|&d| f64::from(d.max(0.0))).sum();
-        let limit = (OPAQUE / shortest()).min((sum / CELLS as f64) as f32);
+        let limit = (self.settings.opaque / self.settings.shortest()).min((sum / CELLS as f64) as f32);
         let density = &self.density;
         self.bits.par_iter_mut().enumerate().for_each(|(i, word)| {
             *word = (0..64).map(|bit| u64::from(density[i * 64 + bit] > limit) << bit).sum();
@@ -124,16 +102,23 @@ impl Occupancy {
         let (a, b) = ((0.5 - half - ray.origin) * inverse, (0.5 + half - ray.origin) * inverse);
         let (begin, end) = (a.min(b).max_element().max(0.0), a.max(b).min_element());
         let t = begin + jitter * self.step(begin);
-        March { ray, inverse, t, end: if begin.is_finite() { end } else { f32::NEG_INFINITY }, left: MOST }
+        March {
+            ray,
+            inverse,
+            t,
+            end: if begin.is_finite() { end } else { f32::NEG_INFINITY },
+            left: self.settings.most,
+        }
     }
 
     /// Length of a step at a distance.
     #[inline(always)]
     fn step(&self, t: f32) -> f32 {
         if self.cascades == 1 {
-            return shortest();
+            return self.settings.shortest();
         }
-        (t * CONE).clamp(shortest(), shortest() * (1u32 << (self.cascades - 1)) as f32)
+        let shortest = self.settings.shortest();
+        (t * self.settings.cone).clamp(shortest, shortest * (1u32 << (self.cascades - 1)) as f32)
     }
 
     /// The next sample in an occupied cell.
@@ -180,6 +165,14 @@ impl Occupancy {
     }
 }
 
+/// Whether some camera may see a part of a cell.
+fn is_seen(cell: usize, domain: &Domain, views: &[PinholeView]) -> bool {
+    let centre = (Vec3::from(cell_point(cell, [0.0; 3])) - 0.5) * (2.0 * domain.half) + domain.centre;
+    // Half the diagonal of a cell: what a camera sees of the cell counts, not of its centre.
+    let reach = domain.half * (1u32 << (cell / CELLS)) as f32 * 3f32.sqrt() / SIDE as f32;
+    views.iter().any(|v| near_frustum(v, centre, reach))
+}
+
 /// Whether a ball may be seen by a camera.
 fn near_frustum(view: &PinholeView, centre: Vec3, radius: f32) -> bool {
     let c = view.rotation * centre + view.translation;
@@ -190,6 +183,7 @@ fn near_frustum(view: &PinholeView, centre: Vec3, radius: f32) -> bool {
     let [cx, cy] = view.centre;
     let (left, right) = (cx / view.focal[0], (view.width as f32 - cx) / view.focal[0]);
     let (up, down) = (cy / view.focal[1], (view.height as f32 - cy) / view.focal[1]);
-    let beyond = |along: f32, slope: f32| along - slope * c.z > radius * (1.0 + slope * slope).sqrt();
-    !(beyond(-c.x, left) || beyond(c.x, right) || beyond(-c.y, up) || beyond(c.y, down))
+    ![(-c.x, left), (c.x, right), (-c.y, up), (c.y, down)]
+        .iter()
+        .any(|(along, slope)| along - slope * c.z > radius * (1.0 + slope * slope).sqrt())
 }

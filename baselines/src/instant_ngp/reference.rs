@@ -2,7 +2,7 @@
 //! code is tested against.
 
 use super::gradient::RayBatch;
-use super::hash_grid::{COARSEST, FEATURES, FINEST};
+use super::hash_grid::FEATURES;
 use crate::dense::place;
 
 /// Parameters in f64.
@@ -22,8 +22,8 @@ pub(super) fn matrices(widths: &[usize], packed: &[f32]) -> Vec<Vec<Vec<f64>>> {
     let mut layers = Vec::new();
     for w in widths.windows(2) {
         let (inputs, outputs) = (w[0], w[1]);
-        let at = |i, o| f64::from(packed[begin + place(i, o, inputs)]);
-        layers.push((0..inputs).map(|i| (0..outputs).map(|o| at(i, o)).collect()).collect());
+        let row = |i| (0..outputs).map(|o| f64::from(packed[begin + place(i, o, inputs)])).collect();
+        layers.push((0..inputs).map(row).collect());
         begin += inputs * outputs;
     }
     layers
@@ -49,7 +49,7 @@ impl ReferenceField {
         let count = self.tables.len();
         let mut out = Vec::new();
         for (level, table) in self.tables.iter().enumerate() {
-            let cells = COARSEST * (FINEST / COARSEST).powf(level as f64 / (count - 1) as f64);
+            let cells = 16.0 * 128f64.powf(level as f64 / (count - 1) as f64);
             let scale = cells - 1.0;
             let side = scale.ceil() as u64 + 2;
             let x = p.map(|v| v * scale + 0.5);

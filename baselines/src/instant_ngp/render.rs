@@ -22,11 +22,12 @@ impl InstantNgp {
     /// Colours, transmittances and distances of rays.
     pub(super) fn trace(&self, rays: &[Ray], background: [f32; 3], out: &mut [RayColour]) {
         let directions: Vec<[f32; SH_COUNT]> = rays.iter().map(encode_direction).collect();
-        let begin = |(ray, r): (usize, &Ray)| {
-            out[ray] = RayColour { transmittance: 1.0, ..RayColour::default() };
-            Alive { ray, march: self.occupancy.march(self.local(r), 0.5), samples: 0 }
-        };
-        let mut alive: Vec<Alive> = rays.iter().enumerate().map(begin).collect();
+        out.fill(RayColour { transmittance: 1.0, ..RayColour::default() });
+        let mut alive: Vec<Alive> = rays
+            .iter()
+            .enumerate()
+            .map(|(ray, r)| Alive { ray, march: self.occupancy.march(self.local(r), 0.5), samples: 0 })
+            .collect();
         let (mut layers, mut samples, mut points) = (Layers::default(), Vec::new(), Vec::new());
         while !alive.is_empty() {
             samples.clear();

@@ -1,7 +1,6 @@
 //! What of an Instant NeRF is kept in files.
 
 use super::InstantNgp;
-use super::occupancy::Occupancy;
 use crate::field::Kept;
 use crate::kept::{Restored, kept_arrays};
 use serde_json::{Value, json};
@@ -30,7 +29,7 @@ impl InstantNgp {
     ) -> Result<(), String> {
         let mut restored = Restored::new(kept, arrays)?;
         let density = restored.take(self.occupancy.density.len(), false)?;
-        self.occupancy = Occupancy::from_density(self.shape.domain.cascades, density);
+        self.occupancy.set_density(density);
         for (weights, moments) in self.weights.iter_mut().zip(&mut self.moments) {
             restored.take_trained(weights, moments)?;
         }

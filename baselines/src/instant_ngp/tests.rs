@@ -7,6 +7,7 @@ use super::occupancy::Sample;
 use super::reference::{ReferenceField, matrices};
 use super::*;
 use crate::composite::compose;
+use crate::domain::Domain;
 use crate::rays::Sighting;
 use glam::Vec3;
 use rand::Rng as _;
@@ -64,6 +65,7 @@ fn gradients(field: &InstantNgp, batch: &RayBatch) -> Sums {
         weights: field.weights(),
         transposed: Weights { density: &transposed[0], colour: &transposed[1] },
         weight: 1.0 / batch.rays.len() as f32,
+        linear_from: field.settings.linear_from,
     };
     pass.stretch(batch, &batch.rays)
 }

@@ -2,7 +2,7 @@
 
 use super::InstantNgp;
 use super::gradient::{Pass, RayBatch, Sums, TrainingRay};
-use super::hash_grid::{Corner, FEATURES};
+use super::hash_grid::{CHUNK, Corner, FEATURES};
 use super::network::{LATENT, Weights, density};
 use super::occupancy::cell_point;
 use crate::adam::AdamRates;
@@ -11,45 +11,14 @@ use crate::mlp::Activations;
 use crate::rays::{Draw, PhotoRays, Sighting};
 use rand::Rng as _;
 use rayon::prelude::*;
-use scene::rng::rng;
+use scene::rng::{Rng, rng};
 
-/// Most rays of a step. Source: as many as samples: each ray has one at least.
-const MOST_RAYS: usize = 1 << 18;
-/// Learning rate. Source: Müller et al. 2022, section 4.
-const LEARNING_RATE: f64 = 1e-2;
-/// Decay of the second moment. Source: Müller et al. 2022, section 4.
-const BETA2: f32 = 0.99;
-/// Against division by nothing. Source: Müller et al. 2022, section 4.
-const EPSILON: f32 = 1e-15;
-/// Weight decay of the networks. Source: Müller et al. 2022, section 4.
-const DECAY: f32 = 1e-6;
-/// Factor of the learning rate at each of [`FALLS`]. Source: the authors' base configuration.
-const FALL: f64 = 0.33;
-/// Positions in the schedule at which it falls.
-/// Source: the base configuration: steps 20,000, 30,000 and 40,000 of 50,000.
-const FALLS: [f64; 3] = [0.4, 0.6, 0.8];
-/// Position from which the weights are averaged: what lies earlier no longer counts at the end.
-/// Source: 0.95 to the power of the steps left is nothing.
-const AVERAGE_FROM: f64 = 0.9;
-/// Steps between updates of the occupancy. Source: Müller et al. 2022, appendix E.2.
-const OCCUPANCY_EVERY: u32 = 16;
-/// Cells that an update visits, in samples of a step: an update costs less than one step.
-/// Source: Müller et al. 2022, appendix E.2, visit 2²⁰ cells where a step has 2¹⁸ samples.
-const VISITED: usize = 4;
-/// Share of a cell's density that an update keeps. Source: Müller et al. 2022, appendix E.2.
-const KEPT: f32 = 0.95;
-/// Stretches of rays whose gradients are added up apart: many enough for many threads.
-/// Source: chosen by hand; part of the result, as sums have a fixed order.
-const STRETCHES: usize = 32;
 /// Cells that are evaluated together. Source: a second-level cache of 512 KiB.
 const BLOCK: usize = 1024;
-/// Cells of a task. Source: chosen by hand: many tasks for many threads.
-const CHUNK: usize = 1 << 14;
-
 impl InstantNgp {
     /// See [`crate::RadianceField::train_step`].
     pub(super) fn step(&mut self, photos: &PhotoRays, place: StepPlace) -> StepReport {
-        if place.step.is_multiple_of(OCCUPANCY_EVERY) {
+        if place.step.is_multiple_of(self.settings.occupancy.every) {
             self.update_occupancy(place);
         }
         let sightings = photos.sample(Draw::anywhere(self.rays), place.seed, place.step);
@@ -58,21 +27,21 @@ impl InstantNgp {
         let sums = self.gradients(&batch);
         self.descend(&batch, &sums, place);
         let rays = batch.rays.len().max(1);
-        let mean = |of: fn(&Sums) -> f64| sums.iter().map(of).sum::<f64>() / rays as f64;
         let survivors = sums.iter().map(|s| s.survivors.len()).sum();
         let report = StepReport {
-            loss: mean(|s| s.loss),
-            square_error: mean(|s| s.square_error),
+            loss: sums.iter().map(|s| s.loss).sum::<f64>() / rays as f64,
+            square_error: sums.iter().map(|s| s.square_error).sum::<f64>() / rays as f64,
             rays: batch.rays.len(),
             samples: batch.samples.len(),
             operations: self.operations(batch.samples.len(), survivors),
         };
         let seen = batch.samples.len().max(1);
-        self.rays = (rays * self.shape.samples / seen).clamp(1, (2 * self.rays).min(MOST_RAYS));
+        self.rays = (rays * self.shape.samples / seen).clamp(1, (2 * self.rays).min(self.settings.most_rays));
         report
     }
 
-    /// Products of weights and sums of a step: densities of all samples, and all else of those seen.
+    /// Products of weights and sums of a step: densities of all samples, and all else of those
+    /// seen.
     fn operations(&self, samples: usize, survivors: usize) -> f64 {
         let [density, colour] = [&self.network.density, &self.network.colour].map(|n| 2 * n.parameters());
         (samples * density + survivors * (2 * density + 3 * colour)) as f64
@@ -80,22 +49,15 @@ impl InstantNgp {
 
     /// The samples of rays in occupied cells.
     fn march(&self, sightings: &[Sighting], place: StepPlace) -> RayBatch {
-        let stretch = sightings.len().div_ceil(STRETCHES).max(1);
-        let part = |(index, sightings): (usize, &[Sighting])| {
-            let mut rng = rng(place.seed, "march", (u64::from(place.step) << 16) + index as u64);
-            let mut batch = RayBatch::default();
-            for &sighting in sightings {
-                let begin = batch.samples.len();
-                let mut march = self.occupancy.march(self.local(&sighting.ray), rng.random());
-                while let Some(sample) = self.occupancy.next(&mut march) {
-                    batch.points.push(self.grid_point(sample.position));
-                    batch.samples.push(sample);
-                }
-                batch.rays.push(TrainingRay { sighting, begin, count: batch.samples.len() - begin });
-            }
-            batch
-        };
-        let parts: Vec<RayBatch> = sightings.par_chunks(stretch).enumerate().map(part).collect();
+        let stretch = sightings.len().div_ceil(self.settings.stretches).max(1);
+        let parts: Vec<RayBatch> = sightings
+            .par_chunks(stretch)
+            .enumerate()
+            .map(|(index, sightings)| {
+                let stream = (u64::from(place.step) << 16) + index as u64;
+                self.march_stretch(sightings, &mut rng(place.seed, "march", stream))
+            })
+            .collect();
         let mut all = RayBatch::default();
         for part in parts {
             let begin = all.samples.len();
@@ -104,6 +66,20 @@ impl InstantNgp {
             all.points.extend(part.points);
         }
         all
+    }
+
+    fn march_stretch(&self, sightings: &[Sighting], rng: &mut Rng) -> RayBatch {
+        let mut batch = RayBatch::default();
+        for &sighting in sightings {
+            let begin = batch.samples.len();
+            let mut march = self.occupancy.march(self.local(&sighting.ray), rng.random());
+            while let Some(sample) = self.occupancy.next(&mut march) {
+                batch.points.push(self.grid_point(sample.position));
+                batch.samples.push(sample);
+            }
+            batch.rays.push(TrainingRay { sighting, begin, count: batch.samples.len() - begin });
+        }
+        batch
     }
 
     /// Gradients by stretch of rays.
@@ -117,19 +93,20 @@ impl InstantNgp {
             weights: self.weights(),
             transposed: Weights { density: &transposed[0], colour: &transposed[1] },
             weight: 1.0 / batch.rays.len().max(1) as f32,
+            linear_from: self.settings.linear_from,
         };
-        let stretch = batch.rays.len().div_ceil(STRETCHES).max(1);
+        let stretch = batch.rays.len().div_ceil(self.settings.stretches).max(1);
         batch.rays.par_chunks(stretch).map(|rays| pass.stretch(batch, rays)).collect()
     }
 
     /// Adam on the networks and, level by level, on the tables.
     fn descend(&mut self, batch: &RayBatch, sums: &[Sums], place: StepPlace) {
-        let falls = FALLS.iter().filter(|&&at| place.position >= at).count();
-        let rate = LEARNING_RATE * FALL.powi(falls as i32);
-        let rates = AdamRates {
-            average: place.position >= AVERAGE_FROM,
-            ..AdamRates::new(rate as f32, BETA2, EPSILON, place.step + 1)
-        };
+        let settings = &self.settings;
+        let falls = settings.falls.iter().filter(|&&at| place.position >= at).count();
+        let rate = settings.learning_rate * settings.fall.powi(falls as i32);
+        let mut rates = settings.adam.rates(rate as f32, place.step + 1);
+        rates.average = (place.position >= settings.average_from).then_some(settings.average);
+        let with_decay = AdamRates { decay: settings.decay, ..rates };
         let of: [fn(&Sums) -> &Vec<f32>; 2] = [|s| &s.density, |s| &s.colour];
         let networks = self.weights.iter_mut().zip(&mut self.moments).zip(of);
         for ((weights, moments), of) in networks {
@@ -137,7 +114,7 @@ impl InstantNgp {
             for part in sums {
                 gradient.iter_mut().zip(of(part)).for_each(|(g, p)| *g += p);
             }
-            moments.step(weights, &mut gradient, &AdamRates { decay: DECAY, ..rates });
+            moments.step(weights, &mut gradient, &with_decay);
         }
         let width = self.network.density.inputs();
         self.grid.tables.par_iter_mut().enumerate().rev().for_each(|(level, table)| {
@@ -154,34 +131,39 @@ impl InstantNgp {
 
     /// Looks at the densities of cells again.
     fn update_occupancy(&mut self, place: StepPlace) {
-        let update = (place.step / OCCUPANCY_EVERY) as usize;
-        let few = (self.occupancy.density.len() / (VISITED * self.shape.samples)).max(1);
+        let settings = &self.settings.occupancy;
+        let update = (place.step / settings.every) as usize;
+        let few = (self.occupancy.density.len() / (settings.visited * self.shape.samples)).max(1);
         let apart = if place.step == 0 { 1 } else { few };
         let mut densities = std::mem::take(&mut self.occupancy.density);
-        densities.iter_mut().filter(|d| **d > 0.0).for_each(|d| *d *= KEPT);
-        let visit = |(index, densities): (usize, &mut [f32])| {
-            let mut rng = rng(place.seed, "occupancy", (u64::from(place.step) << 20) + index as u64);
+        densities.iter_mut().filter(|d| **d > 0.0).for_each(|d| *d *= settings.kept);
+        densities.par_chunks_mut(CHUNK).enumerate().for_each(|(index, densities)| {
+            let stream = (u64::from(place.step) << 20) + index as u64;
             let first = index * CHUNK;
             let cells: Vec<usize> = (0..densities.len())
                 .filter(|i| (first + i + update).is_multiple_of(apart) && densities[*i] >= 0.0)
                 .collect();
-            let mut layers = Activations::default();
-            for cells in cells.chunks(BLOCK) {
-                let points: Vec<[f32; 3]> = cells
-                    .iter()
-                    .map(|i| {
-                        let jitter = rng.random::<[f32; 3]>().map(|j| j - 0.5);
-                        self.grid_point(cell_point(first + i, jitter))
-                    })
-                    .collect();
-                self.network.densities(&self.grid, &self.weights[0], &points, &mut layers);
-                for (&i, outputs) in cells.iter().zip(layers.layers[2].chunks_exact(LATENT)) {
-                    densities[i] = densities[i].max(density(outputs[0]));
-                }
+            self.visit(&cells, first, densities, &mut rng(place.seed, "occupancy", stream));
+        });
+        self.occupancy.set_density(densities);
+    }
+
+    /// Raises the densities of cells to those at a place in each; `densities` begin with cell
+    /// `first`, `cells` are counted from there.
+    fn visit(&self, cells: &[usize], first: usize, densities: &mut [f32], rng: &mut Rng) {
+        let mut layers = Activations::default();
+        for cells in cells.chunks(BLOCK) {
+            let points: Vec<[f32; 3]> = cells
+                .iter()
+                .map(|i| {
+                    let jitter = rng.random::<[f32; 3]>().map(|j| j - 0.5);
+                    self.grid_point(cell_point(first + i, jitter))
+                })
+                .collect();
+            self.network.densities(&self.grid, &self.weights[0], &points, &mut layers);
+            for (&i, outputs) in cells.iter().zip(layers.layers[2].chunks_exact(LATENT)) {
+                densities[i] = densities[i].max(density(outputs[0]));
             }
-        };
-        densities.par_chunks_mut(CHUNK).enumerate().for_each(visit);
-        self.occupancy.density = densities;
-        self.occupancy.refresh();
+        }
     }
 }

@@ -2,6 +2,7 @@
 //! section 4.2).
 
 use super::hexplane::{CHUNK, FEATURES, HexPlanes, LEVELS, Place, Smoothness};
+use super::settings::MovingSettings;
 use super::shape::{MOVES, MovingShape};
 use crate::adam::{AdamMoments, AdamRates};
 use crate::stack::{LayerPlan, Stack, StackLayers};
@@ -9,18 +10,11 @@ use rayon::prelude::*;
 use scene::rng::rng;
 use splat::model::Planes;
 
-/// Units of the first layer. Source: Wu et al. 2024's settings for synthetic scenes.
-const WIDTH: usize = 64;
-/// Units of the second layer: those of the paper's three heads beside each other.
-const HEADS: usize = 3 * WIDTH;
-/// Smoothness. Source: Wu et al. 2024's settings: total variation, smoothness in time, L1 of
-/// planes of time.
-const SMOOTHNESS: Smoothness = Smoothness { space: 2e-4, time: 1e-3, still: 1e-4 };
-
 /// Planes and perceptron, and their optimiser.
 #[derive(Clone, Debug)]
 pub(super) struct Deformation {
     shape: MovingShape,
+    smoothness: Smoothness,
     pub(super) stack: Stack,
     pub(super) planes: HexPlanes,
     pub(super) weights: Vec<f32>,
@@ -37,12 +31,13 @@ pub(super) struct DeformationGradient {
 
 impl Deformation {
     /// One that moves nothing yet.
-    pub(super) fn new(shape: MovingShape, seed: u64) -> Self {
-        let layer = |taken, input, outputs, relu| LayerPlan { taken, input, outputs, relu };
+    pub(super) fn new(shape: MovingShape, settings: &MovingSettings, seed: u64) -> Self {
+        // The paper's three heads lie beside each other.
+        let (width, heads) = (settings.width, 3 * settings.width);
         let plans = [
-            layer(0, Some(0), WIDTH, true),
-            layer(WIDTH, None, HEADS, true),
-            layer(HEADS, None, MOVES, false),
+            LayerPlan { input: Some(0), ..LayerPlan::after(0, width, true) },
+            LayerPlan::after(width, heads, true),
+            LayerPlan::after(heads, MOVES, false),
         ];
         let stack = Stack::new(&[FEATURES * LEVELS], &plans);
         let mut weights = stack.initial(&mut rng(seed, "deformation", 0));
@@ -50,7 +45,7 @@ impl Deformation {
         let planes = HexPlanes::new(shape.space, shape.times, seed);
         let plane_moments = planes.values.iter().map(|v| AdamMoments::new(v.len())).collect();
         let weight_moments = AdamMoments::new(weights.len());
-        Self { shape, stack, planes, weights, plane_moments, weight_moments }
+        Self { shape, smoothness: settings.smoothness, stack, planes, weights, plane_moments, weight_moments }
     }
 
     /// Numbers learnt.
@@ -147,7 +142,7 @@ impl Deformation {
         planes: &AdamRates,
         weights: &AdamRates,
     ) {
-        self.planes.add_smoothness(&SMOOTHNESS, &mut gradient.planes);
+        self.planes.add_smoothness(&self.smoothness, &mut gradient.planes);
         let values = self.planes.values.par_iter_mut().zip(&mut gradient.planes);
         values
             .zip(&mut self.plane_moments)

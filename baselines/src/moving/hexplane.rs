@@ -1,9 +1,9 @@
-//! HexPlane (Cao and Johnson 2023; Wu et al. 2024, section 4.2): features of a place and a time from
-//! six planes, one for each pair of coordinates, multiplied with each other.
+//! HexPlane (Cao and Johnson 2023; Wu et al. 2024, section 4.2): features of a place and a time
+//! from six planes, one for each pair of coordinates, multiplied with each other.
 
 use rand::Rng as _;
 use rayon::prelude::*;
-use scene::rng::rng;
+use scene::rng::{Rng, rng};
 
 /// Features of a cell. Source: Wu et al. 2024's settings.
 pub(super) const FEATURES: usize = 16;
@@ -34,7 +34,7 @@ pub(super) struct HexShape {
 }
 
 /// Weights of what planes should be like besides.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Smoothness {
     /// Squared differences between neighbours in space.
     pub(super) space: f32,
@@ -66,6 +66,29 @@ impl HexShape {
 
     fn len(&self) -> usize {
         self.size[0] * self.size[1] * FEATURES
+    }
+
+    /// Values at the start.
+    fn initial(&self, rng: &mut Rng) -> Vec<f32> {
+        if self.is_of_time() {
+            return vec![1.0; self.len()];
+        }
+        (0..self.len()).map(|_| rng.random_range(INITIAL)).collect()
+    }
+
+    /// The values' gradient from those of what is read at places.
+    fn scatter<'a>(&self, read: impl Iterator<Item = (&'a Place, &'a Cell)>) -> Vec<f32> {
+        let mut gradient = vec![0.0; self.len()];
+        for (place, cell) in read {
+            let corners = self.corners(place);
+            for (at, share) in corners.at.iter().zip(corners.share) {
+                let sum = &mut gradient[*at..][..FEATURES];
+                for k in 0..FEATURES {
+                    sum[k] += share * cell[k];
+                }
+            }
+        }
+        gradient
     }
 
     #[inline(always)]
@@ -107,19 +130,16 @@ impl Corners {
 impl HexPlanes {
     /// Of so many cells along each axis of space on the first level, and in time.
     pub(super) fn new(space: usize, time: usize, seed: u64) -> Self {
-        let shape = |index: usize| {
-            let (level, axes) = (index / PAIRS.len(), PAIRS[index % PAIRS.len()]);
-            let size = axes.map(|a| if a == TIME { time } else { space << level });
-            HexShape { axes, size }
-        };
-        let shapes: Vec<HexShape> = (0..PAIRS.len() * LEVELS).map(shape).collect();
-        let values = |(index, shape): (usize, &HexShape)| {
-            let mut rng = rng(seed, "planes", index as u64);
-            let value = || if shape.is_of_time() { 1.0 } else { rng.random_range(INITIAL) };
-            std::iter::repeat_with(value).take(shape.len()).collect()
-        };
-        let values = shapes.iter().enumerate().map(values).collect();
-        Self { shapes, values }
+        let mut shapes = Vec::new();
+        for level in 0..LEVELS {
+            shapes.extend(PAIRS.map(|axes| HexShape {
+                axes,
+                size: axes.map(|a| if a == TIME { time } else { space << level }),
+            }));
+        }
+        let planes = shapes.iter().enumerate();
+        let values = planes.map(|(i, shape)| shape.initial(&mut rng(seed, "planes", i as u64)));
+        Self { values: values.collect(), shapes }
     }
 
     /// Features of a place into a row, level by level.
@@ -149,20 +169,14 @@ impl HexPlanes {
                 rows.zip(places).for_each(|((cells, row), place)| self.of_cells(place, row, cells));
             },
         );
-        let scatter = |(plane, shape): (usize, &HexShape)| {
-            let mut gradient = vec![0.0; shape.len()];
-            for (place, cells) in places.iter().zip(of_cells.chunks_exact(planes)) {
-                let corners = shape.corners(place);
-                for (at, share) in corners.at.iter().zip(corners.share) {
-                    let sum = &mut gradient[*at..][..FEATURES];
-                    for k in 0..FEATURES {
-                        sum[k] += share * cells[plane][k];
-                    }
-                }
-            }
-            gradient
-        };
-        self.shapes.par_iter().enumerate().map(scatter).collect()
+        self.shapes
+            .par_iter()
+            .enumerate()
+            .map(|(plane, shape)| {
+                let cells = of_cells.iter().skip(plane).step_by(planes);
+                shape.scatter(places.iter().zip(cells))
+            })
+            .collect()
     }
 
     /// The gradient of what each plane shows at a place: that of the product, times the others.

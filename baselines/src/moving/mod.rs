@@ -3,6 +3,7 @@
 
 mod deformation;
 mod hexplane;
+mod settings;
 mod shape;
 mod store;
 mod train;
@@ -16,6 +17,7 @@ use crate::rays::PhotoRays;
 use deformation::Deformation;
 use scene::FloatImage;
 use serde_json::Value;
+use settings::MovingSettings;
 pub(crate) use shape::MovingShape;
 use splat::moved::MovedGaussians;
 use splat::{Dataset, PinholeView, RenderOptions, RenderOutput};
@@ -24,6 +26,7 @@ use std::sync::Mutex;
 /// Moving Gaussians.
 pub(crate) struct Moving {
     shape: MovingShape,
+    settings: MovingSettings,
     gaussians: MovedGaussians,
     deformation: Deformation,
     /// Rounds of densification done.
@@ -35,10 +38,11 @@ pub(crate) struct Moving {
 impl Moving {
     /// Untrained; without a data set there are no Gaussians yet.
     pub(crate) fn new(shape: MovingShape, dataset: Option<&Dataset>, seed: u64) -> Result<Self, FieldError> {
-        let first = dataset.map(|d| shape.first_gaussians(d, seed));
+        let settings = MovingSettings::default();
+        let first = dataset.map(|d| shape.first_gaussians(&settings.first, d, seed));
         let gaussians = first.transpose()?.unwrap_or_default();
-        let deformation = Deformation::new(shape, seed);
-        Ok(Self { shape, gaussians, deformation, rounds: 0, shown: Mutex::new(None) })
+        let deformation = Deformation::new(shape, &settings, seed);
+        Ok(Self { shape, settings, gaussians, deformation, rounds: 0, shown: Mutex::new(None) })
     }
 
     fn picture(

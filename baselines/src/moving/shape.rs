@@ -1,5 +1,6 @@
 //! The shape of moving Gaussians: what their sizes follow from.
 
+use super::settings::FirstGaussians;
 use crate::domain::Domain;
 use glam::{Quat, Vec3};
 use rand::Rng as _;
@@ -13,32 +14,22 @@ use splat::moved::MovedGaussians;
 /// Planes of the geometry that move: mean, logarithms of the scales, quaternion.
 /// Source: Wu et al. 2024's settings (opacity and colour stay).
 pub(super) const MOVES: usize = 10;
-/// Cells along each axis of space on the first level. Source: Wu et al. 2024's settings.
-const SPACE: usize = 64;
-/// Times that share a cell of time. Source: Wu et al. 2024's settings for synthetic scenes.
-const TIMES_A_CELL: usize = 2;
-/// Most cells of time. Source: Wu et al. 2024's settings for HyperNeRF's scenes.
-const MOST_TIMES: usize = 150;
-/// Most Gaussians. Source: docs/decisions/19.
-const MOST_GAUSSIANS: usize = 30_000;
-/// Gaussians at the start where there is no cloud. Source: chosen by hand: a fifth lie in the object.
-const FIRST: usize = 5_000;
-/// Their standard deviation in mean distances of neighbours. Source: chosen by hand.
-const SIZE: f32 = 0.4;
-/// Logit of their opacity. Source: Kerbl et al. 2023 (0.1).
-const LOGIT: f32 = -2.2;
 /// Most Gaussians in a file. Source: memory: 16 GiB of parameters and moments.
 pub(super) const MOST_IN_FILES: usize = 1 << 24;
+/// Most cells along an axis of planes in a file. Source: seven times the authors' or more.
+const MOST_CELLS: usize = 1 << 10;
 
 /// The shape of moving Gaussians.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub(crate) struct MovingShape {
     pub(crate) domain: Domain,
     /// Cells of the planes along axes of space, on the first level.
+    /// Source: Wu et al. 2024's settings.
     pub(crate) space: usize,
-    /// Cells of the planes along time.
+    /// Cells of the planes along time. Source: Wu et al. 2024: half as many as there are times in
+    /// their settings for synthetic scenes, 150 in those for HyperNeRF's scenes.
     pub(crate) times: usize,
-    /// Most Gaussians.
+    /// Most Gaussians. Source: docs/decisions/19.
     pub(crate) gaussians: usize,
     /// Width of a pixel in the scene, normalised units.
     pub(crate) pixel: f32,
@@ -50,31 +41,34 @@ impl MovingShape {
         let mut distinct = times.to_vec();
         distinct.sort_by(f32::total_cmp);
         distinct.dedup();
-        let times = (distinct.len() / TIMES_A_CELL).clamp(2, MOST_TIMES);
+        let times = (distinct.len() / 2).clamp(2, 150);
         let pixel = MovedGaussians::pixel(dataset);
-        Self { domain, space: SPACE, times, gaussians: MOST_GAUSSIANS, pixel }
+        Self { domain, space: 64, times, gaussians: 30_000, pixel }
     }
 
     /// Gaussians at the points of the cloud or, without one, anywhere in the cube: what mattes of
     /// different times leave room for together is only what stands still.
     pub(super) fn first_gaussians(
         &self,
+        first: &FirstGaussians,
         dataset: &Dataset,
         seed: u64,
     ) -> Result<MovedGaussians, splat::SplatError> {
         if self.domain.cascades > 1 || !dataset.points.is_empty() {
             return MovedGaussians::of(dataset, self.gaussians, seed);
         }
-        let (half, count) = (self.domain.half, FIRST.min(self.gaussians));
+        let (half, count) = (self.domain.half, first.count.min(self.gaussians));
         let mut rng = rng(seed, "first", 0);
         let scale = 2.0 * half / (count as f32).cbrt();
-        let place =
-            |_| self.domain.centre + Vec3::from(rng.random::<[f32; 3]>().map(|v| (2.0 * v - 1.0) * half));
+        let mut means = Vec::new();
+        means.resize_with(count, || {
+            self.domain.centre + Vec3::from(rng.random::<[f32; 3]>().map(|v| (2.0 * v - 1.0) * half))
+        });
         MovedGaussians::new(Model::from_gaussians(&Gaussians {
-            means: (0..count).map(place).collect(),
-            log_scales: vec![Vec3::splat((SIZE * scale).ln()); count],
+            means,
+            log_scales: vec![Vec3::splat((first.size * scale).ln()); count],
             rotations: vec![Quat::IDENTITY; count],
-            opacity_logits: vec![LOGIT; count],
+            opacity_logits: vec![first.logit; count],
             sh: vec![0.0; 3 * count],
             sh_degree: 0,
         }))
@@ -84,8 +78,8 @@ impl MovingShape {
     pub(crate) fn is_sane(&self) -> bool {
         let Self { domain, space, times, gaussians, pixel } = *self;
         domain.is_sane()
-            && (2..=8 * SPACE).contains(&space)
-            && (1..=8 * MOST_TIMES).contains(&times)
+            && (2..=MOST_CELLS).contains(&space)
+            && (1..=MOST_CELLS).contains(&times)
             && (1..=MOST_IN_FILES).contains(&gaussians)
             && pixel.is_finite()
     }

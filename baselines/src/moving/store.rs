@@ -41,15 +41,14 @@ impl Moving {
         let mut model = empty(notes)?;
         let mut seen = Statistics::default();
         seen.reset(model.len);
-        let mut take = |into: &mut Vec<f32>| -> Result<(), String> {
-            *into = restored.take(into.len(), false)?;
-            Ok(())
-        };
-        model.geometry.iter_mut().chain([&mut model.sh]).try_for_each(&mut take)?;
+        let mut arrays: Vec<&mut Vec<f32>> = model.geometry.iter_mut().chain([&mut model.sh]).collect();
         if kept == Kept::Training {
-            model.geometry_m.iter_mut().chain(&mut model.geometry_v).try_for_each(&mut take)?;
-            let rest = [&mut model.sh_m, &mut model.sh_v, &mut model.steps];
-            rest.into_iter().chain([&mut seen.gradient, &mut seen.visible]).try_for_each(&mut take)?;
+            arrays.extend(model.geometry_m.iter_mut().chain(&mut model.geometry_v));
+            arrays.extend([&mut model.sh_m, &mut model.sh_v, &mut model.steps]);
+            arrays.extend([&mut seen.gradient, &mut seen.visible]);
+        }
+        for array in arrays {
+            *array = restored.take(array.len(), false)?;
         }
         self.gaussians = MovedGaussians::new(model).map_err(|e| e.to_string())?;
         self.gaussians.set_statistics(seen).map_err(|e| e.to_string())?;
@@ -64,13 +63,15 @@ impl Moving {
     }
 }
 
+/// A number of the notes, which is `most` at most.
+fn number(notes: &Value, what: &str, most: usize) -> Result<usize, String> {
+    let n = notes[what].as_u64().and_then(|n| usize::try_from(n).ok());
+    n.filter(|n| *n <= most).ok_or_else(|| format!("its number of {what} makes no sense"))
+}
+
 /// Gaussians as many as the notes say, of zeros.
 fn empty(notes: &Value) -> Result<Model, String> {
-    let number = |what: &str, most: usize| {
-        let n = notes[what].as_u64().and_then(|n| usize::try_from(n).ok());
-        n.filter(|n| *n <= most).ok_or_else(|| format!("its number of {what} makes no sense"))
-    };
-    let (n, degree) = (number("gaussians", MOST_IN_FILES)?, number("degree", 3)?);
+    let (n, degree) = (number(notes, "gaussians", MOST_IN_FILES)?, number(notes, "degree", 3)?);
     Ok(Model::from_gaussians(&Gaussians {
         means: vec![Vec3::ZERO; n],
         log_scales: vec![Vec3::ZERO; n],

@@ -21,7 +21,7 @@ fn shape() -> MovingShape {
 /// A deformation that moves, and Gaussians at rest.
 fn moving() -> (Deformation, Planes) {
     let mut rng = rng(3, "moving", 0);
-    let mut deformation = Deformation::new(shape(), 3);
+    let mut deformation = Deformation::new(shape(), &MovingSettings::default(), 3);
     deformation.weights.iter_mut().for_each(|w| *w = rng.random_range(-0.3..0.3));
     let values = deformation.planes.values.iter_mut().flatten();
     values.for_each(|v| *v = rng.random_range(0.2..1.2));
@@ -197,7 +197,7 @@ fn smoothness_has_the_gradient_of_what_it_says() {
 #[test]
 fn a_new_deformation_moves_nothing_and_times_outside_the_video_are_its_ends() {
     let rest = moving().1;
-    assert_eq!(Deformation::new(shape(), 1).moved(&rest, COUNT, 0.5), rest);
+    assert_eq!(Deformation::new(shape(), &MovingSettings::default(), 1).moved(&rest, COUNT, 0.5), rest);
     let (deformation, _) = moving();
     let at = |time| deformation.moved(&rest, COUNT, time);
     assert_eq!((at(-0.5), at(1.5)), (at(0.0), at(1.0)));

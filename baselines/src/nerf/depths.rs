@@ -29,11 +29,10 @@ impl Reach {
 
     /// One distance in each of `count` equal parts, random in it where there is a generator.
     pub(super) fn stratified(&self, count: usize, mut rng: Option<&mut Rng>, out: &mut Vec<f32>) {
-        let place = |i| {
+        for i in 0..count {
             let offset = rng.as_mut().map_or(0.5, |r| r.random::<f32>());
-            self.at((i as f32 + offset) / count as f32)
-        };
-        out.extend((0..count).map(place));
+            out.push(self.at((i as f32 + offset) / count as f32));
+        }
     }
 
     /// Length of the stretch that each sample stands for: to the next one.
@@ -54,7 +53,7 @@ pub(super) fn refine(
 ) {
     let begin = out.len();
     out.extend_from_slice(depths);
-    let middle = |i: usize| 0.5 * (depths[i] + depths[i + 1]);
+    let middles: Vec<f32> = depths.windows(2).map(|d| 0.5 * (d[0] + d[1])).collect();
     let inner = &weights[1..weights.len() - 1];
     let total: f32 = inner.iter().map(|w| w + LEAST).sum();
     let (mut bin, mut below) = (0, 0.0);
@@ -66,7 +65,7 @@ pub(super) fn refine(
             bin += 1;
         }
         let share = ((wanted - below) / (inner[bin] + LEAST)).clamp(0.0, 1.0);
-        out.push(middle(bin) + (middle(bin + 1) - middle(bin)) * share);
+        out.push(middles[bin] + (middles[bin + 1] - middles[bin]) * share);
     }
     out[begin..].sort_by(f32::total_cmp);
 }

@@ -1,5 +1,5 @@
-//! The positional encoding (Mildenhall et al. 2020, equation 4): a number, then sines and cosines of
-//! it in octaves.
+//! The positional encoding (Mildenhall et al. 2020, equation 4): a number, then sines and cosines
+//! of it in octaves.
 
 use std::f32::consts::PI;
 

@@ -11,7 +11,7 @@ use scene::rng::Rng;
 
 /// Samples that are evaluated together, unless one ray has more.
 /// Source: docs/decisions/19: a third-level cache holds their activations.
-const GROUP: usize = 384;
+pub(super) const GROUP: usize = 384;
 
 /// A ray of a step.
 #[derive(Clone, Debug)]

@@ -8,6 +8,7 @@ mod encoding;
 mod gradient;
 mod network;
 mod render;
+mod settings;
 mod train;
 
 #[cfg(test)]
@@ -26,88 +27,21 @@ use encoding::encode;
 use glam::Vec3;
 use network::{DIRECTION_OCTAVES, ENCODED_DIRECTION, NerfNetworks, NerfRay, NerfWeights};
 use scene::rng::rng;
-use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
+use settings::NerfSettings;
+pub(crate) use settings::NerfShape;
 use splat::{PinholeView, RenderOutput};
-
-/// Units of a layer. Source: Mildenhall et al. 2020, appendix A.
-const WIDTH: usize = 256;
-/// Coarse samples of a ray, and fine ones. Source: Mildenhall et al. 2020, section 5.3.
-const SAMPLES: [usize; 2] = [64, 128];
-/// Rays of a step. Source: Mildenhall et al. 2020: 4,096 in the paper, 1,024 in their program.
-const RAYS: usize = 1024;
-/// Rays of a step of D-NeRF. Source: Pumarola et al. 2021's settings for synthetic scenes.
-const DEFORMED_RAYS: usize = 500;
-/// The same for a training with a time limit. Source: docs/decisions/19.
-const BUDGET_WIDTH: usize = 64;
-/// See [`BUDGET_WIDTH`].
-const BUDGET_SAMPLES: [usize; 2] = [32, 32];
-/// See [`BUDGET_WIDTH`].
-const BUDGET_RAYS: usize = 512;
-/// Nearest place in distances of the points seen, where no masks bound the scene.
-/// Source: Mildenhall et al. 2020's program for photos.
-const NEAREST: f32 = 0.9;
-/// Most of each in a file. Source: eight times the paper's.
-const MOST: usize = 8 * RAYS;
-
-/// The shape of a NeRF.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
-pub(crate) struct NerfShape {
-    pub(crate) domain: Domain,
-    /// Nearest place that is sampled, normalised units.
-    pub(crate) near: f32,
-    pub(crate) width: usize,
-    /// Coarse and fine.
-    pub(crate) samples: [usize; 2],
-    /// Rays of a step.
-    pub(crate) rays: usize,
-    /// Whether positions are moved to time 0 first, and one network is both coarse and fine.
-    pub(crate) deformed: bool,
-    /// Whether the schedule is the time limit's.
-    pub(crate) budget: bool,
-}
 
 /// A NeRF or D-NeRF.
 #[derive(Clone, Debug)]
 pub(crate) struct Nerf {
     shape: NerfShape,
+    settings: NerfSettings,
     networks: NerfNetworks,
     /// Parameters of the coarse and of the fine network, or of the one for both and of the
     /// deformation.
     weights: [Vec<f32>; 2],
     moments: [AdamMoments; 2],
-}
-
-impl NerfShape {
-    /// The papers' settings, or with a `budget` those of a training with a time limit.
-    pub(crate) fn new(domain: Domain, nearest_point: f32, deformed: bool, budget: bool) -> Self {
-        let rays = if deformed { DEFORMED_RAYS } else { RAYS };
-        let paper = Self {
-            domain,
-            near: if domain.cascades == 1 { 0.0 } else { NEAREST * nearest_point },
-            width: WIDTH,
-            samples: SAMPLES,
-            rays,
-            deformed,
-            budget,
-        };
-        if !budget {
-            return paper;
-        }
-        Self { width: BUDGET_WIDTH, samples: BUDGET_SAMPLES, rays: BUDGET_RAYS, ..paper }
-    }
-
-    /// Whether fields of this shape can be made.
-    pub(crate) fn is_sane(&self) -> bool {
-        let Self { width, samples, rays, near, .. } = *self;
-        self.domain.is_sane()
-            && near.is_finite()
-            && near >= 0.0
-            && (32..=MOST).contains(&width)
-            && width.is_multiple_of(32)
-            && samples.iter().all(|n| (3..=MOST).contains(n))
-            && (1..=MOST).contains(&rays)
-    }
 }
 
 impl Nerf {
@@ -118,7 +52,7 @@ impl Nerf {
         let first = networks.radiance.initial(&mut rng);
         let second = networks.deformation.as_ref().unwrap_or(&networks.radiance).initial(&mut rng);
         let moments = [AdamMoments::new(first.len()), AdamMoments::new(second.len())];
-        Self { shape, networks, weights: [first, second], moments }
+        Self { shape, settings: NerfSettings::default(), networks, weights: [first, second], moments }
     }
 
     /// A ray in the frame of the field's cube, and the stretch of it inside; none where it misses.

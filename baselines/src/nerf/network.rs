@@ -13,7 +13,7 @@ pub(super) const TIME_OCTAVES: usize = 10;
 /// Layers before the density. Source: Mildenhall et al. 2020, appendix A; Pumarola et al. 2021,
 /// section 4.
 pub(super) const TRUNK: usize = 8;
-/// DenseLayer that reads the position again. Source: Mildenhall et al. 2020, appendix A.
+/// Layer that reads the position again. Source: Mildenhall et al. 2020, appendix A.
 pub(super) const SKIP: usize = 5;
 /// Values of an encoded direction.
 pub(super) const ENCODED_DIRECTION: usize = 3 * encoded(DIRECTION_OCTAVES);
@@ -66,15 +66,14 @@ impl NerfNetworks {
                 relu: true,
             })
             .collect();
-        let rest = |taken, input, outputs, relu| LayerPlan { taken, input, outputs, relu };
         let position = 3 * encoded(POSITION_OCTAVES);
         let head = [
-            rest(width, None, width + 1, false),
-            rest(width, Some(1), width / 2, true),
-            rest(width / 2, None, 3, false),
+            LayerPlan::after(width, width + 1, false),
+            LayerPlan { input: Some(1), ..LayerPlan::after(width, width / 2, true) },
+            LayerPlan::after(width / 2, 3, false),
         ];
         let radiance = Stack::new(&[position, ENCODED_DIRECTION], &[&trunk[..], &head].concat());
-        let moved = [&trunk[..], &[rest(width, None, 3, false)]].concat();
+        let moved = [&trunk[..], &[LayerPlan::after(width, 3, false)]].concat();
         let deformation = deformed.then(|| Stack::new(&[position + encoded(TIME_OCTAVES)], &moved));
         Self { radiance, deformation, density: width }
     }

@@ -36,15 +36,16 @@ pub(super) fn sizes(width: usize, position: usize, deformation: bool) -> Vec<(us
 }
 
 fn affine(stack: &Stack, parameters: &[f32], sizes: &[(usize, usize)]) -> Vec<Affine> {
-    let layer = |(l, &(inputs, outputs)): (usize, &(usize, usize))| {
+    let mut layers = Vec::new();
+    for (l, &(inputs, outputs)) in sizes.iter().enumerate() {
         let (place, bias) = stack.places(l);
-        let at = |i, o| f64::from(parameters[place(i, o)]);
-        Affine {
-            weights: (0..outputs).map(|o| (0..inputs).map(|i| at(i, o)).collect()).collect(),
+        let row = |o| (0..inputs).map(|i| f64::from(parameters[place(i, o)])).collect();
+        layers.push(Affine {
+            weights: (0..outputs).map(row).collect(),
             bias: bias.take(outputs).map(|b| f64::from(parameters[b])).collect(),
-        }
-    };
-    sizes.iter().enumerate().map(layer).collect()
+        });
+    }
+    layers
 }
 
 /// The encoding of numbers, in the order of the production code.
@@ -61,8 +62,8 @@ fn waves(x: &[f64], octaves: usize) -> Vec<f64> {
 
 impl Affine {
     fn apply(&self, x: &[f64]) -> Vec<f64> {
-        let dot = |w: &Vec<f64>| w.iter().zip(x).map(|(w, x)| w * x).sum::<f64>();
-        self.weights.iter().zip(&self.bias).map(|(w, b)| dot(w) + b).collect()
+        let rows = self.weights.iter().zip(&self.bias);
+        rows.map(|(w, b)| w.iter().zip(x).map(|(w, x)| w * x).sum::<f64>() + b).collect()
     }
 }
 
@@ -82,10 +83,12 @@ impl ReferenceNerf {
     pub(super) fn new(field: &Nerf, pass: usize) -> Self {
         let parts = field.parts(&field.weights, pass);
         let (width, networks) = (field.shape.width, &field.networks);
-        let deformed = |stack| affine(stack, parts.deformation, &sizes(width, 84, true));
         Self {
             radiance: affine(&networks.radiance, parts.radiance, &sizes(width, 63, false)),
-            deformation: networks.deformation.as_ref().map(deformed),
+            deformation: networks
+                .deformation
+                .as_ref()
+                .map(|stack| affine(stack, parts.deformation, &sizes(width, 84, true))),
             width,
         }
     }

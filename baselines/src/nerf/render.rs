@@ -2,12 +2,10 @@
 
 use super::Nerf;
 use super::depths::{Reach, refine, weights};
+use super::gradient::GROUP;
 use super::network::{NerfLayers, NerfRay};
 use crate::composite::{RayColour, compose};
 use crate::rays::Ray;
-
-/// Rays that are evaluated together. Source: as many samples as a training's group.
-const GROUP: usize = 4;
 
 impl Nerf {
     /// Colours, transmittances and distances of rays.
@@ -22,7 +20,7 @@ impl Nerf {
         }
         let (mut layers, mut shares) = (NerfLayers::default(), Vec::new());
         let ([coarse, fine], unit) = (self.shape.samples, self.unit());
-        for group in inside.chunks(GROUP) {
+        for group in inside.chunks((GROUP / (coarse + fine)).max(1)) {
             let plain: Vec<NerfRay> = group.iter().map(|(_, ray, _)| ray.clone()).collect();
             let (mut first, mut second) = (Vec::new(), Vec::new());
             group.iter().for_each(|(.., reach)| reach.stratified(coarse, None, &mut first));

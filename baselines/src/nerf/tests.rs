@@ -9,8 +9,12 @@ use rand::Rng as _;
 
 fn small_field(deformed: bool) -> Nerf {
     let domain = Domain { centre: Vec3::ZERO, half: 1.0, cascades: 1 };
-    let shape =
-        NerfShape { width: 32, samples: [8, 8], rays: 20, ..NerfShape::new(domain, 0.0, deformed, false) };
+    let shape = NerfShape {
+        width: 32,
+        samples: [8, 8],
+        rays: 20,
+        ..NerfShape::with_near(domain, 0.0, deformed, false)
+    };
     let mut field = Nerf::new(shape, 5);
     // Gradients large enough that differences of losses show them.
     field.weights[..2 - usize::from(deformed)].iter_mut().flatten().for_each(|w| *w *= 1.6);

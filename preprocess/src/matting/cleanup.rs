@@ -7,14 +7,21 @@ use super::screen::clean_plate::CleanPlate;
 use super::solve::Matte;
 use super::trimap::Trimap;
 
-/// Objects smaller than this share of the largest are specks.
-/// Source: chosen by hand, never measured.
-pub(crate) const SPECK_SHARE: f32 = 0.01;
-/// Specks are also smaller than this, pixels. Source: docs/decisions/04 (rods of case 4).
-const SPECK_PIXELS: usize = 24;
-/// Others so near to a large one are parts of it, pixels.
-/// Source: docs/decisions/04: rods kept on case 4 0.984 -> 0.997.
-const PART_GAP: usize = 8;
+/// What counts as a speck.
+pub(super) struct SpeckRules {
+    /// Objects smaller than this share of the largest are specks.
+    /// Source: chosen by hand, never measured.
+    pub(super) share: f32,
+    /// They are also smaller than this, pixels. Source: docs/decisions/04 (rods of case 4).
+    pixels: usize,
+    /// Others so near to a large one are parts of it, pixels.
+    /// Source: docs/decisions/04: rods kept on case 4 0.984 -> 0.997.
+    part_gap: usize,
+}
+
+/// See [`SpeckRules`].
+pub(super) const SPECKS: SpeckRules = SpeckRules { share: 0.01, pixels: 24, part_gap: 8 };
+
 /// Cleans the matte in place; all that is done is done in the rectangle around what is not 0.
 pub(crate) fn clean(matte: &mut Matte, trimap: &Trimap, plate: Option<&CleanPlate>, keep_pole: bool) {
     let own;
@@ -86,14 +93,14 @@ fn fill(alpha: &mut Raster<f32>, rect: &Rect, regions: &Regions, chosen: &[bool]
 fn remove_specks(alpha: &mut Raster<f32>, rect: &Rect) {
     let regions = Regions::of(&rect.mask(alpha, |a| a > 0.0));
     let (largest, sizes) = (regions.largest(), &regions.sizes);
-    let least = ((SPECK_SHARE * largest as f32) as usize).max(SPECK_PIXELS.min(largest));
+    let least = ((SPECKS.share * largest as f32) as usize).max(SPECKS.pixels.min(largest));
     let mut small: Vec<bool> = sizes.iter().map(|s| (1..least).contains(s)).collect();
-    if sizes.iter().zip(&small).any(|(s, small)| *small && *s >= SPECK_PIXELS) {
+    if sizes.iter().zip(&small).any(|(s, small)| *small && *s >= SPECKS.pixels) {
         // Rods whose foot is lost in shadow or blur.
-        let near_large = regions.labels.mask(|l| l != 0 && !small[l as usize]).dilate(PART_GAP);
+        let near_large = regions.labels.mask(|l| l != 0 && !small[l as usize]).dilate(SPECKS.part_gap);
         let is_near = regions.any(|k| near_large[k] != 0);
         for (k, small) in small.iter_mut().enumerate() {
-            *small &= !is_near[k] || sizes[k] < SPECK_PIXELS;
+            *small &= !is_near[k] || sizes[k] < SPECKS.pixels;
         }
     }
     fill(alpha, rect, &regions, &small, 0.0);

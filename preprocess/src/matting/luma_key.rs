@@ -1,6 +1,6 @@
 //! Luma key: a lit object in a dark room.
 
-use super::cleanup::SPECK_SHARE;
+use super::cleanup::SPECKS;
 use super::morphology::{Regions, smooth};
 use super::pool::{BinaryMask, Pool, Raster};
 use super::screen::detect::quantile;
@@ -92,7 +92,7 @@ pub(crate) fn matte(pool: &Pool, rgb: &[u8], width: usize) -> Vec<u8> {
 /// Smaller parts are lamps and reflections.
 fn large_parts<'p>(mask: &BinaryMask<'p>) -> BinaryMask<'p> {
     let regions = Regions::of(mask);
-    let least = (SPECK_SHARE * regions.largest() as f32) as usize;
+    let least = (SPECKS.share * regions.largest() as f32) as usize;
     regions.labels.mask(|l| l != 0 && regions.sizes[l as usize] > least)
 }
 

@@ -9,11 +9,11 @@
 use super::Mesh;
 use super::cubes::{EDGES, axis_of, table};
 use crate::{Camera, Pose, Progress};
-use glam::{DVec2, DVec3};
+use glam::{DVec2, DVec3, IVec3};
 use rayon::prelude::*;
 use std::collections::{BTreeSet, HashMap};
 
-/// Voxels along a side of a block. Source: decision record 14 (docs/decisions, mesh from depths).
+/// Voxels along a side of a block. Source: docs/decisions/16.
 const SIDE: i32 = 8;
 /// Voxels of a block. Source: derived from [`SIDE`].
 const VOXELS: usize = (SIDE * SIDE * SIDE) as usize;
@@ -24,8 +24,8 @@ const MARGIN: f64 = 2.0;
 /// distances. Source: chosen by hand, never measured.
 const FULL_WEIGHT_BEHIND: f32 = 0.25;
 /// Weight of a ray that probably meets nothing. A rod one pixel wide is missed by every third ray
-/// that should meet it: with full weight these would erase it. Share of 1. Source: decision record
-/// 14 (docs/decisions, mesh from depths).
+/// that should meet it: with full weight these would erase it. Share of 1.
+/// Source: docs/decisions/16.
 const PROBABLY_NOTHING: f32 = 0.1;
 /// Colours come from views that put the surface no farther off, in truncation distances.
 /// Source: chosen by hand, never measured.
@@ -130,24 +130,25 @@ impl DepthMap {
     }
 }
 
+/// The first and the last block around a place in units of blocks.
+fn blocks_around(p: DVec3) -> Option<(IVec3, IVec3)> {
+    let margin = MARGIN / f64::from(SIDE);
+    let (low, high) = ((p - margin).floor(), (p + margin).floor());
+    // Beyond 32 bits there is no surface, only an error of the renderer.
+    let most = f64::from(i32::MAX / (2 * SIDE));
+    (low.min_element() > -most && high.max_element() < most).then(|| (low.as_ivec3(), high.as_ivec3()))
+}
+
 /// The blocks around what a map measured.
 fn touched(map: &DepthMap, voxel: f64) -> BTreeSet<[i32; 3]> {
     let world_from_cam = map.pose.inverse();
     let block = voxel * f64::from(SIDE);
-    let around = |i: usize| {
-        let p = map.point(i, &world_from_cam)? / block;
-        let margin = MARGIN / f64::from(SIDE);
-        let (low, high) = ((p - margin).floor(), (p + margin).floor());
-        // Beyond 32 bits there is no surface, only an error of the renderer.
-        let most = f64::from(i32::MAX / (2 * SIDE));
-        (low.min_element() > -most && high.max_element() < most).then(|| (low.as_ivec3(), high.as_ivec3()))
-    };
     let rows = map.depth.len().div_ceil(4096);
     let sets = (0..rows).into_par_iter().map(|row| {
         let mut set = BTreeSet::new();
         let mut last = None;
         for i in row * 4096..((row + 1) * 4096).min(map.depth.len()) {
-            let found = around(i);
+            let found = map.point(i, &world_from_cam).and_then(|p| blocks_around(p / block));
             let Some((low, high)) = found.filter(|_| found != last) else { continue };
             last = found;
             for x in low.x..=high.x {

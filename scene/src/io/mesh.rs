@@ -70,34 +70,37 @@ fn read_obj(path: &Path) -> Result<Mesh, IoError> {
     Ok(mesh)
 }
 
+fn bad_glb(path: &Path, message: String) -> IoError {
+    IoError::format(path, format!("not a readable binary glTF file: {message}"))
+}
+
 fn read_glb(path: &Path) -> Result<Mesh, IoError> {
     let data = read_file(path)?;
-    let bad = |message: String| IoError::format(path, format!("not a readable binary glTF file: {message}"));
     // The library subtracts the header from the length that the file says.
     let length = data.get(8..12).map_or(0, |b| u32::from_le_bytes([b[0], b[1], b[2], b[3]]));
     if length < 12 {
-        return Err(bad(format!("its length is said to be {length} bytes")));
+        return Err(bad_glb(path, format!("its length is said to be {length} bytes")));
     }
-    let file = gltf::Gltf::from_slice_without_validation(&data).map_err(|e| bad(e.to_string()))?;
+    let file = gltf::Gltf::from_slice_without_validation(&data).map_err(|e| bad_glb(path, e.to_string()))?;
     let blob = file.blob.as_deref().unwrap_or_default();
     let json = file.document.into_json();
-    check_indices(&json).map_err(bad)?;
-    let file = gltf::Document::from_json(json).map_err(|e| bad(e.to_string()))?;
+    check_indices(&json).map_err(|e| bad_glb(path, e))?;
+    let file = gltf::Document::from_json(json).map_err(|e| bad_glb(path, e.to_string()))?;
     for accessor in file.accessors() {
-        check(&accessor, blob.len()).map_err(bad)?;
+        check(&accessor, blob.len()).map_err(|e| bad_glb(path, e))?;
     }
     let mut mesh = Mesh::default();
     let scene = file.default_scene().or_else(|| file.scenes().next());
-    let scene = scene.ok_or_else(|| bad("it has no scene".to_owned()))?;
+    let scene = scene.ok_or_else(|| bad_glb(path, "it has no scene".to_owned()))?;
     let mut open: Vec<(gltf::Node, DMat4)> = scene.nodes().map(|n| (n, DMat4::IDENTITY)).collect();
     let mut seen = BTreeSet::new();
     while let Some((node, parent)) = open.pop() {
         if !seen.insert(node.index()) {
-            return Err(bad(format!("node {} hangs in two places", node.index())));
+            return Err(bad_glb(path, format!("node {} hangs in two places", node.index())));
         }
         let world = parent * Mat4::from_cols_array_2d(&node.transform().matrix()).as_dmat4();
         for primitive in node.mesh().iter().flat_map(gltf::Mesh::primitives) {
-            add(&primitive, blob, &world, &mut mesh).map_err(bad)?;
+            add(&primitive, blob, &world, &mut mesh).map_err(|e| bad_glb(path, e))?;
         }
         open.extend(node.children().map(|child| (child, world)));
     }

@@ -1,5 +1,5 @@
-//! File formats: COLMAP models and databases, `transforms.json`, poses of other programs, PLY, images,
-//! ground truth.
+//! File formats: COLMAP models and databases, `transforms.json`, poses of other programs, PLY,
+//! images, ground truth.
 //!
 //! Every reader treats its file as hostile: counts are checked against the size of the file before
 //! memory is reserved, numbers against NaN, names against paths that lead out of the folder. Every

@@ -1,7 +1,7 @@
 //! `transforms.json` as NeRF's Blender scenes, instant-ngp and nerfstudio write it.
 //!
-//! Poses there are camera-to-world with OpenGL axes (x right, y up, looking along −z), in a world with
-//! z up: it is turned on the way, as nerfstudio turns COLMAP's models.
+//! Poses there are camera-to-world with OpenGL axes (x right, y up, looking along −z), in a world
+//! with z up: it is turned on the way, as nerfstudio turns COLMAP's models.
 
 use super::error::{IoError, read_text};
 use super::load::image_info;

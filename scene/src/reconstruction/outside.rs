@@ -92,10 +92,11 @@ impl Reconstruction {
         let Some(first) = images.next().map(|image| image.pose) else { return Ok(()) };
         let centre = first.centre();
         let near = EQUAL * centre.length().max(1e-12);
-        let is_equal = |pose: &crate::Pose| {
-            first.rotation.dot(pose.rotation).abs() > 1.0 - EQUAL && (pose.centre() - centre).length() <= near
-        };
-        if self.images.len() > 1 && images.all(|image| is_equal(&image.pose)) {
+        let all_equal = images.all(|image| {
+            let apart = (image.pose.centre() - centre).length();
+            first.rotation.dot(image.pose.rotation).abs() > 1.0 - EQUAL && apart <= near
+        });
+        if self.images.len() > 1 && all_equal {
             return Err(format!("all {} images have the same pose", self.images.len()));
         }
         Ok(())

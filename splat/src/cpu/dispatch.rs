@@ -22,7 +22,7 @@ pub enum InstructionSet {
 
 impl Isa {
     /// All that were detected, the portable one first, the widest last.
-    pub fn available() -> Vec<Self> {
+    pub(crate) fn available() -> Vec<Self> {
         let mut found = vec![Self(InstructionSet::Portable)];
         #[cfg(target_arch = "x86_64")]
         {

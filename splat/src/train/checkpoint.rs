@@ -1,8 +1,8 @@
 //! Training interrupted and resumed: Gaussians, moments, statistics and the place in the schedule.
 //!
 //! File: magic, length of the header (u64, little endian), header (JSON), arrays of f32 (little
-//! endian) in the order of `arrays`, CRC-32 of all that (u32, little endian). Written beside its target and renamed, so that what exists is
-//! whole.
+//! endian) in the order of `arrays`, CRC-32 of all that (u32, little endian). Written beside its
+//! target and renamed, so that what exists is whole.
 
 use super::rules::Rules;
 use super::state::TrainingState;

@@ -15,19 +15,25 @@ pub(crate) struct Pace {
     stride: f64,
 }
 
-/// Cost of a step at the next finer level where none was seen yet, in steps of the level before.
-/// Source: chosen by hand, never measured; replaced by what is measured as soon as a step is seen.
-const FINER: f64 = 2.5;
-/// Weight of a new step in the mean cost, a share: a mean over about twenty steps.
-/// Source: chosen by hand; limits are kept to 1 % by the tests' machines.
-const NEW: f64 = 0.05;
-/// A step that took longer than this many mean ones says something of the machine, not of the steps
-/// to come.
-/// Source: docs/decisions/12.
-const STALL: f64 = 4.0;
-/// Parts in which the rest of the schedule is summed. Source: a level's share of the schedule is
-/// told to 2 %.
-const PARTS: u32 = 64;
+/// How what steps cost is told.
+struct CostRules {
+    /// Cost of a step at the next finer level where none was seen yet, in steps of the level
+    /// before. Source: chosen by hand, never measured; replaced by what is measured as soon as a
+    /// step is seen.
+    finer: f64,
+    /// Weight of a new step in the mean cost, a share: a mean over about twenty steps.
+    /// Source: chosen by hand; limits are kept to 1 % by the tests' machines.
+    new: f64,
+    /// A step that took longer than this many mean ones says something of the machine, not of the
+    /// steps to come. Source: docs/decisions/12.
+    stall: f64,
+    /// Parts in which the rest of the schedule is summed. Source: a level's share of the schedule
+    /// is told to 2 %.
+    parts: u32,
+}
+
+/// See [`CostRules`].
+const RULES: CostRules = CostRules { finer: 2.5, new: 0.05, stall: 4.0, parts: 64 };
 
 impl Pace {
     /// How many steps the whole schedule will have, as far as can be told.
@@ -53,7 +59,10 @@ impl Pace {
             return f64::from(place.iteration) / f64::from(config.iterations.max(1));
         };
         let slot = &mut self.cost[level as usize];
-        *slot = if *slot > 0.0 { *slot + NEW * (spent.min(STALL * *slot) - *slot) } else { spent };
+        *slot = match *slot {
+            mean if mean > 0.0 => mean + RULES.new * (spent.min(RULES.stall * mean) - mean),
+            _ => spent,
+        };
         let left = limit - place.seconds;
         if left <= 0.0 {
             return 1.0;
@@ -68,14 +77,14 @@ impl Pace {
     /// Seconds that the rest of the schedule would take with a step for every unit of position.
     fn ahead(&self, place: &Place, config: &TrainConfig, now: u32) -> f64 {
         let (position, early) = (place.position, place.early.unwrap_or(false));
-        let width = (1.0 - position) / f64::from(PARTS);
+        let width = (1.0 - position) / f64::from(RULES.parts);
         let (mut sum, mut last, mut previous) = (0.0, self.cost[now as usize], now);
-        for part in 0..PARTS {
+        for part in 0..RULES.parts {
             let at = position + (f64::from(part) + 0.5) * width;
             let next = level(at, config.coarse_levels, early);
             if next != previous {
                 let seen = self.cost[next as usize];
-                last = if seen > 0.0 { seen } else { last * FINER };
+                last = if seen > 0.0 { seen } else { last * RULES.finer };
                 previous = next;
             }
             sum += last * width;

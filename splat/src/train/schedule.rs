@@ -27,30 +27,37 @@ pub(crate) const GROWTH_END: f64 = 0.7;
 /// Source: docs/decisions/13 (scales twenty times in a schedule); for poses chosen by hand.
 pub(crate) const EVERY: f64 = 0.05;
 
-/// Position from which training runs at half the resolution.
-/// Source: docs/decisions/12 (0.4 against 0.2 and 0.1 on seven captures).
-const HALF_FROM: f64 = 0.4;
-/// Position from which training runs at full resolution; in schedules of `EARLY_FROM_STEPS` steps
-/// and more the second.
-/// Source: docs/decisions/12.
-const FULL_FROM: [f64; 2] = [0.8, 0.6];
 /// Steps of a schedule from which full resolution begins early: a shorter one needs steps more than
 /// pixels.
 /// Source: docs/decisions/12.
 pub(crate) const EARLY_FROM_STEPS: f64 = 2000.0;
-/// Position at which that is decided: what steps cost at half the resolution is known by then.
-/// Source: between `HALF_FROM` and the earlier `FULL_FROM`, near the latter (docs/decisions/12).
-const EARLY_DECIDED: f64 = 0.55;
+
+/// When the resolution changes, as positions in the schedule. Source: docs/decisions/12.
+struct ResolutionPlan {
+    /// Half the resolution from here on (0.4 against 0.2 and 0.1 on seven captures).
+    half_from: f64,
+    /// Full resolution from here on; in schedules of [`EARLY_FROM_STEPS`] and more the second.
+    full_from: [f64; 2],
+    /// Here that is decided, near the second of those: what steps cost at half the resolution is
+    /// known by then.
+    early_decided: f64,
+}
+
+/// See [`ResolutionPlan`].
+const PLAN: ResolutionPlan = ResolutionPlan { half_from: 0.4, full_from: [0.8, 0.6], early_decided: 0.55 };
 
 /// Decided before either begins, so that no step sees a coarser picture than the one before.
-const _: () =
-    assert!(HALF_FROM < EARLY_DECIDED && EARLY_DECIDED < FULL_FROM[1] && FULL_FROM[1] < FULL_FROM[0]);
+const _: () = assert!(
+    PLAN.half_from < PLAN.early_decided
+        && PLAN.early_decided < PLAN.full_from[1]
+        && PLAN.full_from[1] < PLAN.full_from[0]
+);
 
 impl Place {
     /// Decides, once the place for it is reached, whether a schedule of `steps` steps sees full
     /// resolution early.
     pub(crate) fn decide_early(&mut self, steps: f64) {
-        if self.early.is_none() && self.position >= EARLY_DECIDED {
+        if self.early.is_none() && self.position >= PLAN.early_decided {
             self.early = Some(steps >= EARLY_FROM_STEPS);
         }
     }
@@ -64,13 +71,13 @@ impl Place {
 /// Level (0: full resolution) at a position, with `levels` coarser ones to pass through; `early`:
 /// see [`Place::decide_early`].
 pub(crate) fn level(position: f64, levels: u32, early: bool) -> u32 {
-    let passed = if position >= FULL_FROM[usize::from(early)] {
+    let passed = if position >= PLAN.full_from[usize::from(early)] {
         levels
-    } else if position >= HALF_FROM || levels == 0 {
+    } else if position >= PLAN.half_from || levels == 0 {
         levels.saturating_sub(1)
     } else {
         // The levels coarser than a half share what comes before.
-        (position / HALF_FROM * f64::from(levels - 1)).floor() as u32
+        (position / PLAN.half_from * f64::from(levels - 1)).floor() as u32
     };
     levels - passed
 }

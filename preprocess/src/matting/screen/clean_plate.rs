@@ -30,8 +30,8 @@ struct PlateCriteria {
     /// itself stands still. Source: chosen by hand, never measured.
     pole_share: f32,
     /// Change of light on a still thing, as a factor on 8-bit values.
-    /// Source: without it the mean IoU of the sample's mattes falls from 0.9897 to 0.9875; from 0.55
-    /// to 1.5 it is 0.9613.
+    /// Source: without it the mean IoU of the sample's mattes falls from 0.9897 to 0.9875; from
+    /// 0.55 to 1.5 it is 0.9613.
     light: (f32, f32),
 }
 

@@ -256,11 +256,11 @@ impl DatabaseSource<'_> {
         let mut all = std::mem::take(&mut database.geometries);
         self.each(table, "*", |row| {
             let (pair, inliers) = self.pair(table, row, database)?;
-            let matrix = |column| -> Result<Option<DMat3>, IoError> {
+            let [f, e, h] = ["F", "E", "H"].map(|column| {
                 let values = self.doubles::<9>(table, row, column, pair)?;
-                Ok(values.map(|v| DMat3::from_cols_array(&v).transpose()).filter(|m| *m != DMat3::ZERO))
-            };
-            let [f, e, h] = ["F", "E", "H"].map(matrix);
+                let matrix = values.map(|v| DMat3::from_cols_array(&v).transpose());
+                Ok::<_, IoError>(matrix.filter(|m| *m != DMat3::ZERO))
+            });
             let pose =
                 (self.doubles::<4>(table, row, "qvec", pair)?, self.doubles::<3>(table, row, "tvec", pair)?);
             let b_from_a = match pose {

@@ -1,8 +1,8 @@
 //! Bundler's `bundle.out` (v0.3, Snavely et al. 2006), as Bundler, VisualSFM, COLMAP and Metashape
 //! write it.
 //!
-//! `P = R X + t` with y up and z backward, `p = −P / P_z`, pixels `f (1 + k1 |p|² + k2 |p|⁴) p` from
-//! the middle of the image, y up. The names of the images stand in a list beside it.
+//! `P = R X + t` with y up and z backward, `p = −P / P_z`, pixels `f (1 + k1 |p|² + k2 |p|⁴) p`
+//! from the middle of the image, y up. The names of the images stand in a list beside it.
 
 use super::imported::{GL_FROM_CV, ImportedPoses, add, numbers, rotation, size_of};
 use crate::io::error::{IoError, read_text};

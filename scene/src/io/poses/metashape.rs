@@ -92,9 +92,15 @@ impl Frames {
     }
 }
 
+/// The numbers of a child, where there is one.
+fn child_numbers(path: &Path, node: Node<'_, '_>, name: &str) -> Result<Option<Vec<f64>>, IoError> {
+    child_text(node, name).map(|t| numbers(path, name, t)).transpose()
+}
+
 fn similarity(path: &Path, node: Node<'_, '_>) -> Result<Sim3, IoError> {
-    let part = |name: &str| child_text(node, name).map(|t| numbers(path, name, t)).transpose();
-    let (turn, shift, scale) = (part("rotation")?, part("translation")?, part("scale")?);
+    let [turn, shift, scale] =
+        ["rotation", "translation", "scale"].map(|name| child_numbers(path, node, name));
+    let (turn, shift, scale) = (turn?, shift?, scale?);
     let wrong = || IoError::format(path, "expected a rotation, a translation and a scale of a transform");
     let rotation = match turn.as_deref() {
         Some(v) if v.len() == 9 => rotation(path, "transform", v)?,
@@ -116,23 +122,20 @@ fn child_text<'a>(node: Node<'a, '_>, name: &str) -> Option<&'a str> {
 
 /// The adjusted calibration of a sensor, else its first.
 fn sensor_camera(path: &Path, sensor: Node<'_, '_>) -> Result<Option<Camera>, IoError> {
-    let all = || sensor.children().filter(|n| n.has_tag_name("calibration"));
-    let Some(calibration) = all().find(|n| n.attribute("class") == Some("adjusted")).or_else(|| all().next())
-    else {
-        return Ok(None);
-    };
+    let all: Vec<Node> = sensor.children().filter(|n| n.has_tag_name("calibration")).collect();
+    let adjusted = all.iter().find(|n| n.attribute("class") == Some("adjusted"));
+    let Some(&calibration) = adjusted.or(all.first()) else { return Ok(None) };
     let kind = sensor.attribute("type").unwrap_or("frame");
     if kind != "frame" {
         return Err(IoError::UnsupportedCamera { path: path.into(), model: kind.to_owned() });
     }
     let number = |name: &str| -> Result<f64, IoError> {
-        let found = child_text(calibration, name).map(|t| numbers(path, name, t)).transpose()?;
-        Ok(found.and_then(|v| v.first().copied()).unwrap_or(0.0))
+        Ok(child_numbers(path, calibration, name)?.and_then(|v| v.first().copied()).unwrap_or(0.0))
     };
     let resolution = calibration.children().find(|n| n.has_tag_name("resolution"));
     let resolution = resolution.or_else(|| sensor.children().find(|n| n.has_tag_name("resolution")));
-    let side = |name: &str| resolution?.attribute(name)?.parse::<u32>().ok();
-    let size = [side("width").unwrap_or(0), side("height").unwrap_or(0)];
+    let size = ["width", "height"]
+        .map(|side| resolution.and_then(|n| n.attribute(side)?.parse::<u32>().ok()).unwrap_or(0));
     let f = number("f")?;
     refuse_distortion(
         path,
@@ -187,16 +190,17 @@ pub fn write_metashape(path: &Path, model: &Reconstruction) -> Result<(), IoErro
 fn sensor_xml(camera: &Camera) -> String {
     let (focal, centre) = (camera.focal(), camera.principal_point());
     let (w, h) = (camera.width, camera.height);
-    let k = |i: usize| camera.distortion().get(i).copied().unwrap_or(0.0);
+    let mut k = camera.distortion().to_vec();
+    k.resize(4, 0.0);
     let values = [
         ("f", focal.y),
         ("cx", centre.x - f64::from(w) / 2.0),
         ("cy", centre.y - f64::from(h) / 2.0),
         ("b1", focal.x - focal.y),
-        ("k1", k(0)),
-        ("k2", k(1)),
-        ("p1", k(3)),
-        ("p2", k(2)),
+        ("k1", k[0]),
+        ("k2", k[1]),
+        ("p1", k[3]),
+        ("p2", k[2]),
     ];
     let values: String = values.iter().map(|(name, v)| format!("          <{name}>{v}</{name}>\n")).collect();
     let size = format!("<resolution width=\"{w}\" height=\"{h}\"/>");

@@ -1,7 +1,7 @@
 //! RealityScan's (RealityCapture's) "internal and external camera parameters", a `.csv`.
 //!
-//! Focal length and principal point are in millimetres of a film that is 36 mm wide along the longer
-//! side. Angles are degrees: the camera-to-world rotation with OpenGL axes is `R_z(−heading)
+//! Focal length and principal point are in millimetres of a film that is 36 mm wide along the
+//! longer side. Angles are degrees: the camera-to-world rotation with OpenGL axes is `R_z(−heading)
 //! R_x(pitch) R_y(roll)` in a world with z up.
 
 use super::imported::{GL_FROM_CV, ImportedPoses, add, brown, refuse_distortion, size_of};

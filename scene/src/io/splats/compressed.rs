@@ -3,13 +3,13 @@
 //! 2 + 3 × 10 bits (smallest three), colour and alpha as 4 × 8 bits; higher harmonics as bytes over
 //! [−4, 4].
 
-use super::{Item, push, unit};
+use super::item::{Item, push, unit, unit_byte};
 use crate::Gaussians;
 use crate::gaussians::SH_C0;
 use crate::io::error::{IoError, read_file};
 use crate::io::ply::Ply;
 use crate::io::write_atomic;
-use glam::{Quat, Vec3};
+use glam::{DVec3, Quat, Vec3};
 use std::io::{self, Write};
 use std::path::Path;
 
@@ -53,9 +53,10 @@ pub fn read_compressed_ply(path: &Path) -> Result<Gaussians, IoError> {
     let coloured = ply.element("chunk").is_some_and(|c| c.has("min_r"));
     let mut chunks: Vec<Bounds> = Vec::new();
     ply.rows("chunk", if coloured { &BOUNDS } else { &BOUNDS[..12] }, |_, v| {
-        let at = |i: usize| Vec3::new(v[i] as f32, v[i + 1] as f32, v[i + 2] as f32);
-        let colour = if coloured { [at(12), at(15)] } else { [Vec3::ZERO, Vec3::ONE] };
-        chunks.push([[at(0), at(3)], [at(6), at(9)], colour]);
+        // Bounds as in the list above, three numbers each.
+        let v: Vec<Vec3> = v.chunks_exact(3).map(|v| DVec3::from_slice(v).as_vec3()).collect();
+        let colour = if coloured { [v[4], v[5]] } else { [Vec3::ZERO, Vec3::ONE] };
+        chunks.push([[v[0], v[1]], [v[2], v[3]], colour]);
         Ok(())
     })?;
     let rest = read_rest(&ply)?;
@@ -220,8 +221,8 @@ fn write_to(w: &mut impl Write, g: &Gaussians) -> io::Result<()> {
     }
     for (members, bounds) in &chunks {
         for &i in *members {
-            let c = share(bounds[2], colour(g, i)).to_array().map(super::unit_byte);
-            let packed_colour = u32::from_be_bytes([c[0], c[1], c[2], super::unit_byte(g.opacity(i))]);
+            let c = share(bounds[2], colour(g, i)).to_array().map(unit_byte);
+            let packed_colour = u32::from_be_bytes([c[0], c[1], c[2], unit_byte(g.opacity(i))]);
             let position = pack_11_10_11(share(bounds[0], g.means[i]));
             let scale = pack_11_10_11(share(bounds[1], bounded_log_scale(g, i)));
             for v in [position, pack_rotation(g.rotations[i]), scale, packed_colour] {

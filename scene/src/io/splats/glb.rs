@@ -1,7 +1,7 @@
 //! glTF 2.0 binary (`.glb`) with the extension KHR_gaussian_splatting: log scales, opacity in [0,
 //! 1], rotations x y z w, harmonics as `SH_DEGREE_l_COEF_n`. glTF has y up.
 
-use super::{Item, push, turn_upright, unit};
+use super::item::{Item, push, turn_upright, unit};
 use crate::Gaussians;
 use crate::gaussians::SH_C0;
 use crate::io::bytes::ByteReader;

@@ -2,7 +2,7 @@
 //! a section, then per section the lengths of partly filled buckets, bucket centres, and Gaussians
 //! in one of three levels of compression (0: floats; 1: 16-bit; 2: 16-bit with 8-bit harmonics).
 
-use super::{Item, push, unit};
+use super::item::{Item, push, unit};
 use crate::Gaussians;
 use crate::gaussians::SH_C0;
 use crate::io::bytes::ByteReader;

@@ -1,11 +1,12 @@
-//! Splat formats other than the 3DGS `.ply`: `.splat`, compressed `.ply`, `.spz`, `.sog`, `.ksplat`,
-//! glTF.
+//! Splat formats other than the 3DGS `.ply`: `.splat`, compressed `.ply`, `.spz`, `.sog`,
+//! `.ksplat`, glTF.
 //!
 //! All but `.ply` lose precision. `.spz` and glTF have y up; clouds are rotated by 180° about x on
 //! the way, so that a capture with y down stands upright there.
 
 mod compressed;
 mod glb;
+mod item;
 mod ksplat;
 mod plain;
 mod sog;
@@ -22,57 +23,7 @@ pub use spz::{encode_spz, read_spz, write_spz};
 use super::error::IoError;
 use super::ply::{read_splat_ply, write_splat_ply};
 use crate::Gaussians;
-use crate::sim3::Sim3;
-use glam::{DQuat, Quat, Vec3};
 use std::path::Path;
-
-/// Opacity logits of 8-bit alpha stay within ±8 (0.0003 to 0.9997).
-/// Source: derived, beyond the steps of 8-bit alpha.
-const LOGIT_LIMIT: f32 = 8.0;
-
-/// What is known of one Gaussian while a file is read.
-struct Item<'a> {
-    mean: Vec3,
-    log_scale: Vec3,
-    rotation: Quat,
-    /// In [0, 1].
-    opacity: f32,
-    /// `K × 3`.
-    sh: &'a [f32],
-}
-
-/// Adds a Gaussian, or says which one is not finite.
-fn push(path: &Path, g: &mut Gaussians, item: &Item) -> Result<(), IoError> {
-    let finite = item.mean.is_finite()
-        && !item.log_scale.is_nan()
-        && item.rotation.is_finite()
-        && item.opacity.is_finite()
-        && item.sh.iter().all(|v| v.is_finite());
-    if !finite {
-        return Err(IoError::not_finite(path, format!("a number of gaussian {}", g.len())));
-    }
-    g.means.push(item.mean);
-    g.log_scales.push(item.log_scale.clamp(Vec3::splat(-40.0), Vec3::splat(40.0)));
-    g.rotations.push(item.rotation);
-    g.opacity_logits.push((item.opacity / (1.0 - item.opacity)).ln().clamp(-LOGIT_LIMIT, LOGIT_LIMIT));
-    g.sh.extend_from_slice(item.sh);
-    Ok(())
-}
-
-/// A value in [0, 1] as a byte.
-fn unit_byte(v: f32) -> u8 {
-    (v.clamp(0.0, 1.0) * 255.0).round() as u8
-}
-
-/// Unit quaternion; identity for zero length.
-fn unit(q: Quat) -> Quat {
-    if q.length_squared() > 0.0 && q.is_finite() { q.normalize() } else { Quat::IDENTITY }
-}
-
-/// A rotation by 180° about x: y and z change sign. Its own inverse.
-fn turn_upright(g: &mut Gaussians) {
-    g.transform(&Sim3 { rotation: DQuat::from_xyzw(1.0, 0.0, 0.0, 0.0), ..Sim3::IDENTITY });
-}
 
 /// The formats, by file name.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

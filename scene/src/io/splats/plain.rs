@@ -1,7 +1,7 @@
 //! `.splat` (antimatter15): 32 bytes a Gaussian, no header: `f32 x y z`, `f32 scale` × 3 (linear),
 //! `u8 r g b a`, `u8` quaternion w x y z as `128 q + 128`. No view-dependent colour.
 
-use super::{Item, push, unit, unit_byte};
+use super::item::{Item, push, unit, unit_byte};
 use crate::Gaussians;
 use crate::gaussians::SH_C0;
 use crate::io::bytes::ByteReader;

@@ -6,7 +6,7 @@
 //! 128)/128`. Versions 2 and 3 are one gzip stream behind a 16-byte header, version 4 has a table
 //! of zstd streams. Axes: right, up, back.
 
-use super::{Item, push, turn_upright, unit, unit_byte};
+use super::item::{Item, push, turn_upright, unit, unit_byte};
 use crate::Gaussians;
 use crate::io::bytes::ByteReader;
 use crate::io::error::{IoError, read_file};

@@ -14,18 +14,21 @@ use scene::gaussians::SH_C0;
 use scene::sh::SH_COUNT;
 use serde::{Deserialize, Serialize};
 
-/// Positions in the schedule from which each higher degree is in use. Source: chosen by hand, never
-/// measured.
-const FROM: [f64; MAX_SH_DEGREE as usize] = [0.2, 0.35, 0.5];
-/// Part of the schedule between a degree's beginning and its judgement. Source: chosen by hand,
-/// never measured.
-const TRIAL: f64 = 0.1;
-/// Training views over whose directions a degree's mean is taken, at most. Source: chosen by hand,
-/// never measured.
-const DIRECTIONS: usize = 32;
+/// When degrees begin and are judged. All numbers were chosen by hand and never measured.
+struct DegreePlan {
+    /// Positions in the schedule from which each higher degree is in use.
+    from: [f64; MAX_SH_DEGREE as usize],
+    /// Part of the schedule between a degree's beginning and its judgement.
+    trial: f64,
+    /// Training views over whose directions a degree's mean is taken, at most.
+    directions: usize,
+}
+
+/// See [`DegreePlan`].
+const PLAN: DegreePlan = DegreePlan { from: [0.2, 0.35, 0.5], trial: 0.1, directions: 32 };
 
 /// Degrees are judged while there are views to judge them.
-const _: () = assert!(FROM[MAX_SH_DEGREE as usize - 1] + TRIAL < GROWTH_END);
+const _: () = assert!(PLAN.from[MAX_SH_DEGREE as usize - 1] + PLAN.trial < GROWTH_END);
 
 /// State of the rule.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
@@ -40,7 +43,7 @@ impl ShDegreeRule {
     /// Raises the degree to that of the step's position.
     pub(super) fn before_step(&mut self, step: &mut RuleContext) -> Result<(), SplatError> {
         let highest = step.setup.config.sh_degree.min(self.limit.unwrap_or(MAX_SH_DEGREE));
-        let passed = FROM.iter().filter(|&&from| step.position() >= from).count();
+        let passed = PLAN.from.iter().filter(|&&from| step.position() >= from).count();
         let degree = (passed as u32).min(highest);
         if step.backend.sh_degree() < degree { step.backend.set_sh_degree(degree) } else { Ok(()) }
     }
@@ -48,9 +51,11 @@ impl ShDegreeRule {
     /// A degree that was in use for a while stays if the validation views are better for it.
     pub(super) fn review(&mut self, step: &mut RuleContext) -> Result<(), SplatError> {
         let highest = step.setup.config.sh_degree;
-        let begun = FROM.get(self.judged as usize).filter(|_| self.judged < highest && self.limit.is_none());
-        let due = |from: &f64| (from + TRIAL..GROWTH_END).contains(&step.position());
-        if step.setup.validation.is_empty() || !begun.is_some_and(due) {
+        let begun = PLAN.from.get(self.judged as usize);
+        let begun = begun.filter(|_| self.judged < highest && self.limit.is_none());
+        if step.setup.validation.is_empty()
+            || !begun.is_some_and(|from| (from + PLAN.trial..GROWTH_END).contains(&step.position()))
+        {
             return Ok(());
         }
         let setup = step.setup;
@@ -85,7 +90,7 @@ fn degree_choice(degree: u32) -> Choice {
 /// training views' directions takes the place of what it says.
 fn psnr_without(step: &mut RuleContext, level: u32, degree: u32) -> Result<f64, SplatError> {
     let setup = step.setup;
-    let every = setup.views.len().div_ceil(DIRECTIONS);
+    let every = setup.views.len().div_ceil(PLAN.directions);
     let some = setup.views.iter().step_by(every);
     let cameras: Vec<Vec3> = some.map(|&v| setup.dataset.views[v].view.position()).collect();
     let mut before = Vec::new();

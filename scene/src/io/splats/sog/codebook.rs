@@ -6,8 +6,8 @@ use std::collections::BinaryHeap;
 /// Rounds of Lloyd's algorithm. Source: chosen by hand, never measured.
 const ROUNDS: usize = 12;
 
-/// At most `size` numbers of which the nearest is near each value (Lloyd, 1982, from equal shares of
-/// the sorted values), ascending.
+/// At most `size` numbers of which the nearest is near each value (Lloyd, 1982, from equal shares
+/// of the sorted values), ascending.
 pub(super) fn of_numbers(values: &[f32], size: usize) -> Vec<f32> {
     let mut sorted = values.to_vec();
     sorted.sort_unstable_by(f32::total_cmp);
@@ -78,9 +78,10 @@ impl Leaf {
             }
         }
         mean.iter_mut().for_each(|m| *m /= n);
-        let spread = |c: usize| (squares[c] - n * mean[c] * mean[c]).max(0.0);
-        let widest = (0..width).max_by(|&a, &b| spread(a).total_cmp(&spread(b))).unwrap_or(0);
-        let error = (0..width).map(spread).sum();
+        let spreads: Vec<f64> =
+            squares.iter().zip(&mean).map(|(square, mean)| (square - n * mean * mean).max(0.0)).collect();
+        let widest = (0..width).max_by(|&a, &b| spreads[a].total_cmp(&spreads[b])).unwrap_or(0);
+        let error = spreads.iter().sum();
         (Self { error, members, split: (widest, mean[widest]) }, mean)
     }
 }
@@ -93,8 +94,8 @@ pub(super) fn of_vectors(vectors: &[f32], width: usize, size: usize) -> (Vec<f32
     let mut done = Vec::new();
     while leaves.len() + done.len() < size {
         let Some(Leaf { error, members, split: (axis, mean) }) = leaves.pop() else { break };
-        let below = |m: &u32| f64::from(vectors[*m as usize * width + axis]) <= mean;
-        let (low, high): (Vec<u32>, Vec<u32>) = members.into_iter().partition(below);
+        let (low, high): (Vec<u32>, Vec<u32>) =
+            members.into_iter().partition(|m| f64::from(vectors[*m as usize * width + axis]) <= mean);
         if error <= 0.0 || low.is_empty() || high.is_empty() {
             let members = if low.is_empty() { high } else { [low, high].concat() };
             done.push(Leaf { error, members, split: (axis, mean) });

@@ -1,5 +1,7 @@
-//! PlayCanvas' `.sog`, version 2 (<https://developer.playcanvas.com/user-manual/gaussian-splatting/formats/sog/>):
-//! a zip archive of lossless WebP images, a pixel a Gaussian, and `meta.json`.
+//! PlayCanvas' [`.sog`], version 2: a zip archive of lossless WebP images, a pixel a Gaussian, and
+//! `meta.json`.
+//!
+//! [`.sog`]: https://developer.playcanvas.com/user-manual/gaussian-splatting/formats/sog/
 //!
 //! Positions `sign(x) ln(1 + |x|)` in 16 bits between least and most; log scales and colours are
 //! numbers of a codebook of 256; rotations smallest three in 8 bits each, alpha says which is the

@@ -3,17 +3,14 @@
 use super::{LARGEST_W, Meta, ORDER, PALETTE_ROW, others};
 use crate::Gaussians;
 use crate::io::error::{IoError, read_file};
-use crate::io::splats::{Item, push};
+use crate::io::limits::{GAUSSIANS, IMAGE_BYTES};
+use crate::io::splats::item::{Item, push};
 use glam::{Quat, Vec3};
 use image::{ImageFormat, ImageReader, Limits, RgbaImage};
 use std::io::{Cursor, Read};
 use std::path::Path;
 use zip::ZipArchive;
 
-/// Most bytes of a file in the archive. Source: chosen by hand, never measured.
-const MAX_BYTES: u64 = 1 << 30;
-/// More Gaussians than that are refused. Source: chosen by hand, as for `.spz`.
-const MAX_COUNT: usize = 1 << 26;
 /// Longest side of an image, pixels. Source: WebP's own limit.
 const MAX_SIDE: u32 = 1 << 14;
 
@@ -23,7 +20,7 @@ pub fn read_sog(path: &Path) -> Result<Gaussians, IoError> {
     let mut archive = Archive::open(path, &data)?;
     let meta: Meta = serde_json::from_slice(&archive.file("meta.json")?)
         .map_err(|e| IoError::format(path, format!("its meta.json is not of version 2: {e}")))?;
-    if meta.version != 2 || meta.count > MAX_COUNT {
+    if meta.version != 2 || meta.count > GAUSSIANS as usize {
         let found = format!("version {}, {} gaussians", meta.version, meta.count);
         return Err(IoError::format(path, format!("expected .sog version 2, found {found}")));
     }
@@ -34,10 +31,6 @@ pub fn read_sog(path: &Path) -> Result<Gaussians, IoError> {
     let quats = archive.image(&meta.quats.files[0], n)?;
     let colours = archive.image(&meta.sh0.files[0], n)?;
     let harmonics = Harmonics::read(&meta, &mut archive)?;
-    let of = |book: &[f32], code: u8| {
-        let outside = || IoError::format(path, "a code lies outside its codebook; the file is damaged");
-        book.get(usize::from(code)).copied().ok_or_else(outside)
-    };
     let mut g = Gaussians { sh_degree: meta.sh_n.as_ref().map_or(0, |s| s.bands), ..Default::default() };
     let mut sh = Vec::new();
     for i in 0..n {
@@ -49,14 +42,14 @@ pub fn read_sog(path: &Path) -> Result<Gaussians, IoError> {
         });
         let mut log_scale = Vec3::ZERO;
         for k in 0..3 {
-            log_scale[k] = of(&meta.scales.codebook, c[k])?;
+            log_scale[k] = decoded(path, &meta.scales.codebook, c[k])?;
         }
         sh.clear();
         for code in &e[..3] {
-            sh.push(of(&meta.sh0.codebook, *code)?);
+            sh.push(decoded(path, &meta.sh0.codebook, *code)?);
         }
         if let Some(harmonics) = &harmonics {
-            harmonics.of(i, |code| of(harmonics.book, code), &mut sh).map_err(|e| {
+            harmonics.of(i, |code| decoded(path, harmonics.book, code), &mut sh).map_err(|e| {
                 e.unwrap_or_else(|| {
                     IoError::format(path, "a label lies outside the palette; the file is damaged")
                 })
@@ -66,6 +59,12 @@ pub fn read_sog(path: &Path) -> Result<Gaussians, IoError> {
         push(path, &mut g, &Item { mean: mean.into(), log_scale, rotation: rotation(d), opacity, sh: &sh })?;
     }
     Ok(g)
+}
+
+/// The number of a codebook that a code stands for.
+fn decoded(path: &Path, book: &[f32], code: u8) -> Result<f32, IoError> {
+    let found = book.get(usize::from(code)).copied();
+    found.ok_or_else(|| IoError::format(path, "a code lies outside its codebook; the file is damaged"))
 }
 
 /// The palette of the harmonics and the entry of each Gaussian.
@@ -148,7 +147,7 @@ impl<'a> Archive<'a> {
         let wrong = |e: &dyn std::fmt::Display| IoError::format(self.path, format!("{name}: {e}"));
         let mut bytes = Vec::new();
         let file = self.zip.by_name(name).map_err(|e| wrong(&e))?;
-        file.take(MAX_BYTES).read_to_end(&mut bytes).map_err(|e| wrong(&e))?;
+        file.take(IMAGE_BYTES).read_to_end(&mut bytes).map_err(|e| wrong(&e))?;
         Ok(bytes)
     }
 
@@ -159,7 +158,7 @@ impl<'a> Archive<'a> {
         let mut limits = Limits::no_limits();
         limits.max_image_width = Some(MAX_SIDE);
         limits.max_image_height = Some(MAX_SIDE);
-        limits.max_alloc = Some(MAX_BYTES);
+        limits.max_alloc = Some(IMAGE_BYTES);
         reader.limits(limits);
         let image = reader.decode().map_err(|e| IoError::format(self.path, format!("{name}: {e}")))?;
         let image = image.into_rgba8();

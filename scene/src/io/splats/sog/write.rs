@@ -6,7 +6,7 @@ use super::{
 use crate::Gaussians;
 use crate::io::atomic::write_file_atomic;
 use crate::io::error::IoError;
-use crate::io::splats::{unit, unit_byte};
+use crate::io::splats::item::{unit, unit_byte};
 use glam::{Quat, Vec3};
 use image::ExtendedColorType::Rgba8;
 use image::ImageEncoder;
@@ -22,8 +22,8 @@ const BOOK: usize = 256;
 /// bits; a quarter was chosen by hand.
 const PALETTE: (usize, usize) = (4, 1 << 16);
 
-/// Writes a `.sog` file. Gaussians are sorted along a Morton curve, so that neighbours in the images
-/// are neighbours in space.
+/// Writes a `.sog` file. Gaussians are sorted along a Morton curve, so that neighbours in the
+/// images are neighbours in space.
 pub fn write_sog(path: &Path, g: &Gaussians) -> Result<(), IoError> {
     if g.is_empty() {
         return Err(IoError::format(path, "a .sog file cannot hold an empty splat"));
@@ -72,25 +72,24 @@ impl SogWriter {
         let low = logs.iter().fold(Vec3::INFINITY, |a, v| a.min(*v));
         let high = logs.iter().fold(Vec3::NEG_INFINITY, |a, v| a.max(*v));
         let range = (high - low).max(Vec3::splat(f32::MIN_POSITIVE));
-        let steps = |v: &Vec3| ((*v - low) / range * 65_535.0).round().to_array().map(|s| s as u16);
-        let part = |byte: usize| {
-            move |s: [u16; 3]| {
-                let [x, y, z] = s.map(|v| v.to_le_bytes()[byte]);
+        let names = ["means_l.webp", "means_u.webp"];
+        for (byte, name) in names.into_iter().enumerate() {
+            let pixels = logs.iter().map(|v| {
+                let steps = ((*v - low) / range * 65_535.0).round().to_array();
+                let [x, y, z] = steps.map(|s| (s as u16).to_le_bytes()[byte]);
                 [x, y, z, 255]
-            }
-        };
-        self.add("means_l.webp", logs.iter().map(steps).map(part(0)));
-        self.add("means_u.webp", logs.iter().map(steps).map(part(1)));
-        let files = ["means_l.webp", "means_u.webp"].map(str::to_owned);
-        MeansMeta { mins: low.to_array(), maxs: high.to_array(), files }
+            });
+            self.add(name, pixels);
+        }
+        MeansMeta { mins: low.to_array(), maxs: high.to_array(), files: names.map(str::to_owned) }
     }
 
     /// Three numbers a Gaussian by their place in a codebook, and its alpha.
     fn coded(&mut self, name: &'static str, values: &[f32], alpha: impl Fn(usize) -> u8) -> CodebookMeta {
         let book = codebook::of_numbers(values, BOOK);
         let pixels = values.chunks_exact(3).enumerate().map(|(n, v)| {
-            let code = |c: usize| codebook::nearest(&book, v[c]);
-            [code(0), code(1), code(2), alpha(n)]
+            let [a, b, c] = [v[0], v[1], v[2]].map(|v| codebook::nearest(&book, v));
+            [a, b, c, alpha(n)]
         });
         self.add(name, pixels);
         CodebookMeta { codebook: book, files: [name.into()] }
@@ -102,8 +101,8 @@ impl SogWriter {
             let largest = (0..4).max_by(|&a, &b| wxyz[a].abs().total_cmp(&wxyz[b].abs())).unwrap_or(0);
             let sign = wxyz[largest].signum();
             // The three others are at most 1/√2 in size.
-            let byte = |c: usize| unit_byte((sign * wxyz[c] * std::f32::consts::SQRT_2 + 1.0) / 2.0);
-            let [a, b, c] = others(largest).map(byte);
+            let [a, b, c] =
+                others(largest).map(|c| unit_byte((sign * wxyz[c] * std::f32::consts::SQRT_2 + 1.0) / 2.0));
             [a, b, c, LARGEST_W + largest as u8]
         });
         self.add("quats.webp", pixels);
@@ -150,13 +149,12 @@ fn morton_order(means: &[Vec3]) -> Vec<usize> {
     let low = means.iter().fold(Vec3::INFINITY, |a, v| a.min(*v));
     let high = means.iter().fold(Vec3::NEG_INFINITY, |a, v| a.max(*v));
     let range = (high - low).max(Vec3::splat(f32::MIN_POSITIVE));
-    let code = |m: &Vec3| {
-        let cell = ((*m - low) / range * 1023.0).to_array().map(|v| v as u32);
+    let mut order: Vec<usize> = (0..means.len()).collect();
+    order.sort_by_cached_key(|&i| {
+        let cell = ((means[i] - low) / range * 1023.0).to_array().map(|v| v as u32);
         (0..10).fold(0_u32, |code, bit| {
             cell.iter().enumerate().fold(code, |code, (axis, v)| code | ((v >> bit) & 1) << (3 * bit + axis))
         })
-    };
-    let mut order: Vec<usize> = (0..means.len()).collect();
-    order.sort_by_cached_key(|&i| code(&means[i]));
+    });
     order
 }

@@ -9,15 +9,21 @@ use glam::{DQuat, DVec3};
 use scene::sim3::Sim3;
 use scene::{Gaussians, Pose};
 
-/// Gaussians by which that is measured, evenly over all, as far as they are more opaque than not.
-/// Source: chosen by hand, never measured; seven numbers are sought.
-const POINTS: usize = 400;
-/// Rounds of reweighting. Source: chosen by hand; the tests' similarity is found to 1e-5.
-const ROUNDS: usize = 10;
-/// Distances of so many times their root mean square count half, a ratio (Cauchy's weights).
-/// Source: Holland and Welsch 1977 have 2.385 of a robust deviation; chosen by hand, never
-/// measured.
-const OUTLIER: f64 = 2.0;
+/// How the similarity is sought.
+struct SearchRules {
+    /// Gaussians, evenly over all, as far as they are more opaque than not.
+    /// Source: chosen by hand, never measured; seven numbers are sought.
+    points: usize,
+    /// Rounds of reweighting. Source: chosen by hand; the tests' similarity is found to 1e-5.
+    rounds: usize,
+    /// Distances of so many times their root mean square count half, a ratio (Cauchy's weights).
+    /// Source: Holland and Welsch 1977 have 2.385 of a robust deviation; chosen by hand, never
+    /// measured.
+    outlier: f64,
+}
+
+/// See [`SearchRules`].
+const RULES: SearchRules = SearchRules { points: 400, rounds: 10, outlier: 2.0 };
 
 /// Moves Gaussians; colours keep their directions, which such turns (parts of a degree) hardly
 /// change.
@@ -32,13 +38,13 @@ fn apply(moved: &Sim3, g: &mut Gaussians) {
 /// (robust least squares, pixels), and the root mean square of the distances that are left.
 pub(super) fn similarity(points: &[DVec3], given: &[PinholeView], seen: &[PinholeView]) -> (Sim3, f64) {
     let (mut found, mut rms) = (Sim3::IDENTITY, f64::INFINITY);
-    for _ in 0..ROUNDS {
+    for _ in 0..RULES.rounds {
         let (mut a, mut b, mut sum, mut n) = ([[0.0; 7]; 7], [0.0; 7], 0.0, 0.0);
         for x in points {
             let y = found.transform(*x);
             for (from, to) in given.iter().zip(seen) {
                 for (e, row) in distances(*x, y, from, to).into_iter().flatten() {
-                    let weight = 1.0 / (1.0 + (e / (OUTLIER * rms)).powi(2));
+                    let weight = 1.0 / (1.0 + (e / (RULES.outlier * rms)).powi(2));
                     (sum, n) = (sum + e * e, n + 1.0);
                     for r in 0..7 {
                         b[r] += weight * row[r] * e;
@@ -87,11 +93,11 @@ pub(super) fn align(step: &RuleContext, g: &mut Gaussians) -> Option<(f64, Vec<(
         return None;
     }
     let (dataset, all) = (step.setup.dataset, &step.setup.views);
-    let some = || all.iter().step_by(all.len().div_ceil(SAMPLE));
-    let given: Vec<PinholeView> = some().map(|&v| dataset.views[v].view).collect();
-    let seen: Vec<PinholeView> = some().map(|&v| step.camera(v)).collect();
+    let some: Vec<usize> = all.iter().copied().step_by(all.len().div_ceil(SAMPLE)).collect();
+    let given: Vec<PinholeView> = some.iter().map(|&v| dataset.views[v].view).collect();
+    let seen: Vec<PinholeView> = some.iter().map(|&v| step.camera(v)).collect();
     let opaque: Vec<usize> = (0..g.means.len()).filter(|&i| g.opacity_logits[i] > 0.0).collect();
-    let chosen = opaque.iter().step_by(opaque.len().div_ceil(POINTS).max(1));
+    let chosen = opaque.iter().step_by(opaque.len().div_ceil(RULES.points).max(1));
     let points: Vec<DVec3> = chosen.map(|&i| g.means[i].as_dvec3()).collect();
     let (found, rms) = similarity(&points, &given, &seen);
     apply(&found, g);
