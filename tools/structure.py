@@ -24,12 +24,12 @@ COMMENT_COLUMNS = 100
 # What the code has of each at most. Lower a limit when the code gets better; never raise one.
 LIMITS = {
     "circles of imports": 0,
-    "numeric constants without a source": 5,
-    "comments that are too wide": 48,
+    "numeric constants without a source": 0,
+    "comments that are too wide": 0,
     "type names defined more than once": 0,
     "numeric constants per 1000 lines": 8.2,
     "closures with a name per 1000 lines": 2.5,
-    "public items": 828,
+    "public items": 826,
 }
 NUMBER = r"(?:[fiu](?:8|16|32|64|128|size)|D?(?:Vec|Mat)[234]|Duration|NonZero\w+)"
 CONSTANT = re.compile(rf"^\s*(?:pub(?:\([^)]*\))? )?(?:const|static) ([A-Z][A-Z0-9_]*): (?:&(?:'static )?)?[\[(]*(?:&(?:'static )?)?{NUMBER}\b")

@@ -258,6 +258,8 @@ pub enum Remark {
     HeldOutDisagree,
     /// A second solution has other rotations.
     SolutionsDisagree,
+    /// No points tie two parts of the images to each other.
+    PartsNotTied,
 }
 
 /// A decision with all that led to it.

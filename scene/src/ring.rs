@@ -73,7 +73,7 @@ impl Ring {
     }
 
     /// The largest arc without a camera; a full turn's poses leave one about as wide as their step.
-    pub fn largest_gap(&self) -> Arc {
+    pub(crate) fn largest_gap(&self) -> Arc {
         let mut order: Vec<usize> = (0..self.angles.len()).collect();
         let at: Vec<f64> = self.angles.iter().map(|a| a.rem_euclid(TAU)).collect();
         order.sort_by(|&a, &b| at[a].total_cmp(&at[b]));

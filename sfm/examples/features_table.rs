@@ -1,7 +1,9 @@
-//! Features and matches judged by known homographies and by the true epipolar geometry, ours beside others'.
+//! Features and matches judged by known homographies and by the true epipolar geometry, ours beside
+//! others'.
 //!
-//! `cargo run --release -p sfm --example features_table [-- FOLDER]`; FOLDER holds what `tests/oracle/sift.py` wrote
-//! (features of OpenCV and COLMAP of the same images). Data: `../shared/data` or `$SAT_RECON_SHARED/data`.
+//! `cargo run --release -p sfm --example features_table [-- FOLDER]`; FOLDER holds what
+//! `tests/oracle/sift.py` wrote (features of OpenCV and COLMAP of the same images). Data:
+//! `../shared/data` or `$SAT_RECON_SHARED/data`.
 
 use glam::{DMat3, DVec2, DVec3};
 use rayon::prelude::*;
@@ -47,7 +49,8 @@ fn temple(data: &Path) -> AnyResult<Truth> {
     Ok(truth)
 }
 
-/// Strecha's cameras are those of images twice as large; R is camera to world, and the centre is given.
+/// Strecha's cameras are those of images twice as large; R is camera to world, and the centre is
+/// given.
 fn fountain(data: &Path) -> AnyResult<Truth> {
     let folder = data.join("fountain_p11");
     let mut truth = Truth { name: "fountain_p11", frames: FrameSet::default(), cameras: Vec::new() };
@@ -83,7 +86,8 @@ impl Truth {
     }
 }
 
-/// Distances of a match from the true epipolar lines, the larger one, pixels. `shift`: added to positions.
+/// Distances of a match from the true epipolar lines, the larger one, pixels. `shift`: added to
+/// positions.
 fn epipolar_distance(f: &DMat3, a: &Keypoint, b: &Keypoint, shift: f64) -> f64 {
     let x = (a.position() + shift).extend(1.0);
     let y = (b.position() + shift).extend(1.0);
@@ -168,8 +172,8 @@ fn judge(truth: &Truth, who: &str, features: &[Features], config: &MatchConfig, 
     );
 }
 
-/// Features that a homography moves into the other image, and those that are found there again: the repeatability of
-/// Mikolajczyk and Schmid (IJCV 2004), and how many matches are right.
+/// Features that a homography moves into the other image, and those that are found there again: the
+/// repeatability of Mikolajczyk and Schmid (IJCV 2004), and how many matches are right.
 fn judge_homography(case: &str, who: &str, features: &[Features; 2], h: &DMat3, size: (u32, u32)) {
     const SCALE_RATIO: f32 = 1.5;
     let inside = |p: DVec2| {
@@ -252,11 +256,13 @@ fn homographies(folder: &Path, config: &SiftConfig) -> AnyResult<()> {
 fn cpu_seconds() -> f64 {
     let stat = std::fs::read_to_string("/proc/self/stat").unwrap_or_default();
     let fields: Vec<f64> = numbers(stat.rsplit(')').next().unwrap_or_default());
-    // After the name: state (not a number), ppid, …; utime and stime are the 14th and 15th of the whole.
+    // After the name: state (not a number), ppid, …; utime and stime are the 14th and 15th of the
+    // whole.
     fields.get(10).zip(fields.get(11)).map_or(f64::NAN, |(u, s)| (u + s) / 100.0)
 }
 
-/// What `tests/oracle/sift.py` writes: u32 count, count × (x, y, scale, angle) f32, count × 128 bytes.
+/// What `tests/oracle/sift.py` writes: u32 count, count × (x, y, scale, angle) f32, count × 128
+/// bytes.
 fn read_features(path: &Path) -> AnyResult<Features> {
     let bytes = std::fs::read(path)?;
     let n = u32::from_le_bytes(bytes[0..4].try_into()?) as usize;

@@ -1,4 +1,5 @@
-//! Solves a folder of photos and writes a COLMAP model: `map_folder IMAGES OUT [--camera-model SIMPLE_RADIAL …]`.
+//! Solves a folder of photos and writes a COLMAP model: `map_folder IMAGES OUT [--camera-model
+//! SIMPLE_RADIAL …]`.
 
 use clap::Parser;
 use scene::{Frame, FrameSet, Progress};
@@ -13,7 +14,8 @@ struct Cli {
     /// Seed of all randomness.
     #[arg(long, default_value_t = 0)]
     seed: u64,
-    /// The images are the frames of a video in the order of their names, taken at the times that the names' numbers are.
+    /// The images are the frames of a video in the order of their names, taken at the times that
+    /// the names' numbers are.
     #[arg(long)]
     video: bool,
     /// Folder of masks, white = keep, in the order of the images.

@@ -1,4 +1,5 @@
-//! Camera poses and a sparse cloud from a folder of photos, written as a COLMAP model: `poses_from_images IMAGES MODEL`.
+//! Camera poses and a sparse cloud from a folder of photos, written as a COLMAP model:
+//! `poses_from_images IMAGES MODEL`.
 
 use scene::{Frame, FrameSet, Progress};
 use sfm::{SfmConfig, SfmResult, reconstruct};

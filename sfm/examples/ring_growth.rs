@@ -1,7 +1,9 @@
-//! A simulated ring of images, keypoints synthesised: what each step costs, as JSON: `ring_growth IMAGES [--points 5000]`.
+//! A simulated ring of images, keypoints synthesised: what each step costs, as JSON: `ring_growth
+//! IMAGES [--points 5000]`.
 //!
-//! Every image shows about as many keypoints whatever the number of images, and every point is seen over 40° of the
-//! ring, as with SIFT. Seven of ten such observations are detected, one of ten lies elsewhere; the photos are shuffled.
+//! Every image shows about as many keypoints whatever the number of images, and every point is seen
+//! over 40° of the ring, as with SIFT. Seven of ten such observations are detected, one of ten lies
+//! elsewhere; the photos are shuffled.
 
 use clap::Parser;
 use glam::{DVec2, DVec3};

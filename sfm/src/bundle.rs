@@ -314,7 +314,8 @@ impl BundleProblem {
     }
 
     /// Gauge: where fewer than two poses and no points are constant, and nothing is expected of the
-    /// poses, the first pose is held, and that coordinate of the farthest pose's translation that changes most with the scale.
+    /// poses, the first pose is held, and that coordinate of the farthest pose's translation that
+    /// changes most with the scale.
     fn held_poses(&self, frame: &SceneNormalisation) -> Vec<u8> {
         let mut held: Vec<u8> = self.pose_constant.iter().map(|&c| if c { 7 } else { 0 }).collect();
         let constant = held.iter().filter(|&&h| h == 7).count();

@@ -1,5 +1,5 @@
-//! Whole reconstructions from synthesised keypoints: right answers, the same bytes for any number of threads, and at the
-//! extremes either a right answer or a clean "no model".
+//! Whole reconstructions from synthesised keypoints: right answers, the same bytes for any number
+//! of threads, and at the extremes either a right answer or a clean "no model".
 
 use glam::{DVec2, DVec3};
 use scene::decision::{Choice, MapperKind, Measurement, Quantity, Subject};
@@ -117,8 +117,8 @@ fn options(width: u32, height: u32, focal: f64) -> SyntheticOptions {
 
 #[test]
 fn focal_lengths_from_a_fifth_to_fifty_image_widths_are_solved() {
-    // A distance at which the object fills the image; nothing is said about the focal length but at the ends, where
-    // perspective says nothing of it (50) and no ordinary lens is that wide (0.2).
+    // A distance at which the object fills the image; nothing is said about the focal length but at
+    // the ends, where perspective says nothing of it (50) and no ordinary lens is that wide (0.2).
     for (widths, given) in [(0.2, true), (0.6, false), (1.2, false), (3.0, false), (10.0, true), (50.0, true)]
     {
         let focal = 640.0 * widths;
@@ -176,7 +176,8 @@ fn near_collinear_points_leave_a_right_model_or_none() {
         let mut scene = synthetic_scene(&options(640, 480, 600.0), 7);
         flatten(&mut scene, |x| DVec3::new(x.x * squeeze, x.y * squeeze, x.z));
         let given = SfmConfig { intrinsics: Some(vec![600.0, 320.0, 240.0]), ..SfmConfig::default() };
-        // A line determines no pose; what is said must be finite, and none of it is held against the truth.
+        // A line determines no pose; what is said must be finite, and none of it is held against
+        // the truth.
         right_or_none(&format!("squeezed by {squeeze}"), &scene, &given, f64::INFINITY);
     }
 }

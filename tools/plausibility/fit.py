@@ -6,8 +6,8 @@
 Logistic regression on half A of the captures alone, models that are right and wrong ones with the
 same total weight (the constant is then moved to PRIOR_ODDS), a ridge on all coefficients but the constant, and signs as the features mean
 them. Poor models (relative rotations off by 2 to 5 degrees in the median) count with the wrong ones:
-to be doubted is what is asked of them. Features of a second solution are taken as unknown where the others are clear, as the program
-asks no second solution then; what is unknown adds nothing.
+to be doubted is what is asked of them. Features of a second solution are taken as unknown where the others are clear, and where the poses
+follow a law of motion, as the program asks no second solution then; what is unknown adds nothing.
 
 Prints the terms as they stand in sfm/src/plausibility/probability.rs, and how both halves come out.
 """
@@ -33,6 +33,7 @@ FEATURES = [
     ("second-difference", "Log", -1),
 ]
 SECOND = ("second-difference",)
+LAWS = ("single-axis", "torque-free")  # motions of a dozen numbers, or of one a photo
 SCALES = {
     "HalfSquare": lambda v: 0.5 * v * v,
     "Odds": lambda v: math.log((v + 0.02) / (1.02 - v)),
@@ -57,6 +58,9 @@ def label(row):
 def read(path):
     with open(path) as file:
         rows = list(csv.DictReader(file))
+    for row in rows:
+        if row["motion"] in LAWS:
+            row.update(dict.fromkeys(SECOND, ""))
     return [r for r in rows if label(r) != "none" and r.get("agreeing-pairs")]
 
 

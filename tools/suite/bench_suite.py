@@ -98,6 +98,8 @@ def judged(model_folder, entry, names, run):
     """Figures of the poses in a folder against the capture's truths."""
     model = judge.read_model(model_folder)
     truths = {which: judge.read_model(path) for which, path in entry["truths"].items()}
+    # Two objects at one place in one room are one scene: a model of both can be right.
+    truths["all"] = {name: pose for truth in truths.values() for name, pose in truth.items()}
     record = judge.judge_any(model, truths, len(names))
     record["model"] = "none" if len(model) < 3 else "wrong" if record.get("wrong", True) else "right"
     if entry.get("case", {}).get("asked") == "doubt" and model:

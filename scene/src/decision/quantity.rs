@@ -202,7 +202,8 @@ quantities! {
     CameraSurprise = ("standard deviations of focal length and distortion from the usual", Plain(1)),
     /// Matches of verified pairs that agree with the model, 0 to 1.
     AgreeingPairs = ("matches that agree with the model", Percent(0)),
-    /// Matched keypoints that the model explains, in the tenth of the images with the least, 0 to 1.
+    /// Matched keypoints that the model explains, in the tenth of the images with the least, 0 to
+    /// 1.
     LeastExplained = ("matched keypoints explained in the worst tenth of the images", Percent(0)),
     /// Points of three and more images, in the tenth of the images with the fewest.
     LeastFirm = ("points of three and more images in the worst tenth of the images", Plain(0)),

@@ -305,6 +305,10 @@ impl Remark {
                 "a second solution from the same images has other rotations: parts that look alike may have \
                  been mistaken for each other"
             }
+            Self::PartsNotTied => {
+                "no points tie two parts of the images to each other, as after a cut: how the parts lie is a \
+                 guess; give them one at a time, or film them without a cut"
+            }
         }
     }
 }

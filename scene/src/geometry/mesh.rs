@@ -54,7 +54,7 @@ impl Mesh {
     }
 
     /// Area of triangle `i`.
-    pub fn triangle_area(&self, i: usize) -> f64 {
+    pub(crate) fn triangle_area(&self, i: usize) -> f64 {
         area(&self.corners(i))
     }
 

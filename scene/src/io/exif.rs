@@ -69,7 +69,7 @@ impl ExifCamera {
     /// The 35 mm equivalent is defined by the angle of view over the diagonal (CIPA DCG-001): `f_px
     /// = f₃₅ · diagonal_px / 43.267 mm`. Else `f_px = f_mm · px/mm`, scaled if the image was
     /// resized since.
-    pub fn focal_px(&self, width: u32, height: u32) -> Option<f64> {
+    pub(crate) fn focal_px(&self, width: u32, height: u32) -> Option<f64> {
         let diagonal = f64::from(width).hypot(f64::from(height));
         let from_35mm = self.focal_35mm.map(|f| f * diagonal / FILM_MM[0].hypot(FILM_MM[1]));
         let focal = from_35mm.or_else(|| self.focal_from_sensor(diagonal));

@@ -78,7 +78,7 @@ impl Backbone {
     }
 
     /// Images must have at least this many pixels a side for every layer to have a cell.
-    pub fn least_side(self) -> u32 {
+    pub(crate) fn least_side(self) -> u32 {
         match self {
             Self::Alex => 31,
             Self::Vgg => 16,

@@ -6,14 +6,15 @@ use crate::error::SfmError;
 use glam::DQuat;
 use scene::Pose;
 
-/// The quadratic `½ dᵀ H d + gᵀ d` that the cost of an adjustment is in small changes d of its poses,
-/// points and intrinsics eliminated. A change of the world's frame or scale costs nothing.
+/// The quadratic `½ dᵀ H d + gᵀ d` that the cost of an adjustment is in small changes d of its
+/// poses, points and intrinsics eliminated. A change of the world's frame or scale costs nothing.
 #[derive(Clone, Debug)]
 pub(crate) struct PoseInformation {
     /// Poses where it holds, normalised scene.
     poses: Vec<Pose>,
     frame: SceneNormalisation,
-    /// [6P × 6P] over rotation vector (camera frame) and translation (normalised scene) of each pose.
+    /// [6P × 6P] over rotation vector (camera frame) and translation (normalised scene) of each
+    /// pose.
     hessian: Vec<f64>,
     /// [6P].
     slope: Vec<f64>,

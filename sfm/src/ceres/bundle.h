@@ -22,7 +22,7 @@ BundleOutcome solve_bundle(const BundleInput &input, rust::Slice<double> intrins
                            rust::Slice<double> points, const Monitor &monitor);
 
 // Marginal covariance, for unit noise, of intrinsics and poses after the points are eliminated.
-//   pose_covariance   [P × 36]         row-major over (rotation vector on the left of R, translation)
+// pose_covariance   [P × 36]         row-major over (rotation vector on the left of R, translation)
 //   camera_covariance [Σ num_params²]  row-major for each camera
 // Both are 0 where constant. Returns false where the normal matrix cannot be inverted.
 bool bundle_covariance(const BundleInput &input, rust::Slice<const double> intrinsics, rust::Slice<const double> poses,

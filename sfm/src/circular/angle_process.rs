@@ -39,10 +39,9 @@ impl AngleProcess {
         for doubled in 0..3 {
             let (excess, doubt) = (least * f64::from(1 << doubled), -0.5 * f64::from(doubled * doubled));
             for jitter in [1e-6, 3e-5, 1.2e-4, 5e-4] {
-                let of = |&(prior, sway, lasts): &(f64, f64, f64)| {
-                    (prior + doubt, Self { excess, jitter, sway, lasts })
-                };
-                all.extend(slow.iter().map(of));
+                for &(prior, sway, lasts) in &slow {
+                    all.push((prior + doubt, Self { excess, jitter, sway, lasts }));
+                }
             }
         }
         all

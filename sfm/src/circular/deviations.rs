@@ -19,8 +19,8 @@ impl AxisDeviation {
     }
 
     /// Standard deviations of the pose at an angle, itself known to `sigma` (radians), against the
-    /// pose at angle 0: with the turn Q about the axis, the rotation errs by `(I − Q) δ` where the axis
-    /// is tilted by δ.
+    /// pose at angle 0: with the turn Q about the axis, the rotation errs by `(I − Q) δ` where the
+    /// axis is tilted by δ.
     pub(crate) fn of_pose(self, axis: &Pose, angle: f64, sigma: f64) -> PoseDeviation {
         let z = axis.rotation * DVec3::Z;
         let out = (axis.translation - z * z.dot(axis.translation)).normalize();

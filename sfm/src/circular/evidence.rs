@@ -9,6 +9,7 @@ use crate::bundle::{
 };
 use crate::error::SfmError;
 use crate::incremental::adjust::{Adjustment, Selected, select};
+use crate::incremental::finish::OBSERVATIONS;
 use crate::incremental::growth::freedom;
 use crate::incremental::state::MapState;
 use crate::limits::OUTLIER_SIGMAS;
@@ -20,10 +21,6 @@ use crate::triangulation::{PointView, nearest_to_rays, refine_point};
 use scene::Progress;
 use scene::decision::{Decision, Measurement, MotionModel, Quantity, Rule, Subject};
 
-/// Observations that the choice is based on.
-/// Source: docs/decisions/08; 60 an image, ten times what a free pose has parameters.
-const OBSERVATIONS: usize = 6000;
-
 /// What one assumption yields on the common observations.
 #[derive(Clone, Debug)]
 pub(crate) struct MotionScore {
@@ -34,7 +31,8 @@ pub(crate) struct MotionScore {
     pub parameters: usize,
     /// Root mean square of the held-out error, pixels (truncated at four standard deviations).
     pub held_out_px: f64,
-    /// For each pose the sum of truncated squared held-out errors in units of the noise, and their number.
+    /// For each pose the sum of truncated squared held-out errors in units of the noise, and their
+    /// number.
     by_pose: Vec<(f64, usize)>,
 }
 
@@ -81,8 +79,8 @@ pub(crate) struct MotionComparison {
 }
 
 impl MotionComparison {
-    /// Adjusts the observations of `base` (some model of the same images) under each assumption; one axis where there is a
-    /// model about one. `None` where there are too few observations.
+    /// Adjusts the observations of `base` (some model of the same images) under each assumption;
+    /// one axis where there is a model about one. `None` where there are too few observations.
     pub(super) fn of(
         single: Option<&AxisModel>,
         base: &MapState,
@@ -127,8 +125,9 @@ impl MotionComparison {
         is_motion_as_good(cost(single) - cost(free), more, self.price)
     }
 
-    /// One axis where it pays against free poses and an orbit with less does not predict clearly better; else
-    /// an orbit where the evidence is for one; else free. What predicts clearly worse than free poses is out.
+    /// One axis where it pays against free poses and an orbit with less does not predict clearly
+    /// better; else an orbit where the evidence is for one; else free. What predicts clearly worse
+    /// than free poses is out.
     pub(super) fn choice(&self) -> MotionModel {
         let Some(free) = self.of_motion(MotionModel::Free) else { return MotionModel::Free };
         let orbit = self
@@ -169,12 +168,12 @@ impl MotionComparison {
     }
 }
 
-/// The effective number of deviations from a motion, `Σ σ²/(σ² + s²)` with the standard deviations s
-/// to which the observations know a free pose, and by how much twice the logarithm of the evidence
-/// grows because they are not free: `Σ ln (1 + 1/s²) − ln (1 + σ²/s²)`, the widths of what is
-/// expected of a pose that may be anywhere within a radius and a radian, and of one near the motion,
-/// over what is found (Occam factors: MacKay 1992). Rotations (radians) and translations (radii),
-/// `count` coordinates of each.
+/// The effective number of deviations from a motion, `Σ σ²/(σ² + s²)` with the standard deviations
+/// s to which the observations know a free pose, and by how much twice the logarithm of the
+/// evidence grows because they are not free: `Σ ln (1 + 1/s²) − ln (1 + σ²/s²)`, the widths of what
+/// is expected of a pose that may be anywhere within a radius and a radian, and of one near the
+/// motion, over what is found (Occam factors: MacKay 1992). Rotations (radians) and translations
+/// (radii), `count` coordinates of each.
 pub(crate) fn occam(count: f64, sigma: [f64; 2], seen: [f64; 2]) -> (f64, f64) {
     let (mut effective, mut gain) = (0.0, 0.0);
     for (sigma, seen) in sigma.into_iter().zip(seen) {
@@ -333,8 +332,8 @@ impl<'a> MotionTrial<'a> {
         Ok(self.held_out(motion, problem.bundle(), bic, parameters))
     }
 
-    /// An orbit from adjusted free poses, the strength of its small motions, and what they gain by not being free (see
-    /// [`occam`]).
+    /// An orbit from adjusted free poses, the strength of its small motions, and what they gain by
+    /// not being free (see [`occam`]).
     fn orbit(&self, free: &BundleProblem) -> Result<Option<(MotionScore, [f64; 2], f64)>, SfmError> {
         let Some((mut problem, misfit)) = orbit::of_free(free) else { return Ok(None) };
         if !orbit::is_near(&misfit) {

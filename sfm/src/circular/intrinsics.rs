@@ -1,11 +1,12 @@
 //! Which intrinsics a turn determines.
 //!
-//! Without distortion, and with the axis in the plane of the optical axis, a tilt of the axis, the focal length and the
-//! principal point along the axis can change together without changing any image: planes across the axis are seen as
-//! they are, but the scale along it is only known up to a projectivity (Fitzgibbon, Cross & Zisserman 1998, section 4).
-//! What breaks this is distortion, whose centre is the principal point, and an axis beside the image centre; what is
-//! known beforehand does the rest. So the principal point has a prior and is free where the observations say more than that;
-//! distortion is free with it, for it must not stand for a wrong centre.
+//! Without distortion, and with the axis in the plane of the optical axis, a tilt of the axis, the
+//! focal length and the principal point along the axis can change together without changing any
+//! image: planes across the axis are seen as they are, but the scale along it is only known up to a
+//! projectivity (Fitzgibbon, Cross & Zisserman 1998, section 4). What breaks this is distortion,
+//! whose centre is the principal point, and an axis beside the image centre; what is known
+//! beforehand does the rest. So the principal point has a prior and is free where the observations
+//! say more than that; distortion is free with it, for it must not stand for a wrong centre.
 
 use super::axis::Elevation;
 use super::model::CircularContext;
@@ -25,8 +26,8 @@ use scene::{CameraModel, Progress};
 /// Source: derived; the other coordinate is then half along it.
 const LEAN: f64 = 0.5;
 
-/// Camera model and freedom by evidence; the principal point where it is determined. The observations of `problem` have
-/// their standard deviations. `edges`: lines of the room.
+/// Camera model and freedom by evidence; the principal point where it is determined. The
+/// observations of `problem` have their standard deviations. `edges`: lines of the room.
 pub(crate) fn choose_for_turn(
     problem: &CircularProblem,
     context: &CircularContext<'_>,
@@ -100,8 +101,8 @@ struct IntrinsicsTrial {
 }
 
 impl IntrinsicsTrials<'_> {
-    /// Frees the principal point along the axis (coordinate `along`) where an elevation of the camera, given or shown by the room's
-    /// vertical lines, or the observations alone determine it.
+    /// Frees the principal point along the axis (coordinate `along`) where an elevation of the
+    /// camera, given or shown by the room's vertical lines, or the observations alone determine it.
     fn along(
         &self,
         best: IntrinsicsTrial,
@@ -186,7 +187,8 @@ fn is_taken(found: &IntrinsicsTrial, coordinate: usize, before: f64) -> bool {
     is_determined(sd, TRACK_EXCESS.sqrt(), prior) && !contradicts_prior(found.bic - before)
 }
 
-/// The image coordinate (0: x, 1: y) along which the axis lies; `None` where it leans or is seen end on.
+/// The image coordinate (0: x, 1: y) along which the axis lies; `None` where it leans or is seen
+/// end on.
 fn along_axis(problem: &CircularProblem) -> Option<usize> {
     let z = problem.axis.rotation * DVec3::Z;
     let (x, y) = (z.x.abs(), z.y.abs());

@@ -37,3 +37,11 @@ pub(crate) const FINAL_ROUNDS: usize = 3;
 pub(crate) fn is_majority(agreeing: usize, all: usize) -> bool {
     2 * agreeing >= all
 }
+/// Errors of steps are evened out over so much of a turn on either side, a closed turn is searched
+/// for so far, and pictures up to so far from it are compared, radians.
+/// Source: docs/decisions/10; half of what views that have much in common may be turned by.
+pub(crate) const NEARBY: f64 = 0.5 * COMPARABLE;
+/// Poses farther than this from the motion they show best are no motion of this kind: radians,
+/// radii or distances.
+/// Source: chosen by hand, never measured.
+pub(crate) const FARTHEST: [f64; 2] = [0.1, 0.2];

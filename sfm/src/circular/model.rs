@@ -264,8 +264,8 @@ impl AxisModel {
         Ok(())
     }
 
-    /// Standard deviations of the final adjustment, with the problem they belong to. `excess`: factor
-    /// on the observations' variances.
+    /// Standard deviations of the final adjustment, with the problem they belong to. `excess`:
+    /// factor on the observations' variances.
     pub(crate) fn covariance(
         &self,
         context: &CircularContext<'_>,
@@ -295,11 +295,11 @@ impl AxisModel {
 }
 
 /// Gives each track its own noise. A glint, a contour or a shadow slides over the surface and fits
-/// no single point: with a scaled inverse χ² prior of [`TRACK_FREEDOM`] degrees of freedom about the
-/// noise σ of its kind, the variance expected of a track of n views whose residuals r are in σ is
-/// `σ² (ν + Σ r²) / (ν + 2 n − 3)` (the point takes up 3 coordinates). What a followed point errs by
-/// stays with its window from frame to frame: however long it is followed, its views count as
-/// [`FOLLOWED_VIEWS`].
+/// no single point: with a scaled inverse χ² prior of [`TRACK_FREEDOM`] degrees of freedom about
+/// the noise σ of its kind, the variance expected of a track of n views whose residuals r are in σ
+/// is `σ² (ν + Σ r²) / (ν + 2 n − 3)` (the point takes up 3 coordinates). What a followed point
+/// errs by stays with its window from frame to frame: however long it is followed, its views count
+/// as [`FOLLOWED_VIEWS`].
 fn weigh_tracks(bundle: &mut BundleProblem, followed: &[bool]) {
     let mut tracks = vec![(0.0, 0.0); bundle.points.len()];
     for o in &bundle.observations {

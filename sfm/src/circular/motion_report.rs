@@ -7,7 +7,8 @@ use glam::DVec3;
 use scene::decision::MotionModel;
 use scene::motion_report::{Estimate, MotionReport, MotionSample};
 
-/// The report of a turn; `None` of fewer than three frames. `times`: by frame, seconds. `images`: those whose angles the covariance is of.
+/// The report of a turn; `None` of fewer than three frames. `times`: by frame, seconds. `images`:
+/// those whose angles the covariance is of.
 pub(super) fn report(
     model: &AxisModel,
     covariance: &CircularCovariance,

@@ -2,7 +2,7 @@
 //! offsets that are about as large as they turn out to be.
 
 use super::initialize::free_poses::CircularMisfit;
-use super::limits::HELD;
+use super::limits::{FARTHEST, HELD};
 use super::model::{AxisModel, CircularContext};
 use super::motion::CircularMotion;
 use super::prior::AnglePrior;
@@ -14,10 +14,6 @@ use crate::model_selection::camera::FreeIntrinsics;
 use crate::statistics::{MEDIAN_LENGTH, median};
 use glam::DVec3;
 use scene::Pose;
-
-/// Poses farther from a circle than this are no orbit and no turn: tilt (radians), slip (radii).
-/// Source: chosen by hand, never measured.
-const FARTHEST: [f64; 2] = [0.1, 0.2];
 
 /// Free poses as a turn with offsets, in the turntable's frame, and how far they are from a pure
 /// turn. `None` where they do not turn.

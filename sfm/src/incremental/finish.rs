@@ -18,9 +18,9 @@ use crate::skip::StepName;
 use scene::decision::{Choice, Decision, Rule, Subject};
 use scene::{Camera, CameraModel, Progress};
 
-/// Observations that the choice of the camera model is based on, and the first round of the last
-/// adjustment.
-/// Source: chosen by hand for the time that the choice takes.
+/// Observations that the choices of the camera model and of the motion are based on, and the first
+/// round of the last adjustment.
+/// Source: docs/decisions/08; 60 an image, ten times what a free pose has parameters.
 pub(crate) const OBSERVATIONS: usize = 6000;
 /// The same for the question whether images were rotated, of the images that are asked together.
 /// Source: chosen by hand for the time that the question takes.

@@ -16,8 +16,8 @@ use scene::{Camera, Progress};
 /// Focal lengths farther from the median than by this factor belong to no camera.
 /// Source: `plausible` of `adjust.rs`: 60 longer image sides over the median of 1.2.
 const EXTREME_RATIO: f64 = 50.0;
-/// Images of the small models that are compared before one is grown; with more, distortion is solved
-/// for.
+/// Images of the small models that are compared before one is grown; with more, distortion is
+/// solved for.
 /// Source: chosen by hand, never measured.
 pub(super) const SMALL: usize = 5;
 /// Images up to which the model is adjusted after each registration; then after one more for each

@@ -7,8 +7,8 @@ use crate::sift::dispatch;
 use glam::DVec2;
 
 /// Most steps on a level.
-/// Source: measured: one limit for both searches, without a check of the correlation here, gives 0.046°
-/// in case 3; 12 steps here and 15 of 0.01 px against the first window gave 0.048°.
+/// Source: measured: one limit for both searches, without a check of the correlation here, gives
+/// 0.046° in case 3; 12 steps here and 15 of 0.01 px against the first window gave 0.048°.
 pub(super) const STEPS: usize = 15;
 /// A step shorter than this ends the search, pixels of the level.
 /// Source: measured with [`STEPS`].

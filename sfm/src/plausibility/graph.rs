@@ -1,6 +1,6 @@
 //! How firmly the images of a model hang together: by the points that cross its weakest place.
 
-use crate::incremental::state::{MapPoint, MapState};
+use crate::incremental::state::MapState;
 use crate::statistics::median;
 use std::collections::BTreeMap;
 
@@ -48,22 +48,32 @@ fn spectral_order(images: usize, weights: &BTreeMap<(usize, usize), f64>) -> Vec
     order
 }
 
+/// The place at which the images of a model hang together by the fewest points.
+pub(super) struct WeakestLink {
+    /// Points that are seen from both sides.
+    pub points: usize,
+    /// These relative to the points that an image sees in the median.
+    pub share: f64,
+}
+
 /// [`weakest_link`] of the images that have a pose.
-pub(super) fn weakest_link_of(state: &MapState) -> f64 {
+pub(super) fn weakest_link_of(state: &MapState) -> Option<WeakestLink> {
     let mut images = state.order.clone();
     images.sort_unstable();
     let mut number = vec![0usize; state.poses.len()];
     images.iter().enumerate().for_each(|(k, &image)| number[image] = k);
-    let views = |p: &MapPoint| p.views.iter().map(|v| number[v[0] as usize]).collect();
-    weakest_link(images.len(), &state.live().map(|(_, p)| views(p)).collect::<Vec<_>>())
+    let mut points: Vec<Vec<usize>> = Vec::new();
+    for (_, point) in state.live() {
+        points.push(point.views.iter().map(|v| number[v[0] as usize]).collect());
+    }
+    weakest_link(images.len(), &points)
 }
 
-/// Fewest points that are seen from both sides of a cut of the images, relative to the points that
-/// an image sees in the median. `points`: for each the images that see it. Each side has at least a
-/// tenth of the images. No number of fewer than four images.
-fn weakest_link(images: usize, points: &[Vec<usize>]) -> f64 {
+/// The cut of the images across which the fewest points are seen. `points`: for each the images
+/// that see it. Each side has at least a tenth of the images. None of fewer than four images.
+fn weakest_link(images: usize, points: &[Vec<usize>]) -> Option<WeakestLink> {
     if images < 4 {
-        return f64::NAN;
+        return None;
     }
     let mut weights = BTreeMap::new();
     let mut seen = vec![0.0; images];
@@ -95,7 +105,7 @@ fn weakest_link(images: usize, points: &[Vec<usize>]) -> f64 {
             least = least.min(crossing);
         }
     }
-    least as f64 / median(seen).max(1.0)
+    Some(WeakestLink { points: least as usize, share: least as f64 / median(seen).max(1.0) })
 }
 
 #[cfg(test)]
@@ -106,8 +116,10 @@ mod tests {
     fn two_groups_that_share_few_points_hang_together_weakly() {
         let group = |from: usize| (0..100).map(move |_| (from..from + 10).collect::<Vec<usize>>());
         let apart: Vec<Vec<usize>> = group(0).chain(group(10)).chain([vec![3, 14]]).collect();
-        assert!((weakest_link(20, &apart) - 0.01).abs() < 1e-9, "{}", weakest_link(20, &apart));
+        let share = |points: &[Vec<usize>]| weakest_link(20, points).unwrap().share;
+        assert!((share(&apart) - 0.01).abs() < 1e-9, "{}", share(&apart));
+        assert_eq!(weakest_link(20, &apart[..200]).unwrap().points, 0);
         let chain: Vec<Vec<usize>> = (0..1600).map(|k| (k % 16..k % 16 + 5).collect()).collect();
-        assert!(weakest_link(20, &chain) > 0.3, "{}", weakest_link(20, &chain));
+        assert!(share(&chain) > 0.3, "{}", share(&chain));
     }
 }

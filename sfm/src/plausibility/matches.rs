@@ -70,9 +70,9 @@ pub(super) fn explained_keypoints(state: &MapState, input: &MappingInput<'_>) ->
     images.sort_unstable();
     let mut counts = Vec::with_capacity(images.len());
     for image in images {
-        let features = || (0..tied[image].len()).filter(|&f| tied[image][f]);
-        let explained = features().filter(|&f| is_explained(state, input, image, f)).count();
-        counts.push((explained, features().count()));
+        let features: Vec<usize> = (0..tied[image].len()).filter(|&f| tied[image][f]).collect();
+        let explained = features.iter().filter(|&&f| is_explained(state, input, image, f)).count();
+        counts.push((explained, features.len()));
     }
     // Of frames between the key frames of a video no pair says anything.
     counts.retain(|(_, all)| *all > 0);

@@ -23,6 +23,9 @@ const DOUBTFUL: f64 = 0.9;
 /// What the model alone says must be as clear as this for no second solution to be asked.
 /// Source: docs/decisions/20.
 const CLEAR: f64 = 1.0;
+/// Fewest points that tie two parts of a model to each other.
+/// Source: derived; three fix a similarity (Horn, JOSA A 4, 1987).
+const FEWEST_TIES: usize = 3;
 
 /// A finished model and what it rests on.
 pub(crate) struct FinishedModel<'a> {
@@ -32,8 +35,8 @@ pub(crate) struct FinishedModel<'a> {
     /// Cameras as they were before anything was solved.
     pub cameras: &'a [Camera],
     pub known: &'a [Knowledge],
-    /// All frames of a video follow a law of motion, a turn or a tumble: with a dozen numbers in place
-    /// of six an image, that is a second opinion already.
+    /// All frames of a video follow a law of motion, a turn or a tumble: with a dozen numbers in
+    /// place of six an image, that is a second opinion already.
     pub follows_law: bool,
     pub progress: &'a Progress,
 }
@@ -42,12 +45,19 @@ impl FinishedModel<'_> {
     /// The probability that the model is right, with all features that it follows from; what speaks
     /// against a doubtful model, too.
     pub(crate) fn judge(&self) -> Result<Decision, SfmError> {
-        let mut features = self.features();
+        let link = graph::weakest_link_of(self.state);
+        let tied = link.as_ref().is_none_or(|link| link.points >= FEWEST_TIES);
+        let mut features = self.features(link.map_or(f64::NAN, |link| link.share));
         let (alone, _) = weigh(&features);
-        if !self.follows_law && (1.0 - CLEAR..CLEAR).contains(&alone) {
+        if tied && !self.follows_law && (1.0 - CLEAR..CLEAR).contains(&alone) {
             features.extend(self.second_solution()?);
         }
-        let (probability, against) = weigh(&features);
+        let (probability, mut against) = weigh(&features);
+        if !tied {
+            against.insert(0, Remark::PartsNotTied);
+        }
+        // Of all places that the parts could take to each other the model has one.
+        let probability = if tied { probability } else { 0.0 };
         let choice = Measurement::new(Quantity::Probability, probability);
         let mut decision = Decision::new(Subject::Plausibility, choice, Rule::Evidence).with_all(features);
         if !(probability >= DOUBTFUL) {
@@ -58,7 +68,7 @@ impl FinishedModel<'_> {
     }
 
     /// What the model shows by itself.
-    fn features(&self) -> Vec<Measurement> {
+    fn features(&self, weakest_link: f64) -> Vec<Measurement> {
         let Self { state, input, .. } = *self;
         let explained = matches::explained_keypoints(state, input);
         let shares: Vec<f64> = explained.iter().map(|(n, all)| *n as f64 / *all as f64).collect();
@@ -69,20 +79,20 @@ impl FinishedModel<'_> {
             (Quantity::LeastExplained, tenth(shares)),
             (Quantity::LeastFirm, tenth(firm)),
             (Quantity::PointAngle, points::median_angle_deg(state)),
-            (Quantity::WeakestLink, graph::weakest_link_of(state)),
+            (Quantity::WeakestLink, weakest_link),
             (Quantity::HeldOutAgreement, points::held_out_share(state, input)),
         ];
         values.map(|(quantity, value)| Measurement::new(quantity, value)).to_vec()
     }
 
-    /// How far a second solution is from it. Nothing where no pair has a relative pose, as along the
-    /// frames of a turn.
+    /// How far a second solution is from it. Nothing where no pair has a relative pose, as along
+    /// the frames of a turn.
     fn second_solution(&self) -> Result<Option<Measurement>, SfmError> {
-        let Self { state, input, known, progress, .. } = *self;
+        let Self { state, input, progress, .. } = *self;
         if !input.geometries.iter().any(|g| g.f.is_some() || g.e.is_some() || g.b_from_a.is_some()) {
             return Ok(None);
         }
-        let other = second::rotations(state, input, known, progress)?;
+        let other = second::rotations(state, input, progress)?;
         Ok(Some(Measurement::new(Quantity::SecondDifference, second::difference_deg(state, &other))))
     }
 

@@ -49,8 +49,8 @@ impl PosedImages<'_> {
         Ok(found?.into_iter().flatten().collect())
     }
 
-    /// The fundamental matrix between the ideal images of two cameras, and the pose of b in a; `None`
-    /// where a pose is not known or they look far apart.
+    /// The fundamental matrix between the ideal images of two cameras, and the pose of b in a;
+    /// `None` where a pose is not known or they look far apart.
     fn line_between(&self, a: usize, b: usize) -> Option<(DMat3, Pose)> {
         let [pose_a, pose_b] = [self.poses[a]?, self.poses[b]?];
         let [axis_a, axis_b] = [pose_a, pose_b].map(|pose| pose.rotation.conjugate() * DVec3::Z);

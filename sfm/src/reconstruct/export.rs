@@ -32,6 +32,7 @@ pub(super) fn fill_statistics(stats: &mut SfmStats, model: &Reconstruction) {
 }
 
 /// Numbers of a pose that nothing but its observations holds.
+/// Source: derived.
 const FREE_POSE: usize = 6;
 
 /// Images with few observations for each free number of a pose, or with a rotation far less certain

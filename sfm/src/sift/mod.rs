@@ -44,9 +44,9 @@ use window::Window;
 
 /// Features of a one-channel image with values in [0, 1] (samples that are not finite count as 0).
 ///
-/// `mask` (white = keep; any size, stretched over the image) drops keypoints that lie in black; what
-/// is near its white keeps its pixels, so it makes no edges there. Positions and scales are in input
-/// pixels, the first pixel's centre at 0.5.
+/// `mask` (white = keep; any size, stretched over the image) drops keypoints that lie in black;
+/// what is near its white keeps its pixels, so it makes no edges there. Positions and scales are in
+/// input pixels, the first pixel's centre at 0.5.
 pub fn extract(image: &FloatImage, mask: Option<&GrayImage>, config: &SiftConfig) -> Features {
     extract_with(&mut Vec::new(), image, mask, config)
 }

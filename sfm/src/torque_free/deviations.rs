@@ -8,7 +8,7 @@ use scene::Pose;
 
 /// Half the width of the differences by which derivatives are taken, in standard deviations.
 /// Source: derived: small against the curvature of the motion, large against rounding.
-const DIFFERENCE: f64 = 0.1;
+pub(super) const DIFFERENCE: f64 = 0.1;
 
 /// Steps whose squares sum up to the covariance of a motion: the columns of its Cholesky factor.
 pub(super) fn steps(likely: &LikelyMotion) -> Vec<[f64; DETERMINED]> {

@@ -11,6 +11,7 @@ const STEP_RAD: f64 = 0.05;
 
 /// Unknowns of a torque-free motion: attitude (3), direction of the angular momentum (2), logarithm
 /// of the response (6).
+/// Source: derived.
 pub(super) const UNKNOWNS: usize = 11;
 
 /// Where in the unknowns the logarithm of the response is, row-major from the diagonal on.
@@ -100,7 +101,10 @@ impl TorqueFreeBody {
     /// `Q̇ = ½ Q ω` over `span` seconds by Runge and Kutta's method of order four.
     fn integrated(&self, response: &DMat3, attitude: DQuat, span: f64) -> DQuat {
         let fastest = response.x_axis.length().max(response.y_axis.length()).max(response.z_axis.length());
-        let steps = (fastest * span.abs() / STEP_RAD).ceil().clamp(1.0, 1e5) as usize;
+        // A body that turns several times between two images cannot be told from one that does not:
+        // its attitudes need not be exact, but they must not take for ever.
+        let turned = (fastest * span.abs()).min(4.0 * std::f64::consts::TAU);
+        let steps = (turned / STEP_RAD).ceil().max(1.0) as usize;
         let h = span / steps as f64;
         let slope = |q: DQuat| {
             let w = *response * (q.normalize().conjugate() * self.momentum);

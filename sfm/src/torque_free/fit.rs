@@ -24,9 +24,10 @@ pub(super) const SHAPE_SIGMA: f64 = 1.0;
 /// Least standard deviation of an attitude, radians, where a motion fits exactly.
 /// Source: derived: far below what any picture says.
 const LEAST_SIGMA: f64 = 1e-9;
-/// Half the width of the differences by which derivatives are taken, radians or logarithms.
+/// Half the width of the differences by which derivatives are taken: radians, logarithms, shares of
+/// the distance.
 /// Source: derived: the cube root of the precision of the integration.
-const DIFFERENCE: f64 = 1e-5;
+pub(super) const DIFFERENCE: f64 = 1e-5;
 
 /// An attitude at a time.
 #[derive(Clone, Copy, Debug, PartialEq)]

@@ -6,7 +6,7 @@ use super::motion::TorqueFreeMotion;
 use super::report::report;
 use crate::bundle::{BundleCovariance, BundleProblem, ExpectedPoses};
 use crate::circular::evidence::{MotionScore, MotionTrial, free_problem, median_deviation, occam, thin};
-use crate::circular::limits::LEAST_SIGMA;
+use crate::circular::limits::{FARTHEST, LEAST_SIGMA};
 use crate::circular::{FreeModel, Motion, MotionInput};
 use crate::error::SfmError;
 use crate::incremental::finish::{FinalAdjustment, converge};
@@ -18,9 +18,6 @@ use scene::decision::{Decision, Measurement, MotionModel, Quantity, Rule, Subjec
 use scene::motion_report::MotionReport;
 use scene::{CameraModel, Pose};
 
-/// Poses farther than this from the motion they show best are no motion of this kind: radians,
-/// distances. Source: docs/decisions/08, what is tried as an orbit.
-const FARTHEST: [f64; 2] = [0.1, 0.2];
 /// Rounds of adjusting model and motion to each other.
 /// Source: derived: the second corrects what the first moved far enough to be another quadratic.
 const ROUNDS: usize = 2;

@@ -1,7 +1,7 @@
 //! The torque-free motion under which the observations are most likely.
 
 use super::dynamics::RESPONSE;
-use super::fit::SHAPE_SIGMA;
+use super::fit::{DIFFERENCE, SHAPE_SIGMA};
 use super::motion::TorqueFreeMotion;
 use crate::bundle::PoseInformation;
 use crate::solvers::linalg::solve_spd;
@@ -10,13 +10,11 @@ use glam::DVec3;
 /// What of a motion the observations can tell: direction of the momentum (2), logarithm of the
 /// response (6), place across the line of sight (2), velocity (3). The rest is the choice of the
 /// world's frame and scale.
+/// Source: derived.
 pub(super) const DETERMINED: usize = 13;
 /// Of which so many, the first, say how the body turns.
+/// Source: derived.
 const OF_TURN: usize = 8;
-/// Half the width of the differences by which derivatives are taken: radians, logarithms, shares of
-/// the distance.
-/// Source: derived: the cube root of the precision of the integration.
-const DIFFERENCE: f64 = 1e-5;
 /// Most steps.
 /// Source: derived: Newton's steps double the digits.
 const STEPS: usize = 12;

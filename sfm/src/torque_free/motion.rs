@@ -7,6 +7,7 @@ use glam::{DQuat, DVec3};
 use scene::Pose;
 
 /// Unknowns of a place: centre of mass, its place at time 0 and its velocity.
+/// Source: derived.
 const UNKNOWNS: usize = 9;
 
 /// The centre of mass of a body before a camera that keeps its station or drifts.

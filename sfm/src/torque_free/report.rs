@@ -1,15 +1,11 @@
 //! What a torque-free motion is, in numbers with their standard deviations.
 
-use super::deviations::steps;
+use super::deviations::{DIFFERENCE, steps};
 use super::dynamics::TorqueFreeBody;
 use super::likely::LikelyMotion;
 use glam::{DQuat, DVec3};
 use scene::decision::MotionModel;
 use scene::motion_report::{Estimate, MotionReport, MotionSample, TumbleReport};
-
-/// Half the width of the differences by which derivatives are taken, in standard deviations.
-/// Source: derived: small against what is asked, large against the precision of the integration.
-const DIFFERENCE: f64 = 0.1;
 
 /// Figures of a motion over some times, seconds.
 struct Figures {
@@ -96,8 +92,8 @@ pub(super) fn report(likely: &LikelyMotion, times: &[f64], factor: f64) -> Motio
 
 /// After which the rates repeat in the body's frame, seconds: `4 K(k²) / n` with the complete
 /// elliptic integral by the arithmetic-geometric mean (Landau & Lifshitz, Mechanics, § 37).
-/// `log_response`: logarithms of 1/I in ascending order, for a momentum of length 1; `momentum`: its
-/// coordinates along these axes. Infinite for a turn about a principal axis.
+/// `log_response`: logarithms of 1/I in ascending order, for a momentum of length 1; `momentum`:
+/// its coordinates along these axes. Infinite for a turn about a principal axis.
 fn polhode_period(log_response: [f64; 3], momentum: DVec3) -> f64 {
     // Moments of inertia in ascending order, and the squares of the momentum along their axes.
     let inertia = [2, 1, 0].map(|k| (-log_response[k]).exp());

@@ -35,8 +35,8 @@ const NEAR_PX: f64 = 6.0;
 const LEAST_GAIN: f64 = 0.25;
 /// Share of the observations in tracks of three and more that a ring keeps: two views of a point do
 /// not tell the angle between them, three do.
-/// Source: docs/decisions/09: 0.72 to 0.89 of ten rings (0.60 and 0.65 of a turntable in the deepest
-/// dark), 0.25 and 0.51 of two sets that were none.
+/// Source: docs/decisions/09: 0.72 to 0.89 of ten rings (0.60 and 0.65 of a turntable in the
+/// deepest dark), 0.25 and 0.51 of two sets that were none.
 const KEPT: f64 = 0.62;
 /// A pose that is farther from its place than this is not on the ring: radians, radii.
 /// Source: chosen by hand, never measured.

@@ -6,6 +6,7 @@ use crate::circular::limits::RATE_CHANGE;
 use crate::circular::motion::wrap_angle;
 use crate::incremental::resection::FOCAL_FACTORS;
 use crate::knowledge::Knowledge;
+use crate::plausibility::camera_prior::FOCAL_LOG_SIGMA;
 use crate::solvers::levenberg::{Normal, cauchy, minimise};
 use crate::solvers::linalg::skew;
 use crate::solvers::sampson_sq;
@@ -24,9 +25,6 @@ const DIRECTIONS: usize = 160;
 /// Width of the robust loss in the search and as the adjustment begins, and as it ends, pixels.
 /// Source: chosen by hand, never measured.
 const WIDTHS_PX: [f64; 2] = [2.0, 0.7];
-/// Standard deviation of the logarithm of the focal length about the guess.
-/// Source: chosen by hand, never measured.
-const FOCAL_SIGMA: f64 = 0.5;
 /// Seeds that are adjusted; a fifth of them may share a focal length, a quarter of them is
 /// returned.
 /// Source: chosen by hand, never measured.
@@ -354,8 +352,8 @@ impl SeedProblem<'_> {
     /// steady rate.
     fn expectations(&self, seed: &Seed) -> Vec<(f64, [f64; UNKNOWNS])> {
         let mut by_focal = [0.0; UNKNOWNS];
-        by_focal[3] = 1.0 / FOCAL_SIGMA;
-        let off = (seed.focal / self.focal.guess).ln() / FOCAL_SIGMA;
+        by_focal[3] = 1.0 / FOCAL_LOG_SIGMA;
+        let off = (seed.focal / self.focal.guess).ln() / FOCAL_LOG_SIGMA;
         let mut expected = vec![(if self.focal.is_known { 0.0 } else { off }, by_focal)];
         let keys = self.keys;
         if keys <= 3 || self.holds_angles {

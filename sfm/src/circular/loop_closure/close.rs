@@ -4,7 +4,7 @@ use super::photometric::{self, PhotometricClosure};
 use super::tracks::{LoopClosure, LoopGap};
 use crate::circular::initialize::key_frames::{KeyFrames, VideoTracks};
 use crate::circular::job::VideoJob;
-use crate::circular::limits::{COMPARABLE, LEAST_OBSERVATIONS, is_majority};
+use crate::circular::limits::{COMPARABLE, LEAST_OBSERVATIONS, NEARBY, is_majority};
 use crate::circular::model::AxisModel;
 use crate::circular::motion::{CircularMotion, wrap_angle};
 use crate::circular::prior::AnglePrior;
@@ -20,10 +20,6 @@ use scene::decision::{Decision, Measurement, Quantity, Remark, Rule, Subject};
 use scene::{Camera, TwoViewGeometry};
 use std::f64::consts::TAU;
 
-/// Errors of steps are evened out over so much of a turn on either side, and a closed turn is
-/// searched for so far, radians.
-/// Source: derived; half of what views that have much in common may be turned by.
-const NEARBY: f64 = 0.5 * COMPARABLE;
 /// Angles across the loop closure that agree differ by less from their median, radians.
 /// Source: derived; ten times what matches of one pair leave of an angle (docs/decisions/10).
 const AGREE_WITHIN: f64 = 0.01;

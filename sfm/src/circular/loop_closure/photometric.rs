@@ -6,17 +6,13 @@
 //! objects too. At other places of the same video, where nothing is missing, the same search says
 //! how exact it is (docs/decisions/10).
 
-use crate::circular::limits::{COMPARABLE, LEAST_OBSERVATIONS};
+use crate::circular::limits::{COMPARABLE, LEAST_OBSERVATIONS, NEARBY};
 use crate::limits::OUTLIER_SIGMAS;
 use crate::solvers::linalg::solve_spd;
 use crate::statistics::{MEDIAN_DEVIATION, median};
 use scene::Film;
 use std::f64::consts::TAU;
 
-/// Pictures up to so far from the loop closure are compared, pairs of them up to a quarter less far
-/// apart, and the angles may miss a whole turn by as much, radians.
-/// Source: docs/decisions/10; half of what views that have much in common may be turned by.
-const SIDE: f64 = 0.5 * COMPARABLE;
 /// And at least so many steps; twice as many pictures at most.
 /// Source: derived; a step or two less are twice as many pairs as the curve has terms.
 const SIDE_STEPS: usize = 7;
@@ -49,17 +45,17 @@ pub(crate) fn excess(film: &Film, angle: impl Fn(f64) -> Option<f64>) -> Option<
     let strip = Strip::read(film, angle)?;
     let (first, last) = (*strip.angles.first()?, *strip.angles.last()?);
     // Of more frames than are compared only some are taken.
-    let step = ((last - first) / (strip.angles.len() - 1) as f64).max(SIDE / (2 * SIDE_STEPS) as f64);
-    let pair = (0.75 * SIDE).max((SIDE_STEPS - 1) as f64 * step);
+    let step = ((last - first) / (strip.angles.len() - 1) as f64).max(NEARBY / (2 * SIDE_STEPS) as f64);
+    let pair = (0.75 * NEARBY).max((SIDE_STEPS - 1) as f64 * step);
     if pair > COMPARABLE || last - first < TAU - pair {
         return None;
     }
-    let search = GapSearch { strip: &strip, side: SIDE.max(SIDE_STEPS as f64 * step), pair, step };
+    let search = GapSearch { strip: &strip, side: NEARBY.max(SIDE_STEPS as f64 * step), pair, step };
     let (sigma, usual) = search.accuracy(first, last)?;
     let rough = search.at(last, first.max(last - TAU), TAU)?.excess;
     // Again, with the frames that are found to be the neighbours.
     let found = search.at(last, first.max(last - TAU - rough), TAU)?;
-    let fits = found.misfit < WORSE * usual && found.excess.abs() < 0.95 * SIDE && !found.rim;
+    let fits = found.misfit < WORSE * usual && found.excess.abs() < 0.95 * NEARBY && !found.rim;
     fits.then_some(PhotometricClosure { excess: found.excess, sigma })
 }
 
@@ -178,7 +174,7 @@ impl GapSearch<'_> {
         for (x, image) in &a {
             across.extend(b.iter().map(|(y, other)| (y + turn - x, unlike(image, other))));
         }
-        let mut best = self.least(-SIDE, SIDE, self.step / 16.0, &near, &across)?;
+        let mut best = self.least(-NEARBY, NEARBY, self.step / 16.0, &near, &across)?;
         let around = self.step / 10.0;
         best = self.least(best.0 - around, best.0 + around, self.step / 200.0, &near, &across)?;
         // At the rim of what can be compared the best lies beyond it.

@@ -2,7 +2,7 @@
 
 use crate::plausibility::FinishedModel;
 use crate::reconstruct::context::StepContext;
-use crate::reconstruct::model::{SfmModel, StepResult};
+use crate::reconstruct::model::{ModelStage, SfmModel, StepResult};
 use crate::tracks::build_tracks;
 
 /// Judges the model; changes nothing.
@@ -14,7 +14,7 @@ pub(super) fn run(model: SfmModel, context: &StepContext<'_>) -> StepResult {
         input: &input,
         cameras: &model.setup.cameras,
         known: &model.setup.known,
-        follows_law: model.motion.is_some(),
+        follows_law: model.motion.is_some() || model.stage == ModelStage::OneAxis,
         progress: context.progress,
     };
     let decision = finished.judge()?;

@@ -28,3 +28,15 @@ fn energy_stays_the_same() {
     let all: Vec<f64> = body.attitudes(&times).iter().map(energy).collect();
     assert!(all.iter().all(|e| (e / all[0] - 1.0).abs() < 1e-6), "{all:?}");
 }
+
+#[test]
+fn an_impossibly_fast_body_is_not_followed_for_ever() {
+    let body = TorqueFreeBody {
+        attitude: DQuat::IDENTITY,
+        momentum: DVec3::X,
+        log_response: DMat3::from_diagonal(DVec3::splat(40.0)),
+    };
+    // e⁴⁰ radians a second: at 20 steps a radian this would take longer than the world is old.
+    let found = body.attitudes(&[-1.0, 0.0, 1e3]);
+    assert!(found.iter().all(|q| q.is_finite() && q.is_normalized()), "{found:?}");
+}

@@ -1,7 +1,8 @@
 use super::*;
 use crate::torque_free::fit::tests::{body, seen};
 
-/// Poses of a body whose centre of mass is off the world's origin and drifts, in scenes of some size.
+/// Poses of a body whose centre of mass is off the world's origin and drifts, in scenes of some
+/// size.
 fn poses(scale: f64) -> (Vec<Pose>, Vec<f64>) {
     let attitudes = seen(&body(), 100, 0.0);
     let centre = DVec3::new(0.3, -0.2, 0.1) * scale;
