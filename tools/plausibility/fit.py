@@ -4,10 +4,10 @@
     fit.py TABLE [--ridge WEIGHT]
 
 Logistic regression on half A of the captures alone, models that are right and wrong ones with the
-same total weight (the constant is then moved to PRIOR_ODDS), a ridge on all coefficients but the constant, and signs as the features mean
-them. Poor models (relative rotations off by 2 to 5 degrees in the median) count with the wrong ones:
-to be doubted is what is asked of them. Features of a second solution are taken as unknown where the others are clear, and where the poses
-follow a law of motion, as the program asks no second solution then; what is unknown adds nothing.
+same total weight (the constant is then moved to PRIOR_ODDS), a ridge on all coefficients but the
+constant, and signs as the features mean them. Poor models (relative rotations off by 2 to 5 degrees
+in the median) count with the wrong ones: to be doubted is what is asked of them. A second solution
+is asked where the poses follow no law of motion; what is unknown adds nothing.
 
 Prints the terms as they stand in sfm/src/plausibility/probability.rs, and how both halves come out.
 """
@@ -19,10 +19,9 @@ import sys
 import numpy as np
 from scipy.optimize import minimize
 
-DOUBTFUL, CLEAR = 0.9, 0.99  # as in sfm/src/plausibility/mod.rs
+DOUBTFUL = 0.9  # as in sfm/src/plausibility/mod.rs
 PRIOR_ODDS = 10.0  # right models for each that is not, of ordinary captures; Source: the suite without the made-wrong set
 POOR_DEG = 2.0  # median error of relative rotations from which a model that is not wrong is poor
-ROUNDS = 8  # of fitting, and of finding out which models would be asked for a second solution
 
 # Column, scale (as in probability.rs), and the sign of the coefficient.
 FEATURES = [
@@ -90,25 +89,18 @@ def probability(Z, w):
     return 1 / (1 + np.exp(-(Z @ w[:-1] + w[-1])))
 
 
-def fit_in_two(X, training, right, ridge):
-    """(coefficients, usual values, spreads, probabilities, which were asked for a second solution)."""
+def standardised_fit(X, training, right, ridge):
+    """(coefficients, usual values, spreads, probabilities)."""
     middle, spread = np.nanmean(X[training], axis=0), np.maximum(np.nanstd(X[training], axis=0), 1e-9)
     Z = np.nan_to_num((X - middle) / spread)
-    second = np.array([c in SECOND for c, _, _ in FEATURES])
-    asked = np.ones(len(X), bool)
-    for _ in range(ROUNDS):
-        seen = np.where(second[None, :] & ~asked[:, None], 0.0, Z)
-        w = fit(seen[training], right[training], ridge)
-        alone = probability(np.where(second[None, :], 0.0, Z), w + np.append(np.zeros(len(FEATURES)), math.log(PRIOR_ODDS)))
-        asked = (alone >= 1 - CLEAR) & (alone < CLEAR)
-    seen = np.where(second[None, :] & ~asked[:, None], 0.0, Z)
+    w = fit(Z[training], right[training], ridge)
     w[-1] += math.log(PRIOR_ODDS)
-    return w, middle, spread, probability(seen, w), asked
+    return w, middle, spread, probability(Z, w)
 
 
-def report(half, rows, labels, p, asked):
+def report(half, rows, labels, p):
     """How a half comes out."""
-    print(f"half {half}: second solutions asked for {asked.sum()} of {len(rows)}")
+    print(f"half {half}")
     for kind in ("right", "poor", "wrong"):
         of_kind = labels == kind
         print(f"  {kind:6} {of_kind.sum():3} models, {(of_kind & (p < DOUBTFUL)).sum():3} of them called doubtful")
@@ -125,13 +117,13 @@ def main():
     rows = read(args.table)
     half, labels = np.array([r["half"] for r in rows]), np.array([label(r) for r in rows])
     X = matrix(rows)
-    w, middle, spread, p, asked = fit_in_two(X, half == "A", labels == "right", args.ridge)
+    w, middle, spread, p = standardised_fit(X, half == "A", labels == "right", args.ridge)
     for (column, scale, _), weight, centre, width in zip(FEATURES, w, middle, spread):
         print(f"{column:20} {scale:6} weight {weight / width:8.3f} usual {centre:7.3f}   {weight:6.2f} a standard deviation")
     print(f"constant {w[-1]:.3f}")
     for name in "AB":
         of = half == name
-        report(name, [r for r, h in zip(rows, half) if h == name], labels[of], p[of], asked[of])
+        report(name, [r for r, h in zip(rows, half) if h == name], labels[of], p[of])
     return 0
 
 

@@ -8,9 +8,6 @@ use glam::{DMat3, DVec3};
 use rayon::prelude::*;
 use scene::{Camera, TwoViewGeometry};
 
-/// Matches of a pair that are looked at.
-/// Source: derived; the share of a pair is known to 4 % then, that of dozens of pairs to 1 %.
-const MATCHES: usize = 150;
 /// Largest distance of what agrees, longer image sides: 2 px of 640.
 /// Source: derived; keypoints are found to half a pixel, and matches are verified to 2 px.
 const LIMIT: f64 = 1.0 / 320.0;
@@ -36,7 +33,7 @@ fn agreeing(state: &MapState, input: &MappingInput<'_>, g: &TwoViewGeometry) -> 
     let m = inverse[1] * essential_from_pose(&b.compose(&a.inverse())) * inverse[0];
     let limit = limit_px(cameras[0]).max(limit_px(cameras[1]));
     let (mut count, mut all) = (0, 0);
-    for pair in g.inliers.iter().step_by(g.inliers.len().div_ceil(MATCHES).max(1)) {
+    for pair in &g.inliers {
         let (Some(u), Some(v)) =
             (input.keypoints[g.a].get(pair[0] as usize), input.keypoints[g.b].get(pair[1] as usize))
         else {

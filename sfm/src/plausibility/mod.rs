@@ -20,9 +20,6 @@ use scene::{Camera, Progress};
 /// Models of less probability are doubtful.
 /// Source: docs/decisions/20.
 const DOUBTFUL: f64 = 0.9;
-/// What the model alone says must be as clear as this for no second solution to be asked.
-/// Source: docs/decisions/20.
-const CLEAR: f64 = 1.0;
 /// Fewest points that tie two parts of a model to each other.
 /// Source: derived; three fix a similarity (Horn, JOSA A 4, 1987).
 const FEWEST_TIES: usize = 3;
@@ -35,8 +32,8 @@ pub(crate) struct FinishedModel<'a> {
     /// Cameras as they were before anything was solved.
     pub cameras: &'a [Camera],
     pub known: &'a [Knowledge],
-    /// All frames of a video follow a law of motion, a turn or a tumble: with a dozen numbers in
-    /// place of six an image, that is a second opinion already.
+    /// The poses follow a law of motion, a turn or a tumble: with one number an image in place of
+    /// six, or a dozen for all, that is a second opinion already.
     pub follows_law: bool,
     pub progress: &'a Progress,
 }
@@ -48,16 +45,12 @@ impl FinishedModel<'_> {
         let link = graph::weakest_link_of(self.state);
         let tied = link.as_ref().is_none_or(|link| link.points >= FEWEST_TIES);
         let mut features = self.features(link.map_or(f64::NAN, |link| link.share));
-        let (alone, _) = weigh(&features);
-        if tied && !self.follows_law && (1.0 - CLEAR..CLEAR).contains(&alone) {
+        if tied && !self.follows_law {
             features.extend(self.second_solution()?);
         }
-        let (probability, mut against) = weigh(&features);
-        if !tied {
-            against.insert(0, Remark::PartsNotTied);
-        }
-        // Of all places that the parts could take to each other the model has one.
-        let probability = if tied { probability } else { 0.0 };
+        // Of all places that parts could take to each other the model has one.
+        let untied = (0.0, vec![Remark::PartsNotTied]);
+        let (probability, against) = if tied { weigh(&features) } else { untied };
         let choice = Measurement::new(Quantity::Probability, probability);
         let mut decision = Decision::new(Subject::Plausibility, choice, Rule::Evidence).with_all(features);
         if !(probability >= DOUBTFUL) {
