@@ -14,7 +14,7 @@ SAT_RECON := $(TARGET)/release/sat-recon
 VENV := $(CACHE)/venv
 SHARED := $(or $(SAT_RECON_SHARED),../shared)
 
-.PHONY: help setup viewer build demo wheel test crash-test fuzz sanitize neon lint same-bytes bench tables bench-gpu compare benchmarks-page oracle testbed suite bench-suite plausibility site \
+.PHONY: help setup viewer build demo wheel test crash-test cluster-test fuzz sanitize neon lint same-bytes bench tables bench-gpu compare benchmarks-page oracle testbed suite bench-suite plausibility site \
   tutorial-pictures
 help:  ## this list
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed 's/:.*##/\t/' | expand -t 20
@@ -42,6 +42,10 @@ test: setup viewer  ## every test (real data is looked for in ../shared/data)
 
 crash-test: setup  ## kill the program, fill its disk and fail its reads at every call to the file system (hours)
 	SAT_RECON_CRASH=all cargo test --release --locked --test integration -- faults:: --nocapture
+
+cluster-test: build  ## 40 captures on Slurm's own daemons, four nodes here, one of them killed (as root; slow)
+	@tools/setup.sh slurm-wlm munge python3-venv ffmpeg
+	tools/cluster_test.sh $(SAT_RECON) build/cluster
 
 # TIME: seconds for all targets together; TARGET="spz ksplat": some of them.
 fuzz: setup  ## feed every reader of files with mutated files (TIME=60 seconds, TARGET=...)
