@@ -236,6 +236,26 @@ fn learn_in_any_unit(config: &FieldConfig) {
     }
 }
 
+/// A white ball.
+fn white_ball(origin: DVec3, direction: DVec3) -> ([u8; 3], u8) {
+    ([255; 3], ball(origin, direction).1)
+}
+
+#[test]
+fn white_objects_stay_whatever_the_order_of_the_views() {
+    for first in 0..3 {
+        let mut data = dataset(4, 1.0, white_ball);
+        data.views.rotate_left(first);
+        let config = FieldConfig { seed: first as u64, ..config(Method::InstantNgp, 100) };
+        let field = train(&data, &config, None, &Progress::silent()).unwrap().field;
+        for view in &data.views {
+            // A black picture has 0.21.
+            let error = square_error(&field, view, 0.0);
+            assert!(error < 0.02, "from view {first}, {}: {error}", view.name);
+        }
+    }
+}
+
 #[test]
 fn black_white_empty_and_single_views_are_learnt_without_a_fuss() {
     let cases: [(&str, usize, Shown); 4] = [

@@ -89,9 +89,9 @@ impl Occupancy {
         });
     }
 
+    /// Whether a cell counts as occupied.
     #[inline(always)]
-    fn occupied(&self, cascade: u32, place: [usize; 3]) -> bool {
-        let cell = cascade as usize * CELLS + place[0] + SIDE * (place[1] + SIDE * place[2]);
+    pub(super) fn is_occupied(&self, cell: usize) -> bool {
         self.bits[cell / 64] >> (cell % 64) & 1 == 1
     }
 
@@ -130,7 +130,8 @@ impl Occupancy {
             let side = (1u32 << cascade) as f32;
             let in_cells = ((p - 0.5) / side + 0.5) * SIDE as f32;
             let place = [0, 1, 2].map(|a| (in_cells[a].max(0.0) as usize).min(SIDE - 1));
-            if self.occupied(cascade, place) {
+            let cell = cascade as usize * CELLS + place[0] + SIDE * (place[1] + SIDE * place[2]);
+            if self.is_occupied(cell) {
                 let sample = Sample { position: p.to_array(), t: march.t, dt };
                 march.t += dt;
                 march.left -= 1;

@@ -81,9 +81,10 @@ pub(super) struct OccupancySettings {
     pub(super) opaque: f32,
     /// Steps of training between updates. Source: Müller et al. 2022, appendix E.2.
     pub(super) every: u32,
-    /// Cells that an update visits, in samples of a step: an update costs less than one step.
-    /// Source: Müller et al. 2022, appendix E.2, visit 2²⁰ cells where a step has 2¹⁸ samples.
-    pub(super) visited: usize,
+    /// Share of all cells that an update looks at, wherever they lie; it looks at all that count as
+    /// occupied besides. Source: Müller et al. 2022, appendix E.2 (all cells in the first 256 steps,
+    /// then a quarter, and as many of the occupied).
+    pub(super) anywhere: f32,
     /// Share of a cell's density that an update keeps. Source: Müller et al. 2022, appendix E.2.
     pub(super) kept: f32,
 }
@@ -111,7 +112,15 @@ impl Default for NgpSettings {
 
 impl Default for OccupancySettings {
     fn default() -> Self {
-        Self { steps: 512.0, cone: 1.0 / 256.0, most: 1024, opaque: 0.01, every: 16, visited: 4, kept: 0.95 }
+        Self {
+            steps: 512.0,
+            cone: 1.0 / 256.0,
+            most: 1024,
+            opaque: 0.01,
+            every: 16,
+            anywhere: 0.25,
+            kept: 0.95,
+        }
     }
 }
 

@@ -5,6 +5,7 @@ use super::gradient::{Pass, RayBatch, Sums, TrainingRay};
 use super::hash_grid::{CHUNK, Corner, FEATURES};
 use super::network::{LATENT, Weights, density};
 use super::occupancy::cell_point;
+use super::settings::OccupancySettings;
 use crate::adam::AdamRates;
 use crate::field::{StepPlace, StepReport};
 use crate::mlp::Activations;
@@ -129,21 +130,22 @@ impl InstantNgp {
         });
     }
 
-    /// Looks at the densities of cells again.
+    /// Looks at the densities of cells again: of all that count as occupied, as densities decay and
+    /// only what is found anew keeps them so, and of some others, which come back in this way.
     fn update_occupancy(&mut self, place: StepPlace) {
-        let settings = &self.settings.occupancy;
-        let update = (place.step / settings.every) as usize;
-        let few = (self.occupancy.density.len() / (settings.visited * self.shape.samples)).max(1);
-        let apart = if place.step == 0 { 1 } else { few };
+        let OccupancySettings { anywhere, kept, .. } = self.settings.occupancy;
         let mut densities = std::mem::take(&mut self.occupancy.density);
-        densities.iter_mut().filter(|d| **d > 0.0).for_each(|d| *d *= settings.kept);
         densities.par_chunks_mut(CHUNK).enumerate().for_each(|(index, densities)| {
             let stream = (u64::from(place.step) << 20) + index as u64;
-            let first = index * CHUNK;
-            let cells: Vec<usize> = (0..densities.len())
-                .filter(|i| (first + i + update).is_multiple_of(apart) && densities[*i] >= 0.0)
-                .collect();
-            self.visit(&cells, first, densities, &mut rng(place.seed, "occupancy", stream));
+            let (first, mut rng) = (index * CHUNK, rng(place.seed, "occupancy", stream));
+            let mut cells = Vec::new();
+            for (i, density) in densities.iter_mut().enumerate().filter(|(_, density)| **density >= 0.0) {
+                *density *= kept;
+                if rng.random::<f32>() < anywhere || self.occupancy.is_occupied(first + i) {
+                    cells.push(i);
+                }
+            }
+            self.visit(&cells, first, densities, &mut rng);
         });
         self.occupancy.set_density(densities);
     }
