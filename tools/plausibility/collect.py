@@ -88,8 +88,9 @@ def suite_inputs(cache, out):
             half = "A" if capture.object == "twins" else capture.half
             found[capture.name] = {"folder": path, "half": half, "group": "extra", "input": os.path.join(path, "images"),
                                    "truths": {"body": os.path.join(path, "sparse")}}
-    for name in ("repeated_mesh", "repeated_sides", "still_room", "textureless", "still_room_b", "still_room_chair", "repeated_craft"):
-        found.pop("wrong/" + name, None)  # they are the captures themselves
+    # Right or doubted, both are well: its photos state another lens. The others are the captures themselves.
+    for name in ("wrong_exif", "repeated_mesh", "repeated_sides", "still_room", "textureless", "still_room_b", "still_room_chair", "repeated_craft"):
+        found.pop("wrong/" + name, None)
     for name, every in THINNED:
         if name in found:
             entry, folder = found[name], os.path.join(out, "copies", f"{name}_every{every}")

@@ -26,7 +26,7 @@ POOR_DEG = 2.0  # median error of relative rotations from which a model that is 
 
 # Column, scale (as in probability.rs), and the sign of the coefficient.
 FEATURES = [
-    ("camera-surprise", "HalfSquare", -1),
+    ("camera-surprise", "Cauchy", -1),
     ("least-explained", "Odds", 1),
     ("point-angle", "Log", 1),
     ("held-out-agreement", "Odds", 1),
@@ -35,7 +35,7 @@ FEATURES = [
 SECOND = ("second-difference",)
 LAWS = ("single-axis", "torque-free")  # motions of a dozen numbers, or of one a photo
 SCALES = {
-    "HalfSquare": lambda v: 0.5 * v * v,
+    "Cauchy": lambda v: math.log(1 + v * v),
     "Odds": lambda v: math.log((v + 0.02) / (1.02 - v)),
     "Log": lambda v: math.log(v + 0.05),
 }

@@ -6,8 +6,8 @@ use scene::decision::{Measurement, Quantity, Remark};
 /// How a number enters.
 #[derive(Clone, Copy)]
 enum Scale {
-    /// Half its square: what a normal variable's logarithm of the density falls by.
-    HalfSquare,
+    /// What a Cauchy variable's logarithm of the density falls by: files may state a wrong lens.
+    Cauchy,
     /// The logarithm of its odds.
     Odds,
     /// Its logarithm.
@@ -18,7 +18,7 @@ impl Scale {
     /// The offsets keep numbers of 0 and 1 finite, about where they can no longer be told apart.
     fn of(self, value: f64) -> f64 {
         match self {
-            Self::HalfSquare => 0.5 * value * value,
+            Self::Cauchy => (value * value).ln_1p(),
             Self::Odds => ((value + 0.02) / (1.02 - value)).ln(),
             Self::Log => (value + 0.05).ln(),
         }
@@ -45,15 +45,15 @@ impl Term {
 /// What is known of a model adds to its log odds.
 /// Source: tools/plausibility/fit.py on half A of docs/results/plausibility.csv.
 const TERMS: [Term; 5] = [
-    Term::new(Quantity::CameraSurprise, Scale::HalfSquare, -0.612, 2.484, Remark::UnusualCamera),
-    Term::new(Quantity::LeastExplained, Scale::Odds, 2.079, 0.827, Remark::UnexplainedMatches),
-    Term::new(Quantity::PointAngle, Scale::Log, 3.312, 2.889, Remark::NarrowViews),
-    Term::new(Quantity::HeldOutAgreement, Scale::Odds, 1.512, 0.694, Remark::HeldOutDisagree),
-    Term::new(Quantity::SecondDifference, Scale::Log, -0.800, 0.856, Remark::SolutionsDisagree),
+    Term::new(Quantity::CameraSurprise, Scale::Cauchy, -1.133, 1.110, Remark::UnusualCamera),
+    Term::new(Quantity::LeastExplained, Scale::Odds, 1.982, 0.678, Remark::UnexplainedMatches),
+    Term::new(Quantity::PointAngle, Scale::Log, 3.608, 2.904, Remark::NarrowViews),
+    Term::new(Quantity::HeldOutAgreement, Scale::Odds, 2.161, 0.562, Remark::HeldOutDisagree),
+    Term::new(Quantity::SecondDifference, Scale::Log, -0.620, 1.157, Remark::SolutionsDisagree),
 ];
 /// Log odds of a model with usual features.
 /// Source: the same fit.
-const CONSTANT: f64 = 4.030;
+const CONSTANT: f64 = 4.280;
 /// Log odds that a feature must take away to be named as a reason.
 /// Source: derived; less does not halve the odds.
 const NAMED: f64 = -std::f64::consts::LN_2;
