@@ -82,8 +82,8 @@ pub(super) struct OccupancySettings {
     /// Steps of training between updates. Source: Müller et al. 2022, appendix E.2.
     pub(super) every: u32,
     /// Share of all cells that an update looks at, wherever they lie; it looks at all that count as
-    /// occupied besides. Source: Müller et al. 2022, appendix E.2 (all cells in the first 256 steps,
-    /// then a quarter, and as many of the occupied).
+    /// occupied besides. Source: Müller et al. 2022, appendix E.2 (all cells in the first 256
+    /// steps, then a quarter, and as many of the occupied).
     pub(super) anywhere: f32,
     /// Share of a cell's density that an update keeps. Source: Müller et al. 2022, appendix E.2.
     pub(super) kept: f32,
