@@ -7,7 +7,8 @@ Logistic regression on half A of the captures alone, models that are right and w
 same total weight (the constant is then moved to PRIOR_ODDS), a ridge on all coefficients but the
 constant, and signs as the features mean them. Poor models (relative rotations off by 2 to 5 degrees
 in the median) count with the wrong ones: to be doubted is what is asked of them. A second solution
-is asked where the poses follow no law of motion; what is unknown adds nothing. Models of two parts
+is asked where the poses follow no law of motion; a law counts as one that agrees exactly. What is
+unknown adds nothing. Models of two parts
 that no points tie are left out: the program gives them no probability at all.
 
 Prints the terms as they stand in sfm/src/plausibility/probability.rs, and how both halves come out.
@@ -60,7 +61,7 @@ def read(path):
         rows = list(csv.DictReader(file))
     for row in rows:
         if row["motion"] in LAWS:
-            row.update(dict.fromkeys(SECOND, ""))
+            row.update(dict.fromkeys(SECOND, "0"))
     tied = [r for r in rows if number(r.get("weakest-link")) != 0]
     return [r for r in tied if label(r) != "none" and r.get("agreeing-pairs")]
 

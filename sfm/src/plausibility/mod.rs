@@ -33,7 +33,7 @@ pub(crate) struct FinishedModel<'a> {
     pub cameras: &'a [Camera],
     pub known: &'a [Knowledge],
     /// The poses follow a law of motion, a turn or a tumble: with one number an image in place of
-    /// six, or a dozen for all, that is a second opinion already.
+    /// six, or a dozen for all, that is a second opinion, which agrees.
     pub follows_law: bool,
     pub progress: &'a Progress,
 }
@@ -50,7 +50,11 @@ impl FinishedModel<'_> {
         }
         // Of all places that parts could take to each other the model has one.
         let untied = (0.0, vec![Remark::PartsNotTied]);
-        let (probability, against) = if tied { weigh(&features) } else { untied };
+        let mut opinions = features.clone();
+        if self.follows_law {
+            opinions.push(Measurement::new(Quantity::SecondDifference, 0.0));
+        }
+        let (probability, against) = if tied { weigh(&opinions) } else { untied };
         let choice = Measurement::new(Quantity::Probability, probability);
         let mut decision = Decision::new(Subject::Plausibility, choice, Rule::Evidence).with_all(features);
         if !(probability >= DOUBTFUL) {
