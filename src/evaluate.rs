@@ -143,14 +143,17 @@ fn protocol(
             names.join(", ")
         )
     };
+    let split = match config.every() {
+        Some(every) => format!("every {every}th by sorted name, beginning with the first"),
+        None => "by the data set's own split".to_owned(),
+    };
     let ground = if dataset.is_transparent() { ", both over black where the mask is black" } else { "" };
     format!(
-        "{views} of {} views held out of training (every {}th by sorted name, beginning with the first); PSNR and SSIM \
+        "{views} of {} views held out of training ({split}); PSNR and SSIM \
          (11×11 Gaussian window, σ 1.5, per channel, windows inside the image) of 8-bit renders against the undistorted \
          photos at full resolution, no resize{ground}; inside the mask: pixels, and windows centred on pixels, that it keeps; \
          {lpips}. Frames per second: the held-out views rendered {} times after a warm-up, mean of the median five.",
         dataset.views.len(),
-        config.test_every,
         rendering.loops
     )
 }

@@ -1,6 +1,9 @@
 //! What the input is: a video, photos, or images that bring their poses.
 
+mod frame_names;
+
 use anyhow::{Context, Result, bail};
+pub(crate) use frame_names::FrameNames;
 use scene::decision::{Choice, Decision, Quantity, Rule, Subject};
 use scene::io::ImportedPoses;
 use scene::sim3::Sim3;
@@ -22,6 +25,8 @@ pub enum Input {
         /// COLMAP model folder, `transforms.json` or another file that [`scene::io::read_poses`]
         /// reads.
         model: PathBuf,
+        /// The images that are meant, by names relative to their folder; empty for all in it.
+        listed: Vec<String>,
     },
 }
 
@@ -34,14 +39,26 @@ impl Input {
                 return Ok(Self::Video(path.to_path_buf()));
             }
             let folder = path.parent().unwrap_or(Path::new(".")).to_path_buf();
-            let images = if folder.join("images").is_dir() { folder.join("images") } else { folder };
-            return Ok(Self::Posed { images, model: path.to_path_buf() });
+            return Self::posed(&folder, path.to_path_buf());
         }
-        let images = if path.join("images").is_dir() { path.join("images") } else { path.to_path_buf() };
         if !ignore_poses && let Some(model) = posed_model(path) {
-            return Ok(Self::Posed { images, model });
+            return Self::posed(path, model);
         }
-        Ok(Self::Photos(images))
+        Ok(Self::Photos(images_in(path)))
+    }
+
+    fn posed(folder: &Path, model: PathBuf) -> Result<Self> {
+        let listed = if model.is_file() { scene::io::listed_images(&model)? } else { Vec::new() };
+        let images = if listed.is_empty() { images_in(folder) } else { folder.to_path_buf() };
+        Ok(Self::Posed { images, model, listed })
+    }
+
+    /// Names of the frames that the data set's own split holds out; empty where it has none.
+    pub fn held_out(&self, frames: &FrameSet) -> Result<BTreeSet<String>> {
+        let Self::Posed { images, model, .. } = self else { return Ok(BTreeSet::new()) };
+        let held_out = scene::io::read_poses(model, images)?.held_out;
+        let names = FrameNames::of(frames);
+        Ok(held_out.iter().filter_map(|photo| Some(names.find(photo)?.name.clone())).collect())
     }
 
     /// The folder or file whose content the frames come from.
@@ -50,6 +67,11 @@ impl Input {
             Self::Video(path) | Self::Photos(path) | Self::Posed { images: path, .. } => path,
         }
     }
+}
+
+fn images_in(folder: &Path) -> PathBuf {
+    let images = folder.join("images");
+    if images.is_dir() { images } else { folder.to_path_buf() }
 }
 
 fn posed_model(folder: &Path) -> Option<PathBuf> {
@@ -76,19 +98,13 @@ pub struct Imported {
 /// Reads the poses that came with the images in the folder `images` and gives each posed image the
 /// name of its frame.
 pub fn import_poses(model: &Path, images: &Path, frames: &FrameSet) -> Result<Imported> {
-    let ImportedPoses { model: mut reconstruction, world_from_file } = scene::io::read_poses(model, images)?;
-    let mut by_name = BTreeMap::new();
-    for frame in &frames.frames {
-        by_name.entry(stem(&frame.name)).or_insert(frame);
-        by_name.insert(frame.name.clone(), frame);
-    }
+    let ImportedPoses { model: mut reconstruction, world_from_file, .. } =
+        scene::io::read_poses(model, images)?;
+    let names = FrameNames::of(frames);
     let mut sizes: BTreeMap<u32, (u32, u32)> = BTreeMap::new();
     let mut missing = Vec::new();
     for image in reconstruction.images.values_mut() {
-        let file = image.name.rsplit('/').next().unwrap_or(&image.name).to_owned();
-        let found =
-            [image.name.clone(), file.clone(), stem(&file)].iter().find_map(|n| by_name.get(n).copied());
-        let Some(frame) = found else {
+        let Some(frame) = names.find(&image.name) else {
             missing.push(image.name.clone());
             continue;
         };
@@ -151,10 +167,6 @@ pub fn with_points(
     let decision = Decision::new(Subject::TriangulatedPoints, choice, Rule::Evidence)
         .measured(Quantity::WellObservedPoints, well_observed as f64);
     Ok((found, vec![decision]))
-}
-
-fn stem(name: &str) -> String {
-    Path::new(name).with_extension("").to_string_lossy().into_owned()
 }
 
 /// Scales a camera (and its keypoints) to the size of the frames on disk, and says so; another

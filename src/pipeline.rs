@@ -104,6 +104,8 @@ impl Pipeline {
         }
         let (frames, frames_print) = self.frames()?;
         self.record.frames = Some(frames.clone());
+        self.args.dataset.test_views = self.input.held_out(&frames)?;
+        self.record.config.dataset = self.args.dataset.clone();
         let mut outcome = Outcome::Done;
         if until >= Until::Sfm {
             let (poses, poses_print) = self.poses(&frames, &frames_print)?;
@@ -187,6 +189,9 @@ impl Pipeline {
             let progress = self.progress("frames");
             let frames = match &self.input {
                 Input::Video(path) => preprocess::video_frames(path, new, &self.args.frames, &progress)?,
+                Input::Posed { images, listed, .. } if !listed.is_empty() => {
+                    preprocess::listed_photo_frames(images, listed, new, &self.args.frames, &progress)?
+                }
                 Input::Photos(path) | Input::Posed { images: path, .. } => {
                     preprocess::photo_frames(path, new, &self.args.frames, &progress)?
                 }

@@ -58,7 +58,7 @@ fn camera_path(model: &Reconstruction, args: &RenderArgs) -> Result<Vec<View>> {
     let input = images
         .iter()
         .enumerate()
-        .filter(|(i, _)| args.path == RenderPath::Input || dataset.holds_out(*i, count));
+        .filter(|(i, image)| args.path == RenderPath::Input || dataset.holds_out(&image.name, *i, count));
     if matches!(args.path, RenderPath::Input | RenderPath::Test) {
         let views = input.filter_map(|(_, image)| {
             Some((image.name.clone(), model.cameras.get(&image.camera)?.clone(), image.pose))

@@ -1,6 +1,6 @@
 //! When the photos of a run were taken, for the methods whose scene moves.
 
-use crate::input::Input;
+use crate::input::{FrameNames, Input};
 use anyhow::{Context, Result};
 use scene::FrameSet;
 use std::collections::BTreeMap;
@@ -15,13 +15,13 @@ pub(crate) const TIMES: &str = "times.json";
 pub struct Times(BTreeMap<String, f32>);
 
 impl Times {
-    /// Of what a video or a `transforms.json` says; empty where one has no time.
+    /// Of what a video or a file of poses says; empty where one has no time.
     pub fn of(frames: &FrameSet, input: &Input) -> Result<Self> {
         let from_file = match input {
-            Input::Posed { model, .. } if model.is_file() => times_of_transforms(model)?,
+            Input::Posed { model, images, .. } if model.is_file() => times_of_poses(model, images, frames)?,
             _ => BTreeMap::new(),
         };
-        let time = |name: &str, own: Option<f64>| own.or_else(|| from_file.get(stem(name)).copied());
+        let time = |name: &str, own: Option<f64>| own.or_else(|| from_file.get(name).copied());
         let known: Option<Vec<(&str, f64)>> =
             frames.frames.iter().map(|f| Some((f.name.as_str(), time(&f.name, f.time_s)?))).collect();
         let known = known.unwrap_or_default();
@@ -61,15 +61,11 @@ impl Times {
     }
 }
 
-/// The name without extension or folder, by which photos and the frames of a file are matched.
-fn stem(name: &str) -> &str {
-    let file = name.rsplit('/').next().unwrap_or(name);
-    file.rsplit_once('.').map_or(file, |(stem, _)| stem)
-}
-
-fn times_of_transforms(path: &Path) -> Result<BTreeMap<String, f64>> {
-    let frames = scene::io::read_transforms(path)?.frames;
-    Ok(frames.iter().filter_map(|f| Some((stem(&f.file_path).to_owned(), f.time?))).collect())
+/// By the names of frames, in the file's unit.
+fn times_of_poses(model: &Path, images: &Path, frames: &FrameSet) -> Result<BTreeMap<String, f64>> {
+    let times = scene::io::read_poses(model, images)?.times;
+    let names = FrameNames::of(frames);
+    Ok(times.iter().filter_map(|(photo, time)| Some((names.find(photo)?.name.clone(), *time))).collect())
 }
 
 #[cfg(test)]

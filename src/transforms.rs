@@ -52,6 +52,6 @@ pub(crate) fn held_out(model: &Reconstruction, dataset: &DatasetConfig) -> BTree
     let mut images: Vec<(&str, u32)> = model.images.values().map(|i| (&*i.name, i.id)).collect();
     images.sort_unstable();
     let count = images.len();
-    let chosen = images.into_iter().enumerate().filter(|(i, _)| dataset.holds_out(*i, count));
+    let chosen = images.into_iter().enumerate().filter(|(i, (name, _))| dataset.holds_out(name, *i, count));
     chosen.map(|(_, (_, id))| id).collect()
 }

@@ -26,6 +26,6 @@ pub use config::{DEFAULT_FRAMES, FrameConfig};
 pub use error::PreprocessError;
 pub use matte::{contact_sheet, matte_frames};
 pub use matting::KeyConfig;
-pub use photos::photo_frames;
+pub use photos::{listed_photo_frames, photo_frames};
 pub use tool::versions;
 pub use video::video_frames;

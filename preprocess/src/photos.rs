@@ -28,12 +28,40 @@ pub fn photo_frames(
     config: &FrameConfig,
     progress: &Progress,
 ) -> Result<FrameSet, PreprocessError> {
-    config.validate()?;
     let mut listing = Listing::read(input_dir)?;
     let nested = input_dir.join("images");
     if listing.names.is_empty() && nested.is_dir() {
         listing = Listing::read(&nested)?;
     }
+    frames_of(listing, out, config, progress)
+}
+
+/// The same for the photos of these names alone, which may lie in folders inside `input_dir`: the
+/// frame of `train/a.png` is `train_a.png`.
+pub fn listed_photo_frames(
+    input_dir: &Path,
+    names: &[String],
+    out: &Path,
+    config: &FrameConfig,
+    progress: &Progress,
+) -> Result<FrameSet, PreprocessError> {
+    let root = input_dir.canonicalize().map_err(PreprocessError::io(input_dir))?;
+    let mut listing = Listing::empty(input_dir);
+    for name in names {
+        listing.add(input_dir.join(name), name.clone(), &root);
+    }
+    listing.names.sort_by(|a, b| natural_order(a, b));
+    frames_of(listing, out, config, progress)
+}
+
+fn frames_of(
+    mut listing: Listing,
+    out: &Path,
+    config: &FrameConfig,
+    progress: &Progress,
+) -> Result<FrameSet, PreprocessError> {
+    config.validate()?;
+    let input_dir = &listing.folder.clone();
     let masks = MaskFiles::find(&listing.folder, &mut listing.names, config)?;
     if listing.names.is_empty() {
         return Err(PreprocessError::NoImages { path: input_dir.to_owned(), detail: listing.detail() });
@@ -113,12 +141,7 @@ impl Listing {
             });
         }
         let root = folder.canonicalize().map_err(PreprocessError::io(folder))?;
-        let mut listing = Self {
-            folder: folder.to_owned(),
-            names: Vec::new(),
-            unread: BTreeMap::new(),
-            outside: Vec::new(),
-        };
+        let mut listing = Self::empty(folder);
         for entry in std::fs::read_dir(folder).map_err(PreprocessError::io(folder))? {
             let entry = entry.map_err(PreprocessError::io(folder))?;
             let name = entry.file_name().to_string_lossy().into_owned();
@@ -136,9 +159,13 @@ impl Listing {
         Ok(listing)
     }
 
+    fn empty(folder: &Path) -> Self {
+        Self { folder: folder.to_owned(), names: Vec::new(), unread: BTreeMap::new(), outside: Vec::new() }
+    }
+
     fn add(&mut self, path: PathBuf, name: String, root: &Path) {
         let is_inside = path.canonicalize().is_ok_and(|p| p.starts_with(root));
-        if !is_inside || path.file_name() != Some(std::ffi::OsStr::new(&name)) {
+        if !is_inside || !path.ends_with(&name) {
             self.outside.push(name);
         } else if path.is_file() {
             self.names.push(name);

@@ -8,6 +8,7 @@ use glam::{DMat3, DVec3, Mat3, Vec3};
 use rayon::prelude::*;
 use scene::{Camera, CameraModel, Gaussians, PosedImage, Progress, Reconstruction};
 use serde::{Deserialize, Serialize};
+use std::collections::BTreeSet;
 use std::ops::Range;
 use std::path::{Path, PathBuf};
 
@@ -28,8 +29,13 @@ pub struct DatasetConfig {
     #[arg(long, value_enum, default_value_t = AlphaMode::Transparent, help_heading = "Splat")]
     pub alpha: AlphaMode,
     /// Hold out every Nth view by sorted name for evaluation (0: none)
-    #[arg(long, default_value_t = TEST_EVERY, value_name = "N", help_heading = "Splat")]
-    pub test_every: usize,
+    /// [default: the data set's own split, else 8]
+    #[arg(long, value_name = "N", help_heading = "Splat")]
+    pub test_every: Option<usize>,
+    /// Names of the views that the data set's own split holds out; empty where it has none.
+    #[arg(skip)]
+    #[serde(default, skip_serializing_if = "BTreeSet::is_empty")]
+    pub test_views: BTreeSet<String>,
 }
 
 /// Every how manieth view is held out. Source: Kerbl et al. 2023 (as Mip-NeRF 360 does).
@@ -46,15 +52,24 @@ const LEVELS: u32 = 4;
 
 impl Default for DatasetConfig {
     fn default() -> Self {
-        Self { alpha: AlphaMode::Transparent, test_every: TEST_EVERY }
+        Self { alpha: AlphaMode::Transparent, test_every: None, test_views: BTreeSet::new() }
     }
 }
 
 impl DatasetConfig {
-    /// Whether the view with this place among all, sorted by name, is held out (a view that is
-    /// alone is not).
-    pub fn holds_out(&self, index: usize, views: usize) -> bool {
-        self.test_every > 0 && views > 1 && index.is_multiple_of(self.test_every)
+    /// Every how manieth view is held out; `None` where the data set's own split says which.
+    pub fn every(&self) -> Option<usize> {
+        let has_split = self.test_every.is_none() && !self.test_views.is_empty();
+        (!has_split).then(|| self.test_every.unwrap_or(TEST_EVERY))
+    }
+
+    /// Whether the view of this name, with this place among all, sorted by name, is held out (a
+    /// view that is alone is not).
+    pub fn holds_out(&self, name: &str, index: usize, views: usize) -> bool {
+        match self.every() {
+            None => self.test_views.contains(name),
+            Some(every) => every > 0 && views > 1 && index.is_multiple_of(every),
+        }
     }
 }
 
@@ -127,7 +142,7 @@ impl Dataset {
         progress.begin("load images", images.len());
         let normalisation = NormalisedFrame::of(model);
         let load = |(index, image): (usize, &&PosedImage)| {
-            let held_out = config.holds_out(index, images.len());
+            let held_out = config.holds_out(&image.name, index, images.len());
             let view = load_view(image_dir, mask_dir, model, image, &normalisation, held_out)?;
             progress.tick()?;
             Ok(view)

@@ -30,7 +30,7 @@ pub fn held_out_cameras(training_set: &Path, config: &DatasetConfig) -> Result<V
     let mut images: Vec<_> = model.images.values().collect();
     images.sort_by(|a, b| a.name.cmp(&b.name));
     let count = images.len();
-    let chosen = images.iter().enumerate().filter(|(i, _)| config.holds_out(*i, count));
+    let chosen = images.iter().enumerate().filter(|(i, image)| config.holds_out(&image.name, *i, count));
     Ok(chosen
         .filter_map(|(_, i)| Some((i.name.clone(), model.cameras.get(&i.camera)?.clone(), i.pose)))
         .collect())

@@ -137,8 +137,9 @@ impl Handed {
     }
 
     fn advice(&self, tool: Tool, output: &Path) -> String {
-        let (at, every) = (output.display(), self.known.config.dataset.test_every);
-        match tool {
+        let (at, split) = (output.display(), self.known.config.dataset.every());
+        let every = split.unwrap_or(0);
+        let advice = match tool {
             Tool::Colmap => format!(
                 "colmap gui --import_path {at}/sparse/0 --image_path {at}/images --database_path {at}/database.db"
             ),
@@ -152,6 +153,12 @@ impl Handed {
             Tool::Metashape => format!(
                 "add {at}/images; File > Import > Import Cameras: cameras.xml; Import Masks: {{filename}}_mask.png"
             ),
+        };
+        match (split, tool) {
+            (None, Tool::Gsplat | Tool::Brush) => {
+                format!("{advice}\n(it takes no list of views to hold out: it trains on all)")
+            }
+            _ => advice,
         }
     }
 }

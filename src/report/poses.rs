@@ -114,7 +114,8 @@ fn shown(
     let cameras = model.images.values().filter_map(|image| {
         let corners = overview.frustum(model, image)?;
         let index = names.binary_search(&image.name.as_str()).unwrap_or(0);
-        let is_held_out = record.splat.is_some() && record.config.dataset.holds_out(index, names.len());
+        let is_held_out =
+            record.splat.is_some() && record.config.dataset.holds_out(&image.name, index, names.len());
         let weak = poses.weak.iter().find(|w| w.0 == image.name);
         let kind = match (weak, is_held_out) {
             (Some(_), _) => "weak",

@@ -37,7 +37,7 @@ pub use mesh_out::write_mesh;
 pub use model::{find_model, has_model, read_model, write_model_bin, write_model_txt};
 pub use name::{UnsafeName, safe_name};
 pub use ply::{CloudPoint, read_points_ply, read_splat_ply, write_points_ply, write_splat_ply};
-pub use poses::{ImportedPoses, find_poses, is_poses_file, read_poses, write_metashape};
+pub use poses::{ImportedPoses, find_poses, is_poses_file, listed_images, read_poses, write_metashape};
 pub use splats::{SplatFormat, read_splat, write_splat};
 pub use transforms::{
     TransformsFile, TransformsFrame, TransformsOptions, WORLD_FROM_TRANSFORMS, read_transforms,

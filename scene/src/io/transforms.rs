@@ -41,6 +41,8 @@ pub struct TransformsFile {
     pub frames: Vec<TransformsFrame>,
     /// `ply_file_path`: a point cloud to start from, relative to the folder of the JSON file.
     pub ply_file_path: Option<String>,
+    /// `file_path` of the frames that are for evaluation alone.
+    pub held_out: BTreeSet<String>,
 }
 
 /// Intrinsics, at the top of the file or in a frame.
@@ -78,52 +80,76 @@ struct FrameEntry {
 struct Document {
     frames: Vec<FrameEntry>,
     ply_file_path: Option<String>,
+    #[serde(default)]
+    test_filenames: Vec<String>,
     #[serde(flatten)]
     intrinsics: Intrinsics,
 }
 
-/// Reads a `transforms.json`. A frame's own intrinsics go before those at the top. Sizes that are
-/// not given are taken from the image files, whose names may lack their extension. Frames with
-/// equal intrinsics share a camera.
+/// Names of the files in which the Blender scenes of NeRF and D-NeRF come: what is trained on, and
+/// what is held out. (`transforms_val.json`, for choosing settings, is in neither.)
+pub(super) const SPLIT: [&str; 2] = ["transforms_train.json", "transforms_test.json"];
+
+/// Reads a `transforms.json`, or a `transforms_train.json` with the `transforms_test.json` beside
+/// it. A frame's own intrinsics go before those at the top. Sizes that are not given are taken from
+/// the image files, whose names may lack their extension. Frames with equal intrinsics share a
+/// camera.
 pub fn read_transforms(path: &Path) -> Result<TransformsFile, IoError> {
-    let text = read_text(path)?;
-    let document: Document = serde_json::from_str(&text)
-        .map_err(|e| IoError::format(path, format!("expected a transforms.json with frames: {e}")))?;
-    if document.frames.is_empty() {
-        return Err(IoError::format(path, "expected frames, found none"));
-    }
-    let folder = path.parent().unwrap_or(Path::new("."));
-    let clean =
-        |name: &str| safe_name(name.trim_start_matches("./")).map(String::from).map_err(IoError::name(path));
-    let mut file = TransformsFile {
-        ply_file_path: document.ply_file_path.as_deref().map(clean).transpose()?,
-        ..Default::default()
-    };
-    for entry in &document.frames {
-        let (file_path, on_disk) = locate(folder, clean(&entry.file_path)?);
-        let pose = pose_of(path, entry)?;
-        let camera =
-            camera_of(path, &document.intrinsics, &entry.intrinsics, on_disk.as_deref(), &file_path)?;
-        let model = &mut file.reconstruction;
-        let id = model.images.len() as u32 + 1;
-        let camera = model.share_camera(Camera { id: model.cameras.len() as u32 + 1, ..camera });
-        model
-            .images
-            .insert(id, PosedImage { id, camera, name: file_path.clone(), pose, observations: Vec::new() });
-        let mask_path = entry.mask_path.as_deref().map(clean).transpose()?;
-        file.frames.push(TransformsFrame {
-            image: id,
-            file_path,
-            found: on_disk.is_some(),
-            mask_path,
-            time: entry.time,
-        });
+    let mut file = TransformsFile::default();
+    file.append(path)?;
+    let test = path.with_file_name(SPLIT[1]);
+    if path.file_name().is_some_and(|name| name == SPLIT[0]) && test.is_file() {
+        let training = file.frames.len();
+        file.append(&test)?;
+        file.held_out = file.frames[training..].iter().map(|f| f.file_path.clone()).collect();
     }
     let mut names: Vec<&str> = file.frames.iter().map(|f| f.file_path.as_str()).collect();
     names.sort_unstable();
     match names.windows(2).find(|w| w[0] == w[1]) {
         Some(twice) => Err(IoError::format(path, format!("two frames have the file_path {:?}", twice[0]))),
         None => Ok(file),
+    }
+}
+
+impl TransformsFile {
+    /// The frames of one more file.
+    fn append(&mut self, path: &Path) -> Result<(), IoError> {
+        let text = read_text(path)?;
+        let document: Document = serde_json::from_str(&text)
+            .map_err(|e| IoError::format(path, format!("expected a transforms.json with frames: {e}")))?;
+        if document.frames.is_empty() {
+            return Err(IoError::format(path, "expected frames, found none"));
+        }
+        let folder = path.parent().unwrap_or(Path::new("."));
+        let clean = |name: &str| {
+            safe_name(name.trim_start_matches("./")).map(String::from).map_err(IoError::name(path))
+        };
+        self.ply_file_path = document.ply_file_path.as_deref().map(clean).transpose()?;
+        for name in &document.test_filenames {
+            self.held_out.insert(locate(folder, clean(name)?).0);
+        }
+        for entry in &document.frames {
+            let (file_path, on_disk) = locate(folder, clean(&entry.file_path)?);
+            let pose = pose_of(path, entry)?;
+            let camera =
+                camera_of(path, &document.intrinsics, &entry.intrinsics, on_disk.as_deref(), &file_path)?;
+            let model = &mut self.reconstruction;
+            let id = model.images.len() as u32 + 1;
+            let camera = model.share_camera(Camera { id: model.cameras.len() as u32 + 1, ..camera });
+            model.images.insert(
+                id,
+                PosedImage { id, camera, name: file_path.clone(), pose, observations: Vec::new() },
+            );
+            let mask_path = entry.mask_path.as_deref().map(clean).transpose()?;
+            self.frames.push(TransformsFrame {
+                image: id,
+                file_path,
+                found: on_disk.is_some(),
+                mask_path,
+                time: entry.time,
+            });
+        }
+        Ok(())
     }
 }
 

@@ -36,7 +36,7 @@ fn loaded_in_units(name: &str, photos: &Dataset, units: &[f64]) -> Vec<Dataset> 
         let path = folder.join(&view.name);
         image::save_buffer(path, &pixels.rgb, w, h, image::ExtendedColorType::Rgb8).unwrap();
     }
-    let config = DatasetConfig { alpha: AlphaMode::Transparent, test_every: 6 };
+    let config = DatasetConfig { test_every: Some(6), ..DatasetConfig::default() };
     let load = |unit: &f64| {
         let model = model_in_unit(photos, *unit);
         Dataset::load(&folder, None, &model, &config, &Progress::silent()).unwrap()

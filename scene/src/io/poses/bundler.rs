@@ -42,7 +42,7 @@ pub(super) fn read(path: &Path, images: &Path) -> Result<ImportedPoses, IoError>
         let pose = Pose::new(GL_FROM_CV * gl_from_file, GL_FROM_CV * t);
         add(path, &mut model, name, camera, pose)?;
     }
-    Ok(ImportedPoses { model, world_from_file: Sim3::IDENTITY })
+    Ok(ImportedPoses::of(model, Sim3::IDENTITY))
 }
 
 /// The list of images: `NAME.list.txt`, `list.txt`, `bundle.list.txt`, or `list.txt` a folder

@@ -5,6 +5,7 @@ use crate::io::load::image_info;
 use crate::io::safe_name;
 use crate::sim3::Sim3;
 use crate::{Camera, CameraModel, Pose, PosedImage, Reconstruction};
+use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
 
 /// Poses of a file, turned so that y is down where the format says what is up.
@@ -14,6 +15,17 @@ pub struct ImportedPoses {
     pub model: Reconstruction,
     /// From the frame of the file into that of the model.
     pub world_from_file: Sim3,
+    /// When images were taken, by their names, in any unit; empty where the file does not say.
+    pub times: BTreeMap<String, f64>,
+    /// Names of the images that are for evaluation alone.
+    pub held_out: BTreeSet<String>,
+}
+
+impl ImportedPoses {
+    /// Cameras and poses, of which neither times nor a split are known.
+    pub(super) fn of(model: Reconstruction, world_from_file: Sim3) -> Self {
+        Self { model, world_from_file, times: BTreeMap::new(), held_out: BTreeSet::new() }
+    }
 }
 
 /// Adds an image; images with equal intrinsics share a camera. `cam_from_world` is of the model.

@@ -48,7 +48,7 @@ pub(super) fn read(path: &Path) -> Result<ImportedPoses, IoError> {
         let pose = frames.world_from_file.transform_pose(&file_from_local.transform_pose(&pose));
         add(path, &mut model, label, sensor.clone(), pose)?;
     }
-    Ok(ImportedPoses { model, world_from_file: frames.world_from_file })
+    Ok(ImportedPoses::of(model, frames.world_from_file))
 }
 
 /// Where components and the chunk lie in the file's frame, and that in the world.

@@ -68,7 +68,7 @@ pub(super) fn read(path: &Path) -> Result<ImportedPoses, IoError> {
         let pose = Pose::new(rotation, DVec3::from_array(shot.translation));
         add(path, &mut model, name, camera(path, lens)?, WORLD_FROM_TRANSFORMS.transform_pose(&pose))?;
     }
-    Ok(ImportedPoses { model, world_from_file: WORLD_FROM_TRANSFORMS })
+    Ok(ImportedPoses::of(model, WORLD_FROM_TRANSFORMS))
 }
 
 fn camera(path: &Path, lens: &Lens) -> Result<Camera, IoError> {

@@ -58,7 +58,7 @@ pub(super) fn read(path: &Path, images: &Path) -> Result<ImportedPoses, IoError>
         let pose = Pose::from_centre(cam_from_file, DVec3::new(v("x"), v("y"), v("alt")));
         add(path, &mut model, name, camera, WORLD_FROM_TRANSFORMS.transform_pose(&pose))?;
     }
-    Ok(ImportedPoses { model, world_from_file: WORLD_FROM_TRANSFORMS })
+    Ok(ImportedPoses::of(model, WORLD_FROM_TRANSFORMS))
 }
 
 #[cfg(test)]
