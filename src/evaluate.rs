@@ -145,7 +145,10 @@ fn protocol(
     };
     let split = match config.every() {
         Some(every) => format!("every {every}th by sorted name, beginning with the first"),
-        None => "by the data set's own split".to_owned(),
+        None => match config.test_sector {
+            Some(degrees) => format!("all from within {degrees}° around the first"),
+            None => "by the data set's own split".to_owned(),
+        },
     };
     let ground = if dataset.is_transparent() { ", both over black where the mask is black" } else { "" };
     format!(

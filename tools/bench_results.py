@@ -21,6 +21,7 @@ POSES = [
 STEPS = ["matching", "verification", "mapping", "camera-model", "final-adjustment", "covariance"]
 SPLATS = [
     ("input", "{input}"), ("setting", "{setting}"), ("PSNR / SSIM", "{psnr:.2f} / {ssim:.4f}"),
+    ("PSNR, 60° held out", "{psnr_sector:.2f}"),
     ("worst view", "{psnr_worst:.2f}"), ("Gaussians", "{gaussians:,}"), ("wall s", "{wall_s:.1f}"),
     ("CPU s", "{cpu_s:.1f}"), ("peak MiB", "{peak_mib:.0f}"),
 ]

@@ -22,21 +22,27 @@ def captures(bench, shared):
     return [(name, path) for name, path in sets if os.path.exists(path)]
 
 
-def sweep(binary, source, folder, *options):
+def sweep(binary, source, folder, *options, flags=()):
     """The points that `sat-recon bench` measures: frames and poses are made once for all of
     them."""
-    subprocess.run([binary, "bench", source, "-o", folder, "-q", *options], check=True)
+    subprocess.run([binary, "bench", source, "-o", folder, "-q", *options, *(["--", *flags] if flags else [])], check=True)
     with open(os.path.join(folder, "bench.json")) as file:
         return json.load(file)["points"]
+
+
+# A whole sector of directions is held out as well: every 8th view flatters.
+SECTOR_DEG = "60"
 
 
 def bench_presets(bench, binary, shared, out, only, qualities, table):
     for name, source in captures(bench, shared):
         if not only or name in only:
-            wanted = set(qualities)
-            for point in sweep(binary, source, os.path.join(out, "splats", name), "--qualities", ",".join(qualities)):
+            wanted, folder, options = set(qualities), os.path.join(out, "splats", name), ["--qualities", ",".join(qualities)]
+            of_sector = sweep(binary, source, folder + ", sector", *options, flags=["--test-sector", SECTOR_DEG])
+            sectors = {point["setting"]: point["psnr"] for point in of_sector}
+            for point in sweep(binary, source, folder, *options):
                 if point["setting"] in wanted:
-                    table.row(point | dict(input=name))
+                    table.row(point | dict(input=name, psnr_sector=sectors.get(point["setting"])))
 
 
 def bench_times(bench, binary, shared, out, only, times, table):

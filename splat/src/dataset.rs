@@ -32,7 +32,18 @@ pub struct DatasetConfig {
     /// [default: the data set's own split, else 8]
     #[arg(long, value_name = "N", help_heading = "Splat")]
     pub test_every: Option<usize>,
-    /// Names of the views that the data set's own split holds out; empty where it has none.
+    /// Hold out all views from within so many degrees instead, around the first by name
+    #[arg(
+        long,
+        value_name = "DEG",
+        conflicts_with = "test_every",
+        value_parser = clap::value_parser!(u16).range(1..=180),
+        help_heading = "Splat"
+    )]
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub test_sector: Option<u16>,
+    /// Names of the views that are held out by `test_sector` or by the data set's own split; empty
+    /// where there is neither.
     #[arg(skip)]
     #[serde(default, skip_serializing_if = "BTreeSet::is_empty")]
     pub test_views: BTreeSet<String>,
@@ -52,12 +63,17 @@ const LEVELS: u32 = 4;
 
 impl Default for DatasetConfig {
     fn default() -> Self {
-        Self { alpha: AlphaMode::Transparent, test_every: None, test_views: BTreeSet::new() }
+        Self {
+            alpha: AlphaMode::Transparent,
+            test_every: None,
+            test_sector: None,
+            test_views: BTreeSet::new(),
+        }
     }
 }
 
 impl DatasetConfig {
-    /// Every how manieth view is held out; `None` where the data set's own split says which.
+    /// Every how manieth view is held out; `None` where [`Self::test_views`] says which.
     pub fn every(&self) -> Option<usize> {
         let has_split = self.test_every.is_none() && !self.test_views.is_empty();
         (!has_split).then(|| self.test_every.unwrap_or(TEST_EVERY))
