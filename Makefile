@@ -14,7 +14,7 @@ SAT_RECON := $(TARGET)/release/sat-recon
 VENV := $(CACHE)/venv
 SHARED := $(or $(SAT_RECON_SHARED),../shared)
 
-.PHONY: help setup viewer build demo wheel test crash-test cluster-test fuzz sanitize neon lint same-bytes bench tables bench-gpu compare benchmarks-page oracle testbed suite bench-suite plausibility site \
+.PHONY: help setup viewer build demo wheel test crash-test cluster-test fuzz sanitize neon lint same-bytes bench tables bench-gpu compare skips benchmarks-page oracle testbed suite bench-suite plausibility site \
   tutorial-pictures
 help:  ## this list
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed 's/:.*##/\t/' | expand -t 20
@@ -88,6 +88,11 @@ tables: build  ## the paper's three tables, its rows beside them (slow; METHODS=
 	@tools/setup.sh python3
 	python3 tools/paper_tables.py $(SAT_RECON) $(SHARED) --out build/tables \
 	    $(if $(METHODS),--methods $(METHODS)) $(if $(LIMIT),--time-limit $(LIMIT))
+
+# SEEDS: runs with all steps, whose range is the scatter.
+skips: build  ## what each step of the reconstruction is worth: every capture with each step left out (hours)
+	@tools/setup.sh python3
+	python3 tools/bench_skips.py $(SAT_RECON) $(SHARED) --out build/skips --seeds $(or $(SEEDS),5)
 
 benchmarks-page:  ## docs/benchmarks.md from the results in build/ and docs/results
 	python3 tools/benchmarks_page.py docs/results $(wildcard build/*/results) --out docs/benchmarks.md --keep docs/results

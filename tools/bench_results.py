@@ -41,7 +41,11 @@ TABLES = {
     ],
     "skips": [
         ("input", "{input}"), ("left out", "{skipped}"), ("registered", "{registered} of {total}"), ("AUC@1", "{auc_1:.1f}"),
-        ("steps, sd", "{step_sd_deg:.4f}°"), ("change", "{change:+.2f}"), ("5 seeds", "{low:.1f} to {high:.1f}"), ("CPU s", "{cpu_s:.1f}"),
+        ("steps, sd", "{step_sd_deg:.4f}°"), ("change", "{change:+.2f}"), ("all steps, by seed", "{low:.1f} to {high:.1f}"), ("CPU s", "{cpu_s:.1f}"),
+    ],
+    "worth": [
+        ("step", "`{step}`"), ("captures", "{tried}"), ("model changed", "{moved}"), ("worse without it, AUC@1", "{worse}"),
+        ("better without it", "{better}"),
     ],
     "dino": [
         ("registered", "{registered} of {total}"), ("pairs of observations", "{pairs}"),

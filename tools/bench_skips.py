@@ -5,7 +5,8 @@
 
 Each capture runs with all steps and N seeds, whose range is the scatter, then once for each value of
 `--skip`, but for steps that did nothing. A run that is in FOLDER already is not repeated. The table names the captures whose AUC@1
-leaves the scatter, with the change, and leaves its rows in FOLDER/results as JSON.
+leaves the scatter, with the change, and leaves its rows in FOLDER/results as JSON; `skips` holds all
+runs, `worth` a row a step.
 """
 import argparse
 import hashlib
@@ -38,6 +39,8 @@ OF_PHOTOS = ["blurred-features", "constant-step", "guided-matching", "structurel
              "circle-completion", "shared-cameras", "rotated-images", "densify", "subpixel", "plane-tracks", "isolated-points",
              "vertical-lines"]
 OF_TURNS = ["photometric-closure", "vertical-lines"]
+# Changes of AUC@1 (percent) that are as good as none, beside the scatter of the seeds.
+LEAST_CHANGE = 0.3
 # A step that took less looked whether it is needed and was not, CPU seconds.
 IDLE_S = 0.02
 
@@ -119,6 +122,18 @@ def main():
             same = row["bytes"] == whole["bytes"]
             table.row(row | dict(input=name, skipped=step, low=figures[0], high=figures[-1],
                                  change=None if same else figure(row) - figure(whole)))
+    summarise(table.record["rows"], args.out)
+
+
+def summarise(rows, out):
+    """A row a step: how many captures it did something on, and those that leave the scatter without it."""
+    table = Results(os.path.join(out, "results")).table("worth")
+    for step in dict.fromkeys(row["skipped"] for row in rows if row["skipped"] != "nothing"):
+        tried = [row for row in rows if row["skipped"] == step]
+        moved = [row for row in tried if row["change"] is not None]
+        outside = [row for row in moved if not row["low"] - LEAST_CHANGE <= figure(row) <= row["high"] + LEAST_CHANGE]
+        said = lambda sign: "; ".join(f"{r['input']} {r['change']:+.1f}" for r in outside if r["change"] * sign > 0)  # noqa: E731
+        table.row(dict(step=step, tried=len(tried), moved=len(moved), worse=said(-1) or "none", better=said(1) or "none"))
 
 
 if __name__ == "__main__":

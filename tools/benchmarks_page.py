@@ -41,6 +41,10 @@ SECTIONS = [
      "36 stills 10° apart, 640 × 480, lamp at 10 % and 100 %.", ["orbits"], BENCH + " (`--tables orbits`), with the captures of `make testbed`"),
     ("What if the photos are few, masked, dark or clipped?",
      "Harder copies of temple_ring.", ["variants"], BENCH + " (`--tables variants`)"),
+    ("What is each step of the reconstruction worth?",
+     "Every capture once with each step left out (`--skip`). *Worse* and *better* name captures whose AUC@1 leaves the range of "
+     "the runs with all steps and other seeds by more than 0.3; of oxford_dino, which has no poses as truth, a hundred times the "
+     "deviation of the steps, degrees.", ["worth"], "`make skips`"),
     ("How does it compare with COLMAP?",
      "COLMAP 3.8 and 4.2.1 with their defaults, one camera, exhaustive matching, on the same images; *on our database*: "
      "their mappers on features and matches found by sat-recon.", ["compare"], "`make compare`"),

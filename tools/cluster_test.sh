@@ -21,7 +21,7 @@ config=/etc/slurm/slurm.conf
 [ ! -e "$config" ] || { echo "$config exists: this machine is part of a cluster" >&2; exit 1; }
 
 stop() {
-    [ -n "${engine:-}" ] && kill "$engine" 2>/dev/null
+    [ -z "${engine:-}" ] || kill "$engine" 2>/dev/null || true
     pkill -F "$work/slurmctld.pid" 2>/dev/null || true
     for n in $(seq $nodes); do pkill -F "$work/slurmd.node$n.pid" 2>/dev/null || true; done
     pkill -F "$work/munged.pid" 2>/dev/null || true

@@ -7,7 +7,7 @@
 //! that it took. Taken as it is it believes too much: it holds residuals for independent and their
 //! distribution for known, while glints, outlines and lenses err in common. So observations that
 //! took no part in the adjustment have to agree: either they are predicted significantly better, or
-//! the margin of BIC is far larger than the textbook asks.
+//! the margin of BIC is far larger than the textbook asks and they are predicted no worse.
 //!
 //! How far a margin is to be trusted shows from the images, too: its standard deviation over them
 //! (Vuong, Econometrica 1989, with images for clusters) is reported beside it. It decides nothing:
@@ -123,12 +123,17 @@ impl Comparison {
     /// Whether the other model, which has more parameters, is to be preferred.
     pub(crate) fn prefers_richer(&self) -> bool {
         let asked = if self.gain > SIGNIFICANT * self.error { PREDICTED } else { CLEAR };
-        self.gain > 0.0 && self.margin > asked
+        self.is_not_contradicted() && self.margin > asked
     }
 
     /// Whether the other model, which has fewer parameters, is to be preferred.
     pub(crate) fn prefers_simpler(&self) -> bool {
-        self.gain > -self.error && self.margin > SIMPLER
+        self.is_not_contradicted() && self.margin > SIMPLER
+    }
+
+    /// Whether held-out observations are predicted no worse, as far as their number tells.
+    fn is_not_contradicted(&self) -> bool {
+        self.gain > -self.error
     }
 
     /// The numbers that decide.
@@ -171,7 +176,8 @@ mod tests {
         assert!(found(11.0, 0.5, 0.2).prefers_richer());
         assert!(!found(11.0, 0.3, 0.2).prefers_richer());
         assert!(found(151.0, 0.1, 0.2).prefers_richer());
-        assert!(!found(1000.0, -0.1, 0.2).prefers_richer(), "what is held out speaks against it");
+        assert!(found(151.0, -0.1, 0.2).prefers_richer(), "what is held out says nothing");
+        assert!(!found(1000.0, -0.3, 0.2).prefers_richer(), "what is held out speaks against it");
         assert!(!found(9.0, 1.0, 0.1).prefers_richer());
     }
 
