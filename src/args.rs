@@ -126,9 +126,13 @@ pub struct PipelineArgs {
     #[arg(long, help_heading = "General")]
     pub keep_frame: bool,
     /// Take features, matches and camera groups from this database.db of COLMAP's (images are known
-    /// by their names)
+    /// by their names); given several times, the matches of all are taken together
     #[arg(long, value_name = "FILE", help_heading = "Structure from motion")]
-    pub database: Option<PathBuf>,
+    pub database: Vec<PathBuf>,
+    /// Only match the I-th of N parts of the pairs and write OUT/database.db: many jobs share a
+    /// large set of photos, and a last run takes all their files with --database
+    #[arg(long, value_name = "I/N", conflicts_with = "database", help_heading = "Structure from motion")]
+    pub pairs: Option<sfm::PairBlock>,
     /// Take only the features from --database and match them again
     #[arg(long, requires = "database", help_heading = "Structure from motion")]
     pub rematch: bool,

@@ -11,17 +11,17 @@ use scene::{
 };
 use sfm::{SfmResult, Supplied};
 use std::collections::BTreeMap;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 /// What a stage's fingerprint says of databases.
 pub fn print(args: &PipelineArgs) -> Result<impl serde::Serialize + use<>> {
-    let input = args.database.as_deref().map(describe_input).transpose()?;
+    let input: Vec<_> = args.database.iter().map(|path| describe_input(path)).collect::<Result<_>>()?;
     Ok((input, args.rematch, args.colmap_database))
 }
 
 /// An error where a database is read or asked for, but nothing is solved.
 pub fn refuse(args: &PipelineArgs) -> Result<()> {
-    if args.database.is_some() || args.colmap_database {
+    if !args.database.is_empty() || args.colmap_database || args.pairs.is_some() {
         bail!(
             "the poses of {} are used as they are, without features: add --ignore-poses",
             args.input.display()
@@ -34,9 +34,9 @@ pub fn refuse(args: &PipelineArgs) -> Result<()> {
 pub fn solve(args: &PipelineArgs, frames: &FrameSet, progress: &Progress) -> Result<SfmResult> {
     let mut config = args.sfm.clone();
     (config.seed, config.keep_matches) = (args.seed, args.colmap_database);
-    let Some(path) = &args.database else { return Ok(sfm::reconstruct(frames, &config, progress)?) };
+    let Some(path) = args.database.first() else { return Ok(sfm::reconstruct(frames, &config, progress)?) };
     let mut frames = frames.clone();
-    let (supplied, decision) = read(path, &mut frames, args.rematch)?;
+    let (supplied, decision) = read(path, &together(&args.database)?, &mut frames, args.rematch)?;
     let mut result = sfm::reconstruct_from(Some(supplied), &frames, &config, progress)?;
     result.decisions.insert(0, decision);
     Ok(result)
@@ -61,15 +61,57 @@ pub fn write(
 /// Source: chosen by hand, never measured.
 const FEWEST_SHARED: usize = 15;
 
+/// The first of several databases with the matches of all: those of the parts that `--pairs` made.
+fn together(paths: &[PathBuf]) -> Result<Database> {
+    let [first, others @ ..] = paths else { bail!("no database is named") };
+    let mut all = scene::io::read_database(first)?;
+    for path in others {
+        let part = scene::io::read_database(path)?;
+        let mut number = BTreeMap::new();
+        for (id, image) in &part.images {
+            let known = all.images.iter().find(|(_, own)| own.name == image.name);
+            let Some((own_id, _)) = known.filter(|(_, own)| own.features == image.features) else {
+                let (a, b) = (path.display(), first.display());
+                bail!("{a} has other features of {} than {b}: parts of one set share them", image.name);
+            };
+            number.insert(*id, *own_id);
+        }
+        let numbered = |pair: &ImagePair| Some((*number.get(&pair.0)?, *number.get(&pair.1)?));
+        let matches = part.matches.into_iter().filter_map(|(pair, found)| Some((numbered(&pair)?, found)));
+        all.matches.extend(matches);
+    }
+    Ok(all)
+}
+
+/// Writes `OUT/database.db` with the matches of one part of the pairs; how many pairs match.
+pub fn match_part(
+    args: &PipelineArgs,
+    block: sfm::PairBlock,
+    frames: &FrameSet,
+    out: &Path,
+    progress: &Progress,
+) -> Result<usize> {
+    let found = sfm::match_block(frames, &args.sfm, block, progress)?;
+    let sfm::MatchedBlock { features, initial_cameras, matches } = found;
+    let pairs = matches.iter().filter(|(_, _, m)| !m.is_empty()).count();
+    let result = SfmResult { features, matches, initial_cameras, ..SfmResult::default() };
+    scene::io::write_database(&out.join("database.db"), &contents(result, frames))?;
+    Ok(pairs)
+}
+
 /// Features (and matches, unless `rematch`) of the frames, and a decision that says what was found.
 /// Images are known by name, or by name without ending. Camera groups and known focal lengths are
 /// put into `frames`; keypoints are scaled where the frames were.
-fn read(path: &Path, frames: &mut FrameSet, rematch: bool) -> Result<(Supplied, Decision)> {
-    let database = scene::io::read_database(path)?;
+fn read(
+    path: &Path,
+    database: &Database,
+    frames: &mut FrameSet,
+    rematch: bool,
+) -> Result<(Supplied, Decision)> {
     let mut features = vec![Features::default(); frames.len()];
     let mut frame_of: BTreeMap<u32, usize> = BTreeMap::new();
     for (i, frame) in frames.frames.iter_mut().enumerate() {
-        let Some((id, image)) = find(&database, &frame.name) else { continue };
+        let Some((id, image)) = find(database, &frame.name) else { continue };
         let camera = &database.cameras[&image.camera];
         features[i] =
             fitted(image, camera, frame).with_context(|| format!("cannot use {}", path.display()))?;
@@ -87,7 +129,7 @@ fn read(path: &Path, frames: &mut FrameSet, rematch: bool) -> Result<(Supplied, 
         );
     }
     let described = features.iter().any(|f| !f.descriptors.is_empty());
-    let matches = if rematch { None } else { matches(&database, &frame_of) };
+    let matches = if rematch { None } else { matches(database, &frame_of) };
     if matches.is_none() && !described {
         bail!(
             "{} has neither descriptors nor matches of the frames: run COLMAP's matcher on it first",

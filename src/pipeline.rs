@@ -4,6 +4,7 @@ mod all_frames;
 mod field;
 mod folder;
 mod model;
+mod pairs;
 mod until;
 mod world;
 
@@ -106,6 +107,10 @@ impl Pipeline {
         let (frames, frames_print) = self.frames()?;
         self.record.frames = Some(frames.clone());
         self.hold_out(self.input.held_out(&frames)?);
+        if let Some(block) = self.args.pairs {
+            self.match_part(block, &frames, &frames_print)?;
+            return Ok((Outcome::Done, self.record));
+        }
         let mut outcome = Outcome::Done;
         if until >= Until::Sfm {
             let (poses, poses_print) = self.poses(&frames, &frames_print)?;

@@ -80,6 +80,38 @@ fn our_own_database_gives_the_same_poses_again_and_its_features_alone_do_too() {
 }
 
 #[test]
+fn pairs_matched_in_parts_give_the_poses_of_the_whole() {
+    let (out, dir) = (run(), folder("pairs"));
+    let photos = out.join("images");
+    let part = |number: usize| {
+        let target = dir.join(format!("part{number}"));
+        let block = format!("{number}/2");
+        expect_code(&["sfm", text(&photos), "-o", text(&target), "--pairs", &block], 0);
+        target.join("database.db")
+    };
+    let parts = [part(1), part(2)];
+    let pairs = parts.each_ref().map(|p| scene::io::read_database(p).unwrap().matches);
+    assert_eq!((pairs[0].len(), pairs[1].len()), (77, 76), "18 photos have 153 pairs");
+    assert!(pairs[0].keys().all(|pair| !pairs[1].contains_key(pair)));
+    let whole = dir.join("whole");
+    let databases = ["--database", text(&parts[0]), "--database", text(&parts[1])];
+    let arguments =
+        [&["sfm", text(&photos), "-o", text(&whole), "--motion", "free"][..], &databases].concat();
+    let said = expect_code(&arguments, 0);
+    assert!(said.contains("of 153 matched pairs"), "{said}");
+    close(&errors(&whole.join("sparse/0"), &out.join("sparse/0")), 18, 0.2, 1.0);
+
+    // A part of other photos is no part of these.
+    let other = dir.join("other");
+    let smaller = ["sfm", text(&photos), "-o", text(&other), "--pairs", "1/2", "--max-size", "200"];
+    expect_code(&smaller, 0);
+    let (other, target) = (other.join("database.db"), dir.join("mixed"));
+    let mixed = ["--database", text(&parts[0]), "--database", text(&other)];
+    let arguments = [&["sfm", text(&photos), "-o", text(&target)][..], &mixed].concat();
+    assert!(expect_code(&arguments, 1).contains("has other features of"));
+}
+
+#[test]
 fn a_database_of_colmaps_own_is_mapped_and_compared_with_its_own_model() {
     if !colmap_is_installed() {
         return;

@@ -1,6 +1,7 @@
 //! From frames to a model: what is asked for, and the steps that lead there.
 
 mod along_poses;
+mod block;
 mod context;
 mod export;
 mod model;
@@ -10,6 +11,7 @@ mod steps;
 #[cfg(test)]
 mod tests;
 
+pub use block::{MatchedBlock, PairBlock, match_block};
 pub use posed::triangulate_given;
 
 use crate::config::SfmConfig;
