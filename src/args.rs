@@ -196,6 +196,23 @@ pub struct MeshConfig {
     /// centres (default: it is in that frame)
     #[arg(long, value_name = "TRUTH", requires = "mesh", help_heading = "Evaluation")]
     pub mesh_truth: Option<PathBuf>,
+    /// Depths from which the fused mesh is made
+    #[arg(long, value_enum, default_value_t, requires = "mesh", help_heading = "Evaluation")]
+    #[serde(default)]
+    pub mesh_depths: MeshDepths,
+}
+
+/// The depths from which a mesh is fused.
+#[derive(ValueEnum, Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum MeshDepths {
+    /// By multi-view stereo between the photos
+    #[default]
+    Stereo,
+    /// Those at which the splat is half opaque
+    Splat,
+    /// By stereo; the splat's where the photos do not agree
+    Both,
 }
 
 /// The path of a rendered camera.
@@ -280,19 +297,26 @@ pub struct ExportArgs {
     /// browser), .ply (3DGS order), .compressed.ply, .splat, .spz, .sog, .glb (these also read, and
     /// .ksplat), .json (transforms), .db (COLMAP's database, of a run with --colmap-database), or a
     /// folder (COLMAP model, --text for text)
-    #[arg(short, long, value_name = "OUT", required_unless_present_any = ["html", "mesh", "tool"])]
+    #[arg(short, long, value_name = "OUT", required_unless_present_any = ["html", "mesh", "dense", "tool"])]
     pub output: Option<PathBuf>,
     /// A folder that another program loads as it is, with mattes, held-out views and times as it
     /// wants them (default output: RUN_TOOL)
-    #[arg(long = "for", value_enum, value_name = "TOOL", conflicts_with_all = ["html", "mesh", "text"])]
+    #[arg(long = "for", value_enum, value_name = "TOOL", conflicts_with_all = ["html", "mesh", "dense", "text"])]
     pub tool: Option<Tool>,
     /// One self-contained page that opens from disk (default output: RUN/view.html)
     #[arg(long)]
     pub html: bool,
-    /// A triangle mesh: the splat's surface as the input cameras see it, fused, with colours; .ply
-    /// or .glb (default output: RUN/mesh.ply)
+    /// A dense cloud by multi-view stereo between the photos, with normals and colours; .ply
+    /// (default output: RUN/dense.ply)
+    #[arg(long, conflicts_with_all = ["html", "mesh"])]
+    pub dense: bool,
+    /// A triangle mesh: the surface as the input cameras see it, fused, with colours; .ply or .glb
+    /// (default output: RUN/mesh.ply)
     #[arg(long, conflicts_with = "html")]
     pub mesh: bool,
+    /// Depths from which --mesh is made
+    #[arg(long, value_enum, default_value_t, requires = "mesh")]
+    pub mesh_depths: MeshDepths,
     /// Most voxels along the longest side of the object from which --mesh is made (fewer where they
     /// would be smaller than 1.5 pixels)
     #[arg(long, default_value_t = splat::fusion::DEFAULT_RESOLUTION, requires = "mesh", value_name = "N",

@@ -1,6 +1,7 @@
 //! `export`: a result in another format, chosen by the name of the target.
 
 use crate::args::{ExportArgs, Tool};
+use crate::dense;
 use crate::outcome::Outcome;
 use crate::pictures::need_splat;
 use crate::record::KnownRun;
@@ -17,11 +18,16 @@ pub fn run(args: &ExportArgs, verbosity: Verbosity) -> Result<Outcome> {
     if let Some(tool) = args.tool {
         return hand_over(args, tool, verbosity);
     }
-    let default = args.input.join(if args.mesh { "mesh.ply" } else { "view.html" });
+    let default = args.input.join(match (args.mesh, args.dense) {
+        (true, _) => "mesh.ply",
+        (_, true) => "dense.ply",
+        _ => "view.html",
+    });
     let output = args.output.as_deref().unwrap_or(&default);
     let ending = output.extension().map(|e| e.to_string_lossy().to_ascii_lowercase()).unwrap_or_default();
     match ending.as_str() {
         _ if args.mesh => write_mesh(args, output, verbosity)?,
+        _ if args.dense => write_dense(args, output, verbosity)?,
         _ if args.html || ending == "html" => crate::view::write_page(&args.input, output)?,
         _ if SplatFormat::of(output).is_some() => {
             let splat = if args.input.is_dir() { need_splat(&args.input)? } else { read_splat(&args.input)? };
@@ -89,20 +95,50 @@ fn write_transforms(input: &Path, output: &Path) -> Result<()> {
     Ok(())
 }
 
-/// The surface of a run's splat as its input cameras see it.
+/// Points of a run by stereo between its photos.
+fn write_dense(args: &ExportArgs, output: &Path, verbosity: Verbosity) -> Result<()> {
+    if !output.extension().is_some_and(|e| e.eq_ignore_ascii_case("ply")) {
+        bail!("{}: a dense cloud is written as .ply", output.display());
+    }
+    let progress = Progress::new(Box::new(TerminalSink::new(verbosity, None)), &CANCELLED);
+    let dataset = training_set(&args.input, &progress)?;
+    let cloud = dense::cloud(&dense::depths(&args.input, &dataset, &progress)?, &dataset);
+    if cloud.is_empty() {
+        bail!("{}: no three photos agree on any point", args.input.display());
+    }
+    scene::io::ply::write_oriented_ply(output, &cloud)?;
+    if verbosity > Verbosity::Quiet {
+        say(&format!("{} points", cloud.len()));
+    }
+    Ok(())
+}
+
+/// The photos of a run without distortion.
+fn training_set(run: &Path, progress: &Progress) -> Result<splat::Dataset> {
+    let config = crate::render::dataset_config(run);
+    crate::evaluate::load_dataset(&run.join("undistorted"), &config, progress)
+        .with_context(|| format!("{} is not the output folder of a run with a splat", run.display()))
+}
+
+/// The surface of a run as its input cameras see it.
 fn write_mesh(args: &ExportArgs, output: &Path, verbosity: Verbosity) -> Result<()> {
     let ending = output.extension().map(|e| e.to_string_lossy().to_ascii_lowercase());
     if !matches!(ending.as_deref(), Some("ply" | "glb")) {
         bail!("{}: a mesh is written as .ply or .glb", output.display());
     }
-    let gaussians = need_splat(&args.input)?;
+    let from = args.mesh_depths;
+    let gaussians = if from.by_splat() { Some(need_splat(&args.input)?) } else { None };
     let progress = Progress::new(Box::new(TerminalSink::new(verbosity, None)), &CANCELLED);
-    let config = crate::render::dataset_config(&args.input);
-    let dataset = crate::evaluate::load_dataset(&args.input.join("undistorted"), &config, &progress)?;
+    let dataset = training_set(&args.input, &progress)?;
+    let depths = if from.by_stereo() { Some(dense::depths(&args.input, &dataset, &progress)?) } else { None };
     let antialias = crate::pictures::trained_with_antialias(&args.input);
-    let mesh = splat::fusion::fused_mesh(&gaussians, &dataset, antialias, args.mesh_resolution, &progress)?;
+    let splat = gaussians.as_ref().map(|g| (g, antialias));
+    let mesh = dense::mesh(depths.as_ref(), splat, &dataset, args.mesh_resolution, &progress)?;
     if mesh.triangles.is_empty() {
-        bail!("{} has no surface: nowhere do its cameras see it half opaque", args.input.display());
+        bail!(
+            "{} has no surface: its views agree on none; --mesh-depths splat asks fewer of them",
+            args.input.display()
+        );
     }
     scene::io::write_mesh(output, &mesh)?;
     if verbosity > Verbosity::Quiet {

@@ -11,6 +11,7 @@ mod closing;
 pub mod compare;
 pub mod config;
 pub mod database;
+mod dense;
 pub mod doctor;
 pub mod evaluate;
 pub mod export;

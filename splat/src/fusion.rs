@@ -1,16 +1,18 @@
 //! A triangle mesh of Gaussians: their surface as the input cameras see it, fused.
 //!
-//! Depths at half transmittance ([`crate::surface`]) of the input views, the photos' colours,
-//! truncated signed distances, marching cubes ([`scene::geometry::fuse`]); the way of 2DGS (Huang
-//! et al., SIGGRAPH 2024, section 4.3).
+//! Depths at half transmittance ([`crate::surface`]) of the input views, or depths that were
+//! measured otherwise, the photos' colours, truncated signed distances, marching cubes
+//! ([`scene::geometry::fuse`]); the way of 2DGS (Huang et al., SIGGRAPH 2024, section 4.3).
 //!
 //! ```no_run
 //! use scene::{Gaussians, Progress};
-//! use splat::{Dataset, fusion};
+//! use splat::fusion::{self, DepthSource};
+//! use splat::Dataset;
 //!
 //! # fn mesh(gaussians: &Gaussians, dataset: &Dataset) -> Result<(), splat::SplatError> {
 //! let (voxels, progress) = (fusion::DEFAULT_RESOLUTION, Progress::silent());
-//! let mesh = fusion::fused_mesh(gaussians, dataset, false, voxels, &progress)?;
+//! let depths = DepthSource::Splat { gaussians, antialias: false };
+//! let mesh = fusion::fused_mesh(&depths, dataset, voxels, &progress)?;
 //! println!("{} triangles", mesh.triangles.len());
 //! # Ok(())
 //! # }
@@ -25,7 +27,7 @@ use glam::DVec3;
 use rayon::prelude::*;
 use scene::geometry::{DepthMap, FusionOptions, Mesh, fuse};
 use scene::sim3::Sim3;
-use scene::{Gaussians, Pose, Progress};
+use scene::{Camera, Gaussians, Pose, Progress};
 
 /// Most voxels along the longest side of the object, unless asked for otherwise. Source:
 /// docs/decisions/16.
@@ -71,29 +73,67 @@ const LIMITS: FusionLimits = FusionLimits {
 /// Masks are white from here, of 255. Source: the middle.
 const WHITE: u8 = 128;
 
-/// The surface of a scene's Gaussians (world frame) as the views of the data set see it, with the
-/// photos' colours; world frame, no triangles where nothing is half opaque. `resolution`: voxels
-/// along the longest side of what is seen, which without mattes ends at the cameras' distance;
-/// fewer where a voxel would be smaller than a pixel, because surfaces seen through gaps are full
-/// of holes. Where a matte is black, nothing is.
+/// Depths of a view.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct MeasuredDepth {
+    /// Pixels of a row.
+    pub width: usize,
+    /// [rows × width] camera z, scene units; 0 where nothing is known. Of the size of one of the
+    /// view's levels.
+    pub depth: Vec<f32>,
+}
+
+/// Where the depths that are fused come from.
+#[derive(Clone, Copy, Debug)]
+pub enum DepthSource<'a> {
+    /// The Gaussians (world frame) alone.
+    Splat {
+        /// The scene.
+        gaussians: &'a Gaussians,
+        /// As in training.
+        antialias: bool,
+    },
+    /// Depths of every view of the data set.
+    Measured(&'a [MeasuredDepth]),
+    /// The same, and the splat's where they know nothing.
+    Both {
+        /// Of every view of the data set.
+        measured: &'a [MeasuredDepth],
+        /// The scene.
+        gaussians: &'a Gaussians,
+        /// As in training.
+        antialias: bool,
+    },
+}
+
+/// The surface of a scene as the views of the data set see it, with the photos' colours; world
+/// frame, no triangles where nothing is half opaque or measured. `resolution`: voxels along the
+/// longest side of what is seen, which without mattes ends at the cameras' distance; fewer where a
+/// voxel would be smaller than a pixel, because surfaces seen through gaps are full of holes. Where
+/// a matte is black, nothing is.
 pub fn fused_mesh(
-    gaussians: &Gaussians,
+    source: &DepthSource,
     dataset: &Dataset,
-    antialias: bool,
     resolution: u32,
     progress: &Progress,
 ) -> Result<Mesh, SplatError> {
     // In the normalised frame no number is too small or too large, whatever the units are.
     let n = &dataset.normalisation;
     let normalised = Sim3 { scale: n.scale, translation: -n.scale * n.centre, ..Sim3::IDENTITY };
-    let gaussians = n.normalise(gaussians.clone());
+    let gaussians = source.gaussians().map(|(g, antialias)| (n.normalise(g.clone()), antialias));
     let count = dataset.views.len().min(LIMITS.most_views);
     progress.begin("depth maps", count);
     let mut maps = Vec::with_capacity(count);
     for k in 0..count {
-        let view = &dataset.views[k * dataset.views.len() / count];
-        let pose = normalised.transform_pose(&view.pose);
-        maps.extend(depth_map(view, &pose, &gaussians, antialias, dataset.alpha, resolution));
+        let at = k * dataset.views.len() / count;
+        let view = ViewSource {
+            view: &dataset.views[at],
+            pose: normalised.transform_pose(&dataset.views[at].pose),
+            gaussians: gaussians.as_ref().map(|(g, antialias)| (g, *antialias)),
+            measured: source.measured().and_then(|m| m.get(at)),
+            scale: n.scale,
+        };
+        maps.extend(view.depth_map(dataset.alpha, resolution));
         progress.tick()?;
     }
     if !dataset.is_transparent() {
@@ -120,26 +160,65 @@ pub fn fused_mesh(
     Ok(mesh)
 }
 
-/// What a view sees, at the level whose pixels are not much finer than the voxels will be.
-fn depth_map(
-    view: &View,
-    pose: &Pose,
-    gaussians: &Gaussians,
-    antialias: bool,
-    alpha: AlphaMode,
-    resolution: u32,
-) -> Option<DepthMap> {
-    // Twice as fine as voxels may be.
-    let most = (2.0 * LIMITS.pixels_of_a_voxel * f64::from(resolution)) as usize;
-    let pixels = view.levels.iter().find(|p| p.width.max(p.height) <= most).or(view.levels.last())?;
-    let camera = view.camera.scaled(pixels.width as u32, pixels.height as u32);
-    let near = DEFAULT_NEAR * median_distance(gaussians, pose.centre());
-    let mut depth: Vec<f32> = median_depth(gaussians, &camera, pose, near, antialias)
-        .into_iter()
-        .map(|z| z.map_or(f32::NAN, |z| z as f32))
-        .collect();
-    blank(&mut depth, pixels, alpha);
-    Some(DepthMap { camera, pose: *pose, depth, rgb: pixels.rgb.clone() })
+impl<'a> DepthSource<'a> {
+    fn gaussians(&self) -> Option<(&'a Gaussians, bool)> {
+        match *self {
+            Self::Measured(_) => None,
+            Self::Splat { gaussians, antialias } | Self::Both { gaussians, antialias, .. } => {
+                Some((gaussians, antialias))
+            }
+        }
+    }
+
+    fn measured(&self) -> Option<&'a [MeasuredDepth]> {
+        match *self {
+            Self::Splat { .. } => None,
+            Self::Measured(measured) | Self::Both { measured, .. } => Some(measured),
+        }
+    }
+}
+
+/// What is known of a view's depths.
+struct ViewSource<'a> {
+    view: &'a View,
+    /// Normalised frame.
+    pose: Pose,
+    /// Normalised, and whether they were trained with antialiasing.
+    gaussians: Option<(&'a Gaussians, bool)>,
+    measured: Option<&'a MeasuredDepth>,
+    /// Normalised units a scene unit.
+    scale: f64,
+}
+
+impl ViewSource<'_> {
+    /// At the level of what was measured, else at that whose pixels are not much finer than the
+    /// voxels will be.
+    fn depth_map(&self, alpha: AlphaMode, resolution: u32) -> Option<DepthMap> {
+        // Twice as fine as voxels may be.
+        let most = (2.0 * LIMITS.pixels_of_a_voxel * f64::from(resolution)) as usize;
+        let levels = &self.view.levels;
+        let pixels = match self.measured {
+            Some(m) => levels.iter().find(|p| p.width == m.width && p.width * p.height == m.depth.len())?,
+            None => levels.iter().find(|p| p.width.max(p.height) <= most).or(levels.last())?,
+        };
+        let camera = self.view.camera.scaled(pixels.width as u32, pixels.height as u32);
+        let mut depth =
+            self.splat_depth(&camera).unwrap_or_else(|| vec![f32::NAN; pixels.width * pixels.height]);
+        for (z, &known) in depth.iter_mut().zip(self.measured.map_or(&[][..], |m| &m.depth)) {
+            if known > 0.0 {
+                *z = (f64::from(known) * self.scale) as f32;
+            }
+        }
+        blank(&mut depth, pixels, alpha);
+        Some(DepthMap { camera, pose: self.pose, depth, rgb: pixels.rgb.clone() })
+    }
+
+    fn splat_depth(&self, camera: &Camera) -> Option<Vec<f32>> {
+        let (gaussians, antialias) = self.gaussians?;
+        let near = DEFAULT_NEAR * median_distance(gaussians, self.pose.centre());
+        let depth = median_depth(gaussians, camera, &self.pose, near, antialias);
+        Some(depth.into_iter().map(|z| z.map_or(f32::NAN, |z| z as f32)).collect())
+    }
 }
 
 /// What a black mask says of the depths: nothing, or that the ray is empty (less surely so near to

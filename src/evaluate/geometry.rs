@@ -2,15 +2,17 @@
 //! where there are any.
 
 use crate::args::MeshConfig;
+use crate::dense;
 use crate::evaluate::metrics::number;
 use crate::record::{PoseSummary, ShapeEvaluation};
 use anyhow::{Context, Result};
+use clap::ValueEnum;
 use glam::DVec3;
 use scene::geometry::{GeometryErrors, Mesh, compare_points, seen_by};
 use scene::sim3::{Sim3, robust_alignment};
 use scene::{Camera, Gaussians, Pose, Progress, Reconstruction};
 use splat::Dataset;
-use splat::fusion::{DEFAULT_RESOLUTION, fused_mesh, median_distance};
+use splat::fusion::{DEFAULT_RESOLUTION, median_distance};
 use splat::surface::{median_depth, outside_hull, points_of};
 use std::collections::{BTreeMap, HashMap};
 use std::path::Path;
@@ -39,6 +41,7 @@ impl ShapeEvaluation {
         [
             in_words("cloud", &self.cloud),
             in_words("surface", &self.surface),
+            in_words("dense cloud", &self.dense),
             in_words("mesh", &self.fused),
             floaters,
         ]
@@ -48,9 +51,9 @@ impl ShapeEvaluation {
         .join("; ")
     }
 
-    /// Rows of a table: quantity, then cloud, surface, mesh.
-    pub(crate) fn rows(&self) -> Vec<(&'static str, [String; 3])> {
-        let rows: [(&'static str, fn(&GeometryErrors) -> f64); 8] = [
+    /// Rows of a table: quantity, then cloud, surface, dense cloud, mesh.
+    pub(crate) fn rows(&self) -> Vec<(&'static str, [String; 4])> {
+        let rows: [(&'static str, fn(&GeometryErrors) -> f64); 9] = [
             ("accuracy, mean, % of the size", |e| e.accuracy_mean_pct),
             ("accuracy, median", |e| e.accuracy_median_pct),
             ("completeness, mean", |e| e.completeness_mean_pct),
@@ -58,9 +61,10 @@ impl ShapeEvaluation {
             ("precision at 1 %, %", |e| e.precision_pct),
             ("recall at 1 %, %", |e| e.recall_pct),
             ("F-score at 1 %, %", |e| e.f_score_pct),
+            ("F-score at 0.5 %, %", |e| e.f_score_half_pct),
             ("Chamfer distance, %", |e| e.chamfer_pct),
         ];
-        let judged = [&self.cloud, &self.surface, &self.fused];
+        let judged = [&self.cloud, &self.surface, &self.dense, &self.fused];
         rows.map(|(name, pick)| (name, judged.map(|e| number(e.as_ref().map(pick), 3)))).to_vec()
     }
 }
@@ -118,20 +122,26 @@ pub fn measure(
     let cloud = judge(model.points.values().map(|p| p.position).collect());
     let voxel = VOXEL_PCT / 100.0 * size / mesh_from_model.scale;
     let splat = judge(surface_points(&views, (gaussians, antialias), voxel, progress)?);
-    let mesh_of_splat = fused_mesh(gaussians, dataset, antialias, DEFAULT_RESOLUTION, progress)?;
-    let fused = judge(mesh_of_splat.sample(SAMPLES, 0));
+    let from = config.mesh_depths;
+    let depths = if from.by_stereo() { Some(dense::depths(out, dataset, progress)?) } else { None };
+    let points = depths.as_ref().map_or(Vec::new(), |d| dense::cloud(d, dataset));
+    let dense = judge(points.into_iter().map(|p| p.position).collect());
+    let by_splat = from.by_splat().then_some((gaussians, antialias));
+    let mesh_made = dense::mesh(depths.as_ref(), by_splat, dataset, DEFAULT_RESOLUTION, progress)?;
+    let fused = judge(mesh_made.sample(SAMPLES, 0));
     let seen = 100.0 * surface.len() as f64 / SAMPLES as f64;
     let protocol = format!(
         "{aligned}; distances in % of the mesh's size ({size:.4} units); of the mesh the {seen:.1} % that the views see ({SAMPLES} \
-         samples); surface: depths at half transmittance of {} views, one point a cube of {VOXEL_PCT} %; fused mesh: {SAMPLES} samples of what export --mesh writes{}",
+         samples); surface: depths at half transmittance of {} views, one point a cube of {VOXEL_PCT} %; fused mesh: {SAMPLES} samples of what export --mesh --mesh-depths {} writes{}",
         views.len().min(DEPTH_MAPS),
+        from.to_possible_value().map_or_else(String::new, |v| v.get_name().to_owned()),
         if cropped {
             format!("; points farther than {CROP_PCT} % from the mesh's box are left out")
         } else {
             String::new()
         }
     );
-    Ok(Some(ShapeEvaluation { protocol, cloud, surface: splat, fused, floaters_pct }))
+    Ok(Some(ShapeEvaluation { protocol, cloud, surface: splat, dense, fused, floaters_pct }))
 }
 
 /// From the world in which a run was written into the frame of its input.

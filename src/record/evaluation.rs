@@ -112,6 +112,9 @@ pub struct ShapeEvaluation {
     pub cloud: Option<GeometryErrors>,
     /// The surface at which the splat is half opaque, from the input views, against the mesh.
     pub surface: Option<GeometryErrors>,
+    /// The cloud that `export --dense` writes, against the mesh.
+    #[serde(default)]
+    pub dense: Option<GeometryErrors>,
     /// The mesh that `export --mesh` writes, against the mesh.
     #[serde(default)]
     pub fused: Option<GeometryErrors>,

@@ -96,7 +96,7 @@ fn shape(geometry: &ShapeEvaluation) -> Markup {
         h3 { "Shape" }
         p { (protocol) "." }
         @if geometry.cloud.is_some() || geometry.surface.is_some() {
-            (html::table(&["", "sparse cloud", "splat", "fused mesh"], &rows))
+            (html::table(&["", "sparse cloud", "splat", "dense cloud", "fused mesh"], &rows))
         }
         @if let Some(share) = geometry.floaters_pct {
             p { (format!("{share:.2} % of the opacity lies outside the silhouettes.")) }

@@ -22,7 +22,7 @@ const MOST_POINTS: usize = 30_000;
 
 /// An input camera as the page knows it.
 #[derive(Clone, Debug, Serialize)]
-pub struct ViewCamera {
+pub(crate) struct ViewCamera {
     name: String,
     width: u32,
     height: u32,
@@ -51,7 +51,7 @@ struct Points {
 
 /// What the page shows.
 #[derive(Clone, Debug, Serialize)]
-pub struct ViewScene {
+pub(crate) struct ViewScene {
     title: String,
     splat: Splat,
     points: Points,
@@ -77,7 +77,7 @@ const FARTHEST: f32 = 2000.0;
 
 /// A finished run, as far as it is looked at, moved into the page's frame.
 #[derive(Debug)]
-pub struct Run {
+pub(crate) struct Run {
     /// Its folder.
     pub folder: PathBuf,
     /// PINHOLE cameras that the splat was trained with.
@@ -93,7 +93,7 @@ pub struct Run {
 
 impl Run {
     /// Reads the model and the splat, which must be there; no browser should be handed it unread.
-    pub fn open(folder: &Path) -> Result<Self> {
+    pub(crate) fn open(folder: &Path) -> Result<Self> {
         let mut gaussians = crate::pictures::need_splat(folder)?;
         let model = scene::io::read_model(&folder.join("undistorted/sparse/0"))?;
         anyhow::ensure!(!model.images.is_empty(), "{} has no cameras", folder.display());
@@ -109,7 +109,7 @@ impl Run {
     }
 
     /// The training image of the camera with this number in the page.
-    pub fn photo(&self, index: usize) -> Option<PathBuf> {
+    pub(crate) fn photo(&self, index: usize) -> Option<PathBuf> {
         let image = self.model.images.values().nth(index)?;
         let name = scene::io::safe_name(&image.name).ok()?;
         self.inside(&format!("undistorted/images/{name}"))
@@ -205,7 +205,7 @@ fn page(scene: &ViewScene, splat: &str, script: &str) -> Result<String> {
 }
 
 /// One HTML file that needs no network and no other file.
-pub fn write_page(folder: &Path, target: &Path) -> Result<()> {
+pub(crate) fn write_page(folder: &Path, target: &Path) -> Result<()> {
     check_bundle()?;
     let run = Run::open(folder)?;
     let photo = |index: usize| {

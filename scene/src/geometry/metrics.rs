@@ -28,6 +28,9 @@ pub struct GeometryErrors {
     /// Harmonic mean of precision and recall, per cent (Knapitsch et al., "Tanks and Temples",
     /// 2017).
     pub f_score_pct: f64,
+    /// The same at half the threshold.
+    #[serde(default)]
+    pub f_score_half_pct: f64,
     /// Mean of the two mean distances.
     pub chamfer_pct: f64,
     /// What counted as near, per cent of the size.
@@ -58,10 +61,9 @@ pub fn compare_points(
             tree.nearest_neighbor(at).map_or(f64::INFINITY, |p| p.distance_2(&at).sqrt() * to_pct)
         })
         .collect();
-    let within =
-        |d: &[f64]| 100.0 * d.iter().filter(|d| **d <= threshold_pct).count() as f64 / d.len() as f64;
-    let (precision, recall) = (within(&accuracy), within(&completeness));
-    let sum = precision + recall;
+    let (precision, recall) = (within(&accuracy, threshold_pct), within(&completeness, threshold_pct));
+    let half = threshold_pct / 2.0;
+    let f_score_half = harmonic_mean(within(&accuracy, half), within(&completeness, half));
     let (accuracy_mean, completeness_mean) = (mean(&accuracy), mean(&completeness));
     Some(GeometryErrors {
         points: points.len(),
@@ -71,10 +73,20 @@ pub fn compare_points(
         completeness_median_pct: median(completeness),
         precision_pct: precision,
         recall_pct: recall,
-        f_score_pct: if sum > 0.0 { 2.0 * precision * recall / sum } else { 0.0 },
+        f_score_pct: harmonic_mean(precision, recall),
+        f_score_half_pct: f_score_half,
         chamfer_pct: (accuracy_mean + completeness_mean) / 2.0,
         threshold_pct,
     })
+}
+
+/// Share of the distances up to a threshold, per cent.
+fn within(distances: &[f64], threshold: f64) -> f64 {
+    100.0 * distances.iter().filter(|d| **d <= threshold).count() as f64 / distances.len() as f64
+}
+
+fn harmonic_mean(a: f64, b: f64) -> f64 {
+    if a + b > 0.0 { 2.0 * a * b / (a + b) } else { 0.0 }
 }
 
 fn mean(values: &[f64]) -> f64 {

@@ -5,7 +5,7 @@ mod header;
 mod points;
 mod splat;
 
-pub use points::{CloudPoint, read_points_ply, write_points_ply};
+pub use points::{CloudPoint, OrientedPoint, read_points_ply, write_oriented_ply, write_points_ply};
 pub use splat::{read_splat_ply, write_splat_ply};
 
 use super::error::IoError;

@@ -3,7 +3,7 @@
 use super::Ply;
 use crate::io::error::{IoError, read_file};
 use crate::io::write_atomic;
-use glam::DVec3;
+use glam::{DVec3, Vec3};
 use std::io::Write;
 use std::path::Path;
 
@@ -35,21 +35,45 @@ pub fn read_points_ply(path: &Path) -> Result<Vec<CloudPoint>, IoError> {
     Ok(points)
 }
 
+/// A point of a surface.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct OrientedPoint {
+    /// World frame, scene units.
+    pub position: DVec3,
+    /// Unit, outwards.
+    pub normal: Vec3,
+    /// sRGB.
+    pub rgb: [u8; 3],
+}
+
 /// Writes a coloured cloud, binary little-endian, `float x y z`, `uchar red green blue`.
 pub fn write_points_ply(path: &Path, points: &[CloudPoint]) -> Result<(), IoError> {
     write_atomic(path, |w| {
-        writeln!(w, "ply\nformat binary_little_endian 1.0\nelement vertex {}", points.len())?;
-        for axis in ["x", "y", "z"] {
-            writeln!(w, "property float {axis}")?;
-        }
-        for channel in ["red", "green", "blue"] {
-            writeln!(w, "property uchar {channel}")?;
-        }
-        writeln!(w, "end_header")?;
-        for point in points {
-            point.position.as_vec3().to_array().iter().try_for_each(|v| w.write_all(&v.to_le_bytes()))?;
-            w.write_all(&point.rgb)?;
-        }
-        Ok(())
+        header(w, points.len(), &["x", "y", "z"])?;
+        points.iter().try_for_each(|p| row(w, &p.position.as_vec3().to_array(), p.rgb))
     })
+}
+
+/// Writes a coloured cloud with normals, binary little-endian, `float x y z nx ny nz`, `uchar red
+/// green blue`.
+pub fn write_oriented_ply(path: &Path, points: &[OrientedPoint]) -> Result<(), IoError> {
+    write_atomic(path, |w| {
+        header(w, points.len(), &["x", "y", "z", "nx", "ny", "nz"])?;
+        points.iter().try_for_each(|p| {
+            let ([x, y, z], [nx, ny, nz]) = (p.position.as_vec3().to_array(), p.normal.to_array());
+            row(w, &[x, y, z, nx, ny, nz], p.rgb)
+        })
+    })
+}
+
+fn header(w: &mut dyn Write, points: usize, floats: &[&str]) -> std::io::Result<()> {
+    writeln!(w, "ply\nformat binary_little_endian 1.0\nelement vertex {points}")?;
+    floats.iter().try_for_each(|name| writeln!(w, "property float {name}"))?;
+    ["red", "green", "blue"].iter().try_for_each(|name| writeln!(w, "property uchar {name}"))?;
+    writeln!(w, "end_header")
+}
+
+fn row(w: &mut dyn Write, floats: &[f32], rgb: [u8; 3]) -> std::io::Result<()> {
+    floats.iter().try_for_each(|v| w.write_all(&v.to_le_bytes()))?;
+    w.write_all(&rgb)
 }

@@ -1,0 +1,58 @@
+//! From views to depths, coarse to fine.
+
+use crate::agree;
+use crate::field::PlaneField;
+use crate::level::LevelImage;
+use crate::neighbours::Layout;
+use crate::pair::Pair;
+use crate::settings::{StereoSettings, Tolerance};
+use crate::sweep::{Job, ViewJob, swept};
+use crate::view::{StereoError, StereoView, check};
+use glam::DVec3;
+use rayon::prelude::*;
+use scene::Progress;
+
+/// What the views see.
+#[derive(Clone, Debug)]
+pub struct DenseDepths {
+    /// In the order of the views.
+    pub fields: Vec<PlaneField>,
+    pub(crate) pairs: Vec<Vec<Pair>>,
+    pub(crate) tolerance: Tolerance,
+    pub(crate) least_views: u32,
+}
+
+/// Depths and normals of every view, in the order of the views; those on which too few other views
+/// agree are left out. `points`: some points of the surface (world frame), which say how deep it
+/// lies. Views without neighbours, or with nothing to see, have none. The same on any number of
+/// threads.
+pub fn dense_depths(
+    views: &[StereoView],
+    points: &[DVec3],
+    settings: &StereoSettings,
+    progress: &Progress,
+) -> Result<DenseDepths, StereoError> {
+    check(views)?;
+    let layout = Layout::new(views, points, settings);
+    let mut fields: Vec<PlaneField> = Vec::new();
+    let mut pairs: Vec<Vec<Pair>> = Vec::new();
+    for level in (0..settings.levels).rev() {
+        let images: Vec<LevelImage> =
+            views.par_iter().map(|v| LevelImage::new(v, settings.first_level(views) + level)).collect();
+        pairs = (0..views.len()).map(|i| layout.pairs(i, views, &images)).collect();
+        fields = (0..views.len()).map(|i| PlaneField::start(&images[i], fields.get(i))).collect();
+        for round in 0..settings.rounds(level) {
+            progress.begin(&format!("stereo at 1/{}", 1 << level), views.len());
+            let job = Job { level, round, layout: &layout, settings };
+            let next = (0..views.len()).into_par_iter().map(|i| {
+                let view = ViewJob { view: i, images: &images, pairs: &pairs[i], fields: &fields };
+                let field = swept(&job, &view);
+                progress.tick().map(|()| field)
+            });
+            fields = next.collect::<Result<_, _>>()?;
+        }
+    }
+    let fields = agree::filtered(&fields, &pairs, settings);
+    let least_views = u32::from(settings.agreeing) + 1;
+    Ok(DenseDepths { fields, pairs, tolerance: settings.tolerance, least_views })
+}

@@ -1,0 +1,166 @@
+use super::*;
+use glam::DVec2;
+use image::{GrayImage, RgbImage};
+use scene::synthetic::{TexturedScene, default_camera, orbit_pose};
+use scene::{CameraModel, Pose};
+
+/// Photos of the textured block before black, with their masks.
+struct Shot {
+    scene: TexturedScene,
+    camera: Camera,
+    poses: Vec<Pose>,
+    photos: Vec<RgbImage>,
+    masks: Vec<GrayImage>,
+}
+
+impl Shot {
+    fn new(unit: f64, views: usize, width: u32) -> Self {
+        let scene = TexturedScene { unit, ground: false, background: [0; 3], seed: 3 };
+        let camera = default_camera(CameraModel::SimplePinhole, width, width * 3 / 4);
+        let poses: Vec<Pose> =
+            (0..views).map(|i| orbit_pose(0.4 + 0.14 * i as f64, 0.35, 4.0 * unit)).collect();
+        let photos = poses.iter().map(|p| scene.render(&camera, p)).collect();
+        let masks = poses.iter().map(|p| scene.render_mask(&camera, p)).collect();
+        Self { scene, camera, poses, photos, masks }
+    }
+
+    fn views(&self) -> Vec<StereoView<'_>> {
+        (0..self.poses.len())
+            .map(|i| StereoView {
+                camera: &self.camera,
+                pose: self.poses[i],
+                rgb: self.photos[i].as_raw(),
+                mask: Some(self.masks[i].as_raw()),
+            })
+            .collect()
+    }
+
+    /// Points on the surface, as a sparse cloud has them.
+    fn points(&self) -> Vec<DVec3> {
+        let seen = self.poses.iter().flat_map(|pose| {
+            let pixels = (0..12).flat_map(|x| (0..9).map(move |y| (x, y)));
+            pixels.filter_map(|(x, y)| {
+                let size = DVec2::new(f64::from(self.camera.width), f64::from(self.camera.height));
+                let pixel = DVec2::new((f64::from(x) + 0.5) / 12.0, (f64::from(y) + 0.5) / 9.0) * size;
+                let z = self.scene.depth(&self.camera, pose, pixel)?;
+                let ray = (pixel - self.camera.principal_point()) / self.camera.focal();
+                Some(pose.inverse().transform(ray.extend(1.0) * z))
+            })
+        });
+        seen.collect()
+    }
+
+    /// Relative errors of the depths that were found, and how many pixels the mask has.
+    fn errors(&self, fields: &[PlaneField]) -> (Vec<f64>, usize) {
+        let mut errors = Vec::new();
+        for (field, pose) in fields.iter().zip(&self.poses) {
+            for i in (0..field.depth.len()).filter(|&i| field.depth[i] > 0.0) {
+                let (x, y) = field.place(i);
+                let pixel = DVec2::new(x as f64 + 0.5, y as f64 + 0.5);
+                let Some(truth) = self.scene.depth(&self.camera, pose, pixel) else { continue };
+                errors.push((f64::from(field.depth[i]) / truth - 1.0).abs());
+            }
+        }
+        errors.sort_by(f64::total_cmp);
+        (errors, self.masks.iter().flat_map(|m| m.as_raw()).filter(|v| **v >= 128).count())
+    }
+}
+
+fn settings() -> StereoSettings {
+    StereoSettings::default()
+}
+
+fn found(shot: &Shot) -> Vec<PlaneField> {
+    dense_depths(&shot.views(), &shot.points(), &settings(), &Progress::silent()).unwrap().fields
+}
+
+#[test]
+fn depths_of_a_textured_block_are_those_of_its_surface_at_any_size() {
+    for unit in [1.0, 1e-6, 1e6] {
+        let shot = Shot::new(unit, 8, 160);
+        let (errors, pixels) = shot.errors(&found(&shot));
+        let share = errors.len() as f64 / pixels as f64;
+        let (median, tail) = (errors[errors.len() / 2], errors[errors.len() * 95 / 100]);
+        assert!(share > 0.8, "unit {unit}: {share} of the pixels");
+        assert!(median < 0.001 && tail < 0.01, "unit {unit}: {median} {tail}");
+    }
+}
+
+#[test]
+fn normals_face_the_camera_and_are_those_of_the_surface() {
+    let shot = Shot::new(1.0, 8, 160);
+    let fields = found(&shot);
+    let mut angles = Vec::new();
+    for (field, pose) in fields.iter().zip(&shot.poses) {
+        for i in (0..field.depth.len()).filter(|&i| field.depth[i] > 0.0) {
+            let (x, y) = field.place(i);
+            let at = |dx: f64, dy: f64| {
+                let pixel = DVec2::new(x as f64 + dx, y as f64 + dy);
+                let z = shot.scene.depth(&shot.camera, pose, pixel)?;
+                Some(((pixel - shot.camera.principal_point()) / shot.camera.focal()).extend(1.0) * z)
+            };
+            let (Some(a), Some(b), Some(c)) = (at(0.4, 0.4), at(0.6, 0.4), at(0.4, 0.6)) else { continue };
+            let truth = (c - a).cross(b - a).normalize();
+            let normal = field.normal[i].as_dvec3();
+            assert!(normal.dot(a) < 0.0 && (normal.length() - 1.0).abs() < 1e-5, "{normal}");
+            angles.push(normal.angle_between(truth).to_degrees());
+        }
+    }
+    angles.sort_by(f64::total_cmp);
+    assert!(angles[angles.len() / 2] < 5.0, "{}", angles[angles.len() / 2]);
+}
+
+#[test]
+fn one_thread_and_two_give_the_same() {
+    let shot = Shot::new(1.0, 5, 96);
+    let with = |threads: usize| {
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+        pool.install(|| found(&shot))
+    };
+    assert_eq!(with(1), with(2));
+}
+
+#[test]
+fn what_cannot_be_matched_has_no_depth_and_nothing_panics() {
+    let shot = Shot::new(1.0, 5, 96);
+    let (views, points) = (shot.views(), shot.points());
+    let dense = |views: &[StereoView], points: &[DVec3]| {
+        dense_depths(views, points, &settings(), &Progress::silent()).unwrap().fields
+    };
+    let empty = |fields: &[PlaneField]| fields.iter().all(|f| f.depth.iter().all(|z| *z == 0.0));
+    assert!(dense(&[], &points).is_empty());
+    assert!(empty(&dense(&views[..1], &points)), "one view");
+    assert!(empty(&dense(&views, &[])), "no points");
+    assert!(empty(&dense(&views, &[DVec3::NAN])), "points that are no numbers");
+    let black = vec![0; shot.masks[0].as_raw().len()];
+    let nothing: Vec<StereoView> = views.iter().map(|v| StereoView { mask: Some(&black), ..*v }).collect();
+    assert!(empty(&dense(&nothing, &points)), "black masks");
+    let same: Vec<StereoView> = views.iter().map(|v| StereoView { pose: views[0].pose, ..*v }).collect();
+    assert!(empty(&dense(&same, &points)), "one place");
+    // A surface without texture: whatever is found is finite.
+    let grey = vec![130; shot.photos[0].as_raw().len()];
+    let plain: Vec<StereoView> = views.iter().map(|v| StereoView { rgb: &grey, ..*v }).collect();
+    for field in dense(&plain, &points) {
+        assert!(field.depth.iter().all(|z| z.is_finite()) && field.normal.iter().all(|n| n.is_finite()));
+    }
+}
+
+#[test]
+fn views_that_are_not_what_they_should_be_are_refused() {
+    let shot = Shot::new(1.0, 3, 96);
+    let mut views = shot.views();
+    views[2].pose.translation.x = f64::NAN;
+    let short = &shot.photos[0].as_raw()[1..];
+    let mut distorted = default_camera(CameraModel::SimpleRadial, 96, 72);
+    distorted.params[3] = 0.1;
+    for (view, why) in [
+        (views[2], "finite"),
+        (StereoView { rgb: short, ..views[0] }, "size"),
+        (StereoView { mask: Some(short), ..views[0] }, "mask"),
+        (StereoView { camera: &distorted, ..views[0] }, "distortion"),
+    ] {
+        let error = dense_depths(&[views[0], view], &shot.points(), &settings(), &Progress::silent());
+        let error = error.unwrap_err().to_string();
+        assert!(error.contains("view 1") && error.contains(why), "{error}");
+    }
+}
