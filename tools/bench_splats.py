@@ -54,13 +54,14 @@ def bench_times(bench, binary, shared, out, only, times, table):
 
 
 def bench_shapes(bench, binary, out, table):
-    """Cloud, splat and fused mesh of case 3 against the true mesh, aligned by the true camera
+    """Clouds, splat and fused mesh of case 3 against the true mesh, aligned by the true camera
     centres."""
     case, folder = os.path.join(bench.TESTBED, "case3"), os.path.join(out, "shapes")
     subprocess.run([binary, "eval", os.path.join(case, "video.mp4"), "-o", folder, "-q", "--quality", "draft", "--mesh",
                     os.path.join(case, "mesh.ply"), "--mesh-truth", os.path.join(case, "sparse")], check=True)
     with open(os.path.join(folder, "run.json")) as file:
         geometry = json.load(file)["evaluation"]["geometry"]
-    for name, key in (("sparse cloud", "cloud"), ("splat, depths at half transmittance", "surface"), ("fused mesh", "fused")):
-        if geometry[key]:
+    for name, key in (("sparse cloud", "cloud"), ("splat, depths at half transmittance", "surface"),
+                      ("dense cloud", "dense"), ("fused mesh", "fused")):
+        if geometry.get(key):
             table.row(geometry[key] | dict(surface=name))

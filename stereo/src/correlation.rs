@@ -57,11 +57,9 @@ impl Patch {
             }
             let i = v as usize * image.width + u as usize;
             if image.inside[i] {
-                let square = |v: f32| v * v;
                 grey[k] = image.grey[i];
-                weight[k] = (-0.5 * square((grey[k] - middle) / sigma_grey)
-                    - 0.5 * (dx * dx + dy * dy) as f32 / square(SIGMA_PX))
-                .exp();
+                let (off, away) = ((grey[k] - middle) / sigma_grey, (dx * dx + dy * dy) as f32);
+                weight[k] = (-0.5 * (off * off + away / (SIGMA_PX * SIGMA_PX))).exp();
                 count += 1;
             }
         }

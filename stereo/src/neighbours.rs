@@ -44,11 +44,11 @@ fn depths(view: &StereoView, points: &[DVec3], settings: &StereoSettings) -> Opt
 /// The views from which the object is seen under a useful angle: as many as asked for, spread
 /// evenly over the angles and, by the order of the views, over both sides.
 fn neighbours(view: usize, views: &[StereoView], middle: DVec3, settings: &StereoSettings) -> Vec<usize> {
-    let towards = |i: usize| (views[i].pose.centre() - middle).normalize_or_zero();
-    let here = towards(view);
+    let towards: Vec<DVec3> = views.iter().map(|v| (v.pose.centre() - middle).normalize_or_zero()).collect();
+    let here = towards[view];
     let [least, most] = settings.angles_deg.map(f64::to_radians);
     let others = (0..views.len()).filter(|&j| j != view);
-    let mut angles: Vec<(f64, usize)> = others.map(|j| (here.angle_between(towards(j)), j)).collect();
+    let mut angles: Vec<(f64, usize)> = others.map(|j| (here.angle_between(towards[j]), j)).collect();
     angles.retain(|(angle, _)| angle.is_finite() && *angle > f64::EPSILON.sqrt());
     angles.sort_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
     let useful: Vec<usize> =

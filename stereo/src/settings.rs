@@ -32,9 +32,13 @@ pub struct StereoSettings {
     /// Standard deviation of the noise of the pictures, of 255: a patch with less contrast is like
     /// any other.
     pub noise: f32,
-    /// A neighbour's plane is not tried if it moves the patch by fewer pixels and its normal differs
-    /// by less than this.
+    /// A neighbour's plane is not tried if it moves the patch by fewer pixels and its normal
+    /// differs by less than this.
     pub same: [f32; 2],
+    /// Largest random change of a depth, in pixels that it moves the patch, and of a normal (unit).
+    pub changes: [f32; 2],
+    /// Least change, as a share of the largest.
+    pub least_change: f32,
     /// Cost of a pixel between a plane and what the neighbour has there.
     pub geometric: f32,
     /// Cost of a pixel between a plane and those around it, where the picture says nothing.
@@ -73,6 +77,8 @@ impl Default for StereoSettings {
             sigma_grey: 40.0,
             noise: 1.2,
             same: [0.03, 0.03],
+            changes: [4.0, 0.7],
+            least_change: 1.0 / 80.0,
             geometric: 0.15,
             smooth: 0.2,
             tolerance: Tolerance { px: 1.0, depth: 0.01 },

@@ -260,6 +260,11 @@ impl SweepPass<'_> {
         })
     }
 
+    /// From the largest change to the least, each size as often: a share of 1.
+    fn size(&self, random: &mut Rng) -> f32 {
+        self.settings.least_change.powf(random.random::<f32>())
+    }
+
     fn random_depth(&self, random: &mut Rng) -> f32 {
         // Even in one over the depth, as pixels are.
         let [near, far] = self.range;
@@ -269,18 +274,16 @@ impl SweepPass<'_> {
 
     fn random_normal(&self, x: usize, y: usize, random: &mut Rng) -> Vec3 {
         let towards = -self.lens.ray(x, y).normalize();
-        let mut v = || random.random_range(-1.0_f32..1.0);
-        let aside = Vec3::new(v(), v(), v());
-        (towards + aside).try_normalize().filter(|n| n.dot(towards) > 0.3).unwrap_or(towards)
+        let normal = (towards + signed_vector(random)).try_normalize();
+        normal.filter(|n| n.dot(towards) > LEAST_COSINE).unwrap_or(towards)
     }
 
-    /// The plane with its depth, its normal or both changed a little, or with a random depth.
+    /// The plane with its depth, its normal or both changed a little, or another at random.
     fn perturbed(&self, plane: Plane, kind: u32, x: usize, y: usize, random: &mut Rng) -> Plane {
-        let mut v = || random.random_range(-1.0_f32..1.0);
-        // From four pixels to a twentieth, and from 35° to half a degree, each size as often.
-        let (size, tilt) = (4.0 * 80.0_f32.powf(0.5 * v() - 0.5), 0.7 * 80.0_f32.powf(0.5 * v() - 0.5));
-        let depth = plane.depth * (1.0 + self.step * size * v());
-        let normal = plane.normal + tilt * Vec3::new(v(), v(), v());
+        let [most_px, most_tilt] = self.settings.changes;
+        let change = most_px * self.size(random) * signed(random);
+        let depth = plane.depth * (1.0 + self.step * change);
+        let normal = plane.normal + most_tilt * self.size(random) * signed_vector(random);
         let facing = -self.lens.ray(x, y).normalize();
         let normal = normal.try_normalize().filter(|n| n.dot(facing) > LEAST_COSINE).unwrap_or(plane.normal);
         match kind {
@@ -290,6 +293,15 @@ impl SweepPass<'_> {
             _ => Plane { depth: self.random_depth(random), normal: self.random_normal(x, y, random) },
         }
     }
+}
+
+/// Between −1 and 1.
+fn signed(random: &mut Rng) -> f32 {
+    random.random_range(-1.0..1.0)
+}
+
+fn signed_vector(random: &mut Rng) -> Vec3 {
+    Vec3::new(signed(random), signed(random), signed(random))
 }
 
 /// Of the other colour: pixels beside a pixel, by how far along an axis and across it. Source: Xu

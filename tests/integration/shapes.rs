@@ -49,7 +49,8 @@ fn the_mesh_is_written(out: &Path, samples: f64) {
     assert!(said.contains("the output folder of a run"), "{said}");
 }
 
-/// `export --dense` writes the points that eval judged, and `--mesh-depths` chooses another surface.
+/// `export --dense` writes the points that eval judged, and `--mesh-depths` chooses another
+/// surface.
 fn the_dense_cloud_is_written(out: &Path, points: f64) {
     let said = expect_code(&["export", text(out), "--dense"], 0);
     assert!(said.contains(&format!("{points} points")), "{said}");
