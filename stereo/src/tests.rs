@@ -82,7 +82,8 @@ fn depths_of_a_textured_block_are_those_of_its_surface_at_any_size() {
         let share = errors.len() as f64 / pixels as f64;
         let (median, tail) = (errors[errors.len() / 2], errors[errors.len() * 95 / 100]);
         assert!(share > 0.8, "unit {unit}: {share} of the pixels");
-        assert!(median < 0.001 && tail < 0.01, "unit {unit}: {median} {tail}");
+        // A tenth of a pixel and a pixel, between views 16° apart.
+        assert!(median < 0.002 && tail < 0.02, "unit {unit}: {median} {tail}");
     }
 }
 
@@ -107,7 +108,7 @@ fn normals_face_the_camera_and_are_those_of_the_surface() {
         }
     }
     angles.sort_by(f64::total_cmp);
-    assert!(angles[angles.len() / 2] < 5.0, "{}", angles[angles.len() / 2]);
+    assert!(angles[angles.len() / 2] < 10.0, "{}", angles[angles.len() / 2]);
 }
 
 #[test]
