@@ -14,13 +14,13 @@ use std::collections::BTreeMap;
 use std::path::Path;
 
 /// What a stage's fingerprint says of databases.
-pub fn print(args: &PipelineArgs) -> Result<impl serde::Serialize + use<>> {
+pub(crate) fn print(args: &PipelineArgs) -> Result<impl serde::Serialize + use<>> {
     let input = args.database.as_deref().map(describe_input).transpose()?;
     Ok((input, args.rematch, args.colmap_database))
 }
 
 /// An error where a database is read or asked for, but nothing is solved.
-pub fn refuse(args: &PipelineArgs) -> Result<()> {
+pub(crate) fn refuse(args: &PipelineArgs) -> Result<()> {
     if args.database.is_some() || args.colmap_database {
         bail!(
             "the poses of {} are used as they are, without features: add --ignore-poses",
@@ -31,7 +31,7 @@ pub fn refuse(args: &PipelineArgs) -> Result<()> {
 }
 
 /// Solves the poses, from `--database` where there is one.
-pub fn solve(args: &PipelineArgs, frames: &FrameSet, progress: &Progress) -> Result<SfmResult> {
+pub(crate) fn solve(args: &PipelineArgs, frames: &FrameSet, progress: &Progress) -> Result<SfmResult> {
     let mut config = args.sfm.clone();
     (config.seed, config.keep_matches) = (args.seed, args.colmap_database);
     let Some(path) = &args.database else { return Ok(sfm::reconstruct(frames, &config, progress)?) };
@@ -43,7 +43,7 @@ pub fn solve(args: &PipelineArgs, frames: &FrameSet, progress: &Progress) -> Res
 }
 
 /// Writes `OUT/database.db` where that is asked for; the model.
-pub fn write(
+pub(crate) fn write(
     args: &PipelineArgs,
     out: &Path,
     result: SfmResult,

@@ -11,7 +11,7 @@ use std::path::{Path, PathBuf};
 
 /// A held-out view as one method shows it.
 #[derive(Clone, Debug)]
-pub struct EntryView {
+pub(crate) struct EntryView {
     /// Image name.
     pub name: String,
     /// How near it comes to the photo.
@@ -32,7 +32,7 @@ impl EntryView {
 
 /// What one method gave on one case.
 #[derive(Clone, Debug)]
-pub struct Entry {
+pub(crate) struct Entry {
     /// Row.
     pub method: String,
     /// TableColumn group.
@@ -48,7 +48,7 @@ pub struct Entry {
 
 /// `METHOD:CASE=PATH`, or a path alone.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub struct Named {
+pub(crate) struct Named {
     /// Method and case.
     pub label: Option<(String, String)>,
     /// A run folder, a model, or a folder of renders.
@@ -62,7 +62,7 @@ impl Named {
     }
 
     /// Splits the label off. A path that exists is a path, whatever it is called.
-    pub fn parse(text: &str) -> Self {
+    pub(crate) fn parse(text: &str) -> Self {
         let plain = Self { label: None, path: PathBuf::from(text) };
         if plain.path.exists() {
             return plain;
@@ -87,7 +87,7 @@ const RENDERING: [Heading; 4] =
 
 /// The entries of all that can be evaluated: runs with metrics first, then folders of renders,
 /// which are compared with the photos of a run of the same case.
-pub fn entries(inputs: &[Named], networks: &[Lpips]) -> Result<Vec<Entry>> {
+pub(crate) fn entries(inputs: &[Named], networks: &[Lpips]) -> Result<Vec<Entry>> {
     let mut all: Vec<Entry> = Vec::new();
     for named in inputs.iter().filter(|n| n.is_run()) {
         all.extend(of_run(named)?);
@@ -190,7 +190,7 @@ fn over_black(path: &Path) -> Result<RgbImage> {
 
 /// Quality, training cost and rendering cost with what earlier tables hold; tables without a number
 /// are left out.
-pub fn tables(entries: &[Entry], beside: &[Table]) -> Vec<Table> {
+pub(crate) fn tables(entries: &[Entry], beside: &[Table]) -> Vec<Table> {
     let quality: Vec<Heading> = FIGURES.iter().map(|f| (f.name, f.digits, f.more_is_better)).collect();
     let all = [
         table("quality", &quality, entries, |e| FIGURES.iter().map(|f| (f.of)(&e.quality)).collect()),
@@ -243,7 +243,7 @@ fn distinct<'a>(names: impl Iterator<Item = &'a String>) -> Vec<String> {
 }
 
 /// Tables that `--tables` wrote, or figures that were published.
-pub fn read_tables(path: &Path) -> Result<Vec<Table>> {
+pub(crate) fn read_tables(path: &Path) -> Result<Vec<Table>> {
     let tables: Vec<Table> = serde_json::from_value(read_json(path)?)
         .with_context(|| format!("{} holds no tables as --tables writes them", path.display()))?;
     for table in &tables {

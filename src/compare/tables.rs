@@ -4,11 +4,11 @@ use serde::{Deserialize, Serialize};
 use std::fmt::Write as _;
 
 /// Heading and rows of the table of poses.
-pub type Cells = (Vec<&'static str>, Vec<Vec<String>>);
+pub(crate) type Cells = (Vec<&'static str>, Vec<Vec<String>>);
 
 /// A column of every case.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-pub struct TableColumn {
+pub(crate) struct TableColumn {
     /// Heading, with its unit.
     pub name: String,
     /// Digits behind the point.
@@ -19,7 +19,7 @@ pub struct TableColumn {
 
 /// Numbers by method, case and column.
 #[derive(Clone, Debug, Serialize, Deserialize)]
-pub struct Table {
+pub(crate) struct Table {
     /// What it is about.
     pub title: String,
     /// Rows.
@@ -38,7 +38,7 @@ pub struct Table {
 
 impl Table {
     /// A table without numbers.
-    pub fn new(title: &str, methods: &[String], cases: &[String], columns: &[TableColumn]) -> Self {
+    pub(crate) fn new(title: &str, methods: &[String], cases: &[String], columns: &[TableColumn]) -> Self {
         let values = vec![vec![vec![None; columns.len()]; cases.len()]; methods.len()];
         let (methods, cases, columns) = (methods.to_vec(), cases.to_vec(), columns.to_vec());
         Self { title: title.to_owned(), methods, cases, columns, values, published: Vec::new() }
@@ -46,7 +46,7 @@ impl Table {
 
     /// Whether there is a row of cases for every method and a number or none for every column of
     /// them.
-    pub fn is_whole(&self) -> bool {
+    pub(crate) fn is_whole(&self) -> bool {
         self.values.len() == self.methods.len()
             && self.values.iter().all(|cases| cases.len() == self.cases.len())
             && self.values.iter().flatten().all(|case| case.len() == self.columns.len())
@@ -54,7 +54,7 @@ impl Table {
 
     /// Takes in another table's numbers (which must be whole); methods, cases and columns that are
     /// new come last.
-    pub fn merge(&mut self, other: &Self) {
+    pub(crate) fn merge(&mut self, other: &Self) {
         let methods: Vec<usize> =
             other.methods.iter().map(|m| find_or_push(&mut self.methods, m, |a, b| a == b)).collect();
         let cases: Vec<usize> =
@@ -82,12 +82,12 @@ impl Table {
     }
 
     /// Whether there is no number in it.
-    pub fn is_empty(&self) -> bool {
+    pub(crate) fn is_empty(&self) -> bool {
         self.values.iter().flatten().flatten().all(Option::is_none)
     }
 
     /// Takes out the columns in which no method has a number in any case.
-    pub fn without_empty_columns(mut self) -> Self {
+    pub(crate) fn without_empty_columns(mut self) -> Self {
         let used: Vec<usize> = (0..self.columns.len())
             .filter(|&c| self.values.iter().flatten().any(|row| row[c].is_some()))
             .collect();
@@ -125,7 +125,7 @@ impl Table {
     }
 
     /// GitHub's Markdown.
-    pub fn markdown(&self) -> String {
+    pub(crate) fn markdown(&self) -> String {
         let mut text = format!("### {}\n\n| method |", self.title);
         for case in &self.cases {
             self.columns.iter().for_each(|c| text += &format!(" {} {} |", case.replace('|', "\\|"), c.name));
@@ -141,7 +141,7 @@ impl Table {
     }
 
     /// One line a method and case.
-    pub fn csv(&self) -> String {
+    pub(crate) fn csv(&self) -> String {
         let names: Vec<String> = self.columns.iter().map(|c| quoted(&c.name)).collect();
         let mut text = format!("table,method,case,{}\n", names.join(","));
         for (method, values) in self.methods.iter().zip(&self.values) {
@@ -156,7 +156,7 @@ impl Table {
     }
 
     /// A `tabular` for LaTeX with booktabs.
-    pub fn latex(&self) -> String {
+    pub(crate) fn latex(&self) -> String {
         let width = self.columns.len();
         let mut text = format!(
             "% {}\n\\begin{{tabular}}{{l{}}}\n\\toprule\n",

@@ -123,7 +123,7 @@ pub fn measure(
     let seen = 100.0 * surface.len() as f64 / SAMPLES as f64;
     let protocol = format!(
         "{aligned}; distances in % of the mesh's size ({size:.4} units); of the mesh the {seen:.1} % that the views see ({SAMPLES} \
-         samples); surface: depths at half transmittance of {} views, one point a cube of {VOXEL_PCT} %; fused mesh: {SAMPLES} samples of what export --mesh writes{}",
+         samples); surface: depths at half transmittance of {} views, one point a cube of {VOXEL_PCT} %; fused mesh: {SAMPLES} samples of what export --mesh --mesh-error 0 writes{}",
         views.len().min(DEPTH_MAPS),
         if cropped {
             format!("; points farther than {CROP_PCT} % from the mesh's box are left out")
