@@ -1,6 +1,6 @@
 //! The report's measures, which `sat-recon measure` puts into it.
 
-use super::html;
+use super::html::{self, figure};
 use crate::measure::record::{DRAWING, MeasureRecord};
 use crate::measure::table::{overall_rows, relation_rows, shape_rows};
 use crate::stage::write_whole;
@@ -50,7 +50,7 @@ fn measures(out: &Path, record: &MeasureRecord) -> Markup {
             "Of " (record.surface) ". Standard deviations are those of the surface about its shapes; "
             "that of the scale is not in them."
         }
-        @if let Some(svg) = drawing { (html::figure(svg, "From three sides; the rest is grey")) }
+        @if let Some(svg) = drawing { (figure(svg, "From three sides; the rest is grey")) }
         (html::table(&["overall", unit], &overall_rows(record)))
         (html::table(&heads, &shape_rows(record)))
         details {

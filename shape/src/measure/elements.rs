@@ -3,8 +3,8 @@
 use crate::decimate::{bounds, cleaned};
 use glam::DVec3;
 use rand::Rng as _;
-use scene::rng::Rng;
 use scene::geometry::{JoinedSets, Mesh};
+use scene::rng::Rng;
 use std::collections::HashMap;
 
 /// How often normals are averaged with those of their neighbours. Source: docs/decisions/16.

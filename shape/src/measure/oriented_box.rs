@@ -12,6 +12,9 @@ use scene::motion_report::Estimate;
 /// measured.
 const TURNS: usize = 4;
 
+/// Boxes whose volumes differ by less, in cubes of the longest side, have the same. Source: rounding.
+const NOTHING: f64 = 1e-12;
+
 /// The least of the boxes that have one of these directions, or an axis of the frame, as an axis
 /// (O'Rourke, IJCIS 1985: the least box has a face on an edge of the hull; here the rectangle
 /// across the axis does). Its own axes are tried in turn until it gets no smaller.
@@ -25,17 +28,19 @@ pub(crate) fn oriented_box(
     points.sort_by(|a, b| a.x.total_cmp(&b.x).then(a.y.total_cmp(&b.y)).then(a.z.total_cmp(&b.z)));
     points.dedup();
     let mut axes = [DVec3::X, DVec3::Y, DVec3::Z];
-    let mut least = f64::INFINITY;
+    let mut least = [f64::INFINITY; 2];
     let mut tried: Vec<DVec3> = axes.iter().chain(directions).copied().collect();
     for _ in 0..TURNS {
         let before = least;
         for &direction in &tried {
-            let (found, volume) = box_along(&points, direction);
-            if volume < least {
-                (axes, least) = (found, volume);
+            let (found, [volume, surface]) = box_along(&points, direction);
+            // All boxes around something flat have no volume.
+            let is_as_small = volume <= least[0] + NOTHING && surface < least[1];
+            if volume < least[0] - NOTHING || is_as_small {
+                (axes, least) = (found, [volume, surface]);
             }
         }
-        if !(least < before * (1.0 - 1e-9)) {
+        if least == before {
             break;
         }
         tried = axes.to_vec();
@@ -55,15 +60,17 @@ pub(crate) fn oriented_box(
     }
 }
 
-/// The least box with this axis, and its volume.
-fn box_along(points: &[DVec3], axis: DVec3) -> ([DVec3; 3], f64) {
+/// The least box with this axis, its volume and its surface.
+fn box_along(points: &[DVec3], axis: DVec3) -> ([DVec3; 3], [f64; 2]) {
     let [u, v] = frame(axis);
     let hull = convex_hull(points.iter().map(|p| DVec2::new(p.dot(u), p.dot(v))));
     let (along, sides) = least_rectangle(&hull);
     let low = points.iter().map(|p| p.dot(axis)).fold(f64::INFINITY, f64::min);
     let high = points.iter().map(|p| p.dot(axis)).fold(f64::NEG_INFINITY, f64::max);
     let first = (u * along.x + v * along.y).normalize_or(u);
-    ([axis, first, axis.cross(first)], sides.element_product() * (high - low))
+    let (base, height) = (sides.element_product(), high - low);
+    let surface = 2.0 * (base + (sides.x + sides.y) * height);
+    ([axis, first, axis.cross(first)], [base * height, surface])
 }
 
 /// Middle and length along one of three axes.

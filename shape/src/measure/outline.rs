@@ -93,7 +93,7 @@ pub(crate) struct Circle {
 /// The circle whose outline these points are, the farthest of each of several sectors about their
 /// middle: `None` where a quarter of the sectors or more holds none.
 pub(crate) fn outline_circle(points: &[DVec2], middle: DVec2) -> Option<Circle> {
-    let sectors = 4 * CELLS;
+    let sectors = 2 * CELLS;
     let mut farthest: Vec<Option<DVec2>> = vec![None; sectors];
     for p in points {
         let d = *p - middle;
@@ -123,7 +123,7 @@ pub(crate) fn outline_circle(points: &[DVec2], middle: DVec2) -> Option<Circle> 
                     derivatives: [-away.x, -away.y, -1.0],
                     residual,
                     weight: 1.0,
-                    patch: [i / 4, 0, 0],
+                    patch: [i / 2, 0, 0],
                 }
             })
             .collect();

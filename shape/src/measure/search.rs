@@ -74,6 +74,9 @@ pub(crate) fn shapes(
 /// The shape with the largest area among what is left.
 fn round_of(elements: &Elements, left: &[usize], options: &MeasureOptions, round: u64) -> Option<Found> {
     let scored = elements.draw(left, LIMITS.scored_on, &mut rng(options.seed, "measure", round << 32));
+    if scored.is_empty() {
+        return None;
+    }
     let planes = candidates(elements, &scored, options, |k| {
         let mut random = rng(options.seed, "measure plane", (round << 32) + k);
         elements.draw(&scored, 1, &mut random).first().map(|&i| Primitive::plane(elements, i))

@@ -206,9 +206,9 @@ mod tests {
     #[test]
     fn a_sheet_that_would_be_too_large_has_coarser_texels() {
         let mesh = box_mesh(DVec3::ONE, 4);
-        for most in [64, 300, 1000] {
+        for most in [64, 200, 500] {
             let atlas =
-                Atlas::new(&mesh, 1e-3, &TextureOptions { most_texels: most, ..TextureOptions::default() });
+                Atlas::new(&mesh, 4e-3, &TextureOptions { most_texels: most, ..TextureOptions::default() });
             assert!(atlas.size[0].max(atlas.size[1]) <= most, "{:?}", atlas.size);
             assert!(atlas.size[0] * atlas.size[1] * 4 > most * most, "{most}: {:?}", atlas.size);
             assert_eq!(atlas.placed.len(), mesh.triangles.len());
