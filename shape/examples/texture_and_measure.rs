@@ -1,5 +1,6 @@
 //! Decimates a mesh, paints it with photos and measures it:
-//! `texture_and_measure MESH MODEL IMAGES MASKS OUT.glb`, with a COLMAP model of pinhole cameras in
+//! `texture_and_measure MESH MODEL IMAGES MASKS OUT.glb ERROR`, the error of the decimation in % of
+//! the longest side, with a COLMAP model of pinhole cameras in
 //! the frame of the mesh.
 
 use scene::Progress;
@@ -10,8 +11,8 @@ use std::path::Path;
 
 fn main() -> Result<(), Box<dyn Error>> {
     let arguments: Vec<String> = std::env::args().skip(1).collect();
-    let [mesh, model, images, masks, out] = &arguments[..] else {
-        return Err("texture_and_measure MESH MODEL IMAGES MASKS OUT.glb".into());
+    let [mesh, model, images, masks, out, error] = &arguments[..] else {
+        return Err("texture_and_measure MESH MODEL IMAGES MASKS OUT.glb ERROR".into());
     };
     let mesh = scene::io::read_mesh(Path::new(mesh))?;
     let options = MeasureOptions { tolerance: 0.005, least_share: 0.01, most_shapes: 40, seed: 0 };
@@ -21,7 +22,7 @@ fn main() -> Result<(), Box<dyn Error>> {
             println!("{:?} {:?} rms {:.5}", f.kind, f.sizes, f.rms);
         }
     }
-    let coarse = decimated(&mesh, &Decimation { error: 0.0005, color_error: None });
+    let coarse = decimated(&mesh, &Decimation { error: error.parse::<f64>()? / 100.0, color_error: None });
     println!("{} of {} triangles", coarse.triangles.len(), mesh.triangles.len());
     let model = scene::io::read_model(Path::new(model))?;
     let mut photos = Vec::new();

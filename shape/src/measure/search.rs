@@ -42,7 +42,7 @@ const LIMITS: SearchLimits = SearchLimits {
     tournament: 16,
     most_angle_deg: 25.0,
     least_turn_deg: 10.0,
-    least_coverage_deg: 60.0,
+    least_coverage_deg: 90.0,
     cylinder_gain: 1.25,
     radii: [2.0, 0.6],
     patches: 6.0,

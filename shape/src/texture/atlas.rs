@@ -65,13 +65,14 @@ impl Atlas {
         }
     }
 
-    /// Charts by their height in rows, as wide as the sheet is high about (next fit by decreasing
+    /// Charts by their height in rows, about as wide as all are high (next fit by decreasing
     /// height: Coffman et al., SIAM J. Comput. 1980).
     fn pack(charts: Vec<FlatChart>, texel: f64) -> Self {
         let sizes: Vec<DVec2> = charts.iter().map(|c| (c.size / texel).ceil() + 2.0 * GUTTER).collect();
         let area: f64 = sizes.iter().map(|s| s.x * s.y).sum();
         let widest = sizes.iter().map(|s| s.x).fold(0.0, f64::max);
-        let width = area.sqrt().ceil().max(widest).max(1.0);
+        // Sides are powers of two, as the oldest graphics interfaces want them.
+        let width = f64::from((area.sqrt().max(widest).max(1.0).ceil() as u32).next_power_of_two());
         let mut order: Vec<usize> = (0..charts.len()).collect();
         order.sort_by(|&a, &b| sizes[b].y.total_cmp(&sizes[a].y).then(a.cmp(&b)));
         let (mut at, mut row) = (DVec2::ZERO, 0.0);
@@ -88,7 +89,7 @@ impl Atlas {
             }));
             at.x += sizes[i].x;
         }
-        let size = [width as u32, ((at.y + row) as u32).max(1)];
+        let size = [width as u32, ((at.y + row) as u32).next_power_of_two()];
         Self { size, placed, charts: charts.len() as u32 }
     }
 
@@ -210,7 +211,8 @@ mod tests {
             let atlas =
                 Atlas::new(&mesh, 4e-3, &TextureOptions { most_texels: most, ..TextureOptions::default() });
             assert!(atlas.size[0].max(atlas.size[1]) <= most, "{:?}", atlas.size);
-            assert!(atlas.size[0] * atlas.size[1] * 4 > most * most, "{most}: {:?}", atlas.size);
+            assert!(atlas.size.iter().all(|n| n.is_power_of_two()));
+            assert!(atlas.size[0] * atlas.size[1] * 16 > most * most, "{most}: {:?}", atlas.size);
             assert_eq!(atlas.placed.len(), mesh.triangles.len());
         }
     }
