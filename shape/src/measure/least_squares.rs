@@ -26,18 +26,16 @@ pub(crate) struct Solution<const P: usize> {
 pub(crate) fn solve<const P: usize>(rows: &[ResidualRow<P>]) -> Option<Solution<P>> {
     let (mut a, mut b) = ([[0.0; P]; P], [0.0; P]);
     for row in rows {
-        for i in 0..P {
-            b[i] -= row.weight * row.derivatives[i] * row.residual;
-            for j in 0..P {
-                a[i][j] += row.weight * row.derivatives[i] * row.derivatives[j];
-            }
+        for ((a, b), d) in a.iter_mut().zip(&mut b).zip(row.derivatives) {
+            *b -= row.weight * d * row.residual;
+            a.iter_mut().zip(row.derivatives).for_each(|(a, e)| *a += row.weight * d * e);
         }
     }
     let inverse = inverse(a)?;
     let step = times(&inverse, &b);
     let mut patches: BTreeMap<[i64; 3], [f64; P]> = BTreeMap::new();
     for row in rows {
-        let change: f64 = (0..P).map(|i| row.derivatives[i] * step[i]).sum();
+        let change: f64 = row.derivatives.iter().zip(step).map(|(d, s)| d * s).sum();
         let score = patches.entry(row.patch).or_insert([0.0; P]);
         for (s, d) in score.iter_mut().zip(row.derivatives) {
             *s += row.weight * d * (row.residual + change);
@@ -48,10 +46,8 @@ pub(crate) fn solve<const P: usize>(rows: &[ResidualRow<P>]) -> Option<Solution<
     let mut covariance = [[0.0; P]; P];
     for score in patches.values() {
         let moved = times(&inverse, score);
-        for i in 0..P {
-            for j in 0..P {
-                covariance[i][j] += small_sample * moved[i] * moved[j];
-            }
+        for (row, m) in covariance.iter_mut().zip(moved) {
+            row.iter_mut().zip(moved).for_each(|(c, n)| *c += small_sample * m * n);
         }
     }
     Some(Solution { step, covariance })
