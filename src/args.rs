@@ -308,7 +308,7 @@ pub struct ExportArgs {
 #[derive(Args, Clone, Debug)]
 pub struct SurfaceConfig {
     /// Error up to which triangles of --mesh are joined, % of its longest side (0: none are)
-    #[arg(long, default_value_t = 0.05, requires = "mesh", value_name = "PERCENT", value_parser = between::<f64>(0.0, 10.0))]
+    #[arg(long, default_value_t = 0.1, requires = "mesh", value_name = "PERCENT", value_parser = between::<f64>(0.0, 10.0))]
     pub mesh_error: f64,
     /// Most pixels along a side of the texture of a .glb or .obj (0: colours at the vertices)
     #[arg(long, default_value_t = 4096, requires = "mesh", value_name = "N", value_parser = clap::value_parser!(u32).range(0..=16_384))]

@@ -25,8 +25,8 @@ use scene::{Cancelled, Progress};
 pub use side_view::{SideView, side_views};
 pub use types::{Feature, FeatureKind, FeatureRelation, MeasureOptions, Measures, OrientedBox, Size};
 
-/// Shapes of which relations are told. Source: derived: 66 pairs fill a page.
-const RELATED: usize = 12;
+/// Shapes of which relations are told. Source: derived: 28 pairs fit a screen.
+const RELATED: usize = 8;
 /// Parallel is what differs by no more, degrees. Source: chosen by hand, never measured.
 const PARALLEL_DEG: f64 = 1.0;
 
