@@ -75,6 +75,8 @@ pub enum Command {
     Render(RenderArgs),
     /// Write a result in another format
     Export(ExportArgs),
+    /// Measure the surface: dimensions, planes, discs, cylinders, angles
+    Measure(MeasureArgs),
     /// Compare poses with those of COLMAP or a ground truth
     Compare(CompareArgs),
     /// Quality against time: trains at several presets and time limits, draws the curve
@@ -310,8 +312,8 @@ pub struct ExportArgs {
     /// (default output: RUN/dense.ply)
     #[arg(long, conflicts_with_all = ["html", "mesh"])]
     pub dense: bool,
-    /// A triangle mesh: the surface as the input cameras see it, fused, with colours; .ply or .glb
-    /// (default output: RUN/mesh.ply)
+    /// A triangle mesh: the surface as the input cameras see it, fused; .glb or .obj with a texture
+    /// from the photos, or .ply with colours at its vertices (default output: RUN/mesh.ply)
     #[arg(long, conflicts_with = "html")]
     pub mesh: bool,
     /// Depths from which --mesh is made
@@ -322,9 +324,53 @@ pub struct ExportArgs {
     #[arg(long, default_value_t = splat::fusion::DEFAULT_RESOLUTION, requires = "mesh", value_name = "N",
           value_parser = clap::value_parser!(u32).range(16..=2048))]
     pub mesh_resolution: u32,
+    /// How --mesh is made.
+    #[command(flatten)]
+    pub surface: SurfaceConfig,
     /// Write a COLMAP model as text
     #[arg(long)]
     pub text: bool,
+}
+
+/// What is done to a mesh before it is written.
+#[derive(Args, Clone, Debug)]
+pub struct SurfaceConfig {
+    /// Error up to which triangles of --mesh are joined, % of its longest side (0: none are)
+    #[arg(long, default_value_t = 0.1, requires = "mesh", value_name = "PERCENT", value_parser = between::<f64>(0.0, 10.0))]
+    pub mesh_error: f64,
+    /// Most pixels along a side of the texture of a .glb or .obj (0: colours at the vertices)
+    #[arg(long, default_value_t = 4096, requires = "mesh", value_name = "N", value_parser = clap::value_parser!(u32).range(0..=16_384))]
+    pub mesh_texture: u32,
+    /// Close all holes of --mesh, also those where no camera looked, as for printing
+    #[arg(long, requires = "mesh")]
+    pub watertight: bool,
+}
+
+/// What `measure` takes.
+#[derive(Args, Clone, Debug)]
+pub struct MeasureArgs {
+    /// A former output folder (its report gets the measures), or a mesh (.ply, .obj, .glb)
+    pub input: PathBuf,
+    /// Folder for measure.json and measure.svg (default: the former output folder, or that of the
+    /// mesh)
+    #[arg(short, long, value_name = "FOLDER")]
+    pub output: Option<PathBuf>,
+    /// How near a surface is to a shape that it belongs to, % of its longest side
+    #[arg(long, default_value_t = 0.5, value_name = "PERCENT", value_parser = between::<f64>(1e-3, 10.0))]
+    pub tolerance: f64,
+    /// Least share of the surface that makes a shape, %
+    #[arg(long, default_value_t = 1.0, value_name = "PERCENT", value_parser = between::<f64>(0.01, 100.0))]
+    pub least_share: f64,
+    /// Depths from which the surface of a run is made, as for export --mesh
+    #[arg(long, value_enum, default_value_t)]
+    pub mesh_depths: MeshDepths,
+    /// Most voxels along the longest side of a run's object, as for export --mesh
+    #[arg(long, default_value_t = splat::fusion::DEFAULT_RESOLUTION, value_name = "N",
+          value_parser = clap::value_parser!(u32).range(16..=2048))]
+    pub mesh_resolution: u32,
+    /// Seed of the random numbers
+    #[arg(long, default_value_t = 0)]
+    pub seed: u64,
 }
 
 /// What `compare` takes.

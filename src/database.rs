@@ -14,13 +14,13 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 /// What a stage's fingerprint says of databases.
-pub fn print(args: &PipelineArgs) -> Result<impl serde::Serialize + use<>> {
+pub(crate) fn print(args: &PipelineArgs) -> Result<impl serde::Serialize + use<>> {
     let input: Vec<_> = args.database.iter().map(|path| describe_input(path)).collect::<Result<_>>()?;
     Ok((input, args.rematch, args.colmap_database))
 }
 
 /// An error where a database is read or asked for, but nothing is solved.
-pub fn refuse(args: &PipelineArgs) -> Result<()> {
+pub(crate) fn refuse(args: &PipelineArgs) -> Result<()> {
     if !args.database.is_empty() || args.colmap_database || args.pairs.is_some() {
         bail!(
             "the poses of {} are used as they are, without features: add --ignore-poses",
@@ -31,7 +31,7 @@ pub fn refuse(args: &PipelineArgs) -> Result<()> {
 }
 
 /// Solves the poses, from `--database` where there is one.
-pub fn solve(args: &PipelineArgs, frames: &FrameSet, progress: &Progress) -> Result<SfmResult> {
+pub(crate) fn solve(args: &PipelineArgs, frames: &FrameSet, progress: &Progress) -> Result<SfmResult> {
     let mut config = args.sfm.clone();
     (config.seed, config.keep_matches) = (args.seed, args.colmap_database);
     let Some(path) = args.database.first() else { return Ok(sfm::reconstruct(frames, &config, progress)?) };
@@ -43,7 +43,7 @@ pub fn solve(args: &PipelineArgs, frames: &FrameSet, progress: &Progress) -> Res
 }
 
 /// Writes `OUT/database.db` where that is asked for; the model.
-pub fn write(
+pub(crate) fn write(
     args: &PipelineArgs,
     out: &Path,
     result: SfmResult,
@@ -84,7 +84,7 @@ fn together(paths: &[PathBuf]) -> Result<Database> {
 }
 
 /// Writes `OUT/database.db` with the matches of one part of the pairs; how many pairs match.
-pub fn match_part(
+pub(crate) fn match_part(
     args: &PipelineArgs,
     block: sfm::PairBlock,
     frames: &FrameSet,

@@ -13,7 +13,7 @@ use std::path::{Path, PathBuf};
 
 /// The input, looked at but not yet read.
 #[derive(Clone, Debug)]
-pub enum Input {
+pub(crate) enum Input {
     /// A file that is to be decoded.
     Video(PathBuf),
     /// A folder of photos.
@@ -32,7 +32,7 @@ pub enum Input {
 
 impl Input {
     /// Looks at `path`; poses that lie beside the images are left alone with `ignore_poses`.
-    pub fn detect(path: &Path, ignore_poses: bool) -> Result<Self> {
+    pub(crate) fn detect(path: &Path, ignore_poses: bool) -> Result<Self> {
         let meta = std::fs::metadata(path).with_context(|| format!("cannot read {}", path.display()))?;
         if meta.is_file() {
             if !scene::io::is_poses_file(path) {
@@ -54,7 +54,7 @@ impl Input {
     }
 
     /// Names of the frames that the data set's own split holds out; empty where it has none.
-    pub fn held_out(&self, frames: &FrameSet) -> Result<BTreeSet<String>> {
+    pub(crate) fn held_out(&self, frames: &FrameSet) -> Result<BTreeSet<String>> {
         let Self::Posed { images, model, .. } = self else { return Ok(BTreeSet::new()) };
         let held_out = scene::io::read_poses(model, images)?.held_out;
         let names = FrameNames::of(frames);
@@ -62,7 +62,7 @@ impl Input {
     }
 
     /// The folder or file whose content the frames come from.
-    pub fn source(&self) -> &Path {
+    pub(crate) fn source(&self) -> &Path {
         match self {
             Self::Video(path) | Self::Photos(path) | Self::Posed { images: path, .. } => path,
         }
@@ -84,7 +84,7 @@ fn posed_model(folder: &Path) -> Option<PathBuf> {
 
 /// Poses that came with the images.
 #[derive(Debug)]
-pub struct Imported {
+pub(crate) struct Imported {
     /// Each image has the name of its frame.
     pub model: Reconstruction,
     /// From the frame of the file into that of the model.
@@ -97,7 +97,7 @@ pub struct Imported {
 
 /// Reads the poses that came with the images in the folder `images` and gives each posed image the
 /// name of its frame.
-pub fn import_poses(model: &Path, images: &Path, frames: &FrameSet) -> Result<Imported> {
+pub(crate) fn import_poses(model: &Path, images: &Path, frames: &FrameSet) -> Result<Imported> {
     let ImportedPoses { model: mut reconstruction, world_from_file, .. } =
         scene::io::read_poses(model, images)?;
     let names = FrameNames::of(frames);
@@ -152,7 +152,7 @@ pub fn import_poses(model: &Path, images: &Path, frames: &FrameSet) -> Result<Im
 /// Poses that come without points get those that their photos agree on, and a decision says so.
 /// Where all photos have mattes there is nothing to gain: Gaussians begin inside the visual hull as
 /// well.
-pub fn with_points(
+pub(crate) fn with_points(
     given: Reconstruction,
     frames: &FrameSet,
     config: &sfm::SfmConfig,

@@ -5,19 +5,20 @@
 
 pub mod args;
 mod batch;
-pub mod bench;
+mod bench;
 mod calibration;
 mod closing;
-pub mod compare;
+mod compare;
 pub mod config;
-pub mod database;
+mod database;
 mod dense;
 pub mod doctor;
 pub mod evaluate;
 pub mod export;
 mod handover;
 mod help;
-pub mod input;
+mod input;
+mod measure;
 pub mod outcome;
 pub mod pictures;
 pub mod pipeline;
@@ -78,6 +79,7 @@ pub fn run(parsed: config::Parsed) -> Result<Outcome> {
             stage::settle(&args.input)?;
             export::run(&args, verbosity)
         }
+        Command::Measure(args) => measure::run(&args, verbosity, global.json),
         Command::Compare(args) => compare::run(&args, verbosity, global.json),
         Command::Bench(args) => bench::run(&args, &global, verbosity),
         Command::Batch(args) => batch::run(&args, verbosity, global.json),

@@ -16,7 +16,7 @@ pub struct Times(BTreeMap<String, f32>);
 
 impl Times {
     /// Of what a video or a file of poses says; empty where one has no time.
-    pub fn of(frames: &FrameSet, input: &Input) -> Result<Self> {
+    pub(crate) fn of(frames: &FrameSet, input: &Input) -> Result<Self> {
         let from_file = match input {
             Input::Posed { model, images, .. } if model.is_file() => times_of_poses(model, images, frames)?,
             _ => BTreeMap::new(),

@@ -6,7 +6,7 @@ mod charts;
 mod peers;
 mod point;
 
-pub use point::Point;
+pub(crate) use point::Point;
 
 use crate::args::BenchArgs;
 use crate::config;
@@ -67,7 +67,7 @@ fn name(quality: splat::Quality) -> String {
 
 /// Measures all points (those that an earlier call measured are kept), writes `bench.json` and
 /// `bench.svg`.
-pub fn run(args: &BenchArgs, global: &crate::args::Global, verbosity: Verbosity) -> Result<Outcome> {
+pub(crate) fn run(args: &BenchArgs, global: &crate::args::Global, verbosity: Verbosity) -> Result<Outcome> {
     let presets = args.qualities.iter().filter(|_| !args.only_times);
     let mut settings: Vec<Setting> = presets.map(|q| Setting::Quality(*q)).collect();
     settings.extend(args.times.iter().map(|t| Setting::Limit(*t)));

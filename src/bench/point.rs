@@ -4,7 +4,7 @@ use serde::{Deserialize, Serialize};
 
 /// One training, measured: ours or another tool's.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
-pub struct Point {
+pub(crate) struct Point {
     /// The tool.
     pub method: String,
     /// What it was told.

@@ -3,8 +3,8 @@
 
 mod colmap;
 mod page;
-pub mod runs;
-pub mod tables;
+pub(crate) mod runs;
+pub(crate) mod tables;
 
 use tables::Cells;
 
@@ -55,7 +55,7 @@ struct Agreement {
 }
 
 /// Prints a line for each model, then the tables of the runs that were evaluated.
-pub fn run(args: &CompareArgs, verbosity: Verbosity, json: bool) -> Result<Outcome> {
+pub(crate) fn run(args: &CompareArgs, verbosity: Verbosity, json: bool) -> Result<Outcome> {
     let truth = args.truth.as_deref().map(read_truth).transpose()?;
     let colmap = args.colmap.then(colmap::installed).transpose()?;
     let mut rows = Vec::new();

@@ -48,7 +48,7 @@ pub(crate) struct Entry {
 
 /// `METHOD:CASE=PATH`, or a path alone.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub struct Named {
+pub(crate) struct Named {
     /// Method and case.
     pub label: Option<(String, String)>,
     /// A run folder, a model, or a folder of renders.

@@ -132,7 +132,7 @@ pub fn measure(
     let seen = 100.0 * surface.len() as f64 / SAMPLES as f64;
     let protocol = format!(
         "{aligned}; distances in % of the mesh's size ({size:.4} units); of the mesh the {seen:.1} % that the views see ({SAMPLES} \
-         samples); surface: depths at half transmittance of {} views, one point a cube of {VOXEL_PCT} %; fused mesh: {SAMPLES} samples of what export --mesh --mesh-depths {} writes{}",
+         samples); surface: depths at half transmittance of {} views, one point a cube of {VOXEL_PCT} %; fused mesh: {SAMPLES} samples of what export --mesh --mesh-error 0 --mesh-depths {} writes{}",
         views.len().min(DEPTH_MAPS),
         from.to_possible_value().map_or_else(String::new, |v| v.get_name().to_owned()),
         if cropped {

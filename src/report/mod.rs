@@ -4,12 +4,14 @@ mod advice;
 pub(crate) mod charts;
 mod decisions;
 pub(crate) mod html;
+mod measures;
 mod motion;
 mod poses;
 mod verdict;
 pub(crate) mod views;
 
 pub(crate) use advice::advice;
+pub(crate) use measures::put_measures;
 pub(crate) use verdict::overall;
 
 use crate::record::RunRecord;
@@ -63,6 +65,7 @@ fn body(out: &Path, record: &RunRecord, model: Option<&Reconstruction>) -> Resul
         (decisions::section(record))
         (frames(out, record)?)
         @for section in [poses, motion, training, field, held_out].into_iter().flatten() { (section) }
+        (measures::section(out))
         (costs(record))
     })
 }

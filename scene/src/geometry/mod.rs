@@ -6,9 +6,12 @@ mod fusion;
 mod mesh;
 mod metrics;
 mod parts;
+mod textured;
 mod visible;
 
 pub use fusion::{DepthMap, FusionError, FusionOptions, fuse};
 pub use mesh::{Mesh, Surface};
 pub use metrics::{GeometryErrors, compare_points};
+pub use parts::JoinedSets;
+pub use textured::TexturedMesh;
 pub use visible::{DepthView, seen_by};

@@ -6,7 +6,7 @@ impl Mesh {
     /// Leaves only the connected parts whose area is at least this share of the largest part's, and
     /// their vertices.
     pub fn keep_large_parts(&mut self, least_share: f64) {
-        let mut parts = Parts((0..self.vertices.len() as u32).collect());
+        let mut parts = JoinedSets::new(self.vertices.len());
         for &[a, b, c] in &self.triangles {
             parts.join(a, b);
             parts.join(b, c);
@@ -21,7 +21,7 @@ impl Mesh {
     }
 
     /// Removes vertices that no triangle names.
-    fn drop_unused(&mut self) {
+    pub fn drop_unused(&mut self) {
         let mut used = vec![false; self.vertices.len()];
         self.triangles.iter().flatten().for_each(|&v| used[v as usize] = true);
         let mut number = 0;
@@ -35,10 +35,17 @@ impl Mesh {
 }
 
 /// Sets that are joined: each member points towards its root (Tarjan 1975, with halved paths).
-struct Parts(Vec<u32>);
+#[derive(Clone, Debug)]
+pub struct JoinedSets(Vec<u32>);
 
-impl Parts {
-    fn root(&mut self, mut at: u32) -> u32 {
+impl JoinedSets {
+    /// So many sets of one member each.
+    pub fn new(members: usize) -> Self {
+        Self((0..members as u32).collect())
+    }
+
+    /// The member, the least of its set, that stands for it.
+    pub fn root(&mut self, mut at: u32) -> u32 {
         while self.0[at as usize] != at {
             let above = self.0[self.0[at as usize] as usize];
             self.0[at as usize] = above;
@@ -47,7 +54,8 @@ impl Parts {
         at
     }
 
-    fn join(&mut self, a: u32, b: u32) {
+    /// Makes one set of those of `a` and `b`.
+    pub fn join(&mut self, a: u32, b: u32) {
         let (a, b) = (self.root(a), self.root(b));
         self.0[a.max(b) as usize] = a.min(b);
     }

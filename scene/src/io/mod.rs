@@ -33,7 +33,7 @@ pub use load::{
     ImageInfo, LoadedImage, image_decoder, image_info, load_image, load_mask, load_rgb, resize_area, shrunk,
 };
 pub use mesh::read_mesh;
-pub use mesh_out::write_mesh;
+pub use mesh_out::{write_mesh, write_textured_mesh};
 pub use model::{find_model, has_model, read_model, write_model_bin, write_model_txt};
 pub use name::{UnsafeName, safe_name};
 pub use ply::{CloudPoint, read_points_ply, read_splat_ply, write_points_ply, write_splat_ply};
