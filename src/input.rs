@@ -44,6 +44,18 @@ impl Input {
         Ok(Self::Photos(images))
     }
 
+    /// Poses need two frames; the message names the input.
+    pub(crate) fn refuse_too_few(&self, frames: usize) -> Result<()> {
+        let source = self.source().display();
+        match self {
+            _ if frames > 1 => Ok(()),
+            Self::Video(_) => bail!(
+                "{source}: {frames} frame differs from the others, at least 2 are needed; move the camera or the object"
+            ),
+            _ => bail!("{source}: {frames} photo given, at least 2 are needed; film from more sides"),
+        }
+    }
+
     /// The folder or file whose content the frames come from.
     pub fn source(&self) -> &Path {
         match self {
@@ -62,7 +74,7 @@ fn posed_model(folder: &Path) -> Option<PathBuf> {
 
 /// Poses that came with the images.
 #[derive(Debug)]
-pub struct Imported {
+pub(crate) struct Imported {
     /// Each image has the name of its frame.
     pub model: Reconstruction,
     /// From the frame of the file into that of the model.
@@ -75,7 +87,7 @@ pub struct Imported {
 
 /// Reads the poses that came with the images in the folder `images` and gives each posed image the
 /// name of its frame.
-pub fn import_poses(model: &Path, images: &Path, frames: &FrameSet) -> Result<Imported> {
+pub(crate) fn import_poses(model: &Path, images: &Path, frames: &FrameSet) -> Result<Imported> {
     let ImportedPoses { model: mut reconstruction, world_from_file } = scene::io::read_poses(model, images)?;
     let mut by_name = BTreeMap::new();
     for frame in &frames.frames {
@@ -136,7 +148,7 @@ pub fn import_poses(model: &Path, images: &Path, frames: &FrameSet) -> Result<Im
 /// Poses that come without points get those that their photos agree on, and a decision says so.
 /// Where all photos have mattes there is nothing to gain: Gaussians begin inside the visual hull as
 /// well.
-pub fn with_points(
+pub(crate) fn with_points(
     given: Reconstruction,
     frames: &FrameSet,
     config: &sfm::SfmConfig,
@@ -151,6 +163,27 @@ pub fn with_points(
     let decision = Decision::new(Subject::TriangulatedPoints, choice, Rule::Evidence)
         .measured(Quantity::WellObservedPoints, well_observed as f64);
     Ok((found, vec![decision]))
+}
+
+/// Leaves out images whose photos contradict the poses that came with them; where most do, the
+/// poses are refused. Also images that no other photo confirms, and why.
+pub(crate) fn against_photos(
+    mut imported: Imported,
+    frames: &FrameSet,
+    config: &sfm::SfmConfig,
+    progress: &Progress,
+) -> Result<(Imported, Vec<(String, String)>)> {
+    let [contradicted, unconfirmed] = sfm::check_given(frames, &imported.model, config, progress)?;
+    let (wrong, all) = (contradicted.len(), imported.model.images.len());
+    if let Some((name, why)) = contradicted.first().filter(|_| 2 * wrong > all) {
+        bail!(
+            "the poses do not fit the photos: {wrong} of {all} photos contradict them ({name}: {why}); \
+             mend them, or leave them out with --ignore-poses"
+        );
+    }
+    imported.model.without_images(&contradicted.iter().map(|(name, _)| name.as_str()).collect());
+    imported.missing.extend(contradicted);
+    Ok((imported, unconfirmed))
 }
 
 fn stem(name: &str) -> String {

@@ -17,6 +17,7 @@ pub mod export;
 mod handover;
 mod help;
 pub mod input;
+mod memory;
 pub mod outcome;
 pub mod pictures;
 pub mod pipeline;
@@ -44,6 +45,9 @@ pub fn run(parsed: config::Parsed) -> Result<Outcome> {
         (_, true) => Verbosity::Verbose,
         _ => Verbosity::Normal,
     };
+    if let Some(mib) = global.memory_limit {
+        memory::limit(mib)?;
+    }
     if let Some(threads) = global.threads {
         rayon::ThreadPoolBuilder::new().num_threads(threads).build_global()?;
     }
@@ -67,7 +71,8 @@ pub fn run(parsed: config::Parsed) -> Result<Outcome> {
                 let name = format!("{:?}", args.quality).to_lowercase();
                 terminal::say(&format!("--quality {name} sets {}", parsed.preset.join(" ")));
             }
-            pipeline::Pipeline::new(*args, parsed.recorded, verbosity, global.json)?.run(until)
+            let pipeline = pipeline::Pipeline::new(*args, parsed.recorded, verbosity, global.json)?;
+            pipeline.limited(global.memory_limit).run(until)
         }
         Command::Render(args) => {
             stage::settle(&args.run)?;
@@ -81,6 +86,7 @@ pub fn run(parsed: config::Parsed) -> Result<Outcome> {
         Command::Bench(args) => bench::run(&args, &global, verbosity),
         Command::Batch(args) => batch::run(&args, verbosity, global.json),
         Command::Collect(args) => batch::collect(&args, verbosity, global.json),
+        Command::Clean { run } => stage::clean(&run).map(|()| Outcome::Done),
         Command::View(args) => {
             stage::settle(&args.run)?;
             view::server::run(&args, verbosity == Verbosity::Quiet)

@@ -48,7 +48,9 @@ pub use incremental::{MapperChoice, MapperConfig};
 pub use klt::KltConfig;
 pub use knowledge::Calibration;
 pub use pairs::PairConfig;
-pub use reconstruct::{Supplied, reconstruct, reconstruct_features, reconstruct_from, triangulate_given};
+pub use reconstruct::{
+    Supplied, check_given, reconstruct, reconstruct_features, reconstruct_from, triangulate_given,
+};
 pub use result::{FramePose, PoseDeviation, SfmResult, SfmStats, StepTime, Uncertainty};
 pub use skip::StepName;
 pub use undistort::undistort;

@@ -2,7 +2,9 @@
 
 mod along_poses;
 mod context;
+mod contradiction;
 mod export;
+mod given;
 mod model;
 mod posed;
 mod setup;
@@ -10,6 +12,7 @@ mod steps;
 #[cfg(test)]
 mod tests;
 
+pub use contradiction::check_given;
 pub use posed::triangulate_given;
 
 use crate::config::SfmConfig;
