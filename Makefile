@@ -13,8 +13,10 @@ TARGET := $(or $(CARGO_TARGET_DIR),target)
 SAT_RECON := $(TARGET)/release/sat-recon
 VENV := $(CACHE)/venv
 SHARED := $(or $(SAT_RECON_SHARED),../shared)
+# Where another Python comes first on the PATH, Debian's has numpy.
+PYTHON_NUMPY := $(shell python3 -c 'import numpy' 2>/dev/null && echo python3 || echo /usr/bin/python3)
 
-.PHONY: help setup viewer build demo wheel test crash-test cluster-test fuzz sanitize neon lint same-bytes bench tables bench-gpu compare skips benchmarks-page oracle testbed suite bench-suite plausibility site \
+.PHONY: help setup viewer build demo wheel test reliability reliability-page crash-test cluster-test fuzz sanitize neon lint same-bytes bench tables bench-gpu compare skips benchmarks-page oracle testbed suite bench-suite plausibility site \
   tutorial-pictures
 help:  ## this list
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed 's/:.*##/\t/' | expand -t 20
@@ -43,13 +45,23 @@ test: setup viewer  ## every test (real data is looked for in ../shared/data)
 crash-test: setup  ## kill the program, fill its disk and fail its reads at every call to the file system (hours)
 	SAT_RECON_CRASH=all cargo test --release --locked --test integration -- faults:: --nocapture
 
+reliability: build  ## wrong models, degenerate scenes, odd flags; docs/reliability.md from what came of them (half an hour)
+	@tools/setup.sh python3 python3-numpy ffmpeg
+	$(PYTHON_NUMPY) tools/reliability/flags.py $(SAT_RECON) --results docs/results/flags.json
+	$(PYTHON_NUMPY) tools/reliability/scenes.py $(SAT_RECON) --out build/reliability/scenes --results docs/results/scenes.json
+	$(PYTHON_NUMPY) tools/reliability/models.py $(SAT_RECON) --out build/reliability/models --results docs/results/models.json
+	$(MAKE) reliability-page
+
+reliability-page:  ## docs/reliability.md from docs/results
+	python3 tools/reliability/page.py docs/results --out docs/reliability.md
+
 cluster-test: build  ## 40 captures on Slurm's own daemons, four nodes here, one of them killed (as root; slow)
 	@tools/setup.sh slurm-wlm munge python3-venv ffmpeg
 	tools/cluster_test.sh $(SAT_RECON) build/cluster
 
 # TIME: seconds for all targets together; TARGET="spz ksplat": some of them.
 fuzz: setup  ## feed every reader of files with mutated files (TIME=60 seconds, TARGET=...)
-	cargo run --release --locked -p fuzz -- $(or $(TIME),60) $(TARGET)
+	cargo run --release --locked -p fuzz -- $(or $(TIME),60) --results docs/results/fuzz.json $(TARGET)
 
 # Nightly Rust brings the sanitizer and Miri; both see the code of this project and its dependencies.
 HOST := $(shell rustc -vV 2>/dev/null | sed -n 's/^host: //p')

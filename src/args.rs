@@ -29,6 +29,10 @@ pub struct Global {
     /// Worker threads (default: one a core); results do not depend on it
     #[arg(long, global = true, value_parser = between::<usize>(1, 1024), value_name = "N", help_heading = "General")]
     pub threads: Option<usize>,
+    /// Most memory of the program and of each that it starts, MiB; a training that will need more
+    /// is refused before the poses are sought
+    #[arg(long, global = true, value_parser = between::<u64>(64, 1 << 30), value_name = "MIB", help_heading = "General")]
+    pub memory_limit: Option<u64>,
     /// Print the result as JSON on standard output
     #[arg(long, global = true, help_heading = "General")]
     pub json: bool,
@@ -85,6 +89,11 @@ pub enum Command {
     Batch(BatchArgs),
     /// Write the summary of a folder of runs
     Collect(CollectArgs),
+    /// Finish or remove what an interrupted run has left in its folder; results stay
+    Clean {
+        /// An output folder
+        run: PathBuf,
+    },
     /// View a trained splat in a browser, served to this machine only
     View(ViewArgs),
     /// Show installed libraries, graphics adapters, and what will be slow

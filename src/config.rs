@@ -20,7 +20,7 @@ pub struct Recorded {
 /// Flags without a value that may stand before the command.
 const BARE_GLOBALS: [&str; 5] = ["-v", "--verbose", "-q", "--quiet", "--json"];
 /// Flags with a value that may stand before the command, and are no part of how a run was made.
-const VALUED_GLOBALS: [&str; 3] = ["--config", "--threads", "--progress"];
+const VALUED_GLOBALS: [&str; 4] = ["--config", "--threads", "--memory-limit", "--progress"];
 
 /// Whether an argument is one of the flags with its value behind an equals sign.
 fn is_joined(argument: &str, flags: &[&str]) -> bool {

@@ -61,6 +61,18 @@ impl Input {
         Ok(held_out.iter().filter_map(|photo| Some(names.find(photo)?.name.clone())).collect())
     }
 
+    /// Poses need two frames; the message names the input.
+    pub(crate) fn refuse_too_few(&self, frames: usize) -> Result<()> {
+        let source = self.source().display();
+        match self {
+            _ if frames > 1 => Ok(()),
+            Self::Video(_) => bail!(
+                "{source}: {frames} frame differs from the others, at least 2 are needed; move the camera or the object"
+            ),
+            _ => bail!("{source}: {frames} photo given, at least 2 are needed; film from more sides"),
+        }
+    }
+
     /// The folder or file whose content the frames come from.
     pub(crate) fn source(&self) -> &Path {
         match self {
@@ -167,6 +179,27 @@ pub(crate) fn with_points(
     let decision = Decision::new(Subject::TriangulatedPoints, choice, Rule::Evidence)
         .measured(Quantity::WellObservedPoints, well_observed as f64);
     Ok((found, vec![decision]))
+}
+
+/// Leaves out images whose photos contradict the poses that came with them; where most do, the
+/// poses are refused. Also images that no other photo confirms, and why.
+pub(crate) fn against_photos(
+    mut imported: Imported,
+    frames: &FrameSet,
+    config: &sfm::SfmConfig,
+    progress: &Progress,
+) -> Result<(Imported, Vec<(String, String)>)> {
+    let [contradicted, unconfirmed] = sfm::check_given(frames, &imported.model, config, progress)?;
+    let (wrong, all) = (contradicted.len(), imported.model.images.len());
+    if let Some((name, why)) = contradicted.first().filter(|_| 2 * wrong > all) {
+        bail!(
+            "the poses do not fit the photos: {wrong} of {all} photos contradict them ({name}: {why}); \
+             mend them, or leave them out with --ignore-poses"
+        );
+    }
+    imported.model.without_images(&contradicted.iter().map(|(name, _)| name.as_str()).collect());
+    imported.missing.extend(contradicted);
+    Ok((imported, unconfirmed))
 }
 
 /// Scales a camera (and its keypoints) to the size of the frames on disk, and says so; another

@@ -8,7 +8,7 @@ mod batch;
 mod bench;
 mod calibration;
 mod closing;
-mod compare;
+pub mod compare;
 pub mod config;
 mod database;
 mod dense;
@@ -19,6 +19,7 @@ mod handover;
 mod help;
 mod input;
 mod measure;
+mod memory;
 pub mod outcome;
 pub mod pictures;
 pub mod pipeline;
@@ -46,6 +47,9 @@ pub fn run(parsed: config::Parsed) -> Result<Outcome> {
         (_, true) => Verbosity::Verbose,
         _ => Verbosity::Normal,
     };
+    if let Some(mib) = global.memory_limit {
+        memory::limit(mib)?;
+    }
     if let Some(threads) = global.threads {
         rayon::ThreadPoolBuilder::new().num_threads(threads).build_global()?;
     }
@@ -69,7 +73,8 @@ pub fn run(parsed: config::Parsed) -> Result<Outcome> {
                 let name = format!("{:?}", args.quality).to_lowercase();
                 terminal::say(&format!("--quality {name} sets {}", parsed.preset.join(" ")));
             }
-            pipeline::Pipeline::new(*args, parsed.recorded, verbosity, global.json)?.run(until)
+            let pipeline = pipeline::Pipeline::new(*args, parsed.recorded, verbosity, global.json)?;
+            pipeline.limited(global.memory_limit).run(until)
         }
         Command::Render(args) => {
             stage::settle(&args.run)?;
@@ -84,6 +89,7 @@ pub fn run(parsed: config::Parsed) -> Result<Outcome> {
         Command::Bench(args) => bench::run(&args, &global, verbosity),
         Command::Batch(args) => batch::run(&args, verbosity, global.json),
         Command::Collect(args) => batch::collect(&args, verbosity, global.json),
+        Command::Clean { run } => stage::clean(&run).map(|()| Outcome::Done),
         Command::View(args) => {
             stage::settle(&args.run)?;
             view::server::run(&args, verbosity == Verbosity::Quiet)

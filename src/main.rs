@@ -2,6 +2,8 @@
 //!
 //! Exit codes: 0 all well, 2 no model, 3 a partial or doubtful model, 1 anything else.
 
+mod allocator;
+
 use anyhow::anyhow;
 use sat_recon::terminal::say_error;
 use sat_recon::{Outcome, config, run};
@@ -9,8 +11,12 @@ use std::ffi::OsString;
 use std::io::ErrorKind;
 use std::process::ExitCode;
 
+#[global_allocator]
+static ALLOCATOR: allocator::Advising = allocator::Advising;
+
 fn main() -> ExitCode {
     quiet_drivers();
+    refuse_large_files_by_error();
     let arguments: Result<Vec<String>, OsString> = std::env::args_os().map(OsString::into_string).collect();
     let arguments = match arguments {
         Ok(arguments) => arguments,
@@ -39,6 +45,13 @@ fn quiet_drivers() {
         // SAFETY: no other thread runs yet that could read the environment.
         unsafe { std::env::set_var("NODEVICE_SELECT", "1") };
     }
+}
+
+/// A file beyond the limit of the user (`ulimit -f`) is an error like a full disk, not a signal
+/// that ends the program.
+fn refuse_large_files_by_error() {
+    // SAFETY: no handler runs; no other thread runs yet.
+    unsafe { nix::libc::signal(nix::libc::SIGXFSZ, nix::libc::SIG_IGN) };
 }
 
 fn fail(error: &anyhow::Error) -> ExitCode {

@@ -15,6 +15,7 @@ use crate::config::Recorded;
 use crate::database;
 use crate::evaluate;
 use crate::input::{self, Imported, Input};
+use crate::memory;
 use crate::outcome::Outcome;
 use crate::record::{Deviations, Evaluation, Level, PoseSummary, RunRecord, SplatSummary};
 use crate::report;
@@ -57,6 +58,7 @@ pub struct Pipeline {
     stages: Stages,
     verbosity: Verbosity,
     json: bool,
+    memory_limit: Option<u64>,
     record: RunRecord,
 }
 
@@ -90,7 +92,13 @@ impl Pipeline {
             write_json(&stages.path("args.json"), &recorded)?;
         }
         let record = RunRecord::begun(args.clone(), Vec::new());
-        Ok(Self { until: Until::Report, args, input, out, stages, verbosity, json, record })
+        let (until, memory_limit) = (Until::Report, None);
+        Ok(Self { until, args, input, out, stages, verbosity, json, memory_limit, record })
+    }
+
+    /// The same with no more than so much memory, MiB.
+    pub(crate) fn limited(self, memory_limit: Option<u64>) -> Self {
+        Self { memory_limit, ..self }
     }
 
     /// Runs the stages that are not current, as far as `until`.
@@ -105,6 +113,7 @@ impl Pipeline {
             evaluate::load_networks(&self.args.eval.lpips_weights)?; // before hours of work, not after
         }
         let (frames, frames_print) = self.frames()?;
+        memory::check(self.memory_limit, &frames, &self.args, until)?;
         self.record.frames = Some(frames.clone());
         self.hold_out(self.input.held_out(&frames)?);
         if let Some(block) = self.args.pairs {
@@ -243,7 +252,7 @@ impl Pipeline {
             Input::Posed { model, .. } => {
                 database::refuse(&self.args)?;
                 let points = (env!("SFM_SOURCES"), &self.args.sfm);
-                fingerprint(&("import", 3, frames_print, describe_input(model)?, self.args.text, points))?
+                fingerprint(&("import", 4, frames_print, describe_input(model)?, self.args.text, points))?
             }
             _ => {
                 let database = database::print(&self.args)?;
@@ -264,14 +273,17 @@ impl Pipeline {
             let progress = self.progress("sfm");
             let (reconstruction, mut summary) = match &self.input {
                 Input::Posed { model, .. } => {
-                    let Imported { model, world_from_file, missing, notes } =
-                        input::import_poses(model, self.input.source(), frames)?;
+                    let imported = input::import_poses(model, self.input.source(), frames)?;
+                    let (imported, weak) =
+                        input::against_photos(imported, frames, &self.args.sfm, &progress)?;
+                    let Imported { model, world_from_file, missing, notes } = imported;
                     let (model, decisions) = input::with_points(model, frames, &self.args.sfm, &progress)?;
                     let world = world::given(&model, frames, world_from_file);
                     let summary = PoseSummary {
                         imported: true,
                         world,
                         missing,
+                        weak,
                         notes,
                         decisions,
                         ..Default::default()
@@ -329,6 +341,7 @@ impl Pipeline {
         new: &Path,
         progress: &Progress,
     ) -> Result<(Option<Reconstruction>, PoseSummary)> {
+        self.input.refuse_too_few(frames.len())?;
         let mut result = database::solve(&self.args, frames, progress)?;
         let world = world::find(&result, frames, &self.args);
         if let Some(world) = world.as_ref().filter(|_| !self.args.keep_frame) {

@@ -163,6 +163,15 @@ pub fn settle(out: &Path) -> Result<()> {
     }
 }
 
+/// Finishes what was committed, and removes everything else that an interrupted run has left:
+/// half-made results, temporary files, checkpoints of a training that was not finished.
+pub(crate) fn clean(out: &Path) -> Result<()> {
+    if !out.join(".stages").is_dir() {
+        bail!("{} is no output folder of sat-recon's", out.display());
+    }
+    Stages::open(out)?.discard("train")
+}
+
 /// Hash of anything that serialises: stage name and version (or what tells its sources from those
 /// of another build), configuration, fingerprints of what it reads.
 pub fn fingerprint(parts: &impl Serialize) -> Result<String> {

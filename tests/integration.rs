@@ -15,6 +15,7 @@ mod integration {
     pub mod methods;
     pub mod python;
     pub mod real_data;
+    pub mod reliability;
     pub mod resume;
     pub mod shapes;
     pub mod support;

@@ -17,6 +17,8 @@ done < <(git ls-files '*.rs' '*.wgsl' '*.cc' '*.h' '*.py' '*.sh' '*.js' '*.ts' |
 python3 tools/structure.py --check || complain "the structure has got worse"
 python3 tools/benchmarks_page.py docs/results --out docs/benchmarks.md --check || complain "docs/benchmarks.md is not what docs/results says"
 
+python3 tools/reliability/page.py docs/results --out docs/reliability.md --check || complain "docs/reliability.md is not what docs/results says"
+
 # The arithmetic of the suite of rendered captures; where `python3` has no numpy, Debian's has.
 python=python3
 $python -c "import numpy" 2>/dev/null || python=/usr/bin/python3

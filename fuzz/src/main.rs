@@ -1,17 +1,21 @@
 //! Feeds every reader of files from outside with mutated files: no panic, no hang, no more memory
 //! than the file deserves.
 //!
-//!     fuzz SECONDS [TARGET...]
+//!     fuzz SECONDS [--results FILE] [TARGET...]
+//!
+//! `--results` adds what came of it to the sums by target in a JSON file.
 //!
 //! Seeds are files that our own writers made, and the files in `fuzz/regressions/TARGET/`. What
 //! fails is written to `fuzz/failures/TARGET/`: move it to the regressions when it is mended.
 
 mod meter;
 mod mutate;
+mod results;
 mod run;
 mod seeds;
 mod targets;
 
+use std::path::PathBuf;
 use std::process::ExitCode;
 use std::time::Duration;
 
@@ -25,7 +29,11 @@ fn main() -> ExitCode {
         eprintln!("usage: fuzz SECONDS [TARGET...]; targets: {}", targets::names().join(" "));
         return ExitCode::from(1);
     };
-    let wanted: Vec<String> = arguments.collect();
+    let mut wanted: Vec<String> = arguments.collect();
+    let results = match wanted.iter().position(|word| word == "--results") {
+        Some(at) if at + 1 < wanted.len() => wanted.drain(at..at + 2).nth(1).map(PathBuf::from),
+        _ => None,
+    };
     let chosen: Vec<_> =
         targets::TARGETS.iter().filter(|t| wanted.is_empty() || wanted.iter().any(|w| w == t.name)).collect();
     let mut failures = 0;
@@ -35,6 +43,9 @@ fn main() -> ExitCode {
         let told = run::run(target, run::Until::Time(limit), rand::random());
         println!("| {} | {} | {} | {} |", target.name, told.executions, told.accepted, told.failures.len());
         failures += told.failures.len();
+        if let Some(path) = &results {
+            results::add(path, target.name, &told);
+        }
         told.failures.iter().for_each(|failure| eprintln!("{}: {failure}", target.name));
     }
     ExitCode::from(u8::from(failures > 0))

@@ -36,6 +36,8 @@ pub struct Told {
     pub executions: u64,
     /// Those that the reader took.
     pub accepted: u64,
+    /// Seconds that it took.
+    pub seconds: f64,
     /// What went wrong.
     pub failures: Vec<String>,
 }
@@ -62,6 +64,7 @@ pub fn run(target: &Target, until: Until, seed: u64) -> Told {
         mutate(&mut files[at].1, &others[from].1, &mut rng);
         execute(target, &work, &files, &mut told);
     }
+    told.seconds = begun.elapsed().as_secs_f64();
     let _ = fs::remove_dir_all(&work); // it lies among the temporary files
     told
 }
@@ -82,11 +85,16 @@ fn seed_files(target: &Target, work: &Path) -> Files {
     read_files(work)
 }
 
+/// All files below a folder, by their paths in it.
 fn read_files(folder: &Path) -> Files {
     let mut files = Files::new();
     for entry in fs::read_dir(folder).expect("a folder of files").flatten() {
         let name = PathBuf::from(entry.file_name());
-        files.push((name, fs::read(entry.path()).expect("a file")));
+        if entry.path().is_dir() {
+            files.extend(read_files(&entry.path()).into_iter().map(|(path, bytes)| (name.join(path), bytes)));
+        } else {
+            files.push((name, fs::read(entry.path()).expect("a file")));
+        }
     }
     files.sort();
     files
@@ -123,7 +131,9 @@ fn execute(target: &Target, work: &Path, files: &Files, told: &mut Told) {
         .join(format!("{:016x}", scene::rng::rng(size as u64, target.name, told.executions).random::<u64>()));
     fs::create_dir_all(&kept).expect("a folder for the failure");
     for (name, bytes) in files {
-        fs::write(kept.join(name), bytes).expect("a file of the failure");
+        let path = kept.join(name);
+        fs::create_dir_all(path.parent().unwrap_or(&kept)).expect("a folder for the failure");
+        fs::write(path, bytes).expect("a file of the failure");
     }
     told.failures.push(format!("{failure}: {}", kept.display()));
 }

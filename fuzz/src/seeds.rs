@@ -148,3 +148,60 @@ pub fn exif(folder: &Path) {
 pub fn image(folder: &Path) {
     image::RgbaImage::from_pixel(5, 4, image::Rgba([9, 8, 7, 6])).save(folder.join("a.png")).expect(WRITTEN);
 }
+
+pub fn jpeg(folder: &Path) {
+    image::RgbImage::from_fn(17, 9, |x, y| image::Rgb([(x * 9) as u8, (y * 20) as u8, 7]))
+        .save(folder.join("a.jpg"))
+        .expect(WRITTEN);
+}
+
+pub fn tiff(folder: &Path) {
+    image::RgbImage::from_pixel(5, 4, image::Rgb([9, 8, 7])).save(folder.join("a.tif")).expect(WRITTEN);
+}
+
+pub fn metashape(folder: &Path) {
+    io::write_metashape(&folder.join("cameras.xml"), &model()).expect(WRITTEN);
+}
+
+pub fn realityscan(folder: &Path) {
+    image(folder);
+    let text = "#name,x,y,alt,heading,pitch,roll,f,px,py,k1,k2,k3,k4,t1,t2\n\
+        a.png,1,2,3,90,90,0,18,3.6,-1.8,0.1,0,0,0,0,0.01\n";
+    fs::write(folder.join("cameras.csv"), text).expect(WRITTEN);
+}
+
+pub fn bundler(folder: &Path) {
+    image(folder);
+    let text = "# Bundle file v0.3\n1 0\n5 0.1 -0.2\n0 -1 0\n0 0 1\n-1 0 0\n2 -3 1\n";
+    fs::write(folder.join("bundle.out"), text).expect(WRITTEN);
+    fs::write(folder.join("list.txt"), "a.png 0 5\n").expect(WRITTEN);
+}
+
+pub fn opensfm(folder: &Path) {
+    let text = r#"[{"cameras":{"c":{"projection_type":"perspective","width":200,"height":100,
+        "focal":0.75,"k1":0.1,"k2":0.0}},"shots":{"a.jpg":{"camera":"c","rotation":[1,-1,1],
+        "translation":[2,3,-1]}},"points":{}}]"#;
+    fs::write(folder.join("reconstruction.json"), text).expect(WRITTEN);
+}
+
+pub fn flags(folder: &Path) {
+    let text = "iterations = 2000\nquality = \"draft\"\nkeep_frame = true\nmatch_ratio = 0.8\n";
+    fs::write(folder.join("flags.toml"), text).expect(WRITTEN);
+}
+
+/// A run folder whose record names the flags that it was made with.
+pub fn former_run(folder: &Path) {
+    let text = r#"{"input":"/photos","flags":["--iterations=2000","--quality=draft","--keep-frame"]}"#;
+    fs::create_dir_all(folder.join(".stages")).expect(WRITTEN);
+    fs::write(folder.join(".stages/args.json"), text).expect(WRITTEN);
+}
+
+pub fn times(folder: &Path) {
+    fs::write(folder.join("times.json"), r#"{"a.png":0.0,"b.png":0.5,"c.png":1.0}"#).expect(WRITTEN);
+}
+
+pub fn tables(folder: &Path) {
+    let text = r#"[{"title":"quality","methods":["a","b"],"cases":["one"],
+        "columns":[{"name":"PSNR","digits":2,"more_is_better":true}],"values":[[[1.0]],[[2.0]]]}]"#;
+    fs::write(folder.join("a.json"), text).expect(WRITTEN);
+}

@@ -49,8 +49,8 @@ pub use klt::KltConfig;
 pub use knowledge::Calibration;
 pub use pairs::PairConfig;
 pub use reconstruct::{
-    MatchedBlock, PairBlock, Supplied, match_block, reconstruct, reconstruct_features, reconstruct_from,
-    triangulate_given,
+    MatchedBlock, PairBlock, Supplied, check_given, match_block, reconstruct, reconstruct_features,
+    reconstruct_from, triangulate_given,
 };
 pub use result::{FramePose, PoseDeviation, SfmResult, SfmStats, StepTime, Uncertainty};
 pub use skip::StepName;

@@ -94,6 +94,9 @@ pub(crate) fn refine_point<'a>(
                 b -= row * *r;
             }
         }
+        if a.determinant() == 0.0 {
+            break; // nothing holds the point
+        }
         let moved = x + a.inverse() * b;
         let after = if moved.is_finite() { total_error(moved, views.clone()) } else { f64::INFINITY };
         if !(after < best) {

@@ -3,8 +3,8 @@
 
 mod colmap;
 mod page;
-pub(crate) mod runs;
-pub(crate) mod tables;
+pub mod runs;
+pub mod tables;
 
 use tables::Cells;
 

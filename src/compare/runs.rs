@@ -243,7 +243,7 @@ fn distinct<'a>(names: impl Iterator<Item = &'a String>) -> Vec<String> {
 }
 
 /// Tables that `--tables` wrote, or figures that were published.
-pub(crate) fn read_tables(path: &Path) -> Result<Vec<Table>> {
+pub fn read_tables(path: &Path) -> Result<Vec<Table>> {
     let tables: Vec<Table> = serde_json::from_value(read_json(path)?)
         .with_context(|| format!("{} holds no tables as --tables writes them", path.display()))?;
     for table in &tables {

@@ -8,7 +8,7 @@ pub(crate) type Cells = (Vec<&'static str>, Vec<Vec<String>>);
 
 /// A column of every case.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-pub(crate) struct TableColumn {
+pub struct TableColumn {
     /// Heading, with its unit.
     pub name: String,
     /// Digits behind the point.
@@ -19,7 +19,7 @@ pub(crate) struct TableColumn {
 
 /// Numbers by method, case and column.
 #[derive(Clone, Debug, Serialize, Deserialize)]
-pub(crate) struct Table {
+pub struct Table {
     /// What it is about.
     pub title: String,
     /// Rows.

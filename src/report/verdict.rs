@@ -96,7 +96,7 @@ fn observations(poses: &PoseSummary) -> Option<Light> {
 }
 
 fn weak(poses: &PoseSummary) -> Light {
-    if poses.imported {
+    if poses.imported && poses.weak.is_empty() {
         return light("weak frames", Level::Unknown, "not judged: the poses came with the input".to_owned());
     }
     let share = poses.weak.len() as f64 / poses.registered.max(1) as f64;

@@ -173,3 +173,19 @@ fn a_folder_with_the_files_of_others_is_refused_and_stays_as_it_was() {
     fs::create_dir_all(out.0.join("images")).unwrap();
     Stages::open(&out.0).unwrap();
 }
+
+#[test]
+fn cleaning_keeps_results_and_refuses_other_folders_and_runs_at_work() {
+    let out = Out::new("clean");
+    fs::create_dir_all(&out.0).unwrap();
+    assert!(clean(&out.0).unwrap_err().to_string().contains("no output folder"));
+    let stages = Stages::open(&out.0).unwrap();
+    stages.run(&stage("a"), |folder| write(folder, "one")).unwrap();
+    for name in [".stages/sfm.new/sparse", ".stages/train", ".frames.tmp"] {
+        fs::create_dir_all(out.0.join(name)).unwrap();
+    }
+    assert!(clean(&out.0).unwrap_err().to_string().contains("another sat-recon"));
+    drop(stages);
+    clean(&out.0).unwrap();
+    assert_eq!(out.names(), [".stages", "deep", "frames.json", "images", "lock"]);
+}

@@ -227,3 +227,42 @@ fn a_training_without_masks_is_not_shown_those_of_an_earlier_one() {
     fs::remove_dir_all(dir).unwrap();
     fs::remove_dir_all(frames).unwrap();
 }
+
+/// Runs the program under limits of the shell; its exit code and what it said.
+fn limited(limits: &str, arguments: &[&str]) -> (Option<i32>, String) {
+    let run = Command::new("sh")
+        .args(["-c", &format!("{limits} && exec \"$0\" \"$@\""), env!("CARGO_BIN_EXE_sat-recon")])
+        .args(arguments)
+        .output()
+        .unwrap();
+    (run.status.code(), String::from_utf8_lossy(&run.stderr).into_owned())
+}
+
+#[test]
+fn without_memory_or_beyond_the_size_of_files_the_program_says_so_and_ends_with_exit_code_1() {
+    let dir = folder("limits");
+    let (video, out) = (sample("sample/orbit.mp4"), dir.join("out"));
+    let frames = ["frames", text(&video), "-o", text(&out), "--frames", "10"];
+    let (code, said) = limited("ulimit -f 20", &frames);
+    assert!(code == Some(1) && said.contains("error: ") && said.contains("large"), "{code:?} {said}");
+    assert!(!out.join("images").exists());
+    let sfm = ["sfm", text(&video), "-o", text(&out), "--frames", "10", "--threads", "1"];
+    let (code, said) = limited("ulimit -d 20000", &sfm);
+    assert!(code == Some(1) && said.contains("out of memory; lower --max-size"), "{code:?} {said}");
+    expect_code(&["clean", text(&out)], 0);
+    fs::remove_dir_all(dir).unwrap();
+}
+
+#[test]
+fn a_training_beyond_the_memory_limit_is_refused_before_the_poses_are_sought() {
+    let dir = folder("memory_limit");
+    let (video, out) = (sample("sample/orbit.mp4"), dir.join("out"));
+    let run = [text(&video), "-o", text(&out), "--frames", "10", "--max-size", "140"];
+    let said = expect_code(&[&run[..], &["--memory-limit", "200", "--max-gaussians", "1000000"]].concat(), 1);
+    assert!(said.contains("training will need about 10") && said.contains("--max-gaussians"), "{said}");
+    assert!(!out.join("sparse").exists());
+    let small = ["--memory-limit", "200", "--max-gaussians", "1000", "--iterations", "10", "--threads", "1"];
+    // Ten small frames make a doubtful model.
+    expect_code(&[&run[..], &small].concat(), 3);
+    fs::remove_dir_all(dir).unwrap();
+}

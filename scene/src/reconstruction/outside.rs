@@ -1,6 +1,6 @@
 //! The door for models that come from outside: refused, or repaired and said.
 
-use super::{Reconstruction, TrackElement};
+use super::{Reconstruction, ScenePoint, TrackElement};
 use crate::Camera;
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -21,19 +21,19 @@ const MEDIAN_ERROR: f64 = 0.02;
 impl Reconstruction {
     /// Checks a model that was read from outside, beyond [`Reconstruction::validate`]: images have
     /// names of their own, cameras are possible, poses differ, numbers have a sensible size, and
-    /// observations agree with poses and points. Repairs what can be (repeated track elements) and
-    /// says so.
+    /// observations agree with poses and points: half of all, and half of each image's. Repairs
+    /// what can be (repeated track elements, single observations that do not agree) and says so.
     ///
     /// # Errors
     /// What is wrong, where nothing sensible can be made of it.
     pub fn admit(&mut self) -> Result<Vec<String>, String> {
-        let notes = self.without_repeated_elements();
+        let mut notes = self.without_repeated_elements();
         self.validate()?;
         self.check_names()?;
         self.cameras.values().try_for_each(check_camera)?;
         self.check_numbers()?;
         self.check_poses_differ()?;
-        self.check_observations()?;
+        notes.extend(self.without_contradictions()?);
         Ok(notes)
     }
 
@@ -50,16 +50,21 @@ impl Reconstruction {
         if repeated == 0 {
             return Vec::new();
         }
+        let lost = self.without_unseen_points();
+        vec![format!(
+            "{repeated} observations stood twice in their tracks and were taken out, with {lost} points that had no other"
+        )]
+    }
+
+    /// Takes out points that are left with less than two observations; how many.
+    fn without_unseen_points(&mut self) -> usize {
         let lost: BTreeSet<u64> =
             self.points.iter().filter(|(_, p)| p.track.len() < 2).map(|(id, _)| *id).collect();
         self.points.retain(|id, _| !lost.contains(id));
         for observation in self.images.values_mut().flat_map(|image| &mut image.observations) {
             observation.point = observation.point.filter(|id| !lost.contains(id));
         }
-        vec![format!(
-            "{repeated} observations stood twice in their tracks and were taken out, with {} points that had no other",
-            lost.len()
-        )]
+        lost.len()
     }
 
     fn check_names(&self) -> Result<(), String> {
@@ -102,28 +107,86 @@ impl Reconstruction {
         Ok(())
     }
 
-    /// At least half of the observations lie near what their cameras make of their points.
-    fn check_observations(&self) -> Result<(), String> {
-        let mut errors = Vec::new();
+    /// At least half of the observations of every image lie near what its camera makes of their
+    /// points; those that do not are taken out.
+    fn without_contradictions(&mut self) -> Result<Option<String>, String> {
+        let mut of_image: BTreeMap<u32, Vec<f64>> = BTreeMap::new();
         for point in self.points.values() {
             for element in &point.track {
-                let image = self.images.get(&element.image);
-                let Some(camera) = image.and_then(|i| self.cameras.get(&i.camera)) else { continue };
-                let side = f64::from(camera.width.max(camera.height));
-                let residual = self.residual(point, element);
-                errors.push(residual.map_or(f64::INFINITY, |r| r.length() / side));
+                of_image.entry(element.image).or_default().push(self.share_of_side(point, element));
             }
         }
-        errors.sort_by(f64::total_cmp);
-        match errors.get(errors.len() / 2) {
-            Some(median) if !(*median <= MEDIAN_ERROR) => Err(format!(
+        let all = sorted(of_image.values().flatten().copied().collect());
+        if let Some(median) = all.get(all.len() / 2).filter(|median| !(**median <= MEDIAN_ERROR)) {
+            return Err(format!(
                 "poses and points do not fit the images: half of the {} observations lie {:.0} % of an image side or more from where their points should be seen",
-                errors.len(),
+                all.len(),
                 100.0 * median.min(1.0)
-            )),
-            _ => Ok(()),
+            ));
         }
+        for (image, shares) in of_image {
+            let (count, shares) = (shares.len(), sorted(shares));
+            if !(shares[count / 2] <= MEDIAN_ERROR) {
+                return Err(format!(
+                    "the pose of {} does not fit its {count} observations: half of them lie {:.0} % of an image side or more from where their points should be seen",
+                    self.images[&image].name,
+                    100.0 * shares[count / 2].min(1.0)
+                ));
+            }
+        }
+        let wrong = all.iter().filter(|share| !(**share <= MEDIAN_ERROR)).count();
+        Ok((wrong > 0).then(|| {
+            let lost = self.drop_contradictions();
+            format!(
+                "{wrong} of {} observations lay more than {:.0} % of an image side from where their points should be seen and were taken out, with {lost} points that had no other",
+                all.len(),
+                100.0 * MEDIAN_ERROR
+            )
+        }))
     }
+
+    /// How far an observation lies from where its point should be seen, longer image sides;
+    /// infinite where it cannot be seen.
+    fn share_of_side(&self, point: &ScenePoint, element: &TrackElement) -> f64 {
+        let camera = self.images.get(&element.image).and_then(|i| self.cameras.get(&i.camera));
+        let side = camera.map_or(1.0, |c| f64::from(c.width.max(c.height)));
+        self.residual(point, element).map_or(f64::INFINITY, |r| r.length() / side)
+    }
+
+    /// Takes out observations that lie far from where their points should be seen; how many points
+    /// go with them.
+    fn drop_contradictions(&mut self) -> usize {
+        let mut points = std::mem::take(&mut self.points);
+        for point in points.values_mut() {
+            let (kept, wrong): (Vec<TrackElement>, Vec<TrackElement>) =
+                point.track.iter().partition(|e| self.share_of_side(point, e) <= MEDIAN_ERROR);
+            for element in wrong {
+                let image = self.images.get_mut(&element.image);
+                let seen = image.and_then(|i| i.observations.get_mut(element.observation as usize));
+                if let Some(observation) = seen {
+                    observation.point = None;
+                }
+            }
+            point.track = kept;
+        }
+        self.points = points;
+        self.without_unseen_points()
+    }
+
+    /// Takes out images, and points that are left with less than two observations.
+    pub fn without_images(&mut self, names: &BTreeSet<&str>) {
+        self.images.retain(|_, image| !names.contains(image.name.as_str()));
+        for point in self.points.values_mut() {
+            point.track.retain(|element| self.images.contains_key(&element.image));
+        }
+        self.without_unseen_points();
+    }
+}
+
+/// Ascending; what is no number last.
+fn sorted(mut values: Vec<f64>) -> Vec<f64> {
+    values.sort_by(f64::total_cmp);
+    values
 }
 
 fn check_camera(camera: &Camera) -> Result<(), String> {
@@ -185,7 +248,7 @@ mod tests {
 
     #[test]
     fn nonsense_is_refused_by_what_is_wrong_with_it() {
-        let cases: [(&str, &dyn Fn(&mut Reconstruction)); 9] = [
+        let cases: [(&str, &dyn Fn(&mut Reconstruction)); 10] = [
             ("both called 1.png", &|m| m.images.get_mut(&3).unwrap().name = "1.png".into()),
             ("the same pose", &|m| {
                 let pose = m.images[&1].pose;
@@ -200,6 +263,9 @@ mod tests {
             ("camera of 2.png lies farther", &|m| m.images.get_mut(&2).unwrap().pose.translation.y = 1e12),
             ("do not fit", &|m| {
                 m.images.values_mut().for_each(|i| i.pose.rotation *= DQuat::from_rotation_z(0.5))
+            }),
+            ("the pose of 2.png does not fit its 20", &|m| {
+                m.images.get_mut(&2).unwrap().pose.rotation *= DQuat::from_rotation_z(0.5);
             }),
             ("not finite", &|m| m.images.get_mut(&1).unwrap().observations[0].pixel = DVec2::NAN),
         ];
@@ -220,6 +286,28 @@ mod tests {
         let said = model.admit().unwrap();
         assert!(said[0].contains("2 observations") && said[0].contains("1 points"), "{said:?}");
         assert_eq!((model.points[&0].track.len(), model.points.len()), (4, 19));
+        assert_eq!(model.validate(), Ok(()));
+    }
+
+    #[test]
+    fn single_observations_that_do_not_fit_are_taken_out_and_said() {
+        let mut model = model();
+        model.points.get_mut(&3).unwrap().position.z += 1.0;
+        model.images.get_mut(&1).unwrap().observations[5].pixel.x += 100.0;
+        let said = model.admit().unwrap();
+        assert!(said[0].starts_with("5 of 80") && said[0].contains("1 points"), "{said:?}");
+        assert!(!model.points.contains_key(&3) && model.points[&5].track.len() == 3);
+        assert_eq!(model.images[&1].observations[5].point, None);
+        assert_eq!(model.validate(), Ok(()));
+    }
+
+    #[test]
+    fn images_are_taken_out_with_what_only_they_see() {
+        let mut model = model();
+        model.points.get_mut(&7).unwrap().track.truncate(2);
+        model.images.values_mut().skip(2).for_each(|i| i.observations[7].point = None);
+        model.without_images(&["1.png"].into());
+        assert_eq!((model.images.len(), model.points.len()), (3, 19));
         assert_eq!(model.validate(), Ok(()));
     }
 }

@@ -3,7 +3,9 @@
 mod along_poses;
 mod block;
 mod context;
+mod contradiction;
 mod export;
+mod given;
 mod model;
 mod posed;
 mod setup;
@@ -12,6 +14,7 @@ mod steps;
 mod tests;
 
 pub use block::{MatchedBlock, PairBlock, match_block};
+pub use contradiction::check_given;
 pub use posed::triangulate_given;
 
 use crate::config::SfmConfig;
