@@ -260,6 +260,7 @@ impl PhotoWriter<'_> {
             time_s: None,
             source_index: index,
             focal_prior_px: info.focal_prior_px.map(|f| f * f64::from(size.0) / f64::from(upright.0)),
+            gps: info.exif.gps,
             camera_group: 0,
         };
         let key =
