@@ -16,7 +16,7 @@ SHARED := $(or $(SAT_RECON_SHARED),../shared)
 # Where another Python comes first on the PATH, Debian's has numpy.
 PYTHON_NUMPY := $(shell python3 -c 'import numpy' 2>/dev/null && echo python3 || echo /usr/bin/python3)
 
-.PHONY: help setup viewer build demo wheel test reliability reliability-page crash-test cluster-test fuzz sanitize neon lint same-bytes bench tables bench-gpu compare skips benchmarks-page oracle testbed suite bench-suite plausibility site \
+.PHONY: help setup viewer build demo wheel container readers test reliability reliability-page crash-test cluster-test fuzz sanitize neon lint same-bytes bench tables bench-gpu compare skips benchmarks-page oracle testbed suite bench-suite plausibility site \
   tutorial-pictures
 help:  ## this list
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed 's/:.*##/\t/' | expand -t 20
@@ -37,6 +37,17 @@ demo: build  ## a satellite that yaws before a green screen: video to splat, the
 wheel: build  ## a Python wheel with the program inside: build/wheels (needs Python 3.9 with pip)
 	@tools/setup.sh python3-venv binutils
 	tools/wheel.sh $(SAT_RECON) build/wheels
+
+container: build  ## the Dockerfile built and run; where no engine runs, as a root file system in a chroot (as root)
+	@tools/setup.sh debootstrap binutils
+	tools/container.sh $(SAT_RECON) build/container
+
+# What other programs make of the demo's results; the packages stay in the user's cache.
+readers: build $(VENV)/pycolmap  ## readers of others (pycolmap, splat-transform, gltf-validator) on our files
+	@tools/setup.sh nodejs npm
+	[ -d out/demo/eval ] || $(MAKE) demo
+	npm install --no-audit --no-fund --loglevel=error --prefix $(CACHE)/readers @playcanvas/splat-transform@2.7.1 gltf-validator@2.0.0-dev.3.10
+	$(VENV)/bin/python tools/readers.py $(SAT_RECON) out/demo --out build/readers --npm $(CACHE)/readers
 
 test: setup viewer  ## every test (real data is looked for in ../shared/data)
 	@tools/setup.sh colmap chromium python3-numpy

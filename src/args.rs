@@ -134,7 +134,7 @@ pub struct PipelineArgs {
     pub text: bool,
     /// Leave the model in the solver's arbitrary frame instead of turning it upright (y down), with
     /// the object in the origin and its radius as unit
-    #[arg(long, help_heading = "General")]
+    #[arg(long, conflicts_with_all = ["known_length", "tag_size"], help_heading = "General")]
     pub keep_frame: bool,
     /// Take features, matches and camera groups from this database.db of COLMAP's (images are known
     /// by their names); given several times, the matches of all are taken together

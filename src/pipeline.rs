@@ -251,6 +251,7 @@ impl Pipeline {
         let print = match &self.input {
             Input::Posed { model, .. } => {
                 database::refuse(&self.args)?;
+                world::refuse_scale(&self.args)?;
                 let points = (env!("SFM_SOURCES"), &self.args.sfm);
                 fingerprint(&("import", 4, frames_print, describe_input(model)?, self.args.text, points))?
             }
@@ -343,12 +344,15 @@ impl Pipeline {
     ) -> Result<(Option<Reconstruction>, PoseSummary)> {
         self.input.refuse_too_few(frames.len())?;
         let mut result = database::solve(&self.args, frames, progress)?;
-        let world = world::find(&result, frames, &self.args);
+        let model = result.reconstruction.as_ref();
+        let scale = model.map(|m| sfm::metric_scale(m, frames, &self.args.sfm.scale, progress));
+        let world = world::find(&result, frames, &self.args, scale.transpose()?.flatten());
         if let Some(world) = world.as_ref().filter(|_| !self.args.keep_frame) {
             world::place(&mut result, &world.sim3());
         }
         let rule = if self.args.keep_frame { Rule::Requested } else { Rule::Evidence };
         result.decisions.extend(world.as_ref().map(|w| w.decision(rule)));
+        result.decisions.extend(world.as_ref().and_then(|w| w.scale).map(|s| s.decision()));
         let summary = PoseSummary {
             no_model: result.reconstruction.is_none().then(|| result.reason.clone()),
             missing: result.missing.clone(),

@@ -80,6 +80,17 @@ const colours = () => page.evaluate(() => {
   return { lit: lit / (data.length / 4), coloured: coloured / (data.length / 4) };
 });
 
+// Mean value of the pixels, 0 to 255.
+const brightness = () => page.evaluate(() => {
+  const gl = document.querySelector("canvas");
+  const flat = Object.assign(document.createElement("canvas"), { width: gl.width, height: gl.height }).getContext("2d");
+  flat.drawImage(gl, 0, 0);
+  const data = flat.getImageData(0, 0, gl.width, gl.height).data;
+  let sum = 0;
+  for (let i = 0; i < data.length; i += 4) sum += data[i] + data[i + 1] + data[i + 2];
+  return sum / (data.length / 4) / 3;
+});
+
 async function drag(button, dx, dy) {
   await page.mouse.move(150, 250);
   await page.mouse.down({ button });
@@ -171,7 +182,25 @@ async function toggles() {
   const points = await switched(["points", true]);
   const cameras = await switched(["points", false], ["cameras", true]);
   const again = await switched(["cameras", false], ["splat", true]);
+  await set("#panel select[title=Background]", String(0xffffff), "change");
+  await settled();
+  const white = await colours();
+  await set("#panel select[title=Background]", "0", "change");
+  await set("#panel input[title^=Exposure]", -3, "input");
+  await settled();
+  const dark = await brightness();
+  await set("#panel input[title^=Exposure]", 0, "input");
+  await settled();
+  const bright = await brightness();
+  const before = await state("pose()");
+  await set(box("turn"), true, "change");
+  await frames(20);
+  const turned = await state("pose()");
+  await set(box("turn"), false, "change");
   return {
+    background: white.lit > 0.99,
+    exposure: dark > 0 && dark < 0.4 * bright,
+    turn: apart(before.position, turned.position) > 1e-3 * distance(before) && apart(before.target, turned.target) < 1e-6 * distance(before),
     depth: depth.lit > 0.05 && depth.coloured < 0.2 * all.coloured,
     splat: all.lit > 0.05 && none.lit === 0 && again.coloured > 0.8 * all.coloured,
     points: points.lit > 0,

@@ -128,6 +128,12 @@ pub fn weights(folder: &Path) {
 }
 
 /// A TIFF structure, little endian, with a maker and a link to focal lengths.
+/// Six tiles, coded by libheif.
+pub fn heif(folder: &Path) {
+    let picture = include_bytes!("../../scene/tests/fixtures/heif/grid.heic");
+    fs::write(folder.join("a.heic"), picture).expect(WRITTEN);
+}
+
 pub fn exif(folder: &Path) {
     let mut bytes = b"II*\0\x08\0\0\0".to_vec();
     let entry = |tag: u16, kind: u16, count: u32, value: u32| {

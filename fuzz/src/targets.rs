@@ -69,6 +69,7 @@ pub static TARGETS: std::sync::LazyLock<Vec<Target>> = std::sync::LazyLock::new(
                 .make
                 .is_some()
         }),
+        target("heif", 2000, seeds::heif, |f| io::heif::HeifPicture::read(&f.join("a.heic")).is_ok()),
         target("image-header", 1000, seeds::image, |f| io::image_info(&f.join("a.png")).is_ok()),
         target("png", 1000, seeds::image, |f| io::load_image(&f.join("a.png")).is_ok()),
         target("jpeg", 1000, seeds::jpeg, |f| io::load_image(&f.join("a.jpg")).is_ok()),

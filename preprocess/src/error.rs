@@ -75,7 +75,7 @@ pub enum PreprocessError {
         last: f64,
     },
     /// A folder without a usable image.
-    #[error("{}: no readable image (png, jpg, tif){detail}", .path.display())]
+    #[error("{}: no readable image (png, jpg, tif, webp, heic, avif){detail}", .path.display())]
     NoImages {
         /// The folder.
         path: PathBuf,

@@ -4,19 +4,21 @@ use crate::film::FILM;
 use crate::masks::{MaskFiles, read_mask};
 use crate::names::{natural_order, safe_name};
 use crate::output::{Staging, write_png};
+use crate::photo_file::PhotoFile;
 use crate::pixels::fitted;
 use crate::{FrameConfig, PreprocessError};
 use image::metadata::Orientation;
 use image::{ExtendedColorType, GrayImage, ImageDecoder, ImageFormat};
 use rayon::prelude::*;
-use scene::io::load::{ImageInfo, image_decoder, image_info, load_image, resize_area};
+use scene::io::load::{ImageInfo, image_decoder, image_info, resize_area};
 use scene::{Frame, FrameSet, Progress};
 use std::collections::{BTreeMap, HashSet};
 use std::path::{Path, PathBuf};
 
-const READ: [&str; 5] = ["png", "jpg", "jpeg", "tif", "tiff"];
-const NOT_READ: [&str; 13] =
-    ["heic", "heif", "avif", "webp", "dng", "cr2", "cr3", "nef", "arw", "raf", "bmp", "gif", "jxl"];
+/// How the names of photos end that are read.
+pub const PHOTO_EXTENSIONS: [&str; 10] =
+    ["png", "jpg", "jpeg", "tif", "tiff", "webp", "heic", "heif", "hif", "avif"];
+const NOT_READ: [&str; 9] = ["dng", "cr2", "cr3", "nef", "arw", "raf", "bmp", "gif", "jxl"];
 
 /// Brings the photos of `input_dir` (not of folders inside it) to `out/images`: upright by EXIF,
 /// 8-bit, without alpha, at most `--max-size` long; those that are so already are copied byte for
@@ -79,6 +81,7 @@ fn frames_of(
     }
     let staging = Staging::new(out)?;
     staging.make("masks")?;
+    staging.make("coded")?;
     let writer = PhotoWriter { folder: &listing.folder, config, masks: &masks, staging: &staging };
     let mut used = HashSet::new();
     let named: Vec<(usize, &String, String)> =
@@ -88,7 +91,7 @@ fn frames_of(
         .par_iter()
         .map(|(index, name, target)| {
             progress.tick()?;
-            match writer.photo(*index, name, target) {
+            match writer.photo(*index, name, target, progress) {
                 Err(e @ PreprocessError::Image { .. }) => Ok(Err(e)),
                 Err(e) => Err(e),
                 Ok(photo) => Ok(Ok(photo)),
@@ -151,7 +154,7 @@ impl Listing {
             let extension = name.rsplit_once('.').map(|(_, e)| e.to_lowercase()).unwrap_or_default();
             if NOT_READ.contains(&extension.as_str()) {
                 *listing.unread.entry(extension).or_default() += 1;
-            } else if READ.contains(&extension.as_str()) {
+            } else if PHOTO_EXTENSIONS.contains(&extension.as_str()) {
                 listing.add(entry.path(), name, &root);
             }
         }
@@ -244,20 +247,26 @@ impl PhotoWriter<'_> {
             && format == says
     }
 
-    fn photo(&self, index: usize, name: &str, target: &str) -> Result<WrittenPhoto, PreprocessError> {
+    fn photo(
+        &self,
+        index: usize,
+        name: &str,
+        target: &str,
+        progress: &Progress,
+    ) -> Result<WrittenPhoto, PreprocessError> {
         let path = self.folder.join(name);
-        let info = image_info(&path).map_err(|e| unreadable(&path, e))?;
-        let loaded = load_image(&path).map_err(|e| unreadable(&path, e))?;
-        let upright = loaded.rgb.dimensions();
+        let scratch = self.staging.path("coded", &index.to_string());
+        let PhotoFile { info, pixels, orientation } = PhotoFile::read(&path, &scratch, progress)?;
+        let upright = pixels.rgb.dimensions();
         let size = fitted(upright.0, upright.1, self.config.max_size);
         let written = self.staging.path("images", target);
         if self.can_copy(&path, &info) {
             std::fs::copy(&path, &written).map_err(PreprocessError::io(&written))?;
         } else {
-            let rgb = resize_area(&loaded.rgb, size.0, size.1);
+            let rgb = resize_area(&pixels.rgb, size.0, size.1);
             write_png(&written, rgb.as_raw(), size.0, size.1, ExtendedColorType::Rgb8)?;
         }
-        let (mask, source, mask_problem) = self.mask(name, &path, loaded.alpha, upright, size);
+        let (mask, source, mask_problem) = self.mask(name, orientation, pixels.alpha, upright, size);
         let mask_name = format!("{}.png", target.rsplit_once('.').map_or(target, |(stem, _)| stem));
         if let Some(mask) = &mask {
             write_png(
@@ -278,6 +287,7 @@ impl PhotoWriter<'_> {
             time_s: None,
             source_index: index,
             focal_prior_px: info.focal_prior_px.map(|f| f * f64::from(size.0) / f64::from(upright.0)),
+            gps: info.exif.gps,
             camera_group: 0,
         };
         let key =
@@ -288,13 +298,13 @@ impl PhotoWriter<'_> {
     fn mask(
         &self,
         name: &str,
-        path: &Path,
+        orientation: Orientation,
         alpha: Option<GrayImage>,
         upright: (u32, u32),
         size: (u32, u32),
     ) -> (Option<GrayImage>, MaskSource, Option<String>) {
         if let Some(file) = self.masks.of(name) {
-            return match read_mask(file, stored_orientation(path), upright, size, self.config.invert_masks) {
+            return match read_mask(file, orientation, upright, size, self.config.invert_masks) {
                 Ok(mask) => (Some(mask), MaskSource::File, None),
                 Err(e) => (None, MaskSource::None, Some(e.to_string())),
             };
@@ -305,18 +315,6 @@ impl PhotoWriter<'_> {
             None => (None, MaskSource::None, None),
         }
     }
-}
-
-fn unreadable(path: &Path, error: scene::io::IoError) -> PreprocessError {
-    let text = error.to_string();
-    let shown = path.display().to_string();
-    let reason = text.replacen(&shown, "", 1).trim_start_matches([':', ' ']).to_owned();
-    PreprocessError::Image { path: path.to_owned(), reason }
-}
-
-fn stored_orientation(path: &Path) -> Orientation {
-    let decoder = image_decoder(path).ok();
-    decoder.and_then(|(mut d, _)| d.orientation().ok()).unwrap_or(Orientation::NoTransforms)
 }
 
 fn mask_notes(photos: &[WrittenPhoto], masks: &MaskFiles) -> Result<Vec<String>, PreprocessError> {

@@ -216,3 +216,77 @@ fn real_captures_come_through() {
         assert!(set.len() >= 10);
     }
 }
+
+/// The pictures of scene/tests/fixtures/heif, in a folder of their own.
+fn heif(dir: &Scratch, names: &[&str]) -> std::path::PathBuf {
+    let fixtures = Path::new(env!("CARGO_MANIFEST_DIR")).join("../scene/tests/fixtures/heif");
+    let input = dir.0.join("in");
+    std::fs::create_dir_all(&input).unwrap();
+    names.iter().for_each(|n| drop(std::fs::copy(fixtures.join(n), input.join(n)).unwrap()));
+    input
+}
+
+#[test]
+fn heic_and_avif_photos_look_as_libheif_shows_them() {
+    let dir = Scratch::new("heif");
+    let input = heif(&dir, &["alpha.avif", "grid.heic", "turned.heic"]);
+    // A name that lies: phones' files are renamed.
+    std::fs::rename(input.join("turned.heic"), input.join("turned.jpg")).unwrap();
+    let set = run(&input, &dir.0.join("out"), &FrameConfig::default()).unwrap();
+    let sizes: Vec<_> = set.frames.iter().map(|f| (f.name.as_str(), f.width, f.height)).collect();
+    assert_eq!(
+        sizes,
+        [("alpha.png", 80, 60), ("grid.png", 150, 100), ("turned.png", 64, 96)],
+        "{:?}",
+        set.notes
+    );
+    let fixtures = Path::new(env!("CARGO_MANIFEST_DIR")).join("../scene/tests/fixtures/heif");
+    for frame in &set.frames {
+        let [ours, theirs] =
+            [frame.path.clone(), fixtures.join(&frame.name)].map(|p| image::open(p).unwrap().to_rgb8());
+        let off: u64 = ours.iter().zip(theirs.iter()).map(|(a, b)| u64::from(a.abs_diff(*b))).sum();
+        let mean = off as f64 / ours.len() as f64;
+        assert!(mean < 2.0, "{}: {mean} levels from libheif's", frame.name);
+    }
+    let focal = set.frames[2].focal_prior_px.unwrap();
+    assert!((focal - 26.0 * 96_f64.hypot(64.0) / 36_f64.hypot(24.0)).abs() < 1e-9, "{focal}");
+    let mask = image::open(set.frames[0].mask.as_ref().unwrap()).unwrap().to_luma8();
+    assert_eq!((mask.get_pixel(40, 25)[0], mask.get_pixel(5, 5)[0]), (255, 0));
+    assert_eq!(dir.list("out"), ["images", "masks"], "nothing temporary stays");
+}
+
+#[test]
+fn damaged_heic_photos_are_left_out_and_say_why() {
+    let dir = Scratch::new("badheif");
+    let input = heif(&dir, &["grid.heic", "turned.heic"]);
+    photo(7).save(input.join("whole.png")).unwrap();
+    let whole = std::fs::read(input.join("grid.heic")).unwrap();
+    std::fs::write(input.join("grid.heic"), &whole[..whole.len() - 900]).unwrap();
+    let mut bytes = std::fs::read(input.join("turned.heic")).unwrap();
+    let at = bytes.windows(4).position(|w| w == b"mdat").unwrap();
+    bytes[at + 12..].fill(0);
+    std::fs::write(input.join("turned.heic"), bytes).unwrap();
+    let set = run(&input, &dir.0.join("out"), &FrameConfig::default()).unwrap();
+    assert_eq!(set.len(), 1, "{:?}", set.notes);
+    assert!(set.notes.iter().any(|n| n.contains("grid.heic") && n.contains("cut off")), "{:?}", set.notes);
+    let cannot = set.notes.iter().find(|n| n.contains("turned.heic")).unwrap();
+    assert!(cannot.contains("ffmpeg cannot decode its HEVC") && cannot.contains("convert it"), "{cannot}");
+}
+
+#[test]
+fn webp_photos_are_read_with_their_alpha() {
+    let dir = Scratch::new("webp");
+    let input = dir.0.join("in");
+    std::fs::create_dir_all(&input).unwrap();
+    let cut = RgbaImage::from_fn(32, 24, |x, y| {
+        Rgba([(x * 8) as u8, (y * 10) as u8, 90, if x < 16 { 255 } else { 0 }])
+    });
+    let file = std::fs::File::create(input.join("a.webp")).unwrap();
+    let encoder = image::codecs::webp::WebPEncoder::new_lossless(file);
+    encoder.encode(&cut, 32, 24, image::ExtendedColorType::Rgba8).unwrap();
+    let set = run(&input, &dir.0.join("out"), &FrameConfig::default()).unwrap();
+    let picture = image::open(&set.frames[0].path).unwrap().to_rgb8();
+    assert_eq!((set.frames[0].name.as_str(), picture.get_pixel(9, 5).0), ("a.png", [72, 50, 90]));
+    let mask = image::open(set.frames[0].mask.as_ref().unwrap()).unwrap().to_luma8();
+    assert_eq!((mask.get_pixel(3, 3)[0], mask.get_pixel(30, 3)[0]), (255, 0));
+}

@@ -21,7 +21,7 @@ mod sentences;
 
 pub use choice::{
     BackgroundModel, Choice, FeatureSource, LightModel, MapperKind, MatteKind, MotionModel, PrincipalPoint,
-    UpEvidence,
+    ScaleEvidence, UpEvidence,
 };
 pub use quantity::{Measurement, Quantity};
 pub use sentences::Sentences;
@@ -91,6 +91,8 @@ pub enum Subject {
     Plausibility,
     /// Which direction is up in the world.
     WorldUp,
+    /// How many metres a unit is.
+    WorldScale,
     /// Points triangulated for poses that came without any.
     TriangulatedPoints,
     /// The device that trains and renders.

@@ -1,6 +1,7 @@
 //! The images a reconstruction starts from.
 
 use crate::decision::Decision;
+use crate::io::exif::GpsPosition;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use std::path::PathBuf;
@@ -24,6 +25,9 @@ pub struct Frame {
     pub source_index: usize,
     /// Focal length known beforehand (EXIF), pixels.
     pub focal_prior_px: Option<f64>,
+    /// Where it was taken, where EXIF says it.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub gps: Option<GpsPosition>,
     /// Frames with the same group were taken by one physical camera with one setting.
     pub camera_group: u32,
 }

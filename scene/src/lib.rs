@@ -58,4 +58,4 @@ pub use progress::{Cancelled, Progress};
 pub use reconstruction::{Observation, PosedImage, Reconstruction, ScenePoint, TrackElement};
 pub use ring::{Arc, Closure, Ring, RingClosure, RingSequence};
 pub use sector::sector;
-pub use world::{WorldFrame, WorldUnit};
+pub use world::{MetricScale, WorldFrame, WorldUnit};

@@ -4,7 +4,7 @@
 //! viewers expect: the object in the origin and one unit its radius, and the first image looks
 //! along z. Formats with another convention are turned on the way ([`crate::io`]).
 
-use crate::decision::{Decision, Quantity, Rule, Subject, UpEvidence};
+use crate::decision::{Decision, Quantity, Rule, ScaleEvidence, Subject, UpEvidence};
 use crate::overview::quantile;
 use crate::sim3::{Sim3, nearest_rotation};
 use crate::up::{UP, level_up, roll_deg};
@@ -36,6 +36,32 @@ pub enum WorldUnit {
     Unchanged,
 }
 
+/// How many metres a unit of a solver's model is.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+pub struct MetricScale {
+    /// What says so.
+    pub evidence: ScaleEvidence,
+    /// Metres a unit of the solver.
+    pub metres_per_unit: f64,
+    /// Standard deviation as a share of it, where there is more than one measurement.
+    pub relative_deviation: Option<f64>,
+}
+
+impl MetricScale {
+    /// The scale, as a decision.
+    pub fn decision(&self) -> Decision {
+        let rule = match self.evidence {
+            ScaleEvidence::Gps(_) => Rule::Evidence,
+            _ => Rule::Given,
+        };
+        let decision = Decision::new(Subject::WorldScale, self.evidence, rule);
+        match self.relative_deviation {
+            Some(share) => decision.measured(Quantity::ScaleDeviation, share),
+            None => decision,
+        }
+    }
+}
+
 /// Where the world lies, and what says so.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct WorldFrame {
@@ -50,6 +76,9 @@ pub struct WorldFrame {
     pub axis_tilt_deg: Option<f64>,
     /// What one unit is.
     pub unit: WorldUnit,
+    /// What says how long a metre is, where that is known.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub scale: Option<MetricScale>,
     /// 4 × 4 matrix, row by row: from the frame of the input, or of the solver, into the world.
     pub world_from_source: [[f64; 4]; 4],
 }
@@ -57,12 +86,13 @@ pub struct WorldFrame {
 impl WorldFrame {
     /// Of a model. `ring`: the circle of its cameras, where they stand on one; `turn`: the axis
     /// about which the object turns, where it does (that of the ring, if there is one, goes through
-    /// the object then); `metric`: units are metres already. `None` of a model without images.
+    /// the object then); `scale`: how many metres a unit is, where that is known. `None` of a model
+    /// without images.
     pub fn of(
         model: &Reconstruction,
         ring: Option<&Ring>,
         turn: Option<DVec3>,
-        metric: bool,
+        scale: Option<MetricScale>,
     ) -> Option<Self> {
         let poses: Vec<Pose> = model.images.values().map(|i| i.pose).collect();
         let level = level_up(&poses)?;
@@ -80,15 +110,15 @@ impl WorldFrame {
         if let (Some(ring), Some(_)) = (ring, turn) {
             centre = ring.centre + up * (centre - ring.centre).dot(up);
         }
-        let radius = if metric { 1.0 } else { object_radius(model, centre) };
-        let scale = 1.0 / radius;
-        let sim = Sim3 { scale, rotation, translation: -scale * (rotation * centre) };
+        let factor = scale.map_or_else(|| 1.0 / object_radius(model, centre), |s| s.metres_per_unit);
+        let sim = Sim3 { scale: factor, rotation, translation: -factor * (rotation * centre) };
         Some(Self {
             up: UP.to_array(),
             up_evidence,
             roll_deg: roll_deg(&poses, up),
             axis_tilt_deg: tilt_deg,
-            unit: if metric { WorldUnit::Metre } else { WorldUnit::ObjectRadius },
+            unit: if scale.is_some() { WorldUnit::Metre } else { WorldUnit::ObjectRadius },
+            scale,
             world_from_source: rows(&sim),
         })
     }
@@ -96,7 +126,8 @@ impl WorldFrame {
     /// The frame as it is, with what is up in it; `turn`: from the input's file into the model.
     pub fn kept(self, turn: Sim3) -> Self {
         let up = self.sim3().rotation.conjugate() * UP;
-        Self { up: up.to_array(), unit: WorldUnit::Unchanged, world_from_source: rows(&turn), ..self }
+        let (unit, world_from_source) = (WorldUnit::Unchanged, rows(&turn));
+        Self { up: up.to_array(), unit, scale: None, world_from_source, ..self }
     }
 
     /// Which direction is up, as a decision. `rule`: what made it stand.
@@ -206,7 +237,7 @@ mod tests {
         let poses: Vec<Pose> = model.images.values().map(|i| i.pose).collect();
         let ring = Ring::fit(&poses);
         let turn = ring.as_ref().filter(|_| is_turn).map(|r| r.axis);
-        let frame = WorldFrame::of(&model, ring.as_ref(), turn, false).unwrap();
+        let frame = WorldFrame::of(&model, ring.as_ref(), turn, None).unwrap();
         let world_from_true = frame.sim3().compose(&sim);
         let up = world_from_true.rotation * DVec3::Z;
         let off = up.angle_between(UP).to_degrees();
@@ -250,9 +281,11 @@ mod tests {
         let model = sim.transform_reconstruction(&model);
         let poses: Vec<Pose> = model.images.values().map(|i| i.pose).collect();
         let ring = Ring::fit(&poses);
-        let frame = WorldFrame::of(&model, ring.as_ref(), None, true).unwrap();
+        let evidence = ScaleEvidence::MarkedLength;
+        let scale = MetricScale { evidence, metres_per_unit: 0.5, relative_deviation: None };
+        let frame = WorldFrame::of(&model, ring.as_ref(), None, Some(scale)).unwrap();
         assert_eq!((frame.up_evidence, frame.unit), (UpEvidence::LevelCameras, WorldUnit::Metre));
-        assert!((frame.sim3().scale - 1.0).abs() < 1e-12, "metres stay metres");
+        assert!((frame.sim3().scale - 0.5).abs() < 1e-12, "metres, not radii");
         let x = frame.sim3().rotation * sim.rotation * DVec3::X;
         assert!(x.dot(UP).abs() < 0.05, "the path's axis stays level: {x}");
     }
@@ -261,7 +294,7 @@ mod tests {
     fn a_frame_that_is_kept_says_what_is_up_in_it() {
         let model = filmed(&steps(0.0, 10.0, 36), 25.0, &tumbled());
         let poses: Vec<Pose> = model.images.values().map(|i| i.pose).collect();
-        let frame = WorldFrame::of(&model, Ring::fit(&poses).as_ref(), None, false).unwrap();
+        let frame = WorldFrame::of(&model, Ring::fit(&poses).as_ref(), None, None).unwrap();
         let kept = frame.kept(Sim3::IDENTITY);
         let up = DVec3::from_array(kept.up);
         assert!(up.angle_between(tumbled().rotation * DVec3::Z) < 1e-3, "{kept:?}");

@@ -7,6 +7,7 @@ use crate::incremental::MapperConfig;
 use crate::klt::KltConfig;
 use crate::knowledge::Calibration;
 use crate::matching::MatchConfig;
+use crate::metric::ScaleConfig;
 use crate::pairs::PairConfig;
 use crate::sift::SiftConfig;
 use crate::skip::{self, StepName};
@@ -125,6 +126,9 @@ pub struct SfmConfig {
     /// The motion.
     #[command(flatten)]
     pub motion: MotionConfig,
+    /// The scale.
+    #[command(flatten)]
+    pub scale: ScaleConfig,
     /// Points followed through videos.
     #[command(flatten)]
     pub klt: KltConfig,

@@ -91,6 +91,9 @@ pub enum SfmError {
         /// What was given.
         value: f64,
     },
+    /// A known length or tags do not tell the scale.
+    #[error("{0}")]
+    NoScale(String),
     /// A file could not be written.
     #[error("cannot write {path}: {reason}; check that the disk has room and the folder can be written")]
     CannotWrite {

@@ -23,6 +23,7 @@ mod klt;
 mod knowledge;
 mod limits;
 pub mod matching;
+mod metric;
 mod model_selection;
 mod pairs;
 mod plane_tracks;
@@ -47,6 +48,7 @@ pub use error::SfmError;
 pub use incremental::{MapperChoice, MapperConfig};
 pub use klt::KltConfig;
 pub use knowledge::Calibration;
+pub use metric::{LengthEnds, ScaleConfig, metric_scale};
 pub use pairs::PairConfig;
 pub use reconstruct::{
     MatchedBlock, PairBlock, Supplied, check_given, match_block, reconstruct, reconstruct_features,

@@ -9,8 +9,6 @@ use std::path::{Path, PathBuf};
 pub(super) const LIST: &str = "captures.json";
 /// Endings of files that are taken for videos in a folder.
 const VIDEOS: [&str; 8] = ["mp4", "mov", "mkv", "avi", "webm", "m4v", "mts", "mpg"];
-/// Endings of files that make a folder one of photos.
-const PHOTOS: [&str; 6] = ["jpg", "jpeg", "png", "tif", "tiff", "webp"];
 
 /// A capture of a batch.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -42,7 +40,8 @@ fn of_folder(folder: &Path) -> Result<Vec<PathBuf>> {
     let mut found = Vec::new();
     for entry in entries(folder)? {
         let is_capture = if entry.is_dir() {
-            entry.join("images").is_dir() || entries(&entry)?.iter().any(|f| ends_with(f, &PHOTOS))
+            entry.join("images").is_dir()
+                || entries(&entry)?.iter().any(|f| ends_with(f, &preprocess::PHOTO_EXTENSIONS))
         } else {
             ends_with(&entry, &VIDEOS)
         };

@@ -1,14 +1,21 @@
 //! The world frame of a run: where its model is moved before anything is written.
 
 use crate::args::PipelineArgs;
+use anyhow::{Result, bail};
 use glam::{DMat3, DVec3};
-use scene::decision::MotionModel;
+use scene::decision::{MotionModel, ScaleEvidence};
 use scene::sim3::Sim3;
-use scene::{Decision, FrameSet, Reconstruction, RingSequence, WorldFrame};
+use scene::{Decision, FrameSet, MetricScale, Reconstruction, RingSequence, WorldFrame};
 use sfm::{PoseDeviation, SfmResult};
 
-/// Where the world of a solved model lies; with `--keep-frame`, what is up in the solver's frame.
-pub(super) fn find(result: &SfmResult, frames: &FrameSet, args: &PipelineArgs) -> Option<WorldFrame> {
+/// Where the world of a solved model lies, with the scale that was found; with `--keep-frame`, what
+/// is up in the solver's frame.
+pub(super) fn find(
+    result: &SfmResult,
+    frames: &FrameSet,
+    args: &PipelineArgs,
+    scale: Option<MetricScale>,
+) -> Option<WorldFrame> {
     let model = result.reconstruction.as_ref()?;
     let motion = result.decisions.iter().filter_map(Decision::motion).next_back();
     let is_turn = motion == Some(MotionModel::SingleAxis);
@@ -20,8 +27,14 @@ pub(super) fn find(result: &SfmResult, frames: &FrameSet, args: &PipelineArgs) -
         None => ring.filter(|_| is_turn).map(|r| r.axis),
     };
     // Only a turn about one axis is scaled by a known distance.
-    let metric = is_turn && args.sfm.motion.known_distance.is_some();
-    let world = WorldFrame::of(model, ring, axis, metric)?;
+    let known = is_turn && args.sfm.motion.known_distance.is_some();
+    let by_distance = MetricScale {
+        evidence: ScaleEvidence::KnownDistance,
+        metres_per_unit: 1.0,
+        relative_deviation: None,
+    };
+    let scale = if known { Some(by_distance) } else { scale };
+    let world = WorldFrame::of(model, ring, axis, scale)?;
     Some(if args.keep_frame { world.kept(Sim3::IDENTITY) } else { world })
 }
 
@@ -45,9 +58,20 @@ pub(super) fn place(result: &mut SfmResult, world_from_solver: &Sim3) {
     }
 }
 
+/// Refuses a known length for poses whose frame stays as it is.
+pub(super) fn refuse_scale(args: &PipelineArgs) -> Result<()> {
+    if args.sfm.scale.known_length.is_some() || args.sfm.scale.tag_size.is_some() {
+        bail!(
+            "the poses of {} keep their frame and scale: add --ignore-poses for --known-length and --tag-size",
+            args.input.display()
+        );
+    }
+    Ok(())
+}
+
 /// What is up in a model that came with the input, whose frame stays as it is. `turn`: from the
 /// frame of its file.
 pub(super) fn given(model: &Reconstruction, frames: &FrameSet, turn: Sim3) -> Option<WorldFrame> {
     let sequence = RingSequence::of(model, frames);
-    Some(WorldFrame::of(model, sequence.as_ref().map(|s| &s.ring), None, false)?.kept(turn))
+    Some(WorldFrame::of(model, sequence.as_ref().map(|s| &s.ring), None, None)?.kept(turn))
 }

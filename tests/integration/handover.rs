@@ -1,7 +1,7 @@
 //! What other programs get: the world frame of all outputs, and the folders of `export --for`.
 
 use super::end_to_end::finished_run;
-use super::support::{decided, expect_code, folder, json, text};
+use super::support::{decided, expect_code, folder, json, sample, sat_recon, text};
 use glam::DVec3;
 use scene::{Reconstruction, Ring};
 use std::collections::BTreeSet;
@@ -43,6 +43,37 @@ fn poses_points_and_splat_lie_in_one_upright_world() {
     assert_eq!(decided(&run, "world-up")["rule"], "evidence");
     let report = std::fs::read_to_string(out.join("report.html")).unwrap();
     assert!(report.contains("<h3>Up direction"));
+}
+
+/// The longest distance between two points, about: of a cloud without its outermost.
+fn extent(model: &Reconstruction) -> f64 {
+    let widths = [DVec3::X, DVec3::Y, DVec3::Z].map(|axis| {
+        let mut along: Vec<f64> = model.points.values().map(|p| p.position.dot(axis)).collect();
+        along.sort_by(f64::total_cmp);
+        along[along.len() - 1 - along.len() / 200] - along[along.len() / 200]
+    });
+    widths.into_iter().fold(0.0, f64::max)
+}
+
+#[test]
+fn a_known_length_makes_everything_metric_and_the_record_says_by_what() {
+    let out = folder("metric");
+    let input = sample("sample/orbit.mp4");
+    let few = ["--frames", "24", "--quality", "draft", "--quiet"];
+    let solved =
+        sat_recon(&[&["sfm", text(&input), "-o", text(&out), "--known-length", "0.25"], &few[..]].concat());
+    assert!(matches!(solved.status.code(), Some(0 | 3)), "{solved:?}");
+    let found = extent(&model(&out.join("sparse/0")));
+    assert!((0.15..=0.26).contains(&found), "0.25 m from end to end: {found}");
+    let run = json(&out.join("run.json"));
+    assert_eq!(run["poses"]["world"]["unit"], "metre");
+    assert_eq!(run["poses"]["world"]["scale"]["evidence"], "longest-extent");
+    assert_eq!(decided(&run, "world-scale")["rule"], "given");
+    let kept = &["sfm", text(&input), "-o", text(&out), "--keep-frame", "--tag-size", "0.1"];
+    assert!(expect_code(kept, 1).contains("cannot be used with"));
+    let said =
+        expect_code(&["sfm", text(&input), "-o", text(&out), "--tag-size", "0.1", "--frames", "24"], 1);
+    assert!(said.contains("no tag was read"), "{said}");
 }
 
 #[test]

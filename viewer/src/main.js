@@ -30,7 +30,8 @@ const spark = new SparkRenderer({
 });
 scene.add(spark);
 
-const camera = new THREE.PerspectiveCamera(50, 1, 0.01, 1000);
+const FIELD = 50; // degrees, of the narrow side
+const camera = new THREE.PerspectiveCamera(FIELD, 1, 0.01, 1000);
 const centre = new THREE.Vector3(); // of what the cameras look at
 camera.up.set(...data.up);
 camera.near = data.radius * 1e-3;
@@ -50,6 +51,9 @@ const panel = buildPanel(data, {
   view: (i) => goTo(i),
   toggle: (name, on) => { parts[name]((state.dirty = true) && on); },
   opacity: (value) => { photo.style.opacity = value; },
+  background: (colour) => { renderer.setClearColor(colour, 1); state.dirty = true; },
+  exposure: (stops) => { splat?.setExposure(stops); state.dirty = true; },
+  fullScreen,
   screenshot,
   reset: () => start(),
 });
@@ -59,6 +63,7 @@ const parts = {
   points: (on) => { points.visible = on; },
   cameras: (on) => { frusta.visible = on; },
   depth: (on) => { splat?.showDepth(on); },
+  turn: (on) => { if (on) leaveView(); controls.autoRotate = on; },
 };
 
 function fail(reason) {
@@ -75,6 +80,9 @@ function resize() {
   photo.style.width = `${shown.width}px`;
   photo.style.height = `${shown.height}px`;
   camera.aspect = w / h;
+  // The narrow side sees as much on a phone held upright as on a desktop.
+  const half = Math.tan((FIELD / 2) * (Math.PI / 180)) / Math.min(1, camera.aspect);
+  camera.fov = 2 * Math.atan(half) * (180 / Math.PI);
   if (state.view < 0) camera.updateProjectionMatrix();
   else applyIntrinsics(camera, data.cameras[state.view]);
   state.dirty = true;
@@ -116,6 +124,12 @@ function leaveView() {
   resize();
 }
 
+// A phone may refuse it; then everything stays as it is.
+function fullScreen() {
+  const asked = document.fullscreenElement ? document.exitFullscreen() : document.documentElement.requestFullscreen?.();
+  asked?.catch(() => {});
+}
+
 function screenshot() {
   draw();
   const link = document.createElement("a");
@@ -130,9 +144,9 @@ function draw() {
 
 // At rest the controls still move the camera by their rounding, and every new pose is sorted and
 // drawn anew, for ever.
-function follow() {
+function follow(seconds) {
   const [position, quaternion] = [camera.position.clone(), camera.quaternion.clone()];
-  if (controls.update()) return;
+  if (controls.update(seconds)) return;
   camera.position.copy(position);
   camera.quaternion.copy(quaternion);
 }
@@ -142,7 +156,7 @@ function loop(now) {
   const seconds = Math.min(0.1, (now - previous) / 1000);
   previous = now;
   flight.step(seconds);
-  if (state.view < 0) follow();
+  if (state.view < 0) follow(seconds);
   if (splat?.follow(camera)) state.dirty = true;
   if (state.dirty) {
     state.dirty = false;

@@ -27,17 +27,18 @@ export async function loadSplat(data) {
   const eye = dyno.dynoVec3(new THREE.Vector3());
   const range = dyno.dynoVec2(new THREE.Vector2(data.near, data.far));
   const shown = dyno.dynoFloat(0);
+  const gain = dyno.dynoFloat(1);
   const byDepth = dyno.dynoBlock({ gsplat: dyno.Gsplat }, { gsplat: dyno.Gsplat }, ({ gsplat }) => {
     const { center, rgb } = dyno.splitGsplat(gsplat).outputs;
     const shade = new dyno.Dyno({
-      inTypes: { center: "vec3", rgb: "vec3", eye: "vec3", range: "vec2", shown: "float" },
+      inTypes: { center: "vec3", rgb: "vec3", eye: "vec3", range: "vec2", shown: "float", gain: "float" },
       outTypes: { rgb: "vec3" },
       statements: ({ inputs, outputs }) => [
         `float near = 1.0 - clamp((distance(${inputs.center}, ${inputs.eye}) - ${inputs.range}.x) / (${inputs.range}.y - ${inputs.range}.x), 0.0, 1.0);`,
-        `${outputs.rgb} = mix(${inputs.rgb}, vec3(near), ${inputs.shown});`,
+        `${outputs.rgb} = mix(${inputs.rgb} * ${inputs.gain}, vec3(near), ${inputs.shown});`,
       ],
     });
-    const coloured = shade.apply({ center, rgb, eye, range, shown }).rgb;
+    const coloured = shade.apply({ center, rgb, eye, range, shown, gain }).rgb;
     return { gsplat: dyno.combineGsplat({ gsplat, rgb: coloured }) };
   });
   const mesh = new SplatMesh({ fileBytes: await bytesOf(data.splat), fileName: "splat.spz", worldModifier: byDepth });
@@ -47,6 +48,10 @@ export async function loadSplat(data) {
     shown.value = on ? 1 : 0;
     mesh.updateVersion();
   };
+  const setExposure = (stops) => {
+    gain.value = 2 ** stops;
+    mesh.updateVersion();
+  };
   // While depth is shown, the colours follow the camera; says whether they changed.
   const follow = (camera) => {
     if (!shown.value || eye.value.equals(camera.position)) return false;
@@ -54,5 +59,5 @@ export async function loadSplat(data) {
     mesh.updateVersion();
     return true;
   };
-  return { mesh, showDepth, follow };
+  return { mesh, showDepth, setExposure, follow };
 }

@@ -104,6 +104,22 @@ pub enum UpEvidence {
     LevelCameras,
 }
 
+/// What says how many metres a unit of the model is.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "kebab-case")]
+pub enum ScaleEvidence {
+    /// The distance of the camera from the axis.
+    KnownDistance,
+    /// The longest distance between two points of the object.
+    LongestExtent,
+    /// A length whose ends are marked in images.
+    MarkedLength,
+    /// So many tags of known size.
+    Tags(usize),
+    /// The places of so many photos.
+    Gps(usize),
+}
+
 /// What was chosen, or could have been.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "kebab-case")]
@@ -143,6 +159,8 @@ pub enum Choice {
     Direction([f64; 3]),
     /// What says which direction is up.
     Up(UpEvidence),
+    /// What says how many metres a unit is.
+    Scale(ScaleEvidence),
     /// A device by its name.
     Device(String),
 }
@@ -186,6 +204,12 @@ impl From<LightModel> for Choice {
 impl From<UpEvidence> for Choice {
     fn from(evidence: UpEvidence) -> Self {
         Self::Up(evidence)
+    }
+}
+
+impl From<ScaleEvidence> for Choice {
+    fn from(evidence: ScaleEvidence) -> Self {
+        Self::Scale(evidence)
     }
 }
 

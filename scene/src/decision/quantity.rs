@@ -162,6 +162,8 @@ quantities! {
     CameraRoll = ("roll of the cameras", Of("°", 1)),
     /// Angle between the axis of the cameras' circle and the up of level cameras, degrees.
     AxisFromLevel = ("axis and level cameras differ by", Of("°", 1)),
+    /// Standard deviation of the scale, 0 to 1.
+    ScaleDeviation = ("standard deviation of the scale", Percent(2)),
     /// Largest standard deviation of a rotation angle, degrees.
     AngleDeviation = ("standard deviation of the angles at most", Of("°", 4)),
     /// Angle from an image to the next, degrees.

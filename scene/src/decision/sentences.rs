@@ -4,7 +4,7 @@ mod quantities;
 
 use super::{
     Alternative, BackgroundModel, Choice, Decision, FeatureSource, LightModel, MapperKind, MatteKind,
-    Measurement, MotionModel, PrincipalPoint, Remark, Rule, Subject, UpEvidence,
+    Measurement, MotionModel, PrincipalPoint, Remark, Rule, ScaleEvidence, Subject, UpEvidence,
 };
 use serde::{Deserialize, Serialize};
 use std::fmt;
@@ -88,6 +88,7 @@ impl Subject {
             Self::RotationRate => "Rotation rate",
             Self::Plausibility => "Probability that the model is right",
             Self::WorldUp => "Up direction",
+            Self::WorldScale => "Scale in metres",
             Self::TriangulatedPoints => "Sparse points",
             Self::Backend => "Device",
             Self::GaussianLimit => "Largest number of Gaussians",
@@ -149,6 +150,7 @@ impl Subject {
             Choice::Up(UpEvidence::TurnAxis) => "the axis about which the object turns".to_owned(),
             Choice::Up(UpEvidence::CircleAxis) => "the axis of the cameras' circle".to_owned(),
             Choice::Up(UpEvidence::LevelCameras) => "as the cameras were held".to_owned(),
+            Choice::Scale(evidence) => evidence.words(),
             Choice::Matte(MatteKind::Nothing) => "none".to_owned(),
             Choice::Matte(MatteKind::Screen) => "keyed against a screen".to_owned(),
             Choice::Matte(MatteKind::Luminance) => "keyed by luminance".to_owned(),
@@ -201,6 +203,21 @@ impl PrincipalPoint {
             Self::FreeY => "estimated in y",
             Self::Given => "as given",
             Self::Calibrated => "as calibrated, within its standard deviations",
+        }
+    }
+}
+
+impl ScaleEvidence {
+    fn words(self) -> String {
+        match self {
+            Self::KnownDistance => "the known distance of the camera from the axis".to_owned(),
+            Self::LongestExtent => {
+                "the known length of the object, taken for the longest extent of its points".to_owned()
+            }
+            Self::MarkedLength => "a known length that was marked".to_owned(),
+            Self::Tags(1) => "one tag of known size".to_owned(),
+            Self::Tags(count) => format!("{count} tags of known size"),
+            Self::Gps(count) => format!("the places (GPS) of {count} photos"),
         }
     }
 }

@@ -1,6 +1,9 @@
 //! What EXIF says about the camera and where it stood (EXIF 2.32; parsed by `kamadak-exif`).
 
 use ::exif::{Exif, Field, In, Reader, Tag, Value};
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+use std::io::Cursor;
 
 /// Millimetres of an inch, the default unit of FocalPlaneXResolution. Source: EXIF 2.32, 4.6.5.
 const INCH_MM: f64 = 25.4;
@@ -10,7 +13,7 @@ const CENTIMETRE_MM: f64 = 10.0;
 const FILM_MM: [f64; 2] = [36.0, 24.0];
 
 /// Where a photo was taken (WGS 84).
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct GpsPosition {
     /// Latitude, degrees, north is positive.
     pub latitude_deg: f64,
@@ -44,6 +47,14 @@ impl ExifCamera {
     /// counts as absent.
     pub fn parse(chunk: &[u8]) -> Self {
         let read = Reader::new().continue_on_error(true).read_raw(chunk.to_vec());
+        let read = read.or_else(|e| e.distill_partial_result(|_damaged| {}));
+        read.as_ref().map(Self::from_fields).unwrap_or_default()
+    }
+
+    /// From a whole file whose format the reader knows: HEIF, TIFF, JPEG, PNG, WebP. What is
+    /// damaged counts as absent.
+    pub(super) fn in_container(file: &[u8]) -> Self {
+        let read = Reader::new().continue_on_error(true).read_from_container(&mut Cursor::new(file));
         let read = read.or_else(|e| e.distill_partial_result(|_damaged| {}));
         read.as_ref().map(Self::from_fields).unwrap_or_default()
     }

@@ -134,7 +134,7 @@ pub fn image_info(path: &Path) -> Result<ImageInfo, IoError> {
     Ok(ImageInfo { width, height, has_alpha: decoder.color_type().has_alpha(), exif, focal_prior_px })
 }
 
-fn turns_sideways(orientation: Orientation) -> bool {
+pub(super) fn turns_sideways(orientation: Orientation) -> bool {
     use Orientation::{Rotate90, Rotate90FlipH, Rotate270, Rotate270FlipH};
     matches!(orientation, Rotate90 | Rotate270 | Rotate90FlipH | Rotate270FlipH)
 }

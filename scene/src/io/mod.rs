@@ -12,6 +12,7 @@ pub mod colmap_db;
 mod colmap_txt;
 mod error;
 pub mod exif;
+pub mod heif;
 mod limits;
 pub mod load;
 mod mesh;
