@@ -5,6 +5,7 @@ mod field;
 mod folder;
 mod model;
 mod pairs;
+mod split;
 mod until;
 mod world;
 
@@ -28,7 +29,6 @@ use baselines::Method;
 use folder::{absolute_in, output_folder, relative_to};
 use scene::decision::Rule;
 use scene::{Decision, FrameSet, Progress, Reconstruction};
-use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 
 /// What each stage writes into the output folder and no other does. The record and the report tell
@@ -374,20 +374,6 @@ impl Pipeline {
     }
 
     /// Which views are held out is no matter of the poses.
-    /// These views are held out, where the flags do not say otherwise.
-    fn hold_out(&mut self, views: BTreeSet<String>) {
-        self.args.dataset.test_views = views;
-        self.record.config.dataset = self.args.dataset.clone();
-    }
-
-    fn hold_out_sector(&mut self) -> Result<()> {
-        if let Some(degrees) = self.args.dataset.test_sector {
-            let model = scene::io::read_model(&self.out.join("sparse/0"))?;
-            self.hold_out(scene::sector(&model, f64::from(degrees).to_radians()));
-        }
-        Ok(())
-    }
-
     fn write_transforms(&self, frames: &FrameSet, poses_print: &str) -> Result<()> {
         let print = fingerprint(&("transforms", 1, poses_print, &self.args.dataset))?;
         let stage = StageSpec { name: "transforms", fingerprint: &print, owns: &TRANSFORMS };
