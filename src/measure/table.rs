@@ -17,9 +17,9 @@ pub(super) fn name(features: &[Feature], index: usize) -> String {
 
 /// A value with its deviation, both to the deviation's second digit.
 pub(super) fn with_deviation(e: Estimate) -> String {
-    let finest = e.deviation.max(e.value.abs() * 1e-6).max(f64::MIN_POSITIVE);
+    let finest = e.deviation.max(e.value.abs() * 1e-4).max(f64::MIN_POSITIVE);
     let digits = 1.0 - finest.log10().floor();
-    if !(-3.0..=9.0).contains(&digits) {
+    if !(-3.0..=6.0).contains(&digits) {
         return format!("{:.4e} ± {:.1e}", e.value, e.deviation);
     }
     let digits = digits.max(0.0) as usize;
@@ -110,10 +110,7 @@ mod tests {
     fn values_have_the_digits_that_their_deviation_allows() {
         assert_eq!(with_deviation(Estimate::new(1.234_56, 0.0123)), "1.235 ± 0.012");
         assert_eq!(with_deviation(Estimate::new(123.456, 20.0)), "123 ± 20");
-        assert_eq!(
-            with_deviation(Estimate::new(1.5e-6, 2e-8)),
-            "1.500e-6 ± 2.0e-8".replace("1.500e", "1.5000e")
-        );
+        assert_eq!(with_deviation(Estimate::new(1.5e-6, 2e-8)), "1.5000e-6 ± 2.0e-8");
         assert_eq!(with_deviation(Estimate::new(0.0, 0.0)), "0.0000e0 ± 0.0e0");
     }
 

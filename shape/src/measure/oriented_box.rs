@@ -12,7 +12,8 @@ use scene::motion_report::Estimate;
 /// measured.
 const TURNS: usize = 4;
 
-/// Boxes whose volumes differ by less, in cubes of the longest side, have the same. Source: rounding.
+/// Boxes whose volumes differ by less, in cubes of the longest side, have the same. Source:
+/// rounding.
 const NOTHING: f64 = 1e-12;
 
 /// The least of the boxes that have one of these directions, or an axis of the frame, as an axis
