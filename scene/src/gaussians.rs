@@ -1,6 +1,6 @@
 //! A cloud of 3D Gaussians: the parameters that are trained, stored and rendered.
 
-use glam::{Quat, Vec3};
+use glam::{DVec3, Quat, Vec3};
 use serde::{Deserialize, Serialize};
 
 /// Factors of degree 0 and 1: 1 / (2√π), √3 / (2√π). Source: derived from unit norm on the sphere.
@@ -40,6 +40,16 @@ pub struct Gaussians {
 }
 
 impl Gaussians {
+    /// Median distance of the means from a place, scene units; 1 where there are none.
+    pub fn median_distance(&self, from: DVec3) -> f64 {
+        let mut distances: Vec<f64> = self.means.iter().map(|m| m.as_dvec3().distance(from)).collect();
+        if distances.is_empty() {
+            return 1.0;
+        }
+        let middle = distances.len() / 2;
+        *distances.select_nth_unstable_by(middle, f64::total_cmp).1
+    }
+
     /// Number of Gaussians.
     pub fn len(&self) -> usize {
         self.means.len()

@@ -215,7 +215,7 @@ impl ViewSource<'_> {
 
     fn splat_depth(&self, camera: &Camera) -> Option<Vec<f32>> {
         let (gaussians, antialias) = self.gaussians?;
-        let near = DEFAULT_NEAR * median_distance(gaussians, self.pose.centre());
+        let near = DEFAULT_NEAR * gaussians.median_distance(self.pose.centre());
         let depth = median_depth(gaussians, camera, &self.pose, near, antialias);
         Some(depth.into_iter().map(|z| z.map_or(f32::NAN, |z| z as f32)).collect())
     }
@@ -304,11 +304,6 @@ fn pixel(maps: &[DepthMap]) -> f64 {
         Some(median(seen)? / map.camera.mean_focal())
     });
     median(sizes.collect()).unwrap_or(0.0)
-}
-
-/// Median distance of the Gaussians from a place, scene units; 1 without Gaussians.
-pub fn median_distance(gaussians: &Gaussians, from: DVec3) -> f64 {
-    median(gaussians.means.iter().map(|m| m.as_dvec3().distance(from)).collect()).unwrap_or(1.0)
 }
 
 #[cfg(test)]

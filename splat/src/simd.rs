@@ -20,10 +20,12 @@
 //! assert_eq!(values, [3.0; 16]);
 //! ```
 
-pub use crate::cpu::dispatch::{InstructionSet, Isa};
-pub use crate::cpu::simd::Simd;
 #[cfg(target_arch = "aarch64")]
 pub use crate::cpu::simd_neon::Neon;
-pub use crate::cpu::simd_portable::Portable;
 #[cfg(target_arch = "x86_64")]
 pub use crate::cpu::simd_x86::{Avx2, Avx512};
+pub use crate::cpu::{
+    dispatch::{InstructionSet, Isa},
+    simd::Simd,
+    simd_portable::Portable,
+};

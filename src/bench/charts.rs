@@ -7,10 +7,8 @@ use plotters::coord::Shift;
 use plotters::prelude::*;
 use std::collections::BTreeMap;
 
-/// Size of a chart, pixels. Source: chosen by hand, never measured.
-const WIDTH: u32 = 480;
-/// See [`WIDTH`]. Source: chosen by hand, never measured.
-const HEIGHT: u32 = 360;
+/// Width and height of a chart, pixels. Source: chosen by hand, never measured.
+const CHART: (u32, u32) = (480, 360);
 /// Charts beside each other. Source: chosen by hand, never measured.
 const COLUMNS: usize = 3;
 const OURS: RGBColor = RGBColor(0x1f, 0x77, 0xb4);
@@ -52,7 +50,7 @@ pub(crate) fn draw(points: &[Point], peers: &[Point]) -> Result<String> {
     let rows = wanted.len().div_ceil(COLUMNS).max(1);
     let mut text = String::new();
     {
-        let size = (WIDTH * COLUMNS as u32, HEIGHT * rows as u32);
+        let size = (CHART.0 * COLUMNS as u32, CHART.1 * rows as u32);
         let area = SVGBackend::with_string(&mut text, size).into_drawing_area();
         area.fill(&WHITE).map_err(|e| anyhow!("{e}"))?;
         for ((x, y), cell) in wanted.iter().zip(area.split_evenly((rows, COLUMNS))) {

@@ -12,7 +12,7 @@ use scene::geometry::{GeometryErrors, Mesh, compare_points, seen_by};
 use scene::sim3::{Sim3, robust_alignment};
 use scene::{Camera, Gaussians, Pose, Progress, Reconstruction};
 use splat::Dataset;
-use splat::fusion::{DEFAULT_RESOLUTION, median_distance};
+use splat::fusion::DEFAULT_RESOLUTION;
 use splat::surface::{median_depth, outside_hull, points_of};
 use std::collections::{BTreeMap, HashMap};
 use std::path::Path;
@@ -189,7 +189,7 @@ fn surface_points(
     let mut cubes: HashMap<[i64; 3], (DVec3, f64)> = HashMap::new();
     for k in 0..count {
         let (camera, pose) = &views[k * views.len() / count];
-        let near = 0.01 * median_distance(gaussians, pose.centre());
+        let near = 0.01 * gaussians.median_distance(pose.centre());
         let depth = median_depth(gaussians, camera, pose, near, antialias);
         for p in points_of(&depth, camera, pose) {
             let cube = (p / voxel).floor().to_array().map(|v| v as i64);
