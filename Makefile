@@ -72,7 +72,7 @@ cluster-test: build  ## 40 captures on Slurm's own daemons, four nodes here, one
 
 # TIME: seconds for all targets together; TARGET="spz ksplat": some of them.
 fuzz: setup  ## feed every reader of files with mutated files (TIME=60 seconds, TARGET=...)
-	cargo run --release --locked -p fuzz -- $(or $(TIME),60) --results docs/results/fuzz.json $(TARGET)
+	cargo run --profile fuzz --locked -p fuzz -- $(or $(TIME),60) --results docs/results/fuzz.json $(TARGET)
 
 # Nightly Rust brings the sanitizer and Miri; both see the code of this project and its dependencies.
 HOST := $(shell rustc -vV 2>/dev/null | sed -n 's/^host: //p')

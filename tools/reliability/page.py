@@ -3,8 +3,8 @@
 
     page.py RESULTS --out docs/reliability.md [--check]
 
-RESULTS holds fuzz.json (`make fuzz`), models.json and scenes.json (`make reliability`), and
-crashes.json (`make crash-test`). --check writes nothing and fails where the page is another.
+RESULTS holds fuzz.json (`make fuzz`), models.json, scenes.json and flags.json (`make
+reliability`), and crashes.json (`make crash-test`). --check writes nothing and fails where the page is another.
 """
 import argparse
 import json
@@ -72,10 +72,19 @@ def degenerate(result):
             for row in result["scenes"]]
     return [
         "## Degenerate scenes and odd files",
-        f"`tools/reliability/scenes.py` runs {len(rows)} of them; {len(wrong)} answers are wrong. Where several exit codes",
-        "are right, 0 also needs poses within 2° and 5 % of the true ones.",
+        f"Of `tools/reliability/scenes.py`, {len(rows)} scenes have been run; {len(wrong)} answers are wrong. Where several",
+        "exit codes are right, 0 also needs poses within 2° and 5 % of the true ones.",
         "",
         *table(["scene", "right exit codes", "exit code", "what the program says"], rows),
+    ]
+
+
+def flags(result):
+    return [
+        "## Numbers of flags",
+        f"`tools/reliability/flags.py` gave flags {result['tried']} values such as `nan`, `inf`, -1 and 2^64;",
+        f"{len(result['crashes'])} ended in another way than with exit code 1.",
+        "",
     ]
 
 
@@ -98,7 +107,7 @@ What was done to break the program, with what result, and the commands that do i
 
 def page(folder):
     lines = HEAD.split("\n")
-    parts = [("scenes.json", degenerate), ("models.json", mutated), ("fuzz.json", fuzzing), ("crashes.json", crashes)]
+    parts = [("scenes.json", degenerate), ("models.json", mutated), ("flags.json", flags), ("fuzz.json", fuzzing), ("crashes.json", crashes)]
     for name, part in parts:
         result = read(folder, name)
         if result is not None:

@@ -119,9 +119,9 @@ def main():
     for name in names:
         row = judge(program, name, os.path.abspath(args.out))
         rows.append(row)
+        if args.results:
+            keep(args.results, [row])
         print(f"{'WRONG ' if row['wrong'] else 'right '} {name}: {row['code']} {row['said']} {row['wrong'] or ''}", flush=True)
-    if args.results:
-        keep(args.results, rows)
     sys.exit(1 if any(row["wrong"] for row in rows) else 0)
 
 
