@@ -19,7 +19,7 @@ const GROUPS: [(&str, &[&str]); 4] = [
 const PIPELINE: [&str; 6] = ["frames", "sfm", "train", "eval", "report", "run"];
 /// Flags of those groups that few will ever need: with the groups that are not named above, they
 /// are shown by `--help-all`.
-const RARE: [&str; 18] = [
+const RARE: [&str; 24] = [
     "rematch",
     "text",
     "known-rate",
@@ -38,6 +38,12 @@ const RARE: [&str; 18] = [
     "mesh-truth",
     "lambda-dssim",
     "checkpoint-every",
+    "test-sector",
+    "pairs",
+    "length-ends",
+    "track-return-px",
+    "verify-confidence",
+    "max-log10-false-alarms",
 ];
 
 /// The command line. `all`: its help hides nothing.

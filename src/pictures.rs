@@ -8,6 +8,9 @@ use scene::{Camera, Gaussians, Pose};
 use splat::{DeviceConfig, RenderOptions, RenderOutput, Renderer};
 use std::path::Path;
 
+/// Quality of pictures in a page, of 100. Source: chosen by hand, never measured.
+pub(crate) const JPEG_QUALITY: u8 = 85;
+
 /// The file of a field in a run folder.
 pub(crate) const FIELD: &str = "field.bin";
 

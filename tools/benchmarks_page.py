@@ -98,6 +98,8 @@ def load(folders):
             if name.endswith(".json"):
                 with open(os.path.join(folder, name)) as file:
                     record = json.load(file)
+                if "table" not in record:  # of another page
+                    continue
                 rows = len(found.get(record["table"], {"rows": []})["rows"])
                 if len(record["rows"]) < rows:
                     print(f"{folder}/{name} has {len(record['rows'])} rows of {rows}: the earlier table stays", file=sys.stderr)

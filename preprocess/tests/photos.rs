@@ -222,7 +222,9 @@ fn heif(dir: &Scratch, names: &[&str]) -> std::path::PathBuf {
     let fixtures = Path::new(env!("CARGO_MANIFEST_DIR")).join("../scene/tests/fixtures/heif");
     let input = dir.0.join("in");
     std::fs::create_dir_all(&input).unwrap();
-    names.iter().for_each(|n| drop(std::fs::copy(fixtures.join(n), input.join(n)).unwrap()));
+    for name in names {
+        std::fs::copy(fixtures.join(name), input.join(name)).unwrap();
+    }
     input
 }
 

@@ -6,8 +6,6 @@ use base64::engine::general_purpose::STANDARD;
 use maud::{DOCTYPE, Markup, PreEscaped, html};
 use std::path::Path;
 
-/// Quality of pictures in a page, of 100. Source: chosen by hand, never measured.
-const JPEG_QUALITY: u8 = 85;
 /// A longer list is folded. Source: chosen by hand, never measured.
 const SHORT_LIST: usize = 3;
 
@@ -114,7 +112,8 @@ impl InlinePicture {
         let image = scene::io::load_rgb(path)?;
         let small = scene::io::shrunk(&image, size);
         let mut bytes = Vec::new();
-        let encoder = image::codecs::jpeg::JpegEncoder::new_with_quality(&mut bytes, JPEG_QUALITY);
+        let encoder =
+            image::codecs::jpeg::JpegEncoder::new_with_quality(&mut bytes, crate::pictures::JPEG_QUALITY);
         small.write_with_encoder(encoder)?;
         let source = format!("data:image/jpeg;base64,{}", STANDARD.encode(bytes));
         Ok(Self { width: small.width(), height: small.height(), source })

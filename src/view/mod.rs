@@ -13,8 +13,6 @@ use serde::Serialize;
 use std::io::Read as _;
 use std::path::{Path, PathBuf};
 
-/// Quality of the photos in the page, of 100. Source: chosen by hand, never measured.
-const JPEG_QUALITY: u8 = 82;
 /// Longest side of a photo in the page, pixels. Source: chosen by hand, never measured.
 const PHOTO_SIZE: u32 = 640;
 /// Most points of the sparse cloud in the page. Source: chosen by hand, never measured.
@@ -221,7 +219,8 @@ pub(crate) fn write_page(folder: &Path, target: &Path) -> Result<()> {
 
 fn small_jpeg(picture: &image::RgbImage) -> Result<Vec<u8>> {
     let mut bytes = Vec::new();
-    let encoder = image::codecs::jpeg::JpegEncoder::new_with_quality(&mut bytes, JPEG_QUALITY);
+    let encoder =
+        image::codecs::jpeg::JpegEncoder::new_with_quality(&mut bytes, crate::pictures::JPEG_QUALITY);
     scene::io::shrunk(picture, PHOTO_SIZE).write_with_encoder(encoder)?;
     Ok(bytes)
 }

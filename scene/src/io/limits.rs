@@ -9,6 +9,9 @@ pub(crate) const IMAGE_BYTES: u64 = 1 << 30;
 /// The most unpacked bytes of what a PNG holds beside its pixels, such as a colour profile.
 /// Source: derived; the largest profiles in use (CMYK) have 3 MB.
 pub(crate) const PNG_METADATA_BYTES: u64 = 1 << 24;
+/// Most decoded bytes for each byte of a PNG, JPEG or TIFF. Source: derived; a code of 12 bits in
+/// TIFF's LZW stands for 4,096 bytes at most, deflate packs 1,032 into one (RFC 1951).
+pub(crate) const DECODED_RATIO: u64 = 4096;
 /// More Gaussians than that are refused. Source: chosen by hand, never measured.
 pub(crate) const GAUSSIANS: u32 = 1 << 26;
 /// Most unpacked bytes for each packed one, where more than [`SMALL_BYTES`] are unpacked. Source:

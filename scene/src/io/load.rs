@@ -2,7 +2,7 @@
 
 use super::error::IoError;
 use super::exif::ExifCamera;
-use super::limits::{IMAGE_BYTES, IMAGE_SIDE, PNG_METADATA_BYTES};
+use super::limits::{DECODED_RATIO, IMAGE_BYTES, IMAGE_SIDE, PNG_METADATA_BYTES, SMALL_BYTES};
 use image::metadata::Orientation;
 use image::{
     DynamicImage, GrayImage, ImageBuffer, ImageDecoder, ImageFormat, ImageReader, Limits, Pixel, RgbImage,
@@ -71,6 +71,20 @@ fn check_size(path: &Path, decoder: &impl ImageDecoder) -> Result<(), IoError> {
     Ok(())
 }
 
+/// An error where a file is too short for the pixels that it claims. (A lossless WebP of one colour
+/// has no least size.)
+fn refuse_bomb(path: &Path, decoded: u64, format: Option<ImageFormat>) -> Result<(), IoError> {
+    let packed = std::fs::metadata(path).map_err(IoError::file("read", path))?.len();
+    let most = SMALL_BYTES.max(packed.saturating_mul(DECODED_RATIO));
+    match format {
+        Some(ImageFormat::Png | ImageFormat::Jpeg | ImageFormat::Tiff) if decoded > most => {
+            let message = format!("its {packed} bytes cannot hold the {decoded} bytes of pixels it claims");
+            Err(IoError::Image { path: path.into(), message })
+        }
+        _ => Ok(()),
+    }
+}
+
 /// The EXIF orientation; damaged metadata counts as none.
 fn orientation(decoder: &mut impl ImageDecoder) -> Orientation {
     decoder.orientation().unwrap_or(Orientation::NoTransforms)
@@ -86,7 +100,8 @@ pub fn image_decoder(path: &Path) -> Result<(impl ImageDecoder + use<>, Option<I
 }
 
 fn decode(path: &Path) -> Result<DynamicImage, IoError> {
-    let (mut decoder, _) = image_decoder(path)?;
+    let (mut decoder, format) = image_decoder(path)?;
+    refuse_bomb(path, decoder.total_bytes(), format)?;
     let turn = orientation(&mut decoder);
     let mut image = DynamicImage::from_decoder(decoder).map_err(image_error(path))?;
     image.apply_orientation(turn);

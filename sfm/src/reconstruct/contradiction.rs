@@ -32,7 +32,6 @@ const TOLERANCE: f64 = 0.02;
 ///
 /// A track is what at least three photos show alike. It agrees with an image where the point that
 /// three of them see as posed lies there in the image, too, as near as is usual for these poses.
-#[expect(clippy::type_complexity, reason = "two lists of names with reasons")]
 pub fn check_given(
     frames: &FrameSet,
     model: &Reconstruction,

@@ -59,9 +59,9 @@ pub fn listed_images(path: &Path) -> Result<Vec<String>, IoError> {
 }
 
 /// Reads poses in whatever form they have: a folder with a COLMAP model, `transforms.json`,
-/// HyperNeRF's `dataset.json`, OpenSfM's `reconstruction.json`, Metashape's `.xml`, Bundler's `.out`
-/// (with a list of images beside it), RealityScan's `.csv`. `images`: the folder of the images, for
-/// files that do not tell their size.
+/// HyperNeRF's `dataset.json`, OpenSfM's `reconstruction.json`, Metashape's `.xml`, Bundler's
+/// `.out` (with a list of images beside it), RealityScan's `.csv`. `images`: the folder of the
+/// images, for files that do not tell their size.
 pub fn read_poses(path: &Path, images: &Path) -> Result<ImportedPoses, IoError> {
     if path.is_dir() {
         return Ok(ImportedPoses::of(read_model(path)?, Sim3::IDENTITY));
