@@ -4,7 +4,7 @@ mod frame_names;
 
 use anyhow::{Context, Result, bail};
 pub(crate) use frame_names::FrameNames;
-use scene::decision::{Choice, Decision, Quantity, Rule, Subject};
+use scene::decision::{Choice, Decision, Measurement, Quantity, Remark, Rule, Subject};
 use scene::io::ImportedPoses;
 use scene::sim3::Sim3;
 use scene::{FrameSet, Progress, Reconstruction};
@@ -182,14 +182,16 @@ pub(crate) fn with_points(
 }
 
 /// Leaves out images whose photos contradict the poses that came with them; where most do, the
-/// poses are refused. Also images that no other photo confirms, and why.
+/// poses are refused. Also images that no other photo confirms, and why, and a doubt where the poses
+/// are off altogether.
 pub(crate) fn against_photos(
     mut imported: Imported,
     frames: &FrameSet,
     config: &sfm::SfmConfig,
     progress: &Progress,
-) -> Result<(Imported, Vec<(String, String)>)> {
-    let [contradicted, unconfirmed] = sfm::check_given(frames, &imported.model, config, progress)?;
+) -> Result<(Imported, Vec<(String, String)>, Option<Decision>)> {
+    let sfm::GivenCheck { contradicted, unconfirmed, is_off } =
+        sfm::check_given(frames, &imported.model, config, progress)?;
     let (wrong, all) = (contradicted.len(), imported.model.images.len());
     if let Some((name, why)) = contradicted.first().filter(|_| 2 * wrong > all) {
         bail!(
@@ -199,7 +201,12 @@ pub(crate) fn against_photos(
     }
     imported.model.without_images(&contradicted.iter().map(|(name, _)| name.as_str()).collect());
     imported.missing.extend(contradicted);
-    Ok((imported, unconfirmed))
+    let doubt = is_off.then(|| {
+        let choice = Measurement::new(Quantity::Probability, 0.0);
+        let doubt = Decision::new(Subject::Plausibility, choice, Rule::Evidence);
+        doubt.remarked(Remark::Doubtful).remarked(Remark::PosesOff)
+    });
+    Ok((imported, unconfirmed, doubt))
 }
 
 /// Scales a camera (and its keypoints) to the size of the frames on disk, and says so; another

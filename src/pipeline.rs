@@ -275,10 +275,12 @@ impl Pipeline {
             let (reconstruction, mut summary) = match &self.input {
                 Input::Posed { model, .. } => {
                     let imported = input::import_poses(model, self.input.source(), frames)?;
-                    let (imported, weak) =
+                    let (imported, weak, doubt) =
                         input::against_photos(imported, frames, &self.args.sfm, &progress)?;
                     let Imported { model, world_from_file, missing, notes } = imported;
-                    let (model, decisions) = input::with_points(model, frames, &self.args.sfm, &progress)?;
+                    let (model, mut decisions) =
+                        input::with_points(model, frames, &self.args.sfm, &progress)?;
+                    decisions.extend(doubt);
                     let world = world::given(&model, frames, world_from_file);
                     let summary = PoseSummary {
                         imported: true,

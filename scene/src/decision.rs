@@ -262,6 +262,8 @@ pub enum Remark {
     SolutionsDisagree,
     /// No points tie two parts of the images to each other.
     PartsNotTied,
+    /// Poses that came with the input fit the photos badly.
+    PosesOff,
 }
 
 /// A decision with all that led to it.

@@ -51,8 +51,8 @@ pub use knowledge::Calibration;
 pub use metric::{LengthEnds, ScaleConfig, metric_scale};
 pub use pairs::PairConfig;
 pub use reconstruct::{
-    MatchedBlock, PairBlock, Supplied, check_given, match_block, reconstruct, reconstruct_features,
-    reconstruct_from, triangulate_given,
+    GivenCheck, MatchedBlock, PairBlock, Supplied, check_given, match_block, reconstruct,
+    reconstruct_features, reconstruct_from, triangulate_given,
 };
 pub use result::{FramePose, PoseDeviation, SfmResult, SfmStats, StepTime, Uncertainty};
 pub use skip::StepName;

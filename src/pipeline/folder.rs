@@ -6,29 +6,40 @@ use scene::FrameSet;
 use std::path::{Path, PathBuf};
 
 /// The output folder: the one that was named, or the input's name with `_recon` in the current
-/// folder, unless that holds the results of another input.
+/// folder; where that holds the results of another input, the folder of the input comes before it.
 pub(crate) fn output_folder(named: Option<&Path>, input: &Path) -> Result<PathBuf> {
-    let out = named.map_or_else(|| default_output(input), Path::to_path_buf);
+    let input = std::path::absolute(input)?;
+    let out = match named {
+        Some(named) => named.to_path_buf(),
+        None => free_output(&input)?,
+    };
     if out.is_file() {
         bail!("{} is a file; name a folder with -o", out.display());
-    }
-    let former = if named.is_none() { former_run(&out)? } else { None };
-    if let Some(former) = former
-        && former.input != std::path::absolute(input)?
-    {
-        bail!(
-            "{} holds the results of {}; name another folder with -o",
-            out.display(),
-            former.input.display()
-        );
     }
     Ok(out)
 }
 
-fn default_output(input: &Path) -> PathBuf {
-    let absolute = std::path::absolute(input).unwrap_or_else(|_| input.to_path_buf());
-    let stem = absolute.file_stem().map_or_else(|| "scene".into(), |s| s.to_string_lossy().into_owned());
-    PathBuf::from(format!("{stem}_recon"))
+/// The first of the names of an output folder that holds nothing, or results of this input.
+fn free_output(input: &Path) -> Result<PathBuf> {
+    let mut taken = Vec::new();
+    for name in default_names(input) {
+        match former_run(&name)? {
+            Some(former) if former.input != input => {
+                taken.push(format!("{} holds the results of {}", name.display(), former.input.display()));
+            }
+            _ => return Ok(name),
+        }
+    }
+    bail!("{}; name another folder with -o", taken.join(", "))
+}
+
+/// `video_recon`, then `a_video_recon` for `a/video.mp4`.
+fn default_names(input: &Path) -> Vec<PathBuf> {
+    let text = |part: Option<&std::ffi::OsStr>| part.map(|s| s.to_string_lossy().into_owned());
+    let stem = text(input.file_stem()).unwrap_or_else(|| "scene".into());
+    let parent = text(input.parent().and_then(Path::file_name));
+    let longer = parent.map(|parent| format!("{parent}_{stem}_recon"));
+    std::iter::once(format!("{stem}_recon")).chain(longer).map(PathBuf::from).collect()
 }
 
 /// The output folder can be moved: what is remembered of it are relative paths.

@@ -1,7 +1,7 @@
 //! Bad input: a clear message that names the file, the right exit code, nothing left behind that
 //! looks whole.
 
-use super::support::{expect_code, folder, shared, text};
+use super::support::{expect_code, folder, sat_recon_in, shared, text};
 use image::RgbImage;
 use std::path::Path;
 
@@ -140,4 +140,27 @@ fn files_of_others_in_the_output_folder_are_left_alone() {
     std::fs::write(out.join("images/precious.jpg"), "mine").unwrap();
     assert!(run(&input, 1).contains("images"));
     assert_eq!(std::fs::read(out.join("images/precious.jpg")).unwrap(), b"mine");
+}
+
+#[test]
+fn inputs_of_one_name_have_output_folders_of_their_own() {
+    let dir = folder("one-name");
+    for sub in ["a", "b", "c/a"] {
+        std::fs::create_dir_all(dir.join(sub).join("shots")).unwrap();
+        for k in 0..2 {
+            noise_image(k, 64, 48).save(dir.join(sub).join(format!("shots/{k}.png"))).unwrap();
+        }
+    }
+    let frames = |input: &str| sat_recon_in(&dir, &["frames", input].map(str::to_owned));
+    assert!(frames("a/shots").status.success() && frames("b/shots").status.success());
+    assert!(dir.join("shots_recon/images/0.png").is_file());
+    assert!(dir.join("b_shots_recon/images/0.png").is_file());
+    // The second time each finds its own.
+    assert!(frames("b/shots").status.success() && !dir.join("b_b_shots_recon").exists());
+    assert!(frames("c/a/shots").status.success() && dir.join("a_shots_recon/images/0.png").is_file());
+    std::fs::create_dir_all(dir.join("d/c/a")).unwrap();
+    std::fs::rename(dir.join("c/a/shots"), dir.join("d/c/a/shots")).unwrap();
+    let refused = frames("d/c/a/shots");
+    let said = String::from_utf8_lossy(&refused.stderr).into_owned();
+    assert!(!refused.status.success() && said.contains("name another folder with -o"), "{said}");
 }

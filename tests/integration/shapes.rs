@@ -145,5 +145,5 @@ fn the_true_mesh_has_the_dimensions_it_was_built_with() {
     }
     std::fs::write(out.join("none.obj"), "v 0 0 0\nv 1 0 0\nv 2 0 0\nf 1 2 3\n").unwrap();
     assert!(expect_code(&["measure", text(&out.join("none.obj"))], 1).contains("no surface"));
-    assert!(expect_code(&["measure", text(&out)], 1).contains("splat.ply"));
+    assert!(expect_code(&["measure", text(&out)], 1).contains("not the output folder of a run"));
 }

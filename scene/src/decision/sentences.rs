@@ -326,6 +326,10 @@ impl Remark {
                 "no points tie two parts of the images to each other, as after a cut: how the parts lie is a \
                  guess; give them one at a time, or film them without a cut"
             }
+            Self::PosesOff => {
+                "half of what the photos share lies a three-hundredth of the picture or more from where the \
+                 poses and cameras of the input say: mend them, or let --ignore-poses find them anew"
+            }
         }
     }
 }

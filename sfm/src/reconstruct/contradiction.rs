@@ -27,8 +27,19 @@ const SIDE: u32 = 320;
 /// Source: derived; the same as in `scene::Reconstruction::admit`.
 const TOLERANCE: f64 = 0.02;
 
-/// Names of the images that the photos contradict, and of those that no other photo confirms though
-/// most are; each with the reason. Nothing of fewer than three images.
+/// What photos say of the poses that came with them.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct GivenCheck {
+    /// Images that the photos contradict, and why.
+    pub contradicted: Vec<(String, String)>,
+    /// Images that no other photo confirms though most are, and why.
+    pub unconfirmed: Vec<(String, String)>,
+    /// Whether half of all that the photos share lies more than a pixel of a small copy off: poses of
+    /// real captures leave a third of that.
+    pub is_off: bool,
+}
+
+/// Compares the poses of a model with the photos; nothing is said of fewer than three images.
 ///
 /// A track is what at least three photos show alike. It agrees with an image where the point that
 /// three of them see as posed lies there in the image, too, as near as is usual for these poses.
@@ -37,37 +48,39 @@ pub fn check_given(
     model: &Reconstruction,
     config: &SfmConfig,
     progress: &Progress,
-) -> Result<[Vec<(String, String)>; 2], SfmError> {
+) -> Result<GivenCheck, SfmError> {
     let given = GivenPoses::of(frames, model);
     if given.poses.len() < FEWEST_VIEWS {
-        return Ok(Default::default());
+        return Ok(GivenCheck::default());
     }
-    let counts = agreement(&given, config, progress)?;
+    let residuals = residuals_of_given(&given, config, progress)?;
+    let counts = counted(&residuals, given.poses.len());
     let mut most: Vec<usize> = counts.iter().map(|c| c[1]).collect();
     most.sort_unstable();
-    let usual = most[most.len() / 2];
-    let mut found: [Vec<(String, String)>; 2] = Default::default();
+    let shared = most[most.len() / 2];
+    let is_off = residuals.len() >= FEW_OBSERVATIONS && usual(&residuals) > LEAST_ERROR_PX;
+    let mut found = GivenCheck { is_off, ..GivenCheck::default() };
     for ([agreeing, all], frame) in counts.into_iter().zip(&given.frames.frames) {
         if all >= FEW_OBSERVATIONS && (agreeing as f64) < AGREEING_SHARE * all as f64 {
             let why = format!(
                 "its photo contradicts its pose: {agreeing} of {all} details that three photos share lie where \
                  the poses say"
             );
-            found[0].push((frame.name.clone(), why));
-        } else if all == 0 && usual >= FEW_OBSERVATIONS {
-            let why = format!("it shares no detail with two other photos, the others {usual} (median)");
-            found[1].push((frame.name.clone(), why));
+            found.contradicted.push((frame.name.clone(), why));
+        } else if all == 0 && shared >= FEW_OBSERVATIONS {
+            let why = format!("it shares no detail with two other photos, the others {shared} (median)");
+            found.unconfirmed.push((frame.name.clone(), why));
         }
     }
     Ok(found)
 }
 
-/// For each frame: of how many tracks of three images it is part, and how many agree: [agree, all].
-fn agreement(
+/// How far what three photos share lies from where the poses say, pixels of the small copies.
+fn residuals_of_given(
     given: &GivenPoses,
     config: &SfmConfig,
     progress: &Progress,
-) -> Result<Vec<[usize; 2]>, SfmError> {
+) -> Result<Vec<([u32; 2], f64)>, SfmError> {
     let size = config.sift.max_feature_size.min(SIDE as usize);
     let sift = SiftConfig { max_feature_size: size, ..config.sift.clone() };
     let mut features = sift::extract_all(&given.frames, &sift, progress)?;
@@ -103,7 +116,7 @@ fn agreement(
     let mut state = MapState::new(&input, cameras.clone());
     given.poses.iter().enumerate().for_each(|(i, pose)| state.register(i, *pose));
     state.grow_all(&input);
-    Ok(counted(&residuals(&state, &input), features.len()))
+    Ok(residuals(&state, &input))
 }
 
 /// The camera of a copy whose longer side is [`SIDE`].
@@ -153,16 +166,20 @@ fn residuals(state: &MapState, input: &MappingInput<'_>) -> Vec<([u32; 2], f64)>
 /// [agreeing, all] of each image. What poses leave is judged by what they leave usually, so that
 /// poses of little accuracy agree as well, within the tolerance.
 fn counted(residuals: &[([u32; 2], f64)], images: usize) -> Vec<[usize; 2]> {
-    let mut sorted: Vec<f64> = residuals.iter().map(|r| r.1).collect();
-    sorted.sort_by(f64::total_cmp);
-    let usual = sorted.get(sorted.len() / 2).copied().unwrap_or(0.0);
-    let limit = (OUTLIER_SIGMAS * usual).max(LEAST_ERROR_PX).min(TOLERANCE * f64::from(SIDE));
+    let limit = (OUTLIER_SIGMAS * usual(residuals)).max(LEAST_ERROR_PX).min(TOLERANCE * f64::from(SIDE));
     let mut counts = vec![[0; 2]; images];
     for (view, apart) in residuals {
         counts[view[0] as usize][0] += usize::from(*apart <= limit);
         counts[view[0] as usize][1] += 1;
     }
     counts
+}
+
+/// The median, pixels.
+fn usual(residuals: &[([u32; 2], f64)]) -> f64 {
+    let mut sorted: Vec<f64> = residuals.iter().map(|r| r.1).collect();
+    sorted.sort_by(f64::total_cmp);
+    sorted.get(sorted.len() / 2).copied().unwrap_or(0.0)
 }
 
 #[cfg(test)]

@@ -14,7 +14,7 @@ mod steps;
 mod tests;
 
 pub use block::{MatchedBlock, PairBlock, match_block};
-pub use contradiction::check_given;
+pub use contradiction::{GivenCheck, check_given};
 pub use posed::triangulate_given;
 
 use crate::config::SfmConfig;
