@@ -164,6 +164,10 @@ fn write_mesh(args: &ExportArgs, output: &Path, verbosity: Verbosity) -> Result<
     let texture = if ending == "ply" { 0 } else { config.mesh_texture };
     let color_error = (texture == 0).then_some(COLOR_ERROR);
     mesh = shape::decimated(&mesh, &Decimation { error: config.mesh_error / 100.0, color_error });
+    if config.watertight {
+        // Where parts touch, sides may have come to lie on each other.
+        mesh = shape::watertight(&mesh);
+    }
     let counts = format!("{} vertices, {} triangles (of {fine})", mesh.vertices.len(), mesh.triangles.len());
     let with_texture = match texture {
         0 => None,

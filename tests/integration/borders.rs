@@ -162,10 +162,8 @@ fn two_videos_of_one_name_do_not_share_a_folder_and_two_runs_do_not_either() {
     }
     let run = |input: &str| sat_recon_in(&dir, &["frames", input, "--frames", "3"].map(str::to_owned));
     assert_eq!(run("a/video.mp4").status.code(), Some(0));
-    let refused = run("b/video.mp4");
-    let said = String::from_utf8_lossy(&refused.stderr).into_owned();
-    assert_eq!(refused.status.code(), Some(1), "{said}");
-    assert!(said.contains("a/video.mp4") && said.contains("-o"), "{said}");
+    assert_eq!(run("b/video.mp4").status.code(), Some(0));
+    assert!(dir.join("video_recon/images").is_dir() && dir.join("b_video_recon/images").is_dir());
     let again = run("a/video.mp4");
     assert!(String::from_utf8_lossy(&again.stderr).contains("as before"));
     let lock = File::open(dir.join("video_recon/.stages/lock")).unwrap();
@@ -217,12 +215,13 @@ fn a_training_without_masks_is_not_shown_those_of_an_earlier_one() {
         mask.save(set.join("masks").join(entry.unwrap().file_name())).unwrap();
     }
     let train = ["--iterations", "10", "--max-gaussians", "1000"];
-    let run = |more: &[&str]| {
-        expect_code(&[&["train", text(&set), "-o", text(&out)][..], &train, more].concat(), 0)
+    let run = |more: &[&str], code: i32| {
+        expect_code(&[&["train", text(&set), "-o", text(&out)][..], &train, more].concat(), code)
     };
-    run(&[]);
+    run(&[], 0);
     assert!(out.join("undistorted/masks").is_dir());
-    run(&["--masks", "off", "--key", "off"]);
+    // All of the photos shows how far the poses of small frames are off.
+    run(&["--masks", "off", "--key", "off"], 3);
     assert!(!out.join("undistorted/masks").exists() && !out.join("masks").exists());
     fs::remove_dir_all(dir).unwrap();
     fs::remove_dir_all(frames).unwrap();

@@ -69,7 +69,7 @@ fn the_dense_cloud_is_written(out: &Path, points: f64) {
     let header = std::fs::read(&cloud).unwrap()[..300].to_vec();
     assert!(String::from_utf8_lossy(&header).contains("property float nx"));
     let meshes = ["splat", "both"].map(|from| {
-        let file = out.join(format!("{from}.ply"));
+        let file = out.join(format!("mesh_{from}.ply"));
         expect_code(&["export", text(out), "--mesh", "--mesh-depths", from, "-o", text(&file)], 0);
         scene::io::read_mesh(&file).unwrap().triangles.len()
     });

@@ -3,6 +3,7 @@
 use super::error::IoError;
 use super::exif::ExifCamera;
 use super::limits::{DECODED_RATIO, IMAGE_BYTES, IMAGE_SIDE, PNG_METADATA_BYTES, SMALL_BYTES};
+use super::tiff_directory::oversized_entry;
 use image::metadata::Orientation;
 use image::{
     DynamicImage, GrayImage, ImageBuffer, ImageDecoder, ImageFormat, ImageReader, Limits, Pixel, RgbImage,
@@ -94,6 +95,12 @@ fn orientation(decoder: &mut impl ImageDecoder) -> Orientation {
 pub fn image_decoder(path: &Path) -> Result<(impl ImageDecoder + use<>, Option<ImageFormat>), IoError> {
     let reader = open(path)?;
     let format = reader.format();
+    if format == Some(ImageFormat::Tiff)
+        && let Some(tag) = oversized_entry(path)
+    {
+        let message = format!("its entry {tag} claims more values than the file can hold");
+        return Err(IoError::Image { path: path.into(), message });
+    }
     let decoder = reader.into_decoder().map_err(image_error(path))?;
     check_size(path, &decoder)?;
     Ok((decoder, format))

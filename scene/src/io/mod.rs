@@ -22,6 +22,7 @@ mod name;
 pub mod ply;
 pub mod poses;
 pub mod splats;
+mod tiff_directory;
 pub mod transforms;
 pub mod truth;
 
