@@ -182,8 +182,8 @@ pub(crate) fn with_points(
 }
 
 /// Leaves out images whose photos contradict the poses that came with them; where most do, the
-/// poses are refused. Also images that no other photo confirms, and why, and a doubt where the poses
-/// are off altogether.
+/// poses are refused. Also images that no other photo confirms, and why, and a doubt where the
+/// poses are off altogether.
 pub(crate) fn against_photos(
     mut imported: Imported,
     frames: &FrameSet,

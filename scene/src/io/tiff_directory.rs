@@ -1,5 +1,6 @@
-//! Whether the first directory of a TIFF says what its file can hold: its reader reserves memory for
-//! as many values as an entry claims (Adobe, TIFF revision 6.0, 1992, section 2; BigTIFF).
+//! Whether the first directory of a TIFF claims no more than its file can hold: the reader reserves
+//! memory for as many values as an entry claims (Adobe, TIFF revision 6.0, 1992, section 2;
+//! BigTIFF).
 
 use std::fs::File;
 use std::io::{Read, Seek, SeekFrom};

@@ -34,8 +34,8 @@ pub struct GivenCheck {
     pub contradicted: Vec<(String, String)>,
     /// Images that no other photo confirms though most are, and why.
     pub unconfirmed: Vec<(String, String)>,
-    /// Whether half of all that the photos share lies more than a pixel of a small copy off: poses of
-    /// real captures leave a third of that.
+    /// Whether half of all that the photos share lies more than a pixel of a small copy off: poses
+    /// of real captures leave a third of that.
     pub is_off: bool,
 }
 
