@@ -129,7 +129,7 @@ def summarise(rows, out):
     """A row a step: how many captures it did something on, and those that leave the scatter without it."""
     table = Results(os.path.join(out, "results")).table("worth")
     for step in dict.fromkeys(row["skipped"] for row in rows if row["skipped"] != "nothing"):
-        tried = [row for row in rows if row["skipped"] == step]
+        tried = [row for row in rows if row["skipped"] == step and row["total"]]
         moved = [row for row in tried if row["change"] is not None]
         outside = [row for row in moved if not row["low"] - LEAST_CHANGE <= figure(row) <= row["high"] + LEAST_CHANGE]
         said = lambda sign: "; ".join(f"{r['input']} {r['change']:+.1f}" for r in outside if r["change"] * sign > 0)  # noqa: E731
