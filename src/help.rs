@@ -19,7 +19,7 @@ const GROUPS: [(&str, &[&str]); 4] = [
 const PIPELINE: [&str; 6] = ["frames", "sfm", "train", "eval", "report", "run"];
 /// Flags of those groups that few will ever need: with the groups that are not named above, they
 /// are shown by `--help-all`.
-const RARE: [&str; 24] = [
+const RARE: [&str; 25] = [
     "rematch",
     "text",
     "known-rate",
@@ -44,6 +44,7 @@ const RARE: [&str; 24] = [
     "track-return-px",
     "verify-confidence",
     "max-log10-false-alarms",
+    "static-px",
 ];
 
 /// The command line. `all`: its help hides nothing.

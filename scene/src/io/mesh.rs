@@ -126,7 +126,13 @@ fn check(accessor: &gltf::Accessor, bytes: usize) -> Result<(), String> {
     if !matches!(view.buffer().source(), gltf::buffer::Source::Bin) {
         return Err("its data lies in another file; export it as one .glb".to_owned());
     }
+    if accessor.count() == 0 {
+        return Err(format!("accessor {number} has no values"));
+    }
     let size = accessor.size();
+    if view.stride().is_some_and(|stride| stride < size) {
+        return Err(format!("the values of accessor {number} overlap"));
+    }
     let step = view.stride().unwrap_or(size).max(size);
     let inside = step.checked_mul(accessor.count().saturating_sub(1)).and_then(|n| n.checked_add(size));
     let end = inside.and_then(|n| n.checked_add(accessor.offset())).unwrap_or(usize::MAX);
@@ -140,6 +146,19 @@ fn check(accessor: &gltf::Accessor, bytes: usize) -> Result<(), String> {
 fn add(primitive: &gltf::Primitive, blob: &[u8], world: &DMat4, mesh: &mut Mesh) -> Result<(), String> {
     if !matches!(primitive.mode(), Mode::Triangles | Mode::TriangleStrip | Mode::TriangleFan) {
         return Ok(()); // points and lines have no surface
+    }
+    use gltf::accessor::{DataType, Dimensions};
+    let is_number = |a: &gltf::Accessor| {
+        matches!(a.data_type(), DataType::U8 | DataType::U16 | DataType::U32)
+            && a.dimensions() == Dimensions::Scalar
+    };
+    if primitive.indices().is_some_and(|indices| !is_number(&indices)) {
+        return Err("the indices of a primitive are no numbers of vertices".to_owned());
+    }
+    let positions = primitive.get(&gltf::Semantic::Positions);
+    let is_place = |a: &gltf::Accessor| (a.data_type(), a.dimensions()) == (DataType::F32, Dimensions::Vec3);
+    if positions.is_some_and(|positions| !is_place(&positions)) {
+        return Err("the positions of a primitive are no points in space".to_owned());
     }
     let reader = primitive.reader(|_| Some(blob));
     let positions = reader.read_positions().ok_or("a primitive has no positions")?;

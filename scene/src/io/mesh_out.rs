@@ -257,10 +257,13 @@ mod tests {
                 }
                 write_mesh(&dir.join(name), &mesh).unwrap();
                 let found = read_mesh(&dir.join(name)).unwrap();
-                assert_eq!(found.triangles, mesh.triangles);
                 let upright = if name.ends_with("glb") { DVec3::new(1.0, -1.0, -1.0) } else { DVec3::ONE };
-                for (a, b) in found.vertices.iter().zip(&mesh.vertices) {
-                    assert!((*a - *b * upright).length() < 1e-6 * size, "{name} {size}: {a} {b}");
+                // The reader of .obj numbers vertices in the order of their use.
+                assert_eq!(found.triangles.len(), mesh.triangles.len());
+                for i in 0..mesh.triangles.len() {
+                    for (a, b) in found.corners(i).into_iter().zip(mesh.corners(i)) {
+                        assert!((a - b * upright).length() < 1e-6 * size, "{name} {size}: {a} {b}");
+                    }
                 }
             }
         }
@@ -336,7 +339,8 @@ mod tests {
         let materials = materials.unwrap();
         assert_eq!(materials[0].diffuse_texture.as_deref(), Some("a.jpg"));
         assert_eq!(models[0].mesh.material_id, Some(0));
-        assert!((models[0].mesh.texcoords[5] - (1.0 - 0.7)).abs() < 1e-6);
+        // The third vertex in the order of their use is the second of the mesh.
+        assert!((models[0].mesh.texcoords[5] - (1.0 - 0.8)).abs() < 1e-6);
         assert!(image::open(dir.join("a.jpg")).unwrap().width() == 32);
         let mut broken = textured();
         broken.uvs.pop();
