@@ -44,7 +44,7 @@ const RARE: [&str; 25] = [
     "track-return-px",
     "verify-confidence",
     "max-log10-false-alarms",
-    "static-px",
+    "duplicate-levels",
 ];
 
 /// The command line. `all`: its help hides nothing.
