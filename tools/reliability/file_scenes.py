@@ -1,5 +1,6 @@
 """Odd files: sizes, formats, names, damaged and hostile content, folders that cannot be used."""
 import base64
+import ctypes
 import json
 import os
 import struct
@@ -316,22 +317,29 @@ def read_only_output(made):
     made.arc()
     os.makedirs(made.path("readonly"))
     os.chmod(made.path("readonly"), 0o555)
-    as_nobody(made)
+    hold_root_back(made)
     return ["sfm", made.path("photos"), "-o", made.path("readonly/out")]
 
 
 @case("a photo that may not be read", [0], "left out", "004.png")
 def unreadable_photo(made):
     os.chmod(made.arc()[3], 0)
-    os.chmod(made.folder, 0o777)
-    as_nobody(made)
+    hold_root_back(made)
     return ["sfm", made.path("photos")]
 
 
-def as_nobody(made):
-    """Permissions do not hold root back."""
+def hold_root_back(made):
+    """Permissions hold root back without these capabilities, and its own files stay within reach."""
     if os.geteuid() == 0:
-        made.more["user"] = 65534
+        made.more["preexec_fn"] = drop_capabilities
+
+
+def drop_capabilities():
+    """CAP_DAC_OVERRIDE (1) and CAP_DAC_READ_SEARCH (2) are lost at the next exec (capabilities(7))."""
+    libc = ctypes.CDLL(None, use_errno=True)
+    for capability in (1, 2):
+        if libc.prctl(24, capability, 0, 0, 0):  # PR_CAPBSET_DROP of linux/prctl.h
+            raise OSError(ctypes.get_errno(), "prctl")
 
 
 @case("an output folder with the photos of others", [1], "not written by sat-recon")
