@@ -2,11 +2,16 @@
 
 use crate::args::MeshDepths;
 use anyhow::{Context, Result};
+use flate2::Compression;
+use flate2::read::GzDecoder;
+use flate2::write::GzEncoder;
+use glam::DVec3;
 use scene::geometry::Mesh;
 use scene::io::ply::OrientedPoint;
 use scene::{Gaussians, Progress};
 use splat::Dataset;
 use splat::fusion::{DepthSource, MeasuredDepth, fused_mesh};
+use std::io::{Read, Write};
 use std::path::Path;
 use stereo::{DenseDepths, PlaneField, StereoSettings, StereoView};
 
@@ -14,8 +19,58 @@ use stereo::{DenseDepths, PlaneField, StereoSettings, StereoView};
 pub(crate) fn depths(run: &Path, dataset: &Dataset, progress: &Progress) -> Result<DenseDepths> {
     let model = scene::io::read_model(&run.join("undistorted/sparse/0"))?;
     let points: Vec<_> = model.points.values().map(|p| p.position).collect();
-    let settings = StereoSettings::default();
-    stereo::dense_depths(&views(dataset), &points, &settings, progress).context("no depths by stereo")
+    let (settings, views) = (StereoSettings::default(), views(dataset));
+    let key = key(&views, &points, &settings);
+    let kept = run.join(".stages").join(KEPT);
+    let bytes = read(&kept, &key, most_bytes(&views));
+    if let Some(depths) = bytes.and_then(|b| DenseDepths::from_bytes(&b, &views, &points, &settings)) {
+        return Ok(depths);
+    }
+    let depths = stereo::dense_depths(&views, &points, &settings, progress).context("no depths by stereo")?;
+    if run.join(".stages").is_dir() {
+        // Where nothing can be kept, the next command computes them again.
+        let _ = write(&kept, &key, &depths.to_bytes());
+    }
+    Ok(depths)
+}
+
+/// The file in `.stages` that keeps the depths for the next command.
+const KEPT: &str = "depths.bin";
+
+/// Of all that the depths come from.
+fn key(views: &[StereoView<'_>], points: &[DVec3], settings: &StereoSettings) -> [u8; blake3::OUT_LEN] {
+    let mut hasher = blake3::Hasher::new();
+    hasher.update(format!("{} {settings:?} {points:?}", env!("CARGO_PKG_VERSION")).as_bytes());
+    for view in views {
+        hasher.update(format!("{:?} {:?}", view.camera, view.pose).as_bytes());
+        hasher.update(view.rgb);
+        hasher.update(view.mask.unwrap_or(&[]));
+    }
+    *hasher.finalize().as_bytes()
+}
+
+/// More than [`DenseDepths::to_bytes`] ever makes of the views: a longer file is not its own.
+fn most_bytes(views: &[StereoView<'_>]) -> u64 {
+    let pixels = views.iter().map(|v| u64::from(v.camera.width) * u64::from(v.camera.height));
+    16 * (pixels.sum::<u64>() + views.len() as u64)
+}
+
+/// What was kept under this key.
+fn read(path: &Path, key: &[u8], most: u64) -> Option<Vec<u8>> {
+    let file = std::fs::read(path).ok()?;
+    let packed = file.strip_prefix(key)?;
+    let mut bytes = Vec::new();
+    GzDecoder::new(packed).take(most).read_to_end(&mut bytes).ok()?;
+    Some(bytes)
+}
+
+fn write(path: &Path, key: &[u8], bytes: &[u8]) -> Result<()> {
+    Ok(scene::io::write_atomic(path, |file| {
+        file.write_all(key)?;
+        let mut packed = GzEncoder::new(file, Compression::fast());
+        packed.write_all(bytes)?;
+        packed.finish().map(|_| ())
+    })?)
 }
 
 /// The points on which the views agree, with their normals and the photos' colours.

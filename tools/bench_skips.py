@@ -3,10 +3,11 @@
 
     bench_skips.py SAT_RECON SHARED --out FOLDER [--only INPUT ...] [--steps STEP ...] [--seeds N]
 
-Each capture runs with all steps and N seeds, whose range is the scatter, then once for each value of
-`--skip`, but for steps that did nothing. A run that is in FOLDER already is not repeated. The table names the captures whose AUC@1
-leaves the scatter, with the change, and leaves its rows in FOLDER/results as JSON; `skips` holds all
-runs, `worth` a row a step.
+The captures are the shared ones, the test bed's where they are rendered, and the photos and yaws of
+the suite that `make suite` has filmed. Each runs with all steps and N seeds, whose range is the scatter, then once
+for each value of `--skip`, but for steps that did nothing. A run that is in FOLDER already is not
+repeated. The table names the captures whose AUC@1 leaves the scatter, with the change, and leaves
+its rows in FOLDER/results as JSON; `skips` holds all runs, `worth` a row a step.
 """
 import argparse
 import hashlib
@@ -19,6 +20,10 @@ import sys
 import bench
 import turntable
 from bench_results import Results
+
+sys.path.insert(0, os.path.join(os.path.dirname(os.path.abspath(__file__)), "suite"))
+import captures as suite_captures  # noqa: E402
+import suite  # noqa: E402
 
 DATA = "data"
 TEMPLE = ("data/temple_ring/images", "data/temple_ring/cameras_par.txt")
@@ -43,6 +48,18 @@ OF_TURNS = ["photometric-closure", "vertical-lines"]
 LEAST_CHANGE = 0.3
 # A step that took less looked whether it is needed and was not, CPU seconds.
 IDLE_S = 0.02
+
+
+def of_suite():
+    """Rows as in CAPTURES of the photos and yaws of the suite that are filmed."""
+    rows = []
+    for capture in suite_captures.all_captures():
+        folder = capture.folder(suite.cache_folder())
+        named = capture.name.split("-")
+        source = os.path.join(folder, "video.mp4" if capture.fps else "images")
+        if os.path.exists(source) and (not capture.fps or "yaw" in named):
+            rows.append(("suite, " + capture.name, source, os.path.join(folder, "sparse"), None))
+    return rows
 
 
 def of_dino(folder):
@@ -102,7 +119,7 @@ def main():
     parser.add_argument("--seeds", type=int, default=5)
     args = parser.parse_args()
     table = Results(os.path.join(args.out, "results")).table("skips")
-    for name, source, truth, options in CAPTURES:
+    for name, source, truth, options in CAPTURES + of_suite():
         if (args.only and name not in args.only) or not os.path.exists(os.path.join(args.shared, source)):
             continue
         images = prepared(args.shared, args.out, name, source, options)
@@ -114,7 +131,7 @@ def main():
         figures = sorted(map(figure, rows))
         whole = rows[0] | dict(input=name, skipped="nothing", low=figures[0], high=figures[-1], change=0.0)
         table.row(whole)
-        turn = source.endswith("case3/video.mp4") or source.endswith("case4/video.mp4")
+        turn = source.endswith("case3/video.mp4") or source.endswith("case4/video.mp4") or "-yaw-" in source
         for step in args.steps or (OF_TURNS if turn else OF_PHOTOS):
             if whole["steps"].get(step, IDLE_S) < IDLE_S:
                 continue

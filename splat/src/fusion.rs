@@ -20,6 +20,7 @@
 
 use crate::dataset::{AlphaMode, Dataset, MATTE_MARGIN_PX, Pixels, View};
 use crate::error::SplatError;
+use crate::outline::thin_parts;
 use crate::quantile::{median, quantile};
 use crate::reference::constants::DEFAULT_NEAR;
 use crate::surface::median_depth;
@@ -45,7 +46,7 @@ struct FusionLimits {
     /// Most memory of the volume, bytes. Source: docs/decisions/16.
     most_bytes: usize,
     /// Parts smaller than this share of the largest one's area are left out. Source:
-    /// docs/decisions/16; a boom or an antenna is a few thousandths.
+    /// docs/decisions/21; a piece of an antenna is a few of them.
     least_part: f64,
     /// A surface is seen by at least this share of the views: half of them look at its back, and
     /// some are in each other's way. Source: chosen by hand, never measured.
@@ -62,9 +63,9 @@ struct FusionLimits {
 const LIMITS: FusionLimits = FusionLimits {
     most_views: 120,
     pixels_of_a_voxel: 1.5,
-    truncation: 5.0,
+    truncation: 3.0,
     most_bytes: 3 << 30,
-    least_part: 0.001,
+    least_part: 0.0003,
     least_views: 0.05,
     tail: 0.005,
     points_of_a_map: 20_000,
@@ -143,8 +144,9 @@ pub fn fused_mesh(
     if !(size > 0.0 && size.is_finite()) {
         return Ok(Mesh::default());
     }
+    let pixel = pixel(&maps);
     let options = FusionOptions {
-        voxel: (size / f64::from(resolution.max(2))).max(LIMITS.pixels_of_a_voxel * pixel(&maps)),
+        voxel: (size / f64::from(resolution.max(2))).max(LIMITS.pixels_of_a_voxel * pixel),
         truncation: LIMITS.truncation,
         // The error of a few views is no surface, where there are others to contradict it.
         least_views: match maps.len() {
@@ -153,6 +155,9 @@ pub fn fused_mesh(
         },
         most_bytes: LIMITS.most_bytes,
     };
+    if dataset.is_transparent() {
+        maps.par_iter_mut().for_each(|map| outline(map, options.truncation * options.voxel / pixel));
+    }
     let mut mesh = fuse(&maps, &options, progress)?;
     mesh.keep_large_parts(LIMITS.least_part);
     let world = normalised.inverse();
@@ -210,7 +215,7 @@ impl ViewSource<'_> {
             }
         }
         blank(&mut depth, pixels, alpha);
-        Some(DepthMap { camera, pose: self.pose, depth, rgb: pixels.rgb.clone() })
+        Some(DepthMap { camera, pose: self.pose, depth, outline: Vec::new(), rgb: pixels.rgb.clone() })
     }
 
     fn splat_depth(&self, camera: &Camera) -> Option<Vec<f32>> {
@@ -251,6 +256,12 @@ fn near_white(mask: &[u8], width: usize) -> Vec<bool> {
             (first..rows.len().min(i + m * width + 1)).step_by(width).any(|j| rows[j])
         })
         .collect()
+}
+
+/// Finds the parts of a map that are thinner than the truncation, pixels.
+fn outline(map: &mut DepthMap, truncation: f64) {
+    let white: Vec<bool> = map.depth.iter().map(|z| !z.is_infinite()).collect();
+    map.outline = thin_parts(&white, map.camera.width as usize, truncation / 2.0);
 }
 
 /// The points of every map; their number a map is bounded.

@@ -27,6 +27,7 @@ mod hull;
 mod init;
 pub mod model;
 pub mod moved;
+mod outline;
 #[cfg(test)]
 mod parity;
 pub mod profile;

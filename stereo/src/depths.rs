@@ -2,6 +2,7 @@
 
 use crate::agree;
 use crate::field::PlaneField;
+use crate::kept::rounded;
 use crate::level::LevelImage;
 use crate::neighbours::Layout;
 use crate::pair::Pair;
@@ -39,7 +40,7 @@ pub fn dense_depths(
     for level in (0..settings.levels).rev() {
         let images: Vec<LevelImage> =
             views.par_iter().map(|v| LevelImage::new(v, settings.first_level(views) + level)).collect();
-        pairs = (0..views.len()).map(|i| layout.pairs(i, views, &images)).collect();
+        pairs = pairs_at(&layout, views, &images);
         fields = (0..views.len()).map(|i| PlaneField::start(&images[i], fields.get(i))).collect();
         for round in 0..settings.rounds(level) {
             progress.begin(&format!("stereo at 1/{}", 1 << level), views.len());
@@ -52,7 +53,19 @@ pub fn dense_depths(
             fields = next.collect::<Result<_, _>>()?;
         }
     }
-    let fields = agree::filtered(&fields, &pairs, settings);
-    let least_views = u32::from(settings.agreeing) + 1;
-    Ok(DenseDepths { fields, pairs, tolerance: settings.tolerance, least_views })
+    let mut fields = agree::filtered(&fields, &pairs, settings);
+    fields.iter_mut().flat_map(|f| &mut f.normal).for_each(|n| *n = rounded(*n));
+    Ok(DenseDepths::new(fields, pairs, settings))
+}
+
+impl DenseDepths {
+    pub(crate) fn new(fields: Vec<PlaneField>, pairs: Vec<Vec<Pair>>, settings: &StereoSettings) -> Self {
+        let least_views = u32::from(settings.agreeing) + 1;
+        Self { fields, pairs, tolerance: settings.tolerance, least_views }
+    }
+}
+
+/// Every view's neighbours at one resolution.
+pub(crate) fn pairs_at(layout: &Layout, views: &[StereoView], images: &[LevelImage]) -> Vec<Vec<Pair>> {
+    (0..views.len()).map(|i| layout.pairs(i, views, images)).collect()
 }

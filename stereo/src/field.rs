@@ -15,7 +15,7 @@ pub struct PlaneField {
     pub width: usize,
     /// [rows × width] camera z, scene units; 0 where nothing is known.
     pub depth: Vec<f32>,
-    /// [rows × width] unit normals towards the camera, camera frame.
+    /// [rows × width] unit normals towards the camera, camera frame, to 1/32,767 a component.
     pub normal: Vec<Vec3>,
     /// [rows × width] one minus the correlation, 0 to 2: the mean over the views that count.
     pub cost: Vec<f32>,

@@ -18,6 +18,7 @@ mod cloud;
 mod correlation;
 mod depths;
 mod field;
+mod kept;
 mod level;
 mod neighbours;
 mod pair;

@@ -42,6 +42,9 @@ pub struct DepthMap {
     /// probably does not (beside what it could have met); anything else that is not a positive
     /// number is unknown.
     pub depth: Vec<f32>,
+    /// [height × width] pixels to the outline of a part that is too thin for depths to tell its
+    /// sides apart, negative inside it; NaN elsewhere. Empty where there are none.
+    pub outline: Vec<f32>,
     /// [height × width × 3] sRGB.
     pub rgb: Vec<u8>,
 }
@@ -206,7 +209,15 @@ impl FusionBlock {
                 _ => continue,
             };
             // Along the ray, not along z.
-            let distance = ((depth - p.z) / p.z * p.length() / truncation).min(1.0) as f32;
+            let along = ((depth - p.z) / p.z * p.length() / truncation).min(1.0);
+            let (distance, share) = match map.outline.get(pixel) {
+                // At the depth of a thin part, or beside it: how far to the side it ends.
+                Some(&s) if s.is_finite() && (along < 1.0 || depth.is_infinite()) && along > -1.0 => {
+                    ((f64::from(s) * p.z / focal.x / truncation).clamp(-1.0, 1.0), 1.0)
+                }
+                _ => (along, share),
+            };
+            let distance = distance as f32;
             if distance > -1.0 {
                 self.count(i, distance, share, &map.rgb[pixel * 3..pixel * 3 + 3]);
             }
@@ -342,7 +353,7 @@ mod tests {
             let x = world_from_cam.transform(ray * t).x - centre.x;
             rgb.extend(if x > 0.0 { [200, 0, 0] } else { [0, 100, 0] });
         }
-        DepthMap { camera, pose, depth, rgb }
+        DepthMap { camera, pose, depth, outline: Vec::new(), rgb }
     }
 
     fn around(scale: f64, centre: DVec3) -> Vec<DepthMap> {
