@@ -8,12 +8,12 @@ use flate2::write::GzEncoder;
 use glam::DVec3;
 use scene::geometry::Mesh;
 use scene::io::ply::OrientedPoint;
-use scene::{Gaussians, Progress};
+use scene::{Gaussians, PosedPhoto, Progress};
 use splat::Dataset;
 use splat::fusion::{DepthSource, MeasuredDepth, fused_mesh};
 use std::io::{Read, Write};
 use std::path::Path;
-use stereo::{DenseDepths, PlaneField, StereoSettings, StereoView};
+use stereo::{DenseDepths, PlaneField, StereoSettings};
 
 /// The depths of every view of a run's training set, those held out too.
 pub(crate) fn depths(run: &Path, dataset: &Dataset, progress: &Progress) -> Result<DenseDepths> {
@@ -38,7 +38,7 @@ pub(crate) fn depths(run: &Path, dataset: &Dataset, progress: &Progress) -> Resu
 const KEPT: &str = "depths.bin";
 
 /// Of all that the depths come from.
-fn key(views: &[StereoView<'_>], points: &[DVec3], settings: &StereoSettings) -> [u8; blake3::OUT_LEN] {
+fn key(views: &[PosedPhoto<'_>], points: &[DVec3], settings: &StereoSettings) -> [u8; blake3::OUT_LEN] {
     let mut hasher = blake3::Hasher::new();
     hasher.update(format!("{} {settings:?} {points:?}", env!("CARGO_PKG_VERSION")).as_bytes());
     for view in views {
@@ -50,7 +50,7 @@ fn key(views: &[StereoView<'_>], points: &[DVec3], settings: &StereoSettings) ->
 }
 
 /// More than [`DenseDepths::to_bytes`] ever makes of the views: a longer file is not its own.
-fn most_bytes(views: &[StereoView<'_>]) -> u64 {
+fn most_bytes(views: &[PosedPhoto<'_>]) -> u64 {
     let pixels = views.iter().map(|v| u64::from(v.camera.width) * u64::from(v.camera.height));
     16 * (pixels.sum::<u64>() + views.len() as u64)
 }
@@ -111,11 +111,11 @@ impl MeshDepths {
     }
 }
 
-fn views(dataset: &Dataset) -> Vec<StereoView<'_>> {
+fn views(dataset: &Dataset) -> Vec<PosedPhoto<'_>> {
     let seen = dataset.views.iter().filter_map(|v| {
         let pixels = v.levels.first()?;
         let mask = pixels.mask.as_deref();
-        Some(StereoView { camera: &v.camera, pose: v.pose, rgb: &pixels.rgb, mask })
+        Some(PosedPhoto { camera: &v.camera, pose: v.pose, rgb: &pixels.rgb, mask })
     });
     seen.collect()
 }

@@ -9,10 +9,10 @@ use crate::terminal::{CANCELLED, TerminalSink, Verbosity, say};
 use crate::transforms;
 use anyhow::{Context, Result, bail};
 use clap::ValueEnum;
-use scene::Progress;
 use scene::geometry::{Mesh, TexturedMesh};
 use scene::io::{SplatFormat, read_splat, write_splat};
-use shape::{Decimation, TextureOptions, TextureView};
+use scene::{PosedPhoto, Progress};
+use shape::{Decimation, TextureOptions};
 use splat::{Dataset, Pixels};
 use std::path::Path;
 
@@ -191,12 +191,12 @@ fn paint(
     most_texels: u32,
     progress: &Progress,
 ) -> Result<Option<TexturedMesh>> {
-    let views: Vec<TextureView<'_>> = dataset
+    let views: Vec<PosedPhoto<'_>> = dataset
         .views
         .iter()
         .map(|v| {
             let Pixels { rgb, mask, .. } = &v.levels[0];
-            TextureView { camera: &v.camera, pose: v.pose, rgb, mask: mask.as_deref() }
+            PosedPhoto { camera: &v.camera, pose: v.pose, rgb, mask: mask.as_deref() }
         })
         .collect();
     let options = TextureOptions { most_texels, ..TextureOptions::default() };

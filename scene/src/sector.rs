@@ -8,7 +8,8 @@ use std::collections::BTreeSet;
 /// from which the first image (by name) sees it. The object lies where the optical axes meet (least
 /// squares); none is in the sector where they are parallel.
 pub fn sector(model: &Reconstruction, angle: f64) -> BTreeSet<String> {
-    let Some(focus) = focus(model) else { return BTreeSet::new() };
+    let axes = model.images.values().map(|i| (i.pose.centre(), i.pose.rotation.conjugate() * DVec3::Z));
+    let Some(focus) = focus(axes) else { return BTreeSet::new() };
     let direction = |centre: DVec3| (centre - focus).normalize_or_zero();
     let mut images: Vec<_> = model.images.values().collect();
     images.sort_unstable_by(|a, b| a.name.cmp(&b.name));
@@ -19,18 +20,21 @@ pub fn sector(model: &Reconstruction, angle: f64) -> BTreeSet<String> {
     inside.map(|image| image.name.clone()).collect()
 }
 
-/// The point nearest to all optical axes: `Σ (I − d dᵀ) x = Σ (I − d dᵀ) c`.
-fn focus(model: &Reconstruction) -> Option<DVec3> {
-    let (mut left, mut right) = (DMat3::ZERO, DVec3::ZERO);
-    for image in model.images.values() {
-        let axis = image.pose.rotation.conjugate() * DVec3::Z;
+/// Determinant a view at which optical axes are parallel. Source: a spread of the axes of about
+/// 0.6°.
+const PARALLEL: f64 = 1e-4;
+
+/// The point nearest to all optical axes, given as centres and unit directions: `Σ (I − d dᵀ) x =
+/// Σ (I − d dᵀ) c`. None where they are parallel.
+pub fn focus(axes: impl Iterator<Item = (DVec3, DVec3)>) -> Option<DVec3> {
+    let (mut left, mut right, mut count) = (DMat3::ZERO, DVec3::ZERO, 0.0);
+    for (centre, axis) in axes {
         let across = DMat3::IDENTITY - DMat3::from_cols(axis * axis.x, axis * axis.y, axis * axis.z);
         left += across;
-        right += across * image.pose.centre();
+        right += across * centre;
+        count += 1.0;
     }
-    // Of axes that a rounding error keeps from being parallel.
-    let parallel = f64::EPSILON * (model.images.len() as f64).powi(3);
-    (left.determinant() > parallel).then(|| left.inverse() * right)
+    (left.determinant() > PARALLEL * f64::powi(count, 3)).then(|| left.inverse() * right)
 }
 
 #[cfg(test)]

@@ -3,9 +3,9 @@
 //! the longest side, with a COLMAP model of pinhole cameras in
 //! the frame of the mesh.
 
-use scene::Progress;
+use scene::{PosedPhoto, Progress};
 use shape::measure::{MeasureOptions, measure};
-use shape::{Decimation, TextureOptions, TextureView, decimated, textured};
+use shape::{Decimation, TextureOptions, decimated, textured};
 use std::error::Error;
 use std::path::Path;
 
@@ -32,9 +32,9 @@ fn main() -> Result<(), Box<dyn Error>> {
         let mask = if mask.is_file() { Some(scene::io::load_mask(&mask)?.into_raw()) } else { None };
         photos.push((&model.cameras[&image.camera], image.pose, rgb, mask));
     }
-    let views: Vec<TextureView<'_>> = photos
+    let views: Vec<PosedPhoto<'_>> = photos
         .iter()
-        .map(|(camera, pose, rgb, mask)| TextureView { camera, pose: *pose, rgb, mask: mask.as_deref() })
+        .map(|(camera, pose, rgb, mask)| PosedPhoto { camera, pose: *pose, rgb, mask: mask.as_deref() })
         .collect();
     let painted = textured(&coarse, &views, &TextureOptions::default(), &Progress::silent())?;
     let painted = painted.ok_or("the mesh has no triangles")?;

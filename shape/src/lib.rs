@@ -14,5 +14,5 @@ mod texture;
 mod watertight;
 
 pub use decimate::{Decimation, decimated};
-pub use texture::{TextureOptions, TextureView, textured};
+pub use texture::{TextureOptions, textured};
 pub use watertight::watertight;

@@ -5,7 +5,7 @@ mod nearest;
 use crate::dataset::{Dataset, View};
 use crate::error::SplatError;
 use crate::view::NEAREST;
-use glam::{DMat3, DVec3, Quat, Vec3};
+use glam::{DVec3, Quat, Vec3};
 use nearest::mean_square_distance;
 use rand::Rng as _;
 use scene::Gaussians;
@@ -34,10 +34,6 @@ struct RandomCloud {
 
 /// The values in force.
 const RANDOM: RandomCloud = RandomCloud { points: 15_000, candidates: 400_000, ball: 0.6, empty: 16 };
-
-/// Determinant a view at which optical axes are parallel. Source: a spread of the axes of about
-/// 0.6°.
-const PARALLEL: f64 = 1e-4;
 
 /// A point stands alone where its neighbours are farther off than this share of its distance from
 /// the nearest camera.
@@ -114,20 +110,13 @@ fn at_points(points: &[ColouredPoint]) -> Gaussians {
 /// The point nearest to all optical axes (least squares) and the mean distance of the cameras from
 /// it.
 pub(crate) fn focus(views: &[&View]) -> Option<(DVec3, f64)> {
-    let (mut a, mut b) = (DMat3::ZERO, DVec3::ZERO);
-    for v in views {
-        let (c, d) = (v.view.position().as_dvec3(), v.view.rotation.row(2).as_dvec3().normalize());
-        let across = DMat3::IDENTITY - DMat3::from_cols(d * d.x, d * d.y, d * d.z);
-        a += across;
-        b += across * c;
-    }
     let n = views.len() as f64;
-    let centre = if a.determinant().abs() > PARALLEL * n.powi(3) {
-        a.inverse() * b
-    } else {
+    let axes =
+        views.iter().map(|v| (v.view.position().as_dvec3(), v.view.rotation.row(2).as_dvec3().normalize()));
+    let centre = scene::focus(axes).unwrap_or_else(|| {
         // Parallel axes: one unit in front of the mean camera.
         views.iter().map(|v| (v.view.position() + v.view.rotation.row(2)).as_dvec3()).sum::<DVec3>() / n
-    };
+    });
     let distance = views.iter().map(|v| v.view.position().as_dvec3().distance(centre)).sum::<f64>() / n;
     (centre.is_finite() && distance > 0.0).then_some((centre, distance))
 }

@@ -10,11 +10,11 @@ use glam::{DVec2, DVec3};
 use image::{Rgb, RgbImage};
 use scene::geometry::{Mesh, Surface, compare_points, seen_by};
 use scene::sim3::{Sim3, robust_alignment};
-use scene::{Camera, Pose, Progress, Reconstruction};
+use scene::{Camera, Pose, PosedPhoto, Progress, Reconstruction};
 use std::collections::BTreeMap;
 use std::error::Error;
 use std::path::{Path, PathBuf};
-use stereo::{PlaneField, StereoSettings, StereoView, dense_depths};
+use stereo::{PlaneField, StereoSettings, dense_depths};
 
 /// A photo with its matte.
 struct Photo {
@@ -46,7 +46,7 @@ fn main() -> Result<(), Box<dyn Error>> {
     }
     let model = scene::io::read_model(&Path::new(run).join("undistorted/sparse/0"))?;
     let photos = photos(Path::new(run), &model, every)?;
-    let views: Vec<StereoView> = photos.iter().map(view).collect();
+    let views: Vec<PosedPhoto> = photos.iter().map(view).collect();
     let points: Vec<DVec3> = model.points.values().map(|p| p.position).collect();
     let before = cpu_s();
     let depths = dense_depths(&views, &points, &settings, &Progress::silent())?;
@@ -98,8 +98,8 @@ fn photos(run: &Path, model: &Reconstruction, every: usize) -> Result<Vec<Photo>
     read.collect()
 }
 
-fn view(photo: &Photo) -> StereoView<'_> {
-    StereoView { camera: &photo.camera, pose: photo.pose, rgb: &photo.rgb, mask: photo.mask.as_deref() }
+fn view(photo: &Photo) -> PosedPhoto<'_> {
+    PosedPhoto { camera: &photo.camera, pose: photo.pose, rgb: &photo.rgb, mask: photo.mask.as_deref() }
 }
 
 /// The points that a view's pixels see.

@@ -4,8 +4,8 @@ use crate::agree::{Meeting, meeting};
 use crate::depths::DenseDepths;
 use crate::field::PlaneField;
 use crate::pair::Pair;
-use crate::view::StereoView;
 use glam::{DVec2, DVec3, Vec3};
+use scene::PosedPhoto;
 
 /// A point of the surface.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -32,7 +32,7 @@ struct Mean {
 impl DenseDepths {
     /// The points of the surface: each depth with those of other views that agree, once. `views`:
     /// those of the depths.
-    pub fn cloud(&self, views: &[StereoView]) -> Vec<StereoPoint> {
+    pub fn cloud(&self, views: &[PosedPhoto]) -> Vec<StereoPoint> {
         let mut used: Vec<Vec<bool>> = self.fields.iter().map(|f| vec![false; f.depth.len()]).collect();
         let mut points = Vec::new();
         for (at, field) in self.fields.iter().enumerate() {
@@ -67,7 +67,7 @@ impl DenseDepths {
 }
 
 impl Mean {
-    fn add(&mut self, field: &PlaneField, view: &StereoView, i: usize) {
+    fn add(&mut self, field: &PlaneField, view: &PosedPhoto, i: usize) {
         let (x, y) = field.place(i);
         let world_from_cam = view.pose.inverse();
         self.position += world_from_cam.transform(field.point(i));

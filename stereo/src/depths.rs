@@ -1,17 +1,16 @@
 //! From views to depths, coarse to fine.
 
 use crate::agree;
-use crate::field::PlaneField;
-use crate::kept::rounded;
+use crate::field::{PlaneField, rounded};
 use crate::level::LevelImage;
 use crate::neighbours::Layout;
 use crate::pair::Pair;
 use crate::settings::{StereoSettings, Tolerance};
 use crate::sweep::{Job, ViewJob, swept};
-use crate::view::{StereoError, StereoView, check};
+use crate::view::{StereoError, check};
 use glam::DVec3;
 use rayon::prelude::*;
-use scene::Progress;
+use scene::{PosedPhoto, Progress};
 
 /// What the views see.
 #[derive(Clone, Debug)]
@@ -28,7 +27,7 @@ pub struct DenseDepths {
 /// lies. Views without neighbours, or with nothing to see, have none. The same on any number of
 /// threads.
 pub fn dense_depths(
-    views: &[StereoView],
+    views: &[PosedPhoto],
     points: &[DVec3],
     settings: &StereoSettings,
     progress: &Progress,
@@ -66,6 +65,6 @@ impl DenseDepths {
 }
 
 /// Every view's neighbours at one resolution.
-pub(crate) fn pairs_at(layout: &Layout, views: &[StereoView], images: &[LevelImage]) -> Vec<Vec<Pair>> {
+pub(crate) fn pairs_at(layout: &Layout, views: &[PosedPhoto], images: &[LevelImage]) -> Vec<Vec<Pair>> {
     (0..views.len()).map(|i| layout.pairs(i, views, images)).collect()
 }

@@ -1,29 +1,14 @@
 //! Depths as bytes, to be kept in a file.
 
 use crate::depths::{DenseDepths, pairs_at};
-use crate::field::PlaneField;
+use crate::field::{PlaneField, from_steps, to_steps};
 use crate::level::LevelImage;
 use crate::neighbours::Layout;
 use crate::settings::StereoSettings;
-use crate::view::{StereoView, check};
-use glam::{DVec3, Vec3};
+use crate::view::check;
+use glam::DVec3;
 use rayon::prelude::*;
-
-/// Steps of a normal's component. Source: the range of 16 bits.
-const STEPS: f32 = 32767.0;
-
-/// The nearest normal that 16 bits a component can tell: what is kept is what was returned.
-pub(crate) fn rounded(normal: Vec3) -> Vec3 {
-    from_steps(to_steps(normal))
-}
-
-fn to_steps(normal: Vec3) -> [i16; 3] {
-    normal.to_array().map(|v| (v * STEPS).round() as i16)
-}
-
-fn from_steps(steps: [i16; 3]) -> Vec3 {
-    Vec3::from(steps.map(|v| f32::from(v) / STEPS))
-}
+use scene::PosedPhoto;
 
 impl DenseDepths {
     /// Depths and normals of all views, little endian: a view's number of pixels (4 bytes), its
@@ -44,7 +29,7 @@ impl DenseDepths {
     /// costs; none where the bytes are not theirs.
     pub fn from_bytes(
         mut bytes: &[u8],
-        views: &[StereoView],
+        views: &[PosedPhoto],
         points: &[DVec3],
         settings: &StereoSettings,
     ) -> Option<Self> {

@@ -1,7 +1,7 @@
 //! A picture at one resolution, as the correlation reads it.
 
-use crate::view::StereoView;
 use scene::Camera;
+use scene::PosedPhoto;
 
 /// Masks are white from here, of 255. Source: the middle.
 const WHITE: u32 = 128;
@@ -25,7 +25,7 @@ pub(crate) struct LevelImage {
 
 impl LevelImage {
     /// A view whose sides are divided by 2^`level`; means over squares.
-    pub(crate) fn new(view: &StereoView, level: u32) -> Self {
+    pub(crate) fn new(view: &PosedPhoto, level: u32) -> Self {
         let (full_width, full_height) = (view.camera.width as usize, view.camera.height as usize);
         let step = 1_usize << level;
         let (width, height) = ((full_width / step).max(1), (full_height / step).max(1));

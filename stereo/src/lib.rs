@@ -30,7 +30,7 @@ pub use cloud::StereoPoint;
 pub use depths::{DenseDepths, dense_depths};
 pub use field::PlaneField;
 pub use settings::{StereoSettings, Tolerance};
-pub use view::{StereoError, StereoView};
+pub use view::StereoError;
 
 #[cfg(test)]
 mod tests;

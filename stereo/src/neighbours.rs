@@ -3,8 +3,8 @@
 use crate::level::LevelImage;
 use crate::pair::Pair;
 use crate::settings::StereoSettings;
-use crate::view::StereoView;
 use glam::DVec3;
+use scene::PosedPhoto;
 
 /// How the views lie.
 pub(crate) struct Layout {
@@ -15,7 +15,7 @@ pub(crate) struct Layout {
 }
 
 impl Layout {
-    pub(crate) fn new(views: &[StereoView], points: &[DVec3], settings: &StereoSettings) -> Self {
+    pub(crate) fn new(views: &[PosedPhoto], points: &[DVec3], settings: &StereoSettings) -> Self {
         let points: Vec<DVec3> = points.iter().copied().filter(|p| p.is_finite()).collect();
         let middle = DVec3::from(
             [0, 1, 2].map(|axis| quantile(points.iter().map(|p| p[axis]).collect(), 0.5).unwrap_or(0.0)),
@@ -26,7 +26,7 @@ impl Layout {
     }
 
     /// The neighbours of a view, at one resolution.
-    pub(crate) fn pairs(&self, view: usize, views: &[StereoView], images: &[LevelImage]) -> Vec<Pair> {
+    pub(crate) fn pairs(&self, view: usize, views: &[PosedPhoto], images: &[LevelImage]) -> Vec<Pair> {
         let from = (&images[view], &views[view].pose);
         let others = self.neighbours[view].iter();
         others.map(|&j| Pair::new(j, from, (&images[j], &views[j].pose))).collect()
@@ -34,7 +34,7 @@ impl Layout {
 }
 
 /// The nearest and the farthest depth of the points before a view, with room.
-fn depths(view: &StereoView, points: &[DVec3], settings: &StereoSettings) -> Option<[f32; 2]> {
+fn depths(view: &PosedPhoto, points: &[DVec3], settings: &StereoSettings) -> Option<[f32; 2]> {
     let all: Vec<f64> = points.iter().map(|p| view.pose.transform(*p).z).filter(|z| *z > 0.0).collect();
     let (near, far) = (quantile(all.clone(), settings.tail)?, quantile(all, 1.0 - settings.tail)?);
     let room = settings.reach * (far - near) + f64::from(f32::EPSILON) * far;
@@ -43,7 +43,7 @@ fn depths(view: &StereoView, points: &[DVec3], settings: &StereoSettings) -> Opt
 
 /// The views from which the object is seen under a useful angle: as many as asked for, spread
 /// evenly over the angles and, by the order of the views, over both sides.
-fn neighbours(view: usize, views: &[StereoView], middle: DVec3, settings: &StereoSettings) -> Vec<usize> {
+fn neighbours(view: usize, views: &[PosedPhoto], middle: DVec3, settings: &StereoSettings) -> Vec<usize> {
     let towards: Vec<DVec3> = views.iter().map(|v| (v.pose.centre() - middle).normalize_or_zero()).collect();
     let here = towards[view];
     let [least, most] = settings.angles_deg.map(f64::to_radians);

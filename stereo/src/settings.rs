@@ -1,6 +1,6 @@
 //! How stereo is done.
 
-use crate::view::StereoView;
+use scene::PosedPhoto;
 
 /// Standard deviation of what rounding to whole numbers adds. Source: 1/√12.
 const ROUNDING: f32 = 0.29;
@@ -91,7 +91,7 @@ impl Default for StereoSettings {
 
 impl StereoSettings {
     /// How often the pictures are halved before the finest level.
-    pub(crate) fn first_level(&self, views: &[StereoView]) -> u32 {
+    pub(crate) fn first_level(&self, views: &[PosedPhoto]) -> u32 {
         let side = views.iter().map(|v| v.camera.width.max(v.camera.height)).max().unwrap_or(0);
         (0..u32::BITS - 1).find(|l| side >> l <= self.most_side.max(1)).unwrap_or(0)
     }

@@ -2,7 +2,7 @@ use super::*;
 use glam::{DVec2, DVec3};
 use image::{GrayImage, RgbImage};
 use scene::synthetic::{TexturedScene, default_camera, orbit_pose};
-use scene::{Camera, CameraModel, Pose, Progress};
+use scene::{Camera, CameraModel, Pose, PosedPhoto, Progress};
 
 /// Photos of the textured block before black, with their masks.
 struct Shot {
@@ -24,9 +24,9 @@ impl Shot {
         Self { scene, camera, poses, photos, masks }
     }
 
-    fn views(&self) -> Vec<StereoView<'_>> {
+    fn views(&self) -> Vec<PosedPhoto<'_>> {
         (0..self.poses.len())
-            .map(|i| StereoView {
+            .map(|i| PosedPhoto {
                 camera: &self.camera,
                 pose: self.poses[i],
                 rgb: self.photos[i].as_raw(),
@@ -144,7 +144,7 @@ fn depths_that_were_kept_are_those_that_were_found() {
 fn what_cannot_be_matched_has_no_depth_and_nothing_panics() {
     let shot = Shot::new(1.0, 5, 96);
     let (views, points) = (shot.views(), shot.points());
-    let dense = |views: &[StereoView], points: &[DVec3]| {
+    let dense = |views: &[PosedPhoto], points: &[DVec3]| {
         dense_depths(views, points, &settings(), &Progress::silent()).unwrap().fields
     };
     let empty = |fields: &[PlaneField]| fields.iter().all(|f| f.depth.iter().all(|z| *z == 0.0));
@@ -153,13 +153,13 @@ fn what_cannot_be_matched_has_no_depth_and_nothing_panics() {
     assert!(empty(&dense(&views, &[])), "no points");
     assert!(empty(&dense(&views, &[DVec3::NAN])), "points that are no numbers");
     let black = vec![0; shot.masks[0].as_raw().len()];
-    let nothing: Vec<StereoView> = views.iter().map(|v| StereoView { mask: Some(&black), ..*v }).collect();
+    let nothing: Vec<PosedPhoto> = views.iter().map(|v| PosedPhoto { mask: Some(&black), ..*v }).collect();
     assert!(empty(&dense(&nothing, &points)), "black masks");
-    let same: Vec<StereoView> = views.iter().map(|v| StereoView { pose: views[0].pose, ..*v }).collect();
+    let same: Vec<PosedPhoto> = views.iter().map(|v| PosedPhoto { pose: views[0].pose, ..*v }).collect();
     assert!(empty(&dense(&same, &points)), "one place");
     // A surface without texture: whatever is found is finite.
     let grey = vec![130; shot.photos[0].as_raw().len()];
-    let plain: Vec<StereoView> = views.iter().map(|v| StereoView { rgb: &grey, ..*v }).collect();
+    let plain: Vec<PosedPhoto> = views.iter().map(|v| PosedPhoto { rgb: &grey, ..*v }).collect();
     for field in dense(&plain, &points) {
         assert!(field.depth.iter().all(|z| z.is_finite()) && field.normal.iter().all(|n| n.is_finite()));
     }
@@ -175,9 +175,9 @@ fn views_that_are_not_what_they_should_be_are_refused() {
     distorted.params[3] = 0.1;
     for (view, why) in [
         (views[2], "finite"),
-        (StereoView { rgb: short, ..views[0] }, "size"),
-        (StereoView { mask: Some(short), ..views[0] }, "mask"),
-        (StereoView { camera: &distorted, ..views[0] }, "distortion"),
+        (PosedPhoto { rgb: short, ..views[0] }, "size"),
+        (PosedPhoto { mask: Some(short), ..views[0] }, "mask"),
+        (PosedPhoto { camera: &distorted, ..views[0] }, "distortion"),
     ] {
         let error = dense_depths(&[views[0], view], &shot.points(), &settings(), &Progress::silent());
         let error = error.unwrap_err().to_string();

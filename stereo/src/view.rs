@@ -1,19 +1,6 @@
 //! What stereo is given.
 
-use scene::{Camera, Pose};
-
-/// A photo without distortion, with its camera and pose.
-#[derive(Clone, Copy, Debug)]
-pub struct StereoView<'a> {
-    /// A pinhole.
-    pub camera: &'a Camera,
-    /// `cam_from_world`.
-    pub pose: Pose,
-    /// [height × width × 3] sRGB.
-    pub rgb: &'a [u8],
-    /// [height × width] white = the object; everything without one.
-    pub mask: Option<&'a [u8]>,
-}
+use scene::PosedPhoto;
 
 /// Why there are no depths.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
@@ -32,7 +19,7 @@ pub enum StereoError {
 }
 
 /// An error if a view is not what was promised.
-pub(crate) fn check(views: &[StereoView]) -> Result<(), StereoError> {
+pub(crate) fn check(views: &[PosedPhoto]) -> Result<(), StereoError> {
     for (view, v) in views.iter().enumerate() {
         let pixels = v.camera.width as usize * v.camera.height as usize;
         let pinhole = v.camera.distortion().iter().all(|k| *k == 0.0);

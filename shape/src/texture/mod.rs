@@ -9,7 +9,7 @@ mod samples;
 #[cfg(test)]
 mod tests;
 
-pub use options::{TextureOptions, TextureView};
+pub use options::TextureOptions;
 
 use crate::decimate::cleaned;
 use atlas::{Atlas, Texel};
@@ -18,7 +18,7 @@ use image::RgbImage;
 use rayon::prelude::*;
 use samples::{PreparedView, TexelSample, blend};
 use scene::geometry::{Mesh, TexturedMesh};
-use scene::{Cancelled, Progress};
+use scene::{Cancelled, PosedPhoto, Progress};
 use std::collections::HashMap;
 
 /// Lays a mesh out flat and paints it with the photos. Texels have the width of a photo's pixel on
@@ -28,7 +28,7 @@ use std::collections::HashMap;
 /// charts that no texture of that size holds them.
 pub fn textured(
     mesh: &Mesh,
-    views: &[TextureView<'_>],
+    views: &[PosedPhoto<'_>],
     options: &TextureOptions,
     progress: &Progress,
 ) -> Result<Option<TexturedMesh>, Cancelled> {
@@ -59,7 +59,7 @@ pub fn textured(
 
 /// Median width of a pixel at the middle of the mesh; without views a texture of the size asked
 /// for.
-fn texel_size(mesh: &Mesh, views: &[TextureView<'_>], options: &TextureOptions) -> f64 {
+fn texel_size(mesh: &Mesh, views: &[PosedPhoto<'_>], options: &TextureOptions) -> f64 {
     let (low, high) = crate::decimate::bounds(&mesh.vertices);
     let middle = (low + high) / 2.0;
     let sizes = views.iter().map(|v| v.pose.centre().distance(middle) / v.camera.mean_focal());
@@ -74,7 +74,7 @@ fn sampled(
     mesh: &Mesh,
     normals: &[DVec3],
     texels: &[Texel],
-    views: &[TextureView<'_>],
+    views: &[PosedPhoto<'_>],
     options: &TextureOptions,
     progress: &Progress,
 ) -> Result<Vec<TexelSample>, Cancelled> {

@@ -1,7 +1,5 @@
 //! What a texture is made from.
 
-use scene::{Camera, Pose};
-
 /// How a texture is made.
 #[derive(Clone, Debug, PartialEq)]
 pub struct TextureOptions {
@@ -23,17 +21,4 @@ impl Default for TextureOptions {
     fn default() -> Self {
         Self { most_texels: 4096, most_samples: 8, border_px: 6, slack: 0.003, color_tolerance: 12.0 }
     }
-}
-
-/// A photo and where it was taken.
-#[derive(Clone, Copy, Debug)]
-pub struct TextureView<'a> {
-    /// The camera; its size is that of the photo.
-    pub camera: &'a Camera,
-    /// World to camera, in the mesh's frame.
-    pub pose: Pose,
-    /// [height × width × 3] sRGB.
-    pub rgb: &'a [u8],
-    /// [height × width] matte, white where the object is.
-    pub mask: Option<&'a [u8]>,
 }

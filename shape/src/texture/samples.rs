@@ -1,7 +1,8 @@
 //! What a view says of the colours of texels.
 
-use super::options::{TextureOptions, TextureView};
+use super::options::TextureOptions;
 use glam::{DVec2, DVec3};
+use scene::PosedPhoto;
 use scene::geometry::{DepthView, Mesh};
 
 /// Depths are the least of a square that reaches so far, pixels: what lies beside the border of a
@@ -22,7 +23,7 @@ pub(super) struct TexelSample {
 
 /// A view that can be asked what it sees.
 pub(super) struct PreparedView<'a> {
-    view: TextureView<'a>,
+    view: PosedPhoto<'a>,
     /// [height × width] least depth around each pixel.
     nearest: Vec<f64>,
     /// [height × width] pixels to the nearest black of the matte or the border of the photo, at
@@ -33,7 +34,7 @@ pub(super) struct PreparedView<'a> {
 }
 
 impl<'a> PreparedView<'a> {
-    pub(super) fn new(view: TextureView<'a>, mesh: &Mesh, options: &TextureOptions) -> Self {
+    pub(super) fn new(view: PosedPhoto<'a>, mesh: &Mesh, options: &TextureOptions) -> Self {
         let (w, h) = (view.camera.width as usize, view.camera.height as usize);
         let depth = DepthView::new(mesh, view.camera, &view.pose).depth;
         let nearest = least_around(&depth, w, AROUND_PX);

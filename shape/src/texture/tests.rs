@@ -2,7 +2,7 @@
 
 use super::*;
 use crate::testing::box_mesh;
-use scene::{Camera, CameraModel, Pose};
+use scene::{Camera, CameraModel, Pose, PosedPhoto};
 
 const SIZE: DVec3 = DVec3::new(1.0, 0.7, 0.4);
 
@@ -55,10 +55,10 @@ fn photos(scale: f64, glint: bool) -> Vec<Taken> {
         .collect()
 }
 
-fn views(photos: &[Taken]) -> Vec<TextureView<'_>> {
+fn views(photos: &[Taken]) -> Vec<PosedPhoto<'_>> {
     photos
         .iter()
-        .map(|t| TextureView { camera: &t.camera, pose: t.pose, rgb: &t.rgb, mask: Some(&t.mask) })
+        .map(|t| PosedPhoto { camera: &t.camera, pose: t.pose, rgb: &t.rgb, mask: Some(&t.mask) })
         .collect()
 }
 
@@ -116,7 +116,7 @@ fn glints_in_every_fifth_photo_do_not_show() {
 fn what_is_hidden_has_its_own_colour_and_what_is_nothing_has_no_texture() {
     let mut mesh = box_mesh(SIZE, 4);
     mesh.colors = vec![[9, 8, 7]; mesh.vertices.len()];
-    let textured_by = |mesh: &Mesh, views: &[TextureView<'_>]| {
+    let textured_by = |mesh: &Mesh, views: &[PosedPhoto<'_>]| {
         textured(
             mesh,
             views,
@@ -133,7 +133,7 @@ fn what_is_hidden_has_its_own_colour_and_what_is_nothing_has_no_texture() {
     assert!(textured_by(&Mesh::default(), &[]).is_none());
     // A wall before the box hides it from the one camera there is.
     let taken = &photos(1.0, false)[0];
-    let view = TextureView { camera: &taken.camera, pose: taken.pose, rgb: &taken.rgb, mask: None };
+    let view = PosedPhoto { camera: &taken.camera, pose: taken.pose, rgb: &taken.rgb, mask: None };
     let mut walled = box_mesh(SIZE, 4);
     walled.colors = vec![[1, 2, 3]; walled.vertices.len()];
     let n = walled.vertices.len() as u32;
