@@ -13,6 +13,13 @@ const ROUNDS: usize = 300;
 /// Source: derived; the mean length of tracks is 3 to 8.
 const NEIGHBOURS: usize = 8;
 
+/// Fewest points that tie two parts of a model to each other.
+/// Source: derived; three fix a similarity (Horn, JOSA A 4, 1987).
+const FEWEST_TIES: usize = 3;
+/// Least share of an image's points that ties two parts: a few wrong points cross any cut.
+/// Source: docs/results/plausibility.csv; 0.003 across a cut film, 0.09 at least in right models.
+const LEAST_TIE: f64 = 0.02;
+
 /// Images in the order of the second eigenvector of their normalised graph, whose edges weigh
 /// `weights[(a, b)]` (a < b): what a weak place separates lies apart in it (Fiedler 1973; Shi &
 /// Malik, "Normalized Cuts", PAMI 2000).
@@ -54,6 +61,13 @@ pub(super) struct WeakestLink {
     pub points: usize,
     /// These relative to the points that an image sees in the median.
     pub share: f64,
+}
+
+impl WeakestLink {
+    /// Whether it can hold two parts of a model in place.
+    pub(super) fn ties(&self) -> bool {
+        self.points >= FEWEST_TIES && self.share >= LEAST_TIE
+    }
 }
 
 /// [`weakest_link`] of the images that have a pose.
@@ -118,6 +132,8 @@ mod tests {
         let apart: Vec<Vec<usize>> = group(0).chain(group(10)).chain([vec![3, 14]]).collect();
         let share = |points: &[Vec<usize>]| weakest_link(20, points).unwrap().share;
         assert!((share(&apart) - 0.01).abs() < 1e-9, "{}", share(&apart));
+        let few: Vec<Vec<usize>> = apart.iter().cloned().chain([vec![4, 15], vec![5, 16]]).collect();
+        assert!(!weakest_link(20, &apart).unwrap().ties() && weakest_link(20, &few).unwrap().ties());
         assert_eq!(weakest_link(20, &apart[..200]).unwrap().points, 0);
         let chain: Vec<Vec<usize>> = (0..1600).map(|k| (k % 16..k % 16 + 5).collect()).collect();
         assert!(share(&chain) > 0.3, "{}", share(&chain));

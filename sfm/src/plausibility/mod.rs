@@ -20,10 +20,6 @@ use scene::{Camera, Progress};
 /// Models of less probability are doubtful.
 /// Source: docs/decisions/20.
 const DOUBTFUL: f64 = 0.9;
-/// Fewest points that tie two parts of a model to each other.
-/// Source: derived; three fix a similarity (Horn, JOSA A 4, 1987).
-const FEWEST_TIES: usize = 3;
-
 /// A finished model and what it rests on.
 pub(crate) struct FinishedModel<'a> {
     pub state: &'a MapState,
@@ -43,7 +39,7 @@ impl FinishedModel<'_> {
     /// against a doubtful model, too.
     pub(crate) fn judge(&self) -> Result<Decision, SfmError> {
         let link = graph::weakest_link_of(self.state);
-        let tied = link.as_ref().is_none_or(|link| link.points >= FEWEST_TIES);
+        let tied = link.as_ref().is_none_or(graph::WeakestLink::ties);
         let mut features = self.features(link.map_or(f64::NAN, |link| link.share));
         if tied && !self.follows_law {
             features.extend(self.second_solution()?);
