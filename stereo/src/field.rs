@@ -4,20 +4,17 @@ use crate::level::LevelImage;
 use glam::{DVec2, DVec3, Vec3};
 use scene::Camera;
 
-/// Steps of a normal's component. Source: the range of 16 bits.
-const STEPS: f32 = 32767.0;
-
 /// The nearest normal that 16 bits a component can tell: what is kept is what was returned.
 pub(crate) fn rounded(normal: Vec3) -> Vec3 {
     from_steps(to_steps(normal))
 }
 
 pub(crate) fn to_steps(normal: Vec3) -> [i16; 3] {
-    normal.to_array().map(|v| (v * STEPS).round() as i16)
+    normal.to_array().map(|v| (v * f32::from(i16::MAX)).round() as i16)
 }
 
 pub(crate) fn from_steps(steps: [i16; 3]) -> Vec3 {
-    Vec3::from(steps.map(|v| f32::from(v) / STEPS))
+    Vec3::from(steps.map(|v| f32::from(v) / f32::from(i16::MAX)))
 }
 
 /// What a view's pixels see. Only the rectangle around the object is kept.

@@ -75,9 +75,6 @@ struct FusionBlock {
     colour: Vec<[f32; 4]>,
 }
 
-/// Bytes of a block: distance, weight, views, three colours and their weight. Source: derived.
-const BLOCK_BYTES: usize = VOXELS * 25;
-
 /// Why there is no mesh.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum FusionError {
@@ -103,7 +100,8 @@ pub fn fuse(maps: &[DepthMap], options: &FusionOptions, progress: &Progress) -> 
     progress.begin("find the surface", maps.len());
     for map in maps {
         places.extend(touched(map, options.voxel));
-        let needed = places.len().saturating_mul(BLOCK_BYTES);
+        // Of a voxel: distance, weight, views, three colours and their weight.
+        let needed = places.len().saturating_mul(VOXELS * 25);
         if needed > options.most_bytes {
             return Err(FusionError::TooLarge {
                 needed_mib: needed >> 20,

@@ -24,9 +24,6 @@ const ROUNDS: usize = 30;
 /// Width of Geman and McClure's loss, radians.
 /// Source: Chatterjee & Govindu, ICCV 2013, who use 5°; here 3° by judgement.
 const WIDTH: f64 = 0.05;
-/// Largest turn of a round at which the search ends, radians.
-/// Source: derived: far below what pairs are exact to.
-const SETTLED: f64 = 1e-6;
 
 /// `image_from_world` of the images in the largest connected part of the graph (others: `None`);
 /// its first image's is the identity. The same for the same edges in the same order.
@@ -48,7 +45,8 @@ pub(crate) fn average(images: usize, edges: &[RotationEdge]) -> Vec<Option<DQuat
             for (rotation, turn) in rotations.iter_mut().zip(&turns) {
                 *rotation = rotation.map(|r| (r * DQuat::from_scaled_axis(*turn)).normalize());
             }
-            if largest < SETTLED {
+            // Far below what pairs are exact to.
+            if largest < f64::EPSILON.sqrt() {
                 break;
             }
         }

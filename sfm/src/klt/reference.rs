@@ -4,7 +4,7 @@
 
 use super::pyramid::PyramidLevel;
 use super::register::{SHORT, STEPS};
-use super::window::{EMPTY, KltWindow, ReferencePatch, SIDE, centre, dot};
+use super::window::{KltWindow, ReferencePatch, SIDE, centre, dot};
 use crate::sift::{LANES, dispatch};
 use crate::solvers::linalg::solve_spd;
 use glam::{DMat2, DVec2};
@@ -23,7 +23,7 @@ const STRETCH: f64 = 1.8;
 const MIDDLE: f32 = 2.5;
 /// Those weights: far from the middle windows see other surfaces from another side.
 static WEIGHTS: LazyLock<KltWindow> = LazyLock::new(|| {
-    let mut weights = EMPTY;
+    let mut weights = KltWindow::default();
     for (j, row) in weights.iter_mut().enumerate() {
         for (i, weight) in row[..SIDE].iter_mut().enumerate() {
             let (x, y) = from_middle(i, j);
@@ -70,7 +70,7 @@ impl Reference {
     }
 
     fn of(patch: &ReferencePatch, weights: Option<&KltWindow>) -> Option<Self> {
-        let (mut values, mut slopes) = (EMPTY, Box::new([EMPTY; 6]));
+        let (mut values, mut slopes) = (KltWindow::default(), Box::new([KltWindow::default(); 6]));
         for j in 0..SIDE {
             for i in 0..SIDE {
                 let at = (j + 1) * (SIDE + 2) + i + 1;
@@ -127,7 +127,7 @@ impl Reference {
 dispatch! {
 fn search(reference: &Reference, level: &PyramidLevel, start: Warp) -> Option<(Warp, f64)> {
     let mut warp = start;
-    let mut window = EMPTY;
+    let mut window = KltWindow::default();
     for _ in 0..STEPS {
         sample(level, &warp, &mut window)?;
         centre(&mut window);

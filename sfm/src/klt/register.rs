@@ -2,7 +2,7 @@
 //! template's own gradients and normal matrix: Baker & Matthews, IJCV 2004).
 
 use super::pyramid::{Pyramid, PyramidLevel};
-use super::window::{EMPTY, KltWindow, SIDE, centre, dot};
+use super::window::{KltWindow, SIDE, centre, dot};
 use crate::sift::dispatch;
 use glam::DVec2;
 
@@ -29,7 +29,7 @@ impl Template {
     #[inline(always)]
     fn new(level: &PyramidLevel, x: f32, y: f32) -> Option<Self> {
         let outer = level.patch(x, y)?;
-        let mut parts = [EMPTY; 3];
+        let mut parts = [KltWindow::default(); 3];
         let [values, gx, gy] = &mut parts;
         for j in 0..SIDE {
             for i in 0..SIDE {
@@ -56,7 +56,7 @@ impl Template {
     /// it is lost.
     #[inline(always)]
     fn fit(&self, level: &PyramidLevel, (start_x, start_y): (f32, f32)) -> Option<(f32, f32)> {
-        let mut window = EMPTY;
+        let mut window = KltWindow::default();
         let (mut x, mut y) = (start_x, start_y);
         for _ in 0..STEPS {
             if !level.padded_window(x, y, &mut window) {

@@ -16,9 +16,6 @@ pub(super) type KltWindow = [[f32; LANES]; SIDE];
 /// The pixels of a window and of the ring about it, which gradients need.
 pub(crate) type ReferencePatch = [f32; (SIDE + 2) * (SIDE + 2)];
 
-/// A window of nothing.
-pub(super) const EMPTY: KltWindow = [[0.0; LANES]; SIDE];
-
 /// `Σ a b`
 #[inline(always)]
 pub(super) fn dot(a: &KltWindow, b: &KltWindow) -> f32 {

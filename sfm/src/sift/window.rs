@@ -2,11 +2,8 @@
 
 use super::blur::LumaPlane;
 
-/// What is kept around the mask's white, pixels.
-/// Source: judgement; a descriptor reaches 9 σ, 32 pixels of a keypoint with a σ of 3.5.
-const MARGIN: usize = 32;
 /// Windows begin at multiples of this, pixels, so that octaves sample the same places as they do in
-/// the whole image.
+/// the whole image; and so much is kept around the mask's white (a descriptor reaches 9 σ).
 /// Source: derived; 2⁵ for six octaves of which the first is doubled.
 const GRID: usize = 32;
 
@@ -32,8 +29,8 @@ impl Window {
         if low[0] > high[0] {
             return Self { first: [0; 2], size: whole };
         }
-        let first = low.map(|n| n.saturating_sub(MARGIN) / GRID * GRID);
-        let end = [0, 1].map(|i| (high[i] + 1 + MARGIN).min(whole[i]));
+        let first = low.map(|n| n.saturating_sub(GRID) / GRID * GRID);
+        let end = [0, 1].map(|i| (high[i] + 1 + GRID).min(whole[i]));
         Self { first, size: [end[0] - first[0], end[1] - first[1]] }
     }
 

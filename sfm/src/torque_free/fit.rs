@@ -6,9 +6,6 @@ use crate::solvers::linalg::solve_spd;
 use crate::statistics::{MEDIAN_LENGTH, median};
 use glam::{DMat3, DQuat, DVec3};
 
-/// Fewest attitudes of which a motion is asked.
-/// Source: derived: three times as many numbers as unknowns.
-const LEAST_ATTITUDES: usize = UNKNOWNS;
 /// Turn over which a rate is first read, radians.
 /// Source: derived: attitudes known to half a degree give it to a twentieth.
 const TURN_FOR_RATE: f64 = 0.15;
@@ -21,9 +18,6 @@ const STARTS: usize = 4;
 /// Standard deviation beforehand of the logarithms of a body's inertia about their mean.
 /// Source: derived: a factor e, wider than the factor two between a plate's moments.
 pub(super) const SHAPE_SIGMA: f64 = 1.0;
-/// Least standard deviation of an attitude, radians, where a motion fits exactly.
-/// Source: derived: far below what any picture says.
-const LEAST_SIGMA: f64 = 1e-9;
 /// Half the width of the differences by which derivatives are taken: radians, logarithms, shares of
 /// the distance.
 /// Source: derived: the cube root of the precision of the integration.
@@ -51,7 +45,7 @@ pub(super) struct TorqueFreeFit {
 impl TorqueFreeFit {
     /// The motion nearest to some attitudes; `None` where there are too few or nothing turns.
     pub(super) fn of(attitudes: &[Attitude]) -> Option<Self> {
-        if attitudes.len() < LEAST_ATTITUDES || !attitudes.iter().all(|a| a.rotation.is_finite()) {
+        if attitudes.len() < UNKNOWNS || !attitudes.iter().all(|a| a.rotation.is_finite()) {
             return None;
         }
         let epoch = attitudes[attitudes.len() / 2].time;
@@ -146,7 +140,8 @@ impl Data {
 
     fn noise(&self, body: &TorqueFreeBody) -> f64 {
         let lengths = self.residuals(body).iter().map(|r| r.length()).collect();
-        (median(lengths) / MEDIAN_LENGTH).max(LEAST_SIGMA)
+        // Where a motion fits exactly: far below what any picture says.
+        (median(lengths) / MEDIAN_LENGTH).max(f64::EPSILON.sqrt())
     }
 
     /// Robust cost and normal equations, in units of `sigma`.
