@@ -76,6 +76,7 @@ fn set(settings: &mut StereoSettings, name: &str, number: f64) -> Result<(), Box
         "noise" => settings.noise = number as f32,
         "sigma_grey" => settings.sigma_grey = number as f32,
         "agreeing" => settings.agreeing = number as u8,
+        "witnesses" => settings.witnesses = number as usize,
         "most_cost" => settings.most_cost = number as f32,
         "px" => settings.tolerance.px = number as f32,
         "least_angle" => settings.angles_deg[0] = number,

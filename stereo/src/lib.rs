@@ -22,6 +22,7 @@ mod kept;
 mod level;
 mod neighbours;
 mod pair;
+mod seen_through;
 mod settings;
 mod sweep;
 mod view;

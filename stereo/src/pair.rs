@@ -35,7 +35,7 @@ impl Pair {
 }
 
 impl PixelMap {
-    fn new(from: &Camera, to: &Camera, to_from_from: &Pose) -> Self {
+    pub(crate) fn new(from: &Camera, to: &Camera, to_from_from: &Pose) -> Self {
         let k = intrinsics(to);
         let a = (k * to_from_from.matrix() * intrinsics(from).inverse()).transpose();
         let b = k * to_from_from.translation;

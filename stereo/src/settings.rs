@@ -49,6 +49,8 @@ pub struct StereoSettings {
     pub agreeing: u8,
     /// Cost above which a depth does not stay.
     pub most_cost: f32,
+    /// Views that are asked whether they look through a depth, at most.
+    pub witnesses: usize,
     /// Seed of the random planes.
     pub seed: u64,
 }
@@ -84,6 +86,7 @@ impl Default for StereoSettings {
             tolerance: Tolerance { px: 1.0, depth: 0.01 },
             agreeing: 2,
             most_cost: 1.5,
+            witnesses: 100,
             seed: 0,
         }
     }

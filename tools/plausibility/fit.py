@@ -22,7 +22,8 @@ import numpy as np
 from scipy.optimize import minimize
 
 DOUBTFUL = 0.9  # as in sfm/src/plausibility/mod.rs
-PRIOR_ODDS = 10.0  # right models for each that is not, of ordinary captures; Source: the suite without the made-wrong set
+PRIOR_ODDS = 5.0  # right models for each that is not; Source: docs/decisions/20
+LEAST_TIE = 0.02  # as in sfm/src/plausibility/graph.rs
 POOR_DEG = 2.0  # median error of relative rotations from which a model that is not wrong is poor
 
 # Column, scale (as in probability.rs), and the sign of the coefficient.
@@ -62,7 +63,7 @@ def read(path):
     for row in rows:
         if row["motion"] in LAWS:
             row.update(dict.fromkeys(SECOND, "0"))
-    tied = [r for r in rows if number(r.get("weakest-link")) != 0]
+    tied = [r for r in rows if not number(r.get("weakest-link")) < LEAST_TIE]
     return [r for r in tied if label(r) != "none" and r.get("agreeing-pairs")]
 
 
