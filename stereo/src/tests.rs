@@ -122,6 +122,23 @@ fn one_thread_and_two_give_the_same() {
 }
 
 #[test]
+fn a_sheet_that_other_views_look_through_goes_and_the_surface_stays() {
+    let shot = Shot::new(1.0, 8, 160);
+    let (views, settings) = (shot.views(), settings());
+    let mut fields = found(&shot);
+    // One view claims something halfway to the surface in the upper rows.
+    let sheet = fields[3].depth.len() / 3;
+    let before = fields[3].depth.clone();
+    fields[3].depth[..sheet].iter_mut().for_each(|z| *z *= 0.8);
+    let claimed = fields[3].depth[..sheet].iter().filter(|z| **z > 0.0).count();
+    let kept = seen_through::without_seen_through(&fields, &views, &settings);
+    let left = kept[3].depth[..sheet].iter().filter(|z| **z > 0.0).count();
+    assert!(claimed > 100 && left * 20 < claimed, "{left} of {claimed}");
+    let known = |depth: &[f32]| depth[sheet..].iter().filter(|z| **z > 0.0).count();
+    assert!(known(&kept[3].depth) * 50 > known(&before) * 49);
+}
+
+#[test]
 fn depths_that_were_kept_are_those_that_were_found() {
     let shot = Shot::new(1.0, 5, 96);
     let (views, points, settings) = (shot.views(), shot.points(), settings());
