@@ -32,6 +32,9 @@ struct Piece {
     commit: String,
     #[serde(flatten)]
     sum: Sum,
+    /// What is to be known of it.
+    #[serde(default, skip_serializing_if = "String::is_empty")]
+    note: String,
 }
 
 /// The whole file.

@@ -1,14 +1,14 @@
 //! `view`: the page over HTTP, on 127.0.0.1 alone. Five kinds of address are answered; no path
 //! leads to a file.
 
-use super::http::{Body, HttpRequest, HttpResponse, Limits, OpenConnections};
+use super::http::{HttpRequest, HttpResponse, Limits, OpenConnections};
 use super::{Run, Splat, bundle, check_bundle, page};
 use crate::args::ViewArgs;
 use crate::outcome::Outcome;
 use crate::terminal::{CANCELLED, say};
 use anyhow::{Context, Result, anyhow};
 use std::fs::File;
-use std::io::{ErrorKind, Write};
+use std::io::Write;
 use std::net::{Ipv4Addr, SocketAddr, TcpListener, TcpStream};
 use std::path::PathBuf;
 use std::sync::Arc;
@@ -43,9 +43,8 @@ pub fn run(args: &ViewArgs, quiet: bool) -> Result<Outcome> {
     let open = Arc::new(OpenConnections::default());
     while !CANCELLED.load(Ordering::Relaxed) {
         match listener.accept() {
-            Ok((stream, _)) => serve(stream, &open, &served)?,
-            Err(e) if e.kind() == ErrorKind::WouldBlock => std::thread::sleep(PAUSE),
-            // The client has gone away, or there are too many open files: others may be answered.
+            Ok((stream, _)) => serve(stream, &open, &served),
+            // Nobody asks, somebody has gone away, or too many files are open.
             Err(_) => std::thread::sleep(PAUSE),
         }
     }
@@ -57,19 +56,19 @@ pub fn run(args: &ViewArgs, quiet: bool) -> Result<Outcome> {
 const PAUSE: Duration = Duration::from_millis(20);
 
 /// Answers a connection in a thread of its own.
-fn serve(stream: TcpStream, open: &Arc<OpenConnections>, served: &Arc<Served>) -> Result<()> {
+fn serve(stream: TcpStream, open: &Arc<OpenConnections>, served: &Arc<Served>) {
     let mut refused = stream.try_clone().ok();
     let connection = stream.set_nonblocking(false).ok().and_then(|()| open.admit(stream, Limits::default()));
     let Some(connection) = connection else {
         // It fits into the buffers of the system, or is lost.
         let said = b"HTTP/1.1 503 Service Unavailable\r\nContent-Length: 0\r\nConnection: close\r\n\r\n";
         let _ = refused.as_mut().map(|stream| stream.write(said));
-        return Ok(());
+        return;
     };
     let served = Arc::clone(served);
-    // A browser that has gone away is no error of ours.
-    let thread = std::thread::Builder::new().spawn(move || drop(connection.serve(|r| answer(r, &served))));
-    thread.map(drop).map_err(|e| anyhow!("cannot answer a request: {e}"))
+    // A browser that has gone away is no error of ours; nor is a thread that the system refuses, which
+    // closes the connection.
+    let _ = std::thread::Builder::new().spawn(move || drop(connection.serve(|r| answer(r, &served))));
 }
 
 /// What is served.
@@ -106,13 +105,11 @@ fn answer<'a>(request: &HttpRequest, Served { run, page, script, port }: &'a Ser
     if let Some(refused) = refusal(request, *port) {
         return refused;
     }
-    let found = |kind, bytes: &'a [u8]| HttpResponse::new(200, kind, Body::Bytes(bytes));
     match route(&request.target) {
-        Answer::Page => {
-            found("text/html; charset=utf-8", page.as_bytes()).with("Content-Security-Policy", POLICY)
-        }
-        Answer::Script => found("text/javascript; charset=utf-8", script.as_bytes()),
-        Answer::Splat => found(BINARY, &run.splat),
+        Answer::Page => HttpResponse::found("text/html; charset=utf-8", page.as_bytes())
+            .with("Content-Security-Policy", POLICY),
+        Answer::Script => HttpResponse::found("text/javascript; charset=utf-8", script.as_bytes()),
+        Answer::Splat => HttpResponse::found(BINARY, &run.splat),
         Answer::Photo(index) => file(run.photo(index)),
         Answer::Nothing => HttpResponse::plain(404, "not found"),
     }
@@ -121,9 +118,8 @@ fn answer<'a>(request: &HttpRequest, Served { run, page, script, port }: &'a Ser
 const BINARY: &str = "application/octet-stream";
 
 fn file(path: Option<PathBuf>) -> HttpResponse<'static> {
-    let opened = path.and_then(|p| File::open(p).ok());
-    match opened.and_then(|file| Some((file.metadata().ok()?.len(), file))) {
-        Some((length, file)) => HttpResponse::new(200, BINARY, Body::File(file, length)),
+    match path.and_then(|p| File::open(p).ok()) {
+        Some(file) => HttpResponse::file(BINARY, file),
         None => HttpResponse::plain(404, "not found"),
     }
 }

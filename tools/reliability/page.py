@@ -7,6 +7,7 @@ RESULTS holds fuzz.json (`make fuzz`), models.json, scenes.json, flags.json and 
 (`make reliability`), crashes.json (`make crash-test`) and sanitize.json (`make sanitize`). --check writes nothing and fails where the page is another.
 """
 import argparse
+import collections
 import json
 import os
 import sys
@@ -38,6 +39,10 @@ def fuzzing(result):
     failures = sum(s["failures"] for s in sums.values())
     hours = sum(r["seconds"] for r in runs) / 3600
     commits = ", ".join(f"`{c}`" for c in dict.fromkeys(r["commit"] for r in runs))
+    notes = collections.Counter()
+    for run in runs:
+        if run.get("note"):
+            notes[run["note"]] += run["failures"]
     rows = [(name, f"{s['executions'] / 1e6:.3f}", f"{s['executions'] / max(s['seconds'], 1e-9) / 1000:.1f}",
              f"{100 * s['accepted'] / max(s['executions'], 1):.0f} %", s["failures"])
             for name, s in sorted(sums.items())]
@@ -49,6 +54,7 @@ def fuzzing(result):
         f"{executions / 1e6:.1f} million executions with {failures} failures;",
         f"the aim is {ASKED / 1e9:.0f} billion, so {100 * executions / ASKED:.2g} % of it is done. Files that failed once are kept in",
         "`fuzz/regressions` and are tried first.",
+        *[f"{n}: {note}." for note, n in notes.items()],
         "",
         *table(["target", "million executions", "thousand a second", "accepted", "failures"], rows),
     ]
