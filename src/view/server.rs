@@ -66,8 +66,8 @@ fn serve(stream: TcpStream, open: &Arc<OpenConnections>, served: &Arc<Served>) {
         return;
     };
     let served = Arc::clone(served);
-    // A browser that has gone away is no error of ours; nor is a thread that the system refuses, which
-    // closes the connection.
+    // A browser that has gone away is no error of ours; nor is a thread that the system refuses,
+    // which closes the connection.
     let _ = std::thread::Builder::new().spawn(move || drop(connection.serve(|r| answer(r, &served))));
 }
 
