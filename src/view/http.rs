@@ -229,8 +229,10 @@ impl Connection {
                 return Err(ErrorKind::UnexpectedEof.into());
             }
             bytes.extend_from_slice(&piece[..read]);
+            if bytes.len() > self.limits.request_bytes {
+                return Ok(Err(431));
+            }
             match HttpRequest::parse(&bytes, &self.limits) {
-                Ok(None) if bytes.len() > self.limits.request_bytes => return Ok(Err(431)),
                 Ok(None) => {}
                 Ok(Some(request)) => return Ok(Ok(request)),
                 Err(status) => return Ok(Err(status)),
