@@ -54,7 +54,7 @@ def fuzzing(result):
         f"{executions / 1e6:.1f} million executions with {failures} failures;",
         f"the aim is {ASKED / 1e9:.0f} billion, so {100 * executions / ASKED:.2g} % of it is done. Files that failed once are kept in",
         "`fuzz/regressions` and are tried first.",
-        *[f"{n}: {note}." for note, n in notes.items()],
+        *[f"Of the failures, {n} are {note}." for note, n in notes.items()],
         "",
         *table(["target", "million executions", "thousand a second", "accepted", "failures"], rows),
     ]
