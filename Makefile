@@ -53,13 +53,16 @@ test: setup viewer  ## every test (real data is looked for in ../shared/data)
 	@tools/setup.sh colmap chromium python3-numpy
 	cargo test --workspace --locked
 
-crash-test: setup  ## kill the program, fill its disk and fail its reads at every call to the file system (hours)
-	SAT_RECON_CRASH=all cargo test --release --locked --test integration -- faults:: --nocapture
+crash-test: build  ## kill the program, fill its disk and fail its reads at every call to the file system (hours)
+	@tools/setup.sh python3 python3-numpy ffmpeg gcc
+	$(PYTHON_NUMPY) tools/reliability/crashes.py $(SAT_RECON) --out build/reliability/crashes --results docs/results/crashes.json
+	$(MAKE) reliability-page
 
 reliability: build  ## wrong models, degenerate scenes, odd flags; docs/reliability.md from what came of them (half an hour)
 	@tools/setup.sh python3 python3-numpy ffmpeg
 	$(PYTHON_NUMPY) tools/reliability/flags.py $(SAT_RECON) --results docs/results/flags.json
 	$(PYTHON_NUMPY) tools/reliability/scenes.py $(SAT_RECON) --out build/reliability/scenes --results docs/results/scenes.json
+	$(PYTHON_NUMPY) tools/reliability/resources.py $(SAT_RECON) --out build/reliability/resources --results docs/results/resources.json
 	$(PYTHON_NUMPY) tools/reliability/models.py $(SAT_RECON) --out build/reliability/models --results docs/results/models.json
 	$(MAKE) reliability-page
 
@@ -75,11 +78,9 @@ fuzz: setup  ## feed every reader of files with mutated files (TIME=60 seconds, 
 	cargo run --profile fuzz --locked -p fuzz -- $(or $(TIME),60) --results docs/results/fuzz.json $(TARGET)
 
 # Nightly Rust brings the sanitizer and Miri; both see the code of this project and its dependencies.
-HOST := $(shell rustc -vV 2>/dev/null | sed -n 's/^host: //p')
-sanitize: setup  ## readers under the address sanitizer, scalar kernels under Miri, advisories (needs nightly Rust)
-	RUSTFLAGS=-Zsanitizer=address cargo +nightly run --target $(HOST) -p fuzz -- $(or $(TIME),60)
-	MIRIFLAGS=-Zmiri-disable-isolation cargo +nightly miri test -p scene --lib -- io::bytes io::name io::splats::plain flag
-	cargo deny --offline check advisories || cargo audit
+sanitize: setup  ## readers and Ceres' border under sanitizers, scalar kernels under Miri, advisories (needs nightly Rust)
+	python3 tools/reliability/sanitize.py --out build/sanitize --seconds $(or $(TIME),60) --results docs/results/sanitize.json
+	$(MAKE) reliability-page
 
 # The trainer alone: `sfm` needs Ceres' libraries for that processor.
 ARM := aarch64-unknown-linux-gnu

@@ -4,7 +4,7 @@ mod frame_names;
 
 use anyhow::{Context, Result, bail};
 pub(crate) use frame_names::FrameNames;
-use scene::decision::{Choice, Decision, Measurement, Quantity, Remark, Rule, Subject};
+use scene::decision::{Choice, Decision, Quantity, Remark, Rule, Subject};
 use scene::io::ImportedPoses;
 use scene::sim3::Sim3;
 use scene::{FrameSet, Progress, Reconstruction};
@@ -202,8 +202,7 @@ pub(crate) fn against_photos(
     imported.model.without_images(&contradicted.iter().map(|(name, _)| name.as_str()).collect());
     imported.missing.extend(contradicted);
     let doubt = is_off.then(|| {
-        let choice = Measurement::new(Quantity::Probability, 0.0);
-        let doubt = Decision::new(Subject::Plausibility, choice, Rule::Evidence);
+        let doubt = Decision::new(Subject::Plausibility, Choice::Taken(false), Rule::Evidence);
         doubt.remarked(Remark::Doubtful).remarked(Remark::PosesOff)
     });
     Ok((imported, unconfirmed, doubt))

@@ -3,13 +3,15 @@
 //!
 //!     fuzz SECONDS [--results FILE] [TARGET...]
 //!
-//! `--results` adds what came of it to the sums by target in a JSON file.
+//! `--results` adds what came of it to the sums by target in a JSON file, and to its list of runs.
 //!
 //! Seeds are files that our own writers made, and the files in `fuzz/regressions/TARGET/`. What
 //! fails is written to `fuzz/failures/TARGET/`: move it to the regressions when it is mended.
 
 mod meter;
 mod mutate;
+#[cfg(feature = "program")]
+mod program;
 mod results;
 mod run;
 mod seeds;
@@ -36,17 +38,17 @@ fn main() -> ExitCode {
     };
     let chosen: Vec<_> =
         targets::TARGETS.iter().filter(|t| wanted.is_empty() || wanted.iter().any(|w| w == t.name)).collect();
-    let mut failures = 0;
+    let mut all = Vec::new();
     println!("| target | executions | accepted | failures |\n|---|---|---|---|");
     for target in &chosen {
         let limit = Duration::from_secs_f64(seconds / chosen.len() as f64);
         let told = run::run(target, run::Until::Time(limit), rand::random());
         println!("| {} | {} | {} | {} |", target.name, told.executions, told.accepted, told.failures.len());
-        failures += told.failures.len();
-        if let Some(path) = &results {
-            results::add(path, target.name, &told);
-        }
         told.failures.iter().for_each(|failure| eprintln!("{}: {failure}", target.name));
+        all.push((target.name, told));
     }
-    ExitCode::from(u8::from(failures > 0))
+    if let Some(path) = &results {
+        results::add(path, &all);
+    }
+    ExitCode::from(u8::from(all.iter().any(|(_, told)| !told.failures.is_empty())))
 }

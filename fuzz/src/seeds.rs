@@ -127,13 +127,13 @@ pub fn weights(folder: &Path) {
     fs::write(folder.join("a.safetensors"), bytes).expect(WRITTEN);
 }
 
-/// A TIFF structure, little endian, with a maker and a link to focal lengths.
 /// Six tiles, coded by libheif.
 pub fn heif(folder: &Path) {
     let picture = include_bytes!("../../scene/tests/fixtures/heif/grid.heic");
     fs::write(folder.join("a.heic"), picture).expect(WRITTEN);
 }
 
+/// A TIFF structure, little endian, with a maker and a link to focal lengths.
 pub fn exif(folder: &Path) {
     let mut bytes = b"II*\0\x08\0\0\0".to_vec();
     let entry = |tag: u16, kind: u16, count: u32, value: u32| {
@@ -188,26 +188,4 @@ pub fn opensfm(folder: &Path) {
         "focal":0.75,"k1":0.1,"k2":0.0}},"shots":{"a.jpg":{"camera":"c","rotation":[1,-1,1],
         "translation":[2,3,-1]}},"points":{}}]"#;
     fs::write(folder.join("reconstruction.json"), text).expect(WRITTEN);
-}
-
-pub fn flags(folder: &Path) {
-    let text = "iterations = 2000\nquality = \"draft\"\nkeep_frame = true\nmatch_ratio = 0.8\n";
-    fs::write(folder.join("flags.toml"), text).expect(WRITTEN);
-}
-
-/// A run folder whose record names the flags that it was made with.
-pub fn former_run(folder: &Path) {
-    let text = r#"{"input":"/photos","flags":["--iterations=2000","--quality=draft","--keep-frame"]}"#;
-    fs::create_dir_all(folder.join(".stages")).expect(WRITTEN);
-    fs::write(folder.join(".stages/args.json"), text).expect(WRITTEN);
-}
-
-pub fn times(folder: &Path) {
-    fs::write(folder.join("times.json"), r#"{"a.png":0.0,"b.png":0.5,"c.png":1.0}"#).expect(WRITTEN);
-}
-
-pub fn tables(folder: &Path) {
-    let text = r#"[{"title":"quality","methods":["a","b"],"cases":["one"],
-        "columns":[{"name":"PSNR","digits":2,"more_is_better":true}],"values":[[[1.0]],[[2.0]]]}]"#;
-    fs::write(folder.join("a.json"), text).expect(WRITTEN);
 }

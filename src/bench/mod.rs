@@ -11,6 +11,7 @@ pub(crate) use point::Point;
 use crate::args::BenchArgs;
 use crate::config;
 use crate::evaluate::metrics::number;
+use crate::input::Input;
 use crate::outcome::Outcome;
 use crate::pipeline::{Pipeline, Until};
 use crate::record::RunRecord;
@@ -75,6 +76,9 @@ pub(crate) fn run(args: &BenchArgs, global: &crate::args::Global, verbosity: Ver
         bail!("nothing to measure: --only-times needs --times");
     }
     let out = args.output.clone().unwrap_or_else(|| default_output(&args.input));
+    // Nothing is made for an input that is not there.
+    Input::detect(&args.input, true)?;
+    let known_peers = peers::of(&args.input, args.peers.as_deref())?;
     let stages = Stages::open(&out)?;
     let mut sweep = Sweep {
         version: env!("CARGO_PKG_VERSION"),
@@ -86,7 +90,7 @@ pub(crate) fn run(args: &BenchArgs, global: &crate::args::Global, verbosity: Ver
         peers: Vec::new(),
         peers_source: None,
     };
-    if let Some((peers, source)) = peers::of(&args.input, args.peers.as_deref())? {
+    if let Some((peers, source)) = known_peers {
         (sweep.peers, sweep.peers_source) = (peers, Some(source));
     }
     for setting in &settings {

@@ -1,5 +1,6 @@
 //! The splat in a browser: one self-contained page, or a server for this machine alone.
 
+mod http;
 pub mod server;
 
 include!(concat!(env!("OUT_DIR"), "/bundle.rs"));

@@ -1,19 +1,19 @@
 //! `view`: the page over HTTP, on 127.0.0.1 alone. Five kinds of address are answered; no path
 //! leads to a file.
 
+use super::http::{HttpRequest, HttpResponse, Limits, OpenConnections};
 use super::{Run, Splat, bundle, check_bundle, page};
 use crate::args::ViewArgs;
 use crate::outcome::Outcome;
 use crate::terminal::{CANCELLED, say};
-use anyhow::{Result, anyhow};
+use anyhow::{Context, Result, anyhow};
 use std::fs::File;
-use std::io::Cursor;
-use std::net::{Ipv4Addr, SocketAddr};
+use std::io::Write;
+use std::net::{Ipv4Addr, SocketAddr, TcpListener, TcpStream};
 use std::path::PathBuf;
 use std::sync::Arc;
 use std::sync::atomic::Ordering;
 use std::time::Duration;
-use tiny_http::{Header, Method, Request, Response, Server};
 
 /// What an address stands for.
 #[derive(Debug, PartialEq, Eq)]
@@ -32,31 +32,44 @@ pub fn run(args: &ViewArgs, quiet: bool) -> Result<Outcome> {
     let scene = run.scene(Splat { url: Some("splat.spz") }, |i| run.photo(i).map(|_| format!("photo/{i}")));
     let page = page(&scene, "", r#"<script src="viewer.js"></script>"#)?;
     let address = SocketAddr::from((Ipv4Addr::LOCALHOST, args.port));
-    let server = Server::http(address)
+    let listener = TcpListener::bind(address)
         .map_err(|e| anyhow!("cannot listen on {address}: {e}; choose another port with --port"))?;
-    let port = server.server_addr().to_ip().map_or(args.port, |a| a.port());
+    let port = listener.local_addr().context("cannot listen")?.port();
+    listener.set_nonblocking(true).context("cannot listen")?;
     if !quiet {
         say(&format!("open http://127.0.0.1:{port} in a browser; Ctrl-C ends"));
     }
     let served = Arc::new(Served { run, page, script: bundle()?, port });
+    let open = Arc::new(OpenConnections::default());
     while !CANCELLED.load(Ordering::Relaxed) {
-        let Some(request) = server.recv_timeout(Duration::from_millis(200))? else { continue };
-        // A client that does not read its answer keeps its own thread waiting and nobody else.
-        if Arc::strong_count(&served) > AT_ONCE {
-            let _ = request.respond(plain("too many requests at once", 503)); // nor is one that has gone away
-            continue;
+        match listener.accept() {
+            Ok((stream, _)) => serve(stream, &open, &served),
+            // Nobody asks, somebody has gone away, or too many files are open.
+            Err(_) => std::thread::sleep(PAUSE),
         }
-        let served = Arc::clone(&served);
-        // A browser that has gone away is no error of ours.
-        let thread = std::thread::Builder::new().spawn(move || drop(answer(request, &served)));
-        thread.map_err(|e| anyhow!("cannot answer a request: {e}"))?;
     }
     Ok(Outcome::Done)
 }
 
-/// Requests that are answered at the same time. Source: derived; a browser asks for six, and a page
-/// in every window of a desktop.
-const AT_ONCE: usize = 64;
+/// Time between two looks for new connections. Source: derived; nobody notices a fiftieth of a
+/// second.
+const PAUSE: Duration = Duration::from_millis(20);
+
+/// Answers a connection in a thread of its own.
+fn serve(stream: TcpStream, open: &Arc<OpenConnections>, served: &Arc<Served>) {
+    let mut refused = stream.try_clone().ok();
+    let connection = stream.set_nonblocking(false).ok().and_then(|()| open.admit(stream, Limits::default()));
+    let Some(connection) = connection else {
+        // It fits into the buffers of the system, or is lost.
+        let said = b"HTTP/1.1 503 Service Unavailable\r\nContent-Length: 0\r\nConnection: close\r\n\r\n";
+        let _ = refused.as_mut().map(|stream| stream.write(said));
+        return;
+    };
+    let served = Arc::clone(served);
+    // A browser that has gone away is no error of ours; nor is a thread that the system refuses,
+    // which closes the connection.
+    let _ = std::thread::Builder::new().spawn(move || drop(connection.serve(|r| answer(r, &served))));
+}
 
 /// What is served.
 struct Served {
@@ -73,64 +86,42 @@ const POLICY: &str = "default-src 'none'; script-src 'self' 'wasm-unsafe-eval'; 
     connect-src 'self' blob: data:; img-src 'self' blob: data:; style-src 'unsafe-inline'; \
     base-uri 'none'; form-action 'none'; frame-ancestors 'none'";
 
-/// Why a request is not answered: the words, the status code.
-fn refusal(request: &Request, port: u16) -> Option<(&'static str, u16)> {
-    let header = |name: &'static str| request.headers().iter().find(|h| h.field.equiv(name));
+/// Why a request is not answered.
+fn refusal(request: &HttpRequest, port: u16) -> Option<HttpResponse<'static>> {
     let own = [format!("127.0.0.1:{port}"), format!("localhost:{port}")];
     // A page of another site that resolves its name to this machine sends its own name.
-    let is_local = header("Host").is_some_and(|h| own.iter().any(|o| o == h.value.as_str()));
+    let is_local = request.header("Host").is_some_and(|h| own.iter().any(|o| o.as_bytes() == h));
     // Other sites may link to the page, but not load what is in it.
-    let is_foreign = header("Sec-Fetch-Site").is_some_and(|h| h.value.as_str() == "cross-site");
-    if !is_local || (is_foreign && route(request.url()) != Answer::Page) {
-        return Some(("forbidden", 403));
+    let is_foreign = request.header("Sec-Fetch-Site") == Some(b"cross-site");
+    if !is_local || (is_foreign && route(&request.target) != Answer::Page) {
+        return Some(HttpResponse::plain(403, "forbidden"));
     }
-    let is_read = matches!(request.method(), Method::Get | Method::Head);
-    (!is_read).then_some(("only GET and HEAD are answered", 405))
+    let is_read = matches!(request.method.as_str(), "GET" | "HEAD");
+    let refused = || HttpResponse::plain(405, "only GET and HEAD are answered").with("Allow", "GET, HEAD");
+    (!is_read).then(refused)
 }
 
-fn plain(text: &str, status: u16) -> Response<Cursor<Vec<u8>>> {
-    let response = of_kind(Response::from_string(text), "text/plain; charset=utf-8").with_status_code(status);
-    if status == 405 { with(response, "Allow", "GET, HEAD") } else { response }
-}
-
-fn answer(request: Request, Served { run, page, script, port }: &Served) -> std::io::Result<()> {
-    if let Some((text, status)) = refusal(&request, *port) {
-        return request.respond(plain(text, status));
+fn answer<'a>(request: &HttpRequest, Served { run, page, script, port }: &'a Served) -> HttpResponse<'a> {
+    if let Some(refused) = refusal(request, *port) {
+        return refused;
     }
-    match route(request.url()) {
-        Answer::Page => {
-            let page = of_kind(Response::from_string(page), "text/html; charset=utf-8");
-            request.respond(with(page, "Content-Security-Policy", POLICY))
-        }
-        Answer::Script => {
-            request.respond(of_kind(Response::from_string(script), "text/javascript; charset=utf-8"))
-        }
-        Answer::Splat => {
-            request.respond(of_kind(Response::from_data(&*run.splat), "application/octet-stream"))
-        }
-        Answer::Photo(index) => file(request, run.photo(index), "application/octet-stream"),
-        Answer::Nothing => request.respond(plain("not found", 404)),
+    match route(&request.target) {
+        Answer::Page => HttpResponse::found("text/html; charset=utf-8", page.as_bytes())
+            .with("Content-Security-Policy", POLICY),
+        Answer::Script => HttpResponse::found("text/javascript; charset=utf-8", script.as_bytes()),
+        Answer::Splat => HttpResponse::found(BINARY, &run.splat),
+        Answer::Photo(index) => file(run.photo(index)),
+        Answer::Nothing => HttpResponse::plain(404, "not found"),
     }
 }
 
-fn file(request: Request, path: Option<PathBuf>, content: &str) -> std::io::Result<()> {
+const BINARY: &str = "application/octet-stream";
+
+fn file(path: Option<PathBuf>) -> HttpResponse<'static> {
     match path.and_then(|p| File::open(p).ok()) {
-        Some(file) => request.respond(of_kind(Response::from_file(file), content)),
-        None => request.respond(plain("not found", 404)),
+        Some(file) => HttpResponse::file(BINARY, file),
+        None => HttpResponse::plain(404, "not found"),
     }
-}
-
-/// Says what an answer is, which is not to be guessed.
-fn of_kind<R: std::io::Read>(response: Response<R>, content: &str) -> Response<R> {
-    with(with(response, "Content-Type", content), "X-Content-Type-Options", "nosniff")
-}
-
-/// Adds a header; names and values are constants that always parse.
-fn with<R: std::io::Read>(mut response: Response<R>, name: &str, value: &str) -> Response<R> {
-    if let Ok(header) = Header::from_bytes(name, value) {
-        response.add_header(header);
-    }
-    response
 }
 
 /// Only these addresses exist, spelt exactly so.

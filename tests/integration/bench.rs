@@ -31,5 +31,8 @@ fn a_sweep_measures_every_setting_once_and_draws_the_curve() {
     assert!(svg.contains("draft") && svg.contains("2 s") && svg.contains("other"));
     assert_eq!(expect_code(&call, 0).matches("(as before)").count(), 2);
     assert!(expect_code(&["bench", text(&input), "--only-times"], 1).contains("--times"));
+    let nothing = dir.join("nothing");
+    let said = expect_code(&["bench", "/no/such/input", "-o", text(&nothing)], 1);
+    assert!(said.contains("cannot read /no/such/input") && !nothing.exists(), "{said}");
     std::fs::remove_dir_all(dir).unwrap();
 }

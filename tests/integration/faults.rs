@@ -1,5 +1,5 @@
 //! Killed, or out of disk space, or unable to read, at chosen calls to the file system: a second
-//! run ends with the same bytes. `make crash-test` (SAT_RECON_CRASH=all) takes every call.
+//! run ends with the same bytes. `make crash-test` takes every call.
 
 use super::support::{folder, sample, text};
 use std::collections::BTreeMap;
@@ -10,7 +10,7 @@ use std::process::{Command, Output};
 const TINY: &str = "--threads 1 --frames 10 --max-size 140 --iterations 20 --max-gaussians 1500 \
     --checkpoint-every 8 --max-features 500";
 
-/// Calls that are tried of one kind, where not all are.
+/// Calls that are tried of one kind.
 const FEW: usize = 6;
 
 struct Harness {
@@ -68,9 +68,7 @@ impl Harness {
         assert!(has_ended(&counted), "{}", String::from_utf8_lossy(&counted.stderr));
         let calls = std::fs::read_to_string(self.dir.join("log")).unwrap().lines().count();
         assert!(calls > 50, "{calls} calls");
-        let all = std::env::var_os("SAT_RECON_CRASH").is_some();
-        let few = (1..=FEW).map(|i| 1 + i * (calls - 1) / FEW - calls / (3 * FEW));
-        if all { (1..=calls).collect() } else { few.collect() }
+        (1..=FEW).map(|i| 1 + i * (calls - 1) / FEW - calls / (3 * FEW)).collect()
     }
 
     fn last_call(&self) -> String {

@@ -6,6 +6,7 @@ use std::io::{BufRead, BufReader, Read, Write};
 use std::net::TcpStream;
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
+use std::time::{Duration, Instant};
 
 /// Whether there is a viewer and a browser to look at it; said loudly where not, a failure in CI
 /// with Node.js.
@@ -221,8 +222,8 @@ fn names_from_files_are_text_in_every_page_and_the_served_one_forbids_code_in_it
 /// The start of the answer to a request that is sent as it is.
 fn raw(port: u16, request: &str) -> String {
     let mut stream = TcpStream::connect(("127.0.0.1", port)).unwrap();
-    stream.set_read_timeout(Some(std::time::Duration::from_secs(20))).unwrap();
-    stream.write_all(request.as_bytes()).unwrap();
+    stream.set_read_timeout(Some(Duration::from_secs(20))).unwrap();
+    let _ = stream.write_all(request.as_bytes()); // it may be cut off
     let mut start = [0; 1024];
     let read = stream.read(&mut start).unwrap_or(0);
     String::from_utf8_lossy(&start[..read]).into_owned()
@@ -264,6 +265,44 @@ fn a_client_that_never_reads_keeps_nobody_waiting_and_odd_requests_are_answered_
     }
     assert!(asks("GET", "/", "").starts_with("HTTP/1.1 200"), "it still answers");
     drop(stalled);
+    std::fs::remove_dir_all(dir).unwrap();
+}
+
+#[test]
+fn clients_that_say_nothing_or_drip_are_cut_off_and_keep_no_other_waiting() {
+    if sat_recon::view::BUNDLE.is_none() {
+        return eprintln!("SKIPPED: built without the viewer");
+    }
+    let dir = folder("viewer_slow");
+    large_run(&dir, 50);
+    let serving = serve(&dir);
+    let host = format!("127.0.0.1:{}", serving.1);
+    let silent: Vec<TcpStream> =
+        (0..100).filter_map(|_| TcpStream::connect(("127.0.0.1", serving.1)).ok()).collect();
+    std::thread::sleep(Duration::from_millis(1500));
+    let request = format!("GET / HTTP/1.1\r\nHost: {host}\r\n\r\n");
+    // Where all are busy a client is refused, for a second at most.
+    let is_answered = || {
+        (0..100).any(|_| {
+            let answered = raw(serving.1, &request).starts_with("HTTP/1.1 200");
+            if !answered {
+                std::thread::sleep(Duration::from_millis(50));
+            }
+            answered
+        })
+    };
+    assert!((0..20).all(|_| is_answered()), "{} silent clients", silent.len());
+    let begun = Instant::now();
+    let mut drips = TcpStream::connect(("127.0.0.1", serving.1)).unwrap();
+    let sent = (0..300).take_while(|_| {
+        std::thread::sleep(Duration::from_millis(100));
+        drips.write_all(b"G").is_ok()
+    });
+    let sent = sent.count();
+    assert!(sent < 300 && begun.elapsed() > Duration::from_secs(5), "cut off after {sent} bytes");
+    let long = format!("GET /{} HTTP/1.1\r\nHost: {host}\r\n\r\n", "a".repeat(40_000));
+    assert!(raw(serving.1, &long).starts_with("HTTP/1.1 431"));
+    assert!(is_answered(), "it still answers");
     std::fs::remove_dir_all(dir).unwrap();
 }
 

@@ -3,10 +3,11 @@
 
     page.py RESULTS --out docs/reliability.md [--check]
 
-RESULTS holds fuzz.json (`make fuzz`), models.json, scenes.json and flags.json (`make
-reliability`), and crashes.json (`make crash-test`). --check writes nothing and fails where the page is another.
+RESULTS holds fuzz.json (`make fuzz`), models.json, scenes.json, flags.json and resources.json
+(`make reliability`), crashes.json (`make crash-test`) and sanitize.json (`make sanitize`). --check writes nothing and fails where the page is another.
 """
 import argparse
+import collections
 import json
 import os
 import sys
@@ -32,20 +33,30 @@ def cell(text):
     return "".join(c if c.isprintable() else "�" for c in text).replace("|", "\\|").replace("<", "&lt;")
 
 
-def fuzzing(sums):
+def fuzzing(result):
+    sums, runs = result["targets"], result["runs"]
     executions = sum(s["executions"] for s in sums.values())
     failures = sum(s["failures"] for s in sums.values())
-    rows = [(name, f"{s['executions'] / 1e6:.3f}", f"{100 * s['accepted'] / max(s['executions'], 1):.0f} %", s["failures"])
+    hours = sum(r["seconds"] for r in runs) / 3600
+    commits = ", ".join(f"`{c}`" for c in dict.fromkeys(r["commit"] for r in runs))
+    notes = collections.Counter()
+    for run in runs:
+        if run.get("note"):
+            notes[run["note"]] += run["failures"]
+    rows = [(name, f"{s['executions'] / 1e6:.3f}", f"{s['executions'] / max(s['seconds'], 1e-9) / 1000:.1f}",
+             f"{100 * s['accepted'] / max(s['executions'], 1):.0f} %", s["failures"])
             for name, s in sorted(sums.items())]
     return [
         "## Mutated files",
         "`make fuzz` feeds every reader with files of which bits, counts, pieces and numbers were changed. An",
         "execution fails with a panic, after a second a kilobyte, or with more memory than 64 times the file and",
-        f"what small files may unpack to. So far {executions / 1e6:.1f} million executions had {failures} failures;",
+        f"what small files may unpack to. {len(runs)} runs of {hours:.1f} hours in all, at commits {commits}, made",
+        f"{executions / 1e6:.1f} million executions with {failures} failures;",
         f"the aim is {ASKED / 1e9:.0f} billion, so {100 * executions / ASKED:.2g} % of it is done. Files that failed once are kept in",
         "`fuzz/regressions` and are tried first.",
+        *[f"Of the failures, {n} are {note}." for note, n in notes.items()],
         "",
-        *table(["target", "million executions", "accepted", "failures"], rows),
+        *table(["target", "million executions", "thousand a second", "accepted", "failures"], rows),
     ]
 
 
@@ -90,12 +101,35 @@ def flags(result):
 
 def crashes(result):
     rows = [(row["what"], row["tried"], row["of"], row["failed"]) for row in result["rows"]]
+    tried, failed = (sum(row[key] for row in result["rows"]) for key in ("tried", "failed"))
     return [
         "## Kills and faults at calls to the file system",
-        "`make crash-test` kills the program, fills its disk or fails its reads at each call that touches the output",
-        "folder, and starts it again: the files must be the same, byte for byte, as those of an undisturbed run.",
+        "`make crash-test` kills the program, fills its disk or fails a read at each call that touches the output",
+        "folder (or the video), and starts it again: the files must be the same, byte for byte, as those of an",
+        "undisturbed run. A run with a fault must end with exit code 1 and an error, or with its result. Of",
+        f"{tried} runs {failed} failed.",
         "",
         *table(["what", "calls tried", "calls there are", "failed"], rows),
+    ]
+
+
+def sanitizers(result):
+    rows = [(row["what"], f"`{row['command']}`", cell(row["said"])) for row in result["rows"]]
+    return [
+        "## Sanitizers, Miri and advisories",
+        "`make sanitize`, the last log:",
+        "",
+        *table(["what", "command", "what it said"], rows),
+    ]
+
+
+def resources(result):
+    rows = [(row["what"], row["asked"], row["found"]) for row in result["rows"]]
+    return [
+        "## Promises about memory, threads and numbers",
+        "`tools/reliability/resources.py`:",
+        "",
+        *table(["what", "asked", "found"], rows),
     ]
 
 
@@ -107,7 +141,8 @@ What was done to break the program, with what result, and the commands that do i
 
 def page(folder):
     lines = HEAD.split("\n")
-    parts = [("scenes.json", degenerate), ("models.json", mutated), ("flags.json", flags), ("fuzz.json", fuzzing), ("crashes.json", crashes)]
+    parts = [("scenes.json", degenerate), ("models.json", mutated), ("flags.json", flags), ("fuzz.json", fuzzing), ("crashes.json", crashes),
+             ("sanitize.json", sanitizers), ("resources.json", resources)]
     for name, part in parts:
         result = read(folder, name)
         if result is not None:

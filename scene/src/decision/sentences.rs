@@ -112,6 +112,8 @@ impl Subject {
             Self::KeypointRefinement => ["as detected", "refined by window registration"],
             Self::VideoMotion => ["not found", "found"],
             Self::Convergence => ["no", "yes"],
+            // Without a probability: poses of the input were only compared with the photos.
+            Self::Plausibility => ["not computed", "computed"],
             _ => ["not used", "used"],
         }
     }

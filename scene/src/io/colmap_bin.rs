@@ -21,14 +21,26 @@ const OBSERVATION_BYTES: usize = 8 + 8 + 8;
 /// See [`CAMERA_BYTES`]. Source: COLMAP's format.html, binary format.
 const POINT_BYTES: usize = 8 + 3 * 8 + 3 + 8 + 8;
 
+const NAMES: [&str; 3] = ["cameras.bin", "images.bin", "points3D.bin"];
+
 pub(super) fn read(dir: &Path) -> Result<Reconstruction, IoError> {
-    let path = dir.join("cameras.bin");
-    let cameras = parse_cameras(&path, &read_file(&path)?)?;
-    let path = dir.join("images.bin");
-    let images = parse_images(&path, &read_file(&path)?)?;
-    let path = dir.join("points3D.bin");
-    let points = if path.is_file() { parse_points(&path, &read_file(&path)?)? } else { BTreeMap::new() };
-    Ok(Reconstruction { cameras, images, points })
+    let paths = NAMES.map(|name| dir.join(name));
+    let [cameras, images] = [read_file(&paths[0])?, read_file(&paths[1])?];
+    let points = paths[2].is_file().then(|| read_file(&paths[2])).transpose()?;
+    parse(dir, [&cameras, &images], points.as_deref())
+}
+
+/// The model of its files' contents: cameras and images, points.
+pub(super) fn parse(
+    dir: &Path,
+    [cameras, images]: [&[u8]; 2],
+    points: Option<&[u8]>,
+) -> Result<Reconstruction, IoError> {
+    Ok(Reconstruction {
+        cameras: parse_cameras(&dir.join(NAMES[0]), cameras)?,
+        images: parse_images(&dir.join(NAMES[1]), images)?,
+        points: points.map(|data| parse_points(&dir.join(NAMES[2]), data)).transpose()?.unwrap_or_default(),
+    })
 }
 
 pub(super) fn parse_cameras(path: &Path, data: &[u8]) -> Result<BTreeMap<u32, Camera>, IoError> {

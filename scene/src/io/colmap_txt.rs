@@ -10,14 +10,26 @@ use std::io::{self, Write};
 use std::path::Path;
 use std::str::FromStr;
 
+const NAMES: [&str; 3] = ["cameras.txt", "images.txt", "points3D.txt"];
+
 pub(super) fn read(dir: &Path) -> Result<Reconstruction, IoError> {
-    let path = dir.join("cameras.txt");
-    let cameras = parse_cameras(&path, &read_text(&path)?)?;
-    let path = dir.join("images.txt");
-    let images = parse_images(&path, &read_text(&path)?)?;
-    let path = dir.join("points3D.txt");
-    let points = if path.is_file() { parse_points(&path, &read_text(&path)?)? } else { BTreeMap::new() };
-    Ok(Reconstruction { cameras, images, points })
+    let paths = NAMES.map(|name| dir.join(name));
+    let [cameras, images] = [read_text(&paths[0])?, read_text(&paths[1])?];
+    let points = paths[2].is_file().then(|| read_text(&paths[2])).transpose()?;
+    parse(dir, [&cameras, &images], points.as_deref())
+}
+
+/// The model of its files' contents: cameras and images, points.
+pub(super) fn parse(
+    dir: &Path,
+    [cameras, images]: [&str; 2],
+    points: Option<&str>,
+) -> Result<Reconstruction, IoError> {
+    Ok(Reconstruction {
+        cameras: parse_cameras(&dir.join(NAMES[0]), cameras)?,
+        images: parse_images(&dir.join(NAMES[1]), images)?,
+        points: points.map(|text| parse_points(&dir.join(NAMES[2]), text)).transpose()?.unwrap_or_default(),
+    })
 }
 
 /// The words of one line, with what a message about them needs.

@@ -11,20 +11,24 @@ use std::path::Path;
 /// Reads a mesh; the ending says the format: `.ply`, `.obj`, `.glb` (its scene, with the transforms
 /// of its nodes). Polygons become fans of triangles. Colours, normals and materials are left out.
 pub fn read_mesh(path: &Path) -> Result<Mesh, IoError> {
+    parse_mesh(path, &read_file(path)?)
+}
+
+/// The same, of the file's content. `path` says the format and names the file in messages.
+pub fn parse_mesh(path: &Path, data: &[u8]) -> Result<Mesh, IoError> {
     let ending = path.extension().map(|e| e.to_string_lossy().to_ascii_lowercase()).unwrap_or_default();
     let mesh = match ending.as_str() {
-        "ply" => read_ply(path)?,
-        "obj" => read_obj(path)?,
-        "glb" => read_glb(path)?,
+        "ply" => parse_ply(path, data)?,
+        "obj" => parse_obj(path, data)?,
+        "glb" => parse_glb(path, data)?,
         _ => return Err(IoError::format(path, "expected a mesh that ends in .ply, .obj or .glb")),
     };
     mesh.validate().map_err(|m| IoError::format(path, format!("no usable mesh: {m}")))?;
     Ok(mesh)
 }
 
-fn read_ply(path: &Path) -> Result<Mesh, IoError> {
-    let data = read_file(path)?;
-    let ply = Ply::parse(path, &data)?;
+fn parse_ply(path: &Path, data: &[u8]) -> Result<Mesh, IoError> {
+    let ply = Ply::parse(path, data)?;
     let mut mesh = Mesh::default();
     ply.rows("vertex", &["x", "y", "z"], |_, v| {
         mesh.vertices.push(DVec3::from_slice(v));
@@ -48,8 +52,28 @@ fn fan(polygon: &[u32], triangles: &mut Vec<[u32; 3]>) {
     }
 }
 
-fn read_obj(path: &Path) -> Result<Mesh, IoError> {
-    let data = read_file(path)?;
+/// The vertices and faces of an OBJ file, faces without texture coordinates and normals: the
+/// library's numbers of those, which nothing here needs, can overflow.
+fn shape_of_obj(data: &[u8]) -> Vec<u8> {
+    let mut kept = Vec::with_capacity(data.len());
+    for line in data.split(|b| *b == b'\n').map(<[u8]>::trim_ascii) {
+        if line.starts_with(b"v") && line.get(1).is_some_and(u8::is_ascii_whitespace) {
+            kept.extend_from_slice(line);
+        } else if line.starts_with(b"f") {
+            let words = line.split(u8::is_ascii_whitespace).filter(|word| !word.is_empty());
+            for word in words {
+                kept.extend_from_slice(word.split(|b| *b == b'/').next().unwrap_or_default());
+                kept.push(b' ');
+            }
+        } else if line.starts_with(b"o") || line.starts_with(b"g") {
+            kept.push(line[0]); // a new part
+        }
+        kept.push(b'\n');
+    }
+    kept
+}
+
+fn parse_obj(path: &Path, data: &[u8]) -> Result<Mesh, IoError> {
     let options = tobj::LoadOptions {
         triangulate: true,
         ignore_points: true,
@@ -57,7 +81,7 @@ fn read_obj(path: &Path) -> Result<Mesh, IoError> {
         ..Default::default()
     };
     // Materials are another file, which is not looked for.
-    let loaded = tobj::load_obj_buf(&mut data.as_slice(), &options, |_| Ok(Default::default()));
+    let loaded = tobj::load_obj_buf(&mut shape_of_obj(data).as_slice(), &options, |_| Ok(Default::default()));
     let (models, _) = loaded.map_err(|e| IoError::format(path, format!("not a readable OBJ file: {e}")))?;
     let mut mesh = Mesh::default();
     for model in models {
@@ -74,14 +98,13 @@ fn bad_glb(path: &Path, message: String) -> IoError {
     IoError::format(path, format!("not a readable binary glTF file: {message}"))
 }
 
-fn read_glb(path: &Path) -> Result<Mesh, IoError> {
-    let data = read_file(path)?;
+fn parse_glb(path: &Path, data: &[u8]) -> Result<Mesh, IoError> {
     // The library subtracts the header from the length that the file says.
     let length = data.get(8..12).map_or(0, |b| u32::from_le_bytes([b[0], b[1], b[2], b[3]]));
     if length < 12 {
         return Err(bad_glb(path, format!("its length is said to be {length} bytes")));
     }
-    let file = gltf::Gltf::from_slice_without_validation(&data).map_err(|e| bad_glb(path, e.to_string()))?;
+    let file = gltf::Gltf::from_slice_without_validation(data).map_err(|e| bad_glb(path, e.to_string()))?;
     let blob = file.blob.as_deref().unwrap_or_default();
     let json = file.document.into_json();
     check_indices(&json).map_err(|e| bad_glb(path, e))?;

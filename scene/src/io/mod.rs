@@ -34,18 +34,22 @@ pub(crate) use error::read_file;
 pub use load::{
     ImageInfo, LoadedImage, image_decoder, image_info, load_image, load_mask, load_rgb, resize_area, shrunk,
 };
-pub use mesh::read_mesh;
+pub use mesh::{parse_mesh, read_mesh};
 pub use mesh_out::{write_mesh, write_textured_mesh};
-pub use model::{find_model, has_model, read_model, write_model_bin, write_model_txt};
+pub use model::{
+    find_model, has_model, parse_model_bin, parse_model_txt, read_model, write_model_bin, write_model_txt,
+};
 pub use name::{UnsafeName, safe_name};
-pub use ply::{CloudPoint, read_points_ply, read_splat_ply, write_points_ply, write_splat_ply};
+pub use ply::{
+    CloudPoint, parse_points_ply, read_points_ply, read_splat_ply, write_points_ply, write_splat_ply,
+};
 pub use poses::{ImportedPoses, find_poses, is_poses_file, listed_images, read_poses, write_metashape};
-pub use splats::{SplatFormat, read_splat, write_splat};
+pub use splats::{SplatFormat, parse_splat, read_splat, write_splat};
 pub use transforms::{
     TransformsFile, TransformsFrame, TransformsOptions, WORLD_FROM_TRANSFORMS, read_transforms,
     write_transforms,
 };
-pub use truth::read_truth;
+pub use truth::{parse_middlebury, read_truth};
 
 /// A fresh folder for a test.
 #[cfg(test)]

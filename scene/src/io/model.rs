@@ -29,11 +29,33 @@ pub fn read_model(dir: &Path) -> Result<Reconstruction, IoError> {
         ));
     };
     let binary = found.join("images.bin").is_file() && found.join("cameras.bin").is_file();
-    let model = if binary { colmap_bin::read(&found)? } else { colmap_txt::read(&found)? };
+    consistent(&found, if binary { colmap_bin::read(&found)? } else { colmap_txt::read(&found)? })
+}
+
+fn consistent(dir: &Path, model: Reconstruction) -> Result<Reconstruction, IoError> {
     model
         .validate()
-        .map_err(|message| IoError::format(&found, format!("the model contradicts itself: {message}")))?;
+        .map_err(|message| IoError::format(dir, format!("the model contradicts itself: {message}")))?;
     Ok(model)
+}
+
+/// The model of the contents of a binary model's files, cameras and images, and points. `dir` names
+/// them in messages.
+pub fn parse_model_bin(
+    dir: &Path,
+    files: [&[u8]; 2],
+    points: Option<&[u8]>,
+) -> Result<Reconstruction, IoError> {
+    consistent(dir, colmap_bin::parse(dir, files, points)?)
+}
+
+/// The same of a model in text form.
+pub fn parse_model_txt(
+    dir: &Path,
+    files: [&str; 2],
+    points: Option<&str>,
+) -> Result<Reconstruction, IoError> {
+    consistent(dir, colmap_txt::parse(dir, files, points)?)
 }
 
 /// Writes `cameras.bin`, `images.bin`, `points3D.bin`.

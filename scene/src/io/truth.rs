@@ -26,8 +26,13 @@ pub fn read_truth(path: &Path) -> Result<Reconstruction, IoError> {
 /// t3` with `x ~ K [R | t] X`, row by row (Seitz et al. 2006). The image size is not in the file
 /// and stays 0.
 pub fn read_middlebury(path: &Path) -> Result<Reconstruction, IoError> {
+    parse_middlebury(path, &read_text(path)?)
+}
+
+/// The same, of the file's content. `path` names the file in messages.
+pub fn parse_middlebury(path: &Path, text: &str) -> Result<Reconstruction, IoError> {
     let mut model = Reconstruction::default();
-    for (number, line) in read_text(path)?.lines().enumerate() {
+    for (number, line) in text.lines().enumerate() {
         let mut words = line.split_whitespace();
         let Some(name) = words.next() else { continue };
         let rest: Vec<&str> = words.collect();

@@ -132,8 +132,12 @@ pub struct Lpips {
 impl Lpips {
     /// Reads a weights file; which network it is, is told from the shape of the first layer.
     pub fn load(path: &Path) -> Result<Self, IoError> {
-        let bytes = crate::io::read_file(path)?;
-        let file = SafeTensors::deserialize(&bytes).map_err(|e| {
+        Self::parse(path, &crate::io::read_file(path)?)
+    }
+
+    /// The same, of the file's content. `path` names the file in messages.
+    pub fn parse(path: &Path, bytes: &[u8]) -> Result<Self, IoError> {
+        let file = SafeTensors::deserialize(bytes).map_err(|e| {
             IoError::format(
                 path,
                 format!("not a safetensors file ({e}); make one with tools/lpips_weights.py"),

@@ -81,7 +81,11 @@ impl HeifPicture {
         Self::parse(&bytes).map_err(|message| IoError::Image { path: path.into(), message })
     }
 
-    fn parse(bytes: &[u8]) -> Checked<Self> {
+    /// Parses the content of a file.
+    ///
+    /// # Errors
+    /// What is wrong with it.
+    pub fn parse(bytes: &[u8]) -> Result<Self, String> {
         let items = Items::read(bytes)?;
         let alpha = items.referring(b"auxl", items.primary).into_iter().find(|i| is_alpha(&items, *i));
         Ok(Self {

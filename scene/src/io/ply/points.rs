@@ -18,8 +18,12 @@ pub struct CloudPoint {
 
 /// Reads `x y z` and, where there, `red green blue` (0 to 255; grey otherwise) of the vertices.
 pub fn read_points_ply(path: &Path) -> Result<Vec<CloudPoint>, IoError> {
-    let data = read_file(path)?;
-    let ply = Ply::parse(path, &data)?;
+    parse_points_ply(path, &read_file(path)?)
+}
+
+/// The same, of the file's content. `path` names the file in messages.
+pub fn parse_points_ply(path: &Path, data: &[u8]) -> Result<Vec<CloudPoint>, IoError> {
+    let ply = Ply::parse(path, data)?;
     let coloured = ply.element("vertex").is_some_and(|v| ["red", "green", "blue"].iter().all(|c| v.has(c)));
     let wanted: &[&str] = if coloured { &["x", "y", "z", "red", "green", "blue"] } else { &["x", "y", "z"] };
     let mut points = Vec::new();

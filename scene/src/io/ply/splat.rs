@@ -20,12 +20,13 @@ const EXTREME: f64 = 40.0;
 /// Reads a splat by property names: any order, any encoding, extra properties skipped. `f_rest_*`
 /// may be absent or hold degree 1, 2 or 3, channel-major.
 pub fn read_splat_ply(path: &Path) -> Result<Gaussians, IoError> {
-    parse_splat_ply(path, &read_file(path)?)
+    decode_splat_ply(&Ply::parse(path, &read_file(path)?)?)
 }
 
-pub(crate) fn parse_splat_ply(path: &Path, data: &[u8]) -> Result<Gaussians, IoError> {
-    let ply = Ply::parse(path, data)?;
-    let rest_count = count_rest(&ply)?;
+/// The Gaussians of a parsed file.
+pub(crate) fn decode_splat_ply(ply: &Ply) -> Result<Gaussians, IoError> {
+    let path = ply.path;
+    let rest_count = count_rest(ply)?;
     let names: Vec<String> = (0..rest_count).map(|i| format!("f_rest_{i}")).collect();
     let wanted: Vec<&str> = FIXED.iter().copied().chain(names.iter().map(String::as_str)).collect();
     let rest = rest_count / 3;
@@ -120,6 +121,10 @@ fn write_to(w: &mut impl Write, g: &Gaussians) -> io::Result<()> {
 #[cfg(test)]
 pub(crate) mod tests {
     use super::*;
+
+    fn parse(path: &Path, data: &[u8]) -> Result<Gaussians, IoError> {
+        decode_splat_ply(&Ply::parse(path, data)?)
+    }
     use crate::io::test_folder;
     use crate::rng::rng;
     use rand::Rng;
@@ -193,8 +198,8 @@ pub(crate) mod tests {
             }
             text += "\n";
         }
-        assert_eq!(parse_splat_ply(Path::new("a.ply"), text.as_bytes()).unwrap(), g);
-        assert_eq!(parse_splat_ply(Path::new("b.ply"), &binary).unwrap(), g);
+        assert_eq!(parse(Path::new("a.ply"), text.as_bytes()).unwrap(), g);
+        assert_eq!(parse(Path::new("b.ply"), &binary).unwrap(), g);
     }
 
     #[test]
@@ -220,7 +225,7 @@ pub(crate) mod tests {
         for claim in ["40000000", "18446744073709551615"] {
             let at = bytes.windows(9).position(|w| w == b"vertex 5\n").unwrap();
             let bad = [&bytes[..at], b"vertex ", claim.as_bytes(), &bytes[at + 8..]].concat();
-            let error = parse_splat_ply(&path, &bad).unwrap_err();
+            let error = parse(&path, &bad).unwrap_err();
             assert!(matches!(error, IoError::Truncated { .. }), "{error}");
         }
     }
@@ -228,7 +233,7 @@ pub(crate) mod tests {
     #[test]
     fn a_mesh_is_told_from_a_splat() {
         let mesh = b"ply\nformat ascii 1.0\nelement vertex 1\nproperty float x\nproperty float y\nproperty float z\nend_header\n0 0 0\n";
-        let message = parse_splat_ply(Path::new("m.ply"), mesh).unwrap_err().to_string();
+        let message = parse(Path::new("m.ply"), mesh).unwrap_err().to_string();
         assert!(message.contains("f_dc_0") && message.contains("mesh"), "{message}");
     }
 }

@@ -17,8 +17,12 @@ use std::io::Write;
 use std::path::Path;
 
 pub(super) fn read(path: &Path) -> Result<ImportedPoses, IoError> {
-    let text = read_text(path)?;
-    let document = Document::parse(&text)
+    parse(path, &read_text(path)?)
+}
+
+/// Parses the content of a file of Metashape's cameras. `path` names the file in messages.
+pub fn parse(path: &Path, text: &str) -> Result<ImportedPoses, IoError> {
+    let document = Document::parse(text)
         .map_err(|e| IoError::format(path, format!("expected XML that Metashape exports: {e}")))?;
     let Some(chunk) = document.descendants().find(|n| n.has_tag_name("chunk")) else {
         return Err(IoError::format(path, "expected a chunk of cameras as Metashape exports them"));

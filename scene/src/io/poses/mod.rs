@@ -12,7 +12,8 @@ mod opensfm;
 mod realityscan;
 
 pub use imported::ImportedPoses;
-pub use metashape::write_metashape;
+pub use metashape::{parse as parse_metashape, write_metashape};
+pub use opensfm::parse as parse_opensfm;
 
 use super::error::IoError;
 use super::read_model;

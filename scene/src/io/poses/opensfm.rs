@@ -55,7 +55,12 @@ pub(super) fn is_reconstruction(path: &Path) -> Result<bool, IoError> {
 
 /// The reconstruction with the most images.
 pub(super) fn read(path: &Path) -> Result<ImportedPoses, IoError> {
-    let entries: Vec<SolvedPart> = serde_json::from_str(&read_text(path)?)
+    parse(path, &read_text(path)?)
+}
+
+/// Parses the content of OpenSfM's `reconstruction.json`. `path` names the file in messages.
+pub fn parse(path: &Path, text: &str) -> Result<ImportedPoses, IoError> {
+    let entries: Vec<SolvedPart> = serde_json::from_str(text)
         .map_err(|e| IoError::format(path, format!("expected OpenSfM's reconstructions: {e}")))?;
     let mut model = Reconstruction::default();
     let largest = entries.into_iter().max_by_key(|e| e.shots.len());

@@ -6,7 +6,7 @@
 use super::item::{Item, push, unit, unit_byte};
 use crate::Gaussians;
 use crate::gaussians::SH_C0;
-use crate::io::error::{IoError, read_file};
+use crate::io::error::IoError;
 use crate::io::ply::Ply;
 use crate::io::write_atomic;
 use glam::{DVec3, Quat, Vec3};
@@ -37,19 +37,17 @@ const BOUNDS: [&str; 18] = [
 ];
 const PACKED: [&str; 4] = ["packed_position", "packed_rotation", "packed_scale", "packed_color"];
 
-/// Whether the file is a compressed PLY.
-pub(super) fn is_compressed(path: &Path) -> Result<bool, IoError> {
-    let data = read_file(path)?;
-    Ok(Ply::parse(path, &data)?.element("vertex").is_some_and(|v| v.has(PACKED[0])))
+/// Whether a PLY is a compressed one.
+pub(super) fn is_compressed(ply: &Ply) -> bool {
+    ply.element("vertex").is_some_and(|v| v.has(PACKED[0]))
 }
 
 /// Bounds of a chunk: position, scale, colour, lower and upper each.
 type Bounds = [[Vec3; 2]; 3];
 
-/// Reads a compressed PLY.
-pub fn read_compressed_ply(path: &Path) -> Result<Gaussians, IoError> {
-    let data = read_file(path)?;
-    let ply = Ply::parse(path, &data)?;
+/// The Gaussians of a compressed PLY.
+pub(super) fn decode(ply: &Ply) -> Result<Gaussians, IoError> {
+    let path = ply.path;
     let coloured = ply.element("chunk").is_some_and(|c| c.has("min_r"));
     let mut chunks: Vec<Bounds> = Vec::new();
     ply.rows("chunk", if coloured { &BOUNDS } else { &BOUNDS[..12] }, |_, v| {
@@ -59,7 +57,7 @@ pub fn read_compressed_ply(path: &Path) -> Result<Gaussians, IoError> {
         chunks.push([[v[0], v[1]], [v[2], v[3]], colour]);
         Ok(())
     })?;
-    let rest = read_rest(&ply)?;
+    let rest = read_rest(ply)?;
     let per = rest.as_ref().map_or(0, |r| r.0);
     let mut g = Gaussians { sh_degree: ((per / 3 + 1) as f64).sqrt() as u32 - 1, ..Default::default() };
     let mut sh = vec![0.0; per + 3];

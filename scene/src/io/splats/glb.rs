@@ -5,7 +5,7 @@ use super::item::{Item, push, turn_upright, unit};
 use crate::Gaussians;
 use crate::gaussians::SH_C0;
 use crate::io::bytes::ByteReader;
-use crate::io::error::{IoError, read_file};
+use crate::io::error::IoError;
 use crate::io::write_atomic;
 use glam::{Quat, Vec3};
 use serde_json::{Map, Value, json};
@@ -111,10 +111,9 @@ struct Glb<'a> {
     bin: &'a [u8],
 }
 
-/// Reads the first splat primitive of a `.glb`; transforms of nodes are not applied.
-pub fn read_splat_glb(path: &Path) -> Result<Gaussians, IoError> {
-    let data = read_file(path)?;
-    let glb = Glb::parse(path, &data)?;
+/// Parses the first splat primitive of a `.glb`; transforms of nodes are not applied.
+pub(super) fn parse(path: &Path, data: &[u8]) -> Result<Gaussians, IoError> {
+    let glb = Glb::parse(path, data)?;
     let meshes = glb.document["meshes"].as_array().into_iter().flatten();
     let mut primitives = meshes.filter_map(|m| m["primitives"].as_array()).flatten();
     let Some(primitive) = primitives.find(|p| p["extensions"].get(EXTENSION).is_some()) else {

@@ -6,7 +6,7 @@ use super::item::{Item, push, unit};
 use crate::Gaussians;
 use crate::gaussians::SH_C0;
 use crate::io::bytes::ByteReader;
-use crate::io::error::{IoError, read_file};
+use crate::io::error::IoError;
 use glam::{Quat, Vec3};
 use std::path::Path;
 
@@ -82,10 +82,9 @@ impl Section {
     }
 }
 
-/// Reads a `.ksplat`; sections of different degree end up with the lowest.
-pub fn read_ksplat(path: &Path) -> Result<Gaussians, IoError> {
-    let data = read_file(path)?;
-    let mut r = ByteReader::new(path, &data);
+/// Parses a `.ksplat`; sections of different degree end up with the lowest.
+pub(super) fn parse(path: &Path, data: &[u8]) -> Result<Gaussians, IoError> {
+    let mut r = ByteReader::new(path, data);
     let head = r.take(HEADER, "a header")?;
     let level = usize::from(u16_at(head, 20));
     if (head[0], level > 2) != (0, false) || head[1] == 0 {

@@ -12,16 +12,15 @@ mod plain;
 mod sog;
 mod spz;
 
-pub use compressed::{read_compressed_ply, write_compressed_ply};
+pub use compressed::write_compressed_ply;
 pub(super) use glb::write_chunks;
-pub use glb::{read_splat_glb, write_splat_glb};
-pub use ksplat::read_ksplat;
-pub use plain::{read_dot_splat, write_dot_splat};
-pub use sog::{read_sog, write_sog};
-pub use spz::{encode_spz, read_spz, write_spz};
+pub use glb::write_splat_glb;
+pub use plain::write_dot_splat;
+pub use sog::write_sog;
+pub use spz::{encode_spz, write_spz};
 
-use super::error::IoError;
-use super::ply::{read_splat_ply, write_splat_ply};
+use super::error::{IoError, read_file};
+use super::ply::{Ply, decode_splat_ply, write_splat_ply};
 use crate::Gaussians;
 use std::path::Path;
 
@@ -68,26 +67,29 @@ fn unknown(path: &Path, formats: &str) -> IoError {
 /// Reads a splat in the format its name says (`.ply` may be compressed); one without Gaussians is
 /// refused.
 pub fn read_splat(path: &Path) -> Result<Gaussians, IoError> {
-    let splat = read_any(path)?;
+    parse_splat(path, &read_file(path)?)
+}
+
+/// The same, of the file's content. `path` says the format and names the file in messages.
+pub fn parse_splat(path: &Path, data: &[u8]) -> Result<Gaussians, IoError> {
+    let splat = match SplatFormat::of(path) {
+        Some(SplatFormat::Ply | SplatFormat::CompressedPly) => parse_ply(path, data)?,
+        Some(SplatFormat::Splat) => plain::parse(path, data)?,
+        Some(SplatFormat::Spz) => spz::parse(path, data)?,
+        Some(SplatFormat::Sog) => sog::parse(path, data)?,
+        Some(SplatFormat::Ksplat) => ksplat::parse(path, data)?,
+        Some(SplatFormat::Glb) => glb::parse(path, data)?,
+        None => return Err(unknown(path, ".ply, .splat, .spz, .sog, .ksplat or .glb")),
+    };
     if splat.is_empty() {
         return Err(IoError::format(path, "holds no gaussians; export it again"));
     }
     Ok(splat)
 }
 
-fn read_any(path: &Path) -> Result<Gaussians, IoError> {
-    match SplatFormat::of(path) {
-        Some(SplatFormat::Ply | SplatFormat::CompressedPly) if compressed::is_compressed(path)? => {
-            read_compressed_ply(path)
-        }
-        Some(SplatFormat::Ply | SplatFormat::CompressedPly) => read_splat_ply(path),
-        Some(SplatFormat::Splat) => read_dot_splat(path),
-        Some(SplatFormat::Spz) => read_spz(path),
-        Some(SplatFormat::Sog) => read_sog(path),
-        Some(SplatFormat::Ksplat) => read_ksplat(path),
-        Some(SplatFormat::Glb) => read_splat_glb(path),
-        None => Err(unknown(path, ".ply, .splat, .spz, .sog, .ksplat or .glb")),
-    }
+fn parse_ply(path: &Path, data: &[u8]) -> Result<Gaussians, IoError> {
+    let ply = Ply::parse(path, data)?;
+    if compressed::is_compressed(&ply) { compressed::decode(&ply) } else { decode_splat_ply(&ply) }
 }
 
 /// Writes a splat in the format its name says.

@@ -5,7 +5,7 @@ use super::item::{Item, push, unit, unit_byte};
 use crate::Gaussians;
 use crate::gaussians::SH_C0;
 use crate::io::bytes::ByteReader;
-use crate::io::error::{IoError, read_file};
+use crate::io::error::IoError;
 use crate::io::write_atomic;
 use glam::{Quat, Vec3};
 use std::io::Write;
@@ -14,16 +14,15 @@ use std::path::Path;
 /// Bytes of a Gaussian. Source: the .splat format of antimatter15/splat.
 const RECORD: usize = 32;
 
-/// Reads a `.splat`.
-pub fn read_dot_splat(path: &Path) -> Result<Gaussians, IoError> {
-    let data = read_file(path)?;
+/// Parses a `.splat`.
+pub(super) fn parse(path: &Path, data: &[u8]) -> Result<Gaussians, IoError> {
     if data.len() % RECORD != 0 {
         let message =
             format!("expected a multiple of {RECORD} bytes, found {}; the file is cut off", data.len());
         return Err(IoError::format(path, message));
     }
     let mut g = Gaussians::default();
-    let mut r = ByteReader::new(path, &data);
+    let mut r = ByteReader::new(path, data);
     for _ in 0..data.len() / RECORD {
         let mean = r.vec3("a position")?;
         let scale = r.vec3("a scale")?;

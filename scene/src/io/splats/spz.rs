@@ -9,7 +9,7 @@
 use super::item::{Item, push, turn_upright, unit, unit_byte};
 use crate::Gaussians;
 use crate::io::bytes::ByteReader;
-use crate::io::error::{IoError, read_file};
+use crate::io::error::IoError;
 use crate::io::limits;
 use crate::io::write_atomic;
 use flate2::Compression;
@@ -59,14 +59,13 @@ fn widths(version: u32, sh_degree: u32) -> [usize; 6] {
     [9, 1, 3, 3, if version == 2 { 3 } else { 4 }, rest]
 }
 
-/// Reads an `.spz` of version 2, 3 or 4.
-pub fn read_spz(path: &Path) -> Result<Gaussians, IoError> {
-    let data = read_file(path)?;
+/// Parses an `.spz` of version 2, 3 or 4.
+pub(super) fn parse(path: &Path, data: &[u8]) -> Result<Gaussians, IoError> {
     let too_big =
         || IoError::format(path, "claims far more gaussians than its size can hold; the file is damaged");
     if data.starts_with(&[0x1f, 0x8b]) {
         let broken = |e: std::io::Error| IoError::format(path, format!("the gzip stream is damaged: {e}"));
-        let mut decoder = GzDecoder::new(&data[..]);
+        let mut decoder = GzDecoder::new(data);
         let mut head = [0; 16];
         decoder.read_exact(&mut head).map_err(broken)?;
         let header = parse_header(path, &head)?;
@@ -78,11 +77,11 @@ pub fn read_spz(path: &Path) -> Result<Gaussians, IoError> {
         decoder.take(size).read_to_end(&mut body).map_err(broken)?;
         return decode(path, &header, &body);
     }
-    let header = parse_header(path, &data)?;
+    let header = parse_header(path, data)?;
     if header.version < 4 {
         return decode(path, &header, &data[16..]);
     }
-    let body = inflate_streams(path, &data, &header)?;
+    let body = inflate_streams(path, data, &header)?;
     decode(path, &header, &body)
 }
 

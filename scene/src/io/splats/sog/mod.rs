@@ -11,7 +11,7 @@ mod codebook;
 mod read;
 mod write;
 
-pub use read::read_sog;
+pub(super) use read::parse;
 pub use write::write_sog;
 
 use serde::{Deserialize, Serialize};

@@ -2,7 +2,7 @@
 
 use super::{LARGEST_W, Meta, ORDER, PALETTE_ROW, others};
 use crate::Gaussians;
-use crate::io::error::{IoError, read_file};
+use crate::io::error::IoError;
 use crate::io::limits::{GAUSSIANS, IMAGE_BYTES};
 use crate::io::splats::item::{Item, push};
 use glam::{Quat, Vec3};
@@ -14,10 +14,9 @@ use zip::ZipArchive;
 /// Longest side of an image, pixels. Source: WebP's own limit.
 const MAX_SIDE: u32 = 1 << 14;
 
-/// Reads a `.sog` file, version 2.
-pub fn read_sog(path: &Path) -> Result<Gaussians, IoError> {
-    let data = read_file(path)?;
-    let mut archive = Archive::open(path, &data)?;
+/// Parses a `.sog` file, version 2.
+pub(in crate::io::splats) fn parse(path: &Path, data: &[u8]) -> Result<Gaussians, IoError> {
+    let mut archive = Archive::open(path, data)?;
     let meta: Meta = serde_json::from_slice(&archive.file("meta.json")?)
         .map_err(|e| IoError::format(path, format!("its meta.json is not of version 2: {e}")))?;
     if meta.version != 2 || meta.count > GAUSSIANS as usize {

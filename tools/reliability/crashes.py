@@ -1,0 +1,174 @@
+#!/usr/bin/env python3
+"""Kills the program, fills its disk and fails its reads at every call to the file system.
+
+    crashes.py PROGRAM --out FOLDER [--rows WORD...] [--every N] [--results FILE]
+
+Inputs are short and small copies of data/sample/orbit.mp4 and of the satellite that yaws before a
+green screen (data/testbed/case3). Calls are seen, and made to fail, by the tracer in tests/faults.
+After each a run without faults must end with the same bytes as an undisturbed one; a run with a
+fault must end by itself, with exit code 1 and an error, or with its result. --rows takes the rows
+whose names hold one of the words, --every every N-th call of them. Exits with 1 where one failed.
+"""
+import argparse
+import json
+import os
+import re
+import subprocess
+import sys
+
+import harness
+
+ROOT = os.path.join(os.path.dirname(os.path.abspath(__file__)), "..", "..")
+# As little work as still has all stages; one thread, so that calls come in one order.
+TINY = ["--threads", "1", "--frames", "7", "--max-size", "240", "--iterations", "20", "--max-gaussians", "1000",
+        "--checkpoint-every", "8", "--max-features", "200", "--skip",
+        "blurred-features,guided-matching,aliasing,second-attempt,circle-completion,densify,subpixel,plane-tracks"]
+OTHER = ["--max-size", "180", "--iterations", "10"]
+# Name: video, filter, frames of the copy.
+INPUTS = {"sample": ("data/sample/orbit.mp4", "select=not(mod(n\\,4)),scale=192:-2", 7),
+          "yaw": ("data/testbed/case3/video.mp4", "select=not(mod(n\\,4)),crop=360:360,scale=192:-2", 7)}
+# Name: input, what is done, what the tracer counts, flags of the disturbed run, whether the calls
+# are those that touch the input.
+ROWS = [("kill, sample", "sample", "kill", "count", [], False),
+        ("kill, yaw", "yaw", "kill", "count", [], False),
+        ("kill of a run with other flags over a finished one, sample", "sample", "kill", "count", OTHER, False),
+        ("disk full from a call on, sample", "sample", "full", "count", [], False),
+        ("disk full from a call on, yaw", "yaw", "full", "count", [], False),
+        ("disk full in a run with other flags over a finished one, sample", "sample", "full", "count", OTHER, False),
+        ("EIO at a read of the output folder, sample", "sample", "read", "count-reads", [], False),
+        ("EIO at a read of the output folder, yaw", "yaw", "read", "count-reads", [], False),
+        ("EIO at a read of the video, sample", "sample", "read", "count-reads", [], True)]
+# Files that hold times: only that they are there is compared.
+VARY = re.compile(r"^\.stages/|run\.json$|report\.html$|eval/metrics\.json$")
+
+
+def contents(folder):
+    """Every file below a folder, by its path in it."""
+    found = {}
+    for base, _, names in os.walk(folder):
+        for name in names:
+            path = os.path.join(base, name)
+            key = os.path.relpath(path, folder)
+            with open(path, "rb") as file:
+                found[key] = b"" if VARY.search(key) else file.read()
+    return found
+
+
+def difference(found, wanted):
+    """What differs between two folders, in words; empty where nothing does."""
+    names = sorted(set(found) ^ set(wanted))
+    changed = sorted(n for n in set(found) & set(wanted) if found[n] != wanted[n])
+    return "; ".join([f"only in one: {n}" for n in names[:3]] + [f"differs: {n}" for n in changed[:3]])
+
+
+class Campaign:
+    """A program, a tracer and the inputs in a folder."""
+
+    def __init__(self, program, out):
+        self.program, self.folder = program, harness.fresh(os.path.abspath(out))
+        self.fault, self.log = os.path.join(self.folder, "fault"), os.path.join(self.folder, "log")
+        subprocess.run(["cc", "-O1", "-o", self.fault, os.path.join(ROOT, "tests/faults/fault.c")], check=True)
+        for name, (video, filters, frames) in INPUTS.items():
+            os.makedirs(os.path.join(self.folder, name))
+            subprocess.run(["ffmpeg", "-v", "error", "-i", os.path.join(ROOT, video), "-vf", filters, "-vsync", "0",
+                            "-frames:v", str(frames), "-crf", "12", "-an", self.video(name)], check=True)
+
+    def video(self, name):
+        return os.path.join(self.folder, name, "video.mp4")
+
+    def arguments(self, name, out, flags=()):
+        given = {TINY[i]: TINY[i + 1] for i in range(0, len(TINY), 2)}
+        given.update({flags[i]: flags[i + 1] for i in range(0, len(flags), 2)})
+        return [self.video(name), "-o", out, *[word for pair in given.items() for word in pair]]
+
+    def whole(self, name, out):
+        """Runs to the end; what the folder holds then."""
+        told = harness.run(self.program, self.arguments(name, out))
+        # What so few small frames and so short a training make may be doubtful.
+        if told["code"] not in (0, 3):
+            return None, f"then exit code {told['code']}: {told['said'][-300:]}"
+        return contents(out), ""
+
+    def traced(self, name, out, mode, flags, watched):
+        os.makedirs(out, exist_ok=True)
+        return harness.run(self.fault, [watched, self.log, *mode, self.program, *self.arguments(name, out, flags)])
+
+    def calls(self):
+        with open(self.log) as file:
+            return file.read().splitlines()
+
+    def row(self, row, every):
+        """The row's result, and what failed."""
+        what, name, mode, count, flags, is_input = row
+        out = harness.fresh(os.path.join(self.folder, "out"))
+        watched = os.path.join(self.folder, name) if is_input else out
+        wanted, why = self.whole(name, out)
+        if wanted is None:
+            sys.exit(f"{what}: no undisturbed run: {why}")
+        if not flags:
+            harness.fresh(out)
+        self.traced(name, out, [count], flags, watched)
+        of, failed, tried = len(self.calls()), [], 0
+        if flags:
+            self.whole(name, out)
+        for call in range(1, of + 1, every):
+            if not flags:
+                harness.fresh(out)
+            told = self.traced(name, out, [mode, str(call)], flags, watched)
+            calls = self.calls()
+            tried += 1
+            problem = "" if mode == "kill" else fault_problem(told, mode)
+            found, why = self.whole(name, out)
+            problem = problem or why or difference(found, wanted)
+            if problem:
+                failed.append({"call": call, "at": calls[-1] if calls else "none", "why": problem})
+                print(f"{what}: {failed[-1]}", flush=True)
+                harness.fresh(out)
+                if flags:
+                    self.whole(name, out)
+        return {"what": what, "tried": tried, "of": of, "failed": len(failed)}, failed
+
+
+def fault_problem(told, mode):
+    """What is wrong with the end of a run that had a fault; empty where nothing is."""
+    if told["code"] in (0, 3):
+        return ""
+    is_told = told["code"] == 1 and "error: " in told["said"] and (mode != "full" or "No space left" in told["said"])
+    return "" if is_told else f"exit code {told['code']}: {told['said'][-300:]}"
+
+
+def keep(path, row):
+    """Puts a row into the results; those of other rows stay."""
+    rows = {}
+    if os.path.exists(path):
+        with open(path) as file:
+            rows = {r["what"]: r for r in json.load(file)["rows"]}
+    rows[row["what"]] = row
+    ordered = [rows[r[0]] for r in ROWS if r[0] in rows]
+    with open(path, "w") as file:
+        json.dump({"rows": ordered}, file, indent=1)
+        file.write("\n")
+
+
+def main():
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("program")
+    parser.add_argument("--out", required=True)
+    parser.add_argument("--rows", nargs="+", default=[""])
+    parser.add_argument("--every", type=int, default=1)
+    parser.add_argument("--results")
+    args = parser.parse_args()
+    campaign, failures = Campaign(os.path.abspath(args.program), args.out), 0
+    for row in ROWS:
+        if not any(word in row[0] for word in args.rows):
+            continue
+        result, failed = campaign.row(row, args.every)
+        failures += len(failed)
+        print(json.dumps(result), flush=True)
+        if args.results:
+            keep(args.results, result)
+    sys.exit(1 if failures else 0)
+
+
+if __name__ == "__main__":
+    main()
