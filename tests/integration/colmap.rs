@@ -14,9 +14,18 @@ fn run() -> &'static Path {
         let out = folder("colmap").join("out");
         let video = sample("sample/orbit.mp4");
         let flags = ["--frames", "18", "--motion", "free", "--colmap-database"];
-        expect_code(&[&["sfm", text(&video), "-o", text(&out)][..], &flags].concat(), 0);
+        mapped(&[&["sfm", text(&video), "-o", text(&out)][..], &flags].concat());
         out
     })
+}
+
+/// Runs the program, which must make a model: of 18 frames it may be in doubt.
+fn mapped(arguments: &[&str]) -> String {
+    let output = Command::new(env!("CARGO_BIN_EXE_sat-recon")).args(arguments).output().unwrap();
+    let said =
+        format!("{}{}", String::from_utf8_lossy(&output.stdout), String::from_utf8_lossy(&output.stderr));
+    assert!(matches!(output.status.code(), Some(0 | 3)), "{said}");
+    said
 }
 
 /// Whether Debian's COLMAP is there; without it a test says that it was skipped, in CI it fails.
@@ -70,7 +79,7 @@ fn our_own_database_gives_the_same_poses_again_and_its_features_alone_do_too() {
     for (name, more) in [("matches", &[][..]), ("rematch", &["--rematch"])] {
         let again = dir.join(name);
         let base = ["sfm", text(&video), "-o", text(&again), "--frames", "18", "--motion", "free"];
-        let said = expect_code(&[&base[..], &["--database", text(&database), "-v"], more].concat(), 0);
+        let said = mapped(&[&base[..], &["--database", text(&database), "-v"], more].concat());
         assert!(said.contains("Features: from the database"), "{said}");
         // Verification begins with the cameras of the database, so other matches pass. The
         // principal point across the orbit is known to 2 px of 400 (run.json's deviations), and its
@@ -97,7 +106,7 @@ fn pairs_matched_in_parts_give_the_poses_of_the_whole() {
     let databases = ["--database", text(&parts[0]), "--database", text(&parts[1])];
     let arguments =
         [&["sfm", text(&photos), "-o", text(&whole), "--motion", "free"][..], &databases].concat();
-    let said = expect_code(&arguments, 0);
+    let said = mapped(&arguments);
     assert!(said.contains("of 153 matched pairs"), "{said}");
     close(&errors(&whole.join("sparse/0"), &out.join("sparse/0")), 18, 0.2, 1.0);
 

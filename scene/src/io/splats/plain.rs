@@ -16,7 +16,7 @@ const RECORD: usize = 32;
 
 /// Parses a `.splat`.
 pub(super) fn parse(path: &Path, data: &[u8]) -> Result<Gaussians, IoError> {
-    if data.len() % RECORD != 0 {
+    if !data.len().is_multiple_of(RECORD) {
         let message =
             format!("expected a multiple of {RECORD} bytes, found {}; the file is cut off", data.len());
         return Err(IoError::format(path, message));
