@@ -18,6 +18,7 @@ fn main() {
         ("FRAMES", ["preprocess", "scene"].as_slice()),
         ("SFM", &["sfm", "scene"]),
         ("SPLAT", &["splat", "scene"]),
+        ("STEREO", &["stereo", "scene"]),
         ("BASELINES", &["baselines", "splat", "scene"]),
     ] {
         let mut hasher = DefaultHasher::new();

@@ -40,7 +40,7 @@ const KEPT: &str = "depths.bin";
 /// Of all that the depths come from.
 fn key(views: &[PosedPhoto<'_>], points: &[DVec3], settings: &StereoSettings) -> [u8; blake3::OUT_LEN] {
     let mut hasher = blake3::Hasher::new();
-    hasher.update(format!("{} {settings:?} {points:?}", env!("CARGO_PKG_VERSION")).as_bytes());
+    hasher.update(format!("{} {settings:?} {points:?}", env!("STEREO_SOURCES")).as_bytes());
     for view in views {
         hasher.update(format!("{:?} {:?}", view.camera, view.pose).as_bytes());
         hasher.update(view.rgb);
