@@ -1,5 +1,5 @@
-//! Takes the web viewer into the program as `make viewer` has bundled it, and what tells the sources
-//! of each step from those of another build.
+//! Takes the web viewer into the program as `make viewer` has bundled it, and what tells the
+//! sources of each step from those of another build.
 
 use std::hash::{DefaultHasher, Hasher};
 use std::path::{Path, PathBuf};

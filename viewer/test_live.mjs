@@ -4,7 +4,7 @@ import path from "node:path";
 import { openPage, sleep } from "./browser.mjs";
 
 const [chromium, address, folder] = process.argv.slice(2);
-const SIZES = { desktop: { width: 1280, height: 800 }, phone: { width: 390, height: 844, isMobile: true, hasTouch: true } };
+const SIZES = { desktop: { width: 1280, height: 800 }, phone: { width: 390, height: 844 } };
 const LONGEST = 600_000; // ms
 const { browser, page, errors } = await openPage(chromium, address, SIZES.desktop);
 
@@ -18,7 +18,7 @@ async function picture(name) {
 }
 
 const look = () => page.evaluate(() => {
-  const { run, splats, cameras } = window.satRecon;
+  const { run, splats, cameras } = window.satRecon; // the page is never loaded again
   const loaded = (kind) => [...document.querySelectorAll(`#strip img[src^=${kind}]`)].filter((i) => i.complete && i.naturalWidth > 0).length;
   return {
     status: run?.status ?? {}, splats, cameras: cameras(), frames: loaded("frame"), mattes: loaded("matte"),

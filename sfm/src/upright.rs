@@ -1,7 +1,7 @@
 //! Which way is up, by what is vertical in the pictures: edges of furniture, doors and buildings.
 //!
-//! The images of parallel lines meet in one point (Hartley & Zisserman 2004, section 8.6): the plane
-//! through a line and the camera holds the line's direction, so the direction that is up lies
+//! The images of parallel lines meet in one point (Hartley & Zisserman 2004, section 8.6): the
+//! plane through a line and the camera holds the line's direction, so the direction that is up lies
 //! across the normals of all planes of vertical lines. Which lines are vertical is not known: the
 //! direction across most normals is taken (RANSAC), near that of cameras held level, if it leaves
 //! few of the nearly vertical lines out.

@@ -4,7 +4,7 @@ use super::Pipeline;
 use crate::record::{Level, PoseSummary, SplatSummary};
 use crate::report::{overall, overall_in_words};
 use crate::terminal::{CANCELLED, TerminalSink, Verbosity};
-use crate::view::{BUNDLE, PAGE, Place, Watch};
+use crate::view::{BUNDLE, PAGE, StagePlace, Watch};
 use anyhow::{Context, Result};
 use glam::DVec3;
 use scene::progress::ProgressSink;
@@ -16,7 +16,7 @@ impl Pipeline {
         let (number, of) = self.until.place(stage);
         let terminal = TerminalSink::new(self.verbosity, self.stages.log(stage)).of_stage(number, of);
         let Some(page) = &self.page else { return Progress::new(Box::new(terminal), &CANCELLED) };
-        let (watch, place, work) = (Arc::clone(page.watch()), Place { number, of }, Mutex::default());
+        let (watch, place, work) = (Arc::clone(page.watch()), StagePlace { number, of }, Mutex::default());
         Progress::new(Box::new(WatchedSink { terminal, watch, place, work }), &CANCELLED)
     }
 
@@ -75,7 +75,7 @@ impl Pipeline {
 struct WatchedSink {
     terminal: TerminalSink,
     watch: Arc<Watch>,
-    place: Place,
+    place: StagePlace,
     /// What is done now, and of how many steps.
     work: Mutex<(String, u64)>,
 }

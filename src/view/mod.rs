@@ -9,7 +9,7 @@ mod watch;
 mod work;
 
 pub(crate) use server::Serving;
-pub(crate) use watch::{Place, Watch};
+pub(crate) use watch::{StagePlace, Watch};
 
 include!(concat!(env!("OUT_DIR"), "/bundle.rs"));
 

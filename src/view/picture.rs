@@ -7,8 +7,8 @@ use std::path::Path;
 /// Longest side of a thumbnail, pixels. Source: the strip of the page, 96 points high, on a screen
 /// of two pixels a point.
 const THUMBNAIL: u32 = 192;
-/// What lies behind an object that was cut out, 8-bit sRGB. Source: chosen by hand: no object and no
-/// screen has it.
+/// What lies behind an object that was cut out, 8-bit sRGB. Source: chosen by hand: no object and
+/// no screen has it.
 const BEHIND: [u8; 3] = [43, 47, 54];
 
 /// A picture as JPEG.

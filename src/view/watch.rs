@@ -22,7 +22,7 @@ const PREVIEW_EVERY: Duration = Duration::from_secs(2);
 
 /// Which of how many stages.
 #[derive(Clone, Copy, Debug, Default, Serialize)]
-pub(crate) struct Place {
+pub(crate) struct StagePlace {
     /// From 1 on; 0 before the first.
     pub number: usize,
     /// How many there are.
@@ -40,7 +40,7 @@ struct End {
 /// How far a run is. Versions are 0 where nothing is there, and grow with every change.
 #[derive(Clone, Debug, Default, Serialize)]
 struct WatchStatus {
-    place: Place,
+    place: StagePlace,
     what: String,
     done: u64,
     total: u64,
@@ -171,7 +171,7 @@ impl Watch {
     }
 
     /// A stage's work is so far.
-    pub(crate) fn tell(&self, place: Place, what: &str, (done, total): (u64, u64), detail: &str) {
+    pub(crate) fn tell(&self, place: StagePlace, what: &str, (done, total): (u64, u64), detail: &str) {
         let mut state = self.lock();
         let status = &mut state.status;
         (status.place, status.done, status.total) = (place, done, total);

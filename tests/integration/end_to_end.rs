@@ -108,7 +108,8 @@ fn the_report_is_one_file_with_everything_in_it() {
     {
         assert!(lights.iter().any(|l| l["what"] == what), "{what}: {lights:?}");
     }
-    // A plain orbit has no mattes, so no hull: nothing is said of floaters, and nothing is unmeasured.
+    // A plain orbit has no mattes, so no hull: nothing is said of floaters, and nothing is
+    // unmeasured.
     assert!(lights.iter().all(|l| l["what"] != "floaters" && l["level"] != "unknown"), "{lights:?}");
     assert!(!report.contains("not measured"), "no light without a reason");
     let overfitting = lights.iter().find(|l| l["what"] == "overfitting").unwrap();

@@ -203,7 +203,8 @@ fn a_set_is_not_written_over_what_is_there() {
     assert_eq!(names(&target), ["mine.txt".to_owned()].into());
 }
 
-/// An object as it leaves the program: red on top (y = −1), blue at the bottom (y = 1), grey between.
+/// An object as it leaves the program: red on top (y = −1), blue at the bottom (y = 1), grey
+/// between.
 fn standing() -> scene::Gaussians {
     let mut splat = scene::Gaussians::default();
     for i in 0..4000 {

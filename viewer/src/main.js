@@ -270,7 +270,7 @@ async function firstSplat(url) {
 if (Number(live) === 1) {
   const status = document.getElementById("status");
   status.textContent = data.cameras.length ? "" : "Cameras and points appear here as they are found.";
-  const live = new Live({
+  const run = new Live({
     goTo,
     newSplat: firstSplat,
     newScene: (next) => {

@@ -7,7 +7,8 @@ use crate::triangulation::{Gates, PointView, refine_point, triangulate, widest_a
 use glam::{DVec2, DVec3};
 use scene::{Camera, Pose, PosedImage, Preview, Reconstruction, ScenePoint, TwoViewGeometry};
 
-/// Colour of points that have none yet, 8-bit sRGB. Source: chosen by hand: seen on black and white.
+/// Colour of points that have none yet, 8-bit sRGB. Source: chosen by hand, seen on black and on
+/// white.
 const GREY: [u8; 3] = [128; 3];
 
 /// What does not change while a model grows.
