@@ -386,7 +386,7 @@ fn run_with_page(dir: &Path, input: &Path, flags: &str) -> (Child, String) {
     let script = format!("#!/bin/sh\nprintf %s \"$1\" > {0}.new && mv {0}.new {0}\n", text(&told));
     std::fs::write(&opener, script).unwrap();
     std::fs::set_permissions(&opener, std::fs::Permissions::from_mode(0o755)).unwrap();
-    let child = Command::new(env!("CARGO_BIN_EXE_sat-recon"))
+    let mut child = Command::new(env!("CARGO_BIN_EXE_sat-recon"))
         .args([text(input), "-o", text(&dir.join("out")), "--view"])
         .args(flags.split(' '))
         .env("BROWSER", &opener)
@@ -399,7 +399,8 @@ fn run_with_page(dir: &Path, input: &Path, flags: &str) -> (Child, String) {
         }
         std::thread::sleep(std::time::Duration::from_millis(50));
     }
-    panic!("no browser was opened");
+    let _ = child.kill();
+    panic!("no browser was opened: {:?}", child.wait());
 }
 
 #[test]
