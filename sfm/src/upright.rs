@@ -44,7 +44,7 @@ struct LineSearch {
 /// Source: chosen by hand. Things stand askew by a degree or two, hands hold cameras level to five.
 /// By chance a tenth of the candidates lie near any direction.
 const SEARCH: LineSearch =
-    LineSearch { pictures: 24, most_lean: 0.12, near: 0.006, least: (0.35, 12), trials: 500 };
+    LineSearch { pictures: 24, most_lean: 0.12, near: 0.006, least: (0.6, 12), trials: 500 };
 
 /// The direction that is up by the vertical lines in the photos of a model; `None` where there are
 /// few, or they do not agree.

@@ -111,7 +111,6 @@ fn the_report_is_one_file_with_everything_in_it() {
     // A plain orbit has no mattes, so no hull: nothing is said of floaters, and nothing is
     // unmeasured.
     assert!(lights.iter().all(|l| l["what"] != "floaters" && l["level"] != "unknown"), "{lights:?}");
-    assert!(!report.contains("not measured"), "no light without a reason");
     let overfitting = lights.iter().find(|l| l["what"] == "overfitting").unwrap();
     assert_ne!(overfitting["level"], "unknown", "training views are judged: {overfitting}");
 }

@@ -409,7 +409,7 @@ fn a_run_is_looked_at_while_it_works_frames_mattes_poses_and_the_splat_as_it_is_
         return;
     }
     let dir = folder("viewer_live");
-    let flags = "--frames 30 --max-size 320 --quality draft --iterations 1500 --max-gaussians 8000";
+    let flags = "--frames 30 --max-size 320 --quality draft --iterations 6000 --max-gaussians 8000";
     let (mut child, address) = run_with_page(&dir, &sample("testbed/case3/video.mp4"), flags);
     assert!(address.starts_with("http://127.0.0.1:"), "{address}");
     let pictures = std::env::var_os("SAT_RECON_PICTURES").map_or_else(|| dir.join("pictures"), PathBuf::from);
