@@ -24,7 +24,7 @@ help:  ## this list
 setup:  ## install what is missing (Debian packages; as root or with sudo)
 	@tools/setup.sh $(PACKAGES)
 
-viewer:  ## bundle the web viewer (needs Node.js; without it everything else is still built)
+viewer:  ## bundle the web viewer where its sources have changed (needs Node.js)
 	@tools/viewer.sh
 
 build: setup viewer  ## build the release binary
@@ -32,7 +32,7 @@ build: setup viewer  ## build the release binary
 
 demo: build  ## a satellite that yaws before a green screen: video to splat, then say what to open
 	$(SAT_RECON) data/testbed/case3/video.mp4 -o out/demo --quality draft
-	@echo; echo "Open out/demo/report.html in a browser; the splat is out/demo/splat.ply"
+	@echo; echo "Open out/demo/report.html in a browser; the splat is out/demo/splat.ply, in a browser out/demo/view.html"
 
 wheel: build  ## a Python wheel with the program inside: build/wheels (needs Python 3.9 with pip)
 	@tools/setup.sh python3-venv binutils

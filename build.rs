@@ -1,17 +1,14 @@
-//! Takes the web viewer into the program, with gzip, where `make viewer` has built it (it needs
-//! Node.js; all else works without), and what tells the sources of each step from those of another
-//! build.
+//! Takes the web viewer into the program as `make viewer` has bundled it, and what tells the
+//! sources of each step from those of another build.
 
-use flate2::{Compression, write::GzEncoder};
 use std::hash::{DefaultHasher, Hasher};
-use std::io::Write as _;
 use std::path::{Path, PathBuf};
 
 fn main() {
-    println!("cargo:rerun-if-changed=viewer/dist");
+    println!("cargo:rerun-if-changed=viewer/viewer.js.gz");
     let root = std::env::var("CARGO_MANIFEST_DIR").unwrap_or_default();
     let out = PathBuf::from(std::env::var("OUT_DIR").unwrap_or_default());
-    take_viewer_in(&Path::new(&root).join("viewer/dist/viewer.js"), &out)
+    take_viewer_in(&Path::new(&root).join("viewer/viewer.js.gz"), &out)
         .expect("the build folder can be written");
     // A stage that another build ran is not current. Unreadable sources only mean that it may be.
     for (name, crates) in [
@@ -22,6 +19,8 @@ fn main() {
         ("BASELINES", &["baselines", "splat", "scene"]),
     ] {
         let mut hasher = DefaultHasher::new();
+        // All that is known where the crates come from a registry.
+        hasher.write(std::env::var("CARGO_PKG_VERSION").unwrap_or_default().as_bytes());
         for folder in crates {
             println!("cargo:rerun-if-changed={folder}/src");
             for file in files(&Path::new(&root).join(folder).join("src")) {
@@ -33,17 +32,15 @@ fn main() {
     }
 }
 
-/// Writes the script with gzip, and the constant that holds it, or that there is none.
+/// Writes the script and the constant that holds it, or that there is none.
 fn take_viewer_in(script: &Path, out: &Path) -> std::io::Result<()> {
     let mut value = "None";
     if let Ok(script) = std::fs::read(script) {
-        let mut encoder = GzEncoder::new(Vec::new(), Compression::best());
-        encoder.write_all(&script)?;
-        std::fs::write(out.join("viewer.js.gz"), encoder.finish()?)?;
+        std::fs::write(out.join("viewer.js.gz"), script)?;
         value = r#"Some(include_bytes!(concat!(env!("OUT_DIR"), "/viewer.js.gz")))"#;
     }
     let code = format!(
-        "/// The viewer's script with gzip, where it was built.\n\
+        "/// The viewer's script with gzip, where it was bundled.\n\
          pub const BUNDLE: Option<&[u8]> = {value};\n"
     );
     std::fs::write(out.join("bundle.rs"), code)

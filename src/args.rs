@@ -120,6 +120,11 @@ pub struct PipelineArgs {
     /// Preset: places flags before the configuration file's and the typed ones
     #[arg(long, value_enum, default_value_t = splat::Quality::Balanced, help_heading = "General")]
     pub quality: splat::Quality,
+    /// Look while it works: opens a page in the browser, served to this machine only, that shows
+    /// the frames, the poses as they are found and the splat while it is trained
+    #[arg(long, help_heading = "General")]
+    #[serde(skip)]
+    pub view: bool,
     /// How the scene is represented and learnt: a splat, or a field to compare it with
     #[arg(long, value_enum, default_value_t = baselines::Method::Gaussians, help_heading = "Splat")]
     pub method: baselines::Method,
@@ -336,6 +341,9 @@ pub struct ExportArgs {
     /// How --mesh is made.
     #[command(flatten)]
     pub surface: SurfaceConfig,
+    /// What of a splat is kept.
+    #[command(flatten)]
+    pub cut: crate::cut::CutConfig,
     /// Write a COLMAP model as text
     #[arg(long)]
     pub text: bool,

@@ -7,8 +7,9 @@ use std::io::IsTerminal;
 use std::path::Path;
 
 /// Files of a run that are worth opening, in this order.
-const WORTH_OPENING: [(&str, &str); 8] = [
+const WORTH_OPENING: [(&str, &str); 9] = [
     ("report.html", "pictures, evidence, poses in 3D"),
+    ("view.html", "the splat in a browser"),
     ("splat.ply", "the splat, for any 3DGS viewer"),
     ("field.bin", "the radiance field; render and eval read it"),
     ("sparse/0", "poses and points, a COLMAP model"),

@@ -18,7 +18,7 @@ pub struct Recorded {
 }
 
 /// Flags without a value that may stand before the command.
-const BARE_GLOBALS: [&str; 5] = ["-v", "--verbose", "-q", "--quiet", "--json"];
+const BARE_GLOBALS: [&str; 6] = ["-v", "--verbose", "-q", "--quiet", "--json", "--view"];
 /// Flags with a value that may stand before the command, and are no part of how a run was made.
 const VALUED_GLOBALS: [&str; 4] = ["--config", "--threads", "--memory-limit", "--progress"];
 

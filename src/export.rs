@@ -24,16 +24,24 @@ pub fn run(args: &ExportArgs, verbosity: Verbosity) -> Result<Outcome> {
     let default = args.input.join(match (args.mesh, args.dense) {
         (true, _) => "mesh.ply",
         (_, true) => "dense.ply",
-        _ => "view.html",
+        _ => crate::view::PAGE,
     });
     let output = args.output.as_deref().unwrap_or(&default);
+    if args.cut.is_some() && SplatFormat::of(output).is_none() {
+        bail!("--crop and --without-floaters cut splats: name a file such as cut.ply with -o");
+    }
     let ending = output.extension().map(|e| e.to_string_lossy().to_ascii_lowercase()).unwrap_or_default();
     match ending.as_str() {
         _ if args.mesh => write_mesh(args, output, verbosity)?,
         _ if args.dense => write_dense(args, output, verbosity)?,
-        _ if args.html || ending == "html" => crate::view::write_page(&args.input, output)?,
+        _ if args.html || ending == "html" => crate::view::write_page(&args.input, output, None)?,
         _ if SplatFormat::of(output).is_some() => {
-            let splat = if args.input.is_dir() { need_splat(&args.input)? } else { read_splat(&args.input)? };
+            let mut splat =
+                if args.input.is_dir() { need_splat(&args.input)? } else { read_splat(&args.input)? };
+            if args.cut.is_some() {
+                let gone = args.cut.apply(&mut splat);
+                say(&format!("{gone} Gaussians cut away, {} left", splat.len()));
+            }
             write_splat(output, &splat)?;
         }
         "json" => write_transforms(&args.input, output)?,

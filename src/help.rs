@@ -19,7 +19,7 @@ const GROUPS: [(&str, &[&str]); 4] = [
 const PIPELINE: [&str; 6] = ["frames", "sfm", "train", "eval", "report", "run"];
 /// Flags of those groups that few will ever need: with the groups that are not named above, they
 /// are shown by `--help-all`.
-const RARE: [&str; 25] = [
+const RARE: [&str; 26] = [
     "rematch",
     "text",
     "known-rate",
@@ -45,6 +45,7 @@ const RARE: [&str; 25] = [
     "verify-confidence",
     "max-log10-false-alarms",
     "duplicate-levels",
+    "vram-limit",
 ];
 
 /// The command line. `all`: its help hides nothing.

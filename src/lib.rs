@@ -10,6 +10,7 @@ mod calibration;
 mod closing;
 pub mod compare;
 pub mod config;
+mod cut;
 mod database;
 mod dense;
 pub mod doctor;

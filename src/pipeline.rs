@@ -3,6 +3,7 @@
 mod all_frames;
 mod field;
 mod folder;
+mod look;
 mod model;
 mod pairs;
 mod split;
@@ -21,20 +22,23 @@ use crate::outcome::Outcome;
 use crate::record::{Deviations, Evaluation, Level, PoseSummary, RunRecord, SplatSummary};
 use crate::report;
 use crate::stage::{Done, Finished, StageSpec, Stages, describe_input, fingerprint, write_json};
-use crate::terminal::{CANCELLED, TerminalSink, Verbosity, print, say};
+use crate::terminal::{Verbosity, print, say};
 use crate::times::Times;
 use crate::transforms;
+use crate::view::{Serving, Watch};
 use anyhow::{Context, Result};
 use baselines::Method;
 use folder::{absolute_in, output_folder, relative_to};
 use scene::decision::Rule;
-use scene::{Decision, FrameSet, Progress, Reconstruction};
+use scene::{FrameSet, Progress, Reconstruction};
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 
 /// What each stage writes into the output folder and no other does. The record and the report tell
 /// of all stages: whichever runs anew takes them away.
-const FRAMES: [&str; 6] = ["images", "masks", ".film.png", "mattes.png", "run.json", "report.html"];
-const SFM: [&str; 7] = [
+const FRAMES: [&str; 7] =
+    ["images", "masks", ".film.png", "mattes.png", "run.json", "report.html", "view.html"];
+const SFM: [&str; 8] = [
     "sparse/0",
     "transforms.json",
     "sparse_points.ply",
@@ -42,11 +46,13 @@ const SFM: [&str; 7] = [
     "frames.json",
     "run.json",
     "report.html",
+    "view.html",
 ];
 /// Written after the poses, anew where other views are held out.
 const TRANSFORMS: [&str; 1] = ["transforms.json"];
 const UNDISTORT: [&str; 1] = ["undistorted"];
-const TRAIN: [&str; 6] = ["splat.ply", "field.bin", "times.json", "refined", "run.json", "report.html"];
+const TRAIN: [&str; 7] =
+    ["splat.ply", "field.bin", "times.json", "refined", "run.json", "report.html", "view.html"];
 const EVAL: [&str; 3] = ["eval", "run.json", "report.html"];
 
 /// One run into one output folder.
@@ -60,6 +66,8 @@ pub struct Pipeline {
     json: bool,
     memory_limit: Option<u64>,
     record: RunRecord,
+    /// Who looks on.
+    page: Option<Serving>,
 }
 
 impl Pipeline {
@@ -93,7 +101,8 @@ impl Pipeline {
         }
         let record = RunRecord::begun(args.clone(), Vec::new());
         let (until, memory_limit) = (Until::Report, None);
-        Ok(Self { until, args, input, out, stages, verbosity, json, memory_limit, record })
+        let page = if args.view { Some(Serving::start(Arc::new(Watch::live(&out)))?) } else { None };
+        Ok(Self { until, args, input, out, stages, verbosity, json, memory_limit, record, page })
     }
 
     /// The same with no more than so much memory, MiB.
@@ -132,6 +141,7 @@ impl Pipeline {
                 self.stages.retire("train", &TRAIN)?;
                 self.stages.retire("eval", &EVAL)?;
             } else {
+                self.show_poses("sparse/0", &poses);
                 self.hold_out_sector()?;
                 self.write_transforms(&frames, &poses_print)?;
                 if until >= Until::Train {
@@ -141,6 +151,7 @@ impl Pipeline {
         }
         report::judge(&self.out, &mut self.record)?;
         if until >= Until::Report || (until >= Until::Sfm && outcome == Outcome::NoModel) {
+            self.write_page()?;
             report::write(&self.out, &self.record).context("cannot write the report")?;
         }
         write_json(&self.out.join("run.json"), &self.record)?;
@@ -148,27 +159,13 @@ impl Pipeline {
         if outcome == Outcome::Done && report::overall(&self.record.verdict) == Level::Bad {
             outcome = Outcome::Doubtful;
         }
+        self.show_end();
         Ok((outcome, self.record))
-    }
-
-    fn progress(&self, stage: &str) -> Progress {
-        let (number, of) = self.until.place(stage);
-        let sink = TerminalSink::new(self.verbosity, self.stages.log(stage)).of_stage(number, of);
-        Progress::new(Box::new(sink), &CANCELLED)
     }
 
     fn say(&self, line: &str) {
         if self.verbosity > Verbosity::Quiet {
             say(line);
-        }
-    }
-
-    fn say_decisions(&self, decisions: &[Decision]) {
-        for words in decisions.iter().map(Decision::sentences) {
-            let is_verbose = self.verbosity == Verbosity::Verbose && !words.evidence.is_empty();
-            let evidence =
-                if is_verbose { format!(" ({})", words.evidence.join("; ")) } else { String::new() };
-            self.say(&format!("          {words}{evidence}"));
         }
     }
 
@@ -233,6 +230,7 @@ impl Pipeline {
             self.say(&format!("          {note}"));
         }
         self.say_decisions(&frames.decisions);
+        self.show_frames(&frames);
         Ok((frames, identity))
     }
 
@@ -348,7 +346,7 @@ impl Pipeline {
         let mut result = database::solve(&self.args, frames, progress)?;
         let model = result.reconstruction.as_ref();
         let scale = model.map(|m| sfm::metric_scale(m, frames, &self.args.sfm.scale, progress));
-        let world = world::find(&result, frames, &self.args, scale.transpose()?.flatten());
+        let world = world::find(&result, frames, &self.args, scale.transpose()?.flatten(), progress)?;
         if let Some(world) = world.as_ref().filter(|_| !self.args.keep_frame) {
             world::place(&mut result, &world.sim3());
         }
@@ -398,6 +396,9 @@ impl Pipeline {
             Ok(0_u32)
         })?;
         let print = self.finish("undistort", done, "images for training").identity()?;
+        if let Some(poses) = &self.record.poses {
+            self.show_poses("undistorted/sparse/0", poses);
+        }
         if self.args.method != Method::Gaussians {
             let times = Times::of(frames, &self.input)?;
             return self.field((&training_set, &times), &print, until);
@@ -418,6 +419,7 @@ impl Pipeline {
         let line = format!("{} Gaussians, SH degree {}", splat.gaussians, splat.sh_degree);
         let finished = self.finish("train", done, &line);
         let print = finished.identity()?;
+        self.show_splat(&finished.value);
         self.record.splat = Some(finished.value);
         self.judge(&print, until)
     }

@@ -1,13 +1,20 @@
 #!/usr/bin/env bash
-# Bundles viewer/ into viewer/dist/viewer.js, which the program takes in when it is built.
+# Bundles viewer/ into viewer/viewer.js.gz, which the program takes in when it is built. It is kept
+# in the repository, so that the program has its viewer where Node.js is missing; the sums beside it
+# say of which sources it is (a test compares them).
 set -euo pipefail
 cd "$(dirname "$0")/../viewer"
-if ! command -v npm >/dev/null; then
-  echo "npm is missing: building without the web viewer (install Node.js 20 or newer and run make again to have it)" >&2
+sums() { sha256sum src/*.js package-lock.json package.json; }
+if [ -d node_modules/puppeteer-core ] && sums | cmp -s - viewer.sums; then
   exit 0
 fi
-newest=$(ls -t src/*.js package-lock.json dist/viewer.js 2>/dev/null | head -n 1 || true)
-[ "$newest" = dist/viewer.js ] && [ -d node_modules/puppeteer-core ] && exit 0
-if ! { npm ci --no-audit --no-fund --loglevel=error && npm run --silent build -- --log-level=warning; }; then
-  echo "npm could not bundle the web viewer (see above): building without it" >&2
+if ! command -v npm >/dev/null; then
+  sums | cmp -s - viewer.sums || echo "npm is missing: the web viewer stays as it was bundled last (install Node.js 20 or newer and run make again)" >&2
+  exit 0
 fi
+if ! { npm ci --no-audit --no-fund --loglevel=error && npm run --silent build -- --log-level=warning; }; then
+  echo "npm could not bundle the web viewer (see above): it stays as it was bundled last" >&2
+  exit 0
+fi
+gzip -9nc dist/viewer.js > viewer.js.gz
+sums > viewer.sums

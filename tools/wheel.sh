@@ -25,7 +25,7 @@ python3 -m venv "$work/fresh"
 "$work/fresh/bin/pip" -q install "$work"/repaired/*.whl
 # The package as installed, not the tree's.
 cp python/tests/test_sat_recon.py "$work"
-(cd "$work" && SAT_RECON_INSTALLED="$PWD/fresh" SAT_RECON_DATA="$OLDPWD/data" \
+(cd "$work" && SAT_RECON_INSTALLED="$PWD/fresh" SAT_RECON_DATA="$OLDPWD/data" SAT_RECON_NOTEBOOKS="$OLDPWD/docs/notebooks" \
     fresh/bin/python -B -m unittest test_sat_recon)
 cp "$work"/repaired/*.whl "$out"
 ls -l "$out"/*.whl

@@ -4,35 +4,12 @@
 // drives the browser.
 import fs from "node:fs";
 import path from "node:path";
-import puppeteer from "puppeteer-core";
+import { openPage, sleep } from "./browser.mjs";
 
 const [chromium, address, folder, what = "0"] = process.argv.slice(2);
-const browser = await puppeteer.launch({
-  executablePath: chromium,
-  args: ["--no-sandbox", "--disable-dev-shm-usage", "--disable-background-networking", "--disable-component-update",
-    "--disable-sync", "--no-first-run", "--enable-unsafe-swiftshader"],
-});
-const page = await browser.newPage();
-const errors = [];
-page.on("console", (m) => { if (m.type() === "error") errors.push(m.text()); });
-page.on("pageerror", (e) => errors.push(String(e)));
-page.on("request", (r) => { if (/^https?:/.test(r.url()) && !r.url().startsWith(new URL(address).origin)) errors.push(`fetches ${r.url()}`); });
-await page.setViewport({ width: 400, height: 320 });
-// Without the glide after every movement, whose hundred frames take minutes where a processor draws
-// them.
-await page.emulateMediaFeatures([{ name: "prefers-reduced-motion", value: "reduce" }]);
+const { browser, page, errors, until } = await openPage(chromium, address, { width: 400, height: 320 });
 const client = await page.createCDPSession();
 await client.send("Browser.setDownloadBehavior", { behavior: "allow", downloadPath: folder });
-await page.goto(address, { timeout: 120000 });
-
-const sleep = (ms) => new Promise((r) => setTimeout(r, ms));
-// Asked by the debugger: the page's policy forbids the strings that `waitForFunction` compiles.
-async function until(expression, seconds) {
-  for (const end = Date.now() + 1000 * seconds; Date.now() < end; await sleep(50)) {
-    if (await page.evaluate(expression)) return;
-  }
-  throw new Error(`not true within ${seconds} s: ${expression}`);
-}
 await until("!!window.satRecon && (satRecon.ready || satRecon.errors.length > 0)", 120);
 
 const state = (key) => page.evaluate(`satRecon.${key}`);
@@ -152,6 +129,15 @@ async function set(selector, value, event) {
   }, value, event);
 }
 
+// The panel of a narrow page lies over the canvas: it is opened for what needs it.
+async function withPanel(act) {
+  const isHidden = await page.evaluate("document.getElementById('panel').hidden");
+  if (isHidden) await page.click("#menu");
+  const result = await act();
+  if (isHidden) await page.click("#menu");
+  return result;
+}
+
 async function inputCamera(index) {
   await page.select("#panel select", String(index));
   const view = await settled();
@@ -164,7 +150,7 @@ async function inputCamera(index) {
     return !image.hidden && image.naturalWidth > 0 && image.style.opacity === "1" && p.width === c.width && p.height === c.height;
   });
   await set("#panel input[type=range]", 0, "input");
-  await page.click("#panel button[title='Next camera']");
+  await withPanel(() => page.click("#panel button[title='Next camera']"));
   const next = await state("view");
   return { jump: next === index + 1, photo };
 }
@@ -210,13 +196,59 @@ async function toggles() {
 
 async function screenshot() {
   const before = new Set(fs.readdirSync(folder));
-  await page.click("#panel button[title='Save a PNG']");
-  for (let i = 0; i < 40; i++) {
+  await withPanel(() => page.click("#panel button[title='Save a PNG']"));
+  return (await downloaded(before, ".png")).subarray(1, 4).toString() === "PNG";
+}
+
+// What was saved since there were these files; empty if nothing was.
+async function downloaded(before, ending) {
+  for (let i = 0; i < 120; i++) {
     await sleep(250);
-    const name = fs.readdirSync(folder).find((n) => !before.has(n) && n.endsWith(".png"));
-    if (name) return fs.readFileSync(path.join(folder, name)).subarray(1, 4).toString() === "PNG";
+    const name = fs.readdirSync(folder).find((n) => !before.has(n) && n.endsWith(ending));
+    if (name) return fs.readFileSync(path.join(folder, name));
   }
-  return false;
+  return Buffer.alloc(0);
+}
+
+// Gaussians in a .ply.
+const vertices = (ply) => Number(/element vertex (\d+)/.exec(ply.subarray(0, 4096).toString("latin1"))?.[1]);
+
+// The crop box hides what is outside, and a handle moves its side; what is left is saved by the
+// server, or said as a command.
+async function cutting() {
+  await withPanel(() => page.click("#panel button[title='Back to the start']"));
+  await settled();
+  const all = await colours();
+  await set("#panel input[title='Crop box']", true, "change");
+  await settled();
+  const half = "[title='y high']";
+  const [low, high] = await page.evaluate((s) => { const i = document.querySelector(s); return [Number(i.min), Number(i.max)]; }, half);
+  await set(half, low + 0.4 * (high - low), "input");
+  await settled();
+  const some = await colours();
+  const before = await page.evaluate((s) => document.querySelector(s).value, half);
+  const at = await state("handle(1, 'high')");
+  await page.mouse.move(at.x, at.y);
+  await page.mouse.down();
+  await page.mouse.move(at.x + 25, at.y + 25, { steps: 4 });
+  await arrives("pointerup", () => page.mouse.up());
+  const after = await page.evaluate((s) => document.querySelector(s).value, half);
+  const report = { crop: some.coloured < 0.9 * all.coloured, handle: before !== after };
+  if (await page.evaluate("!!document.querySelector(\"[title='Save what is left']\")")) {
+    const files = new Set(fs.readdirSync(folder));
+    await withPanel(() => page.click("[title='Save what is left']"));
+    report.left = vertices(await downloaded(files, ".ply"));
+    const shown = await state("splats");
+    await set("#panel input[title^=Floaters]", 1, "change");
+    await until(`satRecon.splats > ${shown}`, 60);
+    await set("#panel input[title^=Floaters]", 0, "change");
+    await until(`satRecon.splats > ${shown + 1}`, 60);
+  } else {
+    report.command = await page.evaluate("document.querySelector('#panel code').textContent");
+  }
+  await set("#panel input[title='Crop box']", false, "change");
+  await settled();
+  return report;
 }
 
 // Elements and code that no page of ours has: a name out of a file would have made them.
@@ -224,7 +256,7 @@ const foreign = await page.evaluate("document.querySelectorAll('[onerror], [onlo
 const report = { loadMs: await state("loadMs"), foreign };
 if (what !== "load" && (await state("ready"))) {
   await settled();
-  Object.assign(report, await navigation(), await inputCamera(Number(what)), await toggles(), { screenshot: await screenshot() });
+  Object.assign(report, await navigation(), await inputCamera(Number(what)), await toggles(), await cutting(), { screenshot: await screenshot() });
 }
 report.errors = [...errors, ...(await state("errors"))];
 console.log(JSON.stringify(report));

@@ -1,6 +1,7 @@
 """A small run, and what can go wrong: of the source tree with the program that ``SAT_RECON`` names,
 or of an installed wheel (``SAT_RECON_INSTALLED``, its environment)."""
 
+import json
 import os
 import subprocess
 import sys
@@ -17,6 +18,33 @@ if not INSTALLED:
 import sat_recon  # noqa: E402
 
 SMALL = {"frames": 24, "max_size": 240, "iterations": 60, "max_gaussians": 2000}
+
+
+class Notebooks(unittest.TestCase):
+    """The notebooks of docs/notebooks, cell by cell as a kernel runs them."""
+
+    def test_every_cell_runs(self):
+        folder = Path(os.environ.get("SAT_RECON_NOTEBOOKS", DATA.parent / "docs/notebooks"))
+        notebooks = sorted(folder.glob("*.ipynb"))
+        self.assertTrue(notebooks, folder)
+        for notebook in notebooks:
+            cells = json.loads(notebook.read_text(encoding="utf-8"))["cells"]
+            code = ["".join(cell["source"]) for cell in cells if cell["cell_type"] == "code"]
+            self.assertGreater(len(code), 3, notebook)
+            with tempfile.TemporaryDirectory() as place:
+                script = Path(place) / "notebook.py"
+                script.write_text("\n\n".join(code), encoding="utf-8")
+                paths = [str(Path(sat_recon.__file__).resolve().parents[1]), os.environ.get("PYTHONPATH", "")]
+                environment = {
+                    **os.environ,
+                    "SAT_RECON_DATA": str(DATA),
+                    "PYTHONPATH": os.pathsep.join(filter(None, paths)),
+                }
+                done = subprocess.run(
+                    [sys.executable, "-B", str(script)], cwd=place, env=environment, capture_output=True, text=True
+                )
+                self.assertEqual(done.returncode, 0, f"{notebook}: {done.stdout}{done.stderr}")
+                self.assertIn("Gaussians", done.stdout)
 
 
 class ASmallRun(unittest.TestCase):

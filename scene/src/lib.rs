@@ -19,6 +19,7 @@
 #![warn(clippy::undocumented_unsafe_blocks, unreachable_pub)]
 
 pub mod camera;
+mod cut;
 pub mod decision;
 pub mod features;
 pub mod flag;
@@ -47,6 +48,7 @@ pub mod up;
 pub mod world;
 
 pub use camera::{Camera, CameraModel};
+pub use cut::SplatCut;
 pub use decision::Decision;
 pub use features::{Features, Keypoint, TwoViewGeometry, TwoViewKind};
 pub use frames::{Film, Frame, FrameSet};
@@ -56,7 +58,7 @@ pub use orbit_path::OrbitPath;
 pub use overview::Overview;
 pub use pose::Pose;
 pub use posed_photo::PosedPhoto;
-pub use progress::{Cancelled, Progress};
+pub use progress::{Cancelled, Preview, Progress};
 pub use reconstruction::{Observation, PosedImage, Reconstruction, ScenePoint, TrackElement};
 pub use ring::{Arc, Closure, Ring, RingClosure, RingSequence};
 pub use sector::{focus, sector};

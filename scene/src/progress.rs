@@ -1,11 +1,22 @@
 //! How a stage says how far it is, and how it is told to stop.
 
+use crate::{Gaussians, Reconstruction};
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 
 /// The user asked to stop (Ctrl-C); what was finished is kept.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("cancelled")]
 pub struct Cancelled;
+
+/// An interim result, for those who look on while a stage works.
+#[derive(Clone, Debug)]
+pub enum Preview {
+    /// Cameras, poses and points, in the frame that the solver has now; without observations, and
+    /// names may be missing (image number = index of the frame + 1).
+    Model(Reconstruction),
+    /// Gaussians, world frame.
+    Splat(Gaussians),
+}
 
 /// What shows progress to a person: a bar, plain lines, or nothing.
 pub trait ProgressSink: Send + Sync {
@@ -16,6 +27,12 @@ pub trait ProgressSink: Send + Sync {
     fn update(&self, done: u64, detail: &str);
     /// A sentence for the user (shown with `-v`).
     fn note(&self, message: &str);
+    /// Whether somebody looks on and is ready for another interim result.
+    fn wants_preview(&self) -> bool {
+        false
+    }
+    /// Shows an interim result.
+    fn preview(&self, _: Preview) {}
 }
 
 struct Silent;
@@ -66,6 +83,16 @@ impl Progress {
     /// An error if the user asked to stop.
     pub fn check(&self) -> Result<(), Cancelled> {
         if self.cancel.load(Ordering::Relaxed) { Err(Cancelled) } else { Ok(()) }
+    }
+
+    /// Whether an interim result would be looked at now: only then is one worth making.
+    pub fn wants_preview(&self) -> bool {
+        self.sink.wants_preview()
+    }
+
+    /// Shows an interim result; no result depends on it.
+    pub fn preview(&self, preview: Preview) {
+        self.sink.preview(preview);
     }
 
     /// A sentence for the user (shown with `-v`).

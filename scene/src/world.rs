@@ -4,7 +4,7 @@
 //! viewers expect: the object in the origin and one unit its radius, and the first image looks
 //! along z. Formats with another convention are turned on the way ([`crate::io`]).
 
-use crate::decision::{Decision, Quantity, Rule, ScaleEvidence, Subject, UpEvidence};
+use crate::decision::{Decision, Measurement, Quantity, Rule, ScaleEvidence, Subject, UpEvidence};
 use crate::overview::quantile;
 use crate::sim3::{Sim3, nearest_rotation};
 use crate::up::{UP, level_up, roll_deg};
@@ -74,6 +74,9 @@ pub struct WorldFrame {
     /// Angle between the axis of the turn, or of the cameras' circle, and the up of level cameras,
     /// degrees, where there is one.
     pub axis_tilt_deg: Option<f64>,
+    /// How many of how many nearly vertical lines agree, where they say what is up.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub lines: Option<[usize; 2]>,
     /// What one unit is.
     pub unit: WorldUnit,
     /// What says how long a metre is, where that is known.
@@ -105,9 +108,21 @@ impl WorldFrame {
             Some(axis) if is_upright => (axis, UpEvidence::CircleAxis),
             _ => (level, UpEvidence::LevelCameras),
         };
+        let world = Self::along(model, (up, up_evidence), ring.filter(|_| turn.is_some()), scale)?;
+        Some(Self { axis_tilt_deg: tilt_deg, ..world })
+    }
+
+    /// With a direction that is up, and what says so. `ring`: its axis goes through the object.
+    fn along(
+        model: &Reconstruction,
+        (up, up_evidence): (DVec3, UpEvidence),
+        ring: Option<&Ring>,
+        scale: Option<MetricScale>,
+    ) -> Option<Self> {
+        let poses: Vec<Pose> = model.images.values().map(|i| i.pose).collect();
         let rotation = upright(up, poses.first()?);
         let mut centre = middle(model, rotation);
-        if let (Some(ring), Some(_)) = (ring, turn) {
+        if let Some(ring) = ring {
             centre = ring.centre + up * (centre - ring.centre).dot(up);
         }
         let factor = scale.map_or_else(|| 1.0 / object_radius(model, centre), |s| s.metres_per_unit);
@@ -116,11 +131,20 @@ impl WorldFrame {
             up: UP.to_array(),
             up_evidence,
             roll_deg: roll_deg(&poses, up),
-            axis_tilt_deg: tilt_deg,
+            axis_tilt_deg: None,
+            lines: None,
             unit: if scale.is_some() { WorldUnit::Metre } else { WorldUnit::ObjectRadius },
             scale,
             world_from_source: rows(&sim),
         })
+    }
+
+    /// The same by vertical lines: `up` is their direction, on which so many of so many agree.
+    /// For a frame that only the cameras' own up holds.
+    pub fn by_lines(self, model: &Reconstruction, up: DVec3, lines: [usize; 2]) -> Self {
+        let found = Self::along(model, (up, UpEvidence::VerticalLines), None, self.scale);
+        let axis_tilt_deg = self.axis_tilt_deg;
+        found.map_or(self, |found| Self { lines: Some(lines), axis_tilt_deg, ..found })
     }
 
     /// The frame as it is, with what is up in it; `turn`: from the input's file into the model.
@@ -133,7 +157,11 @@ impl WorldFrame {
     /// Which direction is up, as a decision. `rule`: what made it stand.
     pub fn decision(&self, rule: Rule) -> Decision {
         let decision = Decision::new(Subject::WorldUp, self.up_evidence, rule);
-        let decision = decision.measured(Quantity::CameraRoll, self.roll_deg);
+        let mut decision = decision.measured(Quantity::CameraRoll, self.roll_deg);
+        if let Some([agreeing, lines]) = self.lines {
+            let counted = [(Quantity::AgreeingLines, agreeing), (Quantity::Lines, lines)];
+            decision = counted.into_iter().fold(decision, |d, (what, n)| d.with(Measurement::count(what, n)));
+        }
         match self.axis_tilt_deg {
             Some(tilt) => decision.measured(Quantity::AxisFromLevel, tilt),
             None => decision,
@@ -261,6 +289,18 @@ mod tests {
     fn cameras_on_a_short_arc_are_upright_by_being_level() {
         let frame = found(&steps(20.0, 4.0, 20), 50.0, false, 6.0);
         assert_eq!(frame.up_evidence, UpEvidence::LevelCameras);
+    }
+
+    #[test]
+    fn vertical_lines_say_better_than_the_cameras_what_is_up() {
+        let (model, sim) = (filmed(&steps(20.0, 4.0, 20), 50.0, &tumbled()), tumbled());
+        let frame = WorldFrame::of(&model, None, None, None).unwrap();
+        let by_lines = frame.clone().by_lines(&model, sim.rotation * DVec3::Z, [20, 30]);
+        let off = |f: &WorldFrame| (f.sim3().rotation * sim.rotation * DVec3::Z).angle_between(UP);
+        assert!(off(&by_lines) < 1e-6 && off(&frame) > 1e-3, "{} {}", off(&by_lines), off(&frame));
+        assert_eq!((by_lines.up_evidence, by_lines.lines), (UpEvidence::VerticalLines, Some([20, 30])));
+        let words = by_lines.decision(Rule::Evidence).sentences().evidence.join("; ");
+        assert!(words.contains("lines that agree") && words.contains("20"), "{words}");
     }
 
     #[test]

@@ -41,6 +41,7 @@ mod tracks;
 mod triangulation;
 pub mod two_view;
 mod undistort;
+mod upright;
 
 pub use circular::{Motion, MotionConfig};
 pub use config::{CameraModelChoice, CameraSharing, KeypointPlaces, SfmConfig};
@@ -57,3 +58,4 @@ pub use reconstruct::{
 pub use result::{FramePose, PoseDeviation, SfmResult, SfmStats, StepTime, Uncertainty};
 pub use skip::StepName;
 pub use undistort::undistort;
+pub use upright::{VerticalDirection, vertical_direction};

@@ -3,20 +3,22 @@
 use crate::args::PipelineArgs;
 use anyhow::{Result, bail};
 use glam::{DMat3, DVec3};
-use scene::decision::{MotionModel, ScaleEvidence};
+use scene::decision::{MotionModel, ScaleEvidence, UpEvidence};
 use scene::sim3::Sim3;
-use scene::{Decision, FrameSet, MetricScale, Reconstruction, RingSequence, WorldFrame};
+use scene::{Decision, FrameSet, MetricScale, Progress, Reconstruction, RingSequence, WorldFrame};
 use sfm::{PoseDeviation, SfmResult};
 
 /// Where the world of a solved model lies, with the scale that was found; with `--keep-frame`, what
-/// is up in the solver's frame.
+/// is up in the solver's frame. Vertical lines are asked last: an object that leans has lines that
+/// lean with it.
 pub(super) fn find(
     result: &SfmResult,
     frames: &FrameSet,
     args: &PipelineArgs,
     scale: Option<MetricScale>,
-) -> Option<WorldFrame> {
-    let model = result.reconstruction.as_ref()?;
+    progress: &Progress,
+) -> Result<Option<WorldFrame>> {
+    let Some(model) = &result.reconstruction else { return Ok(None) };
     let motion = result.decisions.iter().filter_map(Decision::motion).next_back();
     let is_turn = motion == Some(MotionModel::SingleAxis);
     let tumbles = result.motion.as_ref().filter(|m| m.tumble.is_some());
@@ -34,8 +36,13 @@ pub(super) fn find(
         relative_deviation: None,
     };
     let scale = if known { Some(by_distance) } else { scale };
-    let world = WorldFrame::of(model, ring, axis, scale)?;
-    Some(if args.keep_frame { world.kept(Sim3::IDENTITY) } else { world })
+    let Some(mut world) = WorldFrame::of(model, ring, axis, scale) else { return Ok(None) };
+    if world.up_evidence == UpEvidence::LevelCameras
+        && let Some(found) = sfm::vertical_direction(model, frames, progress)?
+    {
+        world = world.by_lines(model, found.up, [found.agreeing, found.lines]);
+    }
+    Ok(Some(if args.keep_frame { world.kept(Sim3::IDENTITY) } else { world }))
 }
 
 /// Moves all that was solved.

@@ -3,6 +3,7 @@
 mod advice;
 pub(crate) mod charts;
 mod decisions;
+mod first;
 pub(crate) mod html;
 mod measures;
 mod motion;
@@ -59,9 +60,14 @@ fn body(out: &Path, record: &RunRecord, model: Option<&Reconstruction>) -> Resul
     let training = record.splat.as_ref().map(views::training).transpose()?;
     let field = record.field.as_ref().map(views::field).transpose()?;
     let held_out = record.evaluation.as_ref().map(|e| views::held_out(out, e)).transpose()?;
+    let hero = record.evaluation.as_ref().map(|e| first::hero(out, e)).transpose()?;
     Ok(html! {
         h1 { (title(record)) }
-        (lights(&record.verdict))
+        div.top {
+            @if let Some(hero) = hero { (hero) }
+            (lights(&record.verdict))
+        }
+        (first::next_steps(out, record))
         (decisions::section(record))
         (frames(out, record)?)
         @for section in [poses, motion, training, field, held_out].into_iter().flatten() { (section) }

@@ -1,7 +1,15 @@
-//! The splat in a browser: one self-contained page, or a server for this machine alone.
+//! The splat in a browser: one self-contained page, or a server for this machine alone, which also
+//! shows a run while it works.
 
+mod browser;
 mod http;
+mod picture;
 pub mod server;
+mod watch;
+mod work;
+
+pub(crate) use server::Serving;
+pub(crate) use watch::{StagePlace, Watch};
 
 include!(concat!(env!("OUT_DIR"), "/bundle.rs"));
 
@@ -9,7 +17,8 @@ use anyhow::{Context, Result};
 use base64::Engine as _;
 use base64::engine::general_purpose::STANDARD;
 use glam::DVec3;
-use scene::{Reconstruction, overview};
+use scene::sim3::Sim3;
+use scene::{Gaussians, Reconstruction, overview};
 use serde::Serialize;
 use std::io::Read as _;
 use std::path::{Path, PathBuf};
@@ -34,6 +43,8 @@ pub(crate) struct ViewCamera {
     translation: [f64; 3],
     /// Address of the photo.
     photo: Option<String>,
+    /// Number of its frame on the page of a run that works.
+    frame: Option<usize>,
 }
 
 /// The splat is a `.spz`; where it is fetched from, nothing where the page holds it.
@@ -52,7 +63,7 @@ struct Points {
 #[derive(Clone, Debug, Serialize)]
 pub(crate) struct ViewScene {
     title: String,
-    splat: Splat,
+    splat: Option<Splat>,
     points: Points,
     cameras: Vec<ViewCamera>,
     up: [f64; 3],
@@ -61,7 +72,18 @@ pub(crate) struct ViewScene {
     far: f64,
     /// Whether opacity goes with the low-pass, as the splat was trained.
     antialias: bool,
+    /// Scene units that one unit of the page is.
+    units_of_page: f64,
+    /// Where the page's origin lies in the world, scene units; the axes are the world's.
+    origin_of_page: [f64; 3],
+    /// Address of the report, where there is one.
+    report: Option<&'static str>,
 }
+
+/// The page of a run's splat that opens from disk.
+pub(crate) const PAGE: &str = "view.html";
+/// The report beside a page.
+const REPORT: &str = "report.html";
 
 /// Shares of the points that are nearer than the near and than the far depth of the page.
 /// Source: chosen by hand, never measured.
@@ -74,16 +96,18 @@ const RADIUS: f64 = 16.0;
 /// viewer/src, the far plane.
 const FARTHEST: f32 = 2000.0;
 
-/// A finished run, as far as it is looked at, moved into the page's frame.
-#[derive(Debug)]
+/// A run, as far as it is looked at, moved into the page's frame.
+#[derive(Clone, Debug)]
 pub(crate) struct Run {
     /// Its folder.
     pub folder: PathBuf,
-    /// PINHOLE cameras that the splat was trained with.
+    /// Cameras and points; PINHOLE cameras where the splat was trained with them.
     pub model: Reconstruction,
-    /// The splat as `.spz`: a sixth of the bytes that a browser has to fetch, decode and sort into
-    /// its textures.
-    pub splat: Vec<u8>,
+    /// From the run's world into the page.
+    page_from_world: Sim3,
+    /// The splat as `.spz`, where there is one: a sixth of the bytes that a browser has to fetch,
+    /// decode and sort into its textures.
+    pub splat: Option<Vec<u8>>,
     /// Whether it was trained with --antialias.
     pub antialias: bool,
     /// Direction that is up.
@@ -93,37 +117,44 @@ pub(crate) struct Run {
 impl Run {
     /// Reads the model and the splat, which must be there; no browser should be handed it unread.
     pub(crate) fn open(folder: &Path) -> Result<Self> {
-        let mut gaussians = crate::pictures::need_splat(folder)?;
+        let gaussians = crate::pictures::need_splat(folder)?;
         let model = scene::io::read_model(&folder.join("undistorted/sparse/0"))?;
         anyhow::ensure!(!model.images.is_empty(), "{} has no cameras", folder.display());
-        let page_from_world = overview::centred(&model, RADIUS);
-        gaussians.transform(&page_from_world);
+        let up = crate::record::up_of(folder, &model);
+        let mut run = Self::of_model(folder, &model, up);
+        run.antialias = crate::pictures::trained_with_antialias(folder);
+        run.splat = Some(run.encode(gaussians)?);
+        Ok(run)
+    }
+
+    /// Cameras and points without a splat.
+    fn of_model(folder: &Path, model: &Reconstruction, up: DVec3) -> Self {
+        let page_from_world = overview::centred(model, RADIUS);
+        let model = page_from_world.transform_reconstruction(model);
+        Self { folder: folder.to_path_buf(), model, page_from_world, splat: None, antialias: false, up }
+    }
+
+    /// Gaussians of the run's world as a browser gets them.
+    fn encode(&self, mut gaussians: Gaussians) -> Result<Vec<u8>> {
+        gaussians.transform(&self.page_from_world);
         let shown: Vec<bool> = gaussians.means.iter().map(|m| m.abs().max_element() < FARTHEST).collect();
         gaussians.retain(|i| shown[i]);
-        let spz = scene::io::splats::encode_spz(&gaussians).map_err(anyhow::Error::msg)?;
-        let model = page_from_world.transform_reconstruction(&model);
-        let antialias = crate::pictures::trained_with_antialias(folder);
-        let up = crate::record::up_of(folder, &model);
-        Ok(Self { folder: folder.to_path_buf(), model, splat: spz, antialias, up })
+        scene::io::splats::encode_spz(&gaussians).map_err(anyhow::Error::msg)
     }
 
     /// The training image of the camera with this number in the page.
     pub(crate) fn photo(&self, index: usize) -> Option<PathBuf> {
         let image = self.model.images.values().nth(index)?;
         let name = scene::io::safe_name(&image.name).ok()?;
-        self.inside(&format!("undistorted/images/{name}"))
+        inside(&self.folder, &format!("undistorted/images/{name}"))
     }
 
-    /// A file of the run, if it lies in the run's folder: a link that leads out of it is none.
-    fn inside(&self, name: &str) -> Option<PathBuf> {
-        let path = self.folder.join(name).canonicalize().ok()?;
-        (path.is_file() && path.starts_with(self.folder.canonicalize().ok()?)).then_some(path)
-    }
-
-    fn scene(&self, splat: Splat, photo: impl Fn(usize) -> Option<String>) -> ViewScene {
+    /// What the page shows. `splat`: where it comes from, if there is one.
+    fn scene(&self, splat: Option<Splat>, photo: impl Fn(usize) -> Option<String>) -> ViewScene {
         let [near, far] =
             overview::depth_range(&self.model, DEPTHS[0], DEPTHS[1]).unwrap_or([0.5 * RADIUS, 2.0 * RADIUS]);
         let name = std::path::absolute(&self.folder).unwrap_or_else(|_| self.folder.clone());
+        let world_from_page = self.page_from_world.inverse();
         ViewScene {
             title: name.file_name().map_or_else(|| "splat".into(), |n| n.to_string_lossy().into_owned()),
             splat,
@@ -134,6 +165,9 @@ impl Run {
             near,
             far: far.max(near * 1.001),
             antialias: self.antialias,
+            units_of_page: world_from_page.scale,
+            origin_of_page: world_from_page.translation.to_array(),
+            report: self.folder.join(REPORT).is_file().then_some(REPORT),
         }
     }
 
@@ -155,6 +189,7 @@ impl Run {
                     rotation,
                     translation: image.pose.translation.to_array(),
                     photo: photo(index),
+                    frame: None,
                 })
             })
             .collect()
@@ -171,11 +206,15 @@ impl Run {
     }
 }
 
+/// A file of a folder, if it lies in it: a link that leads out of it is none.
+fn inside(folder: &Path, name: &str) -> Option<PathBuf> {
+    let path = folder.join(name).canonicalize().ok()?;
+    (path.is_file() && path.starts_with(folder.canonicalize().ok()?)).then_some(path)
+}
+
 /// Says what to do where the program holds no viewer.
 fn check_bundle() -> Result<&'static [u8]> {
-    BUNDLE.context(
-        "this sat-recon was built without the viewer: install Node.js and npm, run 'make build' again",
-    )
+    BUNDLE.context("this sat-recon was built without viewer/viewer.js.gz: check it out, or run 'make viewer'")
 }
 
 /// The viewer's script.
@@ -203,27 +242,22 @@ fn page(scene: &ViewScene, splat: &str, script: &str) -> Result<String> {
     Ok([head, &title, style, &json, between, splat, before, script, end].concat())
 }
 
-/// One HTML file that needs no network and no other file.
-pub(crate) fn write_page(folder: &Path, target: &Path) -> Result<()> {
+/// One HTML file that needs no network and no other file. `up`: where no record says it yet.
+pub(crate) fn write_page(folder: &Path, target: &Path, up: Option<DVec3>) -> Result<()> {
     check_bundle()?;
-    let run = Run::open(folder)?;
+    let mut run = Run::open(folder)?;
+    run.up = up.unwrap_or(run.up);
     let photo = |index: usize| {
         let picture = scene::io::load_rgb(&run.photo(index)?).ok()?;
-        Some(format!("data:image/jpeg;base64,{}", STANDARD.encode(small_jpeg(&picture).ok()?)))
+        let small = picture::jpeg(&scene::io::shrunk(&picture, PHOTO_SIZE)).ok()?;
+        Some(format!("data:image/jpeg;base64,{}", STANDARD.encode(small)))
     };
-    let scene = run.scene(Splat { url: None }, photo);
-    crate::stage::write_whole(
-        target,
-        page(&scene, &STANDARD.encode(&run.splat), &inline_script()?)?.as_bytes(),
-    )
-}
-
-fn small_jpeg(picture: &image::RgbImage) -> Result<Vec<u8>> {
-    let mut bytes = Vec::new();
-    let encoder =
-        image::codecs::jpeg::JpegEncoder::new_with_quality(&mut bytes, crate::pictures::JPEG_QUALITY);
-    scene::io::shrunk(picture, PHOTO_SIZE).write_with_encoder(encoder)?;
-    Ok(bytes)
+    let mut scene = run.scene(Some(Splat { url: None }), photo);
+    // A run writes its report after the page.
+    let is_beside = target.parent() == Some(folder);
+    scene.report = is_beside.then_some(REPORT);
+    let splat = STANDARD.encode(run.splat.as_deref().unwrap_or_default());
+    crate::stage::write_whole(target, page(&scene, &splat, &inline_script()?)?.as_bytes())
 }
 
 #[cfg(test)]
@@ -254,7 +288,7 @@ mod tests {
         scene::io::write_model_bin(&model, &dir.join("undistorted/sparse/0")).unwrap();
         scene::io::write_splat(&dir.join("splat.ply"), &g).unwrap();
         let run = Run::open(&dir).unwrap();
-        std::fs::write(dir.join("page.spz"), &run.splat).unwrap();
+        std::fs::write(dir.join("page.spz"), run.splat.as_deref().unwrap()).unwrap();
         let shown = scene::io::read_splat(&dir.join("page.spz")).unwrap();
         std::fs::remove_dir_all(dir).unwrap();
         (run, shown)

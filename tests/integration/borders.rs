@@ -191,7 +191,9 @@ fn after_no_model_nothing_of_an_earlier_one_stays_or_is_named() {
         grey.save(input.join(format!("{value}.png"))).unwrap();
     }
     let said = expect_code(&[text(&input), "-o", text(&out)], 2);
-    for name in ["sparse/0", "splat.ply", "undistorted", "eval", "transforms.json", "sparse_points.ply"] {
+    for name in
+        ["sparse/0", "splat.ply", "view.html", "undistorted", "eval", "transforms.json", "sparse_points.ply"]
+    {
         assert!(!out.join(name).exists(), "{name} stays");
     }
     assert!(said.contains("red: ") && said.contains("report.html") && !said.contains("splat"), "{said}");

@@ -29,6 +29,7 @@ fn a_video_becomes_poses_a_splat_metrics_and_a_report() {
         "sparse/0/images.txt",
         "transforms.json",
         "splat.ply",
+        "view.html",
         "eval/metrics.json",
         "run.json",
     ] {
@@ -73,6 +74,10 @@ fn the_report_is_one_file_with_everything_in_it() {
     let report = std::fs::read_to_string(out.join("report.html")).unwrap();
     for part in [
         "class=\"verdict",
+        "class=\"hero\"",
+        "<h2>What next",
+        "href=\"view.html\"",
+        "sat-recon view ",
         "<h2>What was decided",
         "<h3>Camera model",
         "<h3>Motion",
@@ -103,6 +108,9 @@ fn the_report_is_one_file_with_everything_in_it() {
     {
         assert!(lights.iter().any(|l| l["what"] == what), "{what}: {lights:?}");
     }
+    // A plain orbit has no mattes, so no hull: nothing is said of floaters, and nothing is
+    // unmeasured.
+    assert!(lights.iter().all(|l| l["what"] != "floaters" && l["level"] != "unknown"), "{lights:?}");
     let overfitting = lights.iter().find(|l| l["what"] == "overfitting").unwrap();
     assert_ne!(overfitting["level"], "unknown", "training views are judged: {overfitting}");
 }

@@ -97,7 +97,9 @@ fn collect(out: &Path, name: &Path, files: &mut BTreeMap<PathBuf, Vec<u8>>) {
             continue;
         }
         let varies = path.starts_with(".stages")
-            || ["run.json", "report.html", "eval/metrics.json"].iter().any(|v| path.ends_with(v));
+            || ["run.json", "report.html", "view.html", "eval/metrics.json"]
+                .iter()
+                .any(|v| path.ends_with(v));
         let bytes = if varies { Vec::new() } else { std::fs::read(out.join(&path)).unwrap() };
         files.insert(path, bytes);
     }

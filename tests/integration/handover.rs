@@ -202,3 +202,53 @@ fn a_set_is_not_written_over_what_is_there() {
     assert!(said.contains("not empty"), "{said}");
     assert_eq!(names(&target), ["mine.txt".to_owned()].into());
 }
+
+/// An object as it leaves the program: red on top (y = −1), blue at the bottom (y = 1), grey
+/// between.
+fn standing() -> scene::Gaussians {
+    let mut splat = scene::Gaussians::default();
+    for i in 0..4000 {
+        // A spiral over a column.
+        let (y, angle) = (2.0 * (i as f32 / 3999.0) - 1.0, i as f32 * 2.399_963);
+        let colour = if y < -0.5 {
+            [0.9, 0.1, 0.1]
+        } else if y > 0.5 {
+            [0.1, 0.1, 0.9]
+        } else {
+            [0.5; 3]
+        };
+        splat.means.push(glam::Vec3::new(0.5 * angle.cos(), y, 0.5 * angle.sin()));
+        splat.log_scales.push(glam::Vec3::splat(0.04_f32.ln()));
+        splat.rotations.push(glam::Quat::IDENTITY);
+        splat.opacity_logits.push(3.0);
+        splat.sh.extend(colour.map(|c: f32| (c - 0.5) / scene::gaussians::SH_C0));
+    }
+    splat
+}
+
+/// What is up in our world is up in SuperSplat and in Spark.
+#[test]
+fn a_splat_stands_upright_in_the_viewers_of_others() {
+    let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("viewer");
+    if !super::viewer::can_look() {
+        return;
+    }
+    let dir = folder("upright");
+    let splat = dir.join("splat.ply");
+    scene::io::write_splat(&splat, &standing()).unwrap();
+    let script = root.join("test_upright.mjs");
+    let browser = super::viewer::chromium();
+    let output = std::process::Command::new("node")
+        .args([text(&script), text(&browser), text(&splat), text(&dir)])
+        .output()
+        .unwrap();
+    let said = String::from_utf8_lossy(&output.stdout).into_owned();
+    let problem = String::from_utf8_lossy(&output.stderr).into_owned();
+    let seen: serde_json::Value = serde_json::from_str(&said).unwrap_or_else(|_| panic!("{said}{problem}"));
+    for viewer in ["supersplat", "spark"] {
+        let at = |what: &str| seen[viewer][what].as_f64().unwrap_or(f64::NAN);
+        assert!(at("pixels") > 500.0, "{viewer} shows the object: {seen}");
+        assert!(at("red") + 0.1 < at("blue"), "red is on top in {viewer}: {seen}");
+    }
+    std::fs::remove_dir_all(dir).unwrap();
+}

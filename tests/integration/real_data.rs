@@ -139,3 +139,32 @@ fn a_can_that_is_printed_twice_does_not_fold_the_orbit_around_it() {
         assert!(turned < 60.0, "{turned}° between {} and {}", pair[0].name, pair[1].name);
     }
 }
+
+/// The row of a capture in README's results, by its cells.
+fn readme_row(start: &str) -> Vec<String> {
+    let readme = Path::new(env!("CARGO_MANIFEST_DIR")).join("README.md");
+    let readme = std::fs::read_to_string(readme).unwrap();
+    let row = readme.lines().find(|line| line.starts_with(&format!("| {start}"))).expect("a row");
+    row.trim_matches('|').split('|').map(|cell| cell.trim().to_owned()).collect()
+}
+
+/// The first number of a cell, beside its unit.
+fn number(cell: &str, unit: &str) -> f64 {
+    let text = cell.replace(unit, " ");
+    text.split_whitespace().find_map(|word| word.parse().ok()).unwrap_or_else(|| panic!("{cell}"))
+}
+
+#[test]
+fn the_row_of_fox_in_the_readme_is_of_the_photos_that_it_names() {
+    let (Some(images), Some(truth)) = (shared("fox/images"), shared("fox/transforms.json")) else { return };
+    let row = readme_row("fox, 50 phone photos");
+    let out = folder("fox_row").join("out");
+    expect_code(&[text(&images), "-o", text(&out), "--quality", "fast", "--quiet"], 0);
+    let run = json(&out.join("run.json"));
+    assert_eq!((number(&row[1], "of"), &run["poses"]["registered"]), (50.0, &50.into()));
+    let auc = errors(&out, &truth)["auc"]["1"].as_f64().unwrap();
+    assert!((auc - number(&row[2], "AUC@1")).abs() < 2.0, "{auc}: {row:?}");
+    let psnr = run["evaluation"]["mean"]["psnr"].as_f64().unwrap();
+    assert!((psnr - number(&row[4], "dB")).abs() < 0.5, "{psnr}: {row:?}");
+    std::fs::remove_dir_all(out).unwrap();
+}

@@ -1,7 +1,7 @@
 //! The viewer in a real browser (Debian's chromium, driven by puppeteer-core), and its server.
 
 use super::end_to_end::finished_run;
-use super::support::{expect_code, folder, text};
+use super::support::{expect_code, folder, sample, text};
 use std::io::{BufRead, BufReader, Read, Write};
 use std::net::TcpStream;
 use std::path::{Path, PathBuf};
@@ -10,7 +10,7 @@ use std::time::{Duration, Instant};
 
 /// Whether there is a viewer and a browser to look at it; said loudly where not, a failure in CI
 /// with Node.js.
-fn can_look() -> bool {
+pub fn can_look() -> bool {
     let has =
         |program: &str| Command::new(program).arg("--version").output().is_ok_and(|o| o.status.success());
     let modules = Path::new(env!("CARGO_MANIFEST_DIR")).join("viewer/node_modules/puppeteer-core");
@@ -26,7 +26,7 @@ fn can_look() -> bool {
 }
 
 /// Where the browser is: puppeteer wants a path.
-fn chromium() -> PathBuf {
+pub fn chromium() -> PathBuf {
     let folders = std::env::var_os("PATH").unwrap_or_default();
     let found = std::env::split_paths(&folders).map(|f| f.join("chromium")).find(|p| p.is_file());
     found.unwrap_or_else(|| "chromium".into())
@@ -48,11 +48,11 @@ fn look(address: &str, folder: &Path, what: &str) -> serde_json::Value {
 
 /// Everything that the viewer promises, in the browser; from the first held-out camera it shows
 /// what we render.
-fn does_all_that_is_promised(address: &str, folder: &Path) {
+fn does_all_that_is_promised(address: &str, folder: &Path) -> serde_json::Value {
     std::fs::create_dir_all(folder).unwrap();
     let seen = look(address, folder, "0");
-    let promised =
-        "orbit pan zoom fly jump photo splat points cameras depth background exposure turn screenshot";
+    let promised = "orbit pan zoom fly jump photo splat points cameras depth background exposure turn \
+        screenshot crop handle";
     for what in promised.split(' ') {
         assert_eq!(seen[what], true, "{what} does not work: {address}: {seen}");
     }
@@ -64,6 +64,7 @@ fn does_all_that_is_promised(address: &str, folder: &Path) {
     let psnr = scene::metrics::psnr(&canvas, &render, None).unwrap();
     assert!(psnr >= 28.0, "{address}: {psnr:.2} dB between the browser and our render");
     eprintln!("{address}: {psnr:.2} dB, loaded in {} ms", seen["loadMs"]);
+    seen
 }
 
 struct Serving(Child, u16);
@@ -76,11 +77,14 @@ impl Drop for Serving {
 }
 
 fn serve(run: &Path) -> Serving {
-    let mut child = Command::new(env!("CARGO_BIN_EXE_sat-recon"))
-        .args(["view", text(run)])
-        .stderr(Stdio::piped())
-        .spawn()
-        .unwrap();
+    serve_with(run, |_| {})
+}
+
+fn serve_with(run: &Path, change: impl FnOnce(&mut Command)) -> Serving {
+    let mut command = Command::new(env!("CARGO_BIN_EXE_sat-recon"));
+    command.args(["view", text(run)]).stderr(Stdio::piped());
+    change(&mut command);
+    let mut child = command.spawn().unwrap();
     let mut line = String::new();
     BufReader::new(child.stderr.take().unwrap()).read_line(&mut line).unwrap();
     let port = line.split("127.0.0.1:").nth(1).and_then(|rest| rest.split(' ').next()?.parse().ok());
@@ -103,9 +107,19 @@ fn a_page_from_disk_and_a_served_one_do_all_they_promise_and_show_what_we_render
     let dir = folder("viewer");
     let page = dir.join("view.html");
     expect_code(&["export", text(finished_run()), "-o", text(&page)], 0);
-    does_all_that_is_promised(&format!("file://{}", page.display()), &dir.join("disk"));
+    let from_disk = does_all_that_is_promised(&format!("file://{}", page.display()), &dir.join("disk"));
     let serving = serve(finished_run());
-    does_all_that_is_promised(&format!("http://127.0.0.1:{}/", serving.1), &dir.join("served"));
+    let served = does_all_that_is_promised(&format!("http://127.0.0.1:{}/", serving.1), &dir.join("served"));
+    // What the page from disk says to type makes what the served one saves.
+    let command = from_disk["command"].as_str().unwrap();
+    let crop = command.split("--crop ").nth(1).and_then(|rest| rest.split(' ').next()).unwrap();
+    let cut = dir.join("cut.ply");
+    expect_code(&["export", text(finished_run()), "--crop", crop, "-o", text(&cut)], 0);
+    let left = scene::io::read_splat(&cut).unwrap().len();
+    let all = scene::io::read_splat(&finished_run().join("splat.ply")).unwrap().len();
+    assert!(0 < left && left < all, "{left} of {all}");
+    let saved = served["left"].as_f64().unwrap() / left as f64;
+    assert!((0.8..1.25).contains(&saved), "both handles moved alike: {saved}");
     std::fs::remove_dir_all(dir).unwrap();
 }
 
@@ -174,11 +188,22 @@ fn the_server_answers_nothing_outside_its_folder_and_no_other_site() {
         "/splat.ply",
         "/splat.spz/../run.json",
         "/.stages/args.json",
+        "/frame/0",
+        "/matte/../../run.json",
+        "/cut.glb",
         "http://127.0.0.1/run.json",
     ] {
         assert!(ask(serving.1, &own, path).starts_with("HTTP/1.1 404"), "{path}");
     }
     assert!(ask(serving.1, "evil.example", "/").starts_with("HTTP/1.1 403"));
+    for odd in ["/cut.ply?box=1,2,3", "/cut.spz?floaters=x", "/cut.ply?../run.json=1"] {
+        assert!(ask(serving.1, &own, odd).starts_with("HTTP/1.1 400"), "{odd}");
+    }
+    let report = ask(serving.1, &own, "/report.html");
+    assert!(
+        report.starts_with("HTTP/1.1 200") && report.contains("default-src 'none'"),
+        "the report fetches nothing"
+    );
 }
 
 /// Image and folder names that would be code, if any of them were taken for HTML.
@@ -329,10 +354,106 @@ fn a_link_that_leads_out_of_the_folder_is_not_followed() {
     std::fs::remove_dir_all(dir).unwrap();
 }
 
+/// Nobody needs Node.js to look at results: the bundle comes with the sources, and is of them.
+#[test]
+fn the_viewer_is_there_without_node_and_is_the_one_of_the_sources() {
+    let viewer = Path::new(env!("CARGO_MANIFEST_DIR")).join("viewer");
+    let check = ["--check", "--quiet", "viewer.sums"];
+    let sums = Command::new("sha256sum").args(check).current_dir(&viewer).output().unwrap();
+    assert!(sums.status.success(), "run 'make viewer': {}", String::from_utf8_lossy(&sums.stdout));
+    let dir = folder("viewer_without_node");
+    large_run(&dir, 10);
+    let serving = serve_with(&dir, |command| {
+        command.env("PATH", "/nowhere");
+    });
+    let script = ask(serving.1, &format!("127.0.0.1:{}", serving.1), "/viewer.js");
+    assert!(script.starts_with("HTTP/1.1 200") && script.len() > 1_000_000, "{} bytes", script.len());
+    std::fs::remove_dir_all(dir).unwrap();
+}
+
 #[test]
 fn a_folder_without_a_splat_is_refused_by_name() {
     let dir = folder("nosplat");
     let said = expect_code(&["view", text(&dir)], 1);
-    assert!(said.contains("splat.ply") || said.contains("Node.js"), "{said}");
+    assert!(said.contains("splat.ply"), "{said}");
+    std::fs::remove_dir_all(dir).unwrap();
+}
+
+/// A run that is looked at: the process, and the address that it gave to the browser.
+fn run_with_page(dir: &Path, input: &Path, flags: &str) -> (Child, String) {
+    use std::os::unix::fs::PermissionsExt as _;
+    let (opener, told) = (dir.join("browser.sh"), dir.join("address"));
+    let script = format!("#!/bin/sh\nprintf %s \"$1\" > {0}.new && mv {0}.new {0}\n", text(&told));
+    std::fs::write(&opener, script).unwrap();
+    std::fs::set_permissions(&opener, std::fs::Permissions::from_mode(0o755)).unwrap();
+    let mut child = Command::new(env!("CARGO_BIN_EXE_sat-recon"))
+        .args([text(input), "-o", text(&dir.join("out")), "--view"])
+        .args(flags.split(' '))
+        .env("BROWSER", &opener)
+        .stderr(Stdio::null())
+        .spawn()
+        .unwrap();
+    for _ in 0..600 {
+        if let Ok(address) = std::fs::read_to_string(&told) {
+            return (child, address);
+        }
+        std::thread::sleep(std::time::Duration::from_millis(50));
+    }
+    let _ = child.kill();
+    panic!("no browser was opened: {:?}", child.wait());
+}
+
+#[test]
+fn a_run_is_looked_at_while_it_works_frames_mattes_poses_and_the_splat_as_it_is_trained() {
+    if !can_look() {
+        return;
+    }
+    let dir = folder("viewer_live");
+    let flags = "--frames 30 --max-size 320 --quality draft --iterations 6000 --max-gaussians 8000";
+    let (mut child, address) = run_with_page(&dir, &sample("testbed/case3/video.mp4"), flags);
+    assert!(address.starts_with("http://127.0.0.1:"), "{address}");
+    let pictures = std::env::var_os("SAT_RECON_PICTURES").map_or_else(|| dir.join("pictures"), PathBuf::from);
+    std::fs::create_dir_all(&pictures).unwrap();
+    let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("viewer/test_live.mjs");
+    let output =
+        Command::new("node").args([text(&script), text(&chromium()), &address, text(&pictures)]).output();
+    let output = output.unwrap();
+    let said = String::from_utf8_lossy(&output.stdout).into_owned();
+    let problem = String::from_utf8_lossy(&output.stderr).into_owned();
+    let seen: serde_json::Value = serde_json::from_str(&said).unwrap_or_else(|_| panic!("{said}{problem}"));
+    let number = |what: &str| seen[what].as_f64().unwrap();
+    assert_eq!(seen["errors"], serde_json::json!([]), "{seen}");
+    assert!(seen["stages"].as_array().unwrap().len() >= 3, "stages go by: {seen}");
+    assert!(number("frames") >= 3.0 && number("mattes") >= 3.0, "frames and mattes are there: {seen}");
+    assert!(number("camerasBeforeSplat") >= 15.0 && number("posed") >= 3.0, "poses before the splat: {seen}");
+    assert!(number("splatsWhileTraining") >= 1.0, "the splat while it is trained: {seen}");
+    assert!(number("splats") > number("splatsWhileTraining"), "and the last one: {seen}");
+    assert_eq!((&seen["ended"], &seen["report"]), (&true.into(), &200.into()), "{seen}");
+    assert!(!seen["verdict"].as_str().unwrap().is_empty(), "{seen}");
+    // It stays until the page is closed, or Ctrl-C.
+    Command::new("kill").args(["-INT", &child.id().to_string()]).status().unwrap();
+    let code = child.wait().unwrap().code();
+    assert!(matches!(code, Some(0 | 3)), "{code:?}");
+    std::fs::remove_dir_all(dir).unwrap();
+}
+
+#[test]
+fn without_a_page_that_looks_on_a_run_with_view_ends_by_itself_and_says_where_the_page_was() {
+    if sat_recon::view::BUNDLE.is_none() {
+        return eprintln!("SKIPPED: built without the viewer");
+    }
+    let dir = folder("viewer_unseen");
+    let out = dir.join("out");
+    let output = Command::new(env!("CARGO_BIN_EXE_sat-recon"))
+        .args(["frames", text(&sample("sample/orbit.mp4")), "-o", text(&out), "--frames", "4", "--view"])
+        .env_remove("BROWSER")
+        .env_remove("DISPLAY")
+        .env_remove("WAYLAND_DISPLAY")
+        .output()
+        .unwrap();
+    let said = String::from_utf8_lossy(&output.stderr).into_owned();
+    assert!(output.status.success() && said.contains("to watch, open http://127.0.0.1:"), "{said}");
+    let kept = std::fs::read_to_string(out.join(".stages/args.json")).unwrap();
+    assert!(!kept.contains("--view"), "the next run is not watched because this one was: {kept}");
     std::fs::remove_dir_all(dir).unwrap();
 }

@@ -5,12 +5,15 @@ import { OrbitControls } from "three/addons/controls/OrbitControls.js";
 import { SparkRenderer } from "@sparkjsdev/spark";
 import { applyIntrinsics, poseOf, worldOf } from "./cameras.js";
 import { cameraLines, pointCloud } from "./overlays.js";
-import { loadSplat } from "./splat.js";
-import { buildPanel } from "./panel.js";
+import { SplatLook } from "./splat.js";
+import { buildPanel, make } from "./panel.js";
+import { Cut } from "./cut.js";
+import { Live } from "./live.js";
 import { Flight } from "./flight.js";
 
-const data = JSON.parse(document.getElementById("scene").textContent);
-const state = { view: -1, dirty: true, ready: false, errors: [] };
+let data = JSON.parse(document.getElementById("scene").textContent);
+const { served, live } = document.currentScript.dataset;
+const state = { view: -1, dirty: true, ready: false, splats: 0, errors: [] };
 window.satRecon = state; // what tests wait for
 
 window.addEventListener("error", (e) => state.errors.push(String(e.message)));
@@ -39,32 +42,97 @@ camera.far = data.radius * 100;
 const controls = new OrbitControls(camera, renderer.domElement);
 controls.enableDamping = !window.matchMedia("(prefers-reduced-motion: reduce)").matches;
 controls.addEventListener("change", () => { state.dirty = true; });
-controls.addEventListener("start", () => leaveView());
+controls.addEventListener("start", () => { moved = true; leaveView(); });
 const flight = new Flight(camera, controls, data.radius, () => { leaveView(); state.dirty = true; });
 
-const points = pointCloud(data.points);
-const frusta = cameraLines(data.cameras, data.radius);
-scene.add(points, frusta);
-
 const photo = document.getElementById("photo");
-const panel = buildPanel(data, {
+const look = new SplatLook();
+const shown = { splat: true, points: false, cameras: false };
+let [points, frusta] = [new THREE.Group(), new THREE.Group()];
+let moved = false; // by a person
+let splatUrl; // of the whole splat; the page's own has none
+const parts = {
+  splat: () => { if (look.mesh) look.mesh.visible = shown.splat; },
+  points: () => { points.visible = shown.points; },
+  cameras: () => { frusta.visible = shown.cameras; },
+  depth: (on) => look.showDepth(on),
+  turn: (on) => { if (on) leaveView(); controls.autoRotate = on; },
+};
+const cut = new Cut({
+  scene, camera, canvas: renderer.domElement, served: served !== undefined, fail,
+  changed: (box) => { look.crop(box); state.dirty = true; },
+  showFloaters: (url) => showSplat(url ?? splatUrl),
+});
+const panel = buildPanel({
   view: (i) => goTo(i),
-  toggle: (name, on) => { parts[name]((state.dirty = true) && on); },
+  toggle,
   opacity: (value) => { photo.style.opacity = value; },
   background: (colour) => { renderer.setClearColor(colour, 1); state.dirty = true; },
-  exposure: (stops) => { splat?.setExposure(stops); state.dirty = true; },
+  exposure: (stops) => { look.setExposure(stops); state.dirty = true; },
+  cutControls: cut.controls,
   fullScreen,
   screenshot,
   reset: () => start(),
 });
-let splat = null;
-const parts = {
-  splat: (on) => { if (splat) splat.mesh.visible = on; },
-  points: (on) => { points.visible = on; },
-  cameras: (on) => { frusta.visible = on; },
-  depth: (on) => { splat?.showDepth(on); },
-  turn: (on) => { if (on) leaveView(); controls.autoRotate = on; },
-};
+
+function toggle(name, on) {
+  if (name in shown) shown[name] = on;
+  parts[name](on);
+  state.dirty = true;
+}
+
+// Shows a part without being asked to.
+function show(name, on) {
+  panel.showPart(name, on);
+  toggle(name, on);
+}
+
+// Cameras and points, at the beginning or anew.
+function setScene(next) {
+  data = next;
+  for (const part of [points, frusta]) {
+    scene.remove(part);
+    part.geometry?.dispose();
+    part.material?.dispose();
+  }
+  points = pointCloud(data.points);
+  frusta = cameraLines(data.cameras, data.radius);
+  scene.add(points, frusta);
+  for (const name of ["points", "cameras"]) parts[name]();
+  camera.up.set(...data.up);
+  look.setRange(data.near, data.far);
+  if (state.view >= data.cameras.length) leaveView();
+  panel.setCameras(data.cameras, state.view);
+  if (state.view >= 0) photo.src = data.cameras[state.view].photo ?? "";
+  cut.setScene(data);
+  state.dirty = true;
+}
+
+// The splat at an address (the page's own without one) in place of the one before.
+async function showSplat(url) {
+  const mesh = await look.load(url);
+  const before = look.mesh;
+  look.mesh = mesh;
+  scene.add(mesh);
+  if (before) {
+    scene.remove(before);
+    before.dispose();
+  }
+  parts.splat();
+  state.splats += 1;
+  state.dirty = true;
+}
+
+// From above the first camera, far enough back to see all of them.
+function overview() {
+  const first = worldOf(data.cameras[0]).position;
+  const up = new THREE.Vector3(...data.up);
+  const far = Math.max(...data.cameras.map((view) => worldOf(view).position.length()));
+  const away = first.clone().projectOnPlane(up).normalize();
+  camera.position.copy(away.multiplyScalar(2.1 * far).addScaledVector(up, 1.1 * far));
+  controls.target.copy(centre);
+  controls.update();
+}
 
 function fail(reason) {
   const text = String(reason?.message ?? reason);
@@ -96,6 +164,8 @@ function fit(view, width, height) {
 
 function start() {
   leaveView();
+  moved = false;
+  if (data.cameras.length === 0) return;
   const first = worldOf(data.cameras[0]);
   camera.position.copy(first.position);
   controls.target.copy(centre);
@@ -105,6 +175,8 @@ function start() {
 
 function goTo(index) {
   const count = data.cameras.length;
+  if (count === 0) return;
+  moved = true;
   state.view = ((index % count) + count) % count;
   const view = data.cameras[state.view];
   poseOf(view, camera);
@@ -157,7 +229,7 @@ function loop(now) {
   previous = now;
   flight.step(seconds);
   if (state.view < 0) follow(seconds);
-  if (splat?.follow(camera)) state.dirty = true;
+  if (look.follow(camera)) state.dirty = true;
   if (state.dirty) {
     state.dirty = false;
     draw();
@@ -167,15 +239,50 @@ function loop(now) {
 
 // Nothing is left to be sorted or drawn.
 state.isAtRest = () => !state.dirty && !spark.sorting && !spark.sortDirty;
+state.cameras = () => data.cameras.length;
+state.handle = (axis, end) => cut.handle(axis, end);
 state.pose = () => ({ position: camera.position.toArray(), target: controls.target.toArray() });
 window.addEventListener("resize", resize);
+const head = document.getElementById("head");
+head.firstElementChild.textContent = data.title;
+head.firstElementChild.title = data.title;
+if (data.report) head.append(make("a", { id: "report", href: data.report, textContent: "report" }));
+resize();
+setScene(data);
 start();
 requestAnimationFrame(loop);
-loadSplat(data, camera).then((loaded) => {
-  splat = loaded;
-  scene.add(splat.mesh);
+
+// The first splat is seen from where the first photo was taken.
+async function firstSplat(url) {
+  const first = !look.mesh;
+  splatUrl = url;
+  await showSplat(url);
+  if (!first) return;
+  document.getElementById("status").textContent = "";
+  if (Number(live) === 1) {
+    for (const name of ["points", "cameras"]) show(name, false);
+    if (!moved) start();
+  }
   state.loadMs = performance.now(); // since the address was opened
   state.ready = true;
-  state.dirty = true;
-  document.getElementById("status").textContent = "";
-}).catch(fail);
+}
+
+if (Number(live) === 1) {
+  const status = document.getElementById("status");
+  status.textContent = data.cameras.length ? "" : "Cameras and points appear here as they are found.";
+  const run = new Live({
+    goTo,
+    newSplat: firstSplat,
+    newScene: (next) => {
+      setScene(next);
+      if (!next.cameras.length) return;
+      status.textContent = "";
+      if (look.mesh) return;
+      for (const name of ["points", "cameras"]) show(name, true);
+      if (!moved) overview();
+    },
+  });
+  state.run = run;
+} else {
+  firstSplat(data.splat?.url).catch(fail);
+}

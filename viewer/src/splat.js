@@ -13,51 +13,83 @@ function decoded(text) {
 }
 
 // From a run's server, or from the page itself.
-async function bytesOf(splat) {
-  if (splat.url) {
-    const answer = await fetch(splat.url);
-    if (!answer.ok) throw new Error(`${splat.url}: ${answer.status} ${answer.statusText}`);
+async function bytesOf(url) {
+  if (url) {
+    const answer = await fetch(url);
+    if (!answer.ok) throw new Error(`${url}: ${answer.status} ${await answer.text()}`);
     return new Uint8Array(await answer.arrayBuffer());
   }
   const text = document.getElementById("splat").textContent.trim();
   return decoded(text);
 }
 
-export async function loadSplat(data) {
-  const eye = dyno.dynoVec3(new THREE.Vector3());
-  const range = dyno.dynoVec2(new THREE.Vector2(data.near, data.far));
-  const shown = dyno.dynoFloat(0);
-  const gain = dyno.dynoFloat(1);
-  const byDepth = dyno.dynoBlock({ gsplat: dyno.Gsplat }, { gsplat: dyno.Gsplat }, ({ gsplat }) => {
-    const { center, rgb } = dyno.splitGsplat(gsplat).outputs;
-    const shade = new dyno.Dyno({
-      inTypes: { center: "vec3", rgb: "vec3", eye: "vec3", range: "vec2", shown: "float", gain: "float" },
-      outTypes: { rgb: "vec3" },
-      statements: ({ inputs, outputs }) => [
-        `float near = 1.0 - clamp((distance(${inputs.center}, ${inputs.eye}) - ${inputs.range}.x) / (${inputs.range}.y - ${inputs.range}.x), 0.0, 1.0);`,
-        `${outputs.rgb} = mix(${inputs.rgb} * ${inputs.gain}, vec3(near), ${inputs.shown});`,
-      ],
-    });
-    const coloured = shade.apply({ center, rgb, eye, range, shown, gain }).rgb;
-    return { gsplat: dyno.combineGsplat({ gsplat, rgb: coloured }) };
-  });
-  const mesh = new SplatMesh({ fileBytes: await bytesOf(data.splat), fileName: "splat.spz", worldModifier: byDepth });
-  mesh.quaternion.set(1, 0, 0, 0); // spz has y up and z back, the scene y down and z forward
-  await mesh.initialized;
-  const showDepth = (on) => {
-    shown.value = on ? 1 : 0;
-    mesh.updateVersion();
-  };
-  const setExposure = (stops) => {
-    gain.value = 2 ** stops;
-    mesh.updateVersion();
-  };
+// What a person has chosen; the same for every splat that is shown one after the other.
+export class SplatLook {
+  constructor() {
+    this.eye = dyno.dynoVec3(new THREE.Vector3());
+    this.range = dyno.dynoVec2(new THREE.Vector2(0, 1));
+    this.depth = dyno.dynoFloat(0);
+    this.gain = dyno.dynoFloat(1);
+    this.low = dyno.dynoVec3(new THREE.Vector3());
+    this.high = dyno.dynoVec3(new THREE.Vector3());
+    this.cropped = dyno.dynoFloat(0);
+    this.mesh = null;
+  }
+
+  setRange(near, far) { this.range.value.set(near, far); }
+
+  showDepth(on) {
+    this.depth.value = on ? 1 : 0;
+    this.mesh?.updateVersion();
+  }
+
+  setExposure(stops) {
+    this.gain.value = 2 ** stops;
+    this.mesh?.updateVersion();
+  }
+
+  // A box with two corners, or none.
+  crop(box) {
+    this.cropped.value = box ? 1 : 0;
+    if (box) {
+      this.low.value.set(...box.low);
+      this.high.value.set(...box.high);
+    }
+    this.mesh?.updateVersion();
+  }
+
   // While depth is shown, the colours follow the camera; says whether they changed.
-  const follow = (camera) => {
-    if (!shown.value || eye.value.equals(camera.position)) return false;
-    eye.value.copy(camera.position);
-    mesh.updateVersion();
+  follow(camera) {
+    if (!this.mesh || !this.depth.value || this.eye.value.equals(camera.position)) return false;
+    this.eye.value.copy(camera.position);
+    this.mesh.updateVersion();
     return true;
-  };
-  return { mesh, showDepth, setExposure, follow };
+  }
+
+  modifier() {
+    return dyno.dynoBlock({ gsplat: dyno.Gsplat }, { gsplat: dyno.Gsplat }, ({ gsplat }) => {
+      const { center, rgb, opacity } = dyno.splitGsplat(gsplat).outputs;
+      const shade = new dyno.Dyno({
+        inTypes: { center: "vec3", rgb: "vec3", opacity: "float", eye: "vec3", range: "vec2", depth: "float", gain: "float", low: "vec3", high: "vec3", cropped: "float" },
+        outTypes: { rgb: "vec3", opacity: "float" },
+        statements: ({ inputs: i, outputs: o }) => [
+          `float near = 1.0 - clamp((distance(${i.center}, ${i.eye}) - ${i.range}.x) / (${i.range}.y - ${i.range}.x), 0.0, 1.0);`,
+          `${o.rgb} = mix(${i.rgb} * ${i.gain}, vec3(near), ${i.depth});`,
+          `bool outside = any(lessThan(${i.center}, ${i.low})) || any(greaterThan(${i.center}, ${i.high}));`,
+          `${o.opacity} = outside && ${i.cropped} > 0.5 ? 0.0 : ${i.opacity};`,
+        ],
+      });
+      const { eye, range, depth, gain, low, high, cropped } = this;
+      const shown = shade.apply({ center, rgb, opacity, eye, range, depth, gain, low, high, cropped });
+      return { gsplat: dyno.combineGsplat({ gsplat, rgb: shown.rgb, opacity: shown.opacity }) };
+    });
+  }
+
+  // The splat at an address, or the page's own.
+  async load(url) {
+    const mesh = new SplatMesh({ fileBytes: await bytesOf(url), fileName: "splat.spz", worldModifier: this.modifier() });
+    mesh.quaternion.set(1, 0, 0, 0); // spz has y up and z back, the scene y down and z forward
+    await mesh.initialized;
+    return mesh;
+  }
 }

@@ -102,6 +102,8 @@ pub enum UpEvidence {
     /// The cameras, which are held level.
     #[default]
     LevelCameras,
+    /// Lines in the photos that are nearly vertical for level cameras, and meet in one point.
+    VerticalLines,
 }
 
 /// What says how many metres a unit of the model is.

@@ -50,7 +50,7 @@ pub(crate) mod ring;
 mod solution;
 #[cfg(test)]
 mod tests;
-mod vertical_lines;
+pub(crate) mod vertical_lines;
 mod video;
 
 pub(crate) use choose::consider;

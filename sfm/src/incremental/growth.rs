@@ -140,6 +140,9 @@ pub(crate) fn grow(
         }
         state.register(image, found.pose);
         state.grow_image(input, image);
+        if progress.wants_preview() {
+            progress.preview(state.preview(input.camera_of));
+        }
         let images = state.registered_count();
         let full = images <= JOINT_IMAGES || images as f64 > 1.08 * last_full as f64;
         if full {

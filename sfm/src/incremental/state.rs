@@ -5,7 +5,11 @@ use crate::skip::StepName;
 use crate::tracks::{NONE, Tracks};
 use crate::triangulation::{Gates, PointView, refine_point, triangulate, widest_angle};
 use glam::{DVec2, DVec3};
-use scene::{Camera, Pose, TwoViewGeometry};
+use scene::{Camera, Pose, PosedImage, Preview, Reconstruction, ScenePoint, TwoViewGeometry};
+
+/// Colour of points that have none yet, 8-bit sRGB. Source: chosen by hand, seen on black and on
+/// white.
+const GREY: [u8; 3] = [128; 3];
 
 /// What does not change while a model grows.
 #[derive(Clone, Copy)]
@@ -103,6 +107,24 @@ impl MapState {
 
     pub(crate) fn registered_count(&self) -> usize {
         self.order.len()
+    }
+
+    /// Cameras, poses and points as they are now, for those who look on: without names,
+    /// observations and colours. Image number = index of the frame + 1.
+    pub(crate) fn preview(&self, camera_of: &[usize]) -> Preview {
+        let mut model = Reconstruction::default();
+        for (image, pose) in self.poses.iter().enumerate() {
+            let Some(pose) = *pose else { continue };
+            let camera = &self.cameras[camera_of[image]];
+            model.cameras.insert(camera.id, camera.clone());
+            let (id, name, observations) = (image as u32 + 1, String::new(), Vec::new());
+            model.images.insert(id, PosedImage { id, camera: camera.id, name, pose, observations });
+        }
+        for (id, p) in self.live() {
+            let point = ScenePoint { position: p.position, rgb: GREY, error_px: 0.0, track: Vec::new() };
+            model.points.insert(u64::from(id) + 1, point);
+        }
+        Preview::Model(model)
     }
 
     /// The points that exist, with their numbers.

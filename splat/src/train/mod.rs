@@ -71,6 +71,9 @@ pub fn train(
         if let Some(cancelled) = cancelled {
             return Err(cancelled.into());
         }
+        if progress.wants_preview() {
+            progress.preview(session.preview()?);
+        }
     }
     session.finish()
 }

@@ -21,8 +21,8 @@ use crate::statistics::Statistics;
 use crate::view::RenderOptions;
 use rand::Rng as _;
 use rand::seq::SliceRandom as _;
-use scene::Decision;
 use scene::decision::{Choice, Measurement, Quantity, Remark, Rule, Subject};
+use scene::{Decision, Gaussians, Preview};
 use std::path::Path;
 
 /// Steps between points of the curve. Source: chosen by hand; what divergence is told by.
@@ -224,6 +224,14 @@ impl<'a> Session<'a> {
             written = checkpoint::write(noted, model, statistics, folder);
         })?;
         written
+    }
+
+    /// The Gaussians as they are now, in the world frame.
+    pub(super) fn preview(&mut self) -> Result<Preview, SplatError> {
+        self.settle()?;
+        let mut gaussians = Gaussians::default();
+        self.backend.show(&mut |model, _| gaussians = model.to_gaussians())?;
+        Ok(Preview::Splat(self.setup.dataset.normalisation.denormalise(gaussians)))
     }
 
     /// The trained Gaussians in the world frame.

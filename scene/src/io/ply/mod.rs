@@ -9,7 +9,7 @@ pub use points::{
     CloudPoint, OrientedPoint, parse_points_ply, read_points_ply, write_oriented_ply, write_points_ply,
 };
 pub(crate) use splat::decode_splat_ply;
-pub use splat::{read_splat_ply, write_splat_ply};
+pub use splat::{encode_splat_ply, read_splat_ply, write_splat_ply};
 
 use super::error::IoError;
 use header::{Element, Encoding, PlyKind, Scalar};

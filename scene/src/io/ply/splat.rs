@@ -87,6 +87,14 @@ pub fn write_splat_ply(path: &Path, g: &Gaussians) -> Result<(), IoError> {
     write_atomic(path, |w| write_to(w, g))
 }
 
+/// The same into memory.
+pub fn encode_splat_ply(g: &Gaussians) -> Result<Vec<u8>, String> {
+    g.validate()?;
+    let mut bytes = Vec::new();
+    write_to(&mut bytes, g).map_err(|e| e.to_string())?;
+    Ok(bytes)
+}
+
 fn write_to(w: &mut impl Write, g: &Gaussians) -> io::Result<()> {
     let k = g.sh_coefficients();
     writeln!(w, "ply\nformat binary_little_endian 1.0\nelement vertex {}", g.len())?;

@@ -32,13 +32,16 @@ pub(crate) struct Segment {
 /// Edges of the mean of the frames; `along_x`: those that run along the image's rows, else along
 /// its columns.
 pub(crate) fn segments(frames: &FrameSet, along_x: bool) -> Result<Vec<Segment>, SfmError> {
-    let mean = mean_of(frames)?;
-    let picture = if along_x { transpose(&mean) } else { mean };
-    let mut found = straight_edges(&picture);
+    Ok(edges_along(mean_of(frames)?, along_x))
+}
+
+/// Edges of a picture; `along_x`: those that run along its rows, else along its columns.
+pub(crate) fn edges_along(picture: FloatImage, along_x: bool) -> Vec<Segment> {
+    let mut found = straight_edges(&if along_x { transpose(&picture) } else { picture });
     if along_x {
         found.iter_mut().flat_map(|s| &mut s.points).for_each(|p| *p = DVec2::new(p.y, p.x));
     }
-    Ok(found)
+    found
 }
 
 /// The mean of some frames, which is the room without what turns in it; empty where frames differ

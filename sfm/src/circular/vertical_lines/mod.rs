@@ -12,7 +12,7 @@ mod edges;
 #[cfg(test)]
 mod tests;
 
-pub(crate) use edges::Segment;
+pub(crate) use edges::{Segment, edges_along};
 
 use super::axis::Elevation;
 use super::motion::CircularMotion;
@@ -123,7 +123,7 @@ fn vote(segment: &Segment, camera: &Camera, up: DVec3, side: DVec3) -> Option<Vo
 
 /// Normal of the plane in which rays are, and its standard deviation about the middle one; rays far
 /// out of it (where an edge meets another) are left out. `None` where few are left.
-fn plane_of(mut rays: Vec<DVec3>) -> Option<(DVec3, f64)> {
+pub(crate) fn plane_of(mut rays: Vec<DVec3>) -> Option<(DVec3, f64)> {
     let all = rays.len();
     for rounds_left in (0..=4).rev() {
         let (values, axes) = symmetric_eigen(&moments(rays.iter().map(|r| (1.0, *r))));

@@ -121,6 +121,9 @@ pub(super) fn run(mut model: SfmModel, context: &StepContext<'_>) -> Result<SfmR
         let decided;
         (model, decided) = (step.run)(model, context)?;
         decisions.extend(decided);
+        if model.stage != ModelStage::Unposed && context.progress.wants_preview() {
+            context.progress.preview(model.state.preview(&model.setup.camera_of));
+        }
         clock.lap(step.name, &mut model.stats.steps);
     }
     let unposed = model.stage == ModelStage::Unposed;
