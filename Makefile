@@ -77,8 +77,9 @@ cluster-test: build  ## 40 captures on Slurm's own daemons, four nodes here, one
 fuzz: setup  ## feed every reader of files with mutated files (TIME=60 seconds, TARGET=...)
 	cargo run --profile fuzz --locked -p fuzz -- $(or $(TIME),60) --results docs/results/fuzz.json $(TARGET)
 
-# Nightly Rust brings the sanitizer and Miri; both see the code of this project and its dependencies.
-sanitize: setup  ## readers and Ceres' border under sanitizers, scalar kernels under Miri, advisories (needs nightly Rust)
+# Nightly Rust brings the sanitizer and Miri; they and Valgrind see this project's code and its dependencies.
+sanitize: setup  ## readers, kernels and Ceres' border under Valgrind and sanitizers, Miri, advisories (what is installed of them)
+	@tools/setup.sh valgrind
 	python3 tools/reliability/sanitize.py --out build/sanitize --seconds $(or $(TIME),60) --results docs/results/sanitize.json
 	$(MAKE) reliability-page
 

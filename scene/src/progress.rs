@@ -100,3 +100,65 @@ impl Progress {
         self.sink.note(message);
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::sync::{Arc, Mutex};
+    use std::thread::{scope, yield_now};
+
+    const THREADS: u64 = 4;
+
+    /// Keeps what it is told.
+    #[derive(Clone, Default)]
+    struct Kept(Arc<Mutex<Vec<u64>>>);
+
+    impl ProgressSink for Kept {
+        fn begin(&self, _: &str, _: u64) {}
+        fn update(&self, done: u64, _: &str) {
+            self.0.lock().unwrap().push(done);
+        }
+        fn note(&self, _: &str) {}
+    }
+
+    #[test]
+    fn steps_of_many_threads_are_counted_once_each() {
+        static NEVER: AtomicBool = AtomicBool::new(false);
+        let kept = Kept::default();
+        let progress = Progress::new(Box::new(kept.clone()), &NEVER);
+        progress.begin("steps", 0);
+        scope(|s| {
+            (0..THREADS).for_each(|_| {
+                s.spawn(|| (0..5000).for_each(|_| progress.tick().unwrap()));
+            });
+        });
+        let mut told = kept.0.lock().unwrap().clone();
+        told.sort_unstable();
+        assert!(told.into_iter().eq(1..=THREADS * 5000));
+    }
+
+    #[test]
+    fn whenever_it_is_cancelled_each_thread_ends_with_the_step_it_is_in() {
+        for round in 0..200 {
+            let cancel: &'static AtomicBool = Box::leak(Box::default());
+            let kept = Kept::default();
+            let progress = Progress::new(Box::new(kept.clone()), cancel);
+            let mut before = 0;
+            scope(|s| {
+                (0..THREADS).for_each(|_| {
+                    s.spawn(|| while progress.tick().is_ok() {});
+                });
+                while kept.0.lock().unwrap().len() < round {
+                    yield_now();
+                }
+                let told = kept.0.lock().unwrap();
+                cancel.store(true, Ordering::Relaxed);
+                before = told.len();
+            });
+            // A thread that takes the lock after it was held above sees that it is cancelled.
+            let after = kept.0.lock().unwrap().len();
+            assert!(after <= before + THREADS as usize, "{before} steps, then {after}");
+            assert_eq!(progress.check(), Err(Cancelled));
+        }
+    }
+}

@@ -208,7 +208,7 @@ def png_of_nothing(made):
     return with_file(made, "zero.png", huge_png(0, 0))
 
 
-@case("a PNG whose colour profile unpacks to 1 GiB", [0, 1, 3], fast=False)
+@case("a PNG whose colour profile unpacks to 1 GiB", [0, 3], fast=False)
 def profile_bomb(made):
     made.arc()
     with open(made.path("photos/002.png"), "rb") as file:

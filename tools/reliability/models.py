@@ -1,14 +1,14 @@
 #!/usr/bin/env python3
 """Counts the wrong models and data sets that the program takes for right ones.
 
-    models.py PROGRAM --out FOLDER [--count 2000] [--seed 1] [--results FILE]
+    models.py PROGRAM --out FOLDER [--first 0] [--count 2000] [--seed 1] [--results FILE]
 
 Good sets of eight frames of data/sample/orbit.mp4 (a COLMAP model as text and binary, and
 transforms.json) are damaged (damage.py), or bytes of their files are, or their photos, and
 `sat-recon sfm` is run on each. Accepted nonsense is exit code 0 with an output model that is wrong
 by differences() of colmap.py, or whose photos are not those of the model. One set in ten is
 changed in a harmless way: these must be taken. Exits with 1 where one was not as it should be; the
-sets that were not are kept.
+sets that were not are kept. --first 500 goes on after the first 500 sets, whose results are in FILE.
 """
 import argparse
 import collections
@@ -164,6 +164,23 @@ class Set:
         return ("accepted nonsense", "; ".join(apart[:3])) if apart else ("mended or harmless", "")
 
 
+def keep(args, table, failures):
+    """Writes the results, after those of the sets before the first."""
+    if args.first:
+        with open(args.results) as file:
+            before = json.load(file)
+        if (before["sets"], before["seed"]) != (args.first, args.seed):
+            sys.exit(f"{args.results} does not hold sets 0 to {args.first} of seed {args.seed}")
+        for name, counts in before["by_damage"].items():
+            table[name].update(counts)
+        failures = before["failures"] + failures
+    result = {"sets": args.first + args.count, "seed": args.seed, "by_damage": table, "failures": failures,
+              "totals": sum(table.values(), collections.Counter())}
+    with open(args.results, "w") as file:
+        json.dump(result, file, indent=1, sort_keys=True)
+        file.write("\n")
+
+
 def main():
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("program")
@@ -185,13 +202,9 @@ def main():
             print(f"{number} {case.form} {case.what}: {outcome}: {why}", flush=True)
         else:
             shutil.rmtree(case.folder)
-    totals = sum(table.values(), collections.Counter())
-    result = {"sets": args.count, "seed": args.seed, "totals": totals, "by_damage": table, "failures": failures}
-    print(json.dumps(dict(totals)))
+    print(json.dumps(dict(sum(table.values(), collections.Counter()))))
     if args.results:
-        with open(args.results, "w") as file:
-            json.dump(result, file, indent=1, sort_keys=True)
-            file.write("\n")
+        keep(args, table, failures)
     sys.exit(1 if failures else 0)
 
 

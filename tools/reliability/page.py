@@ -39,6 +39,7 @@ def fuzzing(result):
     failures = sum(s["failures"] for s in sums.values())
     hours = sum(r["seconds"] for r in runs) / 3600
     commits = ", ".join(f"`{c}`" for c in dict.fromkeys(r["commit"] for r in runs))
+    aim = f"the aim is {ASKED / 1e9:.0f} billion" + ("" if executions >= ASKED else f", so {100 * executions / ASKED:.2g} % is done")
     notes = collections.Counter()
     for run in runs:
         if run.get("note"):
@@ -51,9 +52,8 @@ def fuzzing(result):
         "`make fuzz` feeds every reader with files of which bits, counts, pieces and numbers were changed. An",
         "execution fails with a panic, after a second a kilobyte, or with more memory than 64 times the file and",
         f"what small files may unpack to. {len(runs)} runs of {hours:.1f} hours in all, at commits {commits}, made",
-        f"{executions / 1e6:.1f} million executions with {failures} failures;",
-        f"the aim is {ASKED / 1e9:.0f} billion, so {100 * executions / ASKED:.2g} % of it is done. Files that failed once are kept in",
-        "`fuzz/regressions` and are tried first.",
+        f"{executions / 1e6:.1f} million executions with {failures} failures; {aim}.",
+        "Files that failed once are kept in `fuzz/regressions` and are tried first.",
         *[f"Of the failures, {n} are {note}." for note, n in notes.items()],
         "",
         *table(["target", "million executions", "thousand a second", "accepted", "failures"], rows),

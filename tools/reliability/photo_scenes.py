@@ -191,6 +191,14 @@ def cut(made):
     return ["sfm", film, "--key", "off"]
 
 
+@case("a video of a turn with a hard cut in it", [2, 3], fast=False)
+def cut_in_a_turn(made):
+    film = os.path.join(scene.SOURCES["data"], "testbed/case3/video.mp4")
+    kept = "select='lt(n,54)+gte(n,129)',setpts=N/FRAME_RATE/TB"
+    made.ffmpeg("-i", film, "-vf", kept, "-crf", "14", "-pix_fmt", "yuv420p", made.path("turn.mp4"))
+    return ["sfm", made.path("turn.mp4")]
+
+
 @case("a video of one frame", [1], "one.mp4")
 def video_of_one_frame(made):
     made.ffmpeg("-i", os.path.join(scene.SOURCES["arc"], "001.png"), "-pix_fmt", "yuv420p", made.path("one.mp4"))

@@ -226,6 +226,26 @@ mod tests {
         assert_eq!((obj.area(), obj.triangles.len()), (4.0, 2));
     }
 
+    #[test]
+    fn numbers_of_texture_coordinates_and_normals_of_an_obj_do_not_matter() {
+        let square = |faces: &str| {
+            let parts = "v 0 0 0\nv 2 0 0\nv 2 2 0\nv 0 2 0\nvt 0 0\nvt 1 1\nvn 0 0 1\n";
+            read_mesh(&written("coordinates.obj", format!("{parts}f {faces}\n").as_bytes()))
+        };
+        let plain = square("1 2 3 4").unwrap();
+        for (vt, vn) in [("1", "1"), ("2", ""), ("", "1"), ("99", "-99"), ("x", "y")] {
+            let faces = [1, 2, 3, -1].map(|v| format!("{v}/{vt}/{vn}")).join(" ");
+            let mesh = square(&faces).unwrap();
+            assert_eq!((&mesh.vertices, &mesh.triangles), (&plain.vertices, &plain.triangles), "{faces}");
+        }
+        // Twice such a number plus one is beyond 64 bits, or inside the list again.
+        for far in [i64::MIN, i64::MIN + 1, i64::MAX, i64::MAX / 2 + 2] {
+            let faces = [1, 2, 3, 4].map(|v| format!("{v}/{far}/{far}")).join(" ");
+            assert_eq!(square(&faces).unwrap().triangles, plain.triangles, "{faces}");
+        }
+        assert!(square("1/1/1 2/1/1 5/1/1").is_err(), "a vertex that is not there");
+    }
+
     /// A triangle with legs 1 and 2, moved by 5 and scaled by 3, as binary glTF; `count` of its
     /// positions as said.
     fn glb(count: u32, nodes: &str) -> Vec<u8> {

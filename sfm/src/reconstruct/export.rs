@@ -4,9 +4,11 @@ use crate::error::SfmError;
 use crate::incremental::state::MapState;
 use crate::limits::FEW_OBSERVATIONS;
 use crate::result::{SfmStats, Uncertainty};
+use crate::sift::unreadable;
 use crate::tracks::NONE;
 use glam::DVec2;
 use rayon::prelude::*;
+use scene::io::load::load_rgb;
 use scene::{
     Features, Frame, FrameSet, Observation, PosedImage, Progress, Reconstruction, ScenePoint, TrackElement,
     TwoViewGeometry,
@@ -165,10 +167,7 @@ pub(super) fn colour(
 
 /// The colours at which one image sees its points.
 fn sample(posed: &PosedImage, frame: &Frame) -> Result<Vec<(u64, [u8; 3])>, SfmError> {
-    let reader = image::ImageReader::open(&frame.path).and_then(|r| r.with_guessed_format());
-    let decoded = reader.map_err(|e| e.to_string()).and_then(|r| r.decode().map_err(|e| e.to_string()));
-    let decoded = decoded.map_err(|reason| SfmError::UnreadableImage { path: frame.path.clone(), reason })?;
-    let pixels = decoded.to_rgb8();
+    let pixels = load_rgb(&frame.path).map_err(|e| unreadable(&frame.path, &e))?;
     let mut colours = Vec::new();
     for observation in &posed.observations {
         let Some(point) = observation.point else { continue };
