@@ -155,13 +155,15 @@ fn metadata_say_what_is_up_where_the_cameras_do_not() {
     let camera = Camera::centred(1, CameraModel::SimplePinhole, 480, 360, 460.0);
     let mut poses = Vec::new();
     for i in 0..10 {
-        // Down by 55°, and all rolled by 12° clockwise: nothing in how they are held is level.
-        let level = orbit_pose(f64::from(i) * 0.12, 55_f64.to_radians(), 3.2);
+        // Down by 50 to 60°, and all rolled by 12° clockwise: nothing in how they are held is level.
+        let (down, away) = (50.0 + f64::from(i * 7 % 5) * 2.5, 2.9 + 0.2 * f64::from(i % 4));
+        let level = orbit_pose(f64::from(i) * 0.12 + 0.04 * f64::from(i % 3), f64::to_radians(down), away);
         let roll = DQuat::from_rotation_z(-12_f64.to_radians());
         let pose = Pose::from_centre(roll * level.rotation, level.centre());
-        let held = "drone-dji:GimbalPitchDegree=\"-55.00\" drone-dji:GimbalRollDegree=\"+12.00\"";
         // One of them is wrong.
-        let held = if i == 4 { held.replace("-55", "+10") } else { held.to_owned() };
+        let pitch = if i == 4 { 10.0 } else { -down };
+        let held =
+            format!("drone-dji:GimbalPitchDegree=\"{pitch:+.2}\" drone-dji:GimbalRollDegree=\"+12.00\"");
         save(&photos.join(format!("d{i}.jpg")), &scene.render(&camera, &pose), &held);
         poses.push((format!("d{i}.jpg"), pose));
     }
