@@ -58,8 +58,9 @@ pub struct FrameConfig {
     /// are).
     #[arg(long, value_parser = between::<u32>(0, 65_535), value_name = "PIXELS", default_value_t = 0, help_heading = "Frames")]
     pub max_size: u32,
-    /// With which lens the pictures were taken.
-    #[arg(long, value_enum, default_value_t = LensChoice::Auto, help_heading = "Frames")]
+    /// With which lens the pictures were taken: of a fisheye one view of up to 100° is cut from
+    /// each, of panoramas (equirectangular; `auto`: where the files say so) eight of 90°.
+    #[arg(long, value_enum, default_value_t = LensChoice::Auto, hide_possible_values = true, value_name = "auto|perspective|fisheye|panorama", help_heading = "Frames")]
     pub lens: LensChoice,
     /// Degrees that a fisheye covers across its circle, where that lies inside the picture, or else
     /// across the diagonal (by EXIF where it is not said, or 180).
