@@ -107,6 +107,14 @@ pub(crate) struct Imported {
     pub notes: Vec<String>,
 }
 
+/// Refuses poses of pictures that were cut into views.
+pub(crate) fn refuse_wide(frames: &FrameSet) -> Result<()> {
+    if frames.wide_lens.is_some() {
+        bail!("the poses are those of the pictures, and views were cut from them: add --ignore-poses");
+    }
+    Ok(())
+}
+
 /// Reads the poses that came with the images in the folder `images` and gives each posed image the
 /// name of its frame.
 pub(crate) fn import_poses(model: &Path, images: &Path, frames: &FrameSet) -> Result<Imported> {

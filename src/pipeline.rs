@@ -250,6 +250,7 @@ impl Pipeline {
             Input::Posed { model, .. } => {
                 database::refuse(&self.args)?;
                 world::refuse_scale(&self.args)?;
+                input::refuse_wide(frames)?;
                 let points = (env!("SFM_SOURCES"), &self.args.sfm);
                 fingerprint(&("import", 4, frames_print, describe_input(model)?, self.args.text, points))?
             }

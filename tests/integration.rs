@@ -21,4 +21,5 @@ mod integration {
     pub mod shapes;
     pub mod support;
     pub mod viewer;
+    pub mod wide_lenses;
 }

@@ -1,10 +1,38 @@
 use crate::PreprocessError;
+use scene::WideLens;
 use scene::flag::between;
 use serde::{Deserialize, Serialize};
 
 /// Frames aimed at where no rate is given. Source: chosen by hand, never measured.
 pub const DEFAULT_FRAMES: usize = 100;
 const DEFAULT_MASKS: &str = "auto";
+
+/// With which lens the pictures were taken.
+#[derive(clap::ValueEnum, Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum LensChoice {
+    /// A panorama where the file says so, else an ordinary lens
+    #[default]
+    Auto,
+    /// An ordinary lens
+    Perspective,
+    /// A fisheye: one view of up to 100° is cut from each picture
+    Fisheye,
+    /// Equirectangular panoramas: eight views of 90° round the horizon are cut from each
+    Panorama,
+}
+
+impl LensChoice {
+    /// The wide lens that is meant. `is_panorama`: whether the files say that they are panoramas.
+    pub(crate) fn wide(self, is_panorama: impl FnOnce() -> bool) -> Option<WideLens> {
+        match self {
+            Self::Auto => is_panorama().then_some(WideLens::Panorama),
+            Self::Perspective => None,
+            Self::Fisheye => Some(WideLens::Fisheye),
+            Self::Panorama => Some(WideLens::Panorama),
+        }
+    }
+}
 
 /// Which frames of a video, or photos of a folder, become the images of the reconstruction.
 #[derive(clap::Args, Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -30,6 +58,14 @@ pub struct FrameConfig {
     /// are).
     #[arg(long, value_parser = between::<u32>(0, 65_535), value_name = "PIXELS", default_value_t = 0, help_heading = "Frames")]
     pub max_size: u32,
+    /// With which lens the pictures were taken: of a fisheye one view of up to 100° is cut from
+    /// each, of panoramas (equirectangular; `auto`: where the files say so) eight of 90°.
+    #[arg(long, value_enum, default_value_t = LensChoice::Auto, hide_possible_values = true, value_name = "auto|perspective|fisheye|panorama", help_heading = "Frames")]
+    pub lens: LensChoice,
+    /// Degrees that a fisheye covers across its circle, where that lies inside the picture, or else
+    /// across the diagonal (by EXIF where it is not said, or 180).
+    #[arg(long, value_parser = between::<f64>(30.0, 300.0), value_name = "DEGREES", help_heading = "Frames")]
+    pub fisheye_field: Option<f64>,
     /// A frame that differs from the one before by less than this (in 199 of 200 pixels, 8-bit
     /// levels) is a duplicate and left out; 0 keeps all.
     #[arg(long, value_parser = between::<f32>(0.0, 256.0), value_name = "LEVELS", default_value_t = Self::default().duplicate_levels, help_heading = "Frames")]
@@ -52,6 +88,8 @@ impl Default for FrameConfig {
             start: None,
             end: None,
             max_size: 0,
+            lens: LensChoice::Auto,
+            fisheye_field: None,
             // Chosen by hand, never measured.
             duplicate_levels: 2.0,
             masks: DEFAULT_MASKS.to_owned(),
@@ -61,6 +99,16 @@ impl Default for FrameConfig {
 }
 
 impl FrameConfig {
+    /// How pictures are taken that a wide lens' views are cut from: whole, and of panoramas, which
+    /// show more each, fewer.
+    pub(crate) fn before_cutting(&self, lens: Option<WideLens>) -> Self {
+        let Some(lens) = lens else { return self.clone() };
+        let says = self.frames.is_some() || self.fps.is_some() || self.every.is_some();
+        let fewer = lens == WideLens::Panorama && !says;
+        let frames = if fewer { Some(DEFAULT_FRAMES / 4) } else { self.frames };
+        Self { max_size: 0, frames, ..self.clone() }
+    }
+
     /// Refuses what cannot be meant.
     pub fn validate(&self) -> Result<(), PreprocessError> {
         if self.frames == Some(0) {
@@ -89,6 +137,11 @@ impl FrameConfig {
                 self.max_size
             )));
         }
+        if self.fisheye_field.is_some() && self.lens != LensChoice::Fisheye {
+            return Err(PreprocessError::Config(
+                "--fisheye-field is said of a fisheye: add --lens fisheye".to_owned(),
+            ));
+        }
         if !(self.duplicate_levels.is_finite() && self.duplicate_levels >= 0.0) {
             return Err(PreprocessError::Config(format!(
                 "--duplicate-levels {} is not 0 or more",
@@ -96,5 +149,18 @@ impl FrameConfig {
             )));
         }
         Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_file_is_asked_only_where_the_user_does_not_say() {
+        assert_eq!(LensChoice::Auto.wide(|| true), Some(WideLens::Panorama));
+        assert_eq!(LensChoice::Auto.wide(|| false), None);
+        assert_eq!(LensChoice::Perspective.wide(|| true), None);
+        assert_eq!(LensChoice::Fisheye.wide(|| true), Some(WideLens::Fisheye));
     }
 }

@@ -22,8 +22,9 @@ mod probe;
 mod select;
 mod tool;
 mod video;
+mod wide;
 
-pub use config::{DEFAULT_FRAMES, FrameConfig};
+pub use config::{DEFAULT_FRAMES, FrameConfig, LensChoice};
 pub use error::PreprocessError;
 pub use matte::{contact_sheet, matte_frames};
 pub use matting::KeyConfig;

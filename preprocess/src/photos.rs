@@ -6,7 +6,7 @@ use crate::names::{natural_order, safe_name};
 use crate::output::{Staging, write_png};
 use crate::photo_file::PhotoFile;
 use crate::pixels::fitted;
-use crate::{FrameConfig, PreprocessError};
+use crate::{FrameConfig, PreprocessError, wide};
 use image::metadata::Orientation;
 use image::{ExtendedColorType, GrayImage, ImageDecoder, ImageFormat};
 use rayon::prelude::*;
@@ -79,6 +79,9 @@ fn frames_of(
             "all photos are taken: --frames, --fps, --every, --start and --end choose from videos".to_owned(),
         );
     }
+    let lens = config.lens.wide(|| listing.are_panoramas());
+    let given = config;
+    let config = &given.before_cutting(lens);
     let staging = Staging::new(out)?;
     staging.make("masks")?;
     staging.make("coded")?;
@@ -119,7 +122,11 @@ fn frames_of(
     } else {
         staging.publish(&["images"], &["masks", FILM])?
     }
-    Ok(FrameSet { frames, notes, ..FrameSet::default() })
+    let frames = FrameSet { frames, notes, ..FrameSet::default() };
+    match lens {
+        Some(lens) => wide::cut(frames, lens, out, given, progress),
+        None => Ok(frames),
+    }
 }
 
 /// What lies in a folder.
@@ -173,6 +180,11 @@ impl Listing {
         } else if path.is_file() {
             self.names.push(name);
         }
+    }
+
+    /// Whether all photos say that they are panoramas.
+    fn are_panoramas(&self) -> bool {
+        self.names.iter().all(|name| image_info(&self.folder.join(name)).is_ok_and(|info| info.is_panorama))
     }
 
     fn detail(&self) -> String {
@@ -288,6 +300,7 @@ impl PhotoWriter<'_> {
             source_index: index,
             focal_prior_px: info.focal_prior_px.map(|f| f * f64::from(size.0) / f64::from(upright.0)),
             gps: info.exif.gps,
+            up: info.up.map(|up| up.to_array()),
             camera_group: 0,
         };
         let key =

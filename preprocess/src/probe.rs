@@ -45,6 +45,8 @@ pub(crate) struct VideoInfo {
     pub turn: Turn,
     /// A display rotation that is no multiple of 90°, degrees.
     pub odd_rotation: Option<f64>,
+    /// Whether it says that each frame is an equirectangular panorama.
+    pub is_panorama: bool,
     /// Light values.
     pub transfer: Transfer,
     /// Whether luma and chroma are coded by the Rec. 709 matrix.
@@ -146,6 +148,7 @@ fn choose_stream(path: &Path, streams: &[Value]) -> Result<VideoInfo, Preprocess
         pixel_aspect: pixel_aspect(stream),
         turn,
         odd_rotation,
+        is_panorama: is_panorama(side_data),
         transfer,
         is_bt709: matrix == "bt709" || (size.1.min(size.0) >= 720 && matches!(matrix, "" | "unknown")),
         is_bt2020: matrix.starts_with("bt2020"),
@@ -158,6 +161,12 @@ fn choose_stream(path: &Path, streams: &[Value]) -> Result<VideoInfo, Preprocess
 fn is_encrypted(stream: &Value) -> bool {
     let side_data = stream["side_data_list"].as_array().map(Vec::as_slice).unwrap_or_default();
     side_data.iter().any(|d| d["side_data_type"].as_str().is_some_and(|t| t.starts_with("Encryption")))
+}
+
+/// Google's spherical video, version 1 or 2, as `ffprobe` tells it.
+fn is_panorama(side_data: &[Value]) -> bool {
+    let spherical = side_data.iter().find(|d| d["side_data_type"] == "Spherical Mapping");
+    spherical.is_some_and(|d| d["projection"] == "equirectangular")
 }
 
 fn number(value: &Value) -> Option<f64> {

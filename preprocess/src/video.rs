@@ -6,7 +6,7 @@ use crate::output::{Staging, write_png};
 use crate::pixels::{self, Look};
 use crate::probe::{self, Transfer, VideoInfo};
 use crate::select::{BucketSlot, Plan};
-use crate::{FrameConfig, PreprocessError};
+use crate::{FrameConfig, PreprocessError, wide};
 use image::ExtendedColorType;
 use scene::{Film, Frame, FrameSet, Progress};
 use std::path::Path;
@@ -33,6 +33,9 @@ pub fn video_frames(
 ) -> Result<FrameSet, PreprocessError> {
     config.validate()?;
     let info = probe::probe(input, progress)?;
+    let lens = config.lens.wide(|| info.is_panorama);
+    let given = config;
+    let config = &given.before_cutting(lens);
     let extraction =
         Extraction { input, config, progress, staging: Staging::new(out)?, failed: AtomicBool::new(false) };
     let mut notes = info.notes();
@@ -49,7 +52,11 @@ pub fn video_frames(
     }
     notes.extend(taken.notes(expected + info.missing, complaints));
     let (frames, film) = extraction.publish(taken)?;
-    Ok(FrameSet { frames, is_video: true, notes, film, ..FrameSet::default() })
+    let frames = FrameSet { frames, is_video: true, notes, film, ..FrameSet::default() };
+    match lens {
+        Some(lens) => wide::cut(frames, lens, out, given, progress),
+        None => Ok(frames),
+    }
 }
 
 struct Extraction<'a> {

@@ -28,8 +28,22 @@ pub struct Frame {
     /// Where it was taken, where EXIF says it.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub gps: Option<GpsPosition>,
+    /// The direction that is up, where its metadata say it: x right, y down, z forward, unit.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub up: Option<[f64; 3]>,
     /// Frames with the same group were taken by one physical camera with one setting.
     pub camera_group: u32,
+}
+
+/// A lens whose pictures are cut into perspective views before anything is made of them.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "kebab-case")]
+pub enum WideLens {
+    /// All directions, equirectangular. The views' camera is known exactly: no distortion, the
+    /// principal point in the middle, 90° wide.
+    Panorama,
+    /// A fisheye: the view's distortion is what the lens differs from an equidistant one by.
+    Fisheye,
 }
 
 /// The frames in order (time for videos, sorted names for folders).
@@ -47,6 +61,9 @@ pub struct FrameSet {
     /// Of a video: all its frames, small.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub film: Option<Film>,
+    /// The lens whose pictures the frames were cut from.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub wide_lens: Option<WideLens>,
 }
 
 /// Small grey pictures of the frames of a video, chosen or not, as coded (not turned): one below

@@ -51,7 +51,7 @@ pub use camera::{Camera, CameraModel};
 pub use cut::SplatCut;
 pub use decision::Decision;
 pub use features::{Features, Keypoint, TwoViewGeometry, TwoViewKind};
-pub use frames::{Film, Frame, FrameSet};
+pub use frames::{Film, Frame, FrameSet, WideLens};
 pub use gaussians::Gaussians;
 pub use image::FloatImage;
 pub use orbit_path::OrbitPath;

@@ -30,6 +30,37 @@ pub fn level_up<'a>(poses: impl IntoIterator<Item = &'a Pose>) -> Option<DVec3> 
     Some(if up.dot(mean) < 0.0 { -up } else { up })
 }
 
+/// Metadata agree on what is up where they differ by less, degrees: phones are held for seconds,
+/// gimbals to a degree. Source: chosen by hand, never measured.
+const AGREEMENT_DEG: f64 = 10.0;
+
+/// What metadata say is up.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct StatedUp {
+    /// The direction, world frame, unit: the mean of those that agree.
+    pub up: DVec3,
+    /// On how many photos' metadata it rests, and how many say something.
+    pub agreeing_and_all: [usize; 2],
+}
+
+/// What is up by the photos' metadata: of all directions the one with which most agree. `stated`:
+/// pose, and what is up in the camera's frame. `None` where fewer than two say it, or no more than
+/// half agree, as of an object that was turned before a camera.
+pub fn stated_up(stated: &[(Pose, DVec3)]) -> Option<StatedUp> {
+    let all: Vec<DVec3> = stated.iter().map(|(pose, up)| pose.rotation.conjugate() * *up).collect();
+    let best = all.iter().copied().rev().max_by_key(|up| near(&all, *up).count())?;
+    let agreeing = near(&all, best).count();
+    let up = near(&all, best).sum::<DVec3>().try_normalize()?;
+    let is_agreed = agreeing > 1 && 2 * agreeing > all.len();
+    is_agreed.then_some(StatedUp { up, agreeing_and_all: [agreeing, all.len()] })
+}
+
+/// Those that agree with a direction.
+fn near(all: &[DVec3], up: DVec3) -> impl Iterator<Item = &DVec3> {
+    let most = AGREEMENT_DEG.to_radians().cos();
+    all.iter().filter(move |other| other.dot(up) > most)
+}
+
 fn outer(v: DVec3) -> DMat3 {
     DMat3::from_cols(v * v.x, v * v.y, v * v.z)
 }
@@ -72,6 +103,26 @@ mod tests {
         let own = poses[0].rotation.conjugate() * DVec3::NEG_Y;
         assert!(level_up(&poses).unwrap().angle_between(own) < 1e-6);
         assert_eq!(level_up(&[]), None);
+    }
+
+    #[test]
+    fn metadata_say_what_is_up_unless_they_contradict_each_other() {
+        let poses = cameras(&[0.0, 20.0, 40.0, 60.0, 80.0], 30.0, 12.0);
+        let true_up = |p: &Pose| (*p, p.rotation * DVec3::Z);
+        let mut stated: Vec<(Pose, DVec3)> = poses.iter().map(true_up).collect();
+        let found = stated_up(&stated).unwrap();
+        assert!(found.up.distance(DVec3::Z) < 1e-12 && found.agreeing_and_all == [5, 5], "{found:?}");
+        stated[0].1 = DVec3::X;
+        stated[3].1 = DVec3::NEG_Z;
+        let found = stated_up(&stated).unwrap();
+        assert!(found.up.distance(DVec3::Z) < 1e-12 && found.agreeing_and_all == [3, 5], "{found:?}");
+        // An object is turned before a camera that stands still.
+        let turned: Vec<_> = poses.iter().map(|p| (*p, DVec3::NEG_Y)).collect();
+        let tumbled: Vec<_> = (0..8)
+            .map(|i| (Pose::new(DQuat::from_rotation_x(f64::from(i)), DVec3::ZERO), DVec3::NEG_Y))
+            .collect();
+        assert_eq!(stated_up(&tumbled), None);
+        assert!(stated_up(&turned[..1]).is_none() && stated_up(&[]).is_none());
     }
 
     #[test]

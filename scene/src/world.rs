@@ -7,7 +7,7 @@
 use crate::decision::{Decision, Measurement, Quantity, Rule, ScaleEvidence, Subject, UpEvidence};
 use crate::overview::quantile;
 use crate::sim3::{Sim3, nearest_rotation};
-use crate::up::{UP, level_up, roll_deg};
+use crate::up::{StatedUp, UP, level_up, roll_deg};
 use crate::{Pose, Reconstruction, Ring};
 use glam::{DMat3, DQuat, DVec3};
 use schemars::JsonSchema;
@@ -77,6 +77,9 @@ pub struct WorldFrame {
     /// How many of how many nearly vertical lines agree, where they say what is up.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub lines: Option<[usize; 2]>,
+    /// How many photos' metadata agree of how many that say what is up, where they say it.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub stated: Option<[usize; 2]>,
     /// What one unit is.
     pub unit: WorldUnit,
     /// What says how long a metre is, where that is known.
@@ -133,6 +136,7 @@ impl WorldFrame {
             roll_deg: roll_deg(&poses, up),
             axis_tilt_deg: None,
             lines: None,
+            stated: None,
             unit: if scale.is_some() { WorldUnit::Metre } else { WorldUnit::ObjectRadius },
             scale,
             world_from_source: rows(&sim),
@@ -145,6 +149,13 @@ impl WorldFrame {
         let found = Self::along(model, (up, UpEvidence::VerticalLines), None, self.scale);
         let axis_tilt_deg = self.axis_tilt_deg;
         found.map_or(self, |found| Self { lines: Some(lines), axis_tilt_deg, ..found })
+    }
+
+    /// The same by what the photos' metadata say. For a frame that only the cameras' own up holds.
+    pub fn by_metadata(self, model: &Reconstruction, stated: &StatedUp) -> Self {
+        let found = Self::along(model, (stated.up, UpEvidence::Metadata), None, self.scale);
+        let axis_tilt_deg = self.axis_tilt_deg;
+        found.map_or(self, |found| Self { stated: Some(stated.agreeing_and_all), axis_tilt_deg, ..found })
     }
 
     /// The frame as it is, with what is up in it; `turn`: from the input's file into the model.
@@ -160,6 +171,10 @@ impl WorldFrame {
         let mut decision = decision.measured(Quantity::CameraRoll, self.roll_deg);
         if let Some([agreeing, lines]) = self.lines {
             let counted = [(Quantity::AgreeingLines, agreeing), (Quantity::Lines, lines)];
+            decision = counted.into_iter().fold(decision, |d, (what, n)| d.with(Measurement::count(what, n)));
+        }
+        if let Some([agreeing, all]) = self.stated {
+            let counted = [(Quantity::AgreeingPhotos, agreeing), (Quantity::StatingPhotos, all)];
             decision = counted.into_iter().fold(decision, |d, (what, n)| d.with(Measurement::count(what, n)));
         }
         match self.axis_tilt_deg {
@@ -301,6 +316,19 @@ mod tests {
         assert_eq!((by_lines.up_evidence, by_lines.lines), (UpEvidence::VerticalLines, Some([20, 30])));
         let words = by_lines.decision(Rule::Evidence).sentences().evidence.join("; ");
         assert!(words.contains("lines that agree") && words.contains("20"), "{words}");
+    }
+
+    #[test]
+    fn metadata_say_better_than_the_cameras_what_is_up() {
+        let (model, sim) = (filmed(&steps(20.0, 4.0, 20), 50.0, &tumbled()), tumbled());
+        let frame = WorldFrame::of(&model, None, None, None).unwrap();
+        let stated = StatedUp { up: sim.rotation * DVec3::Z, agreeing_and_all: [19, 20] };
+        let by_metadata = frame.clone().by_metadata(&model, &stated);
+        let off = |f: &WorldFrame| (f.sim3().rotation * sim.rotation * DVec3::Z).angle_between(UP);
+        assert!(off(&by_metadata) < 1e-6 && off(&frame) > 1e-3, "{} {}", off(&by_metadata), off(&frame));
+        assert_eq!(by_metadata.up_evidence, UpEvidence::Metadata);
+        let words = by_metadata.decision(Rule::Evidence).sentences().evidence.join("; ");
+        assert!(words.contains("photos that agree") && words.contains("19"), "{words}");
     }
 
     #[test]

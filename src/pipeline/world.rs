@@ -5,8 +5,10 @@ use anyhow::{Result, bail};
 use glam::{DMat3, DVec3};
 use scene::decision::{MotionModel, ScaleEvidence, UpEvidence};
 use scene::sim3::Sim3;
+use scene::up::{StatedUp, stated_up};
 use scene::{Decision, FrameSet, MetricScale, Progress, Reconstruction, RingSequence, WorldFrame};
 use sfm::{PoseDeviation, SfmResult};
+use std::collections::BTreeMap;
 
 /// Where the world of a solved model lies, with the scale that was found; with `--keep-frame`, what
 /// is up in the solver's frame. Vertical lines are asked last: an object that leans has lines that
@@ -38,11 +40,26 @@ pub(super) fn find(
     let scale = if known { Some(by_distance) } else { scale };
     let Some(mut world) = WorldFrame::of(model, ring, axis, scale) else { return Ok(None) };
     if world.up_evidence == UpEvidence::LevelCameras
+        && let Some(stated) = stated(model, frames)
+    {
+        world = world.by_metadata(model, &stated);
+    } else if world.up_evidence == UpEvidence::LevelCameras
         && let Some(found) = sfm::vertical_direction(model, frames, progress)?
     {
         world = world.by_lines(model, found.up, [found.agreeing, found.lines]);
     }
     Ok(Some(if args.keep_frame { world.kept(Sim3::IDENTITY) } else { world }))
+}
+
+/// What the metadata of the frames say.
+fn stated(model: &Reconstruction, frames: &FrameSet) -> Option<StatedUp> {
+    let ups: BTreeMap<&str, [f64; 3]> =
+        frames.frames.iter().filter_map(|f| Some((f.name.as_str(), f.up?))).collect();
+    let mut said = Vec::new();
+    for image in model.images.values() {
+        said.extend(ups.get(image.name.as_str()).map(|up| (image.pose, DVec3::from_array(*up))));
+    }
+    stated_up(&said)
 }
 
 /// Moves all that was solved.

@@ -15,7 +15,7 @@ struct Shot {
 
 impl Shot {
     fn new(unit: f64, views: usize, width: u32) -> Self {
-        let scene = TexturedScene { unit, ground: false, background: [0; 3], seed: 3 };
+        let scene = TexturedScene { unit, ground: false, background: [0; 3], seed: 3, ..Default::default() };
         let camera = default_camera(CameraModel::SimplePinhole, width, width * 3 / 4);
         let poses: Vec<Pose> =
             (0..views).map(|i| orbit_pose(0.4 + 0.14 * i as f64, 0.35, 4.0 * unit)).collect();

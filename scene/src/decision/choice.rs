@@ -102,6 +102,8 @@ pub enum UpEvidence {
     /// The cameras, which are held level.
     #[default]
     LevelCameras,
+    /// The photos' metadata, from accelerometers and gimbals.
+    Metadata,
     /// Lines in the photos that are nearly vertical for level cameras, and meet in one point.
     VerticalLines,
 }

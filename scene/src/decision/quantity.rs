@@ -190,6 +190,10 @@ quantities! {
     Lines = ("nearly vertical lines", Plain(0)),
     /// Those that agree on one vertical direction.
     AgreeingLines = ("lines that agree", Plain(0)),
+    /// Photos whose metadata say what is up.
+    StatingPhotos = ("photos whose metadata say what is up", Plain(0)),
+    /// Those that agree on one direction.
+    AgreeingPhotos = ("photos that agree", Plain(0)),
     /// Places on a plane that are tracked.
     PlanePlaces = ("places on the plane", Plain(0)),
     /// Observations on a plane.

@@ -152,6 +152,7 @@ impl Subject {
             Choice::Up(UpEvidence::TurnAxis) => "the axis about which the object turns".to_owned(),
             Choice::Up(UpEvidence::CircleAxis) => "the axis of the cameras' circle".to_owned(),
             Choice::Up(UpEvidence::LevelCameras) => "as the cameras were held".to_owned(),
+            Choice::Up(UpEvidence::Metadata) => "as the photos' metadata say".to_owned(),
             Choice::Up(UpEvidence::VerticalLines) => "along the vertical lines of the photos".to_owned(),
             Choice::Scale(evidence) => evidence.words(),
             Choice::Matte(MatteKind::Nothing) => "none".to_owned(),

@@ -1,6 +1,8 @@
 //! What EXIF says about the camera and where it stood (EXIF 2.32; parsed by `kamadak-exif`).
 
+use super::attitude::apple_up;
 use ::exif::{Exif, Field, In, Reader, Tag, Value};
+use glam::DVec3;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use std::io::Cursor;
@@ -40,6 +42,9 @@ pub struct ExifCamera {
     pub original_size: Option<(u32, u32)>,
     /// Where the photo was taken.
     pub gps: Option<GpsPosition>,
+    /// The direction that is up in the stored picture, where the maker note says it: x right, y
+    /// down, z forward, unit.
+    pub up: Option<DVec3>,
 }
 
 impl ExifCamera {
@@ -72,6 +77,7 @@ impl ExifCamera {
             sensor_px_per_mm: resolution.map(|r| r / unit_mm),
             original_size: size.filter(|s| s.0 > 0 && s.1 > 0),
             gps: GpsPosition::from_fields(exif),
+            up: up(exif),
         }
     }
 
@@ -102,6 +108,15 @@ impl GpsPosition {
         let altitude_m = altitude.map(|a| if below { -a } else { a });
         let valid = latitude_deg.abs() <= 90.0 && longitude_deg.abs() <= 180.0;
         valid.then_some(Self { latitude_deg, longitude_deg, altitude_m })
+    }
+}
+
+/// By the maker note. The front camera looks the other way.
+fn up(exif: &Exif) -> Option<DVec3> {
+    let is_front = text(exif, Tag::LensModel).is_some_and(|lens| lens.contains("front"));
+    match &field(exif, Tag::MakerNote)?.value {
+        Value::Undefined(note, _) if !is_front => apple_up(note),
+        _ => None,
     }
 }
 

@@ -1,9 +1,11 @@
 //! Images from disk: upright, 8-bit, within limits; and what their headers say.
 
+use super::attitude::{XmpCamera, turned};
 use super::error::IoError;
 use super::exif::ExifCamera;
 use super::limits::{DECODED_RATIO, IMAGE_BYTES, IMAGE_SIDE, PNG_METADATA_BYTES, SMALL_BYTES};
 use super::tiff_directory::oversized_entry;
+use glam::DVec3;
 use image::metadata::Orientation;
 use image::{
     DynamicImage, GrayImage, ImageBuffer, ImageDecoder, ImageFormat, ImageReader, Limits, Pixel, RgbImage,
@@ -34,6 +36,11 @@ pub struct ImageInfo {
     pub exif: ExifCamera,
     /// Focal length according to EXIF, pixels of this image.
     pub focal_prior_px: Option<f64>,
+    /// The direction that is up in the upright picture, where its metadata say it: x right, y down,
+    /// z forward, unit.
+    pub up: Option<DVec3>,
+    /// Whether its metadata say that it is an equirectangular panorama.
+    pub is_panorama: bool,
 }
 
 fn image_error(path: &Path) -> impl Fn(image::ImageError) -> IoError + '_ {
@@ -148,12 +155,16 @@ pub fn load_mask(path: &Path) -> Result<GrayImage, IoError> {
 pub fn image_info(path: &Path) -> Result<ImageInfo, IoError> {
     let (mut decoder, _) = image_decoder(path)?;
     let exif = decoder.exif_metadata().ok().flatten().map(|c| ExifCamera::parse(&c)).unwrap_or_default();
+    let xmp = decoder.xmp_metadata().ok().flatten().map(|p| XmpCamera::parse(&p)).unwrap_or_default();
     let (mut width, mut height) = decoder.dimensions();
-    if turns_sideways(orientation(&mut decoder)) {
+    let orientation = orientation(&mut decoder);
+    if turns_sideways(orientation) {
         std::mem::swap(&mut width, &mut height);
     }
     let focal_prior_px = exif.focal_px(width, height);
-    Ok(ImageInfo { width, height, has_alpha: decoder.color_type().has_alpha(), exif, focal_prior_px })
+    let has_alpha = decoder.color_type().has_alpha();
+    let up = xmp.up.or(exif.up).and_then(|up| turned(up, orientation));
+    Ok(ImageInfo { width, height, has_alpha, exif, focal_prior_px, up, is_panorama: xmp.is_panorama })
 }
 
 pub(super) fn turns_sideways(orientation: Orientation) -> bool {

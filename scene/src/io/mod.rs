@@ -6,6 +6,7 @@
 //! writer goes through [`atomic`]: what exists under its final name is whole.
 
 pub mod atomic;
+mod attitude;
 mod bytes;
 mod colmap_bin;
 pub mod colmap_db;
@@ -27,6 +28,7 @@ pub mod transforms;
 pub mod truth;
 
 pub use atomic::{replace_folder, write_atomic};
+pub use attitude::XmpCamera;
 #[cfg(feature = "colmap-db")]
 pub use colmap_db::{read_database, write_database};
 pub use error::IoError;

@@ -27,6 +27,9 @@ pub struct TexturedScene {
     /// Whether it stands on a textured disc; otherwise nothing but the object is before the
     /// background.
     pub ground: bool,
+    /// Half the side of a textured room about it, scene units of the object; then its floor is the
+    /// ground.
+    pub room: Option<f64>,
     /// Colour where no ray hits, sRGB.
     pub background: [u8; 3],
     /// Another seed is another texture.
@@ -35,86 +38,128 @@ pub struct TexturedScene {
 
 impl Default for TexturedScene {
     fn default() -> Self {
-        Self { unit: 1.0, ground: true, background: [90, 110, 140], seed: 1 }
+        Self { unit: 1.0, ground: true, room: None, background: [90, 110, 140], seed: 1 }
     }
 }
 
 enum Hit {
     Object(DVec3, DVec3),
     Ground(DVec3),
+    Wall(DVec3),
     Nothing,
+    /// The lens shows nothing there.
+    Unseen,
 }
 
 impl TexturedScene {
     /// The photo a camera takes; 4 rays a pixel, through the camera's distortion.
     pub fn render(&self, camera: &Camera, pose: &Pose) -> RgbImage {
+        self.render_through((camera.width, camera.height), |pixel| Some(camera.ray(pixel)), pose)
+    }
+
+    /// The photo that any lens takes, of this size; 4 rays a pixel. `ray`: direction of a pixel,
+    /// camera frame, unit; `None` where the lens shows nothing (black).
+    pub fn render_through(
+        &self,
+        size: (u32, u32),
+        ray: impl Fn(DVec2) -> Option<DVec3> + Sync,
+        pose: &Pose,
+    ) -> RgbImage {
         let background = self.background.map(|v| linear(f64::from(v) / 255.0));
-        let mut image = RgbImage::new(camera.width, camera.height);
-        self.trace(camera, pose, image.as_flat_samples_mut().samples, 3, |hits, out| {
-            let sum = hits.iter().map(|hit| match hit {
-                Hit::Object(x, n) => colour(*x, self.seed) * (0.65 + 0.35 * n.dot(LIGHT).max(0.0)),
-                Hit::Ground(x) => colour(*x, self.seed ^ 0xabcd) * 0.8,
-                Hit::Nothing => DVec3::from_array(background),
-            });
-            let mean = sum.sum::<DVec3>() / hits.len() as f64;
-            out.copy_from_slice(&Rgb(mean.to_array().map(|v| (srgb(v) * 255.0).round() as u8)).0);
-        });
+        let mut image = RgbImage::new(size.0, size.1);
+        let samples = image.as_flat_samples_mut().samples;
+        trace(
+            |pixel| self.hit_by(pose, ray(pixel)),
+            size.0,
+            samples,
+            3,
+            |hits, out| {
+                let sum = hits.iter().map(|hit| match hit {
+                    Hit::Object(x, n) => colour(*x, self.seed) * (0.65 + 0.35 * n.dot(LIGHT).max(0.0)),
+                    Hit::Ground(x) => colour(*x, self.seed ^ 0xabcd) * 0.8,
+                    Hit::Wall(x) => colour(*x, self.seed ^ 0x1234) * 0.9,
+                    Hit::Nothing => DVec3::from_array(background),
+                    Hit::Unseen => DVec3::ZERO,
+                });
+                let mean = sum.sum::<DVec3>() / hits.len() as f64;
+                out.copy_from_slice(&Rgb(mean.to_array().map(|v| (srgb(v) * 255.0).round() as u8)).0);
+            },
+        );
         image
     }
 
     /// Coverage of the object in the photo: 255 = the pixel shows nothing else.
     pub fn render_mask(&self, camera: &Camera, pose: &Pose) -> GrayImage {
         let mut image = GrayImage::new(camera.width, camera.height);
-        self.trace(camera, pose, image.as_flat_samples_mut().samples, 1, |hits, out| {
-            let inside = hits.iter().filter(|h| matches!(h, Hit::Object(..))).count();
-            out.copy_from_slice(&Luma([(255 * inside / hits.len()) as u8]).0);
-        });
+        let samples = image.as_flat_samples_mut().samples;
+        trace(
+            |pixel| self.hit(camera, pose, pixel),
+            camera.width,
+            samples,
+            1,
+            |hits, out| {
+                let inside = hits.iter().filter(|h| matches!(h, Hit::Object(..))).count();
+                out.copy_from_slice(&Luma([(255 * inside / hits.len()) as u8]).0);
+            },
+        );
         image
     }
 
     /// Depth along the optical axis at a pixel, scene units; `None` where nothing is hit.
     pub fn depth(&self, camera: &Camera, pose: &Pose, pixel: DVec2) -> Option<f64> {
         match self.hit(camera, pose, pixel) {
-            Hit::Object(x, _) | Hit::Ground(x) => Some(pose.transform(x * self.unit).z),
-            Hit::Nothing => None,
+            Hit::Object(x, _) | Hit::Ground(x) | Hit::Wall(x) => Some(pose.transform(x * self.unit).z),
+            Hit::Nothing | Hit::Unseen => None,
         }
-    }
-
-    fn trace(
-        &self,
-        camera: &Camera,
-        pose: &Pose,
-        out: &mut [u8],
-        channels: usize,
-        shade: impl Fn(&[Hit], &mut [u8]) + Sync,
-    ) {
-        out.par_chunks_exact_mut(camera.width as usize * channels).enumerate().for_each(|(y, row)| {
-            for (x, pixel) in row.chunks_exact_mut(channels).enumerate() {
-                let hits: [Hit; SAMPLES * SAMPLES] = std::array::from_fn(|s| {
-                    let inside =
-                        DVec2::new((s % SAMPLES) as f64 + 0.5, (s / SAMPLES) as f64 + 0.5) / SAMPLES as f64;
-                    self.hit(camera, pose, DVec2::new(x as f64, y as f64) + inside)
-                });
-                shade(&hits, pixel);
-            }
-        });
     }
 
     /// What a pixel sees, in object units.
     fn hit(&self, camera: &Camera, pose: &Pose, pixel: DVec2) -> Hit {
+        self.hit_by(pose, Some(camera.ray(pixel)))
+    }
+
+    /// What a ray of the camera frame hits.
+    fn hit_by(&self, pose: &Pose, ray: Option<DVec3>) -> Hit {
+        let Some(ray) = ray else { return Hit::Unseen };
         let eye = pose.centre() / self.unit;
-        let ray = pose.rotation.conjugate() * camera.ray(pixel);
+        let ray = pose.rotation.conjugate() * ray;
         if let Some((t, n)) = hit_object(eye, ray) {
             return Hit::Object(eye + t * ray, n);
         }
         let t = (-HALF.z - eye.z) / ray.z;
         let x = eye + t * ray;
-        if self.ground && t > 0.0 && x.truncate().length() < GROUND_RADIUS {
-            Hit::Ground(x)
-        } else {
-            Hit::Nothing
+        let is_floor = self.room.is_some_and(|half| x.truncate().abs().max_element() < half);
+        if t > 0.0 && (is_floor || (self.ground && x.truncate().length() < GROUND_RADIUS)) {
+            return Hit::Ground(x);
         }
+        self.room.map_or(Hit::Nothing, |half| Hit::Wall(eye + leaving(eye, ray, half) * ray))
     }
+}
+
+/// Calls `shade` for every pixel with what the rays through it hit.
+fn trace(
+    look: impl Fn(DVec2) -> Hit + Sync,
+    width: u32,
+    out: &mut [u8],
+    channels: usize,
+    shade: impl Fn(&[Hit], &mut [u8]) + Sync,
+) {
+    out.par_chunks_exact_mut(width as usize * channels).enumerate().for_each(|(y, row)| {
+        for (x, pixel) in row.chunks_exact_mut(channels).enumerate() {
+            let hits: [Hit; SAMPLES * SAMPLES] = std::array::from_fn(|s| {
+                let inside =
+                    DVec2::new((s % SAMPLES) as f64 + 0.5, (s / SAMPLES) as f64 + 0.5) / SAMPLES as f64;
+                look(DVec2::new(x as f64, y as f64) + inside)
+            });
+            shade(&hits, pixel);
+        }
+    });
+}
+
+/// How far a ray from inside a cube about the origin goes until it leaves it.
+fn leaving(eye: DVec3, ray: DVec3, half: f64) -> f64 {
+    let far = [0, 1, 2].map(|axis| (half.copysign(ray[axis]) - eye[axis]) / ray[axis]);
+    far.into_iter().filter(|t| t.is_finite()).fold(f64::INFINITY, f64::min)
 }
 
 /// Direction towards the light, unit length. Source: chosen by hand, never measured.

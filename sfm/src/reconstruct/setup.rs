@@ -6,7 +6,7 @@ use crate::knowledge::Calibration;
 use crate::knowledge::Knowledge;
 use crate::model_selection::camera::FOCAL_SIGMA;
 use crate::plausibility::camera_prior::usual_focal_px;
-use scene::{Camera, CameraModel, FrameSet};
+use scene::{Camera, CameraModel, Frame, FrameSet, WideLens};
 use std::collections::BTreeMap;
 
 /// Cameras, and which image was taken with which.
@@ -42,7 +42,7 @@ impl Setup {
             let prior = frame.focal_prior_px.filter(|f| f.is_finite() && *f > 0.0);
             let id = next as u32 + 1;
             let mut camera = Camera::centred(id, model, frame.width, frame.height, prior.unwrap_or(guess));
-            let given = config.calibration_of(frame.width, frame.height)?;
+            let given = config.calibration_of(frame.width, frame.height)?.or_else(|| cut(frames, frame));
             if let Some(Calibration { camera: known, .. }) = &given {
                 (camera.model, camera.params) = (known.model, known.params.clone());
             }
@@ -62,10 +62,16 @@ impl Setup {
     }
 }
 
+/// The camera of a view that was cut from a panorama.
+fn cut(frames: &FrameSet, view: &Frame) -> Option<Calibration> {
+    let focal = view.focal_prior_px.filter(|_| frames.wide_lens == Some(WideLens::Panorama))?;
+    let camera = Camera::centred(1, CameraModel::SimplePinhole, view.width, view.height, focal);
+    Some(Calibration { sigmas: vec![0.0; camera.params.len()], camera })
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
-    use scene::Frame;
 
     fn frames() -> FrameSet {
         let frame = |group, width, prior| Frame {
@@ -87,6 +93,15 @@ mod tests {
         assert_eq!(of(CameraSharing::Group), [0, 0, 1, 2]);
         assert_eq!(of(CameraSharing::Single), [0, 0, 1, 0]);
         assert_eq!(of(CameraSharing::Each), [0, 1, 2, 3]);
+    }
+
+    #[test]
+    fn the_camera_of_views_of_panoramas_is_known() {
+        let mut views = frames();
+        views.wide_lens = Some(WideLens::Panorama);
+        let setup = Setup::new(&views, &SfmConfig::default()).unwrap();
+        assert!(setup.known[1].fixed && setup.cameras[1].params == [900.0, 400.0, 240.0]);
+        assert!(!setup.known[0].fixed, "nothing is known of a view without a focal length");
     }
 
     #[test]

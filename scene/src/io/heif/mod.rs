@@ -7,6 +7,7 @@ mod items;
 
 use self::boxes::{Checked, Cursor};
 use self::items::Items;
+use super::attitude::turned;
 use super::error::IoError;
 use super::exif::ExifCamera;
 use super::limits::{IMAGE_BYTES, IMAGE_SIDE};
@@ -104,7 +105,8 @@ impl HeifPicture {
         }
         let (has_alpha, exif) = (self.alpha.is_some(), self.exif.clone());
         let focal_prior_px = exif.focal_px(width, height);
-        ImageInfo { width, height, has_alpha, exif, focal_prior_px }
+        let up = exif.up.and_then(|up| turned(up, self.orientation));
+        ImageInfo { width, height, has_alpha, exif, focal_prior_px, up, is_panorama: false }
     }
 }
 
