@@ -10,8 +10,8 @@ pub(super) struct MovingSettings {
     /// Units of the perceptron's first layer. Source: Wu et al. 2024's settings for synthetic
     /// scenes.
     pub(super) width: usize,
-    /// Source: Wu et al. 2024's settings: total variation, smoothness in time, L1 of planes of
-    /// time.
+    /// Source: Wu et al. 2024's settings: total variation, L1 of planes of time; smoothness in
+    /// time: docs/decisions/19 (theirs: 1e-3).
     pub(super) smoothness: Smoothness,
     /// Share of the schedule in which nothing moves. Source: docs/decisions/19 (Wu et al. 2024:
     /// 3,000 of 20,000 steps).
@@ -59,7 +59,7 @@ impl Default for MovingSettings {
         Self {
             first: FirstGaussians { count: 5_000, size: 0.4, logit: -2.2 },
             width: 64,
-            smoothness: Smoothness { space: 2e-4, time: 1e-3, still: 1e-4 },
+            smoothness: Smoothness { space: 2e-4, time: 1.0, still: 1e-4 },
             at_rest: 0.08,
             resolutions: [0.2, 0.5],
             smallest: 64,

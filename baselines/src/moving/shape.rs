@@ -23,11 +23,11 @@ const MOST_CELLS: usize = 1 << 10;
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub(crate) struct MovingShape {
     pub(crate) domain: Domain,
-    /// Cells of the planes along axes of space, on the first level.
-    /// Source: Wu et al. 2024's settings.
+    /// Cells of the planes along axes of space, on the first level. Source: docs/decisions/19
+    /// (Wu et al. 2024's settings: 64).
     pub(crate) space: usize,
-    /// Cells of the planes along time. Source: Wu et al. 2024: half as many as there are times in
-    /// their settings for synthetic scenes, 150 in those for HyperNeRF's scenes.
+    /// Cells of the planes along time: a quarter of the times. Source: docs/decisions/19 (Wu et al.
+    /// 2024's settings: half for synthetic scenes, 150 for HyperNeRF's scenes).
     pub(crate) times: usize,
     /// Most Gaussians. Source: docs/decisions/19.
     pub(crate) gaussians: usize,
@@ -41,9 +41,9 @@ impl MovingShape {
         let mut distinct = times.to_vec();
         distinct.sort_by(f32::total_cmp);
         distinct.dedup();
-        let times = (distinct.len() / 2).clamp(2, 150);
+        let times = (distinct.len() / 4).clamp(2, 150);
         let pixel = MovedGaussians::pixel(dataset);
-        Self { domain, space: 64, times, gaussians: 30_000, pixel }
+        Self { domain, space: 16, times, gaussians: 30_000, pixel }
     }
 
     /// Gaussians at the points of the cloud or, without one, anywhere in the cube: what mattes of
