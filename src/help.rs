@@ -19,7 +19,8 @@ const GROUPS: [(&str, &[&str]); 4] = [
 const PIPELINE: [&str; 6] = ["frames", "sfm", "train", "eval", "report", "run"];
 /// Flags of those groups that few will ever need: with the groups that are not named above, they
 /// are shown by `--help-all`.
-const RARE: [&str; 26] = [
+const RARE: [&str; 27] = [
+    "fisheye-field",
     "rematch",
     "text",
     "known-rate",

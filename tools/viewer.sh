@@ -5,7 +5,8 @@
 set -euo pipefail
 cd "$(dirname "$0")/../viewer"
 sums() { sha256sum src/*.js package-lock.json package.json; }
-if [ -d node_modules/puppeteer-core ] && sums | cmp -s - viewer.sums; then
+# What is installed may be of an older list of packages.
+if sums | cmp -s - viewer.sums && sums | cmp -s - node_modules/.sums; then
   exit 0
 fi
 if ! command -v npm >/dev/null; then
@@ -17,4 +18,4 @@ if ! { npm ci --no-audit --no-fund --loglevel=error && npm run --silent build --
   exit 0
 fi
 gzip -9nc dist/viewer.js > viewer.js.gz
-sums > viewer.sums
+sums | tee viewer.sums > node_modules/.sums
