@@ -25,7 +25,8 @@ pub(super) struct MovingSettings {
     pub(super) rounds: u32,
     /// Position at which the number of Gaussians stays. Source: Wu et al. 2024 (half of the steps).
     pub(super) growth_end: f64,
-    /// Share of the Gaussians that a round adds. Source: the first become the most in all rounds.
+    /// By which share their number grows in a round, up to the most in the last.
+    /// Source: the first become the most in all rounds.
     pub(super) growth: f64,
     /// Rounds with which degrees of the harmonics begin. Source: chosen by hand.
     pub(super) degrees: [u32; 3],

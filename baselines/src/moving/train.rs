@@ -61,8 +61,11 @@ impl Moving {
         }
         self.rounds = due.min(rounds);
         let count = self.gaussians.model().len;
-        let most = self.shape.gaussians.saturating_sub(count);
-        let room = ((count as f64 * growth) as usize).min(most);
+        // As many as if none had been removed before, which are more the longer the schedule is;
+        // each may become two.
+        let left = rounds - self.rounds;
+        let wanted = self.shape.gaussians as f64 / (1.0 + growth).powf(f64::from(left));
+        let room = (wanted as usize).saturating_sub(count).min(count);
         let cameras: Vec<PinholeView> = (0..photos.len()).map(|i| photos.photo(i).0.view).collect();
         let remove_unseen = photos.transparent().then_some(&cameras[..]);
         let round = Round { room, seed: place.seed, iteration: place.step, remove_unseen };
