@@ -19,7 +19,7 @@ const GROUPS: [(&str, &[&str]); 4] = [
 const PIPELINE: [&str; 6] = ["frames", "sfm", "train", "eval", "report", "run"];
 /// Flags of those groups that few will ever need: with the groups that are not named above, they
 /// are shown by `--help-all`.
-const RARE: [&str; 27] = [
+const RARE: [&str; 28] = [
     "fisheye-field",
     "rematch",
     "text",
@@ -37,6 +37,7 @@ const RARE: [&str; 27] = [
     "smoothing",
     "fps-loops",
     "mesh-truth",
+    "mesh-depths",
     "lambda-dssim",
     "checkpoint-every",
     "test-sector",
