@@ -42,7 +42,7 @@ struct LineSearch {
 }
 
 /// Source: chosen by hand. Things stand askew by a degree or two, hands hold cameras level to five.
-/// By chance a tenth of the candidates lie near any direction.
+/// Nearly half of 83 lines that leant at random agreed on a direction (the test below).
 const SEARCH: LineSearch =
     LineSearch { pictures: 24, most_lean: 0.12, near: 0.006, least: (0.6, 12), trials: 500 };
 

@@ -54,18 +54,14 @@ impl Moving {
 
     /// A round of densification, and a higher degree of the harmonics, where they are due.
     fn densify(&mut self, photos: &PhotoRays, place: StepPlace) -> Result<(), FieldError> {
-        let MovingSettings { rounds, growth_end, growth, degrees, .. } = self.settings;
+        let MovingSettings { rounds, growth_end, degrees, .. } = self.settings;
         let due = (place.position / growth_end * f64::from(rounds)) as u32;
         if due <= self.rounds || self.rounds >= rounds {
             return Ok(());
         }
         self.rounds = due.min(rounds);
         let count = self.gaussians.model().len;
-        // As many as if none had been removed before, which are more the longer the schedule is;
-        // each may become two.
-        let left = rounds - self.rounds;
-        let wanted = self.shape.gaussians as f64 / (1.0 + growth).powf(f64::from(left));
-        let room = (wanted as usize).saturating_sub(count).min(count);
+        let room = self.settings.room(self.shape.gaussians, self.rounds, count);
         let cameras: Vec<PinholeView> = (0..photos.len()).map(|i| photos.photo(i).0.view).collect();
         let remove_unseen = photos.transparent().then_some(&cameras[..]);
         let round = Round { room, seed: place.seed, iteration: place.step, remove_unseen };
@@ -92,10 +88,32 @@ impl MovingSettings {
         (0..=wanted).rev().find(|&l| l == 0 || side >> l >= self.smallest).unwrap_or(0)
     }
 
+    /// How many Gaussians a round may add to `count`: as if none had been removed before, which are
+    /// more the longer the schedule is; each may become two. The last round reaches the `most`.
+    fn room(&self, most: usize, round: u32, count: usize) -> usize {
+        let left = f64::from(self.rounds.saturating_sub(round));
+        let wanted = (most as f64 / (1.0 + self.growth).powf(left)) as usize;
+        wanted.saturating_sub(count).min(count)
+    }
+
     /// Step sizes of planes and of the perceptron, in a schedule of so many steps.
     fn rates_at(&self, place: StepPlace, steps: f64) -> [AdamRates; 2] {
         let factor = (self.steps / steps).clamp(1.0, self.largest_factor);
         let fall = self.fall.powf((place.position - self.at_rest) / (1.0 - self.at_rest));
         self.rates.map(|rate| self.adam.rates((rate * factor * fall) as f32, place.step + 1))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn densification_makes_up_for_what_was_removed() {
+        let settings = MovingSettings::default();
+        let room = |round, count| settings.room(30_000, round, count);
+        assert_eq!(room(settings.rounds, 26_000), 4_000, "the last round reaches the most");
+        assert_eq!(room(settings.rounds, 2_000), 2_000, "each becomes two at most");
+        assert_eq!(room(1, 20_000), 0, "a round does not run ahead of the schedule");
     }
 }
