@@ -212,7 +212,8 @@ def say(record):
     for run in record["gpu"] + record["cpu"]:
         for scene in run.get("datasets", []):
             print(f"{scene['name']}: {scene['iterations']} steps in {scene['seconds']:.1f} s ({scene['cpu_seconds']:.1f} CPU s), "
-                  f"{scene['psnr_held_out']:.2f} dB held out, {scene['gaussians']} gaussians")
+                  f"{scene['psnr_held_out']:.2f} dB held out, {scene['gaussians']} gaussians, "
+                  f"step {scene['scene']['step']['ms']:.3f} ms of {scene['scene']['pairs']} pairs")
     for run in record["synthetic"] + record["gpu"] + record["cpu"]:
         for key in ("error", "missing"):
             if key in run:
@@ -229,9 +230,10 @@ def main():
     parser.add_argument("--gpu", help="adapter to use")
     parser.add_argument("--sat-recon", help="solves the data sets that have no poses")
     parser.add_argument("--python", default=sys.executable, help="has torch and gsplat")
+    parser.add_argument("--seconds", type=float, default=LONGEST, help="after which nothing more is begun")
     args = parser.parse_args()
     begun = time.time()
-    left = lambda: LONGEST - (time.time() - begun)
+    left = lambda: args.seconds - (time.time() - begun)
     probe = call([args.bench, "--backend", "gpu", "--roof", "--synthetic", "1000:64x48", "--repeat", "1"]
                  + (["--gpu", args.gpu] if args.gpu else []), 120)
     if "error" in probe:

@@ -71,7 +71,7 @@ fn main() -> Result<()> {
         let all = if cli.curve.is_empty() { vec![cli.train.iterations] } else { cli.curve.clone() };
         for iterations in all {
             let config = TrainConfig { iterations, ..cli.train.clone() };
-            datasets.push(trained(&name_of(folder), &dataset, &config, cli.score)?);
+            datasets.push(trained(&cli, &name_of(folder), &dataset, &config)?);
         }
     }
     let record = json!({
@@ -114,9 +114,14 @@ fn synthetic(cli: &Cli, text: &str) -> Result<Value> {
     let (n, w, h): (usize, u32, u32) = (n.parse()?, w.parse()?, h.parse()?);
     let camera = Camera::centred(1, CameraModel::Pinhole, w, h, f64::from(h));
     let pose = Pose::look_at(DVec3::new(2.5, 0.4, 0.3), DVec3::ZERO, DVec3::Z);
-    let view = NormalisedFrame { centre: DVec3::ZERO, scale: 1.0 }.view(&camera, &pose);
+    timed(cli, &ball(n), &camera, &pose)
+}
+
+/// Time of a picture and of a training step that leaves the Gaussians (world frame) where they are.
+fn timed(cli: &Cli, gaussians: &Gaussians, camera: &Camera, pose: &Pose) -> Result<Value> {
+    let view = NormalisedFrame { centre: DVec3::ZERO, scale: 1.0 }.view(camera, pose);
     let (mut backend, _) = splat::device::open(&cli.train.device)?;
-    backend.upload(Model::from_gaussians(&ball(n)), Statistics::default())?;
+    backend.upload(Model::from_gaussians(gaussians), Statistics::default())?;
     let options = RenderOptions::default();
     let picture = backend.render(&view, &options)?;
     let rgb: Vec<u8> = picture.rgb.to_rgb8().into_raw();
@@ -131,11 +136,13 @@ fn synthetic(cli: &Cli, text: &str) -> Result<Value> {
     };
     let step = repeat(cli.repeat, backend.as_mut(), &mut |b| Ok(b.advance(&input).map(|_| ())?))?;
     let seen = backend.step(&input)?;
-    let (visible, pairs, pixels) = (seen.visible as f64, seen.pairs as f64, f64::from(w * h));
+    let n = gaussians.len() as f64;
+    let (visible, pairs, pixels) =
+        (seen.visible as f64, seen.pairs as f64, (view.width * view.height) as f64);
     Ok(json!({
-        "gaussians": n, "size": [w, h], "visible": seen.visible, "pairs": seen.pairs,
-        "forward": forward, "step": step, "memory_mib": mib(&backend.memory()),
-        "bytes": bytes(visible, pairs, n as f64, pixels), "flop": operations(visible, pairs),
+        "gaussians": gaussians.len(), "size": [view.width, view.height], "visible": seen.visible,
+        "pairs": seen.pairs, "forward": forward, "step": step, "memory_mib": mib(&backend.memory()),
+        "bytes": bytes(visible, pairs, n, pixels), "flop": operations(visible, pairs),
         "remarks": backend.remarks(),
     }))
 }
@@ -211,12 +218,14 @@ fn load(folder: &Path) -> Result<Dataset> {
 }
 
 /// Trains, and scores the held-out views as they are shown: 8 bits, over black, full resolution.
-fn trained(name: &str, dataset: &Dataset, config: &TrainConfig, views: usize) -> Result<Value> {
+fn trained(cli: &Cli, name: &str, dataset: &Dataset, config: &TrainConfig) -> Result<Value> {
     let clock = Instant::now();
     let begun = splat::clock::cpu_seconds();
     let result = train(dataset, config, None, &Progress::silent())?;
     let (wall, cpu) = (clock.elapsed().as_secs_f64(), splat::clock::cpu_seconds() - begun);
-    let (psnr, picture_ms) = scored(dataset, config, &result, views)?;
+    let (psnr, picture_ms) = scored(dataset, config, &result, cli.score)?;
+    let first = dataset.views.first().ok_or("no view")?;
+    let scene = timed(cli, &result.gaussians, &first.camera, &first.pose)?;
     let curve: Vec<Value> = result
         .curve
         .iter()
@@ -228,6 +237,7 @@ fn trained(name: &str, dataset: &Dataset, config: &TrainConfig, views: usize) ->
         "seconds": wall, "cpu_seconds": cpu, "psnr_held_out": mean,
         "psnr_worst": psnr.iter().copied().fold(f64::INFINITY, f64::min),
         "picture_ms": picture_ms, "kernels_s": result.timings, "curve": curve, "decisions": result.decisions,
+        "scene": scene,
     }))
 }
 

@@ -170,7 +170,8 @@ impl GpuBackend {
 
     fn submit(&mut self, mut step: Pending) {
         step.frame.pair_capacity = self.sizes.pairs as u32;
-        step.frame.flags |= self.truncate;
+        let keep = if self.sizes.training { FrameFlag::Keep as u32 } else { 0 };
+        step.frame.flags |= self.truncate | keep;
         if let Some((buffers, bound)) = &self.screen {
             self.flight.submit(&self.gpu, &self.kernels, (buffers, bound), step);
         }
@@ -220,7 +221,7 @@ impl GpuBackend {
         if self.truncate != 0 {
             return Ok(());
         }
-        let largest = most_pairs(self.gpu.largest_buffer());
+        let largest = most_pairs(self.gpu.largest_buffer(), self.sizes.pixels);
         let wanted = (most + most / 2).next_multiple_of(BLOCK as usize).min(largest);
         let model: u64 = self.pages.as_ref().map_or(0, |p| p.memory().iter().map(|b| b.1).sum());
         let others = model + self.photos.memory();

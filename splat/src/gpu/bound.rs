@@ -3,7 +3,7 @@
 use super::buffers::{Buffers, JOB, JOBS, Sizes, blocks};
 use super::context::Gpu;
 use super::kernels::{Kernels, Module};
-use super::layout::{BLOCK, Counter, GROUP, ScanJob, SortJob};
+use super::layout::{BLOCK, Counter, GROUP, SPAN, ScanJob, SortJob};
 use super::pages::Pages;
 use std::ops::RangeInclusive;
 
@@ -242,9 +242,9 @@ impl Bound {
                 kernels.loss.run(pass, 2, loss, tiles, 3);
                 kernels.loss.run(pass, 3, loss, 1, 3);
             }
-            // One more than there are tiles: the pairs that belong to none.
             (Stage::Backward, Some([_, backward])) => {
-                kernels.rasterise_backward.run(pass, 0, backward, tiles + 1, 1);
+                let blocks = self.pairs_room.div_ceil(SPAN as u32);
+                kernels.rasterise_backward.run(pass, 0, backward, blocks, 1);
             }
             (Stage::Optimise, Some(_)) => {
                 for (_, optimise, count) in &self.pages {

@@ -2,7 +2,7 @@
 //! and its target.
 
 use super::context::Gpu;
-use super::layout::{BLOCK, COUNTERS, Frame};
+use super::layout::{BLOCK, COUNTERS, Frame, SPAN};
 use super::pages;
 use crate::cpu::TILE;
 use crate::error::SplatError;
@@ -123,10 +123,10 @@ buffers!(
     sums_b: if s.training { 4 * s.pairs } else { 4 },
     /// \[pairs\] vec2.
     sums_c: if s.training { 2 * s.pairs } else { 4 },
-    /// [tiles + 1] vec4.
-    ranges: 4 * (s.tiles + 1),
-    /// [H × W] vec4.
-    image: s.pixels * 4,
+    /// [tiles + 1] vec4, then \[blocks of pairs\] vec4.
+    ranges: 4 * (s.tiles + 1 + s.pairs.div_ceil(SPAN)),
+    /// [H × W] vec4, then [blocks of pairs][256 pixels] vec4: their states where the block begins.
+    image: 4 * (s.pixels + if s.training { s.pairs.next_multiple_of(SPAN) } else { 0 }),
     /// [H × W].
     depth: s.pixels,
     /// [H × W] rgba, 8 bits each.
@@ -146,9 +146,9 @@ buffers!(
 /// Bytes of a pair in the largest buffer of pairs. Source: a vector of four.
 const PAIR: u64 = 16;
 
-/// The most pairs that buffers of `largest` bytes hold: whole blocks.
-pub(crate) fn most_pairs(largest: u64) -> usize {
-    let most = (largest / PAIR).min(u64::from(u32::MAX / 2)) as usize;
+/// The most pairs that buffers of `largest` bytes hold beside a picture's pixels: whole blocks.
+pub(crate) fn most_pairs(largest: u64, pixels: usize) -> usize {
+    let most = (largest / PAIR).saturating_sub(pixels as u64).min(u64::from(u32::MAX / 2)) as usize;
     (most / BLOCK as usize * BLOCK as usize).max(BLOCK as usize)
 }
 
@@ -172,7 +172,7 @@ pub(crate) const PHOTOS: f64 = 0.25;
 fn limit_of(n: usize, sh_stride: usize, pixels: usize, largest: u64, memory: Option<u64>) -> Option<Limit> {
     let sizes = Sizes {
         room: n,
-        pairs: (PAIRS_EACH * n).clamp(BLOCK as usize, most_pairs(largest)),
+        pairs: (PAIRS_EACH * n).clamp(BLOCK as usize, most_pairs(largest, pixels)),
         pixels,
         tiles: pixels.div_ceil(128),
         training: true,

@@ -162,7 +162,7 @@ fn a_model_that_fits_the_limits_is_found_and_one_more_gaussian_does_not_fit() {
     ] {
         let (n, limit) = capacity(sh_stride, 640 * 480, largest, memory);
         let within = |n: usize| {
-            let pairs = (8 * n).min(most_pairs(largest));
+            let pairs = (8 * n).min(most_pairs(largest, 640 * 480));
             let plan =
                 Buffers::plan(&Sizes { room: n, pairs, pixels: 640 * 480, tiles: 2400, training: true });
             let model = (pages::bytes_each(sh_stride, true) + pages::bytes_twice(sh_stride)) * n as u64;
@@ -174,7 +174,7 @@ fn a_model_that_fits_the_limits_is_found_and_one_more_gaussian_does_not_fit() {
     }
     // What the documentation says of adapters with 128 MiB, and of those with 2 GiB.
     assert_eq!(capacity(48, 1920 * 1080, 128 * MIB, None).0, 4_194_304);
-    assert_eq!(most_pairs(128 * MIB), 8_388_608);
+    assert_eq!(most_pairs(128 * MIB, 0), 8_388_608);
     assert!(capacity(48, 1920 * 1080, 2047 * MIB, None).0 > 5_000_000);
     assert_eq!(capacity(48, 1920 * 1080, 128 * MIB, Some(16 * MIB)).0, 0);
 }

@@ -238,10 +238,10 @@ fn kernels_with_subgroup_operations_agree_with_those_without() {
 
 #[test]
 fn pairs_for_which_there_is_no_room_are_left_out_aloud() {
-    // Bindings of 32 KiB hold 2,048 pairs.
+    // Bindings of 56 KiB hold the picture and 2,048 pairs.
     let (mut g, photos) = (ordinary(67, 1000, 0), photos(1));
     g.log_scales.iter_mut().for_each(|s| *s += 0.5);
-    let mut gpu = uploaded(Opening { binding: Some(32 << 10), ..small() }, &g);
+    let mut gpu = uploaded(Opening { binding: Some(56 << 10), ..small() }, &g);
     let first = gpu.step(&input(&photos[0], None)).unwrap();
     assert!(first.pairs > 2048, "{first:?}");
     let remarks = gpu.remarks();

@@ -37,7 +37,10 @@ const WEIGHTED: u32 = 2u;        // alpha of the target is a weight, 0 = ignored
 const COVERAGE: u32 = 4u;        // alpha of the target is coverage, the background shows through
 const TRUNCATE: u32 = 8u;        // pairs beyond the buffers are left out, the farthest Gaussians' first
 
+const KEEP: u32 = 16u;           // rasterise keeps each pixel's state where a block of pairs begins
+
 const TILE: u32 = 16u;
+const SPAN: u32 = 256u;          // pairs of a block of rasterise_backward
 const MIN_ALPHA: f32 = 0.00392156862745098;
 const MAX_ALPHA: f32 = 0.99;
 const MIN_TRANSMITTANCE: f32 = 1e-4;

@@ -1,6 +1,7 @@
 // project: Gaussian i -> screen, and its colour.
 // in: geometry [11][stride] · sh [3K][stride], of a page
-// out: records [N][2] vec4: (x, y, conic xx, conic xy) · (conic yy, opacity, depth, 0) · colours
+// out: records [N][2] vec4: (x, y, conic xx, conic xy) · (conic yy, opacity, depth, half
+// the height of the ellipse alpha >= 1/255) · colours
 // [N]: (r, g, b, 0)
 //      boxes [N][2]: half-open box of tiles, (x0 | y0 << 16, x1 | y1 << 16) · flags [N]: 1 where
 //      seen
@@ -50,6 +51,6 @@ fn main(@builtin(workgroup_id) group: vec3<u32>, @builtin(num_workgroups) groups
     var basis = sh_basis(direction(mean - frame.position.xyz));
     let rgb = max(sh_colour(l, &basis), vec3<f32>(0.0));
     records[2u * i] = vec4<f32>(p.xy, p.conic.xy);
-    records[2u * i + 1u] = vec4<f32>(p.conic.z, p.opacity, p.x.z, 0.0);
+    records[2u * i + 1u] = vec4<f32>(p.conic.z, p.opacity, p.x.z, half.y);
     colours[i] = vec4<f32>(rgb, 0.0);
 }

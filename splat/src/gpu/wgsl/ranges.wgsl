@@ -3,6 +3,7 @@
 // Gaussian of each number
 // out: ranges [tiles + 1] (begin, end, 0, 0), half-open (cleared before); the last one: pairs of no
 // tile
+//      after them: of each block of SPAN pairs (tile of its first, end of all pairs, 0, 0)
 //      sorted [pairs] (Gaussian, pair number) in order of tiles, so that the pixels' kernels look
 //      up once
 
@@ -23,6 +24,9 @@ fn main(@builtin(workgroup_id) group: vec3<u32>, @builtin(num_workgroups) groups
     }
     sorted[i] = vec2<u32>(owners[values[i]], values[i]);
     let tile = keys[i];
+    if (i % SPAN == 0u) {
+        ranges[frame.tiles.x * frame.tiles.y + 1u + i / SPAN] = vec4<u32>(tile, n, 0u, 0u);
+    }
     if (i == 0u || keys[i - 1u] != tile) {
         ranges[tile].x = i;
     }

@@ -3,6 +3,8 @@
 // end, -, -)
 // out: image [H * W] (rgb over the background, transmittance) · depth [H * W] expected z ·
 // ranges.z: pairs looked at
+//      where asked for, after the image: [blocks of SPAN pairs][256] (rgb so far, transmittance; 0:
+//      finished) of the tile's pixels where a block begins within the tile
 // C = sum of T alpha rgb + T background (Kerbl 2023, eq. 3); skip alpha < 1/255, stop before T <
 // 1e-4.
 
@@ -64,25 +66,39 @@ fn main(@builtin(workgroup_id) group: vec3<u32>, @builtin(num_workgroups) groups
             break;
         }
         let count = min(BATCH, range.y - first);
-        for (var k = 0u; k < count && !finished; k++) {
-            let a = batch_a[k];
-            let b = batch_b[k];
-            let d = a.xy - centre;
-            let power = 0.5 * (a.z * d.x * d.x + b.x * d.y * d.y) + a.w * d.x * d.y;
-            let alpha = min(MAX_ALPHA, b.y * exp(-power));
-            if (power < 0.0 || alpha < MIN_ALPHA) {
-                continue;
+        // A batch is as long as a block: one block at most begins in it.
+        let begins = (SPAN - first % SPAN) % SPAN;
+        let kept = begins < count && first + begins > range.x && (frame.flags & KEEP) != 0u;
+        var k = 0u;
+        for (var part = 0u; part < 2u; part++) {
+            let to = select(count, min(begins, count), part == 0u);
+            for (; k < to && !finished; k++) {
+                let a = batch_a[k];
+                let b = batch_b[k];
+                let d = a.xy - centre;
+                if (abs(d.y) > b.w) {
+                    continue;
+                }
+                let power = 0.5 * (a.z * d.x * d.x + b.x * d.y * d.y) + a.w * d.x * d.y;
+                let alpha = min(MAX_ALPHA, b.y * exp(-power));
+                if (power < 0.0 || alpha < MIN_ALPHA) {
+                    continue;
+                }
+                let next = t * (1.0 - alpha);
+                if (next < MIN_TRANSMITTANCE) {
+                    finished = true;
+                    break;
+                }
+                let weight = t * alpha;
+                rgb += weight * batch_c[k].xyz;
+                far += weight * b.z;
+                t = next;
+                seen_to = first + k + 1u - range.x;
             }
-            let next = t * (1.0 - alpha);
-            if (next < MIN_TRANSMITTANCE) {
-                finished = true;
-                break;
+            if (part == 0u && kept) {
+                let state = frame.size.x * frame.size.y + (first + begins) / SPAN * 256u + local;
+                image[state] = vec4<f32>(rgb, select(t, 0.0, finished));
             }
-            let weight = t * alpha;
-            rgb += weight * batch_c[k].xyz;
-            far += weight * b.z;
-            t = next;
-            seen_to = first + k + 1u - range.x;
         }
         workgroupBarrier();
     }

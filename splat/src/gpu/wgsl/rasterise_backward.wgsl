@@ -1,8 +1,11 @@
 // rasterise_backward: dL/d(colour) of a tile's pixels -> sums for each of its Gaussians, replayed
-// front to back.
-// in: records · colours · sorted [pairs] (Gaussian, pair number) by tile · ranges [tiles] (begin,
-// end, used, -)
-//      gradient [H * W] (dL/d(rgb), C . dL/d(rgb) of the pixel's colour C)
+// front to back. A group takes a block of SPAN pairs, whatever tiles they belong to, so that no
+// tile's list, however long, keeps the others waiting (as in Taming 3DGS, Mallick 2024, section
+// 4.3, where a subgroup takes 32 pairs); `rasterise` has kept the pixels' states where it begins.
+// in: records · colours · sorted [pairs] (Gaussian, pair number) by tile · ranges [tiles + 1]
+// (begin, end, used, -), then [blocks] (tile of the first pair, end of all pairs, -, -)
+//      gradient [H * W] (dL/d(rgb), C . dL/d(rgb) of the pixel's colour C), then [blocks][256]
+//      (rgb of what lies before the block, transmittance; 0: finished)
 // out: sums [pairs][10] in arrays of four, four and two, at the pair's number, so that a Gaussian's
 // pairs lie side by side and no atomics are needed:
 //      with v = alpha dL/d(alpha), d = xy - pixel: v, v dx, v dy, v dx^2, v dx
@@ -48,16 +51,16 @@ fn put(pair: u32, which: u32, sum: f32) {
 }
 
 // One pixel past up to eight Gaussians from position `first`; `behind` and the transmittance are
-// kept between calls.
+// kept between calls. Loads wait for no test, so that all eight are under way at once.
 fn follow(first: u32, count: u32, local: u32, centre: vec2<f32>, g: vec3<f32>, state: ptr<function, vec2<f32>>, finished: ptr<function, bool>) {
     for (var k = 0u; k < 8u; k++) {
+        let i = sorted[first + min(k, count - 1u)].x;
+        let a = records[2u * i];
+        let b = records[2u * i + 1u];
         var weight = 0.0;
         var v = 0.0;
-        if (k < count && !*finished) {
-            let i = sorted[first + k].x;
-            let a = records[2u * i];
-            let b = records[2u * i + 1u];
-            let d = a.xy - centre;
+        let d = a.xy - centre;
+        if (k < count && !*finished && abs(d.y) <= b.w) {
             let power = 0.5 * (a.z * d.x * d.x + b.x * d.y * d.y) + a.w * d.x * d.y;
             let raw = b.y * exp(-power);
             let alpha = min(MAX_ALPHA, raw);
@@ -80,23 +83,24 @@ fn follow(first: u32, count: u32, local: u32, centre: vec2<f32>, g: vec3<f32>, s
     }
 }
 
-@compute @workgroup_size(256)
-fn main(@builtin(workgroup_id) group: vec3<u32>, @builtin(num_workgroups) groups: vec3<u32>, @builtin(local_invocation_index) local: u32/*lanes*/) {
-    let tile = group_number(group, groups);
-    // The last "tile" holds pairs that belong nowhere: their sums become zero.
-    var range = vec2<u32>(0u);
-    var end = 0u;
-    if (tile <= frame.tiles.x * frame.tiles.y) {
-        let own = ranges[tile];
-        range = own.xy;
-        end = own.x + own.z;
-    }
+// The pairs begin .. end of one tile; `continued`: they are not its first, and the pixels' states
+// are those at the beginning of `block`.
+//#if subgroups
+fn replay(tile: u32, begin: u32, end: u32, continued: bool, block: u32, local: u32, subgroup_lane: u32, lanes: u32) {
+//#else
+fn replay(tile: u32, begin: u32, end: u32, continued: bool, block: u32, local: u32) {
+//#endif
     let corner = vec2<u32>(tile % frame.tiles.x, tile / frame.tiles.x) * TILE;
     let pixel = corner + vec2<u32>(local % TILE, local / TILE);
     let inside = pixel.x < frame.size.x && pixel.y < frame.size.y;
     let g = gradient_at(pixel);
     var state = vec2<f32>(1.0, g.w);
     var finished = !inside;
+    if (continued) {
+        let kept = gradient[frame.size.x * frame.size.y + block * 256u + local];
+        state = vec2<f32>(kept.w, g.w - dot(kept.xyz, g.xyz));
+        finished = finished || kept.w <= 0.0;
+    }
 
     // In the second part the thread adds up eight pixels of one column, two rows apart, for
     // Gaussian local / 32.
@@ -107,7 +111,7 @@ fn main(@builtin(workgroup_id) group: vec3<u32>, @builtin(num_workgroups) groups
         column_gradient[j] = gradient_at(column + vec2<u32>(0u, 2u * j)).xyz;
     }
 
-    for (var first = range.x; first < end; first += 8u) {
+    for (var first = begin; first < end; first += 8u) {
         let count = min(8u, end - first);
         follow(first, count, local, vec2<f32>(pixel) + 0.5, g.xyz, &state, &finished);
         workgroupBarrier();
@@ -124,6 +128,12 @@ fn main(@builtin(workgroup_id) group: vec3<u32>, @builtin(num_workgroups) groups
         for (var j = 0u; j < 8u; j++) {
             let at = k * 256u + j * 32u + lane;
             let weight = left[at];
+//#if subgroups
+            // Most Gaussians reach few of the tile's rows.
+            if (!subgroupAny(weight != 0.0)) {
+                continue;
+            }
+//#endif
             let v = left[2048u + at];
             let dy = d.y - f32(2u * j);
             s += v * vec3<f32>(1.0, dy, dy * dy);
@@ -172,10 +182,34 @@ fn main(@builtin(workgroup_id) group: vec3<u32>, @builtin(num_workgroups) groups
 //#endif
         workgroupBarrier();
     }
-    // What no pixel reached.
-    for (var i = end + local; i < range.y; i += 256u) {
-        for (var s = 0u; s < SUMS; s++) {
-            put(sorted[i].y, s, 0.0);
+}
+
+@compute @workgroup_size(256)
+fn main(@builtin(workgroup_id) group: vec3<u32>, @builtin(num_workgroups) groups: vec3<u32>, @builtin(local_invocation_index) local: u32/*lanes*/) {
+    let block = group_number(group, groups);
+    if (block * SPAN >= frame.pair_capacity) {
+        return;
+    }
+    let entry = ranges[frame.tiles.x * frame.tiles.y + 1u + block];
+    let end = min((block + 1u) * SPAN, entry.y);
+    var tile = entry.x;
+    var at = block * SPAN;
+    while (at < end) {
+        // Tiles that have no pairs have no end either. The last "tile" holds pairs that belong
+        // nowhere: none of them is used.
+        while (ranges[tile].y <= at) {
+            tile++;
         }
+        let own = ranges[tile];
+        let stop = min(own.y, end);
+        let used = clamp(own.x + own.z, at, stop);
+        replay(tile, at, used, at > own.x, block, local/*use lanes*/);
+        // What no pixel reached.
+        for (var i = used + local; i < stop; i += 256u) {
+            for (var s = 0u; s < SUMS; s++) {
+                put(sorted[i].y, s, 0.0);
+            }
+        }
+        at = stop;
     }
 }
