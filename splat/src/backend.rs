@@ -166,6 +166,14 @@ pub trait Backend {
         target: &Target,
         options: &RenderOptions,
     ) -> Result<f64, SplatError>;
+    /// dL/d(logit of the opacity) of each Gaussian where dL/d(colour) is `gradient`
+    /// ([height × width × 3]). Adam's moments may be lost.
+    fn opacity_gradients(
+        &mut self,
+        view: &PinholeView,
+        options: &RenderOptions,
+        gradient: &[f32],
+    ) -> Result<Vec<f32>, SplatError>;
     /// The gain of the view to come: its photo shows the scene times this, so that targets are
     /// divided by it.
     fn set_gain(&mut self, gain: Option<[f32; 3]>);

@@ -8,7 +8,7 @@ use super::workspace::KernelWorkspace;
 use crate::backend::{Backend, KernelTimes, Round, StepInput, StepOutput, Target, check};
 use crate::camera::CameraConstants;
 use crate::error::SplatError;
-use crate::model::{Model, Planes};
+use crate::model::{Model, OPACITY, Planes};
 use crate::statistics::Statistics;
 use crate::view::{PinholeView, RenderOptions, RenderOutput};
 use rayon::prelude::*;
@@ -249,6 +249,18 @@ impl Backend for CpuBackend {
         self.forward(view, options, Some(target), false);
         self.work.set_target(self.isa, target, options.background);
         Ok(f64::from(self.work.loss(self.isa, 0.0).mse))
+    }
+
+    fn opacity_gradients(
+        &mut self,
+        view: &PinholeView,
+        options: &RenderOptions,
+        gradient: &[f32],
+    ) -> Result<Vec<f32>, SplatError> {
+        let mut found = self.gradients(view, options, gradient);
+        let mut slopes = std::mem::take(&mut found.geometry[OPACITY]);
+        slopes.truncate(self.model.len); // planes are padded
+        Ok(slopes)
     }
 
     fn set_gain(&mut self, gain: Option<[f32; 3]>) {

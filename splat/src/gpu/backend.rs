@@ -44,6 +44,9 @@ pub(crate) struct GpuBackend {
     pub(super) remarks: Vec<Decision>,
     limit: Option<u64>,
     gain: Option<[f32; 3]>,
+    /// Pairs for which there will be more room before the next view: what lies on the screen is lost
+    /// where buffers grow.
+    crowded: usize,
     /// [`FrameFlag::Truncate`] once there is no room for all pairs.
     truncate: u32,
 }
@@ -70,6 +73,7 @@ impl GpuBackend {
             remarks: Vec::new(),
             limit: opening.memory,
             gain: None,
+            crowded: 0,
             truncate: 0,
         })
     }
@@ -140,6 +144,10 @@ impl GpuBackend {
     /// Makes room for a view, and for moments before the first step.
     pub(super) fn prepare(&mut self, view: &PinholeView, training: bool) -> Result<(), SplatError> {
         let (pixels, tiles) = (view.width * view.height, tiles(view.width, view.height));
+        if self.crowded > 0 {
+            self.settle_all()?;
+            self.widen()?;
+        }
         if training && let Some((model, statistics)) = self.untrained.take() {
             self.settle_all()?;
             let pages = Pages::new(&self.gpu, model.len, model.sh_stride(), true)?;
@@ -203,11 +211,12 @@ impl GpuBackend {
                 }
             }
             if most > self.sizes.pairs / 8 * 7 {
-                self.widen(most)?;
+                self.crowded = most;
             }
             if again.is_empty() {
                 return Ok(last);
             }
+            self.widen()?;
             self.window = 1;
             if let Some((buffers, _)) = &self.screen {
                 self.gpu.write(&buffers.counters, 4 * Counter::Halt as u64, &[0u32]);
@@ -216,9 +225,11 @@ impl GpuBackend {
         }
     }
 
-    /// Room for `most` pairs and some more; where there is none, the farthest will not be drawn.
-    fn widen(&mut self, most: usize) -> Result<(), SplatError> {
-        if self.truncate != 0 {
+    /// Room for the pairs that were too many, and for some more; where there is none, the farthest
+    /// will not be drawn.
+    fn widen(&mut self) -> Result<(), SplatError> {
+        let most = std::mem::take(&mut self.crowded);
+        if self.truncate != 0 || most == 0 {
             return Ok(());
         }
         let largest = most_pairs(self.gpu.largest_buffer(), self.sizes.pixels);
@@ -467,6 +478,15 @@ impl Backend for GpuBackend {
         let frame = Frame { flags: frame.flags | photo.flags, ..frame };
         let report = self.run(frame, Stage::Project..=Stage::Products, Some(photo))?;
         Ok(std::array::from_fn(|k| std::array::from_fn(|c| f64::from(report.sums[c][k]))))
+    }
+
+    fn opacity_gradients(
+        &mut self,
+        view: &PinholeView,
+        options: &RenderOptions,
+        gradient: &[f32],
+    ) -> Result<Vec<f32>, SplatError> {
+        self.logit_gradients(view, options, gradient)
     }
 
     fn set_gain(&mut self, gain: Option<[f32; 3]>) {

@@ -9,6 +9,7 @@ mod buffers;
 mod context;
 mod densify;
 mod flight;
+mod gradients;
 mod kernels;
 mod layout;
 mod limits;

@@ -9,7 +9,6 @@ use crate::adapter::Adapter;
 use crate::backend::{Backend, Target};
 use crate::cpu::ModelGradient;
 use crate::error::SplatError;
-use crate::model::GEOMETRY;
 use crate::parity::subject::Seen;
 use crate::reference::constants::BETAS;
 use crate::view::{PinholeView, RenderOptions};
@@ -89,28 +88,7 @@ impl GpuBackend {
         options: &RenderOptions,
         gradient: &[f32],
     ) -> Result<ModelGradient, SplatError> {
-        self.prepare(view, true)?;
-        let frame = self.frame_of(view, options);
-        self.run(frame, Stage::Project..=Stage::Forward, None)?;
-        let pixels = view.width * view.height;
-        let (Some((b, _)), Some(pages)) = (&self.screen, &self.pages) else {
-            return Ok(ModelGradient::default());
-        };
-        // What the loss leaves in the picture's place: dL/dC and C · dL/dC.
-        let image: Vec<[f32; 4]> = self.gpu.read(&b.image, 0, pixels)?;
-        let weighted =
-            |(c, g): (&[f32; 4], &[f32])| [g[0], g[1], g[2], g[0] * c[0] + g[1] * c[1] + g[2] * c[2]];
-        let gradient: Vec<[f32; 4]> = image.iter().zip(gradient.chunks_exact(3)).map(weighted).collect();
-        self.gpu.write(&b.image, 0, &gradient);
-        let mut encoder = self.gpu.device.create_command_encoder(&Default::default());
-        for page in &pages.list {
-            let moments = 4 * GEOMETRY as u64 * u64::from(page.job.stride);
-            encoder.clear_buffer(&page.geometry, moments, Some(moments));
-            encoder.clear_buffer(&page.moments, 0, None);
-        }
-        self.gpu.queue.submit([encoder.finish()]);
-        // Rates are zero: nothing moves, and the first moments become (1 − β₁) times the gradient.
-        self.run(frame, Stage::Backward..=Stage::Optimise, None)?;
+        self.differentiate(view, options, gradient)?;
         let (mut model, _) = self.download()?;
         let share = (1.0 - BETAS[0]) as f32;
         let moments = model.geometry_m.iter_mut().chain([&mut model.sh_m]);

@@ -209,12 +209,13 @@ fn what_no_number_can_hold_still_gives_finite_pictures_gradients_and_steps() {
 }
 
 #[test]
-fn a_hundred_thousand_gaussians_at_one_point_are_one_picture() {
-    let mut all = vec![One { logit: -4.0, ..One::default() }; 100_000];
+// Mesa leaves a shader's loops after 65,535 rounds (LP_MAX_TGSI_LOOP_ITERATIONS).
+fn forty_thousand_gaussians_at_one_point_are_one_picture() {
+    let mut all = vec![One { logit: -4.0, ..One::default() }; 40_000];
     all[0].logit = 0.0;
     let (g, v, o) = (of(&all), view(16, 12), RenderOptions::default());
     for mut subject in subjects() {
-        super::pictures::compare_picture(subject.as_mut(), &g, &v, &o, "100,000 at a point");
+        super::pictures::compare_picture(subject.as_mut(), &g, &v, &o, "40,000 at a point");
         let d = weights(5, &undecided(&rendered(&g, &v, &o), &v));
         let truth = reference_gradient(&g, &v, &o, &d);
         compare_gradient(&subject.gradients(&g, &v, &o, &d), &truth, 1e-2, 1e-3, &subject.name());

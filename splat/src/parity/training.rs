@@ -143,10 +143,15 @@ fn gains_and_what_they_are_found_by_agree_with_the_processors() {
             }
             backend.set_gain(None);
         }
+        // In other signs at every pixel and channel, as redundant Gaussians are looked for.
+        let signs: Vec<f32> = (0..3 * 64 * 48).map(|i| if i * i % 7 < 3 { 1.0 } else { -1.0 }).collect();
+        let slopes = backend.opacity_gradients(&view.view, &options, &signs).unwrap();
+        assert_eq!(slopes.len(), 120);
+        found.extend(slopes.into_iter().map(f64::from));
         found
     });
     for (k, (a, b)) in all[0].iter().zip(&all[1]).enumerate() {
-        assert!((a - b).abs() < 1e-4 * a.abs() + 1e-7, "figure {k}: {a} and {b}");
+        assert!((a - b).abs() < 1e-4 * a.abs() + if k < 33 { 1e-7 } else { 1e-3 }, "figure {k}: {a} and {b}");
     }
     // A gain changes what is compared.
     assert!((all[0][9] - all[0][10]).abs() > 1e-4, "{:?}", &all[0][9..11]);

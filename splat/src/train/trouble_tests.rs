@@ -95,6 +95,14 @@ impl Backend for Breaks {
     ) -> Result<f64, SplatError> {
         Backend::mean_square_error(&mut self.inner, view, target, options)
     }
+    fn opacity_gradients(
+        &mut self,
+        view: &PinholeView,
+        options: &RenderOptions,
+        gradient: &[f32],
+    ) -> Result<Vec<f32>, SplatError> {
+        self.inner.opacity_gradients(view, options, gradient)
+    }
     fn set_gain(&mut self, gain: Option<[f32; 3]>) {
         Backend::set_gain(&mut self.inner, gain);
     }

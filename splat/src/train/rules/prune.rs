@@ -6,8 +6,7 @@
 //! (Hutchinson 1990). One backward pass a view gives one draw for every Gaussian; the draws of the
 //! views add up.
 
-use crate::backend::Backend as _;
-use crate::cpu::CpuBackend;
+use crate::backend::Backend;
 use crate::error::SplatError;
 use crate::model::{Model, OPACITY};
 use crate::statistics::Statistics;
@@ -110,12 +109,13 @@ fn prune_redundant(step: &mut RuleContext) -> Result<(), SplatError> {
 }
 
 /// The Gaussians by falling energy.
-fn by_energy(step: &RuleContext, whole: &Model) -> Result<Vec<u32>, SplatError> {
+fn by_energy(step: &mut RuleContext, whole: &Model) -> Result<Vec<u32>, SplatError> {
     let (setup, witnesses) = (step.setup, step.setup.some_views(SEARCH.witnesses));
     let views = witnesses.iter().map(|&v| setup.dataset.views[v].view);
     let views: Vec<PinholeView> =
         views.map(|view| view.at_level(u32::from(view.width * view.height > SEARCH.pixels))).collect();
-    let energies = energies(whole, &views, step.options(), setup.config.seed)?;
+    let options = step.options();
+    let energies = energies(step.backend, whole, &views, options, setup.config.seed)?;
     let mut order: Vec<u32> = (0..whole.len as u32).collect();
     order.sort_by(|&a, &b| energies[b as usize].total_cmp(&energies[a as usize]).then(a.cmp(&b)));
     Ok(order)
@@ -131,6 +131,7 @@ fn first_sorted(order: &[u32], count: usize) -> Vec<u32> {
 /// For each Gaussian the energy `Σ |ΔC|²` that the pictures of the views would lose without it,
 /// estimated by one draw a view (relative deviation √(2 / views)).
 fn energies(
+    backend: &mut dyn Backend,
     whole: &Model,
     views: &[PinholeView],
     options: RenderOptions,
@@ -142,15 +143,14 @@ fn energies(
     model.geometry[OPACITY].iter_mut().for_each(|logit| *logit = logit.min(limit));
     // o dL/do = dL/dlogit / (1 − o)
     let slopes: Vec<f32> = model.geometry[OPACITY].iter().map(|l| 1.0 / (1.0 + l.exp())).collect();
-    let mut backend = CpuBackend::default();
     backend.upload(model, Statistics::default())?;
     let mut energies = vec![0.0f32; whole.len];
     for (index, view) in views.iter().enumerate() {
         let mut rng = scene::rng::rng(seed, "energies", index as u64);
         let values = view.width * view.height * 3;
         let signs: Vec<f32> = (0..values).map(|_| if rng.random::<bool>() { 1.0 } else { -1.0 }).collect();
-        let found = backend.gradients(view, &options, &signs);
-        for ((e, g), slope) in energies.iter_mut().zip(&found.geometry[OPACITY]).zip(&slopes) {
+        let found = backend.opacity_gradients(view, &options, &signs)?;
+        for ((e, g), slope) in energies.iter_mut().zip(&found).zip(&slopes) {
             *e += (g / slope).powi(2);
         }
     }
@@ -160,6 +160,7 @@ fn energies(
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::cpu::CpuBackend;
     use glam::{Mat3, Quat, Vec3};
     use scene::Gaussians;
 
@@ -187,7 +188,9 @@ mod tests {
         };
         // The same view again and again: the mean of the draws is the energy itself.
         const DRAWS: usize = 400;
-        let estimated = energies(&model, &vec![view; DRAWS], RenderOptions::default(), 1).unwrap();
+        let estimated =
+            energies(&mut CpuBackend::default(), &model, &vec![view; DRAWS], RenderOptions::default(), 1)
+                .unwrap();
         let mut backend = CpuBackend::default();
         let mut picture = |kept: &[u32]| {
             backend.upload(model.drawn(kept), Statistics::default()).unwrap();
