@@ -127,6 +127,7 @@ bench-gpu: build  ## what needs a graphics card, in under ten minutes, as JSON (
 	@tools/setup.sh python3
 	cargo build --release --locked --workspace --example bench_gpu
 	python3 tools/bench_gpu.py $(TARGET)/release/examples/bench_gpu $(SHARED) --out build/bench_gpu.json --sat-recon $(SAT_RECON)
+	python3 tools/bench_gpu_tables.py build/bench_gpu.json --out build/bench_gpu/results
 
 compare: build $(VENV)/pycolmap  ## our poses beside COLMAP 3.8 and 4.2.1 on the same images (slow)
 	@tools/setup.sh colmap

@@ -19,6 +19,8 @@ import sys
 import threading
 import time
 
+from bench_results import version
+
 LONGEST = 570  # seconds
 SYNTHETIC = ["60000:640x480", "1000000:1920x1080", "5000000:1920x1080"]
 SMALL = ["2000:128x96", "6000:160x120"]
@@ -240,7 +242,7 @@ def main():
         raise SystemExit(f"the GPU backend does not start: {probe['error']}")
     dry = "(software" in probe["backend"]
     print(f"{probe['backend']}{': a dry run' if dry else ''}")
-    record = {"adapter": probe["backend"], "adapters": probe["adapters"], "roof": probe["roof"], "dry_run": dry,
+    record = {"version": version(), "adapter": probe["backend"], "adapters": probe["adapters"], "roof": probe["roof"], "dry_run": dry,
               "synthetic": [], "gpu": [], "cpu": [], "gsplat": {}}
     work = os.path.splitext(os.path.abspath(args.out))[0] + "_work"
     os.makedirs(work, exist_ok=True)

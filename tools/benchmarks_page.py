@@ -78,6 +78,11 @@ SECTIONS = [
     ("How does a training step grow?",
      "With Gaussians (640 × 480), pixels (100,000 Gaussians) and views (320 × 240).",
      ["growth_gaussians", "growth_pixels", "growth_views"], BENCH + " (`--tables growth`)"),
+    ("How fast is the trainer on a graphics card?",
+     "Synthetic scenes, spherical harmonics of degree 3: milliseconds of each kernel in a training step and, in brackets, the least "
+     "that its bytes and operations take at the adapter's measured rates. Operations are counted as if each pair of Gaussian and "
+     "tile reached all 256 pixels, so that kernels which pass over pixels can be faster. Second table: training on the same photos "
+     "from the same first Gaussians; gsplat's strategy is its own.", ["gpu_kernels", "gpu_training"], "`make bench-gpu`"),
     ("What is each choice of the trainer worth?",
      "lego400, one thread. Held-out PSNR / SSIM (worst view; steps; Gaussians). The first row is the default; rows that differ "
      "by less than 0.2 dB are alike.", ["ablation"], BENCH + " (`--tables ablation`)"),
