@@ -87,6 +87,9 @@ class Server:
                 return
             if kind == "size":
                 continue
+            if kind == "mesh":
+                yield kind, index, np.frombuffer(body, np.float32).reshape(-1, 3)
+                continue
             yield kind, index, np.frombuffer(body, np.float16).reshape(height, width, 4)[..., :3]
 
 
@@ -151,6 +154,37 @@ def encoder(capture, folder, width, height):
     return subprocess.Popen(command, stdin=subprocess.PIPE)
 
 
+def serve(capture, cache, shared, plan):
+    """A server of the page, of three.js and of the capture's object."""
+    file = captures.MODELS.get(capture.object)
+    model = file and os.path.join(shared, "data/spacecraft_glb", file)
+    if model and not os.path.isfile(model):
+        raise FileNotFoundError(f"{model} is missing: {capture.object} is not filmed")
+    return Server(plan, os.path.join(cache, "web/node_modules/three"), model)
+
+
+def mesh(capture, cache, shared):
+    """Writes `mesh.ply` beside a capture, in the frame of its true poses, unless it is there; its
+    path."""
+    path = os.path.join(capture.folder(cache), "mesh.ply")
+    if not os.path.isfile(path):
+        plan = plan_of(capture)[0] | {"mesh": True}
+        server = serve(capture, cache, shared, plan)
+        with Browser(server.address):
+            corners = [array for kind, _, array in server.pictures(plan["width"], plan["height"]) if kind == "mesh"][0]
+        server.http.shutdown()
+        points, where = np.unique(corners, axis=0, return_inverse=True)
+        faces = np.empty(len(where) // 3, [("n", "u1"), ("v", "<i4", 3)])
+        faces["n"], faces["v"] = 3, where.reshape(-1, 3)
+        with open(path + ".part", "wb") as out:
+            out.write((f"ply\nformat binary_little_endian 1.0\nelement vertex {len(points)}\nproperty float x\n"
+                       f"property float y\nproperty float z\nelement face {len(faces)}\n"
+                       "property list uchar int vertex_indices\nend_header\n").encode())
+            out.write(points.astype("<f4").tobytes() + faces.tobytes())
+        os.rename(path + ".part", path)
+    return path
+
+
 def film(capture, cache, shared):
     """Makes a capture's folder unless it is there; returns (folder, frames, seconds)."""
     folder = capture.folder(cache)
@@ -161,11 +195,7 @@ def film(capture, cache, shared):
     os.makedirs(part)
     plan, poses, record = plan_of(capture)
     width, height = plan["width"], plan["height"]
-    file = captures.MODELS.get(capture.object)
-    model = file and os.path.join(shared, "data/spacecraft_glb", file)
-    if model and not os.path.isfile(model):
-        raise FileNotFoundError(f"{model} is missing: {capture.object} is not filmed")
-    server = Server(plan, os.path.join(cache, "web/node_modules/three"), model)
+    server = serve(capture, cache, shared, plan)
     samples, eye, clipped, count = [], None, 0.0, 0
     with Browser(server.address):
         sink = encoder(capture, part, width, height)

@@ -2,7 +2,9 @@
 //! in: `keys` \[N\] depth bits, `records` \[N\]. out: [`Bins`]: for each 16 × 16 tile the Gaussians
 //! that can reach it, front to back.
 //!
-//! One radix sort a view by depth (ties by index), then a stable counting sort by tile.
+//! One radix sort a view by depth (ties by index), then a stable counting sort by tile. What is
+//! touched at random is kept small: keys travel with their numbers, tiles are listed in the order of
+//! the Gaussians, and a pair's tile gives way to its position in the same place.
 
 use super::project::{CULLED, LOG2_255, Record};
 use super::tile::TILE;
@@ -18,12 +20,14 @@ pub(super) struct Bins {
     offsets: Vec<u32>,
     /// \[pairs\] Gaussian numbers by tile, front to back.
     list: Vec<u32>,
-    /// \[pairs\] by Gaussian in the order of `order`: position of the pair in `list`.
+    /// \[pairs\] by Gaussian: first its tile, then the position of the pair in `list`.
     positions: Vec<u32>,
-    /// \[N\] (begin, end) of the Gaussian's pairs in `positions`; equal where it has none.
-    ranges: Vec<[u32; 2]>,
-    pair_tiles: Vec<u32>,
-    scratch: Vec<u32>,
+    /// \[N + 1\] where the Gaussian's pairs begin in `positions`.
+    begins: Vec<u32>,
+    /// Depth bits above the Gaussian's number, and room to sort them in.
+    keyed: [Vec<u64>; 2],
+    /// Keys by digit.
+    counts: Vec<[u32; 2048]>,
     cursor: Vec<u32>,
 }
 
@@ -53,8 +57,7 @@ impl Bins {
     /// Numbers of the pairs of a Gaussian.
     #[inline(always)]
     pub(super) fn positions_of(&self, gaussian: usize) -> &[u32] {
-        let [begin, end] = self.ranges[gaussian];
-        &self.positions[begin as usize..end as usize]
+        &self.positions[self.begins[gaussian] as usize..self.begins[gaussian + 1] as usize]
     }
 
     /// Fills everything for an image of `width × height` pixels.
@@ -62,83 +65,101 @@ impl Bins {
         self.tiles_x = width.div_ceil(TILE);
         self.tiles_y = height.div_ceil(TILE);
         self.sort(keys);
-        self.pair(records, keys.len());
+        self.pair(keys, records);
         self.scatter();
     }
 
     /// `order`: the Gaussians that are not culled by ascending key, ties by index (LSD radix sort,
     /// 11 bits a pass).
     fn sort(&mut self, keys: &[u32]) {
-        self.order.clear();
-        self.order.extend((0..keys.len() as u32).filter(|&i| keys[i as usize] != CULLED));
-        self.scratch.resize(self.order.len(), 0);
-        for shift in [0, 11, 22] {
-            let mut count = [0u32; 2049];
-            for &i in &self.order {
-                count[digit(keys[i as usize], shift) + 1] += 1;
+        let [from, to] = &mut self.keyed;
+        from.clear();
+        let seen = (0..).zip(keys).filter(|&(_, &key)| key != CULLED);
+        from.extend(seen.map(|(i, &key): (u64, _)| u64::from(key) << 32 | i));
+        to.resize(from.len(), 0);
+        self.counts.clear();
+        self.counts.resize(SHIFTS.len(), [0; 2048]);
+        for &k in from.iter() {
+            for (count, shift) in self.counts.iter_mut().zip(SHIFTS) {
+                count[digit(k, shift)] += 1;
             }
-            for d in 0..2048 {
-                count[d + 1] += count[d];
+        }
+        for (count, shift) in self.counts.iter_mut().zip(SHIFTS) {
+            // Depths of one scene share their leading bits.
+            if count.contains(&(from.len() as u32)) {
+                continue;
             }
-            for &i in &self.order {
-                let slot = &mut count[digit(keys[i as usize], shift)];
-                self.scratch[*slot as usize] = i;
+            let mut sum = 0;
+            for slot in count.iter_mut() {
+                sum += std::mem::replace(slot, sum);
+            }
+            for &k in from.iter() {
+                let slot = &mut count[digit(k, shift)];
+                to[*slot as usize] = k;
                 *slot += 1;
             }
-            std::mem::swap(&mut self.order, &mut self.scratch);
+            std::mem::swap(from, to);
         }
+        self.order.clear();
+        self.order.extend(from.iter().map(|&k| k as u32));
     }
 
-    /// Pairs of the sorted Gaussians with the tiles they touch, and the number of pairs of each
-    /// tile.
-    fn pair(&mut self, records: &[Record], n: usize) {
+    /// The tiles that each Gaussian touches, and the number of pairs of each tile.
+    fn pair(&mut self, keys: &[u32], records: &[Record]) {
         let tiles = self.tiles_x * self.tiles_y;
         self.offsets.clear();
         self.offsets.resize(tiles + 1, 0);
-        self.ranges.clear();
-        self.ranges.resize(n, [0, 0]);
-        self.pair_tiles.clear();
-        for &i in &self.order {
-            let begin = self.pair_tiles.len() as u32;
-            let record = &records[i as usize];
-            let [y0, y1] = tile_span(record.y, record.extent_y, self.tiles_y);
-            let [x0, x1] = tile_span(record.x, record.extent_x, self.tiles_x);
-            let exact = y1 > y0 + 1 && x1 > x0 + 1;
-            for ty in y0..y1 {
-                let [x0, x1] = if exact { row_span(record, ty, self.tiles_x) } else { [x0, x1] };
-                for tx in x0..x1 {
-                    let tile = (ty * self.tiles_x + tx) as u32;
-                    self.pair_tiles.push(tile);
-                    self.offsets[tile as usize + 1] += 1;
-                }
+        self.begins.clear();
+        self.begins.push(0);
+        self.positions.clear();
+        for (record, &key) in records.iter().zip(keys) {
+            if key != CULLED {
+                self.touch(record);
             }
-            self.ranges[i as usize] = [begin, self.pair_tiles.len() as u32];
+            self.begins.push(self.positions.len() as u32);
         }
         for t in 0..tiles {
             self.offsets[t + 1] += self.offsets[t];
         }
     }
 
+    /// Lists the tiles of one Gaussian, and counts them.
+    fn touch(&mut self, record: &Record) {
+        let [y0, y1] = tile_span(record.y, record.extent_y, self.tiles_y);
+        let [x0, x1] = tile_span(record.x, record.extent_x, self.tiles_x);
+        let exact = y1 > y0 + 1 && x1 > x0 + 1;
+        for ty in y0..y1 {
+            let [x0, x1] = if exact { row_span(record, ty, self.tiles_x) } else { [x0, x1] };
+            for tx in x0..x1 {
+                let tile = ty * self.tiles_x + tx;
+                self.positions.push(tile as u32);
+                self.offsets[tile + 1] += 1;
+            }
+        }
+    }
+
+    /// `list`, front to back.
     fn scatter(&mut self) {
-        let pairs = self.pair_tiles.len();
-        self.list.resize(pairs, 0);
-        self.positions.resize(pairs, 0);
+        self.list.resize(self.positions.len(), 0);
         self.cursor.clear();
         self.cursor.extend_from_slice(&self.offsets);
         for &i in &self.order {
-            let [begin, end] = self.ranges[i as usize];
-            for pair in begin as usize..end as usize {
-                let slot = &mut self.cursor[self.pair_tiles[pair] as usize];
+            let pairs = self.begins[i as usize] as usize..self.begins[i as usize + 1] as usize;
+            for position in &mut self.positions[pairs] {
+                let slot = &mut self.cursor[*position as usize];
                 self.list[*slot as usize] = i;
-                self.positions[pair] = *slot;
+                *position = *slot;
                 *slot += 1;
             }
         }
     }
 }
 
+/// Lowest bits of the digits of a key. Source: derived from 11 bits a digit.
+const SHIFTS: [u32; 3] = [32, 43, 54];
+
 /// The digit of a key: 11 bits from bit `shift` on.
-fn digit(key: u32, shift: u32) -> usize {
+fn digit(key: u64, shift: u32) -> usize {
     (key >> shift) as usize & 2047
 }
 
@@ -230,10 +251,10 @@ mod tests {
         let mut bins = Bins::default();
         bins.fill(&keys, &records, 16, 16);
         assert_eq!(bins.list, [1, 3, 4, 0]);
-        assert_eq!(bins.ranges[2], [0, 0]);
+        assert!(bins.positions_of(2).is_empty());
         for i in [0usize, 1, 3, 4] {
-            let [begin, _] = bins.ranges[i];
-            assert_eq!(bins.list[bins.positions[begin as usize] as usize], i as u32);
+            assert_eq!(bins.positions_of(i).len(), 1);
+            assert_eq!(bins.list[bins.positions_of(i)[0] as usize], i as u32);
         }
     }
 }

@@ -156,8 +156,29 @@ class Film {
   }
 }
 
+/** Corners of the object's triangles in its body frame, three by three. */
+function triangles(root) {
+  root.matrix.identity();
+  root.updateMatrixWorld(true);
+  const corners = [], p = new THREE.Vector3();
+  root.traverse((o) => {
+    if (!o.isMesh) return;
+    const v = o.geometry.attributes.position, order = o.geometry.index;
+    const count = order ? order.count : v.count;
+    for (let i = 0; i < count; i++) {
+      p.fromBufferAttribute(v, order ? order.getX(i) : i).applyMatrix4(o.matrixWorld);
+      corners.push(p.x, p.y, p.z);
+    }
+  });
+  return new Float32Array(corners);
+}
+
 async function main() {
   const plan = await (await fetch("/plan.json")).json();
+  if (plan.mesh) {
+    await post("/mesh", triangles(await body(plan)));
+    return post("/done", "");
+  }
   const film = new Film(plan);
   await film.stage();
   await post("/size", JSON.stringify(film.body.userData));
