@@ -26,7 +26,7 @@ def run(args, capture, folder):
     """What `eval` says of a capture's geometry, and how long it took."""
     out = os.path.join(args.out, capture.name)
     mesh = film.mesh(capture, suite.cache_folder(), args.shared)
-    command = [args.sat_recon, "eval", os.path.join(folder, "video.mp4"), "-o", out, "-q", "--overwrite", "--quality", args.quality,
+    command = [args.sat_recon, "eval", os.path.join(folder, "video.mp4"), "-o", out, "-q", "--quality", args.quality,
                "--mesh", mesh, "--mesh-truth", os.path.join(folder, "sparse")]
     begun = time.time()
     code = subprocess.run(command, stdout=subprocess.DEVNULL).returncode

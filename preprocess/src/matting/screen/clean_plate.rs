@@ -75,7 +75,8 @@ pub(crate) struct CleanPlate {
 }
 
 impl CleanPlate {
-    /// `None` where the camera moves (what is no screen is not still) or the frames differ in size.
+    /// `None` where the camera moves (what is beside the screen is not still; or, where nothing is
+    /// beside it, nothing still reaches in from the border) or the frames differ in size.
     pub(crate) fn learn(frames: &[RgbImage], key: &Key) -> Option<Self> {
         let (width, height) = frames.first()?.dimensions();
         if frames.len() < 6 || frames.iter().any(|f| f.dimensions() != (width, height)) {
@@ -90,15 +91,20 @@ impl CleanPlate {
             ..Self::default()
         };
         let other_counts = plate.gather(frames, key);
-        let outside = plate.outside.iter().filter(|o| **o).count();
-        let still = plate.things.iter().zip(&plate.outside).filter(|(t, o)| **o && t.is_some()).count();
-        if outside * 50 >= n && (still as f32) < CRITERIA.still_share * outside as f32 {
-            return None;
-        }
-        plate.spread_light()?;
         let pool = Pool::default();
         plate.before_screen = hull(&pool.plane(width, plate.outside.iter().map(|o| u8::from(!o))));
+        // The object's core hides the screen in all samples, too, but lies before it.
+        let beside = plate.stillness(|plate, i| !plate.before_screen[i]);
+        if beside.tells(n) && !beside.is_still() {
+            return None;
+        }
+        let hidden = plate.stillness(|plate, i| plate.outside[i]);
+        plate.spread_light()?;
         plate.forget_islands(&pool);
+        let moves = hidden.tells(n) && !hidden.is_still();
+        if moves && !beside.tells(n) && plate.things.iter().all(Option::is_none) {
+            return None;
+        }
         plate.find_pole(&pool, &other_counts, frames.len());
         plate.others = (0..n as u32).filter(|i| plate.is_other(*i as usize)).collect();
         let (mut still_inside, mut others_inside) = (0, 0);
@@ -137,6 +143,15 @@ impl CleanPlate {
                 others.len() as u32
             })
             .collect()
+    }
+
+    /// How much of some pixels is still.
+    fn stillness(&self, of: impl Fn(&Self, usize) -> bool) -> Stillness {
+        let pixels = (0..self.things.len()).filter(|i| of(self, *i));
+        pixels.fold(Stillness::default(), |sum, i| Stillness {
+            all: sum.all + 1,
+            still: sum.still + usize::from(self.things[i].is_some()),
+        })
     }
 
     /// Fills the light where the screen is never seen; `None` if it is seen nowhere.
@@ -218,6 +233,25 @@ impl CleanPlate {
     }
 }
 
+/// Pixels, and how many of them show the same in most samples.
+#[derive(Clone, Copy, Default)]
+struct Stillness {
+    all: usize,
+    still: usize,
+}
+
+impl Stillness {
+    /// Whether they are enough of a picture of `n` pixels to tell whether the camera stands.
+    fn tells(self, n: usize) -> bool {
+        self.all * 50 >= n
+    }
+
+    /// Whether most of them are still.
+    fn is_still(self) -> bool {
+        self.still as f32 >= CRITERIA.still_share * self.all as f32
+    }
+}
+
 /// The colour that most samples share.
 fn agreed(samples: &mut [[u8; 3]], frames: usize) -> Option<[u8; 3]> {
     let needed = (CRITERIA.still_share * frames as f32) as usize;
@@ -275,5 +309,30 @@ mod tests {
         assert!(thing(94, 63).is_none() && thing(94, 50).is_none() && thing(20, 20).is_none());
         assert!(plate.has_pole && plate.outside[63 * 160 + 94] && !plate.outside[20 * 160 + 20]);
         assert!(CleanPlate::learn(&frames[..3], &key).is_none(), "too few frames to say");
+    }
+
+    /// A box whose texture moves hides the middle of a screen that fills the picture, on a pole
+    /// that moves by `drift` pixels a frame.
+    fn before_wide_screen(i: u32, drift: u32) -> RgbImage {
+        RgbImage::from_fn(160, 120, |x, y| {
+            let pole = 78 + drift * i;
+            if (50..110).contains(&x) && (40..80).contains(&y) {
+                Rgb([(90 + 13 * ((x + 7 * i) % 11)) as u8, 60 + ((y + 5 * i) % 7) as u8 * 9, 140])
+            } else if (pole..pole + 4).contains(&x) && y >= 80 {
+                Rgb([50, 48, 46])
+            } else {
+                Rgb([30, 160 + (x / 40) as u8, 60])
+            }
+        })
+    }
+
+    #[test]
+    fn a_pole_is_found_where_the_screen_fills_the_picture_unless_the_camera_moves() {
+        let key = Key::new([0.013, 0.36, 0.045].into()).unwrap();
+        let frames: Vec<RgbImage> = (0..16).map(|i| before_wide_screen(i, 0)).collect();
+        let plate = CleanPlate::learn(&frames, &key).unwrap();
+        assert!(plate.has_pole && plate.pole[100 * 160 + 80] && !plate.pole[60 * 160 + 80]);
+        let frames: Vec<RgbImage> = (0..16).map(|i| before_wide_screen(i, 3)).collect();
+        assert!(CleanPlate::learn(&frames, &key).is_none(), "nothing is still");
     }
 }
