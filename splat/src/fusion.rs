@@ -43,6 +43,9 @@ struct FusionLimits {
     pixels_of_a_voxel: f64,
     /// Distances are cut off here, voxels. Source: docs/decisions/16.
     truncation: f64,
+    /// Surfaces are fused this much nearer to the cameras, voxels: sheets thinner than the errors of
+    /// depths keep two sides. Source: docs/decisions/16.
+    thicken: f64,
     /// Most memory of the volume, bytes. Source: docs/decisions/16.
     most_bytes: usize,
     /// Parts smaller than this share of the largest one's area are left out. Source:
@@ -64,6 +67,7 @@ const LIMITS: FusionLimits = FusionLimits {
     most_views: 120,
     pixels_of_a_voxel: 1.5,
     truncation: 3.0,
+    thicken: 1.5,
     most_bytes: 3 << 30,
     least_part: 0.0003,
     least_views: 0.05,
@@ -148,6 +152,7 @@ pub fn fused_mesh(
     let options = FusionOptions {
         voxel: (size / f64::from(resolution.max(2))).max(LIMITS.pixels_of_a_voxel * pixel),
         truncation: LIMITS.truncation,
+        thicken: LIMITS.thicken,
         // The error of a few views is no surface, where there are others to contradict it.
         least_views: match maps.len() {
             0..3 => 1,

@@ -8,6 +8,7 @@
 
 use super::Mesh;
 use super::cubes::{EDGES, axis_of, table};
+use super::settle::settle;
 use crate::{Camera, Pose, Progress};
 use glam::{DVec2, DVec3, IVec3};
 use rayon::prelude::*;
@@ -17,7 +18,7 @@ use std::collections::{BTreeSet, HashMap};
 const SIDE: i32 = 8;
 /// Voxels of a block. Source: derived from [`SIDE`].
 const VOXELS: usize = (SIDE * SIDE * SIDE) as usize;
-/// Blocks reach this far around every measured point, voxels. Source: chosen by hand, never
+/// Blocks reach this far around the surface, voxels. Source: chosen by hand, never
 /// measured.
 const MARGIN: f64 = 2.0;
 /// Behind the surface a view counts fully as far as this, then less and less, in truncation
@@ -56,6 +57,8 @@ pub struct FusionOptions {
     pub voxel: f64,
     /// Distances are cut off here, voxels.
     pub truncation: f64,
+    /// Surfaces are fused as if they lay this much nearer to the cameras, voxels, and put back.
+    pub thicken: f64,
     /// A voxel counts if at least so many views saw it.
     pub least_views: u8,
     /// Most memory of the volume, bytes.
@@ -99,7 +102,7 @@ pub fn fuse(maps: &[DepthMap], options: &FusionOptions, progress: &Progress) -> 
     let mut places = BTreeSet::new();
     progress.begin("find the surface", maps.len());
     for map in maps {
-        places.extend(touched(map, options.voxel));
+        places.extend(touched(map, options));
         // Of a voxel: distance, weight, views, three colours and their weight.
         let needed = places.len().saturating_mul(VOXELS * 25);
         if needed > options.most_bytes {
@@ -117,7 +120,11 @@ pub fn fuse(maps: &[DepthMap], options: &FusionOptions, progress: &Progress) -> 
         blocks.par_extend(some.par_iter().map(|at| FusionBlock::fused(*at, maps, options)));
         progress.tick()?;
     }
-    Ok(extract(&blocks, options))
+    let mut mesh = extract(&blocks, options);
+    if options.thicken > 0.0 {
+        settle(&mut mesh, maps, (options.thicken + 1.0) * options.voxel);
+    }
+    Ok(mesh)
 }
 
 impl DepthMap {
@@ -131,9 +138,8 @@ impl DepthMap {
     }
 }
 
-/// The first and the last block around a place in units of blocks.
-fn blocks_around(p: DVec3) -> Option<(IVec3, IVec3)> {
-    let margin = MARGIN / f64::from(SIDE);
+/// The first and the last block within `margin` of a place, in units of blocks.
+fn blocks_around(p: DVec3, margin: f64) -> Option<(IVec3, IVec3)> {
     let (low, high) = ((p - margin).floor(), (p + margin).floor());
     // Beyond 32 bits there is no surface, only an error of the renderer.
     let most = f64::from(i32::MAX / (2 * SIDE));
@@ -141,15 +147,16 @@ fn blocks_around(p: DVec3) -> Option<(IVec3, IVec3)> {
 }
 
 /// The blocks around what a map measured.
-fn touched(map: &DepthMap, voxel: f64) -> BTreeSet<[i32; 3]> {
+fn touched(map: &DepthMap, options: &FusionOptions) -> BTreeSet<[i32; 3]> {
     let world_from_cam = map.pose.inverse();
-    let block = voxel * f64::from(SIDE);
+    let block = options.voxel * f64::from(SIDE);
+    let margin = (MARGIN + options.thicken) / f64::from(SIDE);
     let rows = map.depth.len().div_ceil(4096);
     let sets = (0..rows).into_par_iter().map(|row| {
         let mut set = BTreeSet::new();
         let mut last = None;
         for i in row * 4096..((row + 1) * 4096).min(map.depth.len()) {
-            let found = map.point(i, &world_from_cam).and_then(|p| blocks_around(p / block));
+            let found = map.point(i, &world_from_cam).and_then(|p| blocks_around(p / block, margin));
             let Some((low, high)) = found.filter(|_| found != last) else { continue };
             last = found;
             for x in low.x..=high.x {
@@ -193,6 +200,7 @@ impl FusionBlock {
         let step = [rotation.x_axis * voxel, rotation.y_axis * voxel, rotation.z_axis * voxel];
         let first = x - (step[0] + step[1] + step[2]) * ((side - 1.0) / 2.0);
         let truncation = options.truncation * voxel;
+        let nearer = options.thicken / options.truncation;
         for i in 0..VOXELS {
             let [a, b, c] = [i % 8, i / 8 % 8, i / 64].map(|v| v as f64);
             let p = first + step[0] * a + step[1] * b + step[2] * c;
@@ -207,7 +215,7 @@ impl FusionBlock {
                 _ => continue,
             };
             // Along the ray, not along z.
-            let along = ((depth - p.z) / p.z * p.length() / truncation).min(1.0);
+            let along = ((depth - p.z) / p.z * p.length() / truncation - nearer).min(1.0);
             let (distance, share) = match map.outline.get(pixel) {
                 // At the depth of a thin part, or beside it: how far to the side it ends.
                 Some(&s) if s.is_finite() && (along < 1.0 || depth.is_infinite()) && along > -1.0 => {
@@ -362,7 +370,13 @@ mod tests {
     }
 
     fn options(scale: f64) -> FusionOptions {
-        FusionOptions { voxel: 0.04 * scale, truncation: 4.0, least_views: 2, most_bytes: 1 << 28 }
+        FusionOptions {
+            voxel: 0.04 * scale,
+            truncation: 4.0,
+            thicken: 0.0,
+            least_views: 2,
+            most_bytes: 1 << 28,
+        }
     }
 
     fn fused(maps: &[DepthMap], scale: f64) -> Mesh {
@@ -400,6 +414,44 @@ mod tests {
                 assert!(out.x.abs() < 0.1 || *rgb == expected, "{scale}: {rgb:?} at {out}");
             }
         }
+    }
+
+    /// A plate of side 2 in the plane z = 0, seen from here; depths are `error` too large.
+    fn plate(from: DVec3, error: f64) -> DepthMap {
+        let mut map = sphere(from, 1.0, DVec3::ZERO);
+        let world_from_cam = map.pose.inverse();
+        for (i, depth) in map.depth.iter_mut().enumerate() {
+            let pixel = DVec2::new((i % 200) as f64 + 0.5, (i / 200) as f64 + 0.5);
+            let ray = ((pixel - map.camera.principal_point()) / map.camera.focal()).extend(1.0);
+            let (origin, tip) = (world_from_cam.translation, world_from_cam.transform(ray));
+            let z = origin.z / (origin.z - tip.z);
+            let at = origin + (tip - origin) * z;
+            let hit = z > 0.0 && at.truncate().abs().max_element() < 1.0;
+            *depth = if hit { (z + error) as f32 } else { f32::INFINITY };
+        }
+        map
+    }
+
+    #[test]
+    fn a_sheet_whose_sides_are_measured_behind_each_other_keeps_both() {
+        // Each side is measured half a voxel too far off, behind the other.
+        let error = 0.02;
+        let maps: Vec<DepthMap> = [1.0, -1.0]
+            .iter()
+            .flat_map(|z| {
+                [[0.5, 0.0], [-0.3, 0.5], [-0.2, -0.5], [0.1, 0.1]].map(|[x, y]| DVec3::new(x, y, *z))
+            })
+            .map(|from| plate(from, error))
+            .collect();
+        let of = |thicken: f64| {
+            let options = FusionOptions { thicken, ..options(1.0) };
+            fuse(&maps, &options, &Progress::silent()).unwrap()
+        };
+        assert!(of(0.0).area() < 2.0, "{}", of(0.0).area());
+        let mesh = of(1.5);
+        assert!((mesh.area() / 8.0 - 1.0).abs() < 0.1, "two sides of 4, not {}", mesh.area());
+        let off: f64 = mesh.vertices.iter().map(|v| v.z.abs()).sum::<f64>() / mesh.vertices.len() as f64;
+        assert!(off < 1.5 * error, "{off}");
     }
 
     #[test]

@@ -6,6 +6,7 @@ mod fusion;
 mod mesh;
 mod metrics;
 mod parts;
+mod settle;
 mod textured;
 mod visible;
 

@@ -3,8 +3,8 @@
 //! that can reach it, front to back.
 //!
 //! One radix sort a view by depth (ties by index), then a stable counting sort by tile. What is
-//! touched at random is kept small: keys travel with their numbers, tiles are listed in the order of
-//! the Gaussians, and a pair's tile gives way to its position in the same place.
+//! touched at random is kept small: keys travel with their numbers, tiles are listed in the order
+//! of the Gaussians, and a pair's tile gives way to its position in the same place.
 
 use super::project::{CULLED, LOG2_255, Record};
 use super::tile::TILE;

@@ -44,8 +44,8 @@ pub(crate) struct GpuBackend {
     pub(super) remarks: Vec<Decision>,
     limit: Option<u64>,
     gain: Option<[f32; 3]>,
-    /// Pairs for which there will be more room before the next view: what lies on the screen is lost
-    /// where buffers grow.
+    /// Pairs for which there will be more room before the next view: what lies on the screen is
+    /// lost where buffers grow.
     crowded: usize,
     /// [`FrameFlag::Truncate`] once there is no room for all pairs.
     truncate: u32,

@@ -44,8 +44,8 @@ pub(crate) const COUNTERS: usize = 8;
 
 /// Gaussians or keys that a block of scan and sort holds. Source: eight a thread of `scan.wgsl`.
 pub(crate) const BLOCK: u32 = 2048;
-/// Pairs of a block of `rasterise_backward`, as `frame.wgsl` has them. Source: the pixels of a tile,
-/// so that a block's states take as many vectors as it has pairs.
+/// Pairs of a block of `rasterise_backward`, as `frame.wgsl` has them. Source: the pixels of a
+/// tile, so that a block's states take as many vectors as it has pairs.
 pub(crate) const SPAN: usize = 256;
 /// Threads of a group. Source: the most that every adapter has (WebGPU's default limits).
 pub(crate) const GROUP: u32 = 256;
