@@ -1,15 +1,18 @@
 #!/usr/bin/env python3
 """Kills the program, fills its disk and fails its reads at every call to the file system.
 
-    crashes.py PROGRAM --out FOLDER [--rows WORD...] [--every N] [--results FILE]
+    crashes.py PROGRAM --out FOLDER [--rows WORD...] [--every N] [--results FILE [--go-on]]
 
 Inputs are short and small copies of data/sample/orbit.mp4 and of the satellite that yaws before a
 green screen (data/testbed/case3). Calls are seen, and made to fail, by the tracer in tests/faults.
 After each a run without faults must end with the same bytes as an undisturbed one; a run with a
-fault must end by itself, with exit code 1 and an error, or with its result. --rows takes the rows
-whose names hold one of the words, --every every N-th call of them. Exits with 1 where one failed.
+fault must end by itself, with exit code 1 and an error, or with its result. A disk that is full
+from a call on which needs no space is full at the next which does: these are tried. --rows takes
+the rows whose names hold one of the words, --every every N-th call of them. Results are kept after
+every 50 calls; --go-on leaves out calls that FILE has. Exits with 1 where one failed.
 """
 import argparse
+import fcntl
 import json
 import os
 import re
@@ -20,14 +23,15 @@ import harness
 
 ROOT = os.path.join(os.path.dirname(os.path.abspath(__file__)), "..", "..")
 # As little work as still has all stages; one thread, so that calls come in one order.
-TINY = ["--threads", "1", "--frames", "7", "--max-size", "240", "--iterations", "20", "--max-gaussians", "1000",
-        "--checkpoint-every", "8", "--max-features", "200", "--skip",
+TINY = ["--threads", "1", "--frames", "6", "--max-size", "240", "--iterations", "8", "--max-gaussians", "1000",
+        "--checkpoint-every", "3", "--max-features", "150", "--skip",
         "blurred-features,guided-matching,aliasing,second-attempt,circle-completion,densify,subpixel,plane-tracks"]
-OTHER = ["--max-size", "180", "--iterations", "10"]
+OTHER = ["--max-size", "112", "--iterations", "5"]
 # Name: video, filter, frames of the copy.
-INPUTS = {"sample": ("data/sample/orbit.mp4", "select=not(mod(n\\,4)),scale=192:-2", 7),
-          "yaw": ("data/testbed/case3/video.mp4", "select=not(mod(n\\,4)),crop=360:360,scale=192:-2", 7)}
-# Name: input, what is done, what the tracer counts, flags of the disturbed run, whether the calls
+INPUTS = {"sample": ("data/sample/orbit.mp4", "select=not(mod(n\\,4)),scale=128:-2", 6),
+          "yaw": ("data/testbed/case3/video.mp4", "select=not(mod(n\\,4)),crop=360:360,scale=128:-2", 6)}
+KEEP_EVERY = 50  # calls after which what was found is kept
+# Name, input, what is done, what the tracer counts, flags of the disturbed run, whether the calls
 # are those that touch the input.
 ROWS = [("kill, sample", "sample", "kill", "count", [], False),
         ("kill, yaw", "yaw", "kill", "count", [], False),
@@ -97,8 +101,20 @@ class Campaign:
         with open(self.log) as file:
             return file.read().splitlines()
 
-    def row(self, row, every):
-        """The row's result, and what failed."""
+    def attempt(self, row, out, watched, call, wanted):
+        """What is wrong after a fault at a call; empty where nothing is."""
+        _, name, mode, _, flags, _ = row
+        if not flags:
+            harness.fresh(out)
+        told = self.traced(name, out, [mode, str(call)], flags, watched)
+        calls = self.calls()
+        problem = "" if mode == "kill" else fault_problem(told, mode)
+        found, why = self.whole(name, out)
+        problem = problem or why or difference(found, wanted)
+        return {"call": call, "at": calls[-1] if calls else "none", "why": problem} if problem else None
+
+    def row(self, row, args, before):
+        """Tries the calls of a row, after those of `before`; keeps and returns the result."""
         what, name, mode, count, flags, is_input = row
         out = harness.fresh(os.path.join(self.folder, "out"))
         watched = os.path.join(self.folder, name) if is_input else out
@@ -108,25 +124,27 @@ class Campaign:
         if not flags:
             harness.fresh(out)
         self.traced(name, out, [count], flags, watched)
-        of, failed, tried = len(self.calls()), [], 0
+        calls = [n for n, line in enumerate(self.calls(), 1) if mode != "full" or line.split()[2] == "space"]
+        done = before["tried"] if before and before["of"] == len(calls) else 0
+        result = {"what": what, "tried": done, "of": len(calls), "failed": before["failed"] if done else 0,
+                  "failures": before["failures"] if done else []}
         if flags:
             self.whole(name, out)
-        for call in range(1, of + 1, every):
-            if not flags:
-                harness.fresh(out)
-            told = self.traced(name, out, [mode, str(call)], flags, watched)
-            calls = self.calls()
-            tried += 1
-            problem = "" if mode == "kill" else fault_problem(told, mode)
-            found, why = self.whole(name, out)
-            problem = problem or why or difference(found, wanted)
-            if problem:
-                failed.append({"call": call, "at": calls[-1] if calls else "none", "why": problem})
-                print(f"{what}: {failed[-1]}", flush=True)
+        for call in calls[done::args.every]:
+            failure = self.attempt(row, out, watched, call, wanted)
+            result["tried"] += 1
+            if failure:
+                result["failed"] += 1
+                result["failures"].append(failure)
+                print(f"{what}: {failure}", flush=True)
                 harness.fresh(out)
                 if flags:
                     self.whole(name, out)
-        return {"what": what, "tried": tried, "of": of, "failed": len(failed)}, failed
+            if args.results and result["tried"] % KEEP_EVERY == 0:
+                keep(args.results, result)
+        if args.results:
+            keep(args.results, result)
+        return result
 
 
 def fault_problem(told, mode):
@@ -137,17 +155,27 @@ def fault_problem(told, mode):
     return "" if is_told else f"exit code {told['code']}: {told['said'][-300:]}"
 
 
+def kept(path):
+    """The rows of the results, by name."""
+    if not path or not os.path.exists(path):
+        return {}
+    with open(path) as file:
+        return {row["what"]: row for row in json.load(file)["rows"]}
+
+
 def keep(path, row):
-    """Puts a row into the results; those of other rows stay."""
-    rows = {}
-    if os.path.exists(path):
-        with open(path) as file:
-            rows = {r["what"]: r for r in json.load(file)["rows"]}
-    rows[row["what"]] = row
-    ordered = [rows[r[0]] for r in ROWS if r[0] in rows]
-    with open(path, "w") as file:
-        json.dump({"rows": ordered}, file, indent=1)
-        file.write("\n")
+    """Puts a row into the results; those of other rows stay, also where two campaigns run."""
+    folder = os.open(os.path.dirname(os.path.abspath(path)), os.O_RDONLY)
+    try:
+        fcntl.flock(folder, fcntl.LOCK_EX)
+        rows = kept(path)
+        rows[row["what"]] = row
+        with open(path + ".new", "w") as file:
+            json.dump({"rows": [rows[r[0]] for r in ROWS if r[0] in rows]}, file, indent=1)
+            file.write("\n")
+        os.replace(path + ".new", path)
+    finally:
+        os.close(folder)
 
 
 def main():
@@ -157,16 +185,16 @@ def main():
     parser.add_argument("--rows", nargs="+", default=[""])
     parser.add_argument("--every", type=int, default=1)
     parser.add_argument("--results")
+    parser.add_argument("--go-on", action="store_true")
     args = parser.parse_args()
     campaign, failures = Campaign(os.path.abspath(args.program), args.out), 0
     for row in ROWS:
         if not any(word in row[0] for word in args.rows):
             continue
-        result, failed = campaign.row(row, args.every)
-        failures += len(failed)
-        print(json.dumps(result), flush=True)
-        if args.results:
-            keep(args.results, result)
+        before = kept(args.results).get(row[0]) if args.go_on and args.every == 1 else None
+        result = campaign.row(row, args, before)
+        failures += result["failed"]
+        print(json.dumps({key: result[key] for key in ("what", "tried", "of", "failed")}), flush=True)
     sys.exit(1 if failures else 0)
 
 
