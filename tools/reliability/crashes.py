@@ -7,15 +7,18 @@ Inputs are short and small copies of data/sample/orbit.mp4 and of the satellite 
 green screen (data/testbed/case3). Calls are seen, and made to fail, by the tracer in tests/faults.
 After each a run without faults must end with the same bytes as an undisturbed one; a run with a
 fault must end by itself, with exit code 1 and an error, or with its result. A disk that is full
-from a call on which needs no space is full at the next which does: these are tried. --rows takes
+from a call on which needs no space is full at the next which does: these are tried. A folder that is
+left as an earlier call left it (but for times) is not gone on with a second time. --rows takes
 the rows whose names hold one of the words, --every every N-th call of them. Results are kept after
 every 50 calls; --go-on leaves out calls that FILE has. Exits with 1 where one failed.
 """
 import argparse
 import fcntl
+import hashlib
 import json
 import os
 import re
+import shutil
 import subprocess
 import sys
 
@@ -44,6 +47,7 @@ ROWS = [("kill, sample", "sample", "kill", "count", [], False),
         ("EIO at a read of the video, sample", "sample", "read", "count-reads", [], True)]
 # Files that hold times: only that they are there is compared.
 VARY = re.compile(r"^\.stages/|run\.json$|report\.html$|eval/metrics\.json$")
+TIMED = re.compile(r"(run\.json|report\.html|eval/metrics\.json)$")
 
 
 def contents(folder):
@@ -65,6 +69,43 @@ def difference(found, wanted):
     return "; ".join([f"only in one: {n}" for n in names[:3]] + [f"differs: {n}" for n in changed[:3]])
 
 
+def timeless(path, folder):
+    """A stage's record without times, and with whether each file is as old as the record says."""
+    try:
+        with open(path) as file:
+            record = json.load(file)
+    except ValueError:
+        return "damaged"
+    record.pop("cost", None)
+    for output in record.get("outputs", []):
+        there = os.path.join(folder, output["path"])
+        output["modified_ns"] = os.path.exists(there) and os.stat(there).st_mtime_ns == output["modified_ns"]
+        if TIMED.search(output["path"]):
+            output["bytes"] = output["hash"] = ""
+    return re.sub(r'"(seconds|\w+_s|\w*fps\w*)": [-+.\deE]+', "", json.dumps(record, sort_keys=True))
+
+
+def state(folder):
+    """What a folder holds, as one number: where it is the same, a next run does the same."""
+    known = hashlib.sha256()
+    for base, folders, names in os.walk(folder):
+        folders.sort()
+        for name in sorted(folders) + sorted(names):
+            path = os.path.join(base, name)
+            key = re.sub(r"sat-recon-\w{6}\.tmp", "tmp", os.path.relpath(path, folder))
+            known.update(f"{key}\n{os.stat(path).st_mode}\n".encode())
+            if os.path.isdir(path):
+                continue
+            if re.match(r"\.stages/\w+\.json$", key):
+                known.update(timeless(path, folder).encode())
+            elif TIMED.search(key):
+                known.update(str(os.path.getsize(path) == 0).encode())
+            else:
+                with open(path, "rb") as file:
+                    known.update(file.read())
+    return known.hexdigest()
+
+
 class Campaign:
     """A program, a tracer and the inputs in a folder."""
 
@@ -74,7 +115,7 @@ class Campaign:
         subprocess.run(["cc", "-O1", "-o", self.fault, os.path.join(ROOT, "tests/faults/fault.c")], check=True)
         for name, (video, filters, frames) in INPUTS.items():
             os.makedirs(os.path.join(self.folder, name))
-            subprocess.run(["ffmpeg", "-v", "error", "-i", os.path.join(ROOT, video), "-vf", filters, "-vsync", "0",
+            subprocess.run(["ffmpeg", "-v", "error", "-i", os.path.join(ROOT, video), "-vf", filters, "-fps_mode", "passthrough",
                             "-frames:v", str(frames), "-crf", "12", "-an", self.video(name)], check=True)
 
     def video(self, name):
@@ -101,16 +142,30 @@ class Campaign:
         with open(self.log) as file:
             return file.read().splitlines()
 
-    def attempt(self, row, out, watched, call, wanted):
-        """What is wrong after a fault at a call; empty where nothing is."""
+    def finished(self, name, out, copy):
+        """Makes the folder what an undisturbed run leaves, anew or from a copy."""
+        if not os.path.exists(copy):
+            self.whole(name, harness.fresh(out))
+            subprocess.run(["cp", "-a", out, copy], check=True)
+        shutil.rmtree(out, ignore_errors=True)
+        subprocess.run(["cp", "-a", copy, out], check=True)
+
+    def attempt(self, row, out, watched, call, wanted, known):
+        """What is wrong after a fault at a call, `None` where nothing is; `known` are the folders
+        that were gone on with, by what happened then."""
         _, name, mode, _, flags, _ = row
-        if not flags:
+        if flags:
+            self.finished(name, out, out + ".finished")
+        else:
             harness.fresh(out)
         told = self.traced(name, out, [mode, str(call)], flags, watched)
         calls = self.calls()
         problem = "" if mode == "kill" else fault_problem(told, mode)
-        found, why = self.whole(name, out)
-        problem = problem or why or difference(found, wanted)
+        left = state(out)
+        if left not in known:
+            found, why = self.whole(name, out)
+            known[left] = why or difference(found, wanted)
+        problem = problem or known[left]
         return {"call": call, "at": calls[-1] if calls else "none", "why": problem} if problem else None
 
     def row(self, row, args, before):
@@ -121,29 +176,29 @@ class Campaign:
         wanted, why = self.whole(name, out)
         if wanted is None:
             sys.exit(f"{what}: no undisturbed run: {why}")
-        if not flags:
+        shutil.rmtree(out + ".finished", ignore_errors=True)
+        if flags:
+            self.finished(name, out, out + ".finished")
+        else:
             harness.fresh(out)
         self.traced(name, out, [count], flags, watched)
         calls = [n for n, line in enumerate(self.calls(), 1) if mode != "full" or line.split()[2] == "space"]
         done = before["tried"] if before and before["of"] == len(calls) else 0
         result = {"what": what, "tried": done, "of": len(calls), "failed": before["failed"] if done else 0,
                   "failures": before["failures"] if done else []}
-        if flags:
-            self.whole(name, out)
+        known = {}
         for call in calls[done::args.every]:
-            failure = self.attempt(row, out, watched, call, wanted)
+            failure = self.attempt(row, out, watched, call, wanted, known)
             result["tried"] += 1
             if failure:
                 result["failed"] += 1
                 result["failures"].append(failure)
                 print(f"{what}: {failure}", flush=True)
-                harness.fresh(out)
-                if flags:
-                    self.whole(name, out)
             if args.results and result["tried"] % KEEP_EVERY == 0:
                 keep(args.results, result)
         if args.results:
             keep(args.results, result)
+        print(f"{what}: {len(known)} different folders were gone on with", flush=True)
         return result
 
 

@@ -124,7 +124,8 @@ def sanitizers(result):
 
 
 def resources(result):
-    rows = [(row["what"], row["asked"], row["found"]) for row in result["rows"]]
+    rows = [(row["what"], row["asked"], row["found"] + ("" if row["kept"] else " (not kept)"))
+            for check in result.values() for row in check]
     return [
         "## Promises about memory, threads and numbers",
         "`tools/reliability/resources.py`:",
