@@ -8,9 +8,10 @@ green screen (data/testbed/case3). Calls are seen, and made to fail, by the trac
 After each a run without faults must end with the same bytes as an undisturbed one; a run with a
 fault must end by itself, with exit code 1 and an error, or with its result. A disk that is full
 from a call on which needs no space is full at the next which does: these are tried. A folder that is
-left as an earlier call left it (but for times) is not gone on with a second time. --rows takes
+left as an earlier call left it (but for times) is not gone on with a second time. Calls are tried
+in an order that spreads over the run, so that a part of them says something of all. --rows takes
 the rows whose names hold one of the words, --every every N-th call of them. Results are kept after
-every 50 calls; --go-on leaves out calls that FILE has. Exits with 1 where one failed.
+every 10 calls; --go-on leaves out calls that FILE has. Exits with 1 where one failed.
 """
 import argparse
 import fcntl
@@ -33,7 +34,8 @@ OTHER = ["--max-size", "112", "--iterations", "5"]
 # Name: video, filter, frames of the copy.
 INPUTS = {"sample": ("data/sample/orbit.mp4", "select=not(mod(n\\,4)),scale=128:-2", 6),
           "yaw": ("data/testbed/case3/video.mp4", "select=not(mod(n\\,4)),crop=360:360,scale=128:-2", 6)}
-KEEP_EVERY = 50  # calls after which what was found is kept
+KEEP_EVERY = 10  # calls after which what was found is kept
+STRIDE = 16  # calls between those that are tried first; a power of two
 # Name, input, what is done, what the tracer counts, flags of the disturbed run, whether the calls
 # are those that touch the input.
 ROWS = [("kill, sample", "sample", "kill", "count", [], False),
@@ -187,7 +189,7 @@ class Campaign:
         result = {"what": what, "tried": done, "of": len(calls), "failed": before["failed"] if done else 0,
                   "failures": before["failures"] if done else []}
         known = {}
-        for call in calls[done::args.every]:
+        for call in spread(calls[::args.every])[done:]:
             failure = self.attempt(row, out, watched, call, wanted, known)
             result["tried"] += 1
             if failure:
@@ -200,6 +202,13 @@ class Campaign:
             keep(args.results, result)
         print(f"{what}: {len(known)} different folders were gone on with", flush=True)
         return result
+
+
+def spread(calls):
+    """Every STRIDE-th call, then those in the middle between them, and so on."""
+    width = STRIDE.bit_length() - 1
+    firsts = [int(format(k, f"0{width}b")[::-1], 2) for k in range(STRIDE)]
+    return [call for first in firsts for call in calls[first::STRIDE]]
 
 
 def fault_problem(told, mode):
