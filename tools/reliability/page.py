@@ -107,7 +107,7 @@ def crashes(result):
         "`make crash-test` kills the program, fills its disk or fails a read at each call that touches the output",
         "folder (or the video), and starts it again: the files must be the same, byte for byte, as those of an",
         "undisturbed run. A run with a fault must end with exit code 1 and an error, or with its result. The disk",
-        "is full from each call on that needs space. Calls are tried in an order that spreads over the run, so a",
+        "is full from each call on that needs space. Reads are tried in an order that spreads over the run, so a",
         f"row that is not complete is a sample of its calls. Of {tried} runs {failed} failed.",
         "",
         *table(["what", "calls tried", "calls there are", "failed"], rows),
