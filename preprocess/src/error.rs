@@ -1,3 +1,4 @@
+use crate::memory::memory_note;
 use std::path::PathBuf;
 
 /// What can go wrong between an input and its frames; each says what to do about it.
@@ -29,7 +30,7 @@ pub enum PreprocessError {
         path: PathBuf,
     },
     /// The container cannot be read.
-    #[error("{}: not a video that can be read ({reason}); if it plays elsewhere, convert it with `ffmpeg -i INPUT -c:v libx264 -crf 16 fixed.mp4`", .path.display())]
+    #[error("{}: not a video that can be read ({reason}); {}if it plays elsewhere, convert it with `ffmpeg -i INPUT -c:v libx264 -crf 16 fixed.mp4`", .path.display(), memory_note())]
     NotAVideo {
         /// The file.
         path: PathBuf,
@@ -51,7 +52,7 @@ pub enum PreprocessError {
         path: PathBuf,
     },
     /// The stream has a header and no picture that decodes.
-    #[error("{}: none of {expected} expected frames can be decoded ({reason}); the file is damaged or not finished: copy it again", .path.display())]
+    #[error("{}: none of {expected} expected frames can be decoded ({reason}); {}the file is damaged or not finished: copy it again", .path.display(), memory_note())]
     NothingDecodes {
         /// The file.
         path: PathBuf,

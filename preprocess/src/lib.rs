@@ -13,6 +13,7 @@ mod hdr;
 mod masks;
 mod matte;
 pub mod matting;
+mod memory;
 mod names;
 mod output;
 mod photo_file;

@@ -354,8 +354,10 @@ mod tests {
 
     #[test]
     fn a_request_is_answered_whole_and_what_is_too_much_of_one_is_refused() {
-        // None of these is to end by its deadline, on a machine that is busy with others either.
-        let port = serving(6, 100_000, Limits { time: Duration::from_secs(20), ..QUICK });
+        // None of these is to end by its deadline, or to find those before it still open, on a
+        // machine that is busy with others either.
+        let limits = Limits { time: Duration::from_secs(20), connections: 6, ..QUICK };
+        let port = serving(6, 100_000, limits);
         let said = asked(port, GET);
         assert!(said.starts_with("HTTP/1.1 200 OK\r\n") && said.ends_with(&"a".repeat(100_000)));
         let head = asked(port, "HEAD / HTTP/1.1\r\n\r\n");

@@ -242,17 +242,21 @@ fn page(scene: &ViewScene, splat: &str, script: &str) -> Result<String> {
     Ok([head, &title, style, &json, between, splat, before, script, end].concat())
 }
 
+/// A training image, small, as a part of the page; `None` where there is none. One that cannot be
+/// read is an error: a page without it would be taken for a whole one by all later runs.
+fn inline_photo(run: &Run, index: usize) -> Result<Option<String>> {
+    let Some(path) = run.photo(index) else { return Ok(None) };
+    let small = picture::jpeg(&scene::io::shrunk(&scene::io::load_rgb(&path)?, PHOTO_SIZE))?;
+    Ok(Some(format!("data:image/jpeg;base64,{}", STANDARD.encode(small))))
+}
+
 /// One HTML file that needs no network and no other file. `up`: where no record says it yet.
 pub(crate) fn write_page(folder: &Path, target: &Path, up: Option<DVec3>) -> Result<()> {
     check_bundle()?;
     let mut run = Run::open(folder)?;
     run.up = up.unwrap_or(run.up);
-    let photo = |index: usize| {
-        let picture = scene::io::load_rgb(&run.photo(index)?).ok()?;
-        let small = picture::jpeg(&scene::io::shrunk(&picture, PHOTO_SIZE)).ok()?;
-        Some(format!("data:image/jpeg;base64,{}", STANDARD.encode(small)))
-    };
-    let mut scene = run.scene(Some(Splat { url: None }), photo);
+    let photos = (0..run.model.images.len()).map(|i| inline_photo(&run, i)).collect::<Result<Vec<_>>>()?;
+    let mut scene = run.scene(Some(Splat { url: None }), |index| photos[index].clone());
     // A run writes its report after the page.
     let is_beside = target.parent() == Some(folder);
     scene.report = is_beside.then_some(REPORT);
@@ -268,10 +272,10 @@ mod tests {
     use scene::sim3::Sim3;
     use scene::synthetic::{SyntheticOptions, synthetic_scene};
 
-    /// Opens a run of a simulated scene at this scale, with three Gaussians: in the middle, beside
-    /// it, at a million radii.
-    fn opened(scale: f64) -> (Run, Gaussians) {
-        let dir = std::env::temp_dir().join(format!("sat-recon-view-{scale}-{}", std::process::id()));
+    /// The folder of a run of a simulated scene at this scale, with three Gaussians: in the middle,
+    /// beside it, at a million radii.
+    fn simulated(name: &str, scale: f64) -> PathBuf {
+        let dir = std::env::temp_dir().join(format!("sat-recon-view-{name}-{scale}-{}", std::process::id()));
         std::fs::create_dir_all(dir.join("undistorted/sparse/0")).unwrap();
         let options = SyntheticOptions { num_points: 100, num_cameras: 6, ..Default::default() };
         let model = synthetic_scene(&options, 1).truth;
@@ -287,6 +291,11 @@ mod tests {
         }
         scene::io::write_model_bin(&model, &dir.join("undistorted/sparse/0")).unwrap();
         scene::io::write_splat(&dir.join("splat.ply"), &g).unwrap();
+        dir
+    }
+
+    fn opened(scale: f64) -> (Run, Gaussians) {
+        let dir = simulated("units", scale);
         let run = Run::open(&dir).unwrap();
         std::fs::write(dir.join("page.spz"), run.splat.as_deref().unwrap()).unwrap();
         let shown = scene::io::read_splat(&dir.join("page.spz")).unwrap();
@@ -307,5 +316,20 @@ mod tests {
             let size = (shown.log_scales[0].x - shown.means[1].x.ln()).exp();
             assert!((size / 0.2 - 1.0).abs() < 0.04, "{scale}: {size}"); // .spz has 16 steps a factor of e
         }
+    }
+
+    #[test]
+    fn no_page_is_written_without_a_photo_that_cannot_be_read() {
+        let dir = simulated("photo", 1.0);
+        let (page, photos) = (dir.join(PAGE), dir.join("undistorted/images"));
+        let first = Run::open(&dir).unwrap().model.images.values().next().unwrap().name.clone();
+        std::fs::create_dir_all(&photos).unwrap();
+        std::fs::write(photos.join(&first), b"no picture").unwrap();
+        let error = format!("{:#}", write_page(&dir, &page, None).unwrap_err());
+        assert!(error.contains(&first) && !page.exists(), "{error}");
+        std::fs::remove_file(photos.join(&first)).unwrap();
+        write_page(&dir, &page, None).unwrap();
+        assert!(page.is_file(), "one that is not there is left out");
+        std::fs::remove_dir_all(dir).unwrap();
     }
 }

@@ -2,7 +2,8 @@
 // that touches a folder. Every thread is followed, and calls that bypass the C library are seen too
 // (seccomp hands them to this tracer). Linux on x86-64.
 //
-//   fault DIR LOG count            PROGRAM ARGS...   count, and list the calls in LOG
+//   fault DIR LOG count            PROGRAM ARGS...   count, and list the calls in LOG: number,
+//                                                    name, "space" where it needs some, path
 //   fault DIR LOG kill N           PROGRAM ARGS...   SIGKILL before the N-th call
 //   fault DIR LOG full N           PROGRAM ARGS...   no space left from the N-th call on
 //   fault DIR LOG read N           PROGRAM ARGS...   the N-th reading call fails (EIO)
@@ -151,7 +152,7 @@ int main(int argc, char **argv) {
                 if ((long)r.orig_rax != CALLS[i].number) continue;
                 if (!looked_at(pid, &r, i, path, &kind) || !!(kind & READS) != reads) break;
                 seen++;
-                fprintf(log, "%ld %s %s\n", seen, CALLS[i].name, path);
+                fprintf(log, "%ld %s %s %s\n", seen, CALLS[i].name, kind & SPACE ? "space" : "-", path);
                 if (!counts && seen == wanted && !strcmp(mode, "kill")) {
                     fclose(log);
                     kill(child, SIGKILL);

@@ -254,6 +254,12 @@ fn without_memory_or_beyond_the_size_of_files_the_program_says_so_and_ends_with_
     let (code, said) = limited("ulimit -d 20000", &sfm);
     assert!(code == Some(1) && said.contains("out of memory; lower --max-size"), "{code:?} {said}");
     expect_code(&["clean", text(&out)], 0);
+    // ffmpeg inherits the limit: what it says then must not be taken for a damaged video.
+    let (code, said) = limited("ulimit -d 40000", &frames[..4]);
+    assert!(
+        code == Some(1) && said.contains("the limit of 39 MiB of memory may be too low"),
+        "{code:?} {said}"
+    );
     fs::remove_dir_all(dir).unwrap();
 }
 

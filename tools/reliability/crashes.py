@@ -1,18 +1,25 @@
 #!/usr/bin/env python3
 """Kills the program, fills its disk and fails its reads at every call to the file system.
 
-    crashes.py PROGRAM --out FOLDER [--rows WORD...] [--every N] [--results FILE]
+    crashes.py PROGRAM --out FOLDER [--rows WORD...] [--every N] [--results FILE [--go-on]]
 
 Inputs are short and small copies of data/sample/orbit.mp4 and of the satellite that yaws before a
 green screen (data/testbed/case3). Calls are seen, and made to fail, by the tracer in tests/faults.
 After each a run without faults must end with the same bytes as an undisturbed one; a run with a
-fault must end by itself, with exit code 1 and an error, or with its result. --rows takes the rows
-whose names hold one of the words, --every every N-th call of them. Exits with 1 where one failed.
+fault must end by itself, with exit code 1 and an error, or with its result. A disk that is full
+from a call on which needs no space is full at the next which does: these are tried. A folder that is
+left as an earlier call left it (but for times) is not gone on with a second time. Calls are tried
+in an order that spreads over the run, so that a part of them says something of all. --rows takes
+the rows whose names hold one of the words, --every every N-th call of them. Results are kept after
+every 10 calls; --go-on leaves out calls that FILE has. Exits with 1 where one failed.
 """
 import argparse
+import fcntl
+import hashlib
 import json
 import os
 import re
+import shutil
 import subprocess
 import sys
 
@@ -20,14 +27,16 @@ import harness
 
 ROOT = os.path.join(os.path.dirname(os.path.abspath(__file__)), "..", "..")
 # As little work as still has all stages; one thread, so that calls come in one order.
-TINY = ["--threads", "1", "--frames", "7", "--max-size", "240", "--iterations", "20", "--max-gaussians", "1000",
-        "--checkpoint-every", "8", "--max-features", "200", "--skip",
+TINY = ["--threads", "1", "--frames", "6", "--max-size", "240", "--iterations", "8", "--max-gaussians", "1000",
+        "--checkpoint-every", "3", "--max-features", "150", "--skip",
         "blurred-features,guided-matching,aliasing,second-attempt,circle-completion,densify,subpixel,plane-tracks"]
-OTHER = ["--max-size", "180", "--iterations", "10"]
+OTHER = ["--max-size", "112", "--iterations", "5"]
 # Name: video, filter, frames of the copy.
-INPUTS = {"sample": ("data/sample/orbit.mp4", "select=not(mod(n\\,4)),scale=192:-2", 7),
-          "yaw": ("data/testbed/case3/video.mp4", "select=not(mod(n\\,4)),crop=360:360,scale=192:-2", 7)}
-# Name: input, what is done, what the tracer counts, flags of the disturbed run, whether the calls
+INPUTS = {"sample": ("data/sample/orbit.mp4", "select=not(mod(n\\,4)),scale=128:-2", 6),
+          "yaw": ("data/testbed/case3/video.mp4", "select=not(mod(n\\,4)),crop=360:360,scale=128:-2", 6)}
+KEEP_EVERY = 10  # calls after which what was found is kept
+STRIDE = 16  # calls between those that are tried first; a power of two
+# Name, input, what is done, what the tracer counts, flags of the disturbed run, whether the calls
 # are those that touch the input.
 ROWS = [("kill, sample", "sample", "kill", "count", [], False),
         ("kill, yaw", "yaw", "kill", "count", [], False),
@@ -40,6 +49,7 @@ ROWS = [("kill, sample", "sample", "kill", "count", [], False),
         ("EIO at a read of the video, sample", "sample", "read", "count-reads", [], True)]
 # Files that hold times: only that they are there is compared.
 VARY = re.compile(r"^\.stages/|run\.json$|report\.html$|eval/metrics\.json$")
+TIMED = re.compile(r"(run\.json|report\.html|eval/metrics\.json)$")
 
 
 def contents(folder):
@@ -61,6 +71,43 @@ def difference(found, wanted):
     return "; ".join([f"only in one: {n}" for n in names[:3]] + [f"differs: {n}" for n in changed[:3]])
 
 
+def timeless(path, folder):
+    """A stage's record without times, and with whether each file is as old as the record says."""
+    try:
+        with open(path) as file:
+            record = json.load(file)
+    except ValueError:
+        return "damaged"
+    record.pop("cost", None)
+    for output in record.get("outputs", []):
+        there = os.path.join(folder, output["path"])
+        output["modified_ns"] = os.path.exists(there) and os.stat(there).st_mtime_ns == output["modified_ns"]
+        if TIMED.search(output["path"]):
+            output["bytes"] = output["hash"] = ""
+    return re.sub(r'"(seconds|\w+_s|\w*fps\w*)": [-+.\deE]+', "", json.dumps(record, sort_keys=True))
+
+
+def state(folder):
+    """What a folder holds, as one number: where it is the same, a next run does the same."""
+    known = hashlib.sha256()
+    for base, folders, names in os.walk(folder):
+        folders.sort()
+        for name in sorted(folders) + sorted(names):
+            path = os.path.join(base, name)
+            key = re.sub(r"sat-recon-\w{6}\.tmp", "tmp", os.path.relpath(path, folder))
+            known.update(f"{key}\n{os.stat(path).st_mode}\n".encode())
+            if os.path.isdir(path):
+                continue
+            if re.match(r"\.stages/\w+\.json$", key):
+                known.update(timeless(path, folder).encode())
+            elif TIMED.search(key):
+                known.update(str(os.path.getsize(path) == 0).encode())
+            else:
+                with open(path, "rb") as file:
+                    known.update(file.read())
+    return known.hexdigest()
+
+
 class Campaign:
     """A program, a tracer and the inputs in a folder."""
 
@@ -70,7 +117,7 @@ class Campaign:
         subprocess.run(["cc", "-O1", "-o", self.fault, os.path.join(ROOT, "tests/faults/fault.c")], check=True)
         for name, (video, filters, frames) in INPUTS.items():
             os.makedirs(os.path.join(self.folder, name))
-            subprocess.run(["ffmpeg", "-v", "error", "-i", os.path.join(ROOT, video), "-vf", filters, "-vsync", "0",
+            subprocess.run(["ffmpeg", "-v", "error", "-i", os.path.join(ROOT, video), "-vf", filters, "-fps_mode", "passthrough",
                             "-frames:v", str(frames), "-crf", "12", "-an", self.video(name)], check=True)
 
     def video(self, name):
@@ -97,36 +144,71 @@ class Campaign:
         with open(self.log) as file:
             return file.read().splitlines()
 
-    def row(self, row, every):
-        """The row's result, and what failed."""
+    def finished(self, name, out, copy):
+        """Makes the folder what an undisturbed run leaves, anew or from a copy."""
+        if not os.path.exists(copy):
+            self.whole(name, harness.fresh(out))
+            subprocess.run(["cp", "-a", out, copy], check=True)
+        shutil.rmtree(out, ignore_errors=True)
+        subprocess.run(["cp", "-a", copy, out], check=True)
+
+    def attempt(self, row, out, watched, call, wanted, known):
+        """What is wrong after a fault at a call, `None` where nothing is; `known` are the folders
+        that were gone on with, by what happened then."""
+        _, name, mode, _, flags, _ = row
+        if flags:
+            self.finished(name, out, out + ".finished")
+        else:
+            harness.fresh(out)
+        told = self.traced(name, out, [mode, str(call)], flags, watched)
+        calls = self.calls()
+        problem = "" if mode == "kill" else fault_problem(told, mode)
+        left = state(out)
+        if left not in known:
+            found, why = self.whole(name, out)
+            known[left] = why or difference(found, wanted)
+        problem = problem or known[left]
+        return {"call": call, "at": calls[-1] if calls else "none", "why": problem} if problem else None
+
+    def row(self, row, args, before):
+        """Tries the calls of a row, after those of `before`; keeps and returns the result."""
         what, name, mode, count, flags, is_input = row
         out = harness.fresh(os.path.join(self.folder, "out"))
         watched = os.path.join(self.folder, name) if is_input else out
         wanted, why = self.whole(name, out)
         if wanted is None:
             sys.exit(f"{what}: no undisturbed run: {why}")
-        if not flags:
+        shutil.rmtree(out + ".finished", ignore_errors=True)
+        if flags:
+            self.finished(name, out, out + ".finished")
+        else:
             harness.fresh(out)
         self.traced(name, out, [count], flags, watched)
-        of, failed, tried = len(self.calls()), [], 0
-        if flags:
-            self.whole(name, out)
-        for call in range(1, of + 1, every):
-            if not flags:
-                harness.fresh(out)
-            told = self.traced(name, out, [mode, str(call)], flags, watched)
-            calls = self.calls()
-            tried += 1
-            problem = "" if mode == "kill" else fault_problem(told, mode)
-            found, why = self.whole(name, out)
-            problem = problem or why or difference(found, wanted)
-            if problem:
-                failed.append({"call": call, "at": calls[-1] if calls else "none", "why": problem})
-                print(f"{what}: {failed[-1]}", flush=True)
-                harness.fresh(out)
-                if flags:
-                    self.whole(name, out)
-        return {"what": what, "tried": tried, "of": of, "failed": len(failed)}, failed
+        calls = [n for n, line in enumerate(self.calls(), 1) if mode != "full" or line.split()[2] == "space"]
+        done = before["tried"] if before and before["of"] == len(calls) else 0
+        result = {"what": what, "tried": done, "of": len(calls), "failed": before["failed"] if done else 0,
+                  "failures": before["failures"] if done else []}
+        known = {}
+        for call in spread(calls[::args.every])[done:]:
+            failure = self.attempt(row, out, watched, call, wanted, known)
+            result["tried"] += 1
+            if failure:
+                result["failed"] += 1
+                result["failures"].append(failure)
+                print(f"{what}: {failure}", flush=True)
+            if args.results and result["tried"] % KEEP_EVERY == 0:
+                keep(args.results, result)
+        if args.results:
+            keep(args.results, result)
+        print(f"{what}: {len(known)} different folders were gone on with", flush=True)
+        return result
+
+
+def spread(calls):
+    """Every STRIDE-th call, then those in the middle between them, and so on."""
+    width = STRIDE.bit_length() - 1
+    firsts = [int(format(k, f"0{width}b")[::-1], 2) for k in range(STRIDE)]
+    return [call for first in firsts for call in calls[first::STRIDE]]
 
 
 def fault_problem(told, mode):
@@ -137,17 +219,27 @@ def fault_problem(told, mode):
     return "" if is_told else f"exit code {told['code']}: {told['said'][-300:]}"
 
 
+def kept(path):
+    """The rows of the results, by name."""
+    if not path or not os.path.exists(path):
+        return {}
+    with open(path) as file:
+        return {row["what"]: row for row in json.load(file)["rows"]}
+
+
 def keep(path, row):
-    """Puts a row into the results; those of other rows stay."""
-    rows = {}
-    if os.path.exists(path):
-        with open(path) as file:
-            rows = {r["what"]: r for r in json.load(file)["rows"]}
-    rows[row["what"]] = row
-    ordered = [rows[r[0]] for r in ROWS if r[0] in rows]
-    with open(path, "w") as file:
-        json.dump({"rows": ordered}, file, indent=1)
-        file.write("\n")
+    """Puts a row into the results; those of other rows stay, also where two campaigns run."""
+    folder = os.open(os.path.dirname(os.path.abspath(path)), os.O_RDONLY)
+    try:
+        fcntl.flock(folder, fcntl.LOCK_EX)
+        rows = kept(path)
+        rows[row["what"]] = row
+        with open(path + ".new", "w") as file:
+            json.dump({"rows": [rows[r[0]] for r in ROWS if r[0] in rows]}, file, indent=1)
+            file.write("\n")
+        os.replace(path + ".new", path)
+    finally:
+        os.close(folder)
 
 
 def main():
@@ -157,16 +249,16 @@ def main():
     parser.add_argument("--rows", nargs="+", default=[""])
     parser.add_argument("--every", type=int, default=1)
     parser.add_argument("--results")
+    parser.add_argument("--go-on", action="store_true")
     args = parser.parse_args()
     campaign, failures = Campaign(os.path.abspath(args.program), args.out), 0
     for row in ROWS:
         if not any(word in row[0] for word in args.rows):
             continue
-        result, failed = campaign.row(row, args.every)
-        failures += len(failed)
-        print(json.dumps(result), flush=True)
-        if args.results:
-            keep(args.results, result)
+        before = kept(args.results).get(row[0]) if args.go_on and args.every == 1 else None
+        result = campaign.row(row, args, before)
+        failures += result["failed"]
+        print(json.dumps({key: result[key] for key in ("what", "tried", "of", "failed")}), flush=True)
     sys.exit(1 if failures else 0)
 
 

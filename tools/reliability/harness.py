@@ -35,6 +35,6 @@ def frames(video, folder, filters, count=None, first=0):
     fresh(folder)
     chosen = f"select=gte(n\\,{first})," + filters
     limit = [] if count is None else ["-frames:v", str(count)]
-    command = ["ffmpeg", "-v", "error", "-i", video, "-vf", chosen, "-vsync", "0", *limit]
+    command = ["ffmpeg", "-v", "error", "-i", video, "-vf", chosen, "-fps_mode", "passthrough", *limit]
     subprocess.run([*command, os.path.join(folder, "%03d.png")], check=True, stdin=subprocess.DEVNULL)
     return folder

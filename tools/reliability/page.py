@@ -106,8 +106,9 @@ def crashes(result):
         "## Kills and faults at calls to the file system",
         "`make crash-test` kills the program, fills its disk or fails a read at each call that touches the output",
         "folder (or the video), and starts it again: the files must be the same, byte for byte, as those of an",
-        "undisturbed run. A run with a fault must end with exit code 1 and an error, or with its result. Of",
-        f"{tried} runs {failed} failed.",
+        "undisturbed run. A run with a fault must end with exit code 1 and an error, or with its result. The disk",
+        "is full from each call on that needs space. Reads are tried in an order that spreads over the run, so a",
+        f"row that is not complete is a sample of its calls. Of {tried} runs {failed} failed.",
         "",
         *table(["what", "calls tried", "calls there are", "failed"], rows),
     ]
@@ -124,7 +125,8 @@ def sanitizers(result):
 
 
 def resources(result):
-    rows = [(row["what"], row["asked"], row["found"]) for row in result["rows"]]
+    rows = [(row["what"], row["asked"], row["found"] + ("" if row["kept"] else " (not kept)"))
+            for check in result.values() for row in check]
     return [
         "## Promises about memory, threads and numbers",
         "`tools/reliability/resources.py`:",

@@ -227,7 +227,7 @@ def tiny_video(made):
 def varying_rate(made):
     film = os.path.join(scene.SOURCES["data"], "sample/orbit.mp4")
     rate = "scale=240:180,setpts='if(lt(N,36),N/12,3+(N-36)/5)/TB'"
-    made.ffmpeg("-i", film, "-vf", rate, "-vsync", "vfr", made.path("varying.mp4"))
+    made.ffmpeg("-i", film, "-vf", rate, "-fps_mode", "vfr", made.path("varying.mp4"))
     return ["sfm", made.path("varying.mp4"), "--frames", "36"]
 
 

@@ -212,8 +212,8 @@ fn even_out(known: &[TimedAngle]) -> Vec<TimedAngle> {
         let mean = near.iter().sum::<DVec2>() / near.len() as f64;
         let squares = near.iter().map(|p| (p.x - mean.x).powi(2)).sum::<f64>() / near.len() as f64;
         let products = near.iter().map(|p| (p.x - mean.x) * (p.y - mean.y)).sum::<f64>() / near.len() as f64;
-        let line = own.angle + mean.y - mean.x * products / squares;
-        evened.push(TimedAngle { angle: if squares > 0.0 { line } else { own.angle }, ..*own });
+        let angle = if squares > 0.0 { own.angle + mean.y - mean.x * products / squares } else { own.angle };
+        evened.push(TimedAngle { angle, ..*own });
     }
     evened
 }
