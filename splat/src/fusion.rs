@@ -43,8 +43,8 @@ struct FusionLimits {
     pixels_of_a_voxel: f64,
     /// Distances are cut off here, voxels. Source: docs/decisions/16.
     truncation: f64,
-    /// Surfaces are fused this much nearer to the cameras, voxels: sheets thinner than the errors of
-    /// depths keep two sides. Source: docs/decisions/16.
+    /// Surfaces are fused this much nearer to the cameras, voxels: sheets thinner than the errors
+    /// of depths keep two sides. Source: docs/decisions/16.
     thicken: f64,
     /// Most memory of the volume, bytes. Source: docs/decisions/16.
     most_bytes: usize,

@@ -8,8 +8,9 @@
 
 use super::Mesh;
 use super::cubes::{EDGES, axis_of, table};
+use super::depth_map::DepthMap;
 use super::settle::settle;
-use crate::{Camera, Pose, Progress};
+use crate::Progress;
 use glam::{DVec2, DVec3, IVec3};
 use rayon::prelude::*;
 use std::collections::{BTreeSet, HashMap};
@@ -31,24 +32,6 @@ const PROBABLY_NOTHING: f32 = 0.1;
 /// Colours come from views that put the surface no farther off, in truncation distances.
 /// Source: chosen by hand, never measured.
 const COLOUR_BAND: f32 = 0.5;
-
-/// What a camera without distortion measured.
-#[derive(Clone, Debug)]
-pub struct DepthMap {
-    /// Of the map's size.
-    pub camera: Camera,
-    /// `cam_from_world`.
-    pub pose: Pose,
-    /// [height × width] camera z, scene units; infinite where the ray meets nothing, −∞ where it
-    /// probably does not (beside what it could have met); anything else that is not a positive
-    /// number is unknown.
-    pub depth: Vec<f32>,
-    /// [height × width] pixels to the outline of a part that is too thin for depths to tell its
-    /// sides apart, negative inside it; NaN elsewhere. Empty where there are none.
-    pub outline: Vec<f32>,
-    /// [height × width × 3] sRGB.
-    pub rgb: Vec<u8>,
-}
 
 /// How depth maps are fused.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -125,17 +108,6 @@ pub fn fuse(maps: &[DepthMap], options: &FusionOptions, progress: &Progress) -> 
         settle(&mut mesh, maps, (options.thicken + 1.0) * options.voxel);
     }
     Ok(mesh)
-}
-
-impl DepthMap {
-    /// The point measured at pixel `i`, world frame.
-    pub fn point(&self, i: usize, world_from_cam: &Pose) -> Option<DVec3> {
-        let z = f64::from(self.depth[i]);
-        let width = self.camera.width as usize;
-        let pixel = DVec2::new((i % width) as f64 + 0.5, (i / width) as f64 + 0.5);
-        let ray = (pixel - self.camera.principal_point()) / self.camera.focal();
-        (z > 0.0 && z.is_finite()).then(|| world_from_cam.transform(ray.extend(1.0) * z))
-    }
 }
 
 /// The first and the last block within `margin` of a place, in units of blocks.
@@ -337,7 +309,7 @@ fn mixed(a: [f32; 4], b: [f32; 4], t: f32) -> [u8; 3] {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::CameraModel;
+    use crate::{Camera, CameraModel, Pose};
     use std::collections::BTreeMap;
 
     /// The unit sphere (times `scale`) at `centre`, red where x > 0 and green elsewhere, seen from

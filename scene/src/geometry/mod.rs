@@ -2,6 +2,7 @@
 //! maps.
 
 mod cubes;
+mod depth_map;
 mod fusion;
 mod mesh;
 mod metrics;
@@ -10,7 +11,8 @@ mod settle;
 mod textured;
 mod visible;
 
-pub use fusion::{DepthMap, FusionError, FusionOptions, fuse};
+pub use depth_map::DepthMap;
+pub use fusion::{FusionError, FusionOptions, fuse};
 pub use mesh::{Mesh, Surface};
 pub use metrics::{GeometryErrors, compare_points};
 pub use parts::JoinedSets;

@@ -1,11 +1,12 @@
 //! A fused surface put back on what its views measured.
 //!
 //! Where a sheet is thinner than the error of the depths, the views of one side say that the
-//! other's surface lies before their own, and nothing is left inside. Depth maps are therefore fused
-//! as if all surfaces lay a little nearer to the cameras. Afterwards each vertex goes along its
-//! normal by the mean distance that the views of its own side see.
+//! other's surface lies before their own, and nothing is left inside. Depth maps are therefore
+//! fused as if all surfaces lay a little nearer to the cameras. Afterwards each vertex goes along
+//! its normal by the mean distance that the views of its own side see.
 
-use super::{DepthMap, Mesh};
+use super::Mesh;
+use super::depth_map::DepthMap;
 use glam::{DVec2, DVec3};
 use rayon::prelude::*;
 

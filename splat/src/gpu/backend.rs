@@ -1,7 +1,7 @@
 //! The backend: uploads, frames, steps, downloads.
 
 use super::bound::{Bound, Stage};
-use super::buffers::{Buffers, Limit, PHOTOS, Sizes, capacity, most_pairs, tiles};
+use super::buffers::{Buffers, Limit, PHOTOS, Sizes, capacity, tiles};
 use super::context::{Gpu, Opening};
 use super::flight::{Flight, Pending, Report, WINDOW};
 use super::kernels::Kernels;
@@ -17,7 +17,6 @@ use crate::statistics::Statistics;
 use crate::view::{PinholeView, RenderOptions, RenderOutput};
 use scene::Decision;
 use scene::FloatImage;
-use scene::decision::{Choice, Measurement, Quantity, Remark, Rule, Subject};
 use std::ops::RangeInclusive;
 
 /// What lies on the device for the view, and how the kernels are bound to it and to the model.
@@ -42,13 +41,13 @@ pub(crate) struct GpuBackend {
     done: Vec<StepOutput>,
     /// What had to be done otherwise than asked for.
     pub(super) remarks: Vec<Decision>,
-    limit: Option<u64>,
+    pub(super) limit: Option<u64>,
     gain: Option<[f32; 3]>,
     /// Pairs for which there will be more room before the next view: what lies on the screen is
     /// lost where buffers grow.
-    crowded: usize,
+    pub(super) crowded: usize,
     /// [`FrameFlag::Truncate`] once there is no room for all pairs.
-    truncate: u32,
+    pub(super) truncate: u32,
 }
 
 impl GpuBackend {
@@ -223,38 +222,6 @@ impl GpuBackend {
             }
             again.into_iter().for_each(|step| self.submit(step));
         }
-    }
-
-    /// Room for the pairs that were too many, and for some more; where there is none, the farthest
-    /// will not be drawn.
-    fn widen(&mut self) -> Result<(), SplatError> {
-        let most = std::mem::take(&mut self.crowded);
-        if self.truncate != 0 || most == 0 {
-            return Ok(());
-        }
-        let largest = most_pairs(self.gpu.largest_buffer(), self.sizes.pixels);
-        let wanted = (most + most / 2).next_multiple_of(BLOCK as usize).min(largest);
-        let model: u64 = self.pages.as_ref().map_or(0, |p| p.memory().iter().map(|b| b.1).sum());
-        let others = model + self.photos.memory();
-        let (before, limit) = (self.sizes, self.limit);
-        for pairs in [wanted, most.next_multiple_of(BLOCK as usize).min(largest)] {
-            let sizes = Sizes { pairs, ..before };
-            let total = Buffers::plan(&sizes).iter().map(|b| b.1).sum::<u64>() + others;
-            let allowed = pairs > before.pairs && limit.is_none_or(|limit| total <= limit);
-            if allowed && self.try_resize(sizes)? {
-                return Ok(());
-            }
-        }
-        if most > self.sizes.pairs {
-            self.truncate = FrameFlag::Truncate as u32;
-            let decision =
-                Decision::new(Subject::TilePairs, Choice::count(self.sizes.pairs), Rule::OutOfMemory)
-                    .remarked(Remark::NearestOnly)
-                    .with(Measurement::count(Quantity::NeededTilePairs, most))
-                    .quoting(self.gpu.adapter.to_string());
-            self.remarks.push(decision);
-        }
-        Ok(())
     }
 
     /// Runs the stages and waits for them.

@@ -18,6 +18,7 @@ mod photos;
 mod pipelines;
 #[cfg(test)]
 mod probe;
+mod room;
 
 pub(crate) use backend::GpuBackend;
 pub(crate) use context::{Gpu, Opening, adapters};

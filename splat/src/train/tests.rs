@@ -294,6 +294,16 @@ fn colours_that_change_with_the_direction_are_learnt() {
 /// The bound holds for the mean of many seeds: what the held-out views of one run gain or lose by a
 /// Gaussian more or less scatters by several times the bound.
 #[test]
+fn a_schedule_of_a_few_steps_ends_with_a_model_where_views_judge_it() {
+    let dataset = dataset(70, false); // of 60 and more some are spared
+    for iterations in 1..8 {
+        let config = TrainConfig { sh_degree: 3, ..config(iterations) };
+        let result = train(&dataset, &config, None, &Progress::silent()).unwrap();
+        assert!(result.iterations == iterations && !result.gaussians.is_empty(), "{iterations}");
+    }
+}
+
+#[test]
 fn redundant_gaussians_go_and_the_picture_stays() {
     let mut dataset = dataset(24, false);
     let copies = |factor: f32| dataset.points.iter().map(move |(p, c)| (*p * factor, *c));

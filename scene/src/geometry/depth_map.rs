@@ -1,0 +1,33 @@
+//! Depths of a view.
+
+use crate::{Camera, Pose};
+use glam::{DVec2, DVec3};
+
+/// What a camera without distortion measured.
+#[derive(Clone, Debug)]
+pub struct DepthMap {
+    /// Of the map's size.
+    pub camera: Camera,
+    /// `cam_from_world`.
+    pub pose: Pose,
+    /// [height × width] camera z, scene units; infinite where the ray meets nothing, −∞ where it
+    /// probably does not (beside what it could have met); anything else that is not a positive
+    /// number is unknown.
+    pub depth: Vec<f32>,
+    /// [height × width] pixels to the outline of a part that is too thin for depths to tell its
+    /// sides apart, negative inside it; NaN elsewhere. Empty where there are none.
+    pub outline: Vec<f32>,
+    /// [height × width × 3] sRGB.
+    pub rgb: Vec<u8>,
+}
+
+impl DepthMap {
+    /// The point measured at pixel `i`, world frame.
+    pub fn point(&self, i: usize, world_from_cam: &Pose) -> Option<DVec3> {
+        let z = f64::from(self.depth[i]);
+        let width = self.camera.width as usize;
+        let pixel = DVec2::new((i % width) as f64 + 0.5, (i / width) as f64 + 0.5);
+        let ray = (pixel - self.camera.principal_point()) / self.camera.focal();
+        (z > 0.0 && z.is_finite()).then(|| world_from_cam.transform(ray.extend(1.0) * z))
+    }
+}
