@@ -32,7 +32,7 @@ pub(super) fn settle(mesh: &mut Mesh, maps: &[DepthMap], reach: f64) {
         sums
     };
     let own: Vec<DVec2> = mesh.vertices.par_iter().zip(&normals).map(seen).collect();
-    // Depths are read at whole pixels: neighbours share what they see.
+    // Depths have errors of their own at each pixel: neighbours share what they see.
     let mut shared = own.clone();
     for triangle in &mesh.triangles {
         let all: DVec2 = triangle.iter().map(|&i| own[i as usize]).sum();
