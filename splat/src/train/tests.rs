@@ -295,7 +295,7 @@ fn colours_that_change_with_the_direction_are_learnt() {
 /// Gaussian more or less scatters by several times the bound.
 #[test]
 fn a_schedule_of_a_few_steps_ends_with_a_model_where_views_judge_it() {
-    let dataset = dataset(70, false); // of 60 and more some are spared
+    let dataset = dataset(100, false); // of 60 and more for training some are spared
     for iterations in 1..8 {
         let config = TrainConfig { sh_degree: 3, ..config(iterations) };
         let result = train(&dataset, &config, None, &Progress::silent()).unwrap();
