@@ -109,10 +109,10 @@ bench: build  ## all benchmarks on real data, and docs/benchmarks.md from their 
 	@$(MAKE) benchmarks-page
 
 # LIMIT: the same wall time for each training, for instance LIMIT=5m (default: the steps of the preset).
-tables: build  ## the paper's three tables, its rows beside them (slow; METHODS="3dgs instant-ngp", LIMIT=5m)
+tables: build  ## the paper's three tables, its rows beside them (slow; METHODS="3dgs instant-ngp", LIMIT=5m, CLOCK=processor)
 	@tools/setup.sh python3
 	python3 tools/paper_tables.py $(SAT_RECON) $(SHARED) --out build/tables \
-	    $(if $(METHODS),--methods $(METHODS)) $(if $(LIMIT),--time-limit $(LIMIT))
+	    $(if $(METHODS),--methods $(METHODS)) $(if $(LIMIT),--time-limit $(LIMIT)) $(if $(CLOCK),--limit-clock $(CLOCK))
 
 # SEEDS: runs with all steps, whose range is the scatter.
 skips: build  ## what each step of the reconstruction is worth: every capture with each step left out (hours)

@@ -448,11 +448,11 @@ impl Pipeline {
         crate::stage::free_large_blocks_at_once();
         let progress = self.progress("train");
         let checkpoints = self.checkpoints(print)?;
-        let begun = std::time::Instant::now();
+        let begun = self.args.train.limit_clock.seconds();
         let dataset = evaluate::load_dataset(training_set, &self.args.dataset, &progress)?;
         let mut config = self.args.train.clone();
         config.seed = self.args.seed;
-        config.seconds_gone = begun.elapsed().as_secs_f64();
+        config.seconds_gone = config.limit_clock.seconds() - begun;
         let result = splat::train::train(&dataset, &config, Some(&checkpoints), &progress)?;
         scene::io::ply::write_splat_ply(&new.join("splat.ply"), &result.gaussians)?;
         model::write_refined(&self.out, new, &result.poses)?;

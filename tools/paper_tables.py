@@ -5,7 +5,8 @@ has, the paper's rows beside them.
     paper_tables.py SAT_RECON SHARED --out FOLDER [--testbed FOLDER] [--quality fast] [--only CASE ...]
                     [--methods 3dgs instant-ngp] [--time-limit 5m]
 
-With --time-limit each method has the same wall time for training; without, the steps of --quality.
+With --time-limit each method has the same time for training (--limit-clock processor: the processor
+time of as many cores in that time, whatever else the machine does); without, the steps of --quality.
 
 Runs sat-recon on test-bed cases 1 to 4 (as `make testbed` renders them; case 3 is in
 data/testbed), temple_ring, can_orbit and oxford_dino, and writes FOLDER/tables.{md,csv,tex,json}
@@ -49,7 +50,8 @@ def main():
     parser.add_argument("--quality", default="fast", choices=["draft", "fast", "balanced", "best"])
     parser.add_argument("--only", nargs="*", help="names of cases")
     parser.add_argument("--methods", nargs="+", default=["3dgs"], help="as for sat-recon --method")
-    parser.add_argument("--time-limit", help="wall time for each training, as for sat-recon")
+    parser.add_argument("--time-limit", help="time for each training, as for sat-recon")
+    parser.add_argument("--limit-clock", default="wall", choices=["wall", "processor"])
     args = parser.parse_args()
     runs = []
     for case, places in captures(args.shared, args.testbed):
@@ -74,7 +76,8 @@ def trained(args, case, source, method):
     folder = os.path.join(args.out, shown.removeprefix("sat-recon ").replace(" ", "-"), case.replace(" ", ""))
     if not is_finished(folder):
         command = [args.binary, source, "-o", folder, "-q", "--quality", args.quality, "--method", method]
-        code = subprocess.run(command + (["--time-limit", args.time_limit] if args.time_limit else [])).returncode
+        limit = ["--time-limit", args.time_limit, "--limit-clock", args.limit_clock] if args.time_limit else []
+        code = subprocess.run(command + limit).returncode
         if code not in (0, 3):
             print(f"{case}, {method}: exit code {code}", file=sys.stderr)
             return None

@@ -1,10 +1,11 @@
 //! Fits a field to a data set with a transforms.json within a time limit and renders its held-out
-//! views: `fit DATASET METHOD LIMIT OUT`, where LIMIT is a time (90s, 7m) or a number of steps
-//! (500x).
+//! views: `fit DATASET METHOD LIMIT OUT`, where LIMIT is a time (90s, 7m: processor time by core) or
+//! a number of steps (500x).
 
 use baselines::{FieldConfig, Method, train};
 use clap::ValueEnum as _;
 use scene::Progress;
+use splat::clock::LimitClock;
 use splat::simd::{Isa, Simd};
 use splat::simd_kernel;
 use splat::{Dataset, DatasetConfig};
@@ -74,6 +75,7 @@ fn main() -> Result<(), Box<dyn Error>> {
         Some(steps) => FieldConfig::new(method, steps.parse()?),
         None => FieldConfig {
             time_limit: Some(splat::config::parse_duration(limit)?),
+            limit_clock: LimitClock::Processor,
             ..FieldConfig::new(method, 1)
         },
     };

@@ -9,7 +9,7 @@ use crate::trained::TrainedField;
 use scene::Progress;
 use serde::{Deserialize, Serialize};
 use splat::Dataset;
-use splat::clock::wall_seconds;
+use splat::clock::LimitClock;
 use splat::train::CurvePoint;
 use std::path::Path;
 
@@ -25,8 +25,10 @@ pub struct FieldConfig {
     pub method: Method,
     /// Steps, where there is no time limit.
     pub iterations: u32,
-    /// Wall time, seconds: the schedule fits itself into it.
+    /// Seconds: the schedule fits itself into it.
     pub time_limit: Option<f64>,
+    /// What the time limit counts.
+    pub limit_clock: LimitClock,
     /// Steps between checkpoints (0: only when stopped).
     pub checkpoint_every: u32,
     /// Seed of all randomness.
@@ -39,7 +41,15 @@ pub struct FieldConfig {
 impl FieldConfig {
     /// So many steps, with a checkpoint only when stopped.
     pub fn new(method: Method, iterations: u32) -> Self {
-        Self { method, iterations, time_limit: None, checkpoint_every: 0, seed: 0, seconds_gone: 0.0 }
+        Self {
+            method,
+            iterations,
+            time_limit: None,
+            limit_clock: LimitClock::Wall,
+            checkpoint_every: 0,
+            seed: 0,
+            seconds_gone: 0.0,
+        }
     }
 }
 
@@ -103,7 +113,7 @@ pub(crate) fn train_shape(
         return Err(FieldError::Config { flag: "--iterations", value, expected });
     }
     let path = checkpoint_dir.map(|folder| folder.join(FILE));
-    let mut mark = wall_seconds();
+    let mut mark = config.limit_clock.seconds();
     let (mut field, mut state) = open(dataset, shape, config, path.as_deref())?;
     state.seconds += config.seconds_gone;
     let mut operations = 0.0;
@@ -120,7 +130,7 @@ pub(crate) fn train_shape(
         }
         state.loss += report.loss;
         state.square_error += report.square_error;
-        let now = wall_seconds();
+        let now = config.limit_clock.seconds();
         state.seconds += now - std::mem::replace(&mut mark, now);
         state.position = match config.time_limit {
             Some(limit) => state.seconds / limit,

@@ -1,13 +1,41 @@
 //! Time spent, in seconds.
 //!
 //! ```
-//! let begun = splat::clock::cpu_seconds();
-//! assert!(splat::clock::cpu_seconds() >= begun);
+//! use splat::clock::LimitClock;
+//!
+//! let (wall, processor) = (LimitClock::Wall.seconds(), LimitClock::Processor.seconds());
+//! std::thread::sleep(std::time::Duration::from_millis(200));
+//! assert!(LimitClock::Wall.seconds() - wall >= 0.2);
+//! assert!(LimitClock::Processor.seconds() - processor < 0.1);
 //! ```
 
-use std::path::PathBuf;
+use clap::ValueEnum;
+use rustix::time::{ClockId, clock_gettime};
+use serde::{Deserialize, Serialize};
 use std::sync::OnceLock;
 use std::time::Instant;
+
+/// What a time limit counts.
+#[derive(ValueEnum, Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum LimitClock {
+    /// Wall time
+    #[default]
+    Wall,
+    /// Processor time of all threads divided by their number, so that what else the machine does
+    /// takes nothing away: for comparisons (of no use on a graphics card)
+    Processor,
+}
+
+impl LimitClock {
+    /// Seconds since some moment.
+    pub fn seconds(self) -> f64 {
+        match self {
+            Self::Wall => wall_seconds(),
+            Self::Processor => cpu_seconds() / rayon::current_num_threads().max(1) as f64,
+        }
+    }
+}
 
 /// Wall time since the first call.
 pub fn wall_seconds() -> f64 {
@@ -15,13 +43,8 @@ pub fn wall_seconds() -> f64 {
     START.get_or_init(Instant::now).elapsed().as_secs_f64()
 }
 
-/// User and system time of all threads of this process as the scheduler counts it, in ns (Linux;
-/// wall time elsewhere).
+/// User and system time of all threads of this process, those that have ended among them.
 pub fn cpu_seconds() -> f64 {
-    let Ok(tasks) = std::fs::read_dir("/proc/self/task") else { return wall_seconds() };
-    let of = |path: PathBuf| -> f64 {
-        let text = std::fs::read_to_string(path.join("schedstat")).unwrap_or_default();
-        text.split_whitespace().next().and_then(|v| v.parse::<f64>().ok()).unwrap_or(0.0)
-    };
-    tasks.filter_map(Result::ok).map(|t| of(t.path())).sum::<f64>() / 1e9
+    let spent = clock_gettime(ClockId::ProcessCPUTime);
+    spent.tv_sec as f64 + spent.tv_nsec as f64 * 1e-9
 }

@@ -10,6 +10,7 @@
 //! # Ok::<(), String>(())
 //! ```
 
+use crate::clock::LimitClock;
 use crate::device::DeviceConfig;
 use crate::model::MAX_SH_DEGREE;
 use clap::{Args, ValueEnum};
@@ -48,10 +49,13 @@ pub struct TrainConfig {
     /// Training steps; one view each
     #[arg(long, value_parser = between::<u32>(0, 1_000_000_000), default_value_t = Self::default().iterations, help_heading = "Splat")]
     pub iterations: u32,
-    /// Wall time for training (90, 60s, 5m, 1h): the schedule fits itself into it and --iterations
+    /// Time for training (90, 60s, 5m, 1h): the schedule fits itself into it and --iterations
     /// is not used
     #[arg(long, value_parser = parse_duration, value_name = "TIME", help_heading = "Splat")]
     pub time_limit: Option<f64>,
+    /// What --time-limit counts
+    #[arg(long, value_enum, default_value_t = LimitClock::Wall, value_name = "CLOCK", help_heading = "Splat")]
+    pub limit_clock: LimitClock,
     /// Never more Gaussians than this
     #[arg(long, value_parser = between::<usize>(1, 1 << 30), default_value_t = Self::default().max_gaussians, help_heading = "Splat")]
     pub max_gaussians: usize,
@@ -118,6 +122,7 @@ impl Default for TrainConfig {
             // A few minutes on two cores (docs/benchmarks.md, splats by preset).
             iterations: 4000,
             time_limit: None,
+            limit_clock: LimitClock::Wall,
             // 150,000 kept lego400 from gaining between one and five minutes (docs/decisions/13).
             max_gaussians: 300_000,
             sh_degree: MAX_SH_DEGREE,

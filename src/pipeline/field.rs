@@ -20,6 +20,7 @@ impl Pipeline {
         }
         let config = FieldConfig {
             time_limit: self.args.train.time_limit,
+            limit_clock: self.args.train.limit_clock,
             checkpoint_every: self.args.train.checkpoint_every,
             seed: self.args.seed,
             ..FieldConfig::new(method, self.args.train.iterations)
@@ -70,9 +71,9 @@ impl Pipeline {
         crate::stage::free_large_blocks_at_once();
         let progress = self.progress("train");
         let checkpoints = self.checkpoints(print)?;
-        let begun = std::time::Instant::now();
+        let begun = config.limit_clock.seconds();
         let dataset = crate::evaluate::load_dataset(training_set, &self.args.dataset, &progress)?;
-        config.seconds_gone = begun.elapsed().as_secs_f64();
+        config.seconds_gone = config.limit_clock.seconds() - begun;
         let of_views: Vec<f32> = dataset.views.iter().map(|v| times.of_view(&v.name)).collect();
         let result = baselines::train(&dataset, &of_views, &config, Some(&checkpoints), &progress)?;
         times.write(new)?;

@@ -11,7 +11,6 @@ use super::setup::TrainingSetup;
 use super::state::TrainingState;
 use crate::backend::{Backend, StepInput, StepOutput};
 use crate::camera::DEFAULT_NEAR;
-use crate::clock::wall_seconds;
 use crate::config::TrainConfig;
 use crate::dataset::Dataset;
 use crate::error::SplatError;
@@ -79,7 +78,7 @@ impl<'a> Session<'a> {
         config: &'a TrainConfig,
         folder: Option<&Path>,
     ) -> Result<Self, SplatError> {
-        let mark = wall_seconds();
+        let mark = config.limit_clock.seconds();
         let (mut backend, decision) = crate::device::open(&config.device)?;
         let (max_gaussians, limit) = capacity(backend.as_ref(), dataset, config)?;
         let setup = TrainingSetup::new(dataset, config, max_gaussians)?;
@@ -120,7 +119,7 @@ impl<'a> Session<'a> {
 
     /// Takes a step, and moves the position.
     pub(super) fn step(&mut self) -> Result<(), SplatError> {
-        let begun = wall_seconds();
+        let begun = self.seconds();
         let (mut step, rules) = self.context();
         let steps = step.expected_steps();
         step.state.place.decide_early(steps);
@@ -187,9 +186,14 @@ impl<'a> Session<'a> {
         Ok(())
     }
 
+    /// The clock that the time limit is counted by.
+    fn seconds(&self) -> f64 {
+        self.setup.config.limit_clock.seconds()
+    }
+
     /// Adds to the time spent what has gone by since the last call.
     fn note_time(&mut self) {
-        let now = wall_seconds();
+        let now = self.seconds();
         self.state.place.seconds += now - std::mem::replace(&mut self.mark, now);
     }
 
@@ -204,7 +208,7 @@ impl<'a> Session<'a> {
 
     /// Waits for steps that were only begun.
     fn settle(&mut self) -> Result<(), SplatError> {
-        let begun = wall_seconds();
+        let begun = self.seconds();
         let outputs = self.backend.settle()?;
         self.note_time();
         self.cost.note_wait(self.mark - begun, !outputs.is_empty());
