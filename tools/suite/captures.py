@@ -35,11 +35,14 @@ SIZES_M = {
     "terra": (0.484, 0.170), "bust": (0.394, 0.461), "chair": (0.289, 0.422), "bottle": (0.150, 0.478),
 }
 MOTIONS = ["yaw", "hand", "tumble", "orbit", "walk", "few"]
+TUMBLES = ["tumble", "swing"]
 PHOTOS = ["orbit", "few"]  # motions that are photos: they have no frame rate
 IN_A_ROOM = ["orbit", "walk", "few", "stage", "moved"]
 # Photos for the made-wrong set alone: on a turntable before black, in a room that stands still, and
 # an orbit in the middle of which the object was moved.
 EXTRA_MOTIONS = ["stand", "stage", "moved"]
+# Videos of turns and tumbles in which parts of the object turn on joints.
+ARTICULATED = {"arrays": ["left array", "right array"], "swing": ["dish"]}
 LIGHTS = ["low", "full", "sun"]
 RATES = [4, 15, 30]
 
@@ -108,8 +111,11 @@ def selected(words, small=False):
 
 
 def extra(words):
-    """Captures of the made-wrong set alone; only those that are asked for by their whole name."""
-    return [parse(w) for w in words if len(w.split("-")) == 3 and w.split("-")[1] in EXTRA_MOTIONS]
+    """Captures of the made-wrong set and articulated ones; only those that are asked for by their
+    whole name."""
+    named = [(w, w.split("-")) for w in words]
+    return [parse(w) for w, part in named
+            if len(part) == 3 and part[1] in EXTRA_MOTIONS or len(part) == 4 and part[1] in ARTICULATED]
 
 
 def lens_of(capture):
@@ -144,7 +150,7 @@ def ground_of(capture):
     """Green screen, black, or a room."""
     if capture.motion in IN_A_ROOM:
         return "room"
-    return "black" if capture.motion in ("tumble", "stand") or capture.light == "sun" else "green"
+    return "black" if capture.motion in (*TUMBLES, "stand") or capture.light == "sun" else "green"
 
 
 def distance_of(capture, lens, offset):
@@ -154,7 +160,7 @@ def distance_of(capture, lens, offset):
     """
     room = [min(lens["cx"], WIDTH - lens["cx"]) / lens["f"], min(lens["cy"], HEIGHT - lens["cy"]) / lens["f"]]
     share = {"orbit": 0.66, "walk": 0.66, "few": 0.66, "moved": 0.6, "stage": 0.75}.get(capture.motion, 0.9)
-    if capture.motion not in ("yaw", "hand", "stand"):
+    if capture.motion not in ("yaw", "hand", "stand", "arrays"):
         return (RADIUS_M + offset) / math.sin(math.atan(share * room[1]))
     flat, height = (x + offset for x in SIZES_M[capture.object])
     steep = math.radians(MOST_ELEVATION_DEG)
@@ -167,7 +173,7 @@ def mount_of(capture):
     """Where the object sits in the body frame: 4x4, a little off the axis and tilted."""
     rng = capture.rng("mount")
     M = np.eye(4)
-    if capture.motion == "tumble":
+    if capture.motion in TUMBLES:
         M[:3, :3] = motions.random_rotation(rng)
         return M
     for axis, size in (([1, 0, 0], 3), ([0, 1, 0], 3), ([0, 0, 1], 180)):
@@ -205,7 +211,7 @@ def poses_of(capture, lens, mount):
             bodies += [(motions.axis_angle([0, 0, 1], math.radians(70)), np.array([0.2, -0.15, table]))] * 18
         return bodies, cameras, {"type": capture.motion}
     camera = still_camera(capture, distance)
-    if capture.motion == "tumble":
+    if capture.motion in TUMBLES:
         bodies, record = tumbling(capture, rng, camera)
     else:
         bodies, record = turning(capture, rng, camera)
@@ -217,7 +223,7 @@ def turning(capture, rng, camera):
     sign = int(rng.choice([-1, 1]))
     if capture.motion in ("stand", "stage"):
         angles, record = ORBIT_STEP_DEG * np.arange(36), {"type": "turntable"}
-    elif capture.motion == "yaw":
+    elif capture.motion in ("yaw", "arrays"):
         angles = motions.yaw_angles(YAW_RATE_DEG_S, capture.fps)
         record = {"type": "steady turn", "rate_deg_s": sign * YAW_RATE_DEG_S}
     else:
@@ -227,6 +233,23 @@ def turning(capture, rng, camera):
     axis = sign * (camera[0] @ [0, 0, 1])
     record |= {"axis_body": [0, 0, sign], "axis_camera": axis.tolist(), "angles_deg": angles.tolist()}
     return [(motions.axis_angle([0, 0, sign], math.radians(a)), np.zeros(3)) for a in angles], record
+
+
+def joints_of(capture, count):
+    """Angles (degrees) of the object's joints in each frame, 0 at the start, by name.
+
+    Arrays turn by 120 degrees in all, steadily or slowly at either end; a dish swings 20 degrees to
+    either side.
+    """
+    rng, joints = capture.rng("joints"), {}
+    s = np.arange(count) / count
+    for name in ARTICULATED.get(capture.motion, []):
+        if capture.motion == "arrays":
+            angles = 120 * (s if rng.random() < 0.5 else 0.5 - 0.5 * np.cos(math.pi * s))
+        else:
+            angles = 20 * np.sin(2 * math.pi * s * rng.uniform(0.8, 1.6))
+        joints[name] = {"angles_deg": (rng.choice([-1, 1]) * angles).tolist()}
+    return joints
 
 
 def tumbling(capture, rng, camera):

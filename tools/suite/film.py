@@ -5,6 +5,7 @@ which makes noise, bytes and the video or photos of it, and writes the truth bes
 """
 
 import json
+import math
 import os
 import queue
 import shutil
@@ -87,6 +88,9 @@ class Server:
                 return
             if kind == "size":
                 continue
+            if kind == "joints":
+                yield kind, index, json.loads(body)
+                continue
             if kind == "mesh":
                 yield kind, index, np.frombuffer(body, np.float32).reshape(-1, 3)
                 continue
@@ -127,11 +131,14 @@ def plan_of(capture):
     flip = np.diag([1.0, -1.0, -1.0])  # three.js looks along -z with y up
     frames = [{"body": matrix4(*body), "camera": matrix4(R.T @ flip, -R.T @ t)} for body, (R, t) in zip(bodies, cameras)]
     count = len(frames)
+    record["joints"] = captures.joints_of(capture, count)
+    for k, frame in enumerate(frames):
+        frame["joints"] = {name: math.radians(j["angles_deg"][k]) for name, j in record["joints"].items()}
     plan = {
         "width": captures.WIDTH, "height": captures.HEIGHT, "lens": lens, "density": DENSITY, "margin": MARGIN,
         "object": capture.object, "mount": mount.T.ravel().tolist(), "ground": captures.ground_of(capture),
         "light": captures.light_of(capture), "room_seed": len(capture.object) + ord(capture.object[0]),
-        "pole": capture.motion not in ("tumble", "stand", "moved"), "first": 0, "frames": frames,
+        "pole": capture.motion not in (*captures.TUMBLES, "stand", "moved"), "first": 0, "frames": frames,
         "samples": sorted({round(k * (count - 1) / 5) for k in range(6)}),
     }
     if capture.motion == "moved":
@@ -200,6 +207,10 @@ def film(capture, cache, shared):
     with Browser(server.address):
         sink = encoder(capture, part, width, height)
         for kind, index, light in server.pictures(width, height):
+            if kind == "joints":
+                for name, place in light.items():
+                    record["joints"][name] |= place
+                continue
             if kind == "sample":
                 samples.append(light)
                 continue

@@ -1,5 +1,5 @@
 // The seven objects that are made here, z up; the spacecraft are glTF files.
-import { ball, box, group, lathe, material, paint, ring, rod, sheet } from "./parts.js";
+import { ball, box, group, joint, lathe, material, paint, ring, rod, sheet } from "./parts.js";
 import { crumpled, drawn, mottled, noiseField, patches, print, random, solarCells } from "./textures.js";
 
 const foil = (r, g, b, seed) =>
@@ -12,7 +12,7 @@ function mockup() {
   const parts = [
     box([0.3, 0.26, 0.34], gold), box([0.2, 0.01, 0.24], grey, [0, -0.135, 0.015]),
     box([0.12, 0.09, 0.05], silver, [-0.05, 0.05, 0.195], [0, 0, 12]), box([0.09, 0.09, 0.03], grey, [0.08, -0.05, 0.185], [0, 0, -20]),
-    lathe([[0.001, 0], [0.05, 0.008], [0.085, 0.024], [0.105, 0.036]], paint(0.78, 0.78, 0.75, 0.5), [0.02, 0.165, 0.05], [-78, 0, 14]),
+    joint("dish", lathe([[0.001, 0], [0.05, 0.008], [0.085, 0.024], [0.105, 0.036]], paint(0.78, 0.78, 0.75, 0.5), [0.02, 0.165, 0.05], [-78, 0, 14])),
     lathe([[0.015, 0], [0.018, 0.018], [0.033, 0.052], [0.042, 0.087]], paint(0.3, 0.27, 0.25, 0.3, 0.9), [-0.148, -0.03, -0.09], [0, -90, 0]),
     rod([0.13, 0.1, 0.17], [0.2, 0.17, 0.39], 0.004, steel), rod([-0.13, 0.1, 0.17], [-0.21, 0.16, 0.37], 0.004, frame),
     rod([-0.12, -0.1, 0.17], [-0.12, -0.1, 0.34], 0.004, steel), box([0.03, 0.03, 0.04], frame, [-0.12, -0.1, 0.355]),
@@ -29,7 +29,7 @@ function mockup() {
     const wing = group([0.084, 0.26].map((x) => [box([0.168, 0.24, 0.008], back, [side * x, 0, 0]), sheet(0.16, 0.232, cells, [side * x, 0, 0.0045])]));
     wing.position.set(0.22 * side, 0, 0.03);
     wing.rotation.x = (55 * Math.PI) / 180;
-    parts.push(wing);
+    parts.push(joint(side < 0 ? "left array" : "right array", wing));
   }
   return group(parts);
 }

@@ -55,6 +55,17 @@ async function body(plan) {
   return root;
 }
 
+/** Axes of the joints and places on them, by name, in the object's body frame. */
+function joints(root, names) {
+  root.matrix.identity();
+  root.updateMatrixWorld(true);
+  return Object.fromEntries(names.map((name) => {
+    const hinge = root.getObjectByName(name);
+    return [name, { axis: hinge.userData.axis.clone().transformDirection(hinge.parent.matrixWorld).toArray(),
+      place: hinge.getWorldPosition(new THREE.Vector3()).toArray() }];
+  }));
+}
+
 /** Where the axis comes out of the object's underside: there the pole ends. */
 function underside(root) {
   root.matrix.identity();
@@ -143,6 +154,10 @@ class Film {
   picture(i) {
     const frame = this.plan.frames[i];
     this.body.matrix.fromArray(frame.body);
+    for (const [name, angle] of Object.entries(frame.joints)) {
+      const hinge = this.body.getObjectByName(name);
+      hinge.quaternion.setFromAxisAngle(hinge.userData.axis, angle);
+    }
     this.camera.matrix.fromArray(frame.camera);
     this.camera.updateMatrixWorld(true);
     this.renderer.shadowMap.needsUpdate = true;
@@ -182,6 +197,7 @@ async function main() {
   const film = new Film(plan);
   await film.stage();
   await post("/size", JSON.stringify(film.body.userData));
+  await post("/joints", JSON.stringify(joints(film.body, Object.keys(plan.frames[0].joints))));
   film.place.visible = false;
   for (const i of plan.samples) await post(`/sample?i=${i}`, film.picture(i));
   film.place.visible = true;

@@ -71,3 +71,13 @@ export function group(...things) {
   g.add(...things.flat(Infinity));
   return g;
 }
+
+/** A part that turns about an axis through a place (default: its own origin), both in its parent's frame. */
+export function joint(name, thing, axis = [1, 0, 0], place = thing.position.toArray()) {
+  const hinge = group(thing);
+  hinge.name = name;
+  hinge.position.set(...place);
+  thing.position.sub(hinge.position);
+  hinge.userData.axis = new THREE.Vector3(...axis).normalize();
+  return hinge;
+}
