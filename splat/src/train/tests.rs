@@ -130,6 +130,22 @@ fn unseen_views_of_a_synthetic_scene_are_reproduced() {
 }
 
 #[test]
+fn training_never_looks_at_what_is_held_out() {
+    let mut dataset = dataset(12, true);
+    let [all, without] = [false, true].map(|forget| {
+        if forget {
+            dataset.forget_held_out();
+        }
+        train(&dataset, &config(120), None, &Progress::silent()).unwrap().gaussians
+    });
+    assert_eq!(all, without);
+    let bytes = |v: &View| v.levels.iter().map(|l| l.rgb.len()).sum::<usize>();
+    let [kept, left] =
+        [true, false].map(|h| dataset.views.iter().filter(|v| v.held_out == h).map(bytes).sum::<usize>());
+    assert!(kept * 20 < left, "{kept} bytes of the held-out views");
+}
+
+#[test]
 fn a_time_limit_is_kept_and_the_schedule_reaches_its_end() {
     // Views enough that the limit comes before the last pass.
     let dataset = dataset(36, false);
