@@ -16,7 +16,7 @@ SHARED := $(or $(SAT_RECON_SHARED),../shared)
 # Where another Python comes first on the PATH, Debian's has numpy.
 PYTHON_NUMPY := $(shell python3 -c 'import numpy' 2>/dev/null && echo python3 || echo /usr/bin/python3)
 
-.PHONY: help setup viewer build demo wheel container readers test reliability reliability-page crash-test cluster-test fuzz sanitize neon lint same-bytes bench tables bench-gpu compare skips benchmarks-page oracle testbed suite bench-suite plausibility site \
+.PHONY: help setup viewer build demo wheel first-picture container readers test reliability reliability-page crash-test cluster-test fuzz sanitize neon lint same-bytes bench tables bench-gpu compare skips benchmarks-page oracle testbed suite bench-suite plausibility site \
   tutorial-pictures
 help:  ## this list
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed 's/:.*##/\t/' | expand -t 20
@@ -37,6 +37,13 @@ demo: build  ## a satellite that yaws before a green screen: video to splat, the
 wheel: build  ## a Python wheel with the program inside: build/wheels (needs Python 3.9 with pip)
 	@tools/setup.sh python3-venv binutils
 	tools/wheel.sh $(SAT_RECON) build/wheels
+
+# PYTHON311: prefix of a CPython 3.11, for a system that is like the image python:3.11.
+first-picture: wheel  ## seconds from nothing to the first picture on bare machines, with the wheel (as root)
+	@tools/setup.sh debootstrap python3
+	python3 tools/first_picture.py build/wheels/*.whl data/sample/orbit.mp4 --out build/first_picture \
+	    --results build/first_picture/results $(if $(PYTHON311),--python $(PYTHON311))
+	@$(MAKE) benchmarks-page
 
 container: build  ## the Dockerfile built and run; where no engine runs, as a root file system in a chroot (as root)
 	@tools/setup.sh debootstrap binutils
