@@ -16,7 +16,7 @@ SHARED := $(or $(SAT_RECON_SHARED),../shared)
 # Where another Python comes first on the PATH, Debian's has numpy.
 PYTHON_NUMPY := $(shell python3 -c 'import numpy' 2>/dev/null && echo python3 || echo /usr/bin/python3)
 
-.PHONY: help setup viewer build demo wheel first-picture container readers test reliability reliability-page crash-test cluster-test fuzz sanitize neon lint same-bytes bench tables bench-gpu compare skips benchmarks-page oracle testbed suite bench-suite plausibility site \
+.PHONY: help setup viewer build demo wheel first-picture container readers readers-nerfstudio test reliability reliability-page crash-test cluster-test fuzz sanitize neon lint same-bytes bench tables bench-gpu compare skips benchmarks-page oracle testbed suite bench-suite plausibility site \
   tutorial-pictures
 help:  ## this list
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed 's/:.*##/\t/' | expand -t 20
@@ -55,6 +55,17 @@ readers: build $(VENV)/pycolmap  ## readers of others (pycolmap, splat-transform
 	[ -d out/demo/eval ] || $(MAKE) demo
 	npm install --no-audit --no-fund --loglevel=error --prefix $(CACHE)/readers @playcanvas/splat-transform@2.7.1 gltf-validator@2.0.0-dev.3.10
 	$(VENV)/bin/python tools/readers.py $(SAT_RECON) out/demo --out build/readers --npm $(CACHE)/readers
+
+# nerfstudio's own list of packages is longer than what its parsers need, and partly out of date.
+PARSERS := torch open3d-cpu jaxtyping tyro viser==0.2.7 rich requests matplotlib tensorboard absl-py \
+    appdirs rawpy opencv-python-headless imageio pillow
+readers-nerfstudio: build  ## nerfstudio's own parsers on the demo's sets (downloads torch: 5 GB)
+	@tools/setup.sh python3-venv
+	[ -d out/demo/eval ] || $(MAKE) demo
+	[ -x $(CACHE)/nerfstudio/bin/python ] || python3 -m venv $(CACHE)/nerfstudio
+	$(CACHE)/nerfstudio/bin/pip install -q $(PARSERS)
+	$(CACHE)/nerfstudio/bin/pip install -q --no-deps nerfstudio==1.1.5
+	$(CACHE)/nerfstudio/bin/python -W ignore tools/nerfstudio_reader.py $(SAT_RECON) out/demo --out build/readers_nerfstudio
 
 test: setup viewer  ## every test (real data is looked for in ../shared/data)
 	@tools/setup.sh colmap chromium python3-numpy

@@ -85,8 +85,8 @@ SECTIONS = [
      "from the same first Gaussians; gsplat's strategy is its own.", ["gpu_kernels", "gpu_training"], "`make bench-gpu`"),
     ("How long does it take from nothing to the first picture?",
      "Bare root file systems without sat-recon, ffmpeg or numpy. Debian's packages, `pip install` of the wheel, and the sample "
-     "video (72 frames) with the draft preset up to held-out views, the splat's page and the report. The machine had other work to "
-     "do.", ["first_picture"], "`make first-picture`"),
+     "video (72 frames) with the draft preset up to held-out views, the splat's page and the report. Where the machine had "
+     "other work to do meanwhile, the seconds are more than an idle one needs.", ["first_picture"], "`make first-picture`"),
     ("What is each choice of the trainer worth?",
      "lego400, one thread. Held-out PSNR / SSIM (worst view; steps; Gaussians). The first row is the default; rows that differ "
      "by less than 0.2 dB are alike.", ["ablation"], BENCH + " (`--tables ablation`)"),

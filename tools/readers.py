@@ -6,8 +6,10 @@
 pycolmap (PyPI) reads the sets of `export --for`; splat-transform (npm, the converter of SuperSplat)
 reads the splat formats; gltf-validator (npm, Khronos) looks for faults in the .glb files. Ends with
 an error if one of them complains or reads something else than we wrote. Needs numpy, pillow and
-pycolmap; FOLDER of --npm has the node_modules. The parsers of nerfstudio need torch, and gsplat's
-lies in its examples, which its package on PyPI does not have: both are not called here.
+pycolmap; FOLDER of --npm has the node_modules. gsplat's package on PyPI has no reader of data sets:
+its examples read them through pycolmap, and pair sorted images with sorted names, so that a folder
+with one file too many would shift them; that is checked here. For nerfstudio's own parsers see
+nerfstudio_reader.py.
 """
 import argparse
 import json
@@ -65,6 +67,8 @@ def read_set(folder, mode, images):
         assert picture.size == (camera.width, camera.height), (folder, image.name)
         assert mode is None or picture.mode == mode, (folder, image.name, picture.mode)
         assert mode is None or camera.model.name == "PINHOLE", (folder, camera.model)
+    lying = sorted(os.listdir(os.path.join(folder, "images")))
+    assert lying == sorted(i.name for i in model.images.values()), (folder, "images without a pose")
     error = model.compute_mean_reprojection_error()
     assert model.num_points3D() > 0 and error < 2.0, (folder, error)
     return f"{images} images, {model.num_points3D()} points, {error:.2f} px by pycolmap {pycolmap.__version__}"
