@@ -16,7 +16,7 @@ SHARED := $(or $(SAT_RECON_SHARED),../shared)
 # Where another Python comes first on the PATH, Debian's has numpy.
 PYTHON_NUMPY := $(shell python3 -c 'import numpy' 2>/dev/null && echo python3 || echo /usr/bin/python3)
 
-.PHONY: help setup viewer build demo wheel first-picture container readers readers-nerfstudio test reliability reliability-page crash-test cluster-test fuzz sanitize neon lint same-bytes bench tables bench-gpu compare skips benchmarks-page oracle testbed suite bench-suite plausibility site \
+.PHONY: help setup viewer build demo wheel first-picture container readers readers-nerfstudio test reliability reliability-page crash-test cluster-test fuzz sanitize arm64 neon lint same-bytes bench tables bench-gpu compare skips benchmarks-page oracle testbed suite bench-suite plausibility site \
   tutorial-pictures
 help:  ## this list
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed 's/:.*##/\t/' | expand -t 20
@@ -101,7 +101,11 @@ sanitize: setup  ## readers, kernels and Ceres' border under Valgrind and saniti
 	python3 tools/reliability/sanitize.py --out build/sanitize --seconds $(or $(TIME),60) --results docs/results/sanitize.json
 	$(MAKE) reliability-page
 
-# The trainer alone: `sfm` needs Ceres' libraries for that processor.
+arm64:  ## the whole program and its wheel for 64-bit ARM, cross-built and run on an emulated processor (slow)
+	@tools/setup.sh g++-aarch64-linux-gnu binutils-aarch64-linux-gnu mmdebstrap qemu-user-static python3-venv ffmpeg
+	tools/arm64.sh build/arm64 build run wheel
+
+# The trainer alone needs no other library for that processor.
 ARM := aarch64-unknown-linux-gnu
 neon: export CARGO_TARGET_AARCH64_UNKNOWN_LINUX_GNU_LINKER := aarch64-linux-gnu-gcc
 neon: export CARGO_TARGET_AARCH64_UNKNOWN_LINUX_GNU_RUNNER := qemu-aarch64-static -L /usr/aarch64-linux-gnu

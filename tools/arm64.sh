@@ -1,9 +1,9 @@
 #!/bin/bash
 # The whole program for 64-bit ARM, cross-built here and run on an emulated processor:
-#   arm64.sh OUT build|test|run|wheel...
-# build: the release binary; test: unit tests of the crates; run: the sample video, its poses against
-# the truth; wheel: a Python wheel of the binary. OUT/sysroot gets Debian's libraries for ARM,
-# unpacked and not installed: the packages of this machine stay as they are.
+#   arm64.sh OUT build|run|wheel|test...
+# build: the release binary; run: the sample video, its poses against the truth; wheel: a Python wheel of
+# the binary; test: unit tests of `sfm` and `scene` (hours). OUT/sysroot gets Debian's libraries for
+# ARM, unpacked and not installed: the packages of this machine stay as they are.
 set -euo pipefail
 cd "$(dirname "$0")/.."
 mkdir -p "$1"
@@ -26,6 +26,7 @@ if [ ! -e "$root/.made" ]; then
     to=$(readlink "$link" || true)
     [ "${to#/}" = "$to" ] || ln -sf "$root$to" "$link"
   done
+  rm -rf "$root/dev"
   touch "$root/.made"
 fi
 rustup target add "$target" 2>/dev/null
@@ -42,6 +43,17 @@ export CARGO_TARGET_AARCH64_UNKNOWN_LINUX_GNU_RUNNER=$emulator
 for part in "$@"; do
   case $part in
     build) cargo build --release --locked -j2 --target "$target" ;;
+    # Solvers, bundle adjustment (Ceres), matching kernels, files: what differs between processors.
+    test) cargo test --locked -j2 --target "$target" -p sfm -p scene --lib ;;
+    run)
+      rm -rf "$out/sample"
+      status=0
+      $emulator "$program" sfm data/sample/orbit.mp4 -o "$out/sample" --frames 24 --quality draft --quiet || status=$?
+      # 3: a small sample may be doubtful; its poses are judged below.
+      [ "$status" -eq 0 ] || [ "$status" -eq 3 ]
+      $emulator "$program" compare "$out/sample" --truth data/sample/orbit_truth
+      ;;
+    wheel) tools/wheel.sh "$program" "$out/wheels" "$root" ;;
     *) echo "arm64.sh does not know $part" >&2; exit 1 ;;
   esac
 done
