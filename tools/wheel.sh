@@ -28,6 +28,11 @@ cp Cargo.toml LICENSE-MIT LICENSE-APACHE "$work"
 mkdir -p "$work/python/src/sat_recon/bin"
 install -m 755 "$program" "$work/python/src/sat_recon/bin/sat-recon"
 "$strip" "$work/python/src/sat_recon/bin/sat-recon"
+size=$(stat -c %s "$work/python/src/sat_recon/bin/sat-recon")
+echo "the program: $size bytes"
+[ "$size" -le 30000000 ] || { echo "more than 30 MB" >&2; exit 1; }
+# Video is left to ffmpeg's own process.
+! readelf -d "$program" | grep -E 'NEEDED.*(opencv|avcodec|avformat)' || exit 1
 env "${cross[@]}" "$work/tools/bin/pip" -q wheel --no-deps --no-build-isolation "$work/python" -w "$work/raw"
 env "${cross[@]}" PATH="$work/tools/bin:$PATH" "$work/tools/bin/auditwheel" repair "$work"/raw/*.whl -w "$work/repaired"
 
