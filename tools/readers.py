@@ -4,12 +4,12 @@
     readers.py SAT_RECON RUN --out FOLDER --npm FOLDER
 
 pycolmap (PyPI) reads the sets of `export --for`; splat-transform (npm, the converter of SuperSplat)
-reads the splat formats; gltf-validator (npm, Khronos) looks for faults in the .glb files, and Blender, where it is installed,
-must show the splat's upright. Ends with an error if one of them complains or reads something else than
-we wrote. Needs numpy, pillow and pycolmap; FOLDER of --npm has the node_modules. gsplat's package on PyPI has no reader of data sets:
-its examples read them through pycolmap, and pair sorted images with sorted names, so that a folder
-with one file too many would shift them; that is checked here. For nerfstudio's own parsers see
-nerfstudio_reader.py.
+reads the splat formats; gltf-validator (npm, Khronos) looks for faults in the .glb files, and
+Blender, where it is installed, must show the splat's upright. Ends with an error if one of them
+complains or reads something else than we wrote. Needs numpy, pillow and pycolmap; FOLDER of --npm
+has the node_modules. gsplat's package on PyPI has no reader of data sets: its examples read them
+through pycolmap, and pair sorted images with sorted names, so that a folder with one file too many
+would shift them; that is checked here. For nerfstudio's own parsers see nerfstudio_reader.py.
 """
 import argparse
 import json
