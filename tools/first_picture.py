@@ -3,13 +3,14 @@
 
     first_picture.py WHEEL VIDEO --out FOLDER --results FOLDER [--python PREFIX]
 
-Makes root file systems by debootstrap (as root): a bare Debian 12, and with --python one that is like
-the image python:3.11, a CPython 3.11 from PREFIX in /usr/local with the libraries it needs. Neither
-holds sat-recon, ffmpeg or numpy. In each, timed: Debian's packages (ffmpeg; on bare Debian also Python),
-`pip install WHEEL`, and `sat-recon VIDEO` with the draft preset, until there is a held-out view beside
-its render, the splat's page and the report. Making the file systems is not timed. The figures are
-printed and kept in FOLDER, with the processor seconds used meanwhile by these steps and by other work
-on the machine, which makes them longer; an error if one of the sums is above the limit.
+Makes root file systems by debootstrap (as root): a bare Debian 12, and with --python one that is
+like the image python:3.11, a CPython 3.11 from PREFIX in /usr/local with the libraries it needs.
+Neither holds sat-recon, ffmpeg or numpy. In each, timed: Debian's packages (ffmpeg; on bare Debian
+also Python), `pip install WHEEL`, and `sat-recon VIDEO` with the draft preset, until there is a
+held-out view beside its render, the splat's page and the report. Making the file systems is not
+timed. The figures are printed and kept in FOLDER, with the processor seconds used meanwhile by
+these steps and by other work on the machine, which makes them longer; an error if one of the sums
+is above the limit.
 """
 import argparse
 import glob
@@ -26,7 +27,9 @@ from bench_results import Results
 LIMIT_S = 180.0
 MIRROR = "http://deb.debian.org/debian"
 # What CPython's own modules are linked with, as in the image.
-LIBRARIES = "ca-certificates libssl3 libffi8 zlib1g libbz2-1.0 liblzma5 libsqlite3-0 libreadline8 libuuid1"
+LIBRARIES = (
+    "ca-certificates libssl3 libffi8 zlib1g libbz2-1.0 liblzma5 libsqlite3-0 libreadline8 libuuid1"
+)
 # Beside what comes from a registry, settings of this machine's network.
 SETTINGS = ["/etc/resolv.conf", "/etc/pip.conf", "/etc/apt/apt.conf.d"]
 CERTIFICATES = "/etc/ssl/certs/ca-certificates.crt"
@@ -44,15 +47,19 @@ class Root:
         command = ["debootstrap", "--variant=minbase", "bookworm", self.place, MIRROR]
         subprocess.run(command, check=True, stdout=self.log, stderr=self.log)
         for path in filter(os.path.exists, SETTINGS):
-            copy = shutil.copytree if os.path.isdir(path) else shutil.copy
-            copy(path, self.place + path, **({"dirs_exist_ok": True} if os.path.isdir(path) else {}))
+            if os.path.isdir(path):
+                shutil.copytree(path, self.place + path, dirs_exist_ok=True)
+            else:
+                shutil.copy(path, self.place + path)
         if os.path.exists(CERTIFICATES):
             shutil.copy(CERTIFICATES, self.place + "/etc/this-network.crt")
 
     def run(self, command):
         """Seconds that a shell command takes."""
-        environment = {"PATH": "/usr/local/bin:/usr/sbin:/usr/bin:/sbin:/bin", "HOME": "/root", "LANG": "C.UTF-8",
-                       "DEBIAN_FRONTEND": "noninteractive", "PIP_ROOT_USER_ACTION": "ignore"}
+        environment = {
+            "PATH": "/usr/local/bin:/usr/sbin:/usr/bin:/sbin:/bin", "HOME": "/root", "LANG": "C.UTF-8",
+            "DEBIAN_FRONTEND": "noninteractive", "PIP_ROOT_USER_ACTION": "ignore",
+        }
         if os.path.exists(self.place + "/etc/this-network.crt"):
             environment["PIP_CERT"] = "/etc/this-network.crt"
         begin = time.monotonic()
@@ -66,7 +73,8 @@ class Root:
 def bare(root):
     """Nothing but Debian's base: Python comes from its packages, too."""
     del root
-    return "ffmpeg python3-venv", "python3 -m venv /opt/sat-recon && /opt/sat-recon/bin/pip install", "/opt/sat-recon/bin/"
+    pip = "python3 -m venv /opt/sat-recon && /opt/sat-recon/bin/pip install"
+    return "ffmpeg python3-venv", pip, "/opt/sat-recon/bin/"
 
 
 def like_the_image(root, prefix):
@@ -99,6 +107,8 @@ def machine_cpu_s():
 
 def measure(root, name, wheel, video, ready):
     packages, pip, programs = ready
+    install = f"apt-get update && apt-get install -y --no-install-recommends {packages}"
+    begin = f"cd /root && {programs}sat-recon {os.path.basename(video)} -o out --quality draft"
     begun = own_cpu_s(), machine_cpu_s()
     assert not glob.glob(root.place + "/usr/**/*ffmpeg*", recursive=True), root.place
     for path in [wheel, video]:
@@ -106,22 +116,25 @@ def measure(root, name, wheel, video, ready):
     row = {
         "system": name,
         "packages": packages,
-        "packages_s": root.run(f"apt-get update && apt-get install -y --no-install-recommends {packages}"),
+        "packages_s": root.run(install),
         "wheel_s": root.run(f"{pip} /root/{os.path.basename(wheel)}"),
-        "run_s": root.run(f"cd /root && {programs}sat-recon {os.path.basename(video)} -o out --quality draft"),
+        "run_s": root.run(begin),
     }
     row["cpu_s"] = own_cpu_s() - begun[0]
     row["other_cpu_s"] = machine_cpu_s() - begun[1] - row["cpu_s"]
     row["total_s"] = row["packages_s"] + row["wheel_s"] + row["run_s"]
     made = root.place + "/root/out"
     pictures = sorted(glob.glob(made + "/eval/**/*.png", recursive=True))
-    assert pictures and all(os.path.getsize(f"{made}/{f}") for f in ["view.html", "report.html", "splat.ply"]), made
+    assert pictures, made
+    for name in ["view.html", "report.html", "splat.ply"]:
+        assert os.path.getsize(f"{made}/{name}") > 0, name
     shutil.copy(pictures[0], f"{root.place}.png")
     return row
 
 
 def main():
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    form = argparse.RawDescriptionHelpFormatter
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=form)
     parser.add_argument("wheel")
     parser.add_argument("video")
     parser.add_argument("--out", required=True)

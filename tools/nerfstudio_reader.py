@@ -3,10 +3,11 @@
 
     nerfstudio_reader.py SAT_RECON RUN --out FOLDER
 
-Needs nerfstudio from PyPI with torch (`make readers-nerfstudio` installs both). NerfstudioDataParser reads
-the set for nerfstudio as `ns-train splatfacto` does, ColmapDataParser the one for COLMAP. Both turn,
-centre and scale what they read and say by what; that undone, poses and points are compared with the
-model that RUN holds (by nerfstudio's own reader of COLMAP files). Ends with an error where they differ.
+Needs nerfstudio from PyPI with torch (`make readers-nerfstudio` installs both).
+NerfstudioDataParser reads the set for nerfstudio as `ns-train splatfacto` does, ColmapDataParser
+the one for COLMAP. Both turn, centre and scale what they read and say by what; that undone, poses
+and points are compared with the model that RUN holds (by nerfstudio's own reader of COLMAP files).
+Ends with an error where they differ.
 """
 import argparse
 import json
@@ -67,7 +68,10 @@ class Model:
         images = colmap.read_images_binary(os.path.join(run, "sparse/0/images.bin"))
         points = colmap.read_points3D_binary(os.path.join(run, "sparse/0/points3D.bin"))
         rotations = {Path(i.name).stem: colmap.qvec2rotmat(i.qvec) for i in images.values()}
-        self.centres = {Path(i.name).stem: turned @ -(rotations[Path(i.name).stem].T @ i.tvec) for i in images.values()}
+        self.centres = {}
+        for image in images.values():
+            stem = Path(image.name).stem
+            self.centres[stem] = turned @ -(rotations[stem].T @ image.tvec)
         self.axes = {stem: turned @ rotation[2] for stem, rotation in rotations.items()}
         self.points = np.array([p.xyz for p in points.values()]) @ turned.T
 
@@ -95,21 +99,24 @@ def read_set(run, tool, folder, held_out):
         # transforms.json: x, y, z up of our x, z, -y.
         turned = np.array([[1.0, 0, 0], [0, 0, 1], [0, -1, 0]])
     else:
-        every = max(2, len(held_out) and round(len(os.listdir(data / "images")) / len(held_out)))
-        config = ColmapDataParserConfig(data=data, colmap_path=Path("sparse/0"), eval_interval=every, downscale_factor=1)
+        every = max(2, round(len(os.listdir(data / "images")) / len(held_out)))
+        config = ColmapDataParserConfig(
+            data=data, colmap_path=Path("sparse/0"), eval_interval=every, downscale_factor=1
+        )
         turned = np.eye(3)
     model = Model(run, turned)
     train, test = parsed(config, "train"), parsed(config, "val")
     worst = max(model.compare(train), model.compare(test))
-    names = {split: {Path(name).stem for name in outputs.image_filenames} for split, outputs in [("train", train), ("test", test)]}
-    assert names["test"] == held_out, (tool, names["test"] ^ held_out)
-    assert not names["train"] & names["test"] and len(names["train"] | names["test"]) == len(model.centres), tool
-    return (f"{len(names['train'])} training and {len(names['test'])} held-out views, {len(model.points)} points, "
+    seen, unseen = ({Path(name).stem for name in o.image_filenames} for o in (train, test))
+    assert unseen == held_out, (tool, unseen ^ held_out)
+    assert not seen & unseen and len(seen | unseen) == len(model.centres), tool
+    return (f"{len(seen)} training and {len(unseen)} held-out views, {len(model.points)} points, "
             f"off by {worst:.1e} at most")
 
 
 def main():
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    form = argparse.RawDescriptionHelpFormatter
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=form)
     parser.add_argument("sat_recon")
     parser.add_argument("run")
     parser.add_argument("--out", required=True)
