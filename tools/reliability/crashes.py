@@ -91,9 +91,9 @@ def timeless(path, folder):
 
 
 def records(folder):
-    """When each stage's record was written."""
+    """When each stage's record was written; every run writes its arguments."""
     stages = os.path.join(folder, ".stages")
-    names = [name for name in os.listdir(stages) if name.endswith(".json")]
+    names = [name for name in os.listdir(stages) if name.endswith(".json") and name != "args.json"]
     return {name: os.stat(os.path.join(stages, name)).st_mtime_ns for name in names}
 
 
