@@ -23,10 +23,10 @@ VALGRIND = {"CARGO_TARGET_{HOST}_RUNNER": "valgrind -q --error-exitcode=99", "RA
 CHECKS = {
     "address sanitizer, every reader with mutated files":
         ("rustc +nightly --version", {"RUSTFLAGS": "-Zsanitizer=address"},
-         "run --locked --target {host} -p fuzz --no-default-features -- {seconds}"),
+         "run --profile sanitize --locked --target {host} -p fuzz --no-default-features -- {seconds}"),
     "address and undefined-behaviour sanitizer, Ceres and its C++ border":
         ("rustc +nightly --version", {"RUSTFLAGS": "-Zsanitizer=address", "CXXFLAGS": CPP},
-         "test --locked --target {host} -p sfm --lib -- ceres bundle"),
+         "test --profile sanitize --locked --target {host} -p sfm --lib -- ceres bundle"),
     "Valgrind, readers":
         ("valgrind --version", VALGRIND, "test --locked -p scene --lib -- io::"),
     "Valgrind, kernels":
@@ -43,7 +43,7 @@ CHECKS = {
          "miri test -p scene --lib -- progress"),
     "thread sanitizer, progress and cancel":
         ("rustc +nightly --version", {"RUSTFLAGS": "-Zsanitizer=thread"},
-         "test -Zbuild-std --target {host} -p scene --lib -- progress"),
+         "test --profile sanitize -Zbuild-std --target {host} -p scene --lib -- progress"),
     "licences, sources and wildcards of dependencies":
         ("cargo deny --version", {}, "deny --offline check licenses bans sources"),
     "advisories":
