@@ -117,8 +117,8 @@ impl Stages {
         commit::remove(&self.path(name))
     }
 
-    /// The folder in `.stages` for what a stage keeps for itself, emptied where it belongs to another
-    /// fingerprint.
+    /// The folder in `.stages` for what a stage keeps for itself, emptied where it belongs to
+    /// another fingerprint.
     pub fn keep(&self, name: &str, fingerprint: &str) -> Result<PathBuf> {
         let folder = self.path(name);
         let owner = folder.join("fingerprint");

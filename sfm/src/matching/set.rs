@@ -14,11 +14,11 @@ const MOST_BYTES: usize = 1 << 29;
 pub(crate) struct PreparedSet<'a> {
     features: &'a [Features],
     most_bytes: usize,
-    kept: Mutex<Kept>,
+    kept: Mutex<KeptDescriptors>,
 }
 
 #[derive(Default)]
-struct Kept {
+struct KeptDescriptors {
     images: Vec<Option<Arc<PreparedFeatures>>>,
     /// Those of `images` that are there, in the order in which they came.
     order: VecDeque<usize>,
@@ -33,7 +33,11 @@ impl<'a> PreparedSet<'a> {
 
     fn within(most_bytes: usize, features: &'a [Features]) -> Self {
         let images = vec![None; features.len()];
-        Self { features, most_bytes, kept: Mutex::new(Kept { images, ..Kept::default() }) }
+        Self {
+            features,
+            most_bytes,
+            kept: Mutex::new(KeptDescriptors { images, ..KeptDescriptors::default() }),
+        }
     }
 
     /// The descriptors of an image; `None` where there is no such image. The same from any thread.
@@ -47,12 +51,12 @@ impl<'a> PreparedSet<'a> {
         Some(self.kept().insert(image, made, self.most_bytes))
     }
 
-    fn kept(&self) -> MutexGuard<'_, Kept> {
+    fn kept(&self) -> MutexGuard<'_, KeptDescriptors> {
         self.kept.lock().unwrap_or_else(|e| e.into_inner())
     }
 }
 
-impl Kept {
+impl KeptDescriptors {
     /// Keeps what was made, unless another thread was first; leaves out the oldest.
     fn insert(&mut self, image: usize, made: Arc<PreparedFeatures>, most: usize) -> Arc<PreparedFeatures> {
         if let Some(there) = &self.images[image] {
