@@ -33,7 +33,7 @@ impl Pictures {
         }
         let gaussians = scene::io::ply::read_splat_ply(&run.join("splat.ply"))?;
         let (mut renderer, chosen) = Renderer::on(device, &gaussians)?;
-        renderer.antialias = trained_with_antialias(run);
+        renderer.antialias = trained_with_antialias(run)?;
         Ok((Self::Splat(Box::new(renderer), gaussians), chosen.sentences().choice))
     }
 
@@ -65,9 +65,9 @@ impl Pictures {
 }
 
 /// Whether the splat of a run was trained with --antialias.
-pub(crate) fn trained_with_antialias(out: &Path) -> bool {
-    let trained = crate::stage::last::<SplatSummary>(out, "train");
-    trained.is_some_and(|finished| finished.value.antialias)
+pub(crate) fn trained_with_antialias(out: &Path) -> Result<bool> {
+    let trained = crate::stage::last::<SplatSummary>(out, "train")?;
+    Ok(trained.is_some_and(|finished| finished.value.antialias))
 }
 
 /// The splat of a run folder; an error that says what to do where there is none.

@@ -10,6 +10,13 @@ cargo fmt --all -- --check || complain "run 'cargo fmt --all'"
 cargo clippy --workspace --all-targets --locked -- -D warnings || complain "clippy has something to say"
 RUSTDOCFLAGS="-D warnings" cargo doc --workspace --no-deps --locked --quiet || complain "the documentation has warnings"
 
+# Licences, registries and wildcards of the dependencies (deny.toml).
+if cargo deny --version >/dev/null 2>&1; then
+  cargo deny --offline --log-level error check licenses bans sources || complain "a dependency is not what deny.toml allows"
+else
+  echo "lint: cargo deny is not installed; licences and sources of dependencies are not checked" >&2
+fi
+
 while read -r lines file; do
   [ "$lines" -gt 500 ] && complain "$file has $lines lines; 500 is the most"
 done < <(git ls-files '*.rs' '*.wgsl' '*.cc' '*.h' '*.py' '*.sh' '*.js' '*.ts' | xargs wc -l | grep -v ' total$')

@@ -5,10 +5,10 @@ use crate::pictures::FIELD;
 use crate::record::FieldSummary;
 use crate::stage::{StageSpec, fingerprint};
 use crate::times::Times;
-use anyhow::{Context, Result};
+use anyhow::Result;
 use baselines::FieldConfig;
 use splat::BackendChoice;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 impl Pipeline {
     /// Trains a field on the training set, whose identity is `print`, and the times of its photos,
@@ -43,23 +43,6 @@ impl Pipeline {
         self.judge(&print, until)
     }
 
-    /// The folder of checkpoints, emptied where they belong to another training.
-    pub(super) fn checkpoints(&self, print: &str) -> Result<PathBuf> {
-        let checkpoints = self.stages.path("train");
-        let owner = checkpoints.join("fingerprint");
-        if std::fs::read_to_string(&owner).ok().as_deref() != Some(print) {
-            match std::fs::remove_dir_all(&checkpoints) {
-                Err(e) if e.kind() != std::io::ErrorKind::NotFound => {
-                    return Err(e).context("cannot clear old checkpoints");
-                }
-                _ => {}
-            }
-            std::fs::create_dir_all(&checkpoints)?;
-            crate::stage::write_whole(&owner, print.as_bytes())?;
-        }
-        Ok(checkpoints)
-    }
-
     /// Trains, with checkpoints in `.stages/train`, and writes the field into the folder `new`.
     fn train_field(
         &self,
@@ -70,7 +53,7 @@ impl Pipeline {
     ) -> Result<FieldSummary> {
         crate::stage::free_large_blocks_at_once();
         let progress = self.progress("train");
-        let checkpoints = self.checkpoints(print)?;
+        let checkpoints = self.stages.keep("train", print)?;
         let begun = config.limit_clock.seconds();
         let mut dataset = crate::evaluate::load_dataset(training_set, &self.args.dataset, &progress)?;
         dataset.forget_held_out();
