@@ -146,6 +146,7 @@ impl<'a> PhotoRays<'a> {
 pub(crate) const BLOCK: usize = 8;
 /// The same on graphics adapters, which want many rays at a time.
 /// Source: chosen by hand: 2¹⁷ samples in a round of an Instant NeRF.
+#[cfg(feature = "gpu")]
 pub(crate) const LARGE_BLOCK: usize = 128;
 /// What traces the rays of a block.
 pub(crate) type Tracer<'a> = dyn Fn(&[Ray], &mut [RayColour]) -> Result<(), FieldError> + Sync + 'a;
