@@ -157,6 +157,7 @@ compare: build $(VENV)/pycolmap  ## our poses beside COLMAP 3.8 and 4.2.1 on the
 
 oracle: $(VENV)/oracle  ## regenerate the fixtures that other libraries computed (downloads several GB)
 	@for script in tests/oracle/*.py; do echo "$$script"; $(VENV)/bin/python $$script $(SHARED)/data build/oracle; done
+	@$(VENV)/bin/python tests/oracle/fields.py --table; $(MAKE) benchmarks-page
 
 testbed: setup  ## render the simulated captures with Blender (slow)
 	@tools/setup.sh blender python3-numpy ffmpeg draco

@@ -3,7 +3,7 @@
 use crate::record::SplatSummary;
 use crate::times::Times;
 use anyhow::{Context, Result, bail};
-use baselines::TrainedField;
+use baselines::{Accelerator, TrainedField};
 use scene::{Camera, Gaussians, Pose};
 use splat::{DeviceConfig, RenderOptions, RenderOutput, Renderer};
 use std::path::Path;
@@ -27,8 +27,9 @@ impl Pictures {
     pub fn open(run: &Path, device: &DeviceConfig) -> Result<(Self, String)> {
         let field = run.join(FIELD);
         if field.is_file() {
-            let field = TrainedField::read(&field)?;
-            let words = format!("the processor ({})", field.method().name());
+            let by = Accelerator::open(device)?;
+            let field = TrainedField::read(&field, &by)?;
+            let words = format!("{} ({})", by.name(), field.method().name());
             return Ok((Self::Field(Box::new(field), Times::read(run)?), words));
         }
         let gaussians = scene::io::ply::read_splat_ply(&run.join("splat.ply"))?;

@@ -1,6 +1,6 @@
 //! Fits a field to a data set with a transforms.json within a time limit and renders its held-out
-//! views: `fit DATASET METHOD LIMIT OUT`, where LIMIT is a time (90s, 7m: processor time by core) or
-//! a number of steps (500x).
+//! views: `fit DATASET METHOD LIMIT OUT`, where LIMIT is a time (90s, 7m: processor time by core)
+//! or a number of steps (500x).
 
 use baselines::{FieldConfig, Method, train};
 use clap::ValueEnum as _;

@@ -7,7 +7,6 @@ use crate::stage::{StageSpec, fingerprint};
 use crate::times::Times;
 use anyhow::Result;
 use baselines::FieldConfig;
-use splat::BackendChoice;
 use std::path::Path;
 
 impl Pipeline {
@@ -15,14 +14,12 @@ impl Pipeline {
     /// and judges it.
     pub(super) fn field(&mut self, set: (&Path, &Times), print: &str, until: Until) -> Result<()> {
         let method = self.args.method;
-        if self.args.train.device.backend == BackendChoice::Gpu {
-            anyhow::bail!("--method {} trains on the processor only; leave --backend out", method.name());
-        }
         let config = FieldConfig {
             time_limit: self.args.train.time_limit,
             limit_clock: self.args.train.limit_clock,
             checkpoint_every: self.args.train.checkpoint_every,
             seed: self.args.seed,
+            device: self.args.train.device.clone(),
             ..FieldConfig::new(method, self.args.train.iterations)
         };
         let print =
@@ -32,10 +29,11 @@ impl Pipeline {
         self.stages.discard("train")?;
         let field: &FieldSummary = &done.finished.value;
         let line = format!(
-            "{}, {} steps, {:.1} million parameters",
+            "{}, {} steps, {:.1} million parameters, by {}",
             method.name(),
             field.iterations,
-            field.parameters as f64 / 1e6
+            field.parameters as f64 / 1e6,
+            field.by
         );
         let finished = self.finish("train", done, &line);
         let print = finished.identity()?;
@@ -67,6 +65,7 @@ impl Pipeline {
             parameters: result.parameters,
             iterations: result.iterations,
             curve: result.curve,
+            by: result.by,
         })
     }
 }
