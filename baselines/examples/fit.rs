@@ -5,7 +5,7 @@
 use baselines::{FieldConfig, Method, train};
 use clap::ValueEnum as _;
 use scene::Progress;
-use splat::clock::LimitClock;
+use scene::clock::LimitClock;
 use splat::simd::{Isa, Simd};
 use splat::simd_kernel;
 use splat::{Dataset, DatasetConfig};
@@ -79,9 +79,9 @@ fn main() -> Result<(), Box<dyn Error>> {
             ..FieldConfig::new(method, 1)
         },
     };
-    let cpu = splat::clock::cpu_seconds();
+    let cpu = scene::clock::cpu_seconds();
     let result = train(&dataset, &times, &config, None, &progress)?;
-    let cpu = splat::clock::cpu_seconds() - cpu;
+    let cpu = scene::clock::cpu_seconds() - cpu;
     for p in &result.curve {
         println!("{} steps, {:.0} s: {:.2} dB of training rays", p.iteration, p.seconds, p.psnr);
     }

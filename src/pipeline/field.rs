@@ -53,8 +53,7 @@ impl Pipeline {
         let progress = self.progress("train");
         let checkpoints = self.stages.keep("train", print)?;
         let begun = config.limit_clock.seconds();
-        let mut dataset = crate::evaluate::load_dataset(training_set, &self.args.dataset, &progress)?;
-        dataset.forget_held_out();
+        let dataset = crate::evaluate::load_to_train(training_set, &self.args.dataset, &progress)?;
         config.seconds_gone = config.limit_clock.seconds() - begun;
         let of_views: Vec<f32> = dataset.views.iter().map(|v| times.of_view(&v.name)).collect();
         let result = baselines::train(&dataset, &of_views, &config, Some(&checkpoints), &progress)?;
