@@ -229,11 +229,11 @@ pub struct MeshConfig {
 #[serde(rename_all = "lowercase")]
 pub enum MeshDepths {
     /// By multi-view stereo between the photos
-    #[default]
     Stereo,
     /// Those at which the splat is half opaque
     Splat,
-    /// By stereo; the splat's where the photos do not agree
+    /// By stereo; the splat's where the photos do not agree, or stereo looks through it
+    #[default]
     Both,
 }
 

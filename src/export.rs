@@ -142,7 +142,9 @@ pub(crate) fn fused(
     resolution: u32,
     progress: &Progress,
 ) -> Result<(Mesh, Dataset)> {
-    let gaussians = if from.by_splat() { Some(need_splat(run)?) } else { None };
+    // A run of another method has no splat.
+    let wanted = from == MeshDepths::Splat || from.by_splat() && run.join("splat.ply").exists();
+    let gaussians = if wanted { Some(need_splat(run)?) } else { None };
     let dataset = training_set(run, progress)?;
     let depths = if from.by_stereo() { Some(dense::depths(run, &dataset, progress)?) } else { None };
     let antialias = crate::pictures::trained_with_antialias(run)?;
