@@ -36,7 +36,7 @@ CHECKS = {
     "Valgrind, Ceres and its C++ border":
         ("valgrind --version", VALGRIND, "test --locked -p sfm --lib -- ceres bundle"),
     "Miri, parsers":
-        ("cargo +nightly miri --version", MIRI, "miri test -p scene --lib -- io::bytes io::name io::splats::plain flag"),
+        ("cargo +nightly miri --version", MIRI, "miri test -p scene --lib -- io::attitude io::exif io::mesh::tests io::name io::ply io::poses io::tiff_directory"),
     "Miri, scalar kernels":
         ("cargo +nightly miri --version", MIRI,
          "miri test -p splat --no-default-features --lib -- cpu::backend cpu::bounds cpu::sh cpu::shared cpu::sort cpu::target cpu::workspace"),
