@@ -80,6 +80,15 @@ fn standing(i: i32, step: f64, heading: f64) -> Pose {
     Pose::look_at(eye, eye + DVec3::new(heading.cos(), heading.sin(), 0.0), DVec3::Z)
 }
 
+/// A video of the pictures, five of them a second.
+fn encode(pictures: &Path, video: &Path) {
+    let encoded = std::process::Command::new("ffmpeg")
+        .args(["-v", "error", "-framerate", "5", "-i", text(pictures)])
+        .args(["-c:v", "libx264", "-crf", "14", "-pix_fmt", "yuv420p", text(video)])
+        .status();
+    assert!(encoded.unwrap().success());
+}
+
 /// That a run saw panoramas and does not ask whether their places form a closed ring.
 fn expect_panoramas(out: &Path) {
     let run = json(&out.join("run.json"));
@@ -124,11 +133,7 @@ fn a_video_of_panoramas_is_solved_and_not_called_an_open_ring() {
         poses.extend(views_of(&format!("frame_{i:06}"), &pose));
     }
     let video = dir.join("walk.mp4");
-    let encoded = std::process::Command::new("ffmpeg")
-        .args(["-v", "error", "-framerate", "5", "-i", text(&dir.join("%02d.png"))])
-        .args(["-c:v", "libx264", "-crf", "14", "-pix_fmt", "yuv420p", text(&video)])
-        .status();
-    assert!(encoded.unwrap().success());
+    encode(&dir.join("%02d.png"), &video);
     let flags = ["--lens", "panorama", "--frames", "10"];
     let errors = solved(&video, &dir.join("out"), &flags, &truth_of(poses));
     let [rotation_deg, centre_pct] = largest(&errors);
@@ -179,6 +184,21 @@ fn photos_of_a_fisheye_of_180_degrees_are_solved() {
         1,
     );
     assert!(bare.contains("--lens fisheye"), "{bare}");
+}
+
+#[test]
+fn a_video_of_a_fisheye_is_solved() {
+    let dir = folder("fisheye_video");
+    let mut truth = fisheye_photos(&dir.join("photos"), |theta| theta);
+    for (i, image) in truth.images.values_mut().enumerate() {
+        image.name = format!("frame_{i:06}.png");
+    }
+    let video = dir.join("walk.mp4");
+    encode(&dir.join("photos/f%02d.png"), &video);
+    let flags = ["--lens", "fisheye", "--frames", "16"];
+    let errors = solved(&video, &dir.join("out"), &flags, &truth);
+    let [rotation_deg, centre_pct] = largest(&errors);
+    assert!(rotation_deg < 0.3 && centre_pct < 0.6, "{rotation_deg}° {centre_pct} %");
 }
 
 #[test]

@@ -190,10 +190,15 @@ mod tests {
     fn the_focal_length_follows_from_sensor_resolution_and_from_35_mm() {
         let exif = ExifCamera::parse(&chunk());
         assert_eq!(exif.make.as_deref(), Some("Cam"));
-        assert_eq!(exif.focal_px(4000, 3000), Some(2500.0));
-        assert_eq!(exif.focal_px(1500, 2000), Some(1250.0), "half the size, turned");
+        let expect = |exif: &ExifCamera, [width, height]: [u32; 2], pixels: f64| {
+            let found = exif.focal_px(width, height).unwrap();
+            assert!((found - pixels).abs() < 1e-9 * pixels, "{found} {pixels}");
+        };
+        expect(&exif, [4000, 3000], 2500.0);
+        // Half the size, turned.
+        expect(&exif, [1500, 2000], 1250.0);
         let exif = ExifCamera { focal_35mm: Some(36.0), ..Default::default() };
-        assert!((exif.focal_px(3600, 2400).unwrap() - 3600.0).abs() < 1e-9);
+        expect(&exif, [3600, 2400], 3600.0);
         assert_eq!(ExifCamera::default().focal_px(100, 100), None);
     }
 
