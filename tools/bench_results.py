@@ -18,7 +18,7 @@ POSES = [
     ("centre median / max, %", "{centre_median_pct:.3f} / {centre_max_pct:.3f}"),
     ("CPU s", "{cpu_s:.1f}"), ("wall s", "{wall_s:.1f}"), ("peak MiB", "{peak_mib:.0f}"),
 ]
-STEPS = ["matching", "verification", "mapping", "camera-model", "final-adjustment", "covariance"]
+STEPS = ["matching", "verification", "guided-matching", "mapping", "camera-model", "final-adjustment", "motion"]
 SPLATS = [
     ("input", "{input}"), ("setting", "{setting}"), ("PSNR / SSIM", "{psnr:.2f} / {ssim:.4f}"),
     ("PSNR, 60° held out", "{psnr_sector:.2f}"),

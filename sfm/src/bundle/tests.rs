@@ -3,14 +3,18 @@ use rand::Rng as _;
 use scene::CameraModel;
 use scene::rng::rng;
 
-/// A ring of eight cameras round 120 points in the unit ball, measured exactly; `unit` scales and
-/// `shift` moves it.
 fn ring(model: CameraModel, unit: f64, shift: DVec3) -> BundleProblem {
+    ring_of(8, model, unit, shift)
+}
+
+/// A ring of cameras round 120 points in the unit ball, measured exactly; `unit` scales and `shift`
+/// moves it.
+fn ring_of(cameras: u32, model: CameraModel, unit: f64, shift: DVec3) -> BundleProblem {
     let mut random = rng(1, "ring", 0);
     let mut camera = Camera::centred(1, model, 640, 480, 600.0);
     let n = model.num_focals() + 2;
     camera.params[n..].iter_mut().zip([-0.1, 0.02, 0.001, -0.002]).for_each(|(p, k)| *p = k);
-    let poses: Vec<Pose> = (0..8)
+    let poses: Vec<Pose> = (0..cameras)
         .map(|i| {
             let angle = f64::from(i) * 0.7;
             let eye = DVec3::new(4.0 * angle.cos(), 4.0 * angle.sin(), 0.5 + 0.3 * angle.sin());
@@ -22,8 +26,8 @@ fn ring(model: CameraModel, unit: f64, shift: DVec3) -> BundleProblem {
         (0..120).map(|_| DVec3::new(coordinate(), coordinate(), coordinate()) * unit + shift).collect();
     let mut problem = BundleProblem {
         camera_free: vec![free_parameters(&camera, true, false, true)],
-        pose_camera: vec![0; 8],
-        pose_constant: vec![false; 8],
+        pose_camera: vec![0; poses.len()],
+        pose_constant: vec![false; poses.len()],
         point_constant: vec![false; 120],
         poses,
         points,
@@ -85,6 +89,18 @@ fn recovers_poses_and_intrinsics_of_every_model_in_few_iterations() {
             assert!((p - t).abs() < 1e-5 * (1.0 + t.abs()), "{model:?} {:?}", problem.cameras[0]);
         }
     }
+}
+
+/// More than `kManyPoses`: the cameras are solved for by conjugate gradients.
+#[test]
+fn many_poses_are_recovered_too() {
+    let mut problem = ring_of(240, CameraModel::SimplePinhole, 1.0, DVec3::ZERO);
+    disturb(&mut problem, 1.0);
+    assert!(worst_residual(&problem) > 5.0);
+    solve(&mut problem);
+    assert!(worst_residual(&problem) < 1e-2, "{}", worst_residual(&problem));
+    let focal = problem.cameras[0].params[0];
+    assert!((focal - 600.0).abs() < 0.01, "{focal}");
 }
 
 #[test]
