@@ -1,0 +1,21 @@
+//! tmp
+use std::path::Path;
+fn main() {
+    let run = std::env::args().nth(1).unwrap();
+    let run = Path::new(&run);
+    let v: serde_json::Value = serde_json::from_slice(&std::fs::read(run.join(".stages/frames.json")).unwrap()).unwrap();
+    let mut f: scene::FrameSet = serde_json::from_value(v["value"].clone()).unwrap();
+    for x in &mut f.frames { x.path = run.join(&x.path); x.mask = x.mask.as_ref().map(|m| run.join(m)); }
+    let model = scene::io::read_model(&run.join("sparse/0")).unwrap();
+    let mut model = model;
+    if let Some(t) = std::env::args().nth(2) {
+        model = scene::io::read_model(Path::new(&t)).unwrap();
+        for k in 0..8u64 { let q = |b: u64| if k >> b & 1 == 1 { 0.3 } else { -0.3 };
+            model.points.insert(k, scene::ScenePoint { position: glam::DVec3::new(q(0), q(1), q(2)), rgb: [0; 3], error_px: 0.0, track: vec![] }); }
+        println!("camera {:?}", model.cameras);
+    }
+    let a = sfm::moving_parts(&f, &model, &sfm::KltConfig::default(), 0, &scene::Progress::silent()).unwrap();
+    for p in &a.parts { println!("{} tracks {:?} place {:?} axis ± {:.2} turn {:.1} rms {:.2} still {:.2}", p.tracks, p.axis, p.place, p.axis_sigma_deg, p.angles_deg.last().unwrap(), p.error_px, p.still_error_px); }
+    println!("noise {} tracks {} unexplained {}", a.noise_px, a.tracks, a.unexplained);
+    std::fs::write(run.join("parts.json"), serde_json::to_vec(&a).unwrap()).unwrap();
+}

@@ -1,0 +1,193 @@
+//! From a joint that explains a few tracks over a few frames to one for all frames.
+
+use super::joint::{JointNoise, JointPath};
+use super::posed::{LEAST_VIEWS, PosedTrack};
+use super::search::joints;
+use crate::statistics::median;
+use rand::Rng as _;
+use rayon::prelude::*;
+use std::ops::Range;
+
+/// Groups of neighbouring tracks that are tried. Source: derived: a part with a tenth of the odd
+/// tracks is met four times.
+const GROUPS: usize = 40;
+/// A track belongs to a part that leaves no more than so many times the usual error. Source: two
+/// standard deviations; what is left over is looked at for other parts.
+const BELONGS: f64 = 2.0;
+/// Tracks of a group, and frames over which it is looked at. Source: derived: an axis, a rate and
+/// ten points from over a hundred observations; an angle is nearly steady over so short a time.
+const GROUP: [usize; 2] = [10, 20];
+/// A part has so many tracks. Source: chosen by hand, never measured.
+const LEAST_TRACKS: usize = 10;
+/// Standard deviation of the change of rate from frame to frame before anything is known, radians.
+/// Source: derived: half a degree, more than motors do.
+const FIRST_BEND: f64 = 0.009;
+/// It is never taken for less, radians. Source: derived: adds up to a degree over 100 frames.
+const LEAST_BEND: f64 = 3e-5;
+/// A part turns by so much, radians, or it is an error of the poses. Source: chosen by hand.
+const LEAST_TURN: f64 = 0.05;
+/// Of a place's neighbours in the picture so many are asked which motion they follow. Source:
+/// chosen by hand, never measured.
+const NEIGHBOURS: usize = 6;
+
+/// All tracks, what is known of them, and how many frames there are.
+pub(super) struct Growth<'t, 'a> {
+    pub all: &'t [PosedTrack<'a>],
+    /// Those that the body explains.
+    pub still: &'t [usize],
+    pub noise: f64,
+    pub frames: usize,
+    pub seed: u64,
+}
+
+/// The root mean square change of rate from frame to frame, radians.
+pub(super) fn bend(path: &JointPath) -> f64 {
+    let bends: Vec<f64> = path.angles.windows(3).map(|w| w[0] - 2.0 * w[1] + w[2]).collect();
+    let mean = bends.iter().map(|b| b * b).sum::<f64>() / bends.len().max(1) as f64;
+    mean.sqrt().max(LEAST_BEND)
+}
+
+/// Whether a joint has tracks enough, and an angle that changes.
+fn turns(path: &JointPath, own: &[usize]) -> bool {
+    let angles = path.angles.iter().copied();
+    let (least, most) = (angles.clone().fold(f64::INFINITY, f64::min), angles.fold(f64::NEG_INFINITY, f64::max));
+    own.len() >= LEAST_TRACKS && most - least >= LEAST_TURN
+}
+
+impl Growth<'_, '_> {
+    /// The joint that explains most of the tracks `odd`, over all frames, and which it explains;
+    /// `None` where no part is found.
+    pub(super) fn part(&self, odd: &[usize], number: u64) -> Option<(JointPath, Vec<usize>)> {
+        let (start, _) = self.seeds(odd, number).into_iter().max_by_key(|s| s.1)?;
+        let (path, own) = self.grown(start, odd);
+        turns(&path, &own).then_some((path, own))
+    }
+
+    /// Parts again, each track with the one that explains it best.
+    pub(super) fn shared_out(&self, parts: Vec<JointPath>) -> Vec<(JointPath, Vec<usize>)> {
+        let best = |i: usize| {
+            let errors = parts.iter().enumerate().filter_map(|(k, p)| Some((self.all[i].point(p)?.1, k)));
+            let least = errors.min_by(|a, b| a.0.total_cmp(&b.0))?;
+            (least.0 <= BELONGS * self.noise).then_some((i, least.1))
+        };
+        let odd: Vec<usize> = (0..self.all.len()).filter(|i| self.still.binary_search(i).is_err()).collect();
+        let best: Vec<(usize, usize)> = odd.into_par_iter().filter_map(best).collect();
+        let own = |k: usize| best.iter().filter(|b| b.1 == k).map(|b| b.0).collect();
+        let again = parts.iter().enumerate().map(|(k, path)| {
+            let own: Vec<usize> = own(k);
+            (self.fit(path, &own, bend(path)), own)
+        });
+        again.filter(|(path, own)| self.is_part(path, own)).collect()
+    }
+
+    /// Joints of groups of neighbours, each with the observations it explains.
+    fn seeds(&self, odd: &[usize], number: u64) -> Vec<(JointPath, usize)> {
+        let long: Vec<usize> =
+            odd.iter().copied().filter(|&i| self.all[i].views.len() >= 2 * LEAST_VIEWS).collect();
+        if long.len() < LEAST_TRACKS {
+            return Vec::new();
+        }
+        let mut rng = scene::rng::rng(self.seed, "parts", number);
+        let chosen: Vec<usize> = (0..GROUPS).map(|_| long[rng.random_range(0..long.len())]).collect();
+        let found = chosen.into_iter().filter_map(|i| {
+            let window = self.window(i);
+            let group = self.group(i, &window, odd);
+            if group.len() < LEAST_VIEWS {
+                return None;
+            }
+            let tracks: Vec<&PosedTrack<'_>> = group.iter().map(|&k| &self.all[k]).collect();
+            let noise = JointNoise { pixel: self.noise, bend: FIRST_BEND };
+            let tried = joints(&tracks, window, self.noise).into_iter().map(|start| {
+                let path = start.refined(&tracks, &noise, 15);
+                let count = self.explained(&path, odd).iter().map(|&k| self.all[k].views.len()).sum();
+                (path, count)
+            });
+            tried.max_by_key(|t| t.1)
+        });
+        found.collect()
+    }
+
+    /// The frames in the middle of a track.
+    fn window(&self, track: usize) -> Range<usize> {
+        let views = &self.all[track].views;
+        let (first, last) = (views[0].0, views[views.len() - 1].0 + 1);
+        let spare = (last - first).saturating_sub(GROUP[1]) / 2;
+        first + spare..last - spare
+    }
+
+    /// A track and those nearest to it in the picture, of those seen in most of the frames.
+    fn group(&self, track: usize, window: &Range<usize>, odd: &[usize]) -> Vec<usize> {
+        let mut near: Vec<(f64, usize)> = odd
+            .par_iter()
+            .filter_map(|&k| {
+                let apart: Vec<f64> = window
+                    .clone()
+                    .filter_map(|f| Some(self.all[k].pixel(f)?.distance(self.all[track].pixel(f)?)))
+                    .collect();
+                (2 * apart.len() >= window.len() && apart.len() >= LEAST_VIEWS).then(|| (median(apart), k))
+            })
+            .collect();
+        near.sort_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
+        near.into_iter().take(GROUP[0]).map(|n| n.1).collect()
+    }
+
+    /// Which tracks are points of a part on this joint.
+    fn explained(&self, path: &JointPath, odd: &[usize]) -> Vec<usize> {
+        let fits = |&i: &usize| self.all[i].point(path).is_some_and(|(_, e)| e <= BELONGS * self.noise);
+        odd.par_iter().copied().filter(fits).collect()
+    }
+
+    /// The joint over all frames, a few more at a time.
+    fn grown(&self, start: JointPath, odd: &[usize]) -> (JointPath, Vec<usize>) {
+        let mut path = start;
+        let mut own = self.explained(&path, odd);
+        loop {
+            let before = path.angles.len();
+            path = path.extended((before / 4).max(2), self.frames);
+            path = self.fit(&path, &own, FIRST_BEND);
+            own = self.explained(&path, odd);
+            if path.angles.len() == before {
+                break;
+            }
+        }
+        // How steady it is, the angles say themselves.
+        for _ in 0..3 {
+            path = self.fit(&path, &own, bend(&path));
+            own = self.explained(&path, odd);
+        }
+        (path, own)
+    }
+
+    fn fit(&self, path: &JointPath, own: &[usize], bend: f64) -> JointPath {
+        let tracks: Vec<&PosedTrack<'_>> = own.iter().map(|&i| &self.all[i]).collect();
+        path.refined(&tracks, &JointNoise { pixel: self.noise, bend }, 30)
+    }
+
+    /// Whether it is a part that has a place in the picture to itself: reflections go over what
+    /// stands still.
+    fn is_part(&self, path: &JointPath, own: &[usize]) -> bool {
+        if !turns(path, own) {
+            return false;
+        }
+        let alone: Vec<f64> = own.par_iter().filter_map(|&i| self.alone(i, own)).collect();
+        !alone.is_empty() && median(alone) > 0.5
+    }
+
+    /// Of the nearest neighbours of a track, in the middle of its time, the share that is the
+    /// part's and not the body's.
+    fn alone(&self, track: usize, own: &[usize]) -> Option<f64> {
+        let views = &self.all[track].views;
+        let (frame, view) = &views[views.len() / 2];
+        let near = |of: &[usize], part: bool| -> Vec<(f64, bool)> {
+            let others = of.iter().filter(|&&i| i != track);
+            let apart = others.filter_map(|&i| Some(self.all[i].pixel(*frame)?.distance(view.pixel)));
+            apart.map(|d| (d, part)).collect()
+        };
+        let mut all = near(own, true);
+        all.extend(near(self.still, false));
+        all.sort_by(|a, b| a.0.total_cmp(&b.0));
+        all.truncate(NEIGHBOURS);
+        let part = all.iter().filter(|n| n.1).count();
+        (!all.is_empty()).then(|| part as f64 / all.len() as f64)
+    }
+}
