@@ -169,13 +169,16 @@ impl Growth<'_, '_> {
         if !turns(path, own) {
             return false;
         }
-        let alone: Vec<f64> = own.par_iter().filter_map(|&i| self.alone(i, own)).collect();
+        let fits = self.explained(path, self.still);
+        let others: Vec<usize> =
+            self.still.iter().copied().filter(|i| fits.binary_search(i).is_err()).collect();
+        let alone: Vec<f64> = own.par_iter().filter_map(|&i| self.alone(i, own, &others)).collect();
         !alone.is_empty() && median(alone) > 0.5
     }
 
     /// Of the nearest neighbours of a track, in the middle of its time, the share that is the
-    /// part's and not the body's.
-    fn alone(&self, track: usize, own: &[usize]) -> Option<f64> {
+    /// part's; `others` are the body's and cannot be the part's.
+    fn alone(&self, track: usize, own: &[usize], others: &[usize]) -> Option<f64> {
         let views = &self.all[track].views;
         let (frame, view) = &views[views.len() / 2];
         let near = |of: &[usize], part: bool| -> Vec<(f64, bool)> {
@@ -184,7 +187,7 @@ impl Growth<'_, '_> {
             apart.map(|d| (d, part)).collect()
         };
         let mut all = near(own, true);
-        all.extend(near(self.still, false));
+        all.extend(near(others, false));
         all.sort_by(|a, b| a.0.total_cmp(&b.0));
         all.truncate(NEIGHBOURS);
         let part = all.iter().filter(|n| n.1).count();
