@@ -16,7 +16,7 @@ SHARED := $(or $(SAT_RECON_SHARED),../shared)
 # Where another Python comes first on the PATH, Debian's has numpy.
 PYTHON_NUMPY := $(shell python3 -c 'import numpy' 2>/dev/null && echo python3 || echo /usr/bin/python3)
 
-.PHONY: help setup viewer build demo wheel container readers test reliability reliability-page crash-test cluster-test fuzz sanitize neon lint same-bytes bench tables bench-gpu compare skips benchmarks-page oracle testbed suite bench-suite plausibility site \
+.PHONY: help setup viewer build demo wheel first-picture container readers readers-nerfstudio test reliability reliability-page crash-test cluster-test fuzz sanitize arm64 neon lint same-bytes bench tables bench-gpu compare skips benchmarks-page oracle testbed suite bench-suite plausibility site \
   tutorial-pictures
 help:  ## this list
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed 's/:.*##/\t/' | expand -t 20
@@ -38,6 +38,13 @@ wheel: build  ## a Python wheel with the program inside: build/wheels (needs Pyt
 	@tools/setup.sh python3-venv binutils
 	tools/wheel.sh $(SAT_RECON) build/wheels
 
+# PYTHON311: prefix of a CPython 3.11, for a system that is like the image python:3.11.
+first-picture: wheel  ## seconds from nothing to the first picture on bare machines, with the wheel (as root)
+	@tools/setup.sh debootstrap python3
+	python3 tools/first_picture.py build/wheels/*.whl data/sample/orbit.mp4 --out build/first_picture \
+	    --results build/first_picture/results $(if $(PYTHON311),--python $(PYTHON311))
+	@$(MAKE) benchmarks-page
+
 container: build  ## the Dockerfile built and run; where no engine runs, as a root file system in a chroot (as root)
 	@tools/setup.sh debootstrap binutils
 	tools/container.sh $(SAT_RECON) build/container
@@ -48,6 +55,17 @@ readers: build $(VENV)/pycolmap  ## readers of others (pycolmap, splat-transform
 	[ -d out/demo/eval ] || $(MAKE) demo
 	npm install --no-audit --no-fund --loglevel=error --prefix $(CACHE)/readers @playcanvas/splat-transform@2.7.1 gltf-validator@2.0.0-dev.3.10
 	$(VENV)/bin/python tools/readers.py $(SAT_RECON) out/demo --out build/readers --npm $(CACHE)/readers
+
+# nerfstudio's own list of packages is longer than what its parsers need, and partly out of date.
+PARSERS := torch open3d-cpu jaxtyping tyro viser==0.2.7 rich requests matplotlib tensorboard absl-py \
+    appdirs rawpy opencv-python-headless imageio pillow
+readers-nerfstudio: build  ## nerfstudio's own parsers on the demo's sets (downloads torch: 5 GB)
+	@tools/setup.sh python3-venv
+	[ -d out/demo/eval ] || $(MAKE) demo
+	[ -x $(CACHE)/nerfstudio/bin/python ] || python3 -m venv $(CACHE)/nerfstudio
+	$(CACHE)/nerfstudio/bin/pip install -q $(PARSERS)
+	$(CACHE)/nerfstudio/bin/pip install -q --no-deps nerfstudio==1.1.5
+	$(CACHE)/nerfstudio/bin/python -W ignore tools/nerfstudio_reader.py $(SAT_RECON) out/demo --out build/readers_nerfstudio
 
 test: setup viewer  ## every test (real data is looked for in ../shared/data)
 	@tools/setup.sh colmap chromium python3-numpy
@@ -83,7 +101,11 @@ sanitize: setup  ## readers, kernels and Ceres' border under Valgrind and saniti
 	python3 tools/reliability/sanitize.py --out build/sanitize --seconds $(or $(TIME),60) --results docs/results/sanitize.json
 	$(MAKE) reliability-page
 
-# The trainer alone: `sfm` needs Ceres' libraries for that processor.
+arm64:  ## the whole program and its wheel for 64-bit ARM, cross-built and run on an emulated processor (slow)
+	@tools/setup.sh g++-aarch64-linux-gnu binutils-aarch64-linux-gnu mmdebstrap qemu-user-static python3-venv ffmpeg
+	tools/arm64.sh build/arm64 build run wheel
+
+# The trainer alone needs no other library for that processor.
 ARM := aarch64-unknown-linux-gnu
 neon: export CARGO_TARGET_AARCH64_UNKNOWN_LINUX_GNU_LINKER := aarch64-linux-gnu-gcc
 neon: export CARGO_TARGET_AARCH64_UNKNOWN_LINUX_GNU_RUNNER := qemu-aarch64-static -L /usr/aarch64-linux-gnu
@@ -135,6 +157,7 @@ compare: build $(VENV)/pycolmap  ## our poses beside COLMAP 3.8 and 4.2.1 on the
 
 oracle: $(VENV)/oracle  ## regenerate the fixtures that other libraries computed (downloads several GB)
 	@for script in tests/oracle/*.py; do echo "$$script"; $(VENV)/bin/python $$script $(SHARED)/data build/oracle; done
+	@$(VENV)/bin/python tests/oracle/fields.py --table; $(MAKE) benchmarks-page
 
 testbed: setup  ## render the simulated captures with Blender (slow)
 	@tools/setup.sh blender python3-numpy ffmpeg draco

@@ -5,11 +5,17 @@ use scene::flag::between;
 use serde::{Deserialize, Serialize};
 use std::path::PathBuf;
 
+/// What to type first, below the list of commands.
+const FIRST_STEPS: &str = "First steps:
+  sat-recon video.mp4           everything, into the folder video_recon; short for `run`
+  sat-recon photos/ --view      the same from photos, watched in a browser
+  sat-recon view video_recon    the splat in a browser";
+
 /// Camera poses, a sparse cloud and a 3D Gaussian splat from a video or photos of an object.
-///
-/// `sat-recon INPUT` is short for `sat-recon run INPUT`.
 #[derive(Parser, Debug)]
 #[command(version, propagate_version = true, args_override_self = true, infer_subcommands = false)]
+#[command(override_usage = "sat-recon [OPTIONS] <INPUT>\n       sat-recon [OPTIONS] <COMMAND>")]
+#[command(after_help = FIRST_STEPS)]
 pub struct Cli {
     /// What to do.
     #[command(subcommand)]
@@ -225,11 +231,11 @@ pub struct MeshConfig {
 #[serde(rename_all = "lowercase")]
 pub enum MeshDepths {
     /// By multi-view stereo between the photos
-    #[default]
     Stereo,
     /// Those at which the splat is half opaque
     Splat,
-    /// By stereo; the splat's where the photos do not agree
+    /// By stereo; the splat's where the photos do not agree, or stereo looks through it
+    #[default]
     Both,
 }
 

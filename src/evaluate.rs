@@ -53,6 +53,17 @@ pub fn load_dataset(training_set: &Path, config: &DatasetConfig, progress: &Prog
     Ok(Dataset::load(&training_set.join("images"), masks.as_deref(), &model, config, progress)?)
 }
 
+/// The same for training, which never looks at the photos that are held out: of those only the
+/// coarsest level stays in memory.
+pub fn load_to_train(training_set: &Path, config: &DatasetConfig, progress: &Progress) -> Result<Dataset> {
+    let mut dataset = load_dataset(training_set, config, progress)?;
+    for view in dataset.views.iter_mut().filter(|v| v.held_out) {
+        let last = view.levels.pop();
+        view.levels = last.into_iter().collect();
+    }
+    Ok(dataset)
+}
+
 /// The networks of the weights that were given.
 pub fn load_networks(weights: &[PathBuf]) -> Result<Vec<Lpips>> {
     weights.iter().map(|path| Ok(Lpips::load(path)?)).collect()

@@ -142,10 +142,12 @@ pub(crate) fn fused(
     resolution: u32,
     progress: &Progress,
 ) -> Result<(Mesh, Dataset)> {
-    let gaussians = if from.by_splat() { Some(need_splat(run)?) } else { None };
+    // A run of another method has no splat.
+    let wanted = from == MeshDepths::Splat || from.by_splat() && run.join("splat.ply").exists();
+    let gaussians = if wanted { Some(need_splat(run)?) } else { None };
     let dataset = training_set(run, progress)?;
     let depths = if from.by_stereo() { Some(dense::depths(run, &dataset, progress)?) } else { None };
-    let antialias = crate::pictures::trained_with_antialias(run);
+    let antialias = crate::pictures::trained_with_antialias(run)?;
     let splat = gaussians.as_ref().map(|g| (g, antialias));
     let mesh = dense::mesh(depths.as_ref(), splat, &dataset, resolution, progress)?;
     if mesh.triangles.is_empty() {

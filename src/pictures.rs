@@ -3,7 +3,7 @@
 use crate::record::SplatSummary;
 use crate::times::Times;
 use anyhow::{Context, Result, bail};
-use baselines::TrainedField;
+use baselines::{Accelerator, TrainedField};
 use scene::{Camera, Gaussians, Pose};
 use splat::{DeviceConfig, RenderOptions, RenderOutput, Renderer};
 use std::path::Path;
@@ -27,13 +27,14 @@ impl Pictures {
     pub fn open(run: &Path, device: &DeviceConfig) -> Result<(Self, String)> {
         let field = run.join(FIELD);
         if field.is_file() {
-            let field = TrainedField::read(&field)?;
-            let words = format!("the processor ({})", field.method().name());
+            let by = Accelerator::open(device)?;
+            let field = TrainedField::read(&field, &by)?;
+            let words = format!("{} ({})", by.name(), field.method().name());
             return Ok((Self::Field(Box::new(field), Times::read(run)?), words));
         }
         let gaussians = scene::io::ply::read_splat_ply(&run.join("splat.ply"))?;
         let (mut renderer, chosen) = Renderer::on(device, &gaussians)?;
-        renderer.antialias = trained_with_antialias(run);
+        renderer.antialias = trained_with_antialias(run)?;
         Ok((Self::Splat(Box::new(renderer), gaussians), chosen.sentences().choice))
     }
 
@@ -65,9 +66,9 @@ impl Pictures {
 }
 
 /// Whether the splat of a run was trained with --antialias.
-pub(crate) fn trained_with_antialias(out: &Path) -> bool {
-    let trained = crate::stage::last::<SplatSummary>(out, "train");
-    trained.is_some_and(|finished| finished.value.antialias)
+pub(crate) fn trained_with_antialias(out: &Path) -> Result<bool> {
+    let trained = crate::stage::last::<SplatSummary>(out, "train")?;
+    Ok(trained.is_some_and(|finished| finished.value.antialias))
 }
 
 /// The splat of a run folder; an error that says what to do where there is none.

@@ -447,10 +447,9 @@ impl Pipeline {
     fn train(&self, training_set: &Path, new: &Path, print: &str) -> Result<SplatSummary> {
         crate::stage::free_large_blocks_at_once();
         let progress = self.progress("train");
-        let checkpoints = self.checkpoints(print)?;
+        let checkpoints = self.stages.keep("train", print)?;
         let begun = self.args.train.limit_clock.seconds();
-        let mut dataset = evaluate::load_dataset(training_set, &self.args.dataset, &progress)?;
-        dataset.forget_held_out();
+        let dataset = evaluate::load_to_train(training_set, &self.args.dataset, &progress)?;
         let mut config = self.args.train.clone();
         config.seed = self.args.seed;
         config.seconds_gone = config.limit_clock.seconds() - begun;

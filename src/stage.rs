@@ -4,6 +4,7 @@ mod commit;
 mod cost;
 mod listing;
 mod lock;
+mod there;
 
 pub use cost::{Cost, Meter, free_large_blocks_at_once};
 pub use listing::OutputFile;
@@ -116,6 +117,19 @@ impl Stages {
         commit::remove(&self.path(name))
     }
 
+    /// The folder in `.stages` for what a stage keeps for itself, emptied where it belongs to
+    /// another fingerprint.
+    pub fn keep(&self, name: &str, fingerprint: &str) -> Result<PathBuf> {
+        let folder = self.path(name);
+        let owner = folder.join("fingerprint");
+        if there::read(&owner)?.as_deref() != Some(fingerprint.as_bytes()) {
+            commit::remove(&folder)?;
+            std::fs::create_dir_all(&folder).with_context(|| format!("cannot make {}", folder.display()))?;
+            write_whole(&owner, fingerprint.as_bytes())?;
+        }
+        Ok(folder)
+    }
+
     /// Runs `work` unless an earlier result is current and whole. `work` writes into the folder it
     /// is given, laid out like the output folder; the result is put in place when it is complete.
     pub fn run<T: Serialize + DeserializeOwned>(
@@ -123,8 +137,11 @@ impl Stages {
         stage: &StageSpec,
         work: impl FnOnce(&Path) -> Result<T>,
     ) -> Result<Done<T>> {
-        let known = last::<T>(&self.out, stage.name).filter(|k| k.fingerprint == stage.fingerprint);
-        let changed = known.as_ref().and_then(|k| listing::difference(&self.out, &k.outputs));
+        let known = last::<T>(&self.out, stage.name)?.filter(|k| k.fingerprint == stage.fingerprint);
+        let changed = match &known {
+            Some(known) => listing::difference(&self.out, &known.outputs)?,
+            None => None,
+        };
         if let (Some(finished), None) = (known, &changed) {
             return Ok(Done { finished, ran: false, changed });
         }
@@ -144,10 +161,11 @@ impl Stages {
     }
 }
 
-/// What the last run left of a stage, current or not.
-pub fn last<T: DeserializeOwned>(out: &Path, name: &str) -> Option<Finished<T>> {
-    let record = out.join(".stages").join(format!("{name}.json"));
-    serde_json::from_slice(&std::fs::read(record).ok()?).ok()
+/// What the last run left of a stage, current or not; `None` where it left nothing, or a record of
+/// another version or a damaged one.
+pub fn last<T: DeserializeOwned>(out: &Path, name: &str) -> Result<Option<Finished<T>>> {
+    let record = there::read(&out.join(".stages").join(format!("{name}.json")))?;
+    Ok(record.and_then(|text| serde_json::from_slice(&text).ok()))
 }
 
 /// Finishes what an interrupted run has committed, for commands that only read its folder; not

@@ -228,7 +228,8 @@ fn plain_line(what: &str, state: &ProgressState, done: u64, seconds: f64, detail
         (state.total > done && done > 0).then(|| format!("{:.0} s left", (state.total - done) as f64 / rate));
     let parts = [Some(format!("{what}: {done}{of}")), Some(rate_in_words(rate)), left];
     let parts: Vec<String> = parts.into_iter().flatten().filter(|p| !p.is_empty()).collect();
-    format!("{} {detail}", parts.join(", ")).trim_end().to_owned()
+    let detail = if detail.is_empty() { String::new() } else { format!(" ({detail})") };
+    format!("{}{detail}", parts.join(", "))
 }
 
 impl Drop for TerminalSink {
@@ -251,7 +252,7 @@ mod tests {
         sink.begin("mapping", 100);
         assert_eq!(
             plain_line(&sink.named("mapping"), &sink.lock(), 50, 100.0, "50 images"),
-            "2/6 mapping: 50/100, 2.0 s each, 100 s left 50 images"
+            "2/6 mapping: 50/100, 2.0 s each, 100 s left (50 images)"
         );
         sink.update(184, "");
         assert_eq!(plain_line("mapping", &sink.lock(), 184, 100.0, ""), "mapping: 184, 1.8/s");

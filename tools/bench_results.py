@@ -60,6 +60,11 @@ TABLES = {
         *((step, f"{{steps[{step}]:.1f}}") for step in STEPS), ("all, CPU s", "{cpu_s:.1f}"), ("peak MiB", "{peak_mib:.0f}"),
     ],
     "splats": SPLATS, "times": SPLATS,
+    "first_picture": [
+        ("system", "{system}"), ("packages", "{packages}"), ("install them, s", "{packages_s:.0f}"),
+        ("install the wheel, s", "{wheel_s:.0f}"), ("run, s", "{run_s:.0f}"), ("together, s", "{total_s:.0f}"),
+        ("CPU s", "{cpu_s:.0f}"), ("CPU s of other work meanwhile", "{other_cpu_s:.0f}"),
+    ],
     "shapes": [
         ("surface", "{surface}"), ("points", "{points:,}"), ("accuracy mean / median, %", "{accuracy_mean_pct:.3f} / {accuracy_median_pct:.3f}"),
         ("completeness mean / median, %", "{completeness_mean_pct:.3f} / {completeness_median_pct:.3f}"),

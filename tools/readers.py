@@ -4,10 +4,12 @@
     readers.py SAT_RECON RUN --out FOLDER --npm FOLDER
 
 pycolmap (PyPI) reads the sets of `export --for`; splat-transform (npm, the converter of SuperSplat)
-reads the splat formats; gltf-validator (npm, Khronos) looks for faults in the .glb files. Ends with
-an error if one of them complains or reads something else than we wrote. Needs numpy, pillow and
-pycolmap; FOLDER of --npm has the node_modules. The parsers of nerfstudio need torch, and gsplat's
-lies in its examples, which its package on PyPI does not have: both are not called here.
+reads the splat formats; gltf-validator (npm, Khronos) looks for faults in the .glb files, and
+Blender, where it is installed, must show the splat's upright. Ends with an error if one of them
+complains or reads something else than we wrote. Needs numpy, pillow and pycolmap; FOLDER of --npm
+has the node_modules. gsplat's package on PyPI has no reader of data sets: its examples read them
+through pycolmap, and pair sorted images with sorted names, so that a folder with one file too many
+would shift them; that is checked here. For nerfstudio's own parsers see nerfstudio_reader.py.
 """
 import argparse
 import json
@@ -65,6 +67,8 @@ def read_set(folder, mode, images):
         assert picture.size == (camera.width, camera.height), (folder, image.name)
         assert mode is None or picture.mode == mode, (folder, image.name, picture.mode)
         assert mode is None or camera.model.name == "PINHOLE", (folder, camera.model)
+    lying = sorted(os.listdir(os.path.join(folder, "images")))
+    assert lying == sorted(i.name for i in model.images.values()), (folder, "images without a pose")
     error = model.compute_mean_reprojection_error()
     assert model.num_points3D() > 0 and error < 2.0, (folder, error)
     return f"{images} images, {model.num_points3D()} points, {error:.2f} px by pycolmap {pycolmap.__version__}"
@@ -82,6 +86,28 @@ def read_splat(path, kind, reference, transform, out):
     moved = np.abs(np.quantile(found, steps, axis=0) - np.quantile(wanted, steps, axis=0)).max() / extent
     assert moved <= MOVED[kind], (kind, moved)
     return f"{len(found)} Gaussians, moved by {moved:.1e} of the scene's radius at most"
+
+
+BLENDER = """
+import bpy, json, numpy, sys
+numpy.bool = bool  # Debian's importer is older than Debian's numpy
+bpy.ops.object.select_all(action="SELECT")
+bpy.ops.object.delete()
+bpy.ops.import_scene.gltf(filepath=sys.argv[-1])
+points = [o.matrix_world @ v.co for o in bpy.data.objects if o.type == "MESH" for v in o.data.vertices]
+print("POINTS" + json.dumps([list(p) for p in points]))
+"""
+
+
+def upright_in_blender(path, reference):
+    """Blender has z up: its heights of the vertices against ours, which are -y."""
+    said = run("blender", "--background", "--factory-startup", "--python-expr", BLENDER, "--", path)
+    found = np.array(json.loads(next(line for line in said.splitlines() if line.startswith("POINTS"))[6:]))
+    wanted = positions(reference) @ np.array([[1.0, 0, 0], [0, 0, 1], [0, -1, 0]]).T
+    steps = np.linspace(0.02, 0.98, 49)
+    moved = np.abs(np.quantile(found, steps, axis=0) - np.quantile(wanted, steps, axis=0)).max()
+    assert moved <= 2e-2 * np.ptp(wanted, axis=0).max(), (path, moved)
+    return f"{len(found)} vertices, upright, off by {moved:.1e} at most by {run('blender', '--version').split(chr(10))[0]}"
 
 
 VALIDATE = """
@@ -129,6 +155,10 @@ def main():
         path = os.path.join(args.out, name)
         run(args.sat_recon, "export", args.run, *flags, "-o", path)
         print(f"{name}: {validate(path, args.npm)}", flush=True)
+    if shutil.which("blender"):
+        print(f"splat.glb: {upright_in_blender(os.path.join(args.out, 'splat.glb'), reference)}", flush=True)
+    else:
+        print("blender is not installed: not asked")
 
 
 if __name__ == "__main__":

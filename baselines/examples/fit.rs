@@ -1,11 +1,11 @@
 //! Fits a field to a data set with a transforms.json within a time limit and renders its held-out
-//! views: `fit DATASET METHOD LIMIT OUT`, where LIMIT is a time (90s, 7m: processor time by core) or
-//! a number of steps (500x).
+//! views: `fit DATASET METHOD LIMIT OUT`, where LIMIT is a time (90s, 7m: processor time by core)
+//! or a number of steps (500x).
 
 use baselines::{FieldConfig, Method, train};
 use clap::ValueEnum as _;
 use scene::Progress;
-use splat::clock::LimitClock;
+use scene::clock::LimitClock;
 use splat::simd::{Isa, Simd};
 use splat::simd_kernel;
 use splat::{Dataset, DatasetConfig};
@@ -79,9 +79,9 @@ fn main() -> Result<(), Box<dyn Error>> {
             ..FieldConfig::new(method, 1)
         },
     };
-    let cpu = splat::clock::cpu_seconds();
+    let cpu = scene::clock::cpu_seconds();
     let result = train(&dataset, &times, &config, None, &progress)?;
-    let cpu = splat::clock::cpu_seconds() - cpu;
+    let cpu = scene::clock::cpu_seconds() - cpu;
     for p in &result.curve {
         println!("{} steps, {:.0} s: {:.2} dB of training rays", p.iteration, p.seconds, p.psnr);
     }

@@ -48,7 +48,13 @@ pub trait RadianceField: Send + Sync {
     fn train_step(&mut self, photos: &PhotoRays, place: StepPlace) -> Result<StepReport, FieldError>;
 
     /// A picture over a background: colour, opacity, and depth along the camera's axis.
-    fn render(&self, view: &PinholeView, time: f32, background: [f32; 3]) -> RenderOutput;
+    fn render(&self, view: &PinholeView, time: f32, background: [f32; 3])
+    -> Result<RenderOutput, FieldError>;
+
+    /// Brings what was learnt elsewhere into this process's memory: before [`Self::arrays`].
+    fn fetch(&mut self) -> Result<(), FieldError> {
+        Ok(())
+    }
 
     /// Numbers that say what the field has learnt, for the curve of a training: parameters in use.
     fn size(&self) -> usize;

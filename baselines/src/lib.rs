@@ -22,12 +22,15 @@
 
 #![warn(clippy::undocumented_unsafe_blocks, unreachable_pub)]
 
+mod accelerator;
 mod adam;
 mod composite;
 mod dense;
 mod domain;
 mod error;
 mod field;
+#[cfg(feature = "gpu")]
+mod gpu;
 mod instant_ngp;
 mod kept;
 mod loss;
@@ -43,7 +46,10 @@ mod trained;
 
 #[cfg(test)]
 mod tests;
+#[cfg(test)]
+mod twin_tests;
 
+pub use accelerator::Accelerator;
 pub use error::FieldError;
 pub use field::{Kept, RadianceField, StepPlace, StepReport};
 pub use method::Method;

@@ -1,5 +1,6 @@
 //! The methods, and the fields they make.
 
+use crate::accelerator::Accelerator;
 use crate::domain::Domain;
 use crate::error::FieldError;
 use crate::field::RadianceField;
@@ -87,20 +88,21 @@ impl FieldShape {
         }
     }
 
-    /// An untrained field; without a data set one to be restored.
+    /// An untrained field on an accelerator; without a data set one to be restored.
     pub(crate) fn build(
         &self,
         dataset: Option<&Dataset>,
         seed: u64,
+        by: &Accelerator,
     ) -> Result<Box<dyn RadianceField>, FieldError> {
         Ok(match self {
             Self::InstantNgp(shape) => {
                 let views = dataset.iter().flat_map(|d| d.views.iter().filter(|v| !v.held_out));
                 let views: Vec<PinholeView> = views.map(|v| v.view).collect();
-                Box::new(InstantNgp::new(*shape, &views, seed))
+                by.instant_ngp(InstantNgp::new(*shape, &views, seed))?
             }
-            Self::Nerf(shape) => Box::new(Nerf::new(*shape, seed)),
-            Self::Moving(shape) => Box::new(Moving::new(*shape, dataset, seed)?),
+            Self::Nerf(shape) => by.nerf(Nerf::new(*shape, seed))?,
+            Self::Moving(shape) => by.moving(Moving::new(*shape, dataset, seed)?)?,
         })
     }
 }

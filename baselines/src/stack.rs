@@ -97,6 +97,20 @@ impl Stack {
         Self { inputs: inputs.iter().map(|&w| padded(w)).collect(), layers }
     }
 
+    /// The same layers for an adapter.
+    #[cfg(feature = "gpu")]
+    pub(crate) fn on_device(&self) -> crate::gpu::stack::DeviceStack {
+        let layers = self.layers.iter().map(|l| crate::gpu::stack::DeviceLayer {
+            taken: l.taken,
+            beside: l.input.map(|i| (i, self.inputs[i])),
+            outputs: l.outputs,
+            weights: l.weights.start,
+            bias: Some(l.bias.start),
+            relu: l.relu,
+        });
+        crate::gpu::stack::DeviceStack::new(&self.inputs, layers.collect())
+    }
+
     /// Number of weights and biases.
     pub(crate) fn parameters(&self) -> usize {
         self.layers.last().map_or(0, |l| l.bias.end)

@@ -4,6 +4,7 @@
 //! endian), CRC-32 of all that (u32, little endian). Written beside its target and renamed, so that
 //! what exists is whole.
 
+use crate::accelerator::Accelerator;
 use crate::error::FieldError;
 use crate::field::{Kept, RadianceField};
 use crate::method::FieldShape;
@@ -66,11 +67,11 @@ fn write_file(path: &Path, header: &Header, arrays: &[&[f32]]) -> std::io::Resul
     std::fs::rename(&partial, path)
 }
 
-/// Reads a field; `None` where there is no file. The data set is that of its training, where that
-/// goes on; `wanted` says whether it is one to go on with.
+/// Reads a field, to go on by an accelerator; `None` where there is no file. The data set is that
+/// of its training, where that goes on; `wanted` says whether it is one to go on with.
 pub(crate) fn read(
     path: &Path,
-    dataset: Option<&Dataset>,
+    (dataset, by): (Option<&Dataset>, &Accelerator),
     wanted: impl Fn(&Header) -> bool,
 ) -> Result<Option<(Header, Box<dyn RadianceField>)>, FieldError> {
     let bytes = match std::fs::read(path) {
@@ -82,7 +83,7 @@ pub(crate) fn read(
     if !wanted(&header) {
         return Ok(None);
     }
-    let field = restore(&header, rest, dataset).map_err(|reason| unusable(path, reason))?;
+    let field = restore(&header, rest, (dataset, by)).map_err(|reason| unusable(path, reason))?;
     Ok(Some((header, field)))
 }
 
@@ -117,7 +118,7 @@ fn parse(bytes: &[u8]) -> Result<(Header, &[u8]), String> {
 fn restore(
     header: &Header,
     mut rest: &[u8],
-    dataset: Option<&Dataset>,
+    (dataset, by): (Option<&Dataset>, &Accelerator),
 ) -> Result<Box<dyn RadianceField>, String> {
     let mut arrays = Vec::new();
     for &length in &header.lengths {
@@ -125,7 +126,7 @@ fn restore(
         arrays.push(own.as_chunks::<4>().0.iter().map(|&b| f32::from_le_bytes(b)).collect());
         rest = next;
     }
-    let mut field = header.shape.build(dataset, 0).map_err(|e| e.to_string())?;
+    let mut field = header.shape.build(dataset, 0, by).map_err(|e| e.to_string())?;
     let kept = if header.training.is_some() { Kept::Training } else { Kept::Pictures };
     field.restore(kept, arrays, &header.notes)?;
     Ok(field)

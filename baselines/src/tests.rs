@@ -9,7 +9,7 @@ use crate::{FieldConfig, FieldError, Method, TrainedField};
 use glam::{DVec2, DVec3};
 use scene::progress::ProgressSink;
 use scene::{Camera, CameraModel, Pose, PosedImage, Progress, Reconstruction};
-use splat::{AlphaMode, Dataset, NormalisedFrame, Pixels, View, pyramid};
+use splat::{AlphaMode, BackendChoice, Dataset, DeviceConfig, NormalisedFrame, Pixels, View, pyramid};
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, Ordering};
 
@@ -69,16 +69,19 @@ pub(crate) fn dataset(count: usize, unit: f64, shown: Shown) -> Dataset {
     Dataset { views, points: vec![], normalisation, alpha: AlphaMode::Transparent }
 }
 
-fn folder(name: &str) -> PathBuf {
+pub(crate) fn folder(name: &str) -> PathBuf {
     let folder = std::env::temp_dir().join(format!("baselines-{name}-{}", std::process::id()));
     std::fs::create_dir_all(&folder).unwrap();
     folder
 }
 
-const FIELDS: [Method; 4] = [Method::InstantNgp, Method::Nerf, Method::DNerf, Method::MovingGaussians];
+pub(crate) const FIELDS: [Method; 4] =
+    [Method::InstantNgp, Method::Nerf, Method::DNerf, Method::MovingGaussians];
 
-fn config(method: Method, iterations: u32) -> FieldConfig {
-    FieldConfig::new(method, iterations)
+/// So many steps on the processor.
+pub(crate) fn config(method: Method, iterations: u32) -> FieldConfig {
+    let device = DeviceConfig { backend: BackendChoice::Cpu, ..DeviceConfig::default() };
+    FieldConfig { device, ..FieldConfig::new(method, iterations) }
 }
 
 /// A small field of a method.
@@ -95,7 +98,7 @@ fn small(method: Method, data: &Dataset, times: &[f32]) -> FieldShape {
 }
 
 /// Times of the views, in no order; 0 for methods whose scene stands still.
-fn times(method: Method, data: &Dataset) -> Vec<f32> {
+pub(crate) fn times(method: Method, data: &Dataset) -> Vec<f32> {
     let count = data.views.len();
     if matches!(method, Method::InstantNgp | Method::Nerf) {
         return vec![0.0; count];
@@ -104,7 +107,7 @@ fn times(method: Method, data: &Dataset) -> Vec<f32> {
 }
 
 /// Trains a small field; views have times from 0 to 1.
-fn train(
+pub(crate) fn train(
     data: &Dataset,
     config: &FieldConfig,
     checkpoints: Option<&Path>,
@@ -115,7 +118,12 @@ fn train(
 }
 
 /// The bytes of a field after training.
-fn bytes(data: &Dataset, config: &FieldConfig, checkpoints: Option<&Path>, file: &Path) -> Vec<u8> {
+pub(crate) fn bytes(
+    data: &Dataset,
+    config: &FieldConfig,
+    checkpoints: Option<&Path>,
+    file: &Path,
+) -> Vec<u8> {
     train(data, config, checkpoints, &Progress::silent()).unwrap().field.write(file).unwrap();
     std::fs::read(file).unwrap()
 }
@@ -132,9 +140,9 @@ pub(crate) fn square_error(field: &TrainedField, view: &View, time: f32) -> f64 
     errors.sum::<f64>() / render.rgb.data.len() as f64
 }
 
-struct StopAt {
-    steps: u64,
-    flag: &'static AtomicBool,
+pub(crate) struct StopAt {
+    pub(crate) steps: u64,
+    pub(crate) flag: &'static AtomicBool,
 }
 
 impl ProgressSink for StopAt {

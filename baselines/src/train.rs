@@ -1,5 +1,6 @@
 //! The training loop of all methods: schedule, curve, checkpoints.
 
+use crate::accelerator::Accelerator;
 use crate::error::FieldError;
 use crate::field::{RadianceField, StepPlace};
 use crate::method::{FieldShape, Method};
@@ -7,10 +8,10 @@ use crate::rays::PhotoRays;
 use crate::store;
 use crate::trained::TrainedField;
 use scene::Progress;
+use scene::clock::LimitClock;
 use serde::{Deserialize, Serialize};
-use splat::Dataset;
-use splat::clock::LimitClock;
 use splat::train::CurvePoint;
+use splat::{Dataset, DeviceConfig};
 use std::path::Path;
 
 /// Steps between points of the curve. Source: as the splats' trainer.
@@ -33,6 +34,8 @@ pub struct FieldConfig {
     pub checkpoint_every: u32,
     /// Seed of all randomness.
     pub seed: u64,
+    /// Where to compute.
+    pub device: DeviceConfig,
     /// Seconds of the time limit that went by before training began.
     #[serde(skip)]
     pub seconds_gone: f64,
@@ -48,6 +51,7 @@ impl FieldConfig {
             limit_clock: LimitClock::Wall,
             checkpoint_every: 0,
             seed: 0,
+            device: DeviceConfig::default(),
             seconds_gone: 0.0,
         }
     }
@@ -57,6 +61,8 @@ impl FieldConfig {
 pub struct FieldResult {
     /// The field.
     pub field: TrainedField,
+    /// Where it was trained, in words.
+    pub by: String,
     /// Loss and PSNR of the training rays over time; no Gaussians.
     pub curve: Vec<CurvePoint>,
     /// Steps done.
@@ -114,7 +120,8 @@ pub(crate) fn train_shape(
     }
     let path = checkpoint_dir.map(|folder| folder.join(FILE));
     let mut mark = config.limit_clock.seconds();
-    let (mut field, mut state) = open(dataset, shape, config, path.as_deref())?;
+    let by = Accelerator::open(&config.device)?;
+    let (mut field, mut state) = open((dataset, &by), shape, config, path.as_deref())?;
     state.seconds += config.seconds_gone;
     let mut operations = 0.0;
     let photos = PhotoRays::new(dataset, times);
@@ -142,13 +149,16 @@ pub(crate) fn train_shape(
         let every = config.checkpoint_every;
         let due = every > 0 && state.iteration.is_multiple_of(every);
         if let Some(path) = path.as_deref().filter(|_| cancelled.is_some() || due) {
+            field.fetch()?;
             store::write(path, shape, dataset.normalisation, field.as_ref(), Some(&state))?;
         }
         if let Some(cancelled) = cancelled {
             return Err(cancelled.into());
         }
     }
+    field.fetch()?;
     Ok(FieldResult {
+        by: by.name(),
         parameters: field.size(),
         operations,
         field: TrainedField::new(shape, dataset.normalisation, field),
@@ -159,14 +169,14 @@ pub(crate) fn train_shape(
 
 /// The field of a checkpoint, or an untrained one.
 fn open(
-    dataset: &Dataset,
+    (dataset, by): (&Dataset, &Accelerator),
     shape: FieldShape,
     config: &FieldConfig,
     path: Option<&Path>,
 ) -> Result<(Box<dyn RadianceField>, FieldState), FieldError> {
     let fingerprint = serde_json::to_string(&(config, shape, dataset.normalisation)).unwrap_or_default();
     if let Some(path) = path {
-        let read = store::read(path, Some(dataset), |header| {
+        let read = store::read(path, (Some(dataset), by), |header| {
             header.shape == shape && header.training.as_ref().is_some_and(|t| t.fingerprint == fingerprint)
         })?;
         if let Some((header, field)) = read
@@ -176,7 +186,7 @@ fn open(
         }
     }
     let state = FieldState { fingerprint, ..FieldState::default() };
-    Ok((shape.build(Some(dataset), config.seed)?, state))
+    Ok((shape.build(Some(dataset), config.seed, by)?, state))
 }
 
 impl FieldState {

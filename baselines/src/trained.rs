@@ -1,5 +1,6 @@
 //! A field in the world: pictures from cameras and poses, to and from a file.
 
+use crate::accelerator::Accelerator;
 use crate::error::FieldError;
 use crate::field::RadianceField;
 use crate::method::{FieldShape, Method};
@@ -30,9 +31,9 @@ impl TrainedField {
         store::write(path, self.shape, self.frame, self.field.as_ref(), None)
     }
 
-    /// Reads what [`Self::write`] wrote.
-    pub fn read(path: &Path) -> Result<Self, FieldError> {
-        let read = store::read(path, None, |header| header.training.is_none())?;
+    /// Reads what [`Self::write`] wrote, to be shown by this accelerator.
+    pub fn read(path: &Path, by: &Accelerator) -> Result<Self, FieldError> {
+        let read = store::read(path, (None, by), |header| header.training.is_none())?;
         let Some((header, field)) = read else {
             let reason = "it is missing or a checkpoint".to_owned();
             return Err(FieldError::Read { path: path.to_owned(), reason });
@@ -54,7 +55,7 @@ impl TrainedField {
         }
         // Times beyond the photos', and NaN, are their ends.
         let time = if time > 0.0 { time.min(1.0) } else { 0.0 };
-        let mut out = self.field.render(&self.frame.view(camera, pose), time, background);
+        let mut out = self.field.render(&self.frame.view(camera, pose), time, background)?;
         let unit = (1.0 / self.frame.scale) as f32;
         out.depth.data.iter_mut().for_each(|z| *z *= unit);
         Ok(out)

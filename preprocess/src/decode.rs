@@ -3,7 +3,7 @@
 use crate::PreprocessError;
 use crate::hdr::ToneMap;
 use crate::probe::{Transfer, VideoInfo, file_url};
-use crate::tool::{ONE_FILE, Running, reason};
+use crate::tool::{ONE_FILE, Running, failed_read, reason};
 use image::RgbImage;
 use scene::Progress;
 use std::ffi::OsStr;
@@ -59,11 +59,12 @@ struct Shown {
     size: (u32, u32),
 }
 
-/// The decoder's complaints: how many, and the last.
+/// The decoder's complaints: how many, the last, and the system's where it could not read.
 #[derive(Default)]
 struct Complaints {
     count: usize,
     last: String,
+    failed_read: Option<String>,
 }
 
 impl Source {
@@ -130,7 +131,8 @@ impl Source {
         nearest.filter(|i| distance(*i) < SAME_TIME_S && *i >= self.next_index).unwrap_or(self.next_index)
     }
 
-    /// Waits for the decoder's end. Its complaints about damage: how many, and the last.
+    /// Waits for the decoder's end. Its complaints about damage: how many, and the last; an error
+    /// where the file is there and could not be read.
     pub(crate) fn finish(
         self,
         path: &Path,
@@ -140,6 +142,9 @@ impl Source {
         drop(self.stdout);
         self.running.finish(path, limit, progress)?;
         let complaints = self.complaints.join().unwrap_or_default();
+        if let Some(reason) = complaints.failed_read {
+            return Err(PreprocessError::Unreadable { path: path.to_owned(), reason });
+        }
         Ok((complaints.count > 0).then_some((complaints.count, complaints.last)))
     }
 }
@@ -163,6 +168,7 @@ fn listen(stderr: ChildStderr, shown: &Sender<Shown>) -> Complaints {
         if line.contains("[error] ") || line.contains("[fatal] ") {
             complaints.count += 1;
             complaints.last = reason(&line);
+            complaints.failed_read = complaints.failed_read.or_else(|| failed_read(&line));
         } else if let Some(frame) = shown_frame(&line) {
             // Nobody receives after the last frame of interest.
             let _ = shown.send(frame);

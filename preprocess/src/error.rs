@@ -37,6 +37,14 @@ pub enum PreprocessError {
         /// The demuxer's words.
         reason: String,
     },
+    /// The system failed to read a video that is there.
+    #[error("{}: cannot be read whole ({reason}); try again, and if it fails again copy the file to another disk", .path.display())]
+    Unreadable {
+        /// The file.
+        path: PathBuf,
+        /// The system's words.
+        reason: String,
+    },
     /// A container without a picture stream.
     #[error("{}: has no video stream ({found}); give the file that holds the pictures", .path.display())]
     NoVideoStream {

@@ -75,6 +75,7 @@ pub(crate) fn probe(path: &Path, progress: &Progress) -> Result<VideoInfo, Prepr
     let args = ["-v", "error", "-print_format", "json", "-show_streams", "-show_format"].map(OsStr::new);
     let args = [&args[..], &ONE_FILE.map(OsStr::new), &[OsStr::new("-i"), url.as_os_str()]].concat();
     let output = tool::run("ffprobe", &args, path, PROBE_LIMIT, progress)?;
+    output.need_whole_input(path)?;
     let json: Value = serde_json::from_str(&output.stdout).unwrap_or(Value::Null);
     let streams = json["streams"].as_array().filter(|s| !s.is_empty());
     let Some(streams) = streams.filter(|_| output.success) else {
@@ -86,6 +87,17 @@ pub(crate) fn probe(path: &Path, progress: &Progress) -> Result<VideoInfo, Prepr
     info.missing = info.missing.saturating_sub(times.len() + hidden);
     info.times_s = times;
     Ok(info)
+}
+
+/// An error where a second look finds more packets: `ffprobe` passes over a read that fails among
+/// the packets in silence.
+pub(crate) fn need_same(info: &VideoInfo, path: &Path, progress: &Progress) -> Result<(), PreprocessError> {
+    let (before, after) = (info.times_s.len(), probe(path, progress)?.times_s.len());
+    if after <= before {
+        return Ok(());
+    }
+    let reason = format!("{before} of its {after} frames were found at first");
+    Err(PreprocessError::Unreadable { path: path.to_owned(), reason })
 }
 
 fn check_file(path: &Path) -> Result<(), PreprocessError> {
@@ -240,6 +252,7 @@ fn packet_times(
     let args = args.map(OsStr::new);
     let args = [&args[..], &ONE_FILE.map(OsStr::new), &[OsStr::new("-i"), url.as_os_str()]].concat();
     let output = tool::run("ffprobe", &args, path, PROBE_LIMIT, progress)?;
+    output.need_whole_input(path)?;
     Ok(parse_packets(&output, origin))
 }
 

@@ -35,6 +35,14 @@ pub(crate) struct Output {
 }
 
 impl Output {
+    /// An error where the system could not read the input.
+    pub(crate) fn need_whole_input(&self, path: &Path) -> Result<(), PreprocessError> {
+        match self.stderr.lines().find_map(failed_read) {
+            Some(reason) => Err(PreprocessError::Unreadable { path: path.to_owned(), reason }),
+            None => Ok(()),
+        }
+    }
+
     /// Last line of standard error without the demuxer's address prefix.
     pub(crate) fn reason(&self) -> String {
         reason(self.stderr.lines().rev().find(|l| !l.trim().is_empty()).unwrap_or("no message"))
@@ -45,6 +53,14 @@ impl Output {
 pub(crate) fn reason(line: &str) -> String {
     let line = line.rsplit_once("] ").map_or(line, |(_, rest)| rest);
     line.rsplit_once(": ").map_or(line, |(_, rest)| rest).trim().to_owned()
+}
+
+/// The system's words in a line of `ffmpeg`'s or `ffprobe`'s about a file that is there and could
+/// not be read. The demuxers have other words for files that are damaged or cut off, and both
+/// programs go on with what they have and end with exit status 0.
+pub(crate) fn failed_read(line: &str) -> Option<String> {
+    let words = ["Input/output error", "I/O error", "Stale file handle", "timed out"];
+    words.iter().any(|w| line.trim_end().ends_with(w)).then(|| reason(line))
 }
 
 /// A running helper program whose output is being collected; killed when dropped.
@@ -153,4 +169,27 @@ fn version_of(tool: &'static str) -> Result<String, String> {
 /// Versions of what this stage calls: ffprobe, ffmpeg; an error says what is missing.
 pub fn versions() -> Vec<(String, Result<String, String>)> {
     ["ffprobe", "ffmpeg"].map(|tool| (tool.to_owned(), version_of(tool))).into()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_read_that_failed_is_told_from_a_damaged_file() {
+        for line in [
+            "[error] file:/a/video.mp4: Input/output error\n",
+            "[in#0/mov,mp4 @ 0x5] [error] Error during demuxing: Input/output error",
+            "file:/net/video.mp4: Stale file handle",
+        ] {
+            assert!(failed_read(line).is_some_and(|reason| !reason.contains(':')), "{line}");
+        }
+        for line in [
+            "[mov,mp4 @ 0x5] [error] stream 0, offset 0x88379: partial file",
+            "[h264 @ 0x5] [error] Invalid NAL unit size (17513 > 16624).",
+            "[error] Error while decoding stream #0:0: Invalid data found when processing input",
+        ] {
+            assert_eq!(failed_read(line), None, "{line}");
+        }
+    }
 }

@@ -43,6 +43,9 @@ pub fn video_frames(
     let mut source = Source::open(input, &info)?;
     let taken = extraction.take(&mut source, &info)?;
     let complaints = if taken.stopped_early { None } else { source.finish(input, DECODE_LIMIT, progress)? };
+    if taken.decoded > expected || info.missing > 0 {
+        probe::need_same(&info, input, progress)?;
+    }
     if taken.frames.is_empty() && info.encrypted {
         return Err(PreprocessError::Encrypted { path: input.to_owned() });
     }

@@ -19,6 +19,7 @@
 #![warn(clippy::undocumented_unsafe_blocks, unreachable_pub)]
 
 pub mod camera;
+pub mod clock;
 mod cut;
 pub mod decision;
 pub mod features;

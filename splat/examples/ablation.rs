@@ -109,9 +109,9 @@ fn main() -> Result<()> {
         for column in &columns {
             let mut config = column.config();
             change(&mut config);
-            let cpu = splat::clock::cpu_seconds();
+            let cpu = scene::clock::cpu_seconds();
             let result = train(&seen, &config, None, &Progress::silent())?;
-            let cpu = splat::clock::cpu_seconds() - cpu;
+            let cpu = scene::clock::cpu_seconds() - cpu;
             for told in result.decisions.iter().map(|d| d.sentences()) {
                 eprintln!("{name}: {told} ({})", told.evidence.join("; "));
             }

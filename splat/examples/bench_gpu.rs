@@ -220,9 +220,9 @@ fn load(folder: &Path) -> Result<Dataset> {
 /// Trains, and scores the held-out views as they are shown: 8 bits, over black, full resolution.
 fn trained(cli: &Cli, name: &str, dataset: &Dataset, config: &TrainConfig) -> Result<Value> {
     let clock = Instant::now();
-    let begun = splat::clock::cpu_seconds();
+    let begun = scene::clock::cpu_seconds();
     let result = train(dataset, config, None, &Progress::silent())?;
-    let (wall, cpu) = (clock.elapsed().as_secs_f64(), splat::clock::cpu_seconds() - begun);
+    let (wall, cpu) = (clock.elapsed().as_secs_f64(), scene::clock::cpu_seconds() - begun);
     let (psnr, picture_ms) = scored(dataset, config, &result, cli.score)?;
     let first = dataset.views.first().ok_or("no view")?;
     let scene = timed(cli, &result.gaussians, &first.camera, &first.pose)?;

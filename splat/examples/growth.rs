@@ -8,9 +8,9 @@
 use clap::Parser;
 use glam::{DVec3, Quat, Vec3};
 use rand::Rng as _;
+use scene::clock::cpu_seconds;
 use scene::{Camera, CameraModel, Gaussians, Pose, Progress};
 use splat::backend::{LearningRates, StepInput, Target};
-use splat::clock::cpu_seconds;
 use splat::model::Model;
 use splat::profile::ProfiledProcessor;
 use splat::{AlphaMode, Dataset, RenderOptions, TrainConfig, View, train};

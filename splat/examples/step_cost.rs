@@ -6,9 +6,9 @@
 //! nothing else (`splat::profile::CoreLimits`).
 
 use clap::Parser;
+use scene::clock::cpu_seconds;
 use scene::{Camera, CameraModel, Progress};
 use splat::backend::{KernelTimes, LearningRates, StepInput, Target};
-use splat::clock::cpu_seconds;
 use splat::model::Model;
 use splat::profile::{CoreLimits, ProfiledProcessor};
 use splat::{AlphaMode, Dataset, DatasetConfig, RenderOptions, Renderer, TrainConfig, train};

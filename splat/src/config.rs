@@ -10,10 +10,11 @@
 //! # Ok::<(), String>(())
 //! ```
 
-use crate::clock::LimitClock;
 use crate::device::DeviceConfig;
 use crate::model::MAX_SH_DEGREE;
+use clap::builder::{PossibleValuesParser, TypedValueParser as _};
 use clap::{Args, ValueEnum};
+use scene::clock::LimitClock;
 use scene::flag::between;
 use serde::{Deserialize, Serialize};
 
@@ -53,8 +54,11 @@ pub struct TrainConfig {
     /// is not used
     #[arg(long, value_parser = parse_duration, value_name = "TIME", help_heading = "Splat")]
     pub time_limit: Option<f64>,
-    /// What --time-limit counts
-    #[arg(long, value_enum, default_value_t = LimitClock::Wall, value_name = "CLOCK", help_heading = "Splat")]
+    /// What --time-limit counts: wall time, or the processor time of all threads divided by their
+    /// number, so that what else the machine does takes nothing away (for comparisons; of no use on
+    /// a graphics card)
+    #[arg(long, default_value = "wall", value_name = "CLOCK", help_heading = "Splat",
+          value_parser = PossibleValuesParser::new(LimitClock::NAMES).try_map(|name| name.parse::<LimitClock>()))]
     pub limit_clock: LimitClock,
     /// Never more Gaussians than this
     #[arg(long, value_parser = between::<usize>(1, 1 << 30), default_value_t = Self::default().max_gaussians, help_heading = "Splat")]

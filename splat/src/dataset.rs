@@ -176,15 +176,6 @@ impl Dataset {
         Ok(Self { views, points, normalisation, alpha: config.alpha })
     }
 
-    /// Frees the pixels of the held-out views but for their coarsest level: training never looks at
-    /// them.
-    pub fn forget_held_out(&mut self) {
-        for view in self.views.iter_mut().filter(|v| v.held_out) {
-            let last = view.levels.pop();
-            view.levels = last.into_iter().collect();
-        }
-    }
-
     /// Indices of the views to train on.
     pub fn training_views(&self) -> Vec<usize> {
         (0..self.views.len()).filter(|&i| !self.views[i].held_out).collect()

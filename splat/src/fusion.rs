@@ -46,6 +46,9 @@ struct FusionLimits {
     /// Surfaces are fused this much nearer to the cameras, voxels: sheets thinner than the errors
     /// of depths keep two sides. Source: docs/decisions/16.
     thicken: f64,
+    /// Where the splat lies before the depth by stereo by more than this share of it, the splat
+    /// counts: stereo looks through blank faces. Source: docs/decisions/16.
+    seen_through: f32,
     /// Most memory of the volume, bytes. Source: docs/decisions/16.
     most_bytes: usize,
     /// Parts smaller than this share of the largest one's area are left out. Source:
@@ -68,6 +71,7 @@ const LIMITS: FusionLimits = FusionLimits {
     pixels_of_a_voxel: 1.5,
     truncation: 3.0,
     thicken: 1.5,
+    seen_through: 0.02,
     most_bytes: 3 << 30,
     least_part: 0.0003,
     least_views: 0.05,
@@ -100,7 +104,7 @@ pub enum DepthSource<'a> {
     },
     /// Depths of every view of the data set.
     Measured(&'a [MeasuredDepth]),
-    /// The same, and the splat's where they know nothing.
+    /// The same, and the splat's where they know nothing or look through it.
     Both {
         /// Of every view of the data set.
         measured: &'a [MeasuredDepth],
@@ -216,7 +220,7 @@ impl ViewSource<'_> {
             self.splat_depth(&camera).unwrap_or_else(|| vec![f32::NAN; pixels.width * pixels.height]);
         for (z, &known) in depth.iter_mut().zip(self.measured.map_or(&[][..], |m| &m.depth)) {
             if known > 0.0 {
-                *z = (f64::from(known) * self.scale) as f32;
+                *z = joined(*z, (f64::from(known) * self.scale) as f32);
             }
         }
         blank(&mut depth, pixels, alpha);
@@ -229,6 +233,12 @@ impl ViewSource<'_> {
         let depth = median_depth(gaussians, camera, &self.pose, near, antialias);
         Some(depth.into_iter().map(|z| z.map_or(f32::NAN, |z| z as f32)).collect())
     }
+}
+
+/// The depth by stereo, but where the splat lies well before it: there the photos of a blank face
+/// have deceived stereo. NaN of the splat is nothing.
+fn joined(splat: f32, stereo: f32) -> f32 {
+    if splat < stereo * (1.0 - LIMITS.seen_through) { splat } else { stereo }
 }
 
 /// What a black mask says of the depths: nothing, or that the ray is empty (less surely so near to
@@ -325,6 +335,12 @@ fn pixel(maps: &[DepthMap]) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn stereo_counts_unless_it_looks_through_the_splat() {
+        assert_eq!([joined(f32::NAN, 2.0), joined(2.5, 2.0), joined(1.99, 2.0)], [2.0; 3]);
+        assert_eq!(joined(1.5, 2.0), 1.5);
+    }
 
     #[test]
     fn the_margin_of_a_matte_is_a_square_and_ends_at_the_border() {

@@ -13,7 +13,6 @@
 mod adapter;
 pub mod backend;
 mod camera;
-pub mod clock;
 pub mod config;
 mod cpu;
 mod dataset;

@@ -4,7 +4,7 @@
 //! use splat::profile::ProfiledProcessor;
 //!
 //! let processor = ProfiledProcessor::new(splat::model::Model::default(),
-//! splat::clock::cpu_seconds)?;
+//! scene::clock::cpu_seconds)?;
 //! assert_eq!(processor.times().forward, 0.0);
 //! # Ok::<(), splat::SplatError>(())
 //! ```
@@ -55,7 +55,7 @@ pub fn first_gaussians(dataset: &Dataset, config: &TrainConfig) -> Result<Gaussi
 pub struct ProfiledProcessor(CpuBackend);
 
 impl ProfiledProcessor {
-    /// Of a model; `clock` gives seconds, such as [`crate::clock::cpu_seconds`].
+    /// Of a model; `clock` gives seconds, such as [`scene::clock::cpu_seconds`].
     pub fn new(model: Model, clock: fn() -> f64) -> Result<Self, SplatError> {
         let mut backend = CpuBackend::default();
         backend.set_clock(clock);

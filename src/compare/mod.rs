@@ -66,7 +66,7 @@ pub(crate) fn run(args: &CompareArgs, verbosity: Verbosity, json: bool) -> Resul
             continue; // renders of another tool
         }
         let model = scene::io::read_model(&path)?;
-        let frames = frames_of(run);
+        let frames = frames_of(run)?;
         let asked = frames.as_ref().map(names);
         let mut ours = row(run.display().to_string(), &model, truth.as_ref(), asked.as_ref());
         (ours.cpu_s, ours.peak_mib) = cost(run).unzip();
@@ -173,8 +173,8 @@ fn cost(run: &Path) -> Option<(f64, f64)> {
 }
 
 /// The frames that a run was given.
-fn frames_of(run: &Path) -> Option<FrameSet> {
-    crate::stage::last::<FrameSet>(run, "frames").map(|finished| finished.value)
+fn frames_of(run: &Path) -> Result<Option<FrameSet>> {
+    Ok(crate::stage::last::<FrameSet>(run, "frames")?.map(|finished| finished.value))
 }
 
 /// Their names without extension: those that were not registered count as failures.

@@ -100,7 +100,7 @@ pub fn measure(
     let model = scene::io::read_model(&out.join("undistorted/sparse/0"))?;
     let (mesh_from_model, aligned) = match &config.mesh_truth {
         Some(truth) => align(&model, truth)?,
-        None => (source_from_world(out), "in the frame of the input".to_owned()),
+        None => (source_from_world(out)?, "in the frame of the input".to_owned()),
     };
     let views: Vec<(&Camera, Pose)> = dataset.views.iter().map(|v| (&v.camera, v.pose)).collect();
     let moved: Vec<(&Camera, Pose)> =
@@ -145,9 +145,9 @@ pub fn measure(
 }
 
 /// From the world in which a run was written into the frame of its input.
-fn source_from_world(out: &Path) -> Sim3 {
-    let world = crate::stage::last::<PoseSummary>(out, "sfm").and_then(|poses| poses.value.world);
-    world.map_or(Sim3::IDENTITY, |w| w.sim3().inverse())
+fn source_from_world(out: &Path) -> Result<Sim3> {
+    let world = crate::stage::last::<PoseSummary>(out, "sfm")?.and_then(|poses| poses.value.world);
+    Ok(world.map_or(Sim3::IDENTITY, |w| w.sim3().inverse()))
 }
 
 /// Onto the true camera centres; and how well that went.

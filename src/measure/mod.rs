@@ -78,7 +78,7 @@ fn surface(args: &MeasureArgs, progress: &Progress) -> Result<(Mesh, MeasureReco
     crate::stage::settle(&args.input)?;
     let (mesh, dataset) =
         crate::export::fused(&args.input, args.mesh_depths, args.mesh_resolution, progress)?;
-    let poses = crate::stage::last::<PoseSummary>(&args.input, "sfm");
+    let poses = crate::stage::last::<PoseSummary>(&args.input, "sfm")?;
     record.unit = poses.and_then(|p| p.value.world).map_or(WorldUnit::Unchanged, |w| w.unit);
     record.splat = splat_hash(&args.input);
     record.surface = format!(

@@ -5,24 +5,21 @@ use crate::pictures::FIELD;
 use crate::record::FieldSummary;
 use crate::stage::{StageSpec, fingerprint};
 use crate::times::Times;
-use anyhow::{Context, Result};
+use anyhow::Result;
 use baselines::FieldConfig;
-use splat::BackendChoice;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 impl Pipeline {
     /// Trains a field on the training set, whose identity is `print`, and the times of its photos,
     /// and judges it.
     pub(super) fn field(&mut self, set: (&Path, &Times), print: &str, until: Until) -> Result<()> {
         let method = self.args.method;
-        if self.args.train.device.backend == BackendChoice::Gpu {
-            anyhow::bail!("--method {} trains on the processor only; leave --backend out", method.name());
-        }
         let config = FieldConfig {
             time_limit: self.args.train.time_limit,
             limit_clock: self.args.train.limit_clock,
             checkpoint_every: self.args.train.checkpoint_every,
             seed: self.args.seed,
+            device: self.args.train.device.clone(),
             ..FieldConfig::new(method, self.args.train.iterations)
         };
         let print =
@@ -32,32 +29,16 @@ impl Pipeline {
         self.stages.discard("train")?;
         let field: &FieldSummary = &done.finished.value;
         let line = format!(
-            "{}, {} steps, {:.1} million parameters",
+            "{}, {} steps, {:.1} million parameters, by {}",
             method.name(),
             field.iterations,
-            field.parameters as f64 / 1e6
+            field.parameters as f64 / 1e6,
+            field.by
         );
         let finished = self.finish("train", done, &line);
         let print = finished.identity()?;
         self.record.field = Some(finished.value);
         self.judge(&print, until)
-    }
-
-    /// The folder of checkpoints, emptied where they belong to another training.
-    pub(super) fn checkpoints(&self, print: &str) -> Result<PathBuf> {
-        let checkpoints = self.stages.path("train");
-        let owner = checkpoints.join("fingerprint");
-        if std::fs::read_to_string(&owner).ok().as_deref() != Some(print) {
-            match std::fs::remove_dir_all(&checkpoints) {
-                Err(e) if e.kind() != std::io::ErrorKind::NotFound => {
-                    return Err(e).context("cannot clear old checkpoints");
-                }
-                _ => {}
-            }
-            std::fs::create_dir_all(&checkpoints)?;
-            crate::stage::write_whole(&owner, print.as_bytes())?;
-        }
-        Ok(checkpoints)
     }
 
     /// Trains, with checkpoints in `.stages/train`, and writes the field into the folder `new`.
@@ -70,10 +51,9 @@ impl Pipeline {
     ) -> Result<FieldSummary> {
         crate::stage::free_large_blocks_at_once();
         let progress = self.progress("train");
-        let checkpoints = self.checkpoints(print)?;
+        let checkpoints = self.stages.keep("train", print)?;
         let begun = config.limit_clock.seconds();
-        let mut dataset = crate::evaluate::load_dataset(training_set, &self.args.dataset, &progress)?;
-        dataset.forget_held_out();
+        let dataset = crate::evaluate::load_to_train(training_set, &self.args.dataset, &progress)?;
         config.seconds_gone = config.limit_clock.seconds() - begun;
         let of_views: Vec<f32> = dataset.views.iter().map(|v| times.of_view(&v.name)).collect();
         let result = baselines::train(&dataset, &of_views, &config, Some(&checkpoints), &progress)?;
@@ -84,6 +64,7 @@ impl Pipeline {
             parameters: result.parameters,
             iterations: result.iterations,
             curve: result.curve,
+            by: result.by,
         })
     }
 }

@@ -16,6 +16,8 @@ pub struct FieldSummary {
     pub parameters: usize,
     /// Steps done.
     pub iterations: u32,
+    /// Where it was trained, in words.
+    pub by: String,
     /// Loss and PSNR of the training rays against time.
     #[schemars(with = "Vec<super::CurveSchema>")]
     pub curve: Vec<CurvePoint>,

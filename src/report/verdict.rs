@@ -2,7 +2,7 @@
 
 use crate::record::{Evaluation, Level, Light, Metrics, PoseSummary, RunRecord};
 use scene::decision::Subject;
-use scene::{Closure, FrameSet, Reconstruction, RingSequence};
+use scene::{Closure, FrameSet, Reconstruction, RingSequence, WideLens};
 
 impl Level {
     /// Of a figure of which less is better.
@@ -109,8 +109,12 @@ fn weak(poses: &PoseSummary) -> Light {
     light("weak frames", Level::below(share, 0.0, 0.1), reason)
 }
 
-/// Whether the cameras go all the way round, and in a video without a jump.
+/// Whether the cameras go all the way round, and in a video without a jump. Not asked of panoramas:
+/// each looks all the way round.
 fn closure(model: &Reconstruction, frames: &FrameSet) -> Option<Light> {
+    if frames.wide_lens == Some(WideLens::Panorama) {
+        return None;
+    }
     let sequence = RingSequence::of(model, frames)?;
     let found = sequence.closure(frames.is_video);
     let [first, last] = sequence.ends(&found.arc);

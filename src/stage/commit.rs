@@ -6,7 +6,7 @@
 //! record last to `.stages/NAME.json`. After an interruption the next start does the rest of that
 //! again ([`settle`]); everything else that it finds half done was not committed and is removed.
 
-use super::OutputFile;
+use super::{OutputFile, there};
 use anyhow::{Context, Result};
 use serde::Deserialize;
 use std::ffi::OsStr;
@@ -81,9 +81,15 @@ pub(super) fn settle(out: &Path, stages: &Path) -> Result<()> {
 /// The names of the stages of which there is a folder with this ending.
 fn endings(stages: &Path, ending: &str) -> Result<Vec<String>> {
     let entries = fs::read_dir(stages).with_context(|| format!("cannot list {}", stages.display()))?;
-    let paths = entries.filter_map(|e| Some(e.ok()?.path()));
-    let ours = paths.filter(|p| p.extension() == Some(OsStr::new(ending)) && p.is_dir());
-    Ok(ours.filter_map(|p| Some(p.file_stem()?.to_str()?.to_owned())).collect())
+    let mut names = Vec::new();
+    for entry in entries {
+        let path = entry.with_context(|| format!("cannot list {}", stages.display()))?.path();
+        let is_ours = path.extension() == Some(OsStr::new(ending));
+        if is_ours && there::entry(&path)?.is_some_and(|meta| meta.is_dir()) {
+            names.extend(path.file_stem().and_then(OsStr::to_str).map(str::to_owned));
+        }
+    }
+    Ok(names)
 }
 
 /// Removes what interrupted writes have left.
@@ -98,13 +104,13 @@ fn sweep(folder: &Path) -> Result<()> {
 fn finish(out: &Path, stages: &Path, name: &str) -> Result<()> {
     let committed = stages.join(format!("{name}.commit"));
     let record = committed.join(RECORD);
-    if let Ok(text) = fs::read(&record) {
+    if let Some(text) = there::read(&record)? {
         let manifest: Manifest = serde_json::from_slice(&text)
             .with_context(|| format!("{} is damaged; delete it", committed.display()))?;
         let old = stages.join(format!("{name}.old"));
         for owned in &manifest.owns {
             let (new, target) = (committed.join(owned), out.join(owned));
-            let is_ready = new.symlink_metadata().is_ok();
+            let is_ready = there::entry(&new)?.is_some();
             let is_placed = manifest.outputs.iter().any(|file| file.path.starts_with(owned));
             if is_ready || !is_placed {
                 set_aside(&target, &old.join(owned))?;
@@ -122,7 +128,7 @@ fn finish(out: &Path, stages: &Path, name: &str) -> Result<()> {
 
 /// Moves what is at `target` away, if something is.
 fn set_aside(target: &Path, aside: &Path) -> Result<()> {
-    if target.symlink_metadata().is_err() {
+    if there::entry(target)?.is_none() {
         return Ok(());
     }
     make_parent(aside)?;
@@ -146,7 +152,7 @@ fn rename(from: &Path, to: &Path) -> Result<()> {
 
 /// Removes a file, a link or a folder; what is not there is removed.
 pub(super) fn remove(path: &Path) -> Result<()> {
-    let is_folder = path.symlink_metadata().is_ok_and(|meta| meta.is_dir());
+    let is_folder = there::entry(path)?.is_some_and(|meta| meta.is_dir());
     let removed = if is_folder { fs::remove_dir_all(path) } else { fs::remove_file(path) };
     match removed {
         Err(e) if e.kind() != ErrorKind::NotFound => {

@@ -1,5 +1,6 @@
 //! The files that a stage wrote, known again by size, time and content.
 
+use super::there;
 use anyhow::{Context, Result};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
@@ -30,7 +31,7 @@ pub(super) fn list(folder: &Path, names: &[&str]) -> Result<Vec<OutputFile>> {
 
 fn collect(folder: &Path, name: &Path, files: &mut Vec<PathBuf>) -> Result<()> {
     let path = folder.join(name);
-    let Ok(meta) = path.symlink_metadata() else { return Ok(()) };
+    let Some(meta) = there::entry(&path)? else { return Ok(()) };
     if !meta.is_dir() {
         files.push(name.to_path_buf());
         return Ok(());
@@ -65,14 +66,19 @@ fn modified_ns(meta: &Metadata) -> u64 {
 }
 
 /// What is no longer as it was written, in words; a file whose time alone differs is read.
-pub(super) fn difference(folder: &Path, files: &[OutputFile]) -> Option<String> {
-    files.par_iter().find_map_first(|known| {
-        let path = folder.join(&known.path);
-        let Ok(meta) = path.metadata() else { return Some(format!("{} is missing", path.display())) };
-        let same_time = modified_ns(&meta) == known.modified_ns;
-        let is_same = meta.is_file()
-            && meta.len() == known.bytes
-            && (same_time || File::open(&path).and_then(content_hash).is_ok_and(|h| h == known.hash));
-        (!is_same).then(|| format!("{} has changed", path.display()))
-    })
+pub(super) fn difference(folder: &Path, files: &[OutputFile]) -> Result<Option<String>> {
+    files.par_iter().find_map_first(|known| how_changed(folder, known).transpose()).transpose()
+}
+
+fn how_changed(folder: &Path, known: &OutputFile) -> Result<Option<String>> {
+    let path = folder.join(&known.path);
+    let Some(meta) = there::if_there(path.metadata(), &path)? else {
+        return Ok(Some(format!("{} is missing", path.display())));
+    };
+    let mut is_same = meta.is_file() && meta.len() == known.bytes;
+    if is_same && modified_ns(&meta) != known.modified_ns {
+        let hash = there::if_there(File::open(&path).and_then(content_hash), &path)?;
+        is_same = hash.as_ref() == Some(&known.hash);
+    }
+    Ok((!is_same).then(|| format!("{} has changed", path.display())))
 }

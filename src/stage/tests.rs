@@ -189,3 +189,79 @@ fn cleaning_keeps_results_and_refuses_other_folders_and_runs_at_work() {
     clean(&out.0).unwrap();
     assert_eq!(out.names(), [".stages", "deep", "frames.json", "images", "lock"]);
 }
+
+/// What reads it fails, in another way than where nothing is there.
+fn make_unreadable(path: &Path) {
+    fs::rename(path, path.with_extension("aside")).unwrap();
+    fs::create_dir(path).unwrap();
+}
+
+fn make_readable(path: &Path) {
+    fs::remove_dir(path).unwrap();
+    fs::rename(path.with_extension("aside"), path).unwrap();
+}
+
+/// The error of a run that must not do its work.
+fn refused(stages: &Stages) -> String {
+    let run = stages.run(&stage("a"), |_| -> Result<String> { panic!("the work is done again") });
+    format!("{:#}", run.unwrap_err())
+}
+
+#[test]
+fn a_record_that_cannot_be_read_is_told_and_its_work_is_not_done_again() {
+    let out = Out::new("unreadable-record");
+    let stages = Stages::open(&out.0).unwrap();
+    stages.run(&stage("a"), |folder| write(folder, "one")).unwrap();
+    let record = stages.path("frames.json");
+    make_unreadable(&record);
+    assert!(refused(&stages).contains("frames.json"));
+    assert!(last::<String>(&out.0, "frames").is_err());
+    make_readable(&record);
+    assert!(!stages.run(&stage("a"), |folder| write(folder, "two")).unwrap().ran);
+    fs::write(&record, "{").unwrap();
+    assert!(last::<String>(&out.0, "frames").unwrap().is_none(), "a damaged record is no result");
+}
+
+#[test]
+fn a_committed_result_whose_record_cannot_be_read_is_kept() {
+    let out = Out::new("unreadable-commit");
+    let stages = Stages::open(&out.0).unwrap();
+    let record = stages.run(&stage("a"), |folder| write(folder, "two")).unwrap().finished;
+    stages.retire("frames", &OWNS).unwrap();
+    let committed = stages.path("frames.commit");
+    write(&committed, "two").unwrap();
+    write_json(&committed.join("record.json"), &record).unwrap();
+    drop(stages);
+    make_unreadable(&committed.join("record.json"));
+    assert!(format!("{:#}", Stages::open(&out.0).unwrap_err()).contains("record.json"));
+    make_readable(&committed.join("record.json"));
+    let stages = Stages::open(&out.0).unwrap();
+    assert_eq!(out.read("images/a").as_deref(), Some("two"));
+    assert!(!stages.run(&stage("a"), |folder| write(folder, "x")).unwrap().ran);
+}
+
+#[cfg(target_os = "linux")]
+#[test]
+fn an_output_that_cannot_be_read_is_told_and_not_made_again() {
+    let out = Out::new("unreadable-output");
+    let stages = Stages::open(&out.0).unwrap();
+    stages.run(&stage("a"), |folder| write(folder, "")).unwrap();
+    let path = out.0.join("images/a");
+    fs::remove_file(&path).unwrap();
+    // An empty file of another time, of which no byte can be read.
+    std::os::unix::fs::symlink("/proc/self/mem", &path).unwrap();
+    assert!(refused(&stages).contains("images/a"));
+}
+
+#[test]
+fn what_a_stage_keeps_stays_where_its_owner_cannot_be_read() {
+    let out = Out::new("unreadable-owner");
+    let stages = Stages::open(&out.0).unwrap();
+    let kept = stages.keep("train", "a").unwrap();
+    fs::write(kept.join("checkpoint"), "hours").unwrap();
+    make_unreadable(&kept.join("fingerprint"));
+    assert!(format!("{:#}", stages.keep("train", "a").unwrap_err()).contains("fingerprint"));
+    make_readable(&kept.join("fingerprint"));
+    assert_eq!(fs::read_to_string(stages.keep("train", "a").unwrap().join("checkpoint")).unwrap(), "hours");
+    assert!(!stages.keep("train", "b").unwrap().join("checkpoint").exists(), "another training's");
+}

@@ -122,7 +122,7 @@ impl Run {
         anyhow::ensure!(!model.images.is_empty(), "{} has no cameras", folder.display());
         let up = crate::record::up_of(folder, &model);
         let mut run = Self::of_model(folder, &model, up);
-        run.antialias = crate::pictures::trained_with_antialias(folder);
+        run.antialias = crate::pictures::trained_with_antialias(folder)?;
         run.splat = Some(run.encode(gaussians)?);
         Ok(run)
     }

@@ -24,7 +24,9 @@ fn help_is_plain_text() {
 
 #[test]
 fn no_arguments_and_unknown_flags_are_usage_errors_with_exit_code_1() {
-    expect_code(&[], 1);
+    let said = expect_code(&[], 1);
+    assert!(said.contains("sat-recon [OPTIONS] <INPUT>"), "{said}");
+    assert!(said.contains("  sat-recon video.mp4 "), "what to type first: {said}");
     expect_code(&["video.mp4", "--no-such-flag"], 1);
     expect_code(&["train", "video.mp4", "--sh-degree", "4"], 1);
     expect_code(&["train", "video.mp4", "--backend", "abacus"], 1);

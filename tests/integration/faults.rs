@@ -38,8 +38,13 @@ impl Harness {
 
     fn traced(&self, out: &Path, mode: &[&str], arguments: &[String]) -> Output {
         std::fs::create_dir_all(out).unwrap();
+        self.traced_at(out, mode, arguments)
+    }
+
+    /// Runs the program; calls that touch the folder `watched` are counted.
+    fn traced_at(&self, watched: &Path, mode: &[&str], arguments: &[String]) -> Output {
         Command::new(&self.fault)
-            .args([text(out), text(&self.dir.join("log"))])
+            .args([text(watched), text(&self.dir.join("log"))])
             .args(mode)
             .arg(env!("CARGO_BIN_EXE_sat-recon"))
             .args(arguments)
@@ -170,4 +175,60 @@ fn a_file_that_cannot_be_read_is_told_and_when_it_can_the_run_ends_with_the_same
         assert!(is_told || has_ended(&run), "call {call}: {code:?} {said}");
         expect_same(&harness.whole(&out), &wanted, &format!("call {call}: {}", harness.last_call()));
     }
+}
+
+#[test]
+fn a_read_that_fails_once_does_not_make_a_finished_run_do_its_work_again() {
+    let Some(harness) = Harness::new("finished") else { return };
+    let out = harness.dir.join("out");
+    let wanted = harness.whole(&out);
+    let records = || {
+        let entries = std::fs::read_dir(out.join(".stages")).unwrap().map(|e| e.unwrap());
+        // Every run writes its arguments.
+        let is_record = |name: &str| name.ends_with(".json") && name != "args.json";
+        let ours = entries.filter(|e| is_record(&e.file_name().to_string_lossy()));
+        ours.map(|e| (e.file_name(), e.metadata().unwrap().modified().unwrap())).collect::<BTreeMap<_, _>>()
+    };
+    let before = records();
+    for call in harness.chosen(&out, "count-reads", "") {
+        let run = harness.traced(&out, &["read", &call.to_string()], &harness.arguments(&out, ""));
+        let said = String::from_utf8_lossy(&run.stderr).into_owned();
+        let is_told = run.status.code() == Some(1) && said.contains("error: ");
+        let what = format!("call {call}: {} {said}", harness.last_call());
+        assert!(is_told || has_ended(&run), "{what}");
+        assert_eq!(records(), before, "{what}");
+    }
+    expect_same(&harness.whole(&out), &wanted, "after all");
+}
+
+#[test]
+fn a_video_that_cannot_be_read_whole_is_told_and_never_used_in_part() {
+    let Some(harness) = Harness::new("video_reads") else { return };
+    let input = harness.input.parent().unwrap();
+    let frames_with = |name: &str, mode: &[&str]| {
+        let out = harness.dir.join(name);
+        let arguments =
+            ["frames", text(&harness.input), "-o", text(&out), "--frames", "10", "--max-size", "140"];
+        let run = harness.traced_at(input, mode, &arguments.map(str::to_owned));
+        let mut files = BTreeMap::new();
+        if run.status.success() {
+            collect(&out, Path::new(""), &mut files);
+        }
+        (run, files)
+    };
+    let (counted, wanted) = frames_with("whole", &["count-reads"]);
+    assert!(counted.status.success(), "{}", String::from_utf8_lossy(&counted.stderr));
+    let calls = std::fs::read_to_string(harness.dir.join("log")).unwrap().lines().count();
+    let mut told = 0;
+    for call in (1..=calls).step_by(calls / (4 * FEW) + 1) {
+        let (run, found) = frames_with(&format!("out{call}"), &["read", &call.to_string()]);
+        let said = String::from_utf8_lossy(&run.stderr).into_owned();
+        if run.status.code() == Some(1) && said.contains("error: ") {
+            told += 1;
+            continue;
+        }
+        assert!(run.status.success(), "call {call} of {calls}: {said}");
+        expect_same(&found, &wanted, &format!("call {call} of {calls}: {said}"));
+    }
+    assert!(told > FEW, "{told} of the reads of {calls} failed");
 }

@@ -54,41 +54,86 @@ fn largest(errors: &PoseErrors) -> [f64; 2] {
     [most(|e| e.rotation_deg), most(|e| e.centre_pct)]
 }
 
-#[test]
-fn panoramas_are_known_by_their_metadata_and_every_view_of_them_gets_its_pose() {
-    let (dir, scene) = (folder("panoramas"), furnished());
-    let photos = dir.join("photos");
-    std::fs::create_dir_all(&photos).unwrap();
+/// A panorama of the room, its picture in longitude and latitude.
+fn panorama(scene: &TexturedScene, pose: &Pose) -> RgbImage {
     let ray = |pixel: DVec2| {
         let (longitude, latitude) = ((pixel.x / 1024.0 - 0.5) * TAU, (pixel.y / 512.0 - 0.5) * PI);
         let ahead = DVec2::new(longitude.sin(), longitude.cos()) * latitude.cos();
         Some(DVec3::new(ahead.x, latitude.sin(), ahead.y))
     };
+    scene.render_through((1024, 512), ray, pose)
+}
+
+/// Poses of the views that are cut from a panorama of this pose, by their names.
+fn views_of(name: &str, pose: &Pose) -> Vec<(String, Pose)> {
+    let turned = |view: u32| {
+        let turn = DQuat::from_mat3(&DMat3::from_rotation_y(-f64::from(view) * FRAC_PI_4));
+        (format!("{name}_{view}.png"), Pose::from_centre(turn * pose.rotation, pose.centre()))
+    };
+    (0..8).map(turned).collect()
+}
+
+/// On an arc about the block, `step` radians from one to the next; `heading`: where it looks.
+fn standing(i: i32, step: f64, heading: f64) -> Pose {
+    let angle = f64::from(i) * step;
+    let eye = DVec3::new(2.0 * angle.cos(), 2.0 * angle.sin(), 0.1 + 0.05 * f64::from(i % 3));
+    Pose::look_at(eye, eye + DVec3::new(heading.cos(), heading.sin(), 0.0), DVec3::Z)
+}
+
+/// That a run saw panoramas and does not ask whether their places form a closed ring.
+fn expect_panoramas(out: &Path) {
+    let run = json(&out.join("run.json"));
+    assert_eq!(run["frames"]["wide_lens"], "panorama");
+    let lights = run["verdict"].as_array().unwrap();
+    assert!(lights.len() >= 4 && lights.iter().all(|l| l["what"] != "loop"), "{lights:?}");
+    assert!(lights.iter().all(|l| l["level"] != "bad"), "{lights:?}");
+}
+
+#[test]
+fn panoramas_are_known_by_their_metadata_and_every_view_of_them_gets_its_pose() {
+    let (dir, scene) = (folder("panoramas"), furnished());
+    let photos = dir.join("photos");
+    std::fs::create_dir_all(&photos).unwrap();
     let mut poses = Vec::new();
     for i in 0..8 {
-        let angle = f64::from(i) * 0.35;
-        let eye = DVec3::new(2.0 * angle.cos(), 2.0 * angle.sin(), 0.1 + 0.05 * f64::from(i % 3));
         // Each looks another way, level.
-        let heading = 1.3 * f64::from(i);
-        let pose = Pose::look_at(eye, eye + DVec3::new(heading.cos(), heading.sin(), 0.0), DVec3::Z);
-        let picture = scene.render_through((1024, 512), ray, &pose);
+        let pose = standing(i, 0.35, 1.3 * f64::from(i));
+        let picture = panorama(&scene, &pose);
         save(&photos.join(format!("p{i}.jpg")), &picture, "GPano:ProjectionType=\"equirectangular\"");
-        for view in 0..8_u32 {
-            let turn = DQuat::from_mat3(&DMat3::from_rotation_y(-f64::from(view) * FRAC_PI_4));
-            poses.push((format!("p{i}_{view}.png"), Pose::from_centre(turn * pose.rotation, eye)));
-        }
+        poses.extend(views_of(&format!("p{i}"), &pose));
     }
     let out = dir.join("out");
     let errors = solved(&photos, &out, &[], &truth_of(poses));
     let [rotation_deg, centre_pct] = largest(&errors);
     assert!(rotation_deg < 0.3 && centre_pct < 0.6, "{rotation_deg}° {centre_pct} %");
-    let run = json(&out.join("run.json"));
-    assert_eq!(run["frames"]["wide_lens"], "panorama");
+    expect_panoramas(&out);
     let said = expect_code(
         &["frames", text(&photos), "-o", text(&dir.join("as_they_are")), "--lens", "perspective"],
         0,
     );
     assert!(said.contains("8, 1024×512"), "{said}");
+}
+
+#[test]
+fn a_video_of_panoramas_is_solved_and_not_called_an_open_ring() {
+    let (dir, scene) = (folder("panorama_video"), furnished());
+    let mut poses = Vec::new();
+    for i in 0..10 {
+        let pose = standing(i, 0.25, 0.1 * f64::from(i));
+        panorama(&scene, &pose).save(dir.join(format!("{i:02}.png"))).unwrap();
+        poses.extend(views_of(&format!("frame_{i:06}"), &pose));
+    }
+    let video = dir.join("walk.mp4");
+    let encoded = std::process::Command::new("ffmpeg")
+        .args(["-v", "error", "-framerate", "5", "-i", text(&dir.join("%02d.png"))])
+        .args(["-c:v", "libx264", "-crf", "14", "-pix_fmt", "yuv420p", text(&video)])
+        .status();
+    assert!(encoded.unwrap().success());
+    let flags = ["--lens", "panorama", "--frames", "10"];
+    let errors = solved(&video, &dir.join("out"), &flags, &truth_of(poses));
+    let [rotation_deg, centre_pct] = largest(&errors);
+    assert!(rotation_deg < 0.3 && centre_pct < 0.6, "{rotation_deg}° {centre_pct} %");
+    expect_panoramas(&dir.join("out"));
 }
 
 /// Photos of a fisheye on an arc about the block; `place`: radius in the picture, in radians, of a

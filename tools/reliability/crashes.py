@@ -6,7 +6,8 @@
 Inputs are short and small copies of data/sample/orbit.mp4 and of the satellite that yaws before a
 green screen (data/testbed/case3). Calls are seen, and made to fail, by the tracer in tests/faults.
 After each a run without faults must end with the same bytes as an undisturbed one; a run with a
-fault must end by itself, with exit code 1 and an error, or with its result. A disk that is full
+fault must end by itself, with exit code 1 and an error, or with its result; the same run over a
+finished one must not do a stage again for a read that failed. A disk that is full
 from a call on which needs no space is full at the next which does: these are tried. A folder that is
 left as an earlier call left it (but for times) is not gone on with a second time. Calls are tried
 in an order that spreads over the run, so that a part of them says something of all. --rows takes
@@ -36,17 +37,19 @@ INPUTS = {"sample": ("data/sample/orbit.mp4", "select=not(mod(n\\,4)),scale=128:
           "yaw": ("data/testbed/case3/video.mp4", "select=not(mod(n\\,4)),crop=360:360,scale=128:-2", 6)}
 KEEP_EVERY = 10  # calls after which what was found is kept
 STRIDE = 16  # calls between those that are tried first; a power of two
-# Name, input, what is done, what the tracer counts, flags of the disturbed run, whether the calls
-# are those that touch the input.
-ROWS = [("kill, sample", "sample", "kill", "count", [], False),
-        ("kill, yaw", "yaw", "kill", "count", [], False),
+# Name, input, what is done, what the tracer counts, flags of the disturbed run where it runs over a
+# finished one (`None`: into an empty folder), whether the calls are those that touch the input.
+ROWS = [("kill, sample", "sample", "kill", "count", None, False),
+        ("kill, yaw", "yaw", "kill", "count", None, False),
         ("kill of a run with other flags over a finished one, sample", "sample", "kill", "count", OTHER, False),
-        ("disk full from a call on, sample", "sample", "full", "count", [], False),
-        ("disk full from a call on, yaw", "yaw", "full", "count", [], False),
+        ("disk full from a call on, sample", "sample", "full", "count", None, False),
+        ("disk full from a call on, yaw", "yaw", "full", "count", None, False),
         ("disk full in a run with other flags over a finished one, sample", "sample", "full", "count", OTHER, False),
-        ("EIO at a read of the output folder, sample", "sample", "read", "count-reads", [], False),
-        ("EIO at a read of the output folder, yaw", "yaw", "read", "count-reads", [], False),
-        ("EIO at a read of the video, sample", "sample", "read", "count-reads", [], True)]
+        ("EIO at a read of the output folder, sample", "sample", "read", "count-reads", None, False),
+        ("EIO at a read of the output folder, yaw", "yaw", "read", "count-reads", None, False),
+        ("EIO at a read of the video, sample", "sample", "read", "count-reads", None, True),
+        ("EIO at a read of the video, yaw", "yaw", "read", "count-reads", None, True),
+        ("EIO at a read of the output folder, over a finished run, sample", "sample", "read", "count-reads", [], False)]
 # Files that hold times: only that they are there is compared.
 VARY = re.compile(r"^\.stages/|run\.json$|report\.html$|eval/metrics\.json$")
 TIMED = re.compile(r"(run\.json|report\.html|eval/metrics\.json)$")
@@ -87,6 +90,13 @@ def timeless(path, folder):
     return re.sub(r'"(seconds|\w+_s|\w*fps\w*)": [-+.\deE]+', "", json.dumps(record, sort_keys=True))
 
 
+def records(folder):
+    """When each stage's record was written; every run writes its arguments."""
+    stages = os.path.join(folder, ".stages")
+    names = [name for name in os.listdir(stages) if name.endswith(".json") and name != "args.json"]
+    return {name: os.stat(os.path.join(stages, name)).st_mtime_ns for name in names}
+
+
 def state(folder):
     """What a folder holds, as one number: where it is the same, a next run does the same."""
     known = hashlib.sha256()
@@ -123,9 +133,9 @@ class Campaign:
     def video(self, name):
         return os.path.join(self.folder, name, "video.mp4")
 
-    def arguments(self, name, out, flags=()):
+    def arguments(self, name, out, flags=None):
         given = {TINY[i]: TINY[i + 1] for i in range(0, len(TINY), 2)}
-        given.update({flags[i]: flags[i + 1] for i in range(0, len(flags), 2)})
+        given.update({flags[i]: flags[i + 1] for i in range(0, len(flags or []), 2)})
         return [self.video(name), "-o", out, *[word for pair in given.items() for word in pair]]
 
     def whole(self, name, out):
@@ -152,17 +162,24 @@ class Campaign:
         shutil.rmtree(out, ignore_errors=True)
         subprocess.run(["cp", "-a", copy, out], check=True)
 
+    def prepared(self, name, out, flags):
+        """The folder as the disturbed run finds it."""
+        if flags is None:
+            harness.fresh(out)
+        else:
+            self.finished(name, out, out + ".finished")
+
     def attempt(self, row, out, watched, call, wanted, known):
         """What is wrong after a fault at a call, `None` where nothing is; `known` are the folders
         that were gone on with, by what happened then."""
         _, name, mode, _, flags, _ = row
-        if flags:
-            self.finished(name, out, out + ".finished")
-        else:
-            harness.fresh(out)
+        self.prepared(name, out, flags)
+        before = records(out) if flags == [] else None
         told = self.traced(name, out, [mode, str(call)], flags, watched)
         calls = self.calls()
         problem = "" if mode == "kill" else fault_problem(told, mode)
+        if before is not None and records(out) != before:
+            problem = problem or "a finished stage ran again"
         left = state(out)
         if left not in known:
             found, why = self.whole(name, out)
@@ -179,10 +196,7 @@ class Campaign:
         if wanted is None:
             sys.exit(f"{what}: no undisturbed run: {why}")
         shutil.rmtree(out + ".finished", ignore_errors=True)
-        if flags:
-            self.finished(name, out, out + ".finished")
-        else:
-            harness.fresh(out)
+        self.prepared(name, out, flags)
         self.traced(name, out, [count], flags, watched)
         calls = [n for n, line in enumerate(self.calls(), 1) if mode != "full" or line.split()[2] == "space"]
         done = before["tried"] if before and before["of"] == len(calls) else 0

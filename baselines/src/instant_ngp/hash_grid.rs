@@ -24,9 +24,9 @@ pub(crate) struct GridLevel {
     /// Position in cells = position in [0, 1] × this + ½.
     pub(crate) scale: f32,
     /// Multipliers of the three coordinates of a corner.
-    strides: [u32; 3],
+    pub(super) strides: [u32; 3],
     /// Whether the coordinates are added (a grid small enough to be stored whole) or mixed.
-    dense: bool,
+    pub(super) dense: bool,
     /// Entries of the table, a power of two where it is hashed.
     pub(crate) entries: usize,
 }

@@ -2,6 +2,8 @@
 //! occupancy grid (Müller et al., "Instant Neural Graphics Primitives with a Multiresolution Hash
 //! Encoding", SIGGRAPH 2022).
 
+#[cfg(feature = "gpu")]
+mod device;
 mod gradient;
 mod hash_grid;
 mod network;
@@ -11,17 +13,23 @@ mod settings;
 mod store;
 mod train;
 
+#[cfg(all(test, feature = "gpu"))]
+mod device_tests;
 #[cfg(test)]
 mod reference;
 #[cfg(test)]
 mod tests;
+#[cfg(test)]
+mod twin_tests;
 
 use crate::adam::AdamMoments;
 use crate::field::{Kept, RadianceField, StepPlace, StepReport};
 use crate::rays::{PhotoRays, Ray};
 use crate::{FieldError, rays};
+#[cfg(feature = "gpu")]
+pub(crate) use device::NgpOnDevice;
 use hash_grid::HashGrid;
-use network::{NgpNetwork, Weights};
+use network::{Layers, NgpNetwork, Weights};
 use occupancy::{LocalRay, Occupancy};
 use serde_json::Value;
 use settings::NgpSettings;
@@ -79,8 +87,16 @@ impl RadianceField for InstantNgp {
         Ok(self.step(photos, place))
     }
 
-    fn render(&self, view: &PinholeView, time: f32, background: [f32; 3]) -> RenderOutput {
-        rays::picture(view, time, background, &|rays, out| self.trace(rays, background, out))
+    fn render(
+        &self,
+        view: &PinholeView,
+        time: f32,
+        background: [f32; 3],
+    ) -> Result<RenderOutput, FieldError> {
+        rays::picture(view, time, (background, rays::BLOCK), &|rays, out| {
+            let mut layers = Layers::default();
+            self.trace(rays, background, out, &mut |seen| Ok(self.shade(seen, &mut layers)))
+        })
     }
 
     fn size(&self) -> usize {

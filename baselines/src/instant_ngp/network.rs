@@ -11,7 +11,7 @@ use scene::sh::{SH_COUNT, sh_basis};
 pub(crate) const LATENT: usize = 16;
 /// Largest logarithm of a density: the exponential's gradient is truncated there.
 /// Source: Müller et al. 2022's published settings.
-const LOG_DENSITY: f32 = 15.0;
+pub(super) const LOG_DENSITY: f32 = 15.0;
 
 /// The perceptrons' shapes.
 #[derive(Clone, Debug, PartialEq, Eq)]

@@ -27,11 +27,23 @@ impl InstantNgp {
         self.grid.encode(&batch.points, &mut batch.features);
         let sums = self.gradients(&batch);
         self.descend(&batch, &sums, place);
-        let rays = batch.rays.len().max(1);
         let survivors = sums.iter().map(|s| s.survivors.len()).sum();
+        let losses = [sums.iter().map(|s| s.loss).sum(), sums.iter().map(|s| s.square_error).sum()];
+        self.report(&batch, losses, survivors)
+    }
+
+    /// What a step saw, from the sums of its rays' losses and squared errors; and how many rays the
+    /// next one takes.
+    pub(super) fn report(
+        &mut self,
+        batch: &RayBatch,
+        [loss, square_error]: [f64; 2],
+        survivors: usize,
+    ) -> StepReport {
+        let rays = batch.rays.len().max(1);
         let report = StepReport {
-            loss: sums.iter().map(|s| s.loss).sum::<f64>() / rays as f64,
-            square_error: sums.iter().map(|s| s.square_error).sum::<f64>() / rays as f64,
+            loss: loss / rays as f64,
+            square_error: square_error / rays as f64,
             rays: batch.rays.len(),
             samples: batch.samples.len(),
             operations: self.operations(batch.samples.len(), survivors),
@@ -49,7 +61,7 @@ impl InstantNgp {
     }
 
     /// The samples of rays in occupied cells.
-    fn march(&self, sightings: &[Sighting], place: StepPlace) -> RayBatch {
+    pub(super) fn march(&self, sightings: &[Sighting], place: StepPlace) -> RayBatch {
         let stretch = sightings.len().div_ceil(self.settings.stretches).max(1);
         let parts: Vec<RayBatch> = sightings
             .par_chunks(stretch)
@@ -101,13 +113,9 @@ impl InstantNgp {
     }
 
     /// Adam on the networks and, level by level, on the tables.
-    fn descend(&mut self, batch: &RayBatch, sums: &[Sums], place: StepPlace) {
-        let settings = &self.settings;
-        let falls = settings.falls.iter().filter(|&&at| place.position >= at).count();
-        let rate = settings.learning_rate * settings.fall.powi(falls as i32);
-        let mut rates = settings.adam.rates(rate as f32, place.step + 1);
-        rates.average = (place.position >= settings.average_from).then_some(settings.average);
-        let with_decay = AdamRates { decay: settings.decay, ..rates };
+    pub(super) fn descend(&mut self, batch: &RayBatch, sums: &[Sums], place: StepPlace) {
+        let rates = self.rates(place);
+        let with_decay = AdamRates { decay: self.settings.decay, ..rates };
         let of: [fn(&Sums) -> &Vec<f32>; 2] = [|s| &s.density, |s| &s.colour];
         let networks = self.weights.iter_mut().zip(&mut self.moments).zip(of);
         for ((weights, moments), of) in networks {
@@ -130,42 +138,55 @@ impl InstantNgp {
         });
     }
 
+    /// Of the tables; the networks have weight decay besides.
+    pub(super) fn rates(&self, place: StepPlace) -> AdamRates {
+        let settings = &self.settings;
+        let falls = settings.falls.iter().filter(|&&at| place.position >= at).count();
+        let rate = settings.learning_rate * settings.fall.powi(falls as i32);
+        let rates = settings.adam.rates(rate as f32, place.step + 1);
+        AdamRates { average: (place.position >= settings.average_from).then_some(settings.average), ..rates }
+    }
+
     /// Looks at the densities of cells again: of all that count as occupied, as densities decay and
     /// only what is found anew keeps them so, and of some others, which come back in this way.
     fn update_occupancy(&mut self, place: StepPlace) {
-        let OccupancySettings { anywhere, kept, .. } = self.settings.occupancy;
         let mut densities = std::mem::take(&mut self.occupancy.density);
         densities.par_chunks_mut(CHUNK).enumerate().for_each(|(index, densities)| {
-            let stream = (u64::from(place.step) << 20) + index as u64;
-            let (first, mut rng) = (index * CHUNK, rng(place.seed, "occupancy", stream));
-            let mut cells = Vec::new();
-            for (i, density) in densities.iter_mut().enumerate().filter(|(_, density)| **density >= 0.0) {
-                *density *= kept;
-                if rng.random::<f32>() < anywhere || self.occupancy.is_occupied(first + i) {
-                    cells.push(i);
+            let (cells, points) = self.revisited(index, densities, place);
+            let mut layers = Activations::default();
+            for (cells, points) in cells.chunks(BLOCK).zip(points.chunks(BLOCK)) {
+                self.network.densities(&self.grid, &self.weights[0], points, &mut layers);
+                for (&i, outputs) in cells.iter().zip(layers.layers[2].chunks_exact(LATENT)) {
+                    densities[i] = densities[i].max(density(outputs[0]));
                 }
             }
-            self.visit(&cells, first, densities, &mut rng);
         });
         self.occupancy.set_density(densities);
     }
 
-    /// Raises the densities of cells to those at a place in each; `densities` begin with cell
-    /// `first`, `cells` are counted from there.
-    fn visit(&self, cells: &[usize], first: usize, densities: &mut [f32], rng: &mut Rng) {
-        let mut layers = Activations::default();
-        for cells in cells.chunks(BLOCK) {
-            let points: Vec<[f32; 3]> = cells
-                .iter()
-                .map(|i| {
-                    let jitter = rng.random::<[f32; 3]>().map(|j| j - 0.5);
-                    self.grid_point(cell_point(first + i, jitter))
-                })
-                .collect();
-            self.network.densities(&self.grid, &self.weights[0], &points, &mut layers);
-            for (&i, outputs) in cells.iter().zip(layers.layers[2].chunks_exact(LATENT)) {
-                densities[i] = densities[i].max(density(outputs[0]));
+    /// Lets the densities of chunk `index` of all cells decay; the cells to be looked at, counted
+    /// within the chunk, and a place in each.
+    pub(super) fn revisited(
+        &self,
+        index: usize,
+        densities: &mut [f32],
+        place: StepPlace,
+    ) -> (Vec<usize>, Vec<[f32; 3]>) {
+        let OccupancySettings { anywhere, kept, .. } = self.settings.occupancy;
+        let stream = (u64::from(place.step) << 20) + index as u64;
+        let (first, mut rng) = (index * CHUNK, rng(place.seed, "occupancy", stream));
+        let mut cells = Vec::new();
+        for (i, density) in densities.iter_mut().enumerate().filter(|(_, density)| **density >= 0.0) {
+            *density *= kept;
+            if rng.random::<f32>() < anywhere || self.occupancy.is_occupied(first + i) {
+                cells.push(i);
             }
         }
+        let points = cells.iter().map(|i| {
+            let jitter = rng.random::<[f32; 3]>().map(|j| j - 0.5);
+            self.grid_point(cell_point(first + i, jitter))
+        });
+        let points = points.collect();
+        (cells, points)
     }
 }

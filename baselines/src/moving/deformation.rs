@@ -1,14 +1,19 @@
 //! Where Gaussians are at a time: HexPlane features, then a small perceptron (Wu et al. 2024,
 //! section 4.2).
 
+#[cfg(feature = "gpu")]
+use super::device::HeadsOnDevice;
 use super::hexplane::{CHUNK, FEATURES, HexPlanes, LEVELS, Place, Smoothness};
 use super::settings::MovingSettings;
 use super::shape::{MOVES, MovingShape};
+use crate::FieldError;
 use crate::adam::{AdamMoments, AdamRates};
 use crate::stack::{LayerPlan, Stack, StackLayers};
 use rayon::prelude::*;
 use scene::rng::rng;
 use splat::model::Planes;
+#[cfg(feature = "gpu")]
+use std::sync::Arc;
 
 /// Planes and perceptron, and their optimiser.
 #[derive(Clone, Debug)]
@@ -20,6 +25,9 @@ pub(super) struct Deformation {
     pub(super) weights: Vec<f32>,
     pub(super) plane_moments: Vec<AdamMoments>,
     pub(super) weight_moments: AdamMoments,
+    /// What evaluates the perceptron, where that is not this processor.
+    #[cfg(feature = "gpu")]
+    pub(super) heads: Option<Arc<HeadsOnDevice>>,
 }
 
 /// Gradients of planes and weights.
@@ -45,7 +53,17 @@ impl Deformation {
         let planes = HexPlanes::new(shape.space, shape.times, seed);
         let plane_moments = planes.values.iter().map(|v| AdamMoments::new(v.len())).collect();
         let weight_moments = AdamMoments::new(weights.len());
-        Self { shape, smoothness: settings.smoothness, stack, planes, weights, plane_moments, weight_moments }
+        Self {
+            shape,
+            smoothness: settings.smoothness,
+            stack,
+            planes,
+            weights,
+            plane_moments,
+            weight_moments,
+            #[cfg(feature = "gpu")]
+            heads: None,
+        }
     }
 
     /// Numbers learnt.
@@ -61,6 +79,16 @@ impl Deformation {
         [x, y, z, time]
     }
 
+    /// Features of places, a row each.
+    #[cfg(feature = "gpu")]
+    fn encode(&self, places: &[Place], rows: &mut [f32]) {
+        let rows = rows.par_chunks_mut(FEATURES * LEVELS * CHUNK).zip(places.par_chunks(CHUNK));
+        rows.for_each(|(rows, places)| {
+            let rows = rows.chunks_exact_mut(FEATURES * LEVELS);
+            rows.zip(places).for_each(|(row, place)| self.planes.encode(place, row));
+        });
+    }
+
     /// Encodes places and evaluates the perceptron.
     fn evaluate(&self, places: &[Place], layers: &mut StackLayers) {
         self.stack.reserve(places.len(), layers);
@@ -69,31 +97,68 @@ impl Deformation {
         self.stack.forward(&self.weights, layers);
     }
 
+    /// The perceptron's outputs at places, a row each.
+    fn outputs(&self, places: &[Place]) -> Result<Vec<f32>, FieldError> {
+        #[cfg(feature = "gpu")]
+        if let Some(heads) = &self.heads {
+            let mut features = vec![0.0; places.len() * FEATURES * LEVELS];
+            self.encode(places, &mut features);
+            return heads.outputs(&self.weights, &features);
+        }
+        let width = self.stack.width(2);
+        let chunks = places.par_chunks(CHUNK).map_init(StackLayers::default, |layers, places| {
+            self.evaluate(places, layers);
+            layers.outputs[2][..places.len() * width].to_vec()
+        });
+        Ok(chunks.collect::<Vec<_>>().concat())
+    }
+
+    /// Gradients of the weights and of the features, a row a place, from those of the outputs.
+    fn of_outputs(&self, places: &[Place], of_outputs: &[f32]) -> Result<[Vec<f32>; 2], FieldError> {
+        #[cfg(feature = "gpu")]
+        if let Some(heads) = &self.heads {
+            let mut features = vec![0.0; places.len() * FEATURES * LEVELS];
+            self.encode(places, &mut features);
+            return heads.gradients(&self.weights, &features, of_outputs);
+        }
+        let (transposed, width) = (self.stack.transposed(&self.weights), self.stack.width(2));
+        let parts: Vec<[Vec<f32>; 2]> = places
+            .par_chunks(CHUNK)
+            .zip(of_outputs.par_chunks(CHUNK * width))
+            .map_init(StackLayers::default, |layers, (places, of_outputs)| {
+                self.evaluate(places, layers);
+                let mut padded = of_outputs.to_vec();
+                padded.resize(layers.outputs[2].len(), 0.0);
+                let mut gradient = vec![0.0; self.weights.len()];
+                self.stack.backward(&transposed, layers, (&padded, &[]), &mut gradient, true);
+                [gradient, layers.of_inputs[0][..places.len() * FEATURES * LEVELS].to_vec()]
+            })
+            .collect();
+        let mut weights = vec![0.0f32; self.weights.len()];
+        let mut of_rows = Vec::with_capacity(places.len() * FEATURES * LEVELS);
+        for [gradient, rows] in parts {
+            weights.iter_mut().zip(gradient).for_each(|(w, g)| *w += g);
+            of_rows.extend(rows);
+        }
+        Ok([weights, of_rows])
+    }
+
     /// Unit of what the outputs move.
     fn unit(&self, plane: usize) -> f32 {
         if plane < 3 { self.shape.domain.half } else { 1.0 }
     }
 
     /// Moves the geometry of `count` Gaussians at rest to where it is at a time.
-    pub(super) fn moved(&self, rest: &Planes, count: usize, time: f32) -> Planes {
+    pub(super) fn moved(&self, rest: &Planes, count: usize, time: f32) -> Result<Planes, FieldError> {
         let mut moved = rest.clone();
-        let width = self.stack.width(2);
-        let chunks: Vec<Vec<f32>> = (0..count.div_ceil(CHUNK))
-            .into_par_iter()
-            .map_init(StackLayers::default, |layers, chunk| {
-                let range = chunk * CHUNK..count.min((chunk + 1) * CHUNK);
-                let places: Vec<Place> = range.map(|i| self.place(rest, i, time)).collect();
-                self.evaluate(&places, layers);
-                layers.outputs[2][..places.len() * width].to_vec()
-            })
-            .collect();
-        let rows = chunks.iter().flat_map(|c| c.chunks_exact(width));
-        for (i, row) in rows.enumerate() {
+        let places: Vec<Place> = (0..count).map(|i| self.place(rest, i, time)).collect();
+        let outputs = self.outputs(&places)?;
+        for (i, row) in outputs.chunks_exact(self.stack.width(2)).enumerate() {
             for (plane, value) in row[..MOVES].iter().enumerate() {
                 moved[plane][i] += self.unit(plane) * value;
             }
         }
-        moved
+        Ok(moved)
     }
 
     /// The gradient of planes and weights from that of the moved geometry.
@@ -103,36 +168,20 @@ impl Deformation {
         count: usize,
         time: f32,
         of_moved: &Planes,
-    ) -> DeformationGradient {
+    ) -> Result<DeformationGradient, FieldError> {
         let touched: Vec<usize> =
             (0..count).filter(|&i| of_moved[..MOVES].iter().any(|plane| plane[i] != 0.0)).collect();
         let places: Vec<Place> = touched.iter().map(|&i| self.place(rest, i, time)).collect();
-        let transposed = self.stack.transposed(&self.weights);
         let width = self.stack.width(2);
-        let parts: Vec<(Vec<f32>, Vec<f32>)> = places
-            .par_chunks(CHUNK)
-            .zip(touched.par_chunks(CHUNK))
-            .map_init(StackLayers::default, |layers, (places, touched)| {
-                self.evaluate(places, layers);
-                let mut of_outputs = vec![0.0; layers.outputs[2].len()];
-                for (row, &i) in of_outputs.chunks_exact_mut(width).zip(touched) {
-                    for (plane, value) in row[..MOVES].iter_mut().enumerate() {
-                        *value = self.unit(plane) * of_moved[plane][i];
-                    }
-                }
-                let mut gradient = vec![0.0; self.weights.len()];
-                self.stack.backward(&transposed, layers, (&of_outputs, &[]), &mut gradient, true);
-                (gradient, layers.of_inputs[0][..places.len() * FEATURES * LEVELS].to_vec())
-            })
-            .collect();
-        let mut weights = vec![0.0f32; self.weights.len()];
-        let mut of_rows = Vec::with_capacity(places.len() * FEATURES * LEVELS);
-        for (gradient, rows) in parts {
-            weights.iter_mut().zip(gradient).for_each(|(w, g)| *w += g);
-            of_rows.extend(rows);
+        let mut of_outputs = vec![0.0; touched.len() * width];
+        for (row, &i) in of_outputs.chunks_exact_mut(width).zip(&touched) {
+            for (plane, value) in row[..MOVES].iter_mut().enumerate() {
+                *value = self.unit(plane) * of_moved[plane][i];
+            }
         }
+        let [weights, of_rows] = self.of_outputs(&places, &of_outputs)?;
         let planes = self.planes.backward(&places, &of_rows, FEATURES * LEVELS);
-        DeformationGradient { planes, weights }
+        Ok(DeformationGradient { planes, weights })
     }
 
     /// A step of Adam on planes and weights, with what makes planes smooth.

@@ -2,25 +2,34 @@
 //! al., "4D Gaussian Splatting for Real-Time Dynamic Scene Rendering", CVPR 2024).
 
 mod deformation;
+#[cfg(feature = "gpu")]
+mod device;
 mod hexplane;
 mod settings;
 mod shape;
 mod store;
 mod train;
 
+#[cfg(all(test, feature = "gpu"))]
+mod device_tests;
 #[cfg(test)]
 mod tests;
+#[cfg(test)]
+mod twin_tests;
 
 use crate::FieldError;
 use crate::field::{Kept, RadianceField, StepPlace, StepReport};
+#[cfg(feature = "gpu")]
+use crate::gpu::FieldKit;
 use crate::rays::PhotoRays;
 use deformation::Deformation;
-use scene::FloatImage;
 use serde_json::Value;
 use settings::MovingSettings;
 pub(crate) use shape::MovingShape;
 use splat::moved::MovedGaussians;
 use splat::{Dataset, PinholeView, RenderOptions, RenderOutput};
+#[cfg(feature = "gpu")]
+use std::sync::Arc;
 use std::sync::Mutex;
 
 /// Moving Gaussians.
@@ -45,20 +54,27 @@ impl Moving {
         Ok(Self { shape, settings, gaussians, deformation, rounds: 0, shown: Mutex::new(None) })
     }
 
+    /// The same with the perceptron on an adapter.
+    #[cfg(feature = "gpu")]
+    pub(crate) fn on_device(mut self, kit: &Arc<FieldKit>) -> Result<Self, FieldError> {
+        self.deformation.heads = Some(Arc::new(device::HeadsOnDevice::new(&self.deformation.stack, kit)?));
+        Ok(self)
+    }
+
     fn picture(
         &self,
         view: &PinholeView,
         time: f32,
         background: [f32; 3],
-    ) -> Result<RenderOutput, splat::SplatError> {
+    ) -> Result<RenderOutput, FieldError> {
         let mut moved =
-            self.deformation.moved(&self.gaussians.model().geometry, self.gaussians.model().len, time);
+            self.deformation.moved(&self.gaussians.model().geometry, self.gaussians.model().len, time)?;
         let mut shown = self.shown.lock().unwrap_or_else(std::sync::PoisonError::into_inner);
         let gaussians = match &mut *shown {
             Some(gaussians) => gaussians,
             none => none.insert(MovedGaussians::new(self.gaussians.model().clone())?),
         };
-        gaussians.render(&mut moved, view, &RenderOptions { background, ..RenderOptions::default() })
+        Ok(gaussians.render(&mut moved, view, &RenderOptions { background, ..RenderOptions::default() })?)
     }
 }
 
@@ -68,13 +84,13 @@ impl RadianceField for Moving {
         self.step(photos, place)
     }
 
-    fn render(&self, view: &PinholeView, time: f32, background: [f32; 3]) -> RenderOutput {
-        // A model that was made or restored has planes as long as it needs them.
-        self.picture(view, time, background).unwrap_or_else(|_| RenderOutput {
-            rgb: FloatImage::zeros(view.width, view.height, 3),
-            alpha: FloatImage::zeros(view.width, view.height, 1),
-            depth: FloatImage::zeros(view.width, view.height, 1),
-        })
+    fn render(
+        &self,
+        view: &PinholeView,
+        time: f32,
+        background: [f32; 3],
+    ) -> Result<RenderOutput, FieldError> {
+        self.picture(view, time, background)
     }
 
     fn size(&self) -> usize {

@@ -102,7 +102,7 @@ impl ReferenceDeformation {
 fn moves_agree_with_the_reference_and_gradients_with_its_finite_differences() {
     let (deformation, rest) = moving();
     let truth = ReferenceDeformation::new(&deformation);
-    let moved = deformation.moved(&rest, COUNT, TIME);
+    let moved = deformation.moved(&rest, COUNT, TIME).unwrap();
     for i in 0..COUNT {
         let moves = truth.moves([0, 1, 2].map(|a| f64::from(rest[a][i])));
         for (p, m) in moves.iter().enumerate() {
@@ -113,7 +113,7 @@ fn moves_agree_with_the_reference_and_gradients_with_its_finite_differences() {
     }
     let mut rng = rng(3, "factors", 1);
     let factors: Planes = std::array::from_fn(|_| (0..COUNT).map(|_| rng.random_range(-1.0..1.0)).collect());
-    let gradient = deformation.gradient(&rest, COUNT, TIME, &factors);
+    let gradient = deformation.gradient(&rest, COUNT, TIME, &factors).unwrap();
     let slope = |change: &dyn Fn(&mut ReferenceDeformation, f64)| {
         let at = |by: f64| {
             let mut changed = truth.clone();
@@ -197,9 +197,12 @@ fn smoothness_has_the_gradient_of_what_it_says() {
 #[test]
 fn a_new_deformation_moves_nothing_and_times_outside_the_video_are_its_ends() {
     let rest = moving().1;
-    assert_eq!(Deformation::new(shape(), &MovingSettings::default(), 1).moved(&rest, COUNT, 0.5), rest);
+    assert_eq!(
+        Deformation::new(shape(), &MovingSettings::default(), 1).moved(&rest, COUNT, 0.5).unwrap(),
+        rest
+    );
     let (deformation, _) = moving();
-    let at = |time| deformation.moved(&rest, COUNT, time);
+    let at = |time| deformation.moved(&rest, COUNT, time).unwrap();
     assert_eq!((at(-0.5), at(1.5)), (at(0.0), at(1.0)));
     assert_eq!(at(f32::NAN), at(0.0));
 }

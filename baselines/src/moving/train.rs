@@ -34,10 +34,10 @@ impl Moving {
         };
         let (rest, count) = (self.gaussians.model().geometry.clone(), self.gaussians.model().len);
         let moves = place.position >= settings.at_rest;
-        let mut moved = if moves { self.deformation.moved(&rest, count, time) } else { rest.clone() };
+        let mut moved = if moves { self.deformation.moved(&rest, count, time)? } else { rest.clone() };
         let seen = self.gaussians.step(&input, &mut moved)?;
         if moves {
-            let gradient = self.deformation.gradient(&rest, count, time, &moved);
+            let gradient = self.deformation.gradient(&rest, count, time, &moved)?;
             let [planes, weights] = settings.rates_at(place, steps);
             self.deformation.step(gradient, &planes, &weights);
         }

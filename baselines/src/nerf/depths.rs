@@ -1,8 +1,6 @@
 //! Where rays are sampled: stratified, then by what the coarse pass saw.
 
 use crate::composite::opacity;
-use rand::Rng as _;
-use scene::rng::Rng;
 
 /// Weight of a stretch that holds nothing, so that each can be drawn.
 /// Source: D-NeRF's program, as NeRF's.
@@ -27,10 +25,10 @@ impl Reach {
         }
     }
 
-    /// One distance in each of `count` equal parts, random in it where there is a generator.
-    pub(super) fn stratified(&self, count: usize, mut rng: Option<&mut Rng>, out: &mut Vec<f32>) {
+    /// One distance in each of `count` equal parts, at an `offset` ∈ [0, 1) in it.
+    pub(super) fn stratified(&self, count: usize, offset: &mut dyn FnMut() -> f32, out: &mut Vec<f32>) {
         for i in 0..count {
-            let offset = rng.as_mut().map_or(0.5, |r| r.random::<f32>());
+            let offset = offset();
             out.push(self.at((i as f32 + offset) / count as f32));
         }
     }
@@ -43,12 +41,13 @@ impl Reach {
 }
 
 /// Draws `count` distances by the weights that the samples at `depths` have, each between the
-/// middles to its neighbours, and adds all of them, sorted, to `out`.
+/// middles to its neighbours and at an `offset` ∈ [0, 1) in its share, and adds all of them,
+/// sorted, to `out`.
 pub(super) fn refine(
     depths: &[f32],
     weights: &[f32],
     count: usize,
-    mut rng: Option<&mut Rng>,
+    offset: &mut dyn FnMut() -> f32,
     out: &mut Vec<f32>,
 ) {
     let begin = out.len();
@@ -58,7 +57,7 @@ pub(super) fn refine(
     let total: f32 = inner.iter().map(|w| w + LEAST).sum();
     let (mut bin, mut below) = (0, 0.0);
     for i in 0..count {
-        let offset = rng.as_mut().map_or(0.5, |r| r.random::<f32>());
+        let offset = offset();
         let wanted = (i as f32 + offset) / count as f32 * total;
         while bin + 1 < inner.len() && below + inner[bin] + LEAST < wanted {
             below += inner[bin] + LEAST;
@@ -88,6 +87,7 @@ pub(super) fn weights(
 #[cfg(test)]
 mod tests {
     use super::*;
+    use rand::Rng as _;
 
     #[test]
     fn samples_are_one_a_part_and_go_where_the_weight_is() {
@@ -95,7 +95,7 @@ mod tests {
         for inverse in [false, true] {
             let reach = Reach { near: 2.0, far: 6.0, inverse };
             let mut depths = Vec::new();
-            reach.stratified(16, Some(&mut rng), &mut depths);
+            reach.stratified(16, &mut || rng.random(), &mut depths);
             for (i, &t) in depths.iter().enumerate() {
                 let (low, high) = (reach.at(i as f32 / 16.0), reach.at((i + 1) as f32 / 16.0));
                 assert!((low..=high).contains(&t), "{low} {t} {high}");
@@ -105,7 +105,7 @@ mod tests {
             let mut weights = [0.0; 16];
             weights[9] = 0.7;
             let mut all = Vec::new();
-            refine(&depths, &weights, 100, Some(&mut rng), &mut all);
+            refine(&depths, &weights, 100, &mut || rng.random(), &mut all);
             assert!(all.is_sorted() && all.len() == 116);
             let (low, high) = (0.5 * (depths[8] + depths[9]), 0.5 * (depths[9] + depths[10]));
             let near = all.iter().filter(|t| (low..=high).contains(t)).count();
@@ -117,7 +117,7 @@ mod tests {
     fn rays_that_saw_nothing_are_drawn_evenly() {
         let depths: Vec<f32> = (0..8).map(|i| i as f32).collect();
         let mut all = Vec::new();
-        refine(&depths, &[0.0; 8], 6, None, &mut all);
+        refine(&depths, &[0.0; 8], 6, &mut || 0.5, &mut all);
         assert!(all.is_sorted() && all.len() == 14 && all.iter().all(|t| t.is_finite()));
         assert!((all[13] - 7.0).abs() < 1e-6);
     }

@@ -7,11 +7,8 @@ use crate::composite::{Traced, compose, compose_backward};
 use crate::dense::padded_rows;
 use crate::loss::{mean_square, square_error};
 use crate::rays::Sighting;
+use rand::Rng as _;
 use scene::rng::Rng;
-
-/// Samples that are evaluated together, unless one ray has more.
-/// Source: docs/decisions/19: a third-level cache holds their activations.
-pub(super) const GROUP: usize = 384;
 
 /// A ray of a step.
 #[derive(Clone, Debug)]
@@ -33,7 +30,7 @@ pub(super) struct NerfSums {
 /// Buffers of a group of rays.
 #[derive(Default)]
 pub(super) struct NerfBuffers {
-    layers: NerfLayers,
+    pub(super) layers: NerfLayers,
     traced: Vec<Traced>,
     of_colours: Vec<f32>,
     of_densities: Vec<f32>,
@@ -58,15 +55,15 @@ impl NerfPass<'_> {
         };
         let mut buffers = NerfBuffers::default();
         let [coarse, fine] = self.field.shape.samples;
-        for group in rays.chunks((GROUP / (coarse + fine)).max(1)) {
+        for group in rays.chunks(self.field.group()) {
             let (mut first, mut second) = (Vec::new(), Vec::new());
-            group.iter().for_each(|r| r.reach.stratified(coarse, Some(rng), &mut first));
+            group.iter().for_each(|r| r.reach.stratified(coarse, &mut || rng.random(), &mut first));
             self.pass(0, group, &first, &mut buffers, &mut sums);
             for ((r, depths), i) in group.iter().zip(first.chunks_exact(coarse)).zip((0..).step_by(coarse)) {
                 let densities = (i..i + coarse).map(|s| self.field.networks.density(&buffers.layers, s));
                 let unit = self.field.unit();
                 weights(densities, r.reach.steps(depths).map(|dt| dt * unit), &mut buffers.weights);
-                refine(depths, &buffers.weights, fine, Some(rng), &mut second);
+                refine(depths, &buffers.weights, fine, &mut || rng.random(), &mut second);
             }
             self.pass(1, group, &second, &mut buffers, &mut sums);
         }

@@ -4,6 +4,8 @@
 //! al., "D-NeRF: Neural Radiance Fields for Dynamic Scenes", CVPR 2021).
 
 mod depths;
+#[cfg(feature = "gpu")]
+mod device;
 mod encoding;
 mod gradient;
 mod network;
@@ -11,10 +13,14 @@ mod render;
 mod settings;
 mod train;
 
+#[cfg(all(test, feature = "gpu"))]
+mod device_tests;
 #[cfg(test)]
 mod reference;
 #[cfg(test)]
 mod tests;
+#[cfg(test)]
+mod twin_tests;
 
 use crate::FieldError;
 use crate::adam::AdamMoments;
@@ -23,13 +29,15 @@ use crate::field::{Kept, RadianceField, StepPlace, StepReport};
 use crate::kept::{Restored, kept_arrays};
 use crate::rays::{self, PhotoRays, Ray};
 use depths::Reach;
+#[cfg(feature = "gpu")]
+pub(crate) use device::NerfOnDevice;
 use encoding::encode;
 use glam::Vec3;
-use network::{DIRECTION_OCTAVES, ENCODED_DIRECTION, NerfNetworks, NerfRay, NerfWeights};
+use network::{DIRECTION_OCTAVES, ENCODED_DIRECTION, NerfLayers, NerfNetworks, NerfRay, NerfWeights};
 use scene::rng::rng;
 use serde_json::{Value, json};
-use settings::NerfSettings;
 pub(crate) use settings::NerfShape;
+use settings::{GROUP, NerfSettings};
 use splat::{PinholeView, RenderOutput};
 
 /// A NeRF or D-NeRF.
@@ -93,8 +101,19 @@ impl RadianceField for Nerf {
         Ok(self.step(photos, place))
     }
 
-    fn render(&self, view: &PinholeView, time: f32, background: [f32; 3]) -> RenderOutput {
-        rays::picture(view, time, background, &|rays, out| self.trace(rays, background, out))
+    fn render(
+        &self,
+        view: &PinholeView,
+        time: f32,
+        background: [f32; 3],
+    ) -> Result<RenderOutput, FieldError> {
+        rays::picture(view, time, (background, rays::BLOCK), &|rays, out| {
+            let mut layers = NerfLayers::default();
+            let mut shade = |pass: usize, rays: &[NerfRay], depths: &[f32]| {
+                Ok(self.shade(pass, rays, depths, &mut layers))
+            };
+            self.trace((rays, GROUP), background, out, &mut shade)
+        })
     }
 
     fn size(&self) -> usize {

@@ -2,14 +2,24 @@
 
 use super::Nerf;
 use super::depths::{Reach, refine, weights};
-use super::gradient::GROUP;
 use super::network::{NerfLayers, NerfRay};
+use crate::FieldError;
 use crate::composite::{RayColour, compose};
 use crate::rays::Ray;
 
+/// What gives colour and density of each sample of rays, in a pass (0: coarse, 1: fine).
+pub(super) type NerfShader<'a> =
+    dyn FnMut(usize, &[NerfRay], &[f32]) -> Result<Vec<[f32; 4]>, FieldError> + 'a;
+
 impl Nerf {
-    /// Colours, transmittances and distances of rays.
-    pub(super) fn trace(&self, rays: &[Ray], background: [f32; 3], out: &mut [RayColour]) {
+    /// Colours, transmittances and distances of rays, about `group` samples at a time.
+    pub(super) fn trace(
+        &self,
+        (rays, group): (&[Ray], usize),
+        background: [f32; 3],
+        out: &mut [RayColour],
+        shade: &mut NerfShader,
+    ) -> Result<(), FieldError> {
         let inside: Vec<(usize, NerfRay, Reach)> = rays
             .iter()
             .enumerate()
@@ -18,28 +28,43 @@ impl Nerf {
         for o in out.iter_mut() {
             *o = RayColour { rgb: background, transmittance: 1.0, distance: 0.0 };
         }
-        let (mut layers, mut shares) = (NerfLayers::default(), Vec::new());
-        let ([coarse, fine], unit) = (self.shape.samples, self.unit());
-        for group in inside.chunks((GROUP / (coarse + fine)).max(1)) {
+        let (mut shares, [coarse, fine], unit) = (Vec::new(), self.shape.samples, self.unit());
+        for group in inside.chunks((group / (coarse + fine)).max(1)) {
             let plain: Vec<NerfRay> = group.iter().map(|(_, ray, _)| ray.clone()).collect();
             let (mut first, mut second) = (Vec::new(), Vec::new());
-            group.iter().for_each(|(.., reach)| reach.stratified(coarse, None, &mut first));
-            self.networks.evaluate(self.parts(&self.weights, 0), &plain, &first, &mut layers);
-            for (r, ((.., reach), depths)) in group.iter().zip(first.chunks_exact(coarse)).enumerate() {
-                let densities = (0..coarse).map(|i| self.networks.density(&layers, r * coarse + i));
-                weights(densities, reach.steps(depths).map(|dt| dt * unit), &mut shares);
-                refine(depths, &shares, fine, None, &mut second);
+            group.iter().for_each(|(.., reach)| reach.stratified(coarse, &mut || 0.5, &mut first));
+            let shaded = shade(0, &plain, &first)?;
+            let each = first.chunks_exact(coarse).zip(shaded.chunks_exact(coarse));
+            for ((.., reach), (depths, shaded)) in group.iter().zip(each) {
+                let steps = reach.steps(depths).map(|dt| dt * unit);
+                weights(shaded.iter().map(|s| s[3]), steps, &mut shares);
+                refine(depths, &shares, fine, &mut || 0.5, &mut second);
             }
-            self.networks.evaluate(self.parts(&self.weights, 1), &plain, &second, &mut layers);
-            let each = coarse + fine;
-            for (r, ((pixel, _, reach), depths)) in group.iter().zip(second.chunks_exact(each)).enumerate() {
-                let samples = reach.steps(depths).zip(depths).enumerate().map(|(i, (dt, &t))| {
-                    let sample = r * each + i;
-                    let density = self.networks.density(&layers, sample);
-                    (density, dt * unit, t, self.networks.colour(&layers, sample))
-                });
+            let shaded = shade(1, &plain, &second)?;
+            let each = second.chunks_exact(coarse + fine).zip(shaded.chunks_exact(coarse + fine));
+            for ((pixel, _, reach), (depths, shaded)) in group.iter().zip(each) {
+                let samples = reach.steps(depths).zip(depths).zip(shaded);
+                let samples =
+                    samples.map(|((dt, &t), &[r, g, b, density])| (density, dt * unit, t, [r, g, b]));
                 out[*pixel] = compose(samples, background);
             }
         }
+        Ok(())
+    }
+
+    /// Colours and densities by this processor.
+    pub(super) fn shade(
+        &self,
+        pass: usize,
+        rays: &[NerfRay],
+        depths: &[f32],
+        layers: &mut NerfLayers,
+    ) -> Vec<[f32; 4]> {
+        self.networks.evaluate(self.parts(&self.weights, pass), rays, depths, layers);
+        let shaded = (0..depths.len()).map(|i| {
+            let [r, g, b] = self.networks.colour(layers, i);
+            [r, g, b, self.networks.density(layers, i)]
+        });
+        shaded.collect()
     }
 }

@@ -5,6 +5,10 @@ use crate::domain::Domain;
 use serde::{Deserialize, Serialize};
 use splat::Dataset;
 
+/// Samples that are evaluated together, unless one ray has more.
+/// Source: docs/decisions/19: a third-level cache holds their activations.
+pub(super) const GROUP: usize = 384;
+
 /// The shape of a NeRF. With a time limit it is smaller: docs/decisions/19.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub(crate) struct NerfShape {

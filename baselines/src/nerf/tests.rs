@@ -38,7 +38,7 @@ fn rays(field: &Nerf, count: usize, each: usize) -> (Vec<SightedRay>, Vec<f32>) 
             Vec3::from(rng.random::<[f32; 3]>().map(|v| (v * 256.0).floor() / 1024.0)) - Vec3::Z * 3.0;
         let ray = Ray { origin, direction: Vec3::Z, time: r as f32 / count as f32 };
         let (local, reach) = field.local(&ray).unwrap();
-        reach.stratified(each, Some(&mut rng), &mut depths);
+        reach.stratified(each, &mut || rng.random(), &mut depths);
         let sighting = Sighting { ray, colour: rng.random(), background: rng.random() };
         all.push(SightedRay { ray: local, reach, sighting });
     }
@@ -141,7 +141,10 @@ fn at_time_0_nothing_moves_and_a_ray_beside_the_box_sees_the_background() {
     let ray = |x: f32, time| Ray { origin: Vec3::new(x, 0.0, -3.0), direction: Vec3::Z, time };
     let show = |field: &Nerf, x, time| {
         let mut out = [Default::default()];
-        field.trace(&[ray(x, time)], [0.25; 3], &mut out);
+        let mut layers = NerfLayers::default();
+        let mut shade =
+            |pass: usize, rays: &[NerfRay], depths: &[f32]| Ok(field.shade(pass, rays, depths, &mut layers));
+        field.trace((&[ray(x, time)], GROUP), [0.25; 3], &mut out, &mut shade).unwrap();
         out[0]
     };
     let (still, later) = (show(&field, 0.1, 0.0), show(&field, 0.1, 0.5));

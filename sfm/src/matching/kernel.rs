@@ -3,7 +3,7 @@
 //! Dot products are formed tile by tile and compared at once; no distance is ever stored. Every
 //! kernel gives the same result: integers are exact, and among equals the lowest index stays.
 
-use super::prepared::{PreparedFeatures, best_group};
+use super::prepared::PreparedFeatures;
 use super::top_two::{TopTwo, add_bias};
 use crate::sift::dispatch;
 
@@ -13,7 +13,7 @@ pub(super) fn top_two(a: &PreparedFeatures, b: &PreparedFeatures, floor: u16) ->
     #[cfg(target_arch = "x86_64")]
     {
         let (mut rows, mut columns) = (TopTwo::new(a.len(), floor), TopTwo::new(b.len(), floor));
-        if b.group() == 4 && best_group() == 4 {
+        if b.group() == 4 && super::prepared::best_group() == 4 {
             // SAFETY: the processor has AVX-512 with VNNI.
             unsafe { super::avx512::sweep(a, b, &mut rows, &mut columns) };
             return (rows, columns);

@@ -28,6 +28,7 @@ mod kernel;
 #[cfg(target_arch = "aarch64")]
 mod neon;
 mod prepared;
+mod set;
 #[cfg(test)]
 mod tests;
 mod top_two;
@@ -35,6 +36,7 @@ mod top_two;
 pub use config::MatchConfig;
 pub(crate) use guided::guided_match_prepared;
 pub use prepared::PreparedFeatures;
+pub(crate) use set::PreparedSet;
 
 use crate::error::SfmError;
 use prepared::{dot_at_distance, squared_distance};
@@ -88,13 +90,12 @@ pub fn match_pairs(
     config: &MatchConfig,
     progress: &Progress,
 ) -> Result<Vec<PairMatches>, SfmError> {
-    let prepared: Vec<PreparedFeatures> = features.par_iter().map(PreparedFeatures::new).collect();
-    match_prepared_pairs(&prepared, pairs, config, progress)
+    match_prepared_pairs(&PreparedSet::new(features), pairs, config, progress)
 }
 
 /// [`match_pairs`] of descriptors that are prepared already.
 pub(crate) fn match_prepared_pairs(
-    prepared: &[PreparedFeatures],
+    prepared: &PreparedSet,
     pairs: &[(usize, usize)],
     config: &MatchConfig,
     progress: &Progress,
@@ -103,7 +104,7 @@ pub(crate) fn match_prepared_pairs(
     let found = pairs.par_iter().map(|&(a, b)| {
         progress.check()?;
         let matches = match (prepared.get(a), prepared.get(b)) {
-            (Some(left), Some(right)) => match_prepared(left, right, config),
+            (Some(left), Some(right)) => match_prepared(&left, &right, config),
             _ => Vec::new(),
         };
         progress.tick()?;

@@ -68,6 +68,11 @@ impl PreparedFeatures {
         Self { len, rows, panels, group }
     }
 
+    /// Memory of the descriptors, bytes.
+    pub(super) fn bytes(&self) -> usize {
+        self.rows.len() + size_of_val(self.panels.as_slice())
+    }
+
     /// Number of descriptors.
     pub(crate) fn len(&self) -> usize {
         self.len

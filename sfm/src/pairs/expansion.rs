@@ -2,8 +2,7 @@
 
 use super::{PairConfig, first_pairs};
 use crate::error::SfmError;
-use crate::matching::{MatchConfig, PairMatches, PreparedFeatures, match_prepared_pairs};
-use rayon::prelude::*;
+use crate::matching::{MatchConfig, PairMatches, PreparedSet, match_prepared_pairs};
 use scene::{Features, FrameSet, Progress};
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -29,7 +28,7 @@ pub(crate) fn match_related(
     matching: &MatchConfig,
     progress: &Progress,
 ) -> Result<Vec<PairMatches>, SfmError> {
-    let prepared: Vec<PreparedFeatures> = features.par_iter().map(PreparedFeatures::new).collect();
+    let prepared = PreparedSet::new(features);
     let n = frames.len().min(features.len());
     let mut batch = first_pairs(frames, features, pairs);
     let mut found = match_prepared_pairs(&prepared, &batch, matching, progress)?;

@@ -3,7 +3,7 @@
 use crate::error::SfmError;
 use crate::incremental::initial::calibration;
 use crate::limits::WIDEST_ANGLE;
-use crate::matching::{MatchConfig, PreparedFeatures, guided_match_prepared};
+use crate::matching::{MatchConfig, PreparedSet, guided_match_prepared};
 use crate::solvers::essential_from_pose;
 use crate::triangulation::angle_between;
 use glam::{DMat3, DVec2, DVec3};
@@ -32,7 +32,7 @@ impl PosedImages<'_> {
         config: &MatchConfig,
         progress: &Progress,
     ) -> Result<Vec<TwoViewGeometry>, SfmError> {
-        let prepared: Vec<PreparedFeatures> = self.features.par_iter().map(PreparedFeatures::new).collect();
+        let prepared = PreparedSet::new(self.features);
         let ideal: Vec<Features> = (0..self.features.len()).map(|i| self.undistorted(i)).collect();
         progress.begin("matching along the lines of poses", pairs.len());
         let found: Result<Vec<Option<TwoViewGeometry>>, SfmError> = pairs
@@ -41,7 +41,8 @@ impl PosedImages<'_> {
                 progress.tick()?;
                 let known = known.iter().find(|g| (g.a, g.b) == (a, b));
                 let Some((f, b_from_a)) = self.line_between(a, b) else { return Ok(known.cloned()) };
-                let [a_side, b_side] = [a, b].map(|i| (&ideal[i], &prepared[i]));
+                let Some((in_a, in_b)) = prepared.get(a).zip(prepared.get(b)) else { return Ok(None) };
+                let (a_side, b_side) = ((&ideal[a], &*in_a), (&ideal[b], &*in_b));
                 let matches = guided_match_prepared(a_side, b_side, &f, band, config);
                 Ok(merge_geometry(known, (a, b), matches, &f, b_from_a, fewest))
             })

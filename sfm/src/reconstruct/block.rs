@@ -3,10 +3,9 @@
 use super::model::SfmModel;
 use crate::config::SfmConfig;
 use crate::error::SfmError;
-use crate::matching::{PairMatches, PreparedFeatures, match_prepared_pairs};
+use crate::matching::{PairMatches, PreparedSet, match_prepared_pairs};
 use crate::pairs::{PairConfig, first_pairs};
 use crate::sift;
-use rayon::prelude::*;
 use scene::{Camera, Features, FrameSet, Progress};
 use serde::{Deserialize, Serialize};
 use std::fmt;
@@ -65,7 +64,7 @@ pub fn match_block(
     let pairs = PairConfig { pair_candidates: 4 * config.pairs.pair_candidates, ..config.pairs.clone() };
     let all = first_pairs(frames, &features, &pairs);
     let own: Vec<(usize, usize)> = all.into_iter().skip(block.number - 1).step_by(block.count).collect();
-    let prepared: Vec<PreparedFeatures> = features.par_iter().map(PreparedFeatures::new).collect();
+    let prepared = PreparedSet::new(&features);
     let matches = match_prepared_pairs(&prepared, &own, &config.matching, progress)?;
     Ok(MatchedBlock { features, initial_cameras, matches })
 }

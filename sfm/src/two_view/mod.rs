@@ -36,7 +36,7 @@ pub use config::TwoViewConfig;
 pub(crate) use wide::second_look;
 
 use crate::error::SfmError;
-use crate::matching::{MatchConfig, PreparedFeatures, guided_match_prepared};
+use crate::matching::{MatchConfig, PreparedSet, guided_match_prepared};
 use crate::solvers::{sampson_sq, transfer_sq};
 use correspondences::Correspondences;
 use models::TwoViewModels;
@@ -157,16 +157,18 @@ pub(crate) fn match_along_lines(
         return Ok(geometries);
     }
     progress.begin("guided matching", geometries.len());
-    let prepared: Vec<PreparedFeatures> = features.par_iter().map(PreparedFeatures::new).collect();
+    let prepared = PreparedSet::new(features);
     let pairs = geometries.into_par_iter();
     let merged = pairs.map(|g| {
         progress.tick()?;
         let epipolar = matches!(g.kind, TwoViewKind::Calibrated | TwoViewKind::Uncalibrated);
         let Some(f) = g.f.filter(|_| epipolar && wanted(&g)) else { return Ok(g) };
-        let [a, b] = [g.a, g.b].map(|i| (&features[i], &prepared[i]));
-        let more = guided_match_prepared(a, b, &f, verification.sigma_px(), matching);
+        let (Some(in_a), Some(in_b)) = (prepared.get(g.a), prepared.get(g.b)) else { return Ok(g) };
+        let [a, b] = [g.a, g.b].map(|i| &features[i]);
+        let sigma = verification.sigma_px();
+        let more = guided_match_prepared((a, &in_a), (b, &in_b), &f, sigma, matching);
         let cameras = [&cameras[g.a], &cameras[g.b]];
-        Ok(merge_guided(&g, [a.0, b.0], cameras, &more, verification, seed))
+        Ok(merge_guided(&g, [a, b], cameras, &more, verification, seed))
     });
     merged.collect()
 }

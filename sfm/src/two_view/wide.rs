@@ -6,7 +6,7 @@ use super::config::TwoViewConfig;
 use super::correspondences::Correspondences;
 use super::pose::{best_pose, median_angle};
 use crate::error::SfmError;
-use crate::matching::{MatchConfig, PreparedFeatures, match_prepared};
+use crate::matching::{MatchConfig, PreparedSet, match_prepared};
 use crate::ransac::{EssentialEstimator, Estimator, RansacConfig, ransac};
 use crate::solvers::sampson_sq;
 use rayon::prelude::*;
@@ -33,7 +33,7 @@ pub(crate) fn second_look(
     progress: &Progress,
 ) -> Result<Vec<TwoViewGeometry>, SfmError> {
     progress.begin("wide pairs", pairs.len());
-    let prepared: Vec<PreparedFeatures> = features.par_iter().map(PreparedFeatures::new).collect();
+    let prepared = PreparedSet::new(features);
     let loose = MatchConfig {
         match_ratio: WIDE_RATIO.max(matching.match_ratio),
         match_max_distance: WIDE_DISTANCE.max(matching.match_max_distance),
@@ -46,7 +46,8 @@ pub(crate) fn second_look(
     };
     let found = pairs.par_iter().map(|&(a, b)| {
         progress.tick()?;
-        let matches = match_prepared(&prepared[a], &prepared[b], &loose);
+        let (Some(in_a), Some(in_b)) = (prepared.get(a), prepared.get(b)) else { return Ok(None) };
+        let matches = match_prepared(&in_a, &in_b, &loose);
         let all = Correspondences::new(&features[a], &features[b], &cameras[a], &cameras[b], &matches);
         Ok(verify_wide(a, b, &all, &strict, seed))
     });

@@ -39,7 +39,7 @@ impl CpuBackend {
             statistics: Statistics::default(),
             work: KernelWorkspace::default(),
             times: KernelTimes::default(),
-            clock: crate::clock::wall_seconds,
+            clock: scene::clock::wall_seconds,
         }
     }
 

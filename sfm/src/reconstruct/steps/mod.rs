@@ -139,24 +139,14 @@ struct Clock {
 
 impl Clock {
     fn start() -> Self {
-        Self { wall: Instant::now(), cpu: cpu_seconds() }
+        Self { wall: Instant::now(), cpu: scene::clock::cpu_seconds() }
     }
 
     /// Notes what has passed since the last lap.
     fn lap(&mut self, step: &str, steps: &mut Vec<StepTime>) {
-        let (wall, cpu) = (Instant::now(), cpu_seconds());
+        let (wall, cpu) = (Instant::now(), scene::clock::cpu_seconds());
         let wall_s = (wall - self.wall).as_secs_f64();
         steps.push(StepTime { step: step.to_owned(), wall_s, cpu_s: cpu - self.cpu });
         (self.wall, self.cpu) = (wall, cpu);
     }
-}
-
-/// User and system time of this process, seconds, from `/proc/self/stat` (fields 14 and 15, in
-/// hundredths on Linux); 0 elsewhere.
-fn cpu_seconds() -> f64 {
-    let stat = std::fs::read_to_string("/proc/self/stat").unwrap_or_default();
-    // The second field is the program's name in brackets and may hold blanks.
-    let fields: Vec<&str> = stat.rsplit(')').next().unwrap_or_default().split_whitespace().collect();
-    let ticks = fields.iter().skip(11).take(2).filter_map(|f| f.parse::<f64>().ok());
-    ticks.sum::<f64>() / 100.0
 }

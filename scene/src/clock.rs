@@ -1,7 +1,7 @@
 //! Time spent, in seconds.
 //!
 //! ```
-//! use splat::clock::LimitClock;
+//! use scene::clock::LimitClock;
 //!
 //! let (wall, processor) = (LimitClock::Wall.seconds(), LimitClock::Processor.seconds());
 //! std::thread::sleep(std::time::Duration::from_millis(200));
@@ -9,25 +9,40 @@
 //! assert!(LimitClock::Processor.seconds() - processor < 0.1);
 //! ```
 
-use clap::ValueEnum;
 use rustix::time::{ClockId, clock_gettime};
 use serde::{Deserialize, Serialize};
+use std::str::FromStr;
 use std::sync::OnceLock;
 use std::time::Instant;
 
 /// What a time limit counts.
-#[derive(ValueEnum, Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum LimitClock {
-    /// Wall time
+    /// Wall time.
     #[default]
     Wall,
     /// Processor time of all threads divided by their number, so that what else the machine does
-    /// takes nothing away: for comparisons (of no use on a graphics card)
+    /// takes nothing away: for comparisons (of no use on a graphics card).
     Processor,
 }
 
+impl FromStr for LimitClock {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        match text {
+            "wall" => Ok(Self::Wall),
+            "processor" => Ok(Self::Processor),
+            _ => Err("wall or processor".into()),
+        }
+    }
+}
+
 impl LimitClock {
+    /// How they are named.
+    pub const NAMES: [&'static str; 2] = ["wall", "processor"];
+
     /// Seconds since some moment.
     pub fn seconds(self) -> f64 {
         match self {
