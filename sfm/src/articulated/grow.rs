@@ -26,6 +26,9 @@ const FIRST_BEND: f64 = 0.009;
 const LEAST_BEND: f64 = 3e-5;
 /// A part turns by so much, radians, or it is an error of the poses. Source: chosen by hand.
 const LEAST_TURN: f64 = 0.05;
+/// Two parts are one if one joint explains such a share of the tracks of each. Source: chosen by
+/// hand, never measured.
+const TOGETHER: f64 = 0.8;
 /// Of a place's neighbours in the picture so many are asked which motion they follow. Source:
 /// chosen by hand, never measured.
 const NEIGHBOURS: usize = 6;
@@ -77,7 +80,35 @@ impl Growth<'_, '_> {
             let own: Vec<usize> = own(k);
             (self.fit(path, &own, bend(path)), own)
         });
-        again.filter(|(path, own)| self.is_part(path, own)).collect()
+        self.merged(again.filter(|(path, own)| self.is_part(path, own)).collect())
+    }
+
+    /// Parts on one axis with one angle are one.
+    fn merged(&self, mut parts: Vec<(JointPath, Vec<usize>)>) -> Vec<(JointPath, Vec<usize>)> {
+        let mut i = 0;
+        while i < parts.len() {
+            let joined = (i + 1..parts.len()).find_map(|j| Some((j, self.joined(&parts[i], &parts[j])?)));
+            match joined {
+                Some((j, part)) => {
+                    parts[i] = part;
+                    parts.remove(j);
+                }
+                None => i += 1,
+            }
+        }
+        parts
+    }
+
+    /// Two parts as one, if one joint explains what both explain.
+    fn joined(
+        &self,
+        a: &(JointPath, Vec<usize>),
+        b: &(JointPath, Vec<usize>),
+    ) -> Option<(JointPath, Vec<usize>)> {
+        let both: Vec<usize> = a.1.iter().chain(&b.1).copied().collect();
+        let path = self.fit(&a.0, &both, bend(&a.0).max(bend(&b.0)));
+        let kept = |own: &[usize]| self.explained(&path, own).len() as f64 / own.len().max(1) as f64;
+        (kept(&a.1) >= TOGETHER && kept(&b.1) >= TOGETHER).then_some((path, both))
     }
 
     /// Joints of groups of neighbours, each with the observations it explains.

@@ -1,7 +1,7 @@
 //! A joint: an axis in the body, a place on it, and an angle for each frame.
 
 use super::posed::PosedTrack;
-use crate::solvers::cholesky::{cholesky, whiten};
+use crate::solvers::cholesky::{cholesky, solved, whiten};
 use crate::solvers::levenberg::cauchy;
 use crate::triangulation::{PointView, linearise};
 use glam::{DMat3, DQuat, DVec3};
@@ -10,12 +10,12 @@ use scene::Pose;
 use std::ops::Range;
 
 /// Unknowns beside the angles: two of the axis, two of the place.
-const SHARED: usize = 4;
+pub(super) const SHARED: usize = 4;
 /// Residuals count less and less from so many standard deviations on. Source: three is rare.
 const ROBUST: f64 = 3.0;
 /// Standard deviation of the first angle, radians: it is zero by definition. Source: far less than
 /// any angle is known to.
-const ANCHOR: f64 = 1e-6;
+pub(super) const ANCHOR: f64 = 1e-6;
 
 /// How a part turns: a place `x` of it at rest is at `p + R(a, θ) (x − p)` of the body.
 #[derive(Clone, Debug, PartialEq)]
@@ -80,12 +80,12 @@ impl JointPath {
     }
 
     /// Two unit vectors across the axis.
-    fn across(&self) -> [DVec3; 2] {
+    pub(super) fn across(&self) -> [DVec3; 2] {
         let first = self.axis.any_orthonormal_vector();
         [first, self.axis.cross(first)]
     }
 
-    fn stepped(&self, step: &[f64]) -> Self {
+    pub(super) fn stepped(&self, step: &[f64]) -> Self {
         let [u, v] = self.across();
         let axis = (self.axis + u * step[0] + v * step[1]).normalize();
         let place = self.place + u * step[2] + v * step[3];
@@ -224,11 +224,7 @@ impl JointNormal {
         let mut damped = self.matrix.clone();
         (0..n).for_each(|i| damped[i * n + i] *= 1.0 + lambda);
         let l = cholesky(damped, n)?;
-        let mut step = whiten(&l, &self.gradient.iter().map(|g| -g).collect::<Vec<f64>>());
-        for i in (0..n).rev() {
-            let done: f64 = (i + 1..n).map(|k| l[k * n + i] * step[k]).sum();
-            step[i] = (step[i] - done) / l[i * n + i];
-        }
+        let step = solved(&l, &self.gradient.iter().map(|g| -g).collect::<Vec<f64>>());
         let moves = self.tracks.iter().map(|t| {
             let pulled: DVec3 = t.columns.iter().map(|(c, _, mixed)| *mixed * step[*c]).sum();
             inverse(t.point) * -(t.point_gradient + pulled)
@@ -239,7 +235,7 @@ impl JointNormal {
 }
 
 /// Zero where nothing holds the point.
-fn inverse(m: DMat3) -> DMat3 {
+pub(super) fn inverse(m: DMat3) -> DMat3 {
     if m.determinant() > 0.0 { m.inverse() } else { DMat3::ZERO }
 }
 
@@ -292,10 +288,10 @@ impl TrackNormal {
 }
 
 /// How a point moves with each unknown: axis (two), place (two), angle.
-struct JointMoves([DVec3; SHARED + 1]);
+pub(super) struct JointMoves(pub [DVec3; SHARED + 1]);
 
 impl JointMoves {
-    fn of(path: &JointPath, motion: &Pose, x: DVec3, across: [DVec3; 2]) -> Self {
+    pub(super) fn of(path: &JointPath, motion: &Pose, x: DVec3, across: [DVec3; 2]) -> Self {
         let (arm, rotation) = (x - path.place, motion.rotation);
         let turned = rotation * arm;
         let tilt = |to: DVec3| {

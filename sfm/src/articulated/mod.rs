@@ -6,6 +6,7 @@
 //! most tracks is refined over all frames, with an angle for each (`joint`), and is a part if it
 //! passes `is_part`.
 
+mod adjust;
 mod grow;
 mod joint;
 mod posed;
@@ -15,11 +16,13 @@ mod tests;
 
 use crate::error::SfmError;
 use crate::klt::{KltConfig, KltTrack, track};
+use adjust::{Chain, ChainNoise, Member};
 use crate::statistics::median;
 use glam::{DQuat, DVec3};
 use grow::Growth;
 use joint::{JointNoise, JointPath};
 use posed::{PosedFrame, PosedTrack};
+use rayon::prelude::*;
 use scene::{FrameSet, Pose, Progress, Reconstruction};
 use serde::{Deserialize, Serialize};
 
@@ -30,6 +33,8 @@ pub(super) const MOVING: f64 = 3.0;
 const LEAST_NOISE_PX: f64 = 0.02;
 /// Parts that are looked for. Source: derived: more than any spacecraft turns at a time.
 const MOST_PARTS: usize = 6;
+/// How often cameras, poses and joints are adjusted, and tracks shared out again.
+const ADJUSTMENTS: usize = 4;
 /// What stays at one place in the picture for as long as it is followed is none of the object, or
 /// a reflection: it goes less far than this, pixels. Source: chosen by hand, never measured.
 const STAYS_PX: f64 = 2.0;
@@ -87,14 +92,18 @@ pub fn moving_parts(
 ) -> Result<Articulation, SfmError> {
     let tracks = track(frames, config, progress)?;
     let unit = Unit::of(model);
+    let names: Vec<String> = frames.frames.iter().map(|f| f.name.clone()).collect();
+    let numbers: Vec<u32> = model.cameras.keys().copied().collect();
     let by_name = |name: &String| {
         let image = model.images.values().find(|i| i.name == *name)?;
-        let camera = model.cameras.get(&image.camera)?;
-        Some(PosedFrame { pose: unit.pose(&image.pose), camera })
+        Some((numbers.binary_search(&image.camera).ok()?, unit.pose(&image.pose)))
     };
-    let names: Vec<String> = frames.frames.iter().map(|f| f.name.clone()).collect();
-    let posed: Vec<Option<PosedFrame<'_>>> = names.iter().map(by_name).collect();
-    let mut found = in_unit(&tracks, &posed, seed, progress)?;
+    let chain = Chain {
+        cameras: model.cameras.values().cloned().collect(),
+        frames: names.iter().map(by_name).collect(),
+        joints: Vec::new(),
+    };
+    let (mut found, _) = in_unit(&tracks, chain, seed, progress)?;
     found.parts.iter_mut().for_each(|p| unit.restore(p));
     found.frames = names;
     Ok(found)
@@ -129,35 +138,144 @@ impl Unit {
     }
 }
 
-/// The same where the object's size is 1.
+/// The same where the object's size is 1, with cameras and poses that the parts corrected.
 fn in_unit(
     tracks: &[KltTrack],
-    frames: &[Option<PosedFrame<'_>>],
+    mut chain: Chain,
     seed: u64,
     progress: &Progress,
-) -> Result<Articulation, SfmError> {
-    let all: Vec<PosedTrack<'_>> = tracks.iter().filter_map(|t| PosedTrack::new(t, frames)).collect();
-    let errors: Vec<Option<f64>> = all.iter().map(|t| t.still().map(|s| s.1)).collect();
-    let noise = median(errors.iter().copied().flatten().collect()).max(LEAST_NOISE_PX);
-    let (mut rest, still): (Vec<usize>, Vec<usize>) =
-        (0..all.len()).partition(|&i| errors[i].is_none_or(|e| e > MOVING * noise));
-    let odd = rest.len();
-    rest.retain(|&i| all[i].travel() > STAYS_PX && all[i].views.len() >= 8);
-    let growth = Growth { all: &all, still: &still, noise, frames: frames.len(), seed };
-    let mut paths = Vec::new();
-    progress.begin("parts", MOST_PARTS);
-    for k in 0..MOST_PARTS {
+) -> Result<(Articulation, Chain), SfmError> {
+    let mut parts = {
+        let frames = chain.posed();
+        let scene = Scene::of(tracks, &frames);
+        scene.growth(chain.frames.len(), seed).found(scene.odd(), progress)?
+    };
+    for _ in 0..ADJUSTMENTS {
+        if parts.is_empty() {
+            break;
+        }
         progress.tick()?;
-        let Some((path, own)) = growth.part(&rest, k as u64) else { break };
-        rest.retain(|i| !own.contains(i));
-        paths.push(path);
+        for (p, own) in &parts { eprintln!("DBG {} frames {} axis {:.3} place {:.3} turn {:.1} f {:?}", own.len(), p.angles.len(), p.axis, p.place, p.angles.last().unwrap().to_degrees(), chain.cameras[0].params); }
+        (chain, parts) = adjusted(tracks, &chain, parts, seed);
     }
-    let parts = growth.shared_out(paths);
-    let unexplained = odd - parts.iter().map(|p| p.1.len()).sum::<usize>();
-    let mut parts: Vec<MovingPart> =
-        parts.iter().filter_map(|(path, own)| part_of(path, own, &all, noise)).collect();
-    parts.sort_by_key(|p| std::cmp::Reverse(p.observations));
-    Ok(Articulation { frames: Vec::new(), parts, noise_px: noise, tracks: all.len(), unexplained })
+    let found = told(tracks, &chain, &parts);
+    Ok((found, chain))
+}
+
+/// What is told of the parts.
+fn told(tracks: &[KltTrack], chain: &Chain, parts: &[(JointPath, Vec<usize>)]) -> Articulation {
+    let frames = chain.posed();
+    let scene = Scene::of(tracks, &frames);
+    let unexplained = scene.moving - parts.iter().map(|p| p.1.len()).sum::<usize>().min(scene.moving);
+    let mut told: Vec<MovingPart> =
+        parts.iter().filter_map(|(path, own)| part_of(path, own, &scene.all, scene.noise)).collect();
+    told.sort_by_key(|p| std::cmp::Reverse(p.observations));
+    Articulation {
+        frames: Vec::new(),
+        parts: told,
+        noise_px: scene.noise,
+        tracks: scene.all.len(),
+        unexplained,
+    }
+}
+
+/// Cameras, body and joints together, then the parts' tracks again.
+fn adjusted(
+    tracks: &[KltTrack],
+    chain: &Chain,
+    parts: Vec<(JointPath, Vec<usize>)>,
+    seed: u64,
+) -> (Chain, Vec<(JointPath, Vec<usize>)>) {
+    let next = {
+        let frames = chain.posed();
+        let scene = Scene::of(tracks, &frames);
+        let paths: Vec<JointPath> = parts.into_iter().map(|p| p.0).collect();
+        let members = scene.members(&paths);
+        let start = Chain { joints: paths, ..chain.clone() };
+        start.adjusted(&members, &ChainNoise::of(&start, scene.noise))
+    };
+    let parts = {
+        let frames = next.posed();
+        let scene = Scene::of(tracks, &frames);
+        scene.growth(next.frames.len(), seed).shared_out(next.joints.clone())
+    };
+    (next, parts)
+}
+
+/// The tracks under some poses.
+struct Scene<'a> {
+    all: Vec<PosedTrack<'a>>,
+    /// What each was made of.
+    of: Vec<&'a KltTrack>,
+    /// Those that the body explains.
+    still: Vec<usize>,
+    noise: f64,
+    /// How many the body does not explain.
+    moving: usize,
+}
+
+impl<'a> Scene<'a> {
+    fn of(tracks: &'a [KltTrack], frames: &'a [Option<PosedFrame<'a>>]) -> Self {
+        let pairs = tracks.iter().filter_map(|t| Some((PosedTrack::new(t, frames)?, t)));
+        let (all, of): (Vec<PosedTrack<'_>>, Vec<&KltTrack>) = pairs.unzip();
+        let errors: Vec<Option<f64>> = all.par_iter().map(|t| t.still().map(|s| s.1)).collect();
+        let noise = median(errors.iter().copied().flatten().collect()).max(LEAST_NOISE_PX);
+        let is_still = |&i: &usize| errors[i].is_some_and(|e| e <= MOVING * noise);
+        let still: Vec<usize> = (0..all.len()).filter(is_still).collect();
+        let moving = all.len() - still.len();
+        Self { all, of, still, noise, moving }
+    }
+
+    /// Each track with what explains it best, the body or a joint; none that nothing explains.
+    fn members(&self, joints: &[JointPath]) -> Vec<Member<'a>> {
+        let best = |i: usize| {
+            let of_joints = joints.iter().enumerate().map(|(j, p)| (self.all[i].point(p), Some(j)));
+            let all = std::iter::once((self.all[i].still(), None)).chain(of_joints);
+            let errors = all.filter_map(|(found, joint)| Some((found?.1, joint)));
+            let (error, joint) = errors.min_by(|a, b| a.0.total_cmp(&b.0))?;
+            (error <= MOVING * self.noise).then_some(Member { track: self.of[i], joint })
+        };
+        (0..self.all.len()).into_par_iter().filter_map(best).collect()
+    }
+
+    /// Tracks that the body does not explain and that may be a part's.
+    fn odd(&self) -> Vec<usize> {
+        let may = |i: &usize| {
+            let track = &self.all[*i];
+            self.still.binary_search(i).is_err() && track.travel() > STAYS_PX && track.views.len() >= 8
+        };
+        (0..self.all.len()).filter(may).collect()
+    }
+
+    fn growth(&self, frames: usize, seed: u64) -> Growth<'_, 'a> {
+        Growth { all: &self.all, still: &self.still, noise: self.noise, frames, seed }
+    }
+}
+
+impl Growth<'_, '_> {
+    /// Parts among the tracks `rest`.
+    fn found(
+        &self,
+        mut rest: Vec<usize>,
+        progress: &Progress,
+    ) -> Result<Vec<(JointPath, Vec<usize>)>, SfmError> {
+        let mut paths = Vec::new();
+        progress.begin("parts", MOST_PARTS);
+        for k in 0..MOST_PARTS {
+            progress.tick()?;
+            let Some((path, own)) = self.part(&rest, k as u64) else { break };
+            rest.retain(|i| !own.contains(i));
+            paths.push(path);
+        }
+        Ok(self.shared_out(paths))
+    }
+}
+
+impl Chain {
+    fn posed(&self) -> Vec<Option<PosedFrame<'_>>> {
+        let posed = |f: &Option<(usize, Pose)>| f.map(|(c, pose)| PosedFrame { pose, camera: &self.cameras[c] });
+        self.frames.iter().map(posed).collect()
+    }
 }
 
 /// What is told of a part whose tracks are these.

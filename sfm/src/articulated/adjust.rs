@@ -1,0 +1,439 @@
+//! Cameras, body and joints together: what a moving part shows corrects the focal length and the
+//! poses that its motion had bent.
+
+use super::joint::{JointMoves, JointPath, SHARED, inverse};
+use crate::klt::KltTrack;
+use crate::solvers::cholesky::{cholesky, solved};
+use crate::solvers::levenberg::cauchy;
+use crate::triangulation::{PointView, linearise, nearest_to_rays, refine_point};
+use glam::{DMat3, DQuat, DVec3};
+use rayon::prelude::*;
+use scene::sim3::robust_alignment;
+use scene::{Camera, Pose};
+
+/// Residuals count less and less from so many standard deviations on. Source: three is rare.
+const ROBUST: f64 = 3.0;
+/// Rounds at most.
+const ROUNDS: usize = 20;
+/// What a focal length and terms of distortion may differ from what they were, as a share of the
+/// focal length and of one. Source: chosen by hand: weak.
+const INTRINSICS: f64 = 0.3;
+/// A pose is held so loosely (radians, object sizes) that only what nothing else determines, frame
+/// and scale, stays. Source: chosen by hand.
+const HELD: f64 = 1.0;
+/// The body's motion from frame to frame changes at least by so much, radians or sizes. Source:
+/// as of joints.
+const LEAST_BEND: f64 = 3e-5;
+
+/// Everything that is estimated beside points.
+#[derive(Clone, Debug)]
+pub(super) struct Chain {
+    pub cameras: Vec<Camera>,
+    /// By frame: its camera, and the camera from the body.
+    pub frames: Vec<Option<(usize, Pose)>>,
+    pub joints: Vec<JointPath>,
+}
+
+/// A track and the joint of the part that it belongs to, none for the body.
+#[derive(Clone, Copy)]
+pub(super) struct Member<'t> {
+    pub track: &'t KltTrack,
+    pub joint: Option<usize>,
+}
+
+/// What the observations and the motion are worth.
+#[derive(Clone, Debug)]
+pub(super) struct ChainNoise {
+    /// Standard deviation of an observation, pixels.
+    pub pixel: f64,
+    /// By joint: that of the change of rate from frame to frame, radians.
+    pub bends: Vec<f64>,
+    /// The same of the body's rotation (radians) and translation (sizes).
+    body: [f64; 2],
+}
+
+/// Where each unknown stands.
+struct Layout {
+    /// By camera: first unknown, and which parameters are free.
+    cameras: Vec<(usize, Vec<usize>)>,
+    frames: Vec<Option<usize>>,
+    joints: Vec<usize>,
+    size: usize,
+}
+
+/// One residual: derivatives by unknowns and by the point, weighted by its square root.
+struct Row {
+    columns: Vec<(usize, f64)>,
+    point: DVec3,
+    residual: f64,
+    weight: f64,
+}
+
+/// The part of one track in the normal equations.
+#[derive(Default)]
+struct Block {
+    cost: f64,
+    point: DMat3,
+    point_gradient: DVec3,
+    /// By unknown that it touches: gradient and mixed derivatives.
+    columns: Vec<(usize, f64, DVec3)>,
+    matrix: Vec<f64>,
+}
+
+struct Normal {
+    cost: f64,
+    matrix: Vec<f64>,
+    gradient: Vec<f64>,
+    blocks: Vec<Block>,
+}
+
+impl ChainNoise {
+    /// How unsteady the motions are, they say themselves.
+    pub(super) fn of(chain: &Chain, pixel: f64) -> Self {
+        let bends = chain.joints.iter().map(super::grow::bend).collect();
+        let mut sums = [0.0; 2];
+        let mut count = 0.0;
+        for poses in chain.triples() {
+            let e = unsteadiness(&poses.map(|p| p.1));
+            sums[0] += e[..3].iter().map(|v| v * v).sum::<f64>() / 3.0;
+            sums[1] += e[3..].iter().map(|v| v * v).sum::<f64>() / 3.0;
+            count += 1.0;
+        }
+        let body = sums.map(|s: f64| (s / f64::max(count, 1.0)).sqrt().max(LEAST_BEND));
+        Self { pixel, bends, body }
+    }
+}
+
+/// How the motion from frame to frame changes: rotation vector, translation.
+fn unsteadiness(poses: &[Pose; 3]) -> [f64; 6] {
+    let step = |a: &Pose, b: &Pose| b.compose(&a.inverse());
+    let (first, second) = (step(&poses[0], &poses[1]), step(&poses[1], &poses[2]));
+    let turn: DQuat = second.rotation * first.rotation.conjugate();
+    let [a, b, c] = (if turn.w < 0.0 { -turn } else { turn }).to_scaled_axis().to_array();
+    let moved = second.translation - first.translation;
+    [a, b, c, moved.x, moved.y, moved.z]
+}
+
+/// A pose after a small rotation of the camera (radians) and shift.
+fn moved(pose: &Pose, step: &[f64]) -> Pose {
+    let turn = DQuat::from_scaled_axis(DVec3::new(step[0], step[1], step[2]));
+    Pose::new(turn * pose.rotation, pose.translation + DVec3::new(step[3], step[4], step[5]))
+}
+
+impl Chain {
+    /// Frames that follow each other, three at a time.
+    fn triples(&self) -> impl Iterator<Item = [(usize, Pose); 3]> + '_ {
+        (2..self.frames.len()).filter_map(|k| {
+            let of = |k: usize| self.frames[k].map(|f| (k, f.1));
+            Some([of(k - 2)?, of(k - 1)?, of(k)?])
+        })
+    }
+
+    fn layout(&self) -> Layout {
+        let mut size = 0;
+        let mut take = |n: usize| {
+            size += n;
+            size - n
+        };
+        let free = |c: &Camera| {
+            let focals = c.model.num_focals();
+            let distorted = (focals + 2..c.params.len()).filter(|&i| c.params[i] != 0.0);
+            (0..focals).chain(distorted).collect::<Vec<usize>>()
+        };
+        let cameras = self.cameras.iter().map(free).map(|f| (take(f.len()), f)).collect();
+        let frames = self.frames.iter().map(|f| f.map(|_| take(6))).collect();
+        let joints = self.joints.iter().map(|j| take(SHARED + j.angles.len())).collect();
+        Layout { cameras, frames, joints, size }
+    }
+
+    fn stepped(&self, layout: &Layout, step: &[f64]) -> Self {
+        let mut next = self.clone();
+        for (camera, (at, free)) in next.cameras.iter_mut().zip(&layout.cameras) {
+            let scale = camera.mean_focal();
+            let focals = camera.model.num_focals();
+            for (k, &i) in free.iter().enumerate() {
+                camera.params[i] += step[at + k] * if i < focals { scale } else { 1.0 };
+            }
+        }
+        for (frame, at) in next.frames.iter_mut().zip(&layout.frames) {
+            if let (Some((_, pose)), Some(at)) = (frame, at) {
+                *pose = moved(pose, &step[*at..at + 6]);
+            }
+        }
+        for (joint, at) in next.joints.iter_mut().zip(&layout.joints) {
+            *joint = joint.stepped(&step[*at..]);
+        }
+        next
+    }
+
+    /// Views of a track as its own rigid part at rest sees them.
+    fn views<'a>(&'a self, member: &Member<'_>) -> Vec<(usize, PointView<'a>, Pose)> {
+        let seen = member.track.positions.iter().enumerate();
+        let view = |(k, pixel): (usize, &glam::DVec2)| {
+            let frame = member.track.first + k;
+            let (camera, pose) = (*self.frames.get(frame)?)?;
+            let motion = member.joint.map_or(Some(Pose::IDENTITY), |j| self.joints[j].pose(frame))?;
+            Some((frame, PointView::new(&pose.compose(&motion), &self.cameras[camera], *pixel), motion))
+        };
+        seen.filter_map(view).collect()
+    }
+
+    fn point(&self, member: &Member<'_>) -> Option<DVec3> {
+        let views: Vec<PointView<'_>> = self.views(member).into_iter().map(|v| v.1).collect();
+        let start = nearest_to_rays(views.iter())?;
+        let x = refine_point(start, views.iter(), 8);
+        (views.len() >= super::posed::LEAST_VIEWS && x.is_finite()).then_some(x)
+    }
+
+    /// The chain of least squared error over the tracks (Levenberg–Marquardt, points eliminated).
+    pub(super) fn adjusted(&self, members: &[Member<'_>], noise: &ChainNoise) -> Self {
+        let layout = self.layout();
+        let mut best = self.clone();
+        let mut points: Vec<Option<DVec3>> = members.par_iter().map(|m| best.point(m)).collect();
+        let body = |points: &[Option<DVec3>]| -> Vec<Option<DVec3>> {
+            members.iter().zip(points).map(|(m, x)| x.filter(|_| m.joint.is_none())).collect()
+        };
+        let before = body(&points);
+        let mut normal = best.normal(self, members, &points, &layout, noise);
+        let mut lambda = 1e-4;
+        for _ in 0..ROUNDS {
+            let Some((step, moves)) = normal.step(lambda) else { break };
+            let trial = best.stepped(&layout, &step);
+            let next_points: Vec<Option<DVec3>> =
+                points.iter().zip(moves).map(|(p, m)| p.map(|p| p + m)).collect();
+            let next = trial.normal(self, members, &next_points, &layout, noise);
+            if next.cost < normal.cost {
+                let small = normal.cost - next.cost < 1e-5 * normal.cost;
+                (best, points, normal, lambda) = (trial, next_points, next, lambda * 0.1);
+                if small {
+                    break;
+                }
+            } else {
+                lambda *= 10.0;
+                if lambda > 1e6 {
+                    break;
+                }
+            }
+        }
+        best.move_back(&before, &body(&points));
+        for joint in &mut best.joints {
+            let start = joint.angles[0];
+            joint.angles.iter_mut().for_each(|a| *a -= start);
+        }
+        best
+    }
+
+    /// Back to where the body's points were: its frame is free in the adjustment.
+    fn move_back(&mut self, before: &[Option<DVec3>], after: &[Option<DVec3>]) {
+        let both: Vec<(DVec3, DVec3)> = after.iter().zip(before).filter_map(|(a, b)| a.zip(*b)).collect();
+        let (from, to): (Vec<DVec3>, Vec<DVec3>) = both.into_iter().unzip();
+        let Some((sim, _)) = robust_alignment(&from, &to) else { return };
+        for (_, pose) in self.frames.iter_mut().flatten() {
+            *pose = sim.transform_pose(pose);
+        }
+        for joint in &mut self.joints {
+            joint.axis = sim.rotation * joint.axis;
+            joint.place = sim.transform(joint.place);
+        }
+    }
+
+    fn normal(
+        &self,
+        start: &Self,
+        members: &[Member<'_>],
+        points: &[Option<DVec3>],
+        layout: &Layout,
+        noise: &ChainNoise,
+    ) -> Normal {
+        let block = |(m, x): (&Member<'_>, &Option<DVec3>)| {
+            x.map_or_else(Block::default, |x| self.block(m, x, layout, noise))
+        };
+        let blocks: Vec<Block> = members.par_iter().zip(points).map(block).collect();
+        let n = layout.size;
+        let mut all = Normal { cost: 0.0, matrix: vec![0.0; n * n], gradient: vec![0.0; n], blocks };
+        all.take_blocks();
+        all.add_priors(self, start, layout, noise);
+        all
+    }
+
+    fn block(&self, member: &Member<'_>, x: DVec3, layout: &Layout, noise: &ChainNoise) -> Block {
+        let mut rows = Vec::new();
+        let mut cost = 0.0;
+        let scale = 1.0 / (noise.pixel * noise.pixel);
+        for (frame, view, motion) in self.views(member) {
+            let Some((residual, by_point)) = linearise(&view, x) else { continue };
+            let squared = residual[0] * residual[0] + residual[1] * residual[1];
+            let (own, weight) = cauchy(squared, ROBUST * noise.pixel);
+            cost += scale * own;
+            let (Some((camera, pose)), Some(at)) = (self.frames[frame], layout.frames[frame]) else { continue };
+            let turned = pose.rotation * motion.transform(x);
+            let intrinsics = self.by_intrinsics(camera, &view, x, &layout.cameras[camera].1);
+            let joint = member.joint.map(|j| {
+                let path = &self.joints[j];
+                (layout.joints[j], frame - path.first, JointMoves::of(path, &motion, x, path.across()))
+            });
+            for (r, (residual, by_point)) in residual.into_iter().zip(by_point).enumerate() {
+                // `by_point` is by the place in the part at rest.
+                let in_camera = view.pose.rotation * by_point;
+                let mut columns: Vec<(usize, f64)> =
+                    intrinsics.iter().enumerate().map(|(k, d)| (layout.cameras[camera].0 + k, d[r])).collect();
+                let turn = turned.cross(in_camera);
+                let by_pose = [turn.x, turn.y, turn.z, in_camera.x, in_camera.y, in_camera.z];
+                columns.extend(by_pose.into_iter().enumerate().map(|(k, d)| (at + k, d)));
+                if let Some((at, angle, moves)) = &joint {
+                    let in_body = pose.rotation.conjugate() * in_camera;
+                    let numbers = [0, 1, 2, 3, SHARED + angle];
+                    columns.extend(numbers.into_iter().zip(moves.0).map(|(k, m)| (at + k, in_body.dot(m))));
+                }
+                rows.push(Row { columns, point: by_point, residual, weight: scale * weight });
+            }
+        }
+        Block::of(cost, &rows)
+    }
+
+    /// How a projection moves with each free parameter of its camera, by differences.
+    fn by_intrinsics(&self, camera: usize, view: &PointView<'_>, x: DVec3, free: &[usize]) -> Vec<[f64; 2]> {
+        let camera = &self.cameras[camera];
+        let local = view.pose.transform(x);
+        let at = |i: usize, by: f64| {
+            let mut other = camera.clone();
+            other.params[i] += by;
+            other.project(local)
+        };
+        let focals = camera.model.num_focals();
+        let derivative = |&i: &usize| {
+            let unit = if i < focals { camera.mean_focal() } else { 1.0 };
+            let by = 1e-5;
+            let (Some(up), Some(down)) = (at(i, by * unit), at(i, -by * unit)) else { return [0.0; 2] };
+            ((up - down) / (2.0 * by)).to_array()
+        };
+        free.iter().map(derivative).collect()
+    }
+}
+
+impl Block {
+    fn of(cost: f64, rows: &[Row]) -> Self {
+        let mut numbers: Vec<usize> = rows.iter().flat_map(|r| r.columns.iter().map(|c| c.0)).collect();
+        numbers.sort_unstable();
+        numbers.dedup();
+        let k = numbers.len();
+        let mut sum = Self { cost, matrix: vec![0.0; k * k], ..Self::default() };
+        sum.columns = numbers.iter().map(|&n| (n, 0.0, DVec3::ZERO)).collect();
+        for row in rows {
+            let (p, w) = (row.point, row.weight);
+            sum.point += DMat3::from_cols(p * p.x, p * p.y, p * p.z) * w;
+            sum.point_gradient += p * (row.residual * w);
+            let places: Vec<usize> =
+                row.columns.iter().map(|c| numbers.binary_search(&c.0).unwrap_or(0)).collect();
+            for (&i, (_, a)) in places.iter().zip(&row.columns) {
+                sum.columns[i].1 += a * row.residual * w;
+                sum.columns[i].2 += p * (a * w);
+                for (&j, (_, b)) in places.iter().zip(&row.columns) {
+                    sum.matrix[i * k + j] += a * b * w;
+                }
+            }
+        }
+        sum
+    }
+}
+
+impl Normal {
+    fn take_blocks(&mut self) {
+        let n = self.gradient.len();
+        for block in &self.blocks {
+            self.cost += block.cost;
+            let eliminated = inverse(block.point);
+            let k = block.columns.len();
+            for (i, (row, gradient, mixed)) in block.columns.iter().enumerate() {
+                let through = eliminated * *mixed;
+                self.gradient[*row] += gradient - through.dot(block.point_gradient);
+                for (j, (column, _, other)) in block.columns.iter().enumerate() {
+                    self.matrix[row * n + column] += block.matrix[i * k + j] - through.dot(*other);
+                }
+            }
+        }
+    }
+
+    /// A residual that depends on unknowns alone.
+    fn add(&mut self, terms: &[(usize, f64)], residual: f64, sigma: f64) {
+        let n = self.gradient.len();
+        let weight = 1.0 / (sigma * sigma);
+        self.cost += weight * residual * residual;
+        for &(row, a) in terms {
+            self.gradient[row] += weight * a * residual;
+            for &(column, b) in terms {
+                self.matrix[row * n + column] += weight * a * b;
+            }
+        }
+    }
+
+    /// Motions change slowly; intrinsics, frame and scale stay where nothing says otherwise.
+    fn add_priors(&mut self, chain: &Chain, start: &Chain, layout: &Layout, noise: &ChainNoise) {
+        for ((own, was), (at, free)) in chain.cameras.iter().zip(&start.cameras).zip(&layout.cameras) {
+            let (focals, scale) = (own.model.num_focals(), was.mean_focal());
+            for (k, &i) in free.iter().enumerate() {
+                let unit = if i < focals { scale } else { 1.0 };
+                self.add(&[(at + k, 1.0)], (own.params[i] - was.params[i]) / unit, INTRINSICS);
+            }
+        }
+        for ((own, was), at) in chain.frames.iter().zip(&start.frames).zip(&layout.frames) {
+            let (Some((_, own)), Some((_, was)), Some(at)) = (own, was, at) else { continue };
+            let turn = (own.rotation * was.rotation.conjugate()).to_scaled_axis();
+            let shift = own.translation - was.translation;
+            for (k, e) in turn.to_array().into_iter().chain(shift.to_array()).enumerate() {
+                self.add(&[(at + k, 1.0)], e, HELD);
+            }
+        }
+        for frames in chain.triples() {
+            self.add_unsteadiness(&frames, layout, noise);
+        }
+        for ((path, at), bend) in chain.joints.iter().zip(&layout.joints).zip(&noise.bends) {
+            self.add(&[(at + SHARED, 1.0)], path.angles[0], super::joint::ANCHOR);
+            for (i, w) in path.angles.windows(3).enumerate() {
+                let at = at + SHARED + i;
+                self.add(&[(at, 1.0), (at + 1, -2.0), (at + 2, 1.0)], w[0] - 2.0 * w[1] + w[2], *bend);
+            }
+        }
+    }
+
+    fn add_unsteadiness(&mut self, frames: &[(usize, Pose); 3], layout: &Layout, noise: &ChainNoise) {
+        let poses = frames.map(|f| f.1);
+        let here = unsteadiness(&poses);
+        let mut terms: [Vec<(usize, f64)>; 6] = Default::default();
+        for (i, (frame, pose)) in frames.iter().enumerate() {
+            let Some(at) = layout.frames[*frame] else { return };
+            for k in 0..6 {
+                let by = 1e-6;
+                let other = |sign: f64| {
+                    let mut step = [0.0; 6];
+                    step[k] = sign * by;
+                    let mut all = poses;
+                    all[i] = moved(pose, &step);
+                    unsteadiness(&all)
+                };
+                let (up, down) = (other(1.0), other(-1.0));
+                for (terms, (up, down)) in terms.iter_mut().zip(up.into_iter().zip(down)) {
+                    terms.push((at + k, (up - down) / (2.0 * by)));
+                }
+            }
+        }
+        for (k, (terms, e)) in terms.iter().zip(here).enumerate() {
+            self.add(terms, e, noise.body[k / 3]);
+        }
+    }
+
+    /// A step of the unknowns and of each point.
+    fn step(&self, lambda: f64) -> Option<(Vec<f64>, Vec<DVec3>)> {
+        let n = self.gradient.len();
+        let mut damped = self.matrix.clone();
+        (0..n).for_each(|i| damped[i * n + i] *= 1.0 + lambda);
+        let l = cholesky(damped, n)?;
+        let step = solved(&l, &self.gradient.iter().map(|g| -g).collect::<Vec<f64>>());
+        let moves = self.blocks.iter().map(|b| {
+            let pulled: DVec3 = b.columns.iter().map(|(c, _, mixed)| *mixed * step[*c]).sum();
+            inverse(b.point) * -(b.point_gradient + pulled)
+        });
+        let moves = moves.collect();
+        step.iter().all(|s| s.is_finite()).then_some((step, moves))
+    }
+}
