@@ -27,7 +27,7 @@ pub(crate) fn run(args: &PartsArgs, verbosity: Verbosity, json: bool) -> Result<
     let model = scene::io::read_model(&run.join("sparse/0"))
         .with_context(|| format!("{} has no poses", run.display()))?;
     let progress = Progress::new(Box::new(TerminalSink::new(verbosity, None)), &CANCELLED);
-    let found = moving_parts(&frames, &model, &args.klt, args.seed, &progress)?;
+    let (found, _) = moving_parts(&frames, &model, &args.klt, args.seed, &progress)?;
     let path = args.output.clone().unwrap_or_else(|| run.join(FILE));
     write_json(&path, &found)?;
     if json {

@@ -14,8 +14,11 @@ fn main() {
             model.points.insert(k, scene::ScenePoint { position: glam::DVec3::new(q(0), q(1), q(2)), rgb: [0; 3], error_px: 0.0, track: vec![] }); }
         println!("camera {:?}", model.cameras);
     }
-    let a = sfm::moving_parts(&f, &model, &sfm::KltConfig::default(), 0, &scene::Progress::silent()).unwrap();
+    let (a, corrected) = sfm::moving_parts(&f, &model, &sfm::KltConfig::default(), 0, &scene::Progress::silent()).unwrap();
     for p in &a.parts { println!("{} tracks {:?} place {:?} axis ± {:.2} turn {:.1} rms {:.2} still {:.2}", p.tracks, p.axis, p.place, p.axis_sigma_deg, p.angles_deg.last().unwrap(), p.error_px, p.still_error_px); }
+    std::fs::create_dir_all(run.join("sparse_parts")).unwrap();
+    scene::io::write_model_bin(&corrected, &run.join("sparse_parts")).unwrap();
+    println!("points {} of {}", corrected.points.len(), model.points.len());
     println!("noise {} tracks {} unexplained {}", a.noise_px, a.tracks, a.unexplained);
     if let Some(out) = std::env::args().nth(3) {
         std::fs::create_dir_all(&out).unwrap();

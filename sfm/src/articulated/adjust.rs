@@ -10,6 +10,7 @@ use glam::{DMat3, DQuat, DVec3};
 use rayon::prelude::*;
 use scene::sim3::robust_alignment;
 use scene::{Camera, Pose};
+use std::sync::Arc;
 
 /// Residuals count less and less from so many standard deviations on. Source: three is rare.
 const ROBUST: f64 = 3.0;
@@ -32,6 +33,8 @@ pub(super) struct Chain {
     /// By frame: its camera, and the camera from the body.
     pub frames: Vec<Option<(usize, Pose)>>,
     pub joints: Vec<JointPath>,
+    /// When the frames were taken; the usual time between two is 1.
+    pub times: Arc<[f64]>,
 }
 
 /// A track and the joint of the part that it belongs to, none for the body.
@@ -46,9 +49,8 @@ pub(super) struct Member<'t> {
 pub(super) struct ChainNoise {
     /// Standard deviation of an observation, pixels.
     pub pixel: f64,
-    /// By joint: that of the change of rate from frame to frame, radians.
-    pub bends: Vec<f64>,
-    /// The same of the body's rotation (radians) and translation (sizes).
+    /// That of the change of the body's motion from frame to frame, rotation (radians) and
+    /// translation (sizes).
     body: [f64; 2],
 }
 
@@ -90,28 +92,54 @@ struct Normal {
 impl ChainNoise {
     /// How unsteady the motions are, they say themselves.
     pub(super) fn of(chain: &Chain, pixel: f64) -> Self {
-        let bends = chain.joints.iter().map(super::grow::bend).collect();
         let mut sums = [0.0; 2];
         let mut count = 0.0;
-        for poses in chain.triples() {
-            let e = unsteadiness(&poses.map(|p| p.1));
+        for triple in chain.triples() {
+            let e = triple.unsteadiness();
             sums[0] += e[..3].iter().map(|v| v * v).sum::<f64>() / 3.0;
             sums[1] += e[3..].iter().map(|v| v * v).sum::<f64>() / 3.0;
             count += 1.0;
         }
         let body = sums.map(|s: f64| (s / f64::max(count, 1.0)).sqrt().max(LEAST_BEND));
-        Self { pixel, bends, body }
+        Self { pixel, body }
     }
 }
 
-/// How the motion from frame to frame changes: rotation vector, translation.
-fn unsteadiness(poses: &[Pose; 3]) -> [f64; 6] {
-    let step = |a: &Pose, b: &Pose| b.compose(&a.inverse());
-    let (first, second) = (step(&poses[0], &poses[1]), step(&poses[1], &poses[2]));
-    let turn: DQuat = second.rotation * first.rotation.conjugate();
-    let [a, b, c] = (if turn.w < 0.0 { -turn } else { turn }).to_scaled_axis().to_array();
-    let moved = second.translation - first.translation;
-    [a, b, c, moved.x, moved.y, moved.z]
+/// Frames that follow each other.
+#[derive(Clone, Copy)]
+struct Triple {
+    frames: [usize; 3],
+    poses: [Pose; 3],
+    times: [f64; 3],
+}
+
+impl Triple {
+    /// How the body's motion in a frame's time changes: rotation vector, translation.
+    fn unsteadiness(&self) -> [f64; 6] {
+        let rate = |i: usize| {
+            let by = 1.0 / (self.times[i + 1] - self.times[i]);
+            twist(&self.poses[i + 1].compose(&self.poses[i].inverse())).map(|part| part * by)
+        };
+        let (first, second) = (rate(0), rate(1));
+        let [turn, shift] = [0, 1].map(|k| second[k] - first[k]);
+        [turn.x, turn.y, turn.z, shift.x, shift.y, shift.z]
+    }
+}
+
+/// The logarithm of a motion: half of it is the motion of half the time (Murray et al. 1994, 2.3).
+fn twist(motion: &Pose) -> [DVec3; 2] {
+    let rotation = if motion.rotation.w < 0.0 { -motion.rotation } else { motion.rotation };
+    let turn = rotation.to_scaled_axis();
+    let angle = turn.length();
+    let squared = if angle > 1e-4 {
+        let (s, c) = angle.sin_cos();
+        (1.0 - angle * s / (2.0 * (1.0 - c))) / (angle * angle)
+    } else {
+        1.0 / 12.0
+    };
+    let t = motion.translation;
+    let across = turn.cross(t);
+    [turn, t - across * 0.5 + turn.cross(across) * squared]
 }
 
 /// A pose after a small rotation of the camera (radians) and shift.
@@ -122,10 +150,12 @@ fn moved(pose: &Pose, step: &[f64]) -> Pose {
 
 impl Chain {
     /// Frames that follow each other, three at a time.
-    fn triples(&self) -> impl Iterator<Item = [(usize, Pose); 3]> + '_ {
+    fn triples(&self) -> impl Iterator<Item = Triple> + '_ {
         (2..self.frames.len()).filter_map(|k| {
-            let of = |k: usize| self.frames[k].map(|f| (k, f.1));
-            Some([of(k - 2)?, of(k - 1)?, of(k)?])
+            let of = |k: usize| self.frames[k].map(|f| f.1);
+            let frames = [k - 2, k - 1, k];
+            let times = frames.map(|k| self.times[k]);
+            Some(Triple { frames, poses: [of(k - 2)?, of(k - 1)?, of(k)?], times })
         })
     }
 
@@ -384,32 +414,31 @@ impl Normal {
                 self.add(&[(at + k, 1.0)], e, HELD);
             }
         }
-        for frames in chain.triples() {
-            self.add_unsteadiness(&frames, layout, noise);
+        for triple in chain.triples() {
+            self.add_unsteadiness(&triple, layout, noise);
         }
-        for ((path, at), bend) in chain.joints.iter().zip(&layout.joints).zip(&noise.bends) {
+        for (path, at) in chain.joints.iter().zip(&layout.joints) {
             self.add(&[(at + SHARED, 1.0)], path.angles[0], super::joint::ANCHOR);
-            for (i, w) in path.angles.windows(3).enumerate() {
-                let at = at + SHARED + i;
-                self.add(&[(at, 1.0), (at + 1, -2.0), (at + 2, 1.0)], w[0] - 2.0 * w[1] + w[2], *bend);
+            for (i, (change, by_angle)) in path.changes().enumerate() {
+                let terms = [0, 1, 2].map(|k| (at + SHARED + i + k, by_angle[k]));
+                self.add(&terms, change, path.bend);
             }
         }
     }
 
-    fn add_unsteadiness(&mut self, frames: &[(usize, Pose); 3], layout: &Layout, noise: &ChainNoise) {
-        let poses = frames.map(|f| f.1);
-        let here = unsteadiness(&poses);
+    fn add_unsteadiness(&mut self, triple: &Triple, layout: &Layout, noise: &ChainNoise) {
+        let here = triple.unsteadiness();
         let mut terms: [Vec<(usize, f64)>; 6] = Default::default();
-        for (i, (frame, pose)) in frames.iter().enumerate() {
-            let Some(at) = layout.frames[*frame] else { return };
+        for i in 0..3 {
+            let Some(at) = layout.frames[triple.frames[i]] else { return };
             for k in 0..6 {
                 let by = 1e-6;
                 let other = |sign: f64| {
                     let mut step = [0.0; 6];
                     step[k] = sign * by;
-                    let mut all = poses;
-                    all[i] = moved(pose, &step);
-                    unsteadiness(&all)
+                    let mut all = *triple;
+                    all.poses[i] = moved(&triple.poses[i], &step);
+                    all.unsteadiness()
                 };
                 let (up, down) = (other(1.0), other(-1.0));
                 for (terms, (up, down)) in terms.iter_mut().zip(up.into_iter().zip(down)) {

@@ -1,12 +1,13 @@
 //! From a joint that explains a few tracks over a few frames to one for all frames.
 
-use super::joint::{JointNoise, JointPath};
+use super::joint::JointPath;
 use super::posed::{LEAST_VIEWS, PosedTrack};
 use super::search::joints;
 use crate::statistics::median;
 use rand::Rng as _;
 use rayon::prelude::*;
 use std::ops::Range;
+use std::sync::Arc;
 
 /// Groups of neighbouring tracks that are tried. Source: derived: a part with a tenth of the odd
 /// tracks is met four times.
@@ -21,9 +22,11 @@ const GROUP: [usize; 2] = [10, 20];
 const LEAST_TRACKS: usize = 10;
 /// Standard deviation of the change of rate from frame to frame before anything is known, radians.
 /// Source: derived: half a degree, more than motors do.
-const FIRST_BEND: f64 = 0.009;
+pub(super) const FIRST_BEND: f64 = 0.009;
 /// It is never taken for less, radians. Source: derived: adds up to a degree over 100 frames.
 const LEAST_BEND: f64 = 3e-5;
+/// Ratio of those that are tried.
+const BENDS: f64 = 3.0;
 /// A part turns by so much, radians, or it is an error of the poses. Source: chosen by hand.
 const LEAST_TURN: f64 = 0.05;
 /// Two parts are one if one joint explains such a share of the tracks of each. Source: chosen by
@@ -33,21 +36,15 @@ const TOGETHER: f64 = 0.8;
 /// chosen by hand, never measured.
 const NEIGHBOURS: usize = 6;
 
-/// All tracks, what is known of them, and how many frames there are.
+/// All tracks, what is known of them, and of when.
 pub(super) struct Growth<'t, 'a> {
     pub all: &'t [PosedTrack<'a>],
     /// Those that the body explains.
     pub still: &'t [usize],
     pub noise: f64,
-    pub frames: usize,
+    /// When the frames were taken; the usual time between two is 1.
+    pub times: &'t Arc<[f64]>,
     pub seed: u64,
-}
-
-/// The root mean square change of rate from frame to frame, radians.
-pub(super) fn bend(path: &JointPath) -> f64 {
-    let bends: Vec<f64> = path.angles.windows(3).map(|w| w[0] - 2.0 * w[1] + w[2]).collect();
-    let mean = bends.iter().map(|b| b * b).sum::<f64>() / bends.len().max(1) as f64;
-    mean.sqrt().max(LEAST_BEND)
 }
 
 /// Whether a joint has tracks enough, and an angle that changes.
@@ -78,7 +75,7 @@ impl Growth<'_, '_> {
         let own = |k: usize| best.iter().filter(|b| b.1 == k).map(|b| b.0).collect();
         let again = parts.iter().enumerate().map(|(k, path)| {
             let own: Vec<usize> = own(k);
-            (self.fit(path, &own, bend(path)), own)
+            (self.settled(path, &own), own)
         });
         self.merged(again.filter(|(path, own)| self.is_part(path, own)).collect())
     }
@@ -106,7 +103,8 @@ impl Growth<'_, '_> {
         b: &(JointPath, Vec<usize>),
     ) -> Option<(JointPath, Vec<usize>)> {
         let both: Vec<usize> = a.1.iter().chain(&b.1).copied().collect();
-        let path = self.fit(&a.0, &both, bend(&a.0).max(bend(&b.0)));
+        let steadiest = if a.0.bend < b.0.bend { &a.0 } else { &b.0 };
+        let path = self.fit(steadiest, &both);
         let kept = |own: &[usize]| self.explained(&path, own).len() as f64 / own.len().max(1) as f64;
         (kept(&a.1) >= TOGETHER && kept(&b.1) >= TOGETHER).then_some((path, both))
     }
@@ -127,9 +125,8 @@ impl Growth<'_, '_> {
                 return None;
             }
             let tracks: Vec<&PosedTrack<'_>> = group.iter().map(|&k| &self.all[k]).collect();
-            let noise = JointNoise { pixel: self.noise, bend: FIRST_BEND };
-            let tried = joints(&tracks, window, self.noise).into_iter().map(|start| {
-                let path = start.refined(&tracks, &noise, 15);
+            let tried = joints(&tracks, window, self.times, self.noise).into_iter().map(|start| {
+                let path = start.refined(&tracks, self.noise, 15);
                 let count = self.explained(&path, odd).iter().map(|&k| self.all[k].views.len()).sum();
                 (path, count)
             });
@@ -174,8 +171,8 @@ impl Growth<'_, '_> {
         let mut own = self.explained(&path, odd);
         loop {
             let before = path.angles.len();
-            path = path.extended((before / 4).max(2), self.frames);
-            path = self.fit(&path, &own, FIRST_BEND);
+            path = path.extended((before / 4).max(2), self.times.len());
+            path = self.fit(&path, &own);
             own = self.explained(&path, odd);
             if path.angles.len() == before {
                 break;
@@ -183,15 +180,32 @@ impl Growth<'_, '_> {
         }
         // How steady it is, the angles say themselves.
         for _ in 0..3 {
-            path = self.fit(&path, &own, bend(&path));
+            path = self.settled(&path, &own);
             own = self.explained(&path, odd);
         }
         (path, own)
     }
 
-    fn fit(&self, path: &JointPath, own: &[usize], bend: f64) -> JointPath {
-        let tracks: Vec<&PosedTrack<'_>> = own.iter().map(|&i| &self.all[i]).collect();
-        path.refined(&tracks, &JointNoise { pixel: self.noise, bend }, 30)
+    fn fit(&self, path: &JointPath, own: &[usize]) -> JointPath {
+        path.refined(&self.tracks(own), self.noise, 30)
+    }
+
+    fn tracks(&self, own: &[usize]) -> Vec<&PosedTrack<'_>> {
+        own.iter().map(|&i| &self.all[i]).collect()
+    }
+
+    /// The joint as unsteady as the tracks say: of some, what has the greatest evidence. Where
+    /// nothing was seen of the part its rate is what it was before, the more so the steadier it is.
+    fn settled(&self, path: &JointPath, own: &[usize]) -> JointPath {
+        let tracks = self.tracks(own);
+        let tried = (0..).map(|k| LEAST_BEND * BENDS.powi(k)).take_while(|b| *b <= FIRST_BEND);
+        let tried = tried.map(|bend| {
+            let start = JointPath { bend, ..path.clone() };
+            let found = start.refined(&tracks, self.noise, 30);
+            (found.evidence(&tracks, self.noise), found)
+        });
+        let best = tried.max_by(|a, b| a.0.total_cmp(&b.0));
+        best.map_or_else(|| path.clone(), |b| b.1)
     }
 
     /// Whether it is a part that has a place in the picture to itself: reflections go over what

@@ -8,6 +8,7 @@ use glam::{DMat3, DQuat, DVec3};
 use rayon::prelude::*;
 use scene::Pose;
 use std::ops::Range;
+use std::sync::Arc;
 
 /// Unknowns beside the angles: two of the axis, two of the place.
 pub(super) const SHARED: usize = 4;
@@ -28,15 +29,11 @@ pub(super) struct JointPath {
     pub first: usize,
     /// In it and those after, radians; 0 in the first.
     pub angles: Vec<f64>,
-}
-
-/// What the angles and the places seen are worth.
-#[derive(Clone, Copy, Debug)]
-pub(super) struct JointNoise {
-    /// Standard deviation of an observation, pixels.
-    pub pixel: f64,
-    /// Standard deviation of the change of rate from frame to frame, radians.
+    /// Standard deviation of the change of rate (radians a frame) from frame to frame: how unsteady
+    /// it is.
     pub bend: f64,
+    /// When all frames of the video were taken; the usual time between two is 1.
+    pub times: Arc<[f64]>,
 }
 
 /// Standard deviations.
@@ -66,17 +63,32 @@ impl JointPath {
     /// More frames at either end (never before `0` or from `frames` on), at the rate of those that
     /// are there; zero in the first one.
     pub(super) fn extended(&self, by: usize, frames: usize) -> Self {
-        let (n, rate) = (self.angles.len(), |a: f64, b: f64, over: usize| (b - a) / over.max(1) as f64);
+        let n = self.angles.len();
         let over = (n - 1).min(6);
-        let begin = rate(self.angles[0], self.angles[over], over);
-        let end = rate(self.angles[n - 1 - over], self.angles[n - 1], over);
+        let time = |i: usize| self.times[self.first + i];
+        let rate = |i: usize, j: usize| {
+            if i == j { 0.0 } else { (self.angles[j] - self.angles[i]) / (time(j) - time(i)) }
+        };
+        let (begin, end) = (rate(0, over), rate(n - 1 - over, n - 1));
         let (before, after) = (by.min(self.first), by.min(frames - self.first - n));
-        let mut angles: Vec<f64> = (0..before).map(|k| begin * k as f64).collect();
-        let start = begin * before as f64;
+        let start = self.times[self.first - before];
+        let mut angles: Vec<f64> =
+            (0..before).map(|k| begin * (self.times[self.first - before + k] - start)).collect();
+        let start = begin * (time(0) - start);
         angles.extend(self.angles.iter().map(|a| start + a));
         let last = start + self.angles[n - 1];
-        angles.extend((1..=after).map(|k| last + end * k as f64));
+        angles.extend((0..after).map(|k| last + end * (time(n + k) - time(n - 1))));
         Self { first: self.first - before, angles, ..self.clone() }
+    }
+
+    /// How the rate changes from frame to frame, with the derivatives by the three angles.
+    pub(super) fn changes(&self) -> impl Iterator<Item = (f64, [f64; 3])> + '_ {
+        self.angles.windows(3).enumerate().map(|(i, w)| {
+            let [a, b, c] = [0, 1, 2].map(|k| self.times[self.first + i + k]);
+            let (before, after) = (1.0 / (b - a), 1.0 / (c - b));
+            let by_angle = [before, -before - after, after];
+            ((w[2] - w[1]) * after - (w[1] - w[0]) * before, by_angle)
+        })
     }
 
     /// Two unit vectors across the axis.
@@ -90,22 +102,22 @@ impl JointPath {
         let axis = (self.axis + u * step[0] + v * step[1]).normalize();
         let place = self.place + u * step[2] + v * step[3];
         let angles = self.angles.iter().zip(&step[SHARED..]).map(|(a, s)| a + s).collect();
-        Self { axis, place, first: self.first, angles }
+        Self { axis, place, angles, ..self.clone() }
     }
 
     /// The joint of least squared error over the tracks (Levenberg–Marquardt; points are
     /// eliminated), with the points at rest of those that have one.
-    pub(super) fn refined(&self, tracks: &[&PosedTrack<'_>], noise: &JointNoise, rounds: usize) -> Self {
+    pub(super) fn refined(&self, tracks: &[&PosedTrack<'_>], pixel: f64, rounds: usize) -> Self {
         let mut best = self.clone();
         let mut points = points(&best, tracks);
-        let mut normal = JointNormal::of(&best, tracks, &points, noise);
+        let mut normal = JointNormal::of(&best, tracks, &points, pixel);
         let mut lambda = 1e-4;
         for _ in 0..rounds {
             let Some((step, moves)) = normal.step(lambda) else { break };
             let trial = best.stepped(&step);
             let moved: Vec<Option<DVec3>> =
                 points.iter().zip(moves).map(|(p, m)| p.map(|p| p + m)).collect();
-            let next = JointNormal::of(&trial, tracks, &moved, noise);
+            let next = JointNormal::of(&trial, tracks, &moved, pixel);
             if next.cost < normal.cost {
                 let small = normal.cost - next.cost < 1e-6 * normal.cost;
                 (best, points, normal, lambda) = (trial, moved, next, lambda * 0.1);
@@ -125,9 +137,19 @@ impl JointPath {
         best
     }
 
+    /// Logarithm of the evidence of what the tracks show for a joint so unsteady (Laplace), up to a
+    /// constant of the tracks.
+    pub(super) fn evidence(&self, tracks: &[&PosedTrack<'_>], pixel: f64) -> f64 {
+        let normal = JointNormal::of(self, tracks, &points(self, tracks), pixel);
+        let (n, bends) = (normal.gradient.len(), self.angles.len().saturating_sub(2));
+        let Some(l) = cholesky(normal.matrix, n) else { return f64::NEG_INFINITY };
+        let half_log: f64 = (0..n).map(|i| l[i * n + i].ln()).sum();
+        -0.5 * normal.cost - half_log - bends as f64 * self.bend.ln()
+    }
+
     /// Standard deviations of what was refined; `None` where something is not determined at all.
-    pub(super) fn sigmas(&self, tracks: &[&PosedTrack<'_>], noise: &JointNoise) -> Option<JointSigmas> {
-        let normal = JointNormal::of(self, tracks, &points(self, tracks), noise);
+    pub(super) fn sigmas(&self, tracks: &[&PosedTrack<'_>], pixel: f64) -> Option<JointSigmas> {
+        let normal = JointNormal::of(self, tracks, &points(self, tracks), pixel);
         let n = normal.gradient.len();
         let l = cholesky(normal.matrix, n)?;
         let sigma = |k: usize| {
@@ -173,16 +195,16 @@ impl JointNormal {
         path: &JointPath,
         tracks: &[&PosedTrack<'_>],
         points: &[Option<DVec3>],
-        noise: &JointNoise,
+        pixel: f64,
     ) -> Self {
         let n = SHARED + path.angles.len();
         let parts: Vec<TrackNormal> = tracks
             .par_iter()
             .zip(points)
-            .map(|(t, x)| x.map_or_else(TrackNormal::default, |x| TrackNormal::of(path, t, x, noise)))
+            .map(|(t, x)| x.map_or_else(TrackNormal::default, |x| TrackNormal::of(path, t, x, pixel)))
             .collect();
         let mut all = Self { cost: 0.0, matrix: vec![0.0; n * n], gradient: vec![0.0; n], tracks: parts };
-        all.add_priors(path, noise);
+        all.add_priors(path);
         for track in &all.tracks {
             all.cost += track.cost;
             let eliminated = inverse(track.point);
@@ -199,7 +221,7 @@ impl JointNormal {
     }
 
     /// The first angle is zero, and rates change slowly.
-    fn add_priors(&mut self, path: &JointPath, noise: &JointNoise) {
+    fn add_priors(&mut self, path: &JointPath) {
         let n = self.gradient.len();
         let mut add = |terms: &[(usize, f64)], residual: f64, sigma: f64| {
             let weight = 1.0 / (sigma * sigma);
@@ -212,9 +234,10 @@ impl JointNormal {
             }
         };
         add(&[(SHARED, 1.0)], path.angles[0], ANCHOR);
-        for (i, w) in path.angles.windows(3).enumerate() {
+        for (i, (change, by_angle)) in path.changes().enumerate() {
             let at = SHARED + i;
-            add(&[(at, 1.0), (at + 1, -2.0), (at + 2, 1.0)], w[0] - 2.0 * w[1] + w[2], noise.bend);
+            let terms = [0, 1, 2].map(|k| (at + k, by_angle[k]));
+            add(&terms, change, path.bend);
         }
     }
 
@@ -240,7 +263,7 @@ pub(super) fn inverse(m: DMat3) -> DMat3 {
 }
 
 impl TrackNormal {
-    fn of(path: &JointPath, track: &PosedTrack<'_>, x: DVec3, noise: &JointNoise) -> Self {
+    fn of(path: &JointPath, track: &PosedTrack<'_>, x: DVec3, pixel: f64) -> Self {
         let across = path.across();
         let mut sum = Self::default();
         let seen = track.views.iter().filter(|(frame, _)| path.frames().contains(frame));
@@ -250,8 +273,8 @@ impl TrackNormal {
             let at = motion.transform(x);
             let Some((residual, derivative)) = linearise(view, at) else { continue };
             let squared = residual[0] * residual[0] + residual[1] * residual[1];
-            let (cost, weight) = cauchy(squared, ROBUST * noise.pixel);
-            let scale = 1.0 / (noise.pixel * noise.pixel);
+            let (cost, weight) = cauchy(squared, ROBUST * pixel);
+            let scale = 1.0 / (pixel * pixel);
             sum.cost += scale * cost;
             let moved = JointMoves::of(path, &motion, x, across);
             for (r, row) in residual.into_iter().zip(derivative) {

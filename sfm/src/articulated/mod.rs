@@ -20,11 +20,14 @@ use adjust::{Chain, ChainNoise, Member};
 use crate::statistics::median;
 use glam::{DQuat, DVec3};
 use grow::Growth;
-use joint::{JointNoise, JointPath};
+use joint::JointPath;
 use posed::{PosedFrame, PosedTrack};
 use rayon::prelude::*;
-use scene::{FrameSet, Pose, Progress, Reconstruction};
+use crate::triangulation::{PointView, nearest_to_rays, refine_point};
+use scene::{FrameSet, Pose, Progress, Reconstruction, ScenePoint, TrackElement};
+use std::collections::BTreeMap;
 use serde::{Deserialize, Serialize};
+use std::sync::Arc;
 
 /// A track that leaves more than so many times the usual error as a part of the body is looked at.
 /// Source: three standard deviations.
@@ -82,14 +85,15 @@ pub struct Articulation {
 }
 
 /// Looks for parts that move against the body. `model`: poses of (most of) the frames in the frame
-/// of the body, and some of its points.
+/// of the body, and some of its points. Also the model again, where parts were found: cameras and
+/// poses as they follow from all parts together, and the points of the body alone.
 pub fn moving_parts(
     frames: &FrameSet,
     model: &Reconstruction,
     config: &KltConfig,
     seed: u64,
     progress: &Progress,
-) -> Result<Articulation, SfmError> {
+) -> Result<(Articulation, Reconstruction), SfmError> {
     let tracks = track(frames, config, progress)?;
     let unit = Unit::of(model);
     let names: Vec<String> = frames.frames.iter().map(|f| f.name.clone()).collect();
@@ -102,11 +106,26 @@ pub fn moving_parts(
         cameras: model.cameras.values().cloned().collect(),
         frames: names.iter().map(by_name).collect(),
         joints: Vec::new(),
+        times: times(frames),
     };
-    let (mut found, _) = in_unit(&tracks, chain, seed, progress)?;
+    let (mut found, chain) = in_unit(&tracks, chain, seed, progress)?;
     found.parts.iter_mut().for_each(|p| unit.restore(p));
+    let corrected = if found.parts.is_empty() {
+        model.clone()
+    } else {
+        unit.corrected(model, &chain, &names, MOVING * found.noise_px)
+    };
     found.frames = names;
-    Ok(found)
+    Ok((found, corrected))
+}
+
+/// When the frames were taken, as multiples of the usual time between two; by their numbers where
+/// that is not known.
+fn times(frames: &FrameSet) -> Arc<[f64]> {
+    let numbers = || (0..frames.frames.len()).map(|k| k as f64).collect();
+    let Some(known) = frames.times() else { return numbers() };
+    let usual = median(known.windows(2).map(|w| w[1] - w[0]).collect());
+    if usual > 0.0 { known.iter().map(|t| t / usual).collect() } else { numbers() }
 }
 
 /// The object's middle and size, in which thresholds have a meaning.
@@ -130,6 +149,41 @@ impl Unit {
         Pose::new(pose.rotation, (pose.rotation * self.middle + pose.translation) / self.size)
     }
 
+    /// The model with the cameras and poses of the chain, without points that leave a greater error
+    /// (pixels).
+    fn corrected(&self, model: &Reconstruction, chain: &Chain, names: &[String], most: f64) -> Reconstruction {
+        let mut next = model.clone();
+        next.cameras.values_mut().zip(&chain.cameras).for_each(|(own, camera)| own.clone_from(camera));
+        for image in next.images.values_mut() {
+            let frame = names.iter().position(|n| *n == image.name).and_then(|k| chain.frames[k]);
+            if let Some((_, pose)) = frame {
+                let shift = pose.translation * self.size - pose.rotation * self.middle;
+                image.pose = Pose::new(pose.rotation, shift);
+            }
+        }
+        let (images, cameras) = (&next.images, &next.cameras);
+        let placed = |point: &ScenePoint| -> Option<ScenePoint> {
+            let view = |element: &TrackElement| {
+                let image = &images[&element.image];
+                let pixel = image.observations[element.observation as usize].pixel;
+                PointView::new(&image.pose, &cameras[&image.camera], pixel)
+            };
+            let views: Vec<PointView<'_>> = point.track.iter().map(view).collect();
+            let position = refine_point(nearest_to_rays(views.iter())?, views.iter(), 8);
+            let errors = views.iter().map(|v| v.error_sq(position));
+            let error_px = errors.clone().map(f64::sqrt).sum::<f64>() / views.len() as f64;
+            let rms = (errors.sum::<f64>() / views.len() as f64).sqrt();
+            (rms <= most).then(|| ScenePoint { position, error_px, ..point.clone() })
+        };
+        let points: BTreeMap<u64, ScenePoint> =
+            next.points.iter().filter_map(|(id, p)| Some((*id, placed(p)?))).collect();
+        for observation in next.images.values_mut().flat_map(|i| &mut i.observations) {
+            observation.point = observation.point.filter(|p| points.contains_key(p));
+        }
+        next.points = points;
+        next
+    }
+
     fn restore(&self, part: &mut MovingPart) {
         let place = |p: [f64; 3]| (DVec3::from(p) * self.size + self.middle).to_array();
         part.place = place(part.place);
@@ -148,14 +202,14 @@ fn in_unit(
     let mut parts = {
         let frames = chain.posed();
         let scene = Scene::of(tracks, &frames);
-        scene.growth(chain.frames.len(), seed).found(scene.odd(), progress)?
+        scene.growth(&chain.times, seed).found(scene.odd(), progress)?
     };
     for _ in 0..ADJUSTMENTS {
         if parts.is_empty() {
             break;
         }
         progress.tick()?;
-        for (p, own) in &parts { eprintln!("DBG {} frames {} axis {:.3} place {:.3} turn {:.1} f {:?}", own.len(), p.angles.len(), p.axis, p.place, p.angles.last().unwrap().to_degrees(), chain.cameras[0].params); }
+        for (p, own) in &parts { eprintln!("DBG bend {:.1e} {} frames {} axis {:.3} place {:.3} turn {:.1} f {:?}", p.bend, own.len(), p.angles.len(), p.axis, p.place, p.angles.last().unwrap().to_degrees(), chain.cameras[0].params); }
         (chain, parts) = adjusted(tracks, &chain, parts, seed);
     }
     let found = told(tracks, &chain, &parts);
@@ -197,7 +251,7 @@ fn adjusted(
     let parts = {
         let frames = next.posed();
         let scene = Scene::of(tracks, &frames);
-        scene.growth(next.frames.len(), seed).shared_out(next.joints.clone())
+        scene.growth(&next.times, seed).shared_out(next.joints.clone())
     };
     (next, parts)
 }
@@ -247,8 +301,8 @@ impl<'a> Scene<'a> {
         (0..self.all.len()).filter(may).collect()
     }
 
-    fn growth(&self, frames: usize, seed: u64) -> Growth<'_, 'a> {
-        Growth { all: &self.all, still: &self.still, noise: self.noise, frames, seed }
+    fn growth<'t>(&'t self, times: &'t Arc<[f64]>, seed: u64) -> Growth<'t, 'a> {
+        Growth { all: &self.all, still: &self.still, noise: self.noise, times, seed }
     }
 }
 
@@ -281,8 +335,7 @@ impl Chain {
 /// What is told of a part whose tracks are these.
 fn part_of(path: &JointPath, own: &[usize], all: &[PosedTrack<'_>], noise: f64) -> Option<MovingPart> {
     let tracks: Vec<&PosedTrack<'_>> = own.iter().map(|&i| &all[i]).collect();
-    let noise = JointNoise { pixel: noise, bend: grow::bend(path) };
-    let sigmas = path.sigmas(&tracks, &noise)?;
+    let sigmas = path.sigmas(&tracks, noise)?;
     let found: Vec<(DVec3, f64)> = tracks.iter().filter_map(|t| t.point(path)).collect();
     let middle = found.iter().map(|(x, _)| *x).sum::<DVec3>() / found.len().max(1) as f64;
     let rms = |squares: Vec<f64>| (squares.iter().sum::<f64>() / squares.len().max(1) as f64).sqrt();

@@ -1,12 +1,14 @@
 //! A joint from a few tracks over a few frames: axes and rates are tried, and for each the place of
 //! the axis and of the points is a linear problem.
 
+use super::grow::FIRST_BEND;
 use super::joint::JointPath;
 use super::posed::PosedTrack;
 use glam::{DMat3, DQuat, DVec3};
 use rayon::prelude::*;
 use std::f64::consts::PI;
 use std::ops::Range;
+use std::sync::Arc;
 
 /// Axes that are tried. Source: derived: every direction is within 12° of one.
 const DIRECTIONS: usize = 160;
@@ -20,7 +22,7 @@ const KEPT: usize = 6;
 /// Halvings of the step by which they are improved. Source: derived: from 12° to 0.2°.
 const HALVINGS: u32 = 6;
 
-/// An axis and how far the part turns in a frame, radians.
+/// An axis and how far the part turns in a frame's time, radians.
 #[derive(Clone, Copy, Debug)]
 struct Turning {
     axis: DVec3,
@@ -36,28 +38,35 @@ struct Ray {
 
 /// The joints that explain a group of tracks in some frames best, best first; the object's middle
 /// is the origin and its size 1. `pixel`: standard deviation of an observation.
-pub(super) fn joints(group: &[&PosedTrack<'_>], frames: Range<usize>, pixel: f64) -> Vec<JointPath> {
+pub(super) fn joints(
+    group: &[&PosedTrack<'_>],
+    frames: Range<usize>,
+    times: &Arc<[f64]>,
+    pixel: f64,
+) -> Vec<JointPath> {
     let rays: Vec<Vec<Ray>> = group.iter().map(|t| rays(t, &frames, pixel)).collect();
-    let count = frames.len();
+    // From the first of them on.
+    let since: Vec<f64> = frames.clone().map(|k| times[k] - times[frames.start]).collect();
+    let whole = since.last().copied().unwrap_or(1.0);
     let directions = (0..DIRECTIONS).into_par_iter().flat_map_iter(|k| {
         let axis = on_sphere(k);
         (0..TURNS).map(move |i| {
             let share = i as f64 / (TURNS - 1) as f64;
             let turn = TURNS_DEG[0].to_radians() * (TURNS_DEG[1] / TURNS_DEG[0]).powf(share);
-            Turning { axis, rate: turn / count as f64 }
+            Turning { axis, rate: turn / whole }
         })
     });
-    let tried = directions.filter_map(|t| Some((solve(&rays, t, count)?.0, t)));
+    let tried = directions.filter_map(|t| Some((solve(&rays, t, &since)?.0, t)));
     let mut tried: Vec<(f64, Turning)> = tried.collect();
     tried.sort_by(|a, b| a.0.total_cmp(&b.0));
     tried.truncate(KEPT);
     let mut best: Vec<(f64, JointPath)> = tried
         .into_par_iter()
         .filter_map(|start| {
-            let (cost, turning) = improved(&rays, start, count);
-            let place = solve(&rays, turning, count)?.1;
-            let angles = (0..count).map(|k| turning.rate * k as f64).collect();
-            Some((cost, JointPath { axis: turning.axis, place, first: frames.start, angles }))
+            let (cost, turning) = improved(&rays, start, &since);
+            let place = solve(&rays, turning, &since)?.1;
+            let angles = since.iter().map(|t| turning.rate * t).collect();
+            Some((cost, JointPath { axis: turning.axis, place, first: frames.start, angles, bend: FIRST_BEND, times: times.clone() }))
         })
         .collect();
     best.sort_by(|a, b| a.0.total_cmp(&b.0));
@@ -84,7 +93,7 @@ fn rays(track: &PosedTrack<'_>, frames: &Range<usize>, pixel: f64) -> Vec<Ray> {
 }
 
 /// Steps to and fro along each of three unknowns while that helps, then steps of half the size.
-fn improved(rays: &[Vec<Ray>], (mut cost, mut best): (f64, Turning), count: usize) -> (f64, Turning) {
+fn improved(rays: &[Vec<Ray>], (mut cost, mut best): (f64, Turning), since: &[f64]) -> (f64, Turning) {
     let mut size = 12_f64.to_radians();
     for _ in 0..HALVINGS {
         // A search that goes round in circles ends.
@@ -93,7 +102,7 @@ fn improved(rays: &[Vec<Ray>], (mut cost, mut best): (f64, Turning), count: usiz
             let v = best.axis.cross(u);
             let tilts = [u, -u, v, -v].map(|w| Turning { axis: (best.axis + w * size).normalize(), ..best });
             let rates = [1.0 + size, 1.0 / (1.0 + size)].map(|f| Turning { rate: best.rate * f, ..best });
-            let trials = tilts.into_iter().chain(rates).filter_map(|t| Some((solve(rays, t, count)?.0, t)));
+            let trials = tilts.into_iter().chain(rates).filter_map(|t| Some((solve(rays, t, &since)?.0, t)));
             match trials.min_by(|a, b| a.0.total_cmp(&b.0)) {
                 Some(better) if better.0 < cost => (cost, best) = better,
                 _ => break,
@@ -107,9 +116,10 @@ fn improved(rays: &[Vec<Ray>], (mut cost, mut best): (f64, Turning), count: usiz
 /// Least squared distance of the rays from the points (weighted), and the place of the axis: for
 /// each ray `P (R x + (I − R) c − o) = 0`. Place and points are about the object's size from its
 /// middle, beforehand, which decides where nothing else does (along the axis).
-fn solve(rays: &[Vec<Ray>], turning: Turning, count: usize) -> Option<(f64, DVec3)> {
-    let rotations: Vec<DMat3> = (0..count)
-        .map(|k| DMat3::from_quat(DQuat::from_axis_angle(turning.axis, turning.rate * k as f64)))
+fn solve(rays: &[Vec<Ray>], turning: Turning, since: &[f64]) -> Option<(f64, DVec3)> {
+    let rotations: Vec<DMat3> = since
+        .iter()
+        .map(|t| DMat3::from_quat(DQuat::from_axis_angle(turning.axis, turning.rate * t)))
         .collect();
     let (mut place, mut place_right, mut constant) = (DMat3::IDENTITY, DVec3::ZERO, 0.0);
     let mut gained = 0.0;
