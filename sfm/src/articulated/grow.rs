@@ -3,7 +3,9 @@
 use super::joint::JointPath;
 use super::posed::{LEAST_VIEWS, PosedTrack};
 use super::search::joints;
+use super::MOVING;
 use crate::statistics::median;
+use glam::DVec3;
 use rand::Rng as _;
 use rayon::prelude::*;
 use std::ops::Range;
@@ -63,21 +65,40 @@ impl Growth<'_, '_> {
         turns(&path, &own).then_some((path, own))
     }
 
-    /// Parts again, each track with the one that explains it best.
+    /// Parts again, each track with what explains it.
     pub(super) fn shared_out(&self, parts: Vec<JointPath>) -> Vec<(JointPath, Vec<usize>)> {
-        let best = |i: usize| {
-            let errors = parts.iter().enumerate().filter_map(|(k, p)| Some((self.all[i].point(p)?.1, k)));
-            let least = errors.min_by(|a, b| a.0.total_cmp(&b.0))?;
-            (least.0 <= BELONGS * self.noise).then_some((i, least.1))
-        };
-        let odd: Vec<usize> = (0..self.all.len()).filter(|i| self.still.binary_search(i).is_err()).collect();
-        let best: Vec<(usize, usize)> = odd.into_par_iter().filter_map(best).collect();
-        let own = |k: usize| best.iter().filter(|b| b.1 == k).map(|b| b.0).collect();
+        let assigned = self.assigned(&parts);
         let again = parts.iter().enumerate().map(|(k, path)| {
-            let own: Vec<usize> = own(k);
+            let own = assigned.iter().filter(|a| a.1 == Some(k)).map(|a| a.0).collect::<Vec<usize>>();
             (self.settled(path, &own), own)
         });
         self.merged(again.filter(|(path, own)| self.is_part(path, own)).collect())
+    }
+
+    /// Each track that the body or a joint explains, and which. While a part hardly moves, both
+    /// explain its tracks: of these it has those that lie nearer to the places that only it explains
+    /// than to those that only the body does.
+    pub(super) fn assigned(&self, joints: &[JointPath]) -> Vec<(usize, Option<usize>)> {
+        let explained = |i: usize| -> Vec<(Option<usize>, DVec3)> {
+            let still = self.all[i].still().filter(|f| f.1 <= MOVING * self.noise).map(|f| (None, f.0));
+            let of_joint = |(j, path): (usize, &JointPath)| {
+                let (x, _) = self.all[i].point(path).filter(|f| f.1 <= BELONGS * self.noise)?;
+                Some((Some(j), x))
+            };
+            still.into_iter().chain(joints.iter().enumerate().filter_map(of_joint)).collect()
+        };
+        let all: Vec<Vec<(Option<usize>, DVec3)>> =
+            (0..self.all.len()).into_par_iter().map(explained).collect();
+        let sure: Vec<(Option<usize>, DVec3)> = all.iter().filter(|e| e.len() == 1).map(|e| e[0]).collect();
+        let away = |(of, x): &(Option<usize>, DVec3)| {
+            let same = sure.iter().filter(|s| s.0 == *of);
+            same.map(|s| s.1.distance_squared(*x)).fold(f64::INFINITY, f64::min)
+        };
+        let nearest = |(i, found): (usize, &Vec<(Option<usize>, DVec3)>)| {
+            let best = found.iter().map(|f| (away(f), f.0)).min_by(|a, b| a.0.total_cmp(&b.0))?;
+            Some((i, best.1))
+        };
+        all.par_iter().enumerate().filter_map(nearest).collect()
     }
 
     /// Parts on one axis with one angle are one.
@@ -211,6 +232,9 @@ impl Growth<'_, '_> {
     /// Whether it is a part that has a place in the picture to itself: reflections go over what
     /// stands still.
     fn is_part(&self, path: &JointPath, own: &[usize]) -> bool {
+        let own: Vec<usize> =
+            own.iter().copied().filter(|i| self.still.binary_search(i).is_err()).collect();
+        let own = &own[..];
         if !turns(path, own) {
             return false;
         }

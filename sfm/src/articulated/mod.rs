@@ -220,6 +220,15 @@ fn in_unit(
 fn told(tracks: &[KltTrack], chain: &Chain, parts: &[(JointPath, Vec<usize>)]) -> Articulation {
     let frames = chain.posed();
     let scene = Scene::of(tracks, &frames);
+    for (path, own) in parts {
+        eprintln!("DBG part {:.3} {:.3}", path.axis, path.place);
+        for lo in (0..chain.frames.len()).step_by(10) {
+            let mine: Vec<&PosedTrack<'_>> = own.iter().map(|&i| &scene.all[i]).filter(|t| { let m = t.views[t.views.len() / 2].0; m >= lo && m < lo + 10 }).collect();
+            let mut e: Vec<(f64, f64, usize, f64)> = mine.iter().filter_map(|t| { let (x, e) = t.point(path)?; Some((e, t.still()?.1, t.views.len(), (x - path.place).reject_from_normalized(path.axis).length())) }).collect();
+            e.sort_by(|a, b| a.0.total_cmp(&b.0));
+            eprintln!("DBG  {lo}: {} {:?}", mine.len(), e.iter().step_by((e.len() / 6).max(1)).map(|v| format!("{:.2}/{:.2}/{}/{:.2}", v.0, v.1, v.2, v.3)).collect::<Vec<_>>());
+        }
+    }
     let unexplained = scene.moving - parts.iter().map(|p| p.1.len()).sum::<usize>().min(scene.moving);
     let mut told: Vec<MovingPart> =
         parts.iter().filter_map(|(path, own)| part_of(path, own, &scene.all, scene.noise)).collect();
@@ -244,7 +253,9 @@ fn adjusted(
         let frames = chain.posed();
         let scene = Scene::of(tracks, &frames);
         let paths: Vec<JointPath> = parts.into_iter().map(|p| p.0).collect();
-        let members = scene.members(&paths);
+        let assigned = scene.growth(&chain.times, seed).assigned(&paths);
+        let member = |(i, joint): (usize, Option<usize>)| Member { track: scene.of[i], joint };
+        let members: Vec<Member<'_>> = assigned.into_iter().map(member).collect();
         let start = Chain { joints: paths, ..chain.clone() };
         start.adjusted(&members, &ChainNoise::of(&start, scene.noise))
     };
@@ -278,18 +289,6 @@ impl<'a> Scene<'a> {
         let still: Vec<usize> = (0..all.len()).filter(is_still).collect();
         let moving = all.len() - still.len();
         Self { all, of, still, noise, moving }
-    }
-
-    /// Each track with what explains it best, the body or a joint; none that nothing explains.
-    fn members(&self, joints: &[JointPath]) -> Vec<Member<'a>> {
-        let best = |i: usize| {
-            let of_joints = joints.iter().enumerate().map(|(j, p)| (self.all[i].point(p), Some(j)));
-            let all = std::iter::once((self.all[i].still(), None)).chain(of_joints);
-            let errors = all.filter_map(|(found, joint)| Some((found?.1, joint)));
-            let (error, joint) = errors.min_by(|a, b| a.0.total_cmp(&b.0))?;
-            (error <= MOVING * self.noise).then_some(Member { track: self.of[i], joint })
-        };
-        (0..self.all.len()).into_par_iter().filter_map(best).collect()
     }
 
     /// Tracks that the body does not explain and that may be a part's.
