@@ -1,7 +1,7 @@
 //! Cameras, body and joints together: what a moving part shows corrects the focal length and the
 //! poses that its motion had bent.
 
-use super::joint::{JointMoves, JointPath, SHARED, inverse};
+use super::joint::{ANCHOR, JointMoves, JointPath, SHARED, inverse};
 use crate::klt::KltTrack;
 use crate::solvers::cholesky::{cholesky, solved};
 use crate::solvers::levenberg::cauchy;
@@ -16,9 +16,10 @@ use std::sync::Arc;
 const ROBUST: f64 = 3.0;
 /// Rounds at most.
 const ROUNDS: usize = 20;
-/// What a focal length and terms of distortion may differ from what they were, as a share of the
-/// focal length and of one. Source: chosen by hand: weak.
-const INTRINSICS: f64 = 0.3;
+/// What a focal length may differ from what it was, as a share of it. Source: chosen by hand: weak.
+const FOCAL: f64 = 0.3;
+/// Terms of distortion, beforehand. Source: of lenses that are no fisheyes.
+const DISTORTION: f64 = 0.1;
 /// A pose is held so loosely (radians, object sizes) that only what nothing else determines, frame
 /// and scale, stays. Source: chosen by hand.
 const HELD: f64 = 1.0;
@@ -33,8 +34,19 @@ pub(super) struct Chain {
     /// By frame: its camera, and the camera from the body.
     pub frames: Vec<Option<(usize, Pose)>>,
     pub joints: Vec<JointPath>,
+    /// By joint: what it has in common with one before it.
+    pub ties: Vec<Tie>,
     /// When the frames were taken; the usual time between two is 1.
     pub times: Arc<[f64]>,
+}
+
+/// What a joint has in common with another.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub(super) struct Tie {
+    /// The joint on whose axis it turns, with the same direction.
+    pub axis_of: Option<usize>,
+    /// Its angle is so many times that joint's: 1 or -1.
+    pub ratio: Option<f64>,
 }
 
 /// A track and the joint of the part that it belongs to, none for the body.
@@ -59,8 +71,16 @@ struct Layout {
     /// By camera: first unknown, and which parameters are free.
     cameras: Vec<(usize, Vec<usize>)>,
     frames: Vec<Option<usize>>,
-    joints: Vec<usize>,
+    joints: Vec<JointColumns>,
     size: usize,
+}
+
+/// Where a joint's unknowns stand, and what its angle is as a multiple of the unknown.
+#[derive(Clone, Copy)]
+struct JointColumns {
+    axis: usize,
+    angles: usize,
+    ratio: f64,
 }
 
 /// One residual: derivatives by unknowns and by the point, weighted by its square root.
@@ -172,7 +192,16 @@ impl Chain {
         };
         let cameras = self.cameras.iter().map(free).map(|f| (take(f.len()), f)).collect();
         let frames = self.frames.iter().map(|f| f.map(|_| take(6))).collect();
-        let joints = self.joints.iter().map(|j| take(SHARED + j.angles.len())).collect();
+        let mut joints: Vec<JointColumns> = Vec::new();
+        for (path, tie) in self.joints.iter().zip(&self.ties) {
+            let leader = tie.axis_of.map(|j| joints[j]);
+            let axis = leader.map_or_else(|| take(SHARED), |l| l.axis);
+            let (angles, ratio) = match (leader, tie.ratio) {
+                (Some(l), Some(ratio)) => (l.angles, ratio * l.ratio),
+                _ => (take(path.angles.len()), 1.0),
+            };
+            joints.push(JointColumns { axis, angles, ratio });
+        }
         Layout { cameras, frames, joints, size }
     }
 
@@ -191,7 +220,9 @@ impl Chain {
             }
         }
         for (joint, at) in next.joints.iter_mut().zip(&layout.joints) {
-            *joint = joint.stepped(&step[*at..]);
+            let angles = step[at.angles..].iter().take(joint.angles.len()).map(|s| s * at.ratio);
+            let own: Vec<f64> = step[at.axis..at.axis + SHARED].iter().copied().chain(angles).collect();
+            *joint = joint.stepped(&own);
         }
         next
     }
@@ -215,8 +246,26 @@ impl Chain {
         (views.len() >= super::posed::LEAST_VIEWS && x.is_finite()).then_some(x)
     }
 
-    /// The chain of least squared error over the tracks (Levenberg–Marquardt, points eliminated).
-    pub(super) fn adjusted(&self, members: &[Member<'_>], noise: &ChainNoise) -> Self {
+    /// The same with the last joint tied to another.
+    pub(super) fn tied(&self, joint: usize, tie: Tie) -> Self {
+        let mut next = self.clone();
+        let Some(leader) = tie.axis_of.map(|j| self.joints[j].clone()) else { return next };
+        let own = &mut next.joints[joint];
+        if own.axis.dot(leader.axis) < 0.0 {
+            own.angles.iter_mut().for_each(|a| *a = -*a);
+        }
+        (own.axis, own.place) = (leader.axis, leader.place);
+        if let Some(ratio) = tie.ratio {
+            own.angles = leader.angles.iter().map(|a| ratio * a).collect();
+            own.bend = leader.bend;
+        }
+        next.ties[joint] = tie;
+        next
+    }
+
+    /// The chain of least squared error over the tracks (Levenberg–Marquardt, points eliminated), and
+    /// the logarithm of its evidence (Laplace; up to what all chains for these tracks have in common).
+    pub(super) fn adjusted(&self, members: &[Member<'_>], noise: &ChainNoise) -> (Self, f64) {
         let layout = self.layout();
         let mut best = self.clone();
         let mut points: Vec<Option<DVec3>> = members.par_iter().map(|m| best.point(m)).collect();
@@ -250,7 +299,8 @@ impl Chain {
             let start = joint.angles[0];
             joint.angles.iter_mut().for_each(|a| *a -= start);
         }
-        best
+        let evidence = normal.evidence(&best);
+        (best, evidence)
     }
 
     /// Back to where the body's points were: its frame is free in the adjustment.
@@ -312,8 +362,9 @@ impl Chain {
                 columns.extend(by_pose.into_iter().enumerate().map(|(k, d)| (at + k, d)));
                 if let Some((at, angle, moves)) = &joint {
                     let in_body = pose.rotation.conjugate() * in_camera;
-                    let numbers = [0, 1, 2, 3, SHARED + angle];
-                    columns.extend(numbers.into_iter().zip(moves.0).map(|(k, m)| (at + k, in_body.dot(m))));
+                    let axis = (0..SHARED).map(|k| (at.axis + k, in_body.dot(moves.0[k])));
+                    columns.extend(axis);
+                    columns.push((at.angles + angle, at.ratio * in_body.dot(moves.0[SHARED])));
                 }
                 rows.push(Row { columns, point: by_point, residual, weight: scale * weight });
             }
@@ -402,8 +453,12 @@ impl Normal {
         for ((own, was), (at, free)) in chain.cameras.iter().zip(&start.cameras).zip(&layout.cameras) {
             let (focals, scale) = (own.model.num_focals(), was.mean_focal());
             for (k, &i) in free.iter().enumerate() {
-                let unit = if i < focals { scale } else { 1.0 };
-                self.add(&[(at + k, 1.0)], (own.params[i] - was.params[i]) / unit, INTRINSICS);
+                let (off, sigma) = if i < focals {
+                    ((own.params[i] - was.params[i]) / scale, FOCAL)
+                } else {
+                    (own.params[i], DISTORTION)
+                };
+                self.add(&[(at + k, 1.0)], off, sigma);
             }
         }
         for ((own, was), at) in chain.frames.iter().zip(&start.frames).zip(&layout.frames) {
@@ -417,10 +472,11 @@ impl Normal {
         for triple in chain.triples() {
             self.add_unsteadiness(&triple, layout, noise);
         }
-        for (path, at) in chain.joints.iter().zip(&layout.joints) {
-            self.add(&[(at + SHARED, 1.0)], path.angles[0], super::joint::ANCHOR);
+        let free = chain.ties.iter().map(|t| t.ratio.is_none());
+        for ((path, at), _) in chain.joints.iter().zip(&layout.joints).zip(free).filter(|j| j.1) {
+            self.add(&[(at.angles, 1.0)], path.angles[0], ANCHOR);
             for (i, (change, by_angle)) in path.changes().enumerate() {
-                let terms = [0, 1, 2].map(|k| (at + SHARED + i + k, by_angle[k]));
+                let terms = [0, 1, 2].map(|k| (at.angles + i + k, by_angle[k]));
                 self.add(&terms, change, path.bend);
             }
         }
@@ -449,6 +505,15 @@ impl Normal {
         for (k, (terms, e)) in terms.iter().zip(here).enumerate() {
             self.add(terms, e, noise.body[k / 3]);
         }
+    }
+
+    fn evidence(&self, chain: &Chain) -> f64 {
+        let n = self.gradient.len();
+        let Some(l) = cholesky(self.matrix.clone(), n) else { return f64::NEG_INFINITY };
+        let half_log: f64 = (0..n).map(|i| l[i * n + i].ln()).sum();
+        let free = chain.joints.iter().zip(&chain.ties).filter(|j| j.1.ratio.is_none());
+        let bends = free.map(|(j, _)| j.angles.len().saturating_sub(2) as f64 * j.bend.ln() + ANCHOR.ln());
+        -0.5 * self.cost - half_log - bends.sum::<f64>()
     }
 
     /// A step of the unknowns and of each point.

@@ -44,6 +44,8 @@ pub(super) struct Growth<'t, 'a> {
     /// Those that the body explains.
     pub still: &'t [usize],
     pub noise: f64,
+    /// What an observation counts as, were it independent of others.
+    pub worth: f64,
     /// When the frames were taken; the usual time between two is 1.
     pub times: &'t Arc<[f64]>,
     pub seed: u64,
@@ -66,13 +68,20 @@ impl Growth<'_, '_> {
     }
 
     /// Parts again, each track with what explains it.
-    pub(super) fn shared_out(&self, parts: Vec<JointPath>) -> Vec<(JointPath, Vec<usize>)> {
-        let assigned = self.assigned(&parts);
-        let again = parts.iter().enumerate().map(|(k, path)| {
-            let own = assigned.iter().filter(|a| a.1 == Some(k)).map(|a| a.0).collect::<Vec<usize>>();
-            (self.settled(path, &own), own)
-        });
+    pub(super) fn shared_out(&self, parts: &[JointPath]) -> Vec<(JointPath, Vec<usize>)> {
+        let again = self.owned(parts).into_iter().map(|(path, own)| (self.settled(&path, &own), own));
         self.merged(again.filter(|(path, own)| self.is_part(path, own)).collect())
+    }
+
+    /// The parts as they are, with their tracks.
+    pub(super) fn kept(&self, parts: &[JointPath]) -> Vec<(JointPath, Vec<usize>)> {
+        self.owned(parts).into_iter().filter(|(path, own)| self.is_part(path, own)).collect()
+    }
+
+    fn owned(&self, parts: &[JointPath]) -> Vec<(JointPath, Vec<usize>)> {
+        let assigned = self.assigned(parts);
+        let own = |k: usize| assigned.iter().filter(|a| a.1 == Some(k)).map(|a| a.0).collect();
+        parts.iter().enumerate().map(|(k, path)| (path.clone(), own(k))).collect()
     }
 
     /// Each track that the body or a joint explains, and which. While a part hardly moves, both
@@ -208,7 +217,7 @@ impl Growth<'_, '_> {
     }
 
     fn fit(&self, path: &JointPath, own: &[usize]) -> JointPath {
-        path.refined(&self.tracks(own), self.noise, 30)
+        path.refined(&self.tracks(own), self.worth, 30)
     }
 
     fn tracks(&self, own: &[usize]) -> Vec<&PosedTrack<'_>> {
@@ -222,8 +231,8 @@ impl Growth<'_, '_> {
         let tried = (0..).map(|k| LEAST_BEND * BENDS.powi(k)).take_while(|b| *b <= FIRST_BEND);
         let tried = tried.map(|bend| {
             let start = JointPath { bend, ..path.clone() };
-            let found = start.refined(&tracks, self.noise, 30);
-            (found.evidence(&tracks, self.noise), found)
+            let found = start.refined(&tracks, self.worth, 30);
+            (found.evidence(&tracks, self.worth), found)
         });
         let best = tried.max_by(|a, b| a.0.total_cmp(&b.0));
         best.map_or_else(|| path.clone(), |b| b.1)

@@ -16,7 +16,7 @@ mod tests;
 
 use crate::error::SfmError;
 use crate::klt::{KltConfig, KltTrack, track};
-use adjust::{Chain, ChainNoise, Member};
+use adjust::{Chain, ChainNoise, Member, Tie};
 use crate::statistics::median;
 use glam::{DQuat, DVec3};
 use grow::Growth;
@@ -106,6 +106,7 @@ pub fn moving_parts(
         cameras: model.cameras.values().cloned().collect(),
         frames: names.iter().map(by_name).collect(),
         joints: Vec::new(),
+        ties: Vec::new(),
         times: times(frames),
     };
     let (mut found, chain) = in_unit(&tracks, chain, seed, progress)?;
@@ -204,13 +205,18 @@ fn in_unit(
         let scene = Scene::of(tracks, &frames);
         scene.growth(&chain.times, seed).found(scene.odd(), progress)?
     };
-    for _ in 0..ADJUSTMENTS {
+    for round in 0..ADJUSTMENTS {
         if parts.is_empty() {
             break;
         }
         progress.tick()?;
-        for (p, own) in &parts { eprintln!("DBG bend {:.1e} {} frames {} axis {:.3} place {:.3} turn {:.1} f {:?}", p.bend, own.len(), p.angles.len(), p.axis, p.place, p.angles.last().unwrap().to_degrees(), chain.cameras[0].params); }
-        (chain, parts) = adjusted(tracks, &chain, parts, seed);
+        for (p, own) in &parts { eprintln!("DBG bend {:.1e} {} axis {:.3} place {:.3} turn {:.1} f {:?}", p.bend, own.len(), p.axis, p.place, p.angles.last().unwrap().to_degrees(), chain.cameras[0].params); }
+        chain = adjusted(tracks, &chain, parts, seed);
+        let frames = chain.posed();
+        let scene = Scene::of(tracks, &frames);
+        let growth = scene.growth(&chain.times, seed);
+        let is_last = round + 1 == ADJUSTMENTS;
+        parts = if is_last { growth.kept(&chain.joints) } else { growth.shared_out(&chain.joints) };
     }
     let found = told(tracks, &chain, &parts);
     Ok((found, chain))
@@ -231,7 +237,7 @@ fn told(tracks: &[KltTrack], chain: &Chain, parts: &[(JointPath, Vec<usize>)]) -
     }
     let unexplained = scene.moving - parts.iter().map(|p| p.1.len()).sum::<usize>().min(scene.moving);
     let mut told: Vec<MovingPart> =
-        parts.iter().filter_map(|(path, own)| part_of(path, own, &scene.all, scene.noise)).collect();
+        parts.iter().filter_map(|(path, own)| part_of(path, own, &scene.all, scene.worth)).collect();
     told.sort_by_key(|p| std::cmp::Reverse(p.observations));
     Articulation {
         frames: Vec::new(),
@@ -242,29 +248,32 @@ fn told(tracks: &[KltTrack], chain: &Chain, parts: &[(JointPath, Vec<usize>)]) -
     }
 }
 
-/// Cameras, body and joints together, then the parts' tracks again.
-fn adjusted(
-    tracks: &[KltTrack],
-    chain: &Chain,
-    parts: Vec<(JointPath, Vec<usize>)>,
-    seed: u64,
-) -> (Chain, Vec<(JointPath, Vec<usize>)>) {
-    let next = {
-        let frames = chain.posed();
-        let scene = Scene::of(tracks, &frames);
-        let paths: Vec<JointPath> = parts.into_iter().map(|p| p.0).collect();
-        let assigned = scene.growth(&chain.times, seed).assigned(&paths);
-        let member = |(i, joint): (usize, Option<usize>)| Member { track: scene.of[i], joint };
-        let members: Vec<Member<'_>> = assigned.into_iter().map(member).collect();
-        let start = Chain { joints: paths, ..chain.clone() };
-        start.adjusted(&members, &ChainNoise::of(&start, scene.noise))
-    };
-    let parts = {
-        let frames = next.posed();
-        let scene = Scene::of(tracks, &frames);
-        scene.growth(&next.times, seed).shared_out(next.joints.clone())
-    };
-    (next, parts)
+/// Cameras, body and joints together; joints are tied to each other where that has more evidence.
+fn adjusted(tracks: &[KltTrack], chain: &Chain, parts: Vec<(JointPath, Vec<usize>)>, seed: u64) -> Chain {
+    let frames = chain.posed();
+    let scene = Scene::of(tracks, &frames);
+    let paths: Vec<JointPath> = parts.into_iter().map(|p| p.0).collect();
+    let assigned = scene.growth(&chain.times, seed).assigned(&paths);
+    let member = |(i, joint): (usize, Option<usize>)| Member { track: scene.of[i], joint };
+    let members: Vec<Member<'_>> = assigned.into_iter().map(member).collect();
+    let ties = vec![Tie::default(); paths.len()];
+    let start = Chain { joints: paths, ties, ..chain.clone() };
+    let noise = ChainNoise::of(&start, scene.worth);
+    let (mut best, mut evidence) = start.adjusted(&members, &noise);
+    for (j, leader) in (1..best.joints.len()).flat_map(|j| (0..j).map(move |i| (j, i))) {
+        if best.ties[j].axis_of.is_some() {
+            continue;
+        }
+        for ratio in [None, Some(1.0), Some(-1.0)] {
+            let tied = best.tied(j, Tie { axis_of: Some(leader), ratio });
+            let (found, own) = tied.adjusted(&members, &noise);
+            eprintln!("DBG tie {j} {leader} {ratio:?}: {own:.0} {evidence:.0}");
+            if own > evidence {
+                (best, evidence) = (found, own);
+            }
+        }
+    }
+    best
 }
 
 /// The tracks under some poses.
@@ -275,6 +284,9 @@ struct Scene<'a> {
     /// Those that the body explains.
     still: Vec<usize>,
     noise: f64,
+    /// The standard deviation that observations would have, were they independent and worth as
+    /// much: a tracker's errors add up along a track.
+    worth: f64,
     /// How many the body does not explain.
     moving: usize,
 }
@@ -288,7 +300,12 @@ impl<'a> Scene<'a> {
         let is_still = |&i: &usize| errors[i].is_some_and(|e| e <= MOVING * noise);
         let still: Vec<usize> = (0..all.len()).filter(is_still).collect();
         let moving = all.len() - still.len();
-        Self { all, of, still, noise, moving }
+        let sums = still.par_iter().filter_map(|&i| Some(all[i].correlation(all[i].still()?.0)));
+        let sums = sums.reduce(|| [0.0; 2], |a, b| [a[0] + b[0], a[1] + b[1]]);
+        let rho = (sums[0] / sums[1].max(f64::MIN_POSITIVE)).clamp(0.0, 0.9);
+        let worth = noise * ((1.0 + rho) / (1.0 - rho)).sqrt();
+        eprintln!("DBG rho {rho:.3} noise {noise:.3} worth {worth:.3}");
+        Self { all, of, still, noise, worth, moving }
     }
 
     /// Tracks that the body does not explain and that may be a part's.
@@ -301,7 +318,7 @@ impl<'a> Scene<'a> {
     }
 
     fn growth<'t>(&'t self, times: &'t Arc<[f64]>, seed: u64) -> Growth<'t, 'a> {
-        Growth { all: &self.all, still: &self.still, noise: self.noise, times, seed }
+        Growth { all: &self.all, still: &self.still, noise: self.noise, worth: self.worth, times, seed }
     }
 }
 
@@ -320,7 +337,7 @@ impl Growth<'_, '_> {
             rest.retain(|i| !own.contains(i));
             paths.push(path);
         }
-        Ok(self.shared_out(paths))
+        Ok(self.shared_out(&paths))
     }
 }
 

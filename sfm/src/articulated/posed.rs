@@ -45,6 +45,23 @@ impl<'a> PosedTrack<'a> {
         fitted(&self.views.iter().map(|(_, v)| *v).collect::<Vec<_>>())
     }
 
+    /// Of the errors as a part of the body: the sum of products of one with the next, and that of
+    /// squares.
+    pub(super) fn correlation(&self, x: DVec3) -> [f64; 2] {
+        let errors: Vec<(usize, DVec2)> = self
+            .views
+            .iter()
+            .filter_map(|(k, v)| Some((*k, v.camera.project(v.pose.transform(x))? - v.pixel)))
+            .collect();
+        let next = errors.windows(2).filter(|w| w[1].0 == w[0].0 + 1);
+        let (mut products, mut squares) = (0.0, 0.0);
+        for w in next {
+            products += w[0].1.dot(w[1].1);
+            squares += 0.5 * (w[0].1.length_squared() + w[1].1.length_squared());
+        }
+        [products, squares]
+    }
+
     /// The same of a part that turns on a joint, from the frames that the joint knows of.
     pub(super) fn point(&self, path: &JointPath) -> Option<(DVec3, f64)> {
         let seen = self.views.iter().filter_map(|(k, v)| path.pose(*k).map(|m| at_rest(v, &m)));

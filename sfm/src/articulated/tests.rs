@@ -80,7 +80,7 @@ fn object(parts: &[True], noise: f64, seed: u64) -> Articulation {
     }
     let frames = poses().into_iter().map(|pose| Some((0, pose))).collect();
     let times = (0..FRAMES).map(|k| k as f64).collect();
-    let chain = Chain { cameras: vec![camera()], frames, joints: Vec::new(), times };
+    let chain = Chain { cameras: vec![camera()], frames, joints: Vec::new(), ties: Vec::new(), times };
     in_unit(&tracks, chain, 0, &Progress::silent()).unwrap().0
 }
 
@@ -139,6 +139,6 @@ fn a_rigid_object_has_no_parts() {
 
 #[test]
 fn nothing_to_follow_gives_nothing() {
-    let found = in_unit(&[], Chain { cameras: Vec::new(), frames: Vec::new(), joints: Vec::new(), times: Arc::new([]) }, 0, &Progress::silent()).unwrap().0;
+    let found = in_unit(&[], Chain { cameras: Vec::new(), frames: Vec::new(), joints: Vec::new(), ties: Vec::new(), times: Arc::new([]) }, 0, &Progress::silent()).unwrap().0;
     assert!(found.parts.is_empty() && found.tracks == 0);
 }
