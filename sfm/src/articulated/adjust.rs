@@ -1,12 +1,12 @@
 //! Cameras, body and joints together: what a moving part shows corrects the focal length and the
 //! poses that its motion had bent.
 
-use super::joint::{ANCHOR, JointMoves, JointPath, SHARED, inverse};
+use super::joint::{ANCHOR, JointMoves, JointPath, JointSigmas, SHARED};
+use super::normal::{Block, Normal, Row};
 use crate::klt::KltTrack;
-use crate::solvers::cholesky::{cholesky, solved};
 use crate::solvers::levenberg::cauchy;
 use crate::triangulation::{PointView, linearise, nearest_to_rays, refine_point};
-use glam::{DMat3, DQuat, DVec3};
+use glam::{DQuat, DVec3};
 use rayon::prelude::*;
 use scene::sim3::robust_alignment;
 use scene::{Camera, Pose};
@@ -83,32 +83,6 @@ struct JointColumns {
     ratio: f64,
 }
 
-/// One residual: derivatives by unknowns and by the point, weighted by its square root.
-struct Row {
-    columns: Vec<(usize, f64)>,
-    point: DVec3,
-    residual: f64,
-    weight: f64,
-}
-
-/// The part of one track in the normal equations.
-#[derive(Default)]
-struct Block {
-    cost: f64,
-    point: DMat3,
-    point_gradient: DVec3,
-    /// By unknown that it touches: gradient and mixed derivatives.
-    columns: Vec<(usize, f64, DVec3)>,
-    matrix: Vec<f64>,
-}
-
-struct Normal {
-    cost: f64,
-    matrix: Vec<f64>,
-    gradient: Vec<f64>,
-    blocks: Vec<Block>,
-}
-
 impl ChainNoise {
     /// How unsteady the motions are, they say themselves.
     pub(super) fn of(chain: &Chain, pixel: f64) -> Self {
@@ -143,6 +117,32 @@ impl Triple {
         let (first, second) = (rate(0), rate(1));
         let [turn, shift] = [0, 1].map(|k| second[k] - first[k]);
         [turn.x, turn.y, turn.z, shift.x, shift.y, shift.z]
+    }
+
+    /// Its residuals and their derivatives.
+    fn add_to(&self, normal: &mut Normal, layout: &Layout, noise: &ChainNoise) {
+        let here = self.unsteadiness();
+        let mut terms: [Vec<(usize, f64)>; 6] = Default::default();
+        for i in 0..3 {
+            let Some(at) = layout.frames[self.frames[i]] else { return };
+            for k in 0..6 {
+                let by = 1e-6;
+                let other = |sign: f64| {
+                    let mut step = [0.0; 6];
+                    step[k] = sign * by;
+                    let mut all = *self;
+                    all.poses[i] = moved(&self.poses[i], &step);
+                    all.unsteadiness()
+                };
+                let (up, down) = (other(1.0), other(-1.0));
+                for (terms, (up, down)) in terms.iter_mut().zip(up.into_iter().zip(down)) {
+                    terms.push((at + k, (up - down) / (2.0 * by)));
+                }
+            }
+        }
+        for (k, (terms, e)) in terms.iter().zip(here).enumerate() {
+            normal.add(terms, e, noise.body[k / 3]);
+        }
     }
 }
 
@@ -299,8 +299,46 @@ impl Chain {
             let start = joint.angles[0];
             joint.angles.iter_mut().for_each(|a| *a -= start);
         }
-        let evidence = normal.evidence(&best);
+        let evidence = best.evidence(&normal);
         (best, evidence)
+    }
+
+    /// Standard deviations of the joints, against the body as the first camera sees it, in sizes of
+    /// the object; `None` where something is not determined at all.
+    pub(super) fn sigmas(&self, members: &[Member<'_>], noise: &ChainNoise) -> Option<Vec<JointSigmas>> {
+        let layout = self.layout();
+        let points: Vec<Option<DVec3>> = members.par_iter().map(|m| self.point(m)).collect();
+        let mut normal = self.normal(self, members, &points, &layout, noise);
+        self.hold_frame(&mut normal, &layout);
+        let all = normal.sigmas()?;
+        let of_joint = |(path, at): (&JointPath, &JointColumns)| {
+            let axis = &all[at.axis..at.axis + SHARED];
+            JointSigmas {
+                axis: axis[0].hypot(axis[1]),
+                place: axis[2].hypot(axis[3]),
+                angles: all[at.angles..at.angles + path.angles.len()].to_vec(),
+            }
+        };
+        Some(self.joints.iter().zip(&layout.joints).map(of_joint).collect())
+    }
+
+    /// Holds the first frame's pose, and the distance to the farthest: frame and scale are free.
+    fn hold_frame(&self, normal: &mut Normal, layout: &Layout) {
+        let posed = || self.frames.iter().zip(&layout.frames).filter_map(|(f, at)| Some((f.as_ref()?.1, (*at)?)));
+        let Some((first, at)) = posed().next() else { return };
+        (0..6).for_each(|k| normal.add(&[(at + k, 1.0)], 0.0, ANCHOR));
+        let centre = first.centre();
+        let away = |pose: &Pose| pose.centre().distance(centre);
+        let farthest = posed().max_by(|a, b| away(&a.0).total_cmp(&away(&b.0)));
+        let Some((pose, at)) = farthest.filter(|f| away(&f.0) > 0.0) else { return };
+        let derivative = |k: usize| {
+            let mut step = [0.0; 6];
+            step[k] = 1e-6;
+            let up = away(&moved(&pose, &step));
+            step[k] = -1e-6;
+            (at + k, (up - away(&moved(&pose, &step))) / 2e-6)
+        };
+        normal.add(&[0, 1, 2, 3, 4, 5].map(derivative), 0.0, ANCHOR);
     }
 
     /// Back to where the body's points were: its frame is free in the adjustment.
@@ -328,11 +366,9 @@ impl Chain {
         let block = |(m, x): (&Member<'_>, &Option<DVec3>)| {
             x.map_or_else(Block::default, |x| self.block(m, x, layout, noise))
         };
-        let blocks: Vec<Block> = members.par_iter().zip(points).map(block).collect();
-        let n = layout.size;
-        let mut all = Normal { cost: 0.0, matrix: vec![0.0; n * n], gradient: vec![0.0; n], blocks };
-        all.take_blocks();
-        all.add_priors(self, start, layout, noise);
+        let blocks = members.par_iter().zip(points).map(block).collect();
+        let mut all = Normal::of(layout.size, blocks);
+        self.add_priors(&mut all, start, layout, noise);
         all
     }
 
@@ -390,67 +426,10 @@ impl Chain {
         };
         free.iter().map(derivative).collect()
     }
-}
-
-impl Block {
-    fn of(cost: f64, rows: &[Row]) -> Self {
-        let mut numbers: Vec<usize> = rows.iter().flat_map(|r| r.columns.iter().map(|c| c.0)).collect();
-        numbers.sort_unstable();
-        numbers.dedup();
-        let k = numbers.len();
-        let mut sum = Self { cost, matrix: vec![0.0; k * k], ..Self::default() };
-        sum.columns = numbers.iter().map(|&n| (n, 0.0, DVec3::ZERO)).collect();
-        for row in rows {
-            let (p, w) = (row.point, row.weight);
-            sum.point += DMat3::from_cols(p * p.x, p * p.y, p * p.z) * w;
-            sum.point_gradient += p * (row.residual * w);
-            let places: Vec<usize> =
-                row.columns.iter().map(|c| numbers.binary_search(&c.0).unwrap_or(0)).collect();
-            for (&i, (_, a)) in places.iter().zip(&row.columns) {
-                sum.columns[i].1 += a * row.residual * w;
-                sum.columns[i].2 += p * (a * w);
-                for (&j, (_, b)) in places.iter().zip(&row.columns) {
-                    sum.matrix[i * k + j] += a * b * w;
-                }
-            }
-        }
-        sum
-    }
-}
-
-impl Normal {
-    fn take_blocks(&mut self) {
-        let n = self.gradient.len();
-        for block in &self.blocks {
-            self.cost += block.cost;
-            let eliminated = inverse(block.point);
-            let k = block.columns.len();
-            for (i, (row, gradient, mixed)) in block.columns.iter().enumerate() {
-                let through = eliminated * *mixed;
-                self.gradient[*row] += gradient - through.dot(block.point_gradient);
-                for (j, (column, _, other)) in block.columns.iter().enumerate() {
-                    self.matrix[row * n + column] += block.matrix[i * k + j] - through.dot(*other);
-                }
-            }
-        }
-    }
-
-    /// A residual that depends on unknowns alone.
-    fn add(&mut self, terms: &[(usize, f64)], residual: f64, sigma: f64) {
-        let n = self.gradient.len();
-        let weight = 1.0 / (sigma * sigma);
-        self.cost += weight * residual * residual;
-        for &(row, a) in terms {
-            self.gradient[row] += weight * a * residual;
-            for &(column, b) in terms {
-                self.matrix[row * n + column] += weight * a * b;
-            }
-        }
-    }
 
     /// Motions change slowly; intrinsics, frame and scale stay where nothing says otherwise.
-    fn add_priors(&mut self, chain: &Chain, start: &Chain, layout: &Layout, noise: &ChainNoise) {
-        for ((own, was), (at, free)) in chain.cameras.iter().zip(&start.cameras).zip(&layout.cameras) {
+    fn add_priors(&self, normal: &mut Normal, start: &Self, layout: &Layout, noise: &ChainNoise) {
+        for ((own, was), (at, free)) in self.cameras.iter().zip(&start.cameras).zip(&layout.cameras) {
             let (focals, scale) = (own.model.num_focals(), was.mean_focal());
             for (k, &i) in free.iter().enumerate() {
                 let (off, sigma) = if i < focals {
@@ -458,76 +437,35 @@ impl Normal {
                 } else {
                     (own.params[i], DISTORTION)
                 };
-                self.add(&[(at + k, 1.0)], off, sigma);
+                normal.add(&[(at + k, 1.0)], off, sigma);
             }
         }
-        for ((own, was), at) in chain.frames.iter().zip(&start.frames).zip(&layout.frames) {
+        for ((own, was), at) in self.frames.iter().zip(&start.frames).zip(&layout.frames) {
             let (Some((_, own)), Some((_, was)), Some(at)) = (own, was, at) else { continue };
             let turn = (own.rotation * was.rotation.conjugate()).to_scaled_axis();
             let shift = own.translation - was.translation;
             for (k, e) in turn.to_array().into_iter().chain(shift.to_array()).enumerate() {
-                self.add(&[(at + k, 1.0)], e, HELD);
+                normal.add(&[(at + k, 1.0)], e, HELD);
             }
         }
-        for triple in chain.triples() {
-            self.add_unsteadiness(&triple, layout, noise);
+        for triple in self.triples() {
+            triple.add_to(normal, layout, noise);
         }
-        let free = chain.ties.iter().map(|t| t.ratio.is_none());
-        for ((path, at), _) in chain.joints.iter().zip(&layout.joints).zip(free).filter(|j| j.1) {
-            self.add(&[(at.angles, 1.0)], path.angles[0], ANCHOR);
+        let free = self.ties.iter().map(|t| t.ratio.is_none());
+        for ((path, at), _) in self.joints.iter().zip(&layout.joints).zip(free).filter(|j| j.1) {
+            normal.add(&[(at.angles, 1.0)], path.angles[0], ANCHOR);
             for (i, (change, by_angle)) in path.changes().enumerate() {
                 let terms = [0, 1, 2].map(|k| (at.angles + i + k, by_angle[k]));
-                self.add(&terms, change, path.bend);
+                normal.add(&terms, change, path.bend);
             }
         }
     }
 
-    fn add_unsteadiness(&mut self, triple: &Triple, layout: &Layout, noise: &ChainNoise) {
-        let here = triple.unsteadiness();
-        let mut terms: [Vec<(usize, f64)>; 6] = Default::default();
-        for i in 0..3 {
-            let Some(at) = layout.frames[triple.frames[i]] else { return };
-            for k in 0..6 {
-                let by = 1e-6;
-                let other = |sign: f64| {
-                    let mut step = [0.0; 6];
-                    step[k] = sign * by;
-                    let mut all = *triple;
-                    all.poses[i] = moved(&triple.poses[i], &step);
-                    all.unsteadiness()
-                };
-                let (up, down) = (other(1.0), other(-1.0));
-                for (terms, (up, down)) in terms.iter_mut().zip(up.into_iter().zip(down)) {
-                    terms.push((at + k, (up - down) / (2.0 * by)));
-                }
-            }
-        }
-        for (k, (terms, e)) in terms.iter().zip(here).enumerate() {
-            self.add(terms, e, noise.body[k / 3]);
-        }
-    }
-
-    fn evidence(&self, chain: &Chain) -> f64 {
-        let n = self.gradient.len();
-        let Some(l) = cholesky(self.matrix.clone(), n) else { return f64::NEG_INFINITY };
-        let half_log: f64 = (0..n).map(|i| l[i * n + i].ln()).sum();
-        let free = chain.joints.iter().zip(&chain.ties).filter(|j| j.1.ratio.is_none());
+    /// Logarithm of the evidence (Laplace).
+    fn evidence(&self, normal: &Normal) -> f64 {
+        let Some(half_log) = normal.half_log_determinant() else { return f64::NEG_INFINITY };
+        let free = self.joints.iter().zip(&self.ties).filter(|j| j.1.ratio.is_none());
         let bends = free.map(|(j, _)| j.angles.len().saturating_sub(2) as f64 * j.bend.ln() + ANCHOR.ln());
-        -0.5 * self.cost - half_log - bends.sum::<f64>()
-    }
-
-    /// A step of the unknowns and of each point.
-    fn step(&self, lambda: f64) -> Option<(Vec<f64>, Vec<DVec3>)> {
-        let n = self.gradient.len();
-        let mut damped = self.matrix.clone();
-        (0..n).for_each(|i| damped[i * n + i] *= 1.0 + lambda);
-        let l = cholesky(damped, n)?;
-        let step = solved(&l, &self.gradient.iter().map(|g| -g).collect::<Vec<f64>>());
-        let moves = self.blocks.iter().map(|b| {
-            let pulled: DVec3 = b.columns.iter().map(|(c, _, mixed)| *mixed * step[*c]).sum();
-            inverse(b.point) * -(b.point_gradient + pulled)
-        });
-        let moves = moves.collect();
-        step.iter().all(|s| s.is_finite()).then_some((step, moves))
+        -0.5 * normal.cost - half_log - bends.sum::<f64>()
     }
 }

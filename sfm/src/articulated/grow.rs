@@ -73,12 +73,8 @@ impl Growth<'_, '_> {
         self.merged(again.filter(|(path, own)| self.is_part(path, own)).collect())
     }
 
-    /// The parts as they are, with their tracks.
-    pub(super) fn kept(&self, parts: &[JointPath]) -> Vec<(JointPath, Vec<usize>)> {
-        self.owned(parts).into_iter().filter(|(path, own)| self.is_part(path, own)).collect()
-    }
-
-    fn owned(&self, parts: &[JointPath]) -> Vec<(JointPath, Vec<usize>)> {
+    /// The parts with their tracks.
+    pub(super) fn owned(&self, parts: &[JointPath]) -> Vec<(JointPath, Vec<usize>)> {
         let assigned = self.assigned(parts);
         let own = |k: usize| assigned.iter().filter(|a| a.1 == Some(k)).map(|a| a.0).collect();
         parts.iter().enumerate().map(|(k, path)| (path.clone(), own(k))).collect()
@@ -240,7 +236,7 @@ impl Growth<'_, '_> {
 
     /// Whether it is a part that has a place in the picture to itself: reflections go over what
     /// stands still.
-    fn is_part(&self, path: &JointPath, own: &[usize]) -> bool {
+    pub(super) fn is_part(&self, path: &JointPath, own: &[usize]) -> bool {
         let own: Vec<usize> =
             own.iter().copied().filter(|i| self.still.binary_search(i).is_err()).collect();
         let own = &own[..];

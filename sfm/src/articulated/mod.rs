@@ -9,6 +9,7 @@
 mod adjust;
 mod grow;
 mod joint;
+mod normal;
 mod posed;
 mod search;
 #[cfg(test)]
@@ -20,7 +21,7 @@ use adjust::{Chain, ChainNoise, Member, Tie};
 use crate::statistics::median;
 use glam::{DQuat, DVec3};
 use grow::Growth;
-use joint::JointPath;
+use joint::{JointPath, JointSigmas};
 use posed::{PosedFrame, PosedTrack};
 use rayon::prelude::*;
 use crate::triangulation::{PointView, nearest_to_rays, refine_point};
@@ -210,52 +211,44 @@ fn in_unit(
             break;
         }
         progress.tick()?;
-        for (p, own) in &parts { eprintln!("DBG bend {:.1e} {} axis {:.3} place {:.3} turn {:.1} f {:?}", p.bend, own.len(), p.axis, p.place, p.angles.last().unwrap().to_degrees(), chain.cameras[0].params); }
-        chain = adjusted(tracks, &chain, parts, seed);
-        let frames = chain.posed();
-        let scene = Scene::of(tracks, &frames);
-        let growth = scene.growth(&chain.times, seed);
-        let is_last = round + 1 == ADJUSTMENTS;
-        parts = if is_last { growth.kept(&chain.joints) } else { growth.shared_out(&chain.joints) };
+        chain = adjusted(tracks, &chain, &parts);
+        if round + 1 < ADJUSTMENTS {
+            let frames = chain.posed();
+            let scene = Scene::of(tracks, &frames);
+            parts = scene.growth(&chain.times, seed).shared_out(&chain.joints);
+        }
     }
-    let found = told(tracks, &chain, &parts);
+    let found = told(tracks, &chain, seed);
     Ok((found, chain))
 }
 
 /// What is told of the parts.
-fn told(tracks: &[KltTrack], chain: &Chain, parts: &[(JointPath, Vec<usize>)]) -> Articulation {
+fn told(tracks: &[KltTrack], chain: &Chain, seed: u64) -> Articulation {
     let frames = chain.posed();
     let scene = Scene::of(tracks, &frames);
-    for (path, own) in parts {
-        eprintln!("DBG part {:.3} {:.3}", path.axis, path.place);
-        for lo in (0..chain.frames.len()).step_by(10) {
-            let mine: Vec<&PosedTrack<'_>> = own.iter().map(|&i| &scene.all[i]).filter(|t| { let m = t.views[t.views.len() / 2].0; m >= lo && m < lo + 10 }).collect();
-            let mut e: Vec<(f64, f64, usize, f64)> = mine.iter().filter_map(|t| { let (x, e) = t.point(path)?; Some((e, t.still()?.1, t.views.len(), (x - path.place).reject_from_normalized(path.axis).length())) }).collect();
-            e.sort_by(|a, b| a.0.total_cmp(&b.0));
-            eprintln!("DBG  {lo}: {} {:?}", mine.len(), e.iter().step_by((e.len() / 6).max(1)).map(|v| format!("{:.2}/{:.2}/{}/{:.2}", v.0, v.1, v.2, v.3)).collect::<Vec<_>>());
-        }
-    }
-    let unexplained = scene.moving - parts.iter().map(|p| p.1.len()).sum::<usize>().min(scene.moving);
-    let mut told: Vec<MovingPart> =
-        parts.iter().filter_map(|(path, own)| part_of(path, own, &scene.all, scene.worth)).collect();
-    told.sort_by_key(|p| std::cmp::Reverse(p.observations));
+    let members = scene.members(&chain.joints, &chain.times);
+    let sigmas = chain.sigmas(&members, &ChainNoise::of(chain, scene.worth)).unwrap_or_default();
+    let growth = scene.growth(&chain.times, seed);
+    let owned = growth.owned(&chain.joints).into_iter().zip(&sigmas);
+    let parts = owned.filter(|((path, own), _)| growth.is_part(path, own));
+    let mut parts: Vec<MovingPart> =
+        parts.map(|((path, own), sigmas)| part_of(&path, &own, &scene.all, sigmas)).collect();
+    parts.sort_by_key(|p| std::cmp::Reverse(p.observations));
     Articulation {
         frames: Vec::new(),
-        parts: told,
+        parts,
         noise_px: scene.noise,
         tracks: scene.all.len(),
-        unexplained,
+        unexplained: scene.all.len() - members.len(),
     }
 }
 
 /// Cameras, body and joints together; joints are tied to each other where that has more evidence.
-fn adjusted(tracks: &[KltTrack], chain: &Chain, parts: Vec<(JointPath, Vec<usize>)>, seed: u64) -> Chain {
+fn adjusted(tracks: &[KltTrack], chain: &Chain, parts: &[(JointPath, Vec<usize>)]) -> Chain {
     let frames = chain.posed();
     let scene = Scene::of(tracks, &frames);
-    let paths: Vec<JointPath> = parts.into_iter().map(|p| p.0).collect();
-    let assigned = scene.growth(&chain.times, seed).assigned(&paths);
-    let member = |(i, joint): (usize, Option<usize>)| Member { track: scene.of[i], joint };
-    let members: Vec<Member<'_>> = assigned.into_iter().map(member).collect();
+    let paths: Vec<JointPath> = parts.iter().map(|p| p.0.clone()).collect();
+    let members = scene.members(&paths, &chain.times);
     let ties = vec![Tie::default(); paths.len()];
     let start = Chain { joints: paths, ties, ..chain.clone() };
     let noise = ChainNoise::of(&start, scene.worth);
@@ -267,7 +260,6 @@ fn adjusted(tracks: &[KltTrack], chain: &Chain, parts: Vec<(JointPath, Vec<usize
         for ratio in [None, Some(1.0), Some(-1.0)] {
             let tied = best.tied(j, Tie { axis_of: Some(leader), ratio });
             let (found, own) = tied.adjusted(&members, &noise);
-            eprintln!("DBG tie {j} {leader} {ratio:?}: {own:.0} {evidence:.0}");
             if own > evidence {
                 (best, evidence) = (found, own);
             }
@@ -287,8 +279,6 @@ struct Scene<'a> {
     /// The standard deviation that observations would have, were they independent and worth as
     /// much: a tracker's errors add up along a track.
     worth: f64,
-    /// How many the body does not explain.
-    moving: usize,
 }
 
 impl<'a> Scene<'a> {
@@ -299,13 +289,17 @@ impl<'a> Scene<'a> {
         let noise = median(errors.iter().copied().flatten().collect()).max(LEAST_NOISE_PX);
         let is_still = |&i: &usize| errors[i].is_some_and(|e| e <= MOVING * noise);
         let still: Vec<usize> = (0..all.len()).filter(is_still).collect();
-        let moving = all.len() - still.len();
         let sums = still.par_iter().filter_map(|&i| Some(all[i].correlation(all[i].still()?.0)));
         let sums = sums.reduce(|| [0.0; 2], |a, b| [a[0] + b[0], a[1] + b[1]]);
         let rho = (sums[0] / sums[1].max(f64::MIN_POSITIVE)).clamp(0.0, 0.9);
         let worth = noise * ((1.0 + rho) / (1.0 - rho)).sqrt();
-        eprintln!("DBG rho {rho:.3} noise {noise:.3} worth {worth:.3}");
-        Self { all, of, still, noise, worth, moving }
+        Self { all, of, still, noise, worth }
+    }
+
+    /// Tracks that the body or a joint explains.
+    fn members(&self, joints: &[JointPath], times: &Arc<[f64]>) -> Vec<Member<'a>> {
+        let assigned = self.growth(times, 0).assigned(joints);
+        assigned.into_iter().map(|(i, joint)| Member { track: self.of[i], joint }).collect()
     }
 
     /// Tracks that the body does not explain and that may be a part's.
@@ -349,15 +343,14 @@ impl Chain {
 }
 
 /// What is told of a part whose tracks are these.
-fn part_of(path: &JointPath, own: &[usize], all: &[PosedTrack<'_>], noise: f64) -> Option<MovingPart> {
+fn part_of(path: &JointPath, own: &[usize], all: &[PosedTrack<'_>], sigmas: &JointSigmas) -> MovingPart {
     let tracks: Vec<&PosedTrack<'_>> = own.iter().map(|&i| &all[i]).collect();
-    let sigmas = path.sigmas(&tracks, noise)?;
     let found: Vec<(DVec3, f64)> = tracks.iter().filter_map(|t| t.point(path)).collect();
     let middle = found.iter().map(|(x, _)| *x).sum::<DVec3>() / found.len().max(1) as f64;
     let rms = |squares: Vec<f64>| (squares.iter().sum::<f64>() / squares.len().max(1) as f64).sqrt();
     let still = tracks.iter().filter_map(|t| t.still()).map(|s| s.1 * s.1).collect();
     let observations = tracks.iter().map(|t| t.views.len()).sum();
-    Some(MovingPart {
+    MovingPart {
         axis: path.axis.to_array(),
         place: (path.place + path.axis * (middle - path.place).dot(path.axis)).to_array(),
         axis_sigma_deg: sigmas.axis.to_degrees(),
@@ -369,7 +362,7 @@ fn part_of(path: &JointPath, own: &[usize], all: &[PosedTrack<'_>], noise: f64) 
         error_px: rms(found.iter().map(|(_, e)| e * e).collect()),
         still_error_px: rms(still),
         points: found.iter().map(|(x, _)| x.to_array()).collect(),
-    })
+    }
 }
 
 impl MovingPart {
