@@ -87,6 +87,8 @@ pub enum Command {
     Export(ExportArgs),
     /// Measure the surface: dimensions, planes, discs, cylinders, angles
     Measure(MeasureArgs),
+    /// Look for parts that turn on joints while the object is filmed: axes, angles by frame
+    Parts(PartsArgs),
     /// Compare poses with those of COLMAP or a ground truth
     Compare(CompareArgs),
     /// Quality against time: trains at several presets and time limits, draws the curve
@@ -391,6 +393,22 @@ pub struct MeasureArgs {
     #[arg(long, default_value_t = splat::fusion::DEFAULT_RESOLUTION, value_name = "N",
           value_parser = clap::value_parser!(u32).range(16..=2048))]
     pub mesh_resolution: u32,
+    /// Seed of the random numbers
+    #[arg(long, default_value_t = 0)]
+    pub seed: u64,
+}
+
+/// What `parts` takes.
+#[derive(Args, Clone, Debug)]
+pub struct PartsArgs {
+    /// A former output folder of a video
+    pub run: PathBuf,
+    /// The record (default: parts.json in the former output folder)
+    #[arg(short, long, value_name = "FILE")]
+    pub output: Option<PathBuf>,
+    /// How points are followed.
+    #[command(flatten)]
+    pub klt: sfm::KltConfig,
     /// Seed of the random numbers
     #[arg(long, default_value_t = 0)]
     pub seed: u64,
