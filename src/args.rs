@@ -403,8 +403,8 @@ pub struct MeasureArgs {
 pub struct PartsArgs {
     /// A former output folder of a video
     pub run: PathBuf,
-    /// The record (default: parts.json in the former output folder)
-    #[arg(short, long, value_name = "FILE")]
+    /// Folder for the record and the corrected model (default: parts in the former output folder)
+    #[arg(short, long, value_name = "DIR")]
     pub output: Option<PathBuf>,
     /// How points are followed.
     #[command(flatten)]

@@ -1,4 +1,5 @@
-//! `parts`: parts of the object that turn on joints while it is filmed, as a table and `parts.json`.
+//! `parts`: parts of the object that turn on joints while it is filmed, as a table and `parts.json`,
+//! with the model that their motion no longer bends.
 
 use crate::args::PartsArgs;
 use crate::outcome::Outcome;
@@ -10,8 +11,8 @@ use scene::{FrameSet, Progress};
 use sfm::{Articulation, MovingPart, moving_parts};
 use std::fmt::Write as _;
 
-/// The record, in a run's folder.
-const FILE: &str = "parts.json";
+/// What is written, in a run's folder.
+const FOLDER: &str = "parts";
 
 /// Looks for parts in the frames of a run.
 pub(crate) fn run(args: &PartsArgs, verbosity: Verbosity, json: bool) -> Result<Outcome> {
@@ -27,16 +28,19 @@ pub(crate) fn run(args: &PartsArgs, verbosity: Verbosity, json: bool) -> Result<
     let model = scene::io::read_model(&run.join("sparse/0"))
         .with_context(|| format!("{} has no poses", run.display()))?;
     let progress = Progress::new(Box::new(TerminalSink::new(verbosity, None)), &CANCELLED);
-    let (found, _) = moving_parts(&frames, &model, &args.klt, args.seed, &progress)?;
-    let path = args.output.clone().unwrap_or_else(|| run.join(FILE));
-    write_json(&path, &found)?;
+    let (found, corrected) = moving_parts(&frames, &model, &args.klt, args.seed, &progress)?;
+    let folder = args.output.clone().unwrap_or_else(|| run.join(FOLDER));
+    let sparse = folder.join("sparse/0");
+    std::fs::create_dir_all(&sparse).with_context(|| format!("cannot make {}", sparse.display()))?;
+    scene::io::write_model_bin(&corrected, &sparse)?;
+    write_json(&folder.join("parts.json"), &found)?;
     if json {
         print(&serde_json::to_string_pretty(&found)?)?;
     } else {
         print(&text(&found))?;
     }
     if verbosity > Verbosity::Quiet {
-        say(&format!("wrote {}", path.display()));
+        say(&format!("wrote {}", folder.display()));
     }
     Ok(Outcome::Done)
 }
