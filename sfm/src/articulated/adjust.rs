@@ -324,7 +324,8 @@ impl Chain {
 
     /// Holds the first frame's pose, and the distance to the farthest: frame and scale are free.
     fn hold_frame(&self, normal: &mut Normal, layout: &Layout) {
-        let posed = || self.frames.iter().zip(&layout.frames).filter_map(|(f, at)| Some((f.as_ref()?.1, (*at)?)));
+        let posed =
+            || self.frames.iter().zip(&layout.frames).filter_map(|(f, at)| Some((f.as_ref()?.1, (*at)?)));
         let Some((first, at)) = posed().next() else { return };
         (0..6).for_each(|k| normal.add(&[(at + k, 1.0)], 0.0, ANCHOR));
         let centre = first.centre();
@@ -381,7 +382,9 @@ impl Chain {
             let squared = residual[0] * residual[0] + residual[1] * residual[1];
             let (own, weight) = cauchy(squared, ROBUST * noise.pixel);
             cost += scale * own;
-            let (Some((camera, pose)), Some(at)) = (self.frames[frame], layout.frames[frame]) else { continue };
+            let (Some((camera, pose)), Some(at)) = (self.frames[frame], layout.frames[frame]) else {
+                continue;
+            };
             let turned = pose.rotation * motion.transform(x);
             let intrinsics = self.by_intrinsics(camera, &view, x, &layout.cameras[camera].1);
             let joint = member.joint.map(|j| {
@@ -391,8 +394,11 @@ impl Chain {
             for (r, (residual, by_point)) in residual.into_iter().zip(by_point).enumerate() {
                 // `by_point` is by the place in the part at rest.
                 let in_camera = view.pose.rotation * by_point;
-                let mut columns: Vec<(usize, f64)> =
-                    intrinsics.iter().enumerate().map(|(k, d)| (layout.cameras[camera].0 + k, d[r])).collect();
+                let mut columns: Vec<(usize, f64)> = intrinsics
+                    .iter()
+                    .enumerate()
+                    .map(|(k, d)| (layout.cameras[camera].0 + k, d[r]))
+                    .collect();
                 let turn = turned.cross(in_camera);
                 let by_pose = [turn.x, turn.y, turn.z, in_camera.x, in_camera.y, in_camera.z];
                 columns.extend(by_pose.into_iter().enumerate().map(|(k, d)| (at + k, d)));

@@ -1,9 +1,9 @@
 //! From a joint that explains a few tracks over a few frames to one for all frames.
 
+use super::MOVING;
 use super::joint::JointPath;
 use super::posed::{LEAST_VIEWS, PosedTrack};
 use super::search::joints;
-use super::MOVING;
 use crate::statistics::median;
 use glam::DVec3;
 use rand::Rng as _;
@@ -54,7 +54,8 @@ pub(super) struct Growth<'t, 'a> {
 /// Whether a joint has tracks enough, and an angle that changes.
 fn turns(path: &JointPath, own: &[usize]) -> bool {
     let angles = path.angles.iter().copied();
-    let (least, most) = (angles.clone().fold(f64::INFINITY, f64::min), angles.fold(f64::NEG_INFINITY, f64::max));
+    let (least, most) =
+        (angles.clone().fold(f64::INFINITY, f64::min), angles.fold(f64::NEG_INFINITY, f64::max));
     own.len() >= LEAST_TRACKS && most - least >= LEAST_TURN
 }
 
@@ -237,8 +238,7 @@ impl Growth<'_, '_> {
     /// Whether it is a part that has a place in the picture to itself: reflections go over what
     /// stands still.
     pub(super) fn is_part(&self, path: &JointPath, own: &[usize]) -> bool {
-        let own: Vec<usize> =
-            own.iter().copied().filter(|i| self.still.binary_search(i).is_err()).collect();
+        let own: Vec<usize> = own.iter().copied().filter(|i| self.still.binary_search(i).is_err()).collect();
         let own = &own[..];
         if !turns(path, own) {
             return false;

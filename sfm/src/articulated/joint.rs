@@ -109,8 +109,7 @@ impl JointPath {
         for _ in 0..rounds {
             let Some((step, moves)) = normal.step(lambda) else { break };
             let trial = best.stepped(&step);
-            let moved: Vec<Option<DVec3>> =
-                points.iter().zip(moves).map(|(p, m)| p.map(|p| p + m)).collect();
+            let moved: Vec<Option<DVec3>> = points.iter().zip(moves).map(|(p, m)| p.map(|p| p + m)).collect();
             let next = trial.normal(tracks, &moved, pixel);
             if next.cost < normal.cost {
                 let small = normal.cost - next.cost < 1e-6 * normal.cost;

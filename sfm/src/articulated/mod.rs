@@ -17,17 +17,17 @@ mod tests;
 
 use crate::error::SfmError;
 use crate::klt::{KltConfig, KltTrack, track};
-use adjust::{Chain, ChainNoise, Member, Tie};
 use crate::statistics::median;
+use crate::triangulation::{PointView, nearest_to_rays, refine_point};
+use adjust::{Chain, ChainNoise, Member, Tie};
 use glam::{DQuat, DVec3};
 use grow::Growth;
 use joint::{JointPath, JointSigmas};
 use posed::{PosedFrame, PosedTrack};
 use rayon::prelude::*;
-use crate::triangulation::{PointView, nearest_to_rays, refine_point};
 use scene::{FrameSet, Pose, Progress, Reconstruction, ScenePoint, TrackElement};
-use std::collections::BTreeMap;
 use serde::{Deserialize, Serialize};
+use std::collections::BTreeMap;
 use std::sync::Arc;
 
 /// A track that leaves more than so many times the usual error as a part of the body is looked at.
@@ -153,7 +153,13 @@ impl Unit {
 
     /// The model with the cameras and poses of the chain, without points that leave a greater error
     /// (pixels).
-    fn corrected(&self, model: &Reconstruction, chain: &Chain, names: &[String], most: f64) -> Reconstruction {
+    fn corrected(
+        &self,
+        model: &Reconstruction,
+        chain: &Chain,
+        names: &[String],
+        most: f64,
+    ) -> Reconstruction {
         let mut next = model.clone();
         next.cameras.values_mut().zip(&chain.cameras).for_each(|(own, camera)| own.clone_from(camera));
         for image in next.images.values_mut() {
@@ -337,7 +343,8 @@ impl Growth<'_, '_> {
 
 impl Chain {
     fn posed(&self) -> Vec<Option<PosedFrame<'_>>> {
-        let posed = |f: &Option<(usize, Pose)>| f.map(|(c, pose)| PosedFrame { pose, camera: &self.cameras[c] });
+        let posed =
+            |f: &Option<(usize, Pose)>| f.map(|(c, pose)| PosedFrame { pose, camera: &self.cameras[c] });
         self.frames.iter().map(posed).collect()
     }
 }

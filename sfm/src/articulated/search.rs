@@ -66,7 +66,17 @@ pub(super) fn joints(
             let (cost, turning) = improved(&rays, start, &since);
             let place = solve(&rays, turning, &since)?.1;
             let angles = since.iter().map(|t| turning.rate * t).collect();
-            Some((cost, JointPath { axis: turning.axis, place, first: frames.start, angles, bend: FIRST_BEND, times: times.clone() }))
+            Some((
+                cost,
+                JointPath {
+                    axis: turning.axis,
+                    place,
+                    first: frames.start,
+                    angles,
+                    bend: FIRST_BEND,
+                    times: times.clone(),
+                },
+            ))
         })
         .collect();
     best.sort_by(|a, b| a.0.total_cmp(&b.0));

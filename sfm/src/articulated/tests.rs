@@ -56,9 +56,16 @@ impl True {
 }
 
 fn object(parts: &[True], noise: f64, seed: u64) -> Articulation {
+    object_by(&camera(), parts, noise, seed).0
+}
+
+/// As `object`, for poses that were found with a camera of another focal length: as much farther away.
+fn object_by(assumed: &Camera, parts: &[True], noise: f64, seed: u64) -> (Articulation, Chain) {
     let mut rng = scene::rng::rng(seed, "articulated tests", 0);
     let mut tracks = Vec::new();
-    let random = |rng: &mut scene::rng::Rng, half: DVec3| half * DVec3::from([0; 3].map(|_| rng.random_range(-1.0..1.0)));
+    let random = |rng: &mut scene::rng::Rng, half: DVec3| {
+        half * DVec3::from([0; 3].map(|_| rng.random_range(-1.0..1.0)))
+    };
     for _ in 0..80 {
         let x = random(&mut rng, DVec3::new(0.15, 0.15, 0.2));
         // The body hides its far side.
@@ -78,10 +85,13 @@ fn object(parts: &[True], noise: f64, seed: u64) -> Articulation {
             tracks.extend(tracks_of(&mut rng, noise, |k| part.at(k, x)));
         }
     }
-    let frames = poses().into_iter().map(|pose| Some((0, pose))).collect();
+    let farther = assumed.mean_focal() / camera().mean_focal();
+    let pose =
+        |p: Pose| Pose::new(p.rotation, p.translation + DVec3::Z * p.translation.length() * (farther - 1.0));
+    let frames = poses().into_iter().map(|p| Some((0, pose(p)))).collect();
     let times = (0..FRAMES).map(|k| k as f64).collect();
-    let chain = Chain { cameras: vec![camera()], frames, joints: Vec::new(), ties: Vec::new(), times };
-    in_unit(&tracks, chain, 0, &Progress::silent()).unwrap().0
+    let chain = Chain { cameras: vec![assumed.clone()], frames, joints: Vec::new(), ties: Vec::new(), times };
+    in_unit(&tracks, chain, 0, &Progress::silent()).unwrap()
 }
 
 /// Degrees between the axes, distance of the true place from the line, degrees RMS of the angles.
@@ -98,21 +108,44 @@ fn errors(found: &MovingPart, truth: &True) -> [f64; 3] {
     [axis.cross(truth.axis).length().asin().to_degrees(), off.length(), rms]
 }
 
-#[test]
-fn two_arrays_and_their_joints_are_found() {
-    let arrays = [1.0, -1.0].map(|side| True {
-        axis: DVec3::X,
+/// Two arrays on one axis that turn against each other.
+fn arrays() -> [True; 2] {
+    [1.0, -1.0].map(|side| True {
+        axis: DVec3::X * side,
         place: DVec3::new(0.35 * side, 0.0, 0.03),
         angle: |k| 0.026 * k as f64,
-    });
-    let arrays = arrays.map(|a| True { axis: a.axis * a.place.x.signum(), ..a });
+    })
+}
+
+#[test]
+fn the_parts_correct_a_focal_length() {
+    let wrong = Camera::centred(1, CameraModel::Pinhole, 640, 480, 650.0);
+    let (found, chain) = object_by(&wrong, &arrays(), 0.2, 1);
+    assert_eq!(found.parts.len(), 2);
+    let focal = chain.cameras[0].mean_focal();
+    assert!((focal - 600.0).abs() < 12.0, "{focal}");
+}
+
+#[test]
+fn two_arrays_and_their_joints_are_found() {
+    let arrays = arrays();
     let found = object(&arrays, 0.2, 1);
-    assert_eq!(found.parts.len(), 2, "{:?}", found.parts.iter().map(|p| (p.tracks, p.axis)).collect::<Vec<_>>());
+    assert_eq!(
+        found.parts.len(),
+        2,
+        "{:?}",
+        found.parts.iter().map(|p| (p.tracks, p.axis)).collect::<Vec<_>>()
+    );
     for part in &found.parts {
         let truth = arrays.iter().find(|a| a.place.x * part.place[0] > 0.0).unwrap();
         let [axis, place, angle] = errors(part, truth);
         assert!(axis < 0.5 && place < 0.005 && angle < 0.5, "{axis}° {place} {angle}°");
-        assert!(part.axis_sigma_deg < 0.5 && part.place_sigma < 0.005, "{} {}", part.axis_sigma_deg, part.place_sigma);
+        assert!(
+            part.axis_sigma_deg < 0.5 && part.place_sigma < 0.005,
+            "{} {}",
+            part.axis_sigma_deg,
+            part.place_sigma
+        );
     }
 }
 
@@ -139,6 +172,19 @@ fn a_rigid_object_has_no_parts() {
 
 #[test]
 fn nothing_to_follow_gives_nothing() {
-    let found = in_unit(&[], Chain { cameras: Vec::new(), frames: Vec::new(), joints: Vec::new(), ties: Vec::new(), times: Arc::new([]) }, 0, &Progress::silent()).unwrap().0;
+    let found = in_unit(
+        &[],
+        Chain {
+            cameras: Vec::new(),
+            frames: Vec::new(),
+            joints: Vec::new(),
+            ties: Vec::new(),
+            times: Arc::new([]),
+        },
+        0,
+        &Progress::silent(),
+    )
+    .unwrap()
+    .0;
     assert!(found.parts.is_empty() && found.tracks == 0);
 }
