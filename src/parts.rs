@@ -1,5 +1,5 @@
-//! `parts`: parts of the object that turn on joints while it is filmed, as a table and `parts.json`,
-//! with the model that their motion no longer bends.
+//! `parts`: parts of the object that turn on joints while it is filmed, as a table and
+//! `parts.json`, with the model that their motion no longer bends.
 
 use crate::args::PartsArgs;
 use crate::outcome::Outcome;
