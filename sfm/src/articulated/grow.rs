@@ -1,54 +1,47 @@
 //! From a joint that explains a few tracks over a few frames to one for all frames.
 
-use super::MOVING;
 use super::joint::JointPath;
-use super::posed::{LEAST_VIEWS, PosedTrack};
+use super::limits::{BELONGS, BENDS, GROUP, LEAST_TRACKS, LEAST_TURN, LEAST_VIEWS, MOVING};
+use super::posed::PosedTrack;
 use super::search::joints;
+use crate::error::SfmError;
 use crate::statistics::median;
 use glam::DVec3;
 use rand::Rng as _;
 use rayon::prelude::*;
+use scene::Progress;
 use std::ops::Range;
 use std::sync::Arc;
 
-/// Groups of neighbouring tracks that are tried. Source: derived: a part with a tenth of the odd
-/// tracks is met four times.
-const GROUPS: usize = 40;
-/// A track belongs to a part that leaves no more than so many times the usual error. Source: two
-/// standard deviations; what is left over is looked at for other parts.
-const BELONGS: f64 = 2.0;
-/// Tracks of a group, and frames over which it is looked at. Source: derived: an axis, a rate and
-/// ten points from over a hundred observations; an angle is nearly steady over so short a time.
-const GROUP: [usize; 2] = [10, 20];
-/// A part has so many tracks. Source: chosen by hand, never measured.
-const LEAST_TRACKS: usize = 10;
-/// Standard deviation of the change of rate from frame to frame before anything is known, radians.
-/// Source: derived: half a degree, more than motors do.
-pub(super) const FIRST_BEND: f64 = 0.009;
-/// It is never taken for less, radians. Source: derived: adds up to a degree over 100 frames.
-const LEAST_BEND: f64 = 3e-5;
-/// Ratio of those that are tried.
-const BENDS: f64 = 3.0;
-/// A part turns by so much, radians, or it is an error of the poses. Source: chosen by hand.
-const LEAST_TURN: f64 = 0.05;
-/// Two parts are one if one joint explains such a share of the tracks of each. Source: chosen by
-/// hand, never measured.
-const TOGETHER: f64 = 0.8;
-/// Of a place's neighbours in the picture so many are asked which motion they follow. Source:
-/// chosen by hand, never measured.
-const NEIGHBOURS: usize = 6;
-
 /// All tracks, what is known of them, and of when.
 pub(super) struct Growth<'t, 'a> {
+    /// Tracks long enough to tell.
     pub all: &'t [PosedTrack<'a>],
     /// Those that the body explains.
     pub still: &'t [usize],
+    /// Standard deviation of an observation of the body, pixels.
     pub noise: f64,
-    /// What an observation counts as, were it independent of others.
+    /// What it counts as, were it independent of others.
     pub worth: f64,
     /// When the frames were taken; the usual time between two is 1.
     pub times: &'t Arc<[f64]>,
+    /// Of the random choices.
     pub seed: u64,
+}
+
+/// What may explain a track: the body or a joint, and its place at rest that follows.
+#[derive(Clone, Copy)]
+struct Explanation {
+    joint: Option<usize>,
+    place: DVec3,
+}
+
+impl Explanation {
+    /// The squared distance to the nearest of the places that have the same explanation.
+    fn away(&self, sure: &[Self]) -> f64 {
+        let same = sure.iter().filter(|s| s.joint == self.joint);
+        same.map(|s| s.place.distance_squared(self.place)).fold(f64::INFINITY, f64::min)
+    }
 }
 
 /// Whether a joint has tracks enough, and an angle that changes.
@@ -60,9 +53,25 @@ fn turns(path: &JointPath, own: &[usize]) -> bool {
 }
 
 impl Growth<'_, '_> {
+    /// Parts among the tracks `rest`, one after the other, and then each track with what explains
+    /// it.
+    pub(super) fn found(
+        &self,
+        mut rest: Vec<usize>,
+        progress: &Progress,
+    ) -> Result<Vec<(JointPath, Vec<usize>)>, SfmError> {
+        let mut paths = Vec::new();
+        while let Some((path, own)) = self.part(&rest, paths.len() as u64) {
+            progress.check()?;
+            rest.retain(|i| !own.contains(i));
+            paths.push(path);
+        }
+        Ok(self.shared_out(&paths))
+    }
+
     /// The joint that explains most of the tracks `odd`, over all frames, and which it explains;
     /// `None` where no part is found.
-    pub(super) fn part(&self, odd: &[usize], number: u64) -> Option<(JointPath, Vec<usize>)> {
+    fn part(&self, odd: &[usize], number: u64) -> Option<(JointPath, Vec<usize>)> {
         let (start, _) = self.seeds(odd, number).into_iter().max_by_key(|s| s.1)?;
         let (path, own) = self.grown(start, odd);
         turns(&path, &own).then_some((path, own))
@@ -71,69 +80,43 @@ impl Growth<'_, '_> {
     /// Parts again, each track with what explains it.
     pub(super) fn shared_out(&self, parts: &[JointPath]) -> Vec<(JointPath, Vec<usize>)> {
         let again = self.owned(parts).into_iter().map(|(path, own)| (self.settled(&path, &own), own));
-        self.merged(again.filter(|(path, own)| self.is_part(path, own)).collect())
+        again.filter(|(path, own)| self.is_part(path, own)).collect()
     }
 
     /// The parts with their tracks.
     pub(super) fn owned(&self, parts: &[JointPath]) -> Vec<(JointPath, Vec<usize>)> {
         let assigned = self.assigned(parts);
-        let own = |k: usize| assigned.iter().filter(|a| a.1 == Some(k)).map(|a| a.0).collect();
-        parts.iter().enumerate().map(|(k, path)| (path.clone(), own(k))).collect()
+        let owned = parts.iter().enumerate().map(|(k, path)| {
+            let own = assigned.iter().filter(|a| a.1 == Some(k));
+            (path.clone(), own.map(|a| a.0).collect())
+        });
+        owned.collect()
     }
 
     /// Each track that the body or a joint explains, and which. While a part hardly moves, both
-    /// explain its tracks: of these it has those that lie nearer to the places that only it explains
-    /// than to those that only the body does.
+    /// explain its tracks: of these it has those that lie nearer to the places that only it
+    /// explains than to those that only the body does.
     pub(super) fn assigned(&self, joints: &[JointPath]) -> Vec<(usize, Option<usize>)> {
-        let explained = |i: usize| -> Vec<(Option<usize>, DVec3)> {
-            let still = self.all[i].still().filter(|f| f.1 <= MOVING * self.noise).map(|f| (None, f.0));
-            let of_joint = |(j, path): (usize, &JointPath)| {
-                let (x, _) = self.all[i].point(path).filter(|f| f.1 <= BELONGS * self.noise)?;
-                Some((Some(j), x))
-            };
-            still.into_iter().chain(joints.iter().enumerate().filter_map(of_joint)).collect()
-        };
-        let all: Vec<Vec<(Option<usize>, DVec3)>> =
-            (0..self.all.len()).into_par_iter().map(explained).collect();
-        let sure: Vec<(Option<usize>, DVec3)> = all.iter().filter(|e| e.len() == 1).map(|e| e[0]).collect();
-        let away = |(of, x): &(Option<usize>, DVec3)| {
-            let same = sure.iter().filter(|s| s.0 == *of);
-            same.map(|s| s.1.distance_squared(*x)).fold(f64::INFINITY, f64::min)
-        };
-        let nearest = |(i, found): (usize, &Vec<(Option<usize>, DVec3)>)| {
-            let best = found.iter().map(|f| (away(f), f.0)).min_by(|a, b| a.0.total_cmp(&b.0))?;
-            Some((i, best.1))
-        };
-        all.par_iter().enumerate().filter_map(nearest).collect()
+        let all: Vec<Vec<Explanation>> =
+            (0..self.all.len()).into_par_iter().map(|i| self.explanations(i, joints)).collect();
+        let sure: Vec<Explanation> = all.iter().filter(|e| e.len() == 1).map(|e| e[0]).collect();
+        let nearest = all.par_iter().enumerate().filter_map(|(i, found)| {
+            let away = found.iter().map(|e| (e.away(&sure), e.joint));
+            Some((i, away.min_by(|a, b| a.0.total_cmp(&b.0))?.1))
+        });
+        nearest.collect()
     }
 
-    /// Parts on one axis with one angle are one.
-    fn merged(&self, mut parts: Vec<(JointPath, Vec<usize>)>) -> Vec<(JointPath, Vec<usize>)> {
-        let mut i = 0;
-        while i < parts.len() {
-            let joined = (i + 1..parts.len()).find_map(|j| Some((j, self.joined(&parts[i], &parts[j])?)));
-            match joined {
-                Some((j, part)) => {
-                    parts[i] = part;
-                    parts.remove(j);
-                }
-                None => i += 1,
-            }
-        }
-        parts
-    }
-
-    /// Two parts as one, if one joint explains what both explain.
-    fn joined(
-        &self,
-        a: &(JointPath, Vec<usize>),
-        b: &(JointPath, Vec<usize>),
-    ) -> Option<(JointPath, Vec<usize>)> {
-        let both: Vec<usize> = a.1.iter().chain(&b.1).copied().collect();
-        let steadiest = if a.0.bend < b.0.bend { &a.0 } else { &b.0 };
-        let path = self.fit(steadiest, &both);
-        let kept = |own: &[usize]| self.explained(&path, own).len() as f64 / own.len().max(1) as f64;
-        (kept(&a.1) >= TOGETHER && kept(&b.1) >= TOGETHER).then_some((path, both))
+    /// All that may explain a track, the body first.
+    fn explanations(&self, track: usize, joints: &[JointPath]) -> Vec<Explanation> {
+        let track = &self.all[track];
+        let still = track.still().filter(|f| f.1 <= MOVING * self.noise);
+        let still = still.map(|(place, _)| Explanation { joint: None, place });
+        let turning = joints.iter().enumerate().filter_map(|(j, path)| {
+            let (place, _) = track.point(path).filter(|f| f.1 <= BELONGS * self.noise)?;
+            Some(Explanation { joint: Some(j), place })
+        });
+        still.into_iter().chain(turning).collect()
     }
 
     /// Joints of groups of neighbours, each with the observations it explains.
@@ -143,8 +126,9 @@ impl Growth<'_, '_> {
         if long.len() < LEAST_TRACKS {
             return Vec::new();
         }
+        let [groups, ..] = GROUP;
         let mut rng = scene::rng::rng(self.seed, "parts", number);
-        let chosen: Vec<usize> = (0..GROUPS).map(|_| long[rng.random_range(0..long.len())]).collect();
+        let chosen: Vec<usize> = (0..groups).map(|_| long[rng.random_range(0..long.len())]).collect();
         let found = chosen.into_iter().filter_map(|i| {
             let window = self.window(i);
             let group = self.group(i, &window, odd);
@@ -166,7 +150,7 @@ impl Growth<'_, '_> {
     fn window(&self, track: usize) -> Range<usize> {
         let views = &self.all[track].views;
         let (first, last) = (views[0].0, views[views.len() - 1].0 + 1);
-        let spare = (last - first).saturating_sub(GROUP[1]) / 2;
+        let spare = (last - first).saturating_sub(GROUP[2]) / 2;
         first + spare..last - spare
     }
 
@@ -183,13 +167,13 @@ impl Growth<'_, '_> {
             })
             .collect();
         near.sort_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
-        near.into_iter().take(GROUP[0]).map(|n| n.1).collect()
+        near.into_iter().take(GROUP[1]).map(|n| n.1).collect()
     }
 
     /// Which tracks are points of a part on this joint.
     fn explained(&self, path: &JointPath, odd: &[usize]) -> Vec<usize> {
-        let fits = |&i: &usize| self.all[i].point(path).is_some_and(|(_, e)| e <= BELONGS * self.noise);
-        odd.par_iter().copied().filter(fits).collect()
+        let most = BELONGS * self.noise;
+        odd.par_iter().copied().filter(|&i| self.all[i].point(path).is_some_and(|p| p.1 <= most)).collect()
     }
 
     /// The joint over all frames, a few more at a time.
@@ -213,6 +197,7 @@ impl Growth<'_, '_> {
         (path, own)
     }
 
+    /// The joint that explains these tracks best.
     fn fit(&self, path: &JointPath, own: &[usize]) -> JointPath {
         path.refined(&self.tracks(own), self.worth, 30)
     }
@@ -225,8 +210,7 @@ impl Growth<'_, '_> {
     /// nothing was seen of the part its rate is what it was before, the more so the steadier it is.
     fn settled(&self, path: &JointPath, own: &[usize]) -> JointPath {
         let tracks = self.tracks(own);
-        let tried = (0..).map(|k| LEAST_BEND * BENDS.powi(k)).take_while(|b| *b <= FIRST_BEND);
-        let tried = tried.map(|bend| {
+        let tried = BENDS.into_iter().map(|bend| {
             let start = JointPath { bend, ..path.clone() };
             let found = start.refined(&tracks, self.worth, 30);
             (found.evidence(&tracks, self.worth), found)
@@ -253,18 +237,19 @@ impl Growth<'_, '_> {
     /// Of the nearest neighbours of a track, in the middle of its time, the share that is the
     /// part's; `others` are the body's and cannot be the part's.
     fn alone(&self, track: usize, own: &[usize], others: &[usize]) -> Option<f64> {
-        let views = &self.all[track].views;
-        let (frame, view) = &views[views.len() / 2];
-        let near = |of: &[usize], part: bool| -> Vec<(f64, bool)> {
-            let others = of.iter().filter(|&&i| i != track);
-            let apart = others.filter_map(|&i| Some(self.all[i].pixel(*frame)?.distance(view.pixel)));
-            apart.map(|d| (d, part)).collect()
-        };
-        let mut all = near(own, true);
-        all.extend(near(others, false));
+        let mut all: Vec<(f64, bool)> = self.apart(track, own).into_iter().map(|d| (d, true)).collect();
+        all.extend(self.apart(track, others).into_iter().map(|d| (d, false)));
         all.sort_by(|a, b| a.0.total_cmp(&b.0));
-        all.truncate(NEIGHBOURS);
+        all.truncate(GROUP[1]);
         let part = all.iter().filter(|n| n.1).count();
         (!all.is_empty()).then(|| part as f64 / all.len() as f64)
+    }
+
+    /// How far tracks are from this one in the picture, in the middle of its time, pixels.
+    fn apart(&self, track: usize, others: &[usize]) -> Vec<f64> {
+        let views = &self.all[track].views;
+        let (frame, view) = &views[views.len() / 2];
+        let others = others.iter().filter(|&&i| i != track);
+        others.filter_map(|&i| Some(self.all[i].pixel(*frame)?.distance(view.pixel))).collect()
     }
 }

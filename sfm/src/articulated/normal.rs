@@ -5,10 +5,14 @@ use glam::{DMat3, DVec3};
 use rayon::prelude::*;
 
 /// One residual: derivatives by unknowns and by the point, weighted by its square root.
-pub(super) struct Row {
+pub(super) struct NormalRow {
+    /// Numbers of the unknowns that it depends on, and the derivatives by them.
     pub columns: Vec<(usize, f64)>,
+    /// The derivatives by the point.
     pub point: DVec3,
+    /// What is off.
     pub residual: f64,
+    /// The inverse of its variance, less where it is robustly of little weight.
     pub weight: f64,
 }
 
@@ -24,7 +28,7 @@ pub(super) struct Block {
 }
 
 /// The problem at some state.
-pub(super) struct Normal {
+pub(super) struct JointEquations {
     /// What is minimised.
     pub cost: f64,
     /// [unknowns × unknowns], full.
@@ -35,7 +39,7 @@ pub(super) struct Normal {
 
 impl Block {
     /// Of a track's rows, whose cost is known.
-    pub(super) fn of(cost: f64, rows: &[Row]) -> Self {
+    pub(super) fn of(cost: f64, rows: &[NormalRow]) -> Self {
         let mut numbers: Vec<usize> = rows.iter().flat_map(|r| r.columns.iter().map(|c| c.0)).collect();
         numbers.sort_unstable();
         numbers.dedup();
@@ -60,7 +64,7 @@ impl Block {
     }
 }
 
-impl Normal {
+impl JointEquations {
     /// Of the tracks' parts, for so many unknowns.
     pub(super) fn of(n: usize, blocks: Vec<Block>) -> Self {
         let mut all = Self { cost: 0.0, matrix: vec![0.0; n * n], gradient: vec![0.0; n], blocks };
@@ -118,13 +122,15 @@ impl Normal {
     pub(super) fn sigmas(&self) -> Option<Vec<f64>> {
         let n = self.gradient.len();
         let l = cholesky(self.matrix.clone(), n)?;
-        let sigma = |k: usize| {
-            let mut unit = vec![0.0; n];
-            unit[k] = 1.0;
-            whiten(&l, &unit).iter().map(|v| v * v).sum::<f64>().sqrt()
-        };
-        Some((0..n).into_par_iter().map(sigma).collect())
+        Some((0..n).into_par_iter().map(|k| sigma(&l, n, k)).collect())
     }
+}
+
+/// Standard deviation of one of `n` unknowns, from the lower triangular factor of their matrix.
+fn sigma(l: &[f64], n: usize, unknown: usize) -> f64 {
+    let mut unit = vec![0.0; n];
+    unit[unknown] = 1.0;
+    whiten(l, &unit).iter().map(|v| v * v).sum::<f64>().sqrt()
 }
 
 /// Zero where nothing holds the point.

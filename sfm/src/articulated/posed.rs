@@ -1,21 +1,17 @@
 //! Tracks through frames whose poses are known.
 
 use super::joint::{JointPath, at_rest};
+use super::limits::{FARTHEST, LEAST_VIEWS};
 use crate::klt::KltTrack;
 use crate::triangulation::{PointView, nearest_to_rays, refine_point};
 use glam::{DVec2, DVec3};
 use scene::{Camera, Pose};
 
-/// Points farther from the middle than so many times the object's size are none of the object.
-/// Source: derived: the object reaches to one half; poses may be as wrong again.
-const FARTHEST: f64 = 2.0;
-/// Views without which a track says nothing of a motion. Source: derived: a point and a rate leave
-/// as many numbers over as they take.
-pub(super) const LEAST_VIEWS: usize = 5;
-
 /// A frame that has a pose: camera from the object, whose middle is the origin and whose size is 1.
 pub(super) struct PosedFrame<'a> {
+    /// Camera from the object.
     pub pose: Pose,
+    /// What it was taken with.
     pub camera: &'a Camera,
 }
 

@@ -1,26 +1,14 @@
 //! A joint from a few tracks over a few frames: axes and rates are tried, and for each the place of
 //! the axis and of the points is a linear problem.
 
-use super::grow::FIRST_BEND;
 use super::joint::JointPath;
+use super::limits::{BENDS, DIRECTIONS, KEPT, TURNS_DEG};
 use super::posed::PosedTrack;
 use glam::{DMat3, DQuat, DVec3};
 use rayon::prelude::*;
 use std::f64::consts::PI;
 use std::ops::Range;
 use std::sync::Arc;
-
-/// Axes that are tried. Source: derived: every direction is within 12° of one.
-const DIRECTIONS: usize = 160;
-/// Turns over the frames that are tried, degrees, in equal ratios. Source: derived: a point at the
-/// end of the object moves by a pixel, and the largest between frames is followed.
-const TURNS_DEG: [f64; 2] = [1.5, 90.0];
-/// How many of them. Source: derived: a ratio of 1.6; the search around the best reaches between.
-const TURNS: usize = 10;
-/// Of what was tried so many are improved. Source: chosen by hand, never measured.
-const KEPT: usize = 6;
-/// Halvings of the step by which they are improved. Source: derived: from 12° to 0.2°.
-const HALVINGS: u32 = 6;
 
 /// An axis and how far the part turns in a frame's time, radians.
 #[derive(Clone, Copy, Debug)]
@@ -30,7 +18,7 @@ struct Turning {
 }
 
 /// What one track saw: frame from the first, camera, `(I − d dᵀ)` of its ray times the weight.
-struct Ray {
+struct SeenRay {
     frame: usize,
     centre: DVec3,
     across: DMat3,
@@ -44,17 +32,13 @@ pub(super) fn joints(
     times: &Arc<[f64]>,
     pixel: f64,
 ) -> Vec<JointPath> {
-    let rays: Vec<Vec<Ray>> = group.iter().map(|t| rays(t, &frames, pixel)).collect();
+    let rays: Vec<Vec<SeenRay>> = group.iter().map(|t| rays(t, &frames, pixel)).collect();
     // From the first of them on.
     let since: Vec<f64> = frames.clone().map(|k| times[k] - times[frames.start]).collect();
     let whole = since.last().copied().unwrap_or(1.0);
     let directions = (0..DIRECTIONS).into_par_iter().flat_map_iter(|k| {
         let axis = on_sphere(k);
-        (0..TURNS).map(move |i| {
-            let share = i as f64 / (TURNS - 1) as f64;
-            let turn = TURNS_DEG[0].to_radians() * (TURNS_DEG[1] / TURNS_DEG[0]).powf(share);
-            Turning { axis, rate: turn / whole }
-        })
+        TURNS_DEG.into_iter().map(move |turn| Turning { axis, rate: turn.to_radians() / whole })
     });
     let tried = directions.filter_map(|t| Some((solve(&rays, t, &since)?.0, t)));
     let mut tried: Vec<(f64, Turning)> = tried.collect();
@@ -65,18 +49,10 @@ pub(super) fn joints(
         .filter_map(|start| {
             let (cost, turning) = improved(&rays, start, &since);
             let place = solve(&rays, turning, &since)?.1;
+            let (axis, first, times) = (turning.axis, frames.start, times.clone());
             let angles = since.iter().map(|t| turning.rate * t).collect();
-            Some((
-                cost,
-                JointPath {
-                    axis: turning.axis,
-                    place,
-                    first: frames.start,
-                    angles,
-                    bend: FIRST_BEND,
-                    times: times.clone(),
-                },
-            ))
+            let bend = BENDS[BENDS.len() - 1];
+            Some((cost, JointPath { axis, place, first, angles, bend, times }))
         })
         .collect();
     best.sort_by(|a, b| a.0.total_cmp(&b.0));
@@ -90,22 +66,23 @@ fn on_sphere(k: usize) -> DVec3 {
     DVec3::new(c, s, 0.0) * (1.0 - z * z).sqrt() + DVec3::Z * z
 }
 
-fn rays(track: &PosedTrack<'_>, frames: &Range<usize>, pixel: f64) -> Vec<Ray> {
+/// What a track saw in these frames.
+fn rays(track: &PosedTrack<'_>, frames: &Range<usize>, pixel: f64) -> Vec<SeenRay> {
     let seen = track.views.iter().filter(|(k, _)| frames.contains(k));
     seen.map(|(k, view)| {
         let d = view.ray;
         let across = DMat3::IDENTITY - DMat3::from_cols(d * d.x, d * d.y, d * d.z);
         // Pixels that a place at the middle of the object is off, in standard deviations.
         let weight = view.camera.mean_focal() / (view.centre.length() * pixel);
-        Ray { frame: k - frames.start, centre: view.centre, across: across * (weight * weight) }
+        SeenRay { frame: k - frames.start, centre: view.centre, across: across * (weight * weight) }
     })
     .collect()
 }
 
 /// Steps to and fro along each of three unknowns while that helps, then steps of half the size.
-fn improved(rays: &[Vec<Ray>], (mut cost, mut best): (f64, Turning), since: &[f64]) -> (f64, Turning) {
-    let mut size = 12_f64.to_radians();
-    for _ in 0..HALVINGS {
+fn improved(rays: &[Vec<SeenRay>], (mut cost, mut best): (f64, Turning), since: &[f64]) -> (f64, Turning) {
+    for degrees in [12.0_f64, 6.0, 3.0, 1.5, 0.75, 0.375] {
+        let size = degrees.to_radians();
         // A search that goes round in circles ends.
         for _ in 0..20 {
             let u = best.axis.any_orthonormal_vector();
@@ -118,7 +95,6 @@ fn improved(rays: &[Vec<Ray>], (mut cost, mut best): (f64, Turning), since: &[f6
                 _ => break,
             }
         }
-        size *= 0.5;
     }
     (cost, best)
 }
@@ -126,7 +102,7 @@ fn improved(rays: &[Vec<Ray>], (mut cost, mut best): (f64, Turning), since: &[f6
 /// Least squared distance of the rays from the points (weighted), and the place of the axis: for
 /// each ray `P (R x + (I − R) c − o) = 0`. Place and points are about the object's size from its
 /// middle, beforehand, which decides where nothing else does (along the axis).
-fn solve(rays: &[Vec<Ray>], turning: Turning, since: &[f64]) -> Option<(f64, DVec3)> {
+fn solve(rays: &[Vec<SeenRay>], turning: Turning, since: &[f64]) -> Option<(f64, DVec3)> {
     let rotations: Vec<DMat3> = since
         .iter()
         .map(|t| DMat3::from_quat(DQuat::from_axis_angle(turning.axis, turning.rate * t)))

@@ -1,9 +1,9 @@
 //! Exact tracks of a body with a part on a joint.
 
 use super::*;
-use crate::klt::KltTrack;
+use glam::{DQuat, DVec3};
 use rand::Rng as _;
-use scene::{Camera, CameraModel};
+use scene::{Camera, CameraModel, Pose};
 
 /// Frames of a turn, and degrees between two.
 const FRAMES: usize = 80;
@@ -59,7 +59,8 @@ fn object(parts: &[True], noise: f64, seed: u64) -> Articulation {
     object_by(&camera(), parts, noise, seed).0
 }
 
-/// As `object`, for poses that were found with a camera of another focal length: as much farther away.
+/// As `object`, for poses that were found with a camera of another focal length: as much farther
+/// away.
 fn object_by(assumed: &Camera, parts: &[True], noise: f64, seed: u64) -> (Articulation, Chain) {
     let mut rng = scene::rng::rng(seed, "articulated tests", 0);
     let mut tracks = Vec::new();
