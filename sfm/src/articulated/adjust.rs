@@ -45,7 +45,7 @@ impl Chain {
             }
         }
         best.move_back(&before, &of_body(members, &points));
-        best.joints = best.joints.into_iter().map(JointPath::from_zero).collect();
+        best.joints = best.joints.into_iter().map(JointPath::starting_at_zero).collect();
         let evidence = best.evidence(&equations);
         (best, evidence)
     }

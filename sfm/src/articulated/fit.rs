@@ -35,7 +35,7 @@ impl JointPath {
                 }
             }
         }
-        best.from_zero()
+        best.starting_at_zero()
     }
 
     /// Logarithm of the evidence of what the tracks show for a joint so unsteady (Laplace), up to a

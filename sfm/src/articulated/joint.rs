@@ -77,7 +77,7 @@ impl JointPath {
     }
 
     /// With angles from zero in the first frame: an adjustment does not hold it exactly.
-    pub(super) fn from_zero(mut self) -> Self {
+    pub(super) fn starting_at_zero(mut self) -> Self {
         let start = self.angles[0];
         self.angles.iter_mut().for_each(|a| *a -= start);
         self

@@ -89,7 +89,7 @@ fn improved(rays: &[Vec<SeenRay>], (mut cost, mut best): (f64, Turning), since: 
             let v = best.axis.cross(u);
             let tilts = [u, -u, v, -v].map(|w| Turning { axis: (best.axis + w * size).normalize(), ..best });
             let rates = [1.0 + size, 1.0 / (1.0 + size)].map(|f| Turning { rate: best.rate * f, ..best });
-            let trials = tilts.into_iter().chain(rates).filter_map(|t| Some((solve(rays, t, &since)?.0, t)));
+            let trials = tilts.into_iter().chain(rates).filter_map(|t| Some((solve(rays, t, since)?.0, t)));
             match trials.min_by(|a, b| a.0.total_cmp(&b.0)) {
                 Some(better) if better.0 < cost => (cost, best) = better,
                 _ => break,
