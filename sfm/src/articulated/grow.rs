@@ -61,8 +61,9 @@ impl Growth<'_, '_> {
         progress: &Progress,
     ) -> Result<Vec<(JointPath, Vec<usize>)>, SfmError> {
         let mut paths = Vec::new();
-        while let Some((path, own)) = self.part(&rest, paths.len() as u64) {
+        loop {
             progress.check()?;
+            let Some((path, own)) = self.part(&rest, paths.len() as u64) else { break };
             rest.retain(|i| !own.contains(i));
             paths.push(path);
         }
