@@ -1,7 +1,7 @@
 //! From a joint that explains a few tracks over a few frames to one for all frames.
 
 use super::joint::JointPath;
-use super::limits::{BELONGS, BENDS, GROUP, LEAST_TRACKS, LEAST_TURN, LEAST_VIEWS, MOVING};
+use super::limits::{BELONGS, BENDS, GROUP, LEAST_TRACKS, LEAST_TURN, LEAST_VIEWS, MOVING, NEIGHBOURS};
 use super::posed::PosedTrack;
 use super::search::joints;
 use crate::error::SfmError;
@@ -241,7 +241,7 @@ impl Growth<'_, '_> {
         let mut all: Vec<(f64, bool)> = self.apart(track, own).into_iter().map(|d| (d, true)).collect();
         all.extend(self.apart(track, others).into_iter().map(|d| (d, false)));
         all.sort_by(|a, b| a.0.total_cmp(&b.0));
-        all.truncate(GROUP[1]);
+        all.truncate(NEIGHBOURS);
         let part = all.iter().filter(|n| n.1).count();
         (!all.is_empty()).then(|| part as f64 / all.len() as f64)
     }

@@ -20,6 +20,9 @@ pub(super) const FARTHEST: f64 = 2.0;
 pub(super) const LEAST_VIEWS: usize = 5;
 /// A part has so many tracks. Source: chosen by hand, never measured.
 pub(super) const LEAST_TRACKS: usize = 10;
+/// Of a place's neighbours in the picture so many are asked which motion they follow. Source: the
+/// module's tests: of ten, half are the body's for one of two arrays, which is then no part.
+pub(super) const NEIGHBOURS: usize = 6;
 /// A part turns by so much, radians, or it is an error of the poses. Source: chosen by hand.
 pub(super) const LEAST_TURN: f64 = 0.05;
 

@@ -172,6 +172,27 @@ fn a_rigid_object_has_no_parts() {
 }
 
 #[test]
+fn parts_that_move_as_one_are_one() {
+    let path = |bend: f64| JointPath {
+        axis: DVec3::X,
+        place: DVec3::ZERO,
+        first: 0,
+        angles: vec![0.0, 0.1],
+        bend,
+        times: Arc::new([0.0, 1.0]),
+    };
+    // The third turns as the second does, the fourth on the same axis with an angle of its own.
+    let tied = [(None, None), (Some(0), Some(-1.0)), (Some(1), Some(1.0)), (Some(2), None)];
+    let ties = tied.map(|(axis_of, ratio)| Tie { axis_of, ratio }).to_vec();
+    let joints = [1.0, 2.0, 3.0, 4.0].map(path).to_vec();
+    let chain = Chain { cameras: Vec::new(), frames: Vec::new(), joints, ties, times: Arc::new([0.0, 1.0]) };
+    let found = chain.without_repeats();
+    assert_eq!(found.joints.iter().map(|j| j.bend).collect::<Vec<_>>(), [1.0, 2.0, 4.0]);
+    assert_eq!(found.ties[2], Tie { axis_of: Some(1), ratio: None });
+    assert_eq!(found.ties[..2], chain.ties[..2]);
+}
+
+#[test]
 fn nothing_to_follow_gives_nothing() {
     let found = in_unit(
         &[],
