@@ -18,7 +18,7 @@ const FOLDER: &str = "parts";
 pub(crate) fn run(args: &PartsArgs, verbosity: Verbosity, json: bool) -> Result<Outcome> {
     let run = &args.run;
     crate::stage::settle(run)?;
-    let Some(frames) = crate::stage::last::<FrameSet>(run, "frames") else {
+    let Some(frames) = crate::stage::last::<FrameSet>(run, "frames")? else {
         bail!("{} is not the output folder of a run", run.display());
     };
     let frames = absolute_in(frames.value, run);
