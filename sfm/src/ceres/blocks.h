@@ -185,9 +185,10 @@ inline void AddCameras(const BundleInput &input, double *intrinsics, std::vector
   }
 }
 
-// Free poses from which on the reduced system of the poses is not formed. On rings a point is seen by a
-// share of all images, so that forming it grows with their square, and its factor with their cube. Source:
-// `make bench` (rings): direct is faster at 100 images, conjugate gradients at 300.
+// Free poses from which on the reduced system of the poses is not formed. On rings a point is
+// seen by a share of all images, so that forming it grows with their square and its factor with
+// their cube. Source: `make bench` (rings): direct is faster at 100 images, conjugate gradients at
+// 300.
 constexpr std::size_t kManyPoses = 200;
 
 inline ceres::Solver::Options MakeOptions(const BundleInput &input) {
