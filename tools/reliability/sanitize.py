@@ -42,7 +42,7 @@ CHECKS = {
         ("cargo +nightly miri --version", MIRI, "miri test -p scene --lib -- io::attitude io::exif io::mesh::tests io::name io::ply io::poses io::tiff_directory"),
     "Miri, scalar kernels":
         ("cargo +nightly miri --version", RAYON,
-         "miri test -p splat --no-default-features --lib -- cpu::backend cpu::bounds cpu::sh cpu::shared cpu::sort cpu::target cpu::workspace"),
+         "miri test -p splat --no-default-features --lib -- cpu::bounds cpu::sh::tests::the_gradient cpu::shared cpu::sort cpu::target"),
     "Miri, progress and cancel, other orders of its threads":
         ("cargo +nightly miri --version", CANCEL,
          "miri test -p scene --lib -- progress"),
