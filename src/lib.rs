@@ -22,6 +22,7 @@ mod input;
 mod measure;
 mod memory;
 pub mod outcome;
+mod parts;
 pub mod pictures;
 pub mod pipeline;
 pub mod record;
@@ -86,6 +87,7 @@ pub fn run(parsed: config::Parsed) -> Result<Outcome> {
             export::run(&args, verbosity)
         }
         Command::Measure(args) => measure::run(&args, verbosity, global.json),
+        Command::Parts(args) => parts::run(&args, verbosity, global.json),
         Command::Compare(args) => compare::run(&args, verbosity, global.json),
         Command::Bench(args) => bench::run(&args, &global, verbosity),
         Command::Batch(args) => batch::run(&args, verbosity, global.json),

@@ -2,7 +2,7 @@
 
 mod all_frames;
 mod field;
-mod folder;
+pub(crate) mod folder;
 mod look;
 mod model;
 mod pairs;

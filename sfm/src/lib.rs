@@ -11,6 +11,7 @@
 
 #![warn(unreachable_pub)]
 
+mod articulated;
 mod bundle;
 mod ceres;
 mod circular;
@@ -43,6 +44,7 @@ pub mod two_view;
 mod undistort;
 mod upright;
 
+pub use articulated::{Articulation, MovingPart, moving_parts};
 pub use circular::{Motion, MotionConfig};
 pub use config::{CameraModelChoice, CameraSharing, KeypointPlaces, SfmConfig};
 pub use error::SfmError;

@@ -26,6 +26,7 @@ fn the_mock_up_is_judged_against_its_mesh_and_a_wrong_frame_is_named() {
     the_mesh_is_written(&out, at("fused", "points"));
     the_dense_cloud_is_written(&out, at("dense", "points"));
     the_run_is_measured(&out);
+    no_part_of_it_moves(&out);
     assert!(geometry["floaters_pct"].as_f64().unwrap() < 50.0, "{geometry}");
     // A mesh that is somewhere else is not silently given a score of 0.
     let far = folder("shapes-far").join("far.obj");
@@ -120,6 +121,19 @@ fn the_run_is_measured(out: &Path) {
     assert!((0.9..1.4).contains(&side), "the mock-up is 1.12 m long: {side}");
     let drawing = std::fs::read_to_string(out.join("measure.svg")).unwrap();
     assert!(drawing.starts_with("<svg") && drawing.matches("<image").count() == 3);
+}
+
+/// The mock-up is rigid; what has no run, or is none of a video, is named.
+fn no_part_of_it_moves(out: &Path) {
+    let said = expect_code(&["parts", text(out)], 0);
+    assert!(said.contains("no part moves against the body"), "{said}");
+    let found = json(&out.join("parts/parts.json"));
+    assert_eq!(found["parts"], serde_json::json!([]));
+    assert!(found["tracks"].as_u64().unwrap() > 20, "{found}");
+    let model = |folder: &str| scene::io::read_model(&out.join(folder)).unwrap();
+    assert_eq!(model("parts/sparse/0").images.len(), model("sparse/0").images.len());
+    let said = expect_code(&["parts", text(&out.join("eval"))], 1);
+    assert!(said.contains("not the output folder of a run"), "{said}");
 }
 
 #[test]

@@ -22,6 +22,18 @@ pub(crate) fn cholesky(mut s: Vec<f64>, n: usize) -> Option<Vec<f64>> {
     Some(s)
 }
 
+/// `(L Lᵀ)⁻¹ v`.
+pub(crate) fn solved(l: &[f64], v: &[f64]) -> Vec<f64> {
+    let mut x = whiten(l, v);
+    let n = x.len();
+    for i in (0..n).rev() {
+        x[i] /= l[i * n + i];
+        let (rest, own) = x.split_at_mut(i);
+        rest.iter_mut().zip(&l[i * n..i * n + i]).for_each(|(r, factor)| *r -= factor * own[0]);
+    }
+    x
+}
+
 /// `L⁻¹ v`.
 pub(crate) fn whiten(l: &[f64], v: &[f64]) -> Vec<f64> {
     let n = v.len();

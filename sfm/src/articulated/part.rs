@@ -1,0 +1,84 @@
+//! What is told of parts.
+
+use super::joint::{JointPath, JointSigmas};
+use super::posed::PosedTrack;
+use glam::{DQuat, DVec3};
+use scene::Pose;
+use serde::{Deserialize, Serialize};
+
+/// A part that turns on a joint.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+pub struct MovingPart {
+    /// Direction of the axis, unit, model frame; a positive angle is counter-clockwise about it.
+    pub axis: [f64; 3],
+    /// The place on the axis nearest to the middle of the part, model frame.
+    pub place: [f64; 3],
+    /// Standard deviation of the axis, degrees.
+    pub axis_sigma_deg: f64,
+    /// Standard deviation of the place across the axis, model units.
+    pub place_sigma: f64,
+    /// Angle in each frame, degrees; 0 in the first.
+    pub angles_deg: Vec<f64>,
+    /// Their standard deviations, degrees.
+    pub angle_sigmas_deg: Vec<f64>,
+    /// Tracks that follow it.
+    pub tracks: usize,
+    /// Observations of these.
+    pub observations: usize,
+    /// Reprojection error of these on the joint, RMS, pixels.
+    pub error_px: f64,
+    /// The same, were they parts of the body.
+    pub still_error_px: f64,
+    /// Points of the part as it is in the first frame, model frame.
+    pub points: Vec<[f64; 3]>,
+}
+
+/// What was found out about the parts of an object.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+pub struct Articulation {
+    /// Frames in the order of time, by name.
+    pub frames: Vec<String>,
+    /// Parts that move against the body, the one with most observations first.
+    pub parts: Vec<MovingPart>,
+    /// Standard deviation of an observation of the body, pixels.
+    pub noise_px: f64,
+    /// Tracks long enough to tell.
+    pub tracks: usize,
+    /// Tracks that belong neither to the body nor to a part.
+    pub unexplained: usize,
+}
+
+impl MovingPart {
+    /// The body's frame from that of the part at rest, in a frame of the video.
+    pub fn pose(&self, frame: usize) -> Option<Pose> {
+        let rotation =
+            DQuat::from_axis_angle(DVec3::from(self.axis), self.angles_deg.get(frame)?.to_radians());
+        let place = DVec3::from(self.place);
+        Some(Pose::new(rotation, place - rotation * place))
+    }
+
+    /// What is told of a part on this joint whose tracks are these.
+    pub(super) fn of(path: &JointPath, sigmas: &JointSigmas, tracks: &[&PosedTrack<'_>]) -> Self {
+        let found: Vec<(DVec3, f64)> = tracks.iter().filter_map(|t| t.point(path)).collect();
+        let still: Vec<f64> = tracks.iter().filter_map(|t| t.still()).map(|s| s.1).collect();
+        let middle = found.iter().map(|(x, _)| *x).sum::<DVec3>() / found.len().max(1) as f64;
+        Self {
+            axis: path.axis.to_array(),
+            place: (path.place + path.axis * (middle - path.place).dot(path.axis)).to_array(),
+            axis_sigma_deg: sigmas.axis.to_degrees(),
+            place_sigma: sigmas.place,
+            angles_deg: path.angles.iter().map(|a| a.to_degrees()).collect(),
+            angle_sigmas_deg: sigmas.angles.iter().map(|a| a.to_degrees()).collect(),
+            tracks: tracks.len(),
+            observations: tracks.iter().map(|t| t.views.len()).sum(),
+            error_px: rms(&found.iter().map(|(_, e)| *e).collect::<Vec<f64>>()),
+            still_error_px: rms(&still),
+            points: found.iter().map(|(x, _)| x.to_array()).collect(),
+        }
+    }
+}
+
+/// 0 of nothing.
+fn rms(errors: &[f64]) -> f64 {
+    (errors.iter().map(|e| e * e).sum::<f64>() / errors.len().max(1) as f64).sqrt()
+}

@@ -1,0 +1,85 @@
+//! `parts`: parts of the object that turn on joints while it is filmed, as a table and
+//! `parts.json`, with the model that their motion no longer bends.
+
+use crate::args::PartsArgs;
+use crate::outcome::Outcome;
+use crate::pipeline::folder::absolute_in;
+use crate::stage::write_json;
+use crate::terminal::{CANCELLED, TerminalSink, Verbosity, print, say};
+use anyhow::{Context, Result, bail};
+use scene::{FrameSet, Progress};
+use sfm::{Articulation, MovingPart, moving_parts};
+use std::fmt::Write as _;
+
+/// What is written, in a run's folder.
+const FOLDER: &str = "parts";
+
+/// Looks for parts in the frames of a run.
+pub(crate) fn run(args: &PartsArgs, verbosity: Verbosity, json: bool) -> Result<Outcome> {
+    let run = &args.run;
+    crate::stage::settle(run)?;
+    let Some(frames) = crate::stage::last::<FrameSet>(run, "frames")? else {
+        bail!("{} is not the output folder of a run", run.display());
+    };
+    let frames = absolute_in(frames.value, run);
+    if !frames.is_video {
+        bail!("{} is of photos: parts are looked for in videos", run.display());
+    }
+    let model = scene::io::read_model(&run.join("sparse/0"))
+        .with_context(|| format!("{} has no poses", run.display()))?;
+    let progress = Progress::new(Box::new(TerminalSink::new(verbosity, None)), &CANCELLED);
+    let (found, corrected) = moving_parts(&frames, &model, &args.klt, args.seed, &progress)?;
+    let folder = args.output.clone().unwrap_or_else(|| run.join(FOLDER));
+    let sparse = folder.join("sparse/0");
+    std::fs::create_dir_all(&sparse).with_context(|| format!("cannot make {}", sparse.display()))?;
+    scene::io::write_model_bin(&corrected, &sparse)?;
+    write_json(&folder.join("parts.json"), &found)?;
+    if json {
+        print(&serde_json::to_string_pretty(&found)?)?;
+    } else {
+        print(&text(&found))?;
+    }
+    if verbosity > Verbosity::Quiet {
+        say(&format!("wrote {}", folder.display()));
+    }
+    Ok(Outcome::Done)
+}
+
+/// What was found, for people.
+fn text(found: &Articulation) -> String {
+    let mut out = String::new();
+    if found.parts.is_empty() {
+        let _ = writeln!(out, "no part moves against the body: {} tracks follow it", found.tracks);
+    }
+    for (k, part) in found.parts.iter().enumerate() {
+        let _ = writeln!(out, "part {}: {}", k + 1, sentence(part));
+    }
+    let _ = writeln!(
+        out,
+        "{} of {} tracks belong neither to the body nor to a part; noise {:.2} px",
+        found.unexplained, found.tracks, found.noise_px
+    );
+    out
+}
+
+fn sentence(part: &MovingPart) -> String {
+    let [x, y, z] = part.axis;
+    let widest = part.angle_sigmas_deg.iter().copied().fold(0.0, f64::max);
+    let (least, most) = part
+        .angles_deg
+        .iter()
+        .fold((f64::INFINITY, f64::NEG_INFINITY), |(least, most), a| (least.min(*a), most.max(*a)));
+    format!(
+        "turns by {:.1}° (± {widest:.1}°) about ({x:.3}, {y:.3}, {z:.3}) ± {:.2}° through \
+         ({:.4}, {:.4}, {:.4}) ± {:.4}; {} tracks, {:.2} px (as the body {:.1} px)",
+        most - least,
+        part.axis_sigma_deg,
+        part.place[0],
+        part.place[1],
+        part.place[2],
+        part.place_sigma,
+        part.tracks,
+        part.error_px,
+        part.still_error_px
+    )
+}
