@@ -1,5 +1,6 @@
 //! What renders the pictures of a run: its splat, or the field of another method.
 
+use crate::parts::MovingSplat;
 use crate::record::SplatSummary;
 use crate::times::Times;
 use anyhow::{Context, Result, bail};
@@ -18,6 +19,8 @@ pub(crate) const FIELD: &str = "field.bin";
 pub enum Pictures {
     /// A splat.
     Splat(Box<Renderer>, Gaussians),
+    /// A splat whose parts move.
+    Parts(Box<MovingSplat>),
     /// A field, and when its photos were taken.
     Field(Box<TrainedField>, Times),
 }
@@ -33,6 +36,9 @@ impl Pictures {
             return Ok((Self::Field(Box::new(field), Times::read(run)?), words));
         }
         let gaussians = scene::io::ply::read_splat_ply(&run.join("splat.ply"))?;
+        if let Some(moving) = MovingSplat::open(run, &gaussians)? {
+            return Ok((Self::Parts(Box::new(moving)), "processor (moving parts)".to_owned()));
+        }
         let (mut renderer, chosen) = Renderer::on(device, &gaussians)?;
         renderer.antialias = trained_with_antialias(run)?;
         Ok((Self::Splat(Box::new(renderer), gaussians), chosen.sentences().choice))
@@ -42,6 +48,7 @@ impl Pictures {
     pub fn time_of(&self, name: &str) -> f32 {
         match self {
             Self::Splat(..) => 0.0,
+            Self::Parts(moving) => moving.time_of(name),
             Self::Field(_, times) => times.of_view(name),
         }
     }
@@ -54,12 +61,10 @@ impl Pictures {
         time: f32,
         background: [f32; 3],
     ) -> Result<RenderOutput> {
+        let options = RenderOptions { background, ..RenderOptions::default() };
         match self {
-            Self::Splat(renderer, _) => Ok(renderer.render(
-                camera,
-                pose,
-                &RenderOptions { background, ..RenderOptions::default() },
-            )?),
+            Self::Splat(renderer, _) => Ok(renderer.render(camera, pose, &options)?),
+            Self::Parts(moving) => moving.render(camera, pose, time, &options),
             Self::Field(field, _) => Ok(field.render(camera, pose, time, background)?),
         }
     }

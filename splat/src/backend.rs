@@ -216,6 +216,8 @@ pub(crate) fn check(model: &Model, statistics: &Statistics) -> Result<(), SplatE
         "a plane has another length than the number of Gaussians asks for"
     } else if harmonics.any(|sh| sh.len() != values) {
         "there are not as many spherical harmonics as their degree asks for"
+    } else if !model.part.is_empty() && model.part.len() != model.len {
+        "the parts are of another number of Gaussians"
     } else if !statistics.is_empty() && sums.any(|sums| sums.len() != n) {
         "the statistics are of another number of Gaussians"
     } else {

@@ -1,6 +1,7 @@
 //! The images in memory and the normalised frame in which the trainer works.
 
 use crate::error::SplatError;
+use crate::parts::{Articulation, PartPlace, PartPlaces};
 use crate::quantile::median;
 use crate::view::{PinholeView, level_size};
 use clap::{Args, ValueEnum};
@@ -140,6 +141,8 @@ pub struct Dataset {
     pub normalisation: NormalisedFrame,
     /// What masks mean.
     pub alpha: AlphaMode,
+    /// What moves against the body; the views say where it stands.
+    pub articulation: Option<Articulation>,
 }
 
 impl Dataset {
@@ -173,7 +176,16 @@ impl Dataset {
             return Err(SplatError::NoMasks { images: views.len(), folder: folder.to_owned() });
         }
         let points = model.points.values().map(|p| (normalisation.point(p.position), p.rgb)).collect();
-        Ok(Self { views, points, normalisation, alpha: config.alpha })
+        Ok(Self { views, points, normalisation, alpha: config.alpha, articulation: None })
+    }
+
+    /// Adds parts that move: their points, and where they stand in each view.
+    pub fn articulate(&mut self, moving: Articulation) {
+        for (index, view) in self.views.iter_mut().enumerate() {
+            let angles = moving.joints.iter().map(|joint| joint.angles[index]);
+            view.view.parts = moving.places(angles);
+        }
+        self.articulation = Some(moving);
     }
 
     /// Indices of the views to train on.
@@ -203,8 +215,15 @@ impl NormalisedFrame {
         Self { centre, scale }
     }
 
+    /// A motion of the world.
+    pub(crate) fn part_place(&self, motion: &scene::Pose) -> PartPlace {
+        let r = motion.matrix();
+        let translation = (r * self.centre + motion.translation - self.centre) * self.scale;
+        PartPlace { rotation: mat3(r), translation: translation.as_vec3() }
+    }
+
     /// A point of the world.
-    pub(crate) fn point(&self, x: DVec3) -> Vec3 {
+    pub fn point(&self, x: DVec3) -> Vec3 {
         ((x - self.centre) * self.scale).as_vec3()
     }
 
@@ -219,6 +238,7 @@ impl NormalisedFrame {
             centre: c.to_array(),
             width: camera.width as usize,
             height: camera.height as usize,
+            parts: PartPlaces::NONE,
         }
     }
 

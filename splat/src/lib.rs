@@ -29,6 +29,7 @@ pub mod moved;
 mod outline;
 #[cfg(test)]
 mod parity;
+pub mod parts;
 pub mod profile;
 mod quantile;
 mod reference;
@@ -45,5 +46,5 @@ pub use dataset::{AlphaMode, Dataset, DatasetConfig, NormalisedFrame, Pixels, Vi
 pub use device::{BackendChoice, DeviceConfig, adapters};
 pub use error::SplatError;
 pub use render::Renderer;
-pub use train::{CurvePoint, TrainResult, train};
+pub use train::{CurvePoint, MovingResult, TrainResult, train};
 pub use view::{PinholeView, RenderOptions, RenderOutput};

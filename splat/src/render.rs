@@ -26,9 +26,10 @@ use crate::dataset::NormalisedFrame;
 use crate::device::{BackendChoice, DeviceConfig};
 use crate::error::SplatError;
 use crate::model::Model;
+use crate::parts::PartPlaces;
 use crate::quantile::median;
 use crate::statistics::Statistics;
-use crate::view::{RenderOptions, RenderOutput};
+use crate::view::{PinholeView, RenderOptions, RenderOutput};
 use glam::DVec3;
 use scene::{Camera, Decision, Gaussians, Pose};
 
@@ -36,6 +37,8 @@ use scene::{Camera, Decision, Gaussians, Pose};
 pub struct Renderer {
     backend: Box<dyn Backend>,
     frame: NormalisedFrame,
+    /// Where moving parts stand.
+    parts: PartPlaces,
     /// Whether the Gaussians were trained with [`RenderOptions::antialias`]: then every picture has
     /// it.
     pub antialias: bool,
@@ -56,7 +59,25 @@ impl Renderer {
         let (mut backend, decision) = crate::device::open(device)?;
         let model = Model::from_gaussians(&frame.normalise(gaussians.clone()));
         backend.upload(model, Statistics::default())?;
-        Ok((Self { backend, frame, antialias: false }, decision))
+        Ok((Self { backend, frame, parts: PartPlaces::NONE, antialias: false }, decision))
+    }
+
+    /// Says which part each Gaussian belongs to (0: the body), for [`Renderer::render_parts`].
+    pub fn articulate(&mut self, part: Vec<u8>) -> Result<(), SplatError> {
+        self.backend.edit(&mut |model, _| model.part.clone_from(&part))
+    }
+
+    /// Renders a view of a splat whose parts stand at `parts` (`body_from_part_at_rest`, one for
+    /// each part). On the processor only.
+    pub fn render_parts(
+        &mut self,
+        camera: &Camera,
+        pose: &Pose,
+        parts: &[Pose],
+        options: &RenderOptions,
+    ) -> Result<RenderOutput, SplatError> {
+        self.parts = parts.iter().map(|motion| self.frame.part_place(motion)).collect();
+        self.render(camera, pose, options)
     }
 
     /// Renders a view; the camera must be PINHOLE, SIMPLE_PINHOLE or without distortion.
@@ -71,7 +92,7 @@ impl Renderer {
             return Err(SplatError::NotPinhole { name, camera: camera.id, model: camera.model.name() });
         }
         let near = options.near.map(|n| n * self.frame.scale as f32);
-        let view = self.frame.view(camera, pose);
+        let view = PinholeView { parts: self.parts, ..self.frame.view(camera, pose) };
         let antialias = options.antialias || self.antialias;
         let mut out = self.backend.render(&view, &RenderOptions { near, antialias, ..*options })?;
         let unit = (1.0 / self.frame.scale) as f32;

@@ -8,14 +8,14 @@
 
 use super::dispatch::simd_kernel;
 use super::model_part::{AdamPart, GradientSink, ModelPart};
-use super::project::{CULLED, Projection, colour, project_lanes};
+use super::project::{CULLED, Projection, colour, next_part, project_lanes};
 use super::project_backward::geometry_gradient;
 use super::rasterise::SUMS;
 use super::sh;
 use super::simd::{Simd, array};
 use super::sort::Bins;
 use crate::backend::LearningRates;
-use crate::camera::CameraConstants;
+use crate::camera::{CameraConstants, PartCameras};
 use crate::model::{GEOMETRY, LANE_PAD, LOG_SCALE, MEAN, OPACITY, ROTATION};
 use crate::reference::constants::{BETAS, EPSILON};
 use glam::Vec3;
@@ -33,8 +33,8 @@ const HUGE: f32 = 1e18;
 pub(super) struct Adam<'a> {
     /// The Gaussians.
     pub(super) part: ModelPart<'a>,
-    /// The camera.
-    pub(super) camera: &'a CameraConstants,
+    /// The camera, as the body and the parts see it.
+    pub(super) cameras: &'a PartCameras,
     /// The view's pairs.
     pub(super) bins: &'a Bins,
     /// Depth keys of forward.
@@ -49,7 +49,7 @@ pub(super) struct Adam<'a> {
 /// colours of Gaussians that are seen among others that are not.
 #[inline(always)]
 fn fetch_ahead<S: Simd>(a: &Adam, block: usize) {
-    let used = (a.camera.sh_degree as usize + 1).pow(2) * 3 * size_of::<f32>();
+    let used = (a.cameras.body().sh_degree as usize + 1).pow(2) * 3 * size_of::<f32>();
     for i in block..(block + S::LANES).min(a.part.count) {
         let number = a.part.first + i;
         let positions = a.bins.positions_of(number);
@@ -75,8 +75,7 @@ fn adam_generic<S: Simd>(a: &mut Adam) {
     let mut lanes = [[0.0f32; LANE_PAD]; SUMS];
     for block in (0..a.part.count).step_by(S::LANES) {
         fetch_ahead::<S>(a, block + S::LANES);
-        let mut alive = [0.0f32; LANE_PAD];
-        let mut any = false;
+        let mut alive = 0;
         for lane in 0..S::LANES.min(a.part.count - block) {
             let number = a.part.first + block + lane;
             let positions = a.bins.positions_of(number);
@@ -100,29 +99,38 @@ fn adam_generic<S: Simd>(a: &mut Adam) {
             for (column, t) in lanes.iter_mut().zip(total) {
                 column[lane] = t;
             }
-            alive[lane] = 1.0;
-            any = true;
+            alive |= 1 << lane;
         }
-        if any {
-            adam_block::<S>(a, block, &lanes, &alive);
+        while alive != 0 {
+            let (part, own) = next_part(a.part.of_object, a.part.first + block, alive);
+            adam_block::<S>(a, block, &lanes, (part, own));
+            alive &= !own;
         }
     }
 }
 
-/// The Gaussians from `block` on that are alive: `lanes` are their sums.
+/// The Gaussians from `block` on that are `alive`, all of one part of the object: `lanes` are their
+/// sums.
 #[inline(always)]
-fn adam_block<S: Simd>(a: &mut Adam, block: usize, lanes: &[[f32; LANE_PAD]; SUMS], alive: &[f32; LANE_PAD]) {
+fn adam_block<S: Simd>(
+    a: &mut Adam,
+    block: usize,
+    lanes: &[[f32; LANE_PAD]; SUMS],
+    (part, alive): (u8, u32),
+) {
+    let camera = a.cameras.of(part);
     let mut parameters = [S::splat(0.0); GEOMETRY];
     for (value, plane) in parameters.iter_mut().zip(&a.part.geometry) {
         *value = S::read(&plane[block..]);
     }
-    let p = project_lanes(&parameters, a.camera);
+    let p = project_lanes(&parameters, camera);
     let mut sums = [S::splat(0.0); SUMS];
     for (sum, lane) in sums.iter_mut().zip(lanes) {
         *sum = S::read(lane);
     }
-    let mut gradient = geometry_gradient(a.camera, &p, &sums, &parameters);
-    let alive = S::read(alive).ge(S::splat(0.5));
+    let mut gradient = geometry_gradient(camera, &p, &sums, &parameters);
+    let alive: [f32; LANE_PAD] = std::array::from_fn(|lane| (alive >> lane & 1) as f32);
+    let alive = S::read(&alive).ge(S::splat(0.5));
     let mut finite = alive;
     for g in gradient {
         finite = S::and(finite, g.abs().lt(S::splat(HUGE)));
@@ -140,7 +148,7 @@ fn adam_block<S: Simd>(a: &mut Adam, block: usize, lanes: &[[f32; LANE_PAD]; SUM
     for lane in (0..S::LANES).filter(|lane| S::bits(finite) & (1 << lane) != 0) {
         let rgb = [lanes[6][lane], lanes[7][lane], lanes[8][lane]];
         let corrections = [correction[0][lane], correction[1][lane]];
-        let g = colour_step(&mut a.part, a.camera, block + lane, rgb, corrections);
+        let g = colour_step(&mut a.part, camera, block + lane, rgb, corrections);
         for (plane, value) in by_direction.iter_mut().zip(g.to_array()) {
             plane[lane] = value;
         }
@@ -155,12 +163,14 @@ fn adam_block<S: Simd>(a: &mut Adam, block: usize, lanes: &[[f32; LANE_PAD]; SUM
     match &mut a.part.sink {
         GradientSink::Gradient { geometry, .. } => {
             for (plane, g) in geometry.iter_mut().zip(gradient) {
-                g.keep(finite).write(&mut plane[block..]);
+                // Other lanes may be those of another part.
+                let plane = &mut plane[block..];
+                S::select(finite, g, S::read(plane)).write(plane);
             }
         }
         GradientSink::Adam(state) => {
             move_geometry(&mut a.part.geometry, state, block, &parameters, &gradient, finite, corrections);
-            note_statistics(state, block, a.camera, &p, &sums, finite);
+            note_statistics(state, block, camera, &p, &sums, finite);
         }
     }
 }

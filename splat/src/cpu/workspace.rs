@@ -12,7 +12,7 @@ use super::sort::Bins;
 use super::target::{TargetSource, compose, reached_tiles};
 use super::tile::{PIXELS, PlaneShape, TILE, Tile, TilePlane};
 use crate::backend::Target;
-use crate::camera::CameraConstants;
+use crate::camera::PartCameras;
 use crate::model::Model;
 use rayon::prelude::*;
 
@@ -58,12 +58,12 @@ pub(super) struct TargetPlanes<'a> {
 
 impl KernelWorkspace {
     /// The Gaussians' records and depth keys.
-    pub(super) fn project(&mut self, isa: Isa, model: &Model, camera: &CameraConstants) {
+    pub(super) fn project(&mut self, isa: Isa, model: &Model, cameras: &PartCameras) {
         self.records.resize(model.len, Record::default());
         self.keys.resize(model.len, CULLED);
         let chunks = self.records.par_chunks_mut(PART).zip(self.keys.par_chunks_mut(PART)).enumerate();
         chunks.for_each(|(chunk, (records, keys))| {
-            project(isa, &mut Project { model, camera, start: chunk * PART, records, keys });
+            project(isa, &mut Project { model, cameras, start: chunk * PART, records, keys });
         });
     }
 
@@ -217,11 +217,11 @@ impl KernelWorkspace {
     }
 
     /// project backward and Adam (or plain gradients); returns how many gradients were not finite.
-    pub(super) fn optimise(&self, isa: Isa, model: ModelPart, camera: &CameraConstants) -> usize {
+    pub(super) fn optimise(&self, isa: Isa, model: ModelPart, cameras: &PartCameras) -> usize {
         let parts = rayon::iter::split(model, ModelPart::halve);
         let steps = parts.map(|part| {
             let (bins, keys, sums) = (&self.bins, &self.keys, &self.sums);
-            let mut a = Adam { part, camera, bins, keys, sums, non_finite: 0 };
+            let mut a = Adam { part, cameras, bins, keys, sums, non_finite: 0 };
             adam(isa, &mut a);
             a.non_finite
         });
@@ -273,6 +273,7 @@ mod tests {
             centre: [50.0, 35.0],
             width,
             height,
+            parts: crate::parts::PartPlaces::NONE,
         };
         let rgb: Vec<u8> = (0..width * height * 3).map(|i| (i * 37 % 251) as u8).collect();
         let mask: Vec<u8> = (0..width * height)
@@ -280,9 +281,9 @@ mod tests {
             .collect();
         let target = Target { rgb: &rgb, mask: Some(&mask), transparent: false, photo: None };
         let (isa, model) = (Isa::best(), Model::from_gaussians(&gaussians(300)));
-        let camera = CameraConstants::new(&view, &RenderOptions::default(), 0);
+        let cameras = PartCameras::new(&view, &RenderOptions::default(), 0);
         let mut work = KernelWorkspace::default();
-        work.project(isa, &model, &camera);
+        work.project(isa, &model, &cameras);
         work.sort(width, height);
         let mut found: Vec<(f32, Vec<[f32; SUMS]>, usize)> = Vec::new();
         for counted in [None, Some(&target)] {

@@ -13,9 +13,9 @@ use crate::backend::{Backend, StepInput, StepOutput};
 use crate::camera::DEFAULT_NEAR;
 use crate::config::TrainConfig;
 use crate::dataset::Dataset;
+use crate::device::BackendChoice;
 use crate::error::SplatError;
-use crate::init::initial_gaussians;
-use crate::model::Model;
+use crate::init::initial_model;
 use crate::statistics::Statistics;
 use crate::view::RenderOptions;
 use rand::Rng as _;
@@ -79,7 +79,11 @@ impl<'a> Session<'a> {
         folder: Option<&Path>,
     ) -> Result<Self, SplatError> {
         let mark = config.limit_clock.seconds();
-        let (mut backend, decision) = crate::device::open(&config.device)?;
+        let mut device = config.device.clone();
+        if dataset.articulation.is_some() {
+            device.backend = BackendChoice::Cpu;
+        }
+        let (mut backend, decision) = crate::device::open(&device)?;
         let (max_gaussians, limit) = capacity(backend.as_ref(), dataset, config)?;
         let setup = TrainingSetup::new(dataset, config, max_gaussians)?;
         let fingerprint = fingerprint(dataset, config);
@@ -90,13 +94,12 @@ impl<'a> Session<'a> {
                 (state, rules)
             }
             None => {
-                let first = initial_gaussians(dataset, max_gaussians, config.seed)?;
-                let mut statistics = Statistics::default();
-                statistics.reset(first.len());
-                backend.upload(Model::from_gaussians(&first), statistics)?;
+                let model = initial_model(dataset, max_gaussians, config.seed)?;
+                let (mut statistics, first) = (Statistics::default(), model.len);
+                statistics.reset(first);
+                backend.upload(model, statistics)?;
                 let decisions = std::iter::once(decision).chain(limit).collect();
-                let state =
-                    TrainingState { fingerprint, first: first.len(), decisions, ..TrainingState::default() };
+                let state = TrainingState { fingerprint, first, decisions, ..TrainingState::default() };
                 (state, Rules::default())
             }
         };
@@ -244,6 +247,7 @@ impl<'a> Session<'a> {
         let (mut model, _) = self.backend.release()?;
         let (mut step, rules) = self.context();
         rules.after_training(&step, &mut model);
+        let moving = rules.moving(&step, &mut model);
         let mut gaussians = model.to_gaussians();
         let poses = rules.conclude(&mut step, &mut gaussians);
         self.conclude();
@@ -256,6 +260,7 @@ impl<'a> Session<'a> {
             timings,
             iterations: self.state.place.iteration,
             poses,
+            moving,
             render: RenderOptions {
                 near: Some(near),
                 antialias: config.antialias,

@@ -9,6 +9,7 @@
 
 pub(crate) mod exposure;
 mod growth;
+mod joints;
 mod poses;
 mod prune;
 mod sh_degree;
@@ -18,6 +19,7 @@ pub(crate) mod smoothing;
 use crate::error::SplatError;
 use crate::model::Model;
 use crate::train::context::RuleContext;
+use crate::train::result::MovingResult;
 use scene::{Gaussians, Pose};
 use serde::{Deserialize, Serialize};
 
@@ -34,6 +36,8 @@ pub(crate) struct Rules {
     pub(crate) growth: growth::GrowthRule,
     pub(crate) exposure: exposure::ExposureRule,
     pub(crate) poses: poses::PoseRule,
+    #[serde(default)]
+    pub(crate) joints: joints::JointRule,
     pub(crate) prune: prune::PruneRule,
 }
 
@@ -62,12 +66,18 @@ impl Rules {
         self.growth.review(step)?;
         self.exposure.review(step)?;
         self.poses.review(step)?;
+        self.joints.review(step)?;
         self.prune.review(step)
     }
 
     /// What the Gaussians need once the last step is taken.
     pub(crate) fn after_training(&mut self, step: &RuleContext, model: &mut Model) {
         self.silhouette.after_training(step, model);
+    }
+
+    /// The Gaussians in the order of the parts, and what moves these.
+    pub(crate) fn moving(&self, step: &RuleContext, model: &mut Model) -> Option<MovingResult> {
+        self.joints.conclude(step, model)
     }
 
     /// Takes Gaussians that were trained on refined poses to the frame of the poses as given, and

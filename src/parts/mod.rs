@@ -1,6 +1,11 @@
 //! `parts`: parts of the object that turn on joints while it is filmed, as a table and
 //! `parts.json`, with the model that their motion no longer bends.
 
+mod posed;
+mod splat;
+
+pub(crate) use posed::MovingSplat;
+
 use crate::args::PartsArgs;
 use crate::outcome::Outcome;
 use crate::pipeline::folder::absolute_in;
@@ -10,9 +15,12 @@ use anyhow::{Context, Result, bail};
 use scene::{FrameSet, Progress};
 use sfm::{Articulation, MovingPart, moving_parts};
 use std::fmt::Write as _;
+use std::path::Path;
 
 /// What is written, in a run's folder.
 const FOLDER: &str = "parts";
+/// The record of the parts in it.
+const RECORD: &str = "parts.json";
 
 /// Looks for parts in the frames of a run.
 pub(crate) fn run(args: &PartsArgs, verbosity: Verbosity, json: bool) -> Result<Outcome> {
@@ -28,21 +36,34 @@ pub(crate) fn run(args: &PartsArgs, verbosity: Verbosity, json: bool) -> Result<
     let model = scene::io::read_model(&run.join("sparse/0"))
         .with_context(|| format!("{} has no poses", run.display()))?;
     let progress = Progress::new(Box::new(TerminalSink::new(verbosity, None)), &CANCELLED);
-    let (found, corrected) = moving_parts(&frames, &model, &args.klt, args.seed, &progress)?;
+    let (mut found, corrected) = moving_parts(&frames, &model, &args.klt, args.seed, &progress)?;
     let folder = args.output.clone().unwrap_or_else(|| run.join(FOLDER));
     let sparse = folder.join("sparse/0");
     std::fs::create_dir_all(&sparse).with_context(|| format!("cannot make {}", sparse.display()))?;
     scene::io::write_model_bin(&corrected, &sparse)?;
-    write_json(&folder.join("parts.json"), &found)?;
+    write(&folder, &found)?;
     if json {
         print(&serde_json::to_string_pretty(&found)?)?;
     } else {
         print(&text(&found))?;
     }
+    if !found.parts.is_empty() && !args.no_splat {
+        let train = splat::Found { frames: &frames, model: &corrected, parts: &mut found, fps_loops: args.fps_loops };
+        let judged = train.train(run, &folder, &progress)?;
+        if !json {
+            print(&format!("splat of the parts: {}", judged.sentence()))?;
+            print(&text(&found))?;
+        }
+    }
     if verbosity > Verbosity::Quiet {
         say(&format!("wrote {}", folder.display()));
     }
     Ok(Outcome::Done)
+}
+
+/// Writes the record into the folder.
+fn write(folder: &Path, found: &Articulation) -> Result<()> {
+    write_json(&folder.join(RECORD), found)
 }
 
 /// What was found, for people.

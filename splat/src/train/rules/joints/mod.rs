@@ -1,0 +1,147 @@
+//! Angles of joints from the photos: pictures see a part where nothing of it can be followed.
+//!
+//! In each training view the picture is made with each angle a little less and more. The three
+//! errors make a parabola: a reading of the angle and what it is worth. The angles of all views
+//! follow from the readings and from how slowly a joint changes its rate (`smooth`).
+
+mod smooth;
+
+use crate::error::SplatError;
+use crate::model::Model;
+use crate::train::context::RuleContext;
+use crate::train::result::MovingResult;
+use serde::{Deserialize, Serialize};
+use smooth::{Reading, smoothed};
+
+/// When joints are looked at, and how.
+struct JointSearch {
+    /// Positions in the schedule. Source: chosen by hand: from the first shape on, each after as
+    /// many more steps.
+    looks: [f64; 8],
+    /// How far the angles are tried at first, and at the least, degrees. Source: derived: the
+    /// errors of angles from tracks; a pixel at the end of an array that is a hundred wide.
+    widths_deg: [f64; 2],
+    /// Pixels whose errors are as one. Source: as for poses.
+    pixels_as_one: f64,
+}
+
+/// The values in force.
+const SEARCH: JointSearch = JointSearch {
+    looks: [0.06, 0.1, 0.15, 0.22, 0.32, 0.45, 0.6, 0.8],
+    widths_deg: [4.0, 0.5],
+    pixels_as_one: 1000.0,
+};
+
+/// State of the rule.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub(crate) struct JointRule {
+    /// How often the joints were looked at.
+    looks: usize,
+}
+
+impl JointRule {
+    /// Looks at all joints where that is due.
+    pub(super) fn review(&mut self, step: &mut RuleContext) -> Result<(), SplatError> {
+        let Some(moving) = &step.setup.dataset.articulation else { return Ok(()) };
+        if SEARCH.looks.get(self.looks).is_none_or(|&at| step.position() < at) {
+            return Ok(());
+        }
+        if step.state.corrections.joints.is_empty() {
+            let given = moving.joints.iter().map(|j| [j.angles.clone(), j.sigmas.clone()]);
+            step.state.corrections.joints = given.collect();
+        }
+        let [widest, least] = SEARCH.widths_deg;
+        let share = self.looks as f64 / (SEARCH.looks.len() - 1) as f64;
+        let width = (widest * (least / widest).powf(share)).to_radians();
+        self.looks += 1;
+        for joint in 0..moving.joints.len() {
+            let readings = readings(step, joint, width)?;
+            if let Some(found) = smoothed(&readings, &moving.times) {
+                step.state.corrections.joints[joint] = found;
+            }
+        }
+        Ok(())
+    }
+
+    /// Puts the Gaussians into the order of their parts.
+    pub(super) fn conclude(&self, step: &RuleContext, model: &mut Model) -> Option<MovingResult> {
+        let moving = step.setup.dataset.articulation.as_ref()?;
+        let parts = moving.joints.len() as u8;
+        let mut order: Vec<u32> = (0..model.len as u32).collect();
+        order.sort_by_key(|&i| model.part_of(i as usize));
+        model.select(&order);
+        let count = |part: u8| model.part.iter().filter(|&&p| p == part).count();
+        let gaussians = (0..=parts).map(count).collect();
+        let given = || moving.joints.iter().map(|j| [j.angles.clone(), j.sigmas.clone()]).collect();
+        let known = step.state.corrections.joints.clone();
+        let known: Vec<[Vec<f64>; 2]> = if known.is_empty() { given() } else { known };
+        let (angles, sigmas) = known.into_iter().map(|[angles, sigmas]| (angles, sigmas)).unzip();
+        Some(MovingResult { gaussians, angles, sigmas })
+    }
+}
+
+/// What the photos say of a joint's angle in each view of the data set; nothing of those held out.
+fn readings(step: &mut RuleContext, joint: usize, width: f64) -> Result<Vec<Reading>, SplatError> {
+    let setup = step.setup;
+    let known = step.state.corrections.joints[joint][0].clone();
+    let mut all: Vec<Reading> = known.iter().map(|&angle| Reading { angle, information: 0.0 }).collect();
+    for &view in &setup.views {
+        let mut errors = [0.0; 3];
+        for (error, by) in errors.iter_mut().zip([-width, 0.0, width]) {
+            step.state.corrections.joints[joint][0][view] = known[view] + by;
+            let (camera, target) = step.photo(view, step.level());
+            step.backend.set_gain(step.gain(view));
+            *error = step.backend.mean_square_error(&camera, &target, &step.options())?;
+        }
+        step.state.corrections.joints[joint][0][view] = known[view];
+        let pixels = covered(step, view);
+        all[view] = reading(known[view], width, errors, pixels / SEARCH.pixels_as_one);
+    }
+    Ok(all)
+}
+
+/// Pixels of the object in a view at full resolution.
+fn covered(step: &RuleContext, view: usize) -> f64 {
+    let pixels = &step.setup.dataset.views[view].levels[0];
+    match &pixels.mask {
+        Some(mask) => mask.iter().map(|&m| f64::from(m) / 255.0).sum(),
+        None => (pixels.width * pixels.height) as f64,
+    }
+}
+
+/// The parabola through three mean squared errors, `samples` independent ones each. Where they make
+/// none, or one whose lowest point is farther than twice the width, one with the same slope that
+/// ends there.
+fn reading(angle: f64, width: f64, [low, middle, high]: [f64; 3], samples: f64) -> Reading {
+    let slope = (high - low) / (2.0 * width);
+    let bend = ((low - 2.0 * middle + high) / (width * width)).max(slope.abs() / (2.0 * width));
+    let information = samples * bend / (2.0 * middle.max(f64::EPSILON));
+    if bend > 0.0 && information.is_finite() {
+        Reading { angle: angle - slope / bend, information }
+    } else {
+        Reading { angle, information: 0.0 }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_parabola_is_read_at_its_lowest_point() {
+        let error = |angle: f64| 1e-3 + 2.0 * (angle - 0.53) * (angle - 0.53);
+        let found = reading(0.5, 0.04, [0.46, 0.5, 0.54].map(error), 100.0);
+        assert!((found.angle - 0.53).abs() < 1e-9, "{found:?}");
+        assert!((found.information - 100.0 * 4.0 / (2.0 * error(0.5))).abs() < 1e-6 * found.information);
+    }
+
+    #[test]
+    fn far_ends_and_hills_are_walked_towards_and_flat_errors_say_nothing() {
+        let far = reading(0.0, 0.1, [1.3, 1.0, 0.71], 1.0);
+        assert!((far.angle - 0.2).abs() < 1e-9, "{far:?}");
+        let hill = reading(0.0, 0.1, [0.5, 1.0, 0.7], 1.0);
+        assert!((hill.angle + 0.2).abs() < 1e-9, "{hill:?}");
+        assert_eq!(reading(0.3, 0.1, [1.0; 3], 1.0).information, 0.0);
+        assert_eq!(reading(0.3, 0.1, [f64::NAN; 3], 1.0).information, 0.0);
+    }
+}
