@@ -53,6 +53,15 @@ impl Pictures {
         }
     }
 
+    /// Holds joints, by the number of their part, at angles in degrees.
+    pub(crate) fn hold_joints(&mut self, joints: &[(usize, f64)]) -> Result<()> {
+        match self {
+            Self::Parts(moving) => moving.hold(joints),
+            _ if joints.is_empty() => Ok(()),
+            _ => bail!("nothing has a joint here; give the folder that sat-recon parts wrote, such as OUT/parts"),
+        }
+    }
+
     /// Renders a view as it is at a time.
     pub fn render(
         &mut self,

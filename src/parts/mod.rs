@@ -1,6 +1,7 @@
 //! `parts`: parts of the object that turn on joints while it is filmed, as a table and
 //! `parts.json`, with the model that their motion no longer bends.
 
+mod meshes;
 mod posed;
 mod splat;
 

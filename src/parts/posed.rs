@@ -7,10 +7,17 @@ use sfm::Articulation;
 use splat::{BackendChoice, DeviceConfig, RenderOptions, RenderOutput, Renderer};
 use std::path::Path;
 
+/// The part of each Gaussian of a splat, 0: the body.
+pub(super) fn labels(parts: &Articulation) -> Vec<u8> {
+    (0..).zip(&parts.gaussians).flat_map(|(part, &count)| std::iter::repeat_n(part, count)).collect()
+}
+
 /// Parts and their splat.
 pub struct MovingSplat {
     renderer: Renderer,
     parts: Articulation,
+    /// Angles at which joints are held, degrees.
+    held: Vec<Option<f64>>,
 }
 
 impl MovingSplat {
@@ -33,15 +40,25 @@ impl MovingSplat {
         );
         let device = DeviceConfig { backend: BackendChoice::Cpu, ..DeviceConfig::default() };
         let (mut renderer, _) = Renderer::on(&device, gaussians)?;
-        let of_parts = (0..).zip(&parts.gaussians);
-        renderer.articulate(of_parts.flat_map(|(part, &count)| std::iter::repeat_n(part, count)).collect())?;
-        Ok(Some(Self { renderer, parts }))
+        renderer.articulate(labels(&parts))?;
+        let held = vec![None; parts.parts.len()];
+        Ok(Some(Self { renderer, parts, held }))
     }
 
     /// When a photo was taken, in [0, 1]: the first at 0, the last at 1.
     pub(crate) fn time_of(&self, name: &str) -> f32 {
         let number = self.parts.frames.iter().position(|frame| frame == name).unwrap_or(0);
         number as f32 / self.last_frame() as f32
+    }
+
+    /// Holds joints, by the number of their part from 1 on, at angles in degrees.
+    pub(crate) fn hold(&mut self, joints: &[(usize, f64)]) -> Result<()> {
+        let count = self.held.len();
+        for &(number, angle) in joints {
+            let joint = number.checked_sub(1).and_then(|k| self.held.get_mut(k));
+            *joint.with_context(|| format!("there is no part {number}; there are {count}"))? = Some(angle);
+        }
+        Ok(())
     }
 
     fn last_frame(&self) -> f64 {
@@ -57,7 +74,9 @@ impl MovingSplat {
         options: &RenderOptions,
     ) -> Result<RenderOutput> {
         let frame = f64::from(time) * self.last_frame();
-        let poses: Vec<Pose> = self.parts.parts.iter().map(|p| p.pose(p.angle_deg(frame))).collect();
+        let parts = self.parts.parts.iter().zip(&self.held);
+        let poses: Vec<Pose> =
+            parts.map(|(part, held)| part.pose(held.unwrap_or_else(|| part.angle_deg(frame)))).collect();
         Ok(self.renderer.render_parts(camera, pose, &poses, options)?)
     }
 }

@@ -1,6 +1,7 @@
 //! The splat of an object with moving parts: trained on the model that `parts` corrected.
 
 use crate::args::{EvalConfig, MeshConfig};
+use super::meshes;
 use crate::evaluate;
 use crate::record::{Evaluation, KnownRun};
 use anyhow::{Context, Result};
@@ -39,6 +40,9 @@ impl Found<'_> {
         super::write(folder, self.parts)?;
         std::fs::remove_dir_all(&checkpoints).ok();
         let (fps_loops, mesh) = (self.fps_loops, MeshConfig::default());
+        let shape = (&result.gaussians, &*self.parts);
+        let (times, fine) = (seconds(self.frames), (splat::fusion::DEFAULT_RESOLUTION, progress));
+        meshes::write(&folder.join("parts.glb"), shape, &dataset, &times, fine)?;
         let judged = EvalConfig { lpips_weights: Vec::new(), fps_loops, mesh };
         evaluate::evaluate(folder, folder, &config.dataset, &judged, &config.train.device, progress)
     }
@@ -84,6 +88,15 @@ impl Found<'_> {
         }
     }
 }
+
+/// When the frames were taken; by their numbers, 30 a second, where that is not known.
+fn seconds(frames: &FrameSet) -> Vec<f64> {
+    let by_number = || (0..frames.frames.len()).map(|k| k as f64 / FRAMES_A_SECOND).collect();
+    frames.times().unwrap_or_else(by_number)
+}
+
+/// Frames a second where no time is known. Source: common.
+const FRAMES_A_SECOND: f64 = 30.0;
 
 /// Colour of the first Gaussians of a part: its points have none yet. Source: any will do.
 const GREY: [u8; 3] = [128; 3];

@@ -17,7 +17,9 @@ pub mod heif;
 mod limits;
 pub mod load;
 mod mesh;
+mod gltf_builder;
 mod mesh_out;
+mod moving_glb;
 mod model;
 mod name;
 pub mod ply;
@@ -38,6 +40,7 @@ pub use load::{
 };
 pub use mesh::{parse_mesh, read_mesh};
 pub use mesh_out::{write_mesh, write_textured_mesh};
+pub use moving_glb::{Hinge, MovingMesh, write_moving_glb};
 pub use model::{
     find_model, has_model, parse_model_bin, parse_model_txt, read_model, write_model_bin, write_model_txt,
 };

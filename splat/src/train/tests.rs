@@ -20,6 +20,8 @@ use std::path::PathBuf;
 
 #[path = "bits_tests.rs"]
 mod bits;
+#[path = "joint_tests.rs"]
+mod joints;
 #[path = "trouble_tests.rs"]
 mod trouble;
 #[path = "units_tests.rs"]
