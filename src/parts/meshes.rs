@@ -55,7 +55,7 @@ fn at_rest(parts: &Articulation, dataset: &Dataset, number: usize) -> Dataset {
 
 /// The body's frame from that of a part at rest, when a view was taken.
 fn motion(parts: &Articulation, view: &View, number: usize) -> Pose {
-    let frame = parts.frames.iter().position(|name| *name == view.name).unwrap_or(0);
+    let frame = parts.number(&view.name).unwrap_or(0);
     let part = number.checked_sub(1).and_then(|k| parts.parts.get(k));
     part.map_or(Pose::IDENTITY, |part| part.pose(part.angle_deg(frame as f64)))
 }

@@ -5,7 +5,7 @@ mod meshes;
 mod posed;
 mod splat;
 
-pub(crate) use posed::MovingSplat;
+pub(crate) use posed::{MovingSplat, labels, read_moving};
 
 use crate::args::PartsArgs;
 use crate::outcome::Outcome;

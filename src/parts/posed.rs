@@ -7,8 +7,28 @@ use sfm::Articulation;
 use splat::{BackendChoice, DeviceConfig, RenderOptions, RenderOutput, Renderer};
 use std::path::Path;
 
+/// The record of a folder with a splat `gaussians` whose parts move, if it is one.
+pub(crate) fn read_moving(folder: &Path, gaussians: &Gaussians) -> Result<Option<Articulation>> {
+    let path = folder.join(RECORD);
+    if !path.is_file() {
+        return Ok(None);
+    }
+    let text = std::fs::read(&path).with_context(|| format!("cannot read {}", path.display()))?;
+    let parts: Articulation = serde_json::from_slice(&text)
+        .with_context(|| format!("{} is damaged; run sat-recon parts again", path.display()))?;
+    if parts.gaussians.is_empty() {
+        return Ok(None);
+    }
+    anyhow::ensure!(
+        parts.gaussians.iter().sum::<usize>() == gaussians.len(),
+        "{} belongs to another splat than the one beside it; run sat-recon parts again",
+        path.display()
+    );
+    Ok(Some(parts))
+}
+
 /// The part of each Gaussian of a splat, 0: the body.
-pub(super) fn labels(parts: &Articulation) -> Vec<u8> {
+pub(crate) fn labels(parts: &Articulation) -> Vec<u8> {
     (0..).zip(&parts.gaussians).flat_map(|(part, &count)| std::iter::repeat_n(part, count)).collect()
 }
 
@@ -23,21 +43,7 @@ pub struct MovingSplat {
 impl MovingSplat {
     /// That of a folder with a record of parts and a splat `gaussians` of them, if it is one.
     pub(crate) fn open(folder: &Path, gaussians: &Gaussians) -> Result<Option<Self>> {
-        let path = folder.join(RECORD);
-        if !path.is_file() {
-            return Ok(None);
-        }
-        let text = std::fs::read(&path).with_context(|| format!("cannot read {}", path.display()))?;
-        let parts: Articulation = serde_json::from_slice(&text)
-            .with_context(|| format!("{} is damaged; run sat-recon parts again", path.display()))?;
-        if parts.gaussians.is_empty() {
-            return Ok(None);
-        }
-        anyhow::ensure!(
-            parts.gaussians.iter().sum::<usize>() == gaussians.len(),
-            "{} belongs to another splat than the one beside it; run sat-recon parts again",
-            path.display()
-        );
+        let Some(parts) = read_moving(folder, gaussians)? else { return Ok(None) };
         let device = DeviceConfig { backend: BackendChoice::Cpu, ..DeviceConfig::default() };
         let (mut renderer, _) = Renderer::on(&device, gaussians)?;
         renderer.articulate(labels(&parts))?;
@@ -47,8 +53,8 @@ impl MovingSplat {
 
     /// When a photo was taken, in [0, 1]: the first at 0, the last at 1.
     pub(crate) fn time_of(&self, name: &str) -> f32 {
-        let number = self.parts.frames.iter().position(|frame| frame == name).unwrap_or(0);
-        number as f32 / self.last_frame() as f32
+        let number = self.parts.number(name).unwrap_or(0);
+        (number as f64 / self.last_frame()) as f32
     }
 
     /// Holds joints, by the number of their part from 1 on, at angles in degrees.

@@ -51,7 +51,7 @@ impl Found<'_> {
     fn moving(&self, dataset: &mut Dataset) -> Moving {
         let frame = dataset.normalisation;
         let numbers: Vec<Option<usize>> =
-            dataset.views.iter().map(|v| self.parts.frames.iter().position(|name| *name == v.name)).collect();
+            dataset.views.iter().map(|v| self.parts.number(&v.name)).collect();
         let by_view = |of_frames: &[f64]| -> Vec<f64> {
             numbers.iter().map(|k| k.and_then(|k| of_frames.get(k)).map_or(0.0, |v| v.to_radians())).collect()
         };

@@ -52,6 +52,13 @@ pub struct Articulation {
     pub gaussians: Vec<usize>,
 }
 
+impl Articulation {
+    /// The number of a frame, from 0 on.
+    pub fn number(&self, frame: &str) -> Option<usize> {
+        self.frames.iter().position(|name| name == frame)
+    }
+}
+
 impl MovingPart {
     /// The body's frame from that of the part at rest, at an angle in degrees.
     pub fn pose(&self, angle_deg: f64) -> Pose {
