@@ -2,6 +2,7 @@
 
 use crate::error::SplatError;
 use crate::model::{MAX_SH_DEGREE, Model, padded};
+use crate::parts::PartPulls;
 use crate::statistics::Statistics;
 use crate::view::{PinholeView, RenderOptions, RenderOutput};
 use scene::Decision;
@@ -79,6 +80,8 @@ pub struct StepOutput {
     pub pairs: usize,
     /// Gaussians whose gradient was not finite (left unchanged).
     pub non_finite: usize,
+    /// What pulls at moving parts; by the processor only.
+    pub pulls: PartPulls,
 }
 
 /// Seconds spent in each kernel since the backend was made.

@@ -52,6 +52,11 @@ impl PartCameras {
         Self { count: view.parts.len() + 1, all }
     }
 
+    /// How many parts move.
+    pub(crate) fn moving(&self) -> usize {
+        self.count - 1
+    }
+
     /// That of the body.
     pub(crate) fn body(&self) -> &CameraConstants {
         &self.all[0]

@@ -67,6 +67,30 @@ impl FromIterator<PartPlace> for PartPlaces {
     }
 }
 
+/// dL/d(motion) of a part in a step, as the part at rest sees it.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct PartPull {
+    /// Of its Gaussians' places: the sum of dL/dmean without what their colours add.
+    pub force: [f32; 3],
+    /// The same about the origin, and of what turns the Gaussians themselves.
+    pub torque: [f32; 3],
+    /// Of the directions from which colours are seen: the sum of dL/dmean through them.
+    pub colour: [f32; 3],
+}
+
+/// Of all parts, the first one first.
+pub type PartPulls = [PartPull; MOST_PARTS];
+
+impl PartPull {
+    /// Adds what pulls at another Gaussian or at others.
+    pub(crate) fn add(&mut self, other: &Self) {
+        let own = [&mut self.force, &mut self.torque, &mut self.colour];
+        for (own, other) in own.into_iter().zip([other.force, other.torque, other.colour]) {
+            own.iter_mut().zip(other).for_each(|(a, b)| *a += b);
+        }
+    }
+}
+
 /// A joint: the part turns about an axis, by an angle in each view. Frame of the Gaussians.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Joint {
@@ -81,6 +105,16 @@ pub struct Joint {
 }
 
 impl Joint {
+    /// dL/d(angle) from what pulls at the part where a camera stands there (frame of the part at
+    /// rest).
+    pub(crate) fn slope(&self, pull: &PartPull, camera: Vec3) -> f64 {
+        let [force, torque, colour] =
+            [pull.force, pull.torque, pull.colour].map(|v| Vec3::from(v).as_dvec3());
+        let turned = torque - self.place.cross(force);
+        // The part turns below the camera: its colours are seen as if the camera turned back.
+        self.axis.dot(turned + (camera.as_dvec3() - self.place).cross(colour))
+    }
+
     /// Where the part stands at an angle, radians.
     pub fn place_at(&self, angle: f64) -> PartPlace {
         let rotation = DQuat::from_axis_angle(self.axis, angle);
@@ -165,11 +199,11 @@ mod tests {
 
     const ANGLES: [f64; 2] = [0.7, -1.1];
 
-    /// The same Gaussians where the angles put them, turned one by one.
-    fn moved(gaussians: &Gaussians, parts: &[u8]) -> Gaussians {
+    /// The same Gaussians where angles put them, turned one by one.
+    fn moved(gaussians: &Gaussians, parts: &[u8], angles: [f64; 2]) -> Gaussians {
         let motions: Vec<Sim3> = joints()
             .iter()
-            .zip(ANGLES)
+            .zip(angles)
             .map(|(joint, angle)| {
                 let rotation = DQuat::from_axis_angle(joint.axis, angle);
                 Sim3 { scale: 1.0, rotation, translation: joint.place - rotation * joint.place }
@@ -205,7 +239,7 @@ mod tests {
         let options = RenderOptions::default();
         let ours = backend(&gaussians, &parts).render(&view(places()), &options).unwrap();
         let still = view(PartPlaces::NONE);
-        let truth = backend(&moved(&gaussians, &parts), &[]).render(&still, &options).unwrap();
+        let truth = backend(&moved(&gaussians, &parts, ANGLES), &[]).render(&still, &options).unwrap();
         let rest = backend(&gaussians, &parts).render(&still, &options).unwrap();
         let apart = |a: &[f32], b: &[f32]| a.iter().zip(b).map(|(a, b)| (a - b).abs()).fold(0.0, f32::max);
         assert!(apart(&ours.rgb.data, &truth.rgb.data) < 2e-4);
@@ -221,7 +255,7 @@ mod tests {
         let options = RenderOptions::default();
         let ours = backend(&gaussians, &parts).gradients(&view(places()), &options, &picture);
         let still = view(PartPlaces::NONE);
-        let truth = backend(&moved(&gaussians, &parts), &[]).gradients(&still, &options, &picture);
+        let truth = backend(&moved(&gaussians, &parts, ANGLES), &[]).gradients(&still, &options, &picture);
         let mean = |planes: &crate::model::Planes, i: usize| {
             Vec3::from_array([0, 1, 2].map(|k| planes[MEAN + k][i]))
         };
@@ -235,6 +269,38 @@ mod tests {
         apart.sort_by(f32::total_cmp);
         assert!(apart[parts.len() * 8 / 10] < 1e-3, "{apart:?}");
         assert!(apart[parts.len() - 1] < 0.03, "{apart:?}");
+    }
+
+    /// All numbers of a model in one list.
+    fn numbers(planes: &crate::model::Planes, sh: &[f32]) -> Vec<f64> {
+        planes.iter().flatten().chain(sh).map(|v| f64::from(*v)).collect()
+    }
+
+    #[test]
+    fn the_slope_of_an_angle_is_what_gradients_say_of_gaussians_that_follow_it() {
+        let (gaussians, parts) = scene();
+        let mut rng = scene::rng::rng(6, "slope", 0);
+        let picture: Vec<f32> = (0..64 * 48 * 3).map(|_| rng.random_range(-1.0..1.0)).collect();
+        let options = RenderOptions::default();
+        let camera = view(places());
+        let ours = backend(&gaussians, &parts).gradients(&camera, &options, &picture).pulls;
+        let still = view(PartPlaces::NONE);
+        let at = |angles: [f64; 2]| Model::from_gaussians(&moved(&gaussians, &parts, angles));
+        let here = backend(&moved(&gaussians, &parts, ANGLES), &[]).gradients(&still, &options, &picture);
+        let gradient = numbers(&here.geometry, &here.sh);
+        for k in 0..2 {
+            let change = |by: f64| {
+                let mut angles = ANGLES;
+                angles[k] += by;
+                let model = at(angles);
+                numbers(&model.geometry, &model.sh)
+            };
+            let (more, less) = (change(1e-2), change(-1e-2));
+            let moves = more.iter().zip(&less).map(|(a, b)| (a - b) / 2e-2);
+            let truth: f64 = gradient.iter().zip(moves).map(|(g, m)| g * m).sum();
+            let slope = joints()[k].slope(&ours[k], camera.of_part(k as u8 + 1).position());
+            assert!((slope - truth).abs() < 2e-3 * truth.abs() + 1e-3, "{k}: {slope} {truth}");
+        }
     }
 
     #[test]

@@ -7,8 +7,8 @@
 //! drifting on stale momentum.
 
 use super::dispatch::simd_kernel;
-use super::model_part::{AdamPart, GradientSink, ModelPart};
-use super::project::{CULLED, Projection, colour, next_part, project_lanes};
+use super::model_part::{AdamPart, GradientSink, ModelPart, PART};
+use super::project::{CULLED, Projection, colour, cross, next_part, project_lanes};
 use super::project_backward::geometry_gradient;
 use super::rasterise::SUMS;
 use super::sh;
@@ -17,9 +17,11 @@ use super::sort::Bins;
 use crate::backend::LearningRates;
 use crate::camera::{CameraConstants, PartCameras};
 use crate::model::{GEOMETRY, LANE_PAD, LOG_SCALE, MEAN, OPACITY, ROTATION};
+use crate::parts::{PartPull, PartPulls};
 use crate::reference::constants::{BETAS, EPSILON};
 use glam::Vec3;
 use scene::sh::SH_COUNT;
+use std::sync::Mutex;
 
 /// Moments below these are set to zero, so that no denormal numbers slow the loop: first and second
 /// moments. Source: chosen by hand, never measured; the steps that they are part of are below 1e-3
@@ -41,6 +43,8 @@ pub(super) struct Adam<'a> {
     pub(super) keys: &'a [u32],
     /// Sums by pair.
     pub(super) sums: &'a [[f32; SUMS]],
+    /// Out: what pulls at moving parts, by groups of [`PART`] Gaussians; empty where nothing moves.
+    pub(super) pulls: &'a [Mutex<PartPulls>],
     /// Out: Gaussians whose gradient was not finite.
     pub(super) non_finite: usize,
 }
@@ -153,10 +157,17 @@ fn adam_block<S: Simd>(
             plane[lane] = value;
         }
     }
+    let of_shape = gradient;
     for (k, plane) in by_direction.iter().enumerate() {
         let part = S::read(plane);
         gradient[MEAN + k] = gradient[MEAN + k].add(part);
         finite = S::and(finite, part.abs().lt(S::splat(HUGE)));
+    }
+    if part > 0 && !a.pulls.is_empty() {
+        let pull = pull::<S>(&parameters, &of_shape, &by_direction, finite);
+        let group = &a.pulls[(a.part.first + block) / PART];
+        let mut group = group.lock().unwrap_or_else(std::sync::PoisonError::into_inner);
+        group[usize::from(part) - 1].add(&pull);
     }
     let lost = S::bits(alive) & !S::bits(finite);
     a.non_finite += lost.count_ones() as usize;
@@ -173,6 +184,35 @@ fn adam_block<S: Simd>(
             note_statistics(state, block, camera, &p, &sums, finite);
         }
     }
+}
+
+/// What pulls at a block of Gaussians of a part, where `on`: places, directions (a turn by the small
+/// vector φ makes of a quaternion q the sum q + ½ (0, φ) q), colours.
+#[inline(always)]
+fn pull<S: Simd>(
+    parameters: &[S; GEOMETRY],
+    gradient: &[S; GEOMETRY],
+    by_direction: &[[f32; LANE_PAD]; 3],
+    on: S::Mask,
+) -> PartPull {
+    let half = S::splat(0.5);
+    let vector = |all: &[S; GEOMETRY], first: usize| -> [S; 3] { array!(k in 3 => all[first + k]) };
+    let (x, g) = (vector(parameters, MEAN), vector(gradient, MEAN));
+    let (w, u) = (parameters[ROTATION], vector(parameters, ROTATION + 1));
+    let (g_w, g_u) = (gradient[ROTATION], vector(gradient, ROTATION + 1));
+    let (turn, own) = (cross(x, g), cross(u, g_u));
+    let torque: [S; 3] = array!(k in 3 => {
+        turn[k].add(half.mul(w.mul(g_u[k]).sub(g_w.mul(u[k])).add(own[k])))
+    });
+    let colour: [S; 3] = array!(k in 3 => S::read(&by_direction[k]));
+    let sums = |v: [S; 3]| -> [f32; 3] {
+        v.map(|v| {
+            let mut lanes = [0.0f32; LANE_PAD];
+            v.keep(on).write(&mut lanes);
+            lanes[..S::LANES].iter().sum()
+        })
+    };
+    PartPull { force: sums(g), torque: sums(torque), colour: sums(colour) }
 }
 
 /// `1 / (1 − β₁ᵗ)` and `1 / (1 − β₂ᵗ)` of the step that the clocks are about to take.

@@ -95,10 +95,10 @@ impl CpuBackend {
     fn optimise(&mut self, input: &StepInput, cameras: &PartCameras, value: LossValue) -> StepOutput {
         let mut mark = (self.clock)();
         let model = ModelPart::adam(&mut self.model, &mut self.statistics, input.rates);
-        let non_finite = self.work.optimise(self.isa, model, cameras);
+        let (non_finite, pulls) = self.work.optimise(self.isa, model, cameras);
         self.times.optimise += self.lap(&mut mark);
         let [visible, pairs] = self.work.visible_and_pairs();
-        StepOutput { loss: value.loss, mse: value.mse, visible, pairs, non_finite }
+        StepOutput { loss: value.loss, mse: value.mse, visible, pairs, non_finite, pulls }
     }
 
     /// The Gaussians.
@@ -155,7 +155,8 @@ impl CpuBackend {
         self.work.set_gradient(gradient);
         self.work.backward(self.isa);
         let mut out = ModelGradient::zeros(&self.model);
-        self.work.optimise(self.isa, ModelPart::gradient(&mut self.model, &mut out), &cameras);
+        let part = ModelPart::gradient(&mut self.model, &mut out);
+        (_, out.pulls) = self.work.optimise(self.isa, part, &cameras);
         out
     }
 }

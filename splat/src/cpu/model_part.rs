@@ -2,6 +2,7 @@
 
 use crate::backend::LearningRates;
 use crate::model::{GEOMETRY, Model, padded};
+use crate::parts::PartPulls;
 use crate::statistics::Statistics;
 
 /// Gaussians of a part at most, a multiple of every vector's lanes. Source: chosen by hand, never
@@ -15,13 +16,16 @@ pub(crate) struct ModelGradient {
     pub(crate) geometry: [Vec<f32>; GEOMETRY],
     /// [N × K × 3].
     pub(crate) sh: Vec<f32>,
+    /// With respect to the motions of parts.
+    pub(crate) pulls: PartPulls,
 }
 
 impl ModelGradient {
     /// All zero, in the shape of a model.
     pub(super) fn zeros(model: &Model) -> Self {
         let n = padded(model.len);
-        Self { geometry: std::array::from_fn(|_| vec![0.0; n]), sh: vec![0.0; model.sh.len()] }
+        let (geometry, sh) = (std::array::from_fn(|_| vec![0.0; n]), vec![0.0; model.sh.len()]);
+        Self { geometry, sh, pulls: PartPulls::default() }
     }
 }
 

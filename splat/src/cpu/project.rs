@@ -140,7 +140,7 @@ pub(crate) fn dot3<S: Simd>(a: [S; 3], b: [S; 3]) -> S {
 
 /// `a × b`.
 #[inline(always)]
-fn cross<S: Simd>(a: [S; 3], b: [S; 3]) -> [S; 3] {
+pub(super) fn cross<S: Simd>(a: [S; 3], b: [S; 3]) -> [S; 3] {
     array!(k in 3 => {
         let (i, j) = ((k + 1) % 3, (k + 2) % 3);
         a[i].mul(b[j]).sub(a[j].mul(b[i]))

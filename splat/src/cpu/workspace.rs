@@ -14,7 +14,9 @@ use super::tile::{PIXELS, PlaneShape, TILE, Tile, TilePlane};
 use crate::backend::Target;
 use crate::camera::PartCameras;
 use crate::model::Model;
+use crate::parts::PartPulls;
 use rayon::prelude::*;
+use std::sync::Mutex;
 
 /// Everything that lives between the kernels of a step. Kept between steps, so that nothing is
 /// allocated in the loop. Invariant: every plane that is in use has the size that `shape` says, and
@@ -39,6 +41,8 @@ pub(super) struct KernelWorkspace {
     parts: Vec<[f64; 3]>,
     /// Targets are divided by this.
     pub(super) gain: Option<[f32; 3]>,
+    /// What pulls at moving parts, by groups of Gaussians.
+    pulls: Vec<Mutex<PartPulls>>,
 }
 
 /// The picture that the last [`KernelWorkspace::forward`] drew: planes whose rows are `stride`
@@ -216,16 +220,31 @@ impl KernelWorkspace {
         });
     }
 
-    /// project backward and Adam (or plain gradients); returns how many gradients were not finite.
-    pub(super) fn optimise(&self, isa: Isa, model: ModelPart, cameras: &PartCameras) -> usize {
+    /// project backward and Adam (or plain gradients); returns how many gradients were not finite,
+    /// and what pulls at moving parts. Their sums do not depend on how the work is shared out.
+    pub(super) fn optimise(
+        &mut self,
+        isa: Isa,
+        model: ModelPart,
+        cameras: &PartCameras,
+    ) -> (usize, PartPulls) {
+        let groups = if cameras.moving() > 0 { model.count.div_ceil(PART) } else { 0 };
+        self.pulls.clear();
+        self.pulls.resize_with(groups, Default::default);
         let parts = rayon::iter::split(model, ModelPart::halve);
         let steps = parts.map(|part| {
-            let (bins, keys, sums) = (&self.bins, &self.keys, &self.sums);
-            let mut a = Adam { part, cameras, bins, keys, sums, non_finite: 0 };
+            let (bins, keys, sums, pulls) = (&self.bins, &self.keys, &self.sums, &self.pulls[..]);
+            let mut a = Adam { part, cameras, bins, keys, sums, pulls, non_finite: 0 };
             adam(isa, &mut a);
             a.non_finite
         });
-        steps.sum()
+        let non_finite = steps.sum();
+        let mut all = PartPulls::default();
+        for group in &mut self.pulls {
+            let group = group.get_mut().unwrap_or_else(std::sync::PoisonError::into_inner);
+            all.iter_mut().zip(group.iter()).for_each(|(sum, pull)| sum.add(pull));
+        }
+        (non_finite, all)
     }
 }
 

@@ -127,10 +127,11 @@ impl<'a> Session<'a> {
         let steps = step.expected_steps();
         step.state.place.decide_early(steps);
         rules.before_step(&mut step)?;
-        let outputs = self.train_on_next_view()?;
+        let (view, outputs) = self.train_on_next_view()?;
         self.state.place.iteration += 1;
         self.note_steps(&outputs)?;
         let (mut step, rules) = self.context();
+        outputs.iter().for_each(|output| rules.after_view(&mut step, view, output));
         rules.after_step(&mut step)?;
         self.note_time();
         let cost = self.cost.of_step(self.mark - begun, !outputs.is_empty());
@@ -145,21 +146,23 @@ impl<'a> Session<'a> {
         Ok(())
     }
 
-    /// Forward, loss, backward and Adam on the next view: what those steps saw that have ended.
-    fn train_on_next_view(&mut self) -> Result<Vec<StepOutput>, SplatError> {
+    /// Forward, loss, backward and Adam on the next view: its number, and what those steps saw that
+    /// have ended.
+    fn train_on_next_view(&mut self) -> Result<(usize, Vec<StepOutput>), SplatError> {
         let chosen = self.order.view(&self.setup, &self.state.place);
         let background = self.background();
         let (step, _) = self.context();
         let (setup, steps, level) = (step.setup, step.expected_steps(), step.level());
         let (camera, target) = step.photo(chosen, level);
         step.backend.set_gain(step.gain(chosen));
-        step.backend.advance(&StepInput {
+        let outputs = step.backend.advance(&StepInput {
             view: &camera,
             target,
             options: RenderOptions { background, ..step.options() },
             rates: rates(step.position(), steps, setup.pixel, setup.config),
             lambda_dssim: setup.config.lambda_dssim,
-        })
+        })?;
+        Ok((chosen, outputs))
     }
 
     /// A random colour where the background shows through, else black.

@@ -16,6 +16,7 @@ mod sh_degree;
 mod silhouette;
 pub(crate) mod smoothing;
 
+use crate::backend::StepOutput;
 use crate::error::SplatError;
 use crate::model::Model;
 use crate::train::context::RuleContext;
@@ -45,6 +46,11 @@ impl Rules {
     /// What a step needs.
     pub(crate) fn before_step(&mut self, step: &mut RuleContext) -> Result<(), SplatError> {
         self.sh_degree.before_step(step)
+    }
+
+    /// What follows from what a step saw of a view. A device that begins steps tells of no parts.
+    pub(crate) fn after_view(&mut self, step: &mut RuleContext, view: usize, output: &StepOutput) {
+        self.joints.after_view(step, view, output);
     }
 
     /// What follows from what steps saw.

@@ -1,7 +1,8 @@
 //! Angles that change their rate slowly, from readings of some of them.
 //!
-//! `min Σ w_v (θ_v − y_v)² + Σ (Δrate)² / bend²`: an integrated random walk. How unsteady it is,
-//! `bend`, is what gives the readings the most evidence (MacKay 1992).
+//! `min Σ (θ_v − y_v)² / (1/w_v + noise²) + Σ (Δrate)² / bend²`: an integrated random walk, seen by
+//! readings that are worth less than they say. How unsteady it is, `bend`, and what is wrong with
+//! all readings, `noise`, is what gives the readings the most evidence (MacKay 1992).
 
 /// A reading of an angle: radians, and one over its variance (0: it says nothing).
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -10,10 +11,21 @@ pub(super) struct Reading {
     pub(super) information: f64,
 }
 
+impl Reading {
+    /// With another error of this standard deviation.
+    fn with_noise(self, noise: f64) -> Self {
+        let information = self.information / (1.0 + self.information * noise * noise);
+        Self { information, ..self }
+    }
+}
+
 /// Standard deviations of the change of rate from frame to frame that are tried, radians.
 /// Source: as for joints from tracks: from a degree over a hundred frames to half a degree in one.
 const BENDS: [f64; 6] = [3e-5, 9e-5, 2.7e-4, 8.1e-4, 2.43e-3, 7.29e-3];
 
+/// Standard deviations of what is wrong with readings beyond what they say that are tried, radians.
+/// Source: derived: from nothing to where pictures of a part no longer overlap.
+const NOISES: [f64; 6] = [1e-4, 1e-3, 3e-3, 1e-2, 3e-2, 0.1];
 /// What is left of a diagonal entry of a singular matrix is below this share of it.
 /// Source: derived: the rounding of some hundred operations.
 const ROUNDED: f64 = 1e-13;
@@ -90,7 +102,11 @@ pub(super) fn smoothed(readings: &[Reading], times: &[f64]) -> Option<[Vec<f64>;
     order.sort_by(|&a, &b| times[a].total_cmp(&times[b]));
     let sorted: Vec<Reading> = order.iter().map(|&i| readings[i]).collect();
     let moments: Vec<f64> = order.iter().map(|&i| times[i]).collect();
-    let tried = BENDS.iter().filter_map(|&bend| steady(&sorted, &moments, bend));
+    let noises = NOISES.iter().flat_map(|&noise| BENDS.map(|bend| (noise, bend)));
+    let tried = noises.filter_map(|(noise, bend)| {
+        let believed: Vec<Reading> = sorted.iter().map(|r| r.with_noise(noise)).collect();
+        steady(&believed, &moments, bend)
+    });
     let (_, angles, factor) = tried.max_by(|a, b| a.0.total_cmp(&b.0))?;
     let mut out = [readings.iter().map(|r| r.angle).collect::<Vec<f64>>(), vec![0.0; readings.len()]];
     let variances = factor.variances();
@@ -119,11 +135,12 @@ fn steady(readings: &[Reading], times: &[f64], bend: f64) -> Option<(f64, Vec<f6
     let right: Vec<f64> = readings.iter().map(|r| r.information * r.angle).collect();
     let factor = matrix.factor()?;
     let angles = factor.solve(right.clone());
-    // ½ log det(prior) − ½ log det(all) − ½ of what is left over, up to a constant.
+    // ½ log det(prior) + ½ log det(readings) − ½ log det(all) − ½ of what is left over, up to a constant.
     let fitted: f64 = angles.iter().zip(&right).map(|(a, r)| a * r).sum();
     let read: f64 = readings.iter().map(|r| r.information * r.angle * r.angle).sum();
     let prior = -(n.saturating_sub(2) as f64) * bend.ln();
-    let evidence = prior - 0.5 * factor.log_determinant() - 0.5 * (read - fitted);
+    let worth: f64 = readings.iter().filter(|r| r.information > 0.0).map(|r| 0.5 * r.information.ln()).sum();
+    let evidence = prior + worth - 0.5 * factor.log_determinant() - 0.5 * (read - fitted);
     evidence.is_finite().then_some((evidence, angles, factor))
 }
 
