@@ -58,7 +58,9 @@ impl Pictures {
         match self {
             Self::Parts(moving) => moving.hold(joints),
             _ if joints.is_empty() => Ok(()),
-            _ => bail!("nothing has a joint here; give the folder that sat-recon parts wrote, such as OUT/parts"),
+            _ => bail!(
+                "nothing has a joint here; give the folder that sat-recon parts wrote, such as OUT/parts"
+            ),
         }
     }
 

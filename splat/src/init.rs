@@ -172,7 +172,9 @@ fn random_points(dataset: &Dataset, wanted: usize, seed: u64) -> Vec<FirstPoint>
     let mut rng = scene::rng::rng(seed, "random points", 0);
     let candidates =
         std::iter::repeat_with(|| centre.as_vec3() + in_ball(&mut rng) * (RANDOM.ball * distance) as f32);
-    let agreed = candidates.take(RANDOM.candidates).filter_map(|place| Some(FirstPoint { place, rgb: mean_colour(&views, place)?, part: 0 }));
+    let agreed = candidates
+        .take(RANDOM.candidates)
+        .filter_map(|place| Some(FirstPoint { place, rgb: mean_colour(&views, place)?, part: 0 }));
     agreed.take(wanted).collect()
 }
 

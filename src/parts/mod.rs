@@ -49,7 +49,8 @@ pub(crate) fn run(args: &PartsArgs, verbosity: Verbosity, json: bool) -> Result<
         print(&text(&found))?;
     }
     if !found.parts.is_empty() && !args.no_splat {
-        let train = splat::Found { frames: &frames, model: &corrected, parts: &mut found, fps_loops: args.fps_loops };
+        let train =
+            splat::Found { frames: &frames, model: &corrected, parts: &mut found, fps_loops: args.fps_loops };
         let judged = train.train(run, &folder, &progress)?;
         if !json {
             print(&format!("splat of the parts: {}", judged.sentence()))?;

@@ -1,7 +1,7 @@
 //! The splat of an object with moving parts: trained on the model that `parts` corrected.
 
-use crate::args::{EvalConfig, MeshConfig};
 use super::meshes;
+use crate::args::{EvalConfig, MeshConfig};
 use crate::evaluate;
 use crate::record::{Evaluation, KnownRun};
 use anyhow::{Context, Result};
@@ -50,8 +50,7 @@ impl Found<'_> {
     /// The parts in the frame of the data set, which gets their points.
     fn moving(&self, dataset: &mut Dataset) -> Moving {
         let frame = dataset.normalisation;
-        let numbers: Vec<Option<usize>> =
-            dataset.views.iter().map(|v| self.parts.number(&v.name)).collect();
+        let numbers: Vec<Option<usize>> = dataset.views.iter().map(|v| self.parts.number(&v.name)).collect();
         let by_view = |of_frames: &[f64]| -> Vec<f64> {
             numbers.iter().map(|k| k.and_then(|k| of_frames.get(k)).map_or(0.0, |v| v.to_radians())).collect()
         };
@@ -79,7 +78,9 @@ impl Found<'_> {
     /// Takes over what training found out. Angles of frames without a view stay as they were.
     fn refined(&mut self, dataset: &Dataset, found: MovingResult) {
         self.parts.gaussians = found.gaussians;
-        for (part, (angles, sigmas)) in self.parts.parts.iter_mut().zip(found.angles.iter().zip(&found.sigmas)) {
+        for (part, (angles, sigmas)) in
+            self.parts.parts.iter_mut().zip(found.angles.iter().zip(&found.sigmas))
+        {
             for (k, name) in self.parts.frames.iter().enumerate() {
                 let Some(view) = dataset.views.iter().position(|v| v.name == *name) else { continue };
                 part.angles_deg[k] = angles[view].to_degrees();

@@ -149,7 +149,8 @@ impl Run {
         let (splat, shown) = run.encode(gaussians)?;
         run.moving = parts.map(|parts| {
             let labels = crate::parts::labels(&parts);
-            let count = |part| labels.iter().zip(&shown).filter(|(l, s)| usize::from(**l) == part && **s).count();
+            let count =
+                |part| labels.iter().zip(&shown).filter(|(l, s)| usize::from(**l) == part && **s).count();
             let counts = (0..parts.gaussians.len()).map(count).collect();
             (parts, counts)
         });
@@ -161,7 +162,15 @@ impl Run {
     fn of_model(folder: &Path, model: &Reconstruction, up: DVec3) -> Self {
         let page_from_world = overview::centred(model, RADIUS);
         let model = page_from_world.transform_reconstruction(model);
-        Self { folder: folder.to_path_buf(), model, page_from_world, splat: None, antialias: false, up, moving: None }
+        Self {
+            folder: folder.to_path_buf(),
+            model,
+            page_from_world,
+            splat: None,
+            antialias: false,
+            up,
+            moving: None,
+        }
     }
 
     /// Gaussians of the run's world as a browser gets them, and which of them it gets.
@@ -175,7 +184,13 @@ impl Run {
     /// The parts that move, in the page's frame.
     fn parts(&self) -> Vec<ViewPart> {
         let Some((moving, counts)) = &self.moving else { return Vec::new() };
-        let ends: Vec<usize> = counts.iter().scan(0, |sum, n| { *sum += n; Some(*sum) }).collect();
+        let ends: Vec<usize> = counts
+            .iter()
+            .scan(0, |sum, n| {
+                *sum += n;
+                Some(*sum)
+            })
+            .collect();
         let parts = moving.parts.iter().zip(ends.windows(2)).enumerate();
         let shown = parts.map(|(k, (part, ends))| ViewPart {
             name: format!("part {}", k + 1),

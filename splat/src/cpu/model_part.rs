@@ -122,7 +122,10 @@ impl<'a> ModelPart<'a> {
             of_object: self.of_object,
             sink: sink_rest,
         };
-        (Self { first: self.first, count: at, sh_stride, geometry, sh, of_object: self.of_object, sink }, Some(rest))
+        (
+            Self { first: self.first, count: at, sh_stride, geometry, sh, of_object: self.of_object, sink },
+            Some(rest),
+        )
     }
 }
 

@@ -294,10 +294,8 @@ fn project_block<S: Simd>(a: &mut Project, block: usize, geometry: &[S; GEOMETRY
         let log2_opacity = opacity.log2();
         let reach = 2.0 * std::f32::consts::LN_2 * (log2_opacity + LOG2_255);
         let (extent_x, extent_y) = ((reach * cov_xx).max(0.0).sqrt(), (reach * cov_yy).max(0.0).sqrt());
-        let inside = x + extent_x > 0.0
-            && x - extent_x < c.size[0]
-            && y + extent_y > 0.0
-            && y - extent_y < c.size[1];
+        let inside =
+            x + extent_x > 0.0 && x - extent_x < c.size[0] && y + extent_y > 0.0 && y - extent_y < c.size[1];
         if !inside {
             continue;
         }

@@ -207,7 +207,14 @@ impl GpuBackend {
                     let [visible, non_finite] = [Counter::Visible, Counter::NonFinite]
                         .map(|counter| report.counters[counter as usize] as usize);
                     let pairs = report.pairs();
-                    self.done.push(StepOutput { loss, mse, visible, pairs, non_finite, ..StepOutput::default() });
+                    self.done.push(StepOutput {
+                        loss,
+                        mse,
+                        visible,
+                        pairs,
+                        non_finite,
+                        ..StepOutput::default()
+                    });
                 }
             }
             if most > self.sizes.pairs / 8 * 7 {

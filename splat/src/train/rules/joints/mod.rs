@@ -38,7 +38,7 @@ struct JointSearch {
 const SEARCH: JointSearch = JointSearch {
     looks: [0.05, 0.07, 0.1, 0.13, 0.17, 0.21, 0.26, 0.32, 0.4, 0.5, 0.65, 0.9],
     widths_deg: [4.0, 0.5],
-    steps_deg: [0.1, 0.01],
+    steps_deg: [0.3, 0.02],
     level: 1,
     pixels_as_one: 1000.0,
 };
@@ -81,7 +81,7 @@ impl JointRule {
         let views = step.setup.dataset.views.len();
         self.moments.resize_with(moving.joints.len(), || vec![[0.0; 3]; views]);
         let [first, last] = SEARCH.steps_deg;
-        let rate = std::env::var("RATE").map_or(1.0, |r| r.parse::<f64>().unwrap()) * (first * (last / first).powf(step.position().min(1.0))).to_radians();
+        let rate = (first * (last / first).powf(step.position().min(1.0))).to_radians();
         for (k, (joint, pull)) in moving.joints.iter().zip(&output.pulls).enumerate() {
             let slope = joint.slope(pull, camera.of_part(k as u8 + 1).position());
             if slope.is_finite() && slope != 0.0 {

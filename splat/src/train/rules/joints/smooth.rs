@@ -174,8 +174,7 @@ mod tests {
     #[test]
     fn a_jerk_is_followed_where_readings_are_exact() {
         let truth = |k: usize| if k < 30 { 0.0 } else { 0.05 * (k - 30) as f64 };
-        let readings: Vec<Reading> =
-            (0..60).map(|k| Reading { angle: truth(k), information: 1e6 }).collect();
+        let readings: Vec<Reading> = (0..60).map(|k| Reading { angle: truth(k), information: 1e6 }).collect();
         let times: Vec<f64> = (0..60).map(|k| 2.0 * k as f64).collect();
         let [angles, _] = smoothed(&readings, &times).unwrap();
         let worst = (0..60).map(|k| (angles[k] - truth(k)).abs()).fold(0.0, f64::max);
