@@ -36,10 +36,10 @@ impl Pictures {
             return Ok((Self::Field(Box::new(field), Times::read(run)?), words));
         }
         let gaussians = scene::io::ply::read_splat_ply(&run.join("splat.ply"))?;
-        if let Some(moving) = MovingSplat::open(run, &gaussians)? {
+        if let Some(moving) = MovingSplat::open(run, device, &gaussians)? {
             return Ok((Self::Parts(Box::new(moving)), "processor (moving parts)".to_owned()));
         }
-        let (mut renderer, chosen) = Renderer::on(device, &gaussians)?;
+        let (mut renderer, chosen) = Renderer::on(device, &gaussians, Vec::new())?;
         renderer.antialias = trained_with_antialias(run)?;
         Ok((Self::Splat(Box::new(renderer), gaussians), chosen.sentences().choice))
     }

@@ -81,7 +81,7 @@ pub struct StepOutput {
     /// Gaussians whose gradient was not finite (left unchanged).
     pub non_finite: usize,
     /// What pulls at moving parts; by the processor only.
-    pub pulls: PartPulls,
+    pub(crate) pulls: PartPulls,
 }
 
 /// Seconds spent in each kernel since the backend was made.

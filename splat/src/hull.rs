@@ -59,9 +59,10 @@ impl VisualHull {
     /// Removes Gaussians of the body whose centre the hull excludes; returns how many. None where
     /// that would leave nothing. Where moving parts stand is not known well enough to judge them.
     pub(crate) fn prune(&self, model: &mut Model) -> usize {
-        let excluded = |i: usize| model.part_of(i) == 0 && self.excludes(model.mean(i));
         let all = (0..model.len as u32).into_par_iter();
-        let keep: Vec<u32> = all.filter(|&i| !excluded(i as usize)).collect();
+        let keep: Vec<u32> = all
+            .filter(|&i| model.part_of(i as usize) > 0 || !self.excludes(model.mean(i as usize)))
+            .collect();
         model.keep(&keep)
     }
 }

@@ -1,41 +1,40 @@
-//! Parts of the object that move against its body: where each stands in a view, and the joints that
-//! say so.
+//! Parts of the object that move against its body: where each stands in a view, and what pulls
+//! at it.
 //!
-//! A Gaussian belongs to one part for good. It is kept as it is at rest: a camera that sees the part
-//! moved by `T` sees it as a camera moved by `T⁻¹` sees the part at rest, so that nothing but the
-//! camera differs between parts. Its shine turns with it.
+//! part moved by `T` sees it as a camera moved by `T⁻¹` sees the part at rest, so that nothing but
+//! the camera differs between parts. Its shine turns with it.
 
-use glam::{DQuat, DVec3, Mat3, Vec3};
+use glam::{Mat3, Vec3};
 
 /// Most parts beside the body: views are copied with what moves them.
 /// Source: chosen by hand: two arrays, two antennas.
-pub const MOST_PARTS: usize = 4;
+pub(crate) const MOST_PARTS: usize = 4;
 
 /// A motion: `x_body = R x_rest + t`, frame of the Gaussians.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct PartPlace {
+pub(crate) struct PartPlace {
     /// Rotation.
-    pub rotation: Mat3,
+    pub(crate) rotation: Mat3,
     /// Translation.
-    pub translation: Vec3,
+    pub(crate) translation: Vec3,
 }
 
 impl PartPlace {
     /// Where a part at rest stands.
-    pub const REST: Self = Self { rotation: Mat3::IDENTITY, translation: Vec3::ZERO };
+    pub(crate) const REST: Self = Self { rotation: Mat3::IDENTITY, translation: Vec3::ZERO };
 }
 
 /// Where the parts stand in a view: the first part is number 1, the body 0. Parts beyond those that
 /// are told stand at rest.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct PartPlaces {
+pub(crate) struct PartPlaces {
     count: usize,
     places: [PartPlace; MOST_PARTS],
 }
 
 impl PartPlaces {
     /// Nothing moves.
-    pub const NONE: Self = Self { count: 0, places: [PartPlace::REST; MOST_PARTS] };
+    pub(crate) const NONE: Self = Self { count: 0, places: [PartPlace::REST; MOST_PARTS] };
 
     /// So many of them are told.
     pub(crate) fn len(&self) -> usize {
@@ -69,17 +68,17 @@ impl FromIterator<PartPlace> for PartPlaces {
 
 /// dL/d(motion) of a part in a step, as the part at rest sees it.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct PartPull {
+pub(crate) struct PartPull {
     /// Of its Gaussians' places: the sum of dL/dmean without what their colours add.
-    pub force: [f32; 3],
+    pub(crate) force: [f32; 3],
     /// The same about the origin, and of what turns the Gaussians themselves.
-    pub torque: [f32; 3],
+    pub(crate) torque: [f32; 3],
     /// Of the directions from which colours are seen: the sum of dL/dmean through them.
-    pub colour: [f32; 3],
+    pub(crate) colour: [f32; 3],
 }
 
 /// Of all parts, the first one first.
-pub type PartPulls = [PartPull; MOST_PARTS];
+pub(crate) type PartPulls = [PartPull; MOST_PARTS];
 
 impl PartPull {
     /// Adds what pulls at another Gaussian or at others.
@@ -91,65 +90,16 @@ impl PartPull {
     }
 }
 
-/// A joint: the part turns about an axis, by an angle in each view. Frame of the Gaussians.
-#[derive(Clone, Debug, PartialEq)]
-pub struct Joint {
-    /// Direction of the axis, unit.
-    pub axis: DVec3,
-    /// A place on it.
-    pub place: DVec3,
-    /// Radians, by view; 0 at rest.
-    pub angles: Vec<f64>,
-    /// Standard deviations of these.
-    pub sigmas: Vec<f64>,
-}
-
-impl Joint {
-    /// dL/d(angle) from what pulls at the part where a camera stands there (frame of the part at
-    /// rest).
-    pub(crate) fn slope(&self, pull: &PartPull, camera: Vec3) -> f64 {
-        let [force, torque, colour] =
-            [pull.force, pull.torque, pull.colour].map(|v| Vec3::from(v).as_dvec3());
-        let turned = torque - self.place.cross(force);
-        // The part turns below the camera: its colours are seen as if the camera turned back.
-        self.axis.dot(turned + (camera.as_dvec3() - self.place).cross(colour))
-    }
-
-    /// Where the part stands at an angle, radians.
-    pub fn place_at(&self, angle: f64) -> PartPlace {
-        let rotation = DQuat::from_axis_angle(self.axis, angle);
-        let translation = self.place - rotation * self.place;
-        PartPlace { rotation: Mat3::from_quat(rotation.as_quat()), translation: translation.as_vec3() }
-    }
-}
-
-/// What moves in a scene.
-#[derive(Clone, Debug, Default, PartialEq)]
-pub struct Articulation {
-    /// A joint for each part.
-    pub joints: Vec<Joint>,
-    /// The part of each point of the cloud, 0: the body.
-    pub of_points: Vec<u8>,
-    /// When each view was taken; the usual time between two frames is 1.
-    pub times: Vec<f64>,
-}
-
-impl Articulation {
-    /// Where the parts stand in a view where the angles are these, one for each joint.
-    pub(crate) fn places(&self, angles: impl Iterator<Item = f64>) -> PartPlaces {
-        self.joints.iter().zip(angles).map(|(joint, angle)| joint.place_at(angle)).collect()
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
     use crate::backend::Backend;
     use crate::cpu::CpuBackend;
+    use crate::dataset::Joint;
     use crate::model::{MEAN, Model};
     use crate::statistics::Statistics;
     use crate::view::{PinholeView, RenderOptions};
-    use glam::Quat;
+    use glam::{DQuat, DVec3, Quat};
     use rand::Rng as _;
     use scene::Gaussians;
     use scene::sim3::Sim3;

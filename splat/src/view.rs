@@ -26,7 +26,7 @@ pub struct PinholeView {
     /// Height, pixels.
     pub height: usize,
     /// Where parts stand that move against the body.
-    pub parts: PartPlaces,
+    pub(crate) parts: PartPlaces,
 }
 
 impl PinholeView {

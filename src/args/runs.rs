@@ -8,7 +8,8 @@ use std::path::PathBuf;
 pub struct PartsArgs {
     /// A former output folder of a video
     pub run: PathBuf,
-    /// Folder for the record, the corrected model and the splat (default: parts in the former output folder)
+    /// Folder for the record, the corrected model and the splat (default: parts in the former
+    /// output folder)
     #[arg(short, long, value_name = "DIR")]
     pub output: Option<PathBuf>,
     /// Find the parts and train no splat of them

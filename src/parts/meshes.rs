@@ -1,6 +1,6 @@
 //! Meshes of the body and of each part at rest, and the file in which they move.
 
-use super::posed::labels;
+use super::record::labels;
 use anyhow::Result;
 use glam::DVec3;
 use scene::io::{Hinge, MovingMesh};

@@ -3,25 +3,23 @@
 
 mod meshes;
 mod posed;
+mod record;
 mod splat;
 
-pub(crate) use posed::{MovingSplat, labels, read_moving};
+pub(crate) use posed::MovingSplat;
+pub(crate) use record::{labels, read_moving};
 
 use crate::args::PartsArgs;
 use crate::outcome::Outcome;
 use crate::pipeline::folder::absolute_in;
-use crate::stage::write_json;
 use crate::terminal::{CANCELLED, TerminalSink, Verbosity, print, say};
 use anyhow::{Context, Result, bail};
 use scene::{FrameSet, Progress};
 use sfm::{Articulation, MovingPart, moving_parts};
 use std::fmt::Write as _;
-use std::path::Path;
 
 /// What is written, in a run's folder.
 const FOLDER: &str = "parts";
-/// The record of the parts in it.
-const RECORD: &str = "parts.json";
 
 /// Looks for parts in the frames of a run.
 pub(crate) fn run(args: &PartsArgs, verbosity: Verbosity, json: bool) -> Result<Outcome> {
@@ -42,15 +40,19 @@ pub(crate) fn run(args: &PartsArgs, verbosity: Verbosity, json: bool) -> Result<
     let sparse = folder.join("sparse/0");
     std::fs::create_dir_all(&sparse).with_context(|| format!("cannot make {}", sparse.display()))?;
     scene::io::write_model_bin(&corrected, &sparse)?;
-    write(&folder, &found)?;
+    record::write(&folder, &found)?;
     if json {
         print(&serde_json::to_string_pretty(&found)?)?;
     } else {
         print(&text(&found))?;
     }
     if !found.parts.is_empty() && !args.no_splat {
-        let train =
-            splat::Found { frames: &frames, model: &corrected, parts: &mut found, fps_loops: args.fps_loops };
+        let train = splat::PartsTraining {
+            frames: &frames,
+            model: &corrected,
+            parts: &mut found,
+            fps_loops: args.fps_loops,
+        };
         let judged = train.train(run, &folder, &progress)?;
         if !json {
             print(&format!("splat of the parts: {}", judged.sentence()))?;
@@ -61,11 +63,6 @@ pub(crate) fn run(args: &PartsArgs, verbosity: Verbosity, json: bool) -> Result<
         say(&format!("wrote {}", folder.display()));
     }
     Ok(Outcome::Done)
-}
-
-/// Writes the record into the folder.
-fn write(folder: &Path, found: &Articulation) -> Result<()> {
-    write_json(&folder.join(RECORD), found)
 }
 
 /// What was found, for people.

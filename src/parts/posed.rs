@@ -1,36 +1,11 @@
 //! A splat whose parts stand where their joints put them.
 
-use super::RECORD;
-use anyhow::{Context, Result};
+use super::record::{labels, read_moving};
+use anyhow::{Context as _, Result};
 use scene::{Camera, Gaussians, Pose};
 use sfm::Articulation;
-use splat::{BackendChoice, DeviceConfig, RenderOptions, RenderOutput, Renderer};
+use splat::{DeviceConfig, RenderOptions, RenderOutput, Renderer};
 use std::path::Path;
-
-/// The record of a folder with a splat `gaussians` whose parts move, if it is one.
-pub(crate) fn read_moving(folder: &Path, gaussians: &Gaussians) -> Result<Option<Articulation>> {
-    let path = folder.join(RECORD);
-    if !path.is_file() {
-        return Ok(None);
-    }
-    let text = std::fs::read(&path).with_context(|| format!("cannot read {}", path.display()))?;
-    let parts: Articulation = serde_json::from_slice(&text)
-        .with_context(|| format!("{} is damaged; run sat-recon parts again", path.display()))?;
-    if parts.gaussians.is_empty() {
-        return Ok(None);
-    }
-    anyhow::ensure!(
-        parts.gaussians.iter().sum::<usize>() == gaussians.len(),
-        "{} belongs to another splat than the one beside it; run sat-recon parts again",
-        path.display()
-    );
-    Ok(Some(parts))
-}
-
-/// The part of each Gaussian of a splat, 0: the body.
-pub(crate) fn labels(parts: &Articulation) -> Vec<u8> {
-    (0..).zip(&parts.gaussians).flat_map(|(part, &count)| std::iter::repeat_n(part, count)).collect()
-}
 
 /// Parts and their splat.
 pub struct MovingSplat {
@@ -42,11 +17,9 @@ pub struct MovingSplat {
 
 impl MovingSplat {
     /// That of a folder with a record of parts and a splat `gaussians` of them, if it is one.
-    pub(crate) fn open(folder: &Path, gaussians: &Gaussians) -> Result<Option<Self>> {
+    pub(crate) fn open(folder: &Path, device: &DeviceConfig, gaussians: &Gaussians) -> Result<Option<Self>> {
         let Some(parts) = read_moving(folder, gaussians)? else { return Ok(None) };
-        let device = DeviceConfig { backend: BackendChoice::Cpu, ..DeviceConfig::default() };
-        let (mut renderer, _) = Renderer::on(&device, gaussians)?;
-        renderer.articulate(labels(&parts))?;
+        let (renderer, _) = Renderer::on(device, gaussians, labels(&parts))?;
         let held = vec![None; parts.parts.len()];
         Ok(Some(Self { renderer, parts, held }))
     }
@@ -81,8 +54,8 @@ impl MovingSplat {
     ) -> Result<RenderOutput> {
         let frame = f64::from(time) * self.last_frame();
         let parts = self.parts.parts.iter().zip(&self.held);
-        let poses: Vec<Pose> =
+        self.renderer.part_poses =
             parts.map(|(part, held)| part.pose(held.unwrap_or_else(|| part.angle_deg(frame)))).collect();
-        Ok(self.renderer.render_parts(camera, pose, &poses, options)?)
+        Ok(self.renderer.render(camera, pose, options)?)
     }
 }

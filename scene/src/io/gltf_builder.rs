@@ -1,6 +1,5 @@
 //! glTF files in the making: buffers, what lies where in them, and meshes.
 
-use super::mesh_out::bytes_of;
 use crate::geometry::Mesh;
 use glam::{DVec3, Vec3};
 use serde_json::{Value, json};
@@ -9,6 +8,11 @@ use serde_json::{Value, json};
 const ELEMENTS: u32 = 34_963;
 /// Numbers are f32. Source: glTF 2.0, 3.6.2.2.
 pub(super) const FLOAT: u32 = 5126;
+
+/// A vector's numbers, f32.
+pub(super) fn bytes_of(v: DVec3) -> impl Iterator<Item = u8> {
+    v.as_vec3().to_array().into_iter().flat_map(f32::to_le_bytes)
+}
 
 /// glTF's vertex colours are linear light, 16 bits so that dark tones survive.
 fn linear(srgb: u8) -> u16 {

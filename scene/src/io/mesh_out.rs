@@ -1,7 +1,7 @@
 //! Triangle meshes to PLY, OBJ and binary glTF.
 
 use super::error::IoError;
-use super::gltf_builder::GltfBuilder;
+use super::gltf_builder::{GltfBuilder, bytes_of};
 use super::splats::write_chunks;
 use super::write_atomic;
 use crate::geometry::{Mesh, TexturedMesh};
@@ -62,10 +62,6 @@ pub fn write_textured_mesh(path: &Path, textured: &TexturedMesh) -> Result<(), I
 
 fn ending(path: &Path) -> String {
     path.extension().map(|e| e.to_string_lossy().to_ascii_lowercase()).unwrap_or_default()
-}
-
-pub(super) fn bytes_of(v: DVec3) -> impl Iterator<Item = u8> {
-    v.as_vec3().to_array().into_iter().flat_map(f32::to_le_bytes)
 }
 
 fn write_ply(path: &Path, mesh: &Mesh) -> Result<(), IoError> {

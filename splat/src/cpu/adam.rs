@@ -186,8 +186,8 @@ fn adam_block<S: Simd>(
     }
 }
 
-/// What pulls at a block of Gaussians of a part, where `on`: places, directions (a turn by the small
-/// vector φ makes of a quaternion q the sum q + ½ (0, φ) q), colours.
+/// What pulls at a block of Gaussians of a part, where `on`: places, directions (a turn by the
+/// small vector φ makes of a quaternion q the sum q + ½ (0, φ) q), colours.
 #[inline(always)]
 fn pull<S: Simd>(
     parameters: &[S; GEOMETRY],

@@ -1,7 +1,8 @@
 //! Training of a scene one part of which turns.
 
 use super::*;
-use crate::parts::{Articulation, Joint, PartPlaces};
+use crate::dataset::{Joint, MovingParts};
+use crate::parts::PartPlaces;
 
 /// Views; the part turns by so many degrees from each to the next.
 const VIEWS: usize = 60;
@@ -45,12 +46,13 @@ fn captured(wrong_deg: f64) -> Dataset {
         angles: (0..VIEWS).map(true_angle).collect(),
         sigmas: vec![0.1; VIEWS],
     };
-    let mut moving = Articulation {
+    let mut moving = MovingParts {
         joints: vec![joint],
         of_points: part.clone(),
         times: (0..VIEWS).map(|k| k as f64).collect(),
+        gaussians: Vec::new(),
     };
-    dataset.articulate(moving.clone());
+    dataset.place_parts(moving.clone());
     let mut backend = CpuBackend::default();
     backend.upload(Model { part, ..Model::from_gaussians(&g) }, Statistics::default()).unwrap();
     for view in &mut dataset.views {
@@ -65,7 +67,7 @@ fn captured(wrong_deg: f64) -> Dataset {
         });
     }
     moving.joints[0].angles = (0..VIEWS).map(angle).collect();
-    dataset.articulate(moving);
+    dataset.place_parts(moving);
     dataset
 }
 
@@ -84,7 +86,7 @@ fn angles_are_found_where_tracks_had_them_wrong() {
     let before = error_deg(given);
     let result = train(&dataset, &config(600), None, &Progress::silent()).unwrap();
     let moved = result.moving.unwrap();
-    let after = error_deg(&moved.angles[0]);
+    let after = error_deg(&moved.joints[0].angles);
     assert!(before > 1.5 && after < 0.3, "{before:.2}° before, {after:.2}° after");
     assert_eq!(moved.gaussians.iter().sum::<usize>(), result.gaussians.len());
     assert!(moved.gaussians.iter().all(|&n| n > 30), "{:?}", moved.gaussians);
@@ -95,16 +97,16 @@ fn a_scene_that_moves_is_learnt_as_well_as_one_that_stands_still() {
     let dataset = captured(0.0);
     let result = train(&dataset, &config(500), None, &Progress::silent()).unwrap();
     let moved = result.moving.as_ref().unwrap();
-    let mut renderer = crate::Renderer::new(&result.gaussians).unwrap();
     let labels = (0..).zip(&moved.gaussians).flat_map(|(p, &n)| std::iter::repeat_n(p, n));
-    renderer.articulate(labels.collect()).unwrap();
+    let device = crate::DeviceConfig::default();
+    let (mut renderer, _) = crate::Renderer::on(&device, &result.gaussians, labels.collect()).unwrap();
     let psnr = |renderer: &mut crate::Renderer, moves: bool| {
         let mut sum = (0.0, 0.0);
         for (k, view) in dataset.views.iter().enumerate().filter(|(_, v)| v.held_out) {
-            let angle = if moves { moved.angles[0][k] } else { 0.0 };
+            let angle = if moves { moved.joints[0].angles[k] } else { 0.0 };
             let turn = glam::DQuat::from_rotation_x(angle);
-            let parts = [Pose::new(turn, DVec3::ZERO)];
-            let image = renderer.render_parts(&view.camera, &view.pose, &parts, &result.render).unwrap().rgb;
+            renderer.part_poses = vec![Pose::new(turn, DVec3::ZERO)];
+            let image = renderer.render(&view.camera, &view.pose, &result.render).unwrap().rgb;
             let pixels = &view.levels[0];
             for (i, v) in image.data.iter().enumerate() {
                 let alpha = f32::from(pixels.mask.as_ref().unwrap()[i / 3]) / 255.0;

@@ -34,7 +34,7 @@ mod session;
 mod setup;
 mod state;
 
-pub use result::{MovingResult, TrainResult};
+pub use result::TrainResult;
 pub use state::CurvePoint;
 
 use crate::config::{MAX_COARSE_LEVELS, TrainConfig};

@@ -2,19 +2,9 @@
 
 use super::state::CurvePoint;
 use crate::backend::KernelTimes;
+use crate::dataset::MovingParts;
 use crate::view::RenderOptions;
 use scene::{Decision, Gaussians, Pose};
-
-/// Gaussians that move, as they were trained.
-#[derive(Clone, Debug, Default, PartialEq)]
-pub struct MovingResult {
-    /// How many Gaussians the body has, and each part after it, in the order of the Gaussians.
-    pub gaussians: Vec<usize>,
-    /// Angles of each joint, radians, by view of the data set.
-    pub angles: Vec<Vec<f64>>,
-    /// Their standard deviations.
-    pub sigmas: Vec<Vec<f64>>,
-}
 
 /// What training yields.
 #[derive(Clone, Debug, Default)]
@@ -32,8 +22,9 @@ pub struct TrainResult {
     /// Names and refined poses (`cam_from_world`, world frame) of the training views; empty where
     /// they stayed as given.
     pub poses: Vec<(String, Pose)>,
-    /// Which Gaussians move, and how; `None` where nothing does.
-    pub moving: Option<MovingResult>,
+    /// What moves, with the angles that were found; `None` where nothing does. The Gaussians are in
+    /// the order of the parts.
+    pub moving: Option<MovingParts>,
     /// How to render the result as training saw it.
     pub render: RenderOptions,
 }

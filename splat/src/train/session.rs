@@ -13,7 +13,6 @@ use crate::backend::{Backend, StepInput, StepOutput};
 use crate::camera::DEFAULT_NEAR;
 use crate::config::TrainConfig;
 use crate::dataset::Dataset;
-use crate::device::BackendChoice;
 use crate::error::SplatError;
 use crate::init::initial_model;
 use crate::statistics::Statistics;
@@ -79,10 +78,7 @@ impl<'a> Session<'a> {
         folder: Option<&Path>,
     ) -> Result<Self, SplatError> {
         let mark = config.limit_clock.seconds();
-        let mut device = config.device.clone();
-        if dataset.articulation.is_some() {
-            device.backend = BackendChoice::Cpu;
-        }
+        let device = config.device.for_parts(dataset.articulation.is_some());
         let (mut backend, decision) = crate::device::open(&device)?;
         let (max_gaussians, limit) = capacity(backend.as_ref(), dataset, config)?;
         let setup = TrainingSetup::new(dataset, config, max_gaussians)?;

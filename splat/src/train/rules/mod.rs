@@ -17,10 +17,10 @@ mod silhouette;
 pub(crate) mod smoothing;
 
 use crate::backend::StepOutput;
+use crate::dataset::MovingParts;
 use crate::error::SplatError;
 use crate::model::Model;
 use crate::train::context::RuleContext;
-use crate::train::result::MovingResult;
 use scene::{Gaussians, Pose};
 use serde::{Deserialize, Serialize};
 
@@ -82,7 +82,7 @@ impl Rules {
     }
 
     /// The Gaussians in the order of the parts, and what moves these.
-    pub(crate) fn moving(&self, step: &RuleContext, model: &mut Model) -> Option<MovingResult> {
+    pub(crate) fn moving(&self, step: &RuleContext, model: &mut Model) -> Option<MovingParts> {
         self.joints.conclude(step, model)
     }
 

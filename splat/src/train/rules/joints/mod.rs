@@ -9,10 +9,10 @@
 mod smooth;
 
 use crate::backend::StepOutput;
+use crate::dataset::MovingParts;
 use crate::error::SplatError;
 use crate::model::Model;
 use crate::train::context::RuleContext;
-use crate::train::result::MovingResult;
 use serde::{Deserialize, Serialize};
 use smooth::{Reading, smoothed};
 
@@ -92,19 +92,18 @@ impl JointRule {
     }
 
     /// Puts the Gaussians into the order of their parts.
-    pub(super) fn conclude(&self, step: &RuleContext, model: &mut Model) -> Option<MovingResult> {
+    pub(super) fn conclude(&self, step: &RuleContext, model: &mut Model) -> Option<MovingParts> {
         let moving = step.setup.dataset.articulation.as_ref()?;
         let parts = moving.joints.len() as u8;
         let mut order: Vec<u32> = (0..model.len as u32).collect();
         order.sort_by_key(|&i| model.part_of(i as usize));
         model.select(&order);
-        let count = |part: u8| model.part.iter().filter(|&&p| p == part).count();
-        let gaussians = (0..=parts).map(count).collect();
-        let given = || moving.joints.iter().map(|j| [j.angles.clone(), j.sigmas.clone()]).collect();
-        let known = step.state.corrections.joints.clone();
-        let known: Vec<[Vec<f64>; 2]> = if known.is_empty() { given() } else { known };
-        let (angles, sigmas) = known.into_iter().map(|[angles, sigmas]| (angles, sigmas)).unzip();
-        Some(MovingResult { gaussians, angles, sigmas })
+        let mut out = moving.clone();
+        out.gaussians = (0..=parts).map(|part| model.part.iter().filter(|&&p| p == part).count()).collect();
+        for (joint, [angles, sigmas]) in out.joints.iter_mut().zip(&step.state.corrections.joints) {
+            (joint.angles, joint.sigmas) = (angles.clone(), sigmas.clone());
+        }
+        Some(out)
     }
 }
 

@@ -135,7 +135,8 @@ fn steady(readings: &[Reading], times: &[f64], bend: f64) -> Option<(f64, Vec<f6
     let right: Vec<f64> = readings.iter().map(|r| r.information * r.angle).collect();
     let factor = matrix.factor()?;
     let angles = factor.solve(right.clone());
-    // ½ log det(prior) + ½ log det(readings) − ½ log det(all) − ½ of what is left over, up to a constant.
+    // ½ log det(prior) + ½ log det(readings) − ½ log det(all) − ½ of what is left over, up to a
+    // constant.
     let fitted: f64 = angles.iter().zip(&right).map(|(a, r)| a * r).sum();
     let read: f64 = readings.iter().map(|r| r.information * r.angle * r.angle).sum();
     let prior = -(n.saturating_sub(2) as f64) * bend.ln();
