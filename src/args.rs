@@ -292,9 +292,28 @@ pub struct RenderArgs {
     /// Background colour, red green blue in [0, 1]
     #[arg(long, num_args = 3, default_values_t = [0.0, 0.0, 0.0], value_parser = between::<f32>(0.0, 1.0))]
     pub background: Vec<f32>,
+    /// Show a scene that moves as it was at this time, 0 (the first photo) to 1 (the last), in all
+    /// pictures [default: as each photo was; along a path time goes by]
+    #[arg(long, value_name = "TIME", value_parser = between::<f32>(0.0, 1.0))]
+    pub time: Option<f32>,
+    /// Hold a joint of a folder of `parts` at an angle; may be given for each, by its number or as
+    /// `part1`
+    #[arg(long, value_name = "NAME=DEG", value_parser = parse_joint)]
+    pub joint: Vec<(usize, f64)>,
     /// Where to render.
     #[command(flatten)]
     pub device: splat::DeviceConfig,
+}
+
+/// `part1=30` or `1=30`: the number of a part, from 1 on, and an angle in degrees.
+fn parse_joint(text: &str) -> Result<(usize, f64), String> {
+    let parsed = text.split_once('=').and_then(|(name, angle)| {
+        let number: usize = name.trim_start_matches("part").parse().ok()?;
+        Some((number, angle.parse::<f64>().ok()?))
+    });
+    parsed
+        .filter(|(number, angle)| *number > 0 && angle.is_finite())
+        .ok_or_else(|| "expected the part and an angle in degrees, such as part1=30".to_owned())
 }
 
 /// The tools for which there are sets.

@@ -89,7 +89,7 @@ pub fn evaluate(
         Pictures::Splat(renderer, gaussians) => {
             geometry::measure(out, mesh, &dataset, (gaussians, renderer.antialias), progress)?
         }
-        Pictures::Field(..) => None,
+        Pictures::Parts(..) | Pictures::Field(..) => None,
     };
     let held_out: Vec<&View> = dataset.views.iter().filter(|v| v.held_out).collect();
     let protocol = protocol(config, &dataset, held_out.len(), &rendering, &networks);

@@ -1,5 +1,6 @@
 //! What renders the pictures of a run: its splat, or the field of another method.
 
+use crate::parts::MovingSplat;
 use crate::record::SplatSummary;
 use crate::times::Times;
 use anyhow::{Context, Result, bail};
@@ -18,6 +19,8 @@ pub(crate) const FIELD: &str = "field.bin";
 pub enum Pictures {
     /// A splat.
     Splat(Box<Renderer>, Gaussians),
+    /// A splat whose parts move.
+    Parts(Box<MovingSplat>),
     /// A field, and when its photos were taken.
     Field(Box<TrainedField>, Times),
 }
@@ -33,7 +36,10 @@ impl Pictures {
             return Ok((Self::Field(Box::new(field), Times::read(run)?), words));
         }
         let gaussians = scene::io::ply::read_splat_ply(&run.join("splat.ply"))?;
-        let (mut renderer, chosen) = Renderer::on(device, &gaussians)?;
+        if let Some(moving) = MovingSplat::open(run, device, &gaussians)? {
+            return Ok((Self::Parts(Box::new(moving)), "processor (moving parts)".to_owned()));
+        }
+        let (mut renderer, chosen) = Renderer::on(device, &gaussians, Vec::new())?;
         renderer.antialias = trained_with_antialias(run)?;
         Ok((Self::Splat(Box::new(renderer), gaussians), chosen.sentences().choice))
     }
@@ -42,7 +48,19 @@ impl Pictures {
     pub fn time_of(&self, name: &str) -> f32 {
         match self {
             Self::Splat(..) => 0.0,
+            Self::Parts(moving) => moving.time_of(name),
             Self::Field(_, times) => times.of_view(name),
+        }
+    }
+
+    /// Holds joints, by the number of their part, at angles in degrees.
+    pub(crate) fn hold_joints(&mut self, joints: &[(usize, f64)]) -> Result<()> {
+        match self {
+            Self::Parts(moving) => moving.hold(joints),
+            _ if joints.is_empty() => Ok(()),
+            _ => bail!(
+                "nothing has a joint here; give the folder that sat-recon parts wrote, such as OUT/parts"
+            ),
         }
     }
 
@@ -54,12 +72,10 @@ impl Pictures {
         time: f32,
         background: [f32; 3],
     ) -> Result<RenderOutput> {
+        let options = RenderOptions { background, ..RenderOptions::default() };
         match self {
-            Self::Splat(renderer, _) => Ok(renderer.render(
-                camera,
-                pose,
-                &RenderOptions { background, ..RenderOptions::default() },
-            )?),
+            Self::Splat(renderer, _) => Ok(renderer.render(camera, pose, &options)?),
+            Self::Parts(moving) => moving.render(camera, pose, time, &options),
             Self::Field(field, _) => Ok(field.render(camera, pose, time, background)?),
         }
     }

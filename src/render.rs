@@ -22,12 +22,14 @@ pub fn run(args: &RenderArgs, verbosity: Verbosity) -> Result<Outcome> {
     let progress = Progress::new(Box::new(TerminalSink::new(verbosity, None)), &CANCELLED);
     progress.begin("render", views.len());
     let (mut pictures, by) = Pictures::open(&args.run, &args.device)?;
+    pictures.hold_joints(&args.joint)?;
     let mut sink = PictureSink::open(&args.output, args.fps)?;
     let photos = matches!(args.path, RenderPath::Input | RenderPath::Test);
     let last = views.len().max(2) - 1;
     for (i, (name, camera, pose)) in views.iter().enumerate() {
         // Along a path time goes by from the first photo to the last.
-        let time = if photos { pictures.time_of(name) } else { i as f32 / last as f32 };
+        let own = || if photos { pictures.time_of(name) } else { i as f32 / last as f32 };
+        let time = args.time.unwrap_or_else(own);
         let output = pictures.render(camera, pose, time, [r, g, b])?;
         sink.put(name, &picture(&output, args.channel, camera))?;
         progress.tick()?;

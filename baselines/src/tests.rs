@@ -66,7 +66,7 @@ pub(crate) fn dataset(count: usize, unit: f64, shown: Shown) -> Dataset {
         }
     };
     let views = model.images.values().map(view).collect();
-    Dataset { views, points: vec![], normalisation, alpha: AlphaMode::Transparent }
+    Dataset { views, points: vec![], normalisation, alpha: AlphaMode::Transparent, articulation: None }
 }
 
 pub(crate) fn folder(name: &str) -> PathBuf {

@@ -44,7 +44,7 @@ pub mod two_view;
 mod undistort;
 mod upright;
 
-pub use articulated::{Articulation, MovingPart, moving_parts};
+pub use articulated::{Articulation, MovingPart, frame_times, moving_parts};
 pub use circular::{Motion, MotionConfig};
 pub use config::{CameraModelChoice, CameraSharing, KeypointPlaces, SfmConfig};
 pub use error::SfmError;

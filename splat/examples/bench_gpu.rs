@@ -247,7 +247,7 @@ fn scored(
     result: &TrainResult,
     views: usize,
 ) -> Result<(Vec<f64>, Option<f64>)> {
-    let (mut renderer, _) = Renderer::on(&config.device, &result.gaussians)?;
+    let (mut renderer, _) = Renderer::on(&config.device, &result.gaussians, Vec::new())?;
     let (mut psnr, mut spent) = (Vec::new(), Vec::new());
     for view in dataset.views.iter().filter(|v| v.held_out).take(views) {
         let mut render = || renderer.render(&view.camera, &view.pose, &result.render);

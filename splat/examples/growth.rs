@@ -109,7 +109,7 @@ fn views(n: usize) -> Result<Row> {
     };
     let points = shells(10_000).means.into_iter().map(|m| (m, [128; 3])).collect();
     let views = (0..n).map(view).collect();
-    let dataset = Dataset { views, points, normalisation, alpha: AlphaMode::Transparent };
+    let dataset = Dataset { views, points, normalisation, alpha: AlphaMode::Transparent, articulation: None };
     let cpu = cpu_seconds();
     let config = TrainConfig { iterations: STEPS, max_gaussians: 10_000, ..TrainConfig::default() };
     train(&dataset, &config, None, &Progress::silent())?;

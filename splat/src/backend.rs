@@ -2,6 +2,7 @@
 
 use crate::error::SplatError;
 use crate::model::{MAX_SH_DEGREE, Model, padded};
+use crate::parts::PartPulls;
 use crate::statistics::Statistics;
 use crate::view::{PinholeView, RenderOptions, RenderOutput};
 use scene::Decision;
@@ -79,6 +80,8 @@ pub struct StepOutput {
     pub pairs: usize,
     /// Gaussians whose gradient was not finite (left unchanged).
     pub non_finite: usize,
+    /// What pulls at moving parts; by the processor only.
+    pub(crate) pulls: PartPulls,
 }
 
 /// Seconds spent in each kernel since the backend was made.
@@ -216,6 +219,8 @@ pub(crate) fn check(model: &Model, statistics: &Statistics) -> Result<(), SplatE
         "a plane has another length than the number of Gaussians asks for"
     } else if harmonics.any(|sh| sh.len() != values) {
         "there are not as many spherical harmonics as their degree asks for"
+    } else if !model.part.is_empty() && model.part.len() != model.len {
+        "the parts are of another number of Gaussians"
     } else if !statistics.is_empty() && sums.any(|sums| sums.len() != n) {
         "the statistics are of another number of Gaussians"
     } else {

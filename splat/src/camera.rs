@@ -1,5 +1,6 @@
 //! The camera as every backend's kernels use it.
 
+use crate::parts::MOST_PARTS;
 use crate::reference::constants::{self, JACOBIAN_MARGIN};
 use crate::view::{PinholeView, RenderOptions};
 use glam::Vec3;
@@ -32,6 +33,41 @@ pub(crate) struct CameraConstants {
     pub(crate) antialias: bool,
     /// Spherical-harmonic degree in use.
     pub(crate) sh_degree: u32,
+}
+
+/// The constants of a view for the body and for each part.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct PartCameras {
+    count: usize,
+    all: [CameraConstants; MOST_PARTS + 1],
+}
+
+impl PartCameras {
+    /// Of a view of Gaussians that have spherical harmonics of degree `sh_degree`.
+    pub(crate) fn new(view: &PinholeView, options: &RenderOptions, sh_degree: u32) -> Self {
+        let mut all = [CameraConstants::new(view, options, sh_degree); MOST_PARTS + 1];
+        for (part, camera) in (1..).zip(&mut all[1..=view.parts.len()]) {
+            *camera = CameraConstants::new(&view.of_part(part), options, sh_degree);
+        }
+        Self { count: view.parts.len() + 1, all }
+    }
+
+    /// How many parts move.
+    pub(crate) fn moving(&self) -> usize {
+        self.count - 1
+    }
+
+    /// That of the body.
+    pub(crate) fn body(&self) -> &CameraConstants {
+        &self.all[0]
+    }
+
+    /// That of a part; the body's where nothing is told of it.
+    #[inline(always)]
+    pub(crate) fn of(&self, part: u8) -> &CameraConstants {
+        let part = usize::from(part);
+        &self.all[if part < self.count { part } else { 0 }]
+    }
 }
 
 impl CameraConstants {

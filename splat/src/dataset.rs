@@ -1,10 +1,11 @@
 //! The images in memory and the normalised frame in which the trainer works.
 
 use crate::error::SplatError;
+use crate::parts::{MOST_PARTS, PartPlace, PartPlaces, PartPull};
 use crate::quantile::median;
 use crate::view::{PinholeView, level_size};
 use clap::{Args, ValueEnum};
-use glam::{DMat3, DVec3, Mat3, Vec3};
+use glam::{DMat3, DQuat, DVec3, Mat3, Vec3};
 use rayon::prelude::*;
 use scene::{Camera, CameraModel, Gaussians, PosedImage, Progress, Reconstruction};
 use serde::{Deserialize, Serialize};
@@ -60,6 +61,9 @@ pub(crate) const MATTE_MARGIN_PX: usize = 2;
 const AT_ONE_PLACE: f64 = 0.02;
 /// Resolutions kept of each view: full to 1/8. Source: `--coarse-levels` is 2 by default.
 const LEVELS: u32 = 4;
+
+/// Colour of points that have none yet. Source: any will do.
+const GREY: [u8; 3] = [128; 3];
 
 impl Default for DatasetConfig {
     fn default() -> Self {
@@ -129,6 +133,59 @@ pub struct NormalisedFrame {
     pub scale: f64,
 }
 
+/// A joint: the part turns about an axis, by an angle in each view. World frame for data sets and
+/// results, else that of the Gaussians.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Joint {
+    /// Direction of the axis, unit.
+    pub axis: DVec3,
+    /// A place on it.
+    pub place: DVec3,
+    /// Radians, by view; 0 at rest.
+    pub angles: Vec<f64>,
+    /// Standard deviations of these.
+    pub sigmas: Vec<f64>,
+}
+
+/// What moves in a scene.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct MovingParts {
+    /// A joint for each part.
+    pub joints: Vec<Joint>,
+    /// The part of each point of the cloud, 0: the body.
+    pub of_points: Vec<u8>,
+    /// When each view was taken; the usual time between two frames is 1.
+    pub times: Vec<f64>,
+    /// How many Gaussians the body has, and each part after it, once they are trained.
+    pub gaussians: Vec<usize>,
+}
+
+impl Joint {
+    /// dL/d(angle) from what pulls at the part where a camera stands there (frame of the part at
+    /// rest).
+    pub(crate) fn slope(&self, pull: &PartPull, camera: Vec3) -> f64 {
+        let [force, torque, colour] =
+            [pull.force, pull.torque, pull.colour].map(|v| Vec3::from(v).as_dvec3());
+        let turned = torque - self.place.cross(force);
+        // The part turns below the camera: its colours are seen as if the camera turned back.
+        self.axis.dot(turned + (camera.as_dvec3() - self.place).cross(colour))
+    }
+
+    /// Where the part stands at an angle, radians.
+    pub(crate) fn place_at(&self, angle: f64) -> PartPlace {
+        let rotation = DQuat::from_axis_angle(self.axis, angle);
+        let translation = self.place - rotation * self.place;
+        PartPlace { rotation: Mat3::from_quat(rotation.as_quat()), translation: translation.as_vec3() }
+    }
+}
+
+impl MovingParts {
+    /// Where the parts stand in a view where the angles are these, one for each joint.
+    pub(crate) fn places(&self, angles: impl Iterator<Item = f64>) -> PartPlaces {
+        self.joints.iter().zip(angles).map(|(joint, angle)| joint.place_at(angle)).collect()
+    }
+}
+
 /// Everything training needs.
 #[derive(Clone, Debug)]
 pub struct Dataset {
@@ -140,6 +197,8 @@ pub struct Dataset {
     pub normalisation: NormalisedFrame,
     /// What masks mean.
     pub alpha: AlphaMode,
+    /// What moves against the body; the views say where it stands.
+    pub articulation: Option<MovingParts>,
 }
 
 impl Dataset {
@@ -173,7 +232,28 @@ impl Dataset {
             return Err(SplatError::NoMasks { images: views.len(), folder: folder.to_owned() });
         }
         let points = model.points.values().map(|p| (normalisation.point(p.position), p.rgb)).collect();
-        Ok(Self { views, points, normalisation, alpha: config.alpha })
+        Ok(Self { views, points, normalisation, alpha: config.alpha, articulation: None })
+    }
+
+    /// Adds parts that move (world frame) with points on them, by part, and where they stand in
+    /// each view; parts beyond the most that there may be are left out.
+    pub fn articulate(&mut self, mut moving: MovingParts, points: &[Vec<DVec3>]) {
+        moving.joints.truncate(MOST_PARTS);
+        moving.of_points = vec![0; self.points.len()];
+        for (part, (joint, points)) in (1..).zip(moving.joints.iter_mut().zip(points)) {
+            joint.place = self.normalisation.point(joint.place).as_dvec3();
+            self.points.extend(points.iter().map(|&x| (self.normalisation.point(x), GREY)));
+            moving.of_points.resize(self.points.len(), part);
+        }
+        self.place_parts(moving);
+    }
+
+    /// The same in the frame of the Gaussians, without points.
+    pub(crate) fn place_parts(&mut self, moving: MovingParts) {
+        for (index, view) in self.views.iter_mut().enumerate() {
+            view.view.parts = moving.places(moving.joints.iter().map(|joint| joint.angles[index]));
+        }
+        self.articulation = Some(moving);
     }
 
     /// Indices of the views to train on.
@@ -203,6 +283,13 @@ impl NormalisedFrame {
         Self { centre, scale }
     }
 
+    /// A motion of the world.
+    pub(crate) fn part_place(&self, motion: &scene::Pose) -> PartPlace {
+        let r = motion.matrix();
+        let translation = (r * self.centre + motion.translation - self.centre) * self.scale;
+        PartPlace { rotation: mat3(r), translation: translation.as_vec3() }
+    }
+
     /// A point of the world.
     pub(crate) fn point(&self, x: DVec3) -> Vec3 {
         ((x - self.centre) * self.scale).as_vec3()
@@ -219,6 +306,7 @@ impl NormalisedFrame {
             centre: c.to_array(),
             width: camera.width as usize,
             height: camera.height as usize,
+            parts: PartPlaces::NONE,
         }
     }
 

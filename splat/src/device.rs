@@ -36,6 +36,17 @@ pub struct DeviceConfig {
     pub vram_limit: Option<u64>,
 }
 
+impl DeviceConfig {
+    /// The same, but the processor where parts move: graphics adapters know of none.
+    pub(crate) fn for_parts(&self, moving: bool) -> Self {
+        let mut device = self.clone();
+        if moving {
+            (device.backend, device.gpu) = (BackendChoice::Cpu, None);
+        }
+        device
+    }
+}
+
 /// Opens what the configuration asks for, and says what was chosen and why.
 pub fn open(config: &DeviceConfig) -> Result<(Box<dyn Backend>, Decision), SplatError> {
     let wanted = config.backend == BackendChoice::Gpu || config.gpu.is_some();

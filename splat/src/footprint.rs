@@ -67,7 +67,13 @@ mod tests {
             View { name: format!("{k}.png"), camera: camera.clone(), pose, view, levels, held_out: k == 0 }
         };
         let points = points.iter().map(|p| (*p, [0; 3])).collect();
-        Dataset { views: (0..8).map(view).collect(), points, normalisation, alpha: AlphaMode::Transparent }
+        Dataset {
+            views: (0..8).map(view).collect(),
+            points,
+            normalisation,
+            alpha: AlphaMode::Transparent,
+            articulation: None,
+        }
     }
 
     #[test]

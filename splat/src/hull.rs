@@ -56,11 +56,13 @@ impl VisualHull {
         empty > RULES.few && empty * RULES.one_in > seen
     }
 
-    /// Removes Gaussians whose centre the hull excludes; returns how many. None where that would
-    /// leave nothing.
+    /// Removes Gaussians of the body whose centre the hull excludes; returns how many. None where
+    /// that would leave nothing. Where moving parts stand is not known well enough to judge them.
     pub(crate) fn prune(&self, model: &mut Model) -> usize {
         let all = (0..model.len as u32).into_par_iter();
-        let keep: Vec<u32> = all.filter(|&i| !self.excludes(model.mean(i as usize))).collect();
+        let keep: Vec<u32> = all
+            .filter(|&i| model.part_of(i as usize) > 0 || !self.excludes(model.mean(i as usize)))
+            .collect();
         model.keep(&keep)
     }
 }

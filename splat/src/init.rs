@@ -4,6 +4,7 @@ mod nearest;
 
 use crate::dataset::{Dataset, View};
 use crate::error::SplatError;
+use crate::model::Model;
 use crate::view::NEAREST;
 use glam::{DVec3, Quat, Vec3};
 use nearest::mean_square_distance;
@@ -45,28 +46,47 @@ const LARGEST: f32 = 0.05;
 /// Source: a hundredth of a pixel of the widest lens, and ten times the scene.
 const SQUARED_SCALES: [f32; 2] = [1e-10, 1e2];
 
-/// A point and its colour.
-type ColouredPoint = (Vec3, [u8; 3]);
+/// A point, its colour, and the part it belongs to.
+#[derive(Clone, Copy)]
+struct FirstPoint {
+    place: Vec3,
+    rgb: [u8; 3],
+    part: u8,
+}
+
+/// How many finite points the sparse cloud has; none where they are too few to be used.
+pub(crate) fn cloud_points(dataset: &Dataset) -> Option<usize> {
+    cloud(dataset).map(|points| points.len())
+}
 
 /// The finite points of the sparse cloud (normalised) with their colours; none where they are too
 /// few to be used.
-pub(crate) fn cloud(dataset: &Dataset) -> Option<Vec<ColouredPoint>> {
-    let points: Vec<_> = dataset.points.iter().filter(|(p, _)| p.is_finite()).copied().collect();
+fn cloud(dataset: &Dataset) -> Option<Vec<FirstPoint>> {
+    let moving = dataset.articulation.as_ref();
+    let part = |i: usize| moving.and_then(|m| m.of_points.get(i)).copied().unwrap_or(0);
+    let points = dataset.points.iter().enumerate().filter(|(_, (place, _))| place.is_finite());
+    let points: Vec<FirstPoint> =
+        points.map(|(i, &(place, rgb))| FirstPoint { place, rgb, part: part(i) }).collect();
     (points.len() >= LEAST_POINTS).then_some(points)
 }
 
 /// Gaussians at the sparse cloud's points or, without any, at random points inside the masks'
 /// visual hull (or the cameras' common frustum). Isotropic; the scale is the root mean square
 /// distance to the three nearest neighbours.
-pub(crate) fn initial_gaussians(dataset: &Dataset, max: usize, seed: u64) -> Result<Gaussians, SplatError> {
+pub(crate) fn initial_model(dataset: &Dataset, max: usize, seed: u64) -> Result<Model, SplatError> {
     let points = cloud(dataset).unwrap_or_else(|| random_points(dataset, max.min(RANDOM.points), seed));
     if points.is_empty() {
         return Err(SplatError::NoGaussians("the cameras see no common space; check the poses".to_owned()));
     }
-    let mut gaussians = at_points(&thinned(points, max, seed));
+    let points = thinned(points, max, seed);
+    let mut gaussians = at_points(&points);
     let cameras: Vec<Vec3> = dataset.views.iter().map(|v| v.view.position()).collect();
     limit_scales(&mut gaussians, &cameras);
-    Ok(gaussians)
+    let mut model = Model::from_gaussians(&gaussians);
+    if dataset.articulation.is_some() {
+        model.part = points.iter().map(|p| p.part).collect();
+    }
+    Ok(model)
 }
 
 /// Points that stand alone, such as wrong ones far away, would become Gaussians that fill every
@@ -83,7 +103,7 @@ fn limit_scales(gaussians: &mut Gaussians, cameras: &[Vec3]) {
 }
 
 /// At most `max` of the points, chosen at random.
-fn thinned(mut points: Vec<ColouredPoint>, max: usize, seed: u64) -> Vec<ColouredPoint> {
+fn thinned(mut points: Vec<FirstPoint>, max: usize, seed: u64) -> Vec<FirstPoint> {
     let mut rng = scene::rng::rng(seed, "thin", 0);
     while points.len() > max.max(1) {
         let i = rng.random_range(0..points.len());
@@ -92,8 +112,8 @@ fn thinned(mut points: Vec<ColouredPoint>, max: usize, seed: u64) -> Vec<Coloure
     points
 }
 
-fn at_points(points: &[ColouredPoint]) -> Gaussians {
-    let positions: Vec<Vec3> = points.iter().map(|p| p.0).collect();
+fn at_points(points: &[FirstPoint]) -> Gaussians {
+    let positions: Vec<Vec3> = points.iter().map(|p| p.place).collect();
     let logit = (OPACITY / (1.0 - OPACITY)).ln();
     let squares = mean_square_distance(&positions);
     let [least, most] = SQUARED_SCALES;
@@ -101,7 +121,7 @@ fn at_points(points: &[ColouredPoint]) -> Gaussians {
         log_scales: squares.iter().map(|d| Vec3::splat(0.5 * d.clamp(least, most).ln())).collect(),
         rotations: vec![Quat::IDENTITY; points.len()],
         opacity_logits: vec![logit; points.len()],
-        sh: points.iter().flat_map(|(_, rgb)| rgb.map(|c| (f32::from(c) / 255.0 - 0.5) / SH_C0)).collect(),
+        sh: points.iter().flat_map(|p| p.rgb.map(|c| (f32::from(c) / 255.0 - 0.5) / SH_C0)).collect(),
         sh_degree: 0,
         means: positions,
     }
@@ -146,13 +166,15 @@ fn look_at(view: &View, x: Vec3) -> PointInView {
 }
 
 /// Points of a ball about the cameras' focus that the views agree on ([`mean_colour`]).
-fn random_points(dataset: &Dataset, wanted: usize, seed: u64) -> Vec<ColouredPoint> {
+fn random_points(dataset: &Dataset, wanted: usize, seed: u64) -> Vec<FirstPoint> {
     let views: Vec<&View> = dataset.views.iter().filter(|v| !v.held_out).collect();
     let Some((centre, distance)) = focus(&views) else { return Vec::new() };
     let mut rng = scene::rng::rng(seed, "random points", 0);
     let candidates =
         std::iter::repeat_with(|| centre.as_vec3() + in_ball(&mut rng) * (RANDOM.ball * distance) as f32);
-    let agreed = candidates.take(RANDOM.candidates).filter_map(|x| Some((x, mean_colour(&views, x)?)));
+    let agreed = candidates
+        .take(RANDOM.candidates)
+        .filter_map(|place| Some(FirstPoint { place, rgb: mean_colour(&views, place)?, part: 0 }));
     agreed.take(wanted).collect()
 }
 
@@ -196,8 +218,10 @@ mod tests {
     fn a_point_far_from_all_others_fills_no_picture() {
         // A lattice before the camera, and a wrong point far behind it.
         let lattice = (0..60).map(|i| Vec3::new((i % 10) as f32 * 0.05, (i / 10) as f32 * 0.05, 2.0));
-        let mut points: Vec<(Vec3, [u8; 3])> = lattice.map(|p| (p, [90; 3])).collect();
-        points.push((Vec3::new(0.0, 0.0, 40.0), [90; 3]));
+        let far = Vec3::new(0.0, 0.0, 40.0);
+        let places = lattice.chain([far]);
+        let points: Vec<FirstPoint> =
+            places.map(|place| FirstPoint { place, rgb: [90; 3], part: 0 }).collect();
         let mut gaussians = at_points(&points);
         let before = gaussians.clone();
         assert!(before.log_scales[60].x.exp() > 9.0, "without a limit");

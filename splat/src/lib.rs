@@ -29,6 +29,7 @@ pub mod moved;
 mod outline;
 #[cfg(test)]
 mod parity;
+mod parts;
 pub mod profile;
 mod quantile;
 mod reference;
@@ -41,7 +42,9 @@ mod view;
 
 pub use adapter::{Adapter, AdapterKind};
 pub use config::{PoseRefinement, Quality, TrainConfig};
-pub use dataset::{AlphaMode, Dataset, DatasetConfig, NormalisedFrame, Pixels, View, pyramid};
+pub use dataset::{
+    AlphaMode, Dataset, DatasetConfig, Joint, MovingParts, NormalisedFrame, Pixels, View, pyramid,
+};
 pub use device::{BackendChoice, DeviceConfig, adapters};
 pub use error::SplatError;
 pub use render::Renderer;

@@ -55,6 +55,10 @@ pub struct Model {
     pub sh_v: Vec<f32>,
     /// Steps in which the Gaussian was visible, that is Adam's clock.
     pub steps: Vec<f32>,
+    /// The part of each Gaussian (0: the body), as many as there are Gaussians; none where nothing
+    /// moves.
+    #[serde(default)]
+    pub part: Vec<u8>,
 }
 
 /// `n` rounded up to whole vectors.
@@ -105,6 +109,12 @@ impl Model {
         self.vector(MEAN, i)
     }
 
+    /// The part of Gaussian `i`; 0: the body.
+    #[inline(always)]
+    pub(crate) fn part_of(&self, i: usize) -> u8 {
+        self.part.get(i).copied().unwrap_or(0)
+    }
+
     /// The quaternion of Gaussian `i`, of any norm.
     pub(crate) fn rotation(&self, i: usize) -> Quat {
         let [w, x, y, z] = [0, 1, 2, 3].map(|k| self.geometry[ROTATION + k][i]);
@@ -150,6 +160,9 @@ impl Model {
         for (row, parent) in rows {
             let sh: Vec<f32> = self.sh[parent * k..(parent + 1) * k].to_vec();
             self.push(row, &sh);
+            if !self.part.is_empty() {
+                self.part.push(self.part[*parent]);
+            }
         }
         self.pad();
     }
@@ -163,6 +176,9 @@ impl Model {
             }
         }
         self.steps = order.iter().map(|&i| self.steps[i as usize]).collect();
+        if !self.part.is_empty() {
+            self.part = order.iter().map(|&i| self.part[i as usize]).collect();
+        }
         for values in [&mut self.sh, &mut self.sh_m, &mut self.sh_v] {
             let mut kept = Vec::with_capacity(order.len() * k);
             order.iter().for_each(|&i| kept.extend_from_slice(&values[i as usize * k..(i as usize + 1) * k]));
@@ -197,6 +213,7 @@ impl Model {
             sh_m: vec![0.0; order.len() * k],
             sh_v: vec![0.0; order.len() * k],
             steps: vec![0.0; n],
+            part: order.iter().filter_map(|&i| self.part.get(i as usize).copied()).collect(),
         };
         for (to, from) in some.geometry.iter_mut().zip(&self.geometry) {
             to.iter_mut().zip(order).for_each(|(v, &i)| *v = from[i as usize]);

@@ -9,7 +9,7 @@ use crate::cpu::CpuBackend;
 use crate::dataset::Dataset;
 use crate::error::SplatError;
 use crate::footprint::footprint;
-use crate::init::initial_gaussians;
+use crate::init::initial_model;
 use crate::model::{Model, Planes};
 use crate::statistics::Statistics;
 use crate::train::schedule::rates;
@@ -24,7 +24,7 @@ pub struct MovedGaussians {
 impl MovedGaussians {
     /// The first Gaussians of a data set.
     pub fn of(dataset: &Dataset, max: usize, seed: u64) -> Result<Self, SplatError> {
-        Self::new(Model::from_gaussians(&initial_gaussians(dataset, max, seed)?))
+        Self::new(initial_model(dataset, max, seed)?)
     }
 
     /// Of a model at rest.
@@ -123,6 +123,7 @@ mod tests {
         centre: [20.0, 15.0],
         width: 40,
         height: 30,
+        parts: crate::parts::PartPlaces::NONE,
     };
 
     fn input(rgb: &[u8]) -> StepInput<'_> {

@@ -14,7 +14,7 @@ use crate::config::TrainConfig;
 use crate::cpu::{CpuBackend, limits};
 use crate::dataset::Dataset;
 use crate::error::SplatError;
-use crate::init::initial_gaussians;
+use crate::init::initial_model;
 use crate::model::Model;
 use crate::statistics::Statistics;
 use scene::Gaussians;
@@ -48,7 +48,7 @@ pub fn measure_adapter(name: Option<&str>) -> Result<AdapterLimits, SplatError> 
 
 /// The Gaussians that training begins with, normalised frame: for exports to another trainer.
 pub fn first_gaussians(dataset: &Dataset, config: &TrainConfig) -> Result<Gaussians, SplatError> {
-    initial_gaussians(dataset, config.max_gaussians, config.seed)
+    Ok(initial_model(dataset, config.max_gaussians, config.seed)?.to_gaussians())
 }
 
 /// Training steps on the processor whose kernels are timed by a clock of choice.

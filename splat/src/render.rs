@@ -28,7 +28,7 @@ use crate::error::SplatError;
 use crate::model::Model;
 use crate::quantile::median;
 use crate::statistics::Statistics;
-use crate::view::{RenderOptions, RenderOutput};
+use crate::view::{PinholeView, RenderOptions, RenderOutput};
 use glam::DVec3;
 use scene::{Camera, Decision, Gaussians, Pose};
 
@@ -36,6 +36,8 @@ use scene::{Camera, Decision, Gaussians, Pose};
 pub struct Renderer {
     backend: Box<dyn Backend>,
     frame: NormalisedFrame,
+    /// Where moving parts stand, `body_from_part_at_rest` for each; the others are at rest.
+    pub part_poses: Vec<Pose>,
     /// Whether the Gaussians were trained with [`RenderOptions::antialias`]: then every picture has
     /// it.
     pub antialias: bool,
@@ -45,18 +47,23 @@ impl Renderer {
     /// On the processor; see [`Renderer::on`].
     pub fn new(gaussians: &Gaussians) -> Result<Self, SplatError> {
         let device = DeviceConfig { backend: BackendChoice::Cpu, ..DeviceConfig::default() };
-        Ok(Self::on(&device, gaussians)?.0)
+        Ok(Self::on(&device, gaussians, Vec::new())?.0)
     }
 
     /// Prepares the Gaussians, in a frame in which their spread is 1, so that scenes of any unit
-    /// render alike; says where they will be rendered.
-    pub fn on(device: &DeviceConfig, gaussians: &Gaussians) -> Result<(Self, Decision), SplatError> {
+    /// render alike; says where they will be rendered. `part`: the part that each belongs to (0:
+    /// the body), empty where nothing moves; what moves is rendered on the processor.
+    pub fn on(
+        device: &DeviceConfig,
+        gaussians: &Gaussians,
+        part: Vec<u8>,
+    ) -> Result<(Self, Decision), SplatError> {
         gaussians.validate().map_err(SplatError::InvalidGaussians)?;
         let frame = spread(gaussians);
-        let (mut backend, decision) = crate::device::open(device)?;
-        let model = Model::from_gaussians(&frame.normalise(gaussians.clone()));
+        let (mut backend, decision) = crate::device::open(&device.for_parts(!part.is_empty()))?;
+        let model = Model { part, ..Model::from_gaussians(&frame.normalise(gaussians.clone())) };
         backend.upload(model, Statistics::default())?;
-        Ok((Self { backend, frame, antialias: false }, decision))
+        Ok((Self { backend, frame, part_poses: Vec::new(), antialias: false }, decision))
     }
 
     /// Renders a view; the camera must be PINHOLE, SIMPLE_PINHOLE or without distortion.
@@ -71,7 +78,8 @@ impl Renderer {
             return Err(SplatError::NotPinhole { name, camera: camera.id, model: camera.model.name() });
         }
         let near = options.near.map(|n| n * self.frame.scale as f32);
-        let view = self.frame.view(camera, pose);
+        let parts = self.part_poses.iter().map(|motion| self.frame.part_place(motion)).collect();
+        let view = PinholeView { parts, ..self.frame.view(camera, pose) };
         let antialias = options.antialias || self.antialias;
         let mut out = self.backend.render(&view, &RenderOptions { near, antialias, ..*options })?;
         let unit = (1.0 / self.frame.scale) as f32;

@@ -292,6 +292,7 @@ mod tests {
                 centre: [20.0, 15.0],
                 width: 40,
                 height: 30,
+                parts: crate::parts::PartPlaces::NONE,
             },
             levels: vec![pixels(black_from)],
             held_out: false,
@@ -301,6 +302,7 @@ mod tests {
             points: Vec::new(),
             normalisation: crate::dataset::NormalisedFrame { centre: DVec3::ZERO, scale: 1.0 },
             alpha: crate::AlphaMode::Transparent,
+            articulation: None,
         };
         let mut g = cloud(0, 4);
         // In the white half, in the margin beside it, in the black half, outside the frame.

@@ -1,6 +1,7 @@
 //! A camera, and what is rendered through it: the leaf types that data sets, backends and training
 //! share.
 
+use crate::parts::PartPlaces;
 use glam::{Mat3, Vec3};
 use scene::FloatImage;
 use serde::{Deserialize, Serialize};
@@ -24,12 +25,21 @@ pub struct PinholeView {
     pub width: usize,
     /// Height, pixels.
     pub height: usize,
+    /// Where parts stand that move against the body.
+    pub(crate) parts: PartPlaces,
 }
 
 impl PinholeView {
     /// Camera centre, frame of the Gaussians.
     pub fn position(&self) -> Vec3 {
         -(self.rotation.transpose() * self.translation)
+    }
+
+    /// The camera as a part sees it that is at rest: of the body the view itself.
+    pub(crate) fn of_part(&self, part: u8) -> Self {
+        let place = self.parts.of(part);
+        let translation = self.rotation * place.translation + self.translation;
+        Self { rotation: self.rotation * place.rotation, translation, parts: PartPlaces::NONE, ..*self }
     }
 
     /// `x` in the frame of the camera: `R x + t`.

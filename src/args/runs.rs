@@ -8,9 +8,16 @@ use std::path::PathBuf;
 pub struct PartsArgs {
     /// A former output folder of a video
     pub run: PathBuf,
-    /// Folder for the record and the corrected model (default: parts in the former output folder)
+    /// Folder for the record, the corrected model and the splat (default: parts in the former
+    /// output folder)
     #[arg(short, long, value_name = "DIR")]
     pub output: Option<PathBuf>,
+    /// Find the parts and train no splat of them
+    #[arg(long)]
+    pub no_splat: bool,
+    /// How often the held-out views are rendered to measure frames per second
+    #[arg(long, default_value_t = 15, value_parser = clap::value_parser!(u32).range(1..=1000))]
+    pub fps_loops: u32,
     /// How points are followed.
     #[command(flatten)]
     pub klt: sfm::KltConfig,

@@ -41,6 +41,8 @@ pub struct KnownConfig {
     pub quality: Option<splat::Quality>,
     /// What the splat was trained on.
     pub dataset: splat::DatasetConfig,
+    /// How it was trained.
+    pub train: splat::TrainConfig,
 }
 
 /// Direction that is up in a run's world: as its record says, else as its cameras are held.

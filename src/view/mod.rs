@@ -20,6 +20,7 @@ use glam::DVec3;
 use scene::sim3::Sim3;
 use scene::{Gaussians, Reconstruction, overview};
 use serde::Serialize;
+use sfm::Articulation;
 use std::io::Read as _;
 use std::path::{Path, PathBuf};
 
@@ -45,6 +46,23 @@ pub(crate) struct ViewCamera {
     photo: Option<String>,
     /// Number of its frame on the page of a run that works.
     frame: Option<usize>,
+    /// Number of its frame among those by which parts move.
+    time_frame: Option<usize>,
+}
+
+/// A part that turns on a joint, as the page knows it.
+#[derive(Clone, Debug, Serialize)]
+struct ViewPart {
+    name: String,
+    /// Its first Gaussian, and the first one behind it.
+    first: usize,
+    end: usize,
+    /// Direction of the axis, unit.
+    axis: [f64; 3],
+    /// A place on it.
+    place: [f64; 3],
+    /// By frame, degrees.
+    angles: Vec<f64>,
 }
 
 /// The splat is a `.spz`; where it is fetched from, nothing where the page holds it.
@@ -66,6 +84,8 @@ pub(crate) struct ViewScene {
     splat: Option<Splat>,
     points: Points,
     cameras: Vec<ViewCamera>,
+    /// Empty where nothing moves.
+    parts: Vec<ViewPart>,
     up: [f64; 3],
     radius: f64,
     near: f64,
@@ -112,6 +132,8 @@ pub(crate) struct Run {
     pub antialias: bool,
     /// Direction that is up.
     pub up: DVec3,
+    /// What moves, and how many Gaussians of each part are in `splat`, the body first.
+    moving: Option<(Articulation, Vec<usize>)>,
 }
 
 impl Run {
@@ -123,7 +145,16 @@ impl Run {
         let up = crate::record::up_of(folder, &model);
         let mut run = Self::of_model(folder, &model, up);
         run.antialias = crate::pictures::trained_with_antialias(folder)?;
-        run.splat = Some(run.encode(gaussians)?);
+        let parts = crate::parts::read_moving(folder, &gaussians)?;
+        let (splat, shown) = run.encode(gaussians)?;
+        run.moving = parts.map(|parts| {
+            let labels = crate::parts::labels(&parts);
+            let count =
+                |part| labels.iter().zip(&shown).filter(|(l, s)| usize::from(**l) == part && **s).count();
+            let counts = (0..parts.gaussians.len()).map(count).collect();
+            (parts, counts)
+        });
+        run.splat = Some(splat);
         Ok(run)
     }
 
@@ -131,15 +162,45 @@ impl Run {
     fn of_model(folder: &Path, model: &Reconstruction, up: DVec3) -> Self {
         let page_from_world = overview::centred(model, RADIUS);
         let model = page_from_world.transform_reconstruction(model);
-        Self { folder: folder.to_path_buf(), model, page_from_world, splat: None, antialias: false, up }
+        Self {
+            folder: folder.to_path_buf(),
+            model,
+            page_from_world,
+            splat: None,
+            antialias: false,
+            up,
+            moving: None,
+        }
     }
 
-    /// Gaussians of the run's world as a browser gets them.
-    fn encode(&self, mut gaussians: Gaussians) -> Result<Vec<u8>> {
+    /// Gaussians of the run's world as a browser gets them, and which of them it gets.
+    fn encode(&self, mut gaussians: Gaussians) -> Result<(Vec<u8>, Vec<bool>)> {
         gaussians.transform(&self.page_from_world);
         let shown: Vec<bool> = gaussians.means.iter().map(|m| m.abs().max_element() < FARTHEST).collect();
         gaussians.retain(|i| shown[i]);
-        scene::io::splats::encode_spz(&gaussians).map_err(anyhow::Error::msg)
+        Ok((scene::io::splats::encode_spz(&gaussians).map_err(anyhow::Error::msg)?, shown))
+    }
+
+    /// The parts that move, in the page's frame.
+    fn parts(&self) -> Vec<ViewPart> {
+        let Some((moving, counts)) = &self.moving else { return Vec::new() };
+        let ends: Vec<usize> = counts
+            .iter()
+            .scan(0, |sum, n| {
+                *sum += n;
+                Some(*sum)
+            })
+            .collect();
+        let parts = moving.parts.iter().zip(ends.windows(2)).enumerate();
+        let shown = parts.map(|(k, (part, ends))| ViewPart {
+            name: format!("part {}", k + 1),
+            first: ends[0],
+            end: ends[1],
+            axis: (self.page_from_world.rotation * DVec3::from(part.axis)).to_array(),
+            place: self.page_from_world.transform(DVec3::from(part.place)).to_array(),
+            angles: part.angles_deg.clone(),
+        });
+        shown.collect()
     }
 
     /// The training image of the camera with this number in the page.
@@ -160,6 +221,7 @@ impl Run {
             splat,
             points: self.points(),
             cameras: self.cameras(photo),
+            parts: self.parts(),
             up: self.up.to_array(),
             radius: RADIUS,
             near,
@@ -190,6 +252,7 @@ impl Run {
                     translation: image.pose.translation.to_array(),
                     photo: photo(index),
                     frame: None,
+                    time_frame: self.moving.as_ref().and_then(|(moving, _)| moving.number(&image.name)),
                 })
             })
             .collect()

@@ -146,7 +146,7 @@ impl Watch {
             }
             Newest::Raw(raw) => raw,
         };
-        let encoded = Arc::new(state.run.encode(raw).ok()?);
+        let encoded = Arc::new(state.run.encode(raw).ok()?.0);
         state.splat = Newest::Encoded(Arc::clone(&encoded));
         Some(encoded)
     }
@@ -154,7 +154,7 @@ impl Watch {
     /// The splat of a finished run, or the newest, with a cut, as `.spz` in the page's frame.
     pub(super) fn encode(&self, gaussians: Gaussians) -> Result<Vec<u8>> {
         let run = Arc::clone(&self.lock().run);
-        run.encode(gaussians)
+        Ok(run.encode(gaussians)?.0)
     }
 
     /// The training image of a camera of the page.

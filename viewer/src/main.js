@@ -10,6 +10,7 @@ import { buildPanel, make } from "./panel.js";
 import { Cut } from "./cut.js";
 import { Live } from "./live.js";
 import { Flight } from "./flight.js";
+import { Joints } from "./joints.js";
 
 let data = JSON.parse(document.getElementById("scene").textContent);
 const { served, live } = document.currentScript.dataset;
@@ -45,8 +46,13 @@ controls.addEventListener("change", () => { state.dirty = true; });
 controls.addEventListener("start", () => { moved = true; leaveView(); });
 const flight = new Flight(camera, controls, data.radius, () => { leaveView(); state.dirty = true; });
 
+let look; // made once there is something that moves it
 const photo = document.getElementById("photo");
-const look = new SplatLook();
+const joints = new Joints(data.parts, () => {
+  look?.mesh?.updateVersion();
+  state.dirty = true;
+});
+look = new SplatLook(joints);
 const shown = { splat: true, points: false, cameras: false };
 let [points, frusta] = [new THREE.Group(), new THREE.Group()];
 let moved = false; // by a person
@@ -70,6 +76,7 @@ const panel = buildPanel({
   background: (colour) => { renderer.setClearColor(colour, 1); state.dirty = true; },
   exposure: (stops) => { look.setExposure(stops); state.dirty = true; },
   cutControls: cut.controls,
+  jointControls: joints.controls(),
   fullScreen,
   screenshot,
   reset: () => start(),
@@ -182,6 +189,7 @@ function goTo(index) {
   poseOf(view, camera);
   const forward = new THREE.Vector3(0, 0, -1).applyQuaternion(camera.quaternion);
   controls.target.copy(camera.position).addScaledVector(forward, camera.position.distanceTo(centre));
+  joints.setFrame(view.time_frame ?? -1);
   photo.src = view.photo ?? "";
   photo.hidden = !view.photo;
   panel.showView(state.view);
@@ -240,6 +248,7 @@ function loop(now) {
 // Nothing is left to be sorted or drawn.
 state.isAtRest = () => !state.dirty && !spark.sorting && !spark.sortDirty;
 state.cameras = () => data.cameras.length;
+state.joints = joints;
 state.handle = (axis, end) => cut.handle(axis, end);
 state.pose = () => ({ position: camera.position.toArray(), target: controls.target.toArray() });
 window.addEventListener("resize", resize);

@@ -37,6 +37,7 @@ export function buildPanel(act) {
       named("photo", slider("Photo over the splat", 0, 1, 0, act.opacity))),
     section("Show", make("div", { className: "grid" }, ...["splat", "points", "cameras", "depth"].map((name) => toggle(name, name === "splat")), toggle("turn", false))),
     section("Look", named("exposure", slider("Exposure, stops", -3, 3, 0, act.exposure, 0.05)), named("background", background)),
+    ...(act.jointControls.length ? [section("Parts", ...act.jointControls)] : []),
     section("Cut", ...act.cutControls),
     make("section", {},
       make("div", { className: "grid" }, button("reset", "Back to the start", act.reset), button("screenshot", "Save a PNG", act.screenshot), button("full screen", "Full screen, and back", act.fullScreen)),

@@ -25,7 +25,9 @@ async function bytesOf(url) {
 
 // What a person has chosen; the same for every splat that is shown one after the other.
 export class SplatLook {
-  constructor() {
+  // `joints` put parts of the splat where they belong.
+  constructor(joints) {
+    this.joints = joints;
     this.eye = dyno.dynoVec3(new THREE.Vector3());
     this.range = dyno.dynoVec2(new THREE.Vector2(0, 1));
     this.depth = dyno.dynoFloat(0);
@@ -68,7 +70,8 @@ export class SplatLook {
 
   modifier() {
     return dyno.dynoBlock({ gsplat: dyno.Gsplat }, { gsplat: dyno.Gsplat }, ({ gsplat }) => {
-      const { center, rgb, opacity } = dyno.splitGsplat(gsplat).outputs;
+      const { index, center: rest, quaternion: upright, rgb, opacity } = dyno.splitGsplat(gsplat).outputs;
+      const { center, quaternion } = this.joints.moved({ index, center: rest, quaternion: upright });
       const shade = new dyno.Dyno({
         inTypes: { center: "vec3", rgb: "vec3", opacity: "float", eye: "vec3", range: "vec2", depth: "float", gain: "float", low: "vec3", high: "vec3", cropped: "float" },
         outTypes: { rgb: "vec3", opacity: "float" },
@@ -81,7 +84,7 @@ export class SplatLook {
       });
       const { eye, range, depth, gain, low, high, cropped } = this;
       const shown = shade.apply({ center, rgb, opacity, eye, range, depth, gain, low, high, cropped });
-      return { gsplat: dyno.combineGsplat({ gsplat, rgb: shown.rgb, opacity: shown.opacity }) };
+      return { gsplat: dyno.combineGsplat({ gsplat, center, quaternion, rgb: shown.rgb, opacity: shown.opacity }) };
     });
   }
 

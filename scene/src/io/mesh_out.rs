@@ -1,11 +1,12 @@
 //! Triangle meshes to PLY, OBJ and binary glTF.
 
 use super::error::IoError;
+use super::gltf_builder::{GltfBuilder, bytes_of};
 use super::splats::write_chunks;
 use super::write_atomic;
 use crate::geometry::{Mesh, TexturedMesh};
-use glam::{DVec2, DVec3, Vec3};
-use serde_json::{Value, json};
+use glam::{DVec2, DVec3};
+use serde_json::json;
 use std::io::Write;
 use std::path::Path;
 
@@ -63,10 +64,6 @@ fn ending(path: &Path) -> String {
     path.extension().map(|e| e.to_string_lossy().to_ascii_lowercase()).unwrap_or_default()
 }
 
-fn bytes_of(v: DVec3) -> impl Iterator<Item = u8> {
-    v.as_vec3().to_array().into_iter().flat_map(f32::to_le_bytes)
-}
-
 fn write_ply(path: &Path, mesh: &Mesh) -> Result<(), IoError> {
     let normals = mesh.normals();
     write_atomic(path, |w| {
@@ -93,65 +90,17 @@ fn write_ply(path: &Path, mesh: &Mesh) -> Result<(), IoError> {
     })
 }
 
-/// glTF's vertex colours are linear light, 16 bits so that dark tones survive.
-fn linear(srgb: u8) -> u16 {
-    let v = f64::from(srgb) / 255.0;
-    let linear = if v <= 0.040_45 { v / 12.92 } else { ((v + 0.055) / 1.055).powf(2.4) };
-    (linear * 65_535.0).round() as u16
-}
-
-/// A glTF file in the making.
-#[derive(Default)]
-struct GltfBuilder {
-    bin: Vec<u8>,
-    views: Vec<Value>,
-    accessors: Vec<Value>,
-}
-
-impl GltfBuilder {
-    /// Adds bytes, for the buffer's `target` if they are no picture.
-    fn view(&mut self, bytes: Vec<u8>, target: Option<u32>) -> usize {
-        let mut view = json!({"buffer": 0, "byteOffset": self.bin.len(), "byteLength": bytes.len()});
-        if let Some(target) = target {
-            view["target"] = json!(target);
-        }
-        self.views.push(view);
-        self.bin.extend(bytes);
-        self.bin.resize(self.bin.len().next_multiple_of(4), 0);
-        self.views.len() - 1
-    }
-
-    /// Adds numbers that `accessor` describes.
-    fn accessor(&mut self, bytes: Vec<u8>, target: u32, mut accessor: Value) -> usize {
-        accessor["bufferView"] = json!(self.view(bytes, Some(target)));
-        self.accessors.push(accessor);
-        self.accessors.len() - 1
-    }
-}
-
 fn write_glb(path: &Path, mesh: &Mesh, normals: &[DVec3], paint: &Paint) -> Result<(), IoError> {
     let n = mesh.vertices.len();
-    let (mut b, mut attributes) = (GltfBuilder::default(), json!({}));
-    let (vertices, elements) = (34_962, 34_963);
-    let low = mesh.vertices.iter().fold(Vec3::INFINITY, |a, v| a.min(v.as_vec3()));
-    let high = mesh.vertices.iter().fold(Vec3::NEG_INFINITY, |a, v| a.max(v.as_vec3()));
-    let accessor = json!({"componentType": 5126, "count": n, "type": "VEC3", "min": low.to_array(), "max": high.to_array()});
-    let positions = mesh.vertices.iter().flat_map(|v| bytes_of(*v)).collect();
-    attributes["POSITION"] = json!(b.accessor(positions, vertices, accessor));
-    // Vertices without a normal get one that is at least a direction.
-    let normals = normals.iter().map(|n| n.try_normalize().unwrap_or(DVec3::Z));
-    let accessor = json!({"componentType": 5126, "count": n, "type": "VEC3"});
-    attributes["NORMAL"] = json!(b.accessor(normals.flat_map(bytes_of).collect(), vertices, accessor));
+    let (mut b, vertices) = (GltfBuilder::default(), Some(GltfBuilder::VERTICES));
+    let mut attributes = b.shape(mesh, normals);
     let mut material =
         json!({"doubleSided": true, "pbrMetallicRoughness": {"metallicFactor": 0, "roughnessFactor": 1}});
     let mut extra = json!({});
     match paint {
         Paint::Nothing => {}
         Paint::Vertices(colors) => {
-            let colours = colors.iter().map(|c| [linear(c[0]), linear(c[1]), linear(c[2]), u16::MAX]);
-            let colours = colours.flat_map(|c| c.map(u16::to_le_bytes).concat()).collect();
-            let accessor = json!({"componentType": 5123, "normalized": true, "count": n, "type": "VEC4"});
-            attributes["COLOR_0"] = json!(b.accessor(colours, vertices, accessor));
+            attributes["COLOR_0"] = json!(b.colours(colors));
         }
         Paint::Texture { uvs, jpeg } => {
             let places = uvs.iter().flat_map(|uv| uv.as_vec2().to_array()).flat_map(f32::to_le_bytes);
@@ -170,9 +119,7 @@ fn write_glb(path: &Path, mesh: &Mesh, normals: &[DVec3], paint: &Paint) -> Resu
             });
         }
     }
-    let corners = mesh.triangles.iter().flatten().flat_map(|v| v.to_le_bytes()).collect();
-    let accessor = json!({"componentType": 5125, "count": mesh.triangles.len() * 3, "type": "SCALAR"});
-    let indices = b.accessor(corners, elements, accessor);
+    let indices = b.triangles(mesh);
     let mut document = json!({
         "asset": {"version": "2.0", "generator": "sat-recon"},
         "scene": 0,
@@ -235,6 +182,7 @@ fn write_obj(path: &Path, mesh: &Mesh, normals: &[DVec3], paint: &Paint) -> Resu
 mod tests {
     use super::*;
     use crate::io::{read_mesh, test_folder};
+    use glam::Vec3;
 
     /// A tetrahedron of this size.
     fn tetrahedron(size: f64) -> Mesh {

@@ -13,12 +13,14 @@ pub mod colmap_db;
 mod colmap_txt;
 mod error;
 pub mod exif;
+mod gltf_builder;
 pub mod heif;
 mod limits;
 pub mod load;
 mod mesh;
 mod mesh_out;
 mod model;
+mod moving_glb;
 mod name;
 pub mod ply;
 pub mod poses;
@@ -41,6 +43,7 @@ pub use mesh_out::{write_mesh, write_textured_mesh};
 pub use model::{
     find_model, has_model, parse_model_bin, parse_model_txt, read_model, write_model_bin, write_model_txt,
 };
+pub use moving_glb::{Hinge, MovingMesh, write_moving_glb};
 pub use name::{UnsafeName, safe_name};
 pub use ply::{
     CloudPoint, parse_points_ply, read_points_ply, read_splat_ply, write_points_ply, write_splat_ply,

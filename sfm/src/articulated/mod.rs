@@ -60,7 +60,7 @@ pub fn moving_parts(
         frames: posed.collect(),
         joints: Vec::new(),
         ties: Vec::new(),
-        times: times(frames),
+        times: frame_times(frames),
     };
     let (mut found, chain) = in_unit(&tracks, chain, seed, progress)?;
     found.parts.iter_mut().for_each(|p| unit.restore(p));
@@ -75,7 +75,7 @@ pub fn moving_parts(
 
 /// When the frames were taken, as multiples of the usual time between two; by their numbers where
 /// that is not known.
-fn times(frames: &FrameSet) -> Arc<[f64]> {
+pub fn frame_times(frames: &FrameSet) -> Arc<[f64]> {
     if let Some(known) = frames.times() {
         let usual = median(known.windows(2).map(|w| w[1] - w[0]).collect());
         if usual > 0.0 {
@@ -134,6 +134,7 @@ fn told(tracks: &[KltTrack], chain: &Chain, seed: u64) -> Articulation {
         noise_px: sorted.noise,
         tracks: sorted.all.len(),
         unexplained: sorted.all.len() - members.len(),
+        gaussians: Vec::new(),
     }
 }
 

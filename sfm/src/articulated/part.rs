@@ -46,15 +46,35 @@ pub struct Articulation {
     pub tracks: usize,
     /// Tracks that belong neither to the body nor to a part.
     pub unexplained: usize,
+    /// How many Gaussians of the splat beside it the body has, and each part after it, in the
+    /// splat's order; none without a splat.
+    #[serde(default)]
+    pub gaussians: Vec<usize>,
+}
+
+impl Articulation {
+    /// The number of a frame, from 0 on.
+    pub fn number(&self, frame: &str) -> Option<usize> {
+        self.frames.iter().position(|name| name == frame)
+    }
 }
 
 impl MovingPart {
-    /// The body's frame from that of the part at rest, in a frame of the video.
-    pub fn pose(&self, frame: usize) -> Option<Pose> {
-        let rotation =
-            DQuat::from_axis_angle(DVec3::from(self.axis), self.angles_deg.get(frame)?.to_radians());
+    /// The body's frame from that of the part at rest, at an angle in degrees.
+    pub fn pose(&self, angle_deg: f64) -> Pose {
+        let rotation = DQuat::from_axis_angle(DVec3::from(self.axis), angle_deg.to_radians());
         let place = DVec3::from(self.place);
-        Some(Pose::new(rotation, place - rotation * place))
+        Pose::new(rotation, place - rotation * place)
+    }
+
+    /// Its angle, degrees, so many frames after the first; between two frames by a line, beyond the
+    /// ends as there.
+    pub fn angle_deg(&self, frame: f64) -> f64 {
+        let last = self.angles_deg.len().saturating_sub(1) as f64;
+        let frame = if frame > 0.0 { frame.min(last) } else { 0.0 };
+        let (before, share) = (frame.floor() as usize, frame.fract());
+        let at = |k: usize| self.angles_deg.get(k).or(self.angles_deg.last()).copied().unwrap_or(0.0);
+        at(before) * (1.0 - share) + at(before + 1) * share
     }
 
     /// What is told of a part on this joint whose tracks are these.

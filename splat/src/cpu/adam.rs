@@ -7,19 +7,21 @@
 //! drifting on stale momentum.
 
 use super::dispatch::simd_kernel;
-use super::model_part::{AdamPart, GradientSink, ModelPart};
-use super::project::{CULLED, Projection, colour, project_lanes};
+use super::model_part::{AdamPart, GradientSink, ModelPart, PART};
+use super::project::{CULLED, Projection, colour, cross, next_part, project_lanes};
 use super::project_backward::geometry_gradient;
 use super::rasterise::SUMS;
 use super::sh;
 use super::simd::{Simd, array};
 use super::sort::Bins;
 use crate::backend::LearningRates;
-use crate::camera::CameraConstants;
+use crate::camera::{CameraConstants, PartCameras};
 use crate::model::{GEOMETRY, LANE_PAD, LOG_SCALE, MEAN, OPACITY, ROTATION};
+use crate::parts::{PartPull, PartPulls};
 use crate::reference::constants::{BETAS, EPSILON};
 use glam::Vec3;
 use scene::sh::SH_COUNT;
+use std::sync::Mutex;
 
 /// Moments below these are set to zero, so that no denormal numbers slow the loop: first and second
 /// moments. Source: chosen by hand, never measured; the steps that they are part of are below 1e-3
@@ -33,14 +35,16 @@ const HUGE: f32 = 1e18;
 pub(super) struct Adam<'a> {
     /// The Gaussians.
     pub(super) part: ModelPart<'a>,
-    /// The camera.
-    pub(super) camera: &'a CameraConstants,
+    /// The camera, as the body and the parts see it.
+    pub(super) cameras: &'a PartCameras,
     /// The view's pairs.
     pub(super) bins: &'a Bins,
     /// Depth keys of forward.
     pub(super) keys: &'a [u32],
     /// Sums by pair.
     pub(super) sums: &'a [[f32; SUMS]],
+    /// Out: what pulls at moving parts, by groups of [`PART`] Gaussians; empty where nothing moves.
+    pub(super) pulls: &'a [Mutex<PartPulls>],
     /// Out: Gaussians whose gradient was not finite.
     pub(super) non_finite: usize,
 }
@@ -49,7 +53,7 @@ pub(super) struct Adam<'a> {
 /// colours of Gaussians that are seen among others that are not.
 #[inline(always)]
 fn fetch_ahead<S: Simd>(a: &Adam, block: usize) {
-    let used = (a.camera.sh_degree as usize + 1).pow(2) * 3 * size_of::<f32>();
+    let used = (a.cameras.body().sh_degree as usize + 1).pow(2) * 3 * size_of::<f32>();
     for i in block..(block + S::LANES).min(a.part.count) {
         let number = a.part.first + i;
         let positions = a.bins.positions_of(number);
@@ -75,8 +79,7 @@ fn adam_generic<S: Simd>(a: &mut Adam) {
     let mut lanes = [[0.0f32; LANE_PAD]; SUMS];
     for block in (0..a.part.count).step_by(S::LANES) {
         fetch_ahead::<S>(a, block + S::LANES);
-        let mut alive = [0.0f32; LANE_PAD];
-        let mut any = false;
+        let mut alive = 0;
         for lane in 0..S::LANES.min(a.part.count - block) {
             let number = a.part.first + block + lane;
             let positions = a.bins.positions_of(number);
@@ -100,29 +103,38 @@ fn adam_generic<S: Simd>(a: &mut Adam) {
             for (column, t) in lanes.iter_mut().zip(total) {
                 column[lane] = t;
             }
-            alive[lane] = 1.0;
-            any = true;
+            alive |= 1 << lane;
         }
-        if any {
-            adam_block::<S>(a, block, &lanes, &alive);
+        while alive != 0 {
+            let (part, own) = next_part(a.part.of_object, a.part.first + block, alive);
+            adam_block::<S>(a, block, &lanes, (part, own));
+            alive &= !own;
         }
     }
 }
 
-/// The Gaussians from `block` on that are alive: `lanes` are their sums.
+/// The Gaussians from `block` on that are `alive`, all of one part of the object: `lanes` are their
+/// sums.
 #[inline(always)]
-fn adam_block<S: Simd>(a: &mut Adam, block: usize, lanes: &[[f32; LANE_PAD]; SUMS], alive: &[f32; LANE_PAD]) {
+fn adam_block<S: Simd>(
+    a: &mut Adam,
+    block: usize,
+    lanes: &[[f32; LANE_PAD]; SUMS],
+    (part, alive): (u8, u32),
+) {
+    let camera = a.cameras.of(part);
     let mut parameters = [S::splat(0.0); GEOMETRY];
     for (value, plane) in parameters.iter_mut().zip(&a.part.geometry) {
         *value = S::read(&plane[block..]);
     }
-    let p = project_lanes(&parameters, a.camera);
+    let p = project_lanes(&parameters, camera);
     let mut sums = [S::splat(0.0); SUMS];
     for (sum, lane) in sums.iter_mut().zip(lanes) {
         *sum = S::read(lane);
     }
-    let mut gradient = geometry_gradient(a.camera, &p, &sums, &parameters);
-    let alive = S::read(alive).ge(S::splat(0.5));
+    let mut gradient = geometry_gradient(camera, &p, &sums, &parameters);
+    let alive: [f32; LANE_PAD] = std::array::from_fn(|lane| (alive >> lane & 1) as f32);
+    let alive = S::read(&alive).ge(S::splat(0.5));
     let mut finite = alive;
     for g in gradient {
         finite = S::and(finite, g.abs().lt(S::splat(HUGE)));
@@ -140,29 +152,67 @@ fn adam_block<S: Simd>(a: &mut Adam, block: usize, lanes: &[[f32; LANE_PAD]; SUM
     for lane in (0..S::LANES).filter(|lane| S::bits(finite) & (1 << lane) != 0) {
         let rgb = [lanes[6][lane], lanes[7][lane], lanes[8][lane]];
         let corrections = [correction[0][lane], correction[1][lane]];
-        let g = colour_step(&mut a.part, a.camera, block + lane, rgb, corrections);
+        let g = colour_step(&mut a.part, camera, block + lane, rgb, corrections);
         for (plane, value) in by_direction.iter_mut().zip(g.to_array()) {
             plane[lane] = value;
         }
     }
+    let of_shape = gradient;
     for (k, plane) in by_direction.iter().enumerate() {
         let part = S::read(plane);
         gradient[MEAN + k] = gradient[MEAN + k].add(part);
         finite = S::and(finite, part.abs().lt(S::splat(HUGE)));
+    }
+    if part > 0 && !a.pulls.is_empty() {
+        let pull = pull::<S>(&parameters, &of_shape, &by_direction, finite);
+        let group = &a.pulls[(a.part.first + block) / PART];
+        let mut group = group.lock().unwrap_or_else(std::sync::PoisonError::into_inner);
+        group[usize::from(part) - 1].add(&pull);
     }
     let lost = S::bits(alive) & !S::bits(finite);
     a.non_finite += lost.count_ones() as usize;
     match &mut a.part.sink {
         GradientSink::Gradient { geometry, .. } => {
             for (plane, g) in geometry.iter_mut().zip(gradient) {
-                g.keep(finite).write(&mut plane[block..]);
+                // Other lanes may be those of another part.
+                let plane = &mut plane[block..];
+                S::select(finite, g, S::read(plane)).write(plane);
             }
         }
         GradientSink::Adam(state) => {
             move_geometry(&mut a.part.geometry, state, block, &parameters, &gradient, finite, corrections);
-            note_statistics(state, block, a.camera, &p, &sums, finite);
+            note_statistics(state, block, camera, &p, &sums, finite);
         }
     }
+}
+
+/// What pulls at a block of Gaussians of a part, where `on`: places, directions (a turn by the
+/// small vector φ makes of a quaternion q the sum q + ½ (0, φ) q), colours.
+#[inline(always)]
+fn pull<S: Simd>(
+    parameters: &[S; GEOMETRY],
+    gradient: &[S; GEOMETRY],
+    by_direction: &[[f32; LANE_PAD]; 3],
+    on: S::Mask,
+) -> PartPull {
+    let half = S::splat(0.5);
+    let vector = |all: &[S; GEOMETRY], first: usize| -> [S; 3] { array!(k in 3 => all[first + k]) };
+    let (x, g) = (vector(parameters, MEAN), vector(gradient, MEAN));
+    let (w, u) = (parameters[ROTATION], vector(parameters, ROTATION + 1));
+    let (g_w, g_u) = (gradient[ROTATION], vector(gradient, ROTATION + 1));
+    let (turn, own) = (cross(x, g), cross(u, g_u));
+    let torque: [S; 3] = array!(k in 3 => {
+        turn[k].add(half.mul(w.mul(g_u[k]).sub(g_w.mul(u[k])).add(own[k])))
+    });
+    let colour: [S; 3] = array!(k in 3 => S::read(&by_direction[k]));
+    let sums = |v: [S; 3]| -> [f32; 3] {
+        v.map(|v| {
+            let mut lanes = [0.0f32; LANE_PAD];
+            v.keep(on).write(&mut lanes);
+            lanes[..S::LANES].iter().sum()
+        })
+    };
+    PartPull { force: sums(g), torque: sums(torque), colour: sums(colour) }
 }
 
 /// `1 / (1 − β₁ᵗ)` and `1 / (1 − β₂ᵗ)` of the step that the clocks are about to take.

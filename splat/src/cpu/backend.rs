@@ -6,7 +6,7 @@ use super::loss::LossValue;
 use super::model_part::{ModelGradient, ModelPart};
 use super::workspace::KernelWorkspace;
 use crate::backend::{Backend, KernelTimes, Round, StepInput, StepOutput, Target, check};
-use crate::camera::CameraConstants;
+use crate::camera::PartCameras;
 use crate::error::SplatError;
 use crate::model::{Model, OPACITY, Planes};
 use crate::statistics::Statistics;
@@ -66,39 +66,39 @@ impl CpuBackend {
         options: &RenderOptions,
         target: Option<&Target>,
         depth: bool,
-    ) -> CameraConstants {
-        let camera = CameraConstants::new(view, options, self.model.sh_degree);
+    ) -> PartCameras {
+        let cameras = PartCameras::new(view, options, self.model.sh_degree);
         let mut mark = (self.clock)();
-        self.work.project(self.isa, &self.model, &camera);
+        self.work.project(self.isa, &self.model, &cameras);
         self.times.project += self.lap(&mut mark);
         self.work.sort(view.width, view.height);
         self.times.sort += self.lap(&mut mark);
         self.work.forward(self.isa, options.background, target, depth);
         self.times.forward += self.lap(&mut mark);
-        camera
+        cameras
     }
 
     /// Forward, loss and its gradient back to the screen.
-    fn compare(&mut self, input: &StepInput) -> (CameraConstants, LossValue) {
+    fn compare(&mut self, input: &StepInput) -> (PartCameras, LossValue) {
         self.statistics.fit(self.model.len);
-        let camera = self.forward(input.view, &input.options, Some(&input.target), false);
+        let cameras = self.forward(input.view, &input.options, Some(&input.target), false);
         let mut mark = (self.clock)();
         self.work.set_target(self.isa, &input.target, input.options.background);
         let value = self.work.loss(self.isa, input.lambda_dssim);
         self.times.loss += self.lap(&mut mark);
         self.work.backward(self.isa);
         self.times.backward += self.lap(&mut mark);
-        (camera, value)
+        (cameras, value)
     }
 
     /// From the screen to the parameters, and Adam.
-    fn optimise(&mut self, input: &StepInput, camera: &CameraConstants, value: LossValue) -> StepOutput {
+    fn optimise(&mut self, input: &StepInput, cameras: &PartCameras, value: LossValue) -> StepOutput {
         let mut mark = (self.clock)();
         let model = ModelPart::adam(&mut self.model, &mut self.statistics, input.rates);
-        let non_finite = self.work.optimise(self.isa, model, camera);
+        let (non_finite, pulls) = self.work.optimise(self.isa, model, cameras);
         self.times.optimise += self.lap(&mut mark);
         let [visible, pairs] = self.work.visible_and_pairs();
-        StepOutput { loss: value.loss, mse: value.mse, visible, pairs, non_finite }
+        StepOutput { loss: value.loss, mse: value.mse, visible, pairs, non_finite, pulls }
     }
 
     /// The Gaussians.
@@ -131,9 +131,9 @@ impl CpuBackend {
         let mut gradient = ModelGradient::zeros(&self.model);
         self.swap_geometry(moved)?;
         let before = self.model.geometry.clone();
-        let (camera, value) = self.compare(input);
-        self.work.optimise(self.isa, ModelPart::gradient(&mut self.model, &mut gradient), &camera);
-        let output = self.optimise(input, &camera, value);
+        let (cameras, value) = self.compare(input);
+        self.work.optimise(self.isa, ModelPart::gradient(&mut self.model, &mut gradient), &cameras);
+        let output = self.optimise(input, &cameras, value);
         for ((rest, after), before) in moved.iter_mut().zip(&self.model.geometry).zip(&before) {
             for ((r, a), b) in rest.iter_mut().zip(after).zip(before) {
                 *r += a - b;
@@ -151,11 +151,12 @@ impl CpuBackend {
         options: &RenderOptions,
         gradient: &[f32],
     ) -> ModelGradient {
-        let camera = self.forward(view, options, None, false);
+        let cameras = self.forward(view, options, None, false);
         self.work.set_gradient(gradient);
         self.work.backward(self.isa);
         let mut out = ModelGradient::zeros(&self.model);
-        self.work.optimise(self.isa, ModelPart::gradient(&mut self.model, &mut out), &camera);
+        let part = ModelPart::gradient(&mut self.model, &mut out);
+        (_, out.pulls) = self.work.optimise(self.isa, part, &cameras);
         out
     }
 }
@@ -236,8 +237,8 @@ impl Backend for CpuBackend {
     }
 
     fn step(&mut self, input: &StepInput) -> Result<StepOutput, SplatError> {
-        let (camera, value) = self.compare(input);
-        Ok(self.optimise(input, &camera, value))
+        let (cameras, value) = self.compare(input);
+        Ok(self.optimise(input, &cameras, value))
     }
 
     fn mean_square_error(
@@ -324,6 +325,7 @@ mod tests {
             centre: [20.0, 15.0],
             width: 40,
             height: 30,
+            parts: crate::parts::PartPlaces::NONE,
         }
     }
 

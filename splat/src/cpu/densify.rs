@@ -110,8 +110,12 @@ pub(crate) fn least_views(views: usize) -> usize {
 /// in the air in pictures from elsewhere.
 fn prune_unseen(model: &mut Model, views: &[PinholeView]) -> usize {
     let least = least_views(views.len());
+    let parts = views.first().map_or(0, |v| v.parts.len()) as u8;
+    let of_parts: Vec<Vec<PinholeView>> =
+        (0..=parts).map(|part| views.iter().map(|v| v.of_part(part)).collect()).collect();
     let kept = (0..model.len as u32).into_par_iter().filter(|&i| {
         let x = model.mean(i as usize);
+        let views = of_parts.get(usize::from(model.part_of(i as usize))).unwrap_or(&of_parts[0]);
         views.iter().filter(|v| v.sees(v.camera_point(x))).take(least).count() >= least
     });
     let kept: Vec<u32> = kept.collect();
@@ -140,6 +144,7 @@ mod tests {
                 centre: [24.0, 20.0],
                 width: 48,
                 height: 40,
+                parts: crate::parts::PartPlaces::NONE,
             }
         };
         let views: Vec<_> = (0..40).map(view).collect();

@@ -2,6 +2,7 @@
 
 use crate::backend::LearningRates;
 use crate::model::{GEOMETRY, Model, padded};
+use crate::parts::PartPulls;
 use crate::statistics::Statistics;
 
 /// Gaussians of a part at most, a multiple of every vector's lanes. Source: chosen by hand, never
@@ -15,13 +16,16 @@ pub(crate) struct ModelGradient {
     pub(crate) geometry: [Vec<f32>; GEOMETRY],
     /// [N × K × 3].
     pub(crate) sh: Vec<f32>,
+    /// With respect to the motions of parts.
+    pub(crate) pulls: PartPulls,
 }
 
 impl ModelGradient {
     /// All zero, in the shape of a model.
     pub(super) fn zeros(model: &Model) -> Self {
         let n = padded(model.len);
-        Self { geometry: std::array::from_fn(|_| vec![0.0; n]), sh: vec![0.0; model.sh.len()] }
+        let (geometry, sh) = (std::array::from_fn(|_| vec![0.0; n]), vec![0.0; model.sh.len()]);
+        Self { geometry, sh, pulls: PartPulls::default() }
     }
 }
 
@@ -37,6 +41,8 @@ pub(super) struct ModelPart<'a> {
     pub(super) geometry: [&'a mut [f32]; GEOMETRY],
     /// [N × K × 3].
     pub(super) sh: &'a mut [f32],
+    /// Parts of the object, of all Gaussians of the model; none where nothing moves.
+    pub(super) of_object: &'a [u8],
     /// Where gradients go.
     pub(super) sink: GradientSink<'a>,
 }
@@ -84,14 +90,16 @@ impl<'a> ModelPart<'a> {
             gradient: &mut statistics.gradient,
             visible: &mut statistics.visible,
         });
-        Self { first: 0, count, sh_stride, geometry: slices(&mut model.geometry), sh: &mut model.sh, sink }
+        let (geometry, sh) = (slices(&mut model.geometry), &mut model.sh);
+        Self { first: 0, count, sh_stride, geometry, sh, of_object: &model.part, sink }
     }
 
     /// A whole model whose gradient is wanted.
     pub(super) fn gradient(model: &'a mut Model, out: &'a mut ModelGradient) -> Self {
         let (count, sh_stride) = (model.len, model.sh_stride());
         let sink = GradientSink::Gradient { geometry: slices(&mut out.geometry), sh: &mut out.sh };
-        Self { first: 0, count, sh_stride, geometry: slices(&mut model.geometry), sh: &mut model.sh, sink }
+        let (geometry, sh) = (slices(&mut model.geometry), &mut model.sh);
+        Self { first: 0, count, sh_stride, geometry, sh, of_object: &model.part, sink }
     }
 
     /// Two parts of about the same size, unless it is small.
@@ -111,9 +119,13 @@ impl<'a> ModelPart<'a> {
             sh_stride,
             geometry: geometry_rest,
             sh: sh_rest,
+            of_object: self.of_object,
             sink: sink_rest,
         };
-        (Self { first: self.first, count: at, sh_stride, geometry, sh, sink }, Some(rest))
+        (
+            Self { first: self.first, count: at, sh_stride, geometry, sh, of_object: self.of_object, sink },
+            Some(rest),
+        )
     }
 }
 

@@ -8,7 +8,7 @@
 use super::dispatch::simd_kernel;
 use super::sh;
 use super::simd::{Simd, array};
-use crate::camera::CameraConstants;
+use crate::camera::{CameraConstants, PartCameras};
 use crate::model::{GEOMETRY, LANE_PAD, LOG_SCALE, MEAN, Model, OPACITY, ROTATION};
 use crate::reference::constants::{LOW_PASS, MAX_LOG_SCALE, MIN_ALPHA};
 use scene::sh::SH_COUNT;
@@ -140,7 +140,7 @@ pub(crate) fn dot3<S: Simd>(a: [S; 3], b: [S; 3]) -> S {
 
 /// `a × b`.
 #[inline(always)]
-fn cross<S: Simd>(a: [S; 3], b: [S; 3]) -> [S; 3] {
+pub(super) fn cross<S: Simd>(a: [S; 3], b: [S; 3]) -> [S; 3] {
     array!(k in 3 => {
         let (i, j) = ((k + 1) % 3, (k + 2) % 3);
         a[i].mul(b[j]).sub(a[j].mul(b[i]))
@@ -230,8 +230,8 @@ pub(super) fn project_lanes<S: Simd>(g: &[S; GEOMETRY], c: &CameraConstants) -> 
 pub(crate) struct Project<'a> {
     /// All Gaussians.
     pub(crate) model: &'a Model,
-    /// The camera.
-    pub(crate) camera: &'a CameraConstants,
+    /// The camera, as the body and the parts see it.
+    pub(crate) cameras: &'a PartCameras,
     /// First Gaussian.
     pub(crate) start: usize,
     /// Out.
@@ -242,60 +242,81 @@ pub(crate) struct Project<'a> {
 
 #[inline(always)]
 fn project_generic<S: Simd>(a: &mut Project) {
-    let (c, stride) = (a.camera, a.model.sh_stride());
-    let mut lanes = [[0.0f32; LANE_PAD]; 9];
     for block in (0..a.keys.len()).step_by(S::LANES) {
         let mut geometry = [S::splat(0.0); GEOMETRY];
         for (value, plane) in geometry.iter_mut().zip(&a.model.geometry) {
             *value = S::read(&plane[a.start + block..]);
         }
-        let p = project_lanes(&geometry, c);
-        let bits = S::bits(p.valid);
         let count = S::LANES.min(a.keys.len() - block);
-        if bits == 0 {
-            a.keys[block..block + count].fill(CULLED);
+        a.keys[block..block + count].fill(CULLED);
+        let mut left = u32::MAX >> (u32::BITS as usize - count);
+        while left != 0 {
+            let (part, own) = next_part(&a.model.part, a.start + block, left);
+            project_block::<S>(a, block, &geometry, part, own);
+            left &= !own;
+        }
+    }
+}
+
+/// The part of the first of the lanes `left` of a block that begins at a Gaussian, and which of
+/// these lanes belong to it. Most blocks have one part.
+#[inline(always)]
+pub(super) fn next_part(of_object: &[u8], block: usize, left: u32) -> (u8, u32) {
+    if of_object.is_empty() {
+        return (0, left);
+    }
+    let part_of = |lane: u32| of_object.get(block + lane as usize).copied().unwrap_or(0);
+    let part = part_of(left.trailing_zeros());
+    let own = (0..LANE_PAD as u32).filter(|&lane| left & (1 << lane) != 0 && part_of(lane) == part);
+    (part, own.fold(0, |bits, lane| bits | 1 << lane))
+}
+
+/// Projects those of a block's Gaussians that belong to a part: the lanes `own`.
+#[inline(always)]
+fn project_block<S: Simd>(a: &mut Project, block: usize, geometry: &[S; GEOMETRY], part: u8, own: u32) {
+    let (c, stride) = (a.cameras.of(part), a.model.sh_stride());
+    let mut lanes = [[0.0f32; LANE_PAD]; 9];
+    let p = project_lanes(geometry, c);
+    let bits = S::bits(p.valid) & own;
+    if bits == 0 {
+        return;
+    }
+    let [x, y] = p.xy;
+    let [conic_xx, conic_xy, conic_yy] = p.conic;
+    let columns = [x, y, conic_xx, conic_xy, conic_yy, p.opacity, p.cov[0], p.cov[2], p.xc[2]];
+    for (lane, value) in lanes.iter_mut().zip(columns) {
+        value.write(lane);
+    }
+    for lane in (0..S::LANES).filter(|lane| bits & (1 << lane) != 0) {
+        let i = a.start + block + lane;
+        let [x, y, conic_xx, conic_xy, conic_yy, opacity, cov_xx, cov_yy, depth] =
+            lanes.each_ref().map(|values| values[lane]);
+        let log2_opacity = opacity.log2();
+        let reach = 2.0 * std::f32::consts::LN_2 * (log2_opacity + LOG2_255);
+        let (extent_x, extent_y) = ((reach * cov_xx).max(0.0).sqrt(), (reach * cov_yy).max(0.0).sqrt());
+        let inside =
+            x + extent_x > 0.0 && x - extent_x < c.size[0] && y + extent_y > 0.0 && y - extent_y < c.size[1];
+        if !inside {
             continue;
         }
-        let [x, y] = p.xy;
-        let [conic_xx, conic_xy, conic_yy] = p.conic;
-        let columns = [x, y, conic_xx, conic_xy, conic_yy, p.opacity, p.cov[0], p.cov[2], p.xc[2]];
-        for (lane, value) in lanes.iter_mut().zip(columns) {
-            value.write(lane);
+        let mut basis = [0.0; SH_COUNT];
+        let sh = &a.model.sh[i * stride..(i + 1) * stride];
+        sh::basis((a.model.mean(i) - c.position).normalize_or_zero(), c.sh_degree, &mut basis);
+        a.keys[block + lane] = depth.to_bits();
+        a.records[block + lane] = Record {
+            x,
+            y,
+            half_xx: 0.5 * LOG2_E * conic_xx,
+            xy: LOG2_E * conic_xy,
+            half_yy: 0.5 * LOG2_E * conic_yy,
+            log2_opacity,
+            rgb: colour(sh, &basis, c.sh_degree).map(|v| v.max(0.0)),
+            depth,
+            extent_x,
+            extent_y,
+            ..Record::default()
         }
-        for lane in 0..count {
-            let i = a.start + block + lane;
-            let [x, y, conic_xx, conic_xy, conic_yy, opacity, cov_xx, cov_yy, depth] =
-                lanes.each_ref().map(|values| values[lane]);
-            let log2_opacity = opacity.log2();
-            let reach = 2.0 * std::f32::consts::LN_2 * (log2_opacity + LOG2_255);
-            let (extent_x, extent_y) = ((reach * cov_xx).max(0.0).sqrt(), (reach * cov_yy).max(0.0).sqrt());
-            let inside = x + extent_x > 0.0
-                && x - extent_x < c.size[0]
-                && y + extent_y > 0.0
-                && y - extent_y < c.size[1];
-            if bits & (1 << lane) == 0 || !inside {
-                a.keys[block + lane] = CULLED;
-                continue;
-            }
-            let mut basis = [0.0; SH_COUNT];
-            let sh = &a.model.sh[i * stride..(i + 1) * stride];
-            sh::basis((a.model.mean(i) - c.position).normalize_or_zero(), c.sh_degree, &mut basis);
-            a.keys[block + lane] = depth.to_bits();
-            a.records[block + lane] = Record {
-                x,
-                y,
-                half_xx: 0.5 * LOG2_E * conic_xx,
-                xy: LOG2_E * conic_xy,
-                half_yy: 0.5 * LOG2_E * conic_yy,
-                log2_opacity,
-                rgb: colour(sh, &basis, c.sh_degree).map(|v| v.max(0.0)),
-                depth,
-                extent_x,
-                extent_y,
-                ..Record::default()
-            }
-            .with_chords();
-        }
+        .with_chords();
     }
 }
 

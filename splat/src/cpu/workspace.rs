@@ -12,9 +12,11 @@ use super::sort::Bins;
 use super::target::{TargetSource, compose, reached_tiles};
 use super::tile::{PIXELS, PlaneShape, TILE, Tile, TilePlane};
 use crate::backend::Target;
-use crate::camera::CameraConstants;
+use crate::camera::PartCameras;
 use crate::model::Model;
+use crate::parts::PartPulls;
 use rayon::prelude::*;
+use std::sync::Mutex;
 
 /// Everything that lives between the kernels of a step. Kept between steps, so that nothing is
 /// allocated in the loop. Invariant: every plane that is in use has the size that `shape` says, and
@@ -39,6 +41,8 @@ pub(super) struct KernelWorkspace {
     parts: Vec<[f64; 3]>,
     /// Targets are divided by this.
     pub(super) gain: Option<[f32; 3]>,
+    /// What pulls at moving parts, by groups of Gaussians.
+    pulls: Vec<Mutex<PartPulls>>,
 }
 
 /// The picture that the last [`KernelWorkspace::forward`] drew: planes whose rows are `stride`
@@ -58,12 +62,12 @@ pub(super) struct TargetPlanes<'a> {
 
 impl KernelWorkspace {
     /// The Gaussians' records and depth keys.
-    pub(super) fn project(&mut self, isa: Isa, model: &Model, camera: &CameraConstants) {
+    pub(super) fn project(&mut self, isa: Isa, model: &Model, cameras: &PartCameras) {
         self.records.resize(model.len, Record::default());
         self.keys.resize(model.len, CULLED);
         let chunks = self.records.par_chunks_mut(PART).zip(self.keys.par_chunks_mut(PART)).enumerate();
         chunks.for_each(|(chunk, (records, keys))| {
-            project(isa, &mut Project { model, camera, start: chunk * PART, records, keys });
+            project(isa, &mut Project { model, cameras, start: chunk * PART, records, keys });
         });
     }
 
@@ -216,16 +220,31 @@ impl KernelWorkspace {
         });
     }
 
-    /// project backward and Adam (or plain gradients); returns how many gradients were not finite.
-    pub(super) fn optimise(&self, isa: Isa, model: ModelPart, camera: &CameraConstants) -> usize {
+    /// project backward and Adam (or plain gradients); returns how many gradients were not finite,
+    /// and what pulls at moving parts. Their sums do not depend on how the work is shared out.
+    pub(super) fn optimise(
+        &mut self,
+        isa: Isa,
+        model: ModelPart,
+        cameras: &PartCameras,
+    ) -> (usize, PartPulls) {
+        let groups = if cameras.moving() > 0 { model.count.div_ceil(PART) } else { 0 };
+        self.pulls.clear();
+        self.pulls.resize_with(groups, Default::default);
         let parts = rayon::iter::split(model, ModelPart::halve);
         let steps = parts.map(|part| {
-            let (bins, keys, sums) = (&self.bins, &self.keys, &self.sums);
-            let mut a = Adam { part, camera, bins, keys, sums, non_finite: 0 };
+            let (bins, keys, sums, pulls) = (&self.bins, &self.keys, &self.sums, &self.pulls[..]);
+            let mut a = Adam { part, cameras, bins, keys, sums, pulls, non_finite: 0 };
             adam(isa, &mut a);
             a.non_finite
         });
-        steps.sum()
+        let non_finite = steps.sum();
+        let mut all = PartPulls::default();
+        for group in &mut self.pulls {
+            let group = group.get_mut().unwrap_or_else(std::sync::PoisonError::into_inner);
+            all.iter_mut().zip(group.iter()).for_each(|(sum, pull)| sum.add(pull));
+        }
+        (non_finite, all)
     }
 }
 
@@ -273,6 +292,7 @@ mod tests {
             centre: [50.0, 35.0],
             width,
             height,
+            parts: crate::parts::PartPlaces::NONE,
         };
         let rgb: Vec<u8> = (0..width * height * 3).map(|i| (i * 37 % 251) as u8).collect();
         let mask: Vec<u8> = (0..width * height)
@@ -280,9 +300,9 @@ mod tests {
             .collect();
         let target = Target { rgb: &rgb, mask: Some(&mask), transparent: false, photo: None };
         let (isa, model) = (Isa::best(), Model::from_gaussians(&gaussians(300)));
-        let camera = CameraConstants::new(&view, &RenderOptions::default(), 0);
+        let cameras = PartCameras::new(&view, &RenderOptions::default(), 0);
         let mut work = KernelWorkspace::default();
-        work.project(isa, &model, &camera);
+        work.project(isa, &model, &cameras);
         work.sort(width, height);
         let mut found: Vec<(f32, Vec<[f32; SUMS]>, usize)> = Vec::new();
         for counted in [None, Some(&target)] {

@@ -206,7 +206,15 @@ impl GpuBackend {
                     let (loss, mse) = report.loss(photo.weights, lambda);
                     let [visible, non_finite] = [Counter::Visible, Counter::NonFinite]
                         .map(|counter| report.counters[counter as usize] as usize);
-                    self.done.push(StepOutput { loss, mse, visible, pairs: report.pairs(), non_finite });
+                    let pairs = report.pairs();
+                    self.done.push(StepOutput {
+                        loss,
+                        mse,
+                        visible,
+                        pairs,
+                        non_finite,
+                        ..StepOutput::default()
+                    });
                 }
             }
             if most > self.sizes.pairs / 8 * 7 {

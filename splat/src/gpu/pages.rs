@@ -176,7 +176,9 @@ impl Pages {
         let [sh, sh_m, sh_v] = sh;
         debug_assert_eq!(CLOCK, 3 * GEOMETRY);
         let steps = rest.next().unwrap_or_default();
-        let model = Model { len: self.n, sh_degree, geometry, geometry_m, geometry_v, sh, sh_m, sh_v, steps };
+        let part = Vec::new();
+        let model =
+            Model { len: self.n, sh_degree, geometry, geometry_m, geometry_v, sh, sh_m, sh_v, steps, part };
         Ok((model, Statistics { gradient, visible }))
     }
 

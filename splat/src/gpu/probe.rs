@@ -93,6 +93,6 @@ impl GpuBackend {
         let share = (1.0 - BETAS[0]) as f32;
         let moments = model.geometry_m.iter_mut().chain([&mut model.sh_m]);
         moments.flatten().for_each(|m| *m /= share);
-        Ok(ModelGradient { geometry: model.geometry_m, sh: model.sh_m })
+        Ok(ModelGradient { geometry: model.geometry_m, sh: model.sh_m, ..ModelGradient::default() })
     }
 }

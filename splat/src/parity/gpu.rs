@@ -56,7 +56,15 @@ impl Subject for Adapter {
         let (target, mask) = (bytes(target), weight.map(bytes));
         let target = Target { rgb: &target, mask: mask.as_deref(), transparent: false, photo: None };
         let (rotation, translation) = (Mat3::IDENTITY, Vec3::ZERO);
-        let view = PinholeView { rotation, translation, focal: [1.0; 2], centre: [0.0; 2], width, height };
+        let view = PinholeView {
+            rotation,
+            translation,
+            focal: [1.0; 2],
+            centre: [0.0; 2],
+            width,
+            height,
+            parts: crate::parts::PartPlaces::NONE,
+        };
         let mut gpu = device();
         // Frames are run over pages of Gaussians, if only of none.
         gpu.upload(Model::default(), Statistics::default()).unwrap();

@@ -61,6 +61,7 @@ pub(crate) fn view(width: usize, height: usize) -> PinholeView {
         centre: [0.5 * width as f32 + 1.3, 0.5 * height as f32 - 0.7],
         width,
         height,
+        parts: crate::parts::PartPlaces::NONE,
     }
 }
 

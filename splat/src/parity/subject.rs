@@ -1,7 +1,7 @@
 //! What the suite needs of a backend, and who is tested.
 
 use crate::backend::{Backend, StepInput, StepOutput};
-use crate::camera::CameraConstants;
+use crate::camera::PartCameras;
 use crate::cpu::dispatch::Isa;
 use crate::cpu::loss::{LossInput, loss};
 use crate::cpu::project::{CULLED, Project, Record, project};
@@ -103,10 +103,10 @@ impl Subject for Cpu {
 
     fn project(&mut self, g: &Gaussians, view: &PinholeView, options: &RenderOptions) -> Vec<Option<Seen>> {
         let model = Model::from_gaussians(g);
-        let camera = CameraConstants::new(view, options, g.sh_degree);
+        let cameras = PartCameras::new(view, options, g.sh_degree);
         let (mut records, mut keys) = (vec![Record::default(); g.len()], vec![CULLED; g.len()]);
         let (r, k) = (&mut records, &mut keys);
-        project(self.isa, &mut Project { model: &model, camera: &camera, start: 0, records: r, keys: k });
+        project(self.isa, &mut Project { model: &model, cameras: &cameras, start: 0, records: r, keys: k });
         let ln2 = std::f32::consts::LN_2;
         let seen = |(r, &k): (&Record, &u32)| {
             (k != CULLED).then(|| Seen {

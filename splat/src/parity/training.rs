@@ -44,6 +44,7 @@ fn dataset(truth: &Gaussians, count: usize) -> Dataset {
         points: truth.means.iter().map(near).collect(),
         normalisation,
         alpha: AlphaMode::Transparent,
+        articulation: None,
     }
 }
 

@@ -25,6 +25,8 @@ struct CheckpointHeader {
     rules: Rules,
     len: usize,
     sh_degree: u32,
+    #[serde(default)]
+    part: Vec<u8>,
 }
 
 /// A checkpoint in memory.
@@ -77,7 +79,8 @@ fn write_file(
     statistics: &Statistics,
 ) -> std::io::Result<()> {
     let (state, rules) = (state.clone(), rules.clone());
-    let header = CheckpointHeader { state, rules, len: model.len, sh_degree: model.sh_degree };
+    let Model { len, sh_degree, .. } = *model;
+    let header = CheckpointHeader { state, rules, len, sh_degree, part: model.part.clone() };
     let header = serde_json::to_vec(&header)?;
     std::fs::create_dir_all(path.parent().unwrap_or(path))?;
     let partial = path.with_extension("partial");
@@ -138,7 +141,8 @@ fn parse(bytes: &[u8]) -> Result<Checkpoint, String> {
     if header.sh_degree > MAX_SH_DEGREE || header.len > rest.len() {
         return Err(SHORT.to_owned());
     }
-    let mut model = Model { len: header.len, sh_degree: header.sh_degree, ..Model::default() };
+    let CheckpointHeader { len, sh_degree, part, .. } = header;
+    let mut model = Model { len, sh_degree, part, ..Model::default() };
     let mut statistics = Statistics::default();
     let (planes, sh) = (padded(model.len), model.len * model.sh_stride());
     for (index, array) in arrays_mut(&mut model, &mut statistics).into_iter().enumerate() {

@@ -33,7 +33,12 @@ impl RuleContext<'_> {
 
     /// Camera and pose of a view as training sees it now.
     pub(crate) fn camera(&self, view: usize) -> PinholeView {
-        let given = self.setup.dataset.views[view].view;
+        let mut given = self.setup.dataset.views[view].view;
+        if let Some(moving) = &self.setup.dataset.articulation
+            && !self.state.corrections.joints.is_empty()
+        {
+            given.parts = moving.places(self.state.corrections.joints.iter().map(|[angles, _]| angles[view]));
+        }
         let place = self.setup.views.binary_search(&view).ok();
         place.and_then(|p| self.state.corrections.poses.get(p)).map_or(given, |p| PinholeView {
             rotation: Mat3::from_quat(Quat::from_xyzw(p[0], p[1], p[2], p[3])),

@@ -2,6 +2,7 @@
 
 use super::state::CurvePoint;
 use crate::backend::KernelTimes;
+use crate::dataset::MovingParts;
 use crate::view::RenderOptions;
 use scene::{Decision, Gaussians, Pose};
 
@@ -21,6 +22,9 @@ pub struct TrainResult {
     /// Names and refined poses (`cam_from_world`, world frame) of the training views; empty where
     /// they stayed as given.
     pub poses: Vec<(String, Pose)>,
+    /// What moves, with the angles that were found; `None` where nothing does. The Gaussians are in
+    /// the order of the parts.
+    pub moving: Option<MovingParts>,
     /// How to render the result as training saw it.
     pub render: RenderOptions,
 }

@@ -14,8 +14,7 @@ use crate::camera::DEFAULT_NEAR;
 use crate::config::TrainConfig;
 use crate::dataset::Dataset;
 use crate::error::SplatError;
-use crate::init::initial_gaussians;
-use crate::model::Model;
+use crate::init::initial_model;
 use crate::statistics::Statistics;
 use crate::view::RenderOptions;
 use rand::Rng as _;
@@ -79,7 +78,8 @@ impl<'a> Session<'a> {
         folder: Option<&Path>,
     ) -> Result<Self, SplatError> {
         let mark = config.limit_clock.seconds();
-        let (mut backend, decision) = crate::device::open(&config.device)?;
+        let device = config.device.for_parts(dataset.articulation.is_some());
+        let (mut backend, decision) = crate::device::open(&device)?;
         let (max_gaussians, limit) = capacity(backend.as_ref(), dataset, config)?;
         let setup = TrainingSetup::new(dataset, config, max_gaussians)?;
         let fingerprint = fingerprint(dataset, config);
@@ -90,13 +90,12 @@ impl<'a> Session<'a> {
                 (state, rules)
             }
             None => {
-                let first = initial_gaussians(dataset, max_gaussians, config.seed)?;
-                let mut statistics = Statistics::default();
-                statistics.reset(first.len());
-                backend.upload(Model::from_gaussians(&first), statistics)?;
+                let model = initial_model(dataset, max_gaussians, config.seed)?;
+                let (mut statistics, first) = (Statistics::default(), model.len);
+                statistics.reset(first);
+                backend.upload(model, statistics)?;
                 let decisions = std::iter::once(decision).chain(limit).collect();
-                let state =
-                    TrainingState { fingerprint, first: first.len(), decisions, ..TrainingState::default() };
+                let state = TrainingState { fingerprint, first, decisions, ..TrainingState::default() };
                 (state, Rules::default())
             }
         };
@@ -124,10 +123,11 @@ impl<'a> Session<'a> {
         let steps = step.expected_steps();
         step.state.place.decide_early(steps);
         rules.before_step(&mut step)?;
-        let outputs = self.train_on_next_view()?;
+        let (view, outputs) = self.train_on_next_view()?;
         self.state.place.iteration += 1;
         self.note_steps(&outputs)?;
         let (mut step, rules) = self.context();
+        outputs.iter().for_each(|output| rules.after_view(&mut step, view, output));
         rules.after_step(&mut step)?;
         self.note_time();
         let cost = self.cost.of_step(self.mark - begun, !outputs.is_empty());
@@ -142,21 +142,23 @@ impl<'a> Session<'a> {
         Ok(())
     }
 
-    /// Forward, loss, backward and Adam on the next view: what those steps saw that have ended.
-    fn train_on_next_view(&mut self) -> Result<Vec<StepOutput>, SplatError> {
+    /// Forward, loss, backward and Adam on the next view: its number, and what those steps saw that
+    /// have ended.
+    fn train_on_next_view(&mut self) -> Result<(usize, Vec<StepOutput>), SplatError> {
         let chosen = self.order.view(&self.setup, &self.state.place);
         let background = self.background();
         let (step, _) = self.context();
         let (setup, steps, level) = (step.setup, step.expected_steps(), step.level());
         let (camera, target) = step.photo(chosen, level);
         step.backend.set_gain(step.gain(chosen));
-        step.backend.advance(&StepInput {
+        let outputs = step.backend.advance(&StepInput {
             view: &camera,
             target,
             options: RenderOptions { background, ..step.options() },
             rates: rates(step.position(), steps, setup.pixel, setup.config),
             lambda_dssim: setup.config.lambda_dssim,
-        })
+        })?;
+        Ok((chosen, outputs))
     }
 
     /// A random colour where the background shows through, else black.
@@ -244,6 +246,7 @@ impl<'a> Session<'a> {
         let (mut model, _) = self.backend.release()?;
         let (mut step, rules) = self.context();
         rules.after_training(&step, &mut model);
+        let moving = rules.moving(&step, &mut model);
         let mut gaussians = model.to_gaussians();
         let poses = rules.conclude(&mut step, &mut gaussians);
         self.conclude();
@@ -256,6 +259,7 @@ impl<'a> Session<'a> {
             timings,
             iterations: self.state.place.iteration,
             poses,
+            moving,
             render: RenderOptions {
                 near: Some(near),
                 antialias: config.antialias,

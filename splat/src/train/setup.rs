@@ -45,10 +45,9 @@ impl<'a> TrainingSetup<'a> {
             return Err(SplatError::TooFewViews(0));
         }
         let validation = validation(&views);
-        let cloud = crate::init::cloud(dataset).filter(|_| validation.is_empty());
+        let cloud_points = crate::init::cloud_points(dataset).filter(|_| validation.is_empty());
         let matted = views.iter().filter(|_| dataset.is_transparent()).map(|&v| &dataset.views[v]);
         let hull = VisualHull::of(matted);
-        let cloud_points = cloud.map(|points| points.len());
         let pixel = footprint(dataset);
         Ok(Self { dataset, config, views, validation, cloud_points, max_gaussians, pixel, hull })
     }

@@ -31,6 +31,10 @@ pub(crate) struct ViewCorrections {
     /// Quaternion (x, y, z, w) and translation of `cam_from_world`, normalised. Written by the pose
     /// rule.
     pub(crate) poses: Vec<[f32; 7]>,
+    /// Angles of each joint and their standard deviations, radians, by view of the data set; those
+    /// of the data set where there are none. Written by the joint rule.
+    #[serde(default)]
+    pub(crate) joints: Vec<[Vec<f64>; 2]>,
 }
 
 /// Sums over steps, for the next point of the curve.

@@ -20,6 +20,8 @@ use std::path::PathBuf;
 
 #[path = "bits_tests.rs"]
 mod bits;
+#[path = "joint_tests.rs"]
+mod joints;
 #[path = "trouble_tests.rs"]
 mod trouble;
 #[path = "units_tests.rs"]
@@ -90,7 +92,13 @@ pub(crate) fn pictures_of(truth: &Gaussians, views: usize, transparent: bool, si
         }
     };
     let points = truth.means.iter().map(|m| (*m * 1.03, [128; 3])).collect();
-    Dataset { views: (0..views).map(view).collect(), points, normalisation, alpha: AlphaMode::Transparent }
+    Dataset {
+        views: (0..views).map(view).collect(),
+        points,
+        normalisation,
+        alpha: AlphaMode::Transparent,
+        articulation: None,
+    }
 }
 
 pub(crate) fn config(iterations: u32) -> TrainConfig {

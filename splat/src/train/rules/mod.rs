@@ -9,12 +9,15 @@
 
 pub(crate) mod exposure;
 mod growth;
+mod joints;
 mod poses;
 mod prune;
 mod sh_degree;
 mod silhouette;
 pub(crate) mod smoothing;
 
+use crate::backend::StepOutput;
+use crate::dataset::MovingParts;
 use crate::error::SplatError;
 use crate::model::Model;
 use crate::train::context::RuleContext;
@@ -34,6 +37,8 @@ pub(crate) struct Rules {
     pub(crate) growth: growth::GrowthRule,
     pub(crate) exposure: exposure::ExposureRule,
     pub(crate) poses: poses::PoseRule,
+    #[serde(default)]
+    pub(crate) joints: joints::JointRule,
     pub(crate) prune: prune::PruneRule,
 }
 
@@ -41,6 +46,11 @@ impl Rules {
     /// What a step needs.
     pub(crate) fn before_step(&mut self, step: &mut RuleContext) -> Result<(), SplatError> {
         self.sh_degree.before_step(step)
+    }
+
+    /// What follows from what a step saw of a view. A device that begins steps tells of no parts.
+    pub(crate) fn after_view(&mut self, step: &mut RuleContext, view: usize, output: &StepOutput) {
+        self.joints.after_view(step, view, output);
     }
 
     /// What follows from what steps saw.
@@ -62,12 +72,18 @@ impl Rules {
         self.growth.review(step)?;
         self.exposure.review(step)?;
         self.poses.review(step)?;
+        self.joints.review(step)?;
         self.prune.review(step)
     }
 
     /// What the Gaussians need once the last step is taken.
     pub(crate) fn after_training(&mut self, step: &RuleContext, model: &mut Model) {
         self.silhouette.after_training(step, model);
+    }
+
+    /// The Gaussians in the order of the parts, and what moves these.
+    pub(crate) fn moving(&self, step: &RuleContext, model: &mut Model) -> Option<MovingParts> {
+        self.joints.conclude(step, model)
     }
 
     /// Takes Gaussians that were trained on refined poses to the frame of the poses as given, and

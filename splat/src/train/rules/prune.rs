@@ -185,6 +185,7 @@ mod tests {
             centre: [24.0, 20.0],
             width: 48,
             height: 40,
+            parts: crate::parts::PartPlaces::NONE,
         };
         // The same view again and again: the mean of the draws is the energy itself.
         const DRAWS: usize = 400;

@@ -94,6 +94,7 @@ mod tests {
             centre: [50.0, 40.0],
             width: 100,
             height: 80,
+            parts: crate::parts::PartPlaces::NONE,
         };
         let means = vec![Vec3::ZERO, Vec3::new(0.0, 0.0, 6.0), Vec3::new(100.0, 0.0, 0.0)];
         let mut model = Model::from_gaussians(&Gaussians {

@@ -57,7 +57,9 @@ impl PoseRule {
     /// Looks whether poses are to be refined, and refines them, at their places in the schedule.
     pub(super) fn review(&mut self, step: &mut RuleContext) -> Result<(), SplatError> {
         let (asked, position) = (step.setup.config.refine_poses, step.position());
-        if asked == PoseRefinement::Off || step.setup.views.len() < LEAST_VIEWS {
+        // Joints lie in the frame of the poses as they were given.
+        let moving = step.setup.dataset.articulation.is_some();
+        if asked == PoseRefinement::Off || step.setup.views.len() < LEAST_VIEWS || moving {
             return Ok(());
         }
         if self.refined || asked == PoseRefinement::On {

@@ -1,10 +1,17 @@
 //! `parts`: parts of the object that turn on joints while it is filmed, as a table and
 //! `parts.json`, with the model that their motion no longer bends.
 
+mod meshes;
+mod posed;
+mod record;
+mod splat;
+
+pub(crate) use posed::MovingSplat;
+pub(crate) use record::{labels, read_moving};
+
 use crate::args::PartsArgs;
 use crate::outcome::Outcome;
 use crate::pipeline::folder::absolute_in;
-use crate::stage::write_json;
 use crate::terminal::{CANCELLED, TerminalSink, Verbosity, print, say};
 use anyhow::{Context, Result, bail};
 use scene::{FrameSet, Progress};
@@ -28,16 +35,29 @@ pub(crate) fn run(args: &PartsArgs, verbosity: Verbosity, json: bool) -> Result<
     let model = scene::io::read_model(&run.join("sparse/0"))
         .with_context(|| format!("{} has no poses", run.display()))?;
     let progress = Progress::new(Box::new(TerminalSink::new(verbosity, None)), &CANCELLED);
-    let (found, corrected) = moving_parts(&frames, &model, &args.klt, args.seed, &progress)?;
+    let (mut found, corrected) = moving_parts(&frames, &model, &args.klt, args.seed, &progress)?;
     let folder = args.output.clone().unwrap_or_else(|| run.join(FOLDER));
     let sparse = folder.join("sparse/0");
     std::fs::create_dir_all(&sparse).with_context(|| format!("cannot make {}", sparse.display()))?;
     scene::io::write_model_bin(&corrected, &sparse)?;
-    write_json(&folder.join("parts.json"), &found)?;
+    record::write(&folder, &found)?;
     if json {
         print(&serde_json::to_string_pretty(&found)?)?;
     } else {
         print(&text(&found))?;
+    }
+    if !found.parts.is_empty() && !args.no_splat {
+        let train = splat::PartsTraining {
+            frames: &frames,
+            model: &corrected,
+            parts: &mut found,
+            fps_loops: args.fps_loops,
+        };
+        let judged = train.train(run, &folder, &progress)?;
+        if !json {
+            print(&format!("splat of the parts: {}", judged.sentence()))?;
+            print(&text(&found))?;
+        }
     }
     if verbosity > Verbosity::Quiet {
         say(&format!("wrote {}", folder.display()));

@@ -1,0 +1,103 @@
+//! The splat of an object with moving parts: trained on the model that `parts` corrected.
+
+use super::{meshes, record};
+use crate::args::{EvalConfig, MeshConfig};
+use crate::evaluate;
+use crate::record::{Evaluation, KnownRun};
+use anyhow::{Context, Result};
+use glam::DVec3;
+use scene::{FrameSet, Progress, Reconstruction};
+use sfm::{Articulation, MovingPart};
+use splat::{Dataset, Joint, MovingParts};
+use std::path::Path;
+
+/// What was found: the frames, the corrected model, and the parts.
+pub(super) struct PartsTraining<'a> {
+    pub(super) frames: &'a FrameSet,
+    pub(super) model: &'a Reconstruction,
+    pub(super) parts: &'a mut Articulation,
+    /// How often the held-out views are rendered to measure frames per second.
+    pub(super) fps_loops: u32,
+}
+
+impl PartsTraining<'_> {
+    /// Trains a splat as the run's was into `folder` and judges it on the views that are held out.
+    /// Angles are refined on the photos.
+    pub(super) fn train(mut self, run: &Path, folder: &Path, progress: &Progress) -> Result<Evaluation> {
+        let config = KnownRun::read(run)?.config;
+        let set = folder.join("undistorted");
+        sfm::undistort(self.frames, self.model, &set, progress)?;
+        let mut dataset = evaluate::load_to_train(&set, &config.dataset, progress)?;
+        let moving = self.moving(&dataset);
+        dataset.articulate(moving, &self.parts.parts.iter().map(places_of).collect::<Vec<_>>());
+        let checkpoints = folder.join(".train");
+        let result = splat::train(&dataset, &config.train, Some(&checkpoints), progress)?;
+        scene::io::ply::write_splat_ply(&folder.join("splat.ply"), &result.gaussians)?;
+        let moved = result.moving.context("training forgot the parts")?;
+        self.refined(&dataset, moved);
+        record::write(folder, self.parts)?;
+        std::fs::remove_dir_all(&checkpoints).ok();
+        let (fps_loops, mesh) = (self.fps_loops, MeshConfig::default());
+        let shape = (&result.gaussians, &*self.parts);
+        let (times, fine) = (seconds(self.frames), (splat::fusion::DEFAULT_RESOLUTION, progress));
+        meshes::write(&folder.join("parts.glb"), shape, &dataset, &times, fine)?;
+        let judged = EvalConfig { lpips_weights: Vec::new(), fps_loops, mesh };
+        evaluate::evaluate(folder, folder, &config.dataset, &judged, &config.train.device, progress)
+    }
+
+    /// The parts as the views of the data set have them.
+    fn moving(&self, dataset: &Dataset) -> MovingParts {
+        let numbers: Vec<Option<usize>> = dataset.views.iter().map(|v| self.parts.number(&v.name)).collect();
+        let times = sfm::frame_times(self.frames);
+        MovingParts {
+            joints: self.parts.parts.iter().map(|part| joint(part, &numbers)).collect(),
+            times: numbers.iter().map(|k| k.map_or(0.0, |k| times[k])).collect(),
+            ..MovingParts::default()
+        }
+    }
+
+    /// Takes over what training found out; parts for which it had no room are left out. Angles of
+    /// frames without a view stay as they were.
+    fn refined(&mut self, dataset: &Dataset, found: MovingParts) {
+        self.parts.gaussians = found.gaussians;
+        self.parts.parts.truncate(found.joints.len());
+        for (part, joint) in self.parts.parts.iter_mut().zip(&found.joints) {
+            for (view, angle) in joint.angles.iter().enumerate() {
+                let Some(frame) = self.parts.frames.iter().position(|f| *f == dataset.views[view].name)
+                else {
+                    continue;
+                };
+                part.angles_deg[frame] = angle.to_degrees();
+                part.angle_sigmas_deg[frame] = joint.sigmas[view].to_degrees();
+            }
+        }
+    }
+}
+
+/// The joint of a part, as views have it that are frames of these numbers.
+fn joint(part: &MovingPart, frames: &[Option<usize>]) -> Joint {
+    Joint {
+        axis: DVec3::from(part.axis),
+        place: DVec3::from(part.place),
+        angles: by_view(&part.angles_deg, frames),
+        sigmas: by_view(&part.angle_sigmas_deg, frames),
+    }
+}
+
+/// What frames have, degrees, by view, radians; 0 where a view is none of the frames.
+fn by_view(of_frames: &[f64], frames: &[Option<usize>]) -> Vec<f64> {
+    frames.iter().map(|k| k.and_then(|k| of_frames.get(k)).map_or(0.0, |v| v.to_radians())).collect()
+}
+
+/// The points of a part.
+fn places_of(part: &MovingPart) -> Vec<DVec3> {
+    part.points.iter().map(|p| DVec3::from(*p)).collect()
+}
+
+/// When the frames were taken; by their numbers, 30 a second, where that is not known.
+fn seconds(frames: &FrameSet) -> Vec<f64> {
+    frames.times().unwrap_or_else(|| (0..frames.len()).map(|k| k as f64 / FRAMES_A_SECOND).collect())
+}
+
+/// Frames a second where no time is known. Source: common.
+const FRAMES_A_SECOND: f64 = 30.0;
