@@ -1,6 +1,7 @@
 //! Parts of the object that move against its body: where each stands in a view, and what pulls
 //! at it.
 //!
+//! A Gaussian belongs to one part for good. It is kept as it is at rest: a camera that sees the
 //! part moved by `T` sees it as a camera moved by `T⁻¹` sees the part at rest, so that nothing but
 //! the camera differs between parts. Its shine turns with it.
 
