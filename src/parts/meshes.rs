@@ -22,16 +22,21 @@ const NEAR: f64 = 0.01;
 pub(super) fn write(
     path: &Path,
     (gaussians, parts): (&Gaussians, &Articulation),
-    dataset: &Dataset,
+    mut dataset: Dataset,
     times_s: &[f64],
     (resolution, progress): (u32, &Progress),
-) -> Result<usize> {
-    let depths = depths(gaussians, parts, dataset, progress)?;
+) -> Result<()> {
+    let depths = depths(gaussians, parts, &dataset, progress)?;
+    let poses: Vec<Pose> = dataset.views.iter().map(|v| v.pose).collect();
     let mut all = Vec::new();
     for (number, measured) in depths.iter().enumerate() {
         let joint = number.checked_sub(1).map(|k| &parts.parts[k]);
         let source = DepthSource::Measured(measured);
-        let mesh = fused_mesh(&source, &at_rest(parts, dataset, number), resolution, progress)?;
+        // The views as the part sees them that is at rest.
+        for (view, pose) in dataset.views.iter_mut().zip(&poses) {
+            view.pose = pose.compose(&motion(parts, view, number));
+        }
+        let mesh = fused_mesh(&source, &dataset, resolution, progress)?;
         let hinge = joint.map(|part| Hinge {
             axis: DVec3::from(part.axis),
             place: DVec3::from(part.place),
@@ -40,17 +45,7 @@ pub(super) fn write(
         let name = if number == 0 { "body".to_owned() } else { format!("part{number}") };
         all.push(MovingMesh { name, mesh, hinge });
     }
-    scene::io::write_moving_glb(path, &all, times_s)?;
-    Ok(all.iter().map(|p| p.mesh.triangles.len()).sum())
-}
-
-/// The views as a part sees them that is at rest.
-fn at_rest(parts: &Articulation, dataset: &Dataset, number: usize) -> Dataset {
-    let mut moved = dataset.clone();
-    for view in &mut moved.views {
-        view.pose = view.pose.compose(&motion(parts, view, number));
-    }
-    moved
+    Ok(scene::io::write_moving_glb(path, &all, times_s)?)
 }
 
 /// The body's frame from that of a part at rest, when a view was taken.

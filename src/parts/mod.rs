@@ -41,9 +41,7 @@ pub(crate) fn run(args: &PartsArgs, verbosity: Verbosity, json: bool) -> Result<
     std::fs::create_dir_all(&sparse).with_context(|| format!("cannot make {}", sparse.display()))?;
     scene::io::write_model_bin(&corrected, &sparse)?;
     record::write(&folder, &found)?;
-    if json {
-        print(&serde_json::to_string_pretty(&found)?)?;
-    } else {
+    if !json {
         print(&text(&found))?;
     }
     if !found.parts.is_empty() && !args.no_splat {
@@ -58,6 +56,9 @@ pub(crate) fn run(args: &PartsArgs, verbosity: Verbosity, json: bool) -> Result<
             print(&format!("splat of the parts: {}", judged.sentence()))?;
             print(&text(&found))?;
         }
+    }
+    if json {
+        print(&serde_json::to_string_pretty(&found)?)?;
     }
     if verbosity > Verbosity::Quiet {
         say(&format!("wrote {}", folder.display()));

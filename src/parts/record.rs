@@ -26,8 +26,9 @@ pub(crate) fn read_moving(folder: &Path, gaussians: &Gaussians) -> Result<Option
     if parts.gaussians.is_empty() {
         return Ok(None);
     }
+    let fits = parts.gaussians.len() == parts.parts.len() + 1;
     anyhow::ensure!(
-        parts.gaussians.iter().sum::<usize>() == gaussians.len(),
+        fits && parts.gaussians.iter().sum::<usize>() == gaussians.len(),
         "{} belongs to another splat than the one beside it; run sat-recon parts again",
         path.display()
     );

@@ -24,7 +24,9 @@ impl PartsTraining<'_> {
     /// Trains a splat as the run's was into `folder` and judges it on the views that are held out.
     /// Angles are refined on the photos.
     pub(super) fn train(mut self, run: &Path, folder: &Path, progress: &Progress) -> Result<Evaluation> {
-        let config = KnownRun::read(run)?.config;
+        let mut config = KnownRun::read(run)?.config;
+        // Nothing beside the splat would say so when it is shown.
+        config.train.antialias = false;
         let set = folder.join("undistorted");
         sfm::undistort(self.frames, self.model, &set, progress)?;
         let mut dataset = evaluate::load_to_train(&set, &config.dataset, progress)?;
@@ -40,7 +42,7 @@ impl PartsTraining<'_> {
         let (fps_loops, mesh) = (self.fps_loops, MeshConfig::default());
         let shape = (&result.gaussians, &*self.parts);
         let (times, fine) = (seconds(self.frames), (splat::fusion::DEFAULT_RESOLUTION, progress));
-        meshes::write(&folder.join("parts.glb"), shape, &dataset, &times, fine)?;
+        meshes::write(&folder.join("parts.glb"), shape, dataset, &times, fine)?;
         let judged = EvalConfig { lpips_weights: Vec::new(), fps_loops, mesh };
         evaluate::evaluate(folder, folder, &config.dataset, &judged, &config.train.device, progress)
     }

@@ -2,7 +2,6 @@
 
 use super::*;
 use crate::dataset::{Joint, MovingParts};
-use crate::parts::PartPlaces;
 
 /// Views; the part turns by so many degrees from each to the next.
 const VIEWS: usize = 60;
@@ -118,6 +117,4 @@ fn a_scene_that_moves_is_learnt_as_well_as_one_that_stands_still() {
     };
     let (moving, still) = (psnr(&mut renderer, true), psnr(&mut renderer, false));
     assert!(moving > 27.0 && moving > still + 5.0, "{moving:.2} dB moving, {still:.2} dB at rest");
-    assert_eq!(dataset.views[0].view.parts.len(), 1);
-    assert_eq!(PartPlaces::NONE.len(), 0);
 }

@@ -300,7 +300,8 @@ impl<'a> Session<'a> {
 /// What a checkpoint must have been told to be continued.
 fn fingerprint(dataset: &Dataset, config: &TrainConfig) -> String {
     let told = TrainConfig { seconds_gone: 0.0, ..config.clone() };
-    format!("{told:?} {:?} {}", dataset.normalisation, dataset.views.len())
+    let moving = &dataset.articulation;
+    format!("{told:?} {:?} {} {moving:?}", dataset.normalisation, dataset.views.len())
 }
 
 /// The configured number of Gaussians or what the device can hold, and the decision that makes of
