@@ -73,6 +73,20 @@ fn write(path: &Path, key: &[u8], bytes: &[u8]) -> Result<()> {
     })?)
 }
 
+/// The depths by stereo, in every view, of what masks of the views' size show white: `points` are
+/// some of its places.
+pub(crate) fn part_depths(
+    dataset: &Dataset,
+    masks: &[Vec<u8>],
+    points: &[DVec3],
+    progress: &Progress,
+) -> Result<Vec<MeasuredDepth>> {
+    let mut seen = views(dataset);
+    seen.iter_mut().zip(masks).for_each(|(view, mask)| view.mask = Some(mask));
+    let depths = stereo::dense_depths(&seen, points, &StereoSettings::default(), progress);
+    Ok(depths.context("no depths by stereo")?.fields.iter().map(whole).collect())
+}
+
 /// The points on which the views agree, with their normals and the photos' colours.
 pub(crate) fn cloud(depths: &DenseDepths, dataset: &Dataset) -> Vec<OrientedPoint> {
     let points = depths.cloud(&views(dataset)).into_iter();

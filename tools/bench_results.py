@@ -71,6 +71,13 @@ TABLES = {
         ("precision, recall at 1 %", "{precision_pct:.1f}, {recall_pct:.1f}"),
         ("F-score", "{f_score_pct:.1f} %"), ("Chamfer, %", "{chamfer_pct:.3f}"),
     ],
+    "parts": [
+        ("capture", "{capture}"), ("half", "{half}"), ("joints, missed, invented", "{joints}, {missed}, {invented}"),
+        ("axes, °", "{axis_deg}"), ("places, %", "{place_pct}"), ("angles, °", "{angles_deg}"), ("within 2 σ", "{within_2_sigma}"),
+        ("body, ° (before)", "{rotation_deg:.3f} ({rotation_before_deg:.3f})"),
+        ("PSNR, in the matte", "{psnr_of_parts:.2f}, {psnr_mask_of_parts:.2f}"),
+        ("of one rigid splat", "{psnr_rigid:.2f}, {psnr_mask_rigid:.2f}"), ("F-score", "{f_score_pct:.1f} %"), ("CPU s", "{cpu_s:.0f}"), ("peak MiB", "{peak_mib:.0f}"),
+    ],
 }
 
 

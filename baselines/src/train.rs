@@ -125,6 +125,7 @@ pub(crate) fn train_shape(
     state.seconds += config.seconds_gone;
     let mut operations = 0.0;
     let photos = PhotoRays::new(dataset, times);
+    let most = field.most_steps(photos.len());
     progress.begin("train", if config.time_limit.is_some() { 0 } else { config.iterations as usize });
     while state.position < 1.0 {
         let place = StepPlace { step: state.iteration, position: state.position, seed: config.seed };
@@ -140,7 +141,7 @@ pub(crate) fn train_shape(
         let now = config.limit_clock.seconds();
         state.seconds += now - std::mem::replace(&mut mark, now);
         state.position = match config.time_limit {
-            Some(limit) => state.seconds / limit,
+            Some(limit) => (state.seconds / limit).max(f64::from(state.iteration) / most),
             None => f64::from(state.iteration) / f64::from(config.iterations),
         };
         state.add_curve_point();

@@ -92,6 +92,20 @@ pub struct MeasuredDepth {
     pub depth: Vec<f32>,
 }
 
+impl MeasuredDepth {
+    /// These depths of a splat, of a picture's size, joined with those by stereo of any size;
+    /// nothing where the splat shows nothing.
+    pub fn joined(&self, stereo: &Self) -> Self {
+        let shrunk = |v: usize| v * stereo.width / self.width.max(1);
+        let joined = self.depth.iter().enumerate().map(|(i, &splat)| {
+            let [x, y] = [i % self.width, i / self.width].map(shrunk);
+            let by_stereo = stereo.depth.get(y * stereo.width + x).copied().unwrap_or(0.0);
+            if splat > 0.0 && by_stereo > 0.0 { joined(splat, by_stereo) } else { splat }
+        });
+        Self { width: self.width, depth: joined.collect() }
+    }
+}
+
 /// Where the depths that are fused come from.
 #[derive(Clone, Copy, Debug)]
 pub enum DepthSource<'a> {

@@ -1,6 +1,7 @@
 //! Meshes of the body and of each part at rest, and the file in which they move.
 
 use super::record::labels;
+use crate::dense;
 use anyhow::Result;
 use glam::DVec3;
 use scene::io::{Hinge, MovingMesh};
@@ -11,12 +12,21 @@ use splat::surface::median_depth;
 use splat::{Dataset, View};
 use std::path::Path;
 
-/// A part is what is seen where nothing else lies before it by more than this share of the depth.
-/// Source: as where stereo and splat are joined, docs/decisions/16.
-const BEFORE: f64 = 0.02;
+/// Places of a part that say how deep it lies. Source: as many as a sparse cloud has.
+const PLACES: usize = 5_000;
 /// Gaussians nearer to a camera than this share of their median distance are not seen.
 /// Source: as in training.
 const NEAR: f64 = 0.01;
+
+/// What the splat shows in a view: all parts together.
+struct PartsView {
+    /// [height × width] depth of what is foremost, scene units; 0 where nothing is.
+    depth: Vec<f32>,
+    /// [height × width] the part that is foremost.
+    owner: Vec<u8>,
+    /// [height × width] a bit for each part that the ray meets, seen or hidden.
+    meets: Vec<u8>,
+}
 
 /// Writes the meshes, `resolution` voxels along the longest side, and how they moved.
 pub(super) fn write(
@@ -26,17 +36,18 @@ pub(super) fn write(
     times_s: &[f64],
     (resolution, progress): (u32, &Progress),
 ) -> Result<()> {
-    let depths = depths(gaussians, parts, &dataset, progress)?;
+    let of_parts: Vec<Gaussians> = (0..=parts.parts.len()).map(|k| of_part(gaussians, parts, k)).collect();
+    let shown = shown(&of_parts, parts, &dataset, progress)?;
     let poses: Vec<Pose> = dataset.views.iter().map(|v| v.pose).collect();
     let mut all = Vec::new();
-    for (number, measured) in depths.iter().enumerate() {
+    for (number, own) in of_parts.iter().enumerate() {
         let joint = number.checked_sub(1).map(|k| &parts.parts[k]);
-        let source = DepthSource::Measured(measured);
         // The views as the part sees them that is at rest.
         for (view, pose) in dataset.views.iter_mut().zip(&poses) {
             view.pose = pose.compose(&motion(parts, view, number));
         }
-        let mesh = fused_mesh(&source, &dataset, resolution, progress)?;
+        let measured = measured(number as u8, own, &shown, &dataset, progress)?;
+        let mesh = fused_mesh(&DepthSource::Measured(&measured), &dataset, resolution, progress)?;
         let hinge = joint.map(|part| Hinge {
             axis: DVec3::from(part.axis),
             place: DVec3::from(part.place),
@@ -55,39 +66,63 @@ fn motion(parts: &Articulation, view: &View, number: usize) -> Pose {
     part.map_or(Pose::IDENTITY, |part| part.pose(part.angle_deg(frame as f64)))
 }
 
-/// Of the body and of each part: depths of every view, where it is what is seen.
-fn depths(
-    gaussians: &Gaussians,
+/// What the splat shows in every view.
+fn shown(
+    of_parts: &[Gaussians],
     parts: &Articulation,
     dataset: &Dataset,
     progress: &Progress,
-) -> Result<Vec<Vec<MeasuredDepth>>> {
-    let count = parts.parts.len() + 1;
-    let of_parts: Vec<Gaussians> = (0..count).map(|k| of_part(gaussians, parts, k)).collect();
-    let mut all = vec![Vec::new(); count];
+) -> Result<Vec<PartsView>> {
     progress.begin("depths of parts", dataset.views.len());
+    let mut all = Vec::with_capacity(dataset.views.len());
     for view in &dataset.views {
-        let each: Vec<Vec<Option<f64>>> = of_parts
-            .iter()
-            .enumerate()
-            .map(|(number, some)| {
-                let pose = view.pose.compose(&motion(parts, view, number));
-                median_depth(some, &view.camera, &pose, NEAR * some.median_distance(pose.centre()), false)
-            })
-            .collect();
-        for (number, out) in all.iter_mut().enumerate() {
-            out.push(MeasuredDepth { width: view.camera.width as usize, depth: foremost(&each, number) });
+        let pixels = view.camera.width as usize * view.camera.height as usize;
+        let [owner, meets] = [(); 2].map(|()| vec![0; pixels]);
+        let mut out = PartsView { depth: vec![0.0; pixels], owner, meets };
+        for (number, own) in of_parts.iter().enumerate() {
+            let pose = view.pose.compose(&motion(parts, view, number));
+            let near = NEAR * own.median_distance(pose.centre());
+            let depths = median_depth(own, &view.camera, &pose, near, false);
+            for (i, z) in depths.into_iter().enumerate().filter_map(|(i, z)| Some((i, z? as f32))) {
+                out.meets[i] |= 1 << number;
+                if out.depth[i] == 0.0 || z < out.depth[i] {
+                    (out.depth[i], out.owner[i]) = (z, number as u8);
+                }
+            }
         }
+        all.push(out);
         progress.tick()?;
     }
     Ok(all)
 }
 
-/// The depths of one of several things where it lies before the others; 0 elsewhere.
-fn foremost(each: &[Vec<Option<f64>>], number: usize) -> Vec<f32> {
-    let nearest = |i: usize| each.iter().filter_map(|depths| depths[i]).fold(f64::INFINITY, f64::min);
-    let own = each[number].iter().enumerate();
-    own.map(|(i, depth)| depth.filter(|z| *z <= nearest(i) * (1.0 + BEFORE)).unwrap_or(0.0) as f32).collect()
+/// Depths of a part in every view where it is foremost: by stereo between the views as the part at
+/// rest sees them, and the splat's where stereo knows nothing or looks through it.
+fn measured(
+    number: u8,
+    own: &Gaussians,
+    shown: &[PartsView],
+    dataset: &Dataset,
+    progress: &Progress,
+) -> Result<Vec<MeasuredDepth>> {
+    let masks: Vec<Vec<u8>> = shown
+        .iter()
+        .map(|s| s.meets.iter().map(|bits| if bits >> number & 1 == 1 { u8::MAX } else { 0 }).collect())
+        .collect();
+    let stereo = dense::part_depths(dataset, &masks, &some_places(own), progress)?;
+    let both = shown.iter().zip(&stereo).zip(&dataset.views).map(|((s, stereo), view)| {
+        let own = s.depth.iter().zip(&s.owner);
+        let depth = own.map(|(z, owner)| if *owner == number { *z } else { 0.0 }).collect();
+        MeasuredDepth { width: view.camera.width as usize, depth }.joined(stereo)
+    });
+    Ok(both.collect())
+}
+
+/// Some places of Gaussians that are more opaque than not.
+fn some_places(gaussians: &Gaussians) -> Vec<DVec3> {
+    let opaque = (0..gaussians.len()).filter(|&i| gaussians.opacity_logits[i] > 0.0);
+    let all: Vec<DVec3> = opaque.map(|i| gaussians.means[i].as_dvec3()).collect();
+    all.iter().step_by(all.len().div_ceil(PLACES).max(1)).copied().collect()
 }
 
 /// The Gaussians of a part.

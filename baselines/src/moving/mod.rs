@@ -93,6 +93,10 @@ impl RadianceField for Moving {
         self.picture(view, time, background)
     }
 
+    fn most_steps(&self, photos: usize) -> f64 {
+        self.settings.passes * photos as f64
+    }
+
     fn size(&self) -> usize {
         let model = self.gaussians.model();
         self.deformation.parameters() + model.len * splat::model::GEOMETRY + model.sh.len()

@@ -32,6 +32,8 @@ pub(super) struct MovingSettings {
     pub(super) degrees: [u32; 3],
     /// Weight of D-SSIM. Source: Wu et al. 2024's settings (L1 alone).
     pub(super) lambda_dssim: f32,
+    /// Times that a time limit lets each photo be seen, at most. Source: docs/decisions/19.
+    pub(super) passes: f64,
     /// Step sizes of planes and of the perceptron at the start. Source: Wu et al. 2024's settings.
     pub(super) rates: [f64; 2],
     /// What they fall to, as a factor. Source: as above.
@@ -69,6 +71,7 @@ impl Default for MovingSettings {
             growth: 0.15,
             degrees: [4, 6, 8],
             lambda_dssim: 0.0,
+            passes: 150.0,
             rates: [1.6e-3, 1.6e-4],
             fall: 0.01,
             steps: 20_000.0,

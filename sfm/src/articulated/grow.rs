@@ -1,7 +1,9 @@
 //! From a joint that explains a few tracks over a few frames to one for all frames.
 
 use super::joint::JointPath;
-use super::limits::{BELONGS, BENDS, GROUP, LEAST_TRACKS, LEAST_TURN, LEAST_VIEWS, MOVING, NEIGHBOURS};
+use super::limits::{
+    BELONGS, BENDS, FOLLOWS, GROUP, LEAST_TRACKS, LEAST_TURN, LEAST_VIEWS, MOVING, NEIGHBOURS,
+};
 use super::posed::PosedTrack;
 use super::search::joints;
 use crate::error::SfmError;
@@ -10,6 +12,7 @@ use glam::DVec3;
 use rand::Rng as _;
 use rayon::prelude::*;
 use scene::Progress;
+use std::collections::BTreeMap;
 use std::ops::Range;
 use std::sync::Arc;
 
@@ -220,12 +223,26 @@ impl Growth<'_, '_> {
         best.map_or_else(|| path.clone(), |b| b.1)
     }
 
+    /// Whether the camera goes round it hardly as far as round the body: so do highlights on, and
+    /// outlines of, what is round.
+    fn follows_camera(&self, path: &JointPath, own: &[usize]) -> bool {
+        let seen = own.iter().flat_map(|&i| &self.all[i].views);
+        let eyes: BTreeMap<usize, DVec3> = seen.map(|(frame, v)| (*frame, v.pose.centre())).collect();
+        let arms = eyes.iter().filter_map(|(frame, eye)| {
+            let arm = (*eye - path.place).normalize();
+            Some((arm, path.pose(*frame)?.rotation.conjugate() * arm))
+        });
+        let (body, part): (Vec<DVec3>, Vec<DVec3>) = arms.unzip();
+        let way = |arms: &[DVec3]| arms.windows(2).map(|w| w[0].angle_between(w[1])).sum::<f64>();
+        way(&part) < FOLLOWS * way(&body)
+    }
+
     /// Whether it is a part that has a place in the picture to itself: reflections go over what
     /// stands still.
     pub(super) fn is_part(&self, path: &JointPath, own: &[usize]) -> bool {
         let own: Vec<usize> = own.iter().copied().filter(|i| self.still.binary_search(i).is_err()).collect();
         let own = &own[..];
-        if !turns(path, own) {
+        if !turns(path, own) || self.follows_camera(path, own) {
             return false;
         }
         let fits = self.explained(path, self.still);

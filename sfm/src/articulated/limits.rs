@@ -23,6 +23,9 @@ pub(super) const LEAST_TRACKS: usize = 10;
 /// Of a place's neighbours in the picture so many are asked which motion they follow. Source: the
 /// module's tests: of ten, half are the body's for one of two arrays, which is then no part.
 pub(super) const NEIGHBOURS: usize = 6;
+/// What the camera goes round less than this share of the way round the body is no part of it.
+/// Source: docs/decisions/22 (the rim of a can 0.1, arrays of a turning body 1).
+pub(super) const FOLLOWS: f64 = 0.25;
 /// A part turns by so much, radians, or it is an error of the poses. Source: chosen by hand.
 pub(super) const LEAST_TURN: f64 = 0.05;
 

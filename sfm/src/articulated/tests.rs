@@ -172,6 +172,16 @@ fn a_rigid_object_has_no_parts() {
 }
 
 #[test]
+fn what_goes_round_with_the_camera_is_a_reflection() {
+    let turning = |share: fn(usize) -> f64| {
+        let rim = True { axis: DVec3::Z, place: DVec3::new(0.3, 0.1, 0.0), angle: share };
+        object(&[rim], 0.2, 4).parts.len()
+    };
+    assert_eq!(turning(|k| -0.4 * STEP_DEG.to_radians() * k as f64), 1);
+    assert_eq!(turning(|k| 0.9 * STEP_DEG.to_radians() * k as f64), 0);
+}
+
+#[test]
 fn parts_that_move_as_one_are_one() {
     let path = |bend: f64| JointPath {
         axis: DVec3::X,

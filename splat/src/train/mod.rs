@@ -34,8 +34,7 @@ mod session;
 mod setup;
 mod state;
 
-pub use result::TrainResult;
-pub use state::CurvePoint;
+pub use self::{result::TrainResult, state::CurvePoint};
 
 use crate::config::{MAX_COARSE_LEVELS, TrainConfig};
 use crate::dataset::Dataset;

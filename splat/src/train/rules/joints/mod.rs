@@ -9,17 +9,19 @@
 mod smooth;
 
 use crate::backend::StepOutput;
-use crate::dataset::MovingParts;
+use crate::dataset::{Joint, MovingParts};
 use crate::error::SplatError;
-use crate::model::Model;
+use crate::model::{MEAN, Model};
 use crate::train::context::RuleContext;
+use glam::DVec3;
 use serde::{Deserialize, Serialize};
 use smooth::{Reading, smoothed};
 
 /// When joints are looked at, and how.
 struct JointSearch {
     /// Positions in the schedule. Source: chosen by hand: from the first shape on, each after as
-    /// many more steps.
+    /// many more steps, and none just after the resolution changed: until Gaussians have followed
+    /// they show edges elsewhere.
     looks: [f64; 12],
     /// How far the angles are tried at first, and at the least, degrees. Source: derived: the
     /// errors of angles from tracks; a pixel at the end of an array that is a hundred wide.
@@ -27,20 +29,20 @@ struct JointSearch {
     /// Steps of Adam at first and at the end, degrees. Source: chosen by hand: a view has its turn
     /// thirty times, and angles from tracks are some degrees off.
     steps_deg: [f64; 2],
-    /// Pictures are made at least so many times halved: angles need no finer ones. Source: chosen
-    /// by hand: a quarter of the time.
-    level: u32,
     /// Pixels whose errors are as one. Source: as for poses.
     pixels_as_one: f64,
+    /// What photos do not tell of an angle, pixels at the part's usual distance from the axis: one
+    /// of its faces may be inclined to the other. Source: docs/decisions/22.
+    faces_px: f64,
 }
 
 /// The values in force.
 const SEARCH: JointSearch = JointSearch {
-    looks: [0.05, 0.07, 0.1, 0.13, 0.17, 0.21, 0.26, 0.32, 0.4, 0.5, 0.65, 0.9],
+    looks: [0.05, 0.07, 0.1, 0.13, 0.17, 0.21, 0.26, 0.32, 0.38, 0.5, 0.58, 0.97],
     widths_deg: [4.0, 0.5],
     steps_deg: [0.3, 0.02],
-    level: 1,
     pixels_as_one: 1000.0,
+    faces_px: 0.5,
 };
 
 /// State of the rule.
@@ -100,11 +102,25 @@ impl JointRule {
         model.select(&order);
         let mut out = moving.clone();
         out.gaussians = (0..=parts).map(|part| model.part.iter().filter(|&&p| p == part).count()).collect();
-        for (joint, [angles, sigmas]) in out.joints.iter_mut().zip(&step.state.corrections.joints) {
-            (joint.angles, joint.sigmas) = (angles.clone(), sigmas.clone());
+        let found = out.joints.iter_mut().zip(&step.state.corrections.joints);
+        for (part, (joint, [angles, sigmas])) in (1..).zip(found) {
+            let faces = SEARCH.faces_px * f64::from(step.setup.pixel) / width(joint, part, model);
+            joint.angles.clone_from(angles);
+            joint.sigmas = sigmas.iter().map(|sigma| sigma.hypot(faces)).collect();
         }
         Some(out)
     }
+}
+
+/// Root mean square of the distances of a part's Gaussians from its axis, normalised units.
+fn width(joint: &Joint, part: u8, model: &Model) -> f64 {
+    let own = (0..model.len).filter(|&i| model.part_of(i) == part);
+    let squares = own.map(|i| {
+        let place = DVec3::from([0, 1, 2].map(|k| f64::from(model.geometry[MEAN + k][i])));
+        (place - joint.place).reject_from_normalized(joint.axis).length_squared()
+    });
+    let squares: Vec<f64> = squares.collect();
+    (squares.iter().sum::<f64>() / squares.len().max(1) as f64).sqrt().max(f64::EPSILON)
 }
 
 /// Takes over the angles as the data set gives them.
@@ -136,7 +152,7 @@ fn readings(step: &mut RuleContext, joint: usize, width: f64) -> Result<Vec<Read
         let mut errors = [0.0; 3];
         for (error, by) in errors.iter_mut().zip([-width, 0.0, width]) {
             step.state.corrections.joints[joint][0][view] = known[view] + by;
-            let (camera, target) = step.photo(view, step.level().max(SEARCH.level));
+            let (camera, target) = step.photo(view, step.level());
             step.backend.set_gain(step.gain(view));
             *error = step.backend.mean_square_error(&camera, &target, &step.options())?;
         }
