@@ -39,6 +39,9 @@ impl PartsTraining<'_> {
         self.refined(&dataset, moved);
         record::write(folder, self.parts)?;
         std::fs::remove_dir_all(&checkpoints).ok();
+        // Training had no use for the photos of views that are held out; surfaces have.
+        drop(dataset);
+        let dataset = evaluate::load_dataset(&set, &config.dataset, progress)?;
         let (fps_loops, mesh) = (self.fps_loops, MeshConfig::default());
         let shape = (&result.gaussians, &*self.parts);
         let (times, fine) = (seconds(self.frames), (splat::fusion::DEFAULT_RESOLUTION, progress));
