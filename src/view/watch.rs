@@ -20,6 +20,12 @@ const CLOSED_AFTER: Duration = Duration::from_secs(75);
 /// Between two interim results. Source: chosen by hand, so that they cost a run little.
 const PREVIEW_EVERY: Duration = Duration::from_secs(2);
 
+/// How often a picture that is not there is looked for again. Source: chosen by hand: a mask is
+/// written in less than one wait, on a busy machine, too.
+const TRIES: u32 = 3;
+/// Before each time.
+const BETWEEN_TRIES: Duration = Duration::from_millis(100);
+
 /// Which of how many stages.
 #[derive(Clone, Copy, Debug, Default, Serialize)]
 pub(crate) struct StagePlace {
@@ -163,11 +169,20 @@ impl Watch {
         run.photo(index)
     }
 
-    /// A frame, small, or what was cut out of it.
+    /// A frame, small, or what was cut out of it. While the stage works files are half written, or
+    /// move on between looking for and opening them: then they are looked for again.
     pub(super) fn thumbnail(&self, index: usize, is_matte: bool) -> Option<Vec<u8>> {
-        let Work { image, mask } = self.lock().frames.at(&self.folder, index)?;
-        let mask = if is_matte { Some(mask?) } else { None };
-        picture::thumbnail(&image, mask.as_deref()).ok()
+        let made = || {
+            let Work { image, mask } = self.lock().frames.at(&self.folder, index)?;
+            let mask = if is_matte { Some(mask?) } else { None };
+            picture::thumbnail(&image, mask.as_deref()).ok()
+        };
+        made().or_else(|| {
+            (0..TRIES).find_map(|_| {
+                std::thread::sleep(BETWEEN_TRIES);
+                made()
+            })
+        })
     }
 
     /// A stage's work is so far.
