@@ -175,7 +175,7 @@ bench-suite: build $(VENV)/pycolmap  ## poses of all captures that `make suite` 
 	$(VENV)/bin/python tools/suite/bench_suite.py $(SAT_RECON) --out build/suite $(if $(NAME),--only $(NAME)) $(if $(COLMAP),--colmap)
 
 bench-parts: build $(VENV)/pycolmap  ## moving parts of the videos that `make suite` has filmed (NAME=... a part of names)
-	$(VENV)/bin/python tools/suite/bench_parts.py $(SAT_RECON) $(SHARED) $(NAME) --out build/parts --splat --video $(SHARED)/phone_video/can_orbit.mp4
+	$(VENV)/bin/python tools/suite/bench_parts.py $(SAT_RECON) $(SHARED) $(NAME) --out build/parts --splat --video $(SHARED)/data/phone_video/can_orbit.mp4
 
 plausibility: build $(VENV)/pycolmap  ## features of models, right and wrong, and the probability fitted to them (slow)
 	$(VENV)/bin/python tools/plausibility/collect.py $(SAT_RECON) $(SHARED) --out build/plausibility --table docs/results/plausibility.csv
