@@ -82,7 +82,7 @@ SECTIONS = [
      "Simulated films and can_orbit: `sat-recon sfm` (with joints the whole run) and `sat-recon parts`. Errors of joints against the "
      "truth: axes, places in percent of the size, angles about their mean (root mean square), and the share of angles within two "
      "stated deviations. *Body*: rotations of the body, and before parts were looked for. The F-score is that of the meshes at rest at "
-     "1 % of the size. Half B of the objects never chose anything.",
+     "1 % of the size. Half B of the objects never chose anything; can_orbit and mockup-arrays-full-4 chose rules, and do not say how well these carry over.",
      ["parts"], "`make bench-parts`, with the captures of `make suite`"),
     ("What does one training step cost?",
      "CPU milliseconds of the process, spherical harmonics of degree 3, 360 × 640 pixels.", ["step"], BENCH + " (`--tables step`)"),

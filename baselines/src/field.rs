@@ -51,8 +51,7 @@ pub trait RadianceField: Send + Sync {
     fn render(&self, view: &PinholeView, time: f32, background: [f32; 3])
     -> Result<RenderOutput, FieldError>;
 
-    /// Steps that a time limit is filled with at most, with so many photos: more learn these by
-    /// heart.
+    /// Steps that a time limit is filled with at most, with so many photos: more do not help.
     fn most_steps(&self, _photos: usize) -> f64 {
         f64::INFINITY
     }

@@ -1,5 +1,5 @@
 //! Speed and memory of rendering, by the paper's protocol: a warm-up, the test set looped, mean of
-//! the median five.
+//! the median five; of fewer where loops are slow.
 
 use crate::pictures::Pictures;
 use crate::record::RenderingCost;

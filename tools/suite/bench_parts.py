@@ -139,14 +139,16 @@ def told(row):
         return ", ".join(f"{e[key]:.{digits}f}" for e in row.get("by_joint", {}).values()) or "–"
 
     wide = {k: several(k, d) for k, d in (("axis_deg", 2), ("place_pct", 2), ("angles_deg", 2), ("within_2_sigma", 2))}
-    return {k: v for k, v in row.items() if v is not None} | wide | {"missed": row.get("missed", 0)}
+    return {k: v for k, v in row.items() if v is not None} | wide | {"missed": row.get("missed", 0 if row["found"] is not None else "failed")}
 
 
 def sums(rows):
     rigid, moving = [r for r in rows if not r["joints"]], [r for r in rows if r["joints"]]
     missed = sum(r.get("missed", r["joints"]) for r in moving)
+    failed = sum(r["found"] is None for r in rows)
     return (f"{sum(r.get('invented') or 0 for r in rigid)} parts invented on {len(rigid)} rigid captures; "
-            f"{missed} of {sum(r['joints'] for r in moving)} missed on {len(moving)} with joints.")
+            f"{missed} of {sum(r['joints'] for r in moving)} missed on {len(moving)} with joints"
+            + (f"; {failed} runs failed and say nothing." if failed else "."))
 
 
 def main():

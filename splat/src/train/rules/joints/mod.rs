@@ -31,8 +31,8 @@ struct JointSearch {
     steps_deg: [f64; 2],
     /// Pixels whose errors are as one. Source: as for poses.
     pixels_as_one: f64,
-    /// What photos do not tell of an angle, pixels at the part's usual distance from the axis: one
-    /// of its faces may be inclined to the other. Source: docs/decisions/22.
+    /// What is wrong with all angles beyond their readings, pixels at the part's usual distance
+    /// from the axis. Source: docs/decisions/22, one film.
     faces_px: f64,
 }
 

@@ -2,7 +2,7 @@
 //! `Σ w_v (θ_v − y_v)² + Σ (Δrate)² / bend²`, an integrated random walk.
 //!
 //! How unsteady a joint is is not asked of its readings: they lie near the angles that the
-//! Gaussians were trained with, and would call any motion as steady as it was last believed to be.
+//! Gaussians were trained with.
 
 /// A reading of an angle: radians, and one over its variance (0: it says nothing).
 #[derive(Clone, Copy, Debug, PartialEq)]
