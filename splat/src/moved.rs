@@ -62,21 +62,32 @@ impl MovedGaussians {
         rates(position, steps, pixel, &TrainConfig::default())
     }
 
-    /// A training step with the geometry `moved`, which becomes its own gradient. The Gaussians at
-    /// rest take the step that those at their places would.
-    pub fn step(&mut self, input: &StepInput, moved: &mut Planes) -> Result<StepOutput, SplatError> {
-        self.backend.step_moved(input, moved)
+    /// A training step with the geometry `moved` and with `tint` added to the constant terms of the
+    /// spherical harmonics ([N × 3]). Both become their own gradients. The Gaussians at rest take
+    /// the step that those at their places would.
+    pub fn step(
+        &mut self,
+        input: &StepInput,
+        moved: &mut Planes,
+        tint: &mut [f32],
+    ) -> Result<StepOutput, SplatError> {
+        self.backend.step_moved(input, moved, tint)
     }
 
-    /// A picture with the geometry `moved`.
+    /// A picture with the geometry `moved` and `tint` added, as in [`Self::step`].
     pub fn render(
         &mut self,
-        moved: &mut Planes,
+        (moved, tint): (&mut Planes, &[f32]),
         view: &PinholeView,
         options: &RenderOptions,
     ) -> Result<RenderOutput, SplatError> {
-        self.backend.swap_geometry(moved)?;
+        let colours = self.backend.add_tint(tint)?;
+        if let Err(e) = self.backend.swap_geometry(moved) {
+            self.backend.remove_tint(&colours, tint);
+            return Err(e);
+        }
         let out = self.backend.render(view, options);
+        self.backend.remove_tint(&colours, tint);
         self.backend.swap_geometry(moved)?;
         out
     }
@@ -155,7 +166,9 @@ mod tests {
         let mut moved = MovedGaussians::new(model()).unwrap();
         for _ in 0..5 {
             let truth = still.step(&input(&photo)).unwrap();
-            let ours = moved.step(&input(&photo), &mut moved.model().geometry.clone()).unwrap();
+            let still = (moved.model().geometry.clone(), vec![0.0; 3 * moved.model().len]);
+            let (mut at, mut tint) = still;
+            let ours = moved.step(&input(&photo), &mut at, &mut tint).unwrap();
             assert_eq!(ours, truth);
         }
         let truth = still.download().unwrap().0;
@@ -179,17 +192,32 @@ mod tests {
             planes[MEAN][gaussian] += by;
             planes
         };
-        let mut gradient = shifted(0.0, 0);
-        gaussians.step(&still, &mut gradient).unwrap();
+        let tinted = |by: f32, value: usize| {
+            let mut tint = vec![0.2; 3 * model().len];
+            tint[value] += by;
+            tint
+        };
+        let (mut gradient, mut of_tint) = (shifted(0.0, 0), tinted(0.0, 0));
+        gaussians.step(&still, &mut gradient, &mut of_tint).unwrap();
         let mut checked = 0;
         for i in [3, 11, 18, 27] {
-            let mut loss = |by: f32| gaussians.step(&still, &mut shifted(by, i)).unwrap().loss;
+            let mut loss =
+                |by: f32| gaussians.step(&still, &mut shifted(by, i), &mut tinted(0.0, 0)).unwrap().loss;
             let slope = (loss(2e-3) - loss(-2e-3)) / 4e-3;
             let ours = gradient[MEAN][i];
             assert!((ours - slope).abs() < 0.1 * slope.abs() + 2e-4, "{i}: {ours} {slope}");
             checked += usize::from(slope.abs() > 1e-3);
         }
-        assert!(checked > 0, "some gradients are large enough to be seen");
+        for value in [9, 34, 55, 83] {
+            let mut loss =
+                |by: f32| gaussians.step(&still, &mut shifted(0.0, 0), &mut tinted(by, value)).unwrap().loss;
+            let slope = (loss(2e-2) - loss(-2e-2)) / 4e-2;
+            let ours = of_tint[value];
+            assert!((ours - slope).abs() < 0.1 * slope.abs() + 2e-4, "tint {value}: {ours} {slope}");
+            checked += usize::from(slope.abs() > 1e-3);
+        }
+        assert!(checked > 1, "some gradients are large enough to be seen");
+        assert_eq!(gaussians.model().sh, model().sh, "a tint leaves nothing behind");
         for (rest, first) in gaussians.model().geometry.iter().zip(&model().geometry) {
             assert_eq!(rest, first, "without step sizes nothing moves");
         }
@@ -198,7 +226,9 @@ mod tests {
     #[test]
     fn geometry_of_another_number_is_refused() {
         let (mut gaussians, photo) = (MovedGaussians::new(model()).unwrap(), photo());
-        assert!(gaussians.step(&input(&photo), &mut Planes::default()).is_err());
+        let tint = &mut vec![0.0; 3 * model().len];
+        assert!(gaussians.step(&input(&photo), &mut Planes::default(), tint).is_err());
+        assert!(gaussians.step(&input(&photo), &mut model().geometry, &mut tint[1..]).is_err());
         assert_eq!(gaussians.model().geometry, model().geometry);
     }
 }

@@ -5,7 +5,7 @@
 use super::device::HeadsOnDevice;
 use super::hexplane::{CHUNK, FEATURES, HexPlanes, LEVELS, Place, Smoothness};
 use super::settings::MovingSettings;
-use super::shape::{MOVES, MovingShape};
+use super::shape::{Moved, MovingShape, OUTPUTS};
 use crate::FieldError;
 use crate::adam::{AdamMoments, AdamRates};
 use crate::stack::{LayerPlan, Stack, StackLayers};
@@ -45,7 +45,7 @@ impl Deformation {
         let plans = [
             LayerPlan { input: Some(0), ..LayerPlan::after(0, width, true) },
             LayerPlan::after(width, heads, true),
-            LayerPlan::after(heads, MOVES, false),
+            LayerPlan::after(heads, OUTPUTS, false),
         ];
         let stack = Stack::new(&[FEATURES * LEVELS], &plans);
         let mut weights = stack.initial(&mut rng(seed, "deformation", 0));
@@ -144,18 +144,18 @@ impl Deformation {
     }
 
     /// Unit of what the outputs move.
-    fn unit(&self, plane: usize) -> f32 {
-        if plane < 3 { self.shape.domain.half } else { 1.0 }
+    fn unit(&self, output: usize) -> f32 {
+        if output < 3 { self.shape.domain.half } else { 1.0 }
     }
 
-    /// Moves the geometry of `count` Gaussians at rest to where it is at a time.
-    pub(super) fn moved(&self, rest: &Planes, count: usize, time: f32) -> Result<Planes, FieldError> {
-        let mut moved = rest.clone();
+    /// What `count` Gaussians, whose geometry at rest is given, are at a time.
+    pub(super) fn moved(&self, rest: &Planes, count: usize, time: f32) -> Result<Moved, FieldError> {
+        let mut moved = Moved::rest(rest, count);
         let places: Vec<Place> = (0..count).map(|i| self.place(rest, i, time)).collect();
         let outputs = self.outputs(&places)?;
         for (i, row) in outputs.chunks_exact(self.stack.width(2)).enumerate() {
-            for (plane, value) in row[..MOVES].iter().enumerate() {
-                moved[plane][i] += self.unit(plane) * value;
+            for (output, value) in row[..OUTPUTS].iter().enumerate() {
+                *moved.value_mut(output, i) += self.unit(output) * value;
             }
         }
         Ok(moved)
@@ -167,16 +167,16 @@ impl Deformation {
         rest: &Planes,
         count: usize,
         time: f32,
-        of_moved: &Planes,
+        of_moved: &Moved,
     ) -> Result<DeformationGradient, FieldError> {
         let touched: Vec<usize> =
-            (0..count).filter(|&i| of_moved[..MOVES].iter().any(|plane| plane[i] != 0.0)).collect();
+            (0..count).filter(|&i| (0..OUTPUTS).any(|output| of_moved.value(output, i) != 0.0)).collect();
         let places: Vec<Place> = touched.iter().map(|&i| self.place(rest, i, time)).collect();
         let width = self.stack.width(2);
         let mut of_outputs = vec![0.0; touched.len() * width];
         for (row, &i) in of_outputs.chunks_exact_mut(width).zip(&touched) {
-            for (plane, value) in row[..MOVES].iter_mut().enumerate() {
-                *value = self.unit(plane) * of_moved[plane][i];
+            for (output, value) in row[..OUTPUTS].iter_mut().enumerate() {
+                *value = self.unit(output) * of_moved.value(output, i);
             }
         }
         let [weights, of_rows] = self.of_outputs(&places, &of_outputs)?;

@@ -74,7 +74,8 @@ impl Moving {
             Some(gaussians) => gaussians,
             none => none.insert(MovedGaussians::new(self.gaussians.model().clone())?),
         };
-        Ok(gaussians.render(&mut moved, view, &RenderOptions { background, ..RenderOptions::default() })?)
+        let options = RenderOptions { background, ..RenderOptions::default() };
+        Ok(gaussians.render((&mut moved.geometry, &moved.tint), view, &options)?)
     }
 }
 

@@ -16,6 +16,8 @@ pub(super) struct MovingSettings {
     /// Share of the schedule in which nothing moves. Source: docs/decisions/19 (Wu et al. 2024:
     /// 3,000 of 20,000 steps).
     pub(super) at_rest: f64,
+    /// Which photos are seen when.
+    pub(super) opening: Opening,
     /// Positions from which pictures have half, and full resolution; a quarter before.
     /// Source: docs/decisions/13, about as for splats that stand still.
     pub(super) resolutions: [f64; 2],
@@ -57,13 +59,24 @@ pub(super) struct FirstGaussians {
     pub(super) logit: f32,
 }
 
+/// Photos come in from the middle of the time to both ends: Gaussians follow what moves. Seen all
+/// at once, each moment leaves its own.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct Opening {
+    /// Share of the photos that are seen at the start. Source: docs/decisions/19.
+    pub(super) first: f64,
+    /// Position from which all are seen. Source: docs/decisions/19.
+    pub(super) until: f64,
+}
+
 impl Default for MovingSettings {
     fn default() -> Self {
         Self {
             first: FirstGaussians { count: 5_000, size: 0.4, logit: -2.2 },
             width: 64,
             smoothness: Smoothness { space: 2e-4, time: 1.0, still: 1e-4 },
-            at_rest: 0.08,
+            at_rest: 0.02,
+            opening: Opening { first: 0.1, until: 0.5 },
             resolutions: [0.2, 0.5],
             smallest: 64,
             rounds: 12,

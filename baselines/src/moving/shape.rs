@@ -8,12 +8,46 @@ use scene::Gaussians;
 use scene::rng::rng;
 use serde::{Deserialize, Serialize};
 use splat::Dataset;
-use splat::model::Model;
+use splat::model::{Model, Planes};
 use splat::moved::MovedGaussians;
 
 /// Planes of the geometry that move: mean, logarithms of the scales, quaternion.
-/// Source: Wu et al. 2024's settings (opacity and colour stay).
+/// Source: Wu et al. 2024's settings (opacity stays).
 pub(super) const MOVES: usize = 10;
+/// What is moved of a Gaussian: these planes, and the constant terms of the colour's harmonics.
+/// Source: as above; the colour is an option of the authors' program, see docs/decisions/19.
+pub(super) const OUTPUTS: usize = MOVES + 3;
+
+/// Gaussians at a time, or gradients of what they are.
+#[derive(Clone, Debug, PartialEq)]
+pub(super) struct Moved {
+    pub(super) geometry: Planes,
+    /// What is added to the constant terms of the spherical harmonics, [N × 3].
+    pub(super) tint: Vec<f32>,
+}
+
+impl Moved {
+    /// Gaussians at rest.
+    pub(super) fn rest(geometry: &Planes, count: usize) -> Self {
+        Self { geometry: geometry.clone(), tint: vec![0.0; 3 * count] }
+    }
+
+    /// One of the [`OUTPUTS`] of a Gaussian.
+    pub(super) fn value(&self, output: usize, i: usize) -> f32 {
+        match output.checked_sub(MOVES) {
+            Some(channel) => self.tint[3 * i + channel],
+            None => self.geometry[output][i],
+        }
+    }
+
+    /// The same, to be changed.
+    pub(super) fn value_mut(&mut self, output: usize, i: usize) -> &mut f32 {
+        match output.checked_sub(MOVES) {
+            Some(channel) => &mut self.tint[3 * i + channel],
+            None => &mut self.geometry[output][i],
+        }
+    }
+}
 /// Most Gaussians in a file. Source: memory: 16 GiB of parameters and moments.
 pub(super) const MOST_IN_FILES: usize = 1 << 24;
 /// Most cells along an axis of planes in a file. Source: seven times the authors' or more.

@@ -2,7 +2,7 @@
 
 use super::deformation::Deformation;
 use super::hexplane::{FEATURES, HexPlanes, LEVELS, Smoothness};
-use super::shape::MOVES;
+use super::shape::{MOVES, Moved, OUTPUTS};
 use super::*;
 use crate::domain::Domain;
 use glam::Vec3;
@@ -39,7 +39,7 @@ struct ReferenceDeformation {
     layers: Vec<(Vec<Vec<f64>>, Vec<f64>)>,
 }
 
-const WIDTHS: [usize; 4] = [FEATURES * LEVELS, 64, 192, MOVES];
+const WIDTHS: [usize; 4] = [FEATURES * LEVELS, 64, 192, OUTPUTS];
 
 impl ReferenceDeformation {
     fn new(of: &Deformation) -> Self {
@@ -89,10 +89,10 @@ impl ReferenceDeformation {
     }
 
     /// Sum of the moves, each times a factor.
-    fn loss(&self, rest: &Planes, factors: &Planes) -> f64 {
+    fn loss(&self, rest: &Planes, factors: &Moved) -> f64 {
         let one = |i: usize| {
             let moves = self.moves([0, 1, 2].map(|a| f64::from(rest[a][i])));
-            moves.iter().enumerate().map(|(p, m)| m * f64::from(factors[p][i])).sum::<f64>()
+            moves.iter().enumerate().map(|(p, m)| m * f64::from(factors.value(p, i))).sum::<f64>()
         };
         (0..COUNT).map(one).sum()
     }
@@ -102,17 +102,18 @@ impl ReferenceDeformation {
 fn moves_agree_with_the_reference_and_gradients_with_its_finite_differences() {
     let (deformation, rest) = moving();
     let truth = ReferenceDeformation::new(&deformation);
-    let moved = deformation.moved(&rest, COUNT, TIME).unwrap();
+    let (moved, still) = (deformation.moved(&rest, COUNT, TIME).unwrap(), Moved::rest(&rest, COUNT));
     for i in 0..COUNT {
         let moves = truth.moves([0, 1, 2].map(|a| f64::from(rest[a][i])));
         for (p, m) in moves.iter().enumerate() {
-            let ours = f64::from(moved[p][i] - rest[p][i]);
+            let ours = f64::from(moved.value(p, i) - still.value(p, i));
             assert!((ours - m).abs() < 1e-5 * m.abs().max(1.0), "{i}, {p}: {ours} {m}");
         }
-        assert_eq!(moved[MOVES][i], rest[MOVES][i], "opacities stay");
+        assert_eq!(moved.geometry[MOVES][i], rest[MOVES][i], "opacities stay");
     }
     let mut rng = rng(3, "factors", 1);
-    let factors: Planes = std::array::from_fn(|_| (0..COUNT).map(|_| rng.random_range(-1.0..1.0)).collect());
+    let mut some = |n: usize| (0..n).map(|_| rng.random_range(-1.0..1.0)).collect::<Vec<f32>>();
+    let factors = Moved { geometry: std::array::from_fn(|_| some(COUNT)), tint: some(3 * COUNT) };
     let gradient = deformation.gradient(&rest, COUNT, TIME, &factors).unwrap();
     let slope = |change: &dyn Fn(&mut ReferenceDeformation, f64)| {
         let at = |by: f64| {
@@ -199,7 +200,7 @@ fn a_new_deformation_moves_nothing_and_times_outside_the_video_are_its_ends() {
     let rest = moving().1;
     assert_eq!(
         Deformation::new(shape(), &MovingSettings::default(), 1).moved(&rest, COUNT, 0.5).unwrap(),
-        rest
+        Moved::rest(&rest, COUNT)
     );
     let (deformation, _) = moving();
     let at = |time| deformation.moved(&rest, COUNT, time).unwrap();

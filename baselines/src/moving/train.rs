@@ -1,7 +1,8 @@
 //! A step of training: one photo, Gaussians moved to its time; densification; the schedule.
 
 use super::Moving;
-use super::settings::MovingSettings;
+use super::settings::{MovingSettings, Opening};
+use super::shape::Moved;
 use crate::FieldError;
 use crate::adam::AdamRates;
 use crate::field::{StepPlace, StepReport};
@@ -17,7 +18,7 @@ impl Moving {
     /// See [`crate::RadianceField::train_step`].
     pub(super) fn step(&mut self, photos: &PhotoRays, place: StepPlace) -> Result<StepReport, FieldError> {
         let settings = &self.settings;
-        let index = next_photo(photos.len(), place);
+        let index = next_photo(photos.len(), settings.open(place.position), place);
         let (view, time) = photos.photo(index);
         let level = settings.level(&view.view, place.position).min(view.levels.len() - 1);
         let pixels = &view.levels[level];
@@ -34,8 +35,9 @@ impl Moving {
         };
         let (rest, count) = (self.gaussians.model().geometry.clone(), self.gaussians.model().len);
         let moves = place.position >= settings.at_rest;
-        let mut moved = if moves { self.deformation.moved(&rest, count, time)? } else { rest.clone() };
-        let seen = self.gaussians.step(&input, &mut moved)?;
+        let mut moved =
+            if moves { self.deformation.moved(&rest, count, time)? } else { Moved::rest(&rest, count) };
+        let seen = self.gaussians.step(&input, &mut moved.geometry, &mut moved.tint)?;
         if moves {
             let gradient = self.deformation.gradient(&rest, count, time, &moved)?;
             let [planes, weights] = settings.rates_at(place, steps);
@@ -72,15 +74,24 @@ impl Moving {
     }
 }
 
-/// The photo of a step: all of them in a new order each time round.
-fn next_photo(photos: usize, place: StepPlace) -> usize {
+/// The photo of a step: of those nearest in time to the middle, a share `open` of all, in a new
+/// order each time round.
+fn next_photo(photos: usize, open: f64, place: StepPlace) -> usize {
     let (round, at) = (place.step as usize / photos, place.step as usize % photos);
-    let mut order: Vec<usize> = (0..photos).collect();
+    let shut = ((1.0 - open) / 2.0 * (photos - 1) as f64) as usize;
+    let mut order: Vec<usize> = (shut..photos - shut).collect();
     order.shuffle(&mut rng(place.seed, "photos", round as u64));
-    order[at]
+    order[at % order.len()]
 }
 
 impl MovingSettings {
+    /// Share of the photos that are seen at a position: what moves is followed from the middle of
+    /// the time to both ends.
+    fn open(&self, position: f64) -> f64 {
+        let Opening { first, until } = self.opening;
+        first + (1.0 - first) * (position / until).min(1.0)
+    }
+
     /// Halvings of a view at a position.
     fn level(&self, view: &PinholeView, position: f64) -> usize {
         let wanted = self.resolutions.iter().filter(|&&from| position < from).count();
@@ -107,6 +118,24 @@ impl MovingSettings {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn times_are_opened_from_the_middle() {
+        let settings = MovingSettings::default();
+        let seen = |position: f64| {
+            let place = |step| StepPlace { step, position, seed: 1 };
+            let open = settings.open(position);
+            (0..2_000).map(|s| next_photo(101, open, place(s))).collect::<std::collections::BTreeSet<_>>()
+        };
+        let (first, late) = (seen(0.0), seen(settings.opening.until));
+        assert!(first.len() < 20 && first.contains(&50) && !first.contains(&30), "{first:?}");
+        assert_eq!(late.len(), 101);
+        assert!((1..4).all(|photos| next_photo(
+            photos,
+            settings.opening.first,
+            StepPlace { step: 7, position: 0.0, seed: 1 }
+        ) < photos));
+    }
 
     #[test]
     fn densification_makes_up_for_what_was_removed() {

@@ -2,7 +2,7 @@
 
 use super::deformation::{Deformation, DeformationGradient};
 use super::settings::MovingSettings;
-use super::shape::{MOVES, MovingShape};
+use super::shape::{MOVES, Moved, MovingShape};
 use crate::domain::Domain;
 use crate::twin_tests::{STEPS, Twin, formula};
 use glam::Vec3;
@@ -38,15 +38,15 @@ pub(super) fn moving() -> (Deformation, Planes) {
     (deformation, rest)
 }
 
-/// The loss at a time, and its gradient.
-fn loss(rest: &Planes, moved: &Planes, time: f32) -> (f64, Planes) {
-    let (mut loss, mut of_moved) = (0.0, rest.clone());
+/// The loss at a time, and its gradient. The twin moves no colours.
+fn loss(rest: &Planes, moved: &Planes, time: f32) -> (f64, Moved) {
+    let (mut loss, mut of_moved) = (0.0, Moved::rest(rest, COUNT));
     for plane in 0..MOVES {
         for i in 0..COUNT {
             let target = rest[plane][i] + 0.3 * (5.0 * time + plane as f32).sin();
             let e = moved[plane][i] - target;
             loss += f64::from(e * e) / (COUNT * MOVES) as f64;
-            of_moved[plane][i] = 2.0 * e / (COUNT * MOVES) as f32;
+            of_moved.geometry[plane][i] = 2.0 * e / (COUNT * MOVES) as f32;
         }
     }
     (loss, of_moved)
@@ -57,7 +57,7 @@ pub(super) fn gradient(
     rest: &Planes,
     time: f32,
 ) -> (f64, DeformationGradient, Planes) {
-    let moved = deformation.moved(rest, COUNT, time).unwrap();
+    let moved = deformation.moved(rest, COUNT, time).unwrap().geometry;
     let (loss, of_moved) = loss(rest, &moved, time);
     (loss, deformation.gradient(rest, COUNT, time, &of_moved).unwrap(), moved)
 }

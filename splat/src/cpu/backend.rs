@@ -121,15 +121,48 @@ impl CpuBackend {
         Ok(())
     }
 
-    /// A step with the geometry `moved`, which becomes its own gradient; the model's is changed as
-    /// that would be.
+    /// Adds a tint ([N × 3]) to the constant terms of the spherical harmonics; returns what they
+    /// were.
+    pub(crate) fn add_tint(&mut self, tint: &[f32]) -> Result<Vec<f32>, SplatError> {
+        if tint.len() != 3 * self.model.len {
+            let reason = "a tint has another length than the number of Gaussians asks for";
+            return Err(SplatError::InvalidGaussians(reason.to_owned()));
+        }
+        let mut rest = Vec::with_capacity(tint.len());
+        let stride = self.model.sh_stride();
+        for (sh, tint) in self.model.sh.chunks_exact_mut(stride).zip(tint.chunks_exact(3)) {
+            rest.extend_from_slice(&sh[..3]);
+            sh.iter_mut().zip(tint).for_each(|(s, t)| *s += t);
+        }
+        Ok(rest)
+    }
+
+    /// Takes the tint back: exactly, where the terms were not changed.
+    pub(crate) fn remove_tint(&mut self, rest: &[f32], tint: &[f32]) {
+        let stride = self.model.sh_stride();
+        let tints = rest.chunks_exact(3).zip(tint.chunks_exact(3));
+        for (sh, (rest, tint)) in self.model.sh.chunks_exact_mut(stride).zip(tints) {
+            for ((s, r), t) in sh.iter_mut().zip(rest).zip(tint) {
+                *s = r + (*s - (r + t));
+            }
+        }
+    }
+
+    /// A step with the geometry `moved` and a tint, which become their own gradients; the model's
+    /// is changed as those would be.
     pub(crate) fn step_moved(
         &mut self,
         input: &StepInput,
         moved: &mut Planes,
+        tint: &mut [f32],
     ) -> Result<StepOutput, SplatError> {
         let mut gradient = ModelGradient::zeros(&self.model);
         self.swap_geometry(moved)?;
+        let tinted = self.add_tint(tint);
+        if tinted.is_err() {
+            self.swap_geometry(moved)?;
+        }
+        let colours = tinted?;
         let before = self.model.geometry.clone();
         let (cameras, value) = self.compare(input);
         self.work.optimise(self.isa, ModelPart::gradient(&mut self.model, &mut gradient), &cameras);
@@ -140,7 +173,10 @@ impl CpuBackend {
             }
         }
         std::mem::swap(&mut self.model.geometry, moved);
+        self.remove_tint(&colours, tint);
         *moved = gradient.geometry;
+        let of_sh = gradient.sh.chunks_exact(self.model.sh_stride());
+        of_sh.zip(tint.chunks_exact_mut(3)).for_each(|(of_sh, tint)| tint.copy_from_slice(&of_sh[..3]));
         Ok(output)
     }
 
