@@ -4,9 +4,11 @@
 //! wrong in one stretch of the video with the shape that others show is a long way down a gentle
 //! slope. Now and then the picture of each training view is made with each angle a little less and
 //! more. The three errors make a parabola: a reading of the angle and what it is worth. The angles
-//! of all views follow from the readings and from how slowly a joint changes its rate (`smooth`).
+//! of all views follow from the readings and from how slowly a joint changes its rate (`smooth`),
+//! and from the joints that turn as it does (`together`).
 
 mod smooth;
+mod together;
 
 use crate::backend::StepOutput;
 use crate::dataset::{Joint, MovingParts};
@@ -16,6 +18,7 @@ use crate::train::context::RuleContext;
 use glam::DVec3;
 use serde::{Deserialize, Serialize};
 use smooth::{Reading, smoothed};
+use together::tie;
 
 /// When joints are looked at, and how.
 struct JointSearch {
@@ -72,6 +75,12 @@ impl JointRule {
                 step.state.corrections.joints[joint] = found;
             }
         }
+        let mut faces = Vec::new();
+        step.backend.show(&mut |model, _| {
+            let joints = (1..).zip(&moving.joints);
+            faces = joints.map(|(part, joint)| faces_of(joint, part, model, step.setup.pixel)).collect();
+        })?;
+        tie(&mut step.state.corrections.joints, &faces);
         Ok(())
     }
 
@@ -104,12 +113,17 @@ impl JointRule {
         out.gaussians = (0..=parts).map(|part| model.part.iter().filter(|&&p| p == part).count()).collect();
         let found = out.joints.iter_mut().zip(&step.state.corrections.joints);
         for (part, (joint, [angles, sigmas])) in (1..).zip(found) {
-            let faces = SEARCH.faces_px * f64::from(step.setup.pixel) / width(joint, part, model);
+            let faces = faces_of(joint, part, model, step.setup.pixel);
             joint.angles.clone_from(angles);
             joint.sigmas = sigmas.iter().map(|sigma| sigma.hypot(faces)).collect();
         }
         Some(out)
     }
+}
+
+/// What is wrong with all angles of a joint beyond their readings, radians.
+fn faces_of(joint: &Joint, part: u8, model: &Model, pixel: f32) -> f64 {
+    SEARCH.faces_px * f64::from(pixel) / width(joint, part, model)
 }
 
 /// Root mean square of the distances of a part's Gaussians from its axis, normalised units.

@@ -1,0 +1,113 @@
+//! Joints that turn together, as two solar arrays behind one drive do: angles that agree within
+//! their deviations, up to a sign and an offset, are one angle.
+//!
+//! What is wrong with a reading depends on how a part is seen, which differs from part to part.
+
+/// Angles and their standard deviations by view, radians.
+pub(super) type Angles = [Vec<f64>; 2];
+
+/// Root mean square difference that is put down to the deviations, as a multiple of theirs.
+/// Source: common: two standard deviations.
+const AGREE: f64 = 2.0;
+
+/// How one joint's angles follow from another's: times `sign`, plus `offset`.
+#[derive(Clone, Copy, Debug, PartialEq)]
+struct Link {
+    sign: f64,
+    offset: f64,
+}
+
+/// The link between two joints that agree within the deviations, `more` of which are added to
+/// both joints' own.
+fn link(a: &Angles, b: &Angles, more: [f64; 2]) -> Option<Link> {
+    let count = a[0].len().max(1) as f64;
+    let expected: f64 = variances(a, more[0]).zip(variances(b, more[1])).map(|(a, b)| a + b).sum();
+    let found = [1.0, -1.0].map(|sign| {
+        let apart = || a[0].iter().zip(&b[0]).map(move |(a, b)| a - sign * b);
+        let offset = apart().sum::<f64>() / count;
+        (Link { sign, offset }, apart().map(|d| (d - offset).powi(2)).sum::<f64>())
+    });
+    let (link, squares) = if found[0].1 <= found[1].1 { found[0] } else { found[1] };
+    (squares <= AGREE * AGREE * expected).then_some(link)
+}
+
+/// Variances of a joint's angles.
+fn variances(of: &Angles, more: f64) -> impl Iterator<Item = f64> {
+    of[1].iter().map(move |sigma| sigma * sigma + more * more)
+}
+
+/// Gives joints that turn together the mean of their angles, weighted by their variances; each
+/// keeps its own offset. `more`: a deviation of all angles of a joint beside their own.
+pub(super) fn tie(joints: &mut [Angles], more: &[f64]) {
+    let mut tied = vec![false; joints.len()];
+    for first in 0..joints.len() {
+        if std::mem::replace(&mut tied[first], true) {
+            continue;
+        }
+        let mut group = vec![(first, Link { sign: 1.0, offset: 0.0 })];
+        for other in first + 1..joints.len() {
+            let found = link(&joints[first], &joints[other], [more[first], more[other]]);
+            if let Some(link) = found.filter(|_| !tied[other]) {
+                tied[other] = true;
+                group.push((other, link));
+            }
+        }
+        if group.len() > 1 {
+            mean(joints, more, &group);
+        }
+    }
+}
+
+/// The mean of a group in each view.
+fn mean(joints: &mut [Angles], more: &[f64], group: &[(usize, Link)]) {
+    for view in 0..joints[group[0].0][0].len() {
+        let (mut sum, mut weights) = (0.0, 0.0);
+        for &(joint, link) in group {
+            let [angles, sigmas] = &joints[joint];
+            let weight = (sigmas[view].powi(2) + more[joint].powi(2)).max(f64::MIN_POSITIVE).recip();
+            sum += weight * (link.sign * angles[view] + link.offset);
+            weights += weight;
+        }
+        for &(joint, link) in group {
+            joints[joint][0][view] = link.sign * (sum / weights - link.offset);
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn joint(angle: impl Fn(usize) -> f64) -> Angles {
+        [(0..50).map(angle).collect(), vec![0.01; 50]]
+    }
+
+    fn error(joint: &Angles, truth: impl Fn(usize) -> f64) -> f64 {
+        joint[0].iter().enumerate().map(|(k, a)| (a - truth(k)).abs()).fold(0.0, f64::max)
+    }
+
+    #[test]
+    fn joints_that_agree_get_their_mean_whichever_way_their_axes_point() {
+        let (turn, wave) = (|k: usize| 0.03 * k as f64, |k: usize| 0.02 * (k as f64 * 0.7).sin());
+        let mut joints = [joint(|k| turn(k) + wave(k)), joint(|k| 1.0 - turn(k) + wave(k))];
+        tie(&mut joints, &[0.0; 2]);
+        assert!(error(&joints[0], turn) < 2e-3 && error(&joints[1], |k| 1.0 - turn(k)) < 2e-3, "{joints:?}");
+    }
+
+    #[test]
+    fn joints_at_other_rates_are_left_alone() {
+        let mut joints =
+            [joint(|k| 0.03 * k as f64), joint(|k| 0.025 * k as f64), joint(|k| 0.2 * (k as f64).sin())];
+        let before = joints.clone();
+        tie(&mut joints, &[0.005; 3]);
+        assert_eq!(joints, before);
+    }
+
+    #[test]
+    fn a_worse_known_joint_follows_the_better_one() {
+        let mut joints = [joint(|k| 0.03 * k as f64), joint(|k| 0.03 * k as f64 + 0.1 * (k as f64).sin())];
+        joints[1][1].fill(0.1);
+        tie(&mut joints, &[0.0; 2]);
+        assert!(error(&joints[1], |k| 0.03 * k as f64) < 3e-3, "{joints:?}");
+    }
+}
