@@ -77,7 +77,8 @@ impl MovedGaussians {
     /// A picture with the geometry `moved` and `tint` added, as in [`Self::step`].
     pub fn render(
         &mut self,
-        (moved, tint): (&mut Planes, &[f32]),
+        moved: &mut Planes,
+        tint: &[f32],
         view: &PinholeView,
         options: &RenderOptions,
     ) -> Result<RenderOutput, SplatError> {

@@ -75,7 +75,7 @@ impl Moving {
             none => none.insert(MovedGaussians::new(self.gaussians.model().clone())?),
         };
         let options = RenderOptions { background, ..RenderOptions::default() };
-        Ok(gaussians.render((&mut moved.geometry, &moved.tint), view, &options)?)
+        Ok(gaussians.render(&mut moved.geometry, &moved.tint, view, &options)?)
     }
 }
 
