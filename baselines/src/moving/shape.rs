@@ -48,6 +48,7 @@ impl Moved {
         }
     }
 }
+
 /// Most Gaussians in a file. Source: memory: 16 GiB of parameters and moments.
 pub(super) const MOST_IN_FILES: usize = 1 << 24;
 /// Most cells along an axis of planes in a file. Source: seven times the authors' or more.

@@ -39,13 +39,17 @@ fn variances(of: &Angles, more: f64) -> impl Iterator<Item = f64> {
 /// Gives joints that turn together the mean of their angles, weighted by their variances; each
 /// keeps its own offset. `more`: a deviation of all angles of a joint beside their own.
 pub(super) fn tie(joints: &mut [Angles], more: &[f64]) {
+    // The best known come first: a joint of which little is known agrees with all others.
+    let mut order: Vec<usize> = (0..joints.len()).collect();
+    let unsure = |k: usize| variances(&joints[k], more[k]).sum::<f64>();
+    order.sort_by(|&a, &b| unsure(a).total_cmp(&unsure(b)));
     let mut tied = vec![false; joints.len()];
-    for first in 0..joints.len() {
+    for (at, &first) in order.iter().enumerate() {
         if std::mem::replace(&mut tied[first], true) {
             continue;
         }
         let mut group = vec![(first, Link { sign: 1.0, offset: 0.0 })];
-        for other in first + 1..joints.len() {
+        for &other in &order[at + 1..] {
             let found = link(&joints[first], &joints[other], [more[first], more[other]]);
             if let Some(link) = found.filter(|_| !tied[other]) {
                 tied[other] = true;
@@ -101,6 +105,15 @@ mod tests {
         let before = joints.clone();
         tie(&mut joints, &[0.005; 3]);
         assert_eq!(joints, before);
+    }
+
+    #[test]
+    fn a_joint_of_which_nothing_is_known_ties_no_others() {
+        let mut joints = [joint(|_| 0.0), joint(|k| 0.03 * k as f64), joint(|k| 0.01 * k as f64)];
+        let before = joints.clone();
+        tie(&mut joints, &[100.0, 0.0, 0.0]);
+        assert!(error(&joints[1], |k| 0.03 * k as f64) < 1e-6, "{joints:?}");
+        assert_eq!(joints[2], before[2]);
     }
 
     #[test]
