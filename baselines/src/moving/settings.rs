@@ -17,7 +17,7 @@ pub(super) struct MovingSettings {
     /// 3,000 of 20,000 steps).
     pub(super) at_rest: f64,
     /// Which photos are seen when.
-    pub(super) opening: Opening,
+    pub(super) opening: TimeOpening,
     /// Positions from which pictures have half, and full resolution; a quarter before.
     /// Source: docs/decisions/13, about as for splats that stand still.
     pub(super) resolutions: [f64; 2],
@@ -62,7 +62,7 @@ pub(super) struct FirstGaussians {
 /// Photos come in from the middle of the time to both ends: Gaussians follow what moves. Seen all
 /// at once, each moment leaves its own.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) struct Opening {
+pub(super) struct TimeOpening {
     /// Share of the photos that are seen at the start. Source: docs/decisions/19.
     pub(super) first: f64,
     /// Position from which all are seen. Source: docs/decisions/19.
@@ -76,7 +76,7 @@ impl Default for MovingSettings {
             width: 64,
             smoothness: Smoothness { space: 2e-4, time: 1.0, still: 1e-4 },
             at_rest: 0.02,
-            opening: Opening { first: 0.1, until: 0.5 },
+            opening: TimeOpening { first: 0.1, until: 0.5 },
             resolutions: [0.2, 0.5],
             smallest: 64,
             rounds: 12,

@@ -104,13 +104,13 @@ fn moves_agree_with_the_reference_and_gradients_with_its_finite_differences() {
     let truth = ReferenceDeformation::new(&deformation);
     let (moved, still) = (deformation.moved(&rest, COUNT, TIME).unwrap(), Moved::rest(&rest, COUNT));
     assert_eq!(moved.geometry[MOVES], rest[MOVES], "opacities stay");
-    for i in 0..COUNT {
+    (0..COUNT).for_each(|i| {
         let moves = truth.moves([0, 1, 2].map(|a| f64::from(rest[a][i])));
         for (p, m) in moves.iter().enumerate() {
             let ours = f64::from(moved.value(p, i) - still.value(p, i));
             assert!((ours - m).abs() < 1e-5 * m.abs().max(1.0), "{i}, {p}: {ours} {m}");
         }
-    }
+    });
     let mut rng = rng(3, "factors", 1);
     let mut some = |n: usize| (0..n).map(|_| rng.random_range(-1.0..1.0)).collect::<Vec<f32>>();
     let factors = Moved { geometry: std::array::from_fn(|_| some(COUNT)), tint: some(3 * COUNT) };

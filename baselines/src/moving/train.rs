@@ -1,7 +1,7 @@
 //! A step of training: one photo, Gaussians moved to its time; densification; the schedule.
 
 use super::Moving;
-use super::settings::{MovingSettings, Opening};
+use super::settings::{MovingSettings, TimeOpening};
 use super::shape::Moved;
 use crate::FieldError;
 use crate::adam::AdamRates;
@@ -88,7 +88,7 @@ impl MovingSettings {
     /// Share of the photos that are seen at a position: what moves is followed from the middle of
     /// the time to both ends.
     fn open(&self, position: f64) -> f64 {
-        let Opening { first, until } = self.opening;
+        let TimeOpening { first, until } = self.opening;
         first + (1.0 - first) * (position / until).min(1.0)
     }
 

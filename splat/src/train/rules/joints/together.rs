@@ -12,20 +12,20 @@ const AGREE: f64 = 2.0;
 
 /// How one joint's angles follow from another's: times `sign`, plus `offset`.
 #[derive(Clone, Copy, Debug, PartialEq)]
-struct Link {
+struct JointLink {
     sign: f64,
     offset: f64,
 }
 
 /// The link between two joints that agree within the deviations, `more` of which are added to
 /// both joints' own.
-fn link(a: &Angles, b: &Angles, more: [f64; 2]) -> Option<Link> {
+fn link(a: &Angles, b: &Angles, more: [f64; 2]) -> Option<JointLink> {
     let count = a[0].len().max(1) as f64;
     let expected: f64 = variances(a, more[0]).zip(variances(b, more[1])).map(|(a, b)| a + b).sum();
     let found = [1.0, -1.0].map(|sign| {
-        let apart = || a[0].iter().zip(&b[0]).map(move |(a, b)| a - sign * b);
-        let offset = apart().sum::<f64>() / count;
-        (Link { sign, offset }, apart().map(|d| (d - offset).powi(2)).sum::<f64>())
+        let apart: Vec<f64> = a[0].iter().zip(&b[0]).map(|(a, b)| a - sign * b).collect();
+        let offset = apart.iter().sum::<f64>() / count;
+        (JointLink { sign, offset }, apart.iter().map(|d| (d - offset).powi(2)).sum::<f64>())
     });
     let (link, squares) = if found[0].1 <= found[1].1 { found[0] } else { found[1] };
     (squares <= AGREE * AGREE * expected).then_some(link)
@@ -41,14 +41,14 @@ fn variances(of: &Angles, more: f64) -> impl Iterator<Item = f64> {
 pub(super) fn tie(joints: &mut [Angles], more: &[f64]) {
     // The best known come first: a joint of which little is known agrees with all others.
     let mut order: Vec<usize> = (0..joints.len()).collect();
-    let unsure = |k: usize| variances(&joints[k], more[k]).sum::<f64>();
-    order.sort_by(|&a, &b| unsure(a).total_cmp(&unsure(b)));
+    let unsure: Vec<f64> = joints.iter().zip(more).map(|(j, &more)| variances(j, more).sum()).collect();
+    order.sort_by(|&a, &b| unsure[a].total_cmp(&unsure[b]));
     let mut tied = vec![false; joints.len()];
     for (at, &first) in order.iter().enumerate() {
         if std::mem::replace(&mut tied[first], true) {
             continue;
         }
-        let mut group = vec![(first, Link { sign: 1.0, offset: 0.0 })];
+        let mut group = vec![(first, JointLink { sign: 1.0, offset: 0.0 })];
         for &other in &order[at + 1..] {
             let found = link(&joints[first], &joints[other], [more[first], more[other]]);
             if let Some(link) = found.filter(|_| !tied[other]) {
@@ -63,7 +63,7 @@ pub(super) fn tie(joints: &mut [Angles], more: &[f64]) {
 }
 
 /// The mean of a group in each view.
-fn mean(joints: &mut [Angles], more: &[f64], group: &[(usize, Link)]) {
+fn mean(joints: &mut [Angles], more: &[f64], group: &[(usize, JointLink)]) {
     for view in 0..joints[group[0].0][0].len() {
         let (mut sum, mut weights) = (0.0, 0.0);
         for &(joint, link) in group {
