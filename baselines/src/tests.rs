@@ -181,6 +181,17 @@ fn one_thread_two_threads_and_a_resumed_training_give_the_same_bytes() {
 }
 
 #[test]
+fn photos_seen_often_enough_end_a_training_before_its_time() {
+    let data = dataset(2, 1.0, ball);
+    let config = FieldConfig { time_limit: Some(1e6), ..config(Method::MovingGaussians, 1) };
+    let result = train(&data, &config, None, &Progress::silent()).unwrap();
+    assert_eq!(result.iterations, 300, "150 times two photos");
+    assert!(result.curve.last().unwrap().seconds < 1e6);
+    let error = square_error(&result.field, &data.views[0], times(config.method, &data)[0]);
+    assert!(error < 0.03, "the schedule ended: {error}");
+}
+
+#[test]
 fn a_damaged_checkpoint_is_refused_with_its_name() {
     for method in FIELDS {
         refuse_damaged_checkpoints(&config(method, 9));

@@ -29,9 +29,10 @@ impl Pipeline {
         self.stages.discard("train")?;
         let field: &FieldSummary = &done.finished.value;
         let line = format!(
-            "{}, {} steps, {:.1} million parameters, by {}",
+            "{}, {} steps{}, {:.1} million parameters, by {}",
             method.name(),
             field.iterations,
+            cut_short(field, self.args.train.time_limit),
             field.parameters as f64 / 1e6,
             field.by
         );
@@ -66,5 +67,16 @@ impl Pipeline {
             curve: result.curve,
             by: result.by,
         })
+    }
+}
+
+/// Says that a method did all the steps it can use before its time was up.
+fn cut_short(field: &FieldSummary, limit: Option<f64>) -> String {
+    let spent = field.curve.last().map(|p| p.seconds);
+    match spent.zip(limit) {
+        Some((spent, limit)) if spent < limit => {
+            format!(" (all it can use: {spent:.0} of {limit:.0} s)")
+        }
+        _ => String::new(),
     }
 }

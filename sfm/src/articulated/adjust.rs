@@ -15,24 +15,24 @@ use scene::sim3::robust_alignment;
 
 impl Chain {
     /// The chain of least squared error over the tracks (Levenberg–Marquardt, points eliminated),
-    /// and the logarithm of its evidence (Laplace; up to what all chains for these tracks have in
-    /// common).
+    /// and the logarithm of the prior's part in its evidence (Laplace): what the tracks say is not
+    /// in it.
     pub(super) fn adjusted(&self, members: &[Member<'_>], noise: &ChainNoise) -> (Self, f64) {
         let layout = self.layout();
         let mut best = self.clone();
         let mut points: Vec<Option<DVec3>> = members.par_iter().map(|m| best.point(m)).collect();
         let before = of_body(members, &points);
         let mut equations = best.equations(self, members, &points, &layout, noise);
-        let mut lambda = 1e-4;
+        let mut lambda = 1e-5;
         // Most end far earlier, where the error no longer falls.
-        for _ in 0..20 {
+        for _ in 0..30 {
             let Some((step, moves)) = equations.step(lambda) else { break };
             let trial = best.stepped(&layout, &step);
             let next_points: Vec<Option<DVec3>> =
                 points.iter().zip(moves).map(|(p, m)| p.map(|p| p + m)).collect();
             let next = trial.equations(self, members, &next_points, &layout, noise);
             if next.cost < equations.cost {
-                let small = equations.cost - next.cost < 1e-5 * equations.cost;
+                let small = equations.cost - next.cost < 1e-6 * equations.cost;
                 (best, points, equations, lambda) = (trial, next_points, next, lambda * 0.1);
                 if small {
                     break;
@@ -215,12 +215,12 @@ impl Chain {
         }
     }
 
-    /// Logarithm of the evidence (Laplace).
+    /// Logarithm of the evidence (Laplace) but for the tracks' misfit.
     fn evidence(&self, equations: &JointEquations) -> f64 {
         let Some(half_log) = equations.half_log_determinant() else { return f64::NEG_INFINITY };
         let free = self.joints.iter().zip(&self.ties).filter(|j| j.1.ratio.is_none());
         let bends = free.map(|(j, _)| j.angles.len().saturating_sub(2) as f64 * j.bend.ln() + ANCHOR.ln());
-        -0.5 * equations.cost - half_log - bends.sum::<f64>()
+        -0.5 * equations.prior - half_log - bends.sum::<f64>()
     }
 }
 

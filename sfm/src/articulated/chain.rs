@@ -165,6 +165,31 @@ impl Chain {
         next
     }
 
+    /// The same where a joint before it turns as this one does, times 1 or -1.
+    pub(super) fn led_by(&self, joint: usize, leader: usize, ratio: f64) -> Self {
+        let mut next = self.clone();
+        let own = &self.joints[joint];
+        let ratio = ratio * own.axis.dot(self.joints[leader].axis).signum();
+        next.joints[leader].angles = own.angles.iter().map(|a| ratio * a).collect();
+        next.joints[leader].bend = own.bend;
+        next
+    }
+
+    /// The same without a joint; what was tied to it is free.
+    pub(super) fn without(&self, joint: usize) -> Self {
+        let mut next = self.clone();
+        next.joints.remove(joint);
+        next.ties.remove(joint);
+        for tie in &mut next.ties {
+            match tie.axis_of {
+                Some(leader) if leader == joint => *tie = Tie::default(),
+                Some(leader) if leader > joint => tie.axis_of = Some(leader - 1),
+                _ => {}
+            }
+        }
+        next
+    }
+
     /// Without joints that have all unknowns of one before them: their parts move as one.
     pub(super) fn without_repeats(&self) -> Self {
         let columns = self.layout().joints;

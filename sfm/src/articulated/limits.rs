@@ -64,4 +64,8 @@ pub(super) const INTRINSICS: [f64; 2] = [0.3, 0.1];
 pub(super) const HELD: f64 = 1.0;
 /// How often cameras, poses and joints are adjusted, and tracks shared out again. Source: chosen by
 /// hand, never measured.
-pub(super) const ADJUSTMENTS: usize = 4;
+pub(super) const ADJUSTMENTS: usize = 3;
+/// Of two chains the simpler one is taken if it has at most so much less evidence (logarithm): so
+/// much the same joints differ by when they are found from another start. Source:
+/// docs/decisions/22.
+pub(super) const SIMPLER: f64 = 20.0;

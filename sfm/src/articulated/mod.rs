@@ -8,6 +8,7 @@
 
 mod adjust;
 mod chain;
+mod evidence;
 mod fit;
 mod grow;
 mod joint;
@@ -28,6 +29,7 @@ use crate::error::SfmError;
 use crate::klt::{KltConfig, KltTrack, track};
 use crate::statistics::median;
 use chain::{Chain, Tie};
+use evidence::Contest;
 use joint::JointPath;
 use limits::{ADJUSTMENTS, MOVING};
 use posed::PosedTrack;
@@ -138,28 +140,12 @@ fn told(tracks: &[KltTrack], chain: &Chain, seed: u64) -> Articulation {
     }
 }
 
-/// Cameras, body and joints together; joints are tied to each other where that has more evidence,
-/// and parts that this makes move as one are one.
+/// Cameras, body and joints together: those that the tracks have evidence for, be they what the
+/// chain has or `parts`.
 fn adjusted(tracks: &[KltTrack], chain: &Chain, parts: &[(JointPath, Vec<usize>)]) -> Chain {
-    let frames = chain.posed();
-    let sorted = SortedTracks::of(tracks, &frames);
-    let paths: Vec<JointPath> = parts.iter().map(|p| p.0.clone()).collect();
-    let members = sorted.members(&paths, &chain.times);
-    let ties = vec![Tie::default(); paths.len()];
-    let start = Chain { joints: paths, ties, ..chain.clone() };
-    let noise = ChainNoise::of(&start, sorted.worth);
-    let (mut best, mut evidence) = start.adjusted(&members, &noise);
-    for (j, leader) in (1..best.joints.len()).flat_map(|j| (0..j).map(move |i| (j, i))) {
-        if best.ties[j].axis_of.is_some() {
-            continue;
-        }
-        for ratio in [None, Some(1.0), Some(-1.0)] {
-            let tied = best.tied(j, Tie { axis_of: Some(leader), ratio });
-            let (found, own) = tied.adjusted(&members, &noise);
-            if own > evidence {
-                (best, evidence) = (found, own);
-            }
-        }
-    }
-    best.without_repeats()
+    let joints: Vec<JointPath> = parts.iter().map(|p| p.0.clone()).collect();
+    let ties = vec![Tie::default(); joints.len()];
+    let mut contest = Contest::new(tracks, chain);
+    contest.enter(&Chain { joints, ties, ..chain.clone() });
+    contest.settled()
 }

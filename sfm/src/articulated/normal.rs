@@ -22,8 +22,9 @@ pub(super) struct Block {
     cost: f64,
     point: DMat3,
     point_gradient: DVec3,
-    /// By unknown that it touches: gradient and mixed derivatives.
+    /// By unknown that it touches, in rising order: gradient and mixed derivatives.
     columns: Vec<(usize, f64, DVec3)>,
+    /// By pairs of these, the first not before the second: the point eliminated.
     matrix: Vec<f64>,
 }
 
@@ -31,6 +32,8 @@ pub(super) struct Block {
 pub(super) struct JointEquations {
     /// What is minimised.
     pub cost: f64,
+    /// What of it is no track's.
+    pub prior: f64,
     /// [unknowns × unknowns], full.
     matrix: Vec<f64>,
     gradient: Vec<f64>,
@@ -55,30 +58,53 @@ impl Block {
             for (&i, (_, a)) in places.iter().zip(&row.columns) {
                 sum.columns[i].1 += a * row.residual * w;
                 sum.columns[i].2 += p * (a * w);
-                for (&j, (_, b)) in places.iter().zip(&row.columns) {
+                for (&j, (_, b)) in places.iter().zip(&row.columns).filter(|(j, _)| **j <= i) {
                     sum.matrix[i * k + j] += a * b * w;
                 }
             }
         }
+        sum.eliminate();
         sum
+    }
+
+    /// Adds what it has of the rows from `first` on, of `n` numbers each.
+    fn add_to(&self, rows: &mut [f64], first: usize, n: usize) {
+        let k = self.columns.len();
+        let end = first + rows.len() / n;
+        let own = self.columns.partition_point(|c| c.0 < first)..self.columns.partition_point(|c| c.0 < end);
+        for i in own {
+            let row = &mut rows[(self.columns[i].0 - first) * n..][..n];
+            let values = &self.matrix[i * k..i * k + i + 1];
+            values.iter().zip(&self.columns).for_each(|(value, c)| row[c.0] += value);
+        }
+    }
+
+    /// Takes the point out.
+    fn eliminate(&mut self) {
+        let (eliminated, k) = (inverse(self.point), self.columns.len());
+        for i in 0..k {
+            let through = eliminated * self.columns[i].2;
+            self.columns[i].1 -= through.dot(self.point_gradient);
+            let row = &mut self.matrix[i * k..i * k + i + 1];
+            row.iter_mut().zip(&self.columns).for_each(|(value, c)| *value -= through.dot(c.2));
+        }
     }
 }
 
 impl JointEquations {
     /// Of the tracks' parts, for so many unknowns.
     pub(super) fn of(n: usize, blocks: Vec<Block>) -> Self {
-        let mut all = Self { cost: 0.0, matrix: vec![0.0; n * n], gradient: vec![0.0; n], blocks };
-        for block in &all.blocks {
-            all.cost += block.cost;
-            let eliminated = inverse(block.point);
-            let k = block.columns.len();
-            for (i, (row, gradient, mixed)) in block.columns.iter().enumerate() {
-                let through = eliminated * *mixed;
-                all.gradient[*row] += gradient - through.dot(block.point_gradient);
-                for (j, (column, _, other)) in block.columns.iter().enumerate() {
-                    all.matrix[row * n + column] += block.matrix[i * k + j] - through.dot(*other);
-                }
-            }
+        let mut all =
+            Self { prior: 0.0, cost: 0.0, matrix: vec![0.0; n * n], gradient: vec![0.0; n], blocks };
+        all.cost = all.blocks.iter().map(|b| b.cost).sum();
+        for (row, gradient, _) in all.blocks.iter().flat_map(|b| &b.columns) {
+            all.gradient[*row] += gradient;
+        }
+        let rows = n.div_ceil(2 * rayon::current_num_threads()).max(1);
+        let parts = all.matrix.par_chunks_mut((rows * n).max(1)).enumerate();
+        parts.for_each(|(i, part)| all.blocks.iter().for_each(|b| b.add_to(part, i * rows, n)));
+        for i in 0..n {
+            (0..i).for_each(|j| all.matrix[j * n + i] = all.matrix[i * n + j]);
         }
         all
     }
@@ -88,6 +114,7 @@ impl JointEquations {
         let n = self.gradient.len();
         let weight = 1.0 / (sigma * sigma);
         self.cost += weight * residual * residual;
+        self.prior += weight * residual * residual;
         for &(row, a) in terms {
             self.gradient[row] += weight * a * residual;
             for &(column, b) in terms {

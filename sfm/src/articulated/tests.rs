@@ -62,6 +62,12 @@ fn object(parts: &[True], noise: f64, seed: u64) -> Articulation {
 /// As `object`, for poses that were found with a camera of another focal length: as much farther
 /// away.
 fn object_by(assumed: &Camera, parts: &[True], noise: f64, seed: u64) -> (Articulation, Chain) {
+    let (tracks, chain) = film(assumed, parts, noise, seed);
+    in_unit(&tracks, chain, 0, &Progress::silent()).unwrap()
+}
+
+/// The tracks and poses of `object_by`.
+fn film(assumed: &Camera, parts: &[True], noise: f64, seed: u64) -> (Vec<KltTrack>, Chain) {
     let mut rng = scene::rng::rng(seed, "articulated tests", 0);
     let mut tracks = Vec::new();
     let random = |rng: &mut scene::rng::Rng, half: DVec3| {
@@ -91,8 +97,7 @@ fn object_by(assumed: &Camera, parts: &[True], noise: f64, seed: u64) -> (Articu
         |p: Pose| Pose::new(p.rotation, p.translation + DVec3::Z * p.translation.length() * (farther - 1.0));
     let frames = poses().into_iter().map(|p| Some((0, pose(p)))).collect();
     let times = (0..FRAMES).map(|k| k as f64).collect();
-    let chain = Chain { cameras: vec![assumed.clone()], frames, joints: Vec::new(), ties: Vec::new(), times };
-    in_unit(&tracks, chain, 0, &Progress::silent()).unwrap()
+    (tracks, Chain { cameras: vec![assumed.clone()], frames, joints: Vec::new(), ties: Vec::new(), times })
 }
 
 /// Degrees between the axes, distance of the true place from the line, degrees RMS of the angles.
@@ -148,6 +153,49 @@ fn two_arrays_and_their_joints_are_found() {
             part.place_sigma
         );
     }
+}
+
+/// The joint of a part that turns as `angle` says.
+fn joint(part: &True, chain: &Chain, angle: impl Fn(usize) -> f64) -> JointPath {
+    let angles = (0..FRAMES).map(angle).collect();
+    let (axis, place, times) = (part.axis, part.place, chain.times.clone());
+    JointPath { axis, place, first: 0, angles, bend: 8.1e-4, times }
+}
+
+#[test]
+fn a_part_whose_tracks_were_lost_turns_as_the_other_does() {
+    let arrays = arrays();
+    let (tracks, chain) = film(&camera(), &arrays, 0.2, 1);
+    let lost = |k: usize| (arrays[0].angle)(k.min(30));
+    for order in [[0, 1], [1, 0]] {
+        let own = arrays
+            .iter()
+            .enumerate()
+            .map(|(i, part)| joint(part, &chain, |k| if order[i] == 0 { lost(k) } else { (part.angle)(k) }));
+        let joints: Vec<JointPath> = own.collect();
+        let mut contest = Contest::new(&tracks, &chain);
+        contest.enter(&Chain { joints, ties: vec![Tie::default(); 2], ..chain.clone() });
+        let found = contest.settled();
+        assert_eq!(found.ties[1].axis_of, Some(0));
+        for path in &found.joints {
+            let wrong = path.angles[FRAMES - 1].abs() - (arrays[0].angle)(FRAMES - 1);
+            assert!(wrong.abs() < 0.02, "{order:?}: {wrong}");
+        }
+    }
+}
+
+#[test]
+fn a_joint_that_explains_nothing_alone_goes() {
+    let arrays = arrays();
+    let (tracks, chain) = film(&camera(), &arrays, 0.2, 1);
+    let mut joints: Vec<JointPath> = arrays.iter().map(|a| joint(a, &chain, a.angle)).collect();
+    let fragment = JointPath { axis: DVec3::new(0.9, 0.4, 0.1).normalize(), ..joints[0].clone() };
+    joints.push(fragment);
+    let mut contest = Contest::new(&tracks, &chain);
+    contest.enter(&Chain { joints, ties: vec![Tie::default(); 3], ..chain.clone() });
+    let found = contest.settled();
+    assert_eq!(found.joints.len(), 2);
+    assert!(found.joints.iter().all(|j| j.axis.cross(DVec3::X).length() < 0.02));
 }
 
 #[test]

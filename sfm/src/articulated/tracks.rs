@@ -41,10 +41,27 @@ impl<'a> SortedTracks<'a> {
         Self { all, of, still, noise, worth }
     }
 
+    /// The same, told the noise of an observation and what it is worth.
+    pub(super) fn with_noise(self, noise: f64, worth: f64) -> Self {
+        Self { noise, worth, ..self }
+    }
+
     /// Tracks that the body or a joint explains.
     pub(super) fn members(&self, joints: &[JointPath], times: &Arc<[f64]>) -> Vec<Member<'a>> {
         let assigned = self.growth(times, 0).assigned(joints);
         assigned.into_iter().map(|(i, joint)| Member { track: self.of[i], joint }).collect()
+    }
+
+    /// The squared errors of all tracks under what explains each best, in variances of what an
+    /// observation is worth. What nothing explains counts as what is just not explained.
+    pub(super) fn misfit(&self, joints: &[JointPath]) -> f64 {
+        let errors = self.all.par_iter().map(|track| {
+            let body = track.still().map_or(f64::INFINITY, |f| f.1);
+            let turning = joints.iter().filter_map(|path| Some(track.point(path)?.1));
+            let least = turning.fold(body, f64::min).min(MOVING * self.noise) / self.worth;
+            (2 * track.views.len()).saturating_sub(3) as f64 * least * least
+        });
+        errors.collect::<Vec<f64>>().iter().sum()
     }
 
     /// Tracks that the body does not explain and that may be a part's.
