@@ -29,7 +29,8 @@ pub(crate) struct Sample {
     pub(crate) position: [f32; 3],
     /// Distance from the origin.
     pub(crate) t: f32,
-    /// Length of the step.
+    /// Length of the step, in sides of the outermost cube: densities are 1 at first, and a ray
+    /// through all of space is to be half transparent then, not opaque before it meets anything.
     pub(crate) dt: f32,
 }
 
@@ -82,11 +83,17 @@ impl Occupancy {
         self.density = density;
         let finest = &self.density[..CELLS];
         let sum: f64 = finest.iter().map(|&d| f64::from(d.max(0.0))).sum();
-        let limit = (self.settings.opaque / self.settings.shortest()).min((sum / CELLS as f64) as f32);
+        let limit = (self.settings.opaque / (self.settings.shortest() * self.unit()))
+            .min((sum / CELLS as f64) as f32);
         let density = &self.density;
         self.bits.par_iter_mut().enumerate().for_each(|(i, word)| {
             *word = (0..64).map(|bit| u64::from(density[i * 64 + bit] > limit) << bit).sum();
         });
+    }
+
+    /// A side of the smallest cube in sides of the outermost.
+    fn unit(&self) -> f32 {
+        1.0 / (1u32 << (self.cascades - 1)) as f32
     }
 
     /// Whether a cell counts as occupied.
@@ -132,7 +139,7 @@ impl Occupancy {
             let place = [0, 1, 2].map(|a| (in_cells[a].max(0.0) as usize).min(SIDE - 1));
             let cell = cascade as usize * CELLS + place[0] + SIDE * (place[1] + SIDE * place[2]);
             if self.is_occupied(cell) {
-                let sample = Sample { position: p.to_array(), t: march.t, dt };
+                let sample = Sample { position: p.to_array(), t: march.t, dt: dt * self.unit() };
                 march.t += dt;
                 march.left -= 1;
                 return Some(sample);

@@ -172,3 +172,21 @@ fn gradients_agree_with_finite_differences_of_the_reference() {
         compare(&format!("level {level}"), places);
     }
 }
+
+#[test]
+fn steps_through_all_of_space_add_up_to_one_however_many_cubes_there_are() {
+    for cascades in [1, 3, 5] {
+        let domain = Domain { centre: Vec3::ZERO, half: 1.0, cascades };
+        let shape = NgpShape { domain, levels: 4, log2_entries: SMALL, samples: 1 << 12 };
+        let mut field = InstantNgp::new(shape, &[], 5);
+        // All cells count as occupied but one, which is below the mean.
+        let mut density = vec![2.0; cascades as usize * occupancy::CELLS];
+        density[0] = 0.0;
+        field.occupancy.set_density(density);
+        let origin = Vec3::new(-40.0, 0.1, 0.2);
+        let mut march =
+            field.occupancy.march(field.local(&Ray { origin, direction: Vec3::X, time: 0.0 }), 0.5);
+        let sum: f32 = std::iter::from_fn(|| field.occupancy.next(&mut march)).map(|s| s.dt).sum();
+        assert!((sum - 1.0).abs() < 0.05, "{cascades} cubes: {sum}");
+    }
+}
