@@ -16,8 +16,8 @@ use scene::sim3::robust_alignment;
 impl Chain {
     /// The chain of least squared error over the tracks (Levenberg–Marquardt, points eliminated),
     /// and the logarithm of the prior's part in its evidence (Laplace): what the tracks say is not
-    /// in it.
-    pub(super) fn adjusted(&self, members: &[Member<'_>], noise: &ChainNoise) -> (Self, f64) {
+    /// in it. `tolerance`: share of the cost; steps that gain less are the last.
+    pub(super) fn adjusted(&self, members: &[Member<'_>], noise: &ChainNoise, tolerance: f64) -> (Self, f64) {
         let layout = self.layout();
         let mut best = self.clone();
         let mut points: Vec<Option<DVec3>> = members.par_iter().map(|m| best.point(m)).collect();
@@ -32,7 +32,7 @@ impl Chain {
                 points.iter().zip(moves).map(|(p, m)| p.map(|p| p + m)).collect();
             let next = trial.equations(self, members, &next_points, &layout, noise);
             if next.cost < equations.cost {
-                let small = equations.cost - next.cost < 1e-6 * equations.cost;
+                let small = equations.cost - next.cost < tolerance * equations.cost;
                 (best, points, equations, lambda) = (trial, next_points, next, lambda * 0.1);
                 if small {
                     break;

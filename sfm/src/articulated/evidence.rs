@@ -1,7 +1,7 @@
 //! What speaks for one chain against another: which joints there are, and what they have in common.
 
 use super::chain::{Chain, Tie};
-use super::limits::SIMPLER;
+use super::limits::{HOPELESS, SIMPLER, TOLERANCES};
 use super::posed::PosedFrame;
 use super::steadiness::ChainNoise;
 use super::tracks::SortedTracks;
@@ -39,9 +39,11 @@ impl<'t> Contest<'t> {
 
     /// The same of a chain that says less, and is preferred therefore.
     fn favoured(&mut self, start: &Chain, by: f64) -> bool {
-        let (found, prior) = self.adjusted(&self.adjusted(start).0);
-        // What determines nothing is still more than nothing at all.
-        let evidence = (prior - 0.5 * self.misfit(&found)).max(f64::MIN);
+        let (near, hope) = self.adjusted(start, TOLERANCES[0]);
+        if hope < self.evidence - HOPELESS {
+            return false;
+        }
+        let (found, evidence) = self.adjusted(&near, TOLERANCES[1]);
         let wins = evidence > self.evidence - by;
         if wins {
             (self.best, self.evidence) = (found, evidence);
@@ -49,10 +51,14 @@ impl<'t> Contest<'t> {
         wins
     }
 
-    /// A chain adjusted to the tracks that it explains, and the prior's part in its evidence.
-    fn adjusted(&self, start: &Chain) -> (Chain, f64) {
+    /// A chain adjusted to the tracks that it explains, and the logarithm of its evidence.
+    fn adjusted(&self, start: &Chain, tolerance: f64) -> (Chain, f64) {
         let frames = start.posed();
-        start.adjusted(&self.sorted(&frames).members(&start.joints, &start.times), &self.noise)
+        let members = self.sorted(&frames).members(&start.joints, &start.times);
+        let (found, prior) = start.adjusted(&members, &self.noise, tolerance);
+        // What determines nothing is still more than nothing at all.
+        let evidence = (prior - 0.5 * self.misfit(&found)).max(f64::MIN);
+        (found, evidence)
     }
 
     fn misfit(&self, chain: &Chain) -> f64 {

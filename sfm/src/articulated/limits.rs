@@ -69,3 +69,9 @@ pub(super) const ADJUSTMENTS: usize = 3;
 /// much the same joints differ by when they are found from another start. Source:
 /// docs/decisions/22.
 pub(super) const SIMPLER: f64 = 20.0;
+/// A chain that has so much less evidence after a rough adjustment is not adjusted further.
+/// Source: derived: ten times what equals differ by.
+pub(super) const HOPELESS: f64 = 10.0 * SIMPLER;
+/// A step of an adjustment that gains less than this share of the cost is the last: of a rough one,
+/// of a good one. Source: chosen by hand: a few units of evidence, and hundredths.
+pub(super) const TOLERANCES: [f64; 2] = [1e-4, 1e-6];
