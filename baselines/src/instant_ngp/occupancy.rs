@@ -30,7 +30,7 @@ pub(crate) struct Sample {
     /// Distance from the origin.
     pub(crate) t: f32,
     /// Length of the step, in sides of the outermost cube: densities are 1 at first, and a ray
-    /// through all of space is to be half transparent then, not opaque before it meets anything.
+    /// through all of space keeps a third of its light then, and does not end at the camera.
     pub(crate) dt: f32,
 }
 
