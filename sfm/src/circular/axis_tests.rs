@@ -6,7 +6,7 @@ use super::config::MotionConfig;
 use super::initialize::key_frames::VideoTracks;
 use super::limits::FINAL_ROUNDS;
 use super::solution::ChosenModel;
-use super::tests::{Filmed, Turntable};
+use super::tests::{Filmed, Turntable, grown};
 use scene::decision::{Decision, Quantity, Remark, Rule};
 use scene::{Camera, CameraModel};
 
@@ -36,7 +36,7 @@ fn solved_with(table: &Turntable, given: Option<f64>, noise_px: f64) -> (f64, Ve
     let material = VideoTracks::of_klt(&tracks, table.poses.len());
     let video = filmed.video();
     let input = video.input(&material);
-    let grown = video.grow(&input, &tracks).unwrap().unwrap();
+    let grown = grown(&video, &input, &tracks).unwrap();
     let starts = grown.state.cameras.clone();
     let job = filmed.job(&input, &starts);
     let context = job.context(&[]);

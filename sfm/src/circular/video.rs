@@ -25,6 +25,10 @@ use glam::DVec2;
 use scene::decision::{Decision, Measurement, MotionModel, Quantity, Remark, Rule, Subject};
 use scene::{Camera, Features, TwoViewGeometry};
 
+/// Places in a video where a motion may start before it is given up.
+/// Source: three spread over it leave one where a part that turns by itself is small or hidden.
+pub(super) const STARTS: usize = 3;
+
 /// A model about one axis with the keypoints it refers to.
 pub(crate) struct VideoModel {
     pub solution: CircularSolution,
@@ -43,13 +47,9 @@ pub(crate) fn solve_video(job: &VideoJob<'_>) -> Step<(VideoModel, Decision)> {
         return Ok(Err(not_found().remarked(why)));
     }
     let followed = FollowedPoints::of(job)?;
-    let grown = match job.grow(&job.input(&followed.material), &followed.tracks)? {
-        Ok(grown) => grown,
+    let (data, mut chosen) = match first_that_holds(job, &followed)? {
+        Ok(found) => found,
         Err(why) => return Ok(Err(followed.not_found().absorbing(why))),
-    };
-    let (data, closed) = VideoData::close(job, &followed, grown)?;
-    let Some(mut chosen) = data.adjust(closed)? else {
-        return Ok(Err(followed.not_found().remarked(Remark::TracksDisagree)));
     };
     let evidence = match data.judge(&chosen, &followed)? {
         Ok(evidence) => evidence,
@@ -59,6 +59,34 @@ pub(crate) fn solve_video(job: &VideoJob<'_>) -> Step<(VideoModel, Decision)> {
     data.polish(&mut chosen, motion.as_ref())?;
     let solution = data.finish(chosen, motion)?;
     Ok(Ok((data.into_model(solution), evidence)))
+}
+
+/// The model from the first start that leads to one. Where parts move by themselves, they may be
+/// most of what a few frames show, and the motion that explains it fails over the whole video.
+fn first_that_holds<'a>(
+    job: &'a VideoJob<'a>,
+    followed: &FollowedPoints,
+) -> Step<(VideoData<'a>, JudgedModel)> {
+    let mut failed = Vec::new();
+    let mut why = not_found().remarked(Remark::TracksDisagree);
+    while failed.len() < STARTS {
+        let start = match VideoStart::find(job, &followed.tracks, &failed) {
+            Ok(start) => start,
+            Err(_) if !failed.is_empty() => break,
+            Err(other) => return Ok(Err(*other)),
+        };
+        match job.grow(&job.input(&followed.material), &start)? {
+            Ok(grown) => {
+                let (data, closed) = VideoData::close(job, followed, grown)?;
+                if let Some(chosen) = data.adjust(closed)? {
+                    return Ok(Ok((data, chosen)));
+                }
+            }
+            Err(other) => why = other,
+        }
+        failed.push(start);
+    }
+    Ok(Err(why))
 }
 
 /// The decision that a video shows no single-axis motion.
@@ -102,12 +130,8 @@ impl FollowedPoints {
 }
 
 impl VideoJob<'_> {
-    /// From followed points alone: the best seed, grown over the whole video.
-    pub(crate) fn grow(&self, input: &MappingInput<'_>, tracks: &[KltTrack]) -> Step<AxisModel> {
-        let start = match VideoStart::find(self, tracks) {
-            Ok(start) => start,
-            Err(why) => return Ok(Err(*why)),
-        };
+    /// From followed points alone: the best seed of a start, grown over the whole video.
+    pub(crate) fn grow(&self, input: &MappingInput<'_>, start: &VideoStart) -> Step<AxisModel> {
         let times = self.times();
         let priors = [AnglePrior::Steady { times: &times }];
         let given = SeedCameras { cameras: self.cameras, known: &self.known[0], points_per_image: 100 };

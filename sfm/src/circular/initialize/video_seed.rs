@@ -26,8 +26,13 @@ pub(crate) struct VideoStart {
 
 impl VideoStart {
     /// Seeds from a few key frames: as far apart as the tracks need to move, or nearer where that
-    /// leaves too few of them. Points on the axis or near it hardly move at all.
-    pub(crate) fn find(job: &VideoJob<'_>, tracks: &[KltTrack]) -> Result<Self, Box<Decision>> {
+    /// leaves too few of them. Points on the axis or near it hardly move at all. Key frames are
+    /// sought far from those of the starts that have `failed`.
+    pub(crate) fn find(
+        job: &VideoJob<'_>,
+        tracks: &[KltTrack],
+        failed: &[Self],
+    ) -> Result<Self, Box<Decision>> {
         let not_found = Decision::new(Subject::VideoMotion, false, Rule::Evidence);
         let (n, camera) = (job.frames.len(), &job.cameras[0]);
         let Some(widest) = stride(tracks, n, camera.width.max(camera.height)) else {
@@ -42,7 +47,9 @@ impl VideoStart {
             [true, false].iter().flat_map(|tied| strides.iter().map(move |s| (*tied, s)))
         {
             let keys = KEYS.min((n - 1) / stride + 1);
-            let Some((first, pairs)) = KeyWindow { tracks, camera, stride, keys }.best(n) else { continue };
+            let Some((first, pairs)) = KeyWindow { tracks, camera, stride, keys }.best(n, failed) else {
+                continue;
+            };
             if is_tied && !all_keys_tied(&pairs, keys) {
                 continue;
             }
@@ -59,6 +66,11 @@ impl VideoStart {
             }
             None => not_found.remarked(Remark::ShortTracks),
         }))
+    }
+
+    /// Whether a window with another first frame is so near that it shows much the same.
+    fn is_near(&self, first: usize, frames: usize) -> bool {
+        first.abs_diff(self.first) < ((self.keys - 1) * self.stride).max(frames / 4)
     }
 
     /// Angles of a seed by frame; frames between key frames get angles in between.
@@ -113,13 +125,16 @@ struct KeyWindow<'a> {
 }
 
 impl KeyWindow<'_> {
-    /// The first frame of the window whose key frames share most tracks, and their matches.
-    fn best(&self, frames: usize) -> Option<(usize, Vec<KeyPair>)> {
+    /// The first frame of the window whose key frames share most tracks, and their matches, beside
+    /// those that have failed.
+    fn best(&self, frames: usize, failed: &[VideoStart]) -> Option<(usize, Vec<KeyPair>)> {
         let span = (self.keys - 1) * self.stride;
         if self.keys < 3 || span >= frames {
             return None;
         }
-        let windows = (0..frames - span).step_by(self.stride).map(|first| (first, self.pairs(first)));
+        let firsts = (0..frames - span).step_by(self.stride);
+        let others = firsts.filter(|first| !failed.iter().any(|start| start.is_near(*first, frames)));
+        let windows = others.map(|first| (first, self.pairs(first)));
         let (first, mut pairs) = windows.max_by_key(|(first, pairs)| {
             (pairs.iter().map(|p| p.points.len().min(100)).sum::<usize>(), Reverse(*first))
         })?;
