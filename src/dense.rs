@@ -19,7 +19,8 @@ use stereo::{DenseDepths, PlaneField, StereoSettings};
 pub(crate) fn depths(run: &Path, dataset: &Dataset, progress: &Progress) -> Result<DenseDepths> {
     let model = scene::io::read_model(&run.join("undistorted/sparse/0"))?;
     let points: Vec<_> = model.points.values().map(|p| p.position).collect();
-    let (settings, views) = (StereoSettings::default(), views(dataset));
+    let settings = StereoSettings { outlines: dataset.is_transparent(), ..StereoSettings::default() };
+    let views = views(dataset);
     let key = key(&views, &points, &settings);
     let kept = run.join(".stages").join(KEPT);
     let bytes = read(&kept, &key, most_bytes(&views));

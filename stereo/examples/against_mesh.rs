@@ -72,6 +72,8 @@ fn set(settings: &mut StereoSettings, name: &str, number: f64) -> Result<(), Box
         "rounds" => settings.rounds = number as u32,
         "first_rounds" => settings.first_rounds = number as u32,
         "geometric" => settings.geometric = number as f32,
+        "outlines" => settings.outlines = number > 0.0,
+        "hull" => settings.hull = number as f32,
         "smooth" => settings.smooth = number as f32,
         "noise" => settings.noise = number as f32,
         "sigma_grey" => settings.sigma_grey = number as f32,

@@ -2,6 +2,7 @@
 
 use crate::agree;
 use crate::field::{PlaneField, rounded};
+use crate::hull::HullField;
 use crate::level::LevelImage;
 use crate::neighbours::Layout;
 use crate::pair::Pair;
@@ -35,6 +36,7 @@ pub fn dense_depths(
 ) -> Result<DenseDepths, StereoError> {
     check(views)?;
     let layout = Layout::new(views, points, settings);
+    let hulls = hulls(views, &layout, settings);
     let mut fields: Vec<PlaneField> = Vec::new();
     let mut pairs: Vec<Vec<Pair>> = Vec::new();
     for level in (0..settings.levels).rev() {
@@ -46,7 +48,8 @@ pub fn dense_depths(
             progress.begin(&format!("stereo at 1/{}", 1 << level), views.len());
             let job = Job { level, round, layout: &layout, settings };
             let next = (0..views.len()).into_par_iter().map(|i| {
-                let view = ViewJob { view: i, images: &images, pairs: &pairs[i], fields: &fields };
+                let hull = hulls[i].as_ref();
+                let view = ViewJob { view: i, images: &images, pairs: &pairs[i], fields: &fields, hull };
                 let field = swept(&job, &view);
                 progress.tick().map(|()| field)
             });
@@ -57,6 +60,16 @@ pub fn dense_depths(
     let mut fields = without_seen_through(&fields, views, settings);
     fields.iter_mut().flat_map(|f| &mut f.normal).for_each(|n| *n = rounded(*n));
     Ok(DenseDepths::new(fields, pairs, settings))
+}
+
+/// The visual hull in every view, at half the resolution: outlines are no more exact.
+fn hulls(views: &[PosedPhoto], layout: &Layout, settings: &StereoSettings) -> Vec<Option<HullField>> {
+    if !settings.outlines {
+        return views.iter().map(|_| None).collect();
+    }
+    let level = settings.first_level(views);
+    let images = |level| views.par_iter().map(|v| LevelImage::new(v, level)).collect::<Vec<_>>();
+    HullField::of_all(views, &images(level + 1), &images(level), &layout.depths)
 }
 
 impl DenseDepths {

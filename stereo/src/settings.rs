@@ -43,6 +43,11 @@ pub struct StereoSettings {
     pub geometric: f32,
     /// Cost of a pixel between a plane and those around it, where the picture says nothing.
     pub smooth: f32,
+    /// Whether the masks are outlines of the object: beside them there is nothing.
+    pub outlines: bool,
+    /// With outlines: cost of a pixel between a plane and the visual hull, where the picture says
+    /// nothing.
+    pub hull: f32,
     /// When views agree on a depth.
     pub tolerance: Tolerance,
     /// A depth stays if so many other views agree.
@@ -83,6 +88,8 @@ impl Default for StereoSettings {
             least_change: 1.0 / 80.0,
             geometric: 0.15,
             smooth: 0.2,
+            outlines: false,
+            hull: 0.5,
             tolerance: Tolerance { px: 1.0, depth: 0.01 },
             agreeing: 2,
             most_cost: 1.5,

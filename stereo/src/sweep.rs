@@ -7,6 +7,7 @@
 use crate::agree::meeting;
 use crate::correlation::{Patch, PlaneAt, Sight, WORST, costs};
 use crate::field::{PinholeLens, PlaneField, carried};
+use crate::hull::HullField;
 use crate::level::LevelImage;
 use crate::neighbours::Layout;
 use crate::pair::Pair;
@@ -29,6 +30,7 @@ pub(crate) struct ViewJob<'a> {
     pub(crate) images: &'a [LevelImage],
     pub(crate) pairs: &'a [Pair],
     pub(crate) fields: &'a [PlaneField],
+    pub(crate) hull: Option<&'a HullField>,
 }
 
 /// Views that count at most. Source: the length of an array.
@@ -52,14 +54,22 @@ struct HeldPlane {
     cost: f32,
 }
 
-/// Planes of the regions around a pixel.
-type Around = [Option<Plane>; 8];
+/// What is expected of a pixel whose picture says nothing.
+struct Expected {
+    /// Planes of the regions around it.
+    around: [Option<Plane>; 8],
+    /// The visual hull.
+    hull: Option<Plane>,
+}
 
 struct SweepPass<'a> {
     settings: &'a StereoSettings,
     image: &'a LevelImage,
     pairs: &'a [Pair],
     fields: &'a [PlaneField],
+    hull: Option<&'a HullField>,
+    /// How many times smaller the picture is than the finest.
+    shrunk: usize,
     sights: Vec<Sight<'a>>,
     lens: PinholeLens,
     range: [f32; 2],
@@ -80,6 +90,8 @@ pub(crate) fn swept(job: &Job, view: &ViewJob) -> PlaneField {
         image,
         pairs,
         fields: view.fields,
+        hull: view.hull,
+        shrunk: 1 << job.level,
         sights: pairs.iter().map(|p| Sight { image: &view.images[p.view], map: p.there }).collect(),
         lens: PinholeLens::of(&image.camera),
         range,
@@ -139,19 +151,19 @@ impl SweepPass<'_> {
             let patch = Patch::new(self.image, x, y, self.settings.sigma_grey, self.noise);
             let Some(patch) = patch else { continue };
             let own = Plane { depth: field.depth[i], normal: field.normal[i] };
-            let around = self.around(field, x, y);
+            let expected = Expected { around: self.around(field, x, y), hull: self.hull(x, y) };
             // Neighbours may have changed since.
-            let cost = field.cost[i] + self.roughness(&patch, own.depth, &around);
+            let cost = field.cost[i] + self.roughness(&patch, own.depth, &expected);
             let mut choice = HeldPlane { plane: own, cost };
-            for plane in around.into_iter().flatten() {
-                self.attempt(&patch, x, y, plane, &around, &mut choice);
+            for plane in expected.around.iter().chain([&expected.hull]).flatten() {
+                self.attempt(&patch, x, y, *plane, &expected, &mut choice);
             }
             for kind in 0..4 {
                 let plane = self.perturbed(choice.plane, kind, x, y, random);
-                self.attempt(&patch, x, y, plane, &around, &mut choice);
+                self.attempt(&patch, x, y, plane, &expected, &mut choice);
             }
             let Plane { depth, normal } = choice.plane;
-            let cost = choice.cost - self.roughness(&patch, depth, &around);
+            let cost = choice.cost - self.roughness(&patch, depth, &expected);
             (field.depth[i], field.normal[i], field.cost[i]) = (depth, normal, cost);
         }
     }
@@ -164,7 +176,7 @@ impl SweepPass<'_> {
         x: usize,
         y: usize,
         plane: Plane,
-        around: &Around,
+        expected: &Expected,
         choice: &mut HeldPlane,
     ) {
         let own = choice.plane;
@@ -175,7 +187,7 @@ impl SweepPass<'_> {
         if same || !(plane.depth >= near && plane.depth <= far) {
             return;
         }
-        let rough = self.roughness(patch, plane.depth, around);
+        let rough = self.roughness(patch, plane.depth, expected);
         if rough >= choice.cost {
             return;
         }
@@ -187,7 +199,7 @@ impl SweepPass<'_> {
 
     /// The planes around a pixel, as they are at it: the cheapest of each region.
     #[inline]
-    fn around(&self, field: &PlaneField, x: usize, y: usize) -> Around {
+    fn around(&self, field: &PlaneField, x: usize, y: usize) -> [Option<Plane>; 8] {
         let here = self.lens.ray(x, y);
         self.sources(field, x as i64, y as i64).map(|source| {
             let (i, normal) = (source?, field.normal[source?]);
@@ -196,18 +208,27 @@ impl SweepPass<'_> {
         })
     }
 
-    /// How far a depth lies from the planes around it, where the picture says nothing: there the
-    /// planes of what has texture go on.
+    /// How far a depth lies from the planes around it and from the hull, where the picture says
+    /// nothing: there the planes of what has texture go on, or the surface is that of the hull.
     #[inline]
-    fn roughness(&self, patch: &Patch, depth: f32, around: &Around) -> f32 {
-        let weight = self.settings.smooth * patch.blankness();
+    fn roughness(&self, patch: &Patch, depth: f32, expected: &Expected) -> f32 {
+        let blankness = patch.blankness();
+        let off_px = |plane: &Plane| ((plane.depth - depth).abs() / (self.step * depth)).min(MOST_OFF_PX);
         let (mut sum, mut count) = (0.0, 0.0);
-        for plane in around.iter().flatten() {
-            let px = (plane.depth - depth).abs() / (self.step * depth);
-            sum += px.min(MOST_OFF_PX);
+        for plane in expected.around.iter().flatten() {
+            sum += off_px(plane);
             count += 1.0;
         }
-        if count > 0.0 { weight * sum / count } else { 0.0 }
+        let rough = if count > 0.0 { self.settings.smooth * sum / count } else { 0.0 };
+        let off_hull = expected.hull.as_ref().map_or(0.0, |hull| self.settings.hull * off_px(hull));
+        blankness * (rough + off_hull)
+    }
+
+    /// The hull at a pixel, where the surface is expected on it.
+    #[inline]
+    fn hull(&self, x: usize, y: usize) -> Option<Plane> {
+        let (depth, normal) = self.hull?.at([x, y], self.shrunk, self.lens.ray(x, y))?;
+        Some(Plane { depth, normal })
     }
 
     /// The mean of the least costs of the views.
