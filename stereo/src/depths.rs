@@ -67,9 +67,7 @@ fn hulls(views: &[PosedPhoto], layout: &Layout, settings: &StereoSettings) -> Ve
     if !settings.outlines {
         return views.iter().map(|_| None).collect();
     }
-    let level = settings.first_level(views);
-    let images = |level| views.par_iter().map(|v| LevelImage::new(v, level)).collect::<Vec<_>>();
-    HullField::of_all(views, &images(level + 1), &images(level), &layout.depths)
+    HullField::of_all(views, &layout.depths, settings.first_level(views))
 }
 
 impl DenseDepths {

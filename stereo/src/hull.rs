@@ -11,7 +11,7 @@ use crate::outline::Outline;
 use crate::pair::PixelMap;
 use glam::Vec3;
 use rayon::prelude::*;
-use scene::{Camera, Pose, PosedPhoto};
+use scene::{Camera, PosedPhoto};
 
 /// Rays are so many times fewer than pixels, along each side. Source: chosen by hand, never
 /// measured; the hull is no finer.
@@ -59,35 +59,33 @@ const LIMITS: HullLimits = HullLimits {
 
 /// The hull in one view.
 pub(crate) struct HullField {
+    /// First column and row of the rectangle around the object that is kept.
+    corner: [usize; 2],
+    /// Its columns.
     width: usize,
     lens: PinholeLens,
-    /// [height × width] camera z; 0 where the ray meets none.
+    /// [rows × width] camera z; 0 where the ray meets none.
     depth: Vec<f32>,
-    /// [height × width] how far behind it the surface may lie, pixels.
+    /// [rows × width] how far behind it the surface may lie, pixels.
     slack_px: Vec<f32>,
-    /// [height × width] towards the camera.
+    /// [rows × width] towards the camera.
     normal: Vec<Vec3>,
 }
 
-/// A view whose rays meet the hull.
-struct HullView<'a> {
-    pose: Pose,
-    /// As fine as the rays.
-    image: &'a LevelImage,
-    /// As fine as the outlines.
-    finest: &'a Camera,
-}
-
-/// The outlines of the views beside one.
-fn beside<'a>(views: &[HullView], view: usize, outlines: &'a [Option<Outline>]) -> Vec<Beside<'a>> {
-    let from = &views[view];
+/// The outlines of the views beside one, whose rays are those of a camera.
+fn beside<'a>(
+    views: &[PosedPhoto],
+    view: usize,
+    camera: &Camera,
+    outlines: &'a [Option<Outline>],
+) -> Vec<Beside<'a>> {
     let others = views.iter().zip(outlines).enumerate().filter(|(j, _)| *j != view);
     let known = others.filter_map(|(_, (other, outline))| {
-        let relative = other.pose.compose(&from.pose.inverse());
+        let (outline, relative) = (outline.as_ref()?, other.pose.compose(&views[view].pose.inverse()));
         Some(Beside {
-            outline: outline.as_ref()?,
-            map: PixelMap::new(&from.image.camera, other.finest, &relative),
-            inverse_focal: 1.0 / other.finest.focal().x as f32,
+            outline,
+            map: PixelMap::new(camera, &outline.camera, &relative),
+            inverse_focal: 1.0 / outline.camera.focal().x as f32,
             eye: relative.centre().as_vec3(),
         })
     });
@@ -104,25 +102,19 @@ struct Beside<'a> {
 }
 
 impl HullField {
-    /// Of all views, their rays from images [`SHRUNK`] times smaller than the finest; none where
-    /// masks do not show one. `ranges`: least and most depth of each view.
-    pub(crate) fn of_all(
-        views: &[PosedPhoto],
-        images: &[LevelImage],
-        finest: &[LevelImage],
-        ranges: &[Option<[f32; 2]>],
-    ) -> Vec<Option<Self>> {
-        let outlines: Vec<Option<Outline>> = finest.par_iter().map(Outline::of).collect();
+    /// Of all views whose pictures are halved so often first; none where masks do not show one.
+    /// `ranges`: least and most depth of each view.
+    pub(crate) fn of_all(views: &[PosedPhoto], ranges: &[Option<[f32; 2]>], level: u32) -> Vec<Option<Self>> {
+        let outlines = views.par_iter().map(|v| Outline::of(&LevelImage::new(v, level)));
+        let outlines: Vec<Option<Outline>> = outlines.collect();
         if outlines.iter().flatten().count() < LIMITS.least_views {
             return views.iter().map(|_| None).collect();
         }
-        let views: Vec<HullView> = (0..views.len())
-            .map(|i| HullView { pose: views[i].pose, image: &images[i], finest: &finest[i].camera })
-            .collect();
         let all = (0..views.len()).into_par_iter();
         all.map(|i| {
             outlines[i].as_ref()?;
-            Some(Self::of(views[i].image, &beside(&views, i, &outlines), ranges[i]?))
+            let image = LevelImage::new(&views[i], level + SHRUNK.ilog2());
+            Some(Self::of(&image, &beside(views, i, &image.camera, &outlines), ranges[i]?))
         })
         .collect()
     }
@@ -132,17 +124,32 @@ impl HullField {
         let (focal, centre) = (image.camera.focal(), image.camera.principal_point());
         let (focal, centre) = (focal.as_vec2().to_array(), centre.as_vec2().to_array());
         let around = Around { beside, lens, focal, centre };
-        let n = image.inside.len();
+        let [left, top, right, bottom] = image.frame;
+        let (width, n) = (right - left, (right - left) * (bottom - top));
         let (depth, slack_px, normal) = (vec![0.0; n], vec![f32::INFINITY; n], Vec::new());
-        let mut field = Self { width: image.width, lens, depth, slack_px, normal };
-        for i in (0..n).filter(|&i| image.inside[i]) {
-            let Some(met) = around.met(i % image.width, i / image.width, range) else { continue };
+        let mut field = Self { corner: [left, top], width, lens, depth, slack_px, normal };
+        for i in 0..n {
+            let [x, y] = field.place(i);
+            let is_inside = image.inside[y * image.width + x];
+            let Some(met) = is_inside.then(|| around.met(x, y, range)).flatten() else { continue };
             field.depth[i] = met.z;
             field.slack_px[i] = met.slack * focal[0] * SHRUNK as f32 / met.z;
         }
         field.normal = (0..n).map(|i| field.slope(i)).collect();
         field.slack_px = (0..n).map(|i| field.usual_slack(i)).collect();
         field
+    }
+
+    /// Column and row of the picture.
+    fn place(&self, i: usize) -> [usize; 2] {
+        [self.corner[0] + i % self.width, self.corner[1] + i / self.width]
+    }
+
+    /// The index of a place in the picture, where it is kept.
+    fn index(&self, x: usize, y: usize) -> Option<usize> {
+        let (column, row) = (x.checked_sub(self.corner[0])?, y.checked_sub(self.corner[1])?);
+        let i = row * self.width + column;
+        (column < self.width && i < self.depth.len()).then_some(i)
     }
 
     /// The median around a pixel: outlines of whole pixels make it uneven.
@@ -161,7 +168,7 @@ impl HullField {
 
     /// The normal by the neighbours of a pixel; towards the camera at an edge.
     fn slope(&self, i: usize) -> Vec3 {
-        let (x, y) = (i % self.width, i / self.width);
+        let [x, y] = self.place(i);
         let towards = -self.lens.ray(x, y).normalize();
         let normal = self.tangents(x, y).and_then(|[along, across]| across.cross(along).try_normalize());
         normal.map(|n| n * n.dot(towards).signum()).unwrap_or(towards)
@@ -176,16 +183,16 @@ impl HullField {
 
     /// The point of the hull that a pixel sees, frame of the camera.
     fn point(&self, x: usize, y: usize) -> Option<Vec3> {
-        let z = *self.depth.get(y * self.width + x)?;
-        (x < self.width && z > 0.0).then(|| self.lens.ray(x, y) * z)
+        let z = self.depth[self.index(x, y)?];
+        (z > 0.0).then(|| self.lens.ray(x, y) * z)
     }
 
     /// The hull at a pixel of a picture that is `step` times smaller than the finest, where the
     /// surface is expected on it: its depth along the ray, and its normal.
     pub(crate) fn at(&self, [x, y]: [usize; 2], step: usize, ray: Vec3) -> Option<(f32, Vec3)> {
         let [u, v] = [x, y].map(|c| c * step / SHRUNK);
-        let i = v * self.width + u.min(self.width - 1);
-        let z = self.depth.get(i).copied().filter(|z| *z > 0.0 && self.slack_px[i] < LIMITS.slack_px)?;
+        let i = self.index(u, v)?;
+        let z = Some(self.depth[i]).filter(|z| *z > 0.0 && self.slack_px[i] < LIMITS.slack_px)?;
         Some((carried(z, self.normal[i], self.lens.ray(u, v), ray), self.normal[i]))
     }
 }
@@ -306,7 +313,7 @@ mod tests {
     use super::*;
     use crate::{StereoSettings, dense_depths};
     use glam::{DVec2, DVec3};
-    use scene::{CameraModel, Progress};
+    use scene::{CameraModel, Pose, Progress};
 
     /// What a ray (from a place, in a direction) meets first, as a multiple of the direction.
     type Shape = fn(DVec3, DVec3) -> Option<f64>;
@@ -367,9 +374,8 @@ mod tests {
         /// expected on it; and of how many pixels.
         fn errors(&self) -> (Vec<f64>, usize) {
             let views = self.views();
-            let images = |level| views.iter().map(|v| LevelImage::new(v, level)).collect::<Vec<_>>();
             let ranges = vec![Some([2.0, 6.0].map(|z: f64| (z * self.unit) as f32)); views.len()];
-            let hulls = HullField::of_all(&views, &images(1), &images(0), &ranges);
+            let hulls = HullField::of_all(&views, &ranges, 0);
             let hull = hulls[0].as_ref().expect("masks show a hull");
             let lens = PinholeLens::of(&self.camera);
             let seen = (0..self.pixels()).filter_map(|i| Some((i, self.truth(&self.poses[0], i)?)));
@@ -437,8 +443,7 @@ mod tests {
         shot.masks[9..].iter_mut().for_each(|m| m.fill(255));
         shot.masks[7..9].iter_mut().for_each(|m| m.fill(0));
         let views = shot.views();
-        let images = |level| views.iter().map(|v| LevelImage::new(v, level)).collect::<Vec<_>>();
-        let hulls = HullField::of_all(&views, &images(1), &images(0), &vec![Some([2.0, 6.0]); 60]);
+        let hulls = HullField::of_all(&views, &[Some([2.0, 6.0]); 60], 0);
         assert!(hulls.iter().all(Option::is_none));
     }
 }

@@ -1,9 +1,12 @@
 //! How far a place in a picture lies from the outline of the object.
 
 use crate::level::LevelImage;
+use scene::Camera;
 
 /// The signed distances from the outline of a view's mask.
 pub(crate) struct Outline {
+    /// Of the mask's size.
+    pub(crate) camera: Camera,
     width: usize,
     height: usize,
     /// [height × width] pixels to the outline, negative inside.
@@ -27,7 +30,8 @@ impl Outline {
             let signed = to_object.iter().zip(&to_background).map(|(object, background)| {
                 if *object > 0.0 { object.sqrt() - 0.5 } else { 0.5 - background.sqrt() }
             });
-            Self { width, height: image.height, distance: signed.collect() }
+            let (camera, distance) = (image.camera.clone(), signed.collect());
+            Self { camera, width, height: image.height, distance }
         })
     }
 
