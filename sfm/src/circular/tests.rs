@@ -156,9 +156,9 @@ pub(super) fn grown(
     job: &VideoJob<'_>,
     input: &MappingInput<'_>,
     tracks: &[KltTrack],
-) -> Result<AxisModel, Decision> {
-    let start = VideoStart::find(job, tracks, &[]).map_err(|why| *why)?;
-    job.grow(input, &start).unwrap()
+) -> Result<AxisModel, Box<Decision>> {
+    let start = VideoStart::find(job, tracks, &[])?;
+    job.grow(input, &start).unwrap().map_err(Box::new)
 }
 
 /// The same from some intrinsics, which may be known.
