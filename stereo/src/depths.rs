@@ -36,7 +36,10 @@ pub fn dense_depths(
 ) -> Result<DenseDepths, StereoError> {
     check(views)?;
     let layout = Layout::new(views, points, settings);
-    let hulls = hulls(views, &layout, settings);
+    let hulls = match settings.outlines {
+        true => HullField::of_all(views, &layout.depths, settings.first_level(views), progress)?,
+        false => views.iter().map(|_| None).collect(),
+    };
     let mut fields: Vec<PlaneField> = Vec::new();
     let mut pairs: Vec<Vec<Pair>> = Vec::new();
     for level in (0..settings.levels).rev() {
@@ -60,14 +63,6 @@ pub fn dense_depths(
     let mut fields = without_seen_through(&fields, views, settings);
     fields.iter_mut().flat_map(|f| &mut f.normal).for_each(|n| *n = rounded(*n));
     Ok(DenseDepths::new(fields, pairs, settings))
-}
-
-/// The visual hull in every view, at half the resolution: outlines are no more exact.
-fn hulls(views: &[PosedPhoto], layout: &Layout, settings: &StereoSettings) -> Vec<Option<HullField>> {
-    if !settings.outlines {
-        return views.iter().map(|_| None).collect();
-    }
-    HullField::of_all(views, &layout.depths, settings.first_level(views))
 }
 
 impl DenseDepths {

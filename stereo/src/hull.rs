@@ -11,7 +11,7 @@ use crate::outline::Outline;
 use crate::pair::PixelMap;
 use glam::Vec3;
 use rayon::prelude::*;
-use scene::{Camera, PosedPhoto};
+use scene::{Camera, Cancelled, PosedPhoto, Progress};
 
 /// Rays are so many times fewer than pixels, along each side. Source: chosen by hand, never
 /// measured; the hull is no finer.
@@ -104,17 +104,24 @@ struct Beside<'a> {
 impl HullField {
     /// Of all views whose pictures are halved so often first; none where masks do not show one.
     /// `ranges`: least and most depth of each view.
-    pub(crate) fn of_all(views: &[PosedPhoto], ranges: &[Option<[f32; 2]>], level: u32) -> Vec<Option<Self>> {
+    pub(crate) fn of_all(
+        views: &[PosedPhoto],
+        ranges: &[Option<[f32; 2]>],
+        level: u32,
+        progress: &Progress,
+    ) -> Result<Vec<Option<Self>>, Cancelled> {
         let outlines = views.par_iter().map(|v| Outline::of(&LevelImage::new(v, level)));
         let outlines: Vec<Option<Outline>> = outlines.collect();
         if outlines.iter().flatten().count() < LIMITS.least_views {
-            return views.iter().map(|_| None).collect();
+            return Ok(views.iter().map(|_| None).collect());
         }
+        progress.begin("visual hull", views.len());
         let all = (0..views.len()).into_par_iter();
         all.map(|i| {
-            outlines[i].as_ref()?;
+            progress.tick()?;
+            let (Some(range), Some(_)) = (ranges[i], &outlines[i]) else { return Ok(None) };
             let image = LevelImage::new(&views[i], level + SHRUNK.ilog2());
-            Some(Self::of(&image, &beside(views, i, &image.camera, &outlines), ranges[i]?))
+            Ok(Some(Self::of(&image, &beside(views, i, &image.camera, &outlines), range)))
         })
         .collect()
     }
@@ -313,7 +320,7 @@ mod tests {
     use super::*;
     use crate::{StereoSettings, dense_depths};
     use glam::{DVec2, DVec3};
-    use scene::{CameraModel, Pose, Progress};
+    use scene::{CameraModel, Pose};
 
     /// What a ray (from a place, in a direction) meets first, as a multiple of the direction.
     type Shape = fn(DVec3, DVec3) -> Option<f64>;
@@ -375,7 +382,7 @@ mod tests {
         fn errors(&self) -> (Vec<f64>, usize) {
             let views = self.views();
             let ranges = vec![Some([2.0, 6.0].map(|z: f64| (z * self.unit) as f32)); views.len()];
-            let hulls = HullField::of_all(&views, &ranges, 0);
+            let hulls = HullField::of_all(&views, &ranges, 0, &Progress::silent()).unwrap();
             let hull = hulls[0].as_ref().expect("masks show a hull");
             let lens = PinholeLens::of(&self.camera);
             let seen = (0..self.pixels()).filter_map(|i| Some((i, self.truth(&self.poses[0], i)?)));
@@ -443,7 +450,7 @@ mod tests {
         shot.masks[9..].iter_mut().for_each(|m| m.fill(255));
         shot.masks[7..9].iter_mut().for_each(|m| m.fill(0));
         let views = shot.views();
-        let hulls = HullField::of_all(&views, &[Some([2.0, 6.0]); 60], 0);
+        let hulls = HullField::of_all(&views, &[Some([2.0, 6.0]); 60], 0, &Progress::silent()).unwrap();
         assert!(hulls.iter().all(Option::is_none));
     }
 }

@@ -52,9 +52,7 @@ impl Outline {
         let below = at(u, v + 1) + a * (at(u + 1, v + 1) - at(u, v + 1));
         Some(above + b * (below - above))
     }
-}
 
-impl Outline {
     /// Direction in which the distance grows most, unit; none outside the picture or on a ridge.
     pub(crate) fn outwards(&self, [x, y]: [f32; 2]) -> Option<[f32; 2]> {
         let along = self.distance([x + 1.0, y])? - self.distance([x - 1.0, y])?;
@@ -65,7 +63,7 @@ impl Outline {
 }
 
 /// Squared pixels to the nearest of these (Felzenszwalb and Huttenlocher, "Distance Transforms of
-/// Sampled Functions", 2012).
+/// Sampled Functions", Theory of Computing 2012).
 fn squared_distances(these: &[bool], width: usize) -> Vec<f32> {
     let rows = these.len() / width.max(1);
     let mut all: Vec<f32> = these.iter().map(|is_one| if *is_one { 0.0 } else { FAR }).collect();
