@@ -92,6 +92,7 @@ pub fn evaluate(
         Pictures::Parts(..) | Pictures::Field(..) => None,
     };
     let held_out: Vec<&View> = dataset.views.iter().filter(|v| v.held_out).collect();
+    let frame_ms = rendering.frame_ms_median;
     let protocol = protocol(config, &dataset, held_out.len(), &rendering, &networks);
     let mut evaluation = Evaluation { protocol, rendering, geometry, renderer, ..Evaluation::default() };
     progress.begin("evaluate", held_out.len());
@@ -113,7 +114,7 @@ pub fn evaluate(
                 PERCENTS.map(|p| Percentile { percent: p, metrics: Metrics::percentile(&all, p) });
             evaluation.percentiles = percentiles.to_vec();
         }
-        evaluation.training = training_views(&mut pictures, &dataset, all.len(), progress)?;
+        evaluation.training = training_views(&mut pictures, &dataset, all.len(), frame_ms, progress)?;
         write_json(&folder.join("metrics.json"), &evaluation)
     })?;
     Ok(evaluation)
@@ -122,15 +123,18 @@ pub fn evaluate(
 /// Percentiles that are reported, per cent of the views. Source: chosen by hand, never measured.
 const PERCENTS: [u32; 3] = [5, 50, 95];
 
-/// Judges training views, as many as are held out, spread evenly.
+/// Judges training views, as many as are held out, spread evenly; fewer where that would take
+/// longer than [`speed::LONGEST`].
 fn training_views(
     pictures: &mut Pictures,
     dataset: &Dataset,
     most: usize,
+    frame_ms: f64,
     progress: &Progress,
 ) -> Result<Option<TrainingViews>> {
     let training = dataset.training_views();
-    let mut all = Vec::new();
+    let quick = (1e3 * speed::LONGEST.as_secs_f64() / frame_ms.max(1.0)) as usize;
+    let (most, mut all) = (most.min(quick.max(1)), Vec::new());
     for &index in training.iter().step_by(training.len().div_ceil(most.max(1)).max(1)) {
         progress.check()?;
         all.push(Compared::of(pictures, &dataset.views[index], dataset)?.judge(&[])?);
