@@ -3,6 +3,7 @@
 
 mod cubes;
 mod depth_map;
+mod facing;
 mod fusion;
 mod mesh;
 mod metrics;

@@ -7,16 +7,14 @@
 
 use super::Mesh;
 use super::depth_map::DepthMap;
+use super::facing::LEAST_COSINE;
 use glam::{DVec2, DVec3};
 use rayon::prelude::*;
 
-/// Least cosine between the normal and the direction to a view that counts. Source: at 60° aslant
-/// a pixel covers twice the surface.
-const LEAST_COSINE: f64 = 0.5;
-
-/// Moves the vertices; what no view sees within `reach` (scene units) of where it is goes with its
-/// neighbours, or stays.
-pub(super) fn settle(mesh: &mut Mesh, maps: &[DepthMap], reach: f64) {
+/// Moves the vertices, which lie about `nearer` before what was measured (scene units, as is
+/// `voxel`); what no view sees there, give or take it and half a voxel, goes with its neighbours,
+/// or stays.
+pub(super) fn settle(mesh: &mut Mesh, maps: &[DepthMap], nearer: f64, voxel: f64) {
     let normals = mesh.normals();
     let centres: Vec<DVec3> = maps.iter().map(|map| map.pose.inverse().translation).collect();
     // Weighted sums of distances along the normal, and their weights.
@@ -25,8 +23,9 @@ pub(super) fn settle(mesh: &mut Mesh, maps: &[DepthMap], reach: f64) {
         for (map, centre) in maps.iter().zip(&centres) {
             let cosine = (*centre - *vertex).normalize_or_zero().dot(*normal);
             let seen = (cosine > LEAST_COSINE).then(|| before(map, *vertex)).flatten();
-            if let Some(along) = seen.filter(|along| along.abs() < reach) {
-                sums += cosine * DVec2::new(cosine * along, 1.0);
+            let across = seen.map(|along| cosine * along);
+            if let Some(across) = across.filter(|across| (across - nearer).abs() < nearer + voxel / 2.0) {
+                sums += cosine * DVec2::new(across, 1.0);
             }
         }
         sums
