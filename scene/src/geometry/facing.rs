@@ -109,7 +109,7 @@ mod tests {
                 assert!((found - expected).abs() < 0.01, "{size}, {down_deg}: {found}, not {expected}");
             }
         }
-        // Steeper than that a plane is like a jump in depth.
+        // Still more aslant, a plane is like a jump in depth.
         assert_eq!(middle(&plane(3.0, 1.0)), 1.0);
     }
 
