@@ -388,15 +388,20 @@ impl Pipeline {
 
     fn splat(&mut self, frames: &FrameSet, poses_print: &str, until: Until) -> Result<()> {
         let training_set = self.out.join("undistorted");
-        let print = fingerprint(&("undistort", 1, poses_print))?;
+        let print = fingerprint(&("undistort", 2, poses_print))?;
         let stage = StageSpec { name: "undistort", fingerprint: &print, owns: &UNDISTORT };
         let done = self.stages.run(&stage, |new| {
             let progress = self.progress("undistort");
             let reconstruction = scene::io::read_model(&self.out.join("sparse/0"))?;
-            sfm::undistort(frames, &reconstruction, &new.join("undistorted"), &progress)?;
-            Ok(0_u32)
+            let written = sfm::undistort(frames, &reconstruction, &new.join("undistorted"), &progress)?;
+            Ok(written.decisions)
         })?;
-        let print = self.finish("undistort", done, "images for training").identity()?;
+        let finished = self.finish("undistort", done, "images for training");
+        let print = finished.identity()?;
+        self.say_decisions(&finished.value);
+        if let Some(frames) = &mut self.record.frames {
+            frames.decisions.extend(finished.value);
+        }
         if let Some(poses) = &self.record.poses {
             self.show_poses("undistorted/sparse/0", poses);
         }

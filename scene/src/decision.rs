@@ -35,6 +35,8 @@ use serde::{Deserialize, Serialize};
 pub enum Subject {
     /// Whether and how the object is cut out of its background.
     Matte,
+    /// Pieces of mattes that are no part of the object.
+    MattePieces,
     /// Camera model and free intrinsics.
     CameraModel,
     /// The motion between camera and object.
@@ -224,6 +226,8 @@ pub enum Remark {
     Unobserved,
     /// More views show background there than a silhouette allows.
     OutsideHull,
+    /// Most other masks show background where they would have to be.
+    OtherMasksDisagree,
     /// The Gaussians kept their values in that step.
     StepSkipped,
     /// More steps would overfit the photos.

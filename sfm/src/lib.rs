@@ -41,6 +41,7 @@ mod torque_free;
 mod tracks;
 mod triangulation;
 pub mod two_view;
+mod outline_pieces;
 mod undistort;
 mod upright;
 
@@ -59,5 +60,5 @@ pub use reconstruct::{
 };
 pub use result::{FramePose, PoseDeviation, SfmResult, SfmStats, StepTime, Uncertainty};
 pub use skip::StepName;
-pub use undistort::undistort;
+pub use undistort::{Undistorted, undistort};
 pub use upright::{VerticalDirection, vertical_direction};

@@ -1,10 +1,12 @@
 //! Pinhole images for training: distortion removed, no black borders.
 
 use crate::error::SfmError;
+use crate::outline_pieces;
 use crate::sift::unreadable;
 use glam::DVec2;
 use image::{DynamicImage, ImageFormat, RgbImage, RgbaImage};
 use rayon::prelude::*;
+use scene::decision::Decision;
 use scene::{Camera, CameraModel, Frame, FrameSet, PosedImage, Progress, Reconstruction};
 use std::collections::BTreeMap;
 use std::fs;
@@ -17,8 +19,17 @@ const JPEG_QUALITY: u8 = 97;
 /// Source: COLMAP, `max_scale` of its undistortion.
 const SIZE_LIMIT: f64 = 2.0;
 
+/// Images without distortion.
+#[derive(Clone, Debug)]
+pub struct Undistorted {
+    /// PINHOLE cameras, observations moved along.
+    pub model: Reconstruction,
+    /// What was removed from masks.
+    pub decisions: Vec<Decision>,
+}
+
 /// Writes `images/`, `masks/` (where frames have masks) and the model `sparse/0` without distortion
-/// into `out_dir`, and returns that model: PINHOLE cameras, observations moved along.
+/// into `out_dir`. Masks lose the pieces that most other views contradict.
 ///
 /// Focal lengths stay as they are and the image becomes the largest rectangle without blank pixels
 /// (COLMAP's `blank_pixels = 0`). Images of cameras without distortion are linked or copied. Frames
@@ -28,7 +39,7 @@ pub fn undistort(
     reconstruction: &Reconstruction,
     out_dir: &Path,
     progress: &Progress,
-) -> Result<Reconstruction, SfmError> {
+) -> Result<Undistorted, SfmError> {
     progress.begin("undistort", reconstruction.images.len());
     let mut model = reconstruction.clone();
     for camera in model.cameras.values_mut() {
@@ -54,10 +65,11 @@ pub fn undistort(
         }
         progress.tick().map_err(SfmError::from)
     })?;
+    let removed = outline_pieces::remove_contradicted(&out_dir.join("masks"), &model, progress)?;
     let sparse = out_dir.join("sparse").join("0");
     fs::create_dir_all(&sparse).map_err(|e| cannot_write(&sparse, &e))?;
     scene::io::write_model_bin(&model, &sparse).map_err(|e| cannot_write(&sparse, &e))?;
-    Ok(model)
+    Ok(Undistorted { model, decisions: removed.decision().into_iter().collect() })
 }
 
 /// The PINHOLE camera whose image is the largest rectangle inside the undistorted image of
@@ -222,7 +234,7 @@ mod tests {
             camera.params[3] = k;
             let dir = folder(&format!("picture{k}"));
             let (frames, model) = world(&dir, &camera);
-            let flat = undistort(&frames, &model, &dir.join("out"), &Progress::silent()).unwrap();
+            let flat = undistort(&frames, &model, &dir.join("out"), &Progress::silent()).unwrap().model;
             let new = &flat.cameras[&1];
             let picture = image::open(dir.join("out/images/a.png")).unwrap().to_rgb8();
             assert_eq!(picture.dimensions(), (new.width, new.height));

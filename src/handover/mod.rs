@@ -85,7 +85,7 @@ impl Handed {
 
     /// PINHOLE images with the mattes in them, and their model.
     fn undistorted(&self, folder: &Path, ground: Ground, progress: &Progress) -> Result<Reconstruction> {
-        let model = sfm::undistort(&self.frames, &self.model, folder, progress)?;
+        let model = sfm::undistort(&self.frames, &self.model, folder, progress)?.model;
         std::fs::remove_dir_all(folder.join("sparse"))?;
         let masks = folder.join("masks");
         if !masks.is_dir() {

@@ -60,6 +60,7 @@ impl Subject {
     pub fn title(self) -> &'static str {
         match self {
             Self::Matte => "Matte",
+            Self::MattePieces => "Pieces of mattes apart from the object",
             Self::CameraModel => "Camera model",
             Self::Motion => "Motion",
             Self::Background => "Background",
@@ -129,6 +130,7 @@ impl Subject {
             Self::SharedCameras => "groups of images",
             Self::TilePairs => "at most",
             Self::RedundantGaussians | Self::UnobservedGaussians | Self::OutsideSilhouettes => "removed",
+            Self::MattePieces => "removed",
             Self::NonFiniteGradients => "skipped",
             _ => "",
         }
@@ -288,8 +290,11 @@ impl Remark {
             Self::GainsConfirmed => "gains found earlier were checked again",
             Self::Unobserved => "hardly any view has them in its image, so nothing constrains them",
             Self::OutsideHull => {
-                "more than two, and more than a twentieth, of the training views that have their \
-                 centre in the image show background there"
+                "more than a third of the training views that have their centre in the image show \
+                 background there"
+            }
+            Self::OtherMasksDisagree => {
+                "no place along their rays is covered by most of the other masks: a shadow, or what stands still"
             }
             Self::StepSkipped => "these Gaussians kept their values in that step",
             Self::Overfitting => "more steps would overfit the photos",
